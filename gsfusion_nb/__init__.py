@@ -1,0 +1,29 @@
+"""Learn, teach and prototype online RGB-D mapping with TSDF fusion and 3D Gaussian splatting."""
+
+import importlib
+
+from .types import Camera as Camera
+from .types import Frame as Frame
+from .types import RenderOutput as RenderOutput
+from .types import Seeds as Seeds
+
+__version__ = "0.1.0"
+
+_LAZY = {
+    "GSFusion": "gsfusion_nb.mapping",
+    "gsfusion": "gsfusion_nb.config",
+    "run_mapping": "gsfusion_nb.mapping",
+    "open_sequence": "gsfusion_nb.datasets",
+    "seeding_rule": "gsfusion_nb.seeding",
+    "use_backend": "gsfusion_nb.backends",
+}
+
+
+def __getattr__(name: str):
+    if name in _LAZY:
+        return getattr(importlib.import_module(_LAZY[name]), name)
+    raise AttributeError(f"module 'gsfusion_nb' has no attribute {name!r}")
+
+
+def __dir__():
+    return sorted([*globals(), *_LAZY])

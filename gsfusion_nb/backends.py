@@ -1,0 +1,123 @@
+"""Which implementation of an operation runs: the plain torch reference, or a fast kernel.
+
+An operation is declared once, by putting ``@op`` on its reference; fast versions are named below as strings and
+imported on first use. Nothing else in the package imports ``gsfusion_nb.kernels``.
+"""
+
+import contextlib
+import functools
+import importlib
+import logging
+import os
+from collections.abc import Callable, Iterator
+from contextvars import ContextVar
+
+import torch
+
+from .checks import check_name
+
+log = logging.getLogger(__name__)
+
+BACKENDS = ("reference", "numba", "triton", "cuda")
+
+PROVIDERS: dict[str, dict[str, str]] = {}
+"""op name -> backend -> "module:function"."""
+
+_PREFERRED = {"cpu": ("numba",), "cuda": ("cuda", "triton")}
+_OPS: dict[str, Callable] = {}
+_choice: ContextVar[str] = ContextVar("gsfusion_backend", default=os.environ.get("GSFUSION_BACKEND", "auto"))
+_logged: set[tuple[str, str]] = set()
+
+
+class BackendUnavailable(RuntimeError):
+    """A backend was asked for by name and cannot run; the message says what is missing."""
+
+
+def op(reference: Callable) -> Callable:
+    """Make ``reference`` an operation whose fast versions may stand in for it; ``f.reference`` is always the original."""
+    name = reference.__name__
+    _OPS[name] = reference
+
+    @functools.wraps(reference)
+    def dispatch(*args, **kwargs):
+        implementation = _select(name, args, kwargs)
+        return implementation(*args, **kwargs)
+
+    dispatch.reference = reference  # pyright: ignore[reportAttributeAccessIssue]
+    return dispatch
+
+
+@functools.cache
+def load(name: str, backend: str) -> Callable:
+    """The function that ``backend`` offers for operation ``name``.
+
+    Raises:
+        BackendUnavailable: with the reason, if that backend has none or cannot be imported.
+    """
+    check_name("operation", name, _OPS)
+    check_name("backend", backend, BACKENDS)
+    if backend == "reference":
+        return _OPS[name]
+    provider = PROVIDERS.get(name, {}).get(backend)
+    if provider is None:
+        raise BackendUnavailable(f"{name}: backend {backend!r} has no implementation of it")
+    module, function = provider.split(":")
+    try:
+        return getattr(importlib.import_module(module), function)
+    except ImportError as e:
+        raise BackendUnavailable(f"{name}: backend {backend!r} needs {e.name!r}, which cannot be imported ({e})") from None
+
+
+@contextlib.contextmanager
+def use_backend(backend: str) -> Iterator[None]:
+    """Run operations on ``backend`` inside the block: "auto", "reference", "numba", "triton" or "cuda".
+
+    With a name other than "auto", an operation that the backend lacks raises ``BackendUnavailable``.
+    """
+    check_name("backend", backend, ("auto", *BACKENDS))
+    token = _choice.set(backend)
+    try:
+        yield
+    finally:
+        _choice.reset(token)
+
+
+def report() -> list[tuple[str, str, str]]:
+    """Rows (operation, backend, "ok" or the reason it cannot run)."""
+    rows = []
+    for name in sorted(_OPS):
+        for backend in ("reference", *PROVIDERS.get(name, {})):
+            try:
+                load(name, backend)
+                rows.append((name, backend, "ok"))
+            except BackendUnavailable as e:
+                rows.append((name, backend, str(e)))
+    return rows
+
+
+def _select(name: str, args: tuple, kwargs: dict) -> Callable:
+    choice = _choice.get()
+    if choice != "auto":
+        check_name("backend", choice, ("auto", *BACKENDS))
+        return load(name, choice)
+    offered = PROVIDERS.get(name)
+    if not offered:
+        return _OPS[name]
+    device = next((a.device.type for a in (*args, *kwargs.values()) if isinstance(a, torch.Tensor)), "cpu")
+    for backend in _PREFERRED.get(device, ()):
+        if backend not in offered:
+            continue
+        try:
+            implementation = load(name, backend)
+        except BackendUnavailable as e:
+            _log_once(name, f"{e}; using the reference")
+            continue
+        _log_once(name, f"{name}: {backend}")
+        return implementation
+    return _OPS[name]
+
+
+def _log_once(name: str, message: str) -> None:
+    if (name, message) not in _logged:
+        _logged.add((name, message))
+        log.info(message)

@@ -1,0 +1,50 @@
+"""Input checks whose errors are sentences: what was expected, what came."""
+
+import torch
+from torch import Tensor
+
+
+def check_shape(name: str, value: Tensor, expected: tuple[int | str, ...]) -> None:
+    """Raise ``ValueError`` unless ``value`` has the expected shape; a string stands for any length.
+
+    Example: ``check_shape("depth_m", depth_m, ("H", "W"))``.
+    """
+    got = tuple(value.shape)
+    if len(got) != len(expected) or any(isinstance(e, int) and e != g for e, g in zip(expected, got, strict=False)):
+        wanted = ", ".join(str(e) for e in expected)
+        raise ValueError(f"{name} must be [{wanted}], got {list(got)}")
+
+
+def check_finite(name: str, value: Tensor) -> None:
+    """Raise ``ValueError`` if ``value`` holds a NaN or an infinity, with the count and the first place."""
+    bad = ~torch.isfinite(value)
+    if bad.any():
+        first = [int(i) for i in bad.nonzero()[0]]
+        raise ValueError(f"{name} must be finite, got {int(bad.sum())} NaN or infinite values, the first at {first}")
+
+
+def check_pose(name: str, T: Tensor, tolerance: float = 1e-3) -> None:
+    """Raise ``ValueError`` unless ``T`` is a rigid 4x4 transform (finite, rotation orthonormal, no mirroring)."""
+    check_shape(name, T, (4, 4))
+    check_finite(name, T)
+    R = T[:3, :3].double()
+    error = float((R @ R.T - torch.eye(3, dtype=torch.float64, device=T.device)).abs().max())
+    if error > tolerance:
+        raise ValueError(f"{name} must be rigid: its rotation misses R R^T = I by {error:.2g} (allowed {tolerance:.0e})")
+    if torch.linalg.det(R) < 0:
+        raise ValueError(f"{name} must be rigid: its rotation has determinant -1, so it mirrors the world")
+    bottom = T.new_tensor([0.0, 0.0, 0.0, 1.0])
+    if (T[3] - bottom).abs().max() > tolerance:
+        raise ValueError(f"{name} must end in the row [0, 0, 0, 1], got {[round(float(v), 4) for v in T[3]]}")
+
+
+def check_positive(name: str, value: float) -> None:
+    """Raise ``ValueError`` unless ``value`` is a number above zero."""
+    if not value > 0:
+        raise ValueError(f"{name} must be > 0, got {value}")
+
+
+def check_name(kind: str, name: str, known) -> None:
+    """Raise ``KeyError`` unless ``name`` is one of ``known``; the message lists them."""
+    if name not in known:
+        raise KeyError(f"no {kind} {name!r}; known: {', '.join(sorted(known))}")

@@ -1,0 +1,36 @@
+"""Numbers shared by the reference and the fast kernels, each with its reason."""
+
+NEAR_PLANE_M = 0.2
+"""Gaussians closer to the camera than this are not drawn (Kerbl et al. 2023, released rasteriser)."""
+
+SCREEN_BLUR_PX2 = 0.3
+"""Added to the diagonal of every 2D covariance so that no splat is thinner than about a pixel (EWA low-pass)."""
+
+FRUSTUM_CLAMP = 1.3
+"""x/z and y/z are clamped to this many half fields of view inside the projection Jacobian, where its linearisation holds."""
+
+ALPHA_MAX = 0.99
+"""Upper clamp on a splat's alpha: keeps 1 - alpha away from zero, which the gradient divides by."""
+
+ALPHA_MIN = 1.0 / 255.0
+"""A splat fainter than one grey level at a pixel is skipped there."""
+
+TRANSMITTANCE_MIN = 1e-4
+"""A pixel is finished before the splat that would bring its transmittance below this."""
+
+TILE_PX = 16
+"""Edge of a screen tile, pixels. The result does not depend on it."""
+
+BLOCK_VOXELS = 8
+"""Edge of a voxel block, voxels (Supereight2; GSFusion section III-A)."""
+
+VOXELS_PER_BLOCK = BLOCK_VOXELS**3
+
+SH_C0 = 0.28209479177387814
+"""Spherical-harmonic basis function of degree 0, 1 / (2 sqrt(pi))."""
+
+LUMA_WEIGHTS = (0.2989, 0.5870, 0.1140)
+"""Weights of R, G, B in the quadtree's contrast (ITU-R BT.601 as the released code rounds them)."""
+
+QUADTREE_NORMALISER = 9e7
+"""The released code multiplies a cell's variance by (image pixels) / 9e7 before the threshold test."""

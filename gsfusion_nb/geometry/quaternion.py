@@ -1,0 +1,60 @@
+"""Unit quaternions, wxyz: to and from rotation matrices, interpolation."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+
+def normalise(quat: Float[Tensor, "*B 4"]) -> Float[Tensor, "*B 4"]:
+    """Unit quaternion of the same orientation. Differentiable: yes, away from zero."""
+    return quat / quat.norm(dim=-1, keepdim=True).clamp_min(1e-12)
+
+
+def to_matrix(quat: Float[Tensor, "*B 4"]) -> Float[Tensor, "*B 3 3"]:
+    """Rotation matrix of a quaternion, normalised first. Differentiable: yes."""
+    w, x, y, z = normalise(quat).unbind(-1)
+    R = torch.stack(
+        [
+            1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+            2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+            2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
+        ],
+        dim=-1,
+    )  # fmt: skip
+    return R.reshape(*quat.shape[:-1], 3, 3)
+
+
+def from_matrix(R: Float[Tensor, "*B 3 3"]) -> Float[Tensor, "*B 4"]:
+    """Unit quaternion with w >= 0 of a rotation matrix.
+
+    Of the four classical formulas the one with the largest divisor is taken (Shepperd 1978), so it is stable near pi.
+    """
+    m = R.flatten(-2)
+    m00, m01, m02, m10, m11, m12, m20, m21, m22 = m.unbind(-1)
+    candidates = torch.stack(
+        [
+            torch.stack([1 + m00 + m11 + m22, m21 - m12, m02 - m20, m10 - m01], -1),
+            torch.stack([m21 - m12, 1 + m00 - m11 - m22, m01 + m10, m02 + m20], -1),
+            torch.stack([m02 - m20, m01 + m10, 1 - m00 + m11 - m22, m12 + m21], -1),
+            torch.stack([m10 - m01, m02 + m20, m12 + m21, 1 - m00 - m11 + m22], -1),
+        ],
+        dim=-2,
+    )
+    best = candidates.diagonal(dim1=-2, dim2=-1).argmax(-1)
+    quat = candidates.gather(-2, best[..., None, None].expand(*best.shape, 1, 4)).squeeze(-2)
+    quat = normalise(quat)
+    return torch.where(quat[..., :1] < 0, -quat, quat)
+
+
+def slerp(a: Float[Tensor, "*B 4"], b: Float[Tensor, "*B 4"], t: Float[Tensor, "*B"]) -> Float[Tensor, "*B 4"]:
+    """Spherical interpolation along the shorter arc: ``a`` at t = 0, ``b`` at t = 1."""
+    a, b = normalise(a), normalise(b)
+    dot = (a * b).sum(-1, keepdim=True)
+    b = torch.where(dot < 0, -b, b)
+    angle = dot.abs().clamp(max=1.0).acos()
+    t = t[..., None]
+    near = angle < 1e-4
+    sin = torch.where(near, torch.ones_like(angle), angle.sin())
+    wa = torch.where(near, 1 - t, ((1 - t) * angle).sin() / sin)
+    wb = torch.where(near, t, (t * angle).sin() / sin)
+    return normalise(wa * a + wb * b)

@@ -1,0 +1,61 @@
+"""Rigid transforms as 4x4 matrices: inverse, application, exponential and logarithm."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+
+def inverse(T: Float[Tensor, "*B 4 4"]) -> Float[Tensor, "*B 4 4"]:
+    """Inverse of a rigid transform: [R t]^-1 = [R^T  -R^T t]. Differentiable: yes."""
+    R_inv = T[..., :3, :3].transpose(-1, -2)
+    t_inv = -(R_inv @ T[..., :3, 3:])
+    return torch.cat([torch.cat([R_inv, t_inv], dim=-1), T[..., 3:, :]], dim=-2)
+
+
+def apply(T: Float[Tensor, "4 4"], xyz: Float[Tensor, "*N 3"]) -> Float[Tensor, "*N 3"]:
+    """Points in the target frame of ``T``. Differentiable: yes."""
+    return xyz @ T[:3, :3].T + T[:3, 3]
+
+
+def rotate(T: Float[Tensor, "4 4"], direction: Float[Tensor, "*N 3"]) -> Float[Tensor, "*N 3"]:
+    """Directions in the target frame of ``T`` (rotation only). Differentiable: yes."""
+    return direction @ T[:3, :3].T
+
+
+def hat(omega: Float[Tensor, "*B 3"]) -> Float[Tensor, "*B 3 3"]:
+    """Cross-product matrix: hat(a) b = a x b."""
+    x, y, z = omega.unbind(-1)
+    o = torch.zeros_like(x)
+    return torch.stack([o, -z, y, z, o, -x, -y, x, o], dim=-1).reshape(*omega.shape[:-1], 3, 3)
+
+
+def exp(xi: Float[Tensor, "*B 6"]) -> Float[Tensor, "*B 4 4"]:
+    """Exponential map of a twist (translation part first, then rotation, radians). Differentiable: yes.
+
+    Source: the closed form with A = sin t / t, B = (1 - cos t) / t^2, C = (t - sin t) / t^3 and their series near zero.
+    """
+    rho, omega = xi[..., :3], xi[..., 3:]
+    t2 = (omega * omega).sum(-1)[..., None, None]
+    small = t2 < 1e-4  # below it (t - sin t) loses too many digits, also in float32
+    safe2 = torch.where(small, torch.ones_like(t2), t2)  # two wheres: a single one still gives NaN gradients
+    t = safe2.sqrt()
+    A = torch.where(small, 1 - t2 / 6 + t2 * t2 / 120, t.sin() / t)
+    B = torch.where(small, 0.5 - t2 / 24 + t2 * t2 / 720, (1 - t.cos()) / safe2)
+    C = torch.where(small, 1 / 6 - t2 / 120 + t2 * t2 / 5040, (t - t.sin()) / (safe2 * t))
+    W = hat(omega)
+    W2 = W @ W
+    eye = torch.eye(3, dtype=xi.dtype, device=xi.device).expand_as(W)
+    R = eye + A * W + B * W2
+    V = eye + B * W + C * W2
+    top = torch.cat([R, V @ rho[..., None]], dim=-1)
+    bottom = xi.new_tensor([0.0, 0.0, 0.0, 1.0]).expand(*xi.shape[:-1], 1, 4)
+    return torch.cat([top, bottom], dim=-2)
+
+
+def rotation_angle(R: Float[Tensor, "*B 3 3"]) -> Float[Tensor, "*B"]:
+    """Angle of a rotation matrix, radians, accurate at both ends (atan2 of its sine and cosine)."""
+    skew = torch.stack(
+        [R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], dim=-1
+    )
+    trace = R.diagonal(dim1=-2, dim2=-1).sum(-1)
+    return torch.atan2(skew.norm(dim=-1), trace - 1)

@@ -1,0 +1,187 @@
+"""The values that travel between the rooms: camera, frame, seeds, render output. Frozen; inputs are never modified."""
+
+import dataclasses
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from .checks import check_positive, check_shape
+
+
+@dataclass(frozen=True, kw_only=True)
+class Camera:
+    """A pinhole camera without distortion. Pixel (i, j) has its centre at (i + 0.5, j + 0.5)."""
+
+    width: int
+    """Image width, pixels."""
+    height: int
+    """Image height, pixels."""
+    fx: float
+    """Focal length along x, pixels."""
+    fy: float
+    """Focal length along y, pixels."""
+    cx: float
+    """Principal point, x, in pixel-edge coordinates (width / 2 is the image centre)."""
+    cy: float
+    """Principal point, y, in pixel-edge coordinates."""
+
+    def __post_init__(self):
+        for name in ("width", "height", "fx", "fy"):
+            check_positive(f"camera {name}", getattr(self, name))
+
+    @property
+    def K(self) -> Float[Tensor, "3 3"]:
+        """Intrinsic matrix, float64."""
+        return torch.tensor([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]], dtype=torch.float64)
+
+    def resized(self, width: int, height: int) -> "Camera":
+        """The same view on another pixel grid (edges stay edges, so the principal point scales without a shift)."""
+        sx, sy = width / self.width, height / self.height
+        return Camera(
+            width=width, height=height, fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Frame:
+    """One RGB-D observation with its pose."""
+
+    index: int
+    """Position in the source sequence (stride and held-out frames keep the source's numbers)."""
+    timestamp_s: float
+    """Time of the observation, seconds."""
+    rgb: Float[Tensor, "H W 3"]
+    """Colour, 0..1."""
+    depth_m: Float[Tensor, "H W"]
+    """z-depth, metres; 0 where there is none, never NaN."""
+    camera: Camera
+    T_WC: Float[Tensor, "4 4"]
+    """Camera-to-world pose, OpenCV axes, metres."""
+
+    def __post_init__(self):
+        size = (self.camera.height, self.camera.width)
+        check_shape("rgb", self.rgb, (*size, 3))
+        check_shape("depth_m", self.depth_m, size)
+        check_shape("T_WC", self.T_WC, (4, 4))
+
+    def to(self, device: torch.device | str) -> "Frame":
+        """The same frame with its tensors on ``device``."""
+        return dataclasses.replace(
+            self, rgb=self.rgb.to(device), depth_m=self.depth_m.to(device), T_WC=self.T_WC.to(device)
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Seeds:
+    """New Gaussians, one row each, as a seeding rule proposes them. ``seeds[mask]`` filters every column at once."""
+
+    xyz_W: Float[Tensor, "N 3"]
+    """Centre, world frame, metres."""
+    rgb: Float[Tensor, "N 3"]
+    """Colour, 0..1."""
+    scale_m: Float[Tensor, "N 3"]
+    """Standard deviation along the Gaussian's own axes, metres."""
+    quat: Float[Tensor, "N 4"]
+    """Orientation, wxyz."""
+    opacity: Float[Tensor, " N"]
+    """Peak opacity, in (0, 1)."""
+    tag: Int[Tensor, " N"]
+    """Free label carried into the map; the quadtree rules put the cell's depth in the tree here."""
+
+    def __len__(self) -> int:
+        return self.xyz_W.shape[0]
+
+    def __getitem__(self, rows) -> "Seeds":
+        return Seeds(**{f.name: getattr(self, f.name)[rows] for f in dataclasses.fields(self)})
+
+    @staticmethod
+    def isotropic(
+        xyz_W: Float[Tensor, "N 3"],
+        rgb: Float[Tensor, "N 3"],
+        radius_m: Float[Tensor, " N"],
+        *,
+        opacity: float = 0.5,
+        tag: Int[Tensor, " N"] | None = None,
+    ) -> "Seeds":
+        """Round Gaussians with identity orientation (GSFusion III-B.2: R = I, S = diag(d, d, d), alpha = 0.5)."""
+        n = xyz_W.shape[0]
+        quat = xyz_W.new_zeros(n, 4)
+        quat[:, 0] = 1.0
+        return Seeds(
+            xyz_W=xyz_W,
+            rgb=rgb,
+            scale_m=radius_m[:, None].expand(n, 3).clone(),
+            quat=quat,
+            opacity=xyz_W.new_full((n,), opacity),
+            tag=torch.zeros(n, dtype=torch.int32, device=xyz_W.device) if tag is None else tag.to(torch.int32),
+        )
+
+    @staticmethod
+    def empty(like: Tensor | None = None) -> "Seeds":
+        """No rows, on the device of ``like``."""
+        zeros = torch.zeros if like is None else like.new_zeros
+        return Seeds.isotropic(zeros((0, 3)), zeros((0, 3)), zeros((0,)))
+
+    @staticmethod
+    def cat(parts: "list[Seeds]") -> "Seeds":
+        """Rows of all ``parts``, in order."""
+        if not parts:
+            return Seeds.empty()
+        return Seeds(**{f.name: torch.cat([getattr(p, f.name) for p in parts]) for f in dataclasses.fields(Seeds)})
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RenderOutput:
+    """What a camera sees of the Gaussian map."""
+
+    rgb: Float[Tensor, "H W 3"]
+    """Blended colour over a black background; not clamped."""
+    depth_m: Float[Tensor, "H W"]
+    """Blended z-depth, sum of w_k z_k: not divided by alpha, so 0 where nothing is."""
+    alpha: Float[Tensor, "H W"]
+    """Accumulated opacity, 1 - transmittance."""
+    first_index: Int[Tensor, "H W"]
+    """Row of the nearest Gaussian that contributes at the pixel; -1 where none does."""
+    dominant_index: Int[Tensor, "H W"]
+    """Row of the Gaussian with the largest weight at the pixel; -1 where none has any."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GaussianParams:
+    """The optimised numbers of a Gaussian map, one row each, before activation. Gradients have the same shape."""
+
+    xyz_W: Float[Tensor, "N 3"]
+    """Centre, world frame, metres."""
+    log_scale: Float[Tensor, "N 3"]
+    """Logarithm of the standard deviation in metres, along the Gaussian's own axes."""
+    quat: Float[Tensor, "N 4"]
+    """Orientation, wxyz, normalised at use."""
+    opacity_logit: Float[Tensor, " N"]
+    """Logit of the peak opacity."""
+    sh: Float[Tensor, "N K 3"]
+    """Spherical-harmonic coefficients of the colour; K = (degree + 1)^2, coefficient 0 is the constant one."""
+
+    def __len__(self) -> int:
+        return self.xyz_W.shape[0]
+
+    def __getitem__(self, rows) -> "GaussianParams":
+        return GaussianParams(**{f.name: getattr(self, f.name)[rows] for f in dataclasses.fields(self)})
+
+    @property
+    def sh_degree(self) -> int:
+        """Degree of the colour's spherical harmonics."""
+        return int(self.sh.shape[1] ** 0.5) - 1
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Mesh:
+    """A coloured triangle mesh with shared vertices."""
+
+    vertices_W: Float[Tensor, "V 3"]
+    """Positions, world frame, metres."""
+    faces: Int[Tensor, "F 3"]
+    """Vertex indices, counter-clockwise seen from the free side."""
+    rgb: Float[Tensor, "V 3"]
+    """Vertex colours, 0..1."""

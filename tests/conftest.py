@@ -1,0 +1,50 @@
+"""Fixtures of the whole suite: unwritten memory is NaN, shared sequences are optional, the cache is a scratch folder."""
+
+from pathlib import Path
+
+import pytest
+import torch
+
+SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+@pytest.fixture(autouse=True)
+def _unwritten_memory_is_nan(monkeypatch):
+    """``torch.empty`` and its relatives return NaN, so an output that is not written everywhere fails its test."""
+
+    def poison(make):
+        def filled(*args, **kwargs):
+            out = make(*args, **kwargs)
+            return out.fill_(float("nan")) if out.is_floating_point() and "out" not in kwargs else out
+
+        return filled
+
+    for name in ("empty", "empty_like", "empty_strided"):
+        monkeypatch.setattr(torch, name, poison(getattr(torch, name)))
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _scratch_cache(tmp_path_factory):
+    """Anything the package caches on disk goes to a folder of this test session."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("GSFUSION_CACHE", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
+@pytest.fixture
+def generator():
+    """Random numbers that repeat."""
+    return torch.Generator().manual_seed(0)
+
+
+@pytest.fixture
+def shared_sequence():
+    """``shared_sequence(name)`` is the folder of a real sequence, or skips the test with the reason."""
+
+    def find(name: str) -> Path:
+        folder = SHARED_DATA / name
+        if not folder.is_dir():
+            pytest.skip(f"real sequence {name!r} is not beside this checkout")
+        return folder
+
+    return find
