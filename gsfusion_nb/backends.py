@@ -25,7 +25,8 @@ PROVIDERS: dict[str, dict[str, str]] = {}
 
 _PREFERRED = {"cpu": ("numba",), "cuda": ("cuda", "triton")}
 _OPS: dict[str, Callable] = {}
-_choice: ContextVar[str] = ContextVar("gsfusion_backend", default=os.environ.get("GSFUSION_BACKEND", "auto"))
+_FROM_ENVIRONMENT: str = os.environ.get("GSFUSION_BACKEND", "auto")
+_choice: ContextVar[str | None] = ContextVar("gsfusion_backend", default=None)
 _logged: set[tuple[str, str]] = set()
 
 
@@ -34,7 +35,7 @@ class BackendUnavailable(RuntimeError):
 
 
 def op(reference: Callable) -> Callable:
-    """Make ``reference`` an operation whose fast versions may stand in for it; ``f.reference`` is always the original."""
+    """Make ``reference`` an operation that fast versions may stand in for; ``f.reference`` is always the original."""
     name = reference.__name__
     _OPS[name] = reference
 
@@ -65,7 +66,9 @@ def load(name: str, backend: str) -> Callable:
     try:
         return getattr(importlib.import_module(module), function)
     except ImportError as e:
-        raise BackendUnavailable(f"{name}: backend {backend!r} needs {e.name!r}, which cannot be imported ({e})") from None
+        raise BackendUnavailable(
+            f"{name}: backend {backend!r} needs {e.name!r}, which cannot be imported ({e})"
+        ) from None
 
 
 @contextlib.contextmanager
@@ -96,7 +99,7 @@ def report() -> list[tuple[str, str, str]]:
 
 
 def _select(name: str, args: tuple, kwargs: dict) -> Callable:
-    choice = _choice.get()
+    choice = _choice.get() or _FROM_ENVIRONMENT
     if choice != "auto":
         check_name("backend", choice, ("auto", *BACKENDS))
         return load(name, choice)

@@ -30,7 +30,9 @@ def check_pose(name: str, T: Tensor, tolerance: float = 1e-3) -> None:
     R = T[:3, :3].double()
     error = float((R @ R.T - torch.eye(3, dtype=torch.float64, device=T.device)).abs().max())
     if error > tolerance:
-        raise ValueError(f"{name} must be rigid: its rotation misses R R^T = I by {error:.2g} (allowed {tolerance:.0e})")
+        raise ValueError(
+            f"{name} must be rigid: its rotation misses R R^T = I by {error:.2g} (allowed {tolerance:.0e})"
+        )
     if torch.linalg.det(R) < 0:
         raise ValueError(f"{name} must be rigid: its rotation has determinant -1, so it mirrors the world")
     bottom = T.new_tensor([0.0, 0.0, 0.0, 1.0])
@@ -38,7 +40,7 @@ def check_pose(name: str, T: Tensor, tolerance: float = 1e-3) -> None:
         raise ValueError(f"{name} must end in the row [0, 0, 0, 1], got {[round(float(v), 4) for v in T[3]]}")
 
 
-def check_positive(name: str, value: float) -> None:
+def check_positive(name: str, value: float | int) -> None:
     """Raise ``ValueError`` unless ``value`` is a number above zero."""
     if not value > 0:
         raise ValueError(f"{name} must be > 0, got {value}")

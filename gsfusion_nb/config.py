@@ -24,7 +24,7 @@ class TsdfConfig:
     far_m: float = 6.0
     """Depth beyond this allocates nothing, metres."""
     sdf: Literal["z", "ray"] = "ray"
-    """Distance to the measured surface along z (GSFusion Eq. 6) or along the viewing ray (as the released code has it)."""
+    """Distance to the measured surface along z (GSFusion Eq. 6) or along the viewing ray (as the released code)."""
     outlier_guard: bool = True
     """Refuse to allocate blocks for isolated depth pixels, whose neighbours are all far from them in depth."""
 
@@ -79,8 +79,8 @@ class OptimConfig:
     beta2: float = 0.999
     eps: float = 1e-15
     adam_steps: Literal["shared", "per_row"] = "shared"
-    """Step count for Adam's bias correction: one for the whole map, so that newborn rows move 3 to 6 times faster (as the
-    released code does), or one per Gaussian since its birth."""
+    """Step count of Adam's bias correction: one for the whole map, so that newborn rows move 3 to 6 times faster (as
+    the released code does), or one per Gaussian since its birth."""
     keyframe_iterations: int = 5
     """m: steps on a keyframe."""
     frame_iterations: int = 3
@@ -197,7 +197,7 @@ def presets() -> list[str]:
 
 
 def replace(config: GSFusionConfig, **overrides: Any) -> GSFusionConfig:
-    """A copy of ``config`` with some fields changed, nested ones named with a double underscore (``tsdf__voxel_size_m``)."""
+    """A copy of ``config`` with some fields changed; nested ones take a double underscore: ``tsdf__voxel_size_m``."""
     tree: dict[str, Any] = {}
     for name, value in overrides.items():
         node = tree
@@ -209,7 +209,7 @@ def replace(config: GSFusionConfig, **overrides: Any) -> GSFusionConfig:
 
 
 def from_dict(cls: type[C], values: dict[str, Any]) -> C:
-    """Build ``cls`` from nested dictionaries (as ``to_dict`` or a ``config.json`` give them); unknown keys are refused."""
+    """Build ``cls`` from nested dictionaries, as ``to_dict`` or ``config.json`` give them; unknown keys are refused."""
     return _merge(cls(), values, "")
 
 

@@ -7,7 +7,7 @@ SCREEN_BLUR_PX2 = 0.3
 """Added to the diagonal of every 2D covariance so that no splat is thinner than about a pixel (EWA low-pass)."""
 
 FRUSTUM_CLAMP = 1.3
-"""x/z and y/z are clamped to this many half fields of view inside the projection Jacobian, where its linearisation holds."""
+"""x/z and y/z are clamped to this many half fields of view in the projection Jacobian, which is wrong beyond."""
 
 ALPHA_MAX = 0.99
 """Upper clamp on a splat's alpha: keeps 1 - alpha away from zero, which the gradient divides by."""

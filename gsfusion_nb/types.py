@@ -39,9 +39,7 @@ class Camera:
     def resized(self, width: int, height: int) -> "Camera":
         """The same view on another pixel grid (edges stay edges, so the principal point scales without a shift)."""
         sx, sy = width / self.width, height / self.height
-        return Camera(
-            width=width, height=height, fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy
-        )
+        return Camera(width=width, height=height, fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -1,4 +1,4 @@
-"""Fixtures of the whole suite: unwritten memory is NaN, shared sequences are optional, the cache is a scratch folder."""
+"""Fixtures of the whole suite: unwritten memory is NaN, real sequences are optional, the cache is a scratch folder."""
 
 from pathlib import Path
 

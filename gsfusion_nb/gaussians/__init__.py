@@ -1,1 +1,3 @@
+"""The Gaussian map and its rows."""
 
+from .model import GaussianModel as GaussianModel

@@ -54,8 +54,6 @@ def exp(xi: Float[Tensor, "*B 6"]) -> Float[Tensor, "*B 4 4"]:
 
 def rotation_angle(R: Float[Tensor, "*B 3 3"]) -> Float[Tensor, "*B"]:
     """Angle of a rotation matrix, radians, accurate at both ends (atan2 of its sine and cosine)."""
-    skew = torch.stack(
-        [R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], dim=-1
-    )
+    skew = torch.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], dim=-1)
     trace = R.diagonal(dim1=-2, dim2=-1).sum(-1)
     return torch.atan2(skew.norm(dim=-1), trace - 1)

@@ -1,0 +1,175 @@
+"""The Gaussian map: rows of parameters, and with them the rows of their optimiser, which grow and shrink together."""
+
+import dataclasses
+from typing import Any
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from ..checks import check_shape
+from ..constants import SH_C0
+from ..types import GaussianParams, Seeds
+
+PARAMETERS = tuple(f.name for f in dataclasses.fields(GaussianParams))
+
+_FIRST_CAPACITY = 4096
+
+
+class GaussianModel:
+    """A map of Gaussians and the state of Adam for each of them.
+
+    Rows live in buffers that double when full; every property is a view of the rows in use. Rows change only through
+    ``append``, ``keep`` and the optimiser, so parameters and moments never drift apart.
+    """
+
+    def __init__(self, sh_degree: int = 3, device: torch.device | str = "cpu"):
+        if sh_degree not in (0, 1, 2, 3):
+            raise ValueError(f"sh_degree must be 0, 1, 2 or 3, got {sh_degree}")
+        self.sh_degree = sh_degree
+        self.device = torch.device(device)
+        self.step_count = 0
+        """Optimiser steps so far, shared by all rows."""
+        self._count = 0
+        self._columns = {name: self._new_column(name, _FIRST_CAPACITY) for name in self._column_names()}
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __repr__(self) -> str:
+        return (
+            f"GaussianModel({len(self):,} Gaussians, SH degree {self.sh_degree}, {self.size_bytes / 1e6:.1f} MB as PLY)"
+        )
+
+    @property
+    def params(self) -> GaussianParams:
+        """Parameters before activation; views, so the optimiser updates them in place."""
+        return self._rows("")
+
+    @property
+    def exp_avg(self) -> GaussianParams:
+        """Adam's running mean of the gradient."""
+        return self._rows("exp_avg.")
+
+    @property
+    def exp_avg_sq(self) -> GaussianParams:
+        """Adam's running mean of the squared gradient."""
+        return self._rows("exp_avg_sq.")
+
+    @property
+    def birth_frame(self) -> Int[Tensor, " N"]:
+        """Index of the frame that seeded each row."""
+        return self._columns["birth_frame"][: self._count]
+
+    @property
+    def birth_step(self) -> Int[Tensor, " N"]:
+        """Value of ``step_count`` when each row was added."""
+        return self._columns["birth_step"][: self._count]
+
+    @property
+    def tag(self) -> Int[Tensor, " N"]:
+        """Label the seeding rule gave each row."""
+        return self._columns["tag"][: self._count]
+
+    @property
+    def scale_m(self) -> Float[Tensor, "N 3"]:
+        """Standard deviations, metres."""
+        return self.params.log_scale.exp()
+
+    @property
+    def opacity(self) -> Float[Tensor, " N"]:
+        """Peak opacities, 0..1."""
+        return self.params.opacity_logit.sigmoid()
+
+    @property
+    def rgb(self) -> Float[Tensor, "N 3"]:
+        """View-independent part of the colour, 0..1."""
+        return (self.params.sh[:, 0] * SH_C0 + 0.5).clamp(0, 1)
+
+    @property
+    def size_bytes(self) -> int:
+        """Size of the map in the standard PLY layout: 62 float32 per Gaussian."""
+        return 62 * 4 * len(self)
+
+    def append(self, seeds: Seeds, frame_index: int = 0) -> None:
+        """Add rows for ``seeds``; their moments start at zero (GSFusion III-B.2).
+
+        Args:
+            seeds: New Gaussians, activated values.
+            frame_index: Kept as ``birth_frame``.
+        """
+        n = len(seeds)
+        if n == 0:
+            return
+        check_shape("seeds.xyz_W", seeds.xyz_W, (n, 3))
+        start, stop = self._count, self._count + n
+        self._reserve(stop)
+        new = self._columns
+        new["xyz_W"][start:stop] = seeds.xyz_W
+        new["log_scale"][start:stop] = seeds.scale_m.log()
+        new["quat"][start:stop] = seeds.quat
+        new["opacity_logit"][start:stop] = seeds.opacity.logit()
+        new["sh"][start:stop] = 0.0
+        new["sh"][start:stop, 0] = (seeds.rgb - 0.5) / SH_C0
+        new["birth_frame"][start:stop] = frame_index
+        new["birth_step"][start:stop] = self.step_count
+        new["tag"][start:stop] = seeds.tag
+        for name in PARAMETERS:
+            new[f"exp_avg.{name}"][start:stop] = 0.0
+            new[f"exp_avg_sq.{name}"][start:stop] = 0.0
+        self._count = stop
+
+    def keep(self, rows: Bool[Tensor, " N"]) -> None:
+        """Drop every row where ``rows`` is false, parameters and moments alike; order is kept."""
+        check_shape("rows", rows, (self._count,))
+        kept = int(rows.sum())
+        for column in self._columns.values():
+            column[:kept] = column[: self._count][rows]
+        self._count = kept
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything needed to go on later, as tensors and numbers."""
+        rows = {name: column[: self._count].clone() for name, column in self._columns.items()}
+        return {"sh_degree": self.sh_degree, "step_count": self.step_count, "rows": rows}
+
+    @classmethod
+    def from_state_dict(cls, state: dict[str, Any], device: torch.device | str = "cpu") -> "GaussianModel":
+        """The model that ``state_dict`` described."""
+        model = cls(state["sh_degree"], device)
+        model.step_count = state["step_count"]
+        count = state["rows"]["xyz_W"].shape[0]
+        model._reserve(count)
+        for name, column in model._columns.items():
+            column[:count] = state["rows"][name]
+        model._count = count
+        return model
+
+    def _rows(self, prefix: str) -> GaussianParams:
+        return GaussianParams(**{name: self._columns[prefix + name][: self._count] for name in PARAMETERS})
+
+    def _column_names(self) -> list[str]:
+        moments = [f"{moment}.{name}" for moment in ("exp_avg", "exp_avg_sq") for name in PARAMETERS]
+        return [*PARAMETERS, *moments, "birth_frame", "birth_step", "tag"]
+
+    def _new_column(self, name: str, capacity: int) -> Tensor:
+        if name in ("birth_frame", "birth_step", "tag"):
+            return torch.zeros(capacity, dtype=torch.int32, device=self.device)
+        widths = {
+            "xyz_W": (3,),
+            "log_scale": (3,),
+            "quat": (4,),
+            "opacity_logit": (),
+            "sh": ((self.sh_degree + 1) ** 2, 3),
+        }
+        return torch.zeros(capacity, *widths[name.split(".")[-1]], device=self.device)
+
+    def _reserve(self, count: int) -> None:
+        capacity = self._columns["xyz_W"].shape[0]
+        if count <= capacity:
+            return
+        while capacity < count:
+            capacity *= 2
+        for name, old in self._columns.items():
+            grown = self._new_column(name, capacity)
+            grown[: self._count] = old[: self._count]
+            self._columns[name] = grown

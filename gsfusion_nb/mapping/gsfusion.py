@@ -1,0 +1,182 @@
+"""GSFusion (Wei & Leutenegger 2024): TSDF fusion and Gaussian splatting, one frame at a time, in the paper's order."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ..checks import check_finite, check_pose
+from ..config import GSFusionConfig, from_dict, to_dict
+from ..gaussians import GaussianModel
+from ..optim import Keyframe, KeyframeList, adam_step, dssim_vjp, l1, l1_vjp
+from ..render import render, render_forward, render_vjp
+from ..seeding import SeedContext, SeedingRule, apply_rule, get_rule
+from ..tsdf import TsdfVolume, extract_mesh, integrate
+from ..types import Camera, Frame, Mesh, RenderOutput
+from .report import GlobalStep, StageClock, StepReport, psnr_from_mse
+
+
+class GSFusion:
+    """The mapper: feed it frames with ``step``; its two maps are ``volume`` and ``gaussians``.
+
+    Args:
+        config: Settings; see ``gsfusion_nb.config.gsfusion`` for the published presets.
+        seeding: Name of a registered rule, or the rule function itself; overrides ``config.seeding.rule``.
+        device: Where the maps live.
+
+    Poses are taken as given; there is no tracking in GSFusion.
+    """
+
+    def __init__(
+        self,
+        config: GSFusionConfig | None = None,
+        *,
+        seeding: "str | SeedingRule | None" = None,
+        device: torch.device | str = "cpu",
+    ):
+        self.config = config or GSFusionConfig()
+        self.rule = get_rule(seeding if seeding is not None else self.config.seeding.rule)
+        self.device = torch.device(device)
+        self.volume = TsdfVolume(self.config.tsdf, device=self.device)
+        self.gaussians = GaussianModel(self.config.sh_degree, device=self.device)
+        self.keyframes = KeyframeList()
+        self.generator = torch.Generator().manual_seed(self.config.seed)
+        self.n_frames = 0
+        self.global_passes_done = 0
+
+    def __repr__(self) -> str:
+        return (
+            f"GSFusion({self.n_frames} frames, {len(self.gaussians):,} Gaussians, {len(self.keyframes)} keyframes, "
+            f"{self.volume.n_blocks:,} voxel blocks, rule {self.rule.__name__!r})"
+        )
+
+    def step(self, frame: Frame) -> StepReport:
+        """Map one frame (paper Fig. 2, section III-B).
+
+        Raises:
+            ValueError: the pose is not rigid or an image holds a NaN; the maps are unchanged.
+        """
+        check_pose(f"T_WC of frame {frame.index}", frame.T_WC)
+        check_finite(f"depth_m of frame {frame.index}", frame.depth_m)
+        frame = frame.to(self.device)
+        clock = StageClock()
+        with clock("tsdf"):
+            integrate(self.volume, frame)  # III-B.1, Eq. 6-9
+        with clock("seeding"):
+            seeds = self.propose_seeds(frame)  # III-B.2, Eq. 10
+            self.gaussians.append(seeds, frame.index)
+        is_keyframe = len(seeds) > self.config.keyframe_min_seeds  # III-B.3
+        if is_keyframe or self.config.keep_all_frames:
+            self.keyframes.append(frame)
+        with clock("optimise"):
+            losses, psnrs = self._optimise_online(frame, is_keyframe)  # Eq. 12
+        self.n_frames += 1
+        return StepReport(
+            frame_index=frame.index,
+            n_seeds=len(seeds),
+            n_gaussians=len(self.gaussians),
+            n_blocks=self.volume.n_blocks,
+            is_keyframe=is_keyframe,
+            losses=tuple(losses),
+            psnr_before_db=psnrs[0] if psnrs else 0.0,
+            psnr_after_db=psnrs[-1] if psnrs else 0.0,
+            seconds=clock.seconds,
+        )
+
+    def propose_seeds(self, frame: Frame):
+        """Ask the seeding rule for new Gaussians, after the frame was fused into the TSDF."""
+        context = SeedContext(
+            frame,
+            volume=self.volume,
+            gaussians=self.gaussians,
+            generator=self.generator,
+            config=self.config.seeding,
+            near_m=self.config.tsdf.near_m,
+        )
+        options = self.config.seeding.options
+        return apply_rule(self.rule, context, options, one_per_voxel=self.config.seeding.one_per_voxel)
+
+    def render(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RenderOutput:
+        """The Gaussian map seen by a camera (Eq. 11)."""
+        return render(self.gaussians.params, camera, T_WC.to(self.device))
+
+    def mesh(self) -> Mesh:
+        """Surface of the TSDF map."""
+        return extract_mesh(self.volume)
+
+    def global_optimise(self, passes: int | None = None) -> Iterator[GlobalStep]:
+        """Optimise over the keyframes after the scan: each pass visits all of them once in a new random order.
+
+        A generator, so that the caller can show progress or stop: ``for step in mapper.global_optimise(): ...``.
+
+        Args:
+            passes: Number of passes; ``config.optim.global_iterations`` by default.
+        """
+        passes = self.config.optim.global_iterations if passes is None else passes
+        n_steps, done = passes * len(self.keyframes), 0
+        for pass_index in range(passes):
+            for keyframe in self.keyframes.draw(len(self.keyframes), self.generator):
+                loss, _ = self._optimise_view(keyframe, ssim_weight=self.config.optim.ssim_weight)
+                done += 1
+                yield GlobalStep(pass_index=pass_index, step=done, n_steps=n_steps, loss=loss)
+            self.global_passes_done += 1
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything needed to go on later exactly where this stands, as tensors and plain values."""
+        return {
+            "config": to_dict(self.config),
+            "rule": self.rule.__name__,
+            "n_frames": self.n_frames,
+            "global_passes_done": self.global_passes_done,
+            "generator": self.generator.get_state(),
+            "volume": self.volume.state_dict(),
+            "gaussians": self.gaussians.state_dict(),
+            "keyframes": self.keyframes.state_dict(),
+        }
+
+    @classmethod
+    def from_state_dict(
+        cls,
+        state: dict[str, Any],
+        *,
+        seeding: "str | SeedingRule | None" = None,
+        device: torch.device | str = "cpu",
+    ) -> "GSFusion":
+        """The mapper that ``state_dict`` described; a rule that is not registered by name must be given again."""
+        config = from_dict(GSFusionConfig, state["config"])
+        mapper = cls(config, seeding=seeding if seeding is not None else state["rule"], device=device)
+        mapper.n_frames = state["n_frames"]
+        mapper.global_passes_done = state["global_passes_done"]
+        mapper.generator.set_state(state["generator"])
+        mapper.volume.load_state_dict(state["volume"])
+        mapper.gaussians = GaussianModel.from_state_dict(state["gaussians"], device)
+        mapper.keyframes = KeyframeList.from_state_dict(state["keyframes"])
+        return mapper
+
+    def _optimise_online(self, frame: Frame, is_keyframe: bool) -> tuple[list[float], list[float]]:
+        """m steps on a keyframe; n on another frame, then some on random keyframes against forgetting (III-B.3)."""
+        optim = self.config.optim
+        if len(self.gaussians) == 0:
+            return [], []
+        n = optim.keyframe_iterations if is_keyframe else optim.frame_iterations
+        steps = [self._optimise_view(frame) for _ in range(n)]
+        if not is_keyframe:
+            for keyframe in self.keyframes.draw(optim.random_keyframe_iterations, self.generator):
+                self._optimise_view(keyframe)
+        return [loss for loss, _ in steps], [psnr for _, psnr in steps]
+
+    def _optimise_view(self, view: Frame | Keyframe, ssim_weight: float = 0.0) -> tuple[float, float]:
+        """One gradient step on one view; its loss and PSNR before the step. Online the loss is L1 alone (Eq. 12)."""
+        target = view.rgb.to(self.device)
+        output, saved = render_forward(self.gaussians.params, view.camera, view.T_WC.to(self.device))
+        loss = l1(output.rgb, target)
+        v_rgb = l1_vjp(output.rgb, target)
+        if ssim_weight > 0:
+            structural, v_structural = dssim_vjp(output.rgb, target)
+            loss = (1 - ssim_weight) * loss + ssim_weight * structural
+            v_rgb = (1 - ssim_weight) * v_rgb + ssim_weight * v_structural
+        adam_step(self.gaussians, render_vjp(saved, v_rgb), self.config.optim)
+        mse = float((output.rgb.clamp(0, 1) - target).square().mean())
+        return float(loss), psnr_from_mse(mse)

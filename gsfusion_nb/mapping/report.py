@@ -1,0 +1,67 @@
+"""What one step of a mapper reports, and the clock that splits it into stages."""
+
+import contextlib
+import math
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True, kw_only=True)
+class StepReport:
+    """One frame, mapped."""
+
+    frame_index: int
+    n_seeds: int
+    """New Gaussians of this frame."""
+    n_gaussians: int
+    """Gaussians in the map after it."""
+    n_blocks: int
+    """Voxel blocks in the TSDF map after it."""
+    is_keyframe: bool
+    losses: tuple[float, ...]
+    """Loss before each optimisation step on this frame."""
+    psnr_before_db: float
+    """PSNR of this view with its new Gaussians, before any optimisation of this frame."""
+    psnr_after_db: float
+    """PSNR of this view at the last optimisation step on it (before that step is taken)."""
+    seconds: dict[str, float] = field(default_factory=dict)
+    """Wall time by stage: tsdf, seeding, optimise."""
+
+    @property
+    def total_seconds(self) -> float:
+        """Wall time of the whole step."""
+        return sum(self.seconds.values())
+
+
+@dataclass(frozen=True, kw_only=True)
+class GlobalStep:
+    """One view revisited in the optimisation after the scan."""
+
+    pass_index: int
+    """Which pass over the keyframes, from 0."""
+    step: int
+    """Steps done so far in this optimisation, from 1."""
+    n_steps: int
+    """Steps in total."""
+    loss: float
+
+
+class StageClock:
+    """Adds up wall time by stage name: ``with clock("tsdf"): ...``."""
+
+    def __init__(self):
+        self.seconds: dict[str, float] = {}
+
+    @contextlib.contextmanager
+    def __call__(self, stage: str) -> Iterator[None]:
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - start
+
+
+def psnr_from_mse(mse: float) -> float:
+    """PSNR in dB of images in 0..1; infinite for equal ones."""
+    return -10 * math.log10(mse) if mse > 0 else math.inf

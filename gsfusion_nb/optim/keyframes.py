@@ -1,0 +1,75 @@
+"""The views that are revisited while mapping and optimised over after the scan."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor
+
+from ..types import Camera, Frame
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Keyframe:
+    """A view to optimise against; its image is kept as uint8, a quarter of float32."""
+
+    index: int
+    rgb_u8: UInt8[Tensor, "H W 3"]
+    camera: Camera
+    T_WC: Float[Tensor, "4 4"]
+
+    @property
+    def rgb(self) -> Float[Tensor, "H W 3"]:
+        """Colour, 0..1."""
+        return self.rgb_u8.float().div_(255.0)
+
+
+def to_uint8(rgb: Float[Tensor, "H W 3"]) -> UInt8[Tensor, "H W 3"]:
+    """Grey levels 0..255 of a colour image in 0..1, rounded."""
+    return (rgb * 255.0).round_().clamp_(0, 255).to(torch.uint8)
+
+
+class KeyframeList:
+    """Keyframes in the order they were taken; all draws come from the generator that is passed in."""
+
+    def __init__(self):
+        self._items: list[Keyframe] = []
+
+    def __len__(self) -> int:
+        return len(self._items)
+
+    def __getitem__(self, i: int) -> Keyframe:
+        return self._items[i]
+
+    def __iter__(self) -> Iterator[Keyframe]:
+        return iter(self._items)
+
+    @property
+    def size_bytes(self) -> int:
+        """Memory of the images."""
+        return sum(k.rgb_u8.numel() for k in self._items)
+
+    def append(self, frame: Frame) -> None:
+        """Keep ``frame`` as a keyframe."""
+        keyframe = Keyframe(index=frame.index, rgb_u8=to_uint8(frame.rgb), camera=frame.camera, T_WC=frame.T_WC)
+        self._items.append(keyframe)
+
+    def draw(self, count: int, generator: torch.Generator) -> list[Keyframe]:
+        """Up to ``count`` different keyframes at random (GSFusion III-B.3: the first of the shuffled list)."""
+        if count == 0 or not self._items:
+            return []
+        order = torch.randperm(len(self._items), generator=generator)[:count]
+        return [self._items[i] for i in order.tolist()]
+
+    def state_dict(self) -> list[dict[str, Any]]:
+        """Plain values of every keyframe."""
+        return [{"index": k.index, "rgb_u8": k.rgb_u8, "camera": vars(k.camera), "T_WC": k.T_WC} for k in self._items]
+
+    @classmethod
+    def from_state_dict(cls, state: list[dict[str, Any]]) -> "KeyframeList":
+        """The list that ``state_dict`` described."""
+        keyframes = cls()
+        keyframes._items = [Keyframe(**{**s, "camera": Camera(**s["camera"])}) for s in state]
+        return keyframes

@@ -1,0 +1,51 @@
+import torch
+
+from gsfusion_nb.optim import KeyframeList
+from gsfusion_nb.types import Camera, Frame
+
+CAMERA = Camera(width=4, height=3, fx=4.0, fy=4.0, cx=2.0, cy=1.5)
+
+
+def frame(index: int) -> Frame:
+    rgb = (torch.arange(36).reshape(3, 4, 3) + index).float() / 255
+    return Frame(index=index, timestamp_s=0.0, rgb=rgb, depth_m=torch.ones(3, 4), camera=CAMERA, T_WC=torch.eye(4))
+
+
+def keyframes(n: int) -> KeyframeList:
+    out = KeyframeList()
+    for i in range(n):
+        out.append(frame(i))
+    return out
+
+
+def test_images_survive_as_uint8():
+    k = keyframes(1)
+    assert k[0].rgb_u8.dtype == torch.uint8
+    torch.testing.assert_close(k[0].rgb, frame(0).rgb)
+    assert k.size_bytes == 36
+
+
+def test_draws_are_distinct_seeded_and_bounded():
+    k = keyframes(20)
+    drawn = [x.index for x in k.draw(5, torch.Generator().manual_seed(3))]
+    assert len(set(drawn)) == 5
+    assert drawn == [x.index for x in k.draw(5, torch.Generator().manual_seed(3))]
+    assert sorted(x.index for x in k.draw(99, torch.Generator())) == list(range(20))
+    assert k.draw(0, torch.Generator()) == []
+    assert KeyframeList().draw(3, torch.Generator()) == []
+
+
+def test_every_keyframe_is_drawn_about_equally():
+    k, g = keyframes(10), torch.Generator().manual_seed(0)
+    hits = torch.zeros(10)
+    for _ in range(2000):
+        for x in k.draw(2, g):
+            hits[x.index] += 1
+    assert (hits / 2000 - 0.2).abs().max() < 0.04
+
+
+def test_state_round_trip():
+    again = KeyframeList.from_state_dict(keyframes(3).state_dict())
+    assert [x.index for x in again] == [0, 1, 2]
+    assert again[2].camera == CAMERA
+    assert torch.equal(again[1].rgb_u8, keyframes(3)[1].rgb_u8)

@@ -1,0 +1,59 @@
+import json
+
+import pytest
+
+from gsfusion_nb.config import GSFusionConfig, from_dict, gsfusion, presets, replace, to_dict
+
+
+@pytest.mark.parametrize(
+    ("preset", "m", "n", "random", "passes", "all_frames"),
+    [("replica", 5, 3, 2, 10, False), ("scannetpp", 10, 1, 9, 10, True), ("tum", 10, 5, 5, 20, False)],
+)
+def test_presets_carry_the_published_numbers(preset, m, n, random, passes, all_frames):
+    c = gsfusion(preset)
+    o = c.optim
+    assert (o.keyframe_iterations, o.frame_iterations, o.random_keyframe_iterations) == (m, n, random)
+    assert (o.global_iterations, o.ssim_weight, c.keep_all_frames) == (passes, 0.2, all_frames)
+    assert (c.tsdf.voxel_size_m, c.tsdf.truncation_m, c.tsdf.max_weight) == (0.01, pytest.approx(0.08), 100)
+    assert (c.seeding.quadtree_threshold, c.keyframe_min_seeds, c.sh_degree) == (0.1, 50, 3)
+
+
+def test_overrides_reach_nested_fields():
+    c = gsfusion("tum", tsdf__voxel_size_m=0.02, sh_degree=0, optim={"lr_xyz": 1.0})
+    assert c.tsdf.voxel_size_m == 0.02
+    assert c.tsdf.truncation_m == pytest.approx(0.16)
+    assert (c.sh_degree, c.optim.lr_xyz, c.optim.keyframe_iterations) == (0, 1.0, 10)
+
+
+@pytest.mark.parametrize("preset", presets())
+def test_json_round_trip(preset):
+    c = gsfusion(preset, seeding__options={"fraction": 0.1})
+    assert from_dict(GSFusionConfig, json.loads(json.dumps(to_dict(c)))) == c
+
+
+def test_unknown_names_are_refused_with_the_known_ones():
+    with pytest.raises(ValueError, match=r"tsdf\.: unknown keys \['voxel_sise_m'\]; known: .*'voxel_size_m'"):
+        gsfusion("replica", tsdf__voxel_sise_m=0.1)
+    with pytest.raises(ValueError, match="config: unknown keys"):
+        replace(GSFusionConfig(), sh=1)
+    with pytest.raises(KeyError, match="no preset 'repilca'; known: online, replica"):
+        gsfusion("repilca")
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ({"tsdf__voxel_size_m": 0.0}, r"tsdf.voxel_size_m must be > 0, got 0"),
+        ({"tsdf__near_m": 7.0}, "near_m must be >= 0 and below far_m"),
+        ({"seeding__quadtree_threshold": -1.0}, "quadtree_threshold must be > 0"),
+        ({"seeding__quadtree_min_cell_px": 0}, "quadtree_min_cell_px must be >= 1"),
+        ({"optim__frame_iterations": -1}, "frame_iterations must be >= 0"),
+        ({"optim__ssim_weight": 1.5}, "ssim_weight must be between 0 and 1"),
+        ({"data__stride": 0}, "stride must be >= 1"),
+        ({"data__hold_out_every": 1}, "would hold out every frame"),
+        ({"sh_degree": 5}, "sh_degree must be 0, 1, 2 or 3"),
+    ],
+)
+def test_bad_values_are_sentences(override, message):
+    with pytest.raises(ValueError, match=message):
+        gsfusion("replica", **override)

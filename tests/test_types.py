@@ -1,0 +1,60 @@
+import pytest
+import torch
+
+from gsfusion_nb.checks import check_finite, check_pose
+from gsfusion_nb.types import Camera, Frame, Seeds
+
+CAMERA = Camera(width=8, height=6, fx=7.0, fy=7.5, cx=4.0, cy=3.0)
+
+
+def test_resizing_a_camera_keeps_the_field_of_view_and_the_edges():
+    half = CAMERA.resized(4, 3)
+    assert (half.fx, half.fy, half.cx, half.cy) == (3.5, 3.75, 2.0, 1.5)
+    assert half.resized(8, 6) == CAMERA
+
+
+def test_camera_refuses_nonsense():
+    with pytest.raises(ValueError, match="camera fx must be > 0"):
+        Camera(width=8, height=6, fx=0.0, fy=1.0, cx=4.0, cy=3.0)
+
+
+def test_frame_checks_sizes():
+    with pytest.raises(ValueError, match=r"rgb must be \[6, 8, 3\], got \[6, 7, 3\]"):
+        Frame(
+            index=0,
+            timestamp_s=0.0,
+            rgb=torch.zeros(6, 7, 3),
+            depth_m=torch.zeros(6, 7),
+            camera=CAMERA,
+            T_WC=torch.eye(4),
+        )
+
+
+def test_seeds_filter_all_columns_and_concatenate():
+    s = Seeds.isotropic(torch.arange(9.0).reshape(3, 3), torch.zeros(3, 3), torch.ones(3), tag=torch.tensor([5, 6, 7]))
+    some = s[torch.tensor([True, False, True])]
+    assert some.tag.tolist() == [5, 7]
+    assert len(Seeds.cat([some, Seeds.empty(), s])) == 5
+    assert len(Seeds.cat([])) == 0
+    assert some.quat.tolist() == [[1, 0, 0, 0]] * 2
+
+
+def test_check_pose_names_the_fault():
+    check_pose("T", torch.eye(4))
+    with_nan = torch.eye(4)
+    with_nan[0, 3] = torch.nan
+    with pytest.raises(ValueError, match=r"must be finite, got 1 NaN or infinite values, the first at \[0, 3\]"):
+        check_pose("T", with_nan)
+    with pytest.raises(ValueError, match="must be rigid: its rotation misses"):
+        check_pose("T", torch.diag(torch.tensor([2.0, 1, 1, 1])))
+    with pytest.raises(ValueError, match="mirrors the world"):
+        check_pose("T", torch.diag(torch.tensor([-1.0, 1, 1, 1])))
+    with pytest.raises(ValueError, match=r"must end in the row \[0, 0, 0, 1\]"):
+        check_pose("T", torch.diag(torch.tensor([1.0, 1, 1, 2])))
+    with pytest.raises(ValueError, match=r"T must be \[4, 4\], got \[3, 4\]"):
+        check_pose("T", torch.eye(4)[:3])
+
+
+def test_check_finite_counts():
+    with pytest.raises(ValueError, match=r"got 2 NaN or infinite values, the first at \[1\]"):
+        check_finite("x", torch.tensor([0.0, torch.inf, torch.nan]))
