@@ -20,7 +20,13 @@ log = logging.getLogger(__name__)
 
 BACKENDS = ("reference", "numba", "triton", "cuda")
 
-PROVIDERS: dict[str, dict[str, str]] = {}
+_NUMBA = "gsfusion_nb.kernels.numba"
+
+PROVIDERS: dict[str, dict[str, str]] = {
+    "adam_update": {"numba": f"{_NUMBA}.adam:adam_update"},
+    "render_forward": {"numba": f"{_NUMBA}.rasterize:render_forward"},
+    "render_vjp": {"numba": f"{_NUMBA}.rasterize:render_vjp"},
+}
 """op name -> backend -> "module:function"."""
 
 _PREFERRED = {"cpu": ("numba",), "cuda": ("cuda", "triton")}

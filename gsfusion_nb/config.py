@@ -78,9 +78,10 @@ class OptimConfig:
     beta1: float = 0.9
     beta2: float = 0.999
     eps: float = 1e-15
-    adam_steps: Literal["shared", "per_row"] = "shared"
-    """Step count of Adam's bias correction: one for the whole map, so that newborn rows move 3 to 6 times faster (as
-    the released code does), or one per Gaussian since its birth."""
+    adam_steps: Literal["none", "shared", "per_row"] = "none"
+    """Bias correction of Adam, which decides how fast a newborn Gaussian moves. "none": none, so that every newborn's
+    first steps are 3 to 6 learning rates; "shared": by the step count of the whole map, as the released code, where that
+    holds for all but the first frames' Gaussians; "per_row": by each Gaussian's own age, 1 learning rate."""
     keyframe_iterations: int = 5
     """m: steps on a keyframe."""
     frame_iterations: int = 3

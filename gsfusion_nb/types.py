@@ -140,10 +140,10 @@ class RenderOutput:
     """Blended z-depth, sum of w_k z_k: not divided by alpha, so 0 where nothing is."""
     alpha: Float[Tensor, "H W"]
     """Accumulated opacity, 1 - transmittance."""
-    first_index: Int[Tensor, "H W"]
-    """Row of the nearest Gaussian that contributes at the pixel; -1 where none does."""
-    dominant_index: Int[Tensor, "H W"]
-    """Row of the Gaussian with the largest weight at the pixel; -1 where none has any."""
+    first_index: Int[Tensor, "H W"] | None
+    """Row of the nearest Gaussian that contributes at the pixel; -1 where none does. ``None`` if not asked for."""
+    dominant_index: Int[Tensor, "H W"] | None
+    """Row of the Gaussian with the largest weight at the pixel; -1 where none has any. ``None`` if not asked for."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -1,1 +1,1 @@
-"""Optional fast implementations, imported as ``gsfusion_nb.kernels`` by ``gsfusion_nb.backends`` and by nothing else."""
+"""Optional fast implementations, known as ``gsfusion_nb.kernels`` to ``gsfusion_nb.backends`` and to nothing else."""

@@ -31,6 +31,12 @@ def _scratch_cache(tmp_path_factory):
         yield
 
 
+@pytest.fixture(autouse=True, scope="session")
+def _one_thread():
+    """Small tensors gain nothing from threads, and waiting threads slow each other down on a busy machine."""
+    torch.set_num_threads(1)
+
+
 @pytest.fixture
 def generator():
     """Random numbers that repeat."""

@@ -12,12 +12,13 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "gsfusion_nb"
 
 FLOORS = {
-    **dict.fromkeys(("types", "config", "constants", "checks"), 0),
-    **dict.fromkeys(("backends", "geometry"), 1),
+    **dict.fromkeys(("types", "config", "constants", "checks", "backends"), 0),
+    "geometry": 1,
     **dict.fromkeys(("tsdf", "gaussians", "render"), 2),
     **dict.fromkeys(("seeding", "optim", "tracking", "datasets", "export", "evaluation"), 3),
     "mapping": 4,
-    **dict.fromkeys(("viz", "teaching", "cli", "doctor", "bench", "__main__"), 5),
+    **dict.fromkeys(("viz", "teaching", "doctor", "bench"), 5),
+    "cli": 6,
 }
 
 MODULES = sorted(p for p in PACKAGE.rglob("*.py") if p != PACKAGE / "__init__.py")

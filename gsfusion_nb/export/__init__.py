@@ -1,1 +1,12 @@
+"""Files for other programs (Gaussian PLY, mesh PLY and GLB, trajectory) and checkpoints, all written atomically."""
 
+from .atomic import atomic_path as atomic_path
+from .checkpoint import load_checkpoint as load_checkpoint
+from .checkpoint import save_checkpoint as save_checkpoint
+from .gaussian_ply import read_gaussian_ply as read_gaussian_ply
+from .gaussian_ply import write_gaussian_ply as write_gaussian_ply
+from .mesh_glb import write_mesh_glb as write_mesh_glb
+from .mesh_ply import read_mesh_ply as read_mesh_ply
+from .mesh_ply import write_mesh_ply as write_mesh_ply
+from .trajectory import read_trajectory_tum as read_trajectory_tum
+from .trajectory import write_trajectory_tum as write_trajectory_tum

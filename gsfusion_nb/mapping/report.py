@@ -63,5 +63,5 @@ class StageClock:
 
 
 def psnr_from_mse(mse: float) -> float:
-    """PSNR in dB of images in 0..1; infinite for equal ones."""
-    return -10 * math.log10(mse) if mse > 0 else math.inf
+    """PSNR in dB of images in 0..1; at most 100, which stands for equal images."""
+    return -10 * math.log10(max(mse, 1e-10))

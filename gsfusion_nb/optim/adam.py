@@ -18,9 +18,9 @@ def adam_update(
     gradient: Float[Tensor, "N *W"],
     exp_avg: Float[Tensor, "N *W"],
     exp_avg_sq: Float[Tensor, "N *W"],
-    steps: int | Int[Tensor, " N"],
+    steps: int | Int[Tensor, " N"] | None,
     *,
-    lr: float,
+    lr: float | Float[Tensor, "*W"],
     beta1: float,
     beta2: float,
     eps: float,
@@ -35,8 +35,8 @@ def adam_update(
         gradient: dL/dparam. [N, ...]
         exp_avg: m. [N, ...]
         exp_avg_sq: v. [N, ...]
-        steps: t, counting this step: one number for all rows, or one per row. [N]
-        lr: Step size, in units of the parameter.
+        steps: t, counting this step: one number for all rows, or one per row [N]; None is t = infinity, no correction.
+        lr: Step size, in units of the parameter; one for all values of a row, or one for each. [...]
         beta1: Decay of m.
         beta2: Decay of v.
         eps: Keeps the division finite where v = 0.
@@ -45,37 +45,40 @@ def adam_update(
     """
     exp_avg.mul_(beta1).add_(gradient, alpha=1 - beta1)
     exp_avg_sq.mul_(beta2).addcmul_(gradient, gradient, value=1 - beta2)
-    if isinstance(steps, int):
-        denominator = exp_avg_sq.sqrt().mul_(1 / math.sqrt(1 - beta2**steps)).add_(eps)
-        param.addcdiv_(exp_avg, denominator, value=-lr / (1 - beta1**steps))
+    if steps is None:
+        correction_1, correction_2 = 1.0, 1.0
+    elif isinstance(steps, int):
+        correction_1, correction_2 = 1 - beta1**steps, math.sqrt(1 - beta2**steps)
     else:
         t = steps.to(param.dtype).reshape(-1, *[1] * (param.ndim - 1))
-        denominator = exp_avg_sq.sqrt().mul_(torch.rsqrt(1 - beta2**t)).add_(eps)
-        param.addcdiv_(exp_avg / (1 - beta1**t), denominator, value=-lr)
+        correction_1, correction_2 = 1 - beta1**t, (1 - beta2**t).sqrt()
+    step = exp_avg_sq.sqrt().div_(correction_2).add_(eps)
+    torch.div(exp_avg, step, out=step)
+    param.sub_(step.mul_(lr / correction_1))
 
 
 def adam_step(model: GaussianModel, gradients: GaussianParams, config: OptimConfig) -> None:
     """Update every parameter of the map once, each group at its own constant learning rate.
 
-    With ``adam_steps="shared"`` the bias correction uses the map's step count, so a newborn Gaussian, whose moments are
-    zero, first moves (1 - 0.9) / sqrt(1 - 0.999) = 3.16 times the learning rate; "per_row" counts from its birth.
+    Adam's bias correction shrinks the first steps after the moments were zero. It was made for parameters that all
+    start together; with ``adam_steps = "none"`` a newborn Gaussian first moves (1 - 0.9) / sqrt(1 - 0.999) = 3.16 learning
+    rates, and 6.5 at its tenth step. The released GSFusion corrects by the step count of the whole map
+    ("shared"), which comes to the same for all but the Gaussians of the first frames.
     """
     model.step_count += 1
-    steps: int | Tensor = model.step_count
+    steps: int | Tensor | None = {"none": None, "shared": model.step_count}.get(config.adam_steps)
     if config.adam_steps == "per_row":
         steps = model.step_count - model.birth_step
-    groups = {
+    sh_rates = model.params.sh.new_full((model.params.sh.shape[1], 1), config.lr_sh_rest)
+    sh_rates[0] = config.lr_sh_dc
+    rates: dict[str, float | Tensor] = {
         "xyz_W": config.lr_xyz,
         "log_scale": config.lr_log_scale,
         "quat": config.lr_quat,
         "opacity_logit": config.lr_opacity_logit,
+        "sh": sh_rates.expand(-1, 3),
     }
     params, m, v = model.params, model.exp_avg, model.exp_avg_sq
-    moments = {"beta1": config.beta1, "beta2": config.beta2, "eps": config.eps}
-    for name, lr in groups.items():
+    for name, lr in rates.items():
         p, g, mm, vv = (getattr(rows, name) for rows in (params, gradients, m, v))
-        adam_update(p, g, mm, vv, steps, lr=lr, **moments)
-    for part, lr in ((slice(0, 1), config.lr_sh_dc), (slice(1, None), config.lr_sh_rest)):
-        p, g, mm, vv = (rows.sh[:, part] for rows in (params, gradients, m, v))
-        if p.shape[1]:
-            adam_update(p, g, mm, vv, steps, lr=lr, **moments)
+        adam_update(p, g, mm, vv, steps, lr=lr, beta1=config.beta1, beta2=config.beta2, eps=config.eps)

@@ -1,1 +1,14 @@
+"""The volumetric map: sparse blocks of truncated signed distance, fused from depth images."""
 
+from .allocate import allocate as allocate
+from .allocate import band_blocks as band_blocks
+from .integrate import IntegrateReport as IntegrateReport
+from .integrate import integrate as integrate
+from .integrate import tsdf_update as tsdf_update
+from .mesh import extract_mesh as extract_mesh
+from .octree import BlockIndex as BlockIndex
+from .raycast import RaycastOutput as RaycastOutput
+from .raycast import raycast as raycast
+from .volume import TsdfSample as TsdfSample
+from .volume import TsdfVolume as TsdfVolume
+from .volume import estimate_memory as estimate_memory

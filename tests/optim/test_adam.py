@@ -27,12 +27,13 @@ def test_agrees_with_torch_adam(shape, generator):
 
 
 @pytest.mark.parametrize(("k", "multiple"), [(1, 3.162), (2, 4.250), (3, 4.950), (5, 5.797), (10, 6.528), (20, 6.241)])
-def test_newborn_rows_move_faster_when_the_step_count_is_shared(k, multiple):
+@pytest.mark.parametrize("late", [10**6, None])
+def test_newborn_rows_move_faster_without_their_own_correction(k, multiple, late):
     """(1 - 0.9^k) / sqrt(1 - 0.999^k): what the released code gives a Gaussian that joins late."""
     param, m, v = torch.zeros(3, dtype=torch.float64).split(1)
-    for i in range(k):
+    for _ in range(k):
         before = param.clone()
-        adam_update(param, torch.ones(1, dtype=torch.float64), m, v, 10**6 + i, lr=1.0, **MOMENTS)
+        adam_update(param, torch.ones(1, dtype=torch.float64), m, v, late, lr=1.0, **MOMENTS)
     assert float(before - param) == pytest.approx(multiple, abs=6e-4)
 
 
@@ -50,8 +51,8 @@ def constant_gradients(params: GaussianParams) -> GaussianParams:
     return GaussianParams(**{name: torch.ones_like(getattr(params, name)) for name in PARAMETERS})
 
 
-@pytest.mark.parametrize("mode", ["shared", "per_row"])
-def test_each_group_moves_at_its_own_rate(mode):
+@pytest.mark.parametrize(("mode", "multiple"), [("shared", 1.0), ("per_row", 1.0), ("none", 0.1 / 0.001**0.5)])
+def test_each_group_moves_at_its_own_rate(mode, multiple):
     model = GaussianModel(sh_degree=3)
     model.append(Seeds.isotropic(torch.zeros(2, 3), torch.full((2, 3), 0.5), torch.ones(2)))
     before = dataclasses.replace(model.params, **{n: getattr(model.params, n).clone() for n in PARAMETERS})
@@ -59,14 +60,14 @@ def test_each_group_moves_at_its_own_rate(mode):
     moved = {n: (getattr(before, n) - getattr(model.params, n)) for n in PARAMETERS}
     expected = {"xyz_W": 1.6e-4, "log_scale": 1e-3, "quat": 1e-3, "opacity_logit": 5e-2}
     for name, lr in expected.items():
-        torch.testing.assert_close(moved[name], torch.full_like(moved[name], lr), rtol=1e-3, atol=1e-7)
-    torch.testing.assert_close(moved["sh"][:, 0], torch.full((2, 3), 2.5e-3), rtol=1e-3, atol=1e-7)
-    torch.testing.assert_close(moved["sh"][:, 1:], torch.full((2, 15, 3), 1.25e-4), rtol=1e-3, atol=1e-7)
+        torch.testing.assert_close(moved[name], torch.full_like(moved[name], lr * multiple), rtol=1e-3, atol=1e-7)
+    torch.testing.assert_close(moved["sh"][:, 0], torch.full((2, 3), 2.5e-3 * multiple), rtol=1e-3, atol=1e-7)
+    torch.testing.assert_close(moved["sh"][:, 1:], torch.full((2, 15, 3), 1.25e-4 * multiple), rtol=1e-3, atol=1e-7)
     assert model.step_count == 1
 
 
 def test_late_rows_in_a_shared_model(generator):
-    config = OptimConfig()
+    config = OptimConfig(adam_steps="shared")
     model = GaussianModel(sh_degree=0)
     one = Seeds.isotropic(torch.zeros(1, 3), torch.full((1, 3), 0.5), torch.ones(1))
     model.append(one)

@@ -1,0 +1,189 @@
+"""The command ``gsfusion-nb``: demo, map, eval, doctor."""
+
+import logging
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from .backends import BackendUnavailable, use_backend
+from .config import GSFusionConfig, from_dict, gsfusion
+
+_USAGE = """gsfusion-nb: online RGB-D mapping with TSDF fusion and 3D Gaussian splatting
+
+  gsfusion-nb demo                     map the built-in room and open its report: about a minute
+  gsfusion-nb map DATA [options]       map a sequence; every setting is an option: gsfusion-nb map --help
+  gsfusion-nb map --resume RUN         go on with a run that was interrupted
+  gsfusion-nb eval RUN                 score a finished run again
+  gsfusion-nb doctor                   what is installed, what works, what to do
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapOptions:
+    """Map a sequence online, optimise over its keyframes, score it; write maps, numbers and a report to a folder."""
+
+    data: Annotated[str, tyro.conf.Positional] = ""
+    """Folder of a sequence, or "room" for the built-in scene."""
+    preset: str = "replica"
+    """Settings as published for a data set; single options override it."""
+    out: str = ""
+    """New or empty folder for the results; runs/<name>-<time> by default."""
+    format: str = "auto"
+    """Layout of the data: folder, tum, replica, scannetpp, seven_scenes; recognised by itself by default."""
+    split: str = ""
+    """Which published split to map (ScanNet++: train or test)."""
+    resume: str = ""
+    """Folder of an interrupted run to go on with; no other option is needed."""
+    from_config: str = ""
+    """A config.json of an earlier run whose settings to start from instead of a preset."""
+    device: str = "cpu"
+    """Where the maps live: cpu or cuda."""
+    backend: str = "auto"
+    """auto, reference, numba, triton or cuda."""
+    evaluate: bool = True
+    """Score mapped and held-out views and write the report."""
+    config: Annotated[GSFusionConfig, tyro.conf.arg(name="")] = field(default_factory=GSFusionConfig)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DemoOptions:
+    """Map the built-in room and report on it."""
+
+    out: str = ""
+    """New or empty folder for the results; runs/room-<time> by default."""
+    frames: int = 120
+    """Frames of the built-in trajectory."""
+    backend: str = "auto"
+    """auto, reference, numba, triton or cuda."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvalOptions:
+    """Score the maps of a finished run again on the sequence they were made from."""
+
+    run: Annotated[str, tyro.conf.Positional]
+    """Folder of the run."""
+    data: str = ""
+    """Where the sequence lies now, if it has moved."""
+    lpips: bool = False
+    """Also compute LPIPS (needs the extra "lpips" and AlexNet's weights)."""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line; the exit status: 0 done, 1 an error said in a sentence, 130 interrupted."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    logging.basicConfig(level=logging.WARNING, format="%(message)s")
+    commands = {"demo": _demo, "map": _map, "eval": _eval, "doctor": _doctor}
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(_USAGE)
+        return 0
+    name, *rest = arguments
+    if name not in commands:
+        print(f"no command {name!r}\n\n{_USAGE}", file=sys.stderr)
+        return 2
+    try:
+        return commands[name](rest)
+    except (ValueError, OSError, KeyError, BackendUnavailable, MemoryError) as e:
+        text = e.args[0] if isinstance(e, KeyError) and e.args else e
+        print(f"gsfusion-nb {name}: {text}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print(f"gsfusion-nb {name}: interrupted", file=sys.stderr)
+        return 130
+
+
+def _map(arguments: list[str]) -> int:
+    from .mapping import resume_mapping, run_mapping
+
+    default = MapOptions(config=_starting_config(arguments), preset=_value_of(arguments, "--preset") or "replica")
+    options = tyro.cli(MapOptions, prog="gsfusion-nb map", args=arguments, default=default)
+    with use_backend(options.backend):
+        if options.resume:
+            return _finish(resume_mapping(options.resume, device=options.device, evaluate=options.evaluate))
+        if not options.data:
+            raise ValueError("expected the folder of a sequence or the name of a built-in scene: gsfusion-nb map room")
+        reader: dict[str, Any] = {"format": options.format} if options.format != "auto" else {}
+        if options.split:
+            reader["split"] = options.split
+        run = run_mapping(
+            options.data,
+            options.config,
+            folder=options.out or None,
+            device=options.device,
+            evaluate=options.evaluate,
+            **reader,
+        )
+    return _finish(run)
+
+
+def _starting_config(arguments: list[str]) -> GSFusionConfig:
+    """The preset or config file named among ``arguments``: tyro shows and overrides its fields."""
+    path = _value_of(arguments, "--from-config")
+    if path:
+        import json
+
+        return from_dict(GSFusionConfig, json.loads(Path(path).read_text(encoding="utf-8"))["config"])
+    preset = _value_of(arguments, "--preset")
+    if preset:
+        return gsfusion(preset)
+    return gsfusion("room" if "room" in arguments[:1] else "replica")
+
+
+def _value_of(arguments: list[str], option: str) -> str | None:
+    for i, argument in enumerate(arguments):
+        if argument.replace("_", "-") == option and i + 1 < len(arguments):
+            return arguments[i + 1]
+        if argument.replace("_", "-").startswith(f"{option}="):
+            return argument.split("=", 1)[1]
+    return None
+
+
+def _demo(arguments: list[str]) -> int:
+    from .mapping import run_mapping
+
+    options = tyro.cli(DemoOptions, prog="gsfusion-nb demo", args=arguments)
+    print("Mapping the built-in room, frame by frame; the first run also renders and caches its pictures.")
+    with use_backend(options.backend):
+        run = run_mapping("room", gsfusion("room"), folder=options.out or None, n_frames=options.frames)
+    return _finish(run)
+
+
+def _eval(arguments: list[str]) -> int:
+    from .mapping import rescore
+
+    options = tyro.cli(EvalOptions, prog="gsfusion-nb eval", args=arguments)
+    _print_metrics(rescore(options.run, data=options.data or None, with_lpips=options.lpips))
+    return 0
+
+
+def _doctor(arguments: list[str]) -> int:
+    from . import doctor
+
+    return doctor.main()
+
+
+def _finish(run) -> int:
+    _print_metrics(run.metrics)
+    for warning in run.run.warnings:
+        print(f"note: {warning}")
+    print(f"Files in {run.folder}:")
+    for path in sorted(run.folder.iterdir()):
+        print(f"  {path.name:<16} {path.stat().st_size / 1e6:8.2f} MB")
+    if run.run.status == "interrupted":
+        print(f"To go on: gsfusion-nb map --resume {run.folder}")
+        return 130
+    return 0
+
+
+def _print_metrics(metrics: dict[str, Any]) -> None:
+    from .evaluation.metrics import METRIC_GROUPS, format_metric
+
+    for group, known in METRIC_GROUPS.items():
+        rows = [(metric.label, format_metric(name, metrics[name])) for name, metric in known.items() if name in metrics]
+        if rows:
+            print(group)
+        for label, value in rows:
+            print(f"  {label:<28} {value}")

@@ -1,0 +1,58 @@
+"""What a sequence is, and the errors of reading one."""
+
+from typing import Protocol, runtime_checkable
+
+from jaxtyping import Float
+from torch import Tensor
+
+from ..types import Camera, Frame
+
+
+@runtime_checkable
+class Sequence(Protocol):
+    """Posed RGB-D frames in order. Anything with these members can be mapped; no base class is needed.
+
+    ``sequence[i]`` decodes frame ``i`` when asked and raises ``IndexError`` past the end, so ``for frame in sequence``
+    works.
+    """
+
+    @property
+    def name(self) -> str:
+        """Short name, for titles and folders."""
+        ...
+
+    @property
+    def camera(self) -> Camera:
+        """The one camera of all frames."""
+        ...
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, i: int) -> Frame: ...
+
+    def pose(self, i: int) -> Float[Tensor, "4 4"]:
+        """Camera-to-world pose of frame ``i``, the same as ``sequence[i].T_WC``, without decoding images."""
+        ...
+
+
+class SequenceError(ValueError):
+    """The sequence on disk, or what was asked of it, does not make sense; one sentence that names the file."""
+
+
+class SequenceNotFoundError(SequenceError, FileNotFoundError):
+    """A folder or file that the sequence needs is not there."""
+
+
+class BadFrameError(SequenceError):
+    """One frame cannot be used (damaged image, no depth, invalid pose); a loop can go on with the others."""
+
+
+def position(i: int, length: int) -> int:
+    """Index ``i`` of a sequence of ``length`` frames as a number from 0, counting from the end when negative.
+
+    Raises:
+        IndexError: past either end.
+    """
+    if not -length <= i < length:
+        raise IndexError(f"frame {i} of a sequence of {length}")
+    return i % length

@@ -1,0 +1,81 @@
+"""All charts in one picture with its mip levels, so that one ``cv2.remap`` textures a whole image.
+
+Level 0 fills the left part; level l, shrunk by 2^l, stands in the column to its right. Every chart is surrounded by
+at least ``GUTTER`` texels that repeat (or, around a cone or ellipsoid, wrap) its border, in a cell aligned to 2^LEVELS:
+half a texel of the coarsest level, which is what bilinear lookups reach, so no level mixes neighbouring charts.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy import ndarray
+
+LEVELS = 4
+GUTTER = 8
+WIDTH = 4096
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Layout:
+    """Where each chart lies at level 0, texels."""
+
+    x: ndarray
+    y: ndarray
+    w: ndarray
+    h: ndarray
+    texel_m: ndarray
+    """Edge of a texel on the surface, metres (mean of both directions)."""
+    height: int
+    """Rows of the picture."""
+
+
+def pack(sizes_px: Sequence[tuple[int, int]], texel_m: Sequence[float]) -> Layout:
+    """Place charts of the given (width, height) on shelves, tallest first."""
+    step = 2**LEVELS
+    n = len(sizes_px)
+    x, y = np.zeros(n, int), np.zeros(n, int)
+    order = sorted(range(n), key=lambda i: (-sizes_px[i][1], i))
+    shelf_y, shelf_h, cursor = 0, 0, 0
+    for i in order:
+        outer_w, outer_h = (-(-(s + 2 * GUTTER) // step) * step for s in sizes_px[i])
+        if cursor + outer_w > WIDTH:
+            shelf_y, shelf_h, cursor = shelf_y + shelf_h, 0, 0
+        shelf_h = max(shelf_h, outer_h)
+        x[i], y[i] = cursor + GUTTER, shelf_y + GUTTER
+        cursor += outer_w
+    w, h = np.array(sizes_px).T
+    return Layout(x=x, y=y, w=w, h=h, texel_m=np.array(texel_m, float), height=shelf_y + shelf_h)
+
+
+def paste(level0: ndarray, layout: Layout, i: int, picture: ndarray, wraps: bool) -> None:
+    """Write chart ``i`` and its gutter into the level-0 picture (in place)."""
+    step = 2**LEVELS
+    x, y, w, h = (int(a[i]) for a in (layout.x, layout.y, layout.w, layout.h))
+    right, bottom = (-(-(s + 2 * GUTTER) // step) * step - s - GUTTER for s in (w, h))
+    padded = np.pad(picture, ((GUTTER, bottom), (0, 0), (0, 0)), mode="edge")
+    padded = np.pad(padded, ((0, 0), (GUTTER, right), (0, 0)), mode="wrap" if wraps else "edge")
+    level0[y - GUTTER : y + h + bottom, x - GUTTER : x + w + right] = padded
+
+
+def with_mips(level0: ndarray) -> ndarray:
+    """The level-0 picture [H, WIDTH, 3] with its box-filtered mip levels beside it. [H, 1.5 WIDTH, 3]"""
+    import cv2
+
+    height = level0.shape[0]
+    out = np.zeros((height, WIDTH + WIDTH // 2, 3), np.uint8)
+    out[:, :WIDTH] = level0
+    y, level = 0, level0
+    for _ in range(LEVELS):
+        level = cv2.resize(level, (level.shape[1] // 2, level.shape[0] // 2), interpolation=cv2.INTER_AREA)
+        out[y : y + level.shape[0], WIDTH : WIDTH + level.shape[1]] = level
+        y += level.shape[0]
+    return out
+
+
+def level_offsets(height: int) -> tuple[ndarray, ndarray]:
+    """Column and row of each level's corner in the combined picture, texels. [LEVELS + 1] each"""
+    rows = [0, 0]
+    for level in range(1, LEVELS):
+        rows.append(rows[-1] + (height >> level))
+    return np.array([0] + [WIDTH] * LEVELS, np.float32), np.array(rows, np.float32)

@@ -1,0 +1,175 @@
+"""The room as an RGB-D sequence, and single views of it."""
+
+import dataclasses
+import functools
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ...checks import check_pose
+from ...types import Camera, Frame
+from . import raycast, shade
+from .cache import cache_folder, load, store
+from .scene import load_scene, version
+from .sensor import kinect_depth
+from .trajectory import TRAJECTORIES, walk
+
+_FOCAL_PER_WIDTH = 0.65
+"""A horizontal field of view of 75 degrees."""
+
+_DEPTH_UNIT_M = 1e-4
+"""Stored depth counts tenths of a millimetre in uint16, up to 6.55 m: the farthest z-depth in the room is 6.41 m."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RoomSequence:
+    """The built-in scene: a furnished room of 5 x 4 x 2.6 m, walked through with a hand-held camera.
+
+    World frame: z up, origin on the floor in the middle of the room, metres. Everything is procedural; the same options
+    give the same frames. Colour has 8 bits and depth has steps of 0.1 mm, whether a frame is rendered or read from the
+    cache (``$GSFUSION_CACHE``, or the user's cache folder). Noise is added after the cache. ``room`` is the same class.
+
+    Raises:
+        ValueError: an option outside its range, in one sentence. IndexError: no such frame.
+    """
+
+    n_frames: int = 200
+    """Number of frames over the same walk of about a minute: fewer frames are farther apart."""
+    width: int = 640
+    height: int = 480
+    trajectory: str = "mapping"
+    """"mapping" sees the whole room; "novel" is another path through it, for views that were never mapped."""
+    noise: str = "none"
+    """"none": exact depth; "kinect": measured as by a Kinect."""
+    view_dependent: bool = False
+    """Add soft highlights on glossy things; without them every point has one colour from everywhere."""
+    seed: int = 0
+    """Seed of the scene, the tremor and the noise."""
+    cache: bool = True
+    """Keep rendered frames on disk."""
+
+    def __post_init__(self):
+        for name, least in (("n_frames", 1), ("width", 8), ("height", 8), ("seed", 0)):
+            value = getattr(self, name)
+            if not isinstance(value, int) or value < least:
+                raise ValueError(f"room: {name} must be a whole number >= {least}, got {value!r}")
+        for name, known in (("trajectory", tuple(TRAJECTORIES)), ("noise", ("none", "kinect"))):
+            if getattr(self, name) not in known:
+                raise ValueError(f"room: {name} must be one of {', '.join(known)}, got {getattr(self, name)!r}")
+
+    @property
+    def name(self) -> str:
+        """Name for reports."""
+        return "room" if self.trajectory == "mapping" else f"room-{self.trajectory}"
+
+    @functools.cached_property
+    def camera(self) -> Camera:
+        """Intrinsics of every frame."""
+        focal = _FOCAL_PER_WIDTH * self.width
+        return Camera(width=self.width, height=self.height, fx=focal, fy=focal, cx=self.width / 2, cy=self.height / 2)
+
+    def T_WC(self, i: int) -> Float[Tensor, "4 4"]:
+        """Pose of frame ``i``, without rendering it."""
+        return torch.from_numpy(self._walk[0][self._index(i)]).float()
+
+    @property
+    def times_s(self) -> np.ndarray:
+        """Time of every frame, seconds. [n_frames]"""
+        return self._walk[1]
+
+    def __len__(self) -> int:
+        return self.n_frames
+
+    def __getitem__(self, i: int) -> Frame:
+        i = self._index(i)
+        images = load(self._path(i)) if self.cache else None
+        if images is None or not self._fits(images):
+            images = self._render(i)
+            if self.cache:
+                store(self._path(i), **images)
+        depth_m = torch.from_numpy(images["depth"].astype(np.float32) * np.float32(_DEPTH_UNIT_M))
+        if self.noise == "kinect":
+            depth_m = kinect_depth(depth_m, self.camera, rng=np.random.default_rng([self.seed, 3, i]))
+        return Frame(
+            index=i,
+            timestamp_s=float(self.times_s[i]),
+            rgb=torch.from_numpy(images["rgb"].astype(np.float32) / np.float32(255)),
+            depth_m=depth_m,
+            camera=self.camera,
+            T_WC=self.T_WC(i),
+        )
+
+    @functools.cached_property
+    def _walk(self) -> tuple[np.ndarray, np.ndarray]:
+        return walk(self.trajectory, self.n_frames, self.seed)
+
+    @functools.cached_property
+    def _folder(self) -> Path:
+        options = dataclasses.asdict(self) | {"noise": "", "cache": "", "version": version()}
+        key = hashlib.sha256(json.dumps(options, sort_keys=True).encode()).hexdigest()[:16]
+        return cache_folder() / "room" / f"{self.name}-{self.width}x{self.height}-{key}"
+
+    def _path(self, i: int) -> Path:
+        return self._folder / f"{i:06d}.npz"
+
+    def _index(self, i: int) -> int:
+        if not -self.n_frames <= i < self.n_frames:
+            raise IndexError(f"room: frame {i} of a sequence of {self.n_frames} frames")
+        return int(i) % self.n_frames
+
+    def _fits(self, images: dict[str, np.ndarray]) -> bool:
+        size = (self.height, self.width)
+        wanted = {"rgb": ((*size, 3), np.uint8), "depth": (size, np.uint16)}
+        return {k: (v.shape, v.dtype) for k, v in images.items()} == wanted
+
+    def _render(self, i: int) -> dict[str, np.ndarray]:
+        rgb, depth_m = render_room(
+            self.camera, self.T_WC(i), view_dependent=self.view_dependent, seed=self.seed, cache=self.cache
+        )
+        return {
+            "rgb": np.rint(rgb.numpy() * 255).astype(np.uint8),
+            "depth": np.rint(depth_m.numpy() / _DEPTH_UNIT_M).astype(np.uint16),
+        }
+
+
+def render_room(
+    camera: Camera, T_WC: Float[Tensor, "4 4"], *, view_dependent: bool = False, seed: int = 0, cache: bool = True
+) -> tuple[Float[Tensor, "H W 3"], Float[Tensor, "H W"]]:
+    """Colour and depth of the room from any pose.
+
+    Depth is that of the exact first hit of the ray through the pixel's centre; colour is the mean of 2x2 points per
+    pixel. Both are 0 where a ray from outside the room misses it.
+
+    Args:
+        camera: Intrinsics.
+        T_WC: Camera-to-world pose, OpenCV axes, metres; the world's z points up. [4, 4]
+        view_dependent: Add soft highlights on glossy things.
+        seed: The room's seed.
+        cache: Keep the painted and lit textures on disk.
+
+    Returns:
+        sRGB colour 0..1 [H, W, 3], and z-depth in metres [H, W]; float32.
+
+    Raises:
+        ValueError: ``T_WC`` is not a rigid transform.
+
+    Differentiable: no.
+    """
+    check_pose("T_WC", T_WC)
+    scene = load_scene(seed, cache)
+    view = raycast.View(scene.flat, scene.curved, camera, T_WC.detach().cpu().double().numpy())
+    hits = raycast.cast(view)
+    rgb = shade.colour(scene, view, hits)
+    if view_dependent:
+        rgb = shade.with_highlights(rgb, scene, view, hits)
+    depth_m = np.divide(1.0, hits.w, out=np.zeros_like(hits.w), where=hits.patch >= 0)
+    return torch.from_numpy(rgb), torch.from_numpy(depth_m)
+
+
+room = RoomSequence

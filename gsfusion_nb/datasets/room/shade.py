@@ -1,0 +1,214 @@
+"""Colour of an image from its hits: mip-mapped texture lookups at 2x2 points per pixel.
+
+Inside a patch the four points lie on the patch's tangent plane at the pixel centre (exact on flat patches). Where
+neighbouring pixels belong to different patches, the four points are cast anew against those patches.
+"""
+
+import numpy as np
+from numpy import ndarray
+
+from .atlas import LEVELS, level_offsets
+from .lighting import LIGHTS
+from .raycast import Hits, View
+from .scene import Scene
+
+_POINTS = np.array([[-0.25, -0.25], [0.25, -0.25], [-0.25, 0.25], [0.25, 0.25]], np.float32)
+"""Sample points in a pixel, from its centre, pixels."""
+
+_DITHER = np.array([0.125, 0.625, 0.875, 0.375], np.float32)
+"""Added to the mip level before rounding down: over the four points this blends neighbouring levels."""
+
+
+def colour(scene: Scene, view: View, hits: Hits) -> ndarray:
+    """sRGB image, 0..1. [H, W, 3] float32"""
+    H, W = hits.patch.shape
+    lookup = _TextureLookup(scene, view)
+    offsets = _POINTS / np.array([view.camera.fx, view.camera.fy], np.float32)
+    patch = hits.patch.ravel()
+    x = np.tile(view.x.astype(np.float32), H)
+    y = np.repeat(view.y.astype(np.float32), W)
+    w = hits.w.ravel()
+    U, V, level = lookup.sample(patch, x, y, w, offsets)
+    total = np.zeros((H * W, 3), np.uint16)
+    for k in range(4):
+        total += lookup.fetch(U[k], V[k], level + _DITHER[k])
+    edges = _edge_pixels(hits.patch)
+    if edges.size:
+        total[edges] = _edge_colour(lookup, view, hits, edges, offsets)
+    total[patch < 0] = 0
+    return (total.astype(np.float32) * np.float32(1 / 1020)).reshape(H, W, 3)
+
+
+class _TextureLookup:
+    """Tables of one view, one row per patch, and the lookups that use them."""
+
+    def __init__(self, scene: Scene, view: View):
+        self.view, self.scene = view, scene
+        flat, layout = view.flat, scene.layout
+        self.n_flat = len(flat.chart)
+        scale_u, scale_v = (
+            (layout.w[flat.chart] / flat.chart_w)[:, None],
+            (layout.h[flat.chart] / flat.chart_h)[:, None],
+        )
+        centre_u = (layout.x + 0.5 * layout.w)[flat.chart][:, None]
+        centre_v = (layout.y + 0.5 * layout.h)[flat.chart][:, None]
+        forms = (view.W, centre_u * view.W + scale_u * view.A, centre_v * view.W - scale_v * view.B)
+        self.w, self.u, self.v = (np.ascontiguousarray(f.T.astype(np.float32)) for f in forms)
+        self.inv_texel = (1 / scene.texel_of_patch).astype(np.float32)
+        cols, rows = level_offsets(layout.height)
+        self.cols, self.rows = cols - 0.5, rows - 0.5
+        self.scales = np.float32(0.5) ** np.arange(LEVELS + 1, dtype=np.float32)
+
+    def segments(self, patch: ndarray) -> list[tuple[int, ndarray]]:
+        """(curved patch number, indices of the samples on it) of a flat array of patch numbers."""
+        on_curved = np.flatnonzero(patch >= self.n_flat)
+        number = (patch[on_curved] - self.n_flat).astype(np.uint16)
+        order = np.argsort(number, kind="stable")
+        number, on_curved = number[order], on_curved[order]
+        starts = np.flatnonzero(np.diff(number, prepend=-1))
+        return [(int(number[s]), part) for s, part in zip(starts, np.split(on_curved, starts[1:]), strict=False)]
+
+    def sample(
+        self, patch: ndarray, x: ndarray, y: ndarray, w: ndarray, offsets: ndarray
+    ) -> tuple[ndarray, ndarray, ndarray]:
+        """Level-0 texel coordinates [S, N] at ``offsets`` [S, 2] from the rays (x, y) that meet ``patch`` at 1/w, and
+        the mip level [N]. The points between rays lie on the tangent plane n.P = k, where w = n.r / k."""
+        row = np.minimum(patch, self.n_flat - 1)
+        wx, wy = self.w[0][row], self.w[1][row]
+        parts = self.segments(patch)
+        for i, at in parts:
+            wx[at], wy[at] = self._tangent(i, x[at], y[at], w[at])
+        xs, ys = x + offsets[:, :1], y + offsets[:, 1:]
+        inv = 1.0 / np.maximum(w + offsets[:, :1] * wx + offsets[:, 1:] * wy, 1e-3)
+        U, V = ((f[0][row] * xs + f[1][row] * ys + f[2][row]) * inv for f in (self.u, self.v))
+        for i, at in parts:
+            U[:, at], V[:, at] = self._curved_texels(i, xs[:, at], ys[:, at], inv[:, at])
+        return U, V, self.level(patch, x, y, w, wx, wy)
+
+    def _tangent(self, i: int, x: ndarray, y: ndarray, w: ndarray) -> tuple[ndarray, ndarray]:
+        """Gradient of w along the tangent plane of curved patch ``i``."""
+        piece = self.view.curved[i]
+        o, d = self.view.local_rays(piece, x, y)
+        t = 1.0 / w
+        n = piece.normal(o + t[:, None] * np.stack(d, -1)) @ (piece.R.T @ self.view.R)
+        k = t * (n[:, 0] * x + n[:, 1] * y + n[:, 2])
+        k = np.minimum(k, -0.02 * t)  # at the silhouette the tangent plane holds the ray
+        return n[:, 0] / k, n[:, 1] / k
+
+    def _curved_texels(self, i: int, x: ndarray, y: ndarray, t: ndarray) -> tuple[ndarray, ndarray]:
+        piece, layout = self.view.curved[i], self.scene.layout
+        o, d = self.view.local_rays(piece, x, y)
+        p = o + np.stack(d, -1) * t[..., None]
+        if piece.t is not piece.solid.t:  # a piece of a rounded box
+            p = piece.solid.to_local(p @ piece.R.T + piece.t)
+        face, u, v = piece.solid.chart(p)
+        chart = piece.charts[face]
+        chart = np.where(chart < 0, piece.charts.max(), chart)
+        return layout.x[chart] + layout.w[chart] * u, layout.y[chart] + layout.h[chart] * v
+
+    def level(self, patch: ndarray, x: ndarray, y: ndarray, w: ndarray, wx: ndarray, wy: ndarray) -> ndarray:
+        """Mip level at which a texel is about half the pixel's larger footprint on the surface.
+
+        P = t r gives |dP/dx| = t sqrt(1 - 2 g x + g^2 |r|^2) with g = t dw/dx.
+        """
+        t = 1.0 / np.maximum(w, 1e-3)
+        r2 = x * x + y * y + 1
+        gx, gy = wx * t, wy * t
+        jx = (1 - 2 * gx * x + gx * gx * r2) / self.view.camera.fx**2
+        jy = (1 - 2 * gy * y + gy * gy * r2) / self.view.camera.fy**2
+        footprint = (0.5 * t * self.inv_texel[patch]) ** 2 * np.maximum(jx, jy)
+        return np.clip(0.5 * np.log2(np.maximum(footprint, 1e-6)), 0, LEVELS).astype(np.float32)
+
+    def fetch(self, U: ndarray, V: ndarray, level: ndarray) -> ndarray:
+        """Bilinear texels of the rounded-down level. [N, 3] uint8"""
+        import cv2
+
+        at = np.minimum(level.astype(np.uint8), LEVELS)
+        scale = self.scales[at]
+        n = U.size
+        side = 1024 if n >= 1024 else n  # cv2.remap takes pictures of fewer than 2^15 rows and columns
+        rows = -(-n // side)
+        map_xy = np.zeros((2, rows * side), np.float32)
+        map_xy[0, :n] = U * scale + self.cols[at]
+        map_xy[1, :n] = V * scale + self.rows[at]
+        map_x, map_y = map_xy.reshape(2, rows, side)
+        return cv2.remap(self.scene.atlas, map_x, map_y, cv2.INTER_LINEAR).reshape(-1, 3)[:n]
+
+
+def _edge_pixels(patch: ndarray) -> ndarray:
+    """Flat indices of pixels with a 4-neighbour on another patch."""
+    edge = np.zeros(patch.shape, bool)
+    across, down = patch[:, 1:] != patch[:, :-1], patch[1:] != patch[:-1]
+    edge[:, 1:] |= across
+    edge[:, :-1] |= across
+    edge[1:] |= down
+    edge[:-1] |= down
+    return np.flatnonzero(edge)
+
+
+def _edge_colour(lookup: _TextureLookup, view: View, hits: Hits, edges: ndarray, offsets: ndarray) -> ndarray:
+    """Sum of the four points' colours on edge pixels. [E, 3] uint16"""
+    H, W = hits.patch.shape
+    row, col = np.divmod(edges, W)
+    centre = hits.patch[row, col]
+    shifts = ((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0))
+    near = np.stack([hits.patch[np.clip(row + i, 0, H - 1), np.clip(col + j, 0, W - 1)] for i, j in shifts], 1)
+    near.sort(axis=1)
+    fresh = np.concatenate([np.ones((len(edges), 1), bool), near[:, 1:] != near[:, :-1]], 1)
+    pixel, slot = np.nonzero(fresh)
+    x = view.x[col][:, None] + offsets[:, 0].astype(float)
+    y = view.y[row][:, None] + offsets[:, 1].astype(float)
+    w = np.full((len(edges), near.shape[1], 4), -1.0)
+    candidate = near[pixel, slot]
+    w[pixel, slot] = _inverse_depth(lookup, view, candidate, x[pixel], y[pixel])
+    best = w.argmax(1)
+    w_best = np.take_along_axis(w, best[:, None], 1)[:, 0]
+    patch = np.take_along_axis(near, best, 1)
+    missed = w_best <= 0  # thinner than the sample distance: keep the centre's patch
+    patch = np.where(missed, centre[:, None], patch)
+    w_best = np.where(missed, hits.w[row, col][:, None], w_best)
+    x, y, w_best = (a.astype(np.float32).ravel() for a in (x, y, w_best))
+    patch = patch.ravel()
+    U, V, level = lookup.sample(patch, x, y, w_best, np.zeros((1, 2), np.float32))
+    level += np.tile(_DITHER, len(edges))
+    return lookup.fetch(U[0], V[0], level).reshape(-1, 4, 3).sum(1, dtype=np.uint16)
+
+
+def _inverse_depth(lookup: _TextureLookup, view: View, patch: ndarray, x: ndarray, y: ndarray) -> ndarray:
+    """Inverse depth of rays [N, 4] on given patches [N]; -1 where they miss."""
+    row = np.minimum(patch, lookup.n_flat - 1)
+    flat = view.flat
+    w, a, b = (f[row, 0, None] * x + f[row, 1, None] * y + f[row, 2, None] for f in (view.W, view.A, view.B))
+    reach_w, reach_h = flat.half_w[row, None] * w, flat.half_h[row, None] * w
+    inside = (np.abs(a) <= reach_w * (1 + 1e-9)) & (np.abs(b) <= reach_h * (1 + 1e-9))
+    inside &= ~flat.disc[row, None] | (a * a + b * b <= reach_w**2)
+    w = np.where(inside, w, -1.0)
+    for i, at in lookup.segments(patch):
+        o, d = view.local_rays(view.curved[i], x[at], y[at])
+        w[at] = 1.0 / view.curved[i].intersect(o, d)
+    return np.where(w > 0, w, -1.0)
+
+
+def with_highlights(rgb: ndarray, scene: Scene, view: View, hits: Hits) -> ndarray:
+    """``rgb`` plus a broad lobe gloss * light * (n.h)^16 of every light on glossy patches (Blinn 1977). [H, W, 3]"""
+    row, col = np.nonzero(scene.gloss_of_patch[hits.patch] > 0)
+    patch = hits.patch[row, col]
+    ray = np.stack([view.x[col], view.y[row], np.ones(len(row))], -1) @ view.R.T
+    xyz = view.eye + ray / hits.w[row, col, None]
+    n_flat = len(view.flat.chart)
+    normal = view.flat.normal[np.minimum(patch, n_flat - 1)]
+    for i in np.unique(patch[patch >= n_flat]):
+        at, piece = patch == i, view.curved[i - n_flat]
+        normal[at] = piece.normal((xyz[at] - piece.t) @ piece.R) @ piece.R.T
+    to_eye = -ray / np.linalg.norm(ray, axis=1, keepdims=True)
+    added = np.zeros_like(xyz)
+    for light in LIGHTS:
+        to_light = np.array(light.position) - xyz
+        distance = np.linalg.norm(to_light, axis=1, keepdims=True)
+        half = to_light / distance + to_eye
+        half /= np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
+        lobe = np.maximum((normal * half).sum(1, keepdims=True), 0) ** 16
+        added += lobe / (distance**2 + 0.25) * np.array(light.colour)
+    out = rgb.copy()
+    out[row, col] += (scene.gloss_of_patch[patch][:, None] * added).astype(np.float32)
+    return np.minimum(out, 1.0)

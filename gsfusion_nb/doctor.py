@@ -1,0 +1,120 @@
+"""``gsfusion-nb doctor``: what is installed, what works, and what to do where it does not."""
+
+import importlib.metadata
+import os
+import platform
+import shutil
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from . import __version__, backends
+
+PACKAGES = (
+    "torch", "numpy", "numba", "opencv-python-headless", "kornia", "matplotlib", "pyvista", "vtk", "jupyterlab",
+    "ipykernel", "ipywidgets", "jupyterlab-widgets", "anywidget", "plyfile", "scipy", "tyro",
+)  # fmt: skip
+
+OPTIONAL = {
+    "triton": "GPU kernels: pip install 'gsfusion-nb[gpu]'",
+    "gtsam": "RTG-SLAM back end: pip install 'gsfusion-nb[slam]'",
+    "lpips": "LPIPS metric: pip install 'gsfusion-nb[lpips]'",
+}
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One line of the examination."""
+
+    topic: str
+    ok: bool
+    text: str
+    remedy: str = ""
+
+
+def examine() -> list[Finding]:
+    """Look at this Python environment and machine; nothing is changed."""
+    return [
+        _python(),
+        *(_package(name) for name in PACKAGES),
+        *(_optional(name, remedy) for name, remedy in OPTIONAL.items()),
+        _opencv_twins(),
+        *_torch(),
+        *_backends(),
+        _drawing(),
+        _disk(),
+    ]
+
+
+def main() -> int:
+    """Print the findings; 0 if nothing needed is missing."""
+    findings = examine()
+    print(f"gsfusion_nb {__version__} in {sys.prefix}")
+    width = max(len(f.topic) for f in findings)
+    for f in findings:
+        print(f"  {'ok ' if f.ok else 'NO '} {f.topic:<{width}}  {f.text}")
+        if f.remedy and not f.ok:
+            print(f"      {'':<{width}}  -> {f.remedy}")
+    missing = [f for f in findings if not f.ok and not f.topic.startswith("(optional)")]
+    print("Everything needed is here." if not missing else f"{len(missing)} thing(s) to mend: see the arrows above.")
+    return 1 if missing else 0
+
+
+def _version(name: str) -> str | None:
+    try:
+        return importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
+def _python() -> Finding:
+    text = f"{platform.python_version()} on {platform.system()} {platform.machine()}, {os.cpu_count()} cores"
+    return Finding("python", sys.version_info >= (3, 11), text, "gsfusion_nb needs Python 3.11 or newer")
+
+
+def _package(name: str) -> Finding:
+    version = _version(name)
+    return Finding(name, version is not None, version or "not installed", f"pip install {name}")
+
+
+def _optional(name: str, remedy: str) -> Finding:
+    version = _version(name)
+    return Finding(f"(optional) {name}", version is not None, version or "not installed", remedy)
+
+
+def _opencv_twins() -> Finding:
+    twins = [n for n in ("opencv-python", "opencv-contrib-python", "opencv-contrib-python-headless") if _version(n)]
+    text = f"{', '.join(twins)} beside opencv-python-headless" if twins else "one copy"
+    return Finding(
+        "opencv copies", not twins, text, f"they overwrite each other's files: pip uninstall {' '.join(twins)}"
+    )
+
+
+def _torch() -> list[Finding]:
+    import torch
+
+    threads = Finding("torch threads", True, f"{torch.get_num_threads()} for computing")
+    cuda = torch.cuda.is_available()
+    text = torch.cuda.get_device_name(0) if cuda else "none; everything runs on the CPU"
+    return [threads, Finding("(optional) CUDA device", cuda, text)]
+
+
+def _backends() -> list[Finding]:
+    from . import optim, render, seeding, tsdf  # noqa: F401  (importing them declares their operations)
+
+    findings = [Finding("backends", True, f"asked for: {os.environ.get('GSFUSION_BACKEND', 'auto')}")]
+    for name, backend, state in backends.report():
+        findings.append(Finding(f"  {name} / {backend}", state == "ok", state))
+    return findings
+
+
+def _drawing() -> Finding:
+    from .viz import gl
+
+    ok, why = gl.can_draw()
+    return Finding("(optional) VTK drawing", ok, why, "mesh views fall back to our own pictures until this works")
+
+
+def _disk() -> Finding:
+    free = shutil.disk_usage(Path.cwd()).free / 1e9
+    return Finding("disk", free > 2, f"{free:.0f} GB free here", "a run with its checkpoint takes up to 1 GB")

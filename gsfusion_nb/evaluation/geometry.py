@@ -1,0 +1,234 @@
+"""How close a mesh is to the true surface: accuracy, completion, and the shares within a threshold.
+
+No ICP alignment is applied: a map made from given poses is in the world frame of its ground truth, and aligning it
+would hide a systematic shift. Distances are metres in the data and centimetres in print.
+"""
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from ..checks import check_finite, check_positive, check_shape
+from ..geometry import project, se3
+from ..types import Frame, Mesh
+from .not_computed import NotComputed
+
+NEIGHBOURS = 8
+"""Nearby points whose triangles are candidates for the nearest surface point; 8 covers the fan of a typical vertex."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GeometryScores:
+    """Distances between a reconstruction and its ground truth."""
+
+    accuracy_m: float
+    """Mean distance from the reconstruction to the truth, metres."""
+    completion_m: float
+    """Mean distance from the truth to the reconstruction, metres."""
+    precision: float
+    """Share of the reconstruction nearer than the threshold to the truth."""
+    completion_ratio: float
+    """Share of the truth nearer than the threshold to the reconstruction (recall)."""
+    threshold_m: float
+    """Threshold of the two shares, metres. Papers use 3 cm or 5 cm."""
+    distance: str
+    """"surface": to the triangles; "samples": to the nearest sample."""
+
+    @property
+    def f_score(self) -> float:
+        """Harmonic mean of precision and completion ratio."""
+        total = self.precision + self.completion_ratio
+        return 2 * self.precision * self.completion_ratio / total if total > 0 else 0.0
+
+    def as_metrics(self) -> dict[str, float]:
+        """The numbers under the names of the metrics table."""
+        names = ("accuracy_m", "completion_m", "precision", "completion_ratio", "f_score", "threshold_m")
+        return {f"mesh_{name}": getattr(self, name) for name in names}
+
+    def __str__(self) -> str:
+        return (
+            f"accuracy {self.accuracy_m * 100:.2f} cm, completion {self.completion_m * 100:.2f} cm, within "
+            f"{self.threshold_m * 100:g} cm: precision {self.precision:.1%}, "
+            f"completion ratio {self.completion_ratio:.1%}, F-score {self.f_score:.3f}"
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SurfaceSamples:
+    """Points on a mesh and the triangles they lie on."""
+
+    xyz_W: Float[Tensor, "N 3"]
+    face: Int[Tensor, " N"]
+
+
+def sample_surface(mesh: Mesh, n: int, generator: torch.Generator) -> SurfaceSamples:
+    """``n`` points spread evenly over the area of ``mesh``, float64.
+
+    A triangle is drawn with probability area / total area; inside it the point (1 - r) a + r ((1 - s) b + s c) with
+    r = sqrt(u1), s = u2 is uniform.
+
+    Raises:
+        ValueError: if the mesh has no area.
+
+    Differentiable: no.
+    """
+    corners = _corners(mesh)
+    area = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).norm(dim=1) / 2
+    upto = area.cumsum(0)
+    if len(upto) == 0 or not upto[-1] > 0:
+        raise ValueError(f"a mesh to sample must have area, got {len(upto)} faces of total area 0")
+    draw = torch.rand(n, 3, generator=generator, dtype=torch.float64, device=generator.device).to(upto.device)
+    face = torch.searchsorted(upto, draw[:, 0] * upto[-1], right=True).clamp(max=len(upto) - 1)
+    r, s = draw[:, 1:2].sqrt(), draw[:, 2:3]
+    a, b, c = corners[face].unbind(1)
+    return SurfaceSamples(xyz_W=(1 - r) * a + r * ((1 - s) * b + s * c), face=face)
+
+
+def mesh_scores(
+    mesh: Mesh,
+    reference: Mesh,
+    *,
+    generator: torch.Generator,
+    threshold_m: float = 0.03,
+    n_samples: int = 200_000,
+    observed: Callable[[Tensor], Tensor] | None = None,
+    distance: Literal["surface", "samples"] = "surface",
+) -> GeometryScores | NotComputed:
+    """Accuracy and completion of ``mesh`` against ``reference``, from even samples of both surfaces.
+
+    Args:
+        mesh: The reconstruction.
+        reference: The true surface.
+        generator: Draws the samples.
+        threshold_m: For precision, completion ratio and F-score, metres.
+        n_samples: Points drawn on each surface.
+        observed: ``xyz_W [N, 3] -> bool [N]``: which points of the truth count for completion, usually
+            ``lambda xyz: seen_by(xyz, frames)``; a reconstruction cannot be blamed for what no frame shows.
+        distance: "surface" measures to the triangles nearby. "samples" measures to the closest
+            sample, as is usual in published tables; on average it does not fall below half the sample spacing,
+            sqrt(area / n_samples) / 2 (9 mm for 60 m^2 and 200,000 samples).
+
+    Returns:
+        The scores, or why there are none (no reconstructed surface, nothing observed).
+
+    Differentiable: no. Source: accuracy and completion as in iMAP (Sucar et al. 2021), sampled as NICE-SLAM does.
+    """
+    check_positive("threshold_m", threshold_m)
+    check_positive("n_samples", n_samples)
+    if len(mesh.faces) == 0:
+        return NotComputed("the reconstructed mesh has no faces")
+    ours, truth = sample_surface(mesh, n_samples, generator), sample_surface(reference, n_samples, generator)
+    wanted = truth.xyz_W
+    if observed is not None:
+        wanted = wanted[observed(wanted)]
+        if len(wanted) == 0:
+            return NotComputed("no point of the reference surface was observed")
+    to_truth = _distance(ours.xyz_W, reference, truth, distance)
+    to_ours = _distance(wanted, mesh, ours, distance)
+    return GeometryScores(
+        accuracy_m=float(to_truth.mean()),
+        completion_m=float(to_ours.mean()),
+        precision=float((to_truth < threshold_m).double().mean()),
+        completion_ratio=float((to_ours < threshold_m).double().mean()),
+        threshold_m=threshold_m,
+        distance=distance,
+    )
+
+
+def seen_by(
+    xyz_W: Float[Tensor, "N 3"], frames: Iterable[Frame], *, tolerance_m: float = 0.05, far_m: float = math.inf
+) -> Bool[Tensor, " N"]:
+    """Points that at least one frame shows: inside its image, and not behind the measured depth (plus a tolerance).
+
+    A pixel without measured depth shows nothing. The frames are read one by one.
+
+    Args:
+        xyz_W: Points, metres. [N, 3]
+        frames: The observations; one pass.
+        tolerance_m: How far behind the measured depth a point still counts as seen, metres.
+        far_m: Points farther than this from the camera plane do not count, metres.
+
+    Differentiable: no.
+    """
+    seen = torch.zeros(len(xyz_W), dtype=torch.bool, device=xyz_W.device)
+    for frame in frames:
+        left = (~seen).nonzero().squeeze(1)
+        if len(left) == 0:
+            break
+        xyz_C = se3.apply(se3.inverse(frame.T_WC.to(xyz_W)), xyz_W[left])
+        z = xyz_C[:, 2]
+        uv = project(frame.camera, torch.where(z[:, None] > 1e-6, xyz_C, torch.ones_like(xyz_C)))
+        inside = (z > 1e-6) & (z <= far_m) & (uv >= 0).all(1)
+        inside &= (uv[:, 0] < frame.camera.width) & (uv[:, 1] < frame.camera.height)
+        left, z = left[inside], z[inside]
+        column, row = uv[inside].long().unbind(1)
+        measured = frame.depth_m.to(xyz_W)[row, column]
+        seen[left[(measured > 0) & (z <= measured + tolerance_m)]] = True
+    return seen
+
+
+def cull_unseen(mesh: Mesh, frames: Iterable[Frame], *, tolerance_m: float = 0.05, far_m: float = math.inf) -> Mesh:
+    """The part of ``mesh`` that the frames show: faces of which a corner or the centroid is ``seen_by`` one of them.
+
+    Meant for finely divided meshes; a wall of two triangles stays whole if any of its corners is seen. For scores, pass
+    ``observed`` to ``mesh_scores`` instead, which decides point by point.
+    """
+    n = len(mesh.vertices_W)
+    centroids = _corners(mesh).mean(1).to(mesh.vertices_W)
+    seen = seen_by(torch.cat([mesh.vertices_W, centroids]), frames, tolerance_m=tolerance_m, far_m=far_m)
+    faces = mesh.faces[seen[:n][mesh.faces.long()].any(1) | seen[n:]]
+    used, renumbered = torch.unique(faces, return_inverse=True)
+    return Mesh(vertices_W=mesh.vertices_W[used.long()], faces=renumbered.to(mesh.faces), rgb=mesh.rgb[used.long()])
+
+
+def point_triangle_distance(xyz: Float[Tensor, "*N 3"], triangle: Float[Tensor, "*N 3 3"]) -> Float[Tensor, "*N"]:
+    """Distance from a point to a filled triangle, metres.
+
+    The foot of the perpendicular counts if it lies inside; otherwise the nearest point is on one of the three edges. A
+    triangle without area is the longest of its edges.
+
+    Differentiable: no.
+    """
+    a, b, c = triangle.unbind(-2)
+    normal = torch.linalg.cross(b - a, c - a)
+    squared = torch.full_like(xyz[..., 0], math.inf)
+    inside = (normal * normal).sum(-1) > 0
+    for p, q in ((a, b), (b, c), (c, a)):
+        edge = q - p
+        along = ((xyz - p) * edge).sum(-1) / (edge * edge).sum(-1).clamp_min(1e-300)
+        foot = p + along.clamp(0, 1)[..., None] * edge
+        squared = torch.minimum(squared, (xyz - foot).square().sum(-1))
+        inside = inside & ((torch.linalg.cross(edge, xyz - p) * normal).sum(-1) >= 0)
+    height = ((xyz - a) * normal).sum(-1).abs() / normal.norm(dim=-1).clamp_min(1e-300)
+    return torch.where(inside, height, squared.sqrt())
+
+
+def _corners(mesh: Mesh) -> Tensor:
+    check_shape("faces", mesh.faces, ("F", 3))
+    check_finite("vertices_W", mesh.vertices_W)
+    return mesh.vertices_W.double()[mesh.faces.long()]
+
+
+def _distance(xyz: Tensor, mesh: Mesh, samples: SurfaceSamples, kind: str) -> Tensor:
+    """Distance of each point to ``mesh``, found through its ``samples``."""
+    from scipy.spatial import KDTree
+
+    if kind == "samples":
+        return torch.from_numpy(KDTree(samples.xyz_W.cpu().numpy()).query(xyz.cpu().numpy())[0])
+    corners = _corners(mesh).cpu()
+    # samples stand for the large triangles, centroids for those too small to have got a sample
+    points = torch.cat([samples.xyz_W.cpu(), corners.mean(1)])
+    faces = torch.cat([samples.face.cpu(), torch.arange(len(corners))])
+    k = min(NEIGHBOURS, len(points))
+    index = KDTree(points.numpy()).query(xyz.cpu().numpy(), k=k)[1]
+    candidates = faces[torch.from_numpy(index).reshape(len(xyz), k)]
+    parts = [
+        point_triangle_distance(p[:, None].expand(-1, k, 3), corners[f]).amin(1)
+        for p, f in zip(xyz.cpu().split(20_000), candidates.split(20_000), strict=True)
+    ]
+    return torch.cat(parts)

@@ -1,0 +1,242 @@
+"""How close a render is to the photograph: PSNR, SSIM, LPIPS, depth error, and the scores of many views.
+
+Images are RGB in 0..1 with no crop and no mask, and an average over views is the mean of the per-image numbers.
+"""
+
+import functools
+import math
+import warnings
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ..checks import check_shape
+from ..types import Camera, Frame, RenderOutput
+from .not_computed import NotComputed
+
+RenderFn = Callable[[Camera, Tensor], RenderOutput]
+"""A map seen from a camera at pose T_WC. It gets the view only, so that a frame's own pixels cannot leak into it."""
+
+
+def to_8bit_grid(rgb: Float[Tensor, "H W 3"]) -> Float[Tensor, "H W 3"]:
+    """Clamp to 0..1 and round to the 256 levels of an 8-bit image, halves up. Differentiable: no."""
+    return (rgb.clamp(0, 1) * 255 + 0.5).floor() / 255
+
+
+def _prepared(rgb: Tensor, reference: Tensor, quantise: bool) -> tuple[Tensor, Tensor]:
+    check_shape("rgb", rgb, tuple(reference.shape))
+    grid = to_8bit_grid if quantise else (lambda image: image.clamp(0, 1))
+    return grid(rgb), grid(reference)
+
+
+def psnr(rgb: Float[Tensor, "H W 3"], reference: Float[Tensor, "H W 3"], *, quantise: bool = True) -> float:
+    """Peak signal-to-noise ratio, dB:  -10 log10 mean((a - b)^2), data range 1.
+
+    Args:
+        rgb: Image, 0..1 (clamped). [H, W, 3]
+        reference: What it should be. [H, W, 3]
+        quantise: Round both to 8 bits first, as when a render is stored and read back before it is scored.
+
+    Returns:
+        Decibels; infinite for equal images.
+
+    Differentiable: no. Source: the protocol of GSFusion's evaluation (torchmetrics, data range 1, 8-bit images).
+    """
+    a, b = _prepared(rgb, reference, quantise)
+    mse = float((a.double() - b.double()).square().mean())
+    return math.inf if mse == 0 else -10.0 * math.log10(mse)
+
+
+def ssim(rgb: Float[Tensor, "H W 3"], reference: Float[Tensor, "H W 3"], *, quantise: bool = True) -> float:
+    """Structural similarity: mean over pixels and channels of the map with an 11x11 Gaussian window, sigma 1.5.
+
+    C1 = 0.01^2, C2 = 0.03^2, reflected borders, population variances; the whole map is averaged. torchmetrics from
+    1.5.2 on gives the same number; its versions up to 1.4 leave out a border of 5 pixels and differ in the third digit.
+
+    Args:
+        rgb: Image, 0..1 (clamped); at least 6 pixels on each side. [H, W, 3]
+        reference: What it should be. [H, W, 3]
+        quantise: Round both to 8 bits first.
+
+    Returns:
+        Between -1 and 1; 1 for equal images.
+
+    Differentiable: no. Source: Wang et al. 2004.
+    """
+    a, b = _prepared(rgb, reference, quantise)
+    if min(a.shape[:2]) < 6:
+        raise ValueError(f"rgb must be at least 6 pixels high and wide for an 11x11 window, got {list(a.shape)}")
+    from kornia.metrics import ssim as ssim_map
+
+    a, b = (image.permute(2, 0, 1)[None] for image in (a, b))
+    return float(ssim_map(a, b, window_size=11, max_val=1.0, eps=0.0).mean())
+
+
+def lpips(
+    rgb: Float[Tensor, "H W 3"], reference: Float[Tensor, "H W 3"], *, quantise: bool = True
+) -> float | NotComputed:
+    """Learned perceptual distance with AlexNet features; 0 for equal images, lower is better.
+
+    Images enter as RGB scaled to -1..1, as the network was trained. GSFusion's published LPIPS enter as BGR in 0..1
+    and are therefore not comparable with these, nor with anyone else's.
+
+    Returns:
+        The distance, or why there is none: the optional package ``lpips`` or AlexNet's weights are missing. Nothing is
+        ever downloaded from here.
+
+    Differentiable: no. Source: Zhang et al. 2018, linear weights of release 0.1.
+    """
+    a, b = _prepared(rgb, reference, quantise)
+    network = _lpips_network()
+    if isinstance(network, NotComputed):
+        return network
+    a, b = (image.permute(2, 0, 1)[None].float().cpu() * 2 - 1 for image in (a, b))
+    with torch.no_grad():
+        return float(network(a, b))
+
+
+def lpips_unavailable() -> NotComputed | None:
+    """Why LPIPS cannot be computed here, or None if it can. Cheap; touches no network."""
+    network = _lpips_network()
+    return network if isinstance(network, NotComputed) else None
+
+
+@functools.cache
+def _lpips_network():
+    try:
+        import lpips as package  # pyright: ignore[reportMissingImports]
+        from torchvision.models import AlexNet_Weights  # pyright: ignore[reportMissingImports]
+    except ImportError as e:
+        return NotComputed(f"package {e.name!r} is not installed (pip install 'gsfusion-nb[lpips]')")
+    except RuntimeError as e:  # a torchvision built for another torch fails while it registers its operators
+        return NotComputed(f"torchvision does not fit the installed torch ({e})")
+    name = AlexNet_Weights.IMAGENET1K_V1.url.rsplit("/", 1)[-1]
+    weights = Path(torch.hub.get_dir()) / "checkpoints" / name
+    if not weights.is_file():  # the package would start a download here
+        return NotComputed(f"AlexNet's weights are not on this machine (expected {weights})")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the package calls torchvision by a deprecated keyword
+        return package.LPIPS(net="alex", verbose=False).eval()
+
+
+def depth_l1_m(depth_m: Float[Tensor, "H W"], reference_m: Float[Tensor, "H W"]) -> tuple[float, float]:
+    """Mean |depth - reference|, metres, over the pixels where both have depth, and the share of pixels compared.
+
+    Returns:
+        ``(l1_m, share)``; the error is NaN when no pixel has both.
+
+    Differentiable: no.
+    """
+    check_shape("depth_m", depth_m, tuple(reference_m.shape))
+    both = (depth_m > 0) & (reference_m > 0)
+    share = float(both.double().mean()) if both.numel() else 0.0
+    error = (depth_m[both].double() - reference_m[both].double()).abs()
+    return (float(error.mean()) if len(error) else math.nan), share
+
+
+def expected_depth_m(view: RenderOutput, *, alpha_min: float = 0.5) -> Float[Tensor, "H W"]:
+    """Blended depth divided by opacity, metres; 0 (missing) where the map covers less than ``alpha_min`` of a pixel."""
+    covered = view.alpha >= alpha_min
+    return torch.where(covered, view.depth_m / view.alpha.clamp_min(1e-6), torch.zeros_like(view.depth_m))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImageRow:
+    """Scores of one view."""
+
+    index: int
+    """Frame number in the source sequence."""
+    psnr: float
+    """dB."""
+    ssim: float
+    lpips: float | NotComputed
+    depth_l1_m: float
+    """Metres; NaN where no pixel has both depths."""
+    depth_share: float
+    """Share of pixels with both a measured and a rendered depth."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImageScores:
+    """Scores of many views: the rows, and their means as properties."""
+
+    rows: tuple[ImageRow, ...]
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    @property
+    def psnr(self) -> float | NotComputed:
+        """Mean of the per-image PSNR, dB."""
+        return self._mean("psnr")
+
+    @property
+    def ssim(self) -> float | NotComputed:
+        """Mean SSIM."""
+        return self._mean("ssim")
+
+    @property
+    def lpips(self) -> float | NotComputed:
+        """Mean LPIPS."""
+        return self._mean("lpips")
+
+    @property
+    def depth_l1_m(self) -> float | NotComputed:
+        """Mean of the per-image depth error, metres; views without common depth do not count."""
+        return self._mean("depth_l1_m")
+
+    def as_metrics(self, suffix: str) -> dict[str, float | NotComputed]:
+        """The means under the names of the metrics table, for example ``psnr_held_out_db`` for suffix "held_out"."""
+        return {
+            f"psnr_{suffix}_db": self.psnr,
+            f"ssim_{suffix}": self.ssim,
+            f"lpips_{suffix}": self.lpips,
+            f"depth_l1_{suffix}_m": self.depth_l1_m,
+        }
+
+    def _mean(self, name: str) -> float | NotComputed:
+        values = [getattr(row, name) for row in self.rows]
+        missing = [v for v in values if isinstance(v, NotComputed)]
+        if missing:
+            return missing[0]
+        known = [v for v in values if not math.isnan(v)]
+        if not known:
+            return NotComputed("no view to score" if not values else "no view has both depths")
+        return sum(known) / len(known)
+
+
+def score_views(
+    render_fn: RenderFn, frames: Iterable[Frame], *, with_lpips: bool = False, quantise: bool = True
+) -> ImageScores:
+    """Render every frame's view and compare it with the frame, reading the frames one by one.
+
+    Args:
+        render_fn: ``(camera, T_WC) -> RenderOutput``.
+        frames: The views to score, in any order; only one is held in memory at a time.
+        with_lpips: Also compute LPIPS (about 0.1 s a view on a CPU).
+        quantise: Round images to 8 bits first.
+
+    Returns:
+        One row per frame. Depth is compared where the map covers at least half a pixel.
+    """
+    skipped = NotComputed("not asked for")
+    rows = []
+    for frame in frames:
+        with torch.no_grad():
+            view = render_fn(frame.camera, frame.T_WC)
+        l1_m, share = depth_l1_m(expected_depth_m(view), frame.depth_m)
+        rows.append(
+            ImageRow(
+                index=frame.index,
+                psnr=psnr(view.rgb, frame.rgb, quantise=quantise),
+                ssim=ssim(view.rgb, frame.rgb, quantise=quantise),
+                lpips=lpips(view.rgb, frame.rgb, quantise=quantise) if with_lpips else skipped,
+                depth_l1_m=l1_m,
+                depth_share=share,
+            )
+        )
+    return ImageScores(rows=tuple(rows))

@@ -1,0 +1,149 @@
+"""The numbers of a run: their names, units and digits, and how they are written for people."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from .not_computed import NotComputed
+
+NBSP = "\u00a0"
+
+
+@dataclass(frozen=True)
+class Metric:
+    """How one number is shown."""
+
+    label: str
+    unit: str = ""
+    digits: int = 2
+    scale: float = 1.0
+    """Factor from the stored unit to the shown one."""
+    meaning: str = ""
+    """One sentence for the reader who does not know it."""
+
+
+def _image_metrics(suffix: str) -> dict[str, Metric]:
+    return {
+        f"psnr_{suffix}_db": Metric(
+            "PSNR", "dB", 2, 1.0, "Mean of the per-image PSNR, 8-bit images. Higher is better."
+        ),
+        f"ssim_{suffix}": Metric("SSIM", "", 3, 1.0, "Structural similarity, 11x11 Gaussian window. 1 is perfect."),
+        f"lpips_{suffix}": Metric("LPIPS", "", 3, 1.0, "Learned perceptual distance, AlexNet. Lower is better."),
+        f"depth_l1_{suffix}_m": Metric(
+            "Depth error", "cm", 2, 100.0, "Mean |rendered - measured depth| where both exist."
+        ),
+        f"n_views_{suffix}": Metric("Views scored", "", 0),
+    }
+
+
+METRIC_GROUPS: dict[str, dict[str, Metric]] = {
+    "Novel views (held out)": _image_metrics("held_out"),
+    "Mapped views": _image_metrics("mapped"),
+    "Maps": {
+        "n_gaussians": Metric("Gaussians", "", 0),
+        "model_size_mb": Metric("Model size", "MB", 1, 1.0, "Size of gaussians.ply; 1 MB is a million bytes."),
+        "n_keyframes": Metric("Keyframes", "", 0),
+        "n_frames": Metric("Frames mapped", "", 0),
+        "n_blocks": Metric("Voxel blocks", "", 0),
+        "n_triangles": Metric("Mesh triangles", "", 0),
+    },
+    "Speed and memory": {
+        "fps_total": Metric(
+            "FPS, frames / total time", "fps", 2, 1.0, "Mapped frames divided by the sum of their times."
+        ),
+        "fps_mean_inverse": Metric(
+            "FPS, mean of 1/dt", "fps", 2, 1.0, "As the GSFusion paper counts; never below frames / total time."
+        ),
+        "seconds_online": Metric("Online mapping", "s", 1),
+        "seconds_global": Metric("Global optimisation", "s", 1),
+        "seconds_total": Metric("Whole run", "s", 1),
+        "peak_memory_mb": Metric("Peak memory", "MB", 0, 1.0, "Largest resident memory of the process, or GPU memory."),
+    },
+    "Mesh against ground truth": {
+        "mesh_accuracy_m": Metric("Accuracy", "cm", 2, 100.0, "Mean distance from our mesh to the true surface."),
+        "mesh_completion_m": Metric("Completion", "cm", 2, 100.0, "Mean distance from the true surface to our mesh."),
+        "mesh_precision": Metric("Precision", "%", 1, 100.0, "Share of our mesh within the threshold of the truth."),
+        "mesh_completion_ratio": Metric(
+            "Completion ratio", "%", 1, 100.0, "Share of the true surface within the threshold of our mesh."
+        ),
+        "mesh_f_score": Metric("F-score", "", 3, 1.0, "Harmonic mean of precision and completion ratio."),
+        "mesh_threshold_m": Metric("Threshold", "cm", 1, 100.0),
+    },
+    "Trajectory": {
+        "ate_rmse_m": Metric(
+            "ATE RMSE", "cm", 2, 100.0, "Root mean square distance of camera centres after alignment."
+        ),
+        "rpe_translation_m": Metric("RPE, translation", "cm", 2, 100.0, "Root mean square, frame to frame."),
+        "rpe_rotation_deg": Metric("RPE, rotation", "°", 3, 1.0, "Root mean square, frame to frame."),
+    },
+}
+"""Group heading -> name in metrics.json -> how it is shown."""
+
+METRICS: dict[str, Metric] = {name: metric for group in METRIC_GROUPS.values() for name, metric in group.items()}
+
+
+def reason_missing(value: Any) -> str | None:
+    """Why ``value`` is no number, or None if it is one. Understands what metrics.json holds, too."""
+    if value is None:
+        return "not measured in this run"
+    if isinstance(value, NotComputed):
+        return value.reason
+    if isinstance(value, Mapping) and "not_computed" in value:
+        return str(value["not_computed"])
+    if isinstance(value, float) and math.isnan(value):
+        return "the result is not a number"
+    return None
+
+
+def format_metric(name: str, value: Any) -> str:
+    """A number with its unit and sensible digits, or "not computed: reason". Unknown names get four digits."""
+    reason = reason_missing(value)
+    if reason is not None:
+        return f"not computed: {reason}"
+    metric = METRICS.get(name)
+    if metric is None or isinstance(value, (str, bool)):
+        return format_value(value)
+    number, unit = float(value) * metric.scale, metric.unit
+    text = "∞" if math.isinf(number) else f"{number:,.{metric.digits}f}"
+    return f"{text}{NBSP}{unit}" if unit and unit not in "°" else f"{text}{unit}"
+
+
+def format_value(value: Any) -> str:
+    """A setting or an unnamed number as short text."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, int):
+        return f"{value:,}"
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, (list, tuple)):
+        return ", ".join(format_value(v) for v in value)
+    return str(value)
+
+
+def metrics_as_json(metrics: Mapping[str, Any]) -> dict[str, Any]:
+    """The same numbers, missing ones as ``{"not_computed": reason}``: strict JSON has no NaN and no infinity."""
+
+    def plain(value):
+        reason = reason_missing(value)
+        if reason is not None:
+            return NotComputed(reason).as_json()
+        return "infinite" if isinstance(value, float) and math.isinf(value) else value
+
+    return {name: plain(value) for name, value in metrics.items()}
+
+
+def frame_rates(seconds: Sequence[float | int]) -> dict[str, float | NotComputed]:
+    """Both counts of frames per second from the time of each frame.
+
+    ``fps_total`` = n / sum dt.  ``fps_mean_inverse`` = mean of 1 / dt, which the GSFusion paper reports; by the
+    inequality of the means it is never smaller, and a few very fast frames lift it a lot.
+    """
+    if not seconds or min(seconds) <= 0:
+        missing = NotComputed("no frame was timed" if not seconds else "a frame took no time")
+        return {"fps_total": missing, "fps_mean_inverse": missing}
+    return {
+        "fps_total": len(seconds) / sum(seconds),
+        "fps_mean_inverse": sum(1.0 / s for s in seconds) / len(seconds),
+    }

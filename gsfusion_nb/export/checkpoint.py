@@ -1,0 +1,67 @@
+"""Saving the state of a run so that it can go on later. Nothing in the file is executed when it is read."""
+
+import pickle
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from .atomic import atomic_path
+
+FORMAT = "gsfusion_nb checkpoint"
+VERSION = 1
+
+
+def save_checkpoint(path: str | Path, state: dict[str, Any]) -> None:
+    """Write nested dictionaries, lists and tuples of tensors, numbers, strings and None, atomically.
+
+    Tensors are stored detached and on the CPU; of a view, only its own numbers.
+
+    Raises:
+        TypeError: anything else in ``state``; names the key.
+    """
+    content = {"format": FORMAT, "version": VERSION, "state": _plain(state, "state")}
+    with atomic_path(path) as temporary:
+        torch.save(content, temporary)
+
+
+def load_checkpoint(path: str | Path, *, device: torch.device | str = "cpu") -> dict[str, Any]:
+    """Read what ``save_checkpoint`` wrote, with the tensors on ``device``.
+
+    Raises:
+        FileNotFoundError: no such file. ValueError: a damaged file, another kind of file, or another format version.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"{path} does not exist; expected a checkpoint")
+    try:
+        content = torch.load(path, map_location=device, weights_only=True)
+    except (pickle.UnpicklingError, RuntimeError, EOFError, OSError) as e:
+        reason = str(e).splitlines()[0] if str(e) else type(e).__name__
+        raise ValueError(f"{path} is no readable checkpoint, it may be truncated: {reason}") from None
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        raise ValueError(f"{path} is a PyTorch file but no {FORMAT}; expected one written by save_checkpoint")
+    if content.get("version") != VERSION:
+        raise ValueError(
+            f"{path} has checkpoint version {content.get('version')}; this program reads version {VERSION}"
+        )
+    return content["state"]
+
+
+def _plain(value: Any, name: str) -> Any:
+    if isinstance(value, torch.Tensor):
+        value = value.detach().cpu()
+        whole = value.untyped_storage().nbytes() == value.numel() * value.element_size()
+        return value if whole else value.clone()
+    if value is None or type(value) in (bool, int, float, str):
+        return value
+    if type(value) is dict:
+        for key in value:
+            if type(key) not in (str, int):
+                raise TypeError(f"{name} must have strings or integers as keys, got {key!r}")
+        return {key: _plain(v, f"{name}[{key!r}]") for key, v in value.items()}
+    if type(value) in (list, tuple):
+        return type(value)(_plain(v, f"{name}[{i}]") for i, v in enumerate(value))
+    raise TypeError(
+        f"{name} must be a tensor, number, string, None, or a dict, list or tuple of those, got {type(value)}"
+    )

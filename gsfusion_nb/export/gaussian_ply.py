@@ -1,0 +1,110 @@
+"""The PLY file of 3D Gaussian splatting, which public viewers open (layout of Kerbl et al. 2023's released code).
+
+Binary little endian, 62 float32 properties, 248 bytes per Gaussian, before activation:
+``x y z nx ny nz f_dc_0..2 f_rest_0..44 opacity scale_0..2 rot_0..3``. Normals are 0; ``f_rest`` holds 15 coefficients
+of red, then 15 of green, then 15 of blue; opacity is a logit, scales are logarithms, the quaternion is wxyz.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from ..types import GaussianParams
+from .atomic import atomic_path
+
+_REST = 45
+NAMES = (
+    *("x", "y", "z", "nx", "ny", "nz"),
+    *(f"f_dc_{i}" for i in range(3)),
+    *(f"f_rest_{i}" for i in range(_REST)),
+    "opacity",
+    *(f"scale_{i}" for i in range(3)),
+    *(f"rot_{i}" for i in range(4)),
+)
+"""The 62 properties in the order of the file."""
+
+
+def write_gaussian_ply(path: str | Path, params: GaussianParams) -> None:
+    """Write a Gaussian map in the standard layout, atomically.
+
+    A colour of lower degree is filled up with zero coefficients to degree 3, which looks the same and opens in every
+    viewer.
+
+    Raises:
+        ValueError: a degree above 3.
+    """
+    from plyfile import PlyData, PlyElement
+
+    n, coefficients = params.sh.shape[:2]
+    if coefficients not in (1, 4, 9, 16):
+        raise ValueError(f"sh must have 1, 4, 9 or 16 coefficients (degree 0 to 3), got {coefficients}")
+    sh = params.sh.detach()
+    rest = sh.new_zeros(n, 3, 15)
+    rest[:, :, : coefficients - 1] = sh[:, 1:].transpose(1, 2)  # by channel, then coefficient
+    columns = [
+        params.xyz_W,
+        torch.zeros_like(params.xyz_W),
+        sh[:, 0],
+        rest.reshape(n, _REST),
+        params.opacity_logit[:, None],
+        params.log_scale,
+        params.quat,
+    ]
+    table = torch.cat([c.detach().to("cpu", torch.float32) for c in columns], dim=1).contiguous().numpy()
+    rows = table.astype("<f4", copy=False).view([(name, "<f4") for name in NAMES]).reshape(n)
+    with atomic_path(path) as temporary:
+        PlyData([PlyElement.describe(rows, "vertex")], text=False, byte_order="<").write(str(temporary))
+
+
+def read_gaussian_ply(path: str | Path) -> GaussianParams:
+    """Read a Gaussian map written by this or another program; 0, 9, 24 or 45 ``f_rest`` properties give degree 0 to 3.
+
+    Raises:
+        FileNotFoundError: no such file. ValueError: no PLY of Gaussians, or a truncated one; names what is missing.
+    """
+    from plyfile import PlyParseError
+
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"{path} does not exist; expected a PLY file of Gaussians")
+    try:
+        ply = _read(path)
+    except (PlyParseError, UnicodeDecodeError) as e:
+        raise ValueError(f"{path} is no readable PLY file ({e}); expected one of Gaussians") from None
+    if "vertex" not in ply:
+        raise ValueError(f"{path} has no element vertex; expected a PLY file of Gaussians")
+    data = ply["vertex"].data
+    present = set(data.dtype.names or ())
+    n_rest = sum(name.startswith("f_rest_") for name in present)
+    rest_names = tuple(f"f_rest_{i}" for i in range(n_rest))
+    lacking = [n for n in (*NAMES[:3], *NAMES[6:9], *rest_names, *NAMES[-8:]) if n not in present]
+    if lacking:
+        raise ValueError(f"{path} lacks the properties {', '.join(lacking)}; expected a PLY file of Gaussians")
+    if n_rest not in (0, 9, 24, 45):
+        raise ValueError(f"{path} must have 0, 9, 24 or 45 f_rest properties (degree 0 to 3), got {n_rest}")
+
+    def columns(*names: str) -> torch.Tensor:
+        out = np.empty((len(data), len(names)), dtype=np.float32)
+        for i, name in enumerate(names):
+            out[:, i] = data[name]
+        return torch.from_numpy(out)
+
+    rest = columns(*rest_names).reshape(len(data), 3, n_rest // 3).transpose(1, 2)
+    return GaussianParams(
+        xyz_W=columns("x", "y", "z"),
+        log_scale=columns("scale_0", "scale_1", "scale_2"),
+        quat=columns("rot_0", "rot_1", "rot_2", "rot_3"),
+        opacity_logit=columns("opacity")[:, 0],
+        sh=torch.cat([columns("f_dc_0", "f_dc_1", "f_dc_2")[:, None], rest], dim=1),
+    )
+
+
+def _read(path: Path):
+    """Parsed file, mapped into memory; without that plyfile reads row by row. A file without rows cannot be mapped."""
+    from plyfile import PlyData
+
+    try:
+        return PlyData.read(str(path))
+    except ValueError:
+        return PlyData.read(str(path), mmap=False)  # pyright: ignore[reportArgumentType]

@@ -1,0 +1,143 @@
+"""Map a whole sequence with one call, from a notebook or the command line."""
+
+import logging
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from ..config import GSFusionConfig, gsfusion
+from ..datasets import Sequence, apply_options, open_sequence
+from ..seeding import SeedingRule
+from . import outputs
+from .run import CHECKPOINT, MappingRun, StopRequest, new_folder
+
+log = logging.getLogger(__name__)
+
+
+def run_mapping(
+    data: str | Path | Sequence,
+    config: GSFusionConfig | str | None = None,
+    *,
+    folder: Path | str | None = None,
+    seeding: "str | SeedingRule | None" = None,
+    device: torch.device | str = "cpu",
+    evaluate: bool = True,
+    **reader_options: Any,
+) -> "FinishedRun":
+    """Map a sequence online, optimise over its keyframes, score it and write everything to a folder.
+
+    Args:
+        data: Folder of a sequence, "room" for the built-in scene, or any ``Sequence``.
+        config: Settings, or the name of a preset; the built-in scene's or Replica's by default.
+        folder: New or empty folder for the results; ``runs/<name>-<time>`` by default.
+        seeding: Name of a seeding rule, or the rule itself.
+        device: Where the maps live.
+        evaluate: Score mapped and held-out views and write the report; the maps are written in any case.
+        reader_options: For ``open_sequence``: ``format``, ``split``, options of the reader.
+
+    Returns:
+        The run with its folder and numbers. After Ctrl-C everything mapped so far is saved in it, and
+        ``resume_mapping(folder)`` goes on.
+    """
+    if isinstance(config, str):
+        config = gsfusion(config)
+    config = config or gsfusion("room" if str(data) == "room" else "replica")
+    if isinstance(data, (str, Path)):
+        source = {"path_or_name": str(data), **reader_options}
+        sequence = open_sequence(**source, data=config.data)
+    else:
+        source, sequence = {}, apply_options(data, config.data)
+    run = MappingRun(sequence, config, seeding=seeding, device=device, source=source)
+    return _drive(run, new_folder(sequence.name, folder), evaluate)
+
+
+def resume_mapping(
+    folder: Path | str,
+    *,
+    seeding: "str | SeedingRule | None" = None,
+    device: torch.device | str = "cpu",
+    evaluate: bool = True,
+) -> "FinishedRun":
+    """Go on with a run that was interrupted, in the same folder.
+
+    Raises:
+        FileNotFoundError: the folder holds no checkpoint.
+    """
+    return _drive(MappingRun.resume(folder, seeding=seeding, device=device), Path(folder), evaluate)
+
+
+class FinishedRun:
+    """Where a run's files are, its numbers, and the run itself with both maps (``run.mapper``)."""
+
+    def __init__(self, run: MappingRun, folder: Path, metrics: dict[str, Any]):
+        self.run = run
+        self.folder = folder
+        self.metrics = metrics
+
+    @property
+    def mapper(self):
+        """The mapper: ``mapper.gaussians``, ``mapper.volume``, ``mapper.render(camera, T_WC)``, ``mapper.mesh()``."""
+        return self.run.mapper
+
+    def __repr__(self) -> str:
+        return f"FinishedRun({self.run.status}, {len(self.run.steps)} frames, files in {self.folder})"
+
+
+def _drive(run: MappingRun, folder: Path, evaluate: bool) -> FinishedRun:
+    metrics: dict[str, Any] = {}
+    with StopRequest().listening() as stop:
+        _with_progress(run, stop)
+        if evaluate and not stop and run.mapper.config.optim.global_iterations:
+            online = outputs.score(run, "_online")
+            metrics |= {k: online[k] for k in ("psnr_held_out_online_db", "psnr_mapped_online_db")}
+        if not stop and run.status == "running":
+            _with_progress_of_passes(run, stop)
+        if stop:
+            run.status = "interrupted"
+            run.warnings.append(
+                f"interrupted after {len(run.steps)} of {len(run.sequence.mapping)} frames and "
+                f"{run.mapper.global_passes_done} global passes; everything so far is saved"
+            )
+            run.save_checkpoint(folder)
+        elif run.status == "running":
+            run.status = "complete"
+            (folder / CHECKPOINT).unlink(missing_ok=True)
+    mesh = outputs.write_maps(run, folder)
+    metrics |= outputs.map_metrics(run, mesh)
+    outputs.write_numbers(run, folder, metrics)
+    if evaluate and run.steps:
+        metrics |= outputs.score(run)
+        outputs.write_numbers(run, folder, metrics)
+        outputs.write_page(run, folder, metrics)
+    return FinishedRun(run, folder, metrics)
+
+
+def _with_progress(run: MappingRun, stop: StopRequest) -> None:
+    from tqdm.auto import tqdm
+
+    bar = tqdm(total=len(run.sequence.mapping), initial=run.next_position, desc="mapping", unit="frame")
+    seconds = 0.0
+    with bar:
+        for n, report in enumerate(run.online(), start=1):
+            seconds += report.total_seconds
+            bar.update(run.next_position - bar.n)
+            bar.set_postfix_str(
+                f"{n / seconds:.1f} fps, PSNR {report.psnr_after_db:.1f} dB, {report.n_gaussians:,} Gaussians"
+            )
+            if stop:
+                return
+
+
+def _with_progress_of_passes(run: MappingRun, stop: StopRequest) -> None:
+    from tqdm.auto import tqdm
+
+    steps: Iterator = run.optimise()
+    with tqdm(desc="optimising", unit="view") as bar:
+        for step in steps:
+            bar.total = step.n_steps
+            bar.update(step.step - bar.n)
+            bar.set_postfix_str(f"loss {step.loss:.4f}")
+            if stop:
+                return

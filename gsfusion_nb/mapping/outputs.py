@@ -1,0 +1,221 @@
+"""What a run leaves behind: maps, trajectory, settings, numbers and a report, each file written atomically."""
+
+import dataclasses
+import json
+import platform
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from .. import __version__
+from ..config import to_dict
+from ..datasets import SequenceError, SequenceView
+from ..evaluation import (
+    FrameRow,
+    NotComputed,
+    ReportData,
+    ViewPanel,
+    cull_unseen,
+    frame_rates,
+    mesh_scores,
+    metrics_as_json,
+    score_views,
+    write_report,
+)
+from ..export import atomic_path, write_gaussian_ply, write_mesh_ply, write_trajectory_tum
+from ..optim import to_uint8
+from ..seeding import quadtree, rule_name
+from ..tsdf import raycast
+from ..types import Frame, Mesh
+from .report import StepReport
+from .run import MappingRun
+
+MAX_SCORED_VIEWS = 250
+"""At most so many mapped views are scored, evenly spread; held-out views are all scored."""
+
+FILES = {
+    "gaussians.ply": "Gaussian map, standard 3DGS layout: SuperSplat, antimatter15/splat, Blender and Unity plug-ins",
+    "mesh.ply": "TSDF surface with vertex colours: MeshLab, Blender, CloudCompare",
+    "trajectory.txt": "poses, TUM format: evo_traj tum trajectory.txt",
+    "config.json": "all settings: gsfusion-nb map --from-config config.json repeats the run",
+    "metrics.json": "all numbers, and one row per frame",
+}
+
+
+def score(run: MappingRun, suffix: str = "", *, with_lpips: bool = False) -> dict[str, Any]:
+    """PSNR, SSIM, LPIPS and depth error on mapped and held-out views of the map as it is now."""
+    metrics: dict[str, Any] = {}
+    for name, view in (("held_out", run.sequence.held_out), ("mapped", _spread(run, MAX_SCORED_VIEWS))):
+        scores = score_views(run.mapper.render, _readable(view), with_lpips=with_lpips)
+        metrics |= scores.as_metrics(name + suffix)
+        metrics[f"n_views_{name}{suffix}"] = len(scores)
+    return metrics
+
+
+def write_maps(run: MappingRun, folder: Path) -> Mesh:
+    """Write both maps, the trajectory and the settings; they need no evaluation, so they are safe first."""
+    mesh = run.mapper.mesh()
+    write_gaussian_ply(folder / "gaussians.ply", run.mapper.gaussians.params)
+    write_mesh_ply(folder / "mesh.ply", mesh)
+    if run.poses:
+        write_trajectory_tum(folder / "trajectory.txt", run.timestamps_s, torch.stack(run.poses))
+    settings = {
+        "gsfusion_nb": __version__,
+        "source": run.source,
+        "rule": rule_name(run.mapper.rule),
+        "config": to_dict(run.mapper.config),
+    }
+    write_json(folder / "config.json", settings)
+    return mesh
+
+
+def write_numbers(run: MappingRun, folder: Path, metrics: dict[str, Any]) -> None:
+    """Write metrics.json: status, warnings, the numbers, and a row per frame."""
+    rows = [vars(s) | {"losses": list(s.losses), "total_seconds": s.total_seconds} for s in run.steps]
+    document = {"status": run.status, "warnings": run.warnings, "metrics": metrics_as_json(metrics), "frames": rows}
+    write_json(folder / "metrics.json", document)
+
+
+def write_page(run: MappingRun, folder: Path, metrics: dict[str, Any]) -> Path:
+    """Write report.html."""
+    config = run.mapper.config
+    data = ReportData(
+        title=f"GSFusion on {run.sequence.name}",
+        subtitle=f"{len(run.steps)} frames, colour of SH degree {config.sh_degree}, rule {rule_name(run.mapper.rule)}",
+        metrics=metrics,
+        config=to_dict(config),
+        frames=[_frame_row(s) for s in run.steps],
+        global_losses=run.global_losses,
+        views=_panels(run),
+        mesh_pictures=_mesh_pictures(run),
+        warnings=_headline_warnings(run),
+        environment=environment(),
+        files={name: text for name, text in FILES.items() if (folder / name).exists()},
+    )
+    return write_report(folder / "report.html", data)
+
+
+def map_metrics(run: MappingRun, mesh: Mesh) -> dict[str, Any]:
+    """Sizes, speed and memory, and the mesh against ground truth where the sequence knows it."""
+    seconds = [s.total_seconds for s in run.steps]
+    metrics: dict[str, Any] = {
+        "n_gaussians": len(run.mapper.gaussians),
+        "model_size_mb": run.mapper.gaussians.size_bytes / 1e6,
+        "n_keyframes": sum(s.is_keyframe for s in run.steps),
+        "n_frames": len(run.steps),
+        "n_blocks": run.mapper.volume.n_blocks,
+        "n_triangles": len(mesh.faces),
+        **frame_rates(seconds),
+        "seconds_online": sum(seconds),
+        "seconds_global": run.seconds_global,
+        "peak_memory_mb": peak_memory_mb(run.mapper.device),
+    }
+    truth = getattr(run.sequence.source, "mesh", None)
+    if truth is not None and len(mesh.faces):
+        seen = cull_unseen(truth(), _readable(_spread(run, 50)))
+        generator = torch.Generator().manual_seed(run.mapper.config.seed)
+        scores = mesh_scores(mesh, seen, generator=generator)
+        metrics |= {"mesh_accuracy_m": scores} if isinstance(scores, NotComputed) else scores.as_metrics()
+    return metrics
+
+
+def peak_memory_mb(device: torch.device) -> float | NotComputed:
+    """Largest memory so far: of the GPU if the maps live there, else resident memory of the process."""
+    if device.type == "cuda":
+        return torch.cuda.max_memory_allocated(device) / 1e6
+    try:
+        import resource
+    except ImportError:
+        return NotComputed("this system does not tell")
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / 1e6 if sys.platform == "darwin" else peak * 1024 / 1e6
+
+
+def environment() -> dict[str, str]:
+    """Versions and threads of this process."""
+    return {
+        "gsfusion_nb": __version__,
+        "Python": platform.python_version(),
+        "PyTorch": torch.__version__,
+        "threads": str(torch.get_num_threads()),
+        "system": f"{platform.system()} {platform.machine()}",
+    }
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write ``value`` as indented JSON, atomically."""
+    with atomic_path(path) as temporary:
+        Path(temporary).write_text(json.dumps(value, indent=1, allow_nan=False), encoding="utf-8")
+
+
+def _spread(run: MappingRun, limit: int) -> SequenceView:
+    """At most ``limit`` of the frames mapped so far, evenly spread."""
+    mapped = run.sequence.mapping
+    n = run.next_position
+    picks = range(n) if n <= limit else [round(i * (n - 1) / (limit - 1)) for i in range(limit)]
+    return dataclasses.replace(mapped, positions=[mapped.positions[i] for i in picks])
+
+
+def _readable(view: SequenceView) -> Iterator[Frame]:
+    """The frames of a view, without those that cannot be read (the run's warnings name them)."""
+    for i in range(len(view)):
+        try:
+            yield view[i]
+        except SequenceError:
+            continue
+
+
+def _panels(run: MappingRun) -> list[ViewPanel]:
+    """A few held-out and mapped views, as photographed and as rendered."""
+    panels = []
+    seeding = run.mapper.config.seeding
+    for view, held_out in ((run.sequence.held_out, True), (_spread(run, 1000), False)):
+        picks = sorted({round(i * (len(view) - 1) / 2) for i in range(3)}) if len(view) else []
+        for frame in _readable(dataclasses.replace(view, positions=[view.positions[i] for i in picks])):
+            cells = quadtree(
+                to_uint8(frame.rgb),
+                threshold=seeding.quadtree_threshold,
+                min_cell_px=seeding.quadtree_min_cell_px,
+                contrast=seeding.quadtree_contrast,
+            )
+            rendered = run.mapper.render(frame.camera, frame.T_WC)
+            panels.append(ViewPanel.of(frame, rendered, held_out=held_out, cells=cells))
+    return panels
+
+
+def _mesh_pictures(run: MappingRun) -> dict[str, torch.Tensor]:
+    """The TSDF surface from two mapped views: its colours, and its shape shaded by a lamp at the camera."""
+    pictures = {}
+    views = _spread(run, 2)
+    for i in range(len(views)):
+        T_WC = views.pose(i).to(run.mapper.device)
+        hit = raycast(run.mapper.volume, views.camera, T_WC)
+        towards = -(hit.normal_W * T_WC[:3, 2]).sum(-1)  # cosine to the optical axis
+        shaded = (0.15 + 0.85 * towards.clamp(0, 1)) * (hit.depth_m > 0)
+        pictures[f"colour, view {i + 1}"] = hit.rgb.clamp(0, 1)
+        pictures[f"shape, view {i + 1}"] = shaded[..., None].expand(-1, -1, 3)
+    return pictures
+
+
+def _frame_row(s: StepReport) -> FrameRow:
+    return FrameRow(
+        index=s.frame_index,
+        seconds=s.total_seconds,
+        n_gaussians=s.n_gaussians,
+        n_seeds=s.n_seeds,
+        keyframe=s.is_keyframe,
+        psnr_before=s.psnr_before_db,
+        psnr=s.psnr_after_db,
+        losses=s.losses,
+        stage_seconds=s.seconds,
+    )
+
+
+def _headline_warnings(run: MappingRun, most: int = 10) -> list[str]:
+    """The first warnings, and how many more there are."""
+    if len(run.warnings) <= most:
+        return run.warnings
+    return [*run.warnings[:most], f"and {len(run.warnings) - most} more; metrics.json has them all"]

@@ -1,0 +1,186 @@
+"""One run over a sequence: the loop, the clock, interruption, checkpoints. What comes out is written by ``outputs``."""
+
+import contextlib
+import datetime
+import logging
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from ..config import GSFusionConfig
+from ..datasets import OpenedSequence, SequenceError, open_sequence
+from ..export import load_checkpoint, save_checkpoint
+from ..seeding import SeedingRule
+from .gsfusion import GSFusion
+from .report import GlobalStep, StepReport
+
+log = logging.getLogger(__name__)
+
+CHECKPOINT = "checkpoint.pt"
+MAX_BAD_FRAMES_IN_A_ROW = 20
+"""After so many unreadable frames one after another the recording is taken to be broken from there on."""
+
+
+class MappingRun:
+    """A sequence and the mapper that works through it.
+
+    ``online()`` and ``optimise()`` are generators: whoever drives them (a progress bar, a widget, a plain loop) sees
+    every step and may stop at any. State is complete between two steps, so a run can be saved and resumed there.
+
+    Args:
+        sequence: What to map, from ``open_sequence`` or ``apply_options``.
+        config: Settings.
+        seeding: Name of a rule or the rule itself; overrides ``config.seeding.rule``.
+        device: Where the maps live.
+        source: How the sequence was opened (path, format), written to config.json so that it can be opened again.
+    """
+
+    def __init__(
+        self,
+        sequence: OpenedSequence,
+        config: GSFusionConfig,
+        *,
+        seeding: "str | SeedingRule | None" = None,
+        device: torch.device | str = "cpu",
+        source: dict[str, Any] | None = None,
+    ):
+        self.sequence = sequence
+        self.source = source or {}
+        self.mapper = GSFusion(config, seeding=seeding, device=device)
+        self.steps: list[StepReport] = []
+        self.global_losses: list[float] = []
+        """Mean loss of each finished pass of the global optimisation."""
+        self.timestamps_s: list[float] = []
+        self.poses: list[torch.Tensor] = []
+        self.warnings: list[str] = []
+        self.next_position = 0
+        self.seconds_global = 0.0
+        self.status = "running"
+        """"running", "complete", "interrupted" (asked to stop) or "stopped" (the data broke off)."""
+
+    def __repr__(self) -> str:
+        return f"MappingRun({self.sequence.name}, {self.status}, {self.mapper!r})"
+
+    def online(self) -> Iterator[StepReport]:
+        """Map the frames that are left, one by one; those that cannot be read are skipped and named in ``warnings``."""
+        bad = 0
+        while self.next_position < len(self.sequence.mapping):
+            position = self.next_position
+            try:
+                frame = self.sequence.mapping[position]
+            except SequenceError as e:
+                bad += 1
+                self.next_position += 1
+                self._warn(f"skipped a frame: {e}")
+                if bad > MAX_BAD_FRAMES_IN_A_ROW:
+                    self.status = "stopped"
+                    self._warn(f"stopped after {bad} unreadable frames in a row; everything mapped before is kept")
+                    return
+                continue
+            bad = 0
+            report = self.mapper.step(frame)
+            self.steps.append(report)
+            self.timestamps_s.append(frame.timestamp_s)
+            self.poses.append(frame.T_WC.cpu())
+            self.next_position += 1
+            yield report
+
+    def optimise(self) -> Iterator[GlobalStep]:
+        """Run the passes of the global optimisation that are left (a pass cut short before is done again)."""
+        passes = self.mapper.config.optim.global_iterations - self.mapper.global_passes_done
+        losses: list[float] = []
+        start = time.perf_counter()
+        for step in self.mapper.global_optimise(passes):
+            losses.append(step.loss)
+            if len(losses) == len(self.mapper.keyframes):
+                self.global_losses.append(sum(losses) / len(losses))
+                losses = []
+            self.seconds_global += time.perf_counter() - start
+            yield step
+            start = time.perf_counter()
+
+    def save_checkpoint(self, folder: Path) -> None:
+        """Write everything needed to resume to ``folder``."""
+        names = ("steps", "global_losses", "timestamps_s", "poses", "warnings", "next_position", "seconds_global")
+        state = {name: getattr(self, name) for name in names}
+        state["steps"] = [vars(s) | {"losses": list(s.losses)} for s in self.steps]
+        save_checkpoint(folder / CHECKPOINT, {"run": state, "source": self.source, "mapper": self.mapper.state_dict()})
+
+    @classmethod
+    def resume(
+        cls,
+        folder: Path | str,
+        *,
+        seeding: "str | SeedingRule | None" = None,
+        device: torch.device | str = "cpu",
+    ) -> "MappingRun":
+        """The run that was interrupted in ``folder``, at the frame where it stopped.
+
+        Raises:
+            FileNotFoundError: there is no checkpoint in it (a run that completed leaves none).
+        """
+        path = Path(folder) / CHECKPOINT
+        if not path.is_file():
+            raise FileNotFoundError(f"{path} is not there: only a run that was interrupted can be resumed")
+        state = load_checkpoint(path, device=device)
+        mapper = GSFusion.from_state_dict(state["mapper"], seeding=seeding, device=device)
+        source = state["source"]
+        run = cls(open_sequence(**source, data=mapper.config.data), mapper.config, seeding=mapper.rule, source=source)
+        run.mapper = mapper
+        for name, value in state["run"].items():
+            setattr(run, name, value)
+        run.steps = [StepReport(**{**s, "losses": tuple(s["losses"])}) for s in state["run"]["steps"]]
+        return run
+
+    def _warn(self, sentence: str) -> None:
+        self.warnings.append(sentence)
+        log.warning(sentence)
+
+
+class StopRequest:
+    """Turns Ctrl-C (or a kernel interrupt) into a wish that is granted between two steps; a second one acts at once."""
+
+    def __init__(self):
+        self.wanted = False
+
+    def __bool__(self) -> bool:
+        return self.wanted
+
+    def _handle(self, signum, frame) -> None:
+        if self.wanted:
+            raise KeyboardInterrupt
+        self.wanted = True
+
+    @contextlib.contextmanager
+    def listening(self) -> Iterator["StopRequest"]:
+        """Listen inside the block; does nothing outside the main thread, where signals cannot be caught."""
+        if threading.current_thread() is not threading.main_thread():
+            yield self
+            return
+        before = signal.signal(signal.SIGINT, self._handle)
+        try:
+            yield self
+        finally:
+            signal.signal(signal.SIGINT, before)
+
+
+def new_folder(name: str, folder: Path | str | None = None) -> Path:
+    """Make the folder of a run: ``folder``, which must be new or empty, or ``runs/<name>-<date>-<time>``."""
+    if folder is None:
+        stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
+        path = Path("runs") / f"{name}-{stamp}"
+        n = 1
+        while path.exists():
+            n += 1
+            path = Path("runs") / f"{name}-{stamp}-{n}"
+    else:
+        path = Path(folder).expanduser()
+        if path.is_file() or (path.is_dir() and any(path.iterdir())):
+            raise FileExistsError(f"{path} must be a new or empty folder, so that no earlier run is overwritten")
+    path.mkdir(parents=True, exist_ok=True)
+    return path

@@ -1,0 +1,244 @@
+"""Front-to-back blending of the sorted Gaussians of each tile, and its gradient written out.
+
+For the k-th Gaussian of a pixel, nearest first, with (dx, dy) = pixel centre - (u, v):
+
+    sigma_k = (A dx^2 + C dy^2) / 2 + B dx dy
+    alpha_k = min(0.99, o_k exp(-sigma_k)),  0 where that is below 1/255
+    T_k     = prod_{j<k} (1 - alpha_j)                     the light that is left
+    w_k     = alpha_k T_k,  0 from the first k on with T_{k+1} < 1e-4
+    C       = sum_k w_k c_k                                c = (r, g, b, z, 1): colour, depth and alpha are channels alike
+
+    dL/dc_k     = w_k v_C
+    dL/dalpha_k = T_k (c_k . v_C) - S_k / (1 - alpha_k),   S_k = sum_{j>k} w_j (c_j . v_C)
+
+Source: Kerbl et al. 2023, eq. 2-3 and section 6.
+
+Arrays are [K, n, P]: K entries along the list, n tiles, P pixels of a tile (``chunks``). Sigma, sums over Gaussians and sums
+over pixels are matrix products (``entries``). The gradient goes through the same chunks backwards and makes alpha and T
+again instead of having saved them.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from ..backends import op
+from ..constants import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
+from ..types import Camera
+from .chunks import Chunk, Scratch, cut_into_chunks, image_to_tiles, tiles_to_image
+from .entries import Entries, entries_vjp, list_entries, pixel_functions
+from .tiles import TileLists
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CompositeSaved:
+    """What ``composite_vjp`` needs of the forward pass."""
+
+    tiles: TileLists
+    entries: Entries
+    opacity: Float[Tensor, " N"]
+    channels: Float[Tensor, "N 5"]
+    """r, g, b, z, 1 of each Gaussian."""
+    chunks: list[Chunk]
+    """In the order they were blended."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CompositeOutput:
+    """The blended image."""
+
+    rgb: Float[Tensor, "H W 3"]
+    """Colour over black."""
+    depth_m: Float[Tensor, "H W"]
+    """sum_k w_k z_k, metres."""
+    alpha: Float[Tensor, "H W"]
+    """sum_k w_k = 1 - transmittance."""
+    first_index: Int[Tensor, "H W"] | None
+    """Row of the first Gaussian with w > 0, or -1. ``None`` if not asked for."""
+    dominant_index: Int[Tensor, "H W"] | None
+    """Row of the Gaussian with the largest w (the nearest of equals), or -1."""
+    saved: CompositeSaved
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CompositeGradient:
+    """dL/d of the screen-space Gaussians."""
+
+    uv: Float[Tensor, "N 2"]
+    conic: Float[Tensor, "N 3"]
+    opacity: Float[Tensor, " N"]
+    rgb: Float[Tensor, "N 3"]
+    depth_m: Float[Tensor, " N"]
+
+
+@op
+def composite(
+    uv: Float[Tensor, "N 2"],
+    conic: Float[Tensor, "N 3"],
+    opacity: Float[Tensor, " N"],
+    rgb: Float[Tensor, "N 3"],
+    depth_m: Float[Tensor, " N"],
+    tiles: TileLists,
+    camera: Camera,
+    *,
+    with_indices: bool = True,
+) -> CompositeOutput:
+    """Blend the Gaussians of ``tiles`` over black (equations at the top of this file).
+
+    Args:
+        uv, conic, opacity, depth_m: Screen-space Gaussians as in ``Projection``; rows not in ``tiles`` are not drawn.
+        rgb: Colour of each. [N, 3]
+        tiles: Sorted lists; they decide what is drawn and in which order.
+        camera: Gives the image size.
+        with_indices: Also find the first and the dominant Gaussian of each pixel.
+
+    Differentiable: ``composite_vjp``.
+    """
+    entries = list_entries(tiles, uv, conic, opacity)
+    channels = torch.cat([rgb, depth_m[:, None], torch.ones_like(depth_m)[:, None]], dim=1)
+    saved = CompositeSaved(tiles=tiles, entries=entries, opacity=opacity, channels=channels, chunks=[])
+    functions, scratch = pixel_functions(tiles, uv), Scratch(uv)
+    count, P = tiles.tiles_x * tiles.tiles_y, tiles.tile_px**2
+    T = image_to_tiles(uv.new_ones(camera.height, camera.width, 1), tiles).squeeze(1)  # 0 beyond the border
+    C = uv.new_zeros(count, 5 * P)
+    ranks = PixelRanks(uv.new_zeros(3, count, P)) if with_indices else None
+    for chunk in cut_into_chunks(tiles, T):
+        alpha, T_k = _transmittance(chunk, entries, functions, scratch)
+        w = torch.mul(alpha, T_k[:-1], out=scratch("w", *alpha.shape))
+        c = _channels_of(chunk, saved)
+        C.index_add_(0, chunk.tile, torch.bmm(c.permute(1, 2, 0), w.permute(1, 0, 2)).flatten(1))  # C += sum_k w_k c_k
+        T.index_copy_(0, chunk.tile, T_k[-1])
+        if ranks is not None:
+            ranks.update(chunk, w, T_k, alpha)
+        saved.chunks.append(chunk)
+
+    C = C.view(count, 5, P)
+    image = tiles_to_image(C, tiles, camera)
+    first = dominant = None
+    if ranks is not None:
+        first, dominant = tiles_to_image(ranks.rows(tiles, C[:, 4] > 0), tiles, camera).permute(2, 0, 1).contiguous()
+    return CompositeOutput(
+        rgb=image[..., :3].contiguous(),
+        depth_m=image[..., 3].contiguous(),
+        alpha=image[..., 4].contiguous(),
+        first_index=first,
+        dominant_index=dominant,
+        saved=saved,
+    )
+
+
+@op
+def composite_vjp(
+    saved: CompositeSaved,
+    v_rgb: Float[Tensor, "H W 3"],
+    v_depth_m: Float[Tensor, "H W"] | None = None,
+    v_alpha: Float[Tensor, "H W"] | None = None,
+) -> CompositeGradient:
+    """Gradient of ``composite`` to everything it blends (equations at the top of this file).
+
+    It is the derivative of the forward: zero where alpha is clamped at 0.99 or cut at 1/255. (The released rasteriser lets
+    the gradient through the 0.99 clamp.)
+
+    Args:
+        saved: ``CompositeOutput.saved``.
+        v_rgb, v_depth_m, v_alpha: dL/d of the images; ``None`` is zero.
+    """
+    tiles, entries, P = saved.tiles, saved.entries, saved.tiles.tile_px**2
+    v_depth_m, v_alpha = (torch.zeros_like(v_rgb[..., 0]) if v is None else v for v in (v_depth_m, v_alpha))
+    v_C = image_to_tiles(torch.cat([v_rgb, v_depth_m[..., None], v_alpha[..., None]], dim=-1), tiles).flatten(1)
+    functions, scratch = pixel_functions(tiles, v_C), Scratch(v_C)
+    some_clamped = bool((saved.opacity > ALPHA_MAX).any())
+    S_behind = v_C.new_zeros(len(v_C), P)
+    v_poly, v_channels = torch.zeros_like(entries.poly), torch.zeros_like(saved.channels)
+    for chunk in reversed(saved.chunks):
+        K, n = chunk.entry.shape
+        alpha, T_k = _transmittance(chunk, entries, functions, scratch)
+        w = torch.mul(alpha, T_k[:-1], out=scratch("w", K, n, P))
+        v = v_C.index_select(0, chunk.tile).view(n, 5, P)
+        v_c = torch.bmm(v, w.permute(1, 2, 0))  # dL/dc_k = w_k v_C, summed over the pixels
+        v_channels.index_add_(0, _rows_of(chunk, entries), v_c.permute(2, 0, 1).reshape(-1, 5))
+
+        cv = torch.bmm(_channels_of(chunk, saved).permute(1, 0, 2), v, out=scratch("cv", n, K, P)).permute(1, 0, 2)
+        w_cv = torch.mul(w, cv, out=scratch("w_cv", K, n, P))  # w_k (c_k . v_C)
+        S = _behind(w_cv, S_behind.index_select(0, chunk.tile), scratch("S", K, n, P))
+        S_behind.index_copy_(0, chunk.tile, S[0] + w_cv[0])
+        # dL/d ln alpha = alpha dL/dalpha = w (c . v_C) - S alpha / (1 - alpha),  and alpha_k / (1 - alpha_k) = w_k / T_{k+1}
+        v_ln_alpha = w_cv.addcmul_(w.div_(T_k[1:]), S, value=-1)
+        if some_clamped:
+            v_ln_alpha.masked_fill_(alpha >= ALPHA_MAX, 0.0)
+        v_poly.index_copy_(0, chunk.entry.flatten(), v_ln_alpha.view(-1, P) @ functions.T)
+
+    v_ellipse = entries_vjp(entries, v_poly, saved.opacity)
+    return CompositeGradient(
+        uv=v_ellipse[:, :2],
+        conic=v_ellipse[:, 2:5],
+        opacity=v_ellipse[:, 5],
+        rgb=v_channels[:, :3],
+        depth_m=v_channels[:, 3],
+    )
+
+
+def _transmittance(chunk: Chunk, entries: Entries, functions: Tensor, scratch: Scratch) -> tuple[Tensor, Tensor]:
+    """alpha_k [K, n, P] and T_k [K + 1, n, P] of a chunk."""
+    K, n, P = *chunk.entry.shape, functions.shape[1]
+    alpha = scratch("alpha", K, n, P)
+    torch.mm(entries.poly.index_select(0, chunk.entry.flatten()), functions, out=alpha.view(-1, P))  # ln o - sigma
+    alpha.clamp_min_(-20.0).exp_().clamp_max_(ALPHA_MAX)  # exp is slow where it underflows, and e^-20 is cut as well
+    torch.nn.functional.threshold_(alpha, ALPHA_MIN, 0.0)
+    T = scratch("T", K + 1, n, P)
+    T[0] = chunk.T
+    torch.sub(1.0, alpha, out=T[1:])
+    for T_k, T_next in pairwise(T.unbind(0)):
+        T_next.mul_(T_k)  # T_{k+1} = T_k (1 - alpha_k)
+    if T[-1].min() < TRANSMITTANCE_MIN:
+        # T never rises, so T_{k+1} < 1e-4 means that the pixel stopped at k or before
+        alpha.mul_(torch.ge(T[1:], TRANSMITTANCE_MIN, out=scratch("w", K, n, P)))
+        T.clamp_min_(0.5 * TRANSMITTANCE_MIN)  # still stopped, and the gradient divides by it
+    return alpha, T
+
+
+def _behind(w_cv: Tensor, S_last: Tensor, S: Tensor) -> Tensor:
+    """S_k = sum_{j>k} w_j (c_j . v_C), written to ``S``, given the sum behind the chunk."""
+    S[-1] = S_last
+    S_k, w_cv_k = S.unbind(0), w_cv.unbind(0)
+    for k in range(len(S) - 1, 0, -1):
+        torch.add(S_k[k], w_cv_k[k], out=S_k[k - 1])
+    return S
+
+
+def _rows_of(chunk: Chunk, entries: Entries) -> Tensor:
+    return entries.row.index_select(0, chunk.entry.flatten())
+
+
+def _channels_of(chunk: Chunk, saved: CompositeSaved) -> Tensor:
+    """c_k of a chunk. [K, n, 5]"""
+    return saved.channels.index_select(0, _rows_of(chunk, saved.entries)).view(*chunk.entry.shape, 5)
+
+
+class PixelRanks:
+    """Where in its tile's list the first and the heaviest Gaussian of each pixel stand, kept up to date chunk by chunk."""
+
+    def __init__(self, zeros: Float[Tensor, "3 tiles P"]):
+        self.first, self.dominant, self.heaviest = zeros
+
+    def update(self, chunk: Chunk, w: Tensor, T_k: Tensor, scratch: Tensor) -> None:
+        """Look at one more chunk. ``w`` and ``scratch`` are overwritten."""
+        tile, K = chunk.tile, len(w)
+        untouched = torch.floor(T_k[1:], out=scratch).sum(0)  # T is 1 until the first hit and below 1 from there on
+        self.first.index_add_(0, tile, untouched)
+        best = w.amax(0)
+        countdown = torch.arange(K, 0, -1, device=w.device, dtype=w.dtype)[:, None, None]
+        rank = chunk.first_rank + K - w.eq_(best).mul_(countdown).amax(0)  # of equals the nearest
+        before = self.heaviest.index_select(0, tile)
+        self.dominant.index_copy_(0, tile, torch.where(best > before, rank, self.dominant.index_select(0, tile)))
+        self.heaviest.index_copy_(0, tile, torch.maximum(best, before))
+
+    def rows(self, tiles: TileLists, hit: Tensor) -> Tensor:
+        """Rows of the first and the heaviest Gaussian, -1 where there is none. [tiles, 2, P]"""
+        row = torch.cat([tiles.gaussian, tiles.gaussian.new_zeros(1)])
+        place = torch.stack([self.first, self.dominant], dim=1).long() + tiles.offset[:-1, None, None]
+        rows = row.index_select(0, place.flatten().clamp_max(len(row) - 1)).view(place.shape)
+        return torch.where(hit[:, None], rows, -1)

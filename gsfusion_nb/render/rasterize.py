@@ -1,0 +1,125 @@
+"""The whole renderer: project, colour, tile lists, composite; and its gradient, stage by stage in reverse."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ..backends import op
+from ..geometry.spherical_harmonics import sh_to_rgb, sh_to_rgb_vjp
+from ..types import Camera, GaussianParams, RenderOutput
+from .composite import CompositeSaved, composite, composite_vjp
+from .project import project_gaussians, project_gaussians_vjp
+from .tiles import tile_intersections
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RenderSaved:
+    """What ``render_vjp`` needs. A fast backend may hand its own kind of record from its forward to its vjp."""
+
+    params: GaussianParams
+    camera: Camera
+    T_WC: Float[Tensor, "4 4"]
+    composite: CompositeSaved
+
+
+def render(params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RenderOutput:
+    """Draw the Gaussian map from a camera: colour, blended depth, alpha, first and dominant Gaussian.
+
+    Args:
+        params: The map; any number of rows, also none; float32 or float64.
+        camera: Pinhole camera, any image size.
+        T_WC: Camera-to-world pose.
+
+    Differentiable: use ``render_forward`` with ``render_vjp``, or ``render_autograd``.
+    Source: Kerbl et al. 2023; what is not in the paper (clamps, cuts) is in ``constants``.
+    """
+    return render_forward(params, camera, T_WC)[0]
+
+
+@op
+def render_forward(
+    params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"], *, with_indices: bool = True
+) -> tuple[RenderOutput, RenderSaved]:
+    """``render``, and a record of the pass for ``render_vjp``. No autograd graph is made.
+
+    An optimiser has no use for the indices: without them (``with_indices=False``, both ``None``) it is a little faster.
+    """
+    with torch.no_grad():
+        T_WC = T_WC.to(params.xyz_W)
+        projection = project_gaussians(params, camera, T_WC)
+        rgb = sh_to_rgb(params.sh, params.xyz_W, T_WC[:3, 3])
+        tiles = tile_intersections(projection, camera)
+        image = composite(
+            projection.uv,
+            projection.conic,
+            projection.opacity,
+            rgb,
+            projection.depth_m,
+            tiles,
+            camera,
+            with_indices=with_indices,
+        )
+    output = RenderOutput(
+        rgb=image.rgb,
+        depth_m=image.depth_m,
+        alpha=image.alpha,
+        first_index=image.first_index,
+        dominant_index=image.dominant_index,
+    )
+    return output, RenderSaved(params=params, camera=camera, T_WC=T_WC, composite=image.saved)
+
+
+@op
+def render_vjp(
+    saved: RenderSaved,
+    v_rgb: Float[Tensor, "H W 3"],
+    v_depth_m: Float[Tensor, "H W"] | None = None,
+    v_alpha: Float[Tensor, "H W"] | None = None,
+) -> GaussianParams:
+    """dL/d of every parameter from dL/d of the images: the vjp of each stage, last stage first.
+
+    Args:
+        saved: Second result of ``render_forward``.
+        v_rgb, v_depth_m, v_alpha: dL/d of the images; ``None`` is zero.
+
+    Returns:
+        Gradients, in the shape of the parameters; zero for a Gaussian that is not seen.
+    """
+    params, camera, T_WC = saved.params, saved.camera, saved.T_WC
+    with torch.no_grad():
+        v = composite_vjp(saved.composite, v_rgb, v_depth_m, v_alpha)
+        v_sh, v_xyz_W = sh_to_rgb_vjp(params.sh, params.xyz_W, T_WC[:3, 3], v.rgb)
+        g = project_gaussians_vjp(params, camera, T_WC, v.uv, v.conic, v.depth_m, v.opacity)
+    return GaussianParams(
+        xyz_W=g.xyz_W + v_xyz_W,  # a centre decides where, and from which side, its Gaussian is seen
+        log_scale=g.log_scale,
+        quat=g.quat,
+        opacity_logit=g.opacity_logit,
+        sh=v_sh,
+    )
+
+
+class Render(torch.autograd.Function):
+    """Binds ``render_forward`` and ``render_vjp`` to autograd; no arithmetic here."""
+
+    @staticmethod
+    def forward(ctx, camera, T_WC, xyz_W, log_scale, quat, opacity_logit, sh):
+        params = GaussianParams(xyz_W=xyz_W, log_scale=log_scale, quat=quat, opacity_logit=opacity_logit, sh=sh)
+        out, ctx.record = render_forward(params, camera, T_WC)
+        ctx.mark_non_differentiable(out.first_index, out.dominant_index)
+        return out.rgb, out.depth_m, out.alpha, out.first_index, out.dominant_index
+
+    @staticmethod
+    def backward(ctx, *v):
+        g = render_vjp(ctx.record, *v[:3])
+        return None, None, g.xyz_W, g.log_scale, g.quat, g.opacity_logit, g.sh
+
+
+def render_autograd(params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RenderOutput:
+    """``render`` for ``loss.backward()``. Differentiable: yes, in every parameter, not in the pose."""
+    rgb, depth_m, alpha, first_index, dominant_index = Render.apply(
+        camera, T_WC, params.xyz_W, params.log_scale, params.quat, params.opacity_logit, params.sh
+    )  # pyright: ignore[reportGeneralTypeIssues]
+    return RenderOutput(rgb=rgb, depth_m=depth_m, alpha=alpha, first_index=first_index, dominant_index=dominant_index)

@@ -1,0 +1,223 @@
+"""What a seeding rule may look at: the frame, the volume, the map, all read-only and computed when first asked for."""
+
+from dataclasses import KW_ONLY, dataclass, field
+from typing import Any, Protocol, runtime_checkable
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from ..config import SeedingConfig, TsdfConfig
+from ..geometry import backproject, depth_to_normals, pixel_grid, se3
+from ..types import Camera, Frame, GaussianParams, RenderOutput, Seeds
+from .quadtree import Cells, quadtree
+
+
+@runtime_checkable
+class VoxelLookup(Protocol):
+    """What a context needs of a TSDF volume."""
+
+    config: Any
+    """Its settings; ``voxel_size_m`` and ``near_m`` are read."""
+
+    def sample_nearest(self, xyz_W: Tensor) -> Any:
+        """Contents of the voxels that contain the points: an object with ``D`` and ``W``."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MapView:
+    """The Gaussians that exist before this frame, one row each."""
+
+    xyz_W: Float[Tensor, "N 3"]
+    """Centre, world frame, metres."""
+    scale_m: Float[Tensor, "N 3"]
+    """Standard deviation along the Gaussian's own axes, metres."""
+    radius_m: Float[Tensor, " N"]
+    """Mean of the two largest standard deviations (RTG-SLAM's radius of a disc), metres."""
+    opacity: Float[Tensor, " N"]
+    """Peak opacity."""
+    tag: Int[Tensor, " N"] | None
+    """Label that the seeding rule gave each Gaussian, where the map keeps it."""
+    state: Int[Tensor, " N"] | None
+    """Stable or unstable, where the map distinguishes them."""
+
+    def __len__(self) -> int:
+        return self.xyz_W.shape[0]
+
+
+@dataclass(frozen=True, eq=False)
+class SeedContext:
+    """Everything a seeding rule is given. ``SeedContext(frame)`` alone is enough for rules that need no map.
+
+    The volume has already taken in the current frame (GSFusion III-B.2 tests it afterwards); the Gaussians have not.
+    """
+
+    frame: Frame
+    """The observation that seeds are drawn from."""
+    volume: VoxelLookup | None = None
+    """TSDF volume, for ``voxel_weight``, ``tsdf`` and ``voxel_index``."""
+    gaussians: Any = None
+    """Gaussian map, for ``map`` and ``render``: an object whose ``params`` is a GaussianParams."""
+    _: KW_ONLY
+    config: SeedingConfig = field(default_factory=SeedingConfig)
+    """Quadtree settings."""
+    generator: torch.Generator = field(default_factory=lambda: torch.Generator().manual_seed(0))
+    """The only source of randomness a rule may use."""
+    near_m: float | None = None
+    """Depth below this counts as missing, metres. Not given: the volume's, or 0.4 m as published if there is none."""
+    _cache: dict = field(default_factory=dict, init=False, repr=False)
+
+    def __post_init__(self):
+        if self.near_m is None:
+            settings = TsdfConfig() if self.volume is None else self.volume.config
+            object.__setattr__(self, "near_m", float(settings.near_m))
+
+    def __repr__(self) -> str:
+        has = [name for name in ("volume", "gaussians") if getattr(self, name) is not None]
+        size = f"{self.camera.width} x {self.camera.height}"
+        return f"SeedContext(frame {self.frame.index}, {size}, {' and '.join(has) or 'neither volume nor gaussians'})"
+
+    @property
+    def camera(self) -> Camera:
+        """The frame's camera."""
+        return self.frame.camera
+
+    def has_depth(self) -> Bool[Tensor, "H W"]:
+        """Pixels whose depth can be used: not missing, and at least ``near_m``. [H, W]"""
+        depth_m = self.frame.depth_m
+        return (depth_m > 0) & (depth_m >= (self.near_m or 0.0))
+
+    def normals(self) -> Float[Tensor, "H W 3"]:
+        """Surface normals of the depth image, camera frame, zero where unknown."""
+        return self._once("normals", lambda: depth_to_normals(self.camera, self.frame.depth_m))
+
+    def normals_W(self) -> Float[Tensor, "H W 3"]:
+        """Surface normals of the depth image, world frame, zero where unknown."""
+        return self._once("normals_W", lambda: se3.rotate(self.frame.T_WC, self.normals()))
+
+    def quadtree_cells(self, **overrides: Any) -> Cells:
+        """Leaves of the quadtree on the frame's colours, by the context's settings.
+
+        Args:
+            overrides: ``threshold``, ``min_cell_px``, ``contrast``, in place of the settings.
+        """
+        settings = {
+            "threshold": self.config.quadtree_threshold,
+            "min_cell_px": self.config.quadtree_min_cell_px,
+            "contrast": self.config.quadtree_contrast,
+        }
+        unknown = sorted(set(overrides) - set(settings))
+        if unknown:
+            raise ValueError(f"quadtree_cells: unknown settings {unknown}; known: {sorted(settings)}")
+        settings |= overrides
+        rgb_u8 = self._once("rgb_u8", lambda: (self.frame.rgb * 255).round().clamp(0, 255).to(torch.uint8))
+        return self._once(("cells", *settings.values()), lambda: quadtree(rgb_u8, **settings))
+
+    def cells(self, **overrides: Any) -> Seeds:
+        """One round seed per quadtree leaf whose middle has depth (GSFusion III-B.2, Eq. 10-11).
+
+        The middle is back-projected with the depth of the pixel that contains it, and takes that pixel's colour; the
+        standard deviation is d = z sqrt((w/2)^2 + (h/2)^2) / fx; opacity 0.5; ``tag`` is the leaf's level.
+
+        Args:
+            overrides: as for ``quadtree_cells``.
+        """
+        leaves = self.quadtree_cells(**overrides)
+        return self.seeds_at(leaves.centre_uv, leaves.half_diagonal_px, tag=leaves.level)
+
+    def seeds_at(
+        self,
+        uv: Float[Tensor, "N 2"],
+        radius_px: Float[Tensor, " N"] | float,
+        *,
+        opacity: float = 0.5,
+        tag: Int[Tensor, " N"] | None = None,
+    ) -> Seeds:
+        """Round seeds on the measured surface behind image positions; positions outside the image or without
+        depth are dropped.
+
+        Position T_WC (z K^-1 uv), standard deviation z radius_px / fx, z and colour of the pixel that contains uv.
+
+        Args:
+            uv: Continuous pixel coordinates. [N, 2]
+            radius_px: Standard deviation as seen in the image, pixels. [N] or one number
+            opacity: Peak opacity of every seed.
+            tag: Label of every seed. [N]
+
+        Returns:
+            At most N seeds, in the order of ``uv``.
+        """
+        i, j = uv.floor().long().unbind(-1)
+        kept = (i >= 0) & (i < self.camera.width) & (j >= 0) & (j < self.camera.height)
+        kept[kept.clone()] = self.has_depth()[j[kept], i[kept]]
+        uv, i, j = uv[kept], i[kept], j[kept]
+        z = self.frame.depth_m[j, i]
+        size = radius_px[kept] if isinstance(radius_px, Tensor) else radius_px
+        xyz_W = se3.apply(self.frame.T_WC, backproject(self.camera, uv.to(z.dtype), z))
+        return Seeds.isotropic(
+            xyz_W,
+            self.frame.rgb[j, i],
+            z * size / self.camera.fx,
+            opacity=opacity,
+            tag=None if tag is None else tag[kept],
+        )
+
+    def pixels(self) -> Float[Tensor, "N 2"]:
+        """Centres of the pixels that have depth, row by row. [N, 2]"""
+        return pixel_grid(self.camera, device=self.frame.depth_m.device)[self.has_depth()]
+
+    def voxel_weight(self, xyz_W: Float[Tensor, "N 3"]) -> Float[Tensor, " N"]:
+        """Observation count of the voxels that contain the points; 0 where nothing was ever observed."""
+        return self._need_volume("voxel_weight").sample_nearest(xyz_W).W
+
+    def tsdf(self, xyz_W: Float[Tensor, "N 3"]) -> Float[Tensor, " N"]:
+        """Signed distance of the voxels that contain the points, in units of the truncation distance."""
+        return self._need_volume("tsdf").sample_nearest(xyz_W).D
+
+    def voxel_index(self, xyz_W: Float[Tensor, "N 3"]) -> Int[Tensor, "N 3"]:
+        """Integer coordinates of the voxels that contain the points, floor(xyz / voxel size). [N, 3] int64"""
+        return (xyz_W / self._need_volume("voxel_index").config.voxel_size_m).floor().long()
+
+    @property
+    def map(self) -> MapView:
+        """The Gaussians that exist before this frame."""
+        return self._once("map", lambda: _map_view(self.gaussians, self._need_gaussians("map")))
+
+    def render(self) -> RenderOutput:
+        """What the frame's camera sees of the current map."""
+        params = self._need_gaussians("render()")
+
+        def draw() -> RenderOutput:
+            from ..render import render
+
+            return render(params, self.camera, self.frame.T_WC)
+
+        return self._once("render", draw)
+
+    def _once(self, key: Any, make: Any) -> Any:
+        if key not in self._cache:
+            self._cache[key] = make()
+        return self._cache[key]
+
+    def _need_volume(self, what: str) -> VoxelLookup:
+        if self.volume is None:
+            raise ValueError(f"{what} needs a TSDF volume, but this SeedContext was made without one: pass volume=")
+        return self.volume
+
+    def _need_gaussians(self, what: str) -> GaussianParams:
+        if self.gaussians is None:
+            raise ValueError(f"{what} needs a Gaussian map, but this SeedContext was made without one: pass gaussians=")
+        return self.gaussians.params
+
+
+def _map_view(gaussians: Any, params: GaussianParams) -> MapView:
+    scale_m = params.log_scale.exp()
+    return MapView(
+        xyz_W=params.xyz_W,
+        scale_m=scale_m,
+        radius_m=scale_m.sort(dim=-1).values[:, 1:].mean(dim=-1),
+        opacity=params.opacity_logit.sigmoid(),
+        tag=getattr(gaussians, "tag", None),
+        state=getattr(gaussians, "state", None),
+    )

@@ -1,0 +1,205 @@
+"""Seeding rules by name: ``@seeding_rule`` registers a function, a mapper takes the name or the function itself.
+
+A rule is a function ``(ctx: SeedContext, *, number=default, ...) -> Seeds``. It proposes the Gaussians that are born
+from one frame; it changes nothing, and draws random numbers only from ``ctx.generator``.
+"""
+
+import inspect
+import typing
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar
+
+import torch
+from jaxtyping import Int
+from torch import Tensor
+
+from ..checks import check_finite, check_name, check_shape
+from ..types import Seeds
+from .context import SeedContext
+
+SeedingRule = Callable[..., Seeds]
+F = TypeVar("F", bound=SeedingRule)
+Option = bool | int | float | str
+
+_RULES: dict[str, SeedingRule] = {}
+_COLUMNS = {"xyz_W": ("N", 3), "rgb": ("N", 3), "scale_m": ("N", 3), "quat": ("N", 4), "opacity": ("N",), "tag": ("N",)}
+
+
+def seeding_rule(rule: F) -> F:
+    """Register ``rule`` under its own name and return it unchanged; a rule of that name is replaced.
+
+    Raises:
+        TypeError: the signature is not ``(ctx, *, name=default, ...)`` with defaults that are numbers, true/false, or a
+            word out of ``Literal["...", ...]``.
+    """
+    if not callable(rule):
+        raise TypeError(f"@seeding_rule goes on a function, got {type(rule).__name__}; write it without parentheses")
+    if not rule_name(rule).isidentifier():
+        raise TypeError(f"a seeding rule is registered by its name, and {rule_name(rule)!r} is none: use def")
+    _options_of(rule)
+    _RULES[rule_name(rule)] = rule
+    return rule
+
+
+def get_rule(rule: str | SeedingRule) -> SeedingRule:
+    """The function registered under a name; a function is returned as it is, once its signature is checked.
+
+    Raises:
+        KeyError: no rule of that name; the message lists the registered ones. TypeError: bad signature.
+    """
+    if isinstance(rule, str):
+        check_name("seeding rule", rule, _RULES)
+        return _RULES[rule]
+    if not callable(rule):
+        raise TypeError(f"a seeding rule is a name or a function, got {type(rule).__name__}")
+    _options_of(rule)
+    return rule
+
+
+def registered() -> dict[str, SeedingRule]:
+    """Name -> function of every registered rule, in order of registration (a copy)."""
+    return dict(_RULES)
+
+
+def rule_name(rule: str | SeedingRule) -> str:
+    """What a rule is called in messages and reports."""
+    return rule if isinstance(rule, str) else getattr(rule, "__name__", type(rule).__name__)
+
+
+def rule_options(rule: str | SeedingRule) -> dict[str, Option]:
+    """Option name -> default; sliders and check boxes are made from it."""
+    return {name: parameter.default for name, parameter in _options_of(get_rule(rule)).items()}
+
+
+def rule_choices(rule: str | SeedingRule) -> dict[str, tuple[str, ...]]:
+    """Option name -> allowed words, for the options that are a word; drop-down lists are made from it."""
+    options = _options_of(get_rule(rule))
+    return {name: typing.get_args(p.annotation) for name, p in options.items() if isinstance(p.default, str)}
+
+
+def apply_rule(
+    rule: str | SeedingRule, ctx: SeedContext, options: Mapping[str, Option] | None = None, one_per_voxel: bool = False
+) -> Seeds:
+    """Run a rule on one frame and check what it returns.
+
+    Args:
+        rule: Name or function.
+        ctx: What the rule may look at.
+        options: Keyword arguments for the rule, in place of its defaults.
+        one_per_voxel: Afterwards keep one seed per voxel, see ``keep_one_per_voxel``.
+
+    Returns:
+        The new Gaussians, on the frame's device.
+
+    Raises:
+        KeyError: no such rule. TypeError: unknown option, wrong type of option or of result.
+        ValueError: a column of wrong shape, NaN, scale <= 0, opacity outside (0, 1), colour outside 0..1.
+    """
+    function = get_rule(rule)
+    options = dict(options or {})
+    _check_options(function, options)
+    seeds = function(ctx, **options)
+    try:
+        _check_seeds(seeds, ctx)
+    except (TypeError, ValueError) as error:
+        raise type(error)(f"seeding rule {rule_name(rule)!r} returned something unusable: {error}") from None
+    return keep_one_per_voxel(seeds, ctx.voxel_index(seeds.xyz_W)) if one_per_voxel else seeds
+
+
+def keep_one_per_voxel(seeds: Seeds, voxel: Int[Tensor, "N 3"]) -> Seeds:
+    """Of the seeds that share a voxel, keep the one with the largest standard deviation; of equals, the first.
+
+    The largest leaves the smallest hole where its neighbours are dropped. GSFusion III-B.2 says "at most one Gaussian
+    per voxel" without saying which; seeds of earlier frames are kept away by the rule's own voxel test.
+
+    Args:
+        seeds: Proposed Gaussians, N rows.
+        voxel: Integer voxel coordinates of each. [N, 3]
+
+    Returns:
+        The survivors, in their order.
+    """
+    if len(seeds) == 0:
+        return seeds
+    size = seeds.scale_m.amax(dim=-1)
+    order = size.argsort(descending=True, stable=True)
+    _, group = torch.unique(voxel[order], dim=0, return_inverse=True)
+    rank = torch.arange(len(seeds), device=group.device)
+    best = torch.full_like(rank, len(seeds)).scatter_reduce_(0, group, rank, "amin")
+    return seeds[order[best[best < len(seeds)]].sort().values]
+
+
+def _options_of(rule: SeedingRule) -> dict[str, inspect.Parameter]:
+    """The keyword options of a rule, or a sentence about what is wrong with its signature."""
+    name = rule_name(rule)
+    wanted = f"a seeding rule is written  def {name}(ctx, *, number=default, ...) -> Seeds"
+    parameters = list(_signature(rule).parameters.values())
+    positional = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+    if not parameters or parameters[0].kind not in positional:
+        raise TypeError(f"{wanted}; this one does not take the context as its first argument")
+    for p in parameters[1:]:
+        if p.kind is not inspect.Parameter.KEYWORD_ONLY:
+            raise TypeError(f"{wanted}; {str(p)!r} must be keyword-only: put it behind a bare *, with a default")
+        if p.default is inspect.Parameter.empty:
+            raise TypeError(f"{wanted}; option {p.name!r} has no default, which sliders and check_rule need")
+        if not isinstance(p.default, bool | int | float | str):
+            raise TypeError(
+                f"{wanted}; the default of option {p.name!r} must be a number, True/False or a word, got {p.default!r}"
+            )
+        if isinstance(p.default, str) and p.default not in typing.get_args(p.annotation):
+            raise TypeError(
+                f"{wanted}; option {p.name!r} is a word, so annotate what it may be: "
+                f'{p.name}: Literal["{p.default}", ...] = "{p.default}"'
+            )
+    return {p.name: p for p in parameters[1:]}
+
+
+def _signature(rule: SeedingRule) -> inspect.Signature:
+    try:
+        return inspect.signature(rule, eval_str=True)
+    except (NameError, AttributeError, SyntaxError):  # an annotation written as text that means nothing here
+        return inspect.signature(rule)
+
+
+def _check_options(rule: SeedingRule, options: dict[str, Any]) -> None:
+    known = _options_of(rule)
+    unknown = sorted(set(options) - set(known))
+    if unknown:
+        raise TypeError(f"seeding rule {rule_name(rule)!r} has no options {unknown}; known: {sorted(known)}")
+    for name, value in options.items():
+        default = known[name].default
+        if isinstance(default, str):
+            fits, wanted = value in typing.get_args(known[name].annotation), typing.get_args(known[name].annotation)
+        elif isinstance(default, bool):
+            fits, wanted = isinstance(value, bool), "True or False"
+        else:
+            fits, wanted = isinstance(value, int | float) and not isinstance(value, bool), "a number"
+        if not fits:
+            raise TypeError(f"seeding rule {rule_name(rule)!r}: option {name!r} must be {wanted}, got {value!r}")
+
+
+def _check_seeds(seeds: Any, ctx: SeedContext) -> None:
+    if not isinstance(seeds, Seeds):
+        hint = " (is there a return?)" if seeds is None else ""
+        raise TypeError(f"expected Seeds, got {type(seeds).__name__}{hint}")
+    n = len(seeds)
+    for name, shape in _COLUMNS.items():
+        column = getattr(seeds, name)
+        check_shape(name, column, (n, *shape[1:]))
+        if column.device != ctx.frame.depth_m.device:
+            raise ValueError(f"{name} must be on the frame's device {ctx.frame.depth_m.device}, got {column.device}")
+        if name != "tag":
+            if not column.is_floating_point():
+                raise ValueError(f"{name} must be floating point, got {column.dtype}")
+            check_finite(name, column)
+    _check_all("scale_m must be > 0", seeds.scale_m, seeds.scale_m > 0)
+    _check_all("opacity must lie strictly between 0 and 1", seeds.opacity, (seeds.opacity > 0) & (seeds.opacity < 1))
+    _check_all("rgb must lie in 0..1", seeds.rgb, (seeds.rgb >= 0) & (seeds.rgb <= 1))
+    length = seeds.quat.norm(dim=-1)
+    _check_all("quat must not be zero", length, length > 1e-6)
+
+
+def _check_all(rule: str, values: Tensor, ok: Tensor) -> None:
+    if not ok.all():
+        bad = values[~ok]
+        raise ValueError(f"{rule}, got {len(bad)} other values, from {float(bad.min()):g} to {float(bad.max()):g}")

@@ -1,0 +1,29 @@
+"""GSFusion's rule: quadtree leaves in voxels that are seen for the first time."""
+
+from ...types import Seeds
+from ..context import SeedContext
+from ..rule import seeding_rule
+
+
+@seeding_rule
+def gsfusion(ctx: SeedContext, *, required_weight: float = 1.0, coverage: bool = True) -> Seeds:
+    """One Gaussian per quadtree leaf whose middle lies in a voxel that this frame was the first to observe.
+
+    The voxel test runs after the frame has been integrated, so a weight of exactly 1 means "first observed now". What
+    follows from it, in the released code as here:
+    - a voxel that was free space when first observed has a weight too: a surface that appears there later is never
+      seeded;
+    - a leaf is lost if the voxel around its middle has weight 0, because that voxel's own centre falls on a pixel
+      without depth, or too far behind that pixel's depth (object borders);
+    - a voxel observed once, and not again in the next frame that measures a point in it, is seeded twice;
+    - several leaves of one frame may share a voxel, unless ``one_per_voxel`` is set in the seeding settings.
+
+    Args:
+        ctx: Frame and volume.
+        required_weight: Observation count that the voxel must have.
+        coverage: False skips the voxel test; every frame then seeds everything it sees.
+
+    Source: GSFusion section III-B.2, Eq. 10-11.
+    """
+    seeds = ctx.cells()
+    return seeds[ctx.voxel_weight(seeds.xyz_W) == required_weight] if coverage else seeds

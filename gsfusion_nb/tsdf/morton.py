@@ -1,0 +1,57 @@
+"""Morton codes: three block coordinates interleaved bit by bit into one integer that sorts like an octree walk."""
+
+import torch
+from jaxtyping import Int
+from torch import Tensor
+
+from ..checks import check_shape
+
+BITS = 21
+"""Bits per axis: 3 x 21 = 63 fit in a signed 64-bit integer."""
+
+OFFSET = 1 << (BITS - 1)
+"""Added to every coordinate, so that negative ones sort before positive ones."""
+
+_SPREAD = (
+    (32, 0x001F00000000FFFF),
+    (16, 0x001F0000FF0000FF),
+    (8, 0x100F00F00F00F00F),
+    (4, 0x10C30C30C30C30C3),
+    (2, 0x1249249249249249),
+)
+"""Shift and mask pairs that move bit i of a 21-bit number to bit 3 i, halving the groups each time."""
+
+
+def encode(coords: Int[Tensor, "N 3"]) -> Int[Tensor, " N"]:
+    """Morton code of signed coordinates: bit i of x, y, z becomes bit 3i, 3i+1, 3i+2. The parent is ``code >> 3``.
+
+    Args:
+        coords: Integer coordinates, each in [-2^20, 2^20). [N, 3]
+
+    Returns:
+        Codes, int64, non-negative. [N]
+
+    Raises:
+        ValueError: a coordinate does not fit in 21 bits.
+
+    Differentiable: no. Source: Morton 1966; GSFusion section III-A.
+    """
+    check_shape("coords", coords, ("N", 3))
+    shifted = coords.to(torch.int64) + OFFSET
+    if shifted.numel() and bool(((shifted < 0) | (shifted >= 2 * OFFSET)).any()):
+        low, high = int(coords.min()), int(coords.max())
+        raise ValueError(f"block coordinates must lie in [{-OFFSET}, {OFFSET}), got {low} to {high}")
+    spread = shifted
+    for shift, mask in _SPREAD:
+        spread = (spread | (spread << shift)) & mask
+    x, y, z = spread.unbind(1)
+    return x | (y << 1) | (z << 2)
+
+
+def decode(codes: Int[Tensor, " N"]) -> Int[Tensor, "N 3"]:
+    """Coordinates of Morton codes, int64; the inverse of ``encode``. Differentiable: no."""
+    packed = torch.stack([codes, codes >> 1, codes >> 2], dim=1) & _SPREAD[-1][1]
+    masks = [mask for _, mask in reversed(_SPREAD[:-1])] + [(1 << BITS) - 1]
+    for (shift, _), mask in zip(reversed(_SPREAD), masks, strict=True):
+        packed = (packed | (packed >> shift)) & mask
+    return packed - OFFSET

@@ -1,0 +1,284 @@
+"""The volumetric map: an unordered pool of 8^3 voxel blocks, found through a linear octree."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from ..checks import check_shape
+from ..config import TsdfConfig, from_dict, to_dict
+from ..constants import BLOCK_VOXELS, VOXELS_PER_BLOCK
+from .octree import BlockIndex
+
+BYTES_PER_BLOCK = VOXELS_PER_BLOCK * (4 + 4 + 12) + 12
+"""Distance, weight and colour of every voxel as float32, and three int32 coordinates. Colour is float32 because a
+running mean at weight 100 moves by a hundredth of the difference: float16 would stall 6 grey levels away from the mean
+and 8 bits 50, and converting from a finer integer costs more time than the memory is worth."""
+
+_FIRST_CAPACITY = 1024
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TsdfSample:
+    """Voxel values at points. Where no voxel is allocated: ``D`` 1, ``W`` 0, black."""
+
+    D: Float[Tensor, " N"]
+    """Truncated signed distance, in units of the truncation distance, positive in front of the surface."""
+    W: Float[Tensor, " N"]
+    """Observation count."""
+    rgb: Float[Tensor, "N 3"]
+    """Mean colour, 0..1."""
+
+
+class TsdfVolume:
+    """A sparse truncated signed distance field with colour.
+
+    Voxel i of an axis spans [i, i + 1) voxel sizes from the world's origin, and its values stand for its centre.
+    Block b holds voxels 8b .. 8b + 7; inside a block, voxel (x, y, z) is number 64 x + 8 y + z. Blocks are created
+    where they are needed, anywhere in the world, and keep their row for good.
+
+    Args:
+        config: Voxel size, truncation and the like.
+        device: Where the pool lives.
+        memory_limit_bytes: Refuse to grow beyond this; by default, beyond what the machine has available.
+    """
+
+    def __init__(
+        self, config: TsdfConfig, device: torch.device | str = "cpu", *, memory_limit_bytes: int | None = None
+    ):
+        self.config = config
+        self.device = torch.device(device)
+        self.memory_limit_bytes = memory_limit_bytes
+        self.index = BlockIndex(device)
+        self._pool = _Pool(0, self.device)
+
+    @property
+    def n_blocks(self) -> int:
+        """Number of allocated blocks."""
+        return len(self.index)
+
+    @property
+    def D(self) -> Float[Tensor, "B 512"]:
+        """Truncated signed distance of every voxel; 1 until observed. A view: writing to it changes the map."""
+        return self._pool.D[: self.n_blocks]
+
+    @property
+    def W(self) -> Float[Tensor, "B 512"]:
+        """Observation count of every voxel. A view."""
+        return self._pool.W[: self.n_blocks]
+
+    @property
+    def rgb(self) -> Float[Tensor, "B 512 3"]:
+        """Mean colour of every voxel, 0..1. A view of ``rgb_planes``."""
+        return self.rgb_planes.transpose(1, 2)
+
+    @property
+    def rgb_planes(self) -> Float[Tensor, "B 3 512"]:
+        """The colours as they are stored, one plane per channel: integration is 6 times faster on whole planes."""
+        return self._pool.rgb[: self.n_blocks]
+
+    @property
+    def block_coords(self) -> Int[Tensor, "B 3"]:
+        """Integer coordinates of every block, int32; times 8 voxel sizes gives its lower corner."""
+        return self._pool.coords[: self.n_blocks]
+
+    @property
+    def block_size_m(self) -> float:
+        """Edge of a block, metres."""
+        return BLOCK_VOXELS * self.config.voxel_size_m
+
+    @property
+    def memory_bytes(self) -> int:
+        """Memory of the pool, spare rows included (they cost nothing before they are first written to)."""
+        return self._pool.capacity * BYTES_PER_BLOCK
+
+    def add_blocks(self, coords: Int[Tensor, "N 3"]) -> Int[Tensor, " K"]:
+        """Allocate the blocks at ``coords`` that do not exist yet; returns their rows.
+
+        Raises:
+            MemoryError: before a growth that the machine (or ``memory_limit_bytes``) has no room for.
+        """
+        n = self.n_blocks
+        missing = coords[self.index.find(coords) < 0]
+        if not missing.shape[0]:
+            return torch.zeros(0, dtype=torch.int64, device=self.device)
+        self._reserve(n + missing.shape[0])
+        rows = self.index.insert(missing)
+        self._pool.D[n : self.n_blocks] = 1.0
+        self._pool.W[n : self.n_blocks] = 0.0
+        self._pool.rgb[n : self.n_blocks] = 0.0
+        self._pool.coords[rows] = missing.to(torch.int32)
+        return torch.arange(n, self.n_blocks, device=self.device)
+
+    def voxel_index(self, xyz_W: Float[Tensor, "N 3"]) -> Int[Tensor, "N 3"]:
+        """Integer coordinates of the voxels that contain the points. int64"""
+        return torch.floor(xyz_W / self.config.voxel_size_m).to(torch.int64)
+
+    def find_voxels(self, ijk: Int[Tensor, "N 3"]) -> Int[Tensor, " N"]:
+        """Position of each voxel in the flattened pool (row * 512 + number in the block), -1 if not allocated. int64"""
+        rows = self.index.find(ijk >> 3)
+        x, y, z = (ijk & 7).T.contiguous()
+        number = x.mul_(64).add_(y, alpha=8).add_(z)
+        return torch.where(rows < 0, -1, number.add_(rows, alpha=VOXELS_PER_BLOCK))
+
+    def sample_nearest(self, xyz_W: Float[Tensor, "N 3"]) -> TsdfSample:
+        """Values of the voxels that contain the points.
+
+        Args:
+            xyz_W: Points, world frame, metres. [N, 3]
+
+        Differentiable: no (the map is state, not a parameter).
+        """
+        check_shape("xyz_W", xyz_W, ("N", 3))
+        flat = self.find_voxels(self.voxel_index(xyz_W))
+        D, W = xyz_W.new_ones(flat.shape[0]), xyz_W.new_zeros(flat.shape[0])
+        rgb = xyz_W.new_zeros(flat.shape[0], 3)
+        known = (flat >= 0).nonzero()[:, 0]
+        flat = flat[known]
+        D[known] = self.D.reshape(-1)[flat]
+        W[known] = self.W.reshape(-1)[flat]
+        rgb[known] = self.voxel_rgb(flat)
+        return TsdfSample(D=D, W=W, rgb=rgb)
+
+    def voxel_rgb(self, flat: Int[Tensor, " N"]) -> Float[Tensor, "N 3"]:
+        """Colours of allocated voxels, given by their position in the flattened pool."""
+        return self.rgb_planes[flat // VOXELS_PER_BLOCK, :, flat % VOXELS_PER_BLOCK]
+
+    def cell_corners(self, xyz_W: Float[Tensor, "N 3"]) -> tuple[Int[Tensor, "N 8"], Float[Tensor, "N 3"]]:
+        """The eight voxels whose centres surround each point, and where the point lies between them.
+
+        Returns:
+            Positions in the flattened pool, -1 if not allocated, corner x + 2 y + 4 z [N, 8]; fractions in 0..1 [N, 3].
+        """
+        p = xyz_W / self.config.voxel_size_m - 0.5
+        base = torch.floor(p)
+        first = base.to(torch.int64)
+        steps = torch.tensor([[c & 1, c >> 1 & 1, c >> 2] for c in range(8)], device=xyz_W.device)
+        lowest = self.find_voxels(first)
+        # Two thirds of all cells lie in one block: one lookup. The others look up each corner.
+        corners = lowest[:, None] + steps @ steps.new_tensor([64, 8, 1])
+        corners[lowest < 0] = -1
+        across = ((first & 7) == BLOCK_VOXELS - 1).any(1).nonzero()[:, 0]
+        corners[across] = self.find_voxels((first[across][:, None] + steps).view(-1, 3)).view(-1, 8)
+        return corners, p - base
+
+    def interpolate(self, xyz_W: Float[Tensor, "N 3"]) -> tuple[Float[Tensor, " N"], Bool[Tensor, " N"]]:
+        """Trilinear signed distance at points, in units of the truncation distance.
+
+        Returns:
+            ``D`` (1 where not valid) and ``valid``: all eight surrounding voxels have been observed.
+
+        Differentiable: no (the map is state, not a parameter).
+        """
+        check_shape("xyz_W", xyz_W, ("N", 3))
+        corners, f = self.cell_corners(xyz_W)
+        D = xyz_W.new_ones(xyz_W.shape[0])
+        inside = (corners >= 0).all(1)
+        known = inside.nonzero()[:, 0]
+        at = corners.index_select(0, known)
+        observed = (self.W.reshape(-1).take(at) > 0).all(1).nonzero()[:, 0]
+        known, at = known.index_select(0, observed), at.index_select(0, observed)
+        D[known] = (self.D.reshape(-1).take(at) * corner_weights(f.index_select(0, known))).sum(1)
+        valid = torch.zeros_like(inside)
+        valid[known] = True
+        return D, valid
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything needed to continue: configuration and the allocated blocks (copies)."""
+        tensors = {"D": self.D, "W": self.W, "rgb": self.rgb_planes, "block_coords": self.block_coords}
+        return {"config": to_dict(self.config)} | {name: value.clone() for name, value in tensors.items()}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Replace the map by one that ``state_dict`` gave; its configuration must be the same."""
+        config = from_dict(TsdfConfig, state["config"])
+        if config != self.config:
+            raise ValueError(f"the saved map was made with {config}, this volume has {self.config}")
+        coords = state["block_coords"].to(self.device)
+        n, self._pool = coords.shape[0], _Pool(0, self.device)
+        self._reserve(n)
+        self.index = BlockIndex.of_blocks(coords)
+        pool = self._pool
+        for target, name in ((pool.D, "D"), (pool.W, "W"), (pool.rgb, "rgb"), (pool.coords, "block_coords")):
+            target[:n] = state[name].to(self.device)
+
+    def _reserve(self, n_blocks: int) -> None:
+        """Room for ``n_blocks`` rows; doubles, so that the cost of copying stays constant per block."""
+        old = self._pool
+        if n_blocks <= old.capacity:
+            return
+        free = available_memory(self.device)
+        limit = self.memory_limit_bytes
+        for capacity in (max(n_blocks, 2 * old.capacity, _FIRST_CAPACITY), n_blocks):
+            size = capacity * BYTES_PER_BLOCK
+            if (limit is None or size <= limit) and (free is None or size <= free):
+                self._pool = old.grown(capacity)
+                return
+        raise MemoryError(
+            f"the TSDF volume needs {n_blocks * BYTES_PER_BLOCK / 1e6:.0f} MB for {n_blocks} blocks of 8^3 voxels of "
+            f"{self.config.voxel_size_m} m, but only {min(x for x in (limit, free) if x is not None) / 1e6:.0f} MB "
+            "may be used; take larger voxels, a smaller far_m, or check the depth unit"
+        )
+
+    def _repr_html_(self) -> str:
+        c = self.config
+        low, high = (
+            (self.block_coords.amin(0) * self.block_size_m, (self.block_coords.amax(0) + 1) * self.block_size_m)
+            if self.n_blocks
+            else (torch.zeros(3), torch.zeros(3))
+        )
+        extent = " &times; ".join(f"{float(s):.2f}" for s in high - low)
+        rows = {
+            "voxel": f"{c.voxel_size_m * 100:g} cm, truncation {c.truncation_m * 100:g} cm",
+            "blocks of 8&sup3; voxels": f"{self.n_blocks:,}",
+            "extent": f"{extent} m",
+            "memory": f"{self.memory_bytes / 1e6:.1f} MB on {self.device}",
+        }
+        cells = "".join(f"<tr><th style='text-align:left'>{k}</th><td>{v}</td></tr>" for k, v in rows.items())
+        return f"<table><caption>TsdfVolume</caption>{cells}</table>"
+
+
+class _Pool:
+    """The tensors behind a volume, with spare rows at the end. New rows are filled when they are handed out."""
+
+    def __init__(self, capacity: int, device: torch.device):
+        self.capacity = capacity
+        self.D = torch.empty(capacity, VOXELS_PER_BLOCK, device=device)
+        self.W = torch.empty(capacity, VOXELS_PER_BLOCK, device=device)
+        self.rgb = torch.empty(capacity, 3, VOXELS_PER_BLOCK, device=device)
+        self.coords = torch.empty(capacity, 3, dtype=torch.int32, device=device)
+
+    def grown(self, capacity: int) -> "_Pool":
+        pool = _Pool(capacity, self.D.device)
+        for name in ("D", "W", "rgb", "coords"):
+            getattr(pool, name)[: self.capacity] = getattr(self, name)
+        return pool
+
+
+def corner_weights(f: Float[Tensor, "N 3"]) -> Float[Tensor, "N 8"]:
+    """Trilinear weights of the corners x + 2 y + 4 z of a cell, at fractions ``f`` along its edges."""
+    weights = torch.ones_like(f[:, :1])
+    for axis in range(3):
+        upper = weights * f[:, axis, None]
+        weights = torch.cat([weights - upper, upper], dim=1)
+    return weights
+
+
+def estimate_memory(n_blocks: int) -> int:
+    """Bytes that a volume of ``n_blocks`` blocks takes."""
+    return n_blocks * BYTES_PER_BLOCK
+
+
+def available_memory(device: torch.device) -> int | None:
+    """Bytes that can still be allocated on ``device``; None where the system does not say."""
+    if device.type == "cuda":
+        return torch.cuda.mem_get_info(device)[0]
+    meminfo = Path("/proc/meminfo")
+    if device.type != "cpu" or not meminfo.exists():
+        return None
+    for line in meminfo.read_text().splitlines():
+        if line.startswith("MemAvailable:"):
+            return int(line.split()[1]) * 1024
+    return None

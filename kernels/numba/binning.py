@@ -1,0 +1,68 @@
+"""Lists of the splats that touch each tile, nearest first, by counting: no comparison sort."""
+
+import numpy as np
+from numba import njit, prange
+
+from .project import tiles_of
+
+
+@njit(cache=True, error_model="numpy")
+def depth_order(splats, count):
+    """Rows with a tile, by depth, equal depths in row order: two radix passes over the bits of the positive float."""
+    n = 0
+    for i in range(count.shape[0]):
+        n += count[i] > 0
+    rows, keys = np.empty(n, np.int32), np.empty(n, np.uint32)
+    depth_bits = splats[:, 9].copy().view(np.uint32)
+    j = 0
+    for i in range(count.shape[0]):
+        if count[i] > 0:
+            rows[j], keys[j] = i, depth_bits[i]
+            j += 1
+    other_rows, other_keys = np.empty_like(rows), np.empty_like(keys)
+    for shift in (np.uint32(0), np.uint32(11), np.uint32(22)):
+        histogram = np.zeros(2049, np.int64)
+        for j in range(n):
+            histogram[((keys[j] >> shift) & np.uint32(2047)) + 1] += 1
+        for b in range(2048):
+            histogram[b + 1] += histogram[b]
+        for j in range(n):
+            b = (keys[j] >> shift) & np.uint32(2047)
+            place = histogram[b]
+            histogram[b] += 1
+            other_rows[place], other_keys[place] = rows[j], keys[j]
+        rows, other_rows = other_rows, rows
+        keys, other_keys = other_keys, keys
+    return rows
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
+def list_tiles(splats, start, width, height, pair_tile):
+    """Numbers of the tiles each splat touches, row i in ``pair_tile[start[i]:start[i + 1]]``."""
+    N = splats.shape[0]
+    chunk = 256
+    for part in prange((N + chunk - 1) // chunk):
+        for i in range(part * chunk, min(N, part * chunk + chunk)):
+            if start[i + 1] > start[i]:
+                tiles_of(splats[i], width, height, pair_tile, start[i])
+
+
+@njit(cache=True, error_model="numpy")
+def sort_pairs(order, start, pair_tile, n_tiles):
+    """Counting sort of the pairs by tile, depth order kept: ``(ids, slot, offset)``.
+
+    ids: splat of each sorted pair. slot: its place in ``pair_tile``, contiguous per splat. offset: first pair of a tile.
+    """
+    offset = np.zeros(n_tiles + 1, np.int32)
+    for k in range(pair_tile.shape[0]):
+        offset[pair_tile[k] + 1] += 1
+    for t in range(n_tiles):
+        offset[t + 1] += offset[t]
+    cursor = offset[:-1].copy()
+    ids, slot = np.empty(pair_tile.shape[0], np.int32), np.empty(pair_tile.shape[0], np.int32)
+    for row in order:
+        for k in range(start[row], start[row + 1]):
+            place = cursor[pair_tile[k]]
+            cursor[pair_tile[k]] += 1
+            ids[place], slot[place] = row, k
+    return ids, slot, offset

@@ -1,0 +1,94 @@
+"""``render_forward`` and ``render_vjp`` from the fused kernels: what ``gsfusion_nb.backends`` offers for CPU tensors.
+
+Project and colour every row, list its tiles, sort by counting, composite; and back. float64 goes to the reference.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gsfusion_nb.geometry import se3
+from gsfusion_nb.render import rasterize as reference
+from gsfusion_nb.types import Camera, GaussianParams, RenderOutput
+
+from .binning import depth_order, list_tiles, sort_pairs
+from .composite import PAIR_SUMS, TILE, composite_backward, composite_forward
+from .launch import launching
+from .project import SPLAT, pack_camera, project_rows, project_rows_vjp
+
+_NO_IMAGE = np.empty((0, 0), np.float32)
+_NO_INDEX = np.empty((0, 0), np.int64)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class NumbaSaved:
+    """What the backward pass needs of the forward one."""
+
+    params: GaussianParams
+    camera: np.ndarray
+    splats: np.ndarray
+    start: np.ndarray
+    ids: np.ndarray
+    slot: np.ndarray
+    offset: np.ndarray
+    image: tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+def render_forward(
+    params: GaussianParams, camera: Camera, T_WC: Tensor, *, with_indices: bool = True
+) -> tuple[RenderOutput, Any]:
+    """See ``gsfusion_nb.render.render_forward``."""
+    if params.xyz_W.dtype != torch.float32:
+        return reference.render_forward.reference(params, camera, T_WC, with_indices=with_indices)
+    arrays = _arrays(params)
+    T = T_WC.detach().double()
+    cam = pack_camera(camera, se3.inverse(T).numpy(), T[:3, 3].numpy())
+    N, H, W = len(params), camera.height, camera.width
+    splats, count = np.empty((N, SPLAT), np.float32), np.empty(N, np.int32)
+    rgb, depth, alpha = torch.empty(H, W, 3), torch.empty(H, W), torch.empty(H, W)
+    first, dominant = (torch.empty(H, W, dtype=torch.int64) for _ in range(2)) if with_indices else (None, None)
+    image = rgb.numpy(), depth.numpy(), alpha.numpy()
+    with launching():
+        project_rows(*arrays, cam, splats, count)
+        start = np.zeros(N + 1, np.int32)
+        np.cumsum(count, out=start[1:])
+        pair_tile = np.empty(start[-1], np.int32)
+        list_tiles(splats, start, W, H, pair_tile)
+        order = depth_order(splats, count)
+        ids, slot, offset = sort_pairs(order, start, pair_tile, -(-W // TILE) * -(-H // TILE))
+        indices = (_NO_INDEX, _NO_INDEX) if first is None or dominant is None else (first.numpy(), dominant.numpy())
+        composite_forward(splats, ids, offset, W, H, *image, *indices)
+    output = RenderOutput(rgb=rgb, depth_m=depth, alpha=alpha, first_index=first, dominant_index=dominant)
+    saved = NumbaSaved(
+        params=params, camera=cam, splats=splats, start=start, ids=ids, slot=slot, offset=offset, image=image
+    )
+    return output, saved
+
+
+def render_vjp(
+    saved: Any, v_rgb: Tensor, v_depth_m: Tensor | None = None, v_alpha: Tensor | None = None
+) -> GaussianParams:
+    """See ``gsfusion_nb.render.render_vjp``."""
+    if not isinstance(saved, NumbaSaved):
+        return reference.render_vjp.reference(saved, v_rgb, v_depth_m, v_alpha)
+    arrays = _arrays(saved.params)
+    out = [torch.empty_like(t, memory_format=torch.contiguous_format) for t in _tensors(saved.params)]
+    pair_sums = np.empty((len(saved.ids), PAIR_SUMS), np.float32)
+    v_image = tuple(_NO_IMAGE if v is None else v.contiguous().float().numpy() for v in (v_rgb, v_depth_m, v_alpha))
+    with launching():
+        composite_backward(saved.splats, saved.ids, saved.offset, saved.slot, saved.image, v_image, pair_sums)
+        results = [t.numpy() for t in out]
+        project_rows_vjp(*arrays, saved.camera, saved.splats, saved.start, pair_sums, *results)
+    names = ("xyz_W", "log_scale", "quat", "opacity_logit", "sh")
+    return GaussianParams(**dict(zip(names, out, strict=True)))
+
+
+def _tensors(params: GaussianParams) -> list[Tensor]:
+    return [params.xyz_W, params.log_scale, params.quat, params.opacity_logit, params.sh]
+
+
+def _arrays(params: GaussianParams) -> list[np.ndarray]:
+    return [t.detach().contiguous().numpy() for t in _tensors(params)]

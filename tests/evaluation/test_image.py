@@ -1,0 +1,189 @@
+"""PSNR, SSIM, LPIPS and depth error: closed forms, a brute-force SSIM, and views read one by one."""
+
+import math
+import sys
+
+import numpy as np
+import pytest
+import torch
+from jaxtyping import TypeCheckError
+
+from gsfusion_nb.evaluation import (
+    NotComputed,
+    depth_l1_m,
+    expected_depth_m,
+    lpips,
+    metrics_as_json,
+    psnr,
+    score_views,
+    ssim,
+)
+from gsfusion_nb.evaluation import image as image_module
+from gsfusion_nb.types import Camera, Frame, RenderOutput
+
+
+def picture(generator, height=24, width=31):
+    return torch.rand(height, width, 3, generator=generator)
+
+
+def view_of(rgb, depth_m, alpha=1.0):
+    index = torch.zeros(depth_m.shape, dtype=torch.int64)
+    return RenderOutput(
+        rgb=rgb, depth_m=depth_m * alpha, alpha=torch.full_like(depth_m, alpha), first_index=index, dominant_index=index
+    )
+
+
+def frame_of(index, rgb, depth_m):
+    h, w = depth_m.shape
+    camera = Camera(width=w, height=h, fx=float(w), fy=float(w), cx=w / 2, cy=h / 2)
+    return Frame(index=index, timestamp_s=0.0, rgb=rgb, depth_m=depth_m, camera=camera, T_WC=torch.eye(4))
+
+
+@pytest.mark.parametrize("offset", [0.1, 0.01, 1.0])
+def test_psnr_of_a_constant_offset_is_minus_20_log10(offset):
+    black = torch.zeros(5, 7, 3, dtype=torch.float64)
+    assert psnr(black + offset, black, quantise=False) == pytest.approx(-20 * math.log10(offset), abs=1e-9)
+
+
+def test_psnr_quantises_to_bytes_with_halves_up():
+    black = torch.zeros(2, 2, 3)
+    just_below, just_above = black + 0.49 / 255, black + 0.51 / 255
+    assert psnr(just_below, black) == math.inf
+    assert psnr(just_above, black) == pytest.approx(20 * math.log10(255), abs=1e-4)
+
+
+def test_psnr_clamps_to_the_data_range_and_leaves_inputs_alone():
+    white, over = torch.ones(3, 3, 3), torch.full((3, 3, 3), 7.0)
+    assert psnr(over, white) == math.inf
+    assert over.max() == 7.0
+
+
+def test_ssim_of_equal_images_is_one_and_falls_with_noise(generator):
+    a = picture(generator)
+    noise = torch.randn(a.shape, generator=generator)
+    values = [ssim(a + s * noise, a) for s in (0.0, 0.02, 0.1, 0.4)]
+    assert values[0] == 1.0
+    assert values == sorted(values, reverse=True)
+    assert ssim(torch.zeros(8, 8, 3), torch.zeros(8, 8, 3)) == 1.0
+
+
+def test_ssim_matches_its_definition_pixel_by_pixel(generator):
+    a, b = picture(generator, 9, 12).double(), picture(generator, 9, 12).double()
+    tap = np.exp(-(np.arange(-5, 6) ** 2) / (2 * 1.5**2))
+    window = np.outer(tap, tap) / tap.sum() ** 2
+    total = 0.0
+    for c in range(3):
+        x, y = (np.pad(image[..., c].numpy(), 5, mode="reflect") for image in (a, b))
+        for i in range(9):
+            for j in range(12):
+                p, q = x[i : i + 11, j : j + 11], y[i : i + 11, j : j + 11]
+                mp, mq = (window * p).sum(), (window * q).sum()
+                vp, vq = (window * (p - mp) ** 2).sum(), (window * (q - mq) ** 2).sum()
+                cov = (window * (p - mp) * (q - mq)).sum()
+                total += (2 * mp * mq + 1e-4) * (2 * cov + 9e-4) / ((mp**2 + mq**2 + 1e-4) * (vp + vq + 9e-4))
+    assert ssim(a, b, quantise=False) == pytest.approx(total / (9 * 12 * 3), abs=1e-12)
+
+
+def test_ssim_in_float32_agrees_with_float64(generator):
+    a, b = picture(generator, 40, 50), picture(generator, 40, 50)
+    assert ssim(a, b) == pytest.approx(ssim(a.double(), b.double()), abs=1e-5)
+
+
+def test_metrics_refuse_images_of_different_shape_or_too_small():
+    with pytest.raises((ValueError, TypeCheckError)):
+        psnr(torch.zeros(4, 4, 3), torch.zeros(4, 5, 3))
+    with pytest.raises(ValueError, match="at least 6 pixels"):
+        ssim(torch.zeros(5, 9, 3), torch.zeros(5, 9, 3))
+
+
+@pytest.fixture
+def no_cached_network():
+    image_module._lpips_network.cache_clear()
+    yield
+    image_module._lpips_network.cache_clear()
+
+
+def test_lpips_without_its_package_says_so(monkeypatch, no_cached_network):
+    monkeypatch.setitem(sys.modules, "lpips", None)
+    result = lpips(torch.zeros(8, 8, 3), torch.zeros(8, 8, 3))
+    assert isinstance(result, NotComputed)
+    assert str(result).startswith("not computed: package 'lpips' is not installed")
+
+
+def test_lpips_without_weights_says_so_and_never_builds_the_network(monkeypatch, no_cached_network, tmp_path):
+    """A stand-in package: building the network would mean a download, so it must not happen."""
+
+    class Package:
+        @staticmethod
+        def LPIPS(**_):
+            raise AssertionError("this would download")
+
+    class Models:
+        class AlexNet_Weights:
+            class IMAGENET1K_V1:
+                url = "https://example.org/alexnet-owt-7be5be79.pth"
+
+    monkeypatch.setitem(sys.modules, "lpips", Package)
+    monkeypatch.setitem(sys.modules, "torchvision", Models)
+    monkeypatch.setitem(sys.modules, "torchvision.models", Models)
+    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
+    result = lpips(torch.zeros(8, 8, 3), torch.zeros(8, 8, 3))
+    assert isinstance(result, NotComputed)
+    assert "alexnet-owt-7be5be79.pth" in result.reason
+
+
+def test_depth_error_counts_only_pixels_with_both():
+    ours, truth = torch.tensor([[1.0, 0.0, 2.0, 3.0]]), torch.tensor([[1.5, 1.0, 0.0, 2.0]])
+    l1, share = depth_l1_m(ours, truth)
+    assert (l1, share) == (0.75, 0.5)
+    l1, share = depth_l1_m(torch.zeros(2, 2), torch.ones(2, 2))
+    assert math.isnan(l1)
+    assert share == 0.0
+
+
+def test_expected_depth_divides_by_alpha_and_drops_thin_pixels():
+    index = torch.zeros(1, 3, dtype=torch.int64)
+    view = RenderOutput(
+        rgb=torch.zeros(1, 3, 3), depth_m=torch.tensor([[1.6, 0.4, 0.0]]), alpha=torch.tensor([[0.8, 0.2, 0.0]]),
+        first_index=index, dominant_index=index,
+    )  # fmt: skip
+    assert torch.allclose(expected_depth_m(view), torch.tensor([[2.0, 0.0, 0.0]]))
+
+
+def test_score_views_reads_frames_one_by_one(generator):
+    alive = 0
+
+    def frames():
+        nonlocal alive
+        for i in (3, 11):
+            alive += 1
+            yield frame_of(i, picture(generator), torch.full((24, 31), 2.0))
+            alive -= 1
+
+    def render(camera, T_WC):
+        assert alive == 1
+        return view_of(torch.full((24, 31, 3), 0.5), torch.full((24, 31), 2.1), alpha=0.9)
+
+    scores = score_views(render, frames())
+    assert [row.index for row in scores.rows] == [3, 11]
+    assert scores.psnr == pytest.approx(np.mean([row.psnr for row in scores.rows]))
+    assert scores.depth_l1_m == pytest.approx(0.1, abs=1e-5)
+    assert scores.rows[0].depth_share == 1.0
+    assert isinstance(scores.lpips, NotComputed)
+    assert set(scores.as_metrics("held_out")) == {
+        "psnr_held_out_db", "ssim_held_out", "lpips_held_out", "depth_l1_held_out_m",
+    }  # fmt: skip
+
+
+def test_score_views_of_no_frames_is_not_computed():
+    scores = score_views(lambda camera, T_WC: None, [])  # pyright: ignore[reportArgumentType]
+    assert scores.psnr == NotComputed("no view to score")
+    assert metrics_as_json(scores.as_metrics("mapped"))["ssim_mapped"] == {"not_computed": "no view to score"}
+
+
+def test_depth_mean_skips_views_without_common_depth(generator):
+    rgb = picture(generator)
+    frames = [frame_of(0, rgb, torch.zeros(24, 31)), frame_of(1, rgb, torch.ones(24, 31))]
+    scores = score_views(lambda camera, T_WC: view_of(rgb, torch.full((24, 31), 1.5)), frames)
+    assert scores.depth_l1_m == pytest.approx(0.5)
+    assert scores.psnr == math.inf

@@ -1,0 +1,172 @@
+"""Mesh files: PLY and binary glTF."""
+
+import json
+import struct
+
+import numpy as np
+import plyfile
+import pytest
+import torch
+
+from gsfusion_nb.export import read_mesh_ply, write_mesh_glb, write_mesh_ply
+from gsfusion_nb.types import Mesh
+
+
+def tetrahedron():
+    return Mesh(
+        vertices_W=torch.tensor([[0.0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3]]),
+        faces=torch.tensor([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]),
+        rgb=torch.tensor([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0.2, 0.4, 1.5]]),
+    )
+
+
+def empty():
+    return Mesh(vertices_W=torch.zeros(0, 3), faces=torch.zeros(0, 3, dtype=torch.int64), rgb=torch.zeros(0, 3))
+
+
+def test_ply_bytes_literally(tmp_path):
+    write_mesh_ply(tmp_path / "m.ply", tetrahedron())
+    header = (
+        b"ply\nformat binary_little_endian 1.0\nelement vertex 4\n"
+        b"property float x\nproperty float y\nproperty float z\n"
+        b"property uchar red\nproperty uchar green\nproperty uchar blue\n"
+        b"element face 4\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    data = (tmp_path / "m.ply").read_bytes()
+    assert data[: len(header)] == header
+    body = data[len(header) :]
+    assert len(body) == 4 * 15 + 4 * 13  # shared vertices: 4, not 12
+    assert body[3 * 15 : 4 * 15] == struct.pack("<3f3B", 0, 0, 3, 51, 102, 255)
+    assert body[-13:] == struct.pack("<B3i", 3, 1, 2, 3)
+
+
+def test_plyfile_reads_it(tmp_path):
+    mesh = tetrahedron()
+    write_mesh_ply(tmp_path / "m.ply", mesh)
+    ply = plyfile.PlyData.read(str(tmp_path / "m.ply"))
+    assert [list(f) for f in ply["face"]["vertex_indices"]] == mesh.faces.tolist()
+    assert ply["vertex"]["blue"].tolist() == [0, 0, 0, 255]
+
+
+@pytest.mark.parametrize("mesh", [tetrahedron(), empty()], ids=["tetrahedron", "empty"])
+def test_ply_round_trip(tmp_path, mesh):
+    write_mesh_ply(tmp_path / "m.ply", mesh)
+    back = read_mesh_ply(tmp_path / "m.ply")
+    assert torch.equal(back.vertices_W, mesh.vertices_W)
+    assert torch.equal(back.faces.long(), mesh.faces)
+    assert back.rgb.shape == mesh.rgb.shape
+    if len(mesh.rgb):
+        assert (back.rgb - mesh.rgb.clamp(0, 1)).abs().max() <= 0.5 / 255 + 1e-6
+
+
+def test_ply_without_faces_keeps_points(tmp_path):
+    points = Mesh(vertices_W=torch.rand(3, 3), faces=torch.zeros(0, 3, dtype=torch.int32), rgb=torch.rand(3, 3))
+    write_mesh_ply(tmp_path / "m.ply", points)
+    assert torch.equal(read_mesh_ply(tmp_path / "m.ply").vertices_W, points.vertices_W)
+
+
+def foreign_ply(path, faces, text=False):
+    vertex = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 0)], dtype=[(a, "f8") for a in "xyz"])
+    face = np.empty(len(faces), dtype=[("vertex_index", object)])
+    face["vertex_index"] = [np.array(f, dtype=np.int32) for f in faces]
+    elements = [plyfile.PlyElement.describe(vertex, "vertex"), plyfile.PlyElement.describe(face, "face")]
+    plyfile.PlyData(elements, text=text).write(str(path))
+
+
+@pytest.mark.parametrize("text", [False, True])
+def test_reads_files_of_other_programs(tmp_path, text):
+    foreign_ply(tmp_path / "m.ply", [[0, 1, 2], [1, 3, 2]], text)
+    mesh = read_mesh_ply(tmp_path / "m.ply")
+    assert mesh.faces.tolist() == [[0, 1, 2], [1, 3, 2]]
+    assert torch.equal(mesh.rgb, torch.full((4, 3), 0.5))
+
+
+def test_ply_errors_are_sentences(tmp_path):
+    path = tmp_path / "m.ply"
+    with pytest.raises(FileNotFoundError, match=r"m\.ply does not exist"):
+        read_mesh_ply(path)
+    foreign_ply(path, [[0, 1, 2], [0, 1, 3, 2]])
+    with pytest.raises(ValueError, match="triangles only, got faces of 3, 4 vertices"):
+        read_mesh_ply(path)
+    write_mesh_ply(path, tetrahedron())
+    path.write_bytes(path.read_bytes()[:-5])
+    with pytest.raises(ValueError, match=r"m\.ply is no readable PLY file"):
+        read_mesh_ply(path)
+    path.write_bytes(b"\xff\xfe nothing")
+    with pytest.raises(ValueError, match=r"m\.ply is no readable PLY file"):
+        read_mesh_ply(path)
+
+
+@pytest.mark.parametrize("write", [write_mesh_ply, write_mesh_glb])
+@pytest.mark.parametrize("bad", [4, -1])
+def test_faces_must_refer_to_vertices(tmp_path, write, bad):
+    mesh = tetrahedron()
+    wrong = Mesh(vertices_W=mesh.vertices_W, faces=torch.tensor([[0, 1, bad]]), rgb=mesh.rgb)
+    with pytest.raises(ValueError, match="faces must refer to vertices 0 to 3"):
+        write(tmp_path / "m", wrong)
+    assert list(tmp_path.iterdir()) == []
+
+
+def parse_glb(data):
+    magic, version, length = struct.unpack("<4sII", data[:12])
+    assert (magic, version, length) == (b"glTF", 2, len(data))
+    size, kind = struct.unpack("<I4s", data[12:20])
+    assert kind == b"JSON"
+    assert size % 4 == 0
+    document = json.loads(data[20 : 20 + size])
+    rest = data[20 + size :]
+    if not rest:
+        return document, b""
+    size, kind = struct.unpack("<I4s", rest[:8])
+    assert kind == b"BIN\0"
+    assert size % 4 == 0
+    assert len(rest) == 8 + size
+    return document, rest[8:]
+
+
+def accessor(document, chunk, index, dtype, width):
+    entry = document["accessors"][index]
+    view = document["bufferViews"][entry["bufferView"]]
+    assert view["byteOffset"] % 4 == 0
+    data = chunk[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
+    return np.frombuffer(data, dtype).reshape(entry["count"], width)
+
+
+def test_glb_content_and_axes(tmp_path):
+    mesh = tetrahedron()
+    write_mesh_glb(tmp_path / "m.glb", mesh)
+    document, chunk = parse_glb((tmp_path / "m.glb").read_bytes())
+    assert document["buffers"] == [{"byteLength": 4 * 12 + 4 * 8 + 12 * 4}]
+    xyz = accessor(document, chunk, 0, "<f4", 3)
+    assert xyz.tolist() == [[0, 0, 0], [1, 0, 0], [0, -2, 0], [0, 0, -3]]
+    assert document["accessors"][0]["min"] == [0, -2, -3]
+    assert document["accessors"][0]["max"] == [1, 0, 0]
+    assert accessor(document, chunk, 2, "<u4", 1).reshape(-1, 3).tolist() == mesh.faces.tolist()
+    colour = accessor(document, chunk, 1, "<u2", 4) / 65535
+    # 0.2 and 0.4 of sRGB are 0.0331 and 0.1329 of linear light
+    assert colour[3].tolist() == pytest.approx([0.03310, 0.13287, 1.0, 1.0], abs=1e-4)
+
+
+@pytest.mark.parametrize("up", ["-y", "+z", "+y"])
+def test_glb_axes_keep_handedness(tmp_path, up):
+    mesh = tetrahedron()
+    write_mesh_glb(tmp_path / "m.glb", mesh, up=up)
+    document, chunk = parse_glb((tmp_path / "m.glb").read_bytes())
+    xyz = accessor(document, chunk, 0, "<f4", 3).astype(float)
+    assert np.linalg.det(xyz[1:]) == pytest.approx(6.0)  # signed volume of the corner, as before
+    up_vector = {"-y": (2, -1), "+z": (3, 1), "+y": (2, 1)}[up]
+    vertex = xyz[up_vector[0]]
+    assert vertex[1] == up_vector[1] * float(mesh.vertices_W[up_vector[0]].abs().max())
+
+
+def test_glb_of_nothing_is_an_empty_scene(tmp_path):
+    write_mesh_glb(tmp_path / "m.glb", empty())
+    document, chunk = parse_glb((tmp_path / "m.glb").read_bytes())
+    assert document["scenes"] == [{}]
+    assert "meshes" not in document
+    assert chunk == b""
+
+
+def test_glb_unknown_axis(tmp_path):
+    with pytest.raises(Exception, match="up"):
+        write_mesh_glb(tmp_path / "m.glb", tetrahedron(), up="x")  # pyright: ignore[reportArgumentType]

@@ -1,0 +1,39 @@
+import pytest
+import torch
+
+from gsfusion_nb.geometry import depth_to_normals, rays
+from gsfusion_nb.geometry.camera import pixel_grid
+from gsfusion_nb.types import Camera
+
+CAMERA = Camera(width=17, height=13, fx=20.0, fy=18.0, cx=8.0, cy=6.9)
+
+
+def plane_depth(normal, distance):
+    """z-depth of the plane n . p = -distance (the camera is on the side the normal points to)."""
+    return -distance / (rays(CAMERA, pixel_grid(CAMERA, dtype=torch.float64)) @ normal)
+
+
+@pytest.mark.parametrize("n", [(0.0, 0.0, -1.0), (0.2, -0.1, -1.0), (-0.3, 0.3, -0.8)])
+def test_plane(n):
+    normal = torch.nn.functional.normalize(torch.tensor(n, dtype=torch.float64), dim=0)
+    found = depth_to_normals(CAMERA, plane_depth(normal, 2.0), max_jump=0.5)
+    torch.testing.assert_close(found[1:-1, 1:-1], normal.expand(11, 15, 3), atol=1e-12, rtol=0)
+    assert (found[0] == 0).all()
+    assert (found[:, -1] == 0).all()
+
+
+def test_missing_depth_and_edges_give_none():
+    depth = torch.full((13, 17), 2.0)
+    depth[6, 8] = 0
+    depth[:, 12:] = 3.0
+    known = depth_to_normals(CAMERA, depth).norm(dim=-1) > 0
+    for y, x in [(6, 8), (5, 8), (7, 8), (6, 7), (6, 9)]:
+        assert not known[y, x]
+    assert not known[:, 11:13].any()
+    assert known[3, 3]
+    assert known[6, 14]
+
+
+def test_image_too_small():
+    camera = Camera(width=2, height=9, fx=1.0, fy=1.0, cx=1.0, cy=1.0)
+    assert (depth_to_normals(camera, torch.ones(9, 2)) == 0).all()

@@ -1,0 +1,159 @@
+"""check_rule passes sound rules and names what is wrong with the others."""
+
+import pickle
+import random
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from gsfusion_nb.seeding import SeedContext, Seeds, check_contexts, check_rule, registered
+
+
+@pytest.mark.parametrize("name", sorted(registered()))
+def test_every_registered_rule_keeps_the_contract(name):
+    report = check_rule(name)
+    assert report.rule == name
+    assert report.seeds["new"] > report.seeds["half seen"] > 0
+    assert report.seeds["dark"] == 0
+    assert "keeps the contract" in repr(report)
+
+
+def near_only(ctx: SeedContext, *, max_depth_m: float = 1.5) -> Seeds:
+    """The example rule of the design notes."""
+    cells = ctx.cells()
+    return cells[(cells.xyz_W - ctx.frame.T_WC[:3, 3]).norm(dim=-1) < max_depth_m]
+
+
+def test_a_rule_from_a_notebook_cell():
+    report = check_rule(near_only)
+    assert 0 < report.seeds["new"] < check_rule("gsfusion").seeds["new"]
+    assert "max_depth_m" in repr(report)
+
+
+def uncovered(ctx: SeedContext, *, min_alpha: float = 0.5) -> Seeds:
+    """SplaTAM's silhouette test: every pixel that the rendered map does not cover."""
+    uv = ctx.pixels()
+    i, j = uv.long().unbind(-1)
+    return ctx.seeds_at(uv[ctx.render().alpha[j, i] < min_alpha], 1.0)
+
+
+def test_a_rule_that_looks_at_the_rendered_map():
+    report = check_rule(uncovered)
+    assert 0 < report.seeds["half seen"] < report.seeds["new"] == 61 * 47
+
+
+def test_a_rule_that_seeds_nothing_is_sound_but_noted():
+    def nothing(ctx):
+        return Seeds.empty(ctx.frame.depth_m)
+
+    assert "seeded nothing" in repr(check_rule(nothing))
+
+
+def brightens_frame(ctx):
+    ctx.frame.rgb.mul_(0.5)
+    return ctx.cells()
+
+
+def moves_map(ctx):
+    ctx.map.xyz_W.add_(0.1)
+    return ctx.cells()
+
+
+def global_torch(ctx):
+    cells = ctx.cells()
+    return cells[torch.rand(len(cells)) < 0.5]
+
+
+def global_numpy(ctx):
+    cells = ctx.cells()
+    return cells[torch.from_numpy(np.random.rand(len(cells)) < 0.5)]  # noqa: NPY002
+
+
+def global_python(ctx):
+    return ctx.cells()[random.randrange(100) :]
+
+
+def seeds_torch(ctx):
+    torch.manual_seed(0)
+    return ctx.cells()
+
+
+class Remembers:
+    """A rule that gives one seed less at each call."""
+
+    __name__ = "remembers"
+
+    def __init__(self):
+        self.calls = 0
+
+    def __call__(self, ctx):
+        self.calls += 1
+        return ctx.cells()[self.calls :]
+
+
+def camera_frame(ctx):
+    seeds = ctx.cells()
+    xyz_C = (seeds.xyz_W - ctx.frame.T_WC[:3, 3]) @ ctx.frame.T_WC[:3, :3]
+    object.__setattr__(seeds, "xyz_W", xyz_C)
+    return seeds
+
+
+def ignores_holes(ctx):
+    n = 5
+    ahead = ctx.frame.T_WC[:3, 3] + ctx.frame.T_WC[:3, 2]
+    return Seeds.isotropic(ahead.expand(n, 3), torch.full((n, 3), 0.5), torch.full((n,), 0.01))
+
+
+def broken_switch(ctx, *, invert: bool = False) -> Any:
+    return None if invert else ctx.cells()
+
+
+@pytest.mark.parametrize(
+    ("rule", "sentence"),
+    [
+        (brightens_frame, r"'brightens_frame', scene 'new': it changed frame.rgb in place; work on a copy"),
+        (moves_map, "scene 'half seen': it changed map xyz_W in place"),
+        (global_torch, "drew random numbers from torch's global generator"),
+        (seeds_torch, "drew random numbers from torch's global generator"),
+        (global_numpy, "drew random numbers from numpy's global generator"),
+        (global_python, "two runs on the same input gave different seeds"),
+        (Remembers(), "two runs on the same input gave different seeds"),
+        (camera_frame, "seeds lie behind the camera; xyz_W is in the world frame"),
+        (ignores_holes, "the frame has no depth, yet it gave 5 seeds"),
+    ],
+)
+def test_broken_rules_are_named(rule, sentence):
+    state = torch.get_rng_state()
+    with pytest.raises(AssertionError, match=sentence):
+        check_rule(rule)
+    torch.set_rng_state(state)
+
+
+def test_a_switch_is_tried_in_both_positions():
+    with pytest.raises(TypeError, match="'broken_switch' returned something unusable: expected Seeds, got NoneType"):
+        check_rule(broken_switch)
+
+
+def test_checking_leaves_the_global_generators_alone():
+    before = torch.get_rng_state(), pickle.dumps(np.random.get_state())  # noqa: NPY002
+    check_rule("uniform")
+    assert torch.equal(torch.get_rng_state(), before[0])
+    assert pickle.dumps(np.random.get_state()) == before[1]  # noqa: NPY002
+
+
+def test_own_contexts_may_be_given():
+    ctx = check_contexts()["holes"]
+    assert check_rule("uniform", {"mine": ctx}).seeds.keys() == {"mine"}
+
+
+def test_the_scene_is_what_it_says():
+    ctx = check_contexts()["new"]
+    seeds = ctx.seeds_at(ctx.pixels(), 1.0)
+    assert len(seeds) == 61 * 47
+    assert ctx.tsdf(seeds.xyz_W).abs().max() < 0.3  # within a voxel's half diagonal of the surface, in truncations
+    assert ctx.frame.depth_m.min() < 1.05
+    assert ctx.frame.depth_m.max() > 1.9
+    assert (ctx.normals()[1:-1, 1:-1].norm(dim=-1) > 0.99).float().mean() > 0.85
+    assert len(ctx.quadtree_cells().level.unique()) >= 3

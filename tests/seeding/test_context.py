@@ -1,0 +1,192 @@
+"""What a rule is given: seeds from cells, voxel lookups, views of the map."""
+
+import dataclasses
+import math
+from types import SimpleNamespace
+
+import pytest
+import torch
+
+from gsfusion_nb.config import SeedingConfig, TsdfConfig
+from gsfusion_nb.gaussians import GaussianModel
+from gsfusion_nb.geometry import project, se3
+from gsfusion_nb.seeding import SeedContext, check_contexts
+from gsfusion_nb.tsdf.volume import TsdfVolume
+from gsfusion_nb.types import Camera, Frame, Seeds
+
+
+def frame(depth_m: torch.Tensor, rgb: torch.Tensor | None = None, fx: float = 600.0, T_WC=None) -> Frame:
+    H, W = depth_m.shape
+    return Frame(
+        index=0,
+        timestamp_s=0.0,
+        rgb=torch.rand(H, W, 3, generator=torch.Generator().manual_seed(1)) if rgb is None else rgb,
+        depth_m=depth_m,
+        camera=Camera(width=W, height=H, fx=fx, fy=500.0, cx=W / 2, cy=H / 2),
+        T_WC=torch.eye(4) if T_WC is None else T_WC,
+    )
+
+
+class FakeVolume:
+    """Weight = number of the voxel along x."""
+
+    config = TsdfConfig(voxel_size_m=0.5, near_m=0.7)
+
+    def sample_nearest(self, xyz_W):
+        i = (xyz_W[:, 0] / 0.5).floor()
+        return SimpleNamespace(D=0.1 * i, W=i, rgb=xyz_W * 0)
+
+
+def test_published_size_of_a_cell():
+    """Depth 2 m, 4 x 2 pixels, fx 600: d = 0.00745356, log d = -4.899064; fy plays no part."""
+    seeds = SeedContext(frame(torch.full((2, 4), 2.0))).cells()
+    assert len(seeds) == 1
+    assert seeds.scale_m.tolist() == [pytest.approx([0.00745356] * 3, abs=1e-8)]
+    assert seeds.scale_m.log()[0, 0].item() == pytest.approx(-4.899064, abs=1e-5)
+    assert seeds.xyz_W.tolist() == [[0.0, 0.0, 2.0]]
+    assert seeds.opacity.tolist() == [0.5]
+    assert seeds.quat.tolist() == [[1.0, 0.0, 0.0, 0.0]]
+    assert seeds.tag.tolist() == [0]
+
+
+def test_depth_and_colour_come_from_the_pixel_that_contains_the_middle():
+    depth = torch.arange(1.0, 7.0).reshape(2, 3)  # one leaf, 3 x 2, middle (1.5, 1.0): column 1, row 1
+    rgb = torch.arange(18.0).reshape(2, 3, 3) / 20
+    seeds = SeedContext(frame(depth, rgb)).cells()
+    assert seeds.xyz_W[0, 2].item() == 5.0
+    assert torch.equal(seeds.rgb[0], rgb[1, 1])
+
+
+def test_cells_without_depth_or_too_near_are_dropped():
+    rgb = torch.zeros(4, 4, 3)
+    rgb[:2, :2] = 1.0  # cut once; middles at pixels (1, 1), (1, 3), (3, 1), (3, 3) as (u, v)
+    depth = torch.full((4, 4), 2.0)
+    depth[3, 1] = 0.0
+    depth[1, 3] = 0.39
+    config = SeedingConfig(quadtree_contrast="std")
+    ctx = SeedContext(frame(depth, rgb), config=config)
+    uv = project(ctx.camera, ctx.cells().xyz_W)
+    torch.testing.assert_close(uv, torch.tensor([[1.0, 1.0], [3.0, 3.0]]))
+    assert len(SeedContext(frame(depth, rgb), config=config, near_m=0.0).cells()) == 3
+    assert len(SeedContext(frame(depth, rgb), FakeVolume(), config=config).cells()) == 2
+
+
+def test_seeds_are_placed_in_the_world():
+    T_WC = se3.exp(torch.tensor([0.1, 0.2, 0.3, 0.5, -0.4, 0.3]))
+    ctx = SeedContext(frame(torch.full((6, 8), 1.5), T_WC=T_WC))
+    uv = torch.tensor([[0.2, 0.4], [7.9, 5.9]])
+    seeds = ctx.seeds_at(uv, torch.tensor([1.0, 2.0]), opacity=0.7, tag=torch.tensor([4, 5]))
+    xyz_C = se3.apply(se3.inverse(T_WC), seeds.xyz_W)
+    torch.testing.assert_close(project(ctx.camera, xyz_C), uv, atol=1e-3, rtol=0)
+    torch.testing.assert_close(xyz_C[:, 2], torch.tensor([1.5, 1.5]))
+    torch.testing.assert_close(seeds.scale_m[:, 0], torch.tensor([1.5, 3.0]) / 600)
+    assert seeds.tag.tolist() == [4, 5]
+    assert seeds.opacity.tolist() == pytest.approx([0.7, 0.7])
+
+
+def test_positions_outside_the_image_are_dropped():
+    ctx = SeedContext(frame(torch.full((6, 8), 1.5)))
+    uv = torch.tensor([[-0.1, 1.0], [8.0, 1.0], [1.0, -0.1], [1.0, 6.0], [7.99, 5.99]])
+    assert len(ctx.seeds_at(uv, 1.0)) == 1
+    assert len(ctx.seeds_at(uv[:0], 1.0)) == 0
+
+
+def test_pixels_are_those_with_depth():
+    depth = torch.tensor([[0.0, 1.0], [0.3, 0.4]])
+    assert SeedContext(frame(depth)).pixels().tolist() == [[1.5, 0.5], [1.5, 1.5]]
+
+
+def test_quadtree_cells_are_computed_once_per_setting():
+    ctx = check_contexts()["new"]
+    assert ctx.quadtree_cells() is ctx.quadtree_cells(threshold=ctx.config.quadtree_threshold)
+    fine, coarse = ctx.quadtree_cells(threshold=0.01), ctx.quadtree_cells(threshold=0.2)
+    assert len(fine) > len(ctx.quadtree_cells()) > len(coarse)
+    assert len(ctx.cells(threshold=0.01)) == len(fine)
+    with pytest.raises(ValueError, match=r"unknown settings \['treshold'\]; known: \['contrast', 'min_cell_px', 'thr"):
+        ctx.quadtree_cells(treshold=0.1)
+
+
+def test_eight_bit_colours_survive_the_way_through_floats():
+    every = torch.arange(256, dtype=torch.uint8).reshape(16, 16)
+    levels = torch.stack([every, every, every], dim=-1)
+    ctx = SeedContext(frame(torch.full((16, 16), 1.0), levels.float() / 255))
+    ctx.quadtree_cells()
+    assert torch.equal(ctx._cache["rgb_u8"], levels)
+
+
+def test_normals_face_the_camera_and_turn_with_the_pose():
+    T_WC = se3.exp(torch.tensor([0.0, 0.0, 0.0, 0.0, math.pi / 2, 0.0]))
+    ctx = SeedContext(frame(torch.full((5, 5), 1.0), T_WC=T_WC))
+    torch.testing.assert_close(ctx.normals()[2, 2], torch.tensor([0.0, 0.0, -1.0]))
+    torch.testing.assert_close(ctx.normals_W()[2, 2], torch.tensor([-1.0, 0.0, 0.0]), atol=1e-6, rtol=0)
+    assert ctx.normals() is ctx.normals()
+
+
+def test_volume_lookups():
+    ctx = SeedContext(frame(torch.ones(2, 2)), FakeVolume())
+    xyz = torch.tensor([[0.1, 0.6, -0.1], [1.6, -0.6, 0.0]])
+    assert ctx.voxel_weight(xyz).tolist() == [0.0, 3.0]
+    assert ctx.tsdf(xyz).tolist() == pytest.approx([0.0, 0.3])
+    assert ctx.voxel_index(xyz).tolist() == [[0, 1, -1], [3, -2, 0]]
+    assert ctx.voxel_index(xyz).dtype == torch.int64
+    assert ctx.near_m == 0.7
+
+
+def test_lookups_work_on_the_real_volume():
+    volume = TsdfVolume(TsdfConfig(voxel_size_m=0.1))
+    volume.add_blocks(torch.tensor([[-1, 0, 0]]))
+    volume.W[0, 7 * 64 + 8 + 2] = 5.0  # voxel (-1, 1, 2)
+    volume.D[0, 7 * 64 + 8 + 2] = -0.5
+    ctx = SeedContext(frame(torch.ones(2, 2)), volume)
+    xyz = torch.tensor([[-0.05, 0.15, 0.25], [0.05, 0.15, 0.25]])
+    assert ctx.voxel_weight(xyz).tolist() == [5.0, 0.0]
+    assert ctx.tsdf(xyz).tolist() == [-0.5, 1.0]
+    assert ctx.voxel_index(xyz).tolist() == [[-1, 1, 2], [0, 1, 2]]
+
+
+def test_map_view_of_a_gaussian_map():
+    model = GaussianModel(sh_degree=0)
+    scale_m = torch.tensor([[0.01, 0.03, 0.05], [0.02, 0.02, 0.02]])
+    xyz = torch.tensor([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
+    round_ones = Seeds.isotropic(xyz, xyz / 10, scale_m[:, 0], opacity=0.25, tag=torch.tensor([7, 8]))
+    model.append(dataclasses.replace(round_ones, scale_m=scale_m))
+    view = SeedContext(frame(torch.ones(2, 2)), gaussians=model).map
+    assert len(view) == 2
+    torch.testing.assert_close(view.xyz_W, xyz)
+    torch.testing.assert_close(view.radius_m, torch.tensor([0.04, 0.02]))
+    torch.testing.assert_close(view.opacity, torch.tensor([0.25, 0.25]))
+    assert view.tag is not None
+    assert view.tag.tolist() == [7, 8]
+    assert view.state is None
+    assert len(SeedContext(frame(torch.ones(2, 2)), gaussians=GaussianModel()).map) == 0
+
+
+def test_render_shows_the_map_where_it_is():
+    ctx = check_contexts()["half seen"]
+    out = ctx.render()
+    assert ctx.render() is out
+    W = ctx.camera.width
+    assert out.alpha[:, : W // 4].mean() > 10 * out.alpha[:, 3 * W // 4 :].mean()
+    assert 0 <= out.first_index.max() < len(ctx.map)
+    assert float(check_contexts()["new"].render().alpha.max()) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("ask", "sentence"),
+    [
+        (lambda ctx: ctx.voxel_weight(torch.zeros(1, 3)), "voxel_weight needs a TSDF volume"),
+        (lambda ctx: ctx.tsdf(torch.zeros(1, 3)), "tsdf needs a TSDF volume"),
+        (lambda ctx: ctx.voxel_index(torch.zeros(1, 3)), "voxel_index needs a TSDF volume"),
+        (lambda ctx: ctx.map, "map needs a Gaussian map"),
+        (lambda ctx: ctx.render(), r"render\(\) needs a Gaussian map"),
+    ],
+)
+def test_what_is_missing_is_named(ask, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        ask(SeedContext(frame(torch.ones(2, 2))))
+
+
+def test_context_is_read_only():
+    ctx = SeedContext(frame(torch.ones(2, 2)))
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        ctx.volume = None  # pyright: ignore[reportAttributeAccessIssue]

@@ -1,0 +1,187 @@
+"""The quadtree against cuts made by hand, a recursive version, and the leaf table of the released code."""
+
+from collections import Counter
+
+import numpy as np
+import pytest
+import torch
+
+from gsfusion_nb.seeding import Cells, quadtree
+
+# (width, height), cell sizes when everything is cut, shallowest and deepest leaf
+FULLY_CUT = [
+    (1200, 680, {(4, 2): 7040, (4, 3): 13440, (5, 2): 15488, (5, 3): 29568}, 8, 8),
+    (876, 584, {(3, 2): 27232, (3, 3): 10656, (4, 2): 19872, (4, 3): 7776}, 8, 8),
+    (640, 480, {(5, 3): 4096, (2, 2): 24576, (3, 2): 24576}, 7, 8),
+    (1752, 1168, {(3, 2): 108928, (3, 3): 42624, (4, 2): 79488, (4, 3): 31104}, 9, 9),
+    (320, 240, {(5, 3): 1024, (2, 2): 6144, (3, 2): 6144}, 6, 7),
+    (256, 256, {(2, 2): 16384}, 7, 7),
+    (64, 48, {(4, 3): 256}, 4, 4),
+]
+
+
+def noise(width: int, height: int, generator: torch.Generator) -> torch.Tensor:
+    return torch.randint(0, 256, (height, width, 3), generator=generator, dtype=torch.uint8)
+
+
+def landscape(width: int, height: int) -> torch.Tensor:
+    """Smooth regions, soft edges and one textured patch: cells of many sizes."""
+    y, x = np.mgrid[0:height, 0:width] / max(width, height)
+    grey = 120 + 90 * np.tanh(20 * (y - 0.3 - 0.1 * np.sin(9 * x)))
+    texture = 30 * np.sin(300 * x) * np.sin(200 * y) * ((x - 0.6) ** 2 + (y - 0.5) ** 2 < 0.02)
+    rgb = np.stack([grey + texture, 0.8 * grey, 200 - 0.5 * grey + texture], axis=-1)
+    return torch.from_numpy(rgb.clip(0, 255).astype(np.uint8))
+
+
+def rows(cells: Cells) -> list[tuple[int, ...]]:
+    columns = (cells.x0, cells.y0, cells.width, cells.height, cells.level)
+    return list(zip(*(c.tolist() for c in columns), strict=True))
+
+
+def recursive_quadtree(image: np.ndarray, threshold: float, min_px: int, contrast: str) -> list[tuple[int, ...]]:
+    """The definition, word for word, one cell at a time."""
+    H, W = image.shape[:2]
+    image = image.astype(np.float64)
+
+    def visit(x: int, y: int, w: int, h: int, level: int) -> list[tuple[int, ...]]:
+        V = image[y : y + h, x : x + w].reshape(-1, 3).var(axis=0) @ [0.2989, 0.5870, 0.1140]
+        value = V * H * W / 9e7 if contrast == "released" else np.sqrt(V) / 255
+        a, b = w // 2, h // 2
+        if value <= threshold or a <= min_px or b <= min_px:
+            return [(x, y, w, h, level)]
+        parts = ((x, y, a, b), (x, y + b, a, h - b), (x + a, y, w - a, b), (x + a, y + b, w - a, h - b))
+        return [leaf for part in parts for leaf in visit(*part, level + 1)]
+
+    return visit(0, 0, W, H, 0)
+
+
+def test_four_by_four_is_cut_once_in_the_released_order():
+    image = torch.zeros(4, 4, 3, dtype=torch.uint8)
+    image[:2, :2] = 255  # one bright quarter: V = 0.9999 * 255^2 * 3/16
+    V = 0.9999 * 255**2 * 3 / 16
+    cut = quadtree(image, threshold=0.99 * V * 16 / 9e7)
+    assert rows(cut) == [(0, 0, 2, 2, 1), (0, 2, 2, 2, 1), (2, 0, 2, 2, 1), (2, 2, 2, 2, 1)]
+    assert len(quadtree(image, threshold=1.01 * V * 16 / 9e7)) == 1
+    assert len(quadtree(image, threshold=0.99 * V**0.5 / 255, contrast="std")) == 4
+    assert len(quadtree(image, threshold=1.01 * V**0.5 / 255, contrast="std")) == 1
+
+
+def test_channels_count_by_their_luma_weight():
+    for channel, weight in enumerate((0.2989, 0.5870, 0.1140)):
+        image = torch.zeros(4, 4, 3, dtype=torch.uint8)
+        image[:, 2:, channel] = 200  # variance 100^2
+        std = (weight * 100**2) ** 0.5 / 255
+        assert len(quadtree(image, threshold=std * 0.9999, contrast="std")) == 4
+        assert len(quadtree(image, threshold=std * 1.0001, contrast="std")) == 1
+
+
+def test_odd_sizes_give_the_floor_to_the_left_and_the_top(generator):
+    assert rows(quadtree(noise(5, 7, generator), threshold=0.0)) == [
+        (0, 0, 2, 3, 1),
+        (0, 3, 2, 4, 1),
+        (2, 0, 3, 3, 1),
+        (2, 3, 3, 4, 1),
+    ]
+
+
+@pytest.mark.parametrize(("width", "height", "sizes", "shallowest", "deepest"), FULLY_CUT)
+def test_fully_cut_image_has_the_leaves_of_the_released_code(width, height, sizes, shallowest, deepest, generator):
+    cells = quadtree(noise(width, height, generator), threshold=1e-6)
+    assert Counter(zip(cells.width.tolist(), cells.height.tolist(), strict=True)) == sizes
+    assert (int(cells.level.min()), int(cells.level.max())) == (shallowest, deepest)
+
+
+def test_small_image_hardly_splits_at_the_published_threshold(generator):
+    assert len(quadtree(noise(64, 48, generator) // 2)) == 1  # needs a standard deviation of 54, has 37
+    assert len(quadtree(noise(64, 48, generator) // 2, threshold=0.05, contrast="std")) == 256
+
+
+@pytest.mark.parametrize(
+    ("kind", "size", "threshold", "min_px", "contrast"),
+    [
+        ("noise", (67, 45), 0.18, 1, "released"),
+        ("noise", (33, 128), 0.281, 2, "std"),
+        ("landscape", (160, 120), 0.01, 1, "released"),
+        ("landscape", (161, 97), 0.02, 1, "std"),
+        ("landscape", (200, 90), 0.02, 3, "released"),
+        ("landscape", (320, 240), 0.0, 1, "released"),
+    ],
+)
+def test_same_leaves_in_the_same_order_as_the_recursion(kind, size, threshold, min_px, contrast, generator):
+    width, height = size
+    image = noise(width, height, generator) if kind == "noise" else landscape(width, height)
+    expected = recursive_quadtree(image.numpy(), threshold, min_px, contrast)
+    assert len({leaf[4] for leaf in expected}) > 1, "the case should mix levels"
+    assert rows(quadtree(image, threshold=threshold, min_cell_px=min_px, contrast=contrast)) == expected
+
+
+def test_leaves_tile_the_image():
+    cells = quadtree(landscape(150, 111), threshold=0.005)
+    covered = torch.zeros(111, 150, dtype=torch.int64)
+    for x, y, w, h, _ in rows(cells):
+        covered[y : y + h, x : x + w] += 1
+    assert (covered == 1).all()
+    assert int(cells.area.sum()) == 150 * 111
+
+
+@pytest.mark.parametrize("size", [(1, 1), (2, 2), (3, 100), (100, 3), (640, 480)])
+def test_constant_image_is_one_leaf_even_at_threshold_zero(size):
+    image = torch.full((size[1], size[0], 3), 137, dtype=torch.uint8)
+    assert rows(quadtree(image, threshold=0.0)) == [(0, 0, *size, 0)]
+
+
+def test_flat_sides_are_never_cut(generator):
+    assert len(quadtree(noise(1, 500, generator), threshold=0.0)) == 1
+    assert len(quadtree(noise(500, 3, generator), threshold=0.0)) == 1
+
+
+def test_cell_properties_and_rows():
+    cells = quadtree(landscape(100, 75), threshold=0.002)
+    assert cells.x0.dtype == cells.level.dtype == torch.int32
+    first = cells[:1]
+    w, h = int(first.width), int(first.height)
+    assert first.centre_uv.tolist() == [[w / 2, h / 2]]
+    assert first.half_diagonal_px.item() == pytest.approx(((w / 2) ** 2 + (h / 2) ** 2) ** 0.5)
+    deep = cells[cells.level == cells.level.max()]
+    assert 0 < len(deep) < len(cells)
+
+
+def test_input_is_untouched(generator):
+    image = noise(50, 40, generator)
+    before = image.clone()
+    quadtree(image, threshold=0.0)
+    assert torch.equal(image, before)
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"threshold": -0.1}, "threshold must be >= 0, got -0.1"),
+        ({"min_cell_px": 0}, "min_cell_px must be >= 1, got 0"),
+    ],
+)
+def test_wrong_numbers_are_refused(changes, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        quadtree(torch.zeros(4, 4, 3, dtype=torch.uint8), **changes)
+
+
+def test_empty_image_is_refused():
+    with pytest.raises(ValueError, match="at least one pixel"):
+        quadtree(torch.zeros(0, 4, 3, dtype=torch.uint8))
+
+
+@pytest.mark.parametrize(
+    ("sequence", "image", "released", "strict"),
+    [("redkitchen_mini48", "000000.jpg", 4825, 9487), ("redkitchen250", "000100.jpg", 14818, 37033)],
+)
+def test_real_photograph(sequence, image, released, strict, shared_sequence):
+    import cv2
+
+    bgr = cv2.imread(str(shared_sequence(sequence) / "rgb" / image))
+    assert bgr is not None
+    rgb = torch.from_numpy(np.ascontiguousarray(bgr[..., ::-1]))
+    # counts of this function, exact for one JPEG decoder; another may move a few cells across the threshold
+    assert len(quadtree(rgb)) == pytest.approx(released, rel=0.01)
+    assert len(quadtree(rgb, threshold=0.01)) == pytest.approx(strict, rel=0.01)
+    expected = recursive_quadtree(rgb.numpy(), 0.1, 1, "released")
+    assert rows(quadtree(rgb)) == expected

@@ -1,0 +1,200 @@
+"""Registry, signatures, options, checked results, one seed per voxel."""
+
+import dataclasses
+from typing import Literal
+
+import pytest
+import torch
+
+from gsfusion_nb.seeding import (
+    SeedContext,
+    Seeds,
+    apply_rule,
+    check_contexts,
+    get_rule,
+    keep_one_per_voxel,
+    registered,
+    rule_choices,
+    rule_options,
+    seeding_rule,
+)
+from gsfusion_nb.seeding import rule as rule_module
+
+
+@pytest.fixture(autouse=True)
+def _own_registry(monkeypatch):
+    """Rules registered by a test are gone after it."""
+    monkeypatch.setattr(rule_module, "_RULES", dict(rule_module._RULES))
+
+
+@pytest.fixture
+def ctx() -> SeedContext:
+    return check_contexts()["new"]
+
+
+def some_seeds(n: int = 3) -> Seeds:
+    xyz = torch.arange(3.0 * n).reshape(n, 3) / 10
+    return Seeds.isotropic(xyz, torch.full((n, 3), 0.5), torch.full((n,), 0.01))
+
+
+def test_registered_by_function_name_and_replaced_by_running_the_cell_again():
+    def make(depth):
+        @seeding_rule
+        def near_only(ctx: SeedContext, *, max_depth_m: float = depth) -> Seeds:
+            return ctx.cells()
+
+        return near_only
+
+    first, second = make(1.0), make(2.0)
+    assert get_rule("near_only") is second
+    assert get_rule(first) is first
+    assert registered()["near_only"] is second
+    assert rule_options("near_only") == {"max_depth_m": 2.0}
+    assert rule_options(first) == {"max_depth_m": 1.0}
+
+
+def test_built_in_rules_are_there():
+    assert {"gsfusion", "uniform", "dense"} <= set(registered())
+
+
+def test_registry_copy_does_not_reach_the_registry():
+    registered().clear()
+    assert "gsfusion" in registered()
+
+
+def test_unknown_name_lists_the_known_ones():
+    with pytest.raises(KeyError, match=r"no seeding rule 'frist_seen'; known: dense, gsfusion, uniform"):
+        get_rule("frist_seen")
+
+
+def no_context():
+    return some_seeds()
+
+
+def star(*ctx):
+    return some_seeds()
+
+
+def positional(ctx, depth_m=1.0):
+    return some_seeds()
+
+
+def no_default(ctx, *, depth_m):
+    return some_seeds()
+
+
+def any_keyword(ctx, **options):
+    return some_seeds()
+
+
+def listed(ctx, *, sizes=(1, 2)):
+    return some_seeds()
+
+
+def free_word(ctx, *, where="near"):
+    return some_seeds()
+
+
+@pytest.mark.parametrize(
+    ("bad", "sentence"),
+    [
+        (no_context, r"def no_context\(ctx, \*, number=default, ...\) -> Seeds; this one does not take the context"),
+        (star, "does not take the context as its first argument"),
+        (positional, "'depth_m=1.0' must be keyword-only: put it behind a bare"),
+        (no_default, "option 'depth_m' has no default"),
+        (any_keyword, "must be keyword-only"),
+        (listed, r"default of option 'sizes' must be a number, True/False or a word, got \(1, 2\)"),
+        (free_word, r'where: Literal\["near", ...\] = "near"'),
+        (lambda ctx: some_seeds(), "'<lambda>' is none: use def"),
+    ],
+)
+def test_bad_signatures_are_refused_with_a_sentence(bad, sentence):
+    before = registered()
+    with pytest.raises(TypeError, match=sentence):
+        seeding_rule(bad)
+    assert registered() == before
+
+
+def switches(ctx, *, n: int = 3, far: bool = False, where: Literal["near", "far"] = "near") -> Seeds:
+    return some_seeds(n)
+
+
+def test_options_and_choices():
+    assert rule_options(switches) == {"n": 3, "far": False, "where": "near"}
+    assert rule_choices(switches) == {"where": ("near", "far")}
+    assert rule_options("gsfusion") == {"required_weight": 1.0, "coverage": True}
+
+
+def test_options_reach_the_rule(ctx):
+    assert len(apply_rule(switches, ctx)) == 3
+    assert len(apply_rule(switches, ctx, {"n": 2, "where": "far"})) == 2
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ({"m": 1}, r"'switches' has no options \['m'\]; known: \['far', 'n', 'where'\]"),
+        ({"n": "3"}, "option 'n' must be a number, got '3'"),
+        ({"n": True}, "option 'n' must be a number, got True"),
+        ({"far": 1}, "option 'far' must be True or False, got 1"),
+        ({"where": "left"}, r"option 'where' must be \('near', 'far'\), got 'left'"),
+    ],
+)
+def test_wrong_options_are_refused(options, sentence, ctx):
+    with pytest.raises(TypeError, match=sentence):
+        apply_rule(switches, ctx, options)
+
+
+@pytest.mark.parametrize(
+    ("make", "error", "sentence"),
+    [
+        (
+            lambda: None,
+            TypeError,
+            r"'faulty' returned something unusable: expected Seeds, got NoneType \(is there a ret",
+        ),
+        (lambda: [1, 2], TypeError, "expected Seeds, got list"),
+        (lambda: {"scale_m": torch.zeros(3, 3)}, ValueError, "scale_m must be > 0, got 9 other values, from 0 to 0"),
+        (lambda: {"scale_m": torch.ones(3)}, ValueError, r"scale_m must be \[3, 3\], got \[3\]"),
+        (lambda: {"rgb": torch.full((3, 3), 128.0)}, ValueError, "rgb must lie in 0..1, got 9 other values, from 128"),
+        (lambda: {"opacity": torch.ones(3)}, ValueError, "opacity must lie strictly between 0 and 1, got 3 other"),
+        (lambda: {"quat": torch.zeros(3, 4)}, ValueError, "quat must not be zero"),
+        (lambda: {"xyz_W": torch.full((3, 3), float("nan"))}, ValueError, "xyz_W must be finite, got 9 NaN"),
+        (lambda: {"xyz_W": torch.ones(3, 3).long()}, ValueError, "xyz_W must be floating point, got torch.int64"),
+    ],
+)
+def test_unusable_results_name_the_rule_and_what_came(make, error, sentence, ctx):
+    value = make()
+
+    def faulty(ctx):
+        if not isinstance(value, dict):
+            return value
+        seeds = some_seeds()
+        for name, column in value.items():  # past the type check of Seeds, which is off outside the tests
+            object.__setattr__(seeds, name, column)
+        return seeds
+
+    with pytest.raises(error, match=sentence):
+        apply_rule(faulty, ctx)
+
+
+def test_one_per_voxel_keeps_the_largest_and_of_equals_the_first():
+    voxel = torch.tensor([[0, 0, 0], [5, 0, 0], [0, 0, 0], [5, 0, 0], [-1, 0, 0], [5, 0, 0]])
+    size = torch.tensor([1.0, 2.0, 3.0, 2.0, 0.5, 1.0])
+    seeds = Seeds.isotropic(voxel.float(), torch.zeros(6, 3), size, tag=torch.arange(6))
+    assert keep_one_per_voxel(seeds, voxel).tag.tolist() == [1, 2, 4]
+    assert len(keep_one_per_voxel(seeds[:0], voxel[:0])) == 0
+
+
+def test_one_per_voxel_through_apply_rule(ctx):
+    every = apply_rule("dense", ctx)
+    single = apply_rule("dense", ctx, one_per_voxel=True)
+    voxels = ctx.voxel_index(single.xyz_W)
+    assert len(torch.unique(voxels, dim=0)) == len(single) < len(every)
+    assert len(torch.unique(ctx.voxel_index(every.xyz_W), dim=0)) == len(single)
+
+
+def test_one_per_voxel_without_a_volume_says_so(ctx):
+    alone = dataclasses.replace(ctx, volume=None)
+    with pytest.raises(ValueError, match="voxel_index needs a TSDF volume"):
+        apply_rule("gsfusion", alone, {"coverage": False}, one_per_voxel=True)

@@ -1,0 +1,89 @@
+"""Analytic depth images and fields: a sphere and planes, seen by cameras that are exact by construction."""
+
+import pytest
+import torch
+
+from gsfusion_nb.config import TsdfConfig
+from gsfusion_nb.geometry import pixel_grid, rays
+from gsfusion_nb.tsdf import TsdfVolume
+from gsfusion_nb.types import Camera, Frame
+
+
+@pytest.fixture
+def camera():
+    """Not square, and its principal point not in the middle."""
+    return Camera(width=160, height=120, fx=140.0, fy=150.0, cx=83.0, cy=57.5)
+
+
+@pytest.fixture
+def look_from():
+    """``look_from(position, target)``: a camera-to-world pose, OpenCV axes."""
+
+    def pose(position, target=(0.0, 0.0, 0.0)):
+        position, target = torch.tensor(position).double(), torch.tensor(target).double()
+        z = torch.nn.functional.normalize(target - position, dim=0)
+        up = torch.tensor([0.1, -1.0, 0.2]).double()
+        x = torch.nn.functional.normalize(torch.linalg.cross(z, up), dim=0)
+        T = torch.eye(4, dtype=torch.float64)
+        T[:3, :3] = torch.stack([x, torch.linalg.cross(z, x), z], dim=1)
+        T[:3, 3] = position
+        return T.float()
+
+    return pose
+
+
+@pytest.fixture
+def make_frame():
+    """``make_frame(depth_m, camera, T_WC)``: a frame whose colour is the position in the image."""
+
+    def frame(depth_m, camera, T_WC=None, rgb=None):
+        if rgb is None:
+            uv = pixel_grid(camera)
+            rgb = torch.stack([uv[..., 0] / camera.width, uv[..., 1] / camera.height, uv[..., 0] * 0 + 0.25], dim=-1)
+        T_WC = torch.eye(4) if T_WC is None else T_WC
+        return Frame(index=0, timestamp_s=0.0, rgb=rgb, depth_m=depth_m, camera=camera, T_WC=T_WC)
+
+    return frame
+
+
+@pytest.fixture
+def sphere_depth():
+    """``sphere_depth(camera, T_WC, centre, radius)``: z-depth of a sphere, 0 where the ray misses it."""
+
+    def depth(camera, T_WC, centre=(0.0, 0.0, 0.0), radius=0.5):
+        c = (torch.tensor(centre).double() - T_WC[:3, 3].double()) @ T_WC[:3, :3].double()
+        d = rays(camera, pixel_grid(camera, dtype=torch.float64))
+        a, b, e = (d * d).sum(-1), d @ c, c @ c - radius**2
+        disc = b * b - a * e
+        return torch.where(disc > 0, (b - disc.clamp_min(0).sqrt()) / a, 0.0).float()
+
+    return depth
+
+
+@pytest.fixture
+def filled_volume():
+    """``filled_volume(sdf, low, high, config)``: blocks of a box, D from a function of position, all observed."""
+
+    def fill(sdf, low, high, config=None):
+        volume = TsdfVolume(config or TsdfConfig(voxel_size_m=0.02, truncation_voxels=4.0))
+        axes = [torch.arange(a, b) for a, b in zip(low, high, strict=True)]
+        volume.add_blocks(torch.stack(torch.meshgrid(*axes, indexing="ij"), dim=-1).view(-1, 3))
+        centres = voxel_centres(volume)
+        volume.D[:] = (sdf(centres) / volume.config.truncation_m).clamp(-1, 1).to(torch.float32)
+        volume.W[:] = 1.0
+        volume.rgb_planes[:] = ((centres * 0.2 + 0.5).transpose(1, 2)).to(torch.float32)
+        return volume
+
+    return fill
+
+
+@pytest.fixture
+def centres_of():
+    """``centres_of(volume)``: the centre of every voxel, [B, 512, 3] float64."""
+    return voxel_centres
+
+
+def voxel_centres(volume):
+    axis = torch.arange(8, dtype=torch.float64) + 0.5
+    grid = torch.stack(torch.meshgrid(axis, axis, axis, indexing="ij"), dim=-1).view(1, -1, 3)
+    return (volume.block_coords[:, None].double() * 8 + grid) * volume.config.voxel_size_m

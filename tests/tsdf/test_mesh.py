@@ -1,0 +1,121 @@
+import pytest
+import torch
+
+from gsfusion_nb.config import TsdfConfig
+from gsfusion_nb.tsdf import TsdfVolume, extract_mesh, integrate
+
+CONFIG = TsdfConfig(voxel_size_m=0.02, truncation_voxels=4.0)
+
+
+def check_closed(mesh):
+    """Every side is used once in each direction: closed, manifold along edges, consistently turned."""
+    F = mesh.faces
+    sides = torch.cat([F[:, [0, 1]], F[:, [1, 2]], F[:, [2, 0]]])
+    key = sides[:, 0] * mesh.vertices_W.shape[0] + sides[:, 1]
+    back = sides[:, 1] * mesh.vertices_W.shape[0] + sides[:, 0]
+    assert key.unique().shape == key.shape
+    assert torch.equal(key.sort().values, back.sort().values)
+    assert F.unique().shape[0] == mesh.vertices_W.shape[0]
+
+
+def signed_volume(mesh):
+    a, b, c = mesh.vertices_W.double()[mesh.faces].unbind(1)
+    return float((a * torch.linalg.cross(b, c)).sum() / 6)
+
+
+def sphere(p, centre=(0.03, -0.02, 0.01), radius=0.3):
+    return (p - torch.tensor(centre, dtype=p.dtype)).norm(dim=-1) - radius
+
+
+def test_sphere_is_closed_round_and_turned_outwards(filled_volume):
+    mesh = extract_mesh(filled_volume(sphere, (-3, -3, -3), (3, 3, 3)))
+    check_closed(mesh)
+    V, F = mesh.vertices_W, mesh.faces
+    assert V.shape[0] - 3 * F.shape[0] // 2 + F.shape[0] == 2  # Euler: one sphere
+    assert signed_volume(mesh) == pytest.approx(4 / 3 * torch.pi * 0.3**3, rel=0.01)
+    # Linear interpolation of a distance field: h^2 / 8 R at most.
+    assert float(sphere(V.double()).abs().max()) < 0.02**2 / (8 * 0.3) * 2
+    a, b, c = V.double()[F].unbind(1)
+    n = torch.linalg.cross(b - a, c - a)
+    outward = ((a + b + c) / 3 - torch.tensor([0.03, -0.02, 0.01])).double()
+    assert bool(((n * outward).sum(1) >= 0).all())
+
+
+def test_sphere_far_away_with_negative_coordinates(filled_volume):
+    centre = (-70.0, 33.0, -12.5)
+    low = [int((c - 0.4) // 0.16) for c in centre]
+    volume = filled_volume(lambda p: sphere(p, centre), low, [b + 6 for b in low])
+    mesh = extract_mesh(volume)
+    check_closed(mesh)
+    assert float(sphere(mesh.vertices_W.double(), centre).abs().max()) < 2e-4  # h^2 / 8 R again
+
+
+def test_random_field_is_closed(filled_volume, generator):
+    """Noise has every case, and faces whose corners alternate."""
+    volume = filled_volume(lambda p: torch.randn(p.shape[:-1], generator=generator).double(), (-2, -1, 0), (1, 2, 2))
+    border = TsdfVolume(CONFIG)
+    low, high = volume.block_coords.amin(0) - 1, volume.block_coords.amax(0) + 2
+    axes = [torch.arange(int(a), int(b)) for a, b in zip(low, high, strict=True)]
+    border.add_blocks(torch.stack(torch.meshgrid(*axes, indexing="ij"), dim=-1).view(-1, 3))
+    border.W[:] = 1.0
+    rows = border.index.find(volume.block_coords)
+    border.D[rows] = volume.D
+    mesh = extract_mesh(border)
+    assert mesh.faces.shape[0] > 10000
+    check_closed(mesh)
+
+
+def test_chunks_do_not_show(filled_volume, monkeypatch):
+    volume = filled_volume(sphere, (-3, -3, -3), (3, 3, 3))
+    whole = extract_mesh(volume)
+    monkeypatch.setattr("gsfusion_nb.tsdf.mesh.CHUNK_BLOCKS", 7)
+    parts = extract_mesh(volume)
+    assert torch.equal(whole.vertices_W, parts.vertices_W)
+    assert torch.equal(whole.faces, parts.faces)
+    assert torch.equal(whole.rgb, parts.rgb)
+
+
+def test_only_where_all_corners_were_observed(camera, make_frame):
+    """One view of a plane: one sheet, facing the camera; the far end of the band has no surface."""
+    volume = TsdfVolume(CONFIG)
+    integrate(volume, make_frame(torch.full((120, 160), 1.01), camera))
+    mesh = extract_mesh(volume)
+    assert mesh.faces.shape[0] > 1000
+    assert float((mesh.vertices_W[:, 2] - 1.01).abs().max()) < 0.001
+    a, b, c = mesh.vertices_W[mesh.faces].unbind(1)
+    assert bool((torch.linalg.cross(b - a, c - a)[:, 2] < 0).all())
+    # The colour runs with the image: red to the right (x), green downwards (y). Nothing is mirrored.
+    uv = mesh.vertices_W[:, :2] / 1.01 * torch.tensor([140.0, 150.0]) + torch.tensor([83.0, 57.5])
+    torch.testing.assert_close(mesh.rgb[:, :2], uv / torch.tensor([160.0, 120.0]), atol=0.01, rtol=0)
+    assert extract_mesh(volume, min_weight=2.0).faces.shape == (0, 3)
+
+
+def test_empty_volumes():
+    for volume in (TsdfVolume(CONFIG), TsdfVolume(CONFIG)):
+        mesh = extract_mesh(volume)
+        assert mesh.vertices_W.shape == mesh.faces.shape == (0, 3)
+        volume.add_blocks(torch.tensor([[0, 0, 0]]))
+        assert extract_mesh(volume).faces.shape == (0, 3)
+
+
+def test_vertices_are_those_of_vtk(filled_volume):
+    pyvista = pytest.importorskip("pyvista")
+
+    def torus(p):
+        x, y, z = (p - torch.tensor([0.013, 0.004, -0.007], dtype=p.dtype)).unbind(-1)
+        return (((x * x + y * y).sqrt() - 0.2) ** 2 + z * z).sqrt() - 0.07
+
+    volume = filled_volume(torus, (-2, -2, -1), (2, 2, 1))
+    mesh = extract_mesh(volume)
+    check_closed(mesh)
+    dense = torch.ones(32, 32, 16)
+    for (x, y, z), D in zip((volume.block_coords + torch.tensor([2, 2, 1])).tolist(), volume.D, strict=True):
+        dense[8 * x : 8 * x + 8, 8 * y : 8 * y + 8, 8 * z : 8 * z + 8] = D.view(8, 8, 8)
+    grid = pyvista.ImageData(dimensions=(32, 32, 16), spacing=(0.02,) * 3, origin=(-0.31, -0.31, -0.15))
+    grid["D"] = dense.permute(2, 1, 0).reshape(-1).numpy()
+    theirs = torch.from_numpy(grid.contour([0.0], scalars="D", method="marching_cubes").points).double()
+    ours = mesh.vertices_W.double()
+    assert theirs.shape == ours.shape
+    distance = torch.cdist(ours, theirs)
+    assert float(distance.amin(0).max()) < 1e-6
+    assert float(distance.amin(1).max()) < 1e-6

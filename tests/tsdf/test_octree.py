@@ -1,0 +1,68 @@
+import pytest
+import torch
+
+from gsfusion_nb.tsdf import morton
+from gsfusion_nb.tsdf.octree import BlockIndex
+
+
+def test_insert_and_find():
+    index = BlockIndex()
+    assert index.find(torch.tensor([[0, 0, 0]])).tolist() == [-1]
+    rows = index.insert(torch.tensor([[1, 0, 0], [0, 0, 0], [1, 0, 0]]))
+    assert rows.tolist() == [1, 0, 1]  # Morton order decides, duplicates share
+    assert index.insert(torch.tensor([[-5, 2, 9], [0, 0, 0]])).tolist() == [2, 0]
+    assert index.find(torch.tensor([[0, 0, 0], [-5, 2, 9], [1, 0, 0], [0, 1, 0], [500, 0, 0]])).tolist() == [
+        0, 2, 1, -1, -1,
+    ]  # fmt: skip
+    assert bool((index.codes.diff() > 0).all())
+    assert len(index) == 3
+
+
+def test_against_a_dictionary(generator):
+    index, expected = BlockIndex(), {}
+    for spread in (3, 6, 40, 10):
+        coords = torch.randint(-spread, spread, (200, 3), generator=generator)
+        rows = index.insert(coords)
+        for c, r in zip(coords.tolist(), rows.tolist(), strict=True):
+            assert expected.setdefault(tuple(c), r) == r
+    assert sorted(expected.values()) == list(range(len(index)))
+    query = torch.randint(-45, 45, (3000, 3), generator=generator)
+    query = torch.cat([query, torch.tensor(list(expected))])
+    assert index.find(query).tolist() == [expected.get(tuple(c), -1) for c in query.tolist()]
+
+
+def test_a_far_block_falls_back_to_codes(generator):
+    coords = torch.randint(-20, 20, (300, 3), generator=generator)
+    near, both = BlockIndex(), BlockIndex()
+    near.insert(coords)
+    both.insert(coords)
+    both.insert(torch.tensor([[1_000_000, -1_000_000, 12]]))
+    assert near._table is not None
+    assert both._table is None
+    query = torch.randint(-25, 25, (2000, 3), generator=generator)
+    assert torch.equal(near.find(query), both.find(query))
+    assert both.find(torch.tensor([[1_000_000, -1_000_000, 12]])).tolist() == [len(near)]
+
+
+def test_levels_and_breadth_first_descent(generator):
+    index = BlockIndex()
+    index.insert(torch.randint(-9, 9, (100, 3), generator=generator))
+    more = torch.randint(-12, 12, (100, 3), generator=generator)
+    created = index.descend(more)
+    before = [index.level(k) for k in range(morton.BITS + 1)]
+    index.insert(more)
+    for k in range(morton.BITS + 1):
+        new = created[morton.BITS - k]
+        assert torch.equal(torch.cat([before[k], new]).sort().values, index.level(k))
+    assert index.level(morton.BITS).tolist() == [0]
+    # A leaf's row follows its place in the descent.
+    assert index.find(morton.decode(created[-1])).tolist() == list(range(before[0].shape[0], len(index)))
+    with pytest.raises(ValueError, match="between 0"):
+        index.level(22)
+
+
+def test_rows_of_given_blocks(generator):
+    coords = torch.randint(-9, 9, (50, 3), generator=generator).unique(dim=0)
+    coords = coords[torch.randperm(coords.shape[0], generator=generator)]
+    assert BlockIndex.of_blocks(coords).find(coords).tolist() == list(range(coords.shape[0]))
+    assert len(BlockIndex.of_blocks(coords[:0])) == 0

@@ -1,0 +1,102 @@
+import pytest
+import torch
+
+from gsfusion_nb.config import TsdfConfig
+from gsfusion_nb.tsdf import TsdfVolume, estimate_memory
+
+CONFIG = TsdfConfig(voxel_size_m=0.02, truncation_voxels=4.0)
+
+
+def test_new_blocks_are_unobserved():
+    volume = TsdfVolume(CONFIG)
+    rows = volume.add_blocks(torch.tensor([[0, 0, 0], [-1, 2, 3], [0, 0, 0]]))
+    assert sorted(rows.tolist()) == [0, 1]
+    assert volume.n_blocks == 2
+    assert bool((volume.D == 1).all())
+    assert bool((volume.W == 0).all())
+    assert bool((volume.rgb == 0).all())
+    assert volume.rgb.shape == (2, 512, 3)
+    assert volume.index.find(volume.block_coords).tolist() == [0, 1]
+    assert volume.add_blocks(torch.tensor([[0, 0, 0]])).tolist() == []
+
+
+def test_values_survive_growth(generator):
+    volume = TsdfVolume(CONFIG)
+    first = volume.add_blocks(torch.tensor([[7, 7, 7]]))
+    volume.D[first] = 0.25
+    volume.W[first] = 3.0
+    for i in range(6):
+        volume.add_blocks(torch.randint(-40, 40, (900, 3), generator=generator) + 100 * i)
+    assert volume.n_blocks > 4000
+    assert volume.memory_bytes < 2 * estimate_memory(volume.n_blocks) + estimate_memory(1024)
+    row = volume.index.find(torch.tensor([[7, 7, 7]]))
+    assert bool((volume.D[row] == 0.25).all())
+    assert bool((volume.W[row] == 3).all())
+    assert float(volume.W.sum()) == 3 * 512
+
+
+def test_refuses_to_outgrow_memory():
+    volume = TsdfVolume(CONFIG, memory_limit_bytes=estimate_memory(10))
+    volume.add_blocks(torch.tensor([[i, 0, 0] for i in range(10)]))
+    with pytest.raises(MemoryError, match=r"needs 0 MB for 11 blocks .* take larger voxels"):
+        volume.add_blocks(torch.tensor([[0, 1, 0]]))
+    assert volume.n_blocks == 10
+    assert volume.index.find(torch.tensor([[0, 1, 0]])).tolist() == [-1]
+
+
+@pytest.mark.parametrize("block", [(0, 0, 0), (-4, 3, -60), (9000, -9000, 2)])
+def test_sample_nearest(block):
+    volume = TsdfVolume(CONFIG)
+    row = int(volume.add_blocks(torch.tensor([block]))[0])
+    volume.D[row] = torch.arange(512.0)
+    volume.W[row] = 2.0
+    volume.rgb[row, :, 1] = torch.arange(512.0) / 512
+    corner = torch.tensor(block).double() * volume.block_size_m
+    # Voxel (1, 2, 3) spans [1, 2) x [2, 3) x [3, 4) voxels and is number 64 + 16 + 3.
+    inside = torch.tensor([[1.1, 2.1, 3.1], [1.9, 2.9, 3.9], [8.5, 0.5, 0.5]]).double() * 0.02 + corner
+    s = volume.sample_nearest(inside.float())
+    assert s.D.tolist() == [83.0, 83.0, 1.0]
+    assert s.W.tolist() == [2.0, 2.0, 0.0]
+    torch.testing.assert_close(s.rgb[:, 1], torch.tensor([83 / 512, 83 / 512, 0.0]))
+    assert volume.sample_nearest(torch.zeros(0, 3)).rgb.shape == (0, 3)
+
+
+def test_interpolation_is_exact_on_a_linear_field(filled_volume, generator):
+    def field(p):
+        return 0.02 * (p[..., 0] - 2 * p[..., 1] + 0.5 * p[..., 2]) + 0.004
+
+    volume = filled_volume(field, (-2, -2, -2), (2, 2, 2))
+    p = (torch.rand(500, 3, generator=generator) * 2 - 1) * 0.3
+    D, valid = volume.interpolate(p)
+    assert bool(valid.all())
+    torch.testing.assert_close(D * CONFIG.truncation_m, field(p), atol=1e-6, rtol=0)
+
+
+def test_interpolation_needs_eight_observed_voxels(filled_volume):
+    volume = filled_volume(lambda p: p[..., 0] * 0.1, (0, 0, 0), (2, 2, 2))
+    volume.W[0, 0] = 0.0
+    centre = torch.tensor([[0.01, 0.01, 0.01], [0.031, 0.031, 0.031], [0.005, 0.1, 0.1], [0.16, 0.16, 0.16]])
+    D, valid = volume.interpolate(centre)
+    # beside the unobserved voxel; one voxel on; at the edge of the allocated box; where eight blocks meet
+    assert valid.tolist() == [False, True, False, True]
+    assert D[[0, 2]].tolist() == [1.0, 1.0]
+
+
+def test_state_round_trip(filled_volume):
+    volume = filled_volume(lambda p: p[..., 2] - 0.05, (-3, 0, -1), (1, 2, 2))
+    copy = TsdfVolume(CONFIG)
+    copy.load_state_dict(volume.state_dict())
+    for name in ("D", "W", "rgb", "block_coords"):
+        assert torch.equal(getattr(copy, name), getattr(volume, name)), name
+    assert copy.index.find(volume.block_coords).tolist() == list(range(volume.n_blocks))
+    with pytest.raises(ValueError, match="saved map was made with"):
+        TsdfVolume(TsdfConfig(voxel_size_m=0.5)).load_state_dict(volume.state_dict())
+    empty = TsdfVolume(CONFIG)
+    empty.load_state_dict(TsdfVolume(CONFIG).state_dict())
+    assert empty.n_blocks == 0
+
+
+def test_summary(filled_volume):
+    html = filled_volume(lambda p: p[..., 2], (0, 0, 0), (2, 1, 1))._repr_html_()
+    assert "0.32 &times; 0.16 &times; 0.16 m" in html
+    assert "TsdfVolume" in TsdfVolume(CONFIG)._repr_html_()
