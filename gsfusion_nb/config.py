@@ -80,8 +80,8 @@ class OptimConfig:
     eps: float = 1e-15
     adam_steps: Literal["none", "shared", "per_row"] = "none"
     """Bias correction of Adam, which decides how fast a newborn Gaussian moves. "none": none, so that every newborn's
-    first steps are 3 to 6 learning rates; "shared": by the step count of the whole map, as the released code, where that
-    holds for all but the first frames' Gaussians; "per_row": by each Gaussian's own age, 1 learning rate."""
+    first steps are 3 to 6 learning rates; "shared": by the step count of the whole map, as the released code, where it
+    is so for all but the first frames' Gaussians; "per_row": by each Gaussian's own age, 1 learning rate."""
     keyframe_iterations: int = 5
     """m: steps on a keyframe."""
     frame_iterations: int = 3

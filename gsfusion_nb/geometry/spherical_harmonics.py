@@ -1,6 +1,6 @@
 """View-dependent colour as real spherical harmonics up to degree 3: value, and gradient written out.
 
-Sign and order of the basis are those of Kerbl et al. 2023, so that coefficients are interchangeable with public viewers.
+Sign and order of the basis are those of Kerbl et al. 2023: public viewers read the coefficients as they are.
 """
 
 import torch
@@ -37,6 +37,7 @@ def sh_basis(dirs: Float[Tensor, "N 3"], degree: int) -> Float[Tensor, "N K"]:
         xx, yy, zz = x * x, y * y, z * z
         Y += [C2[0] * x * y, -C2[0] * y * z, C2[1] * (2 * zz - xx - yy), -C2[0] * x * z, C2[2] * (xx - yy)]
     if degree >= 3:
+        xx, yy, zz = x * x, y * y, z * z
         Y += [
             -C3[0] * y * (3 * xx - yy),
             C3[1] * x * y * z,
@@ -50,7 +51,7 @@ def sh_basis(dirs: Float[Tensor, "N 3"], degree: int) -> Float[Tensor, "N K"]:
 
 
 def sh_basis_vjp(dirs: Float[Tensor, "N 3"], degree: int, v_basis: Float[Tensor, "N K"]) -> Float[Tensor, "N 3"]:
-    """dL/d dirs from dL/dY: the sum over k of v_k times the gradient of the polynomial Y_k (as written in ``sh_basis``)."""
+    """dL/d dirs from dL/dY: the sum over k of v_k times the gradient of the polynomial Y_k of ``sh_basis``."""
     _check_degree(degree)
     x, y, z = dirs.T.contiguous()
     v = v_basis.T.contiguous()

@@ -170,7 +170,9 @@ class GSFusion:
     def _optimise_view(self, view: Frame | Keyframe, ssim_weight: float = 0.0) -> tuple[float, float]:
         """One gradient step on one view; its loss and PSNR before the step. Online the loss is L1 alone (Eq. 12)."""
         target = view.rgb.to(self.device)
-        output, saved = render_forward(self.gaussians.params, view.camera, view.T_WC.to(self.device))
+        output, saved = render_forward(
+            self.gaussians.params, view.camera, view.T_WC.to(self.device), with_indices=False
+        )
         loss = l1(output.rgb, target)
         v_rgb = l1_vjp(output.rgb, target)
         if ssim_weight > 0:

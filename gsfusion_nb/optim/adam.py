@@ -50,8 +50,8 @@ def adam_update(
     elif isinstance(steps, int):
         correction_1, correction_2 = 1 - beta1**steps, math.sqrt(1 - beta2**steps)
     else:
-        t = steps.to(param.dtype).reshape(-1, *[1] * (param.ndim - 1))
-        correction_1, correction_2 = 1 - beta1**t, (1 - beta2**t).sqrt()
+        t = steps.double().reshape(-1, *[1] * (param.ndim - 1))  # 1 - b2^t loses its digits in float32
+        correction_1, correction_2 = (1 - beta1**t).to(param), (1 - beta2**t).sqrt().to(param)
     step = exp_avg_sq.sqrt().div_(correction_2).add_(eps)
     torch.div(exp_avg, step, out=step)
     param.sub_(step.mul_(lr / correction_1))
@@ -61,8 +61,8 @@ def adam_step(model: GaussianModel, gradients: GaussianParams, config: OptimConf
     """Update every parameter of the map once, each group at its own constant learning rate.
 
     Adam's bias correction shrinks the first steps after the moments were zero. It was made for parameters that all
-    start together; with ``adam_steps = "none"`` a newborn Gaussian first moves (1 - 0.9) / sqrt(1 - 0.999) = 3.16 learning
-    rates, and 6.5 at its tenth step. The released GSFusion corrects by the step count of the whole map
+    start together; with ``adam_steps = "none"`` a newborn Gaussian first moves (1 - 0.9) / sqrt(1 - 0.999) = 3.16
+    learning rates, and 6.5 at its tenth step. The released GSFusion corrects by the step count of the whole map
     ("shared"), which comes to the same for all but the Gaussians of the first frames.
     """
     model.step_count += 1

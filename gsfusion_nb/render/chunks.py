@@ -1,8 +1,8 @@
 """How the work is cut: chunks of list entries whose arrays stay in the cache, and images cut into tiles.
 
-A chunk is ``RANKS`` consecutive entries of the lists of ``TILES`` tiles: arrays [K, n, P], P pixels a tile. Tiles are taken
-in the order of their list length, so that little of a chunk is filler. Chunks come in rounds: the first ``RANKS`` entries of
-all tiles, then the next of those tiles which have any left and where some pixel still has light.
+A chunk is ``RANKS`` consecutive entries of the lists of ``TILES`` tiles: arrays [K, n, P], P pixels a tile. Tiles are
+taken in the order of their list length, so that little of a chunk is filler. Chunks come in rounds: the first ``RANKS``
+entries of all tiles, then the next of those tiles which have any left and where some pixel still has light.
 """
 
 import math

@@ -4,18 +4,18 @@ For the k-th Gaussian of a pixel, nearest first, with (dx, dy) = pixel centre - 
 
     sigma_k = (A dx^2 + C dy^2) / 2 + B dx dy
     alpha_k = min(0.99, o_k exp(-sigma_k)),  0 where that is below 1/255
-    T_k     = prod_{j<k} (1 - alpha_j)                     the light that is left
+    T_k     = prod_{j<k} (1 - alpha_j)        the light that is left
     w_k     = alpha_k T_k,  0 from the first k on with T_{k+1} < 1e-4
-    C       = sum_k w_k c_k                                c = (r, g, b, z, 1): colour, depth and alpha are channels alike
+    C       = sum_k w_k c_k                   c = (r, g, b, z, 1): colour, depth and alpha are channels alike
 
     dL/dc_k     = w_k v_C
     dL/dalpha_k = T_k (c_k . v_C) - S_k / (1 - alpha_k),   S_k = sum_{j>k} w_j (c_j . v_C)
 
 Source: Kerbl et al. 2023, eq. 2-3 and section 6.
 
-Arrays are [K, n, P]: K entries along the list, n tiles, P pixels of a tile (``chunks``). Sigma, sums over Gaussians and sums
-over pixels are matrix products (``entries``). The gradient goes through the same chunks backwards and makes alpha and T
-again instead of having saved them.
+Arrays are [K, n, P]: K entries along the list, n tiles, P pixels of a tile (``chunks``). Sigma, sums over Gaussians and
+sums over pixels are matrix products (``entries``). The gradient goes through the same chunks backwards and makes alpha
+and T again instead of having saved them.
 """
 
 from dataclasses import dataclass
@@ -139,8 +139,8 @@ def composite_vjp(
 ) -> CompositeGradient:
     """Gradient of ``composite`` to everything it blends (equations at the top of this file).
 
-    It is the derivative of the forward: zero where alpha is clamped at 0.99 or cut at 1/255. (The released rasteriser lets
-    the gradient through the 0.99 clamp.)
+    It is the derivative of the forward: zero where alpha is clamped at 0.99 or cut at 1/255. (The released rasteriser
+    lets the gradient through the 0.99 clamp.)
 
     Args:
         saved: ``CompositeOutput.saved``.
@@ -165,7 +165,7 @@ def composite_vjp(
         w_cv = torch.mul(w, cv, out=scratch("w_cv", K, n, P))  # w_k (c_k . v_C)
         S = _behind(w_cv, S_behind.index_select(0, chunk.tile), scratch("S", K, n, P))
         S_behind.index_copy_(0, chunk.tile, S[0] + w_cv[0])
-        # dL/d ln alpha = alpha dL/dalpha = w (c . v_C) - S alpha / (1 - alpha),  and alpha_k / (1 - alpha_k) = w_k / T_{k+1}
+        # alpha dL/dalpha = w (c . v_C) - S alpha / (1 - alpha),  and alpha_k / (1 - alpha_k) = w_k / T_{k+1}
         v_ln_alpha = w_cv.addcmul_(w.div_(T_k[1:]), S, value=-1)
         if some_clamped:
             v_ln_alpha.masked_fill_(alpha >= ALPHA_MAX, 0.0)
@@ -187,7 +187,7 @@ def _transmittance(chunk: Chunk, entries: Entries, functions: Tensor, scratch: S
     alpha = scratch("alpha", K, n, P)
     torch.mm(entries.poly.index_select(0, chunk.entry.flatten()), functions, out=alpha.view(-1, P))  # ln o - sigma
     alpha.clamp_min_(-20.0).exp_().clamp_max_(ALPHA_MAX)  # exp is slow where it underflows, and e^-20 is cut as well
-    torch.nn.functional.threshold_(alpha, ALPHA_MIN, 0.0)
+    torch.threshold_(alpha, ALPHA_MIN, 0.0)
     T = scratch("T", K + 1, n, P)
     T[0] = chunk.T
     torch.sub(1.0, alpha, out=T[1:])
@@ -219,7 +219,7 @@ def _channels_of(chunk: Chunk, saved: CompositeSaved) -> Tensor:
 
 
 class PixelRanks:
-    """Where in its tile's list the first and the heaviest Gaussian of each pixel stand, kept up to date chunk by chunk."""
+    """Where in its tile's list each pixel's first and heaviest Gaussian stand, kept up to date chunk by chunk."""
 
     def __init__(self, zeros: Float[Tensor, "3 tiles P"]):
         self.first, self.dominant, self.heaviest = zeros

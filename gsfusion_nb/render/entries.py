@@ -3,8 +3,8 @@
     ln(o exp(-sigma)) = ln o - (A dx^2 + C dy^2) / 2 - B dx dy,   (dx, dy) = (x, y) - (u, v)
                       = q_1 + q_x x + q_y y + q_xx x^2 + q_xy x y + q_yy y^2
 
-with x, y and u, v measured from the middle of the tile. All tiles then share the six functions of x and y, so that values
-at all pixels, and later the gradient of the six coefficients, are matrix products.
+with x, y and u, v measured from the middle of the tile. All tiles then share the six functions of x and y, so that
+values at all pixels, and later the gradient of the six coefficients, are matrix products.
 """
 
 from dataclasses import dataclass
@@ -53,7 +53,7 @@ def list_entries(
 
 
 def entries_vjp(entries: Entries, v_poly: Float[Tensor, "I_plus_1 6"], opacity: Float[Tensor, " N"]) -> Tensor:
-    """dL/d (u, v, A, B, C, o) of every Gaussian: chain rule through the polynomial, then the sum over its entries. [N, 6]"""
+    """dL/d (u, v, A, B, C, o) of every Gaussian: chain rule through each polynomial, then their sum. [N, 6]"""
     _, q_x, q_y, half_A, minus_B, half_C = entries.poly[:-1].T
     u, v, A, B, C = entries.u, entries.v, -2 * half_A, -minus_B, -2 * half_C
     v_1, v_x, v_y, v_xx, v_xy, v_yy = v_poly[:-1].T

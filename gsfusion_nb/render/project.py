@@ -91,9 +91,9 @@ def project_gaussians_vjp(
     v_depth_m: Float[Tensor, " N"],
     v_opacity: Float[Tensor, " N"],
 ) -> ProjectionGradient:
-    """Gradient of ``project_gaussians``: what a loss that depends on uv, conic, depth and opacity says about the parameters.
+    """Gradient of ``project_gaussians``, from the screen-space Gaussians to the parameters.
 
-    Rows behind the near plane get zero. Where x/z or y/z is clamped in J, J's gradient to it is zero, as the forward says.
+    Rows behind the near plane get zero. Where x/z or y/z is clamped in J, J gives it no gradient, as the forward says.
 
     Args:
         params, camera, T_WC: as given to ``project_gaussians``.
@@ -194,7 +194,7 @@ def _inverse_vjp(conic: Tensor, v_conic: Tensor) -> tuple[Tensor, Tensor, Tensor
 
 
 def _rotation_vjp(quat: Tensor, v_R: Tensor) -> Tensor:
-    """Gradient of ``quaternion.to_matrix``: dR/dq for the unit quaternion, then v_q = (v - q (q.v)) / |q| for its length."""
+    """Gradient of ``quaternion.to_matrix``: dR/dq of the unit quaternion, then v_q = (v - q (q.v)) / |q|."""
     norm = quat.norm(dim=-1).clamp_min(1e-12)
     q = quat.T / norm
     w, x, y, z = q

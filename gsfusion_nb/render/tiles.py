@@ -33,8 +33,8 @@ class TileLists:
 def tile_intersections(projection: Projection, camera: Camera, *, tile_px: int = TILE_PX) -> TileLists:
     """Sorted lists of the Gaussians whose alpha reaches 1/255 somewhere in a tile.
 
-    The ellipse alpha = 1/255 is cut by each row of tiles; the columns between the leftmost and the rightmost point of the
-    cut are listed, which is exact (Hanson et al. 2025, "Speedy-Splat"). Equal depths keep row order.
+    The ellipse alpha = 1/255 is cut by each row of tiles; the columns between the leftmost and the rightmost point of
+    the cut are listed, which is exact (Hanson et al. 2025, "Speedy-Splat"). Equal depths keep row order.
 
     Args:
         projection: Screen-space Gaussians.
@@ -91,8 +91,8 @@ def _expand(first: Tensor, end: Tensor) -> tuple[Tensor, Tensor]:
 def _columns(ellipse: Tensor, top_px: Tensor, tile_px: int) -> tuple[Tensor, Tensor]:
     """Least and greatest x of the ellipse alpha = 1/255 between the first and last pixel centres of a row of tiles.
 
-    The ellipse sigma = ln(255 o) is dx = -B/A dy +- h sqrt(1 - (dy / e_v)^2) with h = sqrt(2 ln(255 o) / A) and the extents
-    e_u, e_v. Its rightmost point has dy = -B/C e_u; of the part in the band, the rightmost is where dy is nearest to that.
+    The ellipse sigma = ln(255 o) is dx = -B/A dy +- h sqrt(1 - (dy / e_v)^2) with h = sqrt(2 ln(255 o) / A) and the
+    extents e_u, e_v. Its rightmost point has dy = -B/C e_u; of the part in the band, it is where dy is nearest to that.
     """
     u, v, e_u, e_v, A, B, C, reach = ellipse
     top = top_px + 0.5 - v

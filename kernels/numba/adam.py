@@ -1,5 +1,6 @@
 """One pass of Adam over a parameter: each value, its gradient and its two moments are read and written once."""
 
+# pyright: reportCallIssue=false  (arrays are passed on as a list)
 import math
 
 import numpy as np
@@ -12,9 +13,6 @@ from gsfusion_nb.optim import adam as reference
 from .launch import launching
 
 f32 = np.float32
-_ONE = f32(1.0)
-_NO_CORRECTION = 1 << 24
-"""A step count at which b^t is zero in float32."""
 
 
 def adam_update(
@@ -41,26 +39,26 @@ def adam_update(
     width = arrays[0].shape[1]
     rate = np.empty(width, np.float32)
     rate[:] = lr if isinstance(lr, (int, float)) else lr.expand(param.shape[1:]).reshape(-1).numpy()
-    if steps is None:
-        steps = _NO_CORRECTION
-    t = np.asarray([steps], np.int32) if isinstance(steps, int) else steps.numpy().astype(np.int32)
+    t = np.inf if steps is None else np.asarray(steps, np.float64)
+    correction_1 = np.atleast_1d(1 / (1 - beta1**t)).astype(np.float32)
+    correction_2 = np.atleast_1d(1 / np.sqrt(1 - beta2**t)).astype(np.float32)
     with launching():
-        _update(*arrays, t, rate, f32(beta1), f32(beta2), f32(1 - beta1), f32(1 - beta2), f32(eps))
+        moments = f32(beta1), f32(1 - beta1), f32(beta2), f32(1 - beta2)
+        _update(*arrays, correction_1, correction_2, rate, *moments, f32(eps))
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
-def _update(param, gradient, exp_avg, exp_avg_sq, steps, rate, beta1, beta2, one_minus_1, one_minus_2, eps):
+def _update(param, gradient, exp_avg, exp_avg_sq, correction_1, correction_2, rate, beta1, rest1, beta2, rest2, eps):
+    """Corrections [1] or [N]: 1 / (1 - b1^t) and 1 / sqrt(1 - b2^t). rate [W]."""
     N, width = param.shape
+    per_row = correction_1.shape[0] > 1
     chunk = 1024
     for part in prange((N + chunk - 1) // chunk):
-        correction_1 = _ONE / (_ONE - beta1 ** f32(steps[0]))
-        correction_2 = _ONE / math.sqrt(_ONE - beta2 ** f32(steps[0]))
         for i in range(part * chunk, min(N, part * chunk + chunk)):
-            if steps.shape[0] > 1:
-                correction_1 = _ONE / (_ONE - beta1 ** f32(steps[i]))
-                correction_2 = _ONE / math.sqrt(_ONE - beta2 ** f32(steps[i]))
+            row = i if per_row else 0
+            c1, c2 = correction_1[row], correction_2[row]
             p, g, m, v = param[i], gradient[i], exp_avg[i], exp_avg_sq[i]
             for j in range(width):
-                m[j] = beta1 * m[j] + one_minus_1 * g[j]
-                v[j] = beta2 * v[j] + one_minus_2 * g[j] * g[j]
-                p[j] -= rate[j] * correction_1 * m[j] / (math.sqrt(v[j]) * correction_2 + eps)
+                m[j] = beta1 * m[j] + rest1 * g[j]
+                v[j] = beta2 * v[j] + rest2 * g[j] * g[j]
+                p[j] -= rate[j] * c1 * m[j] / (math.sqrt(v[j]) * c2 + eps)

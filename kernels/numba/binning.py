@@ -51,7 +51,7 @@ def list_tiles(splats, start, width, height, pair_tile):
 def sort_pairs(order, start, pair_tile, n_tiles):
     """Counting sort of the pairs by tile, depth order kept: ``(ids, slot, offset)``.
 
-    ids: splat of each sorted pair. slot: its place in ``pair_tile``, contiguous per splat. offset: first pair of a tile.
+    ids: splat of each sorted pair. slot: its place in ``pair_tile``, contiguous per splat. offset: [n_tiles + 1].
     """
     offset = np.zeros(n_tiles + 1, np.int32)
     for k in range(pair_tile.shape[0]):

@@ -14,5 +14,5 @@ _LOCK = threading.RLock()
 def launching() -> Iterator[None]:
     """Hold the kernels for this thread: numba's portable threading layer ends the process when two launch at once."""
     with _LOCK:
-        numba.set_num_threads(min(torch.get_num_threads(), numba.config.NUMBA_NUM_THREADS))
+        numba.set_num_threads(min(torch.get_num_threads(), numba.config.NUMBA_NUM_THREADS))  # pyright: ignore[reportAttributeAccessIssue]
         yield

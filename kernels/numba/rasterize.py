@@ -3,6 +3,8 @@
 Project and colour every row, list its tiles, sort by counting, composite; and back. float64 goes to the reference.
 """
 
+# pyright: reportCallIssue=false  (arrays are passed on as a list)
+
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from gsfusion_nb.backends import use_backend
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.render import rasterize as reference
 from gsfusion_nb.types import Camera, GaussianParams, RenderOutput
@@ -42,7 +45,8 @@ def render_forward(
 ) -> tuple[RenderOutput, Any]:
     """See ``gsfusion_nb.render.render_forward``."""
     if params.xyz_W.dtype != torch.float32:
-        return reference.render_forward.reference(params, camera, T_WC, with_indices=with_indices)
+        with use_backend("reference"):
+            return reference.render_forward(params, camera, T_WC, with_indices=with_indices)
     arrays = _arrays(params)
     T = T_WC.detach().double()
     cam = pack_camera(camera, se3.inverse(T).numpy(), T[:3, 3].numpy())
@@ -73,7 +77,8 @@ def render_vjp(
 ) -> GaussianParams:
     """See ``gsfusion_nb.render.render_vjp``."""
     if not isinstance(saved, NumbaSaved):
-        return reference.render_vjp.reference(saved, v_rgb, v_depth_m, v_alpha)
+        with use_backend("reference"):
+            return reference.render_vjp(saved, v_rgb, v_depth_m, v_alpha)
     arrays = _arrays(saved.params)
     out = [torch.empty_like(t, memory_format=torch.contiguous_format) for t in _tensors(saved.params)]
     pair_sums = np.empty((len(saved.ids), PAIR_SUMS), np.float32)

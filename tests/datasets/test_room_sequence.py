@@ -1,16 +1,19 @@
 """The room as a sequence: interface, cache, noise, paths, coverage, mesh."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
 
+from gsfusion_nb.datasets.protocol import Sequence
 from gsfusion_nb.datasets.room import kinect_depth, render_room, room, room_mesh, room_sdf
 from gsfusion_nb.datasets.room.cache import cache_folder
 from gsfusion_nb.datasets.room.sensor import DISPARITY_STEP_PX, FOCAL_BASELINE_PX_M
 from gsfusion_nb.geometry import depth_to_points, project, se3
 from gsfusion_nb.types import Camera, Frame
 
-SMALL = {"width": 80, "height": 60}
+SMALL: dict[str, Any] = {"width": 80, "height": 60}
 
 
 def test_interface():
@@ -20,7 +23,9 @@ def test_interface():
     assert isinstance(frame, Frame)
     assert frame.index == 6
     assert frame.rgb.dtype == frame.depth_m.dtype == frame.T_WC.dtype == torch.float32
+    assert torch.equal(frame.T_WC, sequence.pose(6))
     assert torch.equal(frame.T_WC, sequence.T_WC(6))
+    assert isinstance(sequence, Sequence)
     assert sequence.camera.cx == 40
     assert sequence.camera.cy == 30
     assert [room(trajectory=t).name for t in ("mapping", "novel")] == ["room", "room-novel"]

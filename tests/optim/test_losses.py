@@ -19,7 +19,8 @@ def test_l1_by_hand():
 
 @pytest.mark.parametrize("size", [(1, 1), (5, 4), (17, 13)])
 def test_vjps_match_finite_differences(size, generator):
-    x, y = pair(*size, generator)
+    height, width = size
+    x, y = pair(height, width, generator)
     torch.autograd.gradcheck(lambda a: dssim(a, y), x.clone().requires_grad_(True))
     for value, v in ((lambda a: l1(a, y), l1_vjp(x, y)), (lambda a: dssim(a, y), dssim_vjp(x, y)[1])):
         a = x.clone().requires_grad_(True)

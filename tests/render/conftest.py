@@ -121,7 +121,8 @@ def finite_difference_check(forward, vjp, inputs, generator):
         def forward(ctx, *x):
             ctx.x = x
             out = forward(*x)
-            return torch.stack([sum((o * v).sum() for o, v in zip(out, vs, strict=True)) for vs in weights])
+            sums = [torch.stack([(o * v).sum() for o, v in zip(out, vs, strict=True)]).sum() for vs in weights]
+            return torch.stack(sums)
 
         @staticmethod
         def backward(ctx, v_sums):

@@ -167,6 +167,7 @@ def test_render_shows_the_map_where_it_is():
     assert ctx.render() is out
     W = ctx.camera.width
     assert out.alpha[:, : W // 4].mean() > 10 * out.alpha[:, 3 * W // 4 :].mean()
+    assert out.first_index is not None
     assert 0 <= out.first_index.max() < len(ctx.map)
     assert float(check_contexts()["new"].render().alpha.max()) == 0.0
 

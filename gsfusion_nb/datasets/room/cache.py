@@ -2,6 +2,7 @@
 
 import contextlib
 import functools
+import io
 import logging
 import os
 import sys
@@ -55,7 +56,7 @@ def load(path: Path) -> dict[str, ndarray] | None:
 
     images: dict[str, ndarray] = {}
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as archive:
             for name in archive.files:
                 image = cv2.imdecode(archive[name], cv2.IMREAD_UNCHANGED)
                 if image is None:
@@ -66,7 +67,6 @@ def load(path: Path) -> dict[str, ndarray] | None:
         return None
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, cv2.error) as e:
         log.warning("%s is damaged and is made anew: %s", path, e)
-        return None
         return None
 
 

@@ -38,8 +38,8 @@ LIGHTS = (
     Light(position=(1.5, 0.35, 1.93), radius_m=0.16, colour=(1.55, 1.32, 1.02), backward=0.12),
     Light(position=(-2.1, 1.62, 1.47), radius_m=0.16, colour=(0.62, 0.48, 0.31), backward=1.0),
     *(
-        Light(position=(x, 1.86, z), radius_m=0.3, colour=(0.62, 0.69, 0.76), axis=(0.0, -1.0, -0.25), backward=0.0)
-        for x in (-0.35, 0.2, 0.75)
+        Light(position=(x, 1.86, z), radius_m=0.3, colour=(0.93, 1.03, 1.14), axis=(0.0, -1.0, -0.25), backward=0.0)
+        for x in (-0.25, 0.65)
         for z in (1.3, 1.85)
     ),
 )

@@ -19,10 +19,10 @@ from .solids import Paint, Solid
 
 log = logging.getLogger(__name__)
 
-SCENE_VERSION = 1
+SCENE_VERSION = 2
 """Raised whenever the room's look or shape changes, so that caches of older versions are not used."""
 
-_LIGHT_TEXEL_M = 0.035
+_LIGHT_TEXEL_M = 0.04
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

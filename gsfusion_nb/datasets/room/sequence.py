@@ -74,9 +74,13 @@ class RoomSequence:
         focal = _FOCAL_PER_WIDTH * self.width
         return Camera(width=self.width, height=self.height, fx=focal, fy=focal, cx=self.width / 2, cy=self.height / 2)
 
-    def T_WC(self, i: int) -> Float[Tensor, "4 4"]:
-        """Pose of frame ``i``, without rendering it."""
+    def pose(self, i: int) -> Float[Tensor, "4 4"]:
+        """Camera-to-world pose of frame ``i``, without rendering it."""
         return torch.from_numpy(self._walk[0][self._index(i)]).float()
+
+    def T_WC(self, i: int) -> Float[Tensor, "4 4"]:
+        """The same as ``pose``."""
+        return self.pose(i)
 
     @property
     def times_s(self) -> np.ndarray:
@@ -102,7 +106,7 @@ class RoomSequence:
             rgb=torch.from_numpy(images["rgb"].astype(np.float32) / np.float32(255)),
             depth_m=depth_m,
             camera=self.camera,
-            T_WC=self.T_WC(i),
+            T_WC=self.pose(i),
         )
 
     @functools.cached_property
@@ -130,7 +134,7 @@ class RoomSequence:
 
     def _render(self, i: int) -> dict[str, np.ndarray]:
         rgb, depth_m = render_room(
-            self.camera, self.T_WC(i), view_dependent=self.view_dependent, seed=self.seed, cache=self.cache
+            self.camera, self.pose(i), view_dependent=self.view_dependent, seed=self.seed, cache=self.cache
         )
         return {
             "rgb": np.rint(rgb.numpy() * 255).astype(np.uint8),
