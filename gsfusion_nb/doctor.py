@@ -30,6 +30,8 @@ class Finding:
     ok: bool
     text: str
     remedy: str = ""
+    needed: bool = True
+    """Whether the package is incomplete without it."""
 
 
 def examine() -> list[Finding]:
@@ -52,10 +54,11 @@ def main() -> int:
     print(f"gsfusion_nb {__version__} in {sys.prefix}")
     width = max(len(f.topic) for f in findings)
     for f in findings:
-        print(f"  {'ok ' if f.ok else 'NO '} {f.topic:<{width}}  {f.text}")
+        mark = "ok" if f.ok else "NO" if f.needed else "--"
+        print(f"  {mark}  {f.topic:<{width}}  {f.text}")
         if f.remedy and not f.ok:
             print(f"      {'':<{width}}  -> {f.remedy}")
-    missing = [f for f in findings if not f.ok and not f.topic.startswith("(optional)")]
+    missing = [f for f in findings if not f.ok and f.needed]
     print("Everything needed is here." if not missing else f"{len(missing)} thing(s) to mend: see the arrows above.")
     return 1 if missing else 0
 
@@ -79,7 +82,7 @@ def _package(name: str) -> Finding:
 
 def _optional(name: str, remedy: str) -> Finding:
     version = _version(name)
-    return Finding(f"(optional) {name}", version is not None, version or "not installed", remedy)
+    return Finding(name, version is not None, version or "not installed", remedy, needed=False)
 
 
 def _opencv_twins() -> Finding:
@@ -96,7 +99,7 @@ def _torch() -> list[Finding]:
     threads = Finding("torch threads", True, f"{torch.get_num_threads()} for computing")
     cuda = torch.cuda.is_available()
     text = torch.cuda.get_device_name(0) if cuda else "none; everything runs on the CPU"
-    return [threads, Finding("(optional) CUDA device", cuda, text)]
+    return [threads, Finding("CUDA device", cuda, text, needed=False)]
 
 
 def _backends() -> list[Finding]:
@@ -104,7 +107,7 @@ def _backends() -> list[Finding]:
 
     findings = [Finding("backends", True, f"asked for: {os.environ.get('GSFUSION_BACKEND', 'auto')}")]
     for name, backend, state in backends.report():
-        findings.append(Finding(f"  {name} / {backend}", state == "ok", state))
+        findings.append(Finding(f"  {name} / {backend}", state == "ok", state, needed=backend == "reference"))
     return findings
 
 
@@ -112,7 +115,8 @@ def _drawing() -> Finding:
     from .viz import gl
 
     ok, why = gl.can_draw()
-    return Finding("(optional) VTK drawing", ok, why, "mesh views fall back to our own pictures until this works")
+    remedy = "mesh views fall back to our own pictures until this works"
+    return Finding("VTK drawing", ok, why, remedy, needed=False)
 
 
 def _disk() -> Finding:

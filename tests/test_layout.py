@@ -17,8 +17,9 @@ FLOORS = {
     **dict.fromkeys(("tsdf", "gaussians", "render"), 2),
     **dict.fromkeys(("seeding", "optim", "tracking", "datasets", "export", "evaluation"), 3),
     "mapping": 4,
-    **dict.fromkeys(("viz", "teaching", "doctor", "bench"), 5),
-    "cli": 6,
+    **dict.fromkeys(("viz", "teaching"), 5),
+    **dict.fromkeys(("doctor", "bench"), 6),
+    "cli": 7,
 }
 
 MODULES = sorted(p for p in PACKAGE.rglob("*.py") if p != PACKAGE / "__init__.py")

@@ -75,6 +75,8 @@ def open_sequence(
             )
         from .room import room
 
+        if data is not None and data.width and data.height:  # rendered at the wanted size, not resized to it
+            options = {"width": data.width, "height": data.height, **options}
         source: Any = room(**options)
         return apply_options(source, data)
     path = Path(path_or_name).expanduser()

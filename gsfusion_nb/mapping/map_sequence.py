@@ -108,7 +108,7 @@ def _drive(run: MappingRun, folder: Path, evaluate: bool) -> FinishedRun:
     metrics |= outputs.map_metrics(run, mesh)
     outputs.write_numbers(run, folder, metrics)
     if evaluate and run.steps:
-        metrics |= outputs.score(run)
+        metrics |= outputs.score(run) | outputs.score_mesh(run, mesh)
         outputs.write_numbers(run, folder, metrics)
         outputs.write_page(run, folder, metrics)
     return FinishedRun(run, folder, metrics)

@@ -99,9 +99,9 @@ def write_page(run: MappingRun, folder: Path, metrics: dict[str, Any]) -> Path:
 
 
 def map_metrics(run: MappingRun, mesh: Mesh) -> dict[str, Any]:
-    """Sizes, speed and memory, and the mesh against ground truth where the sequence knows it."""
+    """Sizes, speed and memory."""
     seconds = [s.total_seconds for s in run.steps]
-    metrics: dict[str, Any] = {
+    return {
         "n_gaussians": len(run.mapper.gaussians),
         "model_size_mb": run.mapper.gaussians.size_bytes / 1e6,
         "n_keyframes": sum(s.is_keyframe for s in run.steps),
@@ -113,13 +113,20 @@ def map_metrics(run: MappingRun, mesh: Mesh) -> dict[str, Any]:
         "seconds_global": run.seconds_global,
         "peak_memory_mb": peak_memory_mb(run.mapper.device),
     }
+
+
+def score_mesh(run: MappingRun, mesh: Mesh) -> dict[str, Any]:
+    """Accuracy and completion of the mesh where the sequence knows the truth (``source.mesh()``); else nothing.
+
+    Of the true surface only what the mapped frames saw counts.
+    """
     truth = getattr(run.sequence.source, "mesh", None)
-    if truth is not None and len(mesh.faces):
-        seen = cull_unseen(truth(), _readable(_spread(run, 50)))
-        generator = torch.Generator().manual_seed(run.mapper.config.seed)
-        scores = mesh_scores(mesh, seen, generator=generator)
-        metrics |= {"mesh_accuracy_m": scores} if isinstance(scores, NotComputed) else scores.as_metrics()
-    return metrics
+    if truth is None or not len(mesh.faces):
+        return {}
+    seen = cull_unseen(truth(), _readable(_spread(run, 50)))
+    generator = torch.Generator().manual_seed(run.mapper.config.seed)
+    scores = mesh_scores(mesh, seen, generator=generator)
+    return {"mesh_accuracy_m": scores} if isinstance(scores, NotComputed) else scores.as_metrics()
 
 
 def peak_memory_mb(device: torch.device) -> float | NotComputed:

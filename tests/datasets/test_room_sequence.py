@@ -24,7 +24,7 @@ def test_interface():
     assert frame.index == 6
     assert frame.rgb.dtype == frame.depth_m.dtype == frame.T_WC.dtype == torch.float32
     assert torch.equal(frame.T_WC, sequence.pose(6))
-    assert torch.equal(frame.T_WC, sequence.T_WC(6))
+    assert torch.equal(frame.T_WC, sequence.pose(6))
     assert isinstance(sequence, Sequence)
     assert sequence.camera.cx == 40
     assert sequence.camera.cy == 30
@@ -60,7 +60,7 @@ def test_cache_gives_the_same_frame_and_recovers_from_damage():
         assert torch.equal(again.rgb, fresh.rgb)
         assert torch.equal(again.depth_m, fresh.depth_m)
     assert not list(path.parent.glob(".*"))
-    rgb, depth_m = render_room(sequence.camera, sequence.T_WC(4))
+    rgb, depth_m = render_room(sequence.camera, sequence.pose(4))
     assert (fresh.depth_m - depth_m).abs().max() < 0.6e-4  # steps of 0.1 mm
     assert (fresh.rgb - rgb).abs().max() < 0.51 / 255
 
@@ -106,7 +106,7 @@ def test_noise_makes_holes_where_a_kinect_has_them():
 @pytest.mark.parametrize("trajectory", ["mapping", "novel"])
 def test_walks_keep_clear_of_things_and_are_calm(trajectory):
     sequence = room(trajectory=trajectory, n_frames=500)
-    T_WC = torch.stack([sequence.T_WC(i) for i in range(500)]).double()
+    T_WC = torch.stack([sequence.pose(i) for i in range(500)]).double()
     assert room_sdf(T_WC[:, :3, 3]).min() > 0.4
     times = sequence.times_s
     speed = T_WC[:, :3, 3].diff(dim=0).norm(dim=1) / np.diff(times)[0]

@@ -13,9 +13,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ...checks import check_pose
-from ...types import Camera, Frame
+from ...types import Camera, Frame, Mesh
 from . import raycast, shade
 from .cache import cache_folder, load, store
+from .mesh import room_mesh
 from .scene import load_scene, version
 from .sensor import kinect_depth
 from .trajectory import TRAJECTORIES, walk
@@ -78,9 +79,9 @@ class RoomSequence:
         """Camera-to-world pose of frame ``i``, without rendering it."""
         return torch.from_numpy(self._walk[0][self._index(i)]).float()
 
-    def T_WC(self, i: int) -> Float[Tensor, "4 4"]:
-        """The same as ``pose``."""
-        return self.pose(i)
+    def mesh(self) -> Mesh:
+        """Ground truth of the surface, 3 cm triangles."""
+        return room_mesh(0.03, seed=self.seed, cache=self.cache)
 
     @property
     def times_s(self) -> np.ndarray:

@@ -1,0 +1,128 @@
+import dataclasses
+
+import pytest
+import torch
+
+from gsfusion_nb.backends import use_backend
+from gsfusion_nb.config import gsfusion, replace
+from gsfusion_nb.evaluation import psnr
+from gsfusion_nb.mapping import GSFusion
+from gsfusion_nb.seeding import SeedContext, seeding_rule
+from gsfusion_nb.types import Seeds
+
+
+def held_out_psnr(mapper, split) -> float:
+    scores = [psnr(mapper.render(f.camera, f.T_WC).rgb, f.rgb) for f in split.held_out]
+    return sum(scores) / len(scores)
+
+
+def test_maps_a_room_and_global_optimisation_improves_it(split, config):
+    mapper = GSFusion(config)
+    reports = [mapper.step(frame) for frame in split.mapping]
+    first = reports[0]
+    assert first.is_keyframe
+    assert first.n_seeds == first.n_gaussians > config.keyframe_min_seeds
+    assert [r.n_gaussians for r in reports] == torch.tensor([r.n_seeds for r in reports]).cumsum(0).tolist()
+    assert sum(r.is_keyframe for r in reports) == len(mapper.keyframes)
+    assert all(r.psnr_after_db > r.psnr_before_db for r in reports if r.is_keyframe)
+    assert set(first.seconds) == {"tsdf", "seeding", "optimise"}
+    online = held_out_psnr(mapper, split)
+    steps = list(mapper.global_optimise())
+    assert len(steps) == 2 * len(mapper.keyframes) == steps[-1].n_steps
+    assert mapper.global_passes_done == 2
+    assert held_out_psnr(mapper, split) > online + 0.3 > 14
+
+
+def test_steps_per_frame_follow_the_paper(split, config):
+    """m on a keyframe, n on another frame, random revisits only on the latter (III-B.3)."""
+    optim = {"optim__keyframe_iterations": 4, "optim__frame_iterations": 2, "optim__random_keyframe_iterations": 3}
+    mapper = GSFusion(replace(config, **optim, keyframe_min_seeds=30))
+    steps_before = 0
+    kinds = set()
+    for frame in split.mapping:
+        n_keyframes = len(mapper.keyframes)
+        report = mapper.step(frame)
+        taken = mapper.gaussians.step_count - steps_before
+        steps_before = mapper.gaussians.step_count
+        assert taken == (4 if report.is_keyframe else 2 + min(3, n_keyframes))
+        assert len(report.losses) == (4 if report.is_keyframe else 2)
+        kinds.add(report.is_keyframe)
+    assert kinds == {True, False}
+
+
+def test_keep_all_frames_revisits_every_frame(split, config):
+    mapper = GSFusion(replace(config, keep_all_frames=True, keyframe_min_seeds=10**6))
+    for frame in split.mapping:
+        report = mapper.step(frame)
+        assert not report.is_keyframe
+    assert len(mapper.keyframes) == len(split.mapping)
+
+
+def test_same_seed_same_map_and_state_goes_on_where_it_was(split, config):
+    frames = list(split.mapping)
+    whole, parted = GSFusion(config), GSFusion(config)
+    for frame in frames:
+        whole.step(frame)
+    for frame in frames[:4]:
+        parted.step(frame)
+    resumed = GSFusion.from_state_dict(parted.state_dict())
+    assert resumed.n_frames == 4
+    for frame in frames[4:]:
+        resumed.step(frame)
+    for name in ("xyz_W", "sh", "opacity_logit"):
+        assert torch.equal(getattr(whole.gaussians.params, name), getattr(resumed.gaussians.params, name))
+    assert torch.equal(whole.volume.W, resumed.volume.W)
+
+
+def test_backends_give_the_same_quality(split, config):
+    quality = {}
+    for backend in ("reference", "auto"):
+        mapper = GSFusion(config)
+        with use_backend(backend):
+            for frame in split.mapping:
+                mapper.step(frame)
+        quality[backend] = held_out_psnr(mapper, split)
+    assert quality["auto"] == pytest.approx(quality["reference"], abs=0.05)
+
+
+def test_a_rule_may_be_a_name_or_a_function(split, config):
+    @seeding_rule
+    def near_only(ctx: SeedContext, *, max_depth_m: float = 1.0) -> Seeds:
+        """Seed only what is close."""
+        seeds = ctx.cells()
+        return seeds[seeds.xyz_W[:, 2] < max_depth_m]
+
+    frame = split.mapping[0]
+    by_name, by_function = GSFusion(config, seeding="near_only"), GSFusion(config, seeding=near_only)
+    a, b = by_name.step(frame), by_function.step(frame)
+    assert a.n_seeds == b.n_seeds > 0
+    assert by_name.gaussians.params.xyz_W[:, 2].max() < 1.1
+    fewer = replace(config, seeding__options={"max_depth_m": 0.3}, seeding__rule="near_only")
+    assert GSFusion(fewer).step(frame).n_seeds < a.n_seeds
+
+
+def test_a_frame_without_depth_is_mapped_without_seeds(split, config):
+    mapper = GSFusion(config)
+    blind = dataclasses.replace(split.mapping[0], depth_m=torch.zeros_like(split.mapping[0].depth_m))
+    report = mapper.step(blind)
+    assert (report.n_seeds, report.losses, len(mapper.gaussians)) == (0, (), 0)
+    assert mapper.step(split.mapping[1]).n_seeds > 0
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"T_WC": torch.diag(torch.tensor([2.0, 1, 1, 1]))}, "T_WC of frame 0 must be rigid"),
+        ({"depth_m": torch.full((60, 80), torch.nan)}, "depth_m of frame 0 must be finite"),
+    ],
+)
+def test_a_bad_frame_is_refused_and_changes_nothing(split, config, change, message):
+    mapper = GSFusion(config)
+    with pytest.raises(ValueError, match=message):
+        mapper.step(dataclasses.replace(split.mapping[0], **change))
+    assert (mapper.volume.n_blocks, len(mapper.gaussians), len(mapper.keyframes)) == (0, 0, 0)
+
+
+def test_unknown_rule_lists_the_registered():
+    with pytest.raises(KeyError, match="gsfusion"):
+        GSFusion(gsfusion("replica"), seeding="gsfuzion")

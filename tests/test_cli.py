@@ -1,0 +1,79 @@
+import json
+
+import pytest
+
+from gsfusion_nb.cli import main
+
+SMALL = "--data.width 80 --data.height 60 --data.stop 6 --data.hold-out-every 3 --data.hold-out-offset 1"
+FAST = "--tsdf.voxel-size-m 0.04 --optim.global-iterations 1 --sh-degree 0 --seeding.quadtree-threshold 0.01 --keyframe-min-seeds 20"
+
+
+def test_map_then_eval_then_repeat_from_its_config(tmp_path, capsys):
+    out = tmp_path / "run"
+    assert main(["map", "room", *SMALL.split(), *FAST.split(), "--out", str(out)]) == 0
+    text = capsys.readouterr().out
+    assert "Novel views (held out)" in text
+    assert "gaussians.ply" in text
+    config = json.loads((out / "config.json").read_text())["config"]
+    assert config["tsdf"]["voxel_size_m"] == 0.04
+    assert config["data"]["stop"] == 6
+
+    before = json.loads((out / "metrics.json").read_text())["metrics"]
+    assert main(["eval", str(out)]) == 0
+    after = json.loads((out / "metrics.json").read_text())["metrics"]
+    assert after["psnr_mapped_db"] == pytest.approx(before["psnr_mapped_db"], abs=1e-3)
+
+    again = [
+        "map",
+        "room",
+        "--from-config",
+        str(out / "config.json"),
+        "--out",
+        str(tmp_path / "again"),
+        "--no-evaluate",
+    ]
+    assert main(again) == 0
+    repeated = json.loads((tmp_path / "again" / "metrics.json").read_text())["metrics"]
+    assert repeated["n_gaussians"] == before["n_gaussians"]
+
+
+def test_preset_is_a_start_that_options_override(tmp_path, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(["map", "room", "--preset", "tum", "--help"])
+    assert stop.value.code == 0
+    text = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    assert "Passes over the keyframes after the scan. (default: 20)" in text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "sentence"),
+    [
+        (["map", "nowhere"], 1, "nowhere is no folder; expected one that holds a sequence"),
+        (["map"], 1, "expected the folder of a sequence"),
+        (["map", "room", "--preset", "repilca"], 1, "no preset 'repilca'; known:"),
+        (["map", "room", "--backend", "nubma"], 1, "no backend 'nubma'; known:"),
+        (["map", "--resume", "nowhere"], 1, "only a run that was interrupted can be resumed"),
+        (["eval", "nowhere"], 1, "config.json"),
+        (["fly"], 2, "no command 'fly'"),
+    ],
+)
+def test_mistakes_are_answered_with_a_sentence(arguments, status, sentence, capsys):
+    assert main(arguments) == status
+    assert sentence in capsys.readouterr().err.replace("\n", " ")
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "sentence"),
+    [("--tsdf.voxel-sise-m", "0.1", "voxel-size-m"), ("--tsdf.voxel-size-m", "-1", "must be > 0, got -1")],
+)
+def test_a_bad_option_is_refused(option, value, sentence, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(["map", "room", option, value])
+    assert stop.value.code == 2
+    assert sentence in capsys.readouterr().err
+
+
+def test_help_names_the_commands(capsys):
+    assert main([]) == 0
+    text = capsys.readouterr().out
+    assert all(f"gsfusion-nb {name}" in text for name in ("demo", "map", "eval", "doctor"))
