@@ -5,7 +5,10 @@ import pytest
 from gsfusion_nb.cli import main
 
 SMALL = "--data.width 80 --data.height 60 --data.stop 6 --data.hold-out-every 3 --data.hold-out-offset 1"
-FAST = "--tsdf.voxel-size-m 0.04 --optim.global-iterations 1 --sh-degree 0 --seeding.quadtree-threshold 0.01 --keyframe-min-seeds 20"
+FAST = (
+    "--tsdf.voxel-size-m 0.04 --optim.global-iterations 1 --sh-degree 0 "
+    "--seeding.quadtree-threshold 0.01 --keyframe-min-seeds 20"
+)
 
 
 def test_map_then_eval_then_repeat_from_its_config(tmp_path, capsys):

@@ -40,6 +40,10 @@ def _image_metrics(suffix: str) -> dict[str, Metric]:
 METRIC_GROUPS: dict[str, dict[str, Metric]] = {
     "Novel views (held out)": _image_metrics("held_out"),
     "Mapped views": _image_metrics("mapped"),
+    "Before the global optimisation": {
+        "psnr_held_out_online_db": Metric("PSNR, held out", "dB", 2, 1.0, "Of the map as the scan left it."),
+        "psnr_mapped_online_db": Metric("PSNR, mapped", "dB", 2, 1.0, "Of the map as the scan left it."),
+    },
     "Maps": {
         "n_gaussians": Metric("Gaussians", "", 0),
         "model_size_mb": Metric("Model size", "MB", 1, 1.0, "Size of gaussians.ply; 1 MB is a million bytes."),
