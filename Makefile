@@ -13,10 +13,11 @@ setup: $(STAMP)
 $(STAMP): pyproject.toml
 	@$(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(None if v >= (3, 11) else f"gsfusion_nb needs Python >= 3.11, found {v[0]}.{v[1]}: run  make PYTHON=/path/to/python3.11 ...")'
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	@echo "Installing into $(VENV) (about 2 minutes, 2.3 GB) ..."
+	@echo "Installing into $(VENV) (about 3 minutes, 2.3 GB) ..."
 	@$(BIN)/python -m pip install --quiet --upgrade pip
 	@$(BIN)/python -m pip install --quiet "torch>=2.6,<2.14" $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX))
 	@$(BIN)/python -m pip install --quiet --editable ".[dev]"
+	-@$(BIN)/gsfusion-nb doctor --warm
 	@touch $(STAMP)
 
 demo: setup

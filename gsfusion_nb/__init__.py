@@ -1,6 +1,11 @@
 """Learn, teach and prototype online RGB-D mapping with TSDF fusion and 3D Gaussian splatting."""
 
 import importlib
+import os
+
+# Read by OpenMP when torch loads it. By default its idle threads spin, and on a machine with anything else to do small
+# operations then take ten times as long; to wait asleep costs next to nothing.
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 from .types import Camera as Camera
 from .types import Frame as Frame

@@ -24,6 +24,12 @@ _NUMBA = "gsfusion_nb.kernels.numba"
 
 PROVIDERS: dict[str, dict[str, str]] = {
     "adam_update": {"numba": f"{_NUMBA}.adam:adam_update"},
+    "band_blocks": {"numba": f"{_NUMBA}.allocate:band_blocks"},
+    "extract_mesh": {"numba": f"{_NUMBA}.marching_cubes:extract_mesh"},
+    "fuse_frame_": {"numba": f"{_NUMBA}.integrate:fuse_frame_"},
+    "quadtree": {"numba": f"{_NUMBA}.quadtree:quadtree"},
+    "raycast": {"numba": f"{_NUMBA}.raycast:raycast"},
+    "dssim_vjp": {"numba": f"{_NUMBA}.ssim:dssim_vjp"},
     "render_forward": {"numba": f"{_NUMBA}.rasterize:render_forward"},
     "render_vjp": {"numba": f"{_NUMBA}.rasterize:render_vjp"},
 }

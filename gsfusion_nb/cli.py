@@ -1,4 +1,4 @@
-"""The command ``gsfusion-nb``: demo, map, eval, doctor."""
+"""The command ``gsfusion-nb``: demo, map, eval, bench, doctor."""
 
 import logging
 import sys
@@ -17,7 +17,9 @@ _USAGE = """gsfusion-nb: online RGB-D mapping with TSDF fusion and 3D Gaussian s
   gsfusion-nb map DATA [options]       map a sequence; every setting is an option: gsfusion-nb map --help
   gsfusion-nb map --resume RUN         go on with a run that was interrupted
   gsfusion-nb eval RUN                 score a finished run again
+  gsfusion-nb bench [raster|tsdf|map]  what the operations cost on this machine, beside other programs
   gsfusion-nb doctor                   what is installed, what works, what to do
+  gsfusion-nb doctor --warm            compile the fast kernels now instead of on first use
 """
 
 
@@ -72,11 +74,19 @@ class EvalOptions:
     """Also compute LPIPS (needs the extra "lpips" and AlexNet's weights)."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class DoctorOptions:
+    """Say what is installed, what works and what to do where it does not."""
+
+    warm: bool = False
+    """Compile the fast kernels once instead, so that nothing waits for it later."""
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; the exit status: 0 done, 1 an error said in a sentence, 130 interrupted."""
     arguments = sys.argv[1:] if arguments is None else arguments
     logging.basicConfig(level=logging.WARNING, format="%(message)s")
-    commands = {"demo": _demo, "map": _map, "eval": _eval, "doctor": _doctor}
+    commands = {"demo": _demo, "map": _map, "eval": _eval, "bench": _bench, "doctor": _doctor}
     if not arguments or arguments[0] in ("-h", "--help"):
         print(_USAGE)
         return 0
@@ -159,10 +169,17 @@ def _eval(arguments: list[str]) -> int:
     return 0
 
 
+def _bench(arguments: list[str]) -> int:
+    from . import bench
+
+    return bench.main(tyro.cli(bench.BenchOptions, prog="gsfusion-nb bench", args=arguments))
+
+
 def _doctor(arguments: list[str]) -> int:
     from . import doctor
 
-    return doctor.main()
+    options = tyro.cli(DoctorOptions, prog="gsfusion-nb doctor", args=arguments)
+    return doctor.warm() if options.warm else doctor.main()
 
 
 def _finish(run) -> int:

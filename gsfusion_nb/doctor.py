@@ -1,4 +1,4 @@
-"""``gsfusion-nb doctor``: what is installed, what works, and what to do where it does not."""
+"""``gsfusion-nb doctor``: what is installed, what works, and what to do where it does not; and compiling ahead."""
 
 import importlib.metadata
 import os
@@ -61,6 +61,31 @@ def main() -> int:
     missing = [f for f in findings if not f.ok and f.needed]
     print("Everything needed is here." if not missing else f"{len(missing)} thing(s) to mend: see the arrows above.")
     return 1 if missing else 0
+
+
+def warm() -> int:
+    """Compile the fast kernels once, with a progress bar that names them; 0 if there was something to compile with."""
+    from tqdm.auto import tqdm
+
+    from .warm import warm_up
+
+    print("Compiling the fast kernels once, so that no program or notebook has to wait for it (about a minute) ...")
+    progress = None
+    with tqdm(bar_format="  {percentage:3.0f} % |{bar:25}| {desc} [{elapsed}]") as bar:
+        for progress in warm_up():
+            bar.total = progress.total
+            bar.update(progress.done - bar.n)
+            bar.set_description_str(progress.name or "done")
+    if progress is None or not progress.total:
+        print("No fast kernels can run here, so there is nothing to compile: gsfusion-nb doctor says why.")
+        return 1
+    n = len(progress.compiled)
+    print(
+        f"{n} functions compiled in {progress.seconds:.0f} s and kept on disk."
+        if n
+        else f"Everything was compiled already and was read from the disk in {progress.seconds:.1f} s."
+    )
+    return 0
 
 
 def _version(name: str) -> str | None:

@@ -57,6 +57,8 @@ def test_preset_is_a_start_that_options_override(tmp_path, capsys):
         (["map", "room", "--backend", "nubma"], 1, "no backend 'nubma'; known:"),
         (["map", "--resume", "nowhere"], 1, "only a run that was interrupted can be resumed"),
         (["eval", "nowhere"], 1, "config.json"),
+        (["bench", "fly"], 1, "no bench 'fly'; known: all, map, raster, tsdf"),
+        (["bench", "tsdf", "--data", "nowhere"], 1, "nowhere is no folder"),
         (["fly"], 2, "no command 'fly'"),
     ],
 )
@@ -79,4 +81,9 @@ def test_a_bad_option_is_refused(option, value, sentence, capsys):
 def test_help_names_the_commands(capsys):
     assert main([]) == 0
     text = capsys.readouterr().out
-    assert all(f"gsfusion-nb {name}" in text for name in ("demo", "map", "eval", "doctor"))
+    assert all(f"gsfusion-nb {name}" in text for name in ("demo", "map", "eval", "bench", "doctor", "doctor --warm"))
+
+
+def test_doctor_warm_compiles_ahead(capsys):
+    assert main(["doctor", "--warm"]) == 0
+    assert "compiled" in capsys.readouterr().out

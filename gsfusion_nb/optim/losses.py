@@ -7,6 +7,8 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
+from ..backends import op
+
 C1 = 0.01**2
 C2 = 0.03**2
 """Stabilisers of SSIM for images in 0..1 (Wang et al. 2004)."""
@@ -34,6 +36,7 @@ def dssim(rgb: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"]) -> Float[
     return 1.0 - S.mean()
 
 
+@op
 def dssim_vjp(
     rgb: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"], v_loss: float = 1.0
 ) -> tuple[Float[Tensor, ""], Float[Tensor, "H W 3"]]:

@@ -111,7 +111,7 @@ class SeedContext:
         if unknown:
             raise ValueError(f"quadtree_cells: unknown settings {unknown}; known: {sorted(settings)}")
         settings |= overrides
-        rgb_u8 = self._once("rgb_u8", lambda: (self.frame.rgb * 255).round().clamp(0, 255).to(torch.uint8))
+        rgb_u8 = self._once("rgb_u8", lambda: (self.frame.rgb * 255).round_().clamp_(0, 255).to(torch.uint8))
         return self._once(("cells", *settings.values()), lambda: quadtree(rgb_u8, **settings))
 
     def cells(self, **overrides: Any) -> Seeds:

@@ -15,8 +15,8 @@ from ..backends import op
 from ..checks import check_shape
 from ..constants import LUMA_WEIGHTS, QUADTREE_NORMALISER
 
-_LUMA_DENOMINATOR = 10_000
-_LUMA_NUMERATORS = tuple(round(w * _LUMA_DENOMINATOR) for w in LUMA_WEIGHTS)
+LUMA_DENOMINATOR = 10_000
+LUMA_NUMERATORS = tuple(round(w * LUMA_DENOMINATOR) for w in LUMA_WEIGHTS)
 """The luma weights as whole numbers, so that sums over pixels stay exact integers."""
 
 
@@ -93,9 +93,9 @@ def quadtree(
 
     Source: GSFusion section III-B.1; contrast, cutting and order as in the released code.
     """
-    _check_arguments(rgb_u8, threshold, min_cell_px, contrast)
+    check_arguments(rgb_u8, threshold, min_cell_px, contrast)
     H, W = rgb_u8.shape[:2]
-    finest = _deepest_level(W, H, min_cell_px)
+    finest = deepest_level(W, H, min_cell_px)
     xs, ys = (_grid_lines(n, finest).to(rgb_u8.device) for n in (W, H))
     corners = _integral_image(rgb_u8, xs, ys)
     order = _bits_apart(finest).to(rgb_u8.device)
@@ -121,7 +121,8 @@ def quadtree(
     return Cells(x0=columns[0], y0=columns[1], width=columns[2], height=columns[3], level=columns[4])
 
 
-def _check_arguments(rgb_u8: Tensor, threshold: float, min_cell_px: int, contrast: str) -> None:
+def check_arguments(rgb_u8: Tensor, threshold: float, min_cell_px: int, contrast: str) -> None:
+    """Raise ``ValueError`` for what ``quadtree`` does not take."""
     check_shape("rgb_u8", rgb_u8, ("H", "W", 3))
     if rgb_u8.dtype != torch.uint8:
         raise ValueError(f"rgb_u8 must hold 8-bit colours (torch.uint8), got {rgb_u8.dtype}")
@@ -135,7 +136,7 @@ def _check_arguments(rgb_u8: Tensor, threshold: float, min_cell_px: int, contras
         raise ValueError(f"contrast must be 'released' or 'std', got {contrast!r}")
 
 
-def _deepest_level(width: int, height: int, min_cell_px: int) -> int:
+def deepest_level(width: int, height: int, min_cell_px: int) -> int:
     """Level at which not even the largest cell may be cut. The largest of level l is ceil(size / 2^l)."""
     level = 0
     while width // 2 > min_cell_px and height // 2 > min_cell_px:
@@ -157,7 +158,7 @@ def _integral_image(
 ) -> Int[Tensor, "4 Gy Gx"]:
     """Sums over all pixels left of and above each crossing of grid lines: R, G, B, and the luma-weighted squares."""
     r, g, b = rgb_u8.to(torch.int32).unbind(-1)
-    wr, wg, wb = _LUMA_NUMERATORS
+    wr, wg, wb = LUMA_NUMERATORS
     squares = wr * r * r + wg * g * g + wb * b * b  # at most 9999 * 255^2 = 6.5e8, inside int32
     band = torch.repeat_interleave(ys.diff())
     column = torch.repeat_interleave(xs.diff())
@@ -175,9 +176,9 @@ def _variance(corners: Int[Tensor, "4 Gy Gx"], w: Int[Tensor, " X"], h: Int[Tens
     sums = corners.diff(dim=1).diff(dim=2)
     mean = sums.double() / (h[:, None] * w[None, :])
     V = mean[3]
-    for weight, m in zip(_LUMA_NUMERATORS, mean[:3], strict=True):
+    for weight, m in zip(LUMA_NUMERATORS, mean[:3], strict=True):
         V = V - weight * m * m
-    return V.clamp_min(0.0) / _LUMA_DENOMINATOR
+    return V.clamp_min(0.0) / LUMA_DENOMINATOR
 
 
 def _children(split: Bool[Tensor, "Y X"]) -> Bool[Tensor, "Y2 X2"]:

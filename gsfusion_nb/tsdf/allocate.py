@@ -1,11 +1,13 @@
 """Which voxel blocks a depth image needs: those that the viewing rays cross inside the truncation band."""
 
 import math
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from ..backends import op
 from ..checks import check_pose
 from ..types import Camera, Frame
 from .volume import TsdfVolume
@@ -29,6 +31,7 @@ def allocate(volume: TsdfVolume, frame: Frame) -> Int[Tensor, " K"]:
     return volume.add_blocks(band_blocks(volume, frame))
 
 
+@op
 def band_blocks(volume: TsdfVolume, frame: Frame) -> Int[Tensor, "N 3"]:
     """Coordinates of all blocks that the band of any pixel's ray crosses, each once.
 
@@ -38,7 +41,7 @@ def band_blocks(volume: TsdfVolume, frame: Frame) -> Int[Tensor, "N 3"]:
     """
     config, camera = volume.config, frame.camera
     check_pose("T_WC", frame.T_WC)
-    usable = (frame.depth_m >= config.near_m) & (frame.depth_m <= config.far_m)
+    usable = (frame.depth_m > 0) & (frame.depth_m >= config.near_m) & (frame.depth_m <= config.far_m)
     if config.outlier_guard:
         usable &= has_support(frame.depth_m)
     pixel = usable.view(-1).nonzero()[:, 0]
@@ -50,22 +53,53 @@ def band_blocks(volume: TsdfVolume, frame: Frame) -> Int[Tensor, "N 3"]:
     half = config.truncation_m / ray_length if config.sdf == "ray" else torch.full_like(depth, config.truncation_m)
     near, far = (depth - half).clamp_(min=0.0), depth + half
 
-    # Everything below is in units of blocks, relative to the block that holds the camera: exact far from the origin.
-    T_WC = frame.T_WC.double()
-    position = T_WC[:3, 3] / volume.block_size_m
-    base = position.floor()
-    origin = (position - base).tolist()
-    R = (T_WC[:3, :3] / volume.block_size_m).tolist()
-    low, size = _bounding_box(camera, origin, R, float(near.amin()), float(far.amax()))
-    origin = [o - s for o, s in zip(origin, low, strict=True)]
-    pieces = math.ceil(1.0001 * float(((far - near) * ray_length).amax()) / volume.block_size_m)
-    marked = _CellSet(size, depth.device)
+    box = block_box(volume, frame, float(near.amin()), float(far.amax()))
+    pieces = box.pieces(float(((far - near) * ray_length).amax()))
+    marked = _CellSet(box.size, depth.device)
     for i in range(0, depth.shape[0], _CHUNK_PX):
         part = slice(i, i + _CHUNK_PX)
-        directions = [r[0] * x[part] + r[1] * y[part] + r[2] for r in R]
-        _traverse(marked, origin, directions, (near[part], far[part]), pieces)
-    offset = base.to(torch.int64) + torch.tensor(low, dtype=torch.int64, device=base.device)
-    return marked.cells() + offset
+        directions = [r[0] * x[part] + r[1] * y[part] + r[2] for r in box.R]
+        _traverse(marked, box.origin, directions, (near[part], far[part]), pieces)
+    return marked.cells() + box.low
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BlockBox:
+    """The blocks around a part of a view, and the view in their units, relative to them: exact far from the origin."""
+
+    low: Int[Tensor, " 3"]
+    """Lowest block."""
+    size: list[int]
+    """Blocks along each axis."""
+    origin: list[float]
+    """Camera centre, blocks from the corner of ``low``."""
+    R: list[list[float]]
+    """Rows of R_WC, blocks per metre."""
+    block_size_m: float
+    """Edge of a block, metres."""
+
+    def pieces(self, length_m: float) -> int:
+        """Parts no longer than a block, up to rounding, that a segment has to be cut into."""
+        return math.ceil(1.0001 * length_m / self.block_size_m)
+
+
+def block_box(volume: TsdfVolume, frame: Frame, z_near: float, z_far: float) -> BlockBox:
+    """All blocks that the view frustum of ``frame`` can meet between two depths, with one to spare on each side."""
+    camera, T_WC = frame.camera, frame.T_WC.double()
+    position = T_WC[:3, 3] / volume.block_size_m
+    base = position.floor()
+    R = (T_WC[:3, :3] / volume.block_size_m).tolist()
+    xs = ((0 - camera.cx) / camera.fx, (camera.width - camera.cx) / camera.fx)
+    ys = ((0 - camera.cy) / camera.fy, (camera.height - camera.cy) / camera.fy)
+    corners = [(x * z, y * z, z) for x in xs for y in ys for z in (z_near, z_far)]
+    low, size, origin = [], [], []
+    for o, (rx, ry, rz) in zip((position - base).tolist(), R, strict=True):
+        along = [o + rx * x + ry * y + rz * z for x, y, z in corners]
+        low.append(math.floor(min(along)) - 1)
+        size.append(math.floor(max(along)) + 2 - low[-1])
+        origin.append(o - low[-1])
+    lowest = base.to(torch.int64) + torch.tensor(low, dtype=torch.int64, device=base.device)
+    return BlockBox(low=lowest, size=size, origin=origin, R=R, block_size_m=volume.block_size_m)
 
 
 def ray_slopes(camera: Camera, like: Float[Tensor, "H W"]) -> tuple[Float[Tensor, "H W"], Float[Tensor, "H W"]]:
@@ -92,21 +126,6 @@ def has_support(depth_m: Float[Tensor, "H W"], ratio: float = OUTLIER_RATIO) -> 
         support[a] |= gap < tolerance[a]
         support[b] |= gap < tolerance[b]
     return support
-
-
-def _bounding_box(
-    camera: Camera, origin: list[float], R: list[list[float]], z_near: float, z_far: float
-) -> tuple[list[int], list[int]]:
-    """Lowest block and number of blocks per axis around the part of the view frustum between two depths."""
-    xs = ((0 - camera.cx) / camera.fx, (camera.width - camera.cx) / camera.fx)
-    ys = ((0 - camera.cy) / camera.fy, (camera.height - camera.cy) / camera.fy)
-    corners = [(x * z, y * z, z) for x in xs for y in ys for z in (z_near, z_far)]
-    low, size = [], []
-    for o, (rx, ry, rz) in zip(origin, R, strict=True):
-        along = [o + rx * x + ry * y + rz * z for x, y, z in corners]
-        low.append(math.floor(min(along)) - 1)
-        size.append(math.floor(max(along)) + 2 - low[-1])
-    return low, size
 
 
 class _CellSet:
@@ -142,7 +161,7 @@ def _traverse(
     near, far = interval
     previous = None
     for k in range(pieces + 1):
-        z = torch.lerp(near, far, k / pieces)
+        z = (far - near).mul_(k / pieces).add_(near)
         point = [(d * z).add_(o) for o, d in zip(origin, directions, strict=True)]
         cell = [p.floor() for p in point]
         marked.add(_number(marked, cell))

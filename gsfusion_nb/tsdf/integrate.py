@@ -35,7 +35,6 @@ class IntegrateReport:
     """Voxels that received an observation."""
 
 
-@op
 def tsdf_update(
     D: Float[Tensor, "*V"],
     W: Float[Tensor, "*V"],
@@ -81,12 +80,24 @@ def integrate(volume: TsdfVolume, frame: Frame) -> IntegrateReport:
     Differentiable: no (the map is state, not a parameter).
     """
     new_rows = allocate(volume, frame)
+    touched, updated = fuse_frame_(volume, frame)
+    return IntegrateReport(new_blocks=new_rows.shape[0], touched_blocks=touched, updated_voxels=updated)
+
+
+@op
+def fuse_frame_(volume: TsdfVolume, frame: Frame) -> tuple[int, int]:
+    """Update the allocated voxels that ``frame`` observes, in place.
+
+    Returns:
+        Blocks whose voxels were projected, a number that depends on how tightly hidden blocks are told; and voxels
+        that received an observation.
+    """
     view = FrameView(volume, frame)
     rows = visible_blocks(volume, view)
     updated = 0
     for i in range(0, rows.shape[0], CHUNK_BLOCKS):
         updated += fuse_blocks_(rows[i : i + CHUNK_BLOCKS], volume, view)
-    return IntegrateReport(new_blocks=new_rows.shape[0], touched_blocks=rows.shape[0], updated_voxels=updated)
+    return rows.shape[0], updated
 
 
 class FrameView:
@@ -100,7 +111,7 @@ class FrameView:
         camera, config = frame.camera, volume.config
         H, W = camera.height, camera.width
         self.camera, self.width, self.height = camera, W + 2, H + 2
-        known = (frame.depth_m >= config.near_m) & (frame.depth_m < float("inf"))
+        known = (frame.depth_m > 0) & (frame.depth_m >= config.near_m) & (frame.depth_m < float("inf"))
         self.depth_m = frame.depth_m.new_full((H + 2, W + 2), MISSING)
         self.depth_m[1:-1, 1:-1] = frame.depth_m.masked_fill(~known, MISSING)
         self.rgb = frame.rgb.new_zeros(3, H + 2, W + 2)
@@ -186,7 +197,6 @@ def _max_pool(image: Float[Tensor, "H W"], k: int) -> Float[Tensor, "h w"]:
     return torch.nn.functional.max_pool2d(image[None], k, ceil_mode=True)[0]
 
 
-@op
 def fuse_blocks_(rows: Int[Tensor, " B"], volume: TsdfVolume, view: "FrameView") -> int:
     """Update the voxels of some blocks from a view, in place; returns how many were observed."""
     config = volume.config

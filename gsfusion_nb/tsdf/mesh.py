@@ -6,6 +6,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from ..backends import op
 from ..constants import VOXELS_PER_BLOCK
 from ..types import Mesh
 from .marching_cubes import EDGES, triangle_table
@@ -15,6 +16,7 @@ CHUNK_BLOCKS = 256
 """Blocks meshed at a time: bounds the temporaries to some tens of megabytes whatever the size of the map."""
 
 
+@op
 def extract_mesh(volume: TsdfVolume, *, min_weight: float = 1.0) -> Mesh:
     """Marching cubes over the blocks (Lorensen & Cline 1987), with vertices on the zero crossing of D.
 

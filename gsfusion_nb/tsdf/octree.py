@@ -45,6 +45,11 @@ class BlockIndex:
         rows = self._table.index_select(0, cell).to(torch.int64)
         return torch.where(inside, rows, -1)
 
+    @property
+    def table(self) -> tuple[Tensor, Tensor, tuple[int, int, int]] | None:
+        """Dense lookup table, if there is one: rows (-1: none) of a box of blocks; its lowest block; its size."""
+        return None if self._table is None else (self._table, self._low, self._size)
+
     def insert(self, coords: Int[Tensor, "N 3"]) -> Int[Tensor, " N"]:
         """Rows of the blocks at ``coords``; those not yet allocated get the next rows, in Morton order.
 

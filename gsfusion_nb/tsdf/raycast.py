@@ -6,6 +6,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from ..backends import op
 from ..checks import check_pose
 from ..geometry import se3
 from ..types import Camera
@@ -15,11 +16,15 @@ from .volume import TsdfVolume, corner_weights
 STEP = 0.7
 """Part of the stored distance to advance. D was measured along other rays and overstates the true distance."""
 
-_CLOSE_VOXELS = 2.0
+CLOSE_VOXELS = 2.0
 """Nearer to a surface than this, marching looks at the interpolated D: the nearest voxel's sign can be wrong there."""
 
-_REFINEMENTS = 2
-_TILE_PX = 16
+REFINEMENTS = 2
+"""Interpolations after the first, linear one."""
+
+TILE_PX = 16
+"""Edge of the picture tiles whose rays start together, pixels."""
+
 _HIDDEN, _FREE, _INSIDE = 0, 1, 2
 
 
@@ -35,6 +40,7 @@ class RaycastOutput:
     """Mean colour, 0..1."""
 
 
+@op
 def raycast(volume: TsdfVolume, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RaycastOutput:
     """Depth, normals and colour of the zero crossing of D, as seen from a pose.
 
@@ -77,9 +83,9 @@ def _depth_range(volume: TsdfVolume, camera: Camera, T_WC: Tensor) -> tuple[Tens
     # A block that reaches behind the camera is taken to cover the whole picture.
     behind = z_low <= 0.01
     safe = z.clamp_min(0.01)
-    nx, ny = -(-camera.width // _TILE_PX), -(-camera.height // _TILE_PX)
-    u = (camera.fx * xyz_C[..., 0] / safe + camera.cx) / _TILE_PX
-    v = (camera.fy * xyz_C[..., 1] / safe + camera.cy) / _TILE_PX
+    nx, ny = -(-camera.width // TILE_PX), -(-camera.height // TILE_PX)
+    u = (camera.fx * xyz_C[..., 0] / safe + camera.cx) / TILE_PX
+    v = (camera.fy * xyz_C[..., 1] / safe + camera.cy) / TILE_PX
     u0, v0 = (t.amin(1).floor().masked_fill(behind, 0) for t in (u, v))
     u1, v1 = (t.amax(1).floor().masked_fill(behind, n) for t, n in ((u, nx), (v, ny)))
     seen = ((z_high > 0) & (u1 >= 0) & (v1 >= 0) & (u0 < nx) & (v0 < ny)).nonzero()[:, 0]
@@ -94,7 +100,7 @@ def _depth_range(volume: TsdfVolume, camera: Camera, T_WC: Tensor) -> tuple[Tens
     first.scatter_reduce_(0, tile, z_low[seen][block].clamp_min(0.0), "amin")
     last = torch.zeros(nx * ny, device=n.device).scatter_reduce_(0, tile, z_high[seen][block], "amax")
     return tuple(  # pyright: ignore[reportReturnType]
-        t.view(ny, nx).repeat_interleave(_TILE_PX, 0).repeat_interleave(_TILE_PX, 1)[: camera.height, : camera.width]
+        t.view(ny, nx).repeat_interleave(TILE_PX, 0).repeat_interleave(TILE_PX, 1)[: camera.height, : camera.width]
         .contiguous() for t in (first, last)
     )  # fmt: skip
 
@@ -142,7 +148,7 @@ def _probe(volume: TsdfVolume, point_W: Tensor) -> tuple[Tensor, Tensor, Tensor]
     allocated = flat >= 0
     D = volume.D.view(-1).index_select(0, at)
     observed = allocated & (volume.W.view(-1).index_select(0, at) > 0)
-    close = (observed & (D.abs() * volume.config.truncation_m < _CLOSE_VOXELS * volume.config.voxel_size_m)).nonzero()
+    close = (observed & (D.abs() * volume.config.truncation_m < CLOSE_VOXELS * volume.config.voxel_size_m)).nonzero()
     close = close[:, 0]
     smooth, valid = volume.interpolate(point_W.index_select(0, close))
     D[close] = torch.where(valid, smooth, D[close])
@@ -164,7 +170,7 @@ def _refine(volume: TsdfVolume, origin_W: Tensor, direction_W: Tensor, bracket: 
     """
     z0, z1, D0, D1 = bracket
     z = z0 + (z1 - z0) * (D0 / (D0 - D1))
-    for _ in range(_REFINEMENTS):
+    for _ in range(REFINEMENTS):
         D, valid = volume.interpolate(origin_W + direction_W * z[:, None])
         before, behind = valid & (D >= 0), valid & (D < 0)
         z0, D0 = torch.where(before, z, z0), torch.where(before, D, D0)

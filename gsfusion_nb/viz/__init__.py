@@ -1,1 +1,37 @@
+"""Pictures, live views and players for notebooks. ipywidgets, pyvista and matplotlib load when used."""
 
+import importlib
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from .display import show as show
+    from .display import static_views as static_views
+    from .gaussian_picture import draw as draw
+    from .live import LiveMapper as LiveMapper
+    from .mesh_view import show_mesh as show_mesh
+    from .orbit import OrbitView as OrbitView
+    from .orbit import orbit_view as orbit_view
+    from .player import Player as Player
+    from .viewpoint import orbit_camera as orbit_camera
+
+_LAZY = {
+    "LiveMapper": "live",
+    "OrbitView": "orbit",
+    "Player": "player",
+    "draw": "gaussian_picture",
+    "orbit_camera": "viewpoint",
+    "orbit_view": "orbit",
+    "show": "display",
+    "show_mesh": "mesh_view",
+    "static_views": "display",
+}
+
+
+def __getattr__(name: str):
+    if name in _LAZY:
+        return getattr(importlib.import_module(f".{_LAZY[name]}", __name__), name)
+    raise AttributeError(f"module 'gsfusion_nb.viz' has no attribute {name!r}")
+
+
+def __dir__():
+    return sorted([*globals(), *_LAZY])

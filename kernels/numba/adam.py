@@ -1,6 +1,8 @@
 """One pass of Adam over a parameter: each value, its gradient and its two moments are read and written once."""
 
-# pyright: reportCallIssue=false  (arrays are passed on as a list)
+# Arrays are passed on as a list, which pyright cannot follow:
+# pyright: reportCallIssue=false
+
 import math
 
 import numpy as np

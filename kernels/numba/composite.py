@@ -5,7 +5,9 @@ The backward pass walks front to back as well: it repeats the forward decisions 
 still to come is what is left of the total, so nothing per pair has to be kept between the passes.
 """
 
-# pyright: reportCallIssue=false  (intrinsics are called without their typing context)
+# Intrinsics are called without their typing context, which pyright cannot follow:
+# pyright: reportCallIssue=false
+
 import numpy as np
 from numba import njit, prange
 

@@ -3,7 +3,8 @@
 Project and colour every row, list its tiles, sort by counting, composite; and back. float64 goes to the reference.
 """
 
-# pyright: reportCallIssue=false  (arrays are passed on as a list)
+# Arrays are passed on as a list, which pyright cannot follow:
+# pyright: reportCallIssue=false
 
 from dataclasses import dataclass
 from typing import Any

@@ -122,10 +122,15 @@ _ge = _binary(lambda b, x, y: b.fcmp_ordered(">=", x, y), mask16)
 _gt = _binary(lambda b, x, y: b.fcmp_ordered(">", x, y), mask16)
 _and = _binary(lambda b, x, y: b.and_(x, y), mask16)
 maximum = _binary(lambda b, x, y: b.select(b.fcmp_ordered(">", x, y), x, y), f32x16)
+times = _binary(lambda b, x, y: b.fmul(x, y), f32x16)
+"""A product rounded by itself, never fused with a following addition: for results that must repeat the reference's."""
+either = _binary(lambda b, x, y: b.or_(x, y), mask16)
 minimum = _binary(lambda b, x, y: b.select(b.fcmp_ordered("<", x, y), x, y), f32x16)
 
 
-def _overload(symbol, operation, argument):
+def lane_overload(symbol, operation, argument):
+    """Let the operator ``symbol`` between two vectors of the type ``argument`` mean ``operation``."""
+
     @overload(symbol)
     def _(a, b):
         if a == argument and b == argument:
@@ -142,14 +147,32 @@ for _symbol, _operation in (
     (operator.ge, _ge),
     (operator.gt, _gt),
 ):
-    _overload(_symbol, _operation, f32x16)
-_overload(operator.and_, _and, mask16)
+    lane_overload(_symbol, _operation, f32x16)
+lane_overload(operator.and_, _and, mask16)
 
 
 @intrinsic
 def select(typingctx, mask, a, b):
     """Lane of ``a`` where the mask is true, else of ``b``."""
     return f32x16(mask, a, b), lambda context, builder, sig, args: builder.select(*args)
+
+
+def _unary(name):
+    @intrinsic
+    def operation(typingctx, vector):
+        def codegen(context, builder, sig, args):
+            kind = ir.FunctionType(_VECTOR, [_VECTOR])
+            function = cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v{LANES}f32")
+            return builder.call(function, args)
+
+        return f32x16(vector), codegen
+
+    return operation
+
+
+floor = _unary("floor")
+sqrt = _unary("sqrt")
+absolute = _unary("fabs")
 
 
 @intrinsic

@@ -1,0 +1,50 @@
+"""What a bench is made of: cases that are run one after another, and the row that each gives."""
+
+import dataclasses
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+from .timing import Timing
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """One line of the table."""
+
+    section: str
+    """raster, tsdf, map or scaling."""
+    case: str
+    """What was worked on. Rows of a section with the same case are compared with each other."""
+    method: str
+    """Who did the work."""
+    timing: Timing | None = None
+    """None if it could not be run; ``note`` says why."""
+    speed: float | None = None
+    """How many times faster than the first row of the case."""
+    note: str = ""
+    values: dict[str, Any] = field(default_factory=dict)
+    """More numbers, for the JSON file."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """One measurement that has yet to be made."""
+
+    section: str
+    title: str
+    run: Callable[[], Iterable[Row]]
+
+
+def with_speed(rows: list[Row], threads: int) -> list[Row]:
+    """Fill in ``speed``: CPU time counts with one thread, for other programs do not disturb it; else wall time."""
+    first: dict[tuple[str, str], float] = {}
+    result = []
+    for row in rows:
+        if row.timing is None:
+            result.append(row)
+            continue
+        took = row.timing.cpu_ms if threads == 1 and row.timing.cpu_ms > 0 else row.timing.wall_ms
+        base = first.setdefault((row.section, row.case), took)
+        result.append(dataclasses.replace(row, speed=base / took if took > 0 else None))
+    return result

@@ -1,0 +1,129 @@
+"""The bench: plan the cases, run one after another, keep what was measured whatever happens."""
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from .. import optim, render, seeding, tsdf  # noqa: F401  (importing them declares their operations)
+from ..export.atomic import atomic_path
+from . import machine, scaling, table
+from . import mapping as mapping_cases
+from . import raster as raster_cases
+from . import tsdf as tsdf_cases
+from .options import BenchOptions
+from .peers import PEERS, why_not
+from .rows import Case, Row, with_speed
+from .timing import threads
+
+CASES: dict[str, Callable[[BenchOptions], Iterator[Case]]] = {
+    "raster": raster_cases.cases,
+    "tsdf": tsdf_cases.cases,
+    "map": mapping_cases.cases,
+}
+
+
+@dataclass(kw_only=True)
+class BenchResult:
+    """Everything that was measured."""
+
+    options: BenchOptions
+    machine: dict[str, Any]
+    rows: list[Row] = field(default_factory=list)
+    missing: dict[str, dict[str, str]] = field(default_factory=dict)
+    """Section -> program that was not measured -> why, and what would install it."""
+    n_cases: int = 0
+    n_done: int = 0
+    interrupted: bool = False
+
+    def text(self) -> str:
+        """Header, table, legend; Markdown if the options say so."""
+        head = machine.header(self.machine)
+        legend = table.legend(self.options.threads)
+        if self.options.markdown:
+            parts = ["  \n".join(head), table.markdown(self.rows, self.missing), legend]
+        else:
+            parts = ["\n".join(map(_folded, head)), table.text(self.rows, self.missing), _folded(legend)]
+        return "\n\n".join(part for part in parts if part)
+
+    def as_dict(self) -> dict[str, Any]:
+        """For the JSON file."""
+        return {
+            "machine": self.machine,
+            "options": self.options.as_dict(),
+            "interrupted": self.interrupted,
+            "not_measured": self.missing,
+            "rows": [table.plain(row) for row in self.rows],
+        }
+
+
+def run_bench(options: BenchOptions) -> BenchResult:
+    """Run the cases of ``options``; after Ctrl-C the result has what was measured so far.
+
+    Raises:
+        KeyError, ValueError, OSError: the options make no sense; before anything is run.
+    """
+    from tqdm.auto import tqdm
+
+    options.check()
+    with threads(options.threads):
+        result = BenchResult(options=options, machine=machine.describe(options.threads))
+        if {"tsdf", "map"} & set(options.sections):
+            for size in options.sizes:
+                tsdf_cases.open_frames(options, size)
+        result.missing = not_measured(options)
+        planned = [case for section in options.sections for case in CASES[section](options)]
+        if options.scaling:
+            planned += list(scaling.cases(options))
+        result.n_cases = len(planned)
+        bar = tqdm(planned, file=sys.stderr, leave=False, bar_format="{n_fmt}/{total_fmt} {desc} [{elapsed}]")
+        try:
+            for case in bar:
+                bar.set_description_str(f"{case.section}: {case.title}")
+                result.rows += case.run()
+                result.n_done += 1
+        except KeyboardInterrupt:
+            result.interrupted = True
+        finally:
+            bar.close()
+    result.rows = with_speed(result.rows, options.threads)
+    return result
+
+
+def not_measured(options: BenchOptions) -> dict[str, dict[str, str]]:
+    """Peers and backends of the chosen sections that cannot run here, with the reason."""
+    from .. import backends
+
+    missing: dict[str, dict[str, str]] = {}
+    for name, peer in PEERS.items():
+        reason = why_not(name) if peer.section in options.sections else None
+        if reason:
+            missing.setdefault(peer.section, {})[peer.name] = reason
+    sections = {"render_forward": "raster", "fuse_frame_": "tsdf"}
+    for operation, backend, state in backends.report():
+        section = sections.get(operation)
+        if section in options.sections and state != "ok":
+            missing.setdefault(str(section), {})[backend] = state
+    return missing
+
+
+def main(options: BenchOptions) -> int:
+    """Run, print the table, write the JSON file; 0, or 130 after Ctrl-C."""
+    result = run_bench(options)
+    print(result.text())
+    if options.json:
+        with atomic_path(Path(options.json).expanduser()) as path:
+            path.write_text(json.dumps(result.as_dict(), indent=1) + "\n", encoding="utf-8")
+        print(f"All numbers: {options.json}")
+    if result.interrupted:
+        print(f"Interrupted after {result.n_done} of {result.n_cases} cases.")
+        return 130
+    return 0
+
+
+def _folded(sentence: str) -> str:
+    import textwrap
+
+    return textwrap.fill(sentence, width=100)

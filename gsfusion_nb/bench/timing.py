@@ -1,0 +1,152 @@
+"""Timing a piece of work: wall and CPU time as medians over several runs, and the memory it takes besides."""
+
+import contextlib
+import ctypes
+import gc
+import os
+import statistics
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+
+LEAST_RUNS = 3
+MOST_RUNS = 30
+LONG_RUN_S = 4.0
+"""A run longer than this is not repeated to reach ``LEAST_RUNS``."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Timing:
+    """Medians over the runs."""
+
+    wall_ms: float
+    cpu_ms: float
+    """Of all threads of the process together."""
+    runs: int
+    peak_mb: float | None
+    """Growth of the resident set during one run; None where the system does not tell."""
+
+
+@dataclass(frozen=True)
+class Lap:
+    """One run of the clock."""
+
+    wall_s: float
+    cpu_s: float
+
+
+def lap(work: Callable[[], object], device: str = "cpu") -> Lap:
+    """Run ``work`` once on the clock; on a GPU until its queue is empty."""
+    _wait(device)
+    wall, cpu = time.perf_counter(), time.process_time()
+    work()
+    _wait(device)
+    return Lap(time.perf_counter() - wall, time.process_time() - cpu)
+
+
+def measure(
+    work: Callable[[], object], *, budget_s: float = 1.0, least_runs: int = LEAST_RUNS, device: str = "cpu"
+) -> Timing:
+    """Repeat ``work`` for about ``budget_s`` and take medians.
+
+    One run before the clock starts compiles and fills caches; the first on the clock is watched for memory, too. Work
+    that takes longer than ``LONG_RUN_S`` is run only once more.
+
+    Args:
+        work: What to time; its result is dropped.
+        budget_s: Time after which no further run is started, seconds.
+        least_runs: Runs that are made whatever they take, up to ``LONG_RUN_S`` each.
+        device: "cpu" or "cuda".
+    """
+    warm = lap(work, device)
+    start = time.perf_counter()
+    with PeakMemory(device) as memory:
+        laps = [lap(work, device)]
+    if warm.wall_s < LONG_RUN_S:
+        while len(laps) < least_runs or (time.perf_counter() - start < budget_s and len(laps) < MOST_RUNS):
+            laps.append(lap(work, device))
+    return summary(laps, memory.peak_mb)
+
+
+def summary(laps: list[Lap], peak_mb: float | None = None) -> Timing:
+    """Medians of ``laps``."""
+    return Timing(
+        wall_ms=1e3 * statistics.median(x.wall_s for x in laps),
+        cpu_ms=1e3 * statistics.median(x.cpu_s for x in laps),
+        runs=len(laps),
+        peak_mb=peak_mb,
+    )
+
+
+class PeakMemory:
+    """Growth of memory inside a block, ``peak_mb``: the largest resident set minus that at the start.
+
+    Linux keeps the largest resident set of a process and lets the process reset it; elsewhere the result is None. On a
+    GPU it is what torch allocated.
+    """
+
+    def __init__(self, device: str = "cpu"):
+        self.device = device
+        self.peak_mb: float | None = None
+        self._before = 0
+
+    def __enter__(self) -> "PeakMemory":
+        gc.collect()
+        if self.device == "cuda":
+            torch.cuda.reset_peak_memory_stats()
+            self._before = torch.cuda.memory_allocated()
+            return self
+        _return_free_memory()
+        self._before = _resident_bytes("VmRSS") if _reset_peak() else -1
+        return self
+
+    def __exit__(self, *_) -> None:
+        if self.device == "cuda":
+            self.peak_mb = (torch.cuda.max_memory_allocated() - self._before) / 1e6
+        elif self._before >= 0:
+            self.peak_mb = max(0, _resident_bytes("VmHWM") - self._before) / 1e6
+
+
+@contextlib.contextmanager
+def threads(count: int) -> Iterator[None]:
+    """Let torch (and the numba kernels, which follow it) and libraries loaded later compute with ``count`` threads."""
+    before, environment = torch.get_num_threads(), os.environ.get("OMP_NUM_THREADS")
+    torch.set_num_threads(count)
+    os.environ["OMP_NUM_THREADS"] = str(count)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+        if environment is None:
+            del os.environ["OMP_NUM_THREADS"]
+        else:
+            os.environ["OMP_NUM_THREADS"] = environment
+
+
+def _wait(device: str) -> None:
+    if device == "cuda":
+        torch.cuda.synchronize()
+
+
+def _resident_bytes(field: str) -> int:
+    for line in Path("/proc/self/status").read_text().splitlines():
+        if line.startswith(f"{field}:"):
+            return int(line.split()[1]) * 1024
+    return 0
+
+
+def _reset_peak() -> bool:
+    try:
+        Path("/proc/self/clear_refs").write_text("5")  # proc(5): resets VmHWM to the current resident set
+    except OSError:
+        return False
+    return True
+
+
+def _return_free_memory() -> None:
+    """Give freed memory back, or work that reuses it would seem to take none."""
+    with contextlib.suppress(OSError, AttributeError):  # only glibc has it
+        ctypes.CDLL("libc.so.6").malloc_trim(0)

@@ -1,0 +1,138 @@
+"""Cases of TSDF integration with colour: one frame after the other into an empty volume, image decoding excluded."""
+
+import functools
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import torch
+
+from ..backends import use_backend
+from ..config import DataConfig, TsdfConfig
+from ..datasets import OpenedSequence, open_sequence
+from ..tsdf import TsdfVolume, integrate
+from ..types import Frame
+from .fusion_peers import Fuser, FusionSettings, Open3dGrid, OpencvHash
+from .options import BenchOptions
+from .peers import PEERS, why_not
+from .raster import DEVICES, our_backends
+from .rows import Case, Row
+from .timing import Lap, PeakMemory, lap, summary
+
+VOXEL_SIZES_M = (0.02, 0.01)
+TRUNCATION_VOXELS = 4.0
+FAR_M = 5.0
+
+MAKERS: dict[str, Callable[[FusionSettings, Frame], Fuser]] = {"open3d": Open3dGrid, "opencv": OpencvHash}
+
+
+class OurVolume:
+    """``gsfusion_nb.tsdf`` on one backend."""
+
+    def __init__(self, backend: str, settings: FusionSettings):
+        self.backend, self.device = backend, DEVICES[backend]
+        config = TsdfConfig(
+            voxel_size_m=settings.voxel_size_m,
+            truncation_voxels=settings.truncation_voxels,
+            near_m=0.0,
+            far_m=settings.far_m,
+        )
+        self.volume = TsdfVolume(config, device=self.device)
+        self.updated_voxels = 0
+
+    def prepare(self, frame: Frame) -> Any:
+        return frame.to(self.device)
+
+    def fuse(self, prepared: Any) -> None:
+        with use_backend(self.backend):
+            self.updated_voxels += integrate(self.volume, prepared).updated_voxels
+
+
+class StoredFrames:
+    """Decoded frames, colour in 8 bits, so that no method pays for reading and many fit into memory."""
+
+    def __init__(self, sequence: OpenedSequence):
+        self.name, self.camera = sequence.name, sequence.camera
+        self._images, self._poses = [], []
+        for frame in sequence:
+            self._images.append(((frame.rgb * 255).round().to(torch.uint8), frame.depth_m))
+            self._poses.append(frame.T_WC)
+
+    def __len__(self) -> int:
+        return len(self._images)
+
+    def __getitem__(self, i: int) -> Frame:
+        rgb, depth_m = self._images[i]
+        return Frame(
+            index=i,
+            timestamp_s=float(i),
+            rgb=rgb.float() / 255,
+            depth_m=depth_m,
+            camera=self.camera,
+            T_WC=self._poses[i],
+        )
+
+
+def cases(options: BenchOptions) -> Iterator[Case]:
+    """Peers first, then the reference, then the fast backends, for every image size and voxel size."""
+    for size in options.sizes:
+        load = functools.lru_cache(1)(functools.partial(stored_frames, options, size))
+        for voxel_m in VOXEL_SIZES_M[:1] if options.quick else VOXEL_SIZES_M:
+            settings = FusionSettings(
+                voxel_size_m=voxel_m, truncation_voxels=TRUNCATION_VOXELS, far_m=FAR_M, threads=options.threads
+            )
+            makers: dict[str, Callable[[Frame], Fuser]] = {}
+            for name, make in MAKERS.items():
+                if why_not(name) is None:
+                    makers[PEERS[name].name] = functools.partial(make, settings)
+            for backend in our_backends("band_blocks", "fuse_frame_"):
+                makers[backend] = lambda first, b=backend, s=settings: OurVolume(b, s)
+            for method, make in makers.items():
+                run = functools.partial(_row, load, voxel_m, method, make)
+                yield Case(section="tsdf", title=f"{options.data} at {100 * voxel_m:g} cm", run=lambda run=run: [run()])
+
+
+def stored_frames(options: BenchOptions, size: tuple[int, int]) -> StoredFrames:
+    """The frames that the options ask for, decoded."""
+    return StoredFrames(open_frames(options, size))
+
+
+def open_frames(options: BenchOptions, size: tuple[int, int]) -> OpenedSequence:
+    """The sequence that the options ask for, without held-out frames; nothing is read yet."""
+    data = DataConfig(width=size[0], height=size[1], stop=options.n_frames, hold_out_every=0)
+    return open_sequence(options.data, data=data)
+
+
+def case_name(name: str, width: int, height: int) -> str:
+    """Sequence and size, short enough for the table."""
+    return f"{name if len(name) <= 13 else name[:12] + '~'} {width}x{height}"
+
+
+def _row(load: Callable[[], StoredFrames], voxel_m: float, method: str, make: Callable[[Frame], Fuser]) -> Row:
+    frames = load()
+    fuse_all(make(frames[0]), frames, 1)  # compiles and loads libraries
+    with PeakMemory() as memory:
+        fuser = make(frames[0])
+        laps = fuse_all(fuser, frames, len(frames))
+    timing = summary(laps, memory.peak_mb)
+    values: dict[str, Any] = {"frames": len(frames), "voxel_size_m": voxel_m, "truncation_voxels": TRUNCATION_VOXELS}
+    values["frames_per_second"] = 1e3 / timing.wall_ms
+    if isinstance(fuser, OurVolume):
+        values |= {"blocks": fuser.volume.n_blocks, "updated_voxels_per_frame": fuser.updated_voxels / len(frames)}
+    camera = frames.camera
+    return Row(
+        section="tsdf",
+        case=f"{case_name(frames.name, camera.width, camera.height)} {100 * voxel_m:g} cm",
+        method=method,
+        timing=timing,
+        note=f"{values['frames_per_second']:.0f} FPS" + (", depth" if isinstance(fuser, OpencvHash) else ""),
+        values=values,
+    )
+
+
+def fuse_all(fuser: Fuser, frames: StoredFrames, n: int) -> list[Lap]:
+    """Fuse the first ``n`` frames; what each took."""
+    laps = []
+    for i in range(n):
+        prepared = fuser.prepare(frames[i])
+        laps.append(lap(lambda p=prepared: fuser.fuse(p), getattr(fuser, "device", "cpu")))
+    return laps

@@ -1,0 +1,57 @@
+"""Putting arrays and live views into a notebook's output."""
+
+import os
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from .figures import AnyImage, encode_jpeg, side_by_side, to_uint8
+
+if TYPE_CHECKING:
+    from IPython.display import Image
+
+WIDGET_MIME = "application/vnd.jupyter.widget-view+json"
+
+
+def static_views() -> bool:
+    """Whether live views shall leave only a picture in the notebook.
+
+    So it is with ``GSNB_VIEW=static`` (a notebook that is executed to be stored: a widget without its kernel shows
+    nothing) and with ``GSNB_SMOKE=1`` (a quick run with nobody watching).
+    """
+    return os.environ.get("GSNB_VIEW") == "static" or os.environ.get("GSNB_SMOKE", "0") not in ("", "0")
+
+
+def show(
+    images: AnyImage | Sequence[AnyImage], labels: str | Sequence[str] = (), *, scale: float | int = 1.0
+) -> "Image":
+    """One image, or several in a row with a label over each, as the output of a notebook cell.
+
+    Args:
+        images: RGB, 0..1 or bytes. [H, W, 3]
+        labels: One per image, or none.
+        scale: Size on screen, screen pixels per image pixel.
+    """
+    import cv2
+    from IPython.display import Image
+
+    row: list[Any] = list(images) if isinstance(images, (list, tuple)) else [images]
+    if scale < 1:  # before the labels are written, which keeps them readable
+        row = [cv2.resize(to_uint8(i), None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) for i in row]
+    captions = [labels] if isinstance(labels, str) else list(labels)
+    picture = side_by_side(row, captions) if captions or len(row) > 1 else to_uint8(row[0])
+    return Image(data=encode_jpeg(picture), format="jpeg", width=round(picture.shape[1] * max(scale, 1)))
+
+
+def with_picture(bundle: Any, picture: AnyImage, text: str) -> dict[str, Any]:
+    """A widget's mime bundle with a picture beside it, for readers of the stored notebook.
+
+    A live notebook shows the widget, a code host the picture. In ``static_views`` the picture is all there is.
+    """
+    import base64
+
+    data = dict(bundle) if isinstance(bundle, dict) else {}
+    if static_views():
+        data.pop(WIDGET_MIME, None)
+    data["image/jpeg"] = base64.b64encode(encode_jpeg(picture)).decode("ascii")
+    data["text/plain"] = text
+    return data

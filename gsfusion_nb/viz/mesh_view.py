@@ -1,0 +1,130 @@
+"""Looking at a mesh in a notebook: turned with the mouse where that works, a picture where it does not."""
+
+import logging
+import math
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float
+from torch import Tensor
+
+from ..types import Camera, Mesh
+from . import gl
+from .display import show, static_views
+from .figures import Picture
+from .mesh_picture import BACKGROUND, draw_mesh
+from .mesh_reduction import reduced
+from .viewpoint import Vector, Viewpoint, extent
+
+log = logging.getLogger(__name__)
+
+_VIEW_ANGLE_DEG = 30.0
+"""From top to bottom of the picture; the html view knows no other."""
+_MOST_PAINTED = 150_000
+"""Triangles that are painted one by one without VTK."""
+
+
+def show_mesh(
+    mesh: Mesh,
+    *,
+    T_WC: Float[Tensor, "4 4"] | None = None,
+    up_W: Vector = (0.0, 0.0, 1.0),
+    shading: Literal["colour", "shape"] = "colour",
+    backend: Literal["auto", "html", "static"] = "auto",
+    max_triangles: int = 100_000,
+    size: tuple[int, int] = (640, 480),
+) -> Any:
+    """A view of the mesh; the last line of a cell shows it. Faces seen from behind are hidden, which opens a room.
+
+    Args:
+        mesh: What ``mapper.mesh()`` gives.
+        T_WC: Where to look from; by default from above, at an angle.
+        up_W: What is up.
+        shading: "colour" shows the vertex colours, "shape" a grey surface under a lamp.
+        backend: "html": turn it with the mouse, everything in the page, no server; "static": a picture; "auto": "html",
+            but "static" in ``static_views`` and where VTK cannot draw (which is tried in a process of its own first,
+            because its failure would end the kernel).
+        max_triangles: The html view travels inside the notebook, about 4 MB for 100,000; more are merged first.
+        size: Width and height, pixels.
+
+    Raises:
+        ValueError: the mesh has no triangles. RuntimeError: "html" asked for by name and VTK cannot draw here.
+    """
+    if not len(mesh.faces):
+        raise ValueError("the mesh has no triangles: nothing was mapped, or no surface was seen closely enough")
+    pose = _from_above(mesh, up_W, size) if T_WC is None else T_WC
+    able, reason = gl.can_draw() if backend == "html" or not static_views() else (True, "")
+    if backend == "html" and not able:
+        raise RuntimeError(f"the html view needs VTK, which cannot draw here: {reason}")
+    if backend == "html" or (backend == "auto" and able and not static_views()):
+        return _html_view(reduced(mesh, max_triangles), pose, shading, size)
+    if not able:
+        log.warning("a picture instead of a view to turn, because VTK cannot draw here: %s", reason)
+    return show(mesh_picture(mesh, pose, shading=shading, size=size))
+
+
+def mesh_picture(
+    mesh: Mesh,
+    T_WC: Float[Tensor, "4 4"],
+    *,
+    shading: Literal["colour", "shape"] = "colour",
+    size: tuple[int, int] = (640, 480),
+) -> Picture:
+    """The static view: drawn by VTK where it works, else painted triangle by triangle."""
+    if not gl.can_draw()[0]:
+        return draw_mesh(reduced(mesh, _MOST_PAINTED), _camera(size), T_WC, shading=shading)
+    plotter = _plotter(mesh, T_WC, shading, size)
+    try:
+        return np.ascontiguousarray(plotter.screenshot(return_img=True))
+    finally:
+        plotter.close()
+
+
+def _html_view(mesh: Mesh, T_WC: Tensor, shading: str, size: tuple[int, int]) -> Any:
+    plotter = _plotter(mesh, T_WC, shading, size)
+    return plotter.show(jupyter_backend="html", return_viewer=True)
+
+
+def _plotter(mesh: Mesh, T_WC: Tensor, shading: str, size: tuple[int, int]) -> Any:
+    gl.prepare()
+    import pyvista as pv
+
+    faces = mesh.faces.cpu().numpy()
+    surface = pv.PolyData.from_regular_faces(mesh.vertices_W.cpu().numpy(), faces)
+    plotter = pv.Plotter(off_screen=True, window_size=list(size), lighting="none")
+    plotter.add_light(pv.Light(light_type="headlight"))
+    plotter.set_background([c / 255 for c in BACKGROUND])  # pyright: ignore[reportArgumentType]
+    if shading == "colour":
+        surface["rgb"] = (mesh.rgb.cpu().numpy().clip(0, 1) * 255 + 0.5).astype(np.uint8)
+        plotter.add_mesh(surface, scalars="rgb", rgb=True, ambient=0.8, diffuse=0.25, culling="back")
+    else:
+        plotter.add_mesh(surface, color="#e6e6e6", ambient=0.2, diffuse=0.8, smooth_shading=False, culling="back")
+    T = T_WC.detach().cpu().double().numpy()
+    plotter.camera.position = T[:3, 3]
+    plotter.camera.focal_point = T[:3, 3] + T[:3, 2] * _gaze_m(mesh, T_WC)
+    plotter.camera.up = -T[:3, 1]
+    plotter.camera.view_angle = _VIEW_ANGLE_DEG
+    plotter.reset_camera_clipping_range()
+    return plotter
+
+
+def _gaze_m(mesh: Mesh, T_WC: Tensor) -> float:
+    """How far ahead the mouse's centre of rotation lies."""
+    centre_W, radius_m = extent(mesh.vertices_W)
+    ahead = float((centre_W - T_WC[:3, 3].cpu()) @ T_WC[:3, 2].cpu())
+    return max(ahead, 0.3 * radius_m)
+
+
+def _from_above(mesh: Mesh, up_W: Vector, size: tuple[int, int]) -> Tensor:
+    centre_W, radius_m = extent(mesh.vertices_W)
+    x, y, z = centre_W.tolist()
+    camera = _camera(size)
+    distance_m = 2.0 * radius_m * camera.fx / min(size)
+    view = Viewpoint(target_W=(x, y, z), azimuth_deg=-60.0, elevation_deg=50.0, distance_m=distance_m)
+    return view.pose(up_W)
+
+
+def _camera(size: tuple[int, int]) -> Camera:
+    width, height = size
+    focal = 0.5 * height / math.tan(math.radians(_VIEW_ANGLE_DEG / 2))
+    return Camera(width=width, height=height, fx=focal, fy=focal, cx=width / 2, cy=height / 2)

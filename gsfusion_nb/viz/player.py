@@ -1,0 +1,190 @@
+"""A worker thread that goes through an iterator and can be paused, stepped and stopped; the kernel stays free."""
+
+import contextvars
+import logging
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any, Literal
+
+import torch
+
+log = logging.getLogger(__name__)
+
+State = Literal["ready", "running", "paused", "stopped", "finished", "failed"]
+
+
+class Player:
+    """Goes through ``make_steps()`` on a thread of its own.
+
+    Widgets and tests use the same methods: ``start``, ``pause``, ``step``, ``stop``, ``join``; ``run_sync`` does the
+    work in the calling thread. ``lock`` is held during a step: whoever reads what the steps change holds it too.
+
+    Args:
+        make_steps: Makes the iterator. It is called again after a stop or an error, so it must go on where the work
+            stands rather than start over.
+        on_step: Called after each step, on the thread that made it, with the lock held and what the iterator yielded.
+        on_rest: Called, with the lock held, whenever the work comes to rest: paused, stopped, finished or failed.
+
+    An exception ends the work: ``state`` is "failed" and ``error`` holds it; it is not printed from the thread, whose
+    output would land under any cell.
+    """
+
+    def __init__(
+        self,
+        make_steps: Callable[[], Iterator[Any]],
+        *,
+        on_step: Callable[[Any], None] = lambda _: None,
+        on_rest: Callable[[], None] = lambda: None,
+    ):
+        self._make_steps, self._on_step, self._on_rest = make_steps, on_step, on_rest
+        self._steps: Iterator[Any] | None = None
+        self.lock = threading.RLock()
+        self.state: State = "ready"
+        self.error: BaseException | None = None
+        self.n_steps = 0
+        """Steps done."""
+        self._wish = threading.Condition()
+        self._run, self._stop, self._singles = False, False, 0
+        self._thread: threading.Thread | None = None
+        self._serving = False
+        """The thread is there and will look at the wishes again; changes only while ``_wish`` is held."""
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether the worker thread exists (it also exists while paused)."""
+        return self._thread is not None and self._thread.is_alive()
+
+    def start(self) -> None:
+        """Go on until paused, stopped or finished."""
+        self._want(run=True)
+        self._ensure_thread()
+
+    def pause(self) -> None:
+        """Come to rest after the current step."""
+        self._want(run=False)
+
+    def step(self) -> None:
+        """Do one step, then rest."""
+        self._want(run=False, single=True)
+        self._ensure_thread()
+
+    def stop(self) -> None:
+        """End the thread after the current step. ``start`` goes on from there."""
+        self._want(run=False, stop=True)
+        if not self._serving and self.state in ("ready", "paused"):
+            self.state = "stopped"
+
+    def close(self, timeout_s: float | int = 30.0) -> None:
+        """Stop and wait until the thread is gone."""
+        self.stop()
+        self.join(timeout_s)
+
+    def join(self, timeout_s: float | int | None = None) -> bool:
+        """Wait until the thread has ended; whether it has. While paused it does not end by itself."""
+        thread = self._thread
+        if thread is not None and thread is not threading.current_thread():
+            thread.join(timeout_s)
+        return not self.is_alive
+
+    def run_sync(self, n: int | None = None) -> int:
+        """Do ``n`` steps, or all that are left, here and now; how many were done. A worker thread is stopped first.
+
+        Raises:
+            Exception: whatever a step raised.
+        """
+        self.close()
+        if self.is_alive:
+            raise RuntimeError("the worker thread is still in a step after 30 s; call run_sync again a little later")
+        done, self.error, self.state = 0, None, "running"
+        try:
+            while (n is None or done < n) and self._advance():
+                done += 1
+        except KeyboardInterrupt:
+            self._steps = None  # a generator that was interrupted is dead
+            self._rest("paused")
+            raise
+        except Exception as e:
+            self._fail(e)
+            raise
+        self._rest("paused")
+        return done
+
+    def _want(self, *, run: bool, stop: bool = False, single: bool = False) -> None:
+        with self._wish:
+            self._run, self._stop = run, stop
+            self._singles = self._singles + 1 if single else 0
+            self._wish.notify_all()
+
+    def _ensure_thread(self) -> None:
+        with self._wish:
+            if self._serving or self.state == "finished":
+                return
+            self.error, self._serving = None, True
+            context, threads = contextvars.copy_context(), torch.get_num_threads()  # neither reaches a new thread
+            previous = self._thread
+            self._thread = threading.Thread(target=context.run, args=(self._work, threads, previous), daemon=True)
+            self._thread.start()
+
+    def _work(self, threads: int, previous: threading.Thread | None) -> None:
+        if previous is not None:
+            previous.join()
+        torch.set_num_threads(threads)
+        state: State = "stopped"
+        try:
+            while self._wait_for_work():
+                self.state = "running"
+                if not self._advance():
+                    state = "finished"
+                    break
+                with self._wish:
+                    self._singles = max(self._singles - 1, 0)
+                    idle = not (self._run or self._singles or self._stop)
+                if idle:
+                    self._rest("paused")
+            self._leave()
+            self._rest(state)
+        except BaseException as e:
+            self._leave()
+            self._fail(e)
+
+    def _wait_for_work(self) -> bool:
+        """Sleep while paused; False when asked to stop."""
+        with self._wish:
+            self._wish.wait_for(lambda: self._stop or self._run or self._singles)
+            self._serving = not self._stop
+            return self._serving
+
+    def _leave(self) -> None:
+        with self._wish:
+            self._serving = False
+
+    def _advance(self) -> bool:
+        """One step; False when there is none left."""
+        with self.lock:
+            if self._steps is None:
+                self._steps = self._make_steps()
+            try:
+                result = next(self._steps)
+            except StopIteration:
+                self.state = "finished"
+                return False
+            self.n_steps += 1
+            self._on_step(result)
+        time.sleep(0.001)  # long enough for a thread that waits for the lock to get it
+        return True
+
+    def _rest(self, state: State) -> None:
+        with self.lock:
+            if self.state != "finished":
+                self.state = state
+            self._on_rest()
+
+    def _fail(self, error: BaseException) -> None:
+        self._steps = None  # a generator that raised is dead
+        self.error, self.state = error, "failed"
+        with self.lock:
+            try:
+                self._on_rest()
+            except Exception:  # the first error is the one to show
+                log.exception("the error could not be shown")

@@ -1,0 +1,207 @@
+"""Compile every fast kernel once, so that no notebook waits for it later: each operation runs on a handful of values.
+
+Compiled code is kept on disk. What is compiled depends on the types of the arguments, not on their size, so a picture
+of 64 x 48 pixels is enough.
+"""
+
+import contextlib
+import logging
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import torch
+
+from . import backends
+from .config import OptimConfig, SeedingConfig, TsdfConfig, gsfusion
+from .gaussians import GaussianModel
+from .mapping import GSFusion
+from .optim import adam_step, dssim_vjp
+from .render import render_forward, render_vjp
+from .seeding import quadtree
+from .tsdf import TsdfVolume, extract_mesh, integrate, raycast
+from .types import Camera, Frame, GaussianParams, Seeds
+
+_WIDTH, _HEIGHT = 64, 48
+_GAUSSIANS = 50
+
+
+@dataclass(frozen=True)
+class Exercise:
+    """A piece of work that makes its operations' kernels compile."""
+
+    name: str
+    operations: tuple[str, ...]
+    run: Callable[[], object]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Progress:
+    """Where ``warm_up`` stands before and after each exercise."""
+
+    name: str
+    """What runs next; empty at the end."""
+    done: int
+    total: int
+    compiled: tuple[str, ...]
+    """Kernels that had to be compiled so far; the others came from the cache."""
+    seconds: float
+
+
+def warm_up(device: str = "cpu") -> Iterator[Progress]:
+    """Run the exercises of all operations that have a fast version on ``device``, reporting before each.
+
+    A generator, so that the caller draws the progress. Uses what ``auto`` would choose; what is not installed is
+    passed over.
+    """
+    chosen = {op for op, offered in backends.PROVIDERS.items() if _loads(op, offered)}
+    todo = [e for e in exercises(device) if chosen & set(e.operations)]
+    start = time.perf_counter()
+    with backends.use_backend("auto"), _quietly(), _one_thread(), _watching() as compiled:
+        for done, exercise in enumerate(todo):
+            yield _progress(exercise.name, done, len(todo), compiled, start)
+            exercise.run()
+        yield _progress("", len(todo), len(todo), compiled, start)
+
+
+def exercises(device: str = "cpu") -> Iterator[Exercise]:
+    """One for each way in which the mapper calls an operation, and the mapper itself at the end."""
+    frame, grey = (_frame(device, whole_numbers=n) for n in (True, False))
+    for degree in (0, 3):
+        model = _model(degree, device)
+        for with_indices in (False, True):
+            name = f"render_forward: SH {degree}, {'with' if with_indices else 'without'} indices"
+            run = _once(render_forward, model.params, frame.camera, frame.T_WC, with_indices=with_indices)
+            yield Exercise(name, ("render_forward",), run)
+        for with_depth in (False, True):
+            name = f"render_vjp: SH {degree}, {'with' if with_depth else 'without'} depth"
+            yield Exercise(name, ("render_vjp",), _once(_backward, model.params, frame, with_depth))
+    for steps in ("none", "shared", "per_row"):
+        config = OptimConfig(adam_steps=steps)
+        yield Exercise(f"adam_update: {steps}", ("adam_update",), _once(_adam, config, device))
+    yield Exercise("dssim_vjp", ("dssim_vjp",), _once(dssim_vjp, frame.rgb, grey.rgb))
+    rgb_u8 = (frame.rgb * 255).round().to(torch.uint8)
+    for contrast in ("released", "std"):
+        yield Exercise(f"quadtree: {contrast}", ("quadtree",), _once(quadtree, rgb_u8, contrast=contrast))
+    for sdf in ("ray", "z"):
+        volume = TsdfVolume(TsdfConfig(voxel_size_m=0.05, truncation_voxels=2.0, sdf=sdf), device=device)
+        for picture, colours in ((frame, "8-bit"), (grey, "float")):
+            yield Exercise(
+                f"integrate: {sdf}, {colours} colours",
+                ("band_blocks", "fuse_frame_"),
+                _once(integrate, volume, picture),
+            )
+        yield Exercise(f"raycast: {sdf}", ("raycast",), _once(raycast, volume, frame.camera, frame.T_WC))
+        yield Exercise(f"extract_mesh: {sdf}", ("extract_mesh",), _once(extract_mesh, volume))
+    yield Exercise("the whole mapper", tuple(backends.PROVIDERS), _once(_map, frame, grey, device))
+
+
+def _once(function: Callable, *args, **kwargs) -> Callable[[], object]:
+    return lambda: function(*args, **kwargs)
+
+
+def _backward(params: GaussianParams, frame: Frame, with_depth: bool) -> GaussianParams:
+    output, saved = render_forward(params, frame.camera, frame.T_WC, with_indices=False)
+    more = (output.depth_m, output.alpha) if with_depth else ()
+    return render_vjp(saved, output.rgb, *more)
+
+
+def _adam(config: OptimConfig, device: str) -> None:
+    model = _model(3, device)
+    adam_step(model, model.params, config)
+
+
+def _map(frame: Frame, grey: Frame, device: str) -> None:
+    config = gsfusion(
+        "replica",
+        tsdf=vars(TsdfConfig(voxel_size_m=0.05, truncation_voxels=2.0)),
+        seeding=vars(SeedingConfig(quadtree_threshold=1e-3)),
+        keyframe_min_seeds=1,
+    )
+    mapper = GSFusion(config, device=device)
+    for picture in (frame, grey):
+        mapper.step(picture)
+    for _ in mapper.global_optimise(1):
+        pass
+    mapper.render(frame.camera, frame.T_WC)
+    mapper.mesh()
+
+
+def _frame(device: str, *, whole_numbers: bool) -> Frame:
+    """A checked, slanted wall 1.5 m away; colours as from 8 bits, or between them."""
+    v, u = torch.meshgrid(torch.arange(_HEIGHT), torch.arange(_WIDTH), indexing="ij")
+    levels = torch.stack([(u // 7 + v // 5) % 2 * 200, u * 3, v * 4], dim=-1).float() + (0.0 if whole_numbers else 0.4)
+    camera = Camera(width=_WIDTH, height=_HEIGHT, fx=50.0, fy=50.0, cx=_WIDTH / 2, cy=_HEIGHT / 2)
+    depth_m = 1.5 + 0.004 * u.float()
+    frame = Frame(index=0, timestamp_s=0.0, rgb=levels / 255, depth_m=depth_m, camera=camera, T_WC=torch.eye(4))
+    return frame.to(device)
+
+
+def _model(sh_degree: int, device: str) -> GaussianModel:
+    g = torch.Generator().manual_seed(0)
+    n = _GAUSSIANS
+    xyz = torch.rand(n, 3, generator=g) + torch.tensor([-0.5, -0.5, 1.5])
+    seeds = Seeds.isotropic(xyz, torch.rand(n, 3, generator=g), torch.full((n,), 0.05))
+    model = GaussianModel(sh_degree, device=device)
+    model.append(Seeds(**{name: value.to(device) for name, value in vars(seeds).items()}))
+    return model
+
+
+def _loads(operation: str, offered: dict[str, str]) -> bool:
+    """Whether any backend offers it here. Operations are declared where their references are imported, as above."""
+    for backend in offered:
+        with contextlib.suppress(backends.BackendUnavailable, KeyError):
+            backends.load(operation, backend)
+            return True
+    return False
+
+
+def _progress(name: str, done: int, total: int, compiled: list[str], start: float) -> Progress:
+    seconds = time.perf_counter() - start
+    return Progress(name=name, done=done, total=total, compiled=tuple(compiled), seconds=seconds)
+
+
+@contextlib.contextmanager
+def _quietly() -> Iterator[None]:
+    """The kernels do not say that they are being compiled: that is what everybody is waiting for here."""
+    logger = logging.getLogger("gsfusion_nb.kernels")
+    before = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
+
+
+@contextlib.contextmanager
+def _one_thread() -> Iterator[None]:
+    """Threads have nothing to do on so little data, and wait for each other on a busy machine."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+@contextlib.contextmanager
+def _watching() -> Iterator[list[str]]:
+    """Names of our functions that numba compiles inside the block, as they come."""
+    try:
+        from numba.core import event
+    except ImportError:
+        yield []
+        return
+    names: list[str] = []
+
+    class Listener(event.Listener):
+        def on_start(self, event):
+            function = event.data["dispatcher"].py_func
+            if function.__module__.startswith(f"{__package__}.kernels"):
+                names.append(f"{function.__module__.split('.')[-1]}.{function.__name__}")
+
+        def on_end(self, event):
+            pass
+
+    with event.install_listener("numba:compile", Listener()):
+        yield names

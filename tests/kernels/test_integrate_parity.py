@@ -1,0 +1,130 @@
+"""The fused update against the reference: distance, weight, colour of every voxel."""
+
+import dataclasses
+
+import pytest
+import torch
+
+from gsfusion_nb.backends import use_backend
+from gsfusion_nb.config import TsdfConfig
+from gsfusion_nb.tsdf import TsdfVolume, integrate
+from gsfusion_nb.tsdf.integrate import fuse_frame_
+
+pytest.importorskip("numba")
+
+CONFIG = TsdfConfig(voxel_size_m=0.02, truncation_voxels=4.0, max_weight=3.0)
+
+
+def both(config, frames):
+    """The two volumes after the frames, and the reports."""
+    volumes, reports = [], []
+    for backend in ("reference", "numba"):
+        volume = TsdfVolume(config)
+        with use_backend(backend):
+            reports.append([integrate(volume, frame) for frame in frames])
+        volumes.append(volume)
+    return volumes, reports
+
+
+def assert_same(volumes, flips=1e-4):
+    """Equal to rounding but for voxels that project within rounding of a pixel's border or of the band's end."""
+    a, b = volumes
+    assert torch.equal(a.block_coords, b.block_coords)
+    off = (a.W != b.W) | ((a.D - b.D).abs() > 2e-6) | ((a.rgb_planes - b.rgb_planes).abs().amax(1) > 2e-6)
+    assert bool(torch.isfinite(b.D).all())
+    assert bool(torch.isfinite(b.rgb_planes).all())
+    assert float(off.double().sum()) <= flips * max(1, off.numel()), f"{int(off.sum())} of {off.numel()} voxels differ"
+
+
+@pytest.mark.parametrize("sdf", ["z", "ray"])
+@pytest.mark.parametrize("eight_bit", [True, False])
+@pytest.mark.parametrize(("width", "height"), [(160, 120), (37, 29), (16, 1), (1, 1)])
+def test_same_voxels(width, height, eight_bit, sdf, make_frames):
+    frames = make_frames(width, height, n=5, eight_bit=eight_bit)
+    volumes, reports = both(dataclasses.replace(CONFIG, sdf=sdf, near_m=0.0), frames)
+    assert_same(volumes)
+    for a, b in zip(*reports, strict=True):
+        assert a.new_blocks == b.new_blocks
+        assert abs(a.updated_voxels - b.updated_voxels) <= 1e-4 * a.updated_voxels
+        assert b.touched_blocks <= a.touched_blocks
+    assert width < 100 or float(volumes[1].W.max()) == 3.0
+
+
+@pytest.mark.parametrize("shift", [-3.0, 640.0])
+def test_anywhere_in_the_world(shift, make_frames):
+    # At 640 m the corner of a block in camera axes loses digits in float64 already: more voxels flip.
+    volumes, _ = both(CONFIG, make_frames(64, 47, shift=shift))
+    assert volumes[1].n_blocks > 100
+    assert_same(volumes, flips=1e-3)
+
+
+def test_a_camera_inside_the_map(make_frames):
+    """Blocks around and behind the camera: nothing behind it is updated, and nothing is divided by zero."""
+    frame = make_frames(64, 47, n=1)[0]
+    frame = dataclasses.replace(frame, T_WC=torch.eye(4), depth_m=torch.full((47, 64), 1.0))
+    axis = torch.arange(-4, 5)
+    volumes = [TsdfVolume(CONFIG) for _ in range(2)]
+    for volume in volumes:
+        volume.add_blocks(torch.stack(torch.meshgrid(axis, axis, axis, indexing="ij"), dim=-1).view(-1, 3))
+    fuse_frame_.reference(volumes[0], frame)
+    with use_backend("numba"):
+        touched, updated = fuse_frame_(volumes[1], frame)
+    assert_same(volumes)
+    assert touched > 0
+    assert updated == int((volumes[0].W > 0).sum())
+    behind = (volumes[1].block_coords[:, 2] < -1)[:, None]
+    assert not bool((volumes[1].W * behind).any())
+
+
+def test_what_is_beyond_far_m_is_left_alone(make_frames):
+    near, far = make_frames(64, 47, n=1)[0], make_frames(64, 47, n=1)[0]
+    far = dataclasses.replace(far, depth_m=torch.full((47, 64), 30.0))
+    config = dataclasses.replace(CONFIG, far_m=1.5)
+    volumes, _ = both(config, [near, far])
+    assert_same(volumes)
+
+
+@pytest.mark.parametrize("value", [1.2, -0.2])
+@pytest.mark.parametrize("column", [0, 40])
+def test_colours_that_are_no_bytes(value, column, make_frames):
+    """306 and -51 are whole numbers, too; column 40 is beyond the last full vector of the row."""
+    frame = make_frames(41, 31, n=1)[0]
+    rgb = frame.rgb.clone()
+    rgb[:, column] = value
+    volumes, _ = both(CONFIG, [dataclasses.replace(frame, rgb=rgb)])
+    assert_same(volumes)
+
+
+def test_frames_and_volumes_with_nothing_in_them(make_frames):
+    frame = make_frames(33, 21, n=1)[0]
+    volume = TsdfVolume(CONFIG)
+    with use_backend("numba"):
+        assert fuse_frame_(volume, frame) == (0, 0)
+    volumes, _ = both(CONFIG, [frame, dataclasses.replace(frame, depth_m=torch.zeros(21, 33))])
+    assert_same(volumes)
+    infinite = dataclasses.replace(frame, depth_m=torch.full((21, 33), float("inf")))
+    volumes, reports = both(CONFIG, [frame, infinite])
+    assert reports[1][1].updated_voxels == 0
+
+
+def test_float64_and_strided_images(make_frames):
+    frame = make_frames(40, 31, n=1, eight_bit=False)[0]
+    strided = dataclasses.replace(frame, rgb=frame.rgb.permute(2, 0, 1).contiguous().permute(1, 2, 0))
+    volumes, _ = both(CONFIG, [strided])
+    assert_same(volumes)
+    plain, _ = both(CONFIG, [frame])
+    assert torch.equal(plain[1].rgb_planes, volumes[1].rgb_planes)
+
+
+def test_results_repeat_bit_for_bit_on_any_number_of_threads(make_frames):
+    frames, states = make_frames(160, 120), []
+    for threads in (1, 2, 1):
+        torch.set_num_threads(threads)
+        volume = TsdfVolume(CONFIG)
+        with use_backend("numba"):
+            for frame in frames:
+                integrate(volume, frame)
+        states.append(volume.state_dict())
+    torch.set_num_threads(1)
+    for other in states[1:]:
+        assert all(torch.equal(states[0][name], other[name]) for name in ("D", "W", "rgb", "block_coords"))

@@ -1,0 +1,113 @@
+"""The CPU ray caster against the reference: the same rays meet the surface, at the same depth."""
+
+import dataclasses
+
+import pytest
+import torch
+
+from gsfusion_nb.backends import use_backend
+from gsfusion_nb.config import TsdfConfig
+from gsfusion_nb.tsdf import TsdfVolume, integrate, raycast
+
+pytest.importorskip("numba")
+
+CONFIG = TsdfConfig(voxel_size_m=0.02, truncation_voxels=4.0)
+
+
+@pytest.fixture
+def mapped(make_frames):
+    frames = make_frames(160, 120, n=4)
+    volume = TsdfVolume(CONFIG)
+    for frame in frames:
+        integrate(volume, frame)
+    return volume, frames
+
+
+def numba_raycast(volume, camera, T_WC):
+    with use_backend("numba"):
+        return raycast(volume, camera, T_WC)
+
+
+def assert_same_picture(volume, camera, T_WC, share=2e-3):
+    """Marching branches on a sign: a step within rounding of it may go the other way, at a ``share`` of the pixels."""
+    ours, theirs = numba_raycast(volume, camera, T_WC), raycast.reference(volume, camera, T_WC)
+    for name, tolerance in (("depth_m", 1e-5), ("normal_W", 1e-3), ("rgb", 1e-3)):
+        a, b = getattr(ours, name), getattr(theirs, name)
+        assert a.shape == b.shape
+        assert bool(torch.isfinite(a).all())
+        off = ((a - b).abs() > tolerance).double()
+        assert float(off.mean()) <= share, f"{name}: {int(off.sum())} of {off.numel()} values differ"
+    return ours
+
+
+@pytest.mark.parametrize(("width", "height"), [(160, 120), (37, 29), (1, 1), (17, 3)])
+def test_same_picture(width, height, mapped):
+    volume, frames = mapped
+    camera = frames[0].camera.resized(width, height)
+    for frame in frames:
+        out = assert_same_picture(volume, camera, frame.T_WC, share=5e-3)
+    assert width < 100 or float((out.depth_m > 0).double().mean()) > 0.5
+
+
+def test_from_inside_behind_and_away(mapped):
+    volume, frames = mapped
+    camera = frames[0].camera.resized(48, 36)
+    inside = torch.eye(4)
+    assert_same_picture(volume, camera, inside)
+    beside = frames[0].T_WC.clone()
+    beside[:3, 3] = -beside[:3, 3] * 1.2
+    assert_same_picture(volume, camera, beside)
+    away = torch.eye(4)
+    away[:3, 3] = torch.tensor([0.0, 0.0, 50.0])
+    out = assert_same_picture(volume, camera, away)
+    assert not bool(out.depth_m.any())
+
+
+def test_unobserved_voxels_stop_nothing(mapped):
+    volume, frames = mapped
+    volume.W[::3] = 0.0
+    volume.W[:, ::7] = 0.0
+    for frame in frames:
+        assert_same_picture(volume, frame.camera.resized(64, 48), frame.T_WC, share=1e-2)
+
+
+def test_an_empty_volume_and_a_single_block(mapped):
+    _, frames = mapped
+    camera = frames[0].camera.resized(33, 21)
+    assert not bool(numba_raycast(TsdfVolume(CONFIG), camera, torch.eye(4)).depth_m.any())
+    volume = TsdfVolume(CONFIG)
+    volume.add_blocks(torch.tensor([[0, 0, 6]]))
+    number = torch.arange(512)
+    volume.D[:] = 1.0 - ((number & 7) + 0.5) / 4.0
+    volume.W[:] = 1.0
+    T_WC = torch.eye(4)
+    T_WC[:2, 3] = 0.08
+    out = assert_same_picture(volume, camera, T_WC)
+    middle = out.depth_m[10, 16]
+    assert float(middle) == pytest.approx((48 + 4) * 0.02, abs=1e-5)
+    assert out.normal_W[10, 16].tolist() == pytest.approx([0.0, 0.0, -1.0], abs=1e-5)
+
+
+def test_a_map_too_large_for_a_table(mapped, monkeypatch):
+    from gsfusion_nb.tsdf import octree
+
+    volume, frames = mapped
+    camera = frames[0].camera.resized(24, 18)
+    expected = numba_raycast(volume, camera, frames[0].T_WC)
+    monkeypatch.setattr(octree, "TABLE_CELLS", 8)
+    copy = TsdfVolume(CONFIG)
+    copy.load_state_dict(volume.state_dict())
+    assert copy.index.table is None
+    got = numba_raycast(copy, camera, frames[0].T_WC)
+    assert float(((got.depth_m - expected.depth_m).abs() > 1e-5).double().mean()) < 0.01
+
+
+def test_results_repeat_bit_for_bit_on_any_number_of_threads(mapped):
+    volume, frames = mapped
+    results = []
+    for threads in (1, 2):
+        torch.set_num_threads(threads)
+        out = numba_raycast(volume, frames[0].camera, frames[0].T_WC)
+        results.append([getattr(out, f.name) for f in dataclasses.fields(out)])
+    torch.set_num_threads(1)
+    assert all(torch.equal(a, b) for a, b in zip(*results, strict=True))

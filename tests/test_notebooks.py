@@ -1,0 +1,130 @@
+"""The notebooks: stored as they ran, light, and they run again in an empty folder without network."""
+
+import ast
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+FOLDER = Path(__file__).resolve().parents[1] / "notebooks"
+NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
+EACH = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
+
+MAX_BYTES = 1_000_000
+MAX_HTML_BYTES = 200_000
+SMOKE_LIMIT_S = 180
+"""Twenty seconds on a quiet machine with compiled kernels; the rest is for compiling and for a busy machine."""
+
+_MACHINE_PATH = re.compile(r"(?:/home/|/root/|/Users/|/tmp/|/work/|/private/|site-packages|[A-Z]:\\\\?Users)")
+
+# A child process whose sockets reach this machine only: the notebook's kernel inherits it through sitecustomize.
+_NO_NETWORK = """
+import socket
+_connect = socket.socket.connect
+def connect(self, address):
+    if self.family in (socket.AF_INET, socket.AF_INET6) and address[0] not in ("127.0.0.1", "::1", "localhost"):
+        raise OSError(f"this test allows no network, but something connects to {address}")
+    return _connect(self, address)
+socket.socket.connect = connect
+"""
+
+_EXECUTE = """
+import sys, warnings
+import nbformat
+from nbclient import NotebookClient
+warnings.simplefilter("ignore")
+notebook = nbformat.read(sys.argv[1], as_version=4)
+try:
+    NotebookClient(notebook, timeout=int(sys.argv[2]), kernel_name="python3").execute()
+finally:
+    nbformat.write(notebook, sys.argv[1])
+"""
+
+
+def cells(path: Path) -> list[dict]:
+    return json.loads(path.read_text(encoding="utf-8"))["cells"]
+
+
+def outputs(path: Path) -> list[dict]:
+    return [output for cell in cells(path) if cell["cell_type"] == "code" for output in cell["outputs"]]
+
+
+def joined(text: str | list[str]) -> str:
+    return text if isinstance(text, str) else "".join(text)
+
+
+def test_there_are_notebooks():
+    assert [p.name for p in NOTEBOOKS][:1] == ["00_quickstart.ipynb"]
+
+
+@EACH
+def test_stored_executed_from_top_to_bottom_without_errors(path):
+    """Make it so with ``GSNB_VIEW=static jupyter nbconvert --to notebook --execute --inplace`` and the notebook."""
+    code = [cell for cell in cells(path) if cell["cell_type"] == "code" and joined(cell["source"]).strip()]
+    assert [cell["execution_count"] for cell in code] == list(range(1, len(code) + 1))
+    assert [output["ename"] for output in outputs(path) if output["output_type"] == "error"] == []
+    assert [joined(o["text"]) for o in outputs(path) if o.get("name") == "stderr"] == []
+
+
+@EACH
+def test_stored_outputs_are_light_and_tell_nothing_about_a_machine(path):
+    assert path.stat().st_size <= MAX_BYTES
+    document = json.loads(path.read_text(encoding="utf-8"))
+    assert "widgets" not in document["metadata"], "widget state is stored; execute with GSNB_VIEW=static"
+    pictures = 0
+    for output in outputs(path):
+        data = {mime: joined(text) for mime, text in output.get("data", {}).items() if isinstance(text, (str, list))}
+        assert len(data.get("text/html", "")) <= MAX_HTML_BYTES
+        assert "application/vnd.jupyter.widget-view+json" not in output.get("data", {})
+        pictures += any(mime.startswith("image/") for mime in data)
+        words = [data.get("text/plain", ""), data.get("text/html", ""), joined(output.get("text", ""))]
+        found = _MACHINE_PATH.search("\n".join(words))
+        assert found is None, f"an output names a folder of somebody's machine: {found}"
+    assert pictures >= 3
+
+
+@EACH
+def test_has_the_parts_of_a_chapter(path):
+    text = "\n".join(joined(cell["source"]) for cell in cells(path) if cell["cell_type"] == "markdown")
+    for part in ("Goal", "Predict", "What breaks if", "Exercise", "Further reading"):
+        assert part in text, f"{path.name} has no {part!r}"
+    tagged = [cell for cell in cells(path) if "parameters" in cell["metadata"].get("tags", [])]
+    assert len(tagged) == 1
+    assert "GSNB_SMOKE" in joined(tagged[0]["source"])
+
+
+@EACH
+def test_code_cells_parse_and_are_short(path):
+    for cell in cells(path):
+        if cell["cell_type"] == "code":
+            source = joined(cell["source"])
+            ast.parse(source)
+            assert len(source.splitlines()) <= 30, f"a long cell in {path.name}: {source.splitlines()[0]}"
+
+
+@EACH
+def test_runs_in_an_empty_folder_without_network(path, tmp_path):
+    folder, site = tmp_path / "empty", tmp_path / "site"
+    folder.mkdir()
+    site.mkdir()
+    (site / "sitecustomize.py").write_text(_NO_NETWORK, encoding="utf-8")
+    copy = Path(shutil.copy(path, folder))
+    cleared = json.loads(copy.read_text(encoding="utf-8"))
+    for cell in cleared["cells"]:
+        if cell["cell_type"] == "code":
+            cell |= {"outputs": [], "execution_count": None}
+    copy.write_text(json.dumps(cleared), encoding="utf-8")
+    environment = os.environ | {"GSNB_SMOKE": "1", "PYTHONPATH": str(site), "IPYTHONDIR": str(tmp_path / "ipython")}
+    done = subprocess.run(
+        [sys.executable, "-c", _EXECUTE, str(copy), str(SMOKE_LIMIT_S)],
+        cwd=folder, env=environment, capture_output=True, text=True, timeout=2 * SMOKE_LIMIT_S,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr[-4000:]
+    errors = [output for output in outputs(copy) if output["output_type"] == "error"]
+    assert errors == []
+    assert len(outputs(copy)) >= len(outputs(path)) - 2  # the quick run shows what the stored one shows

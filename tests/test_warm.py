@@ -1,0 +1,96 @@
+import os
+import subprocess
+import sys
+
+import pytest
+import torch
+
+from gsfusion_nb import backends, doctor, warm
+
+
+@pytest.fixture
+def dispatched(monkeypatch):
+    """Operations that ran, in order."""
+    ran = []
+    real = backends._select
+
+    def select(name, args, kwargs):
+        ran.append(name)
+        return real(name, args, kwargs)
+
+    monkeypatch.setattr(backends, "_select", select)
+    return ran
+
+
+def test_every_fast_operation_has_an_exercise_that_runs_it(dispatched):
+    covered = set()
+    for exercise in warm.exercises():
+        dispatched.clear()
+        exercise.run()
+        if exercise.name == "the whole mapper":
+            continue
+        assert set(exercise.operations) <= set(dispatched), exercise.name
+        covered |= set(exercise.operations)
+    assert covered >= set(backends.PROVIDERS)
+
+
+def test_the_mapper_needs_nothing_that_the_exercises_left_out():
+    pytest.importorskip("numba")
+    *single, mapper = list(warm.exercises())
+    for exercise in single:
+        exercise.run()
+    with warm._watching() as compiled:
+        mapper.run()
+    assert compiled == []
+
+
+def test_progress_names_every_step_and_ends_at_the_total():
+    threads = torch.get_num_threads()
+    progress = list(warm.warm_up())
+    assert [p.done for p in progress] == list(range(progress[-1].total + 1))
+    assert all(p.name for p in progress[:-1])
+    assert not progress[-1].name
+    assert torch.get_num_threads() == threads
+    again = list(warm.warm_up())[-1]
+    assert again.compiled == ()
+    assert again.seconds < 3
+
+
+def test_doctor_says_what_it_did(capsys):
+    assert doctor.warm() == 0
+    assert doctor.warm() == 0
+    assert "Everything was compiled already" in capsys.readouterr().out
+
+
+def test_without_fast_backends_there_is_nothing_to_do(monkeypatch, capsys):
+    monkeypatch.setattr(backends, "PROVIDERS", {"adam_update": {"numba": "no_such_package.kernels:adam_update"}})
+    backends.load.cache_clear()
+    try:
+        assert doctor.warm() == 1
+    finally:
+        backends.load.cache_clear()
+    assert "nothing to compile" in capsys.readouterr().out
+
+
+_ONE_KERNEL = """
+import torch
+torch.set_num_threads(1)
+from gsfusion_nb.optim import adam_update
+for _ in range(2):
+    x = torch.zeros(3, 2)
+    adam_update(x, x.clone(), x.clone(), x.clone(), None, lr=0.1, beta1=0.9, beta2=0.999, eps=1e-8)
+print(torch.get_num_threads())
+"""
+
+
+def test_compiling_is_announced_once_and_only_when_it_happens(tmp_path):
+    pytest.importorskip("numba")
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "GSFUSION_BACKEND": "auto"}
+    command = [sys.executable, "-c", _ONE_KERNEL]
+    first, second = (
+        subprocess.run(command, env=environment, capture_output=True, text=True, check=True) for _ in range(2)
+    )
+    assert first.stderr.count("compiling numba kernels (first time on this machine") == 1
+    assert second.stderr == ""
+    # numba's OpenMP layer sets the thread count of the runtime that it shares with torch; it must be put back
+    assert first.stdout.strip() == second.stdout.strip() == "1"

@@ -1,0 +1,135 @@
+"""Online mapping to watch, without a browser: buttons, panels, curves, errors."""
+
+import itertools
+import time
+
+import cv2
+import numpy as np
+import pytest
+
+from gsfusion_nb.viz import LiveMapper
+from gsfusion_nb.viz.display import WIDGET_MIME
+from gsfusion_nb.viz.figures import error_map
+from gsfusion_nb.viz.live_panels import live_panels
+
+
+def decoded(data):
+    return np.asarray(cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR))[..., ::-1]
+
+
+def shown_frame(live):
+    """Which frame of the sequence the first panel looks like."""
+    shown = decoded(live.images["input"].value).astype(int)
+    return int(np.argmin([np.abs(shown - f.rgb.numpy() * 255).mean() for f in live.run.sequence.mapping]))
+
+
+def wait_for(condition, seconds=20.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "waited too long"
+        time.sleep(0.005)
+
+
+def test_panels_show_the_frame_the_map_the_error_and_the_seeds(make_run):
+    run = make_run()
+    report = next(run.online())
+    frame = run.sequence.mapping[0]
+    panels = live_panels(run.mapper, frame)
+    assert {getattr(panels, n).shape for n in ("input", "render", "error", "seeds")} == {(36, 48, 3)}
+    assert (panels.input == (frame.rgb.numpy() * 255 + 0.5).astype(np.uint8)).all()
+    assert (panels.error == error_map(panels.render, panels.input)).all()
+    red = (panels.seeds == (255, 48, 64)).all(-1)
+    assert report.n_seeds / 4 < red.sum() <= 4 * report.n_seeds
+    mosaic = panels.mosaic()
+    assert mosaic.shape[1] == 2 * 48 + 6
+
+
+def test_run_sync_draws_the_last_frame_and_counts(make_run):
+    run = make_run()
+    live = LiveMapper(run)
+    assert live.run_sync(2) == 2
+    assert shown_frame(live) == 1
+    live.run_sync()
+    assert len(run.steps) == 6
+    assert live.progress.value == live.progress.max == 6
+    assert "finished" in live.status.value
+    assert "6 of 6 frames" in live.status.value
+    assert shown_frame(live) == 5
+
+
+def test_buttons(make_run):
+    run = make_run(n=40)
+    live = LiveMapper(run)
+    live.buttons["Step"].click()
+    wait_for(lambda: live.player.state == "paused" and "paused" in live.status.value)
+    assert len(run.steps) == 1
+    live.buttons["Start"].click()
+    wait_for(lambda: len(run.steps) > 3)
+    live.buttons["Pause"].click()
+    wait_for(lambda: live.player.state in ("paused", "finished"))
+    held = len(run.steps)
+    time.sleep(0.05)
+    assert len(run.steps) == held
+    live.buttons["Stop"].click()
+    assert live.join(10)
+    live.buttons["Start"].click()
+    assert live.join(20)
+    assert len(run.steps) == 40
+    assert "finished" in live.status.value
+
+
+def test_the_panels_are_drawn_at_most_ten_times_a_second(make_run):
+    run = make_run(n=40)
+    live = LiveMapper(run)
+    times = []
+    live.images["render"].observe(lambda _: times.append(time.monotonic()), names="value")
+    live.start()
+    assert live.join(30)
+    assert times
+    assert all(b - a > 0.09 for a, b in itertools.pairwise(times[:-1]))  # the last one may come at once
+
+
+def test_an_error_is_shown_in_the_widget_and_nothing_is_printed(make_run, capsys):
+    live = LiveMapper(make_run(broken=(3,)))
+    live.start()
+    assert live.join(20)
+    assert live.player.state == "failed"
+    assert "RuntimeError: the film tore at frame 3" in live.error.value
+    assert "<details" in live.error.value
+    assert len(live.run.steps) == 3
+    captured = capsys.readouterr()
+    assert captured.out == captured.err == ""
+
+
+def test_another_live_mapper_stops_the_first(make_run):
+    first = LiveMapper(make_run(n=2000))
+    first.start()
+    wait_for(lambda: first.run.steps)
+    LiveMapper(make_run())
+    assert first.join(10)
+    assert len(first.run.steps) < 2000
+
+
+def test_a_run_that_is_already_done_is_shown(make_run):
+    run = make_run()
+    list(run.online())
+    live = LiveMapper(run)
+    live.run_sync()
+    assert "6 of 6" in live.status.value
+    assert live.picture().shape[1] >= 2 * 48 + 6
+
+
+def test_stored_output_holds_the_picture(make_run, monkeypatch):
+    monkeypatch.setenv("GSNB_VIEW", "static")
+    live = LiveMapper(make_run())
+    live.run_sync(1)
+    bundle = live._repr_mimebundle_()
+    assert WIDGET_MIME not in bundle
+    assert len(bundle["image/jpeg"]) > 1000
+
+
+@pytest.mark.parametrize("n", [0, 1])
+def test_picture_before_and_after_the_first_frame(make_run, n):
+    live = LiveMapper(make_run())
+    live.run_sync(n)
+    assert live.picture().dtype == np.uint8
