@@ -1,5 +1,7 @@
 """Input checks whose errors are sentences: what was expected, what came."""
 
+import math
+
 import torch
 from torch import Tensor
 
@@ -40,10 +42,28 @@ def check_pose(name: str, T: Tensor, tolerance: float = 1e-3) -> None:
         raise ValueError(f"{name} must end in the row [0, 0, 0, 1], got {[round(float(v), 4) for v in T[3]]}")
 
 
-def check_positive(name: str, value: float | int) -> None:
-    """Raise ``ValueError`` unless ``value`` is a number above zero."""
-    if not value > 0:
+def check_colours(name: str, rgb: Tensor) -> None:
+    """Raise ``ValueError`` unless all of ``rgb`` is finite and in 0..1."""
+    check_finite(name, rgb)
+    if rgb.numel() and not (float(rgb.min()) >= -1e-3 and float(rgb.max()) <= 1 + 1e-3):
+        raise ValueError(f"{name} must be in 0..1, got {float(rgb.min()):g} to {float(rgb.max()):g}")
+
+
+def check_positive(name: str, value: object) -> None:
+    """Raise ``ValueError`` unless ``value`` is a finite number above zero."""
+    check_number(name, value)
+    if not value > 0:  # pyright: ignore[reportOperatorIssue]
         raise ValueError(f"{name} must be > 0, got {value}")
+
+
+def check_number(name: str, value: object, low: float | int = -math.inf, high: float | int = math.inf) -> None:
+    """Raise ``ValueError`` unless ``value`` is a finite number from ``low`` to ``high``."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise ValueError(f"{name} must be a number, got {value!r}")
+    if not math.isfinite(value):
+        raise ValueError(f"{name} must be finite, got {value}")
+    if not low <= value <= high:
+        raise ValueError(f"{name} must be between {low:g} and {high:g}, got {value}")
 
 
 def check_name(kind: str, name: str, known) -> None:

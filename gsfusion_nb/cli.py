@@ -99,9 +99,13 @@ def main(arguments: list[str] | None = None) -> int:
     except (ValueError, OSError, KeyError, BackendUnavailable, MemoryError) as e:
         text = e.args[0] if isinstance(e, KeyError) and e.args else e
         print(f"gsfusion-nb {name}: {text}", file=sys.stderr)
+        for note in getattr(e, "__notes__", ()):
+            print(note, file=sys.stderr)
         return 1
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as e:
         print(f"gsfusion-nb {name}: interrupted", file=sys.stderr)
+        for note in getattr(e, "__notes__", ()):
+            print(note, file=sys.stderr)
         return 130
 
 
@@ -111,7 +115,14 @@ def _map(arguments: list[str]) -> int:
     default = MapOptions(config=_starting_config(arguments), preset=_value_of(arguments, "--preset") or "replica")
     options = tyro.cli(MapOptions, prog="gsfusion-nb map", args=arguments, default=default)
     with use_backend(options.backend):
+        _check_device(options.device)
         if options.resume:
+            others = [a for a in arguments if a.startswith("-")]
+            extra = [a for a in others if a.split("=")[0] not in ("--resume", "--device", "--no-evaluate", "--backend")]
+            if extra or options.data:
+                raise ValueError(
+                    f"--resume goes on with the run's own settings and data; leave out {options.data} {' '.join(extra)}"
+                )
             return _finish(resume_mapping(options.resume, device=options.device, evaluate=options.evaluate))
         if not options.data:
             raise ValueError("expected the folder of a sequence or the name of a built-in scene: gsfusion-nb map room")
@@ -129,13 +140,26 @@ def _map(arguments: list[str]) -> int:
     return _finish(run)
 
 
+def _check_device(name: str) -> None:
+    import torch
+
+    try:
+        torch.zeros(1, device=name)
+    except (RuntimeError, AssertionError, NotImplementedError) as e:
+        reason = str(e).splitlines()[0]
+        raise ValueError(f"--device {name} cannot be used here, expected cpu or a CUDA device: {reason}") from None
+
+
 def _starting_config(arguments: list[str]) -> GSFusionConfig:
     """The preset or config file named among ``arguments``: tyro shows and overrides its fields."""
     path = _value_of(arguments, "--from-config")
     if path:
         import json
 
-        return from_dict(GSFusionConfig, json.loads(Path(path).read_text(encoding="utf-8"))["config"])
+        try:
+            return from_dict(GSFusionConfig, json.loads(Path(path).read_text(encoding="utf-8"))["config"])
+        except (json.JSONDecodeError, KeyError, TypeError) as e:
+            raise ValueError(f"{path} is no config.json of a run: {type(e).__name__} {e}") from None
     preset = _value_of(arguments, "--preset")
     if preset:
         return gsfusion(preset)

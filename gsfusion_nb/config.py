@@ -4,7 +4,7 @@ import dataclasses
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeVar
 
-from .checks import check_name, check_positive
+from .checks import check_name, check_number, check_positive
 
 C = TypeVar("C")
 
@@ -31,6 +31,10 @@ class TsdfConfig:
     def __post_init__(self):
         for name in ("voxel_size_m", "truncation_voxels", "max_weight", "far_m"):
             check_positive(f"tsdf.{name}", getattr(self, name))
+        check_number("tsdf.voxel_size_m", self.voxel_size_m, 0.001, 1.0)
+        check_number("tsdf.truncation_voxels", self.truncation_voxels, 1, 64)
+        check_number("tsdf.far_m", self.far_m, 0, 1000)
+        check_number("tsdf.near_m", self.near_m)
         if not 0 <= self.near_m < self.far_m:
             raise ValueError(f"tsdf.near_m must be >= 0 and below far_m, got near {self.near_m} and far {self.far_m}")
 
@@ -94,6 +98,11 @@ class OptimConfig:
     """Weight of D-SSIM in the global optimisation (released code 0.2; 0 is the loss as printed, Eq. 12)."""
 
     def __post_init__(self):
+        for name in ("lr_xyz", "lr_sh_dc", "lr_sh_rest", "lr_log_scale", "lr_quat", "lr_opacity_logit"):
+            check_number(f"optim.{name}", getattr(self, name), 0, 10)
+        for name in ("beta1", "beta2"):
+            check_number(f"optim.{name}", getattr(self, name), 0, 0.999999)
+        check_number("optim.eps", self.eps, 0, 1)
         counts = ("keyframe_iterations", "frame_iterations", "random_keyframe_iterations", "global_iterations")
         for name in counts:
             if getattr(self, name) < 0:
@@ -126,9 +135,15 @@ class DataConfig:
     """Which of the k frames is held out."""
 
     def __post_init__(self):
-        for name in ("width", "height", "start", "stop", "hold_out_every", "depth_min_m", "depth_max_m"):
+        for name in ("start", "stop", "hold_out_every", "hold_out_offset"):
             if getattr(self, name) < 0:
                 raise ValueError(f"data.{name} must be >= 0, got {getattr(self, name)}")
+        for name in ("width", "height"):
+            check_number(f"data.{name}", getattr(self, name), 0, 16384)
+        for name in ("depth_min_m", "depth_max_m"):
+            check_number(f"data.{name}", getattr(self, name), 0, 1000)
+        if self.depth_max_m and self.depth_max_m <= self.depth_min_m:
+            raise ValueError(f"data.depth_max_m must be above depth_min_m {self.depth_min_m}, got {self.depth_max_m}")
         if self.stride < 1:
             raise ValueError(f"data.stride must be >= 1, got {self.stride}")
         if self.hold_out_every == 1:

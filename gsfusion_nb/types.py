@@ -59,16 +59,20 @@ class Frame:
     """Camera-to-world pose, OpenCV axes, metres."""
 
     def __post_init__(self):
+        for name in ("rgb", "depth_m", "T_WC"):
+            value = getattr(self, name)
+            if not isinstance(value, Tensor) or value.dtype != torch.float32:
+                kind = value.dtype if isinstance(value, Tensor) else type(value).__name__
+                raise ValueError(f"{name} of frame {self.index} must be a float32 torch.Tensor, got {kind}")
         size = (self.camera.height, self.camera.width)
         check_shape("rgb", self.rgb, (*size, 3))
         check_shape("depth_m", self.depth_m, size)
         check_shape("T_WC", self.T_WC, (4, 4))
 
     def to(self, device: torch.device | str) -> "Frame":
-        """The same frame with its tensors on ``device``."""
-        return dataclasses.replace(
-            self, rgb=self.rgb.to(device), depth_m=self.depth_m.to(device), T_WC=self.T_WC.to(device)
-        )
+        """The same frame with its tensors on ``device``, contiguous."""
+        moved = {name: getattr(self, name).to(device).contiguous() for name in ("rgb", "depth_m", "T_WC")}
+        return dataclasses.replace(self, **moved)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

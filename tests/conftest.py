@@ -37,6 +37,14 @@ def _one_thread():
     torch.set_num_threads(1)
 
 
+@pytest.fixture(autouse=True)
+def _own_rules(monkeypatch):
+    """Seeding rules that a test registers end with it."""
+    from gsfusion_nb.seeding import rule
+
+    monkeypatch.setattr(rule, "_RULES", dict(rule._RULES))
+
+
 @pytest.fixture
 def generator():
     """Random numbers that repeat."""

@@ -54,7 +54,7 @@ def pair_by_stem(rgb_files: list[Path], depth_files: list[Path]) -> list[Path]:
 def read_json(path: Path, what: str) -> dict[str, Any]:
     """Object of a JSON file. Raises ``SequenceError`` when it is missing, damaged or no object."""
     try:
-        values = json.loads(path.read_text())
+        values = json.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
         raise SequenceNotFoundError(f"{path} does not exist; expected {what}") from None
     except (json.JSONDecodeError, UnicodeDecodeError) as e:

@@ -36,7 +36,7 @@ def read_rows(path: Path, columns: int, what: str) -> Float[Tensor, "N C"]:
 def read_words(path: Path, what: str) -> list[tuple[int, list[str]]]:
     """Line number and words of every line that is neither empty nor a ``#`` comment. At least one, or an error."""
     try:
-        text = path.read_text()
+        text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
         raise SequenceNotFoundError(f"{path} does not exist; expected {what}") from None
     except (UnicodeDecodeError, IsADirectoryError):

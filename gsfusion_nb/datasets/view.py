@@ -81,6 +81,10 @@ def apply_options(source: Sequence, data: DataConfig | None = None) -> OpenedSeq
     Raises:
         SequenceError: no frames, a start beyond the end, or nothing left to map.
     """
+    if not isinstance(source, Sequence):
+        raise SequenceError(
+            f"expected a sequence (name, camera, len(), [i], pose(i)) or the path of one, got {type(source).__name__}"
+        )
     data = data or DataConfig()
     novel = sorted(getattr(source, "novel", ()))
     chosen = _selection(source, set(novel), data)

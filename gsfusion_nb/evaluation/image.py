@@ -153,6 +153,7 @@ class ImageRow:
     psnr: float
     """dB."""
     ssim: float
+    """NaN for images under 6 pixels, too small for its window."""
     lpips: float | NotComputed
     depth_l1_m: float
     """Metres; NaN where no pixel has both depths."""
@@ -205,7 +206,8 @@ class ImageScores:
             return missing[0]
         known = [v for v in values if not math.isnan(v)]
         if not known:
-            return NotComputed("no view to score" if not values else "no view has both depths")
+            reasons = {"depth_l1_m": "no view has both depths", "ssim": "the images are too small for its window"}
+            return NotComputed(reasons.get(name, "no number") if values else "no view to score")
         return sum(known) / len(known)
 
 
@@ -233,7 +235,7 @@ def score_views(
             ImageRow(
                 index=frame.index,
                 psnr=psnr(view.rgb, frame.rgb, quantise=quantise),
-                ssim=ssim(view.rgb, frame.rgb, quantise=quantise),
+                ssim=ssim(view.rgb, frame.rgb, quantise=quantise) if min(frame.rgb.shape[:2]) >= 6 else math.nan,
                 lpips=lpips(view.rgb, frame.rgb, quantise=quantise) if with_lpips else skipped,
                 depth_l1_m=l1_m,
                 depth_share=share,

@@ -70,7 +70,7 @@ class ViewPanel:
             render_depth_m=expected_depth_m(view),
             cells=cells,
             psnr=psnr(view.rgb, frame.rgb),
-            ssim=ssim(view.rgb, frame.rgb),
+            ssim=ssim(view.rgb, frame.rgb) if min(frame.rgb.shape[:2]) >= 6 else float("nan"),
         )
 
 

@@ -1,6 +1,7 @@
 """Saving the state of a run so that it can go on later. Nothing in the file is executed when it is read."""
 
 import pickle
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -35,8 +36,12 @@ def load_checkpoint(path: str | Path, *, device: torch.device | str = "cpu") -> 
     if not path.is_file():
         raise FileNotFoundError(f"{path} does not exist; expected a checkpoint")
     try:
+        with zipfile.ZipFile(path) as archive:
+            broken = archive.testzip()
+        if broken:
+            raise ValueError(f"{path} is damaged: {broken} in it fails its checksum")
         content = torch.load(path, map_location=device, weights_only=True)
-    except (pickle.UnpicklingError, RuntimeError, EOFError, OSError) as e:
+    except (pickle.UnpicklingError, RuntimeError, EOFError, OSError, KeyError, zipfile.BadZipFile) as e:
         reason = str(e).splitlines()[0] if str(e) else type(e).__name__
         raise ValueError(f"{path} is no readable checkpoint, it may be truncated: {reason}") from None
     if not isinstance(content, dict) or content.get("format") != FORMAT:

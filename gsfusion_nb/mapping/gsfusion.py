@@ -7,8 +7,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ..checks import check_finite, check_pose
+from ..checks import check_colours, check_finite, check_pose
 from ..config import GSFusionConfig, from_dict, to_dict
+from ..datasets import BadFrameError
 from ..gaussians import GaussianModel
 from ..optim import Keyframe, KeyframeList, adam_step, dssim_vjp, l1, l1_vjp
 from ..render import render, render_forward, render_vjp
@@ -45,6 +46,8 @@ class GSFusion:
         self.generator = torch.Generator().manual_seed(self.config.seed)
         self.n_frames = 0
         self.global_passes_done = 0
+        self.global_queue: list[int] = []
+        """Keyframes still to be visited in the pass that is under way."""
 
     def __repr__(self) -> str:
         return (
@@ -56,14 +59,13 @@ class GSFusion:
         """Map one frame (paper Fig. 2, section III-B).
 
         Raises:
-            ValueError: the pose is not rigid or an image holds a NaN; the maps are unchanged.
+            BadFrameError: the pose is not rigid, an image holds a NaN or colours beyond 0..1, or the frame lies too far
+                away for the voxel index. The maps are unchanged.
         """
-        check_pose(f"T_WC of frame {frame.index}", frame.T_WC)
-        check_finite(f"depth_m of frame {frame.index}", frame.depth_m)
         frame = frame.to(self.device)
         clock = StageClock()
         with clock("tsdf"):
-            integrate(self.volume, frame)  # III-B.1, Eq. 6-9
+            self._fuse(frame)  # III-B.1, Eq. 6-9
         with clock("seeding"):
             seeds = self.propose_seeds(frame)  # III-B.2, Eq. 10
             self.gaussians.append(seeds, frame.index)
@@ -112,16 +114,21 @@ class GSFusion:
         A generator, so that the caller can show progress or stop: ``for step in mapper.global_optimise(): ...``.
 
         Args:
-            passes: Number of passes; ``config.optim.global_iterations`` by default.
+            passes: Number of passes; ``config.optim.global_iterations`` by default. One that was cut short is finished
+                first and counts as one of them.
         """
         passes = self.config.optim.global_iterations if passes is None else passes
-        n_steps, done = passes * len(self.keyframes), 0
-        for pass_index in range(passes):
-            for keyframe in self.keyframes.draw(len(self.keyframes), self.generator):
+        started = len(self.global_queue) > 0
+        n_steps, done = (passes - started) * len(self.keyframes) + len(self.global_queue), 0
+        for pass_index in range(passes if len(self.keyframes) else 0):
+            if not self.global_queue:
+                self.global_queue = torch.randperm(len(self.keyframes), generator=self.generator).tolist()
+            while self.global_queue:
+                keyframe = self.keyframes[self.global_queue.pop(0)]
                 loss, _ = self._optimise_view(keyframe, ssim_weight=self.config.optim.ssim_weight)
                 done += 1
+                self.global_passes_done += not self.global_queue
                 yield GlobalStep(pass_index=pass_index, step=done, n_steps=n_steps, loss=loss)
-            self.global_passes_done += 1
 
     def state_dict(self) -> dict[str, Any]:
         """Everything needed to go on later exactly where this stands, as tensors and plain values."""
@@ -130,6 +137,7 @@ class GSFusion:
             "rule": self.rule.__name__,
             "n_frames": self.n_frames,
             "global_passes_done": self.global_passes_done,
+            "global_queue": self.global_queue,
             "generator": self.generator.get_state(),
             "volume": self.volume.state_dict(),
             "gaussians": self.gaussians.state_dict(),
@@ -149,11 +157,22 @@ class GSFusion:
         mapper = cls(config, seeding=seeding if seeding is not None else state["rule"], device=device)
         mapper.n_frames = state["n_frames"]
         mapper.global_passes_done = state["global_passes_done"]
+        mapper.global_queue = list(state["global_queue"])
         mapper.generator.set_state(state["generator"])
         mapper.volume.load_state_dict(state["volume"])
         mapper.gaussians = GaussianModel.from_state_dict(state["gaussians"], device)
         mapper.keyframes = KeyframeList.from_state_dict(state["keyframes"])
         return mapper
+
+    def _fuse(self, frame: Frame) -> None:
+        """Check the frame, then fold it into the TSDF."""
+        try:
+            check_pose(f"T_WC of frame {frame.index}", frame.T_WC)
+            check_finite(f"depth_m of frame {frame.index}", frame.depth_m)
+            check_colours(f"rgb of frame {frame.index}", frame.rgb)
+            integrate(self.volume, frame)
+        except ValueError as e:
+            raise BadFrameError(f"frame {frame.index} cannot be mapped: {e}") from None
 
     def _optimise_online(self, frame: Frame, is_keyframe: bool) -> tuple[list[float], list[float]]:
         """m steps on a keyframe; n on another frame, then some on random keyframes against forgetting (III-B.3)."""

@@ -8,8 +8,9 @@ from typing import Any
 import torch
 
 from ..config import GSFusionConfig, gsfusion
-from ..datasets import Sequence, apply_options, open_sequence
+from ..datasets import Sequence, SequenceError, apply_options, check_sequence, open_sequence
 from ..seeding import SeedingRule
+from ..types import Mesh
 from . import outputs
 from .run import CHECKPOINT, MappingRun, StopRequest, new_folder
 
@@ -45,11 +46,15 @@ def run_mapping(
         config = gsfusion(config)
     config = config or gsfusion("room" if str(data) == "room" else "replica")
     if isinstance(data, (str, Path)):
-        source = {"path_or_name": str(data), **reader_options}
+        is_folder = Path(data).expanduser().is_dir()
+        place = str(Path(data).expanduser().resolve()) if is_folder and str(data) != "room" else str(data)
+        source = {"path_or_name": place, **reader_options}
         sequence = open_sequence(**source, data=config.data)
     else:
         source, sequence = {}, apply_options(data, config.data)
     run = MappingRun(sequence, config, seeding=seeding, device=device, source=source)
+    if source and str(data) != "room":
+        run.warnings += _doubts(sequence.mapping)
     return _drive(run, new_folder(sequence.name, folder), evaluate)
 
 
@@ -65,7 +70,18 @@ def resume_mapping(
     Raises:
         FileNotFoundError: the folder holds no checkpoint.
     """
-    return _drive(MappingRun.resume(folder, seeding=seeding, device=device), Path(folder), evaluate)
+    run = MappingRun.resume(folder, seeding=seeding, device=device)
+    run.warnings = [w for w in run.warnings if not w.startswith("interrupted after ")]
+    return _drive(run, Path(folder), evaluate)
+
+
+def _doubts(sequence: Sequence) -> list[str]:
+    """A sentence if another reading of poses or depth fits the data better, from a few pairs of frames."""
+    try:
+        verdict = check_sequence(sequence)
+    except SequenceError:
+        return []
+    return [] if verdict.ok else [f"depth and poses look {verdict}"]
 
 
 class FinishedRun:
@@ -86,32 +102,61 @@ class FinishedRun:
 
 
 def _drive(run: MappingRun, folder: Path, evaluate: bool) -> FinishedRun:
-    metrics: dict[str, Any] = {}
-    with StopRequest().listening() as stop:
-        _with_progress(run, stop)
-        if evaluate and not stop and run.mapper.config.optim.global_iterations:
-            online = outputs.score(run, "_online")
-            metrics |= {k: online[k] for k in ("psnr_held_out_online_db", "psnr_mapped_online_db")}
-        if not stop and run.status == "running":
-            _with_progress_of_passes(run, stop)
-        if stop:
-            run.status = "interrupted"
-            run.warnings.append(
-                f"interrupted after {len(run.steps)} of {len(run.sequence.mapping)} frames and "
-                f"{run.mapper.global_passes_done} global passes; everything so far is saved"
-            )
-            run.save_checkpoint(folder)
-        elif run.status == "running":
-            run.status = "complete"
-            (folder / CHECKPOINT).unlink(missing_ok=True)
-    mesh = outputs.write_maps(run, folder)
-    metrics |= outputs.map_metrics(run, mesh)
-    outputs.write_numbers(run, folder, metrics)
-    if evaluate and run.steps:
-        metrics |= outputs.score(run) | outputs.score_mesh(run, mesh)
-        outputs.write_numbers(run, folder, metrics)
-        outputs.write_page(run, folder, metrics)
+    """Everything from the first frame to the report. Whatever ends it early, what was mapped is in the folder first."""
+    stop = StopRequest()
+    with stop.listening():
+        try:
+            _work(run, stop, evaluate)
+        except BaseException as e:
+            run.status = "interrupted" if isinstance(e, KeyboardInterrupt) else "failed"
+            run.warnings.append(f"ended by {type(e).__name__}: {e}")
+            if run.steps:
+                _save(run, folder, stop)
+                e.add_note(f"The {len(run.steps)} frames mapped before are saved in {folder}.")
+            raise
+        mesh = _save(run, folder, stop)
+        metrics: dict[str, Any] = outputs.map_metrics(run, mesh) | run.online_scores
+        if evaluate:
+            stop.at_once = True
+            metrics |= outputs.score(run) | outputs.score_mesh(run, mesh)
+            outputs.write_numbers(run, folder, metrics)
+            outputs.write_page(run, folder, metrics)
     return FinishedRun(run, folder, metrics)
+
+
+def _work(run: MappingRun, stop: StopRequest, evaluate: bool) -> None:
+    """Map and optimise until done or asked to stop; sets the run's status."""
+    _with_progress(run, stop)
+    begun = run.mapper.global_passes_done > 0 or run.mapper.global_queue
+    if evaluate and not (stop or begun) and run.mapper.config.optim.global_iterations:
+        online = outputs.score(run, "_online")
+        names = ("psnr_held_out_online_db", "psnr_mapped_online_db")
+        run.online_scores = {k: online[k] for k in names if isinstance(online[k], float)}
+    if run.status == "running" and not stop:
+        _with_progress_of_passes(run, stop)
+    if stop:
+        run.status = "interrupted"
+        run.warnings.append(
+            f"interrupted after {len(run.steps)} of {len(run.sequence.mapping)} frames and "
+            f"{run.mapper.global_passes_done} global passes; everything so far is saved"
+        )
+    elif run.status == "running":
+        run.status = "complete"
+
+
+def _save(run: MappingRun, folder: Path, stop: StopRequest) -> Mesh:
+    """Write the maps and the numbers, then, if there is more to do, the checkpoint, which is the largest."""
+    stop.saving = True
+    try:
+        mesh = outputs.write_maps(run, folder)
+        outputs.write_numbers(run, folder, outputs.map_metrics(run, mesh) | run.online_scores)
+        if run.status == "interrupted":
+            run.save_checkpoint(folder)
+        elif run.status != "failed":
+            (folder / CHECKPOINT).unlink(missing_ok=True)
+        return mesh
+    finally:
+        stop.saving = False
 
 
 def _with_progress(run: MappingRun, stop: StopRequest) -> None:

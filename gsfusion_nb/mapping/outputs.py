@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 import platform
 import sys
 from collections.abc import Iterator
@@ -49,7 +50,7 @@ def score(run: MappingRun, suffix: str = "", *, with_lpips: bool = False) -> dic
     """PSNR, SSIM, LPIPS and depth error on mapped and held-out views of the map as it is now."""
     metrics: dict[str, Any] = {}
     for name, view in (("held_out", run.sequence.held_out), ("mapped", _spread(run, MAX_SCORED_VIEWS))):
-        scores = score_views(run.mapper.render, _readable(view), with_lpips=with_lpips)
+        scores = score_views(run.mapper.render, readable(view), with_lpips=with_lpips)
         metrics |= scores.as_metrics(name + suffix)
         metrics[f"n_views_{name}{suffix}"] = len(scores)
     return metrics
@@ -123,7 +124,7 @@ def score_mesh(run: MappingRun, mesh: Mesh) -> dict[str, Any]:
     truth = getattr(run.sequence.source, "mesh", None)
     if truth is None or not len(mesh.faces):
         return {}
-    seen = cull_unseen(truth(), _readable(_spread(run, 50)))
+    seen = cull_unseen(truth(), readable(_spread(run, 50)))
     generator = torch.Generator().manual_seed(run.mapper.config.seed)
     scores = mesh_scores(mesh, seen, generator=generator)
     return {"mesh_accuracy_m": scores} if isinstance(scores, NotComputed) else scores.as_metrics()
@@ -153,9 +154,17 @@ def environment() -> dict[str, str]:
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Write ``value`` as indented JSON, atomically."""
+    """Write ``value`` as indented JSON, atomically; strict JSON has no NaN and no infinity, so they become text."""
     with atomic_path(path) as temporary:
-        Path(temporary).write_text(json.dumps(value, indent=1, allow_nan=False), encoding="utf-8")
+        Path(temporary).write_text(json.dumps(_strict(value), indent=1, allow_nan=False), encoding="utf-8")
+
+
+def _strict(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _strict(v) for key, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_strict(v) for v in value]
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _spread(run: MappingRun, limit: int) -> SequenceView:
@@ -166,7 +175,7 @@ def _spread(run: MappingRun, limit: int) -> SequenceView:
     return dataclasses.replace(mapped, positions=[mapped.positions[i] for i in picks])
 
 
-def _readable(view: SequenceView) -> Iterator[Frame]:
+def readable(view: SequenceView) -> Iterator[Frame]:
     """The frames of a view, without those that cannot be read (the run's warnings name them)."""
     for i in range(len(view)):
         try:
@@ -181,7 +190,7 @@ def _panels(run: MappingRun) -> list[ViewPanel]:
     seeding = run.mapper.config.seeding
     for view, held_out in ((run.sequence.held_out, True), (_spread(run, 1000), False)):
         picks = sorted({round(i * (len(view) - 1) / 2) for i in range(3)}) if len(view) else []
-        for frame in _readable(dataclasses.replace(view, positions=[view.positions[i] for i in picks])):
+        for frame in readable(dataclasses.replace(view, positions=[view.positions[i] for i in picks])):
             cells = quadtree(
                 to_uint8(frame.rgb),
                 threshold=seeding.quadtree_threshold,

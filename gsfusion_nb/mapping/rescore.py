@@ -9,7 +9,7 @@ from ..datasets import open_sequence
 from ..evaluation import metrics_as_json, score_views
 from ..export import read_gaussian_ply
 from ..render import render
-from .outputs import write_json
+from .outputs import readable, write_json
 
 
 def rescore(folder: Path | str, *, data: str | None = None, with_lpips: bool = False) -> dict[str, Any]:
@@ -25,10 +25,11 @@ def rescore(folder: Path | str, *, data: str | None = None, with_lpips: bool = F
 
     Raises:
         FileNotFoundError: the folder holds no config.json or no gaussians.ply.
-        ValueError: the run was made from a sequence that is not on disk, so it cannot be opened again.
+        ValueError: one of them is damaged, or the run was made from a sequence that is not on disk.
     """
     folder = Path(folder)
-    settings = json.loads((folder / "config.json").read_text(encoding="utf-8"))
+    settings = _read_json(folder / "config.json", ("source", "config"))
+    document = _read_json(folder / "metrics.json", ("metrics", "frames"))
     source = settings["source"]
     if data is not None:
         source = {**source, "path_or_name": data}
@@ -38,9 +39,24 @@ def rescore(folder: Path | str, *, data: str | None = None, with_lpips: bool = F
     sequence = open_sequence(**source, data=config.data)
     params = read_gaussian_ply(folder / "gaussians.ply")
 
-    document = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
-    for name, view in (("held_out", sequence.held_out), ("mapped", sequence.mapping)):
-        scores = score_views(lambda camera, T_WC: render(params, camera, T_WC), view, with_lpips=with_lpips)
+    indices = {row["frame_index"] for row in document["frames"]}
+    for name, view in (("held_out", readable(sequence.held_out)), ("mapped", readable(sequence.mapping))):
+        frames = (frame for frame in view if name == "held_out" or frame.index in indices)
+        scores = score_views(lambda camera, T_WC: render(params, camera, T_WC), frames, with_lpips=with_lpips)
         document["metrics"] |= metrics_as_json(scores.as_metrics(name) | {f"n_views_{name}": len(scores)})
     write_json(folder / "metrics.json", document)
     return document["metrics"]
+
+
+def _read_json(path: Path, keys: tuple[str, ...]) -> dict[str, Any]:
+    """The document in ``path``, which must have ``keys``."""
+    if not path.is_file():
+        raise FileNotFoundError(f"{path} is not there; expected the folder of a finished run")
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except json.JSONDecodeError as e:
+        raise ValueError(f"{path} is no valid JSON: {e}") from None
+    lacking = [key for key in keys if not isinstance(document, dict) or key not in document]
+    if lacking:
+        raise ValueError(f"{path} is not of a run: expected the keys {', '.join(keys)}, lacking {', '.join(lacking)}")
+    return document

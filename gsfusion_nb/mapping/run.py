@@ -16,6 +16,7 @@ from ..config import GSFusionConfig
 from ..datasets import OpenedSequence, SequenceError, open_sequence
 from ..export import load_checkpoint, save_checkpoint
 from ..seeding import SeedingRule
+from ..types import Frame
 from .gsfusion import GSFusion
 from .report import GlobalStep, StepReport
 
@@ -23,7 +24,12 @@ log = logging.getLogger(__name__)
 
 CHECKPOINT = "checkpoint.pt"
 MAX_BAD_FRAMES_IN_A_ROW = 20
-"""After so many unreadable frames one after another the recording is taken to be broken from there on."""
+"""After so many unusable frames one after another the recording is taken to be broken from there on."""
+
+_STATE = (
+    "steps", "global_losses", "_pass_losses", "online_scores", "timestamps_s", "poses", "warnings", "next_position",
+    "seconds_global",
+)  # fmt: skip
 
 
 class MappingRun:
@@ -55,6 +61,9 @@ class MappingRun:
         self.steps: list[StepReport] = []
         self.global_losses: list[float] = []
         """Mean loss of each finished pass of the global optimisation."""
+        self._pass_losses: list[float] = []
+        self.online_scores: dict[str, float] = {}
+        """PSNR of the map as the scan left it, before the global optimisation."""
         self.timestamps_s: list[float] = []
         self.poses: list[torch.Tensor] = []
         self.warnings: list[str] = []
@@ -67,47 +76,55 @@ class MappingRun:
         return f"MappingRun({self.sequence.name}, {self.status}, {self.mapper!r})"
 
     def online(self) -> Iterator[StepReport]:
-        """Map the frames that are left, one by one; those that cannot be read are skipped and named in ``warnings``."""
+        """Map the frames that are left, one by one; those that cannot be used are skipped and named in ``warnings``.
+
+        Raises:
+            SequenceError: not one of the frames could be mapped; names the first reason.
+        """
         bad = 0
         while self.next_position < len(self.sequence.mapping):
-            position = self.next_position
             try:
-                frame = self.sequence.mapping[position]
+                frame = self.sequence.mapping[self.next_position]
+                report = self.mapper.step(frame)
             except SequenceError as e:
                 bad += 1
                 self.next_position += 1
                 self._warn(f"skipped a frame: {e}")
                 if bad > MAX_BAD_FRAMES_IN_A_ROW:
                     self.status = "stopped"
-                    self._warn(f"stopped after {bad} unreadable frames in a row; everything mapped before is kept")
-                    return
+                    self._warn(f"stopped after {bad} unusable frames in a row; everything mapped before is kept")
+                    break
                 continue
             bad = 0
-            report = self.mapper.step(frame)
             self.steps.append(report)
             self.timestamps_s.append(frame.timestamp_s)
             self.poses.append(frame.T_WC.cpu())
             self.next_position += 1
+            if len(self.steps) == 1 and not report.n_blocks:
+                self._warn(self._nothing_in_range(frame))
             yield report
+        if not self.steps:
+            reason = self.warnings[0].removeprefix("skipped a frame: ")
+            raise SequenceError(
+                f"none of the {len(self.sequence.mapping)} frames could be mapped, the first because {reason}"
+            )
 
     def optimise(self) -> Iterator[GlobalStep]:
-        """Run the passes of the global optimisation that are left (a pass cut short before is done again)."""
+        """Run the passes of the global optimisation that are left, beginning where an interrupted one stood."""
         passes = self.mapper.config.optim.global_iterations - self.mapper.global_passes_done
-        losses: list[float] = []
         start = time.perf_counter()
         for step in self.mapper.global_optimise(passes):
-            losses.append(step.loss)
-            if len(losses) == len(self.mapper.keyframes):
-                self.global_losses.append(sum(losses) / len(losses))
-                losses = []
+            self._pass_losses.append(step.loss)
+            if not self.mapper.global_queue:
+                self.global_losses.append(sum(self._pass_losses) / len(self._pass_losses))
+                self._pass_losses = []
             self.seconds_global += time.perf_counter() - start
             yield step
             start = time.perf_counter()
 
     def save_checkpoint(self, folder: Path) -> None:
         """Write everything needed to resume to ``folder``."""
-        names = ("steps", "global_losses", "timestamps_s", "poses", "warnings", "next_position", "seconds_global")
-        state = {name: getattr(self, name) for name in names}
+        state = {name: getattr(self, name) for name in _STATE}
         state["steps"] = [vars(s) | {"losses": list(s.losses)} for s in self.steps]
         save_checkpoint(folder / CHECKPOINT, {"run": state, "source": self.source, "mapper": self.mapper.state_dict()})
 
@@ -128,14 +145,29 @@ class MappingRun:
         if not path.is_file():
             raise FileNotFoundError(f"{path} is not there: only a run that was interrupted can be resumed")
         state = load_checkpoint(path, device=device)
-        mapper = GSFusion.from_state_dict(state["mapper"], seeding=seeding, device=device)
-        source = state["source"]
+        try:
+            mapper = GSFusion.from_state_dict(state["mapper"], seeding=seeding, device=device)
+            source, values = state["source"], {name: state["run"][name] for name in _STATE}
+            steps = [StepReport(**{**s, "losses": tuple(s["losses"])}) for s in values["steps"]]
+        except (KeyError, TypeError, AttributeError) as e:
+            raise ValueError(f"{path} is damaged or from another version: {type(e).__name__} {e}") from None
+        if not source:
+            raise ValueError(f"{path} is of a sequence in memory; only one opened by path or name can be resumed")
         run = cls(open_sequence(**source, data=mapper.config.data), mapper.config, seeding=mapper.rule, source=source)
         run.mapper = mapper
-        for name, value in state["run"].items():
+        for name, value in values.items():
             setattr(run, name, value)
-        run.steps = [StepReport(**{**s, "losses": tuple(s["losses"])}) for s in state["run"]["steps"]]
+        run.steps = steps
         return run
+
+    def _nothing_in_range(self, frame: Frame) -> str:
+        tsdf = self.mapper.config.tsdf
+        known = frame.depth_m[frame.depth_m > 0]
+        median = f"its median is {float(known.median()):.4g} m" if len(known) else "it has none at all"
+        return (
+            f"frame {frame.index} has no depth between tsdf.near_m {tsdf.near_m:g} and tsdf.far_m {tsdf.far_m:g} m "
+            f"({median}), so nothing was mapped from it: is the depth scale right?"
+        )
 
     def _warn(self, sentence: str) -> None:
         self.warnings.append(sentence)
@@ -143,18 +175,32 @@ class MappingRun:
 
 
 class StopRequest:
-    """Turns Ctrl-C (or a kernel interrupt) into a wish that is granted between two steps; a second one acts at once."""
+    """Turns Ctrl-C, a kernel interrupt or SIGTERM into a wish that is granted between two steps.
+
+    Pressing again changes nothing for ``PATIENCE_S`` seconds; after that, or where ``at_once`` is set, the signal
+    raises ``KeyboardInterrupt`` on the spot. While files are written (``saving``) it never does.
+    """
+
+    PATIENCE_S = 5.0
 
     def __init__(self):
         self.wanted = False
+        self.at_once = False
+        """Set where stopping in the middle loses nothing: while views are scored."""
+        self.saving = False
+        self._since = 0.0
 
     def __bool__(self) -> bool:
         return self.wanted
 
     def _handle(self, signum, frame) -> None:
-        if self.wanted:
+        first, self.wanted = not self.wanted, True
+        if first:
+            self._since = time.monotonic()
+        if self.saving:
+            return
+        if self.at_once or (not first and time.monotonic() - self._since > self.PATIENCE_S):
             raise KeyboardInterrupt
-        self.wanted = True
 
     @contextlib.contextmanager
     def listening(self) -> Iterator["StopRequest"]:
@@ -162,11 +208,12 @@ class StopRequest:
         if threading.current_thread() is not threading.main_thread():
             yield self
             return
-        before = signal.signal(signal.SIGINT, self._handle)
+        before = {number: signal.signal(number, self._handle) for number in (signal.SIGINT, signal.SIGTERM)}
         try:
             yield self
         finally:
-            signal.signal(signal.SIGINT, before)
+            for number, handler in before.items():
+                signal.signal(number, handler)
 
 
 def new_folder(name: str, folder: Path | str | None = None) -> Path:

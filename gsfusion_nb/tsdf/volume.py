@@ -1,5 +1,6 @@
 """The volumetric map: an unordered pool of 8^3 voxel blocks, found through a linear octree."""
 
+import contextlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -214,12 +215,14 @@ class TsdfVolume:
         for capacity in (max(n_blocks, 2 * old.capacity, _FIRST_CAPACITY), n_blocks):
             size = capacity * BYTES_PER_BLOCK
             if (limit is None or size <= limit) and (free is None or size <= free):
-                self._pool = old.grown(capacity)
-                return
+                with contextlib.suppress(RuntimeError, MemoryError):  # torch's allocator: less is granted than is free
+                    self._pool = old.grown(capacity)
+                    return
+        allowed = [f"only {x / 1e6:.0f} MB may be used" for x in (limit, free) if x is not None and x < size]
         raise MemoryError(
             f"the TSDF volume needs {n_blocks * BYTES_PER_BLOCK / 1e6:.0f} MB for {n_blocks} blocks of 8^3 voxels of "
-            f"{self.config.voxel_size_m} m, but only {min(x for x in (limit, free) if x is not None) / 1e6:.0f} MB "
-            "may be used; take larger voxels, a smaller far_m, or check the depth unit"
+            f"{self.config.voxel_size_m} m, but {min(allowed, default='the system grants less')}; "
+            "take larger voxels (tsdf.voxel_size_m), a smaller tsdf.far_m, or check the depth unit"
         )
 
     def _repr_html_(self) -> str:

@@ -144,30 +144,8 @@ class OrbitView:
     def _build(self) -> None:
         import ipywidgets as w
 
-        reach = float(math.ceil(max(2.0 * self._above.distance_m, 1.5 * self._home.distance_m)))
-
-        def slider(
-            name: str, value: float | int, low: float | int, high: float | int, step: float | int, unit: str
-        ) -> Any:
-            return w.FloatSlider(
-                value=_on_step(value, step), min=low, max=high, step=step, description=name, readout_format=f".{int(step < 1)}f",
-                style={"description_width": "92px"}, layout=w.Layout(width="330px"),
-                tooltip=f"{name}, {unit}", continuous_update=True,
-            )  # fmt: skip
-
-        home = self._home
-        self.sliders = {
-            "azimuth": slider("azimuth °", _wrapped(home.azimuth_deg), -180, 180, 1, "degrees around the vertical"),
-            "elevation": slider("elevation °", home.elevation_deg, -89, 89, 1, "degrees above the horizontal"),
-            "distance": slider("distance m", home.distance_m, 0, reach, 0.05, "0 stands at the target"),
-            "cut": slider("cut away m", 0, 0, reach, 0.05, "hide all that is nearer"),
-        }
-        inside = Viewpoint(target_W=self._above.target_W, azimuth_deg=90.0, elevation_deg=0.0, distance_m=0.0)
-        self.places = {
-            "photo": (self._home, 0.0),
-            "above": (self._above, max(self._above.distance_m - 0.13 * self._radius_m, 0.0)),
-            "inside": (inside, 0.0),
-        }
+        self.sliders = self._make_sliders()
+        self.places = self._make_places()
         shows = [s for s in SHOWS if s not in _LABELLED or self._labels(_LABELLED[s]) is not None]
         self.show = w.Dropdown(
             options=shows, description="show", style={"description_width": "92px"}, layout=w.Layout(width="330px")
@@ -175,15 +153,41 @@ class OrbitView:
         self.buttons = {name: w.Button(description=name, layout=w.Layout(width="100px")) for name in self.places}
         for name, button in self.buttons.items():
             button.on_click(lambda _, name=name: self.look_from(name))
+        for control in (*self.sliders.values(), self.show):
+            control.observe(self._changed, names="value")
         self.image = w.Image(format="jpeg", layout=w.Layout(width=f"{self.camera.width}px", max_width="100%"))
         self.image.add_class("gsnb-orbit-image")
         self.caption = w.HTML()
-        for control in (*self.sliders.values(), self.show):
-            control.observe(self._changed, names="value")
         controls = [w.HBox(list(self.buttons.values())), *self.sliders.values(), self.show, self.caption]
         panel = w.VBox(controls, layout=w.Layout(margin="0 0 0 12px"))
         self.widget = w.HBox([self.image, panel], layout=w.Layout(flex_flow="row wrap", align_items="flex-start"))
         self.widget.add_class("gsnb-orbit")
+
+    def _make_sliders(self) -> dict[str, Any]:
+        import ipywidgets as w
+
+        home = self._home
+        reach = math.ceil(max(2.0 * self._above.distance_m, 1.5 * home.distance_m))
+        rows = {  # label, value, low, high, step, tooltip
+            "azimuth": ("azimuth °", _wrapped(home.azimuth_deg), -180, 180, 1, "around the vertical"),
+            "elevation": ("elevation °", home.elevation_deg, -89, 89, 1, "above the horizontal"),
+            "distance": ("distance m", home.distance_m, 0, reach, 0.05, "0 stands at the target"),
+            "cut": ("cut away m", 0, 0, reach, 0.05, "hide all that is nearer"),
+        }
+        return {
+            name: w.FloatSlider(
+                value=_on_step(value, step), min=low, max=high, step=step, description=label, tooltip=tip,
+                readout_format=".0f" if step == 1 else ".2f", style={"description_width": "92px"},
+                layout=w.Layout(width="330px"), continuous_update=True,
+            )
+            for name, (label, value, low, high, step, tip) in rows.items()
+        }  # fmt: skip
+
+    def _make_places(self) -> dict[str, tuple[Viewpoint, float]]:
+        """Where the buttons lead, and how much they cut away."""
+        inside = Viewpoint(target_W=self._above.target_W, azimuth_deg=90.0, elevation_deg=0.0, distance_m=0.0)
+        roof_m = max(self._above.distance_m - 0.13 * self._radius_m, 0.0)
+        return {"photo": (self._home, 0.0), "above": (self._above, roof_m), "inside": (inside, 0.0)}
 
     def _changed(self, _change: Any) -> None:
         if not self._quiet:
@@ -222,7 +226,7 @@ def _camera(camera: Camera | None, size: tuple[int, int]) -> Camera:
 
 def _on_step(value: float | int, step: float | int) -> float:
     """The nearest value that a slider can stand on: any other comes back rounded from the browser a moment later."""
-    return round(value / step) * step
+    return float(round(value / step) * step)
 
 
 def _wrapped(angle_deg: float) -> float:

@@ -107,7 +107,7 @@ def test_frames_and_volumes_with_nothing_in_them(make_frames):
     assert reports[1][1].updated_voxels == 0
 
 
-def test_float64_and_strided_images(make_frames):
+def test_strided_images(make_frames):
     frame = make_frames(40, 31, n=1, eight_bit=False)[0]
     strided = dataclasses.replace(frame, rgb=frame.rgb.permute(2, 0, 1).contiguous().permute(1, 2, 0))
     volumes, _ = both(CONFIG, [strided])

@@ -18,13 +18,6 @@ from gsfusion_nb.seeding import (
     rule_options,
     seeding_rule,
 )
-from gsfusion_nb.seeding import rule as rule_module
-
-
-@pytest.fixture(autouse=True)
-def _own_registry(monkeypatch):
-    """Rules registered by a test are gone after it."""
-    monkeypatch.setattr(rule_module, "_RULES", dict(rule_module._RULES))
 
 
 @pytest.fixture

@@ -34,8 +34,8 @@ FROM_BELOW = orbit_camera((0, 0, 0), -90, -90, 2.0)
 def test_painted_square_by_hand():
     image = draw_mesh(sheet(21), CAMERA, FROM_ABOVE)
     inside = np.nonzero((image != BACKGROUND).any(-1))
-    assert (inside[0].min(), inside[0].max()) == pytest.approx((60 - 36, 60 + 36), abs=1.5)
-    assert (inside[1].min(), inside[1].max()) == pytest.approx((80 - 36, 80 + 36), abs=1.5)
+    assert (inside[0].min(), inside[0].max()) == pytest.approx((60 - 56, 60 + 56), abs=1.5)
+    assert (inside[1].min(), inside[1].max()) == pytest.approx((80 - 56, 80 + 56), abs=1.5)
     assert image[60, 60].argmax() == 0
     assert image[60, 100].argmax() == 2
 
