@@ -3,6 +3,7 @@ import importlib
 import json
 import re
 import signal
+from typing import Any
 
 import pytest
 import torch
@@ -15,7 +16,7 @@ from gsfusion_nb.seeding import SeedContext
 from gsfusion_nb.types import Seeds
 
 FILES = {"gaussians.ply", "mesh.ply", "trajectory.txt", "config.json", "metrics.json", "report.html"}
-ROOM = {"n_frames": 120, "width": 80, "height": 60}
+ROOM: dict[str, Any] = {"n_frames": 120, "width": 80, "height": 60}
 
 pytestmark = pytest.mark.filterwarnings("ignore::tqdm.TqdmWarning")
 
@@ -135,7 +136,7 @@ def test_a_pass_cut_short_goes_on_where_it_was(tmp_path, small_room, config, mon
 
     def interrupting(self, view, ssim_weight=0.0):
         calls.append(ssim_weight)
-        if calls.count(0.2) == 4:
+        if calls.count(0.2) == 3:
             signal.raise_signal(signal.SIGTERM)
         return step(self, view, ssim_weight)
 
