@@ -13,7 +13,9 @@ from .rows import Case, Row
 from .timing import PeakMemory, Timing
 from .tsdf import case_name, open_frames
 
-STAGES = {"read": "read", "tsdf": "TSDF", "seeding": "quadtree, seeds", "optimise": "optimisation"}
+STAGES = {
+    "read": "read", "tsdf": "TSDF", "quadtree": "quadtree", "seeding": "seeding", "optimise": "optimisation",
+}  # fmt: skip
 """Stage of the step's report -> its name in the table."""
 
 

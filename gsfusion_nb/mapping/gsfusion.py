@@ -15,7 +15,7 @@ from ..optim import Keyframe, KeyframeList, adam_step, dssim_vjp, l1, l1_vjp
 from ..render import render, render_forward, render_vjp
 from ..seeding import SeedContext, SeedingRule, apply_rule, get_rule
 from ..tsdf import TsdfVolume, extract_mesh, integrate
-from ..types import Camera, Frame, Mesh, RenderOutput
+from ..types import Camera, Frame, Mesh, RenderOutput, Seeds
 from .report import GlobalStep, StageClock, StepReport, psnr_from_mse
 
 
@@ -67,8 +67,10 @@ class GSFusion:
         with clock("tsdf"):
             self._fuse(frame)  # III-B.1, Eq. 6-9
         with clock("seeding"):
-            seeds = self.propose_seeds(frame)  # III-B.2, Eq. 10
+            context = self.seed_context(frame)
+            seeds = self.propose_seeds(context)  # III-B.2, Eq. 10
             self.gaussians.append(seeds, frame.index)
+        clock.split("seeding", "quadtree", context.quadtree_seconds)
         is_keyframe = len(seeds) > self.config.keyframe_min_seeds  # III-B.3
         if is_keyframe or self.config.keep_all_frames:
             self.keyframes.append(frame)
@@ -87,9 +89,9 @@ class GSFusion:
             seconds=clock.seconds,
         )
 
-    def propose_seeds(self, frame: Frame):
-        """Ask the seeding rule for new Gaussians, after the frame was fused into the TSDF."""
-        context = SeedContext(
+    def seed_context(self, frame: Frame) -> SeedContext:
+        """What a seeding rule sees of this frame, after it was fused into the TSDF."""
+        return SeedContext(
             frame,
             volume=self.volume,
             gaussians=self.gaussians,
@@ -97,6 +99,9 @@ class GSFusion:
             config=self.config.seeding,
             near_m=self.config.tsdf.near_m,
         )
+
+    def propose_seeds(self, context: SeedContext) -> Seeds:
+        """Ask the seeding rule for new Gaussians."""
         options = self.config.seeding.options
         return apply_rule(self.rule, context, options, one_per_voxel=self.config.seeding.one_per_voxel)
 

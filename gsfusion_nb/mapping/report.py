@@ -26,7 +26,7 @@ class StepReport:
     psnr_after_db: float
     """PSNR of this view at the last optimisation step on it (before that step is taken)."""
     seconds: dict[str, float] = field(default_factory=dict)
-    """Wall time by stage: tsdf, seeding, optimise."""
+    """Wall time by stage: tsdf, quadtree, seeding, optimise."""
 
     @property
     def total_seconds(self) -> float:
@@ -60,6 +60,11 @@ class StageClock:
             yield
         finally:
             self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - start
+
+    def split(self, stage: str, part: str, seconds: float) -> None:
+        """Count ``seconds`` of ``stage`` as ``part`` instead."""
+        self.seconds[stage] -= seconds
+        self.seconds[part] = self.seconds.get(part, 0.0) + seconds
 
 
 def psnr_from_mse(mse: float) -> float:

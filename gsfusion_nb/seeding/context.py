@@ -1,5 +1,6 @@
 """What a seeding rule may look at: the frame, the volume, the map, all read-only and computed when first asked for."""
 
+import time
 from dataclasses import KW_ONLY, dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
@@ -111,8 +112,16 @@ class SeedContext:
         if unknown:
             raise ValueError(f"quadtree_cells: unknown settings {unknown}; known: {sorted(settings)}")
         settings |= overrides
+        start = time.perf_counter()
         rgb_u8 = self._once("rgb_u8", lambda: (self.frame.rgb * 255).round_().clamp_(0, 255).to(torch.uint8))
-        return self._once(("cells", *settings.values()), lambda: quadtree(rgb_u8, **settings))
+        leaves = self._once(("cells", *settings.values()), lambda: quadtree(rgb_u8, **settings))
+        self._cache["quadtree_seconds"] = self.quadtree_seconds + time.perf_counter() - start
+        return leaves
+
+    @property
+    def quadtree_seconds(self) -> float:
+        """Wall time spent on quadtrees so far."""
+        return self._cache.get("quadtree_seconds", 0.0)
 
     def cells(self, **overrides: Any) -> Seeds:
         """One round seed per quadtree leaf whose middle has depth (GSFusion III-B.2, Eq. 10-11).
