@@ -25,6 +25,8 @@ _NUMBA = "gsfusion_nb.kernels.numba"
 PROVIDERS: dict[str, dict[str, str]] = {
     "adam_update": {"numba": f"{_NUMBA}.adam:adam_update"},
     "band_blocks": {"numba": f"{_NUMBA}.allocate:band_blocks"},
+    "disc_depth": {"numba": f"{_NUMBA}.disc:disc_depth"},
+    "disc_depth_vjp": {"numba": f"{_NUMBA}.disc:disc_depth_vjp"},
     "extract_mesh": {"numba": f"{_NUMBA}.marching_cubes:extract_mesh"},
     "fuse_frame_": {"numba": f"{_NUMBA}.integrate:fuse_frame_"},
     "quadtree": {"numba": f"{_NUMBA}.quadtree:quadtree"},

@@ -1,5 +1,7 @@
 """Numbers shared by the reference and the fast kernels, each with its reason."""
 
+import math
+
 NEAR_PLANE_M = 0.2
 """Gaussians closer to the camera than this are not drawn (Kerbl et al. 2023, released rasteriser)."""
 
@@ -17,6 +19,18 @@ ALPHA_MIN = 1.0 / 255.0
 
 TRANSMITTANCE_MIN = 1e-4
 """A pixel is finished before the splat that would bring its transmittance below this."""
+
+OPAQUE_ALPHA = math.exp(-0.5)
+"""A disc is hit where its alpha reaches this: an opaque Gaussian's value at one standard deviation (Peng et al. 2024,
+section 3.1; the released code has 0.6)."""
+
+DISC_MIN_COSINE = 0.5
+"""Discs at more than 60 degrees from the ray are not intersected: there a small error of the normal moves the
+intersection far (Peng et al. 2024, eq. 5)."""
+
+DISC_MAX_OFFSET = 1.0
+"""Farther from the centre than this many of the disc's largest standard deviations, counted along z, the intersection
+lies off the disc (released code of Peng et al. 2024; not in the paper)."""
 
 TILE_PX = 8
 """Edge of a screen tile, pixels. The result does not depend on it. For the reference 8 is fastest: 16 evaluates twice

@@ -148,6 +148,8 @@ class RenderOutput:
     """Row of the nearest Gaussian that contributes at the pixel; -1 where none does. ``None`` if not asked for."""
     dominant_index: Int[Tensor, "H W"] | None
     """Row of the Gaussian with the largest weight at the pixel; -1 where none has any. ``None`` if not asked for."""
+    hit_index: Int[Tensor, "H W"] | None = None
+    """Row of the nearest blended Gaussian that is opaque at the pixel; -1 where none is. ``None`` if not asked for."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -17,7 +17,7 @@ from .config import OptimConfig, SeedingConfig, TsdfConfig, gsfusion
 from .gaussians import GaussianModel
 from .mapping import GSFusion
 from .optim import adam_step, dssim_vjp
-from .render import render_forward, render_vjp
+from .render import disc_depth, disc_depth_vjp, render_forward, render_vjp
 from .seeding import quadtree
 from .tsdf import TsdfVolume, extract_mesh, integrate, raycast
 from .types import Camera, Frame, GaussianParams, Seeds
@@ -76,6 +76,7 @@ def exercises(device: str = "cpu") -> Iterator[Exercise]:
         for with_depth in (False, True):
             name = f"render_vjp: SH {degree}, {'with' if with_depth else 'without'} depth"
             yield Exercise(name, ("render_vjp",), _once(_backward, model.params, frame, with_depth))
+    yield Exercise("disc depth", ("disc_depth", "disc_depth_vjp"), _once(_discs, frame, device))
     for steps in ("none", "shared", "per_row"):
         config = OptimConfig(adam_steps=steps)
         yield Exercise(f"adam_update: {steps}", ("adam_update",), _once(_adam, config, device))
@@ -104,6 +105,13 @@ def _backward(params: GaussianParams, frame: Frame, with_depth: bool) -> Gaussia
     output, saved = render_forward(params, frame.camera, frame.T_WC, with_indices=False)
     more = (output.depth_m, output.alpha) if with_depth else ()
     return render_vjp(saved, output.rgb, *more)
+
+
+def _discs(frame: Frame, device: str) -> None:
+    params = _model(0, device).params
+    hit_index = render_forward(params, frame.camera, frame.T_WC, opaque_alpha=0.3)[0].hit_index
+    disc = disc_depth(params, frame.camera, frame.T_WC, hit_index)
+    disc_depth_vjp(params, frame.camera, frame.T_WC, hit_index, disc.depth_m)
 
 
 def _adam(config: OptimConfig, device: str) -> None:

@@ -4,6 +4,9 @@ from .composite import CompositeGradient as CompositeGradient
 from .composite import CompositeOutput as CompositeOutput
 from .composite import composite as composite
 from .composite import composite_vjp as composite_vjp
+from .disc import DiscDepth as DiscDepth
+from .disc import disc_depth as disc_depth
+from .disc import disc_depth_vjp as disc_depth_vjp
 from .project import Projection as Projection
 from .project import ProjectionGradient as ProjectionGradient
 from .project import project_gaussians as project_gaussians

@@ -26,6 +26,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from ..backends import op
+from ..checks import check_positive
 from ..constants import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
 from ..types import Camera
 from .chunks import Chunk, Scratch, cut_into_chunks, image_to_tiles, tiles_to_image
@@ -60,6 +61,8 @@ class CompositeOutput:
     """Row of the first Gaussian with w > 0, or -1. ``None`` if not asked for."""
     dominant_index: Int[Tensor, "H W"] | None
     """Row of the Gaussian with the largest w (the nearest of equals), or -1."""
+    hit_index: Int[Tensor, "H W"] | None
+    """Row of the first Gaussian with w > 0 and alpha >= ``opaque_alpha``, or -1. ``None`` if not asked for."""
     saved: CompositeSaved
 
 
@@ -85,6 +88,7 @@ def composite(
     camera: Camera,
     *,
     with_indices: bool = True,
+    opaque_alpha: float | None = None,
 ) -> CompositeOutput:
     """Blend the Gaussians of ``tiles`` over black (equations at the top of this file).
 
@@ -94,9 +98,13 @@ def composite(
         tiles: Sorted lists; they decide what is drawn and in which order.
         camera: Gives the image size.
         with_indices: Also find the first and the dominant Gaussian of each pixel.
+        opaque_alpha: If given, also find the first Gaussian whose alpha at the pixel reaches it (Peng et al. 2024,
+            RTG-SLAM, section 3.1).
 
     Differentiable: ``composite_vjp``.
     """
+    if opaque_alpha is not None:
+        check_positive("opaque_alpha", opaque_alpha)
     entries = list_entries(tiles, uv, conic, opacity)
     channels = torch.cat([rgb, depth_m[:, None], torch.ones_like(depth_m)[:, None]], dim=1)
     saved = CompositeSaved(tiles=tiles, entries=entries, opacity=opacity, channels=channels, chunks=[])
@@ -105,12 +113,15 @@ def composite(
     T = image_to_tiles(uv.new_ones(camera.height, camera.width, 1), tiles).squeeze(1)  # 0 beyond the border
     C = uv.new_zeros(count, 5 * P)
     ranks = PixelRanks(uv.new_zeros(3, count, P)) if with_indices else None
+    hit = None if opaque_alpha is None else tiles.gaussian.new_full((count, P), -1)
     for chunk in cut_into_chunks(tiles, T):
         alpha, T_k = _transmittance(chunk, entries, functions, scratch)
         w = torch.mul(alpha, T_k[:-1], out=scratch("w", *alpha.shape))
         c = _channels_of(chunk, saved)
         C.index_add_(0, chunk.tile, torch.bmm(c.permute(1, 2, 0), w.permute(1, 0, 2)).flatten(1))  # C += sum_k w_k c_k
         T.index_copy_(0, chunk.tile, T_k[-1])
+        if hit is not None and opaque_alpha is not None:
+            _find_hits(hit, chunk, entries, alpha >= opaque_alpha)
         if ranks is not None:
             ranks.update(chunk, w, T_k, alpha)
         saved.chunks.append(chunk)
@@ -126,6 +137,7 @@ def composite(
         alpha=image[..., 4].contiguous(),
         first_index=first,
         dominant_index=dominant,
+        hit_index=None if hit is None else tiles_to_image(hit[:, None], tiles, camera).squeeze(-1).contiguous(),
         saved=saved,
     )
 
@@ -216,6 +228,15 @@ def _rows_of(chunk: Chunk, entries: Entries) -> Tensor:
 def _channels_of(chunk: Chunk, saved: CompositeSaved) -> Tensor:
     """c_k of a chunk. [K, n, 5]"""
     return saved.channels.index_select(0, _rows_of(chunk, saved.entries)).view(*chunk.entry.shape, 5)
+
+
+def _find_hits(hit: Tensor, chunk: Chunk, entries: Entries, opaque: Tensor) -> None:
+    """Write to ``hit`` [tiles, P] the rows of the first opaque Gaussians of pixels that had none before the chunk."""
+    rows = _rows_of(chunk, entries).view(chunk.entry.shape)
+    k = opaque.to(torch.uint8).argmax(0)  # of equals the first
+    before = hit.index_select(0, chunk.tile)
+    found = (before < 0) & opaque.any(0)
+    hit.index_copy_(0, chunk.tile, torch.where(found, rows.T.gather(1, k), before))
 
 
 class PixelRanks:

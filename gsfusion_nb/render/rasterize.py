@@ -40,11 +40,17 @@ def render(params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"]) -
 
 @op
 def render_forward(
-    params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"], *, with_indices: bool = True
+    params: GaussianParams,
+    camera: Camera,
+    T_WC: Float[Tensor, "4 4"],
+    *,
+    with_indices: bool = True,
+    opaque_alpha: float | None = None,
 ) -> tuple[RenderOutput, RenderSaved]:
     """``render``, and a record of the pass for ``render_vjp``. No autograd graph is made.
 
     An optimiser has no use for the indices: without them (``with_indices=False``, both ``None``) it is a little faster.
+    With ``opaque_alpha`` (the paper's is ``constants.OPAQUE_ALPHA``) it also finds the Gaussians for ``disc_depth``.
     """
     with torch.no_grad():
         T_WC = T_WC.to(params.xyz_W)
@@ -60,6 +66,7 @@ def render_forward(
             tiles,
             camera,
             with_indices=with_indices,
+            opaque_alpha=opaque_alpha,
         )
     output = RenderOutput(
         rgb=image.rgb,
@@ -67,6 +74,7 @@ def render_forward(
         alpha=image.alpha,
         first_index=image.first_index,
         dominant_index=image.dominant_index,
+        hit_index=image.hit_index,
     )
     return output, RenderSaved(params=params, camera=camera, T_WC=T_WC, composite=image.saved)
 

@@ -29,26 +29,27 @@ _ZERO = f32(0.0)
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
-def composite_forward(splats, ids, offset, width, height, rgb, depth, alpha_out, first, dominant):
+def composite_forward(splats, ids, offset, width, height, rgb, depth, alpha_out, first, dominant, hit, opaque):
     """Blend every tile's splats into ``rgb`` [H, W, 3], ``depth`` and ``alpha_out`` [H, W].
 
     splats [N, 12]: u, v, conic A, B, C, ln(opacity), r, g, b, depth, half extents x, y of the visible ellipse.
     ids [I]: splat of each pair, sorted by tile, then depth. offset [tiles + 1].
     first, dominant: int64 [H, W], rows of the first and the heaviest splat of each pixel, or [0, 0] if not wanted.
+    hit: likewise, of the first splat with alpha >= ``opaque``.
     """
-    with_index = first.shape[0] > 0
+    with_index, with_hit = first.shape[0] > 0, hit.shape[0] > 0
     tiles_x = (width + TILE - 1) // TILE
     tiles_y = (height + TILE - 1) // TILE
     for tile in prange(tiles_x * tiles_y):
         x0, y0 = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
-        state = np.zeros(8 * 256, np.float32)
+        state = np.zeros((9 if with_hit else 8) * 256, np.float32)
         state[:256] = _ONE
         state[1536:] = -_ONE
         rows_open = np.ones(TILE, np.uint8)
         n_open = min(TILE, height - y0)
         centre_x = iota() + splat(f32(x0) + _HALF)
         zero, floor_T = splat(_ZERO), splat(_T_MIN)
-        threshold, ceiling = splat(_LOG_ALPHA_MIN), splat(_ALPHA_MAX)
+        threshold, ceiling, solid = splat(_LOG_ALPHA_MIN), splat(_ALPHA_MAX), splat(opaque)
         for k in range(offset[tile], offset[tile + 1]):
             if n_open == 0:
                 break
@@ -88,6 +89,10 @@ def composite_forward(splats, ids, offset, width, height, rgb, depth, alpha_out,
                     store(state, 1536 + o, select(heavier, row, load(state, 1536 + o)))
                     seen_first = load(state, 1792 + o)
                     store(state, 1792 + o, select((w > zero) & (zero > seen_first), row, seen_first))
+                if with_hit:
+                    hit_before = load(state, 2048 + o)
+                    is_hit = goes_on & ((alpha >= solid) & (zero > hit_before))
+                    store(state, 2048 + o, select(is_hit, splat(f32(ids[k])), hit_before))
                 if not any_lane(zero < T):
                     rows_open[r] = 0
                     n_open -= 1
@@ -103,6 +108,8 @@ def composite_forward(splats, ids, offset, width, height, rgb, depth, alpha_out,
                 if with_index:
                     dominant[y, x] = int(state[1536 + o])
                     first[y, x] = int(state[1792 + o])
+                if with_hit:
+                    hit[y, x] = int(state[2048 + o])
 
 
 @njit(parallel=True, cache=True, error_model="numpy")

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from gsfusion_nb.backends import use_backend
+from gsfusion_nb.checks import check_positive
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.render import rasterize as reference
 from gsfusion_nb.types import Camera, GaussianParams, RenderOutput
@@ -42,19 +43,27 @@ class NumbaSaved:
 
 
 def render_forward(
-    params: GaussianParams, camera: Camera, T_WC: Tensor, *, with_indices: bool = True
+    params: GaussianParams,
+    camera: Camera,
+    T_WC: Tensor,
+    *,
+    with_indices: bool = True,
+    opaque_alpha: float | None = None,
 ) -> tuple[RenderOutput, Any]:
     """See ``gsfusion_nb.render.render_forward``."""
     if params.xyz_W.dtype != torch.float32:
         with use_backend("reference"):
-            return reference.render_forward(params, camera, T_WC, with_indices=with_indices)
+            return reference.render_forward(params, camera, T_WC, with_indices=with_indices, opaque_alpha=opaque_alpha)
+    if opaque_alpha is not None:
+        check_positive("opaque_alpha", opaque_alpha)
     arrays = _arrays(params)
     T = T_WC.detach().double()
     cam = pack_camera(camera, se3.inverse(T).numpy(), T[:3, 3].numpy())
     N, H, W = len(params), camera.height, camera.width
     splats, count = np.empty((N, SPLAT), np.float32), np.empty(N, np.int32)
     rgb, depth, alpha = torch.empty(H, W, 3), torch.empty(H, W), torch.empty(H, W)
-    first, dominant = (torch.empty(H, W, dtype=torch.int64) for _ in range(2)) if with_indices else (None, None)
+    wanted = (with_indices, with_indices, opaque_alpha is not None)
+    first, dominant, hit = (torch.empty(H, W, dtype=torch.int64) if w else None for w in wanted)
     image = rgb.numpy(), depth.numpy(), alpha.numpy()
     with launching():
         project_rows(*arrays, cam, splats, count)
@@ -64,9 +73,11 @@ def render_forward(
         list_tiles(splats, start, W, H, pair_tile)
         order = depth_order(splats, count)
         ids, slot, offset = sort_pairs(order, start, pair_tile, -(-W // TILE) * -(-H // TILE))
-        indices = (_NO_INDEX, _NO_INDEX) if first is None or dominant is None else (first.numpy(), dominant.numpy())
-        composite_forward(splats, ids, offset, W, H, *image, *indices)
-    output = RenderOutput(rgb=rgb, depth_m=depth, alpha=alpha, first_index=first, dominant_index=dominant)
+        indices = [_NO_INDEX if index is None else index.numpy() for index in (first, dominant, hit)]
+        composite_forward(splats, ids, offset, W, H, *image, *indices, np.float32(opaque_alpha or 1.0))
+    output = RenderOutput(
+        rgb=rgb, depth_m=depth, alpha=alpha, first_index=first, dominant_index=dominant, hit_index=hit
+    )
     saved = NumbaSaved(
         params=params, camera=cam, splats=splats, start=start, ids=ids, slot=slot, offset=offset, image=image
     )

@@ -1,0 +1,171 @@
+"""Hits, disc depth and its gradient on the CPU kernels against the reference."""
+
+import math
+
+import pytest
+import torch
+
+from gsfusion_nb.backends import use_backend
+from gsfusion_nb.geometry import quaternion, se3
+from gsfusion_nb.render import disc_depth, disc_depth_vjp, render_forward
+from gsfusion_nb.types import Camera, GaussianParams
+
+pytest.importorskip("numba")
+
+T_WC = se3.exp(torch.tensor([0.1, -0.2, 0.3, 0.2, -0.3, 0.1]))
+SIZES = [(0, 32, 16), (1, 16, 16), (37, 33, 17), (900, 95, 61)]
+
+
+def scene(n: int, generator: torch.Generator) -> GaussianParams:
+    """Discs of all inclinations in front of the camera and behind it; about half can be hit."""
+
+    def normal(*size: int):
+        return torch.randn(*size, generator=generator)
+
+    in_camera = torch.stack([1.2 * normal(n), 1.2 * normal(n), 2.0 + 1.5 * normal(n)], dim=-1)
+    return GaussianParams(
+        xyz_W=se3.apply(T_WC, in_camera),
+        log_scale=math.log(0.1) + 0.5 * normal(n, 3),
+        quat=quaternion.normalise(normal(n, 4)) * (0.5 + torch.rand(n, 1, generator=generator)),
+        opacity_logit=3.0 * normal(n),
+        sh=0.4 * normal(n, 1, 3),
+    )
+
+
+def view(width: int, height: int) -> Camera:
+    return Camera(width=width, height=height, fx=0.8 * width, fy=0.9 * width, cx=0.45 * width, cy=0.6 * height)
+
+
+@pytest.mark.parametrize("with_indices", [True, False])
+@pytest.mark.parametrize(("n", "width", "height"), SIZES)
+def test_hits(n, width, height, with_indices, generator):
+    params, found = scene(n, generator), {}
+    for backend in ("reference", "numba"):
+        with use_backend(backend):
+            found[backend] = render_forward(
+                params, view(width, height), T_WC, with_indices=with_indices, opaque_alpha=0.6
+            )[0]
+            plain = render_forward(params, view(width, height), T_WC, with_indices=with_indices)[0]
+        assert plain.hit_index is None
+        assert torch.equal(plain.rgb, found[backend].rgb)
+    a, b = found["reference"].hit_index, found["numba"].hit_index
+    assert a.dtype == b.dtype == torch.int64
+    assert (a != b).double().mean() <= 2e-3  # alpha within rounding of the threshold
+    assert n < 900 or 0.2 < (b >= 0).double().mean() < 0.99
+
+
+@pytest.mark.parametrize("max_offset", [1.0, None])
+@pytest.mark.parametrize(("n", "width", "height"), SIZES)
+def test_depth_and_gradients(n, width, height, max_offset, generator):
+    params, camera = scene(n, generator), view(width, height)
+    v = torch.randn(height, width, generator=generator)
+    with use_backend("numba"):
+        hit_index = render_forward(params, camera, T_WC, opaque_alpha=0.6)[0].hit_index
+    given = params, camera, T_WC, hit_index
+    with use_backend("reference"):
+        a = disc_depth(*given, max_offset=max_offset)
+    with use_backend("numba"):
+        b = disc_depth(*given, max_offset=max_offset)
+    same = a.on_plane == b.on_plane
+    assert (~same).double().mean() <= 2e-3  # an angle or an offset within rounding of its limit
+    torch.testing.assert_close(b.depth_m[same], a.depth_m[same], atol=2e-5, rtol=1e-5)
+    torch.testing.assert_close(b.normal_W, a.normal_W, atol=1e-5, rtol=0)
+
+    v = v * same
+    with use_backend("reference"):
+        expected = disc_depth_vjp(*given, v, max_offset=max_offset)
+    with use_backend("numba"):
+        found = disc_depth_vjp(*given, v, max_offset=max_offset)
+    for x, y in zip(expected, found, strict=True):
+        assert x.shape == y.shape
+        assert torch.isfinite(y).all()
+        assert (x - y).norm() <= 1e-4 * x.norm() + 1e-6
+
+
+def layers(*opacity: float) -> GaussianParams:
+    """Wide Gaussians one behind the other, on the axis of a camera at the origin."""
+    n = len(opacity)
+    return GaussianParams(
+        xyz_W=torch.tensor([[0.0, 0.0, 2.0 + 0.01 * i] for i in range(n)]),
+        log_scale=torch.full((n, 3), math.log(2.0)),
+        quat=torch.tensor([[1.0, 0.0, 0.0, 0.0]]).expand(n, 4),
+        opacity_logit=torch.tensor(opacity).logit(),
+        sh=torch.zeros(n, 1, 3),
+    )
+
+
+@pytest.mark.parametrize("backend", ["reference", "numba"])
+def test_a_finished_pixel_hits_nothing(backend):
+    """Ten half-transparent layers leave 1e-3 of the light, thirteen 1.2e-4; the next may not leave less than 1e-4."""
+    camera = Camera(width=17, height=17, fx=17.0, fy=17.0, cx=8.5, cy=8.5)
+    half = (0.5,) * 10
+    cases = {(*half, 0.7): 10, (*half, 0.95): -1, (*half, 0.95, 0.7): -1, (*half, *half, 0.7): -1, (0.7, *half, 0.7): 0}
+    with use_backend(backend):
+        for opacity, row in cases.items():
+            hit_index = render_forward(layers(*opacity), camera, torch.eye(4), opaque_alpha=0.6)[0].hit_index
+            assert hit_index[8, 8] == row, opacity
+
+
+def test_a_plane_met_behind_the_camera_gives_the_centre():
+    """Normal at 80 degrees from the axis: rays on one side of the image meet the plane behind the camera."""
+    angle = math.radians(40)
+    params = GaussianParams(**{**vars(layers(0.9)), "quat": torch.tensor([[math.cos(angle), 0, math.sin(angle), 0]])})
+    params = GaussianParams(**{**vars(params), "log_scale": torch.tensor([[0.5, 0.5, 0.01]]).log()})
+    camera, hit_index = view(33, 17), torch.zeros(17, 33, dtype=torch.int64)
+    depths = []
+    for backend in ("reference", "numba"):
+        with use_backend(backend):
+            depths.append(disc_depth(params, camera, torch.eye(4), hit_index, max_offset=None, min_cosine=0.05).depth_m)
+    torch.testing.assert_close(*depths, rtol=1e-4, atol=0)
+    X = (torch.arange(33) + 0.5 - camera.cx) / camera.fx
+    behind = 1 + X * math.tan(math.radians(80)) < 0
+    assert behind.any()
+    assert (depths[1][:, behind] == 2).all()
+    assert (depths[1] != 2).any()
+
+
+def test_equal_scales_take_the_first_axis(generator):
+    params = scene(60, generator)
+    params = GaussianParams(**{**vars(params), "log_scale": params.log_scale[:, :1].expand(60, 3)})
+    camera = view(33, 17)
+    hit_index = torch.randint(-1, 60, (17, 33), generator=generator)
+    normals = []
+    for backend in ("reference", "numba"):
+        with use_backend(backend):
+            normals.append(disc_depth(params, camera, T_WC, hit_index).normal_W)
+    torch.testing.assert_close(*normals, atol=1e-5, rtol=0)
+    axis = quaternion.to_matrix(params.quat)[:, :, 0]
+    hit = hit_index >= 0
+    torch.testing.assert_close((normals[1][hit] * axis[hit_index[hit]]).sum(-1).abs(), torch.ones(int(hit.sum())))
+
+
+def test_results_repeat_bit_for_bit_on_any_number_of_threads(generator):
+    params, camera = scene(900, generator), view(95, 61)
+    v = torch.randn(61, 95, generator=generator)
+    results = []
+    with use_backend("numba"):
+        for threads in (1, 2, 1):
+            torch.set_num_threads(threads)
+            hit_index = render_forward(params, camera, T_WC, opaque_alpha=0.6)[0].hit_index
+            disc = disc_depth(params, camera, T_WC, hit_index)
+            results.append((hit_index, disc.depth_m, *disc_depth_vjp(params, camera, T_WC, hit_index, v)))
+    torch.set_num_threads(1)
+    for other in results[1:]:
+        assert all(torch.equal(x, y) for x, y in zip(results[0], other, strict=True))
+
+
+def test_float64_goes_to_the_reference(generator):
+    camera, p = view(16, 16), scene(20, generator)
+    params = GaussianParams(**{name: value.double() for name, value in vars(p).items()})
+    with use_backend("numba"):
+        hit_index = render_forward(params, camera, T_WC, opaque_alpha=0.6)[0].hit_index
+        disc = disc_depth(params, camera, T_WC, hit_index)
+        v_xyz, v_quat = disc_depth_vjp(params, camera, T_WC, hit_index, disc.depth_m)
+    assert disc.depth_m.dtype == v_xyz.dtype == v_quat.dtype == torch.float64
+    assert disc.normal_W.dtype == torch.float64
+
+
+def test_a_row_that_does_not_exist_is_refused(generator):
+    params, hit_index = scene(5, generator), torch.full((16, 16), 5)
+    with use_backend("numba"), pytest.raises(ValueError, match="rows of the 5 Gaussians"):
+        disc_depth(params, view(16, 16), T_WC, hit_index)

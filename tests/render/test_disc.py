@@ -1,0 +1,239 @@
+import math
+
+import pytest
+import torch
+
+from gsfusion_nb.constants import OPAQUE_ALPHA
+from gsfusion_nb.geometry import pixel_grid, quaternion, rays
+from gsfusion_nb.render import chunks, disc_depth, disc_depth_vjp, render_forward
+from gsfusion_nb.types import Camera, GaussianParams
+
+CAMERA = Camera(width=33, height=9, fx=30.0, fy=28.0, cx=16.2, cy=4.4)
+EYE = torch.eye(4, dtype=torch.float64)
+
+
+def leaning_disc(degrees: float, *, radius=0.5, opacity=0.95, centre=(0.0, 0.0, 2.0)) -> GaussianParams:
+    """One disc whose normal (sin a, 0, cos a) leans from the viewing direction by a about the y axis."""
+    half = math.radians(degrees) / 2
+    return GaussianParams(
+        xyz_W=torch.tensor([centre], dtype=torch.float64),
+        log_scale=torch.tensor([[radius, 0.9 * radius, 0.001]], dtype=torch.float64).log(),
+        quat=3.0 * torch.tensor([[math.cos(half), 0.0, math.sin(half), 0.0]], dtype=torch.float64),
+        opacity_logit=torch.tensor([opacity], dtype=torch.float64).logit(),
+        sh=torch.zeros(1, 1, 3, dtype=torch.float64),
+    )
+
+
+def everywhere() -> torch.Tensor:
+    return torch.zeros(CAMERA.height, CAMERA.width, dtype=torch.int64)
+
+
+def plane_depth(degrees: float, i) -> torch.Tensor:
+    """x sin a + (z - 2) cos a = 0 and x = X z give z = 2 / (1 + X tan a)."""
+    X = (torch.as_tensor(i, dtype=torch.float64) + 0.5 - CAMERA.cx) / CAMERA.fx
+    return 2 / (1 + X * math.tan(math.radians(degrees)))
+
+
+def test_leaning_disc_by_hand():
+    params = leaning_disc(30)
+    out, _ = render_forward(params, CAMERA, EYE, opaque_alpha=OPAQUE_ALPHA)
+    disc = disc_depth(params, CAMERA, EYE, out.hit_index)
+    at = [13, 16, 19]
+    assert (out.hit_index[4, at] == 0).all()
+    # 1 + tan 30 (13.5 - 16.2) / 30 = 0.948038, likewise 1.005774 and 1.063509
+    expected = torch.tensor([2.109620, 1.988519, 1.880567], dtype=torch.float64)
+    torch.testing.assert_close(disc.depth_m[4, at], expected, atol=2e-6, rtol=0)
+    torch.testing.assert_close(disc.depth_m[4, at], plane_depth(30, at))
+    assert disc.on_plane[4, at].all()
+    normal = torch.tensor([-0.5, 0, -math.sqrt(0.75)], dtype=torch.float64)
+    torch.testing.assert_close(disc.normal_W[4, at], normal.expand(3, 3))
+
+
+def test_hit_ends_where_alpha_falls_below_the_threshold():
+    """A flat disc: alpha = 0.95 exp(-d^2 / 2 (sigma^2 + 0.3)) with sigma = 30 * 0.1 / 2 px along the row."""
+    params = leaning_disc(0, radius=0.1)
+    out, _ = render_forward(params, CAMERA, EYE, opaque_alpha=OPAQUE_ALPHA)
+    reach = math.sqrt(2 * math.log(0.95 / OPAQUE_ALPHA) * (1.5**2 + 0.3))
+    offset = (torch.arange(33) + 0.5 - 16.2).abs()
+    assert ((out.hit_index[4] == 0) == (offset < reach)).all()  # the row's centre is 0.1 px from the disc's
+    disc = disc_depth(params, CAMERA, EYE, out.hit_index)
+    missed = out.hit_index < 0
+    assert (out.hit_index[missed] == -1).all()
+    assert (disc.depth_m[missed] == 0).all()
+    assert (disc.normal_W[missed] == 0).all()
+    assert not disc.on_plane[missed].any()
+    assert missed.any()
+
+
+def test_steep_disc_gives_its_centre():
+    disc = disc_depth(leaning_disc(80), CAMERA, EYE, everywhere())
+    X = (torch.arange(33) + 0.5 - CAMERA.cx) / CAMERA.fx
+    Y = (4 + 0.5 - CAMERA.cy) / CAMERA.fy
+    angle = math.radians(80)
+    cosine = (X * math.sin(angle) + math.cos(angle)).abs() / (X * X + Y * Y + 1).sqrt()
+    steep = cosine < 0.5
+    assert steep[16]
+    assert not steep.all()
+    assert (disc.depth_m[4, steep] == 2).all()
+    assert not disc.on_plane[4, steep].any()
+    lenient = disc_depth(leaning_disc(80), CAMERA, EYE, everywhere(), min_cosine=0.1)
+    torch.testing.assert_close(lenient.depth_m[4, 16], plane_depth(80, 16))
+
+
+def test_far_from_the_disc_gives_its_centre():
+    i = torch.arange(33)
+    z = plane_depth(45, i).expand(9, -1)
+    near = (z - 2).abs() <= 0.2
+    assert near.any()
+    assert not near.all()
+    disc = disc_depth(leaning_disc(45, radius=0.2), CAMERA, EYE, everywhere())
+    paper = disc_depth(leaning_disc(45, radius=0.2), CAMERA, EYE, everywhere(), max_offset=None)
+    wider = disc_depth(leaning_disc(45, radius=0.1), CAMERA, EYE, everywhere(), max_offset=2.0)
+    allowed = paper.on_plane  # by the angle alone
+    torch.testing.assert_close(disc.depth_m, torch.where(near & allowed, z, 2.0))
+    torch.testing.assert_close(paper.depth_m, torch.where(allowed, z, 2.0))
+    torch.testing.assert_close(wider.depth_m, disc.depth_m)
+    assert (allowed & ~near).any()
+
+
+def test_a_plane_met_behind_the_camera_gives_the_centre():
+    """Normal at 80 degrees: 1 + X tan a < 0 for X < -0.176."""
+    disc = disc_depth(leaning_disc(80), CAMERA, EYE, everywhere(), max_offset=None, min_cosine=0.05)
+    behind = plane_depth(80, torch.arange(33)) < 0
+    assert behind.any()
+    assert (disc.depth_m[:, behind] == 2).all()
+    assert (disc.depth_m > 0).all()
+
+
+def test_transparent_gaussians_are_never_hit():
+    out, _ = render_forward(leaning_disc(0, opacity=0.1), CAMERA, EYE, opaque_alpha=OPAQUE_ALPHA)
+    assert (out.alpha > 0.05).any()
+    assert (out.hit_index == -1).all()
+
+
+def test_only_on_request(book, generator):
+    params = book.random_map(generator, 10)
+    plain, asked = (render_forward(params, book.camera, book.pose, opaque_alpha=o)[0] for o in (None, 0.5))
+    assert plain.hit_index is None
+    assert asked.hit_index.dtype == torch.int64
+    for name in ("rgb", "depth_m", "alpha", "first_index", "dominant_index"):
+        assert torch.equal(getattr(plain, name), getattr(asked, name))
+    with pytest.raises(ValueError, match="opaque_alpha must be > 0"):
+        render_forward(params, book.camera, book.pose, opaque_alpha=0.0)
+
+
+@pytest.mark.parametrize("size", [(32, 128), (3, 2)], ids=["one chunk", "many chunks"])
+@pytest.mark.parametrize("opacity", [(0.05, 0.7), (0.6, 0.9999)], ids=["thin", "opaque"])
+def test_hits_agree_with_a_loop_over_pixels(book, generator, monkeypatch, size, opacity):
+    monkeypatch.setattr(chunks, "RANKS", size[0])
+    monkeypatch.setattr(chunks, "TILES", size[1])
+    params = book.random_map(generator, 40, opacity=opacity, scale=0.25)
+    found = render_forward(params, book.camera, book.pose, opaque_alpha=0.55)[0].hit_index
+    u, v, cov, z, o, _ = book.splat(params, book.camera, book.pose)
+    Q = torch.linalg.inv(cov)
+    order = z.argsort()
+    # the centre of pixel (y, x) from each Gaussian, nearest first
+    grid = pixel_grid(book.camera, dtype=torch.float64)
+    d = grid[..., None, :] - torch.stack([u, v], dim=-1)[order]
+    alphas = (o[order] * torch.exp(-0.5 * torch.einsum("yxni,nij,yxnj->yxn", d, Q[order], d))).clamp(max=0.99)
+    expected = torch.full_like(found, -1)
+    for y, row in enumerate(alphas.tolist()):
+        for x, pixel in enumerate(row):
+            T = 1.0
+            for n, alpha in zip(order.tolist(), pixel, strict=True):
+                if alpha < 1 / 255:
+                    continue
+                if T * (1 - alpha) < 1e-4:
+                    break
+                if alpha >= 0.55:
+                    expected[y, x] = n
+                    break
+                T *= 1 - alpha
+    assert torch.equal(found, expected)
+    assert len(expected.unique()) > 3
+
+
+def hit_scene(book, generator, n=25):
+    """Discs of all inclinations, and hits that meet planes and that fall back to centres."""
+    params = book.random_map(generator, n, opacity=(0.7, 0.99), scale=0.3)
+    hit_index = render_forward(params, book.camera, book.pose, opaque_alpha=0.5)[0].hit_index
+    on_plane = disc_depth(params, book.camera, book.pose, hit_index).on_plane
+    assert on_plane.any()
+    assert (~on_plane & (hit_index >= 0)).any()
+    assert (hit_index < 0).any()
+    return params, hit_index
+
+
+def moved(params, xyz_W, quat):
+    return GaussianParams(
+        xyz_W=xyz_W, log_scale=params.log_scale, quat=quat, opacity_logit=params.opacity_logit, sh=params.sh
+    )
+
+
+@pytest.mark.parametrize("max_offset", [1.0, None])
+def test_vjp_by_finite_differences(book, generator, max_offset):
+    params, hit_index = hit_scene(book, generator)
+    view = book.camera, book.pose, hit_index
+
+    def forward(*x):
+        return (disc_depth(moved(params, *x), *view, max_offset=max_offset).depth_m,)
+
+    def vjp(x, v_depth_m):
+        return disc_depth_vjp(moved(params, *x), *view, v_depth_m, max_offset=max_offset)
+
+    book.finite_difference_check(forward, vjp, (params.xyz_W, params.quat), generator)
+
+
+def test_vjp_is_the_derivative_that_autograd_finds(book, generator):
+    params, hit_index = hit_scene(book, generator)
+    leaves = {name: getattr(params, name).clone().requires_grad_() for name in book.columns}
+    disc = disc_depth(GaussianParams(**leaves), book.camera, book.pose, hit_index)
+    v = torch.randn(disc.depth_m.shape, generator=generator, dtype=torch.float64)
+    inputs = [leaves[name] for name in ("xyz_W", "quat", "opacity_logit", "log_scale")]
+    v_xyz, v_quat, *nothing = torch.autograd.grad((disc.depth_m * v).sum(), inputs, allow_unused=True)
+    assert all(n is None or not n.any() for n in nothing)
+    found = disc_depth_vjp(params, book.camera, book.pose, hit_index, v)
+    torch.testing.assert_close(found[0], v_xyz)
+    torch.testing.assert_close(found[1], v_quat)
+    unseen = ~torch.isin(torch.arange(len(params)), hit_index)
+    assert unseen.any()
+    assert not found[0][unseen].any()
+    assert not found[1][unseen].any()
+
+
+def test_depth_lies_on_the_ray_and_on_the_plane(book, generator):
+    """An independent witness: distance of the point from the plane, with the normal as the least eigenvector."""
+    params, hit_index = hit_scene(book, generator)
+    disc = disc_depth(params, book.camera, book.pose, hit_index)
+    R = quaternion.to_matrix(params.quat)
+    cov = R @ torch.diag_embed((2 * params.log_scale).exp()) @ R.transpose(1, 2)
+    normal = torch.linalg.eigh(cov).eigenvectors[:, :, 0]
+    ray = rays(book.camera, pixel_grid(book.camera, dtype=torch.float64)) @ book.pose[:3, :3].T
+    on, g = disc.on_plane, hit_index[disc.on_plane]
+    to_centre = (ray * disc.depth_m[..., None])[on] + book.pose[:3, 3] - params.xyz_W[g]
+    assert (to_centre * normal[g]).sum(-1).abs().max() < 1e-10
+    torch.testing.assert_close((disc.normal_W[on] * normal[g]).sum(-1).abs(), torch.ones(len(g), dtype=torch.float64))
+    assert ((disc.normal_W[on] * ray[on]).sum(-1) < 0).all()
+    centres = (params.xyz_W - book.pose[:3, 3]) @ book.pose[:3, 2]
+    fallback = ~on & (hit_index >= 0)
+    torch.testing.assert_close(disc.depth_m[fallback], centres[hit_index[fallback]])
+
+
+def test_no_gaussians_at_all(book, generator):
+    params = book.random_map(generator, 3)[:0]
+    hit_index = render_forward(params, book.camera, book.pose, opaque_alpha=0.6)[0].hit_index
+    assert (hit_index == -1).all()
+    assert not disc_depth(params, book.camera, book.pose, hit_index).depth_m.any()
+    v_xyz, v_quat = disc_depth_vjp(params, book.camera, book.pose, hit_index, torch.ones(19, 27, dtype=torch.float64))
+    assert v_xyz.shape == (0, 3)
+    assert v_quat.shape == (0, 4)
+
+
+def test_wrong_arguments_are_named():
+    params, hit = leaning_disc(0), everywhere()
+    with pytest.raises(ValueError, match="rows of the 1 Gaussians, got 1"):
+        disc_depth(params, CAMERA, EYE, hit + 1)
+    with pytest.raises(ValueError, match="hit_index must be"):
+        disc_depth(params, CAMERA, EYE, hit[1:])
+    with pytest.raises(ValueError, match="min_cosine must be > 0"):
+        disc_depth(params, CAMERA, EYE, hit, min_cosine=0.0)
