@@ -5,6 +5,7 @@ import threading
 from collections.abc import Iterator
 
 import numba
+import numpy as np
 import torch
 
 # Numba makes its settings at run time:
@@ -15,6 +16,20 @@ if numba.config.THREADING_LAYER == "default":
 """Its idle threads sleep. OpenMP's spin, and with another program on the cores a map then takes ten times as long."""
 
 _LOCK = threading.RLock()
+
+
+_BUFFERS: dict[str, np.ndarray] = {}
+
+
+def scratch(name: str, size: int) -> np.ndarray:
+    """``size`` float32 of memory that is used again by the next call of this name; only inside ``launching``.
+
+    An optimisation step asks for the same few megabytes again and again; fresh ones cost a page fault per 4 kB.
+    """
+    buffer = _BUFFERS.get(name)
+    if buffer is None or buffer.size < size:
+        buffer = _BUFFERS[name] = np.empty(size + size // 4, np.float32)
+    return buffer[:size]
 
 
 @contextlib.contextmanager

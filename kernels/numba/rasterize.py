@@ -21,7 +21,7 @@ from gsfusion_nb.types import Camera, GaussianParams, RenderOutput
 
 from .binning import depth_order, list_tiles, sort_pairs
 from .composite import PAIR_SUMS, TILE, composite_backward, composite_forward
-from .launch import launching
+from .launch import launching, scratch
 from .project import SPLAT, pack_camera, project_rows, project_rows_vjp
 
 _NO_IMAGE = np.empty((0, 0), np.float32)
@@ -69,7 +69,7 @@ def render_forward(
         project_rows(*arrays, cam, splats, count)
         start = np.zeros(N + 1, np.int32)
         np.cumsum(count, out=start[1:])
-        pair_tile = np.empty(start[-1], np.int32)
+        pair_tile = scratch("pair_tile", int(start[-1])).view(np.int32)
         list_tiles(splats, start, W, H, pair_tile)
         order = depth_order(splats, count)
         ids, slot, offset = sort_pairs(order, start, pair_tile, -(-W // TILE) * -(-H // TILE))
@@ -93,9 +93,9 @@ def render_vjp(
             return reference.render_vjp(saved, v_rgb, v_depth_m, v_alpha)
     arrays = _arrays(saved.params)
     out = [torch.empty_like(t, memory_format=torch.contiguous_format) for t in _tensors(saved.params)]
-    pair_sums = np.empty((len(saved.ids), PAIR_SUMS), np.float32)
     v_image = tuple(_NO_IMAGE if v is None else v.contiguous().float().numpy() for v in (v_rgb, v_depth_m, v_alpha))
     with launching():
+        pair_sums = scratch("pair_sums", len(saved.ids) * PAIR_SUMS).reshape(-1, PAIR_SUMS)
         composite_backward(saved.splats, saved.ids, saved.offset, saved.slot, saved.image, v_image, pair_sums)
         results = [t.numpy() for t in out]
         project_rows_vjp(*arrays, saved.camera, saved.splats, saved.start, pair_sums, *results)

@@ -15,7 +15,7 @@ from torch import Tensor
 from gsfusion_nb.backends import use_backend
 from gsfusion_nb.optim import losses as reference
 
-from .launch import launching
+from .launch import launching, scratch
 from .simd import LANES, iota, load, reduce_add, select, splat, store
 
 f32 = np.float32
@@ -34,10 +34,11 @@ def dssim_vjp(rgb: Tensor, target: Tensor, v_loss: float = 1.0) -> tuple[Tensor,
     stride = -(-3 * W // LANES) * LANES
     x, y = (image.detach().contiguous().numpy().reshape(H, 3 * W) for image in (rgb, target))
     window = reference._window(torch.float32, torch.device("cpu")).numpy()
-    means, terms = np.empty((5, H * stride), np.float32), np.empty((3, H * stride), np.float32)
     similarity = np.empty(H, np.float64)
     gradient = torch.empty(H, W, 3)
     with launching():
+        means = scratch("ssim_means", 5 * H * stride).reshape(5, -1)
+        terms = scratch("ssim_terms", 3 * H * stride).reshape(3, -1)
         _average_rows(x, y, window, stride, means)
         _differentiate(means, window, 3 * W, stride, terms, similarity)
         _average_rows_again(terms, window, 3 * W, stride, means)
