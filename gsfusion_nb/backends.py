@@ -30,6 +30,7 @@ PROVIDERS: dict[str, dict[str, str]] = {
     "extract_mesh": {"numba": f"{_NUMBA}.marching_cubes:extract_mesh"},
     "fuse_frame_": {"numba": f"{_NUMBA}.integrate:fuse_frame_"},
     "quadtree": {"numba": f"{_NUMBA}.quadtree:quadtree"},
+    "sample_voxels": {"numba": f"{_NUMBA}.sample:sample_voxels"},
     "raycast": {"numba": f"{_NUMBA}.raycast:raycast"},
     "dssim_vjp": {"numba": f"{_NUMBA}.ssim:dssim_vjp"},
     "render_forward": {"numba": f"{_NUMBA}.rasterize:render_forward"},

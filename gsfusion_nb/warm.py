@@ -93,6 +93,8 @@ def exercises(device: str = "cpu") -> Iterator[Exercise]:
                 _once(integrate, volume, picture),
             )
         yield Exercise(f"raycast: {sdf}", ("raycast",), _once(raycast, volume, frame.camera, frame.T_WC))
+        points = torch.zeros(8, 3, device=device)
+        yield Exercise(f"sample_voxels: {sdf}", ("sample_voxels",), _once(volume.sample_nearest, points))
         yield Exercise(f"extract_mesh: {sdf}", ("extract_mesh",), _once(extract_mesh, volume))
     yield Exercise("the whole mapper", tuple(backends.PROVIDERS), _once(_map, frame, grey, device))
 

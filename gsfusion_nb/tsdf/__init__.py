@@ -12,3 +12,4 @@ from .raycast import raycast as raycast
 from .volume import TsdfSample as TsdfSample
 from .volume import TsdfVolume as TsdfVolume
 from .volume import estimate_memory as estimate_memory
+from .volume import sample_voxels as sample_voxels

@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from ..backends import op
 from ..checks import check_shape
 from ..config import TsdfConfig, from_dict, to_dict
 from ..constants import BLOCK_VOXELS, VOXELS_PER_BLOCK
@@ -133,16 +134,7 @@ class TsdfVolume:
 
         Differentiable: no (the map is state, not a parameter).
         """
-        check_shape("xyz_W", xyz_W, ("N", 3))
-        flat = self.find_voxels(self.voxel_index(xyz_W))
-        D, W = xyz_W.new_ones(flat.shape[0]), xyz_W.new_zeros(flat.shape[0])
-        rgb = xyz_W.new_zeros(flat.shape[0], 3)
-        known = (flat >= 0).nonzero()[:, 0]
-        flat = flat[known]
-        D[known] = self.D.reshape(-1)[flat]
-        W[known] = self.W.reshape(-1)[flat]
-        rgb[known] = self.voxel_rgb(flat)
-        return TsdfSample(D=D, W=W, rgb=rgb)
+        return sample_voxels(self, xyz_W)
 
     def voxel_rgb(self, flat: Int[Tensor, " N"]) -> Float[Tensor, "N 3"]:
         """Colours of allocated voxels, given by their position in the flattened pool."""
@@ -241,6 +233,21 @@ class TsdfVolume:
         }
         cells = "".join(f"<tr><th style='text-align:left'>{k}</th><td>{v}</td></tr>" for k, v in rows.items())
         return f"<table><caption>TsdfVolume</caption>{cells}</table>"
+
+
+@op
+def sample_voxels(volume: TsdfVolume, xyz_W: Float[Tensor, "N 3"]) -> TsdfSample:
+    """Values of the voxels that contain the points; the operation behind ``TsdfVolume.sample_nearest``."""
+    check_shape("xyz_W", xyz_W, ("N", 3))
+    flat = volume.find_voxels(volume.voxel_index(xyz_W))
+    D, W = xyz_W.new_ones(flat.shape[0]), xyz_W.new_zeros(flat.shape[0])
+    rgb = xyz_W.new_zeros(flat.shape[0], 3)
+    known = (flat >= 0).nonzero()[:, 0]
+    flat = flat[known]
+    D[known] = volume.D.reshape(-1)[flat]
+    W[known] = volume.W.reshape(-1)[flat]
+    rgb[known] = volume.voxel_rgb(flat)
+    return TsdfSample(D=D, W=W, rgb=rgb)
 
 
 class _Pool:
