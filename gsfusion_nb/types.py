@@ -4,7 +4,7 @@ import dataclasses
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
 from .checks import check_positive, check_shape
@@ -68,6 +68,11 @@ class Frame:
         check_shape("rgb", self.rgb, (*size, 3))
         check_shape("depth_m", self.depth_m, size)
         check_shape("T_WC", self.T_WC, (4, 4))
+
+    @property
+    def rgb_u8(self) -> UInt8[Tensor, "H W 3"]:
+        """Colour in grey levels 0..255, rounded."""
+        return (self.rgb * 255.0).round_().clamp_(0, 255).to(torch.uint8)
 
     def to(self, device: torch.device | str) -> "Frame":
         """The same frame with its tensors on ``device``, contiguous."""

@@ -81,9 +81,8 @@ def exercises(device: str = "cpu") -> Iterator[Exercise]:
         config = OptimConfig(adam_steps=steps)
         yield Exercise(f"adam_update: {steps}", ("adam_update",), _once(_adam, config, device))
     yield Exercise("dssim_vjp", ("dssim_vjp",), _once(dssim_vjp, frame.rgb, grey.rgb))
-    rgb_u8 = (frame.rgb * 255).round().to(torch.uint8)
     for contrast in ("released", "std"):
-        yield Exercise(f"quadtree: {contrast}", ("quadtree",), _once(quadtree, rgb_u8, contrast=contrast))
+        yield Exercise(f"quadtree: {contrast}", ("quadtree",), _once(quadtree, frame.rgb_u8, contrast=contrast))
     for sdf in ("ray", "z"):
         volume = TsdfVolume(TsdfConfig(voxel_size_m=0.05, truncation_voxels=2.0, sdf=sdf), device=device)
         for picture, colours in ((frame, "8-bit"), (grey, "float")):

@@ -7,7 +7,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ..constants import ALPHA_MIN, SH_C0
+from ..constants import ALPHA_MIN
+from ..geometry.spherical_harmonics import rgb_to_sh_dc
 from ..geometry import se3
 from ..types import Camera, GaussianParams
 
@@ -74,7 +75,7 @@ def random_scene(
     # A picture's area is a product of two scales, whose mean is exp(spread^2): taken off, so that per_pixel is met.
     log_scale = (size_px * z / focal).log()[:, None] + jitter - SCALE_SPREAD**2 / 2
     sh = 0.1 * torch.randn(n, (sh_degree + 1) ** 2, 3, generator=g)
-    sh[:, 0] = (torch.rand(n, 3, generator=g) - 0.5) / SH_C0
+    sh[:, 0] = rgb_to_sh_dc(torch.rand(n, 3, generator=g))
     params = GaussianParams(
         xyz_W=se3.apply(T_WC, xyz_C),
         log_scale=log_scale,

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from ..checks import check_shape
 from ..constants import SH_C0
+from ..geometry.spherical_harmonics import rgb_to_sh_dc
 from ..types import GaussianParams, Seeds
 
 PARAMETERS = tuple(f.name for f in dataclasses.fields(GaussianParams))
@@ -110,7 +111,7 @@ class GaussianModel:
         new["quat"][start:stop] = seeds.quat
         new["opacity_logit"][start:stop] = seeds.opacity.logit()
         new["sh"][start:stop] = 0.0
-        new["sh"][start:stop, 0] = (seeds.rgb - 0.5) / SH_C0
+        new["sh"][start:stop, 0] = rgb_to_sh_dc(seeds.rgb)
         new["birth_frame"][start:stop] = frame_index
         new["birth_step"][start:stop] = self.step_count
         new["tag"][start:stop] = seeds.tag

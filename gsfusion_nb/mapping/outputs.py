@@ -27,7 +27,6 @@ from ..evaluation import (
     write_report,
 )
 from ..export import atomic_path, write_gaussian_ply, write_mesh_ply, write_trajectory_tum
-from ..optim import to_uint8
 from ..seeding import quadtree, rule_name
 from ..tsdf import raycast
 from ..types import Frame, Mesh
@@ -192,7 +191,7 @@ def _panels(run: MappingRun) -> list[ViewPanel]:
         picks = sorted({round(i * (len(view) - 1) / 2) for i in range(3)}) if len(view) else []
         for frame in readable(dataclasses.replace(view, positions=[view.positions[i] for i in picks])):
             cells = quadtree(
-                to_uint8(frame.rgb),
+                frame.rgb_u8,
                 threshold=seeding.quadtree_threshold,
                 min_cell_px=seeding.quadtree_min_cell_px,
                 contrast=seeding.quadtree_contrast,

@@ -4,7 +4,6 @@ from .adam import adam_step as adam_step
 from .adam import adam_update as adam_update
 from .keyframes import Keyframe as Keyframe
 from .keyframes import KeyframeList as KeyframeList
-from .keyframes import to_uint8 as to_uint8
 from .losses import dssim as dssim
 from .losses import dssim_vjp as dssim_vjp
 from .losses import l1 as l1

@@ -26,11 +26,6 @@ class Keyframe:
         return self.rgb_u8.float().div_(255.0)
 
 
-def to_uint8(rgb: Float[Tensor, "H W 3"]) -> UInt8[Tensor, "H W 3"]:
-    """Grey levels 0..255 of a colour image in 0..1, rounded."""
-    return (rgb * 255.0).round_().clamp_(0, 255).to(torch.uint8)
-
-
 class KeyframeList:
     """Keyframes in the order they were taken; all draws come from the generator that is passed in."""
 
@@ -53,7 +48,7 @@ class KeyframeList:
 
     def append(self, frame: Frame) -> None:
         """Keep ``frame`` as a keyframe."""
-        keyframe = Keyframe(index=frame.index, rgb_u8=to_uint8(frame.rgb), camera=frame.camera, T_WC=frame.T_WC)
+        keyframe = Keyframe(index=frame.index, rgb_u8=frame.rgb_u8, camera=frame.camera, T_WC=frame.T_WC)
         self._items.append(keyframe)
 
     def draw(self, count: int, generator: torch.Generator) -> list[Keyframe]:

@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from ..checks import check_name, check_shape
-from ..constants import SH_C0
+from ..geometry.spherical_harmonics import rgb_to_sh_dc
 from ..evaluation import expected_depth_m
 from ..render import render
 from ..types import Camera, GaussianParams
@@ -21,7 +21,6 @@ SHOWS: tuple[str, ...] = get_args(Show)
 """What ``draw`` can show."""
 
 _BAR_PX = 14
-_GREY = 0.5
 
 
 def draw(
@@ -77,7 +76,7 @@ def _painted(params: GaussianParams, labels: Tensor, low: int, high: int) -> Gau
     """The same Gaussians with the colour of their label, seen alike from every side."""
     level = (labels - low) * 255 // max(high - low, 1)
     colours = torch.from_numpy(_table("viridis")).to(params.sh) / 255
-    sh = (colours[level.long()] - _GREY) / SH_C0
+    sh = rgb_to_sh_dc(colours[level.long()])
     return dataclasses.replace(params, sh=sh[:, None])
 
 
