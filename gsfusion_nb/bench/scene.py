@@ -8,8 +8,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..constants import ALPHA_MIN
-from ..geometry.spherical_harmonics import rgb_to_sh_dc
 from ..geometry import se3
+from ..geometry.spherical_harmonics import rgb_to_sh_dc
 from ..types import Camera, GaussianParams
 
 BORDER = 0.05

@@ -10,8 +10,8 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from ..checks import check_name, check_shape
-from ..geometry.spherical_harmonics import rgb_to_sh_dc
 from ..evaluation import expected_depth_m
+from ..geometry.spherical_harmonics import rgb_to_sh_dc
 from ..render import render
 from ..types import Camera, GaussianParams
 from .figures import Picture, colour_depth, colour_stops, depth_range_m, to_uint8
