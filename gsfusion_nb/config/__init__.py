@@ -1,0 +1,21 @@
+"""Settings of a run: frozen dataclasses with the unit in the name, and presets named after papers and data sets."""
+
+from .gsfusion import GSFusionConfig as GSFusionConfig
+from .gsfusion import OptimConfig as OptimConfig
+from .gsfusion import gsfusion as gsfusion
+from .gsfusion import presets as presets
+from .parts import DataConfig as DataConfig
+from .parts import SeedingConfig as SeedingConfig
+from .parts import TsdfConfig as TsdfConfig
+from .rtg_slam import DiscConfig as DiscConfig
+from .rtg_slam import FinalConfig as FinalConfig
+from .rtg_slam import KeyframeConfig as KeyframeConfig
+from .rtg_slam import RtgSlamConfig as RtgSlamConfig
+from .rtg_slam import StateConfig as StateConfig
+from .rtg_slam import WindowConfig as WindowConfig
+from .rtg_slam import rtg_slam as rtg_slam
+from .tracking import BackEndConfig as BackEndConfig
+from .tracking import TrackingConfig as TrackingConfig
+from .values import from_dict as from_dict
+from .values import replace as replace
+from .values import to_dict as to_dict

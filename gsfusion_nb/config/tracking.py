@@ -1,0 +1,83 @@
+"""Settings of camera tracking and of its back end, for both systems."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from ..checks import check_number, check_positive
+
+
+@dataclass(frozen=True, kw_only=True)
+class BackEndConfig:
+    """Landmarks, loop closure and the pose graph over keyframes (Peng et al. 2024, section 3.2, "Camera tracking")."""
+
+    enabled: bool = False
+    """Needs the extra "slam" (GTSAM)."""
+    on_correction: Literal["move", "leave"] = "move"
+    """What happens to the Gaussians when a loop corrects the trajectory: each moves with the keyframe it was born
+    near, or all stay where they are (released code)."""
+    features: int = 1000
+    """ORB features per keyframe."""
+    levels: int = 8
+    """Levels of the ORB pyramid."""
+    keyframe_rotation_deg: float = 15.0
+    keyframe_translation_m: float = 0.15
+    """The graph takes a keyframe when the camera has turned or moved so far since the last one."""
+    loop_min_gap: int = 8
+    """A loop joins keyframes at least so many keyframes apart."""
+    loop_min_inliers: int = 30
+    """Landmarks that must agree on a loop's relative pose."""
+
+    def __post_init__(self):
+        for name in ("features", "levels", "loop_min_gap", "loop_min_inliers"):
+            check_number(f"tracking.back_end.{name}", getattr(self, name), 1, 100_000)
+        check_positive("tracking.back_end.keyframe_rotation_deg", self.keyframe_rotation_deg)
+        check_positive("tracking.back_end.keyframe_translation_m", self.keyframe_translation_m)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackingConfig:
+    """Where a frame's pose comes from, and the frame-to-model ICP (Peng et al. 2024, Eq. 10)."""
+
+    poses: Literal["given", "tracked"] = "given"
+    """Poses of the data, or estimated: then only the first frame's is taken from the data."""
+    pyramid: tuple[int, ...] = (4, 2, 1)
+    """Image reduction of each level, coarse to fine."""
+    iterations: tuple[int, ...] = (5, 5, 5)
+    """Gauss-Newton steps at each level."""
+    max_distance_m: float = 0.1
+    """Farther apart two points do not correspond."""
+    max_angle_deg: float = 20.0
+    """Normals at a larger angle do not correspond."""
+    damping: float = 1e-6
+    """Added to the normal equations, as a share of their trace (released code: 1e-4)."""
+    prior: Literal["constant_velocity", "previous"] = "constant_velocity"
+    """Where ICP starts: the last motion once more, or the last pose (released code)."""
+    target: Literal["model", "hybrid"] = "model"
+    """What ICP aligns with: the rendered model (paper), or the model where it agrees with the last frame to 1 cm and
+    the last frame's own depth elsewhere (released code)."""
+    min_inliers: float = 0.15
+    """Less than this share of the pixels with depth in correspondence: tracking is lost."""
+    max_rms_m: float = 0.03
+    """A larger root mean square point-to-plane distance: tracking is lost."""
+    min_eigenvalue: float = 1e-4
+    """A direction of motion whose information is below this share of the strongest (rotation in units of the mean
+    depth) is degenerate: the prior decides it."""
+    max_step_m: float = 0.5
+    max_step_deg: float = 30.0
+    """A motion beyond this between two frames is a failure."""
+    back_end: BackEndConfig = field(default_factory=BackEndConfig)
+
+    def __post_init__(self):
+        if len(self.pyramid) != len(self.iterations) or not self.pyramid:
+            raise ValueError(
+                "tracking.pyramid and tracking.iterations must have one entry per level, got "
+                f"{self.pyramid} and {self.iterations}"
+            )
+        for name in ("pyramid", "iterations"):
+            for value in getattr(self, name):
+                check_number(f"tracking.{name}", value, 1, 1000)
+        for name in ("max_distance_m", "max_angle_deg", "max_rms_m", "max_step_m", "max_step_deg"):
+            check_positive(f"tracking.{name}", getattr(self, name))
+        check_number("tracking.damping", self.damping, 0, 1)
+        check_number("tracking.min_inliers", self.min_inliers, 0, 1)
+        check_number("tracking.min_eigenvalue", self.min_eigenvalue, 0, 1)

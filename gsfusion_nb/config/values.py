@@ -1,0 +1,47 @@
+"""Changing, saving and restoring settings: any frozen dataclass of plain values and other such dataclasses."""
+
+import dataclasses
+from typing import Any, TypeVar
+
+C = TypeVar("C")
+
+
+def replace(config: C, **overrides: Any) -> C:
+    """A copy of ``config`` with some fields changed; nested ones take a double underscore: ``tsdf__voxel_size_m``."""
+    tree: dict[str, Any] = {}
+    for name, value in overrides.items():
+        node = tree
+        *groups, leaf = name.split("__")
+        for group in groups:
+            node = node.setdefault(group, {})
+        node[leaf] = value
+    return _merge(config, tree, "")
+
+
+def from_dict(cls: type[C], values: dict[str, Any], *, start: C | None = None) -> C:
+    """Build ``cls`` from nested dictionaries, as ``to_dict`` or ``config.json`` give them; unknown keys are refused.
+
+    What ``values`` leaves out comes from ``start``, or from the defaults.
+    """
+    return _merge(cls() if start is None else start, values, "")
+
+
+def to_dict(config: Any) -> dict[str, Any]:
+    """Nested plain dictionaries of a config, ready for JSON."""
+    return dataclasses.asdict(config)
+
+
+def _merge(config: Any, values: dict[str, Any], path: str) -> Any:
+    known = {f.name for f in dataclasses.fields(config)}
+    unknown = sorted(set(values) - known)
+    if unknown:
+        raise ValueError(f"{path or 'config'}: unknown keys {unknown}; known: {sorted(known)}")
+    changed = {}
+    for name, value in values.items():
+        old = getattr(config, name)
+        nested = dataclasses.is_dataclass(old) and isinstance(value, dict)
+        if nested:
+            changed[name] = _merge(old, value, f"{path}{name}.")
+        else:
+            changed[name] = tuple(value) if isinstance(old, tuple) else value  # JSON has no tuples
+    return dataclasses.replace(config, **changed)
