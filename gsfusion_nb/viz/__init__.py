@@ -12,12 +12,14 @@ if TYPE_CHECKING:
     from .orbit import OrbitView as OrbitView
     from .orbit import orbit_view as orbit_view
     from .player import Player as Player
+    from .splat_viewer import SplatViewer as SplatViewer
     from .viewpoint import orbit_camera as orbit_camera
 
 _LAZY = {
     "LiveMapper": "live",
     "OrbitView": "orbit",
     "Player": "player",
+    "SplatViewer": "splat_viewer",
     "draw": "gaussian_picture",
     "orbit_camera": "viewpoint",
     "orbit_view": "orbit",

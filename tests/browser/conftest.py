@@ -1,0 +1,148 @@
+"""JupyterLab on localhost and a headless Chromium, for tests that use a notebook as a person does."""
+
+import contextlib
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+import uuid
+from pathlib import Path
+from typing import Any
+
+import nbformat
+import pytest
+
+_SETTINGS = {
+    "@jupyterlab/apputils-extension/notification.jupyterlab-settings":
+        '{"fetchNews": "false", "checkForUpdates": false, "doNotDisturbMode": true}',
+    "@jupyterlab/notebook-extension/tracker.jupyterlab-settings": '{"windowingMode": "none"}',
+}  # fmt: skip
+_CHROMIUM_OPTIONS = [
+    "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking",
+    "--disable-component-update", "--disable-sync", "--disable-gpu",
+]  # fmt: skip
+
+_IDLE = "app?.shell.currentWidget?.sessionContext?.session?.kernel?.status === 'idle'"
+
+
+class Lab:
+    """One server and one browser. ``open(cells)`` runs a new notebook and gives its page."""
+
+    def __init__(self, browser: Any, folder: Path, port: int, token: str):
+        self.browser, self.folder, self.port, self.token = browser, folder, port, token
+        self.errors: list[str] = []
+        """Uncaught errors of the pages."""
+        self.requests: list[str] = []
+        """Addresses outside this machine that a page asked for."""
+
+    def open(self, cells: list[str], *, timeout_s: float = 180) -> Any:
+        """A page with these code cells, all run without an error."""
+        name = f"{uuid.uuid4().hex[:8]}.ipynb"
+        notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(c) for c in cells])
+        notebook.metadata["kernelspec"] = {"name": "python3", "display_name": "Python 3", "language": "python"}
+        nbformat.write(notebook, self.folder / name)
+        page = self.browser.new_page(viewport={"width": 1280, "height": 1000})
+        page.on("pageerror", lambda e: self.errors.append(str(e)))
+        page.on("request", lambda r: self._note(r.url))
+        page.goto(f"http://127.0.0.1:{self.port}/lab/tree/{name}?reset&token={self.token}")
+        wait(page, _IDLE, timeout_s, "the kernel to be idle")
+        page.evaluate("window.jupyterapp.commands.execute('notebook:run-all-cells')")
+        done = "cells.every(c => c.executionCount !== null && c.executionState !== 'running')"
+        wait(page, f"{done} && {_IDLE} || failed", timeout_s, "all cells to have run")
+        wrong = page.evaluate(f"(() => {{ {_PRELUDE} return failed; }})()")
+        assert not wrong, f"a cell failed: {wrong}"
+        return page
+
+    def run(self, page: Any, code: str, *, timeout_s: float = 60) -> str:
+        """Run code in the kernel of the page, out of sight; what it prints."""
+        script = """async (code) => {
+            const kernel = window.jupyterapp.shell.currentWidget.sessionContext.session.kernel;
+            const future = kernel.requestExecute({ code, store_history: false });
+            let text = "";
+            future.onIOPub = ({ content }) => { text += content.text ?? content.evalue ?? ""; };
+            await future.done;
+            return text;
+        }"""
+        page.set_default_timeout(timeout_s * 1000)
+        return page.evaluate(script, code).strip()
+
+    def _note(self, url: str) -> None:
+        local = (f"http://127.0.0.1:{self.port}/", f"ws://127.0.0.1:{self.port}/", "data:", "blob:")
+        if not url.startswith(local):
+            self.requests.append(url)
+
+
+_PRELUDE = """
+    const app = window.jupyterapp;
+    const cells = [...(app?.shell.currentWidget?.content?.model?.cells ?? [])];
+    const failed = cells.flatMap(c => c.outputs?.toJSON() ?? []).find(o => o.output_type === "error")?.evalue;
+"""
+
+
+def wait(page: Any, condition: str, timeout_s: float, what: str) -> None:
+    """Until a JavaScript expression over ``app``, ``cells`` and ``failed`` is true."""
+    until = time.monotonic() + timeout_s
+    while time.monotonic() < until:
+        if page.evaluate(f"(() => {{ {_PRELUDE} return Boolean({condition}); }})()"):
+            return
+        time.sleep(0.1)
+    pytest.fail(f"waited {timeout_s} s for {what}")
+
+
+@pytest.fixture(scope="session")
+def lab(tmp_path_factory):
+    """A ``Lab``; the test is skipped, with the reason, where its parts are missing."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    pytest.importorskip("jupyterlab", reason="jupyterlab is not installed")
+    chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if chromium is None:
+        pytest.skip("no chromium here (Debian: apt-get install chromium)")
+    home = tmp_path_factory.mktemp("lab")
+    with _server(home) as (port, token), playwright.sync_playwright() as p:
+        browser = p.chromium.launch(executable_path=chromium, args=_CHROMIUM_OPTIONS)
+        yield Lab(browser, home / "work", port, token)
+        browser.close()
+
+
+@contextlib.contextmanager
+def _server(home: Path):
+    """A JupyterLab of our own: free port, fresh settings, its own process group, which ends with it."""
+    for name, text in _SETTINGS.items():
+        path = home / "settings" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    (home / "work").mkdir()
+    with socket.socket() as s:
+        s.bind(("127.0.0.1", 0))
+        port = s.getsockname()[1]
+    token = uuid.uuid4().hex
+    places = {"JUPYTER_CONFIG_DIR": "config", "JUPYTER_DATA_DIR": "data", "JUPYTER_RUNTIME_DIR": "runtime",
+              "JUPYTERLAB_SETTINGS_DIR": "settings", "JUPYTERLAB_WORKSPACES_DIR": "workspaces"}  # fmt: skip
+    env = {k: v for k, v in os.environ.items() if k not in ("GSNB_VIEW", "GSNB_SMOKE")}
+    env |= {name: str(home / folder) for name, folder in places.items()}
+    command = [
+        sys.executable, "-m", "jupyter", "lab", "--no-browser", "--allow-root", "--ip=127.0.0.1", f"--port={port}",
+        "--ServerApp.port_retries=0", f"--IdentityProvider.token={token}", "--expose-app-in-browser",
+        f"--ServerApp.root_dir={home / 'work'}", "--LabApp.check_for_updates_class=jupyterlab.NeverCheckForUpdate",
+    ]  # fmt: skip
+    with (home / "server.log").open("w") as output:
+        server = subprocess.Popen(command, env=env, stdout=output, stderr=output, start_new_session=True)
+        try:
+            _wait_for(f"http://127.0.0.1:{port}/api?token={token}", home / "server.log")
+            yield port, token
+        finally:
+            os.killpg(server.pid, signal.SIGTERM)
+            server.wait(timeout=20)
+
+
+def _wait_for(url: str, output: Path) -> None:
+    until = time.monotonic() + 90
+    while time.monotonic() < until:
+        with contextlib.suppress(OSError), urllib.request.urlopen(url, timeout=2):
+            return
+        time.sleep(0.2)
+    pytest.fail(f"JupyterLab did not start in 90 s:\n{output.read_text()[-2000:]}")
