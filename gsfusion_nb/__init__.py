@@ -16,7 +16,9 @@ __version__ = "0.1.0"
 
 _LAZY = {
     "GSFusion": "gsfusion_nb.mapping",
+    "RTGSLAM": "gsfusion_nb.mapping",
     "gsfusion": "gsfusion_nb.config",
+    "rtg_slam": "gsfusion_nb.config",
     "run_mapping": "gsfusion_nb.mapping",
     "open_sequence": "gsfusion_nb.datasets",
     "seeding_rule": "gsfusion_nb.seeding",

@@ -29,6 +29,7 @@ PROVIDERS: dict[str, dict[str, str]] = {
     "disc_depth_vjp": {"numba": f"{_NUMBA}.disc:disc_depth_vjp"},
     "extract_mesh": {"numba": f"{_NUMBA}.marching_cubes:extract_mesh"},
     "fuse_frame_": {"numba": f"{_NUMBA}.integrate:fuse_frame_"},
+    "icp_system": {"numba": f"{_NUMBA}.icp:icp_system"},
     "quadtree": {"numba": f"{_NUMBA}.quadtree:quadtree"},
     "sample_voxels": {"numba": f"{_NUMBA}.sample:sample_voxels"},
     "raycast": {"numba": f"{_NUMBA}.raycast:raycast"},

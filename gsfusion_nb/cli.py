@@ -1,15 +1,15 @@
-"""The command ``gsfusion-nb``: demo, map, eval, bench, doctor."""
+"""The command ``gsfusion-nb``: demo, map, eval, study, bench, doctor."""
 
 import logging
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import tyro
 
 from .backends import BackendUnavailable, use_backend
-from .config import GSFusionConfig, from_dict, gsfusion
+from .config import GSFusionConfig, RtgSlamConfig, from_dict, gsfusion, rtg_slam
 
 _USAGE = """gsfusion-nb: online RGB-D mapping with TSDF fusion and 3D Gaussian splatting
 
@@ -17,6 +17,7 @@ _USAGE = """gsfusion-nb: online RGB-D mapping with TSDF fusion and 3D Gaussian s
   gsfusion-nb map DATA [options]       map a sequence; every setting is an option: gsfusion-nb map --help
   gsfusion-nb map --resume RUN         go on with a run that was interrupted
   gsfusion-nb eval RUN                 score a finished run again
+  gsfusion-nb study NAME DATA          the papers' comparisons: systems, disc-depth, transparent, states, ...
   gsfusion-nb bench [raster|tsdf|map]  what the operations cost on this machine, beside other programs
   gsfusion-nb doctor                   what is installed, what works, what to do
   gsfusion-nb doctor --warm            compile the fast kernels now instead of on first use
@@ -29,8 +30,12 @@ class MapOptions:
 
     data: Annotated[str, tyro.conf.Positional] = ""
     """Folder of a sequence, or "room" for the built-in scene."""
+    system: Literal["gsfusion", "rtg_slam"] = "gsfusion"
+    """Which published system maps."""
     preset: str = "replica"
     """Settings as published for a data set; single options override it."""
+    fidelity: Literal["measured", "paper", "code"] = "measured"
+    """RTG-SLAM: where paper and released code differ, which to follow; or of each what measured better."""
     out: str = ""
     """New or empty folder for the results; runs/<name>-<time> by default."""
     format: str = "auto"
@@ -47,7 +52,22 @@ class MapOptions:
     """auto, reference, numba, triton or cuda."""
     evaluate: bool = True
     """Score mapped and held-out views and write the report."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GSFusionMapOptions(MapOptions):
+    """Map a sequence online with GSFusion (--system rtg_slam: with RTG-SLAM), optimise over its keyframes, score it;
+    write maps, numbers and a report to a folder."""
+
     config: Annotated[GSFusionConfig, tyro.conf.arg(name="")] = field(default_factory=GSFusionConfig)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RtgSlamMapOptions(MapOptions):
+    """Map a sequence online with RTG-SLAM, optimise over its keyframes, score it; write maps, numbers and a report to a
+    folder."""
+
+    config: Annotated[RtgSlamConfig, tyro.conf.arg(name="")] = field(default_factory=RtgSlamConfig)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,7 +106,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the command line; the exit status: 0 done, 1 an error said in a sentence, 130 interrupted."""
     arguments = sys.argv[1:] if arguments is None else arguments
     logging.basicConfig(level=logging.WARNING, format="%(message)s")
-    commands = {"demo": _demo, "map": _map, "eval": _eval, "bench": _bench, "doctor": _doctor}
+    commands = {"demo": _demo, "map": _map, "eval": _eval, "bench": _bench, "study": _study, "doctor": _doctor}
     if not arguments or arguments[0] in ("-h", "--help"):
         print(_USAGE)
         return 0
@@ -112,8 +132,9 @@ def main(arguments: list[str] | None = None) -> int:
 def _map(arguments: list[str]) -> int:
     from .mapping import resume_mapping, run_mapping
 
-    default = MapOptions(config=_starting_config(arguments), preset=_value_of(arguments, "--preset") or "replica")
-    options = tyro.cli(MapOptions, prog="gsfusion-nb map", args=arguments, default=default)
+    options = tyro.cli(
+        type(default := _map_defaults(arguments)), prog="gsfusion-nb map", args=arguments, default=default
+    )
     with use_backend(options.backend):
         _check_device(options.device)
         if options.resume:
@@ -150,20 +171,30 @@ def _check_device(name: str) -> None:
         raise ValueError(f"--device {name} cannot be used here, expected cpu or a CUDA device: {reason}") from None
 
 
-def _starting_config(arguments: list[str]) -> GSFusionConfig:
-    """The preset or config file named among ``arguments``: tyro shows and overrides its fields."""
-    path = _value_of(arguments, "--from-config")
-    if path:
-        import json
+def _map_defaults(arguments: list[str]) -> GSFusionMapOptions | RtgSlamMapOptions:
+    """The system, and the preset or config file, named among ``arguments``: tyro shows and overrides its fields."""
+    import json
 
+    from .mapping import get_system
+
+    name = _value_of(arguments, "--system") or "gsfusion"
+    path = _value_of(arguments, "--from-config")
+    preset = _value_of(arguments, "--preset") or ("room" if "room" in arguments[:1] else "replica")
+    fidelity = _value_of(arguments, "--fidelity") or "measured"
+    if path:
         try:
-            return from_dict(GSFusionConfig, json.loads(Path(path).read_text(encoding="utf-8"))["config"])
+            document = json.loads(Path(path).read_text(encoding="utf-8"))
+            name = document.get("system", "gsfusion")
+            config = from_dict(get_system(name).config, document["config"])
         except (json.JSONDecodeError, KeyError, TypeError) as e:
             raise ValueError(f"{path} is no config.json of a run: {type(e).__name__} {e}") from None
-    preset = _value_of(arguments, "--preset")
-    if preset:
-        return gsfusion(preset)
-    return gsfusion("room" if "room" in arguments[:1] else "replica")
+    elif name == "rtg_slam":
+        config = rtg_slam(preset, fidelity)
+    else:
+        config = get_system(name).preset(preset)
+    if isinstance(config, RtgSlamConfig):
+        return RtgSlamMapOptions(config=config, preset=preset, fidelity=fidelity, system="rtg_slam")  # pyright: ignore
+    return GSFusionMapOptions(config=config, preset=preset)
 
 
 def _value_of(arguments: list[str], option: str) -> str | None:
@@ -197,6 +228,12 @@ def _bench(arguments: list[str]) -> int:
     from . import bench
 
     return bench.main(tyro.cli(bench.BenchOptions, prog="gsfusion-nb bench", args=arguments))
+
+
+def _study(arguments: list[str]) -> int:
+    from . import studies
+
+    return studies.main(tyro.cli(studies.StudyOptions, prog="gsfusion-nb study", args=arguments))
 
 
 def _doctor(arguments: list[str]) -> int:

@@ -155,6 +155,8 @@ class RenderOutput:
     """Row of the Gaussian with the largest weight at the pixel; -1 where none has any. ``None`` if not asked for."""
     hit_index: Int[Tensor, "H W"] | None = None
     """Row of the nearest blended Gaussian that is opaque at the pixel; -1 where none is. ``None`` if not asked for."""
+    surface_depth_m: Float[Tensor, "H W"] | None = None
+    """z-depth of the surface, 0 where none is, of a map that has one of its own (RTG-SLAM's discs), metres."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -16,10 +16,11 @@ FLOORS = {
     "geometry": 1,
     **dict.fromkeys(("tsdf", "gaussians", "render"), 2),
     **dict.fromkeys(("seeding", "optim", "tracking", "datasets", "export", "evaluation"), 3),
-    "mapping": 4,
+    **dict.fromkeys(("mapping", "checkup"), 4),
     **dict.fromkeys(("viz", "teaching", "warm"), 5),
-    **dict.fromkeys(("doctor", "bench"), 6),
+    **dict.fromkeys(("doctor", "bench", "studies"), 6),
     "cli": 7,
+    "__main__": 8,
 }
 
 MODULES = sorted(p for p in PACKAGE.rglob("*.py") if p != PACKAGE / "__init__.py")

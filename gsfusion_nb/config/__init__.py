@@ -7,6 +7,7 @@ from .gsfusion import presets as presets
 from .parts import DataConfig as DataConfig
 from .parts import SeedingConfig as SeedingConfig
 from .parts import TsdfConfig as TsdfConfig
+from .repair import RepairConfig as RepairConfig
 from .rtg_slam import DiscConfig as DiscConfig
 from .rtg_slam import FinalConfig as FinalConfig
 from .rtg_slam import KeyframeConfig as KeyframeConfig

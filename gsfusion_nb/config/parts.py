@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from ..checks import check_number, check_positive
+from .repair import RepairConfig
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,6 +88,8 @@ class DataConfig:
     """Every k-th frame is never mapped and serves as a novel view; 0 maps all."""
     hold_out_offset: int = 4
     """Which of the k frames is held out."""
+    repair: RepairConfig = field(default_factory=RepairConfig)
+    """Corrections of a recording that differs from what its layout says."""
 
     def __post_init__(self):
         for name in ("start", "stop", "hold_out_every", "hold_out_offset"):

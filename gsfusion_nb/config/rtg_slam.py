@@ -11,7 +11,7 @@ from ..checks import check_name, check_number, check_positive
 from ..constants import DISC_MAX_OFFSET, DISC_MIN_COSINE, OPAQUE_ALPHA
 from .parts import DataConfig, SeedingConfig, TsdfConfig
 from .tracking import TrackingConfig
-from .values import from_dict, replace
+from .values import check_kinds, from_dict, replace
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,6 +29,7 @@ class DiscConfig:
     """"blended": depth as in other splatting systems, sum of w_k z_k / alpha (the ablation of Fig. 7)."""
 
     def __post_init__(self):
+        check_kinds("discs", self)
         check_number("discs.opaque_alpha", self.opaque_alpha, 0.01, 0.99)
         check_number("discs.min_cosine", self.min_cosine, 0, 1)
         if self.max_offset is not None:
@@ -70,6 +71,7 @@ class WindowConfig:
     """Optimise unstable Gaussians and the pixels they touch; otherwise all of them (the ablation)."""
 
     def __post_init__(self):
+        check_kinds("window", self)
         for name in ("every_frames", "frames"):
             check_number(f"window.{name}", getattr(self, name), 1, 10_000)
         check_number("window.iterations", self.iterations, 0, 100_000)
@@ -91,7 +93,7 @@ class StateConfig:
     unstable_frames: int = 120
     """delta_t: one that is still unstable after so many frames is removed."""
     error_count: int = 10
-    """delta_e: a stable Gaussian in error in more frames than this loses its state."""
+    """delta_e: a stable Gaussian in error in more frames than this loses its state (code: in 10 or more)."""
     colour_error: float = 0.1
     """delta_c: in error where the mean absolute difference over R, G, B, in 0..1, is above this."""
     depth_error_m: float = 0.1
@@ -105,6 +107,7 @@ class StateConfig:
     """Gaussians with a radius above so many times the mean are removed (code; paper: None)."""
 
     def __post_init__(self):
+        check_kinds("states", self)
         check_positive("states.stable_confidence", self.stable_confidence)
         for name in ("unstable_frames", "error_count"):
             check_number(f"states.{name}", getattr(self, name), 1, 1_000_000)
@@ -136,6 +139,7 @@ class KeyframeConfig:
     """Leave out the window optimisation of that frame (code, except on ScanNet++)."""
 
     def __post_init__(self):
+        check_kinds("keyframes", self)
         check_positive("keyframes.rotation_deg", self.rotation_deg)
         check_positive("keyframes.translation_m", self.translation_m)
         for name in ("latest", "random", "iterations"):
@@ -156,6 +160,7 @@ class FinalConfig:
     """Weight of the depth loss (code 0)."""
 
     def __post_init__(self):
+        check_kinds("final", self)
         check_number("final.passes", self.passes, 0, 10_000)
         check_number("final.lr_factor", self.lr_factor, 0, 100)
         check_number("final.weight_depth", self.weight_depth, 0, 1e6)
@@ -206,7 +211,12 @@ _RTG_SLAM: dict[str, dict[str, Any]] = {
 }
 
 _FIDELITY: dict[str, dict[str, Any]] = {
-    "measured": {},
+    "measured": {
+        "seeding": {"options": {"share": 0.1}},
+        "discs": {"min_cosine": 0.17, "max_offset": 3.0},
+        "window": {"lr_sh_dc": 5e-3, "lr_sh_rest": 2.5e-4, "lr_log_scale": 0.02, "draw": "newest_half"},
+        "states": {"stable_confidence": 300.0},
+    },
     "paper": {
         "seeding": {"options": {"fidelity": "paper"}},
         "discs": {"max_offset": None},
@@ -222,6 +232,7 @@ _FIDELITY: dict[str, dict[str, Any]] = {
             "depth_error_m": 0.2,
             "depth_error_sides": "in_front",
             "on_error": "delete",
+            "error_count": 9,
         },
         "keyframes": {"latest": 3, "random": 0, "rows": "stable", "instead_of_window": True},
         "final": {"weight_depth": 0.0},

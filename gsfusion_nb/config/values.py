@@ -1,6 +1,7 @@
 """Changing, saving and restoring settings: any frozen dataclass of plain values and other such dataclasses."""
 
 import dataclasses
+import typing
 from typing import Any, TypeVar
 
 C = TypeVar("C")
@@ -29,6 +30,19 @@ def from_dict(cls: type[C], values: dict[str, Any], *, start: C | None = None) -
 def to_dict(config: Any) -> dict[str, Any]:
     """Nested plain dictionaries of a config, ready for JSON."""
     return dataclasses.asdict(config)
+
+
+def check_kinds(group: str, config: Any) -> None:
+    """Raise ``ValueError`` unless words are among those a field lists, whole numbers whole and switches booleans."""
+    for f in dataclasses.fields(config):
+        name, value = f"{group}.{f.name}", getattr(config, f.name)
+        words = typing.get_args(f.type) if typing.get_origin(f.type) is typing.Literal else ()
+        if words and value not in words:
+            raise ValueError(f"{name} must be one of {', '.join(words)}, got {value!r}")
+        if f.type is int and (isinstance(value, bool) or not isinstance(value, int)):
+            raise ValueError(f"{name} must be a whole number, got {value!r}")
+        if f.type is bool and not isinstance(value, bool):
+            raise ValueError(f"{name} must be True or False, got {value!r}")
 
 
 def _merge(config: Any, values: dict[str, Any], path: str) -> Any:

@@ -18,6 +18,7 @@ from .protocol import Sequence as Sequence
 from .protocol import SequenceError as SequenceError
 from .protocol import SequenceNotFoundError as SequenceNotFoundError
 from .recorded import RecordedSequence as RecordedSequence
+from .repair import repaired as repaired
 from .replica import replica as replica
 from .resize import resize_frame as resize_frame
 from .scannetpp import scannetpp as scannetpp

@@ -1,21 +1,28 @@
-"""Do depth, poses and intrinsics of a sequence fit together? Points of one frame, seen from another, tell."""
+"""Do depth, poses and intrinsics of a sequence fit together? A look at a few pairs of frames; ``checkup`` looks closer."""
 
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
-from torch import Tensor
 
-from ..geometry import depth_to_points, project, se3
+from ..config import RepairConfig
+from ..geometry import se3
 from ..types import Frame
+from .pose_reading import reread_poses
 from .protocol import BadFrameError, Sequence, SequenceError
-
-AGREES = 0.03
-"""A point agrees when its depth differs by less than this share: a Kinect's noise at 4 m is 1 to 2 per cent."""
+from .reprojection import agreement, depth_pair, relative_poses
 
 _MIN_ANGLE_RAD = 0.12
-_GL_TO_CV = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0]))
-_DEPTH_FACTORS = {"1000 instead of 5000": 0.2, "5000 instead of 1000": 5.0, "1000 instead of 6553.5": 0.1526}
+
+AS_READ = "as read"
+USUAL_READINGS = {
+    AS_READ: RepairConfig(),
+    "inverted poses (they are world-to-camera)": RepairConfig(poses="world_to_camera"),
+    "OpenGL axes (y up, z backward)": RepairConfig(axes="opengl"),
+    "a depth scale that was 1000 instead of 5000": RepairConfig(depth_factor=0.2),
+    "a depth scale that was 5000 instead of 1000": RepairConfig(depth_factor=5.0),
+    "a depth scale that was 1000 instead of 6553.5": RepairConfig(depth_factor=0.1526),
+}
+"""The mistakes that are made most often, and what repairs them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,28 +52,33 @@ class SequenceCheck:
     @property
     def ok(self) -> bool:
         """Whether a third of the points agree as read, and no other reading is clearly better."""
-        as_read = self.agreeing["as read"]
+        as_read = self.agreeing[AS_READ]
         return as_read > 1 / 3 and self.agreeing[self.best] < as_read + 0.1
 
     def __str__(self) -> str:
-        share = f"{self.agreeing['as read']:.0%} of the points of a frame agree with a later frame"
+        share = f"{self.agreeing[AS_READ]:.0%} of the points of a frame agree with a later frame"
         if self.ok:
             return f"consistent: {share}"
-        if self.best == "as read":
-            return (
-                f"doubtful: only {share}, and no other reading of poses or depth scale is better; check the intrinsics"
-            )
-        return f"inconsistent: only {share}, but {self.agreeing[self.best]:.0%} do with {self.best}"
+        if self.best == AS_READ:
+            return f"doubtful: only {share}, and no usual mistake explains it; gsfusion-nb check tries more"
+        return (
+            f"inconsistent: only {share}, but {self.agreeing[self.best]:.0%} do with {self.best}: "
+            f"{USUAL_READINGS[self.best].flags}; gsfusion-nb check says more"
+        )
 
 
 def depth_agreement(a: Frame, b: Frame, *, step: int = 4) -> DepthAgreement:
     """Move the points of frame ``a`` into frame ``b`` and compare with the depth measured there.
 
     Args:
-        a, b: Two frames of one world.
+        a, b: Two frames of one world and one camera.
         step: Every step-th pixel of ``a`` in both directions is used.
     """
-    return _agreement(a, b, se3.inverse(b.T_WC.double()) @ a.T_WC.double(), 1.0, step)
+    T_ba = relative_poses(a.T_WC.double()[None], b.T_WC.double()[None])
+    found = agreement(depth_pair(a.depth_m, b.depth_m, b.camera, step=step), T_ba)
+    return DepthAgreement(
+        median_m=float(found.median_m), overlap=float(found.overlap), agreeing=float(found.agreeing)
+    )
 
 
 def check_sequence(sequence: Sequence, *, pairs: int = 4) -> SequenceCheck:
@@ -79,7 +91,7 @@ def check_sequence(sequence: Sequence, *, pairs: int = 4) -> SequenceCheck:
     Raises:
         SequenceError: no two usable frames.
     """
-    scores: dict[str, list[float]] = {}
+    scores = []
     for k in range(pairs):
         first = k * len(sequence) // (pairs + 1)
         try:
@@ -88,11 +100,29 @@ def check_sequence(sequence: Sequence, *, pairs: int = 4) -> SequenceCheck:
             continue
         if a.index == b.index:
             continue
-        for name, (T_ba, factor) in _readings(a.T_WC.double(), b.T_WC.double()).items():
-            scores.setdefault(name, []).append(_agreement(a, b, T_ba, factor, 4).agreeing)
+        stored = torch.stack([a.T_WC, b.T_WC]).double()
+        T_ba = torch.cat([relative_under(stored[:1], stored[1:], r) for r in USUAL_READINGS.values()])
+        scores.append(agreement(depth_pair(a.depth_m, b.depth_m, b.camera), T_ba).agreeing)
     if not scores:
         raise SequenceError(f"{sequence.name} has no two usable frames; expected some to compare")
-    return SequenceCheck(agreeing={name: sum(s) / len(s) for name, s in scores.items()})
+    mean = torch.stack(scores).mean(0).tolist()
+    return SequenceCheck(agreeing=dict(zip(USUAL_READINGS, mean, strict=True)))
+
+
+def relative_under(T_a: torch.Tensor, T_b: torch.Tensor, reading: RepairConfig) -> torch.Tensor:
+    """Transforms from camera a to camera b, in units of the depth as read, if ``reading`` is right. [P, 4, 4]
+
+    A factor on depth scales all points, which leaves directions alone: the translation is divided by it instead.
+
+    Args:
+        T_a, T_b: Poses as stored. [P, 4, 4]
+        reading: How they and the depth are to be understood.
+    """
+    n = len(T_a)
+    T = reread_poses(torch.cat([T_a, T_b]), reading)
+    relative = relative_poses(T[:n], T[n:])
+    relative[:, :3, 3] /= reading.depth_factor
+    return relative
 
 
 def _partner(sequence: Sequence, first: int) -> int:
@@ -105,36 +135,3 @@ def _partner(sequence: Sequence, first: int) -> int:
         if float(se3.rotation_angle(relative[:3, :3])) > _MIN_ANGLE_RAD or moved_m > 0.15:
             return i
     return last
-
-
-def _readings(T_a: Float[Tensor, "4 4"], T_b: Float[Tensor, "4 4"]) -> dict[str, tuple[Float[Tensor, "4 4"], float]]:
-    """Relative pose a -> b and factor on depth under each reading."""
-    gl = _GL_TO_CV.double()
-    as_read = se3.inverse(T_b) @ T_a
-    readings = {
-        "as read": (as_read, 1.0),
-        "inverted poses (they are world-to-camera)": (T_b @ se3.inverse(T_a), 1.0),
-        "OpenGL axes (y up, z backward)": (gl @ as_read @ gl, 1.0),
-    }
-    for name, factor in _DEPTH_FACTORS.items():
-        readings[f"a depth scale that was {name}"] = (as_read, factor)
-    return readings
-
-
-def _agreement(a: Frame, b: Frame, T_ba: Float[Tensor, "4 4"], factor: float, step: int) -> DepthAgreement:
-    points = depth_to_points(a.camera, a.depth_m)[::step, ::step].reshape(-1, 3)
-    points = points[points[:, 2] > 0]
-    total = max(len(points), 1)
-    P = se3.apply(T_ba.to(points.dtype), points * factor)
-    P = P[P[:, 2] > 0]
-    uv = project(b.camera, P).floor()
-    inside = (uv[:, 0] >= 0) & (uv[:, 0] < b.camera.width) & (uv[:, 1] >= 0) & (uv[:, 1] < b.camera.height)
-    uv, z = uv[inside].long(), P[inside, 2]
-    measured = b.depth_m[uv[:, 1], uv[:, 0]] * factor
-    z, measured = z[measured > 0], measured[measured > 0]
-    error = (z - measured).abs()
-    return DepthAgreement(
-        median_m=float(error.median()) if len(error) else float("nan"),
-        overlap=len(z) / total,
-        agreeing=float((error < AGREES * measured).sum()) / total,
-    )

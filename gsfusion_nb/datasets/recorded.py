@@ -13,6 +13,7 @@ from ..types import Camera, Frame
 from .images import read_depth, read_rgb
 from .poses import checked_pose
 from .protocol import BadFrameError, position
+from .resize import resize_colour
 
 Rectify = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 """Colour (uint8, RGB) and depth (metres) as stored -> the same pair as ``camera`` sees it."""
@@ -44,6 +45,8 @@ class RecordedSequence:
     """Width and height of the files if they differ from the camera's, pixels."""
     rectify: Rectify | None = None
     """Applied to every pair of images (undistortion, registration)."""
+    fit_sizes: bool = False
+    """Resize colour images that have not the camera's size instead of refusing them."""
     novel: frozenset[int] = field(default_factory=frozenset)
     """Frames that the data set publishes as test views: never mapped."""
 
@@ -63,6 +66,8 @@ class RecordedSequence:
         T_WC = self.pose(i)
         rgb = read_rgb(self.rgb_files[i])
         depth_m = read_depth(self.depth_files[i], scale=self.depth_scale, invalid=self.depth_invalid)
+        if self.fit_sizes:
+            rgb = resize_colour(rgb, self.camera.width, self.camera.height)
         self._check_sizes(i, rgb, depth_m)
         if self.rectify is not None:
             rgb, depth_m = self.rectify(rgb, depth_m)

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
@@ -37,12 +38,18 @@ def nearest_source(size: int, source_size: int) -> Int[Tensor, " S"]:
     return -(-numerator // (2 * size)) - 1
 
 
-def _resize_rgb(rgb: Float[Tensor, "H W 3"], width: int, height: int) -> Float[Tensor, "h w 3"]:
+def resize_colour(rgb: np.ndarray, width: int, height: int) -> np.ndarray:
+    """Colour averaged over the area that a new pixel covers, or interpolated linearly when enlarged. [h, w, 3]"""
     import cv2
 
+    if rgb.shape[1::-1] == (width, height):
+        return rgb
     shrinks = width <= rgb.shape[1] and height <= rgb.shape[0]
-    kind = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
-    return torch.from_numpy(cv2.resize(rgb.cpu().numpy(), (width, height), interpolation=kind)).to(rgb.device)
+    return cv2.resize(rgb, (width, height), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
+
+
+def _resize_rgb(rgb: Float[Tensor, "H W 3"], width: int, height: int) -> Float[Tensor, "h w 3"]:
+    return torch.from_numpy(resize_colour(rgb.cpu().numpy(), width, height)).to(rgb.device)
 
 
 def _resize_depth(depth_m: Float[Tensor, "H W"], width: int, height: int) -> Float[Tensor, "h w"]:

@@ -11,6 +11,7 @@ from torch import Tensor
 from ..config import DataConfig
 from ..types import Camera, Frame
 from .protocol import BadFrameError, Sequence, SequenceError, position
+from .repair import repaired
 from .resize import resize_frame
 
 
@@ -78,6 +79,9 @@ def apply_options(source: Sequence, data: DataConfig | None = None) -> OpenedSeq
     depend on the stride. Frames that the data set itself publishes as test views (``source.novel``, ScanNet++) are
     always held out, all of them, and neither counted nor thinned.
 
+    The corrections of ``data.repair`` come first; frames it skips keep their numbers and are neither counted nor held
+    out.
+
     Raises:
         SequenceError: no frames, a start beyond the end, or nothing left to map.
     """
@@ -86,8 +90,10 @@ def apply_options(source: Sequence, data: DataConfig | None = None) -> OpenedSeq
             f"expected a sequence (name, camera, len(), [i], pose(i)) or the path of one, got {type(source).__name__}"
         )
     data = data or DataConfig()
-    novel = sorted(getattr(source, "novel", ()))
-    chosen = _selection(source, set(novel), data)
+    source = repaired(source, data.repair)
+    published, skipped = set(getattr(source, "novel", ())), set(data.repair.skip)
+    novel = sorted(published - skipped)
+    chosen = _selection(source, published | skipped, data)
     every, offset = data.hold_out_every, data.hold_out_offset
     if every and not 0 <= offset < every:
         raise SequenceError(
@@ -116,8 +122,8 @@ def apply_options(source: Sequence, data: DataConfig | None = None) -> OpenedSeq
     )
 
 
-def _selection(source: Sequence, novel: set[int], data: DataConfig) -> list[int]:
-    frames = [i for i in range(len(source)) if i not in novel]
+def _selection(source: Sequence, apart: set[int], data: DataConfig) -> list[int]:
+    frames = [i for i in range(len(source)) if i not in apart]
     if not frames:
         raise SequenceError(f"{source.name} has no frames; expected at least one")
     if data.start >= len(frames):

@@ -24,3 +24,4 @@ from .report import write_report as write_report
 from .trajectory import align_umeyama as align_umeyama
 from .trajectory import ate_rmse as ate_rmse
 from .trajectory import rpe as rpe
+from .trajectory import trajectory_scores as trajectory_scores

@@ -139,7 +139,10 @@ def depth_l1_m(depth_m: Float[Tensor, "H W"], reference_m: Float[Tensor, "H W"])
 
 
 def expected_depth_m(view: RenderOutput, *, alpha_min: float = 0.5) -> Float[Tensor, "H W"]:
-    """Blended depth divided by opacity, metres; 0 (missing) where the map covers less than ``alpha_min`` of a pixel."""
+    """Depth of the map, metres; 0 (missing) where it has none: ``surface_depth_m`` of a map that has it, else blended
+    depth divided by opacity where the map covers ``alpha_min`` of a pixel."""
+    if view.surface_depth_m is not None:
+        return view.surface_depth_m
     covered = view.alpha >= alpha_min
     return torch.where(covered, view.depth_m / view.alpha.clamp_min(1e-6), torch.zeros_like(view.depth_m))
 

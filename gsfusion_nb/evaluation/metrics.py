@@ -47,6 +47,10 @@ METRIC_GROUPS: dict[str, dict[str, Metric]] = {
     "Maps": {
         "n_gaussians": Metric("Gaussians", "", 0),
         "model_size_mb": Metric("Model size", "MB", 1, 1.0, "Size of gaussians.ply; 1 MB is a million bytes."),
+        "n_stable_opaque": Metric("Stable opaque", "", 0),
+        "n_stable_transparent": Metric("Stable transparent", "", 0),
+        "n_unstable_opaque": Metric("Unstable opaque", "", 0),
+        "n_unstable_transparent": Metric("Unstable transparent", "", 0),
         "n_keyframes": Metric("Keyframes", "", 0),
         "n_frames": Metric("Frames mapped", "", 0),
         "n_blocks": Metric("Voxel blocks", "", 0),
@@ -59,6 +63,8 @@ METRIC_GROUPS: dict[str, dict[str, Metric]] = {
         "fps_mean_inverse": Metric(
             "FPS, mean of 1/dt", "fps", 2, 1.0, "As the GSFusion paper counts; never below frames / total time."
         ),
+        "fps_mapping": Metric("FPS, mapping alone", "fps", 2, 1.0, "Without the time of tracking."),
+        "fps_tracking": Metric("FPS, tracking alone", "fps", 2),
         "seconds_online": Metric("Online mapping", "s", 1),
         "seconds_global": Metric("Global optimisation", "s", 1),
         "seconds_total": Metric("Whole run", "s", 1),
@@ -78,7 +84,13 @@ METRIC_GROUPS: dict[str, dict[str, Metric]] = {
         "ate_rmse_m": Metric(
             "ATE RMSE", "cm", 2, 100.0, "Root mean square distance of camera centres after alignment."
         ),
+        "ate_mean_m": Metric("ATE mean", "cm", 2, 100.0, "Mean distance of camera centres after alignment."),
+        "drift_m": Metric(
+            "Drift at the end", "cm", 2, 100.0, "Distance of the last camera centres; the first pose is the data's."
+        ),
         "rpe_translation_m": Metric("RPE, translation", "cm", 2, 100.0, "Root mean square, frame to frame."),
+        "n_recovered": Metric("Tracking recovered", "frames", 0),
+        "n_degenerate": Metric("Degenerate motion", "frames", 0, 1.0, "A direction of motion was left to the prior."),
         "rpe_rotation_deg": Metric("RPE, rotation", "°", 3, 1.0, "Root mean square, frame to frame."),
     },
 }

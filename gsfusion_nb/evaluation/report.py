@@ -115,7 +115,6 @@ def write_report(path: Path | str, run: ReportData) -> Path:
 def report_html(run: ReportData) -> str:
     """The page as text."""
     from . import report_sections as sections
-    from .report_style import SCRIPT, STYLE
 
     body = "\n".join(
         part
@@ -133,11 +132,18 @@ def report_html(run: ReportData) -> str:
         )
         if part
     )
+    return page_html(run.title, body)
+
+
+def page_html(title: str, body: str) -> str:
+    """A whole page in the look of the report, with click-to-enlarge pictures."""
+    from .report_style import SCRIPT, STYLE
+
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         '<meta name="color-scheme" content="light dark">\n<link rel="icon" href="data:,">\n'
-        f"<title>{escape(run.title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<main>\n{body}\n</main>\n"
+        f"<title>{escape(title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<main>\n{body}\n</main>\n"
         '<dialog id="zoom"><img alt=""></dialog>\n'
         f"<script>{SCRIPT}</script>\n</body>\n</html>\n"
     )

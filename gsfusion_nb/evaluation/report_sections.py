@@ -84,9 +84,9 @@ def _view(panel: "ViewPanel") -> str:
     limit = pictures.ERROR_LIMIT
     error = pictures.error_map(panel.render, panel.rgb)
     parts = [
-        _figure(panel.rgb, f"{panel.name}, input", "Input"),
-        _figure(panel.render, f"{panel.name}, render", "Render"),
-        _figure(error, f"{panel.name}, error", "|Render − input|, mean of channels")
+        figure(panel.rgb, f"{panel.name}, input", "Input"),
+        figure(panel.render, f"{panel.name}, render", "Render"),
+        figure(error, f"{panel.name}, error", "|Render − input|, mean of channels")
         + _bar(pictures.ERROR_COLOURS, "0", f"{limit:g} or more, of 1"),
     ]
     parts += _depth_pair(panel)
@@ -106,7 +106,7 @@ def _depth_pair(panel: "ViewPanel") -> list[str]:
     near, far = pictures.depth_range_m(*known.values())
     bar = _bar(pictures.DEPTH_COLOURS, f"{near:.2f}{NBSP}m", f"{far:.2f}{NBSP}m")
     parts = [
-        _figure(pictures.colour_depth(depth, near, far), f"{panel.name}, {caption}", f"{caption} (striped: missing)")
+        figure(pictures.colour_depth(depth, near, far), f"{panel.name}, {caption}", f"{caption} (striped: missing)")
         + bar
         for caption, depth in known.items()
     ]
@@ -114,7 +114,7 @@ def _depth_pair(panel: "ViewPanel") -> list[str]:
         limit_m = pictures.DEPTH_ERROR_LIMIT_M
         error = pictures.depth_error_map(panel.render_depth_m, panel.depth_m)
         ends = _bar(pictures.ERROR_COLOURS, "0", f"{limit_m * 100:g}{NBSP}cm or more")
-        parts.append(_figure(error, f"{panel.name}, depth error", "|Rendered − measured depth|") + ends)
+        parts.append(figure(error, f"{panel.name}, depth error", "|Rendered − measured depth|") + ends)
     return parts
 
 
@@ -122,11 +122,12 @@ def _quadtree(panel: "ViewPanel") -> str:
     scale = max(1, round(PICTURE_WIDTH / panel.rgb.shape[1]))
     painted = pictures.paint_cells(panel.rgb, panel.cells, scale=scale)
     caption = f"{panel.name}, {len(panel.cells.level):,} cells: one Gaussian may be seeded in each"
-    figure = _figure(painted, f"{panel.name}, quadtree", caption)
-    return f'<figure class="card">{figure}{_bar(pictures.LEVEL_COLOURS, "coarse", "fine")}</figure>'
+    painted_figure = figure(painted, f"{panel.name}, quadtree", caption)
+    return f'<figure class="card">{painted_figure}{_bar(pictures.LEVEL_COLOURS, "coarse", "fine")}</figure>'
 
 
-def _figure(image: pictures.ImageLike, alt: str, caption: str) -> str:
+def figure(image: pictures.ImageLike, alt: str, caption: str) -> str:
+    """An image and its caption, to stand in a ``<figure>``."""
     small = pictures.fit_width(image, PICTURE_WIDTH)
     height, width = small.shape[:2]
     return (
@@ -151,31 +152,32 @@ def curves(frames: "Sequence[FrameRow]", global_losses: Sequence[float | int]) -
     charts = []
     if frames:
         charts.append(
-            _chart("Time per frame", x, _stages_ms(frames), x_label="frame", y_label="time, ms", stacked=True)
+            chart("Time per frame", x, _stages_ms(frames), x_label="frame", y_label="time, ms", stacked=True)
         )
         gaussians = {"Gaussians": [row.n_gaussians for row in frames]}
-        charts.append(_chart("Size of the map", x, gaussians, x_label="frame", y_label="Gaussians", **marks))
+        charts.append(chart("Size of the map", x, gaussians, x_label="frame", y_label="Gaussians", **marks))
     psnr = {"before the step": [r.psnr_before for r in frames], "after the step": [r.psnr for r in frames]}
     psnr = {label: values for label, values in psnr.items() if not all(map(math.isnan, values))}
     if psnr:
-        charts.append(_chart("PSNR of the current view", x, psnr, x_label="frame", y_label="PSNR, dB", **marks))
+        charts.append(chart("PSNR of the current view", x, psnr, x_label="frame", y_label="PSNR, dB", **marks))
     if any(row.losses for row in frames):
         ends = {
             "first step": [row.losses[0] if row.losses else math.nan for row in frames],
             "last step": [row.losses[-1] if row.losses else math.nan for row in frames],
         }
-        charts.append(_chart("Loss at a frame's first and last step", x, ends, x_label="frame", y_label="loss"))
+        charts.append(chart("Loss at a frame's first and last step", x, ends, x_label="frame", y_label="loss"))
     if global_losses:
         passes = list(range(1, len(global_losses) + 1))
         loss = {"mean loss": list(global_losses)}
-        charts.append(_chart("Global optimisation", passes, loss, x_label="pass over the keyframes", y_label="loss"))
+        charts.append(chart("Global optimisation", passes, loss, x_label="pass over the keyframes", y_label="loss"))
     charts.append(_stage_card(frames))
     if not any(charts):
         return ""
     return f'<section><h2>Over the frames</h2><div class="grid two">{"".join(charts)}</div></section>'
 
 
-def _chart(title: str, x: Numbers, series: Mapping[str, Numbers], **options: Any) -> str:
+def chart(title: str, x: Numbers, series: Mapping[str, Numbers], **options: Any) -> str:
+    """A card with a graph; options of ``curve_figure``."""
     svg = figure_svg(curve_figure(x, series, **options), title)
     return f'<div class="card chart"><h3>{escape(title)}</h3>{svg}</div>'
 
@@ -197,7 +199,7 @@ def meshes(images: Mapping[str, pictures.AnyImage]) -> str:
     """Pictures of the mesh."""
     if not images:
         return ""
-    figures = "".join(f"<figure>{_figure(image, name, name)}</figure>" for name, image in images.items())
+    figures = "".join(f"<figure>{figure(image, name, name)}</figure>" for name, image in images.items())
     return f'<section><h2>Mesh</h2><div class="card view"><div class="pictures few">{figures}</div></div></section>'
 
 

@@ -134,6 +134,26 @@ def rpe(
     )
 
 
+def trajectory_scores(estimate: Float[Tensor, "N 4 4"], reference: Float[Tensor, "N 4 4"]) -> dict[str, float]:
+    """Absolute and relative errors of a path, named as in metrics.json.
+
+    Args:
+        estimate: Camera-to-world poses, at least 3. [N, 4, 4]
+        reference: True poses. [N, 4, 4]
+    """
+    _check_paths(estimate, reference)
+    x, y = estimate[:, :3, 3].double(), reference[:, :3, 3].double()
+    distance = (align_umeyama(x, y).apply(x) - y).norm(dim=1)
+    steps = rpe(estimate, reference)
+    return {
+        "ate_rmse_m": float(distance.square().mean().sqrt()),
+        "ate_mean_m": float(distance.mean()),
+        "drift_m": float((x[-1] - y[-1]).norm()),
+        "rpe_translation_m": steps.translation_m,
+        "rpe_rotation_deg": steps.rotation_deg,
+    }
+
+
 def _check_paths(estimate: Tensor, reference: Tensor) -> None:
     check_shape("estimate", estimate, tuple(reference.shape))
     if len(estimate) == 0:

@@ -1,3 +1,12 @@
-"""The Gaussian map and its rows."""
+"""The Gaussian map, its rows and their states."""
 
 from .model import GaussianModel as GaussianModel
+from .states import Transitions as Transitions
+from .states import change_states as change_states
+from .states import count_errors as count_errors
+from .surfels import OPAQUE as OPAQUE
+from .surfels import STABLE as STABLE
+from .surfels import TRANSPARENT as TRANSPARENT
+from .surfels import UNSTABLE as UNSTABLE
+from .surfels import SurfelModel as SurfelModel
+from .surfels import state_counts as state_counts

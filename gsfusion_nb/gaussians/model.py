@@ -9,6 +9,7 @@ from torch import Tensor
 
 from ..checks import check_shape
 from ..constants import SH_C0
+from ..geometry import quaternion
 from ..geometry.spherical_harmonics import rgb_to_sh_dc
 from ..types import GaussianParams, Seeds
 
@@ -23,6 +24,12 @@ class GaussianModel:
     Rows live in buffers that double when full; every property is a view of the rows in use. Rows change only through
     ``append``, ``keep`` and the optimiser, so parameters and moments never drift apart.
     """
+
+    _COUNTS: tuple[str, ...] = ("birth_frame", "birth_step", "tag")
+    """Columns of whole numbers."""
+    _MOMENTS: tuple[str, ...] = ("exp_avg", "exp_avg_sq")
+    _PLACES: tuple[str, ...] = ("",)
+    """Prefixes of the columns that are centres and orientations."""
 
     def __init__(self, sh_degree: int = 3, device: torch.device | str = "cpu"):
         if sh_degree not in (0, 1, 2, 3):
@@ -115,9 +122,8 @@ class GaussianModel:
         new["birth_frame"][start:stop] = frame_index
         new["birth_step"][start:stop] = self.step_count
         new["tag"][start:stop] = seeds.tag
-        for name in PARAMETERS:
-            new[f"exp_avg.{name}"][start:stop] = 0.0
-            new[f"exp_avg_sq.{name}"][start:stop] = 0.0
+        for name in self._moment_names():
+            new[name][start:stop] = 0.0
         self._count = stop
 
     def keep(self, rows: Bool[Tensor, " N"]) -> None:
@@ -127,6 +133,14 @@ class GaussianModel:
         for column in self._columns.values():
             column[:kept] = column[: self._count][rows]
         self._count = kept
+
+    def move(self, T: Float[Tensor, "N 4 4"]) -> None:
+        """Apply a rigid motion to centre and orientation of each row (a loop closure)."""
+        for prefix in self._PLACES:
+            xyz, quat = (self._columns[f"{prefix}{name}"][: self._count] for name in ("xyz_W", "quat"))
+            turn = T.to(xyz)
+            xyz.copy_((turn[:, :3, :3] @ xyz[:, :, None]).squeeze(2) + turn[:, :3, 3])
+            quat.copy_(quaternion.multiply(quaternion.from_matrix(turn[:, :3, :3]), quaternion.normalise(quat)))
 
     def state_dict(self) -> dict[str, Any]:
         """Everything needed to go on later, as tensors and numbers."""
@@ -148,12 +162,14 @@ class GaussianModel:
     def _rows(self, prefix: str) -> GaussianParams:
         return GaussianParams(**{name: self._columns[prefix + name][: self._count] for name in PARAMETERS})
 
+    def _moment_names(self) -> list[str]:
+        return [f"{moment}.{name}" for moment in self._MOMENTS for name in PARAMETERS]
+
     def _column_names(self) -> list[str]:
-        moments = [f"{moment}.{name}" for moment in ("exp_avg", "exp_avg_sq") for name in PARAMETERS]
-        return [*PARAMETERS, *moments, "birth_frame", "birth_step", "tag"]
+        return [*PARAMETERS, *self._moment_names(), *self._COUNTS]
 
     def _new_column(self, name: str, capacity: int) -> Tensor:
-        if name in ("birth_frame", "birth_step", "tag"):
+        if name in self._COUNTS:
             return torch.zeros(capacity, dtype=torch.int32, device=self.device)
         widths = {
             "xyz_W": (3,),

@@ -58,3 +58,22 @@ def slerp(a: Float[Tensor, "*B 4"], b: Float[Tensor, "*B 4"], t: Float[Tensor, "
     wa = torch.where(near, 1 - t, ((1 - t) * angle).sin() / sin)
     wb = torch.where(near, t, (t * angle).sin() / sin)
     return normalise(wa * a + wb * b)
+
+
+def multiply(a: Float[Tensor, "*B 4"], b: Float[Tensor, "*B 4"]) -> Float[Tensor, "*B 4"]:
+    """Hamilton product: the rotation of ``b`` followed by that of ``a``. Differentiable: yes."""
+    w, u = a[..., :1], a[..., 1:]
+    x, v = b[..., :1], b[..., 1:]
+    scalar = w * x - (u * v).sum(-1, keepdim=True)
+    return torch.cat([scalar, w * v + x * u + torch.linalg.cross(u, v)], dim=-1)
+
+
+def shortest_arc(a: Float[Tensor, "*B 3"], b: Float[Tensor, "*B 3"]) -> Float[Tensor, "*B 4"]:
+    """Unit quaternion that turns unit vector ``a`` to unit vector ``b`` by the smaller angle.
+
+    q = (1 + a.b, a x b) / |...|; opposite vectors are turned about an axis perpendicular to ``a``.
+    """
+    scalar = 1 + (a * b).sum(-1, keepdim=True)
+    least = torch.nn.functional.one_hot(a.abs().argmin(-1), 3).to(a)
+    axis = torch.where(scalar > 1e-6, torch.linalg.cross(a, b), torch.linalg.cross(a, least))
+    return normalise(torch.cat([scalar.clamp_min(0.0) * (scalar > 1e-6), axis], dim=-1))

@@ -4,6 +4,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from . import quaternion
+
 
 def inverse(T: Float[Tensor, "*B 4 4"]) -> Float[Tensor, "*B 4 4"]:
     """Inverse of a rigid transform: [R t]^-1 = [R^T  -R^T t]. Differentiable: yes."""
@@ -57,3 +59,26 @@ def rotation_angle(R: Float[Tensor, "*B 3 3"]) -> Float[Tensor, "*B"]:
     skew = torch.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], dim=-1)
     trace = R.diagonal(dim1=-2, dim2=-1).sum(-1)
     return torch.atan2(skew.norm(dim=-1), trace - 1)
+
+
+def log(T: Float[Tensor, "*B 4 4"]) -> Float[Tensor, "*B 6"]:
+    """Twist whose exponential is ``T``: translation part first, then rotation, radians, by an angle of at most pi.
+
+    The rotation comes from its quaternion, 2 atan2(|v|, w) v / |v|, which loses no digits at either end; V^-1 is
+    I - W/2 + D W^2 with D = (1 - (t/2) cot(t/2)) / t^2 and its series near zero.  Differentiable: yes, below pi.
+    """
+    quat = quaternion.from_matrix(T[..., :3, :3])
+    w, v = quat[..., :1], quat[..., 1:]
+    v2 = (v * v).sum(-1, keepdim=True)
+    small = v2 < 1e-8
+    norm = torch.where(small, torch.ones_like(v2), v2).sqrt()  # two wheres, as in exp
+    omega = v * torch.where(small, 2 + v2 / 3, 2 * torch.atan2(norm, w) / norm)
+    t2 = (omega * omega).sum(-1)[..., None, None]
+    small2 = t2 < 1e-3  # the difference below loses t^-2 of its digits
+    half = torch.where(small2, torch.ones_like(t2), t2).sqrt() / 2
+    cot = half.cos() / half.sin()
+    D = torch.where(small2, 1 / 12 + t2 / 720 + t2 * t2 / 30240, (1 - half * cot) / (4 * half * half))
+    W = hat(omega)
+    t = T[..., :3, 3:]
+    rho = t - 0.5 * (W @ t) + D * (W @ (W @ t))
+    return torch.cat([rho[..., 0], omega], dim=-1)

@@ -7,16 +7,19 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ..checks import check_colours, check_finite, check_pose
 from ..config import GSFusionConfig, from_dict, to_dict
 from ..datasets import BadFrameError
 from ..gaussians import GaussianModel
 from ..optim import Keyframe, KeyframeList, adam_step, dssim_vjp, l1, l1_vjp
 from ..render import render, render_forward, render_vjp
 from ..seeding import SeedContext, SeedingRule, apply_rule, get_rule
-from ..tsdf import TsdfVolume, extract_mesh, integrate
+from ..tracking import Correction, tsdf_surface
+from ..tsdf import RaycastOutput, TsdfVolume, extract_mesh, integrate, raycast
 from ..types import Camera, Frame, Mesh, RenderOutput, Seeds
+from .localiser import Localiser, move_map
+from .passes import KeyframePasses
 from .report import GlobalStep, StageClock, StepReport, psnr_from_mse
+from .usable import check_frame
 
 
 class GSFusion:
@@ -27,7 +30,8 @@ class GSFusion:
         seeding: Name of a registered rule, or the rule function itself; overrides ``config.seeding.rule``.
         device: Where the maps live.
 
-    Poses are taken as given; there is no tracking in GSFusion.
+    GSFusion as published takes the poses as given; ``config.tracking.poses = "tracked"`` aligns each frame to the TSDF
+    by RTG-SLAM's ICP instead.
     """
 
     def __init__(
@@ -45,9 +49,8 @@ class GSFusion:
         self.keyframes = KeyframeList()
         self.generator = torch.Generator().manual_seed(self.config.seed)
         self.n_frames = 0
-        self.global_passes_done = 0
-        self.global_queue: list[int] = []
-        """Keyframes still to be visited in the pass that is under way."""
+        self.passes = KeyframePasses()
+        self.localiser = Localiser(self.config.tracking)
 
     def __repr__(self) -> str:
         return (
@@ -62,8 +65,10 @@ class GSFusion:
             BadFrameError: the pose is not rigid, an image holds a NaN or colours beyond 0..1, or the frame lies too far
                 away for the voxel index. The maps are unchanged.
         """
-        frame = frame.to(self.device)
+        frame = check_frame(frame.to(self.device))
         clock = StageClock()
+        with clock("tracking"):
+            frame = self.localiser.locate(frame, tsdf_surface(self.volume))
         with clock("tsdf"):
             self._fuse(frame)  # III-B.1, Eq. 6-9
         with clock("seeding"):
@@ -76,6 +81,8 @@ class GSFusion:
             self.keyframes.append(frame)
         with clock("optimise"):
             losses, psnrs = self._optimise_online(frame, is_keyframe)  # Eq. 12
+        with clock("tracking"):
+            self._correct(self.localiser.record(frame))
         self.n_frames += 1
         return StepReport(
             frame_index=frame.index,
@@ -86,6 +93,7 @@ class GSFusion:
             losses=tuple(losses),
             psnr_before_db=psnrs[0] if psnrs else 0.0,
             psnr_after_db=psnrs[-1] if psnrs else 0.0,
+            tracking=self.localiser.report,
             seconds=clock.seconds,
         )
 
@@ -109,6 +117,10 @@ class GSFusion:
         """The Gaussian map seen by a camera (Eq. 11)."""
         return render(self.gaussians.params, camera, T_WC.to(self.device))
 
+    def surface(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RaycastOutput:
+        """Depth, normals and colours of the TSDF map's surface seen by a camera."""
+        return raycast(self.volume, camera, T_WC.to(self.device))
+
     def mesh(self) -> Mesh:
         """Surface of the TSDF map."""
         return extract_mesh(self.volume)
@@ -122,18 +134,15 @@ class GSFusion:
             passes: Number of passes; ``config.optim.global_iterations`` by default. One that was cut short is finished
                 first and counts as one of them.
         """
-        passes = self.config.optim.global_iterations if passes is None else passes
-        started = len(self.global_queue) > 0
-        n_steps, done = (passes - started) * len(self.keyframes) + len(self.global_queue), 0
-        for pass_index in range(passes if len(self.keyframes) else 0):
-            if not self.global_queue:
-                self.global_queue = torch.randperm(len(self.keyframes), generator=self.generator).tolist()
-            while self.global_queue:
-                keyframe = self.keyframes[self.global_queue.pop(0)]
-                loss, _ = self._optimise_view(keyframe, ssim_weight=self.config.optim.ssim_weight)
-                done += 1
-                self.global_passes_done += not self.global_queue
-                yield GlobalStep(pass_index=pass_index, step=done, n_steps=n_steps, loss=loss)
+        passes = self.n_passes if passes is None else passes
+        if not self.passes.begun:
+            self._correct(self.localiser.finish())
+        yield from self.passes.run(passes, len(self.keyframes), self.generator, self._optimise_globally)
+
+    @property
+    def n_passes(self) -> int:
+        """Passes of the global optimisation that the settings ask for."""
+        return self.config.optim.global_iterations
 
     def state_dict(self) -> dict[str, Any]:
         """Everything needed to go on later exactly where this stands, as tensors and plain values."""
@@ -141,8 +150,8 @@ class GSFusion:
             "config": to_dict(self.config),
             "rule": self.rule.__name__,
             "n_frames": self.n_frames,
-            "global_passes_done": self.global_passes_done,
-            "global_queue": self.global_queue,
+            "passes": self.passes.state_dict(),
+            "localiser": self.localiser.state_dict(),
             "generator": self.generator.get_state(),
             "volume": self.volume.state_dict(),
             "gaussians": self.gaussians.state_dict(),
@@ -161,8 +170,8 @@ class GSFusion:
         config = from_dict(GSFusionConfig, state["config"])
         mapper = cls(config, seeding=seeding if seeding is not None else state["rule"], device=device)
         mapper.n_frames = state["n_frames"]
-        mapper.global_passes_done = state["global_passes_done"]
-        mapper.global_queue = list(state["global_queue"])
+        mapper.passes.load_state_dict(state["passes"])
+        mapper.localiser.load_state_dict(state["localiser"])
         mapper.generator.set_state(state["generator"])
         mapper.volume.load_state_dict(state["volume"])
         mapper.gaussians = GaussianModel.from_state_dict(state["gaussians"], device)
@@ -170,14 +179,16 @@ class GSFusion:
         return mapper
 
     def _fuse(self, frame: Frame) -> None:
-        """Check the frame, then fold it into the TSDF."""
+        """Fold the frame into the TSDF."""
         try:
-            check_pose(f"T_WC of frame {frame.index}", frame.T_WC)
-            check_finite(f"depth_m of frame {frame.index}", frame.depth_m)
-            check_colours(f"rgb of frame {frame.index}", frame.rgb)
             integrate(self.volume, frame)
         except ValueError as e:
             raise BadFrameError(f"frame {frame.index} cannot be mapped: {e}") from None
+
+    def _correct(self, correction: Correction | None) -> None:
+        """After a closed loop: Gaussians and keyframes move with the trajectory if asked to; the TSDF stays."""
+        if correction is not None and self.config.tracking.back_end.on_correction == "move":
+            move_map(correction, self.gaussians, self.keyframes)
 
     def _optimise_online(self, frame: Frame, is_keyframe: bool) -> tuple[list[float], list[float]]:
         """m steps on a keyframe; n on another frame, then some on random keyframes against forgetting (III-B.3)."""
@@ -190,6 +201,10 @@ class GSFusion:
             for keyframe in self.keyframes.draw(optim.random_keyframe_iterations, self.generator):
                 self._optimise_view(keyframe)
         return [loss for loss, _ in steps], [psnr for _, psnr in steps]
+
+    def _optimise_globally(self, i: int) -> float:
+        """One step on the i-th keyframe after the scan."""
+        return self._optimise_view(self.keyframes[i], ssim_weight=self.config.optim.ssim_weight)[0]
 
     def _optimise_view(self, view: Frame | Keyframe, ssim_weight: float = 0.0) -> tuple[float, float]:
         """One gradient step on one view; its loss and PSNR before the step. Online the loss is L1 alone (Eq. 12)."""

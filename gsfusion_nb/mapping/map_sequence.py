@@ -7,20 +7,21 @@ from typing import Any
 
 import torch
 
-from ..config import GSFusionConfig, gsfusion
 from ..datasets import Sequence, SequenceError, apply_options, check_sequence, open_sequence
 from ..seeding import SeedingRule
 from ..types import Mesh
 from . import outputs
 from .run import CHECKPOINT, MappingRun, StopRequest, new_folder
+from .systems import Config, get_system
 
 log = logging.getLogger(__name__)
 
 
 def run_mapping(
     data: str | Path | Sequence,
-    config: GSFusionConfig | str | None = None,
+    config: Config | str | None = None,
     *,
+    system: str = "gsfusion",
     folder: Path | str | None = None,
     seeding: "str | SeedingRule | None" = None,
     device: torch.device | str = "cpu",
@@ -32,6 +33,7 @@ def run_mapping(
     Args:
         data: Folder of a sequence, "room" for the built-in scene, or any ``Sequence``.
         config: Settings, or the name of a preset; the built-in scene's or Replica's by default.
+        system: "gsfusion" or "rtg_slam", where ``config`` is no settings.
         folder: New or empty folder for the results; ``runs/<name>-<time>`` by default.
         seeding: Name of a seeding rule, or the rule itself.
         device: Where the maps live.
@@ -42,9 +44,8 @@ def run_mapping(
         The run with its folder and numbers. After Ctrl-C everything mapped so far is saved in it, and
         ``resume_mapping(folder)`` goes on.
     """
-    if isinstance(config, str):
-        config = gsfusion(config)
-    config = config or gsfusion("room" if str(data) == "room" else "replica")
+    if config is None or isinstance(config, str):
+        config = get_system(system).preset(config or ("room" if str(data) == "room" else "replica"))
     if isinstance(data, (str, Path)):
         is_folder = Path(data).expanduser().is_dir()
         place = str(Path(data).expanduser().resolve()) if is_folder and str(data) != "room" else str(data)
@@ -118,7 +119,7 @@ def _drive(run: MappingRun, folder: Path, evaluate: bool) -> FinishedRun:
         metrics: dict[str, Any] = outputs.map_metrics(run, mesh) | run.online_scores
         if evaluate:
             stop.at_once = True
-            metrics |= outputs.score(run) | outputs.score_mesh(run, mesh)
+            metrics |= outputs.score(run) | outputs.score_trajectory(run) | outputs.score_mesh(run, mesh)
             outputs.write_numbers(run, folder, metrics)
             outputs.write_page(run, folder, metrics)
     return FinishedRun(run, folder, metrics)
@@ -127,8 +128,7 @@ def _drive(run: MappingRun, folder: Path, evaluate: bool) -> FinishedRun:
 def _work(run: MappingRun, stop: StopRequest, evaluate: bool) -> None:
     """Map and optimise until done or asked to stop; sets the run's status."""
     _with_progress(run, stop)
-    begun = run.mapper.global_passes_done > 0 or run.mapper.global_queue
-    if evaluate and not (stop or begun) and run.mapper.config.optim.global_iterations:
+    if evaluate and not (stop or run.mapper.passes.begun) and run.mapper.n_passes:
         online = outputs.score(run, "_online")
         names = ("psnr_held_out_online_db", "psnr_mapped_online_db")
         run.online_scores = {k: online[k] for k in names if isinstance(online[k], float)}
@@ -138,7 +138,7 @@ def _work(run: MappingRun, stop: StopRequest, evaluate: bool) -> None:
         run.status = "interrupted"
         run.warnings.append(
             f"interrupted after {len(run.steps)} of {len(run.sequence.mapping)} frames and "
-            f"{run.mapper.global_passes_done} global passes; everything so far is saved"
+            f"{run.mapper.passes.done} global passes; everything so far is saved"
         )
     elif run.status == "running":
         run.status = "complete"

@@ -5,7 +5,6 @@ import json
 import math
 import platform
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ import torch
 
 from .. import __version__
 from ..config import to_dict
-from ..datasets import SequenceError, SequenceView
+from ..datasets import SequenceView
 from ..evaluation import (
     FrameRow,
     NotComputed,
@@ -24,14 +23,18 @@ from ..evaluation import (
     mesh_scores,
     metrics_as_json,
     score_views,
+    trajectory_scores,
     write_report,
 )
 from ..export import atomic_path, write_gaussian_ply, write_mesh_ply, write_trajectory_tum
-from ..seeding import quadtree, rule_name
-from ..tsdf import raycast
+from ..gaussians import state_counts
+from ..seeding import Cells, quadtree, rule_name
 from ..types import Frame, Mesh
+from .gsfusion import GSFusion
+from .placing import placed, readable, true_poses
 from .report import StepReport
 from .run import MappingRun
+from .systems import get_system
 
 MAX_SCORED_VIEWS = 250
 """At most so many mapped views are scored, evenly spread; held-out views are all scored."""
@@ -49,7 +52,8 @@ def score(run: MappingRun, suffix: str = "", *, with_lpips: bool = False) -> dic
     """PSNR, SSIM, LPIPS and depth error on mapped and held-out views of the map as it is now."""
     metrics: dict[str, Any] = {}
     for name, view in (("held_out", run.sequence.held_out), ("mapped", _spread(run, MAX_SCORED_VIEWS))):
-        scores = score_views(run.mapper.render, readable(view), with_lpips=with_lpips)
+        frames = placed(view, run.mapper.localiser, run.sequence.mapping)
+        scores = score_views(run.mapper.render, frames, with_lpips=with_lpips)
         metrics |= scores.as_metrics(name + suffix)
         metrics[f"n_views_{name}{suffix}"] = len(scores)
     return metrics
@@ -64,6 +68,7 @@ def write_maps(run: MappingRun, folder: Path) -> Mesh:
         write_trajectory_tum(folder / "trajectory.txt", run.timestamps_s, torch.stack(run.poses))
     settings = {
         "gsfusion_nb": __version__,
+        "system": run.system,
         "source": run.source,
         "rule": rule_name(run.mapper.rule),
         "config": to_dict(run.mapper.config),
@@ -83,7 +88,7 @@ def write_page(run: MappingRun, folder: Path, metrics: dict[str, Any]) -> Path:
     """Write report.html."""
     config = run.mapper.config
     data = ReportData(
-        title=f"GSFusion on {run.sequence.name}",
+        title=f"{get_system(run.system).title} on {run.sequence.name}",
         subtitle=f"{len(run.steps)} frames, colour of SH degree {config.sh_degree}, rule {rule_name(run.mapper.rule)}",
         metrics=metrics,
         config=to_dict(config),
@@ -106,13 +111,41 @@ def map_metrics(run: MappingRun, mesh: Mesh) -> dict[str, Any]:
         "model_size_mb": run.mapper.gaussians.size_bytes / 1e6,
         "n_keyframes": sum(s.is_keyframe for s in run.steps),
         "n_frames": len(run.steps),
-        "n_blocks": run.mapper.volume.n_blocks,
+        **_parts(run),
         "n_triangles": len(mesh.faces),
         **frame_rates(seconds),
+        **_tracking_rates(run),
         "seconds_online": sum(seconds),
         "seconds_global": run.seconds_global,
         "peak_memory_mb": peak_memory_mb(run.mapper.device),
     }
+
+
+def _parts(run: MappingRun) -> dict[str, int]:
+    """What else the map consists of: voxel blocks, or Gaussians by state."""
+    if isinstance(run.mapper, GSFusion):
+        return {"n_blocks": run.mapper.volume.n_blocks}
+    return {f"n_{name}": count for name, count in state_counts(run.mapper.gaussians).items()}
+
+
+def _tracking_rates(run: MappingRun) -> dict[str, float]:
+    """Frames per second of tracking alone and of mapping alone, where poses were tracked."""
+    tracking = sum(s.seconds.get("tracking", 0.0) for s in run.steps)
+    if not run.mapper.localiser.is_tracking or not tracking:
+        return {}
+    mapping = sum(s.total_seconds for s in run.steps) - tracking
+    return {"fps_tracking": len(run.steps) / tracking, "fps_mapping": len(run.steps) / max(mapping, 1e-9)}
+
+
+def score_trajectory(run: MappingRun) -> dict[str, Any]:
+    """Absolute trajectory error of tracked poses against the data's."""
+    localiser = run.mapper.localiser
+    truth = true_poses(localiser, run.sequence.mapping) if localiser.is_tracking else None
+    if truth is None or len(localiser.poses) < 3:
+        return {}
+    status = [s.tracking.get("status") for s in run.steps]
+    counts = {"n_recovered": status.count("recovered"), "n_degenerate": status.count("degenerate")}
+    return trajectory_scores(torch.stack(localiser.poses), truth) | counts
 
 
 def score_mesh(run: MappingRun, mesh: Mesh) -> dict[str, Any]:
@@ -174,43 +207,41 @@ def _spread(run: MappingRun, limit: int) -> SequenceView:
     return dataclasses.replace(mapped, positions=[mapped.positions[i] for i in picks])
 
 
-def readable(view: SequenceView) -> Iterator[Frame]:
-    """The frames of a view, without those that cannot be read (the run's warnings name them)."""
-    for i in range(len(view)):
-        try:
-            yield view[i]
-        except SequenceError:
-            continue
-
-
 def _panels(run: MappingRun) -> list[ViewPanel]:
     """A few held-out and mapped views, as photographed and as rendered."""
     panels = []
-    seeding = run.mapper.config.seeding
     for view, held_out in ((run.sequence.held_out, True), (_spread(run, 1000), False)):
         picks = sorted({round(i * (len(view) - 1) / 2) for i in range(3)}) if len(view) else []
-        for frame in readable(dataclasses.replace(view, positions=[view.positions[i] for i in picks])):
-            cells = quadtree(
-                frame.rgb_u8,
-                threshold=seeding.quadtree_threshold,
-                min_cell_px=seeding.quadtree_min_cell_px,
-                contrast=seeding.quadtree_contrast,
-            )
+        picked = dataclasses.replace(view, positions=[view.positions[i] for i in picks])
+        for frame in placed(picked, run.mapper.localiser, run.sequence.mapping):
             rendered = run.mapper.render(frame.camera, frame.T_WC)
-            panels.append(ViewPanel.of(frame, rendered, held_out=held_out, cells=cells))
+            panels.append(ViewPanel.of(frame, rendered, held_out=held_out, cells=_cells(run, frame)))
     return panels
 
 
+def _cells(run: MappingRun, frame: Frame) -> Cells | None:
+    """The quadtree on a frame, for the system that seeds by it."""
+    if not isinstance(run.mapper, GSFusion):
+        return None
+    seeding = run.mapper.config.seeding
+    return quadtree(
+        frame.rgb_u8,
+        threshold=seeding.quadtree_threshold,
+        min_cell_px=seeding.quadtree_min_cell_px,
+        contrast=seeding.quadtree_contrast,
+    )
+
+
 def _mesh_pictures(run: MappingRun) -> dict[str, torch.Tensor]:
-    """The TSDF surface from two mapped views: its colours, and its shape shaded by a lamp at the camera."""
+    """The surface from two mapped views: its colours, and its shape shaded by a lamp at the camera."""
     pictures = {}
-    views = _spread(run, 2)
-    for i in range(len(views)):
-        T_WC = views.pose(i).to(run.mapper.device)
-        hit = raycast(run.mapper.volume, views.camera, T_WC)
-        towards = -(hit.normal_W * T_WC[:3, 2]).sum(-1)  # cosine to the optical axis
-        shaded = (0.15 + 0.85 * towards.clamp(0, 1)) * (hit.depth_m > 0)
-        pictures[f"colour, view {i + 1}"] = hit.rgb.clamp(0, 1)
+    poses = run.poses
+    for i, T_WC in enumerate([poses[0], poses[-1]] if poses else []):
+        T_WC = T_WC.to(run.mapper.device)
+        seen = run.mapper.surface(run.sequence.camera, T_WC)
+        towards = -(seen.normal_W * T_WC[:3, 2]).sum(-1)  # cosine to the optical axis
+        shaded = (0.15 + 0.85 * towards.clamp(0, 1)) * (seen.depth_m > 0)
+        pictures[f"colour, view {i + 1}"] = seen.rgb.clamp(0, 1)
         pictures[f"shape, view {i + 1}"] = shaded[..., None].expand(-1, -1, 3)
     return pictures
 

@@ -5,6 +5,7 @@ import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import Any
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -16,17 +17,21 @@ class StepReport:
     """New Gaussians of this frame."""
     n_gaussians: int
     """Gaussians in the map after it."""
-    n_blocks: int
-    """Voxel blocks in the TSDF map after it."""
     is_keyframe: bool
     losses: tuple[float, ...]
     """Loss before each optimisation step on this frame."""
     psnr_before_db: float
-    """PSNR of this view with its new Gaussians, before any optimisation of this frame."""
+    """PSNR of this view before it was optimised: GSFusion with its new Gaussians, RTG-SLAM without."""
     psnr_after_db: float
-    """PSNR of this view at the last optimisation step on it (before that step is taken)."""
+    """PSNR of this view after: GSFusion at the last step on it (before that step is taken), RTG-SLAM at the end."""
+    n_blocks: int = 0
+    """Voxel blocks in the TSDF map after it, if there is one."""
+    counts: dict[str, int] = field(default_factory=dict)
+    """RTG-SLAM: Gaussians by state, and how many changed state."""
+    tracking: dict[str, Any] = field(default_factory=dict)
+    """How the pose was found: status, rms_m, inlier_share. Empty for given poses."""
     seconds: dict[str, float] = field(default_factory=dict)
-    """Wall time by stage: tsdf, quadtree, seeding, optimise."""
+    """Wall time by stage: tracking, tsdf, quadtree, seeding, optimise, keyframes, states."""
 
     @property
     def total_seconds(self) -> float:

@@ -4,12 +4,14 @@ import json
 from pathlib import Path
 from typing import Any
 
-from ..config import GSFusionConfig, from_dict
+from ..config import from_dict
 from ..datasets import open_sequence
 from ..evaluation import metrics_as_json, score_views
 from ..export import read_gaussian_ply
 from ..render import render
-from .outputs import readable, write_json
+from .outputs import write_json
+from .placing import readable
+from .systems import get_system
 
 
 def rescore(folder: Path | str, *, data: str | None = None, with_lpips: bool = False) -> dict[str, Any]:
@@ -35,7 +37,8 @@ def rescore(folder: Path | str, *, data: str | None = None, with_lpips: bool = F
         source = {**source, "path_or_name": data}
     if "path_or_name" not in source:
         raise ValueError(f"{folder} was mapped from a sequence in memory; give the folder of one on disk (--data)")
-    config = from_dict(GSFusionConfig, settings["config"])
+    system = get_system(settings.get("system", "gsfusion"))
+    config = from_dict(system.config, settings["config"])
     sequence = open_sequence(**source, data=config.data)
     params = read_gaussian_ply(folder / "gaussians.ply")
 

@@ -12,13 +12,14 @@ from typing import Any
 
 import torch
 
-from ..config import GSFusionConfig
+from ..config import TsdfConfig
 from ..datasets import OpenedSequence, SequenceError, open_sequence
 from ..export import load_checkpoint, save_checkpoint
 from ..seeding import SeedingRule
 from ..types import Frame
 from .gsfusion import GSFusion
 from .report import GlobalStep, StepReport
+from .systems import Config, get_system, make_mapper, system_of
 
 log = logging.getLogger(__name__)
 
@@ -27,7 +28,7 @@ MAX_BAD_FRAMES_IN_A_ROW = 20
 """After so many unusable frames one after another the recording is taken to be broken from there on."""
 
 _STATE = (
-    "steps", "global_losses", "_pass_losses", "online_scores", "timestamps_s", "poses", "warnings", "next_position",
+    "steps", "global_losses", "_pass_losses", "online_scores", "timestamps_s", "warnings", "next_position",
     "seconds_global",
 )  # fmt: skip
 
@@ -49,7 +50,7 @@ class MappingRun:
     def __init__(
         self,
         sequence: OpenedSequence,
-        config: GSFusionConfig,
+        config: Config,
         *,
         seeding: "str | SeedingRule | None" = None,
         device: torch.device | str = "cpu",
@@ -57,7 +58,7 @@ class MappingRun:
     ):
         self.sequence = sequence
         self.source = source or {}
-        self.mapper = GSFusion(config, seeding=seeding, device=device)
+        self.mapper = make_mapper(config, seeding=seeding, device=device)
         self.steps: list[StepReport] = []
         self.global_losses: list[float] = []
         """Mean loss of each finished pass of the global optimisation."""
@@ -65,7 +66,6 @@ class MappingRun:
         self.online_scores: dict[str, float] = {}
         """PSNR of the map as the scan left it, before the global optimisation."""
         self.timestamps_s: list[float] = []
-        self.poses: list[torch.Tensor] = []
         self.warnings: list[str] = []
         self.next_position = 0
         self.seconds_global = 0.0
@@ -74,6 +74,16 @@ class MappingRun:
 
     def __repr__(self) -> str:
         return f"MappingRun({self.sequence.name}, {self.status}, {self.mapper!r})"
+
+    @property
+    def system(self) -> str:
+        """Name of the system that maps."""
+        return system_of(self.mapper)
+
+    @property
+    def poses(self) -> list[torch.Tensor]:
+        """Camera-to-world pose of every mapped frame, as given or as tracked and corrected so far."""
+        return self.mapper.localiser.poses
 
     def online(self) -> Iterator[StepReport]:
         """Map the frames that are left, one by one; those that cannot be used are skipped and named in ``warnings``.
@@ -98,10 +108,8 @@ class MappingRun:
             bad = 0
             self.steps.append(report)
             self.timestamps_s.append(frame.timestamp_s)
-            self.poses.append(frame.T_WC.cpu())
             self.next_position += 1
-            if len(self.steps) == 1 and not report.n_blocks:
-                self._warn(self._nothing_in_range(frame))
+            self._look_at(frame, report)
             yield report
         if not self.steps:
             reason = self.warnings[0].removeprefix("skipped a frame: ")
@@ -111,11 +119,11 @@ class MappingRun:
 
     def optimise(self) -> Iterator[GlobalStep]:
         """Run the passes of the global optimisation that are left, beginning where an interrupted one stood."""
-        passes = self.mapper.config.optim.global_iterations - self.mapper.global_passes_done
+        passes = self.mapper.n_passes - self.mapper.passes.done
         start = time.perf_counter()
         for step in self.mapper.global_optimise(passes):
             self._pass_losses.append(step.loss)
-            if not self.mapper.global_queue:
+            if not self.mapper.passes.queue:
                 self.global_losses.append(sum(self._pass_losses) / len(self._pass_losses))
                 self._pass_losses = []
             self.seconds_global += time.perf_counter() - start
@@ -126,7 +134,8 @@ class MappingRun:
         """Write everything needed to resume to ``folder``."""
         state = {name: getattr(self, name) for name in _STATE}
         state["steps"] = [vars(s) | {"losses": list(s.losses)} for s in self.steps]
-        save_checkpoint(folder / CHECKPOINT, {"run": state, "source": self.source, "mapper": self.mapper.state_dict()})
+        document = {"system": self.system, "run": state, "source": self.source, "mapper": self.mapper.state_dict()}
+        save_checkpoint(folder / CHECKPOINT, document)
 
     @classmethod
     def resume(
@@ -146,7 +155,7 @@ class MappingRun:
             raise FileNotFoundError(f"{path} is not there: only a run that was interrupted can be resumed")
         state = load_checkpoint(path, device=device)
         try:
-            mapper = GSFusion.from_state_dict(state["mapper"], seeding=seeding, device=device)
+            mapper = get_system(state["system"]).mapper.from_state_dict(state["mapper"], seeding=seeding, device=device)
             source, values = state["source"], {name: state["run"][name] for name in _STATE}
             steps = [StepReport(**{**s, "losses": tuple(s["losses"])}) for s in values["steps"]]
         except (KeyError, TypeError, AttributeError) as e:
@@ -160,8 +169,14 @@ class MappingRun:
         run.steps = steps
         return run
 
-    def _nothing_in_range(self, frame: Frame) -> str:
-        tsdf = self.mapper.config.tsdf
+    def _look_at(self, frame: Frame, report: StepReport) -> None:
+        """Warn of what a user should know about a step."""
+        if len(self.steps) == 1 and isinstance(self.mapper, GSFusion) and not report.n_blocks:
+            self._warn(self._nothing_in_range(frame, self.mapper.config.tsdf))
+        if report.tracking.get("status") == "recovered":
+            self._warn(f"frame {frame.index}: tracking was lost and found again")
+
+    def _nothing_in_range(self, frame: Frame, tsdf: TsdfConfig) -> str:
         known = frame.depth_m[frame.depth_m > 0]
         median = f"its median is {float(known.median()):.4g} m" if len(known) else "it has none at all"
         return (

@@ -2,9 +2,13 @@
 
 from .adam import adam_step as adam_step
 from .adam import adam_update as adam_update
+from .fusion import fuse_with_history as fuse_with_history
 from .keyframes import Keyframe as Keyframe
 from .keyframes import KeyframeList as KeyframeList
 from .losses import dssim as dssim
 from .losses import dssim_vjp as dssim_vjp
 from .losses import l1 as l1
 from .losses import l1_vjp as l1_vjp
+from .rgbd_loss import RgbdLoss as RgbdLoss
+from .rgbd_loss import rgbd_l1_vjp as rgbd_l1_vjp
+from .row_adam import RowAdam as RowAdam

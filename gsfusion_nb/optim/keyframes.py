@@ -1,5 +1,6 @@
 """The views that are revisited while mapping and optimised over after the scan."""
 
+import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -19,6 +20,8 @@ class Keyframe:
     rgb_u8: UInt8[Tensor, "H W 3"]
     camera: Camera
     T_WC: Float[Tensor, "4 4"]
+    depth_m: Float[Tensor, "H W"] | None = None
+    """z-depth, where the mapper has a depth loss, metres."""
 
     @property
     def rgb(self) -> Float[Tensor, "H W 3"]:
@@ -44,12 +47,24 @@ class KeyframeList:
     @property
     def size_bytes(self) -> int:
         """Memory of the images."""
-        return sum(k.rgb_u8.numel() for k in self._items)
+        return sum(k.rgb_u8.numel() + (0 if k.depth_m is None else 4 * k.depth_m.numel()) for k in self._items)
 
-    def append(self, frame: Frame) -> None:
+    def append(self, frame: Frame, *, with_depth: bool = False) -> None:
         """Keep ``frame`` as a keyframe."""
-        keyframe = Keyframe(index=frame.index, rgb_u8=frame.rgb_u8, camera=frame.camera, T_WC=frame.T_WC)
+        keyframe = Keyframe(
+            index=frame.index,
+            rgb_u8=frame.rgb_u8,
+            camera=frame.camera,
+            T_WC=frame.T_WC,
+            depth_m=frame.depth_m if with_depth else None,
+        )
         self._items.append(keyframe)
+
+    def move(self, T: Float[Tensor, "K 4 4"]) -> None:
+        """Apply a rigid motion to each keyframe's pose (a loop closure)."""
+        self._items = [
+            dataclasses.replace(k, T_WC=T_k.to(k.T_WC) @ k.T_WC) for k, T_k in zip(self._items, T, strict=True)
+        ]
 
     def draw(self, count: int, generator: torch.Generator) -> list[Keyframe]:
         """Up to ``count`` different keyframes at random (GSFusion III-B.3: the first of the shuffled list)."""
@@ -60,7 +75,7 @@ class KeyframeList:
 
     def state_dict(self) -> list[dict[str, Any]]:
         """Plain values of every keyframe."""
-        return [{"index": k.index, "rgb_u8": k.rgb_u8, "camera": vars(k.camera), "T_WC": k.T_WC} for k in self._items]
+        return [vars(k) | {"camera": vars(k.camera)} for k in self._items]
 
     @classmethod
     def from_state_dict(cls, state: list[dict[str, Any]]) -> "KeyframeList":

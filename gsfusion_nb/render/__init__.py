@@ -16,5 +16,9 @@ from .rasterize import render as render
 from .rasterize import render_autograd as render_autograd
 from .rasterize import render_forward as render_forward
 from .rasterize import render_vjp as render_vjp
+from .surface import SurfaceView as SurfaceView
+from .surface import blended_depth_m as blended_depth_m
+from .surface import surface_depth_m as surface_depth_m
+from .surface import view_surface as view_surface
 from .tiles import TileLists as TileLists
 from .tiles import tile_intersections as tile_intersections

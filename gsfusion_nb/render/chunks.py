@@ -36,15 +36,24 @@ class Chunk:
     """Transmittance in front of the first of them."""
 
 
-def cut_into_chunks(tiles: TileLists, T: Float[Tensor, "tiles P"]) -> Iterator[Chunk]:
-    """All list entries that can be seen, in rounds, nearest first.
+NO_HIT = -1
+"""In place of a row: no opaque Gaussian yet."""
 
-    ``T`` is read before each chunk is handed out: the caller writes there what the chunk lets through.
+
+def cut_into_chunks(
+    tiles: TileLists, T: Float[Tensor, "tiles P"], hit: Int[Tensor, "tiles P"] | None = None
+) -> Iterator[Chunk]:
+    """All list entries that can be seen or hit, in rounds, nearest first.
+
+    ``T`` is read before each chunk is handed out: the caller writes there what the chunk lets through; likewise
+    ``hit``, where pixels that still look for an opaque Gaussian hold ``NO_HIT``.
     """
     begin, length = tiles.offset[:-1].long(), tiles.offset.diff().long()
     alive = length.argsort(descending=True, stable=True)
     for first_rank in range(0, int(length.max()), RANKS):
         lit = T.index_select(0, alive).amax(1) >= TRANSMITTANCE_MIN
+        if hit is not None:
+            lit = lit | (hit.index_select(0, alive) == NO_HIT).any(1)
         alive = alive[lit & (length[alive] > first_rank)]
         for tile in alive.split(TILES) if len(alive) else ():
             left = length[tile] - first_rank

@@ -29,9 +29,13 @@ from ..backends import op
 from ..checks import check_positive
 from ..constants import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
 from ..types import Camera
-from .chunks import Chunk, Scratch, cut_into_chunks, image_to_tiles, tiles_to_image
+from .chunks import NO_HIT, Chunk, Scratch, cut_into_chunks, image_to_tiles, tiles_to_image
 from .entries import Entries, entries_vjp, list_entries, pixel_functions
 from .tiles import TileLists
+
+
+_NOT_DRAWN = -2
+"""In place of a row: the pixel is none of the picture's, or not wanted, and looks for no hit."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,7 +66,7 @@ class CompositeOutput:
     dominant_index: Int[Tensor, "H W"] | None
     """Row of the Gaussian with the largest w (the nearest of equals), or -1."""
     hit_index: Int[Tensor, "H W"] | None
-    """Row of the first Gaussian with w > 0 and alpha >= ``opaque_alpha``, or -1. ``None`` if not asked for."""
+    """Row of the first Gaussian with alpha >= ``opaque_alpha``, blended or not, or -1. ``None`` if not asked for."""
     saved: CompositeSaved
 
 
@@ -95,11 +99,11 @@ def composite(
     Args:
         uv, conic, opacity, depth_m: Screen-space Gaussians as in ``Projection``; rows not in ``tiles`` are not drawn.
         rgb: Colour of each. [N, 3]
-        tiles: Sorted lists; they decide what is drawn and in which order.
+        tiles: Sorted lists; they decide what is drawn, in which order, and on which pixels.
         camera: Gives the image size.
         with_indices: Also find the first and the dominant Gaussian of each pixel.
-        opaque_alpha: If given, also find the first Gaussian whose alpha at the pixel reaches it (Peng et al. 2024,
-            RTG-SLAM, section 3.1).
+        opaque_alpha: If given, also find the first Gaussian whose alpha at the pixel reaches it, even behind the point
+            where the pixel stops (Peng et al. 2024, RTG-SLAM, section 3.1).
 
     Differentiable: ``composite_vjp``.
     """
@@ -110,18 +114,19 @@ def composite(
     saved = CompositeSaved(tiles=tiles, entries=entries, opacity=opacity, channels=channels, chunks=[])
     functions, scratch = pixel_functions(tiles, uv), Scratch(uv)
     count, P = tiles.tiles_x * tiles.tiles_y, tiles.tile_px**2
-    T = image_to_tiles(uv.new_ones(camera.height, camera.width, 1), tiles).squeeze(1)  # 0 beyond the border
+    T = image_to_tiles(_light(tiles, camera, uv), tiles).squeeze(1)  # 0 beyond the border
     C = uv.new_zeros(count, 5 * P)
     ranks = PixelRanks(uv.new_zeros(3, count, P)) if with_indices else None
-    hit = None if opaque_alpha is None else tiles.gaussian.new_full((count, P), -1)
-    for chunk in cut_into_chunks(tiles, T):
-        alpha, T_k = _transmittance(chunk, entries, functions, scratch)
+    hit = None if opaque_alpha is None else torch.where(T > 0, NO_HIT, _NOT_DRAWN)
+    for chunk in cut_into_chunks(tiles, T, hit):
+        alpha = _alpha(chunk, entries, functions, scratch)
+        if hit is not None and opaque_alpha is not None:
+            _find_hits(hit, chunk, entries, alpha >= opaque_alpha)
+        T_k = _transmittance(alpha, chunk, scratch)
         w = torch.mul(alpha, T_k[:-1], out=scratch("w", *alpha.shape))
         c = _channels_of(chunk, saved)
         C.index_add_(0, chunk.tile, torch.bmm(c.permute(1, 2, 0), w.permute(1, 0, 2)).flatten(1))  # C += sum_k w_k c_k
         T.index_copy_(0, chunk.tile, T_k[-1])
-        if hit is not None and opaque_alpha is not None:
-            _find_hits(hit, chunk, entries, alpha >= opaque_alpha)
         if ranks is not None:
             ranks.update(chunk, w, T_k, alpha)
         saved.chunks.append(chunk)
@@ -137,7 +142,7 @@ def composite(
         alpha=image[..., 4].contiguous(),
         first_index=first,
         dominant_index=dominant,
-        hit_index=None if hit is None else tiles_to_image(hit[:, None], tiles, camera).squeeze(-1).contiguous(),
+        hit_index=None if hit is None else tiles_to_image(hit[:, None], tiles, camera).squeeze(-1).clamp(min=NO_HIT),
         saved=saved,
     )
 
@@ -156,18 +161,22 @@ def composite_vjp(
 
     Args:
         saved: ``CompositeOutput.saved``.
-        v_rgb, v_depth_m, v_alpha: dL/d of the images; ``None`` is zero.
+        v_rgb, v_depth_m, v_alpha: dL/d of the images; ``None`` is zero. Of pixels that were not drawn it is not used.
     """
     tiles, entries, P = saved.tiles, saved.entries, saved.tiles.tile_px**2
     v_depth_m, v_alpha = (torch.zeros_like(v_rgb[..., 0]) if v is None else v for v in (v_depth_m, v_alpha))
-    v_C = image_to_tiles(torch.cat([v_rgb, v_depth_m[..., None], v_alpha[..., None]], dim=-1), tiles).flatten(1)
+    v_image = torch.cat([v_rgb, v_depth_m[..., None], v_alpha[..., None]], dim=-1)
+    if tiles.pixels is not None:
+        v_image = torch.where(tiles.pixels[..., None], v_image, 0.0)
+    v_C = image_to_tiles(v_image, tiles).flatten(1)
     functions, scratch = pixel_functions(tiles, v_C), Scratch(v_C)
     some_clamped = bool((saved.opacity > ALPHA_MAX).any())
     S_behind = v_C.new_zeros(len(v_C), P)
     v_poly, v_channels = torch.zeros_like(entries.poly), torch.zeros_like(saved.channels)
     for chunk in reversed(saved.chunks):
         K, n = chunk.entry.shape
-        alpha, T_k = _transmittance(chunk, entries, functions, scratch)
+        alpha = _alpha(chunk, entries, functions, scratch)
+        T_k = _transmittance(alpha, chunk, scratch)
         w = torch.mul(alpha, T_k[:-1], out=scratch("w", K, n, P))
         v = v_C.index_select(0, chunk.tile).view(n, 5, P)
         v_c = torch.bmm(v, w.permute(1, 2, 0))  # dL/dc_k = w_k v_C, summed over the pixels
@@ -193,13 +202,25 @@ def composite_vjp(
     )
 
 
-def _transmittance(chunk: Chunk, entries: Entries, functions: Tensor, scratch: Scratch) -> tuple[Tensor, Tensor]:
-    """alpha_k [K, n, P] and T_k [K + 1, n, P] of a chunk."""
+def _light(tiles: TileLists, camera: Camera, like: Tensor) -> Tensor:
+    """1 at the pixels to be drawn, 0 at the others. [H, W, 1]"""
+    if tiles.pixels is None:
+        return like.new_ones(camera.height, camera.width, 1)
+    return tiles.pixels[..., None].to(like)
+
+
+def _alpha(chunk: Chunk, entries: Entries, functions: Tensor, scratch: Scratch) -> Tensor:
+    """alpha_k [K, n, P] of a chunk, whether the pixel has stopped or not."""
     K, n, P = *chunk.entry.shape, functions.shape[1]
     alpha = scratch("alpha", K, n, P)
     torch.mm(entries.poly.index_select(0, chunk.entry.flatten()), functions, out=alpha.view(-1, P))  # ln o - sigma
     alpha.clamp_min_(-20.0).exp_().clamp_max_(ALPHA_MAX)  # exp is slow where it underflows, and e^-20 is cut as well
-    torch.threshold_(alpha, ALPHA_MIN, 0.0)
+    return torch.threshold_(alpha, ALPHA_MIN, 0.0)
+
+
+def _transmittance(alpha: Tensor, chunk: Chunk, scratch: Scratch) -> Tensor:
+    """T_k [K + 1, n, P] of a chunk; ``alpha`` becomes zero where the pixel has stopped."""
+    K, n, P = alpha.shape
     T = scratch("T", K + 1, n, P)
     T[0] = chunk.T
     torch.sub(1.0, alpha, out=T[1:])
@@ -209,7 +230,7 @@ def _transmittance(chunk: Chunk, entries: Entries, functions: Tensor, scratch: S
         # T never rises, so T_{k+1} < 1e-4 means that the pixel stopped at k or before
         alpha.mul_(torch.ge(T[1:], TRANSMITTANCE_MIN, out=scratch("w", K, n, P)))
         T.clamp_min_(0.5 * TRANSMITTANCE_MIN)  # still stopped, and the gradient divides by it
-    return alpha, T
+    return T
 
 
 def _behind(w_cv: Tensor, S_last: Tensor, S: Tensor) -> Tensor:
@@ -235,7 +256,7 @@ def _find_hits(hit: Tensor, chunk: Chunk, entries: Entries, opaque: Tensor) -> N
     rows = _rows_of(chunk, entries).view(chunk.entry.shape)
     k = opaque.to(torch.uint8).argmax(0)  # of equals the first
     before = hit.index_select(0, chunk.tile)
-    found = (before < 0) & opaque.any(0)
+    found = (before == NO_HIT) & opaque.any(0)
     hit.index_copy_(0, chunk.tile, torch.where(found, rows.T.gather(1, k), before))
 
 

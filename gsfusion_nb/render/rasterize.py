@@ -3,13 +3,14 @@
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from ..backends import op
+from ..checks import check_mask
 from ..geometry.spherical_harmonics import sh_to_rgb, sh_to_rgb_vjp
 from ..types import Camera, GaussianParams, RenderOutput
-from .composite import CompositeSaved, composite, composite_vjp
+from .composite import CompositeGradient, CompositeSaved, composite, composite_vjp
 from .project import project_gaussians, project_gaussians_vjp
 from .tiles import tile_intersections
 
@@ -46,17 +47,26 @@ def render_forward(
     *,
     with_indices: bool = True,
     opaque_alpha: float | None = None,
+    pixels: Bool[Tensor, "H W"] | None = None,
 ) -> tuple[RenderOutput, RenderSaved]:
     """``render``, and a record of the pass for ``render_vjp``. No autograd graph is made.
 
-    An optimiser has no use for the indices: without them (``with_indices=False``, both ``None``) it is a little faster.
-    With ``opaque_alpha`` (the paper's is ``constants.OPAQUE_ALPHA``) it also finds the Gaussians for ``disc_depth``.
+    Args:
+        params, camera, T_WC: as given to ``render``.
+        with_indices: Find the first and the dominant Gaussian. An optimiser has no use for them; without, both are
+            ``None`` and it is a little faster.
+        opaque_alpha: If given, also find the Gaussians for ``disc_depth``; the paper's is ``constants.OPAQUE_ALPHA``.
+        pixels: Draw only where this is true; elsewhere all images are 0, indices -1 and gradients zero. A tile of the
+            image without such a pixel costs nothing. (Peng et al. 2024, RTG-SLAM, section 3.2.) [H, W]
+
+    Raises:
+        ValueError: ``pixels`` is not boolean or not of the camera's size.
     """
     with torch.no_grad():
         T_WC = T_WC.to(params.xyz_W)
         projection = project_gaussians(params, camera, T_WC)
         rgb = sh_to_rgb(params.sh, params.xyz_W, T_WC[:3, 3])
-        tiles = tile_intersections(projection, camera)
+        tiles = tile_intersections(projection, camera, pixels=pixels)
         image = composite(
             projection.uv,
             projection.conic,
@@ -85,21 +95,39 @@ def render_vjp(
     v_rgb: Float[Tensor, "H W 3"],
     v_depth_m: Float[Tensor, "H W"] | None = None,
     v_alpha: Float[Tensor, "H W"] | None = None,
+    *,
+    rows: Bool[Tensor, " N"] | None = None,
 ) -> GaussianParams:
     """dL/d of every parameter from dL/d of the images: the vjp of each stage, last stage first.
 
     Args:
         saved: Second result of ``render_forward``.
-        v_rgb, v_depth_m, v_alpha: dL/d of the images; ``None`` is zero.
+        v_rgb, v_depth_m, v_alpha: dL/d of the images; ``None`` is zero. Of pixels that were not drawn it is not used.
+        rows: Gradients are wanted only where this is true; the other Gaussians are frozen and cost less. [N]
 
     Returns:
-        Gradients, in the shape of the parameters; zero for a Gaussian that is not seen.
+        Gradients, in the shape of the parameters; zero for a Gaussian that is not seen or is frozen.
+
+    Raises:
+        ValueError: ``rows`` is not boolean or not of the length of the parameters.
     """
-    params, camera, T_WC = saved.params, saved.camera, saved.T_WC
+    if rows is not None:
+        check_mask("rows", rows, (len(saved.params),))
     with torch.no_grad():
         v = composite_vjp(saved.composite, v_rgb, v_depth_m, v_alpha)
-        v_sh, v_xyz_W = sh_to_rgb_vjp(params.sh, params.xyz_W, T_WC[:3, 3], v.rgb)
-        g = project_gaussians_vjp(params, camera, T_WC, v.uv, v.conic, v.depth_m, v.opacity)
+        if rows is None:
+            return _parameters_vjp(saved, saved.params, v)
+        some = _parameters_vjp(saved, saved.params[rows], CompositeGradient(**{k: x[rows] for k, x in vars(v).items()}))
+        gradient = {name: torch.zeros_like(value) for name, value in vars(saved.params).items()}
+        for name, value in gradient.items():
+            value[rows] = getattr(some, name)
+        return GaussianParams(**gradient)
+
+
+def _parameters_vjp(saved: RenderSaved, params: GaussianParams, v: CompositeGradient) -> GaussianParams:
+    """From the screen-space Gaussians to the parameters of the same rows."""
+    v_sh, v_xyz_W = sh_to_rgb_vjp(params.sh, params.xyz_W, saved.T_WC[:3, 3], v.rgb)
+    g = project_gaussians_vjp(params, saved.camera, saved.T_WC, v.uv, v.conic, v.depth_m, v.opacity)
     return GaussianParams(
         xyz_W=g.xyz_W + v_xyz_W,  # a centre decides where, and from which side, its Gaussian is seen
         log_scale=g.log_scale,

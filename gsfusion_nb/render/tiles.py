@@ -4,10 +4,11 @@ import math
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Int
+from jaxtyping import Bool, Int
 from torch import Tensor
 
 from ..backends import op
+from ..checks import check_mask
 from ..constants import ALPHA_MIN, TILE_PX
 from ..types import Camera
 from .project import Projection
@@ -27,10 +28,14 @@ class TileLists:
     """Edge of a tile, pixels."""
     tiles_x: int
     tiles_y: int
+    pixels: Bool[Tensor, "H W"] | None = None
+    """Pixels to be drawn; ``None`` stands for all. Tiles without any have empty lists."""
 
 
 @op
-def tile_intersections(projection: Projection, camera: Camera, *, tile_px: int = TILE_PX) -> TileLists:
+def tile_intersections(
+    projection: Projection, camera: Camera, *, tile_px: int = TILE_PX, pixels: Bool[Tensor, "H W"] | None = None
+) -> TileLists:
     """Sorted lists of the Gaussians whose alpha reaches 1/255 somewhere in a tile.
 
     The ellipse alpha = 1/255 is cut by each row of tiles; the columns between the leftmost and the rightmost point of
@@ -40,9 +45,12 @@ def tile_intersections(projection: Projection, camera: Camera, *, tile_px: int =
         projection: Screen-space Gaussians.
         camera: Gives the image size; the last row and column of tiles may hang over.
         tile_px: Edge of a tile, pixels. What is drawn does not depend on it.
+        pixels: The pixels to be drawn, if not all.
 
     Differentiable: no (a list; the gradient at its border is of the size of the 1/255 cut).
     """
+    if pixels is not None:
+        check_mask("pixels", pixels, (camera.height, camera.width))
     tiles_x, tiles_y = -(-camera.width // tile_px), -(-camera.height // tile_px)
     u, v = projection.uv.unbind(-1)
     e_u, e_v = projection.extent_px.unbind(-1)
@@ -59,7 +67,11 @@ def tile_intersections(projection: Projection, camera: Camera, *, tile_px: int =
     # one line per (Gaussian, tile)
     x0, x1 = _tile_range(left, right, tile_px, camera.width)
     line, tx = _expand(x0, x1)
-    tile, order = torch.sort((ty * tiles_x).index_select(0, line) + tx, stable=True)
+    tile = (ty * tiles_x).index_select(0, line) + tx
+    if pixels is not None:
+        wanted = _active_tiles(pixels, tile_px).index_select(0, tile)
+        line, tile = line[wanted], tile[wanted]
+    tile, order = torch.sort(tile, stable=True)
     return TileLists(
         gaussian=nearest.index_select(0, g.index_select(0, line.index_select(0, order))),
         tile=tile,
@@ -67,7 +79,15 @@ def tile_intersections(projection: Projection, camera: Camera, *, tile_px: int =
         tile_px=tile_px,
         tiles_x=tiles_x,
         tiles_y=tiles_y,
+        pixels=pixels,
     )
+
+
+def _active_tiles(pixels: Tensor, tile_px: int) -> Tensor:
+    """Whether each tile holds a pixel to be drawn. [tiles]"""
+    H, W = pixels.shape
+    padded = torch.nn.functional.pad(pixels, (0, -W % tile_px, 0, -H % tile_px))
+    return padded.unflatten(1, (-1, tile_px)).unflatten(0, (-1, tile_px)).any(3).any(1).flatten()
 
 
 def _tile_range(low: Tensor, high: Tensor, tile_px: int, size: int) -> tuple[Tensor, Tensor]:

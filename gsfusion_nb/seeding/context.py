@@ -8,8 +8,9 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from ..config import SeedingConfig, TsdfConfig
-from ..geometry import backproject, depth_to_normals, pixel_grid, se3
+from ..config import DiscConfig, SeedingConfig, TsdfConfig
+from ..geometry import backproject, depth_to_normals, pixel_grid, quaternion, se3
+from ..render import SurfaceView, render, view_surface
 from ..types import Camera, Frame, GaussianParams, RenderOutput, Seeds
 from .quadtree import Cells, quadtree
 
@@ -41,7 +42,15 @@ class MapView:
     tag: Int[Tensor, " N"] | None
     """Label that the seeding rule gave each Gaussian, where the map keeps it."""
     state: Int[Tensor, " N"] | None
-    """Stable or unstable, where the map distinguishes them."""
+    """Stable (1) or unstable (0), where the map distinguishes them."""
+    quat: Float[Tensor, "N 4"]
+    """Orientation, wxyz, not normalised."""
+
+    @property
+    def normal_W(self) -> Float[Tensor, "N 3"]:
+        """Axis of the smallest standard deviation, world frame; either side."""
+        R = quaternion.to_matrix(self.quat)
+        return R.gather(2, self.scale_m.argmin(dim=1)[:, None, None].expand(-1, 3, 1)).squeeze(2)
 
     def __len__(self) -> int:
         return self.xyz_W.shape[0]
@@ -65,6 +74,8 @@ class SeedContext:
     """Quadtree settings."""
     generator: torch.Generator = field(default_factory=lambda: torch.Generator().manual_seed(0))
     """The only source of randomness a rule may use."""
+    discs: DiscConfig = field(default_factory=DiscConfig)
+    """When a ray hits a Gaussian, for ``surface``."""
     near_m: float | None = None
     """Depth below this counts as missing, metres. Not given: the volume's, or 0.4 m as published if there is none."""
     _cache: dict = field(default_factory=dict, init=False, repr=False)
@@ -198,11 +209,24 @@ class SeedContext:
         params = self._need_gaussians("render()")
 
         def draw() -> RenderOutput:
-            from ..render import render
-
             return render(params, self.camera, self.frame.T_WC)
 
         return self._once("render", draw)
+
+    def surface(self, rows: Int[Tensor, " M"] | None = None) -> SurfaceView:
+        """What the frame's camera sees of the current map with its Gaussians as discs: transmittance, depth of the
+        surface, the disc that each pixel hits.
+
+        Args:
+            rows: Draw only these Gaussians; indices in the result then count among them.
+        """
+        params = self._need_gaussians("surface()")
+
+        def draw() -> SurfaceView:
+            shown = params if rows is None else params[rows]
+            return view_surface(shown, self.camera, self.frame.T_WC, self.discs)
+
+        return draw() if rows is not None else self._once("surface", draw)
 
     def _once(self, key: Any, make: Any) -> Any:
         if key not in self._cache:
@@ -229,4 +253,5 @@ def _map_view(gaussians: Any, params: GaussianParams) -> MapView:
         opacity=params.opacity_logit.sigmoid(),
         tag=getattr(gaussians, "tag", None),
         state=getattr(gaussians, "state", None),
+        quat=params.quat,
     )

@@ -1,1 +1,18 @@
 """Where the camera is: frame-to-model ICP, and the back end that closes loops."""
+
+from .icp import IcpIteration as IcpIteration
+from .icp import IcpResult as IcpResult
+from .icp import align as align
+from .icp import icp as icp
+from .point_to_plane import IcpSystem as IcpSystem
+from .point_to_plane import associate as associate
+from .point_to_plane import icp_system as icp_system
+from .point_to_plane import point_to_plane as point_to_plane
+from .pyramid import DepthLevel as DepthLevel
+from .pyramid import depth_pyramid as depth_pyramid
+from .surface import Surface as Surface
+from .surface import SurfaceSource as SurfaceSource
+from .surface import tsdf_surface as tsdf_surface
+from .tracker import Tracker as Tracker
+from .tracker import TrackingLostError as TrackingLostError
+from .tracker import TrackingReport as TrackingReport

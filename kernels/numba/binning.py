@@ -3,7 +3,34 @@
 import numpy as np
 from numba import njit, prange
 
-from .project import tiles_of
+from .composite import TILE
+from .project import FEW, tiles_of
+
+
+@njit(cache=True, error_model="numpy")
+def tile_windows(pixels, width, height):
+    """Where there are pixels to be drawn: ``(windows, sums)``. pixels: bool [H, W], or [0, 0] for all.
+
+    windows: int32 [tiles, 4], first and last column, first and last row of those in a tile, in pixels of the image; in
+    a tile without any, the first is behind the last. [0, 4] if all are to be drawn.
+    sums: int32 [tiles_y + 1, tiles_x + 1], sums[j, i] is the number of tiles with any above row j and left of column i.
+    """
+    tiles_x, tiles_y = (width + TILE - 1) // TILE, (height + TILE - 1) // TILE
+    masked = pixels.shape[0] > 0
+    windows = np.empty((tiles_x * tiles_y if masked else 0, 4), np.int32)
+    windows[:, 0], windows[:, 1], windows[:, 2], windows[:, 3] = width, -1, height, -1
+    for y in range(pixels.shape[0]):
+        for x in range(width):
+            if pixels[y, x]:
+                window = windows[(y // TILE) * tiles_x + x // TILE]
+                window[0], window[1] = min(window[0], x), max(window[1], x)
+                window[2], window[3] = min(window[2], y), y
+    sums = np.zeros((tiles_y + 1, tiles_x + 1), np.int32)
+    for ty in range(tiles_y):
+        for tx in range(tiles_x):
+            here = 1 if not masked or windows[ty * tiles_x + tx, 1] >= 0 else 0
+            sums[ty + 1, tx + 1] = here + sums[ty, tx + 1] + sums[ty + 1, tx] - sums[ty, tx]
+    return windows, sums
 
 
 @njit(cache=True, error_model="numpy")
@@ -37,14 +64,18 @@ def depth_order(splats, count):
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
-def list_tiles(splats, start, width, height, pair_tile):
-    """Numbers of the tiles each splat touches, row i in ``pair_tile[start[i]:start[i + 1]]``."""
+def list_tiles(splats, start, few, width, height, windows, pair_tile):
+    """Numbers of the tiles each splat is listed in, row i in ``pair_tile[start[i]:start[i + 1]]``."""
     N = splats.shape[0]
     chunk = 256
     for part in prange((N + chunk - 1) // chunk):
         for i in range(part * chunk, min(N, part * chunk + chunk)):
-            if start[i + 1] > start[i]:
-                tiles_of(splats[i], width, height, pair_tile, start[i])
+            n = start[i + 1] - start[i]
+            if n > FEW:
+                tiles_of(splats[i], width, height, windows, pair_tile, start[i], n)
+            else:
+                for j in range(n):
+                    pair_tile[start[i] + j] = few[i * FEW + j]
 
 
 @njit(cache=True, error_model="numpy")

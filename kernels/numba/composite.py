@@ -1,6 +1,7 @@
 """Front-to-back compositing of sorted splats and its gradient, one 16x16 tile at a time, one pixel row per vector.
 
-State per tile is a row-major 16x16 array of the transmittance T; a finished pixel keeps its T with the sign flipped.
+State per tile is a row-major 16x16 array of the transmittance T; a finished pixel keeps its T with the sign flipped,
+and one that is not to be drawn, or lies beyond the image, starts as finished.
 The backward pass walks front to back as well: it repeats the forward decisions exactly, and the part of the pixel
 still to come is what is left of the total, so nothing per pair has to be kept between the passes.
 """
@@ -13,7 +14,7 @@ from numba import njit, prange
 
 from gsfusion_nb.constants import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
 
-from .simd import any_lane, exp, iota, load, maximum, minimum, negative_abs, reduce_add, select, splat, store
+from .simd import any_lane, either, exp, iota, load, maximum, minimum, negative_abs, reduce_add, select, splat, store
 
 TILE = 16
 PAIR_SUMS = 10
@@ -28,25 +29,64 @@ _ONE = f32(1.0)
 _ZERO = f32(0.0)
 
 
+@njit(cache=True, error_model="numpy")
+def _open_pixels(state, rows_open, pixels, x0, y0, width, height):
+    """T in front of the first splat: 1 at the tile's pixels that are to be drawn, else -1. Returns the open rows."""
+    tile_width, tile_height = min(TILE, width - x0), min(TILE, height - y0)
+    masked = pixels.shape[0] > 0
+    if not masked and tile_width == TILE and tile_height == TILE:
+        state[: TILE * TILE] = _ONE
+        rows_open[:] = 1
+        return TILE
+    state[: TILE * TILE] = -_ONE
+    rows_open[:] = 0
+    n_open = 0
+    for r in range(tile_height):
+        for i in range(tile_width):
+            if not masked or pixels[y0 + r, x0 + i]:
+                state[r * TILE + i] = _ONE
+                rows_open[r] = 1
+        n_open += rows_open[r]
+    return n_open
+
+
+@njit(cache=True, error_model="numpy")
+def _clear(x0, y0, width, height, rgb, depth, alpha, indices):
+    """The background on one tile."""
+    for y in range(y0, min(y0 + TILE, height)):
+        for x in range(x0, min(x0 + TILE, width)):
+            rgb[y, x, 0], rgb[y, x, 1], rgb[y, x, 2] = _ZERO, _ZERO, _ZERO
+            depth[y, x], alpha[y, x] = _ZERO, _ZERO
+    for index in indices:
+        if index.shape[0] > 0:
+            index[y0 : y0 + TILE, x0 : x0 + TILE] = -1
+
+
 @njit(parallel=True, cache=True, error_model="numpy")
-def composite_forward(splats, ids, offset, width, height, rgb, depth, alpha_out, first, dominant, hit, opaque):
+def composite_forward(splats, ids, offset, pixels, width, height, rgb, depth, alpha_out, first, dominant, hit, opaque):
     """Blend every tile's splats into ``rgb`` [H, W, 3], ``depth`` and ``alpha_out`` [H, W].
 
     splats [N, 12]: u, v, conic A, B, C, ln(opacity), r, g, b, depth, half extents x, y of the visible ellipse.
     ids [I]: splat of each pair, sorted by tile, then depth. offset [tiles + 1].
     first, dominant: int64 [H, W], rows of the first and the heaviest splat of each pixel, or [0, 0] if not wanted.
-    hit: likewise, of the first splat with alpha >= ``opaque``.
+    hit: likewise, of the first splat with alpha >= ``opaque``, even behind the one that finishes the pixel.
+    pixels: bool [H, W], those to be drawn, or [0, 0] for all.
     """
     with_index, with_hit = first.shape[0] > 0, hit.shape[0] > 0
     tiles_x = (width + TILE - 1) // TILE
     tiles_y = (height + TILE - 1) // TILE
     for tile in prange(tiles_x * tiles_y):
         x0, y0 = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
+        if offset[tile] == offset[tile + 1]:
+            _clear(x0, y0, width, height, rgb, depth, alpha_out, (first, dominant, hit))
+            continue
         state = np.zeros((9 if with_hit else 8) * 256, np.float32)
-        state[:256] = _ONE
         state[1536:] = -_ONE
-        rows_open = np.ones(TILE, np.uint8)
-        n_open = min(TILE, height - y0)
+        rows_open = np.empty(TILE, np.uint8)
+        n_open = _open_pixels(state, rows_open, pixels, x0, y0, width, height)
+        if with_hit:  # finished pixels that still look for a hit keep their row open: -1 there, 0 at those not drawn
+            for o in range(256):
+                state[2048 + o] = -max(state[o], _ZERO)
         centre_x = iota() + splat(f32(x0) + _HALF)
         zero, floor_T = splat(_ZERO), splat(_T_MIN)
         threshold, ceiling, solid = splat(_LOG_ALPHA_MIN), splat(_ALPHA_MAX), splat(opaque)
@@ -89,11 +129,13 @@ def composite_forward(splats, ids, offset, width, height, rgb, depth, alpha_out,
                     store(state, 1536 + o, select(heavier, row, load(state, 1536 + o)))
                     seen_first = load(state, 1792 + o)
                     store(state, 1792 + o, select((w > zero) & (zero > seen_first), row, seen_first))
+                open_lanes = zero < T
                 if with_hit:
                     hit_before = load(state, 2048 + o)
-                    is_hit = goes_on & ((alpha >= solid) & (zero > hit_before))
-                    store(state, 2048 + o, select(is_hit, splat(f32(ids[k])), hit_before))
-                if not any_lane(zero < T):
+                    hit_now = select((alpha >= solid) & (zero > hit_before), splat(f32(ids[k])), hit_before)
+                    store(state, 2048 + o, hit_now)
+                    open_lanes = either(open_lanes, zero > hit_now)
+                if not any_lane(open_lanes):
                     rows_open[r] = 0
                     n_open -= 1
         for r in range(min(TILE, height - y0)):
@@ -109,17 +151,21 @@ def composite_forward(splats, ids, offset, width, height, rgb, depth, alpha_out,
                     dominant[y, x] = int(state[1536 + o])
                     first[y, x] = int(state[1792 + o])
                 if with_hit:
-                    hit[y, x] = int(state[2048 + o])
+                    hit[y, x] = int(state[2048 + o]) if pixels.shape[0] == 0 or pixels[y, x] else -1
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
-def composite_backward(splats, ids, offset, slot, image, v_image, pair_sums):
+def composite_backward(splats, lists, pixels, trained, image, v_image, pair_sums):
     """Per (tile, splat) sums of the loss gradient, written to ``pair_sums[slot[k]]`` [I, PAIR_SUMS].
 
+    lists: (ids, offset, slot). pixels: as given to the forward. trained: bool [N], rows whose sums are wanted, or [0]
+    for all; the sums of the others are not written.
     image: (rgb, depth, alpha) as the forward made them. v_image: dL/d of each; [0, 0] stands for zero.
     With p_k = c_k . v_rgb + z_k v_depth + v_alpha:  dL/dalpha_k = T_k p_k - (sum_{j > k} w_j p_j) / (1 - alpha_k).
     The last sum starts as the whole pixel's, C . v_rgb + D v_depth + alpha v_alpha, and loses w_k p_k at each step.
     """
+    ids, offset, slot = lists
+    all_trained = trained.shape[0] == 0
     rgb, depth, alpha_image = image
     v_rgb, v_depth, v_alpha = v_image
     height, width = rgb.shape[0], rgb.shape[1]
@@ -127,11 +173,19 @@ def composite_backward(splats, ids, offset, slot, image, v_image, pair_sums):
     tiles_y = (height + TILE - 1) // TILE
     for tile in prange(tiles_x * tiles_y):
         x0, y0 = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
+        end = offset[tile + 1]
+        while end > offset[tile] and not (all_trained or trained[ids[end - 1]]):
+            end -= 1
+        if end == offset[tile]:
+            continue
         state = np.zeros(7 * 256, np.float32)
-        state[:256] = _ONE
+        rows_open = np.empty(TILE, np.uint8)
+        n_open = _open_pixels(state, rows_open, pixels, x0, y0, width, height)
         for r in range(min(TILE, height - y0)):
             for i in range(min(TILE, width - x0)):
                 o, y, x = r * TILE + i, y0 + r, x0 + i
+                if state[o] < _ZERO:
+                    continue
                 total = _ZERO
                 for c in range(3):
                     state[512 + 256 * c + o] = v_rgb[y, x, c]
@@ -143,16 +197,16 @@ def composite_backward(splats, ids, offset, slot, image, v_image, pair_sums):
                     state[1536 + o] = v_alpha[y, x]
                     total += alpha_image[y, x] * v_alpha[y, x]
                 state[256 + o] = total
-        rows_open = np.ones(TILE, np.uint8)
-        n_open = min(TILE, height - y0)
         centre_x = iota() + splat(f32(x0) + _HALF)
         zero, one, floor_T = splat(_ZERO), splat(_ONE), splat(_T_MIN)
         threshold, ceiling = splat(_LOG_ALPHA_MIN), splat(_ALPHA_MAX)
-        for k in range(offset[tile], offset[tile + 1]):
+        for k in range(offset[tile], end):
+            is_trained = all_trained or trained[ids[k]]
             out = pair_sums[slot[k]]
             if n_open == 0:
-                for i in range(PAIR_SUMS):
-                    out[i] = _ZERO
+                if is_trained:
+                    for i in range(PAIR_SUMS):
+                        out[i] = _ZERO
                 continue
             s = splats[ids[k]]
             r0 = max(0, int(np.ceil(s[1] - s[11] - _HALF)) - y0)
@@ -187,6 +241,11 @@ def composite_backward(splats, ids, offset, slot, image, v_image, pair_sums):
                 p = red * v_red + green * v_green + blue * v_blue + z * v_z + load(state, 1536 + o)
                 rest = load(state, 256 + o) - w * p
                 store(state, 256 + o, rest)
+                if not any_lane(zero < T):
+                    rows_open[r] = 0
+                    n_open -= 1
+                if not is_trained:
+                    continue
                 v_of_alpha = T_open * p - rest / (one - alpha)
                 g = select(goes_on & (seen & (raw < ceiling)), v_of_alpha * alpha, zero)
                 gy = g * splat(dy)
@@ -197,9 +256,8 @@ def composite_backward(splats, ids, offset, slot, image, v_image, pair_sums):
                 sum_gr = sum_gr + w * v_green
                 sum_b = sum_b + w * v_blue
                 sum_z = sum_z + w * v_z
-                if not any_lane(zero < T):
-                    rows_open[r] = 0
-                    n_open -= 1
+            if not is_trained:
+                continue
             gx = sum_g * dx
             out[0] = reduce_add(gx)
             out[1] = reduce_add(sum_gy)

@@ -18,10 +18,16 @@ f32 = np.float32
 _NEAR = f32(NEAR_PLANE_M)
 _BLUR = f32(SCREEN_BLUR_PX2)
 _ALPHA_MIN = f32(ALPHA_MIN)
+_LOG_ALPHA_MIN = f32(math.log(ALPHA_MIN))
+_BEYOND = f32(1.01 * math.sqrt(-2.0 * math.log(ALPHA_MIN)))
+"""Standard deviations at which the most opaque splat is below 1/255, and a little for rounding."""
 _HALF, _ONE, _TWO, _ZERO = f32(0.5), f32(1.0), f32(2.0), f32(0.0)
 
 SPLAT = 12
 """u, v, conic A, B, C, ln(opacity), r, g, b, depth, half extents x, y of the ellipse alpha >= 1/255."""
+
+FEW = 16
+"""Tiles of a splat that are noted while they are counted; only for a larger splat they are found a second time."""
 
 CAMERA = 23
 """float32: R_CW (9), t_CW (3), camera centre (3), fx, fy, cx, cy, limits of x/z, y/z in J, width, height."""
@@ -61,9 +67,7 @@ def _band(splat, y_first, y_last):
     the band is at the rightmost point's dy clamped to the band; the left edge likewise.
     """
     u, v, A, B, C = splat[0], splat[1], splat[2], splat[3], splat[4]
-    reach = _TWO * (splat[5] - math.log(_ALPHA_MIN)) + f32(
-        2e-3
-    )  # a little for rounding: more entries, the same picture
+    reach = _TWO * (splat[5] - _LOG_ALPHA_MIN) + f32(2e-3)  # a little for rounding: more entries, the same picture
     low = max(f32(y_first) + _HALF - v, -splat[11])
     high = min(f32(y_last) + _HALF - v, splat[11])
     dy = min(max(-B * splat[10] / C, low), high)
@@ -74,12 +78,16 @@ def _band(splat, y_first, y_last):
 
 
 @njit(cache=True, error_model="numpy")
-def tiles_of(splat, width, height, tiles, start):
-    """Number of tiles that the splat touches; their numbers go to ``tiles[start:]`` unless ``start`` is negative."""
+def tiles_of(splat, width, height, windows, tiles, start, room):
+    """Number of tiles that the splat touches; the numbers of the first ``room`` of them go to ``tiles[start:]``.
+
+    Only tiles count in whose window (``binning.tile_windows``) it can be seen; an empty array stands for whole tiles.
+    """
     y_first = max(0, int(math.ceil(splat[1] - splat[11] - _HALF)))
     y_last = min(height - 1, int(math.floor(splat[1] + splat[11] - _HALF)))
     tiles_x = (width + TILE - 1) // TILE
     n = 0
+    masked = windows.shape[0] > 0
     if y_first > y_last:
         return n
     for ty in range(y_first // TILE, y_last // TILE + 1):
@@ -88,24 +96,67 @@ def tiles_of(splat, width, height, tiles, start):
         if left > right:
             continue
         for tx in range(left // TILE, right // TILE + 1):
-            if start >= 0:
+            if masked:
+                t = ty * tiles_x + tx
+                if (left > windows[t, 1]) | (right < windows[t, 0]) | (y_first > windows[t, 3]) | (y_last < windows[t, 2]):
+                    continue
+            if n < room:
                 tiles[start + n] = ty * tiles_x + tx
             n += 1
     return n
 
 
+@njit(cache=True, error_model="numpy")
+def _find_candidates(xyz, log_scale, cam, sums, first, end, found):
+    """Write to ``found`` those of the rows first .. end - 1 that may touch a wanted pixel; returns their number.
+
+    A box around the largest possible picture of a row is looked up in ``sums`` (``binning.tile_windows``). There is no
+    branch: which rows pass is random to the processor, and a wrong guess costs as much as the test.
+    """
+    fx, fy = cam[15], cam[16]
+    width, height = int(cam[21]), int(cam[22])
+    far = f32(1e6)  # keeps the conversion to int defined
+    n = 0
+    for i in range(first, end):
+        X, Y, Z = xyz[i, 0], xyz[i, 1], xyz[i, 2]
+        z = cam[6] * X + cam[7] * Y + cam[8] * Z + cam[11]
+        inv_z = _ONE / max(z, _NEAR)
+        x = (cam[0] * X + cam[1] * Y + cam[2] * Z + cam[9]) * inv_z
+        y = (cam[3] * X + cam[4] * Y + cam[5] * Z + cam[10]) * inv_z
+        tx, ty = _clamp(x, cam[19]), _clamp(y, cam[20])
+        u, v = fx * x + cam[17], fy * y + cam[18]
+        # the rows of J are fx/z sqrt(1 + tx^2) and fy/z sqrt(1 + ty^2) long
+        size = math.exp(max(log_scale[i, 0], log_scale[i, 1], log_scale[i, 2])) * inv_z
+        reach_u = _BEYOND * (fx * size * math.sqrt(_ONE + tx * tx) + _ONE)
+        reach_v = _BEYOND * (fy * size * math.sqrt(_ONE + ty * ty) + _ONE)
+        left, right = int(max(u - reach_u, -far)), int(min(u + reach_u, far))
+        top, bottom = int(max(v - reach_v, -far)), int(min(v + reach_v, far))
+        x0, x1 = min(max(left, 0), width) // TILE, (min(max(right, -1), width - 1) + TILE) // TILE
+        y0, y1 = min(max(top, 0), height) // TILE, (min(max(bottom, -1), height - 1) + TILE) // TILE
+        tiles = sums[y1, x1] - sums[y0, x1] - sums[y1, x0] + sums[y0, x0]
+        found[n] = i
+        n += int((z > _NEAR) & (tiles > 0))
+    return n
+
+
 @njit(parallel=True, cache=True, error_model="numpy")
-def project_rows(xyz, log_scale, quat, logit, sh, cam, splats, count):
-    """Fill ``splats`` [N, SPLAT] and ``count`` [N], the number of tiles each touches (0: not drawn)."""
+def project_rows(xyz, log_scale, quat, logit, sh, cam, windows, sums, splats, count, few):
+    """Fill ``splats`` [N, SPLAT], ``count`` [N], the number of tiles each is listed in (0: not drawn), and the numbers
+    of its first ``FEW`` tiles, ``few`` [N * FEW].
+
+    windows, sums: where there are pixels to be drawn, from ``binning.tile_windows``.
+    """
     N, K = sh.shape[0], sh.shape[1]
     fx, fy = cam[15], cam[16]
     width, height = int(cam[21]), int(cam[22])
     chunk = 256
     for part in prange((N + chunk - 1) // chunk):
         Y = np.empty(16, np.float32)
-        nothing = np.empty(0, np.int32)
-        for i in range(part * chunk, min(N, part * chunk + chunk)):
-            count[i] = 0
+        first, end = part * chunk, min(N, part * chunk + chunk)
+        count[first:end] = 0
+        candidates = np.empty(chunk, np.int32)
+        for j in range(_find_candidates(xyz, log_scale, cam, sums, first, end, candidates)):
+            i = candidates[j]
             X, Yw, Z = xyz[i, 0], xyz[i, 1], xyz[i, 2]
             z = cam[6] * X + cam[7] * Yw + cam[8] * Z + cam[11]
             opacity = _ONE / (_ONE + math.exp(-logit[i]))
@@ -116,9 +167,9 @@ def project_rows(xyz, log_scale, quat, logit, sh, cam, splats, count):
             inv_z = _ONE / z
             u, v = fx * x * inv_z + cam[17], fy * y * inv_z + cam[18]
             tx, ty = _clamp(x * inv_z, cam[19]), _clamp(y * inv_z, cam[20])
+            a, b = fx * inv_z, fy * inv_z
             _, r00, r01, r02, r10, r11, r12, r20, r21, r22 = _rotation(quat[i])
             uu, vv, uv, cross2 = _ZERO, _ZERO, _ZERO, _ZERO
-            a, b = fx * inv_z, fy * inv_z
             s0, s1, s2 = math.exp(log_scale[i, 0]), math.exp(log_scale[i, 1]), math.exp(log_scale[i, 2])
             # rows of J R_CW, then times each column of R_q S
             jx0, jx1, jx2 = a * (cam[0] - tx * cam[6]), a * (cam[1] - tx * cam[7]), a * (cam[2] - tx * cam[8])
@@ -136,10 +187,10 @@ def project_rows(xyz, log_scale, quat, logit, sh, cam, splats, count):
             s[0], s[1] = u, v
             s[2], s[3], s[4] = (vv + _BLUR) * inv_det, -uv * inv_det, (uu + _BLUR) * inv_det
             s[5] = math.log(opacity)
-            reach = _TWO * math.log(opacity / _ALPHA_MIN)
+            reach = _TWO * (s[5] - _LOG_ALPHA_MIN)
             s[9] = z
             s[10], s[11] = math.sqrt(reach * (uu + _BLUR)), math.sqrt(reach * (vv + _BLUR))
-            count[i] = tiles_of(s, width, height, nothing, -1)
+            count[i] = tiles_of(s, width, height, windows, few, i * FEW, FEW)
             if count[i] == 0:
                 continue
             dx, dy, dz = X - cam[12], Yw - cam[13], Z - cam[14]
@@ -178,9 +229,13 @@ def _column_vjp(cam, frame, q0, q1, q2, scale):
 
 @njit(parallel=True, cache=True, error_model="numpy")
 def project_rows_vjp(
-    xyz, log_scale, quat, logit, sh, cam, splats, start, pair_sums, v_xyz, v_log_scale, v_quat, v_logit, v_sh
+    xyz, log_scale, quat, logit, sh, cam, splats, start, trained, pair_sums, v_xyz, v_log_scale, v_quat, v_logit, v_sh
 ):
-    """Add up each row's pair sums and carry them to its parameters; every row of the outputs is written."""
+    """Add up each row's pair sums and carry them to its parameters; every row of the outputs is written.
+
+    Rows that are not ``trained`` get zero and their pair sums are not read; an empty array stands for all rows.
+    """
+    all_trained = trained.shape[0] == 0
     N, K = sh.shape[0], sh.shape[1]
     fx, fy = cam[15], cam[16]
     chunk = 256
@@ -189,7 +244,7 @@ def project_rows_vjp(
         Y = np.empty(16, np.float32)
         w = np.empty(16, np.float32)
         for i in range(part * chunk, min(N, part * chunk + chunk)):
-            if start[i] == start[i + 1]:
+            if start[i] == start[i + 1] or not (all_trained or trained[i]):
                 v_xyz[i] = _ZERO
                 v_log_scale[i] = _ZERO
                 v_quat[i] = _ZERO

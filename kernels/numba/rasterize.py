@@ -14,18 +14,20 @@ import torch
 from torch import Tensor
 
 from gsfusion_nb.backends import use_backend
-from gsfusion_nb.checks import check_positive
+from gsfusion_nb.checks import check_mask, check_positive
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.render import rasterize as reference
 from gsfusion_nb.types import Camera, GaussianParams, RenderOutput
 
-from .binning import depth_order, list_tiles, sort_pairs
+from .binning import depth_order, list_tiles, sort_pairs, tile_windows
 from .composite import PAIR_SUMS, TILE, composite_backward, composite_forward
 from .launch import launching, scratch
-from .project import SPLAT, pack_camera, project_rows, project_rows_vjp
+from .project import FEW, SPLAT, pack_camera, project_rows, project_rows_vjp
 
 _NO_IMAGE = np.empty((0, 0), np.float32)
 _NO_INDEX = np.empty((0, 0), np.int64)
+_ALL_PIXELS = np.empty((0, 0), np.bool_)
+_ALL_ROWS = np.empty(0, np.bool_)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -40,6 +42,7 @@ class NumbaSaved:
     slot: np.ndarray
     offset: np.ndarray
     image: tuple[np.ndarray, np.ndarray, np.ndarray]
+    pixels: np.ndarray
 
 
 def render_forward(
@@ -49,13 +52,20 @@ def render_forward(
     *,
     with_indices: bool = True,
     opaque_alpha: float | None = None,
+    pixels: Tensor | None = None,
 ) -> tuple[RenderOutput, Any]:
     """See ``gsfusion_nb.render.render_forward``."""
     if params.xyz_W.dtype != torch.float32:
         with use_backend("reference"):
-            return reference.render_forward(params, camera, T_WC, with_indices=with_indices, opaque_alpha=opaque_alpha)
+            return reference.render_forward(
+                params, camera, T_WC, with_indices=with_indices, opaque_alpha=opaque_alpha, pixels=pixels
+            )
     if opaque_alpha is not None:
         check_positive("opaque_alpha", opaque_alpha)
+    drawn = _ALL_PIXELS
+    if pixels is not None:
+        check_mask("pixels", pixels, (camera.height, camera.width))
+        drawn = pixels.contiguous().numpy()
     arrays = _arrays(params)
     T = T_WC.detach().double()
     cam = pack_camera(camera, se3.inverse(T).numpy(), T[:3, 3].numpy())
@@ -66,39 +76,59 @@ def render_forward(
     first, dominant, hit = (torch.empty(H, W, dtype=torch.int64) if w else None for w in wanted)
     image = rgb.numpy(), depth.numpy(), alpha.numpy()
     with launching():
-        project_rows(*arrays, cam, splats, count)
+        windows, sums = tile_windows(drawn, W, H)
+        few = scratch("few_tiles", N * FEW).view(np.int32)
+        project_rows(*arrays, cam, windows, sums, splats, count, few)
         start = np.zeros(N + 1, np.int32)
         np.cumsum(count, out=start[1:])
         pair_tile = scratch("pair_tile", int(start[-1])).view(np.int32)
-        list_tiles(splats, start, W, H, pair_tile)
+        list_tiles(splats, start, few, W, H, windows, pair_tile)
         order = depth_order(splats, count)
         ids, slot, offset = sort_pairs(order, start, pair_tile, -(-W // TILE) * -(-H // TILE))
         indices = [_NO_INDEX if index is None else index.numpy() for index in (first, dominant, hit)]
-        composite_forward(splats, ids, offset, W, H, *image, *indices, np.float32(opaque_alpha or 1.0))
+        composite_forward(splats, ids, offset, drawn, W, H, *image, *indices, np.float32(opaque_alpha or 1.0))
     output = RenderOutput(
         rgb=rgb, depth_m=depth, alpha=alpha, first_index=first, dominant_index=dominant, hit_index=hit
     )
     saved = NumbaSaved(
-        params=params, camera=cam, splats=splats, start=start, ids=ids, slot=slot, offset=offset, image=image
+        params=params,
+        camera=cam,
+        splats=splats,
+        start=start,
+        ids=ids,
+        slot=slot,
+        offset=offset,
+        image=image,
+        pixels=drawn,
     )
     return output, saved
 
 
 def render_vjp(
-    saved: Any, v_rgb: Tensor, v_depth_m: Tensor | None = None, v_alpha: Tensor | None = None
+    saved: Any,
+    v_rgb: Tensor,
+    v_depth_m: Tensor | None = None,
+    v_alpha: Tensor | None = None,
+    *,
+    rows: Tensor | None = None,
 ) -> GaussianParams:
     """See ``gsfusion_nb.render.render_vjp``."""
     if not isinstance(saved, NumbaSaved):
         with use_backend("reference"):
-            return reference.render_vjp(saved, v_rgb, v_depth_m, v_alpha)
+            return reference.render_vjp(saved, v_rgb, v_depth_m, v_alpha, rows=rows)
+    trained = _ALL_ROWS
+    if rows is not None:
+        check_mask("rows", rows, (len(saved.params),))
+        trained = rows.contiguous().numpy()
     arrays = _arrays(saved.params)
     out = [torch.empty_like(t, memory_format=torch.contiguous_format) for t in _tensors(saved.params)]
     v_image = tuple(_NO_IMAGE if v is None else v.contiguous().float().numpy() for v in (v_rgb, v_depth_m, v_alpha))
     with launching():
         pair_sums = scratch("pair_sums", len(saved.ids) * PAIR_SUMS).reshape(-1, PAIR_SUMS)
-        composite_backward(saved.splats, saved.ids, saved.offset, saved.slot, saved.image, v_image, pair_sums)
+        lists = saved.ids, saved.offset, saved.slot
+        composite_backward(saved.splats, lists, saved.pixels, trained, saved.image, v_image, pair_sums)
         results = [t.numpy() for t in out]
-        project_rows_vjp(*arrays, saved.camera, saved.splats, saved.start, pair_sums, *results)
+        project_rows_vjp(*arrays, saved.camera, saved.splats, saved.start, trained, pair_sums, *results)
     names = ("xyz_W", "log_scale", "quat", "opacity_logit", "sh")
     return GaussianParams(**dict(zip(names, out, strict=True)))
 

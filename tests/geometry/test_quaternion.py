@@ -63,3 +63,52 @@ def test_slerp(generator):
     whole = se3.rotation_angle(ends[0].transpose(1, 2) @ ends[1])
     torch.testing.assert_close(se3.rotation_angle(ends[0].transpose(1, 2) @ middle), whole / 4)
     torch.testing.assert_close(quaternion.slerp(a, a, one / 2), a)
+
+
+def test_multiply_by_hand():
+    """i j = k, j i = -k."""
+    i, j, k = torch.eye(4)[1:]
+    torch.testing.assert_close(quaternion.multiply(i, j), k)
+    torch.testing.assert_close(quaternion.multiply(j, i), -k)
+    torch.testing.assert_close(quaternion.multiply(k, k), torch.tensor([-1.0, 0, 0, 0]))
+
+
+@pytest.mark.parametrize("batch", BATCHES)
+def test_product_of_quaternions_is_the_product_of_matrices(generator, batch):
+    a, b = unit(generator, batch), unit(generator, batch)
+    product = quaternion.multiply(a, b)
+    torch.testing.assert_close(
+        quaternion.to_matrix(product), quaternion.to_matrix(a) @ quaternion.to_matrix(b), atol=1e-12, rtol=0
+    )
+    torch.testing.assert_close(product.norm(dim=-1), torch.ones(batch, dtype=torch.float64))
+
+
+def directions(generator, batch):
+    return torch.nn.functional.normalize(torch.randn(*batch, 3, generator=generator, dtype=torch.float64), dim=-1)
+
+
+@pytest.mark.parametrize("batch", [*BATCHES, (200,)])
+def test_shortest_arc_turns_a_to_b_by_the_angle_between_them(generator, batch):
+    a, b = directions(generator, batch), directions(generator, batch)
+    q = quaternion.shortest_arc(a, b)
+    R = quaternion.to_matrix(q)
+    torch.testing.assert_close((R @ a[..., None]).squeeze(-1), b, atol=1e-9, rtol=0)
+    angle = torch.atan2(torch.linalg.cross(a, b).norm(dim=-1), (a * b).sum(-1))
+    torch.testing.assert_close(se3.rotation_angle(R), angle, atol=1e-9, rtol=0)
+
+
+def test_shortest_arc_of_equal_and_opposite_directions(generator):
+    a = torch.cat([directions(generator, (50,)), torch.eye(3, dtype=torch.float64), -torch.eye(3, dtype=torch.float64)])
+    same = quaternion.shortest_arc(a, a)
+    torch.testing.assert_close(same, torch.tensor([1.0, 0, 0, 0], dtype=torch.float64).expand_as(same))
+    R = quaternion.to_matrix(quaternion.shortest_arc(a, -a))
+    torch.testing.assert_close((R @ a[..., None]).squeeze(-1), -a, atol=1e-12, rtol=0)
+    torch.testing.assert_close(se3.rotation_angle(R), torch.full((56,), math.pi, dtype=torch.float64))
+
+
+@pytest.mark.parametrize("gap", [1e-7, 1e-4, 1e-3, 1.5e-3, 3e-3, 0.1])
+def test_shortest_arc_close_to_opposite_in_float32(gap):
+    z = torch.tensor([0.0, 0.0, 1.0])
+    b = torch.tensor([math.sin(gap), 0.0, -math.cos(gap)])
+    turned = quaternion.to_matrix(quaternion.shortest_arc(z, b)) @ z
+    assert (turned - b).norm() < 2e-3  # within 1.4e-3 rad of opposite it takes the opposite

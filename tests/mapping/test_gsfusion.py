@@ -25,12 +25,12 @@ def test_maps_a_room_and_global_optimisation_improves_it(split, config):
     assert [r.n_gaussians for r in reports] == torch.tensor([r.n_seeds for r in reports]).cumsum(0).tolist()
     assert sum(r.is_keyframe for r in reports) == len(mapper.keyframes)
     assert all(r.psnr_after_db > r.psnr_before_db for r in reports if r.is_keyframe)
-    assert set(first.seconds) == {"tsdf", "quadtree", "seeding", "optimise"}
+    assert set(first.seconds) == {"tracking", "tsdf", "quadtree", "seeding", "optimise"}
     assert min(first.seconds.values()) > 0
     online = held_out_psnr(mapper, split)
     steps = list(mapper.global_optimise())
     assert len(steps) == 2 * len(mapper.keyframes) == steps[-1].n_steps
-    assert mapper.global_passes_done == 2
+    assert mapper.passes.done == 2
     assert held_out_psnr(mapper, split) > online + 0.3 > 14
 
 

@@ -144,7 +144,7 @@ def test_a_pass_cut_short_goes_on_where_it_was(tmp_path, small_room, config, mon
     stopped = run_mapping("room", config, folder=tmp_path / "out")
     monkeypatch.setattr(GSFusion, "_optimise_view", step)
     assert stopped.run.status == "interrupted"
-    assert 0 < len(stopped.mapper.global_queue) < len(stopped.mapper.keyframes)
+    assert 0 < len(stopped.mapper.passes.queue) < len(stopped.mapper.keyframes)
     resumed = resume_mapping(stopped.folder)
     assert not any("interrupted" in w for w in resumed.run.warnings)
     assert torch.equal(resumed.mapper.gaussians.params.sh, whole.mapper.gaussians.params.sh)

@@ -1,5 +1,6 @@
 import torch
 
+from gsfusion_nb.geometry import se3
 from gsfusion_nb.optim import KeyframeList
 from gsfusion_nb.types import Camera, Frame
 
@@ -49,3 +50,26 @@ def test_state_round_trip():
     assert [x.index for x in again] == [0, 1, 2]
     assert again[2].camera == CAMERA
     assert torch.equal(again[1].rgb_u8, keyframes(3)[1].rgb_u8)
+
+
+def test_depth_is_kept_on_request_only():
+    k = KeyframeList()
+    k.append(frame(0), with_depth=True)
+    k.append(frame(1))
+    assert torch.equal(k[0].depth_m, torch.ones(3, 4))
+    assert k[1].depth_m is None
+    assert k.size_bytes == 36 + 4 * 12 + 36
+    again = KeyframeList.from_state_dict(k.state_dict())
+    assert torch.equal(again[0].depth_m, torch.ones(3, 4))
+    assert again[1].depth_m is None
+
+
+def test_a_loop_moves_each_pose_in_the_world(generator):
+    k = keyframes(3)
+    T = se3.exp(torch.randn(3, 6, generator=generator, dtype=torch.float64))
+    before = list(k)
+    k.move(T)
+    for old, new, T_k in zip(before, k, T, strict=True):
+        torch.testing.assert_close(new.T_WC.double(), T_k @ old.T_WC.double(), atol=1e-6, rtol=1e-6)
+        assert torch.equal(old.T_WC, torch.eye(4))
+        assert new.rgb_u8 is old.rgb_u8

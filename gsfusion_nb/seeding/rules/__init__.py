@@ -2,4 +2,5 @@
 
 from .dense import dense as dense
 from .gsfusion import gsfusion as gsfusion
+from .rtg_slam import rtg_slam as rtg_slam
 from .uniform import uniform as uniform

@@ -1,0 +1,188 @@
+"""Does the colour image show edges where the depth image jumps? Searched over shift, scale, mirroring and time."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from .sample import FrameFacts, Sample
+
+REACH_PX = 24
+"""Shifts are searched this far, pixels of the small images."""
+ANCHORS = 16
+TIME_REACH = 4
+JUMP = 0.08
+"""Share of its depth by which a pixel must lie in front of its neighbour to be on an edge."""
+_SCALES = (0.84, 0.88, 0.92, 0.96, 1.0, 1.04, 1.08, 1.12, 1.16)
+_BETTER = 1.15
+"""How much higher than as read another score must be to be believed."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ColourFit:
+    """How the colour images lie to the depth images."""
+
+    shift_px: tuple[float, float]
+    """Of the colour's content to the depth's, right and down, pixels of the full image."""
+    scale: float
+    """Size of things in colour / in depth, about the image's middle."""
+    mirror: str
+    """"none", "x", "y" or "xy"."""
+    shift_frames: int
+    """Colour of frame i + this fits the depth of frame i."""
+    score: float
+    """Mean colour contrast on the depth edges, in units of the neighbourhood's, under the best of all these."""
+    score_as_read: float
+    peak: float
+    """How many standard deviations over the other shifts the best one is."""
+    edges: int
+    """Depth edge pixels per frame."""
+
+
+def fit_colour(sample: Sample) -> ColourFit | None:
+    """Find how colour lies to depth. None where nothing can be said: fewer than 60 edge pixels per frame."""
+    anchors = _anchors(sample)
+    edges = [depth_edges(f.depth_m.numpy()) for f in anchors]
+    n = int(np.mean([e.sum() for e in edges])) if edges else 0
+    if n < 60:
+        return None
+    there = sample.by_place
+    contrast = {f.place: colour_contrast(f.grey, e.shape) for f, e in zip(anchors, edges, strict=True)}
+    plain = [contrast[f.place] for f in anchors]
+    spatial = _surface(edges, plain)
+    as_read = float(spatial[REACH_PX, REACH_PX])
+    best_time, time_score = _best_time(edges, anchors, there)
+    options = [(*_scaled_peak(edges, plain), "none", 0)]
+    for name, flip in (("x", np.s_[:, ::-1]), ("y", np.s_[::-1]), ("xy", np.s_[::-1, ::-1])):
+        surface = _surface(edges, [g[flip] for g in plain])
+        options.append((*_top(surface), 1.0, name, 0))
+    (score, peak, shift, scale, mirror, frames) = max(options, key=lambda o: o[0] * (1 if o[4] == "none" else 0.7))
+    if best_time and time_score > max(_BETTER * as_read, 0.9 * score):
+        score, shift, scale, mirror, frames = time_score, (0.0, 0.0), 1.0, "none", best_time
+    small = sample.camera.width / edges[0].shape[1]
+    # a thinned depth pixel lies at the middle of its cell only where the thinning is odd
+    offset = 0.5 if round(small) % 2 == 0 else 0.0
+    return ColourFit(
+        shift_px=(shift[0] * small + offset * (frames == 0), shift[1] * small + offset * (frames == 0)),
+        scale=scale, mirror=mirror, shift_frames=frames, score=score, score_as_read=as_read, peak=peak, edges=n,
+    )  # fmt: skip
+
+
+def depth_edges(depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+    """1 on pixels that lie in front of a neighbour by a jump, else 0.
+
+    Narrow holes are closed with the farther of their two sides first: a structured-light camera sees none of the
+    background beside an object, and the edge is the object's.
+    """
+    found = np.zeros(depth_m.shape, bool)
+    for turned, out in ((depth_m, found), (depth_m.T, found.T)):
+        filled = _closed(turned)
+        a, b = filled[:, :-1], filled[:, 1:]
+        known = (a > 0) & (b > 0)
+        out[:, :-1] |= known & (b > a * (1 + JUMP))
+        out[:, 1:] |= known & (a > b * (1 + JUMP))
+    return found.astype(np.float32)
+
+
+def colour_contrast(grey: UInt8[np.ndarray, "H W"], shape: tuple[int, ...]) -> Float[np.ndarray, "h w"]:
+    """Gradient of the grey image in units of its neighbourhood's mean (so that texture counts little), at most 4."""
+    import cv2
+
+    image = grey.astype(np.float32)
+    if image.shape != tuple(shape):
+        image = cv2.resize(image, (shape[1], shape[0]), interpolation=cv2.INTER_AREA)
+    image = cv2.GaussianBlur(image, (0, 0), 0.8)
+    size = np.hypot(cv2.Sobel(image, cv2.CV_32F, 1, 0), cv2.Sobel(image, cv2.CV_32F, 0, 1))
+    return np.asarray(np.minimum(size / (cv2.blur(size, (31, 31)) + 4), 4), dtype=np.float32)
+
+
+def _closed(depth_m: np.ndarray, widest: int = 10) -> np.ndarray:
+    """Rows with holes of at most ``widest`` pixels filled by the farther side."""
+    h, w = depth_m.shape
+    column = np.arange(w)[None]
+    left = np.maximum.accumulate(np.where(depth_m > 0, column, -w), axis=1)
+    right = np.minimum.accumulate(np.where(depth_m > 0, column, 2 * w)[:, ::-1], axis=1)[:, ::-1]
+    narrow = (depth_m <= 0) & (left >= 0) & (right < w) & (right - left <= widest)
+    row = np.arange(h)[:, None]
+    sides = depth_m[row, np.clip(left, 0, w - 1)], depth_m[row, np.clip(right, 0, w - 1)]
+    return np.where(narrow, np.maximum(*sides), depth_m)
+
+
+def _anchors(sample: Sample) -> list[FrameFacts]:
+    """Frames spread over the sample, those with neighbours in time first choice."""
+    there = sample.by_place
+    inner = [f for f in sample.frames if all(f.place + k in there for k in (-TIME_REACH, TIME_REACH))]
+    chosen = inner or sample.frames
+    return [chosen[i] for i in sorted({int(i) for i in np.linspace(0, len(chosen) - 1, ANCHORS).round()})] if chosen else []
+
+
+def _surface(edges: list[np.ndarray], contrast: list[np.ndarray]) -> np.ndarray:
+    """Mean contrast on the edges for every shift of the contrast images, less the contrast anywhere. [2R+1, 2R+1]"""
+    import cv2
+
+    R = REACH_PX
+    total, weight = np.zeros((2 * R + 1, 2 * R + 1)), 0.0
+    for E, G in zip(edges, contrast, strict=True):
+        size = tuple(cv2.getOptimalDFTSize(n + 2 * R) for n in E.shape)
+        product = np.conj(np.fft.rfft2(E, size)) * np.fft.rfft2(G - G.mean(), size)
+        total += np.roll(np.fft.irfft2(product, size), (R, R), (0, 1))[: 2 * R + 1, : 2 * R + 1]
+        weight += float(E.sum())
+    return total / max(weight, 1.0)
+
+
+def _top(surface: np.ndarray) -> tuple[float, float, tuple[float, float]]:
+    """Height, height in standard deviations, and place of the highest peak, to parts of a pixel by parabolas."""
+    j, i = np.unravel_index(int(surface.argmax()), surface.shape)
+    peak = float((surface[j, i] - surface.mean()) / (surface.std() + 1e-9))
+    place = []
+    for at, line in ((int(i), surface[j]), (int(j), surface[:, i])):
+        d = 0.0
+        if 0 < at < len(line) - 1:
+            bend = line[at - 1] - 2 * line[at] + line[at + 1]
+            d = 0.5 * (line[at - 1] - line[at + 1]) / bend if bend < 0 else 0.0
+        place.append(float(at + d - REACH_PX))
+    return float(surface[j, i]), peak, (place[0], place[1])
+
+
+def _scaled_peak(edges: list[np.ndarray], contrast: list[np.ndarray]) -> tuple[float, float, tuple[float, float], float]:
+    """The best peak over scales of the colour, in two rounds."""
+
+    def at(scale: float) -> tuple[float, float, tuple[float, float], float]:
+        return (*_top(_surface([_scaled(E, scale) for E in edges], contrast)), scale)
+
+    best = max((at(s) for s in _SCALES), key=lambda t: t[0])
+    for step in (0.02, 0.01):
+        best = max((best, at(best[3] - step), at(best[3] + step)), key=lambda t: t[0])
+    return best
+
+
+def _scaled(E: np.ndarray, scale: float) -> np.ndarray:
+    if scale == 1.0:
+        return E
+    h, w = E.shape
+    y, x = np.nonzero(E)
+    x = np.rint((x - (w - 1) / 2) * scale + (w - 1) / 2).astype(int)
+    y = np.rint((y - (h - 1) / 2) * scale + (h - 1) / 2).astype(int)
+    inside = (x >= 0) & (x < w) & (y >= 0) & (y < h)
+    out = np.zeros_like(E)
+    out[y[inside], x[inside]] = 1
+    return out
+
+
+def _best_time(
+    edges: list[np.ndarray], anchors: list[FrameFacts], there: dict[int, FrameFacts]
+) -> tuple[int, float]:
+    """Which other frame's colour fits best without a shift in the image, and its score."""
+    scores = {}
+    for k in range(-TIME_REACH, TIME_REACH + 1):
+        both = [(E, there[f.place + k]) for E, f in zip(edges, anchors, strict=True) if f.place + k in there]
+        if both and len(both) >= len(anchors) // 2:
+            total = 0.0
+            for E, f in both:
+                G = colour_contrast(f.grey, E.shape)
+                total += float((E * (G - G.mean())).sum() / max(E.sum(), 1))
+            scores[k] = total / len(both)
+    if not scores:
+        return 0, 0.0
+    best = max(scores, key=scores.__getitem__)
+    return best, scores[best]

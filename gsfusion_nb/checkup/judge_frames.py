@@ -1,0 +1,131 @@
+"""Findings on what happens from frame to frame: jumps, poses that stand still, exposure, blur, frozen images."""
+
+from collections.abc import Sequence as Rows
+
+import numpy as np
+
+from .findings import Finding
+from .over_frames import OverFrames
+
+_JUMP_OF_MEDIAN = 6.0
+_JUMP_BASE_DEG, _JUMP_BASE_M = 1.0, 0.03
+"""A step is looked at when it exceeds this and six times the median of the steps around."""
+_JUMP_ERROR = 0.01
+"""... and is a jump if depth then disagrees by this share and three times the usual."""
+STEP_STOPS, SPREAD_STOPS = 0.3, 1.0
+"""Exposure is told from here on: between neighbours (a hand-held Kinect with automatic exposure: 0.19 at most), and
+between frames up to 30 apart (the same: 0.68)."""
+_BLURRED = 0.3
+"""Share of the neighbours' sharpness below which a frame is blurred; a hand-held Kinect's worst of 250 has 0.38."""
+_STILL_DEG, _STILL_M = 0.1, 0.002
+_NAMED = 12
+"""Frames named one by one at most."""
+
+
+def find_jumps(over: OverFrames) -> tuple[list[int], list[int]]:
+    """Frames that stand apart from both neighbours, and frames after which the path goes on elsewhere."""
+    step = np.maximum(over.turned_deg / _JUMP_BASE_DEG, over.moved_m / _JUMP_BASE_M)
+    usual_error = float(np.nanmedian(over.error)) if np.isfinite(over.error).any() else 0.0
+    jumps = set()
+    for i in np.flatnonzero(np.isfinite(step)):
+        around = step[max(0, i - 10) : i + 11]
+        far = step[i] > 1 and step[i] > _JUMP_OF_MEDIAN * np.nanmedian(around)
+        error = over.error[i] if np.isfinite(over.error[i]) else np.inf
+        if far and error > max(_JUMP_ERROR, 3 * usual_error):
+            jumps.add(int(i))
+    alone = sorted(int(over.number[i + 1]) for i in jumps if i + 1 in jumps)
+    cuts = sorted(int(over.number[i]) for i in jumps if i + 1 not in jumps and i - 1 not in jumps)
+    return alone, cuts
+
+
+def jump_finding(over: OverFrames, alone: Rows[int], cuts: Rows[int], repair: str) -> Finding:
+    """Whether the poses jump where the depth images do not."""
+    turned, moved = (float(np.nanmax(x)) if np.isfinite(x).any() else 0.0 for x in (over.turned_deg, over.moved_m))
+    numbers = {"largest_turn_deg": turned, "largest_step_m": moved, "jumps": float(len(alone) + len(cuts))}
+    extent = f"steps of at most {turned:.1f} degrees and {100 * moved:.1f} cm"
+    if not alone and not cuts:
+        return Finding(name="pose jumps", verdict="ok", numbers=numbers, sentence=f"The path is continuous: {extent}.")
+    parts = [f"frame {_list(alone)} lies off the path of its neighbours"] * bool(alone)
+    parts += [f"the path breaks off after frame {_list(cuts)}"] * bool(cuts)
+    return Finding(
+        name="pose jumps", verdict="wrong", numbers=numbers, repair=repair,
+        sentence=f"{' and '.join(parts).capitalize()} ({extent}), and depth does not follow.",
+    )  # fmt: skip
+
+
+def longest_piece(cuts: Rows[int], length: int) -> tuple[int, int]:
+    """First and one past the last frame of the longest piece between cuts (a cut lies after its frame)."""
+    ends = [0, *(c + 1 for c in cuts), length]
+    return max(zip(ends[:-1], ends[1:], strict=True), key=lambda piece: piece[1] - piece[0])
+
+
+def motion_finding(over: OverFrames) -> Finding | None:
+    """Whether the poses move at all; None where they do."""
+    if not np.isfinite(over.turned_deg).any() or len(over.number) < 3:
+        return None
+    if np.nansum(over.turned_deg) > 1 or np.nansum(over.moved_m) > 0.02:
+        return None
+    still = bool(over.same_colour[:-1].all())
+    return Finding(
+        name="pose motion", verdict="doubtful" if still else "wrong",
+        repair="" if still else "give a trajectory that belongs to this recording",
+        sentence="All poses are alike" + (", and so are the images: nothing can be checked." if still else ", but the images differ."),
+    )  # fmt: skip
+
+
+def exposure_finding(over: OverFrames, far_gains: np.ndarray) -> Finding:
+    """Whether the same points keep their brightness."""
+    known = np.isfinite(over.gain_stops)
+    step = float(np.abs(over.gain_stops[known]).max(initial=0.0))
+    spread = float(np.nanmax(np.abs(far_gains), initial=0.0))
+    numbers = {"largest_step_stops": step, "largest_difference_stops": spread}
+    text = f"the same points differ in brightness by at most {step:.2f} stops from frame to frame and {spread:.2f} within 30 frames"
+    if step < STEP_STOPS and spread < SPREAD_STOPS:
+        return Finding(name="exposure", verdict="ok", numbers=numbers, sentence=f"{text.capitalize()}.")
+    worst = over.number[known][np.argsort(-np.abs(over.gain_stops[known]))][:3]
+    return Finding(
+        name="exposure", verdict="doubtful", numbers=numbers,
+        repair="lock exposure and white balance when recording; maps of this one will show stripes of brightness",
+        sentence=f"{text.capitalize()}, most after frame {_list(sorted(worst.tolist()))}.",
+    )  # fmt: skip
+
+
+def blurred_frames(over: OverFrames) -> list[int]:
+    """Frames far less sharp than their neighbours."""
+    return [int(p) for p, s in zip(over.number, over.sharpness, strict=True) if s < _BLURRED]
+
+
+def frozen_frames(over: OverFrames) -> list[int]:
+    """Frames whose colour or depth image is that of the frame before although the pose has moved on."""
+    moved = (over.turned_deg > _STILL_DEG) | (over.moved_m > _STILL_M)
+    return [int(over.number[i + 1]) for i in np.flatnonzero((over.same_colour | over.same_depth) & moved)]
+
+
+def sharpness_finding(over: OverFrames, blurred: Rows[int], repair: str) -> Finding:
+    """Whether single frames are blurred."""
+    numbers = {"least_relative_sharpness": float(over.sharpness.min(initial=1.0)), "blurred": float(len(blurred))}
+    if not blurred:
+        return Finding(
+            name="sharpness", verdict="ok", numbers=numbers,
+            sentence=f"No frame is much less sharp than its neighbours (least {numbers['least_relative_sharpness']:.2f} of theirs).",
+        )  # fmt: skip
+    return Finding(
+        name="sharpness", verdict="doubtful", numbers=numbers, repair=repair,
+        sentence=f"Blurred beside their neighbours: frame {_list(blurred)}.",
+    )  # fmt: skip
+
+
+def frozen_finding(over: OverFrames, frozen: Rows[int], repair: str) -> Finding:
+    """Whether images are repeated while the camera moves."""
+    numbers = {"frozen": float(len(frozen)), "repeated": float((over.same_colour | over.same_depth).sum())}
+    if not frozen:
+        return Finding(name="frozen frames", verdict="ok", numbers=numbers, sentence="No image is repeated while the poses move.")
+    return Finding(
+        name="frozen frames", verdict="wrong", numbers=numbers, repair=repair,
+        sentence=f"The image of the frame before is repeated although the pose moved on: frame {_list(frozen)}.",
+    )  # fmt: skip
+
+
+def _list(frames: Rows[int]) -> str:
+    named = ", ".join(map(str, frames[:_NAMED]))
+    return f"{named} and {len(frames) - _NAMED} more" if len(frames) > _NAMED else named

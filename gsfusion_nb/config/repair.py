@@ -1,0 +1,103 @@
+"""How the numbers of a recording are to be understood where they differ from what its layout says."""
+
+import dataclasses
+import itertools
+from dataclasses import dataclass
+from typing import Literal
+
+from ..checks import check_name, check_number, check_positive
+
+_DIRECTIONS = (("right", "left"), ("down", "up"), ("forward", "back"))
+NAMED_AXES = {
+    "opencv": "right-down-forward",
+    "opengl": "right-up-back",
+    "ros": "forward-left-up",
+    "unity": "right-up-forward",
+}
+"""Camera axes x-y-z by the name of a program that uses them; "unity" mirrors the world."""
+AXES = tuple("-".join(words) for kinds in itertools.permutations(_DIRECTIONS) for words in itertools.product(*kinds))
+"""All 48 ways to name the directions of a camera's x, y and z axes; half of them mirror the world."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RepairConfig:
+    """Corrections of a recording while it is read; ``gsfusion-nb check`` finds them. The defaults change nothing."""
+
+    depth_factor: float = 1.0
+    """Multiply depth by this: 0.2 where 5000 units are a metre and 1000 were assumed."""
+    depth_kind: Literal["z", "ray"] = "z"
+    """What the stored depth measures: along the optical axis, or along each pixel's ray (some simulators)."""
+    poses: Literal["camera_to_world", "world_to_camera", "rotation_inverted"] = "camera_to_world"
+    """What the stored poses are; "rotation_inverted": the camera's position with the world-to-camera rotation."""
+    axes: str = "opencv"
+    """Camera axes of the stored poses: opencv, opengl, ros, unity, or three words such as right-up-back."""
+    quaternions: Literal["as_read", "wxyz", "xyzw"] = "as_read"
+    """Order of the four numbers in the file if they were read in the other order."""
+    matrices: Literal["row_major", "column_major"] = "row_major"
+    """Order of a matrix's 16 numbers."""
+    nearest_rotation: bool = False
+    """Replace rotations that are scaled or not orthogonal by the nearest rotation."""
+    translation_factor: float = 1.0
+    """Multiply the poses' positions by this: 0.001 where they are in millimetres."""
+    pose_shift_frames: float = 0.0
+    """Frame i takes the pose that was recorded for frame i + this, interpolated."""
+    rgb_shift_frames: int = 0
+    """Frame i takes the colour image of frame i + this."""
+    fit_sizes: bool = False
+    """Bring colour and intrinsics to the size of the depth images where they differ."""
+    fx: float = 0.0
+    """Focal length along x instead of the recording's, pixels; 0 keeps it."""
+    fy: float = 0.0
+    """Focal length along y instead of the recording's, pixels; 0 keeps it."""
+    cx: float = 0.0
+    """Principal point, x, instead of the recording's, counted from the image's left edge, pixels; 0 keeps it."""
+    cy: float = 0.0
+    """Principal point, y, instead of the recording's, counted from the image's upper edge, pixels; 0 keeps it."""
+    pixel_shift: float = 0.0
+    """Added to cx and cy, pixels: -0.5 or 0.5 where the intrinsics count pixel centres otherwise than assumed."""
+    rgb_mirror: Literal["none", "x", "y", "xy"] = "none"
+    """Mirror the colour images left-right (x), upside down (y) or both."""
+    rgb_shift_x_px: float = 0.0
+    """How far to the right of the depth image's content the colour image's lies, pixels."""
+    rgb_shift_y_px: float = 0.0
+    """How far below the depth image's content the colour image's lies, pixels."""
+    rgb_scale: float = 1.0
+    """How much larger than in the depth image things are in the colour image, about the image's middle."""
+    skip: tuple[int, ...] = ()
+    """Frames to leave out, for example frozen or blurred ones."""
+
+    def __post_init__(self):
+        for name in ("depth_factor", "translation_factor", "rgb_scale"):
+            check_positive(f"repair.{name}", getattr(self, name))
+        for name in ("fx", "fy", "cx", "cy"):
+            check_number(f"repair.{name}", getattr(self, name), 0, 1e5)
+        for name in ("pixel_shift", "rgb_shift_x_px", "rgb_shift_y_px", "pose_shift_frames", "rgb_shift_frames"):
+            check_number(f"repair.{name}", getattr(self, name), -1e4, 1e4)
+        check_name("repair.axes", self.axes, (*NAMED_AXES, *AXES) if self.axes in AXES else (*NAMED_AXES, AXES[4]))
+        if any(i < 0 for i in self.skip):
+            raise ValueError(f"repair.skip must hold frame numbers >= 0, got {min(self.skip)}")
+
+    @property
+    def axis_words(self) -> tuple[str, ...]:
+        """Directions of the stored camera's x, y and z axes, as words."""
+        return tuple(NAMED_AXES.get(self.axes, self.axes).split("-"))
+
+    @property
+    def changes(self) -> dict[str, object]:
+        """The fields that differ from their defaults."""
+        values = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        return {f.name: values[f.name] for f in dataclasses.fields(self) if values[f.name] != f.default}
+
+    @property
+    def flags(self) -> str:
+        """The options of ``gsfusion-nb map`` that ask for this; empty if it changes nothing."""
+        words = []
+        for name, value in self.changes.items():
+            words.append(f"--data.repair.{name.replace('_', '-')}")
+            if not isinstance(value, bool):
+                words += [f"{v:.7g}" if isinstance(v, float) else str(v) for v in _values(value)]
+        return " ".join(words)
+
+
+def _values(value: object) -> tuple:
+    return value if isinstance(value, tuple) else (value,)

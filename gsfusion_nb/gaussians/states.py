@@ -1,0 +1,99 @@
+"""When a Gaussian becomes stable, loses that state, or goes (Peng et al. 2024, section 3.2, "State management")."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from ..config import StateConfig
+from .surfels import STABLE, UNSTABLE, SurfelModel
+
+
+@dataclass(frozen=True, kw_only=True)
+class Transitions:
+    """How many rows changed state in one frame."""
+
+    stabilised: int
+    """Unstable rows optimised often enough."""
+    released: int
+    """Stable rows in error too often, unstable again (or deleted, ``on_error="delete"``)."""
+    expired: int
+    """Rows removed because they stayed unstable too long."""
+    oversized: int
+    """Rows removed for their radius."""
+
+
+def count_errors(
+    model: SurfelModel,
+    colour_error: Float[Tensor, "H W"],
+    colour_index: Int[Tensor, "H W"],
+    depth_error_m: Float[Tensor, "H W"],
+    depth_index: Int[Tensor, "H W"],
+    config: StateConfig,
+) -> None:
+    """Count this frame against every stable row that it shows wrong: e_i + 1, for colour and for depth.
+
+    A row is wrong if the largest error among the pixels that it made is above the threshold.
+
+    Args:
+        model: The map; its counters change.
+        colour_error: Mean absolute difference over R, G, B, 0 where it should not count. [H, W]
+        colour_index: Row that dominates each pixel's colour, or -1. [H, W]
+        depth_error_m: Measured minus rendered depth, 0 where it should not count, metres. [H, W]
+        depth_index: Row that each pixel's ray hits, or -1. [H, W]
+        config: Thresholds.
+    """
+    depth_error = depth_error_m if config.depth_error_sides == "in_front" else depth_error_m.abs()
+    for counter, error, index, limit in (
+        (model.colour_errors, colour_error, colour_index, config.colour_error),
+        (model.depth_errors, depth_error, depth_index, config.depth_error_m),
+    ):
+        wrong = torch.zeros_like(counter, dtype=torch.bool)
+        wrong[index[(index >= 0) & (error > limit)].long()] = True
+        counter += wrong & model.is_stable
+
+
+def change_states(model: SurfelModel, config: StateConfig) -> Transitions:
+    """Unstable -> stable by confidence, stable -> unstable by errors, and removal of what stays bad.
+
+    eta_i > delta_eta                unstable becomes stable
+    e_i > delta_e                    stable becomes unstable; its confidence and its age start again
+    k - t_i > delta_t                unstable is removed
+    r_i > max_radius_factor mean(r)  removed, stable or not (released code; not in the paper)
+    """
+    stable = model.is_stable
+    ready = ~stable & (model.confidence > config.stable_confidence)
+    model.state[ready] = STABLE
+    for counter in (model.colour_errors, model.depth_errors):
+        counter[ready] = 0
+
+    wrong_depth = stable & (model.depth_errors > config.error_count)
+    wrong = wrong_depth | (stable & (model.colour_errors > config.error_count))
+    gone = torch.zeros_like(stable)
+    if config.on_error == "release":
+        model.state[wrong] = UNSTABLE
+        model.confidence[wrong] = 0
+        model.birth_step[wrong] = model.step_count
+        model.colour_errors[wrong] = 0
+        model.depth_errors[wrong] = 0
+    else:
+        wrong = gone = wrong_depth
+
+    expired = ~model.is_stable & (model.step_count - model.birth_step > config.unstable_frames)
+    oversized = torch.zeros_like(expired)
+    if config.max_radius_factor is not None and len(model):
+        radius = model.radius_m
+        for rows in (model.is_stable, ~model.is_stable):
+            if rows.any():
+                oversized |= rows & (radius > config.max_radius_factor * radius[rows].mean())
+    report = Transitions(
+        stabilised=int(ready.sum()),
+        released=int(wrong.sum()),
+        expired=int(expired.sum()),
+        oversized=int((oversized & ~expired & ~gone).sum()),
+    )
+    gone = gone | expired | oversized
+    if gone.any():
+        model.keep(~gone)
+    return report

@@ -1,0 +1,101 @@
+"""The compact Gaussian map of RTG-SLAM: every Gaussian a disc, opaque or transparent, stable or unstable."""
+
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from ..geometry import quaternion
+from ..types import Seeds
+from .model import GaussianModel
+
+OPAQUE = 0.99
+"""Opacity of a Gaussian that fits the surface and its main colour."""
+TRANSPARENT = 0.1
+"""Opacity of one that fits what colour is left."""
+UNSTABLE, STABLE = 0, 1
+
+_ANCHOR = ("xyz_W", "log_scale", "quat")
+
+
+class SurfelModel(GaussianModel):
+    """A Gaussian map whose rows are also surfels: normal, confidence count, birth frame, error counters, state.
+
+    Opacity is decided at birth and never changes. No moments are kept: each optimisation starts its own Adam, and
+    ``step_count`` counts frames.
+
+    Source: Peng et al. 2024 (RTG-SLAM), section 3.1.
+    """
+
+    _COUNTS = (*GaussianModel._COUNTS, "state", "confidence", "colour_errors", "depth_errors")
+    _MOMENTS = ()
+    _PLACES = ("", "anchor.")
+
+    @property
+    def state(self) -> Int[Tensor, " N"]:
+        """``UNSTABLE`` (0) or ``STABLE`` (1)."""
+        return self._columns["state"][: len(self)]
+
+    @property
+    def confidence(self) -> Int[Tensor, " N"]:
+        """eta: optimisation steps that changed the colour of each row."""
+        return self._columns["confidence"][: len(self)]
+
+    @property
+    def colour_errors(self) -> Int[Tensor, " N"]:
+        """Frames in which the row's colour was wrong since it became stable."""
+        return self._columns["colour_errors"][: len(self)]
+
+    @property
+    def depth_errors(self) -> Int[Tensor, " N"]:
+        """Frames in which the row's depth was wrong since it became stable."""
+        return self._columns["depth_errors"][: len(self)]
+
+    @property
+    def is_stable(self) -> Bool[Tensor, " N"]:
+        """Rows that are no longer optimised."""
+        return self.state == STABLE
+
+    @property
+    def is_transparent(self) -> Bool[Tensor, " N"]:
+        """Rows that only correct colour; never hit by a ray."""
+        return self.params.opacity_logit < 0
+
+    @property
+    def normal_W(self) -> Float[Tensor, "N 3"]:
+        """Axis of the smallest scale, world frame; either side."""
+        R = quaternion.to_matrix(self.params.quat)
+        thin = self.params.log_scale.argmin(dim=1)
+        return R.gather(2, thin[:, None, None].expand(-1, 3, 1)).squeeze(2)
+
+    @property
+    def radius_m(self) -> Float[Tensor, " N"]:
+        """Mean of the two largest standard deviations, metres."""
+        return self.scale_m.sort(dim=-1).values[:, 1:].mean(dim=-1)
+
+    @property
+    def anchor(self) -> dict[str, Tensor]:
+        """Centre, log-scale and quaternion at birth, which the regulariser holds transparent rows at (Eq. 8)."""
+        return {name: self._columns[f"anchor.{name}"][: len(self)] for name in _ANCHOR}
+
+    def append(self, seeds: Seeds, frame_index: int = 0) -> None:
+        """Add rows: unstable, confidence 0, no errors."""
+        start = len(self)
+        super().append(seeds, frame_index)
+        stop = len(self)
+        for name in ("state", "confidence", "colour_errors", "depth_errors"):
+            self._columns[name][start:stop] = 0
+        for name in _ANCHOR:
+            self._columns[f"anchor.{name}"][start:stop] = self._columns[name][start:stop]
+
+    def _column_names(self) -> list[str]:
+        return [*super()._column_names(), *(f"anchor.{name}" for name in _ANCHOR)]
+
+
+def state_counts(model: SurfelModel) -> dict[str, int]:
+    """Rows by state and kind, for reports."""
+    stable, transparent = model.is_stable, model.is_transparent
+    return {
+        "stable_opaque": int((stable & ~transparent).sum()),
+        "stable_transparent": int((stable & transparent).sum()),
+        "unstable_opaque": int((~stable & ~transparent).sum()),
+        "unstable_transparent": int((~stable & transparent).sum()),
+    }

@@ -1,0 +1,137 @@
+"""Where each frame was taken, as the data says or tracked against the map; the trajectory and its corrections."""
+
+import dataclasses
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ..config import TrackingConfig
+from ..datasets import BadFrameError
+from ..gaussians import GaussianModel
+from ..optim import KeyframeList
+from ..tracking import (
+    BackEnd,
+    Correction,
+    Places,
+    SurfaceSource,
+    Tracker,
+    TrackingLostError,
+    extract_features,
+    moved_enough,
+)
+from ..types import Camera, Frame
+
+
+class Localiser:
+    """The trajectory of a run, one pose per mapped frame.
+
+    With ``config.poses == "given"`` a frame keeps its pose. With "tracked" only the first does; the others are aligned
+    to the map (Peng et al. 2024, Eq. 10), and the back end, where enabled, corrects the trajectory when a loop closes.
+    """
+
+    def __init__(self, config: TrackingConfig):
+        self.config = config
+        self.poses: list[Float[Tensor, "4 4"]] = []
+        """Camera-to-world pose of every mapped frame, on the CPU; corrected when a loop closes."""
+        self.frame_indices: list[int] = []
+        self.report: dict[str, Any] = {}
+        """How the last frame was found: status, rms_m, inlier_share. Empty for given poses."""
+        self._tracker = Tracker(config, places=self)
+        self._back_end: BackEnd | None = None
+        self._places: Places | None = None
+        """Keyframes to recognise when tracking is lost; the back end has its own."""
+
+    @property
+    def is_tracking(self) -> bool:
+        """Poses are estimated."""
+        return self.config.poses == "tracked"
+
+    def locate(self, frame: Frame, surface: SurfaceSource) -> Frame:
+        """The frame with its pose in the map.
+
+        Raises:
+            BadFrameError: tracking was lost and could not be found again with this frame.
+        """
+        self.report = {}
+        if not self.is_tracking:
+            return frame
+        try:
+            found = self._tracker.track(frame, surface)
+        except TrackingLostError as e:
+            raise BadFrameError(f"frame {frame.index} cannot be mapped: {e}") from None
+        self.report = {"status": found.status, "rms_m": found.rms_m, "inlier_share": found.inlier_share}
+        return dataclasses.replace(frame, T_WC=found.T_WC.to(frame.T_WC))
+
+    def record(self, frame: Frame) -> Correction | None:
+        """Add a mapped frame to the trajectory; the correction if it closed a loop, already applied to ``poses``."""
+        self.poses.append(frame.T_WC.cpu())
+        self.frame_indices.append(frame.index)
+        if not self.is_tracking:
+            return None
+        if self.config.back_end.enabled:
+            if self._back_end is None:
+                self._back_end = BackEnd(self.config.back_end, frame.camera)
+            return self._apply(self._back_end.add(frame, frame.T_WC)) if self._back_end.wants(frame.T_WC) else None
+        self._remember(frame)
+        return None
+
+    def relocalise(self, frame: Frame) -> list[Float[Tensor, "4 4"]]:
+        """Poses that the frame may have by its looks, the likeliest first."""
+        known = self._back_end or self._places
+        return [] if known is None else known.relocalise(frame)
+
+    def _remember(self, frame: Frame) -> None:
+        """Keep the looks of a frame after enough motion, to find the way back by."""
+        settings = self.config.back_end
+        if self._places is None:
+            self._places = Places(frame.camera, count=settings.features, levels=settings.levels)
+        if not len(self._places) or moved_enough(self._places.T_WC[-1], frame.T_WC, settings):
+            features = extract_features(frame, count=settings.features, levels=settings.levels)
+            self._places.add(frame.index, frame.T_WC, features)
+
+    def finish(self) -> Correction | None:
+        """The back end's last optimisation, over all keyframes and landmarks, after the scan."""
+        return None if self._back_end is None else self._apply(self._back_end.finish())
+
+    def _apply(self, correction: Correction | None) -> Correction | None:
+        if correction is None:
+            return None
+        moves = correction.transform_of(torch.tensor(self.frame_indices)).float()
+        self.poses = [T @ pose for T, pose in zip(moves, self.poses, strict=True)]
+        self._tracker.correct(moves[-1])
+        return correction
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything needed to go on."""
+        known = self._back_end or self._places
+        return {
+            "poses": self.poses,
+            "frame_indices": self.frame_indices,
+            "tracker": self._tracker.state_dict(),
+            "camera": None if known is None else vars(known.camera),
+            "back_end": None if self._back_end is None else self._back_end.state_dict(),
+            "places": None if self._places is None else self._places.state_dict(),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from what ``state_dict`` gave."""
+        settings = self.config.back_end
+        self.poses, self.frame_indices = list(state["poses"]), list(state["frame_indices"])
+        self._tracker = Tracker.from_state_dict(self.config, state["tracker"], places=self)
+        if state["back_end"] is not None:
+            self._back_end = BackEnd.from_state_dict(settings, Camera(**state["camera"]), state["back_end"])
+        if state["places"] is not None:
+            self._places = Places(Camera(**state["camera"]), count=settings.features, levels=settings.levels)
+            self._places.load_state(state["places"])
+
+
+def move_map(correction: Correction, gaussians: GaussianModel, keyframes: KeyframeList) -> None:
+    """Let Gaussians and keyframes follow a corrected trajectory: each moves with the keyframes around its birth.
+
+    View-dependent colour is not turned with them; a loop turns the map by a few degrees at most.
+    """
+    gaussians.move(correction.transform_of(gaussians.birth_frame))
+    if len(keyframes):
+        keyframes.move(correction.transform_of(torch.tensor([k.index for k in keyframes])))

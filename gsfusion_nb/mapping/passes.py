@@ -1,0 +1,49 @@
+"""Passes over the keyframes after the scan, which can stop and go on anywhere."""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import torch
+
+from .report import GlobalStep
+
+
+class KeyframePasses:
+    """Each pass visits all keyframes once, in a new random order."""
+
+    def __init__(self):
+        self.done = 0
+        """Passes finished."""
+        self.queue: list[int] = []
+        """Keyframes still to be visited in the pass that is under way."""
+
+    @property
+    def begun(self) -> bool:
+        """At least one keyframe was visited."""
+        return self.done > 0 or len(self.queue) > 0
+
+    def run(
+        self, passes: int, n_keyframes: int, generator: torch.Generator, optimise: Callable[[int], float]
+    ) -> Iterator[GlobalStep]:
+        """Visit every keyframe ``passes`` times; ``optimise(i)`` takes one step on the i-th and returns its loss.
+
+        A pass that was cut short is finished first and counts as one of them.
+        """
+        begun = len(self.queue) > 0
+        n_steps, step = (passes - begun) * n_keyframes + len(self.queue), 0
+        for pass_index in range(passes if n_keyframes else 0):
+            if not self.queue:
+                self.queue = torch.randperm(n_keyframes, generator=generator).tolist()
+            while self.queue:
+                loss = optimise(self.queue.pop(0))
+                step += 1
+                self.done += not self.queue
+                yield GlobalStep(pass_index=pass_index, step=step, n_steps=n_steps, loss=loss)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Where the passes stand."""
+        return {"done": self.done, "queue": list(self.queue)}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from there."""
+        self.done, self.queue = state["done"], list(state["queue"])

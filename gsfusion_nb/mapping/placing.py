@@ -1,0 +1,51 @@
+"""Frames of a run's sequence at the poses that its map was made with."""
+
+import dataclasses
+from collections.abc import Iterator
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ..datasets import SequenceError, SequenceView
+from ..geometry import se3
+from ..types import Frame
+from .localiser import Localiser
+
+
+def readable(view: SequenceView) -> Iterator[Frame]:
+    """The frames of a view, without those that cannot be read (the run's warnings name them)."""
+    for i in range(len(view)):
+        try:
+            yield view[i]
+        except SequenceError:
+            continue
+
+
+def placed(view: SequenceView, localiser: Localiser, mapping: SequenceView) -> Iterator[Frame]:
+    """The frames of a view at their poses in the map.
+
+    With given poses, as they are. With tracked ones a mapped frame has its tracked pose, and any other is placed
+    relative to the nearest mapped frame n by the data's poses:  T_WC = T_WC(n) T_data(n)^-1 T_data.
+    """
+    if not localiser.is_tracking or not localiser.poses:
+        yield from readable(view)
+        return
+    mapped = torch.tensor(localiser.frame_indices)
+    truth = {index: i for i, index in enumerate(mapping.positions)}
+    for frame in readable(view):
+        nearest = int((mapped - frame.index).abs().argmin())
+        T_WC = localiser.poses[nearest]
+        if int(mapped[nearest]) != frame.index:
+            T_data = mapping.pose(truth[int(mapped[nearest])])
+            T_WC = T_WC @ se3.inverse(T_data.to(T_WC)) @ frame.T_WC.to(T_WC)
+        yield dataclasses.replace(frame, T_WC=T_WC)
+
+
+def true_poses(localiser: Localiser, mapping: SequenceView) -> Float[Tensor, "N 4 4"] | None:
+    """The data's poses of the mapped frames, or ``None`` if one is missing."""
+    where = {index: i for i, index in enumerate(mapping.positions)}
+    try:
+        return torch.stack([mapping.pose(where[index]) for index in localiser.frame_indices])
+    except SequenceError:
+        return None

@@ -1,0 +1,332 @@
+"""RTG-SLAM (Peng et al. 2024): compact Gaussians, optimised while unstable, frame by frame in the paper's order."""
+
+import dataclasses
+from collections import deque
+from collections.abc import Iterator
+from typing import Any
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from ..config import RtgSlamConfig, from_dict, to_dict
+from ..gaussians import STABLE, SurfelModel, Transitions, change_states, count_errors, state_counts
+from ..geometry import se3
+from ..optim import Keyframe, KeyframeList, fuse_with_history
+from ..render import SurfaceView, render_forward, surface_depth_m, view_surface
+from ..seeding import SeedContext, SeedingRule, apply_rule, get_rule, rule_name
+from ..tracking import Correction, Surface
+from ..tsdf import TsdfVolume, extract_mesh, integrate
+from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput, Seeds
+from .localiser import Localiser, move_map
+from .passes import KeyframePasses
+from .report import GlobalStep, StageClock, StepReport, psnr_from_mse
+from .surfel_optimiser import SurfelOptimiser, View
+from .usable import check_frame
+
+MESH_VIEWS = 60
+"""Views whose rendered depth makes the mesh."""
+
+
+class RTGSLAM:
+    """The mapper: feed it frames with ``step``; its map is ``gaussians``.
+
+    Args:
+        config: Settings; see ``gsfusion_nb.config.rtg_slam`` for the published presets.
+        seeding: Name of a registered rule, or the rule function itself; overrides ``config.seeding.rule``. The
+            settings' options are for the settings' rule: another one runs with its defaults.
+        device: Where the map lives.
+    """
+
+    def __init__(
+        self,
+        config: RtgSlamConfig | None = None,
+        *,
+        seeding: "str | SeedingRule | None" = None,
+        device: torch.device | str = "cpu",
+    ):
+        self.config = config or RtgSlamConfig()
+        self.rule = get_rule(seeding if seeding is not None else self.config.seeding.rule)
+        self.device = torch.device(device)
+        self.gaussians = SurfelModel(self.config.sh_degree, device=self.device)
+        self.localiser = Localiser(self.config.tracking)
+        self.camera: Camera | None = None
+        self.window: deque[Frame] = deque(maxlen=self.config.window.frames)
+        self.keyframes = KeyframeList()
+        self.generator = torch.Generator().manual_seed(self.config.seed)
+        self.n_frames = 0
+        self.passes = KeyframePasses()
+        self._final: SurfelOptimiser | None = None
+
+    def __repr__(self) -> str:
+        counts = ", ".join(f"{n:,} {name.replace('_', ' ')}" for name, n in state_counts(self.gaussians).items())
+        return f"RTGSLAM({self.n_frames} frames, {len(self.gaussians):,} Gaussians ({counts}))"
+
+    def step(self, frame: Frame) -> StepReport:
+        """Map one frame (paper Fig. 2, section 3.2).
+
+        Raises:
+            BadFrameError: the frame cannot be used. The map is unchanged.
+        """
+        frame = check_frame(frame.to(self.device), needs_depth=True)
+        clock = StageClock()
+        with clock("tracking"):
+            frame = self.localiser.locate(frame, self._tracking_surface)  # Eq. 10
+        with clock("seeding"):
+            context = self.seed_context(frame)
+            before = _psnr(context.surface().rgb, frame) if len(self.gaussians) else 0.0
+            seeds = self.propose_seeds(context)  # Eq. 6
+            self.gaussians.append(seeds, frame.index)
+        self._final = None  # its rows are no longer the map's
+        self.window.append(frame)
+        is_keyframe = self._take_keyframe(frame)
+        with clock("optimise"):
+            losses = self._optimise_window() if self._window_is_due(is_keyframe) else []  # Eq. 7-9
+        with clock("keyframes"):
+            if is_keyframe and self.n_frames:
+                self._optimise_keyframes()
+        with clock("states"):
+            after, transitions = self._manage_states(frame)
+        with clock("tracking"):
+            self._correct(self.localiser.record(frame))
+        self.camera = frame.camera
+        self.n_frames += 1
+        self.gaussians.step_count = self.n_frames
+        return StepReport(
+            frame_index=frame.index,
+            n_seeds=len(seeds),
+            n_gaussians=len(self.gaussians),
+            is_keyframe=is_keyframe,
+            losses=tuple(losses),
+            psnr_before_db=before,
+            psnr_after_db=after,
+            tracking=self.localiser.report,
+            counts=state_counts(self.gaussians) | vars(transitions),
+            seconds=clock.seconds,
+        )
+
+    def seed_context(self, frame: Frame) -> SeedContext:
+        """What a seeding rule sees of this frame."""
+        return SeedContext(
+            frame,
+            gaussians=self.gaussians,
+            generator=self.generator,
+            config=self.config.seeding,
+            discs=self.config.discs,
+            near_m=self.config.data.depth_min_m,
+        )
+
+    def propose_seeds(self, context: SeedContext) -> Seeds:
+        """Ask the seeding rule for new Gaussians."""
+        is_own = rule_name(self.rule) == self.config.seeding.rule
+        return apply_rule(self.rule, context, self.config.seeding.options if is_own else {})
+
+    def surface(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> SurfaceView:
+        """Colour, transmittance, depth and normals of the map seen by a camera (Eq. 1-5)."""
+        return view_surface(self.gaussians.params, camera, T_WC.to(self.device), self.config.discs)
+
+    def render(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RenderOutput:
+        """The map seen by a camera, with the depth of its discs as ``surface_depth_m``."""
+        params, T_WC = self.gaussians.params, T_WC.to(self.device)
+        output, _ = render_forward(params, camera, T_WC, opaque_alpha=self.config.discs.opaque_alpha)
+        depth_m = surface_depth_m(params, camera, T_WC, output, self.config.discs)
+        return dataclasses.replace(output, surface_depth_m=depth_m)
+
+    def mesh(self) -> Mesh:
+        """Surface of the rendered depth, fused into a TSDF from poses all along the trajectory."""
+        volume = TsdfVolume(self.config.mesh, device=self.device)
+        poses = self.localiser.poses
+        for index, T_WC in enumerate(poses[:: max(1, len(poses) // MESH_VIEWS)]):
+            assert self.camera is not None
+            view = self.surface(self.camera, T_WC)
+            frame = Frame(
+                index=index,
+                timestamp_s=0.0,
+                rgb=view.rgb.clamp(0, 1),
+                depth_m=view.depth_m,
+                camera=self.camera,
+                T_WC=T_WC,
+            )
+            integrate(volume, frame)
+        return extract_mesh(volume)
+
+    def global_optimise(self, passes: int | None = None) -> Iterator[GlobalStep]:
+        """Optimise all Gaussians over the keyframes after the scan; centres stay. A generator.
+
+        Args:
+            passes: Steps per keyframe; ``config.final.passes`` by default. One that was cut short is finished first
+                and counts as one of them.
+        """
+        passes = self.n_passes if passes is None else passes
+        if not self.passes.begun:
+            self._correct(self.localiser.finish())
+        yield from self.passes.run(passes, len(self.keyframes), self.generator, self._optimise_finally)
+
+    @property
+    def n_passes(self) -> int:
+        """Passes of the final optimisation that the settings ask for."""
+        return self.config.final.passes
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything needed to go on later exactly where this stands, as tensors and plain values."""
+        return {
+            "config": to_dict(self.config),
+            "rule": self.rule.__name__,
+            "n_frames": self.n_frames,
+            "passes": self.passes.state_dict(),
+            "localiser": self.localiser.state_dict(),
+            "camera": None if self.camera is None else vars(self.camera),
+            "final": None if self._final is None else self._final.state_dict(),
+            "generator": self.generator.get_state(),
+            "gaussians": self.gaussians.state_dict(),
+            "keyframes": self.keyframes.state_dict(),
+            "window": [vars(f) | {"camera": vars(f.camera)} for f in self.window],
+        }
+
+    @classmethod
+    def from_state_dict(
+        cls,
+        state: dict[str, Any],
+        *,
+        seeding: "str | SeedingRule | None" = None,
+        device: torch.device | str = "cpu",
+    ) -> "RTGSLAM":
+        """The mapper that ``state_dict`` described; a rule that is not registered by name must be given again."""
+        config = from_dict(RtgSlamConfig, state["config"])
+        mapper = cls(config, seeding=seeding if seeding is not None else state["rule"], device=device)
+        mapper.n_frames = state["n_frames"]
+        mapper.passes.load_state_dict(state["passes"])
+        mapper.localiser.load_state_dict(state["localiser"])
+        mapper.camera = None if state["camera"] is None else Camera(**state["camera"])
+        mapper.generator.set_state(state["generator"])
+        mapper.gaussians = SurfelModel.from_state_dict(state["gaussians"], device)
+        mapper.keyframes = KeyframeList.from_state_dict(state["keyframes"])
+        mapper.window.extend(Frame(**{**f, "camera": Camera(**f["camera"])}) for f in state["window"])
+        if state["final"] is not None:
+            mapper._final = mapper._final_optimiser()
+            mapper._final.load_state_dict(state["final"])
+        return mapper
+
+    def _tracking_surface(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> Surface:
+        view = self.surface(camera, T_WC)
+        return Surface(depth_m=view.depth_m, normal_W=view.normal_W, camera=camera, T_WC=T_WC)
+
+    def _correct(self, correction: Correction | None) -> None:
+        """After a closed loop: Gaussians, keyframes and window move with the trajectory, if asked to."""
+        if correction is None or self.config.tracking.back_end.on_correction == "leave":
+            return
+        move_map(correction, self.gaussians, self.keyframes)
+        moves = correction.transform_of(torch.tensor([f.index for f in self.window])).float()
+        moved = [dataclasses.replace(f, T_WC=T.to(f.T_WC) @ f.T_WC) for f, T in zip(self.window, moves, strict=True)]
+        self.window = deque(moved, maxlen=self.window.maxlen)
+
+    def _take_keyframe(self, frame: Frame) -> bool:
+        """Keep the frame if the camera has turned or moved far enough since the last keyframe."""
+        limits = self.config.keyframes
+        if len(self.keyframes):
+            last = self.keyframes[len(self.keyframes) - 1].T_WC
+            turned = torch.rad2deg(se3.rotation_angle(last[:3, :3].T @ frame.T_WC[:3, :3]))
+            moved = (last[:3, 3] - frame.T_WC[:3, 3]).norm()
+            if float(turned) < limits.rotation_deg and float(moved) < limits.translation_m:
+                return False
+        self.keyframes.append(frame, with_depth=True)
+        return True
+
+    def _window_is_due(self, is_keyframe: bool) -> bool:
+        if not self.n_frames:
+            return True
+        replaced = is_keyframe and self.config.keyframes.instead_of_window and bool(self.gaussians.is_stable.any())
+        return (self.n_frames + 1) % self.config.window.every_frames == 0 and not replaced
+
+    def _optimise_window(self) -> list[float]:
+        """Optimise the unstable Gaussians against the last frames, then fuse them with what they were (Eq. 7-9)."""
+        config, model = self.config.window, self.gaussians
+        trained = ~model.is_stable if config.only_unstable else torch.ones_like(model.is_stable)
+        if not trained.any():
+            return []
+        optimiser = SurfelOptimiser(model, trained, config, self.config.discs)
+        before = GaussianParams(**{name: value.clone() for name, value in vars(optimiser.trained).items()})
+        touched = [optimiser.touched(f.camera, f.T_WC) if config.only_unstable else None for f in self.window]
+        views = [View.of(frame, pixels) for frame, pixels in zip(self.window, touched, strict=True)]
+        losses = []
+        for step in range(config.iterations):
+            newest = config.draw == "newest_half" and 2 * step >= config.iterations
+            losses.append(optimiser.step(views[-1] if newest else views[self._draw(len(views))]).total)
+
+        was = model.confidence[trained]
+        now = was + optimiser.steps_seen
+        fused = fuse_with_history(
+            before, optimiser.trained, was, now, history_max_weight=config.history_max_weight
+        )  # Eq. 9
+        optimiser.write_back(fused)
+        model.confidence[trained] = now
+        return losses
+
+    def _optimise_keyframes(self) -> None:
+        """Optimise over the latest and some random keyframes, on the pixels with the largest colour errors."""
+        config, model = self.config.keyframes, self.gaussians
+        n = len(self.keyframes)
+        latest = list(range(max(0, n - config.latest), n))
+        earlier = torch.randperm(n - len(latest), generator=self.generator)[: config.random].tolist()
+        chosen = [self.keyframes[i] for i in earlier + latest]
+        rows = model.is_stable if config.rows == "stable" else torch.ones_like(model.is_stable)
+        if not chosen or not rows.any():
+            return
+        optimiser = SurfelOptimiser(
+            model,
+            rows,
+            self.config.window,
+            self.config.discs,
+            drawn=rows,
+            lr_factor=config.lr_factor,
+            move_centres=False,
+        )
+        views = [View.of(keyframe, self._worst_pixels(keyframe)) for keyframe in chosen]
+        for _ in range(config.iterations):
+            optimiser.step(views[self._draw(len(views))])
+        optimiser.write_back()
+
+    def _worst_pixels(self, keyframe: Keyframe) -> Bool[Tensor, "H W"]:
+        """The share of the pixels whose colour is farthest off."""
+        view = self.surface(keyframe.camera, keyframe.T_WC)
+        error = (view.rgb - keyframe.rgb).abs().mean(dim=-1)
+        return error >= error.flatten().quantile(1 - self.config.keyframes.pixel_share)
+
+    def _manage_states(self, frame: Frame) -> tuple[float, Transitions]:
+        """Count errors against stable Gaussians, then change states and remove outliers; PSNR of the view before."""
+        view = self.surface(frame.camera, frame.T_WC)
+        known = frame.depth_m > 0
+        colour_error = (view.rgb - frame.rgb).abs().mean(dim=-1) * known
+        depth_error_m = torch.where(known & (view.depth_m > 0), frame.depth_m - view.depth_m, 0.0)
+        count_errors(
+            self.gaussians, colour_error, view.dominant_index, depth_error_m, view.hit_index, self.config.states
+        )
+        return _psnr(view.rgb, frame), change_states(self.gaussians, self.config.states)
+
+    def _optimise_finally(self, i: int) -> float:
+        """One step on the i-th keyframe, on all pixels and all Gaussians, which are all stable from here on."""
+        if self._final is None:
+            self.gaussians.state.fill_(STABLE)
+            self._final = self._final_optimiser()
+        loss = self._final.step(View.of(self.keyframes[i]))
+        self._final.write_back()
+        return loss.total
+
+    def _final_optimiser(self) -> SurfelOptimiser:
+        config, everything = self.config.final, torch.ones_like(self.gaussians.is_stable)
+        return SurfelOptimiser(
+            self.gaussians,
+            everything,
+            self.config.window,
+            self.config.discs,
+            lr_factor=config.lr_factor,
+            move_centres=False,
+            weight_depth=config.weight_depth,
+        )
+
+    def _draw(self, n: int) -> int:
+        return int(torch.randint(n, (), generator=self.generator))
+
+
+def _psnr(rgb: Float[Tensor, "H W 3"], frame: Frame) -> float:
+    return psnr_from_mse(float((rgb.clamp(0, 1) - frame.rgb).square().mean()))

@@ -1,0 +1,165 @@
+"""Optimising some rows of an RTG-SLAM map against RGB-D views; the others stand still (Peng et al. 2024, Eq. 7-8)."""
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from ..config import DiscConfig, WindowConfig
+from ..gaussians import SurfelModel
+from ..optim import Keyframe, RgbdLoss, RowAdam, rgbd_l1_vjp
+from ..render import blended_depth_m, disc_depth, disc_depth_vjp, render_forward, render_vjp
+from ..types import Camera, Frame, GaussianParams
+
+_GEOMETRY = ("xyz_W", "log_scale", "quat")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class View:
+    """An RGB-D image to optimise against, and the pixels of it that count."""
+
+    rgb: Float[Tensor, "H W 3"]
+    depth_m: Float[Tensor, "H W"]
+    camera: Camera
+    T_WC: Float[Tensor, "4 4"]
+    pixels: Bool[Tensor, "H W"]
+
+    @staticmethod
+    def of(source: Frame | Keyframe, pixels: Bool[Tensor, "H W"] | None = None) -> "View":
+        """The view of a frame or keyframe; all pixels by default."""
+        depth_m = source.depth_m
+        assert depth_m is not None
+        everywhere = torch.ones_like(depth_m, dtype=torch.bool)
+        return View(
+            rgb=source.rgb,
+            depth_m=depth_m,
+            camera=source.camera,
+            T_WC=source.T_WC,
+            pixels=everywhere if pixels is None else pixels,
+        )
+
+
+class SurfelOptimiser:
+    """Adam on the rows ``trained`` of a map; of the others, those in ``drawn`` are part of the picture.
+
+    The rows are worked on in a copy, the trained ones first; ``write_back`` carries the trained ones to the map.
+
+    Args:
+        model: The map.
+        trained: Rows to optimise. [N]
+        window: Learning rates and weights of the loss.
+        discs: When a ray hits a disc.
+        drawn: Rows that are in the picture; all by default. [N]
+        lr_factor: Share of the learning rates.
+        move_centres: False leaves the centres where they are.
+        weight_depth: In place of the window's.
+    """
+
+    def __init__(
+        self,
+        model: SurfelModel,
+        trained: Bool[Tensor, " N"],
+        window: WindowConfig,
+        discs: DiscConfig,
+        *,
+        drawn: Bool[Tensor, " N"] | None = None,
+        lr_factor: float = 1.0,
+        move_centres: bool = True,
+        weight_depth: float | None = None,
+    ):
+        self.config = window if weight_depth is None else dataclasses.replace(window, weight_depth=weight_depth)
+        self.discs = discs
+        self._model = model
+        self._rows = trained.nonzero().squeeze(1)
+        others = ~trained if drawn is None else drawn & ~trained
+        self.n = len(self._rows)
+        """Rows that are optimised; the first of ``params``."""
+        self.params = model.params[torch.cat([self._rows, others.nonzero().squeeze(1)])]
+        self.trained = self.params[: self.n]
+        self.steps_seen = torch.zeros(self.n, dtype=torch.int32, device=trained.device)
+        """Steps that changed the colour of each trained row."""
+        w = self.config
+        rates = {
+            "xyz_W": w.lr_xyz * lr_factor * move_centres,
+            "log_scale": w.lr_log_scale * lr_factor,
+            "quat": w.lr_quat * lr_factor,
+            "sh_dc": w.lr_sh_dc * lr_factor,
+            "sh_rest": w.lr_sh_rest * lr_factor,
+        }
+        self.adam = RowAdam(self.trained, rates)
+        self._is_trained = torch.arange(len(self.params), device=trained.device) < self.n
+        self._held = (self.trained.opacity_logit < 0).nonzero().squeeze(1)
+        born = model.anchor
+        start = born if w.anchor == "birth" else {name: getattr(model.params, name) for name in _GEOMETRY}
+        self._anchor = {name: start[name][self._rows[self._held]].clone() for name in _GEOMETRY}
+
+    def touched(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> Bool[Tensor, "H W"]:
+        """Pixels where a trained row is seen, or would be if nothing stood before it."""
+        output, _ = render_forward(self.trained, camera, T_WC, with_indices=False)
+        return output.alpha > 0
+
+    def step(self, view: View) -> RgbdLoss:
+        """One gradient step on one view; the loss before it."""
+        w, discs = self.config, self.discs
+        output, saved = render_forward(
+            self.params,
+            view.camera,
+            view.T_WC,
+            with_indices=False,
+            opaque_alpha=discs.opaque_alpha,
+            pixels=view.pixels,
+        )
+        hit = output.hit_index
+        assert hit is not None
+        options = {"max_offset": discs.max_offset, "min_cosine": discs.min_cosine}
+        if discs.depth == "disc":
+            depth_m = disc_depth(self.params, view.camera, view.T_WC, hit, **options).depth_m
+        else:
+            depth_m = blended_depth_m(output)
+        loss = rgbd_l1_vjp(
+            output.rgb,
+            depth_m,
+            view.rgb,
+            view.depth_m,
+            view.pixels,
+            weight_colour=w.weight_colour,
+            weight_depth=w.weight_depth,
+            behind_m=w.depth_behind_m,
+        )
+        if discs.depth == "disc":
+            g = render_vjp(saved, loss.v_rgb, rows=self._is_trained)
+            v_xyz, v_quat = disc_depth_vjp(self.params, view.camera, view.T_WC, hit, loss.v_depth_m, **options)
+            g = dataclasses.replace(g, xyz_W=g.xyz_W + v_xyz, quat=g.quat + v_quat)
+        else:  # of D / A: v_D = v / A,  v_A = -v D / A^2
+            v_D = loss.v_depth_m / output.alpha.clamp_min(1e-6)
+            g = render_vjp(saved, loss.v_rgb, v_D, -v_D * depth_m, rows=self._is_trained)
+        self._add_regulariser(g)
+        self.steps_seen += (g.sh[: self.n, 0] != 0).any(dim=1)
+        self.adam.step(g)
+        return loss
+
+    def write_back(self, params: GaussianParams | None = None) -> None:
+        """Carry the trained rows, or ``params`` in their place, to the map."""
+        for name, value in vars(params or self.trained).items():
+            getattr(self._model.params, name)[self._rows] = value
+
+    def state_dict(self) -> dict[str, Any]:
+        """What cannot be made anew from the map: Adam's moments, and where transparent rows are held."""
+        return {"adam": self.adam.state_dict(), "anchor": {name: value.clone() for name, value in self._anchor.items()}}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from there, on the same rows."""
+        self.adam.load_state_dict(state["adam"])
+        for name, value in state["anchor"].items():
+            self._anchor[name].copy_(value)
+
+    def _add_regulariser(self, g: GaussianParams) -> None:
+        """w_reg times the mean squared distance of transparent rows to their anchor: centre, scale, quaternion."""
+        if not len(self._held):
+            return
+        for name in _GEOMETRY:
+            away = getattr(self.trained, name)[self._held] - self._anchor[name]
+            getattr(g, name)[self._held] += 2 * self.config.weight_regulariser / away.numel() * away

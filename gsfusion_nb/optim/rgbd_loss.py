@@ -1,0 +1,63 @@
+"""The colour and depth loss of RTG-SLAM on some pixels of a view, with its gradient."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from ..backends import op
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RgbdLoss:
+    """Value and gradient of the loss of one view."""
+
+    colour: float
+    """Mean |C - C^| over the pixels and channels."""
+    depth_m: float
+    """Mean |D - D^| over the pixels that have both depths, metres."""
+    total: float
+    """w_c colour + w_d depth."""
+    v_rgb: Float[Tensor, "H W 3"]
+    v_depth_m: Float[Tensor, "H W"]
+
+
+@op
+def rgbd_l1_vjp(
+    rgb: Float[Tensor, "H W 3"],
+    depth_m: Float[Tensor, "H W"],
+    target_rgb: Float[Tensor, "H W 3"],
+    target_depth_m: Float[Tensor, "H W"],
+    pixels: Bool[Tensor, "H W"],
+    *,
+    weight_colour: float = 1.0,
+    weight_depth: float = 1.0,
+    behind_m: float | None = None,
+) -> RgbdLoss:
+    """L = w_c mean |C - C^| + w_d mean |D - D^| over ``pixels``, and dL/dC^, dL/dD^ (Peng et al. 2024, Eq. 7-8).
+
+    Args:
+        rgb, depth_m: Rendered; depth 0 where no disc is hit, which has no depth loss.
+        target_rgb, target_depth_m: Measured; depth 0 where missing.
+        pixels: Which pixels count.
+        weight_colour, weight_depth: w_c and w_d.
+        behind_m: Depth rendered farther than this behind the measurement has no loss (released code).
+
+    Differentiable: this is the derivative; zero where both are equal.
+    """
+    n = int(pixels.sum())
+    gap = torch.where(pixels[..., None], rgb - target_rgb, 0.0)
+    known = pixels & (depth_m > 0) & (target_depth_m > 0)
+    if behind_m is not None:
+        known = known & (depth_m - target_depth_m < behind_m)
+    depth_gap = torch.where(known, depth_m - target_depth_m, 0.0)
+    n_known = max(int(known.sum()), 1)
+    colour, depth = float(gap.abs().sum()) / max(3 * n, 1), float(depth_gap.abs().sum()) / n_known
+    return RgbdLoss(
+        colour=colour,
+        depth_m=depth,
+        total=weight_colour * colour + weight_depth * depth,
+        v_rgb=torch.sign(gap) * (weight_colour / max(3 * n, 1)),
+        v_depth_m=torch.sign(depth_gap) * (weight_depth / n_known),
+    )

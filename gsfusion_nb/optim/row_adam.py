@@ -1,0 +1,54 @@
+"""Adam on a set of Gaussians that neither grows nor shrinks while it runs: one window, or the end of a scan."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+
+from ..types import GaussianParams
+from .adam import adam_update
+
+BETA1, BETA2, EPS = 0.9, 0.999, 1e-15
+
+
+class RowAdam:
+    """Moments that start at zero, bias correction by the number of steps taken, one constant rate per group.
+
+    Args:
+        params: What to update, in place.
+        rates: Learning rate of each group: xyz_W, log_scale, quat, sh_dc, sh_rest. Groups at rate 0 are left alone;
+            opacity is never touched (Peng et al. 2024: lr_alpha = 0).
+    """
+
+    def __init__(self, params: GaussianParams, rates: Mapping[str, float]):
+        self.params = params
+        self.steps = 0
+        sh_rates = params.sh.new_full((params.sh.shape[1], 1), rates["sh_rest"])
+        sh_rates[0] = rates["sh_dc"]
+        self._rates: dict[str, Any] = {
+            name: rates[name] for name in ("xyz_W", "log_scale", "quat") if rates[name] > 0
+        } | {"sh": sh_rates.expand(-1, 3)}
+        self._moments = {name: [torch.zeros_like(getattr(params, name)) for _ in range(2)] for name in self._rates}
+
+    def step(self, gradients: GaussianParams) -> None:
+        """Update once. Rows of ``gradients`` beyond those of ``params`` are not looked at."""
+        self.steps += 1
+        n = len(self.params)
+        for name, lr in self._rates.items():
+            m, v = self._moments[name]
+            gradient = getattr(gradients, name)[:n]
+            adam_update(
+                getattr(self.params, name), gradient, m, v, self.steps, lr=lr, beta1=BETA1, beta2=BETA2, eps=EPS
+            )
+
+    def state_dict(self) -> dict[str, Any]:
+        """Moments and step count."""
+        moments = {name: [moment.clone() for moment in pair] for name, pair in self._moments.items()}
+        return {"steps": self.steps, "moments": moments}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Take over what ``state_dict`` gave for parameters of the same shape."""
+        self.steps = state["steps"]
+        for name, moments in state["moments"].items():
+            for mine, saved in zip(self._moments[name], moments, strict=True):
+                mine.copy_(saved)

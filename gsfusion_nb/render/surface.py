@@ -1,0 +1,85 @@
+"""The surface that a Gaussian map shows to a camera: what a mapper compares with depth, and a tracker aligns to."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from ..config import DiscConfig
+from ..types import Camera, GaussianParams, RenderOutput
+from .disc import disc_depth
+from .rasterize import render_forward
+
+BLENDED_MIN_ALPHA = 0.5
+"""Blended depth counts where at least so much of the light was stopped."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SurfaceView:
+    """Colour, transmittance and surface of the map from one camera (the maps of Peng et al. 2024, section 3.1)."""
+
+    rgb: Float[Tensor, "H W 3"]
+    transmittance: Float[Tensor, "H W"]
+    """Light that is left behind all Gaussians (Eq. 3)."""
+    depth_m: Float[Tensor, "H W"]
+    """z-depth of the surface (Eq. 5); 0 where there is none (-1 in the paper)."""
+    normal_W: Float[Tensor, "H W 3"]
+    """Normal of the hit disc towards the camera, world frame; 0 where none is hit."""
+    hit_index: Int[Tensor, "H W"]
+    """Row of the hit disc, or -1."""
+    dominant_index: Int[Tensor, "H W"]
+    """Row with the largest part in the colour, or -1."""
+
+
+def view_surface(
+    params: GaussianParams,
+    camera: Camera,
+    T_WC: Float[Tensor, "4 4"],
+    config: DiscConfig | None = None,
+    *,
+    pixels: Bool[Tensor, "H W"] | None = None,
+) -> SurfaceView:
+    """Everything a mapper or tracker asks of the map at one pose, in one pass.
+
+    Args:
+        params, camera, T_WC: as for ``render``.
+        config: When a disc is hit; with ``depth="blended"`` the depth is sum of w_k z_k / alpha instead.
+        pixels: Draw only these. [H, W]
+
+    Differentiable: no; ``render_forward``, ``disc_depth`` and their vjp are.
+    """
+    config = config or DiscConfig()
+    only = {} if pixels is None else {"pixels": pixels}
+    output, _ = render_forward(params, camera, T_WC, opaque_alpha=config.opaque_alpha, **only)
+    hit, dominant = output.hit_index, output.dominant_index
+    assert hit is not None
+    assert dominant is not None
+    disc = disc_depth(params, camera, T_WC, hit, max_offset=config.max_offset, min_cosine=config.min_cosine)
+    depth_m = disc.depth_m if config.depth == "disc" else blended_depth_m(output)
+    return SurfaceView(
+        rgb=output.rgb,
+        transmittance=1.0 - output.alpha,
+        depth_m=depth_m,
+        normal_W=disc.normal_W,
+        hit_index=hit,
+        dominant_index=dominant,
+    )
+
+
+def surface_depth_m(
+    params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"], output: RenderOutput, config: DiscConfig
+) -> Float[Tensor, "H W"]:
+    """Depth of the surface in ``output``, which was rendered with ``opaque_alpha``: of the discs hit, or blended."""
+    if config.depth == "blended":
+        return blended_depth_m(output)
+    assert output.hit_index is not None
+    return disc_depth(
+        params, camera, T_WC, output.hit_index, max_offset=config.max_offset, min_cosine=config.min_cosine
+    ).depth_m
+
+
+def blended_depth_m(output: RenderOutput, min_alpha: float = BLENDED_MIN_ALPHA) -> Float[Tensor, "H W"]:
+    """sum of w_k z_k / alpha, metres; 0 where less than ``min_alpha`` of the light was stopped."""
+    depth_m = output.depth_m / output.alpha.clamp_min(1e-6)
+    return torch.where(output.alpha >= min_alpha, depth_m, 0.0)

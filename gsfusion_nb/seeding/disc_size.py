@@ -1,0 +1,86 @@
+"""How large a new disc is: it covers the gap to its neighbours, with little overlap (Peng et al. 2024, section 3.2)."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+NEIGHBOURS = 3
+"""Nearest neighbours looked at (released code)."""
+REACH = 3.0
+"""An existing disc covers so many of its radii."""
+BORDER_M = 0.05
+"""Existing discs farther than this outside the new points' bounding box are no neighbours."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Gaps:
+    """Free space around new points."""
+
+    gap_m: Float[Tensor, "M K"]
+    """Distance to each of the nearest neighbours, less what the neighbour covers; negative inside it."""
+
+    @property
+    def overlaps(self) -> Bool[Tensor, " M"]:
+        """The point lies in a neighbour's reach."""
+        return (self.gap_m < 0).any(dim=1)
+
+    @property
+    def size_m(self) -> Float[Tensor, " M"]:
+        """Root mean square of the gaps that are left."""
+        return self.gap_m.clamp_min(0.0).square().mean(dim=1).sqrt()
+
+
+def gaps_around(
+    xyz_W: Float[Tensor, "M 3"],
+    neighbour_xyz_W: Float[Tensor, "N 3"],
+    neighbour_radius_m: Float[Tensor, " N"],
+    *,
+    reach: float = REACH,
+    neighbours: int = NEIGHBOURS,
+) -> Gaps:
+    """d_i = |x - x_i| - reach r_i for the nearest centres x_i, other new points (r = 0) and existing discs alike.
+
+    Args:
+        xyz_W: New points, metres.
+        neighbour_xyz_W: Centres of the discs that exist.
+        neighbour_radius_m: Their radii.
+        reach: Radii that an existing disc covers.
+        neighbours: How many; fewer where there are not so many points.
+
+    Differentiable: no. Source: the released code (the paper says "cover the scene ... with little overlapping").
+    """
+    from scipy.spatial import cKDTree
+
+    M = len(xyz_W)
+    if M == 0:
+        return Gaps(gap_m=xyz_W.new_zeros(0, neighbours))
+    low, high = xyz_W.amin(0) - BORDER_M, xyz_W.amax(0) + BORDER_M
+    near = ((neighbour_xyz_W >= low) & (neighbour_xyz_W <= high)).all(dim=1)
+    centres = torch.cat([xyz_W, neighbour_xyz_W[near]])
+    radius = torch.cat([xyz_W.new_zeros(M), neighbour_radius_m[near]])
+    k = min(neighbours + 1, len(centres))
+    if k == 1:
+        return Gaps(gap_m=xyz_W.new_full((1, 1), torch.inf))
+    tree = cKDTree(centres.cpu().numpy())
+    distance, index = (torch.from_numpy(a) for a in tree.query(xyz_W.cpu().numpy(), k=k))
+    other = index != torch.arange(M)[:, None]
+    other[other.all(dim=1), -1] = False  # a duplicate hid the point itself: leave out the farthest
+    distance, index = (a[other].view(M, k - 1).to(xyz_W.device) for a in (distance, index))
+    return Gaps(gap_m=distance.to(xyz_W) - reach * radius[index])
+
+
+def nearest(
+    xyz_W: Float[Tensor, "M 3"], others_W: Float[Tensor, "N 3"], neighbours: int = NEIGHBOURS
+) -> tuple[Float[Tensor, "M K"], Tensor]:
+    """Distance to the nearest of ``others_W`` and their rows; infinite, and row 0, where there are not so many."""
+    from scipy.spatial import cKDTree
+
+    M = len(xyz_W)
+    if M == 0 or len(others_W) == 0:
+        return xyz_W.new_full((M, neighbours), torch.inf), torch.zeros(M, neighbours, dtype=torch.long)
+    distance, row = cKDTree(others_W.cpu().numpy()).query(xyz_W.cpu().numpy(), k=list(range(1, neighbours + 1)))
+    row = torch.from_numpy(row)
+    row[row == len(others_W)] = 0
+    return torch.from_numpy(distance).to(xyz_W), row.to(xyz_W.device)

@@ -1,0 +1,194 @@
+"""RTG-SLAM's rule: opaque discs where the surface is new or wrong, transparent ones where only the colour is."""
+
+import dataclasses
+from typing import Literal
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from ...geometry import backproject, pixel_grid, quaternion, se3
+from ...render import SurfaceView
+from ...types import Seeds
+from ..context import SeedContext
+from ..disc_size import gaps_around, nearest
+from ..rule import seeding_rule
+
+NEW_AREA, DEPTH_ERROR, COLOUR_ERROR = 1, 2, 3
+"""Tags: why a Gaussian was added."""
+
+OPAQUE_OPACITY, TRANSPARENT_OPACITY = 0.99, 0.1
+ERROR_SHARE = 0.05
+"""Released code: share of the pixels in error that is drawn, whatever that of newly seen ones."""
+UNSTABLE_REACH = 0.6
+"""Released code: nothing is added within so many radii of an unstable Gaussian."""
+
+
+@seeding_rule
+def rtg_slam(
+    ctx: SeedContext,
+    *,
+    share: float = 0.05,
+    min_transmittance: float = 0.5,
+    depth_error_m: float = 0.1,
+    colour_error: float = 0.1,
+    transparent: bool = True,
+    transparent_radius_m: float = 0.01,
+    min_radius_m: float = 0.001,
+    max_radius_m: float = 0.05,
+    thickness: float = 0.1,
+    fidelity: Literal["measured", "paper", "code"] = "measured",
+) -> Seeds:
+    """Discs for three kinds of pixels with depth: newly seen, wrong in depth, wrong in colour only (Eq. 6).
+
+        M_s = { T > delta_T  or  |D^ - D| > delta_d },   M_c = { |C^ - C| > delta_c } \\ M_s
+
+    A share of each is drawn at random. Those of M_s become opaque. One of M_c asks for the disc that its ray hits:
+    if that is unstable nothing is added, if it is stable a transparent one is, to correct the colour. Discs lie in
+    the measured surface, as wide as the gap to their neighbours.
+
+    Args:
+        ctx: Frame and Gaussian map; without a map every pixel is new.
+        share: Part of the pixels of each kind that is drawn; with "code" of newly seen ones, 0.05 of the others.
+        min_transmittance: delta_T.
+        depth_error_m: delta_d, metres.
+        colour_error: delta_c, mean absolute difference over R, G, B.
+        transparent: False adds none (the ablation of Fig. 6).
+        transparent_radius_m: Largest radius of a transparent disc (paper; the code has no such limit).
+        min_radius_m: Least radius of any.
+        max_radius_m: Largest radius of any.
+        thickness: Smallest standard deviation, as a share of the radius.
+        fidelity: "paper": as above. "code": pixels of the two error kinds are one kind; nothing is added near an
+            unstable disc, nor within 3 radii of any; transparent is what lies on a stable disc's plane, whatever its
+            kind. "measured": as the paper, but nothing opaque is added within the reach of an existing disc at its
+            own depth.
+
+    Source: Peng et al. 2024, section 3.2, "Gaussians adding"; sizes and "code" from the released code.
+    """
+    if not 0 < share <= 1:
+        raise ValueError(f"rtg_slam: share must be above 0 and at most 1, got {share}")
+    usable = ctx.has_depth() & (ctx.normals() != 0).any(dim=-1)
+    kinds = {NEW_AREA: usable}
+    view = None
+    if ctx.gaussians is not None and len(ctx.map):
+        view = ctx.surface()
+        kinds = wrong_pixels(ctx, view, usable, min_transmittance, depth_error_m, colour_error, fidelity)
+    shares = {NEW_AREA: share} | dict.fromkeys((DEPTH_ERROR, COLOUR_ERROR), ERROR_SHARE if fidelity == "code" else share)
+    drawn = {kind: draw_share(mask, shares[kind], ctx.generator) for kind, mask in kinds.items()}
+    pixel = torch.cat(list(drawn.values()))
+    tag = torch.cat([torch.full_like(p, kind) for kind, p in drawn.items()])
+    seeds = discs_at(ctx, pixel, tag)
+    if view is not None:
+        decide = _decide_by_plane if fidelity == "code" else _decide_by_hit
+        opacity = decide(ctx, view, seeds, pixel, depth_error_m)
+        if not transparent:
+            opacity = torch.where(opacity == TRANSPARENT_OPACITY, 0.0, opacity)
+        seeds = dataclasses.replace(seeds, opacity=opacity)[opacity > 0]
+    limit = max_radius_m if fidelity == "code" else transparent_radius_m
+    return sized(ctx, seeds, min_radius_m, max_radius_m, limit, thickness, fidelity)
+
+
+def wrong_pixels(
+    ctx: SeedContext,
+    view: SurfaceView,
+    usable: Bool[Tensor, "H W"],
+    min_transmittance: float,
+    depth_error_m: float,
+    colour_error: float,
+    fidelity: str,
+) -> dict[int, Bool[Tensor, "H W"]]:
+    """Pixels by kind, no pixel in two (Eq. 6). A pixel without a hit has no depth error."""
+    new = usable & (view.transmittance > min_transmittance)
+    depth = usable & ~new & (view.depth_m > 0) & ((view.depth_m - ctx.frame.depth_m).abs() > depth_error_m)
+    colour = usable & ~new & ~depth & ((view.rgb - ctx.frame.rgb).abs().mean(dim=-1) > colour_error)
+    if fidelity == "code":
+        return {NEW_AREA: new, DEPTH_ERROR: depth | colour}
+    return {NEW_AREA: new, DEPTH_ERROR: depth, COLOUR_ERROR: colour}
+
+
+def draw_share(mask: Bool[Tensor, "H W"], share: float, generator: torch.Generator) -> Int[Tensor, " M"]:
+    """Places in the flat image of a random share of the pixels, without replacement, in the order of the image."""
+    pixel = mask.flatten().nonzero().squeeze(1)
+    n = round(share * len(pixel))
+    order = torch.randperm(len(pixel), generator=generator, device=generator.device)[:n]
+    return pixel[order.sort().values.to(pixel.device)]
+
+
+def discs_at(ctx: SeedContext, pixel: Int[Tensor, " M"], tag: Int[Tensor, " M"]) -> Seeds:
+    """Opaque discs of no size yet on the measured surface: thin axis z along the normal."""
+    depth_m = ctx.frame.depth_m.flatten()[pixel]
+    uv = pixel_grid(ctx.camera, device=depth_m.device).view(-1, 2)[pixel]
+    xyz_W = se3.apply(ctx.frame.T_WC, backproject(ctx.camera, uv.to(depth_m), depth_m))
+    normal_W = ctx.normals_W().reshape(-1, 3)[pixel]
+    z = torch.tensor([0.0, 0.0, 1.0]).to(normal_W).expand_as(normal_W)
+    M = len(pixel)
+    return Seeds(
+        xyz_W=xyz_W,
+        rgb=ctx.frame.rgb.view(-1, 3)[pixel],
+        scale_m=torch.ones_like(xyz_W),
+        quat=quaternion.shortest_arc(z, normal_W),
+        opacity=depth_m.new_full((M,), OPAQUE_OPACITY),
+        tag=tag.to(torch.int32),
+    )
+
+
+def sized(
+    ctx: SeedContext,
+    seeds: Seeds,
+    min_radius_m: float,
+    max_radius_m: float,
+    transparent_radius_m: float,
+    thickness: float,
+    fidelity: str,
+) -> Seeds:
+    """Give every disc its radius; leave out those that overlap others too much."""
+    has_map = ctx.gaussians is not None and len(ctx.map) > 0
+    xyz, radius = (ctx.map.xyz_W, ctx.map.radius_m) if has_map else (seeds.xyz_W[:0], seeds.opacity[:0])
+    if fidelity != "code" and has_map:  # only opaque discs cover a surface
+        solid = ctx.map.opacity > 0.5
+        xyz, radius = xyz[solid], radius[solid]
+    is_transparent = seeds.opacity < 0.5
+    gaps = gaps_around(seeds.xyz_W, xyz, radius)
+    size = gaps.size_m.clamp(min_radius_m, max_radius_m)
+    size = torch.where(is_transparent, size.clamp(max=max(transparent_radius_m, min_radius_m)), size)
+    shape = torch.tensor([1.0, 1.0, thickness]).to(size)
+    seeds = dataclasses.replace(seeds, scale_m=size[:, None] * shape)
+    if fidelity == "code":
+        return seeds[~gaps.overlaps]
+    if fidelity == "measured":
+        return seeds[is_transparent | ~gaps.overlaps]
+    return seeds
+
+
+def _decide_by_hit(
+    ctx: SeedContext, view: SurfaceView, seeds: Seeds, pixel: Tensor, depth_error_m: float
+) -> Float[Tensor, " M"]:
+    """Opacity by the disc that the pixel's ray hits: transparent over a stable one, 0 (none) over an unstable one."""
+    hit = view.hit_index.flatten()[pixel]
+    state = ctx.map.state
+    stable = torch.ones_like(hit, dtype=torch.bool) if state is None else state[hit.clamp_min(0)] == 1
+    over = torch.where((hit >= 0) & stable, TRANSPARENT_OPACITY, 0.0).to(seeds.opacity)
+    return torch.where(seeds.tag == COLOUR_ERROR, over, seeds.opacity)
+
+
+def _decide_by_plane(
+    ctx: SeedContext, view: SurfaceView, seeds: Seeds, pixel: Tensor, depth_error_m: float
+) -> Float[Tensor, " M"]:
+    """Opacity as the released code decides: 0 near an unstable disc; transparent near a stable disc's plane."""
+    unstable = torch.zeros(len(ctx.map), dtype=torch.bool) if ctx.map.state is None else ctx.map.state == 0
+    unstable = unstable.to(pixel.device)
+    distance, row = nearest(seeds.xyz_W, ctx.map.xyz_W[unstable])
+    radius = torch.cat([ctx.map.radius_m[unstable], seeds.opacity.new_zeros(1)])  # one row more where there are none
+    crowded = (distance < UNSTABLE_REACH * radius[row]).any(dim=1)
+
+    stable_rows = (~unstable).nonzero().squeeze(1)
+    opacity = seeds.opacity.clone()
+    if len(stable_rows):
+        behind = ctx.surface(rows=stable_rows)
+        under = behind.dominant_index.flatten()[pixel]
+        row = stable_rows[under.clamp_min(0)]
+        normal = ctx.map.normal_W[row]
+        off_plane = ((ctx.map.xyz_W[row] - seeds.xyz_W) * normal).sum(dim=1).abs()
+        opacity[(under >= 0) & (off_plane < 0.5 * depth_error_m)] = TRANSPARENT_OPACITY
+    opacity[crowded] = 0.0
+    return opacity

@@ -1,0 +1,105 @@
+"""Running a study: every variant a run of its own in a process of its own, then one table of their numbers."""
+
+import json
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from ..checks import check_name
+from ..evaluation import format_metric
+from . import disc_depth
+from .variants import STUDIES
+
+COLUMNS = {
+    "psnr_held_out_online_db": "PSNR online",
+    "psnr_held_out_db": "PSNR held out",
+    "psnr_mapped_db": "PSNR mapped",
+    "depth_l1_held_out_m": "depth error",
+    "n_gaussians": "Gaussians",
+    "ate_rmse_m": "ATE RMSE",
+    "drift_m": "drift",
+    "fps_total": "FPS",
+    "fps_mapping": "FPS mapping",
+    "fps_tracking": "FPS tracking",
+    "mesh_accuracy_m": "accuracy",
+    "mesh_completion_m": "completion",
+    "mesh_completion_ratio": "completion < 3 cm",
+    "peak_memory_mb": "memory",
+}
+"""Name in metrics.json -> heading."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StudyOptions:
+    """Run a comparison of the papers on a sequence and print one table.
+
+    Each variant is a run with all its files in OUT; one that is complete there is not run again.
+    """
+
+    name: Annotated[str, tyro.conf.Positional]
+    """systems, transparent, states, fidelity, depth, tracking, or disc-depth."""
+    data: Annotated[str, tyro.conf.Positional] = "room"
+    """Folder of a sequence, or "room" for the built-in scene."""
+    out: str = ""
+    """Folder for the runs; runs/study-<name> by default."""
+    options: str = ""
+    """Further options of `gsfusion-nb map` for every variant, in quotes: "--data.width 320 --data.height 240"."""
+    views: int = 20
+    """disc-depth: views to fit."""
+
+
+def main(options: StudyOptions) -> int:
+    """Run, print and save; the exit status."""
+    check_name("study", options.name, ("disc-depth", *STUDIES))
+    folder = Path(options.out or f"runs/study-{options.name}").expanduser()
+    folder.mkdir(parents=True, exist_ok=True)
+    if options.name == "disc-depth":
+        return disc_depth.main(options.data, folder, options.views)
+    study = STUDIES[options.name]
+    print(f"{study.question}, on {options.data}")
+    results = {}
+    for label, variant in study.variants.items():
+        results[label] = run_variant(options.data, folder / _slug(label), [*variant, *options.options.split()])
+        print(f"  {label}: {results[label].get('error', 'done')}", flush=True)
+    text = as_markdown(results)
+    (folder / "table.md").write_text(f"{study.question}, on {Path(options.data).name}\n\n{text}\n", encoding="utf-8")
+    (folder / "table.json").write_text(json.dumps(results, indent=1), encoding="utf-8")
+    print(f"\n{text}\n\nFiles in {folder}")
+    return 1 if any("error" in r for r in results.values()) else 0
+
+
+def run_variant(data: str, folder: Path, arguments: list[str]) -> dict[str, Any]:
+    """Metrics of one run, made now unless it is complete in ``folder``; ``{"error": sentence}`` if it failed."""
+    if not _is_complete(folder):
+        command = [sys.executable, "-m", "gsfusion_nb", "map", data, "--out", str(folder), *arguments]
+        resumable = (folder / "checkpoint.pt").is_file()
+        if resumable:
+            command = [sys.executable, "-m", "gsfusion_nb", "map", "--resume", str(folder)]
+        done = subprocess.run(command, capture_output=True, text=True)
+        if not _is_complete(folder):
+            lines = (done.stderr or done.stdout).strip().splitlines()
+            return {"error": lines[-1] if lines else f"ended with status {done.returncode}"}
+    return json.loads((folder / "metrics.json").read_text(encoding="utf-8"))["metrics"]
+
+
+def as_markdown(results: dict[str, dict[str, Any]]) -> str:
+    """A table with a row per variant; columns that no variant has are left out."""
+    shown = [name for name in COLUMNS if any(name in metrics for metrics in results.values())]
+    lines = [f"| | {' | '.join(COLUMNS[name] for name in shown)} |", f"|---|{'---:|' * len(shown)}"]
+    for label, metrics in results.items():
+        cells = [format_metric(name, metrics[name]) if name in metrics else "-" for name in shown]
+        lines.append(f"| {label} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def _is_complete(folder: Path) -> bool:
+    path = folder / "metrics.json"
+    return path.is_file() and json.loads(path.read_text(encoding="utf-8")).get("status") == "complete"
+
+
+def _slug(label: str) -> str:
+    return "-".join("".join(c if c.isalnum() else " " for c in label.lower()).split())

@@ -1,0 +1,325 @@
+"""The back end of tracking: keyframes, landmarks, loops, and the graph that keeps them consistent.
+
+Peng et al. 2024, section 3.2: "a back-end optimization thread similar to ORB-SLAM2 ... a set of 3D landmarks are also
+maintained ... used for graph optimization". Here it runs in turn with the front end, keyframe by keyframe, and is
+written from the mathematics: ORB features (OpenCV), factor graph (GTSAM).
+"""
+
+import logging
+from typing import Any
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from ..checks import check_pose
+from ..config import BackEndConfig
+from ..geometry import se3
+from ..types import Camera, Frame
+from .correction import Correction, blend
+from .features import Features, extract_features
+from .landmarks import Landmarks
+from .loops import depth_thumbnail, path_between, why_not
+from .matching import PointPairs, RelativePose, agreement, refine_pose
+from .places import Places
+from .pose_graph import (
+    Edge,
+    edge_error,
+    fit_odometry,
+    odometry_information,
+    optimise_landmarks,
+    optimise_poses,
+    require_gtsam,
+    with_floor,
+)
+
+log = logging.getLogger(__name__)
+
+RECENT = 5
+"""A new keyframe looks for the landmarks of so many before it."""
+
+AROUND = 2
+"""A loop uses the landmarks of so many keyframes before and after the one it leads to."""
+
+TIED_TO = 3
+"""... and is tied to so many of them, those it shares most landmarks with."""
+
+MIN_SHARED = 15
+"""Fewer common landmarks do not tie two keyframes together."""
+
+SEARCH_SHARE = 0.05
+"""Landmarks are first searched within this share of the image's width of where the front end's pose puts them."""
+
+CANDIDATES = 3
+"""Loops are sought among so many of the most similar keyframes and one that is near by pose."""
+
+LANDMARK_FLOOR = (0.05, 0.002)
+"""Standard deviation, degrees and metres, that no relative pose from features is better than."""
+
+LOOP_MAX_SIGMA = 5.0
+"""After the optimisation, a loop farther off than so many standard deviations was false: its matches are not used."""
+
+
+def moved_enough(last: Float[Tensor, "4 4"], T_WC: Float[Tensor, "4 4"], config: BackEndConfig) -> bool:
+    """The camera has turned or moved so far since the pose ``last`` that a keyframe should be taken."""
+    step = se3.inverse(last.detach().cpu().double()) @ T_WC.detach().cpu().double()
+    turned_deg, moved_m = float(se3.rotation_angle(step[:3, :3]).rad2deg()), float(step[:3, 3].norm())
+    return turned_deg > config.keyframe_rotation_deg or moved_m > config.keyframe_translation_m
+
+
+class BackEnd:
+    """Corrects the front end's trajectory over keyframes.
+
+    World frame: ``add`` takes poses in the world as corrected so far. A front end applies each ``Correction`` to its own
+    pose before it goes on.
+    """
+
+    def __init__(self, config: BackEndConfig, camera: Camera):
+        """
+        Raises:
+            ImportError: GTSAM is not installed.
+        """
+        require_gtsam()
+        self.config, self.camera = config, camera
+        self.places = Places(camera, count=config.features, levels=config.levels)
+        self.landmarks = Landmarks(self.places)
+        self.edges: list[Edge] = []
+        self.loops: list[tuple[int, Tensor]] = []
+        """(keyframe row, its features and the landmarks they are [I, 2]), in the order of the edges of that kind."""
+        self._fresh_loops: list[tuple[int, int, int]] = []
+        self._thumbnails: list[Tensor] = []
+        self._as_added: list[Tensor] = []
+        self._as_tracked: list[Tensor] = []
+
+    def __len__(self) -> int:
+        return len(self.places)
+
+    @property
+    def T_WC(self) -> Float[Tensor, "K 4 4"]:
+        """Current poses of the keyframes, camera-to-world, float64."""
+        return torch.stack(self.places.T_WC) if len(self) else torch.zeros((0, 4, 4), dtype=torch.float64)
+
+    def wants(self, T_WC: Float[Tensor, "4 4"]) -> bool:
+        """Whether the camera has moved or turned enough since the last keyframe to become one."""
+        if not len(self):
+            return True
+        return moved_enough(self.places.T_WC[-1], T_WC, self.config)
+
+    def add(self, frame: Frame, T_WC: Float[Tensor, "4 4"]) -> Correction | None:
+        """Take a keyframe; when it closes a loop that the trajectory misses, optimise the poses.
+
+        Args:
+            frame: Colour and depth; its own pose is not looked at.
+            T_WC: The front end's pose, in the world as corrected so far. [4, 4]
+
+        Returns:
+            What the loop changed, or None.
+
+        Raises:
+            ValueError: an index that does not increase, another camera, a pose that is not rigid.
+        """
+        self._check(frame, T_WC)
+        T_WC = T_WC.detach().cpu().double()
+        features = extract_features(frame, count=self.config.features, levels=self.config.levels)
+        row = len(self)
+        recent = list(range(max(0, row - RECENT), row))
+        pairs = self._track(features, T_WC, recent)
+        self.places.add(frame.index, T_WC, features)
+        self.landmarks.add(features, pairs)
+        self._thumbnails.append(depth_thumbnail(frame.depth_m))
+        self._as_added.append(T_WC)
+        self._as_tracked.append(T_WC)
+        self._tie(row, recent)
+        off = self._close_loops(row)
+        return self._correct(landmarks=False) if off else None
+
+    def finish(self) -> Correction | None:
+        """Optimise poses and landmarks together, once, over everything; None with fewer than two keyframes."""
+        return self._correct(landmarks=True) if len(self) > 1 else None
+
+    def relocalise(self, view: Frame | Features) -> list[Tensor]:
+        """Where the camera may be, without any earlier pose (``Places.relocalise``)."""
+        return self.places.relocalise(view)
+
+    def correct_trajectory(self, indices: Int[Tensor, " N"], poses: Float[Tensor, "N 4 4"]) -> Float[Tensor, "N 4 4"]:
+        """Poses of all frames, each moved with the keyframes around it.
+
+        Args:
+            indices: Frame indices. [N]
+            poses: Camera-to-world poses as tracked: each in the world as corrected when that frame was tracked (a
+                keyframe's after the correction it caused). [N, 4, 4]
+
+        Returns:
+            The same poses in the world as corrected now, in their dtype; untouched where nothing changed.
+        """
+        if not len(self):
+            return poses.clone()
+        keyframe = torch.tensor(self.places.index)
+        D = blend(keyframe, torch.stack(self._as_tracked), self.T_WC, indices.cpu(), torch.stack(self._as_added))
+        moved = (D @ poses.detach().cpu().double()).to(poses)
+        same = (D == torch.eye(4, dtype=D.dtype)).flatten(1).all(1).to(poses.device)
+        return torch.where(same[:, None, None], poses, moved)
+
+    def _check(self, frame: Frame, T_WC: Tensor) -> None:
+        check_pose("T_WC", T_WC)
+        if frame.camera != self.camera:
+            raise ValueError(
+                f"frame {frame.index} must come from the back end's camera {self.camera}, got {frame.camera}"
+            )
+        if len(self) and frame.index <= self.places.index[-1]:
+            raise ValueError(
+                f"keyframes must come in the order of their frames, got {frame.index} after {self.places.index[-1]}"
+            )
+
+    def _track(self, features: Features, T_WC: Tensor, recent: list[int]) -> Tensor:
+        """Landmarks seen again: searched around the front end's pose, then around the pose they agree on."""
+        pairs = torch.zeros((0, 2), dtype=torch.int64)
+        if not recent:
+            return pairs
+        T_WR = self.places.T_WC[recent[-1]]
+        pose = None
+        for share in (SEARCH_SHARE, SEARCH_SHARE / 4):
+            pairs = self.landmarks.find(features, T_WC, recent, share * self.camera.width)
+            points = self._points(features, pairs, T_WR)
+            pose = refine_pose(self.camera, points, se3.inverse(T_WR) @ T_WC, pairs)
+            if pose is None:
+                return pairs[:0]
+            T_WC = T_WR @ pose.T_RQ
+        return pairs[agreement(self.camera, self._points(features, pairs, T_WR), se3.inverse(T_WR) @ T_WC)]
+
+    def _points(self, features: Features, pairs: Tensor, T_WR: Tensor) -> PointPairs:
+        xyz_W = self.landmarks.positions(pairs[:, 1])
+        seen = features[pairs[:, 0]]
+        return PointPairs(
+            xyz_R=se3.apply(se3.inverse(T_WR), xyz_W),
+            uv=seen.uv.double(),
+            depth_m=seen.xyz_C[:, 2].double(),
+            sigma_px=seen.sigma_px.double() * 2**0.5,
+        )
+
+    def _tie(self, row: int, recent: list[int]) -> None:
+        """Edges to the keyframe before (front end) and to those with most common landmarks."""
+        if not recent:
+            return
+        T = self.places.T_WC
+        information = odometry_information(self.config.odometry_sigma_deg, self.config.odometry_sigma_m)
+        step = se3.inverse(T[row - 1]) @ T[row]
+        self.edges.append(Edge(i=row - 1, j=row, T_ij=step, information=information, kind="odometry"))
+        shared = {r: self.landmarks.shared(row, r) for r in recent}
+        for r in sorted(recent, key=lambda r: -len(shared[r]))[:TIED_TO]:
+            if len(shared[r]) < MIN_SHARED:
+                continue
+            points = PointPairs.of(self.places.features[row], self.places.features[r], shared[r])
+            pose = refine_pose(self.camera, points, se3.inverse(T[r]) @ T[row], shared[r])
+            if pose is not None and len(pose.rows) >= MIN_SHARED:
+                self.edges.append(self._edge(r, row, pose, "landmarks"))
+
+    def _edge(self, i: int, j: int, pose: RelativePose, kind: Any) -> Edge:
+        return Edge(i=i, j=j, T_ij=pose.T_RQ, information=with_floor(pose.information, *LANDMARK_FLOOR), kind=kind)
+
+    def _close_loops(self, row: int) -> bool:
+        """Take the loops that the new keyframe closes; whether one of them is missed by the present trajectory."""
+        off = False
+        for earlier in self._loop_candidates(row):
+            pose = self._loop_pose(row, earlier)
+            if pose is None or not self._is_true(row, earlier, pose):
+                continue
+            edge = self._edge(earlier, row, pose, "loop")
+            self.edges.append(edge)
+            self.loops.append((row, pose.rows))
+            self._fresh_loops.append((self.places.index[row], self.places.index[earlier], len(pose.rows)))
+            missed = se3.inverse(pose.T_RQ) @ se3.inverse(self.places.T_WC[earlier]) @ self.places.T_WC[row]
+            degrees = float(torch.rad2deg(se3.rotation_angle(missed[:3, :3])))
+            off |= float(missed[:3, 3].norm()) > self.config.correct_from_m or degrees > self.config.correct_from_deg
+        return off
+
+    def _loop_pose(self, row: int, earlier: int) -> RelativePose | None:
+        """Pose of one keyframe relative to another: from their features, then with all landmarks around the other."""
+        features = self.places.features[row]
+        pose = self.places.compare(features, earlier)
+        if pose is None or len(pose.rows) < self.config.loop_min_inliers:
+            return None
+        T_WR = self.places.T_WC[earlier]
+        around = list(range(max(0, earlier - AROUND), min(earlier + AROUND, row - self.config.loop_min_gap) + 1))
+        pairs = self.landmarks.find(features, T_WR @ pose.T_RQ, around, SEARCH_SHARE / 4 * self.camera.width)
+        return refine_pose(self.camera, self._points(features, pairs, T_WR), pose.T_RQ, pairs)
+
+    def _loop_candidates(self, row: int) -> list[int]:
+        before = row - self.config.loop_min_gap
+        if before < 0:
+            return []
+        features = self.places.features[row]
+        rows = [r for r, _ in self.places.similar(features, CANDIDATES, exclude_after=before + 1)]
+        near = self._nearest_view(row, before + 1)
+        return rows if near in rows else [*rows, near]
+
+    def _nearest_view(self, row: int, before: int) -> int:
+        """The earlier keyframe whose view is nearest by pose: 0.5 m count as much as 45 degrees."""
+        step = se3.inverse(self.places.T_WC[row]) @ self.T_WC[:before]
+        distance = step[:, :3, 3].norm(dim=1) / 0.5 + torch.rad2deg(se3.rotation_angle(step[:, :3, :3])) / 45.0
+        return int(distance.argmin())
+
+    def _is_true(self, row: int, earlier: int, pose: RelativePose) -> bool:
+        thumbnails = (self._thumbnails[row], self._thumbnails[earlier])
+        reason = why_not(pose, self.places.features[row], thumbnails, self.camera, self.config.loop_min_inliers)
+        poses = self.T_WC
+        drift = se3.inverse(pose.T_RQ) @ se3.inverse(poses[earlier]) @ poses[row]
+        if not reason and not path_between(poses[earlier : row + 1]).allows(drift, self.config.loop_max_drift):
+            reason = f"the trajectory cannot have drifted by {float(drift[:3, 3].norm()):.2f} m"
+        if reason:
+            log.debug("no loop from keyframe %d to %d: %s", row, earlier, reason)
+        return not reason
+
+    def _correct(self, *, landmarks: bool) -> Correction:
+        """Optimise the poses over relative poses, then, if asked, over the landmarks too."""
+        old = self.T_WC
+        result = optimise_poses(old, fit_odometry(self.edges))
+        before, after = result.error_before, result.error_after
+        if landmarks:
+            result = self._with_landmarks(result.T_WC)
+            before, after = result.error_before, result.error_after
+        self.places.move(result.T_WC)
+        self._as_tracked[-1] = self.places.T_WC[-1]
+        fresh, self._fresh_loops = self._fresh_loops, []
+        return Correction(
+            frame_index=torch.tensor(self.places.index),
+            T_WC_old=old,
+            T_WC_new=self.T_WC,
+            loops=fresh,
+            error_before=before,
+            error_after=after,
+        )
+
+    def _with_landmarks(self, T_WC: Tensor) -> Any:
+        loops = [e for e in self.edges if e.kind == "loop"]
+        true = [loop for loop, edge in zip(self.loops, loops, strict=True) if edge_error(edge, T_WC) < LOOP_MAX_SIGMA]
+        self.places.move(T_WC)
+        seen = self.landmarks.observations(true, per_keyframe=self.config.landmarks_per_keyframe)
+        odometry = [e for e in fit_odometry(self.edges) if e.kind == "odometry"]
+        return optimise_landmarks(self.camera, T_WC, seen, odometry)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything but the settings: numbers, lists and tensors."""
+        return {
+            "places": self.places.state_dict(),
+            "landmarks": self.landmarks.state_dict(),
+            "edges": [dict(vars(e)) for e in self.edges],
+            "loops": list(self.loops),
+            "fresh_loops": list(self._fresh_loops),
+            "thumbnails": list(self._thumbnails),
+            "as_added": list(self._as_added),
+            "as_tracked": list(self._as_tracked),
+        }
+
+    @classmethod
+    def from_state_dict(cls, config: BackEndConfig, camera: Camera, state: dict[str, Any]) -> "BackEnd":
+        """The back end that ``state_dict`` was taken from."""
+        self = cls(config, camera)
+        self.places.load_state(state["places"])
+        self.landmarks.load_state(state["landmarks"])
+        self.edges = [Edge(**e) for e in state["edges"]]
+        self.loops = [(row, pairs) for row, pairs in state["loops"]]
+        self._fresh_loops = [(a, b, n) for a, b, n in state["fresh_loops"]]
+        for name in ("thumbnails", "as_added", "as_tracked"):
+            setattr(self, f"_{name}", list(state[name]))
+        return self

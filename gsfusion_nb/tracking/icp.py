@@ -1,0 +1,167 @@
+"""Frame-to-model ICP: the pose that best lays a depth frame onto a surface, coarse to fine (Peng et al. 2024, Eq. 10)."""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ..config import TrackingConfig
+from ..geometry import depth_to_points, se3
+from ..types import Camera
+from .point_to_plane import IcpSystem, depth_weight, icp_system
+from .pyramid import DepthLevel, depth_pyramid
+from .solve import Extent, Step, solve_step
+from .surface import Surface
+
+CONVERGED_M = 1e-5
+"""A step that moves the surface by less ends the finest level; coarser ones end a reduction factor earlier."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class IcpIteration:
+    """One Gauss-Newton step."""
+
+    factor: int
+    """Reduction of the level."""
+    T_WC: Float[Tensor, "4 4"]
+    """Pose before the step, float64."""
+    rms_m: float
+    """Root mean square point-to-plane distance there."""
+    n_inliers: int
+    n_overlap: int
+    step_m: float
+    """How far the step moved the surface, metres."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class IcpResult:
+    """Where ICP ended, and how it got there. Counts are of the finest level, at the final pose."""
+
+    T_WC: Float[Tensor, "4 4"]
+    """Camera-to-world pose, float64."""
+    rms_m: float
+    """Root mean square point-to-plane distance of the correspondences."""
+    n_inliers: int
+    """Correspondences within the gates."""
+    n_overlap: int
+    """Pixels that fall on a known part of the surface."""
+    n_pixels: int
+    """Pixels with usable depth."""
+    eigenvalues: tuple[float, ...]
+    """Mean information of the six principal directions of motion, smallest first (see ``solve_step``)."""
+    degenerate: int
+    """How many of them the scene does not determine: there the pose is the one that ICP started from."""
+    history: tuple[IcpIteration, ...]
+
+    @property
+    def inlier_share(self) -> float:
+        """Correspondences as a share of the pixels with usable depth."""
+        return self.n_inliers / max(self.n_pixels, 1)
+
+    @property
+    def agreement(self) -> float:
+        """Correspondences as a share of the pixels that fall on a known part of the surface."""
+        return self.n_inliers / max(self.n_overlap, 1)
+
+
+def icp(
+    depth_m: Float[Tensor, "H W"],
+    camera: Camera,
+    surface: Surface,
+    T_WC_start: Float[Tensor, "4 4"],
+    config: TrackingConfig | None = None,
+) -> IcpResult:
+    """The pose that minimises the point-to-plane error between a depth frame and a surface.
+
+    Args:
+        depth_m: z-depth, metres, 0 where there is none. [H, W]
+        camera: Its intrinsics.
+        surface: What to align it with.
+        T_WC_start: Where to start.
+        config: Levels, gates, damping.
+
+    Returns:
+        The pose and how well it fits. Whether that is good enough is for the caller to say: a frame without any
+        correspondence comes back with the pose it started with and ``n_inliers`` 0.
+
+    Differentiable: no. Source: Peng et al. 2024, Eq. 10; Newcombe et al. 2011.
+    """
+    config = config or TrackingConfig()
+    return align(depth_pyramid(depth_m, camera, config.pyramid), surface, T_WC_start, config)
+
+
+def align(
+    levels: list[DepthLevel], surface: Surface, T_WC_start: Float[Tensor, "4 4"], config: TrackingConfig
+) -> IcpResult:
+    """``icp`` of a frame whose pyramid is at hand already; levels are gone through in order."""
+    gates = {
+        "max_distance_m": config.max_distance_m,
+        "min_cosine": math.cos(math.radians(config.max_angle_deg)),
+        "even_to_m": config.even_to_m,
+    }
+    centre = surface.T_WC[:3, 3].double().cpu()
+    T_WC = T_WC_start.double().cpu()
+    device = surface.depth_m.device
+    points = _extent(levels[0], config.even_to_m)
+    history: list[IcpIteration] = []
+    for level, iterations in zip(levels, config.iterations, strict=True):
+        for _ in range(iterations):
+            system = icp_system(level, T_WC.to(device), surface, **gates)
+            if system.n_inliers < 6:
+                break
+            step = _step(system, T_WC, centre, points, config)
+            history.append(_record(level, T_WC, system, step))
+            T_WC = _moved(T_WC, step.xi, centre)
+            if step.length_m < CONVERGED_M * level.factor:
+                break
+    system = icp_system(levels[-1], T_WC.to(device), surface, **gates)
+    last = _step(system, T_WC, centre, points, config)
+    return IcpResult(
+        T_WC=T_WC,
+        rms_m=system.rms_m,
+        n_inliers=system.n_inliers,
+        n_overlap=system.n_overlap,
+        n_pixels=int((levels[-1].depth_m > 0).sum()),
+        eigenvalues=tuple(last.eigenvalues.tolist()),
+        degenerate=last.degenerate,
+        history=tuple(history),
+    )
+
+
+def _extent(level: DepthLevel, even_to_m: float | None) -> Extent:
+    """Middle and spread of the points in the camera frame."""
+    rows = level.depth_m > 0
+    points = depth_to_points(level.camera, level.depth_m)[rows].double().cpu()
+    weight = depth_weight(level.depth_m[rows], even_to_m).double().cpu()
+    share = weight / weight.sum().clamp_min(1e-12)
+    middle = share @ points
+    spread = float((share @ (points - middle).square().sum(1)).sqrt())
+    return Extent(centre=middle, spread_m=max(spread, 1e-3))
+
+
+def _step(system: IcpSystem, T_WC: Tensor, centre: Tensor, points: Extent, config: TrackingConfig) -> Step:
+    extent = Extent(centre=se3.apply(T_WC, points.centre) - centre, spread_m=points.spread_m)
+    return solve_step(system, extent, damping=config.damping, min_eigenvalue=config.min_eigenvalue)
+
+
+def _moved(T_WC: Tensor, xi: Tensor, centre: Tensor) -> Tensor:
+    """The twist is about the centre of the surface's camera, in world axes; the rotation is made orthonormal again."""
+    shift = torch.eye(4, dtype=torch.float64)
+    shift[:3, 3] = centre
+    T = shift @ se3.exp(xi) @ se3.inverse(shift) @ T_WC
+    U, _, Vh = torch.linalg.svd(T[:3, :3])
+    T[:3, :3] = U @ Vh
+    return T
+
+
+def _record(level: DepthLevel, T_WC: Tensor, system: IcpSystem, step: Step) -> IcpIteration:
+    return IcpIteration(
+        factor=level.factor,
+        T_WC=T_WC,
+        rms_m=system.rms_m,
+        n_inliers=system.n_inliers,
+        n_overlap=system.n_overlap,
+        step_m=step.length_m,
+    )

@@ -1,0 +1,199 @@
+"""Points that several keyframes see: found again by projection and Hamming distance (Peng et al. 2024, section 3.2)."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from numpy import ndarray
+from torch import Tensor
+
+from ..geometry import project, se3
+from .features import Features
+from .matching import MAX_HAMMING, RATIO
+from .places import Places
+
+_BIT_COUNT = np.array([bin(byte).count("1") for byte in range(256)], np.uint8)
+
+NO_LANDMARK = -1
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Observations:
+    """Where keyframes see landmarks, one row per sighting."""
+
+    keyframe: Int[Tensor, " O"]
+    landmark: Int[Tensor, " O"]
+    """Numbered 0..L-1 in this table."""
+    uv: Float[Tensor, "O 2"]
+    depth_m: Float[Tensor, " O"]
+    """0 where not measured."""
+    sigma_px: Float[Tensor, " O"]
+    xyz_W: Float[Tensor, "L 3"]
+    """Position of every landmark of the table, world frame, metres."""
+
+    def __len__(self) -> int:
+        return self.keyframe.shape[0]
+
+
+class Landmarks:
+    """Tracks of features over the keyframes of ``places``.
+
+    Every feature with depth that no known landmark explains becomes a new one. Its position is kept in the camera of
+    the keyframe it was born in, so that a corrected pose moves it along.
+    """
+
+    def __init__(self, places: Places):
+        self.places = places
+        self.of_feature: list[ndarray] = []
+        """Landmark of every feature of every keyframe; -1 for none. [M] each"""
+        self._birth = np.zeros((0, 2), np.int32)
+
+    def __len__(self) -> int:
+        return len(self._birth)
+
+    def find(
+        self, features: Features, T_WC: Float[Tensor, "4 4"], rows: list[int], radius_px: float
+    ) -> Int[Tensor, "P 2"]:
+        """Landmarks seen from the keyframes ``rows`` that project near a feature and look like it.
+
+        A pair is each other's nearest descriptor among what lies within ``radius_px``, within 64 bits, and clearly
+        nearer than the landmark's second choice.
+
+        Returns:
+            (feature row, landmark). [P, 2]
+        """
+        from scipy.spatial import cKDTree
+
+        nothing = torch.zeros((0, 2), dtype=torch.int64)
+        landmark, descriptors = self._seen_from(rows)
+        if len(landmark) == 0 or len(features) == 0:
+            return nothing
+        xyz_C = se3.apply(se3.inverse(T_WC.double()), self.positions(torch.from_numpy(landmark)))
+        ahead = (xyz_C[:, 2] > 0.1).numpy()
+        landmark, descriptors = landmark[ahead], descriptors[ahead]
+        uv = project(self.places.camera, xyz_C[torch.from_numpy(ahead)]).numpy()
+        near = cKDTree(features.uv.numpy()).query_ball_point(uv, radius_px) if len(uv) else []
+        counts = np.array([len(n) for n in near], int)
+        if counts.sum() == 0:
+            return nothing
+        a = np.repeat(np.arange(len(landmark)), counts)
+        b = np.concatenate([np.array(n, int) for n in near if n])
+        distance = _BIT_COUNT[descriptors[a] ^ features.descriptors.numpy()[b]].sum(1, dtype=np.int32)
+        kept = _clear_and_mutual(a, b, distance)
+        return torch.from_numpy(np.stack([b[kept], landmark[a[kept]]], 1).astype(np.int64))
+
+    def add(self, features: Features, pairs: Int[Tensor, "P 2"]) -> None:
+        """Take in the keyframe that ``places`` got last: known landmarks by ``pairs``, new ones for the rest."""
+        row = len(self.of_feature)
+        of_feature = np.full(len(features), NO_LANDMARK, np.int32)
+        of_feature[pairs[:, 0].numpy()] = pairs[:, 1].numpy()
+        new = ((of_feature == NO_LANDMARK) & features.has_depth.numpy()).nonzero()[0]
+        of_feature[new] = len(self) + np.arange(len(new))
+        self.of_feature.append(of_feature)
+        self._birth = np.concatenate([self._birth, np.stack([np.full_like(new, row), new], 1).astype(np.int32)])
+
+    def positions(self, landmark: Int[Tensor, " N"]) -> Float[Tensor, "N 3"]:
+        """World positions, float64, metres."""
+        row, feature = self._birth[landmark.numpy()].T
+        out = np.zeros((len(row), 3))
+        for r in np.unique(row):
+            mine = row == r
+            xyz_C = self.places.features[r].xyz_C[torch.from_numpy(feature[mine].astype(np.int64))].double()
+            out[mine] = se3.apply(self.places.T_WC[r], xyz_C).numpy()
+        return torch.from_numpy(out)
+
+    def shared(self, row_a: int, row_b: int) -> Int[Tensor, "P 2"]:
+        """Features of two keyframes that are the same landmark: (feature of a, feature of b), both with depth in b."""
+        a, b = self.of_feature[row_a], self.of_feature[row_b]
+        common, at_a, at_b = np.intersect1d(a, b, return_indices=True)
+        at_a, at_b = at_a[common >= 0], at_b[common >= 0]
+        with_depth = self.places.features[row_b].has_depth.numpy()[at_b]
+        return torch.from_numpy(np.stack([at_a[with_depth], at_b[with_depth]], 1).astype(np.int64))
+
+    def observations(self, same: list[tuple[int, Tensor]], *, per_keyframe: int, min_views: int = 2) -> Observations:
+        """All sightings of landmarks with at least ``min_views`` keyframes, thinned out.
+
+        Args:
+            same: Loops: (keyframe, its features and the landmarks that they are as well [I, 2]). The landmarks the
+                features had so far are taken as one with those.
+            per_keyframe: About so many landmarks of each keyframe, those with the longest tracks.
+            min_views: Fewer sightings do not tie keyframes together.
+        """
+        views = self.places.features
+        row = np.repeat(np.arange(len(views)), [len(f) for f in views])
+        landmark = np.concatenate([np.zeros(0, np.int64), *self.of_feature]).astype(np.int64)
+        known = (landmark >= 0).nonzero()[0]
+        name = self._merged(same)[landmark[known]]
+        # One sighting per keyframe and landmark; two would be a wrong match or a merged neighbour.
+        _, first = np.unique(name * (len(views) + 1) + row[known], return_index=True)
+        sighting, name = known[first], name[first]
+        length = np.bincount(name, minlength=len(self))[name]
+        order = np.lexsort((-length, row[sighting]))
+        start = np.maximum.accumulate(
+            np.where(np.diff(row[sighting][order], prepend=-1) != 0, np.arange(len(order)), 0)
+        )
+        chosen = (np.arange(len(order)) - start < per_keyframe) & (length[order] >= min_views)
+        kept = np.isin(name, name[order][chosen])
+        sighting, name = sighting[kept], name[kept]
+        _, born, number = np.unique(name, return_index=True, return_inverse=True)
+        at = torch.from_numpy(sighting)
+        nothing = torch.zeros((0, 3))
+        xyz_C = torch.cat([nothing, *(f.xyz_C for f in views)])[at].double()
+        return Observations(
+            keyframe=torch.from_numpy(row[sighting].astype(np.int64)),
+            landmark=torch.from_numpy(number.astype(np.int64)),
+            uv=torch.cat([nothing[:, :2], *(f.uv for f in views)])[at].double(),
+            depth_m=xyz_C[:, 2],
+            sigma_px=torch.cat([nothing[:, 0], *(f.sigma_px for f in views)])[at].double(),
+            xyz_W=self.positions(torch.from_numpy(landmark[sighting[born]])),
+        )
+
+    def state_dict(self) -> dict[str, Any]:
+        """What ``load_state`` needs, as tensors."""
+        return {"of_feature": [torch.from_numpy(f) for f in self.of_feature], "birth": torch.from_numpy(self._birth)}
+
+    def load_state(self, state: dict[str, Any]) -> None:
+        """Take the tracks of ``state_dict`` in place of the present ones; ``places`` must hold their keyframes."""
+        self.of_feature = [f.cpu().numpy() for f in state["of_feature"]]
+        self._birth = state["birth"].cpu().numpy()
+
+    def _seen_from(self, rows: list[int]) -> tuple[ndarray, ndarray]:
+        """Landmarks seen from the keyframes, each with the descriptor of its latest sighting."""
+        landmark = [np.zeros(0, np.int64)]
+        descriptors = [np.zeros((0, 32), np.uint8)]
+        for r in sorted(rows, reverse=True):
+            known = self.of_feature[r] >= 0
+            landmark.append(self.of_feature[r][known].astype(np.int64))
+            descriptors.append(self.places.features[r].descriptors.numpy()[known])
+        every, latest = np.unique(np.concatenate(landmark), return_index=True)
+        return every, np.concatenate(descriptors)[latest]
+
+    def _merged(self, same: list[tuple[int, Tensor]]) -> ndarray:
+        """A number per landmark, the same for landmarks that loops identify. [L]"""
+        from scipy.sparse import coo_matrix
+        from scipy.sparse.csgraph import connected_components
+
+        pairs = [np.stack([self.of_feature[row][p[:, 0].numpy()], p[:, 1].numpy()], 1) for row, p in same]
+        joined = np.concatenate([np.zeros((0, 2), np.int32), *pairs])
+        joined = joined[(joined >= 0).all(1)]
+        links = coo_matrix((np.ones(len(joined)), joined.T), shape=(len(self), len(self)))
+        return connected_components(links, directed=False)[1].astype(np.int64)
+
+
+def _clear_and_mutual(a: ndarray, b: ndarray, distance: ndarray) -> ndarray:
+    """Which of the candidate pairs are best on both sides, near enough, and clearly better than a's second choice."""
+    order = np.lexsort((distance, a))
+    a_sorted, d_sorted = a[order], distance[order]
+    first = np.diff(a_sorted, prepend=-1) != 0
+    place = first.nonzero()[0]
+    after = np.minimum(place + 1, len(order) - 1)
+    has_second = (after > place) & (a_sorted[after] == a_sorted[place])
+    second = np.where(has_second, d_sorted[after], 257)
+    best_of_b = np.full(b.max() + 1, 257)
+    np.minimum.at(best_of_b, b, distance)
+    pair = order[place]
+    kept = (distance[pair] <= MAX_HAMMING) & (distance[pair] < RATIO * second) & (distance[pair] == best_of_b[b[pair]])
+    pair = pair[kept]
+    return pair[np.unique(b[pair], return_index=True)[1]]

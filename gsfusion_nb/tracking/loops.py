@@ -1,0 +1,123 @@
+"""Whether two views that look alike are the same place."""
+
+import logging
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ..geometry import backproject, project, se3
+from ..types import Camera
+from .features import Features
+from .matching import RelativePose
+
+log = logging.getLogger(__name__)
+
+THUMBNAIL_PX = 64
+"""Width of the depth kept of each keyframe."""
+
+MIN_SHARE = 0.3
+"""Of the matches, so many must agree on the pose."""
+
+MIN_CELLS = 4
+"""The agreeing features must lie in so many cells of a 4 x 4 grid over the image: not all on one poster."""
+
+DEPTH_TOLERANCE = (0.05, 0.03)
+"""Two depths of one surface differ by less than 5 cm plus 3 %: noise, slopes between samples, a pose 1 degree off."""
+
+MIN_DEPTH_AGREEMENT = 0.7
+"""Of the pixels that do not hide behind something, so many must show the same surface in both views."""
+
+MIN_DEPTH_PIXELS = 20
+"""With less overlap the depth cannot speak against a loop."""
+
+DRIFT_M = 0.3
+DRIFT_DEG = 10.0
+"""A loop may always disagree with the trajectory by this much, and beyond by a share of the path in between."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Path:
+    """How far the camera went between two keyframes."""
+
+    length_m: float
+    turned_deg: float
+
+    def allows(self, drift: Float[Tensor, "4 4"], share: float) -> bool:
+        """Whether the trajectory may have drifted so far: 0.3 m and 10 degrees plus ``share`` of the path."""
+        metres = float(drift[:3, 3].norm())
+        degrees = float(torch.rad2deg(se3.rotation_angle(drift[:3, :3])))
+        return metres <= DRIFT_M + share * self.length_m and degrees <= DRIFT_DEG + share * self.turned_deg
+
+
+def why_not(
+    pose: RelativePose, features: Features, thumbnails: tuple[Tensor, Tensor], camera: Camera, min_inliers: int
+) -> str:
+    """Why the two views are not the same place, from what they show; empty if nothing speaks against it.
+
+    Args:
+        pose: Query relative to reference; the first column of its rows are features of the query.
+        features: Of the query.
+        thumbnails: Depth of query and reference, as ``depth_thumbnail`` makes it.
+        camera: Intrinsics of the full images.
+        min_inliers: Matches that must agree.
+    """
+    agreeing = len(pose.rows)
+    if agreeing < max(min_inliers, MIN_SHARE * pose.n_matches):
+        return f"{agreeing} of {pose.n_matches} matches agree"
+    size = torch.tensor([camera.width, camera.height])
+    cells = (features.uv[pose.rows[:, 0]] / size * 4).long()
+    spread = len(torch.unique(cells[:, 0] + 4 * cells[:, 1]))
+    if spread < MIN_CELLS:
+        return f"all matches lie in {spread} of 16 parts of the image"
+    query, reference = thumbnails
+    for a, b, T_BA in ((query, reference, pose.T_RQ), (reference, query, se3.inverse(pose.T_RQ))):
+        share, pixels = depth_agreement(camera, a, b, T_BA)
+        if pixels >= MIN_DEPTH_PIXELS and share < MIN_DEPTH_AGREEMENT:
+            return f"the depths agree at {share:.0%} of the pixels"
+    return ""
+
+
+def depth_thumbnail(depth_m: Float[Tensor, "H W"]) -> Float[Tensor, "h w"]:
+    """About 64 pixels wide, each the depth of one pixel in the middle of its cell."""
+    step = max(1, depth_m.shape[1] // THUMBNAIL_PX)
+    return depth_m[step // 2 :: step, step // 2 :: step].cpu().clone()
+
+
+def depth_agreement(
+    camera: Camera, depth_a: Float[Tensor, "h w"], depth_b: Float[Tensor, "h w"], T_BA: Float[Tensor, "4 4"]
+) -> tuple[float, int]:
+    """Share of a's pixels whose point lies on b's surface, among those that b sees at or in front of its surface.
+
+    Points behind b's surface are hidden and say nothing, unless they are the majority.
+
+    Returns:
+        Share, and the number of pixels it is a share of.
+    """
+    height, width = depth_a.shape
+    small = camera.resized(width, height)
+    v, u = torch.meshgrid(torch.arange(height) + 0.5, torch.arange(width) + 0.5, indexing="ij")
+    known = depth_a > 0
+    xyz_A = backproject(small, torch.stack([u, v], -1)[known], depth_a[known]).double()
+    xyz_B = se3.apply(T_BA, xyz_A)
+    xyz_B = xyz_B[xyz_B[:, 2] > 0.1]
+    uv = project(small, xyz_B)
+    column, row = uv[:, 0].floor().long(), uv[:, 1].floor().long()
+    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    z, seen = xyz_B[inside, 2], depth_b[row[inside], column[inside]].double()
+    z, seen = z[seen > 0], seen[seen > 0]
+    tolerance = DEPTH_TOLERANCE[0] + DEPTH_TOLERANCE[1] * seen
+    agree = int(((z - seen).abs() <= tolerance).sum())
+    contradict = int((z < seen - tolerance).sum())
+    hidden = len(z) - agree - contradict
+    counted = agree + contradict + max(0, hidden - agree - contradict)
+    return agree / max(counted, 1), counted
+
+
+def path_between(T_WC: Float[Tensor, "K 4 4"]) -> Path:
+    """Length of the path through these poses."""
+    steps = se3.inverse(T_WC[:-1]) @ T_WC[1:]
+    turned = np.rad2deg(float(se3.rotation_angle(steps[:, :3, :3]).sum()))
+    return Path(length_m=float(steps[:, :3, 3].norm(dim=1).sum()), turned_deg=turned)

@@ -1,0 +1,225 @@
+"""Which features of two images are the same point, and the relative pose that follows."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from numpy import ndarray
+from torch import Tensor
+
+from ..geometry import se3
+from ..types import Camera
+from .features import Features, depth_sigma
+
+MAX_HAMMING = 64
+"""Descriptors that differ in more of their 256 bits are not the same point."""
+
+RATIO = 0.8
+"""The second best match must be clearly worse (Lowe 2004): this is what rejects repeated texture."""
+
+RANSAC_PX = 4.0
+"""Reprojection error that RANSAC accepts, before the test in standard deviations."""
+
+RANSAC_ROUNDS = 150
+"""With 30 % true matches, three of which make a pose, 150 draws fail in 2 % of the cases."""
+
+MIN_PAIRS = 8
+"""Fewer matches do not make a pose."""
+
+GATE_CHI2 = 9.21
+"""A point agrees if its two pixel errors, squared and in standard deviations, sum to less (99 %)."""
+
+GATE_DEPTH = 3.0
+"""... and its depth differs by less than this many standard deviations."""
+
+_CAUCHY = 2.4
+"""Errors beyond this many standard deviations lose weight (95 % efficiency on Gaussian errors)."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PointPairs:
+    """Points known in a reference camera, and where the query camera sees them. One row each, float64."""
+
+    xyz_R: Float[Tensor, "P 3"]
+    """Reference camera frame, metres."""
+    uv: Float[Tensor, "P 2"]
+    """Seen there in the query image, pixels."""
+    depth_m: Float[Tensor, " P"]
+    """Measured at that pixel, metres; 0 where it is not."""
+    sigma_px: Float[Tensor, " P"]
+    """Standard deviation of ``uv``, together with that of the reference's own pixel."""
+
+    @staticmethod
+    def of(query: Features, reference: Features, rows: Int[Tensor, "P 2"]) -> "PointPairs":
+        """Pairs of (query row, reference row); the reference rows must have depth."""
+        q, r = rows.T
+        sigma_px = (query.sigma_px[q].square() + reference.sigma_px[r].square()).sqrt()
+        return PointPairs(
+            xyz_R=reference.xyz_C[r].double(),
+            uv=query.uv[q].double(),
+            depth_m=query.xyz_C[q, 2].double() * query.has_depth[q],
+            sigma_px=sigma_px.double(),
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RelativePose:
+    """Where the query camera is, seen from the reference camera."""
+
+    T_RQ: Float[Tensor, "4 4"]
+    """Query camera to reference camera, float64."""
+    information: Float[Tensor, "6 6"]
+    """Inverse covariance of xi in T_RQ exp(xi): rotation first (1/rad^2), then translation (1/m^2)."""
+    rows: Int[Tensor, "I 2"]
+    """The matches that agree: (query row, reference row)."""
+    n_matches: int
+    """How many there were before the geometric test."""
+
+
+def match_features(query: Features, reference: Features) -> Int[Tensor, "P 2"]:
+    """Pairs of rows that are each other's nearest descriptor and clearly nearer than the second nearest.
+
+    Returns:
+        (query row, reference row), in the order of the query. [P, 2]
+    """
+    nothing = torch.zeros((0, 2), dtype=torch.int64)
+    if len(query) < 2 or len(reference) < 2:
+        return nothing
+    a, b = query.descriptors.numpy(), reference.descriptors.numpy()
+    distance, nearest = _nearest(a, b, 2)
+    clear = (distance[:, 0] <= MAX_HAMMING) & (distance[:, 0] < RATIO * distance[:, 1])
+    rows, best = clear.nonzero()[0], nearest[clear, 0]
+    if len(rows) == 0:
+        return nothing
+    mutual = _nearest(b[best], a, 1)[1][:, 0] == rows
+    return torch.from_numpy(np.stack([rows[mutual], best[mutual]], 1).astype(np.int64))
+
+
+def _nearest(a: ndarray, b: ndarray, k: int) -> tuple[ndarray, ndarray]:
+    """Hamming distances to the ``k`` nearest rows of ``b``, and those rows. [A, k] each"""
+    import cv2
+
+    return cv2.batchDistance(a, b, cv2.CV_32S, normType=cv2.NORM_HAMMING, K=k)
+
+
+def relative_pose(camera: Camera, query: Features, reference: Features) -> RelativePose | None:
+    """Pose between two views of the same place, from their features alone; None if too little agrees.
+
+    Matches, then RANSAC over poses from three points (OpenCV), then least squares over what agrees in pixels and, where
+    both have it, in depth.
+
+    Args:
+        camera: Intrinsics of both.
+        query: Features of the view whose pose is sought.
+        reference: Features of the view it is sought against.
+
+    Differentiable: no.
+    """
+    rows = match_features(query, reference)
+    rows = rows[reference.has_depth[rows[:, 1]]]
+    if len(rows) < MIN_PAIRS:
+        return None
+    pairs = PointPairs.of(query, reference, rows)
+    T_RQ = _ransac(camera, pairs)
+    return None if T_RQ is None else refine_pose(camera, pairs, T_RQ, rows)
+
+
+def refine_pose(
+    camera: Camera, pairs: PointPairs, T_RQ: Float[Tensor, "4 4"], rows: Int[Tensor, "P 2"]
+) -> RelativePose | None:
+    """Least squares over pixel and depth errors with Cauchy weights; None if fewer than ``MIN_PAIRS`` agree.
+
+    With y = T_RQ^-1 x the point in the query camera, the errors in standard deviations are the two of its pixel and
+    (y_z - z) / sigma_z, sigma_z^2 = (1.6e-3 y_z^2)^2 + (1.6e-3 x_z^2)^2 + (sigma_px y_z / f)^2: the last term is what a
+    surface at 45 degrees makes of an error of the pixel.
+
+    Args:
+        camera: Intrinsics of the query view.
+        pairs: Points and where they are seen.
+        T_RQ: Where to start, query camera to reference camera. [4, 4]
+        rows: Kept for those that agree, as ``RelativePose.rows``. [P, 2]
+
+    Returns:
+        Pose, information, rows that agree.
+    """
+    T = T_RQ.double()
+    H = torch.eye(6, dtype=torch.float64)
+    for _ in range(10):
+        error, J = pose_errors(camera, pairs, T)
+        weight = 1.0 / (1.0 + (error / _CAUCHY).square())
+        H = torch.einsum("pe,pei,pej->ij", weight, J, J) + 1e-9 * torch.eye(6, dtype=torch.float64)
+        step = torch.linalg.solve(H, -torch.einsum("pe,pei,pe->i", weight, J, error))
+        T = T @ se3.exp(torch.cat([step[3:], step[:3]]))
+        if float(step.abs().max()) < 1e-7:
+            break
+    agrees = agreement(camera, pairs, T)
+    if int(agrees.sum()) < MIN_PAIRS or not bool(torch.isfinite(T).all()):
+        return None
+    return RelativePose(T_RQ=T, information=H, rows=rows[agrees], n_matches=len(rows))
+
+
+def pose_errors(
+    camera: Camera, pairs: PointPairs, T_RQ: Float[Tensor, "4 4"]
+) -> tuple[Float[Tensor, "P 3"], Float[Tensor, "P 3 6"]]:
+    """Pixel and depth errors in standard deviations (see ``refine_pose``), and their derivative.
+
+    The derivative is by xi in T_RQ exp(xi), rotation first: y = T_RQ^-1 x moves by dy = [y]x dw - dv. Rows behind the
+    camera, and depth errors without a depth, are zero.
+
+    Returns:
+        Errors [P, 3] and Jacobian [P, 3, 6].
+    """
+    y = se3.apply(se3.inverse(T_RQ), pairs.xyz_R)
+    ahead = y[:, 2] > 0.05
+    z = torch.where(ahead, y[:, 2], torch.ones_like(y[:, 2]))
+    zero = torch.zeros_like(z)
+    du = torch.stack([camera.fx / z, zero, -camera.fx * y[:, 0] / z**2], 1)
+    dv = torch.stack([zero, camera.fy / z, -camera.fy * y[:, 1] / z**2], 1)
+    dz = torch.stack([zero, zero, torch.ones_like(z)], 1)
+    u = camera.fx * y[:, 0] / z + camera.cx - pairs.uv[:, 0]
+    v = camera.fy * y[:, 1] / z + camera.cy - pairs.uv[:, 1]
+    known = pairs.depth_m > 0
+    scale = torch.stack([1 / pairs.sigma_px, 1 / pairs.sigma_px, known / _depth_sigma(camera, pairs)], 1)
+    scale = scale * ahead[:, None]
+    error = torch.stack([u, v, z - pairs.depth_m], 1) * scale
+    by_y = torch.stack([du, dv, dz], 1) * scale[..., None]
+    dy = torch.cat([se3.hat(y), -torch.eye(3, dtype=y.dtype).expand(len(y), 3, 3)], 2)
+    return error, by_y @ dy
+
+
+def agreement(camera: Camera, pairs: PointPairs, T_RQ: Float[Tensor, "4 4"]) -> Tensor:
+    """Which rows agree with the pose: in front, pixels within 99 %, depth (where known) within 3 sigma. [P]"""
+    error, _ = pose_errors(camera, pairs, T_RQ)
+    ahead = se3.apply(se3.inverse(T_RQ), pairs.xyz_R)[:, 2] > 0.05
+    return ahead & (error[:, :2].square().sum(1) < GATE_CHI2) & (error[:, 2].abs() < GATE_DEPTH)
+
+
+def _depth_sigma(camera: Camera, pairs: PointPairs) -> Tensor:
+    measured, known = depth_sigma(pairs.depth_m), depth_sigma(pairs.xyz_R[:, 2])
+    slope = pairs.sigma_px * pairs.depth_m / camera.fx
+    return (measured.square() + known.square() + slope.square()).sqrt().clamp_min(1e-4)
+
+
+def _ransac(camera: Camera, pairs: PointPairs) -> Float[Tensor, "4 4"] | None:
+    import cv2
+
+    found, rotation, translation, inliers = cv2.solvePnPRansac(
+        pairs.xyz_R.numpy(),
+        pairs.uv.numpy(),
+        camera.K.numpy(),  # pixels and K share our convention, whichever it is
+        None,
+        iterationsCount=RANSAC_ROUNDS,
+        reprojectionError=RANSAC_PX,
+        flags=cv2.SOLVEPNP_AP3P,
+    )
+    if not found or inliers is None or len(inliers) < MIN_PAIRS:
+        return None
+    return se3.inverse(_transform(cv2.Rodrigues(rotation)[0], translation))
+
+
+def _transform(R: ndarray, t: ndarray) -> Float[Tensor, "4 4"]:
+    T = torch.eye(4, dtype=torch.float64)
+    T[:3, :3] = torch.from_numpy(R)
+    T[:3, 3] = torch.from_numpy(t).reshape(3)
+    return T

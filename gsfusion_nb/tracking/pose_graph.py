@@ -1,0 +1,267 @@
+"""Least squares over the keyframes' poses: relative poses, and the landmarks that tie them together (GTSAM).
+
+Units: metres, radians, pixels. A relative pose's information is the inverse covariance of xi in T_ij exp(xi), rotation
+first (1/rad^2), then translation (1/m^2); GTSAM orders a pose's tangent in the same way.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ..checks import check_shape
+from ..geometry import se3
+from ..types import Camera
+from .features import DEPTH_SIGMA_PER_M
+from .landmarks import Observations
+
+LOOP_CAUCHY = 1.0
+"""A loop whose error is this many standard deviations has half its weight; at 100 it is as good as gone."""
+
+TRACK_HUBER = 3.0
+"""Errors of relative poses between neighbours (a front end may slip once) grow linearly, not quadratically, from this many standard deviations."""
+
+SIGHTING_CAUCHY = 2.4
+"""... and those of sightings lose weight (95 % efficiency on Gaussian errors)."""
+
+ODOMETRY_FLOOR = (0.05, 0.002)
+"""Standard deviation, degrees and metres, that no front end is trusted beyond."""
+
+MIN_STEPS = 10
+"""Fewer steps measured twice do not tell how precise the front end is."""
+
+_HALVES = (slice(0, 3), slice(3, 6))
+"""Rotation and translation in a tangent."""
+
+_LANDMARK_KEYS = 10_000_000
+"""Keys below are poses."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Edge:
+    """A measured relative pose between two keyframes."""
+
+    i: int
+    j: int
+    T_ij: Float[Tensor, "4 4"]
+    """Camera j to camera i, float64."""
+    information: Float[Tensor, "6 6"]
+    """Inverse covariance, rotation first: 1/rad^2 and 1/m^2."""
+    kind: Literal["odometry", "landmarks", "loop"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Optimised:
+    """Poses that fit the graph best."""
+
+    T_WC: Float[Tensor, "K 4 4"]
+    """float64; the first is where it was."""
+    error_before: float
+    """Half the sum of (robust) squared errors in standard deviations, at the start ..."""
+    error_after: float
+    """... and at the end."""
+
+
+def require_gtsam() -> Any:
+    """The module ``gtsam``.
+
+    Raises:
+        ImportError: it is not installed; says how to get it.
+    """
+    try:
+        import gtsam
+    except ImportError as e:
+        raise ImportError(
+            f"the back end needs GTSAM, which cannot be imported ({e}); install it with: pip install 'gsfusion-nb[slam]'"
+        ) from None
+    return gtsam
+
+
+def odometry_information(sigma_deg: float, sigma_m: float) -> Float[Tensor, "6 6"]:
+    """Information of a relative pose whose axes have these standard deviations; rotation first."""
+    sigma = torch.tensor([np.radians(sigma_deg)] * 3 + [sigma_m] * 3, dtype=torch.float64)
+    return torch.diag(sigma**-2)
+
+
+def with_floor(information: Float[Tensor, "6 6"], sigma_deg: float, sigma_m: float) -> Float[Tensor, "6 6"]:
+    """Information after adding these standard deviations to the covariance.
+
+    Hundreds of features promise a tenth of a millimetre, but their errors are not independent of one another.
+    """
+    floor = torch.linalg.inv(odometry_information(sigma_deg, sigma_m))
+    return torch.linalg.inv(torch.linalg.inv(information) + floor)
+
+
+def fit_odometry(edges: list[Edge]) -> list[Edge]:
+    """The edges, those of the front end with the precision that they show against the landmarks.
+
+    The difference of two measurements of one step has the sum of their variances. With d its components over all steps
+    that both have measured, for a Gaussian  median(d^2) = 0.455 var(d), so
+
+        sigma_odometry^2 = median(d^2) / 0.455 - median(sigma_landmarks^2),
+
+    for rotation and translation each, not below ``ODOMETRY_FLOOR`` and not above what the edges came with: a precise
+    front end is not pulled about by its landmarks. With fewer than ``MIN_STEPS`` such steps, nothing changes.
+    """
+    steps = {e.j: e for e in edges if e.kind == "odometry"}
+    both = [(steps[e.j], e) for e in edges if e.kind == "landmarks" and e.j in steps and e.i == steps[e.j].i]
+    if len(both) < MIN_STEPS:
+        return edges
+    d2 = torch.stack([_log(se3.inverse(a.T_ij) @ b.T_ij) for a, b in both]).square()
+    s2 = torch.stack([torch.linalg.inv(b.information).diagonal() for _, b in both])
+    given = torch.stack([torch.linalg.inv(a.information).diagonal() for a, _ in both]).amax(0)
+    floor = torch.linalg.inv(odometry_information(*ODOMETRY_FLOOR)).diagonal()
+    fitted = torch.cat(
+        [d2[:, k].median() / 0.455 - s2[:, k].median(dim=0).values.mean() + torch.zeros(3) for k in _HALVES]
+    )
+    information = torch.diag(1 / fitted.maximum(floor).minimum(given))
+    return [replace(e, information=information) if e.kind == "odometry" else e for e in edges]
+
+
+def edge_error(edge: Edge, T_WC: Float[Tensor, "K 4 4"]) -> float:
+    """Length of the edge's error at these poses, in standard deviations: sqrt(xi^T information xi)."""
+    xi = _log(se3.inverse(edge.T_ij) @ se3.inverse(T_WC[edge.i]) @ T_WC[edge.j])
+    return float((xi @ edge.information @ xi).clamp_min(0).sqrt())
+
+
+def optimise_poses(T_WC: Float[Tensor, "K 4 4"], edges: list[Edge], *, iterations: int = 50) -> Optimised:
+    """Poses that agree best with the relative poses, the first one held.
+
+    minimise  sum rho(|log(T_ij^-1 T_i^-1 T_j)|_information), with rho Huber for steps between neighbours and Cauchy
+    for loops: a false loop contradicts all others and loses its weight. Levenberg-Marquardt, from where the poses are
+    and from where all loops taken at their word would put them: after a long drift the first true loop is far off too.
+    The lower of the two minima is taken.
+
+    Args:
+        T_WC: Where to start, camera-to-world. [K, 4, 4]
+        edges: Relative poses; every keyframe must hang together with the first one.
+        iterations: Most steps.
+
+    Raises:
+        ImportError: without GTSAM.
+
+    Differentiable: no.
+    """
+    check_shape("T_WC", T_WC, ("K", 4, 4))
+    found = _fit(T_WC, T_WC, edges, iterations, robust=True)
+    if not any(e.kind == "loop" for e in edges):
+        return found
+    closed = _fit(T_WC, T_WC, edges, iterations, robust=False)
+    other = _fit(T_WC, closed.T_WC, edges, iterations, robust=True)
+    return other if other.error_after < found.error_after else found
+
+
+def optimise_landmarks(
+    camera: Camera,
+    T_WC: Float[Tensor, "K 4 4"],
+    seen: Observations,
+    edges: list[Edge],
+    *,
+    iterations: int = 20,
+) -> Optimised:
+    """Poses and landmark positions that agree best with every sighting and with ``edges``; the first pose held.
+
+    A sighting with depth z counts as the stereo pair (u, u - f b / z, v) of a camera with baseline b = 1 m. Its
+    covariance is s^2 for u and v and (f b 1.6e-3)^2 for the disparity: the depth's 1.6e-3 z^2, whatever z. A sighting
+    without depth counts as (u, v). Cauchy weights.
+
+    Args:
+        camera: Intrinsics of all keyframes.
+        T_WC: Where to start. [K, 4, 4]
+        seen: Sightings and the landmarks' starting positions.
+        edges: Relative poses besides, such as the front end's.
+        iterations: Most steps.
+
+    Raises:
+        ImportError: without GTSAM.
+
+    Differentiable: no.
+    """
+    gtsam = require_gtsam()
+    graph, values = _start(gtsam, T_WC)
+    for edge in edges:
+        graph.add(_between(gtsam, edge))
+    for landmark, xyz in enumerate(seen.xyz_W.numpy()):
+        values.insert(_LANDMARK_KEYS + landmark, gtsam.Point3(xyz))
+    _add_sightings(gtsam, graph, camera, seen)
+    return _solve(gtsam, graph, values, len(T_WC), iterations)
+
+
+def _fit(T_WC: Tensor, start: Tensor, edges: list[Edge], iterations: int, *, robust: bool) -> Optimised:
+    gtsam = require_gtsam()
+    graph, values = _start(gtsam, T_WC)
+    for edge in edges:
+        graph.add(_between(gtsam, edge, robust))
+    before = float(graph.error(values))
+    return replace(_solve(gtsam, graph, _start(gtsam, start)[1], len(T_WC), iterations), error_before=before)
+
+
+def _start(gtsam: Any, T_WC: Tensor) -> tuple[Any, Any]:
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    for k, T in enumerate(T_WC.double().numpy()):
+        values.insert(k, gtsam.Pose3(T))
+    if len(T_WC):
+        hold = gtsam.noiseModel.Isotropic.Sigma(6, 1e-6)
+        graph.add(gtsam.PriorFactorPose3(0, values.atPose3(0), hold))
+    return graph, values
+
+
+def _between(gtsam: Any, edge: Edge, robust: bool = True) -> Any:
+    noise = gtsam.noiseModel.Gaussian.Information(edge.information.numpy())
+    estimators = gtsam.noiseModel.mEstimator
+    if edge.kind == "loop" and robust:
+        noise = gtsam.noiseModel.Robust.Create(estimators.Cauchy.Create(LOOP_CAUCHY), noise)
+    else:
+        noise = gtsam.noiseModel.Robust.Create(estimators.Huber.Create(TRACK_HUBER), noise)
+    return gtsam.BetweenFactorPose3(edge.i, edge.j, gtsam.Pose3(edge.T_ij.numpy()), noise)
+
+
+def _add_sightings(gtsam: Any, graph: Any, camera: Camera, seen: Observations) -> None:
+    stereo = gtsam.Cal3_S2Stereo(camera.fx, camera.fy, 0.0, camera.cx, camera.cy, 1.0)
+    mono = gtsam.Cal3_S2(camera.fx, camera.fy, 0.0, camera.cx, camera.cy)
+    disparity = torch.where(seen.depth_m > 0, camera.fx / seen.depth_m.clamp_min(1e-3), torch.zeros_like(seen.depth_m))
+    models: dict[tuple[float, bool], Any] = {}
+    rows = zip(
+        seen.keyframe.tolist(),
+        (seen.landmark + _LANDMARK_KEYS).tolist(),
+        seen.uv.tolist(),
+        disparity.tolist(),
+        seen.sigma_px.tolist(),
+        strict=True,
+    )
+    for pose, point, (u, v), d, sigma_px in rows:
+        model = models.get((sigma_px, d > 0))
+        if model is None:
+            model = models[sigma_px, d > 0] = _sighting_noise(gtsam, camera, sigma_px, d > 0)
+        if d > 0:
+            measured = gtsam.StereoPoint2(u, u - d, v)
+            graph.add(gtsam.GenericStereoFactor3D(measured, model, pose, point, stereo, False, False))
+        else:
+            uv = gtsam.Point2(u, v)
+            graph.add(gtsam.GenericProjectionFactorCal3_S2(uv, model, pose, point, mono, False, False))
+
+
+def _sighting_noise(gtsam: Any, camera: Camera, sigma_px: float, with_depth: bool) -> Any:
+    """Covariance of (u, u - d, v): u and d err independently, so the first two are correlated."""
+    s2, d2 = sigma_px**2, (camera.fx * DEPTH_SIGMA_PER_M) ** 2
+    covariance = np.array([[s2, s2, 0], [s2, s2 + d2, 0], [0, 0, s2]]) if with_depth else np.eye(2) * s2
+    noise = gtsam.noiseModel.Gaussian.Covariance(covariance)
+    return gtsam.noiseModel.Robust.Create(gtsam.noiseModel.mEstimator.Cauchy.Create(SIGHTING_CAUCHY), noise)
+
+
+def _solve(gtsam: Any, graph: Any, values: Any, poses: int, iterations: int) -> Optimised:
+    before = float(graph.error(values))
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setMaxIterations(iterations)
+    parameters.setRelativeErrorTol(1e-5)
+    done = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
+    T_WC = [torch.from_numpy(np.array(done.atPose3(k).matrix())) for k in range(poses)]
+    stacked = torch.stack(T_WC) if T_WC else torch.zeros((0, 4, 4), dtype=torch.float64)
+    return Optimised(T_WC=stacked, error_before=before, error_after=float(graph.error(done)))
+
+
+def _log(T: Float[Tensor, "4 4"]) -> Float[Tensor, " 6"]:
+    return torch.from_numpy(np.array(require_gtsam().Pose3.Logmap(require_gtsam().Pose3(T.double().numpy()))))

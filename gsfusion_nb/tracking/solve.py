@@ -1,0 +1,62 @@
+"""One damped Gauss-Newton step that leaves alone what the scene does not determine."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ..geometry import se3
+from .point_to_plane import IcpSystem
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Extent:
+    """Where the points of a frame lie: a twist about their middle, with rotations in units of their spread, has six
+    parts that all mean metres of surface motion (Gelfand et al. 2003)."""
+
+    centre: Float[Tensor, " 3"]
+    """Mean of the points, in the frame of the twist, metres; float64."""
+    spread_m: float
+    """Root mean square distance from it."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Step:
+    """A solution of the normal equations."""
+
+    xi: Float[Tensor, " 6"]
+    """Twist, translation first, float64."""
+    length_m: float
+    """How far it moves the surface: its norm in the units of ``Extent``."""
+    eigenvalues: Float[Tensor, " 6"]
+    """Mean information of the six principal directions of motion, smallest first; they add up to about 2."""
+    degenerate: int
+    """How many of them the scene does not determine."""
+
+
+def solve_step(system: IcpSystem, extent: Extent, *, damping: float, min_eigenvalue: float) -> Step:
+    """Minimise  |r + J xi|^2 + damping tr(H) |xi|^2  in the directions of motion that the scene determines.
+
+    The twist is first written about the middle of the points, xi = A y, so that the eigenvalues of A^T H A can be
+    compared. In directions e whose eigenvalue is below ``min_eigenvalue`` of the largest the step is 0: the pose keeps
+    what it started with there, the prior (solution remapping).
+
+    Args:
+        system: Normal equations H, b.
+        extent: Middle and spread of the points.
+        damping: Share of the trace that is added to every eigenvalue.
+        min_eigenvalue: Share of the largest.
+
+    Differentiable: no. Source: Zhang, Kaess & Singh 2016, "On degeneracy of optimization-based state estimation".
+    """
+    A = torch.eye(6, dtype=torch.float64)
+    A[3:, 3:] /= extent.spread_m
+    A[:3, 3:] = se3.hat(extent.centre.double().cpu()) / extent.spread_m
+    weight = max(system.sum_weights, 1e-12)
+    H, b = A.T @ system.H.cpu() @ A / weight, A.T @ system.b.cpu() / weight
+    eigenvalues, directions = torch.linalg.eigh(H)
+    known = eigenvalues >= max(min_eigenvalue * float(eigenvalues[-1]), 1e-12)
+    damped = eigenvalues + damping * float(eigenvalues.sum())
+    y = -directions @ (directions.T @ b).div(damped).where(known, 0.0)
+    return Step(xi=A @ y, length_m=float(y.norm()), eigenvalues=eigenvalues, degenerate=int((~known).sum()))

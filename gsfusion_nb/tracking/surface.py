@@ -1,0 +1,70 @@
+"""What ICP aligns a frame with: depth and normals of the model, rendered from a pose."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ..checks import check_shape
+from ..geometry import depth_to_normals, se3
+from ..tsdf import TsdfVolume, raycast
+from ..types import Camera
+
+HYBRID_DEPTH_M = 0.01
+HYBRID_COSINE_GAP = 0.01
+"""Beyond this difference, metres, or 1 - cos of the normals' angle (8 degrees), a hybrid target takes the last frame's
+own depth (released code of Peng et al. 2024)."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Surface:
+    """The model as a camera sees it; it may have another size than the frames."""
+
+    depth_m: Float[Tensor, "H W"]
+    """z-depth, metres; 0 where there is none."""
+    normal_W: Float[Tensor, "H W 3"]
+    """Unit normal towards the camera, world frame; 0 where it is not known."""
+    camera: Camera
+    T_WC: Float[Tensor, "4 4"]
+    """Pose that it was rendered from."""
+
+    def __post_init__(self):
+        size = (self.camera.height, self.camera.width)
+        check_shape("depth_m of the surface", self.depth_m, size)
+        check_shape("normal_W of the surface", self.normal_W, (*size, 3))
+        check_shape("T_WC of the surface", self.T_WC, (4, 4))
+
+
+SurfaceSource = Callable[[Camera, Tensor], Surface]
+"""Renders the model as a camera sees it from a pose ``T_WC`` [4, 4]."""
+
+
+def tsdf_surface(volume: TsdfVolume) -> SurfaceSource:
+    """The zero crossing of a TSDF as the model to track against (KinectFusion, Newcombe et al. 2011)."""
+
+    def render(camera: Camera, T_WC: Tensor) -> Surface:
+        seen = raycast(volume, camera, T_WC)
+        return Surface(depth_m=seen.depth_m, normal_W=seen.normal_W, camera=camera, T_WC=T_WC)
+
+    return render
+
+
+def hybrid_surface(model: Surface, depth_m: Float[Tensor, "H W"]) -> Surface:
+    """The model where it agrees with the last frame, that frame's own depth elsewhere (released code).
+
+    They agree where both have depth, the depths differ by at most 1 cm and the normals by at most 8 degrees. Normals
+    are taken anew from the mixed depth.
+
+    Args:
+        model: Rendered from the pose of the last frame, with its camera.
+        depth_m: z-depth of the last frame, metres. [H, W]
+    """
+    own_W = se3.rotate(model.T_WC.to(depth_m.dtype), depth_to_normals(model.camera, depth_m))
+    apart = (model.depth_m - depth_m).abs() > HYBRID_DEPTH_M
+    turned = 1 - (own_W * model.normal_W).sum(-1) > HYBRID_COSINE_GAP
+    own = (depth_m > 0) & ((model.depth_m <= 0) | apart | turned)
+    mixed_m = torch.where(own, depth_m, model.depth_m)
+    normal_W = se3.rotate(model.T_WC.to(depth_m.dtype), depth_to_normals(model.camera, mixed_m))
+    return Surface(depth_m=mixed_m, normal_W=normal_W, camera=model.camera, T_WC=model.T_WC)

@@ -1,0 +1,291 @@
+"""A camera's path through a growing map: predict, align, judge, and find the way back when that fails."""
+
+import dataclasses
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ..checks import check_pose
+from ..config import TrackingConfig
+from ..geometry import se3
+from ..types import Camera, Frame
+from .icp import IcpResult, align
+from .pyramid import DepthLevel, depth_pyramid
+from .surface import Surface, SurfaceSource, hybrid_surface
+
+WIDE_DISTANCE = 3.0
+WIDE_ANGLE_DEG = 60.0
+"""The wide start takes correspondences this many times farther apart and with normals at up to this angle: on the
+coarse levels it finds a pose that the ordinary gates then refine."""
+
+MAX_TIME_RATIO = 4.0
+"""The last motion is carried on for at most so many times the time that it took."""
+
+
+class TrackingLostError(ValueError):
+    """No pose of this frame fits the model; the message says what was tried and by how much it failed."""
+
+
+class Places(Protocol):
+    """Recognises places seen before."""
+
+    def relocalise(self, frame: Frame) -> list[Tensor]:
+        """Poses ``T_WC`` [4, 4] that the frame may have, the likeliest first."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TrackingReport:
+    """The pose of one frame and how it was found."""
+
+    status: Literal["first", "ok", "degenerate", "recovered"]
+    """"first": the data's pose; "degenerate": some directions of motion are the prior's, the scene does not show them;
+    "recovered": ICP failed from the predicted pose but not from another start."""
+    T_WC: Float[Tensor, "4 4"]
+    """Camera-to-world pose, float32."""
+    start: str = ""
+    """Where the successful ICP started: "the predicted pose", "the last pose", ..."""
+    n_inliers: int = 0
+    inlier_share: float = 0.0
+    """Correspondences as a share of the pixels with usable depth."""
+    agreement: float = 0.0
+    """Correspondences as a share of the pixels that fall on a known part of the model."""
+    rms_m: float = 0.0
+    """Weighted root mean square point-to-plane distance."""
+    eigenvalues: tuple[float, ...] = ()
+    """Mean information of the six principal directions of motion, smallest first."""
+    degenerate: int = 0
+    """How many of them the scene does not determine."""
+    iterations: int = 0
+    seconds: dict[str, float]
+    """Wall-clock time of "preprocess", "render" and "icp"."""
+    icp: IcpResult | None = None
+    """Every step of the successful ICP; None for the first frame."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Seen:
+    """A tracked pose, float64, and its time."""
+
+    T_WC: Tensor
+    timestamp_s: float
+
+
+class Tracker:
+    """Frame-to-model tracking (Peng et al. 2024, section 3.2, "Camera tracking").
+
+    Args:
+        config: Levels, gates, prior, what counts as failure.
+        places: Recognises places seen before; asked for poses when ICP has failed from all others.
+    """
+
+    def __init__(self, config: TrackingConfig | None = None, places: Places | None = None):
+        self.config = config or TrackingConfig()
+        self.places = places
+        self.n_lost = 0
+        """Frames that could not be tracked."""
+        self.lost_in_a_row = 0
+        self._last: _Seen | None = None
+        self._before: _Seen | None = None
+        """The frame before the last one, if both were tracked; the motion between them is the velocity."""
+        self._last_depth_m: Tensor | None = None
+
+    def __repr__(self) -> str:
+        return f"Tracker({'not started' if self._last is None else 'running'}, {self.n_lost} frames lost)"
+
+    def track(self, frame: Frame, surface: SurfaceSource) -> TrackingReport:
+        """Pose of the next frame. The first one's is taken from the data.
+
+        ICP starts from the predicted pose; if that fails from the last pose, from there with wide gates, and from the
+        poses of places recognised. Each start is aligned with the model as rendered from it, and accepted by its fit.
+
+        Args:
+            frame: Its ``T_WC`` is used only if it is the first.
+            surface: Renders the model; may be asked several times.
+
+        Raises:
+            TrackingLostError: no start led to a pose that fits. Only the counts of lost frames change, so that the next
+                frame is looked for again.
+        """
+        seconds = {"preprocess": 0.0, "render": 0.0, "icp": 0.0}
+        with _Clock(seconds, "preprocess"):
+            levels = depth_pyramid(frame.depth_m, frame.camera, self.config.pyramid)
+        if not any(bool((level.depth_m > 0).any()) for level in levels[-1:]):
+            raise self._lost(f"frame {frame.index} cannot be tracked: none of its pixels has usable depth")
+        if self._last is None:
+            check_pose(f"T_WC of frame {frame.index}", frame.T_WC)
+            self._accept(frame, frame.T_WC.double().cpu(), moved=False)
+            return TrackingReport(status="first", T_WC=frame.T_WC, seconds=seconds)
+        failures: list[str] = []
+        for start, T_WC, wide in self._starts(frame):
+            result = self._attempt(frame, levels, surface, (T_WC, wide), seconds)
+            problem = self._problem(result, anywhere=start.startswith("place"))
+            if not problem:
+                moved = self.lost_in_a_row == 0 and not start.startswith("place")
+                self._accept(frame, result.T_WC, moved=moved)
+                return _report(result, frame, start, first_try=not failures, seconds=seconds)
+            failures.append(f"from {start} {problem}")
+        raise self._lost(f"frame {frame.index} cannot be tracked: {'; '.join(failures)}")
+
+    def correct(self, T_change: Float[Tensor, "4 4"]) -> None:
+        """The back end moved the end of the path: every pose T becomes ``T_change @ T``."""
+        check_pose("T_change", T_change)
+        change = T_change.double().cpu()
+        self._last, self._before = (
+            seen and _Seen(T_WC=change @ seen.T_WC, timestamp_s=seen.timestamp_s) for seen in (self._last, self._before)
+        )
+
+    def predict(self, timestamp_s: float) -> Float[Tensor, "4 4"]:
+        """Where the camera should be at a time: the last motion carried on in proportion, or the last pose. float64
+
+        Frames are not evenly spaced in time (some are held out, some dropped), so the motion is scaled by time.
+
+        Raises:
+            ValueError: before the first frame.
+        """
+        if self._last is None:
+            raise ValueError("no pose can be predicted before the first frame has been tracked")
+        if self.config.prior == "previous" or self._before is None:
+            return self._last.T_WC
+        taken, ahead = self._last.timestamp_s - self._before.timestamp_s, timestamp_s - self._last.timestamp_s
+        ratio = min(ahead / taken, MAX_TIME_RATIO) if taken > 0 and ahead > 0 else 1.0
+        return self._last.T_WC @ se3.exp(ratio * se3.log(se3.inverse(self._before.T_WC) @ self._last.T_WC))
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything needed to go on later exactly where this stands, as tensors and plain values."""
+        return {
+            "n_lost": self.n_lost,
+            "lost_in_a_row": self.lost_in_a_row,
+            "last": self._last and dataclasses.asdict(self._last),
+            "before": self._before and dataclasses.asdict(self._before),
+            "last_depth_m": self._last_depth_m,
+        }
+
+    @classmethod
+    def from_state_dict(cls, config: TrackingConfig, state: dict[str, Any], places: Places | None = None) -> "Tracker":
+        """The tracker that ``state_dict`` described; settings and recognised places are kept elsewhere."""
+        tracker = cls(config, places)
+        tracker.n_lost, tracker.lost_in_a_row = state["n_lost"], state["lost_in_a_row"]
+        tracker._last, tracker._before = (state[name] and _Seen(**state[name]) for name in ("last", "before"))
+        tracker._last_depth_m = state["last_depth_m"]
+        return tracker
+
+    def _starts(self, frame: Frame) -> Iterator[tuple[str, Tensor, bool]]:
+        """What ICP starts from, in order: its name, the pose, and whether with wide gates."""
+        assert self._last is not None
+        last = self._last.T_WC
+        if self.lost_in_a_row == 0:
+            yield "the predicted pose", self.predict(frame.timestamp_s), False
+        if self.lost_in_a_row > 0 or self._before is not None:
+            yield "the last pose", last, False
+        yield "the last pose with wide gates", last, True
+        for n, T_WC in enumerate(self.places.relocalise(frame) if self.places else ()):
+            yield f"place {n + 1}", T_WC.double().cpu(), True
+
+    def _attempt(
+        self,
+        frame: Frame,
+        levels: list[DepthLevel],
+        source: SurfaceSource,
+        start: tuple[Tensor, bool],
+        seconds: dict[str, float],
+    ) -> IcpResult:
+        T_WC, wide = start
+        if wide:
+            with _Clock(seconds, "render"):
+                surface = source(frame.camera, T_WC.float())
+            with _Clock(seconds, "icp"):
+                T_WC = align(levels[:-1] or levels, surface, T_WC, _widened(self.config)).T_WC
+        with _Clock(seconds, "render"):
+            surface = self._surface(frame.camera, T_WC, source, may_mix=not wide)
+        with _Clock(seconds, "icp"):
+            return align(levels, surface, T_WC, self.config)
+
+    def _surface(self, camera: Camera, T_WC: Tensor, source: SurfaceSource, *, may_mix: bool) -> Surface:
+        depth_m = self._last_depth_m
+        if may_mix and depth_m is not None and self._last is not None:
+            return hybrid_surface(source(camera, self._last.T_WC.float()), depth_m)
+        return source(camera, T_WC.float())
+
+    def _problem(self, result: IcpResult, *, anywhere: bool) -> str:
+        """What is wrong with a result, as the end of a sentence; empty if nothing is."""
+        assert self._last is not None
+        config = self.config
+        if result.inlier_share < config.min_inliers:
+            return f"{result.inlier_share:.0%} of its pixels fit the model (at least {config.min_inliers:.0%} needed)"
+        if result.agreement < config.min_agreement:
+            return (
+                f"{result.agreement:.0%} of the pixels that meet the model fit it (at least "
+                f"{config.min_agreement:.0%} needed)"
+            )
+        if not result.rms_m <= config.max_rms_m:
+            return f"its points lie {result.rms_m * 100:.1f} cm from the model (at most {config.max_rms_m * 100:g} cm)"
+        step = se3.inverse(self._last.T_WC) @ result.T_WC
+        frames = 1 + self.lost_in_a_row
+        moved_m, turned_deg = float(step[:3, 3].norm()), float(se3.rotation_angle(step[:3, :3]).rad2deg())
+        if not anywhere and (moved_m > frames * config.max_step_m or turned_deg > frames * config.max_step_deg):
+            return (
+                f"the camera moved {moved_m:.2f} m and turned {turned_deg:.0f} degrees in {frames} frames (at most "
+                f"{config.max_step_m:g} m and {config.max_step_deg:g} degrees in each)"
+            )
+        return ""
+
+    def _accept(self, frame: Frame, T_WC: Tensor, *, moved: bool) -> None:
+        self._before = self._last if moved else None
+        self._last = _Seen(T_WC=T_WC, timestamp_s=frame.timestamp_s)
+        self.lost_in_a_row = 0
+        if self.config.target == "hybrid":
+            self._last_depth_m = frame.depth_m
+
+    def _lost(self, reason: str) -> TrackingLostError:
+        self.n_lost += 1
+        self.lost_in_a_row += 1
+        return TrackingLostError(reason)
+
+
+def _widened(config: TrackingConfig) -> TrackingConfig:
+    coarse = config.pyramid[:-1] or config.pyramid
+    return dataclasses.replace(
+        config,
+        pyramid=coarse,
+        iterations=tuple(4 * n for n in config.iterations[: len(coarse)]),
+        max_distance_m=WIDE_DISTANCE * config.max_distance_m,
+        max_angle_deg=max(WIDE_ANGLE_DEG, config.max_angle_deg),
+    )
+
+
+def _report(
+    result: IcpResult, frame: Frame, start: str, *, first_try: bool, seconds: dict[str, float]
+) -> TrackingReport:
+    return TrackingReport(
+        status="recovered" if not first_try else "degenerate" if result.degenerate else "ok",
+        T_WC=result.T_WC.to(frame.T_WC),
+        start=start,
+        n_inliers=result.n_inliers,
+        inlier_share=result.inlier_share,
+        agreement=result.agreement,
+        rms_m=result.rms_m,
+        eigenvalues=result.eigenvalues,
+        degenerate=result.degenerate,
+        iterations=len(result.history),
+        seconds=seconds,
+        icp=result,
+    )
+
+
+class _Clock:
+    """Adds the time of a block to a sum."""
+
+    def __init__(self, seconds: dict[str, float], part: str):
+        self.seconds, self.part = seconds, part
+
+    def __enter__(self) -> None:
+        self.start = time.perf_counter()
+
+    def __exit__(self, *_: object) -> None:
+        self.seconds[self.part] += time.perf_counter() - self.start

@@ -1,0 +1,171 @@
+"""Rows of the compact map: values at birth, derived surfel parameters, rigid motion, saving."""
+
+import math
+
+import pytest
+import torch
+
+from gsfusion_nb.gaussians import OPAQUE, STABLE, TRANSPARENT, UNSTABLE, GaussianModel, SurfelModel, state_counts
+from gsfusion_nb.geometry import quaternion, se3
+from gsfusion_nb.types import Seeds
+
+COUNTERS = ("state", "confidence", "colour_errors", "depth_errors")
+
+
+def discs(n: int, generator: torch.Generator, opacity: float = OPAQUE) -> Seeds:
+    def uniform(*size: int):
+        return torch.rand(*size, generator=generator)
+
+    return Seeds(
+        xyz_W=uniform(n, 3),
+        rgb=uniform(n, 3),
+        scale_m=0.01 + 0.04 * uniform(n, 3),
+        quat=torch.randn(n, 4, generator=generator),
+        opacity=torch.full((n,), opacity),
+        tag=torch.arange(n, dtype=torch.int32),
+    )
+
+
+def one_disc(scale_m: tuple[float, float, float], quat: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0)) -> SurfelModel:
+    model = SurfelModel(sh_degree=0)
+    seeds = Seeds.isotropic(torch.zeros(1, 3), torch.full((1, 3), 0.5), torch.ones(1), opacity=OPAQUE)
+    model.append(Seeds(**vars(seeds) | {"scale_m": torch.tensor([scale_m]), "quat": torch.tensor([quat])}))
+    return model
+
+
+def test_normal_is_the_thinnest_axis_by_hand():
+    half = math.sqrt(0.5)
+    torch.testing.assert_close(one_disc((0.03, 0.02, 0.001)).normal_W, torch.tensor([[0.0, 0, 1]]))
+    torch.testing.assert_close(one_disc((0.001, 0.02, 0.03)).normal_W, torch.tensor([[1.0, 0, 0]]))
+    turned = one_disc((0.001, 0.02, 0.03), (half, 0.0, 0.0, half))  # a quarter turn about z: x goes to y
+    torch.testing.assert_close(turned.normal_W, torch.tensor([[0.0, 1, 0]]))
+
+
+def test_normal_is_the_smallest_eigenvector_of_the_covariance(generator):
+    model = SurfelModel(sh_degree=0)
+    model.append(discs(20, generator))
+    R = quaternion.to_matrix(model.params.quat)
+    covariance = R @ torch.diag_embed(model.scale_m**2) @ R.transpose(1, 2)
+    smallest = torch.linalg.eigh(covariance.double()).eigenvectors[:, :, 0].float()
+    torch.testing.assert_close((smallest * model.normal_W).sum(1).abs(), torch.ones(20))
+
+
+def test_radius_is_the_mean_of_the_two_largest():
+    assert one_disc((0.01, 0.03, 0.05)).radius_m.item() == pytest.approx(0.04)
+    assert one_disc((0.06, 0.001, 0.02)).radius_m.item() == pytest.approx(0.04)
+
+
+def test_rows_are_born_unstable_at_the_step_and_held_at_their_first_values(generator):
+    model = SurfelModel(sh_degree=1)
+    model.step_count = 7
+    seeds = discs(5, generator)
+    model.append(seeds, frame_index=12)
+    assert model.birth_step.tolist() == [7] * 5
+    assert model.birth_frame.tolist() == [12] * 5
+    assert not model.is_stable.any()
+    for name in COUNTERS:
+        assert getattr(model, name).tolist() == [0] * 5
+    torch.testing.assert_close(model.anchor["xyz_W"], seeds.xyz_W)
+    torch.testing.assert_close(model.anchor["log_scale"], seeds.scale_m.log())
+    assert torch.equal(model.anchor["quat"], seeds.quat)
+    for name in ("xyz_W", "log_scale", "quat"):
+        getattr(model.params, name).add_(1.0)
+    torch.testing.assert_close(model.anchor["xyz_W"], seeds.xyz_W)
+    model.append(discs(0, generator))
+    assert len(model) == 5
+
+
+def test_a_reused_row_remembers_nothing(generator):
+    model = SurfelModel(sh_degree=0)
+    model.append(discs(6, generator))
+    for name in COUNTERS:
+        getattr(model, name).fill_(9)
+    model.keep(torch.arange(6) < 2)
+    model.append(discs(4, generator))
+    for name in COUNTERS:
+        assert getattr(model, name).tolist() == [9, 9, 0, 0, 0, 0]
+
+
+def test_transparent_and_opaque_by_the_opacity_at_birth(generator):
+    model = SurfelModel(sh_degree=0)
+    model.append(discs(2, generator, TRANSPARENT))
+    model.append(discs(3, generator, OPAQUE))
+    assert model.is_transparent.tolist() == [True, True, False, False, False]
+    model.state[torch.tensor([0, 2, 3])] = STABLE
+    assert state_counts(model) == {
+        "stable_opaque": 2,
+        "stable_transparent": 1,
+        "unstable_opaque": 1,
+        "unstable_transparent": 1,
+    }
+    assert (UNSTABLE, STABLE) == (0, 1)
+
+
+def test_keep_filters_every_column_alike(generator):
+    model = SurfelModel(sh_degree=1)
+    model.append(discs(40, generator))
+    for name in COUNTERS:
+        getattr(model, name).copy_(model.tag)
+    anchor = model.anchor["quat"].clone()
+    rows = torch.rand(40, generator=generator) > 0.5
+    model.keep(rows)
+    for name in COUNTERS:
+        assert getattr(model, name).tolist() == rows.nonzero()[:, 0].tolist()
+    assert torch.equal(model.anchor["quat"], anchor[rows])
+
+
+def test_no_moments_are_kept(generator):
+    model = SurfelModel(sh_degree=0)
+    assert not any(name.startswith("exp_avg") for name in model.state_dict()["rows"])
+
+
+def motions(n: int, generator: torch.Generator) -> torch.Tensor:
+    return se3.exp(torch.randn(n, 6, generator=generator, dtype=torch.float64))
+
+
+@pytest.mark.parametrize("kind", [SurfelModel, GaussianModel])
+def test_moving_rows_moves_points_and_axes(kind, generator):
+    """Centres by R x + t, orientations by R R_q, the covariance by R S R^T: each from the matrices themselves."""
+    model = kind(sh_degree=0)
+    model.append(discs(30, generator))
+    T = motions(30, generator).float()
+    R, xyz = T[:, :3, :3], model.params.xyz_W.clone()
+    before = quaternion.to_matrix(model.params.quat)
+    model.move(T.double())
+    torch.testing.assert_close(
+        model.params.xyz_W, torch.einsum("nij,nj->ni", R, xyz) + T[:, :3, 3], atol=1e-5, rtol=1e-5
+    )
+    torch.testing.assert_close(quaternion.to_matrix(model.params.quat), R @ before, atol=1e-5, rtol=1e-5)
+    if kind is SurfelModel:
+        torch.testing.assert_close(model.anchor["xyz_W"], model.params.xyz_W)
+        torch.testing.assert_close(model.anchor["quat"], model.params.quat, atol=1e-6, rtol=1e-5)
+
+
+def test_a_moved_anchor_stays_where_it_was_beside_its_row(generator):
+    model = SurfelModel(sh_degree=0)
+    model.append(discs(10, generator))
+    model.params.xyz_W.add_(0.1)
+    model.params.quat.add_(0.3)
+    gap = quaternion.to_matrix(model.anchor["quat"]).transpose(1, 2) @ quaternion.to_matrix(model.params.quat)
+    model.move(motions(10, generator))
+    moved = quaternion.to_matrix(model.anchor["quat"]).transpose(1, 2) @ quaternion.to_matrix(model.params.quat)
+    torch.testing.assert_close(moved, gap, atol=1e-5, rtol=1e-5)
+    apart = (model.params.xyz_W - model.anchor["xyz_W"]).norm(dim=1)
+    torch.testing.assert_close(apart, torch.full((10,), 0.1 * math.sqrt(3)), atol=1e-5, rtol=1e-5)
+
+
+def test_state_round_trip(generator):
+    model = SurfelModel(sh_degree=2)
+    model.append(discs(5000, generator), 2)
+    model.step_count = 17
+    for i, name in enumerate(COUNTERS):
+        getattr(model, name).copy_(model.tag + i)
+    model.params.xyz_W.add_(1.0)
+    again = SurfelModel.from_state_dict(model.state_dict())
+    assert (len(again), again.step_count, again.sh_degree) == (5000, 17, 2)
+    saved, restored = model.state_dict()["rows"], again.state_dict()["rows"]
+    assert saved.keys() == restored.keys()
+    for name, column in saved.items():
+        assert torch.equal(restored[name], column), name
+    model.confidence.zero_()
+    assert again.confidence[7] == 8

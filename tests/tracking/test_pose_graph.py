@@ -1,0 +1,175 @@
+"""The graph: closed forms, false loops, landmarks with exact sightings."""
+
+import builtins
+import dataclasses
+
+import pytest
+import torch
+
+from gsfusion_nb.geometry import project, se3
+from gsfusion_nb.tracking.landmarks import Observations
+from gsfusion_nb.tracking.pose_graph import (
+    Edge,
+    edge_error,
+    fit_odometry,
+    odometry_information,
+    optimise_landmarks,
+    optimise_poses,
+    require_gtsam,
+    with_floor,
+)
+from gsfusion_nb.types import Camera
+
+pytest.importorskip("gtsam", reason="the extra 'slam' is not installed")
+
+CAMERA = Camera(width=320, height=240, fx=208.0, fy=208.0, cx=160.0, cy=120.0)
+UNIT = odometry_information(1.0, 0.02)
+
+
+def edge(i, j, T_ij, information=UNIT, kind="odometry"):
+    return Edge(i=i, j=j, T_ij=T_ij, information=information, kind=kind)
+
+
+def shift(x):
+    T = torch.eye(4, dtype=torch.float64)
+    T[0, 3] = x
+    return T
+
+
+def ring(n, generator, sigma_deg=0.2, sigma_m=0.002):
+    """True poses around a circle, steps with noise, and the poses that follow from those."""
+    angle = torch.arange(n) / n * 2 * torch.pi
+    xi = torch.zeros(n, 6, dtype=torch.float64)
+    xi[:, 4] = angle
+    true = se3.exp(xi)
+    true[:, :3, 3] = torch.stack([angle.sin(), 0 * angle, angle.cos()], 1) * 2
+    scale = torch.tensor([sigma_m] * 3 + [sigma_deg / 57.3] * 3, dtype=torch.float64)
+    noise = torch.randn(n, 6, generator=generator, dtype=torch.float64) * scale
+    drifted, edges = [true[0]], []
+    for k in range(1, n):
+        step = se3.inverse(true[k - 1]) @ true[k] @ se3.exp(noise[k])
+        edges.append(edge(k - 1, k, step, odometry_information(sigma_deg, sigma_m)))
+        drifted.append(drifted[-1] @ step)
+    return true, torch.stack(drifted), edges
+
+
+def off(T, true):
+    return float((T[:, :3, 3] - true[:, :3, 3]).norm(dim=1).square().mean().sqrt())
+
+
+def test_consistent_steps_change_nothing(generator):
+    true, drifted, edges = ring(12, generator)
+    result = optimise_poses(drifted, edges)
+    torch.testing.assert_close(result.T_WC, drifted, atol=1e-7, rtol=0)
+    assert result.error_before < 1e-9
+
+
+def test_two_measurements_give_their_weighted_mean():
+    """0.1 m at 2 cm and 0.13 m at 1 cm: (0.1 / 4 + 0.13) / (1 / 4 + 1) = 0.124."""
+    edges = [edge(0, 1, shift(0.10)), edge(0, 1, shift(0.13), odometry_information(1.0, 0.01))]
+    result = optimise_poses(torch.stack([shift(0.0), shift(0.1)]), edges)
+    assert float(result.T_WC[1, 0, 3]) == pytest.approx(0.124, abs=1e-5)
+    assert result.error_before == pytest.approx(0.5 * (0.03 / 0.01) ** 2, rel=1e-6)
+    assert result.error_after == pytest.approx(0.5 * ((0.024 / 0.02) ** 2 + (0.006 / 0.01) ** 2), rel=1e-4)
+    assert edge_error(edges[0], result.T_WC) == pytest.approx(1.2, rel=1e-4)
+
+
+def test_a_true_loop_removes_drift(generator):
+    true, drifted, edges = ring(40, generator, sigma_deg=0.5)
+    loop = edge(0, 39, se3.inverse(true[0]) @ true[39], odometry_information(0.05, 0.002), "loop")
+    result = optimise_poses(drifted, [*edges, loop])
+    assert off(result.T_WC, true) < 0.6 * off(drifted, true)
+    assert edge_error(loop, result.T_WC) < 1.5
+
+
+@pytest.mark.parametrize("wrong_m", [0.5, 2.0])
+def test_a_false_loop_is_rejected(generator, wrong_m):
+    true, drifted, edges = ring(40, generator)
+    precise = odometry_information(0.05, 0.002)
+    good = [edge(k, k + 30, se3.inverse(true[k]) @ true[k + 30], precise, "loop") for k in (0, 5, 9)]
+    false = edge(3, 25, se3.inverse(true[3]) @ true[25] @ shift(wrong_m), precise, "loop")
+    with_it, without = optimise_poses(drifted, [*edges, *good, false]), optimise_poses(drifted, [*edges, *good])
+    assert off(with_it.T_WC, without.T_WC) < 0.005
+    assert edge_error(false, with_it.T_WC) > 50
+    trusting = optimise_poses(drifted, [*edges, *good, dataclasses.replace(false, kind="odometry")])
+    assert off(trusting.T_WC, true) > 5 * off(with_it.T_WC, true)
+
+
+def test_information_floor():
+    """Variances add: 1 cm and a floor of 1 cm make sqrt(2) cm."""
+    floored = with_floor(odometry_information(1.0, 0.01), 1e-6, 0.01)
+    torch.testing.assert_close(floored, odometry_information(1.0, 0.01 * 2**0.5), rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize(("sigma_deg", "sigma_m"), [(0.3, 0.004), (0.15, 0.01)])
+def test_the_precision_of_odometry_is_found(generator, sigma_deg, sigma_m):
+    true, _, edges = ring(400, generator, sigma_deg, sigma_m)
+    given = odometry_information(2.0, 0.1)
+    seen = odometry_information(0.1, 0.003)
+    both = [dataclasses.replace(e, information=given) for e in edges]
+    for k in range(1, 400):
+        noise = torch.randn(6, generator=generator, dtype=torch.float64) * torch.tensor([0.003] * 3 + [0.1 / 57.3] * 3)
+        both.append(edge(k - 1, k, se3.inverse(true[k - 1]) @ true[k] @ se3.exp(noise), seen, "landmarks"))
+    sigma = fit_odometry(both)[0].information.diagonal() ** -0.5
+    torch.testing.assert_close(sigma[:3] * 57.3, torch.full((3,), sigma_deg, dtype=torch.float64), rtol=0.15, atol=0)
+    torch.testing.assert_close(sigma[3:], torch.full((3,), sigma_m, dtype=torch.float64), rtol=0.15, atol=0)
+    assert fit_odometry(edges) == edges  # nothing to compare with
+
+
+def sightings(true, generator, points=80, depth_share=0.7):
+    xyz_W = (torch.rand(points, 3, generator=generator, dtype=torch.float64) - 0.5) * 2
+    rows = []
+    for k, T in enumerate(true):
+        xyz_C = se3.apply(se3.inverse(T), xyz_W)
+        known = torch.rand(points, generator=generator) < depth_share
+        rows.append((torch.full((points,), k), torch.arange(points), project(CAMERA, xyz_C), xyz_C[:, 2] * known))
+    keyframe, landmark, uv, depth_m = (torch.cat(c) for c in zip(*rows, strict=True))
+    return Observations(
+        keyframe=keyframe,
+        landmark=landmark,
+        uv=uv,
+        depth_m=depth_m,
+        sigma_px=torch.ones(len(uv), dtype=torch.float64),
+        xyz_W=xyz_W + 0.02 * torch.randn(points, 3, generator=generator, dtype=torch.float64),
+    )
+
+
+def inward(n, generator):
+    true, drifted, edges = ring(n, generator, sigma_deg=0.5, sigma_m=0.02)
+    turn = torch.diag(torch.tensor([-1.0, 1, -1, 1], dtype=torch.float64))  # look at the centre instead of away
+    return true @ turn, drifted @ turn, [dataclasses.replace(e, T_ij=turn @ e.T_ij @ turn) for e in edges]
+
+
+def test_exact_sightings_give_the_exact_poses(generator):
+    true, drifted, edges = inward(10, generator)
+    result = optimise_landmarks(CAMERA, drifted, sightings(true, generator), [], iterations=50)
+    assert off(drifted, true) > 0.02
+    torch.testing.assert_close(result.T_WC, true, atol=1e-4, rtol=0)
+    assert result.error_after < 1e-3 < result.error_before
+
+
+def test_wrong_sightings_lose_their_weight(generator):
+    true, drifted, edges = inward(10, generator)
+    seen = sightings(true, generator)
+    uv = seen.uv.clone()
+    uv[::9] += 60.0
+    result = optimise_landmarks(CAMERA, drifted, dataclasses.replace(seen, uv=uv), edges)
+    assert off(result.T_WC, true) < 0.1 * off(drifted, true)
+
+
+def test_no_keyframe_and_one():
+    assert optimise_poses(torch.zeros((0, 4, 4), dtype=torch.float64), []).T_WC.shape == (0, 4, 4)
+    torch.testing.assert_close(optimise_poses(shift(1.0)[None], []).T_WC, shift(1.0)[None])
+
+
+def test_without_gtsam_the_error_says_what_to_install(monkeypatch):
+    real = builtins.__import__
+
+    def absent(name, *args, **kwargs):
+        if name == "gtsam":
+            raise ImportError("No module named 'gtsam'")
+        return real(name, *args, **kwargs)
+
+    monkeypatch.setattr(builtins, "__import__", absent)
+    with pytest.raises(ImportError, match=r"pip install 'gsfusion-nb\[slam\]'"):
+        require_gtsam()
