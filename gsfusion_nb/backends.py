@@ -31,6 +31,7 @@ PROVIDERS: dict[str, dict[str, str]] = {
     "fuse_frame_": {"numba": f"{_NUMBA}.integrate:fuse_frame_"},
     "icp_system": {"numba": f"{_NUMBA}.icp:icp_system"},
     "quadtree": {"numba": f"{_NUMBA}.quadtree:quadtree"},
+    "rgbd_l1_vjp": {"numba": f"{_NUMBA}.rgbd_loss:rgbd_l1_vjp"},
     "sample_voxels": {"numba": f"{_NUMBA}.sample:sample_voxels"},
     "raycast": {"numba": f"{_NUMBA}.raycast:raycast"},
     "dssim_vjp": {"numba": f"{_NUMBA}.ssim:dssim_vjp"},

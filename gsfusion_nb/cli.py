@@ -1,4 +1,4 @@
-"""The command ``gsfusion-nb``: demo, map, eval, study, bench, doctor."""
+"""The command ``gsfusion-nb``: demo, check, map, eval, study, bench, doctor."""
 
 import logging
 import sys
@@ -9,11 +9,12 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from .backends import BackendUnavailable, use_backend
-from .config import GSFusionConfig, RtgSlamConfig, from_dict, gsfusion, rtg_slam
+from .config import DataConfig, GSFusionConfig, RtgSlamConfig, from_dict, gsfusion, rtg_slam
 
 _USAGE = """gsfusion-nb: online RGB-D mapping with TSDF fusion and 3D Gaussian splatting
 
   gsfusion-nb demo                     map the built-in room and open its report: about a minute
+  gsfusion-nb check DATA               is a recording in order? what is wrong, and the options that repair it
   gsfusion-nb map DATA [options]       map a sequence; every setting is an option: gsfusion-nb map --help
   gsfusion-nb map --resume RUN         go on with a run that was interrupted
   gsfusion-nb eval RUN                 score a finished run again
@@ -42,6 +43,8 @@ class MapOptions:
     """Layout of the data: folder, tum, replica, scannetpp, seven_scenes; recognised by itself by default."""
     split: str = ""
     """Which published split to map (ScanNet++: train or test)."""
+    reader: tuple[str, ...] = ()
+    """Options of the layout's reader, name=value: register=true (7-Scenes), undistort=false (TUM)."""
     resume: str = ""
     """Folder of an interrupted run to go on with; no other option is needed."""
     from_config: str = ""
@@ -68,6 +71,24 @@ class RtgSlamMapOptions(MapOptions):
     folder."""
 
     config: Annotated[RtgSlamConfig, tyro.conf.arg(name="")] = field(default_factory=RtgSlamConfig)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckOptions:
+    """Examine a recording: units, conventions, intrinsics, registration, times, images. Say what is wrong and which
+    options of gsfusion-nb map repair it; they can be given here too, to see whether they do. Write one page."""
+
+    path: Annotated[str, tyro.conf.Positional]
+    """Folder of a sequence, or "room" for the built-in scene."""
+    out: str = ""
+    """The page to write; check-<name>.html by default."""
+    frames: int = 250
+    """About how many frames are read; a longer recording is read in windows of 31 consecutive ones."""
+    format: str = "auto"
+    """Layout of the data: folder, tum, replica, scannetpp, seven_scenes; recognised by itself by default."""
+    reader: tuple[str, ...] = ()
+    """Options of the layout's reader, name=value: register=true (7-Scenes), undistort=false (TUM)."""
+    data: DataConfig = field(default_factory=DataConfig)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,7 +127,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the command line; the exit status: 0 done, 1 an error said in a sentence, 130 interrupted."""
     arguments = sys.argv[1:] if arguments is None else arguments
     logging.basicConfig(level=logging.WARNING, format="%(message)s")
-    commands = {"demo": _demo, "map": _map, "eval": _eval, "bench": _bench, "study": _study, "doctor": _doctor}
+    commands = {"demo": _demo, "check": _check, "map": _map, "eval": _eval, "bench": _bench, "study": _study, "doctor": _doctor}
     if not arguments or arguments[0] in ("-h", "--help"):
         print(_USAGE)
         return 0
@@ -148,6 +169,7 @@ def _map(arguments: list[str]) -> int:
         if not options.data:
             raise ValueError("expected the folder of a sequence or the name of a built-in scene: gsfusion-nb map room")
         reader: dict[str, Any] = {"format": options.format} if options.format != "auto" else {}
+        reader |= _reader_options(options.reader)
         if options.split:
             reader["split"] = options.split
         run = run_mapping(
@@ -159,6 +181,37 @@ def _map(arguments: list[str]) -> int:
             **reader,
         )
     return _finish(run)
+
+
+def _check(arguments: list[str]) -> int:
+    from .checkup import check_recording
+
+    options = tyro.cli(CheckOptions, prog="gsfusion-nb check", args=arguments)
+    reader: dict[str, Any] = {"format": options.format} if options.format != "auto" else {}
+    reader |= _reader_options(options.reader)
+    report = check_recording(options.path, data=options.data, frames=options.frames, **reader)
+    print(report)
+    page = report.write(options.out or f"check-{report.name}.html")
+    print(f"Pictures and curves: {page}")
+    return 1 if report.verdict == "wrong" else 0
+
+
+def _reader_options(words: tuple[str, ...]) -> dict[str, Any]:
+    """Values of ``name=value`` words: true, false, numbers, text."""
+    import ast
+
+    options: dict[str, Any] = {}
+    for word in words:
+        name, equals, text = word.partition("=")
+        if not equals or not name.isidentifier():
+            raise ValueError(f"--reader takes name=value, got {word!r}")
+        try:
+            options[name] = {"true": True, "false": False}.get(text.lower(), None)
+            if options[name] is None:
+                options[name] = ast.literal_eval(text)
+        except (ValueError, SyntaxError):
+            options[name] = text
+    return options
 
 
 def _check_device(name: str) -> None:

@@ -154,7 +154,7 @@ class RenderOutput:
     dominant_index: Int[Tensor, "H W"] | None
     """Row of the Gaussian with the largest weight at the pixel; -1 where none has any. ``None`` if not asked for."""
     hit_index: Int[Tensor, "H W"] | None = None
-    """Row of the nearest blended Gaussian that is opaque at the pixel; -1 where none is. ``None`` if not asked for."""
+    """Row of the nearest Gaussian that is opaque at the pixel, blended or not, or -1. ``None`` if not asked for."""
     surface_depth_m: Float[Tensor, "H W"] | None = None
     """z-depth of the surface, 0 where none is, of a map that has one of its own (RTG-SLAM's discs), metres."""
 

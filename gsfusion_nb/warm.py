@@ -5,6 +5,7 @@ of 64 x 48 pixels is enough.
 """
 
 import contextlib
+import dataclasses
 import logging
 import time
 from collections.abc import Callable, Iterator
@@ -13,10 +14,10 @@ from dataclasses import dataclass
 import torch
 
 from . import backends
-from .config import OptimConfig, SeedingConfig, TsdfConfig, gsfusion
+from .config import OptimConfig, SeedingConfig, TsdfConfig, gsfusion, rtg_slam
 from .gaussians import GaussianModel
-from .mapping import GSFusion
-from .optim import adam_step, dssim_vjp
+from .mapping import RTGSLAM, GSFusion
+from .optim import adam_step, dssim_vjp, rgbd_l1_vjp
 from .render import disc_depth, disc_depth_vjp, render_forward, render_vjp
 from .seeding import quadtree
 from .tsdf import TsdfVolume, extract_mesh, integrate, raycast
@@ -81,6 +82,9 @@ def exercises(device: str = "cpu") -> Iterator[Exercise]:
         config = OptimConfig(adam_steps=steps)
         yield Exercise(f"adam_update: {steps}", ("adam_update",), _once(_adam, config, device))
     yield Exercise("dssim_vjp", ("dssim_vjp",), _once(dssim_vjp, frame.rgb, grey.rgb))
+    for behind_m in (None, 0.1):
+        run = _once(_rgbd_loss, frame, grey, behind_m)
+        yield Exercise(f"rgbd_l1_vjp: {behind_m}", ("rgbd_l1_vjp",), run)
     for contrast in ("released", "std"):
         yield Exercise(f"quadtree: {contrast}", ("quadtree",), _once(quadtree, frame.rgb_u8, contrast=contrast))
     for sdf in ("ray", "z"):
@@ -95,7 +99,8 @@ def exercises(device: str = "cpu") -> Iterator[Exercise]:
         points = torch.zeros(8, 3, device=device)
         yield Exercise(f"sample_voxels: {sdf}", ("sample_voxels",), _once(volume.sample_nearest, points))
         yield Exercise(f"extract_mesh: {sdf}", ("extract_mesh",), _once(extract_mesh, volume))
-    yield Exercise("the whole mapper", tuple(backends.PROVIDERS), _once(_map, frame, grey, device))
+    yield Exercise("whole mapper: GSFusion", tuple(backends.PROVIDERS), _once(_map, frame, grey, device))
+    yield Exercise("whole mapper: RTG-SLAM", tuple(backends.PROVIDERS), _once(_slam, frame, grey, device))
 
 
 def _once(function: Callable, *args, **kwargs) -> Callable[[], object]:
@@ -113,6 +118,11 @@ def _discs(frame: Frame, device: str) -> None:
     hit_index = render_forward(params, frame.camera, frame.T_WC, opaque_alpha=0.3)[0].hit_index
     disc = disc_depth(params, frame.camera, frame.T_WC, hit_index)
     disc_depth_vjp(params, frame.camera, frame.T_WC, hit_index, disc.depth_m)
+
+
+def _rgbd_loss(frame: Frame, grey: Frame, behind_m: float | None) -> None:
+    everywhere = torch.ones_like(frame.depth_m, dtype=torch.bool)
+    rgbd_l1_vjp(frame.rgb, frame.depth_m, grey.rgb, grey.depth_m, everywhere, behind_m=behind_m)
 
 
 def _adam(config: OptimConfig, device: str) -> None:
@@ -134,6 +144,16 @@ def _map(frame: Frame, grey: Frame, device: str) -> None:
         pass
     mapper.render(frame.camera, frame.T_WC)
     mapper.mesh()
+
+
+def _slam(frame: Frame, grey: Frame, device: str) -> None:
+    config = rtg_slam("replica", tracking__poses="tracked", window__iterations=2, final__passes=1)
+    mapper = RTGSLAM(config, device=device)
+    for index in range(config.window.every_frames):
+        mapper.step(dataclasses.replace((frame, grey)[index % 2], index=index, timestamp_s=float(index)))
+    for _ in mapper.global_optimise():
+        pass
+    mapper.render(frame.camera, frame.T_WC)
 
 
 def _frame(device: str, *, whole_numbers: bool) -> Frame:

@@ -27,7 +27,7 @@ def test_every_fast_operation_has_an_exercise_that_runs_it(dispatched):
     for exercise in warm.exercises():
         dispatched.clear()
         exercise.run()
-        if exercise.name == "the whole mapper":
+        if exercise.name.startswith("whole mapper"):
             continue
         assert set(exercise.operations) <= set(dispatched), exercise.name
         covered |= set(exercise.operations)
@@ -36,11 +36,15 @@ def test_every_fast_operation_has_an_exercise_that_runs_it(dispatched):
 
 def test_the_mapper_needs_nothing_that_the_exercises_left_out():
     pytest.importorskip("numba")
-    *single, mapper = list(warm.exercises())
-    for exercise in single:
-        exercise.run()
+    exercises = list(warm.exercises())
+    mappers = [e for e in exercises if e.name.startswith("whole mapper")]
+    assert len(mappers) == 2
+    for exercise in exercises:
+        if exercise not in mappers:
+            exercise.run()
     with warm._watching() as compiled:
-        mapper.run()
+        for mapper in mappers:
+            mapper.run()
     assert compiled == []
 
 

@@ -9,7 +9,7 @@ from .sample import FrameFacts, Sample
 
 REACH_PX = 24
 """Shifts are searched this far, pixels of the small images."""
-ANCHORS = 16
+ANCHORS = 12
 TIME_REACH = 4
 JUMP = 0.08
 """Share of its depth by which a pixel must lie in front of its neighbour to be on an edge."""
@@ -49,12 +49,13 @@ def fit_colour(sample: Sample) -> ColourFit | None:
     there = sample.by_place
     contrast = {f.place: colour_contrast(f.grey, e.shape) for f, e in zip(anchors, edges, strict=True)}
     plain = [contrast[f.place] for f in anchors]
-    spatial = _surface(edges, plain)
+    transforms = _transforms(plain)
+    spatial = _surface(edges, transforms)
     as_read = float(spatial[REACH_PX, REACH_PX])
     best_time, time_score = _best_time(edges, anchors, there)
-    options = [(*_scaled_peak(edges, plain), "none", 0)]
+    options = [(*_scaled_peak(edges, transforms), "none", 0)]
     for name, flip in (("x", np.s_[:, ::-1]), ("y", np.s_[::-1]), ("xy", np.s_[::-1, ::-1])):
-        surface = _surface(edges, [g[flip] for g in plain])
+        surface = _surface(edges, _transforms([g[flip] for g in plain]))
         options.append((*_top(surface), 1.0, name, 0))
     (score, peak, shift, scale, mirror, frames) = max(options, key=lambda o: o[0] * (1 if o[4] == "none" else 0.7))
     if best_time and time_score > max(_BETTER * as_read, 0.9 * score):
@@ -116,18 +117,23 @@ def _anchors(sample: Sample) -> list[FrameFacts]:
     return [chosen[i] for i in sorted({int(i) for i in np.linspace(0, len(chosen) - 1, ANCHORS).round()})] if chosen else []
 
 
-def _surface(edges: list[np.ndarray], contrast: list[np.ndarray]) -> np.ndarray:
-    """Mean contrast on the edges for every shift of the contrast images, less the contrast anywhere. [2R+1, 2R+1]"""
+def _transforms(contrast: list[np.ndarray]) -> list[np.ndarray]:
+    """Fourier transforms of the contrast images without their mean, with room for the shifts."""
+    return [np.fft.rfft2(G - G.mean(), _size(G.shape)) for G in contrast]
+
+
+def _size(shape: tuple[int, ...]) -> tuple[int, ...]:
     import cv2
 
-    R = REACH_PX
-    total, weight = np.zeros((2 * R + 1, 2 * R + 1)), 0.0
-    for E, G in zip(edges, contrast, strict=True):
-        size = tuple(cv2.getOptimalDFTSize(n + 2 * R) for n in E.shape)
-        product = np.conj(np.fft.rfft2(E, size)) * np.fft.rfft2(G - G.mean(), size)
-        total += np.roll(np.fft.irfft2(product, size), (R, R), (0, 1))[: 2 * R + 1, : 2 * R + 1]
-        weight += float(E.sum())
-    return total / max(weight, 1.0)
+    return tuple(cv2.getOptimalDFTSize(n + 2 * REACH_PX) for n in shape)
+
+
+def _surface(edges: list[np.ndarray], transforms: list[np.ndarray]) -> np.ndarray:
+    """Mean contrast on the edges for every shift of the contrast images, less the contrast anywhere. [2R+1, 2R+1]"""
+    R, size = REACH_PX, _size(edges[0].shape)
+    products = [np.conj(np.fft.rfft2(E, size)) * G for E, G in zip(edges, transforms, strict=True)]
+    total = np.fft.irfft2(sum(products), size)
+    return np.roll(total, (R, R), (0, 1))[: 2 * R + 1, : 2 * R + 1] / max(sum(float(E.sum()) for E in edges), 1.0)
 
 
 def _top(surface: np.ndarray) -> tuple[float, float, tuple[float, float]]:
@@ -144,14 +150,14 @@ def _top(surface: np.ndarray) -> tuple[float, float, tuple[float, float]]:
     return float(surface[j, i]), peak, (place[0], place[1])
 
 
-def _scaled_peak(edges: list[np.ndarray], contrast: list[np.ndarray]) -> tuple[float, float, tuple[float, float], float]:
+def _scaled_peak(edges: list[np.ndarray], transforms: list[np.ndarray]) -> tuple[float, float, tuple[float, float], float]:
     """The best peak over scales of the colour, in two rounds."""
 
     def at(scale: float) -> tuple[float, float, tuple[float, float], float]:
-        return (*_top(_surface([_scaled(E, scale) for E in edges], contrast)), scale)
+        return (*_top(_surface([_scaled(E, scale) for E in edges], transforms)), scale)
 
     best = max((at(s) for s in _SCALES), key=lambda t: t[0])
-    for step in (0.02, 0.01):
+    for step in (0.02, 0.01, 0.005):
         best = max((best, at(best[3] - step), at(best[3] + step)), key=lambda t: t[0])
     return best
 

@@ -57,7 +57,7 @@ def check_recording(
     sample = read_sample(sequence, frames=frames)
     pairs = pairs_of(sample)
     common: dict[str, Any] = {"name": sample.name, "length": sample.length, "frames_read": len(sample.frames)}
-    findings.insert(0, _readable_finding(sample))
+    findings.insert(0, _readable_finding(sample, given.repair))
     if not pairs:
         return CheckupReport(**common, findings=findings, data=given)
     found = _examine(sample, pairs, base, hint)
@@ -176,8 +176,10 @@ def _reader_flags(reader: dict[str, Any]) -> str:
     return " ".join(f"--reader {name}={str(value).lower()}" for name, value in reader.items())
 
 
-def _readable_finding(sample: Sample) -> Finding:
-    tried, bad = len(sample.frames) + len(sample.unreadable), sample.unreadable
+def _readable_finding(sample: Sample, given: RepairConfig) -> Finding:
+    tried = len(sample.frames) + len(sample.unreadable)
+    ends = max(abs(given.pose_shift_frames), abs(given.rgb_shift_frames))  # a shift in time leaves these without
+    bad = {i: why for i, why in sample.unreadable.items() if ends <= i <= sample.length - 1 - ends}
     numbers = {"tried": float(tried), "unusable": float(len(bad))}
     if not bad:
         return Finding(

@@ -53,8 +53,8 @@ def explain(sample: Sample, pairs: Rows[tuple[int, int]]) -> Explanation:
     comparison after all corrections shows.
     """
     tried = best_reading(sample, pairs)
-    as_read = next(t for t in tried if not t.repair.changes)
-    others = [t for t in tried if t.repair.changes and t.worth > as_read.score + WORTH_TRYING][:1]
+    as_read = next(t for t in tried if t.is_as_read)
+    others = [t for t in tried if not t.is_as_read and t.worth > as_read.score + WORTH_TRYING][:1]
     far = [p for p in pairs if p[1] - p[0] > 1] or list(pairs)
     followed = []
     for t in (as_read, *others):
@@ -139,7 +139,7 @@ def _table(
 ) -> list[Row]:  # fmt: skip
     """As read, the best readings, and the best of every kind of correction on top of the reading adopted."""
     rows = [before]
-    for t in [t for t in tried if t.repair.changes][:8]:
+    for t in [t for t in tried if not t.is_as_read][:8]:
         numbers = _numbers(FitData.of(sample, pairs, t.repair), Correction())
         units = with_units(t.repair, sample)
         numbers["median_m"] *= units.depth_factor / t.repair.depth_factor

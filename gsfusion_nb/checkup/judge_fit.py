@@ -15,6 +15,8 @@ _HARDLY = 1 / 3
 _TYPICAL_ERROR = 0.02
 SHIFT_DOUBTFUL_PX, SHIFT_WRONG_PX = 3.0, 5.0
 """Of 640 pixels. Registered Kinects measure up to 2: their depth edges are ragged."""
+SCALE_DOUBTFUL = 0.015
+"""Registered recordings measure 0 to 0.005."""
 _UNRELATED_PEAK, _UNRELATED_SCORE = 5.0, 0.4
 """Below both, colour shows nothing where depth has its edges, at no shift: mixed-up frames give up to 4 and 0.2, real
 registered ones 6 to 10 and 0.9 to 1.4."""
@@ -113,7 +115,7 @@ def time_finding(e: Explanation, camera: Camera) -> Finding:
     return Finding(
         name="pose time", verdict="wrong" if ratio < CLEAR else "doubtful", numbers={"shift_frames": shift, "cost_ratio": ratio},
         repair=RepairConfig(pose_shift_frames=fields["pose_shift_frames"]).flags,
-        sentence=f"The poses are {abs(shift):.1f} frames too {'early' if shift > 0 else 'late'} for the depth images.",
+        sentence=f"The pose that belongs to a frame's depth is that of {abs(shift):.1f} frames {'after' if shift > 0 else 'before'} it.",
     )  # fmt: skip
 
 
@@ -134,7 +136,7 @@ def registration_findings(fit: ColourFit | None, camera: Camera) -> tuple[Repair
         return RepairConfig(), [Finding(name="registration", verdict="ok", sentence=text), Finding(name="colour time", verdict="ok", sentence=text)]
     unit = 640 / camera.width
     shift = math.hypot(*fit.shift_px) * unit
-    zoom = abs(fit.scale - 1) * 320  # what it moves at the image's side
+    zoomed = abs(fit.scale - 1) > SCALE_DOUBTFUL
     numbers = {
         "shift_x_px": fit.shift_px[0], "shift_y_px": fit.shift_px[1], "scale": fit.scale,
         "contrast_on_edges": fit.score, "contrast_as_read": fit.score_as_read, "peak": fit.peak,
@@ -152,16 +154,16 @@ def registration_findings(fit: ColourFit | None, camera: Camera) -> tuple[Repair
     time = Finding(name="colour time", verdict="ok", numbers={"shift_frames": 0.0}, sentence="Colour and depth are of one time.")
     if fit.shift_frames:
         repair = RepairConfig(rgb_shift_frames=fit.shift_frames)
-        early = "early" if fit.shift_frames > 0 else "late"
+        side = "after" if fit.shift_frames > 0 else "before"
         time = Finding(
             name="colour time", verdict="wrong", numbers={"shift_frames": float(fit.shift_frames)}, repair=repair.flags,
-            sentence=f"The colour images are {abs(fit.shift_frames)} frames too {early} for the depth images.",
+            sentence=f"The colour that belongs to a frame's depth is that of {abs(fit.shift_frames)} frames {side} it.",
         )  # fmt: skip
         return repair, [space, time]
-    if fit.mirror == "none" and max(shift, zoom) < SHIFT_DOUBTFUL_PX:
+    if fit.mirror == "none" and shift < SHIFT_DOUBTFUL_PX and not zoomed:
         return RepairConfig(), [space, time]
     repair, text = _registration_repair(fit, shift)
-    wrong = fit.mirror != "none" or max(shift, zoom) >= SHIFT_WRONG_PX
+    wrong = fit.mirror != "none" or shift >= SHIFT_WRONG_PX or zoomed
     return repair, [
         replace(space, verdict="wrong" if wrong else "doubtful", sentence=text, repair=repair.flags),
         time,
@@ -169,22 +171,22 @@ def registration_findings(fit: ColourFit | None, camera: Camera) -> tuple[Repair
 
 
 def _registration_repair(fit: ColourFit, shift: float) -> tuple[RepairConfig, str]:
-    moved = shift >= 1
+    moved = shift >= SHIFT_DOUBTFUL_PX or abs(fit.scale - 1) > SCALE_DOUBTFUL
     repair = RepairConfig(
         rgb_mirror=fit.mirror,  # pyright: ignore[reportArgumentType]
         rgb_shift_x_px=round(fit.shift_px[0], 1) if moved else 0.0,
         rgb_shift_y_px=round(fit.shift_px[1], 1) if moved else 0.0,
-        rgb_scale=fit.scale,
+        rgb_scale=fit.scale if abs(fit.scale - 1) > SCALE_DOUBTFUL else 1.0,
     )
     words = []
     if fit.mirror != "none":
         words.append({"x": "mirrored left to right", "y": "upside down", "xy": "turned by 180 degrees"}[fit.mirror])
-    if fit.scale != 1:
+    if repair.rgb_scale != 1:
         words.append(f"{fit.scale:.2f} times as large")
     if moved:
         x, y = fit.shift_px
         words.append(f"{abs(x):.1f} pixels to the {'right' if x > 0 else 'left'} and {abs(y):.1f} {'below' if y > 0 else 'above'}")
-    note = "; a reader that registers depth with a calibration is better" if fit.scale != 1 else ""
+    note = "; a reader that registers depth with a calibration is better" if repair.rgb_scale != 1 else ""
     return repair, f"The colour image is {', '.join(words)} against the depth image{note}."
 
 

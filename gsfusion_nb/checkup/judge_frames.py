@@ -7,11 +7,15 @@ import numpy as np
 from .findings import Finding
 from .over_frames import OverFrames
 
-_JUMP_OF_MEDIAN = 6.0
 _JUMP_BASE_DEG, _JUMP_BASE_M = 1.0, 0.03
-"""A step is looked at when it exceeds this and six times the median of the steps around."""
-_JUMP_ERROR = 0.01
-"""... and is a jump if depth then disagrees by this share and three times the usual."""
+"""Shorter steps are no jumps."""
+_JUMP_OF_MEDIAN = 1.5
+"""A jump is longer than this many times the median of the steps around, ..."""
+_JUMP_ERROR, _JUMP_ERROR_OF_USUAL = 0.01, 4.0
+"""... and depth then disagrees by this share and this many times the usual; a hand-held Kinect's worst of 250 steps
+disagrees by 0.6 per cent, twice the usual."""
+_JUMP_UNSEEN = 4.0
+"""Where two frames share nothing to compare, a step is a jump from this many times the median on."""
 STEP_STOPS, SPREAD_STOPS = 0.3, 1.0
 """Exposure is told from here on: between neighbours (a hand-held Kinect with automatic exposure: 0.19 at most), and
 between frames up to 30 apart (the same: 0.68)."""
@@ -29,9 +33,10 @@ def find_jumps(over: OverFrames) -> tuple[list[int], list[int]]:
     jumps = set()
     for i in np.flatnonzero(np.isfinite(step)):
         around = step[max(0, i - 10) : i + 11]
-        far = step[i] > 1 and step[i] > _JUMP_OF_MEDIAN * np.nanmedian(around)
-        error = over.error[i] if np.isfinite(over.error[i]) else np.inf
-        if far and error > max(_JUMP_ERROR, 3 * usual_error):
+        times = step[i] / max(np.nanmedian(around), 1e-9)
+        disagrees = over.error[i] > max(_JUMP_ERROR, _JUMP_ERROR_OF_USUAL * usual_error) and times > _JUMP_OF_MEDIAN
+        unseen = np.isnan(over.error[i]) and times > _JUMP_UNSEEN
+        if step[i] > 1 and (disagrees or unseen):
             jumps.add(int(i))
     alone = sorted(int(over.number[i + 1]) for i in jumps if i + 1 in jumps)
     cuts = sorted(int(over.number[i]) for i in jumps if i + 1 not in jumps and i - 1 not in jumps)

@@ -1,5 +1,6 @@
 """Every way to understand poses and depth scale, and which of them the depth images bear out."""
 
+import functools
 import itertools
 import math
 from collections.abc import Sequence as Rows
@@ -25,16 +26,22 @@ sensors that count quarter millimetres."""
 PRICE = 0.01
 """What a reading must score higher for each thing it changes: of two that fit alike the simpler one is meant."""
 
-_ROUGH_POINTS, _FINE_POINTS = 150, 1200
-_ROUGH_PAIRS = 12
-_KEPT = 40
+_ROUGH_POINTS, _FINE_POINTS = 120, 800
+_ROUGH_PAIRS = 10
+_KEPT = 30
+
+
+Reading = tuple[RepairConfig, float]
+"""A way to understand the poses, and a factor on depth."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Tried:
     """One reading and how well the depth images agree under it, as means over the pairs."""
 
-    repair: RepairConfig
+    poses: RepairConfig
+    """Direction, axes and quaternion order."""
+    depth_factor: float
     score: float
     """0..1; see ``Agreement.score``."""
     agreeing: float
@@ -42,10 +49,20 @@ class Tried:
     median_m: float
     """Median over the pairs of the median depth difference, metres."""
 
-    @property
+    @functools.cached_property
     def worth(self) -> float:
         """Score after the price of the changes."""
-        return self.score - PRICE * len(self.repair.changes)
+        return self.score - PRICE * (len(self.poses.changes) + (self.depth_factor != 1.0))
+
+    @property
+    def is_as_read(self) -> bool:
+        """Whether nothing is changed."""
+        return self.depth_factor == 1.0 and not self.poses.changes
+
+    @property
+    def repair(self) -> RepairConfig:
+        """All of it as a correction."""
+        return replace(self.poses, depth_factor=self.depth_factor)
 
 
 def pairs_of(sample: Sample) -> list[tuple[int, int]]:
@@ -69,21 +86,18 @@ def depth_pairs(sample: Sample, pairs: Rows[tuple[int, int]], points: int) -> li
     ]
 
 
-def try_readings(sample: Sample, pairs: Rows[tuple[int, int]], readings: Rows[RepairConfig], points: int) -> list[Tried]:
+def try_readings(sample: Sample, pairs: Rows[tuple[int, int]], readings: Rows[Reading], points: int) -> list[Tried]:
     """Score each reading on the pairs. In the order given."""
     there = sample.by_place
     T_a = torch.stack([there[a].T_stored for a, _ in pairs])
     T_b = torch.stack([there[b].T_stored for _, b in pairs])
     relative = _relatives(T_a, T_b, readings)
-    results = [
-        _in_parts(pair, relative[:, i]) for i, pair in enumerate(depth_pairs(sample, pairs, points))
-    ]
-    score = torch.stack([r.score for r in results]).mean(0)
-    agreeing = torch.stack([r.agreeing for r in results]).mean(0)
-    median_m = torch.stack([r.median_m for r in results]).nanmedian(dim=0).values
+    results = [_in_parts(pair, relative[:, i]) for i, pair in enumerate(depth_pairs(sample, pairs, points))]
+    score, agreeing = (torch.stack([getattr(r, n) for r in results]).mean(0).tolist() for n in ("score", "agreeing"))
+    median_m = torch.stack([r.median_m for r in results]).nanmedian(dim=0).values.tolist()
     return [
-        Tried(repair=reading, score=float(score[k]), agreeing=float(agreeing[k]), median_m=float(median_m[k]) * reading.depth_factor)
-        for k, reading in enumerate(readings)
+        Tried(poses=poses, depth_factor=factor, score=score[k], agreeing=agreeing[k], median_m=median_m[k] * factor)
+        for k, (poses, factor) in enumerate(readings)
     ]
 
 
@@ -95,11 +109,12 @@ def best_reading(sample: Sample, pairs: Rows[tuple[int, int]]) -> list[Tried]:
             ("as_read", "wxyz", "xyzw"), ("camera_to_world", "world_to_camera", "rotation_inverted"), _axes()
         )
     ]
-    readings = [replace(r, depth_factor=f) for r in poses for f in (1.0, *DEPTH_FACTORS)]
+    readings = [(r, f) for r in poses for f in (1.0, *DEPTH_FACTORS)]
     middle = [pairs[i] for i in sorted({int(i) for i in np.linspace(0, len(pairs) - 1, _ROUGH_PAIRS).round()})]
     rough = sorted(try_readings(sample, middle, readings, _ROUGH_POINTS), key=lambda t: -t.worth)
-    kept = [t.repair for t in rough[:_KEPT] if t.repair.changes]
-    return sorted(try_readings(sample, pairs, [RepairConfig(), *kept], _FINE_POINTS), key=lambda t: -t.worth)
+    kept = [(t.poses, t.depth_factor) for t in rough[:_KEPT] if not t.is_as_read]
+    as_read = (RepairConfig(), 1.0)
+    return sorted(try_readings(sample, pairs, [as_read, *kept], _FINE_POINTS), key=lambda t: -t.worth)
 
 
 def _axes() -> list[str]:
@@ -108,22 +123,20 @@ def _axes() -> list[str]:
 
 
 def _relatives(
-    T_a: Float[Tensor, "P 4 4"], T_b: Float[Tensor, "P 4 4"], readings: Rows[RepairConfig]
+    T_a: Float[Tensor, "P 4 4"], T_b: Float[Tensor, "P 4 4"], readings: Rows[Reading]
 ) -> Float[Tensor, "K P 4 4"]:
     """Relative poses under every reading; those that differ only in the depth factor are worked out once."""
-    known: dict[RepairConfig, Float[Tensor, "P 4 4"]] = {}
-    found = []
-    for reading in readings:
-        poses_only = replace(reading, depth_factor=1.0)
-        if poses_only not in known:
-            known[poses_only] = relative_under(T_a, T_b, poses_only)
-        T = known[poses_only].clone()
-        T[:, :3, 3] /= reading.depth_factor
-        found.append(T)
-    return torch.stack(found)
+    known: dict[int, Float[Tensor, "P 4 4"]] = {}
+    for poses, _ in readings:
+        if id(poses) not in known:
+            known[id(poses)] = relative_under(T_a, T_b, poses)
+    relative = torch.stack([known[id(poses)] for poses, _ in readings])
+    relative[..., :3, 3] /= torch.tensor([f for _, f in readings], dtype=relative.dtype)[:, None, None]
+    return relative
 
 
 def _in_parts(pair: DepthPair, T_ba: Float[Tensor, "K 4 4"], part: int = 512) -> Agreement:
     """``agreement`` in parts of ``part`` poses, which keeps the arrays small."""
     parts = [agreement(pair, T_ba[k : k + part]) for k in range(0, len(T_ba), part)]
-    return Agreement(**{n: torch.cat([getattr(p, n) for p in parts]) for n in ("agreeing", "overlap", "median_m", "score")})
+    names = ("agreeing", "overlap", "median_m", "score")
+    return Agreement(**{n: torch.cat([getattr(p, n) for p in parts]) for n in names})

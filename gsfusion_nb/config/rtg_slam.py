@@ -177,7 +177,7 @@ class RtgSlamConfig:
     keyframes: KeyframeConfig = field(default_factory=KeyframeConfig)
     final: FinalConfig = field(default_factory=FinalConfig)
     tracking: TrackingConfig = field(default_factory=TrackingConfig)
-    mesh: TsdfConfig = field(default_factory=lambda: TsdfConfig(voxel_size_m=0.02, truncation_voxels=4, near_m=0.2))
+    mesh: TsdfConfig = field(default_factory=lambda: TsdfConfig(voxel_size_m=0.02, truncation_voxels=4.0, near_m=0.2))
     """The volume that the rendered depth is fused into when a mesh is asked for."""
     data: DataConfig = field(default_factory=lambda: DataConfig(depth_min_m=0.3, depth_max_m=5.0))
     sh_degree: int = 3
@@ -222,6 +222,7 @@ _FIDELITY: dict[str, dict[str, Any]] = {
         "discs": {"max_offset": None},
         "window": {"depth_behind_m": None},
         "states": {"max_radius_factor": None},
+        "tracking": {"even_to_m": None},
     },
     "code": {
         "seeding": {"options": {"fidelity": "code"}},
@@ -236,7 +237,14 @@ _FIDELITY: dict[str, dict[str, Any]] = {
         },
         "keyframes": {"latest": 3, "random": 0, "rows": "stable", "instead_of_window": True},
         "final": {"weight_depth": 0.0},
-        "tracking": {"damping": 1e-4, "prior": "previous", "target": "hybrid"},
+        "tracking": {
+            "pyramid": (4, 2, 1),
+            "max_angle_deg": 20.0,
+            "even_to_m": None,
+            "damping": 1e-4,
+            "prior": "previous",
+            "target": "hybrid",
+        },
     },
 }
 

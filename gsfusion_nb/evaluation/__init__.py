@@ -1,5 +1,7 @@
 """How good a map is: image, geometry and trajectory scores, and the report page."""
 
+from .discs import disc_scores as disc_scores
+from .discs import sample_discs as sample_discs
 from .geometry import GeometryScores as GeometryScores
 from .geometry import cull_unseen as cull_unseen
 from .geometry import mesh_scores as mesh_scores

@@ -45,10 +45,10 @@ class GeometryScores:
         total = self.precision + self.completion_ratio
         return 2 * self.precision * self.completion_ratio / total if total > 0 else 0.0
 
-    def as_metrics(self) -> dict[str, float]:
+    def as_metrics(self, prefix: str = "mesh") -> dict[str, float]:
         """The numbers under the names of the metrics table."""
         names = ("accuracy_m", "completion_m", "precision", "completion_ratio", "f_score", "threshold_m")
-        return {f"mesh_{name}": getattr(self, name) for name in names}
+        return {f"{prefix}_{name}": getattr(self, name) for name in names}
 
     def __str__(self) -> str:
         return (

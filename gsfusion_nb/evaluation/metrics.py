@@ -80,6 +80,16 @@ METRIC_GROUPS: dict[str, dict[str, Metric]] = {
         "mesh_f_score": Metric("F-score", "", 3, 1.0, "Harmonic mean of precision and completion ratio."),
         "mesh_threshold_m": Metric("Threshold", "cm", 1, 100.0),
     },
+    "Discs against ground truth": {
+        "disc_accuracy_m": Metric(
+            "Accuracy", "cm", 2, 100.0, "Mean distance from the opaque discs, to one sigma, to the true surface."
+        ),
+        "disc_completion_m": Metric("Completion", "cm", 2, 100.0, "Mean distance from the true surface to the discs."),
+        "disc_precision": Metric("Accuracy ratio", "%", 1, 100.0, "Share of the discs within the threshold."),
+        "disc_completion_ratio": Metric("Completion ratio", "%", 1, 100.0, "Share of the true surface within it."),
+        "disc_f_score": Metric("F-score", "", 3, 1.0, "Harmonic mean of the two ratios."),
+        "disc_threshold_m": Metric("Threshold", "cm", 1, 100.0),
+    },
     "Trajectory": {
         "ate_rmse_m": Metric(
             "ATE RMSE", "cm", 2, 100.0, "Root mean square distance of camera centres after alignment."

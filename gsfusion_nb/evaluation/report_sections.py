@@ -151,9 +151,7 @@ def curves(frames: "Sequence[FrameRow]", global_losses: Sequence[float | int]) -
     marks = {"marks": keys, "marks_label": "keyframe"}
     charts = []
     if frames:
-        charts.append(
-            chart("Time per frame", x, _stages_ms(frames), x_label="frame", y_label="time, ms", stacked=True)
-        )
+        charts.append(chart("Time per frame", x, _stages_ms(frames), x_label="frame", y_label="time, ms", stacked=True))
         gaussians = {"Gaussians": [row.n_gaussians for row in frames]}
         charts.append(chart("Size of the map", x, gaussians, x_label="frame", y_label="Gaussians", **marks))
     psnr = {"before the step": [r.psnr_before for r in frames], "after the step": [r.psnr for r in frames]}

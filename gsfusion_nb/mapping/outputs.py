@@ -19,6 +19,7 @@ from ..evaluation import (
     ReportData,
     ViewPanel,
     cull_unseen,
+    disc_scores,
     frame_rates,
     mesh_scores,
     metrics_as_json,
@@ -33,6 +34,7 @@ from ..types import Frame, Mesh
 from .gsfusion import GSFusion
 from .placing import placed, readable, true_poses
 from .report import StepReport
+from .rtg_slam import RTGSLAM
 from .run import MappingRun
 from .systems import get_system
 
@@ -149,7 +151,7 @@ def score_trajectory(run: MappingRun) -> dict[str, Any]:
 
 
 def score_mesh(run: MappingRun, mesh: Mesh) -> dict[str, Any]:
-    """Accuracy and completion of the mesh where the sequence knows the truth (``source.mesh()``); else nothing.
+    """Accuracy and completion of the mesh, and of RTG-SLAM's discs, where ``source.mesh()`` is the truth; else nothing.
 
     Of the true surface only what the mapped frames saw counts.
     """
@@ -159,7 +161,11 @@ def score_mesh(run: MappingRun, mesh: Mesh) -> dict[str, Any]:
     seen = cull_unseen(truth(), readable(_spread(run, 50)))
     generator = torch.Generator().manual_seed(run.mapper.config.seed)
     scores = mesh_scores(mesh, seen, generator=generator)
-    return {"mesh_accuracy_m": scores} if isinstance(scores, NotComputed) else scores.as_metrics()
+    metrics = {"mesh_accuracy_m": scores} if isinstance(scores, NotComputed) else scores.as_metrics()
+    if isinstance(run.mapper, RTGSLAM):
+        scores = disc_scores(run.mapper.gaussians.params, seen, generator=generator)
+        metrics |= {"disc_accuracy_m": scores} if isinstance(scores, NotComputed) else scores.as_metrics("disc")
+    return metrics
 
 
 def peak_memory_mb(device: torch.device) -> float | NotComputed:

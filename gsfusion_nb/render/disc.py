@@ -27,7 +27,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from ..backends import op
-from ..checks import check_positive, check_shape
+from ..checks import check_mask, check_positive, check_shape
 from ..constants import DISC_MAX_OFFSET, DISC_MIN_COSINE
 from ..geometry import pixel_grid, quaternion, rays
 from ..types import Camera, GaussianParams
@@ -89,6 +89,7 @@ def disc_depth_vjp(
     *,
     max_offset: float | None = DISC_MAX_OFFSET,
     min_cosine: float = DISC_MIN_COSINE,
+    rows: Bool[Tensor, " N"] | None = None,
 ) -> tuple[Float[Tensor, "N 3"], Float[Tensor, "N 4"]]:
     """Gradient of ``disc_depth`` to centre and quaternion (equations at the top of this file).
 
@@ -97,11 +98,16 @@ def disc_depth_vjp(
     Args:
         params, camera, T_WC, hit_index, max_offset, min_cosine: as given to ``disc_depth``.
         v_depth_m: dL/d of its depth.
+        rows: Gradients are wanted only where this is true; the others cost nothing. [N]
 
     Returns:
-        ``(v_xyz_W, v_quat)``, zero for a Gaussian that no pixel hits.
+        ``(v_xyz_W, v_quat)``, zero for a Gaussian that no pixel hits or that is frozen.
     """
     check_discs(len(params), camera, hit_index, max_offset, min_cosine)
+    if rows is not None:
+        check_mask("rows", rows, (len(params),))
+        trained = torch.cat([rows, rows.new_zeros(1)])  # -1, no hit, names the last
+        hit_index = torch.where(trained[hit_index], hit_index, -1)
     with torch.no_grad():
         s = _meet(params, camera, T_WC, hit_index, max_offset, min_cosine)
         v = v_depth_m.to(s.z).flatten()[s.pixel]

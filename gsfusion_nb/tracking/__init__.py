@@ -1,13 +1,18 @@
 """Where the camera is: frame-to-model ICP, and the back end that closes loops."""
 
+from .back_end import BackEnd as BackEnd
+from .back_end import moved_enough as moved_enough
+from .correction import Correction as Correction
+from .features import Features as Features
+from .features import extract_features as extract_features
 from .icp import IcpIteration as IcpIteration
 from .icp import IcpResult as IcpResult
 from .icp import align as align
 from .icp import icp as icp
+from .places import Places as Places
 from .point_to_plane import IcpSystem as IcpSystem
 from .point_to_plane import associate as associate
 from .point_to_plane import icp_system as icp_system
-from .point_to_plane import point_to_plane as point_to_plane
 from .pyramid import DepthLevel as DepthLevel
 from .pyramid import depth_pyramid as depth_pyramid
 from .surface import Surface as Surface

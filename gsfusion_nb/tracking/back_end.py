@@ -130,8 +130,11 @@ class BackEnd:
         self._as_added.append(T_WC)
         self._as_tracked.append(T_WC)
         self._tie(row, recent)
-        off = self._close_loops(row)
-        return self._correct(landmarks=False) if off else None
+        if not self._close_loops(row):
+            return None
+        correction = self._correct(landmarks=False)
+        self._as_tracked[-1] = self.places.T_WC[-1]
+        return correction
 
     def finish(self) -> Correction | None:
         """Optimise poses and landmarks together, once, over everything; None with fewer than two keyframes."""
@@ -279,7 +282,6 @@ class BackEnd:
             result = self._with_landmarks(result.T_WC)
             before, after = result.error_before, result.error_after
         self.places.move(result.T_WC)
-        self._as_tracked[-1] = self.places.T_WC[-1]
         fresh, self._fresh_loops = self._fresh_loops, []
         return Correction(
             frame_index=torch.tensor(self.places.index),

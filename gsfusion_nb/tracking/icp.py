@@ -147,12 +147,11 @@ def _step(system: IcpSystem, T_WC: Tensor, centre: Tensor, points: Extent, confi
 
 
 def _moved(T_WC: Tensor, xi: Tensor, centre: Tensor) -> Tensor:
-    """The twist is about the centre of the surface's camera, in world axes; the rotation is made orthonormal again."""
-    shift = torch.eye(4, dtype=torch.float64)
-    shift[:3, 3] = centre
-    T = shift @ se3.exp(xi) @ se3.inverse(shift) @ T_WC
-    U, _, Vh = torch.linalg.svd(T[:3, :3])
-    T[:3, :3] = U @ Vh
+    """The twist is about the centre of the surface's camera, in world axes."""
+    about = T_WC.clone()
+    about[:3, 3] -= centre
+    T = se3.exp(xi) @ about
+    T[:3, 3] += centre
     return T
 
 

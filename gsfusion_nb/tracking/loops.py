@@ -3,7 +3,6 @@
 import logging
 from dataclasses import dataclass
 
-import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -119,5 +118,5 @@ def depth_agreement(
 def path_between(T_WC: Float[Tensor, "K 4 4"]) -> Path:
     """Length of the path through these poses."""
     steps = se3.inverse(T_WC[:-1]) @ T_WC[1:]
-    turned = np.rad2deg(float(se3.rotation_angle(steps[:, :3, :3]).sum()))
+    turned = float(torch.rad2deg(se3.rotation_angle(steps[:, :3, :3]).sum()))
     return Path(length_m=float(steps[:, :3, 3].norm(dim=1).sum()), turned_deg=turned)

@@ -43,19 +43,22 @@ def depth_pyramid(depth_m: Float[Tensor, "H W"], camera: Camera, factors: tuple[
     """
     check_shape("depth_m", depth_m, (camera.height, camera.width))
     depth_m = torch.where(torch.isfinite(depth_m) & (depth_m > 0), depth_m, 0.0)
-    return [_level(depth_m, camera, factor) for factor in factors]
+    reduced = {1: depth_m}
+    for factor in sorted(set(factors)):
+        finer = max(f for f in reduced if factor % f == 0)  # of a reduced image there is less to look through
+        reduced[factor] = reduce_depth(reduced[finer], factor // finer)
+    return [_level(reduced[factor], reduced_camera(camera, factor), factor) for factor in factors]
 
 
 def _level(depth_m: Tensor, camera: Camera, factor: int) -> DepthLevel:
-    small, camera = reduce_depth(depth_m, factor), reduced_camera(camera, factor)
-    normal_C = depth_to_normals(camera, small)
-    ray = rays(camera, pixel_grid(camera, device=small.device, dtype=small.dtype))
+    normal_C = depth_to_normals(camera, depth_m)
+    ray = rays(camera, pixel_grid(camera, device=depth_m.device, dtype=depth_m.dtype))
     cosine = -(normal_C * ray).sum(-1) / ray.norm(dim=-1)
     usable = cosine >= GRAZING_COSINE
     return DepthLevel(
         factor=factor,
         camera=camera,
-        depth_m=small.where(usable, 0.0),
+        depth_m=depth_m.where(usable, 0.0),
         normal_C=normal_C.where(usable[..., None], 0.0),
     )
 

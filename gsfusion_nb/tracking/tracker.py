@@ -4,7 +4,7 @@ import dataclasses
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -23,6 +23,11 @@ WIDE_ANGLE_DEG = 60.0
 """The wide start takes correspondences this many times farther apart and with normals at up to this angle: on the
 coarse levels it finds a pose that the ordinary gates then refine."""
 
+RECOVERED_SHARE = 0.3
+RECOVERED_AGREEMENT = 0.6
+"""After a wide start, or at a recognised place, a pose must fit this well and in every direction of motion: it is bound
+to no other, and a wrong one spoils the map for good."""
+
 MAX_TIME_RATIO = 4.0
 """The last motion is carried on for at most so many times the time that it took."""
 
@@ -31,6 +36,7 @@ class TrackingLostError(ValueError):
     """No pose of this frame fits the model; the message says what was tried and by how much it failed."""
 
 
+@runtime_checkable
 class Places(Protocol):
     """Recognises places seen before."""
 
@@ -124,7 +130,7 @@ class Tracker:
         failures: list[str] = []
         for start, T_WC, wide in self._starts(frame):
             result = self._attempt(frame, levels, surface, (T_WC, wide), seconds)
-            problem = self._problem(result, anywhere=start.startswith("place"))
+            problem = self._problem(result, wide=wide, anywhere=start.startswith("place"))
             if not problem:
                 moved = self.lost_in_a_row == 0 and not start.startswith("place")
                 self._accept(frame, result.T_WC, moved=moved)
@@ -212,26 +218,27 @@ class Tracker:
             return hybrid_surface(source(camera, self._last.T_WC.float()), depth_m)
         return source(camera, T_WC.float())
 
-    def _problem(self, result: IcpResult, *, anywhere: bool) -> str:
+    def _problem(self, result: IcpResult, *, wide: bool, anywhere: bool) -> str:
         """What is wrong with a result, as the end of a sentence; empty if nothing is."""
         assert self._last is not None
         config = self.config
-        if result.inlier_share < config.min_inliers:
-            return f"{result.inlier_share:.0%} of its pixels fit the model (at least {config.min_inliers:.0%} needed)"
-        if result.agreement < config.min_agreement:
-            return (
-                f"{result.agreement:.0%} of the pixels that meet the model fit it (at least "
-                f"{config.min_agreement:.0%} needed)"
-            )
+        share = max(config.min_inliers, RECOVERED_SHARE) if wide else config.min_inliers
+        agreement = max(config.min_agreement, RECOVERED_AGREEMENT) if wide else config.min_agreement
+        step = se3.inverse(self._last.T_WC) @ result.T_WC
+        moved_m, turned_deg = float(step[:3, 3].norm()), float(se3.rotation_angle(step[:3, :3]).rad2deg())
+        frames = 1 + self.lost_in_a_row
+        if result.inlier_share < share:
+            return f"{result.inlier_share:.0%} of its pixels fit the model (at least {share:.0%} needed)"
+        if result.agreement < agreement:
+            return f"{result.agreement:.0%} of those that meet the model fit it (at least {agreement:.0%} needed)"
         if not result.rms_m <= config.max_rms_m:
             return f"its points lie {result.rms_m * 100:.1f} cm from the model (at most {config.max_rms_m * 100:g} cm)"
-        step = se3.inverse(self._last.T_WC) @ result.T_WC
-        frames = 1 + self.lost_in_a_row
-        moved_m, turned_deg = float(step[:3, 3].norm()), float(se3.rotation_angle(step[:3, :3]).rad2deg())
+        if wide and result.degenerate:
+            return f"{result.degenerate} of 6 directions of motion stay open"
         if not anywhere and (moved_m > frames * config.max_step_m or turned_deg > frames * config.max_step_deg):
             return (
-                f"the camera moved {moved_m:.2f} m and turned {turned_deg:.0f} degrees in {frames} frames (at most "
-                f"{config.max_step_m:g} m and {config.max_step_deg:g} degrees in each)"
+                f"it would have moved {moved_m:.2f} m and turned {turned_deg:.0f} degrees since the last one (at most "
+                f"{frames * config.max_step_m:g} m and {frames * config.max_step_deg:g} degrees)"
             )
         return ""
 

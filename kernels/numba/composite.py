@@ -154,6 +154,41 @@ def composite_forward(splats, ids, offset, pixels, width, height, rgb, depth, al
                     hit[y, x] = int(state[2048 + o]) if pixels.shape[0] == 0 or pixels[y, x] else -1
 
 
+@njit(cache=True, error_model="numpy")
+def _pass_through(state, rows_open, s, r0, r1, x0, y0):
+    """Take what a frozen splat absorbs from T and from what is still to come; returns how many rows it finished."""
+    dx = iota() + splat(f32(x0) + _HALF) - splat(s[0])
+    zero = splat(_ZERO)
+    q0 = splat(-_HALF * s[2]) * dx * dx + splat(s[5])
+    q1 = splat(-s[3]) * dx
+    finished = 0
+    for r in range(r0, r1):
+        if rows_open[r] == 0:
+            continue
+        dy = f32(y0 + r) + _HALF - s[1]
+        log_alpha = q1 * splat(dy) + (q0 + splat(-_HALF * s[4] * dy * dy))
+        seen = log_alpha >= splat(_LOG_ALPHA_MIN)
+        if not any_lane(seen):
+            continue
+        o = r * TILE
+        alpha = select(seen, minimum(exp(log_alpha), splat(_ALPHA_MAX)), zero)
+        T = load(state, o)
+        T_open = maximum(T, zero)
+        w = alpha * T_open
+        T_next = T_open - w
+        goes_on = T_next >= splat(_T_MIN)
+        w = select(goes_on, w, zero)
+        T = select(goes_on, T_next, negative_abs(T))
+        store(state, o, T)
+        p = splat(s[6]) * load(state, 512 + o) + splat(s[7]) * load(state, 768 + o)
+        p = p + splat(s[8]) * load(state, 1024 + o) + splat(s[9]) * load(state, 1280 + o) + load(state, 1536 + o)
+        store(state, 256 + o, load(state, 256 + o) - w * p)
+        if not any_lane(zero < T):
+            rows_open[r] = 0
+            finished += 1
+    return finished
+
+
 @njit(parallel=True, cache=True, error_model="numpy")
 def composite_backward(splats, lists, pixels, trained, image, v_image, pair_sums):
     """Per (tile, splat) sums of the loss gradient, written to ``pair_sums[slot[k]]`` [I, PAIR_SUMS].
@@ -201,16 +236,17 @@ def composite_backward(splats, lists, pixels, trained, image, v_image, pair_sums
         zero, one, floor_T = splat(_ZERO), splat(_ONE), splat(_T_MIN)
         threshold, ceiling = splat(_LOG_ALPHA_MIN), splat(_ALPHA_MAX)
         for k in range(offset[tile], end):
-            is_trained = all_trained or trained[ids[k]]
             out = pair_sums[slot[k]]
             if n_open == 0:
-                if is_trained:
-                    for i in range(PAIR_SUMS):
-                        out[i] = _ZERO
+                for i in range(PAIR_SUMS):
+                    out[i] = _ZERO
                 continue
             s = splats[ids[k]]
             r0 = max(0, int(np.ceil(s[1] - s[11] - _HALF)) - y0)
             r1 = min(min(TILE, height - y0), int(np.floor(s[1] + s[11] - _HALF)) + 1 - y0)
+            if not (all_trained or trained[ids[k]]):
+                n_open -= _pass_through(state, rows_open, s, r0, r1, x0, y0)
+                continue
             dx = centre_x - splat(s[0])
             q0 = splat(-_HALF * s[2]) * dx * dx + splat(s[5])
             q1 = splat(-s[3]) * dx
@@ -241,11 +277,6 @@ def composite_backward(splats, lists, pixels, trained, image, v_image, pair_sums
                 p = red * v_red + green * v_green + blue * v_blue + z * v_z + load(state, 1536 + o)
                 rest = load(state, 256 + o) - w * p
                 store(state, 256 + o, rest)
-                if not any_lane(zero < T):
-                    rows_open[r] = 0
-                    n_open -= 1
-                if not is_trained:
-                    continue
                 v_of_alpha = T_open * p - rest / (one - alpha)
                 g = select(goes_on & (seen & (raw < ceiling)), v_of_alpha * alpha, zero)
                 gy = g * splat(dy)
@@ -256,8 +287,9 @@ def composite_backward(splats, lists, pixels, trained, image, v_image, pair_sums
                 sum_gr = sum_gr + w * v_green
                 sum_b = sum_b + w * v_blue
                 sum_z = sum_z + w * v_z
-            if not is_trained:
-                continue
+                if not any_lane(zero < T):
+                    rows_open[r] = 0
+                    n_open -= 1
             gx = sum_g * dx
             out[0] = reduce_add(gx)
             out[1] = reduce_add(sum_gy)

@@ -15,6 +15,7 @@ from numba import njit, prange
 from torch import Tensor
 
 from gsfusion_nb.backends import use_backend
+from gsfusion_nb.checks import check_mask
 from gsfusion_nb.constants import DISC_MAX_OFFSET, DISC_MIN_COSINE
 from gsfusion_nb.render import disc as reference
 from gsfusion_nb.types import Camera, GaussianParams
@@ -28,6 +29,7 @@ world frame (3)."""
 f32 = np.float32
 _ZERO, _HALF, _ONE, _TWO = f32(0.0), f32(0.5), f32(1.0), f32(2.0)
 _CHUNK = 256
+_ALL_ROWS = np.empty(0, np.bool_)
 
 
 def disc_depth(
@@ -49,7 +51,7 @@ def disc_depth(
     depth, normal = torch.empty(hit.shape), torch.empty(*hit.shape, 3)
     on_plane = torch.empty(hit.shape, dtype=torch.bool)
     with launching():
-        discs = _list_discs(*arrays, view, _offset(max_offset))
+        discs = _list_discs(*arrays, view, _offset(max_offset), _ALL_ROWS)
         _meet_all(discs, hit, view, f32(min_cosine), depth.numpy(), normal.numpy(), on_plane.numpy())
     return reference.DiscDepth(depth_m=depth, normal_W=normal, on_plane=on_plane)
 
@@ -63,19 +65,24 @@ def disc_depth_vjp(
     *,
     max_offset: float | None = DISC_MAX_OFFSET,
     min_cosine: float = DISC_MIN_COSINE,
+    rows: Tensor | None = None,
 ) -> tuple[Tensor, Tensor]:
     """See ``gsfusion_nb.render.disc_depth_vjp``."""
     options = {"max_offset": max_offset, "min_cosine": min_cosine}
     if params.xyz_W.dtype != torch.float32:
         with use_backend("reference"):
-            return reference.disc_depth_vjp(params, camera, T_WC, hit_index, v_depth_m, **options)
+            return reference.disc_depth_vjp(params, camera, T_WC, hit_index, v_depth_m, **options, rows=rows)
     reference.check_discs(len(params), camera, hit_index, max_offset, min_cosine)
+    trained = _ALL_ROWS
+    if rows is not None:
+        check_mask("rows", rows, (len(params),))
+        trained = rows.contiguous().numpy()
     arrays, view, hit = _arrays(params), _view(camera, T_WC), hit_index.long().contiguous().numpy()
     v_depth = v_depth_m.detach().float().contiguous().numpy()
     v_xyz, v_quat = torch.empty(len(params), 3), torch.empty(len(params), 4)
     with launching():
-        discs = _list_discs(*arrays, view, _offset(max_offset))
-        pixel, start = _pixels_by_row(hit.reshape(-1), len(params))
+        discs = _list_discs(*arrays, view, _offset(max_offset), trained)
+        pixel, start = _pixels_by_row(hit.reshape(-1), len(params), trained)
         lists = pixel, start, hit.shape[1]
         _meet_all_vjp(
             discs, *arrays[1:], lists, view, f32(min_cosine), v_depth.reshape(-1), v_xyz.numpy(), v_quat.numpy()
@@ -117,12 +124,15 @@ def _unit(q):
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
-def _list_discs(xyz, log_scale, quat, view, max_offset):
-    """The discs [N, DISC]."""
+def _list_discs(xyz, log_scale, quat, view, max_offset, wanted):
+    """The discs [N, DISC]; those of rows that are not ``wanted`` stay empty. An empty array stands for all rows."""
     N = xyz.shape[0]
+    all_wanted = wanted.shape[0] == 0
     discs = np.empty((N, DISC), np.float32)
     for part in prange((N + _CHUNK - 1) // _CHUNK):
         for i in range(part * _CHUNK, min(N, part * _CHUNK + _CHUNK)):
+            if not (all_wanted or wanted[i]):
+                continue
             d = discs[i]
             _, w, x, y, z = _unit(quat[i])
             axis = _thin_axis(log_scale[i])
@@ -172,11 +182,15 @@ def _meet_all(discs, hit, view, min_cosine, depth, normal, on_plane):
 
 
 @njit(cache=True, error_model="numpy")
-def _pixels_by_row(hit, N):
-    """Places in the image of the pixels that hit row g, in order: ``pixel[start[g] : start[g + 1]]``."""
+def _pixels_by_row(hit, N, wanted):
+    """Places in the image of the pixels that hit row g, in order: ``pixel[start[g] : start[g + 1]]``.
+
+    Rows that are not ``wanted`` have none; an empty array stands for all rows.
+    """
     start = np.zeros(N + 1, np.int32)
+    all_wanted = wanted.shape[0] == 0
     for g in hit:
-        if g >= 0:
+        if g >= 0 and (all_wanted or wanted[g]):
             start[g + 1] += 1
     for g in range(N):
         start[g + 1] += start[g]
@@ -184,7 +198,7 @@ def _pixels_by_row(hit, N):
     pixel = np.empty(start[N], np.int32)
     for o in range(hit.shape[0]):
         g = hit[o]
-        if g >= 0:
+        if g >= 0 and (all_wanted or wanted[g]):
             pixel[cursor[g]] = o
             cursor[g] += 1
     return pixel, start

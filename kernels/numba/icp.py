@@ -13,7 +13,8 @@ import torch
 from numba import njit, prange
 from torch import Tensor
 
-from gsfusion_nb.tracking import point_to_plane as reference
+from gsfusion_nb.tracking.point_to_plane import IcpSystem
+from gsfusion_nb.tracking.point_to_plane import icp_system as reference
 from gsfusion_nb.tracking.pyramid import DepthLevel
 from gsfusion_nb.tracking.surface import Surface
 from gsfusion_nb.types import Camera
@@ -32,12 +33,12 @@ def icp_system(
     max_distance_m: float,
     min_cosine: float,
     even_to_m: float | None = None,
-) -> reference.IcpSystem:
+) -> IcpSystem:
     """See ``gsfusion_nb.tracking.icp_system``."""
     images = level.depth_m, level.normal_C, surface.depth_m, surface.normal_W
     if any(t.dtype != torch.float32 or t.device.type != "cpu" for t in images):
         options = {"max_distance_m": max_distance_m, "min_cosine": min_cosine, "even_to_m": even_to_m}
-        return reference.icp_system.reference(level, T_WC, surface, **options)
+        return reference.reference(level, T_WC, surface, **options)
     depth, normal, surface_depth, surface_normal = (t.detach().contiguous().numpy() for t in images)
     T_WS = surface.T_WC.detach().double().cpu().numpy()
     T = T_WC.detach().double().cpu().numpy().copy()
@@ -51,7 +52,7 @@ def icp_system(
     H = np.empty((6, 6))
     H[np.triu_indices(6)] = total[:21]
     H.T[np.triu_indices(6)] = total[:21]
-    return reference.IcpSystem(
+    return IcpSystem(
         H=torch.from_numpy(H),
         b=torch.from_numpy(total[21:27].copy()),
         sum_squares_m2=float(total[27]),

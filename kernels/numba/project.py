@@ -98,7 +98,8 @@ def tiles_of(splat, width, height, windows, tiles, start, room):
         for tx in range(left // TILE, right // TILE + 1):
             if masked:
                 t = ty * tiles_x + tx
-                if (left > windows[t, 1]) | (right < windows[t, 0]) | (y_first > windows[t, 3]) | (y_last < windows[t, 2]):
+                beside = (left > windows[t, 1]) | (right < windows[t, 0])
+                if beside | (y_first > windows[t, 3]) | (y_last < windows[t, 2]):
                     continue
             if n < room:
                 tiles[start + n] = ty * tiles_x + tx

@@ -151,6 +151,14 @@ def _large_colour(r: Recording) -> None:
     r.change_images("rgb", lambda i, rgb: cv2.resize(rgb[i], None, fx=1.5, fy=1.5))
 
 
+def _colour_ahead(r: Recording) -> None:
+    r.change_images("rgb", lambda i, c: c[min(i + 2, len(c) - 1)])
+    for folder in ("rgb", "depth"):
+        for f in sorted((r.root / folder).iterdir())[-2:]:
+            f.unlink()
+    r.write(poses=r.poses[:-2])
+
+
 _GL = np.diag([1.0, -1, -1, 1])
 _ROS = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 _MIRROR = np.diag([1.0, -1, 1, 1])
@@ -160,9 +168,9 @@ BREAKAGES = {
     "clean": Breakage("nothing", lambda r: None, set()),
     "depth 5000 as 1000": Breakage("depth scale 1000 instead of 5000", _scale_depth(5), {"depth scale"}, {"depth_factor": 0.2}),
     "depth a tenth": Breakage("depth scale ten times too large", _scale_depth(0.1), {"depth scale"}, {"depth_factor": 10.0}),
-    "depth 3 % off": Breakage("depth scale 4 % too small", _scale_depth(1.04), {"depth scale"}, {"depth_factor": (1 / 1.04, 0.012)}),
+    "depth 4 % off": Breakage("depth scale 4 % too small", _scale_depth(1.04), {"depth scale"}, {"depth_factor": (1 / 1.04, 0.012)}),
     "mm poses": Breakage(
-        "positions in millimetres", _poses(lambda T: T * np.array([1, 1, 1, 1000.0]) if False else np.vstack([np.hstack([T[:3, :3], 1000 * T[:3, 3:]]), T[3:]])),
+        "positions in millimetres", _poses(lambda T: T * np.array([[1, 1, 1, 1000.0]] * 3 + [[1, 1, 1, 1]])),
         {"depth scale"}, {"translation_factor": 0.001},
     ),
     "inverted": Breakage("poses world-to-camera", _poses(np.linalg.inv), {"pose direction"}, {"poses": "world_to_camera"}),
@@ -175,7 +183,7 @@ BREAKAGES = {
     ),
     "wxyz": Breakage("quaternions wxyz read as xyzw", _poses(_wxyz_as_xyzw), {"quaternion order"}, {"quaternions": "wxyz"}),
     "columns": Breakage("matrices column by column", _poses(np.transpose), {"pose matrices"}, {"matrices": "column_major"}),
-    "scaled rotations": Breakage("rotations scaled by 1.3", _poses(lambda T: np.hstack([(T @ _SCALED)[:, :3], T[:, 3:]])), {"pose matrices"}, {"nearest_rotation": True}),
+    "scaled rotations": Breakage("rotations scaled by 1.3", _poses(lambda T: T @ _SCALED), {"pose matrices"}, {"nearest_rotation": True}),
     "pose jump": Breakage("one pose 70 cm off", _spike, {"pose jumps"}, {"skip": (12,)}),
     "path breaks": Breakage("tracking restarted elsewhere at frame 20", _broken_path, {"pose jumps"}, {"start": 0, "stop": 20}),
     "poses early": Breakage("poses one frame early", _later(-1), {"pose time"}, {"pose_shift_frames": 1.0}),
@@ -197,7 +205,7 @@ BREAKAGES = {
     "colour moved": Breakage("colour 10 pixels right, 6 up", _moved_colour(10, -6, 1.0), {"registration"}, {"rgb_shift_x_px": (10, 2.0), "rgb_shift_y_px": (-6, 2.0)}),
     "other camera": Breakage("colour 9 % smaller and moved", _moved_colour(-12, 4, 0.91), {"registration"}, {"rgb_scale": (0.91, 0.015)}),
     "mirrored": Breakage("colour mirrored", lambda r: r.change_images("rgb", lambda i, c: c[i][:, ::-1]), {"registration"}, {"rgb_mirror": "x"}),
-    "colour late": Breakage("colour two frames early", lambda r: r.change_images("rgb", lambda i, c: c[min(i + 2, len(c) - 1)]), {"colour time"}, {"rgb_shift_frames": -2}),
+    "colour ahead": Breakage("colour of two frames later", _colour_ahead, {"colour time"}, {"rgb_shift_frames": -2}),
     "mixed up": Breakage("colour images shuffled", lambda r: r.change_images("rgb", lambda i, c: c[(i * 7 + 3) % len(c)]), {"registration"}, mends=False),
     "exposure": Breakage("exposure changes by 0.9 stops every 5 frames", lambda r: r.change_images("rgb", _exposure), {"exposure"}, mends=False),
     "blur": Breakage("frames 7 and 18 blurred", lambda r: r.change_images("rgb", _blur), {"sharpness"}, {"skip": (7, 18)}),

@@ -82,6 +82,26 @@ def test_depth_and_gradients(n, width, height, max_offset, generator):
         assert (x - y).norm() <= 1e-4 * x.norm() + 1e-6
 
 
+@pytest.mark.parametrize(("n", "width", "height"), SIZES)
+def test_frozen_rows_have_no_gradient(n, width, height, generator):
+    params, camera = scene(n, generator), view(width, height)
+    v = torch.randn(height, width, generator=generator)
+    rows = torch.rand(n, generator=generator) < 0.4
+    with use_backend("numba"):
+        hit_index = render_forward(params, camera, T_WC, opaque_alpha=0.6)[0].hit_index
+        given = params, camera, T_WC, hit_index, v
+        full = disc_depth_vjp(*given)
+        found = disc_depth_vjp(*given, rows=rows)
+        with pytest.raises(ValueError, match="rows must be boolean"):
+            disc_depth_vjp(*given, rows=rows.int())
+    with use_backend("reference"):
+        expected = disc_depth_vjp(*given, rows=rows)
+    for f, x, e in zip(full, found, expected, strict=True):
+        assert torch.equal(x, torch.where(rows[:, None], f, 0.0))
+        assert (x - e).norm() <= 1e-4 * e.norm() + 1e-6
+    assert n < 900 or all(x.any() for x in found)
+
+
 def layers(*opacity: float) -> GaussianParams:
     """Wide Gaussians one behind the other, on the axis of a camera at the origin."""
     n = len(opacity)
@@ -95,15 +115,22 @@ def layers(*opacity: float) -> GaussianParams:
 
 
 @pytest.mark.parametrize("backend", ["reference", "numba"])
-def test_a_finished_pixel_hits_nothing(backend):
-    """Ten half-transparent layers leave 1e-3 of the light, thirteen 1.2e-4; the next may not leave less than 1e-4."""
+def test_a_finished_pixel_still_finds_its_hit(backend):
+    """Ten half-transparent layers leave 1e-3 of the light, thirteen 1.2e-4; the next may not leave less than 1e-4.
+
+    Colour ends there; the hit is the first opaque Gaussian wherever it is (RTG-SLAM, section 3.1).
+    """
     camera = Camera(width=17, height=17, fx=17.0, fy=17.0, cx=8.5, cy=8.5)
     half = (0.5,) * 10
-    cases = {(*half, 0.7): 10, (*half, 0.95): -1, (*half, 0.95, 0.7): -1, (*half, *half, 0.7): -1, (0.7, *half, 0.7): 0}
+    cases = {(*half, 0.7): 10, (*half, 0.95): 10, (*half, *half, 0.7): 20, (0.7, *half, 0.7): 0, (*half, *half): -1}
+    cases[(*half, *half, *half, *half, 0.55, 0.95)] = 41
     with use_backend(backend):
         for opacity, row in cases.items():
-            hit_index = render_forward(layers(*opacity), camera, torch.eye(4), opaque_alpha=0.6)[0].hit_index
-            assert hit_index[8, 8] == row, opacity
+            found, _ = render_forward(layers(*opacity), camera, torch.eye(4), opaque_alpha=0.6)
+            assert found.hit_index[8, 8] == row, opacity
+            plain, _ = render_forward(layers(*opacity), camera, torch.eye(4))
+            assert torch.equal(found.rgb, plain.rgb)
+            assert torch.equal(found.alpha, plain.alpha)
 
 
 def test_a_plane_met_behind_the_camera_gives_the_centre():

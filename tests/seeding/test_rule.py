@@ -47,7 +47,7 @@ def test_registered_by_function_name_and_replaced_by_running_the_cell_again():
 
 
 def test_built_in_rules_are_there():
-    assert {"gsfusion", "uniform", "dense"} <= set(registered())
+    assert {"gsfusion", "uniform", "dense", "rtg_slam"} <= set(registered())
 
 
 def test_registry_copy_does_not_reach_the_registry():
@@ -56,7 +56,7 @@ def test_registry_copy_does_not_reach_the_registry():
 
 
 def test_unknown_name_lists_the_known_ones():
-    with pytest.raises(KeyError, match=r"no seeding rule 'frist_seen'; known: dense, gsfusion, uniform"):
+    with pytest.raises(KeyError, match=r"no seeding rule 'frist_seen'; known: dense, gsfusion, rtg_slam, uniform"):
         get_rule("frist_seen")
 
 

@@ -113,7 +113,9 @@ def test_repeats_exactly(view):
 
 
 def test_uncertainty():
-    torch.testing.assert_close(depth_sigma(torch.tensor([0.0, 1.0, 2.0])), DEPTH_SIGMA_PER_M * torch.tensor([0.0, 1, 4]))
+    torch.testing.assert_close(
+        depth_sigma(torch.tensor([0.0, 1.0, 2.0])), DEPTH_SIGMA_PER_M * torch.tensor([0.0, 1, 4])
+    )
 
 
 def test_wrong_numbers_are_refused(view):

@@ -1,0 +1,129 @@
+"""A student's function under test, and the statements a checker makes about what it returns."""
+
+import copy
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+
+class Failed(Exception):
+    """A property does not hold. ``prop`` names it, ``on`` the input, ``detail`` what came and what was expected."""
+
+    def __init__(self, prop: str, on: str, detail: str):
+        super().__init__(f"{prop} (on {on}): {detail}")
+        self.prop, self.on, self.detail = prop, on, detail
+
+
+class NotWritten(Exception):
+    """The function returned nothing: its body is still ``...``."""
+
+
+class Attempt:
+    """Calls the student's function on copies of tensors; what it raises, or writes into its inputs, is a ``Failed``.
+
+    ``on`` of the last call is the words for its input: given by ``attempt.on("...")`` before it, or made from it.
+    """
+
+    def __init__(self, function: Callable[..., Any]):
+        self.function = function
+        self.words = ""
+
+    def on(self, words: str) -> "Attempt":
+        """Name the input of the calls to come: ``attempt.on("a pixel at 2 m")(camera, uv, depth)``."""
+        self.words = words
+        return self
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        given = [a.clone() if isinstance(a, Tensor) else a for a in args]
+        named = {k: a.clone() if isinstance(a, Tensor) else a for k, a in kwargs.items()}
+        on = self.words or describe([*args, *kwargs.values()])
+        try:
+            result = self.function(*given, **named)
+        except NotImplementedError:
+            raise NotWritten from None
+        except Exception as e:
+            raise Failed("it runs", on, f"it raised {type(e).__name__}: {str(e).splitlines()[0] if str(e) else ''}") from e
+        if result is None or result is Ellipsis:
+            raise NotWritten
+        for before, after in zip([*args, *kwargs.values()], [*given, *named.values()], strict=True):
+            if isinstance(before, Tensor) and not torch.equal(before.nan_to_num(), after.nan_to_num()):
+                raise Failed("it leaves its inputs as they are", on, "a tensor that was passed in has changed")
+        return copy.copy(result)
+
+
+def holds(condition: Any, prop: str, *, on: str, detail: str) -> None:
+    """``prop`` fails, with ``detail``, unless ``condition`` is true."""
+    if not bool(condition):
+        raise Failed(prop, on, detail)
+
+
+def close(got: Any, expected: Any, prop: str, *, on: str, tolerance: float = 1e-5, why: str = "") -> None:
+    """``prop`` fails unless ``got`` has the shape and, within ``tolerance`` x max(1, size), the values of ``expected``.
+
+    Args:
+        got: What the student returned: a number, a sequence, an array or a tensor.
+        expected: The right answer.
+        prop: What holds of a right answer, as a statement: "the depth is the point's z".
+        on: The input, in words.
+        tolerance: Largest deviation.
+        why: What a deviation usually means; ends the message.
+    """
+    right, mine = as_tensor(expected), _numbers(got, prop, on)
+    if mine.shape != right.shape:
+        raise Failed(prop, on, f"the shape is {list(mine.shape)}, expected {list(right.shape)}")
+    if not torch.isfinite(mine).eq(torch.isfinite(right)).all():
+        raise Failed(prop, on, "a value is NaN or infinite")
+    off = (mine - right).nan_to_num().abs() - tolerance * right.nan_to_num().abs().clamp(min=1.0)
+    if off.numel() and float(off.max()) > 0:
+        at = int(off.argmax())
+        place = f" at {_position(at, right.shape)}" if right.ndim else ""
+        detail = f"got {_short(mine.reshape(-1)[at])}{place}, expected {_short(right.reshape(-1)[at])}"
+        raise Failed(prop, on, f"{detail}. {why}" if why else detail)
+
+
+def unpack(value: Any, names: Sequence[str], *, on: str) -> tuple[Any, ...]:
+    """The parts of a returned tuple, one for each name; fails unless there are so many."""
+    if not isinstance(value, (tuple, list)) or len(value) != len(names):
+        raise Failed(f"it returns {', '.join(names)}", on, f"it returned {describe([value])}")
+    return tuple(value)
+
+
+def as_tensor(value: Any) -> Tensor:
+    """``value`` as float64 on the CPU."""
+    return torch.as_tensor(value).detach().cpu().to(torch.float64)
+
+
+def describe(values: Sequence[Any]) -> str:
+    """Arguments in a few words: small ones by value, tensors by shape, others by type."""
+    return ", ".join(_words(v) for v in values) or "no arguments"
+
+
+def _words(value: Any) -> str:
+    if isinstance(value, Tensor):
+        return f"{value.tolist()}" if value.numel() <= 4 else f"a tensor {list(value.shape)}"
+    if isinstance(value, (bool, int, float, str)):
+        return repr(value)
+    if isinstance(value, (tuple, list)):
+        return f"a {type(value).__name__} of {len(value)}"
+    return f"a {type(value).__name__}"
+
+
+def _numbers(value: Any, prop: str, on: str) -> Tensor:
+    try:
+        return as_tensor(value)
+    except (TypeError, ValueError, RuntimeError):
+        raise Failed(prop, on, f"it returned {describe([value])}, which is no array of numbers") from None
+
+
+def _position(flat: int, shape: torch.Size) -> str:
+    index = []
+    for size in reversed(shape):
+        index.append(flat % size)
+        flat //= size
+    return str(list(reversed(index)))
+
+
+def _short(value: Tensor) -> str:
+    return f"{float(value):.5g}"

@@ -1,0 +1,173 @@
+"""Exercises and their checkers. A notebook imports ``check``; a chapter's module registers exercises.
+
+In a notebook::
+
+    from gsfusion_nb.teaching import check
+    check.lift_pixel                 # title, difficulty, minutes, number of hints
+    check.lift_pixel.hint()          # the next hint, on request
+    check.lift_pixel(lift_pixel)     # Verdict: green, or red with the property that failed and the input
+    f = check.lift_pixel.working(f)  # the student's function if it passes, otherwise ours: the chapter goes on
+
+In ``teaching/<chapter>.py`` (found by itself, nothing to register elsewhere)::
+
+    def _solution(camera, uv, depth_m): ...
+    def _along_the_ray(camera, uv, depth_m): ...            # a plausible wrong answer
+
+    @exercise(
+        chapter=1, difficulty=2, minutes=10, solution=_solution,
+        hints=("What is z of the point?", "Multiply the ray with z = 1."),
+        wrong=(Wrong(_along_the_ray, says="the depth is the point's z"),),
+    )
+    def lift_pixel(attempt: Attempt) -> None:               # the name of the exercise
+        \"\"\"Lift a pixel with its depth to a point.\"\"\"      # its title
+        on = "a corner pixel at 2 m"
+        point = attempt.on(on)(camera, uv, depth_m)          # copies tensors, catches errors and unwritten bodies
+        close(point, expected, "the depth is the point's z", on=on)
+
+The judge returns nothing and raises ``Failed`` (through ``close``, ``holds``, ``unpack``) at the first property that
+does not hold; put the most telling property first. Tests run every judge on its solution, which must pass, on every
+wrong answer, which must fail and say ``says``, and on an unwritten body.
+"""
+
+import importlib
+import pkgutil
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from .attempt import Attempt as Attempt
+from .attempt import Failed as Failed
+from .attempt import NotWritten
+from .attempt import close as close
+from .attempt import holds as holds
+from .attempt import unpack as unpack
+from .verdict import Hint, Verdict
+
+DIFFICULTIES = {1: "warm-up", 2: "easy", 3: "medium", 4: "hard", 5: "challenge"}
+
+_MACHINERY = {"attempt", "exercise", "student", "verdict"}
+
+_EXERCISES: dict[str, "Exercise"] = {}
+
+
+@dataclass(frozen=True)
+class Wrong:
+    """A plausible wrong answer, and words that the verdict on it must contain."""
+
+    function: Callable[..., Any]
+    says: str
+
+
+@dataclass(eq=False, kw_only=True)
+class Exercise:
+    """One exercise. Calling it with a function judges that function."""
+
+    name: str
+    title: str
+    chapter: int
+    difficulty: int
+    minutes: int
+    hints: tuple[str, ...]
+    judge: Callable[[Attempt], None]
+    solution: Callable[..., Any]
+    wrong: tuple[Wrong, ...]
+    hints_given: int = 0
+
+    def __call__(self, function: Callable[..., Any]) -> Verdict:
+        """The verdict on ``function``: passed, failed (which property, on what input), or not written."""
+        if not callable(function):
+            kind = type(function).__name__
+            return Verdict(exercise=self.name, state="failed", prop="it is a function", detail=f"got a {kind}")
+        left = len(self.hints) - self.hints_given
+        try:
+            self.judge(Attempt(function))
+        except NotWritten:
+            detail = "the function returns nothing so far"
+            return Verdict(exercise=self.name, state="not written", detail=detail, hints_left=left)
+        except Failed as e:
+            return Verdict(
+                exercise=self.name, state="failed", prop=e.prop, on=e.on, detail=e.detail, hints_left=left
+            )
+        return Verdict(exercise=self.name, state="passed")
+
+    def hint(self, number: int | None = None) -> Hint:
+        """The next hint, or hint ``number`` (from 1); after the last one, the last one again."""
+        wanted = self.hints_given + 1 if number is None else number
+        wanted = min(max(wanted, 1), len(self.hints))
+        self.hints_given = max(self.hints_given, wanted)
+        return Hint(wanted, len(self.hints), self.hints[wanted - 1])
+
+    def working(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """``function`` if it passes, otherwise our solution, so that the chapter can go on."""
+        return function if self(function) else self.solution
+
+    def __repr__(self) -> str:
+        stars = "★" * self.difficulty + "☆" * (5 - self.difficulty)
+        return (
+            f"{self.name}: {self.title} {stars} {DIFFICULTIES[self.difficulty]}, about {self.minutes} minutes, "
+            f"{len(self.hints)} hints"
+        )
+
+
+def exercise(
+    *,
+    chapter: int,
+    difficulty: int,
+    minutes: int,
+    hints: Sequence[str],
+    solution: Callable[..., Any],
+    wrong: Sequence[Wrong],
+) -> Callable[[Callable[[Attempt], None]], Exercise]:
+    """Register the decorated judge as the exercise of its name; the first line of its docstring is the title.
+
+    Raises:
+        ValueError: unknown difficulty, no hint, no wrong answer, no title, or a name that another module took.
+    """
+
+    def register(judge: Callable[[Attempt], None]) -> Exercise:
+        name = judge.__name__
+        title = (judge.__doc__ or "").strip().splitlines()[:1]
+        if difficulty not in DIFFICULTIES:
+            raise ValueError(f"exercise {name}: difficulty must be one of {list(DIFFICULTIES)}, got {difficulty}")
+        if not hints or not wrong or not title:
+            raise ValueError(f"exercise {name} needs a docstring, at least one hint and at least one wrong answer")
+        known = _EXERCISES.get(name)
+        if known is not None and known.judge.__module__ != judge.__module__:
+            raise ValueError(f"exercise {name} exists already in {known.judge.__module__}")
+        _EXERCISES[name] = Exercise(
+            name=name, title=title[0], chapter=chapter, difficulty=difficulty, minutes=minutes,
+            hints=tuple(hints), judge=judge, solution=solution, wrong=tuple(wrong),
+        )  # fmt: skip
+        return _EXERCISES[name]
+
+    return register
+
+
+def exercises() -> dict[str, Exercise]:
+    """Every exercise of the course by name; loads the chapters' modules."""
+    package = importlib.import_module(__package__ or "")
+    for module in pkgutil.iter_modules(package.__path__):
+        if module.name not in _MACHINERY:
+            importlib.import_module(f"{package.__name__}.{module.name}")
+    return dict(sorted(_EXERCISES.items(), key=lambda item: (item[1].chapter, item[0])))
+
+
+class Checkers:
+    """``check.<name>`` is the exercise of that name; tab completion lists them."""
+
+    def __getattr__(self, name: str) -> Exercise:
+        if name.startswith("_"):
+            raise AttributeError(name)
+        known = exercises()
+        if name not in known:
+            raise AttributeError(f"no exercise {name!r}; there are: {', '.join(known)}")
+        return known[name]
+
+    def __dir__(self) -> list[str]:
+        return list(exercises())
+
+    def __repr__(self) -> str:
+        return "\n".join(map(repr, exercises().values()))
+
+
+check = Checkers()

@@ -1,0 +1,51 @@
+"""Where an equation stands in the code: the line is looked up when the cell runs, so it cannot go out of date."""
+
+import html
+import inspect
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import gsfusion_nb
+
+_ROOT = Path(gsfusion_nb.__file__).resolve().parent
+
+
+class SourceLines:
+    """A table: what, the line of code that does it, file and number. Made by ``source_lines``."""
+
+    def __init__(self, rows: list[tuple[str, str, str, int]]):
+        self.rows = rows
+
+    def __repr__(self) -> str:
+        return "\n".join(f"{what}\n    {path}:{number}  {code}" for what, code, path, number in self.rows)
+
+    def _repr_html_(self) -> str:
+        lines = "".join(
+            f'<tr><td style="text-align:left">{html.escape(what)}</td>'
+            f'<td style="text-align:left"><code>{html.escape(code)}</code></td>'
+            f'<td style="text-align:left"><a href="../{path}#L{number}">{path.split("/", 1)[1]}:{number}</a></td></tr>'
+            for what, code, path, number in self.rows
+        )
+        return f'<table style="font-size:12px">{lines}</table>'
+
+
+def source_lines(lines: dict[str, tuple[Callable[..., Any], str]]) -> SourceLines:
+    """Find lines of the library.
+
+    Args:
+        lines: What the line does -> (any function of the file, a piece of the line that no other line there has).
+
+    Raises:
+        ValueError: no line, or more than one, has the piece.
+    """
+    rows = []
+    for what, (function, piece) in lines.items():
+        path = Path(inspect.getsourcefile(inspect.unwrap(function)) or "").resolve()
+        text = path.read_text(encoding="utf-8").splitlines()
+        found = [i for i, line in enumerate(text) if piece in line]
+        if len(found) != 1:
+            raise ValueError(f"{what}: {piece!r} must be on one line of {path.name}, it is on {len(found)}")
+        shown = f"{_ROOT.name}/{path.relative_to(_ROOT).as_posix()}"
+        rows.append((what, text[found[0]].strip(), shown, found[0] + 1))
+    return SourceLines(rows)

@@ -1,0 +1,69 @@
+"""What a checker answers: green, red with the property and the input, or grey while nothing is written."""
+
+import html
+from dataclasses import dataclass
+from typing import Literal
+
+_COLOURS = {"passed": "#1a7f37", "failed": "#c62828", "not written": "#6e7781"}
+_SIGNS = {"passed": "✓", "failed": "✗", "not written": "…"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """The answer of ``check.<name>(fn)``; true if everything holds. Notebooks show it in colour."""
+
+    exercise: str
+    """Name of the exercise."""
+    state: Literal["passed", "failed", "not written"]
+    prop: str = ""
+    """The property that failed."""
+    on: str = ""
+    """The input on which it failed, in words."""
+    detail: str = ""
+    """What came and what was expected; or, when passed, what was checked."""
+    hints_left: int = 0
+    """Hints not yet asked for."""
+
+    def __bool__(self) -> bool:
+        return self.state == "passed"
+
+    @property
+    def headline(self) -> str:
+        """One line without the details."""
+        if self.state == "failed":
+            return f"{_SIGNS['failed']} {self.exercise}: not true yet: “{self.prop}”"
+        return f"{_SIGNS[self.state]} {self.exercise}: {self.state if self.state == 'not written' else 'all checks pass'}"
+
+    @property
+    def lines(self) -> list[str]:
+        """What follows the headline."""
+        rest = [f"input: {self.on}"] if self.on else []
+        rest += [self.detail] if self.detail else []
+        if not self and self.hints_left:
+            rest.append(f"{self.hints_left} hint{'s' if self.hints_left > 1 else ''}: check.{self.exercise}.hint()")
+        return rest
+
+    def __repr__(self) -> str:
+        return "\n  ".join([self.headline, *self.lines])
+
+    def _repr_html_(self) -> str:
+        rest = "".join(f"<div>{html.escape(line)}</div>" for line in self.lines)
+        colour = _COLOURS[self.state]
+        return (
+            f'<div class="gsnb-verdict gsnb-{self.state.replace(" ", "-")}" style="border-left:4px solid {colour};'
+            f'padding:2px 0 2px 10px"><b style="color:{colour}">{html.escape(self.headline)}</b>{rest}</div>'
+        )
+
+
+@dataclass(frozen=True)
+class Hint:
+    """One hint, as a notebook shows it."""
+
+    number: int
+    """Counted from 1."""
+    of: int
+    """How many there are."""
+    text: str
+
+    def __repr__(self) -> str:
+        return f"Hint {self.number} of {self.of}: {self.text}"

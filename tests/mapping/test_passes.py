@@ -1,0 +1,57 @@
+"""Passes over keyframes: all once each, another order each time, to be stopped and resumed anywhere."""
+
+import itertools
+
+import pytest
+import torch
+
+from gsfusion_nb.mapping.passes import KeyframePasses
+
+
+def visits(passes: KeyframePasses, n: int, keyframes: int, generator, limit: int | None = None) -> list[int]:
+    seen: list[int] = []
+
+    def optimise(i: int) -> float:
+        seen.append(i)
+        return float(i)
+
+    for _ in itertools.islice(passes.run(n, keyframes, generator, optimise), limit):
+        pass
+    return seen
+
+
+def test_each_pass_visits_all_once_in_a_new_order(generator):
+    passes = KeyframePasses()
+    assert not passes.begun
+    seen = visits(passes, 3, 10, generator)
+    parts = [seen[k : k + 10] for k in (0, 10, 20)]
+    assert [sorted(p) for p in parts] == [list(range(10))] * 3
+    assert parts[0] != parts[1]
+    assert (passes.done, passes.queue, passes.begun) == (3, [], True)
+
+
+def test_what_a_step_reports(generator):
+    steps = list(KeyframePasses().run(2, 3, generator, float))
+    assert [s.step for s in steps] == [1, 2, 3, 4, 5, 6]
+    assert [s.pass_index for s in steps] == [0, 0, 0, 1, 1, 1]
+    assert {s.n_steps for s in steps} == {6}
+    assert sorted(s.loss for s in steps) == [0, 0, 1, 1, 2, 2]
+
+
+@pytest.mark.parametrize("stop", [1, 4, 5, 7])
+def test_going_on_after_a_stop_is_the_same_as_no_stop(stop):
+    whole = visits(KeyframePasses(), 2, 5, torch.Generator().manual_seed(3))
+    generator, passes = torch.Generator().manual_seed(3), KeyframePasses()
+    first = visits(passes, 2, 5, generator, stop)
+    state = passes.state_dict()
+    visits(passes, 1, 5, torch.Generator())  # what was saved stays as it was
+    resumed = KeyframePasses()
+    resumed.load_state_dict(state)
+    assert resumed.begun
+    left = 2 - resumed.done
+    assert first + visits(resumed, left, 5, generator) == whole
+
+
+def test_no_keyframes_or_no_passes(generator):
+    assert visits(KeyframePasses(), 3, 0, generator) == []
+    assert visits(KeyframePasses(), 0, 4, generator) == []

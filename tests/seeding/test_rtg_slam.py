@@ -1,0 +1,303 @@
+"""RTG-SLAM's rule: the masks of Eq. 6 by hand, who becomes opaque or transparent, sizes, shares, both fidelities."""
+
+import dataclasses
+from types import SimpleNamespace
+
+import pytest
+import torch
+
+from gsfusion_nb.config import gsfusion
+from gsfusion_nb.gaussians import STABLE, SurfelModel
+from gsfusion_nb.geometry import project, quaternion, se3
+from gsfusion_nb.mapping import GSFusion
+from gsfusion_nb.seeding import SeedContext, apply_rule, check_contexts, check_rule
+from gsfusion_nb.seeding.rules.rtg_slam import (
+    COLOUR_ERROR,
+    DEPTH_ERROR,
+    ERROR_SHARE,
+    NEW_AREA,
+    draw_share,
+    wrong_pixels,
+)
+from gsfusion_nb.types import Camera, Frame, Seeds
+
+W, H = 64, 24
+CAMERA = Camera(width=W, height=H, fx=60.0, fy=60.0, cx=W / 2, cy=H / 2)
+LEFT, MIDDLE, RIGHT = slice(3, 13), slice(27, 37), slice(51, 61)
+"""Columns well inside the three patches of the wall below."""
+
+
+def wall(z: float = 2.0, grey: float = 0.5) -> Frame:
+    return Frame(
+        index=0,
+        timestamp_s=0.0,
+        rgb=torch.full((H, W, 3), grey),
+        depth_m=torch.full((H, W), z),
+        camera=CAMERA,
+        T_WC=torch.eye(4),
+    )
+
+
+def patches(*, stable: bool = True) -> SurfelModel:
+    """Three wide discs side by side: as the wall is; 0.3 m before it; of another colour. Gaps of new area between."""
+    x = torch.tensor([-0.8, 0.0, 0.8])
+    z = torch.tensor([2.0, 1.7, 2.0])
+    model = SurfelModel(sh_degree=0)
+    model.append(
+        Seeds(
+            xyz_W=torch.stack([x * z / 2.0, torch.zeros(3), z], dim=1),
+            rgb=torch.tensor([[0.5] * 3, [0.5] * 3, [0.95, 0.5, 0.5]]),
+            scale_m=torch.tensor([[0.13, 10.0, 0.001]]).repeat(3, 1),
+            quat=torch.tensor([[1.0, 0, 0, 0]]).repeat(3, 1),
+            opacity=torch.full((3,), 0.99),
+            tag=torch.zeros(3, dtype=torch.int32),
+        )
+    )
+    if stable:
+        model.state.fill_(STABLE)
+    return model
+
+
+def context(model, frame: Frame | None = None, seed: int = 0) -> SeedContext:
+    return SeedContext(frame or wall(), gaussians=model, generator=torch.Generator().manual_seed(seed))
+
+
+def columns(ctx: SeedContext, seeds: Seeds) -> torch.Tensor:
+    xyz_C = se3.apply(se3.inverse(ctx.frame.T_WC), seeds.xyz_W)
+    return project(ctx.camera, xyz_C)[:, 0]
+
+
+def masks(ctx: SeedContext, fidelity: str = "paper") -> dict[int, torch.Tensor]:
+    usable = ctx.has_depth() & (ctx.normals() != 0).any(dim=-1)
+    return wrong_pixels(ctx, ctx.surface(), usable, 0.5, 0.1, 0.1, fidelity)
+
+
+def test_a_pixel_has_the_first_kind_that_applies():
+    """By hand, one pixel each (all with depth 2): T, rendered depth, rendered grey -> kind."""
+    by_hand = [
+        (0.51, 1.0, 0.0, NEW_AREA),  # whatever its depth and colour
+        (0.50, 2.0, 0.5, None),
+        (0.20, 1.89, 0.0, DEPTH_ERROR),  # whatever its colour
+        (0.20, 2.11, 0.5, DEPTH_ERROR),  # behind as well as before
+        (0.20, 2.09, 0.5, None),
+        (0.20, 2.0, 0.61, COLOUR_ERROR),
+        (0.20, 2.0, 0.39, COLOUR_ERROR),
+        (0.20, 2.0, 0.59, None),
+        (0.20, 0.0, 0.5, None),  # no disc is hit: no depth to be wrong
+        (0.20, 0.0, 0.0, COLOUR_ERROR),
+    ]
+    T, depth, grey, _ = zip(*by_hand, strict=True)
+    camera = dataclasses.replace(CAMERA, width=len(by_hand), height=1)
+    frame = dataclasses.replace(
+        wall(), camera=camera, rgb=torch.full((1, len(T), 3), 0.5), depth_m=torch.full((1, len(T)), 2.0)
+    )
+    view = SimpleNamespace(
+        transmittance=torch.tensor([T]), depth_m=torch.tensor([depth]), rgb=torch.tensor([grey])[..., None].expand(1, -1, 3)
+    )
+    usable = torch.ones(1, len(T), dtype=torch.bool)
+    find = wrong_pixels.__wrapped__ if hasattr(wrong_pixels, "__wrapped__") else wrong_pixels
+    kinds = find(SimpleNamespace(frame=frame), view, usable, 0.5, 0.1, 0.1, "paper")
+    for i, (*_, kind) in enumerate(by_hand):
+        assert [k for k, mask in kinds.items() if mask[0, i]] == ([] if kind is None else [kind]), by_hand[i]
+    pooled = find(SimpleNamespace(frame=frame), view, usable, 0.5, 0.1, 0.1, "code")
+    assert torch.equal(pooled[NEW_AREA], kinds[NEW_AREA])
+    assert torch.equal(pooled[DEPTH_ERROR], kinds[DEPTH_ERROR] | kinds[COLOUR_ERROR])
+    nowhere = find(SimpleNamespace(frame=frame), view, ~usable, 0.5, 0.1, 0.1, "paper")
+    assert not any(mask.any() for mask in nowhere.values())
+
+
+def test_the_masks_of_a_rendered_scene():
+    kinds = masks(context(patches()))
+    inner = slice(1, H - 1)  # the border has no normals
+    for columns_, kind in ((LEFT, None), (MIDDLE, DEPTH_ERROR), (RIGHT, COLOUR_ERROR), (slice(18, 22), NEW_AREA)):
+        middle = slice(columns_.start + 3, columns_.stop - 3) if columns_.stop - columns_.start > 6 else columns_
+        for k, mask in kinds.items():
+            assert mask[inner, middle].float().mean() == (k == kind), (kind, k)
+    assert sum(mask.int() for mask in kinds.values()).max() == 1
+    assert not any(mask[[0, -1]].any() for mask in kinds.values())
+
+
+def test_without_a_map_every_pixel_is_new_and_disc_lies_in_the_surface():
+    ctx = check_contexts()["new"]
+    for alone in (ctx, SeedContext(ctx.frame)):
+        seeds = apply_rule("rtg_slam", alone, {"share": 0.2})
+        known = int((alone.has_depth() & (alone.normals() != 0).any(-1)).sum())
+        assert len(seeds) == round(0.2 * known)
+        assert seeds.tag.eq(NEW_AREA).all()
+        assert seeds.opacity.unique().tolist() == [pytest.approx(0.99)]
+        uv = project(ctx.camera, se3.apply(se3.inverse(ctx.frame.T_WC), seeds.xyz_W))
+        i, j = uv.floor().long().unbind(-1)
+        torch.testing.assert_close(uv, uv.floor() + 0.5, atol=1e-3, rtol=0)
+        normal = quaternion.to_matrix(seeds.quat)[:, :, 2]
+        torch.testing.assert_close(normal, ctx.normals_W()[j, i], atol=1e-5, rtol=0)
+        assert torch.equal(seeds.rgb, ctx.frame.rgb[j, i])
+        torch.testing.assert_close(seeds.scale_m[:, 1], seeds.scale_m[:, 0])
+        torch.testing.assert_close(seeds.scale_m[:, 2], 0.1 * seeds.scale_m[:, 0])
+        assert 0.001 <= seeds.scale_m[:, 0].min() <= seeds.scale_m[:, 0].max() <= 0.05
+
+
+def test_stable_discs_get_a_transparent_one_over_their_wrong_colour():
+    ctx = context(patches())
+    seeds = apply_rule("rtg_slam", ctx, {"share": 0.3, "fidelity": "paper"})
+    u = columns(ctx, seeds)
+    clear = seeds.opacity < 0.5
+    assert seeds.opacity[clear].unique().tolist() == [pytest.approx(0.1)]
+    assert (seeds.tag[clear] == COLOUR_ERROR).all()
+    assert (seeds.tag[~clear] != COLOUR_ERROR).all()
+    i, j = project(ctx.camera, seeds.xyz_W).floor().long().unbind(-1)
+    asked = masks(ctx)[COLOUR_ERROR] & (ctx.surface().hit_index >= 0)  # also the rims, dim before the black behind them
+    assert asked[j[clear], i[clear]].all()
+    assert (u[clear] > RIGHT.start).sum() > 20
+    assert seeds.scale_m[clear].max() <= 0.01 + 1e-7
+    over_middle = (u > MIDDLE.start) & (u < MIDDLE.stop)
+    assert (seeds.tag[over_middle] == DEPTH_ERROR).all()
+    assert (seeds.opacity[over_middle] > 0.9).all()
+    assert over_middle.sum() > 20
+    over_left = (u > LEFT.start + 3) & (u < LEFT.stop - 3)
+    assert not over_left.any()
+
+
+def test_unstable_discs_are_left_to_be_optimised():
+    ctx = context(patches(stable=False))
+    seeds = apply_rule("rtg_slam", ctx, {"share": 0.3, "fidelity": "paper"})
+    assert not (seeds.opacity < 0.5).any()
+    assert not (seeds.tag == COLOUR_ERROR).any()
+    assert (seeds.tag == DEPTH_ERROR).sum() > 20
+
+
+def test_a_switch_adds_no_transparent_ones():
+    with_, without = (
+        apply_rule("rtg_slam", context(patches()), {"share": 0.3, "transparent": t, "fidelity": "paper"})
+        for t in (True, False)
+    )
+    assert len(without) == int((with_.opacity > 0.5).sum()) < len(with_)
+    assert (without.opacity > 0.5).all()
+
+
+@pytest.mark.parametrize("share", [0.05, 0.3, 1.0])
+def test_a_share_of_each_kind_is_drawn(share):
+    ctx = context(patches())
+    kinds = masks(ctx)
+    seeds = apply_rule("rtg_slam", ctx, {"share": share, "fidelity": "paper"})
+    for kind in (NEW_AREA, DEPTH_ERROR):
+        assert int((seeds.tag == kind).sum()) == round(share * int(kinds[kind].sum()))
+    hit = ctx.surface().hit_index[kinds[COLOUR_ERROR]] >= 0  # the others have no disc to ask
+    drawn = int((seeds.tag == COLOUR_ERROR).sum())
+    assert drawn <= round(share * int(kinds[COLOUR_ERROR].sum()))
+    if share == 1.0:
+        assert drawn == int(hit.sum())
+    assert len(torch.unique(seeds.xyz_W, dim=0)) == len(seeds)
+
+
+def test_drawing_is_uniform_without_replacement(generator):
+    mask = torch.rand(6, 5, generator=generator) < 0.6
+    counts = torch.zeros(30)
+    for _ in range(600):
+        pixel = draw_share(mask, 0.4, generator)
+        assert len(pixel.unique()) == len(pixel) == round(0.4 * int(mask.sum()))
+        counts[pixel] += 1
+    assert not counts[~mask.flatten()].any()
+    assert (counts[mask.flatten()] / 600 - 0.4).abs().max() < 0.08
+    assert len(draw_share(torch.zeros(3, 3, dtype=torch.bool), 0.5, generator)) == 0
+
+
+def test_measured_leaves_out_opaque_discs_in_the_reach_of_others():
+    """Around a sheet of discs in the wall, of another colour, and around one 20 cm before it."""
+    for z, left_out in ((2.0, True), (1.8, False)):
+        model = small_discs(6, z, 0.03, (0.95, 0.05, 0.05), stable=True)
+        paper, measured = (
+            apply_rule("rtg_slam", context(model), {"share": 0.1, "fidelity": f}) for f in ("paper", "measured")
+        )
+        dropped = {tuple(x) for x in paper.xyz_W.tolist()} - {tuple(x) for x in measured.xyz_W.tolist()}
+        assert (len(dropped) > 0) == left_out
+        assert len(paper) - len(measured) == len(dropped)
+        clear = [int((s.opacity < 0.5).sum()) for s in (paper, measured)]
+        assert clear[0] == clear[1]
+        if left_out:
+            assert clear[0] > 0
+            assert torch.cdist(torch.tensor(sorted(dropped)), model.params.xyz_W).amin(1).max() < 0.09
+
+
+def small_discs(n_side: int, z: float, radius_m: float, rgb: tuple[float, float, float], stable: bool) -> SurfelModel:
+    """A sheet of discs three and a half radii apart, all over the view."""
+    step = 3.5 * radius_m
+    a = (torch.arange(n_side) - (n_side - 1) / 2) * step
+    x, y = (t.flatten() for t in torch.meshgrid(a, a, indexing="xy"))
+    n = len(x)
+    model = SurfelModel(sh_degree=0)
+    model.append(
+        Seeds(
+            xyz_W=torch.stack([x, y, torch.full((n,), z)], dim=1),
+            rgb=torch.tensor([rgb]).repeat(n, 1),
+            scale_m=torch.tensor([[radius_m, radius_m, 0.1 * radius_m]]).repeat(n, 1),
+            quat=torch.tensor([[1.0, 0, 0, 0]]).repeat(n, 1),
+            opacity=torch.full((n,), 0.99),
+            tag=torch.zeros(n, dtype=torch.int32),
+        )
+    )
+    if stable:
+        model.state.fill_(STABLE)
+    return model
+
+
+CODE = {"share": 0.2, "fidelity": "code"}
+
+
+def test_code_near_the_plane_of_a_stable_disc_is_transparent():
+    """A sheet of discs 4 cm before the wall, then 6 cm: half of the 10 cm limit lies between."""
+    for before, opacity in ((0.04, 0.1), (0.06, 0.99)):
+        model = small_discs(24, 2.0 - before, 0.01, (0.95, 0.05, 0.05), stable=True)
+        seeds = apply_rule("rtg_slam", context(model), CODE)
+        assert len(seeds) > 20
+        u = columns(context(model), seeds)
+        over = (u > 26) & (u < 38)  # the sheet covers the middle of the view
+        assert over.any()
+        seen = seeds.opacity[over].unique().tolist()
+        assert pytest.approx(opacity) in seen
+        if opacity == 0.99:
+            assert len(seen) == 1
+
+
+def test_code_adds_nothing_near_unstable_discs_nor_in_reach_of_any():
+    ctx = context(small_discs(24, 2.0, 0.01, (0.95, 0.05, 0.05), stable=False))
+    seeds = apply_rule("rtg_slam", ctx, CODE)
+    away = torch.cdist(seeds.xyz_W, ctx.map.xyz_W).amin(1)
+    assert away.min() > 0.03  # three radii
+    assert seeds.opacity.unique().tolist() == [pytest.approx(0.99)]
+    assert seeds.scale_m.max() <= 0.05 + 1e-7
+
+
+def test_code_draws_its_own_share_of_wrong_pixels():
+    ctx = context(patches())
+    kinds = masks(ctx, "code")
+    seeds = apply_rule("rtg_slam", ctx, {"share": 1.0, "fidelity": "code"})
+    assert 0 < int((seeds.tag == DEPTH_ERROR).sum()) <= round(ERROR_SHARE * int(kinds[DEPTH_ERROR].sum()))
+    assert not (seeds.tag == COLOUR_ERROR).any()
+
+
+@pytest.mark.parametrize("share", [0.0, -0.1, 1.01])
+def test_an_impossible_share_is_refused(share):
+    with pytest.raises(ValueError, match="rtg_slam: share must be above 0 and at most 1, got"):
+        apply_rule("rtg_slam", check_contexts()["new"], {"share": share})
+
+
+def test_keeps_the_contract_on_a_compact_map():
+    """Also where the map has states and transparent discs."""
+    report = check_rule("rtg_slam", {"stable": context(patches()), "unstable": context(patches(stable=False))})
+    assert min(report.seeds.values()) > 0
+
+
+@pytest.mark.parametrize("fidelity", ["measured", "paper", "code"])
+def test_works_in_the_gsfusion_mapper(small_walk, fidelity):
+    config = gsfusion(
+        "replica",
+        tsdf__voxel_size_m=0.04,
+        tsdf__truncation_voxels=4.0,
+        sh_degree=0,
+        seeding__options={"share": 0.1, "fidelity": fidelity},
+    )
+    mapper = GSFusion(config, seeding="rtg_slam")
+    reports = [mapper.step(frame) for frame in small_walk]
+    assert reports[0].n_seeds > 300
+    assert all(r.psnr_after_db > r.psnr_before_db for r in reports if r.is_keyframe)
+    assert all(0 <= r.n_seeds < reports[0].n_seeds for r in reports[1:])

@@ -1,0 +1,46 @@
+"""Every exercise of the course: its solution passes, its wrong answers fail and say why, an unwritten body is grey."""
+
+import pytest
+
+from gsfusion_nb.teaching import check, exercises
+
+ALL = exercises()
+WRONG = [(e, w) for e in ALL.values() for w in e.wrong]
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_the_solution_passes(name):
+    verdict = check.__getattr__(name)(ALL[name].solution)
+    assert verdict, repr(verdict)
+
+
+@pytest.mark.parametrize(("exercise", "wrong"), WRONG, ids=[f"{e.name}-{w.function.__name__}" for e, w in WRONG])
+def test_a_plausible_wrong_answer_fails_and_hears_why(exercise, wrong):
+    verdict = exercise(wrong.function)
+    assert verdict.state == "failed", repr(verdict)
+    assert wrong.says in repr(verdict)
+    assert verdict.on
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_an_unwritten_body_is_neither_right_nor_wrong(name):
+    def unwritten(*args, **kwargs): ...
+
+    assert ALL[name](unwritten).state == "not written"
+    assert ALL[name].working(unwritten) is ALL[name].solution
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_a_crash_is_reported_as_the_students(name):
+    def crash(*args, **kwargs):
+        raise RuntimeError("index 7 is out of range")
+
+    verdict = ALL[name](crash)
+    assert (verdict.state, verdict.prop) == ("failed", "it runs")
+    assert "index 7" in verdict.detail
+
+
+def test_every_chapter_with_exercises_has_three():
+    chapters = {e.chapter for e in ALL.values()}
+    for chapter in chapters:
+        assert sum(e.chapter == chapter for e in ALL.values()) >= 3

@@ -1,0 +1,151 @@
+"""Tracks of features: found again by projection, merged over loops, thinned out for the graph."""
+
+import pytest
+import torch
+
+from gsfusion_nb.datasets.room import room
+from gsfusion_nb.geometry import project, se3
+from gsfusion_nb.tracking.features import Features, extract_features
+from gsfusion_nb.tracking.landmarks import Landmarks
+from gsfusion_nb.tracking.places import Places
+from gsfusion_nb.types import Camera
+
+CAMERA = Camera(width=320, height=240, fx=208.0, fy=208.0, cx=160.0, cy=120.0)
+
+
+def seen(T_WC, xyz_W, descriptors, has_depth=None):
+    xyz_C = se3.apply(se3.inverse(T_WC), xyz_W)
+    known = torch.ones(len(xyz_W), dtype=torch.bool) if has_depth is None else has_depth
+    return Features(
+        uv=project(CAMERA, xyz_C).float(),
+        descriptors=descriptors,
+        xyz_C=(xyz_C * known[:, None]).float(),
+        has_depth=known,
+        sigma_px=torch.ones(len(xyz_W)),
+    )
+
+
+@pytest.fixture
+def points(generator):
+    xyz_W = torch.rand(40, 3, generator=generator, dtype=torch.float64) * 2 + torch.tensor([-1.0, -1.0, 2.0])
+    return xyz_W, torch.randint(0, 256, (40, 32), generator=generator, dtype=torch.uint8)
+
+
+def moved(x):
+    T = torch.eye(4, dtype=torch.float64)
+    T[0, 3] = x
+    return T
+
+
+def landmarks_of(*views):
+    landmarks = Landmarks(Places(CAMERA))
+    for index, (T_WC, features, pairs) in enumerate(views):
+        landmarks.places.add(index, T_WC, features)
+        landmarks.add(features, pairs)
+    return landmarks
+
+
+NO_PAIRS = torch.zeros((0, 2), dtype=torch.int64)
+
+
+def test_exact_points_are_found_where_they_project(points):
+    xyz_W, descriptors = points
+    first = landmarks_of((moved(0.0), seen(moved(0.0), xyz_W, descriptors), NO_PAIRS))
+    order = torch.arange(39, -1, -1)
+    again = seen(moved(0.2), xyz_W[order], descriptors[order])
+    pairs = first.find(again, moved(0.2), [0], 5.0)
+    assert pairs.tolist() == [[k, 39 - k] for k in range(40)]
+    assert len(first.find(again, moved(0.8), [0], 5.0)) < 5
+    assert first.find(again, moved(0.2), [], 5.0).shape == (0, 2)
+
+
+def test_a_lookalike_beside_it_is_not_guessed(points):
+    """The same descriptor twice within reach: the ratio test drops the landmark."""
+    xyz_W, descriptors = points
+    first = landmarks_of((moved(0.0), seen(moved(0.0), xyz_W[:2], descriptors[:2]), NO_PAIRS))
+    twice = torch.cat([xyz_W[:2], xyz_W[:1] + 0.01])
+    again = seen(moved(0.0), twice, descriptors[[0, 1, 0]])
+    assert first.find(again, moved(0.0), [0], 8.0).tolist() == [[1, 1]]
+
+
+def test_new_landmarks_need_depth(points):
+    xyz_W, descriptors = points
+    has_depth = torch.arange(40) % 2 == 0
+    landmarks = landmarks_of((moved(0.0), seen(moved(0.0), xyz_W, descriptors, has_depth), NO_PAIRS))
+    assert len(landmarks) == 20
+    assert (landmarks.of_feature[0][1::2] == -1).all()
+    torch.testing.assert_close(landmarks.positions(torch.arange(20)), xyz_W[::2], atol=1e-6, rtol=0)
+
+
+def three_views(points):
+    """Views 0 and 1 share landmarks 0-39; view 2 sees the same points but does not know it."""
+    xyz_W, descriptors = points
+    T = [moved(0.0), moved(0.1), moved(0.2)]
+    known = torch.stack([torch.arange(40)] * 2, 1)
+    views = [seen(t, xyz_W, descriptors) for t in T]
+    return landmarks_of((T[0], views[0], NO_PAIRS), (T[1], views[1], known), (T[2], views[2], NO_PAIRS))
+
+
+def test_shared_landmarks(points):
+    landmarks = three_views(points)
+    assert len(landmarks) == 80
+    assert landmarks.shared(1, 0).tolist() == [[k, k] for k in range(40)]
+    assert landmarks.shared(2, 0).shape == (0, 2)
+
+
+def test_observations_and_loops(points):
+    xyz_W, _ = points
+    landmarks = three_views(points)
+    table = landmarks.observations([], per_keyframe=100)
+    assert len(table) == 80
+    assert sorted(set(table.keyframe.tolist())) == [0, 1]
+    loop = (2, torch.stack([torch.arange(10), torch.arange(10)], 1))
+    joined = landmarks.observations([loop], per_keyframe=100)
+    assert len(joined) == 90
+    assert int((joined.keyframe == 2).sum()) == 10
+    assert len(joined.xyz_W) == 40
+    T_CW = torch.stack([se3.inverse(T) for T in landmarks.places.T_WC])[joined.keyframe]
+    xyz_C = (T_CW[:, :3, :3] @ joined.xyz_W[joined.landmark][:, :, None])[:, :, 0] + T_CW[:, :3, 3]
+    torch.testing.assert_close(project(CAMERA, xyz_C), joined.uv, atol=1e-3, rtol=0)
+    torch.testing.assert_close(xyz_C[:, 2], joined.depth_m, atol=1e-5, rtol=0)
+
+
+def test_the_longest_tracks_are_kept(points):
+    loop = (2, torch.stack([torch.arange(10), torch.arange(10)], 1))
+    table = three_views(points).observations([loop], per_keyframe=10)
+    assert len(table.xyz_W) == 10
+    assert len(table) == 30
+
+
+def test_nothing_to_observe():
+    empty = landmarks_of(
+        (moved(0.0), seen(moved(0.0), torch.zeros(0, 3).double(), torch.zeros((0, 32), dtype=torch.uint8)), NO_PAIRS)
+    )
+    assert len(empty) == 0
+    assert len(empty.observations([], per_keyframe=10)) == 0
+    assert len(Landmarks(Places(CAMERA)).observations([], per_keyframe=10)) == 0
+
+
+def test_landmarks_move_with_the_keyframe_they_were_born_in(points):
+    landmarks = three_views(points)
+    before = landmarks.positions(torch.tensor([3, 50]))
+    landmarks.places.move(torch.stack([moved(0.0), moved(0.1), moved(1.2)]))
+    after = landmarks.positions(torch.tensor([3, 50]))
+    torch.testing.assert_close(after - before, torch.tensor([[0.0, 0, 0], [1, 0, 0]], dtype=torch.float64))
+
+
+def test_in_the_room_found_landmarks_are_the_same_points():
+    """Two frames of the walk with exact poses: the two back-projections of a pair meet."""
+    sequence = room(n_frames=400, width=320, height=240)
+    views = [extract_features(sequence[i], count=1000, levels=8) for i in (40, 44)]
+    places = Places(sequence.camera)
+    landmarks = Landmarks(places)
+    places.add(40, sequence.pose(40), views[0])
+    landmarks.add(views[0], NO_PAIRS)
+    pairs = landmarks.find(views[1], sequence.pose(44), [0], 6.0)
+    assert len(pairs) > 150
+    known = views[1].has_depth[pairs[:, 0]]
+    here = se3.apply(sequence.pose(44).double(), views[1].xyz_C[pairs[known, 0]].double())
+    apart = (here - landmarks.positions(pairs[known, 1])).norm(dim=1)
+    assert float(apart.median()) < 0.01
+    assert float((apart < 0.05).double().mean()) > 0.95

@@ -1,0 +1,127 @@
+"""Recognising places in the built-in room, whose poses are exact."""
+
+import dataclasses
+import time
+
+import pytest
+import torch
+
+from gsfusion_nb.datasets.room import room
+from gsfusion_nb.export import load_checkpoint, save_checkpoint
+from gsfusion_nb.geometry import se3
+from gsfusion_nb.tracking.features import Features, extract_features
+from gsfusion_nb.tracking.places import Places
+
+
+@pytest.fixture(scope="module")
+def sequence():
+    return room(n_frames=400, width=320, height=240)
+
+
+@pytest.fixture(scope="module")
+def known(sequence):
+    """Every sixth frame of the first part of the walk."""
+    places = Places(sequence.camera)
+    for i in range(0, 120, 6):
+        places.add(i, sequence.pose(i), extract_features(sequence[i], count=1000, levels=8))
+    return places
+
+
+def no_features():
+    return Features(
+        uv=torch.zeros(0, 2),
+        descriptors=torch.zeros((0, 32), dtype=torch.uint8),
+        xyz_C=torch.zeros(0, 3),
+        has_depth=torch.zeros(0, dtype=torch.bool),
+        sigma_px=torch.zeros(0),
+    )
+
+
+@pytest.mark.parametrize("i", [9, 33, 57, 81, 105])
+def test_a_held_out_frame_is_found_without_a_prior(known, sequence, i):
+    candidates = known.relocalise(sequence[i])
+    assert candidates
+    error = se3.inverse(sequence.pose(i).double()) @ candidates[0]
+    assert float(error[:3, 3].norm()) < 0.03
+    assert float(torch.rad2deg(se3.rotation_angle(error[:3, :3]))) < 2.0
+    again = known.relocalise(extract_features(sequence[i], count=1000, levels=8))
+    assert torch.equal(again[0], candidates[0])
+
+
+def test_a_keyframe_is_most_similar_to_itself(known):
+    rows = known.similar(known.features[7], 3)
+    assert rows[0][0] == 7
+    assert rows[0][1] == pytest.approx(1.0, abs=1e-4)
+    assert rows[1][1] < 0.8
+    assert [score for _, score in rows] == sorted((score for _, score in rows), reverse=True)
+
+
+def test_later_rows_can_be_left_out(known):
+    rows = known.similar(known.features[10], 20, exclude_after=4)
+    assert rows
+    assert all(row < 4 for row, _ in rows)
+    assert known.similar(known.features[10], 20, exclude_after=0) == []
+    assert known.similar(known.features[10], 0) == []
+
+
+def test_an_unknown_view_is_not_found(known, sequence, generator):
+    noise = torch.rand(240, 320, 3, generator=generator)
+    assert known.relocalise(_with(sequence[0], noise)) == []
+    assert known.relocalise(_with(sequence[0], torch.zeros(240, 320, 3))) == []
+
+
+def test_views_without_features_can_be_kept_and_asked_about(sequence):
+    places = Places(sequence.camera)
+    assert places.relocalise(no_features()) == []
+    places.add(0, torch.eye(4), no_features())
+    assert places.similar(no_features(), 3) == []
+    features = extract_features(sequence[0], count=300, levels=4)
+    assert places.relocalise(features) == []
+    places.add(1, sequence.pose(0), features)
+    places.add(2, torch.eye(4), no_features())
+    torch.testing.assert_close(places.relocalise(features)[0], sequence.pose(0).double(), atol=1e-4, rtol=0)
+
+
+def test_corrected_poses_move_what_is_found(known, sequence):
+    places = Places(sequence.camera)
+    for row in range(3):
+        places.add(known.index[row], known.T_WC[row], known.features[row])
+    shift = torch.eye(4, dtype=torch.float64)
+    shift[0, 3] = 1.0
+    before = places.relocalise(known.features[1])[0]
+    places.move(shift @ torch.stack(places.T_WC))
+    torch.testing.assert_close(places.relocalise(known.features[1])[0], shift @ before)
+    with pytest.raises(ValueError, match="each of the 3 keyframes, got 1"):
+        places.move(shift[None])
+
+
+def test_state_survives_a_checkpoint(known, sequence, tmp_path):
+    save_checkpoint(tmp_path / "places.pt", known.state_dict())
+    other = Places(sequence.camera)
+    other.load_state(load_checkpoint(tmp_path / "places.pt"))
+    query = extract_features(sequence[45], count=1000, levels=8)
+    assert other.similar(query, 5) == known.similar(query, 5)
+    assert torch.equal(other.relocalise(query)[0], known.relocalise(query)[0])
+
+
+def test_another_camera_is_refused(known):
+    with pytest.raises(ValueError, match="must come from the keyframes' camera"):
+        known.relocalise(room(n_frames=2, width=160, height=120)[0])
+
+
+def test_a_query_among_300_keyframes_takes_under_30_ms(known, sequence):
+    places = Places(sequence.camera)
+    for row in range(300):
+        places.add(row, known.T_WC[row % len(known)], known.features[row % len(known)])
+    query = known.features[5]
+
+    def seconds():
+        start = time.process_time()
+        places.similar(query, 5)
+        return time.process_time() - start
+
+    assert min(seconds() for _ in range(5)) < 0.03
+
+
+def _with(frame, rgb):
+    return dataclasses.replace(frame, rgb=rgb)
