@@ -1,4 +1,4 @@
-# make demo | make test | make lab: each sets up its own virtual environment first. Only Python >= 3.11 and make are needed.
+# make demo | make test | make lab | make student | make teacher: each sets up its own virtual environment first. Only Python >= 3.11 and make are needed.
 PYTHON ?= python3
 VENV ?= .venv
 # Where pip should look for PyTorch, if not at the default: see "Installing" in README.md.
@@ -6,7 +6,7 @@ TORCH_INDEX ?=
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.setup-done
 
-.PHONY: setup demo test lint format lab clean
+.PHONY: setup demo test lint format lab student teacher clean
 
 setup: $(STAMP)
 
@@ -37,6 +37,13 @@ format: setup
 
 lab: setup
 	$(BIN)/jupyter lab notebooks
+
+# Copies of the notebooks to hand out, without solutions and outputs; and with both.
+student: setup
+	$(BIN)/python -m gsfusion_nb.teaching.student notebooks runs/student
+
+teacher: setup
+	$(BIN)/python -m gsfusion_nb.teaching.student notebooks runs/teacher --teacher
 
 clean:
 	rm -rf $(VENV) build *.egg-info

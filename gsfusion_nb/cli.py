@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from .backends import BackendUnavailable, use_backend
-from .config import DataConfig, GSFusionConfig, RtgSlamConfig, from_dict, gsfusion, rtg_slam
+from .config import DataConfig, GSFusionConfig, RtgSlamConfig, from_dict, gsfusion, replace, rtg_slam
 
 _USAGE = """gsfusion-nb: online RGB-D mapping with TSDF fusion and 3D Gaussian splatting
 
@@ -55,6 +55,8 @@ class MapOptions:
     """auto, reference, numba, triton or cuda."""
     evaluate: bool = True
     """Score mapped and held-out views and write the report."""
+    rule_options: tuple[str, ...] = ()
+    """Options of the seeding rule, such as: --rule-options share=0.2 transparent=false."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,7 +129,15 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the command line; the exit status: 0 done, 1 an error said in a sentence, 130 interrupted."""
     arguments = sys.argv[1:] if arguments is None else arguments
     logging.basicConfig(level=logging.WARNING, format="%(message)s")
-    commands = {"demo": _demo, "check": _check, "map": _map, "eval": _eval, "bench": _bench, "study": _study, "doctor": _doctor}
+    commands = {
+        "demo": _demo,
+        "check": _check,
+        "map": _map,
+        "eval": _eval,
+        "bench": _bench,
+        "study": _study,
+        "doctor": _doctor,
+    }
     if not arguments or arguments[0] in ("-h", "--help"):
         print(_USAGE)
         return 0
@@ -174,7 +184,7 @@ def _map(arguments: list[str]) -> int:
             reader["split"] = options.split
         run = run_mapping(
             options.data,
-            options.config,
+            replace(options.config, seeding__options=options.config.seeding.options | _rule_options(options)),
             folder=options.out or None,
             device=options.device,
             evaluate=options.evaluate,
@@ -206,12 +216,27 @@ def _reader_options(words: tuple[str, ...]) -> dict[str, Any]:
         if not equals or not name.isidentifier():
             raise ValueError(f"--reader takes name=value, got {word!r}")
         try:
-            options[name] = {"true": True, "false": False}.get(text.lower(), None)
+            options[name] = {"true": True, "false": False}.get(text.lower())
             if options[name] is None:
                 options[name] = ast.literal_eval(text)
         except (ValueError, SyntaxError):
             options[name] = text
     return options
+
+
+def _rule_options(options: MapOptions) -> dict[str, Any]:
+    """``name=value`` texts as options of the rule."""
+    values: dict[str, Any] = {}
+    for text in options.rule_options:
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise ValueError(f"--rule-options expects name=value, got {text!r}")
+        words = {"true": True, "false": False}
+        try:
+            values[name] = words[value.lower()] if value.lower() in words else float(value)
+        except ValueError:
+            values[name] = value
+    return values
 
 
 def _check_device(name: str) -> None:

@@ -37,6 +37,8 @@ class ColourFit:
     """How many standard deviations over the other shifts the best one is."""
     edges: int
     """Depth edge pixels per frame."""
+    pixel: float
+    """Size of the pixels that were compared, pixels of the full image."""
 
 
 def fit_colour(sample: Sample) -> ColourFit | None:
@@ -65,8 +67,15 @@ def fit_colour(sample: Sample) -> ColourFit | None:
     offset = 0.5 if round(small) % 2 == 0 else 0.0
     return ColourFit(
         shift_px=(shift[0] * small + offset * (frames == 0), shift[1] * small + offset * (frames == 0)),
-        scale=scale, mirror=mirror, shift_frames=frames, score=score, score_as_read=as_read, peak=peak, edges=n,
-    )  # fmt: skip
+        scale=scale,
+        mirror=mirror,
+        shift_frames=frames,
+        score=score,
+        score_as_read=as_read,
+        peak=peak,
+        edges=n,
+        pixel=small,
+    )
 
 
 def depth_edges(depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
@@ -114,7 +123,11 @@ def _anchors(sample: Sample) -> list[FrameFacts]:
     there = sample.by_place
     inner = [f for f in sample.frames if all(f.place + k in there for k in (-TIME_REACH, TIME_REACH))]
     chosen = inner or sample.frames
-    return [chosen[i] for i in sorted({int(i) for i in np.linspace(0, len(chosen) - 1, ANCHORS).round()})] if chosen else []
+    return (
+        [chosen[i] for i in sorted({int(i) for i in np.linspace(0, len(chosen) - 1, ANCHORS).round()})]
+        if chosen
+        else []
+    )
 
 
 def _transforms(contrast: list[np.ndarray]) -> list[np.ndarray]:
@@ -150,7 +163,9 @@ def _top(surface: np.ndarray) -> tuple[float, float, tuple[float, float]]:
     return float(surface[j, i]), peak, (place[0], place[1])
 
 
-def _scaled_peak(edges: list[np.ndarray], transforms: list[np.ndarray]) -> tuple[float, float, tuple[float, float], float]:
+def _scaled_peak(
+    edges: list[np.ndarray], transforms: list[np.ndarray]
+) -> tuple[float, float, tuple[float, float], float]:
     """The best peak over scales of the colour, in two rounds."""
 
     def at(scale: float) -> tuple[float, float, tuple[float, float], float]:
@@ -175,9 +190,7 @@ def _scaled(E: np.ndarray, scale: float) -> np.ndarray:
     return out
 
 
-def _best_time(
-    edges: list[np.ndarray], anchors: list[FrameFacts], there: dict[int, FrameFacts]
-) -> tuple[int, float]:
+def _best_time(edges: list[np.ndarray], anchors: list[FrameFacts], there: dict[int, FrameFacts]) -> tuple[int, float]:
     """Which other frame's colour fits best without a shift in the image, and its score."""
     scores = {}
     for k in range(-TIME_REACH, TIME_REACH + 1):

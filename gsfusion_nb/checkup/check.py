@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from ..config import DataConfig, RepairConfig
-from ..datasets import RecordedSequence, Sequence, apply_options, detect_layout, open_sequence, repaired
-from . import judge_fit, judge_frames
+from ..datasets import RecordedSequence, Sequence, apply_options, detect_layout, open_sequence
+from . import judge_colour, judge_fit, judge_frames
 from .alignment import fit_colour
 from .depth_values import DepthCode, clear_codes, code_finding, find_codes, missing_finding
 from .explain import Explanation, Row, explain, repair_fields
@@ -100,7 +100,7 @@ def _examine(sample: Sample, pairs: Rows[tuple[int, int]], base: Sequence, hint:
     correction = e.corrected.correction
     fields = repair_fields(correction, sample.camera, e.reading)
     over = measure_over_frames(sample, e.reading, correction)
-    colour, colour_findings = judge_fit.registration_findings(fit_colour(sample), sample.camera)
+    colour, colour_findings = judge_colour.registration_findings(fit_colour(sample), sample.camera)
     if hint and colour_findings[0].verdict != "ok":
         colour, colour_findings[0] = RepairConfig(), replace(colour_findings[0], repair=_reader_flags(hint))
     limits = _limits(codes, fields.get("depth_factor", e.reading.depth_factor))
@@ -120,9 +120,12 @@ def _examine(sample: Sample, pairs: Rows[tuple[int, int]], base: Sequence, hint:
         judge_frames.exposure_finding(over, gains(sample, close, e.data, correction)),
     ]
     return _Found(
-        findings=findings, data=replace(data, repair=replace(data.repair, skip=skip)), explanation=e, over=over,
+        findings=findings,
+        data=replace(data, repair=replace(data.repair, skip=skip)),
+        explanation=e,
+        over=over,
         usual_error=median_error(e.data, correction),
-    )  # fmt: skip
+    )
 
 
 def _frame_findings(sample: Sample, over: OverFrames) -> tuple[list[Finding], tuple[int, ...], DataConfig]:
@@ -187,11 +190,13 @@ def _readable_finding(sample: Sample, given: RepairConfig) -> Finding:
         )
     few = len(sample.frames) >= 2 and len(bad) <= tried / 2
     return Finding(
-        name="frames", verdict="doubtful" if few else "wrong", numbers=numbers,
+        name="frames",
+        verdict="doubtful" if few else "wrong",
+        numbers=numbers,
         repair="" if few else "mend the files the sentence names",
         sentence=f"{len(bad)} of {tried} frames cannot be used and are left out of the map, the first because "
         f"{next(iter(bad.values()))}.",
-    )  # fmt: skip
+    )
 
 
 def _limits(codes: Rows[DepthCode], factor: float) -> DataConfig:

@@ -106,21 +106,19 @@ def fit_all(data: FitData, start: Correction) -> list[Fitted]:
         if name in ("depth kind", "intrinsics size"):
             best, spread = min(tried, key=f), math.nan
         amount = max(abs(float(getattr(best, x)) - float(getattr(start, x))) for x in kind.fields)
-        fitted.append(
-            Fitted(kind=name, correction=best, amount=amount, ratio=f(best) / before, uncertainty=spread)
-        )
+        fitted.append(Fitted(kind=name, correction=best, amount=amount, ratio=f(best) / before, uncertainty=spread))
     return fitted
 
 
 def _resized(data: FitData, c: Correction, k: float) -> Correction:
     """``c`` with all four intrinsics multiplied by ``k``."""
     full = (data.camera.cx * data.thinning, data.camera.cy * data.thinning)
-    return replace(c, log_focal=c.log_focal + math.log(k), cx_px=c.cx_px + (k - 1) * full[0], cy_px=c.cy_px + (k - 1) * full[1])
+    return replace(
+        c, log_focal=c.log_focal + math.log(k), cx_px=c.cx_px + (k - 1) * full[0], cy_px=c.cy_px + (k - 1) * full[1]
+    )
 
 
-def _search(
-    f: Callable[[Correction], float], start: Correction, kind: Kind, pixels: float
-) -> tuple[Correction, float]:
+def _search(f: Callable[[Correction], float], start: Correction, kind: Kind, pixels: float) -> tuple[Correction, float]:
     """Least cost over the fields of ``kind``, one after another, in narrowing rounds; and how sharp the least is."""
     is_centre = "cx_px" in kind.fields
     width = kind.width * (pixels if is_centre else 1.0)
@@ -138,7 +136,7 @@ def _search(
 def _line(
     f: Callable[[Correction], float], c: Correction, value: float, name: str, width: float, levels: int
 ) -> tuple[Correction, float, list[tuple[float, float]]]:
-    """Grid of nine values of a field about the best, refined ``levels`` times; the best, its cost, all that was tried."""
+    """Nine values of a field about the best, refined ``levels`` times; the best, its cost, and all that was tried."""
     tried = [(getattr(c, name), value)]
     for _ in range(levels):
         for x in getattr(c, name) + width * np.linspace(-1, 1, 9):

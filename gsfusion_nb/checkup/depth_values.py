@@ -61,12 +61,16 @@ def code_finding(codes: Rows[DepthCode], depth_scale: float | None, repair: str)
     parts = []
     for code in codes:
         stored = f"{code.value_m * depth_scale:.0f}, read as " if depth_scale else ""
-        parts.append(f"{code.share:.1%} of the pixels with depth hold {stored}{code.value_m:.4g} m, far from all other depths")
+        parts.append(
+            f"{code.share:.1%} of the pixels with depth hold {stored}{code.value_m:.4g} m, far from all other depths"
+        )
     return Finding(
-        name="depth codes", verdict="wrong", repair=repair,
+        name="depth codes",
+        verdict="wrong",
+        repair=repair,
         numbers={"share": sum(c.share for c in codes), "value_m": codes[0].value_m},
         sentence=f'{"; ".join(parts)}: a code for "missing", not a distance.',
-    )  # fmt: skip
+    )
 
 
 def missing_finding(frames: Rows[FrameFacts]) -> Finding:
@@ -76,12 +80,18 @@ def missing_finding(frames: Rows[FrameFacts]) -> Finding:
     values = torch.cat([f.depth_m[f.depth_m > 0] for f in frames])
     near, median, far = (_percentile(values, q) for q in (0.01, 0.5, 0.99))
     numbers = {"missing_median": middle, "missing_most": most, "near_m": near, "median_m": median, "far_m": far}
-    text = f"{middle:.0%} of the pixels have no depth (at most {most:.0%} in a frame); depths {near:.2f} to {far:.2f} m, median {median:.2f} m"
+    text = (
+        f"{middle:.0%} of the pixels have no depth (at most {most:.0%} in a frame); depths {near:.2f} to {far:.2f} m, "
+        f"median {median:.2f} m"
+    )
     if middle > _MANY_MISSING:
         return Finding(
-            name="depth coverage", verdict="wrong" if middle > _MOST_MISSING else "doubtful", numbers=numbers, sentence=f"{text}.",
-            repair="record nearer than the sensor's range and avoid sun, glass and black surfaces; maps will have holes",
-        )  # fmt: skip
+            name="depth coverage",
+            verdict="wrong" if middle > _MOST_MISSING else "doubtful",
+            numbers=numbers,
+            sentence=f"{text}.",
+            repair="record within the sensor's range and avoid sun, glass and black surfaces; maps will have holes",
+        )
     return Finding(name="depth coverage", verdict="ok", numbers=numbers, sentence=f"{text}.")
 
 

@@ -12,8 +12,8 @@ from .readings import DEPTH_FACTORS, PRICE, Tried, best_reading
 from .sample import Sample
 
 WORTH_TRYING = 0.03
-"""Another reading is followed up if it scores this much higher than as read. Where the recording is clean the best other
-one scores 0.06 lower or worse (0.9 against 0.8 over 30 frames with little motion)."""
+"""Another reading is followed up if it scores this much higher than as read. Where a recording is clean the best other
+one scores at least 0.06 lower (0.9 against 0.8 over 30 frames with little motion)."""
 SLOWEST_WRONG_STEP_M = 0.7
 """A median step between frames above this is no camera in a hand: the unit of the positions is wrong."""
 PLAUSIBLE_DEPTH_M = (0.15, 20.0)
@@ -72,9 +72,12 @@ def explain(sample: Sample, pairs: Rows[tuple[int, int]]) -> Explanation:
     after = Row(what="best explanation", flags=flags, agreeing=share, median_m=median_m)
     return Explanation(
         reading=units,
-        corrected=corrected, before=before, after=after, data=data,
+        corrected=corrected,
+        before=before,
+        after=after,
+        data=data,
         rows=_table(sample, far, tried, corrected.last, data, reading, before),
-    )  # fmt: skip
+    )
 
 
 def repair_fields(c: Correction, camera: Camera, reading: RepairConfig) -> dict:
@@ -134,9 +137,14 @@ def _numbers(data: FitData, c: Correction) -> dict[str, float]:
 
 
 def _table(
-    sample: Sample, pairs: Rows[tuple[int, int]], tried: list[Tried], last: list[Fitted], data: FitData,
-    reading: RepairConfig, before: Row,
-) -> list[Row]:  # fmt: skip
+    sample: Sample,
+    pairs: Rows[tuple[int, int]],
+    tried: list[Tried],
+    last: list[Fitted],
+    data: FitData,
+    reading: RepairConfig,
+    before: Row,
+) -> list[Row]:
     """As read, the best readings, and the best of every kind of correction on top of the reading adopted."""
     rows = [before]
     for t in [t for t in tried if not t.is_as_read][:8]:

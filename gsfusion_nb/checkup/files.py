@@ -1,5 +1,6 @@
 """What the files themselves say before any frame can be made of them: image sizes, pose matrices, time stamps."""
 
+import itertools
 import math
 import re
 from dataclasses import replace
@@ -39,21 +40,32 @@ def image_size(source: RecordedSequence) -> tuple[RepairConfig, Finding]:
     if rgb_size is None or depth_size is None:
         return RepairConfig(), Finding(name="image size", verdict="ok", sentence="No pair of images could be read.")
     sizes = {"colour": rgb_size, "depth": depth_size, "the intrinsics": expected}
-    numbers = {f"{name.removeprefix('the ')}_{side}": float(v) for name, s in sizes.items() for side, v in zip(("width", "height"), s, strict=True)}
+    numbers = {
+        f"{name.removeprefix('the ')}_{side}": float(v)
+        for name, s in sizes.items()
+        for side, v in zip(("width", "height"), s, strict=True)
+    }
     if len(set(sizes.values())) == 1:
         return RepairConfig(), Finding(
-            name="image size", verdict="ok", numbers=numbers,
+            name="image size",
+            verdict="ok",
+            numbers=numbers,
             sentence=f"Colour, depth and intrinsics are all {expected[0]}x{expected[1]}.",
-        )  # fmt: skip
+        )
     described = ", ".join(f"{name} {w}x{h}" for name, (w, h) in sizes.items())
     fits = source.rectify is None
     aspect = max(w / h for w, h in sizes.values()) / min(w / h for w, h in sizes.values())
-    note = "" if aspect < 1.01 else " Their proportions differ too: one of them is cropped, so look at the registration."
+    note = (
+        "" if aspect < 1.01 else " Their proportions differ too: one of them is cropped, so look at the registration."
+    )
     repair = RepairConfig(fit_sizes=True) if fits else RepairConfig()
     return repair, Finding(
-        name="image size", verdict="wrong", numbers=numbers, repair=repair.flags or "write intrinsics of the images' size",
+        name="image size",
+        verdict="wrong",
+        numbers=numbers,
+        repair=repair.flags or "write intrinsics of the images' size",
         sentence=f"The sizes differ: {described}.{note}",
-    )  # fmt: skip
+    )
 
 
 def pose_matrices(stored: Float[Tensor, "N 4 4"]) -> tuple[RepairConfig, Finding]:
@@ -62,12 +74,16 @@ def pose_matrices(stored: Float[Tensor, "N 4 4"]) -> tuple[RepairConfig, Finding
     known = stored[torch.isfinite(stored).all(dim=(1, 2))]
     lost = n - len(known)
     if not len(known):
-        return RepairConfig(), Finding(name="pose matrices", verdict="wrong", sentence=f"None of the {n} poses is finite.")
+        return RepairConfig(), Finding(
+            name="pose matrices", verdict="wrong", sentence=f"None of the {n} poses is finite."
+        )
     shares = {}
     options = (
-        RepairConfig(), RepairConfig(matrices="column_major"), RepairConfig(nearest_rotation=True),
+        RepairConfig(),
+        RepairConfig(matrices="column_major"),
+        RepairConfig(nearest_rotation=True),
         RepairConfig(matrices="column_major", nearest_rotation=True),
-    )  # fmt: skip
+    )
     for option in options:
         shares[option] = float(_rigid(raw_matrices(known, option)).float().mean())
     # the nearest rotation always exists: it counts only for matrices that are rotations but for scale and noise
@@ -81,47 +97,70 @@ def pose_matrices(stored: Float[Tensor, "N 4 4"]) -> tuple[RepairConfig, Finding
     if best == options[0]:
         bad = shares[best] < 1 or lost
         return best, Finding(
-            name="pose matrices", verdict="doubtful" if bad else "ok", numbers=numbers,
+            name="pose matrices",
+            verdict="doubtful" if bad else "ok",
+            numbers=numbers,
             sentence=f"{text}." + (" Frames without a pose are left out of the map." if bad else ""),
-        )  # fmt: skip
+        )
     why = {
         "column_major": "read by columns they are: the 16 numbers are stored column by column",
         "nearest_rotation": f"their rotations are scaled by {scale:.4g} or not quite orthogonal",
     }
-    reasons = [why["column_major"]] * (best.matrices == "column_major") + [why["nearest_rotation"]] * best.nearest_rotation
+    reasons = [why["column_major"]] * (best.matrices == "column_major") + [
+        why["nearest_rotation"]
+    ] * best.nearest_rotation
     return best, Finding(
-        name="pose matrices", verdict="wrong", numbers=numbers, repair=best.flags,
+        name="pose matrices",
+        verdict="wrong",
+        numbers=numbers,
+        repair=best.flags,
         sentence=f"{text}; {' and '.join(reasons)}.",
-    )  # fmt: skip
+    )
 
 
 def time_stamps(source: RecordedSequence) -> list[Finding]:
     """Whether times increase without gaps, and whether file numbers do."""
     times = source.timestamps_s
-    steps = [b - a for a, b in zip(times, times[1:], strict=False)]
+    steps = [b - a for a, b in itertools.pairwise(times)]
     if not steps:
         return []
     usual = sorted(steps)[len(steps) // 2]
     backward = [i for i, dt in enumerate(steps) if dt <= 0]
     gaps = [i for i, dt in enumerate(steps) if usual > 0 and dt > _TIME_GAP * usual]
-    numbers = {"usual_step_s": usual, "longest_step_s": max(steps), "gaps": float(len(gaps)), "not_increasing": float(len(backward))}
+    numbers = {
+        "usual_step_s": usual,
+        "longest_step_s": max(steps),
+        "gaps": float(len(gaps)),
+        "not_increasing": float(len(backward)),
+    }
     if backward:
-        return [Finding(
-            name="time stamps", verdict="wrong", numbers=numbers, repair="sort the frames by time in the recording's lists",
-            sentence=f"Time does not increase after {len(backward)} of {len(times)} frames, first after frame {backward[0]}.",
-        )]  # fmt: skip
+        return [
+            Finding(
+                name="time stamps",
+                verdict="wrong",
+                numbers=numbers,
+                repair="sort the frames by time in the recording's lists",
+                sentence=f"Time does not increase after {len(backward)} of {len(times)} frames, first after {backward[0]}.",
+            )
+        ]
     missing = _numbers_left_out(source)
     if gaps or missing:
         place = f", the longest {max(steps):.3g} s after frame {steps.index(max(steps))}" if gaps else ""
         text = f"{len(gaps)} gaps in time{place} (usual step {usual:.3g} s)" if gaps else ""
         text += f"{'; ' if text else ''}{missing} numbers are left out among the file names" if missing else ""
-        return [Finding(
-            name="time stamps", verdict="doubtful", numbers=numbers | {"numbers_left_out": float(missing)},
-            repair="nothing to do if the jumps below are none; else map the pieces apart with --data.start and --data.stop",
-            sentence=f"{text}.",
-        )]  # fmt: skip
+        return [
+            Finding(
+                name="time stamps",
+                verdict="doubtful",
+                numbers=numbers | {"numbers_left_out": float(missing)},
+                repair="nothing if there are no pose jumps; else map the pieces apart: --data.start, --data.stop",
+                sentence=f"{text}.",
+            )
+        ]
     rate = f"{1 / usual:.3g} frames per second" if usual > 0 else "one time for all"
-    return [Finding(name="time stamps", verdict="ok", numbers=numbers, sentence=f"Times increase without gaps, {rate}.")]
+    return [
+        Finding(name="time stamps", verdict="ok", numbers=numbers, sentence=f"Times increase without gaps, {rate}.")
+    ]
 
 
 def _stored_sizes(source: RecordedSequence) -> tuple[tuple[int, int] | None, tuple[int, int] | None]:
@@ -165,13 +204,13 @@ def _scale(T: Float[Tensor, "N 4 4"]) -> float:
 
 
 def _numbers_left_out(source: RecordedSequence) -> int:
-    """Numbers missing among the names of the colour files, in units of their usual step; 0 where names are no numbers."""
+    """Numbers missing among the colour files' names, in units of their usual step; 0 where names are no numbers."""
     numbers = [re.search(r"(\d+)$", p.stem) for p in source.rgb_files]
     if not all(numbers) or len(numbers) < 3:
         return 0
     values = [int(m[1]) for m in numbers if m]
     if max(values) > 10**9:  # times, not counts
         return 0
-    steps = [b - a for a, b in zip(values, values[1:], strict=False)]
+    steps = [b - a for a, b in itertools.pairwise(values)]
     usual = max(1, sorted(steps)[len(steps) // 2])
     return sum(max(0, round(s / usual) - 1) for s in steps)

@@ -1,46 +1,49 @@
-"""Findings on scale, poses, intrinsics and registration from the explanation that fits best."""
+"""Findings on scale, poses and intrinsics from the explanation that fits best."""
 
 import math
-from dataclasses import replace
 
 from ..config import RepairConfig
 from ..config.repair import NAMED_AXES
 from ..types import Camera
-from .alignment import ColourFit
 from .corrections import CLEAR, Fitted
 from .explain import Explanation, repair_fields
 from .findings import Finding, Verdict
 
 _HARDLY = 1 / 3
 _TYPICAL_ERROR = 0.02
-SHIFT_DOUBTFUL_PX, SHIFT_WRONG_PX = 3.0, 5.0
-"""Of 640 pixels. Registered Kinects measure up to 2: their depth edges are ragged."""
-SCALE_DOUBTFUL = 0.015
-"""Registered recordings measure 0 to 0.005."""
-_UNRELATED_PEAK, _UNRELATED_SCORE = 5.0, 0.4
-"""Below both, colour shows nothing where depth has its edges, at no shift: mixed-up frames give up to 4 and 0.2, real
-registered ones 6 to 10 and 0.9 to 1.4."""
 
 
 def agreement_finding(e: Explanation, usual_error: float) -> Finding:
     """Whether frames agree at all once everything known is repaired."""
     numbers = {
-        "agreeing_as_read": e.before.agreeing, "agreeing_repaired": e.after.agreeing,
-        "error_as_read_m": e.before.median_m, "error_repaired_m": e.after.median_m, "relative_error": usual_error,
-    }  # fmt: skip
-    text = f"{e.after.agreeing:.0%} of a frame's points agree with another frame within 3 %, the median difference is {_cm(e.after.median_m)}"
+        "agreeing_as_read": e.before.agreeing,
+        "agreeing_repaired": e.after.agreeing,
+        "error_as_read_m": e.before.median_m,
+        "error_repaired_m": e.after.median_m,
+        "relative_error": usual_error,
+    }
+    text = (
+        f"{e.after.agreeing:.0%} of a frame's points agree with another frame within 3 %, the median difference is "
+        f"{_cm(e.after.median_m)}"
+    )
     if e.after.flags:
         text += f" with the repair (as read: {e.before.agreeing:.0%}, {_cm(e.before.median_m)})"
     if usual_error > _TYPICAL_ERROR or not math.isfinite(usual_error):
         return Finding(
-            name="agreement", verdict="wrong", numbers=numbers, sentence=f"{text}: nothing that was tried explains the data.",
+            name="agreement",
+            verdict="wrong",
+            numbers=numbers,
+            sentence=f"{text}: nothing that was tried explains the data.",
             repair="check that poses and images belong together; look at the pictures of the page",
-        )  # fmt: skip
+        )
     if e.after.agreeing < _HARDLY and usual_error > _TYPICAL_ERROR / 2:
         return Finding(
-            name="agreement", verdict="doubtful", numbers=numbers, sentence=f"{text}: little overlap, or poses that are not precise.",
+            name="agreement",
+            verdict="doubtful",
+            numbers=numbers,
+            sentence=f"{text}: little overlap, or poses that are not precise.",
             repair="",
-        )  # fmt: skip
+        )
     return Finding(name="agreement", verdict="ok", numbers=numbers, sentence=f"{text}.")
 
 
@@ -50,33 +53,47 @@ def scale_finding(e: Explanation, camera: Camera) -> Finding:
     factor, translation = fields.get("depth_factor", e.reading.depth_factor), e.reading.translation_factor
     repair = RepairConfig(depth_factor=factor, translation_factor=translation)
     fitted = _last(e, "depth scale")
-    known = f"known to {fitted.uncertainty:.1%}" if fitted and math.isfinite(fitted.uncertainty) else "not known precisely"
+    known = (
+        f"known to {fitted.uncertainty:.1%}" if fitted and math.isfinite(fitted.uncertainty) else "not known precisely"
+    )
     if repair == RepairConfig():
         return Finding(
-            name="depth scale", verdict="ok", numbers={"factor": 1.0},
+            name="depth scale",
+            verdict="ok",
+            numbers={"factor": 1.0},
             sentence=f"Depth and positions have one unit ({known} from these frames).",
-        )  # fmt: skip
+        )
     adopted = _adopted(e, "depth scale")
     verdict: Verdict = "wrong" if adopted is None or adopted.ratio < CLEAR else "doubtful"
     if translation != 1.0:
         text = f"The positions of the poses must be multiplied by {translation:g} to be metres."
     else:
         text = f"Depth must be multiplied by {factor:g}{_scale_words(factor)}."
-    return Finding(name="depth scale", verdict=verdict, numbers={"factor": factor, "translation_factor": translation}, sentence=text, repair=repair.flags)
+    return Finding(
+        name="depth scale",
+        verdict=verdict,
+        numbers={"factor": factor, "translation_factor": translation},
+        sentence=text,
+        repair=repair.flags,
+    )
 
 
 def kind_finding(e: Explanation) -> Finding:
     """z-depth or length of the ray."""
     if e.corrected.correction.ray:
         return Finding(
-            name="depth kind", verdict="wrong", repair=RepairConfig(depth_kind="ray").flags,
+            name="depth kind",
+            verdict="wrong",
+            repair=RepairConfig(depth_kind="ray").flags,
             numbers={"cost_ratio": _ratio(e, "depth kind")},
             sentence="Depth is the distance along each pixel's ray, not along the optical axis.",
-        )  # fmt: skip
+        )
     return Finding(
-        name="depth kind", verdict="ok", numbers={"cost_ratio_if_ray": _ratio(e, "depth kind")},
+        name="depth kind",
+        verdict="ok",
+        numbers={"cost_ratio_if_ray": _ratio(e, "depth kind")},
         sentence="Depth is measured along the optical axis.",
-    )  # fmt: skip
+    )
 
 
 def reading_findings(e: Explanation) -> list[Finding]:
@@ -93,13 +110,21 @@ def reading_findings(e: Explanation) -> list[Finding]:
     order = "The quaternions are stored {} but were read in the other order."
     return [
         _reading("pose direction", r.poses != "camera_to_world", words[r.poses], RepairConfig(poses=r.poses), numbers),
-        _reading("pose axes", r.axes != "opencv", f"The axes of the poses' cameras are those of {named}{mirrored}.", RepairConfig(axes=r.axes), numbers),
         _reading(
-            "quaternion order", r.quaternions != "as_read",
-            order.format(r.quaternions) if r.quaternions != "as_read" else "The rotations are read in the right order.",
-            RepairConfig(quaternions=r.quaternions), numbers,
+            "pose axes",
+            r.axes != "opencv",
+            f"The axes of the poses' cameras are those of {named}{mirrored}.",
+            RepairConfig(axes=r.axes),
+            numbers,
         ),
-    ]  # fmt: skip
+        _reading(
+            "quaternion order",
+            r.quaternions != "as_read",
+            order.format(r.quaternions) if r.quaternions != "as_read" else "The rotations are read in the right order.",
+            RepairConfig(quaternions=r.quaternions),
+            numbers,
+        ),
+    ]
 
 
 def time_finding(e: Explanation, camera: Camera) -> Finding:
@@ -109,14 +134,22 @@ def time_finding(e: Explanation, camera: Camera) -> Finding:
     known = fitted.uncertainty if fitted else math.nan
     if not shift:
         sure = f" (known to {known:.2f} frames)" if math.isfinite(known) else ""
-        return Finding(name="pose time", verdict="ok", numbers={"shift_frames": 0.0}, sentence=f"Poses and depth are of one time{sure}.")
+        return Finding(
+            name="pose time",
+            verdict="ok",
+            numbers={"shift_frames": 0.0},
+            sentence=f"Poses and depth are of one time{sure}.",
+        )
     fields = repair_fields(e.corrected.correction, camera, e.reading)
     ratio = _ratio(e, "pose time")
     return Finding(
-        name="pose time", verdict="wrong" if ratio < CLEAR else "doubtful", numbers={"shift_frames": shift, "cost_ratio": ratio},
+        name="pose time",
+        verdict="wrong" if ratio < CLEAR else "doubtful",
+        numbers={"shift_frames": shift, "cost_ratio": ratio},
         repair=RepairConfig(pose_shift_frames=fields["pose_shift_frames"]).flags,
-        sentence=f"The pose that belongs to a frame's depth is that of {abs(shift):.1f} frames {'after' if shift > 0 else 'before'} it.",
-    )  # fmt: skip
+        sentence=f"The pose that belongs to a frame's depth is that of {abs(shift):.1f} frames "
+        f"{'after' if shift > 0 else 'before'} it.",
+    )
 
 
 def intrinsics_findings(e: Explanation, camera: Camera) -> list[Finding]:
@@ -125,69 +158,12 @@ def intrinsics_findings(e: Explanation, camera: Camera) -> list[Finding]:
     fields = repair_fields(c, camera, e.reading)
     focal = {k: v for k, v in fields.items() if k in ("fx", "fy")}
     centre = {k: v for k, v in fields.items() if k in ("cx", "cy")}
-    found = [_focal(e, camera, focal, centre), _centre(e, camera, {} if _is_size(e) else centre), _pixel_centre(e, fields)]
-    return found
-
-
-def registration_findings(fit: ColourFit | None, camera: Camera) -> tuple[RepairConfig, list[Finding]]:
-    """How colour lies to depth, in space and in time."""
-    if fit is None:
-        text = "Too few depth edges to compare with colour."
-        return RepairConfig(), [Finding(name="registration", verdict="ok", sentence=text), Finding(name="colour time", verdict="ok", sentence=text)]
-    unit = 640 / camera.width
-    shift = math.hypot(*fit.shift_px) * unit
-    zoomed = abs(fit.scale - 1) > SCALE_DOUBTFUL
-    numbers = {
-        "shift_x_px": fit.shift_px[0], "shift_y_px": fit.shift_px[1], "scale": fit.scale,
-        "contrast_on_edges": fit.score, "contrast_as_read": fit.score_as_read, "peak": fit.peak,
-    }  # fmt: skip
-    if fit.score < _UNRELATED_SCORE and fit.peak < _UNRELATED_PEAK:
-        return RepairConfig(), [Finding(
-            name="registration", verdict="wrong", numbers=numbers,
-            repair="pair every depth image with the colour image of its time (names, order, association)",
-            sentence="Colour shows nothing where depth has edges, whatever the shift: the images do not belong together.",
-        )]  # fmt: skip
-    space = Finding(
-        name="registration", verdict="ok", numbers=numbers,
-        sentence=f"Colour edges lie on depth edges to {shift / unit:.1f} pixels.",
-    )  # fmt: skip
-    time = Finding(name="colour time", verdict="ok", numbers={"shift_frames": 0.0}, sentence="Colour and depth are of one time.")
-    if fit.shift_frames:
-        repair = RepairConfig(rgb_shift_frames=fit.shift_frames)
-        side = "after" if fit.shift_frames > 0 else "before"
-        time = Finding(
-            name="colour time", verdict="wrong", numbers={"shift_frames": float(fit.shift_frames)}, repair=repair.flags,
-            sentence=f"The colour that belongs to a frame's depth is that of {abs(fit.shift_frames)} frames {side} it.",
-        )  # fmt: skip
-        return repair, [space, time]
-    if fit.mirror == "none" and shift < SHIFT_DOUBTFUL_PX and not zoomed:
-        return RepairConfig(), [space, time]
-    repair, text = _registration_repair(fit, shift)
-    wrong = fit.mirror != "none" or shift >= SHIFT_WRONG_PX or zoomed
-    return repair, [
-        replace(space, verdict="wrong" if wrong else "doubtful", sentence=text, repair=repair.flags),
-        time,
+    found = [
+        _focal(e, camera, focal, centre),
+        _centre(e, camera, {} if _is_size(e) else centre),
+        _pixel_centre(e, fields),
     ]
-
-
-def _registration_repair(fit: ColourFit, shift: float) -> tuple[RepairConfig, str]:
-    moved = shift >= SHIFT_DOUBTFUL_PX or abs(fit.scale - 1) > SCALE_DOUBTFUL
-    repair = RepairConfig(
-        rgb_mirror=fit.mirror,  # pyright: ignore[reportArgumentType]
-        rgb_shift_x_px=round(fit.shift_px[0], 1) if moved else 0.0,
-        rgb_shift_y_px=round(fit.shift_px[1], 1) if moved else 0.0,
-        rgb_scale=fit.scale if abs(fit.scale - 1) > SCALE_DOUBTFUL else 1.0,
-    )
-    words = []
-    if fit.mirror != "none":
-        words.append({"x": "mirrored left to right", "y": "upside down", "xy": "turned by 180 degrees"}[fit.mirror])
-    if repair.rgb_scale != 1:
-        words.append(f"{fit.scale:.2f} times as large")
-    if moved:
-        x, y = fit.shift_px
-        words.append(f"{abs(x):.1f} pixels to the {'right' if x > 0 else 'left'} and {abs(y):.1f} {'below' if y > 0 else 'above'}")
-    note = "; a reader that registers depth with a calibration is better" if repair.rgb_scale != 1 else ""
-    return repair, f"The colour image is {', '.join(words)} against the depth image{note}."
+    return found
 
 
 def _focal(e: Explanation, camera: Camera, focal: dict, centre: dict) -> Finding:
@@ -195,7 +171,12 @@ def _focal(e: Explanation, camera: Camera, focal: dict, centre: dict) -> Finding
     if not focal:
         fitted = _last(e, "focal length")
         known = f", known to {fitted.uncertainty:.1%}" if fitted and math.isfinite(fitted.uncertainty) else ""
-        return Finding(name="focal length", verdict="ok", numbers=numbers, sentence=f"The focal lengths fit (fx {camera.fx:.1f}, fy {camera.fy:.1f}{known}).")
+        return Finding(
+            name="focal length",
+            verdict="ok",
+            numbers=numbers,
+            sentence=f"The focal lengths fit (fx {camera.fx:.1f}, fy {camera.fy:.1f}{known}).",
+        )
     ratio = min(_ratio(e, k) for k in ("focal length", "fx / fy", "intrinsics size"))
     old, new = f"fx {camera.fx:.1f}, fy {camera.fy:.1f}", f"fx {focal['fx']:.1f}, fy {focal['fy']:.1f}"
     text = f"The focal lengths are wrong: {old}, but the depth images ask for {new}"
@@ -203,12 +184,16 @@ def _focal(e: Explanation, camera: Camera, focal: dict, centre: dict) -> Finding
         text += ": they are exchanged"
     fields = dict(focal)
     if _is_size(e):
-        text += f", and the principal point scales alike: the intrinsics are those of images {camera.fx / focal['fx']:.3g} times as large"
+        times = camera.fx / focal["fx"]
+        text += f", and the principal point scales alike: the intrinsics are those of images {times:.3g} times as large"
         fields |= centre
     return Finding(
-        name="focal length", verdict="wrong" if ratio < CLEAR else "doubtful", numbers=numbers | {"cost_ratio": ratio},
-        sentence=f"{text}.", repair=RepairConfig(**fields).flags,
-    )  # fmt: skip
+        name="focal length",
+        verdict="wrong" if ratio < CLEAR else "doubtful",
+        numbers=numbers | {"cost_ratio": ratio},
+        sentence=f"{text}.",
+        repair=RepairConfig(**fields).flags,
+    )
 
 
 def _centre(e: Explanation, camera: Camera, centre: dict) -> Finding:
@@ -216,15 +201,24 @@ def _centre(e: Explanation, camera: Camera, centre: dict) -> Finding:
     if not centre:
         fitted = _last(e, "principal point")
         known = f", known to {fitted.uncertainty:.1f} pixels" if fitted and math.isfinite(fitted.uncertainty) else ""
-        return Finding(name="principal point", verdict="ok", numbers=numbers, sentence=f"The principal point fits (cx {camera.cx:.1f}, cy {camera.cy:.1f}{known}).")
+        return Finding(
+            name="principal point",
+            verdict="ok",
+            numbers=numbers,
+            sentence=f"The principal point fits (cx {camera.cx:.1f}, cy {camera.cy:.1f}{known}).",
+        )
     ratio = _ratio(e, "principal point")
-    text = f"The principal point is wrong: {camera.cx:.1f}, {camera.cy:.1f}, but the depth images ask for {centre['cx']:.1f}, {centre['cy']:.1f}"
+    old, new = f"{camera.cx:.1f}, {camera.cy:.1f}", f"{centre['cx']:.1f}, {centre['cy']:.1f}"
+    text = f"The principal point is wrong: {old}, but the depth images ask for {new}"
     if centre == {"cx": camera.cy, "cy": camera.cx}:
         text += ": cx and cy are exchanged"
     return Finding(
-        name="principal point", verdict="wrong" if ratio < CLEAR else "doubtful", numbers=numbers | {"cost_ratio": ratio},
-        sentence=f"{text}.", repair=RepairConfig(**centre).flags,
-    )  # fmt: skip
+        name="principal point",
+        verdict="wrong" if ratio < CLEAR else "doubtful",
+        numbers=numbers | {"cost_ratio": ratio},
+        sentence=f"{text}.",
+        repair=RepairConfig(**centre).flags,
+    )
 
 
 def _pixel_centre(e: Explanation, fields: dict) -> Finding:
@@ -233,16 +227,26 @@ def _pixel_centre(e: Explanation, fields: dict) -> Finding:
     known = fitted.uncertainty if fitted else math.nan
     if shift:
         return Finding(
-            name="pixel centres", verdict="doubtful", numbers={"shift_px": shift, "cost_ratio": _ratio(e, "principal point")},
+            name="pixel centres",
+            verdict="doubtful",
+            numbers={"shift_px": shift, "cost_ratio": _ratio(e, "principal point")},
             repair=RepairConfig(pixel_shift=shift).flags,
-            sentence=f"cx and cy are half a pixel too {'small' if shift > 0 else 'large'}: the first pixel's centre is counted as {'0' if shift > 0 else '0.5'} in one place and {'0.5' if shift > 0 else '0'} in the other.",
-        )  # fmt: skip
+            sentence=f"cx and cy are half a pixel too {'small' if shift > 0 else 'large'}: the first pixel's centre is "
+            f"counted as {'0' if shift > 0 else '0.5'} by the intrinsics and not by the reader.",
+        )
     if not known < 0.4:
         return Finding(
-            name="pixel centres", verdict="ok", numbers={"known_to_px": known},
+            name="pixel centres",
+            verdict="ok",
+            numbers={"known_to_px": known},
             sentence="Half a pixel makes no difference that could be measured in these frames.",
-        )  # fmt: skip
-    return Finding(name="pixel centres", verdict="ok", numbers={"known_to_px": known}, sentence="cx and cy are right to less than half a pixel.")
+        )
+    return Finding(
+        name="pixel centres",
+        verdict="ok",
+        numbers={"known_to_px": known},
+        sentence="cx and cy are right to less than half a pixel.",
+    )
 
 
 def _reading(name: str, changed: bool, text: str, repair: RepairConfig, numbers: dict[str, float]) -> Finding:
@@ -277,10 +281,14 @@ def _ratio(e: Explanation, kind: str) -> float:
 
 def _scale_words(factor: float) -> str:
     known = {
-        0.2: "5000 units are a metre, not 1000", 5.0: "1000 units are a metre, not 5000",
-        0.001: "it is in millimetres", 1000.0: "it was divided by 1000 once too often", 10.0: "the scale is ten times too large",
-        0.1: "the scale is ten times too small", 0.01: "it is in centimetres",
-    }  # fmt: skip
+        0.2: "5000 units are a metre, not 1000",
+        5.0: "1000 units are a metre, not 5000",
+        0.001: "it is in millimetres",
+        1000.0: "it was divided by 1000 once too often",
+        10.0: "the scale is ten times too large",
+        0.1: "the scale is ten times too small",
+        0.01: "it is in centimetres",
+    }
     return f" ({known[factor]})" if factor in known else ""
 
 

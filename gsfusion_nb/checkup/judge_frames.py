@@ -1,5 +1,6 @@
 """Findings on what happens from frame to frame: jumps, poses that stand still, exposure, blur, frozen images."""
 
+import itertools
 from collections.abc import Sequence as Rows
 
 import numpy as np
@@ -30,13 +31,14 @@ def find_jumps(over: OverFrames) -> tuple[list[int], list[int]]:
     """Frames that stand apart from both neighbours, and frames after which the path goes on elsewhere."""
     step = np.maximum(over.turned_deg / _JUMP_BASE_DEG, over.moved_m / _JUMP_BASE_M)
     usual_error = float(np.nanmedian(over.error)) if np.isfinite(over.error).any() else 0.0
+    frozen = over.same_depth | np.roll(over.same_depth, 1)  # there depth says nothing about poses
     jumps = set()
     for i in np.flatnonzero(np.isfinite(step)):
         around = step[max(0, i - 10) : i + 11]
         times = step[i] / max(np.nanmedian(around), 1e-9)
         disagrees = over.error[i] > max(_JUMP_ERROR, _JUMP_ERROR_OF_USUAL * usual_error) and times > _JUMP_OF_MEDIAN
         unseen = np.isnan(over.error[i]) and times > _JUMP_UNSEEN
-        if step[i] > 1 and (disagrees or unseen):
+        if step[i] > 1 and (disagrees or unseen) and not frozen[i]:
             jumps.add(int(i))
     alone = sorted(int(over.number[i + 1]) for i in jumps if i + 1 in jumps)
     cuts = sorted(int(over.number[i]) for i in jumps if i + 1 not in jumps and i - 1 not in jumps)
@@ -53,15 +55,18 @@ def jump_finding(over: OverFrames, alone: Rows[int], cuts: Rows[int], repair: st
     parts = [f"frame {_list(alone)} lies off the path of its neighbours"] * bool(alone)
     parts += [f"the path breaks off after frame {_list(cuts)}"] * bool(cuts)
     return Finding(
-        name="pose jumps", verdict="wrong", numbers=numbers, repair=repair,
+        name="pose jumps",
+        verdict="wrong",
+        numbers=numbers,
+        repair=repair,
         sentence=f"{' and '.join(parts).capitalize()} ({extent}), and depth does not follow.",
-    )  # fmt: skip
+    )
 
 
 def longest_piece(cuts: Rows[int], length: int) -> tuple[int, int]:
     """First and one past the last frame of the longest piece between cuts (a cut lies after its frame)."""
     ends = [0, *(c + 1 for c in cuts), length]
-    return max(zip(ends[:-1], ends[1:], strict=True), key=lambda piece: piece[1] - piece[0])
+    return max(itertools.pairwise(ends), key=lambda piece: piece[1] - piece[0])
 
 
 def motion_finding(over: OverFrames) -> Finding | None:
@@ -72,10 +77,12 @@ def motion_finding(over: OverFrames) -> Finding | None:
         return None
     still = bool(over.same_colour[:-1].all())
     return Finding(
-        name="pose motion", verdict="doubtful" if still else "wrong",
+        name="pose motion",
+        verdict="doubtful" if still else "wrong",
         repair="" if still else "give a trajectory that belongs to this recording",
-        sentence="All poses are alike" + (", and so are the images: nothing can be checked." if still else ", but the images differ."),
-    )  # fmt: skip
+        sentence="All poses are alike"
+        + (", and so are the images: nothing can be checked." if still else ", but the images differ."),
+    )
 
 
 def exposure_finding(over: OverFrames, far_gains: np.ndarray) -> Finding:
@@ -84,15 +91,20 @@ def exposure_finding(over: OverFrames, far_gains: np.ndarray) -> Finding:
     step = float(np.abs(over.gain_stops[known]).max(initial=0.0))
     spread = float(np.nanmax(np.abs(far_gains), initial=0.0))
     numbers = {"largest_step_stops": step, "largest_difference_stops": spread}
-    text = f"the same points differ in brightness by at most {step:.2f} stops from frame to frame and {spread:.2f} within 30 frames"
+    text = (
+        f"the same points differ in brightness by at most {step:.2f} stops from frame to frame and {spread:.2f} within "
+        "30 frames"
+    )
     if step < STEP_STOPS and spread < SPREAD_STOPS:
         return Finding(name="exposure", verdict="ok", numbers=numbers, sentence=f"{text.capitalize()}.")
     worst = over.number[known][np.argsort(-np.abs(over.gain_stops[known]))][:3]
     return Finding(
-        name="exposure", verdict="doubtful", numbers=numbers,
+        name="exposure",
+        verdict="doubtful",
+        numbers=numbers,
         repair="lock exposure and white balance when recording; maps of this one will show stripes of brightness",
         sentence=f"{text.capitalize()}, most after frame {_list(sorted(worst.tolist()))}.",
-    )  # fmt: skip
+    )
 
 
 def blurred_frames(over: OverFrames) -> list[int]:
@@ -111,24 +123,35 @@ def sharpness_finding(over: OverFrames, blurred: Rows[int], repair: str) -> Find
     numbers = {"least_relative_sharpness": float(over.sharpness.min(initial=1.0)), "blurred": float(len(blurred))}
     if not blurred:
         return Finding(
-            name="sharpness", verdict="ok", numbers=numbers,
-            sentence=f"No frame is much less sharp than its neighbours (least {numbers['least_relative_sharpness']:.2f} of theirs).",
-        )  # fmt: skip
+            name="sharpness",
+            verdict="ok",
+            numbers=numbers,
+            sentence="No frame is much less sharp than its neighbours "
+            f"(least {numbers['least_relative_sharpness']:.2f} of theirs).",
+        )
     return Finding(
-        name="sharpness", verdict="doubtful", numbers=numbers, repair=repair,
+        name="sharpness",
+        verdict="doubtful",
+        numbers=numbers,
+        repair=repair,
         sentence=f"Blurred beside their neighbours: frame {_list(blurred)}.",
-    )  # fmt: skip
+    )
 
 
 def frozen_finding(over: OverFrames, frozen: Rows[int], repair: str) -> Finding:
     """Whether images are repeated while the camera moves."""
     numbers = {"frozen": float(len(frozen)), "repeated": float((over.same_colour | over.same_depth).sum())}
     if not frozen:
-        return Finding(name="frozen frames", verdict="ok", numbers=numbers, sentence="No image is repeated while the poses move.")
+        return Finding(
+            name="frozen frames", verdict="ok", numbers=numbers, sentence="No image is repeated while the poses move."
+        )
     return Finding(
-        name="frozen frames", verdict="wrong", numbers=numbers, repair=repair,
+        name="frozen frames",
+        verdict="wrong",
+        numbers=numbers,
+        repair=repair,
         sentence=f"The image of the frame before is repeated although the pose moved on: frame {_list(frozen)}.",
-    )  # fmt: skip
+    )
 
 
 def _list(frames: Rows[int]) -> str:

@@ -70,28 +70,32 @@ def measure_over_frames(sample: Sample, reading: RepairConfig, correction: Corre
             out["flow_px"][i] = float(shift[j][known].median())
             out["gain_stops"][i] = _gain(a.grey, b.grey, data, landing.uv_b[j], j, known & (r < _AGREES_FOR_COLOUR))
     return OverFrames(
-        number=np.array([f.number for f in frames], dtype=np.int64), **out, sharpness=_relative([f.sharpness for f in frames]),
-        missing=np.array([f.missing for f in frames]), brightness=np.array([f.brightness for f in frames]),
-        same_colour=same_colour, same_depth=same_depth,
-    )  # fmt: skip
+        number=np.array([f.number for f in frames], dtype=np.int64),
+        **out,
+        sharpness=_relative([f.sharpness for f in frames]),
+        missing=np.array([f.missing for f in frames]),
+        brightness=np.array([f.brightness for f in frames]),
+        same_colour=same_colour,
+        same_depth=same_depth,
+    )
 
 
-def gains(sample: Sample, pairs: Rows[tuple[int, int]], data: FitData, correction: Correction) -> Float[np.ndarray, " P"]:
+def gains(
+    sample: Sample, pairs: Rows[tuple[int, int]], data: FitData, correction: Correction
+) -> Float[np.ndarray, " P"]:
     """How much brighter the second frame of each pair shows the same points, log2; NaN where too few agree."""
     landing, there = land(data, correction), sample.by_place
     agrees = landing.known & (landing.residual.abs() < _AGREES_FOR_COLOUR)
-    return np.array([
-        _gain(there[a].grey, there[b].grey, data, landing.uv_b[j], j, agrees[j]) for j, (a, b) in enumerate(pairs)
-    ])  # fmt: skip
+    return np.array(
+        [_gain(there[a].grey, there[b].grey, data, landing.uv_b[j], j, agrees[j]) for j, (a, b) in enumerate(pairs)]
+    )
 
 
 def _gain(grey_a, grey_b, data: FitData, uv_b: torch.Tensor, j: int, known: torch.Tensor) -> float:
     """Median log2 ratio of the grey levels of the points that agree, without those near black or white."""
     if int(known.sum()) < 50:
         return float("nan")
-    a, b = (
-        _look_up(grey, uv[known], data.camera.width) for grey, uv in ((grey_a, data.uv_a[j]), (grey_b, uv_b))
-    )
+    a, b = (_look_up(grey, uv[known], data.camera.width) for grey, uv in ((grey_a, data.uv_a[j]), (grey_b, uv_b)))
     low, high = _USABLE_GREY
     good = (a > low) & (a < high) & (b > low) & (b < high)
     return float(np.median(np.log2(b[good] / a[good]))) if good.sum() >= 30 else float("nan")

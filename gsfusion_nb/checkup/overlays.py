@@ -39,14 +39,16 @@ def pictures_of(
                 first, second = sequence[a], sequence[b]
             except BadFrameError:
                 continue
-            found[f"Depth of frame {a} in frame {b}, {label}: difference to the depth measured there"] = depth_error(first, second)
+            found[f"Depth of frame {a} in frame {b}, {label}: difference to the depth measured there"] = depth_error(
+                first, second
+            )
             found[f"Frame {b}, {label}: depth edges (green) on colour"] = edge_overlay(second)
             break
     return found
 
 
 def depth_error(first: Frame, second: Frame) -> Picture:
-    """Depth of ``first`` moved into ``second``, and its difference to the depth there: light yellow is 10 cm or more."""
+    """Depth of ``first`` moved into ``second``, against the depth there: light yellow is 10 cm or more off."""
     step = max(1, round(first.camera.width / (_WIDTH / 2)))  # sparse points leave holes: the target is half as fine
     camera, depth_b = thinned(second.camera, second.depth_m, step)
     T = relative_poses(first.T_WC[None].double(), second.T_WC[None].double())[0]

@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from .report import CheckupReport
 
 _WORDS = {"ok": "ok", "doubtful": "doubtful", "wrong": "wrong"}
-_STYLE = """<style>.v{font-weight:650;white-space:nowrap}.v.ok{color:#2f8f5b}.v.doubtful{color:#b7791f}.v.wrong{color:#c53a3a}
+_STYLE = """<style>.v{font-weight:650;white-space:nowrap}.v.ok{color:#2f8f5b}
+.v.doubtful{color:#b7791f}.v.wrong{color:#c53a3a}
 td.v{padding-right:16px}.findings td:nth-child(2){white-space:nowrap;padding-right:18px}
 .pictures.pair{grid-template-columns:repeat(2,minmax(0,1fr))}
 .findings code,.tried code{overflow-wrap:anywhere}</style>"""
@@ -87,9 +88,7 @@ def _tried(rows: "Sequence[Row]") -> str:
     )
     if not lines:
         return ""
-    head = (
-        '<tr><th>Tried</th><th>Options</th><th class="num">agreeing</th><th class="num">median difference</th></tr>'
-    )
+    head = '<tr><th>Tried</th><th>Options</th><th class="num">agreeing</th><th class="num">median difference</th></tr>'
     return (
         '<section><h2>What was tried</h2><p class="note">Points of one depth image, moved into another: the share that '
         "falls within 3 % of the depth measured there, and the median difference where the images overlap.</p>"

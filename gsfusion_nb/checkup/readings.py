@@ -20,7 +20,22 @@ from .sample import Sample
 GAPS = (1, 2, 4, 8, 16, 30)
 """Frames between the two of a pair: near ones overlap in any recording, far ones show small mistakes."""
 PAIRS_PER_GAP = 6
-DEPTH_FACTORS = (0.2, 5.0, 0.1, 10.0, 0.01, 100.0, 0.001, 1000.0, 1000 / 6553.5, 6.5535, 5 / 6.5535, 6.5535 / 5, 0.25, 4.0)
+DEPTH_FACTORS = (
+    0.2,
+    5.0,
+    0.1,
+    10.0,
+    0.01,
+    100.0,
+    0.001,
+    1000.0,
+    1000 / 6553.5,
+    6.5535,
+    5 / 6.5535,
+    6.5535 / 5,
+    0.25,
+    4.0,
+)
 """Ratios between the scales of public data sets, of metres, centimetres and millimetres, of 5000 and 6553.5, and of
 sensors that count quarter millimetres."""
 PRICE = 0.01

@@ -16,7 +16,7 @@ _MARKS: dict[Verdict, str] = {"ok": "ok", "doubtful": "??", "wrong": "NO"}
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CheckupReport:
-    """What a check-up found. ``report["depth scale"]`` is a finding; ``print(report)``; in a notebook it shows itself."""
+    """What a check-up found. ``report["depth scale"]`` is a finding; print it, or let a notebook show it."""
 
     name: str
     findings: Sequence[Finding]
@@ -45,7 +45,7 @@ class CheckupReport:
     @property
     def verdict(self) -> Verdict:
         """The worst of the findings."""
-        return max((f.verdict for f in self.findings), key=RANK.__getitem__, default="ok")
+        return max((f.verdict for f in self.findings), key=lambda v: RANK[v], default="ok")
 
     @property
     def ok(self) -> bool:
@@ -84,7 +84,9 @@ class CheckupReport:
         return "\n".join(lines)
 
     def __repr__(self) -> str:
-        return f"CheckupReport({self.name}: {self.verdict}, {len(self.trouble)} of {len(self.findings)} findings not ok)"
+        return (
+            f"CheckupReport({self.name}: {self.verdict}, {len(self.trouble)} of {len(self.findings)} findings not ok)"
+        )
 
     def _repr_html_(self) -> str:
         from .page import notebook_html

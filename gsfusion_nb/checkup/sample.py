@@ -35,7 +35,7 @@ class FrameFacts:
     missing: float
     """Share of pixels without depth."""
     sharpness: float
-    """Mean squared Laplacian of the grey image."""
+    """Mean squared Laplacian of the grey image over its variance, which leaves exposure out."""
     brightness: float
     """Mean grey level, 0..1."""
     clipped: float
@@ -80,9 +80,12 @@ def read_sample(sequence: Sequence, *, frames: int = 250, at: list[int] | None =
     step = max(1, round(camera.width / DEPTH_WIDTH))
     depth_camera, _ = thinned(camera, torch.zeros(camera.height, camera.width), step)
     sample = Sample(
-        name=sequence.name, length=len(sequence), camera=camera, depth_camera=depth_camera,
+        name=sequence.name,
+        length=len(sequence),
+        camera=camera,
+        depth_camera=depth_camera,
         stored_poses=_stored_poses(sequence),
-    )  # fmt: skip
+    )
     for place in places(len(sequence), frames) if at is None else at:
         try:
             sample.frames.append(_facts(sequence[place], place, step))
@@ -115,7 +118,7 @@ def _facts(frame: Frame, place: int, step: int) -> FrameFacts:
         grey=np.asarray(grey),
         depth_m=depth_m.clone(),
         missing=float((depth_m <= 0).float().mean()),
-        sharpness=float(np.mean(np.square(laplacian.astype(np.float32)))),
+        sharpness=float(np.mean(np.square(laplacian.astype(np.float32)))) / (float(grey.var()) + 1.0),
         brightness=float(grey.mean()) / 255,
         clipped=float(np.mean((grey >= 254) | (grey <= 1))),
     )

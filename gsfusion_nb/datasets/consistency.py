@@ -76,9 +76,7 @@ def depth_agreement(a: Frame, b: Frame, *, step: int = 4) -> DepthAgreement:
     """
     T_ba = relative_poses(a.T_WC.double()[None], b.T_WC.double()[None])
     found = agreement(depth_pair(a.depth_m, b.depth_m, b.camera, step=step), T_ba)
-    return DepthAgreement(
-        median_m=float(found.median_m), overlap=float(found.overlap), agreeing=float(found.agreeing)
-    )
+    return DepthAgreement(median_m=float(found.median_m), overlap=float(found.overlap), agreeing=float(found.agreeing))
 
 
 def check_sequence(sequence: Sequence, *, pairs: int = 4) -> SequenceCheck:

@@ -92,8 +92,13 @@ class Localiser:
             self._places.add(frame.index, frame.T_WC, features)
 
     def finish(self) -> Correction | None:
-        """The back end's last optimisation, over all keyframes and landmarks, after the scan."""
-        return None if self._back_end is None else self._apply(self._back_end.finish())
+        """The back end's last optimisation, over all keyframes and landmarks, after the scan.
+
+        Without a loop the front end's path stays: a precise one has more to lose than to gain from landmarks alone.
+        """
+        if self._back_end is None or not self._back_end.loops:
+            return None
+        return self._apply(self._back_end.finish())
 
     def _apply(self, correction: Correction | None) -> Correction | None:
         if correction is None:
@@ -107,8 +112,8 @@ class Localiser:
         """Everything needed to go on."""
         known = self._back_end or self._places
         return {
-            "poses": self.poses,
-            "frame_indices": self.frame_indices,
+            "poses": list(self.poses),
+            "frame_indices": list(self.frame_indices),
             "tracker": self._tracker.state_dict(),
             "camera": None if known is None else vars(known.camera),
             "back_end": None if self._back_end is None else self._back_end.state_dict(),

@@ -33,7 +33,6 @@ from .chunks import NO_HIT, Chunk, Scratch, cut_into_chunks, image_to_tiles, til
 from .entries import Entries, entries_vjp, list_entries, pixel_functions
 from .tiles import TileLists
 
-
 _NOT_DRAWN = -2
 """In place of a row: the pixel is none of the picture's, or not wanted, and looks for no hit."""
 

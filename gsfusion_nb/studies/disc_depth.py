@@ -10,6 +10,7 @@ import torch
 
 from ..checks import check_name
 from ..config import rtg_slam
+from ..constants import OPAQUE_ALPHA
 from ..datasets import open_sequence
 from ..gaussians import SurfelModel
 from ..mapping.surfel_optimiser import SurfelOptimiser, View
@@ -57,7 +58,10 @@ def fit_image(frame: Frame, n: int, method: str, *, steps: int = STEPS, seed: in
     """
     check_name("method", method, METHODS)
     settings = rtg_slam("replica")
-    discs = dataclasses.replace(settings.discs, depth="disc" if method == "disc" else "blended")
+    depth = "disc" if method == "disc" else "blended"
+    discs = dataclasses.replace(
+        settings.discs, opaque_alpha=OPAQUE_ALPHA, depth=depth
+    )  # the paper's surfel, to 1 sigma
     context = SeedContext(frame, generator=torch.Generator().manual_seed(seed), discs=discs)
     usable = int((context.has_depth() & (context.normals() != 0).any(dim=-1)).sum())
     options = {"share": min(1.0, n / max(usable, 1))}

@@ -29,7 +29,7 @@ STUDIES: dict[str, Study] = {
         "RTG-SLAM with and without transparent Gaussians (Peng et al. 2024, Fig. 6)",
         {
             "with transparent": _RTG,
-            "opaque only": (*_RTG, "--seeding.options", "transparent", "False"),
+            "opaque only": (*_RTG, "--rule-options", "transparent=false"),
         },
     ),
     "states": Study(

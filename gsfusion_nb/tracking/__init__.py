@@ -9,10 +9,12 @@ from .icp import IcpIteration as IcpIteration
 from .icp import IcpResult as IcpResult
 from .icp import align as align
 from .icp import icp as icp
+from .normal_equations import IcpSystem as IcpSystem
+from .normal_equations import associate as associate
+from .normal_equations import depth_weight as depth_weight
+from .normal_equations import icp_system as icp_system
+from .normal_equations import point_to_plane as point_to_plane
 from .places import Places as Places
-from .point_to_plane import IcpSystem as IcpSystem
-from .point_to_plane import associate as associate
-from .point_to_plane import icp_system as icp_system
 from .pyramid import DepthLevel as DepthLevel
 from .pyramid import depth_pyramid as depth_pyramid
 from .surface import Surface as Surface

@@ -70,8 +70,8 @@ def moved_enough(last: Float[Tensor, "4 4"], T_WC: Float[Tensor, "4 4"], config:
 class BackEnd:
     """Corrects the front end's trajectory over keyframes.
 
-    World frame: ``add`` takes poses in the world as corrected so far. A front end applies each ``Correction`` to its own
-    pose before it goes on.
+    World frame: ``add`` takes poses in the world as corrected so far; a front end applies each ``Correction`` to its
+    own pose before it goes on.
     """
 
     def __init__(self, config: BackEndConfig, camera: Camera):
@@ -158,10 +158,10 @@ class BackEnd:
         if not len(self):
             return poses.clone()
         keyframe = torch.tensor(self.places.index)
-        D = blend(keyframe, torch.stack(self._as_tracked), self.T_WC, indices.cpu(), torch.stack(self._as_added))
-        moved = (D @ poses.detach().cpu().double()).to(poses)
-        same = (D == torch.eye(4, dtype=D.dtype)).flatten(1).all(1).to(poses.device)
-        return torch.where(same[:, None, None], poses, moved)
+        motion = blend(keyframe, torch.stack(self._as_tracked), self.T_WC, indices.cpu(), torch.stack(self._as_added))
+        moved = (motion @ poses.detach().cpu().double()).to(poses)
+        changed = (motion != torch.eye(4, dtype=motion.dtype)).flatten(1).any(1).to(poses.device)
+        return torch.where(changed[:, None, None], moved, poses)
 
     def _check(self, frame: Frame, T_WC: Tensor) -> None:
         check_pose("T_WC", T_WC)

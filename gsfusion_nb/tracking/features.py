@@ -99,7 +99,7 @@ def extract_features(frame: Frame, *, count: int, levels: int) -> Features:
 def _orb(count: int, levels: int) -> Any:
     import cv2
 
-    return cv2.ORB_create(nfeatures=count, scaleFactor=SCALE_FACTOR, nlevels=levels, fastThreshold=FAST_THRESHOLD)
+    return cv2.ORB.create(nfeatures=count, scaleFactor=SCALE_FACTOR, nlevels=levels, fastThreshold=FAST_THRESHOLD)
 
 
 def _spread(position: ndarray, strength: ndarray, count: int, shape: tuple[int, int]) -> ndarray:

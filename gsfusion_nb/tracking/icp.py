@@ -10,7 +10,7 @@ from torch import Tensor
 from ..config import TrackingConfig
 from ..geometry import depth_to_points, se3
 from ..types import Camera
-from .point_to_plane import IcpSystem, depth_weight, icp_system
+from .normal_equations import IcpSystem, depth_weight, icp_system
 from .pyramid import DepthLevel, depth_pyramid
 from .solve import Extent, Step, solve_step
 from .surface import Surface
@@ -107,8 +107,10 @@ def align(
     points = _extent(levels[0], config.even_to_m)
     history: list[IcpIteration] = []
     for level, iterations in zip(levels, config.iterations, strict=True):
+        # 5 degrees move a point 2 m away by 17 cm, beyond the gate: coarse levels look as far as their pixels are large
+        coarse = gates | {"max_distance_m": config.max_distance_m * level.factor / levels[-1].factor}
         for _ in range(iterations):
-            system = icp_system(level, T_WC.to(device), surface, **gates)
+            system = icp_system(level, T_WC.to(device), surface, **coarse)
             if system.n_inliers < 6:
                 break
             step = _step(system, T_WC, centre, points, config)

@@ -64,7 +64,7 @@ class Landmarks:
         Returns:
             (feature row, landmark). [P, 2]
         """
-        from scipy.spatial import cKDTree
+        from scipy.spatial import KDTree
 
         nothing = torch.zeros((0, 2), dtype=torch.int64)
         landmark, descriptors = self._seen_from(rows)
@@ -74,7 +74,7 @@ class Landmarks:
         ahead = (xyz_C[:, 2] > 0.1).numpy()
         landmark, descriptors = landmark[ahead], descriptors[ahead]
         uv = project(self.places.camera, xyz_C[torch.from_numpy(ahead)]).numpy()
-        near = cKDTree(features.uv.numpy()).query_ball_point(uv, radius_px) if len(uv) else []
+        near = KDTree(features.uv.numpy()).query_ball_point(uv, radius_px) if len(uv) else []
         counts = np.array([len(n) for n in near], int)
         if counts.sum() == 0:
             return nothing

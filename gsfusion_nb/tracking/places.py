@@ -1,9 +1,9 @@
 """Recognising a place by its features: the most similar keyframes, and the camera's pose against them.
 
 Every descriptor is turned into eight words, one per table: twelve of its bits, the same twelve for all descriptors
-(locality-sensitive hashing, Gionis et al. 1999). Descriptors of one point seen twice differ in few of their 256 bits, so
-they share some of the words; the words rare among the keyframes count most (tf-idf, Sivic & Zisserman 2003). Nothing is
-trained and nothing is downloaded.
+(locality-sensitive hashing, Gionis et al. 1999). Descriptors of one point seen twice differ in few of their 256 bits,
+so they share some of the words; the words rare among the keyframes count most (tf-idf, Sivic & Zisserman 2003). Nothing
+is trained and nothing is downloaded.
 """
 
 from typing import Any
@@ -21,8 +21,8 @@ from .matching import RelativePose, relative_pose
 
 TABLES = 8
 BITS = 12
-"""Eight tables of twelve bits found a true revisit among the five best in 94 % (room) and 100 % (red kitchen) of the
-cases, a vocabulary of 1024 words clustered from the first keyframes in 91 % and 93 %."""
+"""Eight tables of twelve bits find a true revisit among the five best in 94 % of 53 cases (built-in room) and 93 % of
+15 (red kitchen); a vocabulary of 1024 words clustered from the first keyframes found 91 % and 93 %."""
 
 _PATTERN = np.random.default_rng(0).permutation(256)[: TABLES * BITS].reshape(TABLES, BITS)
 

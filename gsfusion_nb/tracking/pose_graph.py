@@ -20,11 +20,11 @@ from .landmarks import Observations
 
 LOOP_CAUCHY = 2.0
 """A loop whose error is so many standard deviations has half its weight; at 100 it is as good as gone. With 1 the only
-loop after a long drift was left open in 2 of 10 cases, with 2 in none: closing it must cost
-less than leaving it."""
+loop after a long drift was left open in 2 of 10 cases, with 2 in none: closing it must cost less than leaving it."""
 
 TRACK_HUBER = 3.0
-"""Errors of relative poses between neighbours (a front end may slip once) grow linearly, not quadratically, from this many standard deviations."""
+"""Errors of relative poses between neighbours grow linearly, not quadratically, from this many standard deviations: a
+front end may slip once."""
 
 SIGHTING_CAUCHY = 2.4
 """... and those of sightings lose weight (95 % efficiency on Gaussian errors)."""
@@ -77,7 +77,7 @@ def require_gtsam() -> Any:
         import gtsam
     except ImportError as e:
         raise ImportError(
-            f"the back end needs GTSAM, which cannot be imported ({e}); install it with: pip install 'gsfusion-nb[slam]'"
+            f"the back end needs GTSAM, which cannot be imported ({e}); to install it: pip install 'gsfusion-nb[slam]'"
         ) from None
     return gtsam
 
@@ -116,9 +116,7 @@ def fit_odometry(edges: list[Edge]) -> list[Edge]:
     s2 = torch.stack([torch.linalg.inv(b.information).diagonal() for _, b in both])
     given = torch.stack([torch.linalg.inv(a.information).diagonal() for a, _ in both]).amax(0)
     floor = torch.linalg.inv(odometry_information(*ODOMETRY_FLOOR)).diagonal()
-    fitted = torch.cat(
-        [d2[:, k].median() / 0.455 - s2[:, k].median(dim=0).values.mean() + torch.zeros(3) for k in _HALVES]
-    )
+    fitted = torch.cat([(d2[:, k].median() / 0.455 - s2[:, k].median()).expand(3) for k in _HALVES])
     information = torch.diag(1 / fitted.maximum(floor).minimum(given))
     return [replace(e, information=information) if e.kind == "odometry" else e for e in edges]
 

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..geometry import se3
-from .point_to_plane import IcpSystem
+from .normal_equations import IcpSystem
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -25,8 +25,8 @@ coarse levels it finds a pose that the ordinary gates then refine."""
 
 RECOVERED_SHARE = 0.3
 RECOVERED_AGREEMENT = 0.6
-"""After a wide start, or at a recognised place, a pose must fit this well and in every direction of motion: it is bound
-to no other, and a wrong one spoils the map for good."""
+"""Once the prediction has failed a pose must fit this well, and in every direction of motion: chance fits are found among
+several starts, and a wrong pose spoils the map for good."""
 
 MAX_TIME_RATIO = 4.0
 """The last motion is carried on for at most so many times the time that it took."""
@@ -130,7 +130,7 @@ class Tracker:
         failures: list[str] = []
         for start, T_WC, wide in self._starts(frame):
             result = self._attempt(frame, levels, surface, (T_WC, wide), seconds)
-            problem = self._problem(result, wide=wide, anywhere=start.startswith("place"))
+            problem = self._problem(result, first_try=not failures, anywhere=start.startswith("place"))
             if not problem:
                 moved = self.lost_in_a_row == 0 and not start.startswith("place")
                 self._accept(frame, result.T_WC, moved=moved)
@@ -218,12 +218,13 @@ class Tracker:
             return hybrid_surface(source(camera, self._last.T_WC.float()), depth_m)
         return source(camera, T_WC.float())
 
-    def _problem(self, result: IcpResult, *, wide: bool, anywhere: bool) -> str:
+    def _problem(self, result: IcpResult, *, first_try: bool, anywhere: bool) -> str:
         """What is wrong with a result, as the end of a sentence; empty if nothing is."""
         assert self._last is not None
         config = self.config
-        share = max(config.min_inliers, RECOVERED_SHARE) if wide else config.min_inliers
-        agreement = max(config.min_agreement, RECOVERED_AGREEMENT) if wide else config.min_agreement
+        strict = not first_try or self.lost_in_a_row > 0
+        share = max(config.min_inliers, RECOVERED_SHARE if strict else 0)
+        agreement = max(config.min_agreement, RECOVERED_AGREEMENT if strict else 0)
         step = se3.inverse(self._last.T_WC) @ result.T_WC
         moved_m, turned_deg = float(step[:3, 3].norm()), float(se3.rotation_angle(step[:3, :3]).rad2deg())
         frames = 1 + self.lost_in_a_row
@@ -233,7 +234,7 @@ class Tracker:
             return f"{result.agreement:.0%} of those that meet the model fit it (at least {agreement:.0%} needed)"
         if not result.rms_m <= config.max_rms_m:
             return f"its points lie {result.rms_m * 100:.1f} cm from the model (at most {config.max_rms_m * 100:g} cm)"
-        if wide and result.degenerate:
+        if strict and result.degenerate:
             return f"{result.degenerate} of 6 directions of motion stay open"
         if not anywhere and (moved_m > frames * config.max_step_m or turned_deg > frames * config.max_step_deg):
             return (

@@ -69,16 +69,13 @@ class PixelMicroscope:
         import cv2
 
         lens, graph = self.pictures()
-        image = with_cross(self.image, self.stack.u, self.stack.v)
-        wide = round(image.shape[1] * PICTURE_PX / image.shape[0])
-        image = cv2.resize(image, (wide, PICTURE_PX), interpolation=cv2.INTER_AREA if wide < image.shape[1] else cv2.INTER_CUBIC)
+        image = with_cross(self.image, self.stack.u, self.stack.v, PICTURE_PX)
         top = np.concatenate([image, np.full((PICTURE_PX, 8, 3), 255, np.uint8), lens], 1)
         graph = cv2.resize(graph, (top.shape[1], round(graph.shape[0] * top.shape[1] / graph.shape[1])), interpolation=cv2.INTER_AREA)
         return np.concatenate([top, np.full((8, top.shape[1], 3), 255, np.uint8), graph])
 
     def _repr_mimebundle_(self, **kwargs: Any) -> dict[str, Any]:
-        data = with_picture(self.widget._repr_mimebundle_(**kwargs), self.picture(), repr(self.stack))
-        return data
+        return with_picture(self.widget._repr_mimebundle_(**kwargs), self.picture(), repr(self.stack))
 
     def _build(self, u: int, v: int) -> None:
         import ipywidgets as w
@@ -108,7 +105,7 @@ class PixelMicroscope:
 
     def _redraw(self) -> None:
         s = self.stack
-        self.clicks.show(with_cross(self.image, s.u, s.v))
+        self.clicks.show(with_cross(self.image, s.u, s.v, PICTURE_PX))
         lens, graph = self.pictures()
         self.lens.value, self.graph.value = encode_png(lens, 1), encode_png(graph, 1)
         self.table.value = stack_table(s)

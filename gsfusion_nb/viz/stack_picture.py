@@ -113,16 +113,27 @@ def outlines(splats: Splats, rows: Int[Tensor, " K"], points: int = 48) -> Float
     return (splats.projection.uv[rows].double()[:, None] + ring).numpy()
 
 
-def with_cross(image: AnyImage, u: int, v: int) -> Picture:
-    """The picture with a small cross around pixel (u, v), open in the middle."""
+def with_cross(image: AnyImage, u: int, v: int, height: int) -> Picture:
+    """The picture enlarged to ``height`` pixels, with a small cross around pixel (u, v), open in the middle."""
+    import cv2
+
+    picture, zoom = enlarged(image, height), height / image.shape[0]
+    x, y = round((u + 0.5) * zoom), round((v + 0.5) * zoom)
+    for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+        ends = [(x + r * dx, y + r * dy) for r in (5, 13)]
+        cv2.line(picture, *ends, (0, 0, 0), 4)
+        cv2.line(picture, *ends, CROSS, 2)
+    return picture
+
+
+def enlarged(image: AnyImage, height: int) -> Picture:
+    """The picture at another height; enlarged pixels stay squares."""
     import cv2
 
     picture = to_uint8(image)
-    for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-        ends = [(u + r * dx, v + r * dy) for r in (4, 11)]
-        cv2.line(picture, *ends, (0, 0, 0), 3)
-        cv2.line(picture, *ends, CROSS, 1)
-    return picture
+    zoom = height / picture.shape[0]
+    how = cv2.INTER_AREA if zoom < 1 else cv2.INTER_NEAREST
+    return np.asarray(cv2.resize(picture, (round(picture.shape[1] * zoom), height), interpolation=how), np.uint8)
 
 
 def write(image: Picture, words: str, x: int, y: int, scale: int, size: float = 0.36, ink: tuple[int, ...] = INK) -> None:

@@ -4,7 +4,7 @@ import numpy as np
 from numba import njit, prange
 
 from .composite import TILE
-from .project import FEW, tiles_of
+from .project import CHUNK, ROOM, tiles_of
 
 
 @njit(cache=True, error_model="numpy")
@@ -64,18 +64,18 @@ def depth_order(splats, count):
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
-def list_tiles(splats, start, few, width, height, windows, pair_tile):
+def list_tiles(splats, start, noted, width, height, windows, pair_tile):
     """Numbers of the tiles each splat is listed in, row i in ``pair_tile[start[i]:start[i + 1]]``."""
     N = splats.shape[0]
-    chunk = 256
-    for part in prange((N + chunk - 1) // chunk):
-        for i in range(part * chunk, min(N, part * chunk + chunk)):
-            n = start[i + 1] - start[i]
-            if n > FEW:
-                tiles_of(splats[i], width, height, windows, pair_tile, start[i], n)
-            else:
-                for j in range(n):
-                    pair_tile[start[i] + j] = few[i * FEW + j]
+    for part in prange((N + CHUNK - 1) // CHUNK):
+        first, end = part * CHUNK, min(N, part * CHUNK + CHUNK)
+        n = start[end] - start[first]
+        if n <= ROOM:
+            pair_tile[start[first] : start[end]] = noted[part * ROOM : part * ROOM + n]
+            continue
+        for i in range(first, end):
+            if start[i + 1] > start[i]:
+                tiles_of(splats[i], width, height, windows, pair_tile, start[i], start[i + 1] - start[i])
 
 
 @njit(cache=True, error_model="numpy")

@@ -30,6 +30,15 @@ _ZERO = f32(0.0)
 
 
 @njit(cache=True, error_model="numpy")
+def _zeros(size):
+    """float32 zeros that begin on a cache line: a vector that straddles two costs twice, 5 % of the whole."""
+    line = 16
+    memory = np.zeros(size + line, np.float32)
+    skip = -(memory.ctypes.data // 4) % line
+    return memory[skip : skip + size]
+
+
+@njit(cache=True, error_model="numpy")
 def _open_pixels(state, rows_open, pixels, x0, y0, width, height):
     """T in front of the first splat: 1 at the tile's pixels that are to be drawn, else -1. Returns the open rows."""
     tile_width, tile_height = min(TILE, width - x0), min(TILE, height - y0)
@@ -80,7 +89,7 @@ def composite_forward(splats, ids, offset, pixels, width, height, rgb, depth, al
         if offset[tile] == offset[tile + 1]:
             _clear(x0, y0, width, height, rgb, depth, alpha_out, (first, dominant, hit))
             continue
-        state = np.zeros((9 if with_hit else 8) * 256, np.float32)
+        state = _zeros((9 if with_hit else 8) * 256)
         state[1536:] = -_ONE
         rows_open = np.empty(TILE, np.uint8)
         n_open = _open_pixels(state, rows_open, pixels, x0, y0, width, height)
@@ -200,7 +209,7 @@ def composite_backward(splats, lists, pixels, trained, image, v_image, pair_sums
     The last sum starts as the whole pixel's, C . v_rgb + D v_depth + alpha v_alpha, and loses w_k p_k at each step.
     """
     ids, offset, slot = lists
-    all_trained = trained.shape[0] == 0
+    all_trained, masked = trained.shape[0] == 0, pixels.shape[0] > 0
     rgb, depth, alpha_image = image
     v_rgb, v_depth, v_alpha = v_image
     height, width = rgb.shape[0], rgb.shape[1]
@@ -213,13 +222,13 @@ def composite_backward(splats, lists, pixels, trained, image, v_image, pair_sums
             end -= 1
         if end == offset[tile]:
             continue
-        state = np.zeros(7 * 256, np.float32)
+        state = _zeros(7 * 256)
         rows_open = np.empty(TILE, np.uint8)
         n_open = _open_pixels(state, rows_open, pixels, x0, y0, width, height)
         for r in range(min(TILE, height - y0)):
             for i in range(min(TILE, width - x0)):
                 o, y, x = r * TILE + i, y0 + r, x0 + i
-                if state[o] < _ZERO:
+                if masked and not pixels[y, x]:
                     continue
                 total = _ZERO
                 for c in range(3):

@@ -1,6 +1,6 @@
 """Normal equations of point-to-plane ICP in one pass over the pixels of a frame.
 
-The formulas are those of ``gsfusion_nb.tracking.point_to_plane``. Each row of pixels first lists its correspondences,
+The formulas are those of ``gsfusion_nb.tracking.normal_equations``. Each row of pixels first lists its correspondences,
 sqrt(w) [J, r, 1] in columns, then multiplies them: 29 vectorised dot products. Rows are added up in order, so the sums do not
 depend on the number of threads.
 """
@@ -13,8 +13,8 @@ import torch
 from numba import njit, prange
 from torch import Tensor
 
-from gsfusion_nb.tracking.point_to_plane import IcpSystem
-from gsfusion_nb.tracking.point_to_plane import icp_system as reference
+from gsfusion_nb.tracking.normal_equations import IcpSystem
+from gsfusion_nb.tracking.normal_equations import icp_system as reference
 from gsfusion_nb.tracking.pyramid import DepthLevel
 from gsfusion_nb.tracking.surface import Surface
 from gsfusion_nb.types import Camera

@@ -26,8 +26,11 @@ _HALF, _ONE, _TWO, _ZERO = f32(0.5), f32(1.0), f32(2.0), f32(0.0)
 SPLAT = 12
 """u, v, conic A, B, C, ln(opacity), r, g, b, depth, half extents x, y of the ellipse alpha >= 1/255."""
 
-FEW = 16
-"""Tiles of a splat that are noted while they are counted; only for a larger splat they are found a second time."""
+CHUNK = 256
+"""Rows that one thread takes at a time."""
+
+ROOM = 16 * CHUNK
+"""Tiles of a chunk's splats that are noted while they are counted; if there are more, they are found a second time."""
 
 CAMERA = 23
 """float32: R_CW (9), t_CW (3), camera centre (3), fx, fy, cx, cy, limits of x/z, y/z in J, width, height."""
@@ -141,21 +144,21 @@ def _find_candidates(xyz, log_scale, cam, sums, first, end, found):
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
-def project_rows(xyz, log_scale, quat, logit, sh, cam, windows, sums, splats, count, few):
-    """Fill ``splats`` [N, SPLAT], ``count`` [N], the number of tiles each is listed in (0: not drawn), and the numbers
-    of its first ``FEW`` tiles, ``few`` [N * FEW].
+def project_rows(xyz, log_scale, quat, logit, sh, cam, windows, sums, splats, count, noted):
+    """Fill ``splats`` [N, SPLAT] and ``count`` [N], the number of tiles each is listed in (0: not drawn).
 
     windows, sums: where there are pixels to be drawn, from ``binning.tile_windows``.
+    noted: for each chunk ``ROOM`` numbers, the tiles of its rows one after another, as far as they fit.
     """
     N, K = sh.shape[0], sh.shape[1]
     fx, fy = cam[15], cam[16]
     width, height = int(cam[21]), int(cam[22])
-    chunk = 256
-    for part in prange((N + chunk - 1) // chunk):
+    for part in prange((N + CHUNK - 1) // CHUNK):
         Y = np.empty(16, np.float32)
-        first, end = part * chunk, min(N, part * chunk + chunk)
+        first, end = part * CHUNK, min(N, part * CHUNK + CHUNK)
         count[first:end] = 0
-        candidates = np.empty(chunk, np.int32)
+        candidates = np.empty(CHUNK, np.int32)
+        n_noted = 0
         for j in range(_find_candidates(xyz, log_scale, cam, sums, first, end, candidates)):
             i = candidates[j]
             X, Yw, Z = xyz[i, 0], xyz[i, 1], xyz[i, 2]
@@ -191,9 +194,10 @@ def project_rows(xyz, log_scale, quat, logit, sh, cam, windows, sums, splats, co
             reach = _TWO * (s[5] - _LOG_ALPHA_MIN)
             s[9] = z
             s[10], s[11] = math.sqrt(reach * (uu + _BLUR)), math.sqrt(reach * (vv + _BLUR))
-            count[i] = tiles_of(s, width, height, windows, few, i * FEW, FEW)
+            count[i] = tiles_of(s, width, height, windows, noted, part * ROOM + n_noted, ROOM - n_noted)
             if count[i] == 0:
                 continue
+            n_noted = min(n_noted + count[i], ROOM)
             dx, dy, dz = X - cam[12], Yw - cam[13], Z - cam[14]
             inv = _ONE / max(math.sqrt(dx * dx + dy * dy + dz * dz), f32(1e-12))
             basis_into(dx * inv, dy * inv, dz * inv, K, Y)
@@ -239,12 +243,11 @@ def project_rows_vjp(
     all_trained = trained.shape[0] == 0
     N, K = sh.shape[0], sh.shape[1]
     fx, fy = cam[15], cam[16]
-    chunk = 256
-    for part in prange((N + chunk - 1) // chunk):
+    for part in prange((N + CHUNK - 1) // CHUNK):
         total = np.empty(PAIR_SUMS, np.float32)
         Y = np.empty(16, np.float32)
         w = np.empty(16, np.float32)
-        for i in range(part * chunk, min(N, part * chunk + chunk)):
+        for i in range(part * CHUNK, min(N, part * CHUNK + CHUNK)):
             if start[i] == start[i + 1] or not (all_trained or trained[i]):
                 v_xyz[i] = _ZERO
                 v_log_scale[i] = _ZERO

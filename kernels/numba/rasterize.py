@@ -22,7 +22,7 @@ from gsfusion_nb.types import Camera, GaussianParams, RenderOutput
 from .binning import depth_order, list_tiles, sort_pairs, tile_windows
 from .composite import PAIR_SUMS, TILE, composite_backward, composite_forward
 from .launch import launching, scratch
-from .project import FEW, SPLAT, pack_camera, project_rows, project_rows_vjp
+from .project import CHUNK, ROOM, SPLAT, pack_camera, project_rows, project_rows_vjp
 
 _NO_IMAGE = np.empty((0, 0), np.float32)
 _NO_INDEX = np.empty((0, 0), np.int64)
@@ -77,12 +77,12 @@ def render_forward(
     image = rgb.numpy(), depth.numpy(), alpha.numpy()
     with launching():
         windows, sums = tile_windows(drawn, W, H)
-        few = scratch("few_tiles", N * FEW).view(np.int32)
-        project_rows(*arrays, cam, windows, sums, splats, count, few)
+        noted = scratch("noted_tiles", -(-N // CHUNK) * ROOM).view(np.int32)
+        project_rows(*arrays, cam, windows, sums, splats, count, noted)
         start = np.zeros(N + 1, np.int32)
         np.cumsum(count, out=start[1:])
         pair_tile = scratch("pair_tile", int(start[-1])).view(np.int32)
-        list_tiles(splats, start, few, W, H, windows, pair_tile)
+        list_tiles(splats, start, noted, W, H, windows, pair_tile)
         order = depth_order(splats, count)
         ids, slot, offset = sort_pairs(order, start, pair_tile, -(-W // TILE) * -(-H // TILE))
         indices = [_NO_INDEX if index is None else index.numpy() for index in (first, dominant, hit)]

@@ -6,6 +6,7 @@ import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -42,7 +43,7 @@ class Recording:
     def change_images(self, kind: str, change: Callable[[int, list[np.ndarray]], np.ndarray]) -> None:
         """Replace image i by ``change(i, all images)``; ``kind`` is rgb or depth."""
         files = sorted((self.root / kind).iterdir())
-        images = [cv2.imread(str(f), cv2.IMREAD_UNCHANGED) for f in files]
+        images: list[Any] = [cv2.imread(str(f), cv2.IMREAD_UNCHANGED) for f in files]
         for i, f in enumerate(files):
             options = [cv2.IMWRITE_JPEG_QUALITY, 95] if f.suffix == ".jpg" else []
             assert cv2.imwrite(str(f), change(i, images), options)
@@ -91,7 +92,9 @@ def _moved_colour(x: float, y: float, scale: float) -> Callable[[Recording], Non
     def change(i: int, images: list[np.ndarray]) -> np.ndarray:
         h, w = images[i].shape[:2]
         k = w / 640
-        matrix = np.array([[scale, 0, (1 - scale) * (w - 1) / 2 + k * x], [0, scale, (1 - scale) * (h - 1) / 2 + k * y]])
+        matrix = np.array(
+            [[scale, 0, (1 - scale) * (w - 1) / 2 + k * x], [0, scale, (1 - scale) * (h - 1) / 2 + k * y]]
+        )
         return cv2.warpAffine(images[i], matrix, (w, h), borderMode=cv2.BORDER_REPLICATE)
 
     return lambda r: r.change_images("rgb", change)
@@ -166,51 +169,118 @@ _SCALED = np.diag([1.3, 1.3, 1.3, 1])
 
 BREAKAGES = {
     "clean": Breakage("nothing", lambda r: None, set()),
-    "depth 5000 as 1000": Breakage("depth scale 1000 instead of 5000", _scale_depth(5), {"depth scale"}, {"depth_factor": 0.2}),
-    "depth a tenth": Breakage("depth scale ten times too large", _scale_depth(0.1), {"depth scale"}, {"depth_factor": 10.0}),
-    "depth 4 % off": Breakage("depth scale 4 % too small", _scale_depth(1.04), {"depth scale"}, {"depth_factor": (1 / 1.04, 0.012)}),
-    "mm poses": Breakage(
-        "positions in millimetres", _poses(lambda T: T * np.array([[1, 1, 1, 1000.0]] * 3 + [[1, 1, 1, 1]])),
-        {"depth scale"}, {"translation_factor": 0.001},
+    "depth 5000 as 1000": Breakage(
+        "depth scale 1000 instead of 5000", _scale_depth(5), {"depth scale"}, {"depth_factor": 0.2}
     ),
-    "inverted": Breakage("poses world-to-camera", _poses(np.linalg.inv), {"pose direction"}, {"poses": "world_to_camera"}),
+    "depth a tenth": Breakage(
+        "depth scale ten times too large", _scale_depth(0.1), {"depth scale"}, {"depth_factor": 10.0}
+    ),
+    "depth 4 % off": Breakage(
+        "depth scale 4 % too small", _scale_depth(1.04), {"depth scale"}, {"depth_factor": (1 / 1.04, 0.012)}
+    ),
+    "mm poses": Breakage(
+        "positions in millimetres",
+        _poses(lambda T: T * np.array([[1, 1, 1, 1000.0]] * 3 + [[1, 1, 1, 1]])),
+        {"depth scale"},
+        {"translation_factor": 0.001},
+    ),
+    "inverted": Breakage(
+        "poses world-to-camera", _poses(np.linalg.inv), {"pose direction"}, {"poses": "world_to_camera"}
+    ),
     "opengl": Breakage("OpenGL axes", _poses(lambda T: T @ _GL), {"pose axes"}, {"axes": "opengl"}),
     "ros": Breakage("ROS body axes", _poses(lambda T: T @ _ROS.T), {"pose axes"}, {"axes": "ros"}),
-    "unity": Breakage("left-handed world, y up", _poses(lambda T: _MIRROR @ T @ _MIRROR), {"pose axes"}, {"axes": "unity"}),
+    "unity": Breakage(
+        "left-handed world, y up", _poses(lambda T: _MIRROR @ T @ _MIRROR), {"pose axes"}, {"axes": "unity"}
+    ),
     "opengl view matrices": Breakage(
-        "OpenGL view matrices", _poses(lambda T: np.linalg.inv(T @ _GL)), {"pose direction", "pose axes"},
+        "OpenGL view matrices",
+        _poses(lambda T: np.linalg.inv(T @ _GL)),
+        {"pose direction", "pose axes"},
         {"poses": "world_to_camera", "axes": "opengl"},
     ),
-    "wxyz": Breakage("quaternions wxyz read as xyzw", _poses(_wxyz_as_xyzw), {"quaternion order"}, {"quaternions": "wxyz"}),
-    "columns": Breakage("matrices column by column", _poses(np.transpose), {"pose matrices"}, {"matrices": "column_major"}),
-    "scaled rotations": Breakage("rotations scaled by 1.3", _poses(lambda T: T @ _SCALED), {"pose matrices"}, {"nearest_rotation": True}),
+    "wxyz": Breakage(
+        "quaternions wxyz read as xyzw", _poses(_wxyz_as_xyzw), {"quaternion order"}, {"quaternions": "wxyz"}
+    ),
+    "columns": Breakage(
+        "matrices column by column", _poses(np.transpose), {"pose matrices"}, {"matrices": "column_major"}
+    ),
+    "scaled rotations": Breakage(
+        "rotations scaled by 1.3", _poses(lambda T: T @ _SCALED), {"pose matrices"}, {"nearest_rotation": True}
+    ),
     "pose jump": Breakage("one pose 70 cm off", _spike, {"pose jumps"}, {"skip": (12,)}),
-    "path breaks": Breakage("tracking restarted elsewhere at frame 20", _broken_path, {"pose jumps"}, {"start": 0, "stop": 20}),
+    "path breaks": Breakage(
+        "tracking restarted elsewhere at frame 20", _broken_path, {"pose jumps"}, {"start": 0, "stop": 20}
+    ),
     "poses early": Breakage("poses one frame early", _later(-1), {"pose time"}, {"pose_shift_frames": 1.0}),
     "poses late": Breakage("poses two frames late", _later(2), {"pose time"}, {"pose_shift_frames": -2.0}),
     "focal": Breakage(
-        "focal length 8 % too long", _intrinsics(lambda k: {n: 1.08 * k[n] for n in ("fx", "fy")}), {"focal length"},
+        "focal length 8 % too long",
+        _intrinsics(lambda k: {n: 1.08 * k[n] for n in ("fx", "fy")}),
+        {"focal length"},
         {"fx": ("fx", 0.01), "fy": ("fy", 0.01)},
     ),
-    "cx cy": Breakage("cx and cy exchanged", _intrinsics(lambda k: {"cx": k["cy"], "cy": k["cx"]}), {"principal point"}, {"cx": ("cx", 0.02), "cy": ("cy", 0.02)}),
+    "cx cy": Breakage(
+        "cx and cy exchanged",
+        _intrinsics(lambda k: {"cx": k["cy"], "cy": k["cx"]}),
+        {"principal point"},
+        {"cx": ("cx", 0.02), "cy": ("cy", 0.02)},
+    ),
     "half intrinsics": Breakage(
-        "intrinsics of images half as large", _intrinsics(lambda k: {n: k[n] / 2 for n in ("fx", "fy", "cx", "cy")}), {"focal length"},
+        "intrinsics of images half as large",
+        _intrinsics(lambda k: {n: k[n] / 2 for n in ("fx", "fy", "cx", "cy")}),
+        {"focal length"},
         {"fx": ("fx", 0.01), "cx": ("cx", 0.02)},
     ),
-    "other size": Breakage("intrinsics and size of images twice as large", _other_size, {"image size"}, {"fit_sizes": True}),
+    "other size": Breakage(
+        "intrinsics and size of images twice as large", _other_size, {"image size"}, {"fit_sizes": True}
+    ),
     "large colour": Breakage("colour 1.5 times the size of depth", _large_colour, {"image size"}, {"fit_sizes": True}),
-    "half a pixel": Breakage("pixel centres counted the other way", lambda r: r.write(pixel_centre=0.5), {"pixel centres"}, {"pixel_shift": 0.5}),
+    "half a pixel": Breakage(
+        "pixel centres counted the other way",
+        lambda r: r.write(pixel_centre=0.5),
+        {"pixel centres"},
+        {"pixel_shift": 0.5},
+    ),
     "ray depth": Breakage("depth along the ray", _ray_depth, {"depth kind"}, {"depth_kind": "ray"}),
-    "65535": Breakage("65535 for missing depth", lambda r: r.change_images("depth", _coded), {"depth codes"}, {"depth_max_m": ("code", 0.02)}),
-    "colour moved": Breakage("colour 10 pixels right, 6 up", _moved_colour(10, -6, 1.0), {"registration"}, {"rgb_shift_x_px": (10, 2.0), "rgb_shift_y_px": (-6, 2.0)}),
-    "other camera": Breakage("colour 9 % smaller and moved", _moved_colour(-12, 4, 0.91), {"registration"}, {"rgb_scale": (0.91, 0.015)}),
-    "mirrored": Breakage("colour mirrored", lambda r: r.change_images("rgb", lambda i, c: c[i][:, ::-1]), {"registration"}, {"rgb_mirror": "x"}),
+    "65535": Breakage(
+        "65535 for missing depth",
+        lambda r: r.change_images("depth", _coded),
+        {"depth codes"},
+        {"depth_max_m": ("code", 0.02)},
+    ),
+    "colour moved": Breakage(
+        "colour 10 pixels right, 6 up",
+        _moved_colour(10, -6, 1.0),
+        {"registration"},
+        {"rgb_shift_x_px": (10, 2.0), "rgb_shift_y_px": (-6, 2.0)},
+    ),
+    "other camera": Breakage(
+        "colour 9 % smaller and moved", _moved_colour(-12, 4, 0.91), {"registration"}, {"rgb_scale": (0.91, 0.015)}
+    ),
+    "mirrored": Breakage(
+        "colour mirrored",
+        lambda r: r.change_images("rgb", lambda i, c: c[i][:, ::-1]),
+        {"registration"},
+        {"rgb_mirror": "x"},
+    ),
     "colour ahead": Breakage("colour of two frames later", _colour_ahead, {"colour time"}, {"rgb_shift_frames": -2}),
-    "mixed up": Breakage("colour images shuffled", lambda r: r.change_images("rgb", lambda i, c: c[(i * 7 + 3) % len(c)]), {"registration"}, mends=False),
-    "exposure": Breakage("exposure changes by 0.9 stops every 5 frames", lambda r: r.change_images("rgb", _exposure), {"exposure"}, mends=False),
-    "blur": Breakage("frames 7 and 18 blurred", lambda r: r.change_images("rgb", _blur), {"sharpness"}, {"skip": (7, 18)}),
+    "mixed up": Breakage(
+        "colour images shuffled",
+        lambda r: r.change_images("rgb", lambda i, c: c[(i * 7 + 3) % len(c)]),
+        {"registration"},
+        mends=False,
+    ),
+    "exposure": Breakage(
+        "exposure changes by 0.9 stops every 5 frames",
+        lambda r: r.change_images("rgb", _exposure),
+        {"exposure"},
+        mends=False,
+    ),
+    "blur": Breakage(
+        "frames 7 and 18 blurred", lambda r: r.change_images("rgb", _blur), {"sharpness"}, {"skip": (7, 18)}
+    ),
     "frozen": Breakage("frames 10 and 11 repeat frame 9", _freeze, {"frozen frames"}, {"skip": (10, 11)}),
-}  # fmt: skip
+}
 
 SOURCES = {
     "room": 0,
@@ -295,5 +365,6 @@ def table():
     yield lines
     path = os.environ.get("GSNB_CHECKUP_TABLE")
     if path and lines:
-        head = "| recording | broken how | what it said | agreeing as read -> repaired | repair | right |\n|---|---|---|---|---|---|"
+        head = "| recording | broken how | what it said | agreeing as read -> repaired | repair | right |"
+        head += "\n|---|---|---|---|---|---|"
         Path(path).write_text("\n".join([head, *lines, ""]))

@@ -15,7 +15,9 @@ from gsfusion_nb.datasets.room import room
 
 def small_report() -> CheckupReport:
     findings = [
-        Finding(name="depth scale", verdict="wrong", sentence="Depth <b> must.", repair="--data.repair.depth-factor 0.2"),
+        Finding(
+            name="depth scale", verdict="wrong", sentence="Depth <b> must.", repair="--data.repair.depth-factor 0.2"
+        ),
         Finding(name="sharpness", verdict="doubtful", sentence="Blurred.", numbers={"blurred": 1.0}),
         Finding(name="frames", verdict="ok", sentence="All."),
     ]
@@ -74,7 +76,7 @@ def test_mistakes_of_the_command(capsys, tmp_path):
 
 
 def test_a_sequence_in_memory_is_left_alone():
-    sequence = room(n_frames=200, width=80, height=60)
+    sequence: Any = room(n_frames=200, width=80, height=60)
     report = check_recording(sequence, frames=31, pictures=False)
     assert report.frames_read == 31
     assert report.length == 200

@@ -6,7 +6,7 @@ import pytest
 import torch
 from jaxtyping import TypeCheckError
 
-from gsfusion_nb.evaluation import align_umeyama, ate_rmse, rpe
+from gsfusion_nb.evaluation import align_umeyama, ate_rmse, rpe, trajectory_scores
 from gsfusion_nb.geometry import se3
 
 
@@ -159,3 +159,30 @@ def test_impossible_requests_are_sentences(generator):
         ate_rmse(path * float("nan"), path)
     with pytest.raises((ValueError, TypeCheckError)):
         ate_rmse(path[:3], path)
+
+
+def test_scores_by_name(generator):
+    """A path whose world is moved rigidly and whose last pose is 5 cm off."""
+    path = random_path(generator)
+    T = se3.exp(torch.tensor([0.2, 0.1, -0.3, 0.1, 0.2, -0.1], dtype=torch.float64))
+    moved = T @ path
+    exact = trajectory_scores(moved, path)
+    assert exact["ate_rmse_m"] == pytest.approx(0, abs=1e-9)
+    assert exact["ate_mean_m"] == pytest.approx(0, abs=1e-9)
+    assert exact["rpe_translation_m"] == pytest.approx(0, abs=1e-9)
+    assert exact["rpe_rotation_deg"] == pytest.approx(0, abs=1e-5)
+    assert exact["drift_m"] == pytest.approx(float((moved - path)[-1, :3, 3].norm()))  # of the end, not aligned
+
+    off = path.clone()
+    off[-1, :3, 3] += torch.tensor([0.03, 0.0, 0.04], dtype=torch.float64)
+    scores = trajectory_scores(off, path)
+    assert scores["drift_m"] == pytest.approx(0.05)
+    assert scores["ate_rmse_m"] == pytest.approx(ate_rmse(off, path))
+    assert 0 < scores["ate_mean_m"] < scores["ate_rmse_m"]
+    assert scores["rpe_translation_m"] == pytest.approx(0.05 / math.sqrt(len(path) - 1))
+    assert scores["rpe_rotation_deg"] == pytest.approx(0, abs=1e-5)
+
+
+def test_scores_of_too_short_a_path():
+    with pytest.raises(ValueError, match="at least 3 positions, got 2"):
+        trajectory_scores(torch.eye(4).repeat(2, 1, 1), torch.eye(4).repeat(2, 1, 1))

@@ -154,7 +154,7 @@ def test_a_row_is_counted_once_in_the_report():
     assert len(model) == 28
 
 
-def images(colour, colour_index, depth, depth_index) -> tuple[torch.Tensor, ...]:
+def images(colour, colour_index, depth, depth_index) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
     return (
         torch.tensor([colour]),
         torch.tensor([colour_index], dtype=torch.int64),

@@ -162,6 +162,7 @@ def test_state_round_trip(generator):
         getattr(model, name).copy_(model.tag + i)
     model.params.xyz_W.add_(1.0)
     again = SurfelModel.from_state_dict(model.state_dict())
+    assert isinstance(again, SurfelModel)
     assert (len(again), again.step_count, again.sh_degree) == (5000, 17, 2)
     saved, restored = model.state_dict()["rows"], again.state_dict()["rows"]
     assert saved.keys() == restored.keys()

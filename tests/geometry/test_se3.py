@@ -63,3 +63,32 @@ def test_float32_keeps_its_digits_where_the_series_takes_over(generator):
 def test_hat_is_the_cross_product(generator):
     a, b = torch.randn(2, 5, 3, generator=generator)
     torch.testing.assert_close((se3.hat(a) @ b[..., None])[..., 0], torch.linalg.cross(a, b))
+
+
+@pytest.mark.parametrize("batch", BATCHES)
+@pytest.mark.parametrize("angle", [*ANGLES[:-1], 3e-2, 3.2e-2])
+def test_log_undoes_exp(generator, batch, angle):
+    xi = twist(generator, batch, angle)
+    found = se3.log(se3.exp(xi))
+    assert found.shape == xi.shape
+    torch.testing.assert_close(found, xi, atol=1e-8, rtol=0)
+
+
+def test_log_of_half_a_turn_is_one_of_the_two(generator):
+    xi = twist(generator, (20,), math.pi)
+    T = se3.exp(xi)
+    found = se3.log(T)
+    torch.testing.assert_close(se3.exp(found), T, atol=1e-7, rtol=0)
+    torch.testing.assert_close(found[:, 3:].norm(dim=-1), xi[:, 3:].norm(dim=-1), atol=1e-7, rtol=0)
+
+
+def test_log_in_float32(generator):
+    for angle in (0.0, 1e-4, 9e-3, 3e-2, 1.0, 3.0):
+        xi = twist(generator, (64,), angle).float()
+        torch.testing.assert_close(se3.log(se3.exp(xi)), xi, atol=2e-5, rtol=0)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-5, 1e-4, 3e-2, 3.3e-2, 2.0, 3.0])
+def test_log_has_finite_and_right_gradients(generator, angle):
+    xi = twist(generator, (), angle).requires_grad_()
+    assert torch.autograd.gradcheck(lambda x: se3.log(se3.exp(x)), [xi], atol=1e-6)

@@ -91,9 +91,7 @@ def written_out(params, seen: View, window: WindowConfig, discs: DiscConfig, hit
         depth_m = out.depth_m / out.alpha
     colour = (out.rgb - seen.rgb.double())[seen.pixels].abs().mean()
     depth = (depth_m - seen.depth_m.double())[known].abs().mean()
-    regulariser = sum(
-        (getattr(params, name)[held] - value.double()).square().mean() for name, value in anchor.items()
-    )
+    regulariser = sum((getattr(params, name)[held] - value.double()).square().mean() for name, value in anchor.items())
     return float(window.weight_colour * colour + window.weight_depth * depth + window.weight_regulariser * regulariser)
 
 
@@ -118,9 +116,7 @@ def test_the_gradient_is_that_of_the_whole_printed_loss(generator, depth):
     anchor = {name: value[rows][held] for name, value in model.anchor.items()}
     assert len(held) >= 2
     fixed = (seen, WINDOW, discs, output.hit_index, known, held, anchor)
-    assert loss.total == pytest.approx(
-        written_out(start, *fixed) - _regulariser(start, held, anchor), rel=1e-4
-    )
+    assert loss.total == pytest.approx(written_out(start, *fixed) - _regulariser(start, held, anchor), rel=1e-4)
 
     n, h = int(trained.sum()), 1e-6
     for name in NAMES:
@@ -265,5 +261,3 @@ def test_state_round_trip(generator):
             optimiser.step(seen)
     for name in NAMES:
         assert torch.equal(getattr(whole.trained, name), getattr(resumed.trained, name)), name
-
-

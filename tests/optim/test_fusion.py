@@ -74,7 +74,8 @@ def test_orientations_meet_on_the_shorter_arc(generator):
     a, b = torch.randn(2, 20, 4, generator=generator, dtype=torch.float64)
     before, after = params(0.0, about_z(0), n=20), params(1.0, about_z(0), n=20)
     before, after = (
-        GaussianParams(**{k: v.double() for k, v in vars(p).items()} | {"quat": q}) for p, q in ((before, -a), (after, b))
+        GaussianParams(**{k: v.double() for k, v in vars(p).items()} | {"quat": q})
+        for p, q in ((before, -a), (after, b))
     )
     fused = fuse_with_history(before, after, counts(*[25] * 20), counts(*[100] * 20))
     R_a, R_b, R = (quaternion.to_matrix(q) for q in (a, b, fused.quat))

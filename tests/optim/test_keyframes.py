@@ -56,10 +56,12 @@ def test_depth_is_kept_on_request_only():
     k = KeyframeList()
     k.append(frame(0), with_depth=True)
     k.append(frame(1))
+    assert k[0].depth_m is not None
     assert torch.equal(k[0].depth_m, torch.ones(3, 4))
     assert k[1].depth_m is None
     assert k.size_bytes == 36 + 4 * 12 + 36
     again = KeyframeList.from_state_dict(k.state_dict())
+    assert again[0].depth_m is not None
     assert torch.equal(again[0].depth_m, torch.ones(3, 4))
     assert again[1].depth_m is None
 

@@ -55,7 +55,7 @@ def test_by_hand():
 def test_value_and_gradient_of_the_printed_formula(generator, behind_m, weights):
     rgb, depth_m, *rest = pictures(generator)
     leaves = rgb.clone().requires_grad_(), depth_m.clone().requires_grad_()
-    expected = written_out(*leaves, *rest, *weights, behind_m)
+    expected = written_out(*leaves, *rest, weights[0], weights[1], behind_m)
     expected.backward()
     loss = rgbd_l1_vjp(rgb, depth_m, *rest, weight_colour=weights[0], weight_depth=weights[1], behind_m=behind_m)
     assert loss.total == pytest.approx(float(expected.detach()), rel=1e-12)

@@ -51,7 +51,7 @@ def odometry(true, generator, *, share=0.005, degrees=0.2, bias_deg=0.0):
 
 
 def drive(back_end, frames, steps, start):
-    """The front end's part: each frame a keyframe, corrections taken over. Tracked poses, drifted poses, corrections."""
+    """The front end's part, each frame a keyframe: poses as tracked, as they drift alone, and the corrections."""
     tracked, drifted, corrections = [start.double()], [start.double()], []
     back_end.add(frames[0], tracked[0])
     for frame, step in zip(frames[1:], steps, strict=True):
@@ -80,7 +80,7 @@ def test_a_drifting_walk_around_the_room_closes(circle, generator):
     assert after < before / 5
     assert corrections
     assert all(n >= 30 and a > b for c in corrections for a, b, n in c.loops)
-    torch.testing.assert_close(back_end.T_WC, final, atol=1e-9, rtol=0)
+    torch.testing.assert_close(back_end.T_WC, final, atol=1e-5, rtol=0)
 
 
 def test_evo_agrees(circle, generator):

@@ -94,7 +94,6 @@ def test_shared_landmarks(points):
 
 
 def test_observations_and_loops(points):
-    xyz_W, _ = points
     landmarks = three_views(points)
     table = landmarks.observations([], per_keyframe=100)
     assert len(table) == 80

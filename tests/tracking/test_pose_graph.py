@@ -2,6 +2,7 @@
 
 import builtins
 import dataclasses
+from typing import Any
 
 import pytest
 import torch
@@ -26,7 +27,7 @@ CAMERA = Camera(width=320, height=240, fx=208.0, fy=208.0, cx=160.0, cy=120.0)
 UNIT = odometry_information(1.0, 0.02)
 
 
-def edge(i, j, T_ij, information=UNIT, kind="odometry"):
+def edge(i, j, T_ij, information=UNIT, kind: Any = "odometry"):
     return Edge(i=i, j=j, T_ij=T_ij, information=information, kind=kind)
 
 
@@ -58,7 +59,7 @@ def off(T, true):
 
 
 def test_consistent_steps_change_nothing(generator):
-    true, drifted, edges = ring(12, generator)
+    _, drifted, edges = ring(12, generator)
     result = optimise_poses(drifted, edges)
     torch.testing.assert_close(result.T_WC, drifted, atol=1e-7, rtol=0)
     assert result.error_before < 1e-9
@@ -141,7 +142,7 @@ def inward(n, generator):
 
 
 def test_exact_sightings_give_the_exact_poses(generator):
-    true, drifted, edges = inward(10, generator)
+    true, drifted, _ = inward(10, generator)
     result = optimise_landmarks(CAMERA, drifted, sightings(true, generator), [], iterations=50)
     assert off(drifted, true) > 0.02
     torch.testing.assert_close(result.T_WC, true, atol=1e-4, rtol=0)

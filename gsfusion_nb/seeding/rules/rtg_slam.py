@@ -58,10 +58,10 @@ def rtg_slam(
         min_radius_m: Least radius of any.
         max_radius_m: Largest radius of any.
         thickness: Smallest standard deviation, as a share of the radius.
-        fidelity: "paper": as above. "code": pixels of the two error kinds are one kind; nothing is added near an
-            unstable disc, nor within 3 radii of any; transparent is what lies on a stable disc's plane, whatever its
-            kind. "measured": as the paper, but nothing opaque is added within the reach of an existing disc at its
-            own depth.
+        fidelity: "paper": as above; a pixel that hits no disc is wrong in depth. "code": pixels of the two error kinds
+            are one kind; nothing is added near an unstable disc, nor within 3 radii of any; transparent is what lies on
+            a stable disc's plane, whatever its kind. "measured": as the paper, but a pixel without a hit has no depth
+            error, and nothing opaque is added within the reach of an existing disc at its own depth.
 
     Source: Peng et al. 2024, section 3.2, "Gaussians adding"; sizes and "code" from the released code.
     """
@@ -73,7 +73,9 @@ def rtg_slam(
     if ctx.gaussians is not None and len(ctx.map):
         view = ctx.surface()
         kinds = wrong_pixels(ctx, view, usable, min_transmittance, depth_error_m, colour_error, fidelity)
-    shares = {NEW_AREA: share} | dict.fromkeys((DEPTH_ERROR, COLOUR_ERROR), ERROR_SHARE if fidelity == "code" else share)
+    shares = {NEW_AREA: share} | dict.fromkeys(
+        (DEPTH_ERROR, COLOUR_ERROR), ERROR_SHARE if fidelity == "code" else share
+    )
     drawn = {kind: draw_share(mask, shares[kind], ctx.generator) for kind, mask in kinds.items()}
     pixel = torch.cat(list(drawn.values()))
     tag = torch.cat([torch.full_like(p, kind) for kind, p in drawn.items()])
@@ -97,9 +99,15 @@ def wrong_pixels(
     colour_error: float,
     fidelity: str,
 ) -> dict[int, Bool[Tensor, "H W"]]:
-    """Pixels by kind, no pixel in two (Eq. 6). A pixel without a hit has no depth error."""
+    """Pixels by kind, no pixel in two (Eq. 6).
+
+    A pixel that hits no disc has rendered depth -1 in the paper and so is wrong in depth; otherwise it has no depth
+    error, as in the released code.
+    """
     new = usable & (view.transmittance > min_transmittance)
-    depth = usable & ~new & (view.depth_m > 0) & ((view.depth_m - ctx.frame.depth_m).abs() > depth_error_m)
+    off = (view.depth_m - ctx.frame.depth_m).abs() > depth_error_m
+    hit = view.depth_m > 0
+    depth = usable & ~new & (off | ~hit if fidelity == "paper" else off & hit)
     colour = usable & ~new & ~depth & ((view.rgb - ctx.frame.rgb).abs().mean(dim=-1) > colour_error)
     if fidelity == "code":
         return {NEW_AREA: new, DEPTH_ERROR: depth | colour}

@@ -1,0 +1,241 @@
+"""Exercises of chapter 1: pinhole, back-projection, poses, normals, pixel centres."""
+
+import math
+
+import torch
+from torch import Tensor
+
+from ..geometry import depth_to_points, se3
+from ..types import Camera
+from .exercise import Attempt, Wrong, close, exercise, holds, unpack
+
+_CAMERA = Camera(width=8, height=6, fx=10.0, fy=5.0, cx=4.0, cy=3.0)
+
+
+def _project(camera: Camera, xyz_C: Tensor) -> Tensor:
+    x, y, z = xyz_C.unbind(-1)
+    return torch.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], dim=-1)
+
+
+def _project_without_depth(camera: Camera, xyz_C: Tensor) -> Tensor:
+    x, y, _ = xyz_C.unbind(-1)
+    return torch.stack([camera.fx * x + camera.cx, camera.fy * y + camera.cy], dim=-1)
+
+
+def _project_with_y_up(camera: Camera, xyz_C: Tensor) -> Tensor:
+    x, y, z = xyz_C.unbind(-1)
+    return torch.stack([camera.fx * x / z + camera.cx, camera.cy - camera.fy * y / z], dim=-1)
+
+
+def _project_to_whole_pixels(camera: Camera, xyz_C: Tensor) -> Tensor:
+    return _project(camera, xyz_C).round()
+
+
+@exercise(
+    chapter=1, difficulty=1, minutes=5, solution=_project,
+    hints=(
+        "Similar triangles: a point twice as far away lands half as far from the principal point.",
+        "u = fx x / z + cx, and the same for v.",
+    ),
+    wrong=(
+        Wrong(_project_without_depth, says="twice as far"),
+        Wrong(_project_with_y_up, says="y points down"),
+        Wrong(_project_to_whole_pixels, says="between"),
+    ),
+)  # fmt: skip
+def project_points(attempt: Attempt) -> None:
+    """Project camera-frame points to pixels (Eq. 4)."""
+    on = "a point on the optical axis, 2 m away"
+    uv = attempt.on(on)(_CAMERA, torch.tensor([[0.0, 0.0, 2.0]]))
+    close(uv, [[4.0, 3.0]], "the optical axis meets the image at the principal point (cx, cy)", on=on)
+    on = "points (0.2, 0, 1) and (0.2, 0, 2)"
+    uv = attempt.on(on)(_CAMERA, torch.tensor([[0.2, 0.0, 1.0], [0.2, 0.0, 2.0]]))
+    close(uv, [[6.0, 3.0], [5.0, 3.0]], "a point twice as far lands half as far from the principal point", on=on)
+    on = "a point 0.4 m below the axis, 2 m away"
+    uv = attempt.on(on)(_CAMERA, torch.tensor([[0.0, 0.4, 2.0]]))
+    close(uv, [[4.0, 4.0]], "y points down, in the world of the camera and in the image", on=on)
+    on = "a point that projects between pixel centres"
+    uv = attempt.on(on)(_CAMERA, torch.tensor([[0.03, 0.01, 1.0]]))
+    close(uv, [[4.3, 3.05]], "pixel coordinates are continuous: a point may fall between centres", on=on)
+
+
+def _lift(camera: Camera, uv: Tensor, depth_m: Tensor) -> Tensor:
+    x = (uv[..., 0] - camera.cx) / camera.fx * depth_m
+    y = (uv[..., 1] - camera.cy) / camera.fy * depth_m
+    return torch.stack([x, y, depth_m], dim=-1)
+
+
+def _lift_along_the_ray(camera: Camera, uv: Tensor, depth_m: Tensor) -> Tensor:
+    ray = _lift(camera, uv, torch.ones_like(depth_m))
+    return ray / ray.norm(dim=-1, keepdim=True) * depth_m[..., None]
+
+
+def _lift_with_one_focal_length(camera: Camera, uv: Tensor, depth_m: Tensor) -> Tensor:
+    xy = (uv - torch.tensor([camera.cx, camera.cy])) / camera.fx * depth_m[..., None]
+    return torch.cat([xy, depth_m[..., None]], dim=-1)
+
+
+@exercise(
+    chapter=1, difficulty=2, minutes=5, solution=_lift,
+    hints=(
+        "Solve Eq. 4 for x and y; z is known.",
+        "The ray ((u - cx) / fx, (v - cy) / fy, 1) has z = 1. What must it be multiplied with to get z = depth?",
+    ),
+    wrong=(
+        Wrong(_lift_along_the_ray, says="the depth is z, not the distance to the camera"),
+        Wrong(_lift_with_one_focal_length, says="fx and fy"),
+    ),
+)  # fmt: skip
+def lift_pixels(attempt: Attempt) -> None:
+    """Lift pixels with depth to camera-frame points (Eq. 10)."""
+    on = "a corner pixel at depth 2 m"
+    uv, depth = torch.tensor([[7.5, 5.5]]), torch.tensor([2.0])
+    point = attempt.on(on)(_CAMERA, uv, depth)
+    close(_last(point), [2.0], "the depth is z, not the distance to the camera", on=on)
+    close(point, [[0.7, 1.0, 2.0]], "fx and fy scale x and y, each its own", on=on)
+    on = "many pixels, lifted and projected again"
+    generator = torch.Generator().manual_seed(0)
+    uv = torch.rand(50, 2, generator=generator) * torch.tensor([8.0, 6.0])
+    depth = 0.5 + torch.rand(50, generator=generator)
+    back = _project(_CAMERA, torch.as_tensor(attempt.on(on)(_CAMERA, uv, depth)))
+    close(back, uv, "projecting the point gives the pixel back", on=on, tolerance=1e-4)
+
+
+def _invert(T: Tensor) -> Tensor:
+    out = torch.eye(4, dtype=T.dtype)
+    out[:3, :3] = T[:3, :3].T
+    out[:3, 3] = -T[:3, :3].T @ T[:3, 3]
+    return out
+
+
+def _invert_parts_alone(T: Tensor) -> Tensor:
+    out = torch.eye(4, dtype=T.dtype)
+    out[:3, :3] = T[:3, :3].T
+    out[:3, 3] = -T[:3, 3]
+    return out
+
+
+def _invert_by_transposing(T: Tensor) -> Tensor:
+    return T.T.contiguous()
+
+
+@exercise(
+    chapter=1, difficulty=2, minutes=8, solution=_invert,
+    hints=(
+        "x_W = R x_C + t. Solve for x_C; R^-1 = R^T.",
+        "x_C = R^T (x_W - t) = R^T x_W - R^T t: the translation is turned too.",
+    ),
+    wrong=(
+        Wrong(_invert_parts_alone, says="lands at the origin"),
+        Wrong(_invert_by_transposing, says="last row"),
+    ),
+)  # fmt: skip
+def invert_pose(attempt: Attempt) -> None:
+    """Turn T_WC into T_CW without a general matrix inverse."""
+    on = "the identity"
+    close(attempt.on(on)(torch.eye(4)), torch.eye(4), "the inverse of the identity is the identity", on=on)
+    on = "a quarter turn about z and a step of (1, 2, 3) m"
+    T = torch.eye(4)
+    T[:2, :2] = torch.tensor([[0.0, -1.0], [1.0, 0.0]])
+    T[:3, 3] = torch.tensor([1.0, 2.0, 3.0])
+    T_CW = torch.as_tensor(attempt.on(on)(T))
+    close(T_CW.shape, [4, 4], "the result is a 4 x 4 matrix", on=on)
+    close(T_CW[3], [0.0, 0.0, 0.0, 1.0], "the last row of a pose is 0 0 0 1", on=on)
+    centre = T_CW @ torch.tensor([1.0, 2.0, 3.0, 1.0])
+    close(centre[:3], [0.0, 0.0, 0.0], "the camera's centre lands at the origin of the camera's frame", on=on)
+    on = "a pose in general position"
+    T = se3.exp(torch.tensor([0.3, -0.2, 0.5, 0.4, -0.7, 0.2]))
+    close(torch.as_tensor(attempt.on(on)(T)) @ T, torch.eye(4), "T_CW T_WC is the identity", on=on, tolerance=1e-4)
+
+
+def _normals(points: Tensor) -> Tensor:
+    across = points[1:-1, 2:] - points[1:-1, :-2]
+    down = points[2:, 1:-1] - points[:-2, 1:-1]
+    n = torch.linalg.cross(down, across)
+    return n / n.norm(dim=-1, keepdim=True)
+
+
+def _normals_away(points: Tensor) -> Tensor:
+    return -_normals(points)
+
+
+def _normals_not_unit(points: Tensor) -> Tensor:
+    across = points[1:-1, 2:] - points[1:-1, :-2]
+    down = points[2:, 1:-1] - points[:-2, 1:-1]
+    return torch.linalg.cross(down, across)
+
+
+@exercise(
+    chapter=1, difficulty=3, minutes=10, solution=_normals,
+    hints=(
+        "Two directions in the surface: from the left to the right neighbour, and from the upper to the lower one.",
+        "Their cross product is normal to both. Which order points back at the camera, to negative z?",
+        "torch.linalg.cross(down, across), divided by its length.",
+    ),
+    wrong=(
+        Wrong(_normals_away, says="faces the camera"),
+        Wrong(_normals_not_unit, says="length 1"),
+    ),
+)  # fmt: skip
+def normals_of_points(attempt: Attempt) -> None:
+    """Normals of an image of points, by central differences."""
+    on = "a wall at z = 2 m, seen straight on"
+    points = depth_to_points(_CAMERA, torch.full((6, 8), 2.0))
+    n = attempt.on(on)(points)
+    close(torch.as_tensor(n).shape, [4, 6, 3], "the border has no normal: the result is [H - 2, W - 2, 3]", on=on)
+    n = torch.as_tensor(n)
+    close(n.norm(dim=-1), torch.ones(4, 6), "a normal has length 1", on=on, tolerance=1e-4)
+    holds((n[..., 2] < 0).all(), "the normal faces the camera: its z is negative", on=on,
+          detail=f"z of the normal is {float(n[..., 2].max()):.3g}")  # fmt: skip
+    on = "a floor 1 m below the camera"
+    uv = torch.stack(torch.meshgrid(torch.arange(8) + 0.5, torch.arange(6) + 0.5, indexing="xy"), dim=-1)
+    camera = Camera(width=8, height=6, fx=10.0, fy=5.0, cx=4.0, cy=-3.0)
+    floor = depth_to_points(camera, camera.fy / (uv[..., 1] - camera.cy))
+    up = torch.tensor([0.0, -1.0, 0.0]).expand(4, 6, 3)
+    close(attempt.on(on)(floor), up, "the floor's normal points up, to negative y", on=on, tolerance=1e-4)
+
+
+def _halve(fx: float, fy: float, cx: float, cy: float) -> tuple[float, float, float, float]:
+    return fx / 2, fy / 2, (cx + 0.5) / 2 - 0.5, (cy + 0.5) / 2 - 0.5
+
+
+def _halve_everything(fx: float, fy: float, cx: float, cy: float) -> tuple[float, float, float, float]:
+    return fx / 2, fy / 2, cx / 2, cy / 2
+
+
+def _halve_the_centre_alone(fx: float, fy: float, cx: float, cy: float) -> tuple[float, float, float, float]:
+    return fx, fy, (cx + 0.5) / 2 - 0.5, (cy + 0.5) / 2 - 0.5
+
+
+@exercise(
+    chapter=1, difficulty=3, minutes=10, solution=_halve,
+    hints=(
+        "Where is the image's left edge, counted from the centre of its first pixel? And after halving?",
+        "Go to a convention in which edges stay edges: add 0.5. Halve. Go back.",
+    ),
+    wrong=(
+        Wrong(_halve_everything, says="the middle of the image stays the middle"),
+        Wrong(_halve_the_centre_alone, says="angle of view"),
+    ),
+)  # fmt: skip
+def halve_intrinsics(attempt: Attempt) -> None:
+    """Intrinsics of the half-size image, for a data set that counts pixels from the centre of the first one."""
+    on = "640 x 480 with fx = fy = 600, centre (319.5, 239.5)"
+    names = ("fx", "fy", "cx", "cy")
+    fx, fy, cx, cy = unpack(attempt.on(on)(600.0, 600.0, 319.5, 239.5), names, on=on)
+    close([fx, fy], [300.0, 300.0], "half the pixels over the same angle of view: half the focal length", on=on)
+    why = f"a shift of {abs(float(cx) - 159.5):.2f} px of the small image"
+    close([cx, cy], [159.5, 119.5], "the middle of the image stays the middle", on=on, why=why)
+    on = "a point off the axis, projected at both sizes"
+    half = unpack(attempt.on(on)(525.0, 520.0, 310.2, 251.7), names, on=on)
+    x, y = 0.3, -0.2
+    full = (525.0 * x + 310.2 + 0.5, 520.0 * y + 251.7 + 0.5)
+    small = (half[0] * x + half[2] + 0.5, half[1] * y + half[3] + 0.5)
+    prop = "measured from the image's edge, the point is half as far"
+    close(small, [f / 2 for f in full], prop, on=on, tolerance=1e-6)
+
+
+def _last(point: object) -> Tensor:
+    """z of a point, whatever the student made it."""
+    t = torch.as_tensor(point)
+    return t[..., -1] if t.ndim else torch.full((1,), math.nan)

@@ -1,0 +1,264 @@
+"""Exercises of chapter 5: gradients written by hand."""
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from .exercise import Attempt, Wrong, close, exercise, unpack
+from .three_ways import central_difference
+
+Loss = Callable[[Tensor], Tensor]
+
+
+def _slope(loss: Loss, x: Tensor, h: float) -> Tensor:
+    return central_difference(lambda moved: float(loss(moved)), x, h)
+
+
+def _one_sided(loss: Loss, x: Tensor, h: float) -> Tensor:
+    here = float(loss(x))
+    return torch.tensor([(float(loss(x + h * e)) - here) / h for e in torch.eye(len(x)).to(x)])
+
+
+def _half_forgotten(loss: Loss, x: Tensor, h: float) -> Tensor:
+    return 2 * _slope(loss, x, h)
+
+
+def _moves_x(loss: Loss, x: Tensor, h: float) -> Tensor:
+    gradient = torch.zeros_like(x)
+    for i in range(len(x)):
+        x[i] += h
+        up = float(loss(x))
+        x[i] -= 2 * h
+        gradient[i] = (up - float(loss(x))) / (2 * h)
+    return gradient
+
+
+@exercise(
+    chapter=5, difficulty=1, minutes=5, solution=_slope,
+    hints=(
+        "For each i: move x[i] up by h, then down by h, and compare the two losses.",
+        "Divide by 2h, the distance between the two places.",
+        "Work on x.clone(): what was passed in belongs to the caller.",
+    ),
+    wrong=(
+        Wrong(_one_sided, says="a parabola has no error"),
+        Wrong(_half_forgotten, says="the slope of a straight line"),
+        Wrong(_moves_x, says="it leaves its inputs as they are"),
+    ),
+)  # fmt: skip
+def slope(attempt: Attempt) -> None:
+    """Gradient of a function by central differences."""
+    f64 = torch.float64
+    x, a = torch.tensor([1.0, -2.0, 0.5], dtype=f64), torch.tensor([3.0, -1.0, 2.0], dtype=f64)
+    on = "the straight line 3 x0 - x1 + 2 x2"
+    close(attempt.on(on)(lambda p: a @ p, x, 1e-3), a, "the slope of a straight line is its coefficients", on=on)
+    on = "the parabola sum x^2 with h = 0.1"
+    why = "take both sides: (f(x+h) - f(x-h)) / 2h"
+    close(attempt.on(on)(lambda p: (p * p).sum(), x, 0.1), 2 * x, "a parabola has no error even for large h", on=on, why=why)
+    on = "sin(x0) x1 x2"
+    expected = torch.stack([x[0].cos() * x[1] * x[2], x[0].sin() * x[2], x[0].sin() * x[1]])
+    got = attempt.on(on)(lambda p: p[0].sin() * p[1] * p[2], x, 1e-4)
+    close(got, expected, "every element has its own slope", on=on, tolerance=1e-6)
+
+
+def _l1_gradient(rgb: Tensor, target: Tensor) -> Tensor:
+    return torch.sign(rgb - target) / rgb.numel()
+
+
+def _not_a_mean(rgb: Tensor, target: Tensor) -> Tensor:
+    return torch.sign(rgb - target)
+
+
+def _per_pixel(rgb: Tensor, target: Tensor) -> Tensor:
+    return torch.sign(rgb - target) / (rgb.shape[0] * rgb.shape[1])
+
+
+def _uphill(rgb: Tensor, target: Tensor) -> Tensor:
+    return torch.sign(target - rgb) / rgb.numel()
+
+
+@exercise(
+    chapter=5, difficulty=1, minutes=4, solution=_l1_gradient,
+    hints=(
+        "The derivative of |x| is its sign.",
+        "The loss is a mean over H x W x 3 values: each gets its share 1 / (H W 3).",
+    ),
+    wrong=(
+        Wrong(_uphill, says="too bright means a positive gradient"),
+        Wrong(_not_a_mean, says="the loss is a mean"),
+        Wrong(_per_pixel, says="the loss is a mean"),
+    ),
+)  # fmt: skip
+def l1_gradient(attempt: Attempt) -> None:
+    """Gradient of the mean absolute difference of two images."""
+    on = "a picture of 2 x 2 pixels, everywhere 0.2 too bright"
+    dark = torch.full((2, 2, 3), 0.4)
+    got = attempt.on(on)(dark + 0.2, dark)
+    close(torch.as_tensor(got).sign(), torch.ones(2, 2, 3), "too bright means a positive gradient", on=on)
+    close(got, torch.full((2, 2, 3), 1 / 12), "the loss is a mean over pixels and channels", on=on, why="2 * 2 * 3 = 12 values")
+    on = "two equal pictures"
+    close(attempt.on(on)(dark, dark), torch.zeros(2, 2, 3), "where nothing differs the gradient is 0", on=on)
+    generator = torch.Generator().manual_seed(1)
+    a, b = torch.rand(3, 5, 3, generator=generator), torch.rand(3, 5, 3, generator=generator)
+    on = "random pictures of 3 x 5 pixels"
+    close(attempt.on(on)(a, b), _l1_gradient(a, b), "dL/drgb = sign(rgb - target) / n", on=on)
+
+
+def _pinhole_vjp(xyz_C: Tensor, fx: float, fy: float, v_uv: Tensor) -> Tensor:
+    x, y, z = xyz_C
+    v_u, v_v = v_uv
+    return torch.stack([fx / z * v_u, fy / z * v_v, -(fx * x * v_u + fy * y * v_v) / z**2])
+
+
+def _depth_ignored(xyz_C: Tensor, fx: float, fy: float, v_uv: Tensor) -> Tensor:
+    v = _pinhole_vjp(xyz_C, fx, fy, v_uv)
+    v[2] = 0
+    return v
+
+
+def _forwards(xyz_C: Tensor, fx: float, fy: float, v_uv: Tensor) -> Tensor:
+    x, y, z = xyz_C
+    v_u, v_v = v_uv
+    return torch.stack([z / fx * v_u, z / fy * v_v, -(fx * x * v_u + fy * y * v_v) / z**2])
+
+
+def _wrong_sign(xyz_C: Tensor, fx: float, fy: float, v_uv: Tensor) -> Tensor:
+    v = _pinhole_vjp(xyz_C, fx, fy, v_uv)
+    return torch.stack([v[0], v[1], -v[2]])
+
+
+@exercise(
+    chapter=5, difficulty=2, minutes=8, solution=_pinhole_vjp,
+    hints=(
+        "v_xyz = J^T v_uv with the J of chapter 4: three numbers.",
+        "x moves only u, y only v, but z moves both.",
+        "du/dz = -fx x / z^2, dv/dz = -fy y / z^2.",
+    ),
+    wrong=(
+        Wrong(_forwards, says="x moves u by fx / z"),
+        Wrong(_depth_ignored, says="z moves u and v"),
+        Wrong(_wrong_sign, says="z moves u and v"),
+    ),
+)  # fmt: skip
+def pinhole_vjp(attempt: Attempt) -> None:
+    """Gradient of the pinhole projection: from dL/d(u, v) to dL/d(x, y, z)."""
+    f64 = torch.float64
+    ahead, aside = torch.tensor([0.0, 0.0, 2.0], dtype=f64), torch.tensor([1.0, -0.5, 2.0], dtype=f64)
+    on = "a point 2 m straight ahead, dL/du = 1, fx = 100"
+    got = attempt.on(on)(ahead, 100.0, 80.0, torch.tensor([1.0, 0.0], dtype=f64))
+    close(got, [50.0, 0.0, 0.0], "x moves u by fx / z", on=on)
+    on = "a point at (1, -0.5, 2), dL/du = dL/dv = 1"
+    got = attempt.on(on)(aside, 100.0, 80.0, torch.tensor([1.0, 1.0], dtype=f64))
+    why = "farther away means nearer to the middle: -fx x / z^2"
+    close(got, [50.0, 40.0, -25.0 + 10.0], "z moves u and v", on=on, why=why)
+    on = "another point"
+    xyz, v = torch.tensor([-0.7, 0.3, 1.3], dtype=f64), torch.tensor([0.4, -1.7], dtype=f64)
+    close(attempt.on(on)(xyz, 90.0, 110.0, v), _pinhole_vjp(xyz, 90.0, 110.0, v), "v_xyz = J^T v_uv", on=on)
+
+
+def _inverse_vjp(Q: Tensor, v_Q: Tensor) -> Tensor:
+    return -Q.T @ v_Q @ Q.T
+
+
+def _plus(Q: Tensor, v_Q: Tensor) -> Tensor:
+    return Q.T @ v_Q @ Q.T
+
+
+def _element_by_element(Q: Tensor, v_Q: Tensor) -> Tensor:
+    return -Q * v_Q * Q
+
+
+def _one_side(Q: Tensor, v_Q: Tensor) -> Tensor:
+    return -Q @ v_Q
+
+
+@exercise(
+    chapter=5, difficulty=3, minutes=12, solution=_inverse_vjp,
+    hints=(
+        "Start from Q cov = I and move cov a little: dQ cov + Q dcov = 0.",
+        "So dQ = -Q dcov Q. For 1 x 1 matrices that is d(1/s) = -ds / s^2.",
+        "L changes by <v_Q, dQ> = -trace(v_Q^T Q dcov Q). Turn it round until it reads <v_cov, dcov>.",
+    ),
+    wrong=(
+        Wrong(_plus, says="a wider Gaussian has a smaller conic"),
+        Wrong(_one_side, says="a wider Gaussian has a smaller conic"),
+        Wrong(_element_by_element, says="the matrix acts from both sides"),
+    ),
+)  # fmt: skip
+def inverse_vjp(attempt: Attempt) -> None:
+    """Gradient of a matrix inverse: from dL/dQ to dL/dcov, Q = cov^-1."""
+    f64 = torch.float64
+    on = "cov = 2 I, so Q = I / 2, and dL/dQ = I"
+    eye = torch.eye(2, dtype=f64)
+    got = attempt.on(on)(0.5 * eye, eye)
+    close(got, -0.25 * eye, "a wider Gaussian has a smaller conic", on=on, why="d(1/s) = -1/s^2")
+    cov = torch.tensor([[2.0, 0.8], [0.8, 1.0]], dtype=f64)
+    v_Q = torch.tensor([[1.0, 0.3], [0.3, -2.0]], dtype=f64)
+    on = "a tilted ellipse"
+    expected = _inverse_vjp(cov.inverse(), v_Q)
+    close(attempt.on(on)(cov.inverse(), v_Q), expected, "the matrix acts from both sides: -Q^T v_Q Q^T", on=on)
+
+
+def _blend(alpha: Tensor, rgb: Tensor) -> Tensor:
+    T = torch.cat([torch.ones_like(alpha[:1]), (1 - alpha[:-1]).cumprod(0)])
+    return ((alpha * T)[:, None] * rgb).sum(0)
+
+
+def _blend_vjp(alpha: Tensor, rgb: Tensor, v_colour: Tensor) -> tuple[Tensor, Tensor]:
+    T = torch.cat([torch.ones_like(alpha[:1]), (1 - alpha[:-1]).cumprod(0)])
+    w, c_dot_v = alpha * T, rgb @ v_colour
+    behind = (w * c_dot_v).flip(0).cumsum(0).flip(0) - w * c_dot_v
+    return T * c_dot_v - behind / (1 - alpha), w[:, None] * v_colour
+
+
+def _shadow_forgotten(alpha: Tensor, rgb: Tensor, v_colour: Tensor) -> tuple[Tensor, Tensor]:
+    T = torch.cat([torch.ones_like(alpha[:1]), (1 - alpha[:-1]).cumprod(0)])
+    return T * (rgb @ v_colour), (alpha * T)[:, None] * v_colour
+
+
+def _shadow_not_divided(alpha: Tensor, rgb: Tensor, v_colour: Tensor) -> tuple[Tensor, Tensor]:
+    T = torch.cat([torch.ones_like(alpha[:1]), (1 - alpha[:-1]).cumprod(0)])
+    w, c_dot_v = alpha * T, rgb @ v_colour
+    return T * c_dot_v - ((w * c_dot_v).flip(0).cumsum(0).flip(0) - w * c_dot_v), w[:, None] * v_colour
+
+
+def _alpha_for_weight(alpha: Tensor, rgb: Tensor, v_colour: Tensor) -> tuple[Tensor, Tensor]:
+    return _blend_vjp(alpha, rgb, v_colour)[0], alpha[:, None] * v_colour
+
+
+@exercise(
+    chapter=5, difficulty=4, minutes=25, solution=_blend_vjp,
+    hints=(
+        "C = sum_k w_k c_k is linear in the colours: dL/dc_k = w_k v_C, with w_k = alpha_k T_k.",
+        "alpha_k brightens its own term, T_k c_k, and darkens all terms behind: each has the factor (1 - alpha_k).",
+        "A term j > k is w_j = (1 - alpha_k) x something, so dw_j/dalpha_k = -w_j / (1 - alpha_k). Sum over j > k.",
+        "S_k, the sum over j > k of w_j (c_j . v_C), is a reversed cumsum minus the own term.",
+    ),
+    wrong=(
+        Wrong(_shadow_forgotten, says="what stands behind gets darker"),
+        Wrong(_shadow_not_divided, says="what stands behind gets darker"),
+        Wrong(_alpha_for_weight, says="a colour counts with its weight"),
+    ),
+)  # fmt: skip
+def blend_vjp(attempt: Attempt) -> None:
+    """Gradient of the blending of one pixel: from dL/dC to dL/dalpha and dL/dc."""
+    f64, names = torch.float64, ("v_alpha", "v_rgb")
+    alpha, rgb = torch.tensor([0.5, 0.8], dtype=f64), torch.tensor([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], dtype=f64)
+    on = "red 0.5 in front of green 0.8, dL/dC = (1, 0, 0)"
+    v_alpha, v_rgb = unpack(attempt.on(on)(alpha, rgb, torch.tensor([1.0, 0.0, 0.0], dtype=f64)), names, on=on)
+    close(v_rgb, [[0.5, 0.0, 0.0], [0.4, 0.0, 0.0]], "a colour counts with its weight", on=on, why="w = 0.5 and 0.5 * 0.8")
+    close(v_alpha, [1.0, 0.0], "more alpha brings more of the own colour", on=on)
+    on = "the same, dL/dC = (0, 1, 0)"
+    v_alpha, _ = unpack(attempt.on(on)(alpha, rgb, torch.tensor([0.0, 1.0, 0.0], dtype=f64)), names, on=on)
+    why = "the red one takes light from the green one: -S / (1 - alpha) = -0.4 / 0.5"
+    close(v_alpha, [-0.8, 0.5], "what stands behind gets darker", on=on, why=why)
+    on = "nine random ones"
+    generator = torch.Generator().manual_seed(2)
+    alpha = 0.9 * torch.rand(9, generator=generator, dtype=f64)
+    rgb, v = torch.rand(9, 3, generator=generator, dtype=f64), torch.randn(3, generator=generator, dtype=f64)
+    v_alpha, v_rgb = unpack(attempt.on(on)(alpha, rgb, v), names, on=on)
+    a, c = alpha.clone().requires_grad_(), rgb.clone().requires_grad_()
+    expected = torch.autograd.grad(_blend(a, c) @ v, (a, c))
+    close(v_rgb, expected[1], "v_rgb agrees with autograd", on=on)
+    close(v_alpha, expected[0], "v_alpha agrees with autograd", on=on)

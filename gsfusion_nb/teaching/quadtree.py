@@ -1,0 +1,267 @@
+"""Exercises of chapter 3: contrast of a cell, cutting, the recursion, from a cell to a Gaussian."""
+
+import math
+
+import torch
+from torch import Tensor
+
+from ..constants import LUMA_WEIGHTS, QUADTREE_NORMALISER
+from ..geometry import se3
+from ..seeding import quadtree
+from ..types import Camera
+from .exercise import Attempt, Wrong, close, exercise, holds, unpack
+
+Cell = tuple[int, int, int, int]
+"""First column, first row, width, height, pixels."""
+
+
+def _contrast(cell_rgb: Tensor, image_pixels: int) -> float:
+    V = cell_rgb.double().flatten(0, 1).var(dim=0, correction=0)
+    return float(V @ torch.tensor(LUMA_WEIGHTS, dtype=torch.float64)) * image_pixels / QUADTREE_NORMALISER
+
+
+def _contrast_of_grey(cell_rgb: Tensor, image_pixels: int) -> float:
+    grey = cell_rgb.double() @ torch.tensor(LUMA_WEIGHTS, dtype=torch.float64)
+    return float(grey.var(correction=0)) * image_pixels / QUADTREE_NORMALISER
+
+
+def _contrast_as_deviation(cell_rgb: Tensor, image_pixels: int) -> float:
+    return math.sqrt(_contrast(cell_rgb, image_pixels))
+
+
+def _contrast_with_n_minus_1(cell_rgb: Tensor, image_pixels: int) -> float:
+    n = cell_rgb.shape[0] * cell_rgb.shape[1]
+    return _contrast(cell_rgb, image_pixels) * n / max(n - 1, 1)
+
+
+def _contrast_without_pixels(cell_rgb: Tensor, image_pixels: int) -> float:
+    return _contrast(cell_rgb, 76800)
+
+
+@exercise(
+    chapter=3, difficulty=2, minutes=10, solution=_contrast,
+    hints=(
+        "One variance per colour channel, over all pixels of the cell. cell_rgb is uint8: convert first.",
+        "Divide by the number of pixels, not by one less: var(..., correction=0).",
+        "0.2989 var(R) + 0.5870 var(G) + 0.1140 var(B), times image_pixels / 9e7.",
+    ),
+    wrong=(
+        Wrong(_contrast_of_grey, says="colours of the same brightness"),
+        Wrong(_contrast_as_deviation, says="variance, not its root"),
+        Wrong(_contrast_with_n_minus_1, says="divided by the number of pixels"),
+        Wrong(_contrast_without_pixels, says="pixels of the whole image"),
+    ),
+)  # fmt: skip
+def contrast(attempt: Attempt) -> None:
+    """The contrast that decides whether a cell is cut."""
+    on = "a cell of one colour"
+    plain = torch.full((4, 4, 3), 90, dtype=torch.uint8)
+    close(attempt.on(on)(plain, 90_000), 0.0, "a plain cell has no contrast", on=on, tolerance=1e-9)
+    on = "half red (255, 0, 0), half green (0, 130, 0): almost the same brightness"
+    mixed = torch.zeros(4, 4, 3, dtype=torch.uint8)
+    mixed[:2, :, 0], mixed[2:, :, 1] = 255, 130
+    right = (0.2989 * 127.5**2 + 0.5870 * 65.0**2) / 1000
+    got = float(attempt.on(on)(mixed, 90_000))
+    prop = "different colours of the same brightness are contrast too"
+    holds(got > 0.1 * right, prop, on=on, detail=f"got {got:.4g}, expected {right:.4g}")
+    on = "the same cell in images of 90,000 and 180,000 pixels"
+    twice = float(attempt.on(on)(mixed, 180_000)) / got
+    prop = "it is a variance, not its root, times the pixels of the whole image: twice the pixels, twice the contrast"
+    holds(abs(twice - 2) < 1e-3, prop, on=on, detail=f"it grows {twice:.3g} times")
+    on = "half of the cell 80, half 100 in red, green and blue constant, image of 90,000 pixels"
+    red = plain.clone()
+    red[:2, :, 0], red[2:, :, 0] = 80, 100
+    prop = "the variance is divided by the number of pixels, and red weighs 0.2989"
+    close(attempt.on(on)(red, 90_000), 0.2989 * 100 / 1000, prop, on=on, tolerance=1e-4)
+    on = "the cell half red, half green"
+    close(attempt.on(on)(mixed, 90_000), right, "green weighs 0.5870, blue 0.1140", on=on, tolerance=1e-4)
+
+
+def _split(x0: int, y0: int, width: int, height: int) -> list[Cell]:
+    w, h = width // 2, height // 2
+    return [
+        (x0, y0, w, h),
+        (x0, y0 + h, w, height - h),
+        (x0 + w, y0, width - w, h),
+        (x0 + w, y0 + h, width - w, height - h),
+    ]
+
+
+def _split_all_floor(x0: int, y0: int, width: int, height: int) -> list[Cell]:
+    w, h = width // 2, height // 2
+    return [(x0 + i * w, y0 + j * h, w, h) for i in (0, 1) for j in (0, 1)]
+
+
+def _split_at_the_origin(x0: int, y0: int, width: int, height: int) -> list[Cell]:
+    return _split(0, 0, width, height)
+
+
+@exercise(
+    chapter=3, difficulty=1, minutes=5, solution=_split,
+    hints=(
+        "The left and the upper part get the floor of the half.",
+        "The right part gets what is left: width - width // 2.",
+    ),
+    wrong=(
+        Wrong(_split_all_floor, says="every pixel"),
+        Wrong(_split_at_the_origin, says="every pixel"),
+    ),
+)  # fmt: skip
+def split_cell(attempt: Attempt) -> None:
+    """Cut a cell in four."""
+    names = ("four cells: top left", "bottom left", "top right", "bottom right")
+    for cell in ((0, 0, 8, 4), (3, 2, 6, 4), (10, 20, 7, 5)):
+        on = f"the cell (x0, y0, width, height) = {cell}"
+        parts = unpack(attempt.on(on)(*cell), names, on=on)
+        covered = torch.zeros(64, 64, dtype=torch.int64)
+        for part in parts:
+            x, y, w, h = (int(a) for a in unpack(part, ("x0", "y0", "width", "height"), on=on))
+            covered[y : y + h, x : x + w] += 1
+        x, y, w, h = cell
+        inside = covered[y : y + h, x : x + w]
+        times = f"{int((inside == 0).sum())} pixels in none, {int((covered > 1).sum())} in more than one"
+        whole = bool((inside == 1).all()) and int(covered.sum()) == w * h
+        holds(whole, "every pixel of the cell is in exactly one part", on=on, detail=times)
+        holds([tuple(map(int, p)) for p in parts] == _split(*cell), "left and top parts get the floor of the half", on=on,
+              detail=f"got {[tuple(map(int, p)) for p in parts]}")  # fmt: skip
+
+
+def _leaves(rgb_u8: Tensor, threshold: float, min_cell_px: int) -> list[Cell]:
+    H, W = rgb_u8.shape[:2]
+    leaves = []
+
+    def visit(x0: int, y0: int, w: int, h: int) -> None:
+        large = w // 2 > min_cell_px and h // 2 > min_cell_px
+        if large and _contrast(rgb_u8[y0 : y0 + h, x0 : x0 + w], H * W) > threshold:
+            for part in _split(x0, y0, w, h):
+                visit(*part)
+        else:
+            leaves.append((x0, y0, w, h))
+
+    visit(0, 0, W, H)
+    return leaves
+
+
+def _leaves_by_full_size(rgb_u8: Tensor, threshold: float, min_cell_px: int) -> list[Cell]:
+    return _leaves(rgb_u8, threshold, max(min_cell_px // 2, 1))
+
+
+def _leaves_and_inner_nodes(rgb_u8: Tensor, threshold: float, min_cell_px: int) -> list[Cell]:
+    H, W = rgb_u8.shape[:2]
+    return [(0, 0, W, H), *_leaves(rgb_u8, threshold, min_cell_px)]
+
+
+def _cut_what_is_plain(rgb_u8: Tensor, threshold: float, min_cell_px: int) -> list[Cell]:
+    return [(0, 0, rgb_u8.shape[1], rgb_u8.shape[0])]
+
+
+@exercise(
+    chapter=3, difficulty=4, minutes=20, solution=_leaves,
+    hints=(
+        "A function visit(x0, y0, w, h) that either appends the cell or visits its four parts.",
+        "Cut if w // 2 > min_cell_px and h // 2 > min_cell_px and the contrast is above the threshold.",
+        "image_pixels is that of the whole image at every level. Start with visit(0, 0, W, H).",
+    ),
+    wrong=(
+        Wrong(_leaves_by_full_size, says="half sizes stay above min_cell_px = 5"),
+        Wrong(_leaves_and_inner_nodes, says="exactly one leaf"),
+        Wrong(_cut_what_is_plain, says="is cut"),
+    ),
+)  # fmt: skip
+def quadtree_leaves(attempt: Attempt) -> None:
+    """The recursion: all leaves of an image's quadtree."""
+    g = torch.Generator().manual_seed(0)
+    noise = torch.randint(0, 256, (20, 28, 3), generator=g, dtype=torch.uint8)
+    plain = torch.full((20, 28, 3), 128, dtype=torch.uint8)
+    half = torch.where(torch.arange(28)[None, :, None] < 14, plain, noise)
+    on = "an image of one grey"
+    got = _as_cells(attempt.on(on)(plain, 0.01, 1), on)
+    holds(got == {(0, 0, 28, 20)}, "a plain image stays one cell", on=on, detail=f"got {len(got)} cells")
+    on = "an image of noise"
+    cells = _as_cells(attempt.on(on)(noise, 0.001, 5), on)
+    holds(len(cells) > 1, "a busy image is cut", on=on, detail=f"got {len(cells)} cell")
+    covered = torch.zeros(20, 28, dtype=torch.int64)
+    for x, y, w, h in cells:
+        covered[y : y + h, x : x + w] += 1
+    detail = f"{int((covered != 1).sum())} pixels are not"
+    holds((covered == 1).all(), "every pixel is in exactly one leaf", on=on, detail=detail)
+    small = [c for c in cells if min(c[2], c[3]) < 6]
+    prop = "half sizes stay above min_cell_px = 5"
+    holds(not small, prop, on=on, detail=f"there is a leaf of {small[0][2:] if small else ''} pixels")
+    on = "an image half grey, half noise"
+    for threshold, least in ((0.001, 1), (0.5, 1), (0.001, 2)):
+        ours = quadtree(half, threshold=threshold, min_cell_px=least)
+        expected = set(zip(*(c.tolist() for c in (ours.x0, ours.y0, ours.width, ours.height)), strict=True))
+        got = _as_cells(attempt.on(on)(half, threshold, least), on)
+        detail = f"threshold {threshold}, min_cell_px {least}: {len(got)} leaves, expected {len(expected)}"
+        holds(got == expected, "the leaves agree with gsfusion_nb.seeding.quadtree", on=on, detail=detail)
+
+
+def _as_cells(value: object, on: str) -> set[Cell]:
+    holds(isinstance(value, (list, tuple)), "it returns a list of cells", on=on, detail=f"got a {type(value).__name__}")
+    rows = [unpack(c, ("x0", "y0", "width", "height"), on=on) for c in value]  # pyright: ignore[reportGeneralTypeIssues]
+    return {(int(x), int(y), int(w), int(h)) for x, y, w, h in rows}
+
+
+def _gaussian(camera: Camera, cell: Cell, depth_m: Tensor, T_WC: Tensor) -> tuple[Tensor, float]:
+    x0, y0, w, h = cell
+    u, v = x0 + w / 2, y0 + h / 2
+    z = depth_m[int(v), int(u)]
+    xyz_C = torch.stack([(u - camera.cx) / camera.fx * z, (v - camera.cy) / camera.fy * z, z])
+    return se3.apply(T_WC, xyz_C), float(z) * math.hypot(w / 2, h / 2) / camera.fx
+
+
+def _gaussian_in_the_camera(camera: Camera, cell: Cell, depth_m: Tensor, T_WC: Tensor) -> tuple[Tensor, float]:
+    return _gaussian(camera, cell, depth_m, torch.eye(4))
+
+
+def _gaussian_at_the_corner(camera: Camera, cell: Cell, depth_m: Tensor, T_WC: Tensor) -> tuple[Tensor, float]:
+    xyz_W, _ = _gaussian(camera, (cell[0], cell[1], 0, 0), depth_m, T_WC)
+    return xyz_W, _gaussian(camera, cell, depth_m, T_WC)[1]
+
+
+def _gaussian_of_full_diagonal(camera: Camera, cell: Cell, depth_m: Tensor, T_WC: Tensor) -> tuple[Tensor, float]:
+    xyz_W, scale = _gaussian(camera, cell, depth_m, T_WC)
+    return xyz_W, 2 * scale
+
+
+def _gaussian_of_one_size(camera: Camera, cell: Cell, depth_m: Tensor, T_WC: Tensor) -> tuple[Tensor, float]:
+    return _gaussian(camera, cell, depth_m, T_WC)[0], math.hypot(cell[2] / 2, cell[3] / 2) / camera.fx
+
+
+@exercise(
+    chapter=3, difficulty=3, minutes=12, solution=_gaussian,
+    hints=(
+        "The middle of the cell, in continuous pixels, is (x0 + w / 2, y0 + h / 2).",
+        "Depth z: that of the pixel which contains the middle. Lift the middle with it (chapter 1), then apply T_WC.",
+        "A length of r pixels at depth z is z r / fx metres. r is half the diagonal of the cell.",
+    ),
+    wrong=(
+        Wrong(_gaussian_in_the_camera, says="world"),
+        Wrong(_gaussian_at_the_corner, says="middle of the cell"),
+        Wrong(_gaussian_of_full_diagonal, says="half the diagonal"),
+        Wrong(_gaussian_of_one_size, says="twice as far"),
+    ),
+)  # fmt: skip
+def cell_to_gaussian(attempt: Attempt) -> None:
+    """Where a cell's Gaussian stands and how large it is (Eq. 10-11)."""
+    camera = Camera(width=40, height=30, fx=20.0, fy=20.0, cx=20.0, cy=15.0)
+    names = ("xyz_W", "scale_m")
+    on = "the cell (18, 11, 4, 8) around the image centre, depth 2 m, identity pose"
+    flat = torch.full((30, 40), 2.0)
+    xyz, scale = unpack(attempt.on(on)(camera, (18, 11, 4, 8), flat, torch.eye(4)), names, on=on)
+    close(xyz, [0.0, 0.0, 2.0], "the Gaussian stands behind the middle of the cell", on=on)
+    far = "the same cell on walls at 2 m and at 4 m"
+    _, scale_far = unpack(attempt.on(far)(camera, (18, 11, 4, 8), 2 * flat, torch.eye(4)), names, on=far)
+    prop = "on a wall twice as far the same cell is twice as large in metres"
+    close(float(scale_far) / float(scale), 2.0, prop, on=far, tolerance=1e-4)
+    right = 2.0 * math.hypot(2, 4) / 20
+    close(scale, right, "its standard deviation is half the diagonal, z r / fx", on=on, tolerance=1e-4)
+    on = "a cell of odd size on a slanted wall, camera turned and moved"
+    slanted = 1.0 + 0.05 * torch.arange(40.0).expand(30, 40)
+    T = se3.exp(torch.tensor([0.3, -0.2, 0.5, 0.4, -0.7, 0.2]))
+    cell = (5, 7, 7, 5)
+    expected = _gaussian(camera, cell, slanted, T)
+    xyz, scale = unpack(attempt.on(on)(camera, cell, slanted, T), names, on=on)
+    close(xyz, expected[0], "the position is in the world frame, with the depth of the middle pixel", on=on, tolerance=1e-4)
+    close(scale, expected[1], "the size uses the depth of the middle pixel", on=on, tolerance=1e-4)

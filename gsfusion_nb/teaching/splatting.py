@@ -1,0 +1,262 @@
+"""Exercises of chapter 4: from one Gaussian to a picture."""
+
+import math
+
+import torch
+from torch import Tensor
+
+from ..constants import SCREEN_BLUR_PX2, SH_C0
+from ..geometry.spherical_harmonics import sh_to_rgb
+from .exercise import Attempt, Wrong, close, exercise, holds, unpack
+
+_C1 = math.sqrt(3 / (4 * math.pi))
+
+
+def _jacobian(xyz_C: Tensor, fx: float, fy: float) -> Tensor:
+    x, y, z = xyz_C.tolist()
+    return xyz_C.new_tensor([[fx / z, 0, -fx * x / z**2], [0, fy / z, -fy * y / z**2]])
+
+
+def _covariance_2d(xyz_C: Tensor, cov_C: Tensor, fx: float, fy: float) -> Tensor:
+    J = _jacobian(xyz_C, fx, fy)
+    return J @ cov_C @ J.T + SCREEN_BLUR_PX2 * torch.eye(2).to(cov_C)
+
+
+def _flat(xyz_C: Tensor, cov_C: Tensor, fx: float, fy: float) -> Tensor:
+    J = _jacobian(xyz_C, fx, fy)
+    J[:, 2] = 0
+    return J @ cov_C @ J.T + SCREEN_BLUR_PX2 * torch.eye(2).to(cov_C)
+
+
+def _no_low_pass(xyz_C: Tensor, cov_C: Tensor, fx: float, fy: float) -> Tensor:
+    J = _jacobian(xyz_C, fx, fy)
+    return J @ cov_C @ J.T
+
+
+def _one_focal_length(xyz_C: Tensor, cov_C: Tensor, fx: float, fy: float) -> Tensor:
+    return _covariance_2d(xyz_C, cov_C, fx, fx)
+
+
+@exercise(
+    chapter=4, difficulty=3, minutes=12, solution=_covariance_2d,
+    hints=(
+        "J holds the derivatives of u = fx x/z + cx and v = fy y/z + cy by x, y and z: two rows, three columns.",
+        "du/dz is not zero: u = fx x/z, so du/dz = -fx x / z^2. A Gaussian that is deep along z smears sideways.",
+        "The covariance of J x is J cov J^T. The low-pass filter is 0.3 px^2 on both diagonal entries, added last.",
+    ),
+    wrong=(
+        Wrong(_flat, says="off the axis, depth smears the ellipse sideways"),
+        Wrong(_no_low_pass, says="a Gaussian too small to see is still about a pixel wide"),
+        Wrong(_one_focal_length, says="fy acts on v"),
+    ),
+)  # fmt: skip
+def covariance_2d(attempt: Attempt) -> None:
+    """Project the covariance of a Gaussian onto the image: J cov J^T + 0.3 I."""
+    f64 = torch.float64
+    axis = torch.tensor([0.0, 0.0, 2.0], dtype=f64)
+    on = "a point-like Gaussian 2 m ahead"
+    got = attempt.on(on)(axis, torch.zeros(3, 3, dtype=f64), 100.0, 100.0)
+    why = "add 0.3 px^2 to the diagonal"
+    close(got, 0.3 * torch.eye(2), "a Gaussian too small to see is still about a pixel wide", on=on, why=why)
+    on = "a ball of standard deviation 10 cm, 2 m ahead, f = 100 px"
+    got = attempt.on(on)(axis, 0.01 * torch.eye(3, dtype=f64), 100.0, 100.0)
+    close(got, 25.3 * torch.eye(2), "a ball straight ahead gives a circle of (f s / z)^2 + 0.3", on=on)
+    on = "a needle along z, 1 m to the right"
+    needle, right = torch.diag(torch.tensor([0.0, 0.0, 0.04], dtype=f64)), torch.tensor([1.0, 0.0, 2.0], dtype=f64)
+    got = attempt.on(on)(right, needle, 100.0, 100.0)
+    why = "J needs its third column, du/dz = -fx x / z^2"
+    close(got, [[25.3, 0.0], [0.0, 0.3]], "off the axis, depth smears the ellipse sideways", on=on, why=why)
+    on = "a ball, fx = 100 px and fy = 50 px"
+    got = attempt.on(on)(axis, 0.01 * torch.eye(3, dtype=f64), 100.0, 50.0)
+    close(got, [[25.3, 0.0], [0.0, 6.55]], "fy acts on v", on=on)
+    on = "a tilted Gaussian off both axes"
+    xyz = torch.tensor([0.4, -0.3, 1.5], dtype=f64)
+    L = torch.tensor([[0.2, 0.0, 0.0], [0.1, 0.1, 0.0], [-0.05, 0.2, 0.3]], dtype=f64)
+    got = attempt.on(on)(xyz, L @ L.T, 90.0, 110.0)
+    close(got, _covariance_2d(xyz, L @ L.T, 90.0, 110.0), "cov_2D = J cov J^T + 0.3 I", on=on)
+
+
+def _composite_pixel(alpha: Tensor, rgb: Tensor) -> tuple[Tensor, Tensor]:
+    T = torch.cat([torch.ones(1).to(alpha), (1 - alpha).cumprod(0)])
+    return ((alpha * T[:-1])[:, None] * rgb).sum(0), T[-1]
+
+
+def _own_alpha_too(alpha: Tensor, rgb: Tensor) -> tuple[Tensor, Tensor]:
+    T = (1 - alpha).cumprod(0)
+    return ((alpha * T)[:, None] * rgb).sum(0), T[-1] if len(T) else torch.ones(())
+
+
+def _farthest_first(alpha: Tensor, rgb: Tensor) -> tuple[Tensor, Tensor]:
+    return _composite_pixel(alpha.flip(0), rgb.flip(0))
+
+
+def _averaged(alpha: Tensor, rgb: Tensor) -> tuple[Tensor, Tensor]:
+    colour, T = _composite_pixel(alpha, rgb)
+    return colour / (1 - T).clamp(min=1e-9), T
+
+
+@exercise(
+    chapter=4, difficulty=2, minutes=8, solution=_composite_pixel,
+    hints=(
+        "Go through the Gaussians with a number T, the light that is left. It starts at 1.",
+        "Each adds alpha * T * colour; then T becomes T * (1 - alpha). The order of these two lines matters.",
+        "Without a loop: T = cumprod of (1 - alpha), shifted by one place so that it starts with 1.",
+    ),
+    wrong=(
+        Wrong(_own_alpha_too, says="nothing stands in front of the first one"),
+        Wrong(_farthest_first, says="the nearest comes first"),
+        Wrong(_averaged, says="what is not covered stays black"),
+    ),
+)  # fmt: skip
+def composite_pixel(attempt: Attempt) -> None:
+    """Blend the sorted Gaussians of one pixel, nearest first."""
+    names = ("colour", "light left")
+    red, green = [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]
+    on = "one red Gaussian of alpha 0.5"
+    colour, left = unpack(attempt.on(on)(torch.tensor([0.5]), torch.tensor([red])), names, on=on)
+    holds(
+        float(torch.as_tensor(colour)[0]) < 0.99, "what is not covered stays black", on=on,
+        detail="the colour is not divided by the sum of the weights",
+    )  # fmt: skip
+    why = "T in front of a Gaussian does not contain its own alpha"
+    close(colour, [0.5, 0.0, 0.0], "nothing stands in front of the first one", on=on, why=why)
+    close(left, 0.5, "half of the light is left", on=on)
+    on = "red alpha 0.8 in front of green alpha 0.5"
+    colour, left = unpack(attempt.on(on)(torch.tensor([0.8, 0.5]), torch.tensor([red, green])), names, on=on)
+    close(colour, [0.8, 0.1, 0.0], "the nearest comes first", on=on, why="w = 0.8 and 0.2 * 0.5")
+    close(left, 0.1, "the light left is the product of all 1 - alpha", on=on)
+    on = "no Gaussian at all"
+    colour, left = unpack(attempt.on(on)(torch.zeros(0), torch.zeros(0, 3)), names, on=on)
+    close(colour, [0.0, 0.0, 0.0], "an empty pixel is black", on=on)
+    close(left, 1.0, "an empty pixel keeps all its light", on=on)
+    on = "seven random ones"
+    generator = torch.Generator().manual_seed(3)
+    alpha, rgb = torch.rand(7, generator=generator), torch.rand(7, 3, generator=generator)
+    colour, left = unpack(attempt.on(on)(alpha, rgb), names, on=on)
+    expected, T = _composite_pixel(alpha, rgb)
+    close(colour, expected, "C = sum of alpha_k T_k c_k", on=on)
+    close(left, T, "the light left is the product of all 1 - alpha", on=on)
+
+
+Number = float | int
+Box = tuple[int, int, int, int]
+
+
+def _ranges(low: Number, high: Number, tile_px: int, size: int) -> tuple[int, int]:
+    n = -(-size // tile_px)
+    first = min(max(math.floor(low / tile_px), 0), n)
+    return first, max(first, min(max(math.floor(high / tile_px) + 1, 0), n))
+
+
+def _tiles_touched(u: Number, v: Number, extent_px: Number, width: int, height: int, tile_px: int) -> Box:
+    return (
+        *_ranges(u - extent_px, u + extent_px, tile_px, width),
+        *_ranges(v - extent_px, v + extent_px, tile_px, height),
+    )
+
+
+def _last_one_missing(u: Number, v: Number, extent_px: Number, width: int, height: int, tile_px: int) -> Box:
+    x0, x1, y0, y1 = _tiles_touched(u, v, extent_px, width, height, tile_px)
+    return x0, max(x0, x1 - 1), y0, max(y0, y1 - 1)
+
+
+def _unclamped(u: Number, v: Number, extent_px: Number, width: int, height: int, tile_px: int) -> Box:
+    low, high = [math.floor((c - extent_px) / tile_px) for c in (u, v)], [math.floor((c + extent_px) / tile_px) + 1 for c in (u, v)]
+    return low[0], high[0], low[1], high[1]
+
+
+def _whole_tiles_only(u: Number, v: Number, extent_px: Number, width: int, height: int, tile_px: int) -> Box:
+    return _tiles_touched(u, v, extent_px, width // tile_px * tile_px, height // tile_px * tile_px, tile_px)
+
+
+@exercise(
+    chapter=4, difficulty=2, minutes=10, solution=_tiles_touched,
+    hints=(
+        "Tile number of a coordinate: floor(coordinate / tile_px). Do it for u - extent and u + extent.",
+        "The ranges are half open, like range(): the end is one more than the last tile.",
+        "There are ceil(width / tile_px) tiles across. Clamp both ends to 0 .. that number: a splat may hang over.",
+    ),
+    wrong=(
+        Wrong(_last_one_missing, says="a splat inside one tile is in that tile"),
+        Wrong(_unclamped, says="tiles outside of the picture do not exist"),
+        Wrong(_whole_tiles_only, says="the last tile may hang over the border"),
+    ),
+)  # fmt: skip
+def tiles_touched(attempt: Attempt) -> None:
+    """Which tiles does the box around a splat touch?"""
+    names = ("x0", "x1", "y0", "y1")
+
+    def ask(on: str, u: Number, v: Number, extent: Number, width: int, height: int, prop: str, why: str = "") -> None:
+        got = unpack(attempt.on(on)(u, v, extent, width, height, 8), names, on=on)
+        close(got, _tiles_touched(u, v, extent, width, height, 8), prop, on=on, why=why)
+
+    half_open = "the ranges are half open: the end is one past the last tile"
+    ask("u 12, v 20, extent 2, picture 64 x 48, tiles of 8", 12, 20, 2, 64, 48, "a splat inside one tile is in that tile", half_open)
+    ask("u 16, v 24, extent 5", 16, 24, 5, 64, 48, "a splat across a border is on both sides")
+    ask("u 2, v 3, extent 10", 2, 3, 10, 64, 48, "tiles outside of the picture do not exist", "clamp the ranges")
+    ask("u 62, v 46, extent 10", 62, 46, 10, 64, 48, "tiles outside of the picture do not exist", "clamp the ranges")
+    ask("u 58, v 43, extent 1, picture 60 x 45", 58, 43, 1, 60, 45, "the last tile may hang over the border", "ceil, not floor")
+    on = "u -30, v 20, extent 5: left of the picture"
+    x0, x1, _, _ = unpack(attempt.on(on)(-30.0, 20.0, 5.0, 64, 48, 8), names, on=on)
+    holds(x1 <= x0, "a splat outside of the picture touches no tile", on=on, detail=f"got columns {x0} to {x1}")
+
+
+def _view_colour(sh: Tensor, xyz_W: Tensor, centre_W: Tensor) -> Tensor:
+    d = xyz_W - centre_W
+    x, y, z = d / d.norm()
+    Y = torch.stack([torch.full_like(x, SH_C0), -_C1 * y, _C1 * z, -_C1 * x])
+    return (Y @ sh + 0.5).clamp(min=0)
+
+
+def _seen_backwards(sh: Tensor, xyz_W: Tensor, centre_W: Tensor) -> Tensor:
+    return _view_colour(sh, centre_W, xyz_W)
+
+
+def _no_half(sh: Tensor, xyz_W: Tensor, centre_W: Tensor) -> Tensor:
+    x, y, z = (xyz_W - centre_W) / (xyz_W - centre_W).norm()
+    return (torch.stack([torch.full_like(x, SH_C0), -_C1 * y, _C1 * z, -_C1 * x]) @ sh).clamp(min=0)
+
+
+def _not_normalised(sh: Tensor, xyz_W: Tensor, centre_W: Tensor) -> Tensor:
+    x, y, z = xyz_W - centre_W
+    return (torch.stack([torch.full_like(x, SH_C0), -_C1 * y, _C1 * z, -_C1 * x]) @ sh + 0.5).clamp(min=0)
+
+
+def _not_clamped(sh: Tensor, xyz_W: Tensor, centre_W: Tensor) -> Tensor:
+    x, y, z = (xyz_W - centre_W) / (xyz_W - centre_W).norm()
+    return torch.stack([torch.full_like(x, SH_C0), -_C1 * y, _C1 * z, -_C1 * x]) @ sh + 0.5
+
+
+@exercise(
+    chapter=4, difficulty=3, minutes=10, solution=_view_colour,
+    hints=(
+        "d points from the camera to the Gaussian, and has length 1.",
+        "Y_0 = 0.2821, Y_1 = -0.4886 y, Y_2 = 0.4886 z, Y_3 = -0.4886 x, with d = (x, y, z).",
+        "colour = max(0, 1/2 + Y @ sh): the half makes all-zero coefficients grey.",
+    ),
+    wrong=(
+        Wrong(_no_half, says="all-zero coefficients are middle grey"),
+        Wrong(_seen_backwards, says="d goes from the camera to the Gaussian"),
+        Wrong(_not_normalised, says="only the direction counts"),
+        Wrong(_not_clamped, says="no colour is below 0"),
+    ),
+)  # fmt: skip
+def view_colour(attempt: Attempt) -> None:
+    """Colour of a Gaussian of SH degree 1, seen from a camera centre."""
+    origin, ahead = torch.zeros(3), torch.tensor([0.0, 0.0, 1.0])
+    on = "coefficients all zero"
+    close(attempt.on(on)(torch.zeros(4, 3), ahead, origin), [0.5] * 3, "all-zero coefficients are middle grey", on=on)
+    on = "a Gaussian 1 m along z, only sh[2] = 0.5"
+    sh = torch.zeros(4, 3)
+    sh[2] = 0.5
+    expected = [0.5 + 0.5 * _C1] * 3
+    close(attempt.on(on)(sh, ahead, origin), expected, "d goes from the camera to the Gaussian", on=on, why="d = (x - o) / |x - o|")
+    on = "the same, 4 m along z"
+    close(attempt.on(on)(sh, 4 * ahead, origin), expected, "only the direction counts", on=on, why="normalise d")
+    on = "the same Gaussian, sh[2] = -2"
+    close(attempt.on(on)(-4 * sh, ahead, origin), [0.0] * 3, "no colour is below 0", on=on)
+    generator = torch.Generator().manual_seed(5)
+    sh, xyz, centre = (0.4 * torch.randn(n, 3, generator=generator) for n in (4, 1, 1))
+    on = "random coefficients and places"
+    expected = sh_to_rgb(sh[None], xyz, centre[0])[0]
+    close(attempt.on(on)(sh, xyz[0], centre[0]), expected, "order and signs of the basis are Y0, -y, z, -x", on=on)

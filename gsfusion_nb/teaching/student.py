@@ -1,0 +1,117 @@
+"""Copies of the notebooks for students, without the solutions; for teachers, with them.
+
+``python -m gsfusion_nb.teaching.student SRC DST [--teacher]``. In a code cell everything from the line
+``### BEGIN SOLUTION`` to ``### END SOLUTION`` is a solution, in a text cell from ``<!-- BEGIN SOLUTION -->`` to
+``<!-- END SOLUTION -->``. A cell that is empty without it is left out. A student's copy has no outputs: they would show
+what the reader is asked to predict.
+"""
+
+import argparse
+import copy
+import json
+import logging
+import shutil
+from pathlib import Path
+from typing import Any
+
+log = logging.getLogger(__name__)
+
+_BEGIN = ("### BEGIN SOLUTION", "<!-- BEGIN SOLUTION -->")
+_END = ("### END SOLUTION", "<!-- END SOLUTION -->")
+
+
+def without_solutions(notebook: dict[str, Any]) -> dict[str, Any]:
+    """The notebook (as read from JSON) without solutions and outputs; the given one is left as it is.
+
+    Raises:
+        ValueError: a marker without its partner; which cell.
+    """
+    student = copy.deepcopy(notebook)
+    kept = []
+    for number, cell in enumerate(student["cells"]):
+        lines = _lines(cell["source"])
+        left = _outside(lines, number)
+        if cell["cell_type"] == "code":
+            cell |= {"outputs": [], "execution_count": None}
+        if len(left) < len(lines) and not "".join(left).strip():
+            continue
+        cell["source"] = [*left[:-1], left[-1].rstrip("\n")] if left else []
+        kept.append(cell)
+    student["cells"] = kept
+    return student
+
+
+def copy_course(source: Path, target: Path, *, solutions: bool = False) -> list[Path]:
+    """Write the notebooks of a folder, or one notebook, into the folder ``target``; the files written.
+
+    Args:
+        source: A folder of notebooks, or one notebook.
+        target: Made if it is not there. Notebooks of the same name in it are replaced.
+        solutions: Keep solutions and outputs: an exact copy.
+
+    Raises:
+        ValueError: no notebook at ``source``, ``target`` is the source's folder, or unbalanced markers (which file).
+    """
+    notebooks = [source] if source.is_file() else sorted(source.glob("*.ipynb"))
+    if not notebooks:
+        raise ValueError(f"there is no notebook at {source}")
+    if target.resolve() == notebooks[0].parent.resolve():
+        raise ValueError(f"the copies would replace the notebooks in {target}; name another folder")
+    target.mkdir(parents=True, exist_ok=True)
+    written = []
+    for path in notebooks:
+        copied = target / path.name
+        if solutions:
+            shutil.copyfile(path, copied)
+        else:
+            try:
+                notebook = without_solutions(json.loads(path.read_text(encoding="utf-8")))
+            except ValueError as e:
+                raise ValueError(f"{path}: {e}") from None
+            text = json.dumps(notebook, indent=1, ensure_ascii=False) + "\n"
+            copied.write_text(text, encoding="utf-8")
+        written.append(copied)
+    return written
+
+
+def _lines(source: str | list[str]) -> list[str]:
+    return (source if isinstance(source, str) else "".join(source)).splitlines(keepends=True)
+
+
+def _outside(lines: list[str], number: int) -> list[str]:
+    """Lines that belong to no solution."""
+    left, inside = [], False
+    for line in lines:
+        if line.strip() in _BEGIN:
+            if inside:
+                raise ValueError(f"cell {number} has BEGIN SOLUTION inside a solution")
+            inside = True
+        elif line.strip() in _END:
+            if not inside:
+                raise ValueError(f"cell {number} has END SOLUTION without BEGIN SOLUTION")
+            inside = False
+        elif not inside:
+            left.append(line)
+    if inside:
+        raise ValueError(f"cell {number} has BEGIN SOLUTION without END SOLUTION")
+    return left
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(description="Copy the course's notebooks, without solutions or with them.")
+    parser.add_argument("source", type=Path, help="folder of notebooks, or one notebook")
+    parser.add_argument("target", type=Path, help="folder for the copies")
+    parser.add_argument("--teacher", action="store_true", help="keep solutions and outputs")
+    options = parser.parse_args(arguments)
+    try:
+        written = copy_course(options.source, options.target, solutions=options.teacher)
+    except ValueError as e:
+        parser.error(str(e))
+    for path in written:
+        log.info("wrote %s", path)
+
+
+if __name__ == "__main__":
+    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    main()

@@ -1,0 +1,134 @@
+"""A gradient three ways: written by hand, by autograd, and by finite differences, side by side."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+TOLERANCE = 1e-5
+"""Largest difference, of the largest number, that counts as agreement in float64."""
+_SHOWN = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """The three gradients by one input."""
+
+    name: str
+    hand: Tensor
+    autograd: Tensor
+    difference: Tensor
+
+    @property
+    def errors(self) -> tuple[float, float]:
+        """Largest deviation of the hand-written one from autograd and from finite differences, of the largest number."""
+        scale = float(self.difference.abs().max().clamp_min(1e-12)) if self.difference.numel() else 1.0
+        return tuple(float((self.hand - other).abs().max()) / scale for other in (self.autograd, self.difference))  # pyright: ignore[reportReturnType]
+
+
+class ThreeWays:
+    """The table that ``three_ways`` makes. ``ok`` says whether all three agree; a notebook shows it in colour."""
+
+    def __init__(self, rows: list[Compared]):
+        self.rows = rows
+
+    @property
+    def ok(self) -> bool:
+        """Whether the hand-written gradient agrees with both others, everywhere."""
+        return all(max(row.errors) < TOLERANCE for row in self.rows)
+
+    def __bool__(self) -> bool:
+        return self.ok
+
+    def __repr__(self) -> str:
+        lines = [f"{'gradient by':>16} {'by hand':>12} {'autograd':>12} {'difference':>12}"]
+        for row in self.rows:
+            for name, *values in _numbers(row):
+                lines.append(f"{name:>16} " + " ".join(f"{v:>12.6f}" for v in values))
+            a, d = row.errors
+            lines.append(f"{'':>16} largest error of {row.hand.numel()}: autograd {a:.0e}, difference {d:.0e}")
+        return "\n".join([*lines, "all three agree" if self.ok else "they do NOT agree"])
+
+    def _repr_html_(self) -> str:
+        head = "".join(_cell(h, "th") for h in ("gradient by", "by hand", "autograd", "difference", "largest relative error"))
+        lines = [f"<tr>{head}</tr>"]
+        for row in self.rows:
+            a, d = row.errors
+            good = max(a, d) < TOLERANCE
+            colour, sign = ("#1a7f37", "✓") if good else ("#c62828", "✗")
+            verdict = f'<span style="color:{colour}">{sign} {a:.0e} (autograd), {d:.0e} (difference)</span>'
+            numbers = _numbers(row)
+            for i, (name, *values) in enumerate(numbers):
+                cells = _cell(name) + "".join(_cell(f"{v:+.6f}") for v in values)
+                lines.append(f"<tr>{cells}{_cell(verdict if i == 0 else '')}</tr>")
+            if row.hand.numel() > len(numbers):
+                lines.append(f"<tr>{_cell(f'… {row.hand.numel() - len(numbers)} more')}</tr>")
+        return f'<table class="gsnb-three-ways" style="font-size:12px">{"".join(lines)}</table>'
+
+
+def three_ways(
+    forward: Callable[..., Tensor],
+    vjp: Callable[..., Tensor | tuple[Tensor, ...]],
+    inputs: dict[str, Tensor],
+    *,
+    v: Tensor | None = None,
+    step: float = 1e-6,
+) -> ThreeWays:
+    """Compare a hand-written gradient with autograd and with central differences.
+
+    The scalar is L = sum(v * forward(*inputs)): with a random ``v`` all outputs are tested at once.
+
+    Args:
+        forward: Plain torch.
+        vjp: ``vjp(v, *inputs)`` returns dL/d of each input, in order.
+        inputs: Name -> value; float64.
+        v: dL/d of the output; random numbers, the same each time, by default.
+        step: Of the central differences.
+    """
+    values = {name: x.detach().clone().double().requires_grad_() for name, x in inputs.items()}
+    out = forward(*values.values())
+    if v is None:
+        v = torch.randn(out.shape, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    auto = torch.autograd.grad((v * out).sum(), list(values.values()), allow_unused=True)
+    plain = [x.detach() for x in values.values()]
+    with torch.no_grad():
+        by_hand = vjp(v, *plain)
+        hands = (by_hand,) if isinstance(by_hand, Tensor) else by_hand
+        rows = []
+        for i, (name, x) in enumerate(zip(inputs, plain, strict=True)):
+            def loss(changed: Tensor, i: int = i) -> float:
+                return float((v * forward(*plain[:i], changed, *plain[i + 1 :])).sum())
+
+            numeric = central_difference(loss, x, step)
+            from_graph = torch.zeros_like(x) if auto[i] is None else auto[i]
+            rows.append(Compared(name, hands[i].double(), from_graph, numeric))
+    return ThreeWays(rows)
+
+
+def central_difference(loss: Callable[[Tensor], float], x: Tensor, step: float) -> Tensor:
+    """(L(x + h) - L(x - h)) / 2h for every element of ``x``, one at a time. Two evaluations per number."""
+    gradient = torch.zeros_like(x)
+    for i in range(x.numel()):
+        ends = []
+        for sign in (1, -1):
+            moved = x.clone()
+            moved.view(-1)[i] += sign * step
+            ends.append(loss(moved))
+        gradient.view(-1)[i] = (ends[0] - ends[1]) / (2 * step)
+    return gradient
+
+
+def _numbers(row: Compared) -> list[tuple[str, float, float, float]]:
+    """The first numbers of a row: name with index, and the three values."""
+    shape = row.hand.shape
+    table = []
+    for i in range(min(row.hand.numel(), _SHOWN)):
+        index = [int(j) for j in torch.unravel_index(torch.tensor(i), shape)] if shape else []
+        name = row.name + (str(index) if index else "")
+        table.append((name, *(float(x.reshape(-1)[i]) for x in (row.hand, row.autograd, row.difference))))
+    return table
+
+
+def _cell(text: str, tag: str = "td") -> str:
+    return f'<{tag} style="text-align:right;padding:1px 10px">{text}</{tag}>'

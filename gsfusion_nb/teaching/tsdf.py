@@ -1,0 +1,265 @@
+"""Exercises of chapter 2: signed distance, running average, voxel blocks, Morton code, zero crossing."""
+
+import torch
+from torch import Tensor
+
+from ..tsdf import morton, tsdf_update
+from .exercise import Attempt, Wrong, close, exercise, holds, unpack
+
+
+def _signed_distance(depth_m: Tensor, z_m: Tensor, truncation_m: float) -> tuple[Tensor, Tensor]:
+    sdf = depth_m - z_m
+    observed = (depth_m > 0) & (sdf > -truncation_m)
+    return (sdf / truncation_m).clamp(-1, 1), observed
+
+
+def _signed_distance_backwards(depth_m: Tensor, z_m: Tensor, truncation_m: float) -> tuple[Tensor, Tensor]:
+    d, _ = _signed_distance(depth_m, z_m, truncation_m)
+    return -d, (depth_m > 0) & (z_m - depth_m > -truncation_m)
+
+
+def _signed_distance_band_only(depth_m: Tensor, z_m: Tensor, truncation_m: float) -> tuple[Tensor, Tensor]:
+    d, _ = _signed_distance(depth_m, z_m, truncation_m)
+    return d, (depth_m > 0) & ((depth_m - z_m).abs() < truncation_m)
+
+
+def _signed_distance_through_walls(depth_m: Tensor, z_m: Tensor, truncation_m: float) -> tuple[Tensor, Tensor]:
+    return _signed_distance(depth_m, z_m, truncation_m)[0], depth_m > 0
+
+
+def _signed_distance_holes_too(depth_m: Tensor, z_m: Tensor, truncation_m: float) -> tuple[Tensor, Tensor]:
+    return _signed_distance(depth_m, z_m, truncation_m)[0], depth_m - z_m > -truncation_m
+
+
+@exercise(
+    chapter=2, difficulty=2, minutes=8, solution=_signed_distance,
+    hints=(
+        "Eq. 6: what the camera measured, minus where the voxel is. Both are along z.",
+        "Eq. 7 divides by the truncation and clamps to -1 .. 1.",
+        "Observed: there is a measurement, and the voxel is not hidden, that is not deeper behind it than the truncation.",
+    ),
+    wrong=(
+        Wrong(_signed_distance_backwards, says="positive in front"),
+        Wrong(_signed_distance_band_only, says="free space"),
+        Wrong(_signed_distance_through_walls, says="hidden"),
+        Wrong(_signed_distance_holes_too, says="0 means missing"),
+    ),
+)  # fmt: skip
+def signed_distance(attempt: Attempt) -> None:
+    """What one depth measurement says about the voxels on its ray (Eq. 6-7)."""
+    names = ("d", "observed")
+
+    def ask(on: str, depth_m: float, z_m: list[float]) -> tuple[Tensor, Tensor]:
+        depth, z = torch.full((len(z_m),), depth_m), torch.tensor(z_m)
+        d, observed = unpack(attempt.on(on)(depth, z, 0.1), names, on=on)
+        return torch.as_tensor(d), torch.as_tensor(observed)
+
+    on = "a voxel 5 cm in front of a surface at 2 m, truncation 10 cm"
+    d, observed = ask(on, 2.0, [1.95])
+    close(d, [0.5], "d is positive in front of the surface, in units of the truncation", on=on, tolerance=1e-4)
+    on = "a voxel 5 cm behind a surface at 2 m"
+    d, observed = ask(on, 2.0, [2.05])
+    close(d, [-0.5], "d is negative behind the surface", on=on, tolerance=1e-4)
+    holds(observed.all(), "a voxel just behind the surface, inside the band, is observed", on=on, detail="it is not")
+    on = "a voxel 1 m in front of a surface at 2 m"
+    d, observed = ask(on, 2.0, [1.0])
+    close(d, [1.0], "d is clamped to 1 far in front", on=on)
+    holds(observed.all(), "free space in front of the surface is observed, however far", on=on, detail="it is not")
+    on = "a voxel 1 m behind a surface at 2 m"
+    d, observed = ask(on, 2.0, [3.0])
+    hidden = "a voxel hidden behind the band is not observed: nobody knows what is there"
+    holds(not observed.any(), hidden, on=on, detail="observed is true")
+    on = "a pixel whose depth is 0, voxel at 5 cm"
+    d, observed = ask(on, 0.0, [0.05])
+    holds(not observed.any(), "depth 0 means missing: nothing is observed", on=on, detail="observed is true")
+
+
+def _running_average(D: Tensor, W: Tensor, d: Tensor, max_weight: float) -> tuple[Tensor, Tensor]:
+    W_new = (W + 1).clamp(max=max_weight)
+    return (D * (W_new - 1) + d) / W_new, W_new
+
+
+def _running_average_as_printed(D: Tensor, W: Tensor, d: Tensor, max_weight: float) -> tuple[Tensor, Tensor]:
+    W_new = (W + 1).clamp(max=max_weight)
+    return (D * W + d * W_new) / (W + W_new), W_new
+
+
+def _running_average_without_cap(D: Tensor, W: Tensor, d: Tensor, max_weight: float) -> tuple[Tensor, Tensor]:
+    return (D * W + d) / (W + 1), W + 1
+
+
+def _halfway(D: Tensor, W: Tensor, d: Tensor, max_weight: float) -> tuple[Tensor, Tensor]:
+    return torch.where(W > 0, (D + d) / 2, d), (W + 1).clamp(max=max_weight)
+
+
+@exercise(
+    chapter=2, difficulty=2, minutes=10, solution=_running_average,
+    hints=(
+        "The mean of n numbers from the mean of the first n - 1 and the last one.",
+        "First W <- min(W + 1, max_weight). Then D <- (D (W - 1) + d) / W, with the new W.",
+    ),
+    wrong=(
+        Wrong(_running_average_as_printed, says="every observation counts the same"),
+        Wrong(_halfway, says="every observation counts the same"),
+        Wrong(_running_average_without_cap, says="max_weight"),
+    ),
+)  # fmt: skip
+def running_average(attempt: Attempt) -> None:
+    """Fold one observation into a voxel: W capped, D the running mean (Eq. 8-9)."""
+    names = ("D", "W")
+    on = "a voxel never observed (D = 1, W = 0), observation 0.2"
+    D, W = unpack(attempt.on(on)(torch.ones(1), torch.zeros(1), torch.tensor([0.2]), 100.0), names, on=on)
+    close(D, [0.2], "the first observation replaces the initial value", on=on)
+    close(W, [1.0], "W counts the observations", on=on)
+    on = "observations 0.2, 0.4, 0.6 one after the other"
+    D, W = torch.ones(1), torch.zeros(1)
+    for d in (0.2, 0.4, 0.6):
+        D, W = (torch.as_tensor(a) for a in unpack(attempt.on(on)(D, W, torch.tensor([d]), 100.0), names, on=on))
+    close(D, [0.4], "every observation counts the same: D is their mean", on=on)
+    on = "W = 4 with max_weight = 4, D = 0, observation 1"
+    D, W = unpack(attempt.on(on)(torch.zeros(1), torch.full((1,), 4.0), torch.ones(1), 4.0), names, on=on)
+    close(W, [4.0], "W stops at max_weight", on=on)
+    close(D, [0.25], "at max_weight a new observation still moves D, by 1 / max_weight", on=on)
+    on = "64 random voxels"
+    g = torch.Generator().manual_seed(1)
+    D, W = torch.rand(64, generator=g), torch.randint(0, 12, (64,), generator=g).float()
+    d = torch.rand(64, generator=g) * 2 - 1
+    expected = tsdf_update(D, W, d * 0.1, truncation_m=0.1, max_weight=10.0)
+    D, W = unpack(attempt.on(on)(D, W, d, 10.0), names, on=on)
+    close(D, expected[0], "D agrees with gsfusion_nb.tsdf.tsdf_update", on=on)
+
+
+def _block_of(xyz_W: Tensor, voxel_size_m: float) -> Tensor:
+    return (xyz_W / (8 * voxel_size_m)).floor().long()
+
+
+def _block_of_truncated(xyz_W: Tensor, voxel_size_m: float) -> Tensor:
+    return (xyz_W / (8 * voxel_size_m)).long()
+
+
+def _block_of_rounded(xyz_W: Tensor, voxel_size_m: float) -> Tensor:
+    return (xyz_W / (8 * voxel_size_m)).round().long()
+
+
+def _voxel_of(xyz_W: Tensor, voxel_size_m: float) -> Tensor:
+    return (xyz_W / voxel_size_m).floor().long()
+
+
+@exercise(
+    chapter=2, difficulty=1, minutes=5, solution=_block_of,
+    hints=(
+        "A block spans 8 voxels along each axis: its edge is 8 voxel sizes.",
+        "Which whole number belongs to -0.1? Compare int(-0.1) with math.floor(-0.1).",
+    ),
+    wrong=(
+        Wrong(_block_of_truncated, says="below zero"),
+        Wrong(_block_of_rounded, says="contains"),
+        Wrong(_voxel_of, says="8 voxels"),
+    ),
+)  # fmt: skip
+def block_of(attempt: Attempt) -> None:
+    """The voxel block that contains a point."""
+    on = "(0.30, 0.05, 0.85) m with voxels of 5 cm"
+    block = attempt.on(on)(torch.tensor([[0.30, 0.05, 0.85]]), 0.05)
+    close(block, [[0, 0, 2]], "a block is 8 voxels wide, and the point is in the block that contains it", on=on)
+    on = "(-0.10, 0.10, -0.50) m with voxels of 5 cm"
+    block = attempt.on(on)(torch.tensor([[-0.10, 0.10, -0.50]]), 0.05)
+    close(block, [[-1, 0, -2]], "below zero too, a block reaches upwards from its lower corner", on=on,
+          why="Rounding towards zero merges the two blocks beside the origin")  # fmt: skip
+
+
+def _morton(x: int, y: int, z: int) -> int:
+    code = 0
+    for i in range(10):
+        code |= (x >> i & 1) << 3 * i | (y >> i & 1) << 3 * i + 1 | (z >> i & 1) << 3 * i + 2
+    return code
+
+
+def _morton_one_after_the_other(x: int, y: int, z: int) -> int:
+    return x | y << 10 | z << 20
+
+
+def _morton_z_first(x: int, y: int, z: int) -> int:
+    return _morton(z, y, x)
+
+
+@exercise(
+    chapter=2, difficulty=3, minutes=15, solution=_morton,
+    hints=(
+        "Bit i of x is (x >> i) & 1. Where must it go?",
+        "Bit i of x becomes bit 3 i, of y bit 3 i + 1, of z bit 3 i + 2; collect them with |.",
+    ),
+    wrong=(
+        Wrong(_morton_one_after_the_other, says="bits take turns"),
+        Wrong(_morton_z_first, says="x comes first"),
+    ),
+)  # fmt: skip
+def morton_code(attempt: Attempt) -> None:
+    """Interleave the bits of three block coordinates (0 to 1023)."""
+    for coords, expected, prop in (
+        ((1, 0, 0), 1, "x comes first: bit 0 of x is bit 0 of the code"),
+        ((0, 1, 0), 2, "then y: bit 0 of y is bit 1 of the code"),
+        ((0, 0, 1), 4, "then z: bit 0 of z is bit 2 of the code"),
+        ((2, 0, 0), 8, "the bits take turns: bit 1 of x is bit 3 of the code"),
+    ):
+        on = f"block {coords}"
+        close(attempt.on(on)(*coords), expected, _turns(prop), on=on)
+    g = torch.Generator().manual_seed(0)
+    for coords in torch.randint(0, 1024, (20, 3), generator=g).tolist():
+        on = f"block {tuple(coords)}"
+        code = int(attempt.on(on)(*coords))
+        parent = int(attempt.on(on)(*(c // 2 for c in coords)))
+        close(code >> 3, parent, "the parent's code is code >> 3", on=on)
+        origin = int(morton.encode(torch.zeros(1, 3, dtype=torch.int64)))
+        library = int(morton.encode(torch.tensor([coords]))) - origin
+        close(code, library, "it agrees with gsfusion_nb.tsdf.morton.encode, less the code of the origin", on=on)
+
+
+def _turns(prop: str) -> str:
+    return prop if "take turns" in prop else f"{prop} (the bits take turns)"
+
+
+def _zero_crossing(p0: Tensor, p1: Tensor, D0: Tensor, D1: Tensor) -> Tensor:
+    t = D0 / (D0 - D1)
+    return p0 + t[:, None] * (p1 - p0)
+
+
+def _middle(p0: Tensor, p1: Tensor, D0: Tensor, D1: Tensor) -> Tensor:
+    return (p0 + p1) / 2
+
+
+def _from_the_wrong_end(p0: Tensor, p1: Tensor, D0: Tensor, D1: Tensor) -> Tensor:
+    return _zero_crossing(p1, p0, D0, D1)
+
+
+def _by_magnitude(p0: Tensor, p1: Tensor, D0: Tensor, D1: Tensor) -> Tensor:
+    t = D0 / (D0 + D1)
+    return p0 + t[:, None] * (p1 - p0)
+
+
+@exercise(
+    chapter=2, difficulty=2, minutes=8, solution=_zero_crossing,
+    hints=(
+        "On a straight line D(t) = D0 + t (D1 - D0). For which t is it zero?",
+        "t = D0 / (D0 - D1): between 0 and 1, because the signs differ.",
+    ),
+    wrong=(
+        Wrong(_middle, says="nearer to the end"),
+        Wrong(_from_the_wrong_end, says="nearer to the end"),
+        Wrong(_by_magnitude, says="halfway"),
+    ),
+)  # fmt: skip
+def zero_crossing(attempt: Attempt) -> None:
+    """Where the surface cuts an edge between two voxel centres."""
+    p0, p1 = torch.tensor([[0.0, 0.0, 0.0]]), torch.tensor([[0.1, 0.0, 0.0]])
+
+    def ask(on: str, D0: float, D1: float) -> Tensor:
+        return torch.as_tensor(attempt.on(on)(p0, p1, torch.tensor([D0]), torch.tensor([D1])))
+
+    on = "D = +0.5 and -0.5 at the ends of a 10 cm edge"
+    close(ask(on, 0.5, -0.5), [[0.05, 0.0, 0.0]], "opposite values cut the edge halfway", on=on)
+    on = "D = +0.1 and -0.4"
+    prop = "the surface is nearer to the end whose D is nearer to zero"
+    close(ask(on, 0.1, -0.4), [[0.02, 0.0, 0.0]], prop, on=on)
+    on = "D = -0.3 and +0.1"
+    close(ask(on, -0.3, 0.1), [[0.075, 0.0, 0.0]], "it makes no difference which end is negative", on=on)

@@ -1,0 +1,153 @@
+"""Presets carry the published numbers, survive JSON, and refuse what makes no sense."""
+
+import json
+import math
+
+import pytest
+
+from gsfusion_nb.config import RtgSlamConfig, TrackingConfig, from_dict, replace, rtg_slam, to_dict
+
+PRESETS = ("replica", "tum", "scannetpp", "azure", "room")
+FIDELITIES = ("measured", "paper", "code")
+
+
+@pytest.mark.parametrize("fidelity", FIDELITIES)
+@pytest.mark.parametrize("preset", PRESETS)
+def test_json_round_trip(preset, fidelity):
+    c = rtg_slam(preset, fidelity, seed=5)
+    again = from_dict(RtgSlamConfig, json.loads(json.dumps(to_dict(c))))
+    assert again == c
+    assert again.tracking.pyramid == c.tracking.pyramid
+    assert c.seeding.rule == "rtg_slam"
+
+
+@pytest.mark.parametrize("fidelity", ["code", "paper"])
+@pytest.mark.parametrize(
+    ("preset", "every", "iterations", "frames", "lr_dc", "lr_scale", "delta_eta", "delta_t"),
+    [
+        ("replica", 6, 50, 5, 5e-4, 4e-3, 100, 120),
+        ("tum", 4, 50, 5, 1e-3, 0.02, 200, 150),
+        ("scannetpp", 3, 75, 1, 5e-4, 4e-3, 400, 200),
+        ("azure", 8, 50, 3, 1e-3, 2e-3, 250, 400),
+    ],
+)
+def test_published_numbers_of_each_data_set(
+    preset, every, iterations, frames, lr_dc, lr_scale, delta_eta, delta_t, fidelity
+):
+    c = rtg_slam(preset, fidelity)
+    w = c.window
+    assert (w.every_frames, w.iterations, w.frames) == (every, iterations, frames)
+    assert (w.lr_xyz, w.lr_quat, w.lr_sh_dc, w.lr_log_scale) == (1e-3, 1e-3, lr_dc, lr_scale)
+    assert w.lr_sh_rest == pytest.approx(lr_dc / 20)
+    assert (w.weight_depth, w.weight_regulariser) == (1.0, 1000.0)
+    assert (c.states.stable_confidence, c.states.unstable_frames) == (delta_eta, delta_t)
+    assert (c.keyframes.rotation_deg, c.keyframes.translation_m) == (30.0, 0.3)
+    assert (c.keyframes.iterations, c.keyframes.lr_factor, c.keyframes.pixel_share) == (iterations, 0.1, 0.4)
+    assert c.sh_degree == 3
+    assert c.data.depth_min_m == 0.3
+    assert c.data.depth_max_m == {"scannetpp": 10.0, "azure": 2.5}.get(preset, 5.0)
+
+
+def test_what_the_paper_says():
+    c = rtg_slam("replica", "paper")
+    assert c.discs.opaque_alpha == pytest.approx(math.exp(-0.5))
+    assert c.discs.min_cosine == pytest.approx(math.cos(math.radians(60)))
+    assert c.discs.max_offset is None
+    w = c.window
+    assert (w.weight_colour, w.anchor, w.draw, w.history_max_weight) == (1.0, "birth", "random", 1.0)
+    assert w.depth_behind_m is None
+    s = c.states
+    assert (s.colour_error, s.depth_error_m, s.depth_error_sides, s.on_error) == (0.1, 0.1, "both", "release")
+    assert s.max_radius_factor is None
+    k = c.keyframes
+    assert (k.latest, k.random, k.rows, k.instead_of_window) == (1, 3, "all", False)
+    assert c.final.passes == 10
+    assert c.tracking.target == "model"
+
+
+def test_what_the_released_code_does():
+    c = rtg_slam("replica", "code")
+    assert (c.discs.opaque_alpha, c.discs.max_offset, c.discs.min_cosine) == (0.6, 1.0, 0.5)
+    w = c.window
+    assert (w.weight_colour, w.anchor, w.draw, w.history_max_weight) == (0.8, "window", "newest_half", 0.5)
+    assert w.depth_behind_m == 0.1
+    s = c.states
+    assert s.colour_error == pytest.approx(0.2 / 3)  # 0.2 of the sum over R, G, B
+    assert (s.depth_error_m, s.depth_error_sides, s.on_error) == (0.2, "in_front", "delete")
+    assert s.error_count + 1 == 10  # ">= 10" there, "above" here
+    assert s.max_radius_factor == 10.0
+    k = c.keyframes
+    assert (k.latest, k.random, k.rows, k.instead_of_window) == (3, 0, "stable", True)
+    assert (c.final.passes, c.final.lr_factor, c.final.weight_depth) == (20, 4.0, 0.0)
+    for other in ("tum", "scannetpp", "azure"):
+        o = rtg_slam(other, "code")
+        assert (o.final.passes, o.final.lr_factor) == (10, 1.0)
+        assert o.keyframes.instead_of_window == (other != "scannetpp")
+    t = c.tracking
+    assert (t.pyramid, t.iterations, t.max_distance_m, t.max_angle_deg) == ((4, 2, 1), (5, 5, 5), 0.1, 20.0)
+    assert (t.damping, t.prior, t.target) == (1e-4, "previous", "hybrid")
+
+
+@pytest.mark.parametrize(
+    ("preset", "points", "size"),
+    [
+        ("replica", 40_800, (1200, 680)),
+        ("tum", 50_000, (640, 480)),
+        ("scannetpp", 68_620, (1752, 1168)),
+        ("azure", 46_080, (1280, 720)),
+    ],
+)
+def test_share_of_newly_seen_pixels_in_the_released_code(preset, points, size):
+    options = rtg_slam(preset, "code").seeding.options
+    assert options["fidelity"] == "code"
+    assert options.get("share", 0.05) * size[0] * size[1] == pytest.approx(points)
+
+
+def test_overrides_reach_nested_fields():
+    c = rtg_slam("tum", window__iterations=20, tracking__back_end__enabled=True, mesh__voxel_size_m=0.05)
+    assert (c.window.iterations, c.window.every_frames) == (20, 4)
+    assert c.tracking.back_end.enabled
+    assert c.mesh.voxel_size_m == 0.05
+    with pytest.raises(ValueError, match=r"window\.: unknown keys \['iteration'\]; known: .*'iterations'"):
+        rtg_slam("tum", window__iteration=20)
+    with pytest.raises(KeyError, match="no preset 'repilca'; known: azure, replica"):
+        rtg_slam("repilca")
+    with pytest.raises(KeyError, match="no fidelity 'papre'; known: code, measured, paper"):
+        rtg_slam("room", "papre")
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ({"discs__opaque_alpha": 1.0}, r"discs.opaque_alpha must be between 0.01 and 0.99, got 1.0"),
+        ({"discs__min_cosine": -0.5}, r"discs.min_cosine must be between 0 and 1, got -0.5"),
+        ({"discs__max_offset": 0.0}, r"discs.max_offset must be > 0, got 0.0"),
+        ({"window__frames": 0}, r"window.frames must be between 1 and 10000, got 0"),
+        ({"window__every_frames": 0}, r"window.every_frames must be between 1"),
+        ({"window__iterations": -1}, r"window.iterations must be between 0"),
+        ({"window__lr_xyz": math.nan}, r"window.lr_xyz must be finite, got nan"),
+        ({"window__weight_regulariser": -1.0}, r"window.weight_regulariser must be between 0"),
+        ({"window__history_max_weight": 1.5}, r"window.history_max_weight must be between 0 and 1, got 1.5"),
+        ({"window__depth_behind_m": -0.1}, r"window.depth_behind_m must be > 0, got -0.1"),
+        ({"states__stable_confidence": 0.0}, r"states.stable_confidence must be > 0"),
+        ({"states__unstable_frames": 0}, r"states.unstable_frames must be between 1"),
+        ({"states__max_radius_factor": 0.5}, r"states.max_radius_factor must be between 1"),
+        ({"states__depth_error_m": -1.0}, r"states.depth_error_m must be > 0"),
+        ({"keyframes__pixel_share": 0.0}, r"keyframes.pixel_share must be between 0.001 and 1, got 0.0"),
+        ({"keyframes__rotation_deg": -3.0}, r"keyframes.rotation_deg must be > 0"),
+        ({"keyframes__random": -1}, r"keyframes.random must be between 0"),
+        ({"final__passes": -1}, r"final.passes must be between 0"),
+        ({"tracking__iterations": (5, 5)}, "must have one entry per level, got"),
+        ({"tracking__max_rms_m": 0.0}, r"tracking.max_rms_m must be > 0"),
+        ({"tracking__back_end__features": 0}, r"tracking.back_end.features must be between 1"),
+        ({"sh_degree": 4}, "sh_degree must be 0, 1, 2 or 3, got 4"),
+    ],
+)
+def test_bad_values_are_sentences(override, message):
+    with pytest.raises(ValueError, match=message):
+        rtg_slam("replica", **override)
+
+
+def test_groups_can_be_changed_alone():
+    t = replace(TrackingConfig(), pyramid=(2, 1), iterations=(3, 3))
+    assert (t.pyramid, t.iterations) == ((2, 1), (3, 3))

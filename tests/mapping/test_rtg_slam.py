@@ -1,0 +1,358 @@
+"""The RTG-SLAM mapper on the first frames of a slow walk through the room, and on made-up frames."""
+
+import copy
+import dataclasses
+import math
+from typing import Any
+
+import pytest
+import torch
+
+from gsfusion_nb.config import RtgSlamConfig, replace, rtg_slam
+from gsfusion_nb.datasets import BadFrameError
+from gsfusion_nb.datasets.room import room
+from gsfusion_nb.datasets.room.sdf import room_sdf
+from gsfusion_nb.evaluation import psnr
+from gsfusion_nb.gaussians import STABLE, state_counts
+from gsfusion_nb.geometry import se3
+from gsfusion_nb.mapping import RTGSLAM, StepReport
+from gsfusion_nb.seeding import SeedContext, Seeds, seeding_rule
+from gsfusion_nb.types import Camera, Frame
+
+QUICK = {"window__iterations": 8, "keyframes__iterations": 4, "sh_degree": 1, "states__stable_confidence": 12.0}
+
+
+@pytest.fixture(scope="session")
+def walk() -> list[Frame]:
+    """Thirty frames of 160 x 120, as in a video."""
+    scene = room(n_frames=240, width=160, height=120)
+    return [scene[i] for i in range(30)]
+
+
+@pytest.fixture(scope="session")
+def small_walk() -> list[Frame]:
+    """Fourteen frames of 80 x 60 of the same."""
+    scene = room(n_frames=240, width=80, height=60)
+    return [scene[i] for i in range(14)]
+
+
+@pytest.fixture(scope="session")
+def mapped(walk) -> tuple[RTGSLAM, list[StepReport]]:
+    """A map of the walk, not to be changed."""
+    mapper = RTGSLAM(rtg_slam("room"))
+    return mapper, [mapper.step(frame) for frame in walk]
+
+
+def run(frames: list[Frame], config: RtgSlamConfig, **options: Any) -> tuple[RTGSLAM, list[StepReport]]:
+    mapper = RTGSLAM(config, **options)
+    return mapper, [mapper.step(frame) for frame in frames]
+
+
+def quick(fidelity: str = "measured", **overrides: Any) -> RtgSlamConfig:
+    return rtg_slam("room", fidelity, **QUICK | overrides)
+
+
+def rows(mapper: RTGSLAM) -> dict[str, torch.Tensor]:
+    return mapper.gaussians.state_dict()["rows"]
+
+
+def assert_same_map(a: RTGSLAM, b: RTGSLAM) -> None:
+    ours, theirs = rows(a), rows(b)
+    assert len(a.gaussians) == len(b.gaussians) > 0
+    for name in ours:
+        assert torch.equal(ours[name], theirs[name]), name
+
+
+def test_the_map_shows_what_was_seen(mapped, walk):
+    mapper, reports = mapped
+    scores = [float(psnr(mapper.render(f.camera, f.T_WC).rgb, f.rgb)) for f in walk]
+    assert sum(scores) / len(scores) > 19
+    optimised = [r for r in reports[1:] if r.losses]
+    assert all(r.psnr_after_db > r.psnr_before_db for r in optimised)
+    for report in reports:
+        if report.losses:
+            assert sum(report.losses[-5:]) < sum(report.losses[:5])
+    assert reports[0].psnr_before_db == 0.0
+    assert reports[0].psnr_after_db > 20
+
+
+def test_the_surface_is_where_the_walls_are(mapped, walk):
+    mapper, _ = mapped
+    frame = walk[12]
+    view = mapper.surface(frame.camera, frame.T_WC)
+    both = (view.depth_m > 0) & (frame.depth_m > 0)
+    assert both.float().mean() > 0.75  # the rest hits no disc
+    error = (view.depth_m - frame.depth_m)[both].abs()
+    assert float(error.median()) < 0.01
+    out = mapper.render(frame.camera, frame.T_WC)
+    assert torch.equal(out.surface_depth_m, view.depth_m)
+    mesh = mapper.mesh()
+    distance = room_sdf(mesh.vertices_W).abs()
+    assert len(mesh.faces) > 1000
+    assert float(distance.mean()) < 0.02
+    assert float(distance.median()) < 0.01
+
+
+def test_what_a_step_reports(mapped):
+    mapper, reports = mapped
+    config = mapper.config
+    assert [r.frame_index for r in reports] == list(range(30))
+    due = [i == 0 or (i + 1) % config.window.every_frames == 0 for i in range(30)]
+    assert [bool(r.losses) for r in reports] == due
+    assert {len(r.losses) for r in reports if r.losses} == {config.window.iterations}
+    total = 0
+    for report in reports:
+        counts = report.counts
+        total += report.n_seeds - counts["expired"] - counts["oversized"]
+        if config.states.on_error == "delete":
+            total -= counts["released"]
+        assert report.n_gaussians == total
+        names = ("stable_opaque", "stable_transparent", "unstable_opaque", "unstable_transparent")
+        assert sum(counts[name] for name in names) == total
+        assert set(report.seconds) == {"tracking", "seeding", "optimise", "keyframes", "states"}
+    assert len(mapper.gaussians) == total
+    assert sum(r.is_keyframe for r in reports) == len(mapper.keyframes) > 1
+    assert reports[0].is_keyframe
+    assert mapper.n_frames == mapper.gaussians.step_count == 30
+    assert len(mapper.window) == config.window.frames
+    assert [f.index for f in mapper.window][-1] == 29
+
+
+def test_opacity_is_fixed_for_life(mapped):
+    opacity = mapped[0].gaussians.opacity
+    assert all(round(float(o), 4) in (0.99, 0.1) for o in opacity.unique())
+
+
+def test_states_appear_as_gaussians_are_optimised(small_walk):
+    mapper, reports = run(small_walk, quick("paper", seeding__options={"share": 0.2, "fidelity": "paper"}))
+    assert sum(r.counts["stabilised"] for r in reports) > 100
+    assert state_counts(mapper.gaussians)["stable_opaque"] > 100
+    assert mapper.gaussians.is_transparent.any()
+    stable = mapper.gaussians.is_stable
+    assert (mapper.gaussians.confidence[stable] > 12).all()
+    assert (mapper.gaussians.confidence[~stable] <= 12).all()
+
+
+def test_stable_rows_stand_still_between_keyframes(small_walk):
+    mapper, _ = run(small_walk[:11], quick(keyframes__translation_m=9.0, keyframes__rotation_deg=179.0))
+    mapper.gaussians.state.fill_(STABLE)
+    n = len(mapper.gaussians)
+    before = {
+        name: value.clone() for name, value in rows(mapper).items() if name in ("xyz_W", "log_scale", "sh", "quat")
+    }
+    assert mapper.step(small_walk[11]).losses  # the twelfth frame: a window is due
+    for name, value in before.items():
+        assert torch.equal(rows(mapper)[name][:n], value), name
+
+
+def test_same_seed_same_map(small_walk):
+    one, two, other = (run(small_walk[:7], quick(seed=s))[0] for s in (3, 3, 4))
+    assert_same_map(one, two)
+    assert not torch.equal(rows(one)["xyz_W"][:50], rows(other)["xyz_W"][:50])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda f: {"T_WC": torch.diag(torch.tensor([2.0, 1, 1, 1]))}, "T_WC of frame 3 must be rigid"),
+        (lambda f: {"depth_m": torch.where(f.depth_m > 2, torch.nan, f.depth_m)}, "depth_m of frame 3 must be finite"),
+        (lambda f: {"rgb": torch.where(f.rgb > 0.5, torch.nan, f.rgb)}, "rgb of frame 3 must be finite"),
+        (lambda f: {"rgb": torch.zeros_like(f.rgb)}, "its picture is black"),
+        (lambda f: {"depth_m": torch.zeros_like(f.depth_m)}, "it has no depth at all"),
+    ],
+)
+def test_a_bad_frame_is_refused_and_changes_nothing(small_walk, change, message):
+    mapper, _ = run(small_walk[:3], quick())
+    before = copy.deepcopy(mapper.state_dict())
+    bad = dataclasses.replace(small_walk[3], **change(small_walk[3]))
+    with pytest.raises(BadFrameError, match=f"frame 3 cannot be mapped: .*{message}"):
+        mapper.step(bad)
+    after = mapper.state_dict()
+    assert torch.equal(before["generator"], after["generator"])
+    assert all(torch.equal(before["gaussians"]["rows"][k], v) for k, v in after["gaussians"]["rows"].items())
+    assert len(after["window"]) == 3
+    assert after["n_frames"] == 3
+    assert len(after["keyframes"]) == len(before["keyframes"])
+    assert mapper.step(small_walk[3]).n_gaussians > 0
+
+
+CAMERA = Camera(width=40, height=30, fx=40.0, fy=40.0, cx=20.0, cy=15.0)
+
+
+def made_up(T_WC: torch.Tensor, index: int = 0, depth_m: float = 2.0) -> Frame:
+    return Frame(
+        index=index,
+        timestamp_s=float(index),
+        rgb=torch.full((30, 40, 3), 0.5),
+        depth_m=torch.full((30, 40), depth_m),
+        camera=CAMERA,
+        T_WC=T_WC,
+    )
+
+
+def turned(degrees: float, *, at: tuple[float, float, float]) -> torch.Tensor:
+    T = se3.exp(torch.tensor([0.0, 0.0, 0.0, 0.0, math.radians(degrees), 0.0]))
+    T[:3, 3] = torch.tensor(at)
+    return T
+
+
+def keyframes_taken(*poses: torch.Tensor) -> list[bool]:
+    mapper = RTGSLAM(quick(window__iterations=0, keyframes__iterations=0))
+    return [mapper.step(made_up(T, i)).is_keyframe for i, T in enumerate(poses)]
+
+
+def test_keyframes_by_the_angle_and_the_way_of_the_camera_centre():
+    still = (0.0, 0.0, 0.0)
+    assert keyframes_taken(*(turned(a, at=still) for a in (0, 29, 31, 60, 62))) == [True, False, True, False, True]
+    along = [turned(0, at=(x, 0.0, 0.0)) for x in (0.0, 0.29, 0.31, 0.60, 0.62)]
+    assert keyframes_taken(*along) == [True, False, True, False, True]
+
+
+def test_turning_on_the_spot_far_from_the_origin_is_no_translation():
+    """The released code compares world-to-camera translations, R^T c: here 10 m times 2 sin 10 deg = 3.5 m apart."""
+    far = (0.0, 0.0, 10.0)
+    assert keyframes_taken(*(turned(a, at=far) for a in (0, 20, 29, 31))) == [True, False, False, True]
+
+
+def optimised_frames(config: RtgSlamConfig, frames: list[Frame]) -> list[int]:
+    return [i for i, r in enumerate(run(frames, config)[1]) if r.losses]
+
+
+def test_a_keyframe_may_take_the_place_of_the_window(small_walk):
+    """Released code; but not while nothing is stable, which a keyframe there needs."""
+    every = {"keyframes__translation_m": 0.001, "window__every_frames": 2, "window__iterations": 7}
+    assert optimised_frames(quick(**every), small_walk[:6]) == [0, 1, 3, 5]
+    replaced = quick(**every, keyframes__instead_of_window=True)
+    assert optimised_frames(replaced, small_walk[:6]) == [0, 1]  # 14 steps > 12: stable after frame 1
+    slow = replace(replaced, states__stable_confidence=1000.0)
+    assert optimised_frames(slow, small_walk[:6]) == [0, 1, 3, 5]
+
+
+@pytest.mark.parametrize("fidelity", ["paper", "code"])
+def test_as_published(small_walk, fidelity):
+    mapper, reports = run(small_walk[:8], quick(fidelity))
+    assert reports[5].psnr_after_db > reports[5].psnr_before_db
+    assert sum(loss.loss > 0 for loss in mapper.global_optimise(1)) == len(mapper.keyframes)
+
+
+@pytest.mark.parametrize(
+    "ablation",
+    [
+        {"discs__depth": "blended"},
+        {"window__only_unstable": False},
+        {"seeding__options": {"transparent": False}},
+        {"window__draw": "newest_half", "window__anchor": "window"},
+        {"keyframes__rows": "stable"},
+    ],
+)
+def test_ablations_run(small_walk, ablation):
+    mapper, reports = run(small_walk[:7], quick(**ablation))
+    assert reports[5].psnr_after_db > reports[5].psnr_before_db
+    if "seeding__options" in ablation:
+        assert not mapper.gaussians.is_transparent.any()
+
+
+def test_a_frame_without_a_usable_normal_maps_nothing_and_ends_well():
+    """Every other pixel a depth edge: no normals, no seeds, an empty map, and then a good frame."""
+    checkered = 1.0 + 2.0 * ((torch.arange(40) + torch.arange(30)[:, None]) % 2)
+    mapper = RTGSLAM(quick())
+    report = mapper.step(dataclasses.replace(made_up(torch.eye(4)), depth_m=checkered))
+    assert (report.n_seeds, report.n_gaussians, report.losses) == (0, 0, ())
+    assert mapper.step(made_up(torch.eye(4), 1)).n_seeds > 0
+    assert "RTGSLAM(2 frames" in repr(mapper)
+
+
+def test_an_empty_mapper():
+    mapper = RTGSLAM(quick())
+    assert len(mapper.mesh().faces) == 0
+    assert list(mapper.global_optimise()) == []
+    assert mapper.render(CAMERA, torch.eye(4)).surface_depth_m.eq(0).all()  # pyright: ignore[reportOptionalMemberAccess]
+    assert "0 frames, 0 Gaussians" in repr(mapper)
+
+
+def test_rules_that_need_a_volume_say_so(small_walk):
+    mapper = RTGSLAM(quick(), seeding="uniform")
+    with pytest.raises(ValueError, match="voxel_weight needs a TSDF volume, but this SeedContext was made without one"):
+        mapper.step(small_walk[0])
+    config = quick(seeding__rule="uniform", seeding__options={"coverage": False, "fraction": 0.02})
+    _, reports = run(small_walk[:2], config)
+    assert reports[0].n_seeds == round(0.02 * int((small_walk[0].depth_m > 0.3).sum()))
+
+
+def test_another_rule_runs_with_its_own_options(small_walk):
+    @seeding_rule
+    def every_fourth(ctx: SeedContext, *, step: float = 4.0) -> Seeds:
+        """Pixels of a grid."""
+        uv = ctx.pixels()
+        i, j = uv.long().unbind(-1)
+        return ctx.seeds_at(uv[(i % step == 0) & (j % step == 0)], 2.0, opacity=0.99)
+
+    for rule in (every_fourth, "every_fourth"):
+        _, reports = run(small_walk[:1], quick("paper"), seeding=rule)
+        assert reports[0].n_seeds == 20 * 15
+    config = quick(seeding__rule="every_fourth", seeding__options={"step": 10.0})
+    assert run(small_walk[:1], config)[1][0].n_seeds == 8 * 6
+    with pytest.raises(KeyError, match="rtg_slam"):
+        RTGSLAM(quick(), seeding="rtgslam")
+
+
+def test_the_end_of_a_scan(small_walk):
+    mapper, _ = run(small_walk, quick())
+    keyframes = list(mapper.keyframes)
+    centres = mapper.gaussians.params.xyz_W.clone()
+
+    def quality() -> float:
+        return sum(float(psnr(mapper.render(k.camera, k.T_WC).rgb, k.rgb)) for k in keyframes) / len(keyframes)
+
+    before = quality()
+    steps = list(mapper.global_optimise(4))
+    assert len(steps) == steps[-1].n_steps == 4 * len(keyframes)
+    assert mapper.passes.done == 4
+    assert quality() > before + 0.3
+    assert torch.equal(mapper.gaussians.params.xyz_W, centres)
+    assert mapper.gaussians.is_stable.all()
+
+
+def test_mapping_and_finishing_can_alternate(small_walk):
+    mapper, _ = run(small_walk[:4], quick())
+    list(mapper.global_optimise(1))
+    report = mapper.step(small_walk[10])
+    assert report.n_seeds > 0
+    mapper.gaussians.keep(torch.arange(len(mapper.gaussians)) % 7 != 0)
+    rgb = mapper.gaussians.rgb.clone()
+    list(mapper.global_optimise(1))
+    assert (mapper.gaussians.rgb - rgb).abs().mean() < 0.1
+
+
+@pytest.mark.parametrize("poses", ["given", "tracked"])
+def test_state_goes_on_where_it_was(small_walk, poses):
+    config = quick("code", tracking__poses=poses, keyframes__translation_m=0.05)
+    whole, _ = run(small_walk[:9], config)
+    parted, _ = run(small_walk[:5], config)
+    state = parted.state_dict()
+    parted.step(small_walk[5])  # what was saved stays as it was
+    resumed = RTGSLAM.from_state_dict(state)
+    assert resumed.n_frames == 5
+    for frame in small_walk[5:9]:
+        resumed.step(frame)
+    assert_same_map(whole, resumed)
+    assert torch.equal(torch.stack(whole.localiser.poses), torch.stack(resumed.localiser.poses))
+    assert len(whole.keyframes) == len(resumed.keyframes)
+    torch.testing.assert_close(whole.mesh().vertices_W, resumed.mesh().vertices_W)
+
+
+@pytest.mark.parametrize("fidelity", ["paper", "code"])
+def test_the_end_of_a_scan_goes_on_where_it_was(small_walk, fidelity):
+    config = quick(fidelity, keyframes__translation_m=0.05, seeding__options={"share": 0.2, "fidelity": fidelity})
+    whole, parted = (run(small_walk[:9], config)[0] for _ in range(2))
+    assert whole.gaussians.is_transparent.any()
+    n = len(whole.keyframes)
+    assert n > 2
+    list(whole.global_optimise(3))
+    for step in parted.global_optimise(3):
+        if step.step == n + 2:
+            break
+    resumed = RTGSLAM.from_state_dict(copy.deepcopy(parted.state_dict()))
+    list(resumed.global_optimise(3 - resumed.passes.done))
+    assert resumed.passes.done == 3
+    assert_same_map(whole, resumed)

@@ -1,0 +1,31 @@
+"""Systems by name."""
+
+import pytest
+
+from gsfusion_nb.config import GSFusionConfig, RtgSlamConfig, gsfusion, rtg_slam
+from gsfusion_nb.mapping import RTGSLAM, SYSTEMS, GSFusion, get_system, make_mapper, system_of
+
+
+@pytest.mark.parametrize(
+    ("name", "config", "mapper"), [("gsfusion", GSFusionConfig, GSFusion), ("rtg_slam", RtgSlamConfig, RTGSLAM)]
+)
+def test_settings_mapper_and_name_belong_together(name, config, mapper):
+    system = get_system(name)
+    assert (system.config, system.mapper) == (config, mapper)
+    settings = system.preset("room")
+    made = make_mapper(settings)
+    assert type(settings) is config
+    assert type(made) is mapper
+    assert made.config is settings
+    assert system_of(settings) == system_of(made) == name
+
+
+def test_a_rule_is_handed_on():
+    for config in (gsfusion("room"), rtg_slam("room")):
+        assert make_mapper(config, seeding="dense").rule.__name__ == "dense"
+
+
+def test_unknown_system_lists_the_known():
+    with pytest.raises(KeyError, match="no system 'rtgslam'; known: gsfusion, rtg_slam"):
+        get_system("rtgslam")
+    assert set(SYSTEMS) == {"gsfusion", "rtg_slam"}
