@@ -16,10 +16,12 @@ import torch
 from . import backends
 from .config import OptimConfig, SeedingConfig, TsdfConfig, gsfusion, rtg_slam
 from .gaussians import GaussianModel
+from .geometry import depth_to_normals
 from .mapping import RTGSLAM, GSFusion
 from .optim import adam_step, dssim_vjp, rgbd_l1_vjp
 from .render import disc_depth, disc_depth_vjp, render_forward, render_vjp
 from .seeding import quadtree
+from .tracking import Surface, icp
 from .tsdf import TsdfVolume, extract_mesh, integrate, raycast
 from .types import Camera, Frame, GaussianParams, Seeds
 
@@ -77,6 +79,7 @@ def exercises(device: str = "cpu") -> Iterator[Exercise]:
         for with_depth in (False, True):
             name = f"render_vjp: SH {degree}, {'with' if with_depth else 'without'} depth"
             yield Exercise(name, ("render_vjp",), _once(_backward, model.params, frame, with_depth))
+    yield Exercise("icp", ("icp_system",), _once(_align, frame))
     yield Exercise("disc depth", ("disc_depth", "disc_depth_vjp"), _once(_discs, frame, device))
     for steps in ("none", "shared", "per_row"):
         config = OptimConfig(adam_steps=steps)
@@ -118,6 +121,12 @@ def _discs(frame: Frame, device: str) -> None:
     hit_index = render_forward(params, frame.camera, frame.T_WC, opaque_alpha=0.3)[0].hit_index
     disc = disc_depth(params, frame.camera, frame.T_WC, hit_index)
     disc_depth_vjp(params, frame.camera, frame.T_WC, hit_index, disc.depth_m)
+
+
+def _align(frame: Frame) -> None:
+    normal_W = depth_to_normals(frame.camera, frame.depth_m)
+    surface = Surface(depth_m=frame.depth_m, normal_W=normal_W, camera=frame.camera, T_WC=frame.T_WC)
+    icp(frame.depth_m, frame.camera, surface, frame.T_WC)
 
 
 def _rgbd_loss(frame: Frame, grey: Frame, behind_m: float | None) -> None:

@@ -140,7 +140,7 @@ def time_stamps(source: RecordedSequence) -> list[Finding]:
                 verdict="wrong",
                 numbers=numbers,
                 repair="sort the frames by time in the recording's lists",
-                sentence=f"Time does not increase after {len(backward)} of {len(times)} frames, first after {backward[0]}.",
+                sentence=f"Time does not increase after {len(backward)} of {len(times)} frames, first {backward[0]}.",
             )
         ]
     missing = _numbers_left_out(source)

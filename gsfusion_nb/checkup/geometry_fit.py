@@ -171,7 +171,7 @@ def _path(poses: Float[Tensor, "L 4 4"], frames: list[int]) -> Path:
 def _interpolated(
     depth: Float[Tensor, "P H W"], u: Float[Tensor, "P N"], v: Float[Tensor, "P N"]
 ) -> tuple[Float[Tensor, "P N"], Bool[Tensor, "P N"]]:
-    """Depth between pixel centres, bilinear in 1 / z (exact on planes), and where its four neighbours are one surface."""
+    """Depth between pixel centres, bilinear in 1 / z (exact on planes), and where the four pixels are one surface."""
     n, h, w = depth.shape
     x, y = u - 0.5, v - 0.5
     known = (x >= 0) & (y >= 0) & (x <= w - 1.001) & (y <= h - 1.001)

@@ -45,7 +45,7 @@ class CheckupReport:
     @property
     def verdict(self) -> Verdict:
         """The worst of the findings."""
-        return max((f.verdict for f in self.findings), key=lambda v: RANK[v], default="ok")
+        return max(self.findings, key=lambda f: RANK[f.verdict]).verdict if self.findings else "ok"
 
     @property
     def ok(self) -> bool:

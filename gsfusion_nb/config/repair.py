@@ -5,7 +5,7 @@ import itertools
 from dataclasses import dataclass
 from typing import Literal
 
-from ..checks import check_name, check_number, check_positive
+from ..checks import check_number, check_positive
 
 _DIRECTIONS = (("right", "left"), ("down", "up"), ("forward", "back"))
 NAMED_AXES = {
@@ -73,7 +73,11 @@ class RepairConfig:
             check_number(f"repair.{name}", getattr(self, name), 0, 1e5)
         for name in ("pixel_shift", "rgb_shift_x_px", "rgb_shift_y_px", "pose_shift_frames", "rgb_shift_frames"):
             check_number(f"repair.{name}", getattr(self, name), -1e4, 1e4)
-        check_name("repair.axes", self.axes, (*NAMED_AXES, *AXES) if self.axes in AXES else (*NAMED_AXES, AXES[4]))
+        if self.axes not in NAMED_AXES and self.axes not in AXES:
+            raise ValueError(
+                f"repair.axes must be one of {', '.join(NAMED_AXES)} or three words such as right-up-back, "
+                f"got {self.axes!r}"
+            )
         if any(i < 0 for i in self.skip):
             raise ValueError(f"repair.skip must hold frame numbers >= 0, got {min(self.skip)}")
 

@@ -1,4 +1,4 @@
-"""Do depth, poses and intrinsics of a sequence fit together? A look at a few pairs of frames; ``checkup`` looks closer."""
+"""Do depth, poses and intrinsics of a sequence fit together? A look at a few pairs; ``checkup`` looks closer."""
 
 from dataclasses import dataclass
 

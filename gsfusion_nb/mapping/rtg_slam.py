@@ -209,7 +209,7 @@ class RTGSLAM:
 
     def _tracking_surface(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> Surface:
         view = self.surface(camera, T_WC)
-        return Surface(depth_m=view.depth_m, normal_W=view.normal_W, camera=camera, T_WC=T_WC)
+        return Surface(depth_m=view.depth_m, normal_W=view.normal_W, camera=camera, T_WC=T_WC, rgb=view.rgb)
 
     def _correct(self, correction: Correction | None) -> None:
         """After a closed loop: Gaussians, keyframes and window move with the trajectory, if asked to."""

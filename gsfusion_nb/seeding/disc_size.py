@@ -51,7 +51,7 @@ def gaps_around(
 
     Differentiable: no. Source: the released code (the paper says "cover the scene ... with little overlapping").
     """
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
     M = len(xyz_W)
     if M == 0:
@@ -63,7 +63,7 @@ def gaps_around(
     k = min(neighbours + 1, len(centres))
     if k == 1:
         return Gaps(gap_m=xyz_W.new_full((1, 1), torch.inf))
-    tree = cKDTree(centres.cpu().numpy())
+    tree = KDTree(centres.cpu().numpy())
     distance, index = (torch.from_numpy(a) for a in tree.query(xyz_W.cpu().numpy(), k=k))
     other = index != torch.arange(M)[:, None]
     other[other.all(dim=1), -1] = False  # a duplicate hid the point itself: leave out the farthest
@@ -75,12 +75,12 @@ def nearest(
     xyz_W: Float[Tensor, "M 3"], others_W: Float[Tensor, "N 3"], neighbours: int = NEIGHBOURS
 ) -> tuple[Float[Tensor, "M K"], Tensor]:
     """Distance to the nearest of ``others_W`` and their rows; infinite, and row 0, where there are not so many."""
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
     M = len(xyz_W)
     if M == 0 or len(others_W) == 0:
         return xyz_W.new_full((M, neighbours), torch.inf), torch.zeros(M, neighbours, dtype=torch.long)
-    distance, row = cKDTree(others_W.cpu().numpy()).query(xyz_W.cpu().numpy(), k=list(range(1, neighbours + 1)))
-    row = torch.from_numpy(row)
+    distance, row = KDTree(others_W.cpu().numpy()).query(xyz_W.cpu().numpy(), k=neighbours)
+    distance, row = (torch.from_numpy(a).view(M, neighbours) for a in (distance, row))
     row[row == len(others_W)] = 0
-    return torch.from_numpy(distance).to(xyz_W), row.to(xyz_W.device)
+    return distance.to(xyz_W), row.to(xyz_W.device)

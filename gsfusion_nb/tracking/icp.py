@@ -1,9 +1,8 @@
-"""Frame-to-model ICP: the pose that best lays a depth frame onto a surface, coarse to fine (Peng et al. 2024, Eq. 10)."""
+"""Frame-to-model ICP: the pose that best lays a depth frame onto a surface (Peng et al. 2024, Eq. 10)."""
 
 import math
 from dataclasses import dataclass
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -104,7 +103,7 @@ def align(
     centre = surface.T_WC[:3, 3].double().cpu()
     T_WC = T_WC_start.double().cpu()
     device = surface.depth_m.device
-    points = _extent(levels[0], config.even_to_m)
+    points = _extent(levels[-1], config.even_to_m)
     history: list[IcpIteration] = []
     for level, iterations in zip(levels, config.iterations, strict=True):
         # 5 degrees move a point 2 m away by 17 cm, beyond the gate: coarse levels look as far as their pixels are large
@@ -135,12 +134,12 @@ def align(
 def _extent(level: DepthLevel, even_to_m: float | None) -> Extent:
     """Middle and spread of the points in the camera frame."""
     rows = level.depth_m > 0
-    points = depth_to_points(level.camera, level.depth_m)[rows].double().cpu()
-    weight = depth_weight(level.depth_m[rows], even_to_m).double().cpu()
+    points = depth_to_points(level.camera, level.depth_m)[rows]
+    weight = depth_weight(level.depth_m[rows], even_to_m)
     share = weight / weight.sum().clamp_min(1e-12)
     middle = share @ points
     spread = float((share @ (points - middle).square().sum(1)).sqrt())
-    return Extent(centre=middle, spread_m=max(spread, 1e-3))
+    return Extent(centre=middle.double().cpu(), spread_m=max(spread, 1e-3))
 
 
 def _step(system: IcpSystem, T_WC: Tensor, centre: Tensor, points: Extent, config: TrackingConfig) -> Step:

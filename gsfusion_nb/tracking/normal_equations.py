@@ -8,7 +8,6 @@ from torch import Tensor
 
 from ..backends import op
 from ..geometry import depth_to_points, pixel_grid, project, rays, se3
-from ..types import Camera
 from .pyramid import DepthLevel
 from .surface import Surface
 

@@ -29,6 +29,8 @@ class Surface:
     camera: Camera
     T_WC: Float[Tensor, "4 4"]
     """Pose that it was rendered from."""
+    rgb: Float[Tensor, "H W 3"] | None = None
+    """Its colours, 0..1, if the model has any: a place found again must look right."""
 
     def __post_init__(self):
         size = (self.camera.height, self.camera.width)
@@ -46,7 +48,7 @@ def tsdf_surface(volume: TsdfVolume) -> SurfaceSource:
 
     def render(camera: Camera, T_WC: Tensor) -> Surface:
         seen = raycast(volume, camera, T_WC)
-        return Surface(depth_m=seen.depth_m, normal_W=seen.normal_W, camera=camera, T_WC=T_WC)
+        return Surface(depth_m=seen.depth_m, normal_W=seen.normal_W, camera=camera, T_WC=T_WC, rgb=seen.rgb)
 
     return render
 

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol, runtime_checkable
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -15,6 +14,7 @@ from ..config import TrackingConfig
 from ..geometry import se3
 from ..types import Camera, Frame
 from .icp import IcpResult, align
+from .looks import SAME_PLACE, correlation
 from .pyramid import DepthLevel, depth_pyramid
 from .surface import Surface, SurfaceSource, hybrid_surface
 
@@ -25,8 +25,8 @@ coarse levels it finds a pose that the ordinary gates then refine."""
 
 RECOVERED_SHARE = 0.3
 RECOVERED_AGREEMENT = 0.6
-"""Once the prediction has failed a pose must fit this well, and in every direction of motion: chance fits are found among
-several starts, and a wrong pose spoils the map for good."""
+"""Once the prediction has failed a pose must fit this well, and in every direction of motion: among several starts one
+may fit by chance, and a wrong pose spoils the map for good."""
 
 MAX_TIME_RATIO = 4.0
 """The last motion is carried on for at most so many times the time that it took."""
@@ -131,6 +131,8 @@ class Tracker:
         for start, T_WC, wide in self._starts(frame):
             result = self._attempt(frame, levels, surface, (T_WC, wide), seconds)
             problem = self._problem(result, first_try=not failures, anywhere=start.startswith("place"))
+            if not problem and (failures or self.lost_in_a_row):
+                problem = _wrong_looks(frame, surface(frame.camera, result.T_WC.float()))
             if not problem:
                 moved = self.lost_in_a_row == 0 and not start.startswith("place")
                 self._accept(frame, result.T_WC, moved=moved)
@@ -254,6 +256,14 @@ class Tracker:
         self.n_lost += 1
         self.lost_in_a_row += 1
         return TrackingLostError(reason)
+
+
+def _wrong_looks(frame: Frame, surface: Surface) -> str:
+    """What is wrong with a place found again, as the end of a sentence; empty if nothing is."""
+    likeness = correlation(frame, surface)
+    if likeness is None or likeness >= SAME_PLACE:
+        return ""
+    return f"it looks different there (correlation {likeness:.2f}, at least {SAME_PLACE:g} needed)"
 
 
 def _widened(config: TrackingConfig) -> TrackingConfig:

@@ -144,3 +144,24 @@ def write(image: Picture, words: str, x: int, y: int, scale: int, size: float = 
     (wide, _), _ = cv2.getTextSize(words, font, size * scale, scale)
     size *= min(1.0, (image.shape[1] - x - 4) / max(wide, 1))
     cv2.putText(image, words, (x, y), font, size * scale, ink, max(1, scale // 2), cv2.LINE_AA)
+
+
+def ellipse_picture(splats: Splats, height: int) -> Picture:
+    """The ellipses of all Gaussians of a map in their own colours on dark grey, farthest first.
+
+    Args:
+        splats: The Gaussians on the screen.
+        height: Of the picture, pixels.
+    """
+    import cv2
+
+    p, camera = splats.projection, splats.camera
+    zoom = height / camera.height
+    view = np.full((height, round(camera.width * zoom), 3), 32, np.uint8)
+    rows = p.visible.nonzero().squeeze(1)
+    rows = rows[p.depth_m[rows].argsort(descending=True)]
+    rings = (outlines(splats, rows, 20) * zoom * 16).round().clip(-1e6, 1e6).astype(np.int32)
+    inks = to_uint8(splats.rgb[rows].clamp(0, 1)[None])[0].tolist()
+    for ring, ink in zip(rings, inks, strict=True):
+        cv2.polylines(view, [ring], True, ink, 1, cv2.LINE_AA, shift=4)
+    return view

@@ -1,8 +1,8 @@
 """Normal equations of point-to-plane ICP in one pass over the pixels of a frame.
 
-The formulas are those of ``gsfusion_nb.tracking.normal_equations``. Each row of pixels first lists its correspondences,
-sqrt(w) [J, r, 1] in columns, then multiplies them: 29 vectorised dot products. Rows are added up in order, so the sums do not
-depend on the number of threads.
+The formulas are those of ``gsfusion_nb.tracking.normal_equations``. Each row of pixels first lists
+its correspondences, sqrt(w) [J, r, 1] in columns, then multiplies them: 29 vectorised dot products. Rows are added up
+in order, so the sums do not depend on the number of threads.
 """
 
 # Arrays are passed on as tuples, which pyright cannot follow:
@@ -137,7 +137,7 @@ def _correspond(images, model, poses, lenses, gates, j, columns):
 
 @njit(parallel=True, cache=True, error_model="numpy")
 def _sum_rows(images, model, poses, lenses, gates):
-    """For each row of pixels: upper triangle of H (21), b (6), sums of squares and weights; correspondences and overlap."""
+    """For each row of pixels: upper triangle of H (21), b (6), sums of squares and weights; numbers of pixels."""
     height, width = images[0].shape
     sums, counts = np.empty((height, 29)), np.empty((height, 2), np.int64)
     for j in prange(height):

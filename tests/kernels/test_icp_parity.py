@@ -25,8 +25,10 @@ def pair(frame, camera: Camera, factor: int = 1):
     )
     depth_m = torch.nn.functional.interpolate(frame.depth_m[None, None], (camera.height, camera.width))[0, 0]
     normal_W = se3.rotate(frame.T_WC, depth_to_normals(camera, depth_m))
-    return level, MOTION @ frame.T_WC.double(), Surface(
-        depth_m=depth_m, normal_W=normal_W, camera=camera, T_WC=frame.T_WC
+    return (
+        level,
+        MOTION @ frame.T_WC.double(),
+        Surface(depth_m=depth_m, normal_W=normal_W, camera=camera, T_WC=frame.T_WC),
     )
 
 

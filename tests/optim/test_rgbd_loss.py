@@ -54,8 +54,9 @@ def test_by_hand():
 @pytest.mark.parametrize("weights", [(1.0, 1.0), (0.8, 0.3), (0.0, 1.0)])
 def test_value_and_gradient_of_the_printed_formula(generator, behind_m, weights):
     rgb, depth_m, *rest = pictures(generator)
+    target_rgb, target_m, pixels = rest
     leaves = rgb.clone().requires_grad_(), depth_m.clone().requires_grad_()
-    expected = written_out(*leaves, *rest, weights[0], weights[1], behind_m)
+    expected = written_out(leaves[0], leaves[1], target_rgb, target_m, pixels, weights[0], weights[1], behind_m)
     expected.backward()
     loss = rgbd_l1_vjp(rgb, depth_m, *rest, weight_colour=weights[0], weight_depth=weights[1], behind_m=behind_m)
     assert loss.total == pytest.approx(float(expected.detach()), rel=1e-12)

@@ -96,6 +96,7 @@ def test_nearest_by_a_loop(generator):
     expected = everything.sort(dim=1)
     torch.testing.assert_close(distance, expected.values[:, :3])
     assert torch.equal(row, expected.indices[:, :3])
+    assert torch.equal(nearest(xyz, other, 1)[1], expected.indices[:, :1])
 
 
 def test_nearest_of_too_few():

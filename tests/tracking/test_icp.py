@@ -26,9 +26,7 @@ def views():
     for i in (0, 30, 60, 150):
         frame = sequence[i]
         normal_W = se3.rotate(frame.T_WC, depth_to_normals(frame.camera, frame.depth_m))
-        found.append(
-            (frame, Surface(depth_m=frame.depth_m, normal_W=normal_W, camera=frame.camera, T_WC=frame.T_WC))
-        )
+        found.append((frame, Surface(depth_m=frame.depth_m, normal_W=normal_W, camera=frame.camera, T_WC=frame.T_WC)))
     return found
 
 

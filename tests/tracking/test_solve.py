@@ -54,9 +54,7 @@ def test_a_wall_moves_only_along_its_normal_and_about_the_axes_in_it(generator):
 def test_damping_shortens_the_step_and_nothing_gives_no_step(generator):
     J, r = torch.randn(40, 6, generator=generator).double(), torch.randn(40, generator=generator).double()
     extent = Extent(centre=torch.zeros(3).double(), spread_m=1.0)
-    lengths = [
-        solve_step(system_of(J, r), extent, damping=d, min_eigenvalue=0.0).length_m for d in (0.0, 0.1, 1.0)
-    ]
+    lengths = [solve_step(system_of(J, r), extent, damping=d, min_eigenvalue=0.0).length_m for d in (0.0, 0.1, 1.0)]
     assert lengths == sorted(lengths, reverse=True)
     nothing = solve_step(system_of(J[:0], r[:0]), extent, damping=1e-6, min_eigenvalue=1e-3)
     assert not nothing.xi.any()

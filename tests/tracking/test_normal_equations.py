@@ -44,9 +44,7 @@ def pair(plane_scene, even_to_m=None):
     frame = scene.frame(T_WC)
     surface = scene(frame.camera, T_WC)
     level = depth_pyramid(frame.depth_m, frame.camera, (2,))[0]
-    level = DepthLevel(
-        factor=2, camera=level.camera, depth_m=level.depth_m.double(), normal_C=level.normal_C.double()
-    )
+    level = DepthLevel(factor=2, camera=level.camera, depth_m=level.depth_m.double(), normal_C=level.normal_C.double())
     start = se3.exp(torch.tensor([0.01, -0.02, 0.015, 0.01, -0.01, 0.02]).double()) @ T_WC
     return level, start, surface
 
