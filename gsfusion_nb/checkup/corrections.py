@@ -67,8 +67,14 @@ class Corrected:
         return self.adopted[-1].correction if self.adopted else Correction()
 
 
-def correct(data: FitData, *, rounds: int = 3) -> Corrected:
-    """Adopt the kind of correction that helps most until none does."""
+def correct(data: FitData, *, rounds: int = 3, hurdle: float = 1.0) -> Corrected:
+    """Adopt the kind of correction that helps most until none does.
+
+    Args:
+        data: The pairs.
+        rounds: Corrections adopted at most.
+        hurdle: Go on after the first only if it brought the cost below this share.
+    """
     adopted: list[Fitted] = []
     now = Correction()
     last: list[Fitted] = []
@@ -80,6 +86,8 @@ def correct(data: FitData, *, rounds: int = 3) -> Corrected:
         best = min(helpful, key=lambda f: f.ratio)
         adopted.append(best)
         now = best.correction
+        if best.ratio > hurdle:
+            break
     return Corrected(adopted=adopted, last=last)
 
 

@@ -14,6 +14,8 @@ from .sample import Sample
 WORTH_TRYING = 0.03
 """Another reading is followed up if it scores this much higher than as read. Where a recording is clean the best other
 one scores at least 0.06 lower (0.9 against 0.8 over 30 frames with little motion)."""
+_HURDLE = 0.7
+"""Where another reading is likely, corrections of the one as read are followed only if the first removes this much."""
 SLOWEST_WRONG_STEP_M = 0.7
 """A median step between frames above this is no camera in a hand: the unit of the positions is wrong."""
 PLAUSIBLE_DEPTH_M = (0.15, 20.0)
@@ -59,7 +61,7 @@ def explain(sample: Sample, pairs: Rows[tuple[int, int]]) -> Explanation:
     followed = []
     for t in (as_read, *others):
         data = FitData.of(sample, far, t.repair)
-        corrected = correct(data)
+        corrected = correct(data, hurdle=_HURDLE if others and t is as_read else 1.0)
         share, median_m = agreeing(data, corrected.correction)
         worth = share - PRICE * (len(t.repair.changes) + 2 * len(corrected.adopted))
         followed.append((worth, t.repair, corrected, data, share, median_m))

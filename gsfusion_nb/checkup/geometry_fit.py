@@ -151,21 +151,23 @@ def median_error(data: FitData, c: Correction) -> float:
 def _path(poses: Float[Tensor, "L 4 4"], frames: list[int]) -> Path:
     """Poses of ``frames`` at any shift, remembered."""
     known: dict[float, Float[Tensor, "F 4 4"]] = {}
-    lost = torch.full((4, 4), torch.nan, dtype=poses.dtype)
-
-    def at(place: float) -> Float[Tensor, "4 4"]:
-        first = math.floor(place)
-        if not 0 <= place <= len(poses) - 1:
-            return lost
-        return poses[first] if place == first else pose_between(poses[first], poses[first + 1], place - first)
 
     def shifted(shift: float) -> Float[Tensor, "F 4 4"]:
         shift = round(shift, 3)
         if shift not in known:
-            known[shift] = torch.stack([at(f + shift) for f in frames])
+            whole = math.floor(shift)
+            first, second = (_rows(poses, [f + whole + k for f in frames]) for k in (0, 1))
+            known[shift] = first if shift == whole else pose_between(first, second, shift - whole)
         return known[shift]
 
     return shifted
+
+
+def _rows(poses: Float[Tensor, "L 4 4"], places: list[int]) -> Float[Tensor, "F 4 4"]:
+    """Poses at ``places``; NaN outside."""
+    at = torch.tensor(places)
+    inside = (at >= 0) & (at < len(poses))
+    return poses[at.clamp(0, len(poses) - 1)].where(inside[:, None, None], torch.nan)
 
 
 def _interpolated(

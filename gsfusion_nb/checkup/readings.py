@@ -14,6 +14,7 @@ from torch import Tensor
 from ..config import RepairConfig
 from ..config.repair import AXES, NAMED_AXES
 from ..datasets.consistency import relative_under
+from ..datasets.pose_reading import axis_matrix
 from ..datasets.reprojection import Agreement, DepthPair, agreement, depth_pair
 from .sample import Sample
 
@@ -140,12 +141,17 @@ def _axes() -> list[str]:
 def _relatives(
     T_a: Float[Tensor, "P 4 4"], T_b: Float[Tensor, "P 4 4"], readings: Rows[Reading]
 ) -> Float[Tensor, "K P 4 4"]:
-    """Relative poses under every reading; those that differ only in the depth factor are worked out once."""
-    known: dict[int, Float[Tensor, "P 4 4"]] = {}
+    """Relative poses under every reading; what only axes and depth factor tell apart is worked out once."""
+    known: dict[tuple[str, str], Float[Tensor, "P 4 4"]] = {}
+    axes: dict[str, Float[Tensor, "4 4"]] = {}
     for poses, _ in readings:
-        if id(poses) not in known:
-            known[id(poses)] = relative_under(T_a, T_b, poses)
-    relative = torch.stack([known[id(poses)] for poses, _ in readings])
+        key = (poses.quaternions, poses.poses)
+        if key not in known:
+            known[key] = relative_under(T_a, T_b, replace(poses, axes="opencv"))
+        if poses.axes not in axes:
+            axes[poses.axes] = axis_matrix(poses)
+    M = torch.stack([axes[poses.axes] for poses, _ in readings])[:, None]
+    relative = M @ torch.stack([known[(p.quaternions, p.poses)] for p, _ in readings]) @ M.transpose(2, 3)
     relative[..., :3, 3] /= torch.tensor([f for _, f in readings], dtype=relative.dtype)[:, None, None]
     return relative
 

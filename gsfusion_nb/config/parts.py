@@ -57,7 +57,7 @@ class SeedingConfig:
     deviation in 0..1, the same at every resolution."""
     one_per_voxel: bool = False
     """Keep at most one new Gaussian in a voxel (the paper's text; the released code does not)."""
-    options: dict[str, float | str | bool] = field(default_factory=dict)
+    options: dict[str, int | float | str | bool] = field(default_factory=dict)
     """Keyword arguments for the rule."""
 
     def __post_init__(self):

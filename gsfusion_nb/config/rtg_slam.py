@@ -265,7 +265,7 @@ def rtg_slam(preset: str = "replica", fidelity: str = "measured", **overrides: A
     Args:
         preset: Data set whose published numbers to take.
         fidelity: Where paper and released code differ: "paper", "code", or "measured", of each the better by our
-            measurements.
+            measurements, which come before the data set's numbers.
         overrides: Fields, nested ones with a double underscore: ``rtg_slam("tum", window__iterations=20)``.
 
     Raises:

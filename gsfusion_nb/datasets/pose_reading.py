@@ -34,13 +34,22 @@ def reread_poses(stored: Float[Tensor, "N 4 4"], repair: RepairConfig) -> Float[
         T = se3.inverse(T)
     elif repair.poses == "rotation_inverted":
         T = _with_rotation(T, T[:, :3, :3].transpose(1, 2))
-    M = torch.eye(4, dtype=T.dtype)
-    M[:3, :3] = torch.tensor([_DIRECTION[word] for word in repair.axis_words], dtype=T.dtype).T
+    M = axis_matrix(repair).to(T.dtype)
     T = T @ M.T if torch.linalg.det(M) > 0 else M @ T @ M.T
     if repair.translation_factor != 1:
         T = T.clone()
         T[:, :3, 3] *= repair.translation_factor
     return T
+
+
+def axis_matrix(repair: RepairConfig) -> Float[Tensor, "4 4"]:
+    """M of ``reread_poses``: from the stored camera's axes to OpenCV's, float64.
+
+    Transforms from camera to camera become M T M^T, whether M mirrors or not.
+    """
+    M = torch.eye(4, dtype=torch.float64)
+    M[:3, :3] = torch.tensor([_DIRECTION[word] for word in repair.axis_words], dtype=torch.float64).T
+    return M
 
 
 def raw_matrices(stored: Float[Tensor, "N 4 4"], repair: RepairConfig) -> Float[Tensor, "N 4 4"]:
@@ -61,12 +70,12 @@ def raw_matrices(stored: Float[Tensor, "N 4 4"], repair: RepairConfig) -> Float[
     return T
 
 
-def pose_between(T_a: Float[Tensor, "4 4"], T_b: Float[Tensor, "4 4"], t: float) -> Float[Tensor, "4 4"]:
+def pose_between(T_a: Float[Tensor, "*B 4 4"], T_b: Float[Tensor, "*B 4 4"], t: float) -> Float[Tensor, "*B 4 4"]:
     """The pose at ``t`` from 0 (``T_a``) to 1 (``T_b``): linear in position, spherical in orientation."""
-    a, b = (quaternion.from_matrix(T[:3, :3]) for T in (T_a, T_b))
+    a, b = (quaternion.from_matrix(T[..., :3, :3]) for T in (T_a, T_b))
     T = T_a.clone()
-    T[:3, :3] = quaternion.to_matrix(quaternion.slerp(a, b, torch.tensor(t, dtype=a.dtype)))
-    T[:3, 3] = T_a[:3, 3] + t * (T_b[:3, 3] - T_a[:3, 3])
+    T[..., :3, :3] = quaternion.to_matrix(quaternion.slerp(a, b, a.new_full(a.shape[:-1], t)))
+    T[..., :3, 3] = T_a[..., :3, 3] + t * (T_b[..., :3, 3] - T_a[..., :3, 3])
     return T
 
 

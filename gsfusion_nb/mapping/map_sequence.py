@@ -44,16 +44,15 @@ def run_mapping(
         The run with its folder and numbers. After Ctrl-C everything mapped so far is saved in it, and
         ``resume_mapping(folder)`` goes on.
     """
-    if config is None or isinstance(config, str):
-        config = get_system(system).preset(config or ("room" if str(data) == "room" else "replica"))
+    settings = _settings(config, system, is_room=str(data) == "room")
     if isinstance(data, (str, Path)):
         is_folder = Path(data).expanduser().is_dir()
         place = str(Path(data).expanduser().resolve()) if is_folder and str(data) != "room" else str(data)
         source = {"path_or_name": place, **reader_options}
-        sequence = open_sequence(**source, data=config.data)
+        sequence = open_sequence(**source, data=settings.data)
     else:
-        source, sequence = {}, apply_options(data, config.data)
-    run = MappingRun(sequence, config, seeding=seeding, device=device, source=source)
+        source, sequence = {}, apply_options(data, settings.data)
+    run = MappingRun(sequence, settings, seeding=seeding, device=device, source=source)
     if source and str(data) != "room":
         run.warnings += _doubts(sequence.mapping)
     return _drive(run, new_folder(sequence.name, folder), evaluate)
@@ -74,6 +73,13 @@ def resume_mapping(
     run = MappingRun.resume(folder, seeding=seeding, device=device)
     run.warnings = [w for w in run.warnings if not w.startswith("interrupted after ")]
     return _drive(run, Path(folder), evaluate)
+
+
+def _settings(config: Config | str | None, system: str, *, is_room: bool) -> Config:
+    """Settings as given, or the preset of that name."""
+    if config is None or isinstance(config, str):
+        return get_system(system).preset(config or ("room" if is_room else "replica"))
+    return config
 
 
 def _doubts(sequence: Sequence) -> list[str]:

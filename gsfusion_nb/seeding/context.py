@@ -235,7 +235,10 @@ class SeedContext:
 
     def _need_volume(self, what: str) -> VoxelLookup:
         if self.volume is None:
-            raise ValueError(f"{what} needs a TSDF volume, but this SeedContext was made without one: pass volume=")
+            raise ValueError(
+                f"{what} needs a TSDF volume, but this SeedContext has none: pass volume=, or use a rule "
+                "(or its option coverage=False) that needs none"
+            )
         return self.volume
 
     def _need_gaussians(self, what: str) -> GaussianParams:

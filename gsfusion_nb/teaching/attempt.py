@@ -44,7 +44,9 @@ class Attempt:
         except NotImplementedError:
             raise NotWritten from None
         except Exception as e:
-            raise Failed("it runs", on, f"it raised {type(e).__name__}: {str(e).splitlines()[0] if str(e) else ''}") from e
+            raise Failed(
+                "it runs", on, f"it raised {type(e).__name__}: {str(e).splitlines()[0] if str(e) else ''}"
+            ) from e
         if result is None or result is Ellipsis:
             raise NotWritten
         for before, after in zip([*args, *kwargs.values()], [*given, *named.values()], strict=True):

@@ -85,9 +85,7 @@ class Exercise:
             detail = "the function returns nothing so far"
             return Verdict(exercise=self.name, state="not written", detail=detail, hints_left=left)
         except Failed as e:
-            return Verdict(
-                exercise=self.name, state="failed", prop=e.prop, on=e.on, detail=e.detail, hints_left=left
-            )
+            return Verdict(exercise=self.name, state="failed", prop=e.prop, on=e.on, detail=e.detail, hints_left=left)
         return Verdict(exercise=self.name, state="passed")
 
     def hint(self, number: int | None = None) -> Hint:

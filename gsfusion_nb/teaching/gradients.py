@@ -55,7 +55,13 @@ def slope(attempt: Attempt) -> None:
     close(attempt.on(on)(lambda p: a @ p, x, 1e-3), a, "the slope of a straight line is its coefficients", on=on)
     on = "the parabola sum x^2 with h = 0.1"
     why = "take both sides: (f(x+h) - f(x-h)) / 2h"
-    close(attempt.on(on)(lambda p: (p * p).sum(), x, 0.1), 2 * x, "a parabola has no error even for large h", on=on, why=why)
+    close(
+        attempt.on(on)(lambda p: (p * p).sum(), x, 0.1),
+        2 * x,
+        "a parabola has no error even for large h",
+        on=on,
+        why=why,
+    )
     on = "sin(x0) x1 x2"
     expected = torch.stack([x[0].cos() * x[1] * x[2], x[0].sin() * x[2], x[0].sin() * x[1]])
     got = attempt.on(on)(lambda p: p[0].sin() * p[1] * p[2], x, 1e-4)
@@ -96,7 +102,13 @@ def l1_gradient(attempt: Attempt) -> None:
     dark = torch.full((2, 2, 3), 0.4)
     got = attempt.on(on)(dark + 0.2, dark)
     close(torch.as_tensor(got).sign(), torch.ones(2, 2, 3), "too bright means a positive gradient", on=on)
-    close(got, torch.full((2, 2, 3), 1 / 12), "the loss is a mean over pixels and channels", on=on, why="2 * 2 * 3 = 12 values")
+    close(
+        got,
+        torch.full((2, 2, 3), 1 / 12),
+        "the loss is a mean over pixels and channels",
+        on=on,
+        why="2 * 2 * 3 = 12 values",
+    )
     on = "two equal pictures"
     close(attempt.on(on)(dark, dark), torch.zeros(2, 2, 3), "where nothing differs the gradient is 0", on=on)
     generator = torch.Generator().manual_seed(1)
@@ -247,7 +259,9 @@ def blend_vjp(attempt: Attempt) -> None:
     alpha, rgb = torch.tensor([0.5, 0.8], dtype=f64), torch.tensor([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], dtype=f64)
     on = "red 0.5 in front of green 0.8, dL/dC = (1, 0, 0)"
     v_alpha, v_rgb = unpack(attempt.on(on)(alpha, rgb, torch.tensor([1.0, 0.0, 0.0], dtype=f64)), names, on=on)
-    close(v_rgb, [[0.5, 0.0, 0.0], [0.4, 0.0, 0.0]], "a colour counts with its weight", on=on, why="w = 0.5 and 0.5 * 0.8")
+    close(
+        v_rgb, [[0.5, 0.0, 0.0], [0.4, 0.0, 0.0]], "a colour counts with its weight", on=on, why="w = 0.5 and 0.5 * 0.8"
+    )
     close(v_alpha, [1.0, 0.0], "more alpha brings more of the own colour", on=on)
     on = "the same, dL/dC = (0, 1, 0)"
     v_alpha, _ = unpack(attempt.on(on)(alpha, rgb, torch.tensor([0.0, 1.0, 0.0], dtype=f64)), names, on=on)

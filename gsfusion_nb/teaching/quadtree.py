@@ -244,7 +244,7 @@ def _gaussian_of_one_size(camera: Camera, cell: Cell, depth_m: Tensor, T_WC: Ten
     ),
 )  # fmt: skip
 def cell_to_gaussian(attempt: Attempt) -> None:
-    """Where a cell's Gaussian stands and how large it is (Eq. 10-11)."""
+    """Where a cell's Gaussian stands and how large it is (Eq. 10 and the size below it)."""
     camera = Camera(width=40, height=30, fx=20.0, fy=20.0, cx=20.0, cy=15.0)
     names = ("xyz_W", "scale_m")
     on = "the cell (18, 11, 4, 8) around the image centre, depth 2 m, identity pose"
@@ -263,5 +263,11 @@ def cell_to_gaussian(attempt: Attempt) -> None:
     cell = (5, 7, 7, 5)
     expected = _gaussian(camera, cell, slanted, T)
     xyz, scale = unpack(attempt.on(on)(camera, cell, slanted, T), names, on=on)
-    close(xyz, expected[0], "the position is in the world frame, with the depth of the middle pixel", on=on, tolerance=1e-4)
+    close(
+        xyz,
+        expected[0],
+        "the position is in the world frame, with the depth of the middle pixel",
+        on=on,
+        tolerance=1e-4,
+    )
     close(scale, expected[1], "the size uses the depth of the middle pixel", on=on, tolerance=1e-4)

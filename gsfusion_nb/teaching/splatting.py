@@ -161,7 +161,10 @@ def _last_one_missing(u: Number, v: Number, extent_px: Number, width: int, heigh
 
 
 def _unclamped(u: Number, v: Number, extent_px: Number, width: int, height: int, tile_px: int) -> Box:
-    low, high = [math.floor((c - extent_px) / tile_px) for c in (u, v)], [math.floor((c + extent_px) / tile_px) + 1 for c in (u, v)]
+    low, high = (
+        [math.floor((c - extent_px) / tile_px) for c in (u, v)],
+        [math.floor((c + extent_px) / tile_px) + 1 for c in (u, v)],
+    )
     return low[0], high[0], low[1], high[1]
 
 
@@ -191,11 +194,29 @@ def tiles_touched(attempt: Attempt) -> None:
         close(got, _tiles_touched(u, v, extent, width, height, 8), prop, on=on, why=why)
 
     half_open = "the ranges are half open: the end is one past the last tile"
-    ask("u 12, v 20, extent 2, picture 64 x 48, tiles of 8", 12, 20, 2, 64, 48, "a splat inside one tile is in that tile", half_open)
+    ask(
+        "u 12, v 20, extent 2, picture 64 x 48, tiles of 8",
+        12,
+        20,
+        2,
+        64,
+        48,
+        "a splat inside one tile is in that tile",
+        half_open,
+    )
     ask("u 16, v 24, extent 5", 16, 24, 5, 64, 48, "a splat across a border is on both sides")
     ask("u 2, v 3, extent 10", 2, 3, 10, 64, 48, "tiles outside of the picture do not exist", "clamp the ranges")
     ask("u 62, v 46, extent 10", 62, 46, 10, 64, 48, "tiles outside of the picture do not exist", "clamp the ranges")
-    ask("u 58, v 43, extent 1, picture 60 x 45", 58, 43, 1, 60, 45, "the last tile may hang over the border", "ceil, not floor")
+    ask(
+        "u 58, v 43, extent 1, picture 60 x 45",
+        58,
+        43,
+        1,
+        60,
+        45,
+        "the last tile may hang over the border",
+        "ceil, not floor",
+    )
     on = "u -30, v 20, extent 5: left of the picture"
     x0, x1, _, _ = unpack(attempt.on(on)(-30.0, 20.0, 5.0, 64, 48, 8), names, on=on)
     holds(x1 <= x0, "a splat outside of the picture touches no tile", on=on, detail=f"got columns {x0} to {x1}")
@@ -250,7 +271,13 @@ def view_colour(attempt: Attempt) -> None:
     sh = torch.zeros(4, 3)
     sh[2] = 0.5
     expected = [0.5 + 0.5 * _C1] * 3
-    close(attempt.on(on)(sh, ahead, origin), expected, "d goes from the camera to the Gaussian", on=on, why="d = (x - o) / |x - o|")
+    close(
+        attempt.on(on)(sh, ahead, origin),
+        expected,
+        "d goes from the camera to the Gaussian",
+        on=on,
+        why="d = (x - o) / |x - o|",
+    )
     on = "the same, 4 m along z"
     close(attempt.on(on)(sh, 4 * ahead, origin), expected, "only the direction counts", on=on, why="normalise d")
     on = "the same Gaussian, sh[2] = -2"

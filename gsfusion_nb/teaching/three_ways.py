@@ -51,7 +51,9 @@ class ThreeWays:
         return "\n".join([*lines, "all three agree" if self.ok else "they do NOT agree"])
 
     def _repr_html_(self) -> str:
-        head = "".join(_cell(h, "th") for h in ("gradient by", "by hand", "autograd", "difference", "largest relative error"))
+        head = "".join(
+            _cell(h, "th") for h in ("gradient by", "by hand", "autograd", "difference", "largest relative error")
+        )
         lines = [f"<tr>{head}</tr>"]
         for row in self.rows:
             a, d = row.errors
@@ -97,6 +99,7 @@ def three_ways(
         hands = (by_hand,) if isinstance(by_hand, Tensor) else by_hand
         rows = []
         for i, (name, x) in enumerate(zip(inputs, plain, strict=True)):
+
             def loss(changed: Tensor, i: int = i) -> float:
                 return float((v * forward(*plain[:i], changed, *plain[i + 1 :])).sum())
 

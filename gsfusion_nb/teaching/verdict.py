@@ -32,7 +32,9 @@ class Verdict:
         """One line without the details."""
         if self.state == "failed":
             return f"{_SIGNS['failed']} {self.exercise}: not true yet: “{self.prop}”"
-        return f"{_SIGNS[self.state]} {self.exercise}: {self.state if self.state == 'not written' else 'all checks pass'}"
+        return (
+            f"{_SIGNS[self.state]} {self.exercise}: {self.state if self.state == 'not written' else 'all checks pass'}"
+        )
 
     @property
     def lines(self) -> list[str]:

@@ -8,22 +8,28 @@ if TYPE_CHECKING:
     from .display import static_views as static_views
     from .filling import fill_panel as fill_panel
     from .gaussian_picture import draw as draw
+    from .gradient_microscope import GradientMicroscope as GradientMicroscope
     from .live import LiveMapper as LiveMapper
     from .mesh_view import show_mesh as show_mesh
     from .orbit import OrbitView as OrbitView
     from .orbit import orbit_view as orbit_view
+    from .pixel_microscope import PixelMicroscope as PixelMicroscope
     from .player import Player as Player
     from .point_view import point_panel as point_panel
     from .quadtree_view import quadtree_panel as quadtree_panel
     from .splat_viewer import SplatViewer as SplatViewer
     from .tsdf_slice import slice_picture as slice_picture
     from .viewpoint import orbit_camera as orbit_camera
+    from .watch import Watch as Watch
 
 _LAZY = {
+    "GradientMicroscope": "gradient_microscope",
     "LiveMapper": "live",
     "OrbitView": "orbit",
+    "PixelMicroscope": "pixel_microscope",
     "Player": "player",
     "SplatViewer": "splat_viewer",
+    "Watch": "watch",
     "draw": "gaussian_picture",
     "fill_panel": "filling",
     "orbit_camera": "viewpoint",

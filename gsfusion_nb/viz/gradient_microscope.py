@@ -55,6 +55,7 @@ class GradientMicroscope:
         self._pick: Pick = "pixel"
         self._u, self._v = pixel or (camera.width // 2, camera.height // 2)
         self._read(params, camera, T_WC)
+        self._of_pixel: PixelGradient = pixel_gradient(self.splats, self.v_rgb, self._u, self._v)
         self._build()
         self._redraw()
 
@@ -80,7 +81,7 @@ class GradientMicroscope:
     @property
     def of_pixel(self) -> PixelGradient:
         """What the chosen pixel gives."""
-        return pixel_gradient(self.splats, self.v_rgb, self._u, self._v)
+        return self._of_pixel
 
     @property
     def of_gaussian(self) -> GaussianGradient | None:
@@ -89,9 +90,9 @@ class GradientMicroscope:
 
     def look_at(self, u: int, v: int) -> "GradientMicroscope":
         """Choose the pixel in column ``u`` and row ``v``."""
-        pixel_gradient(self.splats, self.v_rgb, u, v)
+        gradient = pixel_gradient(self.splats, self.v_rgb, u, v)
         with self._lock:
-            self._u, self._v = u, v
+            self._u, self._v, self._of_pixel = u, v, gradient
             self.clicks.pixel = (u, v)
             self._redraw()
         return self
@@ -143,7 +144,7 @@ class GradientMicroscope:
         values = "".join(cell.format(f"{float(x) / unit:+.2f}") for x in numbers.values())
         return (
             f'<table style="font-size:12px"><tr>{cell.format(f"Gaussian <b>{row}</b>")}{heads}</tr>'
-            f'<tr>{cell.format("sum over all pixels")}{values}</tr></table>'
+            f"<tr>{cell.format('sum over all pixels')}{values}</tr></table>"
         )
 
     def _build(self) -> None:
@@ -158,11 +159,16 @@ class GradientMicroscope:
         photo = w.Image(format="jpeg", value=encode_jpeg(self.target), layout=w.Layout(width=f"{wide}px"))
         self.arrows = w.Image(format="png", layout=w.Layout(width=f"{PICTURE_PX}px", height=f"{PICTURE_PX}px"))
         self.arrows.add_class("gsnb-gradient-arrows")
-        self.choice = w.ToggleButtons(options=["pixel", "Gaussian"], description="a click picks", style={"button_width": "90px"})
+        self.choice = w.ToggleButtons(
+            options=["pixel", "Gaussian"], description="a click picks", style={"button_width": "90px"}
+        )
         self.choice.observe(self._chosen, "value")
         self.numbers = w.HTML()
         self.numbers.add_class("gsnb-gradient-table")
-        panels = [w.VBox([w.HTML(label), image]) for label, image in zip(LABELS, (self.clicks, photo, self.arrows), strict=True)]
+        panels = [
+            w.VBox([w.HTML(label), image])
+            for label, image in zip(LABELS, (self.clicks, photo, self.arrows), strict=True)
+        ]
         row = w.Layout(flex_flow="row wrap", grid_gap="8px")
         self.widget = w.VBox([self.choice, w.HBox(panels, layout=row), self.numbers])
         self.widget.add_class("gsnb-gradient")

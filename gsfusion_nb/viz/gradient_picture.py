@@ -13,9 +13,7 @@ MORE, LESS = (26, 127, 55), (198, 40, 40)
 _SHOWN = 8
 
 
-def pixel_gradient_picture(
-    image: AnyImage, splats: Splats, gradient: PixelGradient, *, size: int = 300
-) -> Picture:
+def pixel_gradient_picture(image: AnyImage, splats: Splats, gradient: PixelGradient, *, size: int = 300) -> Picture:
     """The heaviest Gaussians of a pixel, their ellipses green (more opaque, please) or red (less), and where to move.
 
     An arrow points against (dL/du, dL/dv), which is where descent moves the centre; the longest has a fixed length.
@@ -61,8 +59,13 @@ def gaussian_gradient_picture(
     view = np.repeat(grey, 3, 2).clip(0, 255).astype(np.uint8)
     strongest = max(float(gradient.v_alpha.abs().max()) if gradient.v_alpha.numel() else 0.0, 1e-30)
     half = max(gradient.stride, 1) / 2
-    for uv, value in zip(gradient.uv.view(-1, 2).tolist(), (gradient.v_alpha / strongest).flatten().tolist(), strict=True):
-        a, b = ((np.array(uv) - half - origin) * zoom).round().astype(int), ((np.array(uv) + half - origin) * zoom).round().astype(int)
+    for uv, value in zip(
+        gradient.uv.view(-1, 2).tolist(), (gradient.v_alpha / strongest).flatten().tolist(), strict=True
+    ):
+        a, b = (
+            ((np.array(uv) - half - origin) * zoom).round().astype(int),
+            ((np.array(uv) + half - origin) * zoom).round().astype(int),
+        )
         patch = view[max(a[1], 0) : max(b[1], 0), max(a[0], 0) : max(b[0], 0)]
         if patch.size:
             mix = min(abs(value), 1.0) ** 0.5 * 0.85

@@ -71,7 +71,9 @@ class PixelMicroscope:
         lens, graph = self.pictures()
         image = with_cross(self.image, self.stack.u, self.stack.v, PICTURE_PX)
         top = np.concatenate([image, np.full((PICTURE_PX, 8, 3), 255, np.uint8), lens], 1)
-        graph = cv2.resize(graph, (top.shape[1], round(graph.shape[0] * top.shape[1] / graph.shape[1])), interpolation=cv2.INTER_AREA)
+        graph = cv2.resize(
+            graph, (top.shape[1], round(graph.shape[0] * top.shape[1] / graph.shape[1])), interpolation=cv2.INTER_AREA
+        )
         return np.concatenate([top, np.full((8, top.shape[1], 3), 255, np.uint8), graph])
 
     def _repr_mimebundle_(self, **kwargs: Any) -> dict[str, Any]:

@@ -169,7 +169,18 @@ def stack_table(stack: PixelStack, rows: int = TABLE_ROWS) -> str:
     if shown < len(stack):
         rest = f"… {len(stack) - shown} more"
         lines.append(
-            _line(("", rest, "", "", "", f"{stack.weight[shown:].sum():.3f}", "", _rgb_text(stack.contribution[shown:].sum(0))))
+            _line(
+                (
+                    "",
+                    rest,
+                    "",
+                    "",
+                    "",
+                    f"{stack.weight[shown:].sum():.3f}",
+                    "",
+                    _rgb_text(stack.contribution[shown:].sum(0)),
+                )
+            )
         )
     total = (
         "", "sum", "", "", f"left {stack.light_left:.3f}", f"{stack.weight.sum():.3f}",

@@ -52,7 +52,7 @@ def point_view(
         for dy in range(point_px):
             i, j = corner[:, 0] + dx, corner[:, 1] + dy
             inside = ((i >= 0) & (i < target.width) & (j >= 0) & (j < target.height)).nonzero()[:, 0]
-            at = (j[inside].long() * target.width + i[inside].long())
+            at = j[inside].long() * target.width + i[inside].long()
             nearest.scatter_reduce_(0, at, z[inside], "amin")
             first = z[inside] <= nearest[at]
             picture[at[first]] = colours[seen[inside[first]]]
@@ -77,7 +77,10 @@ def point_colours(frame: Frame, show: PointColours) -> Picture:
 
 
 def moved_pose(
-    T_WC: Float[Tensor, "4 4"], offset_C_m: tuple[float, float, float], turn_deg: float | int, nod_deg: float | int = 0.0
+    T_WC: Float[Tensor, "4 4"],
+    offset_C_m: tuple[float, float, float],
+    turn_deg: float | int,
+    nod_deg: float | int = 0.0,
 ) -> Float[Tensor, "4 4"]:
     """The pose after a step along the camera's own axes, then a turn about its y and a nod about its x axis.
 

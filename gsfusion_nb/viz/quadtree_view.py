@@ -27,7 +27,7 @@ def quadtree_picture(
     """The leaves of an image's quadtree drawn, and the leaves themselves.
 
     "cells": borders over the image, coarse purple to fine yellow; "mean colours": every cell filled with its mean;
-    "Gaussians": a disc of one standard deviation (half the cell's diagonal, GSFusion Eq. 11) in the colour of the pixel
+    "Gaussians": a disc of one standard deviation (half the cell's diagonal, GSFusion III-B.2) in the colour of the pixel
     in the middle, smaller ones over larger ones.
 
     Args:
@@ -84,9 +84,7 @@ def _discs(photo: Picture, cells: Cells) -> Picture:
     return image
 
 
-def quadtree_panel(
-    rgb: AnyImage, *, threshold: float | int = 0.1, min_cell_px: int = 1, scale: int = 1
-) -> Panel:
+def quadtree_panel(rgb: AnyImage, *, threshold: float | int = 0.1, min_cell_px: int = 1, scale: int = 1) -> Panel:
     """Sliders for threshold and smallest cell over an image, with the number of leaves, by level.
 
     Args:
@@ -99,7 +97,12 @@ def quadtree_panel(
     def draw(*, threshold: float, min_cell_px: int, contrast: str, show: str) -> Drawn:
         limit = threshold
         picture, cells = quadtree_picture(
-            photo, threshold=limit, min_cell_px=min_cell_px, contrast=contrast, show=show, scale=scale  # pyright: ignore[reportArgumentType]
+            photo,
+            threshold=limit,
+            min_cell_px=min_cell_px,
+            contrast=contrast,
+            show=show,
+            scale=scale,  # pyright: ignore[reportArgumentType]
         )
         return picture, _counts(cells, photo.shape[0] * photo.shape[1])
 

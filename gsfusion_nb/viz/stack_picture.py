@@ -37,7 +37,9 @@ def stack_picture(stack: PixelStack, *, width: int = 420, height: int = 240, sca
     write(image, "red: light left T   pale: alpha   full: weight w = alpha T", left, 14 * s, s)
     strip = (height - 40) * s, (height - 24) * s
     write(image, "sum", 10 * s, strip[1] - 4 * s, s)
-    write(image, "nearest Gaussian first, to the farthest; below: the colour summed up so far", left, (height - 8) * s, s)
+    write(
+        image, "nearest Gaussian first, to the farthest; below: the colour summed up so far", left, (height - 8) * s, s
+    )
     n = max(len(stack), 1)
     edges = np.linspace(left, right, n + 1).round().astype(int)
     so_far = np.zeros(3)
@@ -53,7 +55,10 @@ def stack_picture(stack: PixelStack, *, width: int = 420, height: int = 240, sca
         so_far += stack.contribution[k].numpy()
         image[strip[0] : strip[1], x0 : int(edges[k + 1])] = to_uint8(so_far.clip(0, 1)[None, None])[0, 0]
     steps = [[int(edges[min(k, n)]), round(bottom + T[k] * (top - bottom))] for k in range(len(T))]
-    corners = [c for a, b in zip(steps, steps[1:], strict=False) for c in (a, [b[0], a[1]], b)] or [[left, top], [right, top]]
+    corners = [c for a, b in zip(steps, steps[1:], strict=False) for c in (a, [b[0], a[1]], b)] or [
+        [left, top],
+        [right, top],
+    ]
     cv2.polylines(image, [np.array(corners, np.int32)], False, LIGHT, s, cv2.LINE_AA)
     return image
 
@@ -136,7 +141,9 @@ def enlarged(image: AnyImage, height: int) -> Picture:
     return np.asarray(cv2.resize(picture, (round(picture.shape[1] * zoom), height), interpolation=how), np.uint8)
 
 
-def write(image: Picture, words: str, x: int, y: int, scale: int, size: float = 0.36, ink: tuple[int, ...] = INK) -> None:
+def write(
+    image: Picture, words: str, x: int, y: int, scale: int, size: float = 0.36, ink: tuple[int, ...] = INK
+) -> None:
     """Small text into a drawing, in place; a line too long for it is written smaller."""
     import cv2
 

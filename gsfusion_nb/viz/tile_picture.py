@@ -34,5 +34,14 @@ def tile_picture(image: AnyImage, tiles: TileLists, *, scale: int = 2, strength:
     bar[7:19, 20:160] = np.asarray(cv2.resize(np.ascontiguousarray(ramp), (140, 12)), np.uint8)
     ink, font = (28, 36, 48), cv2.FONT_HERSHEY_SIMPLEX
     cv2.putText(bar, "0", (6, 18), font, 0.42, ink, 1, cv2.LINE_AA)
-    cv2.putText(bar, f"{most} Gaussians in one tile of {tiles.tile_px} x {tiles.tile_px} px", (168, 18), font, 0.42, ink, 1, cv2.LINE_AA)
+    cv2.putText(
+        bar,
+        f"{most} Gaussians in one tile of {tiles.tile_px} x {tiles.tile_px} px",
+        (168, 18),
+        font,
+        0.42,
+        ink,
+        1,
+        cv2.LINE_AA,
+    )
     return np.concatenate([mixed, bar])

@@ -65,7 +65,9 @@ class Watch:
 
     def _repr_mimebundle_(self, **kwargs: Any) -> dict[str, Any]:
         self._draw()
-        return with_picture(self.widget._repr_mimebundle_(**kwargs), self.picture(), f"Watch({self.player.n_steps} steps)")
+        return with_picture(
+            self.widget._repr_mimebundle_(**kwargs), self.picture(), f"Watch({self.player.n_steps} steps)"
+        )
 
     def _on_step(self, _result: Any) -> None:
         if time.monotonic() >= self._next_draw_s:

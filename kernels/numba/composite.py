@@ -228,8 +228,6 @@ def composite_backward(splats, lists, pixels, trained, image, v_image, pair_sums
         for r in range(min(TILE, height - y0)):
             for i in range(min(TILE, width - x0)):
                 o, y, x = r * TILE + i, y0 + r, x0 + i
-                if masked and not pixels[y, x]:
-                    continue
                 total = _ZERO
                 for c in range(3):
                     state[512 + 256 * c + o] = v_rgb[y, x, c]
@@ -241,6 +239,11 @@ def composite_backward(splats, lists, pixels, trained, image, v_image, pair_sums
                     state[1536 + o] = v_alpha[y, x]
                     total += alpha_image[y, x] * v_alpha[y, x]
                 state[256 + o] = total
+        if masked:  # a loss may have no gradient there, not even a number
+            for o in range(256):
+                if state[o] < _ZERO:
+                    for c in range(1, 7):
+                        state[256 * c + o] = _ZERO
         centre_x = iota() + splat(f32(x0) + _HALF)
         zero, one, floor_T = splat(_ZERO), splat(_ONE), splat(_T_MIN)
         threshold, ceiling = splat(_LOG_ALPHA_MIN), splat(_ALPHA_MAX)

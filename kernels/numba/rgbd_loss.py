@@ -1,5 +1,8 @@
 """RTG-SLAM's loss and its gradient in two passes over the image: count, then write."""
 
+# Arrays are passed on as a list, which pyright cannot follow:
+# pyright: reportCallIssue=false
+
 import numpy as np
 import torch
 from numba import njit, prange

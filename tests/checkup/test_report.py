@@ -76,11 +76,11 @@ def test_mistakes_of_the_command(capsys, tmp_path):
 
 
 def test_a_sequence_in_memory_is_left_alone():
-    sequence: Any = room(n_frames=200, width=80, height=60)
+    sequence: Any = room(n_frames=400, width=80, height=60)
     report = check_recording(sequence, frames=31, pictures=False)
     assert report.frames_read == 31
-    assert report.length == 200
-    assert report.verdict != "wrong"
+    assert report.length == 400
+    assert report.ok
 
 
 def test_few_or_damaged_frames(broken):
@@ -95,7 +95,7 @@ def test_few_or_damaged_frames(broken):
     assert "5 of 30 frames cannot be used" in report["frames"].sentence
     for f in files[:-1]:
         f.write_bytes(b"")
-    report = check_recording(recording.root)
+    report = check_recording(recording.root)  # nothing to compare
     assert report["frames"].verdict == "wrong"
     assert report.frames_read == 1
     assert "29 of 30 frames" in str(report)
@@ -104,6 +104,7 @@ def test_few_or_damaged_frames(broken):
     assert check_recording(recording.root).frames_read == 0
 
 
+@pytest.mark.slow
 def test_seven_scenes_is_told_to_register(shared_sequence, tmp_path):
     """Colour of a second camera, in the layout of 7-Scenes: the reader has a better repair than a shift."""
     import cv2

@@ -198,7 +198,7 @@ def test_frozen_rows_still_stand_in_the_light():
 
 def test_large_gaussians_off_the_image_are_drawn(generator):
     """Centres up to ten image widths away; what is listed must not depend on where the centre is."""
-    n, camera = 60, odd_view(95, 61)
+    n, camera = 250, odd_view(159, 121)
     p = scene(n, 0, generator, spread=8.0)
     params = GaussianParams(**{**vars(p), "log_scale": p.log_scale + math.log(20.0)})
     v = images(camera, generator)

@@ -40,7 +40,9 @@ def test_solutions_go_and_the_rest_stays():
     assert notebook == before
     sources = ["".join(cell["source"]) for cell in student["cells"]]
     assert sources == ["Double it.", "def f(x):\n    ...", "a = 1\nb = 3", "Why?\nGo on.", ""]
-    assert all(c["outputs"] == [] and c["execution_count"] is None for c in student["cells"] if c["cell_type"] == "code")
+    assert all(
+        c["outputs"] == [] and c["execution_count"] is None for c in student["cells"] if c["cell_type"] == "code"
+    )
     assert {k: student[k] for k in ("metadata", "nbformat")} == {"metadata": {"m": 1}, "nbformat": 4}
 
 
