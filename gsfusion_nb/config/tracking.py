@@ -62,7 +62,8 @@ class TrackingConfig:
     iterations: tuple[int, ...] = (5, 5, 5)
     """Gauss-Newton steps at each level."""
     max_distance_m: float = 0.1
-    """Farther apart two points do not correspond; on coarser levels the limit grows with their pixels (code: not)."""
+    """Farther apart two points do not correspond; on coarser levels the limit is wider, by the
+    square root of the reduction (code: not)."""
     max_angle_deg: float = 30.0
     """Normals at a larger angle do not correspond (code: 20, which refuses two thirds of a Kinect's far points)."""
     even_to_m: float | None = 1.0

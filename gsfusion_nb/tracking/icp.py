@@ -106,8 +106,10 @@ def align(
     points = _extent(levels[-1], config.even_to_m)
     history: list[IcpIteration] = []
     for level, iterations in zip(levels, config.iterations, strict=True):
-        # 5 degrees move a point 2 m away by 17 cm, beyond the gate: coarse levels look as far as their pixels are large
-        coarse = gates | {"max_distance_m": config.max_distance_m * level.factor / levels[-1].factor}
+        # 5 degrees move a point 2 m away by 17 cm, beyond the ordinary gate. In proportion to the level would be too
+        # wide: on a clean room without weights one frame then went astray.
+        reach = (level.factor / levels[-1].factor) ** 0.5
+        coarse = gates | {"max_distance_m": reach * config.max_distance_m}
         for _ in range(iterations):
             system = icp_system(level, T_WC.to(device), surface, **coarse)
             if system.n_inliers < 6:
