@@ -1,5 +1,6 @@
 """The command ``gsfusion-nb``: demo, check, map, eval, study, bench, doctor."""
 
+import json
 import logging
 import sys
 from dataclasses import dataclass, field
@@ -57,6 +58,8 @@ class MapOptions:
     """Score mapped and held-out views and write the report."""
     rule_options: tuple[str, ...] = ()
     """Options of the seeding rule, such as: --rule-options share=0.2 transparent=false."""
+    reader_options: tuple[str, ...] = ()
+    """Options of the sequence's reader, such as, for the room: --reader-options n_frames=480 depth_noise=true."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,9 +185,12 @@ def _map(arguments: list[str]) -> int:
         reader |= _reader_options(options.reader)
         if options.split:
             reader["split"] = options.split
+        reader |= _named_values(options.reader_options)
         run = run_mapping(
             options.data,
-            replace(options.config, seeding__options=options.config.seeding.options | _rule_options(options)),
+            replace(
+                options.config, seeding__options=options.config.seeding.options | _named_values(options.rule_options)
+            ),
             folder=options.out or None,
             device=options.device,
             evaluate=options.evaluate,
@@ -224,18 +230,17 @@ def _reader_options(words: tuple[str, ...]) -> dict[str, Any]:
     return options
 
 
-def _rule_options(options: MapOptions) -> dict[str, Any]:
-    """``name=value`` texts as options of the rule."""
+def _named_values(texts: tuple[str, ...]) -> dict[str, Any]:
+    """``name=value`` texts as numbers, true or false, or words."""
     values: dict[str, Any] = {}
-    for text in options.rule_options:
+    for text in texts:
         name, equals, value = text.partition("=")
         if not equals:
-            raise ValueError(f"--rule-options expects name=value, got {text!r}")
-        words = {"true": True, "false": False}
+            raise ValueError(f"expected an option as name=value, got {text!r}")
         try:
-            values[name] = words[value.lower()] if value.lower() in words else float(value)
-        except ValueError:
-            values[name] = value
+            values[name.replace("-", "_")] = json.loads(value.lower())
+        except json.JSONDecodeError:
+            values[name.replace("-", "_")] = value
     return values
 
 
@@ -251,8 +256,6 @@ def _check_device(name: str) -> None:
 
 def _map_defaults(arguments: list[str]) -> GSFusionMapOptions | RtgSlamMapOptions:
     """The system, and the preset or config file, named among ``arguments``: tyro shows and overrides its fields."""
-    import json
-
     from .mapping import get_system
 
     name = _value_of(arguments, "--system") or "gsfusion"

@@ -60,6 +60,9 @@ def fit_colour(sample: Sample) -> ColourFit | None:
         surface = _surface(edges, _transforms([g[flip] for g in plain]))
         options.append((*_top(surface), 1.0, name, 0))
     (score, peak, shift, scale, mirror, frames) = max(options, key=lambda o: o[0] * (1 if o[4] == "none" else 0.7))
+    near, at_near = _near(spatial)
+    if mirror == "none" and score < _BETTER * near:  # within what noise can do: as read
+        score, shift, scale = near, at_near, 1.0
     if best_time and time_score > max(_BETTER * as_read, 0.9 * score):
         score, shift, scale, mirror, frames = time_score, (0.0, 0.0), 1.0, "none", best_time
     small = sample.camera.width / edges[0].shape[1]
@@ -76,6 +79,32 @@ def fit_colour(sample: Sample) -> ColourFit | None:
         edges=n,
         pixel=small,
     )
+
+
+def in_order(sample: Sample) -> float | None:
+    """Share of the frames whose most similar colour image, of all others read, is at most two frames away.
+
+    None where the poses do not show the same for at least 80 per cent: a camera that stands still or turns back.
+    """
+    if len(sample.frames) < 10:
+        return None
+    places = np.array([f.place for f in sample.frames])
+    colour = np.stack([_thumbnail(f.grey) for f in sample.frames])
+    pose = np.stack([f.T_stored[:3].numpy().ravel() for f in sample.frames])
+    shares = []
+    for rows in (pose, colour):
+        distance = ((rows[:, None] - rows[None]) ** 2).sum(-1)
+        np.fill_diagonal(distance, np.inf)
+        shares.append(float((np.abs(places - places[distance.argmin(1)]) <= 2).mean()))
+    return shares[1] if shares[0] > 0.8 else None
+
+
+def _thumbnail(grey: UInt8[np.ndarray, "H W"]) -> np.ndarray:
+    """32 x 24 pixels of mean 0 and deviation 1."""
+    import cv2
+
+    small = cv2.resize(grey, (32, 24), interpolation=cv2.INTER_AREA).astype(np.float64).ravel()
+    return (small - small.mean()) / (small.std() + 1e-6)
 
 
 def depth_edges(depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
@@ -153,14 +182,28 @@ def _top(surface: np.ndarray) -> tuple[float, float, tuple[float, float]]:
     """Height, height in standard deviations, and place of the highest peak, to parts of a pixel by parabolas."""
     j, i = np.unravel_index(int(surface.argmax()), surface.shape)
     peak = float((surface[j, i] - surface.mean()) / (surface.std() + 1e-9))
+    return float(surface[j, i]), peak, _top_of(surface, int(j), int(i))
+
+
+def _top_of(surface: np.ndarray, j: int, i: int) -> tuple[float, float]:
+    """Place of the peak at row ``j`` and column ``i``, to parts of a pixel."""
     place = []
-    for at, line in ((int(i), surface[j]), (int(j), surface[:, i])):
+    for at, line in ((i, surface[j]), (j, surface[:, i])):
         d = 0.0
         if 0 < at < len(line) - 1:
             bend = line[at - 1] - 2 * line[at] + line[at + 1]
-            d = 0.5 * (line[at - 1] - line[at + 1]) / bend if bend < 0 else 0.0
+            d = float(np.clip(0.5 * (line[at - 1] - line[at + 1]) / bend, -1, 1)) if bend < 0 else 0.0
         place.append(float(at + d - REACH_PX))
-    return float(surface[j, i]), peak, (place[0], place[1])
+    return place[0], place[1]
+
+
+def _near(surface: np.ndarray) -> tuple[float, tuple[float, float]]:
+    """Height and place of the highest of the nine values about no shift."""
+    R = REACH_PX
+    middle = surface[R - 1 : R + 2, R - 1 : R + 2]
+    j, i = np.unravel_index(int(middle.argmax()), middle.shape)
+    place = _top_of(surface, R - 1 + int(j), R - 1 + int(i))
+    return float(middle[j, i]), place
 
 
 def _scaled_peak(

@@ -9,7 +9,7 @@ from typing import Any
 from ..config import DataConfig, RepairConfig
 from ..datasets import RecordedSequence, Sequence, apply_options, detect_layout, open_sequence
 from . import judge_colour, judge_fit, judge_frames
-from .alignment import fit_colour
+from .alignment import fit_colour, in_order
 from .depth_values import DepthCode, clear_codes, code_finding, find_codes, missing_finding
 from .explain import Explanation, Row, explain, repair_fields
 from .files import examine_files
@@ -100,7 +100,7 @@ def _examine(sample: Sample, pairs: Rows[tuple[int, int]], base: Sequence, hint:
     correction = e.corrected.correction
     fields = repair_fields(correction, sample.camera, e.reading)
     over = measure_over_frames(sample, e.reading, correction)
-    colour, colour_findings = judge_colour.registration_findings(fit_colour(sample), sample.camera)
+    colour, colour_findings = judge_colour.registration_findings(fit_colour(sample), sample.camera, in_order(sample))
     if hint and colour_findings[0].verdict != "ok":
         colour, colour_findings[0] = RepairConfig(), replace(colour_findings[0], repair=_reader_flags(hint))
     limits = _limits(codes, fields.get("depth_factor", e.reading.depth_factor))

@@ -13,13 +13,28 @@ SHIFT_LIMITS = ((3.0, 1.2), (5.0, 2.0))
 Registered Kinects measure up to 2: their depth edges are ragged."""
 SCALE_DOUBTFUL = 0.015
 """Registered recordings measure 0 to 0.005."""
+_CLEAR_PEAK = 5.0
+"""A shift is believed from here on: real ones give 6 and more."""
+_IN_ORDER = 0.5
+"""Share of frames whose most similar colour image is a neighbour in time: 0.99 to 1 in order, 0 shuffled."""
 _UNRELATED_PEAK, _UNRELATED_SCORE = 5.0, 0.4
 """Below both, colour shows nothing where depth has its edges, at no shift: mixed-up frames give up to 4 and 0.2, real
 registered ones 6 to 10 and 0.9 to 1.4."""
 
 
-def registration_findings(fit: ColourFit | None, camera: Camera) -> tuple[RepairConfig, list[Finding]]:
-    """How colour lies to depth, in space and in time."""
+def registration_findings(
+    fit: ColourFit | None, camera: Camera, order: float | None
+) -> tuple[RepairConfig, list[Finding]]:
+    """How colour lies to depth, in space and in time.
+
+    Args:
+        fit: What ``fit_colour`` found.
+        camera: Of the full images.
+        order: What ``in_order`` found.
+    """
+    mixed = order is not None and order < _IN_ORDER
+    if fit is None and mixed:
+        return RepairConfig(), [_mixed_up({"in_order": order or 0.0})]
     if fit is None:
         text = "Too few depth edges to compare with colour."
         return RepairConfig(), [
@@ -37,21 +52,15 @@ def registration_findings(fit: ColourFit | None, camera: Camera) -> tuple[Repair
         "contrast_as_read": fit.score_as_read,
         "peak": fit.peak,
     }
-    if fit.score < _UNRELATED_SCORE and fit.peak < _UNRELATED_PEAK:
-        return RepairConfig(), [
-            Finding(
-                name="registration",
-                verdict="wrong",
-                numbers=numbers,
-                repair="pair every depth image with the colour image of its time (names, order, association)",
-                sentence="Colour shows nothing where depth has edges, at no shift: the images do not belong together.",
-            )
-        ]
+    if mixed or (fit.score < _UNRELATED_SCORE and fit.peak < _UNRELATED_PEAK):
+        return RepairConfig(), [_mixed_up(numbers)]
     space = Finding(
         name="registration",
         verdict="ok",
         numbers=numbers,
-        sentence=f"Colour edges lie on depth edges to {shift:.1f} pixels.",
+        sentence=f"Colour edges lie on depth edges to {shift:.1f} pixels."
+        if fit.peak >= _CLEAR_PEAK
+        else "The edges of colour and depth are too few or too alike to compare.",
     )
     time = Finding(
         name="colour time", verdict="ok", numbers={"shift_frames": 0.0}, sentence="Colour and depth are of one time."
@@ -67,7 +76,7 @@ def registration_findings(fit: ColourFit | None, camera: Camera) -> tuple[Repair
             sentence=f"The colour that belongs to a frame's depth is that of {abs(fit.shift_frames)} frames {side} it.",
         )
         return repair, [space, time]
-    if fit.mirror == "none" and shift < doubtful and not zoomed:
+    if fit.peak < _CLEAR_PEAK or (fit.mirror == "none" and shift < doubtful and not zoomed):
         return RepairConfig(), [space, time]
     repair, text = _registration_repair(fit, shift >= doubtful)
     wrong = fit.mirror != "none" or shift >= wrong_from or zoomed
@@ -75,6 +84,16 @@ def registration_findings(fit: ColourFit | None, camera: Camera) -> tuple[Repair
         replace(space, verdict="wrong" if wrong else "doubtful", sentence=text, repair=repair.flags),
         time,
     ]
+
+
+def _mixed_up(numbers: dict[str, float]) -> Finding:
+    return Finding(
+        name="registration",
+        verdict="wrong",
+        numbers=numbers,
+        repair="pair every depth image with the colour image of its time (names, order, association)",
+        sentence="The colour images are not those of the depth images: their order or their edges do not fit.",
+    )
 
 
 def _registration_repair(fit: ColourFit, shifted: bool) -> tuple[RepairConfig, str]:

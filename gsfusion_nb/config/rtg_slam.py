@@ -244,6 +244,7 @@ _FIDELITY: dict[str, dict[str, Any]] = {
             "damping": 1e-4,
             "prior": "previous",
             "target": "hybrid",
+            "min_agreement": 0.25,
         },
     },
 }

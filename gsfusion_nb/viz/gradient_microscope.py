@@ -1,7 +1,7 @@
 """Click a pixel and see what it asks of the Gaussians; click a Gaussian and see what all pixels ask of it."""
 
 import threading
-from typing import Any, Literal
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -20,7 +20,8 @@ from .pixel_gradient import GaussianGradient, PixelGradient, gaussian_gradient, 
 from .pixel_stack import blend_at, project_splats
 from .stack_picture import enlarged, with_cross
 
-Pick = Literal["pixel", "Gaussian"]
+PICKS = ("pixel", "Gaussian")
+"""What a click can choose."""
 PICTURE_PX = 270
 """Height of the pictures, pixels."""
 LABELS = ("rendered", "target", "where they should go")
@@ -52,7 +53,7 @@ class GradientMicroscope:
     ):
         self.target, self._ssim_weight = target, float(ssim_weight)
         self._lock = threading.RLock()  # callbacks may come from another thread than the cells
-        self._pick: Pick = "pixel"
+        self._pick = PICKS[0]
         self._u, self._v = pixel or (camera.width // 2, camera.height // 2)
         self._read(params, camera, T_WC)
         self._of_pixel: PixelGradient = pixel_gradient(self.splats, self.v_rgb, self._u, self._v)
@@ -60,13 +61,13 @@ class GradientMicroscope:
         self._redraw()
 
     @property
-    def pick(self) -> Pick:
+    def pick(self) -> str:
         """What a click chooses, "pixel" or "Gaussian"."""
         return self._pick
 
     @pick.setter
-    def pick(self, pick: Pick) -> None:
-        check_name("pick", pick, ("pixel", "Gaussian"))
+    def pick(self, pick: str) -> None:
+        check_name("pick", pick, PICKS)
         with self._lock:
             self._pick = pick
             self.choice.value = pick
@@ -90,11 +91,9 @@ class GradientMicroscope:
 
     def look_at(self, u: int, v: int) -> "GradientMicroscope":
         """Choose the pixel in column ``u`` and row ``v``."""
-        gradient = pixel_gradient(self.splats, self.v_rgb, u, v)
         with self._lock:
-            self._u, self._v, self._of_pixel = u, v, gradient
+            self._choose(u, v)
             self.clicks.pixel = (u, v)
-            self._redraw()
         return self
 
     def lens(self) -> Picture:
@@ -159,9 +158,7 @@ class GradientMicroscope:
         photo = w.Image(format="jpeg", value=encode_jpeg(self.target), layout=w.Layout(width=f"{wide}px"))
         self.arrows = w.Image(format="png", layout=w.Layout(width=f"{PICTURE_PX}px", height=f"{PICTURE_PX}px"))
         self.arrows.add_class("gsnb-gradient-arrows")
-        self.choice = w.ToggleButtons(
-            options=["pixel", "Gaussian"], description="a click picks", style={"button_width": "90px"}
-        )
+        self.choice = w.ToggleButtons(options=list(PICKS), description="a click picks", style={"button_width": "90px"})
         self.choice.observe(self._chosen, "value")
         self.numbers = w.HTML()
         self.numbers.add_class("gsnb-gradient-table")
@@ -173,10 +170,16 @@ class GradientMicroscope:
         self.widget = w.VBox([self.choice, w.HBox(panels, layout=row), self.numbers])
         self.widget.add_class("gsnb-gradient")
 
-    def _clicked(self, change: Any) -> None:
-        u, v = change["new"]
-        if (u, v) != (self._u, self._v):
-            self.look_at(u, v)
+    def _clicked(self, _change: Any) -> None:
+        with self._lock:
+            u, v = self.clicks.pixel  # the newest, which may be newer than the change
+            if (u, v) != (self._u, self._v):
+                self._choose(u, v)
+
+    def _choose(self, u: int, v: int) -> None:
+        self._of_pixel = pixel_gradient(self.splats, self.v_rgb, u, v)
+        self._u, self._v = u, v
+        self._redraw()
 
     def _chosen(self, change: Any) -> None:
         if change["new"] != self._pick:

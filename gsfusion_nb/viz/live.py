@@ -1,21 +1,26 @@
 """Online mapping to watch: buttons that start, pause, step and stop it, and panels of what the maps look like."""
 
+import dataclasses
 import html
 import logging
 import time
 import traceback
 import weakref
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..datasets import SequenceError
 from ..mapping import MappingRun, StepReport
+from ..types import Frame
 from .display import with_picture
 from .figures import Picture, encode_jpeg, encode_png
-from .live_panels import CAPTIONS, LivePanels, live_panels
+from .live_panels import LivePanels, captions_of, columns_for, live_panels
 from .player import Player
 from .small_curves import small_curves
+
+if TYPE_CHECKING:
+    from .splat_viewer import SplatViewer
 
 log = logging.getLogger(__name__)
 
@@ -28,7 +33,7 @@ _on_stage: "weakref.ref[LiveMapper] | None" = None
 
 
 class LiveMapper:
-    """Drives the online part of a ``MappingRun`` frame by frame, with buttons; the kernel stays free meanwhile.
+    """Drives the online part of a ``MappingRun`` of either system frame by frame; the kernel stays free meanwhile.
 
     The last line of a cell shows it. From Python: ``start``, ``pause``, ``step``, ``stop``, and ``run_sync(n)``, which
     maps ``n`` frames (or all that are left) in the calling cell. ``lock`` is held during a step; give it to whoever
@@ -38,14 +43,17 @@ class LiveMapper:
     Args:
         run: The run; it may have mapped some frames already.
         panel_width: Width of each panel on screen, pixels.
+        viewer: A splat viewer of the same map, brought up to date whenever the panels are. It may also be given later,
+            ``live.viewer = SplatViewer(run.mapper, lock=live.lock)``.
     """
 
-    def __init__(self, run: MappingRun, *, panel_width: int = 320):
+    def __init__(self, run: MappingRun, *, panel_width: int = 320, viewer: "SplatViewer | None" = None):
         global _on_stage
         if _on_stage is not None and (earlier := _on_stage()) is not None:
             earlier.player.stop()
         _on_stage = weakref.ref(self)
         self.run = run
+        self.viewer = viewer
         self.player = Player(run.online, on_step=self._on_step, on_rest=self._on_rest)
         self.lock = self.player.lock
         self.panels: LivePanels | None = None
@@ -119,16 +127,23 @@ class LiveMapper:
         began = time.monotonic()
         self._undrawn = None
         try:
-            frame = self.run.sequence.mapping[self.run.next_position - 1]
+            frame = self._last_frame()
         except SequenceError as e:
             log.warning("the panels stay as they are: %s", e)
             return
         self.panels = live_panels(self.run.mapper, frame)
         for name, image in self.images.items():
-            image.value = encode_jpeg(getattr(self.panels, name))
+            image.value = encode_jpeg(self.panels[name])
         self.curves.value = encode_png(self._curves(), 3)
+        if self.viewer is not None:
+            self.viewer.update(self.run.mapper)
         ended = time.monotonic()
         self._next_draw_s = max(began + MIN_INTERVAL_S, ended + (ended - began) * (1 / MAX_DRAWING_SHARE - 1))
+
+    def _last_frame(self) -> Frame:
+        """The frame mapped last, at the pose where it was mapped."""
+        frame = self.run.sequence.mapping[self.run.next_position - 1]
+        return dataclasses.replace(frame, T_WC=self.run.poses[-1].to(frame.T_WC)) if self.run.poses else frame
 
     def _curves(self, scale: int = 2) -> Picture:
         steps = self.run.steps
@@ -136,7 +151,11 @@ class LiveMapper:
             "PSNR of the frame, dB": [s.psnr_after_db for s in steps],
             "Gaussians": [s.n_gaussians for s in steps],
         }
-        return small_curves(series, n_x=len(self.run.sequence.mapping), width=self._panel_width, scale=scale)
+        if steps and steps[-1].counts:
+            names = ("stable_opaque", "stable_transparent")
+            series["stable Gaussians"] = [sum(s.counts.get(name, 0) for name in names) for s in steps]
+        width = columns_for(len(self.images)) * self._panel_width // len(series)
+        return small_curves(series, n_x=len(self.run.sequence.mapping), width=width, scale=scale)
 
     def _build(self, panel_width: int) -> None:
         import ipywidgets as w
@@ -155,16 +174,18 @@ class LiveMapper:
         self.status.add_class("gsnb-live-status")
         self.error = w.HTML()
         fixed = w.Layout(width=f"{panel_width}px")
-        self.images = {name: w.Image(format="jpeg", layout=fixed) for name in CAPTIONS}
+        captions = captions_of(self.run.mapper)
+        self.images = {name: w.Image(format="jpeg", layout=fixed) for name in captions}
         for name, image in self.images.items():
             image.add_class(f"gsnb-live-{name}")
-        cells = [w.VBox([w.HTML(html.escape(CAPTIONS[name])), image]) for name, image in self.images.items()]
-        pairs = [w.HBox(cells[:2]), w.HBox(cells[2:])]
+        cells = [w.VBox([w.HTML(html.escape(captions[name])), image]) for name, image in self.images.items()]
+        wide = columns_for(len(cells))
+        rows = [w.HBox(cells[i : i + wide]) for i in range(0, len(cells), wide)]
         self.curves = w.Image(
-            format="png", value=encode_png(self._curves(), 3), layout=w.Layout(width=f"{2 * panel_width}px")
+            format="png", value=encode_png(self._curves(), 3), layout=w.Layout(width=f"{wide * panel_width}px")
         )
         controls = w.HBox([*self.buttons.values(), self.progress])
-        self.widget = w.VBox([controls, self.status, self.error, *pairs, self.curves])
+        self.widget = w.VBox([controls, self.status, self.error, *rows, self.curves])
         self.widget.add_class("gsnb-live")
 
     def _write_status(self) -> None:

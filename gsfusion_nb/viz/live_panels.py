@@ -1,49 +1,90 @@
-"""What one mapping step looks like: photograph, render, error, and where the quadtree put new Gaussians."""
+"""What one mapping step looks like: photograph, render, errors, and where and why new Gaussians came."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 
-from ..geometry import camera, se3
 from ..mapping import GSFusion
+from ..mapping.systems import Mapper
 from ..seeding import quadtree
 from ..types import Frame
-from .figures import Picture, error_map, paint_cells, side_by_side, to_uint8
+from .figures import Picture, depth_error_map, error_map, paint_cells, side_by_side, to_uint8
+from .surfel_pictures import cause_picture, paint_rows, state_picture
 
-CAPTIONS = {
+_GSFUSION = {
     "input": "photograph",
     "render": "Gaussian map, rendered",
     "error": "|render − photograph|, bright from 0.25",
     "seeds": "quadtree cells, new Gaussians in red",
 }
-"""Panel -> what it shows."""
+_RTG_SLAM = {
+    "input": "photograph",
+    "render": "Gaussian map, rendered",
+    "error": "|render − photograph|, bright from 0.25",
+    "depth_error": "|disc depth − depth|, bright from 10 cm",
+    "states": "blue stable, orange unstable; dots: transparent",
+    "seeds": "new: green area, red depth, blue colour",
+}
 
+_DEPTH_ERROR_M = 0.1
+"""What RTG-SLAM calls wrong (delta_d)."""
 _SEED_COLOUR = (255, 48, 64)
+
+
+def captions_of(mapper: Mapper) -> dict[str, str]:
+    """The panels of a system: name -> what it shows."""
+    return dict(_GSFUSION if isinstance(mapper, GSFusion) else _RTG_SLAM)
+
+
+def columns_for(n_panels: int) -> int:
+    """Panels in a row."""
+    return 2 if n_panels <= 4 else 3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LivePanels:
-    """Four pictures of the same size."""
+    """Pictures of the same size by name, ``panels["render"]``."""
 
-    input: Picture
-    render: Picture
-    error: Picture
-    seeds: Picture
+    pictures: Mapping[str, Picture]
+    captions: Mapping[str, str]
+
+    def __getitem__(self, name: str) -> Picture:
+        return self.pictures[name]
 
     def mosaic(self) -> Picture:
-        """All four, two by two, with labels."""
-        rows = (("input", "render"), ("error", "seeds"))
-        labels = {name: text.replace("−", "-") for name, text in CAPTIONS.items()}
-        return np.concatenate(
-            [side_by_side([getattr(self, n) for n in names], [labels[n] for n in names]) for names in rows]
-        )
+        """All of them, two or three in a row, with labels."""
+        names, wide = list(self.pictures), columns_for(len(self.pictures))
+        labels = {name: text.replace("−", "-") for name, text in self.captions.items()}
+        rows = [names[i : i + wide] for i in range(0, len(names), wide)]
+        return np.concatenate([side_by_side([self[n] for n in row], [labels[n] for n in row]) for row in rows])
 
 
-def live_panels(mapper: GSFusion, frame: Frame) -> LivePanels:
-    """Draw the state of the maps after ``mapper.step(frame)``; about 25 ms at 320x240."""
+def live_panels(mapper: Mapper, frame: Frame) -> LivePanels:
+    """Draw the state of the maps after ``mapper.step(frame)``; 25 ms at 320x240 or less.
+
+    Args:
+        mapper: Of either system; ``captions_of`` says what is drawn.
+        frame: With the pose that it was mapped at.
+    """
     photo = to_uint8(frame.rgb)
-    rendered = to_uint8(mapper.render(frame.camera, frame.T_WC).rgb)
+    if isinstance(mapper, GSFusion):
+        rendered = to_uint8(mapper.render(frame.camera, frame.T_WC).rgb)
+        own = {"seeds": _cells_and_seeds(photo, mapper, frame)}
+    else:
+        view = mapper.surface(frame.camera, frame.T_WC)
+        rendered = to_uint8(view.rgb.clamp(0, 1))
+        own = {
+            "depth_error": depth_error_map(view.depth_m, frame.depth_m, limit_m=_DEPTH_ERROR_M),
+            "states": state_picture(mapper.gaussians, view, frame.camera, frame.T_WC),
+            "seeds": cause_picture(photo, mapper.gaussians, frame),
+        }
+    shared = {"input": photo, "render": rendered, "error": error_map(rendered, photo)}
+    return LivePanels(pictures=shared | own, captions=captions_of(mapper))
+
+
+def _cells_and_seeds(photo: Picture, mapper: GSFusion, frame: Frame) -> Picture:
     settings = mapper.config.seeding
     cells = quadtree(
         torch.from_numpy(photo),
@@ -51,25 +92,6 @@ def live_panels(mapper: GSFusion, frame: Frame) -> LivePanels:
         min_cell_px=settings.quadtree_min_cell_px,
         contrast=settings.quadtree_contrast,
     )
-    lined = paint_cells(photo, cells, by_level=False, strength=0.35)
-    return LivePanels(
-        input=photo,
-        render=rendered,
-        error=error_map(rendered, photo),
-        seeds=_with_seeds(lined, mapper, frame),
-    )
-
-
-def _with_seeds(picture: Picture, mapper: GSFusion, frame: Frame) -> Picture:
-    """Dots of two by two pixels where the Gaussians born at this frame lie now."""
-    model = mapper.gaussians
-    xyz_W = model.params.xyz_W[model.birth_frame == frame.index]
-    xyz_C = se3.apply(se3.inverse(frame.T_WC.to(xyz_W)), xyz_W)
-    uv = camera.project(frame.camera, xyz_C[xyz_C[:, 2] > 0]).cpu().numpy()
-    uv = np.floor(uv[np.isfinite(uv).all(1)]).clip(-9, 1e6).astype(int)
-    for dx in (0, 1):
-        for dy in (0, 1):
-            x, y = uv[:, 0] + dx, uv[:, 1] + dy
-            inside = (x >= 0) & (y >= 0) & (x < picture.shape[1]) & (y < picture.shape[0])
-            picture[y[inside], x[inside]] = _SEED_COLOUR
+    picture, model = paint_cells(photo, cells, by_level=False, strength=0.35), mapper.gaussians
+    paint_rows(picture, model, model.birth_frame == frame.index, _SEED_COLOUR, frame.camera, frame.T_WC)
     return picture

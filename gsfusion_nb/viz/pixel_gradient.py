@@ -14,7 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..constants import ALPHA_MAX
-from .pixel_stack import Blend, PixelStack, Splats, blend_at, pixel_stack, swatch
+from .pixel_stack import Blend, PixelStack, Splats, blend_at, blend_pixel, stack_of, swatch
 
 FIELD_WORK = 150_000
 """Pixels times Gaussians that a field may cost; a larger field is evaluated at every n-th pixel only."""
@@ -59,8 +59,8 @@ def pixel_gradient(splats: Splats, v_rgb: Float[Tensor, "H W 3"], u: int, v: int
         splats: The Gaussians on the screen.
         v_rgb: dL/d of the rendered image.
     """
-    stack = pixel_stack(splats, u, v)
-    blend = blend_at(splats, splats.projection.uv.new_tensor([[u + 0.5, v + 0.5]]))
+    blend = blend_pixel(splats, u, v)
+    stack = stack_of(splats, blend, u, v)
     v_C = v_rgb[v, u].to(stack.rgb)
     v_alpha, v_uv = blend_vjp(splats, blend, v_C[None])
     return PixelGradient(

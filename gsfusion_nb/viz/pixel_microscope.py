@@ -42,7 +42,7 @@ class PixelMicroscope:
     ):
         self.splats = project_splats(params, camera, T_WC)
         self.image = to_uint8(render(params, camera, T_WC).rgb)
-        self._lock = threading.Lock()  # callbacks may come from another thread than the cells
+        self._lock = threading.RLock()  # callbacks may come from another thread than the cells
         u, v = pixel or (camera.width // 2, camera.height // 2)
         self.stack: PixelStack = pixel_stack(self.splats, u, v)
         self._build(u, v)
@@ -50,12 +50,10 @@ class PixelMicroscope:
 
     def look_at(self, u: int, v: int) -> PixelStack:
         """Choose the pixel in column ``u`` and row ``v``; its stack."""
-        stack = pixel_stack(self.splats, u, v)
         with self._lock:
-            self.stack = stack
+            self._choose(u, v)
             self.clicks.pixel = (u, v)
-            self._redraw()
-        return stack
+        return self.stack
 
     def pictures(self) -> tuple[Picture, Picture]:
         """The lens and the graph of the chosen pixel."""
@@ -100,10 +98,15 @@ class PixelMicroscope:
         ])  # fmt: skip
         self.widget.add_class("gsnb-microscope")
 
-    def _clicked(self, change: Any) -> None:
-        u, v = change["new"]
-        if (u, v) != (self.stack.u, self.stack.v):
-            self.look_at(u, v)
+    def _clicked(self, _change: Any) -> None:
+        with self._lock:
+            u, v = self.clicks.pixel  # the newest, which may be newer than the change
+            if (u, v) != (self.stack.u, self.stack.v):
+                self._choose(u, v)
+
+    def _choose(self, u: int, v: int) -> None:
+        self.stack = pixel_stack(self.splats, u, v)
+        self._redraw()
 
     def _redraw(self) -> None:
         s = self.stack

@@ -80,7 +80,7 @@ def blend_at(splats: Splats, uv: Float[Tensor, "P 2"]) -> Blend:
     alpha = torch.where(alpha >= ALPHA_MIN, alpha, 0.0)
     after = (1.0 - alpha).cumprod(1)
     alpha = torch.where(after >= TRANSMITTANCE_MIN, alpha, 0.0)  # the pixel stops before the splat that ends its light
-    one = torch.ones_like(alpha[:, :1])
+    one = alpha.new_ones(len(uv), 1)
     T = torch.cat([one, (1.0 - alpha).cumprod(1)], dim=1)
     used = (alpha > 0).any(0)
     return Blend(
@@ -138,9 +138,21 @@ def pixel_stack(splats: Splats, u: int, v: int) -> PixelStack:
     Raises:
         ValueError: the pixel is not in the picture.
     """
+    return stack_of(splats, blend_pixel(splats, u, v), u, v)
+
+
+def blend_pixel(splats: Splats, u: int, v: int) -> Blend:
+    """``blend_at`` the centre of one pixel.
+
+    Raises:
+        ValueError: the pixel is not in the picture.
+    """
     check_pixel(splats.camera, u, v)
-    centre = splats.projection.uv.new_tensor([[u + 0.5, v + 0.5]])
-    blend = blend_at(splats, centre)
+    return blend_at(splats, splats.projection.uv.new_tensor([[u + 0.5, v + 0.5]]))
+
+
+def stack_of(splats: Splats, blend: Blend, u: int, v: int) -> PixelStack:
+    """The stack of pixel (u, v) from its ``blend_pixel``."""
     return PixelStack(
         u=u, v=v, row=blend.row, depth_m=splats.projection.depth_m[blend.row], alpha=blend.alpha[0],
         transmittance=blend.transmittance[0, :-1], weight=blend.weight[0], rgb=splats.rgb[blend.row],

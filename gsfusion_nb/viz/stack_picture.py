@@ -66,20 +66,20 @@ def stack_picture(stack: PixelStack, *, width: int = 420, height: int = 240, sca
 def lens_picture(
     image: AnyImage,
     splats: Splats,
-    centre_uv: tuple[float, float],
+    pixel: tuple[int, int],
     rows: Int[Tensor, " K"],
     *,
     radius_px: int = 12,
     size: int = 300,
 ) -> Picture:
-    """The neighbourhood of a point, enlarged without smoothing, with the ellipses of some Gaussians.
+    """The neighbourhood of a pixel, enlarged without smoothing, with the ellipses of some Gaussians.
 
     An ellipse is where its Gaussian has fallen to exp(-1/2): one standard deviation.
 
     Args:
         image: The rendered picture. [H, W, 3]
         splats: What it was rendered from.
-        centre_uv: Middle of the view, pixels; the pixel there is framed.
+        pixel: In the middle, framed. (column, row)
         rows: Gaussians to outline, the most important first; thickness falls.
         radius_px: Pixels of the image to each side.
         size: Edge of the result, pixels.
@@ -88,7 +88,7 @@ def lens_picture(
 
     picture = to_uint8(image)
     H, W = picture.shape[:2]
-    u0, v0 = int(centre_uv[0]) - radius_px, int(centre_uv[1]) - radius_px
+    u0, v0 = pixel[0] - radius_px, pixel[1] - radius_px
     n = 2 * radius_px + 1
     crop = np.full((n, n, 3), 236, np.uint8)
     a, b, c, d = max(v0, 0), min(v0 + n, H), max(u0, 0), min(u0 + n, W)
@@ -99,7 +99,7 @@ def lens_picture(
         points = ((outline - np.array([u0, v0])) * zoom * 16).round().astype(np.int32)
         for ink, wide in (((255, 255, 255), 3), (INK, 1)) if i else (((255, 255, 255), 5), (INK, 2)):
             cv2.polylines(view, [points], True, ink, wide, cv2.LINE_AA, shift=4)
-    x, y = (round((int(centre) - low) * zoom) for centre, low in zip(centre_uv, (u0, v0), strict=True))
+    x = y = round(radius_px * zoom)
     cv2.rectangle(view, (x, y), (x + round(zoom), y + round(zoom)), CROSS, 2)
     return view
 

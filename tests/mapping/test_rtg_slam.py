@@ -272,7 +272,7 @@ def test_an_empty_mapper():
 
 def test_rules_that_need_a_volume_say_so(small_walk):
     mapper = RTGSLAM(quick(), seeding="uniform")
-    with pytest.raises(ValueError, match="voxel_weight needs a TSDF volume, but this SeedContext was made without one"):
+    with pytest.raises(ValueError, match="voxel_weight needs a TSDF volume, but this SeedContext has none"):
         mapper.step(small_walk[0])
     config = quick(seeding__rule="uniform", seeding__options={"coverage": False, "fraction": 0.02})
     _, reports = run(small_walk[:2], config)

@@ -1,0 +1,83 @@
+"""The watched computation without a browser: buttons, curves, errors, stored picture."""
+
+import time
+
+import numpy as np
+import pytest
+
+from gsfusion_nb.viz import Watch
+
+
+class Work:
+    """Counts to ``n``; the picture gets brighter; ``broken`` is the step that raises."""
+
+    def __init__(self, n=6, broken=None):
+        self.n, self.broken, self.done = n, broken, 0
+        self.values = []
+
+    def steps(self):
+        while self.done < self.n:
+            self.done += 1
+            if self.done == self.broken:
+                raise RuntimeError("a hair in the gate")
+            self.values.append(float(self.done))
+            yield self.done
+
+    def picture(self):
+        return np.full((40, 60, 3), 10 * self.done, np.uint8)
+
+
+def watched(**options):
+    work = Work(**options)
+    return work, Watch(work.steps, work.picture, {"count": work.values}, n_steps=work.n, width=240)
+
+
+def until(condition, seconds=10):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def test_run_sync_then_buttons_go_on():
+    work, watch = watched()
+    assert watch.run_sync(2) == 2
+    assert "<b>paused</b> · step 2 of 6" in watch.status.value
+    before = watch.image.value
+    watch.buttons["Step"].click()
+    until(lambda: work.done == 3 and watch.player.state == "paused")
+    watch.buttons["Start"].click()
+    until(lambda: watch.player.state == "finished")
+    assert watch.player.join(10)
+    assert work.done == 6
+    assert "<b>finished</b> · step 6 of 6" in watch.status.value
+    assert watch.image.value != before
+
+
+def test_stop_and_start_go_on_where_it_stood():
+    work, watch = watched(n=400)
+    watch.buttons["Start"].click()
+    until(lambda: work.done > 3)
+    watch.buttons["Stop"].click()
+    assert watch.player.join(10)
+    stood = work.done
+    assert stood < 400
+    watch.run_sync(1)
+    assert work.done == stood + 1
+
+
+def test_an_error_is_shown_and_not_printed():
+    _, watch = watched(broken=3)
+    watch.buttons["Start"].click()
+    until(lambda: "a hair in the gate" in watch.status.value)
+    assert watch.player.state == "failed"
+    with pytest.raises(RuntimeError, match="hair"):
+        watched(broken=1)[1].run_sync()
+
+
+def test_the_stored_picture_has_the_curves_below(monkeypatch):
+    monkeypatch.setenv("GSNB_VIEW", "static")
+    _, watch = watched()
+    watch.run_sync()
+    assert watch.picture().shape[0] > 40
+    assert set(watch._repr_mimebundle_()) == {"image/jpeg", "text/plain"}
