@@ -22,17 +22,17 @@ Poses: camera-to-world, OpenCV axes (x right, y down, z forward), metres. Images
 from pathlib import Path
 
 from .layout import camera, images_in, numbers, pair_by_stem, read_json, require
-from .poses import read_pose_lines
+from .poses import no_poses, read_pose_lines
 from .protocol import SequenceError
 from .recorded import RecordedSequence
 
-LOOKS_FOR = ("rgb/", "depth/", "poses.txt", "intrinsics.json")
+LOOKS_FOR = ("rgb/", "depth/", "intrinsics.json")
 _CAMERA = ("width", "height", "fx", "fy", "cx", "cy")
 _REQUIRED = (*_CAMERA, "depth_scale")
 _OPTIONAL = ("pixel_centre", "depth_invalid", "fps", "pose_convention")
 
 
-def folder(path: str | Path) -> RecordedSequence:
+def folder(path: str | Path, *, poses: bool = True) -> RecordedSequence:
     """Read a sequence in the plain layout (module docstring).
 
     Depth scale: ``depth_scale`` of the JSON. Poses: camera-to-world, OpenCV axes. Pixel centres: ``pixel_centre`` of
@@ -40,6 +40,7 @@ def folder(path: str | Path) -> RecordedSequence:
 
     Args:
         path: Folder of the sequence.
+        poses: False for a recording without ``poses.txt``, whose camera is to be tracked.
 
     Raises:
         SequenceNotFoundError: the folder or one of its parts is missing.
@@ -47,15 +48,15 @@ def folder(path: str | Path) -> RecordedSequence:
             unknown, missing or impossible key.
     """
     root = Path(path)
-    require(root, LOOKS_FOR, "folder")
+    require(root, (*LOOKS_FOR, "poses.txt") if poses else LOOKS_FOR, "folder", without_poses="poses.txt")
     values = _read_intrinsics(root / "intrinsics.json")
     rgb_files = images_in(root / "rgb")
     depth_files = pair_by_stem(rgb_files, images_in(root / "depth", (".png", ".tif", ".tiff", ".pgm")))
     poses_file = root / "poses.txt"
-    poses = read_pose_lines(poses_file)
-    if len(poses) != len(rgb_files):
+    T_WC = read_pose_lines(poses_file) if poses else no_poses(len(rgb_files))
+    if len(T_WC) != len(rgb_files):
         raise SequenceError(
-            f"{poses_file} holds {len(poses)} poses; expected {len(rgb_files)}, one per image in {root / 'rgb'}"
+            f"{poses_file} holds {len(T_WC)} poses; expected {len(rgb_files)}, one per image in {root / 'rgb'}"
         )
     return RecordedSequence(
         name=root.resolve().name,
@@ -63,8 +64,9 @@ def folder(path: str | Path) -> RecordedSequence:
         rgb_files=rgb_files,
         depth_files=depth_files,
         timestamps_s=[i / values.get("fps", 30.0) for i in range(len(rgb_files))],
-        poses=poses,
-        pose_sources=[f"{poses_file} pose {i}" for i in range(len(poses))],
+        poses=T_WC,
+        pose_sources=[f"{poses_file} pose {i}" for i in range(len(T_WC))],
+        has_poses=poses,
         depth_scale=float(values["depth_scale"]),
         depth_invalid=(int(values.get("depth_invalid", 0)),),
     )

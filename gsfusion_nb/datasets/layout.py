@@ -10,14 +10,22 @@ from ..types import Camera
 from .protocol import SequenceError, SequenceNotFoundError
 
 
-def require(root: Path, names: tuple[str, ...], layout: str) -> None:
-    """Raise ``SequenceNotFoundError`` unless ``root`` is a folder that holds all of ``names``."""
+def require(root: Path, names: tuple[str, ...], layout: str, *, without_poses: str = "") -> None:
+    """Raise ``SequenceNotFoundError`` unless ``root`` is a folder that holds all of ``names``.
+
+    If only the file ``without_poses`` is missing, the message says how to go on without.
+    """
     if not root.is_dir():
         raise SequenceNotFoundError(f"{root} is no folder; expected a sequence in the {layout!r} layout")
     lacking = missing(root, names)
     if lacking:
+        advice = (
+            ""
+            if lacking != [without_poses]
+            else ("; to estimate the poses instead: --tracking.poses tracked --reader-options poses=false")
+        )
         raise SequenceNotFoundError(
-            f"{root} lacks {', '.join(lacking)}; the {layout!r} layout is expected to have {', '.join(names)}"
+            f"{root} lacks {', '.join(lacking)}; the {layout!r} layout is expected to have {', '.join(names)}{advice}"
         )
 
 

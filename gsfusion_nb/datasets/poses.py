@@ -125,3 +125,8 @@ def interpolate_rows(
     a, b = rows[after - 1], rows[after]
     quat = quaternion.slerp(a[[6, 3, 4, 5]], b[[6, 3, 4, 5]], t)
     return torch.cat([a[:3] + t * (b[:3] - a[:3]), quat[[1, 2, 3, 0]]])
+
+
+def no_poses(n: int) -> Float[Tensor, "n 4 4"]:
+    """Identities, for a recording that came without poses; float64."""
+    return torch.eye(4, dtype=torch.float64).expand(n, 4, 4).clone()

@@ -47,6 +47,8 @@ class RecordedSequence:
     """Applied to every pair of images (undistortion, registration)."""
     fit_sizes: bool = False
     """Resize colour images that have not the camera's size instead of refusing them."""
+    has_poses: bool = True
+    """False: the recording came without; every pose is the identity, and a mapper has to track."""
     novel: frozenset[int] = field(default_factory=frozenset)
     """Frames that the data set publishes as test views: never mapped."""
 

@@ -17,14 +17,14 @@ from torch import Tensor
 from ..types import Camera
 from .associate import associate
 from .layout import require
-from .poses import interpolate_rows, matrices, read_stamped_poses, read_words
+from .poses import interpolate_rows, matrices, no_poses, read_stamped_poses, read_words
 from .protocol import SequenceError
 from .recorded import RecordedSequence
 from .undistort import Lens, Undistorter
 
 log = logging.getLogger(__name__)
 
-LOOKS_FOR = ("rgb.txt", "depth.txt", "groundtruth.txt")
+LOOKS_FOR = ("rgb.txt", "depth.txt")
 DEPTH_SCALE = 5000.0
 MAX_TIME_DIFFERENCE_S = 0.02
 MAX_POSE_GAP_S = 0.2
@@ -43,7 +43,9 @@ LENSES = {
 """Calibration of the three Kinects, from the benchmark's page; the third is already undistorted."""
 
 
-def tum(path: str | Path, *, camera: str | Camera = "auto", undistort: bool = True) -> RecordedSequence:
+def tum(
+    path: str | Path, *, camera: str | Camera = "auto", undistort: bool = True, poses: bool = True
+) -> RecordedSequence:
     """Read a sequence of the TUM RGB-D benchmark (module docstring).
 
     Depth scale: 5000 per metre. Poses: camera-to-world, OpenCV axes. Pixel centres: integers in the benchmark's
@@ -59,6 +61,7 @@ def tum(path: str | Path, *, camera: str | Camera = "auto", undistort: bool = Tr
     Args:
         path: Folder of the sequence.
         camera: "freiburg1", "freiburg2" or "freiburg3"; "auto" finds it in the folder's name; or your own pinhole.
+        poses: False for a recording without ``groundtruth.txt``, whose camera is to be tracked.
         undistort: Remove the lens distortion of fr1 and fr2 from colour and depth. The field of view shrinks by 5 %.
 
     Raises:
@@ -66,13 +69,18 @@ def tum(path: str | Path, *, camera: str | Camera = "auto", undistort: bool = Tr
         SequenceError: unknown camera, a damaged list, or not one frame with colour, depth and pose.
     """
     root = Path(path)
-    require(root, LOOKS_FOR, "tum")
+    require(root, (*LOOKS_FOR, "groundtruth.txt") if poses else LOOKS_FOR, "tum", without_poses="groundtruth.txt")
     lens = _lens(root, camera)
     undistorter = Undistorter(lens) if undistort and lens.distortion else None
     rgb_s, rgb_files = _stream(root / "rgb.txt")
     depth_s, depth_files = _stream(root / "depth.txt")
     pairs = associate(depth_s, rgb_s, max_difference_s=MAX_TIME_DIFFERENCE_S)
-    posed = _with_poses(root / "groundtruth.txt", [(depth_s[d], d, c) for d, c in pairs])
+    timed = [(depth_s[d], d, c) for d, c in pairs]
+    if poses:
+        posed = _with_poses(root / "groundtruth.txt", timed)
+        T_WC = matrices(torch.stack([row for *_, row in posed])) if posed else no_poses(0)
+    else:
+        posed, T_WC = [(*frame, None) for frame in timed], no_poses(len(timed))
     if not posed:
         raise SequenceError(
             f"{root}: none of {len(depth_files)} depth images has a colour image within {MAX_TIME_DIFFERENCE_S} s and "
@@ -81,14 +89,14 @@ def tum(path: str | Path, *, camera: str | Camera = "auto", undistort: bool = Tr
     if len(posed) < len(depth_files):
         unpaired, unposed = len(depth_files) - len(pairs), len(pairs) - len(posed)
         log.warning("%s: dropped %d depth images without colour and %d without pose", root.name, unpaired, unposed)
-    rows = torch.stack([row for *_, row in posed])
     return RecordedSequence(
         name=root.resolve().name,
         camera=lens.camera if undistorter is None else undistorter.camera,
         rgb_files=[rgb_files[c] for _, _, c, _ in posed],
         depth_files=[depth_files[d] for _, d, _, _ in posed],
         timestamps_s=[t for t, *_ in posed],
-        poses=matrices(rows),
+        poses=T_WC,
+        has_poses=poses,
         pose_sources=[f"{root / 'groundtruth.txt'} at {t:.6f} s" for t, *_ in posed],
         depth_scale=DEPTH_SCALE,
         rectify=undistorter,

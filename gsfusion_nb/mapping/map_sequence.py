@@ -11,6 +11,7 @@ from ..datasets import Sequence, SequenceError, apply_options, check_sequence, o
 from ..seeding import SeedingRule
 from ..types import Mesh
 from . import outputs
+from .placing import has_poses
 from .run import CHECKPOINT, MappingRun, StopRequest, new_folder
 from .systems import Config, get_system
 
@@ -53,7 +54,7 @@ def run_mapping(
     else:
         source, sequence = {}, apply_options(data, settings.data)
     run = MappingRun(sequence, settings, seeding=seeding, device=device, source=source)
-    if source and str(data) != "room":
+    if source and str(data) != "room" and has_poses(sequence):
         run.warnings += _doubts(sequence.mapping)
     return _drive(run, new_folder(sequence.name, folder), evaluate)
 

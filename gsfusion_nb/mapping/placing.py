@@ -13,6 +13,11 @@ from ..types import Frame
 from .localiser import Localiser
 
 
+def has_poses(view: SequenceView) -> bool:
+    """Whether the data came with poses."""
+    return getattr(view.source, "has_poses", True)
+
+
 def readable(view: SequenceView) -> Iterator[Frame]:
     """The frames of a view, without those that cannot be read (the run's warnings name them)."""
     for i in range(len(view)):
@@ -26,7 +31,8 @@ def placed(view: SequenceView, localiser: Localiser, mapping: SequenceView) -> I
     """The frames of a view at their poses in the map.
 
     With given poses, as they are. With tracked ones a mapped frame has its tracked pose, and any other is placed
-    relative to the nearest mapped frame n by the data's poses:  T_WC = T_WC(n) T_data(n)^-1 T_data.
+    relative to the nearest mapped frame n by the data's poses:  T_WC = T_WC(n) T_data(n)^-1 T_data. Without poses in
+    the data only mapped frames can be placed, and the others are left out.
     """
     if not localiser.is_tracking or not localiser.poses:
         yield from readable(view)
@@ -37,6 +43,8 @@ def placed(view: SequenceView, localiser: Localiser, mapping: SequenceView) -> I
         nearest = int((mapped - frame.index).abs().argmin())
         T_WC = localiser.poses[nearest]
         if int(mapped[nearest]) != frame.index:
+            if not has_poses(mapping):
+                continue
             T_data = mapping.pose(truth[int(mapped[nearest])])
             T_WC = T_WC @ se3.inverse(T_data.to(T_WC)) @ frame.T_WC.to(T_WC)
         yield dataclasses.replace(frame, T_WC=T_WC)
@@ -44,6 +52,8 @@ def placed(view: SequenceView, localiser: Localiser, mapping: SequenceView) -> I
 
 def true_poses(localiser: Localiser, mapping: SequenceView) -> Float[Tensor, "N 4 4"] | None:
     """The data's poses of the mapped frames, or ``None`` if one is missing."""
+    if not has_poses(mapping):
+        return None
     where = {index: i for i, index in enumerate(mapping.positions)}
     try:
         return torch.stack([mapping.pose(where[index]) for index in localiser.frame_indices])

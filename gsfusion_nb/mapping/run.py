@@ -18,6 +18,7 @@ from ..export import load_checkpoint, save_checkpoint
 from ..seeding import SeedingRule
 from ..types import Frame
 from .gsfusion import GSFusion
+from .placing import has_poses
 from .report import GlobalStep, StepReport
 from .systems import Config, get_system, make_mapper, system_of
 
@@ -45,6 +46,9 @@ class MappingRun:
         seeding: Name of a rule or the rule itself; overrides ``config.seeding.rule``.
         device: Where the maps live.
         source: How the sequence was opened (path, format), written to config.json so that it can be opened again.
+
+    Raises:
+        SequenceError: the data has no poses, and the settings do not ask to track them.
     """
 
     def __init__(
@@ -56,6 +60,10 @@ class MappingRun:
         device: torch.device | str = "cpu",
         source: dict[str, Any] | None = None,
     ):
+        if config.tracking.poses == "given" and not has_poses(sequence):
+            raise SequenceError(
+                f"{sequence.name} came without poses; expected tracking.poses = 'tracked' in the settings"
+            )
         self.sequence = sequence
         self.source = source or {}
         self.mapper = make_mapper(config, seeding=seeding, device=device)

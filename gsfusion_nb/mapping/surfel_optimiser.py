@@ -131,7 +131,9 @@ class SurfelOptimiser:
         )
         if discs.depth == "disc":
             g = render_vjp(saved, loss.v_rgb, rows=self._is_trained)
-            v_xyz, v_quat = disc_depth_vjp(self.params, view.camera, view.T_WC, hit, loss.v_depth_m, rows=self._is_trained, **options)
+            v_xyz, v_quat = disc_depth_vjp(
+                self.params, view.camera, view.T_WC, hit, loss.v_depth_m, rows=self._is_trained, **options
+            )
             g = dataclasses.replace(g, xyz_W=g.xyz_W + v_xyz, quat=g.quat + v_quat)
         else:  # of D / A: v_D = v / A,  v_A = -v D / A^2
             v_D = loss.v_depth_m / output.alpha.clamp_min(1e-6)

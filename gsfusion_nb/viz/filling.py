@@ -13,7 +13,7 @@ from ..tsdf import TsdfVolume, integrate, raycast
 from ..types import Camera, Frame
 from .figures import Picture, side_by_side
 from .panel import Choice, Drawn, Panel, Slider, Switch
-from .tsdf_slice import QUANTITIES, Quantity, draw_camera, slice_legend, slice_picture
+from .tsdf_slice import QUANTITIES, draw_camera, slice_legend, slice_picture
 
 Look = Callable[[Float[Tensor, "4 4"]], Frame]
 """A measurement from a pose."""
@@ -45,7 +45,7 @@ def fill_picture(
     T_WC: Float[Tensor, "4 4"],
     *,
     height_m: float | int = 1.0,
-    quantity: Quantity = "distance",
+    quantity: str = "distance",
 ) -> Picture:
     """A horizontal slice of the volume with the camera on it, beside what the camera sees of the volume.
 
@@ -88,7 +88,7 @@ def fill_panel(
         if at_every_move:
             integrate(volume, look(pose(where)))
             fused[0] += 1
-        picture = fill_picture(volume, camera, pose(where), height_m=height_m, quantity=quantity)  # pyright: ignore[reportArgumentType]
+        picture = fill_picture(volume, camera, pose(where), height_m=height_m, quantity=quantity)
         text = (
             f'<b class="gsnb-fill-frames">{fused[0]}</b> measurements, <b>{volume.n_blocks:,}</b> blocks of 8&sup3; '
             f"voxels, {int((volume.W > 0).sum()):,} voxels observed"

@@ -8,7 +8,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..checks import check_name
-from ..geometry.spherical_harmonics import sh_to_rgb
 from ..optim import dssim_vjp, l1_vjp
 from ..render import composite, composite_vjp, tile_intersections
 from ..types import Camera, GaussianParams
@@ -17,7 +16,7 @@ from .display import with_picture
 from .figures import Picture, encode_jpeg, encode_png, side_by_side, to_uint8
 from .gradient_picture import gaussian_gradient_picture, pixel_gradient_picture
 from .pixel_gradient import GaussianGradient, PixelGradient, gaussian_gradient, pixel_gradient, pixel_gradient_table
-from .pixel_stack import blend_at, project_splats
+from .pixel_stack import project_splats
 from .stack_picture import enlarged, with_cross
 
 PICKS = ("pixel", "Gaussian")

@@ -143,7 +143,10 @@ class LiveMapper:
     def _last_frame(self) -> Frame:
         """The frame mapped last, at the pose where it was mapped."""
         frame = self.run.sequence.mapping[self.run.next_position - 1]
-        return dataclasses.replace(frame, T_WC=self.run.poses[-1].to(frame.T_WC)) if self.run.poses else frame
+        mapped = self.run.mapper.localiser
+        if not mapped.poses or mapped.frame_indices[-1] != frame.index:  # frames after it were skipped
+            return frame
+        return dataclasses.replace(frame, T_WC=mapped.poses[-1].to(frame.T_WC))
 
     def _curves(self, scale: int = 2) -> Picture:
         steps = self.run.steps

@@ -1,7 +1,5 @@
 """One RGB-D frame as a cloud of points, seen from a camera that moved: the pose made visible."""
 
-from typing import Literal
-
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -11,8 +9,8 @@ from ..types import Camera, Frame
 from .figures import Picture, colour_depth, depth_range_m, side_by_side, to_uint8
 from .panel import Choice, Drawn, Panel, Slider
 
-PointColours = Literal["colour", "depth", "normals"]
-POINT_COLOURS: tuple[PointColours, ...] = ("colour", "depth", "normals")
+POINT_COLOURS = ("colour", "depth", "normals")
+"""What can colour the points."""
 
 
 def point_view(
@@ -20,7 +18,7 @@ def point_view(
     T_WC: Float[Tensor, "4 4"],
     *,
     camera: Camera | None = None,
-    show: PointColours = "colour",
+    show: str = "colour",
     point_px: int = 1,
 ) -> Picture:
     """The frame's pixels, lifted to points (GSFusion Eq. 10) and projected (Eq. 4) into a camera at ``T_WC``.
@@ -65,7 +63,7 @@ def normal_colours(normal: Float[Tensor, "H W 3"]) -> Picture:
     return to_uint8((0.5 + 0.5 * normal) * known)
 
 
-def point_colours(frame: Frame, show: PointColours) -> Picture:
+def point_colours(frame: Frame, show: str) -> Picture:
     """The frame as ``point_view`` paints its points."""
     if show not in POINT_COLOURS:
         raise ValueError(f"show must be one of {', '.join(POINT_COLOURS)}, got {show!r}")
@@ -102,9 +100,9 @@ def point_panel(frame: Frame) -> Panel:
 
     def draw(*, right_m: float, forward_m: float, turn_deg: float, show: str, point_px: int) -> Drawn:
         T_WC = moved_pose(frame.T_WC, (right_m, 0.0, forward_m), turn_deg)
-        picture = point_view(frame, T_WC, show=show, point_px=point_px)  # pyright: ignore[reportArgumentType]
+        picture = point_view(frame, T_WC, show=show, point_px=point_px)
         empty = float((picture == 0).all(-1).mean())
-        pair = side_by_side([point_colours(frame, show), picture], ["the frame", "its points from the new pose"])  # pyright: ignore[reportArgumentType]
+        pair = side_by_side([point_colours(frame, show), picture], ["the frame", "its points from the new pose"])
         x, y, z = T_WC[:3, 3].tolist()
         return pair, f"camera at ({x:.2f}, {y:.2f}, {z:.2f}) m; no point on {empty:.0%} of the pixels"
 

@@ -11,8 +11,9 @@ from ..seeding import Cells, quadtree
 from .figures import AnyImage, Picture, paint_cells, to_uint8
 from .panel import Choice, Drawn, Panel, Slider
 
-Show = Literal["cells", "mean colours", "Gaussians"]
-SHOWS: tuple[Show, ...] = ("cells", "mean colours", "Gaussians")
+SHOWS = ("cells", "mean colours", "Gaussians")
+"""What can be drawn."""
+CONTRASTS = ("released", "std")
 
 
 def quadtree_picture(
@@ -21,7 +22,7 @@ def quadtree_picture(
     threshold: float | int = 0.1,
     min_cell_px: int = 1,
     contrast: Literal["released", "std"] = "released",
-    show: Show = "cells",
+    show: str = "cells",
     scale: int = 1,
 ) -> tuple[Picture, Cells]:
     """The leaves of an image's quadtree drawn, and the leaves themselves.
@@ -114,7 +115,7 @@ def quadtree_panel(rgb: AnyImage, *, threshold: float | int = 0.1, min_cell_px: 
         "min_cell_px": Slider(
             value=min_cell_px, low=1, high=32, step=1, label="smallest half px", tip="half sizes must stay above this"
         ),
-        "contrast": Choice(value="released", options=("released", "std"), label="contrast"),
+        "contrast": Choice(value="released", options=CONTRASTS, label="contrast"),
         "show": Choice(value="cells", options=SHOWS, label="show"),
     }  # fmt: skip
     return Panel(draw, controls, name="quadtree", kind="png", text="quadtree panel")

@@ -1,5 +1,7 @@
 """Drawings of a pixel's stack of Gaussians: weights and light as a graph, and the neighbourhood under a lens."""
 
+from itertools import pairwise
+
 import numpy as np
 import torch
 from jaxtyping import Float, Int
@@ -43,7 +45,7 @@ def stack_picture(stack: PixelStack, *, width: int = 420, height: int = 240, sca
     n = max(len(stack), 1)
     edges = np.linspace(left, right, n + 1).round().astype(int)
     so_far = np.zeros(3)
-    T = stack.transmittance.tolist() + [stack.light_left]
+    T = [*stack.transmittance.tolist(), stack.light_left]
     for k in range(len(stack)):
         x0, x1 = int(edges[k]), max(int(edges[k + 1]) - s, int(edges[k]) + 1)
         colour = to_uint8(stack.rgb[k].clamp(0, 1)[None, None])[0, 0]
@@ -55,10 +57,7 @@ def stack_picture(stack: PixelStack, *, width: int = 420, height: int = 240, sca
         so_far += stack.contribution[k].numpy()
         image[strip[0] : strip[1], x0 : int(edges[k + 1])] = to_uint8(so_far.clip(0, 1)[None, None])[0, 0]
     steps = [[int(edges[min(k, n)]), round(bottom + T[k] * (top - bottom))] for k in range(len(T))]
-    corners = [c for a, b in zip(steps, steps[1:], strict=False) for c in (a, [b[0], a[1]], b)] or [
-        [left, top],
-        [right, top],
-    ]
+    corners = [steps[0], *(c for a, b in pairwise(steps) for c in ([b[0], a[1]], b)), [right, steps[-1][1]]]
     cv2.polylines(image, [np.array(corners, np.int32)], False, LIGHT, s, cv2.LINE_AA)
     return image
 
@@ -125,9 +124,9 @@ def with_cross(image: AnyImage, u: int, v: int, height: int) -> Picture:
     picture, zoom = enlarged(image, height), height / image.shape[0]
     x, y = round((u + 0.5) * zoom), round((v + 0.5) * zoom)
     for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-        ends = [(x + r * dx, y + r * dy) for r in (5, 13)]
-        cv2.line(picture, *ends, (0, 0, 0), 4)
-        cv2.line(picture, *ends, CROSS, 2)
+        inner, outer = ((x + r * dx, y + r * dy) for r in (5, 13))
+        cv2.line(picture, inner, outer, (0, 0, 0), 4)
+        cv2.line(picture, inner, outer, CROSS, 2)
     return picture
 
 

@@ -1,7 +1,6 @@
 """A plane through a TSDF volume as a picture: signed distance, weight or colour, voxel by voxel."""
 
 from collections.abc import Sequence
-from typing import Literal
 
 import numpy as np
 import torch
@@ -12,8 +11,8 @@ from ..tsdf import TsdfVolume
 from ..types import Camera
 from .figures import Picture, colour_stops, to_uint8
 
-Quantity = Literal["distance", "weight", "colour"]
-QUANTITIES: tuple[Quantity, ...] = ("distance", "weight", "colour")
+QUANTITIES = ("distance", "weight", "colour")
+"""What a slice can show."""
 
 _BEHIND, _ZERO, _FREE = (178, 34, 52), (255, 255, 255), (44, 98, 168)
 _UNSEEN = (58, 78)
@@ -29,7 +28,7 @@ def slice_picture(
     x_m: tuple[float, float] = (-2.6, 2.6),
     y_m: tuple[float, float] = (-2.1, 2.1),
     px_per_m: float | int = 60,
-    quantity: Quantity = "distance",
+    quantity: str = "distance",
     max_weight: float | int = 20,
 ) -> Picture:
     """The horizontal plane z = ``height_m`` from above, x to the right and y up.
@@ -101,7 +100,7 @@ def draw_camera(
     return image
 
 
-def slice_legend(quantity: Quantity, width: int, *, max_weight: float | int = 20) -> Picture:
+def slice_legend(quantity: str, width: int, *, max_weight: float | int = 20) -> Picture:
     """The colour bar of a slice, on white, ``width`` pixels wide."""
     import cv2
 

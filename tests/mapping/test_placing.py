@@ -1,13 +1,17 @@
 """Frames at the poses of the map: given, tracked, and in between."""
 
 import dataclasses
+import json
 
+import cv2
+import numpy as np
 import pytest
 import torch
 
-from gsfusion_nb.config import DataConfig, TrackingConfig
-from gsfusion_nb.datasets import BadFrameError, apply_options
+from gsfusion_nb.config import DataConfig, TrackingConfig, gsfusion
+from gsfusion_nb.datasets import BadFrameError, SequenceError, SequenceNotFoundError, apply_options, open_sequence
 from gsfusion_nb.geometry import se3
+from gsfusion_nb.mapping import run_mapping
 from gsfusion_nb.mapping.localiser import Localiser
 from gsfusion_nb.mapping.placing import placed, readable, true_poses
 from gsfusion_nb.types import Camera, Frame
@@ -96,3 +100,33 @@ def test_no_true_poses_where_one_is_missing(views):
 
     view = dataclasses.replace(views.mapping, source=Poseless())
     assert true_poses(localiser("tracked", {0: MOTION}), view) is None
+
+
+def test_a_recording_without_poses_is_tracked_from_the_identity(tmp_path):
+    sequence = open_sequence("room", data=DataConfig(width=160, height=120, hold_out_every=0), n_frames=480)
+    frames = [sequence[i] for i in range(8)]
+    write_recording(tmp_path / "scan", frames)
+    with pytest.raises(SequenceNotFoundError, match=r"lacks poses.txt.*--reader-options poses=false"):
+        open_sequence(tmp_path / "scan", format="folder")
+    config = gsfusion("online", tracking__poses="tracked", data__hold_out_every=4, data__hold_out_offset=2)
+    with pytest.raises(SequenceError, match="came without poses"):
+        run_mapping(tmp_path / "scan", gsfusion("online"), folder=tmp_path / "no", poses=False)
+    done = run_mapping(tmp_path / "scan", config, folder=tmp_path / "run", poses=False)
+    assert done.metrics["n_frames"] == 6
+    assert "ate_rmse_m" not in done.metrics
+    assert done.metrics["n_views_held_out"] == 0
+    assert done.metrics["psnr_mapped_db"] > 18
+    start = frames[0].T_WC.inverse()
+    truth = [start @ f.T_WC for i, f in enumerate(frames) if i % 4 != 2]
+    for pose, true in zip(done.run.poses, truth, strict=True):
+        assert float((pose[:3, 3] - true[:3, 3]).norm()) < 0.02
+
+
+def write_recording(folder, frames):
+    for name in ("rgb", "depth"):
+        (folder / name).mkdir(parents=True)
+    for i, frame in enumerate(frames):
+        cv2.imwrite(str(folder / "rgb" / f"{i:06d}.png"), frame.rgb_u8.numpy()[..., ::-1])
+        cv2.imwrite(str(folder / "depth" / f"{i:06d}.png"), (frame.depth_m * 1000).round().numpy().astype(np.uint16))
+    camera = vars(frames[0].camera) | {"depth_scale": 1000.0, "pixel_centre": 0.5}
+    (folder / "intrinsics.json").write_text(json.dumps(camera))

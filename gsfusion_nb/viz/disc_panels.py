@@ -1,0 +1,225 @@
+"""Discs to play with: disc depth against blended depth on a small stage, and the masks of Eq. 6 over a picture."""
+
+import dataclasses
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ..config import DiscConfig
+from ..gaussians.surfels import OPAQUE
+from ..geometry import quaternion
+from ..geometry.spherical_harmonics import rgb_to_sh_dc
+from ..render import SurfaceView, view_surface
+from ..types import Camera, Frame, GaussianParams
+from .figures import Picture, colour_depth, error_map, side_by_side, to_uint8
+from .panel import Drawn, Panel, Slider
+from .stack_picture import INK, write
+from .surfel_pictures import CAUSES
+
+STAGE_CAMERA = Camera(width=96, height=72, fx=80.0, fy=80.0, cx=48.0, cy=36.0)
+NEAR_M, STEP_AT_M = 1.2, 0.0
+"""The stage: a board whose right edge is at x = 0, this far away, in front of another one."""
+_HALF_M, _ROWS_M = 1.0, 0.9
+_DISC_INK, _BLENDED_INK, _TRUE_INK = (61, 133, 198), (224, 138, 46), (150, 156, 166)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Stage:
+    """Two boards covered with discs, seen from the origin, and what a camera sees of them."""
+
+    params: GaussianParams
+    truth_m: Float[Tensor, "H W"]
+    """z-depth of the boards."""
+    disc_m: Float[Tensor, "H W"]
+    """Of the discs hit (Eq. 4-5); 0 where none is."""
+    blended_m: Float[Tensor, "H W"]
+    """sum of w_k z_k / alpha."""
+    rgb: Float[Tensor, "H W 3"]
+
+    def errors_m(self, name: str) -> Float[Tensor, " M"]:
+        """|depth - truth| where there is a depth; ``name`` is "disc_m" or "blended_m"."""
+        depth = getattr(self, name)
+        return (depth - self.truth_m)[depth > 0].abs()
+
+
+def disc_stage(
+    *, lean_deg: float | int = 30, gap_m: float | int = 0.6, spacing_m: float | int = 0.12, opaque_alpha: float = 0.6
+) -> Stage:
+    """A leaning board in front of a wall, both covered with discs of standard deviation spacing / 1.5.
+
+    Args:
+        lean_deg: How far the front board turns away about the vertical.
+        gap_m: How far behind it the wall stands; 0: only the board.
+        spacing_m: Distance of the discs.
+        opaque_alpha: A disc is hit from here on.
+    """
+    camera, T_WC = STAGE_CAMERA, torch.eye(4)
+    lean = np.radians(float(lean_deg))
+    front = _board(lean, NEAR_M, (-_HALF_M, 0.0 if gap_m > 0 else _HALF_M), float(spacing_m), (0.93, 0.62, 0.36))
+    parts = [front]
+    if gap_m > 0:
+        parts.append(_board(0.0, NEAR_M + gap_m, (-1.4, 1.4), float(spacing_m) * 1.3, (0.36, 0.55, 0.75)))
+    params = GaussianParams(**{k: torch.cat([vars(p)[k] for p in parts]) for k in vars(front)})
+    config = DiscConfig(opaque_alpha=opaque_alpha, min_cosine=0.17, max_offset=3.0)
+    seen = view_surface(params, camera, T_WC, config)
+    blended = view_surface(params, camera, T_WC, dataclasses.replace(config, depth="blended"))
+    return Stage(
+        params=params, truth_m=_truth(camera, lean, float(gap_m)), disc_m=seen.depth_m, blended_m=blended.depth_m,
+        rgb=seen.rgb,
+    )  # fmt: skip
+
+
+def disc_panel() -> Panel:
+    """Sliders over ``disc_stage``: picture, both depths, and the middle row of pixels from above."""
+
+    def draw(*, lean_deg: float, gap_m: float, spacing_m: float, opaque_alpha: float) -> Drawn:
+        stage = disc_stage(lean_deg=lean_deg, gap_m=gap_m, spacing_m=spacing_m, opaque_alpha=opaque_alpha)
+        return stage_picture(stage), _stage_words(stage)
+
+    controls = {
+        "lean_deg": Slider(value=30, low=0, high=75, step=1, label="board leans °"),
+        "gap_m": Slider(value=0.6, low=0.0, high=1.2, step=0.05, label="wall behind m"),
+        "spacing_m": Slider(value=0.12, low=0.05, high=0.3, step=0.01, label="disc spacing m"),
+        "opaque_alpha": Slider(value=0.6, low=0.1, high=0.95, step=0.05, label="hit from alpha"),
+    }
+    return Panel(draw, controls, name="disc", text="disc depth against blended depth")
+
+
+def stage_picture(stage: Stage) -> Picture:
+    """Render, disc depth and blended depth in a row; below, the middle row of pixels as points seen from above."""
+    far = float(stage.truth_m.max()) + 0.1
+    images = [to_uint8(stage.rgb), *(colour_depth(d, 0.5, far) for d in (stage.disc_m, stage.blended_m))]
+    images = [i.repeat(3, 0).repeat(3, 1) for i in images]
+    top = side_by_side(images, ["render", "disc depth (Eq. 5)", "blended depth"])
+    plan = plan_picture(stage, top.shape[1])
+    return np.concatenate([top, plan])
+
+
+def plan_picture(stage: Stage, width: int, height: int = 300) -> Picture:
+    """From above, the camera at the bottom: discs near the middle row, rays' depths as points."""
+    import cv2
+
+    image = np.full((height, width, 3), 255, np.uint8)
+    far = float(stage.truth_m.max())
+    low = max(0.0, float(stage.truth_m.min()) - 0.25)
+    scale = (height - 44) / (far + 0.15 - low)
+
+    def at(x: float, z: float) -> tuple[int, int]:
+        return round(16 * (width / 2 + x * scale)), round(16 * (height - 12 - (z - low) * scale))
+
+    row, camera = STAGE_CAMERA.height // 2, STAGE_CAMERA
+    x_over_z = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
+    R, scales = quaternion.to_matrix(stage.params.quat), stage.params.log_scale.exp()
+    for i in (stage.params.xyz_W[:, 1].abs() < 0.6 * float(scales.max())).nonzero().flatten().tolist():
+        c, side = stage.params.xyz_W[i], R[i, :, 0] * scales[i, 0]
+        cv2.line(image, at(*(c - side)[[0, 2]].tolist()), at(*(c + side)[[0, 2]].tolist()), (205, 212, 222), 5, 16, 4)
+    for depth, ink, radius in ((stage.truth_m, _TRUE_INK, 1), (stage.blended_m, _BLENDED_INK, 3), (stage.disc_m, _DISC_INK, 3)):
+        for x, z in zip(x_over_z, depth[row].tolist(), strict=True):
+            if z > 0:
+                cv2.circle(image, at(x * z, z), radius * 16, ink, -1, 16, 4)
+    write(image, "from above, middle row of pixels: ", 10, 18, 1, 0.45)
+    for words, x, ink in (("disc depth", 262, _DISC_INK), ("blended depth", 352, _BLENDED_INK), ("truth", 466, _TRUE_INK)):
+        write(image, words, x, 18, 1, 0.45, ink)
+    write(image, "camera below", width - 110, height - 6, 1, 0.4, INK)
+    return image
+
+
+def _stage_words(stage: Stage) -> str:
+    rows = ""
+    for name, label in (("disc_m", "disc"), ("blended_m", "blended")):
+        error = stage.errors_m(name) * 100
+        covered = len(error) / stage.truth_m.numel()
+        mean, worst = (float(error.mean()), float(error.quantile(0.99))) if len(error) else (float("nan"),) * 2
+        rows += f"<tr><td>{label}</td><td>{mean:.2f}</td><td>{worst:.1f}</td><td>{covered:.0%}</td></tr>"
+    return f"<table><tr><th>depth</th><th>mean error, cm</th><th>99 %, cm</th><th>covered</th></tr>{rows}</table>"
+
+
+def _board(lean: float, z_m: float, x_m: tuple[float, float], spacing_m: float, rgb: tuple[float, ...]) -> GaussianParams:
+    """Discs on a plane through (0, 0, z) that is turned by ``lean`` about the vertical; it goes away to the left."""
+    u = torch.arange(x_m[0] + spacing_m / 2, x_m[1], spacing_m)
+    v = torch.arange(-_ROWS_M, _ROWS_M + spacing_m / 2, spacing_m)
+    u, v = (a.flatten() for a in torch.meshgrid(u, v, indexing="ij"))
+    along = torch.tensor([np.cos(lean), 0.0, -np.sin(lean)], dtype=torch.float32)
+    normal = torch.tensor([-np.sin(lean), 0.0, -np.cos(lean)], dtype=torch.float32)
+    xyz = u[:, None] * along + v[:, None] * torch.tensor([0.0, 1.0, 0.0]) + torch.tensor([0.0, 0.0, z_m])
+    n = len(u)
+    checks = 0.82 + 0.18 * ((u / spacing_m).round() + (v / spacing_m).round()).remainder(2)
+    colour = checks[:, None] * torch.tensor(rgb)
+    up = torch.tensor([0.0, 0.0, 1.0]).expand(n, 3)
+    sigma = spacing_m / 1.5
+    return GaussianParams(
+        xyz_W=xyz, log_scale=torch.tensor([sigma, sigma, 0.1 * sigma]).log().expand(n, 3).clone(),
+        quat=quaternion.shortest_arc(up, normal.expand(n, 3)),
+        opacity_logit=torch.full((n,), float(torch.logit(torch.tensor(OPAQUE)))), sh=rgb_to_sh_dc(colour)[:, None],
+    )  # fmt: skip
+
+
+def _truth(camera: Camera, lean: float, gap_m: float) -> Float[Tensor, "H W"]:
+    """z-depth of the boards along the rays: x tan(lean) + z = z0 left of its edge x = 0, the wall elsewhere."""
+    x = (torch.arange(camera.width) + 0.5 - camera.cx) / camera.fx
+    board = NEAR_M / (1 + x * np.tan(lean))
+    wall = torch.full_like(board, NEAR_M + gap_m)
+    on_board = board > 0
+    if gap_m > 0:
+        reach = x * board >= -_HALF_M * np.cos(lean)
+        on_board = on_board & (x <= 0) & reach
+        depth = torch.where(on_board, torch.minimum(board, wall), wall)
+    else:
+        depth = board
+    return depth.float().expand(camera.height, -1).contiguous()
+
+
+def adding_masks(
+    view: SurfaceView, frame: Frame, *, min_transmittance: float, depth_error_m: float, colour_error: float
+) -> dict[int, Tensor]:
+    """Pixels by the cause that asks for a Gaussian (Eq. 6), keys as in ``CAUSES``; no pixel is in two.
+
+    A pixel without a disc has no depth error, as in the library's default.
+    """
+    known = frame.depth_m > 0
+    new = known & (view.transmittance > min_transmittance)
+    depth = known & ~new & (view.depth_m > 0) & ((view.depth_m - frame.depth_m).abs() > depth_error_m)
+    colour = known & ~new & ~depth & ((view.rgb - frame.rgb).abs().mean(-1) > colour_error)
+    return {1: new, 2: depth, 3: colour}
+
+
+def adding_panel(view: SurfaceView, frame: Frame) -> Panel:
+    """Sliders for the thresholds of Eq. 6 over a frame that the map has not seen yet.
+
+    Args:
+        view: The map from the frame's pose.
+        frame: The new frame.
+    """
+
+    def draw(*, min_transmittance: float, depth_error_m: float, colour_error: float) -> Drawn:
+        masks = adding_masks(
+            view, frame, min_transmittance=min_transmittance, depth_error_m=depth_error_m, colour_error=colour_error
+        )
+        picture = np.repeat(0.25 * 255 + 0.5 * to_uint8(frame.rgb).mean(-1, keepdims=True), 3, axis=-1)
+        for cause, mask in masks.items():
+            picture[mask.numpy()] = 0.35 * picture[mask.numpy()] + 0.65 * np.array(CAUSES[cause][1])
+        rendered = to_uint8(view.rgb.clamp(0, 1))
+        pictures = [to_uint8(frame.rgb), rendered, error_map(rendered, to_uint8(frame.rgb)), picture.astype(np.uint8)]
+        k = max(1, round(300 / picture.shape[1]))
+        pictures = [p.repeat(k, 0).repeat(k, 1) for p in pictures]
+        top = side_by_side(pictures[:2], ["new frame", "map so far"])
+        low = side_by_side(pictures[2:], ["colour error", "green new, red depth, blue colour"])
+        return np.concatenate([top, low]), _mask_words(masks)
+
+    controls = {
+        "min_transmittance": Slider(value=0.5, low=0.05, high=0.95, step=0.05, label="δ_T"),
+        "depth_error_m": Slider(value=0.1, low=0.01, high=0.3, step=0.01, label="δ_d m"),
+        "colour_error": Slider(value=0.1, low=0.01, high=0.3, step=0.01, label="δ_c"),
+    }
+    return Panel(draw, controls, name="adding", text="the masks of Eq. 6")
+
+
+def _mask_words(masks: dict[int, Tensor]) -> str:
+    rows = "".join(
+        f'<tr><td>{CAUSES[cause][0]}</td><td class="gsnb-adding-{cause}">{int(mask.sum()):,} pixels</td>'
+        f"<td>{float(mask.float().mean()):.1%}</td></tr>"
+        for cause, mask in masks.items()
+    )
+    return f"<table>{rows}</table>"

@@ -1,0 +1,152 @@
+"""The machinery: what a verdict says, hints on request, and what an attempt notices."""
+
+import pytest
+import torch
+
+from gsfusion_nb.teaching import check
+from gsfusion_nb.teaching.attempt import Attempt, Failed, NotWritten, close, describe, unpack
+from gsfusion_nb.teaching.exercise import Wrong, exercise, exercises
+
+
+def double(x):
+    return 2 * x
+
+
+@pytest.fixture
+def twice(monkeypatch):
+    """An exercise that only this test knows."""
+    from gsfusion_nb.teaching import exercise as module
+
+    exercises()
+    monkeypatch.setattr(module, "_EXERCISES", dict(module._EXERCISES))
+
+    @exercise(
+        chapter=1, difficulty=2, minutes=3, hints=("first", "second"), solution=double,
+        wrong=(Wrong(abs, says="twice"),),
+    )  # fmt: skip
+    def twice(attempt):
+        """Double a number."""
+        on = "the number 3"
+        close(attempt.on(on)(torch.tensor([3.0])), [6.0], "it is twice as large", on=on, why="Add it to itself")
+
+    return twice
+
+
+def test_a_verdict_is_green_red_or_grey(twice):
+    green = twice(double)
+    assert green
+    assert "gsnb-passed" in green._repr_html_()
+    red = twice(abs)
+    assert not red
+    assert (red.state, red.prop, red.on) == ("failed", "it is twice as large", "the number 3")
+    assert repr(red).splitlines() == [
+        "✗ twice: not true yet: “it is twice as large”",
+        "  input: the number 3",
+        "  got 3 at [0], expected 6. Add it to itself",
+        "  2 hints: check.twice.hint()",
+    ]
+    assert "gsnb-failed" in red._repr_html_()
+    assert "gsnb-not-written" in twice(lambda x: None)._repr_html_()
+    assert twice(3).prop == "it is a function"
+
+
+def test_text_from_a_student_cannot_break_the_page(twice):
+    def crash(x):
+        raise ValueError("<script>")
+
+    assert "<script>" not in twice(crash)._repr_html_()
+
+
+def test_hints_come_one_at_a_time(twice):
+    assert repr(twice.hint()) == "Hint 1 of 2: first"
+    assert twice(abs).hints_left == 1
+    assert [twice.hint().text, twice.hint().text] == ["second", "second"]
+    assert twice.hint(1).text == "first"
+    assert "hint" not in repr(twice(abs))
+
+
+def test_the_chapter_goes_on_with_ours(twice):
+    assert twice.working(abs) is double
+
+    def mine(x):
+        return x + x
+
+    assert twice.working(mine) is mine
+
+
+def test_check_knows_its_exercises(twice):
+    assert check.twice is twice
+    assert "twice" in dir(check)
+    assert "Double a number. ★★☆☆☆ easy, about 3 minutes, 2 hints" in repr(check)
+    with pytest.raises(AttributeError, match="no exercise 'thrice'; there are: .*project_points"):
+        check.thrice  # noqa: B018
+
+
+def test_an_exercise_must_be_complete():
+    with pytest.raises(ValueError, match="needs a docstring"):
+
+        @exercise(chapter=1, difficulty=1, minutes=1, hints=("h",), solution=double, wrong=(Wrong(abs, says="x"),))
+        def untitled(attempt): ...
+
+    with pytest.raises(ValueError, match="difficulty must be one of"):
+
+        @exercise(chapter=1, difficulty=9, minutes=1, hints=("h",), solution=double, wrong=(Wrong(abs, says="x"),))
+        def too_hard(attempt):
+            """Hard."""
+
+    with pytest.raises(ValueError, match="exists already in gsfusion_nb.teaching.frames"):
+
+        @exercise(chapter=1, difficulty=1, minutes=1, hints=("h",), solution=double, wrong=(Wrong(abs, says="x"),))
+        def project_points(attempt):
+            """Taken."""
+
+
+def test_an_attempt_notices_what_the_student_does():
+    x = torch.ones(3)
+
+    def spoils(t):
+        t += 1
+        return t
+
+    with pytest.raises(Failed, match="leaves its inputs"):
+        Attempt(spoils)(x)
+    assert (x == 1).all()
+    with pytest.raises(NotWritten):
+        Attempt(lambda t: ...)(x)
+
+    def later(t):
+        raise NotImplementedError
+
+    with pytest.raises(NotWritten):
+        Attempt(later)(x)
+
+
+@pytest.mark.parametrize(
+    ("got", "expected", "says"),
+    [
+        (torch.zeros(2), torch.zeros(3), r"the shape is \[2\], expected \[3\]"),
+        ([1.0, float("nan")], [1.0, 2.0], "NaN or infinite"),
+        ([[1.0, 2.0], [3.0, 9.0]], [[1.0, 2.0], [3.0, 4.0]], r"got 9 at \[1, 1\], expected 4"),
+        ("four", 4.0, "no array of numbers"),
+        (3.0, 4.0, "got 3, expected 4"),
+    ],
+)
+def test_close_says_what_came(got, expected, says):
+    with pytest.raises(Failed, match=says) as e:
+        close(got, expected, "it is right", on="this")
+    assert (e.value.prop, e.value.on) == ("it is right", "this")
+
+
+def test_close_accepts_what_is_close():
+    close(torch.tensor([1000.001]), [1000.0], "p", on="x")
+    close(True, 1, "p", on="x")
+    close([float("inf")], [float("inf")], "p", on="x")
+    with pytest.raises(Failed):
+        close(1.01, 1.0, "p", on="x")
+
+
+def test_words():
+    assert describe([torch.zeros(5, 2), 3, [1, 2], None]) == "a tensor [5, 2], 3, a list of 2, a NoneType"
+    assert unpack((1, 2), ("a", "b"), on="x") == (1, 2)
+    with pytest.raises(Failed, match="it returns a, b"):
+        unpack(torch.zeros(2), ("a", "b"), on="x")
