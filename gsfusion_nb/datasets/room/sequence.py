@@ -116,7 +116,8 @@ class RoomSequence:
 
     @functools.cached_property
     def _folder(self) -> Path:
-        options = dataclasses.asdict(self) | {"noise": "", "cache": "", "version": version()}
+        poses = hashlib.sha256(self._walk[0].round(6).tobytes()).hexdigest()  # a changed walk wants other pictures
+        options = dataclasses.asdict(self) | {"noise": "", "cache": "", "version": version(), "walk": poses}
         key = hashlib.sha256(json.dumps(options, sort_keys=True).encode()).hexdigest()[:16]
         return cache_folder() / "room" / f"{self.name}-{self.width}x{self.height}-{key}"
 
