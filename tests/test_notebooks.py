@@ -4,12 +4,13 @@ import ast
 import json
 import os
 import re
-import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from gsfusion_nb.teaching.student import without_solutions
 
 FOLDER = Path(__file__).resolve().parents[1] / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
@@ -21,6 +22,9 @@ SMOKE_LIMIT_S = 180
 """Twenty seconds on a quiet machine with compiled kernels; the rest is for compiling and for a busy machine."""
 
 _MACHINE_PATH = re.compile(r"(?:/home/|/root/|/Users/|/tmp/|/work/|/private/|site-packages|[A-Z]:\\\\?Users)")
+
+_CHECK = re.compile(r"^check\.(?P<name>\w+)\((?P=name)\)$", re.MULTILINE)
+"""The line that judges a student's function; other functions are judged to show what a verdict looks like."""
 
 # A child process whose sockets reach this machine only: the notebook's kernel inherits it through sitecustomize.
 _NO_NETWORK = """
@@ -101,6 +105,35 @@ def test_has_the_parts_of_a_chapter(path):
 
 
 @EACH
+def test_every_exercise_is_solved_and_its_solution_can_be_stripped(path):
+    """A stored notebook is the teacher's: ``check.name(name)`` is green; the student's cell comes before a solution."""
+    code = [cell for cell in cells(path) if cell["cell_type"] == "code"]
+    checked = [(_CHECK.search(joined(cell["source"])), cell) for cell in code]
+    checked = {found["name"]: cell for found, cell in checked if found}
+    if path.stem >= "01":
+        assert len(checked) >= 3, f"{path.name} has fewer than three exercises"
+    for name, cell in checked.items():
+        shown = [joined(output["data"]["text/plain"]) for output in cell["outputs"] if "data" in output]
+        assert any(text.startswith(f"✓ {name}") for text in shown), f"check.{name} is not green: {shown}"
+        sources = [joined(c["source"]) for c in code]
+        written = [s for s in sources if f"def {name}(" in s]
+        assert ["BEGIN SOLUTION" in s for s in written] == [False, True]
+        assert ast.unparse(ast.parse(written[0])).rstrip().endswith("...")
+        assert has_difficulty(path, name), f"{path.name} does not tell difficulty and time of {name}"
+
+
+def has_difficulty(path: Path, name: str) -> bool:
+    """Whether the text before the student's cell has stars and minutes."""
+    before = ""
+    for cell in cells(path):
+        source = joined(cell["source"])
+        if cell["cell_type"] == "code" and f"def {name}(" in source:
+            return "★" in before and "minutes" in before
+        before = source if cell["cell_type"] == "markdown" else before
+    return False
+
+
+@EACH
 def test_code_cells_parse_and_are_short(path):
     for cell in cells(path):
         if cell["cell_type"] == "code":
@@ -109,24 +142,43 @@ def test_code_cells_parse_and_are_short(path):
             assert len(source.splitlines()) <= 30, f"a long cell in {path.name}: {source.splitlines()[0]}"
 
 
-@EACH
-def test_runs_in_an_empty_folder_without_network(path, tmp_path):
+def run_quickly(notebook: dict, name: str, tmp_path: Path) -> Path:
+    """Execute in an empty folder without network, in smoke mode; the executed copy."""
     folder, site = tmp_path / "empty", tmp_path / "site"
     folder.mkdir()
     site.mkdir()
     (site / "sitecustomize.py").write_text(_NO_NETWORK, encoding="utf-8")
-    copy = Path(shutil.copy(path, folder))
-    cleared = json.loads(copy.read_text(encoding="utf-8"))
-    for cell in cleared["cells"]:
-        if cell["cell_type"] == "code":
-            cell |= {"outputs": [], "execution_count": None}
-    copy.write_text(json.dumps(cleared), encoding="utf-8")
+    copy = folder / name
+    copy.write_text(json.dumps(notebook), encoding="utf-8")
     environment = os.environ | {"GSNB_SMOKE": "1", "PYTHONPATH": str(site), "IPYTHONDIR": str(tmp_path / "ipython")}
     done = subprocess.run(
         [sys.executable, "-c", _EXECUTE, str(copy), str(SMOKE_LIMIT_S)],
         cwd=folder, env=environment, capture_output=True, text=True, timeout=2 * SMOKE_LIMIT_S,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr[-4000:]
-    errors = [output for output in outputs(copy) if output["output_type"] == "error"]
-    assert errors == []
+    assert [output for output in outputs(copy) if output["output_type"] == "error"] == []
+    return copy
+
+
+@EACH
+def test_runs_in_an_empty_folder_without_network(path, tmp_path):
+    cleared = json.loads(path.read_text(encoding="utf-8"))
+    for cell in cleared["cells"]:
+        if cell["cell_type"] == "code":
+            cell |= {"outputs": [], "execution_count": None}
+    copy = run_quickly(cleared, path.name, tmp_path)
     assert len(outputs(copy)) >= len(outputs(path)) - 2  # the quick run shows what the stored one shows
+
+
+@EACH
+@pytest.mark.slow
+def test_the_student_copy_runs_with_nothing_solved(path, tmp_path):
+    """The library's answers stand in for those that are missing."""
+    student = without_solutions(json.loads(path.read_text(encoding="utf-8")))
+    exercises = [_CHECK.search(joined(cell["source"])) for cell in student["cells"] if cell["cell_type"] == "code"]
+    if not any(exercises):
+        pytest.skip(f"{path.name} has no checked exercise")
+    copy = run_quickly(student, path.name, tmp_path)
+    verdicts = [joined(o["data"]["text/plain"]) for o in outputs(copy) if "gsnb-verdict" in str(o.get("data"))]
+    assert sum("not written" in verdict for verdict in verdicts) == sum(map(bool, exercises))
+    assert not any(verdict.startswith("✓") for verdict in verdicts)

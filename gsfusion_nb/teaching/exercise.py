@@ -73,7 +73,7 @@ class Exercise:
     wrong: tuple[Wrong, ...]
     hints_given: int = 0
 
-    def __call__(self, function: Callable[..., Any]) -> Verdict:
+    def __call__(self, function: Any) -> Verdict:
         """The verdict on ``function``: passed, failed (which property, on what input), or not written."""
         if not callable(function):
             kind = type(function).__name__
@@ -95,7 +95,7 @@ class Exercise:
         self.hints_given = max(self.hints_given, wanted)
         return Hint(wanted, len(self.hints), self.hints[wanted - 1])
 
-    def working(self, function: Callable[..., Any]) -> Callable[..., Any]:
+    def working(self, function: Any) -> Callable[..., Any]:
         """``function`` if it passes, otherwise our solution, so that the chapter can go on."""
         return function if self(function) else self.solution
 

@@ -122,8 +122,8 @@ def split_cell(attempt: Attempt) -> None:
         times = f"{int((inside == 0).sum())} pixels in none, {int((covered > 1).sum())} in more than one"
         whole = bool((inside == 1).all()) and int(covered.sum()) == w * h
         holds(whole, "every pixel of the cell is in exactly one part", on=on, detail=times)
-        holds([tuple(map(int, p)) for p in parts] == _split(*cell), "left and top parts get the floor of the half", on=on,
-              detail=f"got {[tuple(map(int, p)) for p in parts]}")  # fmt: skip
+        got = [tuple(map(int, p)) for p in parts]
+        holds(got == _split(*cell), "left and top parts get the floor of the half", on=on, detail=f"got {got}")
 
 
 def _leaves(rgb_u8: Tensor, threshold: float, min_cell_px: int) -> list[Cell]:

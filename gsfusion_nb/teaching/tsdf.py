@@ -36,7 +36,7 @@ def _signed_distance_holes_too(depth_m: Tensor, z_m: Tensor, truncation_m: float
     hints=(
         "Eq. 6: what the camera measured, minus where the voxel is. Both are along z.",
         "Eq. 7 divides by the truncation and clamps to -1 .. 1.",
-        "Observed: there is a measurement, and the voxel is not hidden, that is not deeper behind it than the truncation.",
+        "Observed: there is a measurement, and the voxel is not deeper behind it than the truncation.",
     ),
     wrong=(
         Wrong(_signed_distance_backwards, says="positive in front"),

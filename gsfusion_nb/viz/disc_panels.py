@@ -14,14 +14,15 @@ from ..geometry.spherical_harmonics import rgb_to_sh_dc
 from ..render import SurfaceView, view_surface
 from ..types import Camera, Frame, GaussianParams
 from .figures import Picture, colour_depth, error_map, side_by_side, to_uint8
-from .panel import Drawn, Panel, Slider
+from .panel import Drawn, Number, Panel, Slider
 from .stack_picture import INK, write
 from .surfel_pictures import CAUSES
 
-STAGE_CAMERA = Camera(width=96, height=72, fx=80.0, fy=80.0, cx=48.0, cy=36.0)
-NEAR_M, STEP_AT_M = 1.2, 0.0
+STAGE_CAMERA = Camera(width=96, height=60, fx=80.0, fy=80.0, cx=48.0, cy=30.0)
+NEAR_M = 1.2
 """The stage: a board whose right edge is at x = 0, this far away, in front of another one."""
-_HALF_M, _ROWS_M = 1.0, 0.9
+MID_AIR_M = 0.03
+_HALF_M, _ROWS_M = 0.7, 0.8
 _DISC_INK, _BLENDED_INK, _TRUE_INK = (61, 133, 198), (224, 138, 46), (150, 156, 166)
 
 
@@ -32,6 +33,8 @@ class Stage:
     params: GaussianParams
     truth_m: Float[Tensor, "H W"]
     """z-depth of the boards."""
+    planes_m: tuple[Float[Tensor, "H W"], ...]
+    """z-depth of the planes that the boards lie in."""
     disc_m: Float[Tensor, "H W"]
     """Of the discs hit (Eq. 4-5); 0 where none is."""
     blended_m: Float[Tensor, "H W"]
@@ -43,9 +46,15 @@ class Stage:
         depth = getattr(self, name)
         return (depth - self.truth_m)[depth > 0].abs()
 
+    def in_mid_air(self, name: str) -> float:
+        """Share of the depths that are more than 3 cm from every surface."""
+        depth = getattr(self, name)
+        away = torch.stack([(depth - plane).abs() for plane in self.planes_m]).amin(0)
+        return float((away[depth > 0] > MID_AIR_M).float().mean())
+
 
 def disc_stage(
-    *, lean_deg: float | int = 30, gap_m: float | int = 0.6, spacing_m: float | int = 0.12, opaque_alpha: float = 0.6
+    *, lean_deg: float | int = 30, gap_m: float | int = 0.6, spacing_m: float | int = 0.1, opaque_alpha: float = 0.3
 ) -> Stage:
     """A leaning board in front of a wall, both covered with discs of standard deviation spacing / 1.5.
 
@@ -66,23 +75,27 @@ def disc_stage(
     seen = view_surface(params, camera, T_WC, config)
     blended = view_surface(params, camera, T_WC, dataclasses.replace(config, depth="blended"))
     return Stage(
-        params=params, truth_m=_truth(camera, lean, float(gap_m)), disc_m=seen.depth_m, blended_m=blended.depth_m,
+        params=params,
+        truth_m=_truth(camera, lean, float(gap_m)),
+        planes_m=_planes(camera, lean, float(gap_m)),
+        disc_m=seen.depth_m,
+        blended_m=blended.depth_m,
         rgb=seen.rgb,
-    )  # fmt: skip
+    )
 
 
 def disc_panel() -> Panel:
     """Sliders over ``disc_stage``: picture, both depths, and the middle row of pixels from above."""
 
-    def draw(*, lean_deg: float, gap_m: float, spacing_m: float, opaque_alpha: float) -> Drawn:
+    def draw(*, lean_deg: Number, gap_m: Number, spacing_m: Number, opaque_alpha: float) -> Drawn:
         stage = disc_stage(lean_deg=lean_deg, gap_m=gap_m, spacing_m=spacing_m, opaque_alpha=opaque_alpha)
         return stage_picture(stage), _stage_words(stage)
 
     controls = {
         "lean_deg": Slider(value=30, low=0, high=75, step=1, label="board leans °"),
         "gap_m": Slider(value=0.6, low=0.0, high=1.2, step=0.05, label="wall behind m"),
-        "spacing_m": Slider(value=0.12, low=0.05, high=0.3, step=0.01, label="disc spacing m"),
-        "opaque_alpha": Slider(value=0.6, low=0.1, high=0.95, step=0.05, label="hit from alpha"),
+        "spacing_m": Slider(value=0.1, low=0.05, high=0.3, step=0.01, label="disc spacing m"),
+        "opaque_alpha": Slider(value=0.3, low=0.1, high=0.95, step=0.05, label="hit from alpha"),
     }
     return Panel(draw, controls, name="disc", text="disc depth against blended depth")
 
@@ -104,7 +117,7 @@ def plan_picture(stage: Stage, width: int, height: int = 300) -> Picture:
     image = np.full((height, width, 3), 255, np.uint8)
     far = float(stage.truth_m.max())
     low = max(0.0, float(stage.truth_m.min()) - 0.25)
-    scale = (height - 44) / (far + 0.15 - low)
+    scale = min((height - 60) / (far + 0.05 - low), 0.95 * width / (1.2 * far))
 
     def at(x: float, z: float) -> tuple[int, int]:
         return round(16 * (width / 2 + x * scale)), round(16 * (height - 12 - (z - low) * scale))
@@ -115,12 +128,21 @@ def plan_picture(stage: Stage, width: int, height: int = 300) -> Picture:
     for i in (stage.params.xyz_W[:, 1].abs() < 0.6 * float(scales.max())).nonzero().flatten().tolist():
         c, side = stage.params.xyz_W[i], R[i, :, 0] * scales[i, 0]
         cv2.line(image, at(*(c - side)[[0, 2]].tolist()), at(*(c + side)[[0, 2]].tolist()), (205, 212, 222), 5, 16, 4)
-    for depth, ink, radius in ((stage.truth_m, _TRUE_INK, 1), (stage.blended_m, _BLENDED_INK, 3), (stage.disc_m, _DISC_INK, 3)):
+    for depth, ink, radius in (
+        (stage.truth_m, _TRUE_INK, 1),
+        (stage.blended_m, _BLENDED_INK, 3),
+        (stage.disc_m, _DISC_INK, 3),
+    ):
         for x, z in zip(x_over_z, depth[row].tolist(), strict=True):
             if z > 0:
                 cv2.circle(image, at(x * z, z), radius * 16, ink, -1, 16, 4)
+    image[:30] = 255
     write(image, "from above, middle row of pixels: ", 10, 18, 1, 0.45)
-    for words, x, ink in (("disc depth", 262, _DISC_INK), ("blended depth", 352, _BLENDED_INK), ("truth", 466, _TRUE_INK)):
+    for words, x, ink in (
+        ("disc depth", 262, _DISC_INK),
+        ("blended depth", 352, _BLENDED_INK),
+        ("truth", 466, _TRUE_INK),
+    ):
         write(image, words, x, 18, 1, 0.45, ink)
     write(image, "camera below", width - 110, height - 6, 1, 0.4, INK)
     return image
@@ -129,14 +151,17 @@ def plan_picture(stage: Stage, width: int, height: int = 300) -> Picture:
 def _stage_words(stage: Stage) -> str:
     rows = ""
     for name, label in (("disc_m", "disc"), ("blended_m", "blended")):
-        error = stage.errors_m(name) * 100
+        error = stage.errors_m(name)
+        median = f"{float(error.median()) * 100:.2f} cm" if len(error) else "-"
         covered = len(error) / stage.truth_m.numel()
-        mean, worst = (float(error.mean()), float(error.quantile(0.99))) if len(error) else (float("nan"),) * 2
-        rows += f"<tr><td>{label}</td><td>{mean:.2f}</td><td>{worst:.1f}</td><td>{covered:.0%}</td></tr>"
-    return f"<table><tr><th>depth</th><th>mean error, cm</th><th>99 %, cm</th><th>covered</th></tr>{rows}</table>"
+        rows += f"<tr><td>{label}</td><td>{median}</td><td>{stage.in_mid_air(name):.1%}</td><td>{covered:.0%}</td></tr>"
+    heads = "".join(f"<th>{h}</th>" for h in ("depth", "median error", "in mid-air", "covered"))
+    return f"<table><tr>{heads}</tr>{rows}</table>"
 
 
-def _board(lean: float, z_m: float, x_m: tuple[float, float], spacing_m: float, rgb: tuple[float, ...]) -> GaussianParams:
+def _board(
+    lean: float, z_m: float, x_m: tuple[float, float], spacing_m: float, rgb: tuple[float, ...]
+) -> GaussianParams:
     """Discs on a plane through (0, 0, z) that is turned by ``lean`` about the vertical; it goes away to the left."""
     u = torch.arange(x_m[0] + spacing_m / 2, x_m[1], spacing_m)
     v = torch.arange(-_ROWS_M, _ROWS_M + spacing_m / 2, spacing_m)
@@ -156,19 +181,22 @@ def _board(lean: float, z_m: float, x_m: tuple[float, float], spacing_m: float, 
     )  # fmt: skip
 
 
+def _planes(camera: Camera, lean: float, gap_m: float) -> tuple[Float[Tensor, "H W"], ...]:
+    """z-depth of the board's plane, x tan(lean) + z = z0, and of the wall's along the rays."""
+    x = ((torch.arange(camera.width) + 0.5 - camera.cx) / camera.fx).expand(camera.height, -1)
+    board = (NEAR_M / (1 + x * float(np.tan(lean)))).contiguous()
+    return (board, torch.full_like(board, NEAR_M + gap_m)) if gap_m > 0 else (board,)
+
+
 def _truth(camera: Camera, lean: float, gap_m: float) -> Float[Tensor, "H W"]:
-    """z-depth of the boards along the rays: x tan(lean) + z = z0 left of its edge x = 0, the wall elsewhere."""
-    x = (torch.arange(camera.width) + 0.5 - camera.cx) / camera.fx
-    board = NEAR_M / (1 + x * np.tan(lean))
-    wall = torch.full_like(board, NEAR_M + gap_m)
-    on_board = board > 0
-    if gap_m > 0:
-        reach = x * board >= -_HALF_M * np.cos(lean)
-        on_board = on_board & (x <= 0) & reach
-        depth = torch.where(on_board, torch.minimum(board, wall), wall)
-    else:
-        depth = board
-    return depth.float().expand(camera.height, -1).contiguous()
+    """z-depth of the boards: the front one is between x = -0.7 cos(lean) and 0."""
+    planes = _planes(camera, lean, gap_m)
+    if len(planes) == 1:
+        return planes[0]
+    board, wall = planes
+    x_m = (torch.arange(camera.width) + 0.5 - camera.cx) / camera.fx * board
+    on_board = (board > 0) & (x_m <= 0) & (x_m >= -_HALF_M * float(np.cos(lean)))
+    return torch.where(on_board, torch.minimum(board, wall), wall)
 
 
 def adding_masks(

@@ -137,7 +137,7 @@ class GradientMicroscope:
             "dL/du": g.uv[row, 0], "dL/dv": g.uv[row, 1], "dL/do": g.opacity[row],
             "dL/dr": g.rgb[row, 0], "dL/dg": g.rgb[row, 1], "dL/db": g.rgb[row, 2],
         }  # fmt: skip
-        cell = '<td style="text-align:right;padding:1px 8px">{}</td>'
+        cell = '<td style="text-align:right;padding:1px 8px;line-height:1.35">{}</td>'
         heads = "".join(cell.format(f"<b>{name}</b>") for name in numbers)
         values = "".join(cell.format(f"{float(x) / unit:+.2f}") for x in numbers.values())
         return (

@@ -146,5 +146,5 @@ def pixel_gradient_table(gradient: PixelGradient, rows: int = 12, unit: float | 
 
 
 def _line(values: tuple[str, ...], tag: str = "td") -> str:
-    cells = "".join(f'<{tag} style="text-align:right;padding:1px 8px">{v}</{tag}>' for v in values)
+    cells = "".join(f'<{tag} style="text-align:right;padding:1px 8px;line-height:1.35">{v}</{tag}>' for v in values)
     return f"<tr>{cells}</tr>"

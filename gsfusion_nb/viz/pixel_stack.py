@@ -210,7 +210,7 @@ def swatch(rgb: Float[Tensor, "3"]) -> str:
 
 
 def _line(values: tuple[str, ...], tag: str = "td") -> str:
-    cells = "".join(f'<{tag} style="text-align:right;padding:1px 8px">{v}</{tag}>' for v in values)
+    cells = "".join(f'<{tag} style="text-align:right;padding:1px 8px;line-height:1.35">{v}</{tag}>' for v in values)
     return f"<tr>{cells}</tr>"
 
 

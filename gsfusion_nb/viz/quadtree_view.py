@@ -1,6 +1,6 @@
 """The quadtree over a picture, to play with: threshold and smallest cell, what is cut, and how many Gaussians."""
 
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -28,8 +28,8 @@ def quadtree_picture(
     """The leaves of an image's quadtree drawn, and the leaves themselves.
 
     "cells": borders over the image, coarse purple to fine yellow; "mean colours": every cell filled with its mean;
-    "Gaussians": a disc of one standard deviation (half the cell's diagonal, GSFusion III-B.2) in the colour of the pixel
-    in the middle, smaller ones over larger ones.
+    "Gaussians": a disc of one standard deviation (half the cell's diagonal, GSFusion III-B.2) in the colour of the
+    pixel in the middle, smaller ones over larger ones.
 
     Args:
         rgb: Colour, 0..1 or bytes. [H, W, 3]
@@ -95,16 +95,9 @@ def quadtree_panel(rgb: AnyImage, *, threshold: float | int = 0.1, min_cell_px: 
     """
     photo = to_uint8(rgb)
 
-    def draw(*, threshold: float, min_cell_px: int, contrast: str, show: str) -> Drawn:
-        limit = threshold
-        picture, cells = quadtree_picture(
-            photo,
-            threshold=limit,
-            min_cell_px=min_cell_px,
-            contrast=contrast,
-            show=show,
-            scale=scale,  # pyright: ignore[reportArgumentType]
-        )
+    def draw(*, threshold: float, min_cell_px: int, contrast: Any, show: str) -> Drawn:
+        settings = {"threshold": threshold, "min_cell_px": min_cell_px, "contrast": contrast}
+        picture, cells = quadtree_picture(photo, **settings, show=show, scale=scale)
         return picture, _counts(cells, photo.shape[0] * photo.shape[1])
 
     controls = {

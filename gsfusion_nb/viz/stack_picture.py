@@ -36,30 +36,36 @@ def stack_picture(stack: PixelStack, *, width: int = 420, height: int = 240, sca
         y = round(bottom + value * (top - bottom))
         cv2.line(image, (left, y), (right, y), FAINT, s)
         write(image, f"{value:g}", 10 * s, y + 4 * s, s)
+    strip = slice((height - 40) * s, (height - 24) * s)
     write(image, "red: light left T   pale: alpha   full: weight w = alpha T", left, 14 * s, s)
-    strip = (height - 40) * s, (height - 24) * s
-    write(image, "sum", 10 * s, strip[1] - 4 * s, s)
-    write(
-        image, "nearest Gaussian first, to the farthest; below: the colour summed up so far", left, (height - 8) * s, s
-    )
-    n = max(len(stack), 1)
-    edges = np.linspace(left, right, n + 1).round().astype(int)
-    so_far = np.zeros(3)
-    T = [*stack.transmittance.tolist(), stack.light_left]
-    for k in range(len(stack)):
-        x0, x1 = int(edges[k]), max(int(edges[k + 1]) - s, int(edges[k]) + 1)
-        colour = to_uint8(stack.rgb[k].clamp(0, 1)[None, None])[0, 0]
-        pale = (0.35 * colour + 0.65 * 255).astype(np.uint8)
-        for value, fill in ((float(stack.alpha[k]), pale), (float(stack.weight[k]), colour)):
-            y = round(bottom + value * (top - bottom))
-            cv2.rectangle(image, (x0, y), (x1, bottom), tuple(int(c) for c in fill), -1)
-            cv2.rectangle(image, (x0, y), (x1, bottom), (150, 156, 166), 1)
-        so_far += stack.contribution[k].numpy()
-        image[strip[0] : strip[1], x0 : int(edges[k + 1])] = to_uint8(so_far.clip(0, 1)[None, None])[0, 0]
-    steps = [[int(edges[min(k, n)]), round(bottom + T[k] * (top - bottom))] for k in range(len(T))]
-    corners = [steps[0], *(c for a, b in pairwise(steps) for c in ([b[0], a[1]], b)), [right, steps[-1][1]]]
+    write(image, "sum", 10 * s, strip.stop - 4 * s, s)
+    caption = "nearest Gaussian first, to the farthest; below: the colour summed up so far"
+    write(image, caption, left, (height - 8) * s, s)
+    edges = np.linspace(left, right, max(len(stack), 1) + 1).round().astype(int)
+    _bars(image, stack, edges, (top, bottom), s)
+    colours = to_uint8(stack.contribution.cumsum(0).clamp(0, 1)[None])[0]
+    for k, colour in enumerate(colours):
+        image[strip, edges[k] : edges[k + 1]] = colour
+    T = np.array([*stack.transmittance.tolist(), stack.light_left])
+    y = (bottom + T * (top - bottom)).round().astype(int)
+    steps = list(zip(edges[: len(T)], y, strict=True))
+    corners = [steps[0], *(c for a, b in pairwise(steps) for c in ((b[0], a[1]), b)), (right, y[-1])]
     cv2.polylines(image, [np.array(corners, np.int32)], False, LIGHT, s, cv2.LINE_AA)
     return image
+
+
+def _bars(image: Picture, stack: PixelStack, edges: np.ndarray, span: tuple[int, int], gap: int) -> None:
+    """Alpha and weight of each Gaussian as bars between ``edges``, in place."""
+    import cv2
+
+    top, bottom = span
+    full = to_uint8(stack.rgb.clamp(0, 1)[None])[0].astype(float)
+    for k, colour in enumerate(full):
+        x0, x1 = int(edges[k]), max(int(edges[k + 1]) - gap, int(edges[k]) + 1)
+        for value, fill in ((stack.alpha[k], 0.35 * colour + 0.65 * 255), (stack.weight[k], colour)):
+            y = round(bottom + float(value) * (top - bottom))
+            cv2.rectangle(image, (x0, y), (x1, bottom), tuple(int(c) for c in fill), -1)
+            cv2.rectangle(image, (x0, y), (x1, bottom), (150, 156, 166), 1)
 
 
 def lens_picture(

@@ -102,8 +102,6 @@ def draw_camera(
 
 def slice_legend(quantity: str, width: int, *, max_weight: float | int = 20) -> Picture:
     """The colour bar of a slice, on white, ``width`` pixels wide."""
-    import cv2
-
     image = np.full((_LEGEND_PX, width, 3), 255, np.uint8)
     left, right = 74, width - 74
     ramp = np.linspace(-1, 1, max(right - left, 2), dtype=np.float32)[None].repeat(10, 0)

@@ -8,13 +8,13 @@ from gsfusion_nb.checkup import check_recording
 
 # names are spelled out here because conftest cannot be imported; a test below compares
 FAST = (
-    "clean", "depth 5000 as 1000", "inverted", "opengl", "wxyz", "columns", "pose jump", "poses early", "focal",
-    "65535", "colour moved", "colour ahead",
+    "clean", "depth 5000 as 1000", "inverted", "opengl", "wxyz", "pose jump", "focal", "65535", "colour moved",
+    "colour ahead",
 )  # fmt: skip
 SLOW = (
-    "depth a tenth", "depth 4 % off", "mm poses", "ros", "unity", "opengl view matrices", "scaled rotations",
-    "path breaks", "poses late", "cx cy", "half intrinsics", "half a pixel", "other size", "large colour", "ray depth",
-    "other camera", "mirrored", "mixed up", "exposure", "blur", "frozen",
+    "depth a tenth", "depth 4 % off", "mm poses", "ros", "unity", "opengl view matrices", "columns",
+    "scaled rotations", "path breaks", "poses early", "poses late", "cx cy", "half intrinsics", "half a pixel",
+    "other size", "large colour", "ray depth", "other camera", "mirrored", "mixed up", "exposure", "blur", "frozen",
 )  # fmt: skip
 REAL = ("redkitchen250", "livingroom1_clean211", "redkitchen_mini48")
 TOO_NOISY = ("half a pixel",)

@@ -78,7 +78,7 @@ def test_check_knows_its_exercises(twice):
     assert check.twice is twice
     assert "twice" in dir(check)
     assert "Double a number. ★★☆☆☆ easy, about 3 minutes, 2 hints" in repr(check)
-    with pytest.raises(AttributeError, match="no exercise 'thrice'; there are: .*project_points"):
+    with pytest.raises(AttributeError, match=r"no exercise 'thrice'; there are: .*project_points"):
         check.thrice  # noqa: B018
 
 
@@ -94,7 +94,7 @@ def test_an_exercise_must_be_complete():
         def too_hard(attempt):
             """Hard."""
 
-    with pytest.raises(ValueError, match="exists already in gsfusion_nb.teaching.frames"):
+    with pytest.raises(ValueError, match=r"exists already in gsfusion_nb\.teaching\.frames"):
 
         @exercise(chapter=1, difficulty=1, minutes=1, hints=("h",), solution=double, wrong=(Wrong(abs, says="x"),))
         def project_points(attempt):

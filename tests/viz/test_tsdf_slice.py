@@ -39,7 +39,7 @@ def test_x_goes_right_and_y_goes_up(volume):
 
 def test_weight_and_colour(volume):
     weight = slice_picture(volume, height_m=0.35, quantity="weight", max_weight=10, **VIEW)
-    assert weight[75, 45].tolist() == [253, 231, 36]  # full: the last colour of viridis
+    assert weight[75, 45].tolist() == [253, 231, 37]  # full: the last colour of viridis
     assert weight[55, 15].tolist() != weight[75, 45].tolist()
     colour = slice_picture(volume, height_m=0.35, quantity="colour", **VIEW)
     assert colour[55, 15].tolist() == [0, 255, 0]

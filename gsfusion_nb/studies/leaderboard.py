@@ -1,0 +1,306 @@
+"""Seeding rules against each other: the same frames, the same settings, one run for each rule, one table."""
+
+import html
+import math
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..config import GSFusionConfig
+from ..config import gsfusion as gsfusion_preset
+from ..config import replace as replaced
+from ..datasets import OpenedSequence, open_sequence
+from ..evaluation import ImageScores, NotComputed, score_views
+from ..mapping import MappingRun
+from ..seeding import SeedingRule, get_rule, rule_name
+from .pareto import pareto_figure, pareto_front
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Option = bool | int | float | str
+
+
+@dataclass(frozen=True)
+class Entrant:
+    """A rule with options, under a name of its own: ``Entrant("uniform", {"fraction": 0.1}, "uniform 10 %")``."""
+
+    rule: str | SeedingRule
+    """Name of a registered rule, or the function."""
+    options: Mapping[str, Option] = field(default_factory=dict)
+    """Keyword arguments for it."""
+    label: str = ""
+    """Name in the table; made from rule and options if empty."""
+
+    @property
+    def name(self) -> str:
+        """What the table calls it."""
+        words = " ".join(f"{k}={v:g}" if isinstance(v, float) else f"{k}={v}" for k, v in self.options.items())
+        return self.label or " ".join(filter(None, (rule_name(self.rule), words)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class LeaderboardRow:
+    """What one rule came to."""
+
+    name: str
+    psnr_db: float
+    """Mean over the held-out views."""
+    ssim: float
+    """Mean over the held-out views."""
+    n_gaussians: int
+    n_keyframes: int
+    ms_per_frame: float
+    """Wall time of a mapping step, mean over the frames but the first, which loads and compiles."""
+    cpu_ms_per_frame: float
+    """CPU time of the same, all threads: other programs on the machine disturb it less."""
+    seeding_ms: float
+    """Wall time of the rule and its quadtree, mean over the frames but the first."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Progress:
+    """Where a contest stands."""
+
+    rule: str
+    position: int
+    """Which entrant, from 0."""
+    n_rules: int
+    frame: int
+    """Frames mapped with this rule."""
+    n_frames: int
+
+    @property
+    def share(self) -> float:
+        """Part of the work done, 0..1."""
+        return (self.position + self.frame / max(self.n_frames, 1)) / self.n_rules
+
+    def __str__(self) -> str:
+        return f"{self.rule} ({self.position + 1} of {self.n_rules}): frame {self.frame} of {self.n_frames}"
+
+
+@dataclass(kw_only=True)
+class Leaderboard:
+    """A table, best picture first. In a notebook it shows itself; ``figure()`` is the Pareto plot."""
+
+    rows: list[LeaderboardRow] = field(default_factory=list)
+    sequence: str = ""
+    """What was mapped."""
+    complete: bool = False
+    """False after a stop: some rules have not run."""
+    failed: dict[str, str] = field(default_factory=dict)
+    """Rule -> why it could not be run."""
+
+    @property
+    def sorted(self) -> list[LeaderboardRow]:
+        """Rows by held-out PSNR, best first."""
+        return sorted(self.rows, key=lambda row: -row.psnr_db)
+
+    @property
+    def front(self) -> list[str]:
+        """Names of the rules that no other beats in both PSNR and number of Gaussians."""
+        n, psnr = self._columns()
+        return [row.name for row, best in zip(self.rows, pareto_front(n, psnr), strict=True) if best]
+
+    def __getitem__(self, name: str) -> LeaderboardRow:
+        for row in self.rows:
+            if row.name == name:
+                return row
+        raise KeyError(f"no rule {name!r} on the leaderboard; there are: {', '.join(r.name for r in self.rows)}")
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def figure(self) -> "Figure":
+        """Held-out PSNR over the number of Gaussians; area of a point by ms per frame; the Pareto front as a line."""
+        n, psnr = self._columns()
+        return pareto_figure([r.name for r in self.rows], n, psnr, np.array([r.ms_per_frame for r in self.rows]))
+
+    def as_markdown(self) -> str:
+        """The table for a report."""
+        lines = [f"| {' | '.join(_HEADINGS)} |", "|---|" + "---:|" * (len(_HEADINGS) - 1)]
+        front = set(self.front)
+        lines += [f"| {' | '.join(_cells(row, row.name in front))} |" for row in self.sorted]
+        return "\n".join(lines)
+
+    def __repr__(self) -> str:
+        front, rows = set(self.front), [list(_HEADINGS)]
+        rows += [_cells(row, row.name in front) for row in self.sorted]
+        widths = [max(len(row[k]) for row in rows) for k in range(len(_HEADINGS))]
+        lines = ["  ".join(c.rjust(w) if k else c.ljust(w) for k, (c, w) in enumerate(zip(r, widths, strict=True)))
+                 for r in rows]  # fmt: skip
+        return "\n".join([*lines, *self._notes()])
+
+    def _repr_html_(self) -> str:
+        front = set(self.front)
+        head = "".join(f'<th style="text-align:{"right" if k else "left"}">{h}</th>' for k, h in enumerate(_HEADINGS))
+        body = "".join(_html_row(_cells(row, row.name in front), row.name in front) for row in self.sorted)
+        notes = "".join(f"<div>{html.escape(note)}</div>" for note in self._notes())
+        return f'<table class="gsnb-leaderboard"><tr>{head}</tr>{body}</table>{notes}'
+
+    def _columns(self) -> tuple[np.ndarray, np.ndarray]:
+        return np.array([r.n_gaussians for r in self.rows]), np.array([r.psnr_db for r in self.rows])
+
+    def _notes(self) -> list[str]:
+        notes = (
+            ["● on the Pareto front: no other rule has both fewer Gaussians and a better picture"] if self.rows else []
+        )
+        notes += [f"{name} did not run: {reason}" for name, reason in self.failed.items()]
+        return notes if self.complete else [*notes, "stopped before every rule had run"]
+
+
+_HEADINGS = ("rule", "PSNR held out, dB", "SSIM", "Gaussians", "keyframes", "ms/frame", "of it seeding", "CPU ms/frame")
+
+
+def _cells(row: LeaderboardRow, on_front: bool) -> list[str]:
+    return [
+        f"{'● ' if on_front else ''}{row.name}", f"{row.psnr_db:.2f}", f"{row.ssim:.3f}", f"{row.n_gaussians:,}",
+        f"{row.n_keyframes}", f"{row.ms_per_frame:.0f}", f"{row.seeding_ms:.1f}", f"{row.cpu_ms_per_frame:.0f}",
+    ]  # fmt: skip
+
+
+def _html_row(cells: list[str], on_front: bool) -> str:
+    weight = "font-weight:600;" if on_front else ""
+    columns = "".join(
+        f'<td style="{weight}text-align:{"right" if k else "left"}">{html.escape(cell)}</td>'
+        for k, cell in enumerate(cells)
+    )
+    return f"<tr>{columns}</tr>"
+
+
+class Contest:
+    """Runs rules one after another on one sequence; ``steps()`` can be left and taken up again between frames.
+
+    Args:
+        rules: Names, functions or ``Entrant``; no two of the same name.
+        data: Name or folder of a sequence, or one that is open; some of its views must be held out.
+        config: Settings of every run; only the rule and its options are replaced.
+
+    Raises:
+        KeyError: no such rule. TypeError: a rule of wrong signature. ValueError: two rules of one name, none at all, or
+            no view held out.
+    """
+
+    def __init__(
+        self,
+        rules: "Iterable[str | SeedingRule | Entrant]",
+        data: str | OpenedSequence = "room",
+        config: GSFusionConfig | None = None,
+    ):
+        self.entrants = [rule if isinstance(rule, Entrant) else Entrant(rule) for rule in rules]
+        names = [entrant.name for entrant in self.entrants]
+        for entrant in self.entrants:
+            get_rule(entrant.rule)
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice or not names:
+            raise ValueError(f"compare_rules needs rules with names of their own, got {', '.join(twice) or 'none'}")
+        self.config = config or gsfusion_preset("room", optim__global_iterations=0)
+        self.sequence = open_sequence(data, data=self.config.data) if isinstance(data, str) else data
+        if len(self.sequence.held_out) == 0:
+            raise ValueError("compare_rules scores views that were not mapped; set data.hold_out_every to 2 or more")
+        self.board = Leaderboard(sequence=self.sequence.name)
+        self.curves: dict[str, list[float]] = {"Gaussians, this rule": [], "PSNR of the frame, dB": []}
+        """Of the rule that runs now, one value per frame."""
+
+    def steps(self) -> Iterator[Progress]:
+        """Run what is left, a frame at a time; finished rules are in ``board``. One cut short begins anew."""
+        first = len(self.board.rows) + len(self.board.failed)
+        for position in range(first, len(self.entrants)):
+            yield from self._run(position)
+        self.board.complete = True
+
+    def _run(self, position: int) -> Iterator[Progress]:
+        entrant = self.entrants[position]
+        config = replaced(self.config, seeding__options=dict(entrant.options))
+        run = MappingRun(self.sequence, config, seeding=entrant.rule)
+        n, cpu_s = len(self.sequence.mapping), []
+        place = {"rule": entrant.name, "position": position, "n_rules": len(self.entrants), "n_frames": n}
+        frames = run.online()
+        for values in self.curves.values():
+            values.clear()
+        try:
+            while True:
+                began = time.process_time()
+                report = next(frames, None)
+                if report is None:
+                    break
+                cpu_s.append(time.process_time() - began)
+                for values, value in zip(self.curves.values(), (report.n_gaussians, report.psnr_after_db), strict=True):
+                    values.append(value)
+                yield Progress(frame=len(run.steps), **place)
+            for _ in run.optimise():
+                yield Progress(frame=n, **place)
+            scores = score_views(run.mapper.render, self.sequence.held_out)
+        except (TypeError, ValueError, KeyError, IndexError, RuntimeError) as e:  # a reader's rule may do anything
+            self.board.failed[entrant.name] = f"{type(e).__name__}: {e}"
+            return
+        self.board.rows.append(_row(entrant.name, run, cpu_s, scores))
+        yield Progress(frame=n, **place)
+
+
+def _row(name: str, run: MappingRun, cpu_s: list[float], scores: ImageScores) -> LeaderboardRow:
+    later = run.steps[1:] or run.steps
+    seeding_s = [s.seconds["seeding"] + s.seconds.get("quadtree", 0.0) for s in later]
+    return LeaderboardRow(
+        name=name,
+        psnr_db=_number(scores.psnr),
+        ssim=_number(scores.ssim),
+        n_gaussians=len(run.mapper.gaussians),
+        n_keyframes=len(run.mapper.keyframes),
+        ms_per_frame=1e3 * sum(s.total_seconds for s in later) / len(later),
+        cpu_ms_per_frame=1e3 * sum(cpu_s[-len(later) :]) / len(later),
+        seeding_ms=1e3 * sum(seeding_s) / len(later),
+    )
+
+
+def _number(score: float | NotComputed) -> float:
+    """NaN where a score could not be computed (images too small for SSIM)."""
+    return math.nan if isinstance(score, NotComputed) else score
+
+
+def compare_rules(
+    rules: "Iterable[str | SeedingRule | Entrant]",
+    data: str | OpenedSequence = "room",
+    config: GSFusionConfig | None = None,
+    *,
+    on_progress: Callable[[Progress], bool | None] | None = None,
+) -> Leaderboard:
+    """Map ``data`` once with each rule and score the views that were held out.
+
+    Ctrl-C (in a notebook: interrupt the kernel) ends it between two frames; the rules that have run are kept.
+
+    Args:
+        rules: Names, functions or ``Entrant``, which also carries options.
+        data: Name or folder of a sequence, or one that is open.
+        config: Settings that all runs share; the room's without global optimisation by default.
+        on_progress: Called after each frame; returns True to stop. By default a progress bar.
+
+    Raises:
+        KeyError, TypeError, ValueError: as ``Contest``. A rule that raises while mapping stands in ``failed`` instead.
+    """
+    contest = Contest(rules, data, config)
+    report, close = (on_progress, lambda: None) if on_progress else _progress_bar()
+    try:
+        for progress in contest.steps():
+            if report(progress):
+                break
+    except KeyboardInterrupt:
+        pass
+    finally:
+        close()
+    return contest.board
+
+
+def _progress_bar() -> tuple[Callable[[Progress], None], Callable[[], None]]:
+    from tqdm.auto import tqdm
+
+    bar = tqdm(total=100, bar_format="{l_bar}{bar}| {elapsed}", leave=False)
+
+    def show(progress: Progress) -> None:
+        bar.set_description_str(f"{progress.rule} {progress.frame}/{progress.n_frames}", refresh=False)
+        bar.update(round(100 * progress.share) - bar.n)
+
+    return show, bar.close

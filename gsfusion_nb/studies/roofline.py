@@ -1,0 +1,227 @@
+"""The roofline of this machine (Williams, Waterman & Patterson 2009), and where our kernels stand under it.
+
+    attainable flop/s = min(peak flop/s, intensity x bandwidth),   intensity = flop / bytes moved
+
+Operations and bytes are counted by hand, from the formulas; bytes are those that must move at least once (inputs read,
+outputs written). What a kernel does besides (sorting, gathering, reading twice) counts as time lost.
+"""
+
+import functools
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import torch
+
+from ..backends import BACKENDS, report, use_backend
+from ..bench.raster import DEVICES
+from ..bench.scene import random_scene
+from ..bench.timing import threads
+from ..optim import dssim_vjp
+from ..optim.adam import adam_update
+from ..render import render_forward, render_vjp
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FLOATS_PER_GAUSSIAN = 3 + 3 + 4 + 1 + 48
+"""xyz, log scale, quaternion, opacity, SH of degree 3."""
+
+ADAM_FLOPS, ADAM_FLOATS = 12, 7
+"""Per number. m: 3, v: 4, step: sqrt, +, /, x, - = 5. Read value, gradient, m, v; write value, m, v."""
+FORWARD_FLOPS = 30
+"""Per pair (pixel, Gaussian): sigma 10, exp counted as 8, alpha 2, transmittance 2, four channels and alpha 8."""
+BACKWARD_FLOPS = 70
+"""Per pair: alpha again 20, dL/dalpha 12, dL/dcolour 8, dL/dconic, dL/duv, dL/dopacity 30."""
+SSIM_FLOPS = 5 * 2 * 11 * 2 + 3 * 2 * 11 * 2 + 40
+"""Per number: five maps blurred forwards and three backwards, each with an 11-tap filter twice, and the quotient."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Roofs:
+    """What one core can do at best, measured."""
+
+    gflops: float
+    """10^9 float32 operations per second: a matrix product."""
+    gb_per_s: float
+    """10^9 bytes per second to and from memory: c = a + b on arrays that fit in no cache."""
+
+    @property
+    def ridge(self) -> float:
+        """Intensity (flop per byte) at which the roofs meet."""
+        return self.gflops / self.gb_per_s
+
+    def attainable_gflops(self, intensity: float) -> float:
+        """The roof over a kernel of this intensity."""
+        return min(self.gflops, intensity * self.gb_per_s)
+
+
+@dataclass(frozen=True, kw_only=True)
+class KernelPoint:
+    """One operation on one backend, timed on one thread."""
+
+    name: str
+    backend: str
+    flops: float
+    bytes: float
+    seconds: float
+
+    @property
+    def intensity(self) -> float:
+        """Flop per byte."""
+        return self.flops / self.bytes
+
+    @property
+    def gflops(self) -> float:
+        """What it reached."""
+        return self.flops / self.seconds / 1e9
+
+
+def fastest_s(work: Callable[[], object], *, repeats: int = 5) -> float:
+    """CPU time of the fastest of ``repeats`` runs, after one that compiles and fills caches; other programs on the
+    machine disturb it least."""
+    work()
+    laps = []
+    for _ in range(repeats):
+        began = time.process_time()
+        work()
+        laps.append(time.process_time() - began)
+    return max(min(laps), 1e-9)
+
+
+def measure_roofs(*, size: int = 1024, megabytes: int = 64) -> Roofs:
+    """Both roofs of one core, in about a second.
+
+    Args:
+        size: Rows and columns of the matrices.
+        megabytes: Size of each of three arrays.
+    """
+    a, b = torch.rand(size, size), torch.rand(size, size)
+    x = torch.rand(megabytes * 250_000)
+    y, z = torch.rand_like(x), torch.zeros_like(x)
+    with threads(1):
+        product_s = fastest_s(lambda: torch.mm(a, b))
+        sum_s = fastest_s(lambda: torch.add(x, y, out=z))
+    return Roofs(gflops=2 * size**3 / product_s / 1e9, gb_per_s=12 * len(x) / sum_s / 1e9)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Work:
+    """An operation to time, with what it costs on paper."""
+
+    name: str
+    operations: tuple[str, ...]
+    """Names in ``backends.PROVIDERS``."""
+    run: Callable[[], object]
+    flops: float
+    bytes: float
+
+
+def mapping_work(n: int = 20_000, width: int = 320, height: int = 240, per_pixel: float = 30.0) -> list[Work]:
+    """The operations that a mapping step spends its time in, on a random scene.
+
+    Args:
+        n: Gaussians, with SH of degree 3; Adam gets five times as many, which do not fit in a cache.
+        width, height: Of the image, pixels.
+        per_pixel: Gaussians above alpha = 1/255 at a pixel.
+    """
+    scene = random_scene(n, width, height, sh_degree=3, per_pixel=per_pixel)
+    pixels, numbers = width * height, n * FLOATS_PER_GAUSSIAN
+    pairs = per_pixel * pixels
+    g = torch.Generator().manual_seed(0)
+    rows = 5 * n  # too much for a cache
+    value, gradient, m, v = (torch.rand(rows, FLOATS_PER_GAUSSIAN, generator=g) for _ in range(4))
+    image, target = (torch.rand(height, width, 3, generator=g) for _ in range(2))
+
+    def forward():
+        return render_forward(scene.params, scene.camera, scene.T_WC, with_indices=False)
+
+    @functools.cache
+    def saved():
+        return forward()[1]
+
+    def backward():
+        return render_vjp(saved(), scene.v_rgb)
+
+    return [
+        Work(name="Adam", operations=("adam_update",), flops=ADAM_FLOPS * value.numel(),
+             bytes=4 * ADAM_FLOATS * value.numel(),
+             run=lambda: adam_update(value, gradient, m, v, None, lr=1e-3, beta1=0.9, beta2=0.999, eps=1e-15)),
+        Work(name="D-SSIM and gradient", operations=("dssim_vjp",), flops=SSIM_FLOPS * 3 * pixels,
+             bytes=4 * 3 * 3 * pixels, run=lambda: dssim_vjp(image, target)),
+        Work(name="render", operations=("render_forward",), flops=FORWARD_FLOPS * pairs,
+             bytes=4 * (numbers + 5 * pixels), run=forward),
+        Work(name="render, gradient", operations=("render_forward", "render_vjp"), flops=BACKWARD_FLOPS * pairs,
+             bytes=4 * (2 * numbers + 8 * pixels), run=backward),
+    ]  # fmt: skip
+
+
+def kernel_points(make_work: Callable[[], Sequence[Work]] = mapping_work, *, repeats: int = 3) -> list[KernelPoint]:
+    """Time every operation on every CPU backend that has it, on one thread."""
+    working = {(name, backend) for name, backend, state in report() if state == "ok"}
+    points = []
+    for backend in (b for b in BACKENDS if DEVICES[b] == "cpu"):
+        for work in make_work():
+            if not all((name, backend) in working for name in work.operations):
+                continue
+            with use_backend(backend), threads(1):
+                seconds = fastest_s(work.run, repeats=repeats)
+            point = KernelPoint(
+                name=work.name, backend=backend, flops=work.flops, bytes=work.bytes, seconds=seconds
+            )  # fmt: skip
+            points.append(point)
+    return points
+
+
+def roofline_figure(roofs: Roofs, points: Sequence[KernelPoint]) -> "Figure":
+    """The two roofs, and a point for each kernel: hollow for the reference, full for a fast backend."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6.8, 4.4), dpi=100, facecolor="white", layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    known = [p.intensity for p in points] or [roofs.ridge]
+    low, high = min(*known, 0.2) / 2, max(*known, roofs.ridge) * 4
+    x = [low * (high / low) ** (i / 100) for i in range(101)]
+    axes.plot(x, [roofs.attainable_gflops(i) for i in x], color="#1c2430", linewidth=2)
+    axes.annotate(f"{roofs.gb_per_s:.0f} GB/s", (low, roofs.attainable_gflops(low)), xytext=(8, 16),
+                  textcoords="offset points", fontsize=9)  # fmt: skip
+    axes.annotate(f"{roofs.gflops:.0f} Gflop/s", (high, roofs.gflops), xytext=(-4, 6), textcoords="offset points",
+                  ha="right", fontsize=9)  # fmt: skip
+    for backend in dict.fromkeys(p.backend for p in points):
+        _kernels(axes, [p for p in points if p.backend == backend], backend)
+    axes.set(xscale="log", yscale="log", xlabel="intensity, flop per byte", ylabel="Gflop/s on one core")
+    axes.set_ylim(top=roofs.gflops * 3)
+    axes.grid(True, which="major", alpha=0.3)
+    if points:
+        axes.legend(loc="lower right", frameon=False, fontsize=9)
+    return figure
+
+
+_COLOURS = {"reference": "#3d85c6", "numba": "#d1495b"}
+
+
+def _kernels(axes, points: list[KernelPoint], backend: str) -> None:
+    colour = _COLOURS.get(backend, "#3a9d6a")
+    inside = "none" if backend == "reference" else colour
+    x, y = [p.intensity for p in points], [p.gflops for p in points]
+    axes.scatter(x, y, s=60, edgecolors=colour, facecolors=inside, linewidths=1.6, label=backend, zorder=3)
+    for p in points if backend != "reference" else ():
+        axes.annotate(p.name, (p.intensity, p.gflops), xytext=(0, 8), textcoords="offset points",
+                      ha="center", fontsize=8)  # fmt: skip
+
+
+def as_table(roofs: Roofs, points: Sequence[KernelPoint]) -> str:
+    """Intensity, time, and share of the roof, a line per kernel."""
+    lines = [f"{'kernel':20} {'backend':10} {'flop/byte':>9} {'ms':>7} {'Gflop/s':>8} {'of the roof':>11}  limited by"]
+    for p in points:
+        roof = roofs.attainable_gflops(p.intensity)
+        limit = "memory" if p.intensity < roofs.ridge else "arithmetic"
+        share = f"{100 * p.gflops / roof:.0f} %" if math.isfinite(roof) else ""
+        lines.append(
+            f"{p.name:20} {p.backend:10} {p.intensity:9.2f} {1e3 * p.seconds:7.1f} {p.gflops:8.2f} {share:>11}  {limit}"
+        )
+    return "\n".join(lines)

@@ -1,0 +1,205 @@
+"""Exercises of chapter 10: Amdahl's law, the roofline, counting bytes, and a loop that a compiler makes fast."""
+
+import numpy as np
+
+from .exercise import Attempt, Failed, Wrong, close, exercise, holds, unpack
+
+
+def _speedup(seconds: dict[str, float], stage: str, factor: float) -> float:
+    total = sum(seconds.values())
+    return total / (total - seconds[stage] + seconds[stage] / factor)
+
+
+def _speedup_of_the_stage(seconds: dict[str, float], stage: str, factor: float) -> float:
+    return factor
+
+
+def _speedup_by_share(seconds: dict[str, float], stage: str, factor: float) -> float:
+    return 1 + (factor - 1) * seconds[stage] / sum(seconds.values())
+
+
+@exercise(
+    chapter=10, difficulty=1, minutes=5, solution=_speedup,
+    hints=(
+        "What is the time of the frame before, and after?",
+        "after = total - seconds[stage] + seconds[stage] / factor; the answer is total / after.",
+    ),
+    wrong=(
+        Wrong(_speedup_of_the_stage, says="the other stages take as long as before"),
+        Wrong(_speedup_by_share, says="the other stages take as long as before"),
+    ),
+)  # fmt: skip
+def overall_speedup(attempt: Attempt) -> None:
+    """How many times as fast a frame gets when one stage does (Amdahl)."""
+    on = "one stage alone, 4 times as fast"
+    close(
+        attempt.on(on)({"optimise": 0.2}, "optimise", 4.0), 4.0, "with one stage, the whole gains what it gains", on=on
+    )
+    on = "50 ms optimise and 50 ms tsdf; optimise 5 times as fast"
+    seconds = {"optimise": 0.05, "tsdf": 0.05}
+    close(attempt.on(on)(dict(seconds), "optimise", 5.0), 100 / 60, "the other stages take as long as before", on=on,
+          why="10 ms + 50 ms are left of 100 ms")  # fmt: skip
+    on = "the same, a million times as fast"
+    close(attempt.on(on)(dict(seconds), "optimise", 1e6), 2.0, "the rest is a limit", on=on, tolerance=1e-4)
+    on = "a factor of 1"
+    close(attempt.on(on)(dict(seconds), "tsdf", 1.0), 1.0, "no change, no gain", on=on)
+
+
+def _attainable(intensity: float, peak_gflops: float, gb_per_s: float) -> float:
+    return min(peak_gflops, intensity * gb_per_s)
+
+
+def _attainable_peak(intensity: float, peak_gflops: float, gb_per_s: float) -> float:
+    return peak_gflops
+
+
+def _attainable_upside_down(intensity: float, peak_gflops: float, gb_per_s: float) -> float:
+    return min(peak_gflops, gb_per_s / intensity)
+
+
+def _attainable_sum(intensity: float, peak_gflops: float, gb_per_s: float) -> float:
+    return 1 / (1 / peak_gflops + 1 / (intensity * gb_per_s))
+
+
+@exercise(
+    chapter=10, difficulty=1, minutes=5, solution=_attainable,
+    hints=(
+        "Bytes arrive at gb_per_s. Each brings work for `intensity` operations. How many operations a second is that?",
+        "The smaller of the two limits: min(peak, intensity x bandwidth).",
+    ),
+    wrong=(
+        Wrong(_attainable_peak, says="memory limits a kernel of low intensity"),
+        Wrong(_attainable_upside_down, says="memory limits a kernel of low intensity"),
+        Wrong(_attainable_sum, says="memory limits a kernel of low intensity"),
+    ),
+)  # fmt: skip
+def attainable_gflops(attempt: Attempt) -> None:
+    """The roof over a kernel: Gflop/s that it can reach at best."""
+    on = "0.5 flop per byte, 100 Gflop/s, 10 GB/s"
+    close(attempt.on(on)(0.5, 100.0, 10.0), 5.0, "memory limits a kernel of low intensity", on=on)
+    on = "50 flop per byte on the same machine"
+    close(attempt.on(on)(50.0, 100.0, 10.0), 100.0, "arithmetic limits one of high intensity", on=on)
+    on = "the ridge, 10 flop per byte"
+    close(attempt.on(on)(10.0, 100.0, 10.0), 100.0, "at the ridge both limits agree", on=on)
+
+
+def _adam_traffic(n: int) -> tuple[int, float]:
+    return 28 * n, 12 / 28
+
+
+def _adam_reads_only(n: int) -> tuple[int, float]:
+    return 16 * n, 12 / 16
+
+
+def _adam_in_numbers(n: int) -> tuple[int, float]:
+    return 7 * n, 12 / 7
+
+
+def _adam_per_map(n: int) -> tuple[int, float]:
+    return 28 * n, 12 / (28 * n)
+
+
+@exercise(
+    chapter=10, difficulty=2, minutes=8, solution=_adam_traffic,
+    hints=(
+        "Which arrays are read? Value, gradient, m, v. Which are written?",
+        "Four reads and three writes, of 4 bytes each.",
+        "Intensity is operations per byte: 12 operations for each number.",
+    ),
+    wrong=(
+        Wrong(_adam_reads_only, says="what is written moves, too"),
+        Wrong(_adam_in_numbers, says="4 bytes"),
+        Wrong(_adam_per_map, says="does not depend on the size"),
+    ),
+)  # fmt: skip
+def adam_traffic(attempt: Attempt) -> None:
+    """Bytes that one step of Adam moves for n float32 numbers, and its intensity at 12 flop per number."""
+    names = ("bytes", "intensity")
+    on = "one number"
+    moved, intensity = unpack(attempt.on(on)(1), names, on=on)
+    holds(float(moved) != 7, "a float32 has 4 bytes", on=on, detail="7 are the numbers, not the bytes")
+    close(moved, 28, "four arrays are read, three are written: what is written moves, too", on=on)
+    close(intensity, 12 / 28, "intensity is flop per byte", on=on, tolerance=1e-3)
+    on = "59 numbers for each of 10,000 Gaussians"
+    moved, intensity = unpack(attempt.on(on)(590_000), names, on=on)
+    close(moved, 28 * 590_000, "twice the numbers, twice the bytes", on=on)
+    close(intensity, 12 / 28, "the intensity does not depend on the size", on=on, tolerance=1e-3)
+
+
+def _average_loop(D, W, d, max_weight):
+    new_D, new_W = D.copy(), W.copy()
+    for i in range(len(D)):
+        if d[i] == d[i] and d[i] >= -1.0:
+            new_D[i] = (D[i] * W[i] + min(d[i], 1.0)) / (W[i] + 1)
+            new_W[i] = min(W[i] + 1, max_weight)
+    return new_D, new_W
+
+
+def _average_of_everything(D, W, d, max_weight):
+    new_D, new_W = D.copy(), W.copy()
+    for i in range(len(D)):
+        new_D[i] = (D[i] * W[i] + min(d[i], 1.0)) / (W[i] + 1)
+        new_W[i] = min(W[i] + 1, max_weight)
+    return new_D, new_W
+
+
+def _average_in_place(D, W, d, max_weight):
+    for i in range(len(D)):
+        if d[i] == d[i] and d[i] >= -1.0:
+            D[i] = (D[i] * W[i] + min(d[i], 1.0)) / (W[i] + 1)
+            W[i] = min(W[i] + 1, max_weight)
+    return D, W
+
+
+def _average_uncapped(D, W, d, max_weight):
+    new_D, new_W = _average_loop(D, W, d, 1e9)
+    return new_D, new_W
+
+
+def _average_unclamped(D, W, d, max_weight):
+    new_D, new_W = D.copy(), W.copy()
+    for i in range(len(D)):
+        if d[i] == d[i] and d[i] >= -1.0:
+            new_D[i] = (D[i] * W[i] + d[i]) / (W[i] + 1)
+            new_W[i] = min(W[i] + 1, max_weight)
+    return new_D, new_W
+
+
+@exercise(
+    chapter=10, difficulty=3, minutes=15, solution=_average_loop,
+    hints=(
+        "The same formulas as in chapter 2 (Eq. 7-8), for one voxel i at a time, in a plain for loop.",
+        "NaN is the only number that is not equal to itself: `if d[i] == d[i]`.",
+        "new_D[i] = (D[i] W[i] + min(d[i], 1)) / (W[i] + 1) and new_W[i] = min(W[i] + 1, max_weight), if d[i] >= -1.",
+    ),
+    wrong=(
+        Wrong(_average_of_everything, says="behind the surface"),
+        Wrong(_average_in_place, says="leaves its inputs"),
+        Wrong(_average_uncapped, says="max_weight"),
+        Wrong(_average_unclamped, says="at most 1"),
+    ),
+)  # fmt: skip
+def average_loop(attempt: Attempt) -> None:
+    """TSDF update of many voxels as a loop, to be compiled."""
+    names = ("D", "W")
+
+    def update(on: str, D: list[float], W: list[float], d: list[float], cap: float) -> tuple:
+        given = tuple(np.array(v, np.float32) for v in (D, W, d))
+        kept = tuple(a.copy() for a in given)
+        result = unpack(attempt.on(on)(*given, cap), names, on=on)
+        if not all(np.array_equal(a, b, equal_nan=True) for a, b in zip(given, kept, strict=True)):
+            raise Failed("it leaves its inputs as they are", on, "D or W has changed; work on copies, D.copy()")
+        return result
+
+    on = "D = 0.5 after 3 observations, and d = 0.1"
+    D, W = update(on, [0.5], [3.0], [0.1], 100.0)
+    close(D, [0.4], "the mean of all observations", on=on)
+    close(W, [4.0], "one observation more", on=on)
+    on = "d = -1.5 (far behind) and d = NaN (no depth)"
+    D, W = update(on, [0.5, 0.5], [3.0, 3.0], [-1.5, float("nan")], 100.0)
+    close(D, [0.5, 0.5], "a voxel far behind the surface, or without depth, stays as it is", on=on)
+    close(W, [3.0, 3.0], "a voxel far behind the surface, or without depth, was not observed", on=on)
+    on = "d = 7, free space far in front of the surface"
+    close(update(on, [0.5], [1.0], [7.0], 100.0)[0], [0.75], "d counts as at most 1", on=on)
+    on = "W = 100 and max_weight 100"
+    close(update(on, [0.5], [100.0], [0.1], 100.0)[1], [100.0], "the weight stops at max_weight", on=on)

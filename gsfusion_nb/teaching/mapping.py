@@ -1,0 +1,292 @@
+"""Exercises of chapter 6: the online loop of GSFusion: what a frame gets, key frames, and honest frame rates."""
+
+import torch
+from torch import Tensor
+
+from ..config import gsfusion
+from ..mapping import GSFusion
+from ..optim import Keyframe
+from ..tsdf import integrate
+from ..types import Camera, Frame
+from .exercise import Attempt, Failed, Wrong, close, exercise, holds, unpack
+
+
+def _frame_rate(seconds: list[float]) -> float:
+    return len(seconds) / sum(seconds)
+
+
+def _mean_of_rates(seconds: list[float]) -> float:
+    return sum(1 / s for s in seconds) / len(seconds)
+
+
+def _rate_of_the_last(seconds: list[float]) -> float:
+    return 1 / seconds[-1]
+
+
+@exercise(
+    chapter=6, difficulty=1, minutes=4, solution=_frame_rate,
+    hints=(
+        "Three frames in 0.7 s: how many frames is that in one second?",
+        "Frames divided by time. Do not average rates: a rate counts the quick frames more than they last.",
+    ),
+    wrong=(
+        Wrong(_mean_of_rates, says="frames divided by the time they took"),
+        Wrong(_rate_of_the_last, says="frames divided by the time they took"),
+    ),
+)  # fmt: skip
+def frame_rate(attempt: Attempt) -> None:
+    """Frames per second of a run, from the seconds of each frame."""
+    on = "ten frames of 0.1 s"
+    close(attempt.on(on)([0.1] * 10), 10.0, "equal frames: one over the time of each", on=on)
+    on = "one frame of 0.01 s and one of 0.99 s"
+    why = "The mean of 1/t would be 50.5, and nobody saw 50 frames in a second"
+    close(attempt.on(on)([0.01, 0.99]), 2.0, "frames divided by the time they took", on=on, why=why)
+
+
+def _plan_frame(n_seeds: int, n_keyframes: int, m: int, n: int, r: int, min_seeds: int) -> tuple[bool, int, int]:
+    is_keyframe = n_seeds > min_seeds
+    if is_keyframe:
+        return True, m, 0
+    return False, n, min(r, n_keyframes)
+
+
+def _plan_with_at_least(n_seeds, n_keyframes, m, n, r, min_seeds):
+    is_keyframe = n_seeds >= min_seeds
+    return is_keyframe, m if is_keyframe else n, 0 if is_keyframe else min(r, n_keyframes)
+
+
+def _plan_revisiting_always(n_seeds, n_keyframes, m, n, r, min_seeds):
+    is_keyframe = n_seeds > min_seeds
+    return is_keyframe, m if is_keyframe else n, min(r, n_keyframes)
+
+
+def _plan_with_replacement(n_seeds, n_keyframes, m, n, r, min_seeds):
+    is_keyframe = n_seeds > min_seeds
+    return is_keyframe, m if is_keyframe else n, 0 if is_keyframe else r
+
+
+@exercise(
+    chapter=6, difficulty=2, minutes=8, solution=_plan_frame,
+    hints=(
+        "Key frame or not is decided by the number of new Gaussians alone: 'greater than a certain threshold'.",
+        "A key frame gets m steps and no others. Any other frame gets n, and then r on random key frames.",
+        "How many different key frames can you draw from a list of one?",
+    ),
+    wrong=(
+        Wrong(_plan_with_at_least, says="more new Gaussians than"),
+        Wrong(_plan_revisiting_always, says="a key frame has no time for others"),
+        Wrong(_plan_with_replacement, says="different key frames"),
+    ),
+)  # fmt: skip
+def plan_frame(attempt: Attempt) -> None:
+    """What the online optimisation spends on a frame (III-B.3)."""
+    names = ("is_keyframe", "steps", "revisits")
+
+    def plan(on: str, *numbers: int) -> tuple:
+        return unpack(attempt.on(on)(*numbers), names, on=on)
+
+    on = "300 new Gaussians, 7 key frames so far, m = 5, n = 3, r = 2, threshold 50"
+    key, steps, revisits = plan(on, 300, 7, 5, 3, 2, 50)
+    holds(key, "a frame that brings much is a key frame", on=on, detail=f"is_keyframe is {key!r}")
+    close(steps, 5, "a key frame gets m steps", on=on)
+    close(revisits, 0, "a key frame has no time for others", on=on)
+    on = "10 new Gaussians, 7 key frames so far"
+    key, steps, revisits = plan(on, 10, 7, 5, 3, 2, 50)
+    holds(not key, "a frame that brings little is none", on=on, detail=f"is_keyframe is {key!r}")
+    close([steps, revisits], [3, 2], "another frame gets n steps, and r revisits", on=on)
+    on = "exactly 50 new Gaussians"
+    key, *_ = plan(on, 50, 7, 5, 3, 2, 50)
+    holds(not key, "a key frame brings more new Gaussians than the threshold", on=on, detail="50 is not more than 50")
+    on = "10 new Gaussians, one key frame so far"
+    close(plan(on, 10, 1, 5, 3, 2, 50)[2], 1, "revisits go to different key frames", on=on)
+    on = "10 new Gaussians, no key frame yet"
+    close(plan(on, 10, 0, 5, 3, 2, 50)[2], 0, "revisits go to different key frames, of which there are none", on=on)
+
+
+def _draw_keyframes(n_keyframes: int, count: int, generator: torch.Generator) -> Tensor:
+    return torch.randperm(n_keyframes, generator=generator)[:count]
+
+
+def _draw_with_replacement(n_keyframes: int, count: int, generator: torch.Generator) -> Tensor:
+    return torch.randint(0, max(n_keyframes, 1), (min(count, n_keyframes),), generator=generator)
+
+
+def _draw_the_latest(n_keyframes: int, count: int, generator: torch.Generator) -> Tensor:
+    return torch.arange(n_keyframes).flip(0)[:count]
+
+
+def _draw_from_the_global_generator(n_keyframes: int, count: int, generator: torch.Generator) -> Tensor:
+    return torch.randperm(n_keyframes)[:count]
+
+
+@exercise(
+    chapter=6, difficulty=2, minutes=6, solution=_draw_keyframes,
+    hints=(
+        "The paper: 'the first (m-n) keyframes after shuffling'. Which torch function shuffles 0..n-1?",
+        "torch.randperm takes the generator; a slice takes care of lists that are too short.",
+    ),
+    wrong=(
+        Wrong(_draw_with_replacement, says="no key frame twice"),
+        Wrong(_draw_the_latest, says="every key frame has the same chance"),
+        Wrong(_draw_from_the_global_generator, says="the generator that is passed in"),
+    ),
+)  # fmt: skip
+def draw_keyframes(attempt: Attempt) -> None:
+    """Indices of random key frames to revisit."""
+
+    def draw(on: str, n: int, count: int, seed: int) -> list[int]:
+        drawn = attempt.on(on)(n, count, torch.Generator().manual_seed(seed))
+        return [int(i) for i in torch.as_tensor(drawn).reshape(-1).tolist()]
+
+    on = "2 out of 5, drawn 400 times"
+    draws = [draw(on, 5, 2, seed) for seed in range(400)]
+    holds(all(len(d) == 2 and min(d) >= 0 and max(d) < 5 for d in draws), "so many indices as asked for, in 0..n-1",
+          on=on, detail=f"one draw was {next((d for d in draws if len(d) != 2 or max(d) > 4), draws[0])}")  # fmt: skip
+    holds(all(len(set(d)) == 2 for d in draws), "no key frame twice in one draw", on=on,
+          detail=f"one draw was {next((d for d in draws if len(set(d)) < 2), [])}")  # fmt: skip
+    torch_state = torch.get_rng_state()
+    again = [draw(on, 5, 2, seed) for seed in range(20)]
+    same = torch.equal(torch_state, torch.get_rng_state()) and again == draws[:20]
+    holds(same, "random numbers come only from the generator that is passed in", on=on,
+          detail="the same seed gave another draw, or torch's global generator has moved")  # fmt: skip
+    share = torch.bincount(torch.tensor(draws).flatten(), minlength=5) / 800
+    holds((share - 0.2).abs().max() < 0.06, "every key frame has the same chance", on=on,
+          detail=f"shares of the five: {[round(float(s), 2) for s in share]}, expected 0.2 each")  # fmt: skip
+    on = "4 out of 3"
+    close(sorted(draw(on, 3, 4, 0)), [0, 1, 2], "from a short list, all of it", on=on)
+    on = "2 out of none"
+    close(len(draw(on, 0, 2, 0)), 0, "from an empty list, nothing", on=on)
+
+
+class Log:
+    """Stands in for the optimiser: remembers which view was optimised, and how many Gaussians there were."""
+
+    def __init__(self, mapper: GSFusion):
+        self.mapper = mapper
+        self.calls: list[tuple[str, int, int]] = []
+
+    def __call__(self, view: "Frame | Keyframe") -> None:
+        kind = "key frame" if isinstance(view, Keyframe) else "frame"
+        self.calls.append((kind, view.index, len(self.mapper.gaussians)))
+
+
+def _map_frame(mapper: GSFusion, frame: Frame, optimise) -> int:
+    integrate(mapper.volume, frame)
+    seeds = mapper.propose_seeds(mapper.seed_context(frame))
+    mapper.gaussians.append(seeds, frame.index)
+    is_keyframe = len(seeds) > mapper.config.keyframe_min_seeds
+    if is_keyframe:
+        mapper.keyframes.append(frame)
+    optim = mapper.config.optim
+    for _ in range(optim.keyframe_iterations if is_keyframe else optim.frame_iterations):
+        optimise(frame)
+    if not is_keyframe:
+        for keyframe in mapper.keyframes.draw(optim.random_keyframe_iterations, mapper.generator):
+            optimise(keyframe)
+    return len(seeds)
+
+
+def _map_seeding_first(mapper: GSFusion, frame: Frame, optimise) -> int:
+    seeds = mapper.propose_seeds(mapper.seed_context(frame))
+    integrate(mapper.volume, frame)
+    mapper.gaussians.append(seeds, frame.index)
+    return len(seeds)
+
+
+def _map_optimising_too_early(mapper: GSFusion, frame: Frame, optimise) -> int:
+    integrate(mapper.volume, frame)
+    for _ in range(mapper.config.optim.keyframe_iterations):
+        optimise(frame)
+    seeds = mapper.propose_seeds(mapper.seed_context(frame))
+    mapper.gaussians.append(seeds, frame.index)
+    return len(seeds)
+
+
+def _map_without_keyframes(mapper: GSFusion, frame: Frame, optimise) -> int:
+    integrate(mapper.volume, frame)
+    seeds = mapper.propose_seeds(mapper.seed_context(frame))
+    mapper.gaussians.append(seeds, frame.index)
+    for _ in range(mapper.config.optim.keyframe_iterations):
+        optimise(frame)
+    return len(seeds)
+
+
+def _map_forgetting(mapper: GSFusion, frame: Frame, optimise) -> int:
+    integrate(mapper.volume, frame)
+    seeds = mapper.propose_seeds(mapper.seed_context(frame))
+    mapper.gaussians.append(seeds, frame.index)
+    is_keyframe = len(seeds) > mapper.config.keyframe_min_seeds
+    if is_keyframe:
+        mapper.keyframes.append(frame)
+    optim = mapper.config.optim
+    for _ in range(optim.keyframe_iterations if is_keyframe else optim.frame_iterations):
+        optimise(frame)
+    return len(seeds)
+
+
+@exercise(
+    chapter=6, difficulty=4, minutes=20, solution=_map_frame,
+    hints=(
+        "Four parts in this order: integrate(mapper.volume, frame); seeds = mapper.propose_seeds("
+        "mapper.seed_context(frame)); mapper.gaussians.append(seeds, frame.index); optimise(frame).",
+        "A frame with more than mapper.config.keyframe_min_seeds seeds goes to mapper.keyframes.append(frame) and gets "
+        "mapper.config.optim.keyframe_iterations steps; others frame_iterations.",
+        "After a frame that is no key frame: for keyframe in mapper.keyframes.draw("
+        "mapper.config.optim.random_keyframe_iterations, mapper.generator): optimise(keyframe).",
+    ),
+    wrong=(
+        Wrong(_map_seeding_first, says="the TSDF takes in the frame before the rule looks at it"),
+        Wrong(_map_optimising_too_early, says="new Gaussians are there when the frame is optimised"),
+        Wrong(_map_without_keyframes, says="becomes a key frame"),
+        Wrong(_map_forgetting, says="random key frames"),
+    ),
+)  # fmt: skip
+def map_frame(attempt: Attempt) -> None:
+    """The whole step: fuse, seed, optimise, revisit (Fig. 2)."""
+    on = "a first frame of a patterned wall"
+    theirs, ours = _small_mapper(), _small_mapper()
+    log = Log(theirs)
+    first = _wall(0)
+    got = attempt.on(on)(theirs, first, log)
+    expected = _map_frame(ours, first, lambda view: None)
+    holds(theirs.volume.n_blocks > 0, "the frame is fused into the TSDF", on=on, detail="the volume is still empty")
+    close(len(theirs.gaussians), expected, "the TSDF takes in the frame before the rule looks at it, and the "
+          "seeds are appended to the map", on=on, why="Before, every voxel has weight 0")  # fmt: skip
+    close(got, expected, "it returns the number of new Gaussians", on=on)
+    early = any(n < expected for _, _, n in log.calls)
+    holds(not early, "the new Gaussians are there when the frame is optimised", on=on,
+          detail="optimise was called while the map was empty")  # fmt: skip
+    holds(len(theirs.keyframes) == 1, "a frame with many new Gaussians becomes a key frame", on=on,
+          detail=f"{expected} new Gaussians, and {len(theirs.keyframes)} key frames")  # fmt: skip
+    close(len(log.calls), 5, "a key frame gets m = 5 steps, all on itself", on=on)
+    on = "the same wall again"
+    _second(attempt, theirs, log, on)
+
+
+def _second(attempt: Attempt, mapper: GSFusion, log: Log, on: str) -> None:
+    """The frame shows nothing new: three steps on it, then one on the only key frame."""
+    log.calls.clear()
+    close(attempt.on(on)(mapper, _wall(1), log), 0, "what was seen is not seeded again", on=on)
+    close(len(mapper.keyframes), 1, "a frame that brings little is no key frame", on=on)
+    kinds = [kind for kind, _, _ in log.calls]
+    close(kinds.count("frame"), 3, "a frame that is no key frame gets n = 3 steps", on=on)
+    holds(kinds.count("key frame") == 1, "afterwards random key frames are revisited, up to two", on=on,
+          detail=f"the list has one, and {kinds.count('key frame')} were optimised")  # fmt: skip
+    if kinds[-1] != "key frame":
+        raise Failed("the revisits come last", on, f"the order was {', '.join(kinds)}")
+
+
+def _small_mapper() -> GSFusion:
+    config = gsfusion("online", sh_degree=0, tsdf__voxel_size_m=0.05, seeding__quadtree_contrast="std")
+    return GSFusion(config)
+
+
+def _wall(index: int) -> Frame:
+    """A chequered wall 2 m away, 64 x 48."""
+    camera = Camera(width=64, height=48, fx=60.0, fy=60.0, cx=32.0, cy=24.0)
+    j, i = torch.meshgrid(torch.arange(48), torch.arange(64), indexing="ij")
+    grey = (((i // 8) + (j // 8)) % 2).float() * 0.8 + 0.1
+    return Frame(
+        index=index, timestamp_s=float(index), rgb=grey[..., None].expand(-1, -1, 3).contiguous(),
+        depth_m=torch.full((48, 64), 2.0), camera=camera, T_WC=torch.eye(4),
+    )  # fmt: skip

@@ -1,0 +1,261 @@
+"""Exercises of chapter 7: discs, states, and fusion with the past (RTG-SLAM)."""
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from .exercise import Attempt, Wrong, close, exercise, holds, unpack
+
+MIN_COSINE = 0.5
+
+
+def _disc_hit(r: Tensor, p: Tensor, n: Tensor) -> Tensor:
+    rn = r @ n
+    if rn.abs() < MIN_COSINE * r.norm():
+        return p[2]
+    return (p @ n) / rn * r[2]
+
+
+def _always_plane(r: Tensor, p: Tensor, n: Tensor) -> Tensor:
+    return (p @ n) / (r @ n) * r[2]
+
+
+def _always_centre(r: Tensor, p: Tensor, n: Tensor) -> Tensor:
+    return p[2]
+
+
+def _one_sided(r: Tensor, p: Tensor, n: Tensor) -> Tensor:
+    rn = r @ n
+    return p[2] if rn < MIN_COSINE * r.norm() else (p @ n) / rn * r[2]
+
+
+def _range(r: Tensor, p: Tensor, n: Tensor) -> Tensor:
+    rn = r @ n
+    return p.norm() if rn.abs() < MIN_COSINE * r.norm() else ((p @ n) / rn * r).norm()
+
+
+@exercise(
+    chapter=7, difficulty=2, minutes=10, solution=_disc_hit,
+    hints=(
+        "The points of the plane satisfy (x - p) . n = 0. Put x = theta r and solve for theta: that is Eq. 4.",
+        "The depth is the z of theta r. With r = (.., .., 1) it is theta itself, but r may come normalised.",
+        "cos of the angle between ray and normal: |r . n| / |r|. Below 0.5 (60 degrees) return p's z instead.",
+    ),
+    wrong=(
+        Wrong(_always_centre, says="a leaning disc is nearer on one side than on the other"),
+        Wrong(_one_sided, says="a normal may point either way"),
+        Wrong(_always_plane, says="seen flatter than 60 degrees, the centre's depth counts"),
+        Wrong(_range, says="depth is z, not the way along the ray"),
+    ),
+)  # fmt: skip
+def disc_hit(attempt: Attempt) -> None:
+    """Depth at which a ray meets a disc (Eq. 4-5)."""
+    ahead, back = torch.tensor([0.0, 0.0, 2.0]), torch.tensor([0.0, 0.0, -1.0])
+    on = "a disc 2 m ahead that faces the camera, ray (0.3, 0, 1)"
+    ray = torch.tensor([0.3, 0.0, 1.0])
+    close(attempt.on(on)(ray, ahead, back), 2.0, "depth is z, not the way along the ray", on=on)
+    leaning = torch.tensor([-0.6, 0.0, -0.8])
+    on = "a disc 2 m ahead, leaning 37 degrees, ray (0.2, 0, 1)"
+    ray = torch.tensor([0.2, 0.0, 1.0])
+    got = attempt.on(on)(ray, ahead, -leaning)
+    close(got, 1.6 / 0.92, "a leaning disc is nearer on one side than on the other", on=on, why="Eq. 4: p.n / r.n")
+    on = "the same with the normal turned round"
+    close(attempt.on(on)(ray, ahead, leaning), 1.6 / 0.92, "a normal may point either way", on=on, why="use |r.n|")
+    on = "the same ray, normalised"
+    close(attempt.on(on)(ray / ray.norm(), ahead, leaning), 1.6 / 0.92, "the length of the ray does not count", on=on)
+    on = "a disc turned 80 degrees, ray (0.2, 0, 1)"
+    flat = torch.tensor([-0.9848, 0.0, -0.1736])
+    prop = "seen flatter than 60 degrees, the centre's depth counts"
+    close(attempt.on(on)(ray, ahead, torch.tensor([0.9848, 0.0, -0.1736])), 2.0, prop, on=on)
+    on = "a disc turned 80 degrees, to the other side"
+    close(attempt.on(on)(torch.tensor([0.0, 0.1, 1.0]), ahead, flat), 2.0, prop, on=on)
+
+
+def _adding_masks(T: Tensor, D_map: Tensor, D: Tensor, C_map: Tensor, C: Tensor) -> tuple[Tensor, Tensor]:
+    known = D > 0
+    surface = known & ((T > 0.5) | ((D_map - D).abs() > 0.1))
+    colour = known & ~surface & ((C_map - C).abs().mean(-1) > 0.1)
+    return surface, colour
+
+
+def _missing_depth(T: Tensor, D_map: Tensor, D: Tensor, C_map: Tensor, C: Tensor) -> tuple[Tensor, Tensor]:
+    surface = (T > 0.5) | ((D_map - D).abs() > 0.1)
+    return surface, ~surface & ((C_map - C).abs().mean(-1) > 0.1)
+
+
+def _one_sign(T: Tensor, D_map: Tensor, D: Tensor, C_map: Tensor, C: Tensor) -> tuple[Tensor, Tensor]:
+    surface = (D > 0) & ((T > 0.5) | (D_map - D > 0.1))
+    return surface, (D > 0) & ~surface & ((C_map - C).abs().mean(-1) > 0.1)
+
+
+def _overlapping(T: Tensor, D_map: Tensor, D: Tensor, C_map: Tensor, C: Tensor) -> tuple[Tensor, Tensor]:
+    surface, _ = _adding_masks(T, D_map, D, C_map, C)
+    return surface, (D > 0) & ((C_map - C).abs().mean(-1) > 0.1)
+
+
+def _both_needed(T: Tensor, D_map: Tensor, D: Tensor, C_map: Tensor, C: Tensor) -> tuple[Tensor, Tensor]:
+    surface = (D > 0) & (T > 0.5) & ((D_map - D).abs() > 0.1)
+    return surface, (D > 0) & ~surface & ((C_map - C).abs().mean(-1) > 0.1)
+
+
+@exercise(
+    chapter=7, difficulty=2, minutes=8, solution=_adding_masks,
+    hints=(
+        "M_s is a union: new area OR wrong depth. Both sides of a depth error count.",
+        "M_c takes what is wrong in colour and NOT already in M_s: & ~surface.",
+        "No disc can be put where nothing was measured: both masks need D > 0.",
+    ),
+    wrong=(
+        Wrong(_both_needed, says="either reason is enough"),
+        Wrong(_one_sign, says="too near is as wrong as too far"),
+        Wrong(_overlapping, says="no pixel is in both"),
+        Wrong(_missing_depth, says="no disc where nothing was measured"),
+    ),
+)  # fmt: skip
+def adding_masks(attempt: Attempt) -> None:
+    """Where does the map need Gaussians (Eq. 6)?"""
+    names = ("M_s", "M_c")
+    grey = torch.full((1, 5, 3), 0.5)
+
+    def ask(on: str, T: list[float], seen: list[float], D: list[float], C: Tensor) -> tuple[Any, Any]:
+        maps = [torch.tensor([row]) for row in (T, seen, D)]
+        got = unpack(attempt.on(on)(*maps, grey, C), names, on=on)
+        for mask in got:
+            right = isinstance(mask, Tensor) and mask.dtype == torch.bool and mask.shape == (1, 5)
+            holds(right, "masks are truth values", on=on, detail="expected two bool tensors [H, W]")
+        return got
+
+    on = "five pixels: fine, unseen, 20 cm too far, 20 cm too near, unseen and wrong"
+    surface, colour = ask(on, [0.0, 0.9, 0.0, 0.0, 0.9], [2.0, 2.0, 2.2, 1.8, 2.5], [2.0] * 5, grey)
+    holds(surface[0, 1] and surface[0, 2], "either reason is enough", on=on, detail=f"M_s is {surface.tolist()}")
+    holds(surface[0, 3], "too near is as wrong as too far", on=on, detail="the fourth pixel is not in M_s: use |.|")
+    close(surface, [[0, 1, 1, 1, 1]], "M_s = new or wrong in depth", on=on)
+    close(colour, [[0] * 5], "where the colours agree M_c is empty", on=on)
+    other = grey.clone()
+    other[0, 1:] = torch.tensor([0.8, 0.5, 0.8])
+    on = "the same, all but the first 0.2 off in colour, the second known now"
+    surface, colour = ask(on, [0.0, 0.0, 0.0, 0.0, 0.9], [2.0, 2.0, 2.2, 1.8, 2.5], [2.0] * 5, other)
+    holds(not (surface & colour).any(), "no pixel is in both", on=on, detail=f"M_c is {colour.tolist()}")
+    close(colour, [[0, 1, 0, 0, 0]], "M_c = wrong in colour only", on=on)
+    on = "the same without any measured depth"
+    surface, colour = ask(on, [0.9] * 5, [0.0] * 5, [0.0] * 5, other)
+    holds(not (surface | colour).any(), "no disc where nothing was measured", on=on, detail="need D > 0 in both masks")
+
+
+STAYS, BECOMES_STABLE, BECOMES_UNSTABLE, GOES = "stays", "becomes stable", "becomes unstable", "goes"
+
+
+def _next_state(stable: bool, eta: int, errors: int, age: int) -> str:
+    if stable:
+        return BECOMES_UNSTABLE if errors > 10 else STAYS
+    if eta > 100:
+        return BECOMES_STABLE
+    return GOES if age > 120 else STAYS
+
+
+def _errors_kill(stable: bool, eta: int, errors: int, age: int) -> str:
+    return GOES if stable and errors > 10 else _next_state(stable, eta, errors, age)
+
+
+def _old_first(stable: bool, eta: int, errors: int, age: int) -> str:
+    return GOES if not stable and age > 120 else _next_state(stable, eta, errors, age)
+
+
+def _everything_ages(stable: bool, eta: int, errors: int, age: int) -> str:
+    return GOES if stable and age > 120 else _next_state(stable, eta, errors, age)
+
+
+def _any_errors(stable: bool, eta: int, errors: int, age: int) -> str:
+    return BECOMES_UNSTABLE if errors > 10 else _next_state(stable, eta, errors, age)
+
+
+@exercise(
+    chapter=7, difficulty=2, minutes=8, solution=_next_state,
+    hints=(
+        "Two cases, stable or not. Only a stable Gaussian has errors that matter, only an unstable one an age.",
+        "An unstable one is asked first whether it has been optimised enough (eta > 100), then whether it is too old.",
+        "A stable one in error is not deleted by the paper: it becomes unstable and gets another chance.",
+    ),
+    wrong=(
+        Wrong(_errors_kill, says="a stable one in error gets another chance"),
+        Wrong(_old_first, says="enough optimisation counts, even at the last moment"),
+        Wrong(_everything_ages, says="a stable one never grows too old"),
+        Wrong(_any_errors, says="errors of an unstable one do not count"),
+    ),
+)  # fmt: skip
+def next_state(attempt: Attempt) -> None:
+    """What happens to one Gaussian at the end of a frame?"""
+    cases = (
+        ((False, 101, 0, 5), BECOMES_STABLE, "optimised more than 100 times, it is stable"),
+        ((False, 100, 0, 5), STAYS, "exactly 100 is not more than 100"),
+        ((False, 3, 0, 121), GOES, "unstable for more than 120 frames, it goes"),
+        ((False, 101, 0, 121), BECOMES_STABLE, "enough optimisation counts, even at the last moment"),
+        ((False, 3, 11, 5), STAYS, "errors of an unstable one do not count"),
+        ((True, 400, 10, 90), STAYS, "exactly 10 errors are not too many"),
+        ((True, 400, 11, 90), BECOMES_UNSTABLE, "a stable one in error gets another chance"),
+        ((True, 400, 2, 1000), STAYS, "a stable one never grows too old"),
+    )
+    for (stable, eta, errors, age), expected, prop in cases:
+        on = f"{'stable' if stable else 'unstable'}, eta {eta}, {errors} errors, {age} frames old"
+        got = attempt.on(on)(stable, eta, errors, age)
+        holds(got == expected, prop, on=on, detail=f"got {got!r}, expected {expected!r}")
+
+
+def _fuse(before: Tensor, after: Tensor, eta_before: Tensor, eta_after: Tensor) -> Tensor:
+    w = (eta_after - eta_before) / eta_after.clamp_min(1)
+    return before + w[:, None] * (after - before)
+
+
+def _swapped(before: Tensor, after: Tensor, eta_before: Tensor, eta_after: Tensor) -> Tensor:
+    return _fuse(after, before, eta_before, eta_after)
+
+
+def _half_half(before: Tensor, after: Tensor, eta_before: Tensor, eta_after: Tensor) -> Tensor:
+    return (before + after) / 2
+
+
+def _sum_of_counts(before: Tensor, after: Tensor, eta_before: Tensor, eta_after: Tensor) -> Tensor:
+    w = eta_after / (eta_before + eta_after).clamp_min(1)
+    return before + w[:, None] * (after - before)
+
+
+def _unguarded(before: Tensor, after: Tensor, eta_before: Tensor, eta_after: Tensor) -> Tensor:
+    w = (eta_after - eta_before) / eta_after
+    return before + w[:, None] * (after - before)
+
+
+@exercise(
+    chapter=7, difficulty=3, minutes=8, solution=_fuse,
+    hints=(
+        "eta_after already contains eta_before: a window with 20 steps takes 30 to 50.",
+        "w_curr = (eta_after - eta_before) / eta_after is the share of the steps that this window made.",
+        "Rows that no step ever touched have eta 0: clamp the divisor. w needs [:, None] to act on rows.",
+    ),
+    wrong=(
+        Wrong(_swapped, says="a newborn takes what the window found"),
+        Wrong(_half_half, says="a newborn takes what the window found"),
+        Wrong(_sum_of_counts, says="the newer values weigh as much as their steps"),
+        Wrong(_unguarded, says="a Gaussian never seen stays as it is"),
+    ),
+)  # fmt: skip
+def fuse(attempt: Attempt) -> None:
+    """Merge the values after a window with those before it (Eq. 9)."""
+    before, after = torch.tensor([[0.0, 4.0]]), torch.tensor([[1.0, 0.0]])
+    on = "eta 0 before, 20 after"
+    got = attempt.on(on)(before, after, torch.tensor([0]), torch.tensor([20]))
+    close(got, after, "a newborn takes what the window found", on=on)
+    on = "eta 30 before, 40 after"
+    got = attempt.on(on)(before, after, torch.tensor([30]), torch.tensor([40]))
+    why = "10 of the 40 steps were made in this window: w_curr = 1/4"
+    close(got, [[0.25, 3.0]], "the newer values weigh as much as their steps", on=on, why=why)
+    on = "eta 50 before and after: seen by no view of this window"
+    got = attempt.on(on)(before, after, torch.tensor([50]), torch.tensor([50]))
+    close(got, before, "without steps nothing changes", on=on)
+    on = "eta 0 before and after"
+    got = attempt.on(on)(before, before, torch.tensor([0]), torch.tensor([0]))
+    close(got, before, "a Gaussian never seen stays as it is", on=on, why="do not divide by zero")
+    on = "two rows at once"
+    both = [torch.cat([x, x]) for x in (before, after)]
+    got = attempt.on(on)(*both, torch.tensor([0, 30]), torch.tensor([20, 40]))
+    close(got, [[1.0, 0.0], [0.25, 3.0]], "every row has its own weight", on=on)

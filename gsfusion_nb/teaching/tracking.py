@@ -1,0 +1,264 @@
+"""Exercises of chapter 8: ICP, prediction, and what a closed loop changes."""
+
+import torch
+from torch import Tensor
+
+from ..geometry import se3
+from .exercise import Attempt, Wrong, close, exercise, holds, unpack
+
+
+def _residual_and_jacobian(p: Tensor, q: Tensor, n: Tensor) -> tuple[Tensor, Tensor]:
+    return ((p - q) * n).sum(-1), torch.cat([n, torch.linalg.cross(p, n)], -1)
+
+
+def _point_to_point(p: Tensor, q: Tensor, n: Tensor) -> tuple[Tensor, Tensor]:
+    return (p - q).norm(dim=-1), _residual_and_jacobian(p, q, n)[1]
+
+
+def _turned_round(p: Tensor, q: Tensor, n: Tensor) -> tuple[Tensor, Tensor]:
+    return ((p - q) * n).sum(-1), torch.cat([n, torch.linalg.cross(n, p)], -1)
+
+
+def _about_q(p: Tensor, q: Tensor, n: Tensor) -> tuple[Tensor, Tensor]:
+    return ((p - q) * n).sum(-1), torch.cat([n, torch.linalg.cross(q, n)], -1)
+
+
+def _rotation_first(p: Tensor, q: Tensor, n: Tensor) -> tuple[Tensor, Tensor]:
+    return ((p - q) * n).sum(-1), torch.cat([torch.linalg.cross(p, n), n], -1)
+
+
+@exercise(
+    chapter=8, difficulty=3, minutes=12, solution=_residual_and_jacobian,
+    hints=(
+        "The residual is a signed number: how far p is from the plane through q, along n.",
+        "A small motion moves p by rho + omega x p. Dot it with n: n.rho + n.(omega x p).",
+        "n.(omega x p) = omega.(p x n), the triple product. So a row of J is [n, p x n].",
+    ),
+    wrong=(
+        Wrong(_point_to_point, says="sliding along the surface costs nothing"),
+        Wrong(_rotation_first, says="the translation comes first"),
+        Wrong(_turned_round, says="J is the derivative of r"),
+        Wrong(_about_q, says="J is the derivative of r"),
+    ),
+)  # fmt: skip
+def point_to_plane(attempt: Attempt) -> None:
+    """Residual and Jacobian of point-to-plane ICP (Eq. 10)."""
+    names = ("r", "J")
+    up = torch.tensor([[0.0, 0.0, 1.0]])
+    on = "a point 3 cm above the plane and 20 cm beside its partner"
+    r, J = unpack(attempt.on(on)(torch.tensor([[0.2, 0.0, 0.03]]), torch.zeros(1, 3), up), names, on=on)
+    why = "only the part along n counts: (p - q) . n"
+    close(r, [0.03], "sliding along the surface costs nothing", on=on, why=why)
+    holds(tuple(getattr(J, "shape", ())) == (1, 6), "J has six columns for each point", on=on, detail="expected [N, 6]")
+    close(torch.as_tensor(J)[:, :3], up, "the translation comes first", on=on, why="dr/drho = n")
+    generator = torch.Generator().manual_seed(2)
+    p, q, n = (torch.randn(5, 3, generator=generator, dtype=torch.float64) for _ in range(3))
+    n = n / n.norm(dim=-1, keepdim=True)
+    on = "five random points"
+    r, J = unpack(attempt.on(on)(p, q, n), names, on=on)
+    close(r, ((p - q) * n).sum(-1), "r = (p - q) . n", on=on)
+    step = 1e-6
+    for k in range(6):
+        xi = torch.zeros(6, dtype=torch.float64)
+        xi[k] = step
+        moved = [((se3.apply(se3.exp(s * xi), p) - q) * n).sum(-1) for s in (1.0, -1.0)]
+        difference = (moved[0] - moved[1]) / (2 * step)
+        close(
+            torch.as_tensor(J)[:, k], difference, "J is the derivative of r", on=f"{on}, finite difference in xi[{k}]",
+            tolerance=1e-5, why="a row of J is [n, p x n]",
+        )  # fmt: skip
+
+
+def _gauss_newton(T_WC: Tensor, r: Tensor, J: Tensor) -> Tensor:
+    xi = torch.linalg.solve(J.T @ J, -J.T @ r)
+    return se3.exp(xi) @ T_WC
+
+
+def _plus_sign(T_WC: Tensor, r: Tensor, J: Tensor) -> Tensor:
+    return se3.exp(torch.linalg.solve(J.T @ J, J.T @ r)) @ T_WC
+
+
+def _right_side(T_WC: Tensor, r: Tensor, J: Tensor) -> Tensor:
+    return T_WC @ se3.exp(torch.linalg.solve(J.T @ J, -J.T @ r))
+
+
+def _gradient_descent(T_WC: Tensor, r: Tensor, J: Tensor) -> Tensor:
+    return se3.exp(-J.T @ r / len(r)) @ T_WC
+
+
+def _not_rigid(T_WC: Tensor, r: Tensor, J: Tensor) -> Tensor:
+    xi = torch.linalg.solve(J.T @ J, -J.T @ r)
+    step = torch.eye(4, dtype=T_WC.dtype)
+    step[:3, :3] += se3.hat(xi[3:])
+    step[:3, 3] = xi[:3]
+    return step @ T_WC
+
+
+@exercise(
+    chapter=8, difficulty=3, minutes=12, solution=_gauss_newton,
+    hints=(
+        "Minimise |r + J xi|^2: set the derivative to zero, J^T J xi = -J^T r.",
+        "torch.linalg.solve(J.T @ J, -J.T @ r). Then turn the twist into a motion with se3.exp(xi).",
+        "The twist moved points that were already in the world: the motion stands on the left of T_WC.",
+    ),
+    wrong=(
+        Wrong(_plus_sign, says="the step goes towards the surface"),
+        Wrong(_gradient_descent, says="one step solves a small error"),
+        Wrong(_right_side, says="the motion is in the world frame"),
+        Wrong(_not_rigid, says="the result is a rigid motion"),
+    ),
+)  # fmt: skip
+def gauss_newton(attempt: Attempt) -> None:
+    """One Gauss-Newton step on the pose."""
+    generator = torch.Generator().manual_seed(4)
+    p_C = torch.randn(60, 3, generator=generator, dtype=torch.float64)
+    n = torch.nn.functional.normalize(torch.randn(60, 3, generator=generator, dtype=torch.float64), dim=-1)
+    quarter = torch.eye(4, dtype=torch.float64)
+    quarter[:3, :3] = torch.tensor([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    quarter[:3, 3] = torch.tensor([0.5, 0.2, -0.3])
+
+    def ask(on: str, true: Tensor, twist: list[float]) -> Tensor:
+        q = se3.apply(true, p_C)
+        start = se3.exp(torch.tensor(twist, dtype=torch.float64)) @ true
+        r, J = _residual_and_jacobian(se3.apply(start, p_C), q, n)
+        got = attempt.on(on)(start, r, J)
+        holds(
+            isinstance(got, Tensor) and got.shape == (4, 4),
+            "it returns a pose",
+            on=on,
+            detail="expected a tensor [4, 4]",
+        )
+        return got
+
+    eye = torch.eye(4, dtype=torch.float64)
+    on = "60 points, 1 cm off along x"
+    got = ask(on, eye, [0.01, 0.0, 0.0, 0.0, 0.0, 0.0])
+    holds(
+        float(got[0, 3]) < 0.0101, "the step goes towards the surface", on=on, detail=f"x is {float(got[0, 3]):.4f} m"
+    )
+    close(got, eye, "one step solves a small error", on=on, tolerance=1e-4, why="solve J^T J xi = -J^T r")
+    on = "a camera turned by 90 degrees, 1 cm off along x"
+    got = ask(on, quarter, [0.01, 0.0, 0.0, 0.0, 0.0, 0.0])
+    close(got, quarter, "the motion is in the world frame", on=on, tolerance=1e-4, why="exp(xi) stands on the left")
+    on = "the same, turned by 17 degrees"
+    R = ask(on, quarter, [0.0, 0.0, 0.0, 0.1, -0.2, 0.2])[:3, :3]
+    close(R @ R.T, torch.eye(3), "the result is a rigid motion", on=on, tolerance=1e-6, why="use se3.exp, not I + hat")
+
+
+def _predict(T_before: Tensor, T_last: Tensor) -> Tensor:
+    return T_last @ se3.inverse(T_before) @ T_last
+
+
+def _same_again(T_before: Tensor, T_last: Tensor) -> Tensor:
+    return T_last
+
+
+def _linear(T_before: Tensor, T_last: Tensor) -> Tensor:
+    return 2 * T_last - T_before
+
+
+def _backwards(T_before: Tensor, T_last: Tensor) -> Tensor:
+    return T_last @ se3.inverse(T_last) @ T_before
+
+
+def _world_motion(T_before: Tensor, T_last: Tensor) -> Tensor:
+    out = T_last.clone()
+    out[:3, :3] = T_last[:3, :3] @ T_before[:3, :3].T @ T_last[:3, :3]
+    out[:3, 3] = 2 * T_last[:3, 3] - T_before[:3, 3]
+    return out
+
+
+@exercise(
+    chapter=8, difficulty=2, minutes=6, solution=_predict,
+    hints=(
+        "The motion between the two frames, as the camera felt it: inverse(T_before) @ T_last.",
+        "Do the same motion once more, from where the camera is now, in its own axes: on the right.",
+        "Poses cannot be added: 2 T_last - T_before has a rotation part that is no rotation.",
+    ),
+    wrong=(
+        Wrong(_same_again, says="a steady motion goes on"),
+        Wrong(_backwards, says="a steady motion goes on"),
+        Wrong(_linear, says="the result is a rigid motion"),
+        Wrong(_world_motion, says="who walks a curve goes on along the curve"),
+    ),
+)  # fmt: skip
+def predict(attempt: Attempt) -> None:
+    """Where will the camera be next, if it goes on like this?"""
+    eye, ahead = torch.eye(4, dtype=torch.float64), torch.eye(4, dtype=torch.float64)
+    ahead[2, 3] = 0.1
+    on = "10 cm forward since the frame before"
+    got = attempt.on(on)(eye, ahead)
+    holds(
+        isinstance(got, Tensor) and got.shape == (4, 4), "it returns a pose", on=on, detail="expected a tensor [4, 4]"
+    )
+    close(got[:3, 3], [0.0, 0.0, 0.2], "a steady motion goes on", on=on)
+    curve = se3.exp(torch.tensor([0.0, 0.0, 0.1, 0.0, 0.3, 0.0], dtype=torch.float64))
+    on = "forward and turning by 17 degrees"
+    got = attempt.on(on)(curve, curve @ curve)
+    R = got[:3, :3]
+    close(R @ R.T, torch.eye(3), "the result is a rigid motion", on=on, tolerance=1e-6)
+    close(got, curve @ curve @ curve, "who walks a curve goes on along the curve", on=on, tolerance=1e-6)
+
+
+def _spread(poses: Tensor, T_loop: Tensor) -> Tensor:
+    change = se3.log(T_loop @ se3.inverse(poses[-1]))
+    share = torch.linspace(0, 1, len(poses)).to(poses)
+    return se3.exp(share[:, None] * change) @ poses
+
+
+def _all_of_it(poses: Tensor, T_loop: Tensor) -> Tensor:
+    return T_loop @ se3.inverse(poses[-1]) @ poses
+
+
+def _only_the_end(poses: Tensor, T_loop: Tensor) -> Tensor:
+    return torch.cat([poses[:-1], T_loop[None]])
+
+
+def _wrong_way(poses: Tensor, T_loop: Tensor) -> Tensor:
+    change = se3.log(poses[-1] @ se3.inverse(T_loop))
+    share = torch.linspace(0, 1, len(poses)).to(poses)
+    return se3.exp(share[:, None] * change) @ poses
+
+
+def _linear_blend(poses: Tensor, T_loop: Tensor) -> Tensor:
+    share = torch.linspace(0, 1, len(poses)).to(poses)[:, None, None]
+    eye = torch.eye(4).to(poses)
+    return (eye + share * (T_loop @ se3.inverse(poses[-1]) - eye)) @ poses
+
+
+@exercise(
+    chapter=8, difficulty=4, minutes=15, solution=_spread,
+    hints=(
+        "What takes the last pose to where the loop says it is? change = T_loop @ inverse(poses[-1]), on the left.",
+        "Pose k gets the share k / (N - 1) of it: none at the start, all at the end.",
+        "A share of a motion is exp(share * log(change)); a matrix cannot be blended. se3.exp takes a batch.",
+    ),
+    wrong=(
+        Wrong(_all_of_it, says="the first pose stays"),
+        Wrong(_wrong_way, says="the last pose is where the loop says"),
+        Wrong(_only_the_end, says="the correction grows evenly along the path"),
+        Wrong(_linear_blend, says="every pose stays rigid"),
+    ),
+)  # fmt: skip
+def spread_correction(attempt: Attempt) -> None:
+    """Spread what a closed loop found over the path that led there."""
+    n = 5
+    path = torch.eye(4, dtype=torch.float64).repeat(n, 1, 1)
+    path[:, 0, 3] = torch.arange(n)
+    end = path[-1].clone()
+    end[1, 3] = 0.4
+    on = "five poses along x; the loop says the last one is 40 cm farther left"
+    got = attempt.on(on)(path, end)
+    holds(isinstance(got, Tensor) and got.shape == (n, 4, 4), "it returns N poses", on=on, detail="expected [N, 4, 4]")
+    close(got[0], path[0], "the first pose stays", on=on, tolerance=1e-6)
+    close(got[-1], end, "the last pose is where the loop says", on=on, tolerance=1e-6)
+    close(got[:, 1, 3], [0.0, 0.1, 0.2, 0.3, 0.4], "the correction grows evenly along the path", on=on, tolerance=1e-6)
+    turned = end.clone()
+    turned[:3, :3] = se3.exp(torch.tensor([0.0, 0, 0, 0, 0, 1.2], dtype=torch.float64))[:3, :3]
+    on = "the same, and it has turned by 69 degrees"
+    got = attempt.on(on)(path, turned)
+    R = got[:, :3, :3]
+    eye = torch.eye(3, dtype=torch.float64).expand(n, 3, 3)
+    close(R @ R.transpose(1, 2), eye, "every pose stays rigid", on=on, tolerance=1e-6, why="exp(share * log(change))")
+    half = float(se3.rotation_angle(R[2]))
+    close(half, 0.6, "halfway, half the turn", on=on, tolerance=1e-6)

@@ -1,0 +1,117 @@
+"""The course as a student uses it: drag the quadtree's threshold, answer an exercise wrongly and then rightly.
+
+Screenshots go to $GSNB_SCREENSHOTS.
+"""
+
+import json
+import os
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning")]
+
+NOTEBOOK = Path(__file__).resolve().parents[2] / "notebooks" / "03_quadtree_decomposition.ipynb"
+
+WRONG = """
+def split_cell(x0, y0, width, height):
+    w, h = width // 2, height // 2
+    return [(x0 + i * w, y0 + j * h, w, h) for i in (0, 1) for j in (0, 1)]
+"""
+RIGHT = """
+def split_cell(x0, y0, width, height):
+    w, h = width // 2, height // 2
+    left, right = (x0, w), (x0 + w, width - w)
+    top, bottom = (y0, h), (y0 + h, height - h)
+    return [(x, y, cw, ch) for x, cw in (left, right) for y, ch in (top, bottom)]
+"""
+
+
+def code_cells(until):
+    """The student's code cells of the chapter, up to the one that contains ``until``."""
+    chosen = []
+    for cell in json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"]:
+        source = "".join(cell["source"])
+        if cell["cell_type"] == "code" and "BEGIN SOLUTION" not in source:
+            chosen.append(source)
+            if until in source:
+                return chosen
+    raise AssertionError(f"no cell of {NOTEBOOK.name} has {until!r}")
+
+
+@pytest.fixture(scope="module")
+def page(lab):
+    page = lab.open([f"import torch; torch.set_num_threads(1)\n{c}" for c in code_cells("quadtree_panel(frame")])
+    yield page
+    page.close()
+
+
+def screenshot(locator, name):
+    png = locator.screenshot()
+    if folder := os.environ.get("GSNB_SCREENSHOTS"):
+        Path(folder).mkdir(parents=True, exist_ok=True)
+        (Path(folder) / f"{name}.png").write_bytes(png)
+    return np.asarray(cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)).astype(int)
+
+
+def wait_for(condition, what, timeout_s=30):
+    until = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < until, f"waited {timeout_s} s for {what}"
+        time.sleep(0.1)
+
+
+def count(page):
+    return int(page.locator(".gsnb-quadtree-count").inner_text().replace(",", ""))
+
+
+def test_dragging_the_threshold_changes_picture_and_count(lab, page):
+    picture, handle = page.locator("img.gsnb-quadtree-image"), page.locator(".gsnb-quadtree-threshold .noUi-handle")
+    picture.scroll_into_view_if_needed()
+    before, cells = screenshot(picture, "quadtree_before"), count(page)
+    assert before.std() > 20
+    handle.scroll_into_view_if_needed()  # the controls may stand below the picture
+    box = handle.bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(x, y)
+    page.mouse.down()
+    for step in range(1, 9):
+        page.mouse.move(x + 5 * step, y)
+    page.mouse.up()
+    wait_for(lambda: count(page) < cells / 2, "fewer cells at a larger threshold")
+    wait_for(lambda: np.abs(screenshot(picture, "quadtree_after") - before).mean() > 1, "another picture")
+    assert lab.errors == []
+
+
+def run_cell(page, containing, source=None):
+    """Run the first cell that contains some words, with another source if given."""
+    script = """([words, source]) => {
+        const notebook = window.jupyterapp.shell.currentWidget.content;
+        const index = notebook.widgets.findIndex(w => w.model.sharedModel.getSource().includes(words));
+        if (source !== null) notebook.widgets[index].model.sharedModel.setSource(source);
+        notebook.activeCellIndex = index;
+        notebook.deselectAll();
+        return window.jupyterapp.commands.execute("notebook:run-cell");
+    }"""
+    page.evaluate(script, [containing, source])
+
+
+def test_an_exercise_is_grey_then_red_then_green(lab, page):
+    verdict = page.locator(".gsnb-verdict", has_text="split_cell")
+    verdict.first.scroll_into_view_if_needed()
+    assert "not written" in verdict.inner_text()
+    for source, state, words in (
+        (WRONG, "failed", "every pixel of the cell is in exactly one part"),
+        (RIGHT, "passed", "all checks pass"),
+    ):
+        run_cell(page, "def split_cell", source)
+        run_cell(page, "check.split_cell(split_cell)")
+        shown = page.locator(f".gsnb-verdict.gsnb-{state}", has_text="split_cell")
+        wait_for(lambda shown=shown: shown.count() == 1, f"the verdict {state}")
+        assert words in shown.inner_text()
+        screenshot(shown, f"verdict_{state}")
+    assert lab.errors == []
+    assert lab.requests == []
