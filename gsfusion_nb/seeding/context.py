@@ -135,7 +135,7 @@ class SeedContext:
         return self._cache.get("quadtree_seconds", 0.0)
 
     def cells(self, **overrides: Any) -> Seeds:
-        """One round seed per quadtree leaf whose middle has depth (GSFusion III-B.2, Eq. 10-11).
+        """One round seed per quadtree leaf whose middle has depth (GSFusion III-B.2, Eq. 10).
 
         The middle is back-projected with the depth of the pixel that contains it, and takes that pixel's colour; the
         standard deviation is d = z sqrt((w/2)^2 + (h/2)^2) / fx; opacity 0.5; ``tag`` is the leaf's level.

@@ -47,7 +47,7 @@ class StudyOptions:
     out: str = ""
     """Folder for the runs; runs/study-<name> by default."""
     options: str = ""
-    """Further options of `gsfusion-nb map` for every variant, in quotes after an equals sign: --options="--data.width 320"."""
+    """Options of `gsfusion-nb map` for every variant, quoted after an equals sign: --options="--data.width 320"."""
     views: int = 20
     """disc-depth: views to fit."""
 

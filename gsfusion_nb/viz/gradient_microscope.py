@@ -21,7 +21,7 @@ from .stack_picture import enlarged, with_cross
 
 PICKS = ("pixel", "Gaussian")
 """What a click can choose."""
-PICTURE_PX = 270
+PICTURE_PX = 222
 """Height of the pictures, pixels."""
 LABELS = ("rendered", "target", "where they should go")
 

@@ -94,13 +94,13 @@ class LiveMapper:
 
     def picture(self) -> Picture:
         """The panels and curves in one picture, as a stored notebook shows them."""
-        curves = self._curves(scale=1)
         if self.panels is None:
-            return curves
-        mosaic = self.panels.mosaic()
+            return self._curves(self._width, scale=1)
+        small = next(iter(self.panels.pictures.values())).shape[1]
+        mosaic = self.panels.mosaic(max(1, round(self._panel_width / small)))
+        curves = self._curves(mosaic.shape[1], scale=1)
         strip = np.full((curves.shape[0], mosaic.shape[1], 3), 255, np.uint8)
-        width = min(curves.shape[1], mosaic.shape[1])
-        strip[:, :width] = curves[:, :width]
+        strip[:, : curves.shape[1]] = curves
         return np.concatenate([mosaic, strip])
 
     def _repr_mimebundle_(self, **kwargs: Any) -> dict[str, Any]:
@@ -134,7 +134,7 @@ class LiveMapper:
         self.panels = live_panels(self.run.mapper, frame)
         for name, image in self.images.items():
             image.value = encode_jpeg(self.panels[name])
-        self.curves.value = encode_png(self._curves(), 3)
+        self.curves.value = encode_png(self._curves(self._width), 3)
         if self.viewer is not None:
             self.viewer.update(self.run.mapper)
         ended = time.monotonic()
@@ -148,7 +148,7 @@ class LiveMapper:
             return frame
         return dataclasses.replace(frame, T_WC=mapped.poses[-1].to(frame.T_WC))
 
-    def _curves(self, scale: int = 2) -> Picture:
+    def _curves(self, width: int, scale: int = 2) -> Picture:
         steps = self.run.steps
         series = {
             "PSNR of the frame, dB": [s.psnr_after_db for s in steps],
@@ -157,13 +157,14 @@ class LiveMapper:
         if steps and steps[-1].counts:
             names = ("stable_opaque", "stable_transparent")
             series["stable Gaussians"] = [sum(s.counts.get(name, 0) for name in names) for s in steps]
-        width = columns_for(len(self.images)) * self._panel_width // len(series)
-        return small_curves(series, n_x=len(self.run.sequence.mapping), width=width, scale=scale)
+        return small_curves(series, n_x=len(self.run.sequence.mapping), width=width // len(series), scale=scale)
 
     def _build(self, panel_width: int) -> None:
         import ipywidgets as w
 
         self._panel_width = panel_width
+        captions = captions_of(self.run.mapper)
+        self._width = columns_for(len(captions)) * panel_width
         icons = {"Start": "play", "Pause": "pause", "Step": "step-forward", "Stop": "stop"}
         actions = {"Start": self.start, "Pause": self.pause, "Step": self.step, "Stop": self.stop}
         self.buttons = {
@@ -177,7 +178,6 @@ class LiveMapper:
         self.status.add_class("gsnb-live-status")
         self.error = w.HTML()
         fixed = w.Layout(width=f"{panel_width}px")
-        captions = captions_of(self.run.mapper)
         self.images = {name: w.Image(format="jpeg", layout=fixed) for name in captions}
         for name, image in self.images.items():
             image.add_class(f"gsnb-live-{name}")
@@ -185,7 +185,7 @@ class LiveMapper:
         wide = columns_for(len(cells))
         rows = [w.HBox(cells[i : i + wide]) for i in range(0, len(cells), wide)]
         self.curves = w.Image(
-            format="png", value=encode_png(self._curves(), 3), layout=w.Layout(width=f"{wide * panel_width}px")
+            format="png", value=encode_png(self._curves(self._width), 3), layout=w.Layout(width=f"{self._width}px")
         )
         controls = w.HBox([*self.buttons.values(), self.progress])
         self.widget = w.VBox([controls, self.status, self.error, *rows, self.curves])

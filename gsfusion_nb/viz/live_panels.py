@@ -53,12 +53,13 @@ class LivePanels:
     def __getitem__(self, name: str) -> Picture:
         return self.pictures[name]
 
-    def mosaic(self) -> Picture:
-        """All of them, two or three in a row, with labels."""
+    def mosaic(self, scale: int = 1) -> Picture:
+        """All of them, two or three in a row, with labels; ``scale`` enlarges the pictures."""
+        big = {name: picture.repeat(scale, 0).repeat(scale, 1) for name, picture in self.pictures.items()}
         names, wide = list(self.pictures), columns_for(len(self.pictures))
         labels = {name: text.replace("−", "-") for name, text in self.captions.items()}
         rows = [names[i : i + wide] for i in range(0, len(names), wide)]
-        return np.concatenate([side_by_side([self[n] for n in row], [labels[n] for n in row]) for row in rows])
+        return np.concatenate([side_by_side([big[n] for n in row], [labels[n] for n in row]) for row in rows])
 
 
 def live_panels(mapper: Mapper, frame: Frame) -> LivePanels:

@@ -23,7 +23,7 @@ def gsfusion(ctx: SeedContext, *, required_weight: float = 1.0, coverage: bool =
         required_weight: Observation count that the voxel must have.
         coverage: False skips the voxel test; every frame then seeds everything it sees.
 
-    Source: GSFusion section III-B.2, Eq. 10-11.
+    Source: GSFusion section III-B.2, Eq. 10.
     """
     seeds = ctx.cells()
     return seeds[ctx.voxel_weight(seeds.xyz_W) == required_weight] if coverage else seeds
