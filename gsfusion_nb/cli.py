@@ -45,7 +45,8 @@ class MapOptions:
     split: str = ""
     """Which published split to map (ScanNet++: train or test)."""
     reader: tuple[str, ...] = ()
-    """Options of the layout's reader, name=value: register=true (7-Scenes), undistort=false (TUM)."""
+    """Options of the layout's reader, name=value: register=true (7-Scenes), undistort=false (TUM), poses=false (folder,
+    TUM), n_frames=480 (room)."""
     resume: str = ""
     """Folder of an interrupted run to go on with; no other option is needed."""
     from_config: str = ""
@@ -58,8 +59,6 @@ class MapOptions:
     """Score mapped and held-out views and write the report."""
     rule_options: tuple[str, ...] = ()
     """Options of the seeding rule, such as: --rule-options share=0.2 transparent=false."""
-    reader_options: tuple[str, ...] = ()
-    """Options of the sequence's reader, such as, for the room: --reader-options n_frames=480 depth_noise=true."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,7 +91,8 @@ class CheckOptions:
     format: str = "auto"
     """Layout of the data: folder, tum, replica, scannetpp, seven_scenes; recognised by itself by default."""
     reader: tuple[str, ...] = ()
-    """Options of the layout's reader, name=value: register=true (7-Scenes), undistort=false (TUM)."""
+    """Options of the layout's reader, name=value: register=true (7-Scenes), undistort=false (TUM), poses=false (folder,
+    TUM), n_frames=480 (room)."""
     data: DataConfig = field(default_factory=DataConfig)
 
 
@@ -182,10 +182,9 @@ def _map(arguments: list[str]) -> int:
         if not options.data:
             raise ValueError("expected the folder of a sequence or the name of a built-in scene: gsfusion-nb map room")
         reader: dict[str, Any] = {"format": options.format} if options.format != "auto" else {}
-        reader |= _reader_options(options.reader)
+        reader |= _named_values(options.reader)
         if options.split:
             reader["split"] = options.split
-        reader |= _named_values(options.reader_options)
         run = run_mapping(
             options.data,
             replace(
@@ -204,30 +203,12 @@ def _check(arguments: list[str]) -> int:
 
     options = tyro.cli(CheckOptions, prog="gsfusion-nb check", args=arguments)
     reader: dict[str, Any] = {"format": options.format} if options.format != "auto" else {}
-    reader |= _reader_options(options.reader)
+    reader |= _named_values(options.reader)
     report = check_recording(options.path, data=options.data, frames=options.frames, **reader)
     print(report)
     page = report.write(options.out or f"check-{report.name}.html")
     print(f"Pictures and curves: {page}")
     return 1 if report.verdict == "wrong" else 0
-
-
-def _reader_options(words: tuple[str, ...]) -> dict[str, Any]:
-    """Values of ``name=value`` words: true, false, numbers, text."""
-    import ast
-
-    options: dict[str, Any] = {}
-    for word in words:
-        name, equals, text = word.partition("=")
-        if not equals or not name.isidentifier():
-            raise ValueError(f"--reader takes name=value, got {word!r}")
-        try:
-            options[name] = {"true": True, "false": False}.get(text.lower())
-            if options[name] is None:
-                options[name] = ast.literal_eval(text)
-        except (ValueError, SyntaxError):
-            options[name] = text
-    return options
 
 
 def _named_values(texts: tuple[str, ...]) -> dict[str, Any]:

@@ -18,9 +18,10 @@ FLOORS = {
     **dict.fromkeys(("seeding", "optim", "tracking", "datasets", "export", "evaluation"), 3),
     **dict.fromkeys(("mapping", "checkup"), 4),
     **dict.fromkeys(("viz", "teaching", "warm"), 5),
-    **dict.fromkeys(("doctor", "bench", "studies"), 6),
-    "cli": 7,
-    "__main__": 8,
+    **dict.fromkeys(("doctor", "bench"), 6),
+    "studies": 7,
+    "cli": 8,
+    "__main__": 9,
 }
 
 MODULES = sorted(p for p in PACKAGE.rglob("*.py") if p != PACKAGE / "__init__.py")

@@ -22,7 +22,7 @@ def require(root: Path, names: tuple[str, ...], layout: str, *, without_poses: s
         advice = (
             ""
             if lacking != [without_poses]
-            else ("; to estimate the poses instead: --tracking.poses tracked --reader-options poses=false")
+            else ("; to estimate the poses instead: --tracking.poses tracked --reader poses=false")
         )
         raise SequenceNotFoundError(
             f"{root} lacks {', '.join(lacking)}; the {layout!r} layout is expected to have {', '.join(names)}{advice}"

@@ -8,6 +8,14 @@ import numpy as np
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+Box = tuple[float, float, float, float]
+"""Left, bottom, right, top, pixels."""
+
+CHARACTER_PX, LINE_PX = 6.4, 14.0
+"""Size of a character at 8 points and 100 dots per inch."""
+_DIRECTIONS = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (-1, 1), (1, -1), (-1, -1))
+_DISTANCES_PX = (3.0, 14.0, 28.0, 46.0, 66.0)
+
 LARGEST_AREA, LEAST_AREA = 420.0, 40.0
 """Points squared: the slowest candidate, and the least that can still be seen."""
 
@@ -47,6 +55,8 @@ def pareto_figure(names: Sequence[str], cost: np.ndarray, quality: np.ndarray, m
     axes.set_ylabel("PSNR of held-out views, dB")
     axes.grid(True, which="major", alpha=0.3)
     if len(names) == 0:
+        axes.set(xticks=[], yticks=[])
+        axes.text(0.5, 0.5, "no rule has finished yet", ha="center", va="center", color="#5c6675")
         return figure
     on_front = pareto_front(cost, quality)
     area = np.maximum(LARGEST_AREA * ms / max(float(np.max(ms)), 1e-9), LEAST_AREA)
@@ -54,24 +64,44 @@ def pareto_figure(names: Sequence[str], cost: np.ndarray, quality: np.ndarray, m
     axes.scatter(cost, quality, s=area, c=colours, alpha=0.75, edgecolors="white", zorder=3)
     best = np.argsort(cost[on_front], kind="stable")
     axes.step(cost[on_front][best], quality[on_front][best], where="post", color="#d1495b", linewidth=1.2, zorder=2)
-    _labels(axes, names, cost, quality, area)
     axes.set_xscale("log")
-    axes.margins(x=0.25, y=0.2)
+    axes.margins(x=0.3, y=0.25)
     _plain_numbers(axes)
     axes.set_title("red: on the Pareto front; larger: more ms per frame", fontsize=9, color="#5c6675", loc="left")
+    _labels(axes, names, cost, quality, area)
     return figure
 
 
 def _labels(axes, names: Sequence[str], cost: np.ndarray, quality: np.ndarray, area: np.ndarray) -> None:
-    """A name at each point; above and below in turn, from left to right, where neighbours would overlap."""
-    order = np.argsort(cost, kind="stable")
-    for turn, i in enumerate(order):
-        rise = np.sqrt(area[i]) / 2 + 4
-        up = turn % 2 == 0
+    """A name beside each point, at the first place where it covers neither a point nor another name."""
+    axes.figure.draw_without_rendering()
+    centre = axes.transData.transform(np.stack([cost, quality], axis=1).astype(float))
+    dots = [(x - r, y - r, x + r, y + r) for (x, y), r in zip(centre, np.sqrt(area) * 0.7, strict=True)]
+    taken = list(dots)
+    for i in np.argsort(-quality, kind="stable"):
+        x, y = centre[i]
+        size = CHARACTER_PX * len(names[i]), LINE_PX
+        places = [_place(dots[i], size, turn, far) for far in _DISTANCES_PX for turn in _DIRECTIONS]
+        box = next((p for p in places if not any(_overlap(p, other) for other in taken)), places[0])
+        taken.append(box)
+        middle = ((box[0] + box[2]) / 2 - x) * 0.72, ((box[1] + box[3]) / 2 - y) * 0.72  # pixels to points
         axes.annotate(
-            names[i], (cost[i], quality[i]), xytext=(0, rise if up else -rise), textcoords="offset points",
-            ha="center", va="bottom" if up else "top", fontsize=8,
+            names[i], (cost[i], quality[i]), xytext=middle, textcoords="offset points", ha="center", va="center",
+            fontsize=8, arrowprops={"arrowstyle": "-", "color": "#8a8f98", "linewidth": 0.6, "shrinkA": 0, "shrinkB": 0},
         )  # fmt: skip
+
+
+def _place(dot: Box, size: tuple[float, float], turn: tuple[int, int], far: float) -> Box:
+    """A box of ``size`` beside ``dot``, in direction ``turn``, ``far`` pixels from it."""
+    x, y = (dot[0] + dot[2]) / 2, (dot[1] + dot[3]) / 2
+    reach = (dot[2] - dot[0]) / 2 + far
+    x += turn[0] * (reach + size[0] / 2)
+    y += turn[1] * (reach + size[1] / 2)
+    return x - size[0] / 2, y - size[1] / 2, x + size[0] / 2, y + size[1] / 2
+
+
+def _overlap(a: Box, b: Box) -> bool:
+    return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]
 
 
 def _plain_numbers(axes) -> None:

@@ -143,8 +143,8 @@ def icp_panel(frame: Frame, surface: Surface, config: TrackingConfig | None = No
 
     controls = {
         "step": Slider(value=0, low=0, high=sum(settings.iterations), step=1, label="step"),
-        "sideways_cm": Slider(value=12, low=-60, high=60, step=1, label="start: right cm"),
-        "turn_deg": Slider(value=4, low=-20, high=20, step=1, label="start: turn °"),
+        "sideways_cm": Slider(value=15, low=-60, high=60, step=1, label="start: right cm"),
+        "turn_deg": Slider(value=-5, low=-20, high=20, step=1, label="start: turn °"),
         "pyramid": Switch(value=True, label="coarse to fine"),
     }
     return Panel(draw, controls, name="icp", text="ICP, step by step")
@@ -195,7 +195,7 @@ def path_picture(
     *,
     links: Sequence[tuple[int, int]] = (),
     linked: str = "",
-    width: int = 560,
+    width: int = 400,
 ) -> Picture:
     """Camera paths from above, each with a dot at its start and a ring at its end.
 

@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
@@ -18,8 +18,7 @@ from ..types import Frame, Seeds
 from .figures import Picture, to_uint8
 from .panel import Choice, Control, Drawn, Panel, Slider, Switch
 
-Show = Literal["places", "new Gaussians", "map and new"]
-SHOWS: tuple[Show, ...] = ("places", "new Gaussians", "map and new")
+SHOWS = ("places", "new Gaussians", "map and new")
 SEED_COLOUR = (255, 48, 64)
 REACH = 20.0
 """A slider goes from default / REACH to default x REACH."""
@@ -86,7 +85,7 @@ def rule_picture(
     ctx: SeedContext,
     options: Mapping[str, Any] | None = None,
     *,
-    show: Show = "places",
+    show: str = "places",
     scale: int = 1,
 ) -> tuple[Picture, Seeds]:
     """The seeds that a rule proposes for a frame, drawn, and the seeds themselves.
@@ -98,7 +97,7 @@ def rule_picture(
         rule: Name or function.
         ctx: The frame, and what was mapped before. Its generator is set to 0 first: the same picture each time.
         options: Keyword arguments for the rule.
-        show: What is drawn.
+        show: What is drawn, one of ``SHOWS``.
         scale: Enlargement.
 
     Raises:

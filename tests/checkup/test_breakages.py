@@ -91,7 +91,7 @@ def test_real_sequences(broken, breakages, table, source, name):
 
 @pytest.mark.parametrize("source", REAL)
 def test_clean_sequences_get_a_clean_bill(shared_sequence, source):
-    report = check_recording(shared_sequence(source), frames=60, pictures=False)
+    report = check_recording(shared_sequence(source), frames=31, pictures=False)
     assert report.ok, str(report)
     assert report.flags == ""
 
@@ -118,6 +118,7 @@ def test_every_repair_repairs(broken, breakages, source, name):
     assert again.data == report.data  # nothing on top
 
 
+@pytest.mark.slow
 def test_two_breakages_at_once(broken, breakages):
     recording, _ = broken("room", "opengl view matrices")
     breakages["depth 5000 as 1000"].break_it(recording)

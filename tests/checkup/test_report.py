@@ -72,7 +72,7 @@ def test_mistakes_of_the_command(capsys, tmp_path):
     assert "is no folder" in capsys.readouterr().err
     (tmp_path / "scan").mkdir()
     assert main(["check", str(tmp_path / "scan"), "--reader", "register"]) == 1
-    assert "--reader takes name=value, got 'register'" in capsys.readouterr().err
+    assert "expected an option as name=value, got 'register'" in capsys.readouterr().err
 
 
 def test_a_sequence_in_memory_is_left_alone():

@@ -106,7 +106,7 @@ def test_a_recording_without_poses_is_tracked_from_the_identity(tmp_path):
     sequence = open_sequence("room", data=DataConfig(width=160, height=120, hold_out_every=0), n_frames=480)
     frames = [sequence[i] for i in range(8)]
     write_recording(tmp_path / "scan", frames)
-    with pytest.raises(SequenceNotFoundError, match=r"lacks poses.txt.*--reader-options poses=false"):
+    with pytest.raises(SequenceNotFoundError, match=r"lacks poses.txt.*--reader poses=false"):
         open_sequence(tmp_path / "scan", format="folder")
     config = gsfusion("online", tracking__poses="tracked", data__hold_out_every=4, data__hold_out_offset=2)
     with pytest.raises(SequenceError, match="came without poses"):

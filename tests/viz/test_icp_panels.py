@@ -110,7 +110,7 @@ def test_paths_from_above():
     angle = torch.linspace(0, 2 * math.pi, 20)
     poses[:, 0, 3], poses[:, 1, 3] = angle.cos(), angle.sin()
     picture = path_picture({"circle": poses, "half": poses[:10]}, links=[(0, 19)], linked="circle")
-    assert picture.shape[1] == 560
+    assert picture.shape[1] == 400
     drawn = (picture < 200).any(-1)
     assert drawn.mean() > 0.005
     still = path_picture({"no motion": poses[:1]})

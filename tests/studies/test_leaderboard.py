@@ -1,0 +1,139 @@
+"""The leaderboard: what it counts, what it survives, and that a stop keeps what has finished."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from gsfusion_nb.config import gsfusion
+from gsfusion_nb.datasets import open_sequence
+from gsfusion_nb.mapping import GSFusion
+from gsfusion_nb.studies.contest_view import board_picture, watch_contest
+from gsfusion_nb.studies.leaderboard import Contest, Entrant, Leaderboard, LeaderboardRow, compare_rules
+
+CONFIG = gsfusion(
+    "room", data__width=64, data__height=48, data__stop=5, data__hold_out_every=5, tsdf__voxel_size_m=0.05,
+    sh_degree=0, optim__global_iterations=0, seeding__quadtree_contrast="std", seeding__quadtree_threshold=0.05,
+)  # fmt: skip
+QUIET = {"on_progress": lambda progress: None}
+
+
+@pytest.fixture(scope="module")
+def sequence():
+    return open_sequence("room", data=CONFIG.data, n_frames=60)
+
+
+def row(name, psnr_db, n, ms=10.0):
+    return LeaderboardRow(
+        name=name, psnr_db=psnr_db, ssim=0.5, n_gaussians=n, n_keyframes=3, ms_per_frame=ms, cpu_ms_per_frame=ms,
+        seeding_ms=1.0,
+    )  # fmt: skip
+
+
+BOARD = Leaderboard(rows=[row("small", 20.0, 1000), row("good", 25.0, 5000), row("beaten", 24.0, 9000)], complete=True)
+
+
+def test_the_front_and_the_order_by_hand():
+    assert BOARD.front == ["small", "good"]
+    assert [r.name for r in BOARD.sorted] == ["good", "beaten", "small"]
+    assert BOARD["good"].n_gaussians == 5000
+    with pytest.raises(KeyError, match="there are: small, good, beaten"):
+        BOARD["best"]
+
+
+def test_the_table_says_the_numbers_in_text_html_and_markdown():
+    for text in (repr(BOARD), BOARD._repr_html_(), BOARD.as_markdown()):
+        assert "25.00" in text
+        assert "5,000" in text
+        assert "● good" in text
+        assert "● beaten" not in text
+    assert "stopped" not in repr(BOARD)
+    assert "stopped" in repr(dataclasses.replace(BOARD, complete=False))
+    hostile = Leaderboard(rows=[row("<b>", 1.0, 1)])
+    assert "<b></td>" not in hostile._repr_html_()
+
+
+def test_pictures_even_of_nothing():
+    empty, full = board_picture(Leaderboard()), board_picture(BOARD)
+    assert empty.shape == full.shape == (400, 640, 3)
+    assert (full != empty).any()
+    assert full.dtype == np.uint8
+
+
+def test_a_run_agrees_with_the_mapper(sequence):
+    board = compare_rules(["gsfusion", Entrant("uniform", {"fraction": 0.1})], sequence, CONFIG, **QUIET)
+    assert board.complete
+    assert [r.name for r in board.rows] == ["gsfusion", "uniform fraction=0.1"]
+    mapper = GSFusion(CONFIG)
+    for frame in sequence.mapping:
+        mapper.step(frame)
+    assert board["gsfusion"].n_gaussians == len(mapper.gaussians)
+    assert board["gsfusion"].n_keyframes == len(mapper.keyframes)
+    assert all(r.ms_per_frame > 0 and 5 < r.psnr_db < 60 for r in board.rows)
+
+
+def test_it_repeats_exactly(sequence):
+    a, b = (compare_rules(["uniform"], sequence, CONFIG, **QUIET).rows[0] for _ in range(2))
+    assert (a.psnr_db, a.n_gaussians) == (b.psnr_db, b.n_gaussians)
+
+
+def test_a_stop_keeps_what_has_finished_and_can_go_on(sequence):
+    seen = []
+
+    def stop_in_the_second(progress):
+        seen.append(progress)
+        return progress.position == 1
+
+    board = compare_rules(["uniform", "gsfusion"], sequence, CONFIG, on_progress=stop_in_the_second)
+    assert [r.name for r in board.rows] == ["uniform"]
+    assert not board.complete
+    assert all(0 <= p.share <= 1 for p in seen)
+    assert str(seen[0]) == "uniform (1 of 2): frame 1 of 4"
+
+
+def test_ctrl_c_ends_it_between_frames(sequence):
+    def interrupt(progress):
+        if progress.position == 1:
+            raise KeyboardInterrupt
+
+    board = compare_rules(["uniform", "gsfusion"], sequence, CONFIG, on_progress=interrupt)
+    assert [r.name for r in board.rows] == ["uniform"]
+
+
+def test_a_rule_that_fails_does_not_spoil_the_others(sequence):
+    def faulty(ctx):
+        raise IndexError("7 is out of range")
+
+    def silent(ctx):
+        return None
+
+    board = compare_rules([faulty, silent, "uniform"], sequence, CONFIG, **QUIET)
+    assert board.failed["faulty"] == "IndexError: 7 is out of range"
+    assert "NoneType" in board.failed["silent"]
+    assert [r.name for r in board.rows] == ["uniform"]
+    assert board.complete
+    assert "faulty did not run" in repr(board)
+
+
+def test_what_cannot_be_compared_is_refused(sequence):
+    with pytest.raises(ValueError, match="names of their own, got uniform"):
+        Contest(["uniform", "uniform"], sequence, CONFIG)
+    with pytest.raises(ValueError, match="got none"):
+        Contest([], sequence, CONFIG)
+    with pytest.raises(KeyError, match="nonsense"):
+        Contest(["nonsense"], sequence, CONFIG)
+    unseen = dataclasses.replace(CONFIG, data=dataclasses.replace(CONFIG.data, hold_out_every=0))
+    with pytest.raises(ValueError, match="hold_out_every"):
+        Contest(["uniform"], open_sequence("room", data=unseen.data, n_frames=60), unseen)
+
+
+def test_a_contest_to_watch_goes_on_after_a_stop(sequence):
+    contest = Contest(["uniform", "gsfusion"], sequence, CONFIG)
+    watch = watch_contest(contest)
+    assert watch.run_sync(2) == 2
+    watch.player.stop()
+    watch.run_sync()
+    assert [r.name for r in contest.board.rows] == ["uniform", "gsfusion"]
+    assert contest.board.complete
+    assert len(contest.curves["Gaussians, this rule"]) == len(sequence.mapping)
+    assert watch.picture().shape[1] == 640

@@ -1,0 +1,53 @@
+"""The roofline: the formula, what is counted, and that every kernel is timed on every CPU backend."""
+
+import pytest
+
+from gsfusion_nb.studies.roofline import (
+    KernelPoint,
+    Roofs,
+    as_table,
+    fastest_s,
+    kernel_points,
+    mapping_work,
+    measure_roofs,
+    roofline_figure,
+)
+
+ROOFS = Roofs(gflops=100.0, gb_per_s=10.0)
+
+
+def test_the_roof_by_hand():
+    assert ROOFS.ridge == 10.0
+    assert [ROOFS.attainable_gflops(i) for i in (0.5, 10.0, 50.0)] == [5.0, 100.0, 100.0]
+
+
+def test_a_point_by_hand():
+    point = KernelPoint(name="k", backend="numba", flops=2e9, bytes=1e9, seconds=0.5)
+    assert (point.intensity, point.gflops) == (2.0, 4.0)
+    line = as_table(ROOFS, [point]).splitlines()[1]
+    assert "20 %" in line
+    assert line.endswith("memory")
+
+
+def test_the_clock_takes_the_fastest_after_a_first_run():
+    calls = []
+    assert fastest_s(lambda: calls.append(1), repeats=3) > 0
+    assert len(calls) == 4
+
+
+def test_measured_roofs_are_those_of_a_computer():
+    roofs = measure_roofs(size=128, megabytes=4)
+    assert 0.1 < roofs.gflops < 10_000
+    assert 0.1 < roofs.gb_per_s < 10_000
+
+
+def test_every_operation_on_every_backend():
+    points = kernel_points(lambda: mapping_work(200, 48, 32), repeats=1)
+    names = [w.name for w in mapping_work(200, 48, 32)]
+    for backend in ("reference", "numba"):
+        assert [p.name for p in points if p.backend == backend] == names
+    adam = points[names.index("Adam")]
+    assert adam.intensity == pytest.approx(12 / 28)
+    figure = roofline_figure(ROOFS, points)
+    assert [t.get_text() for t in figure.axes[0].get_legend().get_texts()] == ["reference", "numba"]
+    assert len(roofline_figure(ROOFS, []).axes) == 1
