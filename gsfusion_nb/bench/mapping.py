@@ -48,7 +48,7 @@ def _rows(options: BenchOptions, size: tuple[int, int], method: str, backend: st
                 report = mapper.step(frame)
                 cpu_s += time.process_time() - cpu
                 for stage, took in report.seconds.items():
-                    seconds[stage] += took
+                    seconds[stage] = seconds.get(stage, 0.0) + took
                 psnr.append(report.psnr_after_db)
     n = len(frames)
     step_s = sum(took for stage, took in seconds.items() if stage != "read")

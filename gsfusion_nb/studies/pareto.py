@@ -65,7 +65,7 @@ def pareto_figure(names: Sequence[str], cost: np.ndarray, quality: np.ndarray, m
     best = np.argsort(cost[on_front], kind="stable")
     axes.step(cost[on_front][best], quality[on_front][best], where="post", color="#d1495b", linewidth=1.2, zorder=2)
     axes.set_xscale("log")
-    axes.margins(x=0.3, y=0.25)
+    axes.margins(x=0.38, y=0.25)
     _plain_numbers(axes)
     axes.set_title("red: on the Pareto front; larger: more ms per frame", fontsize=9, color="#5c6675", loc="left")
     _labels(axes, names, cost, quality, area)
@@ -87,7 +87,7 @@ def _labels(axes, names: Sequence[str], cost: np.ndarray, quality: np.ndarray, a
         middle = ((box[0] + box[2]) / 2 - x) * 0.72, ((box[1] + box[3]) / 2 - y) * 0.72  # pixels to points
         axes.annotate(
             names[i], (cost[i], quality[i]), xytext=middle, textcoords="offset points", ha="center", va="center",
-            fontsize=8, arrowprops={"arrowstyle": "-", "color": "#8a8f98", "linewidth": 0.6, "shrinkA": 0, "shrinkB": 0},
+            fontsize=8, arrowprops={"arrowstyle": "-", "color": "#8a8f98", "linewidth": 0.6},
         )  # fmt: skip
 
 

@@ -1,0 +1,135 @@
+"""Chapters 6, 9 and 10 as a person uses them: start, pause, step and stop mapping; sliders made from a rule; Amdahl."""
+
+import json
+import os
+import time
+from pathlib import Path
+
+import pytest
+
+pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning")]
+
+MAP = """
+import torch
+torch.set_num_threads(1)
+from gsfusion_nb import GSFusion, gsfusion, open_sequence
+from gsfusion_nb.mapping import MappingRun
+from gsfusion_nb.viz import LiveMapper
+config = gsfusion("room", tsdf__voxel_size_m=0.02)
+run = MappingRun(open_sequence("room", data=config.data, n_frames=60), config)
+live = LiveMapper(run)
+live.run_sync(1)
+live
+"""
+RULE = """
+from gsfusion_nb.seeding import seeding_rule
+from gsfusion_nb.viz.rule_panel import rule_context, rule_panel
+walk = open_sequence("room", data=config.data, n_frames=60)
+context = rule_context(GSFusion(config), walk.mapping[0])
+
+@seeding_rule
+def near_only(ctx, *, max_depth_m: float = 3.0, invert: bool = False):
+    seeds = ctx.cells()
+    z = (seeds.xyz_W - ctx.frame.T_WC[:3, 3]) @ ctx.frame.T_WC[:3, 2]
+    return seeds[(z < max_depth_m) != invert]
+
+panel = rule_panel(near_only, context)
+panel
+"""
+AMDAHL = """
+from gsfusion_nb.viz.stage_bars import amdahl_panel
+bars = amdahl_panel({"tsdf": 0.008, "seeding": 0.002, "optimise": 0.04}, width=560)
+bars
+"""
+
+
+@pytest.fixture(scope="module")
+def page(lab):
+    page = lab.open([MAP, RULE, AMDAHL])
+    yield page
+    lab.run(page, "live.close()")
+    page.close()
+
+
+def value(lab, page, expression):
+    return json.loads(lab.run(page, f"import json; print(json.dumps({expression}))"))
+
+
+def until(condition, what, timeout_s=90):
+    end = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < end, f"waited {timeout_s} s for {what}"
+        time.sleep(0.1)
+
+
+def screenshot(page, selector, name):
+    if folder := os.environ.get("GSNB_SCREENSHOTS"):
+        Path(folder).mkdir(parents=True, exist_ok=True)
+        page.locator(selector).first.screenshot(path=f"{folder}/{name}.png")
+
+
+def source(page, selector):
+    return page.locator(selector).first.get_attribute("src")
+
+
+def test_start_pause_step_and_stop_online_mapping(lab, page):
+    status = page.locator(".gsnb-live-status")
+    status.scroll_into_view_if_needed()
+
+    def mapped():
+        return value(lab, page, "run.next_position")
+
+    before, picture = mapped(), source(page, ".gsnb-live-render")
+    page.locator(".gsnb-live-start").click()
+    until(lambda: mapped() >= before + 2, "frames to be mapped")
+    until(lambda: source(page, ".gsnb-live-render") != picture, "a new picture")
+    assert lab.run(page, "print(6 * 7)") == "42"  # the kernel is free while it maps
+
+    page.locator(".gsnb-live-pause").click()
+    until(lambda: "paused" in status.inner_text(), "the pause")
+    rested = mapped()
+    time.sleep(1.0)
+    assert mapped() == rested
+    screenshot(page, ".gsnb-live", "chapter_06_paused")
+
+    page.locator(".gsnb-live-step").click()
+    until(lambda: mapped() == rested + 1, "one step")
+    until(lambda: f"{rested + 1} of" in status.inner_text(), "the status")
+
+    page.locator(".gsnb-live-stop").click()
+    until(lambda: "stopped" in status.inner_text(), "the stop")
+    assert not value(lab, page, "live.player.is_alive")
+    page.locator(".gsnb-live-start").click()  # goes on from there
+    until(lambda: mapped() >= rested + 2, "frames after the stop")
+    page.locator(".gsnb-live-stop").click()
+    until(lambda: "stopped" in status.inner_text(), "the second stop")
+
+
+def test_a_slider_made_from_a_keyword_moves_the_seeds(lab, page):
+    page.locator(".gsnb-rule").scroll_into_view_if_needed()
+    screenshot(page, ".gsnb-rule", "chapter_09_rule")
+    before, picture = value(lab, page, "panel.values"), source(page, ".gsnb-rule-image")
+    page.locator(".gsnb-rule-max_depth_m .noUi-handle").focus()
+    for _ in range(6):
+        page.keyboard.press("ArrowLeft")
+    until(lambda: value(lab, page, "panel.values")["max_depth_m"] < before["max_depth_m"], "the slider")
+    until(lambda: source(page, ".gsnb-rule-image") != picture, "a new picture")
+    fewer = int(page.locator(".gsnb-rule-count").inner_text().replace(",", ""))
+    page.locator(".gsnb-rule-invert input").click()
+    until(
+        lambda: int(page.locator(".gsnb-rule-count").inner_text().replace(",", "")) != fewer, "the check box to count"
+    )
+    screenshot(page, ".gsnb-rule", "chapter_09_rule_inverted")
+
+
+def test_a_faster_stage_shortens_the_bar(lab, page):
+    page.locator(".gsnb-amdahl").scroll_into_view_if_needed()
+    gain = page.locator(".gsnb-amdahl-gain")
+    assert gain.inner_text() == "1.00"
+    page.locator(".gsnb-amdahl-optimise .noUi-handle").focus()
+    for _ in range(10):
+        page.keyboard.press("ArrowRight")
+    until(lambda: float(gain.inner_text()) > 1.3, "the gain")
+    screenshot(page, ".gsnb-amdahl", "chapter_10_amdahl")
+    assert not lab.errors
+    assert not lab.requests
