@@ -75,8 +75,8 @@ def pareto_figure(names: Sequence[str], cost: np.ndarray, quality: np.ndarray, m
 def _labels(axes, names: Sequence[str], cost: np.ndarray, quality: np.ndarray, area: np.ndarray) -> None:
     """A name beside each point, at the first place where it covers neither a point nor another name."""
     axes.figure.draw_without_rendering()
-    centre = axes.transData.transform(np.stack([cost, quality], axis=1).astype(float))
-    dots = [(x - r, y - r, x + r, y + r) for (x, y), r in zip(centre, np.sqrt(area) * 0.7, strict=True)]
+    centre = axes.transData.transform(np.stack([cost, quality], axis=1).astype(float)).tolist()
+    dots = [(x - r, y - r, x + r, y + r) for (x, y), r in zip(centre, (np.sqrt(area) * 0.7).tolist(), strict=True)]
     taken = list(dots)
     for i in np.argsort(-quality, kind="stable"):
         x, y = centre[i]

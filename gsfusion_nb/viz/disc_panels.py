@@ -42,9 +42,9 @@ class Stage:
     rgb: Float[Tensor, "H W 3"]
 
     def errors_m(self, name: str) -> Float[Tensor, " M"]:
-        """|depth - truth| where there is a depth; ``name`` is "disc_m" or "blended_m"."""
+        """|depth - truth| on the board where there is a depth; ``name`` is "disc_m" or "blended_m"."""
         depth = getattr(self, name)
-        return (depth - self.truth_m)[depth > 0].abs()
+        return (depth - self.truth_m)[(depth > 0) & (self.truth_m == self.planes_m[0])].abs()
 
     def in_mid_air(self, name: str) -> float:
         """Share of the depths that are more than 3 cm from every surface."""
@@ -153,9 +153,9 @@ def _stage_words(stage: Stage) -> str:
     for name, label in (("disc_m", "disc"), ("blended_m", "blended")):
         error = stage.errors_m(name)
         median = f"{float(error.median()) * 100:.2f} cm" if len(error) else "-"
-        covered = len(error) / stage.truth_m.numel()
+        covered = float((getattr(stage, name) > 0).float().mean())
         rows += f"<tr><td>{label}</td><td>{median}</td><td>{stage.in_mid_air(name):.1%}</td><td>{covered:.0%}</td></tr>"
-    heads = "".join(f"<th>{h}</th>" for h in ("depth", "median error", "in mid-air", "covered"))
+    heads = "".join(f"<th>{h}</th>" for h in ("depth", "median error on the board", "in mid-air", "covered"))
     return f"<table><tr>{heads}</tr>{rows}</table>"
 
 

@@ -24,7 +24,7 @@ _RTG_SLAM = {
     "render": "Gaussian map, rendered",
     "error": "|render − photograph|, bright from 0.25",
     "depth_error": "|disc depth − depth|, bright from 10 cm",
-    "states": "blue stable, orange unstable; dots: transparent",
+    "states": "blue stable, orange unstable",
     "seeds": "new: green area, red depth, blue colour",
 }
 

@@ -107,7 +107,8 @@ def test_a_rule_that_fails_does_not_spoil_the_others(sequence):
     def silent(ctx):
         return None
 
-    board = compare_rules([faulty, silent, "uniform"], sequence, CONFIG, **QUIET)
+    rules = [faulty, silent, "uniform"]
+    board = compare_rules(rules, sequence, CONFIG, **QUIET)  # pyright: ignore[reportArgumentType]
     assert board.failed["faulty"] == "IndexError: 7 is out of range"
     assert "NoneType" in board.failed["silent"]
     assert [r.name for r in board.rows] == ["uniform"]

@@ -30,7 +30,7 @@ def test_the_loop_compiles_and_agrees_with_torch():
     d[::7] = np.nan
     W = g.integers(0, 8, 500).astype(np.float32)
     loop = inspect.unwrap(backends._average_loop)  # without the run-time type checks of the tests
-    new_D, new_W = njit(loop)(D, W, d, 5.0)
+    new_D, new_W = njit()(loop)(D, W, d, 5.0)
     seen = torch.from_numpy(d) >= -1
     t = [torch.from_numpy(a) for a in (D, W, d)]
     mean = (t[0] * t[1] + t[2].clamp(max=1)) / (t[1] + 1)
