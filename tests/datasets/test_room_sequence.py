@@ -49,7 +49,8 @@ def test_wrong_options_are_named(option, message):
         room(**option)
 
 
-def test_cache_gives_the_same_frame_and_recovers_from_damage():
+def test_cache_gives_the_same_frame_and_recovers_from_damage(monkeypatch, tmp_path):
+    monkeypatch.setenv("GSFUSION_CACHE", str(tmp_path))
     sequence = room(n_frames=9, **SMALL)
     fresh = sequence[4]
     (path,) = (cache_folder() / "room").glob("room-80x60-*/000004.npz")
