@@ -92,6 +92,9 @@ class StateConfig:
     """delta_eta: a Gaussian optimised more often than this becomes stable."""
     unstable_frames: int = 120
     """delta_t: one that is still unstable after so many frames is removed."""
+    age: Literal["all", "in_view"] = "all"
+    """Frames that count for it: all since it was born (paper, code), or those with its centre in the picture, so that
+    what the camera passes quickly and leaves is not lost."""
     error_count: int = 10
     """delta_e: a stable Gaussian in error in more frames than this loses its state (code: in 10 or more)."""
     colour_error: float = 0.1
@@ -215,7 +218,7 @@ _FIDELITY: dict[str, dict[str, Any]] = {
         "seeding": {"options": {"share": 0.1}},
         "discs": {"opaque_alpha": 0.3, "min_cosine": 0.17, "max_offset": 3.0},
         "window": {"lr_sh_dc": 5e-3, "lr_sh_rest": 2.5e-4, "lr_log_scale": 0.02, "draw": "newest_half"},
-        "states": {"stable_confidence": 300.0},
+        "states": {"stable_confidence": 300.0, "age": "in_view"},
     },
     "paper": {
         "seeding": {"options": {"fidelity": "paper"}},

@@ -4,6 +4,7 @@ from .model import GaussianModel as GaussianModel
 from .states import Transitions as Transitions
 from .states import change_states as change_states
 from .states import count_errors as count_errors
+from .states import count_views as count_views
 from .surfels import OPAQUE as OPAQUE
 from .surfels import STABLE as STABLE
 from .surfels import TRANSPARENT as TRANSPARENT

@@ -7,6 +7,8 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from ..config import StateConfig
+from ..geometry import project, se3
+from ..types import Camera
 from .surfels import STABLE, UNSTABLE, SurfelModel
 
 
@@ -54,12 +56,25 @@ def count_errors(
         counter += wrong & model.is_stable
 
 
+def count_views(model: SurfelModel, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> None:
+    """Count this frame for every row whose centre lies before the camera and inside the picture, hidden or not.
+
+    Args:
+        model: The map; its counter changes.
+        camera: Intrinsics and size.
+        T_WC: Camera-to-world pose.
+    """
+    xyz_C = se3.apply(se3.inverse(T_WC), model.params.xyz_W)
+    u, v = project(camera, xyz_C).unbind(-1)
+    model.frames_in_view.add_((xyz_C[:, 2] > 0) & (u > 0) & (u < camera.width) & (v > 0) & (v < camera.height))
+
+
 def change_states(model: SurfelModel, config: StateConfig) -> Transitions:
     """Unstable -> stable by confidence, stable -> unstable by errors, and removal of what stays bad.
 
     eta_i > delta_eta                unstable becomes stable
     e_i > delta_e                    stable becomes unstable; its confidence and its age start again
-    k - t_i > delta_t                unstable is removed
+    k - t_i > delta_t                unstable is removed; ``config.age`` says which frames count
     r_i > max_radius_factor mean(r)  removed, stable or not (released code; not in the paper)
     """
     stable = model.is_stable
@@ -75,12 +90,14 @@ def change_states(model: SurfelModel, config: StateConfig) -> Transitions:
         model.state[wrong] = UNSTABLE
         model.confidence[wrong] = 0
         model.birth_step[wrong] = model.step_count
+        model.frames_in_view[wrong] = 0
         model.colour_errors[wrong] = 0
         model.depth_errors[wrong] = 0
     else:
         wrong = gone = wrong_depth
 
-    expired = ~model.is_stable & (model.step_count - model.birth_step > config.unstable_frames)
+    age = model.frames_in_view if config.age == "in_view" else model.step_count - model.birth_step
+    expired = ~model.is_stable & (age > config.unstable_frames)
     oversized = torch.zeros_like(expired)
     if config.max_radius_factor is not None and len(model):
         radius = model.radius_m

@@ -25,7 +25,7 @@ class SurfelModel(GaussianModel):
     Source: Peng et al. 2024 (RTG-SLAM), section 3.1.
     """
 
-    _COUNTS = (*GaussianModel._COUNTS, "state", "confidence", "colour_errors", "depth_errors")
+    _COUNTS = (*GaussianModel._COUNTS, "state", "confidence", "colour_errors", "depth_errors", "frames_in_view")
     _MOMENTS = ()
     _PLACES = ("", "anchor.")
 
@@ -48,6 +48,11 @@ class SurfelModel(GaussianModel):
     def depth_errors(self) -> Int[Tensor, " N"]:
         """Frames in which the row's depth was wrong since it became stable."""
         return self._columns["depth_errors"][: len(self)]
+
+    @property
+    def frames_in_view(self) -> Int[Tensor, " N"]:
+        """Frames that had the row's centre in their picture since it was born or released."""
+        return self._columns["frames_in_view"][: len(self)]
 
     @property
     def is_stable(self) -> Bool[Tensor, " N"]:
@@ -81,7 +86,7 @@ class SurfelModel(GaussianModel):
         start = len(self)
         super().append(seeds, frame_index)
         stop = len(self)
-        for name in ("state", "confidence", "colour_errors", "depth_errors"):
+        for name in ("state", "confidence", "colour_errors", "depth_errors", "frames_in_view"):
             self._columns[name][start:stop] = 0
         for name in _ANCHOR:
             self._columns[f"anchor.{name}"][start:stop] = self._columns[name][start:stop]

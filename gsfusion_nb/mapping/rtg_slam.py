@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from ..config import RtgSlamConfig, from_dict, to_dict
-from ..gaussians import STABLE, SurfelModel, Transitions, change_states, count_errors, state_counts
+from ..gaussians import STABLE, SurfelModel, Transitions, change_states, count_errors, count_views, state_counts
 from ..geometry import se3
 from ..optim import Keyframe, KeyframeList, fuse_with_history
 from ..render import SurfaceView, render_forward, surface_depth_m, view_surface
@@ -294,6 +294,7 @@ class RTGSLAM:
 
     def _manage_states(self, frame: Frame) -> tuple[float, Transitions]:
         """Count errors against stable Gaussians, then change states and remove outliers; PSNR of the view before."""
+        count_views(self.gaussians, frame.camera, frame.T_WC)
         view = self.surface(frame.camera, frame.T_WC)
         known = frame.depth_m > 0
         colour_error = (view.rgb - frame.rgb).abs().mean(dim=-1) * known

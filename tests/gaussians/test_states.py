@@ -1,11 +1,13 @@
 """Each transition on a handful of rows; what is not named stays as it was."""
 
+import dataclasses
+
 import pytest
 import torch
 
 from gsfusion_nb.config import StateConfig
-from gsfusion_nb.gaussians import STABLE, UNSTABLE, SurfelModel, Transitions, change_states, count_errors
-from gsfusion_nb.types import Seeds
+from gsfusion_nb.gaussians import STABLE, UNSTABLE, SurfelModel, Transitions, change_states, count_errors, count_views
+from gsfusion_nb.types import Camera, Seeds
 
 NOTHING = Transitions(stabilised=0, released=0, expired=0, oversized=0)
 CONFIG = StateConfig(
@@ -118,6 +120,29 @@ def test_unstable_rows_expire_by_the_clock_of_frames():
     report = change_states(model, CONFIG)
     assert model.tag.tolist() == [1, 2, 3, 4]  # 60 - 9 > 50; stable rows never expire
     assert report == Transitions(stabilised=0, released=0, expired=1, oversized=0)
+
+
+def test_views_count_where_the_centre_is_in_the_picture():
+    model = surfels(6)
+    model.params.xyz_W.copy_(  # ahead, behind, at the left edge inside and outside, below, far ahead
+        torch.tensor(
+            [[0.0, 0, 1], [0, 0, -1], [-0.99, 0, 1], [-1.01, 0, 1], [0, 0.76, 1], [0, 0, 100]], dtype=torch.float32
+        )
+    )
+    camera = Camera(width=8, height=6, fx=4.0, fy=4.0, cx=4.0, cy=3.0)
+    count_views(model, camera, torch.eye(4))
+    assert model.frames_in_view.tolist() == [1, 0, 1, 0, 0, 1]
+    turned = torch.diag(torch.tensor([-1.0, 1, -1, 1]))  # by half a turn
+    count_views(model, camera, turned)
+    assert model.frames_in_view.tolist() == [1, 1, 1, 0, 0, 1]
+
+
+def test_what_the_camera_left_quickly_does_not_expire_where_only_views_count():
+    model = surfels(3, now=1000)
+    model.frames_in_view.copy_(torch.tensor([49, 50, 51]))
+    assert change_states(model, dataclasses.replace(CONFIG, age="in_view")).expired == 1
+    assert model.tag.tolist() == [0, 1]
+    assert change_states(model, CONFIG).expired == 2
 
 
 def test_a_row_that_becomes_stable_at_the_last_moment_stays():
