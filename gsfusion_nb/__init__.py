@@ -2,6 +2,7 @@
 
 import importlib
 import os
+import sys
 
 # Read by OpenMP when torch loads it. By default its idle threads spin, and on a machine with anything else to do small
 # operations then take ten times as long; to wait asleep costs next to nothing.
@@ -34,3 +35,24 @@ def __getattr__(name: str):
 
 def __dir__():
     return sorted([*globals(), *_LAZY])
+
+
+def _show_cards() -> None:
+    """In IPython, frames, volumes, quadtrees, maps and runs show a picture and a table (``gsfusion_nb.viz.cards``)."""
+    shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
+    if shell is not None:
+        html = shell.display_formatter.formatters["text/html"]
+        for module, name in _WITH_CARD:
+            html.for_type_by_name(module, name, lambda x: importlib.import_module("gsfusion_nb.viz.cards").card(x))
+
+
+_WITH_CARD = (
+    ("gsfusion_nb.types", "Frame"),
+    ("gsfusion_nb.tsdf.volume", "TsdfVolume"),
+    ("gsfusion_nb.seeding.quadtree", "Cells"),
+    ("gsfusion_nb.gaussians.model", "GaussianModel"),
+    ("gsfusion_nb.mapping.run", "MappingRun"),
+    ("gsfusion_nb.mapping.map_sequence", "FinishedRun"),
+)
+
+_show_cards()

@@ -219,6 +219,7 @@ _FIDELITY: dict[str, dict[str, Any]] = {
         "discs": {"opaque_alpha": 0.3, "min_cosine": 0.17, "max_offset": 3.0},
         "window": {"lr_sh_dc": 5e-3, "lr_sh_rest": 2.5e-4, "lr_log_scale": 0.02, "draw": "newest_half"},
         "states": {"stable_confidence": 300.0, "age": "in_view"},
+        "tracking": {"target": "hybrid"},
     },
     "paper": {
         "seeding": {"options": {"fidelity": "paper"}},

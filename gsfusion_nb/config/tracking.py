@@ -76,7 +76,8 @@ class TrackingConfig:
     """Where ICP starts: the last motion once more, or the last pose (released code)."""
     target: Literal["model", "hybrid"] = "model"
     """What ICP aligns with: the rendered model (paper), or the model where it agrees with the last frame to 1 cm and
-    the last frame's own depth elsewhere (released code)."""
+    the last frame's own depth elsewhere (released code). A TSDF is good enough alone; young discs are not: RTG-SLAM's
+    mean ATE is 0.2 cm with "hybrid" and 5.5 cm with "model" on the built-in room, 5.4 cm and lost on redkitchen250."""
     min_inliers: float = 0.15
     """Less than this share of the pixels with depth in correspondence: tracking is lost."""
     min_agreement: float = 0.4

@@ -50,9 +50,9 @@ STUDIES: dict[str, Study] = {
     "tracking": Study(
         "RTG-SLAM's tracker: what it is aligned to, and the back end",
         {
-            "model": (*_RTG, *_TRACKED),
-            "hybrid (released code)": (*_RTG, *_TRACKED, "--tracking.target", "hybrid"),
-            "model, back end": (*_RTG, *_TRACKED, "--tracking.back-end.enabled"),
+            "hybrid (released code)": (*_RTG, *_TRACKED),
+            "model (paper)": (*_RTG, *_TRACKED, "--tracking.target", "model"),
+            "hybrid, back end": (*_RTG, *_TRACKED, "--tracking.back-end.enabled"),
         },
     ),
 }

@@ -217,23 +217,6 @@ class TsdfVolume:
             "take larger voxels (tsdf.voxel_size_m), a smaller tsdf.far_m, or check the depth unit"
         )
 
-    def _repr_html_(self) -> str:
-        c = self.config
-        low, high = (
-            (self.block_coords.amin(0) * self.block_size_m, (self.block_coords.amax(0) + 1) * self.block_size_m)
-            if self.n_blocks
-            else (torch.zeros(3), torch.zeros(3))
-        )
-        extent = " &times; ".join(f"{float(s):.2f}" for s in high - low)
-        rows = {
-            "voxel": f"{c.voxel_size_m * 100:g} cm, truncation {c.truncation_m * 100:g} cm",
-            "blocks of 8&sup3; voxels": f"{self.n_blocks:,}",
-            "extent": f"{extent} m",
-            "memory": f"{self.memory_bytes / 1e6:.1f} MB on {self.device}",
-        }
-        cells = "".join(f"<tr><th style='text-align:left'>{k}</th><td>{v}</td></tr>" for k, v in rows.items())
-        return f"<table><caption>TsdfVolume</caption>{cells}</table>"
-
 
 @op
 def sample_voxels(volume: TsdfVolume, xyz_W: Float[Tensor, "N 3"]) -> TsdfSample:

@@ -94,9 +94,3 @@ def test_state_round_trip(filled_volume):
     empty = TsdfVolume(CONFIG)
     empty.load_state_dict(TsdfVolume(CONFIG).state_dict())
     assert empty.n_blocks == 0
-
-
-def test_summary(filled_volume):
-    html = filled_volume(lambda p: p[..., 2], (0, 0, 0), (2, 1, 1))._repr_html_()
-    assert "0.32 &times; 0.16 &times; 0.16 m" in html
-    assert "TsdfVolume" in TsdfVolume(CONFIG)._repr_html_()

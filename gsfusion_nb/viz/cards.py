@@ -1,0 +1,166 @@
+"""What a notebook shows of an object that is a cell's last line: a small picture beside the numbers that matter."""
+
+import html
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import torch
+
+from ..gaussians import GaussianModel
+from ..mapping import FinishedRun, MappingRun
+from ..mapping.placing import placed
+from ..seeding import Cells
+from ..tsdf import TsdfVolume
+from ..types import Frame
+from .figures import Picture, colour_depth, data_uri, depth_range_m, fit_width, paint_cells, side_by_side, to_uint8
+from .splat_picture import splat_picture
+from .splat_start import starting_pose, viewing_camera
+from .tsdf_slice import slice_picture
+
+WIDTH_PX = 240
+"""Of one picture."""
+_MOST_DRAWN = 200_000
+"""Gaussians in a map's picture; of more, every so many-th."""
+
+
+def card(thing: Any) -> str:
+    """HTML of a frame, a TSDF volume, quadtree cells, a Gaussian map, or a run; jupyter asks for it by itself.
+
+    Raises:
+        TypeError: there is no card of such a thing.
+    """
+    for kind, make in _CARDS.items():
+        if isinstance(thing, kind):
+            picture, rows = make(thing)
+            return _page(type(thing).__name__, picture, rows)
+    raise TypeError(f"no card of a {type(thing).__name__}; of {', '.join(k.__name__ for k in _CARDS)} there is")
+
+
+def _frame(frame: Frame) -> tuple[Picture, dict[str, str]]:
+    depth_m, known = frame.depth_m.cpu(), frame.depth_m.cpu() > 0
+    near, far = depth_range_m(depth_m)
+    x, y, z = frame.T_WC[:3, 3].tolist()
+    c = frame.camera
+    return side_by_side(
+        [fit_width(frame.rgb.cpu(), WIDTH_PX), fit_width(colour_depth(depth_m, near, far), WIDTH_PX)]
+    ), {
+        "frame": f"{frame.index}, at {frame.timestamp_s:.3f} s",
+        "size": f"{c.width} &times; {c.height}, focal length {c.fx:.1f}, {c.fy:.1f} px",
+        "depth": f"{near:.2f} to {far:.2f} m (blue to red), {100 * float(known.float().mean()):.0f} % of the pixels",
+        "camera at": f"({x:.2f}, {y:.2f}, {z:.2f}) m",
+    }
+
+
+def _volume(volume: TsdfVolume) -> tuple[Picture | None, dict[str, str]]:
+    config = volume.config
+    rows = {
+        "voxel": f"{config.voxel_size_m * 100:g} cm, truncation {config.truncation_m * 100:g} cm",
+        "blocks of 8&sup3; voxels": f"{volume.n_blocks:,}",
+        "memory": f"{volume.memory_bytes / 1e6:.1f} MB on {volume.device}",
+    }
+    if not volume.n_blocks:
+        return None, rows | {"extent": "empty"}
+    low, high = ((volume.block_coords.cpu() + i).float() * volume.block_size_m for i in (0, 1))
+    low, high = low.amin(0), high.amax(0)
+    size = high - low
+    middle_m = float(volume.block_coords[:, 2].float().median() + 0.5) * volume.block_size_m
+    picture = slice_picture(
+        volume,
+        height_m=middle_m,
+        x_m=(float(low[0]), float(high[0])),
+        y_m=(float(low[1]), float(high[1])),
+        px_per_m=WIDTH_PX / float(size[:2].max()),
+    )
+    extent = " &times; ".join(f"{float(s):.2f}" for s in size)
+    return picture, rows | {
+        "extent": f"{extent} m",
+        "picture": f"signed distance at z = {middle_m:.2f} m: blue free, red behind a surface, striped never seen",
+    }
+
+
+def _cells(cells: Cells) -> tuple[Picture | None, dict[str, str]]:
+    levels, counts = cells.level.unique(return_counts=True)
+    rows = {"cells": f"{len(cells):,}"} | {
+        f"level {level}": f"{count:,}" for level, count in zip(levels.tolist(), counts.tolist(), strict=True)
+    }
+    if not len(cells):
+        return None, rows
+    width, height = (int((a + b).max()) for a, b in ((cells.x0, cells.width), (cells.y0, cells.height)))
+    blank = np.full((height, width, 3), 245, np.uint8)
+    return fit_width(paint_cells(blank, cells, strength=1.0), 2 * WIDTH_PX), rows
+
+
+def _gaussians(model: GaussianModel) -> tuple[Picture | None, dict[str, str]]:
+    rows = {
+        "Gaussians": f"{len(model):,}, SH degree {model.sh_degree}",
+        "as PLY": f"{model.size_bytes / 1e6:.1f} MB",
+    }
+    if not len(model):
+        return None, rows
+    params = model.params[:: 1 + (len(model) - 1) // _MOST_DRAWN]
+    camera = viewing_camera(None, WIDTH_PX, WIDTH_PX * 3 // 4)
+    pose, _ = starting_pose(params, camera, None, torch.tensor([0.0, 0.0, 1.0]))
+    size_cm, opacity = 100 * model.scale_m.median(), model.opacity.median()
+    return splat_picture(params, camera, pose.to(model.device)), rows | {
+        "median": f"standard deviation {float(size_cm):.2f} cm, opacity {float(opacity):.2f}",
+        "born": f"in frames {int(model.birth_frame.min())} to {int(model.birth_frame.max())}",
+        "picture": "from 35 degrees above",
+    }
+
+
+def _run(run: MappingRun) -> tuple[Picture | None, dict[str, str]]:
+    mapper, steps = run.mapper, run.steps
+    rows = {"system": run.system, "frames": f"{len(steps):,} mapped, {len(run.warnings)} warnings"}
+    if not steps:
+        return None, rows
+    seconds = sum(s.total_seconds for s in steps)
+    rows |= {
+        "Gaussians": f"{len(mapper.gaussians):,}",
+        "keyframes": f"{sum(s.is_keyframe for s in steps):,}",
+        "speed": f"{len(steps) / max(seconds, 1e-9):.1f} frames/s while mapping",
+    }
+    return _photo_and_render(run), rows
+
+
+def _finished(finished: FinishedRun) -> tuple[Picture | None, dict[str, str]]:
+    picture, rows = _run(finished.run)
+    names = {
+        "psnr_held_out_db": ("PSNR, held-out views", "{:.2f} dB"),
+        "psnr_mapped_db": ("PSNR, mapped views", "{:.2f} dB"),
+        "mesh_accuracy_m": ("mesh to the true surface", "{:.4f} m"),
+        "ate_rmse_m": ("ATE RMSE", "{:.4f} m"),
+    }
+    for key, (label, form) in names.items():
+        value = finished.metrics.get(key)
+        if isinstance(value, (int, float)):
+            rows[label] = form.format(value)
+    return picture, rows | {"files": f"<code>{html.escape(str(finished.folder))}</code>"}
+
+
+def _photo_and_render(run: MappingRun) -> Picture | None:
+    """The last frame and the map from there; None where it cannot be read again."""
+    frames = list(placed(run.mapped_views(2), run.mapper.localiser, run.sequence.mapping))
+    if not frames:
+        return None
+    frame = frames[-1]
+    rendered = run.mapper.render(frame.camera, frame.T_WC.to(run.mapper.device)).rgb
+    return side_by_side([fit_width(to_uint8(image), WIDTH_PX) for image in (frame.rgb, rendered)])
+
+
+_CARDS: dict[type, Any] = {
+    Frame: _frame,
+    TsdfVolume: _volume,
+    Cells: _cells,
+    GaussianModel: _gaussians,
+    MappingRun: _run,
+    FinishedRun: _finished,
+}
+
+
+def _page(title: str, picture: Picture | None, rows: Mapping[str, str]) -> str:
+    left = "text-align:left;vertical-align:top"
+    cells = "".join(f"<tr><th style='{left}'>{k}</th><td style='{left}'>{v}</td></tr>" for k, v in rows.items())
+    table = f"<table style='font-size:12px'><caption style='{left};font-weight:600'>{title}</caption>{cells}</table>"
+    image = "" if picture is None else f"<img src='{data_uri(picture)}' alt='{title}' style='max-width:100%'>"
+    return f"<div style='display:flex;flex-wrap:wrap;gap:14px;align-items:flex-start'>{image}{table}</div>"

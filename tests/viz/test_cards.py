@@ -1,0 +1,111 @@
+"""What a notebook shows of an object: the numbers are the object's, the picture is one, and IPython finds it."""
+
+import base64
+import dataclasses
+import re
+import subprocess
+import sys
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from gsfusion_nb import gsfusion
+from gsfusion_nb.config import TsdfConfig
+from gsfusion_nb.datasets import open_sequence
+from gsfusion_nb.gaussians import GaussianModel, SurfelModel
+from gsfusion_nb.mapping import MappingRun
+from gsfusion_nb.seeding import quadtree
+from gsfusion_nb.tsdf import TsdfVolume
+from gsfusion_nb.viz.cards import card
+
+
+@pytest.fixture(scope="module")
+def run() -> MappingRun:
+    config = gsfusion("room")
+    config = dataclasses.replace(config, data=dataclasses.replace(config.data, width=80, height=60))
+    made = MappingRun(open_sequence("room", data=config.data, n_frames=20), config)
+    steps = made.online()
+    for _ in range(2):
+        next(steps)
+    steps.close()
+    return made
+
+
+def picture(page: str) -> np.ndarray:
+    (encoded,) = re.findall(r"src='data:image/jpeg;base64,([^']+)'", page)
+    return cv2.cvtColor(cv2.imdecode(np.frombuffer(base64.b64decode(encoded), np.uint8), 1), cv2.COLOR_BGR2RGB)
+
+
+def test_a_frame_shows_colour_beside_depth(run):
+    frame = run.sequence.mapping[0]
+    page = card(frame)
+    assert "80 &times; 60" in page
+    assert "100 % of the pixels" in page
+    shown = picture(page)
+    photo = (frame.rgb.numpy() * 255).round().astype(int)
+    assert abs(shown[:60, :80].astype(int) - photo).mean() < 8  # JPEG
+    assert shown.shape[1] > 160
+
+
+def test_a_frame_without_depth(run):
+    frame = dataclasses.replace(run.sequence.mapping[0], depth_m=torch.zeros(60, 80))
+    assert "0 % of the pixels" in card(frame)
+
+
+def test_a_volume_shows_its_extent_and_a_slice(run):
+    volume = run.mapper.volume
+    page = card(volume)
+    size = (volume.block_coords.amax(0) + 1 - volume.block_coords.amin(0)) * volume.block_size_m
+    assert " &times; ".join(f"{s:.2f}" for s in size.tolist()) in page
+    assert f"{volume.n_blocks:,}" in page
+    shown = picture(page).astype(int)
+    assert (shown[..., 2] - shown[..., 0] > 60).any()  # free space is blue
+    assert "<img" not in card(TsdfVolume(TsdfConfig()))
+
+
+def test_cells_are_counted_level_by_level(run):
+    cells = quadtree(run.sequence.mapping[0].rgb_u8, threshold=0.1)
+    page = card(cells)
+    for level in cells.level.unique().tolist():
+        assert (
+            f"level {level}</th><td style='text-align:left;vertical-align:top'>{int((cells.level == level).sum()):,}<"
+            in page
+        )
+    assert picture(page).shape == (60, 80, 3)
+
+
+def test_a_map_is_seen_from_above(run):
+    page = card(run.mapper.gaussians)
+    assert f"{len(run.mapper.gaussians):,}" in page
+    assert picture(page).max() > 60
+    assert "<img" not in card(GaussianModel())
+    assert "SurfelModel" in card(SurfelModel(0))
+
+
+def test_a_run_shows_a_frame_beside_the_map(run):
+    page = card(run)
+    assert "2 mapped" in page
+    assert f"{len(run.mapper.gaussians):,}" in page
+    photo, rendered = np.split(picture(page)[:, :166], [86], axis=1)
+    assert abs(photo[:, :80].mean() - rendered.mean()) < 40
+
+
+def test_of_other_things_there_is_none():
+    with pytest.raises(TypeError, match="no card of a int; of Frame, TsdfVolume"):
+        card(3)
+
+
+def test_ipython_shows_the_card():
+    code = """
+from IPython.core.interactiveshell import InteractiveShell
+shell = InteractiveShell.instance()
+from gsfusion_nb.tsdf import TsdfVolume
+from gsfusion_nb.gaussians import SurfelModel
+from gsfusion_nb.config import TsdfConfig
+for thing in (TsdfVolume(TsdfConfig()), SurfelModel(0)):
+    assert "<table" in shell.display_formatter.format(thing)[0]["text/html"], thing
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
