@@ -1,4 +1,4 @@
-"""The command ``gsfusion-nb``: demo, check, map, eval, study, bench, doctor."""
+"""The command ``gsfusion-nb``: demo, convert, check, map, live, eval, study, bench, doctor."""
 
 import json
 import logging
@@ -11,13 +11,16 @@ import tyro
 
 from .backends import BackendUnavailable, use_backend
 from .config import DataConfig, GSFusionConfig, RtgSlamConfig, from_dict, gsfusion, replace, rtg_slam
+from .datasets.convert.options import ConvertOptions
 
 _USAGE = """gsfusion-nb: online RGB-D mapping with TSDF fusion and 3D Gaussian splatting
 
   gsfusion-nb demo                     map the built-in room and open its report: about a minute
+  gsfusion-nb convert SOURCE OUT       a recording of another kind (COLMAP, ROS, Record3D, ...), to check and map it
   gsfusion-nb check DATA               is a recording in order? what is wrong, and the options that repair it
   gsfusion-nb map DATA [options]       map a sequence; every setting is an option: gsfusion-nb map --help
   gsfusion-nb map --resume RUN         go on with a run that was interrupted
+  gsfusion-nb live folder|realsense|kinect   map a camera, or a folder while it is written; Ctrl-C ends the scan
   gsfusion-nb eval RUN                 score a finished run again
   gsfusion-nb study NAME DATA          the papers' comparisons: systems, disc-depth, transparent, states, ...
   gsfusion-nb bench [raster|tsdf|map]  what the operations cost on this machine, beside other programs
@@ -97,6 +100,17 @@ class CheckOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ConvertCommand:
+    """Write a recording in another format as a sequence that can be checked and mapped: [FORMAT] SOURCE OUT. Frames
+    are written one by one; an interrupted conversion goes on when the command is repeated."""
+
+    words: Annotated[tuple[str, ...], tyro.conf.Positional]
+    """[FORMAT] SOURCE OUT: colmap, icl_nuim, nerfstudio, open3d, record3d, ros, scannet or tum, recognised by itself if
+    left out; the file or folder of the recording; a new folder."""
+    options: Annotated[ConvertOptions, tyro.conf.arg(name="")] = field(default_factory=ConvertOptions)
+
+
+@dataclass(frozen=True, kw_only=True)
 class DemoOptions:
     """Map the built-in room and report on it."""
 
@@ -134,8 +148,10 @@ def main(arguments: list[str] | None = None) -> int:
     logging.basicConfig(level=logging.WARNING, format="%(message)s")
     commands = {
         "demo": _demo,
+        "convert": _convert,
         "check": _check,
         "map": _map,
+        "live": _live,
         "eval": _eval,
         "bench": _bench,
         "study": _study,
@@ -196,6 +212,28 @@ def _map(arguments: list[str]) -> int:
             **reader,
         )
     return _finish(run)
+
+
+def _live(arguments: list[str]) -> int:
+    from .mapping import live_command
+
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(live_command.USAGE)
+        return 0
+    return _finish(live_command.live(arguments))
+
+
+def _convert(arguments: list[str]) -> int:
+    from .datasets.convert import convert, formats
+
+    command = tyro.cli(ConvertCommand, prog="gsfusion-nb convert", args=arguments)
+    words = command.words
+    if not 2 <= len(words) <= 3:
+        listed = "\n".join(f"  {name:<10} {looks_for}" for name, looks_for in formats().items())
+        raise ValueError(f"expected [FORMAT] SOURCE OUT; the formats and what they look for:\n{listed}")
+    *format, source, out = words
+    print(convert(source, out, format=format[0] if format else "auto", options=command.options, progress=True))
+    return 0
 
 
 def _check(arguments: list[str]) -> int:
@@ -312,10 +350,10 @@ def _finish(run) -> int:
     print(f"Files in {run.folder}:")
     for path in sorted(run.folder.iterdir()):
         print(f"  {path.name:<16} {path.stat().st_size / 1e6:8.2f} MB")
-    if run.run.status == "interrupted":
+    interrupted = run.run.status == "interrupted"
+    if interrupted and run.run.resumable:
         print(f"To go on: gsfusion-nb map --resume {run.folder}")
-        return 130
-    return 0
+    return 130 if interrupted else 0
 
 
 def _print_metrics(metrics: dict[str, Any]) -> None:

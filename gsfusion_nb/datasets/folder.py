@@ -20,6 +20,7 @@ Poses: camera-to-world, OpenCV axes (x right, y down, z forward), metres. Images
 """
 
 from pathlib import Path
+from typing import Any
 
 from .layout import camera, images_in, numbers, pair_by_stem, read_json, require
 from .poses import no_poses, read_pose_lines
@@ -27,8 +28,8 @@ from .protocol import SequenceError
 from .recorded import RecordedSequence
 
 LOOKS_FOR = ("rgb/", "depth/", "intrinsics.json")
-_CAMERA = ("width", "height", "fx", "fy", "cx", "cy")
-_REQUIRED = (*_CAMERA, "depth_scale")
+CAMERA_KEYS = ("width", "height", "fx", "fy", "cx", "cy")
+_REQUIRED = (*CAMERA_KEYS, "depth_scale")
 _OPTIONAL = ("pixel_centre", "depth_invalid", "fps", "pose_convention")
 
 
@@ -49,7 +50,7 @@ def folder(path: str | Path, *, poses: bool = True) -> RecordedSequence:
     """
     root = Path(path)
     require(root, (*LOOKS_FOR, "poses.txt") if poses else LOOKS_FOR, "folder", without_poses="poses.txt")
-    values = _read_intrinsics(root / "intrinsics.json")
+    values = read_intrinsics(root / "intrinsics.json")
     rgb_files = images_in(root / "rgb")
     depth_files = pair_by_stem(rgb_files, images_in(root / "depth", (".png", ".tif", ".tiff", ".pgm")))
     poses_file = root / "poses.txt"
@@ -60,7 +61,7 @@ def folder(path: str | Path, *, poses: bool = True) -> RecordedSequence:
         )
     return RecordedSequence(
         name=root.resolve().name,
-        camera=camera(values, _CAMERA, root / "intrinsics.json", shift=0.5 - values.get("pixel_centre", 0.0)),
+        camera=camera(values, CAMERA_KEYS, root / "intrinsics.json", shift=0.5 - values.get("pixel_centre", 0.0)),
         rgb_files=rgb_files,
         depth_files=depth_files,
         timestamps_s=[i / values.get("fps", 30.0) for i in range(len(rgb_files))],
@@ -72,7 +73,8 @@ def folder(path: str | Path, *, poses: bool = True) -> RecordedSequence:
     )
 
 
-def _read_intrinsics(path: Path) -> dict:
+def read_intrinsics(path: Path) -> dict[str, Any]:
+    """The checked values of ``intrinsics.json``."""
     values = read_json(path, "the camera's intrinsics")
     unknown = sorted(set(values) - {*_REQUIRED, *_OPTIONAL})
     if unknown:

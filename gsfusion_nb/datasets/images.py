@@ -18,9 +18,14 @@ def read_rgb(path: Path) -> np.ndarray:
     Raises:
         BadFrameError: the file is missing, truncated or no image.
     """
+    return decode_rgb(read_image_bytes(path, "colour"), path)
+
+
+def decode_rgb(data: bytes, source: Path | str) -> np.ndarray:
+    """``read_rgb`` of an encoded image in memory; ``source`` is its name for messages."""
     import cv2
 
-    bgr = _decode(path, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION, "colour")
+    bgr = decode_image(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION, source, "colour")
     return cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
 
 
@@ -40,7 +45,7 @@ def read_depth(path: Path, *, scale: float, invalid: tuple[int, ...] = ()) -> np
     """
     import cv2
 
-    raw = _decode(path, cv2.IMREAD_UNCHANGED, "depth")
+    raw = decode_image(read_image_bytes(path, "depth"), cv2.IMREAD_UNCHANGED, path, "depth")
     if raw.dtype != np.uint16 or raw.ndim != 2:
         channels = 1 if raw.ndim == 2 else raw.shape[2]
         raise BadFrameError(f"{path} must be a 16-bit depth image of one channel, got {raw.dtype} with {channels}")
@@ -56,9 +61,8 @@ def read_depth(path: Path, *, scale: float, invalid: tuple[int, ...] = ()) -> np
     return depth_m
 
 
-def _decode(path: Path, flags: int, kind: str) -> np.ndarray:
-    import cv2
-
+def read_image_bytes(path: Path, kind: str) -> bytes:
+    """Content of an image file. Raises ``BadFrameError`` when it is missing, unreadable or empty."""
     try:
         data = path.read_bytes()
     except FileNotFoundError:
@@ -67,14 +71,25 @@ def _decode(path: Path, flags: int, kind: str) -> np.ndarray:
         raise BadFrameError(f"{path} cannot be read ({e.strerror}); expected a {kind} image") from None
     if not data:
         raise BadFrameError(f"{path} is empty; expected a {kind} image")
+    return data
+
+
+def decode_image(data: bytes, flags: int, source: Path | str, kind: str) -> np.ndarray:
+    """Pixels of an encoded image, as ``cv2.imdecode`` gives them. Raises ``BadFrameError`` naming ``source``."""
+    import cv2
+
     if _jpeg_is_cut(data):
-        raise BadFrameError(f"{path} is truncated; expected a whole {kind} image, but its end-of-image mark is missing")
+        raise BadFrameError(
+            f"{source} is truncated; expected a whole {kind} image, but its end-of-image mark is missing"
+        )
     try:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), flags) if data else None
     except cv2.error:
         image = None
     if image is None:
-        raise BadFrameError(f"{path} cannot be decoded: it is truncated, damaged or no image; expected a {kind} image")
+        raise BadFrameError(
+            f"{source} cannot be decoded: it is truncated, damaged or no image; expected a {kind} image"
+        )
     return image
 
 

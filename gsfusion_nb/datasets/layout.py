@@ -39,7 +39,7 @@ def images_in(folder: Path, suffixes: tuple[str, ...] = (".jpg", ".jpeg", ".png"
     found = [p for p in folder.iterdir() if p.suffix.lower() in suffixes and not p.name.startswith(".")]
     if not found:
         raise SequenceError(f"{folder} holds no images; expected files ending in {', '.join(suffixes)}")
-    return sorted(found, key=_natural)
+    return sorted(found, key=natural_order)
 
 
 def pair_by_stem(rgb_files: list[Path], depth_files: list[Path]) -> list[Path]:
@@ -110,6 +110,7 @@ def camera(values: dict[str, Any], keys: tuple[str, str, str, str, str, str], pa
     return Camera(width=int(width), height=int(height), fx=fx, fy=fy, cx=cx + shift, cy=cy + shift)
 
 
-def _natural(path: Path) -> list[tuple[int, int | str]]:
+def natural_order(path: Path) -> list[tuple[int, int | str]]:
+    """Sorting key of a file's name: 2 before 10."""
     parts = re.split(r"(\d+)", path.name)
     return [(0, int(part)) if part.isdigit() else (1, part) for part in parts if part]

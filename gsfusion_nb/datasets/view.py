@@ -45,20 +45,7 @@ class SequenceView:
 
     def __getitem__(self, i: int) -> Frame:
         frame = self.source[self.positions[position(i, len(self))]]
-        return self._with_limits(resize_frame(frame, self.camera))
-
-    def _with_limits(self, frame: Frame) -> Frame:
-        if self.depth_min_m == 0 and self.depth_max_m == 0:
-            return frame
-        far = self.depth_max_m or torch.inf
-        kept = (frame.depth_m >= self.depth_min_m) & (frame.depth_m <= far)
-        depth_m = frame.depth_m.where(kept, 0.0)
-        if not bool(depth_m.any()):
-            raise BadFrameError(
-                f"{self.name} frame {frame.index} has no depth between {self.depth_min_m:g} and {far:g} m; expected "
-                "some within data.depth_min_m and data.depth_max_m"
-            )
-        return dataclasses.replace(frame, depth_m=depth_m)
+        return within_depth(resize_frame(frame, self.camera), self.depth_min_m, self.depth_max_m, name=self.name)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -103,7 +90,7 @@ def apply_options(source: Sequence, data: DataConfig | None = None) -> OpenedSeq
     mapped = sorted(set(chosen) - set(held))
     if not mapped:
         raise SequenceError(f"{source.name}: holding out every {every}th of {len(chosen)} frames leaves none to map")
-    camera = _camera(source.camera, data)
+    camera = resized_camera(source.camera, data)
 
     def view(positions: list[int]) -> SequenceView:
         return SequenceView(
@@ -133,10 +120,29 @@ def _selection(source: Sequence, apart: set[int], data: DataConfig) -> list[int]
     return frames[data.start : data.stop or None : data.stride]
 
 
-def _camera(camera: Camera, data: DataConfig) -> Camera:
+def resized_camera(camera: Camera, data: DataConfig) -> Camera:
     """Camera at the wanted size; one side alone keeps the proportions."""
     if not data.width and not data.height:
         return camera
     width = data.width or max(1, round(camera.width * data.height / camera.height))
     height = data.height or max(1, round(camera.height * data.width / camera.width))
     return camera.resized(width, height)
+
+
+def within_depth(frame: Frame, near_m: float | int, far_m: float | int, *, name: str) -> Frame:
+    """The frame without depth nearer than ``near_m`` or farther than ``far_m`` (0: no limit).
+
+    Raises:
+        BadFrameError: nothing is left; ``name`` is that of its sequence.
+    """
+    if near_m == 0 and far_m == 0:
+        return frame
+    far = far_m or torch.inf
+    kept = (frame.depth_m >= near_m) & (frame.depth_m <= far)
+    depth_m = frame.depth_m.where(kept, 0.0)
+    if not bool(depth_m.any()):
+        raise BadFrameError(
+            f"{name} frame {frame.index} has no depth between {near_m:g} and {far:g} m; expected "
+            "some within data.depth_min_m and data.depth_max_m"
+        )
+    return dataclasses.replace(frame, depth_m=depth_m)

@@ -70,6 +70,11 @@ METRIC_GROUPS: dict[str, dict[str, Metric]] = {
         "seconds_total": Metric("Whole run", "s", 1),
         "peak_memory_mb": Metric("Peak memory", "MB", 0, 1.0, "Largest resident memory of the process, or GPU memory."),
     },
+    "Stream": {
+        "n_frames_received": Metric("Frames received", "", 0),
+        "n_frames_dropped": Metric("Frames dropped", "", 0, 1.0, "They came while mapping was behind."),
+        "n_frames_unusable": Metric("Frames unusable", "", 0),
+    },
     "Mesh against ground truth": {
         "mesh_accuracy_m": Metric("Accuracy", "cm", 2, 100.0, "Mean distance from our mesh to the true surface."),
         "mesh_completion_m": Metric("Completion", "cm", 2, 100.0, "Mean distance from the true surface to our mesh."),

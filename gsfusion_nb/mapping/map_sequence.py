@@ -1,7 +1,7 @@
 """Map a whole sequence with one call, from a notebook or the command line."""
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -56,7 +56,7 @@ def run_mapping(
     run = MappingRun(sequence, settings, seeding=seeding, device=device, source=source)
     if source and str(data) != "room" and has_poses(sequence):
         run.warnings += _doubts(sequence.mapping)
-    return _drive(run, new_folder(sequence.name, folder), evaluate)
+    return drive(run, new_folder(sequence.name, folder), evaluate)
 
 
 def resume_mapping(
@@ -73,7 +73,7 @@ def resume_mapping(
     """
     run = MappingRun.resume(folder, seeding=seeding, device=device)
     run.warnings = [w for w in run.warnings if not w.startswith("interrupted after ")]
-    return _drive(run, Path(folder), evaluate)
+    return drive(run, Path(folder), evaluate)
 
 
 def _settings(config: Config | str | None, system: str, *, is_room: bool) -> Config:
@@ -109,12 +109,21 @@ class FinishedRun:
         return f"FinishedRun({self.run.status}, {len(self.run.steps)} frames, files in {self.folder})"
 
 
-def _drive(run: MappingRun, folder: Path, evaluate: bool) -> FinishedRun:
-    """Everything from the first frame to the report. Whatever ends it early, what was mapped is in the folder first."""
+def drive(
+    run: MappingRun,
+    folder: Path,
+    evaluate: bool,
+    map_frames: "Callable[[MappingRun, StopRequest], None] | None" = None,
+) -> FinishedRun:
+    """Everything from the first frame to the report. Whatever ends it early, what was mapped is in the folder first.
+
+    ``map_frames`` does the online part until the frames end or a stop is wanted; by default with a progress bar over
+    the sequence.
+    """
     stop = StopRequest()
     with stop.listening():
         try:
-            _work(run, stop, evaluate)
+            _work(run, stop, evaluate, map_frames or _with_progress)
         except BaseException as e:
             run.status = "interrupted" if isinstance(e, KeyboardInterrupt) else "failed"
             run.warnings.append(f"ended by {type(e).__name__}: {e}")
@@ -132,9 +141,11 @@ def _drive(run: MappingRun, folder: Path, evaluate: bool) -> FinishedRun:
     return FinishedRun(run, folder, metrics)
 
 
-def _work(run: MappingRun, stop: StopRequest, evaluate: bool) -> None:
+def _work(
+    run: MappingRun, stop: StopRequest, evaluate: bool, map_frames: Callable[[MappingRun, StopRequest], None]
+) -> None:
     """Map and optimise until done or asked to stop; sets the run's status."""
-    _with_progress(run, stop)
+    map_frames(run, stop)
     if evaluate and not (stop or run.mapper.passes.begun) and run.mapper.n_passes:
         online = outputs.score(run, "_online")
         names = ("psnr_held_out_online_db", "psnr_mapped_online_db")
@@ -143,8 +154,9 @@ def _work(run: MappingRun, stop: StopRequest, evaluate: bool) -> None:
         _with_progress_of_passes(run, stop)
     if stop:
         run.status = "interrupted"
+        of_all = f" of {len(run.sequence.mapping)}" if run.resumable else ""
         run.warnings.append(
-            f"interrupted after {len(run.steps)} of {len(run.sequence.mapping)} frames and "
+            f"interrupted after {len(run.steps)}{of_all} frames and "
             f"{run.mapper.passes.done} global passes; everything so far is saved"
         )
     elif run.status == "running":
@@ -157,7 +169,7 @@ def _save(run: MappingRun, folder: Path, stop: StopRequest) -> Mesh:
     try:
         mesh = outputs.write_maps(run, folder)
         outputs.write_numbers(run, folder, outputs.map_metrics(run, mesh) | run.online_scores)
-        if run.status == "interrupted":
+        if run.status == "interrupted" and run.resumable:
             run.save_checkpoint(folder)
         elif run.status != "failed":
             (folder / CHECKPOINT).unlink(missing_ok=True)

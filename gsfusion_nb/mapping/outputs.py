@@ -12,7 +12,6 @@ import torch
 
 from .. import __version__
 from ..config import to_dict
-from ..datasets import SequenceView
 from ..evaluation import (
     FrameRow,
     NotComputed,
@@ -53,7 +52,7 @@ FILES = {
 def score(run: MappingRun, suffix: str = "", *, with_lpips: bool = False) -> dict[str, Any]:
     """PSNR, SSIM, LPIPS and depth error on mapped and held-out views of the map as it is now."""
     metrics: dict[str, Any] = {}
-    for name, view in (("held_out", run.sequence.held_out), ("mapped", _spread(run, MAX_SCORED_VIEWS))):
+    for name, view in (("held_out", run.sequence.held_out), ("mapped", run.mapped_views(MAX_SCORED_VIEWS))):
         frames = placed(view, run.mapper.localiser, run.sequence.mapping)
         scores = score_views(run.mapper.render, frames, with_lpips=with_lpips)
         metrics |= scores.as_metrics(name + suffix)
@@ -117,6 +116,7 @@ def map_metrics(run: MappingRun, mesh: Mesh) -> dict[str, Any]:
         "n_triangles": len(mesh.faces),
         **frame_rates(seconds),
         **_tracking_rates(run),
+        **run.extra_metrics(),
         "seconds_online": sum(seconds),
         "seconds_global": run.seconds_global,
         "peak_memory_mb": peak_memory_mb(run.mapper.device),
@@ -158,7 +158,7 @@ def score_mesh(run: MappingRun, mesh: Mesh) -> dict[str, Any]:
     truth = getattr(run.sequence.source, "mesh", None)
     if truth is None or not len(mesh.faces):
         return {}
-    seen = cull_unseen(truth(), readable(_spread(run, 50)))
+    seen = cull_unseen(truth(), readable(run.mapped_views(50)))
     generator = torch.Generator().manual_seed(run.mapper.config.seed)
     scores = mesh_scores(mesh, seen, generator=generator)
     metrics = {"mesh_accuracy_m": scores} if isinstance(scores, NotComputed) else scores.as_metrics()
@@ -205,18 +205,10 @@ def _strict(value: Any) -> Any:
     return str(value) if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _spread(run: MappingRun, limit: int) -> SequenceView:
-    """At most ``limit`` of the frames mapped so far, evenly spread."""
-    mapped = run.sequence.mapping
-    n = run.next_position
-    picks = range(n) if n <= limit else [round(i * (n - 1) / (limit - 1)) for i in range(limit)]
-    return dataclasses.replace(mapped, positions=[mapped.positions[i] for i in picks])
-
-
 def _panels(run: MappingRun) -> list[ViewPanel]:
     """A few held-out and mapped views, as photographed and as rendered."""
     panels = []
-    for view, held_out in ((run.sequence.held_out, True), (_spread(run, 1000), False)):
+    for view, held_out in ((run.sequence.held_out, True), (run.mapped_views(1000), False)):
         picks = sorted({round(i * (len(view) - 1) / 2) for i in range(3)}) if len(view) else []
         picked = dataclasses.replace(view, positions=[view.positions[i] for i in picks])
         for frame in placed(picked, run.mapper.localiser, run.sequence.mapping):

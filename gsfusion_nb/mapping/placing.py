@@ -43,7 +43,7 @@ def placed(view: SequenceView, localiser: Localiser, mapping: SequenceView) -> I
         nearest = int((mapped - frame.index).abs().argmin())
         T_WC = localiser.poses[nearest]
         if int(mapped[nearest]) != frame.index:
-            if not has_poses(mapping):
+            if not has_poses(mapping) or int(mapped[nearest]) not in truth:
                 continue
             T_data = mapping.pose(truth[int(mapped[nearest])])
             T_WC = T_WC @ se3.inverse(T_data.to(T_WC)) @ frame.T_WC.to(T_WC)
@@ -52,9 +52,9 @@ def placed(view: SequenceView, localiser: Localiser, mapping: SequenceView) -> I
 
 def true_poses(localiser: Localiser, mapping: SequenceView) -> Float[Tensor, "N 4 4"] | None:
     """The data's poses of the mapped frames, or ``None`` if one is missing."""
-    if not has_poses(mapping):
-        return None
     where = {index: i for i, index in enumerate(mapping.positions)}
+    if not has_poses(mapping) or not where.keys() >= set(localiser.frame_indices):
+        return None
     try:
         return torch.stack([mapping.pose(where[index]) for index in localiser.frame_indices])
     except SequenceError:

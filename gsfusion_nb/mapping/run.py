@@ -1,37 +1,53 @@
 """One run over a sequence: the loop, the clock, interruption, checkpoints. What comes out is written by ``outputs``."""
 
 import contextlib
+import dataclasses
 import datetime
 import logging
 import signal
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import torch
 
 from ..config import TsdfConfig
-from ..datasets import OpenedSequence, SequenceError, open_sequence
+from ..datasets import OpenedSequence, RecordedSequence, SequenceError, SequenceView, open_sequence
+from ..datasets.stream import read_ahead
 from ..export import load_checkpoint, save_checkpoint
 from ..seeding import SeedingRule
 from ..types import Frame
 from .gsfusion import GSFusion
 from .placing import has_poses
 from .report import GlobalStep, StepReport
-from .systems import Config, get_system, make_mapper, system_of
+from .rtg_slam import RTGSLAM
+from .systems import Config, Mapper, get_system, make_mapper, system_of
 
 log = logging.getLogger(__name__)
 
 CHECKPOINT = "checkpoint.pt"
 MAX_BAD_FRAMES_IN_A_ROW = 20
 """After so many unusable frames one after another the recording is taken to be broken from there on."""
+READ_AHEAD = 4
+"""So many frames of a recording on disk are decoded in advance, on a thread of their own."""
 
 _STATE = (
     "steps", "global_losses", "_pass_losses", "online_scores", "timestamps_s", "warnings", "next_position",
     "seconds_global",
 )  # fmt: skip
+
+
+@runtime_checkable
+class Frames(Protocol):
+    """Frames in order; one that cannot be used raises a ``SequenceError``, and the next can follow."""
+
+    def __next__(self) -> Frame: ...
+
+    def close(self) -> None:
+        """No more are wanted."""
+        ...
 
 
 class MappingRun:
@@ -42,7 +58,7 @@ class MappingRun:
 
     Args:
         sequence: What to map, from ``open_sequence`` or ``apply_options``.
-        config: Settings.
+        config: Settings, or a mapper that is to go on with its maps.
         seeding: Name of a rule or the rule itself; overrides ``config.seeding.rule``.
         device: Where the maps live.
         source: How the sequence was opened (path, format), written to config.json so that it can be opened again.
@@ -51,22 +67,26 @@ class MappingRun:
         SequenceError: the data has no poses, and the settings do not ask to track them.
     """
 
+    resumable = True
+    """A run that was interrupted can go on from its checkpoint."""
+
     def __init__(
         self,
         sequence: OpenedSequence,
-        config: Config,
+        config: Config | Mapper,
         *,
         seeding: "str | SeedingRule | None" = None,
         device: torch.device | str = "cpu",
         source: dict[str, Any] | None = None,
     ):
-        if config.tracking.poses == "given" and not has_poses(sequence):
+        is_mapper = isinstance(config, (GSFusion, RTGSLAM))
+        self.mapper = config if is_mapper else make_mapper(config, seeding=seeding, device=device)
+        if self.mapper.config.tracking.poses == "given" and not has_poses(sequence):
             raise SequenceError(
                 f"{sequence.name} came without poses; expected tracking.poses = 'tracked' in the settings"
             )
         self.sequence = sequence
         self.source = source or {}
-        self.mapper = make_mapper(config, seeding=seeding, device=device)
         self.steps: list[StepReport] = []
         self.global_losses: list[float] = []
         """Mean loss of each finished pass of the global optimisation."""
@@ -93,37 +113,56 @@ class MappingRun:
         """Camera-to-world pose of every mapped frame, as given or as tracked and corrected so far."""
         return self.mapper.localiser.poses
 
-    def online(self) -> Iterator[StepReport]:
+    def online(self) -> Generator[StepReport, None, None]:
         """Map the frames that are left, one by one; those that cannot be used are skipped and named in ``warnings``.
 
         Raises:
             SequenceError: not one of the frames could be mapped; names the first reason.
         """
-        bad = 0
-        while self.next_position < len(self.sequence.mapping):
-            try:
-                frame = self.sequence.mapping[self.next_position]
-                report = self.mapper.step(frame)
-            except SequenceError as e:
-                bad += 1
-                self.next_position += 1
-                self._warn(f"skipped a frame: {e}")
-                if bad > MAX_BAD_FRAMES_IN_A_ROW:
-                    self.status = "stopped"
-                    self._warn(f"stopped after {bad} unusable frames in a row; everything mapped before is kept")
+        bad, frames = 0, self.frames()
+        try:
+            while True:
+                try:
+                    frame = next(frames)
+                    report = self.mapper.step(frame)
+                except StopIteration:
                     break
-                continue
-            bad = 0
-            self.steps.append(report)
-            self.timestamps_s.append(frame.timestamp_s)
-            self.next_position += 1
-            self._look_at(frame, report)
-            yield report
+                except SequenceError as e:
+                    if not self._can_go_on(e):
+                        raise
+                    bad += 1
+                    self._passed(None)
+                    self._warn(f"skipped a frame: {e}")
+                    if bad > MAX_BAD_FRAMES_IN_A_ROW:
+                        self.status = "stopped"
+                        self._warn(f"stopped after {bad} unusable frames in a row; everything mapped before is kept")
+                        break
+                    continue
+                bad = 0
+                self.steps.append(report)
+                self.timestamps_s.append(frame.timestamp_s)
+                self._passed(frame)
+                self._look_at(frame, report)
+                yield report
+        finally:
+            frames.close()
         if not self.steps:
-            reason = self.warnings[0].removeprefix("skipped a frame: ")
-            raise SequenceError(
-                f"none of the {len(self.sequence.mapping)} frames could be mapped, the first because {reason}"
-            )
+            raise SequenceError(self._why_nothing())
+
+    def frames(self) -> Frames:
+        """The frames that are left; those on disk are decoded in advance."""
+        view = self.sequence.mapping
+        return read_ahead(view, start=self.next_position, depth=READ_AHEAD if _is_on_disk(view) else 0)
+
+    def mapped_views(self, limit: int) -> SequenceView:
+        """At most ``limit`` of the frames mapped so far, evenly spread."""
+        mapped, n = self.sequence.mapping, self.next_position
+        picks = range(n) if n <= limit else [round(i * (n - 1) / (limit - 1)) for i in range(limit)]
+        return dataclasses.replace(mapped, positions=[mapped.positions[i] for i in picks])
+
+    def extra_metrics(self) -> dict[str, Any]:
+        """Numbers that only this kind of run has."""
+        return {}
 
     def optimise(self) -> Iterator[GlobalStep]:
         """Run the passes of the global optimisation that are left, beginning where an interrupted one stood."""
@@ -176,6 +215,18 @@ class MappingRun:
             setattr(run, name, value)
         run.steps = steps
         return run
+
+    def _passed(self, frame: Frame | None) -> None:
+        """A frame was mapped, or could not be used."""
+        self.next_position += 1
+
+    def _can_go_on(self, error: SequenceError) -> bool:
+        """The error is of one frame."""
+        return True
+
+    def _why_nothing(self) -> str:
+        reason = self.warnings[0].removeprefix("skipped a frame: ") if self.warnings else "there are none"
+        return f"none of the {len(self.sequence.mapping)} frames could be mapped, the first because {reason}"
 
     def _look_at(self, frame: Frame, report: StepReport) -> None:
         """Warn of what a user should know about a step."""
@@ -254,3 +305,11 @@ def new_folder(name: str, folder: Path | str | None = None) -> Path:
             raise FileExistsError(f"{path} must be a new or empty folder, so that no earlier run is overwritten")
     path.mkdir(parents=True, exist_ok=True)
     return path
+
+
+def _is_on_disk(view: SequenceView) -> bool:
+    """Frames are decoded from files, whatever is applied to them afterwards."""
+    source: Any = view
+    while not isinstance(source, RecordedSequence) and hasattr(source, "source"):
+        source = source.source
+    return isinstance(source, RecordedSequence)

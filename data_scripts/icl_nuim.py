@@ -1,0 +1,101 @@
+"""Fetch sequences of Augmented ICL-NUIM (Handa et al. 2014, Choi et al. 2015) from Open3D's mirror.
+
+    python data_scripts/icl_nuim.py livingroom1 --out data
+
+Synthetic, with true poses and a true surface, and the only set here whose checksums are public. Written in the plain
+layout: rgb/, depth/, poses.txt, intrinsics.json; groundtruth.ply is the true surface as a point cloud.
+"""
+
+import json
+import re
+import sys
+from pathlib import Path
+
+from gsfusion_nb.datasets.fetch import Item, Plan, Reading, command, obtain
+from gsfusion_nb.datasets.fetch.trajectory_log import read_trajectory_log, write_pose_lines
+
+HOST = "https://github.com/isl-org/open3d_downloads/releases/download/augmented-icl-nuim"
+MD5 = {
+    "livingroom.ply.zip": "841f32ff6294bb52d5f9574834e0925e",
+    "livingroom1-color.zip": "c23481094ca3859b204d2fcbb4e435a4",
+    "livingroom1-depth-clean.zip": "6867ddac0e7aafe828a218b385f61985",
+    "livingroom1-depth-simulated.zip": "2fec03a29258a29b9ffedde88fddd676",
+    "livingroom1-traj.txt": "601ac4b51aba2455a90aed8aa1158c6a",
+    "livingroom2-color.zip": "34792f7aa35b6c8b62e394e9372b95d7",
+    "livingroom2-depth-clean.zip": "569c7ba065c3a84de32b0d0844699f43",
+    "livingroom2-depth-simulated.zip": "cbb4a36b8488448d79ec93c202c0c90e",
+    "livingroom2-traj.txt": "193961c018f4c2a753458d5231544036",
+    "office.ply.zip": "ba3640bba38f19c8f2d5e86e045eeae5",
+    "office1-color.zip": "6a58750880e83ac5948e0f28de294c04",
+    "office1-depth-clean.zip": "0a952d68eb76e84fad63e362a59f82cd",
+    "office1-depth-simulated.zip": "7c7e479191d35c2ad1f8ac1c227f4f8d",
+    "office1-traj.txt": "3fac752ab38a4e8a96d1b5afa535f9f7",
+    "office2-color.zip": "487cdfacffc8fc8247a5b21e860a3794",
+    "office2-depth-clean.zip": "386203a7a5dae21db6d8430ae36dcc8b",
+    "office2-depth-simulated.zip": "13f1c5b7c4f44524fa91f7ba87e44bb5",
+    "office2-traj.txt": "698f2f09da7d2ed3fcb604889e6f8479",
+}
+"""As Open3D's data module publishes them."""
+SEQUENCES = ("livingroom1", "livingroom2", "office1", "office2")
+COLOUR_BYTES, DEPTH_BYTES, CLOUD_BYTES, POSES_BYTES = 400_000_000, 500_000_000, 100_000_000, 600_000
+"""Estimated; the server tells the sizes before the start."""
+PRIMESENSE = {"width": 640, "height": 480, "fx": 525.0, "fy": 525.0, "cx": 319.5, "cy": 239.5, "pixel_centre": 0.0}
+
+
+def to_plain_layout(folder: Path) -> None:
+    """The poses and the camera, in the plain layout's files."""
+    write_pose_lines(folder / "poses.txt", read_trajectory_log(folder / "trajectory.log"))
+    (folder / "intrinsics.json").write_text(json.dumps(PRIMESENSE | {"depth_scale": 1000.0}) + "\n", encoding="utf-8")
+
+
+def numbered(kind: str, suffix: str):
+    """Chooses the images of an archive, whatever folder they lie in there."""
+
+    def choose(path: str) -> str | None:
+        found = re.fullmatch(rf"(?:.*/)?(\d+)\.{suffix}", path)
+        return f"{kind}/{found[1]}.{suffix}" if found else None
+
+    return choose
+
+
+def plan(sequence: str, depth: str = "clean", checksums: dict[str, str] = MD5) -> Plan:
+    """What one sequence is made of."""
+    room = sequence.rstrip("12")
+    kinds = {
+        f"{sequence}-color.zip": {"stated_bytes": COLOUR_BYTES, "choose": numbered("rgb", "jpg")},
+        f"{sequence}-depth-{depth}.zip": {"stated_bytes": DEPTH_BYTES, "choose": numbered("depth", "png")},
+        f"{sequence}-traj.txt": {"stated_bytes": POSES_BYTES, "save_as": "trajectory.log"},
+        f"{room}.ply.zip": {
+            "stated_bytes": CLOUD_BYTES,
+            "choose": lambda path: "groundtruth.ply" if path.endswith(".ply") else None,
+        },
+    }
+    return Plan(
+        folder=f"icl_nuim/{sequence}-{depth}",
+        title=f"Augmented ICL-NUIM, {sequence}, {'noise-free' if depth == 'clean' else 'simulated'} depth",
+        licence="Creative Commons Attribution 3.0 (CC BY 3.0), as ICL-NUIM.",
+        cite="Handa, Whelan, McDonald, Davison: A Benchmark for RGB-D VO, 3D Reconstruction and SLAM, 2014; "
+        "Choi, Zhou, Koltun: Robust Reconstruction of Indoor Scenes, 2015.",
+        items=[Item(base=HOST, path=name, checksum=f"md5:{checksums[name]}", **kind) for name, kind in kinds.items()],
+        unpacked_bytes=COLOUR_BYTES + DEPTH_BYTES + 3 * CLOUD_BYTES,
+        readings=lambda root: [Reading(preset="replica" if depth == "clean" else "tum")],
+        convert=to_plain_layout,
+    )
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Fetch the sequences named on the command line."""
+    parser = command.parser(__doc__ or "")
+    parser.add_argument("sequence", nargs="+", choices=SEQUENCES, help="which sequences")
+    parser.add_argument("--depth", choices=("clean", "simulated"), default="clean", help="exact, or as of a sensor")
+    options = parser.parse_args(arguments)
+
+    def fetch() -> None:
+        for name in options.sequence:
+            obtain(plan(name, options.depth), command.terms(options))
+
+    return command.run(Path(__file__).name, fetch)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

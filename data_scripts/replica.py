@@ -1,0 +1,70 @@
+"""Fetch scenes of Replica as rendered for NICE-SLAM (Sucar et al. 2021, Zhu et al. 2022), with their meshes.
+
+    python data_scripts/replica.py office0 room0 --out data
+
+All eight come in one archive of 12 GB: name every scene that is wanted, or use --keep-archives and come again. Each
+scene gets mesh.ply, the whole mesh, and mesh_culled.ply, what the cameras see of it, for scores of geometry.
+"""
+
+import dataclasses
+import re
+import sys
+from pathlib import Path
+
+from gsfusion_nb.datasets.fetch import Item, Plan, Reading, command, obtain
+
+HOST = "https://cvg-data.inf.ethz.ch/nice-slam"
+SCENES = ("office0", "office1", "office2", "office3", "office4", "room0", "room1", "room2")
+ARCHIVE_BYTES = 12_400_000_000
+SCENE_BYTES = 1_700_000_000
+MESHES_BYTES = 300_000_000
+
+
+def plan(scene: str) -> Plan:
+    """What one scene is made of."""
+
+    def frames(path: str) -> str | None:
+        name = path.removeprefix("Replica/")
+        if name == "cam_params.json":
+            return name
+        if name == f"{scene}_mesh.ply":
+            return "mesh.ply"
+        return name.removeprefix(f"{scene}/") if name.startswith(f"{scene}/") else None
+
+    def culled(path: str) -> str | None:
+        return "mesh_culled.ply" if re.fullmatch(rf"(.*/)?{scene}(_[a-z_]+)?\.ply", path) else None
+
+    return Plan(
+        folder=f"replica/{scene}",
+        title=f"Replica as rendered for NICE-SLAM, {scene}: 2000 frames of 1200x680, exact depth and poses",
+        licence="Replica's research licence (Meta): NON-COMMERCIAL research only; the renderings come from ETH Zurich.",
+        cite="Straub et al.: The Replica Dataset, 2019; Zhu et al.: NICE-SLAM, 2022.",
+        items=[
+            Item(base=HOST, path="data/Replica.zip", stated_bytes=ARCHIVE_BYTES, choose=frames),
+            Item(base=HOST, path="cull_replica_mesh.zip", stated_bytes=MESHES_BYTES, choose=culled),
+        ],
+        unpacked_bytes=SCENE_BYTES,
+        readings=lambda root: [Reading(preset="replica")],
+        note="all scenes come in one archive: name those that are wanted together, or use --keep-archives",
+    )
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Fetch the scenes named on the command line."""
+    parser = command.parser(__doc__ or "")
+    parser.add_argument("scene", nargs="+", choices=(*SCENES, "all"), help="which scenes")
+    options = parser.parse_args(arguments)
+    wanted = SCENES if "all" in options.scene else tuple(dict.fromkeys(options.scene))
+
+    def fetch() -> None:
+        terms = command.terms(options)
+        for i, scene in enumerate(wanted):
+            more = i + 1 < len(wanted)
+            obtain(plan(scene), dataclasses.replace(terms, keep_archives=terms.keep_archives or more))
+            terms = dataclasses.replace(terms, yes=True)  # agreed to once, for all of the archive
+
+    return command.run(Path(__file__).name, fetch)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,64 @@
+"""Write the built-in room to disk in the layouts that are read, as samples of each. Nothing is downloaded.
+
+    python data_scripts/room.py tum --out data
+    python data_scripts/room.py all --frames 60
+
+folder and replica, scannetpp have pictures of --width x --height; tum and seven_scenes have their camera's 640x480.
+"""
+
+import sys
+from pathlib import Path
+
+from gsfusion_nb.datasets.fetch import command
+from gsfusion_nb.datasets.fetch.disk import require_space, size_text
+from gsfusion_nb.datasets.fetch.lock import only_one
+from gsfusion_nb.datasets.fetch.obtain import WORK
+from gsfusion_nb.datasets.fetch.plan import duration_text
+from gsfusion_nb.datasets.fetch.room_layouts import WRITERS, Walk
+from gsfusion_nb.datasets.fetch.whole import whole_folder
+from gsfusion_nb.datasets.room import room_mesh
+from gsfusion_nb.export import write_mesh_ply
+
+BYTES_PER_FRAME, BYTES_OF_MESH = 700_000, 9_000_000
+SECONDS_PER_FRAME, SECONDS_OF_MESH = 0.5, 10.0
+
+
+def write(layout: str, walk: Walk, terms: command.Terms) -> None:
+    """Write one layout."""
+    name, writer = WRITERS[layout]
+    target = terms.out / name
+    size = BYTES_OF_MESH + walk.n_frames * BYTES_PER_FRAME
+    seconds = SECONDS_OF_MESH + walk.n_frames * SECONDS_PER_FRAME
+    terms.say(
+        f"The built-in room in the layout {layout}: {walk.n_frames} frames\n"
+        f"  to       {target} (about {size_text(size)})\n"
+        f"  time     about {duration_text(seconds)}\n  licence  Apache-2.0, as the package"
+    )
+    require_space(terms.out, size, name)
+    with only_one(terms.out / WORK), whole_folder(target, terms.out / WORK) as folder:
+        with command.counting("frame") as progress:
+            reading = writer(folder, walk, progress)
+        write_mesh_ply(folder / "mesh.ply", room_mesh(0.03, seed=walk.seed))
+        proof = reading.prove(folder)
+    terms.say(f"{proof}\n  {reading.command(target)}")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Write the layouts named on the command line."""
+    parser = command.parser(__doc__ or "", downloads=False)
+    parser.add_argument("layout", nargs="+", choices=(*WRITERS, "all"), help="which layouts")
+    parser.add_argument("--frames", type=int, default=200, help="frames of the walk (default: 200)")
+    parser.add_argument("--width", type=int, default=640, help="width of a picture, pixels (default: 640)")
+    parser.add_argument("--height", type=int, default=480, help="height of a picture, pixels (default: 480)")
+    options = parser.parse_args(arguments)
+
+    def work() -> None:
+        walk = Walk(n_frames=options.frames, width=options.width, height=options.height)
+        for layout in WRITERS if "all" in options.layout else dict.fromkeys(options.layout):
+            write(layout, walk, command.terms(options))
+
+    return command.run(Path(__file__).name, work)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,69 @@
+"""Prepare scenes of ScanNet++ (Yeshwanth et al. 2023) from your own licensed copy. Nothing is downloaded.
+
+    python data_scripts/scannetpp.py /data/scannetpp/data/8b5caf3398 --out data
+
+Photographs are undistorted at half resolution and depth is rendered from the scan's mesh, without graphics card or
+display. An interrupted run goes on with the next picture.
+"""
+
+import sys
+from pathlib import Path
+
+from gsfusion_nb.datasets.fetch import FetchError, Reading, command
+from gsfusion_nb.datasets.fetch.disk import require_space, size_text
+from gsfusion_nb.datasets.fetch.lock import only_one
+from gsfusion_nb.datasets.fetch.obtain import WORK
+from gsfusion_nb.datasets.fetch.plan import agree, duration_text
+from gsfusion_nb.datasets.fetch.scannetpp_scene import MESH, listed_pictures, prepare_scene
+from gsfusion_nb.datasets.fetch.whole import whole_folder
+from gsfusion_nb.export import read_mesh_ply
+
+BYTES_PER_PICTURE = 800_000
+SECONDS_PER_PICTURE = 3.0
+READING = Reading(preset="scannetpp")
+
+
+def describe(scene: Path, target: Path, n_pictures: int) -> str:
+    """What is going to be made, and on which terms."""
+    size, seconds = size_text(n_pictures * BYTES_PER_PICTURE), duration_text(n_pictures * SECONDS_PER_PICTURE)
+    return (
+        f"ScanNet++, {scene.name}: {n_pictures} photographs at half resolution, depth from the laser scan\n"
+        f"  from     {scene} (your copy)\n  to       {target} (about {size})\n  time     about {seconds}\n"
+        "  licence  ScanNet++ Terms of Use: NON-COMMERCIAL research, no redistribution, of what is made either.\n"
+        "  cite     Yeshwanth, Liu, Niessner, Dai: ScanNet++: A High-Fidelity Dataset of 3D Indoor Scenes, 2023."
+    )
+
+
+def prepare(scene: Path, terms: command.Terms) -> None:
+    """Prepare one scene."""
+    scene = scene.expanduser().resolve()
+    target = terms.out / "scannetpp" / scene.name
+    if not target.exists():
+        if not (scene / MESH).is_file():
+            raise FetchError(f"{scene / MESH} does not exist; expected the folder of a ScanNet++ scene with its scan")
+        names = listed_pictures(scene)
+        terms.say(describe(scene, target, len(names)))
+        require_space(terms.out, len(names) * BYTES_PER_PICTURE, scene.name)
+        agree(yes=terms.yes, ask=terms.ask)
+        with only_one(terms.out / WORK), whole_folder(target, terms.out / WORK, keep=True) as folder:
+            with command.counting("picture") as progress:
+                prepare_scene(scene, read_mesh_ply(scene / MESH), folder, progress=progress)
+            READING.prove(folder)
+    terms.say(f"{READING.prove(target)}\n  {READING.command(target)}")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Prepare the scenes named on the command line."""
+    parser = command.parser(__doc__ or "", downloads=False)
+    parser.add_argument("scene", nargs="+", type=Path, help="folders of scenes in your copy")
+    options = parser.parse_args(arguments)
+
+    def work() -> None:
+        for scene in options.scene:
+            prepare(scene, command.terms(options))
+
+    return command.run(Path(__file__).name, work)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,10 @@
+"""Recordings in other formats, written as the plain ``folder`` layout that can be checked and mapped."""
+
+from .formats import detect_format as detect_format
+from .formats import formats as formats
+from .options import ConvertOptions as ConvertOptions
+from .options import RosOptions as RosOptions
+from .run import ConvertReport as ConvertReport
+from .run import convert as convert
+from .trajectory import Trajectory as Trajectory
+from .trajectory import read_trajectory as read_trajectory

@@ -1,0 +1,18 @@
+"""Fetching public data sets: download, compare, unpack, convert, and only then give the folder its name.
+
+The scripts in ``data_scripts/`` say which files make a data set; everything they have in common is here.
+"""
+
+from .errors import ArchiveError as ArchiveError
+from .errors import ChecksumError as ChecksumError
+from .errors import DeclinedError as DeclinedError
+from .errors import DownloadError as DownloadError
+from .errors import FetchError as FetchError
+from .errors import NoSpaceError as NoSpaceError
+from .obtain import Terms as Terms
+from .obtain import obtain as obtain
+from .plan import Item as Item
+from .plan import Plan as Plan
+from .reading import Reading as Reading
+from .unpack import Limits as Limits
+from .unpack import unpack as unpack

@@ -1,0 +1,71 @@
+"""What was obtained, from where and when: one JSON file beside the data sets, and one inside each."""
+
+import json
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from .checksum import digest
+from .whole import write_whole
+
+LEDGER = "fetched.json"
+"""In the folder of all data sets: every file ever obtained."""
+SOURCE = "source.json"
+"""In each data set: what it was made from, and its licence."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Obtained:
+    """One file that was downloaded."""
+
+    url: str
+    size: int
+    sha256: str
+    date: str
+    """UTC, ISO 8601."""
+    published: str = ""
+    """The published digest it was compared with; empty where there is none."""
+
+    @staticmethod
+    def now(url: str, file: Path, published: str) -> "Obtained":
+        """Of a file that has just arrived."""
+        return Obtained(
+            url=url,
+            size=file.stat().st_size,
+            sha256=digest(file).removeprefix("sha256:"),
+            date=datetime.now(UTC).isoformat(timespec="seconds"),
+            published=published,
+        )
+
+
+def read_ledger(folder: Path) -> list[Obtained]:
+    """The files obtained so far; a ledger that cannot be read counts as empty."""
+    try:
+        return [Obtained(**entry) for entry in json.loads((folder / LEDGER).read_text(encoding="utf-8"))]
+    except (OSError, ValueError, TypeError):
+        return []
+
+
+def record(folder: Path, obtained: Obtained) -> str:
+    """Add a file to the ledger. Returns a note if the same address gave another file before, else ""."""
+    entries = read_ledger(folder)
+    earlier = [entry for entry in entries if entry.url == obtained.url]
+    same = [entry for entry in earlier if entry.sha256 == obtained.sha256]
+    if not same:
+        write_whole(folder / LEDGER, _json([*map(asdict, entries), asdict(obtained)]))
+    if earlier and not same:
+        return (
+            f"{obtained.url} is not the file it was on {earlier[-1].date}: sha256 {obtained.sha256[:12]} now, "
+            f"{earlier[-1].sha256[:12]} then, and none is published"
+        )
+    return ""
+
+
+def write_source(folder: Path, *, title: str, licence: str, cite: str, files: list[Obtained]) -> None:
+    """Write the data set's own record."""
+    values = {"title": title, "licence": licence, "cite": cite, "files": [asdict(file) for file in files]}
+    write_whole(folder / SOURCE, _json(values))
+
+
+def _json(values: object) -> bytes:
+    return (json.dumps(values, indent=1) + "\n").encode()

@@ -1,0 +1,164 @@
+"""The whole way of a data set: say, ask, download, compare, unpack, convert, read, and only then give it its name."""
+
+import contextlib
+import hashlib
+import logging
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from .checksum import verify
+from .disk import require_space
+from .download import Progress, Transfer, download, remote_size
+from .errors import ArchiveError, ChecksumError, FetchError
+from .ledger import Obtained, record, write_source
+from .lock import only_one
+from .plan import Item, Plan, agree, describe
+from .unpack import Limits, unpack
+from .whole import whole_folder
+
+log = logging.getLogger(__name__)
+
+WORK = ".fetch"
+"""Folder beside the data sets for what is not finished: archives, partial downloads, half-made data sets."""
+
+LEAST_LIMIT_BYTES = 50_000_000
+"""Small files may be off their stated size by more than a factor."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Terms:
+    """How a data set is fetched, whichever it is."""
+
+    out: Path
+    """Folder of all data sets."""
+    yes: bool = False
+    """Size and licence are agreed to."""
+    mirror: str = ""
+    """Address of a host with the same paths, instead of the data set's own."""
+    keep_archives: bool = False
+    """Keep the downloaded files in ``.fetch``."""
+    transfer: Transfer = field(default_factory=Transfer)
+    say: Callable[[str], object] = lambda text: None
+    """Told what a person should know."""
+    ask: Callable[[str], str] | None = None
+    """Asks a person; None where there is none."""
+
+
+def obtain(plan: Plan, terms: Terms) -> Path:
+    """Fetch a data set; its folder.
+
+    What is there already is only read again. A broken download goes on at the next run. The folder appears under its
+    name when everything is in it and the reader has opened it.
+
+    Raises:
+        FetchError: one of its kinds; the message says what to do.
+    """
+    out, target = terms.out, terms.out / plan.folder
+    if target.exists():
+        terms.say(f"{target} is there already; nothing is fetched (remove or rename it to fetch it again).")
+        _report(plan, target, target, terms)
+        return target
+    sizes = [remote_size(item.url(terms.mirror)) for item in plan.items]
+    terms.say(describe(plan, out, sizes, terms.mirror))
+    missing = sum(_missing(item, size, terms) for size, item in zip(sizes, plan.items, strict=True))
+    require_space(out, missing + plan.unpacked_bytes, f"{plan.folder}, its archives included,")
+    agree(yes=terms.yes, ask=terms.ask)
+    with only_one(out / WORK):
+        return _make(plan, terms, target)
+
+
+def _make(plan: Plan, terms: Terms, target: Path) -> Path:
+    work = terms.out / WORK
+    files = [(item, work / _file_name(item.url(terms.mirror))) for item in plan.items]
+    obtained = [_fetch(plan, item, file, terms) for item, file in files]
+    with whole_folder(target, work) as folder:
+        for item, file in files:
+            _place(plan, item, file, folder)
+        try:
+            plan.convert(folder)
+        except ArchiveError:  # an archive inside an archive
+            for _, file in files:
+                file.unlink(missing_ok=True)
+            raise
+        write_source(folder, title=plan.title, licence=plan.licence, cite=plan.cite, files=obtained)
+        _report(plan, folder, target, terms)
+    if not terms.keep_archives:
+        for _, file in files:
+            file.unlink(missing_ok=True)
+    return target
+
+
+def _fetch(plan: Plan, item: Item, file: Path, terms: Terms) -> Obtained:
+    """Download a file and compare it; one that does not compare is fetched once more."""
+    url = item.url(terms.mirror)
+    for attempt in (1, 2):
+        with _bar(file) as progress:
+            download(url, file, max_bytes=_most(plan, item), transfer=terms.transfer, progress=progress)
+        if not item.checksum:
+            break
+        try:
+            verify(file, item.checksum)
+            break
+        except ChecksumError as e:
+            file.unlink()
+            if attempt == 2:
+                raise ChecksumError(f"{url}: {e} (twice, so it is not the line's fault)") from None
+            terms.say(f"{e}; it is fetched once more.")
+    obtained = Obtained.now(url, file, item.checksum)
+    if note := record(terms.out, obtained):
+        terms.say(f"Note: {note}.")
+    return obtained
+
+
+def _place(plan: Plan, item: Item, file: Path, folder: Path) -> None:
+    if item.save_as:
+        (folder / item.save_as).write_bytes(file.read_bytes())
+        return
+    limit = max(int(plan.most_growth * plan.unpacked_bytes), LEAST_LIMIT_BYTES)
+    try:
+        unpack(file, folder, choose=item.choose, limits=Limits(max_bytes=limit))
+    except ArchiveError:
+        file.unlink()  # the same bytes would fail again
+        raise
+
+
+def _report(plan: Plan, folder: Path, target: Path, terms: Terms) -> None:
+    """Read every sequence in ``folder``, which is or becomes ``target``, and say how to map it."""
+    readings = plan.readings(folder)
+    if not readings:
+        raise FetchError(f"{folder} holds no sequence")
+    for reading in readings:
+        terms.say(f"{reading.prove(folder)}\n  {reading.command(target)}")
+
+
+def _missing(item: Item, size: int | None, terms: Terms) -> int:
+    """Bytes of a file that are not here yet."""
+    file = terms.out / WORK / _file_name(item.url(terms.mirror))
+    part = file.with_name(file.name + ".part")
+    if file.exists():
+        return 0
+    return max(0, (item.stated_bytes if size is None else size) - (part.stat().st_size if part.exists() else 0))
+
+
+def _most(plan: Plan, item: Item) -> int:
+    return max(int(plan.most_growth * item.stated_bytes), LEAST_LIMIT_BYTES)
+
+
+def _file_name(url: str) -> str:
+    """Name of a downloaded file: its own, and a digest of the address, since hosts may share names."""
+    return f"{hashlib.sha256(url.encode()).hexdigest()[:8]}-{url.rsplit('/', 1)[-1]}"
+
+
+@contextlib.contextmanager
+def _bar(file: Path) -> Iterator[Progress]:
+    """A progress bar where a person looks on."""
+    from tqdm import tqdm
+
+    with tqdm(desc=file.name[9:], unit="B", unit_scale=True, disable=None, leave=False) as bar:
+
+        def progress(done: int, total: int | None) -> None:
+            bar.total = total
+            bar.update(done - bar.n)
+
+        yield progress

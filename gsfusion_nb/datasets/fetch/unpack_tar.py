@@ -1,0 +1,94 @@
+"""The tar half of ``unpack``: read once from front to back, so that an archive of any size needs little memory."""
+
+import gzip
+import tarfile
+import zlib
+from collections.abc import Iterator
+
+from .disk import require_space
+from .errors import ArchiveError
+from .unpack import Readable, Unpacker
+
+MAX_HEADER_BYTES = 1 << 20
+"""Of one member's headers: tarfile holds these in memory, and a gzipped gigabyte of them is a small file."""
+
+_SPACE_EVERY_BYTES = 200_000_000
+_GZIP = b"\x1f\x8b"
+
+
+class _Counted:
+    """A stream that counts what is read of it and stops a header that does not end."""
+
+    def __init__(self, stream: Readable, name: str):
+        self._stream, self._name = stream, name
+        self.header_left: int | None = MAX_HEADER_BYTES
+
+    def read(self, size: int) -> bytes:
+        block = self._stream.read(size)
+        if self.header_left is not None:
+            self.header_left -= len(block)
+            if self.header_left < 0:
+                raise ArchiveError(f"{self._name} holds a header of more than {MAX_HEADER_BYTES} bytes; it is a bomb")
+        return block
+
+
+def unpack_tar(unpacker: Unpacker) -> None:
+    """Unpack a tar, gzipped or not. Raises ``ArchiveError``, ``NoSpaceError``."""
+    name = unpacker.archive.name
+    with unpacker.archive.open("rb") as raw:
+        zipped = raw.read(2) == _GZIP
+        raw.seek(0)
+        stream = gzip.GzipFile(fileobj=raw) if zipped else raw
+        try:
+            counted = _Counted(stream, name)
+            with tarfile.open(fileobj=counted, mode="r|") as tar:  # pyright: ignore[reportCallIssue, reportArgumentType]
+                for member in _members(tar, counted):
+                    _take(unpacker, tar, member)
+            _to_the_end(unpacker, stream)
+        except (tarfile.TarError, EOFError, zlib.error, gzip.BadGzipFile) as e:
+            raise ArchiveError(
+                f"{name} is damaged or no archive ({e}); it is no longer kept, run again to fetch it anew"
+            ) from None
+
+
+def _members(tar: tarfile.TarFile, counted: _Counted) -> Iterator[tarfile.TarInfo]:
+    while True:
+        counted.header_left = MAX_HEADER_BYTES
+        member = tar.next()
+        tar.members.clear()  # pyright: ignore[reportAttributeAccessIssue]  # kept for random access, which a stream lacks
+        if member is None:
+            return
+        counted.header_left = None
+        yield member
+
+
+def _take(unpacker: Unpacker, tar: tarfile.TarFile, member: tarfile.TarInfo) -> None:
+    name = unpacker.archive.name
+    if member.issym() or member.islnk():
+        raise ArchiveError(f"{name} holds {member.name!r}, a link to {member.linkname!r}; it is not unpacked")
+    if not (member.isreg() or member.isdir()) or member.issparse():
+        raise ArchiveError(f"{name} holds {member.name!r}, a device, pipe or sparse file; it is not unpacked")
+    path = unpacker.place(member.name, is_folder=member.isdir())
+    if not member.isreg():
+        return
+    before = unpacker.bytes // _SPACE_EVERY_BYTES
+    unpacker.count(member.size, member.name)  # wanted or not: it has to be read
+    source = tar.extractfile(member)
+    if source is None:
+        raise ArchiveError(f"{name}: {member.name!r} has no content; damaged")
+    if path is None:
+        while source.read(1 << 20):
+            pass
+        return
+    if unpacker.files == 0 or unpacker.bytes // _SPACE_EVERY_BYTES != before:
+        require_space(unpacker.folder, max(member.size, _SPACE_EVERY_BYTES // 10), f"unpacking {name}")
+    unpacker.write(path, source, member.size)
+
+
+def _to_the_end(unpacker: Unpacker, stream: Readable) -> None:
+    """Read what follows the last member, so that gzip compares its checksum; a few zero blocks at most."""
+    left = MAX_HEADER_BYTES
+    while block := stream.read(1 << 16):
+        left -= len(block)
+        if left < 0:
+            raise ArchiveError(f"{unpacker.archive.name} goes on behind its end; it is damaged, or a bomb")

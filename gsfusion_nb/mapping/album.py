@@ -1,0 +1,96 @@
+"""The little that is kept of a stream: a bounded number of its frames, evenly spread, to score and to show."""
+
+import bisect
+from array import array
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ..datasets import BadFrameError, OpenedSequence, SequenceView
+from ..types import Camera, Frame
+
+MOST_VIEWS = 24
+"""Mapped frames, and held-out ones, that are kept at most: 2.1 MB each at 640x480."""
+
+_UNKNOWN = Camera(width=1, height=1, fx=1.0, fy=1.0, cx=0.5, cy=0.5)
+
+
+class Album:
+    """Some frames of a stream by their index, and the poses of all mapped ones (a ``Sequence``).
+
+    A frame that was not kept raises ``BadFrameError``. When there are too many, every other one is let go, and from
+    then on frames are taken half as often.
+    """
+
+    def __init__(self, name: str, *, has_poses: bool = True, most: int = MOST_VIEWS):
+        self.name, self.has_poses, self.camera = name, has_poses, _UNKNOWN
+        self.mapped: list[int] = []
+        """Indices of all mapped frames."""
+        self.kept_mapped = _Spread(most)
+        self.kept_held_out = _Spread(most)
+        self._last: Frame | None = None
+        self._poses = array("f")
+
+    def __len__(self) -> int:
+        return 1 + max((s.items[-1].index for s in (self.kept_mapped, self.kept_held_out) if s.items), default=-1)
+
+    def __getitem__(self, i: int) -> Frame:
+        if self._last is not None and self._last.index == i:
+            return self._last
+        for spread in (self.kept_mapped, self.kept_held_out):
+            for frame in spread.items:
+                if frame.index == i:
+                    return frame
+        raise BadFrameError(f"frame {i} of {self.name} was not kept")
+
+    def pose(self, i: int) -> Float[Tensor, "4 4"]:
+        """Pose of frame ``i`` as the stream gave it."""
+        k = bisect.bisect_left(self.mapped, i)
+        if k < len(self.mapped) and self.mapped[k] == i:
+            return torch.tensor(self._poses[16 * k : 16 * k + 16]).reshape(4, 4)
+        return self[i].T_WC
+
+    def add(self, frame: Frame) -> None:
+        """A frame was mapped."""
+        self.camera = frame.camera
+        self.mapped.append(frame.index)
+        self._poses.extend(frame.T_WC.flatten().tolist())
+        self.kept_mapped.add(frame)
+        self._last = frame
+
+    def hold_out(self, frame: Frame) -> None:
+        """A frame is not mapped, so that the map can be scored by it."""
+        self.kept_held_out.add(frame)
+
+    def view(self, positions: list[int]) -> SequenceView:
+        """The frames with these indices."""
+        return SequenceView(source=self, positions=positions, camera=self.camera)
+
+    def opened(self) -> OpenedSequence:
+        """All mapped frames, of which a few are kept, and the held-out ones that are."""
+        held_out = [frame.index for frame in self.kept_held_out.items]
+        return OpenedSequence(
+            source=self,
+            positions=self.mapped,
+            camera=self.camera,
+            mapping=self.view(self.mapped),
+            held_out=self.view(held_out),
+        )
+
+
+class _Spread:
+    """At most ``most`` of the frames added, evenly spread."""
+
+    def __init__(self, most: int):
+        self.items: list[Frame] = []
+        self._most, self._step, self._n = most, 1, 0
+
+    def add(self, frame: Frame) -> None:
+        if self._n % self._step == 0:
+            if len(self.items) == self._most:
+                self.items = self.items[::2]
+                self._step *= 2
+            if self._n % self._step == 0:
+                self.items.append(frame)
+        self._n += 1

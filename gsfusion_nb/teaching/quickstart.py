@@ -1,0 +1,144 @@
+"""Exercises of the quickstart: whom the TSDF lets in, what a decibel is, and which frames are the exam."""
+
+import torch
+from torch import Tensor
+
+from ..datasets import open_sequence
+from .exercise import Attempt, Wrong, close, exercise, holds
+
+
+def _first_seen(weight: Tensor, depth_m: Tensor) -> Tensor:
+    return (weight == 1) & (depth_m > 0)
+
+
+def _never_seen(weight: Tensor, depth_m: Tensor) -> Tensor:
+    return (weight == 0) & (depth_m > 0)
+
+
+def _up_to_one(weight: Tensor, depth_m: Tensor) -> Tensor:
+    return (weight <= 1) & (depth_m > 0)
+
+
+def _depth_or_not(weight: Tensor, depth_m: Tensor) -> Tensor:
+    return weight == 1
+
+
+@exercise(
+    chapter=0, difficulty=1, minutes=5, solution=_first_seen,
+    hints=(
+        "Fusion comes before seeding. A voxel that this frame was the first to see has been averaged once.",
+        "A cell whose middle has no depth has no point in space: nothing can stand there.",
+    ),
+    wrong=(
+        Wrong(_never_seen, says="Fusion comes first"),
+        Wrong(_up_to_one, says="a voxel that is not in the map"),
+        Wrong(_depth_or_not, says="no depth, no Gaussian"),
+    ),
+)  # fmt: skip
+def first_seen(attempt: Attempt) -> None:
+    """Which cells get a Gaussian: true or false for each, from its voxel's weight and its depth."""
+    depth_m = torch.tensor([1.0, 1.0, 1.0])
+    on = "weights 1, 2 and 7, all with depth"
+    why = "Fusion comes first: the weight is already 1 when this frame is the first"
+    got = attempt.on(on)(torch.tensor([1.0, 2.0, 7.0]), depth_m)
+    close(torch.as_tensor(got).double(), [1, 0, 0], "a place is new where the weight is 1", on=on, why=why)
+    on = "weight 0: a point outside of the volume"
+    got = attempt.on(on)(torch.tensor([0.0, 1.0]), depth_m[:2])
+    close(torch.as_tensor(got).double(), [0, 1], "a voxel that is not in the map says nothing", on=on)
+    on = "weight 1, depth 0"
+    got = attempt.on(on)(torch.tensor([1.0, 1.0]), torch.tensor([0.0, 2.0]))
+    close(torch.as_tensor(got).double(), [0, 1], "no depth, no Gaussian", on=on)
+
+
+def _psnr(rendered: Tensor, photo: Tensor) -> Tensor:
+    return -10 * torch.log10((rendered - photo).square().mean())
+
+
+def _psnr_of_the_mean_error(rendered: Tensor, photo: Tensor) -> Tensor:
+    return -10 * torch.log10((rendered - photo).abs().mean())
+
+
+def _mean_of_pixels(rendered: Tensor, photo: Tensor) -> Tensor:
+    return (-10 * torch.log10((rendered - photo).square().mean(-1).clamp_min(1e-12))).mean()
+
+
+def _negative(rendered: Tensor, photo: Tensor) -> Tensor:
+    return 10 * torch.log10((rendered - photo).square().mean())
+
+
+@exercise(
+    chapter=0, difficulty=2, minutes=8, solution=_psnr,
+    hints=(
+        "Peak signal to noise: the peak is 1 here. Noise is the mean of the squared differences.",
+        "10 log10(peak^2 / MSE). With peak 1 that is -10 log10(MSE).",
+        "Take the mean over all pixels and channels first, then one logarithm.",
+    ),
+    wrong=(
+        Wrong(_psnr_of_the_mean_error, says="the squared differences"),
+        Wrong(_mean_of_pixels, says="one mean over the whole picture"),
+        Wrong(_negative, says="more is better"),
+    ),
+)  # fmt: skip
+def psnr(attempt: Attempt) -> None:
+    """PSNR of two pictures with values from 0 to 1, in dB."""
+    generator = torch.Generator().manual_seed(0)
+    photo = torch.rand(6, 8, 3, generator=generator, dtype=torch.float64)
+    on = "a picture that is too bright by 0.1 everywhere"
+    got = torch.as_tensor(attempt.on(on)(photo + 0.1, photo)).double()
+    holds(
+        float(got.mean()) > 0, "more is better, and 0 dB is hopeless", on=on, detail=f"got {float(got.mean()):.1f} dB"
+    )
+    close(got, 20.0, "the squared differences count: 0.1 off is 20 dB", on=on)
+    half = photo.clone()
+    half[:3] += 0.1
+    on = "a picture of which one half is right and one half 0.1 too bright"
+    why = "The logarithm comes after the mean; otherwise one perfect pixel outweighs all others"
+    expected = -10 * torch.log10(torch.tensor(0.005, dtype=torch.float64))
+    close(attempt.on(on)(half, photo), expected, "one mean over the whole picture", on=on, why=why)
+
+
+def _exam(n: int, every: int, offset: int) -> list[int]:
+    return [i for i in range(n) if i % every == offset]
+
+
+def _from_the_first(n: int, every: int, offset: int) -> list[int]:
+    return list(range(0, n, every))
+
+
+def _the_last_ones(n: int, every: int, offset: int) -> list[int]:
+    return list(range(n - n // every, n))
+
+
+def _all_others(n: int, every: int, offset: int) -> list[int]:
+    return [i for i in range(n) if i % every != offset]
+
+
+@exercise(
+    chapter=0, difficulty=1, minutes=5, solution=_exam,
+    hints=(
+        "print(sequence.held_out.positions) shows them.",
+        "range(start, stop, step) counts in steps; or ask every i for its remainder, i % every.",
+    ),
+    wrong=(
+        Wrong(_from_the_first, says="the first frame is mapped"),
+        Wrong(_the_last_ones, says="spread over the whole walk"),
+        Wrong(_all_others, says="one in every eight"),
+    ),
+)  # fmt: skip
+def exam_frames(attempt: Attempt) -> None:
+    """Which of n frames are held out: one in every so many, counted from an offset."""
+
+    def chosen(on: str, n: int, every: int, offset: int) -> list[int]:
+        return [int(i) for i in attempt.on(on)(n, every, offset)]
+
+    on = "80 frames, every 8th, offset 4"
+    got = chosen(on, 80, 8, 4)
+    detail = f"got {len(got)} frames: {str(got[:8])[1:-1]} ..."
+    holds(len(got) <= 40, "one in every eight is the exam, the others are mapped", on=on, detail=detail)
+    holds(not got or max(got) - min(got) > 40, "the exam is spread over the whole walk", on=on, detail=detail)
+    holds(0 not in got, "the first frame is mapped: the map begins there", on=on, detail=detail)
+    close(got, open_sequence("room", n_frames=80).held_out.positions, "the exam is that of the library", on=on)
+    on = "3 frames, every 8th, offset 4: the walk ends before the first exam"
+    close(len(chosen(on, 3, 8, 4)), 0, "a short walk has no exam", on=on)
+    on = "11 frames, every 5th, offset 2"
+    close(chosen(on, 11, 5, 2), [2, 7], "counted from the offset", on=on)

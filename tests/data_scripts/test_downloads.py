@@ -1,0 +1,233 @@
+"""Every script that downloads, end to end against a server on this machine, with tiny archives in the real layout."""
+
+import dataclasses
+import hashlib
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from gsfusion_nb.datasets import open_sequence
+from gsfusion_nb.datasets.fetch.download import Transfer
+from gsfusion_nb.datasets.tum import LENSES
+from gsfusion_nb.types import Camera
+
+SCRIPTS = sorted((Path(__file__).resolve().parents[2] / "data_scripts").glob("*.py"))
+
+
+def run(module, site, out, *arguments):
+    return module.main([*arguments, "--out", str(out), "--mirror", site.address, "--yes"])
+
+
+@pytest.fixture
+def tum_set(site, tmp_path, box, archives, writer, files):
+    """fr1_desk with two frames."""
+    name = "rgbd_dataset_freiburg1_desk"
+    root = writer("tum")(tmp_path / "made" / name, box, n=2, camera=LENSES["freiburg1"].camera)
+    (root / "accelerometer.txt").write_text("# nothing\n")
+    path = f"/freiburg1/{name}.tgz"
+    site.files[path] = archives.tgz(files(root, f"{name}/"))
+    return path
+
+
+def test_tum(script, site, tum_set, tmp_path, capsys):
+    module, out = script("tum"), tmp_path / "data"
+    assert run(module, site, out, "fr1_desk") == 0
+    text = capsys.readouterr().out
+    folder = out / "tum/rgbd_dataset_freiburg1_desk"
+    for part in ("CC BY 4.0", "no checksum public", "to download)", "Sturm", f"gsfusion-nb map {folder} --preset tum"):
+        assert part in text
+    sequence = open_sequence(folder)
+    assert len(sequence) == 2
+    assert sequence.camera.fx == pytest.approx(517.3, rel=0.06)
+    record = json.loads((out / "fetched.json").read_text())
+    assert record[0]["sha256"] == hashlib.sha256(site.files[tum_set]).hexdigest()
+    assert record[0]["url"] == site.address + tum_set
+
+
+def test_tum_resumes_and_says_where(script, site, tum_set, tmp_path, hostile, capsys, monkeypatch):
+    module, out = script("tum"), tmp_path / "data"
+    half = len(site.files[tum_set]) // 2
+    site.faults = {tum_set: [hostile.status(404)]}
+    assert run(module, site, out, "fr1_desk") == 1
+    assert capsys.readouterr().err.startswith(f"tum.py: {site.address}{tum_set}: the server answers 404 Not Found")
+    site.faults, site.seen = {tum_set: [hostile.cut(half), None]}, []
+    terms = module.command.terms
+    patient = Transfer(sleep=lambda seconds: None)
+    monkeypatch.setattr(module.command, "terms", lambda options: dataclasses.replace(terms(options), transfer=patient))
+    assert run(module, site, out, "fr1_desk") == 0
+    assert site.ranges() == [None, f"bytes={half}-"]
+
+
+def test_tum_hostile_archive(script, site, tum_set, tmp_path, archives, capsys):
+    site.files[tum_set] = archives.tgz(
+        {"rgbd_dataset_freiburg1_desk/rgb": b""}, kinds={"rgbd_dataset_freiburg1_desk/rgb": b"2"}
+    )
+    assert run(script("tum"), site, tmp_path / "data", "fr1_desk") == 1
+    assert "a link to '../../etc/passwd'; it is not unpacked" in capsys.readouterr().err
+    assert not (tmp_path / "data/tum").exists()
+
+
+def test_nobody_agrees(script, site, tum_set, tmp_path, capsys):
+    arguments = ["fr1_desk", "--out", str(tmp_path / "data"), "--mirror", site.address]
+    assert script("tum").main(arguments) == 1
+    shown = capsys.readouterr()
+    assert "CC BY 4.0" in shown.out
+    assert "run again with --yes" in shown.err
+    assert site.ranges() == []
+
+
+def test_seven_scenes(script, site, tmp_path, box, archives, writer, files, capsys):
+    write, inner = writer("seven_scenes"), {}
+    for name in ("seq-01", "seq-02"):
+        root = write(tmp_path / "made" / name, box, n=2)
+        inner[f"heads/{name}.zip"] = archives.zip(files(root, f"{name}/") | {f"{name}/Thumbs.db": b"x"})
+    split = {"heads/TrainSplit.txt": b"sequence2\n", "heads/TestSplit.txt": b"sequence1\n", "heads/heads.png": b"x"}
+    site.files["/heads.zip"] = archives.zip(inner | split)
+    out = tmp_path / "data"
+    assert run(script("seven_scenes"), site, out, "heads") == 0
+    text = capsys.readouterr().out
+    assert "NON-COMMERCIAL" in text
+    folder = out / "7scenes/heads"
+    assert sorted(p.name for p in folder.iterdir()) == [
+        "TestSplit.txt", "TrainSplit.txt", "seq-01", "seq-02", "source.json",
+    ]  # fmt: skip
+    assert not (folder / "seq-01/Thumbs.db").exists()
+    assert f"gsfusion-nb map {folder}/seq-02 --preset tum --reader register=true" in text
+    assert len(open_sequence(folder / "seq-01", register=True)) == 2
+
+
+def test_seven_scenes_hostile_inside(script, site, tmp_path, archives, capsys):
+    site.files["/heads.zip"] = archives.zip({"heads/seq-01.zip": archives.zip({"../../outside": b"x"})})
+    out = tmp_path / "data"
+    assert run(script("seven_scenes"), site, out, "heads") == 1
+    assert "leads out of its folder" in capsys.readouterr().err
+    assert not (out / "7scenes").exists()
+    assert not list((out / ".fetch").glob("*.zip"))  # it would fail again
+    site.files["/heads.zip"] = archives.zip({"heads/TrainSplit.txt": b"sequence1\n"})
+    assert run(script("seven_scenes"), site, out, "heads") == 1
+    assert "holds no seq-01.zip" in capsys.readouterr().err
+
+
+def test_replica(script, site, tmp_path, box, archives, writer, files, capsys):
+    made = tmp_path / "made"
+    for scene in ("office0", "room0"):
+        writer("replica")(made / scene, box, n=3)
+        (made / f"{scene}_mesh.ply").write_bytes(b"ply of " + scene.encode())
+    site.files["/data/Replica.zip"] = archives.zip(files(made, "Replica/"))
+    meshes = {f"cull_replica_mesh/{scene}.ply": b"culled " + scene.encode() for scene in ("office0", "room0")}
+    site.files["/cull_replica_mesh.zip"] = archives.zip(meshes)
+    out = tmp_path / "data"
+    assert run(script("replica"), site, out, "office0", "room0") == 0
+    text = capsys.readouterr().out
+    for scene in ("office0", "room0"):
+        folder = out / "replica" / scene
+        assert f"gsfusion-nb map {folder} --preset replica" in text
+        sequence = open_sequence(folder)
+        assert len(sequence) == 3
+        assert sequence.camera.fx == box.camera.fx
+        assert box.off_wall_m(sequence[2]) < 0.0001
+        assert (folder / "mesh.ply").read_bytes() == b"ply of " + scene.encode()
+        assert (folder / "mesh_culled.ply").read_bytes() == b"culled " + scene.encode()
+    assert len(site.ranges()) == 2  # the archive came once
+    assert not list((out / ".fetch").glob("*.zip"))
+
+
+@pytest.fixture
+def icl(script, site, tmp_path, box, archives):
+    """livingroom1 with three frames, and its own checksums."""
+    module = script("icl_nuim")
+    colour, depth, log = {}, {}, []
+    camera = Camera(width=640, height=480, fx=525.0, fy=525.0, cx=320.0, cy=240.0)
+    for i, T_WC in enumerate(box.poses(3)):
+        rgb_file, depth_file = tmp_path / f"made/{i:05d}.jpg", tmp_path / f"made/{i:05d}.png"
+        box.write_pair(rgb_file, depth_file, T_WC, 1000, camera)
+        colour[rgb_file.name], depth[depth_file.name] = rgb_file.read_bytes(), depth_file.read_bytes()
+        log += [f"{i} {i} {i + 1}", *(" ".join(f"{value:.8f}" for value in row) for row in T_WC.tolist())]
+    contents = {
+        "livingroom1-color.zip": archives.zip(colour),
+        "livingroom1-depth-clean.zip": archives.zip(depth),
+        "livingroom1-traj.txt": "\n".join([*log, ""]).encode(),
+        "livingroom.ply.zip": archives.zip({"livingroom.ply": b"ply\n"}),
+    }
+    for name, content in contents.items():
+        site.files[f"/{name}"] = content
+        module.MD5[name] = hashlib.md5(content).hexdigest()
+    return module
+
+
+def test_icl_nuim(icl, site, tmp_path, box, capsys):
+    out = tmp_path / "data"
+    assert run(icl, site, out, "livingroom1") == 0
+    text = capsys.readouterr().out
+    assert text.count("compared with its published md5") == 4
+    folder = out / "icl_nuim/livingroom1-clean"
+    assert f"gsfusion-nb map {folder} --preset replica" in text
+    sequence = open_sequence(folder)
+    assert len(sequence) == 3
+    assert all(box.off_wall_m(frame) < 0.0005 for frame in sequence)
+    assert (folder / "groundtruth.ply").read_bytes() == b"ply\n"
+    assert all(entry["published"].startswith("md5:") for entry in json.loads((out / "fetched.json").read_text()))
+
+
+def test_icl_nuim_corrupted(icl, site, tmp_path, hostile, capsys):
+    site.faults = {"/livingroom1-depth-clean.zip": [hostile.corrupt]}
+    out = tmp_path / "data"
+    assert run(icl, site, out, "livingroom1") == 1
+    assert "is published: it is damaged or another file (twice" in capsys.readouterr().err
+    assert not (out / "icl_nuim").exists()
+    site.faults, site.seen = {}, []
+    assert run(icl, site, out, "livingroom1") == 0
+    fetched = [path for method, path, _ in site.seen if method == "GET"]
+    assert "/livingroom1-color.zip" not in fetched  # what was good is kept
+
+
+def test_icl_nuim_poses_that_make_no_sense(icl, site, tmp_path, capsys):
+    content = b"0 0 1\n1 0 0 0\n0 1 0 0\n0 0 1 0\n"
+    site.files["/livingroom1-traj.txt"] = content
+    icl.MD5["livingroom1-traj.txt"] = hashlib.md5(content).hexdigest()
+    assert run(icl, site, tmp_path / "data", "livingroom1") == 1
+    assert "trajectory.log holds 4 lines; expected five per pose" in capsys.readouterr().err
+
+
+def test_published_digests_are_digests(script):
+    md5 = script("icl_nuim").MD5
+    assert len(md5) == 18
+    assert all(len(bytes.fromhex(digest)) == 16 for digest in md5.values())
+    for sequence in script("icl_nuim").SEQUENCES:
+        for depth in ("clean", "simulated"):
+            assert len(script("icl_nuim").plan(sequence, depth).items) == 4
+
+
+@pytest.mark.parametrize("name", [path.stem for path in SCRIPTS])
+def test_import_does_nothing_and_help_helps(name, script, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    module = script(name)  # a name look-up would fail here
+    with pytest.raises(SystemExit) as done:
+        module.main(["--help"])
+    assert done.value.code == 0
+    text = capsys.readouterr().out
+    assert f"python data_scripts/{name}.py" in text
+    assert "--out" in text
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(SystemExit):
+        module.main([])
+
+
+def test_plans_name_the_public_hosts(script):
+    urls = [script("tum").plan(name).items[0].url() for name in script("tum").SIZES_GB]
+    assert urls[0] == "https://cvg.cit.tum.de/rgbd/dataset/freiburg1/rgbd_dataset_freiburg1_xyz.tgz"
+    assert urls[-1].endswith("/freiburg3/rgbd_dataset_freiburg3_long_office_household.tgz")
+    urls += [item.url() for item in script("replica").plan("room0").items]
+    urls += [script("seven_scenes").plan("chess").items[0].url()]
+    urls += [item.url() for item in script("icl_nuim").plan("office1").items]
+    assert all(url.startswith("https://") for url in urls)
+
+
+def test_runs_as_a_program(site, tum_set, tmp_path):
+    command = [sys.executable, str(SCRIPTS[0].parent / "tum.py"), "fr1_desk", "--mirror", site.address, "--yes"]
+    done = subprocess.run([*command, "--out", "data"], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "gsfusion-nb map data/tum/rgbd_dataset_freiburg1_desk --preset tum" in done.stdout

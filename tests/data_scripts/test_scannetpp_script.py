@@ -1,0 +1,55 @@
+"""The script that prepares ScanNet++ scenes from a licensed copy."""
+
+import pytest
+
+from gsfusion_nb.datasets import open_sequence
+from gsfusion_nb.export import write_mesh_ply
+
+
+@pytest.fixture
+def scene(tmp_path, box, copied_scene):
+    """A scene as it is handed out, with the scan's mesh."""
+    folder = copied_scene.write_copy(tmp_path / "copy/8b5caf3398", box)
+    write_mesh_ply(folder / "scans/mesh_aligned_0.05.ply", copied_scene.box_mesh())
+    return folder
+
+
+def test_end_to_end(script, scene, tmp_path, box, copied_scene, capsys):
+    out = tmp_path / "data"
+    assert script("scannetpp").main([str(scene), "--out", str(out), "--yes"]) == 0
+    text = capsys.readouterr().out
+    folder = out / "scannetpp/8b5caf3398"
+    for part in ("3 photographs", "NON-COMMERCIAL", "about 9 s", f"gsfusion-nb map {folder} --preset scannetpp"):
+        assert part in text
+    opened = open_sequence(folder)
+    assert (len(opened.mapping), len(opened.held_out)) == (2, 1)
+    copied_scene.check(opened.source, box)
+    assert script("scannetpp").main([str(scene), "--out", str(out)]) == 0  # there already: no question
+    assert not (out / ".fetch/unfinished/8b5caf3398").exists()
+
+
+def test_interrupted_and_gone_on_with(script, scene, tmp_path, capsys, monkeypatch):
+    module, out = script("scannetpp"), tmp_path / "data"
+    prepare = module.prepare_scene
+
+    def stop(*arguments, **options):
+        prepare(*arguments, **options)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(module, "prepare_scene", stop)
+    assert module.main([str(scene), "--out", str(out), "--yes"]) == 130
+    assert "interrupted; the same command goes on" in capsys.readouterr().err
+    assert not (out / "scannetpp").exists()
+    monkeypatch.setattr(module, "prepare_scene", prepare)
+    assert module.main([str(scene), "--out", str(out), "--yes"]) == 0
+    assert len(open_sequence(out / "scannetpp/8b5caf3398")) == 3
+
+
+def test_without_agreement_or_scan(script, scene, tmp_path, capsys):
+    module, out = script("scannetpp"), tmp_path / "data"
+    assert module.main([str(scene), "--out", str(out)]) == 1
+    assert "run again with --yes" in capsys.readouterr().err
+    (scene / "scans/mesh_aligned_0.05.ply").unlink()
+    assert module.main([str(scene), "--out", str(out), "--yes"]) == 1
+    assert "mesh_aligned_0.05.ply does not exist; expected the folder of a ScanNet++ scene" in capsys.readouterr().err
+    assert not out.exists()
