@@ -4,6 +4,7 @@ import numpy as np
 from numba import njit, prange
 
 from .composite import TILE
+from .dealing import deal_size, dealt
 from .project import CHUNK, ROOM, tiles_of
 
 
@@ -67,7 +68,11 @@ def depth_order(splats, count):
 def list_tiles(splats, start, noted, width, height, windows, pair_tile):
     """Numbers of the tiles each splat is listed in, row i in ``pair_tile[start[i]:start[i + 1]]``."""
     N = splats.shape[0]
-    for part in prange((N + CHUNK - 1) // CHUNK):
+    n_parts = (N + CHUNK - 1) // CHUNK
+    for k_part in prange(deal_size(n_parts)):
+        part = dealt(k_part, n_parts)
+        if part >= n_parts:
+            continue
         first, end = part * CHUNK, min(N, part * CHUNK + CHUNK)
         n = start[end] - start[first]
         if n <= ROOM:

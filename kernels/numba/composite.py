@@ -14,6 +14,7 @@ from numba import njit, prange
 
 from gsfusion_nb.constants import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
 
+from .dealing import deal_size, dealt
 from .simd import any_lane, either, exp, iota, load, maximum, minimum, negative_abs, reduce_add, select, splat, store
 
 TILE = 16
@@ -84,7 +85,11 @@ def composite_forward(splats, ids, offset, pixels, width, height, rgb, depth, al
     with_index, with_hit = first.shape[0] > 0, hit.shape[0] > 0
     tiles_x = (width + TILE - 1) // TILE
     tiles_y = (height + TILE - 1) // TILE
-    for tile in prange(tiles_x * tiles_y):
+    n_tiles = tiles_x * tiles_y
+    for k_tile in prange(deal_size(n_tiles)):
+        tile = dealt(k_tile, n_tiles)
+        if tile >= n_tiles:
+            continue
         x0, y0 = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
         if offset[tile] == offset[tile + 1]:
             _clear(x0, y0, width, height, rgb, depth, alpha_out, (first, dominant, hit))
@@ -215,7 +220,11 @@ def composite_backward(splats, lists, pixels, trained, image, v_image, pair_sums
     height, width = rgb.shape[0], rgb.shape[1]
     tiles_x = (width + TILE - 1) // TILE
     tiles_y = (height + TILE - 1) // TILE
-    for tile in prange(tiles_x * tiles_y):
+    n_tiles = tiles_x * tiles_y
+    for k_tile in prange(deal_size(n_tiles)):
+        tile = dealt(k_tile, n_tiles)
+        if tile >= n_tiles:
+            continue
         x0, y0 = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
         end = offset[tile + 1]
         while end > offset[tile] and not (all_trained or trained[ids[end - 1]]):

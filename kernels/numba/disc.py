@@ -20,6 +20,7 @@ from gsfusion_nb.constants import DISC_MAX_OFFSET, DISC_MIN_COSINE
 from gsfusion_nb.render import disc as reference
 from gsfusion_nb.types import Camera, GaussianParams
 
+from .dealing import deal_size, dealt
 from .launch import launching
 
 DISC = 11
@@ -129,7 +130,11 @@ def _list_discs(xyz, log_scale, quat, view, max_offset, wanted):
     N = xyz.shape[0]
     all_wanted = wanted.shape[0] == 0
     discs = np.empty((N, DISC), np.float32)
-    for part in prange((N + _CHUNK - 1) // _CHUNK):
+    n_parts = (N + _CHUNK - 1) // _CHUNK
+    for k_part in prange(deal_size(n_parts)):
+        part = dealt(k_part, n_parts)
+        if part >= n_parts:
+            continue
         for i in range(part * _CHUNK, min(N, part * _CHUNK + _CHUNK)):
             if not (all_wanted or wanted[i]):
                 continue
@@ -209,7 +214,11 @@ def _meet_all_vjp(discs, log_scale, quat, lists, view, min_cosine, v_depth, v_xy
     """Each row's sum over its pixels, in float64, carried to centre and quaternion; every row is written."""
     pixel, start, width = lists
     N = discs.shape[0]
-    for part in prange((N + _CHUNK - 1) // _CHUNK):
+    n_parts = (N + _CHUNK - 1) // _CHUNK
+    for k_part in prange(deal_size(n_parts)):
+        part = dealt(k_part, n_parts)
+        if part >= n_parts:
+            continue
         v_p, v_n, e = np.empty(3), np.empty(3), np.empty(3)
         for i in range(part * _CHUNK, min(N, part * _CHUNK + _CHUNK)):
             v_xyz[i], v_quat[i] = _ZERO, _ZERO

@@ -12,6 +12,7 @@ from numba import njit, prange
 from gsfusion_nb.constants import ALPHA_MIN, FRUSTUM_CLAMP, NEAR_PLANE_M, SCREEN_BLUR_PX2
 
 from .composite import PAIR_SUMS, TILE
+from .dealing import deal_size, dealt
 from .harmonics import basis_into, gradient_into
 
 f32 = np.float32
@@ -153,7 +154,11 @@ def project_rows(xyz, log_scale, quat, logit, sh, cam, windows, sums, splats, co
     N, K = sh.shape[0], sh.shape[1]
     fx, fy = cam[15], cam[16]
     width, height = int(cam[21]), int(cam[22])
-    for part in prange((N + CHUNK - 1) // CHUNK):
+    n_parts = (N + CHUNK - 1) // CHUNK
+    for k_part in prange(deal_size(n_parts)):
+        part = dealt(k_part, n_parts)
+        if part >= n_parts:
+            continue
         Y = np.empty(16, np.float32)
         first, end = part * CHUNK, min(N, part * CHUNK + CHUNK)
         count[first:end] = 0
@@ -243,7 +248,11 @@ def project_rows_vjp(
     all_trained = trained.shape[0] == 0
     N, K = sh.shape[0], sh.shape[1]
     fx, fy = cam[15], cam[16]
-    for part in prange((N + CHUNK - 1) // CHUNK):
+    n_parts = (N + CHUNK - 1) // CHUNK
+    for k_part in prange(deal_size(n_parts)):
+        part = dealt(k_part, n_parts)
+        if part >= n_parts:
+            continue
         total = np.empty(PAIR_SUMS, np.float32)
         Y = np.empty(16, np.float32)
         w = np.empty(16, np.float32)
