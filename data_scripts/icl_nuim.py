@@ -11,8 +11,11 @@ import re
 import sys
 from pathlib import Path
 
+import torch
+
+from gsfusion_nb.datasets.convert.open3d_log import read_trajectory_file
 from gsfusion_nb.datasets.fetch import Item, Plan, Reading, command, obtain
-from gsfusion_nb.datasets.fetch.trajectory_log import read_trajectory_log, write_pose_lines
+from gsfusion_nb.datasets.fetch.pose_lines import write_pose_lines
 
 HOST = "https://github.com/isl-org/open3d_downloads/releases/download/augmented-icl-nuim"
 MD5 = {
@@ -44,7 +47,8 @@ PRIMESENSE = {"width": 640, "height": 480, "fx": 525.0, "fy": 525.0, "cx": 319.5
 
 def to_plain_layout(folder: Path) -> None:
     """The poses and the camera, in the plain layout's files."""
-    write_pose_lines(folder / "poses.txt", read_trajectory_log(folder / "trajectory.log"))
+    poses, _ = read_trajectory_file(folder / "trajectory.log")
+    write_pose_lines(folder / "poses.txt", torch.stack([poses[i] for i in sorted(poses)]))
     (folder / "intrinsics.json").write_text(json.dumps(PRIMESENSE | {"depth_scale": 1000.0}) + "\n", encoding="utf-8")
 
 

@@ -9,7 +9,8 @@ from torch import Tensor
 
 from ..geometry import depth_to_points, project, se3
 from ..types import Camera
-from .undistort import Lens, Undistorter
+from .lens import CameraModel
+from .undistort import Undistorter
 
 
 def warp_depth(
@@ -50,7 +51,7 @@ class Registration:
     T_colour_depth: Float[Tensor, "4 4"]
 
     @staticmethod
-    def of(depth_camera: Camera, lens: Lens, T_depth_colour: Float[Tensor, "4 4"]) -> "Registration":
+    def of(depth_camera: Camera, lens: CameraModel, T_depth_colour: Float[Tensor, "4 4"]) -> "Registration":
         """From the pose of the colour camera in the depth camera's frame."""
         return Registration(depth_camera, Undistorter(lens), se3.inverse(T_depth_colour))
 

@@ -17,11 +17,11 @@ import torch
 
 from ..types import Camera
 from .layout import require
+from .lens import CameraModel
 from .poses import read_rows
 from .protocol import SequenceError, SequenceNotFoundError
 from .recorded import RecordedSequence
 from .register import Registration
-from .undistort import Lens
 
 log = logging.getLogger(__name__)
 
@@ -32,7 +32,7 @@ DEPTH_INVALID = 65535
 DEPTH_CAMERA = Camera(width=640, height=480, fx=585.0, fy=585.0, cx=320.5, cy=240.5)
 """585, 585, 320, 240 as published, pixel centres at integers there."""
 
-COLOUR_LENS = Lens(
+COLOUR_LENS = CameraModel(
     Camera(width=640, height=480, fx=531.4116, fy=531.4116, cx=318.9184, cy=237.7222), (-0.024, 0.0, 0.0, 0.0, 0.0)
 )
 """The colour camera, estimated by jointly refining poses and calibration on RedKitchen (not published by Microsoft)."""

@@ -17,10 +17,11 @@ from torch import Tensor
 from ..types import Camera
 from .associate import associate
 from .layout import require
+from .lens import CameraModel
 from .poses import interpolate_rows, matrices, no_poses, read_stamped_poses, read_words
 from .protocol import SequenceError
 from .recorded import RecordedSequence
-from .undistort import Lens, Undistorter
+from .undistort import Undistorter
 
 log = logging.getLogger(__name__)
 
@@ -36,9 +37,9 @@ def _kinect(fx: float, fy: float, cx: float, cy: float) -> Camera:
 
 
 LENSES = {
-    "freiburg1": Lens(_kinect(517.3, 516.5, 318.6, 255.3), (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)),
-    "freiburg2": Lens(_kinect(520.9, 521.0, 325.1, 249.7), (0.2312, -0.7849, -0.0033, -0.0001, 0.9172)),
-    "freiburg3": Lens(_kinect(535.4, 539.2, 320.1, 247.6)),
+    "freiburg1": CameraModel(_kinect(517.3, 516.5, 318.6, 255.3), (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)),
+    "freiburg2": CameraModel(_kinect(520.9, 521.0, 325.1, 249.7), (0.2312, -0.7849, -0.0033, -0.0001, 0.9172)),
+    "freiburg3": CameraModel(_kinect(535.4, 539.2, 320.1, 247.6)),
 }
 """Calibration of the three Kinects, from the benchmark's page; the third is already undistorted."""
 
@@ -103,9 +104,9 @@ def tum(
     )
 
 
-def _lens(root: Path, camera: str | Camera) -> Lens:
+def _lens(root: Path, camera: str | Camera) -> CameraModel:
     if isinstance(camera, Camera):
-        return Lens(camera)
+        return CameraModel(camera)
     name = camera
     if camera == "auto":
         folder_name = root.resolve().name

@@ -1,18 +1,8 @@
 """Removing lens distortion from a registered pair of colour and depth images."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from ..types import Camera
-
-
-@dataclass(frozen=True)
-class Lens:
-    """A pinhole camera with the distortion of Brown's model, k1 k2 p1 p2 k3 in OpenCV's order."""
-
-    camera: Camera
-    distortion: tuple[float, ...] = ()
+from .lens import CameraModel, pixel_map
 
 
 class Undistorter:
@@ -22,24 +12,9 @@ class Undistorter:
     focal length differs from the lens's by a few per cent, chosen so that there is no border without data.
     """
 
-    def __init__(self, lens: Lens):
-        import cv2
-
-        source = lens.camera
-        K = source.K.numpy().copy()
-        K[:2, 2] -= 0.5  # OpenCV puts pixel centres at integers
-        D = np.asarray(lens.distortion, dtype=np.float64)
-        size = (source.width, source.height)
-        K_new, _ = cv2.getOptimalNewCameraMatrix(K, D, size, 0.0)
-        self._u, self._v = cv2.initUndistortRectifyMap(K, D, np.eye(3), K_new, size, cv2.CV_32FC1)
-        self.camera = Camera(
-            width=source.width,
-            height=source.height,
-            fx=float(K_new[0, 0]),
-            fy=float(K_new[1, 1]),
-            cx=float(K_new[0, 2]) + 0.5,
-            cy=float(K_new[1, 2]) + 0.5,
-        )
+    def __init__(self, lens: CameraModel):
+        self.camera = lens.pinhole()
+        self._u, self._v = pixel_map(lens, self.camera)
 
     def __call__(self, rgb: np.ndarray, depth_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The pair as ``camera`` sees it. Colour uint8 [H, W, 3], depth in metres [H, W]."""

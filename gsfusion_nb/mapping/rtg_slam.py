@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import torch
@@ -13,7 +13,7 @@ from ..config import RtgSlamConfig, from_dict, to_dict
 from ..gaussians import STABLE, SurfelModel, Transitions, change_states, count_errors, count_views, state_counts
 from ..geometry import se3
 from ..optim import Keyframe, KeyframeList, fuse_with_history
-from ..render import SurfaceView, render_forward, surface_depth_m, view_surface
+from ..render import SurfaceView, render_forward, rows_in_view, surface_depth_m, view_surface
 from ..seeding import SeedContext, SeedingRule, apply_rule, get_rule, rule_name
 from ..tracking import Correction, Surface
 from ..tsdf import TsdfVolume, extract_mesh, integrate
@@ -242,9 +242,10 @@ class RTGSLAM:
         """Optimise the unstable Gaussians against the last frames, then fuse them with what they were (Eq. 7-9)."""
         config, model = self.config.window, self.gaussians
         trained = ~model.is_stable if config.only_unstable else torch.ones_like(model.is_stable)
-        if not trained.any():
+        seen = self._seen(self.window)
+        if not (trained & seen).any():
             return []
-        optimiser = SurfelOptimiser(model, trained, config, self.config.discs)
+        optimiser = SurfelOptimiser(model, trained, config, self.config.discs, seen=seen)
         before = GaussianParams(**{name: value.clone() for name, value in vars(optimiser.trained).items()})
         touched = [optimiser.touched(f.camera, f.T_WC) if config.only_unstable else None for f in self.window]
         views = [View.of(frame, pixels) for frame, pixels in zip(self.window, touched, strict=True)]
@@ -253,13 +254,13 @@ class RTGSLAM:
             newest = config.draw == "newest_half" and 2 * step >= config.iterations
             losses.append(optimiser.step(views[-1] if newest else views[self._draw(len(views))]).total)
 
-        was = model.confidence[trained]
+        was = model.confidence[optimiser.rows]
         now = was + optimiser.steps_seen
         fused = fuse_with_history(
             before, optimiser.trained, was, now, history_max_weight=config.history_max_weight
         )  # Eq. 9
         optimiser.write_back(fused)
-        model.confidence[trained] = now
+        model.confidence[optimiser.rows] = now
         return losses
 
     def _optimise_keyframes(self) -> None:
@@ -270,7 +271,8 @@ class RTGSLAM:
         earlier = torch.randperm(n - len(latest), generator=self.generator)[: config.random].tolist()
         chosen = [self.keyframes[i] for i in earlier + latest]
         rows = model.is_stable if config.rows == "stable" else torch.ones_like(model.is_stable)
-        if not chosen or not rows.any():
+        seen = self._seen(chosen)
+        if not (rows & seen).any():
             return
         optimiser = SurfelOptimiser(
             model,
@@ -278,6 +280,7 @@ class RTGSLAM:
             self.config.window,
             self.config.discs,
             drawn=rows,
+            seen=seen,
             lr_factor=config.lr_factor,
             move_centres=False,
         )
@@ -285,6 +288,13 @@ class RTGSLAM:
         for _ in range(config.iterations):
             optimiser.step(views[self._draw(len(views))])
         optimiser.write_back()
+
+    def _seen(self, views: Iterable[Frame | Keyframe]) -> Bool[Tensor, " N"]:
+        """Rows that any of the views may show."""
+        params, seen = self.gaussians.params, torch.zeros_like(self.gaussians.is_stable)
+        for view in views:
+            seen |= rows_in_view(params, view.camera, view.T_WC)
+        return seen
 
     def _worst_pixels(self, keyframe: Keyframe) -> Bool[Tensor, "H W"]:
         """The share of the pixels whose colour is farthest off."""

@@ -53,6 +53,8 @@ class SurfelOptimiser:
         window: Learning rates and weights of the loss.
         discs: When a ray hits a disc.
         drawn: Rows that are in the picture; all by default. [N]
+        seen: Rows that the views to come may show, from ``rows_in_view``; all by default. The others have no gradient
+            from a view: they are left out, which only costs less. [N]
         lr_factor: Share of the learning rates.
         move_centres: False leaves the centres where they are.
         weight_depth: In place of the window's.
@@ -66,6 +68,7 @@ class SurfelOptimiser:
         discs: DiscConfig,
         *,
         drawn: Bool[Tensor, " N"] | None = None,
+        seen: Bool[Tensor, " N"] | None = None,
         lr_factor: float = 1.0,
         move_centres: bool = True,
         weight_depth: float | None = None,
@@ -73,11 +76,15 @@ class SurfelOptimiser:
         self.config = window if weight_depth is None else dataclasses.replace(window, weight_depth=weight_depth)
         self.discs = discs
         self._model = model
-        self._rows = trained.nonzero().squeeze(1)
         others = ~trained if drawn is None else drawn & ~trained
-        self.n = len(self._rows)
+        self._n_held = int((trained & model.is_transparent).sum())
+        if seen is not None:
+            trained, others = trained & seen, others & seen
+        self.rows = trained.nonzero().squeeze(1)
+        """Rows of the map that are optimised."""
+        self.n = len(self.rows)
         """Rows that are optimised; the first of ``params``."""
-        self.params = model.params[torch.cat([self._rows, others.nonzero().squeeze(1)])]
+        self.params = model.params[torch.cat([self.rows, others.nonzero().squeeze(1)])]
         self.trained = self.params[: self.n]
         self.steps_seen = torch.zeros(self.n, dtype=torch.int32, device=trained.device)
         """Steps that changed the colour of each trained row."""
@@ -94,7 +101,7 @@ class SurfelOptimiser:
         self._held = (self.trained.opacity_logit < 0).nonzero().squeeze(1)
         born = model.anchor
         start = born if w.anchor == "birth" else {name: getattr(model.params, name) for name in _GEOMETRY}
-        self._anchor = {name: start[name][self._rows[self._held]].clone() for name in _GEOMETRY}
+        self._anchor = {name: start[name][self.rows[self._held]].clone() for name in _GEOMETRY}
 
     def touched(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> Bool[Tensor, "H W"]:
         """Pixels where a trained row is seen, or would be if nothing stood before it."""
@@ -146,7 +153,7 @@ class SurfelOptimiser:
     def write_back(self, params: GaussianParams | None = None) -> None:
         """Carry the trained rows, or ``params`` in their place, to the map."""
         for name, value in vars(params or self.trained).items():
-            getattr(self._model.params, name)[self._rows] = value
+            getattr(self._model.params, name)[self.rows] = value
 
     def state_dict(self) -> dict[str, Any]:
         """What cannot be made anew from the map: Adam's moments, and where transparent rows are held."""
@@ -164,4 +171,5 @@ class SurfelOptimiser:
             return
         for name in _GEOMETRY:
             away = getattr(self.trained, name)[self._held] - self._anchor[name]
-            getattr(g, name)[self._held] += 2 * self.config.weight_regulariser / away.numel() * away
+            n = self._n_held * away.shape[1]
+            getattr(g, name)[self._held] += 2 * self.config.weight_regulariser / n * away

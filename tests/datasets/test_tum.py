@@ -7,9 +7,10 @@ import pytest
 import torch
 
 from gsfusion_nb.datasets import SequenceError, SequenceNotFoundError, depth_agreement, open_sequence, tum
+from gsfusion_nb.datasets.lens import CameraModel
 from gsfusion_nb.datasets.poses import interpolate_rows
 from gsfusion_nb.datasets.tum import LENSES
-from gsfusion_nb.datasets.undistort import Lens, Undistorter
+from gsfusion_nb.datasets.undistort import Undistorter
 from gsfusion_nb.geometry import quaternion
 from gsfusion_nb.types import Camera
 
@@ -162,7 +163,7 @@ def brown(xy, k1, k2, p1, p2, k3):
 def test_undistortion_follows_the_lens_model_and_leaves_no_border():
     camera = Camera(width=160, height=120, fx=130.0, fy=128.0, cx=80.2, cy=63.0)
     distortion = (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)
-    undistorter = Undistorter(Lens(camera, distortion))
+    undistorter = Undistorter(CameraModel(camera, distortion))
     new = undistorter.camera
     # what the lens shows at source pixel (u, v): colour encodes the place, depth too
     u, v = np.meshgrid(np.arange(160), np.arange(120))

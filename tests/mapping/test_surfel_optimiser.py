@@ -10,7 +10,7 @@ from gsfusion_nb.config import DiscConfig, WindowConfig
 from gsfusion_nb.gaussians import SurfelModel
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.mapping.surfel_optimiser import SurfelOptimiser, View
-from gsfusion_nb.render import disc_depth, render_forward
+from gsfusion_nb.render import disc_depth, render_forward, rows_in_view
 from gsfusion_nb.types import Camera, GaussianParams, Seeds
 
 CAMERA = Camera(width=24, height=18, fx=22.0, fy=22.0, cx=12.0, cy=9.0)
@@ -261,3 +261,21 @@ def test_state_round_trip(generator):
             optimiser.step(seen)
     for name in NAMES:
         assert torch.equal(getattr(whole.trained, name), getattr(resumed.trained, name)), name
+
+
+def test_rows_that_no_view_shows_may_be_left_out(generator):
+    model, image = scene(generator, 30), view(generator)
+    model.params.opacity_logit.fill_(4.0)  # transparent rows are pulled to their anchor, seen or not
+    model.params.xyz_W[::3] += 20.0
+    ends = []
+    for seen in (None, rows_in_view(model.params, CAMERA, POSE)):
+        copy = SurfelModel.from_state_dict(model.state_dict())
+        optimiser = SurfelOptimiser(copy, torch.arange(30) % 2 == 0, WINDOW, DiscConfig(), seen=seen)
+        for _ in range(5):
+            optimiser.step(image)
+        optimiser.write_back()
+        ends.append(copy.params)
+    assert optimiser.rows.tolist() == [i for i in range(0, 30, 2) if i % 3]
+    for name in NAMES:
+        assert torch.equal(getattr(ends[0], name), getattr(ends[1], name)), name
+        assert not torch.equal(getattr(ends[0], name), getattr(model.params, name)), name

@@ -15,9 +15,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ...geometry import quaternion, se3
+from ..lens import CameraModel
 from ..protocol import SequenceError
 from .intrinsics import model_of
-from .lens import CameraModel
 
 _MODELS = {
     0: ("SIMPLE_PINHOLE", 3), 1: ("PINHOLE", 4), 2: ("SIMPLE_RADIAL", 4), 3: ("RADIAL", 5), 4: ("OPENCV", 8),

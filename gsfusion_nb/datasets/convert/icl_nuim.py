@@ -18,9 +18,9 @@ from torch import Tensor
 from ...types import Camera
 from ..images import read_image_bytes
 from ..layout import images_in
+from ..lens import CameraModel
 from ..poses import matrices
 from ..protocol import BadFrameError, SequenceError, SequenceNotFoundError
-from .lens import CameraModel
 from .options import ConvertOptions
 from .pictures import load_pair, metres, with_colour
 from .recording import Pictures, Recording, Shot

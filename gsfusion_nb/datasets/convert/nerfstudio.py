@@ -18,9 +18,9 @@ from torch import Tensor
 
 from ...geometry import se3
 from ..layout import natural_order, read_json
+from ..lens import CameraModel
 from ..protocol import SequenceError
 from .intrinsics import model_of
-from .lens import CameraModel
 from .options import ConvertOptions
 from .pictures import find_depth, load_pair
 from .recording import Recording, Shot

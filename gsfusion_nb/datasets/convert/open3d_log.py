@@ -16,9 +16,9 @@ from torch import Tensor
 
 from ...geometry import se3
 from ..layout import images_in, natural_order, read_json
+from ..lens import CameraModel
 from ..protocol import SequenceError, SequenceNotFoundError
 from .intrinsics import intrinsics_of_json, model_of_object
-from .lens import CameraModel
 from .options import ConvertOptions
 from .pictures import DEPTH_SUFFIXES, load_pair
 from .recording import Recording, Shot

@@ -21,10 +21,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..images import read_image_bytes
+from ..lens import CameraModel
 from ..poses import matrices
 from ..protocol import BadFrameError, SequenceError, SequenceNotFoundError
 from .intrinsics import model_of
-from .lens import CameraModel
 from .options import ConvertOptions
 from .pictures import load_pair, metres, with_colour
 from .recording import Pictures, Recording, Shot

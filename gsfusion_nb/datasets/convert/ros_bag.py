@@ -18,10 +18,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..associate import associate
+from ..lens import CameraModel
 from ..poses import interpolate_rows, matrices
 from ..protocol import SequenceError, SequenceNotFoundError
 from .intrinsics import model_of
-from .lens import CameraModel
 from .options import ConvertOptions
 from .recording import Pictures, Recording, Shot
 from .ros_images import colour_of, depth_of, stores_millimetres

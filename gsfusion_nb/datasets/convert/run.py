@@ -14,11 +14,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ...types import Camera
+from ..lens import CameraModel
 from ..poses import checked_pose
 from ..protocol import BadFrameError, SequenceError
 from .formats import FORMATS, detect_format
 from .intrinsics import read_intrinsics
-from .lens import CameraModel
 from .options import ConvertOptions
 from .recording import Pictures, Recording, Shot
 from .rectify import Rectifier, output_camera

@@ -15,10 +15,10 @@ from torch import Tensor
 from ...geometry import se3
 from ..images import read_image_bytes, read_rgb
 from ..layout import images_in
+from ..lens import CameraModel
 from ..protocol import SequenceError, SequenceNotFoundError
 from . import scannet_sens
 from .intrinsics import model_of_matrix
-from .lens import CameraModel
 from .options import ConvertOptions
 from .pictures import decode_depth, find_depth, load_pair
 from .recording import Recording, Shot

@@ -18,9 +18,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ..lens import CameraModel
 from ..protocol import BadFrameError, SequenceError
 from .intrinsics import model_of_matrix
-from .lens import CameraModel
 from .options import ConvertOptions
 from .pictures import metres, with_colour
 from .recording import Pictures, Recording, Shot

@@ -11,11 +11,11 @@ from pathlib import Path
 
 from ..associate import associate
 from ..layout import images_in
+from ..lens import CameraModel
 from ..poses import read_words
 from ..protocol import SequenceError
 from ..tum import DEPTH_SCALE, LENSES, MAX_TIME_DIFFERENCE_S
 from .intrinsics import read_intrinsics
-from .lens import CameraModel
 from .options import ConvertOptions
 from .pictures import DEPTH_SUFFIXES, load_pair
 from .recording import Recording, Shot

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from ...geometry import quaternion
 from ...types import Camera
+from ..lens import CameraModel
 from ..replica import DEPTH_SCALE as REPLICA_DEPTH_SCALE
 from ..room import RoomSequence, render_room
 from ..scannetpp import DEPTH_SCALE as SCANNETPP_DEPTH_SCALE
@@ -19,9 +20,8 @@ from ..seven_scenes import COLOUR_LENS, DEPTH_CAMERA, T_DEPTH_COLOUR
 from ..seven_scenes import DEPTH_SCALE as SEVEN_SCENES_DEPTH_SCALE
 from ..tum import DEPTH_SCALE as TUM_DEPTH_SCALE
 from ..tum import LENSES
-from ..undistort import Lens
+from .pose_lines import write_pose_lines
 from .reading import Reading
-from .trajectory_log import write_pose_lines
 
 ROOM_DEPTH_SCALE = 10_000.0
 """The room's own depth counts tenths of a millimetre, so the plain layout holds it without loss."""
@@ -166,7 +166,7 @@ class _DistortedView:
 
     MARGIN_PX = 24
 
-    def __init__(self, lens: Lens):
+    def __init__(self, lens: CameraModel):
         import cv2
 
         c, m = lens.camera, self.MARGIN_PX

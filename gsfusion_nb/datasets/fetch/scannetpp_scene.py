@@ -26,8 +26,9 @@ from ...types import Camera, Mesh
 from ..images import read_rgb
 from ..layout import camera as read_camera
 from ..layout import read_json
+from ..lens import CameraModel
 from .errors import FetchError
-from .fisheye import Fisheye, HalfSizePinhole, half_size, shrink
+from .fisheye import HalfSizePinhole, half_size, shrink
 from .mesh_depth import mesh_depth
 from .whole import write_whole
 
@@ -58,7 +59,7 @@ class Photographs:
             if values.get("camera_model") != "OPENCV_FISHEYE":
                 raise FetchError(f"{fisheye} describes a {values.get('camera_model')} camera; expected OPENCV_FISHEYE")
             k1, k2, k3, k4 = (float(values.get(f"k{i}", 0.0)) for i in range(1, 5))
-            lens = Fisheye(read_camera(values, _KEYS, fisheye, shift=0.0), (k1, k2, k3, k4))
+            lens = CameraModel(read_camera(values, _KEYS, fisheye, shift=0.0), (k1, k2, k3, k4), fisheye=True)
             half = HalfSizePinhole(lens)
             return Photographs(dslr / "resized_images", values, half.camera, half)
         for name in ("resized_undistorted_images", "undistorted_images"):

@@ -10,8 +10,9 @@ import numpy as np
 import torch
 
 from ...types import Camera, Frame
+from ..lens import CameraModel
 from ..protocol import SequenceError, SequenceNotFoundError
-from ..undistort import Lens, Undistorter
+from ..undistort import Undistorter
 from .live_source import LiveSource
 
 log = logging.getLogger(__name__)
@@ -134,7 +135,7 @@ class DepthCamera(LiveSource):
             log.info("%s could not be switched off: %s", self.name, e)
 
     @abc.abstractmethod
-    def _open(self) -> Lens:
+    def _open(self) -> CameraModel:
         """Start the device; the colour camera that depth is aligned to, pixel centres at (i + 0.5, j + 0.5).
 
         Raises:

@@ -7,7 +7,7 @@ import numpy as np
 
 from ...checks import check_name
 from ...types import Camera
-from ..undistort import Lens
+from ..lens import CameraModel
 from .depth_camera import CameraLost, CameraNotFoundError, CameraTimeout, DepthCamera, Shot
 
 RESOLUTIONS = ("720P", "1080P", "1440P", "1536P", "2160P", "3072P")
@@ -51,7 +51,7 @@ class AzureKinect(DepthCamera):
         self._k4a: Any = None
         self._driver: Any = None
 
-    def _open(self) -> Lens:
+    def _open(self) -> CameraModel:
         driver = self._driver = _driver()
         n = driver.connected_device_count()
         if self.device >= n:
@@ -76,7 +76,7 @@ class AzureKinect(DepthCamera):
         width, height = _SIZES[self.resolution]
         fx, fy, cx, cy = float(K[0, 0]), float(K[1, 1]), float(K[0, 2]) + 0.5, float(K[1, 2]) + 0.5
         camera = Camera(width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy)
-        return Lens(camera, tuple(float(k) for k in distortion))
+        return CameraModel(camera, tuple(float(k) for k in distortion))
 
     def _shoot(self) -> Shot | None:
         driver = self._driver

@@ -7,8 +7,8 @@ import numpy as np
 
 from ...checks import check_name
 from ...types import Camera
+from ..lens import CameraModel
 from ..protocol import SequenceError
-from ..undistort import Lens
 from .depth_camera import CameraLost, CameraNotFoundError, CameraTimeout, DepthCamera, Shot
 
 FILTERS = ("decimation", "threshold", "spatial", "temporal", "hole_filling")
@@ -52,7 +52,7 @@ class RealSense(DepthCamera):
         self._pipeline: Any = None
         self._context: Any = None
 
-    def _open(self) -> Lens:
+    def _open(self) -> CameraModel:
         rs = self._rs = _driver()
         self._context = rs.context()
         serials = self._serials()
@@ -129,7 +129,7 @@ def _driver() -> Any:
         ) from None
 
 
-def _lens(intrinsics: Any) -> Lens:
+def _lens(intrinsics: Any) -> CameraModel:
     camera = Camera(
         width=int(intrinsics.width),
         height=int(intrinsics.height),
@@ -142,4 +142,4 @@ def _lens(intrinsics: Any) -> Lens:
     model = str(intrinsics.model).rsplit(".", 1)[-1].lower()
     if any(distortion) and model not in _BROWN_CONRADY:
         raise SequenceError(f"the RealSense colour camera has distortion {model!r}; expected a Brown-Conrady lens")
-    return Lens(camera, distortion)
+    return CameraModel(camera, distortion)

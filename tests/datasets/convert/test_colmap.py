@@ -10,7 +10,7 @@ import torch
 from gsfusion_nb.datasets import SequenceError, SequenceNotFoundError, folder
 from gsfusion_nb.datasets.convert import ConvertOptions, convert, detect_format
 from gsfusion_nb.datasets.convert.colmap_model import read_model
-from gsfusion_nb.datasets.convert.lens import CameraModel, pixel_map
+from gsfusion_nb.datasets.lens import CameraModel, pixel_map
 from gsfusion_nb.geometry import backproject, project, quaternion, se3
 from gsfusion_nb.types import Camera
 

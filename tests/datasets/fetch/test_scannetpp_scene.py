@@ -9,12 +9,15 @@ import torch
 
 from gsfusion_nb.datasets import scannetpp
 from gsfusion_nb.datasets.fetch import FetchError
-from gsfusion_nb.datasets.fetch.fisheye import Fisheye, HalfSizePinhole
+from gsfusion_nb.datasets.fetch.fisheye import HalfSizePinhole
 from gsfusion_nb.datasets.fetch.scannetpp_scene import mesh_in_transforms_world, prepare_scene
+from gsfusion_nb.datasets.lens import CameraModel
 from gsfusion_nb.types import Camera, Mesh
 
 HALF_SIZE_M = np.array([2.0, 1.5, 2.5])
-LENS = Fisheye(Camera(width=192, height=128, fx=88.0, fy=88.5, cx=95.2, cy=64.9), (0.05, -0.02, 0.01, -0.003))
+LENS = CameraModel(
+    Camera(width=192, height=128, fx=88.0, fy=88.5, cx=95.2, cy=64.9), (0.05, -0.02, 0.01, -0.003), fisheye=True
+)
 NAMES = ["DSC00002.JPG", "DSC00001.JPG", "DSC00003.JPG"]
 
 
@@ -33,7 +36,7 @@ def fisheye_picture(T_WC, lens=LENS):
     u, v = np.meshgrid(np.arange(c.width, dtype=float), np.arange(c.height, dtype=float))
     K = c.K.numpy().copy()
     K[:2, 2] -= 0.5
-    x = cv2.fisheye.undistortPoints(np.stack([u, v], -1).reshape(-1, 1, 2), K, np.array(lens.k))
+    x = cv2.fisheye.undistortPoints(np.stack([u, v], -1).reshape(-1, 1, 2), K, np.array(lens.distortion))
     ray = np.concatenate([x.reshape(c.height, c.width, 2), np.ones((c.height, c.width, 1))], -1)
     T = T_WC.numpy()
     d, o = ray @ T[:3, :3].T, T[:3, 3]
@@ -54,7 +57,7 @@ def write_copy(scene, box):
         frames.append({"file_path": name, "mask_path": "x.png", "transform_matrix": matrix.tolist(), "is_bad": False})
     c = LENS.camera
     values = {"fl_x": c.fx, "fl_y": c.fy, "cx": c.cx, "cy": c.cy, "w": c.width, "h": c.height}
-    values |= {"camera_model": "OPENCV_FISHEYE", **{f"k{i}": k for i, k in enumerate(LENS.k, 1)}}
+    values |= {"camera_model": "OPENCV_FISHEYE", **{f"k{i}": k for i, k in enumerate(LENS.distortion, 1)}}
     values |= {"frames": frames[:2], "test_frames": frames[2:]}
     (dslr / "nerfstudio").mkdir()
     (dslr / "nerfstudio/transforms.json").write_text(json.dumps(values))

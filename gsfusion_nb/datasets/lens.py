@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...types import Camera
-from ..protocol import SequenceError
+from ..types import Camera
+from .protocol import SequenceError
 
 TIE = 1e-3
 """Pixels by which nearest-pixel maps are moved, so that of two equally near pixels it is always the lower one."""
