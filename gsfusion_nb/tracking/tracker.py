@@ -16,7 +16,7 @@ from ..types import Camera, Frame
 from .icp import IcpResult, align
 from .looks import SAME_PLACE, correlation
 from .pyramid import DepthLevel, depth_pyramid
-from .surface import Surface, SurfaceSource, hybrid_surface
+from .surface import Surface, SurfaceSource, hybrid_surface, smooth_normals
 
 WIDE_DISTANCE = 3.0
 WIDE_ANGLE_DEG = 60.0
@@ -82,6 +82,20 @@ class _Seen:
     timestamp_s: float
 
 
+@dataclass(frozen=True, eq=False)
+class _Start:
+    """What ICP starts from."""
+
+    name: str
+    T_WC: Tensor
+    wide: bool = False
+    """With wide gates first."""
+    smooth: bool = False
+    """The model's normals averaged over their neighbours."""
+    anywhere: bool = False
+    """It may be far from the last pose."""
+
+
 class Tracker:
     """Frame-to-model tracking (Peng et al. 2024, section 3.2, "Camera tracking").
 
@@ -107,8 +121,9 @@ class Tracker:
     def track(self, frame: Frame, surface: SurfaceSource) -> TrackingReport:
         """Pose of the next frame. The first one's is taken from the data.
 
-        ICP starts from the predicted pose; if that fails from the last pose, from there with wide gates, and from the
-        poses of places recognised. Each start is aligned with the model as rendered from it, and accepted by its fit.
+        ICP starts from the predicted pose; if that fails from there with the model's normals smoothed, from the last
+        pose, from there with wide gates, and from the poses of places recognised. Each start is aligned with the model
+        as rendered from it, and accepted by its fit.
 
         Args:
             frame: Its ``T_WC`` is used only if it is the first.
@@ -128,16 +143,16 @@ class Tracker:
             self._accept(frame, frame.T_WC.double().cpu(), moved=False)
             return TrackingReport(status="first", T_WC=frame.T_WC, seconds=seconds)
         failures: list[str] = []
-        for start, T_WC, wide in self._starts(frame):
-            result = self._attempt(frame, levels, surface, (T_WC, wide), seconds)
-            problem = self._problem(result, first_try=not failures, anywhere=start.startswith("place"))
+        for start in self._starts(frame):
+            result = self._attempt(frame, levels, surface, start, seconds)
+            problem = self._problem(result, first_try=not failures, anywhere=start.anywhere)
             if not problem and (failures or self.lost_in_a_row):
                 problem = _wrong_looks(frame, surface(frame.camera, result.T_WC.float()))
             if not problem:
-                moved = self.lost_in_a_row == 0 and not start.startswith("place")
+                moved = self.lost_in_a_row == 0 and not start.anywhere
                 self._accept(frame, result.T_WC, moved=moved)
-                return _report(result, frame, start, first_try=not failures, seconds=seconds)
-            failures.append(f"from {start} {problem}")
+                return _report(result, frame, start.name, first_try=not failures, seconds=seconds)
+            failures.append(f"from {start.name} {problem}")
         raise self._lost(f"frame {frame.index} cannot be tracked: {'; '.join(failures)}")
 
     def correct(self, T_change: Float[Tensor, "4 4"]) -> None:
@@ -183,34 +198,38 @@ class Tracker:
         tracker._last_depth_m = state["last_depth_m"]
         return tracker
 
-    def _starts(self, frame: Frame) -> Iterator[tuple[str, Tensor, bool]]:
-        """What ICP starts from, in order: its name, the pose, and whether with wide gates."""
+    def _starts(self, frame: Frame) -> Iterator["_Start"]:
+        """What ICP starts from, in order."""
         assert self._last is not None
         last = self._last.T_WC
         if self.lost_in_a_row == 0:
-            yield "the predicted pose", self.predict(frame.timestamp_s), False
+            predicted = self.predict(frame.timestamp_s)
+            yield _Start("the predicted pose", predicted)
+            yield _Start("the predicted pose with smooth normals", predicted, smooth=True)
         if self.lost_in_a_row > 0 or self._before is not None:
-            yield "the last pose", last, False
-        yield "the last pose with wide gates", last, True
+            yield _Start("the last pose", last)
+        yield _Start("the last pose with wide gates", last, wide=True)
         for n, T_WC in enumerate(self.places.relocalise(frame) if self.places else ()):
-            yield f"place {n + 1}", T_WC.double().cpu(), True
+            yield _Start(f"place {n + 1}", T_WC.double().cpu(), wide=True, anywhere=True)
 
     def _attempt(
         self,
         frame: Frame,
         levels: list[DepthLevel],
         source: SurfaceSource,
-        start: tuple[Tensor, bool],
+        start: "_Start",
         seconds: dict[str, float],
     ) -> IcpResult:
-        T_WC, wide = start
-        if wide:
+        T_WC = start.T_WC
+        if start.wide:
             with _Clock(seconds, "render"):
                 surface = source(frame.camera, T_WC.float())
             with _Clock(seconds, "icp"):
                 T_WC = align(levels[:-1] or levels, surface, T_WC, _widened(self.config)).T_WC
         with _Clock(seconds, "render"):
-            surface = self._surface(frame.camera, T_WC, source, may_mix=not wide)
+            surface = self._surface(frame.camera, T_WC, source, may_mix=not start.wide)
+            if start.smooth:
+                surface = smooth_normals(surface)
         with _Clock(seconds, "icp"):
             return align(levels, surface, T_WC, self.config)
 

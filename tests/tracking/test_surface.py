@@ -4,7 +4,7 @@ import torch
 from gsfusion_nb.config import TsdfConfig
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.tracking import Surface, tsdf_surface
-from gsfusion_nb.tracking.surface import hybrid_surface
+from gsfusion_nb.tracking.surface import hybrid_surface, smooth_normals
 from gsfusion_nb.tsdf import TsdfVolume, integrate
 from gsfusion_nb.types import Camera
 
@@ -39,6 +39,26 @@ def test_a_hybrid_takes_the_frame_where_the_model_is_missing_or_off(plane_scene)
     assert torch.equal(mixed.depth_m[82:98, 32:-2], depth_m[82:98, 32:-2])
     assert torch.equal(mixed.depth_m[50:70, :30], depth_m[50:70, :30])
     torch.testing.assert_close(mixed.normal_W[60, 80], torch.tensor([0.0, 0.0, -1.0]), atol=1e-4, rtol=0)
+
+
+def test_smoothing_averages_noise_away_and_leaves_the_unknown_unknown(plane_scene, generator):
+    T_WC = se3.exp(torch.tensor([0.1, 0.0, 0.0, 0.0, 0.1, 0.0]))
+    clean = plane_scene("wall")(plane_scene("wall").frame(T_WC).camera, T_WC)
+    noise = 0.5 * torch.randn(clean.normal_W.shape, generator=generator)
+    noisy = torch.nn.functional.normalize(clean.normal_W + noise, dim=-1)
+    noisy[:10] = 0.0
+    model = Surface(depth_m=clean.depth_m, normal_W=noisy, camera=clean.camera, T_WC=T_WC)
+    smooth = smooth_normals(model)
+    assert not smooth.normal_W[:10].any()
+    inner = (slice(12, -2), slice(2, -2))
+    before, after = (
+        (n * clean.normal_W).sum(-1)[inner].clamp(-1, 1).acos().rad2deg() for n in (noisy, smooth.normal_W)
+    )
+    assert float(before.mean()) > 25
+    assert float(after.mean()) < 0.45 * float(before.mean())
+    torch.testing.assert_close(smooth.normal_W[inner].norm(dim=-1), torch.ones_like(after))
+    assert torch.equal(smooth.depth_m, model.depth_m)
+    assert torch.equal(smooth_normals(clean).normal_W[60, 80], clean.normal_W[60, 80])
 
 
 def test_sizes_must_fit():
