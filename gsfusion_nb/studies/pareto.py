@@ -74,6 +74,8 @@ def pareto_figure(names: Sequence[str], cost: np.ndarray, quality: np.ndarray, m
 
 def _labels(axes, names: Sequence[str], cost: np.ndarray, quality: np.ndarray, area: np.ndarray) -> None:
     """A name beside each point, at the first place where it covers neither a point nor another name."""
+    from matplotlib.patheffects import withStroke
+
     axes.figure.draw_without_rendering()
     centre = axes.transData.transform(np.stack([cost, quality], axis=1).astype(float)).tolist()
     dots = [(x - r, y - r, x + r, y + r) for (x, y), r in zip(centre, (np.sqrt(area) * 0.7).tolist(), strict=True)]
@@ -88,6 +90,7 @@ def _labels(axes, names: Sequence[str], cost: np.ndarray, quality: np.ndarray, a
         axes.annotate(
             names[i], (cost[i], quality[i]), xytext=middle, textcoords="offset points", ha="center", va="center",
             fontsize=8, arrowprops={"arrowstyle": "-", "color": "#8a8f98", "linewidth": 0.6},
+            path_effects=[withStroke(linewidth=2.5, foreground="white")],
         )  # fmt: skip
 
 

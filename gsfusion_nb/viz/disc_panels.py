@@ -102,7 +102,7 @@ def disc_panel() -> Panel:
 
 def stage_picture(stage: Stage) -> Picture:
     """Render, disc depth and blended depth in a row; below, the middle row of pixels as points seen from above."""
-    far = float(stage.truth_m.max()) + 0.1
+    far = _far_m(stage) + 0.1
     images = [to_uint8(stage.rgb), *(colour_depth(d, 0.5, far) for d in (stage.disc_m, stage.blended_m))]
     images = [i.repeat(3, 0).repeat(3, 1) for i in images]
     top = side_by_side(images, ["render", "disc depth (Eq. 5)", "blended depth"])
@@ -115,8 +115,8 @@ def plan_picture(stage: Stage, width: int, height: int = 300) -> Picture:
     import cv2
 
     image = np.full((height, width, 3), 255, np.uint8)
-    far = float(stage.truth_m.max())
-    low = max(0.0, float(stage.truth_m.min()) - 0.25)
+    far = _far_m(stage)
+    low = max(0.0, float(stage.truth_m[stage.truth_m > 0].min()) - 0.25)
     scale = min((height - 60) / (far + 0.05 - low), 0.95 * width / (1.2 * far))
 
     def at(x: float, z: float) -> tuple[int, int]:
@@ -134,7 +134,7 @@ def plan_picture(stage: Stage, width: int, height: int = 300) -> Picture:
         (stage.disc_m, _DISC_INK, 3),
     ):
         for x, z in zip(x_over_z, depth[row].tolist(), strict=True):
-            if z > 0:
+            if 0 < z <= far + 0.05:
                 cv2.circle(image, at(x * z, z), radius * 16, ink, -1, 16, 4)
     image[:30] = 255
     write(image, "from above, middle row of pixels: ", 10, 18, 1, 0.45)
@@ -148,6 +148,11 @@ def plan_picture(stage: Stage, width: int, height: int = 300) -> Picture:
     return image
 
 
+def _far_m(stage: Stage) -> float:
+    """Where the stage ends: a leaning plane meets some rays far behind its last disc, or not at all."""
+    return min(float(stage.truth_m.max()), float(stage.params.xyz_W[:, 2].max()))
+
+
 def _stage_words(stage: Stage) -> str:
     rows = ""
     for name, label in (("disc_m", "disc"), ("blended_m", "blended")):
@@ -155,7 +160,8 @@ def _stage_words(stage: Stage) -> str:
         median = f"{float(error.median()) * 100:.2f} cm" if len(error) else "-"
         covered = float((getattr(stage, name) > 0).float().mean())
         rows += f"<tr><td>{label}</td><td>{median}</td><td>{stage.in_mid_air(name):.1%}</td><td>{covered:.0%}</td></tr>"
-    heads = "".join(f"<th>{h}</th>" for h in ("depth", "median error on the board", "in mid-air", "covered"))
+    words = ("depth", "error on board", "in mid-air", "covered")
+    heads = "".join(f'<th style="white-space:nowrap; padding-right:10px">{word}</th>' for word in words)
     return f"<table><tr>{heads}</tr>{rows}</table>"
 
 

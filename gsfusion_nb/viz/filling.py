@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from torch import Tensor
 
 from ..tsdf import TsdfVolume, integrate, raycast
 from ..types import Camera, Frame
-from .figures import Picture, side_by_side
+from .figures import Picture, side_by_side, to_uint8
 from .panel import Choice, Drawn, Panel, Slider, Switch
 from .tsdf_slice import QUANTITIES, draw_camera, slice_legend, slice_picture
 
@@ -52,10 +53,20 @@ def fill_picture(
     The view is shaded by a lamp at the camera; black where no surface has been measured yet.
     """
     flat = slice_picture(volume, height_m=height_m, quantity=quantity)
-    left = np.concatenate([draw_camera(flat, camera, T_WC), slice_legend(quantity, flat.shape[1])])
+    return _joined(flat, shape_picture(volume, camera, T_WC), camera, T_WC, height_m, quantity)
+
+
+def shape_picture(volume: TsdfVolume, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> Picture:
+    """The surface in the volume under a lamp at the camera; black where none has been measured."""
     surface = raycast(volume, camera, T_WC)
     lamp = -(surface.normal_W @ T_WC[:3, 2]).clamp(-1, 0)
-    view = lamp[..., None].expand(-1, -1, 3).contiguous()
+    return to_uint8(lamp[..., None].expand(-1, -1, 3))
+
+
+def _joined(
+    flat: Picture, view: Picture, camera: Camera, T_WC: Tensor, height_m: float | int, quantity: str
+) -> Picture:
+    left = np.concatenate([draw_camera(flat, camera, T_WC), slice_legend(quantity, flat.shape[1])])
     title = f"{quantity}, slice at z = {height_m:.2f} m"
     return side_by_side([left, view], [title, "the map, seen from the camera"])
 
@@ -73,12 +84,28 @@ def fill_panel(
     """
     fused = [0]
 
+    # A control that rests costs nothing: what does not depend on the others is kept until the volume changes.
+    @lru_cache(maxsize=1)
+    def flat(_state: tuple[int, float], height_m: float | int, quantity: str) -> Picture:
+        return slice_picture(volume, height_m=height_m, quantity=quantity)
+
+    @lru_cache(maxsize=1)
+    def shape(_state: tuple[int, float], **where: float | int) -> Picture:
+        return shape_picture(volume, camera, pose(where))
+
+    @lru_cache(maxsize=1)
+    def observed(_state: tuple[int, float]) -> int:
+        return int((volume.W > 0).sum())
+
+    def measured(T_WC: Tensor) -> None:
+        integrate(volume, look(T_WC))
+        fused[0] += 1
+
     def pose(values: dict[str, Any]) -> Float[Tensor, "4 4"]:
         return level_pose(values["x_m"], values["y_m"], 1.3, values["heading_deg"], values["tilt_deg"])
 
     def measure() -> None:
-        integrate(volume, look(pose(panel.values)))
-        fused[0] += 1
+        measured(pose(panel.values))
 
     def forget() -> None:
         volume.load_state_dict(TsdfVolume(volume.config, volume.device).state_dict())
@@ -86,12 +113,13 @@ def fill_panel(
 
     def draw(*, height_m: float, quantity: str, at_every_move: bool, **where: float) -> Drawn:
         if at_every_move:
-            integrate(volume, look(pose(where)))
-            fused[0] += 1
-        picture = fill_picture(volume, camera, pose(where), height_m=height_m, quantity=quantity)
+            measured(pose(where))
+        now = (volume.n_blocks, float(volume.W.sum()))
+        view = shape(now, **where)
+        picture = _joined(flat(now, height_m, quantity), view, camera, pose(where), height_m, quantity)
         text = (
             f'<b class="gsnb-fill-frames">{fused[0]}</b> measurements, <b>{volume.n_blocks:,}</b> blocks of 8&sup3; '
-            f"voxels, {int((volume.W > 0).sum()):,} voxels observed"
+            f"voxels, {observed(now):,} voxels observed"
         )
         return picture, text
 

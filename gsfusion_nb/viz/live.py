@@ -43,17 +43,18 @@ class LiveMapper:
     Args:
         run: The run; it may have mapped some frames already.
         panel_width: Width of each panel on screen, pixels.
-        viewer: A splat viewer of the same map, brought up to date whenever the panels are. It may also be given later,
-            ``live.viewer = SplatViewer(run.mapper, lock=live.lock)``.
+
+    ``splats()`` makes a splat viewer that follows the map; a cell of its own shows it.
     """
 
-    def __init__(self, run: MappingRun, *, panel_width: int = 320, viewer: "SplatViewer | None" = None):
+    def __init__(self, run: MappingRun, *, panel_width: int = 320):
         global _on_stage
         if _on_stage is not None and (earlier := _on_stage()) is not None:
             earlier.player.stop()
         _on_stage = weakref.ref(self)
         self.run = run
-        self.viewer = viewer
+        self.viewer: SplatViewer | None = None
+        """Brought up to date whenever the panels are."""
         self.player = Player(run.online, on_step=self._on_step, on_rest=self._on_rest)
         self.lock = self.player.lock
         self.panels: LivePanels | None = None
@@ -91,6 +92,20 @@ class LiveMapper:
     def close(self) -> None:
         """Stop and wait for the worker."""
         self.player.close()
+
+    def splats(self, **options: Any) -> "SplatViewer":
+        """A view of the Gaussians to turn while they are being mapped, with the ``options`` of ``SplatViewer``.
+
+        Its time slider goes back over what was mapped so far. Another call makes another one, which is then the one
+        that follows the map.
+        """
+        from .splat_viewer import SplatViewer
+
+        if not len(self.run.mapper.keyframes) and len(self.run.sequence.mapping):  # no place to stand yet but the first
+            first = self.run.sequence.mapping[0]
+            options = {"camera": first.camera, "T_WC": first.T_WC} | options
+        self.viewer = SplatViewer(self.run.mapper, lock=self.lock, **options)
+        return self.viewer
 
     def picture(self) -> Picture:
         """The panels and curves in one picture, as a stored notebook shows them."""

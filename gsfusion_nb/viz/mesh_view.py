@@ -1,13 +1,14 @@
 """Looking at a mesh in a notebook: turned with the mouse where that works, a picture where it does not."""
 
-import logging
 import math
 from typing import Any, Literal
 
 import numpy as np
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ..checks import check_name
 from ..types import Camera, Mesh
 from . import gl
 from .display import show, static_views
@@ -16,10 +17,8 @@ from .mesh_picture import BACKGROUND, draw_mesh
 from .mesh_reduction import reduced
 from .viewpoint import Vector, Viewpoint, extent
 
-log = logging.getLogger(__name__)
-
 _VIEW_ANGLE_DEG = 30.0
-"""From top to bottom of the picture; the html view knows no other."""
+"""From top to bottom of the picture."""
 _MOST_PAINTED = 150_000
 """Triangles that are painted one by one without VTK."""
 
@@ -30,7 +29,7 @@ def show_mesh(
     T_WC: Float[Tensor, "4 4"] | None = None,
     up_W: Vector = (0.0, 0.0, 1.0),
     shading: Literal["colour", "shape"] = "colour",
-    backend: Literal["auto", "html", "static"] = "auto",
+    backend: Literal["auto", "live", "static"] = "auto",
     max_triangles: int = 100_000,
     size: tuple[int, int] = (640, 480),
 ) -> Any:
@@ -41,26 +40,24 @@ def show_mesh(
         T_WC: Where to look from; by default from above, at an angle.
         up_W: What is up.
         shading: "colour" shows the vertex colours, "shape" a grey surface under a lamp.
-        backend: "html": turn it with the mouse, everything in the page, no server; "static": a picture; "auto": "html",
-            but "static" in ``static_views`` and where VTK cannot draw (which is tried in a process of its own first,
-            because its failure would end the kernel).
-        max_triangles: The html view travels inside the notebook, about 4 MB for 100,000; more are merged first.
+        backend: "live": turn it with the mouse (``MeshViewer``); "static": a picture; "auto": "live", but "static" in
+            ``static_views``.
+        max_triangles: That the live view gets, 2 MB for 100,000; of a larger mesh some are merged first.
         size: Width and height, pixels.
 
     Raises:
-        ValueError: the mesh has no triangles. RuntimeError: "html" asked for by name and VTK cannot draw here.
+        ValueError: the mesh has no triangles. KeyError: no such backend.
     """
+    check_name("backend", backend, ("auto", "live", "static"))
     if not len(mesh.faces):
         raise ValueError("the mesh has no triangles: nothing was mapped, or no surface was seen closely enough")
     pose = _from_above(mesh, up_W, size) if T_WC is None else T_WC
-    able, reason = gl.can_draw() if backend == "html" or not static_views() else (True, "")
-    if backend == "html" and not able:
-        raise RuntimeError(f"the html view needs VTK, which cannot draw here: {reason}")
-    if backend == "html" or (backend == "auto" and able and not static_views()):
-        return _html_view(reduced(mesh, max_triangles), pose, shading, size)
-    if not able:
-        log.warning("a picture instead of a view to turn, because VTK cannot draw here: %s", reason)
-    return show(mesh_picture(mesh, pose, shading=shading, size=size))
+    if backend == "static" or (backend == "auto" and static_views()):
+        return show(mesh_picture(mesh, pose, shading=shading, size=size))
+    from .mesh_viewer import MeshViewer
+
+    small, up = reduced(mesh, max_triangles), torch.as_tensor(up_W).float()
+    return MeshViewer(small, _camera(size), pose, pivot_m=_gaze_m(mesh, pose), up_W=up, shading=shading)
 
 
 def mesh_picture(
@@ -78,11 +75,6 @@ def mesh_picture(
         return np.ascontiguousarray(plotter.screenshot(return_img=True))
     finally:
         plotter.close()
-
-
-def _html_view(mesh: Mesh, T_WC: Tensor, shading: str, size: tuple[int, int]) -> Any:
-    plotter = _plotter(mesh, T_WC, shading, size)
-    return plotter.show(jupyter_backend="html", return_viewer=True)
 
 
 def _plotter(mesh: Mesh, T_WC: Tensor, shading: str, size: tuple[int, int]) -> Any:

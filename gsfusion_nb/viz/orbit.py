@@ -153,6 +153,8 @@ class OrbitView:
         self.buttons = {name: w.Button(description=name, layout=w.Layout(width="100px")) for name in self.places}
         for name, button in self.buttons.items():
             button.on_click(lambda _, name=name: self.look_from(name))
+        for name, slider in self.sliders.items():
+            slider.add_class(f"gsnb-orbit-{name}")
         for control in (*self.sliders.values(), self.show):
             control.observe(self._changed, names="value")
         self.image = w.Image(format="jpeg", layout=w.Layout(width=f"{self.camera.width}px", max_width="100%"))

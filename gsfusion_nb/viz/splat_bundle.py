@@ -1,4 +1,4 @@
-"""The front end of the splat viewer as one text: anywidget takes one module, and a page may load nothing else."""
+"""The front ends of the viewers, each as one text: anywidget takes one module, and a page may load nothing else."""
 
 import functools
 import json
@@ -9,8 +9,10 @@ ENGINE = ("splat_rows", "splat_project", "splat_colour", "splat_raster", "splat_
 """The modules of the worker, in the order of their imports; they know no page, so node runs them too."""
 PAGE = ("splat_camera", "splat_webgl", "splat_worker", "splat_panel", "splat_mouse", "splat_time", "splat_widget")
 """The modules of the page."""
+MESH = ("splat_project", "splat_camera", "splat_mouse", "mesh_raster", "mesh_widget")
+"""The modules of the mesh viewer, which turns its camera as the splat viewer does."""
 
-_IMPORT = re.compile(r'^import .* from "\./splat_\w+\.js";\n', re.MULTILINE)
+_IMPORT = re.compile(r'^import .* from "\./\w+\.js";\n', re.MULTILINE)
 _EXPORT = re.compile(r"^export (?!default)", re.MULTILINE)
 
 
@@ -27,7 +29,7 @@ def joined(modules: tuple[str, ...]) -> str:
 
 @functools.cache
 def front_end() -> str:
-    """The widget's module. The engine is in it twice: as code for the page, and as text to make a worker from."""
+    """The splat viewer's module. The engine is in it twice: as code for the page, and as text to make a worker from."""
     engine = joined(ENGINE)
     texts = {
         "ENGINE_SOURCE": engine,
@@ -37,3 +39,9 @@ def front_end() -> str:
     }
     constants = "\n".join(f"const {name} = {json.dumps(text)};" for name, text in texts.items())
     return f"{engine}\n{constants}\n{joined(PAGE)}"
+
+
+@functools.cache
+def mesh_front_end() -> str:
+    """The mesh viewer's module."""
+    return f"const MESH_HTML = {json.dumps(source('mesh.html'))};\n{joined(MESH)}"

@@ -48,11 +48,19 @@ class Column:
         low, high = np.percentile(known[:: max(1, len(known) // 100_000)], (1, 99))
         return float(low), float(high)
 
+    @property
+    def palette(self) -> str:
+        """Which of ``splat_picture.PALETTES`` shows it."""
+        return "state" if self.kind == "state" else "viridis"
+
     def described(self) -> dict[str, Any]:
         """What the front end is told."""
         low, high = self.limits
         names = list(STATE_NAMES) if self.kind == "state" else None
-        return {"name": self.name, "label": self.label, "kind": self.kind, "low": low, "high": high, "names": names}
+        return {
+            "name": self.name, "label": self.label, "kind": self.kind, "palette": self.palette, "low": low,
+            "high": high, "names": names,
+        }  # fmt: skip
 
 
 def columns_of(source: Any, n: int, extras: Mapping[str, Any]) -> list[Column]:

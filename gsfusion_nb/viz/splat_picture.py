@@ -11,11 +11,26 @@ from ..render import render
 from ..types import Camera, GaussianParams
 from .figures import Picture, colour_stops, to_uint8
 from .gaussian_picture import draw
+from .splat_columns import STATE_NAMES
+from .surfel_pictures import STATE_COLOURS
+
+PALETTES = ("turbo", "viridis", "state")
+"""Depth, numbers, and the two states in the colours of ``state_picture``."""
 
 
-def painted(params: GaussianParams, values: Float[Tensor, " N"], low: float, high: float) -> GaussianParams:
-    """The same Gaussians, each with the colour (viridis) of its number between ``low`` and ``high``."""
-    stops = [[int(stop[i : i + 2], 16) / 255 for i in (1, 3, 5)] for stop in colour_stops("viridis", 256)]
+def palette_stops(name: str) -> list[str]:
+    """256 colours as "#rrggbb"."""
+    if name != "state":
+        return colour_stops(name, 256)
+    unstable, stable = ("#" + bytes(STATE_COLOURS[f"{name}_opaque"]).hex() for name in STATE_NAMES)
+    return [unstable] * 128 + [stable] * 128
+
+
+def painted(
+    params: GaussianParams, values: Float[Tensor, " N"], low: float, high: float, palette: str = "viridis"
+) -> GaussianParams:
+    """The same Gaussians, each with the colour of its number between ``low`` and ``high``."""
+    stops = [[int(stop[i : i + 2], 16) / 255 for i in (1, 3, 5)] for stop in palette_stops(palette)]
     level = ((values - low) / max(high - low, 1e-9) * 255).round().clamp(0, 255).long()
     sh = rgb_to_sh_dc(torch.tensor(stops).to(params.sh)[level.to(params.sh.device)])
     return dataclasses.replace(params, sh=sh[:, None])
@@ -26,7 +41,7 @@ def splat_picture(
     camera: Camera,
     T_WC: Float[Tensor, "4 4"],
     *,
-    paint: tuple[Float[Tensor, " N"], float, float] | None = None,
+    paint: tuple[Float[Tensor, " N"], float, float, str] | None = None,
     depth: bool = False,
     size: float = 1.0,
     opacity: float = 1.0,
@@ -36,7 +51,7 @@ def splat_picture(
 
     Args:
         params, camera, T_WC: as for ``render``.
-        paint: Number of each Gaussian, and those of the first and the last colour; ``None``: its own colour.
+        paint: Number of each Gaussian, those of the first and the last colour, and a palette; ``None``: own colours.
         depth: Show expected depth instead.
         size: Multiplies every standard deviation.
         opacity: Multiplies every opacity (clamped below 1).

@@ -23,10 +23,10 @@ from ..checks import check_name, check_pose
 from ..constants import ALPHA_MAX, ALPHA_MIN, FRUSTUM_CLAMP, NEAR_PLANE_M, SCREEN_BLUR_PX2, TRANSMITTANCE_MIN
 from ..types import Camera, GaussianParams
 from .display import static_views
-from .figures import Picture, colour_stops, encode_png
+from .figures import Picture, encode_png
 from .splat_bundle import front_end, source
 from .splat_columns import Column, columns_of, stacked
-from .splat_picture import splat_picture
+from .splat_picture import PALETTES, palette_stops, splat_picture
 from .splat_record import SplatRow, splat_row
 from .splat_rows import finite_rows, layout_for, pack_rows, packet_between
 from .splat_start import starting_pose, viewing_camera
@@ -137,7 +137,7 @@ class SplatViewer(anywidget.AnyWidget):
         super().__init__(
             width=c.width, height=c.height, intrinsics=[c.fx, c.fy, c.cx, c.cy], pivot_m=pivot_m,
             up_W=(up / up.norm()).tolist(), home=first.flatten().tolist(), pose=first.flatten().tolist(),
-            palettes={name: "".join(s[1:] for s in colour_stops(name, 256)) for name in ("turbo", "viridis")},
+            palettes={name: "".join(s[1:] for s in palette_stops(name)) for name in PALETTES},
             colour_by=colour_by,
         )  # fmt: skip
         self._describe()
@@ -193,9 +193,9 @@ class SplatViewer(anywidget.AnyWidget):
                 rows &= torch.from_numpy(by_name["birth_frame"].values <= self.born_until).to(rows.device)
             column, paint = by_name.get(self.colour_by), None
             if column is not None:
-                paint = (torch.from_numpy(np.nan_to_num(column.values))[rows.cpu()], *column.limits)
+                paint = (torch.from_numpy(np.nan_to_num(column.values))[rows.cpu()], *column.limits, column.palette)
             elif self.colour_by == "opacity":
-                paint = (self._params.opacity_logit[rows].sigmoid(), 0.0, 1.0)
+                paint = (self._params.opacity_logit[rows].sigmoid(), 0.0, 1.0, "viridis")
             background = torch.tensor([int(self.background[i : i + 2], 16) / 255 for i in (1, 3, 5)])
             return splat_picture(
                 self._params[rows], self.camera, self.T_WC, paint=paint, depth=self.colour_by == "depth",

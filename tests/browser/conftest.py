@@ -27,6 +27,7 @@ _CHROMIUM_OPTIONS = [
 ]  # fmt: skip
 
 _IDLE = "app?.shell.currentWidget?.sessionContext?.session?.kernel?.status === 'idle'"
+_DONE = "cells.filter(c => c.type === 'code').every(c => c.executionCount !== null && c.executionState !== 'running')"
 
 
 class Lab:
@@ -41,9 +42,13 @@ class Lab:
 
     def open(self, cells: list[str], *, timeout_s: float = 180) -> Any:
         """A page with these code cells, all run without an error."""
-        name = f"{uuid.uuid4().hex[:8]}.ipynb"
         notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(c) for c in cells])
         notebook.metadata["kernelspec"] = {"name": "python3", "display_name": "Python 3", "language": "python"}
+        return self.open_notebook(notebook, timeout_s=timeout_s)
+
+    def open_notebook(self, notebook: Any, *, timeout_s: float = 180) -> Any:
+        """A page with a notebook, all of its cells run without an error."""
+        name = f"{uuid.uuid4().hex[:8]}.ipynb"
         nbformat.write(notebook, self.folder / name)
         page = self.browser.new_page(viewport={"width": 1280, "height": 1000})
         page.on("pageerror", lambda e: self.errors.append(str(e)))
@@ -51,8 +56,7 @@ class Lab:
         page.goto(f"http://127.0.0.1:{self.port}/lab/tree/{name}?reset&token={self.token}")
         wait(page, _IDLE, timeout_s, "the kernel to be idle")
         page.evaluate("window.jupyterapp.commands.execute('notebook:run-all-cells')")
-        done = "cells.every(c => c.executionCount !== null && c.executionState !== 'running')"
-        wait(page, f"{done} && {_IDLE} || failed", timeout_s, "all cells to have run")
+        wait(page, f"{_DONE} && {_IDLE} || failed", timeout_s, "all cells to have run")
         wrong = page.evaluate(f"(() => {{ {_PRELUDE} return failed; }})()")
         assert not wrong, f"a cell failed: {wrong}"
         return page

@@ -1,4 +1,4 @@
-"""The course as a student uses it: drag the quadtree's threshold, answer an exercise wrongly and then rightly.
+"""A chapter as a student uses it: run all of it, drag the threshold, answer an exercise wrongly and then rightly.
 
 Screenshots go to $GSNB_SCREENSHOTS.
 """
@@ -9,11 +9,15 @@ import time
 from pathlib import Path
 
 import cv2
+import nbformat
 import numpy as np
 import pytest
 
+from gsfusion_nb.teaching.student import without_solutions
+
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning")]
 
+QUICK = 'SMOKE = os.environ.get("GSNB_SMOKE", "0") == "1"'
 NOTEBOOK = Path(__file__).resolve().parents[2] / "notebooks" / "03_quadtree_decomposition.ipynb"
 
 WRONG = """
@@ -30,21 +34,17 @@ def split_cell(x0, y0, width, height):
 """
 
 
-def code_cells(until):
-    """The student's code cells of the chapter, up to the one that contains ``until``."""
-    chosen = []
-    for cell in json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"]:
-        source = "".join(cell["source"])
-        if cell["cell_type"] == "code" and "BEGIN SOLUTION" not in source:
-            chosen.append(source)
-            if until in source:
-                return chosen
-    raise AssertionError(f"no cell of {NOTEBOOK.name} has {until!r}")
+def students_copy():
+    """The whole chapter as a student gets it, in its quick version."""
+    notebook = without_solutions(json.loads(NOTEBOOK.read_text(encoding="utf-8")))
+    text = json.dumps(notebook).replace(json.dumps(QUICK)[1:-1], "import torch; torch.set_num_threads(1); SMOKE = True")
+    assert "SMOKE = True" in text
+    return nbformat.reads(text, as_version=4)
 
 
 @pytest.fixture(scope="module")
 def page(lab):
-    page = lab.open([f"import torch; torch.set_num_threads(1)\n{c}" for c in code_cells("quadtree_panel(frame")])
+    page = lab.open_notebook(students_copy())
     yield page
     page.close()
 
@@ -66,6 +66,15 @@ def wait_for(condition, what, timeout_s=30):
 
 def count(page):
     return int(page.locator(".gsnb-quadtree-count").inner_text().replace(",", ""))
+
+
+def test_the_chapter_runs_to_its_end_with_live_widgets(lab, page):
+    assert "Error displaying widget" not in page.content()
+    for picture in page.locator(".jp-OutputArea-output img").all():
+        assert picture.evaluate("image => image.naturalWidth") > 0
+    assert page.locator("img.gsnb-quadtree-image").count() == 1
+    assert page.locator(".gsnb-verdict").count() >= 3  # one below each exercise
+    assert lab.errors == []
 
 
 def test_dragging_the_threshold_changes_picture_and_count(lab, page):

@@ -21,6 +21,10 @@ live = LiveMapper(run)
 live.run_sync(1)
 live
 """
+SPLATS = """
+splats = live.splats(width=320, height=240)
+splats
+"""
 RULE = """
 from gsfusion_nb.seeding import seeding_rule
 from gsfusion_nb.viz.rule_panel import rule_context, rule_panel
@@ -45,7 +49,7 @@ bars
 
 @pytest.fixture(scope="module")
 def page(lab):
-    page = lab.open([MAP, RULE, AMDAHL])
+    page = lab.open([MAP, SPLATS, RULE, AMDAHL])
     yield page
     lab.run(page, "live.close()")
     page.close()
@@ -103,6 +107,36 @@ def test_start_pause_step_and_stop_online_mapping(lab, page):
     until(lambda: mapped() >= rested + 2, "frames after the stop")
     page.locator(".gsnb-live-stop").click()
     until(lambda: "stopped" in status.inner_text(), "the second stop")
+
+
+def test_the_map_is_turned_while_it_grows(lab, page):
+    scene = page.locator(".gsnb-splat-scene")
+    scene.scroll_into_view_if_needed()
+    until(lambda: value(lab, page, "splats.stats.get('pictures', 0)") > 0, "the first picture")
+    pixels = "document.querySelector('.gsnb-splat-software').toDataURL('image/png')"
+    before, last = page.evaluate(pixels), value(lab, page, "splats.birth_range[1]")
+    lab.run(page, "live.start()")
+    until(lambda: value(lab, page, "splats.birth_range[1]") > last, "newer Gaussians in the viewer")
+    until(lambda: page.evaluate(pixels) != before, "a picture of them")
+
+    pose, mapped = value(lab, page, "splats.pose"), value(lab, page, "run.next_position")
+    box = scene.bounding_box()
+    page.mouse.move(box["x"] + 160, box["y"] + 120)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 220, box["y"] + 140, steps=10)
+    page.mouse.up()
+    until(lambda: value(lab, page, "splats.pose") != pose, "the turn")
+    until(lambda: value(lab, page, "run.next_position") > mapped, "mapping to go on")
+
+    page.locator(".gsnb-splat-time").fill("0")  # the time slider goes back while the map grows
+    until(lambda: value(lab, page, "splats.born_until") == 0, "the time slider")
+    until(lambda: value(lab, page, "live.player.state") in ("running", "finished"), "no harm to the mapping")
+    lab.run(page, "live.stop(); splats.born_until = None")
+    until(lambda: not value(lab, page, "live.player.is_alive"), "the stop")
+    sent = "splats.birth_range[1] == float(run.mapper.gaussians.birth_frame.max())"
+    until(lambda: value(lab, page, sent), "the last frame in the viewer")
+    screenshot(page, ".gsnb-splat-root", "chapter_06_splats_live")
+    assert not lab.errors
 
 
 def test_a_slider_made_from_a_keyword_moves_the_seeds(lab, page):

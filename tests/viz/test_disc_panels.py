@@ -8,7 +8,7 @@ import torch
 
 from gsfusion_nb.render import SurfaceView
 from gsfusion_nb.types import Camera, Frame
-from gsfusion_nb.viz.disc_panels import NEAR_M, adding_masks, adding_panel, disc_panel, disc_stage
+from gsfusion_nb.viz.disc_panels import NEAR_M, adding_masks, adding_panel, disc_panel, disc_stage, plan_picture
 
 
 def test_on_a_plane_the_disc_depth_is_exact_and_the_blended_one_is_not():
@@ -51,6 +51,14 @@ def test_every_end_of_the_sliders_draws(lean_deg, gap_m, spacing_m):
     panel = disc_panel().set(lean_deg=lean_deg, gap_m=gap_m, spacing_m=spacing_m, opaque_alpha=0.95)
     assert "Error" not in panel.caption.value
     assert panel.picture().shape[1] > 800
+
+
+def test_a_plane_that_leans_far_still_fills_the_view_from_above():
+    """Some rays meet its plane a hundred metres away, or never."""
+    plan = plan_picture(disc_stage(lean_deg=65, gap_m=0.0, spacing_m=0.2), 600)
+    blue = (np.abs(plan[40:].astype(int) - (61, 133, 198)).max(-1) < 20).nonzero()
+    assert np.ptp(blue[0]) > 120
+    assert np.ptp(blue[1]) > 60
 
 
 @pytest.fixture

@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from gsfusion_nb.config import TsdfConfig
-from gsfusion_nb.tsdf import TsdfVolume
+from gsfusion_nb.tsdf import TsdfVolume, integrate
 from gsfusion_nb.types import Camera, Frame
-from gsfusion_nb.viz import fill_panel
+from gsfusion_nb.viz import fill_panel, filling
 from gsfusion_nb.viz.filling import level_pose
 
 CAMERA = Camera(width=320, height=240, fx=208.0, fy=208.0, cx=160.0, cy=120.0)
@@ -77,3 +77,27 @@ def test_moving_is_fast_enough(panel):
         panel.controls["heading_deg"].value = float(heading)
         times.append(time.process_time() - start)
     assert np.median(times) < 0.1
+
+
+def test_only_what_a_control_moves_is_drawn_again(panel, monkeypatch):
+    drawn = []
+    for name in ("slice_picture", "raycast"):
+        whole = getattr(filling, name)
+        monkeypatch.setattr(filling, name, lambda *a, whole=whole, name=name, **k: drawn.append(name) or whole(*a, **k))
+    panel.press("measure")
+    assert sorted(drawn) == ["raycast", "slice_picture"]
+    panel.set(heading_deg=20.0)
+    assert drawn[2:] == ["raycast"]
+    panel.set(height_m=1.2)
+    assert drawn[3:] == ["slice_picture"]
+    panel.press("forget")
+    assert sorted(drawn[4:]) == ["raycast", "slice_picture"]
+    assert blue(panel.picture()) == 0
+
+
+def test_it_notices_when_the_volume_is_filled_elsewhere():
+    volume = TsdfVolume(TsdfConfig(voxel_size_m=0.04, truncation_voxels=4.0))
+    panel = fill_panel(volume, CAMERA, look)
+    integrate(volume, look(level_pose(0.0, 0.0, 1.3, 0.0)))
+    panel.redraw()
+    assert blue(panel.picture()) > 200

@@ -133,3 +133,46 @@ def test_picture_before_and_after_the_first_frame(make_run, n):
     live = LiveMapper(make_run())
     live.run_sync(n)
     assert live.picture().dtype == np.uint8
+
+
+def listen(viewer, monkeypatch):
+    """Somebody looks at the viewer; how many rows the map had at each message."""
+    monkeypatch.setattr("gsfusion_nb.viz.splat_viewer.MIN_INTERVAL_S", 0.0)
+    sizes = []
+    monkeypatch.setattr(viewer, "send", lambda content, buffers=(): sizes.append(content["head"]["n"]))
+    viewer._heard(viewer, {"kind": "ready"}, [])
+    return sizes
+
+
+def test_the_splat_viewer_follows_the_map_and_knows_its_time(make_run, monkeypatch):
+    run = make_run(n=8, step_m=0.5)
+    live = LiveMapper(run)
+    viewer = live.splats(width=96)
+    assert (viewer.width, viewer.height) == (96, 72)
+    assert viewer.T_WC.equal(run.sequence.mapping[0].T_WC)  # nothing is mapped yet: where the camera will start
+    sizes = listen(viewer, monkeypatch)
+    live.run_sync(1)
+    wait_for(lambda: sizes and sizes[-1] == len(run.mapper.gaussians))
+    first = viewer.birth_range
+    live.start()
+    assert live.join(20)
+    wait_for(lambda: sizes[-1] == len(run.mapper.gaussians))
+    assert sizes == sorted(sizes)
+    assert first == [0.0, 0.0]
+    assert viewer.birth_range == [0.0, float(run.mapper.gaussians.birth_frame.max())]
+    assert viewer.birth_range[1] > 0
+    viewer.T_WC = run.sequence.mapping[7].T_WC
+    viewer.born_until = 0.0
+    early = viewer.picture()
+    viewer.born_until = None
+    assert (viewer.picture() != early).any()
+
+
+def test_it_starts_where_the_first_keyframe_was_and_the_last_viewer_follows(make_run):
+    live = LiveMapper(make_run())
+    live.run_sync(2)
+    earlier, viewer = live.splats(), live.splats(colour_by="depth", T_WC=live.run.sequence.mapping[3].T_WC)
+    assert earlier.T_WC.equal(live.run.mapper.keyframes[0].T_WC)
+    assert viewer.T_WC.equal(live.run.sequence.mapping[3].T_WC)
+    assert live.viewer is viewer
+    assert viewer.colour_by == "depth"

@@ -1,16 +1,23 @@
-"""Mesh views: painted by hand, reduced, drawn by VTK where it can draw, and a sentence where it cannot."""
+"""Mesh views: painted by hand, reduced, drawn by VTK where it can draw, and by the browser as by hand."""
 
+import base64
+import json
+import subprocess
 import sys
 
+import cv2
 import numpy as np
 import pytest
 import torch
 
 from gsfusion_nb.types import Camera, Mesh
 from gsfusion_nb.viz import gl, orbit_camera, show_mesh
+from gsfusion_nb.viz.display import WIDGET_MIME
 from gsfusion_nb.viz.mesh_picture import BACKGROUND, draw_mesh
 from gsfusion_nb.viz.mesh_reduction import reduced
 from gsfusion_nb.viz.mesh_view import mesh_picture
+from gsfusion_nb.viz.mesh_viewer import MeshViewer
+from gsfusion_nb.viz.splat_bundle import joined, mesh_front_end
 
 CAMERA = Camera(width=160, height=120, fx=223.923, fy=223.923, cx=80.0, cy=60.0)
 
@@ -80,21 +87,127 @@ def test_reduction_keeps_extent_area_colours_and_sides():
         reduced(mesh, 0)
 
 
-def test_without_vtk_it_is_painted(monkeypatch, caplog):
+def test_without_vtk_the_static_view_is_painted(monkeypatch):
     monkeypatch.setenv("GSNB_VTK", "none")
-    for name in ("GSNB_SMOKE", "GSNB_VIEW"):
-        monkeypatch.delenv(name, raising=False)
     gl.can_draw.cache_clear()
     try:
         loaded = "pyvista" in sys.modules
-        output = show_mesh(sheet(11), size=(160, 120))
+        output = show_mesh(sheet(11), backend="static", size=(160, 120))
         assert output.data[:2] == b"\xff\xd8"  # a JPEG
-        assert "GSNB_VTK=none" in caplog.text
         assert ("pyvista" in sys.modules) == loaded
-        with pytest.raises(RuntimeError, match="html view needs VTK"):
-            show_mesh(sheet(11), backend="html")
     finally:
         gl.can_draw.cache_clear()
+
+
+@pytest.fixture
+def watched(monkeypatch):
+    """Somebody looks at the notebook."""
+    for name in ("GSNB_SMOKE", "GSNB_VIEW"):
+        monkeypatch.delenv(name, raising=False)
+
+
+def test_the_live_view_needs_no_vtk_and_keeps_a_picture(watched, monkeypatch):
+    monkeypatch.setattr(gl, "can_draw", lambda: pytest.fail("VTK was tried"))
+    viewer = show_mesh(sheet(101), max_triangles=500, size=(160, 120), shading="shape", up_W=[0, 0, 2])
+    assert isinstance(viewer, MeshViewer)
+    assert len(viewer.mesh.faces) <= 500
+    assert (viewer.width, viewer.height, viewer.shading, viewer.up_W) == (160, 120, "shape", [0.0, 0.0, 1.0])
+    data, _ = viewer._repr_mimebundle_()
+    assert WIDGET_MIME in data
+    jpeg = np.frombuffer(base64.b64decode(data["image/jpeg"]), np.uint8)
+    image = np.asarray(cv2.imdecode(jpeg, cv2.IMREAD_COLOR))
+    assert image.shape == (120, 160, 3)
+    assert np.abs(image.astype(int) - viewer.picture()[..., ::-1]).mean() < 3
+    assert len(str(data)) < 40_000  # the mesh is not in it
+    monkeypatch.setenv("GSNB_VIEW", "static")
+    assert WIDGET_MIME not in viewer._repr_mimebundle_()
+
+
+def test_the_mesh_travels_when_a_view_opens(watched):
+    mesh = sheet(4)
+    viewer, sent = show_mesh(mesh), []
+    viewer.send = lambda content, buffers: sent.append((content, buffers))
+    viewer._heard(viewer, {"kind": "something else"}, [])
+    assert sent == []
+    viewer._heard(viewer, {"kind": "ready"}, [])
+    ((content, (xyz, faces, rgb)),) = sent
+    assert content == {"kind": "mesh"}
+    assert np.frombuffer(xyz, np.float32).reshape(-1, 3) == pytest.approx(mesh.vertices_W.numpy())
+    assert (np.frombuffer(faces, np.int32).reshape(-1, 3) == mesh.faces.numpy()).all()
+    assert (np.frombuffer(rgb, np.uint8).reshape(-1, 3) == (mesh.rgb * 255).byte().numpy()).all()
+
+
+def test_the_camera_is_moved_from_python_and_must_be_rigid(watched):
+    viewer = show_mesh(sheet(4))
+    viewer.T_WC = FROM_ABOVE
+    assert viewer.T_WC.equal(FROM_ABOVE)
+    assert "MeshViewer(18 triangles, 640x480)" in repr(viewer)
+    with pytest.raises(ValueError, match="T_WC"):
+        viewer.T_WC = 2 * FROM_ABOVE
+
+
+_SCRIPT = """
+import { readFileSync } from "node:fs";
+const { xyz, faces, rgb, pose, intrinsics, size, shape, background } = JSON.parse(readFileSync(process.argv[2]));
+const painter = new MeshPainter(Float32Array.from(xyz), Int32Array.from(faces), Uint8Array.from(rgb));
+const view = viewOf(pose, intrinsics, ...size);
+painter.draw(viewOf(pose, intrinsics, ...size, 0.5), shape, background);
+const { pixels } = painter.draw(view, shape, background);
+const [middle, corner] = [80.5, 0].map((x) => painter.depthAt(x, 0.75 * x, size[0]));
+console.log(JSON.stringify({ pixels: [...pixels], middle, corner }));
+"""
+
+
+def drawn_by_the_browser(node, folder, mesh, T_WC, shading):
+    data = {
+        "xyz": mesh.vertices_W.flatten().tolist(), "faces": mesh.faces.flatten().tolist(),
+        "rgb": (mesh.rgb * 255).flatten().int().tolist(), "pose": T_WC.flatten().tolist(),
+        "intrinsics": [CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy], "size": [CAMERA.width, CAMERA.height],
+        "shape": shading == "shape", "background": list(BACKGROUND),
+    }  # fmt: skip
+    (folder / "mesh.json").write_text(json.dumps(data))
+    (folder / "mesh.mjs").write_text(joined(("splat_project", "mesh_raster")) + _SCRIPT)
+    done = subprocess.run([node, folder / "mesh.mjs", folder / "mesh.json"], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    answer = json.loads(done.stdout)
+    pixels = np.array(answer["pixels"], np.uint8).reshape(CAMERA.height, CAMERA.width, 4)
+    assert (pixels[..., 3] == 255).all()
+    return pixels[..., :3], answer
+
+
+@pytest.mark.parametrize("shading", ["colour", "shape"])
+def test_the_browser_draws_what_python_paints(node, tmp_path, shading):
+    """Two squares, one 0.3 m above a part of the other, seen at an angle: order, lamp and colours."""
+    low, high = sheet(41), sheet(41, ((0, 1.0, 0), (1.0, 1.0, 0)))
+    both = Mesh(
+        vertices_W=torch.cat([high.vertices_W * 0.5 + torch.tensor([0.1, 0, 0.3]), low.vertices_W]),
+        faces=torch.cat([high.faces, low.faces + 41 * 41]), rgb=torch.cat([high.rgb, low.rgb]),
+    )  # fmt: skip
+    T = orbit_camera((0, 0, 0), -60, 50, 2.0)
+    image, answer = drawn_by_the_browser(node, tmp_path, both, T, shading)
+    painted = draw_mesh(both, CAMERA, T, shading=shading)
+    assert (np.abs(image.astype(int) - painted).max(-1) < 12).mean() > 0.97  # the rest are edges
+    assert painted.std() > 20
+    assert answer["corner"] is None
+    assert 1.5 < answer["middle"] < 1.9  # the upper square
+
+
+def test_depth_and_behind_in_the_browser(node, tmp_path):
+    image, answer = drawn_by_the_browser(node, tmp_path, sheet(3), FROM_ABOVE, "colour")
+    assert answer["middle"] == pytest.approx(2.0, abs=1e-5)
+    inside = np.nonzero((image != BACKGROUND).any(-1))
+    assert (inside[0].min(), inside[0].max()) == pytest.approx((60 - 56, 59 + 56), abs=0.5)
+    image, answer = drawn_by_the_browser(node, tmp_path, sheet(3), FROM_BELOW, "colour")
+    assert (image == BACKGROUND).all()
+    assert answer["middle"] is None
+
+
+def test_the_module_is_valid_and_loads_nothing(node, tmp_path):
+    (tmp_path / "mesh.mjs").write_text(mesh_front_end())
+    done = subprocess.run([node, "--check", tmp_path / "mesh.mjs"], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    for foreign in ("http://", "https://", "import(", "importScripts", "\nimport ", "fetch("):
+        assert foreign not in mesh_front_end()
 
 
 def test_vtk_and_the_painter_agree():

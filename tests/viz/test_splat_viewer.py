@@ -16,6 +16,7 @@ from gsfusion_nb.render import render
 from gsfusion_nb.types import Camera, Seeds
 from gsfusion_nb.viz import SplatViewer, orbit_camera
 from gsfusion_nb.viz.display import WIDGET_MIME
+from gsfusion_nb.viz.surfel_pictures import STATE_COLOURS
 
 CAMERA = Camera(width=64, height=48, fx=60.0, fy=60.0, cx=32.0, cy=24.0)
 FRONT = orbit_camera((0, 0, 0), -90, 0, 2.0)
@@ -233,6 +234,18 @@ def test_stored_and_live_outputs(viewer, monkeypatch):
     picture = np.asarray(cv2.imdecode(png, cv2.IMREAD_COLOR))[..., ::-1]
     assert (picture == viewer.picture()).all()
     assert stored["text/plain"] == "SplatViewer(2 Gaussians, 64x48)"
+
+
+def test_states_have_the_colours_of_the_live_panels(model):
+    viewer = SplatViewer(model, camera=CAMERA, T_WC=FRONT, extras={"state": torch.tensor([False, True])})
+    viewer.colour_by = "state"
+    assert [c["palette"] for c in viewer.columns if c["name"] == "state"] == ["state"]
+    stops = viewer.palettes["state"]
+    assert len(stops) == 6 * 256
+    assert (stops[:6], stops[-6:]) == tuple(bytes(STATE_COLOURS[f"{s}_opaque"]).hex() for s in ("unstable", "stable"))
+    left, right = (viewer.picture()[24, u].astype(int) for u in (17, 47))
+    assert left.argmax() == 0  # unstable: orange
+    assert right.argmax() == 2  # stable: blue
 
 
 def test_the_map_is_not_part_of_the_saved_state(viewer):

@@ -107,10 +107,14 @@ class MeshView {
     this.moved();
   }
 
-  /** After a double click the camera turns around the place under the pointer. */
   pick(x, y) {
-    if (!this.aiming || !this.painter) return;
-    this.aiming = false;
+    this.pointed = [x, y];
+  }
+
+  /** Set by a double click, after the pick: from now on the camera turns around the place under the pointer. */
+  set aiming(_) {
+    if (!this.painter) return;
+    const [x, y] = this.pointed;
     const depth = this.painter.depthAt(x * this.paper.width, y * this.paper.height, this.paper.width);
     if (depth) this.camera.aim(x * this.width, y * this.height, depth, this.intrinsics);
   }

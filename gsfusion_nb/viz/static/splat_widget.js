@@ -120,12 +120,12 @@ class SplatView {
 
   paint() {
     const by = this.model.get("colour_by");
-    const { turbo, viridis } = this.model.get("palettes");
+    const { turbo, viridis, ...others } = this.model.get("palettes");
     if (by === "depth") return { by, palette: turbo };
     if (by === "opacity") return { by, palette: viridis, low: 0, high: 1 };
     const columns = this.model.get("columns");
     const column = columns.findIndex((c) => c.name === by);
-    return column < 0 ? { by: "rgb" } : { ...columns[column], by: "column", column, palette: viridis };
+    return column < 0 ? { by: "rgb" } : { ...columns[column], by: "column", column, palette: others[columns[column].palette] ?? viridis };
   }
 
   view(scale = 1) {

@@ -1,0 +1,151 @@
+"""The finished maps as a person looks at them: a mesh and Gaussians to turn, a volume to fill; without a network.
+
+Screenshots go to $GSNB_SCREENSHOTS.
+"""
+
+import base64
+import json
+import os
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning")]
+
+MAP = """
+import torch
+torch.set_num_threads(1)
+from gsfusion_nb import GSFusion, gsfusion, open_sequence
+from gsfusion_nb.viz import fill_panel, orbit_view, point_panel, show_mesh
+config = gsfusion("room", tsdf__voxel_size_m=0.02)
+walk = open_sequence("room", data=config.data, n_frames=60)
+mapper = GSFusion(config)
+for i in range(6):
+    mapper.step(walk.mapping[i])
+"""
+MESH = """
+viewer = show_mesh(mapper.mesh(), size=(480, 360))
+viewer
+"""
+ORBIT = """
+view = orbit_view(mapper)
+view
+"""
+POINTS = """
+points = point_panel(walk.mapping[0])
+points
+"""
+FILL = """
+from gsfusion_nb.config import TsdfConfig
+from gsfusion_nb.tsdf import TsdfVolume
+camera = walk.mapping[0].camera
+fill = fill_panel(TsdfVolume(TsdfConfig(voxel_size_m=0.04)), camera, lambda T_WC: walk.mapping[0])
+fill
+"""
+
+
+@pytest.fixture(scope="module")
+def page(lab):
+    page = lab.open([MAP, MESH, ORBIT, POINTS, FILL])
+    yield page
+    page.close()
+
+
+def value(lab, page, expression):
+    return json.loads(lab.run(page, f"import json; print(json.dumps({expression}))"))
+
+
+def until(condition, what, timeout_s=60):
+    end = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < end, f"waited {timeout_s} s for {what}"
+        time.sleep(0.1)
+
+
+def screenshot(page, selector, name):
+    if folder := os.environ.get("GSNB_SCREENSHOTS"):
+        Path(folder).mkdir(parents=True, exist_ok=True)
+        page.locator(selector).first.screenshot(path=f"{folder}/{name}.png")
+
+
+def mesh_pixels(page):
+    """Bytes of the mesh viewer's canvas. [H, W, 3]"""
+    url = page.evaluate("document.querySelector('.gsnb-mesh-scene canvas').toDataURL('image/png')")
+    png = np.frombuffer(base64.b64decode(url.split(",")[1]), np.uint8)
+    return np.asarray(cv2.imdecode(png, cv2.IMREAD_COLOR))[..., ::-1].astype(int)
+
+
+def settled(page):
+    last = mesh_pixels(page)
+    for _ in range(60):
+        time.sleep(0.3)
+        now = mesh_pixels(page)
+        if (now == last).all():
+            return now
+        last = now
+    raise AssertionError("the picture does not come to rest")
+
+
+def test_a_mesh_is_turned_offline(lab, page):
+    scene = page.locator(".gsnb-mesh-scene")
+    scene.scroll_into_view_if_needed()
+    until(lambda: value(lab, page, "viewer.stats.get('pictures', 0)") > 0, "the first picture")
+    before = settled(page)
+    painted = np.array(value(lab, page, "viewer.picture().tolist()"))
+    assert before.std() > 20
+    assert np.abs(before - painted).mean() < 8  # the same view, upright and not mirrored
+    assert np.abs(before - painted[:, ::-1]).mean() > 12
+    screenshot(page, ".gsnb-mesh-scene", "mesh")
+
+    box = scene.bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x + 120, y + 20, steps=12)
+    page.mouse.up()
+    turned = settled(page)
+    assert np.abs(turned - before).mean() > 5
+    until(lambda: value(lab, page, "viewer.pose != viewer.home"), "the pose in Python")
+    painted = np.array(value(lab, page, "viewer.picture().tolist()"))
+    assert np.abs(turned - painted).mean() < 8
+    screenshot(page, ".gsnb-mesh-scene", "mesh_turned")
+
+    page.mouse.wheel(0, -300)  # the scene has the focus since the click
+    zoomed = settled(page)
+    assert np.abs(zoomed - turned).mean() > 2
+    page.mouse.dblclick(x, y)
+    page.keyboard.press("ArrowLeft")
+    assert np.abs(settled(page) - zoomed).mean() > 1
+    lab.run(page, "viewer.shading = 'shape'")
+    until(lambda: np.ptp(mesh_pixels(page), axis=-1).max() <= 4, "a grey surface")
+    lab.run(page, "viewer.shading = 'colour'")
+    page.keyboard.press("r")
+    assert np.abs(settled(page) - before).mean() < 0.5
+    outputs = page.locator(".jp-OutputArea").all_inner_texts()
+    assert not any("Traceback" in text or "Error" in text for text in outputs)
+    assert lab.errors == []
+    assert lab.requests == []
+
+
+@pytest.mark.parametrize(
+    ("panel", "slider"), [("orbit", "azimuth"), ("points", "turn_deg"), ("fill", "heading_deg"), ("fill", "height_m")]
+)
+def test_sliders_redraw(lab, page, panel, slider):
+    image = page.locator(f"img.gsnb-{panel}-image").first
+    if panel == "fill":
+        page.locator(".gsnb-fill-measure").click()
+        until(lambda: int(page.locator(".gsnb-fill-frames").inner_text()) > 0, "the measurement")
+    image.scroll_into_view_if_needed()
+    before = image.get_attribute("src")
+    handle = page.locator(f".gsnb-{panel}-{slider} .noUi-handle").first
+    handle.scroll_into_view_if_needed()
+    handle.focus()
+    for _ in range(6):
+        page.keyboard.press("ArrowRight")
+    until(lambda: image.get_attribute("src") != before, f"a new picture of {panel}")
+    screenshot(page, f".gsnb-{panel}", f"{panel}_{slider}")
+    assert lab.errors == []
+    assert lab.requests == []
