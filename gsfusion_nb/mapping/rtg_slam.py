@@ -24,6 +24,8 @@ from .report import GlobalStep, StageClock, StepReport, psnr_from_mse
 from .surfel_optimiser import SurfelOptimiser, View
 from .usable import check_frame
 
+MASKED_BELOW = 0.8
+"""With more of the rows in view unstable they touch nearly all pixels, and to find these costs more than it saves."""
 MESH_VIEWS = 60
 """Views whose rendered depth makes the mesh."""
 
@@ -247,7 +249,8 @@ class RTGSLAM:
             return []
         optimiser = SurfelOptimiser(model, trained, config, self.config.discs, seen=seen)
         before = GaussianParams(**{name: value.clone() for name, value in vars(optimiser.trained).items()})
-        touched = [optimiser.touched(f.camera, f.T_WC) if config.only_unstable else None for f in self.window]
+        masked = config.only_unstable and optimiser.n < MASKED_BELOW * int(seen.sum())
+        touched = [optimiser.touched(f.camera, f.T_WC) if masked else None for f in self.window]
         views = [View.of(frame, pixels) for frame, pixels in zip(self.window, touched, strict=True)]
         losses = []
         for step in range(config.iterations):
