@@ -5,11 +5,12 @@ imported on first use. Nothing else in the package imports ``gsfusion_nb.kernels
 """
 
 import contextlib
+import dataclasses
 import functools
 import importlib
 import logging
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextvars import ContextVar
 
 import torch
@@ -21,22 +22,43 @@ log = logging.getLogger(__name__)
 BACKENDS = ("reference", "numba", "triton", "cuda")
 
 _NUMBA = "gsfusion_nb.kernels.numba"
+_TRITON = "gsfusion_nb.kernels.triton"
+_CUDA = "gsfusion_nb.kernels.cuda"
 
 PROVIDERS: dict[str, dict[str, str]] = {
-    "adam_update": {"numba": f"{_NUMBA}.adam:adam_update"},
-    "band_blocks": {"numba": f"{_NUMBA}.allocate:band_blocks"},
-    "disc_depth": {"numba": f"{_NUMBA}.disc:disc_depth"},
-    "disc_depth_vjp": {"numba": f"{_NUMBA}.disc:disc_depth_vjp"},
-    "extract_mesh": {"numba": f"{_NUMBA}.marching_cubes:extract_mesh"},
-    "fuse_frame_": {"numba": f"{_NUMBA}.integrate:fuse_frame_"},
-    "icp_system": {"numba": f"{_NUMBA}.icp:icp_system"},
+    "adam_update": {"numba": f"{_NUMBA}.adam:adam_update", "triton": f"{_TRITON}.adam:adam_update"},
+    "band_blocks": {
+        "numba": f"{_NUMBA}.allocate:band_blocks",
+        "triton": f"{_TRITON}.allocate:band_blocks",
+        "cuda": f"{_CUDA}.allocate:band_blocks",
+    },
+    "disc_depth": {"numba": f"{_NUMBA}.disc:disc_depth", "triton": f"{_TRITON}.disc:disc_depth"},
+    "disc_depth_vjp": {"numba": f"{_NUMBA}.disc:disc_depth_vjp", "triton": f"{_TRITON}.disc:disc_depth_vjp"},
+    "extract_mesh": {
+        "numba": f"{_NUMBA}.marching_cubes:extract_mesh",
+        "cuda": f"{_CUDA}.marching_cubes:extract_mesh",
+    },
+    "fuse_frame_": {
+        "numba": f"{_NUMBA}.integrate:fuse_frame_",
+        "triton": f"{_TRITON}.integrate:fuse_frame_",
+        "cuda": f"{_CUDA}.integrate:fuse_frame_",
+    },
+    "icp_system": {"numba": f"{_NUMBA}.icp:icp_system", "triton": f"{_TRITON}.icp:icp_system"},
     "quadtree": {"numba": f"{_NUMBA}.quadtree:quadtree"},
-    "rgbd_l1_vjp": {"numba": f"{_NUMBA}.rgbd_loss:rgbd_l1_vjp"},
-    "sample_voxels": {"numba": f"{_NUMBA}.sample:sample_voxels"},
-    "raycast": {"numba": f"{_NUMBA}.raycast:raycast"},
-    "dssim_vjp": {"numba": f"{_NUMBA}.ssim:dssim_vjp"},
-    "render_forward": {"numba": f"{_NUMBA}.rasterize:render_forward"},
-    "render_vjp": {"numba": f"{_NUMBA}.rasterize:render_vjp"},
+    "rgbd_l1_vjp": {"numba": f"{_NUMBA}.rgbd_loss:rgbd_l1_vjp", "triton": f"{_TRITON}.rgbd_loss:rgbd_l1_vjp"},
+    "sample_voxels": {"numba": f"{_NUMBA}.sample:sample_voxels", "triton": f"{_TRITON}.sample:sample_voxels"},
+    "raycast": {"numba": f"{_NUMBA}.raycast:raycast", "triton": f"{_TRITON}.raycast:raycast"},
+    "dssim_vjp": {"numba": f"{_NUMBA}.ssim:dssim_vjp", "triton": f"{_TRITON}.ssim:dssim_vjp"},
+    "render_forward": {
+        "numba": f"{_NUMBA}.rasterize:render_forward",
+        "triton": f"{_TRITON}.rasterize:render_forward",
+        "cuda": f"{_CUDA}.rasterize:render_forward",
+    },
+    "render_vjp": {
+        "numba": f"{_NUMBA}.rasterize:render_vjp",
+        "triton": f"{_TRITON}.rasterize:render_vjp",
+        "cuda": f"{_CUDA}.rasterize:render_vjp",
+    },
 }
 """op name -> backend -> "module:function"."""
 
@@ -123,7 +145,7 @@ def _select(name: str, args: tuple, kwargs: dict) -> Callable:
     offered = PROVIDERS.get(name)
     if not offered:
         return _OPS[name]
-    device = next((a.device.type for a in (*args, *kwargs.values()) if isinstance(a, torch.Tensor)), "cpu")
+    device = next((kind for kind in _devices((*args, *kwargs.values())) if kind != "cpu"), "cpu")
     for backend in _PREFERRED.get(device, ()):
         if backend not in offered:
             continue
@@ -135,6 +157,15 @@ def _select(name: str, args: tuple, kwargs: dict) -> Callable:
         _log_once(name, f"{name}: {backend}")
         return implementation
     return _OPS[name]
+
+
+def _devices(values: Iterable) -> Iterator[str]:
+    """Kinds of device of tensors, of volumes, and of what dataclasses hold."""
+    for value in values:
+        if isinstance(getattr(value, "device", None), torch.device):
+            yield value.device.type
+        elif dataclasses.is_dataclass(value):
+            yield from _devices(vars(value).values())
 
 
 def _log_once(name: str, message: str) -> None:

@@ -5,6 +5,8 @@ import importlib.metadata
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from . import gsplat_cuda
+
 
 @dataclass(frozen=True, kw_only=True)
 class Peer:
@@ -30,6 +32,15 @@ PEERS = {
         remedy="pip install gsplat==1.5.3",
         needs=lambda module: hasattr(module, "_rasterize_to_pixels"),
         lacks="its torch path is not where version 1.5 has it",
+    ),
+    "gsplat_cuda": Peer(
+        name="gsplat (CUDA)",
+        section="raster",
+        package="gsplat",
+        module="gsplat",
+        remedy="a GPU, nvcc, and pip install gsplat==1.5.3",
+        needs=gsplat_cuda.is_built,
+        lacks="no GPU, or its CUDA kernels could not be built",
     ),
     "open3d": Peer(
         name="Open3D VoxelBlockGrid",

@@ -11,7 +11,7 @@ from ..backends import use_backend
 from ..render import render_forward, render_vjp
 from ..tsdf.volume import available_memory
 from ..types import GaussianParams
-from . import gsplat_torch
+from . import gsplat_cuda, gsplat_torch
 from .options import BenchOptions
 from .peers import PEERS, why_not
 from .rows import Case, Row
@@ -21,6 +21,8 @@ from .timing import measure
 COUNTS = (5_000, 20_000, 100_000)
 SIZES = ((320, 240), (640, 480))
 SH_DEGREES = (0, 3)
+ON_A_GPU = (200_000, 1200, 680, 3)
+"""Gaussians, width, height and degree of the case that only a GPU is asked to run."""
 
 DEVICES = {"reference": "cpu", "numba": "cpu", "triton": "cuda", "cuda": "cuda"}
 """Where each backend computes."""
@@ -38,6 +40,11 @@ def cases(options: BenchOptions) -> Iterator[Case]:
                 scene = functools.lru_cache(1)(functools.partial(random_scene, n, width, height, sh_degree=degree))
                 for backward in (False, True):
                     yield from _cases_of(options, scene, f"{n / 1000:g}k {width}x{height} SH{degree}", backward)
+    if torch.cuda.is_available():
+        n, width, height, degree = ON_A_GPU
+        scene = functools.lru_cache(1)(functools.partial(random_scene, n, width, height, sh_degree=degree))
+        for backward in (False, True):
+            yield from _gpu_cases_of(options, scene, f"{n / 1000:g}k {width}x{height} SH{degree}", backward)
 
 
 def _cases_of(options: BenchOptions, scene: Callable[[], Scene], name: str, backward: bool) -> Iterator[Case]:
@@ -48,6 +55,26 @@ def _cases_of(options: BenchOptions, scene: Callable[[], Scene], name: str, back
     for backend in our_backends("render_forward", "render_vjp"):
         run = functools.partial(_our_row, options, backend, scene, title, backward, truth)
         yield Case(section="raster", title=title, run=lambda run=run: [run()])
+
+
+def _gpu_cases_of(options: BenchOptions, scene: Callable[[], Scene], name: str, backward: bool) -> Iterator[Case]:
+    """As ``_cases_of``, all on the GPU, gsplat's CUDA path first; the truth is the reference there."""
+    title = f"{name} {'fwd+bwd' if backward else 'fwd'}"
+    truth = functools.lru_cache(1)(lambda: _to_cpu(_ours("reference", scene().to("cuda"), backward)))
+    if why_not("gsplat_cuda") is None:
+        run = functools.partial(_gsplat_cuda_row, options, scene, title, backward, truth)
+        yield Case(section="raster", title=title, run=lambda: [run()])
+    for backend in our_backends("render_forward", "render_vjp"):
+        if DEVICES[backend] == "cuda":
+            run = functools.partial(_our_row, options, backend, scene, title, backward, truth)
+            yield Case(section="raster", title=title, run=lambda run=run: [run()])
+
+
+def _to_cpu(result: Result) -> Result:
+    rgb, gradients = result
+    if gradients is not None:
+        gradients = GaussianParams(**{name: value.cpu() for name, value in vars(gradients).items()})
+    return rgb.cpu(), gradients
 
 
 def our_backends(*operations: str) -> list[str]:
@@ -93,6 +120,21 @@ def _gsplat_row(options: BenchOptions, scene: Scene, title: str, backward: bool,
     timing = measure(work, budget_s=options.budget_s, least_runs=1 if options.quick else 3)
     note, values = agreement(last[0], truth)
     return row(timing=timing, note=note, values=values)
+
+
+def _gsplat_cuda_row(
+    options: BenchOptions, scene: Callable[[], Scene], title: str, backward: bool, truth: Callable[[], Result]
+) -> Row:
+    here, last = scene().to("cuda"), []
+
+    def work() -> None:
+        last[:] = [gsplat_cuda.forward_backward(here) if backward else (gsplat_cuda.forward(here), None)]
+
+    timing = measure(work, budget_s=options.budget_s, device="cuda")
+    note, values = agreement(last[0], truth())
+    return Row(
+        section="raster", case=title, method=PEERS["gsplat_cuda"].name, timing=timing, note=note, values=values
+    )  # fmt: skip
 
 
 def agreement(result: Result, truth: Result) -> tuple[str, dict[str, float]]:

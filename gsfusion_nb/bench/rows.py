@@ -37,14 +37,19 @@ class Case:
 
 
 def with_speed(rows: list[Row], threads: int) -> list[Row]:
-    """Fill in ``speed``: CPU time counts with one thread, for other programs do not disturb it; else wall time."""
+    """Fill in ``speed``: CPU time counts with one thread, for other programs do not disturb it; else wall time.
+
+    On a GPU it is the time between two events in its queue.
+    """
     first: dict[tuple[str, str], float] = {}
     result = []
     for row in rows:
         if row.timing is None:
             result.append(row)
             continue
-        took = row.timing.cpu_ms if threads == 1 and row.timing.cpu_ms > 0 else row.timing.wall_ms
+        t = row.timing
+        took = t.cpu_ms if threads == 1 and t.cpu_ms > 0 else t.wall_ms
+        took = took if t.device_ms is None else t.device_ms
         base = first.setdefault((row.section, row.case), took)
         result.append(dataclasses.replace(row, speed=base / took if took > 0 else None))
     return result

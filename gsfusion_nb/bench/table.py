@@ -17,7 +17,7 @@ _COLUMNS = ("case", "method", "wall ms", "CPU ms", "speed", "MB", "runs", "note"
 
 LEGEND = (
     "Medians of several runs. CPU ms: all threads together. speed: how many times faster than the first row of the "
-    "case, by {clock} time where it is given. MB: growth of resident memory."
+    "case, by {clock} time where it is given, on a GPU by that between two events in its queue. MB: growth of memory."
 )
 
 
@@ -80,6 +80,7 @@ def _cells(row: Row) -> tuple[str, ...]:
     if row.timing is None:
         return (row.case, row.method, "-", "-", "-", "-", "-", row.note)
     t = row.timing
+    device = "" if t.device_ms is None else f"GPU {number(t.device_ms)} ms "
     return (
         row.case,
         row.method,
@@ -88,7 +89,7 @@ def _cells(row: Row) -> tuple[str, ...]:
         "" if row.speed is None else f"{number(row.speed)}x",
         "" if t.peak_mb is None else f"{t.peak_mb:.0f}",
         str(t.runs),
-        row.note,
+        (device + row.note).strip(),
     )
 
 

@@ -28,6 +28,8 @@ class Timing:
     runs: int
     peak_mb: float | None
     """Growth of the resident set during one run; None where the system does not tell."""
+    device_ms: float | None = None
+    """Between two events in a GPU's queue; None on a CPU."""
 
 
 @dataclass(frozen=True)
@@ -36,15 +38,22 @@ class Lap:
 
     wall_s: float
     cpu_s: float
+    device_s: float | None = None
 
 
 def lap(work: Callable[[], object], device: str = "cpu") -> Lap:
-    """Run ``work`` once on the clock; on a GPU until its queue is empty."""
+    """Run ``work`` once on the clock; on a GPU until its queue is empty, and timed there, too."""
     _wait(device)
+    events = [torch.cuda.Event(enable_timing=True) for _ in range(2)] if device == "cuda" else []
     wall, cpu = time.perf_counter(), time.process_time()
+    if events:
+        events[0].record()
     work()
+    if events:
+        events[1].record()
     _wait(device)
-    return Lap(time.perf_counter() - wall, time.process_time() - cpu)
+    wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+    return Lap(wall, cpu, 1e-3 * events[0].elapsed_time(events[1]) if events else None)
 
 
 def measure(
@@ -73,11 +82,13 @@ def measure(
 
 def summary(laps: list[Lap], peak_mb: float | None = None) -> Timing:
     """Medians of ``laps``."""
+    device_s = [x.device_s for x in laps if x.device_s is not None]
     return Timing(
         wall_ms=1e3 * statistics.median(x.wall_s for x in laps),
         cpu_ms=1e3 * statistics.median(x.cpu_s for x in laps),
         runs=len(laps),
         peak_mb=peak_mb,
+        device_ms=1e3 * statistics.median(device_s) if device_s else None,
     )
 
 

@@ -6,12 +6,24 @@ import pytest
 import torch
 
 from gsfusion_nb.bench import timing
-from gsfusion_nb.bench.timing import Lap, PeakMemory, lap, measure, summary, threads
+from gsfusion_nb.bench.rows import Row, with_speed
+from gsfusion_nb.bench.timing import Lap, PeakMemory, Timing, lap, measure, summary, threads
 
 
 def test_medians_by_hand():
     result = summary([Lap(0.001, 0.010), Lap(0.002, 0.030), Lap(0.009, 0.020)], peak_mb=5.0)
     assert (result.wall_ms, result.cpu_ms, result.runs, result.peak_mb) == (pytest.approx(2), pytest.approx(20), 3, 5.0)
+
+
+def test_a_gpu_s_own_clock_counts():
+    laps = [Lap(0.004, 0.001, 0.001), Lap(0.004, 0.001, 0.003), Lap(0.004, 0.001, 0.002)]
+    timing = summary(laps)
+    assert timing.device_ms == pytest.approx(2)
+    assert summary([Lap(0.004, 0.001)]).device_ms is None
+    slow, fast = (Row(section="raster", case="a", method=m, timing=t) for m, t in (
+        ("cpu", Timing(wall_ms=9.0, cpu_ms=8.0, runs=3, peak_mb=None)), ("gpu", timing),
+    ))  # fmt: skip
+    assert [row.speed for row in with_speed([slow, fast], threads=1)] == [1.0, pytest.approx(4.0)]
 
 
 def test_sleeping_takes_wall_time_and_no_cpu_time():

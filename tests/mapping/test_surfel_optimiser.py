@@ -270,6 +270,7 @@ def test_rows_that_no_view_shows_may_be_left_out(generator):
     ends = []
     for seen in (None, rows_in_view(model.params, CAMERA, POSE)):
         copy = SurfelModel.from_state_dict(model.state_dict())
+        assert isinstance(copy, SurfelModel)
         optimiser = SurfelOptimiser(copy, torch.arange(30) % 2 == 0, WINDOW, DiscConfig(), seen=seen)
         for _ in range(5):
             optimiser.step(image)

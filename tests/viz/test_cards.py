@@ -35,7 +35,9 @@ def run() -> MappingRun:
 
 def picture(page: str) -> np.ndarray:
     (encoded,) = re.findall(r"src='data:image/jpeg;base64,([^']+)'", page)
-    return cv2.cvtColor(cv2.imdecode(np.frombuffer(base64.b64decode(encoded), np.uint8), 1), cv2.COLOR_BGR2RGB)
+    image = cv2.imdecode(np.frombuffer(base64.b64decode(encoded), np.uint8), cv2.IMREAD_COLOR)
+    assert image is not None
+    return image[..., ::-1]
 
 
 def test_a_frame_shows_colour_beside_depth(run):

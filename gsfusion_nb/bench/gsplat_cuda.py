@@ -1,0 +1,57 @@
+"""gsplat's CUDA rasteriser as a peer on a GPU; it compiles itself with nvcc when it is first used."""
+
+import importlib
+
+import torch
+from torch import Tensor
+
+from ..constants import NEAR_PLANE_M, SCREEN_BLUR_PX2
+from ..geometry import se3
+from ..types import GaussianParams
+from .scene import Scene
+
+
+def is_built(module: object) -> bool:
+    """Whether there is a GPU, and gsplat has, or can make, its kernels for it."""
+    if not torch.cuda.is_available():
+        return False
+    try:
+        return importlib.import_module("gsplat.cuda._backend")._C is not None
+    except (ImportError, RuntimeError, OSError):
+        return False
+
+
+def forward(scene: Scene) -> Tensor:
+    """The picture, without gradients. [H, W, 3]"""
+    with torch.no_grad():
+        return _render(scene.params, scene)
+
+
+def forward_backward(scene: Scene) -> tuple[Tensor, GaussianParams]:
+    """The picture, and dL/d of every parameter by autograd."""
+    leaves = {name: value.detach().requires_grad_() for name, value in vars(scene.params).items()}
+    rgb = _render(GaussianParams(**leaves), scene)
+    gradients = torch.autograd.grad(rgb, list(leaves.values()), scene.v_rgb)
+    return rgb.detach(), GaussianParams(**dict(zip(leaves, gradients, strict=True)))
+
+
+def _render(params: GaussianParams, scene: Scene) -> Tensor:
+    from gsplat import rasterization  # pyright: ignore[reportMissingImports]
+
+    camera = scene.camera
+    picture, _, _ = rasterization(
+        means=params.xyz_W,
+        quats=params.quat,
+        scales=params.log_scale.exp(),
+        opacities=params.opacity_logit.sigmoid(),
+        colors=params.sh,
+        viewmats=se3.inverse(scene.T_WC)[None],
+        Ks=camera.K.to(params.xyz_W)[None],
+        width=camera.width,
+        height=camera.height,
+        near_plane=NEAR_PLANE_M,
+        eps2d=SCREEN_BLUR_PX2,
+        sh_degree=params.sh_degree,
+        packed=False,
+    )
+    return picture[0]

@@ -1,0 +1,271 @@
+// Front-to-back blending of each tile's list, and its gradient. Formulas: gsfusion_nb/render/composite.py.
+//
+// Layout: a block is a tile of 16 x 16 pixels, four warps of 8 x 8 pixels, two pixels a thread (same column, four rows
+// apart: they share dx). The block brings 128 entries at a time into shared memory, one a thread, which also tests its
+// Gaussian against the four 8 x 8 squares; each warp then walks only the entries that reach its own square. A warp that
+// is dark does nothing more but bring entries, and the block ends when all are dark.
+// The gradient walks the list in the same order and makes alpha and T again with the same roundings; what lies behind a
+// Gaussian is the pixel's total, known from the picture, less what has been passed. Ten moments per (square, Gaussian)
+// are summed over the warp in 12 shuffles (each halving also halves the values a lane carries) and added by one atomic
+// instruction of ten lanes to 40 neighbouring bytes, and only where the square sees the Gaussian and it is not frozen.
+// What limits it: instruction issue. Machine code for sm_90 has 53 instructions per square and entry forward, 27 where
+// no pixel is reached, and 140 backward, 41 where none is; 64 pixels each.
+#include "splat.cuh"
+
+constexpr int SQUARE = 8;
+constexpr int THREADS = 128;
+constexpr float LOG2_E = 1.4426950408889634f;
+
+struct alignas(16) Entry {
+    float u, v, a, b;      // exponent of two: log2(alpha) = l + a dx^2 + b dx dy + c dy^2
+    float c, l, red, green;
+    float blue, z;
+    int row;
+    unsigned flags;        // bit w: reaches square w; bit 4: its gradient is wanted
+};
+
+struct Square {
+    int x, y[2], warp, lane;
+    bool inside[2];
+    float light[2];        // transmittance; 0 once the pixel has stopped, and where nothing is to be drawn
+};
+
+__device__ __forceinline__ Square square_of(int tiles_x, int width, int height, const unsigned char* pixels) {
+    Square s;
+    const int tile = blockIdx.x;
+    s.warp = threadIdx.x / 32, s.lane = threadIdx.x % 32;
+    s.x = tile % tiles_x * TILE + s.warp % 2 * SQUARE + s.lane % SQUARE;
+    s.y[0] = tile / tiles_x * TILE + s.warp / 2 * SQUARE + s.lane / SQUARE;
+    s.y[1] = s.y[0] + SQUARE / 2;
+#pragma unroll
+    for (int i = 0; i < 2; i++) {
+        s.inside[i] = s.x < width && s.y[i] < height;
+        s.light[i] = s.inside[i] && (!pixels || pixels[(long long)s.y[i] * width + s.x]) ? 1.0f : 0.0f;
+    }
+    return s;
+}
+
+// Entry number k of the tile's list as the block keeps it; flags 0 beyond the end.
+__device__ __forceinline__ void bring(
+    Entry* entry, const float4* splats, const int* ids, int k, int end, int tiles_x, const unsigned char* trained) {
+    entry->flags = 0;
+    if (k >= end) return;
+    const int row = ids[k];
+    const Splat s = load_splat(splats, row);
+    const Valley valley = valley_of(s);
+    const float left = (float)((int)blockIdx.x % tiles_x * TILE) + 0.5f;
+    const float top = (float)((int)blockIdx.x / tiles_x * TILE) + 0.5f;
+    unsigned flags = !trained || trained[row] ? 16u : 0u;
+#pragma unroll
+    for (int w = 0; w < 4; w++) {
+        const float x = left + (float)(w % 2 * SQUARE), y = top + (float)(w / 2 * SQUARE);
+        if (meets_box(s, valley, x, y, x + (float)(SQUARE - 1), y + (float)(SQUARE - 1))) flags |= 1u << w;
+    }
+    const float half = -0.5f * LOG2_E;
+    *entry = {s.u, s.v, half * s.A, -LOG2_E * s.B, half * s.C, LOG2_E * s.ln_o, s.r, s.g, s.b, s.z, row, flags};
+}
+
+// One instruction each on a GPU, good to 22 bits; for arguments whose results are no denormal numbers.
+__device__ __forceinline__ float quick_exp2(float x) {
+#ifdef __CUDA_ARCH__
+    float y;
+    asm("ex2.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x));
+    return y;
+#else
+    return exp2f(x);
+#endif
+}
+
+__device__ __forceinline__ float quick_reciprocal(float x) {
+#ifdef __CUDA_ARCH__
+    float y;
+    asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x));
+    return y;
+#else
+    return 1.0f / x;
+#endif
+}
+
+// alpha of both pixels, 0 below the cut; returns whether either has any.
+__device__ __forceinline__ bool alphas(const Entry& e, float dx, const float* dy, float* alpha) {
+    const float along = fmaf(e.a * dx, dx, e.l), across = e.b * dx;
+#pragma unroll
+    for (int i = 0; i < 2; i++) {
+        const float value = fminf(quick_exp2(fmaf(dy[i], fmaf(e.c, dy[i], across), along)), GS_ALPHA_MAX);
+        alpha[i] = value > GS_ALPHA_MIN ? value : 0.0f;
+    }
+    return alpha[0] + alpha[1] > 0.0f;
+}
+
+// Weight of a pixel, whose light is dimmed.
+__device__ __forceinline__ float blend(float alpha, float* light) {
+    const float behind = *light * (1.0f - alpha), weight = alpha * *light;
+    const bool on = behind >= GS_TRANSMITTANCE_MIN;
+    *light = on ? behind : 0.0f;
+    return on ? weight : 0.0f;
+}
+
+struct Images {
+    float *rgb, *depth, *alpha;
+    long long *first, *dominant, *hit;
+};
+
+template <bool INDICES, bool HITS>
+__device__ __forceinline__ void composite_forward(
+    const float4* splats, const int* ids, const int* offset, const unsigned char* pixels, Images image, int width,
+    int height, int tiles_x, float opaque_alpha) {
+    __shared__ Entry entries[THREADS];
+    Square s = square_of(tiles_x, width, height, pixels);
+    const float x = (float)s.x + 0.5f, y[2] = {(float)s.y[0] + 0.5f, (float)s.y[1] + 0.5f};
+    float red[2] = {}, green[2] = {}, blue[2] = {}, z[2] = {}, opacity[2] = {}, heaviest[2] = {};
+    int first[2] = {-1, -1}, dominant[2] = {-1, -1}, hit[2] = {-1, -1};
+    bool looking[2] = {HITS && s.light[0] > 0.0f, HITS && s.light[1] > 0.0f};
+    const int end = offset[blockIdx.x + 1];
+    for (int start = offset[blockIdx.x]; start < end; start += THREADS) {
+        bool dark = s.light[0] + s.light[1] == 0.0f && !looking[0] && !looking[1];
+        if (__syncthreads_count(dark) == THREADS) break;
+        bring(&entries[threadIdx.x], splats, ids, start + threadIdx.x, end, tiles_x, nullptr);
+        __syncthreads();
+        for (int group = 0; group < THREADS; group += 32) {
+            dark = s.light[0] + s.light[1] == 0.0f && !looking[0] && !looking[1];
+            if (__all_sync(FULL, dark)) break;
+            unsigned reached = __ballot_sync(FULL, entries[group + s.lane].flags >> s.warp & 1);
+            while (reached) {
+                const Entry& e = entries[group + __ffs(reached) - 1];
+                reached &= reached - 1;
+                const float dx = x - e.u, dy[2] = {y[0] - e.v, y[1] - e.v};
+                float alpha[2];
+                if (!alphas(e, dx, dy, alpha)) continue;
+#pragma unroll
+                for (int i = 0; i < 2; i++) {
+                    if (HITS && looking[i] && alpha[i] >= opaque_alpha) hit[i] = e.row, looking[i] = false;
+                    const float w = blend(alpha[i], &s.light[i]);
+                    red[i] = fmaf(w, e.red, red[i]), green[i] = fmaf(w, e.green, green[i]);
+                    blue[i] = fmaf(w, e.blue, blue[i]), z[i] = fmaf(w, e.z, z[i]);
+                    opacity[i] += w;
+                    if (INDICES && w > 0.0f && first[i] < 0) first[i] = e.row;
+                    if (INDICES && w > heaviest[i]) dominant[i] = e.row, heaviest[i] = w;
+                }
+            }
+        }
+    }
+#pragma unroll
+    for (int i = 0; i < 2; i++) {
+        if (!s.inside[i]) continue;
+        const long long at = (long long)s.y[i] * width + s.x;
+        image.rgb[3 * at] = red[i], image.rgb[3 * at + 1] = green[i], image.rgb[3 * at + 2] = blue[i];
+        image.depth[at] = z[i], image.alpha[at] = opacity[i];
+        if (INDICES) image.first[at] = first[i], image.dominant[at] = dominant[i];
+        if (HITS) image.hit[at] = hit[i];
+    }
+}
+
+#define FORWARD                                                                                                       \
+    const float4 *splats, const int *ids, const int *offset, const unsigned char *pixels, float *rgb, float *depth,   \
+        float *alpha, long long *first, long long *dominant, long long *hit, int width, int height, int tiles_x,      \
+        float opaque_alpha
+#define COMPOSITE(INDICES, HITS)                                                                                      \
+    composite_forward<INDICES, HITS>(                                                                                 \
+        splats, ids, offset, pixels, {rgb, depth, alpha, first, dominant, hit}, width, height, tiles_x, opaque_alpha)
+
+extern "C" __global__ void __launch_bounds__(128) composite_00(FORWARD) { COMPOSITE(false, false); }
+extern "C" __global__ void __launch_bounds__(128) composite_01(FORWARD) { COMPOSITE(false, true); }
+extern "C" __global__ void __launch_bounds__(128, 7) composite_10(FORWARD) { COMPOSITE(true, false); }
+extern "C" __global__ void __launch_bounds__(128) composite_11(FORWARD) { COMPOSITE(true, true); }
+
+constexpr int SUMS = 10;
+
+__device__ __forceinline__ float exchange(float keep, float send, int distance) {
+    return keep + __shfl_xor_sync(FULL, send, distance);
+}
+
+// Sums of ten values over the warp: 12 shuffles instead of 50. Value number ``*which`` ends in this lane, or none (-1).
+__device__ __forceinline__ float warp_sums(const float* v, int lane, int* which) {
+    const bool b4 = lane & 16, b3 = lane & 8, b2 = lane & 4, b1 = lane & 2;
+    float five[5];
+#pragma unroll
+    for (int i = 0; i < 5; i++) five[i] = exchange(b4 ? v[i + 5] : v[i], b4 ? v[i] : v[i + 5], 16);
+    const float p0 = exchange(b3 ? five[3] : five[0], b3 ? five[0] : five[3], 8);
+    const float p1 = exchange(b3 ? five[4] : five[1], b3 ? five[1] : five[4], 8);
+    float p2 = exchange(five[2], five[2], 8);
+    float one = exchange(b2 ? p1 : p0, b2 ? p0 : p1, 4);
+    p2 = exchange(p2, p2, 4);
+    one = exchange(b1 ? p2 : one, b1 ? one : p2, 2);
+    one = exchange(one, one, 1);
+    const int local = b1 ? 2 : 3 * b3 + b2;
+    const bool mine = !(lane & 1) && (!b1 || (!b3 && !b2));
+    *which = mine ? 5 * b4 + local : -1;
+    return one;
+}
+
+// What the gradient needs of a pixel: dL/d of its channels, and S, the total of (c . v) that has not been passed.
+struct Pixel {
+    float v_r, v_g, v_b, v_z, v_o, S;
+};
+
+struct Seen {
+    const float *rgb, *depth, *alpha, *v_rgb, *v_depth, *v_alpha;  // v_depth, v_alpha: null is zero
+};
+
+__device__ __forceinline__ Pixel pixel_of(const Seen& image, long long at, bool lit) {
+    Pixel p = {};
+    if (!lit) return p;
+    p.v_r = image.v_rgb[3 * at], p.v_g = image.v_rgb[3 * at + 1], p.v_b = image.v_rgb[3 * at + 2];
+    p.S = p.v_r * image.rgb[3 * at] + p.v_g * image.rgb[3 * at + 1] + p.v_b * image.rgb[3 * at + 2];
+    if (image.v_depth) p.v_z = image.v_depth[at], p.S += p.v_z * image.depth[at];
+    if (image.v_alpha) p.v_o = image.v_alpha[at], p.S += p.v_o * image.alpha[at];
+    return p;
+}
+
+// moments [N, 12], to which is added: sums over pixels of v dx, v dy, v dx^2, v dx dy, v dy^2, v, w v_r, w v_g, w v_b,
+// w v_z with v = alpha dL/dalpha; project.cu makes them gradients of centre and conic.
+extern "C" __global__ void __launch_bounds__(128) composite_backward(
+    const float4* splats, const int* ids, const int* offset, const unsigned char* pixels, const unsigned char* trained,
+    const float* rgb, const float* depth, const float* alpha_image, const float* v_rgb, const float* v_depth,
+    const float* v_alpha, float* moments, int width, int height, int tiles_x) {
+    __shared__ Entry entries[THREADS];
+    Square s = square_of(tiles_x, width, height, pixels);
+    const float x = (float)s.x + 0.5f, y[2] = {(float)s.y[0] + 0.5f, (float)s.y[1] + 0.5f};
+    const Seen image = {rgb, depth, alpha_image, v_rgb, v_depth, v_alpha};
+    Pixel pixel[2];
+#pragma unroll
+    for (int i = 0; i < 2; i++) pixel[i] = pixel_of(image, (long long)s.y[i] * width + s.x, s.light[i] > 0.0f);
+    const int end = offset[blockIdx.x + 1];
+    for (int start = offset[blockIdx.x]; start < end; start += THREADS) {
+        if (__syncthreads_count(s.light[0] + s.light[1] == 0.0f) == THREADS) break;
+        bring(&entries[threadIdx.x], splats, ids, start + threadIdx.x, end, tiles_x, trained);
+        __syncthreads();
+        for (int group = 0; group < THREADS; group += 32) {
+            if (__all_sync(FULL, s.light[0] + s.light[1] == 0.0f)) break;
+            unsigned reached = __ballot_sync(FULL, entries[group + s.lane].flags >> s.warp & 1);
+            while (reached) {
+                const Entry& e = entries[group + __ffs(reached) - 1];
+                reached &= reached - 1;
+                const float dx = x - e.u, dy[2] = {y[0] - e.v, y[1] - e.v};
+                float alpha[2], w[2], v[2];
+                alphas(e, dx, dy, alpha);
+#pragma unroll
+                for (int i = 0; i < 2; i++) w[i] = blend(alpha[i], &s.light[i]);
+                if (!__any_sync(FULL, w[0] + w[1] > 0.0f)) continue;
+#pragma unroll
+                for (int i = 0; i < 2; i++) {
+                    Pixel& p = pixel[i];
+                    const float cv = fmaf(e.red, p.v_r, fmaf(e.green, p.v_g, fmaf(e.blue, p.v_b, fmaf(e.z, p.v_z, p.v_o))));
+                    const float w_cv = w[i] * cv;
+                    p.S -= w_cv;
+                    const float passed = fmaf(-p.S, alpha[i] * quick_reciprocal(1.0f - alpha[i]), w_cv);
+                    v[i] = w[i] > 0.0f && alpha[i] < GS_ALPHA_MAX ? passed : 0.0f;
+                }
+                if (!(e.flags & 16u)) continue;
+                const float both = v[0] + v[1], lever = fmaf(v[0], dy[0], v[1] * dy[1]);
+                const float sums[SUMS] = {
+                    both * dx, lever, both * dx * dx, lever * dx, fmaf(v[0] * dy[0], dy[0], v[1] * dy[1] * dy[1]), both,
+                    fmaf(w[0], pixel[0].v_r, w[1] * pixel[1].v_r), fmaf(w[0], pixel[0].v_g, w[1] * pixel[1].v_g),
+                    fmaf(w[0], pixel[0].v_b, w[1] * pixel[1].v_b), fmaf(w[0], pixel[0].v_z, w[1] * pixel[1].v_z)};
+                int which;
+                const float sum = warp_sums(sums, s.lane, &which);
+                if (which >= 0) atomicAdd(moments + 4 * SPLAT_VECTORS * (long long)e.row + which, sum);
+            }
+        }
+    }
+}

@@ -1,0 +1,89 @@
+"""Loading compiled kernels and starting them through the CUDA driver, in the context and on the stream of torch."""
+
+import ctypes
+import functools
+import sys
+
+import torch
+
+from gsfusion_nb.backends import BackendUnavailable
+
+from .nvrtc import compile_source
+
+_OUT_OF_MEMORY = 2
+Size = tuple[int, int]
+
+
+@functools.cache
+def library() -> ctypes.CDLL:
+    """The driver.
+
+    Raises:
+        BackendUnavailable: none is installed.
+    """
+    name = "nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1"
+    try:
+        return ctypes.CDLL(name)
+    except OSError:
+        raise BackendUnavailable(f"backend 'cuda' needs NVIDIA's driver ({name}), which is not installed") from None
+
+
+def start(operation: str, stem: str, kernel: str, grid: Size, block: int, device: torch.device, values: list) -> None:
+    """Run a kernel of ``<stem>.cu`` on torch's current stream of ``device``; nothing waits for it.
+
+    Args:
+        operation: Named by errors.
+        grid: Blocks along x and y.
+        block: Threads of a block.
+        values: Arguments as ctypes values.
+    """
+    driver = library()
+    index = torch.cuda.current_device() if device.index is None else device.index
+    with torch.cuda.device(index):
+        _enter_context(operation, driver, index)
+        function = _function(operation, stem, kernel, index)
+        pointers = (ctypes.c_void_p * len(values))(*(ctypes.addressof(value) for value in values))
+        stream = ctypes.c_void_p(torch.cuda.current_stream(index).cuda_stream)
+        status = driver.cuLaunchKernel(function, grid[0], grid[1], 1, block, 1, 1, 0, stream, pointers, None)
+    _check(operation, driver, status)
+
+
+@functools.cache
+def _function(operation: str, stem: str, kernel: str, index: int) -> ctypes.c_void_p:
+    driver, function = library(), ctypes.c_void_p()
+    found = driver.cuModuleGetFunction(ctypes.byref(function), _module(operation, stem, index), kernel.encode())
+    _check(operation, driver, found)
+    return function
+
+
+@functools.cache
+def _module(operation: str, stem: str, index: int) -> ctypes.c_void_p:
+    driver, module = library(), ctypes.c_void_p()
+    image = compile_source(stem, torch.cuda.get_device_capability(index))
+    _check(operation, driver, driver.cuModuleLoadData(ctypes.byref(module), image))
+    return module
+
+
+def _enter_context(operation: str, driver: ctypes.CDLL, index: int) -> None:
+    """Torch makes its context current in a thread when it first needs it there; a launch may come before."""
+    context = ctypes.c_void_p()
+    _check(operation, driver, driver.cuCtxGetCurrent(ctypes.byref(context)))
+    if not context.value:
+        torch.cuda.init()
+        _check(operation, driver, driver.cuDevicePrimaryCtxRetain(ctypes.byref(context), _device(index)))
+        _check(operation, driver, driver.cuCtxSetCurrent(context))
+
+
+def _device(index: int) -> int:
+    device, driver = ctypes.c_int(), library()
+    _check("cuDeviceGet", driver, driver.cuDeviceGet(ctypes.byref(device), index))
+    return device.value
+
+
+def _check(operation: str, driver: ctypes.CDLL, status: int) -> None:
+    if not status:
+        return
+    text = ctypes.c_char_p()
+    driver.cuGetErrorString(status, ctypes.byref(text))
+    kind = torch.OutOfMemoryError if status == _OUT_OF_MEMORY else RuntimeError
+    raise kind(f"{operation}: the CUDA driver says {(text.value or b'unknown error').decode()} (error {status})")

@@ -1,0 +1,121 @@
+"""Starting a kernel with torch tensors: which tensors are taken, what their arguments become, where it runs."""
+
+import ctypes
+import functools
+import os
+
+import torch
+from torch import Tensor
+
+from gsfusion_nb.backends import BackendUnavailable
+
+from . import driver, nvrtc
+
+_EMULATOR = os.environ.get("GSFUSION_CUDA_EMULATOR", "")
+_DIMENSION_LIMIT = 2**31 - 1
+_ALIGNMENT = 16
+"""Bytes: rows are read four numbers at a time."""
+
+
+def why_unavailable() -> str | None:
+    """A sentence if the kernels cannot run here, else ``None``."""
+    if _EMULATOR:
+        return None
+    if not torch.cuda.is_available():
+        return "backend 'cuda' needs an NVIDIA GPU, and torch sees none"
+    if torch.version.hip:
+        return "backend 'cuda' needs an NVIDIA GPU, and this torch is built for AMD's"
+    try:
+        driver.library()
+        nvrtc.library()
+    except BackendUnavailable as e:
+        return str(e)
+    return None
+
+
+def device_of(operation: str, **tensors: Tensor | None) -> torch.device:
+    """The one device of all ``tensors``.
+
+    Raises:
+        ValueError: they are on several. BackendUnavailable: the kernels do not run there.
+    """
+    found = {name: value.device for name, value in tensors.items() if value is not None}
+    devices = set(found.values())
+    if len(devices) > 1:
+        places = ", ".join(f"{name} on {device}" for name, device in found.items())
+        raise ValueError(f"{operation}: all tensors must be on one device, got {places}")
+    device = devices.pop()
+    if device.type != ("cpu" if _EMULATOR else "cuda"):
+        raise BackendUnavailable(f"{operation}: backend 'cuda' takes CUDA tensors, got tensors on {device}")
+    return device
+
+
+def packed(tensor: Tensor) -> Tensor:
+    """The same values without gaps, from an address that is a multiple of 16 bytes; a copy only where needed."""
+    tensor = tensor.detach().contiguous()
+    return tensor if tensor.data_ptr() % _ALIGNMENT == 0 else tensor.clone()
+
+
+def launch(operation: str, source: str, grid: int | tuple[int, int], block: int, *args) -> None:
+    """Run a kernel; an empty grid is allowed.
+
+    Args:
+        operation: Named by errors.
+        source: "file:kernel" of ``<file>.cu``.
+        grid: Blocks along x, or along x and y.
+        block: Threads of a block.
+        args: In the kernel's order: tensors (their address; ``None`` is the null pointer), bool and int (32 bits),
+            float (32 bits), ctypes values as they are.
+
+    Raises:
+        ValueError: a tensor has gaps. RuntimeError: the driver refuses.
+    """
+    size = (grid, 1) if isinstance(grid, int) else grid
+    if 0 in size:
+        return
+    if size[0] > _DIMENSION_LIMIT or size[1] > 65535:
+        raise ValueError(f"{operation}: {size} blocks of work are more than a GPU takes at once")
+    stem, kernel = source.split(":")
+    values = [_argument(operation, arg) for arg in args]
+    device = next(arg.device for arg in args if isinstance(arg, Tensor))
+    if device.type == "cpu":
+        _emulate(operation, kernel, size, block, values)
+    else:
+        driver.start(operation, stem, kernel, size, block, device, values)
+
+
+def parts(count: int, size: int) -> int:
+    """Blocks needed for ``count`` items, ``size`` in each."""
+    return -(-count // size)
+
+
+def check_dtype(operation: str, dtype: torch.dtype, **tensors: Tensor | None) -> None:
+    """Raise ``ValueError`` unless all ``tensors`` hold numbers of type ``dtype``."""
+    for name, value in tensors.items():
+        if value is not None and value.dtype != dtype:
+            raise ValueError(f"{operation}: {name} must be {dtype}, got {value.dtype}")
+
+
+def _argument(operation: str, arg):
+    if arg is None:
+        return ctypes.c_void_p(None)
+    if isinstance(arg, (ctypes.c_double, ctypes.c_longlong)):
+        return arg
+    if isinstance(arg, Tensor):
+        if not arg.is_contiguous():
+            raise ValueError(f"{operation}: tensors without gaps were expected, got strides {arg.stride()}")
+        return ctypes.c_void_p(arg.data_ptr())
+    return ctypes.c_float(arg) if isinstance(arg, float) else ctypes.c_int(arg)
+
+
+@functools.cache
+def _emulator() -> ctypes.CDLL:
+    return ctypes.CDLL(_EMULATOR)
+
+
+def _emulate(operation: str, kernel: str, grid: tuple[int, int], block: int, values: list) -> None:
+    pointers = (ctypes.c_void_p * len(values))(*(ctypes.addressof(value) for value in values))
+    run = getattr(_emulator(), f"emulate_{kernel}")
+    run.restype = ctypes.c_char_p
+    if problem := run(grid[0], grid[1], block, pointers):
+        raise RuntimeError(f"{operation}: kernel {kernel}: {problem.decode()}")

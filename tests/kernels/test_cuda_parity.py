@@ -1,0 +1,74 @@
+"""Without a GPU the CUDA kernels are compiled for the CPU, where fibres stand in for the threads of a block."""
+
+import os
+import platform
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+
+from gsfusion_nb import backends
+from gsfusion_nb.backends import BackendUnavailable, use_backend
+from gsfusion_nb.render import render_forward
+from gsfusion_nb.types import Camera, GaussianParams
+
+ROOT = Path(__file__).resolve().parents[2]
+FOLDER = Path(__file__).parent / "cuda"
+
+
+def run_emulated(tmp_path: Path, sanitized: bool = False) -> str:
+    """Build the emulator and run tests/kernels/cuda on it; what pytest printed."""
+    if platform.system() != "Linux" or not shutil.which("g++"):
+        pytest.skip("the CPU emulator of the CUDA kernels needs Linux and g++")
+    if "GSFUSION_CUDA_EMULATOR" in os.environ:
+        pytest.skip("tests/kernels/cuda run in this session already")
+    sys.path.insert(0, str(FOLDER))
+    try:
+        import emulator  # pyright: ignore[reportMissingImports]
+    finally:
+        sys.path.remove(str(FOLDER))
+    environment, extra = emulator.sanitizer() if sanitized else ({}, ())
+    library = emulator.build(tmp_path, extra)
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests/kernels/cuda"],
+        cwd=ROOT,
+        env={**os.environ, "GSFUSION_CUDA_EMULATOR": str(library), **environment},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stdout[-8000:] + done.stderr[-8000:]
+    return done.stdout
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU: tests/kernels/cuda run on it")
+def test_kernels_on_the_cpu(tmp_path):
+    assert " passed" in run_emulated(tmp_path)
+
+
+@pytest.mark.slow
+def test_kernels_stay_inside_their_arrays(tmp_path):
+    """The same under the address and undefined-behaviour sanitizers."""
+    assert " passed" in run_emulated(tmp_path, sanitized=True)
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
+def test_without_a_gpu_it_says_so(monkeypatch):
+    """Asked for by name; ``auto`` goes on without."""
+    monkeypatch.delenv("GSFUSION_CUDA_EMULATOR", raising=False)
+    camera = Camera(width=4, height=4, fx=4.0, fy=4.0, cx=2.0, cy=2.0)
+    params = GaussianParams(
+        xyz_W=torch.zeros(1, 3),
+        log_scale=torch.zeros(1, 3),
+        quat=torch.ones(1, 4),
+        opacity_logit=torch.zeros(1),
+        sh=torch.zeros(1, 1, 3),
+    )
+    backends.load.cache_clear()
+    with (
+        use_backend("cuda"),
+        pytest.raises(BackendUnavailable, match="'cuda' needs an NVIDIA GPU, and torch sees none"),
+    ):
+        render_forward(params, camera, torch.eye(4))
