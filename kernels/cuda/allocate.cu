@@ -27,7 +27,8 @@ struct Set {
 };
 
 // Whether one of the eight neighbours lies within a part of the pixel's own depth.
-__device__ __forceinline__ bool supported(const float* depth, int x, int y, int width, int height, float d, float ratio) {
+__device__ __forceinline__ bool supported(
+    const float* depth, int x, int y, int width, int height, float d, float ratio) {
     const float tolerance = ratio * d;
     bool found = false;
     for (int k = 0; k < 9; k++) {
@@ -72,8 +73,8 @@ __device__ __forceinline__ unsigned long long key_of(const Set& set, const View&
     return key;
 }
 
-// Cells that the segment near .. far of a ray passes, in order: as many steps along each axis as its end cells are apart,
-// each time across the nearest wall (Amanatides & Woo 1987).
+// Cells that the segment near .. far of a ray passes, in order: as many steps along each axis as its end cells are
+// apart, each time across the nearest wall (Amanatides & Woo 1987).
 __device__ __forceinline__ void walk(
     const Set& set, const View& view, unsigned long long* recent, const float* d, float near, float far) {
     int cell[3], left[3], step[3];

@@ -1,5 +1,5 @@
-// Which tiles each Gaussian touches: count, then list. The box is the ellipse alpha = 1/255 (opacity-aware) and each row
-// of tiles is cut exactly, so that no tile is listed that the Gaussian does not reach.
+// Which tiles each Gaussian touches: count, then list. The box is that of the ellipse alpha = 1/255 (opacity-aware) and
+// each row of tiles is cut exactly, so that no tile is listed that the Gaussian does not reach.
 //
 // Layout: one thread a Gaussian, 128 a block. A Gaussian with more than FEW tiles is listed by its whole warp, 32
 // columns at a time, so that a large one does not hold up 31 others. Counting is limited by memory (48 bytes a row),
@@ -11,7 +11,8 @@ constexpr int FEW = 8;
 
 // before [tiles_y, tiles_x + 1]: number of wanted tiles before each column, or null if all are wanted.
 extern "C" __global__ void __launch_bounds__(128) count_tiles(
-    const float4* splats, const float* depth, const int* before, int* count, int N, int width, int height, int tiles_x) {
+    const float4* splats, const float* depth, const int* before, int* count, int N, int width, int height,
+    int tiles_x) {
     const int i = blockIdx.x * blockDim.x + threadIdx.x;
     if (i >= N) return;
     int n = 0;
@@ -71,7 +72,8 @@ extern "C" __global__ void __launch_bounds__(128, 8) list_tiles(
             for (int first = columns.first; first < columns.end; first += 32) {
                 const int tx = first + lane, t = ty * tiles_x + tx;
                 const unsigned listed = __ballot_sync(FULL, tx < columns.end && (!active || active[t]));
-                if (listed >> lane & 1) write_pair(short_tile, tile, ids, place + __popc(listed & ((1u << lane) - 1)), t, row);
+                const int mine = place + __popc(listed & ((1u << lane) - 1));
+                if (listed >> lane & 1) write_pair(short_tile, tile, ids, mine, t, row);
                 place += __popc(listed);
             }
         }

@@ -250,8 +250,8 @@ extern "C" __global__ void __launch_bounds__(128) composite_backward(
 #pragma unroll
                 for (int i = 0; i < 2; i++) {
                     Pixel& p = pixel[i];
-                    const float cv = fmaf(e.red, p.v_r, fmaf(e.green, p.v_g, fmaf(e.blue, p.v_b, fmaf(e.z, p.v_z, p.v_o))));
-                    const float w_cv = w[i] * cv;
+                    const float rest = fmaf(e.blue, p.v_b, fmaf(e.z, p.v_z, p.v_o));
+                    const float w_cv = w[i] * fmaf(e.red, p.v_r, fmaf(e.green, p.v_g, rest));
                     p.S -= w_cv;
                     const float passed = fmaf(-p.S, alpha[i] * quick_reciprocal(1.0f - alpha[i]), w_cv);
                     v[i] = w[i] > 0.0f && alpha[i] < GS_ALPHA_MAX ? passed : 0.0f;

@@ -50,7 +50,8 @@ __device__ __forceinline__ float3 homogeneous(const Grid& g, const double* p) {
 
 // Whether a sphere reaches between two side planes of the view, f x = low z and f x = high z.
 __device__ __forceinline__ bool between(float x, float z, float f, float low, float high, float radius) {
-    return f * x - low * z > -radius * sqrtf(f * f + low * low) && high * z - f * x > -radius * sqrtf(f * f + high * high);
+    return f * x - low * z > -radius * sqrtf(f * f + low * low) &&
+           high * z - f * x > -radius * sqrtf(f * f + high * high);
 }
 
 // rows: the blocks whose bounding sphere meets the view up to the far plane, in any order; count[0] of them.
@@ -151,7 +152,7 @@ extern "C" __global__ void __launch_bounds__(128) fuse_blocks(
             const float step = 1.0f / next;
             d[k] += step * (value - d[k]);
             w[k] = next;
-            share[k] = fminf(step, 1.0f);  // a cap below one is configurable; colours take no larger step than the whole
+            share[k] = fminf(step, 1.0f);  // a cap below one is configurable; no colour goes past the new one
         }
         D[at] = d4, W[at] = w4;
 #pragma unroll

@@ -64,7 +64,9 @@ __device__ __forceinline__ void ellipse(const Params& p, const Lens& c, int i, S
     }
 }
 
-__device__ __forceinline__ float dot3(const float* a, const float* b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+__device__ __forceinline__ float dot3(const float* a, const float* b) {
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
 
 __device__ __forceinline__ float3 direction(const Steps& t, float* distance) {
     *distance = fmaxf(sqrtf(t.X * t.X + t.Y * t.Y + t.Z * t.Z), 1e-12f);
@@ -91,7 +93,8 @@ __device__ __forceinline__ void project(Params p, Lens c, float4* splats, float*
     const float reach = 2.0f * fmaxf(reach_of(s.ln_o), 0.0f);
     s.u = c.fx * t.x_z + c.cx, s.v = c.fy * t.y_z + c.cy;
     s.e_u = sqrtf(reach * (uu + blur)), s.e_v = sqrtf(reach * (vv + blur));
-    if (!(s.u + s.e_u > 0.0f && s.u - s.e_u < (float)width && s.v + s.e_v > 0.0f && s.v - s.e_v < (float)height)) return;
+    const bool across = s.u + s.e_u > 0.0f && s.u - s.e_u < (float)width;
+    if (!(across && s.v + s.e_v > 0.0f && s.v - s.e_v < (float)height)) return;
     s.A = (vv + blur) * inv_det, s.B = -uv * inv_det, s.C = (uu + blur) * inv_det;
     float distance, Y[K], h[3 * K], colour[3] = {0.5f, 0.5f, 0.5f};
     const float3 d = direction(t, &distance);
@@ -128,7 +131,8 @@ __device__ __forceinline__ float4 rotation_vjp(const float* q, float norm, const
     const float e2 = 2.0f * (x * (m[1] + m[3]) + z * (m[5] + m[7]) + w * (m[2] - m[6]) - 2.0f * y * (m[0] + m[8]));
     const float e3 = 2.0f * (x * (m[2] + m[6]) + y * (m[5] + m[7]) + w * (m[3] - m[1]) - 2.0f * z * (m[0] + m[4]));
     const float along = w * e0 + x * e1 + y * e2 + z * e3;
-    return make_float4((e0 - w * along) / norm, (e1 - x * along) / norm, (e2 - y * along) / norm, (e3 - z * along) / norm);
+    return make_float4(
+        (e0 - w * along) / norm, (e1 - x * along) / norm, (e2 - y * along) / norm, (e3 - z * along) / norm);
 }
 
 // moments: per row sum v dx, v dy, v dx^2, v dx dy | v dy^2, v, w v_r, w v_g | w v_b, w v_z, -, -  (composite.cu).
@@ -154,7 +158,8 @@ __device__ __forceinline__ void project_vjp(
     const float v_A = -0.5f * m0.z, v_B = -0.5f * m0.w, v_C = -0.5f * m1.x;
     const float p00 = v_A * s.A + v_B * s.B, p01 = v_A * s.B + v_B * s.C;
     const float p10 = v_B * s.A + v_C * s.B, p11 = v_B * s.B + v_C * s.C;
-    const float v_uu = -(s.A * p00 + s.B * p10), v_uv = -2.0f * (s.A * p01 + s.B * p11), v_vv = -(s.B * p01 + s.C * p11);
+    const float v_uu = -(s.A * p00 + s.B * p10), v_vv = -(s.B * p01 + s.C * p11);
+    const float v_uv = -2.0f * (s.A * p01 + s.B * p11);
     float w[9], along = 0.0f, v_tx = 0.0f, v_ty = 0.0f;  // w: dL/dB
 #pragma unroll
     for (int k = 0; k < 3; k++) {
@@ -200,7 +205,8 @@ __device__ __forceinline__ void project_vjp(
 }
 
 #define PROJECT(K)                                                                                                    \
-    project<K>({xyz, log_scale, quat, logit, sh, pose}, {fx, fy, cx, cy, limit_x, limit_y}, splats, depth, N, width, height)
+    project<K>(                                                                                                       \
+        {xyz, log_scale, quat, logit, sh, pose}, {fx, fy, cx, cy, limit_x, limit_y}, splats, depth, N, width, height)
 #define FORWARD                                                                                                       \
     const float *xyz, const float *log_scale, const float4 *quat, const float *logit, const float *sh,                \
         const float *pose, float4 *splats, float *depth, int N, float fx, float fy, float cx, float cy,               \

@@ -51,7 +51,7 @@ __device__ __forceinline__ Range tile_columns(const Splat& s, int ty, int width)
     return tile_range(left, right, width);
 }
 
-// Where sigma is least on a vertical line dx (at dy = steep dx) and on a horizontal one (at dx = flat dy), and its limit.
+// Where sigma is least on a vertical line dx (at dy = steep dx) and on a horizontal one (at dx = flat dy); its limit.
 struct Valley {
     float steep, flat, limit;
 };
