@@ -104,6 +104,8 @@ def load(name: str, backend: str) -> Callable:
     module, function = provider.split(":")
     try:
         return getattr(importlib.import_module(module), function)
+    except ModuleNotFoundError as e:
+        raise BackendUnavailable(f"{name}: backend {backend!r} needs {e.name!r}, which is not installed") from None
     except ImportError as e:
         raise BackendUnavailable(
             f"{name}: backend {backend!r} needs {e.name!r}, which cannot be imported ({e})"

@@ -189,7 +189,7 @@ def test_icl_nuim_poses_that_make_no_sense(icl, site, tmp_path, capsys):
     site.files["/livingroom1-traj.txt"] = content
     icl.MD5["livingroom1-traj.txt"] = hashlib.md5(content).hexdigest()
     assert run(icl, site, tmp_path / "data", "livingroom1") == 1
-    assert "trajectory.log holds 4 lines; expected five per pose" in capsys.readouterr().err
+    assert "trajectory.log has 4 lines; expected blocks of five" in capsys.readouterr().err
 
 
 def test_published_digests_are_digests(script):
