@@ -80,7 +80,9 @@ class Watch:
                 self.image.value = encode_jpeg(self._picture())
                 self.graphs.value = encode_png(self._graphs(), 3)
             state, error = self.player.state, self.player.error
-            self.status.value = f"<b>{state}</b> · step {self.player.n_steps} of {self._n_steps}"
+            done = self.player.n_steps
+            of = f" of {self._n_steps}" if done <= self._n_steps else ""  # several curves one after the other
+            self.status.value = f"<b>{state}</b> · step {done}{of}"
             if error is not None:
                 words = html.escape(f"{type(error).__name__}: {error}")
                 self.status.value += f'<br><span style="color:#b3261e">{words}</span>'
