@@ -62,6 +62,9 @@ PROVIDERS: dict[str, dict[str, str]] = {
 }
 """op name -> backend -> "module:function"."""
 
+_EMULATED_BY = {"triton": "TRITON_INTERPRET", "cuda": "GSFUSION_CUDA_EMULATOR"}
+"""Backend for GPUs -> environment variable that lets it run on the processor, for tests."""
+
 _PREFERRED = {"cpu": ("numba",), "cuda": ("cuda", "triton")}
 _OPS: dict[str, Callable] = {}
 _FROM_ENVIRONMENT: str = os.environ.get("GSFUSION_BACKEND", "auto")
@@ -101,6 +104,9 @@ def load(name: str, backend: str) -> Callable:
     provider = PROVIDERS.get(name, {}).get(backend)
     if provider is None:
         raise BackendUnavailable(f"{name}: backend {backend!r} has no implementation of it")
+    if backend in _EMULATED_BY and not (torch.cuda.is_available() or os.environ.get(_EMULATED_BY[backend])):
+        # before the import: triton's LLVM and that of VTK's software renderer end the process when both are loaded
+        raise BackendUnavailable(f"{name}: backend {backend!r} needs an NVIDIA GPU, and torch sees none")
     module, function = provider.split(":")
     try:
         return getattr(importlib.import_module(module), function)
