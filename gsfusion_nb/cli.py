@@ -11,7 +11,6 @@ import tyro
 
 from .backends import BackendUnavailable, use_backend
 from .config import DataConfig, GSFusionConfig, RtgSlamConfig, from_dict, gsfusion, replace, rtg_slam
-from .datasets.convert.options import ConvertOptions
 
 _USAGE = """gsfusion-nb: online RGB-D mapping with TSDF fusion and 3D Gaussian splatting
 
@@ -97,17 +96,6 @@ class CheckOptions:
     """Options of the layout's reader, name=value: register=true (7-Scenes), undistort=false (TUM), poses=false (folder,
     TUM), n_frames=480 (room)."""
     data: DataConfig = field(default_factory=DataConfig)
-
-
-@dataclass(frozen=True, kw_only=True)
-class ConvertCommand:
-    """Write a recording in another format as a sequence that can be checked and mapped: [FORMAT] SOURCE OUT. Frames
-    are written one by one; an interrupted conversion goes on when the command is repeated."""
-
-    words: Annotated[tuple[str, ...], tyro.conf.Positional]
-    """[FORMAT] SOURCE OUT: colmap, icl_nuim, nerfstudio, open3d, record3d, ros, scannet or tum, recognised by itself if
-    left out; the file or folder of the recording; a new folder."""
-    options: Annotated[ConvertOptions, tyro.conf.arg(name="")] = field(default_factory=ConvertOptions)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -224,15 +212,9 @@ def _live(arguments: list[str]) -> int:
 
 
 def _convert(arguments: list[str]) -> int:
-    from .datasets.convert import convert, formats
+    from .datasets.convert import command
 
-    command = tyro.cli(ConvertCommand, prog="gsfusion-nb convert", args=arguments)
-    words = command.words
-    if not 2 <= len(words) <= 3:
-        listed = "\n".join(f"  {name:<10} {looks_for}" for name, looks_for in formats().items())
-        raise ValueError(f"expected [FORMAT] SOURCE OUT; the formats and what they look for:\n{listed}")
-    *format, source, out = words
-    print(convert(source, out, format=format[0] if format else "auto", options=command.options, progress=True))
+    print(command.run(arguments))
     return 0
 
 
