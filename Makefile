@@ -3,6 +3,8 @@ PYTHON ?= python3
 VENV ?= .venv
 # Where pip should look for PyTorch, if not at the default: see "Installing" in README.md.
 TORCH_INDEX ?=
+# More options for jupyter lab, such as --allow-root or --no-browser.
+LAB ?=
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.setup-done
 
@@ -13,7 +15,7 @@ setup: $(STAMP)
 $(STAMP): pyproject.toml
 	@$(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(None if v >= (3, 11) else f"gsfusion_nb needs Python >= 3.11, found {v[0]}.{v[1]}: run  make PYTHON=/path/to/python3.11 ...")'
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	@echo "Installing into $(VENV) (about 3 minutes, 2.3 GB) ..."
+	@echo "Installing into $(VENV) (about 3 minutes, 3.1 GB) ..."
 	@$(BIN)/python -m pip install --quiet --upgrade pip
 	@$(BIN)/python -m pip install --quiet "torch>=2.6,<2.14" $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX))
 	@$(BIN)/python -m pip install --quiet --editable ".[dev]"
@@ -36,7 +38,7 @@ format: setup
 	$(BIN)/ruff check --fix .
 
 lab: setup
-	$(BIN)/jupyter lab notebooks
+	$(BIN)/jupyter lab notebooks $(LAB)
 
 # Copies of the notebooks to hand out, without solutions and outputs; and with both.
 student: setup

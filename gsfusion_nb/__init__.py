@@ -21,6 +21,7 @@ _LAZY = {
     "gsfusion": "gsfusion_nb.config",
     "rtg_slam": "gsfusion_nb.config",
     "run_mapping": "gsfusion_nb.mapping",
+    "map_stream": "gsfusion_nb.mapping",
     "open_sequence": "gsfusion_nb.datasets",
     "seeding_rule": "gsfusion_nb.seeding",
     "use_backend": "gsfusion_nb.backends",

@@ -2,6 +2,7 @@
 
 import json
 import logging
+import os
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -55,8 +56,8 @@ class MapOptions:
     """A config.json of an earlier run whose settings to start from instead of a preset."""
     device: str = "cpu"
     """Where the maps live: cpu or cuda."""
-    backend: str = "auto"
-    """auto, reference, numba, triton or cuda."""
+    backend: str = field(default_factory=lambda: os.environ.get("GSFUSION_BACKEND", "auto"))
+    """auto, reference, numba, triton or cuda; by default what the variable GSFUSION_BACKEND says, else auto."""
     evaluate: bool = True
     """Score mapped and held-out views and write the report."""
     rule_options: tuple[str, ...] = ()
@@ -106,8 +107,8 @@ class DemoOptions:
     """New or empty folder for the results; runs/room-<time> by default."""
     frames: int = 120
     """Frames of the built-in trajectory."""
-    backend: str = "auto"
-    """auto, reference, numba, triton or cuda."""
+    backend: str = field(default_factory=lambda: os.environ.get("GSFUSION_BACKEND", "auto"))
+    """auto, reference, numba, triton or cuda; by default what the variable GSFUSION_BACKEND says, else auto."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -67,6 +67,13 @@ def test_mistakes_are_answered_with_a_sentence(arguments, status, sentence, caps
     assert sentence in capsys.readouterr().err.replace("\n", " ")
 
 
+@pytest.mark.parametrize("arguments", [["map", "room"], ["demo"], ["live", "folder", "nowhere", "--no-poses"]])
+def test_the_environment_chooses_the_backend_where_no_option_does(arguments, monkeypatch, capsys):
+    monkeypatch.setenv("GSFUSION_BACKEND", "nubma")
+    assert main(arguments) == 1
+    assert "no backend 'nubma'; known:" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("option", "value", "sentence"),
     [("--tsdf.voxel-sise-m", "0.1", "voxel-size-m"), ("--tsdf.voxel-size-m", "-1", "must be > 0, got -1")],

@@ -18,7 +18,7 @@ _TO_Y_UP = {
     "+z": torch.tensor([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]),
     "+y": torch.eye(3),
 }
-_FLOAT, _USHORT, _UINT = 5126, 5123, 5125
+_FLOAT, _UINT = 5126, 5125
 _VERTEX_DATA, _INDEX_DATA = 34962, 34963
 
 
@@ -27,8 +27,9 @@ def write_mesh_glb(path: str | Path, mesh: Mesh, *, up: Literal["-y", "+z", "+y"
 
     glTF is right-handed with y up. Positions are rotated: with ``up="-y"`` (a world that began as a camera with OpenCV
     axes) by (x, y, z) -> (x, -y, -z); with ``up="+z"`` (z up) by (x, y, z) -> (x, z, -y). Both keep the handedness, so
-    nothing is mirrored. Colours are stored linear, as glTF asks, in 16 bits, with an unlit material: the light is in
-    the colours already.
+    nothing is mirrored. Colours are stored linear, as glTF asks, with an unlit material: the light is in the colours
+    already. They are float32: 8 bits of linear light have too few dark steps, and MeshLab and trimesh take 16-bit
+    colours for 8-bit ones.
 
     Args:
         path: File to write.
@@ -58,9 +59,7 @@ def linear_from_srgb(rgb: np.ndarray) -> np.ndarray:
 def _buffers(mesh: Mesh, up: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     xyz = mesh.vertices_W.detach().to("cpu", torch.float32) @ _TO_Y_UP[up].T
     linear = linear_from_srgb(mesh.rgb.detach().clamp(0, 1).cpu().double().numpy())
-    colours = np.full((len(linear), 4), 65535, dtype="<u2")  # alpha keeps every vertex aligned to 4 bytes
-    colours[:, :3] = np.rint(linear * 65535)
-    return xyz.numpy().astype("<f4"), colours, mesh.faces.cpu().numpy().astype("<u4").reshape(-1)
+    return xyz.numpy().astype("<f4"), linear.astype("<f4"), mesh.faces.cpu().numpy().astype("<u4").reshape(-1)
 
 
 def _document(positions: np.ndarray, colours: np.ndarray, indices: np.ndarray) -> dict[str, Any]:
@@ -72,7 +71,7 @@ def _document(positions: np.ndarray, colours: np.ndarray, indices: np.ndarray) -
     bounds = {"min": positions.min(axis=0).tolist(), "max": positions.max(axis=0).tolist()}
     accessors = [
         {"bufferView": 0, "componentType": _FLOAT, "count": len(positions), "type": "VEC3", **bounds},
-        {"bufferView": 1, "componentType": _USHORT, "normalized": True, "count": len(colours), "type": "VEC4"},
+        {"bufferView": 1, "componentType": _FLOAT, "count": len(colours), "type": "VEC3"},
         {"bufferView": 2, "componentType": _UINT, "count": len(indices), "type": "SCALAR"},
     ]
     material = {

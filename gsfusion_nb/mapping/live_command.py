@@ -2,7 +2,8 @@
 
 import dataclasses
 import json
-from dataclasses import dataclass
+import os
+from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
 import tyro
@@ -44,8 +45,8 @@ class LiveOptions:
     """End after so many frames have come; 0 goes on until the source ends or Ctrl-C."""
     device: str = "cpu"
     """Where the maps live: cpu or cuda."""
-    backend: str = "auto"
-    """auto, reference, numba, triton or cuda."""
+    backend: str = field(default_factory=lambda: os.environ.get("GSFUSION_BACKEND", "auto"))
+    """auto, reference, numba, triton or cuda; by default what the variable GSFUSION_BACKEND says, else auto."""
     evaluate: bool = True
     """Score the frames that were kept and write the report."""
 

@@ -92,10 +92,16 @@ def fit_image(frame: Frame, n: int, method: str, *, steps: int = STEPS, seed: in
     )
 
 
-def fit_images(frames: Iterable[Frame], counts: Iterable[int] = COUNTS, *, steps: int = STEPS) -> list[FitRow]:
+def fit_images(
+    frames: Iterable[Frame], counts: Iterable[int] = COUNTS, *, steps: int = STEPS, show_progress: bool = False
+) -> list[FitRow]:
     """Every image with every number of Gaussians by every method."""
+    from tqdm import tqdm
+
     frames = list(frames)
-    return [fit_image(f, n, method, steps=steps) for n in counts for method in METHODS for f in frames]
+    cases = [(f, n, method) for n in counts for method in METHODS for f in frames]
+    bar = tqdm(cases, desc="fitting", unit="image", disable=not show_progress)
+    return [fit_image(f, n, method, steps=steps) for f, n, method in bar]
 
 
 def summary(rows: list[FitRow]) -> dict[str, dict[int, dict[str, float]]]:
@@ -137,7 +143,7 @@ def main(data: str, folder: Path, views: int) -> int:
     """Fit images spread over a sequence; print a table, write it and a picture to ``folder``."""
     sequence = open_sequence(data, data=dataclasses.replace(rtg_slam("room").data, hold_out_every=0))
     picks = [round(i * (len(sequence) - 1) / max(views - 1, 1)) for i in range(views)]
-    table = summary(fit_images(sequence[i] for i in picks))
+    table = summary(fit_images((sequence[i] for i in picks), show_progress=True))
     text = as_markdown(table)
     print(f"{views} images of {sequence.name}, each fitted alone\n\n{text}\n\nFiles in {folder}")
     (folder / "table.md").write_text(text + "\n", encoding="utf-8")

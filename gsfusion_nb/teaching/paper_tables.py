@@ -52,7 +52,7 @@ class BesideThePaper:
     Args:
         number: "IV" to "VIII".
         ours: Setting -> column -> value; only the paper's columns, and "Gaussians", are shown. Settings that the paper
-            does not have are shown with ours alone.
+            does not have are shown with ours alone. Settings that begin with a number stand in its order.
 
     Raises:
         KeyError: the paper has no such ablation.
@@ -73,7 +73,7 @@ class BesideThePaper:
 
     def lines(self) -> list[list[str]]:
         """Cells, the headings first: ours, and the paper's in brackets."""
-        settings = list(dict.fromkeys([*self.paper.rows, *self.ours]))
+        settings = _in_order(list(dict.fromkeys([*self.paper.rows, *self.ours])))
         rows = [[self.paper.title, *self.columns]]
         for setting in settings:
             mine, theirs = self.ours.get(setting, {}), self.paper.rows.get(setting, {})
@@ -94,6 +94,14 @@ class BesideThePaper:
         rows = [f"<tr>{''.join(f'<th>{html.escape(c)}</th>' for c in head)}</tr>"]
         rows += [f"<tr>{''.join(f'<td>{html.escape(c)}</td>' for c in row)}</tr>" for row in body]
         return f"<b>{html.escape(self.title)}</b><table>{''.join(rows)}</table>"
+
+
+def _in_order(settings: list[str]) -> list[str]:
+    """By the number that each begins with; as they are if one has none."""
+    try:
+        return sorted(settings, key=lambda setting: float(setting.split()[0]))
+    except ValueError:
+        return settings
 
 
 def _cell(column: str, mine: Row, theirs: Row) -> str:

@@ -22,7 +22,7 @@ STAGE_CAMERA = Camera(width=96, height=60, fx=80.0, fy=80.0, cx=48.0, cy=30.0)
 NEAR_M = 1.2
 """The stage: a board whose right edge is at x = 0, this far away, in front of another one."""
 MID_AIR_M = 0.03
-_HALF_M, _ROWS_M = 0.7, 0.8
+_HALF_M, _ROWS_M, _BAR_M = 0.7, 0.8, 0.2
 _DISC_INK, _BLENDED_INK, _TRUE_INK = (61, 133, 198), (224, 138, 46), (150, 156, 166)
 
 
@@ -92,10 +92,10 @@ def disc_panel() -> Panel:
         return stage_picture(stage), _stage_words(stage)
 
     controls = {
-        "lean_deg": Slider(value=30, low=0, high=75, step=1, label="board leans °"),
-        "gap_m": Slider(value=0.6, low=0.0, high=1.2, step=0.05, label="wall behind m"),
-        "spacing_m": Slider(value=0.1, low=0.05, high=0.3, step=0.01, label="disc spacing m"),
-        "opaque_alpha": Slider(value=0.3, low=0.1, high=0.95, step=0.05, label="hit from alpha"),
+        "lean_deg": Slider(value=30, low=0, high=75, step=1, label="board leans, °"),
+        "gap_m": Slider(value=0.6, low=0.0, high=1.2, step=0.05, label="wall behind, m"),
+        "spacing_m": Slider(value=0.1, low=0.05, high=0.3, step=0.01, label="disc spacing, m"),
+        "opaque_alpha": Slider(value=0.3, low=0.1, high=0.95, step=0.05, label="hit from δ_α"),
     }
     return Panel(draw, controls, name="disc", text="disc depth against blended depth")
 
@@ -105,7 +105,7 @@ def stage_picture(stage: Stage) -> Picture:
     far = _far_m(stage) + 0.1
     images = [to_uint8(stage.rgb), *(colour_depth(d, 0.5, far) for d in (stage.disc_m, stage.blended_m))]
     images = [i.repeat(3, 0).repeat(3, 1) for i in images]
-    top = side_by_side(images, ["render", "disc depth (Eq. 5)", "blended depth"])
+    top = side_by_side(images, ["render", "disc depth (Eq. 5)", f"blended; blue 0.5 m, red {far:.1f} m"])
     plan = plan_picture(stage, top.shape[1])
     return np.concatenate([top, plan])
 
@@ -145,6 +145,9 @@ def plan_picture(stage: Stage, width: int, height: int = 300) -> Picture:
     ):
         write(image, words, x, 18, 1, 0.45, ink)
     write(image, "camera below", width - 110, height - 6, 1, 0.4, INK)
+    end = 10 + round(_BAR_M * scale)
+    cv2.line(image, (10, height - 10), (end, height - 10), INK, 2)
+    write(image, f"{_BAR_M} m", end + 6, height - 6, 1, 0.4, INK)
     return image
 
 
@@ -244,7 +247,7 @@ def adding_panel(view: SurfaceView, frame: Frame) -> Panel:
 
     controls = {
         "min_transmittance": Slider(value=0.5, low=0.05, high=0.95, step=0.05, label="δ_T"),
-        "depth_error_m": Slider(value=0.1, low=0.01, high=0.3, step=0.01, label="δ_d m"),
+        "depth_error_m": Slider(value=0.1, low=0.01, high=0.3, step=0.01, label="δ_d, m"),
         "colour_error": Slider(value=0.1, low=0.01, high=0.3, step=0.01, label="δ_c"),
     }
     return Panel(draw, controls, name="adding", text="the masks of Eq. 6")

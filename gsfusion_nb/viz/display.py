@@ -35,11 +35,13 @@ def show(
     from IPython.display import Image
 
     row: list[Any] = list(images) if isinstance(images, (list, tuple)) else [images]
-    if scale < 1:  # before the labels are written, which keeps them readable
-        row = [cv2.resize(to_uint8(i), None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) for i in row]
     captions = [labels] if isinstance(labels, str) else list(labels)
+    if scale < 1 or captions:  # before the labels are written, whose size is right as it is
+        how = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
+        row = [cv2.resize(to_uint8(i), None, fx=scale, fy=scale, interpolation=how) for i in row]
+        scale = 1
     picture = side_by_side(row, captions) if captions or len(row) > 1 else to_uint8(row[0])
-    return Image(data=encode_jpeg(picture), format="jpeg", width=round(picture.shape[1] * max(scale, 1)))
+    return Image(data=encode_jpeg(picture), format="jpeg", width=round(picture.shape[1] * scale))
 
 
 def with_picture(bundle: Any, picture: AnyImage, text: str) -> dict[str, Any]:

@@ -141,7 +141,8 @@ def pixel_gradient_table(gradient: PixelGradient, rows: int = 12, unit: float | 
         numbers = (f"{a:+.3f}", wish, f"{o:+.3f}", f"{u:+.3f}", f"{v:+.3f}")
         lines.append(_line((str(k), str(int(s.row[k])), f"{float(s.weight[k]):.3f}", *numbers, swatch(s.rgb[k]), rgb)))
     if len(keep) < len(s):
-        lines.append(_line(("", f"… {len(s) - len(keep)} lighter ones") + ("",) * 8))
+        rest = f"… {len(s) - len(keep)} lighter ones"
+        lines.append(f'<tr><td colspan="{len(heads)}" style="text-align:left;padding:1px 8px">{rest}</td></tr>')
     return f'<table class="gsnb-pixel-gradient" style="font-size:12px">{"".join(lines)}</table>'
 
 

@@ -98,13 +98,20 @@ def moved_pose(
 def point_panel(frame: Frame) -> Panel:
     """Sliders that move a camera away from where ``frame`` was taken; the points stay where they are."""
 
+    near_m, far_m = depth_range_m(frame.depth_m)
+    legend = {
+        "depth": f"<br>depth in the frame: blue {near_m:.1f} m, red {far_m:.1f} m",
+        "normals": "<br>x, y, z of the normal in the camera frame as red, green, blue",
+    }
+
     def draw(*, right_m: float, forward_m: float, turn_deg: float, show: str, point_px: int) -> Drawn:
         T_WC = moved_pose(frame.T_WC, (right_m, 0.0, forward_m), turn_deg)
         picture = point_view(frame, T_WC, show=show, point_px=point_px)
         empty = float((picture == 0).all(-1).mean())
         pair = side_by_side([point_colours(frame, show), picture], ["the frame", "its points from the new pose"])
         x, y, z = T_WC[:3, 3].tolist()
-        return pair, f"camera at ({x:.2f}, {y:.2f}, {z:.2f}) m; no point on {empty:.0%} of the pixels"
+        words = f"camera at ({x:.2f}, {y:.2f}, {z:.2f}) m; no point on {empty:.0%} of the pixels"
+        return pair, words + legend.get(show, "")
 
     controls = {
         "right_m": Slider(value=0.0, low=-1.0, high=1.0, step=0.02, label="right, m"),

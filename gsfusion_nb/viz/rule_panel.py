@@ -34,7 +34,7 @@ def rule_controls(
 
     Args:
         rule: Name or function.
-        ranges: Option -> its least and largest value, where the guess is no good.
+        ranges: Option -> its least and largest value, where the guess is no good; two whole numbers make whole steps.
 
     Raises:
         KeyError: no such rule, or ``ranges`` names no option of it.
@@ -51,6 +51,8 @@ def _control(name: str, default: Any, words: Sequence[str], limits: tuple[float 
         return Switch(value=default, label=name)
     if isinstance(default, str):
         return Choice(value=default, options=words, label=name)
+    if limits and all(isinstance(limit, int) for limit in limits) and not isinstance(default, int):
+        return Slider(value=default, low=limits[0], high=limits[1], step=1.0, label=name, readout=".3g")
     if isinstance(default, int):
         low, high = limits or (min(default, 1), max(4, 4 * default))
         return Slider(value=default, low=int(low), high=int(high), step=1, label=name)

@@ -1,5 +1,6 @@
 """What is known about each Gaussian beside its parameters, as columns of numbers that the splat viewer colours by."""
 
+import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -21,6 +22,8 @@ KNOWN: dict[str, tuple[Kind, str]] = {
 }
 """Attributes of a map that become columns: name -> (kind, label). Extras of these names replace them."""
 STATE_NAMES = ("unstable", "stable")
+SURFEL_TAG = "cause: area, depth, colour"
+"""What the tag of a map with states is (``surfel_pictures.CAUSES``)."""
 
 _NAMES_TAKEN = ("rgb", "depth", "opacity")
 
@@ -76,7 +79,10 @@ def columns_of(source: Any, n: int, extras: Mapping[str, Any]) -> list[Column]:
     """
     own = {} if isinstance(source, GaussianParams) else {k: getattr(source, k, None) for k in KNOWN}
     given = {k: v for k, v in own.items() if v is not None} | dict(extras)
-    return [_column(name, values, n) for name, values in given.items()]
+    columns = [_column(name, values, n) for name, values in given.items()]
+    if own.get("state") is None or "tag" in extras:
+        return columns
+    return [dataclasses.replace(c, label=SURFEL_TAG) if c.name == "tag" else c for c in columns]
 
 
 def stacked(columns: list[Column], n: int) -> Float[np.ndarray, "N C"]:

@@ -48,10 +48,10 @@ def stage_bars(runs: Mapping[str, Mapping[str, float]], *, width: int = 720) -> 
             box = (round(x), y), (max(round(x + long) - 1, round(x)), y + _BAR)
             cv2.rectangle(image, *box, _colour(stages.index(stage)), -1)
             if long > 42:
-                _text(image, f"{1e3 * run[stage]:.3g}", round(x) + 6, y + 28, (255, 255, 255))
+                _text(image, _short(1e3 * run[stage]), round(x) + 6, y + 28, (255, 255, 255))
             x += long
         total = sum(run.values())
-        _text(image, f"{1e3 * total:.3g} ms, {1 / total:.3g} fps" if total else "", round(x) + 6, y + 28, _INK)
+        _text(image, f"{_short(1e3 * total)} ms, {_short(1 / total)} fps" if total else "", round(x) + 6, y + 28, _INK)
     x = _LEFT
     for k, stage in enumerate(stages):
         y = image.shape[0] - 24
@@ -86,10 +86,15 @@ def amdahl_panel(seconds: Mapping[str, float], *, width: int = 720) -> Panel:
         return stage_bars({"now": before, "then": after}, width=width), words
 
     controls = {
-        stage: Slider(value=1.0, low=1.0, high=1000.0, step=0.05, label=stage, log=True, readout=".3g")
+        stage: Slider(value=1.0, low=1.0, high=1000.0, step=0.05, label=f"{stage}, times", log=True, readout=".1f")
         for stage in before
     }
     return Panel(draw, controls, name="amdahl", kind="png", text="Amdahl panel")
+
+
+def _short(number: float) -> str:
+    """Three digits, or all of a whole number."""
+    return f"{number:.3g}" if number < 1000 else f"{number:,.0f}"
 
 
 def _colour(k: int) -> tuple[int, ...]:

@@ -1,6 +1,10 @@
-"""JupyterLab on localhost and a headless Chromium, for tests that use a notebook as a person does."""
+"""JupyterLab on localhost and a headless Chromium, for tests that use a notebook as a person does.
+
+Screenshots go to $GSNB_SCREENSHOTS.
+"""
 
 import contextlib
+import json
 import os
 import shutil
 import signal
@@ -10,12 +14,17 @@ import sys
 import time
 import urllib.request
 import uuid
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import cv2
 import nbformat
+import numpy as np
 import pytest
 
+_NOTEBOOKS = Path(__file__).resolve().parents[2] / "notebooks"
+_FULL = 'SMOKE = os.environ.get("GSNB_SMOKE", "0") == "1"'
 _SETTINGS = {
     "@jupyterlab/apputils-extension/notification.jupyterlab-settings":
         '{"fetchNews": "false", "checkForUpdates": false, "doNotDisturbMode": true}',
@@ -73,6 +82,59 @@ class Lab:
         }"""
         page.set_default_timeout(timeout_s * 1000)
         return page.evaluate(script, code).strip()
+
+    def value(self, page: Any, expression: str) -> Any:
+        """What a Python expression is in the kernel of the page."""
+        return json.loads(self.run(page, f"import json; print(json.dumps({expression}))"))
+
+    def chapter(
+        self, name: str, until: str, *, without: str = "\0", changes: Mapping[str, str] | None = None
+    ) -> list[str]:
+        """The student's code cells of a chapter in its quick version, up to the one that contains ``until``.
+
+        Args:
+            name: File in ``notebooks``.
+            until: Words of the last cell.
+            without: Cells with these words are left out.
+            changes: Pieces of the cells -> what stands there instead.
+        """
+        chosen = []
+        for cell in json.loads((_NOTEBOOKS / name).read_text(encoding="utf-8"))["cells"]:
+            source = "".join(cell["source"])
+            for old, new in {_FULL: "SMOKE = True", **(changes or {})}.items():
+                source = source.replace(old, new)
+            if cell["cell_type"] == "code" and "BEGIN SOLUTION" not in source and without not in source:
+                chosen.append(source)
+                if until in source:
+                    return chosen
+        raise AssertionError(f"no cell of {name} has {until!r}")
+
+    @staticmethod
+    def wait_for(condition: Callable[[], bool], what: str, timeout_s: float = 90) -> None:
+        """Until a condition is true; the test fails when that takes too long."""
+        until = time.monotonic() + timeout_s
+        while not condition():
+            assert time.monotonic() < until, f"waited {timeout_s} s for {what}"
+            time.sleep(0.1)
+
+    @staticmethod
+    def screenshot(locator: Any, name: str) -> np.ndarray:
+        """Bytes of what is shown of an element, also written to $GSNB_SCREENSHOTS/name.png. [H, W, 3], blue first."""
+        locator.scroll_into_view_if_needed()
+        png = locator.screenshot()
+        if folder := os.environ.get("GSNB_SCREENSHOTS"):
+            Path(folder).mkdir(parents=True, exist_ok=True)
+            (Path(folder) / f"{name}.png").write_bytes(png)
+        return np.asarray(cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)).astype(int)
+
+    @staticmethod
+    def move_slider(slider: Any, steps: int) -> None:
+        """With the arrow keys, so many steps up, or down."""
+        handle = slider.locator(".noUi-handle").first
+        handle.scroll_into_view_if_needed()
+        handle.focus()
+        for _ in range(abs(steps)):
+            slider.page.keyboard.press("ArrowRight" if steps > 0 else "ArrowLeft")
 
     def _note(self, url: str) -> None:
         local = (f"http://127.0.0.1:{self.port}/", f"ws://127.0.0.1:{self.port}/", "data:", "blob:")
@@ -136,14 +198,14 @@ def _server(home: Path):
     with (home / "server.log").open("w") as output:
         server = subprocess.Popen(command, env=env, stdout=output, stderr=output, start_new_session=True)
         try:
-            _wait_for(f"http://127.0.0.1:{port}/api?token={token}", home / "server.log")
+            _wait_for_server(f"http://127.0.0.1:{port}/api?token={token}", home / "server.log")
             yield port, token
         finally:
             os.killpg(server.pid, signal.SIGTERM)
             server.wait(timeout=20)
 
 
-def _wait_for(url: str, output: Path) -> None:
+def _wait_for_server(url: str, output: Path) -> None:
     until = time.monotonic() + 90
     while time.monotonic() < until:
         with contextlib.suppress(OSError), urllib.request.urlopen(url, timeout=2):

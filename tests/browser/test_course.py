@@ -1,14 +1,8 @@
-"""A chapter as a student uses it: run all of it, drag the threshold, answer an exercise wrongly and then rightly.
-
-Screenshots go to $GSNB_SCREENSHOTS.
-"""
+"""A chapter as a student uses it: run all of it, drag the threshold, answer an exercise wrongly and then rightly."""
 
 import json
-import os
-import time
 from pathlib import Path
 
-import cv2
 import nbformat
 import numpy as np
 import pytest
@@ -49,21 +43,6 @@ def page(lab):
     page.close()
 
 
-def screenshot(locator, name):
-    png = locator.screenshot()
-    if folder := os.environ.get("GSNB_SCREENSHOTS"):
-        Path(folder).mkdir(parents=True, exist_ok=True)
-        (Path(folder) / f"{name}.png").write_bytes(png)
-    return np.asarray(cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)).astype(int)
-
-
-def wait_for(condition, what, timeout_s=30):
-    until = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < until, f"waited {timeout_s} s for {what}"
-        time.sleep(0.1)
-
-
 def count(page):
     return int(page.locator(".gsnb-quadtree-count").inner_text().replace(",", ""))
 
@@ -80,7 +59,7 @@ def test_the_chapter_runs_to_its_end_with_live_widgets(lab, page):
 def test_dragging_the_threshold_changes_picture_and_count(lab, page):
     picture, handle = page.locator("img.gsnb-quadtree-image"), page.locator(".gsnb-quadtree-threshold .noUi-handle")
     picture.scroll_into_view_if_needed()
-    before, cells = screenshot(picture, "quadtree_before"), count(page)
+    before, cells = lab.screenshot(picture, "quadtree_before"), count(page)
     assert before.std() > 20
     handle.scroll_into_view_if_needed()  # the controls may stand below the picture
     box = handle.bounding_box()
@@ -90,8 +69,8 @@ def test_dragging_the_threshold_changes_picture_and_count(lab, page):
     for step in range(1, 9):
         page.mouse.move(x + 5 * step, y)
     page.mouse.up()
-    wait_for(lambda: count(page) < cells / 2, "fewer cells at a larger threshold")
-    wait_for(lambda: np.abs(screenshot(picture, "quadtree_after") - before).mean() > 1, "another picture")
+    lab.wait_for(lambda: count(page) < cells / 2, "fewer cells at a larger threshold")
+    lab.wait_for(lambda: np.abs(lab.screenshot(picture, "quadtree_after") - before).mean() > 1, "another picture")
     assert lab.errors == []
 
 
@@ -119,8 +98,8 @@ def test_an_exercise_is_grey_then_red_then_green(lab, page):
         run_cell(page, "def split_cell", source)
         run_cell(page, "check.split_cell(split_cell)")
         shown = page.locator(f".gsnb-verdict.gsnb-{state}", has_text="split_cell")
-        wait_for(lambda shown=shown: shown.count() == 1, f"the verdict {state}")
+        lab.wait_for(lambda shown=shown: shown.count() == 1, f"the verdict {state}")
         assert words in shown.inner_text()
-        screenshot(shown, f"verdict_{state}")
+        lab.screenshot(shown, f"verdict_{state}")
     assert lab.errors == []
     assert lab.requests == []

@@ -1,13 +1,7 @@
-"""The finished maps as a person looks at them: a mesh and Gaussians to turn, a volume to fill; without a network.
-
-Screenshots go to $GSNB_SCREENSHOTS.
-"""
+"""The finished maps as a person looks at them: a mesh and Gaussians to turn, a volume to fill; without a network."""
 
 import base64
-import json
-import os
 import time
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -54,23 +48,6 @@ def page(lab):
     page.close()
 
 
-def value(lab, page, expression):
-    return json.loads(lab.run(page, f"import json; print(json.dumps({expression}))"))
-
-
-def until(condition, what, timeout_s=60):
-    end = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < end, f"waited {timeout_s} s for {what}"
-        time.sleep(0.1)
-
-
-def screenshot(page, selector, name):
-    if folder := os.environ.get("GSNB_SCREENSHOTS"):
-        Path(folder).mkdir(parents=True, exist_ok=True)
-        page.locator(selector).first.screenshot(path=f"{folder}/{name}.png")
-
-
 def mesh_pixels(page):
     """Bytes of the mesh viewer's canvas. [H, W, 3]"""
     url = page.evaluate("document.querySelector('.gsnb-mesh-scene canvas').toDataURL('image/png')")
@@ -92,13 +69,13 @@ def settled(page):
 def test_a_mesh_is_turned_offline(lab, page):
     scene = page.locator(".gsnb-mesh-scene")
     scene.scroll_into_view_if_needed()
-    until(lambda: value(lab, page, "viewer.stats.get('pictures', 0)") > 0, "the first picture")
+    lab.wait_for(lambda: lab.value(page, "viewer.stats.get('pictures', 0)") > 0, "the first picture")
     before = settled(page)
-    painted = np.array(value(lab, page, "viewer.picture().tolist()"))
+    painted = np.array(lab.value(page, "viewer.picture().tolist()"))
     assert before.std() > 20
     assert np.abs(before - painted).mean() < 8  # the same view, upright and not mirrored
     assert np.abs(before - painted[:, ::-1]).mean() > 12
-    screenshot(page, ".gsnb-mesh-scene", "mesh")
+    lab.screenshot(page.locator(".gsnb-mesh-scene").first, "mesh")
 
     box = scene.bounding_box()
     x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
@@ -108,10 +85,10 @@ def test_a_mesh_is_turned_offline(lab, page):
     page.mouse.up()
     turned = settled(page)
     assert np.abs(turned - before).mean() > 5
-    until(lambda: value(lab, page, "viewer.pose != viewer.home"), "the pose in Python")
-    painted = np.array(value(lab, page, "viewer.picture().tolist()"))
+    lab.wait_for(lambda: lab.value(page, "viewer.pose != viewer.home"), "the pose in Python")
+    painted = np.array(lab.value(page, "viewer.picture().tolist()"))
     assert np.abs(turned - painted).mean() < 8
-    screenshot(page, ".gsnb-mesh-scene", "mesh_turned")
+    lab.screenshot(page.locator(".gsnb-mesh-scene").first, "mesh_turned")
 
     page.mouse.wheel(0, -300)  # the scene has the focus since the click
     zoomed = settled(page)
@@ -120,7 +97,7 @@ def test_a_mesh_is_turned_offline(lab, page):
     page.keyboard.press("ArrowLeft")
     assert np.abs(settled(page) - zoomed).mean() > 1
     lab.run(page, "viewer.shading = 'shape'")
-    until(lambda: np.ptp(mesh_pixels(page), axis=-1).max() <= 4, "a grey surface")
+    lab.wait_for(lambda: np.ptp(mesh_pixels(page), axis=-1).max() <= 4, "a grey surface")
     lab.run(page, "viewer.shading = 'colour'")
     page.keyboard.press("r")
     assert np.abs(settled(page) - before).mean() < 0.5
@@ -137,15 +114,11 @@ def test_sliders_redraw(lab, page, panel, slider):
     image = page.locator(f"img.gsnb-{panel}-image").first
     if panel == "fill":
         page.locator(".gsnb-fill-measure").click()
-        until(lambda: int(page.locator(".gsnb-fill-frames").inner_text()) > 0, "the measurement")
+        lab.wait_for(lambda: int(page.locator(".gsnb-fill-frames").inner_text()) > 0, "the measurement")
     image.scroll_into_view_if_needed()
     before = image.get_attribute("src")
-    handle = page.locator(f".gsnb-{panel}-{slider} .noUi-handle").first
-    handle.scroll_into_view_if_needed()
-    handle.focus()
-    for _ in range(6):
-        page.keyboard.press("ArrowRight")
-    until(lambda: image.get_attribute("src") != before, f"a new picture of {panel}")
-    screenshot(page, f".gsnb-{panel}", f"{panel}_{slider}")
+    lab.move_slider(page.locator(f".gsnb-{panel}-{slider}").first, 6)
+    lab.wait_for(lambda: image.get_attribute("src") != before, f"a new picture of {panel}")
+    lab.screenshot(page.locator(f".gsnb-{panel}").first, f"{panel}_{slider}")
     assert lab.errors == []
     assert lab.requests == []

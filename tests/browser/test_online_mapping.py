@@ -1,9 +1,6 @@
 """Chapters 6, 9 and 10 as a person uses them: start, pause, step and stop mapping; sliders made from a rule; Amdahl."""
 
-import json
-import os
 import time
-from pathlib import Path
 
 import pytest
 
@@ -55,23 +52,6 @@ def page(lab):
     page.close()
 
 
-def value(lab, page, expression):
-    return json.loads(lab.run(page, f"import json; print(json.dumps({expression}))"))
-
-
-def until(condition, what, timeout_s=90):
-    end = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < end, f"waited {timeout_s} s for {what}"
-        time.sleep(0.1)
-
-
-def screenshot(page, selector, name):
-    if folder := os.environ.get("GSNB_SCREENSHOTS"):
-        Path(folder).mkdir(parents=True, exist_ok=True)
-        page.locator(selector).first.screenshot(path=f"{folder}/{name}.png")
-
-
 def source(page, selector):
     return page.locator(selector).first.get_attribute("src")
 
@@ -81,89 +61,85 @@ def test_start_pause_step_and_stop_online_mapping(lab, page):
     status.scroll_into_view_if_needed()
 
     def mapped():
-        return value(lab, page, "run.next_position")
+        return lab.value(page, "run.next_position")
 
     before, picture = mapped(), source(page, ".gsnb-live-render")
     page.locator(".gsnb-live-start").click()
-    until(lambda: mapped() >= before + 2, "frames to be mapped")
-    until(lambda: source(page, ".gsnb-live-render") != picture, "a new picture")
+    lab.wait_for(lambda: mapped() >= before + 2, "frames to be mapped")
+    lab.wait_for(lambda: source(page, ".gsnb-live-render") != picture, "a new picture")
     assert lab.run(page, "print(6 * 7)") == "42"  # the kernel is free while it maps
 
     page.locator(".gsnb-live-pause").click()
-    until(lambda: "paused" in status.inner_text(), "the pause")
+    lab.wait_for(lambda: "paused" in status.inner_text(), "the pause")
     rested = mapped()
     time.sleep(1.0)
     assert mapped() == rested
-    screenshot(page, ".gsnb-live", "chapter_06_paused")
+    lab.screenshot(page.locator(".gsnb-live").first, "chapter_06_paused")
 
     page.locator(".gsnb-live-step").click()
-    until(lambda: mapped() == rested + 1, "one step")
-    until(lambda: f"{rested + 1} of" in status.inner_text(), "the status")
+    lab.wait_for(lambda: mapped() == rested + 1, "one step")
+    lab.wait_for(lambda: f"{rested + 1} of" in status.inner_text(), "the status")
 
     page.locator(".gsnb-live-stop").click()
-    until(lambda: "stopped" in status.inner_text(), "the stop")
-    assert not value(lab, page, "live.player.is_alive")
+    lab.wait_for(lambda: "stopped" in status.inner_text(), "the stop")
+    assert not lab.value(page, "live.player.is_alive")
     page.locator(".gsnb-live-start").click()  # goes on from there
-    until(lambda: mapped() >= rested + 2, "frames after the stop")
+    lab.wait_for(lambda: mapped() >= rested + 2, "frames after the stop")
     page.locator(".gsnb-live-stop").click()
-    until(lambda: "stopped" in status.inner_text(), "the second stop")
+    lab.wait_for(lambda: "stopped" in status.inner_text(), "the second stop")
 
 
 def test_the_map_is_turned_while_it_grows(lab, page):
     scene = page.locator(".gsnb-splat-scene")
     scene.scroll_into_view_if_needed()
-    until(lambda: value(lab, page, "splats.stats.get('pictures', 0)") > 0, "the first picture")
+    lab.wait_for(lambda: lab.value(page, "splats.stats.get('pictures', 0)") > 0, "the first picture")
     pixels = "document.querySelector('.gsnb-splat-software').toDataURL('image/png')"
-    before, last = page.evaluate(pixels), value(lab, page, "splats.birth_range[1]")
+    before, last = page.evaluate(pixels), lab.value(page, "splats.birth_range[1]")
     lab.run(page, "live.start()")
-    until(lambda: value(lab, page, "splats.birth_range[1]") > last, "newer Gaussians in the viewer")
-    until(lambda: page.evaluate(pixels) != before, "a picture of them")
+    lab.wait_for(lambda: lab.value(page, "splats.birth_range[1]") > last, "newer Gaussians in the viewer")
+    lab.wait_for(lambda: page.evaluate(pixels) != before, "a picture of them")
 
-    pose, mapped = value(lab, page, "splats.pose"), value(lab, page, "run.next_position")
+    pose, mapped = lab.value(page, "splats.pose"), lab.value(page, "run.next_position")
     box = scene.bounding_box()
     page.mouse.move(box["x"] + 160, box["y"] + 120)
     page.mouse.down()
     page.mouse.move(box["x"] + 220, box["y"] + 140, steps=10)
     page.mouse.up()
-    until(lambda: value(lab, page, "splats.pose") != pose, "the turn")
-    until(lambda: value(lab, page, "run.next_position") > mapped, "mapping to go on")
+    lab.wait_for(lambda: lab.value(page, "splats.pose") != pose, "the turn")
+    lab.wait_for(lambda: lab.value(page, "run.next_position") > mapped, "mapping to go on")
 
     page.locator(".gsnb-splat-time").fill("0")  # the time slider goes back while the map grows
-    until(lambda: value(lab, page, "splats.born_until") == 0, "the time slider")
-    until(lambda: value(lab, page, "live.player.state") in ("running", "finished"), "no harm to the mapping")
+    lab.wait_for(lambda: lab.value(page, "splats.born_until") == 0, "the time slider")
+    lab.wait_for(lambda: lab.value(page, "live.player.state") in ("running", "finished"), "no harm to the mapping")
     lab.run(page, "live.stop(); splats.born_until = None")
-    until(lambda: not value(lab, page, "live.player.is_alive"), "the stop")
+    lab.wait_for(lambda: not lab.value(page, "live.player.is_alive"), "the stop")
     sent = "splats.birth_range[1] == float(run.mapper.gaussians.birth_frame.max())"
-    until(lambda: value(lab, page, sent), "the last frame in the viewer")
-    screenshot(page, ".gsnb-splat-root", "chapter_06_splats_live")
+    lab.wait_for(lambda: lab.value(page, sent), "the last frame in the viewer")
+    lab.screenshot(page.locator(".gsnb-splat-root").first, "chapter_06_splats_live")
     assert not lab.errors
 
 
 def test_a_slider_made_from_a_keyword_moves_the_seeds(lab, page):
     page.locator(".gsnb-rule").scroll_into_view_if_needed()
-    screenshot(page, ".gsnb-rule", "chapter_09_rule")
-    before, picture = value(lab, page, "panel.values"), source(page, ".gsnb-rule-image")
-    page.locator(".gsnb-rule-max_depth_m .noUi-handle").focus()
-    for _ in range(6):
-        page.keyboard.press("ArrowLeft")
-    until(lambda: value(lab, page, "panel.values")["max_depth_m"] < before["max_depth_m"], "the slider")
-    until(lambda: source(page, ".gsnb-rule-image") != picture, "a new picture")
+    lab.screenshot(page.locator(".gsnb-rule").first, "chapter_09_rule")
+    before, picture = lab.value(page, "panel.values"), source(page, ".gsnb-rule-image")
+    lab.move_slider(page.locator(".gsnb-rule-max_depth_m"), -6)
+    lab.wait_for(lambda: lab.value(page, "panel.values")["max_depth_m"] < before["max_depth_m"], "the slider")
+    lab.wait_for(lambda: source(page, ".gsnb-rule-image") != picture, "a new picture")
     fewer = int(page.locator(".gsnb-rule-count").inner_text().replace(",", ""))
     page.locator(".gsnb-rule-invert input").click()
-    until(
+    lab.wait_for(
         lambda: int(page.locator(".gsnb-rule-count").inner_text().replace(",", "")) != fewer, "the check box to count"
     )
-    screenshot(page, ".gsnb-rule", "chapter_09_rule_inverted")
+    lab.screenshot(page.locator(".gsnb-rule").first, "chapter_09_rule_inverted")
 
 
 def test_a_faster_stage_shortens_the_bar(lab, page):
     page.locator(".gsnb-amdahl").scroll_into_view_if_needed()
     gain = page.locator(".gsnb-amdahl-gain")
     assert gain.inner_text() == "1.00"
-    page.locator(".gsnb-amdahl-optimise .noUi-handle").focus()
-    for _ in range(10):
-        page.keyboard.press("ArrowRight")
-    until(lambda: float(gain.inner_text()) > 1.3, "the gain")
-    screenshot(page, ".gsnb-amdahl", "chapter_10_amdahl")
+    lab.move_slider(page.locator(".gsnb-amdahl-optimise"), 10)
+    lab.wait_for(lambda: float(gain.inner_text()) > 1.3, "the gain")
+    lab.screenshot(page.locator(".gsnb-amdahl").first, "chapter_10_amdahl")
     assert not lab.errors
     assert not lab.requests

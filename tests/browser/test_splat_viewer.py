@@ -1,10 +1,7 @@
-"""The splat viewer as a person uses it: JupyterLab, Chromium, a mouse. Screenshots go to $GSNB_SCREENSHOTS."""
+"""The splat viewer as a person uses it: JupyterLab, Chromium, a mouse."""
 
 import base64
-import json
-import os
 import time
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -40,16 +37,10 @@ class Scene:
         self.lab, self.page = lab, page
         self.element = page.locator(".gsnb-splat-scene")
         self.element.scroll_into_view_if_needed()
-        self.until(lambda: self.value("viewer.stats.get('pictures', 0)") > 0, "the first picture")
+        self.lab.wait_for(lambda: self.value("viewer.stats.get('pictures', 0)") > 0, "the first picture")
 
     def value(self, expression):
-        return json.loads(self.lab.run(self.page, f"import json; print(json.dumps({expression}))"))
-
-    def until(self, condition, what, timeout_s=60):
-        end = time.monotonic() + timeout_s
-        while not condition():
-            assert time.monotonic() < end, f"waited {timeout_s} s for {what}"
-            time.sleep(0.1)
+        return self.lab.value(self.page, expression)
 
     def pixels(self, layer="software"):
         """Bytes of a canvas. [H, W, 3]"""
@@ -87,9 +78,7 @@ class Scene:
         return self.settle()
 
     def screenshot(self, name):
-        if folder := os.environ.get("GSNB_SCREENSHOTS"):
-            Path(folder).mkdir(parents=True, exist_ok=True)
-            self.page.locator(".gsnb-splat-root").screenshot(path=f"{folder}/{name}.png")
+        self.lab.screenshot(self.page.locator(".gsnb-splat-root"), name)
 
 
 @pytest.fixture(scope="module")
@@ -156,7 +145,7 @@ def test_pan_zoom_and_arrows(scene, start):
 
 def test_a_click_arrives_in_python(scene, start):
     scene.page.mouse.click(*scene.spot(0.5, 0.6))
-    scene.until(lambda: scene.value("viewer.picked") is not None, "the pick")
+    scene.lab.wait_for(lambda: scene.value("viewer.picked") is not None, "the pick")
     row = scene.value("viewer.picked")
     scene.settle()
     scene.screenshot("picked")
@@ -173,7 +162,7 @@ def test_colours_and_legend(scene, start):
     seen = [start]
     for name in ("depth", "tag", "birth_frame", "opacity"):
         scene.page.locator(".gsnb-splat-colour_by").select_option(name)
-        scene.until(lambda name=name: scene.value("viewer.colour_by") == name, "the choice")
+        scene.lab.wait_for(lambda name=name: scene.value("viewer.colour_by") == name, "the choice")
         seen.append(scene.settle())
         scene.screenshot(f"colour_{name}")
         assert difference(seen[-1], seen[-2]) > 5
@@ -189,14 +178,14 @@ def test_colours_and_legend(scene, start):
 def test_the_time_slider_hides_what_came_later(scene, start):
     first = int(scene.value("viewer.birth_range")[0])
     scene.page.locator(".gsnb-splat-time").fill(str(first))
-    scene.until(lambda: scene.value("viewer.born_until") == first, "the slider")
+    scene.lab.wait_for(lambda: scene.value("viewer.born_until") == first, "the slider")
     early = scene.settle()
     scene.screenshot("time")
     assert difference(early, start) > 0.3
     ours = np.array(scene.value("viewer.picture().tolist()"), np.uint8)
     assert psnr(early, ours) > 38
     scene.page.locator(".gsnb-splat-play").click()
-    scene.until(lambda: scene.value("viewer.born_until") is None, "the end of the film")
+    scene.lab.wait_for(lambda: scene.value("viewer.born_until") is None, "the end of the film")
     assert difference(scene.settle(), start) < 0.5
 
 
@@ -206,7 +195,7 @@ def test_it_follows_a_growing_map(scene, start):
     before = scene.settle()
     scene.lab.run(scene.page, "for _ in range(4): next(steps); viewer.update()")
     assert scene.value("len(run.mapper.gaussians)") > n
-    scene.until(lambda: difference(scene.pixels(), before) > 0.3, "the new Gaussians")
+    scene.lab.wait_for(lambda: difference(scene.pixels(), before) > 0.3, "the new Gaussians")
     after = scene.settle()
     ours = np.array(scene.value("viewer.picture().tolist()"), np.uint8)
     assert psnr(after, ours) > 38
@@ -216,12 +205,14 @@ def test_webgl_shows_the_same_when_asked_for(scene, start):
     if not scene.page.evaluate("Boolean(document.createElement('canvas').getContext('webgl2'))"):
         pytest.skip("this Chromium has no WebGL2")
     scene.page.locator(".gsnb-splat-renderer").select_option("webgl")
-    scene.until(lambda: scene.value("viewer.renderer_used") == "webgl", "the switch")
+    scene.lab.wait_for(lambda: scene.value("viewer.renderer_used") == "webgl", "the switch")
     software = scene.pixels()
-    scene.until(lambda: psnr(scene.pixels("gpu"), software) > 32, "the same picture")  # it blends in 8 bits
+    scene.lab.wait_for(lambda: psnr(scene.pixels("gpu"), software) > 32, "the same picture")  # it blends in 8 bits
     scene.screenshot("webgl")
     scene.page.locator(".gsnb-splat-renderer").select_option("auto")
-    scene.until(lambda: scene.value("viewer.renderer_used") == "software" or scene.value("viewer.gpu"), "the switch")
+    scene.lab.wait_for(
+        lambda: scene.value("viewer.renderer_used") == "software" or scene.value("viewer.gpu"), "the switch"
+    )
 
 
 def test_nothing_broke_and_nothing_came_from_elsewhere(scene):

@@ -136,15 +136,21 @@ def test_glb_content_and_axes(tmp_path):
     mesh = tetrahedron()
     write_mesh_glb(tmp_path / "m.glb", mesh)
     document, chunk = parse_glb((tmp_path / "m.glb").read_bytes())
-    assert document["buffers"] == [{"byteLength": 4 * 12 + 4 * 8 + 12 * 4}]
+    assert document["buffers"] == [{"byteLength": 4 * 12 + 4 * 12 + 12 * 4}]
     xyz = accessor(document, chunk, 0, "<f4", 3)
     assert xyz.tolist() == [[0, 0, 0], [1, 0, 0], [0, -2, 0], [0, 0, -3]]
     assert document["accessors"][0]["min"] == [0, -2, -3]
     assert document["accessors"][0]["max"] == [1, 0, 0]
     assert accessor(document, chunk, 2, "<u4", 1).reshape(-1, 3).tolist() == mesh.faces.tolist()
-    colour = accessor(document, chunk, 1, "<u2", 4) / 65535
+    colour = accessor(document, chunk, 1, "<f4", 3)
     # 0.2 and 0.4 of sRGB are 0.0331 and 0.1329 of linear light
-    assert colour[3].tolist() == pytest.approx([0.03310, 0.13287, 1.0, 1.0], abs=1e-4)
+    assert colour[3].tolist() == pytest.approx([0.03310, 0.13287, 1.0], abs=1e-5)
+    # Float: programs that ignore componentType 5123 read 16-bit colours as 8-bit ones.
+    assert {k: document["accessors"][1][k] for k in ("componentType", "type")} == {
+        "componentType": 5126,
+        "type": "VEC3",
+    }
+    assert "normalized" not in document["accessors"][1]
 
 
 @pytest.mark.parametrize("up", ["-y", "+z", "+y"])

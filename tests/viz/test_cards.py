@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 
+import gsfusion_nb
 from gsfusion_nb import gsfusion
 from gsfusion_nb.config import TsdfConfig
 from gsfusion_nb.datasets import open_sequence
@@ -18,6 +19,7 @@ from gsfusion_nb.gaussians import GaussianModel, SurfelModel
 from gsfusion_nb.mapping import MappingRun
 from gsfusion_nb.seeding import quadtree
 from gsfusion_nb.tsdf import TsdfVolume
+from gsfusion_nb.viz import cards
 from gsfusion_nb.viz.cards import card
 
 
@@ -97,6 +99,12 @@ def test_a_run_shows_a_frame_beside_the_map(run):
 def test_of_other_things_there_is_none():
     with pytest.raises(TypeError, match="no card of a int; of Frame, TsdfVolume"):
         card(3)
+
+
+def test_ipython_is_told_of_every_card_and_of_no_other():
+    made = {(kind.__module__, kind.__name__) for kind in cards._CARDS}
+    assert set(gsfusion_nb._WITH_CARD) == made
+    assert len(gsfusion_nb._WITH_CARD) == len(made)
 
 
 def test_ipython_shows_the_card():

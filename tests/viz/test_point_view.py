@@ -85,4 +85,6 @@ def test_the_panel_is_fast_enough():
         times.append(time.process_time() - start)
     assert np.median(times) < 0.1
     assert "no point on" in panel.caption.value
+    for show, words in (("depth", " m, red "), ("normals", "x, y, z"), ("colour", "no point on")):
+        assert words in panel.set(show=show).caption.value
     assert (panel.picture() != before).any()

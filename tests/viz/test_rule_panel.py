@@ -43,6 +43,10 @@ def test_a_control_for_each_option():
     assert (count.low, count.high, count.step) == (2, 20, 1)
     assert isinstance(offset, Slider)
     assert (offset.low, offset.high) == (-1, 1)
+    for limits, step in (((0, 5), 1.0), ((0.0, 5.0), 0.05)):
+        share = rule_controls(every_kind, {"share": limits})["share"]
+        assert isinstance(share, Slider)
+        assert (share.low, share.high, share.step) == (*limits, step)
     assert isinstance(controls["on"], Switch)
     assert isinstance(word, Choice)
     assert list(word.options) == ["a", "b"]

@@ -4,6 +4,7 @@ import base64
 import dataclasses
 import threading
 import time
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -16,6 +17,7 @@ from gsfusion_nb.render import render
 from gsfusion_nb.types import Camera, Seeds
 from gsfusion_nb.viz import SplatViewer, orbit_camera
 from gsfusion_nb.viz.display import WIDGET_MIME
+from gsfusion_nb.viz.splat_columns import SURFEL_TAG, columns_of
 from gsfusion_nb.viz.surfel_pictures import STATE_COLOURS
 
 CAMERA = Camera(width=64, height=48, fx=60.0, fy=60.0, cx=32.0, cy=24.0)
@@ -246,6 +248,15 @@ def test_states_have_the_colours_of_the_live_panels(model):
     left, right = (viewer.picture()[24, u].astype(int) for u in (17, 47))
     assert left.argmax() == 0  # unstable: orange
     assert right.argmax() == 2  # stable: blue
+
+
+def test_a_tag_is_a_cause_in_a_map_with_states():
+    def label(source):
+        return next(c.label for c in columns_of(source, 2, {}) if c.name == "tag")
+
+    tag = torch.ones(2, dtype=torch.int32)
+    assert label(SimpleNamespace(tag=tag, state=tag)) == SURFEL_TAG
+    assert label(SimpleNamespace(tag=tag)) == "seed level"
 
 
 def test_the_map_is_not_part_of_the_saved_state(viewer):

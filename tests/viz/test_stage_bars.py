@@ -2,7 +2,7 @@
 
 import pytest
 
-from gsfusion_nb.viz.stage_bars import amdahl_panel, faster, stage_bars, stage_means
+from gsfusion_nb.viz.stage_bars import _short, amdahl_panel, faster, stage_bars, stage_means
 
 SECONDS = {"tsdf": 0.05, "optimise": 0.05}
 
@@ -31,6 +31,10 @@ def test_a_bar_is_as_long_as_its_time():
     red = (picture == (61, 133, 198)).all(-1)  # the first colour of the palette
     long, short = red[12].sum(), red[12 + 70].sum()
     assert long == pytest.approx(2 * short, abs=3)
+
+
+def test_numbers_are_written_as_people_write_them():
+    assert [_short(x) for x in (0.05041, 7.184, 19.84, 19840.0)] == ["0.0504", "7.18", "19.8", "19,840"]
 
 
 def test_nothing_to_draw():

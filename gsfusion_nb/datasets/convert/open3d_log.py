@@ -51,7 +51,7 @@ def read(path: Path, options: ConvertOptions) -> Recording:
         raise SequenceError(f"{file} has a pose of frame {beyond[0]}, but {path} holds {len(colour)} images, from 0")
     intrinsics = next((path / n for n in _INTRINSICS if (path / n).is_file()), None)
     notes = []
-    if intrinsics is not None:
+    if intrinsics is not None and not options.intrinsics:
         model, notes = (
             intrinsics_of_json(intrinsics, None),
             [f"intrinsics from {intrinsics}, pixel centres at integers"],

@@ -39,7 +39,7 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     """A TUM-style folder (module docstring)."""
     entries, dropped = _entries(path)
     scale = options.depth_scale or DEPTH_SCALE
-    model, notes = _model(path, entries[0][1])
+    model, notes = (None, []) if options.intrinsics else _model(path, entries[0][1])
     trajectory = None
     file = next((path / n for n in _TRAJECTORIES if (path / n).is_file()), None)
     if file is not None and not options.poses:

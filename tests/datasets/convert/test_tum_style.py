@@ -52,6 +52,16 @@ def test_without_poses_or_intrinsics_says_what_to_give(tmp_path, takes):
     assert not (tmp_path / "out.partial").exists()
 
 
+def test_calibration_is_not_named_where_the_user_gave_another(tmp_path, takes):
+    root = write_tum(tmp_path / "scan", takes)
+    c = takes.camera
+    own = convert(root, tmp_path / "own")
+    assert any(note.startswith(f"intrinsics from {root / 'calibration.txt'}") for note in own.notes)
+    given = ConvertOptions(intrinsics=f"{c.fx + 7} {c.fy} {c.cx - 0.5} {c.cy - 0.5}")
+    report = convert(root, tmp_path / "given", options=given)
+    assert not any("intrinsics from" in note for note in report.notes)
+
+
 def test_no_poses_on_purpose(tmp_path, takes):
     from gsfusion_nb.datasets import folder
 

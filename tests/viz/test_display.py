@@ -1,0 +1,28 @@
+"""``show``: the size on screen, and labels that stay legible."""
+
+import cv2
+import numpy as np
+import pytest
+
+from gsfusion_nb.viz import show
+from gsfusion_nb.viz.figures import LABEL_PX
+
+
+def shown(image):
+    return np.asarray(cv2.imdecode(np.frombuffer(image.data, np.uint8), cv2.IMREAD_COLOR))
+
+
+@pytest.mark.parametrize("scale", [0.5, 1.0, 2.0])
+def test_labels_keep_their_size_when_pictures_are_scaled(scale):
+    picture = np.full((40, 60, 3), 128, np.uint8)
+    image = show([picture, picture], ["left", "right"], scale=scale)
+    height, width = shown(image).shape[:2]
+    assert image.width == width
+    assert height == LABEL_PX + round(40 * scale)
+    assert width == pytest.approx(2 * 60 * scale, abs=8)
+
+
+def test_one_picture_without_a_label_is_enlarged_by_the_browser():
+    image = show(np.full((40, 60, 3), 128, np.uint8), scale=1.5)
+    assert shown(image).shape == (40, 60, 3)
+    assert image.width == 90
