@@ -49,11 +49,15 @@ def check_pose(name: str, T: Tensor, tolerance: float = 1e-3) -> None:
         raise ValueError(f"{name} must end in the row [0, 0, 0, 1], got {[round(float(v), 4) for v in T[3]]}")
 
 
-def check_colours(name: str, rgb: Tensor) -> None:
-    """Raise ``ValueError`` unless all of ``rgb`` is finite and in 0..1."""
-    check_finite(name, rgb)
-    if rgb.numel() and not (float(rgb.min()) >= -1e-3 and float(rgb.max()) <= 1 + 1e-3):
-        raise ValueError(f"{name} must be in 0..1, got {float(rgb.min()):g} to {float(rgb.max()):g}")
+def check_colours(name: str, rgb: Tensor, extremes: tuple[float, float] | None = None) -> None:
+    """Raise ``ValueError`` unless all of ``rgb`` is finite and in 0..1; ``extremes`` if they are known already."""
+    if not rgb.numel():
+        return
+    low, high = extremes or torch.stack(torch.aminmax(rgb)).tolist()
+    if not (math.isfinite(low) and math.isfinite(high)):  # the extremes of a NaN are NaN
+        check_finite(name, rgb)
+    if not (low >= -1e-3 and high <= 1 + 1e-3):
+        raise ValueError(f"{name} must be in 0..1, got {low:g} to {high:g}")
 
 
 def check_positive(name: str, value: object) -> None:

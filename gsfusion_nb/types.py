@@ -158,6 +158,10 @@ class RenderOutput:
     surface_depth_m: Float[Tensor, "H W"] | None = None
     """z-depth of the surface, 0 where none is, of a map that has one of its own (RTG-SLAM's discs), metres."""
 
+    def to(self, device: torch.device | str) -> "RenderOutput":
+        """The same images on ``device``."""
+        return RenderOutput(**{name: None if x is None else x.to(device) for name, x in vars(self).items()})
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GaussianParams:

@@ -18,7 +18,7 @@ from .config import OptimConfig, SeedingConfig, TsdfConfig, gsfusion, rtg_slam
 from .gaussians import GaussianModel
 from .geometry import depth_to_normals
 from .mapping import RTGSLAM, GSFusion
-from .optim import adam_step, dssim_vjp, rgbd_l1_vjp
+from .optim import adam_step, dssim_vjp, l1_mse_vjp, rgbd_l1_vjp
 from .render import disc_depth, disc_depth_vjp, render_forward, render_vjp
 from .seeding import quadtree
 from .tracking import Surface, icp
@@ -85,6 +85,7 @@ def exercises(device: str = "cpu") -> Iterator[Exercise]:
         config = OptimConfig(adam_steps=steps)
         yield Exercise(f"adam_update: {steps}", ("adam_update",), _once(_adam, config, device))
     yield Exercise("dssim_vjp", ("dssim_vjp",), _once(dssim_vjp, frame.rgb, grey.rgb))
+    yield Exercise("l1_mse_vjp", ("l1_mse_vjp",), _once(l1_mse_vjp, frame.rgb, grey.rgb))
     for behind_m in (None, 0.1):
         run = _once(_rgbd_loss, frame, grey, behind_m)
         yield Exercise(f"rgbd_l1_vjp: {behind_m}", ("rgbd_l1_vjp",), run)

@@ -233,6 +233,7 @@ def score_views(
     for frame in frames:
         with torch.no_grad():
             view = render_fn(frame.camera, frame.T_WC)
+        frame = frame.to(view.rgb.device)
         l1_m, share = depth_l1_m(expected_depth_m(view), frame.depth_m)
         rows.append(
             ImageRow(

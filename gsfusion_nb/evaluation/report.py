@@ -61,6 +61,7 @@ class ViewPanel:
     @staticmethod
     def of(frame: Frame, view: RenderOutput, *, held_out: bool, cells: Any = None) -> "ViewPanel":
         """The panel of a frame and the render of its view, scored."""
+        view = view.to(frame.rgb.device)
         return ViewPanel(
             name=f"Frame {frame.index}",
             held_out=held_out,

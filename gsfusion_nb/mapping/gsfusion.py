@@ -10,7 +10,7 @@ from torch import Tensor
 from ..config import GSFusionConfig, from_dict, to_dict
 from ..datasets import BadFrameError
 from ..gaussians import GaussianModel
-from ..optim import Keyframe, KeyframeList, adam_step, dssim_vjp, l1, l1_vjp
+from ..optim import Keyframe, KeyframeList, adam_step, dssim_vjp, l1_mse_vjp
 from ..render import render, render_forward, render_vjp
 from ..seeding import SeedContext, SeedingRule, apply_rule, get_rule
 from ..tracking import Correction, tsdf_surface
@@ -65,7 +65,7 @@ class GSFusion:
             BadFrameError: the pose is not rigid, an image holds a NaN or colours beyond 0..1, or the frame lies too far
                 away for the voxel index. The maps are unchanged.
         """
-        frame = check_frame(frame.to(self.device))
+        frame = check_frame(frame, self.device)
         clock = StageClock()
         with clock("tracking"):
             frame = self.localiser.locate(frame, tsdf_surface(self.volume))
@@ -200,24 +200,31 @@ class GSFusion:
         if not is_keyframe:
             for keyframe in self.keyframes.draw(optim.random_keyframe_iterations, self.generator):
                 self._optimise_view(keyframe)
-        return [loss for loss, _ in steps], [psnr for _, psnr in steps]
+        if not steps:
+            return [], []
+        losses, errors = torch.stack([torch.stack(step) for step in steps], dim=1).tolist()
+        return losses, [psnr_from_mse(mse) for mse in errors]
 
-    def _optimise_globally(self, i: int) -> float:
+    def _optimise_globally(self, i: int) -> Float[Tensor, ""]:
         """One step on the i-th keyframe after the scan."""
         return self._optimise_view(self.keyframes[i], ssim_weight=self.config.optim.ssim_weight)[0]
 
-    def _optimise_view(self, view: Frame | Keyframe, ssim_weight: float = 0.0) -> tuple[float, float]:
-        """One gradient step on one view; its loss and PSNR before the step. Online the loss is L1 alone (Eq. 12)."""
+    def _optimise_view(
+        self, view: Frame | Keyframe, ssim_weight: float = 0.0
+    ) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
+        """One gradient step on one view; its loss and squared error before it. Online the loss is L1 alone (Eq. 12).
+
+        Both stay on the device: waiting for them after every step would leave a GPU idle.
+        """
         target = view.rgb.to(self.device)
         output, saved = render_forward(
             self.gaussians.params, view.camera, view.T_WC.to(self.device), with_indices=False
         )
-        loss = l1(output.rgb, target)
-        v_rgb = l1_vjp(output.rgb, target)
+        pixels = l1_mse_vjp(output.rgb, target)
+        loss, v_rgb = pixels.value, pixels.v_rgb
         if ssim_weight > 0:
             structural, v_structural = dssim_vjp(output.rgb, target)
             loss = (1 - ssim_weight) * loss + ssim_weight * structural
             v_rgb = (1 - ssim_weight) * v_rgb + ssim_weight * v_structural
         adam_step(self.gaussians, render_vjp(saved, v_rgb), self.config.optim)
-        mse = float((output.rgb.clamp(0, 1) - target).square().mean())
-        return float(loss), psnr_from_mse(mse)
+        return loss, pixels.mse

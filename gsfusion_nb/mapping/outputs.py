@@ -239,8 +239,8 @@ def _mesh_pictures(run: MappingRun) -> dict[str, torch.Tensor]:
         seen = run.mapper.surface(run.sequence.camera, T_WC)
         towards = -(seen.normal_W * T_WC[:3, 2]).sum(-1)  # cosine to the optical axis
         shaded = (0.15 + 0.85 * towards.clamp(0, 1)) * (seen.depth_m > 0)
-        pictures[f"colour, view {i + 1}"] = seen.rgb.clamp(0, 1)
-        pictures[f"shape, view {i + 1}"] = shaded[..., None].expand(-1, -1, 3)
+        pictures[f"colour, view {i + 1}"] = seen.rgb.clamp(0, 1).cpu()
+        pictures[f"shape, view {i + 1}"] = shaded[..., None].expand(-1, -1, 3).cpu()
     return pictures
 
 

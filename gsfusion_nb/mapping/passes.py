@@ -4,6 +4,8 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from .report import GlobalStep
 
@@ -23,7 +25,7 @@ class KeyframePasses:
         return self.done > 0 or len(self.queue) > 0
 
     def run(
-        self, passes: int, n_keyframes: int, generator: torch.Generator, optimise: Callable[[int], float]
+        self, passes: int, n_keyframes: int, generator: torch.Generator, optimise: Callable[[int], Float[Tensor, ""]]
     ) -> Iterator[GlobalStep]:
         """Visit every keyframe ``passes`` times; ``optimise(i)`` takes one step on the i-th and returns its loss.
 
@@ -38,7 +40,7 @@ class KeyframePasses:
                 loss = optimise(self.queue.pop(0))
                 step += 1
                 self.done += not self.queue
-                yield GlobalStep(pass_index=pass_index, step=step, n_steps=n_steps, loss=loss)
+                yield GlobalStep(pass_index=pass_index, step=step, n_steps=n_steps, loss_value=loss)
 
     def state_dict(self) -> dict[str, Any]:
         """Where the passes stand."""

@@ -7,6 +7,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
+from jaxtyping import Float
+from torch import Tensor
+
 
 @dataclass(frozen=True, kw_only=True)
 class StepReport:
@@ -39,7 +42,7 @@ class StepReport:
         return sum(self.seconds.values())
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class GlobalStep:
     """One view revisited in the optimisation after the scan."""
 
@@ -49,7 +52,13 @@ class GlobalStep:
     """Steps done so far in this optimisation, from 1."""
     n_steps: int
     """Steps in total."""
-    loss: float
+    loss_value: Float[Tensor, ""]
+    """Loss before the step, on the device of the map."""
+
+    @property
+    def loss(self) -> float:
+        """Loss before the step. On a GPU this waits until the step is done."""
+        return float(self.loss_value)
 
 
 class StageClock:

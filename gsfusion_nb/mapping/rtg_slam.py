@@ -70,7 +70,7 @@ class RTGSLAM:
         Raises:
             BadFrameError: the frame cannot be used. The map is unchanged.
         """
-        frame = check_frame(frame.to(self.device), needs_depth=True)
+        frame = check_frame(frame, self.device, needs_depth=True)
         clock = StageClock()
         with clock("tracking"):
             frame = self.localiser.locate(frame, self._tracking_surface)  # Eq. 10
@@ -147,7 +147,7 @@ class RTGSLAM:
                 rgb=view.rgb.clamp(0, 1),
                 depth_m=view.depth_m,
                 camera=self.camera,
-                T_WC=T_WC,
+                T_WC=T_WC.to(self.device),
             )
             integrate(volume, frame)
         return extract_mesh(volume)
@@ -264,7 +264,7 @@ class RTGSLAM:
         )  # Eq. 9
         optimiser.write_back(fused)
         model.confidence[optimiser.rows] = now
-        return losses
+        return torch.stack(losses).tolist() if losses else []
 
     def _optimise_keyframes(self) -> None:
         """Optimise over the latest and some random keyframes, on the pixels with the largest colour errors."""
@@ -317,7 +317,7 @@ class RTGSLAM:
         )
         return _psnr(view.rgb, frame), change_states(self.gaussians, self.config.states)
 
-    def _optimise_finally(self, i: int) -> float:
+    def _optimise_finally(self, i: int) -> Float[Tensor, ""]:
         """One step on the i-th keyframe, on all pixels and all Gaussians, which are all stable from here on."""
         if self._final is None:
             self.gaussians.state.fill_(STABLE)

@@ -90,7 +90,7 @@ class MappingRun:
         self.steps: list[StepReport] = []
         self.global_losses: list[float] = []
         """Mean loss of each finished pass of the global optimisation."""
-        self._pass_losses: list[float] = []
+        self._pass_losses: list[torch.Tensor] = []
         self.online_scores: dict[str, float] = {}
         """PSNR of the map as the scan left it, before the global optimisation."""
         self.timestamps_s: list[float] = []
@@ -169,9 +169,9 @@ class MappingRun:
         passes = self.mapper.n_passes - self.mapper.passes.done
         start = time.perf_counter()
         for step in self.mapper.global_optimise(passes):
-            self._pass_losses.append(step.loss)
+            self._pass_losses.append(step.loss_value)
             if not self.mapper.passes.queue:
-                self.global_losses.append(sum(self._pass_losses) / len(self._pass_losses))
+                self.global_losses.append(float(torch.stack(self._pass_losses).mean()))
                 self._pass_losses = []
             self.seconds_global += time.perf_counter() - start
             yield step

@@ -1,5 +1,9 @@
 """Whether a frame can be mapped at all."""
 
+import math
+
+import torch
+
 from ..checks import check_colours, check_finite, check_pose
 from ..datasets import BadFrameError
 from ..types import Frame
@@ -8,11 +12,12 @@ BLACK = 2.5 / 255
 """A frame with no brighter pixel was not exposed."""
 
 
-def check_frame(frame: Frame, *, needs_depth: bool = False) -> Frame:
-    """The frame itself, if it can be used.
+def check_frame(frame: Frame, device: torch.device | None = None, *, needs_depth: bool = False) -> Frame:
+    """The frame itself, if it can be used, on ``device``.
 
     Args:
         frame: What is about to be mapped.
+        device: Where it is wanted; by default where it is. A GPU is waited for once.
         needs_depth: Refuse one without any depth.
 
     Raises:
@@ -21,12 +26,20 @@ def check_frame(frame: Frame, *, needs_depth: bool = False) -> Frame:
     """
     try:
         check_pose(f"T_WC of frame {frame.index}", frame.T_WC)
-        check_finite(f"depth_m of frame {frame.index}", frame.depth_m)
-        check_colours(f"rgb of frame {frame.index}", frame.rgb)
-        if float(frame.rgb.max()) < BLACK:
-            raise ValueError("its picture is black; expected an exposed one")
-        if needs_depth and not bool((frame.depth_m > 0).any()):
-            raise ValueError("it has no depth at all; expected some above 0")
+        frame = frame if device is None else frame.to(device)
+        _check_images(frame, needs_depth)
     except ValueError as e:
         raise BadFrameError(f"frame {frame.index} cannot be mapped: {e}") from None
     return frame
+
+
+def _check_images(frame: Frame, needs_depth: bool) -> None:
+    extremes = torch.stack([x for image in (frame.depth_m, frame.rgb) for x in torch.aminmax(image)])
+    depth_low, depth_high, low, high = extremes.tolist()  # NaN if any value is
+    if not (math.isfinite(depth_low) and math.isfinite(depth_high)):
+        check_finite(f"depth_m of frame {frame.index}", frame.depth_m)
+    check_colours(f"rgb of frame {frame.index}", frame.rgb, (low, high))
+    if high < BLACK:
+        raise ValueError("its picture is black; expected an exposed one")
+    if needs_depth and not depth_high > 0:
+        raise ValueError("it has no depth at all; expected some above 0")

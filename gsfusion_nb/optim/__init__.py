@@ -7,7 +7,9 @@ from .keyframes import Keyframe as Keyframe
 from .keyframes import KeyframeList as KeyframeList
 from .losses import dssim as dssim
 from .losses import dssim_vjp as dssim_vjp
+from .losses import L1Loss as L1Loss
 from .losses import l1 as l1
+from .losses import l1_mse_vjp as l1_mse_vjp
 from .losses import l1_vjp as l1_vjp
 from .rgbd_loss import RgbdLoss as RgbdLoss
 from .rgbd_loss import rgbd_l1_vjp as rgbd_l1_vjp

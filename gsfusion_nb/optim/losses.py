@@ -1,6 +1,7 @@
 """Photometric losses, each with its explicit gradient beside it."""
 
 import functools
+from dataclasses import dataclass
 
 import torch
 import torch.nn.functional as F
@@ -25,6 +26,25 @@ def l1(rgb: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"]) -> Float[Ten
 def l1_vjp(rgb: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"], v_loss: float = 1.0) -> Float[Tensor, "H W 3"]:
     """dL/drgb = sign(rgb - target) / (number of values), zero where they are equal."""
     return torch.sign(rgb - target).mul_(v_loss / rgb.numel())
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class L1Loss:
+    """``l1`` of one view, its gradient, and what its PSNR is made of. Tensors: an optimiser does not wait for them."""
+
+    value: Float[Tensor, ""]
+    """Mean absolute difference."""
+    mse: Float[Tensor, ""]
+    """Mean squared difference of the picture as it is shown, clamped to 0..1."""
+    v_rgb: Float[Tensor, "H W 3"]
+
+
+@op
+def l1_mse_vjp(rgb: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"]) -> L1Loss:
+    """What an optimisation step asks of a picture: ``l1``, ``l1_vjp`` and the error that its PSNR reports."""
+    return L1Loss(
+        value=l1(rgb, target), mse=(rgb.clamp(0, 1) - target).square().mean(), v_rgb=l1_vjp(rgb, target)
+    )  # fmt: skip
 
 
 def dssim(rgb: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"]) -> Float[Tensor, ""]:

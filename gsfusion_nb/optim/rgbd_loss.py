@@ -11,13 +11,13 @@ from ..backends import op
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RgbdLoss:
-    """Value and gradient of the loss of one view."""
+    """Value and gradient of the loss of one view. The values are tensors: an optimiser does not wait for them."""
 
-    colour: float
+    colour: Float[Tensor, ""]
     """Mean |C - C^| over the pixels and channels."""
-    depth_m: float
+    depth_m: Float[Tensor, ""]
     """Mean |D - D^| over the pixels that have both depths, metres."""
-    total: float
+    total: Float[Tensor, ""]
     """w_c colour + w_d depth."""
     v_rgb: Float[Tensor, "H W 3"]
     v_depth_m: Float[Tensor, "H W"]
@@ -46,18 +46,18 @@ def rgbd_l1_vjp(
 
     Differentiable: this is the derivative; zero where both are equal.
     """
-    n = int(pixels.sum())
+    n = (3 * pixels.sum()).clamp_min(1)
     gap = torch.where(pixels[..., None], rgb - target_rgb, 0.0)
     known = pixels & (depth_m > 0) & (target_depth_m > 0)
     if behind_m is not None:
         known = known & (depth_m - target_depth_m < behind_m)
     depth_gap = torch.where(known, depth_m - target_depth_m, 0.0)
-    n_known = max(int(known.sum()), 1)
-    colour, depth = float(gap.abs().sum()) / max(3 * n, 1), float(depth_gap.abs().sum()) / n_known
+    n_known = known.sum().clamp_min(1)
+    colour, depth = gap.abs().sum() / n, depth_gap.abs().sum() / n_known
     return RgbdLoss(
         colour=colour,
         depth_m=depth,
         total=weight_colour * colour + weight_depth * depth,
-        v_rgb=torch.sign(gap) * (weight_colour / max(3 * n, 1)),
+        v_rgb=torch.sign(gap) * (weight_colour / n),
         v_depth_m=torch.sign(depth_gap) * (weight_depth / n_known),
     )

@@ -188,18 +188,22 @@ def _check_seeds(seeds: Any, ctx: SeedContext) -> None:
         check_shape(name, column, (n, *shape[1:]))
         if column.device != ctx.frame.depth_m.device:
             raise ValueError(f"{name} must be on the frame's device {ctx.frame.depth_m.device}, got {column.device}")
-        if name != "tag":
-            if not column.is_floating_point():
-                raise ValueError(f"{name} must be floating point, got {column.dtype}")
-            check_finite(name, column)
-    _check_all("scale_m must be > 0", seeds.scale_m, seeds.scale_m > 0)
-    _check_all("opacity must lie strictly between 0 and 1", seeds.opacity, (seeds.opacity > 0) & (seeds.opacity < 1))
-    _check_all("rgb must lie in 0..1", seeds.rgb, (seeds.rgb >= 0) & (seeds.rgb <= 1))
+        if name != "tag" and not column.is_floating_point():
+            raise ValueError(f"{name} must be floating point, got {column.dtype}")
     length = seeds.quat.norm(dim=-1)
-    _check_all("quat must not be zero", length, length > 1e-6)
-
-
-def _check_all(rule: str, values: Tensor, ok: Tensor) -> None:
-    if not ok.all():
-        bad = values[~ok]
-        raise ValueError(f"{rule}, got {len(bad)} other values, from {float(bad.min()):g} to {float(bad.max()):g}")
+    limits = (
+        ("scale_m must be > 0", seeds.scale_m, seeds.scale_m > 0),
+        ("opacity must lie strictly between 0 and 1", seeds.opacity, (seeds.opacity > 0) & (seeds.opacity < 1)),
+        ("rgb must lie in 0..1", seeds.rgb, (seeds.rgb >= 0) & (seeds.rgb <= 1)),
+        ("quat must not be zero", length, length > 1e-6),
+    )
+    finite = [torch.isfinite(getattr(seeds, name)).all() for name in _COLUMNS if name != "tag"]
+    if bool(torch.stack([*finite, *(ok.all() for _, _, ok in limits)]).all()):  # a GPU is waited for once
+        return
+    for name in _COLUMNS:
+        if name != "tag":
+            check_finite(name, getattr(seeds, name))
+    for rule, values, ok in limits:
+        if not ok.all():
+            bad = values[~ok]
+            raise ValueError(f"{rule}, got {len(bad)} other values, from {float(bad.min()):g} to {float(bad.max()):g}")

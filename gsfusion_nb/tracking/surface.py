@@ -76,10 +76,10 @@ def hybrid_surface(model: Surface, depth_m: Float[Tensor, "H W"]) -> Surface:
         model: Rendered from the pose of the last frame, with its camera.
         depth_m: z-depth of the last frame, metres. [H, W]
     """
-    own_W = se3.rotate(model.T_WC.to(depth_m.dtype), depth_to_normals(model.camera, depth_m))
+    own_W = se3.rotate(model.T_WC.to(depth_m), depth_to_normals(model.camera, depth_m))
     apart = (model.depth_m - depth_m).abs() > HYBRID_DEPTH_M
     turned = 1 - (own_W * model.normal_W).sum(-1) > HYBRID_COSINE_GAP
     own = (depth_m > 0) & ((model.depth_m <= 0) | apart | turned)
     mixed_m = torch.where(own, depth_m, model.depth_m)
-    normal_W = se3.rotate(model.T_WC.to(depth_m.dtype), depth_to_normals(model.camera, mixed_m))
+    normal_W = se3.rotate(model.T_WC.to(depth_m), depth_to_normals(model.camera, mixed_m))
     return Surface(depth_m=mixed_m, normal_W=normal_W, camera=model.camera, T_WC=model.T_WC)

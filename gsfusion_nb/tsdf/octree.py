@@ -60,12 +60,11 @@ class BlockIndex:
         codes = encode(coords)
         fresh = codes[self._search(codes) < 0].unique()
         if fresh.numel():
-            n, m = len(self), fresh.shape[0]
-            at = torch.searchsorted(self.codes, fresh) + torch.arange(m, device=fresh.device)
-            old = torch.ones(n + m, dtype=torch.bool, device=fresh.device)
-            old[at] = False
-            self.codes = _merge(self.codes, fresh, old, at)
-            self.rows = _merge(self.rows, torch.arange(n, n + m, device=fresh.device), old, at)
+            n, new_rows = len(self), torch.arange(len(self), len(self) + len(fresh), device=fresh.device)
+            at = torch.searchsorted(self.codes, fresh) + new_rows - n
+            old_at = torch.searchsorted(fresh, self.codes) + torch.arange(n, device=fresh.device)
+            self.codes = _merge(self.codes, old_at, fresh, at)
+            self.rows = _merge(self.rows, old_at, new_rows, at)
             self._update_table(decode(fresh), n)
         return self._search(codes)
 
@@ -118,8 +117,5 @@ class BlockIndex:
             self._table[self._cell(coords)[0]] = self.rows.to(torch.int32)
 
 
-def _merge(old: Tensor, new: Tensor, is_old: Tensor, new_at: Tensor) -> Tensor:
-    merged = old.new_zeros(is_old.shape[0])
-    merged[is_old] = old
-    merged[new_at] = new
-    return merged
+def _merge(old: Tensor, old_at: Tensor, new: Tensor, new_at: Tensor) -> Tensor:
+    return old.new_empty(len(old) + len(new)).scatter_(0, old_at, old).scatter_(0, new_at, new)

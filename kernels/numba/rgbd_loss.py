@@ -42,11 +42,12 @@ def rgbd_l1_vjp(
         n, n_known = max(3 * sums[0], 1.0), max(sums[1], 1.0)
         scale_rgb, scale_depth = f32(weight_colour / n), f32(weight_depth / n_known)
         _write(*arrays, limit, scale_rgb, scale_depth, v_rgb.numpy(), v_depth_m.numpy())
-    colour, depth = float(sums[2] / n), float(sums[3] / n_known)
+    colour, depth = sums[2] / n, sums[3] / n_known
+    values = torch.tensor([colour, depth, weight_colour * colour + weight_depth * depth], dtype=torch.float32)
     return reference.RgbdLoss(
-        colour=colour,
-        depth_m=depth,
-        total=weight_colour * colour + weight_depth * depth,
+        colour=values[0],
+        depth_m=values[1],
+        total=values[2],
         v_rgb=v_rgb,
         v_depth_m=v_depth_m,
     )

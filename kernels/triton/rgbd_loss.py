@@ -1,6 +1,6 @@
 """RTG-SLAM's loss and its gradient in two passes over the image: count, then write.
 
-The second pass takes the counts from the device; the host waits once, for the values that it returns.
+The second pass takes the counts from the device; the host waits for nothing.
 """
 
 # pyright: reportCallIssue=false, reportArgumentType=false, reportOperatorIssue=false, reportIndexIssue=false
@@ -45,12 +45,12 @@ def rgbd_l1_vjp(
     sums = torch.zeros(parts(total, _BLOCK), 4, dtype=torch.float32, device=device)
     launch(_sums, len(sums), device, *arrays, sums, total, limit, BLOCK=_BLOCK, num_warps=4)
     sums = sums.sum(0, dtype=torch.float64)
-    counts = sums[:2].mul(sums.new_tensor([3.0, 1.0])).clamp_min(1.0)
+    counts = sums[:2].clamp_min(1.0)
     launch(
         _write, parts(total, _BLOCK), device, *arrays, counts, v_rgb, v_depth_m, total, limit,
         float(weight_colour), float(weight_depth), BLOCK=_BLOCK, num_warps=4,
     )  # fmt: skip
-    colour, depth = (sums[2:] / counts).tolist()
+    colour, depth = (sums[2:] / counts).float()
     return reference.RgbdLoss(
         colour=colour,
         depth_m=depth,
@@ -80,11 +80,11 @@ def _sign(x):
 
 @triton.jit(do_not_specialize=["total", "limit"])
 def _sums(rgb, depth, target_rgb, target_depth, pixels, sums, total, limit, BLOCK: tl.constexpr):
-    """Pixels, pixels with a depth loss, sum |C - C^|, sum |D - D^| of each program."""
+    """Colour values, pixels with a depth loss, sum |C - C^|, sum |D - D^| of each program."""
     at = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     r, g, b, d, wanted, known = _gaps(rgb, depth, target_rgb, target_depth, pixels, at, total, limit)
     out = sums + 4 * tl.program_id(0)
-    tl.store(out, tl.sum(wanted.to(tl.float32), axis=0))
+    tl.store(out, 3.0 * tl.sum(wanted.to(tl.float32), axis=0))
     tl.store(out + 1, tl.sum(known.to(tl.float32), axis=0))
     tl.store(out + 2, tl.sum(tl.abs(r) + tl.abs(g) + tl.abs(b), axis=0))
     tl.store(out + 3, tl.sum(tl.abs(d), axis=0))

@@ -11,9 +11,9 @@ from gsfusion_nb.mapping.passes import KeyframePasses
 def visits(passes: KeyframePasses, n: int, keyframes: int, generator, limit: int | None = None) -> list[int]:
     seen: list[int] = []
 
-    def optimise(i: int) -> float:
+    def optimise(i: int) -> torch.Tensor:
         seen.append(i)
-        return float(i)
+        return torch.tensor(float(i))
 
     for _ in itertools.islice(passes.run(n, keyframes, generator, optimise), limit):
         pass
@@ -31,7 +31,7 @@ def test_each_pass_visits_all_once_in_a_new_order(generator):
 
 
 def test_what_a_step_reports(generator):
-    steps = list(KeyframePasses().run(2, 3, generator, float))
+    steps = list(KeyframePasses().run(2, 3, generator, lambda i: torch.tensor(float(i))))
     assert [s.step for s in steps] == [1, 2, 3, 4, 5, 6]
     assert [s.pass_index for s in steps] == [0, 0, 0, 1, 1, 1]
     assert {s.n_steps for s in steps} == {6}

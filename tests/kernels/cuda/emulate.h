@@ -22,6 +22,7 @@
 
 struct float3 { float x, y, z; };
 struct alignas(16) float4 { float x, y, z, w; };
+struct alignas(16) int4 { int x, y, z, w; };
 struct Index { int x = 0, y = 0, z = 0; };
 
 inline float3 make_float3(float x, float y, float z) { return {x, y, z}; }

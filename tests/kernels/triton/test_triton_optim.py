@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from gsfusion_nb.backends import use_backend
-from gsfusion_nb.optim import adam_update, dssim_vjp
+from gsfusion_nb.optim import adam_update, dssim_vjp, l1_mse_vjp
 from gsfusion_nb.optim.rgbd_loss import rgbd_l1_vjp
 
 
@@ -50,10 +50,20 @@ def test_rgbd_loss(size, behind_m, to, compare, generator):
         with use_backend("triton"):
             found = rgbd_l1_vjp(*to(images), to(wanted), **options)
         for name in ("colour", "depth_m", "total"):
-            a, b = (torch.tensor(getattr(x, name)) for x in (found, expected))
-            compare("rgbd_l1_vjp", name, a, b, 1e-5)
+            compare("rgbd_l1_vjp", name, getattr(found, name), getattr(expected, name), 1e-5)
         for name in ("v_rgb", "v_depth_m"):
             compare("rgbd_l1_vjp", name, getattr(found, name), getattr(expected, name), 1e-6)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (40, 33)])
+def test_l1(size, to, compare, generator):
+    rgb, target = 1.4 * torch.rand(*size, 3, generator=generator) - 0.2, torch.rand(*size, 3, generator=generator)
+    rgb[-1, -1] = target[-1, -1]
+    expected = l1_mse_vjp.reference(rgb, target)
+    with use_backend("triton"):
+        found = l1_mse_vjp(to(rgb), to(target))
+    for name in ("value", "mse", "v_rgb"):
+        compare("l1_mse_vjp", name, getattr(found, name), getattr(expected, name), 1e-6)
 
 
 @pytest.mark.parametrize("size", [(1, 1), (3, 5), (11, 16), (40, 33)])

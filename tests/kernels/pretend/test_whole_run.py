@@ -1,0 +1,122 @@
+"""Both systems, from the first frame to the report, on a device that is not the processor."""
+
+import gc
+
+import pytest
+import torch
+
+from gsfusion_nb.config import DataConfig, gsfusion, rtg_slam
+from gsfusion_nb.datasets import open_sequence
+from gsfusion_nb.mapping import RTGSLAM, GSFusion, MappingRun, run_mapping
+from gsfusion_nb.mapping.surfel_optimiser import SurfelOptimiser
+
+DATA = {"width": 48, "height": 36, "stop": 9, "stride": 2, "hold_out_every": 4, "hold_out_offset": 2}
+FRAMES_MOST = 40
+"""Waits for the device in a frame, besides those of the optimisation."""
+
+
+def gsfusion_settings(**changes):
+    return gsfusion(
+        "room",
+        data=DATA,
+        tsdf__voxel_size_m=0.08,
+        seeding__quadtree_threshold=2e-3,
+        keyframe_min_seeds=5,
+        optim__global_iterations=1,
+        **changes,
+    )
+
+
+def rtg_slam_settings(**changes):
+    return rtg_slam(
+        "room",
+        data=DATA,
+        window={"iterations": 2, "every_frames": 2},
+        keyframes__iterations=2,
+        final__passes=1,
+        **changes,
+    )
+
+
+@pytest.mark.parametrize("settings", [gsfusion_settings, rtg_slam_settings])
+@pytest.mark.parametrize("poses", ["given", "tracked"])
+def test_a_run_gives_what_it_gives_on_the_processor(settings, poses, gpu, tmp_path):
+    config = settings(tracking__poses=poses)
+    there, here = (run_mapping("room", config, folder=tmp_path / d, device=d) for d in ("cuda", "cpu"))
+    assert there.mapper.gaussians.params.xyz_W.device.type == "cuda"
+    assert (tmp_path / "cuda" / "report.html").stat().st_size > 10_000
+    assert len(there.run.steps) == len(here.run.steps) > 2
+    assert there.metrics["n_gaussians"] == pytest.approx(here.metrics["n_gaussians"], rel=0.02)
+    for name in ("psnr_mapped_db", "psnr_held_out_db"):
+        assert there.metrics[name] == pytest.approx(here.metrics[name], abs=0.1)
+
+
+def frames(n: int):
+    sequence = open_sequence("room", data=DataConfig(width=48, height=36))
+    return [sequence.mapping[i] for i in range(n)]
+
+
+def test_gsfusion_waits_for_the_number_of_pairs_only(gpu):
+    """In an optimisation step the host waits for the device once: how many (Gaussian, tile) pairs to make room for."""
+    mapper = GSFusion(gsfusion_settings(), device="cuda")
+    for frame in frames(2):
+        gpu.clear()
+        report = mapper.step(frame)
+    optim = mapper.config.optim
+    steps = optim.keyframe_iterations if report.is_keyframe else optim.frame_iterations + 1
+    assert gpu.n_waits <= FRAMES_MOST + steps, gpu.waits.most_common()
+    gpu.clear()
+    for i in range(3):
+        mapper._optimise_view(mapper.keyframes[0], ssim_weight=0.2 * i)
+    assert gpu.n_waits == 3, gpu.waits.most_common()
+    assert all("binning" in place for _, place in gpu.waits)
+    assert mapper.keyframes[0].rgb_u8.dtype == torch.uint8
+
+
+def test_rtg_slam_waits_for_the_number_of_pairs_only(gpu, monkeypatch):
+    waits = []
+    step = SurfelOptimiser.step
+
+    def counted(self, view):
+        before = gpu.n_waits
+        loss = step(self, view)
+        waits.append(gpu.n_waits - before)
+        return loss
+
+    monkeypatch.setattr(SurfelOptimiser, "step", counted)
+    mapper = RTGSLAM(rtg_slam_settings(), device="cuda")
+    for frame in frames(5):
+        before, steps = gpu.n_waits, len(waits)
+        mapper.step(frame)
+        assert gpu.n_waits - before - sum(waits[steps:]) <= 4 * FRAMES_MOST, gpu.waits.most_common()
+    assert len(waits) >= 4
+    assert set(waits) == {1}, gpu.waits.most_common()
+
+
+@pytest.mark.parametrize("settings", [gsfusion_settings, rtg_slam_settings])
+def test_a_run_is_resumed_on_the_device(settings, gpu, tmp_path):
+    run = MappingRun(
+        open_sequence("room", data=settings().data), settings(), device="cuda", source={"path_or_name": "room"}
+    )
+    online = run.online()
+    next(online)
+    online.close()
+    run.save_checkpoint(tmp_path)
+    resumed = MappingRun.resume(tmp_path, device="cuda")
+    assert len(list(resumed.online())) >= 2
+    assert resumed.mapper.gaussians.params.sh.device.type == "cuda"
+    assert resumed.mapper.mesh().faces.device.type == "cuda"
+
+
+@pytest.mark.parametrize(("system", "settings"), [(GSFusion, gsfusion_settings), (RTGSLAM, rtg_slam_settings)])
+def test_nothing_stays_on_the_device(system, settings, gpu):
+    """When the mapper goes, so do its maps, frames and keyframes: what is left are constants of a few hundred bytes."""
+    mapper = system(settings(), device="cuda")
+    for frame in frames(2):
+        mapper.step(frame)
+    for _ in mapper.global_optimise(1):
+        pass
+    del mapper, frame, _
+    gc.collect()
+    left = [t for t in gc.get_objects() if type(t).__name__ == "OnGpu"]
+    assert sum(t.inner.numel() * t.inner.element_size() for t in left) < 20_000, [t.shape for t in left]
