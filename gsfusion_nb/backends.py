@@ -71,10 +71,24 @@ _OPS: dict[str, Callable] = {}
 _FROM_ENVIRONMENT: str = os.environ.get("GSFUSION_BACKEND", "auto")
 _choice: ContextVar[str | None] = ContextVar("gsfusion_backend", default=None)
 _logged: set[tuple[str, str]] = set()
+_set_aside: set[str] = set()
 
 
 class BackendUnavailable(RuntimeError):
     """A backend was asked for by name and cannot run; the message says what is missing."""
+
+
+class KernelsUnusable(BackendUnavailable):
+    """Kernels turned out at their first use not to run here, before they changed anything.
+
+    Args:
+        backend: Its name; "auto" goes on without it, for all operations, for what one has made another cannot take.
+        reason: A sentence.
+    """
+
+    def __init__(self, backend: str, reason: str):
+        super().__init__(reason)
+        self.backend = backend
 
 
 def op(reference: Callable) -> Callable:
@@ -84,8 +98,15 @@ def op(reference: Callable) -> Callable:
 
     @functools.wraps(reference)
     def dispatch(*args, **kwargs):
-        implementation = _select(name, args, kwargs)
-        return implementation(*args, **kwargs)
+        while True:
+            implementation = _select(name, args, kwargs)
+            try:
+                return implementation(*args, **kwargs)
+            except KernelsUnusable as e:
+                if (_choice.get() or _FROM_ENVIRONMENT) != "auto" or e.backend in _set_aside:
+                    raise
+                _set_aside.add(e.backend)
+                log.warning("backend %r is set aside: %s", e.backend, e)
 
     dispatch.reference = reference  # pyright: ignore[reportAttributeAccessIssue]
     return dispatch
@@ -156,7 +177,7 @@ def _select(name: str, args: tuple, kwargs: dict) -> Callable:
         return _OPS[name]
     device = next((kind for kind in _devices((*args, *kwargs.values())) if kind != "cpu"), "cpu")
     for backend in _PREFERRED.get(device, ()):
-        if backend not in offered:
+        if backend not in offered or backend in _set_aside:
             continue
         try:
             implementation = load(name, backend)

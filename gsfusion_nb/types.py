@@ -160,7 +160,8 @@ class RenderOutput:
 
     def to(self, device: torch.device | str) -> "RenderOutput":
         """The same images on ``device``."""
-        return RenderOutput(**{name: None if x is None else x.to(device) for name, x in vars(self).items()})
+        moved = {name: x.to(device) for name, x in vars(self).items() if x is not None}
+        return dataclasses.replace(self, **moved)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -65,6 +65,34 @@ def test_auto_takes_the_fast_one_and_reference_stays_reachable(double):
     assert ("double", "numba", "ok") in backends.report()
 
 
+def test_kernels_that_do_not_compile_are_set_aside_for_all_operations(double, caplog, monkeypatch):
+    """What one backend's forward pass has made, another's gradient could not take."""
+    monkeypatch.setattr(backends, "_set_aside", set())
+    monkeypatch.setattr(backends, "_PREFERRED", {"cpu": ("cuda", "triton")})
+
+    def fails(x):
+        raise backends.KernelsUnusable("cuda", "double.cu does not compile")
+
+    made = {("double", "cuda"): fails, ("double", "triton"): torch.square, ("other", "cuda"): fails}
+    monkeypatch.setattr(backends, "load", lambda name, backend: made[name, backend])
+    backends.PROVIDERS["double"] = {"cuda": "", "triton": ""}
+    backends.PROVIDERS["other"] = {"cuda": ""}
+
+    @op
+    def other(x: torch.Tensor) -> torch.Tensor:
+        """Thrice."""
+        return 3 * x
+
+    x = torch.tensor([3.0])
+    with caplog.at_level(logging.WARNING, logger="gsfusion_nb.backends"):
+        assert double(x).tolist() == [9.0]
+        assert double(x).tolist() == [9.0]
+        assert other(x).tolist() == [9.0]
+    assert [r.message for r in caplog.records] == ["backend 'cuda' is set aside: double.cu does not compile"]
+    with use_backend("cuda"), pytest.raises(BackendUnavailable, match="does not compile"):
+        double(x)
+
+
 def test_unknown_backend_lists_the_known():
     with (
         pytest.raises(KeyError, match="no backend 'nubma'; known: auto, cuda, numba, reference, triton"),

@@ -67,12 +67,15 @@ class GSFusionConfig:
     """A frame with more new Gaussians than this is a keyframe."""
     keep_all_frames: bool = False
     """Revisit and globally optimise over every frame, not only keyframes (ScanNet++, whose views are sparse)."""
+    keyframes_on: Literal["device", "cpu"] = "device"
+    """Where the keyframes' images are kept: with the map, or in the memory of the processor, which saves a GPU's."""
     seed: int = 0
     """Seed of every random draw of the run."""
 
     def __post_init__(self):
         if self.sh_degree not in (0, 1, 2, 3):
             raise ValueError(f"sh_degree must be 0, 1, 2 or 3, got {self.sh_degree}")
+        check_name("keyframes_on", self.keyframes_on, ("device", "cpu"))
 
 
 _GSFUSION: dict[str, dict[str, Any]] = {

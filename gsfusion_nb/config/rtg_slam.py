@@ -185,12 +185,15 @@ class RtgSlamConfig:
     data: DataConfig = field(default_factory=lambda: DataConfig(depth_min_m=0.3, depth_max_m=5.0))
     sh_degree: int = 3
     """Degree of the view-dependent colour, 0 to 3."""
+    keyframes_on: Literal["device", "cpu"] = "device"
+    """Where the keyframes' images are kept: with the map, or in the memory of the processor, which saves a GPU's."""
     seed: int = 0
     """Seed of every random draw of the run."""
 
     def __post_init__(self):
         if self.sh_degree not in (0, 1, 2, 3):
             raise ValueError(f"sh_degree must be 0, 1, 2 or 3, got {self.sh_degree}")
+        check_name("keyframes_on", self.keyframes_on, ("device", "cpu"))
 
 
 _RTG_SLAM: dict[str, dict[str, Any]] = {

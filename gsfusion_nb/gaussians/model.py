@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from ..checks import check_shape
-from ..constants import SH_C0
+from ..constants import GROWTH, SH_C0
 from ..geometry import quaternion
 from ..geometry.spherical_harmonics import rgb_to_sh_dc
 from ..types import GaussianParams, Seeds
@@ -21,8 +21,8 @@ _FIRST_CAPACITY = 4096
 class GaussianModel:
     """A map of Gaussians and the state of Adam for each of them.
 
-    Rows live in buffers that double when full; every property is a view of the rows in use. Rows change only through
-    ``append``, ``keep`` and the optimiser, so parameters and moments never drift apart.
+    Rows live in buffers that grow by a factor when full; every property is a view of the rows in use. Rows change only
+    through ``append``, ``keep`` and the optimiser, so parameters and moments never drift apart.
     """
 
     _COUNTS: tuple[str, ...] = ("birth_frame", "birth_step", "tag")
@@ -98,6 +98,11 @@ class GaussianModel:
     def size_bytes(self) -> int:
         """Size of the map in the standard PLY layout: 62 float32 per Gaussian."""
         return 62 * 4 * len(self)
+
+    @property
+    def memory_bytes(self) -> int:
+        """Memory of the map with the optimiser's moments, spare rows included."""
+        return sum(column.nbytes for column in self._columns.values())
 
     def append(self, seeds: Seeds, frame_index: int = 0) -> None:
         """Add rows for ``seeds``; their moments start at zero (GSFusion III-B.2).
@@ -184,8 +189,7 @@ class GaussianModel:
         capacity = self._columns["xyz_W"].shape[0]
         if count <= capacity:
             return
-        while capacity < count:
-            capacity *= 2
+        capacity = max(count, int(GROWTH[self.device.type] * capacity))
         for name, old in self._columns.items():
             grown = self._new_column(name, capacity)
             grown[: self._count] = old[: self._count]

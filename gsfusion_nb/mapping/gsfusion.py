@@ -46,7 +46,7 @@ class GSFusion:
         self.device = torch.device(device)
         self.volume = TsdfVolume(self.config.tsdf, device=self.device)
         self.gaussians = GaussianModel(self.config.sh_degree, device=self.device)
-        self.keyframes = KeyframeList()
+        self.keyframes = KeyframeList(self._keyframe_device)
         self.generator = torch.Generator().manual_seed(self.config.seed)
         self.n_frames = 0
         self.passes = KeyframePasses()
@@ -175,8 +175,12 @@ class GSFusion:
         mapper.generator.set_state(state["generator"])
         mapper.volume.load_state_dict(state["volume"])
         mapper.gaussians = GaussianModel.from_state_dict(state["gaussians"], device)
-        mapper.keyframes = KeyframeList.from_state_dict(state["keyframes"])
+        mapper.keyframes = KeyframeList.from_state_dict(state["keyframes"], mapper._keyframe_device)
         return mapper
+
+    @property
+    def _keyframe_device(self) -> torch.device:
+        return torch.device("cpu") if self.config.keyframes_on == "cpu" else self.device
 
     def _fuse(self, frame: Frame) -> None:
         """Fold the frame into the TSDF."""
@@ -216,10 +220,9 @@ class GSFusion:
 
         Both stay on the device: waiting for them after every step would leave a GPU idle.
         """
-        target = view.rgb.to(self.device)
-        output, saved = render_forward(
-            self.gaussians.params, view.camera, view.T_WC.to(self.device), with_indices=False
-        )
+        view = view.to(self.device)
+        target = view.rgb
+        output, saved = render_forward(self.gaussians.params, view.camera, view.T_WC, with_indices=False)
         pixels = l1_mse_vjp(output.rgb, target)
         loss, v_rgb = pixels.value, pixels.v_rgb
         if ssim_weight > 0:

@@ -11,6 +11,7 @@ from ..datasets import Sequence, SequenceError, apply_options, check_sequence, o
 from ..seeding import SeedingRule
 from ..types import Mesh
 from . import outputs
+from .memory import describe_full
 from .placing import has_poses
 from .run import CHECKPOINT, MappingRun, StopRequest, new_folder
 from .systems import Config, get_system
@@ -127,9 +128,13 @@ def drive(
         except BaseException as e:
             run.status = "interrupted" if isinstance(e, KeyboardInterrupt) else "failed"
             run.warnings.append(f"ended by {type(e).__name__}: {e}")
+            note = f"The {len(run.steps)} frames mapped before are saved in {folder}." if run.steps else ""
             if run.steps:
                 _save(run, folder, stop)
-                e.add_note(f"The {len(run.steps)} frames mapped before are saved in {folder}.")
+            if isinstance(e, torch.OutOfMemoryError):
+                raise MemoryError(f"{describe_full(run.mapper)}. {note}".rstrip()) from e
+            if note:
+                e.add_note(note)
             raise
         mesh = _save(run, folder, stop)
         metrics: dict[str, Any] = outputs.map_metrics(run, mesh) | run.online_scores

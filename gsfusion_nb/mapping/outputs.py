@@ -31,6 +31,7 @@ from ..gaussians import state_counts
 from ..seeding import Cells, quadtree, rule_name
 from ..types import Frame, Mesh
 from .gsfusion import GSFusion
+from .memory import mesh_when_full
 from .placing import placed, readable, true_poses
 from .report import StepReport
 from .rtg_slam import RTGSLAM
@@ -62,9 +63,7 @@ def score(run: MappingRun, suffix: str = "", *, with_lpips: bool = False) -> dic
 
 def write_maps(run: MappingRun, folder: Path) -> Mesh:
     """Write both maps, the trajectory and the settings; they need no evaluation, so they are safe first."""
-    mesh = run.mapper.mesh()
     write_gaussian_ply(folder / "gaussians.ply", run.mapper.gaussians.params)
-    write_mesh_ply(folder / "mesh.ply", mesh)
     if run.poses:
         write_trajectory_tum(folder / "trajectory.txt", run.timestamps_s, torch.stack(run.poses))
     settings = {
@@ -75,6 +74,12 @@ def write_maps(run: MappingRun, folder: Path) -> Mesh:
         "config": to_dict(run.mapper.config),
     }
     write_json(folder / "config.json", settings)
+    try:
+        mesh = run.mapper.mesh()
+    except torch.OutOfMemoryError as e:
+        mesh = mesh_when_full(run.mapper)
+        run.warnings.append(f"the mesh was made on the processor, if at all: {str(e).splitlines()[0]}")
+    write_mesh_ply(folder / "mesh.ply", mesh)
     return mesh
 
 

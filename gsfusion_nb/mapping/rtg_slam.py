@@ -54,7 +54,7 @@ class RTGSLAM:
         self.localiser = Localiser(self.config.tracking)
         self.camera: Camera | None = None
         self.window: deque[Frame] = deque(maxlen=self.config.window.frames)
-        self.keyframes = KeyframeList()
+        self.keyframes = KeyframeList(self._keyframe_device)
         self.generator = torch.Generator().manual_seed(self.config.seed)
         self.n_frames = 0
         self.passes = KeyframePasses()
@@ -202,12 +202,16 @@ class RTGSLAM:
         mapper.camera = None if state["camera"] is None else Camera(**state["camera"])
         mapper.generator.set_state(state["generator"])
         mapper.gaussians = SurfelModel.from_state_dict(state["gaussians"], device)
-        mapper.keyframes = KeyframeList.from_state_dict(state["keyframes"])
-        mapper.window.extend(Frame(**{**f, "camera": Camera(**f["camera"])}) for f in state["window"])
+        mapper.keyframes = KeyframeList.from_state_dict(state["keyframes"], mapper._keyframe_device)
+        mapper.window.extend(Frame(**{**f, "camera": Camera(**f["camera"])}).to(device) for f in state["window"])
         if state["final"] is not None:
             mapper._final = mapper._final_optimiser()
             mapper._final.load_state_dict(state["final"])
         return mapper
+
+    @property
+    def _keyframe_device(self) -> torch.device:
+        return torch.device("cpu") if self.config.keyframes_on == "cpu" else self.device
 
     def _tracking_surface(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> Surface:
         view = self.surface(camera, T_WC)
@@ -226,7 +230,7 @@ class RTGSLAM:
         """Keep the frame if the camera has turned or moved far enough since the last keyframe."""
         limits = self.config.keyframes
         if len(self.keyframes):
-            last = self.keyframes[len(self.keyframes) - 1].T_WC
+            last = self.keyframes[len(self.keyframes) - 1].T_WC.to(frame.T_WC)
             turned = torch.rad2deg(se3.rotation_angle(last[:3, :3].T @ frame.T_WC[:3, :3]))
             moved = (last[:3, 3] - frame.T_WC[:3, 3]).norm()
             if float(turned) < limits.rotation_deg and float(moved) < limits.translation_m:
@@ -272,7 +276,7 @@ class RTGSLAM:
         n = len(self.keyframes)
         latest = list(range(max(0, n - config.latest), n))
         earlier = torch.randperm(n - len(latest), generator=self.generator)[: config.random].tolist()
-        chosen = [self.keyframes[i] for i in earlier + latest]
+        chosen = [self.keyframes[i].to(self.device) for i in earlier + latest]
         rows = model.is_stable if config.rows == "stable" else torch.ones_like(model.is_stable)
         seen = self._seen(chosen)
         if not (rows & seen).any():
@@ -322,7 +326,7 @@ class RTGSLAM:
         if self._final is None:
             self.gaussians.state.fill_(STABLE)
             self._final = self._final_optimiser()
-        loss = self._final.step(View.of(self.keyframes[i]))
+        loss = self._final.step(View.of(self.keyframes[i].to(self.device)))
         self._final.write_back()
         return loss.total
 

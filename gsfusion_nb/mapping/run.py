@@ -200,7 +200,7 @@ class MappingRun:
         path = Path(folder) / CHECKPOINT
         if not path.is_file():
             raise FileNotFoundError(f"{path} is not there: only a run that was interrupted can be resumed")
-        state = load_checkpoint(path, device=device)
+        state = load_checkpoint(path)
         try:
             mapper = get_system(state["system"]).mapper.from_state_dict(state["mapper"], seeding=seeding, device=device)
             source, values = state["source"], {name: state["run"][name] for name in _STATE}

@@ -5,9 +5,9 @@ from .adam import adam_update as adam_update
 from .fusion import fuse_with_history as fuse_with_history
 from .keyframes import Keyframe as Keyframe
 from .keyframes import KeyframeList as KeyframeList
+from .losses import L1Loss as L1Loss
 from .losses import dssim as dssim
 from .losses import dssim_vjp as dssim_vjp
-from .losses import L1Loss as L1Loss
 from .losses import l1 as l1
 from .losses import l1_mse_vjp as l1_mse_vjp
 from .losses import l1_vjp as l1_vjp

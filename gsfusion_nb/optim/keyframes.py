@@ -28,11 +28,21 @@ class Keyframe:
         """Colour, 0..1."""
         return self.rgb_u8.float().div_(255.0)
 
+    def to(self, device: torch.device | str) -> "Keyframe":
+        """The same keyframe with its tensors on ``device``."""
+        moved = {name: x.to(device) for name, x in vars(self).items() if isinstance(x, Tensor)}
+        return dataclasses.replace(self, **moved)
+
 
 class KeyframeList:
-    """Keyframes in the order they were taken; all draws come from the generator that is passed in."""
+    """Keyframes in the order they were taken; all draws come from the generator that is passed in.
 
-    def __init__(self):
+    Args:
+        device: Where the images are kept; by default where they come from.
+    """
+
+    def __init__(self, device: torch.device | str | None = None):
+        self.device = device
         self._items: list[Keyframe] = []
 
     def __len__(self) -> int:
@@ -58,7 +68,7 @@ class KeyframeList:
             T_WC=frame.T_WC,
             depth_m=frame.depth_m if with_depth else None,
         )
-        self._items.append(keyframe)
+        self._items.append(keyframe if self.device is None else keyframe.to(self.device))
 
     def move(self, T: Float[Tensor, "K 4 4"]) -> None:
         """Apply a rigid motion to each keyframe's pose (a loop closure)."""
@@ -78,8 +88,10 @@ class KeyframeList:
         return [vars(k) | {"camera": vars(k.camera)} for k in self._items]
 
     @classmethod
-    def from_state_dict(cls, state: list[dict[str, Any]]) -> "KeyframeList":
-        """The list that ``state_dict`` described."""
-        keyframes = cls()
-        keyframes._items = [Keyframe(**{**s, "camera": Camera(**s["camera"])}) for s in state]
+    def from_state_dict(cls, state: list[dict[str, Any]], device: torch.device | str = "cpu") -> "KeyframeList":
+        """The list that ``state_dict`` described, with its images on ``device``."""
+        keyframes = cls(device)
+        for s in state:
+            tensors = {name: x.to(device) for name, x in s.items() if isinstance(x, Tensor)}
+            keyframes._items.append(Keyframe(**{**s, **tensors, "camera": Camera(**s["camera"])}))
         return keyframes

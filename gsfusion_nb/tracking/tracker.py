@@ -236,7 +236,8 @@ class Tracker:
     def _surface(self, camera: Camera, T_WC: Tensor, source: SurfaceSource, *, may_mix: bool) -> Surface:
         depth_m = self._last_depth_m
         if may_mix and depth_m is not None and self._last is not None:
-            return hybrid_surface(source(camera, self._last.T_WC.float()), depth_m)
+            model = source(camera, self._last.T_WC.float())
+            return hybrid_surface(model, depth_m.to(model.depth_m.device))
         return source(camera, T_WC.float())
 
     def _problem(self, result: IcpResult, *, first_try: bool, anywhere: bool) -> str:

@@ -12,7 +12,7 @@ from torch import Tensor
 from ..backends import op
 from ..checks import check_shape
 from ..config import TsdfConfig, from_dict, to_dict
-from ..constants import BLOCK_VOXELS, VOXELS_PER_BLOCK
+from ..constants import BLOCK_VOXELS, GROWTH, VOXELS_PER_BLOCK
 from .octree import BlockIndex
 
 BYTES_PER_BLOCK = VOXELS_PER_BLOCK * (4 + 4 + 12) + 12
@@ -181,8 +181,13 @@ class TsdfVolume:
 
     def state_dict(self) -> dict[str, Any]:
         """Everything needed to continue: configuration and the allocated blocks (copies)."""
-        tensors = {"D": self.D, "W": self.W, "rgb": self.rgb_planes, "block_coords": self.block_coords}
-        return {"config": to_dict(self.config)} | {name: value.clone() for name, value in tensors.items()}
+        return {"config": to_dict(self.config)} | {name: value.clone() for name, value in self._tensors().items()}
+
+    def to(self, device: torch.device | str) -> "TsdfVolume":
+        """A copy of the map on ``device``."""
+        volume = TsdfVolume(self.config, device, memory_limit_bytes=self.memory_limit_bytes)
+        volume.load_state_dict({"config": to_dict(self.config)} | self._tensors())
+        return volume
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Replace the map by one that ``state_dict`` gave; its configuration must be the same."""
@@ -197,14 +202,17 @@ class TsdfVolume:
         for target, name in ((pool.D, "D"), (pool.W, "W"), (pool.rgb, "rgb"), (pool.coords, "block_coords")):
             target[:n] = state[name].to(self.device)
 
+    def _tensors(self) -> dict[str, Tensor]:
+        return {"D": self.D, "W": self.W, "rgb": self.rgb_planes, "block_coords": self.block_coords}
+
     def _reserve(self, n_blocks: int) -> None:
-        """Room for ``n_blocks`` rows; doubles, so that the cost of copying stays constant per block."""
+        """Room for ``n_blocks`` rows; grows by a factor, so that the cost of copying stays constant per block."""
         old = self._pool
         if n_blocks <= old.capacity:
             return
         free = available_memory(self.device)
         limit = self.memory_limit_bytes
-        for capacity in (max(n_blocks, 2 * old.capacity, _FIRST_CAPACITY), n_blocks):
+        for capacity in (max(n_blocks, int(GROWTH[self.device.type] * old.capacity), _FIRST_CAPACITY), n_blocks):
             size = capacity * BYTES_PER_BLOCK
             if (limit is None or size <= limit) and (free is None or size <= free):
                 with contextlib.suppress(RuntimeError, MemoryError):  # torch's allocator: less is granted than is free
@@ -267,7 +275,8 @@ def estimate_memory(n_blocks: int) -> int:
 def available_memory(device: torch.device) -> int | None:
     """Bytes that can still be allocated on ``device``; None where the system does not say."""
     if device.type == "cuda":
-        return torch.cuda.mem_get_info(device)[0]
+        cached = torch.cuda.memory_reserved(device) - torch.cuda.memory_allocated(device)
+        return torch.cuda.mem_get_info(device)[0] + cached
     meminfo = Path("/proc/meminfo")
     if device.type != "cpu" or not meminfo.exists():
         return None

@@ -6,7 +6,7 @@ import sys
 
 import torch
 
-from gsfusion_nb.backends import BackendUnavailable
+from gsfusion_nb.backends import BackendUnavailable, KernelsUnusable
 
 from .nvrtc import compile_source
 
@@ -60,7 +60,10 @@ def _function(operation: str, stem: str, kernel: str, index: int) -> ctypes.c_vo
 def _module(operation: str, stem: str, index: int) -> ctypes.c_void_p:
     driver, module = library(), ctypes.c_void_p()
     image = compile_source(stem, torch.cuda.get_device_capability(index))
-    _check(operation, driver, driver.cuModuleLoadData(ctypes.byref(module), image))
+    status = driver.cuModuleLoadData(ctypes.byref(module), image)
+    if status and status != _OUT_OF_MEMORY:
+        raise KernelsUnusable("cuda", f"{operation}: {stem}.cu cannot be loaded: the driver says {_words(status)}")
+    _check(operation, driver, status)
     return module
 
 
@@ -83,7 +86,11 @@ def _device(index: int) -> int:
 def _check(operation: str, driver: ctypes.CDLL, status: int) -> None:
     if not status:
         return
-    text = ctypes.c_char_p()
-    driver.cuGetErrorString(status, ctypes.byref(text))
     kind = torch.OutOfMemoryError if status == _OUT_OF_MEMORY else RuntimeError
-    raise kind(f"{operation}: the CUDA driver says {(text.value or b'unknown error').decode()} (error {status})")
+    raise kind(f"{operation}: the CUDA driver says {_words(status)}")
+
+
+def _words(status: int) -> str:
+    text = ctypes.c_char_p()
+    library().cuGetErrorString(status, ctypes.byref(text))
+    return f"{(text.value or b'unknown error').decode()} (error {status})"

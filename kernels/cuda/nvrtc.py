@@ -16,7 +16,7 @@ from pathlib import Path
 import torch
 
 from gsfusion_nb import constants
-from gsfusion_nb.backends import BackendUnavailable
+from gsfusion_nb.backends import BackendUnavailable, KernelsUnusable
 
 log = logging.getLogger(__name__)
 
@@ -38,7 +38,7 @@ def compile_source(stem: str, capability: tuple[int, int]) -> bytes:
     """Machine code of ``<stem>.cu`` for a GPU of that compute capability (PTX if it is newer than the compiler).
 
     Raises:
-        RuntimeError: the source does not compile; the compiler's words are in the message.
+        KernelsUnusable: the source does not compile; the compiler's words are in the message.
         BackendUnavailable: there is no NVRTC.
     """
     nvrtc = library()
@@ -109,7 +109,7 @@ def _compile(nvrtc: ctypes.CDLL, name: str, source: str, headers: dict[str, str]
         flags = (ctypes.c_char_p * len(options))(*(option.encode() for option in options))
         if nvrtc.nvrtcCompileProgram(program, len(options), flags):
             log = _fetch(nvrtc, name, program, "ProgramLog").rstrip(b"\0").decode(errors="replace")
-            raise RuntimeError(f"{name} does not compile with {' '.join(options)}:\n{log}")
+            raise KernelsUnusable("cuda", f"{name} does not compile with {' '.join(options)}:\n{log}")
         kind = "CUBIN" if "=sm_" in options[0] else "PTX"
         return _fetch(nvrtc, name, program, kind)
     finally:
@@ -133,8 +133,9 @@ def _architecture(nvrtc: ctypes.CDLL, capability: tuple[int, int]) -> str:
         return f"sm_{wanted}"
     older = [arch for arch in known if arch < wanted]
     if not older:
-        raise BackendUnavailable(
-            f"backend 'cuda' needs a GPU of compute capability {min(known) / 10:.1f} or more, got {wanted / 10:.1f}"
+        raise KernelsUnusable(
+            "cuda",
+            f"backend 'cuda' needs a GPU of compute capability {min(known) / 10:.1f} or more, got {wanted / 10:.1f}",
         )
     return f"compute_{max(older)}"
 

@@ -19,9 +19,9 @@ def l1_mse_vjp(rgb: Tensor, target: Tensor) -> reference.L1Loss:
         with use_backend("reference"):
             return reference.l1_mse_vjp(rgb, target)
     v_rgb = torch.empty(rgb.shape, dtype=torch.float32)
-    rows = (t.detach().contiguous().view(len(rgb), -1).numpy() for t in (rgb, target, v_rgb))
+    a, b, v = (t.detach().contiguous().view(len(rgb), -1).numpy() for t in (rgb, target, v_rgb))
     with launching():
-        sums = _pass(*rows, f32(1 / max(rgb.numel(), 1)))
+        sums = _pass(a, b, v, f32(1 / max(rgb.numel(), 1)))
     value, mse = torch.from_numpy(sums).div_(rgb.numel()).float()
     return reference.L1Loss(value=value, mse=mse, v_rgb=v_rgb)
 

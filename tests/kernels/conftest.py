@@ -1,10 +1,34 @@
-"""Depth images of a sphere in front of a wall, with holes and outliers, for the kernels of the volumetric map."""
+"""Depth images of a sphere in front of a wall, with holes and outliers; the CUDA kernels compiled for the processor."""
+
+import importlib.util
+import platform
+import shutil
+from pathlib import Path
 
 import pytest
 import torch
 
 from gsfusion_nb.geometry import pixel_grid, rays
 from gsfusion_nb.types import Camera, Frame
+
+
+@pytest.fixture(scope="session")
+def emulator():
+    """The module that compiles the CUDA kernels for the processor."""
+    spec = importlib.util.spec_from_file_location("emulator", Path(__file__).parent / "cuda" / "emulator.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="session")
+def emulator_library(emulator, tmp_path_factory) -> Path:
+    """The compiled library, which ``GSFUSION_CUDA_EMULATOR`` names."""
+    if platform.system() != "Linux" or not shutil.which("g++"):
+        pytest.skip("the CPU emulator of the CUDA kernels needs Linux and g++")
+    return emulator.build(tmp_path_factory.mktemp("emulator"))
 
 
 def look_from(position) -> torch.Tensor:

@@ -4,7 +4,6 @@ import importlib.util
 import re
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -14,16 +13,10 @@ from gsfusion_nb.backends import BackendUnavailable
 KERNELS = Path(__file__).resolve().parents[2] / "kernels" / "cuda"
 SOURCES = sorted(KERNELS.glob("*.cu"))
 
-sys.path.insert(0, str(Path(__file__).parent / "cuda"))
-try:
-    import emulator  # pyright: ignore[reportMissingImports]
-finally:
-    sys.path.pop(0)
-
 
 @pytest.mark.parametrize("architecture", ["sm_80", "sm_90"])
 @pytest.mark.parametrize("source", SOURCES, ids=lambda p: p.name)
-def test_nvcc_has_nothing_to_say(source, architecture, tmp_path):
+def test_nvcc_has_nothing_to_say(source, architecture, emulator, tmp_path):
     nvcc = shutil.which("nvcc")
     if nvcc is None:
         pytest.skip("nvcc is not installed")
@@ -44,7 +37,7 @@ def test_nvcc_has_nothing_to_say(source, architecture, tmp_path):
 
 
 @pytest.mark.parametrize("source", SOURCES, ids=lambda p: p.name)
-def test_sources_need_no_headers_but_their_own(source):
+def test_sources_need_no_headers_but_their_own(source, emulator):
     """NVRTC has no folder to search: it is given the .cuh files, and nothing else."""
     included = re.findall(r'#include\s+["<](.*?)[">]', source.read_text(encoding="utf-8"))
     assert set(included) <= {path.name for path in KERNELS.glob("*.cuh")}

@@ -1,8 +1,6 @@
 """Without a GPU the CUDA kernels are compiled for the CPU, where fibres stand in for the threads of a block."""
 
 import os
-import platform
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -16,22 +14,12 @@ from gsfusion_nb.render import render_forward
 from gsfusion_nb.types import Camera, GaussianParams
 
 ROOT = Path(__file__).resolve().parents[2]
-FOLDER = Path(__file__).parent / "cuda"
 
 
-def run_emulated(tmp_path: Path, sanitized: bool = False) -> str:
-    """Build the emulator and run tests/kernels/cuda on it; what pytest printed."""
-    if platform.system() != "Linux" or not shutil.which("g++"):
-        pytest.skip("the CPU emulator of the CUDA kernels needs Linux and g++")
+def run_emulated(library: Path, **environment: str) -> str:
+    """Run tests/kernels/cuda on the emulator; what pytest printed."""
     if "GSFUSION_CUDA_EMULATOR" in os.environ:
         pytest.skip("tests/kernels/cuda run in this session already")
-    sys.path.insert(0, str(FOLDER))
-    try:
-        import emulator  # pyright: ignore[reportMissingImports]
-    finally:
-        sys.path.remove(str(FOLDER))
-    environment, extra = emulator.sanitizer() if sanitized else ({}, ())
-    library = emulator.build(tmp_path, extra)
     done = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests/kernels/cuda"],
         cwd=ROOT,
@@ -44,14 +32,15 @@ def run_emulated(tmp_path: Path, sanitized: bool = False) -> str:
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU: tests/kernels/cuda run on it")
-def test_kernels_on_the_cpu(tmp_path):
-    assert " passed" in run_emulated(tmp_path)
+def test_kernels_on_the_cpu(emulator_library):
+    assert " passed" in run_emulated(emulator_library)
 
 
 @pytest.mark.slow
-def test_kernels_stay_inside_their_arrays(tmp_path):
+def test_kernels_stay_inside_their_arrays(emulator, emulator_library, tmp_path):
     """The same under the address and undefined-behaviour sanitizers."""
-    assert " passed" in run_emulated(tmp_path, sanitized=True)
+    environment, extra = emulator.sanitizer()
+    assert " passed" in run_emulated(emulator.build(tmp_path, extra), **environment)
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")

@@ -75,3 +75,12 @@ def test_a_loop_moves_each_pose_in_the_world(generator):
         torch.testing.assert_close(new.T_WC.double(), T_k @ old.T_WC.double(), atol=1e-6, rtol=1e-6)
         assert torch.equal(old.T_WC, torch.eye(4))
         assert new.rgb_u8 is old.rgb_u8
+
+
+def test_images_are_kept_where_they_are_wanted():
+    keyframes = KeyframeList("meta")
+    keyframes.append(frame(0), with_depth=True)
+    assert {t.device.type for t in vars(keyframes[0]).values() if isinstance(t, torch.Tensor)} == {"meta"}
+    there = KeyframeList.from_state_dict(KeyframeList.state_dict(keyframes), "meta")
+    assert there[0].rgb_u8.device.type == "meta"
+    assert frame(0).rgb.device.type == "cpu"

@@ -28,9 +28,8 @@ def pytest_collection_modifyitems(items):
 def gpu(monkeypatch):
     """Inside the test there is a GPU, "cuda"; the value counts launches and waits."""
     import tensors  # pyright: ignore[reportMissingImports]
-
-    from gsfusion_nb.kernels import triton
-    from gsfusion_nb.kernels.cuda import driver, launch
+    from gsfusion_nb.kernels import triton  # pyright: ignore[reportMissingImports]
+    from gsfusion_nb.kernels.cuda import driver, launch  # pyright: ignore[reportMissingImports]
 
     try:
         tensors.lend_a_guard()

@@ -16,7 +16,8 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_map_only
 
 GPU = torch.device("cuda:0")
-OURS = ("/gsfusion_nb/", "/kernels/")
+ROOT = Path(__file__).resolve().parents[3]
+OURS = tuple(f"{ROOT / folder}/" for folder in ("gsfusion_nb", "kernels"))
 
 _WAITING = {"_local_scalar_dense", "nonzero", "unique_consecutive", "_unique2", "unique_dim", "masked_select", "equal"}
 _INDEXING = {"index", "index_put_", "_index_put_impl_"}
@@ -35,7 +36,7 @@ class Tally:
         """(what for, file:line of the package) -> times."""
 
     def wait(self, reason: str) -> None:
-        frames = [f for f in traceback.extract_stack() if any(part in f.filename for part in OURS)]
+        frames = [f for f in traceback.extract_stack() if f.filename.startswith(OURS)]
         self.waits[reason, f"{Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else ""] += 1
 
     @property
@@ -67,7 +68,7 @@ class OnGpu(Tensor):
     def data_ptr(self) -> int:
         return self.inner.data_ptr()
 
-    __torch_function__ = torch._C._disabled_torch_function_impl
+    __torch_function__ = torch._C._disabled_torch_function_impl  # pyright: ignore[reportAssignmentType]
 
     @classmethod
     def __torch_dispatch__(cls, func, types, args=(), kwargs=None):
@@ -117,9 +118,9 @@ def _run(func, args, kwargs):
 def _written(arguments, args, kwargs):
     values = [*args, *(None for _ in arguments[len(args) :])]
     for argument, value in zip(arguments, values, strict=True):
-        if argument.alias_info is not None and argument.alias_info.is_write:
-            if not argument.kwarg_only or argument.name in kwargs:
-                yield argument, value
+        is_written = argument.alias_info is not None and argument.alias_info.is_write
+        if is_written and (not argument.kwarg_only or argument.name in kwargs):
+            yield argument, value
 
 
 def _refuse_mixtures(func, name: str, tensors: list[Tensor]) -> None:

@@ -7,10 +7,10 @@ import torch
 
 from gsfusion_nb.config import DataConfig, gsfusion, rtg_slam
 from gsfusion_nb.datasets import open_sequence
-from gsfusion_nb.mapping import RTGSLAM, GSFusion, MappingRun, run_mapping
+from gsfusion_nb.mapping import RTGSLAM, GSFusion, MappingRun, outputs, run_mapping
 from gsfusion_nb.mapping.surfel_optimiser import SurfelOptimiser
 
-DATA = {"width": 48, "height": 36, "stop": 9, "stride": 2, "hold_out_every": 4, "hold_out_offset": 2}
+DATA = {"width": 40, "height": 30, "stop": 9, "stride": 2, "hold_out_every": 4, "hold_out_offset": 2}
 FRAMES_MOST = 40
 """Waits for the device in a frame, besides those of the optimisation."""
 
@@ -34,15 +34,15 @@ def rtg_slam_settings(**changes):
         window={"iterations": 2, "every_frames": 2},
         keyframes__iterations=2,
         final__passes=1,
+        mesh__voxel_size_m=0.08,
         **changes,
     )
 
 
 @pytest.mark.parametrize("settings", [gsfusion_settings, rtg_slam_settings])
-@pytest.mark.parametrize("poses", ["given", "tracked"])
-def test_a_run_gives_what_it_gives_on_the_processor(settings, poses, gpu, tmp_path):
-    config = settings(tracking__poses=poses)
-    there, here = (run_mapping("room", config, folder=tmp_path / d, device=d) for d in ("cuda", "cpu"))
+def test_a_run_gives_what_it_gives_on_the_processor(settings, gpu, tmp_path, monkeypatch):
+    monkeypatch.setattr(outputs, "score_mesh", lambda *_: {})  # of the mesh on the processor, and slow
+    there, here = (run_mapping("room", settings(), folder=tmp_path / d, device=d) for d in ("cuda", "cpu"))
     assert there.mapper.gaussians.params.xyz_W.device.type == "cuda"
     assert (tmp_path / "cuda" / "report.html").stat().st_size > 10_000
     assert len(there.run.steps) == len(here.run.steps) > 2
@@ -51,8 +51,18 @@ def test_a_run_gives_what_it_gives_on_the_processor(settings, poses, gpu, tmp_pa
         assert there.metrics[name] == pytest.approx(here.metrics[name], abs=0.1)
 
 
+@pytest.mark.parametrize(("system", "settings"), [(GSFusion, gsfusion_settings), (RTGSLAM, rtg_slam_settings)])
+def test_tracking_finds_what_it_finds_on_the_processor(system, settings, gpu):
+    there, here = (system(settings(tracking__poses="tracked"), device=d) for d in ("cuda", "cpu"))
+    for frame in frames(3):
+        reports = [mapper.step(frame) for mapper in (there, here)]
+        assert reports[0].tracking["status"] == reports[1].tracking["status"]
+    for a, b in zip(there.localiser.poses, here.localiser.poses, strict=True):
+        torch.testing.assert_close(a, b, rtol=0.0, atol=5e-3)
+
+
 def frames(n: int):
-    sequence = open_sequence("room", data=DataConfig(width=48, height=36))
+    sequence = open_sequence("room", data=DataConfig(width=40, height=30))
     return [sequence.mapping[i] for i in range(n)]
 
 
@@ -65,11 +75,12 @@ def test_gsfusion_waits_for_the_number_of_pairs_only(gpu):
     optim = mapper.config.optim
     steps = optim.keyframe_iterations if report.is_keyframe else optim.frame_iterations + 1
     assert gpu.n_waits <= FRAMES_MOST + steps, gpu.waits.most_common()
+    mapper._optimise_view(mapper.keyframes[0], ssim_weight=0.2)  # the window of SSIM is made once
     gpu.clear()
     for i in range(3):
         mapper._optimise_view(mapper.keyframes[0], ssim_weight=0.2 * i)
     assert gpu.n_waits == 3, gpu.waits.most_common()
-    assert all("binning" in place for _, place in gpu.waits)
+    assert {place.split(":")[0] for _, place in gpu.waits} == {"binning.py"}
     assert mapper.keyframes[0].rgb_u8.dtype == torch.uint8
 
 
