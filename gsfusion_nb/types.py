@@ -10,6 +10,11 @@ from torch import Tensor
 from .checks import check_positive, check_shape
 
 
+def _places(rows):
+    """A mask as the places where it is true: looked for once, not for every column."""
+    return rows.nonzero()[:, 0] if isinstance(rows, Tensor) and rows.dtype == torch.bool and rows.ndim == 1 else rows
+
+
 @dataclass(frozen=True, kw_only=True)
 class Camera:
     """A pinhole camera without distortion. Pixel (i, j) has its centre at (i + 0.5, j + 0.5)."""
@@ -101,6 +106,7 @@ class Seeds:
         return self.xyz_W.shape[0]
 
     def __getitem__(self, rows) -> "Seeds":
+        rows = _places(rows)
         return Seeds(**{f.name: getattr(self, f.name)[rows] for f in dataclasses.fields(self)})
 
     @staticmethod
@@ -183,6 +189,7 @@ class GaussianParams:
         return self.xyz_W.shape[0]
 
     def __getitem__(self, rows) -> "GaussianParams":
+        rows = _places(rows)
         return GaussianParams(**{f.name: getattr(self, f.name)[rows] for f in dataclasses.fields(self)})
 
     @property

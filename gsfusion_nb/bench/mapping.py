@@ -8,7 +8,7 @@ from ..backends import use_backend
 from ..config import gsfusion
 from ..mapping import GSFusion
 from .options import BenchOptions
-from .raster import our_backends
+from .raster import DEVICES, our_backends
 from .rows import Case, Row
 from .timing import PeakMemory, Timing
 from .tsdf import case_name, open_frames
@@ -20,24 +20,27 @@ STAGES = {
 
 
 def cases(options: BenchOptions) -> Iterator[Case]:
-    """The reference, then the fastest backend of each operation, for every image size."""
-    fast = [b for b in our_backends("render_forward", "render_vjp") if b == "numba"]
+    """The reference, then the fastest backend of each operation, on the CPU and on a GPU, for every image size."""
+    backends = our_backends(options, "render_forward", "render_vjp")
+    methods = [("reference", "reference", "cpu")] if "reference" in backends else []
+    methods += [(f"auto ({b})", "auto", DEVICES[b]) for b in ("numba", "cuda") if b in backends]
     for size in options.sizes:
-        for method, backend in (("reference", "reference"), *(("auto (numba)", "auto") for _ in fast)):
-            run = functools.partial(_rows, options, size, method, backend)
+        for method, backend, device in methods:
+            run = functools.partial(_rows, options, size, method, backend, device)
             yield Case(section="map", title=f"{options.data}, {method}", run=run)
 
 
-def _rows(options: BenchOptions, size: tuple[int, int], method: str, backend: str) -> list[Row]:
+def _rows(options: BenchOptions, size: tuple[int, int], method: str, backend: str, device: str) -> list[Row]:
+    """A GPU's stages are the time until its work is queued; the step as a whole waits for its end."""
     frames = open_frames(options, size)
     config = gsfusion("online")
     with use_backend(backend):
-        GSFusion(config).step(frames[0])  # compiles, and renders the room's first picture
+        GSFusion(config, device=device).step(frames[0])  # compiles, and renders the room's first picture
         if options.data == "room":
             for i in range(len(frames)):
                 frames[i]  # rendered once and cached; reading a recording is what is timed
-        with PeakMemory() as memory:
-            mapper = GSFusion(config)
+        with PeakMemory(device) as memory:
+            mapper = GSFusion(config, device=device)
             seconds = dict.fromkeys(STAGES, 0.0)
             cpu_s, psnr = 0.0, []
             for i in range(len(frames)):

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import tyro
 
+from ..backends import BACKENDS
 from ..checks import check_name
 
 SECTIONS = ("raster", "tsdf", "map")
@@ -25,6 +26,8 @@ class BenchOptions:
     """Image sizes for tsdf and map, such as 320x240 640x480; the recording's own by default, 320x240 for the room."""
     frames: int = 0
     """Frames of the sequence to use; 0 means 60, or 8 with --quick."""
+    backend: tuple[str, ...] = ()
+    """Only these of our backends: reference, numba, triton, cuda; all that run here by default."""
     threads: int = 1
     """Threads that every method may use."""
     quick: bool = False
@@ -65,6 +68,8 @@ class BenchOptions:
             KeyError, ValueError, OSError: with a sentence.
         """
         check_name("bench", self.what, ("all", *SECTIONS))
+        for backend in self.backend:
+            check_name("backend", backend, BACKENDS)
         cores = os.cpu_count() or 1
         if not 1 <= self.threads <= cores:
             raise ValueError(f"--threads must be between 1 and {cores}, the cores of this machine, got {self.threads}")

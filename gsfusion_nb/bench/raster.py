@@ -52,7 +52,7 @@ def _cases_of(options: BenchOptions, scene: Callable[[], Scene], name: str, back
     truth = functools.lru_cache(1)(lambda: _ours("reference", scene(), backward))
     if why_not("gsplat") is None:
         yield Case(section="raster", title=title, run=lambda: [_gsplat_row(options, scene(), title, backward, truth())])
-    for backend in our_backends("render_forward", "render_vjp"):
+    for backend in our_backends(options, "render_forward", "render_vjp"):
         run = functools.partial(_our_row, options, backend, scene, title, backward, truth)
         yield Case(section="raster", title=title, run=lambda run=run: [run()])
 
@@ -64,7 +64,7 @@ def _gpu_cases_of(options: BenchOptions, scene: Callable[[], Scene], name: str, 
     if why_not("gsplat_cuda") is None:
         run = functools.partial(_gsplat_cuda_row, options, scene, title, backward, truth)
         yield Case(section="raster", title=title, run=lambda: [run()])
-    for backend in our_backends("render_forward", "render_vjp"):
+    for backend in our_backends(options, "render_forward", "render_vjp"):
         if DEVICES[backend] == "cuda":
             run = functools.partial(_our_row, options, backend, scene, title, backward, truth)
             yield Case(section="raster", title=title, run=lambda run=run: [run()])
@@ -77,11 +77,12 @@ def _to_cpu(result: Result) -> Result:
     return rgb.cpu(), gradients
 
 
-def our_backends(*operations: str) -> list[str]:
-    """Backends that can run all of ``operations`` on this machine, the reference first."""
+def our_backends(options: BenchOptions, *operations: str) -> list[str]:
+    """Backends that can run all of ``operations`` on this machine and are asked for, the reference first."""
     working = {(name, backend) for name, backend, state in backends.report() if state == "ok"}
     usable = [b for b in backends.BACKENDS if all((name, b) in working for name in operations)]
-    return [b for b in usable if DEVICES[b] == "cpu" or torch.cuda.is_available()]
+    asked = [b for b in usable if not options.backend or b in options.backend]
+    return [b for b in asked if DEVICES[b] == "cpu" or torch.cuda.is_available()]
 
 
 def _ours(backend: str, scene: Scene, backward: bool) -> Result:

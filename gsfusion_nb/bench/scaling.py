@@ -37,7 +37,7 @@ def cases(options: BenchOptions) -> Iterator[Case]:
         yield from _raster_cases(options, "pixels, fwd+bwd 20k SH0", sizes, lambda n, w, h: float(w * h))
     if "tsdf" in options.sections:
         load = functools.lru_cache(1)(functools.partial(stored_frames, options, options.sizes[0]))
-        for backend in our_backends("band_blocks", "fuse_frame_"):
+        for backend in our_backends(options, "band_blocks", "fuse_frame_"):
             run = functools.partial(_voxels, options, backend, load, VOXELS_M[:last])
             yield Case(section="scaling", title="voxels observed a frame", run=lambda run=run: [run()])
 
@@ -51,7 +51,7 @@ def exponent(points: list[Point]) -> float:
 def _raster_cases(
     options: BenchOptions, axis: str, sizes: list[tuple[int, int, int]], measure_of: Callable[[int, int, int], float]
 ) -> Iterator[Case]:
-    for backend in our_backends("render_forward", "render_vjp"):
+    for backend in our_backends(options, "render_forward", "render_vjp"):
 
         def run(backend: str = backend) -> list[Row]:
             times = [_raster_ms(options, backend, size) for size in sizes]

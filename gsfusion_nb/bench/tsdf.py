@@ -84,7 +84,7 @@ def cases(options: BenchOptions) -> Iterator[Case]:
             for name, make in MAKERS.items():
                 if why_not(name) is None:
                     makers[PEERS[name].name] = functools.partial(make, settings)
-            for backend in our_backends("band_blocks", "fuse_frame_"):
+            for backend in our_backends(options, "band_blocks", "fuse_frame_"):
                 makers[backend] = lambda first, b=backend, s=settings: OurVolume(b, s)
             for method, make in makers.items():
                 run = functools.partial(_row, load, voxel_m, method, make)
@@ -110,7 +110,7 @@ def case_name(name: str, width: int, height: int) -> str:
 def _row(load: Callable[[], StoredFrames], voxel_m: float, method: str, make: Callable[[Frame], Fuser]) -> Row:
     frames = load()
     fuse_all(make(frames[0]), frames, 1)  # compiles and loads libraries
-    with PeakMemory() as memory:
+    with PeakMemory(getattr(make(frames[0]), "device", "cpu")) as memory:
         fuser = make(frames[0])
         laps = fuse_all(fuser, frames, len(frames))
     timing = summary(laps, memory.peak_mb)

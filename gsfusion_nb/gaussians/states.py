@@ -102,15 +102,11 @@ def change_states(model: SurfelModel, config: StateConfig) -> Transitions:
     if config.max_radius_factor is not None and len(model):
         radius = model.radius_m
         for rows in (model.is_stable, ~model.is_stable):
-            if rows.any():
-                oversized |= rows & (radius > config.max_radius_factor * radius[rows].mean())
-    report = Transitions(
-        stabilised=int(ready.sum()),
-        released=int(wrong.sum()),
-        expired=int(expired.sum()),
-        oversized=int((oversized & ~expired & ~gone).sum()),
-    )
+            mean = torch.where(rows, radius, 0.0).sum() / rows.sum()  # NaN of none, and nothing is above that
+            oversized |= rows & (radius > config.max_radius_factor * mean)
+    changed = (ready, wrong, expired, oversized & ~expired & ~gone)
     gone = gone | expired | oversized
-    if gone.any():
+    stabilised, released, n_expired, n_oversized, n_gone = torch.stack([*changed, gone]).sum(dim=1).tolist()
+    if n_gone:
         model.keep(~gone)
-    return report
+    return Transitions(stabilised=stabilised, released=released, expired=n_expired, oversized=n_oversized)

@@ -1,5 +1,6 @@
 """The compact Gaussian map of RTG-SLAM: every Gaussian a disc, opaque or transparent, stable or unstable."""
 
+import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
@@ -98,9 +99,11 @@ class SurfelModel(GaussianModel):
 def state_counts(model: SurfelModel) -> dict[str, int]:
     """Rows by state and kind, for reports."""
     stable, transparent = model.is_stable, model.is_transparent
-    return {
-        "stable_opaque": int((stable & ~transparent).sum()),
-        "stable_transparent": int((stable & transparent).sum()),
-        "unstable_opaque": int((~stable & ~transparent).sum()),
-        "unstable_transparent": int((~stable & transparent).sum()),
+    kinds = {
+        "stable_opaque": stable & ~transparent,
+        "stable_transparent": stable & transparent,
+        "unstable_opaque": ~stable & ~transparent,
+        "unstable_transparent": ~stable & transparent,
     }
+    counts = torch.stack(list(kinds.values())).sum(dim=1).tolist()  # a GPU is waited for once
+    return dict(zip(kinds, counts, strict=True))

@@ -169,8 +169,9 @@ class SeedContext:
             At most N seeds, in the order of ``uv``.
         """
         i, j = uv.floor().long().unbind(-1)
-        kept = (i >= 0) & (i < self.camera.width) & (j >= 0) & (j < self.camera.height)
-        kept[kept.clone()] = self.has_depth()[j[kept], i[kept]]
+        W, H = self.camera.width, self.camera.height
+        inside = (i >= 0) & (i < W) & (j >= 0) & (j < H)
+        kept = (inside & self.has_depth()[j.clamp(0, H - 1), i.clamp(0, W - 1)]).nonzero()[:, 0]
         uv, i, j = uv[kept], i[kept], j[kept]
         z = self.frame.depth_m[j, i]
         size = radius_px[kept] if isinstance(radius_px, Tensor) else radius_px

@@ -6,6 +6,8 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from .nearest import k_nearest
+
 NEIGHBOURS = 3
 """Nearest neighbours looked at (released code)."""
 REACH = 3.0
@@ -51,8 +53,6 @@ def gaps_around(
 
     Differentiable: no. Source: the released code (the paper says "cover the scene ... with little overlapping").
     """
-    from scipy.spatial import KDTree
-
     M = len(xyz_W)
     if M == 0:
         return Gaps(gap_m=xyz_W.new_zeros(0, neighbours))
@@ -63,24 +63,17 @@ def gaps_around(
     k = min(neighbours + 1, len(centres))
     if k == 1:
         return Gaps(gap_m=xyz_W.new_full((1, 1), torch.inf))
-    tree = KDTree(centres.cpu().numpy())
-    distance, index = (torch.from_numpy(a) for a in tree.query(xyz_W.cpu().numpy(), k=k))
-    other = index != torch.arange(M)[:, None]
+    distance, index = k_nearest(xyz_W, centres, k)
+    other = index != torch.arange(M, device=index.device)[:, None]
     other[other.all(dim=1), -1] = False  # a duplicate hid the point itself: leave out the farthest
-    distance, index = (a[other].view(M, k - 1).to(xyz_W.device) for a in (distance, index))
-    return Gaps(gap_m=distance.to(xyz_W) - reach * radius[index])
+    kept = other.byte().sort(dim=1, descending=True, stable=True).indices[:, : k - 1]
+    distance, index = distance.gather(1, kept), index.gather(1, kept)
+    return Gaps(gap_m=distance - reach * radius[index])
 
 
 def nearest(
     xyz_W: Float[Tensor, "M 3"], others_W: Float[Tensor, "N 3"], neighbours: int = NEIGHBOURS
 ) -> tuple[Float[Tensor, "M K"], Tensor]:
     """Distance to the nearest of ``others_W`` and their rows; infinite, and row 0, where there are not so many."""
-    from scipy.spatial import KDTree
-
-    M = len(xyz_W)
-    if M == 0 or len(others_W) == 0:
-        return xyz_W.new_full((M, neighbours), torch.inf), torch.zeros(M, neighbours, dtype=torch.long)
-    distance, row = KDTree(others_W.cpu().numpy()).query(xyz_W.cpu().numpy(), k=neighbours)
-    distance, row = (torch.from_numpy(a).view(M, neighbours) for a in (distance, row))
-    row[row == len(others_W)] = 0
-    return distance.to(xyz_W), row.to(xyz_W.device)
+    distance, row = k_nearest(xyz_W, others_W, neighbours)
+    return distance, row.masked_fill(row == len(others_W), 0)

@@ -8,20 +8,25 @@ outputs written). What a kernel does besides (sorting, gathering, reading twice)
 
 import functools
 import math
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import torch
 
 from ..backends import BACKENDS, report, use_backend
+from ..bench import machine
 from ..bench.raster import DEVICES
 from ..bench.scene import random_scene
-from ..bench.timing import threads
-from ..optim import dssim_vjp
+from ..bench.timing import lap, threads
+from ..config import TsdfConfig
+from ..optim import dssim_vjp, l1_mse_vjp
 from ..optim.adam import adam_update
 from ..render import render_forward, render_vjp
+from ..tsdf import TsdfVolume, allocate
+from ..tsdf.integrate import fuse_frame_
+from ..types import Frame
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -37,11 +42,16 @@ BACKWARD_FLOPS = 70
 """Per pair: alpha again 20, dL/dalpha 12, dL/dcolour 8, dL/dconic, dL/duv, dL/dopacity 30."""
 SSIM_FLOPS = 5 * 2 * 11 * 2 + 3 * 2 * 11 * 2 + 40
 """Per number: five maps blurred forwards and three backwards, each with an 11-tap filter twice, and the quotient."""
+L1_FLOPS, L1_FLOATS = 9, 3
+"""Per number: difference, size, sign, clamp, square, two sums. Read picture and photograph, write the gradient."""
+TSDF_FLOPS, TSDF_FLOATS = 40, 10
+"""Per observed voxel: projection 12, distance along the ray 10, three running means 18. Read and write distance,
+weight and colour."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Roofs:
-    """What one core can do at best, measured."""
+    """What one core, or a GPU, can do at best, measured."""
 
     gflops: float
     """10^9 float32 operations per second: a matrix product."""
@@ -60,7 +70,7 @@ class Roofs:
 
 @dataclass(frozen=True, kw_only=True)
 class KernelPoint:
-    """One operation on one backend, timed on one thread."""
+    """One operation on one backend, timed on one thread or on a GPU."""
 
     name: str
     backend: str
@@ -79,30 +89,27 @@ class KernelPoint:
         return self.flops / self.seconds / 1e9
 
 
-def fastest_s(work: Callable[[], object], *, repeats: int = 5) -> float:
+def fastest_s(work: Callable[[], object], *, repeats: int = 5, device: str = "cpu") -> float:
     """CPU time of the fastest of ``repeats`` runs, after one that compiles and fills caches; other programs on the
-    machine disturb it least."""
+    machine disturb it least. On "cuda" the time between two events in its queue."""
     work()
-    laps = []
-    for _ in range(repeats):
-        began = time.process_time()
-        work()
-        laps.append(time.process_time() - began)
-    return max(min(laps), 1e-9)
+    laps = [lap(work, device) for _ in range(repeats)]
+    return max(min(x.cpu_s if x.device_s is None else x.device_s for x in laps), 1e-9)
 
 
-def measure_roofs(*, size: int = 1024, megabytes: int = 96) -> Roofs:
-    """Both roofs of one core, in about a second.
+def measure_roofs(*, size: int = 1024, megabytes: int = 96, device: str = "cpu") -> Roofs:
+    """Both roofs of one core, or of a GPU, in about a second.
 
     Args:
-        size: Rows and columns of the matrices.
-        megabytes: Size of each of two arrays.
+        size: Rows and columns of the matrices; 8192 keeps a large GPU busy.
+        megabytes: Size of each of two arrays, which should fit in no cache.
+        device: "cpu" or "cuda".
     """
-    a, b = torch.rand(size, size), torch.rand(size, size)
-    x, y = torch.rand(2, megabytes * 250_000)
+    a, b = torch.rand(2, size, size).to(device)
+    x, y = torch.rand(2, megabytes * 250_000).to(device)
     with threads(1):
-        product_s = fastest_s(lambda: torch.mm(a, b))
-        sum_s = fastest_s(lambda: y.add_(x))
+        product_s = fastest_s(lambda: torch.mm(a, b), device=device)
+        sum_s = fastest_s(lambda: y.add_(x), device=device)
     return Roofs(gflops=2 * size**3 / product_s / 1e9, gb_per_s=12 * len(x) / sum_s / 1e9)
 
 
@@ -118,21 +125,28 @@ class Work:
     bytes: float | int
 
 
-def mapping_work(n: int = 20_000, width: int = 320, height: int = 240, per_pixel: float = 30.0) -> list[Work]:
+def mapping_work(
+    n: int = 20_000, width: int = 320, height: int = 240, per_pixel: float = 30.0, device: str = "cpu"
+) -> list[Work]:
     """The operations that a mapping step spends its time in, on a random scene.
 
     Args:
         n: Gaussians, with SH of degree 3; Adam gets five times as many, which do not fit in a cache.
         width, height: Of the image, pixels.
         per_pixel: Gaussians above alpha = 1/255 at a pixel.
+        device: Where the tensors are.
     """
-    scene = random_scene(n, width, height, sh_degree=3, per_pixel=per_pixel)
+    scene = random_scene(n, width, height, sh_degree=3, per_pixel=per_pixel).to(device)
     pixels, numbers = width * height, n * FLOATS_PER_GAUSSIAN
     pairs = per_pixel * pixels
     g = torch.Generator().manual_seed(0)
     rows = 5 * n  # too much for a cache
-    value, gradient, m, v = (torch.rand(rows, FLOATS_PER_GAUSSIAN, generator=g) for _ in range(4))
-    image, target = (torch.rand(height, width, 3, generator=g) for _ in range(2))
+    value, gradient, m, v = (torch.rand(rows, FLOATS_PER_GAUSSIAN, generator=g).to(device) for _ in range(4))
+    image, target = (torch.rand(height, width, 3, generator=g).to(device) for _ in range(2))
+    depth_m = (1.5 + 0.5 * torch.rand(height, 1, generator=g)).expand(height, width).contiguous()
+    frame = Frame(
+        index=0, timestamp_s=0.0, rgb=image.cpu(), depth_m=depth_m, camera=scene.camera, T_WC=torch.eye(4)
+    ).to(device)  # fmt: skip
 
     def forward():
         return render_forward(scene.params, scene.camera, scene.T_WC, with_indices=False)
@@ -144,29 +158,43 @@ def mapping_work(n: int = 20_000, width: int = 320, height: int = 240, per_pixel
     def backward():
         return render_vjp(saved(), scene.v_rgb)
 
+    @functools.cache
+    def volume() -> tuple[TsdfVolume, int]:
+        """One that has seen the frame, and how many voxels it observes."""
+        made = TsdfVolume(TsdfConfig(), device=device)
+        allocate(made, frame)
+        return made, fuse_frame_(made, frame)[1]
+
+    voxels = volume()[1]
     return [
         Work(name="Adam", operations=("adam_update",), flops=ADAM_FLOPS * value.numel(),
              bytes=4 * ADAM_FLOATS * value.numel(),
              run=lambda: adam_update(value, gradient, m, v, None, lr=1e-3, beta1=0.9, beta2=0.999, eps=1e-15)),
+        Work(name="L1 and gradient", operations=("l1_mse_vjp",), flops=L1_FLOPS * 3 * pixels,
+             bytes=4 * L1_FLOATS * 3 * pixels, run=lambda: l1_mse_vjp(image, target)),
         Work(name="D-SSIM and gradient", operations=("dssim_vjp",), flops=SSIM_FLOPS * 3 * pixels,
              bytes=4 * 3 * 3 * pixels, run=lambda: dssim_vjp(image, target)),
         Work(name="render", operations=("render_forward",), flops=FORWARD_FLOPS * pairs,
              bytes=4 * (numbers + 5 * pixels), run=forward),
         Work(name="render, gradient", operations=("render_forward", "render_vjp"), flops=BACKWARD_FLOPS * pairs,
              bytes=4 * (2 * numbers + 8 * pixels), run=backward),
+        Work(name="TSDF update", operations=("fuse_frame_",), flops=TSDF_FLOPS * voxels,
+             bytes=4 * (TSDF_FLOATS * voxels + 4 * pixels), run=lambda: fuse_frame_(volume()[0], frame)),
     ]  # fmt: skip
 
 
-def kernel_points(make_work: Callable[[], Sequence[Work]] = mapping_work, *, repeats: int = 3) -> list[KernelPoint]:
-    """Time every operation on every CPU backend that has it, on one thread."""
+def kernel_points(
+    make_work: Callable[[], Sequence[Work]] = mapping_work, *, repeats: int = 3, device: str = "cpu"
+) -> list[KernelPoint]:
+    """Time every operation on every backend of a device that has it, on one thread. ``make_work`` puts it there."""
     working = {(name, backend) for name, backend, state in report() if state == "ok"}
     points = []
-    for backend in (b for b in BACKENDS if DEVICES[b] == "cpu"):
+    for backend in (b for b in BACKENDS if DEVICES[b] == device):
         for work in make_work():
             if not all((name, backend) in working for name in work.operations):
                 continue
             with use_backend(backend), threads(1):
-                seconds = fastest_s(work.run, repeats=repeats)
+                seconds = fastest_s(work.run, repeats=repeats, device=device)
             point = KernelPoint(
                 name=work.name, backend=backend, flops=work.flops, bytes=work.bytes, seconds=seconds
             )  # fmt: skip
@@ -192,7 +220,7 @@ def roofline_figure(roofs: Roofs, points: Sequence[KernelPoint]) -> "Figure":
                   ha="right", fontsize=9)  # fmt: skip
     for backend in dict.fromkeys(p.backend for p in points):
         _kernels(axes, [p for p in points if p.backend == backend], backend)
-    axes.set(xscale="log", yscale="log", xlabel="intensity, flop per byte", ylabel="Gflop/s on one core")
+    axes.set(xscale="log", yscale="log", xlabel="intensity, flop per byte", ylabel="Gflop/s")
     axes.set_ylim(top=roofs.gflops * 3)
     axes.grid(True, which="major", alpha=0.3)
     if points:
@@ -200,7 +228,7 @@ def roofline_figure(roofs: Roofs, points: Sequence[KernelPoint]) -> "Figure":
     return figure
 
 
-_COLOURS = {"reference": "#3d85c6", "numba": "#d1495b"}
+_COLOURS = {"reference": "#3d85c6", "numba": "#d1495b", "triton": "#8e5bb5"}
 
 
 def _kernels(axes, points: list[KernelPoint], backend: str) -> None:
@@ -224,3 +252,27 @@ def as_table(roofs: Roofs, points: Sequence[KernelPoint]) -> str:
             f"{p.name:20} {p.backend:10} {p.intensity:9.2f} {1e3 * p.seconds:7.1f} {p.gflops:8.2f} {share:>11}  {limit}"
         )
     return "\n".join(lines)
+
+
+ON_A_GPU = {"n": 200_000, "width": 1200, "height": 680}
+"""Size of the work there; smaller work would measure how fast kernels start."""
+
+
+def main(device: str, folder: Path) -> int:
+    """``gsfusion-nb study roofline``: measure, print, and write the table and the picture to ``folder``."""
+    if device not in ("cpu", "cuda"):
+        raise ValueError(f"--device must be cpu or cuda, got {device!r}")
+    if device == "cuda" and not torch.cuda.is_available():
+        raise ValueError("--device cuda needs an NVIDIA GPU, and torch sees none")
+    is_gpu = device == "cuda"
+    roofs = measure_roofs(size=8192, megabytes=2000, device=device) if is_gpu else measure_roofs()
+    work = functools.partial(mapping_work, **(ON_A_GPU if is_gpu else {}), device=device)
+    points = kernel_points(work, repeats=10 if is_gpu else 5, device=device)
+    head = machine.header(machine.describe(1))
+    limits = f"measured limits: {roofs.gflops:.0f} Gflop/s (matrix product), {roofs.gb_per_s:.0f} GB/s (b = a + b)"
+    text = "\n".join([*head, limits, "", as_table(roofs, points)])
+    print(text)
+    (folder / "roofline.txt").write_text(text + "\n", encoding="utf-8")
+    roofline_figure(roofs, points).savefig(folder / "roofline.png")
+    print(f"\nFiles in {folder}")
+    return 0

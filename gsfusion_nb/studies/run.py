@@ -11,7 +11,7 @@ import tyro
 
 from ..checks import check_name
 from ..evaluation import format_metric
-from . import disc_depth
+from . import disc_depth, roofline
 from .variants import STUDIES
 
 COLUMNS = {
@@ -41,7 +41,7 @@ class StudyOptions:
     """
 
     name: Annotated[str, tyro.conf.Positional]
-    """systems, transparent, states, fidelity, depth, tracking, or disc-depth."""
+    """systems, transparent, states, fidelity, depth, tracking, disc-depth, or roofline."""
     data: Annotated[str, tyro.conf.Positional] = "room"
     """Folder of a sequence, or "room" for the built-in scene."""
     out: str = ""
@@ -50,15 +50,19 @@ class StudyOptions:
     """Options of `gsfusion-nb map` for every variant, quoted after an equals sign: --options="--data.width 320"."""
     views: int = 20
     """disc-depth: views to fit."""
+    device: str = "cpu"
+    """roofline: whose kernels and limits to measure, cpu or cuda."""
 
 
 def main(options: StudyOptions) -> int:
     """Run, print and save; the exit status."""
-    check_name("study", options.name, ("disc-depth", *STUDIES))
+    check_name("study", options.name, ("disc-depth", "roofline", *STUDIES))
     folder = Path(options.out or f"runs/study-{options.name}").expanduser()
     folder.mkdir(parents=True, exist_ok=True)
     if options.name == "disc-depth":
         return disc_depth.main(options.data, folder, options.views)
+    if options.name == "roofline":
+        return roofline.main(options.device, folder)
     study = STUDIES[options.name]
     print(f"{study.question}, on {options.data}")
     results = {}

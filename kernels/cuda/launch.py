@@ -9,6 +9,8 @@ from torch import Tensor
 
 from gsfusion_nb.backends import BackendUnavailable
 
+from ..gpu import one_device
+from ..gpu import parts as parts
 from . import driver, nvrtc
 
 _EMULATOR = os.environ.get("GSFUSION_CUDA_EMULATOR", "")
@@ -39,12 +41,7 @@ def device_of(operation: str, **tensors: Tensor | None) -> torch.device:
     Raises:
         ValueError: they are on several. BackendUnavailable: the kernels do not run there.
     """
-    found = {name: value.device for name, value in tensors.items() if value is not None}
-    devices = set(found.values())
-    if len(devices) > 1:
-        places = ", ".join(f"{name} on {device}" for name, device in found.items())
-        raise ValueError(f"{operation}: all tensors must be on one device, got {places}")
-    device = devices.pop()
+    device = one_device(operation, tensors)
     if device.type != ("cpu" if _EMULATOR else "cuda"):
         raise BackendUnavailable(f"{operation}: backend 'cuda' takes CUDA tensors, got tensors on {device}")
     return device
@@ -82,11 +79,6 @@ def launch(operation: str, source: str, grid: int | tuple[int, int], block: int,
         _emulate(operation, kernel, size, block, values)
     else:
         driver.start(operation, stem, kernel, size, block, device, values)
-
-
-def parts(count: int, size: int) -> int:
-    """Blocks needed for ``count`` items, ``size`` in each."""
-    return -(-count // size)
 
 
 def check_dtype(operation: str, dtype: torch.dtype, **tensors: Tensor | None) -> None:

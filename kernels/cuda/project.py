@@ -3,9 +3,9 @@
 import torch
 from torch import Tensor
 
-from gsfusion_nb.constants import FRUSTUM_CLAMP
 from gsfusion_nb.types import Camera, GaussianParams
 
+from ..lens import lens
 from .launch import launch, packed, parts
 
 SPLAT = 12
@@ -23,7 +23,7 @@ def project_rows(params: GaussianParams, camera: Camera, T_WC: Tensor) -> tuple[
     depth = torch.empty(N, dtype=torch.float32, device=device)
     launch(
         "render_forward", f"project:project_{_coefficients(params)}", parts(N, _BLOCK), _BLOCK, *_arrays(params), T_WC,
-        splats, depth, N, *_lens(camera), camera.width, camera.height,
+        splats, depth, N, *lens(camera), camera.width, camera.height,
     )  # fmt: skip
     return splats, depth
 
@@ -42,7 +42,7 @@ def project_rows_vjp(
     out = [torch.empty_like(a) for a in arrays]
     launch(
         "render_vjp", f"project:project_vjp_{_coefficients(params)}", parts(N, _BLOCK), _BLOCK, *arrays, T_WC, splats,
-        depth, moments, rows, *out, N, *_lens(camera),
+        depth, moments, rows, *out, N, *lens(camera),
     )  # fmt: skip
     return GaussianParams(**dict(zip(_NAMES, out, strict=True)))
 
@@ -56,9 +56,3 @@ def _coefficients(params: GaussianParams) -> int:
     if K not in (1, 4, 9, 16):
         raise ValueError(f"sh must be [N, K, 3] with K = 1, 4, 9 or 16 (degree 0 to 3), got {list(params.sh.shape)}")
     return K
-
-
-def _lens(camera: Camera) -> tuple[float, ...]:
-    limit_x = FRUSTUM_CLAMP * 0.5 * camera.width / camera.fx
-    limit_y = FRUSTUM_CLAMP * 0.5 * camera.height / camera.fy
-    return tuple(float(x) for x in (camera.fx, camera.fy, camera.cx, camera.cy, limit_x, limit_y))

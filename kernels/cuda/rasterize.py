@@ -11,11 +11,11 @@ import torch
 from torch import Tensor
 
 from gsfusion_nb.backends import use_backend
-from gsfusion_nb.checks import check_mask, check_positive, check_shape
 from gsfusion_nb.render import rasterize as reference
 from gsfusion_nb.types import Camera, GaussianParams, RenderOutput
 
-from .binning import TileLists, list_tiles
+from ..picture import Drawn, blank, check_drawn_by, check_gradients, check_options
+from .binning import list_tiles
 from .launch import check_dtype, device_of, launch, packed
 from .project import SPLAT, project_rows, project_rows_vjp
 
@@ -24,19 +24,10 @@ _NO_HIT_ALPHA = 1.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class CudaSaved:
+class CudaSaved(Drawn):
     """What the backward pass needs of the forward one."""
 
-    params: GaussianParams
-    camera: Camera
-    T_WC: Tensor
-    splats: Tensor
     depth: Tensor
-    lists: TileLists
-    image: tuple[Tensor, Tensor, Tensor]
-    """Colour, depth, alpha."""
-    pixels: Tensor | None
-    """uint8"""
 
 
 def render_forward(
@@ -60,37 +51,21 @@ def render_forward(
             )
     device = device_of("render_forward", **vars(params), pixels=pixels)
     check_dtype("render_forward", torch.float32, **vars(params))
-    if opaque_alpha is not None:
-        check_positive("opaque_alpha", opaque_alpha)
-    if pixels is not None:
-        check_mask("pixels", pixels, (camera.height, camera.width))
+    check_options(camera, opaque_alpha, pixels)
     pose = packed(T_WC.to(device, torch.float32))
     splats, depth = project_rows(params, camera, pose)
     lists = list_tiles(splats, depth, camera, pixels)
-    size = (camera.height, camera.width)
     drawn = None if pixels is None else packed(pixels).view(torch.uint8)
-    rgb, depth_m, alpha = (torch.empty(*size, *n, dtype=torch.float32, device=device) for n in ((3,), (), ()))
-    wanted = (with_indices, with_indices, opaque_alpha is not None)
-    first, dominant, hit = (torch.empty(size, dtype=torch.int64, device=device) if w else None for w in wanted)
+    out = blank(camera, device, with_indices=with_indices, with_hits=opaque_alpha is not None)
+    image = out.rgb, out.depth_m, out.alpha
     launch(
-        "render_forward", f"composite:composite_{int(wanted[0])}{int(wanted[2])}", _tiles(lists), _BLOCK, splats,
-        lists.ids, lists.offset, drawn, rgb, depth_m, alpha, first, dominant, hit, camera.width, camera.height,
-        lists.tiles_x, float(opaque_alpha or _NO_HIT_ALPHA),
+        "render_forward", f"composite:composite_{int(with_indices)}{int(opaque_alpha is not None)}", lists.n_tiles,
+        _BLOCK, splats, lists.ids, lists.offset, drawn, *image, out.first_index, out.dominant_index, out.hit_index,
+        camera.width, camera.height, lists.tiles_x, float(opaque_alpha or _NO_HIT_ALPHA),
     )  # fmt: skip
-    output = RenderOutput(
-        rgb=rgb, depth_m=depth_m, alpha=alpha, first_index=first, dominant_index=dominant, hit_index=hit
+    return out, CudaSaved(
+        params=params, camera=camera, T_WC=pose, splats=splats, depth=depth, lists=lists, image=image, pixels=drawn
     )
-    saved = CudaSaved(
-        params=params,
-        camera=camera,
-        T_WC=pose,
-        splats=splats,
-        depth=depth,
-        lists=lists,
-        image=(rgb, depth_m, alpha),
-        pixels=drawn,
-    )
-    return output, saved
 
 
 def render_vjp(
@@ -109,29 +84,15 @@ def render_vjp(
     if isinstance(saved, reference.RenderSaved):
         with use_backend("reference"):
             return reference.render_vjp(saved, v_rgb, v_depth_m, v_alpha, rows=rows)
-    if not isinstance(saved, CudaSaved):
-        raise ValueError(
-            f"render_vjp: a picture drawn by backend 'cuda' was expected, got {type(saved).__name__} of another "
-            "backend; draw and differentiate inside the same use_backend"
-        )
+    check_drawn_by("cuda", CudaSaved, saved)
     camera, lists = saved.camera, saved.lists
     device = device_of("render_vjp", picture=saved.splats, v_rgb=v_rgb, v_depth_m=v_depth_m, v_alpha=v_alpha, rows=rows)
-    check_shape("v_rgb", v_rgb, (camera.height, camera.width, 3))
-    for name, value in (("v_depth_m", v_depth_m), ("v_alpha", v_alpha)):
-        if value is not None:
-            check_shape(name, value, (camera.height, camera.width))
-    trained = None
-    if rows is not None:
-        check_mask("rows", rows, (len(saved.params),))
-        trained = packed(rows).view(torch.uint8)
+    check_gradients(saved, v_rgb, v_depth_m, v_alpha, rows)
+    trained = None if rows is None else packed(rows).view(torch.uint8)
     v_image = [None if v is None else packed(v.float()) for v in (v_rgb, v_depth_m, v_alpha)]
     moments = torch.zeros(len(saved.splats), SPLAT, dtype=torch.float32, device=device)
     launch(
-        "render_vjp", "composite:composite_backward", _tiles(lists), _BLOCK, saved.splats, lists.ids, lists.offset,
+        "render_vjp", "composite:composite_backward", lists.n_tiles, _BLOCK, saved.splats, lists.ids, lists.offset,
         saved.pixels, trained, *saved.image, *v_image, moments, camera.width, camera.height, lists.tiles_x,
     )  # fmt: skip
     return project_rows_vjp(saved.params, camera, saved.T_WC, saved.splats, saved.depth, moments, trained)
-
-
-def _tiles(lists: TileLists) -> int:
-    return lists.tiles_x * lists.tiles_y

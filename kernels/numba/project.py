@@ -9,8 +9,9 @@ import math
 import numpy as np
 from numba import njit, prange
 
-from gsfusion_nb.constants import ALPHA_MIN, FRUSTUM_CLAMP, NEAR_PLANE_M, SCREEN_BLUR_PX2
+from gsfusion_nb.constants import ALPHA_MIN, NEAR_PLANE_M, SCREEN_BLUR_PX2
 
+from ..lens import lens
 from .composite import PAIR_SUMS, TILE
 from .dealing import deal_size, dealt
 from .harmonics import basis_into, gradient_into
@@ -39,9 +40,7 @@ CAMERA = 23
 
 def pack_camera(camera, T_CW: np.ndarray, centre_W: np.ndarray) -> np.ndarray:
     """The camera and its pose as one float32 array, in the order of ``CAMERA``."""
-    limit_x = FRUSTUM_CLAMP * 0.5 * camera.width / camera.fx
-    limit_y = FRUSTUM_CLAMP * 0.5 * camera.height / camera.fy
-    tail = [camera.fx, camera.fy, camera.cx, camera.cy, limit_x, limit_y, camera.width, camera.height]
+    tail = [*lens(camera), camera.width, camera.height]
     return np.concatenate([T_CW[:3, :3].ravel(), T_CW[:3, 3], centre_W, tail]).astype(np.float32)
 
 

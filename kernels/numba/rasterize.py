@@ -14,11 +14,12 @@ import torch
 from torch import Tensor
 
 from gsfusion_nb.backends import use_backend
-from gsfusion_nb.checks import check_mask, check_positive
+from gsfusion_nb.checks import check_mask
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.render import rasterize as reference
 from gsfusion_nb.types import Camera, GaussianParams, RenderOutput
 
+from ..picture import blank, check_options
 from .binning import depth_order, list_tiles, sort_pairs, tile_windows
 from .composite import PAIR_SUMS, TILE, composite_backward, composite_forward
 from .launch import launching, scratch
@@ -60,21 +61,15 @@ def render_forward(
             return reference.render_forward(
                 params, camera, T_WC, with_indices=with_indices, opaque_alpha=opaque_alpha, pixels=pixels
             )
-    if opaque_alpha is not None:
-        check_positive("opaque_alpha", opaque_alpha)
-    drawn = _ALL_PIXELS
-    if pixels is not None:
-        check_mask("pixels", pixels, (camera.height, camera.width))
-        drawn = pixels.contiguous().numpy()
+    check_options(camera, opaque_alpha, pixels)
+    drawn = _ALL_PIXELS if pixels is None else pixels.contiguous().numpy()
     arrays = _arrays(params)
     T = T_WC.detach().double()
     cam = pack_camera(camera, se3.inverse(T).numpy(), T[:3, 3].numpy())
     N, H, W = len(params), camera.height, camera.width
     splats, count = np.empty((N, SPLAT), np.float32), np.empty(N, np.int32)
-    rgb, depth, alpha = torch.empty(H, W, 3), torch.empty(H, W), torch.empty(H, W)
-    wanted = (with_indices, with_indices, opaque_alpha is not None)
-    first, dominant, hit = (torch.empty(H, W, dtype=torch.int64) if w else None for w in wanted)
-    image = rgb.numpy(), depth.numpy(), alpha.numpy()
+    out = blank(camera, torch.device("cpu"), with_indices=with_indices, with_hits=opaque_alpha is not None)
+    image = out.rgb.numpy(), out.depth_m.numpy(), out.alpha.numpy()
     with launching():
         windows, sums = tile_windows(drawn, W, H)
         noted = scratch("noted_tiles", -(-N // CHUNK) * ROOM).view(np.int32)
@@ -85,11 +80,9 @@ def render_forward(
         list_tiles(splats, start, noted, W, H, windows, pair_tile)
         order = depth_order(splats, count)
         ids, slot, offset = sort_pairs(order, start, pair_tile, -(-W // TILE) * -(-H // TILE))
-        indices = [_NO_INDEX if index is None else index.numpy() for index in (first, dominant, hit)]
+        indices = (out.first_index, out.dominant_index, out.hit_index)
+        indices = [_NO_INDEX if index is None else index.numpy() for index in indices]
         composite_forward(splats, ids, offset, drawn, W, H, *image, *indices, np.float32(opaque_alpha or 1.0))
-    output = RenderOutput(
-        rgb=rgb, depth_m=depth, alpha=alpha, first_index=first, dominant_index=dominant, hit_index=hit
-    )
     saved = NumbaSaved(
         params=params,
         camera=cam,
@@ -101,7 +94,7 @@ def render_forward(
         image=image,
         pixels=drawn,
     )
-    return output, saved
+    return out, saved
 
 
 def render_vjp(

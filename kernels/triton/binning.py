@@ -8,7 +8,6 @@ alpha = 1/255, cut by each row of tiles. The number of pairs is the only value t
 # pyright: reportCallIssue=false, reportArgumentType=false, reportOperatorIssue=false, reportIndexIssue=false
 
 import math
-from dataclasses import dataclass
 
 import torch
 import triton
@@ -18,22 +17,13 @@ from torch import Tensor
 from gsfusion_nb.constants import ALPHA_MIN
 from gsfusion_nb.types import Camera
 
+from ..tile_lists import TileLists, active_tiles, empty_pairs, sort_pairs
 from .composite import TILE
 from .launch import launch, parts
 
 _BLOCK = 128
 _LOG_ALPHA_MIN = tl.constexpr(math.log(ALPHA_MIN))
 _SLACK = tl.constexpr(1e-2)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TileLists:
-    """One list of splats per tile: tile t has ``ids[offset[t] : offset[t + 1]]``."""
-
-    ids: Tensor  # int32 [I]
-    offset: Tensor  # int32 [tiles + 1]
-    tiles_x: int
-    tiles_y: int
 
 
 def list_tiles(splats: Tensor, depth: Tensor, camera: Camera, pixels: Tensor | None) -> TileLists:
@@ -50,31 +40,20 @@ def list_tiles(splats: Tensor, depth: Tensor, camera: Camera, pixels: Tensor | N
     ordered = count.index_select(0, order)
     end = ordered.cumsum(0)  # int64
     total = int(end[-1]) if N else 0
-    tile = torch.empty(total, dtype=torch.int16 if n_tiles < 1 << 15 else torch.int32, device=device)
-    ids = torch.empty(total, dtype=torch.int32, device=device)
+    tile, ids = empty_pairs(total, n_tiles, device)
     nth = torch.repeat_interleave(ordered, output_size=total)
     launch(
         _list, parts(total, _BLOCK), device, splats, nth, order, end, count, rank, column, tile, ids, total, n_tiles,
         *size, **options,
     )  # fmt: skip
-    tile, place = torch.sort(tile, stable=True)
-    numbers = torch.arange(n_tiles + 1, dtype=tile.dtype, device=device)
-    return TileLists(
-        ids=ids.index_select(0, place),
-        offset=torch.searchsorted(tile, numbers, out_int32=True),
-        tiles_x=tiles_x,
-        tiles_y=tiles_y,
-    )
+    return sort_pairs(tile, ids, tiles_x, tiles_y)
 
 
 def _active_columns(pixels: Tensor) -> tuple[Tensor, Tensor]:
     """Of the tiles with a wanted pixel: how many stand before each column [tiles_y, tiles_x + 1]; their columns."""
-    H, W = pixels.shape
-    padded = torch.nn.functional.pad(pixels, (0, -W % TILE, 0, -H % TILE))
-    active = padded.unflatten(1, (-1, TILE)).unflatten(0, (-1, TILE)).any(3).any(1)
-    rank = torch.nn.functional.pad(active.cumsum(1), (1, 0)).to(torch.int32)
+    active, rank = active_tiles(pixels, TILE)
     column = active.to(torch.uint8).sort(dim=1, descending=True, stable=True).indices.to(torch.int32)
-    return rank.contiguous(), column.contiguous()
+    return rank, column.contiguous()
 
 
 @triton.jit

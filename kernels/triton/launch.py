@@ -7,6 +7,9 @@ from triton.runtime import JITFunction
 
 from gsfusion_nb.backends import BackendUnavailable
 
+from ..gpu import one_device
+from ..gpu import parts as parts
+
 
 @triton.jit
 def _nothing():
@@ -23,12 +26,7 @@ def device_of(operation: str, **tensors: Tensor | None) -> torch.device:
     Raises:
         ValueError: they are on several. BackendUnavailable: Triton does not run there.
     """
-    found = {name: value.device for name, value in tensors.items() if value is not None}
-    devices = set(found.values())
-    if len(devices) > 1:
-        places = ", ".join(f"{name} on {device}" for name, device in found.items())
-        raise ValueError(f"{operation}: all tensors must be on one device, got {places}")
-    device = devices.pop()
+    device = one_device(operation, tensors)
     if device.type != "cuda" and not (INTERPRETED and device.type == "cpu"):
         raise BackendUnavailable(
             f"{operation}: backend 'triton' takes CUDA tensors, got tensors on {device}; "
@@ -46,8 +44,3 @@ def launch(kernel, programs: int, device: torch.device, *args, **options) -> Non
             kernel[(programs,)](*args, **options)
     else:
         kernel[(programs,)](*args, **options)
-
-
-def parts(count: int, size: int) -> int:
-    """Programs needed for ``count`` items, ``size`` in each."""
-    return -(-count // size)

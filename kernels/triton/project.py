@@ -16,9 +16,10 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from gsfusion_nb.constants import ALPHA_MIN, FRUSTUM_CLAMP, NEAR_PLANE_M, SCREEN_BLUR_PX2
+from gsfusion_nb.constants import ALPHA_MIN, NEAR_PLANE_M, SCREEN_BLUR_PX2
 from gsfusion_nb.types import Camera, GaussianParams
 
+from ..lens import lens
 from .harmonics import harmonic, harmonic_gradient
 from .launch import launch, parts
 
@@ -42,7 +43,7 @@ def project_rows(params: GaussianParams, camera: Camera, T_WC: Tensor) -> tuple[
     arrays = (params.xyz_W, params.log_scale, params.quat, params.opacity_logit, params.sh)
     launch(
         _project, parts(N, _BLOCK), device, *(a.detach().contiguous() for a in arrays), T_WC, splats, depth, N,
-        *_lens(camera), camera.width, camera.height, K=params.sh.shape[1], BLOCK=_BLOCK, num_warps=4,
+        *lens(camera), camera.width, camera.height, K=params.sh.shape[1], BLOCK=_BLOCK, num_warps=4,
     )  # fmt: skip
     return splats, depth
 
@@ -57,16 +58,10 @@ def project_rows_vjp(
     trained = splats if rows is None else rows.contiguous().view(torch.uint8)
     launch(
         _project_vjp, parts(N, _BLOCK), device, *(a.detach().contiguous() for a in arrays), T_WC, splats, v_splats,
-        trained, *out, N, *_lens(camera), K=params.sh.shape[1], SOME=rows is not None, BLOCK=_BLOCK, num_warps=4,
+        trained, *out, N, *lens(camera), K=params.sh.shape[1], SOME=rows is not None, BLOCK=_BLOCK, num_warps=4,
     )  # fmt: skip
     names = ("xyz_W", "log_scale", "quat", "opacity_logit", "sh")
     return GaussianParams(**dict(zip(names, out, strict=True)))
-
-
-def _lens(camera: Camera) -> tuple[float, ...]:
-    limit_x = FRUSTUM_CLAMP * 0.5 * camera.width / camera.fx
-    limit_y = FRUSTUM_CLAMP * 0.5 * camera.height / camera.fy
-    return tuple(float(x) for x in (camera.fx, camera.fy, camera.cx, camera.cy, limit_x, limit_y))
 
 
 @triton.jit

@@ -20,6 +20,7 @@ def test_defaults():
     ("changes", "error", "sentence"),
     [
         ({"what": "rastre"}, KeyError, "no bench 'rastre'; known: all, map, raster, tsdf"),
+        ({"backend": ("cuda", "numa")}, KeyError, "no backend .numa.; known: cuda, numba, reference, triton"),
         ({"threads": 0}, ValueError, f"between 1 and {os.cpu_count()}, the cores of this machine, got 0"),
         ({"frames": 1}, ValueError, "--frames must be at least 2"),
         ({"frames": -3}, ValueError, "--frames must be at least 2"),

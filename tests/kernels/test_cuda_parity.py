@@ -21,7 +21,7 @@ def run_emulated(library: Path, **environment: str) -> str:
     if "GSFUSION_CUDA_EMULATOR" in os.environ:
         pytest.skip("tests/kernels/cuda run in this session already")
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests/kernels/cuda"],
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests/kernels/cuda", "tests/kernels/gpu"],
         cwd=ROOT,
         env={**os.environ, "GSFUSION_CUDA_EMULATOR": str(library), **environment},
         capture_output=True,

@@ -17,7 +17,7 @@ def test_kernels_under_the_interpreter():
     if "TRITON_INTERPRET" in os.environ:
         pytest.skip("tests/kernels/triton run in this session already")
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests/kernels/triton"],
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests/kernels/triton", "tests/kernels/gpu"],
         cwd=ROOT,
         env={**os.environ, "TRITON_INTERPRET": "1"},
         capture_output=True,

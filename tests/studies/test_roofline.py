@@ -1,7 +1,11 @@
 """The roofline: the formula, what is counted, and that every kernel is timed on every CPU backend."""
 
-import pytest
+import functools
 
+import pytest
+import torch
+
+from gsfusion_nb.studies import roofline, run
 from gsfusion_nb.studies.roofline import (
     KernelPoint,
     Roofs,
@@ -51,3 +55,22 @@ def test_every_operation_on_every_backend():
     figure = roofline_figure(ROOFS, points)
     assert figure.axes[0].get_legend_handles_labels()[1] == ["reference", "numba"]
     assert len(roofline_figure(ROOFS, []).axes) == 1
+
+
+def test_the_command_writes_a_table_and_a_picture(tmp_path, monkeypatch, capsys):
+    small = functools.partial(mapping_work, 200, 48, 32)
+    monkeypatch.setattr(roofline, "mapping_work", small)
+    monkeypatch.setattr(roofline, "measure_roofs", lambda: ROOFS)
+    assert run.main(run.StudyOptions(name="roofline", out=str(tmp_path))) == 0
+    text = (tmp_path / "roofline.txt").read_text()
+    assert "100 Gflop/s (matrix product), 10 GB/s" in text
+    assert text.strip() in capsys.readouterr().out
+    assert all(text.count(name) == 2 for name in ("L1 and gradient", "TSDF update", "render, gradient"))
+    assert (tmp_path / "roofline.png").read_bytes()[1:4] == b"PNG"
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
+@pytest.mark.parametrize(("device", "reason"), [("cuda", "needs an NVIDIA GPU"), ("gpu", "must be cpu or cuda")])
+def test_a_device_that_is_not_there_is_named(device, reason, tmp_path):
+    with pytest.raises(ValueError, match=reason):
+        roofline.main(device, tmp_path)

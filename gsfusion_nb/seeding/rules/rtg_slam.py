@@ -128,7 +128,8 @@ def discs_at(ctx: SeedContext, pixel: Int[Tensor, " M"], tag: Int[Tensor, " M"])
     uv = pixel_grid(ctx.camera, device=depth_m.device).view(-1, 2)[pixel]
     xyz_W = se3.apply(ctx.frame.T_WC, backproject(ctx.camera, uv.to(depth_m), depth_m))
     normal_W = ctx.normals_W().reshape(-1, 3)[pixel]
-    z = torch.tensor([0.0, 0.0, 1.0]).to(normal_W).expand_as(normal_W)
+    z = torch.zeros_like(normal_W)
+    z[:, 2] = 1.0
     M = len(pixel)
     return Seeds(
         xyz_W=xyz_W,
@@ -159,8 +160,7 @@ def sized(
     gaps = gaps_around(seeds.xyz_W, xyz, radius)
     size = gaps.size_m.clamp(min_radius_m, max_radius_m)
     size = torch.where(is_transparent, size.clamp(max=max(transparent_radius_m, min_radius_m)), size)
-    shape = torch.tensor([1.0, 1.0, thickness]).to(size)
-    seeds = dataclasses.replace(seeds, scale_m=size[:, None] * shape)
+    seeds = dataclasses.replace(seeds, scale_m=torch.stack([size, size, thickness * size], dim=1))
     if fidelity == "code":
         return seeds[~gaps.overlaps]
     if fidelity == "measured":

@@ -19,11 +19,6 @@ collect_ignore_glob = [] if _RUNS and importlib.util.find_spec("triton") else ["
 sys.path.insert(0, str(Path(__file__).parent))
 
 
-def pytest_collection_modifyitems(items):
-    for item in items:  # the interpreter computes masked lanes in numpy, which warns of their overflows
-        item.add_marker(pytest.mark.filterwarnings("ignore::RuntimeWarning"))
-
-
 @pytest.fixture
 def gpu(monkeypatch):
     """Inside the test there is a GPU, "cuda"; the value counts launches and waits."""

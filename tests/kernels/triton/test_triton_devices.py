@@ -1,6 +1,5 @@
 """Which tensors the kernels take, and what they say of others."""
 
-import importlib
 import os
 import subprocess
 import sys
@@ -9,25 +8,13 @@ import pytest
 import torch
 
 from gsfusion_nb import backends
-from gsfusion_nb.backends import BackendUnavailable, use_backend
+from gsfusion_nb.backends import use_backend
 from gsfusion_nb.optim import dssim_vjp
 
 
-def launch_module():
-    return importlib.import_module("gsfusion_nb.kernels.triton.launch")
-
-
 def test_tensors_on_two_devices_are_refused(device):
-    here, elsewhere = torch.zeros(3, device=device), torch.zeros(3, device="meta")
-    with pytest.raises(ValueError, match=f"all tensors must be on one device, got a on {device}.*, b on meta"):
-        launch_module().device_of("add", a=here, b=elsewhere)
     with use_backend("triton"), pytest.raises(ValueError, match="dssim_vjp: all tensors must be on one device"):
         dssim_vjp(torch.zeros(4, 4, 3, device=device), torch.zeros(4, 4, 3, device="meta"))
-
-
-def test_other_devices_are_refused():
-    with pytest.raises(BackendUnavailable, match="add: backend 'triton' takes CUDA tensors, got tensors on meta"):
-        launch_module().device_of("add", a=torch.zeros(3, device="meta"), b=None)
 
 
 def test_cuda_tensors_are_found_wherever_they_are(make_scene, make_camera, pose, monkeypatch):
@@ -44,7 +31,7 @@ def test_cuda_tensors_are_found_wherever_they_are(make_scene, make_camera, pose,
 def test_without_gpu_and_interpreter_it_says_so():
     environment = {k: v for k, v in os.environ.items() if k != "TRITON_INTERPRET"}
     code = (
-        "import torch\nfrom gsfusion_nb.backends import BackendUnavailable, use_backend\n"
+        "import torch\nfrom gsfusion_nb.backends import use_backend\n"
         "from gsfusion_nb.optim import dssim_vjp\n"
         "try:\n    with use_backend('triton'): dssim_vjp(torch.zeros(4, 4, 3), torch.zeros(4, 4, 3))\n"
         "except BackendUnavailable as e: print(e)\n"
