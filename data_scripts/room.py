@@ -19,8 +19,8 @@ from gsfusion_nb.datasets.fetch.whole import whole_folder
 from gsfusion_nb.datasets.room import room_mesh
 from gsfusion_nb.export import write_mesh_ply
 
-BYTES_PER_FRAME, BYTES_OF_MESH = 700_000, 9_000_000
-SECONDS_PER_FRAME, SECONDS_OF_MESH = 0.5, 10.0
+BYTES_PER_FRAME, BYTES_OF_MESH = 500_000, 9_000_000
+SECONDS_PER_FRAME, SECONDS_OF_MESH = 0.25, 10.0
 
 
 def write(layout: str, walk: Walk, terms: command.Terms) -> None:

@@ -203,7 +203,7 @@ def _with_progress_of_passes(run: MappingRun, stop: StopRequest) -> None:
     from tqdm.auto import tqdm
 
     steps: Iterator = run.optimise()
-    with tqdm(desc="optimising", unit="view") as bar:
+    with tqdm(desc="optimising", unit="view", disable=not run.mapper.n_passes) as bar:
         for step in steps:
             bar.total = step.n_steps
             bar.update(step.step - bar.n)

@@ -65,7 +65,7 @@ def at_hand(nvrtc):
 
 
 @pytest.mark.parametrize("source", SOURCES, ids=lambda p: p.name)
-def test_nvrtc_compiles_and_keeps(source, at_hand, tmp_path, monkeypatch):
+def test_nvrtc_compiles_and_keeps(source, at_hand, emulator, tmp_path, monkeypatch):
     monkeypatch.setenv("GSFUSION_CACHE", str(tmp_path))
     image = at_hand.compile_source(source.stem, (9, 0))
     for kernel in emulator.kernels_of(source):
