@@ -17,8 +17,10 @@ import pytest
 import torch
 
 from gsfusion_nb.backends import use_backend
+from gsfusion_nb.config import TsdfConfig
 from gsfusion_nb.geometry import pixel_grid, quaternion, rays, se3
 from gsfusion_nb.render import render_forward, render_vjp
+from gsfusion_nb.tsdf import TsdfVolume, integrate
 from gsfusion_nb.types import Camera, Frame, GaussianParams
 
 GPU = torch.cuda.is_available()
@@ -120,8 +122,7 @@ def compare(backend):
 
 @pytest.fixture
 def compare_pictures(compare):
-    """``compare_pictures(ours, reference)``: a pair within rounding of the 1/255 cut or the 1e-4 stop may fall on either
-    side."""
+    """``compare_pictures(ours, reference)``: a pair near the 1/255 cut or the 1e-4 stop may fall on either side."""
 
     def check(ours, theirs):
         for name in ("rgb", "depth_m", "alpha"):
@@ -241,3 +242,29 @@ def make_frames(generator):
         return frames
 
     return make
+
+
+@pytest.fixture
+def make_volume():
+    """``make_volume(config, frames)``: the reference's map of the frames."""
+
+    def make(config: TsdfConfig, frames: list[Frame]) -> TsdfVolume:
+        volume = TsdfVolume(config)
+        with use_backend("reference"):
+            for frame in frames:
+                integrate(volume, frame)
+        return volume
+
+    return make
+
+
+@pytest.fixture
+def copy_to(device):
+    """``copy_to(volume)``: the same map on the device of the kernels."""
+
+    def move(volume: TsdfVolume) -> TsdfVolume:
+        copy = TsdfVolume(volume.config, device)
+        copy.load_state_dict(volume.state_dict())
+        return copy
+
+    return move

@@ -31,7 +31,7 @@ def test_cuda_tensors_are_found_wherever_they_are(make_scene, make_camera, pose,
 def test_without_gpu_and_interpreter_it_says_so():
     environment = {k: v for k, v in os.environ.items() if k != "TRITON_INTERPRET"}
     code = (
-        "import torch\nfrom gsfusion_nb.backends import use_backend\n"
+        "import torch\nfrom gsfusion_nb.backends import BackendUnavailable, use_backend\n"
         "from gsfusion_nb.optim import dssim_vjp\n"
         "try:\n    with use_backend('triton'): dssim_vjp(torch.zeros(4, 4, 3), torch.zeros(4, 4, 3))\n"
         "except BackendUnavailable as e: print(e)\n"

@@ -1,0 +1,158 @@
+"""Allocation and integration, of every backend for GPUs."""
+
+import dataclasses
+
+import pytest
+import torch
+
+from gsfusion_nb.backends import use_backend
+from gsfusion_nb.config import TsdfConfig
+from gsfusion_nb.tsdf import TsdfVolume, band_blocks
+from gsfusion_nb.tsdf.integrate import fuse_frame_
+
+CONFIG = TsdfConfig(voxel_size_m=0.02, truncation_voxels=4.0, max_weight=3.0)
+COARSE = TsdfConfig(voxel_size_m=0.08, truncation_voxels=3.0, max_weight=3.0)
+
+
+@pytest.fixture
+def assert_same_blocks(backend, device):
+    """The same set in the same order, but for blocks that a ray only touches to rounding: none on the processor."""
+
+    def check(config, frame, share):
+        with use_backend(backend):
+            ours = band_blocks(TsdfVolume(config, device), frame.to(device)).cpu()
+        theirs = band_blocks.reference(TsdfVolume(config), frame)
+        assert ours.dtype == theirs.dtype == torch.int64
+        a, b = ({tuple(row) for row in x.tolist()} for x in (ours, theirs))
+        assert len(a) == len(ours)
+        most = share * max(len(b), 1) if device.type == "cuda" else 0
+        assert len(a ^ b) <= most, f"{len(a - b)} more and {len(b - a)} fewer of {len(b)} blocks"
+        assert ours.tolist() == sorted(ours.tolist())
+        return len(a)
+
+    return check
+
+
+@pytest.mark.parametrize("sdf", ["z", "ray"])
+@pytest.mark.parametrize("guard", [True, False])
+@pytest.mark.parametrize(("width", "height"), [(64, 48), (37, 29), (16, 1), (1, 1)])
+def test_same_blocks(width, height, sdf, guard, make_frames, assert_same_blocks, backend):
+    config = dataclasses.replace(CONFIG, sdf=sdf, outlier_guard=guard)
+    for frame in make_frames(width, height):
+        assert_same_blocks(config, frame, share={"cuda": 2e-3, "triton": 1e-3}[backend])
+
+
+@pytest.mark.parametrize("truncation_voxels", [1.0, 20.0])
+@pytest.mark.parametrize("shift", [0.0, -640.0])
+def test_bands_of_any_length_anywhere(truncation_voxels, shift, make_frames, assert_same_blocks):
+    config = dataclasses.replace(CONFIG, truncation_voxels=truncation_voxels, outlier_guard=False)
+    for frame in make_frames(63, 47, shift=shift):
+        assert assert_same_blocks(config, frame, share=2e-3) > 0
+
+
+def test_missing_and_infinite_depth(make_frames, assert_same_blocks):
+    frame = make_frames(40, 30, n=1)[0]
+    for depth in (torch.zeros(30, 40), torch.full((30, 40), float("inf")), torch.full((30, 40), 0.1)):
+        assert assert_same_blocks(CONFIG, dataclasses.replace(frame, depth_m=depth), share=0.0) == 0
+    mixed = frame.depth_m.clone()
+    mixed[::3, ::4] = float("inf")
+    for guard in (True, False):
+        config = dataclasses.replace(CONFIG, near_m=0.0, outlier_guard=guard)
+        assert_same_blocks(config, dataclasses.replace(frame, depth_m=mixed), share=2e-3)
+
+
+def test_a_bad_pose_is_refused(make_frames, backend, device):
+    frame = make_frames(40, 30, n=1)[0]
+    bad = dataclasses.replace(frame, T_WC=frame.T_WC * float("nan")).to(device)
+    with use_backend(backend), pytest.raises(ValueError, match="T_WC must be finite"):
+        band_blocks(TsdfVolume(CONFIG, device), bad)
+
+
+@pytest.fixture
+def config(backend) -> TsdfConfig:
+    """Fewer blocks for the interpreter, which takes them one by one."""
+    return {"cuda": CONFIG, "triton": COARSE}[backend]
+
+
+@pytest.fixture
+def fuse_both(backend, device):
+    """``fuse_both(config, frames)``: the reference's volume and ours after the frames, on the blocks of the reference;
+    observed voxels of each."""
+
+    def fuse(config, frames):
+        volumes, updated = [TsdfVolume(config), TsdfVolume(config, device)], [[], []]
+        for frame in frames:
+            blocks = band_blocks.reference(volumes[0], frame)
+            for volume, counts, name in zip(volumes, updated, ("reference", backend), strict=True):
+                volume.add_blocks(blocks.to(volume.device))
+                with use_backend(name):
+                    counts.append(fuse_frame_(volume, frame.to(volume.device))[1])
+        return volumes, updated
+
+    return fuse
+
+
+@pytest.fixture
+def assert_same_voxels(compare, backend):
+    """Equal to rounding but for voxels that project within rounding of a pixel's border or of the band's end."""
+
+    def check(volumes, flips=None):
+        flips = flips or {"cuda": 1e-4, "triton": 1e-3}[backend]
+        a, b = volumes
+        assert torch.equal(a.block_coords, b.block_coords.cpu())
+        compare("fuse_frame_", "W", b.W, a.W, 0.0, share=flips)
+        compare("fuse_frame_", "D", b.D, a.D, 2e-6, share=flips)
+        compare("fuse_frame_", "rgb", b.rgb_planes, a.rgb_planes, 2e-6, share=flips)
+
+    return check
+
+
+@pytest.mark.parametrize("sdf", ["z", "ray"])
+@pytest.mark.parametrize(("width", "height"), [(64, 47), (16, 1)])
+def test_same_voxels(width, height, sdf, make_frames, config, fuse_both, assert_same_voxels, backend):
+    frames = make_frames(width, height, n=4, eight_bit=False)
+    volumes, updated = fuse_both(dataclasses.replace(config, sdf=sdf, near_m=0.0), frames)
+    assert_same_voxels(volumes)
+    for theirs, ours in zip(*updated, strict=True):
+        assert abs(theirs - ours) <= {"cuda": 1e-4 * theirs, "triton": max(3, 5e-4 * theirs)}[backend]
+    assert width < 64 or float(volumes[1].W.max()) == 3.0
+
+
+@pytest.mark.parametrize("shift", [-3.0, 640.0])
+def test_voxels_anywhere_in_the_world(shift, make_frames, config, fuse_both, assert_same_voxels, backend):
+    volumes, _ = fuse_both(config, make_frames(40, 31, n=2, shift=shift))
+    assert volumes[1].n_blocks > {"cuda": 100, "triton": 10}[backend]
+    assert_same_voxels(volumes, flips={"cuda": 1e-3, "triton": 2e-3}[backend])
+
+
+def test_a_camera_inside_the_map(make_frames, config, backend, device, copy_to, assert_same_voxels):
+    """Blocks around and behind the camera: nothing behind it is updated, and nothing is divided by zero."""
+    frame = make_frames(64, 47, n=1)[0]
+    frame = dataclasses.replace(frame, T_WC=torch.eye(4), depth_m=torch.full((47, 64), 1.0))
+    axis = torch.arange(-3, 4)
+    volume = TsdfVolume(config)
+    volume.add_blocks(torch.stack(torch.meshgrid(axis, axis, axis, indexing="ij"), dim=-1).view(-1, 3))
+    ours = copy_to(volume)
+    fuse_frame_.reference(volume, frame)
+    with use_backend(backend):
+        touched, updated = fuse_frame_(ours, frame.to(device))
+    assert_same_voxels((volume, ours))
+    assert 0 < touched < len(axis) ** 3
+    assert updated == int((ours.W > 0).sum())
+    assert not bool((ours.W * (ours.block_coords[:, 2] < 0)[:, None]).any())
+
+
+def test_frames_and_volumes_with_nothing_in_them(make_frames, config, backend, device, fuse_both, assert_same_voxels):
+    frame = make_frames(33, 21, n=1)[0]
+    with use_backend(backend):
+        assert fuse_frame_(TsdfVolume(config, device), frame.to(device)) == (0, 0)
+    volumes, updated = fuse_both(config, [frame, dataclasses.replace(frame, depth_m=torch.zeros(21, 33))])
+    assert_same_voxels(volumes)
+    assert updated[1][1] == 0
+
+
+def test_strided_images(make_frames, config, fuse_both):
+    frame = make_frames(40, 31, n=1, eight_bit=False)[0]
+    images = (frame.rgb, frame.rgb.permute(2, 0, 1).contiguous().permute(1, 2, 0))
+    volumes = [fuse_both(config, [dataclasses.replace(frame, rgb=rgb)])[0][1] for rgb in images]
+    assert torch.equal(*(volume.rgb_planes for volume in volumes))
