@@ -9,8 +9,8 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from ..evaluation import expected_depth_m
-from ..gaussians import GaussianModel
-from ..mapping import GSFusion
+from ..gaussians import GaussianModel, SurfelModel
+from ..mapping import RTGSLAM, GSFusion
 from ..render import render
 from ..types import Camera, GaussianParams
 from .display import with_picture
@@ -24,7 +24,7 @@ _LABELLED = {"first-seen frame": "birth_frame", "quadtree level": "tag"}
 
 
 def orbit_view(
-    source: GSFusion | GaussianModel | GaussianParams,
+    source: GSFusion | RTGSLAM | GaussianModel | GaussianParams,
     *,
     camera: Camera | None = None,
     T_WC: Float[Tensor, "4 4"] | None = None,
@@ -55,7 +55,7 @@ class OrbitView:
 
     def __init__(
         self,
-        source: GSFusion | GaussianModel | GaussianParams,
+        source: GSFusion | RTGSLAM | GaussianModel | GaussianParams,
         *,
         camera: Camera | None = None,
         T_WC: Float[Tensor, "4 4"] | None = None,
@@ -65,7 +65,7 @@ class OrbitView:
     ):
         self._source = source
         self._lock = lock or contextlib.nullcontext()
-        keyframes = list(source.keyframes) if isinstance(source, GSFusion) else []
+        keyframes = list(source.keyframes) if isinstance(source, GSFusion | RTGSLAM) else []
         self.camera = _camera(camera or (keyframes[0].camera if keyframes else None), size)
         self.up_W = torch.as_tensor(world_up([k.T_WC for k in keyframes]) if up_W is None else up_W).float()
         start = keyframes[0].T_WC if T_WC is None and keyframes else T_WC
@@ -203,10 +203,14 @@ class OrbitView:
         return self._source if isinstance(self._source, GaussianParams) else self._model().params
 
     def _model(self) -> Any:
-        return self._source.gaussians if isinstance(self._source, GSFusion) else self._source
+        return self._source.gaussians if isinstance(self._source, GSFusion | RTGSLAM) else self._source
 
     def _labels(self, column: str) -> Int[Tensor, " N"] | None:
-        return None if isinstance(self._source, GaussianParams) else getattr(self._model(), column)
+        model = self._model()
+        is_level = not isinstance(model, SurfelModel)  # of a disc the tag is why it was added
+        return (
+            None if isinstance(model, GaussianParams) or (column == "tag" and not is_level) else getattr(model, column)
+        )
 
     def _half_view(self) -> float:
         """Tangent of half the narrower angle of view."""

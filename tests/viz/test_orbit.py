@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 import torch
 
+from gsfusion_nb.config import rtg_slam
 from gsfusion_nb.gaussians import GaussianModel
+from gsfusion_nb.mapping import RTGSLAM
 from gsfusion_nb.types import Seeds
 from gsfusion_nb.viz import orbit_view
 from gsfusion_nb.viz.display import WIDGET_MIME
@@ -108,3 +110,21 @@ def test_redraw_is_fast_enough(generator):
         view.sliders["azimuth"].value = azimuth
         times.append(time.process_time() - start)
     assert sorted(times)[len(times) // 2] < 0.1
+
+
+def test_a_map_of_discs_has_no_levels(model):
+    mapper = RTGSLAM(rtg_slam("room"))
+    params = model.params
+    mapper.gaussians.append(
+        Seeds(
+            xyz_W=params.xyz_W,
+            rgb=model.rgb,
+            scale_m=model.scale_m,
+            quat=params.quat,
+            opacity=model.opacity,
+            tag=model.tag,
+        )
+    )
+    view = orbit_view(mapper, size=(160, 120))
+    assert view.show.options == ("colour", "depth", "opacity", "first-seen frame")
+    assert shown(view.set(azimuth_deg=-90, elevation_deg=0, distance_m=2.0)).max() > 150

@@ -1,0 +1,50 @@
+"""What a notebook shows of maps on a GPU: every picture is made, and comes to the processor."""
+
+import numpy as np
+import pytest
+import torch
+
+from gsfusion_nb.config import gsfusion, rtg_slam
+from gsfusion_nb.datasets import open_sequence
+from gsfusion_nb.mapping import RTGSLAM, GSFusion, MappingRun
+from gsfusion_nb.viz import LiveMapper, OrbitView, SplatViewer, draw, show_mesh
+from gsfusion_nb.viz.cards import card
+from gsfusion_nb.viz.keyframe_strip import keyframe_strip
+from gsfusion_nb.viz.surfel_pictures import cause_picture, state_picture
+
+pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
+DATA = {"width": 40, "height": 30, "stop": 6, "hold_out_every": 0}
+
+
+def run_of(system) -> MappingRun:
+    config = {
+        "gsfusion": lambda: gsfusion("room", data=DATA, tsdf__voxel_size_m=0.08, seeding__quadtree_threshold=2e-3),
+        "rtg_slam": lambda: rtg_slam(
+            "room", data=DATA, window={"iterations": 2, "every_frames": 2}, keyframes__iterations=2
+        ),
+    }[system]()
+    source = {"path_or_name": "room"}
+    return MappingRun(open_sequence("room", data=config.data), config, device="cuda", source=source)
+
+
+@pytest.mark.parametrize("system", ["gsfusion", "rtg_slam"])
+def test_live_panels_cards_and_viewers(system, gpu, monkeypatch):
+    monkeypatch.setenv("GSNB_VIEW", "static")
+    run = run_of(system)
+    live = LiveMapper(run)
+    live.player.run_sync(3)
+    mapper = run.mapper
+    assert len(run.steps) == 3
+    frame = run.sequence.mapping[2].to("cuda")
+    things = [frame, mapper.gaussians, run] + ([mapper.volume] if isinstance(mapper, GSFusion) else [])
+    assert all("data:image" in card(thing) for thing in things)
+    pictures = [keyframe_strip(mapper.keyframes), np.asarray(draw(mapper.gaussians.params, frame.camera, frame.T_WC))]
+    if isinstance(mapper, RTGSLAM):
+        view = mapper.surface(frame.camera, frame.T_WC)
+        pictures.append(state_picture(mapper.gaussians, view, frame.camera, frame.T_WC))
+        pictures.append(cause_picture(frame.rgb, mapper.gaussians, frame))
+    assert all(p.dtype == np.uint8 and p.std() > 0 for p in pictures)
+    assert show_mesh(mapper.mesh()) is not None
+    assert OrbitView(mapper, size=(64, 48)) is not None
+    assert SplatViewer(mapper) is not None
+    assert torch.equal(frame.rgb.cpu(), run.sequence.mapping[2].rgb)
