@@ -67,8 +67,15 @@ _EMULATED_BY = {"triton": "TRITON_INTERPRET", "cuda": "GSFUSION_CUDA_EMULATOR"}
 """Backend for GPUs -> environment variable that lets it run on the processor, for tests."""
 
 _PREFERRED = {"cpu": ("numba",), "cuda": ("cuda", "triton")}
+
+
+def from_environment() -> str:
+    """What the variable GSFUSION_BACKEND asks for, else "auto"."""
+    return os.environ.get("GSFUSION_BACKEND", "auto")
+
+
 _OPS: dict[str, Callable] = {}
-_FROM_ENVIRONMENT: str = os.environ.get("GSFUSION_BACKEND", "auto")
+_FROM_ENVIRONMENT = from_environment()
 _choice: ContextVar[str | None] = ContextVar("gsfusion_backend", default=None)
 _logged: set[tuple[str, str]] = set()
 _set_aside: set[str] = set()
@@ -103,7 +110,7 @@ def op(reference: Callable) -> Callable:
             try:
                 return implementation(*args, **kwargs)
             except KernelsUnusable as e:
-                if (_choice.get() or _FROM_ENVIRONMENT) != "auto" or e.backend in _set_aside:
+                if _chosen() != "auto" or e.backend in _set_aside:
                     raise
                 _set_aside.add(e.backend)
                 log.warning("backend %r is set aside: %s", e.backend, e)
@@ -167,8 +174,12 @@ def report() -> list[tuple[str, str, str]]:
     return rows
 
 
+def _chosen() -> str:
+    return _choice.get() or _FROM_ENVIRONMENT
+
+
 def _select(name: str, args: tuple, kwargs: dict) -> Callable:
-    choice = _choice.get() or _FROM_ENVIRONMENT
+    choice = _chosen()
     if choice != "auto":
         check_name("backend", choice, ("auto", *BACKENDS))
         return load(name, choice)

@@ -2,7 +2,6 @@
 
 import json
 import logging
-import os
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from .backends import BackendUnavailable, use_backend
+from .backends import BackendUnavailable, from_environment, use_backend
 from .config import DataConfig, GSFusionConfig, RtgSlamConfig, from_dict, gsfusion, replace, rtg_slam
 
 _USAGE = """gsfusion-nb: online RGB-D mapping with TSDF fusion and 3D Gaussian splatting
@@ -56,7 +55,7 @@ class MapOptions:
     """A config.json of an earlier run whose settings to start from instead of a preset."""
     device: str = "cpu"
     """Where the maps live: cpu or cuda."""
-    backend: str = field(default_factory=lambda: os.environ.get("GSFUSION_BACKEND", "auto"))
+    backend: str = field(default_factory=from_environment)
     """auto, reference, numba, triton or cuda; by default what the variable GSFUSION_BACKEND says, else auto."""
     evaluate: bool = True
     """Score mapped and held-out views and write the report."""
@@ -107,7 +106,7 @@ class DemoOptions:
     """New or empty folder for the results; runs/room-<time> by default."""
     frames: int = 120
     """Frames of the built-in trajectory."""
-    backend: str = field(default_factory=lambda: os.environ.get("GSFUSION_BACKEND", "auto"))
+    backend: str = field(default_factory=from_environment)
     """auto, reference, numba, triton or cuda; by default what the variable GSFUSION_BACKEND says, else auto."""
 
 

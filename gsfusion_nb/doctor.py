@@ -130,7 +130,7 @@ def _torch() -> list[Finding]:
 def _backends() -> list[Finding]:
     from . import optim, render, seeding, tsdf  # noqa: F401  (importing them declares their operations)
 
-    findings = [Finding("backends", True, f"asked for: {os.environ.get('GSFUSION_BACKEND', 'auto')}")]
+    findings = [Finding("backends", True, f"asked for: {backends.from_environment()}")]
     for name, backend, state in backends.report():
         findings.append(Finding(f"  {name} / {backend}", state == "ok", state, needed=backend == "reference"))
     return findings

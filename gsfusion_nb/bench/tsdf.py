@@ -109,8 +109,11 @@ def case_name(name: str, width: int, height: int) -> str:
 
 def _row(load: Callable[[], StoredFrames], voxel_m: float, method: str, make: Callable[[Frame], Fuser]) -> Row:
     frames = load()
-    fuse_all(make(frames[0]), frames, 1)  # compiles and loads libraries
-    with PeakMemory(getattr(make(frames[0]), "device", "cpu")) as memory:
+    first = make(frames[0])
+    fuse_all(first, frames, 1)  # compiles and loads libraries
+    device = _device(first)
+    del first
+    with PeakMemory(device) as memory:
         fuser = make(frames[0])
         laps = fuse_all(fuser, frames, len(frames))
     timing = summary(laps, memory.peak_mb)
@@ -134,5 +137,10 @@ def fuse_all(fuser: Fuser, frames: StoredFrames, n: int) -> list[Lap]:
     laps = []
     for i in range(n):
         prepared = fuser.prepare(frames[i])
-        laps.append(lap(lambda p=prepared: fuser.fuse(p), getattr(fuser, "device", "cpu")))
+        laps.append(lap(lambda p=prepared: fuser.fuse(p), _device(fuser)))
     return laps
+
+
+def _device(fuser: Fuser) -> str:
+    """Where it computes; peers know only the processor."""
+    return getattr(fuser, "device", "cpu")

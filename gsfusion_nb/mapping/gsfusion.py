@@ -46,7 +46,7 @@ class GSFusion:
         self.device = torch.device(device)
         self.volume = TsdfVolume(self.config.tsdf, device=self.device)
         self.gaussians = GaussianModel(self.config.sh_degree, device=self.device)
-        self.keyframes = KeyframeList(self._keyframe_device)
+        self.keyframes = KeyframeList("cpu" if self.config.keyframes_on == "cpu" else self.device)
         self.generator = torch.Generator().manual_seed(self.config.seed)
         self.n_frames = 0
         self.passes = KeyframePasses()
@@ -175,12 +175,8 @@ class GSFusion:
         mapper.generator.set_state(state["generator"])
         mapper.volume.load_state_dict(state["volume"])
         mapper.gaussians = GaussianModel.from_state_dict(state["gaussians"], device)
-        mapper.keyframes = KeyframeList.from_state_dict(state["keyframes"], mapper._keyframe_device)
+        mapper.keyframes = KeyframeList.from_state_dict(state["keyframes"], mapper.keyframes.device)
         return mapper
-
-    @property
-    def _keyframe_device(self) -> torch.device:
-        return torch.device("cpu") if self.config.keyframes_on == "cpu" else self.device
 
     def _fuse(self, frame: Frame) -> None:
         """Fold the frame into the TSDF."""

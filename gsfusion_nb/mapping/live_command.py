@@ -2,13 +2,12 @@
 
 import dataclasses
 import json
-import os
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
 import tyro
 
-from ..backends import use_backend
+from ..backends import from_environment, use_backend
 from ..checks import check_name
 from ..config import replace
 from ..datasets.stream import AzureKinect, GrowingFolder, LiveSource, RealSense
@@ -45,7 +44,7 @@ class LiveOptions:
     """End after so many frames have come; 0 goes on until the source ends or Ctrl-C."""
     device: str = "cpu"
     """Where the maps live: cpu or cuda."""
-    backend: str = field(default_factory=lambda: os.environ.get("GSFUSION_BACKEND", "auto"))
+    backend: str = field(default_factory=from_environment)
     """auto, reference, numba, triton or cuda; by default what the variable GSFUSION_BACKEND says, else auto."""
     evaluate: bool = True
     """Score the frames that were kept and write the report."""

@@ -54,7 +54,7 @@ class RTGSLAM:
         self.localiser = Localiser(self.config.tracking)
         self.camera: Camera | None = None
         self.window: deque[Frame] = deque(maxlen=self.config.window.frames)
-        self.keyframes = KeyframeList(self._keyframe_device)
+        self.keyframes = KeyframeList("cpu" if self.config.keyframes_on == "cpu" else self.device)
         self.generator = torch.Generator().manual_seed(self.config.seed)
         self.n_frames = 0
         self.passes = KeyframePasses()
@@ -202,16 +202,12 @@ class RTGSLAM:
         mapper.camera = None if state["camera"] is None else Camera(**state["camera"])
         mapper.generator.set_state(state["generator"])
         mapper.gaussians = SurfelModel.from_state_dict(state["gaussians"], device)
-        mapper.keyframes = KeyframeList.from_state_dict(state["keyframes"], mapper._keyframe_device)
+        mapper.keyframes = KeyframeList.from_state_dict(state["keyframes"], mapper.keyframes.device)
         mapper.window.extend(Frame(**{**f, "camera": Camera(**f["camera"])}).to(device) for f in state["window"])
         if state["final"] is not None:
             mapper._final = mapper._final_optimiser()
             mapper._final.load_state_dict(state["final"])
         return mapper
-
-    @property
-    def _keyframe_device(self) -> torch.device:
-        return torch.device("cpu") if self.config.keyframes_on == "cpu" else self.device
 
     def _tracking_surface(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> Surface:
         view = self.surface(camera, T_WC)

@@ -68,7 +68,7 @@ class KeyframeList:
             T_WC=frame.T_WC,
             depth_m=frame.depth_m if with_depth else None,
         )
-        self._items.append(keyframe if self.device is None else keyframe.to(self.device))
+        self._keep(keyframe)
 
     def move(self, T: Float[Tensor, "K 4 4"]) -> None:
         """Apply a rigid motion to each keyframe's pose (a loop closure)."""
@@ -88,10 +88,12 @@ class KeyframeList:
         return [vars(k) | {"camera": vars(k.camera)} for k in self._items]
 
     @classmethod
-    def from_state_dict(cls, state: list[dict[str, Any]], device: torch.device | str = "cpu") -> "KeyframeList":
-        """The list that ``state_dict`` described, with its images on ``device``."""
+    def from_state_dict(cls, state: list[dict[str, Any]], device: torch.device | str | None = None) -> "KeyframeList":
+        """The list that ``state_dict`` described, with its images on ``device``, by default where they are."""
         keyframes = cls(device)
         for s in state:
-            tensors = {name: x.to(device) for name, x in s.items() if isinstance(x, Tensor)}
-            keyframes._items.append(Keyframe(**{**s, **tensors, "camera": Camera(**s["camera"])}))
+            keyframes._keep(Keyframe(**{**s, "camera": Camera(**s["camera"])}))
         return keyframes
+
+    def _keep(self, keyframe: Keyframe) -> None:
+        self._items.append(keyframe if self.device is None else keyframe.to(self.device))
