@@ -13,9 +13,9 @@ from pathlib import Path
 
 import torch
 
-from gsfusion_nb.datasets.convert.open3d_log import read_trajectory_file
-from gsfusion_nb.datasets.fetch import Item, Plan, Reading, command, obtain
-from gsfusion_nb.datasets.fetch.pose_lines import write_pose_lines
+from gsfusion_nb.data.convert.open3d_log import read_trajectory_file
+from gsfusion_nb.data.fetch import Item, Plan, Reading, command, obtain
+from gsfusion_nb.data.fetch.pose_lines import write_pose_lines
 
 HOST = "https://github.com/isl-org/open3d_downloads/releases/download/augmented-icl-nuim"
 MD5 = {

@@ -11,7 +11,7 @@ import re
 import sys
 from pathlib import Path
 
-from gsfusion_nb.datasets.fetch import Item, Plan, Reading, command, obtain
+from gsfusion_nb.data.fetch import Item, Plan, Reading, command, obtain
 
 HOST = "https://cvg-data.inf.ethz.ch/nice-slam"
 SCENES = ("office0", "office1", "office2", "office3", "office4", "room0", "room1", "room2")

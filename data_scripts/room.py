@@ -9,14 +9,14 @@ folder and replica, scannetpp have pictures of --width x --height; tum and seven
 import sys
 from pathlib import Path
 
-from gsfusion_nb.datasets.fetch import command
-from gsfusion_nb.datasets.fetch.disk import require_space, size_text
-from gsfusion_nb.datasets.fetch.lock import only_one
-from gsfusion_nb.datasets.fetch.obtain import WORK
-from gsfusion_nb.datasets.fetch.plan import duration_text
-from gsfusion_nb.datasets.fetch.room_layouts import WRITERS, Walk
-from gsfusion_nb.datasets.fetch.whole import whole_folder
-from gsfusion_nb.datasets.room import room_mesh
+from gsfusion_nb.data.fetch import command
+from gsfusion_nb.data.fetch.disk import require_space, size_text
+from gsfusion_nb.data.fetch.lock import only_one
+from gsfusion_nb.data.fetch.obtain import WORK
+from gsfusion_nb.data.fetch.plan import duration_text
+from gsfusion_nb.data.fetch.whole import whole_folder
+from gsfusion_nb.data.room import room_mesh
+from gsfusion_nb.data.room.layouts import WRITERS, Walk
 from gsfusion_nb.export import write_mesh_ply
 
 BYTES_PER_FRAME, BYTES_OF_MESH = 500_000, 9_000_000

@@ -9,13 +9,13 @@ display. An interrupted run goes on with the next picture.
 import sys
 from pathlib import Path
 
-from gsfusion_nb.datasets.fetch import FetchError, Reading, command
-from gsfusion_nb.datasets.fetch.disk import require_space, size_text
-from gsfusion_nb.datasets.fetch.lock import only_one
-from gsfusion_nb.datasets.fetch.obtain import WORK
-from gsfusion_nb.datasets.fetch.plan import agree, duration_text
-from gsfusion_nb.datasets.fetch.scannetpp_scene import MESH, listed_pictures, prepare_scene
-from gsfusion_nb.datasets.fetch.whole import whole_folder
+from gsfusion_nb.data.convert.scannetpp_scene import MESH, listed_pictures, prepare_scene
+from gsfusion_nb.data.fetch import FetchError, Reading, command
+from gsfusion_nb.data.fetch.disk import require_space, size_text
+from gsfusion_nb.data.fetch.lock import only_one
+from gsfusion_nb.data.fetch.obtain import WORK
+from gsfusion_nb.data.fetch.plan import agree, duration_text
+from gsfusion_nb.data.fetch.whole import whole_folder
 from gsfusion_nb.export import read_mesh_ply
 
 BYTES_PER_PICTURE = 800_000

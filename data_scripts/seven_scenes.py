@@ -10,7 +10,7 @@ import re
 import sys
 from pathlib import Path
 
-from gsfusion_nb.datasets.fetch import ArchiveError, Item, Limits, Plan, Reading, command, obtain, unpack
+from gsfusion_nb.data.fetch import ArchiveError, Item, Limits, Plan, Reading, command, obtain, unpack
 
 HOST = "https://download.microsoft.com/download/2/8/5/28564B23-0828-408F-8631-23B1EFF1DAC8"
 FRAMES = {

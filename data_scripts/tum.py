@@ -6,7 +6,7 @@ python data_scripts/tum.py fr1_desk --out data
 import sys
 from pathlib import Path
 
-from gsfusion_nb.datasets.fetch import Item, Plan, Reading, command, obtain
+from gsfusion_nb.data.fetch import Item, Plan, Reading, command, obtain
 
 HOST = "https://cvg.cit.tum.de/rgbd/dataset"
 SIZES_GB = {

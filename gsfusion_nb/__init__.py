@@ -22,7 +22,7 @@ _LAZY = {
     "rtg_slam": "gsfusion_nb.config",
     "run_mapping": "gsfusion_nb.mapping",
     "map_stream": "gsfusion_nb.mapping",
-    "open_sequence": "gsfusion_nb.datasets",
+    "open_sequence": "gsfusion_nb.data",
     "seeding_rule": "gsfusion_nb.seeding",
     "use_backend": "gsfusion_nb.backends",
 }
@@ -52,8 +52,8 @@ _WITH_CARD = (
     ("gsfusion_nb.tsdf.volume", "TsdfVolume"),
     ("gsfusion_nb.seeding.quadtree", "Cells"),
     ("gsfusion_nb.gaussians.model", "GaussianModel"),
-    ("gsfusion_nb.mapping.run", "MappingRun"),
-    ("gsfusion_nb.mapping.map_sequence", "FinishedRun"),
+    ("gsfusion_nb.runs.run", "MappingRun"),
+    ("gsfusion_nb.runs.map_sequence", "FinishedRun"),
 )
 
 _show_cards()

@@ -1,17 +1,22 @@
-"""Which implementation of an operation runs: the plain torch reference, or a fast kernel.
+"""Which implementation of an operation runs: the plain reference, or a faster one.
 
-An operation is declared once, by putting ``@op`` on its reference; fast versions are named below as strings and
-imported on first use. Nothing else in the package imports ``gsfusion_nb.kernels``.
+An operation is declared once, by putting ``@op("folder")`` on its reference. Faster versions are functions of the same
+name in ``kernels/<folder>/<backend>.py``; they are found by their file name and imported on first use. Nothing else in
+the package imports ``gsfusion_nb.kernels``.
 """
 
 import contextlib
 import dataclasses
 import functools
 import importlib
+import importlib.resources
 import logging
 import os
+import re
 from collections.abc import Callable, Iterable, Iterator
 from contextvars import ContextVar
+from pathlib import Path
+from types import ModuleType
 
 import torch
 
@@ -19,54 +24,16 @@ from .checks import check_name
 
 log = logging.getLogger(__name__)
 
-BACKENDS = ("reference", "numba", "triton", "cuda")
+BACKENDS = ("reference", "torch", "numba", "triton", "cuda")
 
-_NUMBA = "gsfusion_nb.kernels.numba"
-_TRITON = "gsfusion_nb.kernels.triton"
-_CUDA = "gsfusion_nb.kernels.cuda"
-
-PROVIDERS: dict[str, dict[str, str]] = {
-    "adam_update": {"numba": f"{_NUMBA}.adam:adam_update", "triton": f"{_TRITON}.adam:adam_update"},
-    "band_blocks": {
-        "numba": f"{_NUMBA}.allocate:band_blocks",
-        "triton": f"{_TRITON}.allocate:band_blocks",
-        "cuda": f"{_CUDA}.allocate:band_blocks",
-    },
-    "disc_depth": {"numba": f"{_NUMBA}.disc:disc_depth", "triton": f"{_TRITON}.disc:disc_depth"},
-    "disc_depth_vjp": {"numba": f"{_NUMBA}.disc:disc_depth_vjp", "triton": f"{_TRITON}.disc:disc_depth_vjp"},
-    "extract_mesh": {
-        "numba": f"{_NUMBA}.marching_cubes:extract_mesh",
-        "cuda": f"{_CUDA}.marching_cubes:extract_mesh",
-    },
-    "fuse_frame_": {
-        "numba": f"{_NUMBA}.integrate:fuse_frame_",
-        "triton": f"{_TRITON}.integrate:fuse_frame_",
-        "cuda": f"{_CUDA}.integrate:fuse_frame_",
-    },
-    "icp_system": {"numba": f"{_NUMBA}.icp:icp_system", "triton": f"{_TRITON}.icp:icp_system"},
-    "l1_mse_vjp": {"numba": f"{_NUMBA}.l1_loss:l1_mse_vjp", "triton": f"{_TRITON}.l1_loss:l1_mse_vjp"},
-    "quadtree": {"numba": f"{_NUMBA}.quadtree:quadtree", "cuda": f"{_CUDA}.quadtree:quadtree"},
-    "rgbd_l1_vjp": {"numba": f"{_NUMBA}.rgbd_loss:rgbd_l1_vjp", "triton": f"{_TRITON}.rgbd_loss:rgbd_l1_vjp"},
-    "sample_voxels": {"numba": f"{_NUMBA}.sample:sample_voxels", "triton": f"{_TRITON}.sample:sample_voxels"},
-    "raycast": {"numba": f"{_NUMBA}.raycast:raycast", "triton": f"{_TRITON}.raycast:raycast"},
-    "dssim_vjp": {"numba": f"{_NUMBA}.ssim:dssim_vjp", "triton": f"{_TRITON}.ssim:dssim_vjp"},
-    "render_forward": {
-        "numba": f"{_NUMBA}.rasterize:render_forward",
-        "triton": f"{_TRITON}.rasterize:render_forward",
-        "cuda": f"{_CUDA}.rasterize:render_forward",
-    },
-    "render_vjp": {
-        "numba": f"{_NUMBA}.rasterize:render_vjp",
-        "triton": f"{_TRITON}.rasterize:render_vjp",
-        "cuda": f"{_CUDA}.rasterize:render_vjp",
-    },
-}
-"""op name -> backend -> "module:function"."""
+_KERNELS = f"{__package__}.kernels"
+_FOLDERS: dict[str, str] = {}
+"""Operation -> package of its kernels, which has a module per backend that offers it: ``<package>.<backend>``."""
 
 _EMULATED_BY = {"triton": "TRITON_INTERPRET", "cuda": "GSFUSION_CUDA_EMULATOR"}
 """Backend for GPUs -> environment variable that lets it run on the processor, for tests."""
 
-_PREFERRED = {"cpu": ("numba",), "cuda": ("cuda", "triton")}
+_PREFERRED = {"cpu": ("numba", "torch"), "cuda": ("cuda", "triton", "torch")}
 
 
 def from_environment() -> str:
@@ -98,25 +65,56 @@ class KernelsUnusable(BackendUnavailable):
         self.backend = backend
 
 
-def op(reference: Callable) -> Callable:
-    """Make ``reference`` an operation that fast versions may stand in for; ``f.reference`` is always the original."""
-    name = reference.__name__
-    _OPS[name] = reference
+def op(folder: str) -> Callable[[Callable], Callable]:
+    """Make a reference an operation that the kernels in ``kernels/<folder>`` may stand in for.
 
-    @functools.wraps(reference)
-    def dispatch(*args, **kwargs):
-        while True:
-            implementation = _select(name, args, kwargs)
-            try:
-                return implementation(*args, **kwargs)
-            except KernelsUnusable as e:
-                if _chosen() != "auto" or e.backend in _set_aside:
-                    raise
-                _set_aside.add(e.backend)
-                log.warning("backend %r is set aside: %s", e.backend, e)
+    ``f.reference`` is always the original.
+    """
 
-    dispatch.reference = reference  # pyright: ignore[reportAttributeAccessIssue]
-    return dispatch
+    def declare(reference: Callable) -> Callable:
+        name = reference.__name__
+        _OPS[name] = reference
+        _FOLDERS[name] = f"{_KERNELS}.{folder}"
+
+        @functools.wraps(reference)
+        def dispatch(*args, **kwargs):
+            while True:
+                implementation = _select(name, args, kwargs)
+                try:
+                    return implementation(*args, **kwargs)
+                except KernelsUnusable as e:
+                    if _chosen() != "auto" or e.backend in _set_aside:
+                        raise
+                    _set_aside.add(e.backend)
+                    log.warning("backend %r is set aside: %s", e.backend, e)
+
+        dispatch.reference = reference  # pyright: ignore[reportAttributeAccessIssue]
+        return dispatch
+
+    return declare
+
+
+def operations() -> tuple[str, ...]:
+    """Names of the operations that some backend besides the reference offers; those declared so far."""
+    return tuple(sorted(name for name in _OPS if offered(name)))
+
+
+@functools.cache
+def offered(name: str) -> tuple[str, ...]:
+    """Backends, besides the reference, that have a module for operation ``name``; one may lack what it runs on."""
+    check_name("operation", name, _OPS)
+    try:
+        package = importlib.import_module(_FOLDERS[name])
+    except ModuleNotFoundError:
+        return ()
+    files = {path.stem for folder in package.__path__ for path in Path(folder).glob("*.py")}
+    return tuple(b for b in BACKENDS[1:] if b in files and _defines(package, b, name))
+
+
+def _defines(package: ModuleType, backend: str, name: str) -> bool:
+    """Whether the backend's module has a function ``name``, read without importing it."""
+    source = importlib.resources.files(package).joinpath(f"{backend}.py").read_text(encoding="utf-8")
+    return re.search(rf"^def {name}\(", source, re.MULTILINE) is not None
 
 
 @functools.cache
@@ -130,15 +128,13 @@ def load(name: str, backend: str) -> Callable:
     check_name("backend", backend, BACKENDS)
     if backend == "reference":
         return _OPS[name]
-    provider = PROVIDERS.get(name, {}).get(backend)
-    if provider is None:
+    if backend not in offered(name):
         raise BackendUnavailable(f"{name}: backend {backend!r} has no implementation of it")
     if backend in _EMULATED_BY and not (torch.cuda.is_available() or os.environ.get(_EMULATED_BY[backend])):
         # before the import: triton's LLVM and that of VTK's software renderer end the process when both are loaded
         raise BackendUnavailable(f"{name}: backend {backend!r} needs an NVIDIA GPU, and torch sees none")
-    module, function = provider.split(":")
     try:
-        return getattr(importlib.import_module(module), function)
+        return getattr(importlib.import_module(f"{_FOLDERS[name]}.{backend}"), name)
     except ModuleNotFoundError as e:
         raise BackendUnavailable(f"{name}: backend {backend!r} needs {e.name!r}, which is not installed") from None
     except ImportError as e:
@@ -149,7 +145,7 @@ def load(name: str, backend: str) -> Callable:
 
 @contextlib.contextmanager
 def use_backend(backend: str) -> Iterator[None]:
-    """Run operations on ``backend`` inside the block: "auto", "reference", "numba", "triton" or "cuda".
+    """Run operations on ``backend`` inside the block: "auto", "reference", "torch", "numba", "triton" or "cuda".
 
     With a name other than "auto", an operation that the backend lacks raises ``BackendUnavailable``.
     """
@@ -165,7 +161,7 @@ def report() -> list[tuple[str, str, str]]:
     """Rows (operation, backend, "ok" or the reason it cannot run)."""
     rows = []
     for name in sorted(_OPS):
-        for backend in ("reference", *PROVIDERS.get(name, {})):
+        for backend in ("reference", *offered(name)):
             try:
                 load(name, backend)
                 rows.append((name, backend, "ok"))
@@ -183,12 +179,12 @@ def _select(name: str, args: tuple, kwargs: dict) -> Callable:
     if choice != "auto":
         check_name("backend", choice, ("auto", *BACKENDS))
         return load(name, choice)
-    offered = PROVIDERS.get(name)
-    if not offered:
+    available = offered(name)
+    if not available:
         return _OPS[name]
     device = next((kind for kind in _devices((*args, *kwargs.values())) if kind != "cpu"), "cpu")
     for backend in _PREFERRED.get(device, ()):
-        if backend not in offered or backend in _set_aside:
+        if backend not in available or backend in _set_aside:
             continue
         try:
             implementation = load(name, backend)

@@ -168,7 +168,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _map(arguments: list[str]) -> int:
-    from .mapping import resume_mapping, run_mapping
+    from .runs import resume_mapping, run_mapping
 
     options = tyro.cli(
         type(default := _map_defaults(arguments)), prog="gsfusion-nb map", args=arguments, default=default
@@ -203,7 +203,7 @@ def _map(arguments: list[str]) -> int:
 
 
 def _live(arguments: list[str]) -> int:
-    from .mapping import live_command
+    from .runs import live_command
 
     if not arguments or arguments[0] in ("-h", "--help"):
         print(live_command.USAGE)
@@ -212,14 +212,14 @@ def _live(arguments: list[str]) -> int:
 
 
 def _convert(arguments: list[str]) -> int:
-    from .datasets.convert import command
+    from .data.convert import command
 
     print(command.run(arguments))
     return 0
 
 
 def _check(arguments: list[str]) -> int:
-    from .checkup import check_recording
+    from .data.checkup import check_recording
 
     options = tyro.cli(CheckOptions, prog="gsfusion-nb check", args=arguments)
     reader: dict[str, Any] = {"format": options.format} if options.format != "auto" else {}
@@ -289,7 +289,7 @@ def _value_of(arguments: list[str], option: str) -> str | None:
 
 
 def _demo(arguments: list[str]) -> int:
-    from .mapping import run_mapping
+    from .runs import run_mapping
 
     options = tyro.cli(DemoOptions, prog="gsfusion-nb demo", args=arguments)
     print("Mapping the built-in room, frame by frame; the first run also renders and caches its pictures.")
@@ -299,7 +299,7 @@ def _demo(arguments: list[str]) -> int:
 
 
 def _eval(arguments: list[str]) -> int:
-    from .mapping import rescore
+    from .runs import rescore
 
     options = tyro.cli(EvalOptions, prog="gsfusion-nb eval", args=arguments)
     _print_metrics(rescore(options.run, data=options.data or None, with_lpips=options.lpips))

@@ -57,7 +57,7 @@ def warm_up(device: str = "cpu") -> Iterator[Progress]:
     A generator, so that the caller draws the progress. Uses what ``auto`` would choose; what is not installed is
     passed over.
     """
-    chosen = {op for op, offered in backends.PROVIDERS.items() if _loads(op, offered)}
+    chosen = {operation for operation in backends.operations() if _loads(operation)}
     todo = [e for e in exercises(device) if chosen & set(e.operations)]
     start = time.perf_counter()
     with backends.use_backend("auto"), _quietly(), _one_thread(), _watching() as compiled:
@@ -103,8 +103,8 @@ def exercises(device: str = "cpu") -> Iterator[Exercise]:
         points = torch.zeros(8, 3, device=device)
         yield Exercise(f"sample_voxels: {sdf}", ("sample_voxels",), _once(volume.sample_nearest, points))
         yield Exercise(f"extract_mesh: {sdf}", ("extract_mesh",), _once(extract_mesh, volume))
-    yield Exercise("whole mapper: GSFusion", tuple(backends.PROVIDERS), _once(_map, frame, grey, device))
-    yield Exercise("whole mapper: RTG-SLAM", tuple(backends.PROVIDERS), _once(_slam, frame, grey, device))
+    yield Exercise("whole mapper: GSFusion", backends.operations(), _once(_map, frame, grey, device))
+    yield Exercise("whole mapper: RTG-SLAM", backends.operations(), _once(_slam, frame, grey, device))
 
 
 def _once(function: Callable, *args, **kwargs) -> Callable[[], object]:
@@ -186,10 +186,10 @@ def _model(sh_degree: int, device: str) -> GaussianModel:
     return model
 
 
-def _loads(operation: str, offered: dict[str, str]) -> bool:
+def _loads(operation: str) -> bool:
     """Whether any backend offers it here. Operations are declared where their references are imported, as above."""
-    for backend in offered:
-        with contextlib.suppress(backends.BackendUnavailable, KeyError):
+    for backend in backends.offered(operation):
+        with contextlib.suppress(backends.BackendUnavailable):
             backends.load(operation, backend)
             return True
     return False
@@ -237,7 +237,7 @@ def _watching() -> Iterator[list[str]]:
         def on_start(self, event):
             function = event.data["dispatcher"].py_func
             if function.__module__.startswith(f"{__package__}.kernels"):
-                names.append(f"{function.__module__.split('.')[-1]}.{function.__name__}")
+                names.append(f"{function.__module__.split('.')[-2]}.{function.__name__}")
 
         def on_end(self, event):
             pass

@@ -1,4 +1,5 @@
 import logging
+import sys
 
 import pytest
 import torch
@@ -10,17 +11,44 @@ from gsfusion_nb.backends import BackendUnavailable, load, op, use_backend
 @pytest.fixture
 def double(monkeypatch):
     monkeypatch.setattr(backends, "_OPS", dict(backends._OPS))
-    monkeypatch.setattr(backends, "PROVIDERS", dict(backends.PROVIDERS))
+    monkeypatch.setattr(backends, "_FOLDERS", dict(backends._FOLDERS))
     monkeypatch.setattr(backends, "_logged", set())
-    load.cache_clear()
+    monkeypatch.setattr(backends, "_KERNELS", "made_kernels")
+    clear_caches()
 
-    @op
+    @op("double")
     def double(x: torch.Tensor) -> torch.Tensor:
         """Twice."""
         return 2 * x
 
     yield double
+    clear_caches()
+
+
+_OFFERED = backends.offered
+
+
+def clear_caches():
     load.cache_clear()
+    _OFFERED.cache_clear()
+
+
+@pytest.fixture
+def write_kernel(tmp_path, monkeypatch):
+    """``write_kernel(backend, source)``: the file of a backend in the folder of the operation ``double``."""
+    folder = tmp_path / "made_kernels" / "double"
+    folder.mkdir(parents=True)
+    for package in (folder, folder.parent):
+        (package / "__init__.py").touch()
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def write(backend: str, source: str) -> None:
+        (folder / f"{backend}.py").write_text(source)
+        clear_caches()
+
+    yield write
+    for name in [name for name in sys.modules if name.split(".")[0] == "made_kernels"]:
+        del sys.modules[name]
 
 
 def test_reference_runs_when_there_is_nothing_else(double):
@@ -37,8 +65,11 @@ def test_a_backend_asked_for_by_name_must_exist(double):
         double(torch.ones(1))
 
 
-def test_a_missing_package_is_named(double):
-    backends.PROVIDERS["double"] = {"numba": "no_such_package.kernels:double"}
+_NEEDS_A_PACKAGE = "import no_such_package\n\ndef double(x):\n    return no_such_package.double(x)\n"
+
+
+def test_a_missing_package_is_named(double, write_kernel):
+    write_kernel("numba", _NEEDS_A_PACKAGE)
     with (
         use_backend("numba"),
         pytest.raises(BackendUnavailable, match="needs 'no_such_package', which is not installed"),
@@ -46,8 +77,8 @@ def test_a_missing_package_is_named(double):
         double(torch.ones(1))
 
 
-def test_auto_falls_back_and_says_so_once(double, caplog):
-    backends.PROVIDERS["double"] = {"numba": "no_such_package.kernels:double"}
+def test_auto_falls_back_and_says_so_once(double, write_kernel, caplog):
+    write_kernel("numba", _NEEDS_A_PACKAGE)
     with caplog.at_level(logging.INFO, logger="gsfusion_nb.backends"):
         assert double(torch.ones(1)).tolist() == [2.0]
         assert double(torch.ones(1)).tolist() == [2.0]
@@ -56,8 +87,8 @@ def test_auto_falls_back_and_says_so_once(double, caplog):
     ]
 
 
-def test_auto_takes_the_fast_one_and_reference_stays_reachable(double):
-    backends.PROVIDERS["double"] = {"numba": "torch:square"}
+def test_auto_takes_the_fast_one_and_reference_stays_reachable(double, write_kernel):
+    write_kernel("numba", "def double(x):\n    return x * x\n")
     x = torch.tensor([3.0])
     assert double(x).tolist() == [9.0]
     with use_backend("reference"):
@@ -75,10 +106,9 @@ def test_kernels_that_do_not_compile_are_set_aside_for_all_operations(double, ca
 
     made = {("double", "cuda"): fails, ("double", "triton"): torch.square, ("other", "cuda"): fails}
     monkeypatch.setattr(backends, "load", lambda name, backend: made[name, backend])
-    backends.PROVIDERS["double"] = {"cuda": "", "triton": ""}
-    backends.PROVIDERS["other"] = {"cuda": ""}
+    monkeypatch.setattr(backends, "offered", {"double": ("triton", "cuda"), "other": ("cuda",)}.__getitem__)
 
-    @op
+    @op("other")
     def other(x: torch.Tensor) -> torch.Tensor:
         """Thrice."""
         return 3 * x
@@ -95,7 +125,7 @@ def test_kernels_that_do_not_compile_are_set_aside_for_all_operations(double, ca
 
 def test_unknown_backend_lists_the_known():
     with (
-        pytest.raises(KeyError, match="no backend 'nubma'; known: auto, cuda, numba, reference, triton"),
+        pytest.raises(KeyError, match="no backend 'nubma'; known: auto, cuda, numba, reference, torch, triton"),
         use_backend("nubma"),
     ):
         pass

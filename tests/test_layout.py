@@ -15,13 +15,15 @@ FLOORS = {
     **dict.fromkeys(("types", "config", "constants", "checks", "backends"), 0),
     "geometry": 1,
     **dict.fromkeys(("tsdf", "gaussians", "render"), 2),
-    **dict.fromkeys(("seeding", "optim", "tracking", "datasets", "export", "evaluation"), 3),
-    **dict.fromkeys(("mapping", "checkup"), 4),
-    **dict.fromkeys(("viz", "teaching", "warm"), 5),
-    **dict.fromkeys(("doctor", "bench"), 6),
-    "studies": 7,
-    "cli": 8,
-    "__main__": 9,
+    **dict.fromkeys(("seeding", "optim", "tracking", "export", "evaluation"), 3),
+    "mapping": 5,
+    "data": 4,
+    "runs": 6,
+    **dict.fromkeys(("viz", "teaching", "warm"), 7),
+    **dict.fromkeys(("doctor", "bench"), 8),
+    "studies": 9,
+    "cli": 10,
+    "__main__": 11,
 }
 
 MODULES = sorted(p for p in PACKAGE.rglob("*.py") if p != PACKAGE / "__init__.py")

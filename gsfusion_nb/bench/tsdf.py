@@ -8,7 +8,7 @@ import torch
 
 from ..backends import use_backend
 from ..config import DataConfig, TsdfConfig
-from ..datasets import OpenedSequence, open_sequence
+from ..data import OpenedSequence, open_sequence
 from ..tsdf import TsdfVolume, integrate
 from ..types import Frame
 from .fusion_peers import Fuser, FusionSettings, Open3dGrid, OpencvHash

@@ -75,7 +75,7 @@ def sh_basis_vjp(dirs: Float[Tensor, "N 3"], degree: int, v_basis: Float[Tensor,
     return torch.stack([vx, vy, vz], dim=-1)
 
 
-@op
+@op("harmonics")
 def sh_to_rgb(
     sh: Float[Tensor, "N K 3"], xyz_W: Float[Tensor, "N 3"], camera_centre_W: Float[Tensor, " 3"]
 ) -> Float[Tensor, "N 3"]:
@@ -94,7 +94,7 @@ def sh_to_rgb(
     return _linear_colour(sh, xyz_W, camera_centre_W)[0].clamp_(min=0.0)
 
 
-@op
+@op("harmonics")
 def sh_to_rgb_vjp(
     sh: Float[Tensor, "N K 3"],
     xyz_W: Float[Tensor, "N 3"],

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ..datasets import BadFrameError, OpenedSequence, SequenceView
+from ..data import BadFrameError, OpenedSequence, SequenceView
 from ..types import Camera, Frame
 
 MOST_VIEWS = 24

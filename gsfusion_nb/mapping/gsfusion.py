@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..config import GSFusionConfig, from_dict, to_dict
-from ..datasets import BadFrameError
+from ..data import BadFrameError
 from ..gaussians import GaussianModel
 from ..optim import Keyframe, KeyframeList, adam_step, dssim_vjp, l1_mse_vjp
 from ..render import render, render_forward, render_vjp

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ..datasets import SequenceError, SequenceView
+from ..data import SequenceError, SequenceView
 from ..geometry import se3
 from ..types import Frame
 from .localiser import Localiser

@@ -12,7 +12,7 @@ from ..gaussians import GaussianModel
 from ..types import GaussianParams
 
 
-@op
+@op("adam")
 def adam_update(
     param: Float[Tensor, "N *W"],
     gradient: Float[Tensor, "N *W"],

@@ -39,7 +39,7 @@ class L1Loss:
     v_rgb: Float[Tensor, "H W 3"]
 
 
-@op
+@op("l1_loss")
 def l1_mse_vjp(rgb: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"]) -> L1Loss:
     """What an optimisation step asks of a picture: ``l1``, ``l1_vjp`` and the error that its PSNR reports."""
     return L1Loss(
@@ -56,7 +56,7 @@ def dssim(rgb: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"]) -> Float[
     return 1.0 - S.mean()
 
 
-@op
+@op("ssim")
 def dssim_vjp(
     rgb: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"], v_loss: float = 1.0
 ) -> tuple[Float[Tensor, ""], Float[Tensor, "H W 3"]]:

@@ -23,7 +23,7 @@ class RgbdLoss:
     v_depth_m: Float[Tensor, "H W"]
 
 
-@op
+@op("rgbd_loss")
 def rgbd_l1_vjp(
     rgb: Float[Tensor, "H W 3"],
     depth_m: Float[Tensor, "H W"],

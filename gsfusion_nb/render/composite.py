@@ -80,7 +80,7 @@ class CompositeGradient:
     depth_m: Float[Tensor, " N"]
 
 
-@op
+@op("composite")
 def composite(
     uv: Float[Tensor, "N 2"],
     conic: Float[Tensor, "N 3"],
@@ -146,7 +146,7 @@ def composite(
     )
 
 
-@op
+@op("composite")
 def composite_vjp(
     saved: CompositeSaved,
     v_rgb: Float[Tensor, "H W 3"],

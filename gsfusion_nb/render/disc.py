@@ -45,7 +45,7 @@ class DiscDepth:
     """The depth is the intersection's, not the centre's."""
 
 
-@op
+@op("disc_depth")
 def disc_depth(
     params: GaussianParams,
     camera: Camera,
@@ -79,7 +79,7 @@ def disc_depth(
     return DiscDepth(depth_m=depth.view(H, W), normal_W=normal.view(H, W, 3), on_plane=on_plane.view(H, W))
 
 
-@op
+@op("disc_depth")
 def disc_depth_vjp(
     params: GaussianParams,
     camera: Camera,

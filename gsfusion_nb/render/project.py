@@ -49,7 +49,7 @@ class ProjectionGradient:
     opacity_logit: Float[Tensor, " N"]
 
 
-@op
+@op("project")
 def project_gaussians(params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> Projection:
     """Project every Gaussian onto the image plane (equations at the top of this file).
 
@@ -81,7 +81,7 @@ def project_gaussians(params: GaussianParams, camera: Camera, T_WC: Float[Tensor
     )
 
 
-@op
+@op("project")
 def project_gaussians_vjp(
     params: GaussianParams,
     camera: Camera,

@@ -39,7 +39,7 @@ def render(params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"]) -
     return render_forward(params, camera, T_WC)[0]
 
 
-@op
+@op("rasterize")
 def render_forward(
     params: GaussianParams,
     camera: Camera,
@@ -89,7 +89,7 @@ def render_forward(
     return output, RenderSaved(params=params, camera=camera, T_WC=T_WC, composite=image.saved)
 
 
-@op
+@op("rasterize")
 def render_vjp(
     saved: RenderSaved,
     v_rgb: Float[Tensor, "H W 3"],

@@ -32,7 +32,7 @@ class TileLists:
     """Pixels to be drawn; ``None`` stands for all. Tiles without any have empty lists."""
 
 
-@op
+@op("binning")
 def tile_intersections(
     projection: Projection, camera: Camera, *, tile_px: int = TILE_PX, pixels: Bool[Tensor, "H W"] | None = None
 ) -> TileLists:

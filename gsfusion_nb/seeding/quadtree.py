@@ -60,7 +60,7 @@ class Cells:
         return self.width * self.height
 
 
-@op
+@op("quadtree")
 def quadtree(
     rgb_u8: UInt8[Tensor, "H W 3"],
     *,

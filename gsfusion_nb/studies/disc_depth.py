@@ -11,7 +11,7 @@ import torch
 from ..checks import check_name
 from ..config import rtg_slam
 from ..constants import OPAQUE_ALPHA
-from ..datasets import open_sequence
+from ..data import open_sequence
 from ..gaussians import SurfelModel
 from ..mapping.surfel_optimiser import SurfelOptimiser, View
 from ..render import view_surface

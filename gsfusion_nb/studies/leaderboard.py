@@ -12,9 +12,9 @@ import numpy as np
 from ..config import GSFusionConfig
 from ..config import gsfusion as gsfusion_preset
 from ..config import replace as replaced
-from ..datasets import OpenedSequence, open_sequence
+from ..data import OpenedSequence, open_sequence
 from ..evaluation import ImageScores, NotComputed, score_views
-from ..mapping import MappingRun
+from ..runs import MappingRun
 from ..seeding import SeedingRule, get_rule, rule_name
 from .pareto import pareto_figure, pareto_front
 

@@ -119,7 +119,7 @@ class Work:
 
     name: str
     operations: tuple[str, ...]
-    """Names in ``backends.PROVIDERS``."""
+    """Names of operations, see ``backends.operations``."""
     run: Callable[[], object]
     flops: float | int
     bytes: float | int

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from ..datasets import open_sequence
+from ..data import open_sequence
 from .exercise import Attempt, Wrong, close, exercise, holds
 
 

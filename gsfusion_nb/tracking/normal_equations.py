@@ -121,7 +121,7 @@ def depth_weight(depth_m: Float[Tensor, "*N"], even_to_m: float | None) -> Float
     return (even_to_m / depth_m.clamp_min(1e-6)).clamp(max=1.0).square().square()
 
 
-@op
+@op("icp")
 def icp_system(
     level: DepthLevel,
     T_WC: Float[Tensor, "4 4"],

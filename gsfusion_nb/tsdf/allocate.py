@@ -31,7 +31,7 @@ def allocate(volume: TsdfVolume, frame: Frame) -> Int[Tensor, " K"]:
     return volume.add_blocks(band_blocks(volume, frame))
 
 
-@op
+@op("allocate")
 def band_blocks(volume: TsdfVolume, frame: Frame) -> Int[Tensor, "N 3"]:
     """Coordinates of all blocks that the band of any pixel's ray crosses, each once.
 

@@ -84,7 +84,7 @@ def integrate(volume: TsdfVolume, frame: Frame) -> IntegrateReport:
     return IntegrateReport(new_blocks=new_rows.shape[0], touched_blocks=touched, updated_voxels=updated)
 
 
-@op
+@op("integrate")
 def fuse_frame_(volume: TsdfVolume, frame: Frame) -> tuple[int, int]:
     """Update the allocated voxels that ``frame`` observes, in place.
 

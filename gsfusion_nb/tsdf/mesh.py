@@ -16,7 +16,7 @@ CHUNK_BLOCKS = 256
 """Blocks meshed at a time: bounds the temporaries to some tens of megabytes whatever the size of the map."""
 
 
-@op
+@op("marching_cubes")
 def extract_mesh(volume: TsdfVolume, *, min_weight: float = 1.0) -> Mesh:
     """Marching cubes over the blocks (Lorensen & Cline 1987), with vertices on the zero crossing of D.
 

@@ -40,7 +40,7 @@ class RaycastOutput:
     """Mean colour, 0..1."""
 
 
-@op
+@op("raycast")
 def raycast(volume: TsdfVolume, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RaycastOutput:
     """Depth, normals and colour of the zero crossing of D, as seen from a pose.
 

@@ -226,7 +226,7 @@ class TsdfVolume:
         )
 
 
-@op
+@op("sample")
 def sample_voxels(volume: TsdfVolume, xyz_W: Float[Tensor, "N 3"]) -> TsdfSample:
     """Values of the voxels that contain the points; the operation behind ``TsdfVolume.sample_nearest``."""
     check_shape("xyz_W", xyz_W, ("N", 3))

@@ -8,8 +8,8 @@ import numpy as np
 import torch
 
 from ..gaussians import GaussianModel
-from ..mapping import FinishedRun, MappingRun
 from ..mapping.placing import placed
+from ..runs import FinishedRun, MappingRun
 from ..seeding import Cells
 from ..tsdf import TsdfVolume
 from ..types import Frame

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..datasets import SequenceError
-from ..mapping import MappingRun, StepReport
+from ..data import SequenceError
+from ..mapping import StepReport
+from ..runs import MappingRun
 from ..types import Frame
 from .display import with_picture
 from .figures import Picture, encode_jpeg, encode_png

@@ -22,9 +22,9 @@ def load(path: Path) -> ModuleType:
     return module
 
 
-_hostile = load(TESTS / "datasets/fetch/conftest.py")
+_hostile = load(TESTS / "data/fetch/conftest.py")
 site, archives = _hostile.site, _hostile.archives
-box = load(TESTS / "datasets/conftest.py").box
+box = load(TESTS / "data/conftest.py").box
 
 
 @pytest.fixture(autouse=True)
@@ -55,13 +55,13 @@ def hostile():
 @pytest.fixture
 def writer():
     """``writer("tum")`` writes the box room in a public layout, as the tests of that reader do."""
-    return lambda name: load(TESTS / f"datasets/test_{name}.py").write
+    return lambda name: load(TESTS / f"data/readers/test_{name}.py").write
 
 
 @pytest.fixture
 def copied_scene():
     """The module that writes a ScanNet++ scene as it is handed out."""
-    return load(TESTS / "datasets/fetch/test_scannetpp_scene.py")
+    return load(TESTS / "data/fetch/test_scannetpp_scene.py")
 
 
 @pytest.fixture

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from gsfusion_nb.datasets import open_sequence
-from gsfusion_nb.datasets.fetch.download import Transfer
-from gsfusion_nb.datasets.tum import LENSES
+from gsfusion_nb.data import open_sequence
+from gsfusion_nb.data.fetch.download import Transfer
+from gsfusion_nb.data.readers.tum import LENSES
 from gsfusion_nb.types import Camera
 
 SCRIPTS = sorted((Path(__file__).resolve().parents[2] / "data_scripts").glob("*.py"))

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from gsfusion_nb.datasets import open_sequence
-from gsfusion_nb.datasets.room import render_room, room, room_mesh
+from gsfusion_nb.data import open_sequence
+from gsfusion_nb.data.room import render_room, room, room_mesh
 from gsfusion_nb.export import read_mesh_ply
 
 N = 3

@@ -2,7 +2,7 @@
 
 import pytest
 
-from gsfusion_nb.datasets import open_sequence
+from gsfusion_nb.data import open_sequence
 from gsfusion_nb.export import write_mesh_ply
 
 

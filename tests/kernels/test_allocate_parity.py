@@ -11,7 +11,7 @@ from gsfusion_nb.tsdf import TsdfVolume, band_blocks
 
 pytest.importorskip("numba")
 
-from gsfusion_nb.kernels.numba import allocate as kernel  # pyright: ignore[reportMissingImports]
+from gsfusion_nb.kernels.allocate import numba as kernel  # pyright: ignore[reportMissingImports]
 
 CONFIG = TsdfConfig(voxel_size_m=0.02, truncation_voxels=4.0)
 

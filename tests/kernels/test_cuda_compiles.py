@@ -10,8 +10,8 @@ import pytest
 
 from gsfusion_nb.backends import BackendUnavailable
 
-KERNELS = Path(__file__).resolve().parents[2] / "kernels" / "cuda"
-SOURCES = sorted(KERNELS.glob("*.cu"))
+KERNELS = Path(__file__).resolve().parents[2] / "kernels"
+SOURCES = sorted(KERNELS.glob("*/*.cu"))
 
 
 @pytest.mark.parametrize("architecture", ["sm_80", "sm_90"])
@@ -29,7 +29,17 @@ def test_nvcc_has_nothing_to_say(source, architecture, emulator, tmp_path):
         "-warn-spills,-warn-lmem-usage,-Werror",
     ]
     target = tmp_path / "kernels.cubin"
-    command = [nvcc, f"-arch={architecture}", "-cubin", *flags, *emulator.options(), str(source), "-o", str(target)]
+    command = [
+        nvcc,
+        f"-arch={architecture}",
+        "-cubin",
+        *flags,
+        *emulator.options(),
+        *emulator.includes(),
+        str(source),
+        "-o",
+        str(target),
+    ]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr[-6000:]
     assert not (done.stdout + done.stderr).strip(), done.stderr
@@ -40,14 +50,14 @@ def test_nvcc_has_nothing_to_say(source, architecture, emulator, tmp_path):
 def test_sources_need_no_headers_but_their_own(source, emulator):
     """NVRTC has no folder to search: it is given the .cuh files, and nothing else."""
     included = re.findall(r'#include\s+["<](.*?)[">]', source.read_text(encoding="utf-8"))
-    assert set(included) <= {path.name for path in KERNELS.glob("*.cuh")}
+    assert set(included) <= {path.name for path in KERNELS.glob("*/*.cuh")}
     assert emulator.kernels_of(source)
 
 
 @pytest.fixture
 def nvrtc():
     """The module, without its package, which asks for a GPU."""
-    spec = importlib.util.spec_from_file_location("nvrtc_alone", KERNELS / "nvrtc.py")
+    spec = importlib.util.spec_from_file_location("nvrtc_alone", KERNELS / "runtime" / "cuda" / "nvrtc.py")
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -84,8 +94,9 @@ def test_nvrtc_gives_ptx_for_gpus_that_it_does_not_know(at_hand, tmp_path, monke
 
 
 def test_a_source_with_a_mistake_is_quoted(at_hand, tmp_path, monkeypatch):
-    monkeypatch.setattr(at_hand, "FOLDER", tmp_path)
-    (tmp_path / "wrong.cu").write_text('extern "C" __global__ void wrong() { nonsense(); }')
+    monkeypatch.setattr(at_hand, "KERNELS", tmp_path)
+    (tmp_path / "wrong").mkdir()
+    (tmp_path / "wrong" / "wrong.cu").write_text('extern "C" __global__ void wrong() { nonsense(); }')
     with pytest.raises(RuntimeError, match=r"(?s)wrong.cu does not compile with .*sm_90.*nonsense"):
         at_hand.compile_source("wrong", (9, 0))
 

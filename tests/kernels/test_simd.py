@@ -3,7 +3,7 @@ import pytest
 
 numba = pytest.importorskip("numba")
 
-from gsfusion_nb.kernels.numba import simd  # noqa: E402  # pyright: ignore[reportMissingImports]
+from gsfusion_nb.kernels.runtime.numba import simd  # noqa: E402  # pyright: ignore[reportMissingImports]
 
 
 @numba.njit

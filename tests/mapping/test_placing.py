@@ -9,11 +9,11 @@ import pytest
 import torch
 
 from gsfusion_nb.config import DataConfig, TrackingConfig, gsfusion
-from gsfusion_nb.datasets import BadFrameError, SequenceError, SequenceNotFoundError, apply_options, open_sequence
+from gsfusion_nb.data import BadFrameError, SequenceError, SequenceNotFoundError, apply_options, open_sequence
 from gsfusion_nb.geometry import se3
-from gsfusion_nb.mapping import run_mapping
 from gsfusion_nb.mapping.localiser import Localiser
 from gsfusion_nb.mapping.placing import placed, readable, true_poses
+from gsfusion_nb.runs import run_mapping
 from gsfusion_nb.types import Camera, Frame
 
 CAMERA = Camera(width=8, height=6, fx=8.0, fy=8.0, cx=4.0, cy=3.0)

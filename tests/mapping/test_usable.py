@@ -5,7 +5,7 @@ import dataclasses
 import pytest
 import torch
 
-from gsfusion_nb.datasets import BadFrameError
+from gsfusion_nb.data import BadFrameError
 from gsfusion_nb.mapping.usable import BLACK, check_frame
 from gsfusion_nb.types import Camera, Frame
 

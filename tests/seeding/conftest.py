@@ -2,7 +2,7 @@
 
 import pytest
 
-from gsfusion_nb.datasets.room import room
+from gsfusion_nb.data.room import room
 from gsfusion_nb.types import Frame
 
 

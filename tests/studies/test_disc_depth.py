@@ -3,7 +3,7 @@
 import pytest
 
 from gsfusion_nb.config import DataConfig
-from gsfusion_nb.datasets import open_sequence
+from gsfusion_nb.data import open_sequence
 from gsfusion_nb.studies.disc_depth import METHODS, as_markdown, draw, fit_image, fit_images, summary
 
 

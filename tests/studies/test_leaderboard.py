@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gsfusion_nb.config import gsfusion
-from gsfusion_nb.datasets import open_sequence
+from gsfusion_nb.data import open_sequence
 from gsfusion_nb.mapping import GSFusion
 from gsfusion_nb.studies.contest_view import board_picture, watch_contest
 from gsfusion_nb.studies.leaderboard import Contest, Entrant, Leaderboard, LeaderboardRow, compare_rules

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from gsfusion_nb.config import BackEndConfig
-from gsfusion_nb.datasets.room import render_room, room
-from gsfusion_nb.datasets.room.trajectory import look_at
+from gsfusion_nb.data.room import render_room, room
+from gsfusion_nb.data.room.trajectory import look_at
 from gsfusion_nb.evaluation import ate_rmse
 from gsfusion_nb.export import load_checkpoint, save_checkpoint
 from gsfusion_nb.geometry import se3

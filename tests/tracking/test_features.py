@@ -5,7 +5,7 @@ import dataclasses
 import pytest
 import torch
 
-from gsfusion_nb.datasets.room import room
+from gsfusion_nb.data.room import room
 from gsfusion_nb.geometry import project
 from gsfusion_nb.tracking.features import DEPTH_SIGMA_PER_M, depth_sigma, extract_features
 from gsfusion_nb.types import Camera, Frame

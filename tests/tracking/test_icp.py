@@ -7,7 +7,7 @@ import torch
 
 from gsfusion_nb.backends import use_backend
 from gsfusion_nb.config import TrackingConfig
-from gsfusion_nb.datasets.room import room
+from gsfusion_nb.data.room import room
 from gsfusion_nb.geometry import depth_to_normals, se3
 from gsfusion_nb.tracking import Surface, icp
 

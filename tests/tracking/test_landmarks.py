@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from gsfusion_nb.datasets.room import room
+from gsfusion_nb.data.room import room
 from gsfusion_nb.geometry import project, se3
 from gsfusion_nb.tracking.features import Features, extract_features
 from gsfusion_nb.tracking.landmarks import Landmarks

@@ -5,7 +5,7 @@ import dataclasses
 import pytest
 import torch
 
-from gsfusion_nb.datasets.room import render_room, room
+from gsfusion_nb.data.room import render_room, room
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.tracking.features import extract_features
 from gsfusion_nb.tracking.loops import Path, depth_agreement, depth_thumbnail, path_between, why_not

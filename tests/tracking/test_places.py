@@ -6,7 +6,7 @@ import time
 import pytest
 import torch
 
-from gsfusion_nb.datasets.room import room
+from gsfusion_nb.data.room import room
 from gsfusion_nb.export import load_checkpoint, save_checkpoint
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.tracking.features import Features, extract_features

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from gsfusion_nb.config import TrackingConfig, TsdfConfig
-from gsfusion_nb.datasets import open_sequence
+from gsfusion_nb.data import open_sequence
 from gsfusion_nb.evaluation import ate_rmse
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.tracking import Tracker, TrackingLostError, tsdf_surface

@@ -10,9 +10,9 @@ import pytest
 import torch
 
 from gsfusion_nb.config import gsfusion
-from gsfusion_nb.datasets import apply_options
+from gsfusion_nb.data import apply_options
 from gsfusion_nb.gaussians import GaussianModel
-from gsfusion_nb.mapping import MappingRun
+from gsfusion_nb.runs import MappingRun
 from gsfusion_nb.types import Camera, Frame, Seeds
 
 

@@ -14,9 +14,9 @@ import torch
 import gsfusion_nb
 from gsfusion_nb import gsfusion
 from gsfusion_nb.config import TsdfConfig
-from gsfusion_nb.datasets import open_sequence
+from gsfusion_nb.data import open_sequence
 from gsfusion_nb.gaussians import GaussianModel, SurfelModel
-from gsfusion_nb.mapping import MappingRun
+from gsfusion_nb.runs import MappingRun
 from gsfusion_nb.seeding import quadtree
 from gsfusion_nb.tsdf import TsdfVolume
 from gsfusion_nb.viz import cards

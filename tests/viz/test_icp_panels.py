@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from gsfusion_nb.config import TrackingConfig
-from gsfusion_nb.datasets.room.sequence import RoomSequence
+from gsfusion_nb.data.room.sequence import RoomSequence
 from gsfusion_nb.tracking import icp
 from gsfusion_nb.viz.icp_panels import (
     basin,

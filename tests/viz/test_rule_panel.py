@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from gsfusion_nb.config import gsfusion
-from gsfusion_nb.datasets import open_sequence
+from gsfusion_nb.data import open_sequence
 from gsfusion_nb.mapping import GSFusion
 from gsfusion_nb.seeding import Seeds, registered, rule_options
 from gsfusion_nb.viz.panel import Choice, Slider, Switch

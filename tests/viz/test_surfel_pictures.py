@@ -5,12 +5,12 @@ import pytest
 import torch
 
 from gsfusion_nb.config import rtg_slam
-from gsfusion_nb.datasets import apply_options
+from gsfusion_nb.data import apply_options
 from gsfusion_nb.gaussians import SurfelModel
 from gsfusion_nb.gaussians.surfels import OPAQUE, STABLE, TRANSPARENT
 from gsfusion_nb.geometry import quaternion
-from gsfusion_nb.mapping import MappingRun
 from gsfusion_nb.render import view_surface
+from gsfusion_nb.runs import MappingRun
 from gsfusion_nb.types import Camera, Frame, Seeds
 from gsfusion_nb.viz import LiveMapper, SplatViewer
 from gsfusion_nb.viz.live_panels import captions_of, live_panels

@@ -7,19 +7,24 @@ from pathlib import Path
 from gsfusion_nb import constants
 
 HERE = Path(__file__).parent
-KERNELS = Path(__file__).resolve().parents[3] / "kernels" / "cuda"
+KERNELS = Path(__file__).resolve().parents[3] / "kernels"
 
 
 def options() -> list[str]:
-    """The definitions that ``kernels/cuda/nvrtc.py`` gives to the GPU's compiler, read there without importing it."""
-    text = (KERNELS / "nvrtc.py").read_text(encoding="utf-8")
+    """The definitions that ``runtime/cuda/nvrtc.py`` gives to the GPU's compiler, read there without importing it."""
+    text = (KERNELS / "runtime" / "cuda" / "nvrtc.py").read_text(encoding="utf-8")
     names = re.findall(r'"(\w+)"', re.search(r"_NUMBERS = \((.*?)\)", text, re.DOTALL)[1])  # pyright: ignore[reportOptionalSubscript]
     return [f"-DGS_{name}={getattr(constants, name):.9g}f" for name in names]
 
 
 def sources() -> list[Path]:
     """The .cu files."""
-    return sorted(KERNELS.glob("*.cu"))
+    return sorted(KERNELS.glob("*/*.cu"))
+
+
+def includes() -> list[str]:
+    """Options that name the folders of the .cuh files."""
+    return [f"-I{folder}" for folder in sorted({path.parent for path in KERNELS.glob("*/*.cuh")})]
 
 
 def kernels_of(source: Path) -> list[str]:
@@ -53,7 +58,7 @@ def build(folder: Path, extra: tuple[str, ...] = ()) -> Path:
     library = folder / "libemulator.so"
     flags = ["-std=c++20", "-O1", "-ffp-contract=off", "-fPIC", "-shared", "-Wall", "-Wextra", "-Werror"]
     flags += ["-Wno-unknown-pragmas", "-Wno-unused-parameter", "-fno-strict-aliasing", *extra, *options()]
-    command = ["g++", *flags, f"-I{HERE}", f"-I{KERNELS}", *units, "-o", str(library)]
+    command = ["g++", *flags, f"-I{HERE}", *includes(), *units, "-o", str(library)]
     done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode:
         raise RuntimeError(f"the kernels do not compile for the CPU:\n{done.stderr[-6000:]}")

@@ -43,7 +43,7 @@ class Driver:
 
 @pytest.fixture
 def stand_in(monkeypatch):
-    module, stand_in = importlib.import_module("gsfusion_nb.kernels.cuda.driver"), Driver()
+    module, stand_in = importlib.import_module("gsfusion_nb.kernels.runtime.cuda.driver"), Driver()
     monkeypatch.setattr(module, "library", lambda: stand_in)
     monkeypatch.setattr(module, "compile_source", lambda stem, capability: b"machine code")
     monkeypatch.setattr(torch.cuda, "device", lambda index: contextlib.nullcontext())
@@ -91,7 +91,7 @@ def test_errors_name_the_operation(stand_in):
 
 
 def test_without_a_driver_it_says_so(monkeypatch):
-    module = importlib.import_module("gsfusion_nb.kernels.cuda.driver")
+    module = importlib.import_module("gsfusion_nb.kernels.runtime.cuda.driver")
 
     def missing(name):
         raise OSError(name)

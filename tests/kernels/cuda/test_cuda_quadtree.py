@@ -46,7 +46,7 @@ def test_same_leaves(size, contrast, generator, device):
 @pytest.mark.parametrize("climb", [(0, 1), (1, 0), (2, 3)])
 def test_any_number_of_passes(climb, generator, device, monkeypatch):
     """Pictures from 1537 x 1537 on need three."""
-    module = importlib.import_module("gsfusion_nb.kernels.cuda.quadtree")
+    module = importlib.import_module("gsfusion_nb.kernels.quadtree.cuda")
     monkeypatch.setattr(module, "_CLIMB", dict(zip(("sum_cells", "add_levels"), climb, strict=True)))
     for size in ((97, 61), (150, 131)):
         assert_same_leaves(picture(*size, generator), device, threshold=1e-5)
@@ -108,7 +108,7 @@ def test_strided_pictures(generator, device):
 
 
 def test_a_picture_of_replica_takes_three_kernels(generator, device, monkeypatch):
-    module = importlib.import_module("gsfusion_nb.kernels.cuda.quadtree")
+    module = importlib.import_module("gsfusion_nb.kernels.quadtree.cuda")
     image, started, launch = picture(1200, 680, generator), [], module.launch
     monkeypatch.setattr(module, "launch", lambda *args: (started.append(args[1]), launch(*args))[1])
     assert len(assert_same_leaves(image, device, threshold=0.1)) > 1000

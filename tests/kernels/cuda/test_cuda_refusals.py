@@ -12,7 +12,7 @@ from gsfusion_nb.types import GaussianParams
 
 @pytest.fixture
 def launch():
-    return importlib.import_module("gsfusion_nb.kernels.cuda.launch")
+    return importlib.import_module("gsfusion_nb.kernels.runtime.cuda.launch")
 
 
 def test_tensors_with_gaps_are_refused(launch, device):

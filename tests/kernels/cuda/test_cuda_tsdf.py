@@ -14,7 +14,7 @@ CONFIG = TsdfConfig(voxel_size_m=0.02, truncation_voxels=4.0, max_weight=3.0)
 
 
 def test_a_set_that_is_too_small_grows(make_frames, device, monkeypatch):
-    module = importlib.import_module("gsfusion_nb.kernels.cuda.allocate")
+    module = importlib.import_module("gsfusion_nb.kernels.allocate.cuda")
     frame = make_frames(40, 30, n=1)[0]
     with use_backend("cuda"):
         expected = band_blocks(TsdfVolume(CONFIG, device=device), frame.to(device))

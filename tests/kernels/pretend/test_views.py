@@ -5,8 +5,9 @@ import pytest
 import torch
 
 from gsfusion_nb.config import gsfusion, rtg_slam
-from gsfusion_nb.datasets import open_sequence
-from gsfusion_nb.mapping import RTGSLAM, GSFusion, MappingRun
+from gsfusion_nb.data import open_sequence
+from gsfusion_nb.mapping import RTGSLAM, GSFusion
+from gsfusion_nb.runs import MappingRun
 from gsfusion_nb.viz import LiveMapper, OrbitView, SplatViewer, draw, show_mesh
 from gsfusion_nb.viz.cards import card
 from gsfusion_nb.viz.keyframe_strip import keyframe_strip

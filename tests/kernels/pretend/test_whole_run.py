@@ -6,9 +6,10 @@ import pytest
 import torch
 
 from gsfusion_nb.config import DataConfig, gsfusion, rtg_slam
-from gsfusion_nb.datasets import open_sequence
-from gsfusion_nb.mapping import RTGSLAM, GSFusion, MappingRun, outputs, run_mapping
+from gsfusion_nb.data import open_sequence
+from gsfusion_nb.mapping import RTGSLAM, GSFusion
 from gsfusion_nb.mapping.surfel_optimiser import SurfelOptimiser
+from gsfusion_nb.runs import MappingRun, outputs, run_mapping
 
 DATA = {"width": 40, "height": 30, "stop": 9, "stride": 2, "hold_out_every": 4, "hold_out_offset": 2}
 FRAMES_MOST = 40

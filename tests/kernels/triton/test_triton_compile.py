@@ -103,12 +103,12 @@ def run_everything(scene, camera, images, pose, frame) -> None:
 def test_every_kernel_compiles(
     capability, launches, make_scene, make_camera, make_images, make_frames, pose, tmp_path, monkeypatch
 ):  # fmt: skip
-    raycaster = importlib.import_module("gsfusion_nb.kernels.triton.raycast")
+    raycaster = importlib.import_module("gsfusion_nb.kernels.raycast.triton")
     monkeypatch.setattr(raycaster, "RAYS", raycaster.RAYS_OF_A_WARP)  # not those of the interpreter
     camera, frame = make_camera(16, 8), make_frames(12, 9, n=1)[0]
     run_everything(make_scene(5, 3), camera, make_images(camera), pose, frame)
-    package = Path(importlib.import_module("gsfusion_nb.kernels.triton").__file__ or "").parent
-    sources = "".join(path.read_text(encoding="utf-8") for path in package.glob("*.py"))
+    kernels = Path(importlib.import_module("gsfusion_nb.kernels").__file__ or "").parent
+    sources = "".join(path.read_text(encoding="utf-8") for path in kernels.glob("*/triton.py"))
     declared = set(re.findall(r"@triton\.jit\(do_not_specialize[^)]*\)\ndef (\w+)", sources))
     assert {launch["kernel"] for launch in launches.values()} == declared
     environment = {k: v for k, v in os.environ.items() if k != "TRITON_INTERPRET"}

@@ -1,0 +1,223 @@
+"""The check-up: read frames, look at each thing, try the alternatives, put the repairs together."""
+
+import time
+from collections.abc import Sequence as Rows
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from ...config import DataConfig, RepairConfig
+from .. import RecordedSequence, Sequence, apply_options, detect_layout, open_sequence
+from . import judge_colour, judge_fit, judge_frames
+from .alignment import fit_colour, in_order
+from .depth_values import DepthCode, clear_codes, code_finding, find_codes, missing_finding
+from .explain import Explanation, Row, explain, repair_fields
+from .files import examine_files
+from .findings import Finding, flags_of
+from .geometry_fit import Correction, FitData, agreeing, median_error
+from .over_frames import OverFrames, gains, measure_over_frames
+from .overlays import pictures_of, top_view
+from .readings import pairs_of
+from .report import CheckupReport
+from .sample import Sample, read_sample
+
+
+def check_recording(
+    sequence_or_path: str | Path | Sequence,
+    *,
+    data: DataConfig | None = None,
+    frames: int = 250,
+    pictures: bool = True,
+    **reader_options: Any,
+) -> CheckupReport:
+    """Examine a recording: units, conventions, intrinsics, registration, times, images; and say what repairs it.
+
+    Whatever has alternatives is tried with all of them, and the one under which the depth images predict each other
+    best (cross-frame reprojection) is named, with the options of ``gsfusion-nb map`` that ask for it.
+
+    Args:
+        sequence_or_path: Folder of a recording, "room", or any ``Sequence``.
+        data: Range, depth limits and corrections to begin with, for example those of an earlier report; all frames of
+            the range are looked at, held-out ones too.
+        frames: About how many frames are read; a longer recording is read in windows of 31 consecutive ones.
+        pictures: Also make the pictures of the page.
+        reader_options: For ``open_sequence``: ``format``, ``split``, options of the reader.
+
+    Raises:
+        SequenceError: the recording cannot be opened at all; says why.
+    """
+    started = time.perf_counter()
+    given = replace(data or DataConfig(), hold_out_every=0)
+    base, hint = _opened(sequence_or_path, reader_options)
+    raw, findings = RepairConfig(), []
+    if isinstance(base, RecordedSequence):
+        raw, findings = examine_files(base, given.repair)
+    given = replace(given, repair=combined(given.repair, raw))
+    sequence = apply_options(base, given)
+    sample = read_sample(sequence, frames=frames)
+    pairs = pairs_of(sample)
+    common: dict[str, Any] = {"name": sample.name, "length": sample.length, "frames_read": len(sample.frames)}
+    findings.insert(0, _readable_finding(sample, given.repair))
+    if not pairs:
+        return CheckupReport(**common, findings=findings, data=given)
+    found = _examine(sample, pairs, base, hint)
+    mended = _together(given, found.data)
+    changed = found.data != DataConfig()
+    again = apply_options(base, mended)
+    e = found.explanation
+    if changed:
+        e = replace(e, after=_measured_again(again, pairs, e.after))
+        e = replace(e, rows=[replace(e.after, what="with all repairs", flags=flags_of(mended)), *e.rows])
+    findings.append(judge_fit.agreement_finding(e, found.usual_error))
+    return CheckupReport(
+        **common,
+        findings=[*findings, *found.findings],
+        data=mended,
+        reader=hint if any(f.repair == _reader_flags(hint) for f in found.findings) else {},
+        rows=e.rows,
+        over=found.over,
+        pictures=pictures_of(sequence, again, pairs, changed) if pictures else {},
+        top_view=top_view(sample, e.reading) if pictures else "",
+        seconds=time.perf_counter() - started,
+    )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Found:
+    findings: list[Finding]
+    data: DataConfig
+    """The repairs on top of how the recording was read."""
+    explanation: Explanation
+    over: OverFrames
+    usual_error: float
+
+
+def _examine(sample: Sample, pairs: Rows[tuple[int, int]], base: Sequence, hint: dict[str, Any]) -> _Found:
+    """Everything that is judged from the frames read."""
+    codes = find_codes(sample.frames)
+    clear_codes(sample.frames, codes)
+    e = explain(sample, pairs)
+    correction = e.corrected.correction
+    fields = repair_fields(correction, sample.camera, e.reading)
+    over = measure_over_frames(sample, e.reading, correction)
+    colour, colour_findings = judge_colour.registration_findings(fit_colour(sample), sample.camera, in_order(sample))
+    if hint and colour_findings[0].verdict != "ok":
+        colour, colour_findings[0] = RepairConfig(), replace(colour_findings[0], repair=_reader_flags(hint))
+    limits = _limits(codes, fields.get("depth_factor", e.reading.depth_factor))
+    frame_findings, skip, piece = _frame_findings(sample, over)
+    close = [(a, b) for a, b in pairs if b - a > 1] or list(pairs)
+    data = replace(limits, start=piece.start, stop=piece.stop, repair=combined(replace(e.reading, **fields), colour))
+    findings = [
+        missing_finding(sample.frames),
+        code_finding(codes, base.depth_scale if isinstance(base, RecordedSequence) else None, flags_of(limits)),
+        judge_fit.scale_finding(e, sample.camera),
+        judge_fit.kind_finding(e),
+        *judge_fit.reading_findings(e),
+        judge_fit.time_finding(e, sample.camera),
+        *judge_fit.intrinsics_findings(e, sample.camera),
+        *colour_findings,
+        *frame_findings,
+        judge_frames.exposure_finding(over, gains(sample, close, e.data, correction)),
+    ]
+    return _Found(
+        findings=findings,
+        data=replace(data, repair=replace(data.repair, skip=skip)),
+        explanation=e,
+        over=over,
+        usual_error=median_error(e.data, correction),
+    )
+
+
+def _frame_findings(sample: Sample, over: OverFrames) -> tuple[list[Finding], tuple[int, ...], DataConfig]:
+    """Jumps, blur and frozen images; the frames to leave out, and the range to keep."""
+    alone, cuts = judge_frames.find_jumps(over)
+    blurred, frozen = judge_frames.blurred_frames(over), judge_frames.frozen_frames(over)
+    piece = DataConfig()
+    if cuts:
+        start, stop = judge_frames.longest_piece(cuts, 1 + max(int(over.number.max()), sample.length - 1))
+        piece = DataConfig(start=start, stop=stop)
+    motion = judge_frames.motion_finding(over)
+    findings = [
+        *([motion] if motion else []),
+        judge_frames.jump_finding(over, alone, cuts, flags_of(replace(piece, repair=RepairConfig(skip=tuple(alone))))),
+        judge_frames.sharpness_finding(over, blurred, RepairConfig(skip=tuple(blurred)).flags),
+        judge_frames.frozen_finding(over, frozen, RepairConfig(skip=tuple(frozen)).flags),
+    ]
+    return findings, tuple(sorted({*alone, *blurred, *frozen})), piece
+
+
+def combined(first: RepairConfig, second: RepairConfig) -> RepairConfig:
+    """One correction that does ``first`` and then ``second``: factors multiply, shifts add, the rest is replaced."""
+    changes = dict(second.changes)
+    for name in ("depth_factor", "translation_factor", "rgb_scale"):
+        changes[name] = getattr(first, name) * getattr(second, name)
+    for name in ("pose_shift_frames", "rgb_shift_frames", "pixel_shift", "rgb_shift_x_px", "rgb_shift_y_px"):
+        changes[name] = getattr(first, name) + getattr(second, name)
+    changes["skip"] = tuple(sorted({*first.skip, *second.skip}))
+    return replace(first, **changes)  # pyright: ignore[reportArgumentType]
+
+
+def _together(given: DataConfig, more: DataConfig) -> DataConfig:
+    """The range, limits and corrections to read with, and those found on top."""
+    changes = {n: getattr(more, n) for n in ("start", "stop", "depth_min_m", "depth_max_m") if getattr(more, n)}
+    return replace(given, repair=combined(given.repair, more.repair), **changes)
+
+
+def _opened(sequence_or_path: str | Path | Sequence, reader_options: dict[str, Any]) -> tuple[Sequence, dict[str, Any]]:
+    """The sequence as its reader gives it, and an option of the reader that would register colour to depth."""
+    if not isinstance(sequence_or_path, (str, Path)):
+        return sequence_or_path, {}
+    source = open_sequence(sequence_or_path, **reader_options).source
+    layout = reader_options.get("format", "auto")
+    if layout == "auto" and isinstance(source, RecordedSequence):
+        layout = detect_layout(Path(sequence_or_path).expanduser())
+    unregistered = layout == "seven_scenes" and not reader_options.get("register")
+    return source, {"register": True} if unregistered else {}
+
+
+def _reader_flags(reader: dict[str, Any]) -> str:
+    return " ".join(f"--reader {name}={str(value).lower()}" for name, value in reader.items())
+
+
+def _readable_finding(sample: Sample, given: RepairConfig) -> Finding:
+    tried = len(sample.frames) + len(sample.unreadable)
+    ends = max(abs(given.pose_shift_frames), abs(given.rgb_shift_frames))  # a shift in time leaves these without
+    bad = {i: why for i, why in sample.unreadable.items() if ends <= i <= sample.length - 1 - ends}
+    numbers = {"tried": float(tried), "unusable": float(len(bad))}
+    if not bad:
+        return Finding(
+            name="frames", verdict="ok", numbers=numbers, sentence=f"All {tried} frames that were tried can be read."
+        )
+    few = len(sample.frames) >= 2 and len(bad) <= tried / 2
+    return Finding(
+        name="frames",
+        verdict="doubtful" if few else "wrong",
+        numbers=numbers,
+        repair="" if few else "mend the files the sentence names",
+        sentence=f"{len(bad)} of {tried} frames cannot be used and are left out of the map, the first because "
+        f"{next(iter(bad.values()))}.",
+    )
+
+
+def _limits(codes: Rows[DepthCode], factor: float) -> DataConfig:
+    """Depth limits that leave the codes out, in metres after the factor."""
+    data = DataConfig()
+    for code in codes:
+        value = code.value_m * factor
+        if code.high:
+            data = replace(data, depth_max_m=round(0.99 * value, 3))
+        else:
+            data = replace(data, depth_min_m=round(1.01 * value, 4))
+    return data
+
+
+def _measured_again(sequence: Sequence, pairs: Rows[tuple[int, int]], claimed: Row) -> Row:
+    """The claim replaced by what the repaired recording measures when it is read again."""
+    places = sorted({p for pair in pairs for p in pair if p < len(sequence)})
+    sample = read_sample(sequence, at=places)
+    there = sample.by_place
+    kept = [(a, b) for a, b in pairs if a in there and b in there and b - a > 1]
+    if not kept:
+        return claimed
+    share, median_m = agreeing(FitData.of(sample, kept, RepairConfig()), Correction())
+    return replace(claimed, agreeing=share, median_m=median_m)

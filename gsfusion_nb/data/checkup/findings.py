@@ -1,0 +1,37 @@
+"""What a check-up says: one finding per thing looked at, with its numbers and its repair."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+from ...config import DataConfig, RepairConfig
+
+Verdict = Literal["ok", "doubtful", "wrong"]
+RANK: dict[Verdict, int] = {"ok": 0, "doubtful": 1, "wrong": 2}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """One thing that was looked at."""
+
+    name: str
+    """What was looked at, for example "depth scale"."""
+    verdict: Verdict
+    sentence: str
+    """What was found, with the numbers that matter."""
+    numbers: Mapping[str, float] = field(default_factory=dict)
+    """Measured numbers, the unit in the name."""
+    repair: str = ""
+    """Options of ``gsfusion-nb map``, or what to do; empty where nothing is to be done."""
+
+
+def flags_of(data: DataConfig) -> str:
+    """The options of ``gsfusion-nb map`` that ask for this range, these depth limits and these corrections."""
+    default = DataConfig()
+    names = ("start", "stop", "depth_min_m", "depth_max_m")
+    words = [
+        f"--data.{name.replace('_', '-')} {getattr(data, name):.6g}"
+        for name in names
+        if getattr(data, name) != getattr(default, name)
+    ]
+    return " ".join([*words, *([data.repair.flags] if data.repair != RepairConfig() else [])])

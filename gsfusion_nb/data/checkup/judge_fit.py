@@ -1,0 +1,296 @@
+"""Findings on scale, poses and intrinsics from the explanation that fits best."""
+
+import math
+
+from ...config import RepairConfig
+from ...config.repair import NAMED_AXES
+from ...types import Camera
+from .corrections import CLEAR, Fitted
+from .explain import Explanation, repair_fields
+from .findings import Finding, Verdict
+
+_HARDLY = 1 / 3
+_TYPICAL_ERROR = 0.02
+
+
+def agreement_finding(e: Explanation, usual_error: float) -> Finding:
+    """Whether frames agree at all once everything known is repaired."""
+    numbers = {
+        "agreeing_as_read": e.before.agreeing,
+        "agreeing_repaired": e.after.agreeing,
+        "error_as_read_m": e.before.median_m,
+        "error_repaired_m": e.after.median_m,
+        "relative_error": usual_error,
+    }
+    text = (
+        f"{e.after.agreeing:.0%} of a frame's points agree with another frame within 3 %, the median difference is "
+        f"{_cm(e.after.median_m)}"
+    )
+    if e.after.flags:
+        text += f" with the repair (as read: {e.before.agreeing:.0%}, {_cm(e.before.median_m)})"
+    if usual_error > _TYPICAL_ERROR or not math.isfinite(usual_error):
+        return Finding(
+            name="agreement",
+            verdict="wrong",
+            numbers=numbers,
+            sentence=f"{text}: nothing that was tried explains the data.",
+            repair="check that poses and images belong together; look at the pictures of the page",
+        )
+    if e.after.agreeing < _HARDLY and usual_error > _TYPICAL_ERROR / 2:
+        return Finding(
+            name="agreement",
+            verdict="doubtful",
+            numbers=numbers,
+            sentence=f"{text}: little overlap, or poses that are not precise.",
+            repair="",
+        )
+    return Finding(name="agreement", verdict="ok", numbers=numbers, sentence=f"{text}.")
+
+
+def scale_finding(e: Explanation, camera: Camera) -> Finding:
+    """Depth unit, and unit of the positions."""
+    fields = repair_fields(e.corrected.correction, camera, e.reading)
+    factor, translation = fields.get("depth_factor", e.reading.depth_factor), e.reading.translation_factor
+    repair = RepairConfig(depth_factor=factor, translation_factor=translation)
+    fitted = _last(e, "depth scale")
+    known = (
+        f"known to {fitted.uncertainty:.1%}" if fitted and math.isfinite(fitted.uncertainty) else "not known precisely"
+    )
+    if repair == RepairConfig():
+        return Finding(
+            name="depth scale",
+            verdict="ok",
+            numbers={"factor": 1.0},
+            sentence=f"Depth and positions have one unit ({known} from these frames).",
+        )
+    adopted = _adopted(e, "depth scale")
+    verdict: Verdict = "wrong" if adopted is None or adopted.ratio < CLEAR else "doubtful"
+    if translation != 1.0:
+        text = f"The positions of the poses must be multiplied by {translation:g} to be metres."
+    else:
+        text = f"Depth must be multiplied by {factor:g}{_scale_words(factor)}."
+    return Finding(
+        name="depth scale",
+        verdict=verdict,
+        numbers={"factor": factor, "translation_factor": translation},
+        sentence=text,
+        repair=repair.flags,
+    )
+
+
+def kind_finding(e: Explanation) -> Finding:
+    """z-depth or length of the ray."""
+    if e.corrected.correction.ray:
+        return Finding(
+            name="depth kind",
+            verdict="wrong",
+            repair=RepairConfig(depth_kind="ray").flags,
+            numbers={"cost_ratio": _ratio(e, "depth kind")},
+            sentence="Depth is the distance along each pixel's ray, not along the optical axis.",
+        )
+    return Finding(
+        name="depth kind",
+        verdict="ok",
+        numbers={"cost_ratio_if_ray": _ratio(e, "depth kind")},
+        sentence="Depth is measured along the optical axis.",
+    )
+
+
+def reading_findings(e: Explanation) -> list[Finding]:
+    """Direction, axes and quaternion order of the poses."""
+    r = e.reading
+    words = {
+        "world_to_camera": "The poses are world-to-camera: they must be inverted.",
+        "rotation_inverted": "The rotations are world-to-camera while the positions are the camera's.",
+        "camera_to_world": "The poses are camera-to-world.",
+    }
+    numbers = {"agreeing_as_read": e.before.agreeing, "agreeing_repaired": e.after.agreeing}
+    named = f"{r.axes} ({NAMED_AXES[r.axes]})" if r.axes in NAMED_AXES else r.axes
+    mirrored = " and mirror the world" if _mirrors(r) else ""
+    order = "The quaternions are stored {} but were read in the other order."
+    return [
+        _reading("pose direction", r.poses != "camera_to_world", words[r.poses], RepairConfig(poses=r.poses), numbers),
+        _reading(
+            "pose axes",
+            r.axes != "opencv",
+            f"The axes of the poses' cameras are those of {named}{mirrored}.",
+            RepairConfig(axes=r.axes),
+            numbers,
+        ),
+        _reading(
+            "quaternion order",
+            r.quaternions != "as_read",
+            order.format(r.quaternions) if r.quaternions != "as_read" else "The rotations are read in the right order.",
+            RepairConfig(quaternions=r.quaternions),
+            numbers,
+        ),
+    ]
+
+
+def time_finding(e: Explanation, camera: Camera) -> Finding:
+    """Poses earlier or later than the depth images."""
+    shift = e.corrected.correction.shift_frames
+    fitted = _last(e, "pose time")
+    known = fitted.uncertainty if fitted else math.nan
+    if not shift:
+        sure = f" (known to {known:.2f} frames)" if math.isfinite(known) else ""
+        return Finding(
+            name="pose time",
+            verdict="ok",
+            numbers={"shift_frames": 0.0},
+            sentence=f"Poses and depth are of one time{sure}.",
+        )
+    fields = repair_fields(e.corrected.correction, camera, e.reading)
+    ratio = _ratio(e, "pose time")
+    return Finding(
+        name="pose time",
+        verdict="wrong" if ratio < CLEAR else "doubtful",
+        numbers={"shift_frames": shift, "cost_ratio": ratio},
+        repair=RepairConfig(pose_shift_frames=fields["pose_shift_frames"]).flags,
+        sentence=f"The pose that belongs to a frame's depth is that of {abs(shift):.1f} frames "
+        f"{'after' if shift > 0 else 'before'} it.",
+    )
+
+
+def intrinsics_findings(e: Explanation, camera: Camera) -> list[Finding]:
+    """Focal lengths, principal point, pixel centres."""
+    c = e.corrected.correction
+    fields = repair_fields(c, camera, e.reading)
+    focal = {k: v for k, v in fields.items() if k in ("fx", "fy")}
+    centre = {k: v for k, v in fields.items() if k in ("cx", "cy")}
+    found = [
+        _focal(e, camera, focal, centre),
+        _centre(e, camera, {} if _is_size(e) else centre),
+        _pixel_centre(e, fields),
+    ]
+    return found
+
+
+def _focal(e: Explanation, camera: Camera, focal: dict, centre: dict) -> Finding:
+    numbers = {"fx": camera.fx, "fy": camera.fy, **{f"{k}_measured": v for k, v in focal.items()}}
+    if not focal:
+        fitted = _last(e, "focal length")
+        known = f", known to {fitted.uncertainty:.1%}" if fitted and math.isfinite(fitted.uncertainty) else ""
+        return Finding(
+            name="focal length",
+            verdict="ok",
+            numbers=numbers,
+            sentence=f"The focal lengths fit (fx {camera.fx:.1f}, fy {camera.fy:.1f}{known}).",
+        )
+    ratio = min(_ratio(e, k) for k in ("focal length", "fx / fy", "intrinsics size"))
+    old, new = f"fx {camera.fx:.1f}, fy {camera.fy:.1f}", f"fx {focal['fx']:.1f}, fy {focal['fy']:.1f}"
+    text = f"The focal lengths are wrong: {old}, but the depth images ask for {new}"
+    if focal == {"fx": camera.fy, "fy": camera.fx}:
+        text += ": they are exchanged"
+    fields = dict(focal)
+    if _is_size(e):
+        times = camera.fx / focal["fx"]
+        text += f", and the principal point scales alike: the intrinsics are those of images {times:.3g} times as large"
+        fields |= centre
+    return Finding(
+        name="focal length",
+        verdict="wrong" if ratio < CLEAR else "doubtful",
+        numbers=numbers | {"cost_ratio": ratio},
+        sentence=f"{text}.",
+        repair=RepairConfig(**fields).flags,
+    )
+
+
+def _centre(e: Explanation, camera: Camera, centre: dict) -> Finding:
+    numbers = {"cx": camera.cx, "cy": camera.cy, **{f"{k}_measured": v for k, v in centre.items()}}
+    if not centre:
+        fitted = _last(e, "principal point")
+        known = f", known to {fitted.uncertainty:.1f} pixels" if fitted and math.isfinite(fitted.uncertainty) else ""
+        return Finding(
+            name="principal point",
+            verdict="ok",
+            numbers=numbers,
+            sentence=f"The principal point fits (cx {camera.cx:.1f}, cy {camera.cy:.1f}{known}).",
+        )
+    ratio = _ratio(e, "principal point")
+    old, new = f"{camera.cx:.1f}, {camera.cy:.1f}", f"{centre['cx']:.1f}, {centre['cy']:.1f}"
+    text = f"The principal point is wrong: {old}, but the depth images ask for {new}"
+    if centre == {"cx": camera.cy, "cy": camera.cx}:
+        text += ": cx and cy are exchanged"
+    return Finding(
+        name="principal point",
+        verdict="wrong" if ratio < CLEAR else "doubtful",
+        numbers=numbers | {"cost_ratio": ratio},
+        sentence=f"{text}.",
+        repair=RepairConfig(**centre).flags,
+    )
+
+
+def _pixel_centre(e: Explanation, fields: dict) -> Finding:
+    shift = fields.get("pixel_shift", 0.0)
+    fitted = _last(e, "principal point")
+    known = fitted.uncertainty if fitted else math.nan
+    if shift:
+        return Finding(
+            name="pixel centres",
+            verdict="doubtful",
+            numbers={"shift_px": shift, "cost_ratio": _ratio(e, "principal point")},
+            repair=RepairConfig(pixel_shift=shift).flags,
+            sentence=f"cx and cy are half a pixel too {'small' if shift > 0 else 'large'}: the first pixel's centre is "
+            f"counted as {'0' if shift > 0 else '0.5'} by the intrinsics and not by the reader.",
+        )
+    if not known < 0.4:
+        return Finding(
+            name="pixel centres",
+            verdict="ok",
+            numbers={"known_to_px": known},
+            sentence="Half a pixel makes no difference that could be measured in these frames.",
+        )
+    return Finding(
+        name="pixel centres",
+        verdict="ok",
+        numbers={"known_to_px": known},
+        sentence="cx and cy are right to less than half a pixel.",
+    )
+
+
+def _reading(name: str, changed: bool, text: str, repair: RepairConfig, numbers: dict[str, float]) -> Finding:
+    if not changed:
+        return Finding(name=name, verdict="ok", sentence=text)
+    return Finding(name=name, verdict="wrong", sentence=text, repair=repair.flags, numbers=numbers)
+
+
+def _mirrors(r: RepairConfig) -> bool:
+    kinds = {"right": 0, "left": 0, "down": 1, "up": 1, "forward": 2, "back": 2}
+    order = [kinds[w] for w in r.axis_words]
+    swaps = sum(a > b for i, a in enumerate(order) for b in order[i + 1 :])
+    return (swaps + sum(w in ("left", "up", "back") for w in r.axis_words)) % 2 == 1
+
+
+def _is_size(e: Explanation) -> bool:
+    return _adopted(e, "intrinsics size") is not None
+
+
+def _adopted(e: Explanation, kind: str) -> Fitted | None:
+    return next((f for f in e.corrected.adopted if f.kind == kind), None)
+
+
+def _last(e: Explanation, kind: str) -> Fitted | None:
+    return next((f for f in e.corrected.last if f.kind == kind), None)
+
+
+def _ratio(e: Explanation, kind: str) -> float:
+    fitted = _adopted(e, kind) or _last(e, kind)
+    return fitted.ratio if fitted else math.nan
+
+
+def _scale_words(factor: float) -> str:
+    known = {
+        0.2: "5000 units are a metre, not 1000",
+        5.0: "1000 units are a metre, not 5000",
+        0.001: "it is in millimetres",
+        1000.0: "it was divided by 1000 once too often",
+        10.0: "the scale is ten times too large",
+        0.1: "the scale is ten times too small",
+        0.01: "it is in centimetres",
+    }
+    return f" ({known[factor]})" if factor in known else ""
+
+
+def _cm(metres: float) -> str:
+    return f"{100 * metres:.2g} cm" if math.isfinite(metres) else "unknown"

@@ -1,0 +1,103 @@
+"""The report of a check-up: findings, the repair, what was tried, pictures; for a notebook, a terminal or a page."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ...config import DataConfig
+from ...evaluation.pictures import Picture
+from .explain import Row
+from .findings import RANK, Finding, Verdict, flags_of
+from .over_frames import OverFrames
+
+_MARKS: dict[Verdict, str] = {"ok": "ok", "doubtful": "??", "wrong": "NO"}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CheckupReport:
+    """What a check-up found. ``report["depth scale"]`` is a finding; print it, or let a notebook show it."""
+
+    name: str
+    findings: Sequence[Finding]
+    data: DataConfig
+    """Range, depth limits and corrections that repair the recording: ``open_sequence(path, data=report.data)``."""
+    length: int
+    frames_read: int
+    reader: Mapping[str, Any] = field(default_factory=dict)
+    """Options of the reader that repair it: ``open_sequence(path, **report.reader)``."""
+    rows: Sequence[Row] = ()
+    """Ways to understand the recording that were tried, the best first."""
+    over: OverFrames | None = None
+    """From frame to frame."""
+    pictures: Mapping[str, Picture] = field(default_factory=dict)
+    """Caption -> picture."""
+    top_view: str = ""
+    """The path from above, SVG."""
+    seconds: float = 0.0
+
+    def __getitem__(self, name: str) -> Finding:
+        found = {f.name: f for f in self.findings}
+        if name not in found:
+            raise KeyError(f"no finding {name!r}; known: {', '.join(found)}")
+        return found[name]
+
+    @property
+    def verdict(self) -> Verdict:
+        """The worst of the findings."""
+        return max(self.findings, key=lambda f: RANK[f.verdict]).verdict if self.findings else "ok"
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing is wrong or doubtful."""
+        return self.verdict == "ok"
+
+    @property
+    def trouble(self) -> list[Finding]:
+        """The findings that are not ok, the worst first."""
+        return sorted((f for f in self.findings if f.verdict != "ok"), key=lambda f: -RANK[f.verdict])
+
+    @property
+    def flags(self) -> str:
+        """Options of ``gsfusion-nb map`` for all repairs together; empty where there are none."""
+        reader = [f"--reader {name}={str(value).lower()}" for name, value in self.reader.items()]
+        return " ".join([*reader, *([flags_of(self.data)] if flags_of(self.data) else [])])
+
+    @property
+    def summary(self) -> str:
+        """One sentence."""
+        wrong, doubtful = (sum(f.verdict == v for f in self.findings) for v in ("wrong", "doubtful"))
+        read = f"{self.frames_read} of {self.length} frames read"
+        if not wrong and not doubtful:
+            return f"{self.name} is in order: {len(self.findings)} things looked at, {read}."
+        return f"{self.name}: {wrong} wrong, {doubtful} doubtful of {len(self.findings)} things looked at, {read}."
+
+    def __str__(self) -> str:
+        width = max(len(f.name) for f in self.findings)
+        lines = [self.summary]
+        for f in self.findings:
+            lines.append(f"  {_MARKS[f.verdict]}  {f.name:<{width}}  {f.sentence}")
+            if f.repair:
+                lines.append(f"      {'':<{width}}  -> {f.repair}")
+        if self.flags:
+            lines.append(f"All repairs together: {self.flags}")
+        return "\n".join(lines)
+
+    def __repr__(self) -> str:
+        return (
+            f"CheckupReport({self.name}: {self.verdict}, {len(self.trouble)} of {len(self.findings)} findings not ok)"
+        )
+
+    def _repr_html_(self) -> str:
+        from .page import notebook_html
+
+        return notebook_html(self)
+
+    def write(self, path: Path | str) -> Path:
+        """Write everything as one HTML page that needs no other file; the path written."""
+        from ...export.atomic import atomic_path
+        from .page import page
+
+        with atomic_path(path) as temporary:
+            temporary.write_text(page(self), encoding="utf-8")
+        return Path(path)

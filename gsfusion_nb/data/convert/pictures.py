@@ -1,0 +1,97 @@
+"""Decoding depth of any common kind, from files or from bytes inside a container."""
+
+from pathlib import Path
+
+import numpy as np
+
+from ..protocol import BadFrameError, SequenceError
+from ..readers.images import decode_image, decode_rgb, read_image_bytes
+from .recording import Pictures
+
+DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".pgm", ".npy", ".exr")
+
+
+def decode_depth(data: bytes, source: str, scale: float) -> np.ndarray:
+    """Depth in metres of a one-channel image of 16-bit or float numbers, 0 = missing, float32. [H, W]
+
+    Args:
+        data: PNG, TIFF or PGM.
+        source: Its name, for messages.
+        scale: Stored value of one metre.
+    """
+    import cv2
+
+    raw = decode_image(data, cv2.IMREAD_UNCHANGED, source, "depth")
+    if raw.ndim != 2 or raw.dtype not in (np.uint16, np.float32, np.float64):
+        channels = 1 if raw.ndim == 2 else raw.shape[2]
+        raise BadFrameError(
+            f"{source} must be a depth image of one channel, 16-bit or float, got {raw.dtype} with {channels}"
+        )
+    return metres(raw, scale)
+
+
+def read_depth_file(path: Path, scale: float) -> np.ndarray:
+    """Depth in metres of a PNG, TIFF, PGM, NumPy or OpenEXR file, 0 = missing, float32. [H, W]"""
+    if path.suffix.lower() == ".npy":
+        return metres(_numpy_array(path), scale)
+    if path.suffix.lower() == ".exr":
+        return metres(_exr_channel(path), scale)
+    return decode_depth(read_image_bytes(path, "depth"), str(path), scale)
+
+
+def metres(raw: np.ndarray, scale: float) -> np.ndarray:
+    """Stored depth as metres; NaN, infinities and negative values become 0 (missing), float32."""
+    depth_m = raw.astype(np.float32) * np.float32(1.0 / scale)
+    depth_m[~(np.isfinite(depth_m) & (depth_m > 0))] = 0.0
+    return depth_m
+
+
+def load_pair(colour: Path, depth: Path, scale: float) -> Pictures:
+    """Pictures of two files. Raises ``BadFrameError`` naming the one that cannot be used."""
+    return with_colour(read_image_bytes(colour, "colour"), str(colour), read_depth_file(depth, scale))
+
+
+def with_colour(data: bytes, source: str, depth_m: np.ndarray) -> Pictures:
+    """Pictures of an encoded colour image and depth in metres."""
+    return Pictures(decode_rgb(data, source), depth_m, data if is_picture_file(data) else b"")
+
+
+def is_picture_file(data: bytes) -> bool:
+    """A whole JPEG or PNG that can be written as it is."""
+    return data[:2] == b"\xff\xd8" or data[:8] == b"\x89PNG\r\n\x1a\n"
+
+
+def find_depth(folder: Path, stem: str) -> Path:
+    """Depth file of the colour image ``stem``: the same name, any of the known suffixes. It may not exist."""
+    return next((p for s in DEPTH_SUFFIXES if (p := folder / f"{stem}{s}").is_file()), folder / f"{stem}.png")
+
+
+def _numpy_array(path: Path) -> np.ndarray:
+    try:
+        array = np.load(path, allow_pickle=False)
+    except FileNotFoundError:
+        raise BadFrameError(f"{path} does not exist; expected the depth image of this frame") from None
+    except (ValueError, EOFError, OSError) as e:
+        raise BadFrameError(f"{path} is no NumPy array of depth ({e})") from None
+    array = np.squeeze(array)
+    if array.ndim != 2 or array.dtype.kind not in "fu":
+        raise BadFrameError(f"{path} must hold a depth image [H, W], got {array.dtype} {list(array.shape)}")
+    return array
+
+
+def _exr_channel(path: Path) -> np.ndarray:
+    try:
+        import OpenEXR  # pyright: ignore[reportMissingImports]
+    except ImportError:
+        raise SequenceError(
+            f"{path} is an OpenEXR file, which needs the package OpenEXR: pip install OpenEXR"
+        ) from None
+    try:
+        with OpenEXR.File(str(path)) as file:
+            channels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}
+    except (RuntimeError, OSError, TypeError) as e:
+        raise BadFrameError(f"{path} cannot be read as OpenEXR ({e})") from None
+    array = next((channels[n] for n in ("Z", "Y", "R", "RGB", "RGBA") if n in channels), None)
+    if array is None:
+        raise BadFrameError(f"{path} has the channels {', '.join(channels)}; expected depth in Z, Y or R")
+    return array if array.ndim == 2 else array[..., 0]

@@ -1,0 +1,292 @@
+"""Converting a recording into the plain ``folder`` layout, one frame at a time."""
+
+import dataclasses
+import itertools
+import statistics
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ...types import Camera
+from ..lens import CameraModel
+from ..protocol import BadFrameError, SequenceError
+from ..readers.poses import checked_pose
+from .formats import FORMATS, detect_format
+from .intrinsics import read_intrinsics
+from .options import ConvertOptions
+from .recording import Pictures, Recording, Shot
+from .rectify import Rectifier, output_camera
+from .staging import Row, Staging
+from .trajectory import Trajectory, camera_in_body, read_trajectory
+
+MILLIMETRES = 1000.0
+_FINEST, _COARSEST = 20000.0, 200.0
+"""Depth scales of a recording that are kept; others (metres, floating point) are written in millimetres."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConvertReport:
+    """What a conversion did."""
+
+    out: Path
+    format: str
+    shots: int
+    """Frames of the recording, of every ``every``-th."""
+    frames: int
+    """Frames written."""
+    dropped: dict[str, int]
+    """Frames left out, by reason."""
+    examples: tuple[str, ...]
+    """The first errors of dropped frames."""
+    camera: Camera
+    depth_scale: float
+    has_poses: bool
+    notes: tuple[str, ...]
+
+    def __str__(self) -> str:
+        c = self.camera
+        lines = [
+            f"{self.frames} of {self.shots} frames ({self.format}) in {self.out}",
+            f"  camera {c.width}x{c.height}, fx {c.fx:.2f} fy {c.fy:.2f} cx {c.cx:.2f} cy {c.cy:.2f}, pixel centre 0.5",
+            f"  depth in 16-bit PNG, {self.depth_scale:g} per metre, 0 = missing; "
+            + ("poses camera-to-world in metres" if self.has_poses else "no poses"),
+            *(f"  left out {n}: {reason}" for reason, n in self.dropped.items()),
+            *(f"    {example}" for example in self.examples),
+            *(f"  note: {note}" for note in self.notes),
+            f"Next: gsfusion-nb check {self.out}{'' if self.has_poses else ' --reader poses=false'}",
+        ]
+        return "\n".join(lines)
+
+
+def convert(
+    source: str | Path,
+    out: str | Path,
+    *,
+    format: str = "auto",
+    options: ConvertOptions | None = None,
+    progress: bool = False,
+) -> ConvertReport:
+    """Write a recording in another format as a ``folder`` sequence (``gsfusion_nb.data.readers.folder``).
+
+    Frames are read and written one by one. They are collected in ``OUT.partial`` and appear as ``OUT`` when all is
+    done; an interrupted conversion goes on where it stopped when it is called again. Colour that needs no change is
+    copied as it is. Frames without pose, with damaged images or without depth are left out and counted.
+
+    Args:
+        source: File or folder of the recording.
+        out: New or empty folder.
+        format: One of ``formats()``; "auto" recognises it.
+        options: How to read and write.
+        progress: Show a progress bar.
+
+    Raises:
+        SequenceError: the recording cannot be read, needs something that is not given, or no frame of it is usable.
+        KeyError: unknown format.
+    """
+    options = options or ConvertOptions()
+    path = Path(source).expanduser()
+    name = detect_format(path) if format == "auto" else format
+    if name not in FORMATS:
+        raise KeyError(f"no format {name!r}; known: {', '.join(FORMATS)}")
+    recording = FORMATS[name].read(path, options)
+    poses = _Poses(recording, options)
+    plan = {"format": name, "source": str(path.resolve()), "options": dataclasses.asdict(options)}
+    staging = Staging(Path(out), plan)
+    try:
+        conversion = _Conversion(recording, options, poses, staging)
+        conversion.run(progress)
+        return conversion.finish(name)
+    except KeyboardInterrupt as e:
+        e.add_note(f"{len(staging.kept)} frames are in {staging.folder}; repeat the command to go on")
+        raise
+    except BaseException:
+        staging.remove()
+        raise
+
+
+class _Poses:
+    """Pose of each shot: its own, or that of a separate trajectory at its time; scaled to metres and checked."""
+
+    def __init__(self, recording: Recording, options: ConvertOptions):
+        self.trajectory: Trajectory | None = None
+        self.none = options.poses == "none"
+        self._offset_s = options.time_offset_s
+        self._recording = recording
+        self.notes: list[str] = []
+        if options.poses and not self.none:
+            self.trajectory = read_trajectory(
+                Path(options.poses),
+                time_unit=options.pose_time_unit,
+                max_gap_s=options.max_gap_s,
+                T_body_cam=camera_in_body(options.T_cam_body, options.T_body_cam),
+            )
+            self.notes += self.trajectory.notes
+        elif not self.none and not recording.has_poses:
+            raise SequenceError(
+                f"{recording.name} holds no poses; give a trajectory with --poses FILE (TUM, OKVIS2, ORB-SLAM3, "
+                "EuRoC), or --poses none to track the camera later"
+            )
+        self._scale = 1.0 if self.none else self._metres_per_unit(options)
+
+    def of(self, shot: Shot) -> tuple[Float[Tensor, "4 4"] | None, str]:
+        """Pose, or None and the reason why there is none; float64, metres."""
+        if self.trajectory is not None:
+            if shot.time_s is None:
+                raise SequenceError(
+                    f"{shot.source} has no time, which --poses needs; expected a format with times, or image names "
+                    "that are times"
+                )
+            T, reason = (
+                self.trajectory.pose_at(shot.time_s + self._offset_s),
+                "no pose of the trajectory around its time",
+            )
+        else:
+            T, reason = shot.T_WC, "no pose"
+        if T is None:
+            return None, reason
+        if not bool(torch.isfinite(T).all()):
+            return None, "tracking was lost (pose is NaN or infinite)"
+        T = T.double().clone()
+        T[:3, 3] *= self._scale
+        checked_pose(T, f"the pose of {shot.source}")
+        return T, ""
+
+    def _metres_per_unit(self, options: ConvertOptions) -> float:
+        if options.scale:
+            self.notes.append(f"positions were multiplied by {options.scale:g} (--scale)")
+            return options.scale
+        if self.trajectory is not None or not self._recording.up_to_scale:
+            return 1.0
+        scale, sentence = (1.0, "nothing to measure it on")
+        if self._recording.measured_scale is not None:
+            scale, sentence = self._recording.measured_scale()
+        self.notes.append(
+            f"these poses have no unit of length; one unit is taken as {scale:.6g} m ({sentence}; --scale)"
+        )
+        return scale
+
+
+class _Conversion:
+    """One pass over the shots of a recording."""
+
+    def __init__(self, recording: Recording, options: ConvertOptions, poses: _Poses, staging: Staging):
+        self._recording, self._options, self._poses, self._staging = recording, options, poses, staging
+        scale = options.depth_scale or recording.depth_scale
+        self.depth_scale = scale if _COARSEST <= scale <= _FINEST else MILLIMETRES
+        along = options.depth_along
+        self._along_ray = recording.depth_along_ray if along == "auto" else along == "ray"
+        self._rectifier: Rectifier | None = None
+        if staging.camera is not None:
+            self._rectifier = Rectifier(staging.camera, along_ray=self._along_ray)
+        self._far_pixels = 0
+
+    def run(self, progress: bool) -> None:
+        """Convert what the journal does not have yet."""
+        from tqdm import tqdm
+
+        shots = tqdm(self._recording.shots(), total=self._recording.n_shots, disable=not progress, unit="frame")
+        for i, shot in enumerate(shots):
+            if i % self._options.every == 0 and i // self._options.every >= self._staging.resumed:
+                self._convert(i, shot)
+
+    def finish(self, format: str) -> ConvertReport:
+        """Put the result in place and report on it."""
+        rows, kept = self._staging.rows, self._staging.kept
+        dropped = dict(Counter(self._recording.dropped) + Counter(r.dropped for r in rows if r.dropped))
+        examples = [r.detail for r in rows if r.detail]
+        if not kept or self._rectifier is None:
+            told = "; ".join([*(f"{n} left out: {reason}" for reason, n in dropped.items()), *examples[:1]])
+            hint = self._time_hint(rows)
+            raise SequenceError(
+                f"{self._recording.name}: no frame can be used ({told or 'it has none'}){hint}; expected at least one"
+            )
+        times = [r.time_s for r in kept if r.time_s is not None]
+        steps = [b - a for a, b in itertools.pairwise(times) if b > a]
+        report = ConvertReport(
+            out=self._staging.out,
+            format=format,
+            shots=len(rows),
+            frames=len(kept),
+            dropped=dropped,
+            examples=tuple(examples[:3]),
+            camera=self._rectifier.camera,
+            depth_scale=self.depth_scale,
+            has_poses=not self._poses.none,
+            notes=(*self._recording.notes, *self._poses.notes, *self._far_note()),
+        )
+        settings: dict[str, Any] = {"depth_scale": self.depth_scale}
+        if steps:
+            settings["fps"] = 1.0 / statistics.median(steps)
+        written = {**dataclasses.asdict(report), "out": str(report.out), "source": self._recording.name}
+        self._staging.finish(report.camera, settings, written)
+        return report
+
+    def _convert(self, i: int, shot: Shot) -> None:
+        try:
+            T_WC, reason = self._poses.of(shot) if not self._poses.none else (None, "")
+        except BadFrameError as e:
+            self._staging.drop(i, "pose is not rigid", str(e))
+            return
+        if reason:
+            self._staging.drop(i, reason)
+            return
+        try:
+            pictures = shot.load()
+        except BadFrameError as e:
+            self._staging.drop(i, "image missing or damaged", str(e))
+            return
+        rectified = self._rectified(shot, pictures)
+        depth = self._quantised(rectified.depth_m)
+        if not depth.any():
+            self._staging.drop(i, "no depth", f"{shot.source} holds no depth that can be written")
+            return
+        numbers = () if T_WC is None else tuple(T_WC.flatten().tolist())
+        row = Row(i, time_s=shot.time_s, T_WC=numbers)
+        lossless = not pictures.encoded.startswith(b"\xff\xd8")
+        self._staging.write(row, rectified.encoded or rectified.rgb, depth, lossless=lossless)
+
+    def _rectified(self, shot: Shot, pictures: Pictures) -> Pictures:
+        height, width = pictures.rgb.shape[:2]
+        model = self._model(shot, (width, height))
+        if self._rectifier is None:
+            camera = output_camera(model.fitted(width, height, shot.source), self._options.width, self._options.height)
+            self._staging.set_camera(camera)
+            self._rectifier = Rectifier(camera, along_ray=self._along_ray)
+        return self._rectifier(shot, model, pictures)
+
+    def _model(self, shot: Shot, size: tuple[int, int]) -> CameraModel:
+        if self._options.intrinsics:
+            return read_intrinsics(self._options.intrinsics, size, centre=self._options.pixel_centre)
+        if shot.model is None:
+            raise SequenceError(
+                f"{self._recording.name} does not say what camera took it; give --intrinsics 'fx fy cx cy' (pixels), "
+                "or a file of them"
+            )
+        return shot.model
+
+    def _quantised(self, depth_m: np.ndarray) -> np.ndarray:
+        stored = np.rint(depth_m * np.float32(self.depth_scale))
+        far = stored > 65535
+        self._far_pixels += int(far.sum())
+        return np.where(far, 0, stored).astype(np.uint16)
+
+    def _far_note(self) -> list[str]:
+        if not self._far_pixels:
+            return []
+        limit = 65535 / self.depth_scale
+        return [f"{self._far_pixels} pixels are farther than 16 bits hold ({limit:.1f} m) and count as missing"]
+
+    def _time_hint(self, rows: list[Row]) -> str:
+        """Both time ranges, where a trajectory matched no frame."""
+        trajectory = self._poses.trajectory
+        if trajectory is None or not rows:
+            return ""
+        first, last = float(trajectory.stamps_s[0]), float(trajectory.stamps_s[-1])
+        shot = next(iter(self._recording.shots()))
+        return f"; the trajectory spans {first:.3f} to {last:.3f} s, the first frame is at {shot.time_s} s"

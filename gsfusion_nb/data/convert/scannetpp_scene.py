@@ -1,0 +1,157 @@
+"""Preparing a ScanNet++ scene: photographs undistorted at half resolution, depth rendered from the scan's mesh.
+
+Read of the licensed copy, ``<scene>/``:
+
+    dslr/nerfstudio/transforms.json           with dslr/resized_images/: a fisheye camera; or
+    dslr/nerfstudio/transforms_undistorted.json   with dslr/resized_undistorted_images/ (or undistorted_images/)
+    dslr/train_test_lists.json
+    scans/mesh_aligned_0.05.ply
+
+Depth is that of the mesh at the pinhole's own rays: no depth image is undistorted, so none is interpolated.
+"""
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ...types import Camera, Mesh
+from ..fetch.errors import FetchError
+from ..fetch.fisheye import HalfSizePinhole, half_size, shrink
+from ..fetch.mesh_depth import mesh_depth
+from ..fetch.whole import write_whole
+from ..lens import CameraModel
+from ..readers.images import read_rgb
+from ..readers.layout import camera as read_camera
+from ..readers.layout import read_json
+
+MESH = "scans/mesh_aligned_0.05.ply"
+_KEYS = ("w", "h", "fl_x", "fl_y", "cx", "cy")
+_GL_TO_CV = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
+_MAX_DEPTH_MM = 65535
+
+
+@dataclass(frozen=True)
+class Photographs:
+    """Where the pictures are and how they become those of a pinhole camera."""
+
+    folder: Path
+    values: dict[str, Any]
+    """Of the transforms file."""
+    camera: Camera
+    """The pinhole of half size."""
+    turn: Callable[[np.ndarray], np.ndarray]
+
+    @staticmethod
+    def find(scene: Path) -> "Photographs":
+        """Of a scene's copy. Raises ``FetchError`` where it has neither kind."""
+        dslr = scene / "dslr"
+        fisheye, pinhole = (dslr / f"nerfstudio/transforms{end}.json" for end in ("", "_undistorted"))
+        if fisheye.is_file() and (dslr / "resized_images").is_dir():
+            values = read_json(fisheye, "nerfstudio transforms")
+            if values.get("camera_model") != "OPENCV_FISHEYE":
+                raise FetchError(f"{fisheye} describes a {values.get('camera_model')} camera; expected OPENCV_FISHEYE")
+            k1, k2, k3, k4 = (float(values.get(f"k{i}", 0.0)) for i in range(1, 5))
+            lens = CameraModel(read_camera(values, _KEYS, fisheye, shift=0.0), (k1, k2, k3, k4), fisheye=True)
+            half = HalfSizePinhole(lens)
+            return Photographs(dslr / "resized_images", values, half.camera, half)
+        for name in ("resized_undistorted_images", "undistorted_images"):
+            if pinhole.is_file() and (dslr / name).is_dir():
+                values = read_json(pinhole, "nerfstudio transforms")
+                camera = half_size(read_camera(values, _KEYS, pinhole, shift=0.0))
+                return Photographs(dslr / name, values, camera, partial(shrink, camera=camera))
+        raise FetchError(
+            f"{dslr} holds neither nerfstudio/transforms.json with resized_images/ nor "
+            "nerfstudio/transforms_undistorted.json with resized_undistorted_images/; expected a scene of ScanNet++"
+        )
+
+    def poses(self) -> dict[str, Float[Tensor, "4 4"]]:
+        """Camera-to-world, OpenCV axes, in the world of the file, by picture."""
+        entries = [*self.values.get("frames", []), *self.values.get("test_frames", [])]
+        return {
+            Path(entry["file_path"]).name: torch.tensor(entry["transform_matrix"], dtype=torch.float64) @ _GL_TO_CV
+            for entry in entries
+        }
+
+    def transforms(self) -> dict[str, Any]:
+        """Content of ``transforms_undistorted_2.json``: the frames as they are, the pinhole's numbers."""
+        c = self.camera
+        kept = {key: self.values[key] for key in ("frames", "test_frames") if key in self.values}
+        numbers = {"fl_x": c.fx, "fl_y": c.fy, "cx": c.cx, "cy": c.cy, "w": c.width, "h": c.height}
+        return numbers | {"camera_model": "PINHOLE"} | kept
+
+
+def listed_pictures(scene: Path) -> list[str]:
+    """Pictures of ``train_test_lists.json``, training ones first."""
+    path = scene / "dslr/train_test_lists.json"
+    lists = read_json(path, "the lists train and test")
+    names = [str(name) for key in ("train", "test") for name in lists.get(key) or []]
+    if not names:
+        raise FetchError(f"{path} lists no pictures; expected the lists train and test")
+    return names
+
+
+def mesh_in_transforms_world(mesh: Mesh) -> Mesh:
+    """The scan's mesh in the world of the transforms files: x and y swapped, z negated (a rotation)."""
+    x, y, z = mesh.vertices_W.unbind(dim=1)
+    return Mesh(vertices_W=torch.stack([y, x, -z], dim=1), faces=mesh.faces, rgb=mesh.rgb)
+
+
+def prepare_scene(
+    scene: Path, mesh: Mesh, folder: Path, *, progress: Callable[[int, int], object] = lambda done, count: None
+) -> int:
+    """Write the scene that the ``scannetpp`` reader takes; pictures that are in ``folder`` already are kept.
+
+    Args:
+        scene: The licensed copy of one scene (module docstring).
+        mesh: Its scan, as in its file.
+        folder: Scene to write.
+        progress: Told after every picture.
+
+    Returns:
+        Number of pictures.
+
+    Raises:
+        FetchError: a part of the scene is missing. SequenceError: a file of it is damaged.
+    """
+    pictures, names = Photographs.find(scene), listed_pictures(scene)
+    poses = pictures.poses()
+    turned = mesh_in_transforms_world(mesh)
+    for i, name in enumerate(names):
+        if name not in poses:
+            raise FetchError(
+                f"{scene}: the transforms file has no pose for {name}; expected one for every listed picture"
+            )
+        picture = folder / "dslr/undistorted_images_2" / name
+        depth = folder / "dslr/undistorted_depths_2" / f"{Path(name).stem}.png"
+        if not depth.exists():
+            _write_picture(picture, pictures.turn(read_rgb(pictures.folder / name)))
+            _write_depth(depth, mesh_depth(turned.vertices_W, turned.faces, pictures.camera, poses[name]))
+        progress(i + 1, len(names))
+    write_whole(
+        folder / "dslr/nerfstudio/transforms_undistorted_2.json", json.dumps(pictures.transforms(), indent=1).encode()
+    )
+    write_whole(folder / "dslr/train_test_lists.json", (scene / "dslr/train_test_lists.json").read_bytes())
+    return len(names)
+
+
+def _write_picture(path: Path, rgb: np.ndarray) -> None:
+    import cv2
+
+    quality = [cv2.IMWRITE_JPEG_QUALITY, 97, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
+    write_whole(path, cv2.imencode(".jpg", rgb[..., ::-1], quality)[1].tobytes())
+
+
+def _write_depth(path: Path, depth_m: Float[Tensor, "H W"]) -> None:
+    import cv2
+
+    stored = np.rint(depth_m.double().numpy() * 1000)
+    stored[stored > _MAX_DEPTH_MM] = 0
+    write_whole(path, cv2.imencode(".png", stored.astype(np.uint16))[1].tobytes())

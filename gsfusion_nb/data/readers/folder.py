@@ -1,0 +1,96 @@
+"""The plain layout for your own data: ``rgb/``, ``depth/``, ``poses.txt``, ``intrinsics.json``.
+
+    my_scan/
+      rgb/000000.jpg ...        8-bit colour, JPEG or PNG
+      depth/000000.png ...      16-bit, one channel, registered to the colour image; 0 = missing; same names as in rgb/
+      poses.txt                 one line per image in order: 16 row-major numbers of the camera-to-world matrix
+      intrinsics.json           {"width": 640, "height": 480, "fx": 525, "fy": 525, "cx": 319.5, "cy": 239.5,
+                                 "depth_scale": 1000}
+
+Keys of ``intrinsics.json``: those seven, and optionally
+
+| key | default | meaning |
+|---|---|---|
+| ``pixel_centre`` | 0.0 | place of the first pixel's centre: 0.0 as in OpenCV, Open3D, ROS; 0.5 as in COLMAP |
+| ``depth_invalid`` | 0 | a stored depth that means "missing", besides 0 |
+| ``fps`` | 30 | frames per second, for the time stamps |
+| ``pose_convention`` | "camera-to-world" | must begin with that; any comment may follow |
+
+Poses: camera-to-world, OpenCV axes (x right, y down, z forward), metres. Images sort naturally (2 before 10).
+"""
+
+from pathlib import Path
+from typing import Any
+
+from ..protocol import SequenceError
+from ..recorded import RecordedSequence
+from .layout import camera, images_in, numbers, pair_by_stem, read_json, require
+from .poses import no_poses, read_pose_lines
+
+LOOKS_FOR = ("rgb/", "depth/", "intrinsics.json")
+CAMERA_KEYS = ("width", "height", "fx", "fy", "cx", "cy")
+_REQUIRED = (*CAMERA_KEYS, "depth_scale")
+_OPTIONAL = ("pixel_centre", "depth_invalid", "fps", "pose_convention")
+
+
+def folder(path: str | Path, *, poses: bool = True) -> RecordedSequence:
+    """Read a sequence in the plain layout (module docstring).
+
+    Depth scale: ``depth_scale`` of the JSON. Poses: camera-to-world, OpenCV axes. Pixel centres: ``pixel_centre`` of
+    the JSON, integers by default, so 0.5 is added to ``cx`` and ``cy``.
+
+    Args:
+        path: Folder of the sequence.
+        poses: False for a recording without ``poses.txt``, whose camera is to be tracked.
+
+    Raises:
+        SequenceNotFoundError: the folder or one of its parts is missing.
+        SequenceError: no images, a colour image without depth, a number of poses other than that of images, or an
+            unknown, missing or impossible key.
+    """
+    root = Path(path)
+    require(root, (*LOOKS_FOR, "poses.txt") if poses else LOOKS_FOR, "folder", without_poses="poses.txt")
+    values = read_intrinsics(root / "intrinsics.json")
+    rgb_files = images_in(root / "rgb")
+    depth_files = pair_by_stem(rgb_files, images_in(root / "depth", (".png", ".tif", ".tiff", ".pgm")))
+    poses_file = root / "poses.txt"
+    T_WC = read_pose_lines(poses_file) if poses else no_poses(len(rgb_files))
+    if len(T_WC) != len(rgb_files):
+        raise SequenceError(
+            f"{poses_file} holds {len(T_WC)} poses; expected {len(rgb_files)}, one per image in {root / 'rgb'}"
+        )
+    return RecordedSequence(
+        name=root.resolve().name,
+        camera=camera(values, CAMERA_KEYS, root / "intrinsics.json", shift=0.5 - values.get("pixel_centre", 0.0)),
+        rgb_files=rgb_files,
+        depth_files=depth_files,
+        timestamps_s=[i / values.get("fps", 30.0) for i in range(len(rgb_files))],
+        poses=T_WC,
+        pose_sources=[f"{poses_file} pose {i}" for i in range(len(T_WC))],
+        has_poses=poses,
+        depth_scale=float(values["depth_scale"]),
+        depth_invalid=(int(values.get("depth_invalid", 0)),),
+    )
+
+
+def read_intrinsics(path: Path) -> dict[str, Any]:
+    """The checked values of ``intrinsics.json``."""
+    values = read_json(path, "the camera's intrinsics")
+    unknown = sorted(set(values) - {*_REQUIRED, *_OPTIONAL})
+    if unknown:
+        raise SequenceError(
+            f"{path} has unknown keys {', '.join(unknown)}; known: {', '.join((*_REQUIRED, *_OPTIONAL))}"
+        )
+    numbers(values, _REQUIRED, path)
+    numbers(values, tuple(k for k in ("fps",) if k in values), path)
+    if values.get("pixel_centre", 0.0) not in (0.0, 0.5):
+        raise SequenceError(f"{path}: pixel_centre must be 0.0 or 0.5, got {values['pixel_centre']!r}")
+    invalid = values.get("depth_invalid", 0)
+    if isinstance(invalid, bool) or not isinstance(invalid, int) or not 0 <= invalid <= 65535:
+        raise SequenceError(f"{path}: depth_invalid must be an integer between 0 and 65535, got {invalid!r}")
+    convention = values.get("pose_convention", "camera-to-world")
+    if not str(convention).startswith("camera-to-world"):
+        raise SequenceError(
+            f"{path}: pose_convention must begin with 'camera-to-world', got {convention!r}; invert the poses"
+        )
+    return values

@@ -1,0 +1,92 @@
+"""Replica as rendered for NICE-SLAM (Sucar et al. 2021, Zhu et al. 2022): 1200x680, perfect depth and poses.
+
+office0/
+  results/frame000000.jpg ... depth000000.png ...    16-bit depth, 6553.5 per metre
+  traj.txt                                           line n: 16 row-major numbers of frame n's camera-to-world matrix
+cam_params.json                                      beside traj.txt or in the folder above
+"""
+
+import re
+from pathlib import Path
+
+from ...types import Camera
+from ..protocol import SequenceError
+from ..recorded import RecordedSequence
+from .layout import camera, images_in, numbers, read_json, require
+from .poses import read_pose_lines
+
+LOOKS_FOR = ("results/", "traj.txt")
+DEPTH_SCALE = 6553.5
+DEFAULT_CAMERA = Camera(width=1200, height=680, fx=600.0, fy=600.0, cx=600.0, cy=340.0)
+"""600, 600, 599.5, 339.5 as published, pixel centres at integers there."""
+
+_KEYS = ("w", "h", "fx", "fy", "cx", "cy")
+
+
+def replica(path: str | Path) -> RecordedSequence:
+    """Read a Replica scene in NICE-SLAM's rendering (module docstring).
+
+    Depth scale: ``scale`` of ``cam_params.json``, else 6553.5. Poses: camera-to-world, OpenCV axes. Pixel centres:
+    integers in the file, so 0.5 is added to ``cx`` and ``cy``. Without ``cam_params.json`` the camera is 600, 600,
+    599.5, 339.5 at 1200x680. The number in an image's name is its line in ``traj.txt``, so a thinned copy of the scene
+    reads as well.
+
+    Args:
+        path: Folder of the scene.
+
+    Raises:
+        SequenceNotFoundError: the folder or one of its parts is missing.
+        SequenceError: no frames, a frame without depth, or fewer poses than frames.
+    """
+    root = Path(path)
+    require(root, LOOKS_FOR, "replica")
+    frames = _numbered(root / "results", "frame")
+    depths = _numbered(root / "results", "depth")
+    alone = sorted(set(frames) ^ set(depths))
+    if alone:
+        raise SequenceError(
+            f"{root / 'results'}: image {alone[0]:06d} must have both a frame and a depth file, got only one"
+        )
+    poses_file = root / "traj.txt"
+    poses = read_pose_lines(poses_file)
+    order = sorted(frames)
+    if order[-1] >= len(poses):
+        raise SequenceError(
+            f"{poses_file} holds {len(poses)} poses; expected at least {order[-1] + 1}, up to {frames[order[-1]]}"
+        )
+    scene_camera, depth_scale = _calibration(root)
+    return RecordedSequence(
+        name=root.resolve().name,
+        camera=scene_camera,
+        rgb_files=[frames[n] for n in order],
+        depth_files=[depths[n] for n in order],
+        timestamps_s=[n / 30.0 for n in order],
+        poses=poses[order],
+        pose_sources=[f"{poses_file} pose {n}" for n in order],
+        depth_scale=depth_scale,
+    )
+
+
+def _numbered(folder: Path, prefix: str) -> dict[int, Path]:
+    """Images of ``folder`` named ``prefix`` and a number, by number."""
+    found = {}
+    for p in images_in(folder):
+        match = re.fullmatch(prefix + r"(\d+)", p.stem)
+        if match:
+            found[int(match[1])] = p
+    if not found:
+        raise SequenceError(
+            f"{folder} holds no images {prefix}000000 and so on; expected the frames of a Replica scene"
+        )
+    return found
+
+
+def _calibration(root: Path) -> tuple[Camera, float]:
+    """Camera, and stored depth value of one metre."""
+    for file in (root / "cam_params.json", root.resolve().parent / "cam_params.json"):
+        if file.is_file():
+            values = read_json(file, "Replica's camera").get("camera")
+            if not isinstance(values, dict):
+                raise SequenceError(f"{file} lacks the key camera; expected an object with {', '.join(_KEYS)}, scale")
+            return camera(values, _KEYS, file, shift=0.5), numbers(values, ("scale",), file)["scale"]
+    return DEFAULT_CAMERA, DEPTH_SCALE

@@ -1,0 +1,138 @@
+"""ScanNet++ (Yeshwanth et al. 2023): DSLR images, undistorted, with depth rendered from the laser scan.
+
+    <scene>/dslr/
+      nerfstudio/transforms_undistorted.json     or transforms_undistorted_2.json (half resolution)
+      undistorted_images/DSC00001.JPG            or undistorted_images_2/
+      undistorted_depths/DSC00001.png            or undistorted_depths_2/     16-bit, 1000 per metre
+      train_test_lists.json                      {"train": ["DSC00001.JPG", ...], "test": [...]}
+
+The data set holds no depth for these images: render it from the scan's mesh with the ScanNet++ toolbox, then undistort
+it. The world is that of the JSON, which has the mesh's x and y swapped and z negated.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ...types import Camera
+from ..protocol import SequenceError, SequenceNotFoundError
+from ..recorded import RecordedSequence
+from .layout import camera, read_json, require
+
+LOOKS_FOR = ("nerfstudio/transforms_undistorted*.json", "train_test_lists.json")
+DEPTH_SCALE = 1000.0
+_SUFFIX = {"half": "_2", "full": ""}
+_GL_TO_CV = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
+
+
+def scannetpp(
+    path: str | Path,
+    *,
+    split: str = "all",
+    resolution: str = "auto",
+) -> RecordedSequence:
+    """Read a ScanNet++ scene in the nerfstudio layout (module docstring).
+
+    Depth scale: 1000 per metre. Poses: ``transform_matrix`` is camera-to-world with OpenGL axes (y up, z backward); it
+    is turned to OpenCV axes by C2W diag(1, -1, -1, 1). Pixel centres: at (i + 0.5, j + 0.5) already (COLMAP), so
+    nothing is added. Intrinsics, image size included, come from the JSON. Frames are in the order of
+    ``train_test_lists.json``.
+
+    Args:
+        path: Folder of the scene, or its ``dslr`` folder.
+        split: "train", "test", or "all": the training frames, then the test frames, which are marked as novel views.
+        resolution: "half" reads the ``_2`` variant, "full" the other; "auto" prefers "half", as GSFusion does.
+
+    Raises:
+        SequenceNotFoundError: the folder or one of its parts is missing.
+        SequenceError: a listed image without pose, or a missing or impossible key.
+    """
+    if split not in ("train", "test", "all"):
+        raise SequenceError(f"split must be train, test or all, got {split!r}")
+    root = scene_folder(Path(path))
+    require(root, LOOKS_FOR, "scannetpp")
+    json_file, suffix = _transforms_file(root, resolution)
+    values = read_json(json_file, "nerfstudio transforms")
+    names, n_train = _names(root / "train_test_lists.json", split)
+    matrices = _matrices(values, json_file)
+    lacking = [n for n in names if n not in matrices]
+    if lacking:
+        raise SequenceError(
+            f"{json_file} has no frame {lacking[0]}; expected all {len(names)} of train_test_lists.json"
+        )
+    images, depths = root / f"undistorted_images{suffix}", root / f"undistorted_depths{suffix}"
+    for folder in (images, depths):
+        if not folder.is_dir():
+            raise SequenceNotFoundError(f"{folder} does not exist; expected the images that {json_file.name} describes")
+    scene = root.resolve().parent if root.resolve().name == "dslr" else root.resolve()
+    return RecordedSequence(
+        name=scene.name,
+        camera=_camera(values, json_file),
+        rgb_files=[images / n for n in names],
+        depth_files=[depths / f"{Path(n).stem}.png" for n in names],
+        timestamps_s=[float(i) for i in range(len(names))],
+        poses=torch.stack([matrices[n] for n in names]) @ _GL_TO_CV,
+        pose_sources=[f"{json_file} frame {n}" for n in names],
+        depth_scale=DEPTH_SCALE,
+        novel=frozenset(range(n_train, len(names))) if split == "all" else frozenset(),
+    )
+
+
+def scene_folder(path: Path) -> Path:
+    """The ``dslr`` folder of a scene, or ``path`` itself where there is none."""
+    return path / "dslr" if (path / "dslr").is_dir() else path
+
+
+def _transforms_file(root: Path, resolution: str) -> tuple[Path, str]:
+    if resolution not in ("auto", *_SUFFIX):
+        raise SequenceError(f"resolution must be auto, half or full, got {resolution!r}")
+    for suffix in _SUFFIX.values() if resolution == "auto" else (_SUFFIX[resolution],):
+        file = root / "nerfstudio" / f"transforms_undistorted{suffix}.json"
+        if file.is_file():
+            return file, suffix
+    raise SequenceNotFoundError(
+        f"{file} does not exist; expected the poses and intrinsics of the {resolution} resolution"
+    )
+
+
+def _names(path: Path, split: str) -> tuple[list[str], int]:
+    """Images of a split in the published order, and how many of them are for training."""
+    lists = read_json(path, "the lists train and test")
+    wanted = ("train", "test") if split == "all" else (split,)
+    for key in wanted:
+        if not isinstance(lists.get(key), list) or not all(isinstance(n, str) for n in lists[key]):
+            raise SequenceError(f"{path} must hold the key {key}, a list of image names")
+    names = [name for key in wanted for name in lists[key]]
+    if not names or (split == "all" and not lists["train"]):
+        raise SequenceError(f"{path} lists no images for {wanted[0]}; expected at least one")
+    return names, len(lists["train"]) if "train" in wanted else 0
+
+
+def _matrices(values: dict[str, Any], path: Path) -> dict[str, Float[Tensor, "4 4"]]:
+    """OpenGL camera-to-world matrix of every image, by file name."""
+    if not isinstance(values.get("frames"), list):
+        raise SequenceError(f"{path} lacks frames; expected a list of objects with file_path and transform_matrix")
+    found = {}
+    for entry in [*values["frames"], *values.get("test_frames", [])]:
+        try:
+            name, rows = Path(entry["file_path"]).name, entry["transform_matrix"]
+        except (KeyError, TypeError) as e:
+            raise SequenceError(f"{path}: a frame lacks {e}; expected file_path and transform_matrix") from None
+        try:
+            found[name] = torch.tensor(rows, dtype=torch.float64).reshape(4, 4)
+        except (ValueError, TypeError, RuntimeError):
+            raise SequenceError(f"{path}: transform_matrix of {name} must be 4x4 numbers") from None
+    return found
+
+
+def _camera(values: dict[str, Any], path: Path) -> Camera:
+    model = values.get("camera_model", "PINHOLE")
+    bent = [k for k in ("k1", "k2", "k3", "k4", "p1", "p2") if values.get(k, 0.0) != 0.0]
+    if model not in ("PINHOLE", "OPENCV") or bent:
+        raise SequenceError(
+            f"{path} describes a distorted {model} camera; expected the undistorted images' PINHOLE camera"
+        )
+    return camera(values, ("w", "h", "fl_x", "fl_y", "cx", "cy"), path, shift=0.0)

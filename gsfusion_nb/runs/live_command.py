@@ -1,0 +1,166 @@
+"""``gsfusion-nb live``: map what a camera sees, or a folder that another program is writing."""
+
+import dataclasses
+import json
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Literal
+
+import tyro
+
+from ..backends import from_environment, use_backend
+from ..checks import check_name
+from ..config import replace
+from ..data.stream import AzureKinect, GrowingFolder, LiveSource, RealSense
+from .map_sequence import FinishedRun
+from .map_stream import map_stream
+from ..mapping.systems import Config, get_system
+
+USAGE = """gsfusion-nb live: map frames as they come; Ctrl-C ends the scan, then the report is made
+
+  gsfusion-nb live folder PATH [options]    a folder in the plain layout while it is being written
+  gsfusion-nb live realsense [options]      an Intel RealSense camera, tracked
+  gsfusion-nb live kinect [options]         an Azure Kinect, tracked
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LiveOptions:
+    """What all sources have in common."""
+
+    system: Literal["gsfusion", "rtg_slam"] = "gsfusion"
+    """Which published system maps."""
+    preset: str = "replica"
+    """Settings as published for a data set."""
+    set: tuple[str, ...] = ()
+    """Single settings that override it, name=value: --set tsdf.voxel_size_m=0.02 data.width=320."""
+    out: str = ""
+    """New or empty folder for the results; runs/<name>-<time> by default."""
+    policy: Literal["", "all", "queue", "latest", "drop"] = ""
+    """When mapping is slower than the camera. all: the source waits; queue: the oldest waiting frame is lost; latest:
+    only the newest waits; drop: what comes meanwhile is lost. Default: latest for cameras, all for folders."""
+    queue: int = 4
+    """Frames that may wait, for all and queue."""
+    frames: int = 0
+    """End after so many frames have come; 0 goes on until the source ends or Ctrl-C."""
+    device: str = "cpu"
+    """Where the maps live: cpu or cuda."""
+    backend: str = field(default_factory=from_environment)
+    """auto, reference, numba, triton or cuda; by default what the variable GSFUSION_BACKEND says, else auto."""
+    evaluate: bool = True
+    """Score the frames that were kept and write the report."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FolderOptions(LiveOptions):
+    """Map a folder in the plain layout while another program is writing it."""
+
+    path: Annotated[str, tyro.conf.Positional]
+    """The folder: rgb/, depth/, intrinsics.json, and poses.txt, one line per image."""
+    poses: bool = True
+    """--no-poses: there is no poses.txt, the camera is tracked."""
+    idle_s: float = 10.0
+    """End when nothing has changed for so long, seconds."""
+    patience_s: float = 3.0
+    """Skip an incomplete frame after so long, seconds."""
+    stop_file: str = "stop"
+    """Name of the file in the folder that ends the recording."""
+
+    def source(self) -> LiveSource:
+        """The folder, followed."""
+        return GrowingFolder(
+            self.path, poses=self.poses, idle_s=self.idle_s, patience_s=self.patience_s, stop_file=self.stop_file
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class RealSenseOptions(LiveOptions):
+    """Map what an Intel RealSense camera sees; its path is tracked."""
+
+    width: int = 640
+    """Width of both streams, pixels."""
+    height: int = 480
+    """Height of both streams, pixels."""
+    fps: int = 30
+    """Frames per second."""
+    serial: str = ""
+    """Serial number, where several cameras are connected."""
+    filters: tuple[Literal["decimation", "threshold", "spatial", "temporal", "hole_filling"], ...] = ()
+    """The driver's filters of depth."""
+    warm_up: int = 30
+    """Frames to throw away first."""
+
+    def source(self) -> LiveSource:
+        """The camera."""
+        names = ("width", "height", "fps", "serial", "filters", "warm_up")
+        return RealSense(**{name: getattr(self, name) for name in names})
+
+
+@dataclass(frozen=True, kw_only=True)
+class KinectOptions(LiveOptions):
+    """Map what an Azure Kinect sees; its path is tracked."""
+
+    resolution: Literal["720P", "1080P", "1440P", "1536P", "2160P", "3072P"] = "720P"
+    """Of the colour camera; resize with --set data.width=640."""
+    depth_mode: Literal["NFOV_2X2BINNED", "NFOV_UNBINNED", "WFOV_2X2BINNED", "WFOV_UNBINNED"] = "NFOV_UNBINNED"
+    """Field of view and binning of depth."""
+    fps: Literal[5, 15, 30] = 30
+    """Frames per second."""
+    number: int = 0
+    """Which camera, where several are connected."""
+    warm_up: int = 30
+    """Frames to throw away first."""
+
+    def source(self) -> LiveSource:
+        """The camera."""
+        return AzureKinect(
+            resolution=self.resolution,
+            depth_mode=self.depth_mode,
+            fps=self.fps,
+            device=self.number,
+            warm_up=self.warm_up,
+        )
+
+
+SOURCES: dict[str, Any] = {"folder": FolderOptions, "realsense": RealSenseOptions, "kinect": KinectOptions}
+
+
+def live(arguments: list[str]) -> FinishedRun:
+    """Run ``gsfusion-nb live ARGUMENTS``.
+
+    Raises:
+        ValueError, KeyError, OSError: with a sentence.
+    """
+    name = arguments[0] if arguments else ""
+    check_name("live source", name, SOURCES)
+    options = tyro.cli(SOURCES[name], prog=f"gsfusion-nb live {name}", args=arguments[1:])
+    with use_backend(options.backend):
+        source = options.source()
+        mapper = get_system(options.system).mapper(_settings(options, source), device=options.device)
+        return map_stream(
+            mapper,
+            source,
+            policy=options.policy or None,
+            queue_frames=options.queue,
+            folder=options.out or None,
+            evaluate=options.evaluate,
+            on_stop="finish",
+        )
+
+
+def _settings(options: LiveOptions, source: LiveSource) -> Config:
+    """The preset, tracked where the source has no poses, ending after ``frames``, with the single settings."""
+    config = get_system(options.system).preset(options.preset)
+    if not source.has_poses:
+        config = replace(config, tracking__poses="tracked")
+    if options.frames:
+        config = replace(config, data=dataclasses.replace(config.data, stop=options.frames))
+    changes: dict[str, Any] = {}
+    for text in options.set:
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise ValueError(f"--set expects name=value, such as tsdf.voxel_size_m=0.02, got {text!r}")
+        try:
+            changes[name.strip().replace(".", "__")] = json.loads(value)
+        except json.JSONDecodeError:
+            changes[name.strip().replace(".", "__")] = value
+    return replace(config, **changes)

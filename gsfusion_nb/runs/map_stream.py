@@ -1,0 +1,79 @@
+"""Map frames as they come with one call: a camera, a folder that grows, any iterable."""
+
+import contextlib
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Literal
+
+from ..data import Sequence
+from ..data.stream import Policy
+from ..types import Frame
+from .map_sequence import FinishedRun, drive
+from .run import MappingRun, StopRequest, new_folder
+from .stream_run import StreamRun
+from ..mapping.systems import Config, Mapper
+
+
+def map_stream(
+    mapper_or_config: Config | Mapper,
+    frames: Iterable[Frame] | Sequence,
+    *,
+    policy: Policy | None = None,
+    queue_frames: int = 4,
+    folder: Path | str | None = None,
+    evaluate: bool = True,
+    on_stop: Literal["save", "finish"] = "save",
+) -> FinishedRun:
+    """Map frames as they come, optimise over the keyframes after the last, score, and write everything to a folder.
+
+    Frames are got on a thread of their own, so that neither waits for the other more than the policy says. One that
+    cannot be used is skipped and named. A source that breaks off, Ctrl-C, and an exception all leave what was mapped so
+    far in the folder. Memory does not grow with the number of frames, but with the map: besides the mapper's keyframes
+    only a few frames are kept, to score by.
+
+    Args:
+        mapper_or_config: Settings, or a mapper that goes on with its maps.
+        frames: Any iterable: a list, a generator, a camera (``RealSense``, ``AzureKinect``), a ``GrowingFolder``.
+        policy: "all", "queue", "latest" or "drop" (``gsfusion_nb.data.stream.POLICIES``); the source's own by
+            default ("latest" for cameras, "all" for anything else).
+        queue_frames: Frames that may wait, for "all" and "queue".
+        folder: New or empty folder for the results; ``runs/<name>-<time>`` by default.
+        evaluate: Score the frames that were kept and write the report.
+        on_stop: What Ctrl-C does: "save" ends the run; "finish" ends only the stream, and the optimisation and the
+            report follow as after its last frame, unless it is pressed again.
+
+    Returns:
+        The run with its folder and numbers; ``n_frames_received`` and ``n_frames_dropped`` are among them.
+
+    Raises:
+        SequenceError: no frame could be mapped; names the first reason.
+        Exception: what the source raised, after everything was saved.
+    """
+    run = StreamRun(mapper_or_config, frames, policy=policy, queue_frames=queue_frames)
+
+    def map_frames(run: MappingRun, stop: StopRequest) -> None:
+        _with_progress(run, stop)
+        if stop and on_stop == "finish":
+            run.warnings.append(f"the stream was ended by hand after {len(run.steps)} frames")
+            stop.wanted = False
+
+    return drive(run, new_folder(run.sequence.name, folder), evaluate, map_frames)
+
+
+def _with_progress(run: MappingRun, stop: StopRequest) -> None:
+    from tqdm.auto import tqdm
+
+    assert isinstance(run, StreamRun)
+    run.until = lambda: bool(stop)
+    seconds = 0.0
+    with tqdm(desc="mapping", unit="frame") as bar, contextlib.closing(run.online()) as reports:
+        for n, report in enumerate(reports, start=1):
+            seconds += report.total_seconds
+            bar.update()
+            dropped = run.extra_metrics()["n_frames_dropped"]
+            bar.set_postfix_str(
+                f"{n / max(seconds, 1e-9):.1f} fps, PSNR {report.psnr_after_db:.1f} dB, "
+                f"{report.n_gaussians:,} Gaussians, {dropped} frames dropped"
+            )
+            if stop:
+                return

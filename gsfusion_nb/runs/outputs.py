@@ -1,0 +1,257 @@
+"""What a run leaves behind: maps, trajectory, settings, numbers and a report, each file written atomically."""
+
+import dataclasses
+import json
+import math
+import platform
+import sys
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from .. import __version__
+from ..config import to_dict
+from ..evaluation import FrameRow, NotComputed, ReportData, ViewPanel, cull_unseen, disc_scores, frame_rates, mesh_scores, metrics_as_json, score_views, trajectory_scores, write_report
+from ..export import atomic_path, write_gaussian_ply, write_mesh_ply, write_trajectory_tum
+from ..gaussians import state_counts
+from ..seeding import Cells, quadtree, rule_name
+from ..types import Frame, Mesh
+from ..mapping.gsfusion import GSFusion
+from .memory import mesh_when_full
+from ..mapping.placing import placed, readable, true_poses
+from ..mapping.report import StepReport
+from ..mapping.rtg_slam import RTGSLAM
+from .run import MappingRun
+from ..mapping.systems import get_system
+
+MAX_SCORED_VIEWS = 250
+"""At most so many mapped views are scored, evenly spread; held-out views are all scored."""
+
+FILES = {
+    "gaussians.ply": "Gaussian map, standard 3DGS layout: SuperSplat, antimatter15/splat, Blender and Unity plug-ins",
+    "mesh.ply": "TSDF surface with vertex colours: MeshLab, Blender, CloudCompare",
+    "trajectory.txt": "poses, TUM format: evo_traj tum trajectory.txt",
+    "config.json": "all settings: gsfusion-nb map --from-config config.json repeats the run",
+    "metrics.json": "all numbers, and one row per frame",
+}
+
+
+def score(run: MappingRun, suffix: str = "", *, with_lpips: bool = False) -> dict[str, Any]:
+    """PSNR, SSIM, LPIPS and depth error on mapped and held-out views of the map as it is now."""
+    metrics: dict[str, Any] = {}
+    for name, view in (("held_out", run.sequence.held_out), ("mapped", run.mapped_views(MAX_SCORED_VIEWS))):
+        frames = placed(view, run.mapper.localiser, run.sequence.mapping)
+        scores = score_views(run.mapper.render, frames, with_lpips=with_lpips)
+        metrics |= scores.as_metrics(name + suffix)
+        metrics[f"n_views_{name}{suffix}"] = len(scores)
+    return metrics
+
+
+def write_maps(run: MappingRun, folder: Path) -> Mesh:
+    """Write both maps, the trajectory and the settings; they need no evaluation, so they are safe first."""
+    write_gaussian_ply(folder / "gaussians.ply", run.mapper.gaussians.params)
+    if run.poses:
+        write_trajectory_tum(folder / "trajectory.txt", run.timestamps_s, torch.stack(run.poses))
+    settings = {
+        "gsfusion_nb": __version__,
+        "system": run.system,
+        "source": run.source,
+        "rule": rule_name(run.mapper.rule),
+        "config": to_dict(run.mapper.config),
+    }
+    write_json(folder / "config.json", settings)
+    try:
+        mesh = run.mapper.mesh()
+    except torch.OutOfMemoryError as e:
+        mesh = mesh_when_full(run.mapper)
+        run.warnings.append(f"the mesh was made on the processor, if at all: {str(e).splitlines()[0]}")
+    write_mesh_ply(folder / "mesh.ply", mesh)
+    return mesh
+
+
+def write_numbers(run: MappingRun, folder: Path, metrics: dict[str, Any]) -> None:
+    """Write metrics.json: status, warnings, the numbers, and a row per frame."""
+    rows = [vars(s) | {"losses": list(s.losses), "total_seconds": s.total_seconds} for s in run.steps]
+    document = {"status": run.status, "warnings": run.warnings, "metrics": metrics_as_json(metrics), "frames": rows}
+    write_json(folder / "metrics.json", document)
+
+
+def write_page(run: MappingRun, folder: Path, metrics: dict[str, Any]) -> Path:
+    """Write report.html."""
+    config = run.mapper.config
+    data = ReportData(
+        title=f"{get_system(run.system).title} on {run.sequence.name}",
+        subtitle=f"{len(run.steps)} frames, colour of SH degree {config.sh_degree}, rule {rule_name(run.mapper.rule)}",
+        metrics=metrics,
+        config=to_dict(config),
+        frames=[_frame_row(s) for s in run.steps],
+        global_losses=run.global_losses,
+        views=_panels(run),
+        mesh_pictures=_mesh_pictures(run),
+        warnings=_headline_warnings(run),
+        environment=environment(),
+        files={name: text for name, text in FILES.items() if (folder / name).exists()},
+    )
+    return write_report(folder / "report.html", data)
+
+
+def map_metrics(run: MappingRun, mesh: Mesh) -> dict[str, Any]:
+    """Sizes, speed and memory."""
+    seconds = [s.total_seconds for s in run.steps]
+    return {
+        "n_gaussians": len(run.mapper.gaussians),
+        "model_size_mb": run.mapper.gaussians.size_bytes / 1e6,
+        "n_keyframes": sum(s.is_keyframe for s in run.steps),
+        "n_frames": len(run.steps),
+        **_parts(run),
+        "n_triangles": len(mesh.faces),
+        **frame_rates(seconds),
+        **_tracking_rates(run),
+        **run.extra_metrics(),
+        "seconds_online": sum(seconds),
+        "seconds_global": run.seconds_global,
+        "peak_memory_mb": peak_memory_mb(run.mapper.device),
+    }
+
+
+def _parts(run: MappingRun) -> dict[str, int]:
+    """What else the map consists of: voxel blocks, or Gaussians by state."""
+    if isinstance(run.mapper, GSFusion):
+        return {"n_blocks": run.mapper.volume.n_blocks}
+    return {f"n_{name}": count for name, count in state_counts(run.mapper.gaussians).items()}
+
+
+def _tracking_rates(run: MappingRun) -> dict[str, float]:
+    """Frames per second of tracking alone and of mapping alone, where poses were tracked."""
+    tracking = sum(s.seconds.get("tracking", 0.0) for s in run.steps)
+    if not run.mapper.localiser.is_tracking or not tracking:
+        return {}
+    mapping = sum(s.total_seconds for s in run.steps) - tracking
+    return {"fps_tracking": len(run.steps) / tracking, "fps_mapping": len(run.steps) / max(mapping, 1e-9)}
+
+
+def score_trajectory(run: MappingRun) -> dict[str, Any]:
+    """Absolute trajectory error of tracked poses against the data's."""
+    localiser = run.mapper.localiser
+    truth = true_poses(localiser, run.sequence.mapping) if localiser.is_tracking else None
+    if truth is None or len(localiser.poses) < 3:
+        return {}
+    status = [s.tracking.get("status") for s in run.steps]
+    counts = {"n_recovered": status.count("recovered"), "n_degenerate": status.count("degenerate")}
+    return trajectory_scores(torch.stack(localiser.poses), truth) | counts
+
+
+def score_mesh(run: MappingRun, mesh: Mesh) -> dict[str, Any]:
+    """Accuracy and completion of the mesh, and of RTG-SLAM's discs, where ``source.mesh()`` is the truth; else nothing.
+
+    Of the true surface only what the mapped frames saw counts.
+    """
+    truth = getattr(run.sequence.source, "mesh", None)
+    if truth is None or not len(mesh.faces):
+        return {}
+    seen = cull_unseen(truth(), readable(run.mapped_views(50)))
+    generator = torch.Generator().manual_seed(run.mapper.config.seed)
+    scores = mesh_scores(mesh, seen, generator=generator)
+    metrics = {"mesh_accuracy_m": scores} if isinstance(scores, NotComputed) else scores.as_metrics()
+    if isinstance(run.mapper, RTGSLAM):
+        scores = disc_scores(run.mapper.gaussians.params, seen, generator=generator)
+        metrics |= {"disc_accuracy_m": scores} if isinstance(scores, NotComputed) else scores.as_metrics("disc")
+    return metrics
+
+
+def peak_memory_mb(device: torch.device) -> float | NotComputed:
+    """Largest memory so far: of the GPU if the maps live there, else resident memory of the process."""
+    if device.type == "cuda":
+        return torch.cuda.max_memory_allocated(device) / 1e6
+    try:
+        import resource
+    except ImportError:
+        return NotComputed("this system does not tell")
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / 1e6 if sys.platform == "darwin" else peak * 1024 / 1e6
+
+
+def environment() -> dict[str, str]:
+    """Versions and threads of this process."""
+    return {
+        "gsfusion_nb": __version__,
+        "Python": platform.python_version(),
+        "PyTorch": torch.__version__,
+        "threads": str(torch.get_num_threads()),
+        "system": f"{platform.system()} {platform.machine()}",
+    }
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write ``value`` as indented JSON, atomically; strict JSON has no NaN and no infinity, so they become text."""
+    with atomic_path(path) as temporary:
+        Path(temporary).write_text(json.dumps(_strict(value), indent=1, allow_nan=False), encoding="utf-8")
+
+
+def _strict(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _strict(v) for key, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_strict(v) for v in value]
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _panels(run: MappingRun) -> list[ViewPanel]:
+    """A few held-out and mapped views, as photographed and as rendered."""
+    panels = []
+    for view, held_out in ((run.sequence.held_out, True), (run.mapped_views(1000), False)):
+        picks = sorted({round(i * (len(view) - 1) / 2) for i in range(3)}) if len(view) else []
+        picked = dataclasses.replace(view, positions=[view.positions[i] for i in picks])
+        for frame in placed(picked, run.mapper.localiser, run.sequence.mapping):
+            rendered = run.mapper.render(frame.camera, frame.T_WC)
+            panels.append(ViewPanel.of(frame, rendered, held_out=held_out, cells=_cells(run, frame)))
+    return panels
+
+
+def _cells(run: MappingRun, frame: Frame) -> Cells | None:
+    """The quadtree on a frame, for the system that seeds by it."""
+    if not isinstance(run.mapper, GSFusion):
+        return None
+    seeding = run.mapper.config.seeding
+    return quadtree(
+        frame.rgb_u8,
+        threshold=seeding.quadtree_threshold,
+        min_cell_px=seeding.quadtree_min_cell_px,
+        contrast=seeding.quadtree_contrast,
+    )
+
+
+def _mesh_pictures(run: MappingRun) -> dict[str, torch.Tensor]:
+    """The surface from two mapped views: its colours, and its shape shaded by a lamp at the camera."""
+    pictures = {}
+    poses = run.poses
+    for i, T_WC in enumerate([poses[0], poses[-1]] if poses else []):
+        T_WC = T_WC.to(run.mapper.device)
+        seen = run.mapper.surface(run.sequence.camera, T_WC)
+        towards = -(seen.normal_W * T_WC[:3, 2]).sum(-1)  # cosine to the optical axis
+        shaded = (0.15 + 0.85 * towards.clamp(0, 1)) * (seen.depth_m > 0)
+        pictures[f"colour, view {i + 1}"] = seen.rgb.clamp(0, 1).cpu()
+        pictures[f"shape, view {i + 1}"] = shaded[..., None].expand(-1, -1, 3).cpu()
+    return pictures
+
+
+def _frame_row(s: StepReport) -> FrameRow:
+    return FrameRow(
+        index=s.frame_index,
+        seconds=s.total_seconds,
+        n_gaussians=s.n_gaussians,
+        n_seeds=s.n_seeds,
+        keyframe=s.is_keyframe,
+        psnr_before=s.psnr_before_db,
+        psnr=s.psnr_after_db,
+        losses=s.losses,
+        stage_seconds=s.seconds,
+    )
+
+
+def _headline_warnings(run: MappingRun, most: int = 10) -> list[str]:
+    """The first warnings, and how many more there are."""
+    if len(run.warnings) <= most:
+        return run.warnings
+    return [*run.warnings[:most], f"and {len(run.warnings) - most} more; metrics.json has them all"]

@@ -1,0 +1,315 @@
+"""One run over a sequence: the loop, the clock, interruption, checkpoints. What comes out is written by ``outputs``."""
+
+import contextlib
+import dataclasses
+import datetime
+import logging
+import signal
+import threading
+import time
+from collections.abc import Generator, Iterator
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+import torch
+
+from ..config import TsdfConfig
+from ..data import OpenedSequence, RecordedSequence, SequenceError, SequenceView, open_sequence
+from ..data.stream import read_ahead
+from ..export import load_checkpoint, save_checkpoint
+from ..seeding import SeedingRule
+from ..types import Frame
+from ..mapping.gsfusion import GSFusion
+from ..mapping.placing import has_poses
+from ..mapping.report import GlobalStep, StepReport
+from ..mapping.rtg_slam import RTGSLAM
+from ..mapping.systems import Config, Mapper, get_system, make_mapper, system_of
+
+log = logging.getLogger(__name__)
+
+CHECKPOINT = "checkpoint.pt"
+MAX_BAD_FRAMES_IN_A_ROW = 20
+"""After so many unusable frames one after another the recording is taken to be broken from there on."""
+READ_AHEAD = 4
+"""So many frames of a recording on disk are decoded in advance, on a thread of their own."""
+
+_STATE = (
+    "steps", "global_losses", "_pass_losses", "online_scores", "timestamps_s", "warnings", "next_position",
+    "seconds_global",
+)  # fmt: skip
+
+
+@runtime_checkable
+class Frames(Protocol):
+    """Frames in order; one that cannot be used raises a ``SequenceError``, and the next can follow."""
+
+    def __next__(self) -> Frame: ...
+
+    def close(self) -> None:
+        """No more are wanted."""
+        ...
+
+
+class MappingRun:
+    """A sequence and the mapper that works through it.
+
+    ``online()`` and ``optimise()`` are generators: whoever drives them (a progress bar, a widget, a plain loop) sees
+    every step and may stop at any. State is complete between two steps, so a run can be saved and resumed there.
+
+    Args:
+        sequence: What to map, from ``open_sequence`` or ``apply_options``.
+        config: Settings, or a mapper that is to go on with its maps.
+        seeding: Name of a rule or the rule itself; overrides ``config.seeding.rule``.
+        device: Where the maps live.
+        source: How the sequence was opened (path, format), written to config.json so that it can be opened again.
+
+    Raises:
+        SequenceError: the data has no poses, and the settings do not ask to track them.
+    """
+
+    resumable = True
+    """A run that was interrupted can go on from its checkpoint."""
+
+    def __init__(
+        self,
+        sequence: OpenedSequence,
+        config: Config | Mapper,
+        *,
+        seeding: "str | SeedingRule | None" = None,
+        device: torch.device | str = "cpu",
+        source: dict[str, Any] | None = None,
+    ):
+        is_mapper = isinstance(config, (GSFusion, RTGSLAM))
+        self.mapper = config if is_mapper else make_mapper(config, seeding=seeding, device=device)
+        if self.mapper.config.tracking.poses == "given" and not has_poses(sequence):
+            raise SequenceError(
+                f"{sequence.name} came without poses; expected tracking.poses = 'tracked' in the settings"
+            )
+        self.sequence = sequence
+        self.source = source or {}
+        self.steps: list[StepReport] = []
+        self.global_losses: list[float] = []
+        """Mean loss of each finished pass of the global optimisation."""
+        self._pass_losses: list[torch.Tensor] = []
+        self.online_scores: dict[str, float] = {}
+        """PSNR of the map as the scan left it, before the global optimisation."""
+        self.timestamps_s: list[float] = []
+        self.warnings: list[str] = []
+        self.next_position = 0
+        self.seconds_global = 0.0
+        self.status = "running"
+        """"running", "complete", "interrupted" (asked to stop) or "stopped" (the data broke off)."""
+
+    def __repr__(self) -> str:
+        return f"MappingRun({self.sequence.name}, {self.status}, {self.mapper!r})"
+
+    @property
+    def system(self) -> str:
+        """Name of the system that maps."""
+        return system_of(self.mapper)
+
+    @property
+    def poses(self) -> list[torch.Tensor]:
+        """Camera-to-world pose of every mapped frame, as given or as tracked and corrected so far."""
+        return self.mapper.localiser.poses
+
+    def online(self) -> Generator[StepReport, None, None]:
+        """Map the frames that are left, one by one; those that cannot be used are skipped and named in ``warnings``.
+
+        Raises:
+            SequenceError: not one of the frames could be mapped; names the first reason.
+        """
+        bad, frames = 0, self.frames()
+        try:
+            while True:
+                try:
+                    frame = next(frames)
+                    report = self.mapper.step(frame)
+                except StopIteration:
+                    break
+                except SequenceError as e:
+                    if not self._can_go_on(e):
+                        raise
+                    bad += 1
+                    self._passed(None)
+                    self._warn(f"skipped a frame: {e}")
+                    if bad > MAX_BAD_FRAMES_IN_A_ROW:
+                        self.status = "stopped"
+                        self._warn(f"stopped after {bad} unusable frames in a row; everything mapped before is kept")
+                        break
+                    continue
+                bad = 0
+                self.steps.append(report)
+                self.timestamps_s.append(frame.timestamp_s)
+                self._passed(frame)
+                self._look_at(frame, report)
+                yield report
+        finally:
+            frames.close()
+        if not self.steps:
+            raise SequenceError(self._why_nothing())
+
+    def frames(self) -> Frames:
+        """The frames that are left; those on disk are decoded in advance."""
+        view = self.sequence.mapping
+        return read_ahead(view, start=self.next_position, depth=READ_AHEAD if _is_on_disk(view) else 0)
+
+    def mapped_views(self, limit: int) -> SequenceView:
+        """At most ``limit`` of the frames mapped so far, evenly spread."""
+        mapped, n = self.sequence.mapping, self.next_position
+        picks = range(n) if n <= limit else [round(i * (n - 1) / (limit - 1)) for i in range(limit)]
+        return dataclasses.replace(mapped, positions=[mapped.positions[i] for i in picks])
+
+    def extra_metrics(self) -> dict[str, Any]:
+        """Numbers that only this kind of run has."""
+        return {}
+
+    def optimise(self) -> Iterator[GlobalStep]:
+        """Run the passes of the global optimisation that are left, beginning where an interrupted one stood."""
+        passes = self.mapper.n_passes - self.mapper.passes.done
+        start = time.perf_counter()
+        for step in self.mapper.global_optimise(passes):
+            self._pass_losses.append(step.loss_value)
+            if not self.mapper.passes.queue:
+                self.global_losses.append(float(torch.stack(self._pass_losses).mean()))
+                self._pass_losses = []
+            self.seconds_global += time.perf_counter() - start
+            yield step
+            start = time.perf_counter()
+
+    def save_checkpoint(self, folder: Path) -> None:
+        """Write everything needed to resume to ``folder``."""
+        state = {name: getattr(self, name) for name in _STATE}
+        state["steps"] = [vars(s) | {"losses": list(s.losses)} for s in self.steps]
+        document = {"system": self.system, "run": state, "source": self.source, "mapper": self.mapper.state_dict()}
+        save_checkpoint(folder / CHECKPOINT, document)
+
+    @classmethod
+    def resume(
+        cls,
+        folder: Path | str,
+        *,
+        seeding: "str | SeedingRule | None" = None,
+        device: torch.device | str = "cpu",
+    ) -> "MappingRun":
+        """The run that was interrupted in ``folder``, at the frame where it stopped.
+
+        Raises:
+            FileNotFoundError: there is no checkpoint in it (a run that completed leaves none).
+        """
+        path = Path(folder) / CHECKPOINT
+        if not path.is_file():
+            raise FileNotFoundError(f"{path} is not there: only a run that was interrupted can be resumed")
+        state = load_checkpoint(path)
+        try:
+            mapper = get_system(state["system"]).mapper.from_state_dict(state["mapper"], seeding=seeding, device=device)
+            source, values = state["source"], {name: state["run"][name] for name in _STATE}
+            steps = [StepReport(**{**s, "losses": tuple(s["losses"])}) for s in values["steps"]]
+        except (KeyError, TypeError, AttributeError) as e:
+            raise ValueError(f"{path} is damaged or from another version: {type(e).__name__} {e}") from None
+        if not source:
+            raise ValueError(f"{path} is of a sequence in memory; only one opened by path or name can be resumed")
+        run = cls(open_sequence(**source, data=mapper.config.data), mapper.config, seeding=mapper.rule, source=source)
+        run.mapper = mapper
+        for name, value in values.items():
+            setattr(run, name, value)
+        run.steps = steps
+        return run
+
+    def _passed(self, frame: Frame | None) -> None:
+        """A frame was mapped, or could not be used."""
+        self.next_position += 1
+
+    def _can_go_on(self, error: SequenceError) -> bool:
+        """The error is of one frame."""
+        return True
+
+    def _why_nothing(self) -> str:
+        reason = self.warnings[0].removeprefix("skipped a frame: ") if self.warnings else "there are none"
+        return f"none of the {len(self.sequence.mapping)} frames could be mapped, the first because {reason}"
+
+    def _look_at(self, frame: Frame, report: StepReport) -> None:
+        """Warn of what a user should know about a step."""
+        if len(self.steps) == 1 and isinstance(self.mapper, GSFusion) and not report.n_blocks:
+            self._warn(self._nothing_in_range(frame, self.mapper.config.tsdf))
+        if report.tracking.get("status") == "recovered":
+            self._warn(f"frame {frame.index}: tracking was lost and found again")
+
+    def _nothing_in_range(self, frame: Frame, tsdf: TsdfConfig) -> str:
+        known = frame.depth_m[frame.depth_m > 0]
+        median = f"its median is {float(known.median()):.4g} m" if len(known) else "it has none at all"
+        return (
+            f"frame {frame.index} has no depth between tsdf.near_m {tsdf.near_m:g} and tsdf.far_m {tsdf.far_m:g} m "
+            f"({median}), so nothing was mapped from it: is the depth scale right?"
+        )
+
+    def _warn(self, sentence: str) -> None:
+        self.warnings.append(sentence)
+        log.warning(sentence)
+
+
+class StopRequest:
+    """Turns Ctrl-C, a kernel interrupt or SIGTERM into a wish that is granted between two steps.
+
+    Pressing again changes nothing for ``PATIENCE_S`` seconds; after that, or where ``at_once`` is set, the signal
+    raises ``KeyboardInterrupt`` on the spot. While files are written (``saving``) it never does.
+    """
+
+    PATIENCE_S = 5.0
+
+    def __init__(self):
+        self.wanted = False
+        self.at_once = False
+        """Set where stopping in the middle loses nothing: while views are scored."""
+        self.saving = False
+        self._since = 0.0
+
+    def __bool__(self) -> bool:
+        return self.wanted
+
+    def _handle(self, signum, frame) -> None:
+        first, self.wanted = not self.wanted, True
+        if first:
+            self._since = time.monotonic()
+        if self.saving:
+            return
+        if self.at_once or (not first and time.monotonic() - self._since > self.PATIENCE_S):
+            raise KeyboardInterrupt
+
+    @contextlib.contextmanager
+    def listening(self) -> Iterator["StopRequest"]:
+        """Listen inside the block; does nothing outside the main thread, where signals cannot be caught."""
+        if threading.current_thread() is not threading.main_thread():
+            yield self
+            return
+        before = {number: signal.signal(number, self._handle) for number in (signal.SIGINT, signal.SIGTERM)}
+        try:
+            yield self
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+
+def new_folder(name: str, folder: Path | str | None = None) -> Path:
+    """Make the folder of a run: ``folder``, which must be new or empty, or ``runs/<name>-<date>-<time>``."""
+    if folder is None:
+        stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
+        path = Path("runs") / f"{name}-{stamp}"
+        n = 1
+        while path.exists():
+            n += 1
+            path = Path("runs") / f"{name}-{stamp}-{n}"
+    else:
+        path = Path(folder).expanduser()
+        if path.is_file() or (path.is_dir() and any(path.iterdir())):
+            raise FileExistsError(f"{path} must be a new or empty folder, so that no earlier run is overwritten")
+    path.mkdir(parents=True, exist_ok=True)
+    return path
+
+
+def _is_on_disk(view: SequenceView) -> bool:
+    """Frames are decoded from files, whatever is applied to them afterwards."""
+    source: Any = view
+    while not isinstance(source, RecordedSequence) and hasattr(source, "source"):
+        source = source.source
+    return isinstance(source, RecordedSequence)

@@ -1,0 +1,139 @@
+"""One run over frames that come in time, of which only a few are kept."""
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+from ..data import BadFrameError, Sequence, SequenceError, SequenceView
+from ..data.stream import BackgroundFrames, Policy, SelectedFrames
+from ..types import Frame
+from ..mapping.album import Album
+from ..mapping.passes import KeyframePasses
+from .run import MappingRun
+from ..mapping.systems import Config, Mapper
+from ..mapping.usable import check_frame
+
+
+class StreamRun(MappingRun):
+    """A mapper and the frames that come to it; drive it as any ``MappingRun``, also in a ``LiveMapper``.
+
+    Frames are got on a thread of their own. Their indices count arrivals, dropped ones included. Every
+    ``data.hold_out_every``-th is held out for scoring, unless the camera is tracked without poses to compare with.
+    ``sequence`` holds what is kept: poses of all mapped frames, images of a few.
+
+    Args:
+        mapper_or_config: A mapper, which goes on with its maps, or settings for a new one.
+        frames: Any iterable of frames, a ``LiveSource`` for one; used once.
+        policy: What gives way when mapping is slower; the source's own by default, "all" where it has none.
+        queue_frames: Frames that may wait, for "all" and "queue".
+        until: Asked while no frame comes; True ends the stream.
+
+    Raises:
+        SequenceError: the source has no poses and the settings do not ask to track them, or ``data.repair`` is set.
+    """
+
+    resumable = False
+
+    def __init__(
+        self,
+        mapper_or_config: Config | Mapper,
+        frames: Iterable[Frame] | Sequence,
+        *,
+        policy: Policy | None = None,
+        queue_frames: int = 4,
+        until: Callable[[], bool] = lambda: False,
+    ):
+        name = getattr(frames, "name", "stream")
+        self.album = Album(name, has_poses=getattr(frames, "has_poses", True))
+        super().__init__(self.album.opened(), mapper_or_config)
+        self.frames_source = frames
+        self.until = until
+        self.policy: Policy = policy or getattr(frames, "policy", "all")
+        data = self.mapper.config.data
+        earlier = self.mapper.localiser.frame_indices
+        selected = SelectedFrames(frames, data, name=name, first_index=max(earlier, default=-1) + 1)
+        self._feed = BackgroundFrames(selected, policy=self.policy, size=queue_frames, until=lambda: self.until())
+        self._n_taken = self.n_unusable = 0
+        self._holds_out = data.hold_out_every > 0 and (self.album.has_poses or not self.mapper.localiser.is_tracking)
+        self._n_earlier = len(earlier)
+        self.mapper.passes = KeyframePasses()
+
+    def frames(self) -> "_Feed":
+        """The frames that come, without those held out."""
+        return _Feed(self)
+
+    @property
+    def poses(self) -> list[Any]:
+        """Camera-to-world pose of every frame that this run mapped, as given or as tracked and corrected so far."""
+        return self.mapper.localiser.poses[self._n_earlier :]
+
+    def mapped_views(self, limit: int) -> SequenceView:
+        """The mapped frames that are kept, at most ``limit``, evenly spread."""
+        kept = [frame.index for frame in self.album.kept_mapped.items]
+        return self.album.view(kept[:: -(-len(kept) // limit)] if kept else [])
+
+    def extra_metrics(self) -> dict[str, Any]:
+        """How many frames came, gave way, and could not be used; what the policy was."""
+        return {
+            "n_frames_received": self._feed.mailbox.n_received,
+            "n_frames_dropped": self._feed.mailbox.n_dropped,
+            "n_frames_unusable": self.n_unusable,
+            "policy": self.policy,
+        }
+
+    def next_frame(self) -> Frame:
+        """The next frame to map; those that are due to be held out are put aside."""
+        data = self.mapper.config.data
+        while True:
+            try:
+                frame = next(self._feed)
+            except StopIteration:
+                self._note_the_end()
+                raise
+            i = self._n_taken
+            self._n_taken += 1
+            if not (self._holds_out and i % data.hold_out_every == data.hold_out_offset):
+                return frame
+            self.album.hold_out(check_frame(frame))
+            self.sequence = self.album.opened()
+
+    def close(self) -> None:
+        """Let the source go."""
+        self._feed.close()
+
+    def _passed(self, frame: Frame | None) -> None:
+        if frame is None:
+            self.n_unusable += 1
+            return
+        self.album.add(frame)
+        self.next_position = len(self.album.mapped)
+        if len(self.album.mapped) == 1:
+            self.sequence = self.album.opened()  # its camera is known now
+
+    def _note_the_end(self) -> None:
+        broke_off = getattr(self.frames_source, "broke_off", "")
+        if broke_off and self.status == "running":
+            self.status = "stopped"
+            self._warn(f"{broke_off}; everything mapped before is kept")
+
+    def _can_go_on(self, error: SequenceError) -> bool:
+        return isinstance(error, BadFrameError)  # any other came from the source and ended it
+
+    def _why_nothing(self) -> str:
+        if not self.warnings:
+            return f"no frame came from {self.sequence.name}"
+        reason = self.warnings[0].removeprefix("skipped a frame: ").removesuffix("; everything mapped before is kept")
+        return f"no frame of {self.sequence.name} could be mapped, the first because {reason}"
+
+
+class _Feed:
+    """The frames of a run in order; closing it ends the source."""
+
+    def __init__(self, run: StreamRun):
+        self._run = run
+
+    def __next__(self) -> Frame:
+        return self._run.next_frame()
+
+    def close(self) -> None:
+        """No more are wanted."""
+        self._run.close()

@@ -1,0 +1,1 @@
+"""One step of Adam on every row of a map."""

@@ -1,0 +1,1 @@
+"""Which voxel blocks a frame's depth touches."""

@@ -1,0 +1,229 @@
+"""The blocks that the band of a depth image crosses: sixteen rays at a time into a byte map of the view's bounding box.
+
+The rays, pieces and roundings are the reference's, so the set of blocks is the same to the last one.
+"""
+
+# Intrinsics are called without their typing context, which pyright cannot follow:
+# pyright: reportCallIssue=false
+
+import math
+
+import numpy as np
+import torch
+from numba import njit, prange
+from torch import Tensor
+
+from gsfusion_nb.checks import check_pose
+from gsfusion_nb.tsdf.allocate import OUTLIER_RATIO, block_box, ray_slopes
+from gsfusion_nb.tsdf.allocate import band_blocks as reference
+from gsfusion_nb.tsdf.volume import TsdfVolume
+from gsfusion_nb.types import Frame
+
+from ..runtime.numba.launch import launching
+from ..runtime.numba.simd import (
+    absolute,
+    any_lane,
+    either,
+    floor,
+    load,
+    maximum,
+    minimum,
+    select,
+    splat,
+    sqrt,
+    store,
+    times,
+)
+from ..runtime.numba.simd_int import mark, truncate
+
+f32 = np.float32
+_ZERO, _HALF, _ONE, _TWO, _INFINITE = f32(0.0), f32(0.5), f32(1.0), f32(2.0), f32(np.inf)
+_MORE_THAN_ONE = f32(1.5)
+_NOT_USED = f32(-1.0)
+_ROWS = 16
+"""Image rows of one parallel task."""
+
+_MAP_CELLS = 1 << 24
+"""Largest box marked in a byte map; float32 counts exactly up to here. The reference handles larger ones."""
+
+
+def band_blocks(volume: TsdfVolume, frame: Frame) -> Tensor:
+    """See ``gsfusion_nb.tsdf.band_blocks``."""
+    depth_m, config, camera = frame.depth_m, volume.config, frame.camera
+    if depth_m.dtype != torch.float32 or depth_m.device.type != "cpu":
+        return reference.reference(volume, frame)
+    check_pose("T_WC", frame.T_WC)
+    width, height = camera.width, camera.height
+    x, y = ray_slopes(camera, depth_m)
+    slopes = np.zeros(-(-width // 16) * 16, np.float32), np.ascontiguousarray(y[:, 0].numpy())
+    slopes[0][:width] = x[0].numpy()
+    limits = np.array([config.near_m, config.far_m, config.truncation_m, OUTLIER_RATIO], np.float32)
+    along_ray = config.sdf == "ray"
+    depth = np.empty((height, len(slopes[0])), np.float32)
+    extents = np.empty((-(-height // _ROWS), 3, 16), np.float32)
+    with launching():
+        _usable(depth_m.detach().contiguous().numpy(), *slopes, limits, config.outlier_guard, along_ray, depth, extents)
+        z_near, z_far, length = float(extents[:, 0].min()), float(extents[:, 1].max()), float(extents[:, 2].max())
+        if z_far < 0:
+            return torch.zeros(0, 3, dtype=torch.int64)
+        box = block_box(volume, frame, z_near, z_far)
+        if math.prod(box.size) > _MAP_CELLS:
+            return reference.reference(volume, frame)
+        view = np.array([*box.R, box.origin], np.float32)
+        marks = np.zeros(math.prod(box.size) // 8 * 8 + 8, np.uint8)
+        _crossed(depth, slopes, limits[2], view, np.array(box.size), box.pieces(length), along_ray, marks)
+        cells = _cells(marks, np.array(box.size))
+    return torch.from_numpy(cells) + box.low
+
+
+@njit(inline="always")
+def _band(d, x, y, truncation, along_ray):
+    """Near and far end of the bands of sixteen pixels, and the lengths of their rays per metre of depth."""
+    one = splat(_ONE)
+    length = sqrt(times(x, x) + times(y, y) + one)
+    half = truncation
+    if along_ray:
+        half = times(one / length, truncation)
+    return maximum(d - half, splat(_ZERO)), d + half, length
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
+def _usable(depth, x, y, limits, outlier_guard, along_ray, result, extents):
+    """Depth in rows of full vectors, -1 where it takes no part.
+
+    ``extents`` [tasks, 3, 16]: smallest near end, largest far end and longest of the bands, metres.
+    """
+    height, width = depth.shape
+    stride = result.shape[1]
+    for task in prange(extents.shape[0]):
+        first, last = task * _ROWS, min(height, task * _ROWS + _ROWS)
+        line = stride + 32
+        lines = np.full((_ROWS + 2) * line, -np.float32(1e9), np.float32)
+        for i in range(max(first - 1, 0), min(last + 1, height)):
+            start = (i - first + 1) * line + 16
+            for j in range(width):
+                lines[start + j] = depth[i, j]
+        nearest, farthest = splat(_INFINITE), splat(_NOT_USED)
+        longest = farthest
+        zero, not_used = splat(_ZERO), splat(_NOT_USED)
+        near_m, far_m, truncation, ratio = splat(limits[0]), splat(limits[1]), splat(limits[2]), splat(limits[3])
+        for i in range(first, last):
+            row = result[i]
+            for j in range(0, stride, 16):
+                at = (i - first + 1) * line + 16 + j
+                d = load(lines, at)
+                used = (d > zero) & (d >= near_m) & (far_m >= d)
+                if outlier_guard:
+                    tolerance = times(ratio, d)
+                    support = zero > zero
+                    for k in (-line - 1, -line, -line + 1, -1, 1, line - 1, line, line + 1):
+                        support = either(support, absolute(d - load(lines, at + k)) < tolerance)
+                    used = used & support
+                near, far, length = _band(d, load(x, j), splat(y[i]), truncation, along_ray)
+                nearest = minimum(nearest, select(used, near, nearest))
+                farthest = maximum(farthest, select(used, far, not_used))
+                longest = maximum(longest, select(used, times(far - near, length), not_used))
+                store(row, j, select(used, d, not_used))
+        store(extents[task, 0], 0, nearest)
+        store(extents[task, 1], 0, farthest)
+        store(extents[task, 2], 0, longest)
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
+def _crossed(depth, slopes, truncation, view, size, pieces, along_ray, marks):
+    """Mark the cells of the box that the bands pass through; ``view`` is R by rows, then the origin.
+
+    Threads share the map: each only ever writes ones.
+    """
+    height, stride = depth.shape
+    x, y = slopes
+    n = size[0] * size[1] * size[2]
+    for task in prange((height + _ROWS - 1) // _ROWS):
+        zero, half, nowhere = splat(_ZERO), splat(_HALF), splat(f32(n))
+        late, early = splat(_TWO), splat(_NOT_USED)
+        band = splat(truncation)
+        ox, oy, oz = splat(view[3, 0]), splat(view[3, 1]), splat(view[3, 2])
+        stride_x, stride_y = splat(f32(size[1] * size[2])), splat(f32(size[2]))
+        for i in range(task * _ROWS, min(height, task * _ROWS + _ROWS)):
+            row, slope_y = depth[i], splat(y[i])
+            for j in range(0, stride, 16):
+                d = load(row, j)
+                used = d > zero
+                if not any_lane(used):
+                    continue
+                sx = load(x, j)
+                near, far, _ = _band(d, sx, slope_y, band, along_ray)
+                dx = times(splat(view[0, 0]), sx) + times(splat(view[0, 1]), slope_y) + splat(view[0, 2])
+                dy = times(splat(view[1, 0]), sx) + times(splat(view[1, 1]), slope_y) + splat(view[1, 2])
+                dz = times(splat(view[2, 0]), sx) + times(splat(view[2, 1]), slope_y) + splat(view[2, 2])
+                px, py, pz = times(dx, near) + ox, times(dy, near) + oy, times(dz, near) + oz
+                cx, cy, cz = floor(px), floor(py), floor(pz)
+                number = select(used, cx * stride_x + cy * stride_y + cz, nowhere)
+                _mark(marks, number, nowhere)
+                for k in range(1, pieces + 1):
+                    z = times(far - near, splat(f32(k / pieces))) + near
+                    qx, qy, qz = times(dx, z) + ox, times(dy, z) + oy, times(dz, z) + oz
+                    ex, ey, ez = floor(qx), floor(qy), floor(qz)
+                    number = select(used, ex * stride_x + ey * stride_y + ez, nowhere)
+                    _mark(marks, number, nowhere)
+                    mx, my, mz = ex - cx, ey - cy, ez - cz
+                    diagonal = used & (absolute(mx) + absolute(my) + absolute(mz) > splat(_MORE_THAN_ONE))
+                    if any_lane(diagonal):
+                        # As in the reference: the coordinate that changes first has done so, then all but the last.
+                        tx, ty, tz = _wall(px, qx, cx, mx), _wall(py, qy, cy, my), _wall(pz, qz, cz, mz)
+                        stays_x, stays_y, stays_z = absolute(mx) < half, absolute(my) < half, absolute(mz) < half
+                        ux, uy, uz = select(stays_x, late, tx), select(stays_y, late, ty), select(stays_z, late, tz)
+                        entry = minimum(minimum(ux, uy), uz)
+                        kx, ky, kz = (
+                            select(entry >= ux, mx, zero),
+                            select(entry >= uy, my, zero),
+                            select(entry >= uz, mz, zero),
+                        )
+                        number = (cx + kx) * stride_x + (cy + ky) * stride_y + (cz + kz)
+                        _mark(marks, select(diagonal, number, nowhere), nowhere)
+                        ux, uy, uz = select(stays_x, early, tx), select(stays_y, early, ty), select(stays_z, early, tz)
+                        leave = maximum(maximum(ux, uy), uz)
+                        kx, ky, kz = (
+                            select(leave > ux, mx, zero),
+                            select(leave > uy, my, zero),
+                            select(leave > uz, mz, zero),
+                        )
+                        number = (cx + kx) * stride_x + (cy + ky) * stride_y + (cz + kz)
+                        _mark(marks, select(diagonal, number, nowhere), nowhere)
+                    px, py, pz, cx, cy, cz = qx, qy, qz, ex, ey, ez
+    marks[n] = 0
+
+
+@njit(inline="always")
+def _mark(marks, number, nowhere):
+    mark(marks, truncate(minimum(maximum(number, splat(_ZERO)), nowhere)))
+
+
+@njit(inline="always")
+def _wall(start, end, cell, step):
+    """Where along the piece a coordinate crosses the wall between its cells, as a part of its length."""
+    return (maximum(cell, cell + step) - start) / (end - start)
+
+
+@njit(cache=True, error_model="numpy")
+def _cells(marks, size):
+    """Coordinates of the marked cells, in order."""
+    words = marks.view(np.uint64)
+    count = 0
+    for w in range(words.shape[0]):
+        if words[w] != 0:
+            for i in range(8 * w, 8 * w + 8):
+                count += marks[i]
+    cells = np.empty((count, 3), np.int64)
+    k = 0
+    for w in range(words.shape[0]):
+        if words[w] != 0:
+            for i in range(8 * w, 8 * w + 8):
+                if marks[i]:
+                    cells[k, 0], cells[k, 1], cells[k, 2] = (
+                        i // (size[1] * size[2]),
+                        i // size[2] % size[1],
+                        i % size[2],
+                    )
+                    k += 1
+    return cells

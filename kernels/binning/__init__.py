@@ -1,0 +1,1 @@
+"""Lists of the Gaussians that touch each tile, a stage of rasterize."""

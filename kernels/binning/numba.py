@@ -1,0 +1,104 @@
+"""Lists of the splats that touch each tile, nearest first, by counting: no comparison sort."""
+
+import numpy as np
+from numba import njit, prange
+
+from ..composite.numba import TILE
+from ..project.numba import CHUNK, ROOM, tiles_of
+from ..runtime.numba.dealing import deal_size, dealt
+
+
+@njit(cache=True, error_model="numpy")
+def tile_windows(pixels, width, height):
+    """Where there are pixels to be drawn: ``(windows, sums)``. pixels: bool [H, W], or [0, 0] for all.
+
+    windows: int32 [tiles, 4], first and last column, first and last row of those in a tile, in pixels of the image; in
+    a tile without any, the first is behind the last. [0, 4] if all are to be drawn.
+    sums: int32 [tiles_y + 1, tiles_x + 1], sums[j, i] is the number of tiles with any above row j and left of column i.
+    """
+    tiles_x, tiles_y = (width + TILE - 1) // TILE, (height + TILE - 1) // TILE
+    masked = pixels.shape[0] > 0
+    windows = np.empty((tiles_x * tiles_y if masked else 0, 4), np.int32)
+    windows[:, 0], windows[:, 1], windows[:, 2], windows[:, 3] = width, -1, height, -1
+    for y in range(pixels.shape[0]):
+        for x in range(width):
+            if pixels[y, x]:
+                window = windows[(y // TILE) * tiles_x + x // TILE]
+                window[0], window[1] = min(window[0], x), max(window[1], x)
+                window[2], window[3] = min(window[2], y), y
+    sums = np.zeros((tiles_y + 1, tiles_x + 1), np.int32)
+    for ty in range(tiles_y):
+        for tx in range(tiles_x):
+            here = 1 if not masked or windows[ty * tiles_x + tx, 1] >= 0 else 0
+            sums[ty + 1, tx + 1] = here + sums[ty, tx + 1] + sums[ty + 1, tx] - sums[ty, tx]
+    return windows, sums
+
+
+@njit(cache=True, error_model="numpy")
+def depth_order(splats, count):
+    """Rows with a tile, by depth, equal depths in row order: two radix passes over the bits of the positive float."""
+    n = 0
+    for i in range(count.shape[0]):
+        n += count[i] > 0
+    rows, keys = np.empty(n, np.int32), np.empty(n, np.uint32)
+    depth_bits = splats[:, 9].copy().view(np.uint32)
+    j = 0
+    for i in range(count.shape[0]):
+        if count[i] > 0:
+            rows[j], keys[j] = i, depth_bits[i]
+            j += 1
+    other_rows, other_keys = np.empty_like(rows), np.empty_like(keys)
+    for shift in (np.uint32(0), np.uint32(11), np.uint32(22)):
+        histogram = np.zeros(2049, np.int64)
+        for j in range(n):
+            histogram[((keys[j] >> shift) & np.uint32(2047)) + 1] += 1
+        for b in range(2048):
+            histogram[b + 1] += histogram[b]
+        for j in range(n):
+            b = (keys[j] >> shift) & np.uint32(2047)
+            place = histogram[b]
+            histogram[b] += 1
+            other_rows[place], other_keys[place] = rows[j], keys[j]
+        rows, other_rows = other_rows, rows
+        keys, other_keys = other_keys, keys
+    return rows
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
+def list_tiles(splats, start, noted, width, height, windows, pair_tile):
+    """Numbers of the tiles each splat is listed in, row i in ``pair_tile[start[i]:start[i + 1]]``."""
+    N = splats.shape[0]
+    n_parts = (N + CHUNK - 1) // CHUNK
+    for k_part in prange(deal_size(n_parts)):
+        part = dealt(k_part, n_parts)
+        if part >= n_parts:
+            continue
+        first, end = part * CHUNK, min(N, part * CHUNK + CHUNK)
+        n = start[end] - start[first]
+        if n <= ROOM:
+            pair_tile[start[first] : start[end]] = noted[part * ROOM : part * ROOM + n]
+            continue
+        for i in range(first, end):
+            if start[i + 1] > start[i]:
+                tiles_of(splats[i], width, height, windows, pair_tile, start[i], start[i + 1] - start[i])
+
+
+@njit(cache=True, error_model="numpy")
+def sort_pairs(order, start, pair_tile, n_tiles):
+    """Counting sort of the pairs by tile, depth order kept: ``(ids, slot, offset)``.
+
+    ids: splat of each sorted pair. slot: its place in ``pair_tile``, contiguous per splat. offset: [n_tiles + 1].
+    """
+    offset = np.zeros(n_tiles + 1, np.int32)
+    for k in range(pair_tile.shape[0]):
+        offset[pair_tile[k] + 1] += 1
+    for t in range(n_tiles):
+        offset[t + 1] += offset[t]
+    cursor = offset[:-1].copy()
+    ids, slot = np.empty(pair_tile.shape[0], np.int32), np.empty(pair_tile.shape[0], np.int32)
+    for row in order:
+        for k in range(start[row], start[row + 1]):
+            place = cursor[pair_tile[k]]
+            cursor[pair_tile[k]] += 1
+            ids[place], slot[place] = row, k
+    return ids, slot, offset

@@ -1,0 +1,337 @@
+"""Front-to-back compositing of sorted splats and its gradient, one 16x16 tile at a time, one pixel row per vector.
+
+State per tile is a row-major 16x16 array of the transmittance T; a finished pixel keeps its T with the sign flipped,
+and one that is not to be drawn, or lies beyond the image, starts as finished.
+The backward pass walks front to back as well: it repeats the forward decisions exactly, and the part of the pixel
+still to come is what is left of the total, so nothing per pair has to be kept between the passes.
+"""
+
+# Intrinsics are called without their typing context, which pyright cannot follow:
+# pyright: reportCallIssue=false
+
+import numpy as np
+from numba import njit, prange
+
+from gsfusion_nb.constants import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
+
+from ..runtime.numba.dealing import deal_size, dealt
+from ..runtime.numba.simd import (
+    any_lane,
+    either,
+    exp,
+    iota,
+    load,
+    maximum,
+    minimum,
+    negative_abs,
+    reduce_add,
+    select,
+    splat,
+    store,
+)
+
+TILE = 16
+PAIR_SUMS = 10
+"""Per (tile, splat): sums over the tile of g dx, g dy, g dx^2, g dx dy, g dy^2, g, and of w v_rgb (3), w v_depth."""
+
+f32 = np.float32
+_LOG_ALPHA_MIN = f32(np.log(ALPHA_MIN))
+_ALPHA_MAX = f32(ALPHA_MAX)
+_T_MIN = f32(TRANSMITTANCE_MIN)
+_HALF = f32(0.5)
+_ONE = f32(1.0)
+_ZERO = f32(0.0)
+
+
+@njit(cache=True, error_model="numpy")
+def _zeros(size):
+    """float32 zeros that begin on a cache line: a vector that straddles two costs twice, 5 % of the whole."""
+    line = 16
+    memory = np.zeros(size + line, np.float32)
+    skip = -(memory.ctypes.data // 4) % line
+    return memory[skip : skip + size]
+
+
+@njit(cache=True, error_model="numpy")
+def _open_pixels(state, rows_open, pixels, x0, y0, width, height):
+    """T in front of the first splat: 1 at the tile's pixels that are to be drawn, else -1. Returns the open rows."""
+    tile_width, tile_height = min(TILE, width - x0), min(TILE, height - y0)
+    masked = pixels.shape[0] > 0
+    if not masked and tile_width == TILE and tile_height == TILE:
+        state[: TILE * TILE] = _ONE
+        rows_open[:] = 1
+        return TILE
+    state[: TILE * TILE] = -_ONE
+    rows_open[:] = 0
+    n_open = 0
+    for r in range(tile_height):
+        for i in range(tile_width):
+            if not masked or pixels[y0 + r, x0 + i]:
+                state[r * TILE + i] = _ONE
+                rows_open[r] = 1
+        n_open += rows_open[r]
+    return n_open
+
+
+@njit(cache=True, error_model="numpy")
+def _clear(x0, y0, width, height, rgb, depth, alpha, indices):
+    """The background on one tile."""
+    for y in range(y0, min(y0 + TILE, height)):
+        for x in range(x0, min(x0 + TILE, width)):
+            rgb[y, x, 0], rgb[y, x, 1], rgb[y, x, 2] = _ZERO, _ZERO, _ZERO
+            depth[y, x], alpha[y, x] = _ZERO, _ZERO
+    for index in indices:
+        if index.shape[0] > 0:
+            index[y0 : y0 + TILE, x0 : x0 + TILE] = -1
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
+def composite_forward(splats, ids, offset, pixels, width, height, rgb, depth, alpha_out, first, dominant, hit, opaque):
+    """Blend every tile's splats into ``rgb`` [H, W, 3], ``depth`` and ``alpha_out`` [H, W].
+
+    splats [N, 12]: u, v, conic A, B, C, ln(opacity), r, g, b, depth, half extents x, y of the visible ellipse.
+    ids [I]: splat of each pair, sorted by tile, then depth. offset [tiles + 1].
+    first, dominant: int64 [H, W], rows of the first and the heaviest splat of each pixel, or [0, 0] if not wanted.
+    hit: likewise, of the first splat with alpha >= ``opaque``, even behind the one that finishes the pixel.
+    pixels: bool [H, W], those to be drawn, or [0, 0] for all.
+    """
+    with_index, with_hit = first.shape[0] > 0, hit.shape[0] > 0
+    tiles_x = (width + TILE - 1) // TILE
+    tiles_y = (height + TILE - 1) // TILE
+    n_tiles = tiles_x * tiles_y
+    for k_tile in prange(deal_size(n_tiles)):
+        tile = dealt(k_tile, n_tiles)
+        if tile >= n_tiles:
+            continue
+        x0, y0 = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
+        if offset[tile] == offset[tile + 1]:
+            _clear(x0, y0, width, height, rgb, depth, alpha_out, (first, dominant, hit))
+            continue
+        state = _zeros((9 if with_hit else 8) * 256)
+        state[1536:] = -_ONE
+        rows_open = np.empty(TILE, np.uint8)
+        n_open = _open_pixels(state, rows_open, pixels, x0, y0, width, height)
+        if with_hit:  # finished pixels that still look for a hit keep their row open: -1 there, 0 at those not drawn
+            for o in range(256):
+                state[2048 + o] = -max(state[o], _ZERO)
+        centre_x = iota() + splat(f32(x0) + _HALF)
+        zero, floor_T = splat(_ZERO), splat(_T_MIN)
+        threshold, ceiling, solid = splat(_LOG_ALPHA_MIN), splat(_ALPHA_MAX), splat(opaque)
+        for k in range(offset[tile], offset[tile + 1]):
+            if n_open == 0:
+                break
+            s = splats[ids[k]]
+            r0 = max(0, int(np.ceil(s[1] - s[11] - _HALF)) - y0)
+            r1 = min(min(TILE, height - y0), int(np.floor(s[1] + s[11] - _HALF)) + 1 - y0)
+            dx = centre_x - splat(s[0])
+            q0 = splat(-_HALF * s[2]) * dx * dx + splat(s[5])
+            q1 = splat(-s[3]) * dx
+            red, green, blue, z = splat(s[6]), splat(s[7]), splat(s[8]), splat(s[9])
+            for r in range(r0, r1):
+                if rows_open[r] == 0:
+                    continue
+                dy = f32(y0 + r) + _HALF - s[1]
+                log_alpha = q1 * splat(dy) + (q0 + splat(-_HALF * s[4] * dy * dy))
+                seen = log_alpha >= threshold
+                if not any_lane(seen):
+                    continue
+                o = r * TILE
+                alpha = select(seen, minimum(exp(log_alpha), ceiling), zero)
+                T = load(state, o)
+                T_open = maximum(T, zero)
+                w = alpha * T_open
+                T_next = T_open - w
+                goes_on = T_next >= floor_T
+                w = select(goes_on, w, zero)
+                T = select(goes_on, T_next, negative_abs(T))
+                store(state, o, T)
+                store(state, 256 + o, load(state, 256 + o) + w * red)
+                store(state, 512 + o, load(state, 512 + o) + w * green)
+                store(state, 768 + o, load(state, 768 + o) + w * blue)
+                store(state, 1024 + o, load(state, 1024 + o) + w * z)
+                if with_index:  # rows as float32 lanes: exact below 2^24
+                    row, heaviest = splat(f32(ids[k])), load(state, 1280 + o)
+                    heavier = w > heaviest
+                    store(state, 1280 + o, select(heavier, w, heaviest))
+                    store(state, 1536 + o, select(heavier, row, load(state, 1536 + o)))
+                    seen_first = load(state, 1792 + o)
+                    store(state, 1792 + o, select((w > zero) & (zero > seen_first), row, seen_first))
+                open_lanes = zero < T
+                if with_hit:
+                    hit_before = load(state, 2048 + o)
+                    hit_now = select((alpha >= solid) & (zero > hit_before), splat(f32(ids[k])), hit_before)
+                    store(state, 2048 + o, hit_now)
+                    open_lanes = either(open_lanes, zero > hit_now)
+                if not any_lane(open_lanes):
+                    rows_open[r] = 0
+                    n_open -= 1
+        for r in range(min(TILE, height - y0)):
+            for i in range(min(TILE, width - x0)):
+                o = r * TILE + i
+                y, x = y0 + r, x0 + i
+                rgb[y, x, 0] = state[256 + o]
+                rgb[y, x, 1] = state[512 + o]
+                rgb[y, x, 2] = state[768 + o]
+                depth[y, x] = state[1024 + o]
+                alpha_out[y, x] = _ONE - abs(state[o])
+                if with_index:
+                    dominant[y, x] = int(state[1536 + o])
+                    first[y, x] = int(state[1792 + o])
+                if with_hit:
+                    hit[y, x] = int(state[2048 + o]) if pixels.shape[0] == 0 or pixels[y, x] else -1
+
+
+@njit(cache=True, error_model="numpy")
+def _pass_through(state, rows_open, s, r0, r1, x0, y0):
+    """Take what a frozen splat absorbs from T and from what is still to come; returns how many rows it finished."""
+    dx = iota() + splat(f32(x0) + _HALF) - splat(s[0])
+    zero = splat(_ZERO)
+    q0 = splat(-_HALF * s[2]) * dx * dx + splat(s[5])
+    q1 = splat(-s[3]) * dx
+    finished = 0
+    for r in range(r0, r1):
+        if rows_open[r] == 0:
+            continue
+        dy = f32(y0 + r) + _HALF - s[1]
+        log_alpha = q1 * splat(dy) + (q0 + splat(-_HALF * s[4] * dy * dy))
+        seen = log_alpha >= splat(_LOG_ALPHA_MIN)
+        if not any_lane(seen):
+            continue
+        o = r * TILE
+        alpha = select(seen, minimum(exp(log_alpha), splat(_ALPHA_MAX)), zero)
+        T = load(state, o)
+        T_open = maximum(T, zero)
+        w = alpha * T_open
+        T_next = T_open - w
+        goes_on = T_next >= splat(_T_MIN)
+        w = select(goes_on, w, zero)
+        T = select(goes_on, T_next, negative_abs(T))
+        store(state, o, T)
+        p = splat(s[6]) * load(state, 512 + o) + splat(s[7]) * load(state, 768 + o)
+        p = p + splat(s[8]) * load(state, 1024 + o) + splat(s[9]) * load(state, 1280 + o) + load(state, 1536 + o)
+        store(state, 256 + o, load(state, 256 + o) - w * p)
+        if not any_lane(zero < T):
+            rows_open[r] = 0
+            finished += 1
+    return finished
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
+def composite_backward(splats, lists, pixels, trained, image, v_image, pair_sums):
+    """Per (tile, splat) sums of the loss gradient, written to ``pair_sums[slot[k]]`` [I, PAIR_SUMS].
+
+    lists: (ids, offset, slot). pixels: as given to the forward. trained: bool [N], rows whose sums are wanted, or [0]
+    for all; the sums of the others are not written.
+    image: (rgb, depth, alpha) as the forward made them. v_image: dL/d of each; [0, 0] stands for zero.
+    With p_k = c_k . v_rgb + z_k v_depth + v_alpha:  dL/dalpha_k = T_k p_k - (sum_{j > k} w_j p_j) / (1 - alpha_k).
+    The last sum starts as the whole pixel's, C . v_rgb + D v_depth + alpha v_alpha, and loses w_k p_k at each step.
+    """
+    ids, offset, slot = lists
+    all_trained, masked = trained.shape[0] == 0, pixels.shape[0] > 0
+    rgb, depth, alpha_image = image
+    v_rgb, v_depth, v_alpha = v_image
+    height, width = rgb.shape[0], rgb.shape[1]
+    tiles_x = (width + TILE - 1) // TILE
+    tiles_y = (height + TILE - 1) // TILE
+    n_tiles = tiles_x * tiles_y
+    for k_tile in prange(deal_size(n_tiles)):
+        tile = dealt(k_tile, n_tiles)
+        if tile >= n_tiles:
+            continue
+        x0, y0 = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
+        end = offset[tile + 1]
+        while end > offset[tile] and not (all_trained or trained[ids[end - 1]]):
+            end -= 1
+        if end == offset[tile]:
+            continue
+        state = _zeros(7 * 256)
+        rows_open = np.empty(TILE, np.uint8)
+        n_open = _open_pixels(state, rows_open, pixels, x0, y0, width, height)
+        for r in range(min(TILE, height - y0)):
+            for i in range(min(TILE, width - x0)):
+                o, y, x = r * TILE + i, y0 + r, x0 + i
+                total = _ZERO
+                for c in range(3):
+                    state[512 + 256 * c + o] = v_rgb[y, x, c]
+                    total += rgb[y, x, c] * v_rgb[y, x, c]
+                if v_depth.shape[0] > 0:
+                    state[1280 + o] = v_depth[y, x]
+                    total += depth[y, x] * v_depth[y, x]
+                if v_alpha.shape[0] > 0:
+                    state[1536 + o] = v_alpha[y, x]
+                    total += alpha_image[y, x] * v_alpha[y, x]
+                state[256 + o] = total
+        if masked:  # a loss may have no gradient there, not even a number
+            for o in range(256):
+                if state[o] < _ZERO:
+                    for c in range(1, 7):
+                        state[256 * c + o] = _ZERO
+        centre_x = iota() + splat(f32(x0) + _HALF)
+        zero, one, floor_T = splat(_ZERO), splat(_ONE), splat(_T_MIN)
+        threshold, ceiling = splat(_LOG_ALPHA_MIN), splat(_ALPHA_MAX)
+        for k in range(offset[tile], end):
+            out = pair_sums[slot[k]]
+            if n_open == 0:
+                for i in range(PAIR_SUMS):
+                    out[i] = _ZERO
+                continue
+            s = splats[ids[k]]
+            r0 = max(0, int(np.ceil(s[1] - s[11] - _HALF)) - y0)
+            r1 = min(min(TILE, height - y0), int(np.floor(s[1] + s[11] - _HALF)) + 1 - y0)
+            if not (all_trained or trained[ids[k]]):
+                n_open -= _pass_through(state, rows_open, s, r0, r1, x0, y0)
+                continue
+            dx = centre_x - splat(s[0])
+            q0 = splat(-_HALF * s[2]) * dx * dx + splat(s[5])
+            q1 = splat(-s[3]) * dx
+            red, green, blue, z = splat(s[6]), splat(s[7]), splat(s[8]), splat(s[9])
+            sum_g, sum_gy, sum_gyy = zero, zero, zero
+            sum_r, sum_b, sum_gr, sum_z = zero, zero, zero, zero
+            for r in range(r0, r1):
+                if rows_open[r] == 0:
+                    continue
+                dy = f32(y0 + r) + _HALF - s[1]
+                log_alpha = q1 * splat(dy) + (q0 + splat(-_HALF * s[4] * dy * dy))
+                seen = log_alpha >= threshold
+                if not any_lane(seen):
+                    continue
+                o = r * TILE
+                raw = exp(log_alpha)
+                alpha = select(seen, minimum(raw, ceiling), zero)
+                T = load(state, o)
+                T_open = maximum(T, zero)
+                w = alpha * T_open
+                T_next = T_open - w
+                goes_on = T_next >= floor_T
+                w = select(goes_on, w, zero)
+                T = select(goes_on, T_next, negative_abs(T))
+                store(state, o, T)
+                v_red, v_green, v_blue = load(state, 512 + o), load(state, 768 + o), load(state, 1024 + o)
+                v_z = load(state, 1280 + o)
+                p = red * v_red + green * v_green + blue * v_blue + z * v_z + load(state, 1536 + o)
+                rest = load(state, 256 + o) - w * p
+                store(state, 256 + o, rest)
+                v_of_alpha = T_open * p - rest / (one - alpha)
+                g = select(goes_on & (seen & (raw < ceiling)), v_of_alpha * alpha, zero)
+                gy = g * splat(dy)
+                sum_g = sum_g + g
+                sum_gy = sum_gy + gy
+                sum_gyy = sum_gyy + gy * splat(dy)
+                sum_r = sum_r + w * v_red
+                sum_gr = sum_gr + w * v_green
+                sum_b = sum_b + w * v_blue
+                sum_z = sum_z + w * v_z
+                if not any_lane(zero < T):
+                    rows_open[r] = 0
+                    n_open -= 1
+            gx = sum_g * dx
+            out[0] = reduce_add(gx)
+            out[1] = reduce_add(sum_gy)
+            out[2] = reduce_add(gx * dx)
+            out[3] = reduce_add(sum_gy * dx)
+            out[4] = reduce_add(sum_gyy)
+            out[5] = reduce_add(sum_g)
+            out[6] = reduce_add(sum_r)
+            out[7] = reduce_add(sum_gr)
+            out[8] = reduce_add(sum_b)
+            out[9] = reduce_add(sum_z)

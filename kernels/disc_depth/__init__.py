@@ -1,0 +1,1 @@
+"""Depth of the first opaque disc at each pixel, and its gradient (RTG-SLAM)."""

@@ -1,0 +1,266 @@
+"""Disc depth of each pixel's hit and its gradient: one pass over the pixels, one over the Gaussians.
+
+The formulas are those of ``gsfusion_nb.render.disc``. The gradient first lists the pixels of each Gaussian by counting;
+then each Gaussian adds up its own, in the order of the image: the sums do not depend on the number of threads.
+"""
+
+# Arrays are passed on as a list, which pyright cannot follow:
+# pyright: reportCallIssue=false
+
+import math
+
+import numpy as np
+import torch
+from numba import njit, prange
+from torch import Tensor
+
+from gsfusion_nb.backends import use_backend
+from gsfusion_nb.checks import check_mask
+from gsfusion_nb.constants import DISC_MAX_OFFSET, DISC_MIN_COSINE
+from gsfusion_nb.render import disc as reference
+from gsfusion_nb.types import Camera, GaussianParams
+
+from ..runtime.numba.dealing import deal_size, dealt
+from ..runtime.numba.launch import launching
+
+DISC = 11
+"""Centre p (3) and normal n (3) in the camera frame, p . n, largest allowed |z - p_z|, normal towards the camera in the
+world frame (3)."""
+
+f32 = np.float32
+_ZERO, _HALF, _ONE, _TWO = f32(0.0), f32(0.5), f32(1.0), f32(2.0)
+_CHUNK = 256
+_ALL_ROWS = np.empty(0, np.bool_)
+
+
+def disc_depth(
+    params: GaussianParams,
+    camera: Camera,
+    T_WC: Tensor,
+    hit_index: Tensor,
+    *,
+    max_offset: float | None = DISC_MAX_OFFSET,
+    min_cosine: float = DISC_MIN_COSINE,
+) -> reference.DiscDepth:
+    """See ``gsfusion_nb.render.disc_depth``."""
+    options = {"max_offset": max_offset, "min_cosine": min_cosine}
+    if params.xyz_W.dtype != torch.float32:
+        with use_backend("reference"):
+            return reference.disc_depth(params, camera, T_WC, hit_index, **options)
+    reference.check_discs(len(params), camera, hit_index, max_offset, min_cosine)
+    arrays, view, hit = _arrays(params), _view(camera, T_WC), hit_index.long().contiguous().numpy()
+    depth, normal = torch.empty(hit.shape), torch.empty(*hit.shape, 3)
+    on_plane = torch.empty(hit.shape, dtype=torch.bool)
+    with launching():
+        discs = _list_discs(*arrays, view, _offset(max_offset), _ALL_ROWS)
+        _meet_all(discs, hit, view, f32(min_cosine), depth.numpy(), normal.numpy(), on_plane.numpy())
+    return reference.DiscDepth(depth_m=depth, normal_W=normal, on_plane=on_plane)
+
+
+def disc_depth_vjp(
+    params: GaussianParams,
+    camera: Camera,
+    T_WC: Tensor,
+    hit_index: Tensor,
+    v_depth_m: Tensor,
+    *,
+    max_offset: float | None = DISC_MAX_OFFSET,
+    min_cosine: float = DISC_MIN_COSINE,
+    rows: Tensor | None = None,
+) -> tuple[Tensor, Tensor]:
+    """See ``gsfusion_nb.render.disc_depth_vjp``."""
+    options = {"max_offset": max_offset, "min_cosine": min_cosine}
+    if params.xyz_W.dtype != torch.float32:
+        with use_backend("reference"):
+            return reference.disc_depth_vjp(params, camera, T_WC, hit_index, v_depth_m, **options, rows=rows)
+    reference.check_discs(len(params), camera, hit_index, max_offset, min_cosine)
+    trained = _ALL_ROWS
+    if rows is not None:
+        check_mask("rows", rows, (len(params),))
+        trained = rows.contiguous().numpy()
+    arrays, view, hit = _arrays(params), _view(camera, T_WC), hit_index.long().contiguous().numpy()
+    v_depth = v_depth_m.detach().float().contiguous().numpy()
+    v_xyz, v_quat = torch.empty(len(params), 3), torch.empty(len(params), 4)
+    with launching():
+        discs = _list_discs(*arrays, view, _offset(max_offset), trained)
+        pixel, start = _pixels_by_row(hit.reshape(-1), len(params), trained)
+        lists = pixel, start, hit.shape[1]
+        _meet_all_vjp(
+            discs, *arrays[1:], lists, view, f32(min_cosine), v_depth.reshape(-1), v_xyz.numpy(), v_quat.numpy()
+        )
+    return v_xyz, v_quat
+
+
+def _arrays(params: GaussianParams) -> list[np.ndarray]:
+    return [t.detach().contiguous().numpy() for t in (params.xyz_W, params.log_scale, params.quat)]
+
+
+def _view(camera: Camera, T_WC: Tensor) -> np.ndarray:
+    """R_WC (9), camera centre (3), fx, fy, cx, cy."""
+    T = T_WC.detach().float().numpy()
+    return np.concatenate([T[:3, :3].ravel(), T[:3, 3], [camera.fx, camera.fy, camera.cx, camera.cy]]).astype(
+        np.float32
+    )
+
+
+def _offset(max_offset: float | None) -> np.float32:
+    return f32(np.inf if max_offset is None else max_offset)
+
+
+@njit(inline="always")
+def _thin_axis(log_scale):
+    """The axis of the smallest scale, the first of equals."""
+    axis = 0
+    for k in range(1, 3):
+        if log_scale[k] < log_scale[axis]:
+            axis = k
+    return axis
+
+
+@njit(inline="always")
+def _unit(q):
+    """|q| and the parts of q / |q|."""
+    norm = max(math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]), f32(1e-12))
+    return norm, q[0] / norm, q[1] / norm, q[2] / norm, q[3] / norm
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
+def _list_discs(xyz, log_scale, quat, view, max_offset, wanted):
+    """The discs [N, DISC]; those of rows that are not ``wanted`` stay empty. An empty array stands for all rows."""
+    N = xyz.shape[0]
+    all_wanted = wanted.shape[0] == 0
+    discs = np.empty((N, DISC), np.float32)
+    n_parts = (N + _CHUNK - 1) // _CHUNK
+    for k_part in prange(deal_size(n_parts)):
+        part = dealt(k_part, n_parts)
+        if part >= n_parts:
+            continue
+        for i in range(part * _CHUNK, min(N, part * _CHUNK + _CHUNK)):
+            if not (all_wanted or wanted[i]):
+                continue
+            d = discs[i]
+            _, w, x, y, z = _unit(quat[i])
+            axis = _thin_axis(log_scale[i])
+            if axis == 0:
+                n0, n1, n2 = _ONE - _TWO * (y * y + z * z), _TWO * (x * y + w * z), _TWO * (x * z - w * y)
+            elif axis == 1:
+                n0, n1, n2 = _TWO * (x * y - w * z), _ONE - _TWO * (x * x + z * z), _TWO * (y * z + w * x)
+            else:
+                n0, n1, n2 = _TWO * (x * z + w * y), _TWO * (y * z - w * x), _ONE - _TWO * (x * x + y * y)
+            p0, p1, p2 = xyz[i, 0] - view[9], xyz[i, 1] - view[10], xyz[i, 2] - view[11]
+            for k in range(3):
+                d[k] = view[k] * p0 + view[3 + k] * p1 + view[6 + k] * p2
+                d[3 + k] = view[k] * n0 + view[3 + k] * n1 + view[6 + k] * n2
+            d[6] = d[0] * d[3] + d[1] * d[4] + d[2] * d[5]
+            d[7] = max_offset * math.exp(max(log_scale[i, 0], log_scale[i, 1], log_scale[i, 2]))
+            side = -_ONE if d[6] > _ZERO else _ONE
+            d[8], d[9], d[10] = side * n0, side * n1, side * n2
+    return discs
+
+
+@njit(inline="always")
+def _meet(disc, x, y, min_cosine):
+    """z, r . n and whether z is on the plane, for the ray (x, y, 1)."""
+    rn = x * disc[3] + y * disc[4] + disc[5]
+    if abs(rn) >= min_cosine * math.sqrt(x * x + y * y + _ONE):
+        z = disc[6] / rn
+        if z > _ZERO and abs(z - disc[2]) <= disc[7]:
+            return z, rn, True
+    return disc[2], rn, False
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
+def _meet_all(discs, hit, view, min_cosine, depth, normal, on_plane):
+    """The three images; every pixel is written."""
+    H, W = hit.shape
+    for j in prange(H):
+        y = (f32(j) + _HALF - view[15]) / view[13]
+        for i in range(W):
+            depth[j, i], on_plane[j, i] = _ZERO, False
+            normal[j, i, 0], normal[j, i, 1], normal[j, i, 2] = _ZERO, _ZERO, _ZERO
+            if hit[j, i] < 0:
+                continue
+            d = discs[hit[j, i]]
+            x = (f32(i) + _HALF - view[14]) / view[12]
+            depth[j, i], _, on_plane[j, i] = _meet(d, x, y, min_cosine)
+            normal[j, i, 0], normal[j, i, 1], normal[j, i, 2] = d[8], d[9], d[10]
+
+
+@njit(cache=True, error_model="numpy")
+def _pixels_by_row(hit, N, wanted):
+    """Places in the image of the pixels that hit row g, in order: ``pixel[start[g] : start[g + 1]]``.
+
+    Rows that are not ``wanted`` have none; an empty array stands for all rows.
+    """
+    start = np.zeros(N + 1, np.int32)
+    all_wanted = wanted.shape[0] == 0
+    for g in hit:
+        if g >= 0 and (all_wanted or wanted[g]):
+            start[g + 1] += 1
+    for g in range(N):
+        start[g + 1] += start[g]
+    cursor = start[:-1].copy()
+    pixel = np.empty(start[N], np.int32)
+    for o in range(hit.shape[0]):
+        g = hit[o]
+        if g >= 0 and (all_wanted or wanted[g]):
+            pixel[cursor[g]] = o
+            cursor[g] += 1
+    return pixel, start
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
+def _meet_all_vjp(discs, log_scale, quat, lists, view, min_cosine, v_depth, v_xyz, v_quat):
+    """Each row's sum over its pixels, in float64, carried to centre and quaternion; every row is written."""
+    pixel, start, width = lists
+    N = discs.shape[0]
+    n_parts = (N + _CHUNK - 1) // _CHUNK
+    for k_part in prange(deal_size(n_parts)):
+        part = dealt(k_part, n_parts)
+        if part >= n_parts:
+            continue
+        v_p, v_n, e = np.empty(3), np.empty(3), np.empty(3)
+        for i in range(part * _CHUNK, min(N, part * _CHUNK + _CHUNK)):
+            v_xyz[i], v_quat[i] = _ZERO, _ZERO
+            if start[i] == start[i + 1]:
+                continue
+            d = discs[i]
+            at_centre, at_plane, n0, n1, n2 = 0.0, 0.0, 0.0, 0.0, 0.0
+            for k in range(start[i], start[i + 1]):
+                o = pixel[k]
+                x = (f32(o % width) + _HALF - view[14]) / view[12]
+                y = (f32(o // width) + _HALF - view[15]) / view[13]
+                z, rn, on_plane = _meet(d, x, y, min_cosine)
+                if on_plane:
+                    v = v_depth[o] / rn
+                    at_plane += v
+                    n0 += v * (d[0] - z * x)
+                    n1 += v * (d[1] - z * y)
+                    n2 += v * (d[2] - z)
+                else:
+                    at_centre += v_depth[o]
+            for k in range(3):  # to the world frame: v_p = at_plane n + at_centre (0, 0, 1)
+                a, b, c = view[3 * k], view[3 * k + 1], view[3 * k + 2]
+                v_p[k] = at_plane * (a * d[3] + b * d[4] + c * d[5]) + at_centre * c
+                v_n[k] = a * n0 + b * n1 + c * n2
+                v_xyz[i, k] = v_p[k]
+            e[:] = 0.0
+            e[_thin_axis(log_scale[i])] = 1.0
+            _axis_vjp(quat[i], e, v_n, v_quat[i])
+
+
+@njit(cache=True, error_model="numpy")
+def _axis_vjp(quat, e, v, out):
+    """Gradient ``v`` of the axis R(q) e, carried to the quaternion."""
+    norm, w, x, y, z = _unit(quat)
+    ue = x * e[0] + y * e[1] + z * e[2]
+    uv = x * v[0] + y * v[1] + z * v[2]
+    ev = e[0] * v[0] + e[1] * v[1] + e[2] * v[2]
+    c0, c1, c2 = y * e[2] - z * e[1], z * e[0] - x * e[2], x * e[1] - y * e[0]
+    v_w = 2.0 * (w * ev + v[0] * c0 + v[1] * c1 + v[2] * c2)
+    v_x = 2.0 * (ue * v[0] + uv * e[0] - ev * x + w * (e[1] * v[2] - e[2] * v[1]))
+    v_y = 2.0 * (ue * v[1] + uv * e[1] - ev * y + w * (e[2] * v[0] - e[0] * v[2]))
+    v_z = 2.0 * (ue * v[2] + uv * e[2] - ev * z + w * (e[0] * v[1] - e[1] * v[0]))
+    along = w * v_w + x * v_x + y * v_y + z * v_z
+    out[0], out[1] = (v_w - w * along) / norm, (v_x - x * along) / norm
+    out[2], out[3] = (v_y - y * along) / norm, (v_z - z * along) / norm

@@ -1,0 +1,219 @@
+"""Disc depth of each pixel's hit and its gradient: one pass over the pixels, one over the Gaussians.
+
+The formulas are those of ``gsfusion_nb.render.disc``. A pixel makes its disc from the parameters: cheaper than a table
+of discs. Pixels of one disc add their gradients by atomics, in an order that changes from run to run.
+"""
+
+# pyright: reportCallIssue=false, reportArgumentType=false, reportOperatorIssue=false, reportIndexIssue=false
+
+import torch
+import triton
+import triton.language as tl
+from torch import Tensor
+
+from gsfusion_nb.backends import use_backend
+from gsfusion_nb.checks import check_mask, check_positive, check_shape
+from gsfusion_nb.constants import DISC_MAX_OFFSET, DISC_MIN_COSINE
+from gsfusion_nb.render import disc as reference
+from gsfusion_nb.types import Camera, GaussianParams
+
+from ..project.triton import load3, load4, load_rotation, rotation
+from ..runtime.triton.launch import device_of, launch, parts
+
+_BLOCK = 128
+
+
+def disc_depth(
+    params: GaussianParams,
+    camera: Camera,
+    T_WC: Tensor,
+    hit_index: Tensor,
+    *,
+    max_offset: float | None = DISC_MAX_OFFSET,
+    min_cosine: float = DISC_MIN_COSINE,
+) -> reference.DiscDepth:
+    """See ``gsfusion_nb.render.disc_depth``. A row beyond the last is taken for no hit: the host would have to wait."""
+    options = {"max_offset": max_offset, "min_cosine": min_cosine}
+    if params.xyz_W.dtype != torch.float32:
+        with use_backend("reference"):
+            return reference.disc_depth(params, camera, T_WC, hit_index, **options)
+    device = device_of("disc_depth", **vars(params), hit_index=hit_index)
+    _check(camera, hit_index, max_offset, min_cosine)
+    depth, normal = (torch.empty(*hit_index.shape, *n, dtype=torch.float32, device=device) for n in ((), (3,)))
+    on_plane = torch.empty(hit_index.shape, dtype=torch.uint8, device=device)
+    launch(
+        _meet_all, parts(hit_index.numel(), _BLOCK), device, *_inputs(params, T_WC, hit_index, device),
+        depth, normal, on_plane, *_sizes(params, camera, max_offset, min_cosine), BLOCK=_BLOCK, num_warps=4,
+    )  # fmt: skip
+    return reference.DiscDepth(depth_m=depth, normal_W=normal, on_plane=on_plane.view(torch.bool))
+
+
+def disc_depth_vjp(
+    params: GaussianParams,
+    camera: Camera,
+    T_WC: Tensor,
+    hit_index: Tensor,
+    v_depth_m: Tensor,
+    *,
+    max_offset: float | None = DISC_MAX_OFFSET,
+    min_cosine: float = DISC_MIN_COSINE,
+    rows: Tensor | None = None,
+) -> tuple[Tensor, Tensor]:
+    """See ``gsfusion_nb.render.disc_depth_vjp``."""
+    options = {"max_offset": max_offset, "min_cosine": min_cosine}
+    if params.xyz_W.dtype != torch.float32:
+        with use_backend("reference"):
+            return reference.disc_depth_vjp(params, camera, T_WC, hit_index, v_depth_m, **options, rows=rows)
+    device = device_of("disc_depth_vjp", **vars(params), hit_index=hit_index, v_depth_m=v_depth_m, rows=rows)
+    _check(camera, hit_index, max_offset, min_cosine)
+    if rows is not None:
+        check_mask("rows", rows, (len(params),))
+    inputs, N = _inputs(params, T_WC, hit_index, device), len(params)
+    v_disc = torch.zeros(N, 6, dtype=torch.float32, device=device)
+    v_xyz, v_quat = (torch.empty(N, n, dtype=torch.float32, device=device) for n in (3, 4))
+    launch(
+        _meet_all_vjp, parts(hit_index.numel(), _BLOCK), device, *inputs,
+        v_disc if rows is None else rows.contiguous().view(torch.uint8), v_depth_m.detach().float().contiguous(),
+        v_disc, *_sizes(params, camera, max_offset, min_cosine), SOME=rows is not None, BLOCK=_BLOCK, num_warps=4,
+    )  # fmt: skip
+    launch(_axes_vjp, parts(N, _BLOCK), device, *inputs[1:4], v_disc, v_xyz, v_quat, N, BLOCK=_BLOCK, num_warps=4)
+    return v_xyz, v_quat
+
+
+def _check(camera: Camera, hit_index: Tensor, max_offset: float | None, min_cosine: float) -> None:
+    check_shape("hit_index", hit_index, (camera.height, camera.width))
+    check_positive("min_cosine", min_cosine)
+    if max_offset is not None:
+        check_positive("max_offset", max_offset)
+
+
+def _inputs(params: GaussianParams, T_WC: Tensor, hit_index: Tensor, device: torch.device) -> tuple[Tensor, ...]:
+    arrays = (params.xyz_W, params.log_scale, params.quat)
+    xyz, log_scale, quat = (a.detach().contiguous() for a in arrays)
+    pose = T_WC.detach().to(device, torch.float32).contiguous()
+    return xyz, log_scale, quat, pose, hit_index.long().contiguous()
+
+
+def _sizes(params: GaussianParams, camera: Camera, max_offset: float | None, min_cosine: float) -> tuple:
+    lens = (float(x) for x in (camera.fx, camera.fy, camera.cx, camera.cy))
+    limits = float("inf") if max_offset is None else float(max_offset), float(min_cosine)
+    return camera.width, camera.width * camera.height, len(params), *lens, *limits
+
+
+@triton.jit
+def _thin_axis(a, b, c):
+    """Number of the smallest of three, the first of equals."""
+    axis = tl.where(b < a, 1, 0)
+    return tl.where(c < tl.minimum(a, b), 2, axis)
+
+
+@triton.jit
+def _pick(axis, a, b, c):
+    return tl.where(axis == 0, a, tl.where(axis == 1, b, c))
+
+
+@triton.jit
+def _discs(xyz, log_scale, quat, T, g, mask):
+    """Centres and normals in the camera frame, normals in the world frame, largest scales."""
+    l0, l1, l2 = load3(log_scale, g, mask)
+    axis = _thin_axis(l0, l1, l2)
+    q0, q1, q2, q3 = load4(quat, g, mask)
+    _, r0, r1, r2, r3, r4, r5, r6, r7, r8 = rotation(q0, q1, q2, q3)
+    n0, n1, n2 = _pick(axis, r0, r1, r2), _pick(axis, r3, r4, r5), _pick(axis, r6, r7, r8)
+    c0, c3, c6, c1, c4, c7, c2, c5, c8 = load_rotation(T)  # rows of R_CW
+    X, Y, Z = load3(xyz, g, mask)
+    X, Y, Z = X - tl.load(T + 3), Y - tl.load(T + 7), Z - tl.load(T + 11)
+    return (
+        c0 * X + c1 * Y + c2 * Z, c3 * X + c4 * Y + c5 * Z, c6 * X + c7 * Y + c8 * Z,
+        c0 * n0 + c1 * n1 + c2 * n2, c3 * n0 + c4 * n1 + c5 * n2, c6 * n0 + c7 * n1 + c8 * n2,
+        n0, n1, n2, tl.exp(tl.maximum(l0, tl.maximum(l1, l2))),
+    )  # fmt: skip
+
+
+@triton.jit
+def _meet(p0, p1, p2, m0, m1, m2, scale, x, y, max_offset, min_cosine):
+    """z, r . n (1 off the plane), p . n and whether z is on the plane, for the rays (x, y, 1)."""
+    rn = x * m0 + y * m1 + m2
+    on_plane = tl.abs(rn) >= min_cosine * tl.sqrt(x * x + y * y + 1.0)
+    rn = tl.where(on_plane, rn, 1.0)
+    pn = p0 * m0 + p1 * m1 + p2 * m2
+    z = pn / rn
+    on_plane = on_plane & (z > 0) & (tl.abs(z - p2) <= max_offset * scale)
+    return tl.where(on_plane, z, p2), rn, pn, on_plane
+
+
+@triton.jit(do_not_specialize=["width", "total", "N"])
+def _meet_all(
+    xyz, log_scale, quat, T, hit, depth, normal, on_plane_image, width, total, N, fx, fy, cx, cy, max_offset,
+    min_cosine, BLOCK: tl.constexpr,
+):  # fmt: skip
+    at = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
+    here = at < total
+    g = tl.load(hit + at, mask=here, other=-1)
+    met = (g >= 0) & (g < N)
+    p0, p1, p2, m0, m1, m2, n0, n1, n2, scale = _discs(xyz, log_scale, quat, T, g, met)
+    x, y = (at % width + 0.5 - cx) / fx, (at // width + 0.5 - cy) / fy
+    z, _, pn, on_plane = _meet(p0, p1, p2, m0, m1, m2, scale, x, y, max_offset, min_cosine)
+    side = tl.where(met, tl.where(pn > 0, -1.0, 1.0), 0.0)
+    tl.store(depth + at, tl.where(met, z, 0.0), mask=here)
+    tl.store(on_plane_image + at, (met & on_plane).to(tl.uint8), mask=here)
+    tl.store(normal + 3 * at, side * n0, mask=here)
+    tl.store(normal + 3 * at + 1, side * n1, mask=here)
+    tl.store(normal + 3 * at + 2, side * n2, mask=here)
+
+
+@triton.jit(do_not_specialize=["width", "total", "N"])
+def _meet_all_vjp(
+    xyz, log_scale, quat, T, hit, trained, v_depth, v_disc, width, total, N, fx, fy, cx, cy, max_offset,
+    min_cosine, SOME: tl.constexpr, BLOCK: tl.constexpr,
+):  # fmt: skip
+    """Add each pixel's gradients of centre and normal, camera frame, to ``v_disc`` [N, 6]."""
+    at = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
+    here = at < total
+    g = tl.load(hit + at, mask=here, other=-1)
+    met = (g >= 0) & (g < N)
+    if SOME:
+        met = met & (tl.load(trained + g, mask=met, other=0) != 0)
+    p0, p1, p2, m0, m1, m2, _, _, _, scale = _discs(xyz, log_scale, quat, T, g, met)
+    x, y = (at % width + 0.5 - cx) / fx, (at // width + 0.5 - cy) / fy
+    z, rn, _, on_plane = _meet(p0, p1, p2, m0, m1, m2, scale, x, y, max_offset, min_cosine)
+    v = tl.load(v_depth + at, mask=met, other=0.0)
+    v_plane = tl.where(on_plane, v / rn, 0.0)
+    out = v_disc + 6 * g
+    tl.atomic_add(out, v_plane * m0, mask=met & on_plane, sem="relaxed")
+    tl.atomic_add(out + 1, v_plane * m1, mask=met & on_plane, sem="relaxed")
+    tl.atomic_add(out + 2, v_plane * m2 + tl.where(on_plane, 0.0, v), mask=met, sem="relaxed")
+    tl.atomic_add(out + 3, v_plane * (p0 - z * x), mask=met & on_plane, sem="relaxed")
+    tl.atomic_add(out + 4, v_plane * (p1 - z * y), mask=met & on_plane, sem="relaxed")
+    tl.atomic_add(out + 5, v_plane * (p2 - z), mask=met & on_plane, sem="relaxed")
+
+
+@triton.jit(do_not_specialize=["N"])
+def _axes_vjp(log_scale, quat, T, v_disc, v_xyz, v_quat, N, BLOCK: tl.constexpr):
+    """To the world frame, and from the normal to the quaternion."""
+    i = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
+    row = i < N
+    a0, a1, a2 = load3(v_disc, 2 * i, row)
+    b0, b1, b2 = load3(v_disc, 2 * i + 1, row)
+    k0, k1, k2, k3, k4, k5, k6, k7, k8 = load_rotation(T)
+    tl.store(v_xyz + 3 * i, k0 * a0 + k1 * a1 + k2 * a2, mask=row)
+    tl.store(v_xyz + 3 * i + 1, k3 * a0 + k4 * a1 + k5 * a2, mask=row)
+    tl.store(v_xyz + 3 * i + 2, k6 * a0 + k7 * a1 + k8 * a2, mask=row)
+    v0, v1, v2 = k0 * b0 + k1 * b1 + k2 * b2, k3 * b0 + k4 * b1 + k5 * b2, k6 * b0 + k7 * b1 + k8 * b2
+    l0, l1, l2 = load3(log_scale, i, row)
+    axis = _thin_axis(l0, l1, l2)
+    e0, e1, e2 = _pick(axis, 1.0, 0.0, 0.0), _pick(axis, 0.0, 1.0, 0.0), _pick(axis, 0.0, 0.0, 1.0)
+    w, x, y, z = load4(quat, i, row)
+    norm = tl.maximum(tl.sqrt(w * w + x * x + y * y + z * z), 1e-12)
+    w, x, y, z = w / norm, x / norm, y / norm, z / norm
+    ue, uv, ev = x * e0 + y * e1 + z * e2, x * v0 + y * v1 + z * v2, e0 * v0 + e1 * v1 + e2 * v2
+    c0, c1, c2 = y * e2 - z * e1, z * e0 - x * e2, x * e1 - y * e0
+    v_w = 2.0 * (w * ev + v0 * c0 + v1 * c1 + v2 * c2)
+    v_x = 2.0 * (ue * v0 + uv * e0 - ev * x + w * (e1 * v2 - e2 * v1))
+    v_y = 2.0 * (ue * v1 + uv * e1 - ev * y + w * (e2 * v0 - e0 * v2))
+    v_z = 2.0 * (ue * v2 + uv * e2 - ev * z + w * (e0 * v1 - e1 * v0))
+    along = w * v_w + x * v_x + y * v_y + z * v_z
+    tl.store(v_quat + 4 * i, (v_w - w * along) / norm, mask=row)
+    tl.store(v_quat + 4 * i + 1, (v_x - x * along) / norm, mask=row)
+    tl.store(v_quat + 4 * i + 2, (v_y - y * along) / norm, mask=row)
+    tl.store(v_quat + 4 * i + 3, (v_z - z * along) / norm, mask=row)

@@ -1,0 +1,1 @@
+"""Spherical harmonics, a stage of rasterize."""

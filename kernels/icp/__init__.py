@@ -1,0 +1,1 @@
+"""Normal equations of point-to-plane ICP."""

@@ -1,0 +1,155 @@
+"""Normal equations of point-to-plane ICP in one pass over the pixels of a frame.
+
+The formulas are those of ``gsfusion_nb.tracking.normal_equations``. Each row of pixels first lists
+its correspondences, sqrt(w) [J, r, 1] in columns, then multiplies them: 29 vectorised dot products. Rows are added up
+in order, so the sums do not depend on the number of threads.
+"""
+
+# Arrays are passed on as tuples, which pyright cannot follow:
+# pyright: reportCallIssue=false
+
+import numpy as np
+import torch
+from numba import njit, prange
+from torch import Tensor
+
+from gsfusion_nb.tracking.normal_equations import IcpSystem
+from gsfusion_nb.tracking.normal_equations import icp_system as reference
+from gsfusion_nb.tracking.pyramid import DepthLevel
+from gsfusion_nb.tracking.surface import Surface
+from gsfusion_nb.types import Camera
+
+from ..runtime.numba.launch import launching
+
+f32 = np.float32
+_ZERO, _HALF, _ONE = f32(0.0), f32(0.5), f32(1.0)
+
+
+def icp_system(
+    level: DepthLevel,
+    T_WC: Tensor,
+    surface: Surface,
+    *,
+    max_distance_m: float,
+    min_cosine: float,
+    even_to_m: float | None = None,
+) -> IcpSystem:
+    """See ``gsfusion_nb.tracking.icp_system``."""
+    images = level.depth_m, level.normal_C, surface.depth_m, surface.normal_W
+    if any(t.dtype != torch.float32 or t.device.type != "cpu" for t in images):
+        options = {"max_distance_m": max_distance_m, "min_cosine": min_cosine, "even_to_m": even_to_m}
+        return reference.reference(level, T_WC, surface, **options)
+    depth, normal, surface_depth, surface_normal = (t.detach().contiguous().numpy() for t in images)
+    T_WS = surface.T_WC.detach().double().cpu().numpy()
+    T = T_WC.detach().double().cpu().numpy().copy()
+    T[:3, 3] -= T_WS[:3, 3]
+    poses = T.astype(np.float32), T_WS[:3, :3].astype(np.float32)
+    lenses = _lens(level.camera), _lens(surface.camera)
+    gates = f32(max_distance_m) * f32(max_distance_m), f32(min_cosine), f32(np.inf if even_to_m is None else even_to_m)
+    with launching():
+        sums, counts = _sum_rows((depth, normal), (surface_depth, surface_normal), poses, lenses, gates)
+    total = sums.sum(0)
+    H = np.empty((6, 6))
+    H[np.triu_indices(6)] = total[:21]
+    H.T[np.triu_indices(6)] = total[:21]
+    return IcpSystem(
+        H=torch.from_numpy(H),
+        b=torch.from_numpy(total[21:27].copy()),
+        sum_squares_m2=float(total[27]),
+        sum_weights=float(total[28]),
+        n_inliers=int(counts[:, 0].sum()),
+        n_overlap=int(counts[:, 1].sum()),
+    )
+
+
+def _lens(camera: Camera) -> np.ndarray:
+    return np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
+
+
+@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
+def _dot(a, b, n):
+    """float64 sum, in an order that lets the compiler use whole vectors."""
+    total = 0.0
+    for i in range(n):
+        total += np.float64(a[i]) * np.float64(b[i])
+    return total
+
+
+@njit(cache=True, error_model="numpy")
+def _correspond(images, model, poses, lenses, gates, j, columns):
+    """Write sqrt(w) [J, r, 1] of the correspondences of row j to ``columns``; their number, and that of the overlap."""
+    depth, normal = images
+    surface_depth, surface_normal = model
+    T, R = poses
+    lens, surface_lens = lenses
+    max_square, min_cosine, even_to = gates
+    height, width = surface_depth.shape
+    fx, fy, cx, cy = surface_lens[0], surface_lens[1], surface_lens[2], surface_lens[3]
+    y = (f32(j) + _HALF - lens[3]) / lens[1]
+    n_inliers, n_overlap = 0, 0
+    for i in range(depth.shape[1]):
+        z = depth[j, i]
+        if not z > _ZERO:
+            continue
+        x = (f32(i) + _HALF - lens[2]) / lens[0]
+        X, Y = z * x, z * y
+        p0 = T[0, 0] * X + T[0, 1] * Y + T[0, 2] * z + T[0, 3]
+        p1 = T[1, 0] * X + T[1, 1] * Y + T[1, 2] * z + T[1, 3]
+        p2 = T[2, 0] * X + T[2, 1] * Y + T[2, 2] * z + T[2, 3]
+        s2 = R[0, 2] * p0 + R[1, 2] * p1 + R[2, 2] * p2
+        if not s2 > _ZERO:
+            continue
+        u = fx * ((R[0, 0] * p0 + R[1, 0] * p1 + R[2, 0] * p2) / s2) + cx
+        v = fy * ((R[0, 1] * p0 + R[1, 1] * p1 + R[2, 1] * p2) / s2) + cy
+        if not (u >= _ZERO and u < f32(width) and v >= _ZERO and v < f32(height)):
+            continue
+        column, row = int(u), int(v)
+        d = surface_depth[row, column]
+        n0, n1, n2 = surface_normal[row, column, 0], surface_normal[row, column, 1], surface_normal[row, column, 2]
+        if not d > _ZERO or (n0 == _ZERO and n1 == _ZERO and n2 == _ZERO):
+            continue
+        n_overlap += 1
+        X, Y = d * ((f32(column) + _HALF - cx) / fx), d * ((f32(row) + _HALF - cy) / fy)
+        e0 = p0 - (R[0, 0] * X + R[0, 1] * Y + R[0, 2] * d)
+        e1 = p1 - (R[1, 0] * X + R[1, 1] * Y + R[1, 2] * d)
+        e2 = p2 - (R[2, 0] * X + R[2, 1] * Y + R[2, 2] * d)
+        if not e0 * e0 + e1 * e1 + e2 * e2 <= max_square:
+            continue
+        a, b, c = normal[j, i, 0], normal[j, i, 1], normal[j, i, 2]
+        cosine = (
+            n0 * (T[0, 0] * a + T[0, 1] * b + T[0, 2] * c)
+            + n1 * (T[1, 0] * a + T[1, 1] * b + T[1, 2] * c)
+            + n2 * (T[2, 0] * a + T[2, 1] * b + T[2, 2] * c)
+        )
+        if not cosine >= min_cosine:
+            continue
+        near = even_to / z
+        w = near * near if near < _ONE else _ONE  # the square root of the weight, on both factors of each product
+        k = n_inliers
+        columns[6, k] = w * (e0 * n0 + e1 * n1 + e2 * n2)
+        columns[7, k] = w
+        n0, n1, n2 = w * n0, w * n1, w * n2
+        columns[0, k], columns[1, k], columns[2, k] = n0, n1, n2
+        columns[3, k], columns[4, k], columns[5, k] = p1 * n2 - p2 * n1, p2 * n0 - p0 * n2, p0 * n1 - p1 * n0
+        n_inliers += 1
+    return n_inliers, n_overlap
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
+def _sum_rows(images, model, poses, lenses, gates):
+    """For each row of pixels: upper triangle of H (21), b (6), sums of squares and weights; numbers of pixels."""
+    height, width = images[0].shape
+    sums, counts = np.empty((height, 29)), np.empty((height, 2), np.int64)
+    for j in prange(height):
+        columns = np.empty((8, width), np.float32)
+        n, counts[j, 1] = _correspond(images, model, poses, lenses, gates, j, columns)
+        counts[j, 0] = n
+        at = 0
+        for a in range(6):
+            for b in range(a, 6):
+                sums[j, at] = _dot(columns[a], columns[b], n)
+                at += 1
+        for a in range(7):
+            sums[j, at + a] = _dot(columns[a], columns[6], n)
+        sums[j, 28] = _dot(columns[7], columns[7], n)
+    return sums, counts

@@ -1,0 +1,1 @@
+"""Update of the TSDF from one frame."""

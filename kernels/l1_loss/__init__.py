@@ -1,0 +1,1 @@
+"""L1 loss of a picture with its gradient."""

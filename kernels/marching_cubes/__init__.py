@@ -1,0 +1,1 @@
+"""Triangle mesh of the TSDF's zero level."""

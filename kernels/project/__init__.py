@@ -1,0 +1,1 @@
+"""Projection of Gaussians to the image and its gradient, a stage of rasterize."""

@@ -1,0 +1,69 @@
+"""The image quadtree in two passes up and one down: ``quadtree.cu``. The host waits once, for the number of leaves."""
+
+import ctypes
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from gsfusion_nb.constants import QUADTREE_NORMALISER
+from gsfusion_nb.seeding.quadtree import LUMA_DENOMINATOR, LUMA_NUMERATORS, Cells, check_arguments, deepest_level
+
+from ..runtime.cuda.launch import device_of, launch, parts
+
+_BLOCK = 256
+_CLIMB = {"sum_cells": 3, "add_levels": 4}
+"""Levels that a block of threads climbs from those it starts with: from 64 and from 256 cells to one."""
+_PART = 5
+"""Numbers of 64 bits that go from level to level for each cell."""
+_ROOT = 3
+"""Place of the number of all leaves."""
+_MOST_PIXELS, _MOST_EXTRA_LEVELS = 256, 7
+"""A cell larger than this is summed in parts, as long as there are few of those."""
+
+
+def quadtree(
+    rgb_u8: Tensor,
+    *,
+    threshold: float = 0.1,
+    min_cell_px: int = 1,
+    contrast: Literal["released", "std"] = "released",
+) -> Cells:
+    """See ``gsfusion_nb.seeding.quadtree``."""
+    device = device_of("quadtree", rgb_u8=rgb_u8)
+    check_arguments(rgb_u8, threshold, min_cell_px, contrast)
+    height, width = rgb_u8.shape[:2]
+    levels = deepest_level(width, height, min_cell_px)
+    leaves, total = torch.empty(_ROOT + (4**levels - 1) // 3, dtype=torch.int32, device=device), 1
+    if levels:
+        numbers = (ctypes.c_double(QUADTREE_NORMALISER), ctypes.c_double(threshold))
+        rule = (levels, min_cell_px, contrast == "released", *LUMA_NUMERATORS, LUMA_DENOMINATOR, *numbers)
+        _count_leaves(rgb_u8.contiguous(), leaves, _summed_level(width, height, levels), rule)
+        total = int(leaves[_ROOT])
+    out = torch.empty((5, total), dtype=torch.int32, device=device)
+    launch(
+        "quadtree", "quadtree:emit_leaves", parts(4**levels, _BLOCK), _BLOCK, leaves, out, total, levels, width, height
+    )
+    return Cells(x0=out[0], y0=out[1], width=out[2], height=out[3], level=out[4])
+
+
+def _count_leaves(rgb_u8: Tensor, leaves: Tensor, level: int, rule: tuple) -> None:
+    """Leaves below every cell, from the cells of ``level`` up to the whole picture."""
+    height, width = rgb_u8.shape[:2]
+    source, kernel = rgb_u8, "sum_cells"
+    while level >= 0:
+        up = min(_CLIMB[kernel], level)
+        top = torch.empty(4 ** (level - up) * _PART, dtype=torch.int64, device=rgb_u8.device)
+        launch(
+            "quadtree", f"quadtree:{kernel}", 4 ** (level - up), _BLOCK, source, leaves, top, 4**up, level, width,
+            height, *rule,
+        )  # fmt: skip
+        source, kernel, level = top, "add_levels", level - up - 1
+
+
+def _summed_level(width: int, height: int, levels: int) -> int:
+    """Level at which pixels are summed: that of the smallest cells that may be cut, or one where cells are small."""
+    level = 0
+    while level < _MOST_EXTRA_LEVELS and width * height > _MOST_PIXELS:
+        width, height, level = (width + 1) // 2, (height + 1) // 2, level + 1
+    return max(levels - 1, level)

@@ -1,0 +1,149 @@
+"""The image quadtree bottom-up: sums of the smallest cells that may be cut, added four by four, then one walk down.
+
+Sums are integers and the contrast is computed in the reference's order of operations, so the leaves are the same.
+"""
+
+from typing import Literal
+
+import numpy as np
+import torch
+from numba import int64, njit, prange
+from torch import Tensor
+
+from gsfusion_nb.constants import QUADTREE_NORMALISER
+from gsfusion_nb.seeding.quadtree import LUMA_DENOMINATOR, LUMA_NUMERATORS, Cells, check_arguments, deepest_level
+from gsfusion_nb.seeding.quadtree import quadtree as reference
+
+from ..runtime.numba.launch import launching
+
+_RED, _GREEN, _BLUE = LUMA_NUMERATORS
+_DENOMINATOR = float(LUMA_DENOMINATOR)
+_NORMALISER = float(QUADTREE_NORMALISER)
+
+
+def quadtree(
+    rgb_u8: Tensor,
+    *,
+    threshold: float = 0.1,
+    min_cell_px: int = 1,
+    contrast: Literal["released", "std"] = "released",
+) -> Cells:
+    """See ``gsfusion_nb.seeding.quadtree``."""
+    check_arguments(rgb_u8, threshold, min_cell_px, contrast)
+    if rgb_u8.device.type != "cpu":
+        return reference.reference(rgb_u8, threshold=threshold, min_cell_px=min_cell_px, contrast=contrast)
+    image = rgb_u8.contiguous().numpy()
+    height, width = image.shape[:2]
+    levels = deepest_level(width, height, min_cell_px)
+    with launching():
+        xs, ys = _lines(width, levels), _lines(height, levels)
+        split = np.empty(0, np.uint8)
+        if levels:
+            sums = np.zeros((len(ys) // 2, len(xs) // 2, 4), np.int64)
+            _sums(image, xs[::2].copy(), ys[::2].copy(), sums)
+            split = _splits(sums, xs, ys, levels, float(threshold), int(min_cell_px), contrast == "released")
+        leaves = torch.from_numpy(_leaves(split, xs, ys, levels).copy())
+    return Cells(x0=leaves[0], y0=leaves[1], width=leaves[2], height=leaves[3], level=leaves[4])
+
+
+@njit(cache=True, error_model="numpy")
+def _lines(length, levels):
+    """Cell borders along one axis at the deepest level; every 2^k-th of them are the borders k levels higher."""
+    n = 1 << levels
+    lines = np.empty(n + 1, np.int64)
+    lines[0], lines[n] = 0, length
+    step = n
+    while step > 1:
+        for i in range(0, n, step):
+            lines[i + step // 2] = lines[i] + (lines[i + step] - lines[i]) // 2
+        step //= 2
+    return lines
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
+def _sums(image, xs, ys, sums):
+    """Add R, G, B and the luma-weighted squares of each cell between the lines to ``sums`` [Y, X, 4]."""
+    rows, columns = ys.shape[0] - 1, xs.shape[0] - 1
+    width = image.shape[1]
+    for task in prange(rows):
+        i = int64(task)
+        red, green, blue = np.zeros(width, np.int32), np.zeros(width, np.int32), np.zeros(width, np.int32)
+        squares = np.zeros(width, np.int64)
+        for y in range(ys[i], ys[i + 1]):
+            line = image[y]
+            for x in range(width):
+                r, g, b = np.int32(line[x, 0]), np.int32(line[x, 1]), np.int32(line[x, 2])
+                red[x] += r
+                green[x] += g
+                blue[x] += b
+                squares[x] += np.int32(_RED) * r * r + np.int32(_GREEN) * g * g + np.int32(_BLUE) * b * b
+        for j in range(columns):
+            for x in range(xs[j], xs[j + 1]):
+                sums[i, j, 0] += red[x]
+                sums[i, j, 1] += green[x]
+                sums[i, j, 2] += blue[x]
+                sums[i, j, 3] += squares[x]
+
+
+@njit(cache=True, error_model="numpy")
+def _splits(sums, xs, ys, levels, threshold, min_cell_px, released):
+    """Whether each cell would be cut, level after level from the whole image down; level l starts at (4^l - 1) / 3."""
+    split = np.empty(((1 << 2 * levels) - 1) // 3, np.uint8)
+    pixels = xs[-1] * ys[-1]
+    for level in range(levels - 1, -1, -1):
+        n, step = 1 << level, 1 << (levels - level)
+        start = ((1 << 2 * level) - 1) // 3
+        if level < levels - 1:
+            sums = _parents(sums)
+        for i in range(n):
+            h = ys[(i + 1) * step] - ys[i * step]
+            for j in range(n):
+                w = xs[(j + 1) * step] - xs[j * step]
+                area = float(h * w)
+                V = sums[i, j, 3] / area
+                r, g, b = sums[i, j, 0] / area, sums[i, j, 1] / area, sums[i, j, 2] / area
+                V = V - _RED * r * r
+                V = V - _GREEN * g * g
+                V = V - _BLUE * b * b
+                V = max(V, 0.0) / _DENOMINATOR
+                value = V * pixels / _NORMALISER if released else np.sqrt(V) / 255
+                large = h // 2 > min_cell_px and w // 2 > min_cell_px
+                split[start + i * n + j] = large and value > threshold
+    return split
+
+
+@njit(cache=True, error_model="numpy")
+def _parents(sums):
+    n = sums.shape[0] // 2
+    out = np.empty((n, n, 4), np.int64)
+    for i in range(n):
+        for j in range(n):
+            for c in range(4):
+                top = sums[2 * i, 2 * j, c] + sums[2 * i, 2 * j + 1, c]
+                out[i, j, c] = top + sums[2 * i + 1, 2 * j, c] + sums[2 * i + 1, 2 * j + 1, c]
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _leaves(split, xs, ys, levels):
+    """Columns x0, y0, width, height, level of the leaves, in the reference's depth-first order."""
+    leaves = np.empty((5, 1 << 2 * levels), np.int32)
+    stack = np.empty((3 * levels + 4, 3), np.int64)
+    stack[0, 0], stack[0, 1], stack[0, 2] = 0, 0, 0
+    top, count = 1, 0
+    while top:
+        top -= 1
+        level, i, j = stack[top, 0], stack[top, 1], stack[top, 2]
+        start = ((1 << 2 * level) - 1) // 3
+        if level < levels and split[start + (i << level) + j]:
+            for k in range(4):  # the last one pushed is the first one visited
+                stack[top, 0], stack[top, 1], stack[top, 2] = level + 1, 2 * i + 1 - k % 2, 2 * j + 1 - k // 2
+                top += 1
+            continue
+        step = 1 << (levels - level)
+        leaves[0, count], leaves[1, count] = xs[j * step], ys[i * step]
+        leaves[2, count] = xs[(j + 1) * step] - xs[j * step]
+        leaves[3, count] = ys[(i + 1) * step] - ys[i * step]
+        leaves[4, count] = level
+        count += 1
+    return leaves[:, :count]

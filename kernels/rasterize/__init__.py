@@ -1,0 +1,1 @@
+"""Picture of a Gaussian map and its gradient."""

@@ -1,0 +1,1 @@
+"""Surface of the TSDF seen from a camera."""

@@ -1,0 +1,94 @@
+"""RTG-SLAM's loss and its gradient in two passes over the image: count, then write."""
+
+# Arrays are passed on as a list, which pyright cannot follow:
+# pyright: reportCallIssue=false
+
+import numpy as np
+import torch
+from numba import njit, prange
+from torch import Tensor
+
+from gsfusion_nb.backends import use_backend
+from gsfusion_nb.optim import rgbd_loss as reference
+
+from ..runtime.numba.launch import launching
+
+f32 = np.float32
+
+
+def rgbd_l1_vjp(
+    rgb: Tensor,
+    depth_m: Tensor,
+    target_rgb: Tensor,
+    target_depth_m: Tensor,
+    pixels: Tensor,
+    *,
+    weight_colour: float = 1.0,
+    weight_depth: float = 1.0,
+    behind_m: float | None = None,
+) -> reference.RgbdLoss:
+    """See ``gsfusion_nb.optim.rgbd_l1_vjp``."""
+    images = (rgb, depth_m, target_rgb, target_depth_m)
+    if any(image.dtype != torch.float32 for image in images):
+        with use_backend("reference"):
+            return reference.rgbd_l1_vjp(
+                *images, pixels, weight_colour=weight_colour, weight_depth=weight_depth, behind_m=behind_m
+            )
+    v_rgb, v_depth_m = torch.empty_like(rgb), torch.empty_like(depth_m)
+    arrays = [t.detach().contiguous().numpy() for t in (*images, pixels)]
+    limit = f32(np.inf if behind_m is None else behind_m)
+    with launching():
+        sums = _sums(*arrays, limit)
+        n, n_known = max(3 * sums[0], 1.0), max(sums[1], 1.0)
+        scale_rgb, scale_depth = f32(weight_colour / n), f32(weight_depth / n_known)
+        _write(*arrays, limit, scale_rgb, scale_depth, v_rgb.numpy(), v_depth_m.numpy())
+    colour, depth = sums[2] / n, sums[3] / n_known
+    values = torch.tensor([colour, depth, weight_colour * colour + weight_depth * depth], dtype=torch.float32)
+    return reference.RgbdLoss(
+        colour=values[0],
+        depth_m=values[1],
+        total=values[2],
+        v_rgb=v_rgb,
+        v_depth_m=v_depth_m,
+    )
+
+
+@njit(inline="always")
+def _has_depth_loss(depth, target, limit):
+    """The pixel has both depths, and the rendered one is not too far behind."""
+    return depth > f32(0.0) and target > f32(0.0) and depth - target < limit
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
+def _sums(rgb, depth, target_rgb, target_depth, pixels, limit):
+    """Pixels, pixels with a depth loss, sum |C - C^|, sum |D - D^|; row sums first, so that threads do not matter."""
+    H, W = depth.shape
+    rows = np.zeros((H, 4))
+    for y in prange(H):
+        for x in range(W):
+            if not pixels[y, x]:
+                continue
+            rows[y, 0] += 1
+            for c in range(3):
+                rows[y, 2] += abs(rgb[y, x, c] - target_rgb[y, x, c])
+            if _has_depth_loss(depth[y, x], target_depth[y, x], limit):
+                rows[y, 1] += 1
+                rows[y, 3] += abs(depth[y, x] - target_depth[y, x])
+    return rows.sum(axis=0)
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
+def _write(rgb, depth, target_rgb, target_depth, pixels, limit, scale_rgb, scale_depth, v_rgb, v_depth):
+    """The two gradient images; every pixel is written."""
+    H, W = depth.shape
+    for y in prange(H):
+        for x in range(W):
+            v_depth[y, x] = f32(0.0)
+            for c in range(3):
+                v_rgb[y, x, c] = f32(0.0)
+            if not pixels[y, x]:
+                continue
+            for c in range(3):
+                v_rgb[y, x, c] = scale_rgb * np.sign(rgb[y, x, c] - target_rgb[y, x, c])
+            if _has_depth_loss(depth[y, x], target_depth[y, x], limit):
+                v_depth[y, x] = scale_depth * np.sign(depth[y, x] - target_depth[y, x])

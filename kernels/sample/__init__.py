@@ -1,0 +1,1 @@
+"""Voxels nearest to given points."""

@@ -1,0 +1,1 @@
+"""D-SSIM loss with its gradient."""

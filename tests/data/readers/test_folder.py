@@ -1,0 +1,261 @@
+"""The plain layout, and every way in which it can be wrong."""
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from gsfusion_nb.config import DataConfig
+from gsfusion_nb.data import BadFrameError, Sequence, SequenceError, SequenceNotFoundError, open_sequence
+from gsfusion_nb.data.checkup.consistency import depth_agreement
+from gsfusion_nb.data.readers import folder
+
+REAL = {"redkitchen_mini48": 48, "redkitchen250": 250, "livingroom1_clean211": 211}
+
+
+def test_reads_what_was_written(tmp_path, box):
+    seq = folder(box.folder(tmp_path / "scan"))
+    assert isinstance(seq, Sequence)
+    assert (len(seq), seq.name) == (4, "scan")
+    for name in ("width", "height", "fx", "fy", "cx", "cy"):
+        assert getattr(seq.camera, name) == pytest.approx(getattr(box.camera, name))
+    for i, frame in enumerate(seq):
+        rgb, depth_m = box.render(box.poses(4)[i])
+        assert frame.index == i
+        assert frame.timestamp_s == pytest.approx(i / 30)
+        assert frame.rgb.dtype == frame.depth_m.dtype == frame.T_WC.dtype == torch.float32
+        assert np.abs(frame.rgb.numpy() * 255 - rgb).mean() < 3  # JPEG; swapped channels give far more
+        assert np.abs(frame.depth_m.numpy() - depth_m).max() < 0.00051
+        assert torch.allclose(frame.T_WC.double(), box.poses(4)[i], atol=1e-6)
+        assert torch.equal(frame.T_WC, seq.pose(i))
+        assert box.off_wall_m(frame) < 0.0005
+
+
+def test_indices_like_a_list(tmp_path, box):
+    seq = folder(box.folder(tmp_path))
+    assert seq[-1].index == 3
+    assert len(list(seq)) == 4
+    for i in (4, -5):
+        with pytest.raises(IndexError, match="of a sequence of 4"):
+            seq[i]
+        with pytest.raises(IndexError):
+            seq.pose(i)
+
+
+def test_pixel_centre_key(tmp_path, box):
+    edge = folder(box.folder(tmp_path / "a", pixel_centre=0.5, cx=31.3, cy=24.9))
+    integer = folder(box.folder(tmp_path / "b", pixel_centre=0.0))
+    assert vars(edge.camera) == pytest.approx(vars(integer.camera))
+    assert box.off_wall_m(edge[2]) < 0.0005
+    wrong = folder(box.folder(tmp_path / "c", pixel_centre=0.5))
+    assert box.off_wall_m(wrong[2]) > 0.001
+
+
+def test_depth_scale_invalid_value_and_fps(tmp_path, box):
+    root = box.folder(tmp_path, depth_invalid=777, fps=10, pose_convention="camera-to-world, made by hand")
+    raw = np.full((48, 64), 2000, np.uint16)
+    raw[0, 0], raw[1, 1] = 0, 777
+    cv2.imwrite(str(root / "depth/000001.png"), raw)
+    frame = folder(root)[1]
+    assert frame.depth_m[0, 0] == frame.depth_m[1, 1] == 0
+    assert frame.depth_m[2, 2] == 2.0
+    assert frame.timestamp_s == pytest.approx(0.1)
+
+
+def test_natural_order_of_names(tmp_path, box):
+    root = box.folder(tmp_path, n=11)
+    for kind, suffix in (("rgb", "jpg"), ("depth", "png")):
+        for i in range(11):
+            (root / kind / f"{i:06d}.{suffix}").rename(root / kind / f"f{i}.{suffix}")
+    seq = folder(root)
+    assert [p.stem for p in seq.rgb_files] == [f"f{i}" for i in range(11)]
+    assert box.off_wall_m(seq[10]) < 0.0005
+
+
+def test_grey_and_rgba_colour_images(tmp_path, box):
+    root = box.folder(tmp_path)
+    (root / "rgb/000000.jpg").unlink()
+    (root / "rgb/000001.jpg").unlink()
+    cv2.imwrite(str(root / "rgb/000000.png"), np.full((48, 64), 51, np.uint8))
+    cv2.imwrite(str(root / "rgb/000001.png"), np.full((48, 64, 4), (0, 51, 255, 7), np.uint8))  # BGRA
+    seq = folder(root)
+    assert torch.allclose(seq[0].rgb, torch.tensor(0.2))
+    assert torch.allclose(seq[1].rgb, torch.tensor([1.0, 0.2, 0.0]))
+
+
+def expect(error, pattern, act):
+    """``act`` raises exactly ``error`` with one sentence (no line break) matching ``pattern``."""
+    with pytest.raises(error, match=pattern) as caught:
+        act()
+    assert type(caught.value) is error
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "pattern"),
+    [
+        ({"fz": 1.0}, "unknown keys fz; known: width, "),
+        ({"fx": None, "cy": None}, "lacks fx, cy; expected the keys width"),
+        ({"fx": "525"}, "fx must be a number, got '525'"),
+        ({"fx": 0}, "fx must be > 0, got 0"),
+        ({"depth_scale": -1000}, "depth_scale must be > 0"),
+        ({"width": float("nan")}, "width must be a number"),
+        ({"pixel_centre": 0.25}, r"pixel_centre must be 0\.0 or 0\.5, got 0\.25"),
+        ({"depth_invalid": 70000}, "depth_invalid must be an integer between 0 and 65535"),
+        ({"fps": 0}, "fps must be > 0"),
+        ({"pose_convention": "world-to-camera"}, "must begin with 'camera-to-world', got 'world-to-camera'"),
+    ],
+)
+def test_bad_intrinsics(tmp_path, box, changes, pattern):
+    root = box.folder(tmp_path, **changes)
+    expect(SequenceError, r"intrinsics\.json.*" + pattern, lambda: folder(root))
+
+
+def test_damaged_intrinsics(tmp_path, box):
+    root = box.folder(tmp_path)
+    (root / "intrinsics.json").write_text("{width: 3")
+    expect(SequenceError, r"intrinsics\.json is no valid JSON", lambda: folder(root))
+    (root / "intrinsics.json").write_text("[1]")
+    expect(SequenceError, r"intrinsics\.json must hold a JSON object .*, got a list", lambda: folder(root))
+
+
+def test_wrong_path_and_missing_parts(tmp_path, box):
+    expect(SequenceNotFoundError, "nowhere is no folder; expected a sequence", lambda: folder(tmp_path / "nowhere"))
+    with pytest.raises(FileNotFoundError):
+        folder(tmp_path / "nowhere")
+    root = box.folder(tmp_path / "scan")
+    (root / "poses.txt").unlink()
+    expect(SequenceNotFoundError, r"scan lacks poses\.txt; the 'folder' layout .* rgb/, depth/", lambda: folder(root))
+
+
+@pytest.mark.parametrize(
+    ("lines", "pattern"),
+    [
+        ("", "is empty; expected 16 row-major numbers"),
+        ("1 2 3\n", "line 1 must hold 16 numbers .*, got 3"),
+        ("# c\n" + "x " * 16 + "\n", "line 2 must hold 16 numbers .*, got text"),
+        ("1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n" * 3, "holds 3 poses; expected 4, one per image"),
+        ("1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n" * 5, "holds 5 poses; expected 4, one per image"),
+    ],
+)
+def test_bad_pose_files(tmp_path, box, lines, pattern):
+    root = box.folder(tmp_path)
+    (root / "poses.txt").write_text(lines)
+    expect(SequenceError, r"poses\.txt " + pattern, lambda: folder(root))
+
+
+@pytest.mark.parametrize(
+    ("pose", "pattern"),
+    [
+        ("nan " * 16, "pose 1 has NaN or infinite entries"),
+        ("-inf " * 16, "pose 1 has NaN or infinite entries.*tracking was lost"),
+        ("2 0 0 0 0 2 0 0 0 0 2 0 0 0 0 1", "pose 1 is no rigid camera-to-world pose: .*misses R R\\^T = I"),
+        ("1 0 0 0 0 1 0 0 0 0 -1 0 0 0 0 1", "pose 1 is no rigid .*determinant -1"),
+        ("1 0 0 0 0 1 0 0 0 0 1 0 1 2 3 1", "pose 1 is no rigid .*end in the row"),
+    ],
+)
+def test_bad_poses_spoil_one_frame_only(tmp_path, box, pose, pattern):
+    root = box.folder(tmp_path)
+    lines = (root / "poses.txt").read_text().splitlines()
+    lines[1] = pose
+    (root / "poses.txt").write_text("\n".join(lines))
+    seq = folder(root)
+    expect(BadFrameError, r"poses\.txt " + pattern, lambda: seq[1])
+    expect(BadFrameError, pattern, lambda: seq.pose(1))
+    assert seq[0].index == 0
+    assert seq[2].index == 2
+
+
+def test_no_images(tmp_path, box):
+    root = box.folder(tmp_path)
+    for p in (root / "rgb").iterdir():
+        p.unlink()
+    (root / "rgb/.DS_Store.png").write_text("")
+    expect(SequenceError, r"rgb holds no images; expected files ending in \.jpg", lambda: folder(root))
+
+
+def test_missing_counterparts(tmp_path, box):
+    root = box.folder(tmp_path / "a")
+    (root / "depth/000002.png").unlink()
+    expect(
+        SequenceError, r"depth has no depth image 000002\.png; expected one for .*rgb/000002\.jpg", lambda: folder(root)
+    )
+    root = box.folder(tmp_path / "b")
+    (root / "rgb/000002.jpg").unlink()
+    expect(SequenceError, r"rgb has no colour image 000002; expected one for .*000002\.png", lambda: folder(root))
+
+
+def test_images_that_vanish_later(tmp_path, box):
+    root = box.folder(tmp_path)
+    seq = folder(root)
+    (root / "depth/000001.png").unlink()
+    (root / "rgb/000002.jpg").unlink()
+    expect(BadFrameError, r"000001\.png does not exist; expected the depth image of this frame", lambda: seq[1])
+    expect(BadFrameError, r"000002\.jpg does not exist; expected the colour image", lambda: seq[2])
+
+
+@pytest.mark.parametrize("name", ["rgb/000001.jpg", "depth/000001.png"])
+@pytest.mark.parametrize("keep", [0.0, 0.3, 0.9, 0.9999])
+def test_truncated_images(tmp_path, box, name, keep):
+    root = box.folder(tmp_path)
+    whole = (root / name).read_bytes()
+    (root / name).write_bytes(whole[: int(keep * len(whole))])
+    seq = folder(root)
+    expect(BadFrameError, name + r" (is empty|is truncated|cannot be decoded).*expected a", lambda: seq[1])
+    assert seq[2].index == 2
+
+
+def test_a_cut_jpeg_with_a_thumbnail_is_noticed(tmp_path, box):
+    root = box.folder(tmp_path)
+    file = root / "rgb/000000.jpg"
+    main, thumbnail = file.read_bytes(), (root / "rgb/000001.jpg").read_bytes()
+    exif = b"\xff\xe1" + (len(thumbnail) + 2).to_bytes(2, "big") + thumbnail
+    file.write_bytes(main[:2] + exif + main[2:])
+    assert folder(root)[0].index == 0
+    file.write_bytes((main[:2] + exif + main[2:])[:-40])
+    expect(BadFrameError, r"000000\.jpg is truncated; .*end-of-image mark", lambda: folder(root)[0])
+
+
+def test_no_image_at_all(tmp_path, box):
+    root = box.folder(tmp_path)
+    (root / "rgb/000000.jpg").write_text("<html>404</html>")
+    expect(BadFrameError, r"000000\.jpg cannot be decoded", lambda: folder(root)[0])
+
+
+def test_wrong_sizes(tmp_path, box):
+    root = box.folder(tmp_path)
+    box.write_depth(root / "depth/000001.png", np.ones((24, 32)), 1000)
+    seq = folder(root)
+    expect(BadFrameError, r"000001\.png is 32x24 but .*000001\.jpg is 64x48; expected .* same size", lambda: seq[1])
+    box.write_rgb(root / "rgb/000001.jpg", np.zeros((24, 32, 3), np.uint8))
+    expect(BadFrameError, r"000001\.jpg is 32x24; expected 64x48, as the intrinsics say", lambda: seq[1])
+
+
+@pytest.mark.parametrize(
+    ("image", "pattern"),
+    [
+        (np.full((48, 64), 200, np.uint8), "16-bit depth image of one channel, got uint8 with 1"),
+        (np.full((48, 64, 3), 200, np.uint16), "16-bit depth image of one channel, got uint16 with 3"),
+        (np.zeros((48, 64), np.uint16), "holds no valid depth: every pixel is 0 or 777"),
+        (np.full((48, 64), 777, np.uint16), "holds no valid depth: every pixel is 0 or 777"),
+    ],
+)
+def test_bad_depth_images(tmp_path, box, image, pattern):
+    root = box.folder(tmp_path, depth_invalid=777)
+    cv2.imwrite(str(root / "depth/000001.png"), image)
+    seq = folder(root)
+    expect(BadFrameError, r"000001\.png .*" + pattern, lambda: seq[1])
+    assert seq[0].index == 0
+
+
+@pytest.mark.parametrize("width", [0, 160])
+@pytest.mark.parametrize("name", REAL)
+def test_neighbouring_frames_of_real_sequences_agree(shared_sequence, name, width):
+    seq = open_sequence(shared_sequence(name), data=DataConfig(width=width))
+    assert len(seq) == REAL[name]
+    # measured at worst: synthetic depth 0.8 mm at 640x480 and 3.0 mm at 160x120; Kinect 8 mm, its own noise
+    bound_m = 0.004 if name == "livingroom1_clean211" else 0.009
+    for i in range(0, len(seq) - 1, max(1, len(seq) // 6)):
+        agreement = depth_agreement(seq[i], seq[i + 1])
+        assert agreement.median_m < bound_m
+        assert agreement.agreeing > 0.85

@@ -1,0 +1,124 @@
+"""ScanNet++ in the nerfstudio layout."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+
+from gsfusion_nb.config import DataConfig
+from gsfusion_nb.data import BadFrameError, SequenceError, SequenceNotFoundError, open_sequence
+from gsfusion_nb.data.readers import scannetpp
+
+TRAIN = ["DSC00003.JPG", "DSC00001.JPG", "DSC00002.JPG"]  # the lists' order, not the alphabet's
+TEST = ["DSC00005.JPG"]
+
+
+def write(root, box, suffix="_2", **changes):
+    """The public layout. The world of the JSON is any world: here the box's own."""
+    dslr = root / "dslr"
+    c = box.camera
+    frames = {}
+    for name in [*TRAIN, *TEST]:
+        T = box.poses(6)[int(name[3:8])]
+        box.write_pair(
+            dslr / f"undistorted_images{suffix}" / name,
+            dslr / f"undistorted_depths{suffix}" / name.replace("JPG", "png"),
+            T,
+            1000,
+        )
+        gl = T.numpy() @ np.diag([1.0, -1, -1, 1])
+        frames[name] = {"file_path": name, "transform_matrix": gl.tolist(), "is_bad": False}
+    values = {
+        "fl_x": c.fx, "fl_y": c.fy, "cx": c.cx, "cy": c.cy, "w": c.width, "h": c.height, "camera_model": "PINHOLE",
+        "k1": 0.0, "frames": [frames[n] for n in sorted(TRAIN)], "test_frames": [frames[n] for n in TEST],
+    }  # fmt: skip
+    (dslr / "nerfstudio").mkdir(exist_ok=True)
+    values = {k: v for k, v in (values | changes).items() if v is not None}
+    (dslr / f"nerfstudio/transforms_undistorted{suffix}.json").write_text(json.dumps(values))
+    (dslr / "train_test_lists.json").write_text(json.dumps({"train": TRAIN, "test": TEST, "has_masks": False}))
+    return root
+
+
+def test_reads_what_was_written(tmp_path, box):
+    seq = scannetpp(write(tmp_path / "8b5caf3398", box))
+    assert (seq.name, len(seq)) == ("8b5caf3398", 4)
+    assert seq.camera == box.camera  # edge pixel centres: nothing added
+    for frame, name in zip(seq, [*TRAIN, *TEST], strict=True):
+        assert torch.allclose(frame.T_WC.double(), box.poses(6)[int(name[3:8])], atol=1e-6)
+        assert box.off_wall_m(frame) < 0.0005
+    assert seq.novel == {3}
+    assert len(scannetpp(tmp_path / "8b5caf3398" / "dslr")) == 4
+
+
+def test_splits(tmp_path, box):
+    root = write(tmp_path / "scene", box)
+    train, test = scannetpp(root, split="train"), scannetpp(root, split="test")
+    assert [p.name for p in train.rgb_files] == TRAIN
+    assert [p.name for p in test.rgb_files] == TEST
+    with pytest.raises(SequenceError, match="split must be train, test or all, got 'val'"):
+        scannetpp(root, split="val")  # pyright: ignore[reportArgumentType]
+
+
+def test_open_sequence_holds_the_published_test_views_out(tmp_path, box):
+    root = write(tmp_path / "scene", box)
+    seq = open_sequence(root, data=DataConfig(hold_out_every=0))
+    assert [f.index for f in seq.mapping] == [0, 1, 2]
+    assert [f.index for f in seq.held_out] == [3]
+    seq = open_sequence(root, data=DataConfig(hold_out_every=3, hold_out_offset=1))
+    assert [f.index for f in seq.mapping] == [0, 2]
+    assert [f.index for f in seq.held_out] == [1, 3]
+    assert len(open_sequence(root, split="train", data=DataConfig(hold_out_every=0)).held_out) == 0
+    assert len(open_sequence(root, split="test", data=DataConfig(hold_out_every=0)).mapping) == 1
+
+
+def test_resolutions(tmp_path, box):
+    root = write(tmp_path / "scene", box)
+    write(root, box, suffix="", fl_x=2 * box.camera.fx)
+    assert scannetpp(root).camera.fx == box.camera.fx  # the half-resolution variant is preferred
+    assert scannetpp(root, resolution="full").camera.fx == 2 * box.camera.fx
+    assert scannetpp(root, resolution="full").rgb_files[0].parent.name == "undistorted_images"
+    only_full = write(tmp_path / "other", box, suffix="")
+    assert len(scannetpp(only_full)) == 4
+    with pytest.raises(SequenceNotFoundError, match=r"transforms_undistorted_2\.json does not exist.*half resolution"):
+        scannetpp(only_full, resolution="half")
+
+
+@pytest.mark.parametrize(
+    ("changes", "pattern"),
+    [
+        ({"fl_x": None}, "lacks fl_x; expected the keys w, h, fl_x, fl_y, cx, cy"),
+        ({"w": 63.5}, r"w must be a whole number of pixels, got 63\.5"),
+        ({"frames": None}, "lacks frames; expected a list"),
+        ({"frames": []}, r"has no frame DSC00003\.JPG; expected all 4 of train_test_lists\.json"),
+        ({"frames": [{"file_path": "a.JPG"}]}, "a frame lacks 'transform_matrix'"),
+        ({"frames": [{"file_path": "a.JPG", "transform_matrix": [[1]]}]}, r"transform_matrix of a\.JPG must be 4x4"),
+        ({"k1": 0.01}, "describes a distorted PINHOLE camera; expected the undistorted"),
+        ({"camera_model": "OPENCV_FISHEYE"}, "describes a distorted OPENCV_FISHEYE camera"),
+    ],
+)
+def test_bad_json(tmp_path, box, changes, pattern):
+    with pytest.raises(SequenceError, match=r"transforms_undistorted_2\.json:? " + pattern):
+        scannetpp(write(tmp_path / "scene", box, **changes))
+
+
+def test_missing_parts(tmp_path, box):
+    root = write(tmp_path / "scene", box)
+    lists = root / "dslr/train_test_lists.json"
+    text = lists.read_text()
+    lists.write_text('{"train": []}')
+    with pytest.raises(SequenceError, match=r"train_test_lists\.json lists no images for train"):
+        scannetpp(root, split="train")
+    with pytest.raises(SequenceError, match=r"train_test_lists\.json must hold the key test"):
+        scannetpp(root)
+    lists.write_text(text)
+    (root / "dslr/undistorted_depths_2/DSC00001.png").unlink()
+    with pytest.raises(BadFrameError, match=r"DSC00001\.png does not exist; expected the depth image"):
+        scannetpp(root)[1]
+    lists.unlink()
+    with pytest.raises(SequenceNotFoundError, match=r"dslr lacks train_test_lists\.json"):
+        scannetpp(root)
+    (root / "dslr/undistorted_depths_2").rename(root / "dslr/elsewhere")
+    lists.write_text(text)
+    with pytest.raises(SequenceNotFoundError, match="undistorted_depths_2 does not exist"):
+        scannetpp(root)

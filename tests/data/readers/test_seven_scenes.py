@@ -1,0 +1,105 @@
+"""7-Scenes, as published and registered."""
+
+import logging
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from gsfusion_nb.data import BadFrameError, SequenceError, SequenceNotFoundError, open_sequence
+from gsfusion_nb.data.readers import seven_scenes
+from gsfusion_nb.data.readers.seven_scenes import COLOUR_LENS, DEPTH_CAMERA, T_DEPTH_COLOUR
+from gsfusion_nb.data.register import warp_depth
+from gsfusion_nb.types import Camera
+
+
+def write(root, box, n=2):
+    """The public layout: colour from the colour camera, depth and pose of the depth camera."""
+    for i in range(n):
+        T = box.poses(n)[i]
+        _, depth_m = box.render(T, DEPTH_CAMERA)
+        rgb, _ = box.render(T @ T_DEPTH_COLOUR, COLOUR_LENS.camera)
+        depth_m[:9] = 65.535  # the invalid value
+        depth_m[9] = 0
+        box.write_rgb(root / f"frame-{i:06d}.color.png", rgb)
+        box.write_depth(root / f"frame-{i:06d}.depth.png", depth_m, 1000)
+        lines = ["\t ".join(f"{v: .7e}" for v in row) + "\t " for row in T.tolist()]
+        (root / f"frame-{i:06d}.pose.txt").write_text("\n".join(lines) + "\n")
+    return root
+
+
+def test_depth_camera_as_published(tmp_path, box, caplog):
+    with caplog.at_level(logging.WARNING, logger="gsfusion_nb"):
+        seq = seven_scenes(write(tmp_path / "seq-01", box))
+    assert "not registered" in caplog.text
+    assert seq.camera == Camera(width=640, height=480, fx=585.0, fy=585.0, cx=320.5, cy=240.5)
+    frame = seq[1]
+    assert not frame.depth_m[:10].any()
+    assert (frame.depth_m[10:] > 0).all()
+    assert torch.allclose(frame.T_WC.double(), box.poses(2)[1], atol=1e-6)
+    assert box.off_wall_m(frame) < 0.0005
+
+
+def test_registered(tmp_path, box):
+    seq = seven_scenes(write(tmp_path / "seq-01", box), register=True)
+    frame = seq[1]
+    assert torch.allclose(frame.T_WC.double(), box.poses(2)[1] @ T_DEPTH_COLOUR, atol=1e-6)
+    assert box.off_wall_m(frame) < 0.002  # warping rounds to whole pixels
+    expected, _ = box.render(box.poses(2)[1] @ T_DEPTH_COLOUR, seq.camera)
+    error = np.abs(frame.rgb.numpy() * 255 - expected)
+    assert np.median(error) < 2  # k1 = -0.024 was not in the rendering, so corners differ a little
+    assert 0.6 < float((frame.depth_m > 0).float().mean()) < 1
+
+
+def test_calibration_is_a_rigid_transform_of_a_kinect():
+    R = T_DEPTH_COLOUR[:3, :3]
+    assert torch.allclose(R @ R.T, torch.eye(3, dtype=torch.float64), atol=1e-12)
+    assert 0.015 < float(T_DEPTH_COLOUR[:3, 3].norm()) < 0.03
+
+
+def test_warp_keeps_the_nearest_and_invents_nothing():
+    camera = Camera(width=4, height=1, fx=1.0, fy=1.0, cx=2.0, cy=0.5)
+    depth_m = torch.tensor([[0.0, 2.0, 1.0, 0.0]])
+    eye = torch.eye(4)
+    assert torch.equal(warp_depth(depth_m, camera, camera, eye), depth_m)
+    narrow = Camera(width=1, height=1, fx=0.2, fy=0.2, cx=0.5, cy=0.5)  # everything falls into one pixel
+    assert warp_depth(depth_m, camera, narrow, eye).tolist() == [[1.0]]
+    nearer = eye.clone()
+    nearer[2, 3] = -1.5  # what was at 1 m is now behind the target
+    assert warp_depth(depth_m, camera, Camera(width=40, height=1, fx=1.0, fy=1.0, cx=20.0, cy=0.5), nearer).sum() == 0.5
+    assert not warp_depth(torch.zeros(1, 4), camera, camera, eye).any()
+
+
+def test_scene_folder_with_one_or_several_sequences(tmp_path, box):
+    write(tmp_path / "chess" / "seq-01", box)
+    assert len(seven_scenes(tmp_path / "chess")) == 2
+    assert open_sequence(tmp_path / "chess").name == "seq-01"
+    (tmp_path / "chess" / "seq-02").mkdir()
+    with pytest.raises(SequenceError, match="chess holds several sequences; expected one of seq-01, seq-02"):
+        seven_scenes(tmp_path / "chess")
+
+
+def test_missing_and_damaged_files(tmp_path, box):
+    root = write(tmp_path / "seq-01", box)
+    pose = root / "frame-000001.pose.txt"
+    text = pose.read_text()
+    pose.write_text("1 0 0 0\n0 1 0 0\n")
+    with pytest.raises(SequenceError, match=r"frame-000001\.pose\.txt must hold a 4x4 .*, got 2 rows"):
+        seven_scenes(root)
+    pose.write_text(text.replace(text.split()[0], "-1.#IND"))
+    with pytest.raises(SequenceError, match=r"frame-000001\.pose\.txt line 1 must hold 4 numbers .* got text"):
+        seven_scenes(root)
+    pose.write_text("nan nan nan nan\n" * 4)
+    with pytest.raises(BadFrameError, match=r"frame-000001\.pose\.txt has NaN"):
+        seven_scenes(root)[1]
+    pose.unlink()
+    with pytest.raises(SequenceNotFoundError, match=r"frame-000001\.pose\.txt does not exist; expected one for frame"):
+        seven_scenes(root)
+    cv2.imwrite(str(root / "frame-000000.depth.png"), np.full((480, 640), 65535, np.uint16))
+    pose.write_text(text)
+    with pytest.raises(BadFrameError, match=r"000000\.depth\.png holds no valid depth: every pixel is 0 or 65535"):
+        seven_scenes(root)[0]
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(SequenceNotFoundError, match=r"empty lacks frame-\*\.color\.\*"):
+        seven_scenes(tmp_path / "empty")

@@ -1,0 +1,210 @@
+"""TUM RGB-D: association, pose interpolation, calibration, undistortion."""
+
+import logging
+
+import numpy as np
+import pytest
+import torch
+
+from gsfusion_nb.data import SequenceError, SequenceNotFoundError, open_sequence
+from gsfusion_nb.data.checkup.consistency import depth_agreement
+from gsfusion_nb.data.lens import CameraModel
+from gsfusion_nb.data.readers import tum
+from gsfusion_nb.data.readers.poses import interpolate_rows
+from gsfusion_nb.data.readers.tum import LENSES
+from gsfusion_nb.data.readers.undistort import Undistorter
+from gsfusion_nb.geometry import quaternion
+from gsfusion_nb.types import Camera
+
+T0 = 1305031102.0
+
+
+def write(root, box, *, n=4, rgb_lag=0.012, gt_step=0.01, gt_end=1.0, camera=None, camera_scale=5000):
+    """The public layout: three lists with comments, images named by their time stamps."""
+    rgb_lines, depth_lines, gt_lines = ["# color images", "# timestamp filename"], ["# depth maps"], ["# ground truth"]
+    for i in range(n):
+        t_depth = 0.1 + i / 30
+        t_rgb = t_depth + rgb_lag
+        box.write_pair(
+            root / f"rgb/{T0 + t_rgb:.6f}.png",
+            root / f"depth/{T0 + t_depth:.6f}.png",
+            box.pose_at(t_depth),
+            camera_scale,
+            camera,
+        )
+        rgb_lines.append(f"{T0 + t_rgb:.6f} rgb/{T0 + t_rgb:.6f}.png")
+        depth_lines.append(f"{T0 + t_depth:.6f} depth/{T0 + t_depth:.6f}.png")
+    for k in range(int(gt_end / gt_step)):
+        T = box.pose_at(k * gt_step + 0.003)
+        w, x, y, z = quaternion.from_matrix(T[:3, :3]).tolist()
+        values = [*T[:3, 3].tolist(), x, y, z, w]
+        gt_lines.append(f"{T0 + k * gt_step + 0.003:.4f} " + " ".join(f"{v:.9f}" for v in values))
+    for name, lines in (("rgb", rgb_lines), ("depth", depth_lines), ("groundtruth", gt_lines)):
+        (root / f"{name}.txt").write_text("\n".join([*lines, ""]))
+    return root
+
+
+def test_reads_what_was_written(tmp_path, box):
+    seq = tum(write(tmp_path / "scan", box), camera=box.camera)
+    assert len(seq) == 4
+    assert seq.camera == box.camera
+    for i, frame in enumerate(seq):
+        t = 0.1 + i / 30
+        assert frame.timestamp_s == pytest.approx(T0 + t, abs=1e-5)  # the depth image's time
+        assert torch.allclose(
+            frame.T_WC.double(), box.pose_at(t), atol=2e-5
+        )  # the pose at that time, between two records
+        assert box.off_wall_m(frame) < 0.0002
+
+
+@pytest.mark.parametrize(
+    ("folder", "expected"),
+    [
+        ("rgbd_dataset_freiburg1_desk", (517.3, 516.5, 318.6, 255.3)),
+        ("fr2_xyz", (520.9, 521.0, 325.1, 249.7)),
+        ("rgbd_dataset_freiburg3_long_office_household", (535.4, 539.2, 320.1, 247.6)),
+    ],
+)
+def test_calibration_by_folder_name(tmp_path, box, folder, expected):
+    seq = tum(write(tmp_path / folder, box), undistort=False)
+    fx, fy, cx, cy = expected
+    assert seq.camera == Camera(width=640, height=480, fx=fx, fy=fy, cx=cx + 0.5, cy=cy + 0.5)
+
+
+def test_unknown_camera(tmp_path, box):
+    root = write(tmp_path / "office", box)
+    with pytest.raises(SequenceError, match="office: the folder's name holds none of freiburg1, freiburg2, freiburg3"):
+        tum(root)
+    with pytest.raises(SequenceError, match="no TUM camera 'freiburg9'; known: freiburg1"):
+        tum(root, camera="freiburg9")
+    assert tum(root, camera="freiburg3").camera.fx == 535.4
+
+
+def test_open_sequence_recognises_it(tmp_path, box):
+    seq = open_sequence(write(tmp_path / "scan", box), camera=box.camera)
+    assert len(seq) == 4
+
+
+def test_frames_without_colour_or_pose_are_dropped(tmp_path, box, caplog):
+    root = write(tmp_path / "scan", box, n=8, gt_end=0.31)
+    lines = (root / "rgb.txt").read_text().splitlines()
+    (root / "rgb.txt").write_text("\n".join(line for k, line in enumerate(lines) if k != 3))
+    with caplog.at_level(logging.WARNING, logger="gsfusion_nb"):
+        seq = tum(root, camera=box.camera)
+    assert [round(t - T0, 3) for t in seq.timestamps_s] == [0.1, 0.167, 0.2, 0.233, 0.267, 0.3]
+    assert "dropped 1 depth images without colour and 1 without pose" in caplog.text
+
+
+def test_gaps_in_the_trajectory(tmp_path, box):
+    with pytest.raises(SequenceError, match=r"none of 4 depth images has .* within 0\.02 s and poses .* 0\.2 s apart"):
+        tum(write(tmp_path / "a", box, gt_step=0.25), camera=box.camera)
+    with pytest.raises(SequenceError, match="none of 1 depth images"):
+        tum(write(tmp_path / "b", box, n=1, rgb_lag=0.0215), camera=box.camera)
+    root = write(tmp_path / "c", box)
+    lines = (root / "groundtruth.txt").read_text().splitlines()
+    lines[11] = f"{T0 + 0.103:.4f}" + " nan" * 7  # lost for one record: bridged
+    (root / "groundtruth.txt").write_text("\n".join(lines))
+    assert torch.allclose(tum(root, camera=box.camera).pose(0).double(), box.pose_at(0.1), atol=2e-4)
+
+
+def test_interpolation_by_hand():
+    half = np.sqrt(0.5)
+    rows = torch.tensor([[0.0, 0, 0, 0, 0, 0, 1], [2, 4, 6, 0, 0, half, half]], dtype=torch.float64)
+    stamps = torch.tensor([10.0, 10.1], dtype=torch.float64)
+    got = interpolate_rows(stamps, rows, 10.05, max_gap_s=0.2)
+    assert got is not None
+    assert got.tolist() == pytest.approx([1, 2, 3, 0, 0, np.sin(np.pi / 8), np.cos(np.pi / 8)])
+    for at, expected in ((10.0, rows[0]), (10.1, rows[1])):
+        exact = interpolate_rows(stamps, rows, at, max_gap_s=0.2)
+        assert exact is not None
+        assert torch.equal(exact, expected)
+    assert interpolate_rows(stamps, rows, 9.99, max_gap_s=0.2) is None
+    assert interpolate_rows(stamps, rows, 10.11, max_gap_s=0.2) is None
+    assert interpolate_rows(stamps, rows, 10.05, max_gap_s=0.05) is None
+
+
+@pytest.mark.parametrize(
+    ("name", "line", "pattern"),
+    [
+        ("rgb.txt", "hello rgb/1.png", r"rgb\.txt line 1 must be 'timestamp filename', got 'hello rgb/1\.png'"),
+        ("depth.txt", "123.4", r"depth\.txt line 1 must be 'timestamp filename'"),
+        ("depth.txt", "nan depth/1.png", r"depth\.txt line 1 must begin with a time"),
+        ("rgb.txt", "# nothing", r"rgb\.txt is empty; expected lines 'timestamp filename'"),
+        ("groundtruth.txt", "1 2 3", r"groundtruth\.txt line 1 must hold 8 numbers \(timestamp tx .*, got 3"),
+        (
+            "groundtruth.txt",
+            f"{T0} 0 0 0 0 0 0 2\n{T0 + 0.15} 0 0 0 0 0 0 2",
+            r"groundtruth\.txt: the pose at 1305031102\.000000 s .* length 2",
+        ),
+    ],
+)
+def test_damaged_lists(tmp_path, box, name, line, pattern):
+    root = write(tmp_path / "scan", box)
+    (root / name).write_text(line + "\n")
+    with pytest.raises(SequenceError, match=pattern):
+        tum(root, camera=box.camera)
+
+
+def test_missing_list(tmp_path, box):
+    root = write(tmp_path / "scan", box)
+    (root / "groundtruth.txt").unlink()
+    with pytest.raises(SequenceNotFoundError, match=r"scan lacks groundtruth\.txt; the 'tum' layout"):
+        tum(root)
+
+
+def brown(xy, k1, k2, p1, p2, k3):
+    """Brown's distortion of normalised coordinates, written out."""
+    x, y = xy[..., 0], xy[..., 1]
+    r2 = x * x + y * y
+    radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
+    return np.stack(
+        [x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x), y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y], -1
+    )
+
+
+def test_undistortion_follows_the_lens_model_and_leaves_no_border():
+    camera = Camera(width=160, height=120, fx=130.0, fy=128.0, cx=80.2, cy=63.0)
+    distortion = (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)
+    undistorter = Undistorter(CameraModel(camera, distortion))
+    new = undistorter.camera
+    # what the lens shows at source pixel (u, v): colour encodes the place, depth too
+    u, v = np.meshgrid(np.arange(160), np.arange(120))
+    rgb = np.stack([u, v, np.full_like(u, 255)], -1).astype(np.uint8)
+    depth_m = (1.0 + u + 1000.0 * v).astype(np.float32)
+    out_rgb, out_depth = undistorter(rgb, depth_m)
+    xy = np.stack([(u + 0.5 - new.cx) / new.fx, (v + 0.5 - new.cy) / new.fy], -1)
+    d = brown(xy, *distortion)
+    source_u, source_v = d[..., 0] * camera.fx + camera.cx - 0.5, d[..., 1] * camera.fy + camera.cy - 0.5
+    assert np.abs(out_rgb[..., 0] - source_u)[2:-2, 2:-2].max() < 1.1
+    assert np.abs(out_rgb[..., 1] - source_v)[2:-2, 2:-2].max() < 1.1
+    assert (out_rgb[..., 2] == 255).all()
+    assert (out_depth > 0).all()
+    assert np.isin(out_depth, depth_m).all()  # never interpolated
+    near_u = (out_depth - 1) % 1000
+    assert np.abs(near_u - source_u).max() < 0.6
+    assert 0.9 < camera.fx / new.fx < 1.0
+
+
+def test_fr1_images_are_consistent_only_when_undistorted(tmp_path, box):
+    """Render through the fr1 lens, both colour and depth in the distorted pixels, as the Kinect's driver gives them."""
+    root = write(tmp_path / "freiburg1_box", box, n=2)
+    lens = LENSES["freiburg1"]
+    c = lens.camera
+    ideal = Camera(width=800, height=640, fx=517.3, fy=516.5, cx=400.0, cy=320.0)
+    u, v = np.meshgrid(np.arange(640) + 0.5, np.arange(480) + 0.5)
+    target = np.stack([(u - c.cx) / c.fx, (v - c.cy) / c.fy], -1)
+    xy = target.copy()
+    for _ in range(60):
+        xy += target - brown(xy, *lens.distortion)  # fixed point: the ray that the lens bends to this pixel
+    x = np.clip((xy[..., 0] * ideal.fx + ideal.cx).astype(int), 0, 799)
+    y = np.clip((xy[..., 1] * ideal.fy + ideal.cy).astype(int), 0, 639)
+    for i, (rgb_file, depth_file) in enumerate(
+        zip(sorted((root / "rgb").iterdir()), sorted((root / "depth").iterdir()), strict=True)
+    ):
+        rgb, depth_m = box.render(box.pose_at(0.1 + i / 30), ideal)
+        box.write_rgb(rgb_file, rgb[y, x])
+        box.write_depth(depth_file, depth_m[y, x], 5000)
+    on, off = tum(root), tum(root, undistort=False)
+    assert box.off_wall_m(on[1]) < 0.002
+    assert box.off_wall_m(off[1]) > 0.005
+    assert depth_agreement(on[0], on[1]).median_m < 0.003  # two roundings to whole pixels on slanted walls

@@ -1,0 +1,165 @@
+"""The room as a sequence: interface, cache, noise, paths, coverage, mesh."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from gsfusion_nb.data.protocol import Sequence
+from gsfusion_nb.data.room import kinect_depth, render_room, room, room_mesh, room_sdf
+from gsfusion_nb.data.room.cache import cache_folder
+from gsfusion_nb.data.room.sensor import DISPARITY_STEP_PX, FOCAL_BASELINE_PX_M
+from gsfusion_nb.geometry import depth_to_points, project, se3
+from gsfusion_nb.types import Camera, Frame
+
+SMALL: dict[str, Any] = {"width": 80, "height": 60}
+
+
+def test_interface():
+    sequence = room(n_frames=7, **SMALL)
+    assert len(sequence) == 7
+    frame = sequence[-1]
+    assert isinstance(frame, Frame)
+    assert frame.index == 6
+    assert frame.rgb.dtype == frame.depth_m.dtype == frame.T_WC.dtype == torch.float32
+    assert torch.equal(frame.T_WC, sequence.pose(6))
+    assert torch.equal(frame.T_WC, sequence.pose(6))
+    assert isinstance(sequence, Sequence)
+    assert sequence.camera.cx == 40
+    assert sequence.camera.cy == 30
+    assert [room(trajectory=t).name for t in ("mapping", "novel")] == ["room", "room-novel"]
+    for i in (7, -8):
+        with pytest.raises(IndexError, match="sequence of 7 frames"):
+            sequence[i]
+
+
+@pytest.mark.parametrize(
+    ("option", "message"),
+    [
+        ({"n_frames": 0}, "n_frames must be a whole number >= 1, got 0"),
+        ({"width": 4}, "width must be"),
+        ({"seed": -1}, "seed must be"),
+        ({"trajectory": "walk"}, "trajectory must be one of mapping, novel, got 'walk'"),
+        ({"noise": "gauss"}, "noise must be one of none, kinect"),
+    ],
+)
+def test_wrong_options_are_named(option, message):
+    with pytest.raises((ValueError, TypeError), match=message):
+        room(**option)
+
+
+def test_cache_gives_the_same_frame_and_recovers_from_damage(monkeypatch, tmp_path):
+    monkeypatch.setenv("GSFUSION_CACHE", str(tmp_path))
+    sequence = room(n_frames=9, **SMALL)
+    fresh = sequence[4]
+    (path,) = (cache_folder() / "room").glob("room-80x60-*/000004.npz")
+    for damage in (None, b"", path.read_bytes()[:500], b"PK" + bytes(2000)):
+        if damage is not None:
+            path.write_bytes(damage)
+        again = sequence[4]
+        assert torch.equal(again.rgb, fresh.rgb)
+        assert torch.equal(again.depth_m, fresh.depth_m)
+    assert not list(path.parent.glob(".*"))
+    rgb, depth_m = render_room(sequence.camera, sequence.pose(4))
+    assert (fresh.depth_m - depth_m).abs().max() < 0.6e-4  # steps of 0.1 mm
+    assert (fresh.rgb - rgb).abs().max() < 0.51 / 255
+
+
+def test_unwritable_cache_is_no_error(monkeypatch, tmp_path):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("GSFUSION_CACHE", str(tmp_path / "file"))
+    assert room(n_frames=2, **SMALL)[0].depth_m.min() > 0
+
+
+def test_noise_grows_with_the_square_of_depth_and_is_quantised():
+    camera = Camera(width=320, height=240, fx=208.0, fy=208.0, cx=160.0, cy=120.0)
+    sigma = {}
+    for z in (1.0, 2.0, 4.0):
+        measured = kinect_depth(torch.full((240, 320), z), camera, rng=np.random.default_rng(0))
+        seen = measured[measured > 0]
+        steps = FOCAL_BASELINE_PX_M / seen.double() / DISPARITY_STEP_PX
+        assert (steps - steps.round()).abs().max() < 1e-3
+        assert 0.97 < len(seen) / measured.numel() < 1
+        assert abs(float(seen.mean()) - z) < 0.2 * FOCAL_BASELINE_PX_M / 64 * 1e-2 * z**2
+        sigma[z] = float(seen.double().sub(z).square().mean().sqrt())
+    assert 1.2e-3 < sigma[1.0] < 2.2e-3  # Khoshelham & Elberink: 1.4e-3 to 1.6e-3 z^2
+    assert 3.0 < sigma[2.0] / sigma[1.0] < 5.0
+    assert 3.0 < sigma[4.0] / sigma[2.0] < 5.0
+
+
+def test_noise_makes_holes_where_a_kinect_has_them():
+    clean, noisy = (room(n_frames=20, noise=n, width=320, height=240)[9] for n in ("none", "kinect"))
+    hole = noisy.depth_m == 0
+    assert (clean.depth_m > 0).all()
+    assert torch.equal(clean.rgb, noisy.rgb)
+    assert 0.01 < hole.double().mean() < 0.3
+    jump = torch.zeros_like(hole)
+    jump[:, 1:] = (clean.depth_m[:, 1:] - clean.depth_m[:, :-1]).abs() > 0.15
+    assert hole[jump].double().mean() > 2 * hole[~jump].double().mean()
+    again = room(n_frames=20, noise="kinect", width=320, height=240)[9]
+    assert torch.equal(again.depth_m, noisy.depth_m)
+    camera = Camera(width=32, height=24, fx=20.0, fy=20.0, cx=16.0, cy=12.0)
+    for z in (0.2, 6.0):
+        assert (kinect_depth(torch.full((24, 32), z), camera, rng=np.random.default_rng(0)) == 0).all()
+
+
+@pytest.mark.parametrize("trajectory", ["mapping", "novel"])
+def test_walks_keep_clear_of_things_and_are_calm(trajectory):
+    sequence = room(trajectory=trajectory, n_frames=500)
+    T_WC = torch.stack([sequence.pose(i) for i in range(500)]).double()
+    assert room_sdf(T_WC[:, :3, 3]).min() > 0.4
+    times = sequence.times_s
+    speed = T_WC[:, :3, 3].diff(dim=0).norm(dim=1) / np.diff(times)[0]
+    turn = torch.rad2deg((T_WC[1:, :3, 2] * T_WC[:-1, :3, 2]).sum(1).clamp(-1, 1).acos()) / np.diff(times)[0]
+    assert speed.max() < 1.0
+    assert 0.2 < speed.mean() < 0.6
+    assert turn.max() < 90
+    R = T_WC[:, :3, :3]
+    torch.testing.assert_close(R @ R.mT, torch.eye(3, dtype=R.dtype).expand_as(R), atol=1e-6, rtol=0)
+    assert (R[:, 2, 1] < 0).all()  # the image's down is the world's down
+
+
+def test_the_walk_sees_the_whole_room():
+    """Of the surface that a person could see, at least 85 % by area is seen by the mapping walk."""
+    mesh = room_mesh(0.12)
+    xyz = mesh.vertices_W[mesh.faces].double()
+    cross = torch.linalg.cross(xyz[:, 1] - xyz[:, 0], xyz[:, 2] - xyz[:, 0])
+    area, centre = 0.5 * cross.norm(dim=1), xyz.mean(1)
+    normal = cross / cross.norm(dim=1, keepdim=True)
+    open_ = room_sdf(centre + 0.15 * normal) > 0.1
+    seen = torch.zeros(len(centre), dtype=torch.bool)
+    sequence = room(n_frames=100, **SMALL)
+    for i in range(0, 100, 2):
+        frame = sequence[i]
+        xyz_C = se3.apply(se3.inverse(frame.T_WC.double()), centre)
+        uv = project(frame.camera, xyz_C)
+        inside = (xyz_C[:, 2] > 0.1) & (uv >= 0).all(1) & (uv[:, 0] < 80) & (uv[:, 1] < 60)
+        col, row = uv[inside].floor().long().unbind(1)
+        seen[inside] |= (frame.depth_m[row, col] - xyz_C[inside, 2]).abs() < 0.05 + 0.03 * xyz_C[inside, 2]
+    share = float(area[open_ & seen].sum() / area[open_].sum())
+    assert area[open_].sum() > 60
+    assert share > 0.85
+
+
+def test_mesh_lies_on_the_surface_and_faces_the_free_side():
+    mesh = room_mesh(0.08)
+    assert room_sdf(mesh.vertices_W.double()).abs().max() < 1e-3
+    assert mesh.faces.max() + 1 == len(mesh.vertices_W) == len(mesh.rgb)
+    xyz = mesh.vertices_W.double()[mesh.faces]
+    cross = torch.linalg.cross(xyz[:, 1] - xyz[:, 0], xyz[:, 2] - xyz[:, 0])
+    large = cross.norm(dim=1) > 1e-4
+    normal = cross[large] / cross[large].norm(dim=1, keepdim=True)
+    centre = xyz[large].mean(1)
+    ahead, behind = room_sdf(centre + 0.004 * normal), room_sdf(centre - 0.004 * normal)
+    assert (ahead > behind).double().mean() > 0.99
+    assert mesh.rgb.std() > 0.1
+
+
+def test_mesh_colours_match_the_rendered_view():
+    mesh = room_mesh(0.05)
+    frame = room(n_frames=9, width=160, height=120)[4]
+    points = se3.apply(frame.T_WC, depth_to_points(frame.camera, frame.depth_m))[::10, ::10].reshape(-1, 3)
+    nearest = torch.cdist(points, mesh.vertices_W).argmin(1)
+    difference = (mesh.rgb[nearest] - frame.rgb[::10, ::10].reshape(-1, 3)).abs().mean(1)
+    assert difference.median() < 0.06

@@ -1,0 +1,128 @@
+"""Rendered views of the room, against closed forms, sphere tracing, and one another."""
+
+import numpy as np
+import pytest
+import torch
+
+from gsfusion_nb.data.room import RoomSequence, render_room, room_sdf
+from gsfusion_nb.data.room.interior import interior
+from gsfusion_nb.data.room.pictures import text_poster
+from gsfusion_nb.data.room.scene import load_scene
+from gsfusion_nb.data.room.trajectory import look_at
+from gsfusion_nb.geometry import depth_to_points, pixel_grid, project, rays, se3
+from gsfusion_nb.types import Camera
+
+CAMERA = Camera(width=80, height=60, fx=52.0, fy=52.0, cx=40.0, cy=30.0)
+
+
+def pose(eye, target):
+    return torch.from_numpy(look_at(np.array(eye, float), np.array(target, float)))
+
+
+VIEWS = [
+    pose((1.9, -1.4, 1.6), (-1.2, 0.6, 0.9)),
+    pose((-1.2, 1.4, 1.5), (1.0, -1.8, 1.0)),
+    pose((0.75, 0.0, 1.2), (1.7, 0.6, 0.8)),
+    pose((1.2, 1.2, 1.1), (2.1, 1.5, 0.8)),
+]
+
+
+def test_wall_depth_is_the_closed_form():
+    T_WC = pose((-0.1, 0.0, 2.45), (-2.5, 0.0, 2.45))
+    _, depth_m = render_room(CAMERA, T_WC)
+    near_axis = depth_m[:, 20:60][28:32]
+    torch.testing.assert_close(near_axis, torch.full_like(near_axis, 2.4), atol=2e-6, rtol=0)
+    # The ceiling, 0.15 m above: z = 0.15 fy / (cy - v) wherever that is nearer than the wall.
+    v = torch.arange(20) + 0.5
+    torch.testing.assert_close(depth_m[:20, 40], 0.15 * CAMERA.fy / (CAMERA.cy - v), atol=2e-6, rtol=0)
+
+
+@pytest.mark.parametrize("T_WC", VIEWS)
+def test_every_hit_lies_on_the_surface(T_WC):
+    rgb, depth_m = render_room(CAMERA, T_WC)
+    assert rgb.dtype == depth_m.dtype == torch.float32
+    assert (depth_m > 0.2).all()
+    assert rgb.min() >= 0
+    assert rgb.max() <= 1
+    points = se3.apply(T_WC, depth_to_points(CAMERA, depth_m.double()))
+    assert room_sdf(points).abs().max() < 1e-5  # worst seen 5e-7
+
+
+@pytest.mark.parametrize("T_WC", VIEWS[:2])
+def test_first_hits_agree_with_sphere_tracing(T_WC):
+    """The witness knows only the distance function: it walks along rays until it is within 0.01 mm of something."""
+    _, depth_m = render_room(CAMERA, T_WC)
+    uv = pixel_grid(CAMERA, dtype=torch.float64)[2::7, 3::9].reshape(-1, 2)
+    ray = se3.rotate(T_WC, rays(CAMERA, uv))
+    length = ray.norm(dim=1)
+    z = torch.zeros(len(uv), dtype=torch.float64)
+    for _ in range(120):
+        z += room_sdf(T_WC[:3, 3] + z[:, None] * ray) / length
+    assert (room_sdf(T_WC[:3, 3] + z[:, None] * ray) < 1e-5).double().mean() > 0.97
+    found = depth_m[2::7, 3::9].reshape(-1).double()
+    assert ((z - found).abs() < 1e-3).double().mean() > 0.97  # grazing rays have not arrived yet
+    assert (z <= found + 1e-4).all()
+
+
+def test_points_keep_their_colour_between_views():
+    a, b = pose((0.3, -0.4, 1.5), (-2.4, 0.3, 0.9)), pose((-0.3, 0.5, 1.4), (-2.4, 0.1, 0.9))
+    camera = CAMERA.resized(160, 120)
+    (rgb_a, depth_a), (rgb_b, depth_b) = render_room(camera, a), render_room(camera, b)
+    xyz_B = se3.apply(se3.inverse(b) @ a, depth_to_points(camera, depth_a.double())).reshape(-1, 3)
+    uv = project(camera, xyz_B)
+    col, row = uv[:, 0].floor().long(), uv[:, 1].floor().long()
+    inside = (col >= 0) & (col < 160) & (row >= 0) & (row < 120) & (xyz_B[:, 2] > 0)
+    col, row, z = col[inside], row[inside], xyz_B[inside, 2]
+    seen = (depth_b[row, col] - z).abs() < 0.01
+    difference = (rgb_a.reshape(-1, 3)[inside][seen] - rgb_b[row, col][seen]).abs().mean(1)
+    assert seen.double().mean() > 0.7
+    assert difference.median() < 0.012
+    assert difference.quantile(0.9) < 0.08
+
+
+def test_highlights_depend_on_the_view_and_only_brighten():
+    plain, depth_m = render_room(CAMERA, VIEWS[2])
+    shiny, depth_shiny = render_room(CAMERA, VIEWS[2], view_dependent=True)
+    assert torch.equal(depth_m, depth_shiny)
+    assert (shiny - plain).min() >= 0
+    assert (shiny - plain).max() > 0.1
+
+
+def test_text_is_not_mirrored():
+    """The poster seen from the front looks like its drawing, and not like the drawing's mirror image."""
+    import cv2
+
+    lines = ["every pixel is a ray", "every voxel an average", "every splat a guess", "keep what is seen twice"]
+    draw = text_poster(
+        "MAP THE ROOM", [*lines, "forget the rest"], (0.95, 0.93, 0.86), (0.13, 0.15, 0.2), (0.75, 0.25, 0.15)
+    )
+    drawn = cv2.resize(draw(306, 444, 0.0018, np.random.default_rng(0)), (55, 80), interpolation=cv2.INTER_AREA)
+    camera = Camera(width=55, height=80, fx=100.0, fy=100.0, cx=27.5, cy=40.0)
+    rgb, _ = render_room(camera, pose((-2.475 + 1.0, -0.42, 1.6), (-2.5, -0.42, 1.6)))
+    seen, wanted = rgb.mean(-1).numpy(), drawn.mean(-1)
+    assert np.corrcoef(seen.ravel(), wanted.ravel())[0, 1] > 0.97
+    odd_seen, odd_wanted = seen - seen[:, ::-1], wanted - wanted[:, ::-1]  # changes sign under mirroring
+    assert np.corrcoef(odd_seen.ravel(), odd_wanted.ravel())[0, 1] > 0.8
+
+
+def test_pose_is_checked():
+    with pytest.raises(ValueError, match="rigid"):
+        render_room(CAMERA, torch.diag(torch.tensor([2.0, 1, 1, 1])))
+
+
+def test_the_arrangement_repeats_by_seed():
+    one, two, other = (interior(seed) for seed in (3, 3, 4))
+    assert all(np.array_equal(a.t, b.t) and np.array_equal(a.extent, b.extent) for a, b in zip(one, two, strict=True))
+    assert len(one) != len(other) or not all(np.array_equal(a.t, b.t) for a, b in zip(one, other, strict=True))
+
+
+@pytest.mark.slow
+def test_frames_repeat_by_seed():
+    frames = []
+    for seed in (1, 1, 2):
+        load_scene.cache_clear()
+        frames.append(RoomSequence(width=80, height=60, n_frames=5, cache=False, seed=seed)[2])
+    one, two, other = frames
+    assert torch.equal(one.rgb, two.rgb)
+    assert torch.equal(one.depth_m, two.depth_m)
+    assert not torch.equal(one.rgb, other.rgb)

@@ -1,0 +1,320 @@
+import contextlib
+import dataclasses
+import json
+import signal
+import threading
+
+import pytest
+import torch
+
+from gsfusion_nb.config import replace
+from gsfusion_nb.data import BadFrameError, SequenceError
+from gsfusion_nb.data.stream import LiveSource
+from gsfusion_nb.export import read_gaussian_ply, read_trajectory_tum
+from gsfusion_nb.mapping import GSFusion, make_mapper
+from gsfusion_nb.runs import StreamRun, map_stream, run_mapping
+from gsfusion_nb.mapping.album import Album
+from gsfusion_nb.types import Frame
+
+FILES = {"gaussians.ply", "mesh.ply", "trajectory.txt", "config.json", "metrics.json", "report.html"}
+
+pytestmark = pytest.mark.filterwarnings("ignore::tqdm.TqdmWarning")
+
+
+@pytest.fixture(scope="module")
+def frames(small_room):
+    """The first frames of the walk."""
+    return [small_room[i] for i in range(16)]
+
+
+class Source(LiveSource):
+    """Gives what is listed: frames, and errors, which are raised."""
+
+    name = "source"
+    has_poses = True
+
+    def __init__(self, items, broke_off=""):
+        self.items, self.loss, self.stopped = iter(items), broke_off, threading.Event()
+
+    def __iter__(self) -> "Source":
+        return self
+
+    def __next__(self) -> Frame:
+        item = next(self.items, None)
+        if item is None:
+            self.broke_off = self.loss
+            raise StopIteration
+        if isinstance(item, BaseException):
+            raise item
+        return item
+
+    def stop(self):
+        self.stopped.set()
+
+
+class Plain:
+    """A sequence without a true surface to compare the mesh with."""
+
+    def __init__(self, source):
+        self.source = source
+        self.name, self.camera = "plain", source.camera
+
+    def __len__(self):
+        return len(self.source)
+
+    def __getitem__(self, i):
+        return self.source[i]
+
+    def pose(self, i):
+        return self.source.pose(i)
+
+
+def saved(folder) -> dict:
+    return json.loads((folder / "metrics.json").read_text())
+
+
+def test_a_stream_gives_the_same_maps_as_the_sequence(tmp_path, small_room, config):
+    stream = map_stream(config, Plain(small_room), folder=tmp_path / "stream")
+    whole = run_mapping(Plain(small_room), config, folder=tmp_path / "whole")
+    ours, theirs = stream.mapper.gaussians.params, whole.mapper.gaussians.params
+    for name in ("xyz_W", "sh", "opacity_logit"):
+        torch.testing.assert_close(getattr(ours, name), getattr(theirs, name))
+    assert {p.name for p in stream.folder.iterdir()} == FILES
+    for name in ("psnr_held_out_db", "psnr_mapped_db", "psnr_held_out_online_db", "n_frames", "n_views_held_out"):
+        assert stream.metrics[name] == pytest.approx(whole.metrics[name], abs=1e-6)
+    assert stream.run.timestamps_s == whole.run.timestamps_s
+    document = saved(stream.folder)
+    assert document["status"] == "complete"
+    assert document["metrics"]["n_frames_received"] == 12
+    assert document["metrics"]["n_frames_dropped"] == 0
+    assert [row["frame_index"] for row in document["frames"]] == [0, 1, 3, 4, 5, 7, 8, 9, 11]
+
+
+def test_anything_iterable_can_be_mapped(tmp_path, frames, config):
+    run = map_stream(config, (f for f in frames), folder=tmp_path / "out", evaluate=False)
+    assert run.metrics["n_frames"] == 9
+    assert run.run.sequence.name == "stream"
+    assert len(read_trajectory_tum(run.folder / "trajectory.txt")[0]) == 9
+
+
+def test_a_mapper_goes_on_with_its_maps(tmp_path, frames, config):
+    mapper = make_mapper(replace(config, data__hold_out_every=0, data__stop=0))
+    map_stream(mapper, frames[:4], folder=tmp_path / "a", evaluate=False)
+    n = len(mapper.gaussians)
+    run = map_stream(mapper, frames[4:8], folder=tmp_path / "b")
+    assert len(mapper.gaussians) > n
+    assert mapper.localiser.frame_indices == list(range(8))
+    assert len(run.run.poses) == run.metrics["n_frames"] == 4
+    assert len(read_trajectory_tum(run.folder / "trajectory.txt")[0]) == 4
+    assert run.metrics["psnr_mapped_db"] > 15
+    assert run.run.global_losses
+
+
+def test_unusable_frames_are_named_and_counted(tmp_path, frames, config):
+    black = dataclasses.replace(frames[3], rgb=torch.zeros_like(frames[3].rgb))
+    items = [frames[0], BadFrameError("depth/000001.png is truncated"), frames[2], black, *frames[4:10]]
+    run = map_stream(config, Source(items), policy="all", folder=tmp_path / "out")
+    assert run.run.warnings[0] == "skipped a frame: depth/000001.png is truncated"
+    assert "black" in run.run.warnings[1]
+    assert run.metrics["n_frames_unusable"] == 2
+    assert run.run.status == "complete"
+    assert saved(run.folder)["warnings"] == run.run.warnings
+
+
+def test_a_source_that_breaks_off_ends_it_with_everything_saved(tmp_path, frames, config):
+    source = Source(frames[:6], broke_off="the camera was disconnected: cable")
+    run = map_stream(config, source, folder=tmp_path / "out")
+    assert run.run.status == "stopped"
+    assert run.run.warnings == ["the camera was disconnected: cable; everything mapped before is kept"]
+    assert {p.name for p in run.folder.iterdir()} == FILES
+    assert source.stopped.is_set()
+
+
+def test_an_exception_of_the_source_is_raised_after_saving(tmp_path, frames, config):
+    with pytest.raises(RuntimeError, match="the driver crashed") as e:
+        map_stream(config, Source([*frames[:6], RuntimeError("the driver crashed")]), folder=tmp_path / "out")
+    assert "frames mapped before are saved in" in e.value.__notes__[0]
+    assert len(read_gaussian_ply(tmp_path / "out" / "gaussians.ply")) > 0
+    assert saved(tmp_path / "out")["status"] == "failed"
+
+
+def test_an_exception_of_the_mapper_ends_the_source(tmp_path, frames, config, monkeypatch):
+    source = Source(frames)
+    step = GSFusion.step
+
+    def failing(self, frame):
+        if frame.index == 5:
+            raise ArithmeticError("cannot go on")
+        return step(self, frame)
+
+    monkeypatch.setattr(GSFusion, "step", failing)
+    with pytest.raises(ArithmeticError, match="cannot go on"):
+        map_stream(config, source, policy="all", folder=tmp_path / "out")
+    assert source.stopped.is_set()
+    assert "frames" not in {t.name for t in threading.enumerate()}
+    assert saved(tmp_path / "out")["status"] == "failed"
+
+
+def test_a_stream_without_a_usable_frame_says_why(tmp_path, frames, config):
+    with pytest.raises(SequenceError, match="no frame came from source"):
+        map_stream(config, Source([]), folder=tmp_path / "a")
+    with pytest.raises(SequenceError, match=r"no frame of source could be mapped, the first because it is torn"):
+        map_stream(config, Source([BadFrameError("it is torn")]), folder=tmp_path / "b")
+    with pytest.raises(SequenceError, match=r"the first because the camera gave no frame for 10 s$"):
+        map_stream(config, Source([], broke_off="the camera gave no frame for 10 s"), folder=tmp_path / "c")
+    with pytest.raises(SequenceError, match=r"^no camera is connected$"):
+        map_stream(config, Source([SequenceError("no camera is connected")]), folder=tmp_path / "d")
+
+
+def step_then(monkeypatch, after):
+    """Call ``after(frame)`` when a frame was mapped, before the next is asked for."""
+    step = GSFusion.step
+
+    def stepping(self, frame):
+        report = step(self, frame)
+        after(frame)
+        return report
+
+    monkeypatch.setattr(GSFusion, "step", stepping)
+
+
+class Waiting(Source):
+    """Presses Ctrl-C when its frames have been mapped, then waits as a silent camera does."""
+
+    all_mapped = threading.Event()
+
+    def __next__(self) -> Frame:
+        item = next(self.items, None)
+        if item is not None:
+            return item
+        assert self.all_mapped.wait(20)
+        signal.raise_signal(signal.SIGINT)
+        assert self.stopped.wait(20)
+        raise StopIteration
+
+
+@pytest.mark.parametrize("on_stop", ["save", "finish"])
+def test_ctrl_c_while_no_frame_comes(tmp_path, frames, config, monkeypatch, on_stop):
+    source = Waiting(frames[:6])
+    source.all_mapped = threading.Event()
+    step_then(monkeypatch, lambda frame: source.all_mapped.set() if frame.index == 5 else None)
+    run = map_stream(config, source, policy="all", folder=tmp_path / "out", on_stop=on_stop)
+    assert {p.name for p in run.folder.iterdir()} == FILES  # a stream cannot be resumed: no checkpoint
+    if on_stop == "save":
+        assert run.run.status == "interrupted"
+        assert not run.run.global_losses
+        assert "interrupted after 5 frames" in run.run.warnings[-1]
+    else:
+        assert run.run.status == "complete"
+        assert len(run.run.global_losses) == 2
+        assert run.run.warnings == ["the stream was ended by hand after 5 frames"]
+
+
+def test_ctrl_c_between_frames_of_an_endless_stream(tmp_path, frames, config):
+    def endless():
+        for i in range(10_000):
+            if i == 20:
+                signal.raise_signal(signal.SIGINT)
+            yield frames[i % 16]
+
+    endless_config = replace(config, data__stop=0)
+    run = map_stream(endless_config, endless(), folder=tmp_path / "out", evaluate=False)
+    assert run.run.status == "interrupted"
+    assert 8 <= len(run.run.steps) <= 20
+
+
+@pytest.mark.parametrize(
+    ("policy", "mapped", "dropped"),
+    [
+        ("latest", [0, 7], 6),
+        ("drop", [0], 7),
+        ("queue", [0, 5, 6, 7], 4),
+        ("all", [0, 1, 2, 3, 4, 5, 6, 7], 0),
+    ],
+)
+def test_what_happens_to_frames_that_come_while_the_first_is_mapped(
+    tmp_path, frames, config, monkeypatch, policy, mapped, dropped
+):
+    """Seven frames come at once while frame 0 is being mapped, and none later: no clock is involved."""
+    mapping, given = threading.Event(), threading.Event()
+
+    def source():
+        yield frames[0]
+        mapping.wait(20)
+        yield from frames[1:8]
+        given.set()
+
+    def after(frame):
+        mapping.set()
+        if policy != "all":  # there the source waits for the mapper
+            given.wait(20)
+
+    step_then(monkeypatch, after)
+    every = replace(config, data__hold_out_every=0)
+    run = map_stream(every, source(), policy=policy, queue_frames=3, folder=tmp_path / "out", evaluate=False)
+    assert [s.frame_index for s in run.run.steps] == mapped
+    assert run.metrics["n_frames_received"] == 8
+    assert run.metrics["n_frames_dropped"] == dropped
+    assert saved(run.folder)["metrics"]["n_frames_dropped"] == dropped
+    assert run.metrics["policy"] == policy
+
+
+def test_the_sources_own_policy_is_the_default(frames, config):
+    assert StreamRun(config, Source(frames)).policy == "latest"
+    assert StreamRun(config, frames).policy == "all"
+
+
+def test_without_poses_the_settings_must_ask_to_track(frames, config):
+    source = Source(frames)
+    source.has_poses = False
+    with pytest.raises(SequenceError, match=r"source came without poses; expected tracking\.poses = 'tracked'"):
+        StreamRun(config, source)
+
+
+@pytest.mark.parametrize("has_poses", [True, False])
+def test_a_tracked_stream(tmp_path, config, has_poses):
+    from gsfusion_nb.data.room import room
+
+    walk = room(n_frames=960, width=160, height=120)
+    source = Source(walk[i] for i in range(14))
+    source.has_poses = has_poses
+    tracked = replace(config, tracking__poses="tracked", tsdf__voxel_size_m=0.03)
+    run = map_stream(tracked, source, policy="all", folder=tmp_path / "out")
+    _, poses = read_trajectory_tum(run.folder / "trajectory.txt")
+    truth = torch.stack([walk.pose(i) for i in run.mapper.localiser.frame_indices]).double()
+    assert (poses[:, :3, 3] - truth[:, :3, 3]).norm(dim=1).max() < 0.02
+    if has_poses:
+        assert run.metrics["n_views_held_out"] == 3
+        assert run.metrics["ate_rmse_m"] < 0.02
+    else:
+        assert run.metrics["n_frames"] == 12  # none is held out
+        assert "ate_rmse_m" not in run.metrics
+    assert run.metrics["psnr_mapped_db"] > 15
+
+
+def test_a_notebook_can_drive_it(frames, config):
+    run = StreamRun(config, frames)
+    with contextlib.closing(run.online()) as reports:
+        assert [next(reports).frame_index for _ in range(3)] == [0, 1, 3]
+    assert run.sequence.mapping[run.next_position - 1].index == 3
+    assert run.sequence.camera == frames[0].camera
+    assert "frames" not in {t.name for t in threading.enumerate()}
+
+
+def test_an_album_keeps_few_frames_evenly_spread_and_all_poses(frames):
+    album = Album("long", most=4)
+    for i in range(100):
+        T_WC = frames[0].T_WC.clone()
+        T_WC[0, 3] = i
+        frame = dataclasses.replace(frames[0], index=i, T_WC=T_WC)
+        (album.hold_out if i % 10 == 5 else album.add)(frame)
+    assert [f.index for f in album.kept_mapped.items] == [0, 36, 71]
+    assert [f.index for f in album.kept_held_out.items] == [5, 45, 85]
+    assert album[99].index == 99
+    with pytest.raises(BadFrameError, match="frame 1 of long was not kept"):
+        album[1]
+    assert float(album.pose(62)[0, 3]) == 62
+    assert float(album.pose(45)[0, 3]) == 45
+    opened = album.opened()
+    assert len(opened.mapping) == 90
+    assert [f.index for f in opened.held_out] == [5, 45, 85]

@@ -1,0 +1,270 @@
+import dataclasses
+import importlib
+import json
+import re
+import signal
+from typing import Any
+
+import pytest
+import torch
+
+from gsfusion_nb.config import gsfusion, replace, rtg_slam
+from gsfusion_nb.data import BadFrameError, SequenceError, apply_options
+from gsfusion_nb.export import read_gaussian_ply, read_mesh_ply, read_trajectory_tum
+from gsfusion_nb.mapping import RTGSLAM, GSFusion
+from gsfusion_nb.runs import rescore, resume_mapping, run_mapping
+from gsfusion_nb.seeding import SeedContext
+from gsfusion_nb.types import Seeds
+
+FILES = {"gaussians.ply", "mesh.ply", "trajectory.txt", "config.json", "metrics.json", "report.html"}
+ROOM: dict[str, Any] = {"n_frames": 120, "width": 80, "height": 60}
+
+pytestmark = pytest.mark.filterwarnings("ignore::tqdm.TqdmWarning")
+
+
+class Damaged:
+    """A sequence some of whose frames cannot be read."""
+
+    def __init__(self, source, bad: set[int]):
+        self.source, self.bad = source, bad
+        self.name, self.camera = "damaged", source.camera
+
+    def __len__(self) -> int:
+        return len(self.source)
+
+    def __getitem__(self, i: int):
+        if i in self.bad:
+            raise BadFrameError(f"rgb/{i:06d}.png is truncated; expected a whole PNG")
+        return self.source[i]
+
+    def pose(self, i: int):
+        return self.source.pose(i)
+
+
+class Interrupting(Damaged):
+    """Presses Ctrl-C once, while a frame is being read."""
+
+    def __getitem__(self, i: int):
+        if i in self.bad:
+            self.bad = set()
+            signal.raise_signal(signal.SIGINT)
+        return self.source[i]
+
+
+def test_a_run_leaves_all_files_and_the_numbers_agree(tmp_path, config):
+    run = run_mapping("room", config, folder=tmp_path / "out", **ROOM)
+    assert {p.name for p in run.folder.iterdir()} == FILES
+    params = read_gaussian_ply(run.folder / "gaussians.ply")
+    ours = run.mapper.gaussians.params
+    torch.testing.assert_close(params.xyz_W, ours.xyz_W)
+    assert (run.folder / "gaussians.ply").stat().st_size == pytest.approx(248 * len(ours), abs=3000)
+    mesh = read_mesh_ply(run.folder / "mesh.ply")
+    assert len(mesh.faces) == run.metrics["n_triangles"] > 500
+    stamps, poses = read_trajectory_tum(run.folder / "trajectory.txt")
+    assert len(stamps) == len(poses) == run.metrics["n_frames"] == 9
+    torch.testing.assert_close(poses[3].float(), run.run.poses[3], atol=1e-5, rtol=0)
+    metrics = json.loads((run.folder / "metrics.json").read_text())
+    assert metrics["status"] == "complete"
+    assert len(metrics["frames"]) == 9
+    assert metrics["metrics"]["psnr_held_out_db"] == run.metrics["psnr_held_out_db"] > 14
+    assert metrics["metrics"]["psnr_held_out_db"] > metrics["metrics"]["psnr_held_out_online_db"]
+    assert metrics["metrics"]["mesh_accuracy_m"] < 0.04  # a voxel
+    assert "not asked for" in metrics["metrics"]["lpips_held_out"]["not_computed"]
+    page = (run.folder / "report.html").read_text()
+    assert not re.search(r"(src|href)=\"?https?:", page)
+    assert page.count("data:image") >= 6
+
+    again = rescore(run.folder)
+    # the map on disk is float32 as in memory, so its scores are the same
+    assert again["psnr_mapped_db"] == pytest.approx(run.metrics["psnr_mapped_db"], abs=1e-3)
+
+
+def test_maps_lie_where_the_surfaces_are(tmp_path, config):
+    from gsfusion_nb.data.room import room_sdf
+
+    run = run_mapping("room", config, folder=tmp_path / "out", evaluate=False, **ROOM)
+    mesh = run.mapper.mesh()
+    assert room_sdf(mesh.vertices_W).abs().median() < 0.01
+    assert room_sdf(run.mapper.gaussians.params.xyz_W).abs().median() < 0.02
+    assert {p.name for p in run.folder.iterdir()} == FILES - {"report.html"}
+
+
+def test_a_bad_frame_in_the_middle_is_skipped_and_named(tmp_path, small_room, config):
+    run = run_mapping(Damaged(small_room, {3, 4}), config, folder=tmp_path / "out")
+    assert run.run.status == "complete"
+    assert len(run.run.steps) == 7
+    assert run.run.warnings[0] == "skipped a frame: rgb/000003.png is truncated; expected a whole PNG"
+    assert "rgb/000004.png" in (run.folder / "report.html").read_text()
+    assert json.loads((run.folder / "metrics.json").read_text())["warnings"] == run.run.warnings
+
+
+def test_a_recording_that_breaks_off_keeps_what_was_mapped(tmp_path, small_room, config):
+    long = replace(config, data__stop=60)
+    run = run_mapping(Damaged(small_room, set(range(5, 60))), long, folder=tmp_path / "out", evaluate=False)
+    assert run.run.status == "stopped"
+    assert "stopped after 21 unusable frames in a row" in run.run.warnings[-1]
+    assert len(read_gaussian_ply(run.folder / "gaussians.ply")) == len(run.mapper.gaussians) > 0
+
+
+def test_ctrl_c_saves_everything_and_the_run_can_go_on(tmp_path, small_room, config, monkeypatch):
+    whole = run_mapping("room", config, folder=tmp_path / "whole", evaluate=False, **ROOM)
+    open_small(monkeypatch, Interrupting(small_room, {5}))
+    stopped = run_mapping("room", config, folder=tmp_path / "out", **ROOM)
+    assert stopped.run.status == "interrupted"
+    assert len(stopped.run.steps) == 5  # frames 0, 1, 3, 4 and the one that was being read
+    assert "interrupted after 5 of 9 frames" in stopped.run.warnings[-1]
+    assert {p.name for p in stopped.folder.iterdir()} == FILES | {"checkpoint.pt"}
+
+    resumed = resume_mapping(stopped.folder, evaluate=False)
+    assert resumed.run.status == "complete"
+    assert not (stopped.folder / "checkpoint.pt").exists()
+    assert len(resumed.run.steps) == 9
+    for name in ("xyz_W", "sh"):
+        assert torch.equal(getattr(resumed.mapper.gaussians.params, name), getattr(whole.mapper.gaussians.params, name))
+
+
+def open_small(monkeypatch, sequence):
+    from gsfusion_nb.runs import map_sequence, run
+
+    for module in (map_sequence, run):
+        monkeypatch.setattr(module, "open_sequence", lambda path_or_name, data, **_: apply_options(sequence, data))
+
+
+def test_a_pass_cut_short_goes_on_where_it_was(tmp_path, small_room, config, monkeypatch):
+    open_small(monkeypatch, small_room)
+    whole = run_mapping("room", config, folder=tmp_path / "whole", evaluate=False)
+    step, calls = GSFusion._optimise_view, []
+
+    def interrupting(self, view, ssim_weight=0.0):
+        calls.append(ssim_weight)
+        if calls.count(0.2) == 3:
+            signal.raise_signal(signal.SIGTERM)
+        return step(self, view, ssim_weight)
+
+    monkeypatch.setattr(GSFusion, "_optimise_view", interrupting)
+    stopped = run_mapping("room", config, folder=tmp_path / "out")
+    monkeypatch.setattr(GSFusion, "_optimise_view", step)
+    assert stopped.run.status == "interrupted"
+    assert 0 < len(stopped.mapper.passes.queue) < len(stopped.mapper.keyframes)
+    resumed = resume_mapping(stopped.folder)
+    assert not any("interrupted" in w for w in resumed.run.warnings)
+    assert torch.equal(resumed.mapper.gaussians.params.sh, whole.mapper.gaussians.params.sh)
+    assert len(resumed.run.global_losses) == 2
+    for key in ("psnr_held_out_online_db", "psnr_mapped_online_db"):
+        assert resumed.metrics[key] == stopped.metrics[key]
+    assert resumed.metrics["psnr_mapped_online_db"] < resumed.metrics["psnr_mapped_db"]
+
+
+def test_a_rule_that_fails_in_the_middle_loses_nothing(tmp_path, small_room, config):
+    def fails_later(ctx: SeedContext, *, at: int = 4) -> Seeds:
+        """Raise at a later frame."""
+        if ctx.frame.index == at:
+            raise RuntimeError("my rule is broken")
+        return ctx.cells()
+
+    with pytest.raises(RuntimeError, match="my rule is broken") as failure:
+        run_mapping(small_room, config, folder=tmp_path / "out", seeding=fails_later)
+    assert "The 3 frames mapped before are saved in" in failure.value.__notes__[0]
+    assert len(read_gaussian_ply(tmp_path / "out" / "gaussians.ply")) > 0
+    document = json.loads((tmp_path / "out" / "metrics.json").read_text())
+    assert document["status"] == "failed"
+    assert "my rule is broken" in document["warnings"][-1]
+
+
+@pytest.mark.parametrize("system", ["gsfusion", "rtg_slam"])
+def test_a_full_memory_ends_the_run_with_everything_saved(system, tmp_path, small_room, monkeypatch):
+    """The mesh does not fit any more either: GSFusion's is made on the processor, RTG-SLAM's is left out."""
+    mapper = {"gsfusion": GSFusion, "rtg_slam": RTGSLAM}[system]
+    step = mapper.step
+
+    def full(self, *args):
+        raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 GiB.")
+
+    def fails_later(self, frame):
+        return full(self) if frame.index == 4 else step(self, frame)
+
+    monkeypatch.setattr(mapper, "step", fails_later)
+    monkeypatch.setattr(mapper, "mesh", full)
+    data = {"width": 0, "height": 0, "hold_out_every": 0}
+    config = {"gsfusion": gsfusion, "rtg_slam": rtg_slam}[system]("room", data=data)
+    with pytest.raises(MemoryError) as failure:
+        run_mapping(small_room, config, folder=tmp_path / "out")
+    message = str(failure.value)
+    knobs = ["the memory of cpu is full", "Gaussians (", "keyframes (", "data.width", "keyframes_on = 'cpu'"]
+    own = ["voxel blocks (", "tsdf.voxel_size_m", "quadtree_threshold"] if system == "gsfusion" else ["share"]
+    assert all(part in message for part in [*knobs, *own, "The 4 frames mapped before are saved in"]), message
+    assert len(read_gaussian_ply(tmp_path / "out" / "gaussians.ply")) > 0
+    assert (tmp_path / "out" / "trajectory.txt").read_text().count("\n") >= 3
+    assert (b"element face 0" in (tmp_path / "out" / "mesh.ply").read_bytes()) == (system == "rtg_slam")
+    assert json.loads((tmp_path / "out" / "metrics.json").read_text())["status"] == "failed"
+
+
+def test_when_no_frame_can_be_used_the_first_reason_is_the_error(tmp_path, small_room, config):
+    with pytest.raises(SequenceError, match=r"none of the 9 frames could be mapped, the first because rgb/000000\.png"):
+        run_mapping(Damaged(small_room, set(range(12))), config, folder=tmp_path / "out")
+
+
+class Odd(Damaged):
+    """Depth in another unit, and a camera a thousand kilometres away at some frames."""
+
+    def __init__(self, source, far_away: set[int], factor: float = 1.0):
+        super().__init__(source, far_away)
+        self.factor = factor
+
+    def __getitem__(self, i: int):
+        frame = self.source[i]
+        T_WC = frame.T_WC.clone()
+        T_WC[:3, 3] += 1e6 * (i in self.bad)
+        return dataclasses.replace(frame, depth_m=frame.depth_m * self.factor, T_WC=T_WC)
+
+
+def test_depth_out_of_range_is_named(tmp_path, small_room, config):
+    run = run_mapping(Odd(small_room, set(), 1000.0), config, folder=tmp_path / "out", evaluate=False)
+    assert "no depth between tsdf.near_m 0.4 and tsdf.far_m 6 m (its median is" in run.run.warnings[0]
+
+
+def test_a_camera_beyond_the_voxel_index_is_skipped(tmp_path, small_room, config):
+    run = run_mapping(Odd(small_room, {4}), config, folder=tmp_path / "out", evaluate=False)
+    assert len(run.run.steps) == 8
+    assert "frame 4 cannot be mapped: block coordinates" in run.run.warnings[0]
+
+
+def test_pressing_twice_does_not_lose_the_map(tmp_path, small_room, config):
+    class Impatient(Interrupting):
+        """Presses twice."""
+
+        def __getitem__(self, i: int):
+            if i in self.bad:
+                signal.raise_signal(signal.SIGINT)
+            return super().__getitem__(i)
+
+    run = run_mapping(Impatient(small_room, {5}), config, folder=tmp_path / "out", evaluate=False)
+    assert run.run.status == "interrupted"
+    assert (run.folder / "checkpoint.pt").exists()
+
+
+def test_rescoring_an_interrupted_run_scores_what_was_mapped(tmp_path, small_room, config, monkeypatch):
+    open_small(monkeypatch, Interrupting(small_room, {5}))
+    run = run_mapping("room", config, folder=tmp_path / "out")
+    module = importlib.import_module("gsfusion_nb.runs.rescore")
+    monkeypatch.setattr(module, "open_sequence", lambda path_or_name, data: apply_options(small_room, data))
+    again = rescore(run.folder)
+    assert again["n_views_mapped"] == 5
+    assert again["psnr_mapped_db"] == pytest.approx(run.metrics["psnr_mapped_db"], abs=1e-3)
+
+
+def test_damaged_files_of_a_run_are_named(tmp_path):
+    (tmp_path / "checkpoint.pt").write_bytes(b"nonsense")
+    with pytest.raises(ValueError, match="no readable checkpoint"):
+        resume_mapping(tmp_path)
+    (tmp_path / "config.json").write_text("{}")
+    with pytest.raises(ValueError, match=r"config.json is not of a run: expected the keys source, config"):
+        rescore(tmp_path)
+
+
+def test_an_earlier_run_is_never_overwritten(tmp_path, config):
+    (tmp_path / "keep.txt").write_text("precious")
+    with pytest.raises(FileExistsError, match="must be a new or empty folder"):
+        run_mapping("room", config, folder=tmp_path, **ROOM)
+    with pytest.raises(FileNotFoundError, match="only a run that was interrupted can be resumed"):
+        resume_mapping(tmp_path)
