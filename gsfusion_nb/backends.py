@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextvars import ContextVar
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import torch
 
@@ -109,6 +110,14 @@ def offered(name: str) -> tuple[str, ...]:
         return ()
     files = {path.stem for folder in package.__path__ for path in Path(folder).glob("*.py")}
     return tuple(b for b in BACKENDS[1:] if b in files and _defines(package, b, name))
+
+
+def cases() -> Iterator[Any]:
+    """Every ``Case`` of every operation's folder (``kernels/<folder>/cases.py``), for parity tests and warm-up."""
+    root = importlib.import_module(_KERNELS)
+    for path in sorted(path for folder in root.__path__ for path in Path(folder).glob("*/cases.py")):
+        if path.parent.name != "runtime":
+            yield from importlib.import_module(f"{_KERNELS}.{path.parent.name}.cases").cases()
 
 
 def _defines(package: ModuleType, backend: str, name: str) -> bool:
