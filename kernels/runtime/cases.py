@@ -1,7 +1,7 @@
 """Small pieces of work that call an operation: the parity tests compare their results between backends, and
 ``gsfusion-nb doctor --warm`` runs them to compile the kernels.
 
-Each operation's folder has a ``cases.py`` with a function ``cases()``; ``gsfusion_nb.backends.cases`` collects them all.
+Each folder has a ``cases.py`` with a function ``cases()``; ``gsfusion_nb.backends.cases`` collects them all.
 """
 
 from collections.abc import Callable
