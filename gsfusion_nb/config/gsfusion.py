@@ -11,32 +11,49 @@ from .values import from_dict, replace
 
 @dataclass(frozen=True, kw_only=True)
 class OptimConfig:
-    """Learning rates and schedule. GSFusion uses constant rates."""
+    """Learning rates of Adam, which stay constant, and how many optimisation steps are taken when.
+
+    A larger rate learns faster, but the values may oscillate; useful values lie within a factor of ten of the defaults.
+    """
 
     lr_xyz: float = 1.6e-4
-    """Metres per step."""
+    """Learning rate of the centres, metres per step."""
     lr_sh_dc: float = 2.5e-3
+    """Learning rate of the base colour (spherical harmonics of degree 0)."""
     lr_sh_rest: float = 1.25e-4
+    """Learning rate of the view-dependent colour (degrees 1 to 3)."""
     lr_log_scale: float = 1e-3
+    """Learning rate of the logarithm of the sizes: 1e-3 changes a size by about 0.1 % per step."""
     lr_quat: float = 1e-3
+    """Learning rate of the rotations (quaternion components)."""
     lr_opacity_logit: float = 5e-2
+    """Learning rate of the opacities, before the sigmoid."""
     beta1: float = 0.9
+    """Adam's memory of the gradient, 0 to 1. Larger: smoother, slower to change direction. Usual: 0.8 to 0.95."""
     beta2: float = 0.999
+    """Adam's memory of the squared gradient, 0 to 1. Larger: the step size follows changes more slowly. Usual: 0.99 to
+    0.999."""
     eps: float = 1e-15
+    """Added to Adam's denominator against division by zero. Larger: smaller steps where gradients are small."""
     adam_steps: Literal["none", "shared", "per_row"] = "none"
-    """Bias correction of Adam, which decides how fast a newborn Gaussian moves. "none": none, so that every newborn's
-    first steps are 3 to 6 learning rates; "shared": by the step count of the whole map, as the released code, where it
-    is so for all but the first frames' Gaussians; "per_row": by each Gaussian's own age, 1 learning rate."""
+    """Bias correction of Adam, which decides how fast a new Gaussian moves. "none": no correction, so the first steps
+    of every new Gaussian are 3 to 6 learning rates long; "shared": by the step count of the whole map, as the released
+    code, where the first frames' Gaussians start slowly and all later ones fast; "per_row": by each Gaussian's own age
+    (textbook Adam), so the first step is 1 learning rate."""
     keyframe_iterations: int = 5
-    """m: steps on a keyframe."""
+    """m: optimisation steps on a frame that is a keyframe. Larger: better pictures while scanning, slower. Usual: 5 to
+    20."""
     frame_iterations: int = 3
-    """n: steps on a frame that is no keyframe."""
+    """n: optimisation steps on a frame that is not a keyframe. Usual: 1 to 10."""
     random_keyframe_iterations: int = 2
-    """Steps on random earlier keyframes after a frame that is no keyframe."""
+    """Steps on randomly drawn earlier keyframes after each frame that is not a keyframe. Larger: places seen earlier
+    stay sharp (less forgetting), slower. Usual: 0 to 10."""
     global_iterations: int = 10
-    """Passes over the keyframes after the scan."""
+    """Passes over all keyframes after the scan. Larger: better pictures, longer wait; the gain shrinks. Usual: 0 to
+    20."""
     ssim_weight: float = 0.2
-    """Weight of D-SSIM in the global optimisation (released code 0.2; 0 is the loss as printed, Eq. 12)."""
+    """Weight of the structural loss D-SSIM in the passes after the scan, 0 to 1; the colour difference L1 has the rest.
+    Larger: sharper structure, less exact colours. 0.2 in the released code; 0 is the paper's loss (Eq. 12)."""
 
     def __post_init__(self):
         for name in ("lr_xyz", "lr_sh_dc", "lr_sh_rest", "lr_log_scale", "lr_quat", "lr_opacity_logit"):
@@ -54,7 +71,7 @@ class OptimConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class GSFusionConfig:
-    """Everything that decides what a GSFusion run gives, but for the data's location."""
+    """All settings of a GSFusion run, except where the data is."""
 
     tsdf: TsdfConfig = field(default_factory=TsdfConfig)
     seeding: SeedingConfig = field(default_factory=SeedingConfig)
@@ -62,15 +79,18 @@ class GSFusionConfig:
     tracking: TrackingConfig = field(default_factory=TrackingConfig)
     data: DataConfig = field(default_factory=DataConfig)
     sh_degree: int = 3
-    """Degree of the view-dependent colour, 0 to 3."""
+    """Degree of the spherical harmonics that store a Gaussian's colour, 0 to 3. 0: one colour from all sides, least
+    memory and time. 3: colour may change with the viewing direction (gloss, reflections)."""
     keyframe_min_seeds: int = 50
-    """A frame with more new Gaussians than this is a keyframe."""
+    """A frame that adds more Gaussians than this becomes a keyframe. Larger: fewer keyframes, less memory. Usual: 20 to
+    500."""
     keep_all_frames: bool = False
-    """Revisit and globally optimise over every frame, not only keyframes (ScanNet++, whose views are sparse)."""
+    """Keep every frame, not only keyframes, for optimising earlier views and for the passes after the scan (ScanNet++,
+    whose views are far apart). On: more memory and a longer optimisation after the scan."""
     keyframes_on: Literal["device", "cpu"] = "device"
-    """Where the keyframes' images are kept: with the map, or in the memory of the processor, which saves a GPU's."""
+    """Where the images of the keyframes are kept: "device" (with the map) or "cpu", which saves memory of the GPU."""
     seed: int = 0
-    """Seed of every random draw of the run."""
+    """Seed of all random numbers. The same seed on the same machine gives the same map."""
 
     def __post_init__(self):
         if self.sh_degree not in (0, 1, 2, 3):
@@ -102,8 +122,10 @@ def gsfusion(preset: str = "replica", **overrides: Any) -> GSFusionConfig:
     """Settings of GSFusion as published for a data set: "replica", "scannetpp", "tum"; "room" for the built-in scene;
     "online" is "replica" without the optimisation after the scan.
 
-    Overrides are fields, nested ones with a dict or a double underscore:
-    ``gsfusion("replica", optim__global_iterations=0, sh_degree=0)``.
+    Args:
+        preset: Name of the preset.
+        overrides: Fields to change, nested ones with a dict or a double underscore:
+            ``gsfusion("replica", optim__global_iterations=0, sh_degree=0)``.
 
     Raises:
         KeyError: unknown preset. ValueError: unknown field.

@@ -9,22 +9,28 @@ from .repair import RepairConfig
 
 @dataclass(frozen=True, kw_only=True)
 class TsdfConfig:
-    """The volumetric map."""
+    """The volumetric map: a truncated signed distance field (TSDF) in voxels."""
 
     voxel_size_m: float = 0.01
-    """Edge of one voxel, metres."""
+    """Edge length of a voxel, metres. Larger: less memory and time, coarser surface. Usual in a room: 0.01 to 0.02."""
     truncation_voxels: float = 8.0
-    """Half width of the band around the surface, voxels."""
+    """Half width of the band around the surface in which distances are stored, voxels. Larger: bridges noisier depth,
+    but thin objects disappear and memory grows. Usual: 4 to 8, and at least about three times the depth noise."""
     max_weight: float = 100.0
-    """Cap on a voxel's observation count (w_max of GSFusion Eq. 8)."""
+    """Largest observation count of a voxel (w_max of GSFusion Eq. 8). Larger: smoother, but slower to follow a scene
+    that changes. Usual: 20 to 255."""
     near_m: float = 0.4
-    """Depth below this is ignored, metres."""
+    """Nearer depth is ignored, metres. Set it to the least distance that the sensor measures well. Usual: 0.1 to
+    0.5."""
     far_m: float = 6.0
-    """Depth beyond this allocates nothing, metres."""
+    """Depth beyond this creates no new voxels, metres. Larger: more of a big scene, with noisier depth and more memory.
+    Usual with indoor depth cameras: 3 to 6."""
     sdf: Literal["z", "ray"] = "ray"
-    """Distance to the measured surface along z (GSFusion Eq. 6) or along the viewing ray (as the released code)."""
+    """How the distance from a voxel to the measured surface is taken: along the optical axis ("z", GSFusion Eq. 6) or
+    along the viewing ray ("ray", as the released code; more accurate away from the image centre)."""
     outlier_guard: bool = True
-    """Refuse to allocate blocks for isolated depth pixels, whose neighbours are all far from them in depth."""
+    """Create no voxels for isolated depth pixels, those that differ strongly in depth from all their neighbours. Turn
+    it off only for depth without noise."""
 
     def __post_init__(self):
         for name in ("voxel_size_m", "truncation_voxels", "max_weight", "far_m"):
@@ -44,21 +50,25 @@ class TsdfConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class SeedingConfig:
-    """Where new Gaussians are born."""
+    """Where new Gaussians are created."""
 
     rule: str = "gsfusion"
-    """Name of a registered seeding rule."""
+    """Name of a registered seeding rule: gsfusion, rtg_slam, uniform, dense, or your own."""
     quadtree_threshold: float = 0.1
-    """A cell whose contrast is above this is split."""
+    """A quadtree cell with a contrast above this is split into four. Smaller: more, smaller Gaussians and finer detail,
+    but more time and memory. With "released" contrast 0.01 (fine) to 0.2 (coarse); with "std" about 0.01 to 0.05."""
     quadtree_min_cell_px: int = 1
-    """A cell is split only if half its width and half its height stay above this, pixels."""
+    """A cell is split only if half its width and half its height are larger than this, pixels. Larger: no small cells,
+    so fewer Gaussians. Usual: 1 to 8."""
     quadtree_contrast: Literal["released", "std"] = "released"
-    """"released": luma-weighted variance times image pixels / 9e7, as the released code; "std": luma-weighted standard
-    deviation in 0..1, the same at every resolution."""
+    """How contrast is measured. "released": variance of the grey levels times the number of image pixels / 9e7, as in
+    the released code, so the threshold depends on the image size; "std": standard deviation of the colours in 0..1, the
+    same at every size. Channels are weighted by their brightness (luma)."""
     one_per_voxel: bool = False
-    """Keep at most one new Gaussian in a voxel (the paper's text; the released code does not)."""
+    """Create at most one Gaussian per voxel and frame (the paper's text; the released code does not). On: fewer
+    Gaussians close to the camera."""
     options: dict[str, int | float | str | bool] = field(default_factory=dict)
-    """Keyword arguments for the rule."""
+    """Keyword arguments of the rule, by name; on the command line: --rule-options name=value."""
 
     def __post_init__(self):
         check_positive("seeding.quadtree_threshold", self.quadtree_threshold)
@@ -68,26 +78,30 @@ class SeedingConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class DataConfig:
-    """What is read from a sequence, and how."""
+    """Which frames are read from a sequence, and how."""
 
     width: int = 0
-    """Resize colour and depth to this width, pixels; 0 keeps the source's size (or follows height)."""
+    """Resize colour and depth to this width, pixels; 0 keeps the original width, or follows from height. Smaller:
+    faster and less detail. Usual: 320 to 1280."""
     height: int = 0
-    """Resize to this height, pixels; 0 keeps the source's size (or follows width)."""
+    """Resize to this height, pixels; 0 keeps the original height, or follows from width."""
     start: int = 0
-    """First frame."""
+    """Number of the first frame that is read, counted from 0."""
     stop: int = 0
-    """One past the last frame; 0 means to the end."""
+    """Stop before this frame; 0 reads to the end."""
     stride: int = 1
-    """Take every stride-th frame."""
+    """Read every n-th frame. Larger: faster, but less overlap between frames; tracking needs small steps. Usual: 1 to
+    10."""
     depth_min_m: float = 0.0
-    """Nearer depth counts as missing, metres."""
+    """Nearer depth counts as missing, metres; 0 keeps all."""
     depth_max_m: float = 0.0
-    """Farther depth counts as missing, metres; 0 means no limit."""
+    """Farther depth counts as missing, metres; 0 means no limit. Set it where the sensor becomes unreliable. Usual with
+    a depth camera: 3 to 8."""
     hold_out_every: int = 8
-    """Every k-th frame is never mapped and serves as a novel view; 0 maps all."""
+    """Every k-th frame is never mapped; the map is scored on these unseen views. Smaller: more views for the score,
+    fewer for the map. 0 maps all frames; 8 is usual."""
     hold_out_offset: int = 4
-    """Which of the k frames is held out."""
+    """Which of each k frames is held out: 0 to k - 1."""
     repair: RepairConfig = field(default_factory=RepairConfig)
     """Corrections of a recording that differs from what its layout says."""
 

@@ -1,4 +1,4 @@
-"""How the numbers of a recording are to be understood where they differ from what its layout says."""
+"""Corrections for a recording whose numbers do not mean what its layout says."""
 
 import dataclasses
 import itertools
@@ -21,50 +21,54 @@ AXES = tuple("-".join(words) for kinds in itertools.permutations(_DIRECTIONS) fo
 
 @dataclass(frozen=True, kw_only=True)
 class RepairConfig:
-    """Corrections of a recording while it is read; ``gsfusion-nb check`` finds them. The defaults change nothing."""
+    """Corrections applied while a recording is read; ``gsfusion-nb check`` finds them. The defaults change nothing."""
 
     depth_factor: float = 1.0
-    """Multiply depth by this: 0.2 where 5000 units are a metre and 1000 were assumed."""
+    """Depth is multiplied by this: 0.2 if 5000 units are a metre and 1000 were assumed."""
     depth_kind: Literal["z", "ray"] = "z"
-    """What the stored depth measures: along the optical axis, or along each pixel's ray (some simulators)."""
+    """Direction in which the stored depth is measured: "z", along the optical axis, or "ray", along the ray of each
+    pixel (some simulators)."""
     poses: Literal["camera_to_world", "world_to_camera", "rotation_inverted"] = "camera_to_world"
-    """What the stored poses are; "rotation_inverted": the camera's position with the world-to-camera rotation."""
+    """What the stored poses are; "rotation_inverted" means the position of the camera with the world-to-camera
+    rotation."""
     axes: str = "opencv"
     """Camera axes of the stored poses: opencv, opengl, ros, unity, or three words such as right-up-back."""
     quaternions: Literal["as_read", "wxyz", "xyzw"] = "as_read"
-    """Order of the four numbers in the file if they were read in the other order."""
+    """Order in which the file stores a quaternion, if the reader assumed the other one; "as_read" changes nothing."""
     matrices: Literal["row_major", "column_major"] = "row_major"
-    """Order of a matrix's 16 numbers."""
+    """Order in which the file stores the 16 numbers of a matrix."""
     nearest_rotation: bool = False
     """Replace rotations that are scaled or not orthogonal by the nearest rotation."""
     translation_factor: float = 1.0
-    """Multiply the poses' positions by this: 0.001 where they are in millimetres."""
+    """Positions of the poses are multiplied by this: 0.001 if they are in millimetres."""
     pose_shift_frames: float = 0.0
-    """Frame i takes the pose that was recorded for frame i + this, interpolated."""
+    """Frame i gets the pose recorded for frame i + this, interpolated between frames if it is not a whole number."""
     rgb_shift_frames: int = 0
-    """Frame i takes the colour image of frame i + this."""
+    """Frame i gets the colour image of frame i + this."""
     fit_sizes: bool = False
-    """Bring colour and intrinsics to the size of the depth images where they differ."""
+    """Resize colour and intrinsics to the size of the depth images where they differ."""
     fx: float = 0.0
-    """Focal length along x instead of the recording's, pixels; 0 keeps it."""
+    """Focal length along x that replaces the recorded one, pixels; 0 keeps it."""
     fy: float = 0.0
-    """Focal length along y instead of the recording's, pixels; 0 keeps it."""
+    """Focal length along y that replaces the recorded one, pixels; 0 keeps it."""
     cx: float = 0.0
-    """Principal point, x, instead of the recording's, counted from the image's left edge, pixels; 0 keeps it."""
+    """Principal point, x, that replaces the recorded one, from the left edge of the image, pixels; 0 keeps it."""
     cy: float = 0.0
-    """Principal point, y, instead of the recording's, counted from the image's upper edge, pixels; 0 keeps it."""
+    """Principal point, y, that replaces the recorded one, from the upper edge of the image, pixels; 0 keeps it."""
     pixel_shift: float = 0.0
-    """Added to cx and cy, pixels: -0.5 or 0.5 where the intrinsics count pixel centres otherwise than assumed."""
+    """Added to cx and cy, pixels: 0.5 if the recording counts pixel centres as whole numbers and edges were assumed,
+    -0.5 for the opposite."""
     rgb_mirror: Literal["none", "x", "y", "xy"] = "none"
     """Mirror the colour images left-right (x), upside down (y) or both."""
     rgb_shift_x_px: float = 0.0
-    """How far to the right of the depth image's content the colour image's lies, pixels."""
+    """Shift of the colour image relative to the depth image, pixels; positive if its content lies too far right."""
     rgb_shift_y_px: float = 0.0
-    """How far below the depth image's content the colour image's lies, pixels."""
+    """Shift of the colour image relative to the depth image, pixels; positive if its content lies too far down."""
     rgb_scale: float = 1.0
-    """How much larger than in the depth image things are in the colour image, about the image's middle."""
+    """Scale of the colour image's content relative to the depth image's, about the image centre: 1.02 if things are 2 %
+    larger in colour."""
     skip: tuple[int, ...] = ()
-    """Frames to leave out, for example frozen or blurred ones."""
+    """Numbers of the frames to leave out, for example frozen or blurred ones."""
 
     def __post_init__(self):
         for name in ("depth_factor", "translation_factor", "rgb_scale"):

@@ -16,17 +16,22 @@ from .values import check_kinds, from_dict, replace
 
 @dataclass(frozen=True, kw_only=True)
 class DiscConfig:
-    """When a ray hits a disc, and where (Eq. 4-5)."""
+    """When a ray hits a disc, and at which depth (Eq. 4-5)."""
 
     opaque_alpha: float = OPAQUE_ALPHA
-    """delta_alpha: a disc is hit where its alpha reaches this (paper exp(-0.5), code 0.6)."""
+    """delta_alpha: a ray hits a disc where the disc's alpha is at least this. Smaller: larger discs, fewer holes, less
+    exact edges. Paper exp(-0.5) = 0.61, code 0.6, measured best 0.3. Usual: 0.2 to 0.8."""
     max_offset: float | None = DISC_MAX_OFFSET
-    """Farther from the centre than so many largest standard deviations the centre's depth counts (paper: no such test,
-    None; code 1)."""
+    """Largest distance along z between the hit and the disc's centre, in units of the disc's largest standard
+    deviation; beyond it the depth of the centre is used. Larger: more exact depth on tilted discs, but more outliers.
+    Code 1; paper: no limit (None). Usual: 1 to 5."""
     min_cosine: float = DISC_MIN_COSINE
-    """Discs seen at a flatter angle take the centre's depth."""
+    """Smallest cosine of the angle between ray and disc normal at which the two are intersected; a disc seen at a
+    flatter angle gets the depth of its centre. Smaller: intersects at flatter angles, more exact but more sensitive to
+    errors of the normal. Paper 0.5 (60 degrees). Usual: 0.1 to 0.7."""
     depth: Literal["disc", "blended"] = "disc"
-    """"blended": depth as in other splatting systems, sum of w_k z_k / alpha (the ablation of Fig. 7)."""
+    """"disc": depth where the ray meets the first disc (RTG-SLAM); "blended": weighted mean of the depths of all
+    Gaussians on the ray, sum of w_k z_k / alpha, as in other splatting systems (the comparison of Fig. 7)."""
 
     def __post_init__(self):
         check_kinds("discs", self)
@@ -41,34 +46,47 @@ class WindowConfig:
     """Optimisation over the last frames (Eq. 7-9)."""
 
     every_frames: int = 6
-    """Optimise after every so many frames."""
+    """Optimise once in this many frames. Larger: faster, but new areas stay rough for longer. Usual: 3 to 8."""
     frames: int = 5
-    """Length of the window, frames."""
+    """How many of the last frames the optimisation uses. Larger: less overfitting to one view, more memory. Usual: 1 to
+    8."""
     iterations: int = 50
-    """Steps per optimisation."""
+    """Steps per optimisation of the window. Larger: better pictures, slower. Usual: 20 to 100."""
     lr_xyz: float = 1e-3
-    """Metres per step."""
+    """Learning rate of the centres, metres per step. Useful learning rates, here and below, lie within a factor of ten
+    of the defaults; a larger one learns faster, but the values may oscillate."""
     lr_sh_dc: float = 5e-4
+    """Learning rate of the base colour (spherical harmonics of degree 0)."""
     lr_sh_rest: float = 2.5e-5
+    """Learning rate of the view-dependent colour (degrees 1 to 3)."""
     lr_log_scale: float = 4e-3
+    """Learning rate of the logarithm of the sizes: 4e-3 changes a size by about 0.4 % per step."""
     lr_quat: float = 1e-3
+    """Learning rate of the rotations (quaternion components)."""
     weight_colour: float = 1.0
-    """w_c of Eq. 8 (code 0.8)."""
+    """w_c of Eq. 8: weight of the colour error (code 0.8). Larger: better pictures at the cost of depth. Usual: 0.5 to
+    2."""
     weight_depth: float = 1.0
-    """w_d of Eq. 8."""
+    """w_d of Eq. 8: weight of the depth error in metres. Larger: closer to the measured depth, noise included. Usual: 0
+    to 5."""
     weight_regulariser: float = 1000.0
-    """w_reg of Eq. 8: holds centre, orientation and scale of transparent Gaussians at their anchor."""
+    """w_reg of Eq. 8: keeps centre, rotation and scale of transparent Gaussians near their anchor values. Larger: only
+    their colour changes; 0: they move freely."""
     anchor: Literal["birth", "window"] = "birth"
-    """The values they are held at: those they were born with (paper), or those at the start of the window (code)."""
+    """The anchor values of transparent Gaussians: "birth", those they were created with (paper), or "window", those at
+    the start of this optimisation (code), so that they can drift from window to window."""
     draw: Literal["random", "newest_half"] = "random"
-    """Each step takes a random frame of the window (paper); or that in the first half, the newest frame in the second
-    (code)."""
+    """Which frame of the window a step uses. "random": any (paper); "newest_half": any in the first half of the steps,
+    the newest frame in the second half (code), which favours the present view."""
     depth_behind_m: float | None = 0.1
-    """Depth rendered farther than this behind the measurement has no loss (code; paper: None)."""
+    """Pixels whose rendered depth lies farther than this behind the measurement have no depth loss, metres (code;
+    paper: no limit, None). Smaller: fewer pixels count. Usual: 0.05 to 0.5."""
     history_max_weight: float = 1.0
-    """Fusion with the values before the window (Eq. 9): largest weight of these (paper 1, code 0.5)."""
+    """Largest weight of a Gaussian's values from before the optimisation when the old and the new values are averaged
+    (Eq. 9), 0 to 1. Larger: well observed Gaussians change less; 0: only the new values count. Paper 1, code 0.5."""
     only_unstable: bool = True
-    """Optimise unstable Gaussians and the pixels they touch; otherwise all of them (the ablation)."""
+    """Optimise only unstable Gaussians, on the pixels that they touch. Off: all Gaussians on all pixels, slower (the
+    comparison in the paper)."""
 
     def __post_init__(self):
         check_kinds("window", self)
@@ -86,28 +104,36 @@ class WindowConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class StateConfig:
-    """Stable and unstable Gaussians (section 3.2, "State management")."""
+    """When a Gaussian becomes stable (no longer optimised), unstable again, or is deleted (section 3.2, "State
+    management")."""
 
     stable_confidence: float = 100.0
-    """delta_eta: a Gaussian optimised more often than this becomes stable."""
+    """delta_eta: a Gaussian that was optimised in more steps than this becomes stable. Larger: better fitted before it
+    is fixed, but slower. Usual: 100 to 400."""
     unstable_frames: int = 120
-    """delta_t: one that is still unstable after so many frames is removed."""
+    """delta_t: a Gaussian that is still unstable after this many frames is deleted. Larger: rarely seen places survive,
+    and so do floaters. Usual: 100 to 400."""
     age: Literal["all", "in_view"] = "all"
-    """Frames that count for it: all since it was born (paper, code), or those with its centre in the picture, so that
-    what the camera passes quickly and leaves is not lost."""
+    """Which frames count for unstable_frames: "all" since the Gaussian was created (paper, code), or "in_view", those
+    with its centre in the picture. With "in_view" places that the camera passes quickly are not deleted later."""
     error_count: int = 10
-    """delta_e: a stable Gaussian in error in more frames than this loses its state (code: in 10 or more)."""
+    """delta_e: a stable Gaussian that is wrong in more frames than this is no longer stable (code: in 10 or more).
+    Larger: slower to repair mistakes, less disturbed by noise. Usual: 5 to 20."""
     colour_error: float = 0.1
-    """delta_c: in error where the mean absolute difference over R, G, B, in 0..1, is above this."""
+    """delta_c: a pixel's colour is wrong if it differs by more than this, the mean absolute difference over R, G, B in
+    0..1. Larger: tolerates changes of exposure. Usual: 0.05 to 0.2."""
     depth_error_m: float = 0.1
-    """delta_d."""
+    """delta_d: a pixel's depth is wrong if it differs by more than this, metres. Larger: tolerates noisier depth.
+    Usual: 0.05 to 0.2."""
     depth_error_sides: Literal["both", "in_front"] = "both"
-    """Depth errors that count: of either sign (paper), or only of a model in front of the measurement (code)."""
+    """Which depth errors count: "both" signs (paper), or "in_front", only where the model is in front of the
+    measurement (code)."""
     on_error: Literal["release", "delete"] = "release"
-    """A stable Gaussian in error becomes unstable again (paper); or is deleted if its depth is wrong and left alone if
-    its colour is (code)."""
+    """What happens to a stable Gaussian that is wrong too often. "release": it becomes unstable again (paper);
+    "delete": it is deleted if its depth is wrong and left as it is if only its colour is (code)."""
     max_radius_factor: float | None = 10.0
-    """Gaussians with a radius above so many times the mean are removed (code; paper: None)."""
+    """Gaussians with a radius above this many times the mean radius are deleted (code 10; paper: none are, None).
+    Smaller: fewer blurred blobs, but also fewer large plain areas. Usual: 5 to 20."""
 
     def __post_init__(self):
         check_kinds("states", self)
@@ -122,24 +148,29 @@ class StateConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class KeyframeConfig:
-    """Keyframes by motion, and the optimisation that each starts (section 3.2, "Keyframes and global optimization")."""
+    """When a frame becomes a keyframe, and the optimisation over earlier keyframes that each new one starts (section
+    3.2, "Keyframes and global optimization")."""
 
     rotation_deg: float = 30.0
+    """A frame becomes a keyframe when the camera has turned by this since the last one, degrees. Larger: fewer
+    keyframes, less memory, less overlap. Usual: 15 to 45."""
     translation_m: float = 0.3
-    """A keyframe is taken when the camera has turned or its centre moved so far since the last one."""
+    """Likewise when the camera's centre has moved by this, metres. Usual: 0.1 to 1."""
     latest: int = 1
-    """The optimisation draws from so many latest keyframes (code 3) ..."""
+    """How many of the latest keyframes take part in the optimisation (paper 1, code 3)."""
     random: int = 3
-    """... and so many random ones (code 0)."""
+    """How many randomly drawn earlier keyframes take part (paper 3, code 0). Larger: less forgetting. Usual: 0 to 8."""
     iterations: int = 50
+    """Steps of the optimisation at each keyframe. Larger: earlier views improve more, slower. Usual: 0 to 100."""
     pixel_share: float = 0.4
-    """Share of the pixels, those with the largest colour errors, that have a loss."""
+    """Share of the pixels that have a loss, those with the largest colour errors, above 0 to 1. Smaller: concentrates
+    on mistakes. Usual: 0.2 to 1."""
     lr_factor: float = 0.1
-    """Learning rates in these, as a share of the window's; centres do not move."""
+    """Learning rates of this optimisation as a multiple of the window's; centres do not move. Usual: 0.05 to 1."""
     rows: Literal["all", "stable"] = "all"
-    """All Gaussians (paper), or only the stable ones are drawn and optimised (code)."""
+    """Which Gaussians are drawn and optimised: "all" (paper) or only the "stable" ones (code)."""
     instead_of_window: bool = False
-    """Leave out the window optimisation of that frame (code, except on ScanNet++)."""
+    """On: at a keyframe this optimisation replaces that of the window (code, except on ScanNet++)."""
 
     def __post_init__(self):
         check_kinds("keyframes", self)
@@ -156,11 +187,12 @@ class FinalConfig:
     """Optimisation over all keyframes after the scan."""
 
     passes: int = 10
-    """Steps per keyframe (paper 10; code 20 on Replica)."""
+    """Steps per keyframe (paper 10; code 20 on Replica). Larger: better pictures, longer wait. Usual: 0 to 20."""
     lr_factor: float = 1.0
-    """Learning rates, as a share of the window's (code 4 on Replica, 1 elsewhere); centres do not move."""
+    """Learning rates as a multiple of the window's (code 4 on Replica, 1 elsewhere); centres do not move. Usual: 0.1 to
+    4."""
     weight_depth: float = 1.0
-    """Weight of the depth loss (code 0)."""
+    """Weight of the depth error in metres (code 0). 0: best pictures; larger: the depth is kept. Usual: 0 to 5."""
 
     def __post_init__(self):
         check_kinds("final", self)
@@ -171,7 +203,7 @@ class FinalConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class RtgSlamConfig:
-    """Everything that decides what an RTG-SLAM run gives, but for the data's location."""
+    """All settings of an RTG-SLAM run, except where the data is."""
 
     seeding: SeedingConfig = field(default_factory=lambda: SeedingConfig(rule="rtg_slam"))
     discs: DiscConfig = field(default_factory=DiscConfig)
@@ -181,14 +213,15 @@ class RtgSlamConfig:
     final: FinalConfig = field(default_factory=FinalConfig)
     tracking: TrackingConfig = field(default_factory=TrackingConfig)
     mesh: TsdfConfig = field(default_factory=lambda: TsdfConfig(voxel_size_m=0.02, truncation_voxels=4.0, near_m=0.2))
-    """The volume that the rendered depth is fused into when a mesh is asked for."""
+    """The volume into which the rendered depth is fused when a mesh is needed."""
     data: DataConfig = field(default_factory=lambda: DataConfig(depth_min_m=0.3, depth_max_m=5.0))
     sh_degree: int = 3
-    """Degree of the view-dependent colour, 0 to 3."""
+    """Degree of the spherical harmonics that store a Gaussian's colour, 0 to 3. 0: one colour from all sides, least
+    memory and time. 3: colour may change with the viewing direction (gloss, reflections)."""
     keyframes_on: Literal["device", "cpu"] = "device"
-    """Where the keyframes' images are kept: with the map, or in the memory of the processor, which saves a GPU's."""
+    """Where the images of the keyframes are kept: "device" (with the map) or "cpu", which saves memory of the GPU."""
     seed: int = 0
-    """Seed of every random draw of the run."""
+    """Seed of all random numbers. The same seed on the same machine gives the same map."""
 
     def __post_init__(self):
         if self.sh_degree not in (0, 1, 2, 3):
@@ -272,8 +305,8 @@ def rtg_slam(preset: str = "replica", fidelity: str = "measured", **overrides: A
 
     Args:
         preset: Data set whose published numbers to take.
-        fidelity: Where paper and released code differ: "paper", "code", or "measured", of each the better by our
-            measurements, which come before the data set's numbers.
+        fidelity: Which to follow where paper and released code differ: "paper", "code", or "measured", the value that
+            gave the better result in our measurements; it overrides the data set's numbers.
         overrides: Fields, nested ones with a double underscore: ``rtg_slam("tum", window__iterations=20)``.
 
     Raises:

@@ -12,33 +12,42 @@ class BackEndConfig:
     """Landmarks, loop closure and the pose graph over keyframes (Peng et al. 2024, section 3.2, "Camera tracking")."""
 
     enabled: bool = False
-    """Needs the extra "slam" (GTSAM)."""
+    """Detect loops and correct the trajectory. Needs the extra "slam" (GTSAM)."""
     on_correction: Literal["move", "leave"] = "move"
-    """What happens to the Gaussians when a loop corrects the trajectory: each moves with the keyframe it was born
-    near, or all stay where they are (released code)."""
+    """What happens to the Gaussians when a loop corrects the trajectory: "move", each moves with the keyframe near
+    which it was created, or "leave", all stay where they are (released code)."""
     features: int = 1000
-    """ORB features per keyframe."""
+    """ORB features per keyframe. Larger: more reliable loops and relocalisation, slower. Usual: 500 to 2000."""
     levels: int = 8
-    """Levels of the ORB pyramid."""
+    """Levels of the ORB image pyramid. Larger: features match over larger changes of distance. Usual: 4 to 10."""
     keyframe_rotation_deg: float = 15.0
+    """The pose graph gets a new keyframe when the camera has turned by this since the last one, degrees. Larger: a
+    smaller graph, faster, but fewer chances to find a loop. Usual: 10 to 30."""
     keyframe_translation_m: float = 0.15
-    """The graph takes a keyframe when the camera has turned or moved so far since the last one."""
+    """Likewise when the camera has moved by this, metres. Usual: 0.1 to 0.5."""
     loop_min_gap: int = 8
-    """A loop joins keyframes at least so many keyframes apart."""
+    """A loop connects keyframes that are at least this many keyframes apart. Larger: ignores short loops. Usual: 5 to
+    20."""
     loop_min_inliers: int = 30
-    """Landmarks that must agree on a loop's relative pose."""
+    """Smallest number of landmarks that must agree on the relative pose of a loop. Larger: fewer false loops, and fewer
+    true ones. Usual: 20 to 100."""
     loop_max_drift: float = 0.2
-    """A loop that disagrees with the trajectory by more than 0.3 m and 10 degrees plus this share of the path between
-    its ends (metres of metres, degrees of degrees) is another place that looks the same."""
+    """A loop is refused, as another place that looks the same, if it disagrees with the trajectory by more than 0.3 m
+    and 10 degrees plus this share of the path between its ends (of its length, of its rotation). Larger: accepts loops
+    after more drift, and more false ones. Usual: 0.05 to 0.5."""
     correct_from_m: float = 0.02
+    """A loop corrects the trajectory at once if they disagree by more than this, metres; smaller differences are
+    corrected at the end of the scan. Larger: fewer interruptions. Usual: 0.01 to 0.1."""
     correct_from_deg: float = 0.5
-    """A loop that the trajectory misses by less needs no correction at once; ``finish`` uses it all the same."""
+    """Likewise for the angle between them, degrees. Usual: 0.2 to 5."""
     odometry_sigma_m: float = 0.02
+    """Largest standard deviation of the tracked motion between two keyframes of the graph, metres per axis; it is
+    trusted more where it agrees with the landmarks. Larger: loops bend the trajectory more. Usual: 0.005 to 0.1."""
     odometry_sigma_deg: float = 0.5
-    """Largest standard deviation of the front end's relative pose between two keyframes of the graph, per axis; it is
-    trusted more where it agrees with the landmarks."""
+    """Likewise for its rotation, degrees per axis. Usual: 0.1 to 2."""
     landmarks_per_keyframe: int = 150
-    """Landmarks of each keyframe that take part in the last optimisation, those with the longest tracks first."""
+    """How many landmarks of each keyframe take part in the optimisation at the end, those seen in most frames first.
+    Larger: more exact, slower. Usual: 50 to 500."""
 
     def __post_init__(self):
         check_kinds("tracking.back_end", self)
@@ -52,45 +61,57 @@ class BackEndConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class TrackingConfig:
-    """Where a frame's pose comes from, and the frame-to-model ICP (Peng et al. 2024, Eq. 10)."""
+    """Where the poses come from, and the frame-to-model ICP (iterative closest points; Peng et al. 2024, Eq. 10)."""
 
     poses: Literal["given", "tracked"] = "given"
-    """Poses of the data, or estimated: then only the first frame's is taken from the data."""
+    """"given": poses of the data; "tracked": poses are estimated, and only the first frame's comes from the data."""
     pyramid: tuple[int, ...] = (8, 4, 2)
-    """Image reduction of each level, coarse to fine (code: 4, 2, 1). The frames' last level gives no better pose, and
-    at twice the time a worse one from noisy depth."""
+    """Reduction of the image on each level, coarse to fine (code: 4, 2, 1). Larger first numbers: tolerates faster
+    motion. A last level of 1 takes twice the time and gave no better poses, worse ones with noisy depth."""
     iterations: tuple[int, ...] = (5, 5, 5)
-    """Gauss-Newton steps at each level."""
+    """Gauss-Newton steps on each level, one number per level of pyramid. Larger: converges from farther away, slower.
+    Usual: 3 to 20."""
     max_distance_m: float = 0.1
-    """Farther apart two points do not correspond; on coarser levels the limit is wider, by the
-    square root of the reduction (code: not)."""
+    """Two points correspond only if they are closer than this, metres; on coarser levels the limit is multiplied by the
+    square root of the reduction (not in the code). Larger: tolerates faster motion, but more wrong pairs. Usual: 0.05
+    to 0.3."""
     max_angle_deg: float = 30.0
-    """Normals at a larger angle do not correspond (code: 20, which refuses two thirds of a Kinect's far points)."""
+    """Two points correspond only if the angle between their normals is below this, degrees (code: 20, which refuses two
+    thirds of a Kinect's far points). Larger: keeps noisy points, but more wrong pairs. Usual: 15 to 45."""
     even_to_m: float | None = 1.0
-    """Up to this depth all points weigh the same, beyond it by (this / z)^4, the inverse variance of a structured-light
-    camera. None: no weights (paper, code). Measured on redkitchen250: ATE 1.9 cm with it, 6.1 cm without; clean data
-    lose little, livingroom1_clean211 0.3 and 0.3 cm, a clean room 0.6 and 0.2 cm."""
+    """Up to this depth, metres, all points have the same weight; beyond it the weight falls as (this / z)^4, the
+    inverse variance of a structured-light camera. Larger: far points count more; None: no weights (paper, code). Usual:
+    0.5 to 3, or None for depth without noise. Absolute trajectory error (ATE) with weights and without: 1.9 and 6.1 cm
+    on the noisy redkitchen250, 0.3 and 0.3 cm on the clean livingroom1_clean211, 0.6 and 0.2 cm on a clean room."""
     damping: float = 1e-6
-    """Added to the normal equations, as a share of their trace (released code: 1e-4)."""
+    """Damping of the normal equations, as a share of their trace (released code: 1e-4). Larger: smaller, safer steps,
+    slower convergence. Usual: 0 to 1e-3."""
     prior: Literal["constant_velocity", "previous"] = "constant_velocity"
-    """Where ICP starts: the last motion once more, or the last pose (released code)."""
+    """Where ICP starts: "constant_velocity", the last motion repeated, or "previous", the last pose (released code;
+    better for jerky motion)."""
     target: Literal["model", "hybrid"] = "model"
-    """What ICP aligns with: the rendered model (paper), or the model where it agrees with the last frame to 1 cm and
-    the last frame's own depth elsewhere (released code). A TSDF is good enough alone; young discs are not: RTG-SLAM's
-    mean ATE is 0.2 cm with "hybrid" and 5.5 cm with "model" on the built-in room, 5.4 cm and lost on redkitchen250."""
+    """What ICP aligns the frame with. "model": the rendered map (paper), best for GSFusion's TSDF; "hybrid": the map
+    where it agrees with the last frame to 1 cm and the last frame's own depth elsewhere (released code), needed for
+    RTG-SLAM, whose newest discs are not exact yet. RTG-SLAM's mean ATE: on the built-in room 0.2 cm with "hybrid" and
+    5.5 cm with "model"; on redkitchen250 5.4 cm with "hybrid", lost with "model"."""
     min_inliers: float = 0.15
-    """Less than this share of the pixels with depth in correspondence: tracking is lost."""
+    """Tracking fails if less than this share of the pixels with depth found a corresponding point, 0 to 1. Larger:
+    gives up earlier instead of accepting a wrong pose. Usual: 0.1 to 0.4."""
     min_agreement: float = 0.4
-    """Less than this share of the pixels that fall on a known part of the model in correspondence: likewise. Tracked
-    frames had 0.53 and more, and of 390 started from the pose of another place 15 came to above 0.4."""
+    """Tracking also fails if less than this share of the pixels that fall on a known part of the model found a
+    corresponding point, 0 to 1. Correctly tracked frames had 0.53 or more; of 390 frames started at the pose of another
+    place, 15 reached more than 0.4. Usual: 0.3 to 0.5."""
     max_rms_m: float = 0.02
-    """A larger root mean square point-to-plane distance: tracking is lost."""
+    """Tracking fails if the root mean square of the point-to-plane distances is above this, metres. Larger: accepts
+    noisier depth. Usual: 0.01 to 0.05."""
     min_eigenvalue: float = 1e-3
-    """A direction of motion whose information is below this share of the strongest (rotation in units of the
-    points' spread) is degenerate: the prior decides it. Tracked frames had 0.009 and more."""
+    """A direction of motion is degenerate (the scene does not determine it, such as along a plain wall) if its
+    information is below this share of the strongest direction's; then the predicted motion is kept in that direction.
+    Rotation is measured in units of the points' spread. Well tracked frames had 0.009 or more. Usual: 1e-4 to 1e-2."""
     max_step_m: float = 0.5
+    """Tracking fails if the camera would have moved by more than this between two frames, metres. Usual: 0.1 to 1."""
     max_step_deg: float = 30.0
-    """A motion beyond this between two frames is a failure."""
+    """Likewise if it would have turned by more than this, degrees. Usual: 10 to 60."""
     back_end: BackEndConfig = field(default_factory=BackEndConfig)
 
     def __post_init__(self):
