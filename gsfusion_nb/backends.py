@@ -66,10 +66,18 @@ class KernelsUnusable(BackendUnavailable):
         self.backend = backend
 
 
+class Record:
+    """What a forward operation keeps for its gradient. The gradient runs on the backend that made the record."""
+
+    backend = "reference"
+    """Subclasses in the kernels name theirs."""
+
+
 def op(folder: str) -> Callable[[Callable], Callable]:
     """Make a reference an operation that the kernels in ``kernels/<folder>`` may stand in for.
 
-    ``f.reference`` is always the original.
+    ``f.reference`` is always the original, and inside it every other operation is the reference too. An operation whose
+    first argument is a ``Record`` runs on the backend that made the record, whatever backend is in use.
     """
 
     def declare(reference: Callable) -> Callable:
@@ -89,7 +97,12 @@ def op(folder: str) -> Callable[[Callable], Callable]:
                     _set_aside.add(e.backend)
                     log.warning("backend %r is set aside: %s", e.backend, e)
 
-        dispatch.reference = reference  # pyright: ignore[reportAttributeAccessIssue]
+        @functools.wraps(reference)
+        def plain(*args, **kwargs):
+            with use_backend("reference"):
+                return reference(*args, **kwargs)
+
+        dispatch.reference = plain  # pyright: ignore[reportAttributeAccessIssue]
         return dispatch
 
     return declare
@@ -130,12 +143,14 @@ def _defines(package: ModuleType, backend: str, name: str) -> bool:
 def load(name: str, backend: str) -> Callable:
     """The function that ``backend`` offers for operation ``name``.
 
+    Where the reference is fast enough already there is no torch version: "torch" then gives the reference.
+
     Raises:
         BackendUnavailable: with the reason, if that backend has none or cannot be imported.
     """
     check_name("operation", name, _OPS)
     check_name("backend", backend, BACKENDS)
-    if backend == "reference":
+    if backend == "reference" or (backend == "torch" and "torch" not in offered(name)):
         return _OPS[name]
     if backend not in offered(name):
         raise BackendUnavailable(f"{name}: backend {backend!r} has no implementation of it")
@@ -156,7 +171,8 @@ def load(name: str, backend: str) -> Callable:
 def use_backend(backend: str) -> Iterator[None]:
     """Run operations on ``backend`` inside the block: "auto", "reference", "torch", "numba", "triton" or "cuda".
 
-    With a name other than "auto", an operation that the backend lacks raises ``BackendUnavailable``.
+    With a name other than "auto", an operation that the backend lacks raises ``BackendUnavailable``; only "torch" runs
+    the reference there.
     """
     check_name("backend", backend, ("auto", *BACKENDS))
     token = _choice.set(backend)
@@ -184,6 +200,8 @@ def _chosen() -> str:
 
 
 def _select(name: str, args: tuple, kwargs: dict) -> Callable:
+    if args and isinstance(args[0], Record):
+        return load(name, args[0].backend)
     choice = _chosen()
     if choice != "auto":
         check_name("backend", choice, ("auto", *BACKENDS))

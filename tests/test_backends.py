@@ -123,6 +123,42 @@ def test_kernels_that_do_not_compile_are_set_aside_for_all_operations(double, ca
         double(x)
 
 
+def test_torch_is_the_reference_where_it_has_nothing_faster(double, write_kernel):
+    with use_backend("torch"):
+        assert double(torch.ones(1)).tolist() == [2.0]
+        write_kernel("torch", "def double(x):\n    return x * x\n")
+        assert double(torch.tensor([3.0])).tolist() == [9.0]
+
+
+def test_inside_a_reference_every_operation_is_the_reference(double, write_kernel):
+    write_kernel("torch", "def double(x):\n    return x * x\n")
+
+    @op("double_twice")
+    def double_twice(x: torch.Tensor) -> torch.Tensor:
+        """Four times."""
+        return double(double(x))
+
+    x = torch.tensor([3.0])
+    assert double_twice(x).tolist() == [81.0]
+    assert double_twice.reference(x).tolist() == [12.0]
+
+
+def test_a_record_is_differentiated_by_the_backend_that_made_it(double, write_kernel):
+    @op("double")
+    def double_vjp(record: backends.Record) -> str:
+        """Where it ran."""
+        return "reference"
+
+    class Made(backends.Record):
+        backend = "numba"
+
+    write_kernel("numba", "def double_vjp(record):\n    return 'numba'\n")
+    for backend in ("auto", "reference", "numba"):
+        with use_backend(backend):
+            assert double_vjp(Made()) == "numba"
+            assert double_vjp(backends.Record()) == "reference"
+
+
 def test_unknown_backend_lists_the_known():
     with (
         pytest.raises(KeyError, match="no backend 'nubma'; known: auto, cuda, numba, reference, torch, triton"),
