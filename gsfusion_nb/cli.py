@@ -22,7 +22,7 @@ _USAGE = """gsfusion-nb: online RGB-D mapping with TSDF fusion and 3D Gaussian s
   gsfusion-nb live folder|realsense|kinect   map a camera, or a folder while it is written; Ctrl-C ends the scan
   gsfusion-nb eval RUN                 score a finished run again
   gsfusion-nb study NAME DATA          the papers' comparisons: systems, disc-depth, transparent, states, ...
-  gsfusion-nb bench [raster|tsdf|map]  what the operations cost on this machine, beside other programs
+  gsfusion-nb bench [GROUP]            what operations, mapping, panels cost on this machine, beside other programs
   gsfusion-nb doctor                   what is installed, what works, what to do
   gsfusion-nb doctor --warm            compile the fast kernels now instead of on first use
 """

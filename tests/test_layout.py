@@ -96,13 +96,3 @@ def test_import_is_light():
     code = f"import sys, gsfusion_nb; print([m for m in {heavy} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
-
-
-def test_import_is_quick():
-    """CPU time, the best of up to three: other programs may keep the machine busy."""
-    code = "import time; t = time.process_time(); import gsfusion_nb; print(time.process_time() - t)"
-
-    def seconds() -> float:
-        return float(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout)
-
-    assert any(seconds() < 2 for _ in range(3))

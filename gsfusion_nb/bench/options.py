@@ -11,7 +11,7 @@ import tyro
 from ..backends import BACKENDS
 from ..checks import check_name
 
-SECTIONS = ("raster", "tsdf", "map")
+SECTIONS = ("raster", "tsdf", "map", "panels", "waits")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,11 +19,11 @@ class BenchOptions:
     """Time the toolkit on this machine, beside other programs where they are installed, and print one table."""
 
     what: Annotated[str, tyro.conf.Positional] = "all"
-    """raster, tsdf, map or all."""
+    """raster, tsdf, map, panels, waits or all."""
     data: str = "room"
-    """Folder of the sequence for tsdf and map, or "room" for the built-in scene."""
+    """Folder of the sequence for tsdf, map and the check-up in waits, or "room" for the built-in scene."""
     size: tuple[str, ...] = ()
-    """Image sizes for tsdf and map, such as 320x240 640x480; the recording's own by default, 320x240 for the room."""
+    """Image sizes for these, such as 320x240 640x480; the recording's own by default, 320x240 for the room."""
     frames: int = 0
     """Frames of the sequence to use; 0 means 60, or 8 with --quick."""
     backend: tuple[str, ...] = ()

@@ -13,7 +13,7 @@ class Row:
     """One line of the table."""
 
     section: str
-    """raster, tsdf, map or scaling."""
+    """raster, tsdf, map, panels, waits or scaling."""
     case: str
     """What was worked on. Rows of a section with the same case are compared with each other."""
     method: str

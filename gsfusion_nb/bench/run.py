@@ -9,7 +9,7 @@ from typing import Any
 
 from .. import optim, render, seeding, tsdf  # noqa: F401  (importing them declares their operations)
 from ..export.atomic import atomic_path
-from . import machine, scaling, table
+from . import machine, panels, scaling, table, waits
 from . import mapping as mapping_cases
 from . import raster as raster_cases
 from . import tsdf as tsdf_cases
@@ -22,6 +22,8 @@ CASES: dict[str, Callable[[BenchOptions], Iterator[Case]]] = {
     "raster": raster_cases.cases,
     "tsdf": tsdf_cases.cases,
     "map": mapping_cases.cases,
+    "panels": panels.cases,
+    "waits": waits.cases,
 }
 
 
@@ -70,7 +72,7 @@ def run_bench(options: BenchOptions) -> BenchResult:
     options.check()
     with threads(options.threads):
         result = BenchResult(options=options, machine=machine.describe(options.threads))
-        if {"tsdf", "map"} & set(options.sections):
+        if {"tsdf", "map", "waits"} & set(options.sections):
             for size in options.sizes:
                 tsdf_cases.open_frames(options, size)
         result.missing = not_measured(options)

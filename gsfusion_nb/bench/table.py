@@ -9,6 +9,8 @@ HEADINGS = {
     "raster": "raster: Gaussian rasteriser; note: PSNR to the reference's picture, least cosine of a gradient",
     "tsdf": "tsdf: TSDF integration with colour (depth: without), ms a frame; truncation 4 voxels; no decoding",
     "map": "map: GSFusion, Replica settings, means over the frames; note: frames/s without reading, Gaussians",
+    "panels": "panels: from a moved control to the new picture; method: what is shown or moved",
+    "waits": "waits: what one waits for besides mapping",
     "scaling": "scaling: how time grows, line through (ln x, ln time)",
 }
 

@@ -54,7 +54,7 @@ class SurfelOptimiser:
         discs: When a ray hits a disc.
         drawn: Rows that are in the picture; all by default. [N]
         seen: Rows that the views to come may show, from ``rows_in_view``; all by default. The others have no gradient
-            from a view: they are left out, which only costs less. [N]
+            from a view: leaving them out costs less and changes the gradients of the rest by rounding only. [N]
         lr_factor: Share of the learning rates.
         move_centres: False leaves the centres where they are.
         weight_depth: In place of the window's.

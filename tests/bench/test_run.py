@@ -5,7 +5,8 @@ import sys
 
 import pytest
 
-from gsfusion_nb.bench import BenchOptions, mapping, raster, run, run_bench, scaling, tsdf
+from gsfusion_nb.bench import BenchOptions, mapping, panels, raster, run, run_bench, scaling, tsdf, waits
+from gsfusion_nb.bench.options import SECTIONS
 from gsfusion_nb.bench.peers import PEERS, why_not
 from gsfusion_nb.bench.rows import Case, Row
 
@@ -20,6 +21,8 @@ def small(monkeypatch):
     monkeypatch.setattr(scaling, "PIXELS", ((32, 32), (64, 48), (96, 64)))
     monkeypatch.setattr(scaling, "PIXELS_GAUSSIANS", 200)
     monkeypatch.setattr(scaling, "VOXELS_M", (0.08, 0.06, 0.04))
+    monkeypatch.setattr(panels, "PANELS", {"colour ball": panels.PANELS["colour ball"]})
+    monkeypatch.setattr(waits, "VIEWS", 2)
     monkeypatch.setattr(BenchOptions, "budget_s", 0.0)
     for name in ("raster", "tsdf", "scaling", "mapping"):  # the peers are tested by themselves
         module = sys.modules[f"gsfusion_nb.bench.{name}"]
@@ -43,7 +46,7 @@ def test_raster(small):
             assert row.values["least_gradient_cosine"] > 0.9999
 
 
-def test_tsdf_and_map_and_scaling(small, tmp_path, capsys):
+def test_all_groups_and_scaling(small, tmp_path, capsys):
     path = tmp_path / "bench.json"
     options = BenchOptions(quick=True, frames=2, size=("64x48",), scaling=True, json=str(path))
     assert run.main(options) == 0
@@ -52,11 +55,13 @@ def test_tsdf_and_map_and_scaling(small, tmp_path, capsys):
     numbers = json.loads(path.read_text())
     assert not numbers["interrupted"]
     assert numbers["machine"]["threads"] == 1
-    assert {row["section"] for row in numbers["rows"]} == {"raster", "tsdf", "map", "scaling"}
+    assert {row["section"] for row in numbers["rows"]} == {*SECTIONS, "scaling"}
     fused = [row["values"] for row in numbers["rows"] if row["section"] == "tsdf"]
     assert all(values["blocks"] == fused[0]["blocks"] > 0 for values in fused)
     stages = [row["case"].partition(" / ")[2] for row in numbers["rows"] if row["section"] == "map"]
     assert stages[: 1 + len(mapping.STAGES)] == ["", *mapping.STAGES.values()]
+    imports = [row["method"] for row in numbers["rows"] if "import" in row["case"]]
+    assert imports == ["torch", "gsfusion_nb"]
     axes = {row["case"] for row in numbers["rows"] if row["section"] == "scaling"}
     assert len(axes) == 3
     assert all(-3 < row["values"]["exponent"] < 4 for row in numbers["rows"] if row["section"] == "scaling")

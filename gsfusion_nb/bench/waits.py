@@ -1,0 +1,65 @@
+"""Cases of what a user waits for besides mapping: the import, the check-up of a recording, finding a place again."""
+
+import functools
+import subprocess
+import sys
+from collections.abc import Iterator
+
+from ..data import open_sequence
+from ..data.checkup import check_recording
+from ..tracking.features import extract_features
+from ..tracking.places import Places
+from .options import BenchOptions
+from .rows import Case, Row
+from .timing import Lap, lap, measure, summary
+from .tsdf import case_name, open_frames
+
+KEYFRAMES = 300
+"""Known places among which one is looked for; their features come from ``VIEWS`` views of the room."""
+VIEWS = 20
+
+
+def cases(options: BenchOptions) -> Iterator[Case]:
+    """The import beside that of torch alone; the check-up for every image size; one query."""
+    yield Case(section="waits", title="import", run=functools.partial(_imports, 1 if options.quick else 5))
+    for size in options.sizes:
+        run = functools.partial(_check, options, size)
+        yield Case(section="waits", title=f"check-up of {options.data}", run=lambda run=run: [run()])
+    yield Case(section="waits", title="place query", run=lambda: [_query(options)])
+
+
+def _imports(runs: int) -> Iterator[Row]:
+    for module in ("torch", "gsfusion_nb"):
+        laps = [_import_lap(module) for _ in range(runs + 1)][1:]  # the first one fills the system's file cache
+        yield Row(section="waits", case="import in a new process", method=module, timing=summary(laps))
+
+
+def _import_lap(module: str) -> Lap:
+    """What ``import module`` takes in a process of its own, the start of Python excluded."""
+    code = (
+        f"import time; w, c = time.perf_counter(), time.process_time(); import {module}; "
+        "print(time.perf_counter() - w, time.process_time() - c)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    wall_s, cpu_s = map(float, done.stdout.split())
+    return Lap(wall_s, cpu_s)
+
+
+def _check(options: BenchOptions, size: tuple[int, int]) -> Row:
+    frames = open_frames(options, size)
+    for i in range(len(frames)):
+        frames[i]  # the room's pictures are rendered once and kept; a recording's files are then in memory
+    timing = summary([lap(lambda: check_recording(frames))])
+    case = case_name(frames.name, frames.camera.width, frames.camera.height)
+    return Row(section="waits", case=case, method="check-up", timing=timing, note=f"{len(frames)} frames")
+
+
+def _query(options: BenchOptions) -> Row:
+    sequence = open_sequence("room", n_frames=400).mapping
+    frames = [sequence[6 * i] for i in range(VIEWS)]
+    views = [extract_features(frame, count=1000, levels=8) for frame in frames]
+    places = Places(sequence.camera)
+    for row in range(KEYFRAMES):
+        places.add(row, frames[row % VIEWS].T_WC, views[row % VIEWS])
+    timing = measure(lambda: places.similar(views[-1], 5), budget_s=options.budget_s)
+    return Row(section="waits", case=f"{KEYFRAMES} keyframes", method="most similar places", timing=timing)
