@@ -3,6 +3,9 @@
 An operation is declared once, by putting ``@op("folder")`` on its reference. Faster versions are functions of the same
 name in ``kernels/<folder>/<backend>.py``; they are found by their file name and imported on first use. Nothing else in
 the package imports ``gsfusion_nb.kernels``.
+
+The backend ``torch`` is vectorised PyTorch: it runs on any device and in float64, and exists only where it is several
+times as fast as the reference. ``numba`` (CPU), ``triton`` and ``cuda`` (NVIDIA GPUs) are compiled, for float32.
 """
 
 import contextlib
@@ -35,6 +38,7 @@ _EMULATED_BY = {"triton": "TRITON_INTERPRET", "cuda": "GSFUSION_CUDA_EMULATOR"}
 """Backend for GPUs -> environment variable that lets it run on the processor, for tests."""
 
 _PREFERRED = {"cpu": ("numba", "torch"), "cuda": ("cuda", "triton", "torch")}
+"""Kind of device -> backends that take its tensors, the fastest first. On any other device: torch."""
 
 
 def from_environment() -> str:
@@ -54,10 +58,11 @@ class BackendUnavailable(RuntimeError):
 
 
 class KernelsUnusable(BackendUnavailable):
-    """Kernels turned out at their first use not to run here, before they changed anything.
+    """A backend's kernels failed at their first use, before they changed anything.
 
     Args:
-        backend: Its name; "auto" goes on without it, for all operations, for what one has made another cannot take.
+        backend: Its name. From then on "auto" uses other backends for all operations, because what one backend's
+            forward pass has made, another's gradient could not read.
         reason: A sentence.
     """
 
@@ -74,9 +79,9 @@ class Record:
 
 
 def op(folder: str) -> Callable[[Callable], Callable]:
-    """Make a reference an operation that the kernels in ``kernels/<folder>`` may stand in for.
+    """Make a function the reference of an operation, whose faster versions are in ``kernels/<folder>``.
 
-    ``f.reference`` is always the original, and inside it every other operation is the reference too. An operation whose
+    ``f.reference`` is the function itself, and inside it every other operation is the reference too. An operation whose
     first argument is a ``Record`` runs on the backend that made the record, whatever backend is in use.
     """
 
@@ -95,7 +100,7 @@ def op(folder: str) -> Callable[[Callable], Callable]:
                     if _chosen() != "auto" or e.backend in _set_aside:
                         raise
                     _set_aside.add(e.backend)
-                    log.warning("backend %r is set aside: %s", e.backend, e)
+                    log.warning("backend %r is not used any more: %s", e.backend, e)
 
         @functools.wraps(reference)
         def plain(*args, **kwargs):
@@ -109,7 +114,7 @@ def op(folder: str) -> Callable[[Callable], Callable]:
 
 
 def operations() -> tuple[str, ...]:
-    """Names of the operations that some backend besides the reference offers; those declared so far."""
+    """Names of the operations that some backend besides the reference offers, among those declared so far."""
     return tuple(sorted(name for name in _OPS if offered(name)))
 
 
@@ -141,9 +146,7 @@ def _defines(package: ModuleType, backend: str, name: str) -> bool:
 
 @functools.cache
 def load(name: str, backend: str) -> Callable:
-    """The function that ``backend`` offers for operation ``name``.
-
-    Where the reference is fast enough already there is no torch version: "torch" then gives the reference.
+    """The function that ``backend`` offers for operation ``name``; of "torch" the reference where that is fast enough.
 
     Raises:
         BackendUnavailable: with the reason, if that backend has none or cannot be imported.
@@ -171,8 +174,9 @@ def load(name: str, backend: str) -> Callable:
 def use_backend(backend: str) -> Iterator[None]:
     """Run operations on ``backend`` inside the block: "auto", "reference", "torch", "numba", "triton" or "cuda".
 
-    With a name other than "auto", an operation that the backend lacks raises ``BackendUnavailable``; only "torch" runs
-    the reference there.
+    "torch" uses the reference for an operation that has no faster torch version. With "numba", "triton" or "cuda", an
+    operation that only other compiled backends offer raises ``BackendUnavailable``; one that none of them offers runs
+    on torch.
     """
     check_name("backend", backend, ("auto", *BACKENDS))
     token = _choice.set(backend)
@@ -182,17 +186,38 @@ def use_backend(backend: str) -> Iterator[None]:
         _choice.reset(token)
 
 
+def look_again() -> None:
+    """Forget what was found out about backends, because files, packages or the environment have changed (tests)."""
+    for cached in (offered, load, _problem):
+        cached.cache_clear()
+
+
 def report() -> list[tuple[str, str, str]]:
     """Rows (operation, backend, "ok" or the reason it cannot run)."""
-    rows = []
-    for name in sorted(_OPS):
-        for backend in ("reference", *offered(name)):
-            try:
-                load(name, backend)
-                rows.append((name, backend, "ok"))
-            except BackendUnavailable as e:
-                rows.append((name, backend, str(e)))
-    return rows
+    return [(name, b, _problem(name, b) or "ok") for name in sorted(_OPS) for b in ("reference", *offered(name))]
+
+
+def automatic(name: str, device: str) -> str:
+    """The backend that "auto" takes for operation ``name`` and tensors on a kind of device ("cpu", "cuda", ...)."""
+    for backend in _PREFERRED.get(device, ("torch",)):
+        if backend in offered(name) and _obstacle(name, backend) is None:
+            return backend
+    return "reference"
+
+
+@functools.cache
+def _problem(name: str, backend: str) -> str | None:
+    """Why ``backend`` cannot run operation ``name`` here, or ``None``."""
+    try:
+        load(name, backend)
+    except BackendUnavailable as e:
+        return str(e)
+    return None
+
+
+def _obstacle(name: str, backend: str) -> str | None:
+    """Why "auto" does not take ``backend``, or ``None``."""
+    return f"backend {backend!r} is not used any more" if backend in _set_aside else _problem(name, backend)
 
 
 def _chosen() -> str:
@@ -204,23 +229,33 @@ def _select(name: str, args: tuple, kwargs: dict) -> Callable:
         return load(name, args[0].backend)
     choice = _chosen()
     if choice != "auto":
-        check_name("backend", choice, ("auto", *BACKENDS))
-        return load(name, choice)
-    available = offered(name)
-    if not available:
+        return _named(name, choice)
+    if not offered(name):
         return _OPS[name]
     device = next((kind for kind in _devices((*args, *kwargs.values())) if kind != "cpu"), "cpu")
-    for backend in _PREFERRED.get(device, ()):
-        if backend not in available or backend in _set_aside:
-            continue
-        try:
-            implementation = load(name, backend)
-        except BackendUnavailable as e:
-            _log_once(name, f"{e}; using the reference")
-            continue
-        _log_once(name, f"{name}: {backend}")
-        return implementation
-    return _OPS[name]
+    backend = automatic(name, device)
+    if backend == "reference":
+        _log_once(logging.WARNING, name, _why_slow(name, device))
+    else:
+        _log_once(logging.INFO, name, f"{name}: {backend}")
+    return load(name, backend)
+
+
+def _named(name: str, backend: str) -> Callable:
+    """The implementation for a backend that was asked for by its name."""
+    check_name("backend", backend, ("auto", *BACKENDS))
+    has_kernels = any(b != "torch" for b in offered(name))
+    return load(name, backend if has_kernels or backend == "reference" else "torch")
+
+
+def _why_slow(name: str, device: str) -> str:
+    """A sentence for the user of an operation whose faster versions cannot be used, with what to do about it."""
+    tried = [b for b in _PREFERRED.get(device, ("torch",)) if b in offered(name)]
+    reason = "; ".join(obstacle for b in tried if (obstacle := _obstacle(name, b)))
+    if reason:
+        return f"{reason}; {name} runs on the slower reference: `gsfusion-nb doctor` says what to install"
+    known = " and ".join(sorted({kind for kind, names in _PREFERRED.items() if set(names) & set(offered(name))}))
+    return f"{name} runs on the slower reference: its faster versions take {known} tensors, and these are on {device!r}"
 
 
 def _devices(values: Iterable) -> Iterator[str]:
@@ -232,7 +267,7 @@ def _devices(values: Iterable) -> Iterator[str]:
             yield from _devices(vars(value).values())
 
 
-def _log_once(name: str, message: str) -> None:
+def _log_once(level: int, name: str, message: str) -> None:
     if (name, message) not in _logged:
         _logged.add((name, message))
-        log.info(message)
+        log.log(level, message)

@@ -56,7 +56,7 @@ class MapOptions:
     device: str = "cpu"
     """Where the maps live: cpu or cuda."""
     backend: str = field(default_factory=from_environment)
-    """auto, reference, numba, triton or cuda; by default what the variable GSFUSION_BACKEND says, else auto."""
+    """auto, reference, torch, numba, triton or cuda; by default what the variable GSFUSION_BACKEND says, else auto."""
     evaluate: bool = True
     """Score mapped and held-out views and write the report."""
     rule_options: tuple[str, ...] = ()
@@ -107,7 +107,7 @@ class DemoOptions:
     frames: int = 120
     """Frames of the built-in trajectory."""
     backend: str = field(default_factory=from_environment)
-    """auto, reference, numba, triton or cuda; by default what the variable GSFUSION_BACKEND says, else auto."""
+    """auto, reference, torch, numba, triton or cuda; by default what the variable GSFUSION_BACKEND says, else auto."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -128,7 +128,7 @@ def _torch() -> list[Finding]:
 
 
 def _backends() -> list[Finding]:
-    from . import optim, render, seeding, tsdf  # noqa: F401  (importing them declares their operations)
+    from . import optim, render, seeding, tracking, tsdf  # noqa: F401  (importing them declares their operations)
 
     findings = [Finding("backends", True, f"asked for: {backends.from_environment()}")]
     for name, backend, state in backends.report():

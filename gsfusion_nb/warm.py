@@ -52,13 +52,12 @@ class Progress:
 
 
 def warm_up(device: str = "cpu") -> Iterator[Progress]:
-    """Run the exercises of all operations that have a fast version on ``device``, reporting before each.
+    """Run the exercises of all operations that have compiled kernels on ``device``, reporting before each.
 
     A generator, so that the caller draws the progress. Uses what ``auto`` would choose; what is not installed is
     passed over.
     """
-    chosen = {operation for operation in backends.operations() if _loads(operation)}
-    todo = [e for e in exercises(device) if chosen & set(e.operations)]
+    todo = [e for e in exercises(device) if any(_is_compiled(operation, device) for operation in e.operations)]
     start = time.perf_counter()
     with backends.use_backend("auto"), _quietly(), _one_thread(), _watching() as compiled:
         for done, exercise in enumerate(todo):
@@ -68,7 +67,23 @@ def warm_up(device: str = "cpu") -> Iterator[Progress]:
 
 
 def exercises(device: str = "cpu") -> Iterator[Exercise]:
-    """One for each way in which the mapper calls an operation, and the mapper itself at the end."""
+    """One for each case of an operation's folder, and the two mappers at the end."""
+    covered = set()
+    for case in backends.cases():
+        covered.update(case.operations)
+        if torch.float32 in case.dtypes:
+            run = _once(case.run, torch.device(device), torch.float32)
+            yield Exercise(f"{' and '.join(case.operations)}: {case.name}", case.operations, run)
+    for exercise in _without_cases(device):
+        if not covered.issuperset(exercise.operations):
+            yield exercise
+    frame, grey = (_frame(device, whole_numbers=n) for n in (True, False))
+    yield Exercise("whole mapper: GSFusion", backends.operations(), _once(_map, frame, grey, device))
+    yield Exercise("whole mapper: RTG-SLAM", backends.operations(), _once(_slam, frame, grey, device))
+
+
+def _without_cases(device: str) -> Iterator[Exercise]:
+    """Operations whose folder has no ``cases.py``."""
     frame, grey = (_frame(device, whole_numbers=n) for n in (True, False))
     for degree in (0, 3):
         model = _model(degree, device)
@@ -103,8 +118,6 @@ def exercises(device: str = "cpu") -> Iterator[Exercise]:
         points = torch.zeros(8, 3, device=device)
         yield Exercise(f"sample_voxels: {sdf}", ("sample_voxels",), _once(volume.sample_nearest, points))
         yield Exercise(f"extract_mesh: {sdf}", ("extract_mesh",), _once(extract_mesh, volume))
-    yield Exercise("whole mapper: GSFusion", backends.operations(), _once(_map, frame, grey, device))
-    yield Exercise("whole mapper: RTG-SLAM", backends.operations(), _once(_slam, frame, grey, device))
 
 
 def _once(function: Callable, *args, **kwargs) -> Callable[[], object]:
@@ -186,13 +199,9 @@ def _model(sh_degree: int, device: str) -> GaussianModel:
     return model
 
 
-def _loads(operation: str) -> bool:
-    """Whether any backend offers it here. Operations are declared where their references are imported, as above."""
-    for backend in backends.offered(operation):
-        with contextlib.suppress(backends.BackendUnavailable):
-            backends.load(operation, backend)
-            return True
-    return False
+def _is_compiled(operation: str, device: str) -> bool:
+    """Whether ``auto`` takes compiled kernels for it. Operations are declared where their references are imported."""
+    return backends.automatic(operation, device) not in ("reference", "torch")
 
 
 def _progress(name: str, done: int, total: int, compiled: list[str], start: float) -> Progress:

@@ -1,3 +1,4 @@
+import functools
 import logging
 import sys
 
@@ -5,7 +6,7 @@ import pytest
 import torch
 
 from gsfusion_nb import backends
-from gsfusion_nb.backends import BackendUnavailable, load, op, use_backend
+from gsfusion_nb.backends import BackendUnavailable, look_again, op, use_backend
 
 
 @pytest.fixture
@@ -14,7 +15,7 @@ def double(monkeypatch):
     monkeypatch.setattr(backends, "_FOLDERS", dict(backends._FOLDERS))
     monkeypatch.setattr(backends, "_logged", set())
     monkeypatch.setattr(backends, "_KERNELS", "made_kernels")
-    clear_caches()
+    look_again()
 
     @op("double")
     def double(x: torch.Tensor) -> torch.Tensor:
@@ -22,15 +23,7 @@ def double(monkeypatch):
         return 2 * x
 
     yield double
-    clear_caches()
-
-
-_OFFERED = backends.offered
-
-
-def clear_caches():
-    load.cache_clear()
-    _OFFERED.cache_clear()
+    look_again()
 
 
 @pytest.fixture
@@ -44,7 +37,7 @@ def write_kernel(tmp_path, monkeypatch):
 
     def write(backend: str, source: str) -> None:
         (folder / f"{backend}.py").write_text(source)
-        clear_caches()
+        look_again()
 
     yield write
     for name in [name for name in sys.modules if name.split(".")[0] == "made_kernels"]:
@@ -57,12 +50,22 @@ def test_reference_runs_when_there_is_nothing_else(double):
     assert double.reference(torch.ones(1)).tolist() == [2.0]
 
 
-def test_a_backend_asked_for_by_name_must_exist(double):
+def test_a_backend_asked_for_by_name_must_exist(double, write_kernel):
+    write_kernel("numba", "def double(x):\n    return x + x\n")
     with (
         use_backend("triton"),
         pytest.raises(BackendUnavailable, match="double: backend 'triton' has no implementation"),
     ):
         double(torch.ones(1))
+
+
+@pytest.mark.parametrize("asked", ["torch", "numba", "triton", "cuda"])
+def test_torch_code_runs_where_nobody_has_kernels(double, write_kernel, asked):
+    """Whole maps can be made on any backend: few operations have a faster torch version, and some have no kernels."""
+    with use_backend(asked):
+        assert double(torch.full((1,), 3.0)).tolist() == [6.0]
+        write_kernel("torch", "def double(x):\n    return x * x\n")
+        assert double(torch.full((1,), 3.0)).tolist() == [9.0]
 
 
 _NEEDS_A_PACKAGE = "import no_such_package\n\ndef double(x):\n    return no_such_package.double(x)\n"
@@ -77,14 +80,51 @@ def test_a_missing_package_is_named(double, write_kernel):
         double(torch.ones(1))
 
 
-def test_auto_falls_back_and_says_so_once(double, write_kernel, caplog):
+def test_auto_says_once_that_the_reference_runs_and_what_to_do(double, write_kernel, caplog):
     write_kernel("numba", _NEEDS_A_PACKAGE)
     with caplog.at_level(logging.INFO, logger="gsfusion_nb.backends"):
         assert double(torch.ones(1)).tolist() == [2.0]
         assert double(torch.ones(1)).tolist() == [2.0]
-    assert [r.message for r in caplog.records] == [
-        "double: backend 'numba' needs 'no_such_package', which is not installed; using the reference"
+    assert [(r.levelname, r.message) for r in caplog.records] == [
+        (
+            "WARNING",
+            "double: backend 'numba' needs 'no_such_package', which is not installed; double runs on the slower "
+            "reference: `gsfusion-nb doctor` says what to install",
+        )
     ]
+
+
+def test_auto_names_the_devices_that_faster_versions_take(double, write_kernel, caplog):
+    write_kernel("numba", "def double(x):\n    return x + x\n")
+    with caplog.at_level(logging.INFO, logger="gsfusion_nb.backends"):
+        assert double(torch.ones(1, device="meta")).device.type == "meta"
+    assert [(r.levelname, r.message) for r in caplog.records] == [
+        (
+            "WARNING",
+            "double runs on the slower reference: its faster versions take cpu tensors, and these are on 'meta'",
+        )
+    ]
+
+
+def test_auto_goes_on_to_the_next_backend_that_loads(double, write_kernel, caplog):
+    """Without a warning: numba and torch on the CPU, cuda, triton and torch on a GPU, torch elsewhere."""
+    write_kernel("numba", _NEEDS_A_PACKAGE)
+    write_kernel("torch", "def double(x):\n    return 2.0 * x\n")
+    with caplog.at_level(logging.INFO, logger="gsfusion_nb.backends"):
+        for device in ("cpu", "meta"):
+            double(torch.ones(1, device=device))
+    assert [(r.levelname, r.message) for r in caplog.records] == [("INFO", "double: torch")]
+    write_kernel("numba", "def double(x):\n    return x + x\n")
+    for backend in ("triton", "cuda"):
+        write_kernel(backend, "def double(x):\n    return x + x\n")
+    assert [backends.automatic("double", device) for device in ("cpu", "meta", "mps")] == ["numba", "torch", "torch"]
+    assert backends.automatic("double", "cuda") == ("cuda" if torch.cuda.is_available() else "torch")
+
+
+def test_without_any_faster_version_the_reference_runs_silently(double, caplog):
+    with caplog.at_level(logging.INFO, logger="gsfusion_nb.backends"):
+        double(torch.ones(1))
+    assert not caplog.records
 
 
 def test_auto_takes_the_fast_one_and_reference_stays_reachable(double, write_kernel):
@@ -105,8 +145,11 @@ def test_kernels_that_do_not_compile_are_set_aside_for_all_operations(double, ca
         raise backends.KernelsUnusable("cuda", "double.cu does not compile")
 
     made = {("double", "cuda"): fails, ("double", "triton"): torch.square, ("other", "cuda"): fails}
-    monkeypatch.setattr(backends, "load", lambda name, backend: made[name, backend])
-    monkeypatch.setattr(backends, "offered", {"double": ("triton", "cuda"), "other": ("cuda",)}.__getitem__)
+    monkeypatch.setattr(
+        backends, "load", functools.cache(lambda name, backend: made.get((name, backend), backends._OPS[name]))
+    )
+    offers = {"double": ("triton", "cuda"), "other": ("cuda",)}
+    monkeypatch.setattr(backends, "offered", functools.cache(offers.__getitem__))
 
     @op("other")
     def other(x: torch.Tensor) -> torch.Tensor:
@@ -118,7 +161,11 @@ def test_kernels_that_do_not_compile_are_set_aside_for_all_operations(double, ca
         assert double(x).tolist() == [9.0]
         assert double(x).tolist() == [9.0]
         assert other(x).tolist() == [9.0]
-    assert [r.message for r in caplog.records] == ["backend 'cuda' is set aside: double.cu does not compile"]
+    assert [r.message for r in caplog.records] == [
+        "backend 'cuda' is not used any more: double.cu does not compile",
+        "backend 'cuda' is not used any more; other runs on the slower reference: "
+        "`gsfusion-nb doctor` says what to install",
+    ]
     with use_backend("cuda"), pytest.raises(BackendUnavailable, match="does not compile"):
         double(x)
 

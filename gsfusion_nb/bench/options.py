@@ -27,7 +27,7 @@ class BenchOptions:
     frames: int = 0
     """Frames of the sequence to use; 0 means 60, or 8 with --quick."""
     backend: tuple[str, ...] = ()
-    """Only these of our backends: reference, numba, triton, cuda; all that run here by default."""
+    """Only these of our backends: reference, torch, numba, triton, cuda; all that run here by default."""
     threads: int = 1
     """Threads that every method may use."""
     quick: bool = False

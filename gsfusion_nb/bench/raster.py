@@ -24,7 +24,7 @@ SH_DEGREES = (0, 3)
 ON_A_GPU = (200_000, 1200, 680, 3)
 """Gaussians, width, height and degree of the case that only a GPU is asked to run."""
 
-DEVICES = {"reference": "cpu", "numba": "cpu", "triton": "cuda", "cuda": "cuda"}
+DEVICES = {"reference": "cpu", "torch": "cpu", "numba": "cpu", "triton": "cuda", "cuda": "cuda"}
 """Where each backend computes."""
 
 Result = tuple[Tensor, GaussianParams | None]

@@ -45,7 +45,7 @@ class LiveOptions:
     device: str = "cpu"
     """Where the maps live: cpu or cuda."""
     backend: str = field(default_factory=from_environment)
-    """auto, reference, numba, triton or cuda; by default what the variable GSFUSION_BACKEND says, else auto."""
+    """auto, reference, torch, numba, triton or cuda; by default what the variable GSFUSION_BACKEND says, else auto."""
     evaluate: bool = True
     """Score the frames that were kept and write the report."""
 

@@ -6,6 +6,7 @@ collected only with ``GSFUSION_CUDA_EMULATOR`` or ``TRITON_INTERPRET=1`` in the 
 folder, those of every backend in ``gpu``. ``test_cuda_parity.py`` and ``test_triton_interpreted.py`` run them so.
 """
 
+import functools
 import importlib.util
 import math
 import os
@@ -94,30 +95,38 @@ def to(device):
 
 
 @pytest.fixture
-def compare(backend):
-    """``compare(op, name, ours, reference, tolerance, share)``: at most a ``share`` of values is off by more than a
-    ``tolerance`` times the largest one; the worst of the others, and the number of those, go to the table."""
+def compare_on():
+    """``compare_on(backend, op, name, ours, reference, tolerance, share)``: at most a ``share`` of the values differs
+    by more than ``tolerance`` times the largest one, or at all if they are whole numbers. The largest difference of
+    the others, and the number of those, go to the table, under the first word of ``name``."""
 
-    def check(operation, name, ours, theirs, tolerance=1e-5, share=0.0):
+    def check(backend, operation, name, ours, theirs, tolerance=1e-5, share=0.0):
         ours, theirs = ours.detach().cpu(), theirs.detach().cpu()
-        assert ours.shape == theirs.shape
-        assert ours.dtype == theirs.dtype
+        assert ours.shape == theirs.shape, f"{operation} {name}: {tuple(ours.shape)}, not {tuple(theirs.shape)}"
+        assert ours.dtype == theirs.dtype, f"{operation} {name}: {ours.dtype}, not {theirs.dtype}"
         if not ours.numel():
             return
+        allowed = tolerance if ours.is_floating_point() else 0.0
         ours, theirs = ours.double(), theirs.double()
         assert bool(torch.isfinite(ours).all()), f"{operation} {name} is not finite"
         scale = float(theirs.abs().max()) or 1.0
         gap = (ours - theirs).abs()
-        off = gap > tolerance * scale
+        off = gap > allowed * scale
         assert float(off.double().mean()) <= share, (
             f"{operation} {name}: {int(off.sum())} of {off.numel()} differ, the worst by {float(gap.max()):.2g}"
         )
         worst = float(torch.where(off, 0.0, gap).max())
-        row = (backend, operation, name)
+        row = (backend, operation, name.split()[0])
         before = PARITY.get(row, (0.0, 0.0, 0))
         PARITY[row] = max(before[0], worst), max(before[1], worst / scale), before[2] + int(off.sum())
 
     return check
+
+
+@pytest.fixture
+def compare(backend, compare_on):
+    """``compare_on`` of the backend for GPUs that is tested."""
+    return functools.partial(compare_on, backend)
 
 
 @pytest.fixture

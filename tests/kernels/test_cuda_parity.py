@@ -55,7 +55,7 @@ def test_without_a_gpu_it_says_so(monkeypatch):
         opacity_logit=torch.zeros(1),
         sh=torch.zeros(1, 1, 3),
     )
-    backends.load.cache_clear()
+    backends.look_again()
     with (
         use_backend("cuda"),
         pytest.raises(BackendUnavailable, match="'cuda' needs an NVIDIA GPU, and torch sees none"),

@@ -1,0 +1,36 @@
+"""Cases of ``rgbd_l1_vjp``: none, some and all pixels; missing depths; values that are equal."""
+
+from collections.abc import Iterator
+
+import torch
+from torch import Tensor
+
+from gsfusion_nb.optim import rgbd_l1_vjp
+
+from ..runtime.cases import Case
+
+
+def cases() -> Iterator[Case]:
+    """With and without the limit on depth behind the measurement."""
+    for behind_m in (None, 0.1):
+
+        def run(device: torch.device, dtype: torch.dtype, behind_m: float | None = behind_m) -> dict[str, Tensor]:
+            losses = {}
+            for share in (0.0, 0.3, 1.0):
+                for size in ((1, 1), (37, 53)):
+                    losses |= _loss(size, share, behind_m, device, dtype)
+            return losses
+
+        yield Case(name=f"behind_m={behind_m}", operations=("rgbd_l1_vjp",), run=run)
+
+
+def _loss(size: tuple[int, int], share: float, behind_m: float | None, device, dtype) -> dict[str, Tensor]:
+    g = torch.Generator().manual_seed(0)
+    rgb, target_rgb = torch.rand(2, *size, 3, generator=g)
+    depth_m, target_depth_m = (torch.rand(size, generator=g) * (torch.rand(size, generator=g) > 0.2) for _ in range(2))
+    if size[0] > 4:
+        depth_m[3], rgb[4] = target_depth_m[3], target_rgb[4]
+    pixels = torch.rand(size, generator=g) < share
+    images = (image.to(device, dtype) for image in (rgb, depth_m, target_rgb, target_depth_m))
+    loss = rgbd_l1_vjp(*images, pixels.to(device), weight_colour=0.8, weight_depth=2.0, behind_m=behind_m)
+    return {f"{name} {size[0]}x{size[1]}, {share:.0%} of the pixels": value for name, value in vars(loss).items()}

@@ -1,0 +1,156 @@
+"""Every backend against the reference, on every case that the folders of the operations bring along.
+
+A new operation, or a new backend of one, is tested here as soon as its file exists.
+"""
+
+import functools
+import os
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+
+from gsfusion_nb import backends, warm
+from gsfusion_nb.backends import BackendUnavailable, use_backend
+
+KERNELS = Path(__file__).resolve().parents[2] / "kernels"
+SHARED = ("runtime", "binning", "composite", "harmonics", "project")
+"""Folders whose kernels other folders use, without operations of their own."""
+EXPECTED = ("allocate", "disc_depth", "integrate", "marching_cubes", "rasterize", "raycast", "sample")
+"""Folders whose cases are still being written."""
+
+EMULATES = [b for b, variable in backends._EMULATED_BY.items() if os.environ.get(variable)]
+"""Backends for GPUs that this session of pytest runs on the processor; it is started for them alone."""
+
+GPU_BACKENDS = ("torch", "triton", "cuda") if torch.cuda.is_available() and not EMULATES else ()
+
+FLOAT64_TOLERANCE = 1e-9
+"""Of the largest value: sums may be taken in another order, and that is all."""
+
+
+@functools.cache
+def reference_of(case, dtype: torch.dtype) -> dict[str, torch.Tensor]:
+    with use_backend("reference"):
+        return case.run(torch.device("cpu"), dtype)
+
+
+def runs(cases) -> list:
+    """(case, backend, dtype) for every backend that offers the case's operations."""
+    return [
+        pytest.param(case, backend, dtype, id=f"{backend}-{'+'.join(case.operations)}-{case.name}-{str(dtype)[6:]}")
+        for case in cases
+        for backend in backends.BACKENDS[1:]
+        if any(backend in backends.offered(operation) for operation in case.operations)
+        if not EMULATES or backend in EMULATES
+        for dtype in case.dtypes
+    ]
+
+
+def check(case, backend: str, dtype: torch.dtype, compare_on) -> None:
+    """Run the case on the backend and on the reference and hold the results together."""
+    for operation in case.operations:
+        if backend in backends.offered(operation):
+            backends.load(operation, backend)
+    device = torch.device("cuda" if backend in GPU_BACKENDS else "cpu")
+    with use_backend(backend):
+        found = case.run(device, dtype)
+    expected = reference_of(case, dtype)
+    assert list(found) == list(expected)
+    tolerance = case.tolerance if dtype == torch.float32 else FLOAT64_TOLERANCE
+    for name, value in found.items():
+        compare_on(backend, "+".join(case.operations), name, value, expected[name], tolerance, case.flips)
+
+
+@pytest.mark.parametrize(("case", "backend", "dtype"), runs(backends.cases()))
+def test_same_as_the_reference(case, backend, dtype, compare_on):
+    try:
+        check(case, backend, dtype, compare_on)
+    except BackendUnavailable as e:
+        if "has no implementation" in str(e):
+            raise
+        pytest.skip(str(e))
+
+
+def folders_without_cases(root: Path) -> list[str]:
+    """Folders that have the file of a backend and no ``cases.py``."""
+    folders = {path.parent for backend in backends.BACKENDS[1:] for path in root.glob(f"*/{backend}.py")}
+    return sorted(
+        f"{folder.relative_to(root.parent)} has no cases.py" for folder in folders if not (folder / "cases.py").exists()
+    )
+
+
+def test_every_folder_has_cases():
+    excused = {f"kernels/{folder} has no cases.py" for folder in (*SHARED, *EXPECTED)}
+    assert not set(folders_without_cases(KERNELS)) - excused
+
+
+def test_every_offered_operation_has_a_case():
+    covered = {operation for case in backends.cases() for operation in case.operations}
+    missing = {
+        name for name in backends.operations() if backends._FOLDERS[name].split(".")[-1] not in EXPECTED
+    } - covered
+    assert not missing
+
+
+@pytest.fixture
+def made_kernels(tmp_path, monkeypatch):
+    """A package of kernels with one folder, ``halve``, whose operation is declared; the folder to write into."""
+    monkeypatch.setattr(backends, "_OPS", dict(backends._OPS))
+    monkeypatch.setattr(backends, "_FOLDERS", dict(backends._FOLDERS))
+    monkeypatch.setattr(backends, "_KERNELS", "made_kernels")
+    monkeypatch.syspath_prepend(tmp_path)
+    folder = tmp_path / "made_kernels" / "halve"
+    folder.mkdir(parents=True)
+    for package in (folder, folder.parent):
+        (package / "__init__.py").touch()
+
+    @backends.op("halve")
+    def halve(x: torch.Tensor) -> torch.Tensor:
+        """x / 2"""
+        return x / 2
+
+    monkeypatch.setattr(torch, "halve_of_the_test", halve, raising=False)
+    backends.look_again()
+    yield folder
+    for name in [name for name in sys.modules if name.split(".")[0] == "made_kernels"]:
+        del sys.modules[name]
+    backends.look_again()
+
+
+CASES_OF_HALVE = """
+import torch
+from gsfusion_nb.kernels.runtime.cases import Case
+
+def cases():
+    yield Case(name="counting", operations=("halve",), run=run)
+
+def run(device, dtype):
+    return {"half": torch.halve_of_the_test(torch.arange(5, device=device, dtype=dtype))}
+"""
+
+
+def test_a_new_operation_or_backend_is_one_file(made_kernels, compare_on):
+    """Written into a folder: parity and warm-up find it."""
+    (made_kernels / "torch.py").write_text("def halve(x):\n    return 0.5 * x\n")
+    assert folders_without_cases(made_kernels.parent) == ["made_kernels/halve has no cases.py"]
+    (made_kernels / "cases.py").write_text(CASES_OF_HALVE)
+    assert folders_without_cases(made_kernels.parent) == []
+    found = [param.values for param in runs(backends.cases())]
+    assert [(case.name, backend) for case, backend, _ in found] == [("counting", "torch")] * 2
+    for run in found:
+        check(*run, compare_on)
+    assert not any(exercise.operations == ("halve",) for exercise in warm_up_of("cpu"))
+
+    (made_kernels / "numba.py").write_text("def halve(x):\n    return 0.51 * x\n")
+    backends.look_again()
+    found = [param.values for param in runs(backends.cases())]
+    assert [backend for _, backend, _ in found] == ["torch", "torch", "numba", "numba"]
+    with pytest.raises(AssertionError, match="halve half: 4 of 5 differ"):
+        check(*found[2], compare_on)
+    assert any(exercise.operations == ("halve",) for exercise in warm_up_of("cpu"))
+
+
+def warm_up_of(device: str) -> list[warm.Exercise]:
+    """Exercises that would compile something."""
+    return [e for e in warm.exercises(device) if any(warm._is_compiled(name, device) for name in e.operations)]
