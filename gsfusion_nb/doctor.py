@@ -137,7 +137,7 @@ def _backends() -> list[Finding]:
 
 
 def _drawing() -> Finding:
-    from .viz import gl
+    from .viz.meshes import opengl as gl
 
     ok, why = gl.can_draw()
     remedy = "mesh views fall back to our own pictures until this works"

@@ -3,7 +3,7 @@ import subprocess
 import pytest
 
 from gsfusion_nb import doctor
-from gsfusion_nb.viz import gl
+from gsfusion_nb.viz.meshes import opengl as gl
 
 
 @pytest.fixture(autouse=True)

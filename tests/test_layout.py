@@ -13,7 +13,7 @@ PACKAGE = ROOT / "gsfusion_nb"
 
 FLOORS = {
     **dict.fromkeys(("types", "config", "constants", "checks", "backends"), 0),
-    "geometry": 1,
+    **dict.fromkeys(("geometry", "drawing"), 1),
     **dict.fromkeys(("tsdf", "gaussians", "render"), 2),
     **dict.fromkeys(("seeding", "optim", "tracking", "export", "evaluation"), 3),
     "mapping": 5,

@@ -1,4 +1,4 @@
-"""How good a map is: image, geometry and trajectory scores, and the report page."""
+"""How good a map is: image, geometry and trajectory scores."""
 
 from .discs import disc_scores as disc_scores
 from .discs import sample_discs as sample_discs
@@ -19,10 +19,6 @@ from .metrics import format_metric as format_metric
 from .metrics import frame_rates as frame_rates
 from .metrics import metrics_as_json as metrics_as_json
 from .not_computed import NotComputed as NotComputed
-from .report import FrameRow as FrameRow
-from .report import ReportData as ReportData
-from .report import ViewPanel as ViewPanel
-from .report import write_report as write_report
 from .trajectory import align_umeyama as align_umeyama
 from .trajectory import ate_rmse as ate_rmse
 from .trajectory import rpe as rpe

@@ -12,7 +12,8 @@ import torch
 
 from .. import __version__
 from ..config import to_dict
-from ..evaluation import FrameRow, NotComputed, ReportData, ViewPanel, cull_unseen, disc_scores, frame_rates, mesh_scores, metrics_as_json, score_views, trajectory_scores, write_report
+from .report_page import FrameRow, ReportData, ViewPanel, write_report
+from ..evaluation import NotComputed, cull_unseen, disc_scores, frame_rates, mesh_scores, metrics_as_json, score_views, trajectory_scores
 from ..export import atomic_path, write_gaussian_ply, write_mesh_ply, write_trajectory_tum
 from ..gaussians import state_counts
 from ..seeding import Cells, quadtree, rule_name

@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from ..viz.figures import Picture, figure_png
-from ..viz.watch import Watch
+from ..drawing.curves import figure_png
+from ..drawing.pictures import Picture
+from ..viz.live.watch import Watch
 from .leaderboard import Contest, Leaderboard
 
 

@@ -1,51 +1,137 @@
-"""Pictures, live views and players for notebooks. ipywidgets, pyvista and matplotlib load when used."""
+"""Pictures, live views and players: all that a notebook uses is imported from here, and loads when it is used."""
 
 import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from ..drawing.curves import curve_figure as curve_figure
+    from ..drawing.curves import figure_png as figure_png
+    from ..drawing.pictures import colour_depth as colour_depth
+    from ..drawing.pictures import error_map as error_map
+    from ..drawing.pictures import paint_cells as paint_cells
+    from ..drawing.pictures import to_uint8 as to_uint8
+    from ..drawing.side_by_side import side_by_side as side_by_side
+    from .cards import card as card
     from .display import show as show
     from .display import static_views as static_views
-    from .filling import fill_panel as fill_panel
-    from .gaussian_picture import draw as draw
-    from .gradient_microscope import GradientMicroscope as GradientMicroscope
-    from .live import LiveMapper as LiveMapper
-    from .mesh_view import show_mesh as show_mesh
-    from .orbit import OrbitView as OrbitView
-    from .orbit import orbit_view as orbit_view
-    from .pixel_microscope import PixelMicroscope as PixelMicroscope
-    from .player import Player as Player
-    from .point_view import point_panel as point_panel
-    from .quadtree_view import quadtree_panel as quadtree_panel
-    from .splat_viewer import SplatViewer as SplatViewer
-    from .tsdf_slice import slice_picture as slice_picture
+    from .live.live_mapper import LiveMapper as LiveMapper
+    from .live.orbit import OrbitView as OrbitView
+    from .live.orbit import orbit_view as orbit_view
+    from .live.player import Player as Player
+    from .live.watch import Watch as Watch
+    from .meshes.show_mesh import show_mesh as show_mesh
+    from .microscopes.gaussian_panels import one_gaussian_panel as one_gaussian_panel
+    from .microscopes.gaussian_panels import sh_ball_panel as sh_ball_panel
+    from .microscopes.gradient_microscope import GradientMicroscope as GradientMicroscope
+    from .microscopes.one_gaussian import basis_atlas as basis_atlas
+    from .microscopes.one_gaussian import gaussian_row as gaussian_row
+    from .microscopes.one_gaussian import turned as turned
+    from .microscopes.pixel_microscope import PixelMicroscope as PixelMicroscope
+    from .microscopes.pixel_stack import pixel_stack as pixel_stack
+    from .microscopes.pixel_stack import project_splats as project_splats
+    from .microscopes.stack_picture import ellipse_picture as ellipse_picture
+    from .microscopes.stack_picture import enlarged as enlarged
+    from .microscopes.tile_picture import tile_picture as tile_picture
+    from .panels.discs import adding_panel as adding_panel
+    from .panels.discs import disc_panel as disc_panel
+    from .panels.discs import disc_stage as disc_stage
+    from .panels.discs import stage_picture as stage_picture
+    from .panels.icp import basin as basin
+    from .panels.icp import basin_picture as basin_picture
+    from .panels.icp import frame_surface as frame_surface
+    from .panels.icp import icp_panel as icp_panel
+    from .panels.icp import moved_start as moved_start
+    from .panels.icp import path_picture as path_picture
+    from .panels.icp import pose_error as pose_error
+    from .panels.icp import residual_picture as residual_picture
+    from .panels.icp import single_level as single_level
+    from .panels.keyframe_strip import keyframe_strip as keyframe_strip
+    from .panels.points import normal_colours as normal_colours
+    from .panels.points import point_panel as point_panel
+    from .panels.quadtree import cell_means as cell_means
+    from .panels.quadtree import quadtree_panel as quadtree_panel
+    from .panels.quadtree import quadtree_picture as quadtree_picture
+    from .panels.seeding_rule import rule_context as rule_context
+    from .panels.seeding_rule import rule_panel as rule_panel
+    from .panels.seeding_rule import rule_picture as rule_picture
+    from .panels.stage_bars import amdahl_panel as amdahl_panel
+    from .panels.stage_bars import faster as faster
+    from .panels.stage_bars import stage_bars as stage_bars
+    from .panels.stage_bars import stage_means as stage_means
+    from .panels.tsdf_fill import fill_panel as fill_panel
+    from .panels.tsdf_slice import distance_colours as distance_colours
+    from .panels.tsdf_slice import slice_picture as slice_picture
+    from .splats.map_picture import draw as draw
+    from .splats.viewer import SplatViewer as SplatViewer
     from .viewpoint import orbit_camera as orbit_camera
-    from .watch import Watch as Watch
 
 _LAZY = {
-    "GradientMicroscope": "gradient_microscope",
-    "LiveMapper": "live",
-    "OrbitView": "orbit",
-    "PixelMicroscope": "pixel_microscope",
-    "Player": "player",
-    "SplatViewer": "splat_viewer",
-    "Watch": "watch",
-    "draw": "gaussian_picture",
-    "fill_panel": "filling",
-    "orbit_camera": "viewpoint",
-    "orbit_view": "orbit",
-    "point_panel": "point_view",
-    "quadtree_panel": "quadtree_view",
-    "show": "display",
-    "show_mesh": "mesh_view",
-    "slice_picture": "tsdf_slice",
-    "static_views": "display",
+    "GradientMicroscope": ".microscopes.gradient_microscope",
+    "LiveMapper": ".live.live_mapper",
+    "OrbitView": ".live.orbit",
+    "PixelMicroscope": ".microscopes.pixel_microscope",
+    "Player": ".live.player",
+    "SplatViewer": ".splats.viewer",
+    "Watch": ".live.watch",
+    "adding_panel": ".panels.discs",
+    "amdahl_panel": ".panels.stage_bars",
+    "basin": ".panels.icp",
+    "basin_picture": ".panels.icp",
+    "basis_atlas": ".microscopes.one_gaussian",
+    "card": ".cards",
+    "cell_means": ".panels.quadtree",
+    "colour_depth": "..drawing.pictures",
+    "curve_figure": "..drawing.curves",
+    "disc_panel": ".panels.discs",
+    "disc_stage": ".panels.discs",
+    "distance_colours": ".panels.tsdf_slice",
+    "draw": ".splats.map_picture",
+    "ellipse_picture": ".microscopes.stack_picture",
+    "enlarged": ".microscopes.stack_picture",
+    "error_map": "..drawing.pictures",
+    "faster": ".panels.stage_bars",
+    "figure_png": "..drawing.curves",
+    "fill_panel": ".panels.tsdf_fill",
+    "frame_surface": ".panels.icp",
+    "gaussian_row": ".microscopes.one_gaussian",
+    "icp_panel": ".panels.icp",
+    "keyframe_strip": ".panels.keyframe_strip",
+    "moved_start": ".panels.icp",
+    "normal_colours": ".panels.points",
+    "one_gaussian_panel": ".microscopes.gaussian_panels",
+    "orbit_camera": ".viewpoint",
+    "orbit_view": ".live.orbit",
+    "paint_cells": "..drawing.pictures",
+    "path_picture": ".panels.icp",
+    "pixel_stack": ".microscopes.pixel_stack",
+    "point_panel": ".panels.points",
+    "pose_error": ".panels.icp",
+    "project_splats": ".microscopes.pixel_stack",
+    "quadtree_panel": ".panels.quadtree",
+    "quadtree_picture": ".panels.quadtree",
+    "residual_picture": ".panels.icp",
+    "rule_context": ".panels.seeding_rule",
+    "rule_panel": ".panels.seeding_rule",
+    "rule_picture": ".panels.seeding_rule",
+    "sh_ball_panel": ".microscopes.gaussian_panels",
+    "show": ".display",
+    "show_mesh": ".meshes.show_mesh",
+    "side_by_side": "..drawing.side_by_side",
+    "single_level": ".panels.icp",
+    "slice_picture": ".panels.tsdf_slice",
+    "stage_bars": ".panels.stage_bars",
+    "stage_means": ".panels.stage_bars",
+    "stage_picture": ".panels.discs",
+    "static_views": ".display",
+    "tile_picture": ".microscopes.tile_picture",
+    "to_uint8": "..drawing.pictures",
+    "turned": ".microscopes.one_gaussian",
 }
 
 
 def __getattr__(name: str):
     if name in _LAZY:
-        return getattr(importlib.import_module(f".{_LAZY[name]}", __name__), name)
+        return getattr(importlib.import_module(_LAZY[name], __name__), name)
     raise AttributeError(f"module 'gsfusion_nb.viz' has no attribute {name!r}")
 
 

@@ -7,16 +7,17 @@ from typing import Any
 import numpy as np
 import torch
 
+from ..drawing.pictures import Picture, colour_depth, data_uri, depth_range_m, fit_width, paint_cells, to_uint8
+from ..drawing.side_by_side import side_by_side
 from ..gaussians import GaussianModel
 from ..mapping.placing import placed
 from ..runs import FinishedRun, MappingRun
 from ..seeding import Cells
 from ..tsdf import TsdfVolume
 from ..types import Frame
-from .figures import Picture, colour_depth, data_uri, depth_range_m, fit_width, paint_cells, side_by_side, to_uint8
-from .splat_picture import splat_picture
-from .splat_start import starting_pose, viewing_camera
-from .tsdf_slice import slice_picture
+from .panels.tsdf_slice import slice_picture
+from .splats.starting_view import starting_pose, viewing_camera
+from .splats.viewer_picture import splat_picture
 
 WIDTH_PX = 240
 """Of one picture."""

@@ -4,7 +4,8 @@ import os
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from .figures import AnyImage, encode_jpeg, side_by_side, to_uint8
+from ..drawing.pictures import AnyImage, encode_jpeg, to_uint8
+from ..drawing.side_by_side import side_by_side
 
 if TYPE_CHECKING:
     from IPython.display import Image

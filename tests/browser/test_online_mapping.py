@@ -24,7 +24,7 @@ splats
 """
 RULE = """
 from gsfusion_nb.seeding import seeding_rule
-from gsfusion_nb.viz.rule_panel import rule_context, rule_panel
+from gsfusion_nb.viz.panels.seeding_rule import rule_context, rule_panel
 walk = open_sequence("room", data=config.data, n_frames=60)
 context = rule_context(GSFusion(config), walk.mapping[0])
 
@@ -38,7 +38,7 @@ panel = rule_panel(near_only, context)
 panel
 """
 AMDAHL = """
-from gsfusion_nb.viz.stage_bars import amdahl_panel
+from gsfusion_nb.viz.panels.stage_bars import amdahl_panel
 bars = amdahl_panel({"tsdf": 0.008, "seeding": 0.002, "optimise": 0.04}, width=560)
 bars
 """

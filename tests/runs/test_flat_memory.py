@@ -87,7 +87,7 @@ def test_memory_is_flat_over_500_frames(tmp_path, small_room, config, kind):
 @pytest.mark.parametrize("kind", ["sequence", "stream"])
 def test_memory_is_flat_over_5000_frames(tmp_path, config, kind):
     """The curve is drawn to memory.png in the test's folder."""
-    from gsfusion_nb.evaluation.curves import curve_figure
+    from gsfusion_nb.drawing.curves import curve_figure
 
     walk = room(n_frames=960, width=160, height=120)
     sequence = repeated(written(tmp_path, walk, list(range(0, 100, 4))), 5000)

@@ -8,7 +8,7 @@ from numba import njit
 
 from gsfusion_nb.studies.roofline import ADAM_FLOATS, ADAM_FLOPS, Roofs
 from gsfusion_nb.teaching import backends, check
-from gsfusion_nb.viz.stage_bars import faster
+from gsfusion_nb.viz.panels.stage_bars import faster
 
 
 def test_amdahl_is_the_panels():

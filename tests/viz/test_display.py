@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
+from gsfusion_nb.drawing.side_by_side import LABEL_PX
 from gsfusion_nb.viz import show
-from gsfusion_nb.viz.figures import LABEL_PX
 
 
 def shown(image):

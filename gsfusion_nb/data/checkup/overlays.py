@@ -9,8 +9,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ...config import RepairConfig
-from ...evaluation.curves import MUTED, PALETTE, curve_figure, figure_svg
-from ...evaluation.pictures import Picture, depth_error_map, fit_width, to_uint8
+from ...drawing.curves import MUTED, PALETTE, curve_figure, figure_svg
+from ...drawing.pictures import Picture, depth_error_map, fit_width, to_uint8
 from ...types import Frame
 from .. import BadFrameError, Sequence
 from ..readers.pose_reading import reread_poses

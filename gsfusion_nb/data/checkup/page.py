@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...evaluation.report import page_html
-from ...evaluation.report_sections import chart, figure
+from ...drawing.page import chart, figure, page_html
 
 if TYPE_CHECKING:
     from .explain import Row

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from ...config import DataConfig
-from ...evaluation.pictures import Picture
+from ...drawing.pictures import Picture
 from .explain import Row
 from .findings import RANK, Finding, Verdict, flags_of
 from .over_frames import OverFrames

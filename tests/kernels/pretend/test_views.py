@@ -10,8 +10,8 @@ from gsfusion_nb.mapping import RTGSLAM, GSFusion
 from gsfusion_nb.runs import MappingRun
 from gsfusion_nb.viz import LiveMapper, OrbitView, SplatViewer, draw, show_mesh
 from gsfusion_nb.viz.cards import card
-from gsfusion_nb.viz.keyframe_strip import keyframe_strip
-from gsfusion_nb.viz.surfel_pictures import cause_picture, state_picture
+from gsfusion_nb.viz.panels.keyframe_strip import keyframe_strip
+from gsfusion_nb.viz.splats.surfel_pictures import cause_picture, state_picture
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 DATA = {"width": 40, "height": 30, "stop": 6, "hold_out_every": 0}

@@ -1,0 +1,135 @@
+"""Graphs as matplotlib figures without pyplot, safe in threads, and as SVG that follows a page's colours."""
+
+import io
+import math
+import re
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Numbers = Sequence[float | int] | np.ndarray
+
+INK = "#1c2430"
+MUTED = "#5c6675"
+GRID = "#dfe4ea"
+PALETTE = ("#3d85c6", "#e08a2e", "#3a9d6a", "#d1495b", "#8e6bbf", "#8a8f98", "#2aa5a0", "#b8860b")
+"""Colours of middle lightness: they read on white and on near-black."""
+
+_THEMED = {INK: "var(--ink)", MUTED: "var(--muted)", GRID: "var(--line)"}
+
+
+def curve_figure(
+    x: Numbers,
+    series: Mapping[str, Numbers],
+    *,
+    x_label: str,
+    y_label: str,
+    stacked: bool = False,
+    marks: Numbers = (),
+    marks_label: str = "",
+) -> "Figure":
+    """A graph of one or more curves over a common axis; NaN leaves a gap.
+
+    Args:
+        x: Positions, for example frame numbers.
+        series: Label -> values, one per position.
+        x_label: Axis label with its unit.
+        y_label: Axis label with its unit.
+        stacked: Areas on top of one another (parts of a whole) instead of lines.
+        marks: Positions of ticks along the bottom, for example keyframes.
+        marks_label: What the ticks are, for the legend.
+
+    Returns:
+        A ``matplotlib.figure.Figure`` with an Agg canvas, 5.2 x 3 inches at 100 dpi.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(5.2, 3.0), dpi=100, facecolor="white", layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    _style(axes, x_label, y_label)
+    if stacked:
+        axes.stackplot(x, *series.values(), labels=list(series), colors=PALETTE, linewidth=0, alpha=0.9)
+        axes.set_ylim(bottom=0)
+    else:
+        lone = "o" if len(x) == 1 else None
+        for i, (label, values) in enumerate(series.items()):
+            axes.plot(x, values, label=label, color=PALETTE[i % len(PALETTE)], linewidth=1.6, marker=lone)
+    axes.margins(x=0.01)
+    if len(marks):
+        axes.margins(y=0.1)  # keeps the curve above the ticks
+        axes.plot(
+            marks, [0.02] * len(marks), transform=axes.get_xaxis_transform(), linestyle="none", marker="|",
+            markersize=7, markeredgewidth=1.0, color=MUTED, label=marks_label, clip_on=False,
+        )  # fmt: skip
+    if len(series) + bool(len(marks)) > 1:
+        _legend(figure, axes)
+    return figure
+
+
+def figure_svg(figure: "Figure", name: str) -> str:
+    """The figure as an ``<svg>`` element to put straight into a page that defines --ink, --muted and --line.
+
+    Text stays text and takes the page's font; ``name`` keeps the inner ids of several figures apart and is the
+    element's description for screen readers.
+    """
+    from html import escape
+
+    import matplotlib
+
+    buffer = io.StringIO()
+    with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": name}):
+        figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
+    svg = buffer.getvalue()
+    svg = svg[svg.index("<svg") :]
+    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
+    for colour, variable in _THEMED.items():
+        svg = svg.replace(colour, variable)
+    # matplotlib writes its size in points; the viewBox alone lets the page decide
+    svg = re.sub(r'(<svg[^>]*?) width="[^"]*"', r"\1", svg, count=1)
+    svg = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", svg, count=1)
+    return svg.replace("<svg", f'<svg role="img" aria-label="{escape(name, quote=True)}"', 1)
+
+
+def figure_png(figure) -> bytes:
+    """PNG bytes of a matplotlib figure, for an image widget."""
+    import io
+
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png")
+    return buffer.getvalue()
+
+
+def _style(axes: "Axes", x_label: str, y_label: str) -> None:
+    axes.set_xlabel(x_label, color=MUTED, fontsize=10)
+    axes.set_ylabel(y_label, color=MUTED, fontsize=10)
+    axes.tick_params(colors=MUTED, labelsize=9.5, length=3)
+    axes.grid(axis="y", color=GRID, linewidth=0.8)
+    axes.set_axisbelow(True)
+    axes.yaxis.set_major_formatter(_thousands)
+    axes.locator_params(axis="y", nbins=6)
+    axes.locator_params(axis="x", integer=True)
+    for side, spine in axes.spines.items():
+        spine.set_visible(side in ("left", "bottom"))
+        spine.set_color(GRID)
+
+
+def _legend(figure: "Figure", axes: "Axes") -> None:
+    handles, labels = axes.get_legend_handles_labels()
+    one_row = sum(map(len, labels)) + 5 * len(labels) <= 66  # characters that fit across, handles counted as five
+    columns = len(labels) if one_row else math.ceil(len(labels) / 2)
+    legend: Any = figure.legend(
+        handles, labels, loc="outside upper left", ncols=columns, frameon=False, fontsize=9.5, labelcolor=INK,
+        handlelength=1.2, columnspacing=1.2, borderpad=0.1,
+    )  # fmt: skip
+    legend.set_in_layout(True)
+
+
+def _thousands(value: float, _position: Any = None) -> str:
+    return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:g}"

@@ -1,0 +1,48 @@
+"""The front ends of the viewers, each as one text: anywidget takes one module, and a page may load nothing else."""
+
+import functools
+import json
+import re
+from importlib.resources import files
+
+ENGINE = ("splats/rows", "projection", "splats/colour", "splats/raster", "splats/engine")
+"""The modules of the splat viewer's worker, in the order of their imports; they use no page, so node runs them too."""
+SPLAT_PAGE = ("camera", "splats/webgl", "splats/worker", "splats/panel", "mouse", "splats/time", "splats/widget")
+"""The modules of the splat viewer's page."""
+MESH_PAGE = ("projection", "camera", "mouse", "meshes/raster", "meshes/widget")
+"""The modules of the mesh viewer, which turns its camera as the splat viewer does."""
+
+_IMPORT = re.compile(r'^import .* from "[./\w]+\.js";\n', re.MULTILINE)
+_EXPORT = re.compile(r"^export (?!default)", re.MULTILINE)
+
+
+@functools.cache
+def source(name: str) -> str:
+    """The text of ``WING/static/FILE``, for the name "WING/FILE"; of ``static/FILE`` for the name "FILE"."""
+    *wing, file = name.split("/")
+    return files("gsfusion_nb.viz").joinpath(*wing, "static", file).read_text(encoding="utf-8")
+
+
+def joined(modules: tuple[str, ...]) -> str:
+    """Modules one after the other, without the imports and exports between them."""
+    return "\n".join(_EXPORT.sub("", _IMPORT.sub("", source(f"{name}.js"))) for name in modules)
+
+
+@functools.cache
+def splat_front_end() -> str:
+    """The splat viewer's module. It holds the engine twice: as code for the page, and as text to make a worker from."""
+    engine = joined(ENGINE)
+    texts = {
+        "ENGINE_SOURCE": engine,
+        "PANEL_HTML": source("splats/viewer.html"),
+        "VERTEX": source("splats/splat.vert"),
+        "FRAGMENT": source("splats/splat.frag"),
+    }
+    constants = "\n".join(f"const {name} = {json.dumps(text)};" for name, text in texts.items())
+    return f"{engine}\n{constants}\n{joined(SPLAT_PAGE)}"
+
+
+@functools.cache
+def mesh_front_end() -> str:
+    """The mesh viewer's module."""
+    return f"const MESH_HTML = {json.dumps(source('meshes/viewer.html'))};\n{joined(MESH_PAGE)}"

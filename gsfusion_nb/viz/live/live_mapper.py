@@ -1,0 +1,234 @@
+"""Online mapping to watch: buttons that start, pause, step and stop it, and panels of what the maps look like."""
+
+import dataclasses
+import html
+import logging
+import time
+import traceback
+import weakref
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...data import SequenceError
+from ...drawing.pictures import Picture, encode_jpeg, encode_png
+from ...drawing.small_curves import small_curves
+from ...mapping import StepReport
+from ...runs import MappingRun
+from ...types import Frame
+from ..display import with_picture
+from .player import Player
+from .step_panels import LivePanels, captions_of, columns_for, live_panels
+
+if TYPE_CHECKING:
+    from ..splats.viewer import SplatViewer
+
+log = logging.getLogger(__name__)
+
+MIN_INTERVAL_S = 0.1
+"""The panels are redrawn at most ten times a second."""
+MAX_DRAWING_SHARE = 0.25
+"""Of the time may go into drawing while frames are waiting; the rest is for mapping."""
+
+_on_stage: "weakref.ref[LiveMapper] | None" = None
+
+
+class LiveMapper:
+    """Drives the online part of a ``MappingRun`` of either system frame by frame; the kernel stays free meanwhile.
+
+    The last line of a cell shows it. From Python: ``start``, ``pause``, ``step``, ``stop``, and ``run_sync(n)``, which
+    maps ``n`` frames (or all that are left) in the calling cell. ``lock`` is held during a step; give it to whoever
+    looks at the maps at the same time. Making another ``LiveMapper`` stops this one: a cell that is run again does not
+    leave an invisible run behind.
+
+    Args:
+        run: The run; it may have mapped some frames already.
+        panel_width: Width of each panel on screen, pixels.
+
+    ``splats()`` makes a splat viewer that follows the map; a cell of its own shows it.
+    """
+
+    def __init__(self, run: MappingRun, *, panel_width: int = 320):
+        global _on_stage
+        if _on_stage is not None and (earlier := _on_stage()) is not None:
+            earlier.player.stop()
+        _on_stage = weakref.ref(self)
+        self.run = run
+        self.viewer: SplatViewer | None = None
+        """Brought up to date whenever the panels are."""
+        self.player = Player(run.online, on_step=self._on_step, on_rest=self._on_rest)
+        self.lock = self.player.lock
+        self.panels: LivePanels | None = None
+        self._undrawn: StepReport | None = None
+        self._next_draw_s = 0.0
+        self._build(panel_width)
+        self._write_status()
+
+    def start(self) -> None:
+        """Map until paused, stopped or done."""
+        self.player.start()
+        self._write_status()
+
+    def pause(self) -> None:
+        """Come to rest after the current frame."""
+        self.player.pause()
+
+    def step(self) -> None:
+        """Map one frame."""
+        self.player.step()
+
+    def stop(self) -> None:
+        """End the worker after the current frame; ``start`` goes on from there."""
+        self.player.stop()
+        self._write_status()
+
+    def run_sync(self, n: int | None = None) -> int:
+        """Map ``n`` frames, or all that are left, in this thread; how many were mapped."""
+        return self.player.run_sync(n)
+
+    def join(self, timeout_s: float | int | None = None) -> bool:
+        """Wait until the worker has ended; whether it has."""
+        return self.player.join(timeout_s)
+
+    def close(self) -> None:
+        """Stop and wait for the worker."""
+        self.player.close()
+
+    def splats(self, **options: Any) -> "SplatViewer":
+        """A view of the Gaussians to turn while they are being mapped, with the ``options`` of ``SplatViewer``.
+
+        Its time slider goes back over what was mapped so far. Another call makes another one, which is then the one
+        that follows the map.
+        """
+        from ..splats.viewer import SplatViewer
+
+        if not len(self.run.mapper.keyframes) and len(self.run.sequence.mapping):  # no place to stand yet but the first
+            first = self.run.sequence.mapping[0]
+            options = {"camera": first.camera, "T_WC": first.T_WC} | options
+        self.viewer = SplatViewer(self.run.mapper, lock=self.lock, **options)
+        return self.viewer
+
+    def picture(self) -> Picture:
+        """The panels and curves in one picture, as a stored notebook shows them."""
+        if self.panels is None:
+            return self._curves(self._width, scale=1)
+        small = next(iter(self.panels.pictures.values())).shape[1]
+        mosaic = self.panels.mosaic(max(1, round(self._panel_width / small)))
+        curves = self._curves(mosaic.shape[1], scale=1)
+        strip = np.full((curves.shape[0], mosaic.shape[1], 3), 255, np.uint8)
+        strip[:, : curves.shape[1]] = curves
+        return np.concatenate([mosaic, strip])
+
+    def _repr_mimebundle_(self, **kwargs: Any) -> dict[str, Any]:
+        with self.lock:
+            self._draw()
+            self._write_status()
+            return with_picture(self.widget._repr_mimebundle_(**kwargs), self.picture(), f"LiveMapper({self.run!r})")
+
+    def _on_step(self, report: StepReport) -> None:
+        self._undrawn = report
+        if time.monotonic() >= self._next_draw_s:
+            self._draw()
+            self._write_status()
+
+    def _on_rest(self) -> None:
+        if self.player.error is None:
+            self._draw()
+        self._write_status()
+
+    def _draw(self) -> None:
+        """Bring the panels up to date, if anything was mapped since."""
+        if self._undrawn is None:
+            return
+        began = time.monotonic()
+        self._undrawn = None
+        try:
+            frame = self._last_frame()
+        except SequenceError as e:
+            log.warning("the panels stay as they are: %s", e)
+            return
+        self.panels = live_panels(self.run.mapper, frame)
+        for name, image in self.images.items():
+            image.value = encode_jpeg(self.panels[name])
+        self.curves.value = encode_png(self._curves(self._width), 3)
+        if self.viewer is not None:
+            self.viewer.update(self.run.mapper)
+        ended = time.monotonic()
+        self._next_draw_s = max(began + MIN_INTERVAL_S, ended + (ended - began) * (1 / MAX_DRAWING_SHARE - 1))
+
+    def _last_frame(self) -> Frame:
+        """The frame mapped last, at the pose where it was mapped."""
+        frame = self.run.sequence.mapping[self.run.next_position - 1]
+        mapped = self.run.mapper.localiser
+        if not mapped.poses or mapped.frame_indices[-1] != frame.index:  # frames after it were skipped
+            return frame
+        return dataclasses.replace(frame, T_WC=mapped.poses[-1].to(frame.T_WC))
+
+    def _curves(self, width: int, scale: int = 2) -> Picture:
+        steps = self.run.steps
+        series = {
+            "PSNR of the frame, dB": [s.psnr_after_db for s in steps],
+            "Gaussians": [s.n_gaussians for s in steps],
+        }
+        if steps and steps[-1].counts:
+            names = ("stable_opaque", "stable_transparent")
+            series["stable Gaussians"] = [sum(s.counts.get(name, 0) for name in names) for s in steps]
+        return small_curves(series, n_x=len(self.run.sequence.mapping), width=width // len(series), scale=scale)
+
+    def _build(self, panel_width: int) -> None:
+        import ipywidgets as w
+
+        self._panel_width = panel_width
+        captions = captions_of(self.run.mapper)
+        self._width = columns_for(len(captions)) * panel_width
+        icons = {"Start": "play", "Pause": "pause", "Step": "step-forward", "Stop": "stop"}
+        actions = {"Start": self.start, "Pause": self.pause, "Step": self.step, "Stop": self.stop}
+        self.buttons = {
+            name: w.Button(description=name, icon=icons[name], layout=w.Layout(width="88px")) for name in actions
+        }
+        for name, button in self.buttons.items():
+            button.add_class(f"gsnb-live-{name.lower()}")
+            button.on_click(lambda _, act=actions[name]: act())
+        self.progress = w.IntProgress(min=0, max=len(self.run.sequence.mapping), layout=w.Layout(width="260px"))
+        self.status = w.HTML()
+        self.status.add_class("gsnb-live-status")
+        self.error = w.HTML()
+        fixed = w.Layout(width=f"{panel_width}px")
+        self.images = {name: w.Image(format="jpeg", layout=fixed) for name in captions}
+        for name, image in self.images.items():
+            image.add_class(f"gsnb-live-{name}")
+        cells = [w.VBox([w.HTML(html.escape(captions[name])), image]) for name, image in self.images.items()]
+        wide = columns_for(len(cells))
+        rows = [w.HBox(cells[i : i + wide]) for i in range(0, len(cells), wide)]
+        self.curves = w.Image(
+            format="png", value=encode_png(self._curves(self._width), 3), layout=w.Layout(width=f"{self._width}px")
+        )
+        controls = w.HBox([*self.buttons.values(), self.progress])
+        self.widget = w.VBox([controls, self.status, self.error, *rows, self.curves])
+        self.widget.add_class("gsnb-live")
+
+    def _write_status(self) -> None:
+        run, state = self.run, self.player.state
+        self.progress.value = run.next_position
+        words = [f"<b>{state}</b>", f"{run.next_position} of {len(run.sequence.mapping)} frames"]
+        if run.steps:
+            last = run.steps[-1]
+            recent = run.steps[-10:]
+            seconds = sum(s.total_seconds for s in recent)
+            words += [
+                f"frame {last.frame_index}{' (keyframe)' if last.is_keyframe else ''}",
+                f"{last.n_seeds:,} new Gaussians",
+                f"PSNR {last.psnr_before_db:.1f} → {last.psnr_after_db:.1f} dB",
+                f"{len(recent) / seconds:.1f} frames/s" if seconds > 0 else "",
+            ]
+        self.status.value = " · ".join(word for word in words if word)
+        self.error.value = _as_html(self.player.error)
+
+
+def _as_html(error: BaseException | None) -> str:
+    """The error and where it came from, folded away."""
+    if error is None:
+        return ""
+    trace = html.escape("".join(traceback.format_exception(error)))
+    headline = html.escape(f"{type(error).__name__}: {error}")
+    return f'<details style="color:#b3261e"><summary>{headline}</summary><pre>{trace}</pre></details>'

@@ -1,0 +1,240 @@
+"""A viewer of the Gaussian map for a notebook: sliders that move the camera, one picture that follows them."""
+
+import contextlib
+import math
+from typing import Any
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from ...drawing.pictures import Picture, encode_jpeg
+from ...evaluation import expected_depth_m
+from ...gaussians import GaussianModel, SurfelModel
+from ...mapping import RTGSLAM, GSFusion
+from ...render import render
+from ...types import Camera, GaussianParams
+from ..display import with_picture
+from ..splats.map_picture import SHOWS, draw
+from ..viewpoint import Vector, Viewpoint, extent, viewpoint_of, world_up
+
+_FOCAL_PER_WIDTH = 0.7
+"""Of the viewer's camera when the map comes without cameras: 71 degrees wide."""
+_LABELLED = {"first-seen frame": "birth_frame", "quadtree level": "tag"}
+
+
+def orbit_view(
+    source: GSFusion | RTGSLAM | GaussianModel | GaussianParams,
+    *,
+    camera: Camera | None = None,
+    T_WC: Float[Tensor, "4 4"] | None = None,
+    up_W: Vector | None = None,
+    size: tuple[int, int] = (480, 360),
+    lock: Any = None,
+) -> "OrbitView":
+    """Look at a Gaussian map from everywhere; the last line of a cell shows the viewer.
+
+    Args:
+        source: A mapper (which also knows its cameras), a model, or bare parameters. It is drawn as it is at that
+            moment, so a map that grows can be watched.
+        camera: Intrinsics to look with; the mapper's own by default.
+        T_WC: Where to start; the mapper's first keyframe by default.
+        up_W: What is up; by default the mean of the mapper's cameras' -y, or z.
+        size: Width and height of the picture, pixels.
+        lock: Held while drawing, if another thread changes the map (``LiveMapper.lock``).
+    """
+    return OrbitView(source, camera=camera, T_WC=T_WC, up_W=up_W, size=size, lock=lock)
+
+
+class OrbitView:
+    """What ``orbit_view`` returns. ``widget`` is the ipywidgets box, ``picture()`` what it shows now.
+
+    ``set(azimuth_deg=..., elevation_deg=..., distance_m=..., cut_m=..., show=...)`` moves the sliders from Python, to
+    whole degrees and steps of 5 cm.
+    """
+
+    def __init__(
+        self,
+        source: GSFusion | RTGSLAM | GaussianModel | GaussianParams,
+        *,
+        camera: Camera | None = None,
+        T_WC: Float[Tensor, "4 4"] | None = None,
+        up_W: Vector | None = None,
+        size: tuple[int, int] = (480, 360),
+        lock: Any = None,
+    ):
+        self._source = source
+        self._lock = lock or contextlib.nullcontext()
+        keyframes = list(source.keyframes) if isinstance(source, GSFusion | RTGSLAM) else []
+        self.camera = _camera(camera or (keyframes[0].camera if keyframes else None), size)
+        self.up_W = torch.as_tensor(world_up([k.T_WC for k in keyframes]) if up_W is None else up_W).float()
+        start = keyframes[0].T_WC if T_WC is None and keyframes else T_WC
+        centre_W, self._radius_m = extent(self._params().xyz_W)
+        x, y, z = centre_W.tolist()
+        far = 0.9 * self._radius_m / self._half_view()
+        self._above = Viewpoint(target_W=(x, y, z), azimuth_deg=-60.0, elevation_deg=74.0, distance_m=far)
+        self._home = self._above if start is None else viewpoint_of(start, self._depth_ahead(start), self.up_W)
+        self._target_W = self._home.target_W
+        self._quiet = False
+        self._build()
+        self._redraw()
+
+    def pose(self) -> Float[Tensor, "4 4"]:
+        """T_WC of the camera the sliders describe."""
+        s = self.sliders
+        view = Viewpoint(
+            target_W=self._target_W,
+            azimuth_deg=s["azimuth"].value,
+            elevation_deg=s["elevation"].value,
+            distance_m=s["distance"].value,
+        )
+        return view.pose(self.up_W)
+
+    def picture(self) -> Picture:
+        """What the camera sees of the map as it is now."""
+        with self._lock:
+            show: Any = self.show.value
+            labels = self._labels(_LABELLED[show]) if show in _LABELLED else None
+            cut_m = self.sliders["cut"].value
+            return draw(self._params(), self.camera, self.pose(), show, labels=labels, cut_m=cut_m)
+
+    def set(
+        self,
+        *,
+        azimuth_deg: float | int | None = None,
+        elevation_deg: float | int | None = None,
+        distance_m: float | int | None = None,
+        cut_m: float | int | None = None,
+        show: str | None = None,
+    ) -> "OrbitView":
+        """Move the sliders, several at once with one redraw."""
+        values = {"azimuth": azimuth_deg, "elevation": elevation_deg, "distance": distance_m, "cut": cut_m}
+        self._quiet = True
+        try:
+            for name, value in values.items():
+                if value is not None:
+                    slider = self.sliders[name]
+                    slider.max = max(slider.max, value)
+                    slider.value = _on_step(value, slider.step)
+            if show is not None:
+                self.show.value = show
+        finally:
+            self._quiet = False
+        self._redraw()
+        return self
+
+    def look_from(self, place: str) -> "OrbitView":
+        """Go to one of the places of the buttons: "photo", "above" or "inside"."""
+        if place not in self.places:
+            raise KeyError(f"no place {place!r}; known: {', '.join(self.places)}")
+        view, cut_m = self.places[place]
+        self._target_W = view.target_W
+        return self.set(
+            azimuth_deg=_wrapped(view.azimuth_deg),
+            elevation_deg=view.elevation_deg,
+            distance_m=view.distance_m,
+            cut_m=cut_m,
+        )
+
+    def _repr_mimebundle_(self, **kwargs: Any) -> dict[str, Any]:
+        self._redraw()
+        bundle = self.widget._repr_mimebundle_(**kwargs)
+        return with_picture(bundle, self.picture(), f"OrbitView({len(self._params()):,} Gaussians)")
+
+    def _build(self) -> None:
+        import ipywidgets as w
+
+        self.sliders = self._make_sliders()
+        self.places = self._make_places()
+        shows = [s for s in SHOWS if s not in _LABELLED or self._labels(_LABELLED[s]) is not None]
+        self.show = w.Dropdown(
+            options=shows, description="show", style={"description_width": "92px"}, layout=w.Layout(width="330px")
+        )
+        self.buttons = {name: w.Button(description=name, layout=w.Layout(width="100px")) for name in self.places}
+        for name, button in self.buttons.items():
+            button.on_click(lambda _, name=name: self.look_from(name))
+        for name, slider in self.sliders.items():
+            slider.add_class(f"gsnb-orbit-{name}")
+        for control in (*self.sliders.values(), self.show):
+            control.observe(self._changed, names="value")
+        self.image = w.Image(format="jpeg", layout=w.Layout(width=f"{self.camera.width}px", max_width="100%"))
+        self.image.add_class("gsnb-orbit-image")
+        self.caption = w.HTML()
+        controls = [w.HBox(list(self.buttons.values())), *self.sliders.values(), self.show, self.caption]
+        panel = w.VBox(controls, layout=w.Layout(margin="0 0 0 12px"))
+        self.widget = w.HBox([self.image, panel], layout=w.Layout(flex_flow="row wrap", align_items="flex-start"))
+        self.widget.add_class("gsnb-orbit")
+
+    def _make_sliders(self) -> dict[str, Any]:
+        import ipywidgets as w
+
+        home = self._home
+        reach = math.ceil(max(2.0 * self._above.distance_m, 1.5 * home.distance_m))
+        rows = {  # label, value, low, high, step, tooltip
+            "azimuth": ("azimuth °", _wrapped(home.azimuth_deg), -180, 180, 1, "around the vertical"),
+            "elevation": ("elevation °", home.elevation_deg, -89, 89, 1, "above the horizontal"),
+            "distance": ("distance m", home.distance_m, 0, reach, 0.05, "0 stands at the target"),
+            "cut": ("cut away m", 0, 0, reach, 0.05, "hide all that is nearer"),
+        }
+        return {
+            name: w.FloatSlider(
+                value=_on_step(value, step), min=low, max=high, step=step, description=label, tooltip=tip,
+                readout_format=".0f" if step == 1 else ".2f", style={"description_width": "92px"},
+                layout=w.Layout(width="330px"), continuous_update=True,
+            )
+            for name, (label, value, low, high, step, tip) in rows.items()
+        }  # fmt: skip
+
+    def _make_places(self) -> dict[str, tuple[Viewpoint, float]]:
+        """Where the buttons lead, and how much they cut away."""
+        inside = Viewpoint(target_W=self._above.target_W, azimuth_deg=90.0, elevation_deg=0.0, distance_m=0.0)
+        roof_m = max(self._above.distance_m - 0.13 * self._radius_m, 0.0)
+        return {"photo": (self._home, 0.0), "above": (self._above, roof_m), "inside": (inside, 0.0)}
+
+    def _changed(self, _change: Any) -> None:
+        if not self._quiet:
+            self._redraw()
+
+    def _redraw(self) -> None:
+        self.image.value = encode_jpeg(self.picture())
+        self.caption.value = f"{len(self._params()):,} Gaussians"
+
+    def _params(self) -> GaussianParams:
+        return self._source if isinstance(self._source, GaussianParams) else self._model().params
+
+    def _model(self) -> Any:
+        return self._source.gaussians if isinstance(self._source, GSFusion | RTGSLAM) else self._source
+
+    def _labels(self, column: str) -> Int[Tensor, " N"] | None:
+        model = self._model()
+        is_level = not isinstance(model, SurfelModel)  # of a disc the tag is why it was added
+        return (
+            None if isinstance(model, GaussianParams) or (column == "tag" and not is_level) else getattr(model, column)
+        )
+
+    def _half_view(self) -> float:
+        """Tangent of half the narrower angle of view."""
+        return min(0.5 * self.camera.width / self.camera.fx, 0.5 * self.camera.height / self.camera.fy)
+
+    def _depth_ahead(self, T_WC: Float[Tensor, "4 4"]) -> float:
+        """Median depth of the map in a view, metres: what the orbit shall circle."""
+        depth_m = expected_depth_m(render(self._params(), self.camera, T_WC))
+        seen = depth_m[depth_m > 0]
+        return float(seen.median()) if len(seen) else self._radius_m
+
+
+def _camera(camera: Camera | None, size: tuple[int, int]) -> Camera:
+    """The given camera on a picture of ``size``, with square pixels and the given one's horizontal angle of view."""
+    width, height = size
+    focal = _FOCAL_PER_WIDTH * width if camera is None else camera.fx * width / camera.width
+    return Camera(width=width, height=height, fx=focal, fy=focal, cx=width / 2, cy=height / 2)
+
+
+def _on_step(value: float | int, step: float | int) -> float:
+    """The nearest value that a slider can stand on: any other comes back rounded from the browser a moment later."""
+    return float(round(value / step) * step)
+
+
+def _wrapped(angle_deg: float) -> float:
+    """The same angle in -180..180."""
+    return (angle_deg + 180.0) % 360.0 - 180.0

@@ -1,0 +1,114 @@
+"""Any iterative computation to watch: buttons that start, pause, step and stop it, one picture, and curves."""
+
+import html
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ...drawing.pictures import Picture, encode_jpeg, encode_png
+from ...drawing.small_curves import small_curves
+from ..display import with_picture
+from .player import Player
+
+MIN_INTERVAL_S = 0.1
+"""The picture is redrawn at most ten times a second."""
+
+
+class Watch:
+    """Drives an iterator step by step with buttons; the kernel stays free meanwhile.
+
+    The last line of a cell shows it. From Python: ``player.start``, ``player.pause``, ``player.step``, ``player.stop``,
+    and ``run_sync(n)``, which does ``n`` steps in the calling cell.
+
+    Args:
+        make_steps: Makes the iterator; called again after a stop, it goes on where the work stands.
+        picture: What to show, called with the lock held, at most ten times a second.
+        curves: Title -> values so far, lists that the steps append to.
+        n_steps: How many steps fill the curves' width.
+        width: Of the picture on screen, pixels.
+    """
+
+    def __init__(
+        self,
+        make_steps: Callable[[], Iterator[Any]],
+        picture: Callable[[], Picture],
+        curves: Mapping[str, Sequence[float | int]],
+        *,
+        n_steps: int,
+        width: int = 720,
+    ):
+        self._picture, self._series, self._n_steps, self._width = picture, curves, n_steps, width
+        self.player = Player(make_steps, on_step=self._on_step, on_rest=self._draw)
+        self._next_draw_s = 0.0
+        self._build()
+        self._draw()
+
+    @property
+    def lock(self) -> Any:
+        """Held during a step."""
+        return self.player.lock
+
+    def run_sync(self, n: int | None = None) -> int:
+        """Do ``n`` steps, or all that are left, here and now; how many were done."""
+        return self.player.run_sync(n)
+
+    def picture(self) -> Picture:
+        """The picture with the curves below it, as a stored notebook shows it."""
+        import cv2
+
+        with self.lock:
+            picture, curves = self._picture(), self._graphs()
+        size = (picture.shape[1], round(curves.shape[0] * picture.shape[1] / curves.shape[1]))
+        return np.concatenate([picture, np.asarray(cv2.resize(curves, size, interpolation=cv2.INTER_AREA), np.uint8)])
+
+    def _repr_mimebundle_(self, **kwargs: Any) -> dict[str, Any]:
+        self._draw()
+        return with_picture(
+            self.widget._repr_mimebundle_(**kwargs), self.picture(), f"Watch({self.player.n_steps} steps)"
+        )
+
+    def _on_step(self, _result: Any) -> None:
+        if time.monotonic() >= self._next_draw_s:
+            self._draw()
+
+    def _draw(self) -> None:
+        began = time.monotonic()
+        with self.lock:
+            if self.player.error is None:
+                self.image.value = encode_jpeg(self._picture())
+                self.graphs.value = encode_png(self._graphs(), 3)
+            state, error = self.player.state, self.player.error
+            done = self.player.n_steps
+            of = f" of {self._n_steps}" if done <= self._n_steps else ""  # several curves one after the other
+            self.status.value = f"<b>{state}</b> · step {done}{of}"
+            if error is not None:
+                words = html.escape(f"{type(error).__name__}: {error}")
+                self.status.value += f'<br><span style="color:#b3261e">{words}</span>'
+        ended = time.monotonic()
+        self._next_draw_s = max(began + MIN_INTERVAL_S, ended + 2 * (ended - began))  # a third of the time at most
+
+    def _graphs(self) -> Picture:
+        each = self._width // max(len(self._series), 1)
+        return small_curves(self._series, n_x=self._n_steps, width=each)
+
+    def _build(self) -> None:
+        import ipywidgets as w
+
+        player = self.player
+        actions = {"Start": player.start, "Pause": player.pause, "Step": player.step, "Stop": player.stop}
+        icons = {"Start": "play", "Pause": "pause", "Step": "step-forward", "Stop": "stop"}
+        self.buttons = {
+            name: w.Button(description=name, icon=icons[name], layout=w.Layout(width="88px")) for name in actions
+        }
+        for name, button in self.buttons.items():
+            button.add_class(f"gsnb-watch-{name.lower()}")
+            button.on_click(lambda _, act=actions[name]: act())
+        self.status = w.HTML()
+        self.status.add_class("gsnb-watch-status")
+        wide = w.Layout(width=f"{self._width}px", max_width="100%")
+        self.image, self.graphs = w.Image(format="jpeg", layout=wide), w.Image(format="png", layout=wide)
+        self.image.add_class("gsnb-watch-image")
+        self.widget = w.VBox([w.HBox(list(self.buttons.values())), self.status, self.image, self.graphs])
+        self.widget.add_class("gsnb-watch")

@@ -1,0 +1,1 @@
+"""Meshes in a notebook: turned with the mouse, or as a picture."""

@@ -1,0 +1,128 @@
+// The widget: the mesh comes once, pictures follow the hand, coarse while it moves and smooth when it rests.
+import { viewOf } from "../../static/projection.js";
+import { OrbitCamera } from "../../static/camera.js";
+import { listenTo } from "../../static/mouse.js";
+import { MeshPainter } from "./raster.js";
+
+const STILL_MS = 160; // without a movement for so long, the picture is refined
+const GOAL_MS = 30; // for one picture while moving
+const FINE = 2; // pixels of the still picture for one of the canvas, along each axis
+
+class MeshView {
+  constructor(model, el) {
+    this.model = model;
+    for (const name of ["width", "height", "intrinsics"]) this[name] = model.get(name);
+    this.focal = this.intrinsics[0] / this.width;
+    this.quality = 1;
+    el.innerHTML = MESH_HTML;
+    this.scene = el.querySelector(".gsnb-mesh-scene");
+    this.canvas = el.querySelector("canvas");
+    this.words = el.querySelector(".gsnb-mesh-words");
+    Object.assign(this.canvas, { width: this.width, height: this.height });
+    this.scene.style.width = `${this.width}px`;
+    this.scene.style.aspectRatio = `${this.width} / ${this.height}`;
+    this.place(model.get("pose"));
+    this.listeners = [
+      ["msg:custom", (message, buffers) => this.receive(message, buffers)],
+      ["change:pose", () => this.follow()],
+      ["change:shading", () => this.request()],
+    ];
+    for (const [event, act] of this.listeners) model.on(event, act);
+    listenTo(this.scene, this);
+    model.send({ kind: "ready" });
+  }
+
+  close() {
+    for (const [event, act] of this.listeners) this.model.off(event, act);
+    clearTimeout(this.still);
+  }
+
+  receive(message, buffers) {
+    if (message.kind !== "mesh") return;
+    const [xyz, faces, rgb] = buffers.map((b) => b.buffer.slice(b.byteOffset, b.byteOffset + b.byteLength));
+    this.painter = new MeshPainter(new Float32Array(xyz), new Int32Array(faces), new Uint8Array(rgb));
+    this.words.textContent = "";
+    this.request();
+  }
+
+  request() {
+    if (!this.painter || this.waiting) return;
+    this.waiting = requestAnimationFrame(() => {
+      this.waiting = null;
+      this.paint();
+    });
+  }
+
+  paint() {
+    const began = performance.now();
+    const scale = this.moving ? this.quality : FINE;
+    const view = viewOf(this.camera.pose(), this.intrinsics, this.width, this.height, scale);
+    const shape = this.model.get("shading") === "shape";
+    const { pixels, width, height } = this.painter.draw(view, shape, this.model.get("background"));
+    const paper = Object.assign((this.paper ??= document.createElement("canvas")), { width, height });
+    paper.getContext("2d").putImageData(new ImageData(pixels, width, height), 0, 0);
+    this.canvas.getContext("2d").drawImage(paper, 0, 0, this.width, this.height);
+    const ms = performance.now() - began;
+    if (!this.moving) this.report(ms);
+    else if (ms > GOAL_MS) this.quality = Math.max(0.25, this.quality * 0.85);
+    else if (ms < 0.6 * GOAL_MS) this.quality = Math.min(1, this.quality * 1.08);
+  }
+
+  /** What a test or a curious reader wants to know of the last movement. */
+  report(ms) {
+    this.pictures = (this.pictures ?? 0) + 1;
+    this.save({ stats: { ms, quality: this.quality, pictures: this.pictures } });
+  }
+
+  save(values) {
+    this.model.set(values);
+    this.model.save_changes();
+  }
+
+  moved() {
+    this.moving = true;
+    clearTimeout(this.still);
+    this.still = setTimeout(() => {
+      this.moving = false;
+      this.save({ pose: this.camera.pose() });
+      this.request();
+    }, STILL_MS);
+    this.request();
+  }
+
+  /** Python, or another view of the same widget, has moved the camera. */
+  follow() {
+    const here = this.camera.pose();
+    if (this.model.get("pose").every((v, k) => Math.abs(v - here[k]) < 1e-6)) return;
+    this.camera.place(this.model.get("pose"));
+    this.request();
+  }
+
+  place(pose) {
+    this.camera = new OrbitCamera(pose, this.model.get("pivot_m"), this.model.get("up_W"));
+  }
+
+  reset() {
+    this.place(this.model.get("home"));
+    this.moved();
+  }
+
+  pick(x, y) {
+    this.pointed = [x, y];
+  }
+
+  /** Set by a double click, after the pick: from now on the camera turns around the place under the pointer. */
+  set aiming(_) {
+    if (!this.painter) return;
+    const [x, y] = this.pointed;
+    const depth = this.painter.depthAt(x * this.paper.width, y * this.paper.height, this.paper.width);
+    if (depth) this.camera.aim(x * this.width, y * this.height, depth, this.intrinsics);
+  }
+}
+
+export default {
+  render({ model, el }) {
+    const view = new MeshView(model, el);
+    return () => view.close();
+  },
+};

@@ -1,0 +1,113 @@
+"""A mesh in a notebook cell, turned with the mouse; the browser draws it without a graphics card or any download."""
+
+import base64
+from typing import Any, Literal
+
+import anywidget
+import numpy as np
+import torch
+import traitlets as t
+from jaxtyping import Float
+from torch import Tensor
+
+from ...checks import check_pose
+from ...drawing.pictures import Picture, encode_jpeg
+from ...types import Camera, Mesh
+from ..display import static_views
+from ..front_end import mesh_front_end, source
+from .decimation import reduced
+from .painter import BACKGROUND, draw_mesh
+
+_STORED_TRIANGLES = 40_000
+"""Painted for the picture that a stored notebook keeps; takes about half a second."""
+
+
+def _synced(trait: t.TraitType) -> Any:
+    return trait.tag(sync=True)
+
+
+class MeshViewer(anywidget.AnyWidget):
+    """Look at a mesh from everywhere; the last line of a cell shows it. Faces seen from behind are hidden.
+
+    Drag to orbit, shift-drag to pan, ctrl-drag to look around, wheel (after a click) to zoom, double-click to turn
+    around a place, R to go back. ``viewer.T_WC`` is where the camera is. The mesh travels as one binary message and is
+    not part of the widget's state, so a saved notebook holds a picture and not the mesh.
+
+    Args:
+        mesh: With at least one triangle; some 100,000 are drawn at 30 pictures a second.
+        camera: Intrinsics to look with, and the size of the canvas.
+        T_WC: Where to start.
+        pivot_m: How far ahead the mouse's centre of rotation lies, metres.
+        up_W: What is up. [3]
+        shading: "colour" shows the vertex colours, "shape" a grey surface under a lamp; may be changed later.
+    """
+
+    _esm = mesh_front_end()
+    _css = source("meshes/viewer.css")
+
+    width = _synced(t.Int())
+    height = _synced(t.Int())
+    intrinsics = _synced(t.List(t.Float()))
+    home = _synced(t.List(t.Float()))
+    pose = _synced(t.List(t.Float()))
+    pivot_m = _synced(t.Float())
+    up_W = _synced(t.List(t.Float()))
+    background = _synced(t.List(t.Int(), list(BACKGROUND)))
+    shading = _synced(t.Enum(("colour", "shape"), "colour"))
+    stats = _synced(t.Dict())
+
+    def __init__(
+        self,
+        mesh: Mesh,
+        camera: Camera,
+        T_WC: Float[Tensor, "4 4"],
+        *,
+        pivot_m: float | int,
+        up_W: Float[Tensor, "3"],
+        shading: Literal["colour", "shape"] = "colour",
+    ):
+        check_pose("T_WC", T_WC)
+        self.mesh, self.camera = mesh, camera
+        start = T_WC.detach().cpu().float().flatten().tolist()
+        super().__init__(
+            width=camera.width, height=camera.height, intrinsics=[camera.fx, camera.fy, camera.cx, camera.cy],
+            home=start, pose=start, pivot_m=float(pivot_m), up_W=(up_W / up_W.norm()).tolist(), shading=shading,
+        )  # fmt: skip
+        self.on_msg(self._heard)
+
+    @property
+    def T_WC(self) -> Float[Tensor, "4 4"]:
+        """Where the camera is now; assign a pose to move it."""
+        return torch.tensor(self.pose).view(4, 4)
+
+    @T_WC.setter
+    def T_WC(self, T_WC: Float[Tensor, "4 4"]) -> None:
+        check_pose("T_WC", T_WC)
+        self.pose = T_WC.flatten().tolist()
+
+    def picture(self) -> Picture:
+        """What the viewer shows, painted in Python."""
+        small = reduced(self.mesh, _STORED_TRIANGLES)
+        return draw_mesh(small, self.camera, self.T_WC, shading=self.shading)
+
+    def __repr__(self) -> str:
+        return f"MeshViewer({len(self.mesh.faces):,} triangles, {self.width}x{self.height})"
+
+    def _repr_mimebundle_(self, **kwargs: Any) -> Any:
+        stored = {
+            "image/jpeg": base64.b64encode(encode_jpeg(self.picture())).decode("ascii"),
+            "text/plain": repr(self),
+        }
+        if static_views():
+            return stored
+        live: Any = super()._repr_mimebundle_(**kwargs)
+        data, metadata = live if isinstance(live, tuple) else (live or {}, {})
+        return {**data, **stored}, metadata
+
+    def _heard(self, _widget: Any, content: Any, _buffers: Any) -> None:
+        """A view has opened."""
+        if content.get("kind") != "ready":
+            return
+        rgb = (self.mesh.rgb.cpu().numpy().clip(0, 1) * 255 + 0.5).astype(np.uint8)
+        arrays = [self.mesh.vertices_W.cpu().numpy(), self.mesh.faces.int().cpu().numpy(), rgb]
+        self.send({"kind": "mesh"}, [np.ascontiguousarray(a).tobytes() for a in arrays])

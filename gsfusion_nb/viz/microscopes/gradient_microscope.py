@@ -1,0 +1,192 @@
+"""Click a pixel and see what it asks of the Gaussians; click a Gaussian and see what all pixels ask of it."""
+
+import threading
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ...checks import check_name
+from ...drawing.pictures import Picture, encode_jpeg, encode_png, to_uint8
+from ...drawing.side_by_side import side_by_side
+from ...optim import dssim_vjp, l1_vjp
+from ...render import composite, composite_vjp, tile_intersections
+from ...types import Camera, GaussianParams
+from ..display import with_picture
+from ..panels.click_image import ClickImage
+from .gradient_picture import gaussian_gradient_picture, pixel_gradient_picture
+from .pixel_gradient import GaussianGradient, PixelGradient, gaussian_gradient, pixel_gradient, pixel_gradient_table
+from .pixel_stack import project_splats
+from .stack_picture import enlarged, with_cross
+
+PICKS = ("pixel", "Gaussian")
+"""What a click can choose."""
+PICTURE_PX = 222
+"""Height of the pictures, pixels."""
+LABELS = ("rendered", "target", "where they should go")
+
+
+class GradientMicroscope:
+    """The gradient of L1 (and D-SSIM) on one image, taken apart.
+
+    Click the rendered picture. With "pixel", every Gaussian of the pixel's stack shows its dL/dalpha and an arrow
+    against dL/d(u, v). With "Gaussian", the one with the largest weight there shows the pixels' pushes and their sum,
+    which is the renderer's gradient. From Python: ``look_at(u, v)`` and ``pick``.
+
+    Args:
+        params, camera, T_WC: The map and where it is seen from.
+        target: The photograph. [H, W, 3]
+        ssim_weight: L = (1 - s) L1 + s D-SSIM.
+        pixel: Where to look first; the middle by default. (column, row)
+    """
+
+    def __init__(
+        self,
+        params: GaussianParams,
+        camera: Camera,
+        T_WC: Float[Tensor, "4 4"],
+        target: Float[Tensor, "H W 3"],
+        *,
+        ssim_weight: float | int = 0.0,
+        pixel: tuple[int, int] | None = None,
+    ):
+        self.target, self._ssim_weight = target, float(ssim_weight)
+        self._lock = threading.RLock()  # callbacks may come from another thread than the cells
+        self._pick = PICKS[0]
+        self._u, self._v = pixel or (camera.width // 2, camera.height // 2)
+        self._read(params, camera, T_WC)
+        self._of_pixel: PixelGradient = pixel_gradient(self.splats, self.v_rgb, self._u, self._v)
+        self._build()
+        self._redraw()
+
+    @property
+    def pick(self) -> str:
+        """What a click chooses, "pixel" or "Gaussian"."""
+        return self._pick
+
+    @pick.setter
+    def pick(self, pick: str) -> None:
+        check_name("pick", pick, PICKS)
+        with self._lock:
+            self._pick = pick
+            self.choice.value = pick
+            self._redraw()
+
+    @property
+    def row(self) -> int | None:
+        """The Gaussian with the largest weight at the chosen pixel, ``None`` where nothing is."""
+        stack = self.of_pixel.stack
+        return int(stack.row[stack.weight.argmax()]) if len(stack) else None
+
+    @property
+    def of_pixel(self) -> PixelGradient:
+        """What the chosen pixel gives."""
+        return self._of_pixel
+
+    @property
+    def of_gaussian(self) -> GaussianGradient | None:
+        """What the chosen Gaussian receives."""
+        return None if self.row is None else gaussian_gradient(self.splats, self.v_rgb, self.row)
+
+    def look_at(self, u: int, v: int) -> "GradientMicroscope":
+        """Choose the pixel in column ``u`` and row ``v``."""
+        with self._lock:
+            self._choose(u, v)
+            self.clicks.pixel = (u, v)
+        return self
+
+    def lens(self) -> Picture:
+        """The picture with the arrows."""
+        field = self.of_gaussian if self._pick == "Gaussian" else None
+        if field is not None:
+            return gaussian_gradient_picture(self.image, self.splats, field, size=PICTURE_PX)
+        return pixel_gradient_picture(self.image, self.splats, self.of_pixel, size=PICTURE_PX)
+
+    def table(self) -> str:
+        """The numbers, in units of 1 / (number of values in the image), as HTML."""
+        if self._pick == "Gaussian" and self.row is not None:
+            return self._gaussian_table(self.row)
+        return pixel_gradient_table(self.of_pixel, unit=1 / self.target.numel())
+
+    def picture(self) -> Picture:
+        """The three pictures in a row, as a stored notebook shows them."""
+        pair = [with_cross(self.image, self._u, self._v, PICTURE_PX), enlarged(self.target, PICTURE_PX)]
+        return side_by_side([*pair, self.lens()], LABELS)
+
+    def _repr_mimebundle_(self, **kwargs: Any) -> dict[str, Any]:
+        words = f"GradientMicroscope(pixel ({self._u}, {self._v}), a click picks a {self._pick})"
+        return with_picture(self.widget._repr_mimebundle_(**kwargs), self.picture(), words)
+
+    def _read(self, params: GaussianParams, camera: Camera, T_WC: Tensor) -> None:
+        """Render once, and once back to the screen-space Gaussians."""
+        with torch.no_grad():
+            self.splats = project_splats(params, camera, T_WC)
+            p = self.splats.projection
+            tiles = tile_intersections(p, camera)
+            out = composite(p.uv, p.conic, p.opacity, self.splats.rgb, p.depth_m, tiles, camera, with_indices=False)
+            s = self._ssim_weight
+            self.v_rgb = l1_vjp(out.rgb, self.target, 1.0 - s)
+            if s > 0:
+                self.v_rgb = self.v_rgb + dssim_vjp(out.rgb, self.target, s)[1]
+            self.image = to_uint8(out.rgb)
+            self.total = composite_vjp(out.saved, self.v_rgb)
+
+    def _gaussian_table(self, row: int) -> str:
+        unit, g = 1 / self.target.numel(), self.total
+        numbers = {
+            "dL/du": g.uv[row, 0], "dL/dv": g.uv[row, 1], "dL/do": g.opacity[row],
+            "dL/dr": g.rgb[row, 0], "dL/dg": g.rgb[row, 1], "dL/db": g.rgb[row, 2],
+        }  # fmt: skip
+        cell = '<td style="text-align:right;padding:1px 8px;line-height:1.35">{}</td>'
+        heads = "".join(cell.format(f"<b>{name}</b>") for name in numbers)
+        values = "".join(cell.format(f"{float(x) / unit:+.2f}") for x in numbers.values())
+        return (
+            f'<table style="font-size:12px"><tr>{cell.format(f"Gaussian <b>{row}</b>")}{heads}</tr>'
+            f"<tr>{cell.format('sum over all pixels')}{values}</tr></table>"
+        )
+
+    def _build(self) -> None:
+        import ipywidgets as w
+
+        camera = self.splats.camera
+        wide = round(camera.width * PICTURE_PX / camera.height)
+        self.clicks = ClickImage(camera.width, camera.height, width=wide, format="png", alt="the rendered map; click")
+        self.clicks.add_class("gsnb-gradient-image")
+        self.clicks.pixel = (self._u, self._v)
+        self.clicks.observe(self._clicked, "pixel")
+        photo = w.Image(format="jpeg", value=encode_jpeg(self.target), layout=w.Layout(width=f"{wide}px"))
+        self.arrows = w.Image(format="png", layout=w.Layout(width=f"{PICTURE_PX}px", height=f"{PICTURE_PX}px"))
+        self.arrows.add_class("gsnb-gradient-arrows")
+        self.choice = w.ToggleButtons(options=list(PICKS), description="a click picks", style={"button_width": "90px"})
+        self.choice.observe(self._chosen, "value")
+        self.numbers = w.HTML()
+        self.numbers.add_class("gsnb-gradient-table")
+        panels = [
+            w.VBox([w.HTML(label), image])
+            for label, image in zip(LABELS, (self.clicks, photo, self.arrows), strict=True)
+        ]
+        row = w.Layout(flex_flow="row wrap", grid_gap="8px")
+        self.widget = w.VBox([self.choice, w.HBox(panels, layout=row), self.numbers])
+        self.widget.add_class("gsnb-gradient")
+
+    def _clicked(self, _change: Any) -> None:
+        with self._lock:
+            u, v = self.clicks.pixel  # the newest, which may be newer than the change
+            if (u, v) != (self._u, self._v):
+                self._choose(u, v)
+
+    def _choose(self, u: int, v: int) -> None:
+        self._of_pixel = pixel_gradient(self.splats, self.v_rgb, u, v)
+        self._u, self._v = u, v
+        self._redraw()
+
+    def _chosen(self, change: Any) -> None:
+        if change["new"] != self._pick:
+            self.pick = change["new"]
+
+    def _redraw(self) -> None:
+        self.clicks.show(with_cross(self.image, self._u, self._v, PICTURE_PX))
+        self.arrows.value = encode_png(self.lens(), 1)
+        unit = f"numbers are multiples of 1/{self.target.numel():,}: one pixel's push is ±1 per channel"
+        self.numbers.value = f"pixel ({self._u}, {self._v}); {unit}<br>{self.table()}"

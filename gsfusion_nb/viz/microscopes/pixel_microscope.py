@@ -1,0 +1,121 @@
+"""Click a pixel of a rendered Gaussian map and see the Gaussians that made it."""
+
+import threading
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from torch import Tensor
+
+from ...drawing.pictures import Picture, encode_png, to_uint8
+from ...render import render
+from ...types import Camera, GaussianParams
+from ..display import with_picture
+from ..panels.click_image import ClickImage
+from .pixel_stack import PixelStack, pixel_stack, project_splats, stack_table
+from .stack_picture import lens_picture, stack_picture, with_cross
+
+PICTURE_PX = 300
+"""Height of the pictures, pixels."""
+OUTLINED = 12
+"""Ellipses in the lens."""
+
+
+class PixelMicroscope:
+    """A picture to click, the neighbourhood under a lens, and the pixel's stack as a graph and as a table.
+
+    Click or drag on the picture, or use the arrow keys. From Python: ``look_at(u, v)``. ``stack`` is what is shown.
+
+    Args:
+        params: The map.
+        camera, T_WC: Where it is seen from.
+        pixel: Where to look first; the middle by default. (column, row)
+    """
+
+    def __init__(
+        self,
+        params: GaussianParams,
+        camera: Camera,
+        T_WC: Float[Tensor, "4 4"],
+        *,
+        pixel: tuple[int, int] | None = None,
+    ):
+        self.splats = project_splats(params, camera, T_WC)
+        self.image = to_uint8(render(params, camera, T_WC).rgb)
+        self._lock = threading.RLock()  # callbacks may come from another thread than the cells
+        u, v = pixel or (camera.width // 2, camera.height // 2)
+        self.stack: PixelStack = pixel_stack(self.splats, u, v)
+        self._build(u, v)
+        self._redraw()
+
+    def look_at(self, u: int, v: int) -> PixelStack:
+        """Choose the pixel in column ``u`` and row ``v``; its stack."""
+        with self._lock:
+            self._choose(u, v)
+            self.clicks.pixel = (u, v)
+        return self.stack
+
+    def pictures(self) -> tuple[Picture, Picture]:
+        """The lens and the graph of the chosen pixel."""
+        s = self.stack
+        heaviest = s.row[s.weight.argsort(descending=True)[:OUTLINED]]
+        lens = lens_picture(self.image, self.splats, (s.u, s.v), heaviest, size=PICTURE_PX)
+        return lens, stack_picture(s, width=560, height=240)
+
+    def picture(self) -> Picture:
+        """Everything but the table in one picture, as a stored notebook shows it."""
+        import cv2
+
+        lens, graph = self.pictures()
+        image = with_cross(self.image, self.stack.u, self.stack.v, PICTURE_PX)
+        top = np.concatenate([image, np.full((PICTURE_PX, 8, 3), 255, np.uint8), lens], 1)
+        graph = cv2.resize(
+            graph, (top.shape[1], round(graph.shape[0] * top.shape[1] / graph.shape[1])), interpolation=cv2.INTER_AREA
+        )
+        return np.concatenate([top, np.full((8, top.shape[1], 3), 255, np.uint8), graph])
+
+    def _repr_mimebundle_(self, **kwargs: Any) -> dict[str, Any]:
+        return with_picture(self.widget._repr_mimebundle_(**kwargs), self.picture(), repr(self.stack))
+
+    def _build(self, u: int, v: int) -> None:
+        import ipywidgets as w
+
+        camera = self.splats.camera
+        wide = round(camera.width * PICTURE_PX / camera.height)
+        self.clicks = ClickImage(camera.width, camera.height, width=wide, alt="the rendered map; click a pixel")
+        self.clicks.add_class("gsnb-microscope-image")
+        self.clicks.pixel = (u, v)
+        self.clicks.observe(self._clicked, "pixel")
+        self.lens = w.Image(format="png", layout=w.Layout(width=f"{PICTURE_PX}px", height=f"{PICTURE_PX}px"))
+        self.lens.add_class("gsnb-microscope-lens")
+        self.graph = w.Image(format="png", layout=w.Layout(width="560px", height="240px"))
+        self.graph.add_class("gsnb-microscope-graph")
+        self.caption, self.table = w.HTML(), w.HTML()
+        self.table.add_class("gsnb-microscope-table")
+        row = w.Layout(flex_flow="row wrap", grid_gap="8px", align_items="flex-start")
+        self.widget = w.VBox([
+            w.HBox([self.clicks, self.lens], layout=row), self.caption, self.graph, self.table,
+        ])  # fmt: skip
+        self.widget.add_class("gsnb-microscope")
+
+    def _clicked(self, _change: Any) -> None:
+        with self._lock:
+            u, v = self.clicks.pixel  # the newest, which may be newer than the change
+            if (u, v) != (self.stack.u, self.stack.v):
+                self._choose(u, v)
+
+    def _choose(self, u: int, v: int) -> None:
+        self.stack = pixel_stack(self.splats, u, v)
+        self._redraw()
+
+    def _redraw(self) -> None:
+        s = self.stack
+        self.clicks.show(with_cross(self.image, s.u, s.v, PICTURE_PX))
+        lens, graph = self.pictures()
+        self.lens.value, self.graph.value = encode_png(lens, 1), encode_png(graph, 1)
+        self.table.value = stack_table(s)
+        rendered = " ".join(f"{x / 255:.3f}" for x in self.image[s.v, s.u])
+        summed = " ".join(f"{float(x):.3f}" for x in s.colour)
+        self.caption.value = (
+            f"pixel ({s.u}, {s.v}): <b>{len(s)} Gaussians</b>, sum of w c = {summed}; rendered (8 bit) {rendered}"
+        )

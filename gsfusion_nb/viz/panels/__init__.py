@@ -1,0 +1,1 @@
+"""Sliders beside a picture, one panel per step of the method."""

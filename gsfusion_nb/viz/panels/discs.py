@@ -1,0 +1,263 @@
+"""Discs to play with: disc depth against blended depth on a small stage, and the masks of Eq. 6 over a picture."""
+
+import dataclasses
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ...config import DiscConfig
+from ...drawing.pictures import Picture, colour_depth, error_map, to_uint8
+from ...drawing.side_by_side import side_by_side
+from ...gaussians.surfels import OPAQUE
+from ...geometry import quaternion
+from ...geometry.spherical_harmonics import rgb_to_sh_dc
+from ...render import SurfaceView, view_surface
+from ...types import Camera, Frame, GaussianParams
+from ..microscopes.stack_picture import INK, write
+from ..splats.surfel_pictures import CAUSES
+from .panel import Drawn, Number, Panel, Slider
+
+STAGE_CAMERA = Camera(width=96, height=60, fx=80.0, fy=80.0, cx=48.0, cy=30.0)
+NEAR_M = 1.2
+"""The stage: a board whose right edge is at x = 0, this far away, in front of another one."""
+MID_AIR_M = 0.03
+_HALF_M, _ROWS_M, _BAR_M = 0.7, 0.8, 0.2
+_DISC_INK, _BLENDED_INK, _TRUE_INK = (61, 133, 198), (224, 138, 46), (150, 156, 166)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Stage:
+    """Two boards covered with discs, seen from the origin, and what a camera sees of them."""
+
+    params: GaussianParams
+    truth_m: Float[Tensor, "H W"]
+    """z-depth of the boards."""
+    planes_m: tuple[Float[Tensor, "H W"], ...]
+    """z-depth of the planes that the boards lie in."""
+    disc_m: Float[Tensor, "H W"]
+    """Of the discs hit (Eq. 4-5); 0 where none is."""
+    blended_m: Float[Tensor, "H W"]
+    """sum of w_k z_k / alpha."""
+    rgb: Float[Tensor, "H W 3"]
+
+    def errors_m(self, name: str) -> Float[Tensor, " M"]:
+        """|depth - truth| on the board where there is a depth; ``name`` is "disc_m" or "blended_m"."""
+        depth = getattr(self, name)
+        return (depth - self.truth_m)[(depth > 0) & (self.truth_m == self.planes_m[0])].abs()
+
+    def in_mid_air(self, name: str) -> float:
+        """Share of the depths that are more than 3 cm from every surface."""
+        depth = getattr(self, name)
+        away = torch.stack([(depth - plane).abs() for plane in self.planes_m]).amin(0)
+        return float((away[depth > 0] > MID_AIR_M).float().mean())
+
+
+def disc_stage(
+    *, lean_deg: float | int = 30, gap_m: float | int = 0.6, spacing_m: float | int = 0.1, opaque_alpha: float = 0.3
+) -> Stage:
+    """A leaning board in front of a wall, both covered with discs of standard deviation spacing / 1.5.
+
+    Args:
+        lean_deg: How far the front board turns away about the vertical.
+        gap_m: How far behind it the wall stands; 0: only the board.
+        spacing_m: Distance of the discs.
+        opaque_alpha: A disc is hit from here on.
+    """
+    camera, T_WC = STAGE_CAMERA, torch.eye(4)
+    lean = np.radians(float(lean_deg))
+    front = _board(lean, NEAR_M, (-_HALF_M, 0.0 if gap_m > 0 else _HALF_M), float(spacing_m), (0.93, 0.62, 0.36))
+    parts = [front]
+    if gap_m > 0:
+        parts.append(_board(0.0, NEAR_M + gap_m, (-1.4, 1.4), float(spacing_m) * 1.3, (0.36, 0.55, 0.75)))
+    params = GaussianParams(**{k: torch.cat([vars(p)[k] for p in parts]) for k in vars(front)})
+    config = DiscConfig(opaque_alpha=opaque_alpha, min_cosine=0.17, max_offset=3.0)
+    seen = view_surface(params, camera, T_WC, config)
+    blended = view_surface(params, camera, T_WC, dataclasses.replace(config, depth="blended"))
+    return Stage(
+        params=params,
+        truth_m=_truth(camera, lean, float(gap_m)),
+        planes_m=_planes(camera, lean, float(gap_m)),
+        disc_m=seen.depth_m,
+        blended_m=blended.depth_m,
+        rgb=seen.rgb,
+    )
+
+
+def disc_panel() -> Panel:
+    """Sliders over ``disc_stage``: picture, both depths, and the middle row of pixels from above."""
+
+    def draw(*, lean_deg: Number, gap_m: Number, spacing_m: Number, opaque_alpha: float) -> Drawn:
+        stage = disc_stage(lean_deg=lean_deg, gap_m=gap_m, spacing_m=spacing_m, opaque_alpha=opaque_alpha)
+        return stage_picture(stage), _stage_words(stage)
+
+    controls = {
+        "lean_deg": Slider(value=30, low=0, high=75, step=1, label="board leans, °"),
+        "gap_m": Slider(value=0.6, low=0.0, high=1.2, step=0.05, label="wall behind, m"),
+        "spacing_m": Slider(value=0.1, low=0.05, high=0.3, step=0.01, label="disc spacing, m"),
+        "opaque_alpha": Slider(value=0.3, low=0.1, high=0.95, step=0.05, label="hit from δ_α"),
+    }
+    return Panel(draw, controls, name="disc", text="disc depth against blended depth")
+
+
+def stage_picture(stage: Stage) -> Picture:
+    """Render, disc depth and blended depth in a row; below, the middle row of pixels as points seen from above."""
+    far = _far_m(stage) + 0.1
+    images = [to_uint8(stage.rgb), *(colour_depth(d, 0.5, far) for d in (stage.disc_m, stage.blended_m))]
+    images = [i.repeat(3, 0).repeat(3, 1) for i in images]
+    top = side_by_side(images, ["render", "disc depth (Eq. 5)", f"blended; blue 0.5 m, red {far:.1f} m"])
+    plan = plan_picture(stage, top.shape[1])
+    return np.concatenate([top, plan])
+
+
+def plan_picture(stage: Stage, width: int, height: int = 300) -> Picture:
+    """From above, the camera at the bottom: discs near the middle row, rays' depths as points."""
+    import cv2
+
+    image = np.full((height, width, 3), 255, np.uint8)
+    far = _far_m(stage)
+    low = max(0.0, float(stage.truth_m[stage.truth_m > 0].min()) - 0.25)
+    scale = min((height - 60) / (far + 0.05 - low), 0.95 * width / (1.2 * far))
+
+    def at(x: float, z: float) -> tuple[int, int]:
+        return round(16 * (width / 2 + x * scale)), round(16 * (height - 12 - (z - low) * scale))
+
+    row, camera = STAGE_CAMERA.height // 2, STAGE_CAMERA
+    x_over_z = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
+    R, scales = quaternion.to_matrix(stage.params.quat), stage.params.log_scale.exp()
+    for i in (stage.params.xyz_W[:, 1].abs() < 0.6 * float(scales.max())).nonzero().flatten().tolist():
+        c, side = stage.params.xyz_W[i], R[i, :, 0] * scales[i, 0]
+        cv2.line(image, at(*(c - side)[[0, 2]].tolist()), at(*(c + side)[[0, 2]].tolist()), (205, 212, 222), 5, 16, 4)
+    for depth, ink, radius in (
+        (stage.truth_m, _TRUE_INK, 1),
+        (stage.blended_m, _BLENDED_INK, 3),
+        (stage.disc_m, _DISC_INK, 3),
+    ):
+        for x, z in zip(x_over_z, depth[row].tolist(), strict=True):
+            if 0 < z <= far + 0.05:
+                cv2.circle(image, at(x * z, z), radius * 16, ink, -1, 16, 4)
+    image[:30] = 255
+    write(image, "from above, middle row of pixels: ", 10, 18, 1, 0.45)
+    for words, x, ink in (
+        ("disc depth", 262, _DISC_INK),
+        ("blended depth", 352, _BLENDED_INK),
+        ("truth", 466, _TRUE_INK),
+    ):
+        write(image, words, x, 18, 1, 0.45, ink)
+    write(image, "camera below", width - 110, height - 6, 1, 0.4, INK)
+    end = 10 + round(_BAR_M * scale)
+    cv2.line(image, (10, height - 10), (end, height - 10), INK, 2)
+    write(image, f"{_BAR_M} m", end + 6, height - 6, 1, 0.4, INK)
+    return image
+
+
+def _far_m(stage: Stage) -> float:
+    """Where the stage ends: a leaning plane meets some rays far behind its last disc, or not at all."""
+    return min(float(stage.truth_m.max()), float(stage.params.xyz_W[:, 2].max()))
+
+
+def _stage_words(stage: Stage) -> str:
+    rows = ""
+    for name, label in (("disc_m", "disc"), ("blended_m", "blended")):
+        error = stage.errors_m(name)
+        median = f"{float(error.median()) * 100:.2f} cm" if len(error) else "-"
+        covered = float((getattr(stage, name) > 0).float().mean())
+        rows += f"<tr><td>{label}</td><td>{median}</td><td>{stage.in_mid_air(name):.1%}</td><td>{covered:.0%}</td></tr>"
+    words = ("depth", "error on board", "in mid-air", "covered")
+    heads = "".join(f'<th style="white-space:nowrap; padding-right:10px">{word}</th>' for word in words)
+    return f"<table><tr>{heads}</tr>{rows}</table>"
+
+
+def _board(
+    lean: float, z_m: float, x_m: tuple[float, float], spacing_m: float, rgb: tuple[float, ...]
+) -> GaussianParams:
+    """Discs on a plane through (0, 0, z) that is turned by ``lean`` about the vertical; it goes away to the left."""
+    u = torch.arange(x_m[0] + spacing_m / 2, x_m[1], spacing_m)
+    v = torch.arange(-_ROWS_M, _ROWS_M + spacing_m / 2, spacing_m)
+    u, v = (a.flatten() for a in torch.meshgrid(u, v, indexing="ij"))
+    along = torch.tensor([np.cos(lean), 0.0, -np.sin(lean)], dtype=torch.float32)
+    normal = torch.tensor([-np.sin(lean), 0.0, -np.cos(lean)], dtype=torch.float32)
+    xyz = u[:, None] * along + v[:, None] * torch.tensor([0.0, 1.0, 0.0]) + torch.tensor([0.0, 0.0, z_m])
+    n = len(u)
+    checks = 0.82 + 0.18 * ((u / spacing_m).round() + (v / spacing_m).round()).remainder(2)
+    colour = checks[:, None] * torch.tensor(rgb)
+    up = torch.tensor([0.0, 0.0, 1.0]).expand(n, 3)
+    sigma = spacing_m / 1.5
+    return GaussianParams(
+        xyz_W=xyz, log_scale=torch.tensor([sigma, sigma, 0.1 * sigma]).log().expand(n, 3).clone(),
+        quat=quaternion.shortest_arc(up, normal.expand(n, 3)),
+        opacity_logit=torch.full((n,), float(torch.logit(torch.tensor(OPAQUE)))), sh=rgb_to_sh_dc(colour)[:, None],
+    )  # fmt: skip
+
+
+def _planes(camera: Camera, lean: float, gap_m: float) -> tuple[Float[Tensor, "H W"], ...]:
+    """z-depth of the board's plane, x tan(lean) + z = z0, and of the wall's along the rays."""
+    x = ((torch.arange(camera.width) + 0.5 - camera.cx) / camera.fx).expand(camera.height, -1)
+    board = (NEAR_M / (1 + x * float(np.tan(lean)))).contiguous()
+    return (board, torch.full_like(board, NEAR_M + gap_m)) if gap_m > 0 else (board,)
+
+
+def _truth(camera: Camera, lean: float, gap_m: float) -> Float[Tensor, "H W"]:
+    """z-depth of the boards: the front one is between x = -0.7 cos(lean) and 0."""
+    planes = _planes(camera, lean, gap_m)
+    if len(planes) == 1:
+        return planes[0]
+    board, wall = planes
+    x_m = (torch.arange(camera.width) + 0.5 - camera.cx) / camera.fx * board
+    on_board = (board > 0) & (x_m <= 0) & (x_m >= -_HALF_M * float(np.cos(lean)))
+    return torch.where(on_board, torch.minimum(board, wall), wall)
+
+
+def adding_masks(
+    view: SurfaceView, frame: Frame, *, min_transmittance: float, depth_error_m: float, colour_error: float
+) -> dict[int, Tensor]:
+    """Pixels by the cause that asks for a Gaussian (Eq. 6), keys as in ``CAUSES``; no pixel is in two.
+
+    A pixel without a disc has no depth error, as in the library's default.
+    """
+    known = frame.depth_m > 0
+    new = known & (view.transmittance > min_transmittance)
+    depth = known & ~new & (view.depth_m > 0) & ((view.depth_m - frame.depth_m).abs() > depth_error_m)
+    colour = known & ~new & ~depth & ((view.rgb - frame.rgb).abs().mean(-1) > colour_error)
+    return {1: new, 2: depth, 3: colour}
+
+
+def adding_panel(view: SurfaceView, frame: Frame) -> Panel:
+    """Sliders for the thresholds of Eq. 6 over a frame that the map has not seen yet.
+
+    Args:
+        view: The map from the frame's pose.
+        frame: The new frame.
+    """
+
+    def draw(*, min_transmittance: float, depth_error_m: float, colour_error: float) -> Drawn:
+        masks = adding_masks(
+            view, frame, min_transmittance=min_transmittance, depth_error_m=depth_error_m, colour_error=colour_error
+        )
+        picture = np.repeat(0.25 * 255 + 0.5 * to_uint8(frame.rgb).mean(-1, keepdims=True), 3, axis=-1)
+        for cause, mask in masks.items():
+            picture[mask.numpy()] = 0.35 * picture[mask.numpy()] + 0.65 * np.array(CAUSES[cause][1])
+        rendered = to_uint8(view.rgb.clamp(0, 1))
+        pictures = [to_uint8(frame.rgb), rendered, error_map(rendered, to_uint8(frame.rgb)), picture.astype(np.uint8)]
+        k = max(1, round(300 / picture.shape[1]))
+        pictures = [p.repeat(k, 0).repeat(k, 1) for p in pictures]
+        top = side_by_side(pictures[:2], ["new frame", "map so far"])
+        low = side_by_side(pictures[2:], ["colour error", "green new, red depth, blue colour"])
+        return np.concatenate([top, low]), _mask_words(masks)
+
+    controls = {
+        "min_transmittance": Slider(value=0.5, low=0.05, high=0.95, step=0.05, label="δ_T"),
+        "depth_error_m": Slider(value=0.1, low=0.01, high=0.3, step=0.01, label="δ_d, m"),
+        "colour_error": Slider(value=0.1, low=0.01, high=0.3, step=0.01, label="δ_c"),
+    }
+    return Panel(draw, controls, name="adding", text="the masks of Eq. 6")
+
+
+def _mask_words(masks: dict[int, Tensor]) -> str:
+    rows = "".join(
+        f'<tr><td>{CAUSES[cause][0]}</td><td class="gsnb-adding-{cause}">{int(mask.sum()):,} pixels</td>'
+        f"<td>{float(mask.float().mean()):.1%}</td></tr>"
+        for cause, mask in masks.items()
+    )
+    return f"<table>{rows}</table>"

@@ -1,0 +1,233 @@
+"""ICP to look at: every step of one alignment, from how far away it still succeeds, and paths from above."""
+
+import dataclasses
+import itertools
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ...config import TrackingConfig
+from ...drawing.curves import PALETTE
+from ...drawing.pictures import Picture, to_uint8
+from ...drawing.side_by_side import side_by_side
+from ...drawing.small_curves import small_curves
+from ...geometry import depth_to_normals, depth_to_points, project, se3
+from ...tracking import IcpResult, Surface, associate, depth_pyramid, icp, point_to_plane
+from ...types import Frame
+from ..microscopes.stack_picture import enlarged, write
+from .panel import Drawn, Number, Panel, Slider, Switch
+from .tsdf_slice import distance_colours
+
+RESIDUAL_M = 0.03
+"""Point-to-plane distance at the end of the colour scale."""
+_REJECTED, _OUTSIDE = (70, 74, 82), (24, 24, 28)
+SUCCESS_M, SUCCESS_DEG = 0.02, 1.0
+"""An alignment that ends this near the truth has succeeded."""
+
+
+def frame_surface(frame: Frame, T_WC: Float[Tensor, "4 4"] | None = None) -> Surface:
+    """A depth frame as the surface that another is aligned to (frame to frame, without a model)."""
+    T = frame.T_WC if T_WC is None else T_WC.to(frame.depth_m)
+    normal_W = se3.rotate(T, depth_to_normals(frame.camera, frame.depth_m))
+    return Surface(depth_m=frame.depth_m, normal_W=normal_W, camera=frame.camera, T_WC=T, rgb=frame.rgb)
+
+
+def moved_start(T_WC: Float[Tensor, "4 4"], sideways_m: float | int, turn_deg: float | int) -> Float[Tensor, "4 4"]:
+    """A pose off by a step to the camera's right and a turn about its vertical axis, float64."""
+    T = T_WC.double()
+    angle = float(np.radians(turn_deg))
+    xi = torch.tensor([0.0, 0.0, 0.0, 0.0, angle, 0.0], dtype=torch.float64)
+    step = torch.eye(4, dtype=torch.float64)
+    step[0, 3] = float(sideways_m)
+    return T @ step @ se3.exp(xi)
+
+
+def pose_error(T_WC: Float[Tensor, "4 4"], T_true: Float[Tensor, "4 4"]) -> tuple[float, float]:
+    """Distance of the camera centres, metres, and angle between the axes, degrees."""
+    T, true = T_WC.double(), T_true.double()
+    angle = se3.rotation_angle(T[:3, :3].T @ true[:3, :3])
+    return float((T[:3, 3] - true[:3, 3]).norm()), float(angle.rad2deg())
+
+
+def single_level(config: TrackingConfig) -> TrackingConfig:
+    """The settings without coarse levels, with as many steps."""
+    return dataclasses.replace(config, pyramid=config.pyramid[-1:], iterations=(sum(config.iterations),))
+
+
+def residual_picture(frame: Frame, surface: Surface, T_WC: Float[Tensor, "4 4"], config: TrackingConfig) -> Picture:
+    """Point-to-plane residual of the finest level: red behind the surface, white on it, blue in front of it.
+
+    Grey pixels meet the surface but fail a gate, dark ones do not meet it.
+    """
+    level = depth_pyramid(frame.depth_m, frame.camera, config.pyramid[-1:])[0]
+    found = associate(
+        level, T_WC, surface,
+        max_distance_m=config.max_distance_m, min_cosine=float(np.cos(np.radians(config.max_angle_deg))),
+    )  # fmt: skip
+    r, _ = point_to_plane(found.xyz.flatten(0, 1), found.surface_xyz.flatten(0, 1), found.surface_normal.flatten(0, 1))
+    picture = distance_colours(r.view(found.inlier.shape) / RESIDUAL_M)
+    picture[~found.inlier.numpy()] = _REJECTED
+    picture[~found.overlap.numpy()] = _OUTSIDE
+    return picture
+
+
+def overlay_picture(frame: Frame, surface: Surface, T_WC: Float[Tensor, "4 4"]) -> Picture:
+    """The surface's colours and the frame's, put where the pose says, half and half: a wrong pose shows double."""
+    base = np.zeros((*surface.depth_m.shape, 3), np.uint8) if surface.rgb is None else to_uint8(surface.rgb.clamp(0, 1))
+    known = frame.depth_m > 0
+    xyz_W = se3.apply(T_WC.float(), depth_to_points(frame.camera, frame.depth_m)[known])
+    xyz_S = se3.apply(se3.inverse(surface.T_WC.float()), xyz_W)
+    rgb = to_uint8(frame.rgb)[known.numpy()]
+    order = xyz_S[:, 2].argsort(descending=True)  # the nearest is written last
+    xyz_S, rgb = xyz_S[order], rgb[order.numpy()]
+    uv = project(surface.camera, xyz_S)
+    H, W = base.shape[:2]
+    u, v = uv.floor().nan_to_num(-1).clamp(-1, 1e6).long().unbind(-1)
+    inside = (xyz_S[:, 2] > 0.05) & (u >= 0) & (u < W) & (v >= 0) & (v < H)
+    warped = base.copy()
+    warped[v[inside].numpy(), u[inside].numpy()] = rgb[inside.numpy()]
+    return ((base.astype(np.uint16) + warped) // 2).astype(np.uint8)
+
+
+def icp_picture(frame: Frame, surface: Surface, result: IcpResult, step: int, config: TrackingConfig) -> Picture:
+    """What ICP sees before its step number ``step``, and the curves of the whole alignment up to there."""
+    poses = [h.T_WC for h in result.history] + [result.T_WC]
+    T_WC = poses[min(step, len(poses) - 1)]
+    parts = [overlay_picture(frame, surface, T_WC), residual_picture(frame, surface, T_WC, config)]
+    parts = [enlarged(p, 270) for p in parts]
+    top = side_by_side(parts, ["surface and frame, half and half", "residual: red behind, blue in front, 3 cm"])
+    errors = [pose_error(T, frame.T_WC) for T in poses[: step + 1]]
+    rms = [h.rms_m for h in result.history] + [result.rms_m]
+    series = {
+        "rms residual, mm": [1000 * r for r in rms[: step + 1]],
+        "position off, cm": [100 * e[0] for e in errors],
+        "angle off, deg": [e[1] for e in errors],
+    }
+    curves = small_curves(series, n_x=sum(config.iterations) + 1, width=top.shape[1] // 3, scale=1)
+    strip = np.full((curves.shape[0], top.shape[1], 3), 255, np.uint8)
+    strip[:, : curves.shape[1]] = curves
+    return np.concatenate([top, strip])
+
+
+def icp_panel(frame: Frame, surface: Surface, config: TrackingConfig | None = None) -> Panel:
+    """Sliders for the start and for the step of an alignment whose true pose is ``frame.T_WC``.
+
+    Args:
+        frame: What is aligned.
+        surface: What it is aligned with.
+        config: Levels, gates.
+    """
+    settings = config or TrackingConfig()
+    kept: dict[tuple[Number, Number, bool], IcpResult] = {}
+
+    def draw(*, step: int, sideways_cm: Number, turn_deg: Number, pyramid: bool) -> Drawn:
+        used, key = settings if pyramid else single_level(settings), (sideways_cm, turn_deg, pyramid)
+        if key not in kept:
+            kept.clear()
+            start = moved_start(frame.T_WC, sideways_cm / 100, turn_deg)
+            kept[key] = icp(frame.depth_m, frame.camera, surface, start, used)
+        result = kept[key]
+        n = len(result.history)
+        off_m, off_deg = pose_error(result.T_WC, frame.T_WC)
+        well = off_m < SUCCESS_M and off_deg < SUCCESS_DEG
+        at = result.history[step] if step < n else None
+        words = (
+            f"before step {step + 1} of {n}, {at.factor} × {at.factor} px: {at.n_inliers:,} of {at.n_overlap:,} fit"
+            if at
+            else f"after all {n} steps: {result.n_inliers:,} of {result.n_overlap:,} fit"
+        )
+        verdict = f"<b>{'arrived' if well else 'lost'}</b>: ends {off_m * 100:.1f} cm and {off_deg:.2f}° off"
+        return icp_picture(frame, surface, result, min(step, n), used), f"{words}<br>{verdict}"
+
+    controls = {
+        "step": Slider(value=0, low=0, high=sum(settings.iterations), step=1, label="step"),
+        "sideways_cm": Slider(value=15, low=-60, high=60, step=1, label="start: right cm"),
+        "turn_deg": Slider(value=-5, low=-20, high=20, step=1, label="start: turn °"),
+        "pyramid": Switch(value=True, label="coarse to fine"),
+    }
+    return Panel(draw, controls, name="icp", text="ICP, step by step")
+
+
+def basin(
+    frame: Frame,
+    surface: Surface,
+    sideways_m: Sequence[float],
+    turns_deg: Sequence[float],
+    config: TrackingConfig | None = None,
+) -> Float[np.ndarray, "R C"]:
+    """Final distance from the true pose ``frame.T_WC``, metres; rows are turns, columns steps aside."""
+    config = config or TrackingConfig()
+    rows = []
+    for turn in turns_deg:
+        starts = [moved_start(frame.T_WC, aside, turn) for aside in sideways_m]
+        ends = [icp(frame.depth_m, frame.camera, surface, T, config).T_WC for T in starts]
+        rows.append([pose_error(T, frame.T_WC)[0] for T in ends])
+    return np.array(rows)
+
+
+def basin_picture(
+    errors_m: Float[np.ndarray, "R C"], sideways_m: Sequence[float], turns_deg: Sequence[float]
+) -> Picture:
+    """Green where the start led to within 2 cm of the truth, through yellow to red at 20 cm and more."""
+    cell, left, low = 30, 62, 40
+    R, C = errors_m.shape
+    image = np.full((R * cell + low, left + C * cell + 10, 3), 255, np.uint8)
+    good, fair, bad = (np.array(c, float) for c in ((58, 157, 106), (244, 205, 90), (209, 73, 91)))
+    for i in range(R):
+        for j in range(C):
+            t = float(np.clip(np.log(max(errors_m[i, j], 1e-4) / SUCCESS_M) / np.log(10), -1, 1))
+            colour = good if t <= 0 else fair + (bad - fair) * t
+            y, x = (R - 1 - i) * cell, left + j * cell
+            image[y + 1 : y + cell - 1, x + 1 : x + cell - 1] = colour.astype(np.uint8)
+    for i in (0, R // 2, R - 1):
+        write(image, f"{turns_deg[i]:+.0f} deg", 6, (R - 1 - i) * cell + 20, 1, 0.4)
+    for j in (0, C // 2, C - 1):
+        write(image, f"{sideways_m[j] * 100:+.0f} cm", left + j * cell - 8, R * cell + 16, 1, 0.4)
+    share = float((errors_m < SUCCESS_M).mean())
+    write(image, f"{share:.0%} of the starts arrive", left, R * cell + 34, 1, 0.42)
+    return image
+
+
+def path_picture(
+    paths: Mapping[str, Sequence[Tensor] | Float[Tensor, "N 4 4"]],
+    *,
+    links: Sequence[tuple[int, int]] = (),
+    linked: str = "",
+    width: int = 400,
+) -> Picture:
+    """Camera paths from above, each with a dot at its start and a ring at its end.
+
+    Args:
+        paths: Name -> camera-to-world poses, all in one world with z up.
+        links: Pairs of rows of the path ``linked`` to join by thin lines (loops).
+        linked: Name of that path.
+        width: Of the picture, pixels.
+    """
+    import cv2
+
+    xy = {name: np.array([T[:2, 3].tolist() for T in path]) for name, path in paths.items()}
+    every = np.concatenate(list(xy.values()))
+    low, high = every.min(0) - 0.1, every.max(0) + 0.1
+    scale = (width - 20) / max(high[0] - low[0], 0.5)
+    height = round((high[1] - low[1]) * scale) + 20
+    legend = 24 * len(xy)
+    image = np.full((height + legend, width, 3), 255, np.uint8)
+
+    def at(p: np.ndarray) -> tuple[int, int]:
+        return round(16 * (10 + (p[0] - low[0]) * scale)), round(16 * (height - 10 - (p[1] - low[1]) * scale))
+
+    for a, b in links:
+        cv2.line(image, at(xy[linked][a]), at(xy[linked][b]), (205, 190, 225), 1, cv2.LINE_AA, 4)
+    for k, (name, points) in enumerate(xy.items()):
+        ink = tuple(int(PALETTE[k % len(PALETTE)][i : i + 2], 16) for i in (1, 3, 5))
+        for a, b in itertools.pairwise(points):
+            cv2.line(image, at(a), at(b), ink, 2, cv2.LINE_AA, 4)
+        cv2.circle(image, at(points[0]), 5 * 16, ink, -1, cv2.LINE_AA, 4)
+        cv2.circle(image, at(points[-1]), 7 * 16, ink, 2, cv2.LINE_AA, 4)
+        y = height + 24 * k + 16
+        cv2.line(image, (10, y - 4), (40, y - 4), ink, 3, cv2.LINE_AA)
+        write(image, name, 48, y, 1, 0.45)
+    return image

@@ -1,0 +1,182 @@
+"""A panel for a notebook: controls beside one picture that a plain function makes from their values."""
+
+import html
+import math
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from ...drawing.pictures import Picture, encode_jpeg, encode_png
+from ..display import with_picture
+
+Number = float | int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Slider:
+    """A number between two ends."""
+
+    value: Number
+    low: Number
+    high: Number
+    step: Number
+    """Distance of two positions; of their logarithms to base 10 with ``log``. Whole numbers if this is an int."""
+    label: str
+    log: bool = False
+    readout: str = ".2f"
+    """Format of the number beside the slider."""
+    tip: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choice:
+    """One of several words."""
+
+    value: str
+    options: Sequence[str]
+    label: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Switch:
+    """On or off."""
+
+    value: bool
+    label: str
+
+
+Control = Slider | Choice | Switch
+Drawn = tuple[Picture, str]
+"""A picture and a line of text under the controls."""
+
+
+class Panel:
+    """Shows ``draw(**values)`` and draws again when a control moves. The last line of a cell shows it.
+
+    ``draw`` is called from whatever thread the notebook handles the control in, one call at a time, and always with
+    the newest values. If it raises, the error stands where the text was, and the last picture stays.
+
+    Args:
+        draw: Control values by name -> picture and text.
+        controls: Name -> control, from top to bottom.
+        buttons: Label -> function; the picture is drawn again after it.
+        name: Ends the CSS classes: ``gsnb-NAME`` the whole, ``gsnb-NAME-image``, ``gsnb-NAME-text``, and one for every
+            control.
+        kind: "jpeg" for photographs, "png" for drawings.
+        text: Text of a static output.
+    """
+
+    def __init__(
+        self,
+        draw: Callable[..., Drawn],
+        controls: Mapping[str, Control],
+        *,
+        buttons: Mapping[str, Callable[[], Any]] | None = None,
+        name: str = "panel",
+        kind: Literal["jpeg", "png"] = "jpeg",
+        text: str = "Panel",
+    ):
+        self.draw = draw
+        self.name, self.kind, self.text = name, kind, text
+        self.lock = threading.RLock()
+        self._quiet = False
+        self._picture: Picture = np.full((1, 1, 3), 255, np.uint8)
+        self._build(controls, dict(buttons or {}))
+        self.redraw()
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """What the controls say now."""
+        return {name: control.value for name, control in self.controls.items()}
+
+    def set(self, **values: Any) -> "Panel":
+        """Move several controls with one redraw."""
+        unknown = sorted(set(values) - set(self.controls))
+        if unknown:
+            raise KeyError(f"no controls {unknown}; known: {', '.join(self.controls)}")
+        self._quiet = True
+        try:
+            for name, value in values.items():
+                self.controls[name].value = value
+        finally:
+            self._quiet = False
+        self.redraw()
+        return self
+
+    def press(self, label: str) -> "Panel":
+        """Press a button."""
+        if label not in self.buttons:
+            raise KeyError(f"no button {label!r}; known: {', '.join(self.buttons)}")
+        self.buttons[label].click()
+        return self
+
+    def picture(self) -> Picture:
+        """What is shown."""
+        return self._picture
+
+    def redraw(self) -> None:
+        """Call ``draw`` with the values of this moment, and show what it gives."""
+        with self.lock:
+            try:
+                self._picture, words = self.draw(**self.values)
+            except Exception as e:  # a traceback in a callback is seen nowhere
+                self.caption.value = f'<span style="color:#b3261e">{html.escape(f"{type(e).__name__}: {e}")}</span>'
+                return
+            self.image.value = encode_jpeg(self._picture) if self.kind == "jpeg" else encode_png(self._picture, 3)
+            self.image.layout.width = f"{self._picture.shape[1]}px"
+            self.caption.value = words
+
+    def _repr_mimebundle_(self, **kwargs: Any) -> dict[str, Any]:
+        self.redraw()
+        return with_picture(self.widget._repr_mimebundle_(**kwargs), self._picture, self.text)
+
+    def _build(self, controls: Mapping[str, Control], buttons: dict[str, Callable[[], Any]]) -> None:
+        import ipywidgets as w
+
+        self.controls = {name: _widget(control) for name, control in controls.items()}
+        for name, control in self.controls.items():
+            control.add_class(f"gsnb-{self.name}-{name}")
+            control.observe(self._changed, names="value")
+        self.buttons = {label: w.Button(description=label, layout=w.Layout(width="auto")) for label in buttons}
+        for label, button in self.buttons.items():
+            button.add_class(f"gsnb-{self.name}-{label.lower().replace(' ', '-')}")
+            button.on_click(lambda _, act=buttons[label]: self._pressed(act))
+        self.image = w.Image(format=self.kind, layout=w.Layout(max_width="100%"))
+        self.image.add_class(f"gsnb-{self.name}-image")
+        self.caption = w.HTML()
+        self.caption.add_class(f"gsnb-{self.name}-text")
+        row = w.HBox(list(self.buttons.values()), layout=w.Layout(flex_flow="row wrap"))
+        side = w.VBox([*self.controls.values(), row, self.caption], layout=w.Layout(margin="0 0 0 12px", width="350px"))
+        self.widget = w.HBox([self.image, side], layout=w.Layout(flex_flow="row wrap", align_items="flex-start"))
+        self.widget.add_class(f"gsnb-{self.name}")
+
+    def _changed(self, _change: Any) -> None:
+        if not self._quiet:
+            self.redraw()
+
+    def _pressed(self, act: Callable[[], Any]) -> None:
+        with self.lock:
+            act()
+            self.redraw()
+
+
+def _widget(control: Control) -> Any:
+    import ipywidgets as w
+
+    place = {"style": {"description_width": "110px"}, "layout": w.Layout(width="340px")}
+    if isinstance(control, Choice):
+        return w.Dropdown(options=list(control.options), value=control.value, description=control.label, **place)
+    if isinstance(control, Switch):
+        return w.Checkbox(value=control.value, description=control.label, **place)
+    c = control
+    shared = {"value": c.value, "step": c.step, "description": c.label, "tooltip": c.tip, "continuous_update": True}
+    if c.log:
+        return w.FloatLogSlider(
+            min=math.log10(c.low), max=math.log10(c.high), base=10, readout_format=c.readout, **shared, **place
+        )
+    if isinstance(c.step, int) and isinstance(c.value, int):
+        return w.IntSlider(min=c.low, max=c.high, **shared, **place)
+    return w.FloatSlider(min=c.low, max=c.high, readout_format=c.readout, **shared, **place)

@@ -1,0 +1,108 @@
+"""Where the time of a frame goes, and what it would be if a stage were faster (Amdahl's law), to play with."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from ...drawing.curves import PALETTE
+from ...drawing.pictures import Picture
+from .panel import Drawn, Panel, Slider
+
+_INK, _FAINT = (28, 36, 48), (223, 228, 234)
+_LEFT, _RIGHT, _BAR = 92, 14, 44
+
+
+def stage_means(seconds: list[dict[str, float]], *, least_share: float = 0.002) -> dict[str, float]:
+    """Mean time of each stage over the frames; stages that take next to nothing are left out.
+
+    Args:
+        seconds: ``report.seconds`` of each step.
+        least_share: Of the total, below which a stage is left out.
+    """
+    names = dict.fromkeys(name for s in seconds for name in s)
+    means = {name: sum(s.get(name, 0.0) for s in seconds) / len(seconds) for name in names}
+    total = sum(means.values())
+    return {name: value for name, value in means.items() if value > least_share * total}
+
+
+def stage_bars(runs: Mapping[str, Mapping[str, float]], *, width: int = 720) -> Picture:
+    """One bar for each run, cut into its stages, all to the same scale.
+
+    Args:
+        runs: Label -> stage -> seconds per frame. At least one.
+        width: Of the picture, pixels.
+    """
+    import cv2
+
+    if not runs:
+        raise ValueError("stage_bars needs at least one run, got none")
+    stages = list(dict.fromkeys(stage for run in runs.values() for stage in run))
+    longest = max(sum(run.values()) for run in runs.values()) or 1.0
+    image = np.full((len(runs) * (_BAR + 26) + 34, width, 3), 255, np.uint8)
+    scale = (width - _LEFT - _RIGHT - 120) / longest
+    for row, (label, run) in enumerate(runs.items()):
+        y, x = row * (_BAR + 26) + 8, float(_LEFT)
+        _text(image, label, 6, y + 28, _INK)
+        for stage in stages:
+            long = run.get(stage, 0.0) * scale
+            box = (round(x), y), (max(round(x + long) - 1, round(x)), y + _BAR)
+            cv2.rectangle(image, *box, _colour(stages.index(stage)), -1)
+            if long > 42:
+                _text(image, _short(1e3 * run[stage]), round(x) + 6, y + 28, (255, 255, 255))
+            x += long
+        total = sum(run.values())
+        _text(image, f"{_short(1e3 * total)} ms, {_short(1 / total)} fps" if total else "", round(x) + 6, y + 28, _INK)
+    x = _LEFT
+    for k, stage in enumerate(stages):
+        y = image.shape[0] - 24
+        cv2.rectangle(image, (x, y), (x + 12, y + 12), _colour(k), -1)
+        _text(image, stage, x + 17, y + 11, _INK)
+        x += 34 + 9 * len(stage)
+    return image
+
+
+def faster(seconds: Mapping[str, float], factors: Mapping[str, float | int]) -> dict[str, float]:
+    """The stages' times if each were ``factors[stage]`` times as fast."""
+    return {stage: value / factors.get(stage, 1.0) for stage, value in seconds.items()}
+
+
+def amdahl_panel(seconds: Mapping[str, float], *, width: int = 720) -> Panel:
+    """A slider for each stage: how many times as fast it is made; bars of a frame before and after.
+
+    Args:
+        seconds: Stage -> seconds per frame.
+        width: Of the picture, pixels.
+    """
+    before = dict(seconds)
+
+    def draw(**factors: float) -> Drawn:
+        after = faster(before, factors)
+        gain = sum(before.values()) / sum(after.values())
+        largest = max(after, key=lambda stage: after[stage])
+        words = (
+            f'<b class="gsnb-amdahl-gain">{gain:.2f}</b> times as fast<br>what is left is mostly {largest}: '
+            f"{100 * after[largest] / sum(after.values()):.0f} %"
+        )
+        return stage_bars({"now": before, "then": after}, width=width), words
+
+    controls = {
+        stage: Slider(value=1.0, low=1.0, high=1000.0, step=0.05, label=f"{stage}, times", log=True, readout=".1f")
+        for stage in before
+    }
+    return Panel(draw, controls, name="amdahl", kind="png", text="Amdahl panel")
+
+
+def _short(number: float) -> str:
+    """Three digits, or all of a whole number."""
+    return f"{number:.3g}" if number < 1000 else f"{number:,.0f}"
+
+
+def _colour(k: int) -> tuple[int, ...]:
+    colour = PALETTE[k % len(PALETTE)]
+    return tuple(int(colour[i : i + 2], 16) for i in (1, 3, 5))
+
+
+def _text(image: Picture, words: str, x: int, y: int, ink: tuple[int, ...]) -> None:
+    import cv2
+
+    cv2.putText(image, words, (x, y), cv2.FONT_HERSHEY_SIMPLEX, 0.42, ink, 1, cv2.LINE_AA)

@@ -1,0 +1,297 @@
+"""The splat viewer: a Gaussian map in a notebook cell, turned with the mouse, coloured by what is known about it.
+
+The browser draws (``static/``): with WebGL2 where there is a graphics card, else with a rasteriser in a worker.
+Rows travel as binary messages and are not part of the widget's state, so a saved notebook does not hold the map.
+"""
+
+import base64
+import logging
+import threading
+import time
+from collections.abc import Mapping
+from contextlib import nullcontext
+from typing import Any
+
+import anywidget
+import numpy as np
+import torch
+import traitlets as t
+from jaxtyping import Float
+from torch import Tensor
+
+from ...checks import check_name, check_pose
+from ...constants import ALPHA_MAX, ALPHA_MIN, FRUSTUM_CLAMP, NEAR_PLANE_M, SCREEN_BLUR_PX2, TRANSMITTANCE_MIN
+from ...drawing.pictures import Picture, encode_png
+from ...types import Camera, GaussianParams
+from ..display import static_views
+from ..front_end import source, splat_front_end
+from ..viewpoint import Vector, world_up
+from .columns import Column, columns_of, stacked
+from .packed_rows import finite_rows, layout_for, pack_rows, packet_between
+from .record import SplatRow, splat_row
+from .starting_view import starting_pose, viewing_camera
+from .viewer_picture import PALETTES, palette_stops, splat_picture
+
+log = logging.getLogger(__name__)
+
+MIN_INTERVAL_S = 0.2
+"""Between two updates of a growing map."""
+SOFTWARE_ROWS = 150_000
+"""The software rasteriser draws the most important rows up to here; with more, the picture lags behind the hand."""
+PICK_ALPHA = 0.25
+"""A click picks the front-most Gaussian that covers the pixel at least so much."""
+
+_RULES = {
+    "near_m": NEAR_PLANE_M,
+    "blur_px2": SCREEN_BLUR_PX2,
+    "clamp": FRUSTUM_CLAMP,
+    "alpha_min": ALPHA_MIN,
+    "alpha_max": ALPHA_MAX,
+    "transmittance_min": TRANSMITTANCE_MIN,
+    "pick_alpha": PICK_ALPHA,
+    "software_rows": SOFTWARE_ROWS,
+}
+
+
+def _synced(trait: t.TraitType) -> Any:
+    return trait.tag(sync=True)
+
+
+class SplatViewer(anywidget.AnyWidget):
+    """Look at a Gaussian map from everywhere; the last line of a cell shows it.
+
+    Drag to orbit, shift-drag to pan, ctrl-drag to look around, wheel (after a click) to zoom, R to go back, click to
+    pick: ``viewer.picked`` is the row's number, ``viewer.picked_row()`` its numbers, ``viewer.observe(f, "picked")``
+    calls ``f`` at each pick. In ``static_views`` there is only a picture by the library's renderer.
+
+    Args:
+        source: A mapper (which also knows its cameras), a model, or bare parameters.
+        camera: Intrinsics to look with; the mapper's own by default.
+        T_WC: Where to start; the mapper's first keyframe by default, else above the map.
+        width, height: Of the canvas, pixels.
+        extras: Numbers to colour by: name -> one per Gaussian. [N] each
+        up_W: What is up; by default the mean of the known cameras' -y.
+        lock: Held while reading the map, if another thread changes it (``LiveMapper.lock``).
+        colour_by: "rgb", "depth" (from the camera), "opacity", "birth_frame", "tag" (seed level), "state",
+            "contribution" or another extra, where given.
+
+    Raises:
+        TypeError: ``source`` is no map. ValueError: an extra does not fit the map, or the pose is not rigid.
+    """
+
+    _esm = splat_front_end()
+    _css = source("splats/viewer.css")
+
+    width = _synced(t.Int())
+    height = _synced(t.Int())
+    intrinsics = _synced(t.List(t.Float()))
+    home = _synced(t.List(t.Float()))
+    pose = _synced(t.List(t.Float()))
+    pivot_m = _synced(t.Float())
+    up_W = _synced(t.List(t.Float()))
+    rules = _synced(t.Dict(_RULES))
+    palettes = _synced(t.Dict())
+    columns = _synced(t.List(t.Dict()))
+    birth_range = _synced(t.List(t.Float()))
+    notice = _synced(t.Unicode())
+    colour_by = _synced(t.Unicode("rgb"))
+    size = _synced(t.Float(1.0, min=0.01))
+    opacity = _synced(t.Float(1.0, min=0.0))
+    points = _synced(t.Bool(False))
+    background = _synced(t.Unicode("#000000"))
+    born_until = _synced(t.Float(None, allow_none=True))
+    picked = _synced(t.Int(None, allow_none=True))
+    renderer = _synced(t.Enum(("auto", "software", "webgl"), "auto"))
+    renderer_used = _synced(t.Unicode(""))
+    gpu = _synced(t.Unicode(""))
+    stats = _synced(t.Dict())
+
+    def __init__(
+        self,
+        source: Any,
+        *,
+        camera: Camera | None = None,
+        T_WC: Float[Tensor, "4 4"] | None = None,
+        width: int | None = None,
+        height: int | None = None,
+        extras: Mapping[str, Any] | None = None,
+        up_W: Vector | None = None,
+        lock: Any = None,
+        colour_by: str = "rgb",
+    ):
+        self._source, self._extras, self._lock = source, dict(extras or {}), lock or nullcontext()
+        keyframes = list(getattr(source, "keyframes", ()))
+        poses = [k.T_WC for k in keyframes] or ([] if T_WC is None else [T_WC])
+        up = torch.as_tensor(world_up(poses) if up_W is None else up_W).float()
+        self.camera = viewing_camera(camera or (keyframes[0].camera if keyframes else None), width, height)
+        self._sending = threading.RLock()
+        self._sent: np.ndarray | None = None
+        self._listening, self._displayed = False, False
+        self._timer: threading.Timer | None = None
+        self._last_sent_s = -1e9
+        with self._lock:
+            self._read()
+            start = keyframes[0].T_WC if T_WC is None and keyframes else T_WC
+            first, pivot_m = starting_pose(self._params[finite_rows(self._params)], self.camera, start, up)
+        c = self.camera
+        super().__init__(
+            width=c.width, height=c.height, intrinsics=[c.fx, c.fy, c.cx, c.cy], pivot_m=pivot_m,
+            up_W=(up / up.norm()).tolist(), home=first.flatten().tolist(), pose=first.flatten().tolist(),
+            palettes={name: "".join(s[1:] for s in palette_stops(name)) for name in PALETTES},
+            colour_by=colour_by,
+        )  # fmt: skip
+        self._describe()
+        self.on_msg(self._heard)
+
+    @property
+    def T_WC(self) -> Float[Tensor, "4 4"]:
+        """Where the camera is now; assign a pose to move it."""
+        return torch.tensor(self.pose).view(4, 4)
+
+    @T_WC.setter
+    def T_WC(self, T_WC: Float[Tensor, "4 4"]) -> None:
+        check_pose("T_WC", T_WC)
+        self.pose = T_WC.flatten().tolist()
+
+    def update(self, source: Any = None, *, extras: Mapping[str, Any] | None = None) -> None:
+        """Show the map as it is now, or another one. Only rows that changed travel, at most five times a second.
+
+        Calls in between are not lost: the last one is made good when its time has come.
+
+        Args:
+            source: The map; the one shown so far by default.
+            extras: New numbers to colour by; by default the old ones, which must still fit the map.
+
+        Raises:
+            TypeError, ValueError: as when the viewer was made.
+        """
+        self._source = self._source if source is None else source
+        self._extras = self._extras if extras is None else dict(extras)
+        wait_s = self._last_sent_s + MIN_INTERVAL_S - time.monotonic()
+        with self._lock, self._sending:
+            self._read()
+            if wait_s <= 0:
+                self._refresh()
+            elif self._timer is None:
+                self._timer = threading.Timer(wait_s, self._refresh_late)
+                self._timer.daemon = True
+                self._timer.start()
+
+    def picked_row(self) -> SplatRow | None:
+        """All numbers of the picked Gaussian; ``None`` if none is picked, or it is gone."""
+        with self._lock:
+            if self.picked is None or self.picked >= len(self._params):
+                return None
+            return splat_row(self._params, self._columns, self.picked)
+
+    def picture(self) -> Picture:
+        """What the viewer shows, drawn by the library's renderer (in point mode: as ellipses)."""
+        with self._lock:
+            rows = finite_rows(self._params)
+            by_name = {c.name: c for c in self._columns}
+            if self.born_until is not None and "birth_frame" in by_name:
+                rows &= torch.from_numpy(by_name["birth_frame"].values <= self.born_until).to(rows.device)
+            column, paint = by_name.get(self.colour_by), None
+            if column is not None:
+                paint = (torch.from_numpy(np.nan_to_num(column.values))[rows.cpu()], *column.limits, column.palette)
+            elif self.colour_by == "opacity":
+                paint = (self._params.opacity_logit[rows].sigmoid(), 0.0, 1.0, "viridis")
+            background = torch.tensor([int(self.background[i : i + 2], 16) / 255 for i in (1, 3, 5)])
+            return splat_picture(
+                self._params[rows], self.camera, self.T_WC, paint=paint, depth=self.colour_by == "depth",
+                size=self.size, opacity=self.opacity, background=background,
+            )  # fmt: skip
+
+    def __repr__(self) -> str:
+        return f"SplatViewer({len(self._params):,} Gaussians, {self.width}x{self.height})"
+
+    def _repr_mimebundle_(self, **kwargs: Any) -> Any:
+        picture = {
+            "image/png": base64.b64encode(encode_png(self.picture(), 9)).decode("ascii"),
+            "text/plain": repr(self),
+        }
+        if static_views():
+            return picture
+        self._displayed = True
+        live: Any = super()._repr_mimebundle_(**kwargs)
+        data, metadata = live if isinstance(live, tuple) else (live or {}, {})
+        return {**data, **picture}, metadata
+
+    @t.validate("background")
+    def _check_background(self, proposal: Any) -> str:
+        colour = proposal["value"]
+        if len(colour) != 7 or colour[0] != "#" or any(c not in "0123456789abcdefABCDEF" for c in colour[1:]):
+            raise t.TraitError(f'background must be a colour like "#202830", got {colour!r}')
+        return colour
+
+    @t.validate("colour_by")
+    def _check_colour_by(self, proposal: Any) -> str:
+        check_name("colour_by", proposal["value"], ("rgb", "depth", "opacity", *(c.name for c in self._columns)))
+        return proposal["value"]
+
+    def _read(self) -> None:
+        """Look at the source: its parameters and columns."""
+        held = getattr(self._source, "gaussians", self._source)
+        params = held if isinstance(held, GaussianParams) else getattr(held, "params", None)
+        if not isinstance(params, GaussianParams):
+            kind = type(self._source).__name__
+            raise TypeError(f"SplatViewer needs a mapper, a GaussianModel or GaussianParams, got {kind}")
+        self._params = params
+        self._columns: list[Column] = columns_of(held, len(params), self._extras)
+
+    def _describe(self) -> None:
+        """Tell the front end about the columns and what is wrong with the map."""
+        with self.hold_sync():
+            self.columns = [c.described() for c in self._columns]
+            frames = [c for c in self._columns if c.kind == "frame" and len(c.values)]
+            self.birth_range = list(frames[0].limits) if frames else []
+            bad = len(self._params) - int(finite_rows(self._params).sum())
+            notice = f"{bad:,} of the rows hold NaN or infinite numbers and are not drawn" if bad else ""
+            if notice and notice != self.notice:
+                log.warning("SplatViewer: %s", notice)
+            self.notice = notice
+
+    def _refresh(self) -> None:
+        with self._lock, self._sending:  # in this order everywhere: who calls `update` may hold the first already
+            self._timer = None
+            self._read()
+            records = self._packed()
+            self._describe()
+            self._last_sent_s = time.monotonic()
+            self._send_rows(records)
+
+    def _refresh_late(self) -> None:
+        """From the timer's thread, whose errors nobody would see."""
+        try:
+            self._refresh()
+        except ValueError as e:
+            self.notice = str(e)
+
+    def _packed(self) -> np.ndarray:
+        return pack_rows(
+            self._params, stacked(self._columns, len(self._params)), layout_for(self._params, len(self._columns))
+        )
+
+    def _send_rows(self, records: np.ndarray) -> None:
+        """What the front end lacks. While it has not answered yet, a blocking loop may be running: it gets all."""
+        if not (self._listening or self._displayed):
+            return
+        packet = packet_between(self._sent if self._listening else None, records)
+        self._sent = records
+        if packet is None:
+            return
+        layout = layout_for(self._params, len(self._columns))
+        head = {
+            "n": packet.n, "stride": layout.stride, "columns": layout.columns, "harmonics": layout.harmonics,
+            "all": packet.index is None,
+        }  # fmt: skip
+        arrays = [packet.records] if packet.index is None else [packet.index, packet.records]
+        buffers = [a.tobytes() for a in arrays]
+        self.send({"kind": "rows", "head": head}, buffers)
+
+    def _heard(self, _widget: Any, content: Any, _buffers: Any) -> None:
+        """A view has opened, or missed something."""
+        if content.get("kind") == "ready":
+            with self._lock, self._sending:
+                self._listening, self._sent = True, None
+                self._refresh()

@@ -1,0 +1,149 @@
+"""Pictures: types, sizes, colours by hand, and inputs left alone."""
+
+import math
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from jaxtyping import TypeCheckError
+
+from gsfusion_nb.drawing import curves, pictures
+from gsfusion_nb.drawing.side_by_side import LABEL_PX, side_by_side
+
+
+def decoded(data):
+    return np.asarray(cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR))[..., ::-1]
+
+
+def test_to_uint8_rounds_clamps_and_copies():
+    image = torch.tensor([[[0.0, 0.5, 1.0], [-1.0, 2.0, math.nan]]])
+    assert pictures.to_uint8(image).tolist() == [[[0, 128, 255], [0, 255, 0]]]
+    assert pictures.to_uint8(image.numpy()).dtype == np.uint8
+    already = np.full((2, 2, 3), 7, np.uint8)
+    copy = pictures.to_uint8(already)
+    copy[:] = 0
+    assert (already == 7).all()
+
+
+def test_depth_colours_run_from_near_to_far_and_missing_is_grey():
+    depth = torch.tensor([[0.0, 1.0, 2.0, 3.0, 0.5, 9.0, math.nan]])
+    image = pictures.colour_depth(depth, 1.0, 3.0)
+    assert image.shape == (1, 7, 3)
+    assert image.dtype == np.uint8
+    missing, near, middle, far, nearer, farther, nan = image[0].astype(int)
+    assert missing.max() == missing.min()
+    assert nan.max() == nan.min()
+    assert (nearer == near).all()
+    assert (farther == far).all()
+    assert near[2] > near[0] > near[1]  # dark blue
+    assert middle[1] > 200  # green
+    assert far[0] > far[2] + 100  # red
+    with pytest.raises(ValueError, match="far_m must be above near_m"):
+        pictures.colour_depth(depth, 2.0, 2.0)
+
+
+def test_a_pair_shares_its_range_and_missing_depth_does_not_count():
+    a, b = torch.full((10, 10), 1.0), torch.full((10, 10), 3.0)
+    a[0] = 0.0
+    assert pictures.depth_range_m(a, b) == (1.0, 3.0)
+    assert pictures.depth_range_m(torch.zeros(3, 3)) == (0.0, 1.0)
+    near, far = pictures.depth_range_m(torch.full((3, 3), 2.0))
+    assert near == 2.0
+    assert far > near
+
+
+def test_error_maps_by_hand():
+    black = torch.zeros(1, 3, 3)
+    off = torch.tensor([[[0.0, 0, 0], [0.125, 0.125, 0.125], [0.75, 0, 0]]])
+    none, half, full = pictures.error_map(off, black, limit=0.25)[0].astype(int)
+    assert none.sum() < 20
+    assert none.sum() < half.sum() < full.sum()
+    assert full.min() > 150
+    depth = pictures.depth_error_map(torch.tensor([[1.0, 1.1, 0.0]]), torch.ones(1, 3))
+    assert depth[0, 0].sum() < 20
+    assert depth[0, 1].min() > 150
+    assert depth[0, 2].max() == depth[0, 2].min() > 20
+    with pytest.raises((ValueError, TypeCheckError)):
+        pictures.error_map(black, torch.zeros(2, 3, 3))
+    with pytest.raises((ValueError, TypeCheckError)):
+        pictures.depth_error_map(torch.zeros(2, 3), torch.zeros(1, 3))
+
+
+def cells(*rows):
+    columns = torch.tensor(rows, dtype=torch.int32).reshape(-1, 5).T
+    return SimpleNamespace(**dict(zip(("x0", "y0", "width", "height", "level"), columns, strict=True)))
+
+
+def test_cell_borders_are_drawn_and_insides_are_not():
+    grey = torch.full((17, 25, 3), 0.5)
+    image = pictures.paint_cells(grey, cells((0, 0, 12, 16, 1), (12, 0, 12, 16, 2)), strength=1.0)
+    assert image.shape == (17, 25, 3)
+    assert (image[1:16, 1:12] == 128).all()
+    assert (image[1:16, 13:24] == 128).all()
+    assert (image[8, [0, 12, 24]] != 128).any(axis=-1).all()
+    assert (image[8, 0] != image[8, 24]).any()  # another level, another colour
+    assert (grey == 0.5).all()
+    same = pictures.paint_cells(grey, cells((0, 0, 12, 16, 1), (12, 0, 12, 16, 2)), by_level=False, strength=1.0)
+    assert (same[8, 0] == same[8, 24]).all()
+
+
+def test_cells_enlarge_and_no_cells_leave_the_image():
+    image = torch.rand(6, 8, 3)
+    assert pictures.paint_cells(image, cells((0, 0, 8, 6, 0)), scale=3).shape == (18, 24, 3)
+    assert (pictures.paint_cells(image, cells()) == pictures.to_uint8(image)).all()
+
+
+def test_side_by_side_fits_heights_and_labels():
+    a, b = torch.zeros(40, 50, 3), np.full((20, 30, 3), 200, np.uint8)
+    row = side_by_side([a, b], ["input", "a label that is much too long for its narrow picture"])
+    assert row.shape == (40 + LABEL_PX, 50 + 6 + 60, 3)
+    assert row.dtype == np.uint8
+    assert side_by_side([a]).shape == (40, 50, 3)
+    assert (row[:LABEL_PX] < 128).any()
+    with pytest.raises(ValueError, match="at least one image"):
+        side_by_side([])
+    with pytest.raises(ValueError, match="one label per image, got 1 labels for 2"):
+        side_by_side([a, b], ["one"])
+
+
+def test_encoding_keeps_channel_order():
+    red = torch.zeros(16, 16, 3)
+    red[..., 0] = 1.0
+    assert decoded(pictures.encode_png(red))[0, 0].tolist() == [255, 0, 0]
+    assert np.abs(decoded(pictures.encode_jpeg(red))[8, 8].astype(int) - [255, 0, 0]).max() < 8
+    assert pictures.data_uri(red, "png").startswith("data:image/png;base64,")
+    assert len(pictures.encode_jpeg(torch.rand(64, 64, 3), 30)) < len(pictures.encode_jpeg(torch.rand(64, 64, 3), 95))
+
+
+def test_fit_width_only_shrinks():
+    assert pictures.fit_width(torch.zeros(30, 100, 3), 50).shape == (15, 50, 3)
+    assert pictures.fit_width(torch.zeros(30, 100, 3), 200).shape == (30, 100, 3)
+
+
+def test_colour_stops_are_the_ends_of_the_map():
+    stops = pictures.colour_stops("turbo", 3)
+    assert len(stops) == 3
+    image = pictures.colour_depth(torch.tensor([[1.0, 2.0]]), 1.0, 2.0)
+    assert [stops[0], stops[-1]] == ["#{:02x}{:02x}{:02x}".format(*image[0, i]) for i in (0, 1)]
+
+
+def test_curve_figure_has_labels_a_legend_and_no_pyplot():
+    import sys
+
+    figure = curves.curve_figure(
+        [0, 1, 3], {"a": [1.0, math.nan, 2.0], "b": [2.0, 2.0, 5.0]}, x_label="frame", y_label="PSNR, dB", marks=[0, 3],
+        marks_label="keyframe",
+    )  # fmt: skip
+    axes = figure.axes[0]
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("frame", "PSNR, dB")
+    assert [t.get_text() for t in figure.legends[0].get_texts()] == ["a", "b", "keyframe"]
+    assert decoded(curves.figure_png(figure)).shape == (300, 520, 3)
+    assert getattr(sys.modules.get("matplotlib.pyplot"), "get_fignums", list)() == []
+
+
+def test_stacked_areas_add_up():
+    figure = curves.curve_figure([0, 1], {"a": [1.0, 2.0], "b": [3.0, 4.0]}, x_label="x", y_label="y", stacked=True)
+    top = figure.axes[0].collections[1].get_paths()[0].vertices
+    assert np.asarray(top)[:, 1].max() == 6.0

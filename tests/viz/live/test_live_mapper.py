@@ -1,0 +1,185 @@
+"""Online mapping to watch, without a browser: buttons, panels, curves, errors."""
+
+import itertools
+import time
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+
+from gsfusion_nb.drawing.pictures import error_map
+from gsfusion_nb.viz import LiveMapper
+from gsfusion_nb.viz.display import WIDGET_MIME
+from gsfusion_nb.viz.live import live_mapper
+from gsfusion_nb.viz.live.live_mapper import MAX_DRAWING_SHARE, MIN_INTERVAL_S
+from gsfusion_nb.viz.live.step_panels import live_panels
+
+
+def decoded(data):
+    return np.asarray(cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR))[..., ::-1]
+
+
+def shown_frame(live):
+    """Which frame of the sequence the first panel looks like."""
+    shown = decoded(live.images["input"].value).astype(int)
+    return int(np.argmin([np.abs(shown - f.rgb.numpy() * 255).mean() for f in live.run.sequence.mapping]))
+
+
+def wait_for(condition, seconds=20.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "waited too long"
+        time.sleep(0.005)
+
+
+def test_panels_show_the_frame_the_map_the_error_and_the_seeds(make_run):
+    run = make_run()
+    report = next(run.online())
+    frame = run.sequence.mapping[0]
+    panels = live_panels(run.mapper, frame)
+    assert {p.shape for p in panels.pictures.values()} == {(36, 48, 3)}
+    assert (panels["input"] == (frame.rgb.numpy() * 255 + 0.5).astype(np.uint8)).all()
+    assert (panels["error"] == error_map(panels["render"], panels["input"])).all()
+    red = (panels["seeds"] == (255, 48, 64)).all(-1)
+    assert report.n_seeds / 4 < red.sum() <= 4 * report.n_seeds
+    mosaic = panels.mosaic()
+    assert mosaic.shape[1] == 2 * 48 + 6
+
+
+def test_run_sync_draws_the_last_frame_and_counts(make_run):
+    run = make_run()
+    live = LiveMapper(run)
+    assert live.run_sync(2) == 2
+    assert shown_frame(live) == 1
+    live.run_sync()
+    assert len(run.steps) == 6
+    assert live.progress.value == live.progress.max == 6
+    assert "finished" in live.status.value
+    assert "6 of 6 frames" in live.status.value
+    assert shown_frame(live) == 5
+
+
+def test_buttons(make_run):
+    run = make_run(n=40)
+    live = LiveMapper(run)
+    live.buttons["Step"].click()
+    wait_for(lambda: live.player.state == "paused" and "paused" in live.status.value)
+    assert len(run.steps) == 1
+    live.buttons["Start"].click()
+    wait_for(lambda: len(run.steps) > 3)
+    live.buttons["Pause"].click()
+    wait_for(lambda: live.player.state in ("paused", "finished"))
+    held = len(run.steps)
+    time.sleep(0.05)
+    assert len(run.steps) == held
+    live.buttons["Stop"].click()
+    assert live.join(10)
+    live.buttons["Start"].click()
+    assert live.join(20)
+    assert len(run.steps) == 40
+    assert "finished" in live.status.value
+
+
+@pytest.mark.parametrize(("tick_s", "interval_s"), [(0.01, MIN_INTERVAL_S), (0.08, 2 * 0.08 / MAX_DRAWING_SHARE)])
+def test_the_panels_are_drawn_rarely(make_run, monkeypatch, tick_s, interval_s):
+    """At most ten times a second, and for at most a quarter of the time. The clock is the test's: it goes on by one
+    tick whenever it is read, once in every step and twice in every drawing, the observer's reading included."""
+    ticks = itertools.count()
+    monkeypatch.setattr(live_mapper, "time", SimpleNamespace(monotonic=lambda: tick_s * next(ticks)))
+    mapper, times = LiveMapper(make_run(n=60)), []
+    mapper.images["render"].observe(lambda _: times.append(tick_s * (next(ticks) - 1)), names="value")
+    mapper.run_sync()
+    gaps = [b - a for a, b in itertools.pairwise(times[:-1])]  # the last picture comes at once
+    assert len(gaps) >= 3
+    assert min(gaps) > 0.999 * interval_s
+    assert max(gaps) <= interval_s + 3.001 * tick_s
+
+
+def test_an_error_is_shown_in_the_widget_and_nothing_is_printed(make_run, capsys):
+    live = LiveMapper(make_run(broken=(3,)))
+    live.start()
+    assert live.join(20)
+    assert live.player.state == "failed"
+    assert "RuntimeError: the film tore at frame 3" in live.error.value
+    assert "<details" in live.error.value
+    assert len(live.run.steps) == 3
+    captured = capsys.readouterr()
+    assert captured.out == captured.err == ""
+
+
+def test_another_live_mapper_stops_the_first(make_run):
+    first = LiveMapper(make_run(n=2000))
+    first.start()
+    wait_for(lambda: first.run.steps)
+    LiveMapper(make_run())
+    assert first.join(10)
+    assert len(first.run.steps) < 2000
+
+
+def test_a_run_that_is_already_done_is_shown(make_run):
+    run = make_run()
+    list(run.online())
+    live = LiveMapper(run)
+    live.run_sync()
+    assert "6 of 6" in live.status.value
+    assert live.picture().shape[1] >= 2 * 48 + 6
+
+
+def test_stored_output_holds_the_picture(make_run, monkeypatch):
+    monkeypatch.setenv("GSNB_VIEW", "static")
+    live = LiveMapper(make_run())
+    live.run_sync(1)
+    bundle = live._repr_mimebundle_()
+    assert WIDGET_MIME not in bundle
+    assert len(bundle["image/jpeg"]) > 1000
+
+
+@pytest.mark.parametrize("n", [0, 1])
+def test_picture_before_and_after_the_first_frame(make_run, n):
+    live = LiveMapper(make_run())
+    live.run_sync(n)
+    assert live.picture().dtype == np.uint8
+
+
+def listen(viewer, monkeypatch):
+    """Somebody looks at the viewer; how many rows the map had at each message."""
+    monkeypatch.setattr("gsfusion_nb.viz.splats.viewer.MIN_INTERVAL_S", 0.0)
+    sizes = []
+    monkeypatch.setattr(viewer, "send", lambda content, buffers=(): sizes.append(content["head"]["n"]))
+    viewer._heard(viewer, {"kind": "ready"}, [])
+    return sizes
+
+
+def test_the_splat_viewer_follows_the_map_and_knows_its_time(make_run, monkeypatch):
+    run = make_run(n=8, step_m=0.5)
+    live = LiveMapper(run)
+    viewer = live.splats(width=96)
+    assert (viewer.width, viewer.height) == (96, 72)
+    assert viewer.T_WC.equal(run.sequence.mapping[0].T_WC)  # nothing is mapped yet: where the camera will start
+    sizes = listen(viewer, monkeypatch)
+    live.run_sync(1)
+    wait_for(lambda: sizes and sizes[-1] == len(run.mapper.gaussians))
+    first = viewer.birth_range
+    live.start()
+    assert live.join(20)
+    wait_for(lambda: sizes[-1] == len(run.mapper.gaussians))
+    assert sizes == sorted(sizes)
+    assert first == [0.0, 0.0]
+    assert viewer.birth_range == [0.0, float(run.mapper.gaussians.birth_frame.max())]
+    assert viewer.birth_range[1] > 0
+    viewer.T_WC = run.sequence.mapping[7].T_WC
+    viewer.born_until = 0.0
+    early = viewer.picture()
+    viewer.born_until = None
+    assert (viewer.picture() != early).any()
+
+
+def test_it_starts_where_the_first_keyframe_was_and_the_last_viewer_follows(make_run):
+    live = LiveMapper(make_run())
+    live.run_sync(2)
+    earlier, viewer = live.splats(), live.splats(colour_by="depth", T_WC=live.run.sequence.mapping[3].T_WC)
+    assert earlier.T_WC.equal(live.run.mapper.keyframes[0].T_WC)
+    assert viewer.T_WC.equal(live.run.sequence.mapping[3].T_WC)
+    assert live.viewer is viewer
+    assert viewer.colour_by == "depth"

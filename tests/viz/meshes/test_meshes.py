@@ -1,0 +1,228 @@
+"""Mesh views: painted by hand, reduced, drawn by VTK where it can draw, and by the browser as by hand."""
+
+import base64
+import json
+import subprocess
+import sys
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from gsfusion_nb.types import Camera, Mesh
+from gsfusion_nb.viz import orbit_camera, show_mesh
+from gsfusion_nb.viz.display import WIDGET_MIME
+from gsfusion_nb.viz.front_end import joined, mesh_front_end
+from gsfusion_nb.viz.meshes import opengl as gl
+from gsfusion_nb.viz.meshes.decimation import reduced
+from gsfusion_nb.viz.meshes.painter import BACKGROUND, draw_mesh
+from gsfusion_nb.viz.meshes.show_mesh import mesh_picture
+from gsfusion_nb.viz.meshes.viewer import MeshViewer
+
+CAMERA = Camera(width=160, height=120, fx=223.923, fy=223.923, cx=80.0, cy=60.0)
+
+
+def sheet(n=2, colours=((1.0, 0, 0), (0, 0, 1.0))):
+    """A square of 1 m in the plane z = 0, facing +z, n x n vertices, first colour at x < 0, second at x > 0."""
+    line = torch.linspace(-0.5, 0.5, n)
+    x, y = torch.meshgrid(line, line, indexing="ij")
+    vertices = torch.stack([x, y, torch.zeros_like(x)], -1).reshape(-1, 3)
+    i = torch.arange(n * n).reshape(n, n)
+    a, b, c, d = i[:-1, :-1].flatten(), i[1:, :-1].flatten(), i[1:, 1:].flatten(), i[:-1, 1:].flatten()
+    faces = torch.cat([torch.stack([a, b, c], 1), torch.stack([a, c, d], 1)])
+    left, right = (torch.tensor(c) for c in colours)
+    return Mesh(vertices_W=vertices, faces=faces, rgb=torch.where((vertices[:, :1] < 0), left, right))
+
+
+FROM_ABOVE = orbit_camera((0, 0, 0), -90, 90, 2.0)  # +y up in the picture, +x right
+FROM_BELOW = orbit_camera((0, 0, 0), -90, -90, 2.0)
+
+
+def test_painted_square_by_hand():
+    image = draw_mesh(sheet(21), CAMERA, FROM_ABOVE)
+    inside = np.nonzero((image != BACKGROUND).any(-1))
+    assert (inside[0].min(), inside[0].max()) == pytest.approx((60 - 56, 60 + 56), abs=1.5)
+    assert (inside[1].min(), inside[1].max()) == pytest.approx((80 - 56, 80 + 56), abs=1.5)
+    assert image[60, 60].argmax() == 0
+    assert image[60, 100].argmax() == 2
+
+
+def test_faces_seen_from_behind_are_left_out():
+    assert (draw_mesh(sheet(3), CAMERA, FROM_BELOW) == BACKGROUND).all()
+
+
+def test_nearer_triangles_cover_farther_ones_in_any_order():
+    low, high = sheet(5, ((1.0, 0, 0), (1.0, 0, 0))), sheet(5, ((0, 1.0, 0), (0, 1.0, 0)))
+    lifted = high.vertices_W + torch.tensor([0.0, 0, 0.3])
+    for first, second in ((low.vertices_W, lifted), (lifted, low.vertices_W)):
+        rgb = torch.cat([low.rgb, high.rgb] if first is low.vertices_W else [high.rgb, low.rgb])
+        both = Mesh(vertices_W=torch.cat([first, second]), faces=torch.cat([low.faces, low.faces + 25]), rgb=rgb)
+        assert draw_mesh(both, CAMERA, FROM_ABOVE)[60, 80].argmax() == 1
+
+
+def test_shape_shading_ignores_colour_and_nothing_is_painted_of_an_empty_mesh():
+    image = draw_mesh(sheet(3), CAMERA, FROM_ABOVE, shading="shape")
+    assert np.abs(image[60, 60].astype(int) - image[60, 100]).max() < 6
+    assert image[60, 60].max() == image[60, 60].min()
+    none = Mesh(vertices_W=torch.zeros(0, 3), faces=torch.zeros(0, 3, dtype=torch.int64), rgb=torch.zeros(0, 3))
+    assert (draw_mesh(none, CAMERA, FROM_ABOVE) == BACKGROUND).all()
+
+
+def test_reduction_keeps_extent_area_colours_and_sides():
+    mesh = sheet(101)
+    small = reduced(mesh, 2_000)
+    assert 500 < len(small.faces) <= 2_000
+    assert int(small.faces.max()) < len(small.vertices_W)
+    assert torch.allclose(small.vertices_W.amax(0), torch.tensor([0.5, 0.5, 0.0]), atol=0.03)
+    corners = small.vertices_W[small.faces]
+    normal = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert (normal[:, 2] >= 0).all()
+    assert float(normal[:, 2].sum() / 2) == pytest.approx(1.0, rel=0.06)
+    far = small.vertices_W[:, 0].abs() > 0.05
+    blue = small.vertices_W[far, 0] > 0
+    assert (small.rgb[far, 2] > 0.9).equal(blue)
+    assert reduced(mesh, 10**6) is mesh
+    assert len(reduced(mesh, 1).faces) <= 1
+    with pytest.raises(ValueError, match="max_triangles"):
+        reduced(mesh, 0)
+
+
+def test_without_vtk_the_static_view_is_painted(monkeypatch):
+    monkeypatch.setenv("GSNB_VTK", "none")
+    gl.can_draw.cache_clear()
+    try:
+        loaded = "pyvista" in sys.modules
+        output = show_mesh(sheet(11), backend="static", size=(160, 120))
+        assert output.data[:2] == b"\xff\xd8"  # a JPEG
+        assert ("pyvista" in sys.modules) == loaded
+    finally:
+        gl.can_draw.cache_clear()
+
+
+@pytest.fixture
+def watched(monkeypatch):
+    """Somebody looks at the notebook."""
+    for name in ("GSNB_SMOKE", "GSNB_VIEW"):
+        monkeypatch.delenv(name, raising=False)
+
+
+def test_the_live_view_needs_no_vtk_and_keeps_a_picture(watched, monkeypatch):
+    monkeypatch.setattr(gl, "can_draw", lambda: pytest.fail("VTK was tried"))
+    viewer = show_mesh(sheet(101), max_triangles=500, size=(160, 120), shading="shape", up_W=[0, 0, 2])
+    assert isinstance(viewer, MeshViewer)
+    assert len(viewer.mesh.faces) <= 500
+    assert (viewer.width, viewer.height, viewer.shading, viewer.up_W) == (160, 120, "shape", [0.0, 0.0, 1.0])
+    data, _ = viewer._repr_mimebundle_()
+    assert WIDGET_MIME in data
+    jpeg = np.frombuffer(base64.b64decode(data["image/jpeg"]), np.uint8)
+    image = np.asarray(cv2.imdecode(jpeg, cv2.IMREAD_COLOR))
+    assert image.shape == (120, 160, 3)
+    assert np.abs(image.astype(int) - viewer.picture()[..., ::-1]).mean() < 3
+    assert len(str(data)) < 40_000  # the mesh is not in it
+    monkeypatch.setenv("GSNB_VIEW", "static")
+    assert WIDGET_MIME not in viewer._repr_mimebundle_()
+
+
+def test_the_mesh_travels_when_a_view_opens(watched):
+    mesh = sheet(4)
+    viewer, sent = show_mesh(mesh), []
+    viewer.send = lambda content, buffers: sent.append((content, buffers))
+    viewer._heard(viewer, {"kind": "something else"}, [])
+    assert sent == []
+    viewer._heard(viewer, {"kind": "ready"}, [])
+    ((content, (xyz, faces, rgb)),) = sent
+    assert content == {"kind": "mesh"}
+    assert np.frombuffer(xyz, np.float32).reshape(-1, 3) == pytest.approx(mesh.vertices_W.numpy())
+    assert (np.frombuffer(faces, np.int32).reshape(-1, 3) == mesh.faces.numpy()).all()
+    assert (np.frombuffer(rgb, np.uint8).reshape(-1, 3) == (mesh.rgb * 255).byte().numpy()).all()
+
+
+def test_the_camera_is_moved_from_python_and_must_be_rigid(watched):
+    viewer = show_mesh(sheet(4))
+    viewer.T_WC = FROM_ABOVE
+    assert viewer.T_WC.equal(FROM_ABOVE)
+    assert "MeshViewer(18 triangles, 640x480)" in repr(viewer)
+    with pytest.raises(ValueError, match="T_WC"):
+        viewer.T_WC = 2 * FROM_ABOVE
+
+
+_SCRIPT = """
+import { readFileSync } from "node:fs";
+const { xyz, faces, rgb, pose, intrinsics, size, shape, background } = JSON.parse(readFileSync(process.argv[2]));
+const painter = new MeshPainter(Float32Array.from(xyz), Int32Array.from(faces), Uint8Array.from(rgb));
+const view = viewOf(pose, intrinsics, ...size);
+painter.draw(viewOf(pose, intrinsics, ...size, 0.5), shape, background);
+const { pixels } = painter.draw(view, shape, background);
+const [middle, corner] = [80.5, 0].map((x) => painter.depthAt(x, 0.75 * x, size[0]));
+console.log(JSON.stringify({ pixels: [...pixels], middle, corner }));
+"""
+
+
+def drawn_by_the_browser(node, folder, mesh, T_WC, shading):
+    data = {
+        "xyz": mesh.vertices_W.flatten().tolist(), "faces": mesh.faces.flatten().tolist(),
+        "rgb": (mesh.rgb * 255).flatten().int().tolist(), "pose": T_WC.flatten().tolist(),
+        "intrinsics": [CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy], "size": [CAMERA.width, CAMERA.height],
+        "shape": shading == "shape", "background": list(BACKGROUND),
+    }  # fmt: skip
+    (folder / "mesh.json").write_text(json.dumps(data))
+    (folder / "mesh.mjs").write_text(joined(("splat_project", "mesh_raster")) + _SCRIPT)
+    done = subprocess.run([node, folder / "mesh.mjs", folder / "mesh.json"], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    answer = json.loads(done.stdout)
+    pixels = np.array(answer["pixels"], np.uint8).reshape(CAMERA.height, CAMERA.width, 4)
+    assert (pixels[..., 3] == 255).all()
+    return pixels[..., :3], answer
+
+
+@pytest.mark.parametrize("shading", ["colour", "shape"])
+def test_the_browser_draws_what_python_paints(node, tmp_path, shading):
+    """Two squares, one 0.3 m above a part of the other, seen at an angle: order, lamp and colours."""
+    low, high = sheet(41), sheet(41, ((0, 1.0, 0), (1.0, 1.0, 0)))
+    both = Mesh(
+        vertices_W=torch.cat([high.vertices_W * 0.5 + torch.tensor([0.1, 0, 0.3]), low.vertices_W]),
+        faces=torch.cat([high.faces, low.faces + 41 * 41]), rgb=torch.cat([high.rgb, low.rgb]),
+    )  # fmt: skip
+    T = orbit_camera((0, 0, 0), -60, 50, 2.0)
+    image, answer = drawn_by_the_browser(node, tmp_path, both, T, shading)
+    painted = draw_mesh(both, CAMERA, T, shading=shading)
+    assert (np.abs(image.astype(int) - painted).max(-1) < 12).mean() > 0.97  # the rest are edges
+    assert painted.std() > 20
+    assert answer["corner"] is None
+    assert 1.5 < answer["middle"] < 1.9  # the upper square
+
+
+def test_depth_and_behind_in_the_browser(node, tmp_path):
+    image, answer = drawn_by_the_browser(node, tmp_path, sheet(3), FROM_ABOVE, "colour")
+    assert answer["middle"] == pytest.approx(2.0, abs=1e-5)
+    inside = np.nonzero((image != BACKGROUND).any(-1))
+    assert (inside[0].min(), inside[0].max()) == pytest.approx((60 - 56, 59 + 56), abs=0.5)
+    image, answer = drawn_by_the_browser(node, tmp_path, sheet(3), FROM_BELOW, "colour")
+    assert (image == BACKGROUND).all()
+    assert answer["middle"] is None
+
+
+def test_the_module_is_valid_and_loads_nothing(node, tmp_path):
+    (tmp_path / "mesh.mjs").write_text(mesh_front_end())
+    done = subprocess.run([node, "--check", tmp_path / "mesh.mjs"], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    for foreign in ("http://", "https://", "import(", "importScripts", "\nimport ", "fetch("):
+        assert foreign not in mesh_front_end()
+
+
+def test_vtk_and_the_painter_agree():
+    able, reason = gl.can_draw()
+    if not able:
+        pytest.skip(reason)
+    mesh = sheet(41)
+    T = orbit_camera((0, 0, 0), -60, 50, 2.0)
+    vtk, painted = mesh_picture(mesh, T, size=(160, 120)), draw_mesh(mesh, CAMERA, T)
+    same = np.abs(vtk.astype(int) - painted).max(-1) < 60
+    assert same.mean() > 0.97
+    assert (vtk == BACKGROUND).all(-1).mean() == pytest.approx((painted == BACKGROUND).all(-1).mean(), abs=0.02)
+
+
+def test_an_empty_mesh_is_refused_with_a_reason():
+    with pytest.raises(ValueError, match="no triangles"):
+        show_mesh(Mesh(vertices_W=torch.zeros(0, 3), faces=torch.zeros(0, 3, dtype=torch.int64), rgb=torch.zeros(0, 3)))

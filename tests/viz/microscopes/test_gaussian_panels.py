@@ -1,0 +1,125 @@
+"""The drawings of the chapter on splatting: one Gaussian, tiles, colour balls, and their panels."""
+
+import numpy as np
+import pytest
+import torch
+
+from gsfusion_nb.constants import SH_C0
+from gsfusion_nb.geometry import quaternion
+from gsfusion_nb.render import project_gaussians, tile_intersections
+from gsfusion_nb.types import Camera
+from gsfusion_nb.viz.microscopes.gaussian_panels import one_gaussian_panel, sh_ball_panel
+from gsfusion_nb.viz.microscopes.one_gaussian import (
+    ORANGE,
+    WHITE,
+    basis_atlas,
+    gaussian_row,
+    projection_caption,
+    projection_picture,
+    sh_ball,
+    turned,
+)
+from gsfusion_nb.viz.microscopes.tile_picture import tile_picture
+from gsfusion_nb.viz.panels.click_image import ClickImage
+
+CAMERA = Camera(width=80, height=60, fx=52.0, fy=52.0, cx=40.0, cy=30.0)
+EYE = torch.eye(4)
+
+
+def ball(z=2.0, scale=0.1):
+    return gaussian_row(torch.tensor([0.0, 0.0, z]), torch.full((3,), scale), turned(0, 0))
+
+
+def test_turns_are_about_the_cameras_axes():
+    x = torch.tensor([1.0, 0.0, 0.0])
+    torch.testing.assert_close(
+        quaternion.to_matrix(turned(90, 0)) @ x, torch.tensor([0.0, 1.0, 0.0]), atol=1e-6, rtol=0
+    )
+    torch.testing.assert_close(
+        quaternion.to_matrix(turned(0, 90)) @ x, torch.tensor([0.0, 0.0, -1.0]), atol=1e-6, rtol=0
+    )
+
+
+def test_the_caption_has_the_numbers_by_hand():
+    """(52 * 0.1 / 2)^2 + 0.3 = 7.06 px^2 on both axes; the area of one standard deviation is pi times that."""
+    _, splats = projection_picture(ball(), CAMERA)
+    text = projection_caption(splats)
+    assert "[7.1 0.0; 0.0 7.1]" in text or "[7.1 -0.0; -0.0 7.1]" in text
+    assert "area of 1σ 22 px²" in text
+
+
+def test_points_and_ellipses_are_drawn_and_agree_for_a_small_one():
+    image, _ = projection_picture(ball(scale=0.2), CAMERA, zoom=6)
+    orange = (np.abs(image.astype(int) - ORANGE).max(2) < 40).nonzero()
+    white = (np.abs(image.astype(int) - WHITE).max(2) < 40).nonzero()
+    assert len(orange[0]) > 300
+    assert len(white[0]) > 100
+    centre = [a.mean() for a in orange]
+    assert np.abs(np.array(centre) - [180, 240]).max() < 6
+    # of a 2D Gaussian, 1 - exp(-2) = 86 % lies within two standard deviations
+    radius = np.hypot(orange[0] - 180, orange[1] - 240)
+    outer = np.hypot(white[0] - 180, white[1] - 240).max()
+    assert 0.78 < (radius < outer).mean() < 0.93
+
+
+def test_behind_the_near_plane_it_says_so():
+    _, splats = projection_picture(ball(z=0.1), CAMERA)
+    assert "not drawn" in projection_caption(splats)
+
+
+def test_a_ball_of_the_constant_is_one_colour():
+    sh = torch.zeros(16, 3)
+    sh[0] = torch.tensor([0.3, 0.0, -0.3]) / SH_C0
+    image = sh_ball(sh, 60)
+    assert np.abs(image[30, 30].astype(int) - [204, 128, 51]).max() <= 1
+    assert image[20, 40].tolist() == image[30, 30].tolist()
+    assert image[0, 0].tolist() == [255, 255, 255]
+
+
+def test_degree_one_along_z_is_brightest_for_a_camera_that_looks_along_z():
+    sh = torch.zeros(4, 3)
+    sh[2] = 0.5
+    image = sh_ball(sh, 61)
+    assert image[30, 30, 0] > image[30, 50, 0] > 127
+
+
+def test_the_atlas_has_sixteen_balls():
+    image = basis_atlas(60)
+    assert image.shape == (240, 420, 3)
+    red, blue = image[30, 210], image[90, 150 - 0 + 60 - 60]
+    assert red[0] > red[2]  # Y0 is positive
+    assert blue.shape == (3,)
+
+
+def test_the_longest_list_is_yellow(generator):
+    params = ball(scale=0.02)
+    p = project_gaussians(params, CAMERA, EYE)
+    picture = tile_picture(torch.zeros(60, 80, 3), tile_intersections(p, CAMERA), scale=2)
+    assert picture.shape == (120 + 26, 160, 3)
+    middle, corner = picture[58, 78].astype(int), picture[4, 4].astype(int)
+    assert middle[0] > 120  # viridis ends in yellow
+    assert middle[1] > 120
+    assert corner[2] > corner[1]  # and begins in violet
+
+
+@pytest.mark.parametrize("make", [lambda: one_gaussian_panel(CAMERA), sh_ball_panel], ids=["one", "ball"])
+def test_every_control_changes_the_picture(make):
+    panel = make()
+    start = panel.values
+    for name, value in start.items():
+        before = panel.picture().copy()
+        panel.set(**{name: value + (0.3 if isinstance(value, float) else 5)})
+        after = panel.picture()
+        assert after.shape != before.shape or (after != before).any(), name
+        panel.set(**start)
+
+
+def test_the_click_image_keeps_its_pixel_inside():
+    image = ClickImage(20, 10, width=200, format="png")
+    image.show(np.zeros((100, 200, 3), np.uint8))
+    assert bytes(image.value[:4]) == b"\x89PNG"
+    heard = []
+    image.observe(lambda change: heard.append(change["new"]), "pixel")
+    image.pixel = (3, 4)
+    image.pixel = (300, -4)
+    assert heard == [(3, 4), (19, 0)]

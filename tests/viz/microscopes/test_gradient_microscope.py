@@ -1,0 +1,195 @@
+"""Gradients of one pixel and of one Gaussian: autograd, the renderer's own sum, and the widget without a browser."""
+
+import pytest
+import torch
+
+from gsfusion_nb.geometry.spherical_harmonics import sh_to_rgb
+from gsfusion_nb.optim import l1_vjp
+from gsfusion_nb.render import composite, composite_vjp, tile_intersections
+from gsfusion_nb.types import Camera, GaussianParams
+from gsfusion_nb.viz import GradientMicroscope
+from gsfusion_nb.viz.microscopes import gradient_microscope
+from gsfusion_nb.viz.microscopes.gradient_picture import LESS, MORE, gaussian_gradient_picture, pixel_gradient_picture
+from gsfusion_nb.viz.microscopes.pixel_gradient import gaussian_gradient, pixel_gradient, pixel_gradient_table
+from gsfusion_nb.viz.microscopes.pixel_stack import project_splats
+
+CAMERA = Camera(width=32, height=24, fx=26.0, fy=26.0, cx=16.0, cy=12.0)
+EYE = torch.eye(4)
+
+
+def random_map(n, generator, opacity=0.0):
+    return GaussianParams(
+        xyz_W=torch.rand(n, 3, generator=generator) * torch.tensor([2.4, 1.8, 2.0]) + torch.tensor([-1.2, -0.9, 1.0]),
+        log_scale=torch.randn(n, 3, generator=generator) * 0.4 - 2.5,
+        quat=torch.randn(n, 4, generator=generator),
+        opacity_logit=torch.randn(n, generator=generator) + opacity,
+        sh=torch.randn(n, 1, 3, generator=generator) * 0.5,
+    )
+
+
+@pytest.fixture(params=[0.0, 5.0], ids=["soft", "opaque"])
+def scene(request, generator):
+    """Splats, dL/d of a random image, and the renderer's own gradient."""
+    params = random_map(120, generator, request.param)
+    splats = project_splats(params, CAMERA, EYE)
+    p, rgb = splats.projection, sh_to_rgb(params.sh, params.xyz_W, EYE[:3, 3])
+    out = composite(p.uv, p.conic, p.opacity, rgb, p.depth_m, tile_intersections(p, CAMERA), CAMERA)
+    v_rgb = l1_vjp(out.rgb, torch.rand(24, 32, 3, generator=generator))
+    return splats, v_rgb, composite_vjp(out.saved, v_rgb)
+
+
+def test_the_field_of_a_gaussian_sums_up_to_the_renderers_gradient(scene):
+    splats, v_rgb, total = scene
+    scale = float(total.uv.abs().max())
+    seen = 0
+    for row in range(0, 120, 7):
+        try:
+            field = gaussian_gradient(splats, v_rgb, row)
+        except ValueError:
+            continue
+        assert field.stride == 1
+        torch.testing.assert_close(field.v_uv.sum((0, 1)), total.uv[row], rtol=1e-3, atol=1e-5 * scale)
+        seen += 1
+    assert seen > 10
+
+
+def test_all_pixels_together_give_the_renderers_gradient(scene):
+    splats, v_rgb, total = scene
+    n = len(splats.rgb)
+    uv, rgb, opacity = torch.zeros(n, 2), torch.zeros(n, 3), torch.zeros(n)
+    for v in range(24):
+        for u in range(32):
+            g = pixel_gradient(splats, v_rgb, u, v)
+            uv.index_add_(0, g.stack.row, g.v_uv)
+            rgb.index_add_(0, g.stack.row, g.v_rgb)
+            opacity.index_add_(0, g.stack.row, g.v_opacity)
+    for mine, theirs in ((uv, total.uv), (rgb, total.rgb), (opacity, total.opacity)):
+        torch.testing.assert_close(mine, theirs, rtol=1e-3, atol=1e-5 * float(theirs.abs().max()))
+
+
+def test_one_pixel_against_autograd(generator):
+    splats = project_splats(random_map(40, generator), CAMERA, EYE)
+    v_rgb = torch.randn(24, 32, 3, generator=generator)
+    g = pixel_gradient(splats, v_rgb, 16, 12)
+    alpha = g.stack.alpha.clone().requires_grad_()
+    T = torch.cat([torch.ones(1), (1 - alpha).cumprod(0)[:-1]])
+    ((alpha * T) @ g.stack.rgb @ v_rgb[12, 16]).backward()
+    torch.testing.assert_close(g.v_alpha, alpha.grad, rtol=1e-4, atol=1e-5)
+
+
+def test_a_large_field_is_sampled(generator, monkeypatch):
+    from gsfusion_nb.viz.microscopes import pixel_gradient as module
+
+    splats = project_splats(random_map(60, generator), CAMERA, EYE)
+    v_rgb = torch.randn(24, 32, 3, generator=generator)
+    row = int(splats.projection.extent_px.sum(1).argmax())
+    full = gaussian_gradient(splats, v_rgb, row)
+    monkeypatch.setattr(module, "FIELD_WORK", 300)
+    coarse = gaussian_gradient(splats, v_rgb, row)
+    assert coarse.stride > 1
+    s = coarse.stride
+    torch.testing.assert_close(coarse.v_alpha, full.v_alpha[::s, ::s], rtol=1e-4, atol=1e-6)
+
+
+def test_rows_that_are_not_in_the_picture_are_refused(generator):
+    splats = project_splats(random_map(4, generator), CAMERA, EYE)
+    with pytest.raises(ValueError, match=r"row must be 0..3, got 4"):
+        gaussian_gradient(splats, torch.zeros(24, 32, 3), 4)
+    behind = random_map(1, generator)
+    behind = GaussianParams(**(vars(behind) | {"xyz_W": torch.tensor([[0.0, 0.0, -1.0]])}))
+    with pytest.raises(ValueError, match="Gaussian 0 is not in the picture"):
+        gaussian_gradient(project_splats(behind, CAMERA, EYE), torch.zeros(24, 32, 3), 0)
+
+
+def one_dot():
+    """A grey dot in the middle, which the pixels want white."""
+    return GaussianParams(
+        xyz_W=torch.tensor([[0.0, 0.0, 2.0]]), log_scale=torch.full((1, 3), -1.5), quat=torch.tensor([[1.0, 0, 0, 0]]),
+        opacity_logit=torch.zeros(1), sh=torch.zeros(1, 1, 3),
+    )  # fmt: skip
+
+
+def test_green_is_more_opaque_and_red_less():
+    splats = project_splats(one_dot(), CAMERA, EYE)
+    image = torch.zeros(24, 32, 3)
+    for sign, ink, other in ((-1.0, MORE, LESS), (1.0, LESS, MORE)):
+        v_rgb = torch.full((24, 32, 3), sign)
+        for picture in (
+            pixel_gradient_picture(image, splats, pixel_gradient(splats, v_rgb, 17, 12)),
+            gaussian_gradient_picture(image, splats, gaussian_gradient(splats, v_rgb, 0)),
+        ):
+            counts = [(abs(picture.astype(int) - c).max(2) < 60).sum() for c in (ink, other)]
+            assert counts[0] > 50
+            assert counts[0] > 5 * counts[1]
+
+
+def test_the_table_says_what_should_happen():
+    splats = project_splats(one_dot(), CAMERA, EYE)
+    wish_white = pixel_gradient(splats, torch.full((24, 32, 3), -0.5), 15, 12)
+    table = pixel_gradient_table(wish_white, unit=0.5)
+    assert "more opaque" in table
+    assert "-1.500" in table  # c . v / unit = 3 * 0.5 * -1, T = 1
+
+
+def microscope(generator, n=400):
+    return GradientMicroscope(random_map(n, generator), CAMERA, EYE, torch.rand(24, 32, 3, generator=generator))
+
+
+def test_a_click_and_the_switch_change_what_is_shown(generator):
+    m = microscope(generator)
+    first = m.arrows.value, m.numbers.value
+    m.clicks.pixel = (10, 12)
+    second = m.arrows.value, m.numbers.value
+    assert "pixel (10, 12)" in second[1]
+    m.choice.value = "Gaussian"
+    assert m.pick == "Gaussian"
+    third = m.arrows.value, m.numbers.value
+    assert "sum over all pixels" in third[1]
+    assert len({first[0], second[0], third[0]}) == 3
+    assert m.look_at(20, 20).of_pixel.stack.u == 20
+    with pytest.raises(KeyError, match="pick"):
+        m.pick = "tile"
+
+
+def test_the_field_belongs_to_the_heaviest(generator):
+    m = microscope(generator).look_at(16, 12)
+    stack = m.of_pixel.stack
+    assert m.row == int(stack.row[stack.weight.argmax()])
+    field = m.of_gaussian
+    assert field is not None
+    torch.testing.assert_close(field.v_uv.sum((0, 1)), m.total.uv[m.row], rtol=1e-3, atol=1e-8)
+
+
+def test_ssim_changes_the_gradient(generator):
+    params, target = random_map(50, generator), torch.rand(24, 32, 3, generator=generator)
+    plain, mixed = (GradientMicroscope(params, CAMERA, EYE, target, ssim_weight=s) for s in (0.0, 0.2))
+    assert not torch.equal(plain.v_rgb, mixed.v_rgb)
+
+
+def test_nothing_at_the_pixel(generator):
+    m = GradientMicroscope(random_map(0, generator), CAMERA, EYE, torch.rand(24, 32, 3, generator=generator))
+    assert m.row is None
+    m.pick = "Gaussian"
+    assert m.picture().shape[0] > 200
+
+
+def test_the_stored_output_is_a_picture(generator, monkeypatch):
+    monkeypatch.setenv("GSNB_VIEW", "static")
+    assert set(microscope(generator)._repr_mimebundle_()) == {"image/jpeg", "text/plain"}
+
+
+@pytest.mark.parametrize("pick", ["pixel", "Gaussian"])
+def test_a_click_draws_one_picture_and_renders_nothing(generator, pick, monkeypatch):
+    """What does not depend on the pixel is computed once: the microscope follows the mouse."""
+    m = microscope(generator)
+    m.pick = pick
+    calls = []
+    for name in ("project_splats", "composite", "composite_vjp", "tile_intersections"):
+        monkeypatch.setattr(gradient_microscope, name, lambda *a, name=name, **k: calls.append(name))
+    for name in ("pixel_gradient_picture", "gaussian_gradient_picture"):
+        whole = getattr(gradient_microscope, name)
+        monkeypatch.setattr(
+            gradient_microscope, name, lambda *a, whole=whole, name=name, **k: calls.append(name) or whole(*a, **k)
+        )
+    m.look_at(20, 10)
+    assert calls == [{"pixel": "pixel_gradient_picture", "Gaussian": "gaussian_gradient_picture"}[pick]]

@@ -1,0 +1,87 @@
+"""The stage of discs, and the masks of Eq. 6 over a frame."""
+
+import numpy as np
+import pytest
+import torch
+
+from gsfusion_nb.render import SurfaceView
+from gsfusion_nb.types import Camera, Frame
+from gsfusion_nb.viz.panels.discs import NEAR_M, adding_masks, adding_panel, disc_panel, disc_stage, plan_picture
+
+
+def test_on_a_plane_the_disc_depth_is_exact_and_the_blended_one_is_not():
+    stage = disc_stage(lean_deg=30, gap_m=0.0, spacing_m=0.2)
+    assert float(stage.errors_m("disc_m").max()) < 1e-3
+    assert float(stage.errors_m("blended_m").mean()) > 0.02
+    assert stage.in_mid_air("disc_m") == 0.0
+
+
+def test_truth_of_the_leaning_board_by_hand():
+    stage = disc_stage(lean_deg=45, gap_m=0.0)
+    # The ray (x, 0, 1) meets x + z = z0 at z = z0 / (1 + x).
+    assert float(stage.truth_m[0, 8]) == pytest.approx(NEAR_M / (1 + (8.5 - 48) / 80), rel=1e-5)
+
+
+def test_between_two_surfaces_only_the_blended_depth_is_in_mid_air():
+    stage = disc_stage(lean_deg=20, gap_m=0.8)
+    assert stage.in_mid_air("disc_m") < 0.005
+    assert stage.in_mid_air("blended_m") > 0.05
+
+
+def test_a_higher_threshold_leaves_holes():
+    few, many = (disc_stage(opaque_alpha=a, spacing_m=0.2) for a in (0.9, 0.3))
+    assert int((few.disc_m > 0).sum()) < int((many.disc_m > 0).sum())
+
+
+def test_the_panel_redraws_and_says_the_numbers():
+    panel = disc_panel()
+    before = panel.picture().copy()
+    panel.set(lean_deg=60)
+    assert not np.array_equal(before, panel.picture())
+    assert "in mid-air" in panel.caption.value
+
+
+@pytest.mark.parametrize("lean_deg", [0, 75])
+@pytest.mark.parametrize("gap_m", [0.0, 1.2])
+@pytest.mark.parametrize("spacing_m", [0.05, 0.3])
+def test_every_end_of_the_sliders_draws(lean_deg, gap_m, spacing_m):
+    panel = disc_panel().set(lean_deg=lean_deg, gap_m=gap_m, spacing_m=spacing_m, opaque_alpha=0.95)
+    assert "Error" not in panel.caption.value
+    assert panel.picture().shape[1] > 800
+
+
+def test_a_plane_that_leans_far_still_fills_the_view_from_above():
+    """Some rays meet its plane a hundred metres away, or never."""
+    plan = plan_picture(disc_stage(lean_deg=65, gap_m=0.0, spacing_m=0.2), 600)
+    blue = (np.abs(plan[40:].astype(int) - (61, 133, 198)).max(-1) < 20).nonzero()
+    assert np.ptp(blue[0]) > 120
+    assert np.ptp(blue[1]) > 60
+
+
+@pytest.fixture
+def scene():
+    """Four pixels: fine, new, 20 cm too far, wrong colour; the last is new and wrong at once."""
+    camera = Camera(width=5, height=1, fx=5.0, fy=5.0, cx=2.5, cy=0.5)
+    grey, other = torch.full((1, 5, 3), 0.5), torch.full((1, 5, 3), 0.5)
+    other[0, 3:] = 0.9
+    index = torch.zeros(1, 5, dtype=torch.int32)
+    view = SurfaceView(
+        rgb=other, transmittance=torch.tensor([[0.0, 0.9, 0.0, 0.0, 0.9]]),
+        depth_m=torch.tensor([[2.0, 0.0, 2.2, 2.0, 2.9]]), normal_W=torch.zeros(1, 5, 3), hit_index=index,
+        dominant_index=index,
+    )  # fmt: skip
+    frame = Frame(index=0, timestamp_s=0.0, rgb=grey, depth_m=torch.full((1, 5), 2.0), camera=camera, T_WC=torch.eye(4))
+    return view, frame
+
+
+def test_masks_by_hand(scene):
+    masks = adding_masks(*scene, min_transmittance=0.5, depth_error_m=0.1, colour_error=0.1)
+    assert {cause: mask.nonzero()[:, 1].tolist() for cause, mask in masks.items()} == {1: [1, 4], 2: [2], 3: [3]}
+
+
+def test_the_panel_counts_the_pixels_of_the_masks(scene):
+    panel = adding_panel(*scene)
+    assert '"gsnb-adding-1">2 pixels' in panel.caption.value
+    panel.set(colour_error=0.3, depth_error_m=0.3, min_transmittance=0.95)
+    assert '"gsnb-adding-1">0 pixels' in panel.caption.value
+    assert '"gsnb-adding-2">1 pixels' in panel.caption.value  # the last pixel is 90 cm off

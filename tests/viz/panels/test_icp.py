@@ -1,0 +1,117 @@
+"""ICP step by step, the map of its basin, and paths from above."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from gsfusion_nb.config import TrackingConfig
+from gsfusion_nb.data.room.sequence import RoomSequence
+from gsfusion_nb.tracking import icp
+from gsfusion_nb.viz.panels.icp import (
+    basin,
+    basin_picture,
+    frame_surface,
+    icp_panel,
+    moved_start,
+    overlay_picture,
+    path_picture,
+    pose_error,
+    residual_picture,
+    single_level,
+)
+
+
+@pytest.fixture(scope="module")
+def pair():
+    """Two views of the room, a little apart."""
+    room = RoomSequence(n_frames=480, width=80, height=60, cache=False)
+    return room[40], room[42]
+
+
+def test_a_start_is_off_by_what_was_asked(pair):
+    frame = pair[1]
+    start = moved_start(frame.T_WC, 0.1, 0)
+    assert pose_error(start, frame.T_WC) == pytest.approx((0.1, 0.0), abs=1e-4)
+    right = start[:3, 3] - frame.T_WC[:3, 3].double()
+    assert torch.allclose(right / right.norm(), frame.T_WC[:3, 0].double(), atol=1e-4)
+    assert pose_error(moved_start(frame.T_WC, 0, 5), frame.T_WC) == pytest.approx((0.0, 5.0), abs=1e-3)
+
+
+def test_residuals_are_white_at_the_truth_and_coloured_beside_it(pair):
+    known, frame = pair
+    surface, config = frame_surface(known), TrackingConfig()
+
+    def pale(T):
+        picture = residual_picture(frame, surface, T, config).astype(int)
+        shown = picture.max(-1) > 90
+        return (picture.min(-1)[shown] > 150).mean()
+
+    assert pale(frame.T_WC.double()) > 0.7
+    assert pale(moved_start(frame.T_WC, 0.0, 3.0)) < 0.6
+
+
+def test_a_point_behind_the_surface_is_red_and_one_before_it_blue(pair):
+    wall = dataclasses.replace(pair[0], depth_m=torch.full((60, 80), 2.0), T_WC=torch.eye(4))
+    surface = frame_surface(wall)
+    for z, reddish in ((0.02, True), (-0.02, False)):
+        T = torch.eye(4).double()
+        T[2, 3] = z
+        picture = residual_picture(wall, surface, T, TrackingConfig())
+        red, blue = picture[15, 20, 0], picture[15, 20, 2]
+        assert (red > blue) == reddish
+
+
+def test_the_overlay_of_a_frame_on_itself_is_the_frame(pair):
+    known = pair[0]
+    picture = overlay_picture(known, frame_surface(known), known.T_WC.double())
+    assert np.abs(picture.astype(int) - (known.rgb.numpy() * 255)).mean() < 4
+
+
+def test_the_panel_arrives_from_near_and_is_lost_from_afar(pair):
+    known, frame = pair
+    panel = icp_panel(frame, frame_surface(known))
+    panel.set(sideways_cm=3, turn_deg=1, step=15)
+    assert "arrived" in panel.caption.value
+    assert "after all" in panel.caption.value
+    panel.set(sideways_cm=60, turn_deg=20)
+    assert "lost" in panel.caption.value
+    assert "after all 0 steps" in panel.caption.value  # nothing corresponds: there is no step to take
+    panel.set(step=0, pyramid=False, sideways_cm=3, turn_deg=1)
+    assert "2 × 2 px" in panel.caption.value
+
+
+def test_the_basin_holds_the_truth_and_coarse_levels_widen_it(pair):
+    known, frame = pair
+    surface, config = frame_surface(known), TrackingConfig()
+    sideways, turns = [-0.2, 0.0, 0.2], [-8.0, 0.0, 8.0]
+    wide = basin(frame, surface, sideways, turns)
+    narrow = basin(frame, surface, sideways, turns, single_level(config))
+    assert wide.shape == (3, 3)
+    assert wide[1, 1] < 0.02
+    assert (narrow < 0.02).sum() <= (wide < 0.02).sum() < 9
+    picture = basin_picture(wide, sideways, turns)
+    centre = picture[45, 62 + 45].astype(int)
+    assert centre[1] > centre[0]
+
+
+def test_single_level_keeps_the_number_of_steps(pair):
+    config = single_level(TrackingConfig(pyramid=(8, 4, 2), iterations=(5, 4, 3)))
+    assert (config.pyramid, config.iterations) == ((2,), (12,))
+    known, frame = pair
+    result = icp(frame.depth_m, frame.camera, frame_surface(known), frame.T_WC, config)
+    assert {h.factor for h in result.history} == {2}
+
+
+def test_paths_from_above():
+    poses = torch.eye(4).repeat(20, 1, 1)
+    angle = torch.linspace(0, 2 * math.pi, 20)
+    poses[:, 0, 3], poses[:, 1, 3] = angle.cos(), angle.sin()
+    picture = path_picture({"circle": poses, "half": poses[:10]}, links=[(0, 19)], linked="circle")
+    assert picture.shape[1] == 400
+    drawn = (picture < 200).any(-1)
+    assert drawn.mean() > 0.005
+    still = path_picture({"no motion": poses[:1]})
+    assert still.dtype == np.uint8

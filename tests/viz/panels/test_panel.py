@@ -1,0 +1,100 @@
+"""A panel without a browser: controls call the function, buttons act, errors stand in the text."""
+
+import cv2
+import numpy as np
+import pytest
+
+from gsfusion_nb.viz.display import WIDGET_MIME
+from gsfusion_nb.viz.panels.panel import Choice, Panel, Slider, Switch
+
+
+def shown(panel):
+    return np.asarray(cv2.imdecode(np.frombuffer(panel.image.value, np.uint8), cv2.IMREAD_COLOR))[..., ::-1]
+
+
+@pytest.fixture
+def panel():
+    """A grey picture as bright as the slider says; it refuses 13."""
+    calls = []
+
+    def draw(*, level, word, flip):
+        calls.append((level, word, flip))
+        if level == 13:
+            raise ValueError("13 brings <bad> luck")
+        return np.full((4, 6, 3), 255 - level if flip else level, np.uint8), f"{word} {level}"
+
+    controls = {
+        "level": Slider(value=100, low=0, high=255, step=1, label="level"),
+        "word": Choice(value="grey", options=("grey", "gray"), label="word"),
+        "flip": Switch(value=False, label="flip"),
+    }
+    panel = Panel(draw, controls, buttons={"brighter now": lambda: more(panel)}, kind="png", name="test")
+    panel.calls = calls  # pyright: ignore[reportAttributeAccessIssue]
+    return panel
+
+
+def more(panel):
+    panel._quiet = True
+    panel.controls["level"].value += 50
+    panel._quiet = False
+
+
+def test_a_control_redraws_picture_and_text(panel):
+    assert (shown(panel) == 100).all()
+    panel.controls["level"].value = 7
+    assert (shown(panel) == 7).all()
+    assert panel.caption.value == "grey 7"
+    panel.controls["flip"].value = True
+    panel.controls["word"].value = "gray"
+    assert (panel.picture() == 248).all()
+    assert panel.caption.value == "gray 7"
+    assert panel.image.layout.width == "6px"
+
+
+def test_set_redraws_once_and_knows_its_names(panel):
+    n = len(panel.calls)
+    assert panel.set(level=20, word="gray") is panel
+    assert panel.calls[n:] == [(20, "gray", False)]
+    with pytest.raises(KeyError, match=r"no controls \['lvel'\]; known: level, word, flip"):
+        panel.set(lvel=1)
+
+
+def test_a_button_acts_and_redraws(panel):
+    panel.press("brighter now")
+    assert (shown(panel) == 150).all()
+    with pytest.raises(KeyError, match="no button 'darker'"):
+        panel.press("darker")
+
+
+def test_an_error_is_shown_and_the_picture_stays(panel):
+    panel.controls["level"].value = 13
+    assert "ValueError: 13 brings &lt;bad&gt; luck" in panel.caption.value
+    assert (shown(panel) == 100).all()
+    panel.controls["level"].value = 14
+    assert panel.caption.value == "grey 14"
+
+
+def test_classes_for_the_browser(panel):
+    assert "gsnb-test-image" in panel.image._dom_classes
+    assert "gsnb-test-level" in panel.controls["level"]._dom_classes
+    assert "gsnb-test-brighter-now" in panel.buttons["brighter now"]._dom_classes
+
+
+def test_a_logarithmic_slider_has_its_ends():
+    panel = Panel(
+        lambda *, x: (np.zeros((2, 2, 3), np.uint8), f"{x:.3f}"),
+        {"x": Slider(value=0.1, low=0.001, high=10, step=0.02, label="x", log=True)},
+    )
+    assert panel.caption.value == "0.100"
+    panel.controls["x"].value = 10
+    assert panel.caption.value == "10.000"
+    panel.controls["x"].value = 0.00001
+    assert panel.caption.value == "0.001"
+
+
+def test_stored_and_live_outputs(panel, monkeypatch):
+    for name in ("GSNB_VIEW", "GSNB_SMOKE"):
+        monkeypatch.delenv(name, raising=False)
+    assert {WIDGET_MIME, "image/jpeg", "text/plain"} <= set(panel._repr_mimebundle_())
+    monkeypatch.setenv("GSNB_VIEW", "static")
+    assert WIDGET_MIME not in panel._repr_mimebundle_()

@@ -1,0 +1,80 @@
+"""Points of a frame from other poses: the same pose gives the picture back, a step moves near things farther."""
+
+import numpy as np
+import pytest
+import torch
+
+from gsfusion_nb.geometry import se3
+from gsfusion_nb.types import Camera, Frame
+from gsfusion_nb.viz import point_panel
+from gsfusion_nb.viz.panels.points import moved_pose, normal_colours, point_view
+
+CAMERA = Camera(width=64, height=48, fx=50.0, fy=50.0, cx=32.0, cy=24.0)
+
+
+@pytest.fixture
+def frame():
+    """A grey wall at 2 m with a red square at 1 m in the middle; no depth in the lowest row; some pose."""
+    rgb, depth_m = torch.full((48, 64, 3), 0.5), torch.full((48, 64), 2.0)
+    rgb[20:28, 28:36] = torch.tensor([1.0, 0.0, 0.0])
+    depth_m[20:28, 28:36] = 1.0
+    depth_m[-1] = 0
+    T_WC = se3.exp(torch.tensor([0.3, -0.2, 0.5, 0.4, -0.7, 0.2]))
+    return Frame(index=0, timestamp_s=0.0, rgb=rgb, depth_m=depth_m, camera=CAMERA, T_WC=T_WC)
+
+
+def red(picture):
+    return np.argwhere((picture[..., 0] > 200) & (picture[..., 1] < 50))
+
+
+def test_the_same_pose_gives_the_picture_back(frame):
+    picture = point_view(frame, frame.T_WC)
+    expected = (frame.rgb.numpy() * 255 + 0.5).astype(np.uint8)
+    assert (picture[:-1] == expected[:-1]).all()
+    assert (picture[-1] == 0).all()  # no depth, no point
+
+
+def test_a_step_to_the_right_moves_near_things_farther_to_the_left(frame):
+    step_m = 0.1
+    picture = point_view(frame, moved_pose(frame.T_WC, (step_m, 0.0, 0.0), 0.0))
+    assert red(picture).mean(0) + 0.5 == pytest.approx([24, 32 - 50 * step_m / 1.0], abs=0.51)
+    hole = np.argwhere((picture[:-1] == 0).all(-1))
+    beside = hole[(hole[:, 0] >= 21) & (hole[:, 0] < 27) & (hole[:, 1] < 40)]
+    assert len(beside) > 0  # where the wall was hidden
+    assert beside[:, 1].min() > red(picture)[:, 1].max() - 1
+
+
+def test_the_nearest_point_wins_and_points_can_be_larger(frame):
+    closer = moved_pose(frame.T_WC, (0.0, 0.0, 0.5), 0.0)
+    picture = point_view(frame, closer)
+    assert len(red(picture)) <= 64  # as many points as before, now with gaps
+    full = point_view(frame, closer, point_px=3)
+    rows = red(full)[:, 0]
+    assert rows.max() - rows.min() >= 14  # twice as large from half as far
+    assert (full[22:26, 30:34] == (255, 0, 0)).all()
+
+
+def test_turning_right_moves_the_picture_left(frame):
+    picture = point_view(frame, moved_pose(frame.T_WC, (0.0, 0.0, 0.0), 10.0))
+    assert red(picture)[:, 1].mean() + 0.5 == pytest.approx(32 - 50 * np.tan(np.radians(10)), abs=1.0)
+    up = point_view(frame, moved_pose(frame.T_WC, (0.0, 0.0, 0.0), 0.0, 10.0))
+    assert red(up)[:, 0].mean() > 28  # looking up, things sink
+
+
+def test_normals_have_colours(frame):
+    flat = normal_colours(torch.tensor([[[0.0, 0.0, -1.0], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]]))
+    assert flat[0].tolist() == [[128, 128, 0], [0, 0, 0], [255, 128, 128]]
+    picture = point_view(frame, frame.T_WC, show="normals")
+    assert picture[5, 5].tolist() == [128, 128, 0]
+    with pytest.raises(ValueError, match="one of colour, depth, normals"):
+        point_view(frame, frame.T_WC, show="curvature")  # pyright: ignore[reportArgumentType]
+
+
+def test_the_panel_turns_the_camera_and_says_what_is_shown(frame):
+    panel = point_panel(frame)
+    before = panel.picture()
+    panel.controls["turn_deg"].value = 16.0
+    assert (panel.picture() != before).any()
+    assert "no point on" in panel.caption.value
+    for show, words in (("depth", " m, red "), ("normals", "x, y, z"), ("colour", "no point on")):
+        assert words in panel.set(show=show).caption.value

@@ -1,0 +1,140 @@
+"""Sliders from a rule's keywords, and the picture of its seeds, without a browser."""
+
+from typing import Literal
+
+import numpy as np
+import pytest
+import torch
+
+from gsfusion_nb.config import gsfusion
+from gsfusion_nb.data import open_sequence
+from gsfusion_nb.mapping import GSFusion
+from gsfusion_nb.seeding import Seeds, registered, rule_options
+from gsfusion_nb.viz.panels.panel import Choice, Slider, Switch
+from gsfusion_nb.viz.panels.seeding_rule import SHOWS, rule_context, rule_controls, rule_panel, rule_picture
+
+CONFIG = gsfusion("room", tsdf__voxel_size_m=0.04)
+
+
+def every_kind(
+    ctx, *, share: float = 0.1, count: int = 8, offset: float = 0.0, on: bool = True, word: Literal["a", "b"] = "a"
+) -> Seeds:
+    return ctx.cells()
+
+
+@pytest.fixture(scope="module")
+def scenes():
+    sequence = open_sequence("room", data=CONFIG.data, n_frames=60)
+    mapper = GSFusion(CONFIG)
+    fresh = rule_context(mapper, sequence.mapping[0])
+    for i in range(2):
+        mapper.step(sequence.mapping[i])
+    return {"first": fresh, "later": rule_context(mapper, sequence.mapping[4])}, mapper
+
+
+def test_a_control_for_each_option():
+    controls = rule_controls(every_kind, {"count": (2, 20)})
+    share, count, offset, word = (controls[name] for name in ("share", "count", "offset", "word"))
+    assert isinstance(share, Slider)
+    assert share.log
+    assert (share.low, share.high) == pytest.approx((0.005, 2.0))
+    assert isinstance(count, Slider)
+    assert (count.low, count.high, count.step) == (2, 20, 1)
+    assert isinstance(offset, Slider)
+    assert (offset.low, offset.high) == (-1, 1)
+    for limits, step in (((0, 5), 1.0), ((0.0, 5.0), 0.05)):
+        share = rule_controls(every_kind, {"share": limits})["share"]
+        assert isinstance(share, Slider)
+        assert (share.low, share.high, share.step) == (*limits, step)
+    assert isinstance(controls["on"], Switch)
+    assert isinstance(word, Choice)
+    assert list(word.options) == ["a", "b"]
+    with pytest.raises(KeyError, match="no options \\['speed'\\]"):
+        rule_controls(every_kind, {"speed": (0, 1)})
+
+
+@pytest.mark.parametrize("rule", list(registered()))
+def test_every_registered_rule_has_a_panel_that_agrees_with_it(rule, scenes):
+    contexts, _ = scenes
+    panel = rule_panel(rule, contexts)
+    assert set(rule_options(rule)) | {"scene", "show"} == set(panel.controls)
+    _, seeds = rule_picture(rule, contexts["first"])
+    assert f">{len(seeds):,}</b>" in panel.caption.value
+    before = panel.picture().copy()
+    assert (panel.set(scene="later").picture() != before).any()
+
+
+def test_looking_at_a_frame_leaves_the_mapper_alone(scenes):
+    _, mapper = scenes
+    before = (len(mapper.gaussians), mapper.volume.n_blocks, mapper.n_frames)
+    sequence = open_sequence("room", data=CONFIG.data, n_frames=60)
+    ctx = rule_context(mapper, sequence.mapping[4])
+    mapped = len(mapper.propose_seeds(mapper.seed_context(sequence.mapping[4])))
+    assert (len(mapper.gaussians), mapper.volume.n_blocks, mapper.n_frames) == before
+    _, seeds = rule_picture("gsfusion", ctx)
+    assert len(seeds) > mapped  # the context's volume has taken in the frame, the mapper's has not
+
+
+def test_the_dots_lie_where_the_seeds_project(scenes):
+    contexts, _ = scenes
+
+    def one(ctx):
+        return ctx.seeds_at(torch.tensor([[100.5, 60.5]]), 2.0)
+
+    picture, seeds = rule_picture(one, contexts["first"])
+    red = np.argwhere((picture == (255, 48, 64)).all(-1))
+    assert len(seeds) == 1
+    assert np.abs(red - (60, 100)).max() <= 1
+
+
+def test_random_rules_give_the_same_picture_each_time(scenes):
+    contexts, _ = scenes
+    a, b = (rule_picture("uniform", contexts["first"])[0] for _ in range(2))
+    assert (a == b).all()
+
+
+def test_views_and_an_empty_proposal(scenes):
+    contexts, _ = scenes
+
+    def none(ctx):
+        return ctx.cells()[:0]
+
+    for show in SHOWS:
+        picture, seeds = rule_picture(none, contexts["first"], show=show, scale=2)
+        assert picture.shape == (480, 640, 3)
+        assert len(seeds) == 0
+    with pytest.raises(ValueError, match="show must be one of"):
+        rule_picture(none, contexts["first"], show="everything")
+
+
+def test_an_error_of_the_rule_is_shown_not_raised(scenes):
+    contexts, _ = scenes
+    panel = rule_panel("uniform", contexts["first"])
+    panel.set(fraction=1.0)
+    picture = panel.picture()
+    panel.set(fraction=1.01 if panel.controls["fraction"].max >= 1.01 else 1.0)
+    if panel.controls["fraction"].value > 1:
+        assert "fraction must be" in panel.caption.value
+        assert panel.picture() is picture
+
+
+def test_a_name_that_the_panel_needs_is_refused(scenes):
+    def clash(ctx, *, show: float = 1.0):
+        return ctx.cells()
+
+    with pytest.raises(ValueError, match="option named 'show'"):
+        rule_panel(clash, scenes[0])
+
+
+@pytest.mark.parametrize("show", SHOWS)
+def test_a_slider_asks_the_rule_once(show, scenes):
+    asked = []
+
+    def counted(ctx, *, size_px: float = 2.0):
+        asked.append(size_px)
+        return ctx.seeds_at(torch.tensor([[100.5, 60.5]]), size_px)
+
+    panel = rule_panel(counted, scenes[0]).set(show=show, scene="later")
+    asked.clear()
+    panel.controls["size_px"].value = 4.0
+    assert asked == [4.0]

@@ -1,0 +1,90 @@
+"""The filling panel without a browser: moving changes nothing in the map, measuring does, forgetting undoes it."""
+
+import pytest
+import torch
+
+from gsfusion_nb.config import TsdfConfig
+from gsfusion_nb.tsdf import TsdfVolume, integrate
+from gsfusion_nb.types import Camera, Frame
+from gsfusion_nb.viz import fill_panel
+from gsfusion_nb.viz.panels import tsdf_fill as filling
+from gsfusion_nb.viz.panels.tsdf_fill import level_pose
+
+CAMERA = Camera(width=320, height=240, fx=208.0, fy=208.0, cx=160.0, cy=120.0)
+SMALL = CAMERA.resized(160, 120)
+
+
+def look(T_WC):
+    """A flat wall 1.5 m ahead of wherever the camera stands."""
+    size = (SMALL.height, SMALL.width)
+    return Frame(
+        index=0, timestamp_s=0.0, rgb=torch.full((*size, 3), 0.5), depth_m=torch.full(size, 1.5), camera=SMALL,
+        T_WC=T_WC,
+    )  # fmt: skip
+
+
+def blue(picture):
+    """Pixels of free space in the slice."""
+    part = picture[26:276, :310].astype(int)
+    return (part[..., 2] - part[..., 0] > 60).sum()
+
+
+@pytest.fixture
+def panel():
+    return fill_panel(TsdfVolume(TsdfConfig(voxel_size_m=0.04, truncation_voxels=4.0)), CAMERA, look)
+
+
+def test_the_pose_is_rigid_upright_and_looks_along_its_heading():
+    T = level_pose(1.0, 2.0, 1.5, 90.0, 30.0).double()
+    assert T[:3, 3].tolist() == [1.0, 2.0, 1.5]
+    assert T[:3, 2].tolist() == pytest.approx([0, 3**0.5 / 2, 0.5], abs=1e-6)  # towards +y and up
+    assert T[:3, 0].tolist() == pytest.approx([1, 0, 0], abs=1e-6)  # its right is +x
+    assert T[2, 1] < 0  # its down is down
+    assert torch.allclose(T[:3, :3] @ T[:3, :3].T, torch.eye(3, dtype=torch.float64), atol=1e-6)
+    assert float(torch.linalg.det(T[:3, :3])) == pytest.approx(1)
+
+
+def test_only_measuring_fills_the_map(panel):
+    empty = panel.picture()
+    panel.set(heading_deg=30.0)
+    assert "<b>0</b> blocks" in panel.caption.value
+    panel.press("measure")
+    assert "<b>0</b> blocks" not in panel.caption.value
+    assert 'gsnb-fill-frames">1</b>' in panel.caption.value
+    filled = panel.picture()
+    assert blue(filled) > 200 > blue(empty)
+    view = filled[-240:, -320:]
+    assert view.mean() > 100  # the wall, lit
+    panel.press("forget")
+    assert "<b>0</b> blocks" in panel.caption.value
+    assert panel.picture()[-240:, -320:].mean() < 1
+
+
+def test_it_can_measure_at_every_move(panel):
+    panel.set(at_every_move=True)
+    panel.controls["heading_deg"].value = 40
+    assert 'gsnb-fill-frames">2</b>' in panel.caption.value
+
+
+def test_only_what_a_control_moves_is_drawn_again(panel, monkeypatch):
+    drawn = []
+    for name in ("slice_picture", "raycast"):
+        whole = getattr(filling, name)
+        monkeypatch.setattr(filling, name, lambda *a, whole=whole, name=name, **k: drawn.append(name) or whole(*a, **k))
+    panel.press("measure")
+    assert sorted(drawn) == ["raycast", "slice_picture"]
+    panel.set(heading_deg=20.0)
+    assert drawn[2:] == ["raycast"]
+    panel.set(height_m=1.2)
+    assert drawn[3:] == ["slice_picture"]
+    panel.press("forget")
+    assert sorted(drawn[4:]) == ["raycast", "slice_picture"]
+    assert blue(panel.picture()) == 0
+
+
+def test_it_notices_when_the_volume_is_filled_elsewhere():
+    volume = TsdfVolume(TsdfConfig(voxel_size_m=0.04, truncation_voxels=4.0))
+    panel = fill_panel(volume, CAMERA, look)
+    integrate(volume, look(level_pose(0.0, 0.0, 1.3, 0.0)))
+    panel.redraw()
+    assert blue(panel.picture()) > 200
