@@ -11,9 +11,9 @@ from ..backends import from_environment, use_backend
 from ..checks import check_name
 from ..config import replace
 from ..data.stream import AzureKinect, GrowingFolder, LiveSource, RealSense
+from ..mapping.systems import Config, get_system
 from .map_sequence import FinishedRun
 from .map_stream import map_stream
-from ..mapping.systems import Config, get_system
 
 USAGE = """gsfusion-nb live: map frames as they come; Ctrl-C ends the scan, then the report is made
 

@@ -7,11 +7,11 @@ from typing import Literal
 
 from ..data import Sequence
 from ..data.stream import Policy
+from ..mapping.systems import Config, Mapper
 from ..types import Frame
 from .map_sequence import FinishedRun, drive
 from .run import MappingRun, StopRequest, new_folder
 from .stream_run import StreamRun
-from ..mapping.systems import Config, Mapper
 
 
 def map_stream(

@@ -2,10 +2,10 @@
 
 import torch
 
-from ..tsdf import extract_mesh
-from ..types import Mesh
 from ..mapping.gsfusion import GSFusion
 from ..mapping.systems import Mapper
+from ..tsdf import extract_mesh
+from ..types import Mesh
 
 
 def describe_full(mapper: Mapper) -> str:

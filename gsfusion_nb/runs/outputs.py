@@ -12,19 +12,28 @@ import torch
 
 from .. import __version__
 from ..config import to_dict
-from .report_page import FrameRow, ReportData, ViewPanel, write_report
-from ..evaluation import NotComputed, cull_unseen, disc_scores, frame_rates, mesh_scores, metrics_as_json, score_views, trajectory_scores
+from ..evaluation import (
+    NotComputed,
+    cull_unseen,
+    disc_scores,
+    frame_rates,
+    mesh_scores,
+    metrics_as_json,
+    score_views,
+    trajectory_scores,
+)
 from ..export import atomic_path, write_gaussian_ply, write_mesh_ply, write_trajectory_tum
 from ..gaussians import state_counts
-from ..seeding import Cells, quadtree, rule_name
-from ..types import Frame, Mesh
 from ..mapping.gsfusion import GSFusion
-from .memory import mesh_when_full
 from ..mapping.placing import placed, readable, true_poses
 from ..mapping.report import StepReport
 from ..mapping.rtg_slam import RTGSLAM
-from .run import MappingRun
 from ..mapping.systems import get_system
+from ..seeding import Cells, quadtree, rule_name
+from ..types import Frame, Mesh
+from .memory import mesh_when_full
+from .report_page import FrameRow, ReportData, ViewPanel, write_report
+from .run import MappingRun
 
 MAX_SCORED_VIEWS = 250
 """At most so many mapped views are scored, evenly spread; held-out views are all scored."""

@@ -3,16 +3,15 @@
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from html import escape
 from pathlib import Path
 from typing import Any
 
 from jaxtyping import Float
 from torch import Tensor
 
-from ..types import Frame, RenderOutput
-from ..evaluation.image import expected_depth_m, psnr, ssim
 from ..drawing.pictures import AnyImage
+from ..evaluation.image import expected_depth_m, psnr, ssim
+from ..types import Frame, RenderOutput
 
 
 @dataclass(frozen=True, kw_only=True)

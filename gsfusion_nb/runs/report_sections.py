@@ -6,7 +6,6 @@ from html import escape
 from typing import TYPE_CHECKING, Any
 
 from ..drawing import pictures
-from ..drawing.curves import Numbers, curve_figure, figure_svg
 from ..evaluation.metrics import METRIC_GROUPS, METRICS, NBSP, format_metric, format_value, reason_missing
 
 if TYPE_CHECKING:

@@ -8,10 +8,10 @@ from ..config import from_dict
 from ..data import open_sequence
 from ..evaluation import metrics_as_json, score_views
 from ..export import read_gaussian_ply
-from ..render import render
-from .outputs import write_json
 from ..mapping.placing import readable
 from ..mapping.systems import get_system
+from ..render import render
+from .outputs import write_json
 
 
 def rescore(folder: Path | str, *, data: str | None = None, with_lpips: bool = False) -> dict[str, Any]:

@@ -17,13 +17,13 @@ from ..config import TsdfConfig
 from ..data import OpenedSequence, RecordedSequence, SequenceError, SequenceView, open_sequence
 from ..data.stream import read_ahead
 from ..export import load_checkpoint, save_checkpoint
-from ..seeding import SeedingRule
-from ..types import Frame
 from ..mapping.gsfusion import GSFusion
 from ..mapping.placing import has_poses
 from ..mapping.report import GlobalStep, StepReport
 from ..mapping.rtg_slam import RTGSLAM
 from ..mapping.systems import Config, Mapper, get_system, make_mapper, system_of
+from ..seeding import SeedingRule
+from ..types import Frame
 
 log = logging.getLogger(__name__)
 

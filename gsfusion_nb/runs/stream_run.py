@@ -5,12 +5,12 @@ from typing import Any
 
 from ..data import BadFrameError, Sequence, SequenceError, SequenceView
 from ..data.stream import BackgroundFrames, Policy, SelectedFrames
-from ..types import Frame
 from ..mapping.album import Album
 from ..mapping.passes import KeyframePasses
-from .run import MappingRun
 from ..mapping.systems import Config, Mapper
 from ..mapping.usable import check_frame
+from ..types import Frame
+from .run import MappingRun
 
 
 class StreamRun(MappingRun):

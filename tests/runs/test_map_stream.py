@@ -12,8 +12,8 @@ from gsfusion_nb.data import BadFrameError, SequenceError
 from gsfusion_nb.data.stream import LiveSource
 from gsfusion_nb.export import read_gaussian_ply, read_trajectory_tum
 from gsfusion_nb.mapping import GSFusion, make_mapper
-from gsfusion_nb.runs import StreamRun, map_stream, run_mapping
 from gsfusion_nb.mapping.album import Album
+from gsfusion_nb.runs import StreamRun, map_stream, run_mapping
 from gsfusion_nb.types import Frame
 
 FILES = {"gaussians.ply", "mesh.ply", "trajectory.txt", "config.json", "metrics.json", "report.html"}
