@@ -9,6 +9,7 @@ from typing import Any
 from jaxtyping import Float
 from torch import Tensor
 
+from ..drawing.page import page_html
 from ..drawing.pictures import AnyImage
 from ..evaluation.image import expected_depth_m, psnr, ssim
 from ..types import Frame, RenderOutput

@@ -6,6 +6,7 @@ from html import escape
 from typing import TYPE_CHECKING, Any
 
 from ..drawing import pictures
+from ..drawing.page import PICTURE_WIDTH, chart, colour_bar, figure
 from ..evaluation.metrics import METRIC_GROUPS, METRICS, NBSP, format_metric, format_value, reason_missing
 
 if TYPE_CHECKING:

@@ -167,7 +167,7 @@ def drawn_by_the_browser(node, folder, mesh, T_WC, shading):
         "shape": shading == "shape", "background": list(BACKGROUND),
     }  # fmt: skip
     (folder / "mesh.json").write_text(json.dumps(data))
-    (folder / "mesh.mjs").write_text(joined(("splat_project", "mesh_raster")) + _SCRIPT)
+    (folder / "mesh.mjs").write_text(joined(("projection", "meshes/raster")) + _SCRIPT)
     done = subprocess.run([node, folder / "mesh.mjs", folder / "mesh.json"], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     answer = json.loads(done.stdout)

@@ -242,7 +242,7 @@ def test_parts_add_up_to_the_map(ask, scene, generator):
 
 def test_the_hand_moves_the_camera_like_orbit_camera(node, tmp_path):
     script = (
-        joined(("splat_camera",))
+        joined(("camera",))
         + """
     const [pose, up] = JSON.parse(process.argv[2]);
     const round = new OrbitCamera(pose, 2.5, up);
