@@ -11,13 +11,13 @@ from ..mapping import GSFusion
 from ..tsdf import TsdfVolume
 from ..types import Camera, Frame
 from ..viz import GradientMicroscope, PixelMicroscope, fill_panel, orbit_view, point_panel, quadtree_panel
-from ..viz.panels.discs import disc_panel
 from ..viz.live.step_panels import live_panels
+from ..viz.microscopes.gaussian_panels import one_gaussian_panel, sh_ball_panel
+from ..viz.panels.discs import disc_panel
 from ..viz.panels.points import POINT_COLOURS
 from ..viz.panels.quadtree import SHOWS as QUADTREE_SHOWS
-from ..viz.rule_panel import SHOWS as RULE_SHOWS
-from ..viz.rule_panel import rule_context, rule_panel
-from ..viz.microscopes.gaussian_panels import one_gaussian_panel, sh_ball_panel
+from ..viz.panels.seeding_rule import SHOWS as RULE_SHOWS
+from ..viz.panels.seeding_rule import rule_context, rule_panel
 from .options import BenchOptions
 from .rows import Case, Row
 from .scene import random_scene

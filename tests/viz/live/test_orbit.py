@@ -10,8 +10,8 @@ from gsfusion_nb.gaussians import GaussianModel
 from gsfusion_nb.mapping import RTGSLAM
 from gsfusion_nb.types import Seeds
 from gsfusion_nb.viz import orbit_view
-from gsfusion_nb.viz.live import orbit
 from gsfusion_nb.viz.display import WIDGET_MIME
+from gsfusion_nb.viz.live import orbit
 
 
 def shown(view):
