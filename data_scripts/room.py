@@ -11,10 +11,8 @@ from pathlib import Path
 
 from gsfusion_nb.data.fetch import command
 from gsfusion_nb.data.fetch.disk import require_space, size_text
-from gsfusion_nb.data.fetch.lock import only_one
-from gsfusion_nb.data.fetch.obtain import WORK
 from gsfusion_nb.data.fetch.plan import duration_text
-from gsfusion_nb.data.fetch.whole import whole_folder
+from gsfusion_nb.data.fetch.work_folder import only_one, unfinished_folder
 from gsfusion_nb.data.room import room_mesh
 from gsfusion_nb.data.room.layouts import WRITERS, Walk
 from gsfusion_nb.export import write_mesh_ply
@@ -35,7 +33,7 @@ def write(layout: str, walk: Walk, terms: command.Terms) -> None:
         f"  time     about {duration_text(seconds)}\n  licence  Apache-2.0, as the package"
     )
     require_space(terms.out, size, name)
-    with only_one(terms.out / WORK), whole_folder(target, terms.out / WORK) as folder:
+    with only_one(terms.out), unfinished_folder(target, terms.out) as folder:
         with command.counting("frame") as progress:
             reading = writer(folder, walk, progress)
         write_mesh_ply(folder / "mesh.ply", room_mesh(0.03, seed=walk.seed))

@@ -12,10 +12,8 @@ from pathlib import Path
 from gsfusion_nb.data.convert.scannetpp_scene import MESH, listed_pictures, prepare_scene
 from gsfusion_nb.data.fetch import FetchError, Reading, command
 from gsfusion_nb.data.fetch.disk import require_space, size_text
-from gsfusion_nb.data.fetch.lock import only_one
-from gsfusion_nb.data.fetch.obtain import WORK
 from gsfusion_nb.data.fetch.plan import agree, duration_text
-from gsfusion_nb.data.fetch.whole import whole_folder
+from gsfusion_nb.data.fetch.work_folder import only_one, unfinished_folder
 from gsfusion_nb.export import read_mesh_ply
 
 BYTES_PER_PICTURE = 800_000
@@ -45,7 +43,7 @@ def prepare(scene: Path, terms: command.Terms) -> None:
         terms.say(describe(scene, target, len(names)))
         require_space(terms.out, len(names) * BYTES_PER_PICTURE, scene.name)
         agree(yes=terms.yes, ask=terms.ask)
-        with only_one(terms.out / WORK), whole_folder(target, terms.out / WORK, keep=True) as folder:
+        with only_one(terms.out), unfinished_folder(target, terms.out, resume=True) as folder:
             with command.counting("picture") as progress:
                 prepare_scene(scene, read_mesh_ply(scene / MESH), folder, progress=progress)
             READING.prove(folder)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from .. import optim, render, seeding, tsdf  # noqa: F401  (importing them declares their operations)
-from ..export.atomic import atomic_path
+from ..files import write_file
 from . import machine, panels, scaling, table, waits
 from . import mapping as mapping_cases
 from . import raster as raster_cases
@@ -116,8 +116,7 @@ def main(options: BenchOptions) -> int:
     result = run_bench(options)
     print(result.text())
     if options.json:
-        with atomic_path(Path(options.json).expanduser()) as path:
-            path.write_text(json.dumps(result.as_dict(), indent=1) + "\n", encoding="utf-8")
+        write_file(Path(options.json).expanduser(), json.dumps(result.as_dict(), indent=1) + "\n")
         print(f"All numbers: {options.json}")
     if result.interrupted:
         print(f"Interrupted after {result.n_done} of {result.n_cases} cases.")

@@ -1,6 +1,5 @@
 """Files for other programs (Gaussian PLY, mesh PLY and GLB, trajectory) and checkpoints, all written atomically."""
 
-from .atomic import atomic_path as atomic_path
 from .checkpoint import load_checkpoint as load_checkpoint
 from .checkpoint import save_checkpoint as save_checkpoint
 from .gaussian_ply import read_gaussian_ply as read_gaussian_ply

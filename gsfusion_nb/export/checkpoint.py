@@ -7,7 +7,7 @@ from typing import Any
 
 import torch
 
-from .atomic import atomic_path
+from ..files import atomic_file
 
 FORMAT = "gsfusion_nb checkpoint"
 VERSION = 1
@@ -22,7 +22,7 @@ def save_checkpoint(path: str | Path, state: dict[str, Any]) -> None:
         TypeError: anything else in ``state``; names the key.
     """
     content = {"format": FORMAT, "version": VERSION, "state": _plain(state, "state")}
-    with atomic_path(path) as temporary:
+    with atomic_file(path) as temporary:
         torch.save(content, temporary)
 
 

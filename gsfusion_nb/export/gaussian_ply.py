@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from ..files import atomic_file
 from ..types import GaussianParams
-from .atomic import atomic_path
 
 _REST = 45
 NAMES = (
@@ -53,7 +53,7 @@ def write_gaussian_ply(path: str | Path, params: GaussianParams) -> None:
     ]
     table = torch.cat([c.detach().to("cpu", torch.float32) for c in columns], dim=1).contiguous().numpy()
     rows = table.astype("<f4", copy=False).view([(name, "<f4") for name in NAMES]).reshape(n)
-    with atomic_path(path) as temporary:
+    with atomic_file(path) as temporary:
         PlyData([PlyElement.describe(rows, "vertex")], text=False, byte_order="<").write(str(temporary))
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import torch
 
 from ..checks import check_name
+from ..files import write_file
 from ..types import Mesh
-from .atomic import atomic_path
 from .mesh_ply import check_faces
 
 _TO_Y_UP = {
@@ -47,8 +47,7 @@ def write_mesh_glb(path: str | Path, mesh: Mesh, *, up: Literal["-y", "+z", "+y"
     else:
         chunk = positions.tobytes() + colours.tobytes() + indices.tobytes()
         document |= _document(positions, colours, indices)
-    with atomic_path(path) as temporary:
-        temporary.write_bytes(_container(document, chunk))
+    write_file(path, _container(document, chunk))
 
 
 def linear_from_srgb(rgb: np.ndarray) -> np.ndarray:

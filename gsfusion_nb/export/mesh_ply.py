@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from ..files import atomic_file
 from ..types import Mesh
-from .atomic import atomic_path
 
 _VERTEX = np.dtype([("xyz", "<f4", 3), ("rgb", "u1", 3)])
 _FACE_LISTS = ("vertex_indices", "vertex_index")
@@ -32,7 +32,7 @@ def write_mesh_ply(path: str | Path, mesh: Mesh) -> None:
         "property list uchar int vertex_indices",
         "end_header",
     ]
-    with atomic_path(path) as temporary, temporary.open("wb") as file:
+    with atomic_file(path) as temporary, temporary.open("wb") as file:
         file.write("\n".join([*header, ""]).encode("ascii"))
         file.write(vertices.tobytes())
         file.write(faces.tobytes())

@@ -8,8 +8,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ..files import write_file
 from ..geometry import quaternion
-from .atomic import atomic_path
 
 
 def write_trajectory_tum(path: str | Path, timestamps_s: Sequence[float], poses: Float[Tensor, "N 4 4"]) -> None:
@@ -32,8 +32,7 @@ def write_trajectory_tum(path: str | Path, timestamps_s: Sequence[float], poses:
     rows = torch.cat([T[:, :3, 3], quat[:, [1, 2, 3, 0]]], dim=1).tolist()
     lines = ["# timestamp tx ty tz qx qy qz qw"]
     lines += [" ".join(f"{v:.9f}" for v in (t, *row)) for t, row in zip(timestamps_s, rows, strict=True)]
-    with atomic_path(path) as temporary:
-        temporary.write_text("\n".join([*lines, ""]))
+    write_file(path, "\n".join([*lines, ""]))
 
 
 def read_trajectory_tum(path: str | Path) -> tuple[list[float], Float[Tensor, "N 4 4"]]:

@@ -22,7 +22,8 @@ from ..evaluation import (
     score_views,
     trajectory_scores,
 )
-from ..export import atomic_path, write_gaussian_ply, write_mesh_ply, write_trajectory_tum
+from ..export import write_gaussian_ply, write_mesh_ply, write_trajectory_tum
+from ..files import write_file
 from ..gaussians import state_counts
 from ..mapping.gsfusion import GSFusion
 from ..mapping.placing import placed, readable, true_poses
@@ -195,8 +196,7 @@ def environment() -> dict[str, str]:
 
 def write_json(path: Path, value: Any) -> None:
     """Write ``value`` as indented JSON, atomically; strict JSON has no NaN and no infinity, so they become text."""
-    with atomic_path(path) as temporary:
-        Path(temporary).write_text(json.dumps(_strict(value), indent=1, allow_nan=False), encoding="utf-8")
+    write_file(path, json.dumps(_strict(value), indent=1, allow_nan=False))
 
 
 def _strict(value: Any) -> Any:

@@ -1,6 +1,5 @@
 """One self-contained report.html of a run: numbers, pictures, curves, settings. It loads nothing and can be mailed."""
 
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,6 +11,7 @@ from torch import Tensor
 from ..drawing.page import page_html
 from ..drawing.pictures import AnyImage
 from ..evaluation.image import expected_depth_m, psnr, ssim
+from ..files import write_file
 from ..types import Frame, RenderOutput
 
 
@@ -107,9 +107,7 @@ def write_report(path: Path | str, run: ReportData) -> Path:
         The path written.
     """
     path = Path(path)
-    partial = path.with_name(f".{path.name}.{os.getpid()}.part")
-    partial.write_text(report_html(run), encoding="utf-8")
-    os.replace(partial, path)
+    write_file(path, report_html(run))
     return path
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 from ...config import DataConfig
 from ...drawing.pictures import Picture
+from ...files import write_file
 from .explain import Row
 from .findings import RANK, Finding, Verdict, flags_of
 from .over_frames import OverFrames
@@ -95,9 +96,7 @@ class CheckupReport:
 
     def write(self, path: Path | str) -> Path:
         """Write everything as one HTML page that needs no other file; the path written."""
-        from ...export.atomic import atomic_path
         from .page import page
 
-        with atomic_path(path) as temporary:
-            temporary.write_text(page(self), encoding="utf-8")
+        write_file(path, page(self))
         return Path(path)

@@ -22,11 +22,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ...files import write_file
 from ...types import Camera, Mesh
 from ..fetch.errors import FetchError
 from ..fetch.fisheye import HalfSizePinhole, half_size, shrink
 from ..fetch.mesh_depth import mesh_depth
-from ..fetch.whole import write_whole
 from ..lens import CameraModel
 from ..readers.images import read_rgb
 from ..readers.layout import camera as read_camera
@@ -135,10 +135,8 @@ def prepare_scene(
             _write_picture(picture, pictures.turn(read_rgb(pictures.folder / name)))
             _write_depth(depth, mesh_depth(turned.vertices_W, turned.faces, pictures.camera, poses[name]))
         progress(i + 1, len(names))
-    write_whole(
-        folder / "dslr/nerfstudio/transforms_undistorted_2.json", json.dumps(pictures.transforms(), indent=1).encode()
-    )
-    write_whole(folder / "dslr/train_test_lists.json", (scene / "dslr/train_test_lists.json").read_bytes())
+    write_file(folder / "dslr/nerfstudio/transforms_undistorted_2.json", json.dumps(pictures.transforms(), indent=1))
+    write_file(folder / "dslr/train_test_lists.json", (scene / "dslr/train_test_lists.json").read_bytes())
     return len(names)
 
 
@@ -146,7 +144,7 @@ def _write_picture(path: Path, rgb: np.ndarray) -> None:
     import cv2
 
     quality = [cv2.IMWRITE_JPEG_QUALITY, 97, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
-    write_whole(path, cv2.imencode(".jpg", rgb[..., ::-1], quality)[1].tobytes())
+    write_file(path, cv2.imencode(".jpg", rgb[..., ::-1], quality)[1].tobytes())
 
 
 def _write_depth(path: Path, depth_m: Float[Tensor, "H W"]) -> None:
@@ -154,4 +152,4 @@ def _write_depth(path: Path, depth_m: Float[Tensor, "H W"]) -> None:
 
     stored = np.rint(depth_m.double().numpy() * 1000)
     stored[stored > _MAX_DEPTH_MM] = 0
-    write_whole(path, cv2.imencode(".png", stored.astype(np.uint16))[1].tobytes())
+    write_file(path, cv2.imencode(".png", stored.astype(np.uint16))[1].tobytes())

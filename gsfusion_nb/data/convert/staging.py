@@ -1,7 +1,6 @@
 """The folder that a conversion writes: beside its final place until it is whole, and resumable."""
 
 import json
-import os
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ...files import move_into_place, write_file
 from ...types import Camera
 from ..protocol import BadFrameError, SequenceError
 
@@ -66,9 +66,7 @@ class Staging:
 
     def set_camera(self, camera: Camera) -> None:
         """Keep the camera of all frames, for going on later."""
-        temporary = self.folder / f".{_CAMERA}"
-        temporary.write_text(json.dumps(vars(camera)))
-        os.replace(temporary, self.folder / _CAMERA)
+        write_file(self.folder / _CAMERA, json.dumps(vars(camera)))
 
     def remove(self) -> None:
         """Take back a conversion of which nothing was written."""
@@ -124,7 +122,7 @@ class Staging:
         (self.folder / "intrinsics.json").write_text(json.dumps(intrinsics, indent=1))
         if self.out.exists():
             self.out.rmdir()
-        os.replace(self.folder, self.out)
+        move_into_place(self.folder, self.out)
 
     def _open(self, plan: dict[str, Any]) -> list[Row]:
         file = self.folder / _PLAN

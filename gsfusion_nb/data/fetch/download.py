@@ -6,7 +6,6 @@ Own code on the standard library: pooch, which installs with PyVista, starts a b
 import http.client
 import json
 import logging
-import os
 import ssl
 import time
 import urllib.error
@@ -14,6 +13,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from ...files import move_into_place, write_file
 from .disk import full_disk, require_space, size_text
 from .errors import DownloadError
 from .request import Body, request, retry_after_s, total_of_refused_range
@@ -71,7 +71,7 @@ class _Partial:
             return None
 
     def save(self, path: Path) -> None:
-        path.write_text(json.dumps(asdict(self)), encoding="utf-8")
+        write_file(path, json.dumps(asdict(self)))
 
 
 def download(
@@ -106,7 +106,7 @@ def download(
     for _ in range(transfer.attempts_in_all):
         try:
             job.attempt()
-            os.replace(job.part, path)
+            move_into_place(job.part, path)
             job.note.unlink(missing_ok=True)
             return
         except _TryAgain as e:

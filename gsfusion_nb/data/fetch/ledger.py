@@ -5,8 +5,8 @@ from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
+from ...files import write_file
 from .checksum import digest
-from .whole import write_whole
 
 LEDGER = "fetched.json"
 """In the folder of all data sets: every file ever obtained."""
@@ -52,7 +52,7 @@ def record(folder: Path, obtained: Obtained) -> str:
     earlier = [entry for entry in entries if entry.url == obtained.url]
     same = [entry for entry in earlier if entry.sha256 == obtained.sha256]
     if not same:
-        write_whole(folder / LEDGER, _json([*map(asdict, entries), asdict(obtained)]))
+        write_file(folder / LEDGER, _json([*map(asdict, entries), asdict(obtained)]))
     if earlier and not same:
         return (
             f"{obtained.url} is not the file it was on {earlier[-1].date}: sha256 {obtained.sha256[:12]} now, "
@@ -64,8 +64,8 @@ def record(folder: Path, obtained: Obtained) -> str:
 def write_source(folder: Path, *, title: str, licence: str, cite: str, files: list[Obtained]) -> None:
     """Write the data set's own record."""
     values = {"title": title, "licence": licence, "cite": cite, "files": [asdict(file) for file in files]}
-    write_whole(folder / SOURCE, _json(values))
+    write_file(folder / SOURCE, _json(values))
 
 
-def _json(values: object) -> bytes:
-    return (json.dumps(values, indent=1) + "\n").encode()
+def _json(values: object) -> str:
+    return json.dumps(values, indent=1) + "\n"

@@ -12,15 +12,11 @@ from .disk import require_space
 from .download import Progress, Transfer, download, remote_size
 from .errors import ArchiveError, ChecksumError, FetchError
 from .ledger import Obtained, record, write_source
-from .lock import only_one
 from .plan import Item, Plan, agree, describe
 from .unpack import Limits, unpack
-from .whole import whole_folder
+from .work_folder import WORK, only_one, unfinished_folder
 
 log = logging.getLogger(__name__)
-
-WORK = ".fetch"
-"""Folder beside the data sets for what is not finished: archives, partial downloads, half-made data sets."""
 
 LEAST_LIMIT_BYTES = 50_000_000
 """Small files may be off their stated size by more than a factor."""
@@ -48,7 +44,7 @@ class Terms:
 def obtain(plan: Plan, terms: Terms) -> Path:
     """Fetch a data set; its folder.
 
-    What is there already is only read again. A broken download goes on at the next run. The folder appears under its
+    A data set that exists is only read again. A broken download goes on at the next run. The folder appears under its
     name when everything is in it and the reader has opened it.
 
     Raises:
@@ -56,7 +52,7 @@ def obtain(plan: Plan, terms: Terms) -> Path:
     """
     out, target = terms.out, terms.out / plan.folder
     if target.exists():
-        terms.say(f"{target} is there already; nothing is fetched (remove or rename it to fetch it again).")
+        terms.say(f"{target} already exists; nothing is fetched (remove or rename it to fetch it again).")
         _report(plan, target, target, terms)
         return target
     sizes = [remote_size(item.url(terms.mirror)) for item in plan.items]
@@ -64,7 +60,7 @@ def obtain(plan: Plan, terms: Terms) -> Path:
     missing = sum(_missing(item, size, terms) for size, item in zip(sizes, plan.items, strict=True))
     require_space(out, missing + plan.unpacked_bytes, f"{plan.folder}, its archives included,")
     agree(yes=terms.yes, ask=terms.ask)
-    with only_one(out / WORK):
+    with only_one(out):
         return _make(plan, terms, target)
 
 
@@ -72,7 +68,7 @@ def _make(plan: Plan, terms: Terms, target: Path) -> Path:
     work = terms.out / WORK
     files = [(item, work / _file_name(item.url(terms.mirror))) for item in plan.items]
     obtained = [_fetch(plan, item, file, terms) for item, file in files]
-    with whole_folder(target, work) as folder:
+    with unfinished_folder(target, terms.out) as folder:
         for item, file in files:
             _place(plan, item, file, folder)
         try:

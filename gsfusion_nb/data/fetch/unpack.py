@@ -1,7 +1,7 @@
 """Unpacking an archive that is not trusted: plain files only, below one folder, within limits on number and size.
 
 What is refused is refused whole: a zip before anything is written; of a tar, which can only be read from front to back,
-the caller throws away what was written (``whole.whole_folder`` does).
+the caller throws away what was written (``work_folder.unfinished_folder`` does).
 """
 
 import zipfile

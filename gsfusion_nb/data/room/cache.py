@@ -1,32 +1,17 @@
-"""Files that save work between runs. A file is whole or absent: it is written beside its place and moved in."""
+"""Rendered and painted images of the room, kept between runs in the cache folder."""
 
-import contextlib
 import functools
 import io
 import logging
-import os
-import sys
-import uuid
 import zipfile
 from pathlib import Path
 
 import numpy as np
 from numpy import ndarray
 
+from ...files import atomic_file
+
 log = logging.getLogger(__name__)
-
-
-def cache_folder() -> Path:
-    """``$GSFUSION_CACHE``, or the platform's place for caches."""
-    if given := os.environ.get("GSFUSION_CACHE"):
-        return Path(given)
-    if sys.platform == "win32":
-        base = os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local"
-    elif sys.platform == "darwin":
-        base = Path.home() / "Library" / "Caches"
-    else:
-        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "gsfusion_nb"
 
 
 def store(path: Path, **images: ndarray) -> None:
@@ -36,18 +21,12 @@ def store(path: Path, **images: ndarray) -> None:
     """
     import cv2
 
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.{uuid.uuid4().hex}")
+    encoded = {k: cv2.imencode(".png", v, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1] for k, v in images.items()}
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        encoded = {k: cv2.imencode(".png", v, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1] for k, v in images.items()}
-        with open(temporary, "wb") as file:
-            np.savez(file, allow_pickle=False, **encoded)
-        os.replace(temporary, path)
+        with atomic_file(path) as temporary:
+            np.savez(temporary, allow_pickle=False, **encoded)
     except OSError as e:
         _warn_once(str(path.parent), str(e))
-    finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
 
 
 def load(path: Path) -> dict[str, ndarray] | None:

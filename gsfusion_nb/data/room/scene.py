@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 from numpy import ndarray
 
+from ...files import cache_folder
 from . import atlas as atlas_
-from .cache import cache_folder, load, store
+from .cache import load, store
 from .interior import SHELL_SOLIDS, interior
 from .lighting import DistanceGrid, irradiance
 from .patches import CurvedPatch, FlatPatches, compile_patches

@@ -13,9 +13,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ...checks import check_pose
+from ...files import cache_folder
 from ...types import Camera, Frame, Mesh
 from . import raycast, shade
-from .cache import cache_folder, load, store
+from .cache import load, store
 from .mesh import room_mesh
 from .scene import load_scene, version
 from .sensor import kinect_depth

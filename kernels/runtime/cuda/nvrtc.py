@@ -9,7 +9,6 @@ import functools
 import hashlib
 import importlib.util
 import logging
-import os
 import sys
 from pathlib import Path
 
@@ -17,6 +16,7 @@ import torch
 
 from gsfusion_nb import constants
 from gsfusion_nb.backends import BackendUnavailable, KernelsUnusable
+from gsfusion_nb.files import cache_folder, write_file
 
 log = logging.getLogger(__name__)
 
@@ -46,28 +46,16 @@ def compile_source(stem: str, capability: tuple[int, int]) -> bytes:
     headers = {path.name: path.read_text(encoding="utf-8") for path in sorted(KERNELS.glob("*/*.cuh"))}
     options = (f"--gpu-architecture={_architecture(nvrtc, capability)}", *OPTIONS)
     text = "\0".join([source, *headers.values(), *options, str(_version(nvrtc))])
-    cached = (
-        cache_folder() / f"{stem}-{options[0].split('=')[1]}-{hashlib.sha256(text.encode()).hexdigest()[:16]}.cubin"
-    )
+    key = hashlib.sha256(text.encode()).hexdigest()[:16]
+    cached = cache_folder() / "cuda" / f"{stem}-{options[0].split('=')[1]}-{key}.cubin"
     if cached.exists():
         return cached.read_bytes()
     image = _compile(nvrtc, f"{stem}.cu", source, headers, options)
     try:
-        cached.parent.mkdir(parents=True, exist_ok=True)
-        partial = cached.with_suffix(f".{os.getpid()}.partial")
-        partial.write_bytes(image)
-        partial.replace(cached)
+        write_file(cached, image)
     except OSError as e:
         log.info("compiled kernels are not kept: %s", e)
     return image
-
-
-def cache_folder() -> Path:
-    """``$GSFUSION_CACHE/cuda``, or its place in the user's cache folder."""
-    if given := os.environ.get("GSFUSION_CACHE"):
-        return Path(given).expanduser() / "cuda"
-    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "gsfusion_nb" / "cuda"
 
 
 @functools.cache

@@ -25,9 +25,8 @@ from gsfusion_nb.data.fetch import (
 )
 from gsfusion_nb.data.fetch.checksum import digest, verify
 from gsfusion_nb.data.fetch.ledger import read_ledger
-from gsfusion_nb.data.fetch.lock import only_one
 from gsfusion_nb.data.fetch.plan import agree, describe, duration_text
-from gsfusion_nb.data.fetch.whole import whole_folder
+from gsfusion_nb.data.fetch.work_folder import only_one
 
 _spec = importlib.util.spec_from_file_location("hostile", Path(__file__).with_name("conftest.py"))
 assert _spec is not None
@@ -97,7 +96,7 @@ def test_a_second_time_nothing_is_asked(job):
     job.site.seen.clear()
     obtain(job.plan, dataclasses.replace(job.terms, yes=False))
     assert job.site.seen == []
-    assert "is there already; nothing is fetched" in job.said[-2]
+    assert "already exists; nothing is fetched" in job.said[-2]
 
 
 def test_archives_are_kept_on_request_and_used_again(job):
@@ -212,7 +211,7 @@ def test_disk_space_is_asked_for_first(job, monkeypatch):
 
 
 def test_one_at_a_time(job):
-    with only_one(job.out / ".fetch"), pytest.raises(FetchError, match="another program is fetching into"):
+    with only_one(job.out), pytest.raises(FetchError, match="another program is fetching into"):
         obtain(job.plan, job.terms)
     obtain(job.plan, job.terms)
 
@@ -220,26 +219,6 @@ def test_one_at_a_time(job):
 def test_mirror(job):
     terms = dataclasses.replace(job.terms, mirror=job.site.address + "/set/")
     obtain(job.with_item(base="http://nowhere.invalid"), terms)
-
-
-def fill_and_fail(path, work, keep):
-    with whole_folder(path, work, keep=keep) as folder:
-        (folder / "x").write_text("1")
-        raise ZeroDivisionError
-
-
-def test_whole_folder_keeps_or_removes(tmp_path):
-    path, work = tmp_path / "a", tmp_path / "w"
-    for keep in (False, True):
-        with pytest.raises(ZeroDivisionError):
-            fill_and_fail(path, work, keep)
-        assert (work / "unfinished" / "a").exists() == keep
-        assert not path.exists()
-    with whole_folder(path, work, keep=True) as folder:
-        assert (folder / "x").exists()
-    assert (path / "x").exists()
-    with pytest.raises(FetchError, match="is there already"):
-        fill_and_fail(path, work, False)
 
 
 def test_digests(tmp_path):

@@ -1,0 +1,197 @@
+"""Files and folders that are complete or not there, whatever stops the program."""
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from gsfusion_nb import files
+from gsfusion_nb.files import atomic_file, atomic_folder, cache_folder, move_into_place, write_file
+
+
+def test_replaces_and_creates_folders(tmp_path):
+    target = tmp_path / "new" / "deep" / "a.txt"
+    for text in ("one", "two"):
+        with atomic_file(target) as temporary:
+            assert temporary.parent == target.parent
+            assert temporary.suffix == ".txt"
+            temporary.write_text(text)
+        assert target.read_text() == text
+    assert [p.name for p in target.parent.iterdir()] == ["a.txt"]
+
+
+def write_half(target, error):
+    with atomic_file(target) as temporary:
+        temporary.write_text("half")
+        raise error
+
+
+@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
+def test_failure_leaves_the_old_file_and_nothing_else(tmp_path, error):
+    target = tmp_path / "a.txt"
+    target.write_text("old")
+    with pytest.raises(error):
+        write_half(target, error)
+    assert target.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_failure_without_an_old_file_leaves_nothing(tmp_path):
+    with pytest.raises(RuntimeError):
+        write_half(tmp_path / "a.txt", RuntimeError)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_writing_nothing_is_an_error(tmp_path):
+    with pytest.raises(FileNotFoundError, match="nothing was written"), atomic_file(tmp_path / "a.txt"):
+        pass
+
+
+def test_ordinary_permissions(tmp_path):
+    (tmp_path / "plain").write_text("x")
+    write_file(tmp_path / "atomic", "x")
+    assert (tmp_path / "atomic").stat().st_mode == (tmp_path / "plain").stat().st_mode
+
+
+def test_text_is_utf8_and_bytes_are_bytes(tmp_path):
+    write_file(tmp_path / "text", "é\n")
+    write_file(str(tmp_path / "bytes"), b"\xff\x00")
+    assert (tmp_path / "text").read_bytes() == b"\xc3\xa9\n"
+    assert (tmp_path / "bytes").read_bytes() == b"\xff\x00"
+
+
+def fill(path, temporary, resume, error=None):
+    with atomic_folder(path, temporary, resume=resume) as folder:
+        (folder / "deep").mkdir(exist_ok=True)
+        (folder / "deep" / "x").write_text("1")
+        if error:
+            raise error
+
+
+def test_folder_is_removed_after_a_failure_or_resumed(tmp_path):
+    path, temporary = tmp_path / "new" / "a", tmp_path / "work" / "a"
+    for resume in (False, True):
+        with pytest.raises(ZeroDivisionError):
+            fill(path, temporary, resume, ZeroDivisionError)
+        assert temporary.exists() == resume
+        assert not path.exists()
+    with atomic_folder(path, temporary, resume=True) as folder:
+        assert (folder / "deep" / "x").exists()
+    assert (path / "deep" / "x").exists()
+    assert not temporary.exists()
+    with pytest.raises(FileExistsError, match="already exists"):
+        fill(path, temporary, False)
+
+
+def test_an_unfinished_folder_of_an_earlier_program_is_removed(tmp_path):
+    path, temporary = tmp_path / "a", tmp_path / "work"
+    temporary.mkdir()
+    (temporary / "half").write_text("x")
+    fill(path, temporary, False)
+    assert [p.name for p in path.iterdir()] == ["deep"]
+
+
+def test_content_is_flushed_before_the_rename_and_the_name_after_it(tmp_path, monkeypatch):
+    order = []
+
+    def fsync(handle):
+        order.append(Path(os.readlink(f"/proc/self/fd/{handle}")).name)
+
+    def replace(old, new):
+        order.append("rename")
+        rename(old, new)
+
+    rename = os.replace
+    if not Path("/proc/self/fd").exists():
+        pytest.skip("needs /proc to know which file is flushed")
+    monkeypatch.setattr(files.os, "fsync", fsync)
+    monkeypatch.setattr(files.os, "replace", replace)
+    write_file(tmp_path / "a.txt", "x")
+    assert order[0].startswith(".a.")
+    assert order[1:] == ["rename", tmp_path.name]
+    order.clear()
+    fill(tmp_path / "b", tmp_path / "work", False)
+    assert order == ["x", "deep", "work", "rename", tmp_path.name]
+
+
+STOP_AT = """
+import os, signal
+from pathlib import Path
+from gsfusion_nb import files
+
+def kill_before(name):
+    setattr(files.os, name, lambda *_: os.kill(os.getpid(), signal.SIGKILL))
+"""
+KILLED_FILE = (
+    STOP_AT
+    + """
+with files.atomic_file("{target}") as temporary:
+    with temporary.open("w") as file:
+        file.write("ne")
+        file.flush()
+        {while_writing}
+        file.write("w")
+    {when_written}
+"""
+)
+KILLED_FOLDER = (
+    STOP_AT
+    + """
+with files.atomic_folder(Path("{target}"), Path("{target}.partial")) as folder:
+    (folder / "one").write_text("new")
+    {while_writing}
+    (folder / "two").write_text("new")
+    {when_written}
+"""
+)
+MOMENTS = {
+    "while writing": {"while_writing": "os.kill(os.getpid(), signal.SIGKILL)", "when_written": ""},
+    "before the flush": {"while_writing": "", "when_written": 'kill_before("fsync")'},
+    "before the rename": {"while_writing": "", "when_written": 'kill_before("replace")'},
+}
+
+
+def run_until_killed(code):
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == -signal.SIGKILL, done.stderr
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
+@pytest.mark.parametrize("moment", MOMENTS)
+def test_a_killed_program_leaves_the_old_file(tmp_path, moment):
+    target = tmp_path / "a.txt"
+    target.write_text("old")
+    run_until_killed(KILLED_FILE.format(target=target, **MOMENTS[moment]))
+    assert target.read_text() == "old"
+    write_file(target, "new")
+    assert target.read_text() == "new"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
+@pytest.mark.parametrize("moment", MOMENTS)
+def test_a_killed_program_leaves_no_folder(tmp_path, moment):
+    target = tmp_path / "a"
+    run_until_killed(KILLED_FOLDER.format(target=target, **MOMENTS[moment]))
+    assert not target.exists()
+    fill(target, Path(f"{target}.partial"), False)
+    assert [p.name for p in target.iterdir()] == ["deep"]
+
+
+def test_an_empty_folder_is_replaced(tmp_path):
+    (tmp_path / "old").mkdir()
+    (tmp_path / "new").mkdir()
+    (tmp_path / "new" / "x").write_text("1")
+    move_into_place(tmp_path / "new", tmp_path / "old")
+    assert (tmp_path / "old" / "x").exists()
+
+
+def test_cache_folder(monkeypatch, tmp_path):
+    monkeypatch.setenv("GSFUSION_CACHE", "~/elsewhere")
+    assert cache_folder() == Path.home() / "elsewhere"
+    monkeypatch.delenv("GSFUSION_CACHE")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    if sys.platform.startswith("linux"):
+        assert cache_folder() == tmp_path / "gsfusion_nb"
