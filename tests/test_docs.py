@@ -1,0 +1,151 @@
+"""What README and docs name exists: links, images, files, make targets, commands with their options, Python imports."""
+
+import ast
+import contextlib
+import io
+import json
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+import tyro
+
+from gsfusion_nb import cli
+from gsfusion_nb.config import gsfusion, to_dict
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
+COMMANDS = ("demo", "convert", "check", "map", "live", "eval", "study", "bench", "doctor")
+OTHER_PROGRAMS = ("--torch-backend", "--allow-root", "--no-install-recommends")
+
+BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+INLINE = re.compile(r"`([^`\n]+)`")
+LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
+
+
+def text(page: Path) -> str:
+    return page.read_text(encoding="utf-8")
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    return [body for name, body in BLOCK.findall(text(page)) if name == language]
+
+
+def code(page: Path) -> list[str]:
+    """Lines of code blocks without their comments, and the code inside sentences."""
+    lines = [line.split(" #")[0].strip() for body in blocks(page, "") for line in body.splitlines()]
+    return lines + [span.strip() for span in INLINE.findall(BLOCK.sub("", text(page)))]
+
+
+def anchors(page: Path) -> set[str]:
+    """Targets that a code host makes of the headings."""
+    titles = re.findall(r"^#+ (.+)$", BLOCK.sub("", text(page)), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
+
+
+def commands(page: Path) -> list[str]:
+    """Whole calls of ``gsfusion-nb``; ``a|b`` and ``...`` stand for more than one call."""
+    found = [c[c.index("gsfusion-nb") :] for c in code(page) if re.match(r"(\w+=\w+ )?gsfusion-nb ", c)]
+    return [c for c in found if "..." not in c and "|" not in c]
+
+
+def help_of(*arguments: str) -> str:
+    out = io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.suppress(SystemExit):
+        cli.main([*arguments, "--help"])
+    return out.getvalue()
+
+
+class Parsed(BaseException):
+    """The command line was understood; nothing is to run."""
+
+
+@pytest.fixture
+def dry(monkeypatch):
+    """Commands end where their arguments have been parsed."""
+    parse = tyro.cli
+
+    def parse_only(*args, **kwargs):
+        parse(*args, **kwargs)
+        raise Parsed
+
+    monkeypatch.setattr(tyro, "cli", parse_only)
+
+
+@pytest.fixture(scope="module")
+def known_options() -> set[str]:
+    """Every option of every command and of the scripts that fetch data sets."""
+    calls = [(name,) for name in COMMANDS] + [("map", "--system", "rtg_slam")]
+    calls += [("live", source) for source in ("folder", "realsense", "kinect")]
+    scripts = "".join(p.read_text() for p in (ROOT / "gsfusion_nb/data/fetch").glob("*.py"))
+    return set(re.findall(r"--[\w][\w.\-]*", "".join(help_of(*call) for call in calls) + scripts)) | set(OTHER_PROGRAMS)
+
+
+def test_the_readme_is_short():
+    assert len(text(ROOT / "README.md").splitlines()) < 150
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_links_and_images_lead_somewhere(page):
+    for target in LINK.findall(BLOCK.sub("", text(page))):
+        if "://" in target:
+            continue
+        name, _, anchor = target.partition("#")
+        path = (page.parent / name).resolve() if name else page
+        assert path.exists(), f"{page.name} links to {target}, which does not exist"
+        assert not anchor or anchor in anchors(path), f"{page.name} links to {target}, but has no such heading"
+
+
+def test_every_page_is_in_the_index():
+    index = text(ROOT / "docs/index.md")
+    for page in PAGES:
+        link = f"../{page.name}" if page.parent == ROOT else page.name
+        assert page.name in ("index.md", "README.md") or f"({link})" in index, f"{page.name} is not in docs/index.md"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_files_that_are_named_exist(page):
+    inside = r"(?<![\w/])(?:gsfusion_nb|kernels|tests|data_scripts|notebooks)/[\w/.*]*\w"
+    for span in code(page):
+        for name in re.findall(inside, span):
+            assert any(ROOT.glob(name)), f"{page.name} names {name}, which does not exist"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_make_targets_that_are_named_exist(page):
+    targets = set(re.findall(r"^(\w+):", text(ROOT / "Makefile"), re.MULTILINE))
+    for span in code(page):
+        for target in re.findall(r"^make (\w+)", span):
+            assert target in targets, f"{page.name}: no target {target} in the Makefile"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_commands_are_understood(page, dry, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "FILE").write_text(json.dumps({"config": to_dict(gsfusion())} | to_dict(gsfusion())))
+    for command in commands(page):
+        arguments = shlex.split(command)[1:]
+        try:
+            status = cli.main(arguments)
+        except Parsed:
+            status = 0
+        except SystemExit as e:
+            status = e.code
+        assert status == 0, f"{page.name}: {command}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_options_that_are_named_exist(page, known_options):
+    for span in code(page):
+        if span.startswith("--"):
+            for option in re.findall(r"--[\w][\w.\-]*", span):
+                assert option in known_options, f"{page.name} names the option {option}, which no command has"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_python_compiles_and_its_imports_work(page):
+    for block in blocks(page, "python"):
+        compile(block, page.name, "exec")
+        imports = [n for n in ast.walk(ast.parse(block)) if isinstance(n, ast.Import | ast.ImportFrom)]
+        exec(compile(ast.Module(body=imports, type_ignores=[]), page.name, "exec"), {})
