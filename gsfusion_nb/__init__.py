@@ -52,7 +52,7 @@ _WITH_CARD = (
     ("gsfusion_nb.tsdf.volume", "TsdfVolume"),
     ("gsfusion_nb.seeding.quadtree", "Cells"),
     ("gsfusion_nb.gaussians.model", "GaussianModel"),
-    ("gsfusion_nb.runs.run", "MappingRun"),
+    ("gsfusion_nb.runs.mapping_run", "MappingRun"),
     ("gsfusion_nb.runs.map_sequence", "FinishedRun"),
 )
 

@@ -12,12 +12,12 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "gsfusion_nb"
 
 FLOORS = {
-    **dict.fromkeys(("types", "config", "constants", "checks", "files", "backends"), 0),
+    **dict.fromkeys(("types", "config", "constants", "checks", "errors", "files", "backends"), 0),
     **dict.fromkeys(("geometry", "drawing"), 1),
     **dict.fromkeys(("tsdf", "gaussians", "render"), 2),
     **dict.fromkeys(("seeding", "optim", "tracking", "export", "evaluation"), 3),
-    "mapping": 5,
-    "data": 4,
+    "mapping": 4,
+    "data": 5,
     "runs": 6,
     **dict.fromkeys(("viz", "teaching", "warm"), 7),
     **dict.fromkeys(("doctor", "bench"), 8),

@@ -1,10 +1,13 @@
-"""What a sequence is, and the errors of reading one."""
+"""What a sequence is."""
 
 from typing import Protocol, runtime_checkable
 
 from jaxtyping import Float
 from torch import Tensor
 
+from ..errors import BadFrameError as BadFrameError
+from ..errors import SequenceError as SequenceError
+from ..errors import SequenceNotFoundError as SequenceNotFoundError
 from ..types import Camera, Frame
 
 
@@ -33,18 +36,6 @@ class Sequence(Protocol):
     def pose(self, i: int) -> Float[Tensor, "4 4"]:
         """Camera-to-world pose of frame ``i``, the same as ``sequence[i].T_WC``, without decoding images."""
         ...
-
-
-class SequenceError(ValueError):
-    """The sequence on disk, or what was asked of it, does not make sense; one sentence that names the file."""
-
-
-class SequenceNotFoundError(SequenceError, FileNotFoundError):
-    """A folder or file that the sequence needs is not there."""
-
-
-class BadFrameError(SequenceError):
-    """One frame cannot be used (damaged image, no depth, invalid pose); a loop can go on with the others."""
 
 
 def position(i: int, length: int) -> int:

@@ -1,9 +1,9 @@
 """The mapping systems, one frame step each."""
 
 from .gsfusion import GSFusion as GSFusion
-from .report import GlobalStep as GlobalStep
-from .report import StepReport as StepReport
 from .rtg_slam import RTGSLAM as RTGSLAM
+from .step_report import GlobalStep as GlobalStep
+from .step_report import StepReport as StepReport
 from .systems import SYSTEMS as SYSTEMS
 from .systems import Config as Config
 from .systems import Mapper as Mapper

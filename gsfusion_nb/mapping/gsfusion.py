@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..config import GSFusionConfig, from_dict, to_dict
-from ..data import BadFrameError
+from ..errors import BadFrameError
 from ..gaussians import GaussianModel
 from ..optim import Keyframe, KeyframeList, adam_step, dssim_vjp, l1_mse_vjp
 from ..render import render, render_forward, render_vjp
@@ -16,10 +16,10 @@ from ..seeding import SeedContext, SeedingRule, apply_rule, get_rule
 from ..tracking import Correction, tsdf_surface
 from ..tsdf import RaycastOutput, TsdfVolume, extract_mesh, integrate, raycast
 from ..types import Camera, Frame, Mesh, RenderOutput, Seeds
+from .frame_checks import check_frame
+from .keyframe_passes import KeyframePasses
 from .localiser import Localiser, move_map
-from .passes import KeyframePasses
-from .report import GlobalStep, StageClock, StepReport, psnr_from_mse
-from .usable import check_frame
+from .step_report import GlobalStep, StageClock, StepReport, psnr_from_mse
 
 
 class GSFusion:

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..config import TrackingConfig
-from ..data import BadFrameError
+from ..errors import BadFrameError
 from ..gaussians import GaussianModel
 from ..optim import KeyframeList
 from ..tracking import (

@@ -18,11 +18,11 @@ from ..seeding import SeedContext, SeedingRule, apply_rule, get_rule, rule_name
 from ..tracking import Correction, Surface
 from ..tsdf import TsdfVolume, extract_mesh, integrate
 from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput, Seeds
+from .frame_checks import check_frame
+from .keyframe_passes import KeyframePasses
 from .localiser import Localiser, move_map
-from .passes import KeyframePasses
-from .report import GlobalStep, StageClock, StepReport, psnr_from_mse
+from .step_report import GlobalStep, StageClock, StepReport, psnr_from_mse
 from .surfel_optimiser import SurfelOptimiser, View
-from .usable import check_frame
 
 MASKED_BELOW = 0.8
 """With more of the rows in view unstable they touch nearly all pixels, and to find these costs more than it saves."""

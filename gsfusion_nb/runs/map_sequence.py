@@ -9,13 +9,13 @@ import torch
 
 from ..data import Sequence, SequenceError, apply_options, open_sequence
 from ..data.checkup.consistency import check_sequence
-from ..mapping.placing import has_poses
 from ..mapping.systems import Config, get_system
 from ..seeding import SeedingRule
 from ..types import Mesh
 from . import outputs
+from .mapping_run import CHECKPOINT, MappingRun, StopRequest, new_folder
 from .memory import describe_full
-from .run import CHECKPOINT, MappingRun, StopRequest, new_folder
+from .posed_frames import has_poses
 
 log = logging.getLogger(__name__)
 

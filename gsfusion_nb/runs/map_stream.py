@@ -10,7 +10,7 @@ from ..data.stream import Policy
 from ..mapping.systems import Config, Mapper
 from ..types import Frame
 from .map_sequence import FinishedRun, drive
-from .run import MappingRun, StopRequest, new_folder
+from .mapping_run import MappingRun, StopRequest, new_folder
 from .stream_run import StreamRun
 
 

@@ -26,15 +26,15 @@ from ..export import write_gaussian_ply, write_mesh_ply, write_trajectory_tum
 from ..files import write_file
 from ..gaussians import state_counts
 from ..mapping.gsfusion import GSFusion
-from ..mapping.placing import placed, readable, true_poses
-from ..mapping.report import StepReport
 from ..mapping.rtg_slam import RTGSLAM
+from ..mapping.step_report import StepReport
 from ..mapping.systems import get_system
 from ..seeding import Cells, quadtree, rule_name
 from ..types import Frame, Mesh
+from .mapping_run import MappingRun
 from .memory import mesh_when_full
+from .posed_frames import frames_in_map, ground_truth_poses, readable_frames
 from .report_page import FrameRow, ReportData, ViewPanel, write_report
-from .run import MappingRun
 
 MAX_SCORED_VIEWS = 250
 """At most so many mapped views are scored, evenly spread; held-out views are all scored."""
@@ -52,7 +52,7 @@ def score(run: MappingRun, suffix: str = "", *, with_lpips: bool = False) -> dic
     """PSNR, SSIM, LPIPS and depth error on mapped and held-out views of the map as it is now."""
     metrics: dict[str, Any] = {}
     for name, view in (("held_out", run.sequence.held_out), ("mapped", run.mapped_views(MAX_SCORED_VIEWS))):
-        frames = placed(view, run.mapper.localiser, run.sequence.mapping)
+        frames = frames_in_map(view, run.mapper.localiser, run.sequence.mapping)
         scores = score_views(run.mapper.render, frames, with_lpips=with_lpips)
         metrics |= scores.as_metrics(name + suffix)
         metrics[f"n_views_{name}{suffix}"] = len(scores)
@@ -145,7 +145,7 @@ def _tracking_rates(run: MappingRun) -> dict[str, float]:
 def score_trajectory(run: MappingRun) -> dict[str, Any]:
     """Absolute trajectory error of tracked poses against the data's."""
     localiser = run.mapper.localiser
-    truth = true_poses(localiser, run.sequence.mapping) if localiser.is_tracking else None
+    truth = ground_truth_poses(localiser, run.sequence.mapping) if localiser.is_tracking else None
     if truth is None or len(localiser.poses) < 3:
         return {}
     status = [s.tracking.get("status") for s in run.steps]
@@ -161,7 +161,7 @@ def score_mesh(run: MappingRun, mesh: Mesh) -> dict[str, Any]:
     truth = getattr(run.sequence.source, "mesh", None)
     if truth is None or not len(mesh.faces):
         return {}
-    seen = cull_unseen(truth(), readable(run.mapped_views(50)))
+    seen = cull_unseen(truth(), readable_frames(run.mapped_views(50)))
     generator = torch.Generator().manual_seed(run.mapper.config.seed)
     scores = mesh_scores(mesh, seen, generator=generator)
     metrics = {"mesh_accuracy_m": scores} if isinstance(scores, NotComputed) else scores.as_metrics()
@@ -213,7 +213,7 @@ def _panels(run: MappingRun) -> list[ViewPanel]:
     for view, held_out in ((run.sequence.held_out, True), (run.mapped_views(1000), False)):
         picks = sorted({round(i * (len(view) - 1) / 2) for i in range(3)}) if len(view) else []
         picked = dataclasses.replace(view, positions=[view.positions[i] for i in picks])
-        for frame in placed(picked, run.mapper.localiser, run.sequence.mapping):
+        for frame in frames_in_map(picked, run.mapper.localiser, run.sequence.mapping):
             rendered = run.mapper.render(frame.camera, frame.T_WC)
             panels.append(ViewPanel.of(frame, rendered, held_out=held_out, cells=_cells(run, frame)))
     return panels

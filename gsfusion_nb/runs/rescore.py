@@ -8,10 +8,10 @@ from ..config import from_dict
 from ..data import open_sequence
 from ..evaluation import metrics_as_json, score_views
 from ..export import read_gaussian_ply
-from ..mapping.placing import readable
 from ..mapping.systems import get_system
 from ..render import render
 from .outputs import write_json
+from .posed_frames import readable_frames
 
 
 def rescore(folder: Path | str, *, data: str | None = None, with_lpips: bool = False) -> dict[str, Any]:
@@ -43,7 +43,7 @@ def rescore(folder: Path | str, *, data: str | None = None, with_lpips: bool = F
     params = read_gaussian_ply(folder / "gaussians.ply")
 
     indices = {row["frame_index"] for row in document["frames"]}
-    for name, view in (("held_out", readable(sequence.held_out)), ("mapped", readable(sequence.mapping))):
+    for name, view in (("held_out", readable_frames(sequence.held_out)), ("mapped", readable_frames(sequence.mapping))):
         frames = (frame for frame in view if name == "held_out" or frame.index in indices)
         scores = score_views(lambda camera, T_WC: render(params, camera, T_WC), frames, with_lpips=with_lpips)
         document["metrics"] |= metrics_as_json(scores.as_metrics(name) | {f"n_views_{name}": len(scores)})

@@ -5,12 +5,12 @@ from typing import Any
 
 from ..data import BadFrameError, Sequence, SequenceError, SequenceView
 from ..data.stream import BackgroundFrames, Policy, SelectedFrames
-from ..mapping.album import Album
-from ..mapping.passes import KeyframePasses
+from ..mapping.frame_checks import check_frame
+from ..mapping.keyframe_passes import KeyframePasses
 from ..mapping.systems import Config, Mapper
-from ..mapping.usable import check_frame
 from ..types import Frame
-from .run import MappingRun
+from .kept_frames import KeptFrames
+from .mapping_run import MappingRun
 
 
 class StreamRun(MappingRun):
@@ -43,8 +43,8 @@ class StreamRun(MappingRun):
         until: Callable[[], bool] = lambda: False,
     ):
         name = getattr(frames, "name", "stream")
-        self.album = Album(name, has_poses=getattr(frames, "has_poses", True))
-        super().__init__(self.album.opened(), mapper_or_config)
+        self.kept = KeptFrames(name, has_poses=getattr(frames, "has_poses", True))
+        super().__init__(self.kept.opened(), mapper_or_config)
         self.frames_source = frames
         self.until = until
         self.policy: Policy = policy or getattr(frames, "policy", "all")
@@ -53,7 +53,7 @@ class StreamRun(MappingRun):
         selected = SelectedFrames(frames, data, name=name, first_index=max(earlier, default=-1) + 1)
         self._feed = BackgroundFrames(selected, policy=self.policy, size=queue_frames, until=lambda: self.until())
         self._n_taken = self.n_unusable = 0
-        self._holds_out = data.hold_out_every > 0 and (self.album.has_poses or not self.mapper.localiser.is_tracking)
+        self._holds_out = data.hold_out_every > 0 and (self.kept.has_poses or not self.mapper.localiser.is_tracking)
         self._n_earlier = len(earlier)
         self.mapper.passes = KeyframePasses()
 
@@ -68,8 +68,8 @@ class StreamRun(MappingRun):
 
     def mapped_views(self, limit: int) -> SequenceView:
         """The mapped frames that are kept, at most ``limit``, evenly spread."""
-        kept = [frame.index for frame in self.album.kept_mapped.items]
-        return self.album.view(kept[:: -(-len(kept) // limit)] if kept else [])
+        kept = [frame.index for frame in self.kept.kept_mapped.items]
+        return self.kept.view(kept[:: -(-len(kept) // limit)] if kept else [])
 
     def extra_metrics(self) -> dict[str, Any]:
         """How many frames came, gave way, and could not be used; what the policy was."""
@@ -93,8 +93,8 @@ class StreamRun(MappingRun):
             self._n_taken += 1
             if not (self._holds_out and i % data.hold_out_every == data.hold_out_offset):
                 return frame
-            self.album.hold_out(check_frame(frame))
-            self.sequence = self.album.opened()
+            self.kept.hold_out(check_frame(frame))
+            self.sequence = self.kept.opened()
 
     def close(self) -> None:
         """Let the source go."""
@@ -104,10 +104,10 @@ class StreamRun(MappingRun):
         if frame is None:
             self.n_unusable += 1
             return
-        self.album.add(frame)
-        self.next_position = len(self.album.mapped)
-        if len(self.album.mapped) == 1:
-            self.sequence = self.album.opened()  # its camera is known now
+        self.kept.add(frame)
+        self.next_position = len(self.kept.mapped)
+        if len(self.kept.mapped) == 1:
+            self.sequence = self.kept.opened()  # its camera is known now
 
     def _note_the_end(self) -> None:
         broke_off = getattr(self.frames_source, "broke_off", "")

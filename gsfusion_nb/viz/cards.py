@@ -10,8 +10,8 @@ import torch
 from ..drawing.pictures import Picture, colour_depth, data_uri, depth_range_m, fit_width, paint_cells, to_uint8
 from ..drawing.side_by_side import side_by_side
 from ..gaussians import GaussianModel
-from ..mapping.placing import placed
 from ..runs import FinishedRun, MappingRun
+from ..runs.posed_frames import frames_in_map
 from ..seeding import Cells
 from ..tsdf import TsdfVolume
 from ..types import Frame
@@ -141,7 +141,7 @@ def _finished(finished: FinishedRun) -> tuple[Picture | None, dict[str, str]]:
 
 def _photo_and_render(run: MappingRun) -> Picture | None:
     """The last frame and the map from there; None where it cannot be read again."""
-    frames = list(placed(run.mapped_views(2), run.mapper.localiser, run.sequence.mapping))
+    frames = list(frames_in_map(run.mapped_views(2), run.mapper.localiser, run.sequence.mapping))
     if not frames:
         return None
     frame = frames[-1]

@@ -10,7 +10,7 @@ MAP = """
 import torch
 torch.set_num_threads(1)
 from gsfusion_nb import GSFusion, gsfusion, open_sequence
-from gsfusion_nb.mapping import MappingRun
+from gsfusion_nb.runs import MappingRun
 from gsfusion_nb.viz import LiveMapper
 config = gsfusion("room", tsdf__voxel_size_m=0.02)
 run = MappingRun(open_sequence("room", data=config.data, n_frames=60), config)

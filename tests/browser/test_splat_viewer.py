@@ -14,7 +14,7 @@ import torch
 torch.set_num_threads(1)
 from gsfusion_nb.config import gsfusion
 from gsfusion_nb.data import open_sequence
-from gsfusion_nb.mapping import MappingRun
+from gsfusion_nb.runs import MappingRun
 config = gsfusion("room", optim__global_iterations=0)
 run = MappingRun(open_sequence("room", data=config.data, n_frames=8), config)
 steps = run.online()

@@ -7,8 +7,7 @@ import torch
 
 from gsfusion_nb.config import DataConfig, gsfusion, rtg_slam
 from gsfusion_nb.data import BadFrameError, SequenceError, open_sequence
-from gsfusion_nb.runs import MappingRun, run_mapping
-from gsfusion_nb.runs import run as run_module
+from gsfusion_nb.runs import MappingRun, mapping_run, run_mapping
 from gsfusion_nb.types import Frame
 
 DATA = DataConfig(width=160, height=120, hold_out_every=0)
@@ -110,7 +109,7 @@ def test_a_jump_loses_the_camera_until_it_returns(room, system):
 
 @pytest.mark.parametrize("system", ["gsfusion", "rtg_slam"])
 def test_lost_for_good_ends_with_everything_saved(room, system, tmp_path, monkeypatch):
-    monkeypatch.setattr(run_module, "MAX_BAD_FRAMES_IN_A_ROW", 4)
+    monkeypatch.setattr(mapping_run, "MAX_BAD_FRAMES_IN_A_ROW", 4)
     frames = room[:10] + [room[-10 + i] for i in range(9)]
     done = run_mapping(Stream(frames), config(system), folder=tmp_path / "run", evaluate=False)
     assert done.run.status == "stopped"

@@ -12,8 +12,8 @@ from gsfusion_nb.data import BadFrameError, SequenceError
 from gsfusion_nb.data.stream import LiveSource
 from gsfusion_nb.export import read_gaussian_ply, read_trajectory_tum
 from gsfusion_nb.mapping import GSFusion, make_mapper
-from gsfusion_nb.mapping.album import Album
 from gsfusion_nb.runs import StreamRun, map_stream, run_mapping
+from gsfusion_nb.runs.kept_frames import KeptFrames
 from gsfusion_nb.types import Frame
 
 FILES = {"gaussians.ply", "mesh.ply", "trajectory.txt", "config.json", "metrics.json", "report.html"}
@@ -301,20 +301,20 @@ def test_a_notebook_can_drive_it(frames, config):
     assert "frames" not in {t.name for t in threading.enumerate()}
 
 
-def test_an_album_keeps_few_frames_evenly_spread_and_all_poses(frames):
-    album = Album("long", most=4)
+def test_few_frames_are_kept_evenly_spread_and_all_poses(frames):
+    kept = KeptFrames("long", most=4)
     for i in range(100):
         T_WC = frames[0].T_WC.clone()
         T_WC[0, 3] = i
         frame = dataclasses.replace(frames[0], index=i, T_WC=T_WC)
-        (album.hold_out if i % 10 == 5 else album.add)(frame)
-    assert [f.index for f in album.kept_mapped.items] == [0, 36, 71]
-    assert [f.index for f in album.kept_held_out.items] == [5, 45, 85]
-    assert album[99].index == 99
+        (kept.hold_out if i % 10 == 5 else kept.add)(frame)
+    assert [f.index for f in kept.kept_mapped.items] == [0, 36, 71]
+    assert [f.index for f in kept.kept_held_out.items] == [5, 45, 85]
+    assert kept[99].index == 99
     with pytest.raises(BadFrameError, match="frame 1 of long was not kept"):
-        album[1]
-    assert float(album.pose(62)[0, 3]) == 62
-    assert float(album.pose(45)[0, 3]) == 45
-    opened = album.opened()
+        kept[1]
+    assert float(kept.pose(62)[0, 3]) == 62
+    assert float(kept.pose(45)[0, 3]) == 45
+    opened = kept.opened()
     assert len(opened.mapping) == 90
     assert [f.index for f in opened.held_out] == [5, 45, 85]

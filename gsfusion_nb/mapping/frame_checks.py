@@ -5,7 +5,7 @@ import math
 import torch
 
 from ..checks import check_colours, check_finite, check_pose
-from ..data import BadFrameError
+from ..errors import BadFrameError
 from ..types import Frame
 
 BLACK = 2.5 / 255

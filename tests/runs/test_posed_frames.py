@@ -12,8 +12,8 @@ from gsfusion_nb.config import DataConfig, TrackingConfig, gsfusion
 from gsfusion_nb.data import BadFrameError, SequenceError, SequenceNotFoundError, apply_options, open_sequence
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.mapping.localiser import Localiser
-from gsfusion_nb.mapping.placing import placed, readable, true_poses
 from gsfusion_nb.runs import run_mapping
+from gsfusion_nb.runs.posed_frames import frames_in_map, ground_truth_poses, readable_frames
 from gsfusion_nb.types import Camera, Frame
 
 CAMERA = Camera(width=8, height=6, fx=8.0, fy=8.0, cx=4.0, cy=3.0)
@@ -55,12 +55,12 @@ MOTION = se3.exp(torch.tensor([0.5, -0.2, 0.1, 0.3, 0.1, -0.2]))
 
 
 def test_damaged_frames_are_left_out(views):
-    assert [f.index for f in readable(views.mapping)] == [0, 1, 3, 4, 5, 8, 9]
+    assert [f.index for f in readable_frames(views.mapping)] == [0, 1, 3, 4, 5, 8, 9]
 
 
 def test_given_poses_stay(views):
     found = localiser("given", {0: MOTION})
-    for frame in placed(views.mapping, found, views.mapping):
+    for frame in frames_in_map(views.mapping, found, views.mapping):
         assert torch.equal(frame.T_WC, Path().pose(frame.index))
 
 
@@ -69,37 +69,37 @@ def test_a_mapped_frame_has_its_tracked_pose_and_others_follow_the_nearest(views
     tracked = {i: MOTION @ Path().pose(i) for i in (0, 1, 3, 5, 8)}
     tracked[8] = tracked[8] @ se3.exp(torch.tensor([0.01, 0.0, 0.0, 0.0, 0.0, 0.0]))  # an error of tracking
     found = localiser("tracked", tracked)
-    for frame in placed(views.mapping, found, views.mapping):
+    for frame in frames_in_map(views.mapping, found, views.mapping):
         if frame.index in tracked:
             assert torch.equal(frame.T_WC, tracked[frame.index])
-    by_index = {f.index: f.T_WC for f in placed(views.held_out, found, views.mapping)}
+    by_index = {f.index: f.T_WC for f in frames_in_map(views.held_out, found, views.mapping)}
     assert set(by_index) == {2, 6}
     for i, T_WC in by_index.items():
         torch.testing.assert_close(T_WC, MOTION @ Path().pose(i), atol=1e-5, rtol=0)
-    late = {f.index: f.T_WC for f in placed(views.mapping, found, views.mapping)}[9]  # nearest is 8, with its error
-    expected = tracked[8] @ se3.inverse(Path().pose(8)) @ Path().pose(9)
-    torch.testing.assert_close(late, expected, atol=1e-5, rtol=0)
+    late = {f.index: f.T_WC for f in frames_in_map(views.mapping, found, views.mapping)}
+    expected = tracked[8] @ se3.inverse(Path().pose(8)) @ Path().pose(9)  # nearest is 8, with its error
+    torch.testing.assert_close(late[9], expected, atol=1e-5, rtol=0)
 
 
 def test_before_anything_was_tracked_the_data_count(views):
-    frames = list(placed(views.mapping, localiser("tracked", {}), views.mapping))
+    frames = list(frames_in_map(views.mapping, localiser("tracked", {}), views.mapping))
     assert all(torch.equal(f.T_WC, Path().pose(f.index)) for f in frames)
 
 
-def test_true_poses_of_the_mapped_frames(views):
+def test_ground_truth_poses_of_the_mapped_frames(views):
     found = localiser("tracked", dict.fromkeys((0, 3, 9), MOTION))
-    truth = true_poses(found, views.mapping)
+    truth = ground_truth_poses(found, views.mapping)
     assert truth is not None
     assert torch.equal(truth, torch.stack([Path().pose(i) for i in (0, 3, 9)]))
 
 
-def test_no_true_poses_where_one_is_missing(views):
+def test_no_ground_truth_where_one_is_missing(views):
     class Poseless(Path):
         def pose(self, i: int) -> torch.Tensor:
             raise BadFrameError("no pose")
 
     view = dataclasses.replace(views.mapping, source=Poseless())
-    assert true_poses(localiser("tracked", {0: MOTION}), view) is None
+    assert ground_truth_poses(localiser("tracked", {0: MOTION}), view) is None
 
 
 def test_a_recording_without_poses_is_tracked_from_the_identity(tmp_path):

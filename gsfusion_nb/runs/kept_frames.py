@@ -1,4 +1,4 @@
-"""The little that is kept of a stream: a bounded number of its frames, evenly spread, to score and to show."""
+"""What is kept of a stream to score and to show: a bounded number of its frames, evenly spread, and all poses."""
 
 import bisect
 from array import array
@@ -7,28 +7,29 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ..data import BadFrameError, OpenedSequence, SequenceView
+from ..data import OpenedSequence, SequenceView
+from ..errors import BadFrameError
 from ..types import Camera, Frame
 
 MOST_VIEWS = 24
-"""Mapped frames, and held-out ones, that are kept at most: 2.1 MB each at 640x480."""
+"""At most this many mapped frames are kept, and as many held-out ones: 2.1 MB each at 640x480."""
 
 _UNKNOWN = Camera(width=1, height=1, fx=1.0, fy=1.0, cx=0.5, cy=0.5)
 
 
-class Album:
+class KeptFrames:
     """Some frames of a stream by their index, and the poses of all mapped ones (a ``Sequence``).
 
-    A frame that was not kept raises ``BadFrameError``. When there are too many, every other one is let go, and from
-    then on frames are taken half as often.
+    A frame that was not kept raises ``BadFrameError``. When there are more than ``most``, every other one is dropped,
+    and from then on frames are kept half as often.
     """
 
     def __init__(self, name: str, *, has_poses: bool = True, most: int = MOST_VIEWS):
         self.name, self.has_poses, self.camera = name, has_poses, _UNKNOWN
         self.mapped: list[int] = []
         """Indices of all mapped frames."""
-        self.kept_mapped = _Spread(most)
-        self.kept_held_out = _Spread(most)
+        self.kept_mapped = _EvenSample(most)
+        self.kept_held_out = _EvenSample(most)
         self._last: Frame | None = None
         self._poses = array("f")
 
@@ -38,8 +39,8 @@ class Album:
     def __getitem__(self, i: int) -> Frame:
         if self._last is not None and self._last.index == i:
             return self._last
-        for spread in (self.kept_mapped, self.kept_held_out):
-            for frame in spread.items:
+        for sample in (self.kept_mapped, self.kept_held_out):
+            for frame in sample.items:
                 if frame.index == i:
                     return frame
         raise BadFrameError(f"frame {i} of {self.name} was not kept")
@@ -68,7 +69,7 @@ class Album:
         return SequenceView(source=self, positions=positions, camera=self.camera)
 
     def opened(self) -> OpenedSequence:
-        """All mapped frames, of which a few are kept, and the held-out ones that are."""
+        """All mapped frames, of which only some are kept, and the held-out frames that are kept."""
         held_out = [frame.index for frame in self.kept_held_out.items]
         return OpenedSequence(
             source=self,
@@ -79,8 +80,8 @@ class Album:
         )
 
 
-class _Spread:
-    """At most ``most`` of the frames added, evenly spread."""
+class _EvenSample:
+    """At most ``most`` of the frames that were added, evenly spread over them."""
 
     def __init__(self, most: int):
         self.items: list[Frame] = []

@@ -124,9 +124,9 @@ def test_ctrl_c_saves_everything_and_the_run_can_go_on(tmp_path, small_room, con
 
 
 def open_small(monkeypatch, sequence):
-    from gsfusion_nb.runs import map_sequence, run
+    from gsfusion_nb.runs import map_sequence, mapping_run
 
-    for module in (map_sequence, run):
+    for module in (map_sequence, mapping_run):
         monkeypatch.setattr(module, "open_sequence", lambda path_or_name, data, **_: apply_options(sequence, data))
 
 

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from .report import GlobalStep
+from .step_report import GlobalStep
 
 
 class KeyframePasses:

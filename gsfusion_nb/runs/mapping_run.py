@@ -18,12 +18,12 @@ from ..data import OpenedSequence, RecordedSequence, SequenceError, SequenceView
 from ..data.stream import read_ahead
 from ..export import load_checkpoint, save_checkpoint
 from ..mapping.gsfusion import GSFusion
-from ..mapping.placing import has_poses
-from ..mapping.report import GlobalStep, StepReport
 from ..mapping.rtg_slam import RTGSLAM
+from ..mapping.step_report import GlobalStep, StepReport
 from ..mapping.systems import Config, Mapper, get_system, make_mapper, system_of
 from ..seeding import SeedingRule
 from ..types import Frame
+from .posed_frames import has_poses
 
 log = logging.getLogger(__name__)
 
