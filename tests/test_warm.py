@@ -57,7 +57,6 @@ def test_progress_names_every_step_and_ends_at_the_total():
     assert torch.get_num_threads() == threads
     again = list(warm.warm_up())[-1]
     assert again.compiled == ()
-    assert again.seconds < 3
 
 
 def test_doctor_says_what_it_did(capsys):

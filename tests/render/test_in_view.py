@@ -5,7 +5,7 @@ import torch
 
 from gsfusion_nb.backends import use_backend
 from gsfusion_nb.geometry import se3
-from gsfusion_nb.render import project_gaussians, render, rows_in_view
+from gsfusion_nb.render import project_gaussians, render, rows_in_view, tile_intersections
 from gsfusion_nb.types import Camera, GaussianParams
 
 CAMERA = Camera(width=64, height=48, fx=40.0, fy=44.0, cx=30.0, cy=25.0)
@@ -40,15 +40,28 @@ def test_every_row_whose_box_meets_the_picture_is_in_view(scale, seed):
         assert float(seen.double().mean()) < 0.5
 
 
-@pytest.mark.parametrize("backend", ["reference", "numba"])
-def test_the_picture_does_not_change_without_the_others(generator, backend):
+def test_the_others_are_in_no_tile_s_list(generator):
     params = around(generator, 3000, scale=0.03)
-    pose = torch.eye(4)
+    drawn = tile_intersections(project_gaussians(params, CAMERA, torch.eye(4)), CAMERA).gaussian
+    assert len(drawn) > 1000
+    assert rows_in_view(params, CAMERA, torch.eye(4))[drawn].all()
+
+
+@pytest.mark.parametrize(("backend", "dtype"), [("reference", torch.float64), ("numba", torch.float32)])
+def test_the_picture_does_not_change_without_the_others(generator, backend, dtype):
+    """To rounding: exp of a row may differ in its last bit where the row falls into other lanes of a vector.
+
+    In float32 a Gaussian within rounding of the 1/255 cut may then fall on either side of it: 1/255 of a colour <= 1.
+    """
+    columns = vars(around(generator, 3000, scale=0.03))
+    params, pose = GaussianParams(**{name: value.to(dtype) for name, value in columns.items()}), torch.eye(4)
     seen = rows_in_view(params, CAMERA, pose)
     with use_backend(backend):
         every, few = (render(p, CAMERA, pose).rgb for p in (params, params[seen]))
     assert 100 < int(seen.sum()) < 2000
-    assert torch.equal(every, few)
+    off = (every - few).abs()
+    assert float(off.max()) < (1e-7 if dtype == torch.float64 else 1 / 255 + 1e-4)
+    assert float((off > (1e-7 if dtype == torch.float64 else 1e-4)).double().mean()) < 1e-3
 
 
 def test_no_rows():
