@@ -66,6 +66,87 @@ def test_only_backends_knows_the_kernels(path):
         assert "kernels" not in imported_rooms(path)
 
 
+class ImportGraph:
+    """Which file imports which, at any depth of the code. A name that a package passes on counts as imported from the
+    file that defines it."""
+
+    def __init__(self, roots: dict[str, Path]):
+        self.files = {
+            self._dotted(path, package, root): path for package, root in roots.items() for path in root.rglob("*.py")
+        }
+        self.names = {module: list(self._imported_names(module)) for module in self.files}
+        self.edges = {module: self._edges(module) for module in self.files}
+
+    @staticmethod
+    def _dotted(path: Path, package: str, root: Path) -> str:
+        parts = [package, *path.relative_to(root).with_suffix("").parts]
+        return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+    def _imported_names(self, module: str):
+        """(module, name in it or "", name here) of every import from the graph's packages."""
+        parts = module.split(".") if self.files[module].name == "__init__.py" else module.split(".")[:-1]
+        for node in ast.walk(ast.parse(self.files[module].read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom):
+                base = parts[: len(parts) - node.level + 1] if node.level else []
+                source = ".".join([*base, *([node.module] if node.module else [])])
+                yield from ((source, a.name, a.asname or a.name) for a in node.names)
+            elif isinstance(node, ast.Import):
+                yield from ((a.name, "", a.asname or a.name) for a in node.names)
+
+    def defining(self, module: str, name: str) -> str:
+        """The file that ``name`` of ``module`` comes from."""
+        if f"{module}.{name}" in self.files:
+            return f"{module}.{name}"
+        for source, theirs, here in self.names.get(module, []):
+            if here == name and (source, theirs) != (module, name) and source in self.files:
+                return self.defining(source, theirs)
+        return module
+
+    def _edges(self, module: str) -> set[str]:
+        found = {self.defining(source, name) if name else source for source, name, _ in self.names[module]}
+        return {other for other in found if other in self.files and other != module}
+
+    def circles(self) -> list[frozenset[str]]:
+        """Groups of files each of which leads back to itself: strongly connected components of two or more."""
+        reach = {module: self._reached(module) for module in self.files}
+        return sorted(
+            {frozenset(b for b in reach[a] if a in reach[b]) for a in self.files if a in reach[a]}, key=sorted
+        )
+
+    def _reached(self, module: str) -> set[str]:
+        seen, waiting = set(), [*self.edges[module]]
+        while waiting:
+            if (other := waiting.pop()) not in seen:
+                seen.add(other)
+                waiting += self.edges[other]
+        return seen
+
+
+def test_no_files_import_each_other():
+    graph = ImportGraph({"gsfusion_nb": PACKAGE, "gsfusion_nb.kernels": ROOT / "kernels"})
+    assert len(graph.files) > 300
+    assert [sorted(circle) for circle in graph.circles()] == []
+
+
+def test_files_of_a_package_import_the_file_that_defines_a_name():
+    graph = ImportGraph({"gsfusion_nb": PACKAGE, "gsfusion_nb.kernels": ROOT / "kernels"})
+    detours = [
+        f"{module} imports {name} from {source}; it is defined in {graph.defining(source, name)}"
+        for module, names in graph.names.items()
+        for source, name, _ in names
+        if module.startswith(f"{source}.") and name and graph.defining(source, name) not in (source, f"{source}.{name}")
+    ]
+    assert detours == []
+
+
+def test_a_circle_through_a_package_is_found(tmp_path):
+    files = {"__init__.py": "from .a import A as A\n", "a.py": "from .b import B\n", "c.py": ""}
+    files |= {"b.py": "def late():\n    from pkg import A, c\n"}
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+    assert ImportGraph({"pkg": tmp_path}).circles() == [{"pkg.a", "pkg.b"}]
+
+
 def test_every_package_is_packaged():
     declared = set(tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"])
     found = {".".join(p.parent.relative_to(ROOT).parts) for p in PACKAGE.rglob("__init__.py")}

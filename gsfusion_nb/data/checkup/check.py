@@ -7,7 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from ...config import DataConfig, RepairConfig
-from .. import RecordedSequence, Sequence, apply_options, detect_layout, open_sequence
+from ..open import detect_layout, open_sequence
+from ..protocol import Sequence
+from ..recorded import RecordedSequence
+from ..view import apply_options
 from . import judge_colour, judge_fit, judge_frames
 from .alignment import fit_colour, in_order
 from .depth_values import DepthCode, clear_codes, code_finding, find_codes, missing_finding

@@ -10,10 +10,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ...config import RepairConfig
-from .. import BadFrameError, RecordedSequence
+from ..protocol import BadFrameError
 from ..readers.images import read_depth, read_rgb
 from ..readers.pose_reading import raw_matrices
 from ..readers.poses import MAX_RIGIDITY_ERROR
+from ..recorded import RecordedSequence
 from .findings import Finding
 
 _TRIES = 5

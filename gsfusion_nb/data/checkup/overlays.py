@@ -12,7 +12,7 @@ from ...config import RepairConfig
 from ...drawing.curves import MUTED, PALETTE, curve_figure, figure_svg
 from ...drawing.pictures import Picture, depth_error_map, fit_width, to_uint8
 from ...types import Frame
-from .. import BadFrameError, Sequence
+from ..protocol import BadFrameError, Sequence
 from ..readers.pose_reading import reread_poses
 from ..register import warp_depth
 from .alignment import depth_edges

@@ -9,7 +9,7 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from ...types import Camera, Frame
-from .. import BadFrameError, Sequence
+from ..protocol import BadFrameError, Sequence
 from .reprojection import thinned
 
 WINDOW = 31

@@ -12,7 +12,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ...geometry import se3
 from ..lens import CameraModel
 from ..protocol import SequenceError, SequenceNotFoundError
 from ..readers.images import read_image_bytes, read_rgb
@@ -22,9 +21,8 @@ from .intrinsics import model_of_matrix
 from .options import ConvertOptions
 from .pictures import decode_depth, find_depth, load_pair
 from .recording import Recording, Shot
+from .scannet_sens import FRAMES_PER_S, registration
 from .trajectory import read_numbers
-
-FRAMES_PER_S = 30.0
 
 
 def recognise(path: Path) -> bool:
@@ -65,14 +63,6 @@ def read(path: Path, options: ConvertOptions) -> Recording:
         depth_scale=scale,
         notes=(f"depth read as {scale:g} per metre; times are frame numbers at {FRAMES_PER_S:g} Hz",),
     )
-
-
-def registration(
-    T_rig_colour: Float[Tensor, "4 4"], T_rig_depth: Float[Tensor, "4 4"]
-) -> tuple[Float[Tensor, "4 4"] | None, Float[Tensor, "4 4"]]:
-    """From depth camera to colour camera (None if they are one), and from colour camera to the posed rig."""
-    T = se3.inverse(T_rig_colour) @ T_rig_depth
-    return (None if torch.allclose(T, torch.eye(4, dtype=T.dtype), atol=1e-5) else T), T_rig_colour
 
 
 def _sens_in(path: Path) -> Path | None:

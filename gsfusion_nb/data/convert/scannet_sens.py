@@ -18,12 +18,16 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ...geometry import se3
 from ..lens import CameraModel
 from ..protocol import BadFrameError, SequenceError
 from .intrinsics import model_of_matrix
 from .options import ConvertOptions
 from .pictures import metres, with_colour
 from .recording import Pictures, Recording, Shot
+
+FRAMES_PER_S = 30.0
+"""Of exported scans, whose files hold no times."""
 
 _VERSION = 4
 _COLOUR = {0: "raw", 1: "png", 2: "jpeg"}
@@ -51,8 +55,6 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     Raises:
         SequenceError: another version, a compression that is not read here, or a header that is cut short.
     """
-    from .scannet import FRAMES_PER_S, registration
-
     with path.open("rb") as file:
         header = _read_header(file, path)
     scale = options.depth_scale or header.units_per_m
@@ -87,6 +89,14 @@ def read(path: Path, options: ConvertOptions) -> Recording:
         depth_scale=scale,
         notes=(f"depth read as {scale:g} per metre",),
     )
+
+
+def registration(
+    T_rig_colour: Float[Tensor, "4 4"], T_rig_depth: Float[Tensor, "4 4"]
+) -> tuple[Float[Tensor, "4 4"] | None, Float[Tensor, "4 4"]]:
+    """From depth camera to colour camera (None if they are one), and from colour camera to the posed rig."""
+    T = se3.inverse(T_rig_colour) @ T_rig_depth
+    return (None if torch.allclose(T, torch.eye(4, dtype=T.dtype), atol=1e-5) else T), T_rig_colour
 
 
 def _read_header(file: BinaryIO, path: Path) -> _Header:

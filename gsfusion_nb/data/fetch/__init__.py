@@ -3,6 +3,8 @@
 The scripts in ``data_scripts/`` say which files make a data set; everything they have in common is here.
 """
 
+from .archive.unpack import unpack as unpack
+from .archive.unpacker import Limits as Limits
 from .errors import ArchiveError as ArchiveError
 from .errors import ChecksumError as ChecksumError
 from .errors import DeclinedError as DeclinedError
@@ -14,5 +16,3 @@ from .obtain import obtain as obtain
 from .plan import Item as Item
 from .plan import Plan as Plan
 from .reading import Reading as Reading
-from .unpack import Limits as Limits
-from .unpack import unpack as unpack

@@ -7,13 +7,14 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from .archive.unpack import unpack
+from .archive.unpacker import Limits
 from .checksum import verify
 from .disk import require_space
 from .download import Progress, Transfer, download, remote_size
 from .errors import ArchiveError, ChecksumError, FetchError
 from .ledger import Obtained, record, write_source
 from .plan import Item, Plan, agree, describe
-from .unpack import Limits, unpack
 from .work_folder import WORK, only_one, unfinished_folder
 
 log = logging.getLogger(__name__)

@@ -4,9 +4,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from .archive.member_names import Choose, everything
 from .disk import size_text
 from .errors import DeclinedError
-from .member_names import Choose, everything
 from .reading import Reading
 
 ASSUMED_BYTES_PER_S = 10e6

@@ -21,7 +21,7 @@ from ..readers.seven_scenes import COLOUR_LENS, DEPTH_CAMERA, T_DEPTH_COLOUR
 from ..readers.seven_scenes import DEPTH_SCALE as SEVEN_SCENES_DEPTH_SCALE
 from ..readers.tum import DEPTH_SCALE as TUM_DEPTH_SCALE
 from ..readers.tum import LENSES
-from . import RoomSequence, render_room
+from .sequence import RoomSequence, render_room
 
 ROOM_DEPTH_SCALE = 10_000.0
 """The room's own depth counts tenths of a millimetre, so the plain layout holds it without loss."""

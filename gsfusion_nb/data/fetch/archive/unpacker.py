@@ -1,17 +1,12 @@
-"""Unpacking an archive that is not trusted: plain files only, below one folder, within limits on number and size.
+"""Writing the members of an archive that is not trusted into one folder, within limits on number and size."""
 
-What is refused is refused whole: a zip before anything is written; of a tar, which can only be read from front to back,
-the caller throws away what was written (``work_folder.unfinished_folder`` does).
-"""
-
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
-from .disk import full_disk, require_space, size_text
-from .errors import ArchiveError
-from .member_names import Choose, Places, check_portable, everything, plain_path
+from ..disk import full_disk, size_text
+from ..errors import ArchiveError
+from .member_names import Choose, TakenPaths, check_portable, plain_path
 
 BLOCK_BYTES = 1 << 20
 
@@ -45,7 +40,7 @@ class Unpacker:
         ratio_bytes = int(limits.max_ratio * archive.stat().st_size)
         self.max_bytes = min(limits.max_bytes, ratio_bytes)
         self.members = self.files = self.bytes = 0
-        self._places = Places(archive.name)
+        self._taken = TakenPaths(archive.name)
 
     def place(self, name: str, *, is_folder: bool) -> str | None:
         """Where a member goes, None if it is not wanted. Wanted or not, it must not lead out."""
@@ -60,7 +55,7 @@ class Unpacker:
             return None
         target = plain_path(wanted, self.archive.name)
         check_portable(target, self.archive.name)
-        self._places.take_file(target)
+        self._taken.take_file(target)
         return target
 
     def count(self, size: int, path: str) -> None:
@@ -89,57 +84,3 @@ class Unpacker:
         if done != size:
             raise ArchiveError(f"{self.archive.name}: {path!r} says it has {size} bytes, but it has not; damaged")
         self.files += 1
-
-
-def unpack(archive: Path, folder: Path, *, choose: Choose = everything, limits: Limits) -> int:
-    """Unpack a zip, tar or gzipped tar into ``folder``, which should be new; the number of files written.
-
-    Raises:
-        ArchiveError: no archive, a damaged one, or one that holds links, devices, paths that lead elsewhere, two files
-        for one place, or more than ``limits``. NoSpaceError: the disk is too full.
-    """
-    from .unpack_tar import unpack_tar
-
-    unpacker = Unpacker(archive, folder, choose, limits)
-    folder.mkdir(parents=True, exist_ok=True)
-    if zipfile.is_zipfile(archive):
-        _unpack_zip(unpacker)
-    else:
-        unpack_tar(unpacker)
-    if not unpacker.files:
-        raise ArchiveError(f"{archive.name} holds none of the files that were expected in it")
-    return unpacker.files
-
-
-def _unpack_zip(unpacker: Unpacker) -> None:
-    name = unpacker.archive.name
-    try:
-        with zipfile.ZipFile(unpacker.archive) as zipped:
-            wanted = [(path, info) for info in zipped.infolist() if (path := _zip_place(unpacker, info)) is not None]
-            for path, info in wanted:
-                unpacker.count(info.file_size, path)
-            require_space(unpacker.folder, unpacker.bytes, f"unpacking {name}")
-            for path, info in wanted:
-                with zipped.open(info) as source:
-                    unpacker.write(path, source, info.file_size)
-    except (zipfile.BadZipFile, EOFError, NotImplementedError, RuntimeError, *_decompression_errors()) as e:
-        raise ArchiveError(f"{name} is damaged ({e}); it is no longer kept, run again to fetch it anew") from None
-
-
-def _zip_place(unpacker: Unpacker, info: zipfile.ZipInfo) -> str | None:
-    import stat
-
-    kind = stat.S_IFMT(info.external_attr >> 16)
-    if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
-        what = "a link" if stat.S_ISLNK(kind) else "no plain file"
-        raise ArchiveError(f"{unpacker.archive.name} holds {info.filename!r}, {what}; nothing of it is unpacked")
-    if info.flag_bits & 1:
-        raise ArchiveError(f"{unpacker.archive.name} is encrypted; expected an open archive")
-    return unpacker.place(info.filename, is_folder=info.is_dir())
-
-
-def _decompression_errors() -> tuple[Any, ...]:
-    import lzma
-    import zlib
-
-    return zlib.error, lzma.LZMAError

@@ -1,13 +1,13 @@
-"""The tar half of ``unpack``: read once from front to back, so that an archive of any size needs little memory."""
+"""Unpacking a tar, gzipped or not: read once from front to back, so that an archive of any size needs little memory."""
 
 import gzip
 import tarfile
 import zlib
 from collections.abc import Iterator
 
-from .disk import require_space
-from .errors import ArchiveError
-from .unpack import Readable, Unpacker
+from ..disk import require_space
+from ..errors import ArchiveError
+from .unpacker import Readable, Unpacker
 
 MAX_HEADER_BYTES = 1 << 20
 """Of one member's headers: tarfile holds these in memory, and a gzipped gigabyte of them is a small file."""

@@ -4,7 +4,7 @@ import re
 import unicodedata
 from collections.abc import Callable
 
-from .errors import ArchiveError
+from ..errors import ArchiveError
 
 Choose = Callable[[str], str | None]
 """A member's path in the archive -> its path in the data set's folder, or None to leave it out."""
@@ -40,7 +40,7 @@ def check_portable(path: str, archive: str) -> None:
             raise ArchiveError(f"{archive} holds {path!r}, a name that not every system takes; nothing is unpacked")
 
 
-class Places:
+class TakenPaths:
     """The paths taken so far. Two that are one on some system (case, accents) may not both be."""
 
     def __init__(self, archive: str):

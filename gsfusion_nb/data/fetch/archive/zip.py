@@ -1,0 +1,36 @@
+"""Unpacking a zip: all names and sizes are checked before anything is written."""
+
+import lzma
+import stat
+import zipfile
+import zlib
+
+from ..disk import require_space
+from ..errors import ArchiveError
+from .unpacker import Unpacker
+
+
+def unpack_zip(unpacker: Unpacker) -> None:
+    """Unpack a zip. Raises ``ArchiveError``, ``NoSpaceError``."""
+    name = unpacker.archive.name
+    try:
+        with zipfile.ZipFile(unpacker.archive) as zipped:
+            wanted = [(path, info) for info in zipped.infolist() if (path := _zip_place(unpacker, info)) is not None]
+            for path, info in wanted:
+                unpacker.count(info.file_size, path)
+            require_space(unpacker.folder, unpacker.bytes, f"unpacking {name}")
+            for path, info in wanted:
+                with zipped.open(info) as source:
+                    unpacker.write(path, source, info.file_size)
+    except (zipfile.BadZipFile, EOFError, NotImplementedError, RuntimeError, zlib.error, lzma.LZMAError) as e:
+        raise ArchiveError(f"{name} is damaged ({e}); it is no longer kept, run again to fetch it anew") from None
+
+
+def _zip_place(unpacker: Unpacker, info: zipfile.ZipInfo) -> str | None:
+    kind = stat.S_IFMT(info.external_attr >> 16)
+    if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
+        what = "a link" if stat.S_ISLNK(kind) else "no plain file"
+        raise ArchiveError(f"{unpacker.archive.name} holds {info.filename!r}, {what}; nothing of it is unpacked")
+    if info.flag_bits & 1:
+        raise ArchiveError(f"{unpacker.archive.name} is encrypted; expected an open archive")
+    return unpacker.place(info.filename, is_folder=info.is_dir())
