@@ -1,7 +1,7 @@
-"""Parts of HTML pages that many pages share: the page itself, pictures with captions, colour bars, graphs."""
+"""What HTML pages show beside text: pictures with captions and colour bars, and graphs (``templates/parts.html``)."""
 
 from collections.abc import Mapping
-from html import escape
+from dataclasses import dataclass
 from typing import Any
 
 from . import pictures
@@ -11,40 +11,53 @@ PICTURE_WIDTH = 960
 """Pictures are stored no wider than this, pixels; a report of six views stays at a few megabytes."""
 
 
-def page_html(title: str, body: str) -> str:
-    """A whole page in the look of the report, with click-to-enlarge pictures."""
-    from .page_style import SCRIPT, STYLE
+@dataclass(frozen=True, kw_only=True)
+class ColourBar:
+    """A colour map with the values at its two ends."""
 
-    return (
-        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        '<meta name="color-scheme" content="light dark">\n<link rel="icon" href="data:,">\n'
-        f"<title>{escape(title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<main>\n{body}\n</main>\n"
-        '<dialog id="zoom"><img alt=""></dialog>\n'
-        f"<script>{SCRIPT}</script>\n</body>\n</html>\n"
-    )
+    colours: str
+    """Name of the colour map, as in ``drawing.pictures``."""
+    low: str
+    high: str
+
+    @property
+    def stops(self) -> list[str]:
+        """Colours along the bar, "#rrggbb"."""
+        return pictures.colour_stops(self.colours)
 
 
-def figure(image: pictures.ImageLike, alt: str, caption: str) -> str:
-    """An image and its caption, to stand in a ``<figure>``."""
+@dataclass(frozen=True, kw_only=True)
+class PagePicture:
+    """A picture that is stored in the page."""
+
+    src: str
+    """The picture as a data URI."""
+    width: int
+    height: int
+    alt: str
+    caption: str
+    bar: ColourBar | None = None
+
+
+@dataclass(frozen=True)
+class PageGraph:
+    """A graph that is stored in the page."""
+
+    title: str
+    svg: str
+    """An ``<svg>`` element that takes the page's colours."""
+
+
+def page_picture(
+    image: pictures.ImageLike, caption: str, *, alt: str = "", bar: ColourBar | None = None
+) -> PagePicture:
+    """A picture for a page, at most ``PICTURE_WIDTH`` wide; ``alt`` is the caption if it is not given."""
     small = pictures.fit_width(image, PICTURE_WIDTH)
     height, width = small.shape[:2]
-    return (
-        f'<img src="{pictures.data_uri(small)}" alt="{escape(alt)}" width="{width}" height="{height}">'
-        f"<figcaption>{escape(caption)}</figcaption>"
-    )
+    src = pictures.data_uri(small)
+    return PagePicture(src=src, width=width, height=height, alt=alt or caption, caption=caption, bar=bar)
 
 
-def colour_bar(colours: str, low: str, high: str) -> str:
-    """A colour map as a bar with its two ends written under it."""
-    stops = ",".join(pictures.colour_stops(colours))
-    return (
-        f'<div class="bar" style="background:linear-gradient(90deg,{stops})"></div>'
-        f'<div class="ends"><span>{low}</span><span>{high}</span></div>'
-    )
-
-
-def chart(title: str, x: Numbers, series: Mapping[str, Numbers], **options: Any) -> str:
-    """A card with a graph; options of ``curve_figure``."""
-    svg = figure_svg(curve_figure(x, series, **options), title)
-    return f'<div class="card chart"><h3>{escape(title)}</h3>{svg}</div>'
+def page_graph(title: str, x: Numbers, series: Mapping[str, Numbers], **options: Any) -> PageGraph:
+    """A graph for a page; options of ``curve_figure``."""
+    return PageGraph(title, figure_svg(curve_figure(x, series, **options), title))

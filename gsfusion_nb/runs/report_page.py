@@ -8,7 +8,8 @@ from typing import Any
 from jaxtyping import Float
 from torch import Tensor
 
-from ..drawing.page import page_html
+from ..drawing.html import fill
+from ..drawing.page import page_picture
 from ..drawing.pictures import AnyImage
 from ..evaluation.image import expected_depth_m, psnr, ssim
 from ..files import write_file
@@ -113,22 +114,22 @@ def write_report(path: Path | str, run: ReportData) -> Path:
 
 def report_html(run: ReportData) -> str:
     """The page as text."""
-    from . import report_sections as sections
+    from . import report_contents as contents
 
-    body = "\n".join(
-        part
-        for part in (
-            sections.header(run.title, run.subtitle, run.warnings),
-            sections.headline(run.metrics),
-            sections.views(run.views),
-            sections.curves(run.frames, run.global_losses),
-            sections.meshes(run.mesh_pictures),
-            sections.all_metrics(run.metrics),
-            sections.files(run.files),
-            sections.settings("Settings", run.config),
-            sections.settings("Environment", run.environment),
-            sections.frame_table(run.frames),
-        )
-        if part
+    return fill(
+        "report.html",
+        title=run.title,
+        subtitle=run.subtitle,
+        warnings=run.warnings,
+        headline=contents.headline(run.metrics),
+        views=contents.views(run.views),
+        quadtrees=contents.quadtrees(run.views),
+        graphs=contents.graphs(run.frames, run.global_losses),
+        stages=contents.stages(run.frames),
+        meshes=[page_picture(image, name) for name, image in run.mesh_pictures.items()],
+        groups=contents.metric_groups(run.metrics),
+        files=run.files,
+        config=contents.settings(run.config),
+        environment=contents.settings(run.environment),
+        frame_rows=[contents.frame_cells(row) for row in run.frames],
     )
-    return page_html(run.title, body)

@@ -1,0 +1,188 @@
+"""What stands on the report page: from the data of a run to the values that ``templates/report.html`` shows."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from ..drawing import pictures
+from ..drawing.page import PICTURE_WIDTH, ColourBar, PageGraph, PagePicture, page_graph, page_picture
+from ..evaluation.metrics import METRIC_GROUPS, METRICS, NBSP, format_metric, format_value, reason_missing
+
+if TYPE_CHECKING:
+    from .report_page import FrameRow, ViewPanel
+
+HEADLINE = (
+    ("psnr_held_out_db", "PSNR, held out", "ssim_held_out", "SSIM {}"),
+    ("psnr_mapped_db", "PSNR, mapped", "ssim_mapped", "SSIM {}"),
+    ("n_gaussians", "Gaussians", "model_size_mb", "{}"),
+    ("n_keyframes", "Keyframes", "n_frames", "of {} frames"),
+    ("fps_total", "Frames / total time", "fps_mean_inverse", "mean 1/dt: {}"),
+    ("peak_memory_mb", "Peak memory", "seconds_total", "whole run: {}"),
+)
+"""Large number, its label, and the number in the line under it."""
+
+
+def headline(metrics: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The numbers that a reader wants first."""
+    cards = []
+    for name, label, second, line in HEADLINE if metrics else ():
+        value, more = metrics.get(name), ""
+        if reason_missing(metrics.get(second)) is None:
+            more = line.format(format_metric(second, metrics[second]))
+        missing = reason_missing(value) is not None
+        text = format_metric(name, value)
+        number, _, unit = (text, "", "") if missing else text.partition(NBSP)
+        cards.append({"label": label, "number": number, "unit": unit, "is_missing": missing, "more": more})
+    return cards
+
+
+def views(panels: "Sequence[ViewPanel]") -> list[dict[str, Any]]:
+    """Input, render and error of each view and the same for depth; held-out views come first."""
+    shown = []
+    for panel in sorted(panels, key=lambda panel: not panel.held_out):
+        scores = [] if math.isnan(panel.psnr) else [f"PSNR {panel.psnr:.2f}{NBSP}dB"]
+        scores += [] if math.isnan(panel.ssim) else [f"SSIM {panel.ssim:.3f}"]
+        picked = [*_colour_pictures(panel), *_depth_pictures(panel)]
+        shown.append({"name": panel.name, "held_out": panel.held_out, "scores": scores, "pictures": picked})
+    return shown
+
+
+def _colour_pictures(panel: "ViewPanel") -> list[PagePicture]:
+    limit = pictures.ERROR_LIMIT
+    error = pictures.error_map(panel.render, panel.rgb)
+    bar = ColourBar(colours=pictures.ERROR_COLOURS, low="0", high=f"{limit:g} or more, of 1")
+    return [
+        page_picture(panel.rgb, "Input", alt=f"{panel.name}, input"),
+        page_picture(panel.render, "Render", alt=f"{panel.name}, render"),
+        page_picture(error, "|Render − input|, mean of channels", alt=f"{panel.name}, error", bar=bar),
+    ]
+
+
+def _depth_pictures(panel: "ViewPanel") -> list[PagePicture]:
+    pair = {"Depth, measured": panel.depth_m, "Depth, rendered": panel.render_depth_m}
+    known = {caption: depth for caption, depth in pair.items() if depth is not None}
+    if not known:
+        return []
+    near, far = pictures.depth_range_m(*known.values())
+    bar = ColourBar(colours=pictures.DEPTH_COLOURS, low=f"{near:.2f}{NBSP}m", high=f"{far:.2f}{NBSP}m")
+    shown = []
+    for caption, depth in known.items():
+        image = pictures.colour_depth(depth, near, far)
+        shown.append(page_picture(image, f"{caption} (striped: missing)", alt=f"{panel.name}, {caption}", bar=bar))
+    if panel.depth_m is not None and panel.render_depth_m is not None:
+        error = pictures.depth_error_map(panel.render_depth_m, panel.depth_m)
+        limit = f"{pictures.DEPTH_ERROR_LIMIT_M * 100:g}{NBSP}cm or more"
+        bar = ColourBar(colours=pictures.ERROR_COLOURS, low="0", high=limit)
+        shown.append(page_picture(error, "|Rendered − measured depth|", alt=f"{panel.name}, depth error", bar=bar))
+    return shown
+
+
+def quadtrees(panels: "Sequence[ViewPanel]") -> list[PagePicture]:
+    """The cells of each view that has some, painted over the input."""
+    shown = []
+    for panel in sorted(panels, key=lambda panel: not panel.held_out):
+        if panel.cells is None:
+            continue
+        scale = max(1, round(PICTURE_WIDTH / panel.rgb.shape[1]))
+        painted = pictures.paint_cells(panel.rgb, panel.cells, scale=scale)
+        caption = f"{panel.name}, {len(panel.cells.level):,} cells: one Gaussian may be seeded in each"
+        bar = ColourBar(colours=pictures.LEVEL_COLOURS, low="coarse", high="fine")
+        shown.append(page_picture(painted, caption, alt=f"{panel.name}, quadtree", bar=bar))
+    return shown
+
+
+def graphs(frames: "Sequence[FrameRow]", global_losses: Sequence[float | int]) -> list[PageGraph]:
+    """Time by stage, size of the map, PSNR and loss over the frames, and the loss of the global optimisation."""
+    x = [row.index for row in frames]
+    marks = {"marks": [row.index for row in frames if row.keyframe], "marks_label": "keyframe"}
+    shown = []
+    if frames:
+        times = _stages_ms(frames)
+        shown.append(page_graph("Time per frame", x, times, x_label="frame", y_label="time, ms", stacked=True))
+        gaussians = {"Gaussians": [row.n_gaussians for row in frames]}
+        shown.append(page_graph("Size of the map", x, gaussians, x_label="frame", y_label="Gaussians", **marks))
+    psnr = {"before the step": [r.psnr_before for r in frames], "after the step": [r.psnr for r in frames]}
+    psnr = {label: values for label, values in psnr.items() if not all(map(math.isnan, values))}
+    if psnr:
+        shown.append(page_graph("PSNR of the current view", x, psnr, x_label="frame", y_label="PSNR, dB", **marks))
+    if any(row.losses for row in frames):
+        ends = {
+            "first step": [row.losses[0] if row.losses else math.nan for row in frames],
+            "last step": [row.losses[-1] if row.losses else math.nan for row in frames],
+        }
+        shown.append(page_graph("Loss at a frame's first and last step", x, ends, x_label="frame", y_label="loss"))
+    if global_losses:
+        passes = list(range(1, len(global_losses) + 1))
+        loss = {"mean loss": list(global_losses)}
+        label = "pass over the keyframes"
+        shown.append(page_graph("Global optimisation", passes, loss, x_label=label, y_label="loss"))
+    return shown
+
+
+def stages(frames: "Sequence[FrameRow]") -> list[dict[str, str]]:
+    """Where the time went: each stage per frame, in all, and its share."""
+    if not frames or not _stage_names(frames):
+        return []
+    times = {name: sum(ms) for name, ms in _stages_ms(frames).items()}
+    whole = sum(times.values()) or 1.0
+    return [
+        {
+            "name": name,
+            "per_frame": f"{ms / len(frames):,.1f}{NBSP}ms",
+            "total": f"{ms / 1e3:,.2f}{NBSP}s",
+            "share": f"{ms / whole:.0%}",
+        }
+        for name, ms in times.items()
+    ]
+
+
+def _stage_names(frames: "Sequence[FrameRow]") -> list[str]:
+    return list(dict.fromkeys(name for row in frames for name in row.stage_seconds))
+
+
+def _stages_ms(frames: "Sequence[FrameRow]") -> dict[str, list[float]]:
+    """Stage -> milliseconds per frame; time that belongs to no stage is "other", so that the top is the whole step."""
+    times = {n: [1e3 * row.stage_seconds.get(n, 0.0) for row in frames] for n in _stage_names(frames)}
+    rest = [max(0.0, 1e3 * (row.seconds - sum(row.stage_seconds.values()))) for row in frames]
+    if not times:
+        return {"whole step": rest}
+    return {**times, "other": rest} if sum(rest) > 0.005 * sum(1e3 * row.seconds for row in frames) else times
+
+
+def metric_groups(metrics: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Every number, in groups, with what it means; numbers without a known name come last."""
+    known = {
+        group: [_metric_line(METRICS[n].label, METRICS[n].meaning, n, metrics[n]) for n in names if n in metrics]
+        for group, names in METRIC_GROUPS.items()
+    }
+    known["Other"] = [_metric_line(name, "", name, value) for name, value in metrics.items() if name not in METRICS]
+    return [{"title": group, "lines": lines} for group, lines in known.items() if lines]
+
+
+def _metric_line(label: str, meaning: str, name: str, value: Any) -> dict[str, Any]:
+    missing = reason_missing(value) is not None
+    return {"label": label, "meaning": meaning, "text": format_metric(name, value), "is_missing": missing}
+
+
+def settings(values: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
+    """Settings as dotted names and short texts."""
+    rows = []
+    for name, value in values.items():
+        if isinstance(value, Mapping) and value:
+            rows += settings(value, f"{prefix}{name}.")
+        else:
+            rows.append((prefix + name, format_value("none" if value in ({}, None, "") else value)))
+    return rows
+
+
+def frame_cells(row: "FrameRow") -> tuple[str, ...]:
+    """One line of the table of frames."""
+
+    def number(value: float, digits: int) -> str:
+        return "–" if math.isnan(value) else f"{value:.{digits}f}"
+
+    return (
+        f"{row.index}", "●" if row.keyframe else "", f"{1e3 * row.seconds:,.0f}", f"{row.n_seeds:,}",
+        f"{row.n_gaussians:,}", number(row.psnr_before, 2), number(row.psnr, 2),
+        number(row.losses[-1] if row.losses else math.nan, 4),
+    )  # fmt: skip
