@@ -34,7 +34,8 @@ from ..types import Frame, Mesh
 from .mapping_run import MappingRun
 from .memory import mesh_when_full
 from .posed_frames import frames_in_map, ground_truth_poses, readable_frames
-from .report_page import FrameRow, ReportData, ViewPanel, write_report
+from .report_data import FrameRow, ReportData, ViewPanel
+from .report_page import write_report
 
 MAX_SCORED_VIEWS = 250
 """At most so many mapped views are scored, evenly spread; held-out views are all scored."""

@@ -2,14 +2,12 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ..drawing import pictures
 from ..drawing.page import PICTURE_WIDTH, ColourBar, PageGraph, PagePicture, page_graph, page_picture
 from ..evaluation.metrics import METRIC_GROUPS, METRICS, NBSP, format_metric, format_value, reason_missing
-
-if TYPE_CHECKING:
-    from .report_page import FrameRow, ViewPanel
+from .report_data import FrameRow, ViewPanel
 
 HEADLINE = (
     ("psnr_held_out_db", "PSNR, held out", "ssim_held_out", "SSIM {}"),
@@ -36,7 +34,7 @@ def headline(metrics: Mapping[str, Any]) -> list[dict[str, Any]]:
     return cards
 
 
-def views(panels: "Sequence[ViewPanel]") -> list[dict[str, Any]]:
+def views(panels: Sequence[ViewPanel]) -> list[dict[str, Any]]:
     """Input, render and error of each view and the same for depth; held-out views come first."""
     shown = []
     for panel in sorted(panels, key=lambda panel: not panel.held_out):
@@ -47,7 +45,7 @@ def views(panels: "Sequence[ViewPanel]") -> list[dict[str, Any]]:
     return shown
 
 
-def _colour_pictures(panel: "ViewPanel") -> list[PagePicture]:
+def _colour_pictures(panel: ViewPanel) -> list[PagePicture]:
     limit = pictures.ERROR_LIMIT
     error = pictures.error_map(panel.render, panel.rgb)
     bar = ColourBar(colours=pictures.ERROR_COLOURS, low="0", high=f"{limit:g} or more, of 1")
@@ -58,7 +56,7 @@ def _colour_pictures(panel: "ViewPanel") -> list[PagePicture]:
     ]
 
 
-def _depth_pictures(panel: "ViewPanel") -> list[PagePicture]:
+def _depth_pictures(panel: ViewPanel) -> list[PagePicture]:
     pair = {"Depth, measured": panel.depth_m, "Depth, rendered": panel.render_depth_m}
     known = {caption: depth for caption, depth in pair.items() if depth is not None}
     if not known:
@@ -77,7 +75,7 @@ def _depth_pictures(panel: "ViewPanel") -> list[PagePicture]:
     return shown
 
 
-def quadtrees(panels: "Sequence[ViewPanel]") -> list[PagePicture]:
+def quadtrees(panels: Sequence[ViewPanel]) -> list[PagePicture]:
     """The cells of each view that has some, painted over the input."""
     shown = []
     for panel in sorted(panels, key=lambda panel: not panel.held_out):
@@ -91,7 +89,7 @@ def quadtrees(panels: "Sequence[ViewPanel]") -> list[PagePicture]:
     return shown
 
 
-def graphs(frames: "Sequence[FrameRow]", global_losses: Sequence[float | int]) -> list[PageGraph]:
+def graphs(frames: Sequence[FrameRow], global_losses: Sequence[float | int]) -> list[PageGraph]:
     """Time by stage, size of the map, PSNR and loss over the frames, and the loss of the global optimisation."""
     x = [row.index for row in frames]
     marks = {"marks": [row.index for row in frames if row.keyframe], "marks_label": "keyframe"}
@@ -119,7 +117,7 @@ def graphs(frames: "Sequence[FrameRow]", global_losses: Sequence[float | int]) -
     return shown
 
 
-def stages(frames: "Sequence[FrameRow]") -> list[dict[str, str]]:
+def stages(frames: Sequence[FrameRow]) -> list[dict[str, str]]:
     """Where the time went: each stage per frame, in all, and its share."""
     if not frames or not _stage_names(frames):
         return []
@@ -136,11 +134,11 @@ def stages(frames: "Sequence[FrameRow]") -> list[dict[str, str]]:
     ]
 
 
-def _stage_names(frames: "Sequence[FrameRow]") -> list[str]:
+def _stage_names(frames: Sequence[FrameRow]) -> list[str]:
     return list(dict.fromkeys(name for row in frames for name in row.stage_seconds))
 
 
-def _stages_ms(frames: "Sequence[FrameRow]") -> dict[str, list[float]]:
+def _stages_ms(frames: Sequence[FrameRow]) -> dict[str, list[float]]:
     """Stage -> milliseconds per frame; time that belongs to no stage is "other", so that the top is the whole step."""
     times = {n: [1e3 * row.stage_seconds.get(n, 0.0) for row in frames] for n in _stage_names(frames)}
     rest = [max(0.0, 1e3 * (row.seconds - sum(row.stage_seconds.values()))) for row in frames]
@@ -175,7 +173,7 @@ def settings(values: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str
     return rows
 
 
-def frame_cells(row: "FrameRow") -> tuple[str, ...]:
+def frame_cells(row: FrameRow) -> tuple[str, ...]:
     """One line of the table of frames."""
 
     def number(value: float, digits: int) -> str:

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from gsfusion_nb.evaluation import NotComputed
-from gsfusion_nb.runs.report_page import FrameRow, ReportData, ViewPanel, write_report
+from gsfusion_nb.runs import FrameRow, ReportData, ViewPanel, write_report
 from gsfusion_nb.types import Camera, Frame, RenderOutput
 
 VOID = {"meta", "link", "img", "br", "input", "hr"}
