@@ -4,16 +4,10 @@ from .map_sequence import FinishedRun as FinishedRun
 from .map_sequence import resume_mapping as resume_mapping
 from .map_sequence import run_mapping as run_mapping
 from .map_stream import map_stream as map_stream
-<<<<<<< HEAD
 from .mapping_run import MappingRun as MappingRun
-from .report_page import FrameRow as FrameRow
-from .report_page import ReportData as ReportData
-from .report_page import ViewPanel as ViewPanel
-=======
 from .report_data import FrameRow as FrameRow
 from .report_data import ReportData as ReportData
 from .report_data import ViewPanel as ViewPanel
->>>>>>> 9ce0ae3 (Report and check-up pages are Jinja2 templates; their data, contents and writing are files of their own)
 from .report_page import write_report as write_report
 from .rescore import rescore as rescore
 from .stream_run import StreamRun as StreamRun
