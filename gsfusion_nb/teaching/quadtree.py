@@ -7,17 +7,13 @@ from torch import Tensor
 
 from ..constants import LUMA_WEIGHTS, QUADTREE_NORMALISER
 from ..geometry import se3
-from ..seeding import quadtree
+from ..seeding.quadtree import Cell, cut, luma_variance, quadtree
 from ..types import Camera
 from .exercise import Attempt, Wrong, close, exercise, holds, unpack
 
-Cell = tuple[int, int, int, int]
-"""First column, first row, width, height, pixels."""
-
 
 def _contrast(cell_rgb: Tensor, image_pixels: int) -> float:
-    V = cell_rgb.double().flatten(0, 1).var(dim=0, correction=0)
-    return float(V @ torch.tensor(LUMA_WEIGHTS, dtype=torch.float64)) * image_pixels / QUADTREE_NORMALISER
+    return luma_variance(cell_rgb) * image_pixels / QUADTREE_NORMALISER
 
 
 def _contrast_of_grey(cell_rgb: Tensor, image_pixels: int) -> float:
@@ -77,27 +73,17 @@ def contrast(attempt: Attempt) -> None:
     close(attempt.on(on)(mixed, 90_000), right, "green weighs 0.5870, blue 0.1140", on=on, tolerance=1e-4)
 
 
-def _split(x0: int, y0: int, width: int, height: int) -> list[Cell]:
-    w, h = width // 2, height // 2
-    return [
-        (x0, y0, w, h),
-        (x0, y0 + h, w, height - h),
-        (x0 + w, y0, width - w, h),
-        (x0 + w, y0 + h, width - w, height - h),
-    ]
-
-
 def _split_all_floor(x0: int, y0: int, width: int, height: int) -> list[Cell]:
     w, h = width // 2, height // 2
     return [(x0 + i * w, y0 + j * h, w, h) for i in (0, 1) for j in (0, 1)]
 
 
 def _split_at_the_origin(x0: int, y0: int, width: int, height: int) -> list[Cell]:
-    return _split(0, 0, width, height)
+    return cut(0, 0, width, height)
 
 
 @exercise(
-    chapter=3, difficulty=1, minutes=5, solution=_split,
+    chapter=3, difficulty=1, minutes=5, solution=cut,
     hints=(
         "The left and the upper part get the floor of the half.",
         "The right part gets what is left: width - width // 2.",
@@ -123,23 +109,12 @@ def split_cell(attempt: Attempt) -> None:
         whole = bool((inside == 1).all()) and int(covered.sum()) == w * h
         holds(whole, "every pixel of the cell is in exactly one part", on=on, detail=times)
         got = [tuple(map(int, p)) for p in parts]
-        holds(got == _split(*cell), "left and top parts get the floor of the half", on=on, detail=f"got {got}")
+        holds(got == cut(*cell), "left and top parts get the floor of the half", on=on, detail=f"got {got}")
 
 
 def _leaves(rgb_u8: Tensor, threshold: float, min_cell_px: int) -> list[Cell]:
-    H, W = rgb_u8.shape[:2]
-    leaves = []
-
-    def visit(x0: int, y0: int, w: int, h: int) -> None:
-        large = w // 2 > min_cell_px and h // 2 > min_cell_px
-        if large and _contrast(rgb_u8[y0 : y0 + h, x0 : x0 + w], H * W) > threshold:
-            for part in _split(x0, y0, w, h):
-                visit(*part)
-        else:
-            leaves.append((x0, y0, w, h))
-
-    visit(0, 0, W, H)
-    return leaves
+    cells = quadtree(rgb_u8, threshold=threshold, min_cell_px=min_cell_px)
+    return list(zip(*(c.tolist() for c in (cells.x0, cells.y0, cells.width, cells.height)), strict=True))
 
 
 def _leaves_by_full_size(rgb_u8: Tensor, threshold: float, min_cell_px: int) -> list[Cell]:
@@ -190,8 +165,7 @@ def quadtree_leaves(attempt: Attempt) -> None:
     holds(not small, prop, on=on, detail=f"there is a leaf of {small[0][2:] if small else ''} pixels")
     on = "an image half grey, half noise"
     for threshold, least in ((0.001, 1), (0.5, 1), (0.001, 2)):
-        ours = quadtree(half, threshold=threshold, min_cell_px=least)
-        expected = set(zip(*(c.tolist() for c in (ours.x0, ours.y0, ours.width, ours.height)), strict=True))
+        expected = set(_leaves(half, threshold, least))
         got = _as_cells(attempt.on(on)(half, threshold, least), on)
         detail = f"threshold {threshold}, min_cell_px {least}: {len(got)} leaves, expected {len(expected)}"
         holds(got == expected, "the leaves agree with gsfusion_nb.seeding.quadtree", on=on, detail=detail)

@@ -1,4 +1,4 @@
-"""Cases of ``quadtree``: pictures from one pixel up, of odd sizes, with thin and strided ones among them."""
+"""Cases of ``quadtree``: pictures from one pixel up, of odd sizes, thin and strided ones, and of one colour."""
 
 from collections.abc import Iterator
 
@@ -19,10 +19,11 @@ def cases() -> Iterator[Case]:
         def run(device: torch.device, dtype: torch.dtype, contrast=contrast) -> dict[str, Tensor]:
             leaves = {}
             for size in _SIZES:
-                image = picture(*size).to(device)
-                for threshold in (0.0, 1e-5, 1e-3, 0.1):
-                    cells = quadtree(image, threshold=threshold, contrast=contrast)
-                    leaves |= {f"{name} {size}, {threshold}": column for name, column in vars(cells).items()}
+                for make in (noise_and_ramp, landscape):
+                    for threshold in (0.0, 1e-3, 0.02):
+                        cells = quadtree(make(*size).to(device), threshold=threshold, contrast=contrast)
+                        picture = f"{make.__name__} {size}, {threshold}"
+                        leaves |= {f"{name} {picture}": column for name, column in vars(cells).items()}
             return leaves
 
         yield Case(name=f"contrast {contrast!r}", operations=("quadtree",), run=run, dtypes=(torch.float32,))
@@ -31,7 +32,7 @@ def cases() -> Iterator[Case]:
     )
 
 
-def picture(width: int, height: int) -> Tensor:
+def noise_and_ramp(width: int, height: int) -> Tensor:
     """Noise on the left, a gradient on the right. uint8 [H, W, 3]"""
     g = torch.Generator().manual_seed(0)
     noise = torch.randint(0, 256, (height, width, 3), generator=g, dtype=torch.uint8)
@@ -39,10 +40,28 @@ def picture(width: int, height: int) -> Tensor:
     return torch.where((torch.arange(width) < width // 2)[None, :, None], noise, ramp)
 
 
+def landscape(width: int, height: int) -> Tensor:
+    """Smooth regions, soft edges and one textured patch: cells of many sizes. uint8 [H, W, 3]"""
+    v, u = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
+    x, y = u / max(width, height), v / max(width, height)
+    grey = 120 + 90 * torch.tanh(20 * (y - 0.3 - 0.1 * torch.sin(9 * x)))
+    patch = ((x - 0.6) ** 2 + (y - 0.5) ** 2 < 0.02).float()
+    texture = 30 * torch.sin(300 * x) * torch.sin(200 * y) * patch
+    return torch.stack([grey + texture, 0.8 * grey, 200 - 0.5 * grey + texture], dim=-1).clamp(0, 255).to(torch.uint8)
+
+
 def _smallest_cells(device: torch.device, dtype: torch.dtype) -> dict[str, Tensor]:
-    image, leaves = picture(123, 77).to(device), {}
-    for view, strided in (("whole", image), ("every other row", image[::2, ::3])):
+    image, leaves = noise_and_ramp(123, 77).to(device), {}
+    views = {
+        "whole": image,
+        "every second row": image[::2, ::3],
+        "planes": image.permute(2, 0, 1).contiguous().permute(1, 2, 0),
+    }
+    for view, strided in views.items():
         for min_cell_px in (1, 2, 5, 1000):
             cells = quadtree(strided, threshold=1e-6, min_cell_px=min_cell_px)
             leaves |= {f"{name} {view}, {min_cell_px} px": column for name, column in vars(cells).items()}
+    for value in (0, 137, 255):
+        cells = quadtree(torch.full((40, 60, 3), value, dtype=torch.uint8, device=device), threshold=0.0)
+        leaves |= {f"{name} of one colour, {value}": column for name, column in vars(cells).items()}
     return leaves

@@ -7,9 +7,10 @@ import torch
 from torch import Tensor
 
 from gsfusion_nb.constants import QUADTREE_NORMALISER
-from gsfusion_nb.seeding.quadtree import LUMA_DENOMINATOR, LUMA_NUMERATORS, Cells, check_arguments, deepest_level
+from gsfusion_nb.seeding.quadtree import Cells, check_arguments
 
 from ..runtime.cuda.launch import device_of, launch, parts
+from .levels import LUMA_DENOMINATOR, LUMA_NUMERATORS, deepest_level
 
 _BLOCK = 256
 _CLIMB = {"sum_cells": 3, "add_levels": 4}

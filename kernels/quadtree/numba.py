@@ -11,10 +11,11 @@ from numba import int64, njit, prange
 from torch import Tensor
 
 from gsfusion_nb.constants import QUADTREE_NORMALISER
-from gsfusion_nb.seeding.quadtree import LUMA_DENOMINATOR, LUMA_NUMERATORS, Cells, check_arguments, deepest_level
-from gsfusion_nb.seeding.quadtree import quadtree as reference
+from gsfusion_nb.seeding.quadtree import Cells, check_arguments
 
 from ..runtime.numba.launch import launching
+from .levels import LUMA_DENOMINATOR, LUMA_NUMERATORS, deepest_level
+from .torch import quadtree as vectorised
 
 _RED, _GREEN, _BLUE = LUMA_NUMERATORS
 _DENOMINATOR = float(LUMA_DENOMINATOR)
@@ -31,7 +32,7 @@ def quadtree(
     """See ``gsfusion_nb.seeding.quadtree``."""
     check_arguments(rgb_u8, threshold, min_cell_px, contrast)
     if rgb_u8.device.type != "cpu":
-        return reference.reference(rgb_u8, threshold=threshold, min_cell_px=min_cell_px, contrast=contrast)
+        return vectorised(rgb_u8, threshold=threshold, min_cell_px=min_cell_px, contrast=contrast)
     image = rgb_u8.contiguous().numpy()
     height, width = image.shape[:2]
     levels = deepest_level(width, height, min_cell_px)
