@@ -2,7 +2,6 @@
 
 import math
 
-import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
@@ -25,7 +24,7 @@ def adam_update(
     beta2: float,
     eps: float,
 ) -> None:
-    """One step of Adam (Kingma & Ba 2015, algorithm 1), in place on ``param``, ``exp_avg`` and ``exp_avg_sq``.
+    """One step of Adam, in place on ``param``, ``exp_avg`` and ``exp_avg_sq``.
 
         m <- b1 m + (1 - b1) g,   v <- b2 v + (1 - b2) g^2
         param <- param - lr (m / (1 - b1^t)) / (sqrt(v / (1 - b2^t)) + eps)
@@ -42,19 +41,20 @@ def adam_update(
         eps: Keeps the division finite where v = 0.
 
     Rows that no pixel sees have zero gradient and still drift by their momentum, as in the released GSFusion.
+
+    Source: Kingma & Ba 2015, algorithm 1.
     """
-    exp_avg.mul_(beta1).add_(gradient, alpha=1 - beta1)
-    exp_avg_sq.mul_(beta2).addcmul_(gradient, gradient, value=1 - beta2)
-    if steps is None:
-        correction_1, correction_2 = 1.0, 1.0
-    elif isinstance(steps, int):
-        correction_1, correction_2 = 1 - beta1**steps, math.sqrt(1 - beta2**steps)
+    m = beta1 * exp_avg + (1 - beta1) * gradient
+    v = beta2 * exp_avg_sq + (1 - beta2) * gradient**2
+    if isinstance(steps, Tensor):  # float64, because 1 - b2^t loses its digits in float32
+        t = steps.double().reshape(-1, *[1] * (param.ndim - 1))
+        m_hat, v_hat = m / (1 - beta1**t).to(m), v / (1 - beta2**t).to(v)
     else:
-        t = steps.double().reshape(-1, *[1] * (param.ndim - 1))  # 1 - b2^t loses its digits in float32
-        correction_1, correction_2 = (1 - beta1**t).to(param), (1 - beta2**t).sqrt().to(param)
-    step = exp_avg_sq.sqrt().div_(correction_2).add_(eps)
-    torch.div(exp_avg, step, out=step)
-    param.sub_(step.mul_(lr / correction_1))
+        t = math.inf if steps is None else steps
+        m_hat, v_hat = m / (1 - beta1**t), v / (1 - beta2**t)
+    param.copy_(param - lr * m_hat / (v_hat.sqrt() + eps))
+    exp_avg.copy_(m)
+    exp_avg_sq.copy_(v)
 
 
 def adam_step(model: GaussianModel, gradients: GaussianParams, config: OptimConfig) -> None:

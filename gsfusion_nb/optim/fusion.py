@@ -1,4 +1,4 @@
-"""Confidence-weighted fusion with the values before a window: what keeps earlier views from being forgotten."""
+"""Confidence-weighted fusion with the values before a window, so that earlier views are not forgotten (Eq. 9)."""
 
 from jaxtyping import Int
 from torch import Tensor
@@ -15,7 +15,7 @@ def fuse_with_history(
     *,
     history_max_weight: float = 1.0,
 ) -> GaussianParams:
-    """G = w_hist G_before + (1 - w_hist) G_after,  w_hist = min(history_max_weight, eta_before / eta_after).
+    """G = w G_before + (1 - w) G_after,  w = min(history_max_weight, eta_before / eta_after).
 
     Quaternions are interpolated on the sphere; opacity does not change.
 
@@ -24,14 +24,17 @@ def fuse_with_history(
         confidence_before, confidence_after: Confidence counts eta.
         history_max_weight: Cap on the weight of the past (paper 1, released code 0.5).
 
-    Source: Peng et al. 2024, Eq. 9. (The released code gives all but centre and quaternion the first row's weight.)
+    Differentiable: yes, through torch.
+
+    Source: Peng et al. 2024, Eq. 9, whose w_curr is 1 - w. (The released code uses the first row's weight for all
+    parameters but centre and quaternion.)
     """
-    weight = (confidence_before / confidence_after.clamp_min(1)).clamp(max=history_max_weight).to(after.xyz_W)
-    w = weight[:, None]
+    w = (confidence_before / confidence_after.clamp_min(1)).clamp(max=history_max_weight).to(after.xyz_W)
+    w_1, w_2 = w[:, None], w[:, None, None]
     return GaussianParams(
-        xyz_W=after.xyz_W.lerp(before.xyz_W, w),
-        log_scale=after.log_scale.lerp(before.log_scale, w),
-        quat=quaternion.slerp(after.quat, before.quat, weight),
+        xyz_W=w_1 * before.xyz_W + (1 - w_1) * after.xyz_W,
+        log_scale=w_1 * before.log_scale + (1 - w_1) * after.log_scale,
+        quat=quaternion.slerp(after.quat, before.quat, w),
         opacity_logit=after.opacity_logit,
-        sh=after.sh.lerp(before.sh, w[..., None]),
+        sh=w_2 * before.sh + (1 - w_2) * after.sh,
     )

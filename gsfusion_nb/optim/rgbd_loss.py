@@ -1,4 +1,4 @@
-"""The colour and depth loss of RTG-SLAM on some pixels of a view, with its gradient."""
+"""The colour and depth loss of RTG-SLAM on some pixels of a view, with its gradient (Peng et al. 2024, Eq. 7-8)."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ from ..backends import op
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RgbdLoss:
-    """Value and gradient of the loss of one view. The values are tensors: an optimiser does not wait for them."""
+    """Value and gradient of the loss of one view. All tensors, so that nobody waits for a GPU."""
 
     colour: Float[Tensor, ""]
     """Mean |C - C^| over the pixels and channels."""
@@ -35,29 +35,30 @@ def rgbd_l1_vjp(
     weight_depth: float = 1.0,
     behind_m: float | None = None,
 ) -> RgbdLoss:
-    """L = w_c mean |C - C^| + w_d mean |D - D^| over ``pixels``, and dL/dC^, dL/dD^ (Peng et al. 2024, Eq. 7-8).
+    """L = w_c mean |C - C^| + w_d mean |D - D^| over ``pixels``, and dL/dC^, dL/dD^.
 
     Args:
-        rgb, depth_m: Rendered; depth 0 where no disc is hit, which has no depth loss.
-        target_rgb, target_depth_m: Measured; depth 0 where missing.
+        rgb, depth_m: Rendered, C^ and D^; depth 0 where no disc is hit, which has no depth loss.
+        target_rgb, target_depth_m: Measured, C and D; depth 0 where missing.
         pixels: Which pixels count.
         weight_colour, weight_depth: w_c and w_d.
         behind_m: Depth rendered farther than this behind the measurement has no loss (released code).
 
     Differentiable: this is the derivative; zero where both are equal.
+
+    Source: Peng et al. 2024, Eq. 7-8. The third term of Eq. 8 is about Gaussians, not pixels: ``SurfelOptimiser``.
     """
-    n = (3 * pixels.sum()).clamp_min(1)
-    gap = torch.where(pixels[..., None], rgb - target_rgb, 0.0)
     known = pixels & (depth_m > 0) & (target_depth_m > 0)
     if behind_m is not None:
         known = known & (depth_m - target_depth_m < behind_m)
+    n, n_known = (3 * pixels.sum()).clamp_min(1), known.sum().clamp_min(1)
+    colour_gap = torch.where(pixels[..., None], rgb - target_rgb, 0.0)
     depth_gap = torch.where(known, depth_m - target_depth_m, 0.0)
-    n_known = known.sum().clamp_min(1)
-    colour, depth = gap.abs().sum() / n, depth_gap.abs().sum() / n_known
+    colour, depth = colour_gap.abs().sum() / n, depth_gap.abs().sum() / n_known  # Eq. 7
     return RgbdLoss(
         colour=colour,
         depth_m=depth,
-        total=weight_colour * colour + weight_depth * depth,
-        v_rgb=torch.sign(gap) * (weight_colour / n),
-        v_depth_m=torch.sign(depth_gap) * (weight_depth / n_known),
+        total=weight_colour * colour + weight_depth * depth,  # Eq. 8
+        v_rgb=weight_colour * torch.sign(colour_gap) / n,
+        v_depth_m=weight_depth * torch.sign(depth_gap) / n_known,
     )

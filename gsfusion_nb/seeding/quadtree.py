@@ -113,7 +113,7 @@ def luma_variance(rgb: Shaped[Tensor, "h w 3"]) -> float:
 
 
 def cut(x0: int, y0: int, width: int, height: int) -> list[Cell]:
-    """The four parts of a cell: top left, bottom left, top right, bottom right. Left and top ones get the floor of half."""
+    """The four parts of a cell: top left, bottom left, top right, bottom right. Left and top get the floor of half."""
     w, h = width // 2, height // 2
     return [
         (x0, y0, w, h),

@@ -6,13 +6,12 @@
 import math
 
 import numpy as np
-import torch
 from numba import njit, prange
 from torch import Tensor
 
-from gsfusion_nb.optim import adam as reference
-
 from ..runtime.numba.launch import launching
+from .host import corrections, is_simple, step_sizes
+from .torch import adam_update as vectorised
 
 f32 = np.float32
 
@@ -31,22 +30,16 @@ def adam_update(
 ) -> None:
     """See ``gsfusion_nb.optim.adam_update``."""
     tensors = (param, gradient, exp_avg, exp_avg_sq)
-    if param.dtype != torch.float32 or not all(t.is_contiguous() for t in tensors):
-        reference.adam_update.reference(*tensors, steps, lr=lr, beta1=beta1, beta2=beta2, eps=eps)
+    if not is_simple(*tensors):
+        vectorised(*tensors, steps, lr=lr, beta1=beta1, beta2=beta2, eps=eps)
         return
-    N = param.shape[0]
     if param.numel() == 0:
         return
-    arrays = [t.detach().view(N, -1).numpy() for t in tensors]
-    width = arrays[0].shape[1]
-    rate = np.empty(width, np.float32)
-    rate[:] = lr if isinstance(lr, (int, float)) else lr.expand(param.shape[1:]).reshape(-1).numpy()
-    t = np.inf if steps is None else np.asarray(steps, np.float64)
-    correction_1 = np.atleast_1d(1 / (1 - beta1**t)).astype(np.float32)
-    correction_2 = np.atleast_1d(1 / np.sqrt(1 - beta2**t)).astype(np.float32)
+    arrays = [t.detach().view(param.shape[0], -1).numpy() for t in tensors]
+    rate = step_sizes(lr, param).contiguous().numpy()
+    by_row = (np.atleast_1d(c).astype(np.float32) for c in corrections(steps, beta1, beta2))
     with launching():
-        moments = f32(beta1), f32(1 - beta1), f32(beta2), f32(1 - beta2)
-        _update(*arrays, correction_1, correction_2, rate, *moments, f32(eps))
+        _update(*arrays, *by_row, rate, f32(beta1), f32(1 - beta1), f32(beta2), f32(1 - beta2), f32(eps))
 
 
 @njit(parallel=True, cache=True, error_model="numpy")

@@ -12,11 +12,11 @@ import torch
 from numba import njit, prange
 from torch import Tensor
 
-from gsfusion_nb.backends import use_backend
 from gsfusion_nb.optim import losses as reference
 
 from ..runtime.numba.launch import launching, scratch
 from ..runtime.numba.simd import LANES, iota, load, reduce_add, select, splat, store
+from .window import window as window_weights
 
 f32 = np.float32
 _HALF = reference.WINDOW_PX // 2
@@ -28,12 +28,11 @@ _1, _2 = f32(1), f32(2)
 def dssim_vjp(rgb: Tensor, target: Tensor, v_loss: float = 1.0) -> tuple[Tensor, Tensor]:
     """See ``gsfusion_nb.optim.dssim_vjp``."""
     if rgb.dtype != torch.float32 or target.dtype != torch.float32:
-        with use_backend("reference"):
-            return reference.dssim_vjp(rgb, target, v_loss)
+        return reference.dssim_vjp.reference(rgb, target, v_loss)
     H, W = rgb.shape[:2]
     stride = -(-3 * W // LANES) * LANES
     x, y = (image.detach().contiguous().numpy().reshape(H, 3 * W) for image in (rgb, target))
-    window = reference._window(torch.float32, torch.device("cpu")).numpy()
+    window = window_weights(torch.device("cpu")).numpy()
     similarity = np.empty(H, np.float64)
     gradient = torch.empty(H, W, 3)
     with launching():

@@ -12,10 +12,10 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from gsfusion_nb.backends import use_backend
 from gsfusion_nb.optim import losses as reference
 
 from ..runtime.triton.launch import device_of, launch, parts
+from .window import window as window_weights
 
 _BLOCK = 256
 _WINDOW = tl.constexpr(reference.WINDOW_PX)
@@ -26,10 +26,9 @@ _C1, _C2 = tl.constexpr(reference.C1), tl.constexpr(reference.C2)
 def dssim_vjp(rgb: Tensor, target: Tensor, v_loss: float = 1.0) -> tuple[Tensor, Tensor]:
     """See ``gsfusion_nb.optim.dssim_vjp``."""
     if rgb.dtype != torch.float32 or target.dtype != torch.float32:
-        with use_backend("reference"):
-            return reference.dssim_vjp(rgb, target, v_loss)
+        return reference.dssim_vjp.reference(rgb, target, v_loss)
     device = device_of("dssim_vjp", rgb=rgb, target=target)
-    window = reference._window(torch.float32, device)
+    window = window_weights(device)
     x, y = rgb.detach().contiguous(), target.detach().contiguous()
     total, stride = x.numel(), 3 * x.shape[1]
     programs = parts(total, _BLOCK)

@@ -1,8 +1,11 @@
+import math
+
 import kornia
 import pytest
 import torch
 
 from gsfusion_nb.optim import dssim, dssim_vjp, l1, l1_vjp
+from gsfusion_nb.optim.losses import _ssim_factors, window_mean
 
 
 def pair(height: int, width: int, generator: torch.Generator, dtype=torch.float64):
@@ -43,8 +46,19 @@ def test_equal_images_have_no_dssim(generator):
 def test_interior_agrees_with_kornia(generator):
     """Kornia reflects at the border, this loss pads with zeros; 6 px inside they are the same function."""
     x, y = pair(64, 48, generator, torch.float32)
-    from gsfusion_nb.optim.losses import _ssim_terms
+    A1, A2, B1, B2 = _ssim_factors(x, y)
+    theirs = kornia.metrics.ssim(x.permute(2, 0, 1)[None], y.permute(2, 0, 1)[None], 11)[0].permute(1, 2, 0)
+    torch.testing.assert_close((A1 * A2 / (B1 * B2))[6:-6, 6:-6], theirs[6:-6, 6:-6], rtol=1e-5, atol=1e-5)
 
-    ours = _ssim_terms(x, y)[0]
-    theirs = kornia.metrics.ssim(x.permute(2, 0, 1)[None], y.permute(2, 0, 1)[None], 11)
-    torch.testing.assert_close(ours[..., 6:-6, 6:-6], theirs[..., 6:-6, 6:-6], rtol=1e-5, atol=1e-5)
+
+def test_window_is_a_gaussian_that_adds_up_to_one():
+    """By the formula, at the middle of an image and at its corner, where pixels beyond the border count as zero."""
+    weight = [math.exp(-0.5 * (i / 1.5) ** 2) for i in range(-5, 6)]
+    share = [w / sum(weight) for w in weight]
+    image = torch.zeros(23, 23, 3, dtype=torch.float64)
+    image[11, 11], image[0, 0] = 1.0, 1.0
+    mean = window_mean(image)
+    for i in (-5, -2, 0, 4):
+        assert float(mean[11 + i, 11, 1]) == pytest.approx(share[5 + i] * share[5], rel=1e-12)
+    assert float(mean[0, 0, 2]) == pytest.approx(share[5] ** 2, rel=1e-12)
+    assert float(window_mean(torch.ones_like(image))[0, 11, 0]) == pytest.approx(sum(share[5:]), rel=1e-12)

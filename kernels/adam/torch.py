@@ -1,0 +1,30 @@
+"""Adam without temporary copies of the parameter: two are made instead of ten."""
+
+import torch
+from torch import Tensor
+
+from .host import corrections
+
+
+def adam_update(
+    param: Tensor,
+    gradient: Tensor,
+    exp_avg: Tensor,
+    exp_avg_sq: Tensor,
+    steps: int | Tensor | None,
+    *,
+    lr: float | Tensor,
+    beta1: float,
+    beta2: float,
+    eps: float,
+) -> None:
+    """See ``gsfusion_nb.optim.adam_update``."""
+    exp_avg.mul_(beta1).add_(gradient, alpha=1 - beta1)
+    exp_avg_sq.mul_(beta2).addcmul_(gradient, gradient, value=1 - beta2)
+    correction_1, correction_2 = corrections(steps, beta1, beta2)
+    if isinstance(correction_1, Tensor) and isinstance(correction_2, Tensor):
+        rows = (-1, *[1] * (param.ndim - 1))
+        correction_1, correction_2 = correction_1.to(param).view(rows), correction_2.to(param).view(rows)
+    step = exp_avg_sq.sqrt().mul_(correction_2).add_(eps)
+    torch.div(exp_avg, step, out=step)
+    param.sub_(step.mul_(lr * correction_1))
