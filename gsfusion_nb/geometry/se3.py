@@ -24,6 +24,11 @@ def rotate(T: Float[Tensor, "4 4"], direction: Float[Tensor, "*N 3"]) -> Float[T
     return direction @ T[:3, :3].T
 
 
+def translate(T: Float[Tensor, "4 4"], by_m: Float[Tensor, " 3"]) -> Float[Tensor, "4 4"]:
+    """``T`` followed by a shift along the axes of its target frame: [R  t + by]. Differentiable: yes."""
+    return torch.cat([torch.cat([T[:3, :3], T[:3, 3:] + by_m[:, None]], dim=1), T[3:]])
+
+
 def hat(omega: Float[Tensor, "*B 3"]) -> Float[Tensor, "*B 3 3"]:
     """Cross-product matrix: hat(a) b = a x b."""
     x, y, z = omega.unbind(-1)

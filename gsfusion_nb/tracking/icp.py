@@ -1,4 +1,4 @@
-"""Frame-to-model ICP: the pose that best lays a depth frame onto a surface (Peng et al. 2024, Eq. 10)."""
+"""Frame-to-model ICP: the pose at which a depth frame fits a surface best (Peng et al. 2024, Eq. 10)."""
 
 import math
 from dataclasses import dataclass
@@ -15,7 +15,8 @@ from .solve import Extent, Step, solve_step
 from .surface import Surface
 
 CONVERGED_M = 1e-5
-"""A step that moves the surface by less ends the finest level; coarser ones end a reduction factor earlier."""
+"""A smaller step, measured by how far it moves the surface, ends the finest level; on coarser levels the limit is
+multiplied by their reduction factor."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -51,7 +52,7 @@ class IcpResult:
     eigenvalues: tuple[float, ...]
     """Mean information of the six principal directions of motion, smallest first (see ``solve_step``)."""
     degenerate: int
-    """How many of them the scene does not determine: there the pose is the one that ICP started from."""
+    """How many of them the scene does not determine. Along these the pose stays where ICP started."""
     history: tuple[IcpIteration, ...]
 
     @property
@@ -82,8 +83,8 @@ def icp(
         config: Levels, gates, damping.
 
     Returns:
-        The pose and how well it fits. Whether that is good enough is for the caller to say: a frame without any
-        correspondence comes back with the pose it started with and ``n_inliers`` 0.
+        The pose and how well it fits. The caller decides whether that is good enough: without any correspondence the
+        pose is the one to start from and ``n_inliers`` is 0.
 
     Differentiable: no. Source: Peng et al. 2024, Eq. 10; Newcombe et al. 2011.
     """
@@ -94,7 +95,7 @@ def icp(
 def align(
     levels: list[DepthLevel], surface: Surface, T_WC_start: Float[Tensor, "4 4"], config: TrackingConfig
 ) -> IcpResult:
-    """``icp`` of a frame whose pyramid is at hand already; levels are gone through in order."""
+    """``icp`` of a frame whose pyramid was made before. Levels are used in the order given."""
     gates = {
         "max_distance_m": config.max_distance_m,
         "min_cosine": math.cos(math.radians(config.max_angle_deg)),
@@ -106,8 +107,8 @@ def align(
     points = _extent(levels[-1], config.even_to_m)
     history: list[IcpIteration] = []
     for level, iterations in zip(levels, config.iterations, strict=True):
-        # 5 degrees move a point 2 m away by 17 cm, beyond the ordinary gate. In proportion to the level would be too
-        # wide: on a clean room without weights one frame then went astray.
+        # 5 degrees move a point 2 m away by 17 cm, more than the gate of the finest level. A gate in proportion to the
+        # factor would be too wide: with it one frame of a noise-free room converged to a wrong pose.
         reach = (level.factor / levels[-1].factor) ** 0.5
         coarse = gates | {"max_distance_m": reach * config.max_distance_m}
         for _ in range(iterations):
@@ -150,12 +151,8 @@ def _step(system: IcpSystem, T_WC: Tensor, centre: Tensor, points: Extent, confi
 
 
 def _moved(T_WC: Tensor, xi: Tensor, centre: Tensor) -> Tensor:
-    """The twist is about the centre of the surface's camera, in world axes."""
-    about = T_WC.clone()
-    about[:3, 3] -= centre
-    T = se3.exp(xi) @ about
-    T[:3, 3] += centre
-    return T
+    """The pose after a twist about the centre of the surface's camera, in world axes: T_g,k = exp(xi) of Eq. 10."""
+    return se3.translate(se3.exp(xi) @ se3.translate(T_WC, -centre), centre)
 
 
 def _record(level: DepthLevel, T_WC: Tensor, system: IcpSystem, step: Step) -> IcpIteration:

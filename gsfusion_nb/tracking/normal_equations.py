@@ -1,4 +1,4 @@
-"""Projective association, the point-to-plane residual with its Jacobian, and their sum over a frame (Eq. 10)."""
+"""Projective association, the point-to-plane residual with its Jacobian, and their sums (Peng et al. 2024, Eq. 10)."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from ..backends import op
-from ..geometry import depth_to_points, pixel_grid, project, rays, se3
+from ..geometry import depth_to_points, project, se3
 from .pyramid import DepthLevel
 from .surface import Surface
 
@@ -27,7 +27,7 @@ class IcpSystem:
     n_inliers: int
     """Correspondences that passed the gates."""
     n_overlap: int
-    """Pixels of the frame that fall on known pixels of the surface; the others say nothing about the pose."""
+    """Pixels of the frame that fall on known pixels of the surface. Only they can tell anything about the pose."""
 
     @property
     def rms_m(self) -> float:
@@ -37,10 +37,10 @@ class IcpSystem:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Correspondences:
-    """Each pixel of the frame beside the point of the surface at the pixel that it falls on.
+    """The point of each pixel of the frame, and the point of the surface at the pixel that it falls on.
 
-    Points are relative to the surface's camera centre, along the axes of the world: there, rotations turn the view
-    about the camera, however far the world's origin is.
+    Points are relative to the centre of the surface's camera, along the axes of the world. Rotations are then about
+    that camera, however far the world's origin is.
     """
 
     xyz: Float[Tensor, "H W 3"]
@@ -86,39 +86,46 @@ def associate(
     Differentiable: no. Source: Blais & Levine 1995; Newcombe et al. 2011.
     """
     dtype = level.depth_m.dtype
-    centre = surface.T_WC[:3, 3].double()
-    T = T_WC.double().clone()
-    T[:3, 3] -= centre
-    T = T.to(dtype)
-    R_WS = surface.T_WC.to(dtype)[:3, :3]
+    T, R_WS = about_the_surface(T_WC, surface, dtype)
     xyz = se3.apply(T, depth_to_points(level.camera, level.depth_m))
-    in_surface = xyz @ R_WS
-    uv = project(surface.camera, in_surface)
+    xyz_S = xyz @ R_WS
+    u, v = project(surface.camera, xyz_S).unbind(-1)
     H, W = surface.camera.height, surface.camera.width
-    u, v = uv[..., 0], uv[..., 1]
-    inside = (level.depth_m > 0) & (in_surface[..., 2] > 0) & (u >= 0) & (u < W) & (v >= 0) & (v < H)
-    at = torch.where(inside, v, 0.0).long() * W + torch.where(inside, u, 0.0).long()
-    depth = surface.depth_m.to(dtype).reshape(-1)[at]
-    normal = surface.normal_W.to(dtype).reshape(-1, 3)[at]
-    ray = rays(surface.camera, pixel_grid(surface.camera, device=depth.device, dtype=dtype)).view(-1, 3)[at]
-    surface_xyz = (ray * depth[..., None]) @ R_WS.T
-    overlap = inside & (depth > 0) & (normal != 0).any(-1)
+    inside = (level.depth_m > 0) & (xyz_S[..., 2] > 0) & (u >= 0) & (u < W) & (v >= 0) & (v < H)
+    row, column = v.where(inside, 0.0).long(), u.where(inside, 0.0).long()
+
+    surface_xyz_S = depth_to_points(surface.camera, surface.depth_m.to(dtype))[row, column]
+    surface_xyz = surface_xyz_S @ R_WS.T
+    surface_normal = surface.normal_W.to(dtype)[row, column]
+    overlap = inside & (surface_xyz_S[..., 2] > 0) & (surface_normal != 0).any(-1)
     near = (xyz - surface_xyz).square().sum(-1) <= max_distance_m**2
-    aligned = (se3.rotate(T, level.normal_C) * normal).sum(-1) >= min_cosine
+    aligned = (se3.rotate(T, level.normal_C) * surface_normal).sum(-1) >= min_cosine
+    inlier = overlap & near & aligned
     return Correspondences(
-        xyz=xyz, surface_xyz=surface_xyz, surface_normal=normal, overlap=overlap, inlier=overlap & near & aligned
+        xyz=xyz, surface_xyz=surface_xyz, surface_normal=surface_normal, overlap=overlap, inlier=inlier
     )
 
 
+def about_the_surface(
+    T_WC: Float[Tensor, "4 4"], surface: Surface, dtype: torch.dtype
+) -> tuple[Float[Tensor, "4 4"], Float[Tensor, "3 3"]]:
+    """The pose with its origin moved to the centre of the surface's camera, and the rotation R_WS of that camera.
+
+    The difference of the centres is taken in float64: both may be far from the world's origin.
+    """
+    T_WS = surface.T_WC.double().to(T_WC.device)
+    return se3.translate(T_WC.double(), -T_WS[:3, 3]).to(dtype), T_WS[:3, :3].to(dtype)
+
+
 def depth_weight(depth_m: Float[Tensor, "*N"], even_to_m: float | None) -> Float[Tensor, "*N"]:
-    """How much a measurement at a depth counts: min(1, (even_to / z)^4), or 1 without a limit.
+    """Weight of a measurement at depth z: min(1, (even_to / z)^4), or 1 without a limit.
 
     The deviation of a structured-light camera grows with z^2 (Khoshelham & Elberink 2012); its calibration errs in the
     same way. Eq. 10 has no weights.
     """
     if even_to_m is None:
         return torch.ones_like(depth_m)
-    return (even_to_m / depth_m.clamp_min(1e-6)).clamp(max=1.0).square().square()
+    return ((even_to_m / depth_m.clamp_min(1e-6)) ** 4).clamp(max=1.0)
 
 
 @op("icp")
@@ -147,9 +154,9 @@ def icp_system(
     r, J = point_to_plane(found.xyz[rows], found.surface_xyz[rows], found.surface_normal[rows])
     r, J, w = r.double(), J.double(), depth_weight(level.depth_m[rows], even_to_m).double()
     return IcpSystem(
-        H=(J * w[:, None]).T @ J,
+        H=J.T @ (w[:, None] * J),
         b=J.T @ (w * r),
-        sum_squares_m2=float((w * r) @ r),
+        sum_squares_m2=float((w * r**2).sum()),
         sum_weights=float(w.sum()),
         n_inliers=int(rows.sum()),
         n_overlap=int(found.overlap.sum()),

@@ -13,15 +13,18 @@ import torch
 from numba import njit, prange
 from torch import Tensor
 
-from gsfusion_nb.tracking.normal_equations import IcpSystem
+from gsfusion_nb.tracking.normal_equations import IcpSystem, about_the_surface
 from gsfusion_nb.tracking.normal_equations import icp_system as reference
 from gsfusion_nb.tracking.pyramid import DepthLevel
 from gsfusion_nb.tracking.surface import Surface
-from gsfusion_nb.types import Camera
 
 from ..runtime.numba.launch import launching
+from .host import INLIERS, OVERLAP, SQUARES, WEIGHTS, B, images_of, lens_of, to_system
 
 f32 = np.float32
+_RESIDUAL, _WEIGHT = 6, 7
+"""Columns behind the six of J."""
+_N_SUMS = OVERLAP + 1
 _ZERO, _HALF, _ONE = f32(0.0), f32(0.5), f32(1.0)
 
 
@@ -35,35 +38,17 @@ def icp_system(
     even_to_m: float | None = None,
 ) -> IcpSystem:
     """See ``gsfusion_nb.tracking.icp_system``."""
-    images = level.depth_m, level.normal_C, surface.depth_m, surface.normal_W
+    images = images_of(level, surface).values()
     if any(t.dtype != torch.float32 or t.device.type != "cpu" for t in images):
         options = {"max_distance_m": max_distance_m, "min_cosine": min_cosine, "even_to_m": even_to_m}
         return reference.reference(level, T_WC, surface, **options)
     depth, normal, surface_depth, surface_normal = (t.detach().contiguous().numpy() for t in images)
-    T_WS = surface.T_WC.detach().double().cpu().numpy()
-    T = T_WC.detach().double().cpu().numpy().copy()
-    T[:3, 3] -= T_WS[:3, 3]
-    poses = T.astype(np.float32), T_WS[:3, :3].astype(np.float32)
-    lenses = _lens(level.camera), _lens(surface.camera)
+    poses = tuple(pose.detach().numpy() for pose in about_the_surface(T_WC.cpu(), surface, torch.float32))
+    lenses = tuple(np.array(lens_of(camera), np.float32) for camera in (level.camera, surface.camera))
     gates = f32(max_distance_m) * f32(max_distance_m), f32(min_cosine), f32(np.inf if even_to_m is None else even_to_m)
     with launching():
-        sums, counts = _sum_rows((depth, normal), (surface_depth, surface_normal), poses, lenses, gates)
-    total = sums.sum(0)
-    H = np.empty((6, 6))
-    H[np.triu_indices(6)] = total[:21]
-    H.T[np.triu_indices(6)] = total[:21]
-    return IcpSystem(
-        H=torch.from_numpy(H),
-        b=torch.from_numpy(total[21:27].copy()),
-        sum_squares_m2=float(total[27]),
-        sum_weights=float(total[28]),
-        n_inliers=int(counts[:, 0].sum()),
-        n_overlap=int(counts[:, 1].sum()),
-    )
-
-
-def _lens(camera: Camera) -> np.ndarray:
-    return np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
+        sums = _sum_rows((depth, normal), (surface_depth, surface_normal), poses, lenses, gates)
+    return to_system(torch.from_numpy(sums.sum(0)))
 
 
 @njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
@@ -84,14 +69,15 @@ def _correspond(images, model, poses, lenses, gates, j, columns):
     lens, surface_lens = lenses
     max_square, min_cosine, even_to = gates
     height, width = surface_depth.shape
+    lens_fx, lens_fy, lens_cx, lens_cy = lens[0], lens[1], lens[2], lens[3]
     fx, fy, cx, cy = surface_lens[0], surface_lens[1], surface_lens[2], surface_lens[3]
-    y = (f32(j) + _HALF - lens[3]) / lens[1]
+    y = (f32(j) + _HALF - lens_cy) / lens_fy
     n_inliers, n_overlap = 0, 0
     for i in range(depth.shape[1]):
         z = depth[j, i]
         if not z > _ZERO:
             continue
-        x = (f32(i) + _HALF - lens[2]) / lens[0]
+        x = (f32(i) + _HALF - lens_cx) / lens_fx
         X, Y = z * x, z * y
         p0 = T[0, 0] * X + T[0, 1] * Y + T[0, 2] * z + T[0, 3]
         p1 = T[1, 0] * X + T[1, 1] * Y + T[1, 2] * z + T[1, 3]
@@ -126,8 +112,8 @@ def _correspond(images, model, poses, lenses, gates, j, columns):
         near = even_to / z
         w = near * near if near < _ONE else _ONE  # the square root of the weight, on both factors of each product
         k = n_inliers
-        columns[6, k] = w * (e0 * n0 + e1 * n1 + e2 * n2)
-        columns[7, k] = w
+        columns[_RESIDUAL, k] = w * (e0 * n0 + e1 * n1 + e2 * n2)
+        columns[_WEIGHT, k] = w
         n0, n1, n2 = w * n0, w * n1, w * n2
         columns[0, k], columns[1, k], columns[2, k] = n0, n1, n2
         columns[3, k], columns[4, k], columns[5, k] = p1 * n2 - p2 * n1, p2 * n0 - p0 * n2, p0 * n1 - p1 * n0
@@ -137,19 +123,20 @@ def _correspond(images, model, poses, lenses, gates, j, columns):
 
 @njit(parallel=True, cache=True, error_model="numpy")
 def _sum_rows(images, model, poses, lenses, gates):
-    """For each row of pixels: upper triangle of H (21), b (6), sums of squares and weights; numbers of pixels."""
+    """The sums of ``host.to_system`` for each row of pixels [H, 31]."""
     height, width = images[0].shape
-    sums, counts = np.empty((height, 29)), np.empty((height, 2), np.int64)
+    sums = np.empty((height, _N_SUMS))
     for j in prange(height):
         columns = np.empty((8, width), np.float32)
-        n, counts[j, 1] = _correspond(images, model, poses, lenses, gates, j, columns)
-        counts[j, 0] = n
+        n, sums[j, OVERLAP] = _correspond(images, model, poses, lenses, gates, j, columns)
+        sums[j, INLIERS] = n
         at = 0
         for a in range(6):
             for b in range(a, 6):
                 sums[j, at] = _dot(columns[a], columns[b], n)
                 at += 1
-        for a in range(7):
-            sums[j, at + a] = _dot(columns[a], columns[6], n)
-        sums[j, 28] = _dot(columns[7], columns[7], n)
-    return sums, counts
+        for a in range(6):
+            sums[j, B + a] = _dot(columns[a], columns[_RESIDUAL], n)
+        sums[j, SQUARES] = _dot(columns[_RESIDUAL], columns[_RESIDUAL], n)
+        sums[j, WEIGHTS] = _dot(columns[_WEIGHT], columns[_WEIGHT], n)
+    return sums

@@ -8,10 +8,11 @@ import torch
 from numba import njit, prange
 from torch import Tensor
 
-from gsfusion_nb.backends import use_backend
-from gsfusion_nb.optim import rgbd_loss as reference
+from gsfusion_nb.optim.rgbd_loss import RgbdLoss
+from gsfusion_nb.optim.rgbd_loss import rgbd_l1_vjp as reference
 
 from ..runtime.numba.launch import launching
+from .host import counts, is_float32, limit_m, to_loss
 
 f32 = np.float32
 
@@ -26,31 +27,21 @@ def rgbd_l1_vjp(
     weight_colour: float = 1.0,
     weight_depth: float = 1.0,
     behind_m: float | None = None,
-) -> reference.RgbdLoss:
+) -> RgbdLoss:
     """See ``gsfusion_nb.optim.rgbd_l1_vjp``."""
     images = (rgb, depth_m, target_rgb, target_depth_m)
-    if any(image.dtype != torch.float32 for image in images):
-        with use_backend("reference"):
-            return reference.rgbd_l1_vjp(
-                *images, pixels, weight_colour=weight_colour, weight_depth=weight_depth, behind_m=behind_m
-            )
+    if not is_float32(*images):
+        options = {"weight_colour": weight_colour, "weight_depth": weight_depth, "behind_m": behind_m}
+        return reference.reference(*images, pixels, **options)
     v_rgb, v_depth_m = torch.empty_like(rgb), torch.empty_like(depth_m)
     arrays = [t.detach().contiguous().numpy() for t in (*images, pixels)]
-    limit = f32(np.inf if behind_m is None else behind_m)
+    limit = f32(limit_m(behind_m))
     with launching():
-        sums = _sums(*arrays, limit)
-        n, n_known = max(3 * sums[0], 1.0), max(sums[1], 1.0)
+        sums = torch.from_numpy(_sums(*arrays, limit))
+        n, n_known = counts(sums).tolist()
         scale_rgb, scale_depth = f32(weight_colour / n), f32(weight_depth / n_known)
         _write(*arrays, limit, scale_rgb, scale_depth, v_rgb.numpy(), v_depth_m.numpy())
-    colour, depth = sums[2] / n, sums[3] / n_known
-    values = torch.tensor([colour, depth, weight_colour * colour + weight_depth * depth], dtype=torch.float32)
-    return reference.RgbdLoss(
-        colour=values[0],
-        depth_m=values[1],
-        total=values[2],
-        v_rgb=v_rgb,
-        v_depth_m=v_depth_m,
-    )
+    return to_loss(sums, (weight_colour, weight_depth), v_rgb, v_depth_m)
 
 
 @njit(inline="always")
@@ -61,14 +52,14 @@ def _has_depth_loss(depth, target, limit):
 
 @njit(parallel=True, cache=True, error_model="numpy")
 def _sums(rgb, depth, target_rgb, target_depth, pixels, limit):
-    """Pixels, pixels with a depth loss, sum |C - C^|, sum |D - D^|; row sums first, so that threads do not matter."""
+    """Colour values, pixels with a depth loss, sum |C - C^|, sum |D - D^|: by rows, so that threads do not matter."""
     H, W = depth.shape
     rows = np.zeros((H, 4))
     for y in prange(H):
         for x in range(W):
             if not pixels[y, x]:
                 continue
-            rows[y, 0] += 1
+            rows[y, 0] += 3
             for c in range(3):
                 rows[y, 2] += abs(rgb[y, x, c] - target_rgb[y, x, c])
             if _has_depth_loss(depth[y, x], target_depth[y, x], limit):

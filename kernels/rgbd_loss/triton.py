@@ -10,10 +10,11 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from gsfusion_nb.backends import use_backend
-from gsfusion_nb.optim import rgbd_loss as reference
+from gsfusion_nb.optim.rgbd_loss import RgbdLoss
+from gsfusion_nb.optim.rgbd_loss import rgbd_l1_vjp as reference
 
 from ..runtime.triton.launch import device_of, launch, parts
+from .host import counts, is_float32, limit_m, to_loss
 
 _BLOCK = 1024
 
@@ -28,36 +29,25 @@ def rgbd_l1_vjp(
     weight_colour: float = 1.0,
     weight_depth: float = 1.0,
     behind_m: float | None = None,
-) -> reference.RgbdLoss:
+) -> RgbdLoss:
     """See ``gsfusion_nb.optim.rgbd_l1_vjp``."""
     images = (rgb, depth_m, target_rgb, target_depth_m)
-    if any(image.dtype != torch.float32 for image in images):
-        with use_backend("reference"):
-            return reference.rgbd_l1_vjp(
-                *images, pixels, weight_colour=weight_colour, weight_depth=weight_depth, behind_m=behind_m
-            )
+    if not is_float32(*images):
+        options = {"weight_colour": weight_colour, "weight_depth": weight_depth, "behind_m": behind_m}
+        return reference.reference(*images, pixels, **options)
     names = ("rgb", "depth_m", "target_rgb", "target_depth_m")
     device = device_of("rgbd_l1_vjp", **dict(zip(names, images, strict=True)), pixels=pixels)
     arrays = [*(image.detach().contiguous() for image in images), pixels.contiguous().view(torch.uint8)]
     v_rgb, v_depth_m = (torch.empty_like(t, memory_format=torch.contiguous_format) for t in (rgb, depth_m))
-    total = depth_m.numel()
-    limit = float("inf") if behind_m is None else float(behind_m)
+    total, limit = depth_m.numel(), limit_m(behind_m)
     sums = torch.zeros(parts(total, _BLOCK), 4, dtype=torch.float32, device=device)
     launch(_sums, len(sums), device, *arrays, sums, total, limit, BLOCK=_BLOCK, num_warps=4)
     sums = sums.sum(0, dtype=torch.float64)
-    counts = sums[:2].clamp_min(1.0)
     launch(
-        _write, parts(total, _BLOCK), device, *arrays, counts, v_rgb, v_depth_m, total, limit,
+        _write, parts(total, _BLOCK), device, *arrays, counts(sums), v_rgb, v_depth_m, total, limit,
         float(weight_colour), float(weight_depth), BLOCK=_BLOCK, num_warps=4,
     )  # fmt: skip
-    colour, depth = (sums[2:] / counts).float()
-    return reference.RgbdLoss(
-        colour=colour,
-        depth_m=depth,
-        total=weight_colour * colour + weight_depth * depth,
-        v_rgb=v_rgb,
-        v_depth_m=v_depth_m,
-    )
+    return to_loss(sums, (weight_colour, weight_depth), v_rgb, v_depth_m)
 
 
 @triton.jit
