@@ -25,20 +25,26 @@ def html_table(
     rows: Iterable[Sequence[str]],
     *,
     heads: Sequence[str] = (),
+    foot: str = "",
     name: str = "",
     style: str = "",
     cell_style: str = "",
+    head_style: str | None = None,
 ) -> str:
-    """A table for a notebook's output.
+    """A table for a notebook's output. Texts are escaped; a cell that is HTML is ``Markup``.
 
     Args:
-        rows: Cells of each row; plain text, or ``Markup`` for cells that are HTML.
+        rows: Cells of each row.
         heads: Headings of the columns, or none.
+        foot: One line under the rows, across all columns.
         name: CSS class of the table.
         style: CSS of the table.
-        cell_style: CSS of every cell and heading.
+        cell_style: CSS of every cell.
+        head_style: CSS of every heading; that of the cells if not given.
     """
-    return fill("table.html", rows=rows, heads=heads, name=name, style=style, cell_style=cell_style)
+    values = {"name": name, "style": style, "cell_style": cell_style}
+    values["head_style"] = cell_style if head_style is None else head_style
+    return fill("table.html", rows=rows, heads=heads, foot=foot, **values)
 
 
 @functools.cache

@@ -1,6 +1,5 @@
 """Seeding rules against each other: the same frames, the same settings, one run for each rule, one table."""
 
-import html
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -13,6 +12,7 @@ from ..config import GSFusionConfig
 from ..config import gsfusion as gsfusion_preset
 from ..config import replace as replaced
 from ..data import OpenedSequence, open_sequence
+from ..drawing.html import fill
 from ..evaluation import ImageScores, NotComputed, score_views
 from ..runs import MappingRun
 from ..seeding import SeedingRule, get_rule, rule_name
@@ -136,10 +136,8 @@ class Leaderboard:
 
     def _repr_html_(self) -> str:
         front = set(self.front)
-        head = "".join(f'<th style="text-align:{"right" if k else "left"}">{h}</th>' for k, h in enumerate(_HEADINGS))
-        body = "".join(_html_row(_cells(row, row.name in front), row.name in front) for row in self.sorted)
-        notes = "".join(f"<div>{html.escape(note)}</div>" for note in self._notes())
-        return f'<table class="gsnb-leaderboard"><tr>{head}</tr>{body}</table>{notes}'
+        rows = [(_cells(row, row.name in front), row.name in front) for row in self.sorted]
+        return fill("leaderboard.html", headings=_HEADINGS, rows=rows, notes=self._notes())
 
     def _columns(self) -> tuple[np.ndarray, np.ndarray]:
         return np.array([r.n_gaussians for r in self.rows]), np.array([r.psnr_db for r in self.rows])
@@ -160,15 +158,6 @@ def _cells(row: LeaderboardRow, on_front: bool) -> list[str]:
         f"{'● ' if on_front else ''}{row.name}", f"{row.psnr_db:.2f}", f"{row.ssim:.3f}", f"{row.n_gaussians:,}",
         f"{row.n_keyframes}", f"{row.ms_per_frame:.0f}", f"{row.seeding_ms:.1f}", f"{row.cpu_ms_per_frame:.0f}",
     ]  # fmt: skip
-
-
-def _html_row(cells: list[str], on_front: bool) -> str:
-    weight = "font-weight:600;" if on_front else ""
-    columns = "".join(
-        f'<td style="{weight}text-align:{"right" if k else "left"}">{html.escape(cell)}</td>'
-        for k, cell in enumerate(cells)
-    )
-    return f"<tr>{columns}</tr>"
 
 
 class Contest:

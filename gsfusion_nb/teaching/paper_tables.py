@@ -1,8 +1,11 @@
 """The ablations of the GSFusion paper (Wei & Leutenegger 2024, Tables IV-VIII), to put one's own runs beside them."""
 
-import html
 from collections.abc import Mapping
 from dataclasses import dataclass
+
+from markupsafe import Markup
+
+from ..drawing.html import html_table
 
 Row = Mapping[str, float | int]
 
@@ -91,9 +94,7 @@ class BesideThePaper:
 
     def _repr_html_(self) -> str:
         head, *body = self.lines()
-        rows = [f"<tr>{''.join(f'<th>{html.escape(c)}</th>' for c in head)}</tr>"]
-        rows += [f"<tr>{''.join(f'<td>{html.escape(c)}</td>' for c in row)}</tr>" for row in body]
-        return f"<b>{html.escape(self.title)}</b><table>{''.join(rows)}</table>"
+        return Markup("<b>{}</b>").format(self.title) + Markup(html_table(body, heads=head))
 
 
 def _in_order(settings: list[str]) -> list[str]:

@@ -1,12 +1,15 @@
 """Where an equation stands in the code: the line is looked up when the cell runs, so it cannot go out of date."""
 
-import html
 import inspect
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from markupsafe import Markup
+
 import gsfusion_nb
+
+from ..drawing.html import html_table
 
 _ROOT = Path(gsfusion_nb.__file__).resolve().parent
 
@@ -21,13 +24,12 @@ class SourceLines:
         return "\n".join(f"{what}\n    {path}:{number}  {code}" for what, code, path, number in self.rows)
 
     def _repr_html_(self) -> str:
-        lines = "".join(
-            f'<tr><td style="text-align:left">{html.escape(what)}</td>'
-            f'<td style="text-align:left"><code>{html.escape(code)}</code></td>'
-            f'<td style="text-align:left"><a href="../{path}#L{number}">{path.split("/", 1)[1]}:{number}</a></td></tr>'
+        link = Markup('<a href="../{}#L{}">{}:{}</a>')
+        rows = [
+            (what, Markup("<code>{}</code>").format(code), link.format(path, number, path.split("/", 1)[1], number))
             for what, code, path, number in self.rows
-        )
-        return f'<table style="font-size:12px">{lines}</table>'
+        ]
+        return html_table(rows, style="font-size:12px", cell_style="text-align:left")
 
 
 def source_lines(lines: dict[str, tuple[Callable[..., Any], str]]) -> SourceLines:

@@ -4,7 +4,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
+from markupsafe import Markup
 from torch import Tensor
+
+from ..drawing.html import html_table
 
 TOLERANCE = 1e-5
 """Largest difference, of the largest number, that counts as agreement in float64."""
@@ -51,22 +54,24 @@ class ThreeWays:
         return "\n".join([*lines, "all three agree" if self.ok else "they do NOT agree"])
 
     def _repr_html_(self) -> str:
-        head = "".join(
-            _cell(h, "th") for h in ("gradient by", "by hand", "autograd", "difference", "largest relative error")
-        )
-        lines = [f"<tr>{head}</tr>"]
+        lines = []
         for row in self.rows:
             a, d = row.errors
-            good = max(a, d) < TOLERANCE
-            colour, sign = ("#1a7f37", "✓") if good else ("#c62828", "✗")
-            verdict = f'<span style="color:{colour}">{sign} {a:.0e} (autograd), {d:.0e} (difference)</span>'
+            colour, sign = ("#1a7f37", "✓") if max(a, d) < TOLERANCE else ("#c62828", "✗")
+            verdict = Markup('<span style="color:{}">{} {:.0e} (autograd), {:.0e} (difference)</span>')
             numbers = _numbers(row)
             for i, (name, *values) in enumerate(numbers):
-                cells = _cell(name) + "".join(_cell(f"{v:+.6f}") for v in values)
-                lines.append(f"<tr>{cells}{_cell(verdict if i == 0 else '')}</tr>")
+                last = verdict.format(colour, sign, a, d) if i == 0 else ""
+                lines.append((name, *(f"{v:+.6f}" for v in values), last))
             if row.hand.numel() > len(numbers):
-                lines.append(f"<tr>{_cell(f'… {row.hand.numel() - len(numbers)} more')}</tr>")
-        return f'<table class="gsnb-three-ways" style="font-size:12px">{"".join(lines)}</table>'
+                lines.append((f"… {row.hand.numel() - len(numbers)} more",))
+        heads = ("gradient by", "by hand", "autograd", "difference", "largest relative error")
+        looks = {
+            "name": "gsnb-three-ways",
+            "style": "font-size:12px",
+            "cell_style": "text-align:right;padding:1px 10px",
+        }
+        return html_table(lines, heads=heads, **looks)
 
 
 def three_ways(
@@ -131,7 +136,3 @@ def _numbers(row: Compared) -> list[tuple[str, float, float, float]]:
         name = row.name + (str(index) if index else "")
         table.append((name, *(float(x.reshape(-1)[i]) for x in (row.hand, row.autograd, row.difference))))
     return table
-
-
-def _cell(text: str, tag: str = "td") -> str:
-    return f'<{tag} style="text-align:right;padding:1px 10px">{text}</{tag}>'

@@ -1,8 +1,9 @@
 """What a checker answers: green, red with the property and the input, or grey while nothing is written."""
 
-import html
 from dataclasses import dataclass
 from typing import Literal
+
+from ..drawing.html import fill
 
 _COLOURS = {"passed": "#1a7f37", "failed": "#c62828", "not written": "#6e7781"}
 _SIGNS = {"passed": "✓", "failed": "✗", "not written": "…"}
@@ -49,12 +50,7 @@ class Verdict:
         return "\n  ".join([self.headline, *self.lines])
 
     def _repr_html_(self) -> str:
-        rest = "".join(f"<div>{html.escape(line)}</div>" for line in self.lines)
-        colour = _COLOURS[self.state]
-        return (
-            f'<div class="gsnb-verdict gsnb-{self.state.replace(" ", "-")}" style="border-left:4px solid {colour};'
-            f'padding:2px 0 2px 10px"><b style="color:{colour}">{html.escape(self.headline)}</b>{rest}</div>'
-        )
+        return fill("verdict.html", verdict=self, colour=_COLOURS[self.state])
 
 
 @dataclass(frozen=True)

@@ -1,12 +1,12 @@
 """What a notebook shows of an object that is a cell's last line: a small picture beside the numbers that matter."""
 
-import html
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import torch
+from markupsafe import Markup
 
+from ..drawing.html import fill
 from ..drawing.pictures import Picture, colour_depth, data_uri, depth_range_m, fit_width, paint_cells, to_uint8
 from ..drawing.side_by_side import side_by_side
 from ..gaussians import GaussianModel
@@ -34,7 +34,8 @@ def card(thing: Any) -> str:
     for kind, make in _CARDS.items():
         if isinstance(thing, kind):
             picture, rows = make(thing)
-            return _page(type(thing).__name__, picture, rows)
+            image = "" if picture is None else data_uri(picture)
+            return fill("card.html", title=type(thing).__name__, picture=image, rows=rows)
     raise TypeError(f"no card of a {type(thing).__name__}; of {', '.join(k.__name__ for k in _CARDS)} there is")
 
 
@@ -47,7 +48,7 @@ def _frame(frame: Frame) -> tuple[Picture, dict[str, str]]:
         [fit_width(frame.rgb.cpu(), WIDTH_PX), fit_width(colour_depth(depth_m, near, far), WIDTH_PX)]
     ), {
         "frame": f"{frame.index}, at {frame.timestamp_s:.3f} s",
-        "size": f"{c.width} &times; {c.height}, focal length {c.fx:.1f}, {c.fy:.1f} px",
+        "size": f"{c.width} × {c.height}, focal length {c.fx:.1f}, {c.fy:.1f} px",
         "depth": f"{near:.2f} to {far:.2f} m (blue to red), {100 * float(known.float().mean()):.0f} % of the pixels",
         "camera at": f"({x:.2f}, {y:.2f}, {z:.2f}) m",
     }
@@ -57,7 +58,7 @@ def _volume(volume: TsdfVolume) -> tuple[Picture | None, dict[str, str]]:
     config = volume.config
     rows = {
         "voxel": f"{config.voxel_size_m * 100:g} cm, truncation {config.truncation_m * 100:g} cm",
-        "blocks of 8&sup3; voxels": f"{volume.n_blocks:,}",
+        "blocks of 8³ voxels": f"{volume.n_blocks:,}",
         "memory": f"{volume.memory_bytes / 1e6:.1f} MB on {volume.device}",
     }
     if not volume.n_blocks:
@@ -73,7 +74,7 @@ def _volume(volume: TsdfVolume) -> tuple[Picture | None, dict[str, str]]:
         y_m=(float(low[1]), float(high[1])),
         px_per_m=WIDTH_PX / float(size[:2].max()),
     )
-    extent = " &times; ".join(f"{float(s):.2f}" for s in size)
+    extent = " × ".join(f"{float(s):.2f}" for s in size)
     return picture, rows | {
         "extent": f"{extent} m",
         "picture": f"signed distance at z = {middle_m:.2f} m: blue free, red behind a surface, striped never seen",
@@ -136,7 +137,7 @@ def _finished(finished: FinishedRun) -> tuple[Picture | None, dict[str, str]]:
         value = finished.metrics.get(key)
         if isinstance(value, (int, float)):
             rows[label] = form.format(value)
-    return picture, rows | {"files": f"<code>{html.escape(str(finished.folder))}</code>"}
+    return picture, rows | {"files": Markup("<code>{}</code>").format(finished.folder)}
 
 
 def _photo_and_render(run: MappingRun) -> Picture | None:
@@ -157,11 +158,3 @@ _CARDS: dict[type, Any] = {
     MappingRun: _run,
     FinishedRun: _finished,
 }
-
-
-def _page(title: str, picture: Picture | None, rows: Mapping[str, str]) -> str:
-    left = "text-align:left;vertical-align:top"
-    cells = "".join(f"<tr><th style='{left}'>{k}</th><td style='{left}'>{v}</td></tr>" for k, v in rows.items())
-    table = f"<table style='font-size:12px'><caption style='{left};font-weight:600'>{title}</caption>{cells}</table>"
-    image = "" if picture is None else f"<img src='{data_uri(picture)}' alt='{title}' style='max-width:100%'>"
-    return f"<div style='display:flex;flex-wrap:wrap;gap:14px;align-items:flex-start'>{image}{table}</div>"

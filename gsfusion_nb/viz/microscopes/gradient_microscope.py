@@ -5,9 +5,11 @@ from typing import Any
 
 import torch
 from jaxtyping import Float
+from markupsafe import Markup
 from torch import Tensor
 
 from ...checks import check_name
+from ...drawing.html import html_table
 from ...drawing.pictures import Picture, encode_jpeg, encode_png, to_uint8
 from ...drawing.side_by_side import side_by_side
 from ...optim import dssim_vjp, l1_vjp
@@ -17,7 +19,7 @@ from ..display import with_picture
 from ..panels.click_image import ClickImage
 from .gradient_picture import gaussian_gradient_picture, pixel_gradient_picture
 from .pixel_gradient import GaussianGradient, PixelGradient, gaussian_gradient, pixel_gradient, pixel_gradient_table
-from .pixel_stack import project_splats
+from .pixel_stack import CELL_STYLE, project_splats
 from .stack_picture import enlarged, with_cross
 
 PICKS = ("pixel", "Gaussian")
@@ -138,13 +140,10 @@ class GradientMicroscope:
             "dL/du": g.uv[row, 0], "dL/dv": g.uv[row, 1], "dL/do": g.opacity[row],
             "dL/dr": g.rgb[row, 0], "dL/dg": g.rgb[row, 1], "dL/db": g.rgb[row, 2],
         }  # fmt: skip
-        cell = '<td style="text-align:right;padding:1px 8px;line-height:1.35">{}</td>'
-        heads = "".join(cell.format(f"<b>{name}</b>") for name in numbers)
-        values = "".join(cell.format(f"{float(x) / unit:+.2f}") for x in numbers.values())
-        return (
-            f'<table style="font-size:12px"><tr>{cell.format(f"Gaussian <b>{row}</b>")}{heads}</tr>'
-            f"<tr>{cell.format('sum over all pixels')}{values}</tr></table>"
-        )
+        bold = Markup("<b>{}</b>")
+        first = (Markup("Gaussian ") + bold.format(row), *map(bold.format, numbers))
+        second = ("sum over all pixels", *(f"{float(x) / unit:+.2f}" for x in numbers.values()))
+        return html_table((first, second), style="font-size:12px", cell_style=CELL_STYLE)
 
     def _build(self) -> None:
         import ipywidgets as w

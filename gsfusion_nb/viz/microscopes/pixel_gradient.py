@@ -14,7 +14,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ...constants import ALPHA_MAX
-from .pixel_stack import Blend, PixelStack, Splats, blend_at, blend_pixel, stack_of, swatch
+from ...drawing.html import html_table
+from .pixel_stack import CELL_STYLE, Blend, PixelStack, Splats, blend_at, blend_pixel, stack_of, swatch
 
 FIELD_WORK = 150_000
 """Pixels times Gaussians that a field may cost; a larger field is evaluated at every n-th pixel only."""
@@ -131,7 +132,7 @@ def pixel_gradient_table(gradient: PixelGradient, rows: int = 12, unit: float | 
     """
     s = gradient.stack
     heads = ("k", "row", "w", "dL/dα", "it should be", "dL/do", "dL/du", "dL/dv", "c now", "dL/dr, dL/dg, dL/db")
-    lines = [_line(heads, "th")]
+    lines = []
     keep = s.weight.argsort(descending=True)[:rows].sort().values.tolist()
     for k in keep:
         a, o = float(gradient.v_alpha[k]) / unit, float(gradient.v_opacity[k]) / unit
@@ -139,13 +140,7 @@ def pixel_gradient_table(gradient: PixelGradient, rows: int = 12, unit: float | 
         wish = "as it is" if abs(a) < 1e-9 else ("more opaque" if a < 0 else "less opaque")
         rgb = " ".join(f"{float(x) / unit:+.3f}" for x in gradient.v_rgb[k])
         numbers = (f"{a:+.3f}", wish, f"{o:+.3f}", f"{u:+.3f}", f"{v:+.3f}")
-        lines.append(_line((str(k), str(int(s.row[k])), f"{float(s.weight[k]):.3f}", *numbers, swatch(s.rgb[k]), rgb)))
-    if len(keep) < len(s):
-        rest = f"… {len(s) - len(keep)} lighter ones"
-        lines.append(f'<tr><td colspan="{len(heads)}" style="text-align:left;padding:1px 8px">{rest}</td></tr>')
-    return f'<table class="gsnb-pixel-gradient" style="font-size:12px">{"".join(lines)}</table>'
-
-
-def _line(values: tuple[str, ...], tag: str = "td") -> str:
-    cells = "".join(f'<{tag} style="text-align:right;padding:1px 8px;line-height:1.35">{v}</{tag}>' for v in values)
-    return f"<tr>{cells}</tr>"
+        lines.append((str(k), str(int(s.row[k])), f"{float(s.weight[k]):.3f}", *numbers, swatch(s.rgb[k]), rgb))
+    foot = f"… {len(s) - len(keep)} lighter ones" if len(keep) < len(s) else ""
+    looks = {"name": "gsnb-pixel-gradient", "style": "font-size:12px", "cell_style": CELL_STYLE}
+    return html_table(lines, heads=heads, foot=foot, **looks)

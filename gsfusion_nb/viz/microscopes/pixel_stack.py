@@ -5,19 +5,22 @@ no tiles and so is also an independent witness of the renderer. The rules are th
 """
 
 from dataclasses import dataclass
-from html import escape
 
 import torch
 from jaxtyping import Float, Int
+from markupsafe import Markup
 from torch import Tensor
 
 from ...constants import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
+from ...drawing.html import html_table
 from ...geometry.spherical_harmonics import sh_to_rgb
 from ...render import Projection, project_gaussians
 from ...types import Camera, GaussianParams
 
 TABLE_ROWS = 14
 """Rows of the table; the rest is summed up in one line."""
+CELL_STYLE = "text-align:right;padding:1px 8px;line-height:1.35"
+"""CSS of the cells of the microscopes' tables."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -170,49 +173,39 @@ def check_pixel(camera: Camera, u: int, v: int) -> None:
 
 def stack_table(stack: PixelStack, rows: int = TABLE_ROWS) -> str:
     """The stack as an HTML table: row, depth, alpha, T, weight, colour, contribution, and the sum below."""
-    heads = ("k", "row", "depth m", "α<sub>k</sub>", "T<sub>k</sub>", "w<sub>k</sub> = α T", "c<sub>k</sub>", "w c")
-    lines = [_line(heads, "th")]
+    index = Markup("{}<sub>k</sub>")
+    heads = (
+        "k",
+        "row",
+        "depth m",
+        index.format("α"),
+        index.format("T"),
+        index.format("w") + " = α T",
+        index.format("c"),
+    )
     shown = min(len(stack), rows)
+    lines: list[tuple[str, ...]] = []
     for k in range(shown):
         numbers = (f"{x[k]:.3f}" for x in (stack.depth_m, stack.alpha, stack.transmittance, stack.weight))
-        lines.append(
-            _line((str(k), str(int(stack.row[k])), *numbers, swatch(stack.rgb[k]), _rgb_text(stack.contribution[k])))
-        )
+        lines.append((str(k), str(int(stack.row[k])), *numbers, swatch(stack.rgb[k]), _rgb_text(stack.contribution[k])))
     if shown < len(stack):
-        rest = f"… {len(stack) - shown} more"
-        lines.append(
-            _line(
-                (
-                    "",
-                    rest,
-                    "",
-                    "",
-                    "",
-                    f"{stack.weight[shown:].sum():.3f}",
-                    "",
-                    _rgb_text(stack.contribution[shown:].sum(0)),
-                )
-            )
-        )
+        weight, contribution = stack.weight[shown:].sum(), stack.contribution[shown:].sum(0)
+        more = f"… {len(stack) - shown} more"
+        lines.append(("", more, "", "", "", f"{weight:.3f}", "", _rgb_text(contribution)))
     total = (
         "", "sum", "", "", f"left {stack.light_left:.3f}", f"{stack.weight.sum():.3f}",
         swatch(stack.colour), _rgb_text(stack.colour),
     )  # fmt: skip
-    lines.append(_line(tuple(f"<b>{x}</b>" for x in total)))
-    return f'<table class="gsnb-stack" style="font-size:12px">{"".join(lines)}</table>'
+    lines.append(tuple(Markup("<b>{}</b>").format(x) for x in total))
+    return html_table(lines, heads=(*heads, "w c"), name="gsnb-stack", style="font-size:12px", cell_style=CELL_STYLE)
 
 
-def swatch(rgb: Float[Tensor, "3"]) -> str:
+def swatch(rgb: Float[Tensor, "3"]) -> Markup:
     """A small square of a colour, as HTML."""
     r, g, b = (round(255 * min(max(float(x), 0.0), 1.0)) for x in rgb)
     style = f"display:inline-block;width:26px;height:12px;border:1px solid #8888;background:rgb({r},{g},{b})"
-    return f'<span style="{style}"></span>'
-
-
-def _line(values: tuple[str, ...], tag: str = "td") -> str:
-    cells = "".join(f'<{tag} style="text-align:right;padding:1px 8px;line-height:1.35">{v}</{tag}>' for v in values)
-    return f"<tr>{cells}</tr>"
+    return Markup('<span style="{}"></span>').format(style)
 
 
 def _rgb_text(rgb: Tensor) -> str:
-    return escape(" ".join(f"{float(x):.3f}" for x in rgb))
+    return " ".join(f"{float(x):.3f}" for x in rgb)

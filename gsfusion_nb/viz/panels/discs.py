@@ -5,9 +5,11 @@ import dataclasses
 import numpy as np
 import torch
 from jaxtyping import Float
+from markupsafe import Markup
 from torch import Tensor
 
 from ...config import DiscConfig
+from ...drawing.html import html_table
 from ...drawing.pictures import Picture, colour_depth, error_map, to_uint8
 from ...drawing.side_by_side import side_by_side
 from ...gaussians.surfels import OPAQUE
@@ -158,15 +160,14 @@ def _far_m(stage: Stage) -> float:
 
 
 def _stage_words(stage: Stage) -> str:
-    rows = ""
+    rows = []
     for name, label in (("disc_m", "disc"), ("blended_m", "blended")):
         error = stage.errors_m(name)
         median = f"{float(error.median()) * 100:.2f} cm" if len(error) else "-"
         covered = float((getattr(stage, name) > 0).float().mean())
-        rows += f"<tr><td>{label}</td><td>{median}</td><td>{stage.in_mid_air(name):.1%}</td><td>{covered:.0%}</td></tr>"
-    words = ("depth", "error on board", "in mid-air", "covered")
-    heads = "".join(f'<th style="white-space:nowrap; padding-right:10px">{word}</th>' for word in words)
-    return f"<table><tr>{heads}</tr>{rows}</table>"
+        rows.append((label, median, f"{stage.in_mid_air(name):.1%}", f"{covered:.0%}"))
+    heads = ("depth", "error on board", "in mid-air", "covered")
+    return html_table(rows, heads=heads, head_style="white-space:nowrap; padding-right:10px")
 
 
 def _board(
@@ -255,9 +256,8 @@ def adding_panel(view: SurfaceView, frame: Frame) -> Panel:
 
 
 def _mask_words(masks: dict[int, Tensor]) -> str:
-    rows = "".join(
-        f'<tr><td>{CAUSES[cause][0]}</td><td class="gsnb-adding-{cause}">{int(mask.sum()):,} pixels</td>'
-        f"<td>{float(mask.float().mean()):.1%}</td></tr>"
+    count = Markup('<span class="gsnb-adding-{}">{:,} pixels</span>')
+    return html_table(
+        (CAUSES[cause][0], count.format(cause, int(mask.sum())), f"{float(mask.float().mean()):.1%}")
         for cause, mask in masks.items()
     )
-    return f"<table>{rows}</table>"

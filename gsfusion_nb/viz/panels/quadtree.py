@@ -7,6 +7,7 @@ import torch
 from jaxtyping import UInt8
 from torch import Tensor
 
+from ...drawing.html import html_table
 from ...drawing.pictures import AnyImage, Picture, paint_cells, to_uint8
 from ...seeding import Cells, quadtree
 from .panel import Choice, Drawn, Panel, Slider
@@ -116,9 +117,6 @@ def quadtree_panel(rgb: AnyImage, *, threshold: float | int = 0.1, min_cell_px: 
 
 def _counts(cells: Cells, pixels: int) -> str:
     levels = torch.bincount(cells.level.long())
-    rows = "".join(f"<tr><td>{k}</td><td>{int(n):,}</td></tr>" for k, n in enumerate(levels) if n)
-    each = pixels / len(cells)
-    return (
-        f'<b class="gsnb-quadtree-count">{len(cells):,}</b> cells, one for every {each:.0f} pixels'
-        f"<table><tr><th>level</th><th>cells</th></tr>{rows}</table>"
-    )
+    rows = [(str(level), f"{int(n):,}") for level, n in enumerate(levels) if n]
+    count = f'<b class="gsnb-quadtree-count">{len(cells):,}</b> cells, one for every {pixels / len(cells):.0f} pixels'
+    return count + html_table(rows, heads=("level", "cells"))

@@ -1,11 +1,11 @@
 """All numbers of one Gaussian, as a person reads them."""
 
-import html
 from dataclasses import dataclass
 
 import torch
 
 from ...constants import SH_C0
+from ...drawing.html import fill
 from ...types import GaussianParams
 from .columns import Column
 
@@ -43,8 +43,7 @@ class SplatRow:
         return "\n".join(f"{name:<12} {value}" for name, value in self.lines())
 
     def _repr_html_(self) -> str:
-        cells = "".join(f"<tr><th>{html.escape(n)}</th><td>{html.escape(v)}</td></tr>" for n, v in self.lines())
-        return f'<table class="gsnb-splat-record">{cells}</table>'
+        return fill("splat_record.html", lines=self.lines())
 
 
 def splat_row(params: GaussianParams, columns: list[Column], row: int) -> SplatRow:
