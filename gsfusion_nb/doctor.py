@@ -64,18 +64,15 @@ def main() -> int:
 
 
 def warm() -> int:
-    """Compile the fast kernels once, with a progress bar that names them; 0 if there was something to compile with."""
-    from tqdm.auto import tqdm
-
+    """Compile the fast kernels once and show which; 0 if there was something to compile with."""
+    from .progress import ProgressDisplay
     from .warm import warm_up
 
     print("Compiling the fast kernels once, so that no program or notebook has to wait for it (about a minute) ...")
     progress = None
-    with tqdm(bar_format="  {percentage:3.0f} % |{bar:25}| {desc} [{elapsed}]") as bar:
+    with ProgressDisplay("compiling", unit="exercise") as display:
         for progress in warm_up():
-            bar.total = progress.total
-            bar.update(progress.done - bar.n)
-            bar.set_description_str(progress.name or "done")
+            display.show(progress.done, total=progress.total, note=progress.name)
     if progress is None or not progress.total:
         print("No fast kernels can run here, so there is nothing to compile: gsfusion-nb doctor says why.")
         return 1

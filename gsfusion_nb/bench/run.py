@@ -1,7 +1,6 @@
 """The bench: plan the cases, run one after another, keep what was measured whatever happens."""
 
 import json
-import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,6 +8,7 @@ from typing import Any
 
 from .. import optim, render, seeding, tsdf  # noqa: F401  (importing them declares their operations)
 from ..files import write_file
+from ..progress import ProgressDisplay
 from . import machine, panels, scaling, table, waits
 from . import mapping as mapping_cases
 from . import raster as raster_cases
@@ -67,8 +67,6 @@ def run_bench(options: BenchOptions) -> BenchResult:
     Raises:
         KeyError, ValueError, OSError: the options make no sense; before anything is run.
     """
-    from tqdm.auto import tqdm
-
     options.check()
     with threads(options.threads):
         result = BenchResult(options=options, machine=machine.describe(options.threads))
@@ -80,16 +78,15 @@ def run_bench(options: BenchOptions) -> BenchResult:
         if options.scaling:
             planned += list(scaling.cases(options))
         result.n_cases = len(planned)
-        bar = tqdm(planned, file=sys.stderr, leave=False, bar_format="{n_fmt}/{total_fmt} {desc} [{elapsed}]")
-        try:
-            for case in bar:
-                bar.set_description_str(f"{case.section}: {case.title}")
-                result.rows += case.run()
-                result.n_done += 1
-        except KeyboardInterrupt:
-            result.interrupted = True
-        finally:
-            bar.close()
+        with ProgressDisplay("bench", total=len(planned), unit="case", leave=False) as progress:
+            try:
+                for case in planned:
+                    progress.show(result.n_done, note=f"{case.section}: {case.title}")
+                    result.rows += case.run()
+                    result.n_done += 1
+                progress.show(result.n_done)
+            except KeyboardInterrupt:
+                result.interrupted = True
     result.rows = with_speed(result.rows, options.threads)
     return result
 

@@ -10,6 +10,7 @@ import torch
 from ..data import Sequence, SequenceError, apply_options, open_sequence
 from ..data.checkup.consistency import check_sequence
 from ..mapping.systems import Config, get_system
+from ..progress import ProgressDisplay
 from ..seeding import SeedingRule
 from ..types import Mesh
 from . import outputs
@@ -185,29 +186,20 @@ def _save(run: MappingRun, folder: Path, stop: StopRequest) -> Mesh:
 
 
 def _with_progress(run: MappingRun, stop: StopRequest) -> None:
-    from tqdm.auto import tqdm
-
-    bar = tqdm(total=len(run.sequence.mapping), initial=run.next_position, desc="mapping", unit="frame")
     seconds = 0.0
-    with bar:
+    with ProgressDisplay("mapping", total=len(run.sequence.mapping), unit="frame", done=run.next_position) as progress:
         for n, report in enumerate(run.online(), start=1):
             seconds += report.total_seconds
-            bar.update(run.next_position - bar.n)
-            bar.set_postfix_str(
-                f"{n / seconds:.1f} fps, PSNR {report.psnr_after_db:.1f} dB, {report.n_gaussians:,} Gaussians"
-            )
+            note = f"{n / seconds:.1f} fps, PSNR {report.psnr_after_db:.1f} dB, {report.n_gaussians:,} Gaussians"
+            progress.show(run.next_position, note=note)
             if stop:
                 return
 
 
 def _with_progress_of_passes(run: MappingRun, stop: StopRequest) -> None:
-    from tqdm.auto import tqdm
-
     steps: Iterator = run.optimise()
-    with tqdm(desc="optimising", unit="view", disable=not run.mapper.n_passes) as bar:
+    with ProgressDisplay("optimising", unit="view", shown=bool(run.mapper.n_passes)) as progress:
         for step in steps:
-            bar.total = step.n_steps
-            bar.update(step.step - bar.n)
-            bar.set_postfix_str(f"loss {step.loss:.4f}")
+            progress.show(step.step, total=step.n_steps, note=f"loss {step.loss:.4f}")
             if stop:
                 return

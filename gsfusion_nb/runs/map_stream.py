@@ -8,6 +8,7 @@ from typing import Literal
 from ..data import Sequence
 from ..data.stream import Policy
 from ..mapping.systems import Config, Mapper
+from ..progress import ProgressDisplay
 from ..types import Frame
 from .map_sequence import FinishedRun, drive
 from .mapping_run import MappingRun, StopRequest, new_folder
@@ -61,19 +62,17 @@ def map_stream(
 
 
 def _with_progress(run: MappingRun, stop: StopRequest) -> None:
-    from tqdm.auto import tqdm
-
     assert isinstance(run, StreamRun)
     run.until = lambda: bool(stop)
     seconds = 0.0
-    with tqdm(desc="mapping", unit="frame") as bar, contextlib.closing(run.online()) as reports:
+    with ProgressDisplay("mapping", unit="frame") as progress, contextlib.closing(run.online()) as reports:
         for n, report in enumerate(reports, start=1):
             seconds += report.total_seconds
-            bar.update()
             dropped = run.extra_metrics()["n_frames_dropped"]
-            bar.set_postfix_str(
+            note = (
                 f"{n / max(seconds, 1e-9):.1f} fps, PSNR {report.psnr_after_db:.1f} dB, "
                 f"{report.n_gaussians:,} Gaussians, {dropped} frames dropped"
             )
+            progress.show(n, note=note)
             if stop:
                 return

@@ -14,6 +14,7 @@ from ..constants import OPAQUE_ALPHA
 from ..data import open_sequence
 from ..gaussians import SurfelModel
 from ..mapping.surfel_optimiser import SurfelOptimiser, View
+from ..progress import ProgressDisplay
 from ..render import view_surface
 from ..seeding import SeedContext, apply_rule
 from ..types import Frame
@@ -96,12 +97,10 @@ def fit_images(
     frames: Iterable[Frame], counts: Iterable[int] = COUNTS, *, steps: int = STEPS, show_progress: bool = False
 ) -> list[FitRow]:
     """Every image with every number of Gaussians by every method."""
-    from tqdm import tqdm
-
     frames = list(frames)
     cases = [(f, n, method) for n in counts for method in METHODS for f in frames]
-    bar = tqdm(cases, desc="fitting", unit="image", disable=not show_progress)
-    return [fit_image(f, n, method, steps=steps) for f, n, method in bar]
+    with ProgressDisplay("fitting", total=len(cases), unit="image", shown=show_progress) as progress:
+        return [fit_image(f, n, method, steps=steps) for f, n, method in progress.over(cases)]
 
 
 def summary(rows: list[FitRow]) -> dict[str, dict[int, dict[str, float]]]:

@@ -14,6 +14,7 @@ from ..config import replace as replaced
 from ..data import OpenedSequence, open_sequence
 from ..drawing.html import fill
 from ..evaluation import ImageScores, NotComputed, score_views
+from ..progress import ProgressDisplay
 from ..runs import MappingRun
 from ..seeding import SeedingRule, get_rule, rule_name
 from .pareto import pareto_figure, pareto_front
@@ -281,25 +282,13 @@ def compare_rules(
         KeyError, TypeError, ValueError: as ``Contest``. A rule that raises while mapping stands in ``failed`` instead.
     """
     contest = Contest(rules, data, config)
-    report, close = (on_progress, lambda: None) if on_progress else _progress_bar()
-    try:
-        for progress in contest.steps():
-            if report(progress):
-                break
-    except KeyboardInterrupt:
-        pass
-    finally:
-        close()
+    with ProgressDisplay("contest", total=100, leave=False, shown=on_progress is None) as display:
+        try:
+            for progress in contest.steps():
+                note = f"{progress.rule} {progress.frame}/{progress.n_frames}"
+                display.show(round(100 * progress.share), note=note)
+                if on_progress is not None and on_progress(progress):
+                    break
+        except KeyboardInterrupt:
+            pass
     return contest.board
-
-
-def _progress_bar() -> tuple[Callable[[Progress], None], Callable[[], None]]:
-    from tqdm.auto import tqdm
-
-    bar = tqdm(total=100, bar_format="{l_bar}{bar}| {elapsed}", leave=False)
-
-    def show(progress: Progress) -> None:
-        bar.set_description_str(f"{progress.rule} {progress.frame}/{progress.n_frames}", refresh=False)
-        bar.update(round(100 * progress.share) - bar.n)
-
-    return show, bar.close

@@ -8,8 +8,6 @@ import pytest
 from gsfusion_nb.data import SequenceNotFoundError
 from gsfusion_nb.runs.live_command import live
 
-pytestmark = pytest.mark.filterwarnings("ignore::tqdm.TqdmWarning")
-
 SETTINGS = ("tsdf.voxel_size_m=0.04", "optim.global_iterations=1", "sh_degree=0", "data.hold_out_every=0")
 
 

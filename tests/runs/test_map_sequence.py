@@ -19,8 +19,6 @@ from gsfusion_nb.types import Seeds
 FILES = {"gaussians.ply", "mesh.ply", "trajectory.txt", "config.json", "metrics.json", "report.html"}
 ROOM: dict[str, Any] = {"n_frames": 120, "width": 80, "height": 60}
 
-pytestmark = pytest.mark.filterwarnings("ignore::tqdm.TqdmWarning")
-
 
 class Damaged:
     """A sequence some of whose frames cannot be read."""

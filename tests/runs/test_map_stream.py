@@ -18,8 +18,6 @@ from gsfusion_nb.types import Frame
 
 FILES = {"gaussians.ply", "mesh.ply", "trajectory.txt", "config.json", "metrics.json", "report.html"}
 
-pytestmark = pytest.mark.filterwarnings("ignore::tqdm.TqdmWarning")
-
 
 @pytest.fixture(scope="module")
 def frames(small_room):

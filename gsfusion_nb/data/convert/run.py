@@ -13,6 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ...progress import ProgressDisplay
 from ...types import Camera
 from ..lens import CameraModel
 from ..protocol import BadFrameError, SequenceError
@@ -188,12 +189,10 @@ class _Conversion:
 
     def run(self, progress: bool) -> None:
         """Convert what the journal does not have yet."""
-        from tqdm import tqdm
-
-        shots = tqdm(self._recording.shots(), total=self._recording.n_shots, disable=not progress, unit="frame")
-        for i, shot in enumerate(shots):
-            if i % self._options.every == 0 and i // self._options.every >= self._staging.resumed:
-                self._convert(i, shot)
+        with ProgressDisplay("converting", total=self._recording.n_shots, unit="frame", shown=progress) as shown:
+            for i, shot in enumerate(shown.over(self._recording.shots())):
+                if i % self._options.every == 0 and i // self._options.every >= self._staging.resumed:
+                    self._convert(i, shot)
 
     def finish(self, format: str) -> ConvertReport:
         """Put the result in place and report on it."""

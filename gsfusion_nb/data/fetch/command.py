@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from ...progress import ProgressDisplay
 from .obtain import Terms as Terms
 
 
@@ -57,13 +58,6 @@ def run(name: str, script: Callable[[], object]) -> int:
 
 @contextmanager
 def counting(unit: str) -> Iterator[Callable[[int, int], object]]:
-    """A progress bar for a loop that tells how many it has done of how many, where a person looks on."""
-    from tqdm import tqdm
-
-    with tqdm(disable=None, unit=unit) as bar:
-
-        def progress(done: int, count: int) -> None:
-            bar.total = count
-            bar.update(done - bar.n)
-
-        yield progress
+    """Show the progress of a loop that tells how many it has done of how many."""
+    with ProgressDisplay("written", unit=unit) as display:
+        yield lambda done, count: display.show(done, total=count)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from ...progress import ProgressDisplay
 from .archive.unpack import unpack
 from .archive.unpacker import Limits
 from .checksum import verify
@@ -90,7 +91,7 @@ def _fetch(plan: Plan, item: Item, file: Path, terms: Terms) -> Obtained:
     """Download a file and compare it; one that does not compare is fetched once more."""
     url = item.url(terms.mirror)
     for attempt in (1, 2):
-        with _bar(file) as progress:
+        with _shown(file) as progress:
             download(url, file, max_bytes=_most(plan, item), transfer=terms.transfer, progress=progress)
         if not item.checksum:
             break
@@ -148,14 +149,6 @@ def _file_name(url: str) -> str:
 
 
 @contextlib.contextmanager
-def _bar(file: Path) -> Iterator[Progress]:
-    """A progress bar where a person looks on."""
-    from tqdm import tqdm
-
-    with tqdm(desc=file.name[9:], unit="B", unit_scale=True, disable=None, leave=False) as bar:
-
-        def progress(done: int, total: int | None) -> None:
-            bar.total = total
-            bar.update(done - bar.n)
-
-        yield progress
+def _shown(file: Path) -> Iterator[Progress]:
+    with ProgressDisplay(file.name[9:], unit="B", leave=False) as display:
+        yield lambda done, total: display.show(done, total=total)
