@@ -13,15 +13,35 @@ def normalise(quat: Float[Tensor, "*B 4"]) -> Float[Tensor, "*B 4"]:
 def to_matrix(quat: Float[Tensor, "*B 4"]) -> Float[Tensor, "*B 3 3"]:
     """Rotation matrix of a quaternion, normalised first. Differentiable: yes."""
     w, x, y, z = normalise(quat).unbind(-1)
-    R = torch.stack(
-        [
-            1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-            2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-            2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
-        ],
-        dim=-1,
+    return _matrix(
+        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
     )  # fmt: skip
-    return R.reshape(*quat.shape[:-1], 3, 3)
+
+
+def to_matrix_vjp(quat: Float[Tensor, "*B 4"], v_R: Float[Tensor, "*B 3 3"]) -> Float[Tensor, "*B 4"]:
+    """Gradient of ``to_matrix``: dL/dq from dL/dR, with q the unit quaternion of ``quat``.
+
+        v_k = sum_ij v_R[i, j] dR[i, j] / dq_k,     v_quat = (v - q (q . v)) / |quat|
+
+    Source: Kerbl et al. 2023, appendix A (the derivatives of R); the second formula is that of the normalisation.
+    """
+    norm = quat.norm(dim=-1, keepdim=True).clamp_min(1e-12)
+    q = quat / norm
+    w, x, y, z = q.unbind(-1)
+    o = torch.zeros_like(w)
+    dR_dw = 2 * _matrix(o, -z, y, z, o, -x, -y, x, o)
+    dR_dx = 2 * _matrix(o, y, z, y, -2 * x, -w, z, w, -2 * x)
+    dR_dy = 2 * _matrix(-2 * y, x, w, x, o, z, -w, z, -2 * y)
+    dR_dz = 2 * _matrix(-2 * z, -w, x, w, -2 * z, y, x, y, o)
+    v = torch.stack([(v_R * dR).sum((-2, -1)) for dR in (dR_dw, dR_dx, dR_dy, dR_dz)], dim=-1)
+    return (v - q * (q * v).sum(-1, keepdim=True)) / norm
+
+
+def _matrix(*entries: Tensor) -> Tensor:
+    """3x3 matrices from nine entries, row by row."""
+    return torch.stack(entries, dim=-1).unflatten(-1, (3, 3))
 
 
 def from_matrix(R: Float[Tensor, "*B 3 3"]) -> Float[Tensor, "*B 4"]:

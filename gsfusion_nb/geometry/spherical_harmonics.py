@@ -1,4 +1,4 @@
-"""View-dependent colour as real spherical harmonics up to degree 3: value, and gradient written out.
+"""View-dependent colour as real spherical harmonics (SH) up to degree 3: value and gradient.
 
 Sign and order of the basis are those of Kerbl et al. 2023: public viewers read the coefficients as they are.
 """
@@ -7,7 +7,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ..backends import op
 from ..constants import SH_C0
 
 C1 = 0.4886025119029199  # sqrt(3 / 4 pi)
@@ -26,7 +25,7 @@ def sh_basis(dirs: Float[Tensor, "N 3"], degree: int) -> Float[Tensor, "N K"]:
     Raises:
         ValueError: for another degree.
 
-    Differentiable: yes; ``sh_basis_vjp`` is its gradient.
+    Differentiable: yes; ``sh_basis_gradient`` has its derivatives.
     """
     _check_degree(degree)
     x, y, z = dirs.unbind(-1)
@@ -50,32 +49,36 @@ def sh_basis(dirs: Float[Tensor, "N 3"], degree: int) -> Float[Tensor, "N K"]:
     return torch.stack(Y, dim=-1)
 
 
-def sh_basis_vjp(dirs: Float[Tensor, "N 3"], degree: int, v_basis: Float[Tensor, "N K"]) -> Float[Tensor, "N 3"]:
-    """dL/d dirs from dL/dY: the sum over k of v_k times the gradient of the polynomial Y_k of ``sh_basis``."""
+def sh_basis_gradient(dirs: Float[Tensor, "N 3"], degree: int) -> Float[Tensor, "N K 3"]:
+    """The derivatives of ``sh_basis``: row k holds (dY_k/dx, dY_k/dy, dY_k/dz) of the polynomial Y_k."""
     _check_degree(degree)
-    x, y, z = dirs.T.contiguous()
-    v = v_basis.T.contiguous()
-    vx, vy, vz = torch.zeros_like(x), torch.zeros_like(x), torch.zeros_like(x)
+    x, y, z = dirs.unbind(-1)
+    o = torch.zeros_like(x)
+    dY = [(o, o, o)]
     if degree >= 1:
-        vx, vy, vz = -C1 * v[3], -C1 * v[1], C1 * v[2]
+        dY += [(o, o - C1, o), (o, o, o + C1), (o - C1, o, o)]
     if degree >= 2:
-        a, b, c, d, e = C2[0] * v[4], C2[0] * v[5], 2 * C2[1] * v[6], C2[0] * v[7], 2 * C2[2] * v[8]
-        vx = vx + a * y - c * x - d * z + e * x
-        vy = vy + a * x - b * z - c * y - e * y
-        vz = vz - b * y + 2 * c * z - d * x
+        dY += [
+            (C2[0] * y, C2[0] * x, o),
+            (o, -C2[0] * z, -C2[0] * y),
+            (-2 * C2[1] * x, -2 * C2[1] * y, 4 * C2[1] * z),
+            (-C2[0] * z, o, -C2[0] * x),
+            (2 * C2[2] * x, -2 * C2[2] * y, o),
+        ]
     if degree >= 3:
-        xx, yy, zz, xy, yz, xz = x * x, y * y, z * z, x * y, y * z, x * z
-        a, b, c, d = C3[0] * v[9], C3[1] * v[10], C3[2] * v[11], 3 * C3[3] * v[12]
-        e, f, g = C3[2] * v[13], C3[4] * v[14], C3[0] * v[15]
-        vx = vx - 6 * a * xy + b * yz + 2 * c * xy - 2 * d * xz - e * (4 * zz - 3 * xx - yy) + 2 * f * xz
-        vx = vx - 3 * g * (xx - yy)
-        vy = vy - 3 * a * (xx - yy) + b * xz - c * (4 * zz - xx - 3 * yy) - 2 * d * yz + 2 * e * xy - 2 * f * yz
-        vy = vy + 6 * g * xy
-        vz = vz + b * xy - 8 * c * yz + d * (2 * zz - xx - yy) - 8 * e * xz + f * (xx - yy)
-    return torch.stack([vx, vy, vz], dim=-1)
+        xx, yy, zz = x * x, y * y, z * z
+        dY += [
+            (-6 * C3[0] * x * y, -3 * C3[0] * (xx - yy), o),
+            (C3[1] * y * z, C3[1] * x * z, C3[1] * x * y),
+            (2 * C3[2] * x * y, -C3[2] * (4 * zz - xx - 3 * yy), -8 * C3[2] * y * z),
+            (-6 * C3[3] * x * z, -6 * C3[3] * y * z, 3 * C3[3] * (2 * zz - xx - yy)),
+            (-C3[2] * (4 * zz - 3 * xx - yy), 2 * C3[2] * x * y, -8 * C3[2] * x * z),
+            (2 * C3[4] * x * z, -2 * C3[4] * y * z, C3[4] * (xx - yy)),
+            (-3 * C3[0] * (xx - yy), 6 * C3[0] * x * y, o),
+        ]
+    return torch.stack([torch.stack(row, dim=-1) for row in dY], dim=1)
 
 
-@op("harmonics")
 def sh_to_rgb(
     sh: Float[Tensor, "N K 3"], xyz_W: Float[Tensor, "N 3"], camera_centre_W: Float[Tensor, " 3"]
 ) -> Float[Tensor, "N 3"]:
@@ -91,30 +94,25 @@ def sh_to_rgb(
 
     Differentiable: ``sh_to_rgb_vjp`` (zero where the colour is clamped). Source: Kerbl et al. 2023, section 5.
     """
-    return _linear_colour(sh, xyz_W, camera_centre_W)[0].clamp_(min=0.0)
+    d, _ = _direction(xyz_W, camera_centre_W)
+    Y = sh_basis(d, _degree(sh))
+    return (0.5 + torch.einsum("nk,nkc->nc", Y, sh)).clamp(min=0.0)
 
 
-@op("harmonics")
 def sh_to_rgb_vjp(
     sh: Float[Tensor, "N K 3"],
     xyz_W: Float[Tensor, "N 3"],
     camera_centre_W: Float[Tensor, " 3"],
     v_rgb: Float[Tensor, "N 3"],
 ) -> tuple[Float[Tensor, "N K 3"], Float[Tensor, "N 3"]]:
-    """Gradient of ``sh_to_rgb``: ``(v_sh, v_xyz_W)``.
-
-    dL/dsh_k = Y_k v;  dL/dd = sum_k (sh_k . v) grad Y_k;  dL/dx = (v_d - d (d . v_d)) / |x - o|.
-    v is v_rgb, but zero where the colour was clamped.
-    """
-    colour, basis, dirs, distance = _linear_colour(sh, xyz_W, camera_centre_W)
-    v = v_rgb * (colour >= 0)
-    v_sh = basis[:, :, None] * v[:, None, :]
-    degree = _degree(sh)
-    if degree == 0:
-        return v_sh, torch.zeros_like(xyz_W)
-    v_dirs = sh_basis_vjp(dirs, degree, torch.bmm(sh, v[:, :, None]).squeeze(-1))
-    along = (dirs * v_dirs).sum(-1, keepdim=True)
-    return v_sh, (v_dirs - dirs * along) / distance
+    """Gradient of ``sh_to_rgb``: ``(v_sh, v_xyz_W)``."""
+    d, distance = _direction(xyz_W, camera_centre_W)
+    Y, dY = sh_basis(d, _degree(sh)), sh_basis_gradient(d, _degree(sh))
+    v = torch.where(0.5 + torch.einsum("nk,nkc->nc", Y, sh) >= 0, v_rgb, 0.0)  # no gradient where clamped
+    v_sh = Y[:, :, None] * v[:, None, :]  # dL/dsh_k = Y_k v
+    v_d = torch.einsum("nkc,nc,nkx->nx", sh, v, dY)  # dL/dd = sum_k (sh_k . v) dY_k/dd
+    v_xyz_W = (v_d - d * (d * v_d).sum(-1, keepdim=True)) / distance  # dd/dx = (I - d d^T) / |x - o|
+    return v_sh, v_xyz_W
 
 
 def rgb_to_sh_dc(rgb: Float[Tensor, "*N 3"]) -> Float[Tensor, "*N 3"]:
@@ -122,14 +120,11 @@ def rgb_to_sh_dc(rgb: Float[Tensor, "*N 3"]) -> Float[Tensor, "*N 3"]:
     return (rgb - 0.5) / SH_C0
 
 
-def _linear_colour(sh: Tensor, xyz_W: Tensor, camera_centre_W: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Colour before the clamp, with the basis, the directions and the distances that made it."""
+def _direction(xyz_W: Tensor, camera_centre_W: Tensor) -> tuple[Tensor, Tensor]:
+    """Unit vector from the camera to each Gaussian, and the distance [N, 1]."""
     offset = xyz_W - camera_centre_W
     distance = offset.norm(dim=-1, keepdim=True).clamp_min(1e-12)  # a Gaussian in the camera's centre is not drawn
-    dirs = offset / distance
-    basis = sh_basis(dirs, _degree(sh))
-    colour = torch.bmm(basis[:, None, :], sh).squeeze(1) + 0.5
-    return colour, basis, dirs, distance
+    return offset / distance, distance
 
 
 def _degree(sh: Tensor) -> int:

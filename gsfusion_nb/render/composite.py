@@ -1,4 +1,4 @@
-"""Front-to-back blending of the sorted Gaussians of each tile, and its gradient written out.
+"""Front-to-back blending of the sorted Gaussians of each tile, and its gradient.
 
 For the k-th Gaussian of a pixel, nearest first, with (dx, dy) = pixel centre - (u, v):
 
@@ -6,48 +6,40 @@ For the k-th Gaussian of a pixel, nearest first, with (dx, dy) = pixel centre - 
     alpha_k = min(0.99, o_k exp(-sigma_k)),  0 where that is below 1/255
     T_k     = prod_{j<k} (1 - alpha_j)        the light that is left
     w_k     = alpha_k T_k,  0 from the first k on with T_{k+1} < 1e-4
-    C       = sum_k w_k c_k                   c = (r, g, b, z, 1): colour, depth and alpha are channels alike
+    C       = sum_k w_k c_k                   c = (r, g, b, z, 1): colour, depth and alpha are blended alike
 
     dL/dc_k     = w_k v_C
     dL/dalpha_k = T_k (c_k . v_C) - S_k / (1 - alpha_k),   S_k = sum_{j>k} w_j (c_j . v_C)
 
-Source: Kerbl et al. 2023, eq. 2-3 and section 6.
+Source: Kerbl et al. 2023, Eq. 3-4 and section 6 (0.99, 1/255, 1e-4); RTG-SLAM Eq. 1-3; GSFusion Eq. 3 and 11.
 
-Arrays are [K, n, P]: K entries along the list, n tiles, P pixels of a tile (``chunks``). Sigma, sums over Gaussians and
-sums over pixels are matrix products (``entries``). The gradient goes through the same chunks backwards and makes alpha
-and T again instead of having saved them.
+Arrays are [K, P]: the K Gaussians of a tile, nearest first, at its P pixels.
 """
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from ..backends import op
+from ..backends import Record, op
 from ..checks import check_positive
 from ..constants import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
 from ..types import Camera
-from .chunks import NO_HIT, Chunk, Scratch, cut_into_chunks, image_to_tiles, tiles_to_image
-from .entries import Entries, entries_vjp, list_entries, pixel_functions
 from .tiles import TileLists
-
-_NOT_DRAWN = -2
-"""In place of a row: the pixel is none of the picture's, or not wanted, and looks for no hit."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class CompositeSaved:
-    """What ``composite_vjp`` needs of the forward pass."""
+class CompositeSaved(Record):
+    """What ``composite_vjp`` needs of the forward pass: its inputs."""
 
-    tiles: TileLists
-    entries: Entries
+    uv: Float[Tensor, "N 2"]
+    conic: Float[Tensor, "N 3"]
     opacity: Float[Tensor, " N"]
-    channels: Float[Tensor, "N 5"]
+    c: Float[Tensor, "N 5"]
     """r, g, b, z, 1 of each Gaussian."""
-    chunks: list[Chunk]
-    """In the order they were blended."""
+    tiles: TileLists
+    camera: Camera
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -63,10 +55,10 @@ class CompositeOutput:
     first_index: Int[Tensor, "H W"] | None
     """Row of the first Gaussian with w > 0, or -1. ``None`` if not asked for."""
     dominant_index: Int[Tensor, "H W"] | None
-    """Row of the Gaussian with the largest w (the nearest of equals), or -1."""
+    """Row of the Gaussian with the largest w (the nearest of equals), or -1. ``None`` if not asked for."""
     hit_index: Int[Tensor, "H W"] | None
     """Row of the first Gaussian with alpha >= ``opaque_alpha``, blended or not, or -1. ``None`` if not asked for."""
-    saved: CompositeSaved
+    saved: Record
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -102,47 +94,34 @@ def composite(
         camera: Gives the image size.
         with_indices: Also find the first and the dominant Gaussian of each pixel.
         opaque_alpha: If given, also find the first Gaussian whose alpha at the pixel reaches it, even behind the point
-            where the pixel stops (Peng et al. 2024, RTG-SLAM, section 3.1).
+            where the pixel stops (RTG-SLAM, section 3.1).
 
     Differentiable: ``composite_vjp``.
     """
     if opaque_alpha is not None:
         check_positive("opaque_alpha", opaque_alpha)
-    entries = list_entries(tiles, uv, conic, opacity)
-    channels = torch.cat([rgb, depth_m[:, None], torch.ones_like(depth_m)[:, None]], dim=1)
-    saved = CompositeSaved(tiles=tiles, entries=entries, opacity=opacity, channels=channels, chunks=[])
-    functions, scratch = pixel_functions(tiles, uv), Scratch(uv)
-    count, P = tiles.tiles_x * tiles.tiles_y, tiles.tile_px**2
-    T = image_to_tiles(_light(tiles, camera, uv), tiles).squeeze(1)  # 0 beyond the border
-    C = uv.new_zeros(count, 5 * P)
-    ranks = PixelRanks(uv.new_zeros(3, count, P)) if with_indices else None
-    hit = None if opaque_alpha is None else torch.where(T > 0, NO_HIT, _NOT_DRAWN)
-    for chunk in cut_into_chunks(tiles, T, hit):
-        alpha = _alpha(chunk, entries, functions, scratch)
-        if hit is not None and opaque_alpha is not None:
-            _find_hits(hit, chunk, entries, alpha >= opaque_alpha)
-        T_k = _transmittance(alpha, chunk, scratch)
-        w = torch.mul(alpha, T_k[:-1], out=scratch("w", *alpha.shape))
-        c = _channels_of(chunk, saved)
-        C.index_add_(0, chunk.tile, torch.bmm(c.permute(1, 2, 0), w.permute(1, 0, 2)).flatten(1))  # C += sum_k w_k c_k
-        T.index_copy_(0, chunk.tile, T_k[-1])
-        if ranks is not None:
-            ranks.update(chunk, w, T_k, alpha)
-        saved.chunks.append(chunk)
-
-    C = C.view(count, 5, P)
-    image = tiles_to_image(C, tiles, camera)
-    first = dominant = None
-    if ranks is not None:
-        first, dominant = tiles_to_image(ranks.rows(tiles, C[:, 4] > 0), tiles, camera).permute(2, 0, 1).contiguous()
+    c = torch.cat([rgb, depth_m[:, None], torch.ones_like(depth_m)[:, None]], dim=1)
+    C = uv.new_zeros(camera.height, camera.width, 5)
+    first, dominant, hit = (tiles.gaussian.new_full(C.shape[:2], -1) for _ in range(3))
+    for tile in range(tiles.tiles_x * tiles.tiles_y):
+        k, (y, x) = tiles.gaussians_of(tile), tiles.pixels_of(tile, camera)
+        if len(k) == 0:
+            continue
+        alpha, _, _ = _alpha(uv[k], conic[k], opacity[k], x, y)
+        _, w = _weights(alpha)
+        C[y, x] = w.T @ c[k]  # C = sum_k c_k alpha_k T_k: Kerbl Eq. 3, RTG-SLAM Eq. 1, GSFusion Eq. 11
+        first[y, x] = _nearest(w > 0, k)
+        dominant[y, x] = _nearest((w > 0) & (w == w.amax(dim=0)), k)
+        if opaque_alpha is not None:
+            hit[y, x] = _nearest(alpha >= opaque_alpha, k)  # the Gaussian that the ray meets: RTG-SLAM, above Eq. 4
     return CompositeOutput(
-        rgb=image[..., :3].contiguous(),
-        depth_m=image[..., 3].contiguous(),
-        alpha=image[..., 4].contiguous(),
-        first_index=first,
-        dominant_index=dominant,
-        hit_index=None if hit is None else tiles_to_image(hit[:, None], tiles, camera).squeeze(-1).clamp(min=NO_HIT),
-        saved=saved,
+        rgb=C[..., :3],
+        depth_m=C[..., 3],
+        alpha=C[..., 4],
+        first_index=first if with_indices else None,
+        dominant_index=dominant if with_indices else None,
+        hit_index=None if opaque_alpha is None else hit,
+        saved=CompositeSaved(uv=uv, conic=conic, opacity=opacity, c=c, tiles=tiles, camera=camera),
     )
 
 
@@ -155,131 +134,60 @@ def composite_vjp(
 ) -> CompositeGradient:
     """Gradient of ``composite`` to everything it blends (equations at the top of this file).
 
-    It is the derivative of the forward: zero where alpha is clamped at 0.99 or cut at 1/255. (The released rasteriser
-    lets the gradient through the 0.99 clamp.)
+    It is the derivative of the forward: zero where alpha is clamped at 0.99 or cut at 1/255. (The code released with
+    Kerbl et al. 2023 lets the gradient through the 0.99 clamp.)
 
     Args:
         saved: ``CompositeOutput.saved``.
         v_rgb, v_depth_m, v_alpha: dL/d of the images; ``None`` is zero. Of pixels that were not drawn it is not used.
     """
-    tiles, entries, P = saved.tiles, saved.entries, saved.tiles.tile_px**2
+    uv, conic, opacity, c = saved.uv, saved.conic, saved.opacity, saved.c
     v_depth_m, v_alpha = (torch.zeros_like(v_rgb[..., 0]) if v is None else v for v in (v_depth_m, v_alpha))
     v_image = torch.cat([v_rgb, v_depth_m[..., None], v_alpha[..., None]], dim=-1)
-    if tiles.pixels is not None:
-        v_image = torch.where(tiles.pixels[..., None], v_image, 0.0)
-    v_C = image_to_tiles(v_image, tiles).flatten(1)
-    functions, scratch = pixel_functions(tiles, v_C), Scratch(v_C)
-    some_clamped = bool((saved.opacity > ALPHA_MAX).any())
-    S_behind = v_C.new_zeros(len(v_C), P)
-    v_poly, v_channels = torch.zeros_like(entries.poly), torch.zeros_like(saved.channels)
-    for chunk in reversed(saved.chunks):
-        K, n = chunk.entry.shape
-        alpha = _alpha(chunk, entries, functions, scratch)
-        T_k = _transmittance(alpha, chunk, scratch)
-        w = torch.mul(alpha, T_k[:-1], out=scratch("w", K, n, P))
-        v = v_C.index_select(0, chunk.tile).view(n, 5, P)
-        v_c = torch.bmm(v, w.permute(1, 2, 0))  # dL/dc_k = w_k v_C, summed over the pixels
-        v_channels.index_add_(0, _rows_of(chunk, entries), v_c.permute(2, 0, 1).reshape(-1, 5))
-
-        cv = torch.bmm(_channels_of(chunk, saved).permute(1, 0, 2), v, out=scratch("cv", n, K, P)).permute(1, 0, 2)
-        w_cv = torch.mul(w, cv, out=scratch("w_cv", K, n, P))  # w_k (c_k . v_C)
-        S = _behind(w_cv, S_behind.index_select(0, chunk.tile), scratch("S", K, n, P))
-        S_behind.index_copy_(0, chunk.tile, S[0] + w_cv[0])
-        # alpha dL/dalpha = w (c . v_C) - S alpha / (1 - alpha),  and alpha_k / (1 - alpha_k) = w_k / T_{k+1}
-        v_ln_alpha = w_cv.addcmul_(w.div_(T_k[1:]), S, value=-1)
-        if some_clamped:
-            v_ln_alpha.masked_fill_(alpha >= ALPHA_MAX, 0.0)
-        v_poly.index_copy_(0, chunk.entry.flatten(), v_ln_alpha.view(-1, P) @ functions.T)
-
-    v_ellipse = entries_vjp(entries, v_poly, saved.opacity)
-    return CompositeGradient(
-        uv=v_ellipse[:, :2],
-        conic=v_ellipse[:, 2:5],
-        opacity=v_ellipse[:, 5],
-        rgb=v_channels[:, :3],
-        depth_m=v_channels[:, 3],
-    )
+    v_uv, v_conic, v_opacity, v_c = (torch.zeros_like(value) for value in (uv, conic, opacity, c))
+    for tile in range(saved.tiles.tiles_x * saved.tiles.tiles_y):
+        k, (y, x) = saved.tiles.gaussians_of(tile), saved.tiles.pixels_of(tile, saved.camera)
+        alpha, dx, dy = _alpha(uv[k], conic[k], opacity[k], x, y)
+        T, w = _weights(alpha)
+        v_C = v_image[y, x]
+        # C = sum_k w_k c_k
+        v_c[k] += w @ v_C
+        # w_k = alpha_k T_k, and every T_j behind has the factor 1 - alpha_k
+        c_dot_v = c[k] @ v_C.T
+        S = _sum_behind(w * c_dot_v)
+        moves = (w > 0) & (alpha < ALPHA_MAX)
+        v_alpha_k = torch.where(moves, T * c_dot_v - S / (1 - alpha), 0.0)
+        # alpha = o exp(-sigma)
+        v_opacity[k] += (v_alpha_k * alpha).sum(1) / opacity[k]
+        v_sigma = -v_alpha_k * alpha
+        # sigma = (A dx^2 + C dy^2) / 2 + B dx dy,  (dx, dy) = pixel centre - (u, v)
+        A, B, C = conic[k, :, None].unbind(1)
+        v_uv[k] -= torch.stack([v_sigma * (A * dx + B * dy), v_sigma * (B * dx + C * dy)], dim=1).sum(2)
+        v_conic[k] += torch.stack([v_sigma * dx * dx / 2, v_sigma * dx * dy, v_sigma * dy * dy / 2], dim=1).sum(2)
+    return CompositeGradient(uv=v_uv, conic=v_conic, opacity=v_opacity, rgb=v_c[:, :3], depth_m=v_c[:, 3])
 
 
-def _light(tiles: TileLists, camera: Camera, like: Tensor) -> Tensor:
-    """1 at the pixels to be drawn, 0 at the others. [H, W, 1]"""
-    if tiles.pixels is None:
-        return like.new_ones(camera.height, camera.width, 1)
-    return tiles.pixels[..., None].to(like)
+def _alpha(uv: Tensor, conic: Tensor, opacity: Tensor, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """alpha [K, P] of K Gaussians at the pixels in columns ``x`` and rows ``y`` (RTG-SLAM Eq. 2), and dx, dy."""
+    dx, dy = x + 0.5 - uv[:, :1], y + 0.5 - uv[:, 1:]
+    A, B, C = conic[:, :, None].unbind(1)
+    sigma = (A * dx * dx + C * dy * dy) / 2 + B * dx * dy  # (u - mu)^T Sigma'^-1 (u - mu) / 2: GSFusion Eq. 3
+    alpha = (opacity[:, None] * torch.exp(-sigma)).clamp(max=ALPHA_MAX)
+    return torch.where(alpha >= ALPHA_MIN, alpha, 0.0), dx, dy
 
 
-def _alpha(chunk: Chunk, entries: Entries, functions: Tensor, scratch: Scratch) -> Tensor:
-    """alpha_k [K, n, P] of a chunk, whether the pixel has stopped or not."""
-    K, n, P = *chunk.entry.shape, functions.shape[1]
-    alpha = scratch("alpha", K, n, P)
-    torch.mm(entries.poly.index_select(0, chunk.entry.flatten()), functions, out=alpha.view(-1, P))  # ln o - sigma
-    alpha.clamp_min_(-20.0).exp_().clamp_max_(ALPHA_MAX)  # exp is slow where it underflows, and e^-20 is cut as well
-    return torch.threshold_(alpha, ALPHA_MIN, 0.0)
+def _weights(alpha: Float[Tensor, "K P"]) -> tuple[Float[Tensor, "K P"], Float[Tensor, "K P"]]:
+    """T_k and w_k; the pixel stops before the Gaussian behind which less than 1e-4 of the light would be left."""
+    T_behind = (1 - alpha).cumprod(dim=0)  # RTG-SLAM Eq. 3
+    T = torch.cat([torch.ones_like(alpha[:1]), T_behind[:-1]])
+    return T, torch.where(T_behind >= TRANSMITTANCE_MIN, alpha * T, 0.0)
 
 
-def _transmittance(alpha: Tensor, chunk: Chunk, scratch: Scratch) -> Tensor:
-    """T_k [K + 1, n, P] of a chunk; ``alpha`` becomes zero where the pixel has stopped."""
-    K, n, P = alpha.shape
-    T = scratch("T", K + 1, n, P)
-    T[0] = chunk.T
-    torch.sub(1.0, alpha, out=T[1:])
-    for T_k, T_next in pairwise(T.unbind(0)):
-        T_next.mul_(T_k)  # T_{k+1} = T_k (1 - alpha_k)
-    if T[-1].min() < TRANSMITTANCE_MIN:
-        # T never rises, so T_{k+1} < 1e-4 means that the pixel stopped at k or before
-        alpha.mul_(torch.ge(T[1:], TRANSMITTANCE_MIN, out=scratch("w", K, n, P)))
-        T.clamp_min_(0.5 * TRANSMITTANCE_MIN)  # still stopped, and the gradient divides by it
-    return T
+def _sum_behind(value: Float[Tensor, "K P"]) -> Float[Tensor, "K P"]:
+    """sum_{j>k} value_j."""
+    return value.flip(0).cumsum(0).flip(0) - value
 
 
-def _behind(w_cv: Tensor, S_last: Tensor, S: Tensor) -> Tensor:
-    """S_k = sum_{j>k} w_j (c_j . v_C), written to ``S``, given the sum behind the chunk."""
-    S[-1] = S_last
-    S_k, w_cv_k = S.unbind(0), w_cv.unbind(0)
-    for k in range(len(S) - 1, 0, -1):
-        torch.add(S_k[k], w_cv_k[k], out=S_k[k - 1])
-    return S
-
-
-def _rows_of(chunk: Chunk, entries: Entries) -> Tensor:
-    return entries.row.index_select(0, chunk.entry.flatten())
-
-
-def _channels_of(chunk: Chunk, saved: CompositeSaved) -> Tensor:
-    """c_k of a chunk. [K, n, 5]"""
-    return saved.channels.index_select(0, _rows_of(chunk, saved.entries)).view(*chunk.entry.shape, 5)
-
-
-def _find_hits(hit: Tensor, chunk: Chunk, entries: Entries, opaque: Tensor) -> None:
-    """Write to ``hit`` [tiles, P] the rows of the first opaque Gaussians of pixels that had none before the chunk."""
-    rows = _rows_of(chunk, entries).view(chunk.entry.shape)
-    k = opaque.to(torch.uint8).argmax(0)  # of equals the first
-    before = hit.index_select(0, chunk.tile)
-    found = (before == NO_HIT) & opaque.any(0)
-    hit.index_copy_(0, chunk.tile, torch.where(found, rows.T.gather(1, k), before))
-
-
-class PixelRanks:
-    """Where in its tile's list each pixel's first and heaviest Gaussian stand, kept up to date chunk by chunk."""
-
-    def __init__(self, zeros: Float[Tensor, "3 tiles P"]):
-        self.first, self.dominant, self.heaviest = zeros
-
-    def update(self, chunk: Chunk, w: Tensor, T_k: Tensor, scratch: Tensor) -> None:
-        """Look at one more chunk. ``w`` and ``scratch`` are overwritten."""
-        tile, K = chunk.tile, len(w)
-        untouched = torch.floor(T_k[1:], out=scratch).sum(0)  # T is 1 until the first hit and below 1 from there on
-        self.first.index_add_(0, tile, untouched)
-        best = w.amax(0)
-        countdown = torch.arange(K, 0, -1, device=w.device, dtype=w.dtype)[:, None, None]
-        rank = chunk.first_rank + K - w.eq_(best).mul_(countdown).amax(0)  # of equals the nearest
-        before = self.heaviest.index_select(0, tile)
-        self.dominant.index_copy_(0, tile, torch.where(best > before, rank, self.dominant.index_select(0, tile)))
-        self.heaviest.index_copy_(0, tile, torch.maximum(best, before))
-
-    def rows(self, tiles: TileLists, hit: Tensor) -> Tensor:
-        """Rows of the first and the heaviest Gaussian, -1 where there is none. [tiles, 2, P]"""
-        row = torch.cat([tiles.gaussian, tiles.gaussian.new_zeros(1)])
-        place = torch.stack([self.first, self.dominant], dim=1).long() + tiles.offset[:-1, None, None]
-        rows = row.index_select(0, place.flatten().clamp_max(len(row) - 1)).view(place.shape)
-        return torch.where(hit[:, None], rows, -1)
+def _nearest(mask: Bool[Tensor, "K P"], gaussian: Int[Tensor, " K"]) -> Int[Tensor, " P"]:
+    """The first Gaussian of each pixel for which the mask is true, or -1."""
+    return torch.where(mask.any(dim=0), gaussian[mask.int().argmax(dim=0)], -1)

@@ -1,7 +1,7 @@
-"""Disc depth: an opaque Gaussian as a flat disc that the pixel's ray either meets or not, and its gradient written out.
+"""Disc depth: an opaque Gaussian as a flat disc that the ray of a pixel meets, and its gradient.
 
-Camera frame: ray r = ((x - cx)/fx, (y - cy)/fy, 1) through the pixel centre; of the Gaussian that it hits, p the centre
-and n the axis of the smallest scale, n = R_CW R_q e.
+In the camera frame, for the ray r = K^-1 (u, v, 1) and the Gaussian that it hits, with p the centre and n = R_CW R_q e
+the axis of the smallest scale:
 
     z = (p . n) / (r . n)    if |r . n| / |r| >= min_cosine  and  z > 0  and  |z - p_z| <= max_offset * largest scale
     z = p_z                  otherwise
@@ -9,15 +9,8 @@ and n the axis of the smallest scale, n = R_CW R_q e.
     on the plane   dz/dp = n / (r . n),   dz/dn = (p - z r) / (r . n)
     at the centre  dz/dp = (0, 0, 1)
 
-With q = (w, u) of unit length and v_n turned to the world frame, n_W = (w^2 - u.u) e + 2 (u.e) u + 2 w u x e gives
-
-    v_w = 2 v_n . (w e + u x e)
-    v_u = 2 ((u . e) v_n + (u . v_n) e - (e . v_n) u + w e x v_n)
-
-and through the normalisation v_q = (v - q (q . v)) / |q|.
-
-Source: Peng et al. 2024 (RTG-SLAM), eq. 4-5. The test of the offset is the released code's, that of z > 0 is ours: a
-plane met behind the camera has no depth.
+Source: RTG-SLAM (Peng et al. 2024), Eq. 4-5. The test of the offset is that of the released code. The test of z > 0 is
+ours: a plane that is met behind the camera has no depth.
 """
 
 from dataclasses import dataclass
@@ -29,7 +22,7 @@ from torch import Tensor
 from ..backends import op
 from ..checks import check_mask, check_positive, check_shape
 from ..constants import DISC_MAX_OFFSET, DISC_MIN_COSINE
-from ..geometry import pixel_grid, quaternion, rays
+from ..geometry import pixel_grid, quaternion, rays, se3
 from ..types import Camera, GaussianParams
 
 
@@ -69,14 +62,15 @@ def disc_depth(
     Differentiable: ``disc_depth_vjp``.
     """
     check_discs(len(params), camera, hit_index, max_offset, min_cosine)
-    s = _meet(params, camera, T_WC, hit_index, max_offset, min_cosine)
-    H, W = hit_index.shape
-    depth = params.xyz_W.new_zeros(H * W).index_put((s.pixel,), s.z)
-    normal = params.xyz_W.new_zeros(H * W, 3)
-    away = ((s.p * s.n).sum(-1) > 0).unsqueeze(-1)
-    normal[s.pixel] = torch.where(away, -s.n, s.n).detach() @ T_WC[:3, :3].to(s.n).T
-    on_plane = torch.zeros_like(hit_index, dtype=torch.bool).flatten().index_put((s.pixel,), s.on_plane)
-    return DiscDepth(depth_m=depth.view(H, W), normal_W=normal.view(H, W, 3), on_plane=on_plane.view(H, W))
+    m = _meet(params, camera, T_WC, hit_index, max_offset, min_cosine)
+    hit = hit_index >= 0
+    depth_m, on_plane = params.xyz_W.new_zeros(hit.shape), torch.zeros_like(hit)
+    depth_m[hit], on_plane[hit] = m.z, m.on_plane
+    with torch.no_grad():
+        normal_W = params.xyz_W.new_zeros(*hit.shape, 3)
+        away = (m.p * m.n).sum(-1, keepdim=True) > 0
+        normal_W[hit] = torch.where(away, -m.n, m.n) @ m.R_WC.T
+    return DiscDepth(depth_m=depth_m, normal_W=normal_W, on_plane=on_plane)
 
 
 @op("disc_depth")
@@ -106,18 +100,18 @@ def disc_depth_vjp(
     check_discs(len(params), camera, hit_index, max_offset, min_cosine)
     if rows is not None:
         check_mask("rows", rows, (len(params),))
-        trained = torch.cat([rows, rows.new_zeros(1)])  # -1, no hit, names the last
-        hit_index = torch.where(trained[hit_index], hit_index, -1)
     with torch.no_grad():
-        s = _meet(params, camera, T_WC, hit_index, max_offset, min_cosine)
-        v = v_depth_m.to(s.z).flatten()[s.pixel]
-        v_plane = torch.where(s.on_plane, v / s.rn, 0.0)[:, None]
-        v_p = v_plane * s.n
-        v_p[:, 2] += torch.where(s.on_plane, 0.0, v)
-        v_n = v_plane * (s.p - s.z[:, None] * s.r)
-        v_p_W, v_n_W = s.z.new_zeros(len(params), 6).index_add_(0, s.row, torch.cat([v_p, v_n], dim=1)).split(3, dim=1)
-        R_WC = T_WC[:3, :3].to(s.z)
-        return v_p_W @ R_WC.T, _axis_vjp(params, v_n_W @ R_WC.T)
+        m = _meet(params, camera, T_WC, hit_index, max_offset, min_cosine)
+        v_z, on_plane = v_depth_m.to(m.z)[hit_index >= 0, None], m.on_plane[:, None]
+        # on the plane z = (p . n) / (r . n), else z = p_z
+        v_p = torch.where(on_plane, v_z * m.n / m.rn, v_z * m.n.new_tensor([0.0, 0.0, 1.0]))
+        v_n = torch.where(on_plane, v_z * (m.p - m.z[:, None] * m.r) / m.rn, 0.0)
+        # p = R_CW (x_W - t),  n = R_CW R_q e: every pixel adds to the Gaussian that it hits
+        v_xyz_W, v_n_W = (v.new_zeros(len(params), 3).index_add(0, m.row, v @ m.R_WC.T) for v in (v_p, v_n))
+        v_quat = quaternion.to_matrix_vjp(params.quat, v_n_W[:, :, None] * m.e[:, None, :])
+    if rows is not None:
+        v_xyz_W, v_quat = (torch.where(rows[:, None], v, 0.0) for v in (v_xyz_W, v_quat))
+    return v_xyz_W, v_quat
 
 
 def check_discs(count: int, camera: Camera, hit_index: Tensor, max_offset: float | None, min_cosine: float) -> None:
@@ -132,16 +126,21 @@ def check_discs(count: int, camera: Camera, hit_index: Tensor, max_offset: float
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Meeting:
-    """The M pixels that hit a disc, camera frame."""
+    """The M pixels that hit a disc, in the camera frame, where the R_g of RTG-SLAM is the identity and t_g is zero."""
 
-    pixel: Tensor  # [M] place in the flat image
-    row: Tensor  # [M]
-    r: Tensor  # [M, 3]
-    p: Tensor  # [M, 3]
-    n: Tensor  # [M, 3]
-    rn: Tensor  # [M] r . n, and 1 where it is too small
-    z: Tensor  # [M]
-    on_plane: Tensor  # [M]
+    R_WC: Float[Tensor, "3 3"]
+    e: Float[Tensor, "N 3"]
+    """Axis of the smallest scale, in the frame of each Gaussian."""
+    row: Int[Tensor, " M"]
+    """The Gaussian that each pixel hits."""
+    r: Float[Tensor, "M 3"]
+    """K^-1 u: ray with r_z = 1."""
+    p: Float[Tensor, "M 3"]
+    n: Float[Tensor, "M 3"]
+    rn: Float[Tensor, "M 1"]
+    """r . n; 1 where it is too small to divide by."""
+    z: Float[Tensor, " M"]
+    on_plane: Bool[Tensor, " M"]
 
 
 def _meet(
@@ -153,33 +152,19 @@ def _meet(
     min_cosine: float,
 ) -> _Meeting:
     T_WC = T_WC.to(params.xyz_W)
-    pixel = (hit_index.flatten() >= 0).nonzero().squeeze(1)
-    row = hit_index.flatten()[pixel].long()
-    r = rays(camera, pixel_grid(camera, device=T_WC.device, dtype=T_WC.dtype)).view(-1, 3)[pixel]
-    p = ((params.xyz_W - T_WC[:3, 3]) @ T_WC[:3, :3]).index_select(0, row)
-    columns = quaternion.to_matrix(params.quat).transpose(1, 2)
-    n_W = columns[torch.arange(len(params), device=row.device), params.log_scale.argmin(1)]
-    n = (n_W @ T_WC[:3, :3]).index_select(0, row)
+    T_CW, row = se3.inverse(T_WC), hit_index[hit_index >= 0].long()
+    e = torch.nn.functional.one_hot(params.log_scale.argmin(dim=1), 3).to(params.xyz_W)
+    n_W = (quaternion.to_matrix(params.quat) @ e[:, :, None]).squeeze(-1)
+    r = rays(camera, pixel_grid(camera, device=row.device, dtype=T_WC.dtype))[hit_index >= 0]
+    p, n = se3.apply(T_CW, params.xyz_W)[row], se3.rotate(T_CW, n_W)[row]
 
     rn = (r * n).sum(-1)
     on_plane = rn.abs() >= min_cosine * r.norm(dim=-1)
     rn = torch.where(on_plane, rn, 1.0)
-    z = (p * n).sum(-1) / rn
-    on_plane = on_plane & (z > 0)
+    theta = (p * n).sum(-1) / rn  # RTG-SLAM Eq. 4; the point theta r has depth theta, for r_z = 1
+    on_plane = on_plane & (theta > 0)
     if max_offset is not None:
-        reach = max_offset * params.log_scale.amax(1).exp()
-        on_plane = on_plane & ((z - p[:, 2]).abs() <= reach.index_select(0, row))
-    return _Meeting(pixel=pixel, row=row, r=r, p=p, n=n, rn=rn, z=torch.where(on_plane, z, p[:, 2]), on_plane=on_plane)
-
-
-def _axis_vjp(params: GaussianParams, v_n: Tensor) -> Tensor:
-    """Gradient of the axis of the smallest scale to the quaternion. [N, 4]"""
-    norm = params.quat.norm(dim=-1, keepdim=True).clamp_min(1e-12)
-    q = params.quat / norm
-    w, u = q.split([1, 3], dim=1)
-    e = torch.nn.functional.one_hot(params.log_scale.argmin(1), 3).to(q)
-    ue, uv, ev = ((a * b).sum(-1, keepdim=True) for a, b in ((u, e), (u, v_n), (e, v_n)))
-    v_w = 2 * (v_n * (w * e + torch.linalg.cross(u, e))).sum(-1, keepdim=True)
-    v_u = 2 * (ue * v_n + uv * e - ev * u + w * torch.linalg.cross(e, v_n))
-    v = torch.cat([v_w, v_u], dim=1)
-    return (v - q * (q * v).sum(-1, keepdim=True)) / norm
+        largest_scale = params.log_scale.amax(dim=1).exp()
+        on_plane = on_plane & ((theta - p[:, 2]).abs() <= max_offset * largest_scale[row])
+    z = torch.where(on_plane, theta, p[:, 2])  # RTG-SLAM Eq. 5
+    return _Meeting(R_WC=T_WC[:3, :3], e=e, row=row, r=r, p=p, n=n, rn=rn[:, None], z=z, on_plane=on_plane)

@@ -1,12 +1,7 @@
-"""From 3D Gaussians to 2D ones: elliptical weighted average (EWA) splatting, and its gradient written out.
+"""From 3D Gaussians to 2D ones: elliptical weighted average (EWA) splatting, and its gradient.
 
-    x_C = R x_W + t                                            R, t of T_CW
-    u = fx x/z + cx,  v = fy y/z + cy
-    J = [[fx/z, 0, -fx tx/z], [0, fy/z, -fy ty/z]]             tx, ty: x/z, y/z clamped to 1.3 half fields of view
-    M = J R R_q S  (2x3),   cov = M M^T + 0.3 I,   conic = cov^-1
-
-Source: Zwicker et al. 2002, eq. 25-31; Kerbl et al. 2023, eq. 5-6; blur, clamp and near plane as in its released code.
-Inside this file vectors are stored component first, [3, N], so that each line works on N contiguous numbers.
+Source: Zwicker et al. 2002, Eq. 25-31; Kerbl et al. 2023, Eq. 5-6 and appendix A; GSFusion Eq. 2-5. The low-pass filter
+of 0.3 px^2, the clamp in J and the near plane are those of the code released with Kerbl et al. 2023.
 """
 
 from dataclasses import dataclass
@@ -15,7 +10,6 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from ..backends import op
 from ..constants import ALPHA_MIN, FRUSTUM_CLAMP, NEAR_PLANE_M, SCREEN_BLUR_PX2
 from ..geometry import quaternion, se3
 from ..types import Camera, GaussianParams
@@ -49,15 +43,12 @@ class ProjectionGradient:
     opacity_logit: Float[Tensor, " N"]
 
 
-@op("project")
 def project_gaussians(params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> Projection:
-    """Project every Gaussian onto the image plane (equations at the top of this file).
-
-    extent = sqrt(2 ln(255 o) cov_uu), likewise for v: where o exp(-sigma) falls to 1/255.
+    """Project every Gaussian onto the image plane.
 
     Args:
         params: Gaussians before activation, N rows; the colour is not used.
-        camera: Pinhole camera. The clamp of J is symmetric about the image centre, whatever cx and cy are.
+        camera: Pinhole camera. The clamp in J is symmetric about the image centre, whatever cx and cy are.
         T_WC: Camera-to-world pose.
 
     Returns:
@@ -65,23 +56,22 @@ def project_gaussians(params: GaussianParams, camera: Camera, T_WC: Float[Tensor
 
     Differentiable: ``project_gaussians_vjp``.
     """
-    s = _project(params, camera, T_WC)
-    u = camera.fx * s.x_z + camera.cx
-    v = camera.fy * s.y_z + camera.cy
+    s = _splat(params, camera, T_WC)
+    u = camera.fx * s.x / s.z + camera.cx  # GSFusion Eq. 4
+    v = camera.fy * s.y / s.z + camera.cy
     opacity = params.opacity_logit.sigmoid()
-    visible = (s.depth_m > NEAR_PLANE_M) & (opacity >= ALPHA_MIN)
-    reach = 2.0 * (opacity / ALPHA_MIN).clamp_min(1.0).log()
+    reach = 2 * (opacity / ALPHA_MIN).clamp_min(1.0).log()  # o exp(-sigma) = 1/255 at 2 sigma = 2 ln(255 o)
+    variance = s.cov.diagonal(dim1=1, dim2=2)
     return Projection(
         uv=torch.stack([u, v], dim=-1),
-        conic=s.conic.T.contiguous(),
+        conic=torch.stack([s.Q[:, 0, 0], s.Q[:, 0, 1], s.Q[:, 1, 1]], dim=-1),
         depth_m=s.depth_m,
         opacity=opacity,
-        extent_px=torch.stack([reach * s.cov_uu, reach * s.cov_vv], dim=-1).sqrt_(),
-        visible=visible,
+        extent_px=(reach[:, None] * variance).sqrt(),
+        visible=s.in_front & (opacity >= ALPHA_MIN),
     )
 
 
-@op("project")
 def project_gaussians_vjp(
     params: GaussianParams,
     camera: Camera,
@@ -93,116 +83,91 @@ def project_gaussians_vjp(
 ) -> ProjectionGradient:
     """Gradient of ``project_gaussians``, from the screen-space Gaussians to the parameters.
 
-    Rows behind the near plane get zero. Where x/z or y/z is clamped in J, J gives it no gradient, as the forward says.
+    Where x/z or y/z is clamped in J, it gets no gradient through J. Rows behind the near plane get zero.
 
     Args:
         params, camera, T_WC: as given to ``project_gaussians``.
         v_uv, v_conic, v_depth_m, v_opacity: dL/d of its results.
     """
-    s = _project(params, camera, T_WC)
-    in_front = s.depth_m > NEAR_PLANE_M
-    v_u, v_v = (v_uv.T * in_front).unbind(0)
-    v_uu, v_uv_, v_vv = _inverse_vjp(s.conic, v_conic.T * in_front)
-
-    # cov = M M^T: its three entries in terms of the rows of M
-    v_mu = 2 * v_uu * s.m_u + v_uv_ * s.m_v
-    v_mv = 2 * v_vv * s.m_v + v_uv_ * s.m_u
-    # m_u = a (B_0 - tx B_2),  m_v = b (B_1 - ty B_2),  a = fx / z,  b = fy / z
-    a, b = camera.fx * s.inv_z, camera.fy * s.inv_z
-    v_B = torch.stack([a * v_mu, b * v_mv, -(a * s.tx * v_mu + b * s.ty * v_mv)])
-    v_tx = -a * (s.B[2] * v_mu).sum(0)
-    v_ty = -b * (s.B[2] * v_mv).sum(0)
-
-    # x/z and y/z appear in u, v and, unless clamped, in J
-    v_xz = camera.fx * v_u + v_tx * (s.tx == s.x_z)
-    v_yz = camera.fy * v_v + v_ty * (s.ty == s.y_z)
-    v_x = v_xz * s.inv_z
-    v_y = v_yz * s.inv_z
-    v_z = v_depth_m * in_front
-    v_z = v_z - s.inv_z * (s.x_z * v_xz + s.y_z * v_yz + (s.m_u * v_mu).sum(0) + (s.m_v * v_mv).sum(0))
-    v_xyz_W = s.R_CW.T @ torch.stack([v_x, v_y, v_z])
-
-    # B = R_CW R_q S, column k is scaled by s_k = exp(log_scale_k)
-    v_log_scale = (v_B * s.B).sum(0)
-    v_R_q = (s.R_CW.T @ v_B.flatten(1)).view_as(v_B) * s.scale_m
+    s = _splat(params, camera, T_WC)
+    # Q = cov^-1, so dQ = -Q dcov Q; the number B of the conic is two entries of Q
+    v_A, v_B, v_C = v_conic.unbind(-1)
+    v_Q = _matrix([[v_A, v_B / 2], [v_B / 2, v_C]])
+    v_cov = -s.Q @ v_Q @ s.Q
+    # cov = M M^T + 0.3 I,  M = J W R S
+    v_M = 2 * v_cov @ s.M
+    v_J = v_M @ (s.W @ s.R @ s.S).mT
+    v_R = (s.J @ s.W).mT @ v_M @ s.S
+    v_scale_m = ((s.J @ s.W @ s.R).mT @ v_M).diagonal(dim1=1, dim2=2)  # dL/d(scale): S is diagonal
+    v_log_scale = v_scale_m * params.log_scale.exp()
+    v_quat = quaternion.to_matrix_vjp(params.quat, v_R)
+    # u = fx x/z + cx,  v = fy y/z + cy,  J = 1/z [[fx, 0, -fx tx], [0, fy, -fy ty]]
+    v_tx = -camera.fx / s.z * v_J[:, 0, 2]
+    v_ty = -camera.fy / s.z * v_J[:, 1, 2]
+    v_x = (camera.fx * v_uv[:, 0] + torch.where(s.tx == s.x / s.z, v_tx, 0.0)) / s.z
+    v_y = (camera.fy * v_uv[:, 1] + torch.where(s.ty == s.y / s.z, v_ty, 0.0)) / s.z
+    v_z = v_depth_m - (s.x * v_x + s.y * v_y + (s.J * v_J).sum((1, 2))) / s.z
+    v_xyz_W = torch.stack([v_x, v_y, v_z], dim=-1) @ s.W  # x_C = W x_W + t
+    in_front, opacity = s.in_front[:, None], params.opacity_logit.sigmoid()
     return ProjectionGradient(
-        xyz_W=v_xyz_W.T.contiguous(),
-        log_scale=v_log_scale.T.contiguous(),
-        quat=_rotation_vjp(params.quat, v_R_q),
-        opacity_logit=v_opacity * s.opacity_slope(params),
+        xyz_W=torch.where(in_front, v_xyz_W, 0.0),
+        log_scale=torch.where(in_front, v_log_scale, 0.0),
+        quat=torch.where(in_front, v_quat, 0.0),
+        opacity_logit=v_opacity * opacity * (1 - opacity),  # derivative of the logistic function
     )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Steps:
-    """Intermediate values of the projection, component first; the gradient recomputes them instead of saving them."""
+class _Splat:
+    """A Gaussian on its way to the screen, with the papers' letters."""
 
-    R_CW: Tensor  # [3, 3]
-    depth_m: Tensor  # [N]
-    inv_z: Tensor  # [N] 1 / z, and 1 where z is behind the near plane
-    x_z: Tensor  # [N]
-    y_z: Tensor  # [N]
-    tx: Tensor  # [N] x_z clamped
-    ty: Tensor  # [N]
-    scale_m: Tensor  # [3, N]
-    B: Tensor  # [3, 3, N] R_CW R_q S
-    m_u: Tensor  # [3, N] rows of M = J B
-    m_v: Tensor  # [3, N]
-    cov_uu: Tensor  # [N]
-    cov_vv: Tensor  # [N]
-    conic: Tensor  # [3, N]
+    W: Float[Tensor, "3 3"]
+    """Rotation of T_CW."""
+    depth_m: Float[Tensor, " N"]
+    in_front: Bool[Tensor, " N"]
+    """Of the near plane."""
+    x: Float[Tensor, " N"]
+    """Centre in the camera frame; (0, 0, 1) where it is not in front."""
+    y: Float[Tensor, " N"]
+    z: Float[Tensor, " N"]
+    tx: Float[Tensor, " N"]
+    """x/z and y/z, clamped."""
+    ty: Float[Tensor, " N"]
+    J: Float[Tensor, "N 2 3"]
+    R: Float[Tensor, "N 3 3"]
+    S: Float[Tensor, "N 3 3"]
+    M: Float[Tensor, "N 2 3"]
+    cov: Float[Tensor, "N 2 2"]
+    Q: Float[Tensor, "N 2 2"]
+    """Inverse of ``cov``."""
 
-    def opacity_slope(self, params: GaussianParams) -> Tensor:
-        """d opacity / d logit = o (1 - o)."""
-        o = params.opacity_logit.sigmoid()
-        return o * (1 - o)
 
-
-def _project(params: GaussianParams, camera: Camera, T_WC: Tensor) -> _Steps:
+def _splat(params: GaussianParams, camera: Camera, T_WC: Tensor) -> _Splat:
     T_CW = se3.inverse(T_WC.to(params.xyz_W))
-    R_CW = T_CW[:3, :3]
-    x, y, z = R_CW @ params.xyz_W.T + T_CW[:3, 3:]
-    inv_z = torch.where(z > NEAR_PLANE_M, z, torch.ones_like(z)).reciprocal()
-    x_z, y_z = x * inv_z, y * inv_z
+    W = T_CW[:3, :3]
+    xyz_C = se3.apply(T_CW, params.xyz_W)
+    depth_m = xyz_C[:, 2]
+    in_front = depth_m > NEAR_PLANE_M
+    x, y, z = torch.where(in_front[:, None], xyz_C, xyz_C.new_tensor([0.0, 0.0, 1.0])).unbind(-1)
+
     limit_x = FRUSTUM_CLAMP * 0.5 * camera.width / camera.fx
     limit_y = FRUSTUM_CLAMP * 0.5 * camera.height / camera.fy
-    tx, ty = x_z.clamp(-limit_x, limit_x), y_z.clamp(-limit_y, limit_y)
+    tx, ty, o = (x / z).clamp(-limit_x, limit_x), (y / z).clamp(-limit_y, limit_y), torch.zeros_like(z)
+    J = _matrix([[camera.fx / z, o, -camera.fx * tx / z], [o, camera.fy / z, -camera.fy * ty / z]])
 
-    scale_m = params.log_scale.T.exp()
-    R_q = quaternion.to_matrix(params.quat).permute(1, 2, 0).contiguous()
-    B = (R_CW @ R_q.flatten(1)).view_as(R_q) * scale_m
-    m_u = (camera.fx * inv_z) * (B[0] - tx * B[2])  # rows of M = J B; J's zeros are left out
-    m_v = (camera.fy * inv_z) * (B[1] - ty * B[2])
-    uu, vv, uv = (m_u * m_u).sum(0), (m_v * m_v).sum(0), (m_u * m_v).sum(0)
-    cov_uu, cov_vv = uu + SCREEN_BLUR_PX2, vv + SCREEN_BLUR_PX2
-    # det(M M^T + e I) = |m_u x m_v|^2 + e (uu + vv) + e^2: no difference of large numbers, unlike cov_uu cov_vv - uv^2
-    cross = torch.linalg.cross(m_u, m_v, dim=0)
-    det = (cross * cross).sum(0) + SCREEN_BLUR_PX2 * (uu + vv) + SCREEN_BLUR_PX2**2
-    return _Steps(
-        R_CW=R_CW, depth_m=z, inv_z=inv_z, x_z=x_z, y_z=y_z, tx=tx, ty=ty, scale_m=scale_m, B=B,
-        m_u=m_u, m_v=m_v, cov_uu=cov_uu, cov_vv=cov_vv, conic=torch.stack([cov_vv, -uv, cov_uu]) / det,
+    R, S = quaternion.to_matrix(params.quat), params.log_scale.exp().diag_embed()
+    # Sigma = R S S^T R^T (Kerbl Eq. 6, GSFusion Eq. 2),  Sigma' = J W Sigma W^T J^T (Kerbl Eq. 5, GSFusion Eq. 5)
+    M = J @ W @ R @ S  # so that Sigma' = M M^T
+    cov = M @ M.mT + SCREEN_BLUR_PX2 * torch.eye(2).to(M)
+    uu, uv, vv = cov[:, 0, 0], cov[:, 0, 1], cov[:, 1, 1]
+    # det(M M^T + e I) = |m_u x m_v|^2 + e tr(M M^T) + e^2: for a needle, uu vv - uv^2 would lose all digits in float32
+    cross, trace = torch.linalg.cross(M[:, 0], M[:, 1]), (M * M).sum((1, 2))
+    det = (cross * cross).sum(-1) + SCREEN_BLUR_PX2 * trace + SCREEN_BLUR_PX2**2
+    Q = _matrix([[vv, -uv], [-uv, uu]]) / det[:, None, None]
+    return _Splat(
+        W=W, depth_m=depth_m, in_front=in_front, x=x, y=y, z=z, tx=tx, ty=ty, J=J, R=R, S=S, M=M, cov=cov, Q=Q
     )  # fmt: skip
 
 
-def _inverse_vjp(conic: Tensor, v_conic: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Gradient of Q = cov^-1:  v_cov = -Q v_Q Q, where the off-diagonal number stands for two entries of the matrix."""
-    A, B, C = conic
-    v_A, v_B, v_C = v_conic[0], 0.5 * v_conic[1], v_conic[2]
-    p00, p01 = v_A * A + v_B * B, v_A * B + v_B * C  # v_Q Q
-    p10, p11 = v_B * A + v_C * B, v_B * B + v_C * C
-    return -(A * p00 + B * p10), -2 * (A * p01 + B * p11), -(B * p01 + C * p11)
-
-
-def _rotation_vjp(quat: Tensor, v_R: Tensor) -> Tensor:
-    """Gradient of ``quaternion.to_matrix``: dR/dq of the unit quaternion, then v_q = (v - q (q.v)) / |q|."""
-    norm = quat.norm(dim=-1).clamp_min(1e-12)
-    q = quat.T / norm
-    w, x, y, z = q
-    plus = v_R + v_R.transpose(0, 1)
-    minus = v_R - v_R.transpose(0, 1)
-    v_w = x * minus[2, 1] + y * minus[0, 2] + z * minus[1, 0]
-    v_x = y * plus[0, 1] + z * plus[0, 2] + w * minus[2, 1] - x * (plus[1, 1] + plus[2, 2])
-    v_y = x * plus[0, 1] + z * plus[1, 2] + w * minus[0, 2] - y * (plus[0, 0] + plus[2, 2])
-    v_z = x * plus[0, 2] + y * plus[1, 2] + w * minus[1, 0] - z * (plus[0, 0] + plus[1, 1])
-    v = 2 * torch.stack([v_w, v_x, v_y, v_z])
-    return ((v - q * (q * v).sum(0)) / norm).T.contiguous()
+def _matrix(rows: list[list[Tensor]]) -> Tensor:
+    return torch.stack([torch.stack(row, dim=-1) for row in rows], dim=-2)

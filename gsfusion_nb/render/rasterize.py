@@ -6,23 +6,23 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from ..backends import op
+from ..backends import Record, op
 from ..checks import check_mask
 from ..geometry.spherical_harmonics import sh_to_rgb, sh_to_rgb_vjp
 from ..types import Camera, GaussianParams, RenderOutput
-from .composite import CompositeGradient, CompositeSaved, composite, composite_vjp
+from .composite import composite, composite_vjp
 from .project import project_gaussians, project_gaussians_vjp
 from .tiles import tile_intersections
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class RenderSaved:
-    """What ``render_vjp`` needs. A fast backend may hand its own kind of record from its forward to its vjp."""
+class RenderSaved(Record):
+    """What ``render_vjp`` needs of the forward pass. Every backend has its own kind of record."""
 
     params: GaussianParams
     camera: Camera
     T_WC: Float[Tensor, "4 4"]
-    composite: CompositeSaved
+    composite: Record
 
 
 def render(params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RenderOutput:
@@ -48,7 +48,7 @@ def render_forward(
     with_indices: bool = True,
     opaque_alpha: float | None = None,
     pixels: Bool[Tensor, "H W"] | None = None,
-) -> tuple[RenderOutput, RenderSaved]:
+) -> tuple[RenderOutput, Record]:
     """``render``, and a record of the pass for ``render_vjp``. No autograd graph is made.
 
     Args:
@@ -113,28 +113,22 @@ def render_vjp(
     """
     if rows is not None:
         check_mask("rows", rows, (len(saved.params),))
+    params = saved.params
     with torch.no_grad():
         v = composite_vjp(saved.composite, v_rgb, v_depth_m, v_alpha)
-        if rows is None:
-            return _parameters_vjp(saved, saved.params, v)
-        some = _parameters_vjp(saved, saved.params[rows], CompositeGradient(**{k: x[rows] for k, x in vars(v).items()}))
-        gradient = {name: torch.zeros_like(value) for name, value in vars(saved.params).items()}
-        for name, value in gradient.items():
-            value[rows] = getattr(some, name)
-        return GaussianParams(**gradient)
-
-
-def _parameters_vjp(saved: RenderSaved, params: GaussianParams, v: CompositeGradient) -> GaussianParams:
-    """From the screen-space Gaussians to the parameters of the same rows."""
-    v_sh, v_xyz_W = sh_to_rgb_vjp(params.sh, params.xyz_W, saved.T_WC[:3, 3], v.rgb)
-    g = project_gaussians_vjp(params, saved.camera, saved.T_WC, v.uv, v.conic, v.depth_m, v.opacity)
-    return GaussianParams(
-        xyz_W=g.xyz_W + v_xyz_W,  # a centre decides where, and from which side, its Gaussian is seen
-        log_scale=g.log_scale,
-        quat=g.quat,
-        opacity_logit=g.opacity_logit,
-        sh=v_sh,
-    )
+        v_sh, v_xyz_W = sh_to_rgb_vjp(params.sh, params.xyz_W, saved.T_WC[:3, 3], v.rgb)
+        g = project_gaussians_vjp(params, saved.camera, saved.T_WC, v.uv, v.conic, v.depth_m, v.opacity)
+    gradient = {
+        "xyz_W": g.xyz_W + v_xyz_W,  # a centre decides where its Gaussian is seen, and from which side
+        "log_scale": g.log_scale,
+        "quat": g.quat,
+        "opacity_logit": g.opacity_logit,
+        "sh": v_sh,
+    }
+    if rows is not None:
+        for value in gradient.values():
+            value[~rows] = 0.0
+    return GaussianParams(**gradient)
 
 
 class Render(torch.autograd.Function):

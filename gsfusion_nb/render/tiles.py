@@ -1,6 +1,5 @@
-"""Which Gaussians touch which screen tile, nearest first."""
+"""Which Gaussians touch which screen tile, nearest first (Kerbl et al. 2023, section 6)."""
 
-import math
 from dataclasses import dataclass
 
 import torch
@@ -9,7 +8,7 @@ from torch import Tensor
 
 from ..backends import op
 from ..checks import check_mask
-from ..constants import ALPHA_MIN, TILE_PX
+from ..constants import TILE_PX
 from ..types import Camera
 from .project import Projection
 
@@ -20,10 +19,8 @@ class TileLists:
 
     gaussian: Int[Tensor, " I"]
     """Row of the Gaussian, by tile, then by depth."""
-    tile: Int[Tensor, " I"]
-    """The tile each entry belongs to; tiles are numbered row by row."""
     offset: Int[Tensor, " T_plus_1"]
-    """Where each tile's list begins; the last number is the total."""
+    """Where each tile's list begins; the last number is the total. Tiles are numbered row by row."""
     tile_px: int
     """Edge of a tile, pixels."""
     tiles_x: int
@@ -31,95 +28,60 @@ class TileLists:
     pixels: Bool[Tensor, "H W"] | None = None
     """Pixels to be drawn; ``None`` stands for all. Tiles without any have empty lists."""
 
+    def gaussians_of(self, tile: int) -> Int[Tensor, " K"]:
+        """The list of one tile, nearest first."""
+        return self.gaussian[self.offset[tile] : self.offset[tile + 1]]
+
+    def pixels_of(self, tile: int, camera: Camera) -> tuple[Int[Tensor, " P"], Int[Tensor, " P"]]:
+        """Rows and columns of a tile's pixels that are to be drawn."""
+        drawn = self.pixels
+        if drawn is None:
+            drawn = torch.ones(camera.height, camera.width, dtype=torch.bool, device=self.gaussian.device)
+        top, left = tile // self.tiles_x * self.tile_px, tile % self.tiles_x * self.tile_px
+        y, x = drawn[top : top + self.tile_px, left : left + self.tile_px].nonzero().unbind(-1)
+        return top + y, left + x
+
 
 @op("binning")
 def tile_intersections(
     projection: Projection, camera: Camera, *, tile_px: int = TILE_PX, pixels: Bool[Tensor, "H W"] | None = None
 ) -> TileLists:
-    """Sorted lists of the Gaussians whose alpha reaches 1/255 somewhere in a tile.
+    """Sorted lists of the Gaussians that each tile may show.
 
-    The ellipse alpha = 1/255 is cut by each row of tiles; the columns between the leftmost and the rightmost point of
-    the cut are listed, which is exact (Hanson et al. 2025, "Speedy-Splat"). Equal depths keep row order.
+    A Gaussian is listed in every tile that meets the box outside which its alpha is below 1/255. (A faster backend may
+    leave out a tile that meets the box, but not the ellipse in it.) Equal depths keep row order.
 
     Args:
         projection: Screen-space Gaussians.
-        camera: Gives the image size; the last row and column of tiles may hang over.
-        tile_px: Edge of a tile, pixels. What is drawn does not depend on it.
+        camera: Gives the image size; the last row and column of tiles may reach beyond the image.
+        tile_px: Edge of a tile, pixels. The picture does not depend on it.
         pixels: The pixels to be drawn, if not all.
+
+    Raises:
+        ValueError: ``pixels`` is not boolean or not of the camera's size.
 
     Differentiable: no (a list; the gradient at its border is of the size of the 1/255 cut).
     """
     if pixels is not None:
         check_mask("pixels", pixels, (camera.height, camera.width))
-    tiles_x, tiles_y = -(-camera.width // tile_px), -(-camera.height // tile_px)
-    u, v = projection.uv.unbind(-1)
-    e_u, e_v = projection.extent_px.unbind(-1)
-    drawn = projection.visible & (u + e_u > 0) & (u - e_u < camera.width) & (v + e_v > 0) & (v - e_v < camera.height)
-    nearest = projection.depth_m.masked_fill(~drawn, torch.inf).argsort(stable=True)[: int(drawn.sum())]
-    reach = projection.opacity.log()[:, None] - math.log(ALPHA_MIN)  # ln(255 o), the largest sigma that is drawn
-    table = torch.cat([projection.uv, projection.extent_px, projection.conic, reach], dim=1)
-    table = table.index_select(0, nearest).T.contiguous()
-
-    # one line per (Gaussian, row of tiles)
-    y0, y1 = _tile_range(table[1] - table[3], table[1] + table[3], tile_px, camera.height)
-    g, ty = _expand(y0, y1)
-    left, right = _columns(table.index_select(1, g), ty * tile_px, tile_px)
-    # one line per (Gaussian, tile)
-    x0, x1 = _tile_range(left, right, tile_px, camera.width)
-    line, tx = _expand(x0, x1)
-    tile = (ty * tiles_x).index_select(0, line) + tx
-    if pixels is not None:
-        wanted = _active_tiles(pixels, tile_px).index_select(0, tile)
-        line, tile = line[wanted], tile[wanted]
-    tile, order = torch.sort(tile, stable=True)
+    nearest_first = projection.depth_m.argsort(stable=True)
+    nearest_first = nearest_first[projection.visible[nearest_first]]
+    low = (projection.uv - projection.extent_px)[nearest_first]
+    high = (projection.uv + projection.extent_px)[nearest_first]
+    lists = []
+    for top in range(0, camera.height, tile_px):
+        for left in range(0, camera.width, tile_px):
+            corner = low.new_tensor([left, top])
+            touches = ((low < corner + tile_px) & (high > corner)).all(dim=1)
+            if pixels is not None and not pixels[top : top + tile_px, left : left + tile_px].any():
+                touches = torch.zeros_like(touches)
+            lists.append(nearest_first[touches])
+    ends = torch.tensor([0, *(len(gaussians) for gaussians in lists)], device=low.device).cumsum(0)
     return TileLists(
-        gaussian=nearest.index_select(0, g.index_select(0, line.index_select(0, order))),
-        tile=tile,
-        offset=torch.searchsorted(tile, torch.arange(tiles_x * tiles_y + 1, device=tile.device)),
+        gaussian=torch.cat(lists),
+        offset=ends,
         tile_px=tile_px,
-        tiles_x=tiles_x,
-        tiles_y=tiles_y,
+        tiles_x=-(-camera.width // tile_px),
+        tiles_y=-(-camera.height // tile_px),
         pixels=pixels,
     )
-
-
-def _active_tiles(pixels: Tensor, tile_px: int) -> Tensor:
-    """Whether each tile holds a pixel to be drawn. [tiles]"""
-    H, W = pixels.shape
-    padded = torch.nn.functional.pad(pixels, (0, -W % tile_px, 0, -H % tile_px))
-    return padded.unflatten(1, (-1, tile_px)).unflatten(0, (-1, tile_px)).any(3).any(1).flatten()
-
-
-def _tile_range(low: Tensor, high: Tensor, tile_px: int, size: int) -> tuple[Tensor, Tensor]:
-    """First tile, and one past the last, with a pixel centre i + 0.5 between ``low`` and ``high``."""
-    slack = 1e-2  # for rounding; a few more entries, the same picture
-    first = (low - 0.5 - slack).ceil().clamp(0, size)
-    end = ((high - 0.5 + slack).floor() + 1).clamp(0, size)
-    first_tile = (first / tile_px).floor()
-    end_tile = torch.where(end > first, (end / tile_px).ceil(), first_tile)
-    return first_tile.long(), end_tile.long()
-
-
-def _expand(first: Tensor, end: Tensor) -> tuple[Tensor, Tensor]:
-    """Every integer of the ranges [first, end), in order: which range it is of, and the integer."""
-    count = end - first
-    which = torch.repeat_interleave(count)
-    shift = first - count.cumsum(0) + count
-    return which, torch.arange(len(which), device=first.device) + shift.index_select(0, which)
-
-
-def _columns(ellipse: Tensor, top_px: Tensor, tile_px: int) -> tuple[Tensor, Tensor]:
-    """Least and greatest x of the ellipse alpha = 1/255 between the first and last pixel centres of a row of tiles.
-
-    The ellipse sigma = ln(255 o) is dx = -B/A dy +- h sqrt(1 - (dy / e_v)^2) with h = sqrt(2 ln(255 o) / A) and the
-    extents e_u, e_v. Its rightmost point has dy = -B/C e_u; of the part in the band, it is where dy is nearest to that.
-    """
-    u, v, e_u, e_v, A, B, C, reach = ellipse
-    top = top_px + 0.5 - v
-    bottom = top + (tile_px - 1)
-    dy_right = torch.clamp(-B / C * e_u, top, bottom)
-    dy_left = torch.clamp(B / C * e_u, top, bottom)
-    h = (2 * reach / A).sqrt()
-    right = u - B / A * dy_right + h * (1 - (dy_right / e_v) ** 2).clamp_min(0.0).sqrt()
-    left = u - B / A * dy_left - h * (1 - (dy_left / e_v) ** 2).clamp_min(0.0).sqrt()
-    return left, right

@@ -1,6 +1,6 @@
 """``render_forward`` and ``render_vjp`` from the kernels: what ``gsfusion_nb.backends`` offers for CUDA tensors.
 
-Project and colour every row, list its tiles, sort, composite; and back. float64 goes to the reference. Gradients are
+Project and colour every row, list its tiles, sort, composite; and back. float64 goes to backend "torch". Gradients are
 added up by atomics, in an order that changes from run to run: they repeat to rounding, not bit for bit.
 """
 
@@ -11,13 +11,13 @@ import torch
 from torch import Tensor
 
 from gsfusion_nb.backends import use_backend
-from gsfusion_nb.render import rasterize as reference
+from gsfusion_nb.render import rasterize
 from gsfusion_nb.types import Camera, GaussianParams, RenderOutput
 
 from ..binning.cuda import list_tiles
 from ..project.cuda import SPLAT, project_rows, project_rows_vjp
 from ..runtime.cuda.launch import check_dtype, device_of, launch, packed
-from .picture import Drawn, blank, check_drawn_by, check_gradients, check_options
+from .picture import Drawn, blank, check_gradients, check_options
 
 _BLOCK = 128
 _NO_HIT_ALPHA = 1.0
@@ -27,6 +27,7 @@ _NO_HIT_ALPHA = 1.0
 class CudaSaved(Drawn):
     """What the backward pass needs of the forward one."""
 
+    backend = "cuda"
     depth: Tensor
 
 
@@ -45,8 +46,8 @@ def render_forward(
         ValueError: tensors on several devices or of several types, a wrong mask.
     """
     if params.xyz_W.dtype == torch.float64:
-        with use_backend("reference"):
-            return reference.render_forward(
+        with use_backend("torch"):
+            return rasterize.render_forward(
                 params, camera, T_WC, with_indices=with_indices, opaque_alpha=opaque_alpha, pixels=pixels
             )
     device = device_of("render_forward", **vars(params), pixels=pixels)
@@ -81,13 +82,9 @@ def render_vjp(
     Raises:
         ValueError: the picture is of another backend, tensors are on several devices, a mask is wrong.
     """
-    if isinstance(saved, reference.RenderSaved):
-        with use_backend("reference"):
-            return reference.render_vjp(saved, v_rgb, v_depth_m, v_alpha, rows=rows)
-    check_drawn_by("cuda", CudaSaved, saved)
+    check_gradients(saved, v_rgb, v_depth_m, v_alpha, rows)
     camera, lists = saved.camera, saved.lists
     device = device_of("render_vjp", picture=saved.splats, v_rgb=v_rgb, v_depth_m=v_depth_m, v_alpha=v_alpha, rows=rows)
-    check_gradients(saved, v_rgb, v_depth_m, v_alpha, rows)
     trained = None if rows is None else packed(rows).view(torch.uint8)
     v_image = [None if v is None else packed(v.float()) for v in (v_rgb, v_depth_m, v_alpha)]
     moments = torch.zeros(len(saved.splats), SPLAT, dtype=torch.float32, device=device)

@@ -1,6 +1,6 @@
 """``render_forward`` and ``render_vjp`` from the fused kernels: what ``gsfusion_nb.backends`` offers for CPU tensors.
 
-Project and colour every row, list its tiles, sort by counting, composite; and back. float64 goes to the reference.
+Project and colour every row, list its tiles, sort by counting, composite; and back. float64 goes to backend "torch".
 """
 
 # Arrays are passed on as a list, which pyright cannot follow:
@@ -13,10 +13,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gsfusion_nb.backends import use_backend
+from gsfusion_nb.backends import Record, use_backend
 from gsfusion_nb.checks import check_mask
 from gsfusion_nb.geometry import se3
-from gsfusion_nb.render import rasterize as reference
+from gsfusion_nb.render import rasterize
 from gsfusion_nb.types import Camera, GaussianParams, RenderOutput
 
 from ..binning.numba import depth_order, list_tiles, sort_pairs, tile_windows
@@ -32,9 +32,10 @@ _ALL_ROWS = np.empty(0, np.bool_)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class NumbaSaved:
+class NumbaSaved(Record):
     """What the backward pass needs of the forward one."""
 
+    backend = "numba"
     params: GaussianParams
     camera: np.ndarray
     splats: np.ndarray
@@ -57,8 +58,8 @@ def render_forward(
 ) -> tuple[RenderOutput, Any]:
     """See ``gsfusion_nb.render.render_forward``."""
     if params.xyz_W.dtype != torch.float32:
-        with use_backend("reference"):
-            return reference.render_forward(
+        with use_backend("torch"):
+            return rasterize.render_forward(
                 params, camera, T_WC, with_indices=with_indices, opaque_alpha=opaque_alpha, pixels=pixels
             )
     check_options(camera, opaque_alpha, pixels)
@@ -106,9 +107,6 @@ def render_vjp(
     rows: Tensor | None = None,
 ) -> GaussianParams:
     """See ``gsfusion_nb.render.render_vjp``."""
-    if not isinstance(saved, NumbaSaved):
-        with use_backend("reference"):
-            return reference.render_vjp(saved, v_rgb, v_depth_m, v_alpha, rows=rows)
     trained = _ALL_ROWS
     if rows is not None:
         check_mask("rows", rows, (len(saved.params),))

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from gsfusion_nb.backends import Record
 from gsfusion_nb.checks import check_mask, check_positive, check_shape
 from gsfusion_nb.types import Camera, GaussianParams, RenderOutput
 
@@ -12,7 +13,7 @@ from ..binning.tile_lists import TileLists
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Drawn:
+class Drawn(Record):
     """What the backward pass on a GPU needs of the forward one."""
 
     params: GaussianParams
@@ -45,19 +46,12 @@ def blank(camera: Camera, device: torch.device, *, with_indices: bool, with_hits
     )
 
 
-def check_drawn_by(backend: str, kind: type[Drawn], saved: object) -> None:
-    """Raise ``ValueError`` unless ``saved`` is the backend's ``kind`` of record."""
-    if not isinstance(saved, kind):
-        raise ValueError(
-            f"render_vjp: a picture drawn by backend {backend!r} was expected, got {type(saved).__name__} of another "
-            "backend; draw and differentiate inside the same use_backend"
-        )
-
-
 def check_gradients(
     drawn: Drawn, v_rgb: Tensor, v_depth_m: Tensor | None, v_alpha: Tensor | None, rows: Tensor | None
 ) -> None:
     """Raise ``ValueError`` unless the arguments of ``render_vjp`` have the sizes of the picture and of its map."""
+    if not isinstance(drawn, Drawn):
+        raise ValueError(f"render_vjp: the record that render_forward returns was expected, got {type(drawn).__name__}")
     size = (drawn.camera.height, drawn.camera.width)
     check_shape("v_rgb", v_rgb, (*size, 3))
     for name, value in (("v_depth_m", v_depth_m), ("v_alpha", v_alpha)):

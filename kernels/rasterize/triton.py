@@ -1,6 +1,6 @@
 """``render_forward`` and ``render_vjp`` from the kernels: what ``gsfusion_nb.backends`` offers for CUDA tensors.
 
-Project and colour every row, list its tiles, sort, composite; and back. float64 goes to the reference. Gradients are
+Project and colour every row, list its tiles, sort, composite; and back. float64 goes to backend "torch". Gradients are
 added up by atomics, in an order that changes from run to run: they repeat to rounding, not bit for bit.
 """
 
@@ -10,18 +10,20 @@ import torch
 from torch import Tensor
 
 from gsfusion_nb.backends import use_backend
-from gsfusion_nb.render import rasterize as reference
+from gsfusion_nb.render import rasterize
 from gsfusion_nb.types import Camera, GaussianParams, RenderOutput
 
 from ..binning.triton import list_tiles
 from ..composite.triton import STEP, TILE, composite_backward, composite_forward
 from ..project.triton import SPLAT, project_rows, project_rows_vjp
 from ..runtime.triton.launch import device_of, launch
-from .picture import Drawn, blank, check_drawn_by, check_gradients, check_options
+from .picture import Drawn, blank, check_gradients, check_options
 
 
 class TritonSaved(Drawn):
     """What the backward pass needs of the forward one."""
+
+    backend = "triton"
 
 
 def render_forward(
@@ -35,8 +37,8 @@ def render_forward(
 ) -> tuple[RenderOutput, Any]:
     """See ``gsfusion_nb.render.render_forward``. The pose may be on any device."""
     if params.xyz_W.dtype != torch.float32:
-        with use_backend("reference"):
-            return reference.render_forward(
+        with use_backend("torch"):
+            return rasterize.render_forward(
                 params, camera, T_WC, with_indices=with_indices, opaque_alpha=opaque_alpha, pixels=pixels
             )
     device = device_of("render_forward", **vars(params), pixels=pixels)
@@ -68,13 +70,9 @@ def render_vjp(
     rows: Tensor | None = None,
 ) -> GaussianParams:
     """See ``gsfusion_nb.render.render_vjp``."""
-    if isinstance(saved, reference.RenderSaved):
-        with use_backend("reference"):
-            return reference.render_vjp(saved, v_rgb, v_depth_m, v_alpha, rows=rows)
-    check_drawn_by("triton", TritonSaved, saved)
+    check_gradients(saved, v_rgb, v_depth_m, v_alpha, rows)
     splats, lists, camera, pixels = saved.splats, saved.lists, saved.camera, saved.pixels
     device = device_of("render_vjp", picture=splats, v_rgb=v_rgb, v_depth_m=v_depth_m, v_alpha=v_alpha, rows=rows)
-    check_gradients(saved, v_rgb, v_depth_m, v_alpha, rows)
     v_rgb, v_depth, v_opaque = (
         saved.image[1] if v is None else v.detach().contiguous().float() for v in (v_rgb, v_depth_m, v_alpha)
     )

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from gsfusion_nb.geometry.spherical_harmonics import rgb_to_sh_dc, sh_basis, sh_basis_vjp, sh_to_rgb, sh_to_rgb_vjp
+from gsfusion_nb.geometry.spherical_harmonics import rgb_to_sh_dc, sh_basis, sh_basis_gradient, sh_to_rgb, sh_to_rgb_vjp
 
 ORIGIN = torch.tensor([0.3, -0.2, 0.1], dtype=torch.float64)
 
@@ -60,13 +60,12 @@ def test_vjp_is_the_autograd_of_the_forward(generator, degree):
 def test_vjp_by_finite_differences(generator):
     sh, xyz = some(generator, 5, 3)
     dirs = torch.nn.functional.normalize(xyz, dim=-1)
-    v = torch.randn(5, 16, generator=generator, dtype=torch.float64)
     step = 1e-6
     for axis in range(3):
         e = torch.zeros(3, dtype=torch.float64)
         e[axis] = step
-        slope = ((sh_basis(dirs + e, 3) - sh_basis(dirs - e, 3)) * v).sum(-1) / (2 * step)
-        torch.testing.assert_close(sh_basis_vjp(dirs, 3, v)[:, axis], slope, atol=1e-7, rtol=1e-7)
+        slope = (sh_basis(dirs + e, 3) - sh_basis(dirs - e, 3)) / (2 * step)
+        torch.testing.assert_close(sh_basis_gradient(dirs, 3)[:, :, axis], slope, atol=1e-7, rtol=1e-7)
     assert sh_to_rgb(sh.float(), xyz.float(), ORIGIN.float()).dtype == torch.float32
 
 

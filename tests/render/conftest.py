@@ -1,4 +1,4 @@
-"""A seeded map of Gaussians, and a renderer that knows no tiles: every Gaussian at every pixel, by the book."""
+"""A seeded map of Gaussians, a camera, and the check of a gradient by finite differences."""
 
 from dataclasses import dataclass
 
@@ -34,82 +34,6 @@ def random_map(generator, n, *, degree=0, dtype=torch.float64, opacity=(0.3, 0.9
 COLUMNS = ("xyz_W", "log_scale", "quat", "opacity_logit", "sh")
 
 
-@dataclass
-class Picture:
-    """What the loop over all Gaussians gives, differentiable by autograd."""
-
-    rgb: torch.Tensor
-    depth_m: torch.Tensor
-    alpha: torch.Tensor
-    first_index: torch.Tensor
-    dominant_index: torch.Tensor
-
-
-def splat_by_the_book(params: GaussianParams, camera: Camera, T_WC):
-    """u, v, covariance, depth, opacity, visible: matrices as printed in the EWA paper."""
-    R_CW = T_WC[:3, :3].T
-    xyz_C = (params.xyz_W - T_WC[:3, 3]) @ R_CW.T
-    x, y, z = xyz_C.unbind(-1)
-    w, i, j, k = (params.quat / params.quat.norm(dim=-1, keepdim=True)).unbind(-1)
-    R_q = torch.stack(
-        [
-            torch.stack([1 - 2 * (j * j + k * k), 2 * (i * j - w * k), 2 * (i * k + w * j)], -1),
-            torch.stack([2 * (i * j + w * k), 1 - 2 * (i * i + k * k), 2 * (j * k - w * i)], -1),
-            torch.stack([2 * (i * k - w * j), 2 * (j * k + w * i), 1 - 2 * (i * i + j * j)], -1),
-        ],
-        -2,
-    )
-    S2 = torch.diag_embed(torch.exp(2 * params.log_scale))
-    cov_C = R_CW @ R_q @ S2 @ R_q.transpose(1, 2) @ R_CW.T
-    limit_x, limit_y = 1.3 * camera.width / 2 / camera.fx, 1.3 * camera.height / 2 / camera.fy
-    o = torch.zeros_like(z)
-    J = torch.stack(
-        [
-            torch.stack([camera.fx / z, o, -camera.fx * (x / z).clamp(-limit_x, limit_x) / z], -1),
-            torch.stack([o, camera.fy / z, -camera.fy * (y / z).clamp(-limit_y, limit_y) / z], -1),
-        ],
-        -2,
-    )
-    cov = J @ cov_C @ J.transpose(1, 2) + 0.3 * torch.eye(2, dtype=z.dtype)
-    return camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy, cov, z, params.opacity_logit.sigmoid(), z > 0.2
-
-
-def blend_by_the_book(u, v, conic, z, opacity, rgb, camera: Camera, drawn) -> Picture:
-    """Nearest first, one Gaussian after another, whole image at once. ``conic`` is [N, 3]."""
-    pixels = [torch.arange(size, dtype=z.dtype) + 0.5 for size in (camera.height, camera.width)]
-    j, i = torch.meshgrid(*pixels, indexing="ij")
-    zero = torch.zeros(camera.height, camera.width, dtype=z.dtype)
-    T, heaviest, running = zero + 1, zero.clone(), zero == 0
-    image, depth, alpha_sum = zero[..., None].expand(-1, -1, 3), zero, zero
-    first, dominant = torch.full(zero.shape, -1), torch.full(zero.shape, -1)
-    for n in z.argsort(stable=True).tolist():
-        if not drawn[n]:
-            continue
-        dx, dy = i - u[n], j - v[n]
-        A, B, C = conic[n]
-        alpha = (opacity[n] * torch.exp(-0.5 * (A * dx * dx + C * dy * dy) - B * dx * dy)).clamp(max=0.99)
-        hit = running & (alpha >= 1 / 255)
-        stops = hit & (T * (1 - alpha) < 1e-4)
-        running = running & ~stops
-        hit = hit & ~stops
-        w = torch.where(hit, alpha * T, 0)
-        image, depth, alpha_sum = image + w[..., None] * rgb[n], depth + w * z[n], alpha_sum + w
-        first = torch.where(hit & (first < 0), n, first)
-        dominant = torch.where(w.detach() > heaviest, n, dominant)
-        heaviest = torch.maximum(heaviest, w.detach())
-        T = torch.where(hit, T * (1 - alpha), T)
-    return Picture(image, depth, alpha_sum, first, dominant)
-
-
-def render_by_the_book(params: GaussianParams, camera: Camera, T_WC, rgb) -> Picture:
-    """The whole picture for given colours."""
-    u, v, cov, z, opacity, drawn = splat_by_the_book(params, camera, T_WC)
-    Q = torch.linalg.inv(cov)
-    return blend_by_the_book(
-        u, v, torch.stack([Q[:, 0, 0], Q[:, 0, 1], Q[:, 1, 1]], -1), z, opacity, rgb, camera, drawn
-    )
-
-
 def finite_difference_check(forward, vjp, inputs, generator):
     """float64 gradcheck of ``vjp`` against central differences of two random sums of what ``forward`` returns."""
     weights = [
@@ -134,7 +58,7 @@ def finite_difference_check(forward, vjp, inputs, generator):
 
 @pytest.fixture(autouse=True)
 def _reference():
-    """Here the reference is tested; fast backends are compared with it elsewhere. One thread: the images are tiny."""
+    """Here the reference is tested; tests/kernels compares fast backends with it. One thread: the images are tiny."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     with use_backend("reference"):
@@ -143,19 +67,16 @@ def _reference():
 
 
 @dataclass(frozen=True)
-class Book:
+class Scene:
     """What the tests of the renderer share."""
 
     camera = CAMERA
     pose = POSE
     columns = COLUMNS
     random_map = staticmethod(random_map)
-    splat = staticmethod(splat_by_the_book)
-    blend = staticmethod(blend_by_the_book)
-    render = staticmethod(render_by_the_book)
     finite_difference_check = staticmethod(finite_difference_check)
 
 
 @pytest.fixture
-def book():
-    return Book()
+def scene():
+    return Scene()

@@ -5,7 +5,7 @@ import torch
 
 from gsfusion_nb.constants import OPAQUE_ALPHA
 from gsfusion_nb.geometry import pixel_grid, quaternion, rays
-from gsfusion_nb.render import chunks, disc_depth, disc_depth_vjp, render_forward
+from gsfusion_nb.render import disc_depth, disc_depth_vjp, project_gaussians, render_forward
 from gsfusion_nb.types import Camera, GaussianParams
 
 CAMERA = Camera(width=33, height=9, fx=30.0, fy=28.0, cx=16.2, cy=4.4)
@@ -111,31 +111,29 @@ def test_transparent_gaussians_are_never_hit():
     assert (out.hit_index == -1).all()
 
 
-def test_only_on_request(book, generator):
-    params = book.random_map(generator, 10)
-    plain, asked = (render_forward(params, book.camera, book.pose, opaque_alpha=o)[0] for o in (None, 0.5))
+def test_only_on_request(scene, generator):
+    params = scene.random_map(generator, 10)
+    plain, asked = (render_forward(params, scene.camera, scene.pose, opaque_alpha=o)[0] for o in (None, 0.5))
     assert plain.hit_index is None
     assert asked.hit_index.dtype == torch.int64
     for name in ("rgb", "depth_m", "alpha", "first_index", "dominant_index"):
         assert torch.equal(getattr(plain, name), getattr(asked, name))
     with pytest.raises(ValueError, match="opaque_alpha must be > 0"):
-        render_forward(params, book.camera, book.pose, opaque_alpha=0.0)
+        render_forward(params, scene.camera, scene.pose, opaque_alpha=0.0)
 
 
-@pytest.mark.parametrize("size", [(32, 128), (3, 2)], ids=["one chunk", "many chunks"])
 @pytest.mark.parametrize("opacity", [(0.05, 0.7), (0.6, 0.9999)], ids=["thin", "opaque"])
-def test_hits_agree_with_a_loop_over_pixels(book, generator, monkeypatch, size, opacity):
-    monkeypatch.setattr(chunks, "RANKS", size[0])
-    monkeypatch.setattr(chunks, "TILES", size[1])
-    params = book.random_map(generator, 40, opacity=opacity, scale=0.25)
-    found = render_forward(params, book.camera, book.pose, opaque_alpha=0.55)[0].hit_index
-    u, v, cov, z, o, _ = book.splat(params, book.camera, book.pose)
-    Q = torch.linalg.inv(cov)
-    order = z.argsort()
+def test_hits_agree_with_a_loop_over_pixels(scene, generator, opacity):
+    params = scene.random_map(generator, 40, opacity=opacity, scale=0.25)
+    found = render_forward(params, scene.camera, scene.pose, opaque_alpha=0.55)[0].hit_index
+    p = project_gaussians(params, scene.camera, scene.pose)
+    A, B, C = p.conic.unbind(1)
+    Q = torch.stack([A, B, B, C], dim=1).view(-1, 2, 2)
+    order = p.depth_m.argsort()
     # the centre of pixel (y, x) from each Gaussian, nearest first
-    grid = pixel_grid(book.camera, dtype=torch.float64)
-    d = grid[..., None, :] - torch.stack([u, v], dim=-1)[order]
-    alphas = (o[order] * torch.exp(-0.5 * torch.einsum("yxni,nij,yxnj->yxn", d, Q[order], d))).clamp(max=0.99)
+    grid = pixel_grid(scene.camera, dtype=torch.float64)
+    d = grid[..., None, :] - p.uv[order]
+    alphas = (p.opacity[order] * torch.exp(-0.5 * torch.einsum("yxni,nij,yxnj->yxn", d, Q[order], d))).clamp(max=0.99)
     expected = torch.full_like(found, -1)
     for y, row in enumerate(alphas.tolist()):
         for x, pixel in enumerate(row):
@@ -147,11 +145,11 @@ def test_hits_agree_with_a_loop_over_pixels(book, generator, monkeypatch, size, 
     assert len(expected.unique()) > 3
 
 
-def hit_scene(book, generator, n=25):
+def hit_scene(scene, generator, n=25):
     """Discs of all inclinations, and hits that meet planes and that fall back to centres."""
-    params = book.random_map(generator, n, opacity=(0.7, 0.99), scale=0.3)
-    hit_index = render_forward(params, book.camera, book.pose, opaque_alpha=0.5)[0].hit_index
-    on_plane = disc_depth(params, book.camera, book.pose, hit_index).on_plane
+    params = scene.random_map(generator, n, opacity=(0.7, 0.99), scale=0.3)
+    hit_index = render_forward(params, scene.camera, scene.pose, opaque_alpha=0.5)[0].hit_index
+    on_plane = disc_depth(params, scene.camera, scene.pose, hit_index).on_plane
     assert on_plane.any()
     assert (~on_plane & (hit_index >= 0)).any()
     assert (hit_index < 0).any()
@@ -165,9 +163,9 @@ def moved(params, xyz_W, quat):
 
 
 @pytest.mark.parametrize("max_offset", [1.0, None])
-def test_vjp_by_finite_differences(book, generator, max_offset):
-    params, hit_index = hit_scene(book, generator)
-    view = book.camera, book.pose, hit_index
+def test_vjp_by_finite_differences(scene, generator, max_offset):
+    params, hit_index = hit_scene(scene, generator)
+    view = scene.camera, scene.pose, hit_index
 
     def forward(*x):
         return (disc_depth(moved(params, *x), *view, max_offset=max_offset).depth_m,)
@@ -175,18 +173,18 @@ def test_vjp_by_finite_differences(book, generator, max_offset):
     def vjp(x, v_depth_m):
         return disc_depth_vjp(moved(params, *x), *view, v_depth_m, max_offset=max_offset)
 
-    book.finite_difference_check(forward, vjp, (params.xyz_W, params.quat), generator)
+    scene.finite_difference_check(forward, vjp, (params.xyz_W, params.quat), generator)
 
 
-def test_vjp_is_the_derivative_that_autograd_finds(book, generator):
-    params, hit_index = hit_scene(book, generator)
-    leaves = {name: getattr(params, name).clone().requires_grad_() for name in book.columns}
-    disc = disc_depth(GaussianParams(**leaves), book.camera, book.pose, hit_index)
+def test_vjp_is_the_derivative_that_autograd_finds(scene, generator):
+    params, hit_index = hit_scene(scene, generator)
+    leaves = {name: getattr(params, name).clone().requires_grad_() for name in scene.columns}
+    disc = disc_depth(GaussianParams(**leaves), scene.camera, scene.pose, hit_index)
     v = torch.randn(disc.depth_m.shape, generator=generator, dtype=torch.float64)
     inputs = [leaves[name] for name in ("xyz_W", "quat", "opacity_logit", "log_scale")]
     v_xyz, v_quat, *nothing = torch.autograd.grad((disc.depth_m * v).sum(), inputs, allow_unused=True)
     assert all(n is None or not n.any() for n in nothing)
-    found = disc_depth_vjp(params, book.camera, book.pose, hit_index, v)
+    found = disc_depth_vjp(params, scene.camera, scene.pose, hit_index, v)
     torch.testing.assert_close(found[0], v_xyz)
     torch.testing.assert_close(found[1], v_quat)
     unseen = ~torch.isin(torch.arange(len(params)), hit_index)
@@ -195,43 +193,43 @@ def test_vjp_is_the_derivative_that_autograd_finds(book, generator):
     assert not found[1][unseen].any()
 
 
-def test_depth_lies_on_the_ray_and_on_the_plane(book, generator):
+def test_depth_lies_on_the_ray_and_on_the_plane(scene, generator):
     """An independent witness: distance of the point from the plane, with the normal as the least eigenvector."""
-    params, hit_index = hit_scene(book, generator)
-    disc = disc_depth(params, book.camera, book.pose, hit_index)
+    params, hit_index = hit_scene(scene, generator)
+    disc = disc_depth(params, scene.camera, scene.pose, hit_index)
     R = quaternion.to_matrix(params.quat)
     cov = R @ torch.diag_embed((2 * params.log_scale).exp()) @ R.transpose(1, 2)
     normal = torch.linalg.eigh(cov).eigenvectors[:, :, 0]
-    ray = rays(book.camera, pixel_grid(book.camera, dtype=torch.float64)) @ book.pose[:3, :3].T
+    ray = rays(scene.camera, pixel_grid(scene.camera, dtype=torch.float64)) @ scene.pose[:3, :3].T
     on, g = disc.on_plane, hit_index[disc.on_plane]
-    to_centre = (ray * disc.depth_m[..., None])[on] + book.pose[:3, 3] - params.xyz_W[g]
+    to_centre = (ray * disc.depth_m[..., None])[on] + scene.pose[:3, 3] - params.xyz_W[g]
     assert (to_centre * normal[g]).sum(-1).abs().max() < 1e-10
     torch.testing.assert_close((disc.normal_W[on] * normal[g]).sum(-1).abs(), torch.ones(len(g), dtype=torch.float64))
     assert ((disc.normal_W[on] * ray[on]).sum(-1) < 0).all()
-    centres = (params.xyz_W - book.pose[:3, 3]) @ book.pose[:3, 2]
+    centres = (params.xyz_W - scene.pose[:3, 3]) @ scene.pose[:3, 2]
     fallback = ~on & (hit_index >= 0)
     torch.testing.assert_close(disc.depth_m[fallback], centres[hit_index[fallback]])
 
 
-def test_vjp_of_some_rows(book, generator):
-    params, hit_index = hit_scene(book, generator)
+def test_vjp_of_some_rows(scene, generator):
+    params, hit_index = hit_scene(scene, generator)
     v = torch.randn(hit_index.shape, generator=generator, dtype=torch.float64)
     rows = torch.arange(len(params)) % 3 == 0
-    full = disc_depth_vjp(params, book.camera, book.pose, hit_index, v)
-    some = disc_depth_vjp(params, book.camera, book.pose, hit_index, v, rows=rows)
+    full = disc_depth_vjp(params, scene.camera, scene.pose, hit_index, v)
+    some = disc_depth_vjp(params, scene.camera, scene.pose, hit_index, v, rows=rows)
     for f, s in zip(full, some, strict=True):
         torch.testing.assert_close(s, torch.where(rows[:, None], f, 0.0))
         assert s.any()
     with pytest.raises(ValueError, match="rows must be"):
-        disc_depth_vjp(params, book.camera, book.pose, hit_index, v, rows=rows[1:])
+        disc_depth_vjp(params, scene.camera, scene.pose, hit_index, v, rows=rows[1:])
 
 
-def test_no_gaussians_at_all(book, generator):
-    params = book.random_map(generator, 3)[:0]
-    hit_index = render_forward(params, book.camera, book.pose, opaque_alpha=0.6)[0].hit_index
+def test_no_gaussians_at_all(scene, generator):
+    params = scene.random_map(generator, 3)[:0]
+    hit_index = render_forward(params, scene.camera, scene.pose, opaque_alpha=0.6)[0].hit_index
     assert (hit_index == -1).all()
-    assert not disc_depth(params, book.camera, book.pose, hit_index).depth_m.any()
-    v_xyz, v_quat = disc_depth_vjp(params, book.camera, book.pose, hit_index, torch.ones(19, 27, dtype=torch.float64))
+    assert not disc_depth(params, scene.camera, scene.pose, hit_index).depth_m.any()
+    v_xyz, v_quat = disc_depth_vjp(params, scene.camera, scene.pose, hit_index, torch.ones(19, 27, dtype=torch.float64))
     assert v_xyz.shape == (0, 3)
     assert v_quat.shape == (0, 4)
 

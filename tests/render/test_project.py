@@ -1,8 +1,10 @@
 import dataclasses
+import math
 
 import pytest
 import torch
 
+from gsfusion_nb.geometry import project, quaternion, se3
 from gsfusion_nb.render import project_gaussians, project_gaussians_vjp
 from gsfusion_nb.types import Camera, GaussianParams
 
@@ -33,8 +35,8 @@ def test_isotropic_on_the_axis_by_hand():
     torch.testing.assert_close(p.extent_px, reach.expand(1, 2))
 
 
-def test_extent_is_where_alpha_falls_to_one_grey_level(book, generator):
-    p = project_gaussians(book.random_map(generator, 20), book.camera, book.pose)
+def test_extent_is_where_alpha_falls_to_one_grey_level(scene, generator):
+    p = project_gaussians(scene.random_map(generator, 20), scene.camera, scene.pose)
     A, B, C = p.conic.unbind(-1)
     # rightmost point of the ellipse: dy = -B/C dx
     dx = p.extent_px[:, 0]
@@ -59,15 +61,43 @@ def test_near_plane_and_faint_gaussians_are_not_visible():
     assert not project_gaussians(faint, CAMERA_600, EYE).visible.any()
 
 
-def test_agrees_with_the_textbook(book, generator):
-    params = book.random_map(generator, 30)
-    p = project_gaussians(params, book.camera, book.pose)
-    u, v, cov, z, opacity, _ = book.splat(params, book.camera, book.pose)
-    Q = torch.linalg.inv(cov)
-    torch.testing.assert_close(p.uv, torch.stack([u, v], -1))
-    torch.testing.assert_close(p.conic, torch.stack([Q[:, 0, 0], Q[:, 0, 1], Q[:, 1, 1]], -1))
-    torch.testing.assert_close(p.depth_m, z)
-    torch.testing.assert_close(p.opacity, opacity)
+def test_covariance_is_the_3d_one_through_the_derivative_of_the_projection(scene, generator):
+    """The derivative of pixel by world point is found by autograd, and the 3D covariance is a sum over the axes."""
+    params = scene.random_map(generator, 30)
+    T_CW, camera = se3.inverse(scene.pose), dataclasses.replace(scene.camera, width=54, height=38)  # nothing is clamped
+    p = project_gaussians(params, camera, scene.pose)
+    for i in range(30):
+        xyz_W = params.xyz_W[i]
+        J = torch.autograd.functional.jacobian(lambda x: project(camera, se3.apply(T_CW, x)), xyz_W)
+        axes = quaternion.to_matrix(params.quat[i]) * params.log_scale[i].exp()
+        cov = sum(torch.outer(J @ axis, J @ axis) for axis in axes.T) + 0.3 * torch.eye(2)
+        A, B, C = p.conic[i]
+        torch.testing.assert_close(torch.stack([A, B, B, C]).view(2, 2) @ cov, torch.eye(2, dtype=torch.float64))
+        torch.testing.assert_close(p.uv[i], project(camera, se3.apply(T_CW, xyz_W)))
+        torch.testing.assert_close(p.depth_m[i], se3.apply(T_CW, xyz_W)[2])
+    torch.testing.assert_close(p.opacity, params.opacity_logit.sigmoid())
+
+
+def test_jacobian_is_clamped_outside_the_view_by_hand():
+    """A ball at x/z = 1 where the half field of view is 10.5 / 600: J sees it at 1.3 times that."""
+    xyz = torch.tensor([[2.0, 0, 2]], dtype=torch.float64)
+    p = project_gaussians(one_on_the_axis(xyz_W=xyz), CAMERA_600, EYE)
+    tx = 1.3 * 10.5 / 600
+    torch.testing.assert_close(1 / p.conic[0, 0], xyz.new_tensor(3.0**2 * (1 + tx**2) + 0.3))
+    torch.testing.assert_close(1 / p.conic[0, 2], xyz.new_tensor(9.3))
+    assert p.uv[0, 0].item() == pytest.approx(610.5)
+
+
+def test_axes_of_a_turned_gaussian_by_hand():
+    """Standard deviations 1, 2 and 3 cm along x, y and z, turned by 90 degrees about z: 2 cm lie along u."""
+    half = math.sqrt(0.5)
+    params = one_on_the_axis(
+        log_scale=torch.tensor([[0.01, 0.02, 0.03]], dtype=torch.float64).log(),
+        quat=torch.tensor([[half, 0, 0, half]], dtype=torch.float64),
+    )
+    p = project_gaussians(params, CAMERA_600, EYE)
+    expected = torch.tensor([[1 / 36.3, 0, 1 / 9.3]], dtype=torch.float64)  # (600 * 0.02 / 2)^2 + 0.3
+    torch.testing.assert_close(p.conic, expected)
 
 
 def test_needle_keeps_its_digits_in_float32():
@@ -83,9 +113,9 @@ def test_needle_keeps_its_digits_in_float32():
     )
 
 
-def wide(book, generator):
+def wide(scene, generator):
     """Some Gaussians so far out that J is clamped, on each side."""
-    params = book.random_map(generator, 12)
+    params = scene.random_map(generator, 12)
     shift = torch.zeros(12, 3, dtype=torch.float64)
     shift[0, 0], shift[1, 0], shift[2, 1], shift[3, 1] = 4.0, -4.0, 4.0, -4.0
     return dataclasses.replace(params, xyz_W=params.xyz_W + shift)
@@ -95,36 +125,36 @@ def columns(params):
     return params.xyz_W, params.log_scale, params.quat, params.opacity_logit
 
 
-def forward_of(book, params):
+def forward_of(scene, params):
     def forward(xyz_W, log_scale, quat, opacity_logit):
         moved = GaussianParams(xyz_W=xyz_W, log_scale=log_scale, quat=quat, opacity_logit=opacity_logit, sh=params.sh)
-        p = project_gaussians(moved, book.camera, book.pose)
+        p = project_gaussians(moved, scene.camera, scene.pose)
         return p.uv, p.conic, p.depth_m, p.opacity
 
     return forward
 
 
-def vjp_of(book, params):
+def vjp_of(scene, params):
     def vjp(x, *v):
         moved = GaussianParams(xyz_W=x[0], log_scale=x[1], quat=x[2], opacity_logit=x[3], sh=params.sh)
-        g = project_gaussians_vjp(moved, book.camera, book.pose, *v)
+        g = project_gaussians_vjp(moved, scene.camera, scene.pose, *v)
         return g.xyz_W, g.log_scale, g.quat, g.opacity_logit
 
     return vjp
 
 
-def test_vjp_is_the_autograd_of_the_forward(book, generator):
-    params = wide(book, generator)
+def test_vjp_is_the_autograd_of_the_forward(scene, generator):
+    params = wide(scene, generator)
     leaves = [x.clone().requires_grad_() for x in columns(params)]
-    out = forward_of(book, params)(*leaves)
+    out = forward_of(scene, params)(*leaves)
     v = [torch.randn(o.shape, generator=generator, dtype=torch.float64) for o in out]
     expected = torch.autograd.grad(out, leaves, v)
-    torch.testing.assert_close(vjp_of(book, params)(columns(params), *v), expected)
+    torch.testing.assert_close(vjp_of(scene, params)(columns(params), *v), expected)
 
 
-def test_vjp_by_finite_differences(book, generator):
-    params = wide(book, generator)
-    book.finite_difference_check(forward_of(book, params), vjp_of(book, params), columns(params), generator)
+def test_vjp_by_finite_differences(scene, generator):
+    params = wide(scene, generator)
+    scene.finite_difference_check(forward_of(scene, params), vjp_of(scene, params), columns(params), generator)
 
 
 def test_hidden_rows_get_no_gradient():
@@ -135,7 +165,7 @@ def test_hidden_rows_get_no_gradient():
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_no_gaussians(book, generator, dtype):
-    p = project_gaussians(book.random_map(generator, 0, dtype=dtype), book.camera, book.pose)
+def test_no_gaussians(scene, generator, dtype):
+    p = project_gaussians(scene.random_map(generator, 0, dtype=dtype), scene.camera, scene.pose)
     assert p.uv.shape == (0, 2)
     assert p.uv.dtype == dtype

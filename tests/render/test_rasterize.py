@@ -4,7 +4,15 @@ import pytest
 import torch
 
 from gsfusion_nb.geometry.spherical_harmonics import sh_to_rgb
-from gsfusion_nb.render import render, render_autograd, render_forward, render_vjp
+from gsfusion_nb.render import (
+    composite,
+    project_gaussians,
+    render,
+    render_autograd,
+    render_forward,
+    render_vjp,
+    tile_intersections,
+)
 from gsfusion_nb.types import Camera, GaussianParams
 
 IMAGES = ("rgb", "depth_m", "alpha", "first_index", "dominant_index")
@@ -14,8 +22,8 @@ def columns(params):
     return [getattr(params, f.name) for f in dataclasses.fields(GaussianParams)]
 
 
-def rows(book, values):
-    return GaussianParams(**dict(zip(book.columns, values, strict=True)))
+def rows(scene, values):
+    return GaussianParams(**dict(zip(scene.columns, values, strict=True)))
 
 
 def cotangents(generator, camera, dtype=torch.float64):
@@ -24,57 +32,58 @@ def cotangents(generator, camera, dtype=torch.float64):
 
 
 @pytest.mark.parametrize("degree", [0, 3])
-def test_agrees_with_the_textbook_and_its_autograd(book, generator, degree):
-    params = book.random_map(generator, 50, degree=degree, opacity=(0.3, 0.999))
-    leaves = GaussianParams(**{n: getattr(params, n).clone().requires_grad_() for n in book.columns})
-    rgb = sh_to_rgb(leaves.sh, leaves.xyz_W, book.pose[:3, 3])
-    truth = book.render(leaves, book.camera, book.pose, rgb)
-    out, saved = render_forward(params, book.camera, book.pose)
+def test_is_its_stages_and_the_gradient_is_their_autograd(scene, generator, degree):
+    params = scene.random_map(generator, 50, degree=degree, opacity=(0.3, 0.999))
+    leaves = GaussianParams(**{n: getattr(params, n).clone().requires_grad_() for n in scene.columns})
+    p = project_gaussians(leaves, scene.camera, scene.pose)
+    rgb = sh_to_rgb(leaves.sh, leaves.xyz_W, scene.pose[:3, 3])
+    image = composite(p.uv, p.conic, p.opacity, rgb, p.depth_m, tile_intersections(p, scene.camera), scene.camera)
+    out, saved = render_forward(params, scene.camera, scene.pose)
     for name in IMAGES:
-        torch.testing.assert_close(getattr(out, name), getattr(truth, name).detach())
-    v = cotangents(generator, book.camera)
-    loss = (truth.rgb * v[0]).sum() + (truth.depth_m * v[1]).sum() + (truth.alpha * v[2]).sum()
+        torch.testing.assert_close(getattr(out, name), getattr(image, name).detach())
+    v = cotangents(generator, scene.camera)
+    loss = (image.rgb * v[0]).sum() + (image.depth_m * v[1]).sum() + (image.alpha * v[2]).sum()
     expected = torch.autograd.grad(loss, columns(leaves))
-    for name, g, e in zip(book.columns, columns(render_vjp(saved, *v)), expected, strict=True):
+    for name, g, e in zip(scene.columns, columns(render_vjp(saved, *v)), expected, strict=True):
         torch.testing.assert_close(g, e, atol=1e-9, rtol=1e-8, msg=lambda m, name=name: f"{name}: {m}")
 
 
 @pytest.mark.parametrize(("degree", "n"), [(0, 5), (3, 2)])
-def test_every_parameter_by_finite_differences(book, generator, degree, n):
-    params = book.random_map(generator, n, degree=degree, scale=0.3)
+def test_every_parameter_by_finite_differences(scene, generator, degree, n):
+    params = scene.random_map(generator, n, degree=degree, scale=0.3)
     camera = Camera(width=9, height=7, fx=10.0, fy=10.0, cx=4.4, cy=3.6)
 
     def forward(*x):
-        out, _ = render_forward(rows(book, x), camera, book.pose)
+        out, _ = render_forward(rows(scene, x), camera, scene.pose)
         return out.rgb, out.depth_m, out.alpha
 
     def vjp(x, *v):
-        return tuple(columns(render_vjp(render_forward(rows(book, x), camera, book.pose)[1], *v)))
+        return tuple(columns(render_vjp(render_forward(rows(scene, x), camera, scene.pose)[1], *v)))
 
     assert (forward(*columns(params))[2] > 0.3).any()
-    book.finite_difference_check(forward, vjp, columns(params), generator)
+    scene.finite_difference_check(forward, vjp, columns(params), generator)
 
 
-def test_autograd_binding_gives_the_explicit_gradient(book, generator):
-    params = book.random_map(generator, 20, degree=1)
-    leaves = GaussianParams(**{n: getattr(params, n).clone().requires_grad_() for n in book.columns})
-    out = render_autograd(leaves, book.camera, book.pose)
-    v = cotangents(generator, book.camera)
+def test_autograd_binding_gives_the_explicit_gradient(scene, generator):
+    params = scene.random_map(generator, 20, degree=1)
+    leaves = GaussianParams(**{n: getattr(params, n).clone().requires_grad_() for n in scene.columns})
+    out = render_autograd(leaves, scene.camera, scene.pose)
+    v = cotangents(generator, scene.camera)
     (out.rgb * v[0]).sum().backward()
-    explicit = render_vjp(render_forward(params, book.camera, book.pose)[1], v[0])
+    explicit = render_vjp(render_forward(params, scene.camera, scene.pose)[1], v[0])
     for leaf, g in zip(columns(leaves), columns(explicit), strict=True):
         torch.testing.assert_close(leaf.grad, g)
-    plain = render(leaves, book.camera, book.pose)
+    plain = render(leaves, scene.camera, scene.pose)
     assert not plain.rgb.requires_grad
     torch.testing.assert_close(plain.rgb, out.rgb.detach())
 
 
-def test_order_of_rows_does_not_matter(book, generator):
-    params = book.random_map(generator, 40, degree=1)
+def test_order_of_rows_does_not_matter(scene, generator):
+    params = scene.random_map(generator, 40, degree=1)
     order = torch.randperm(40, generator=generator)
-    v = cotangents(generator, book.camera)
-    out, saved = render_forward(params, book.camera, book.pose)
-    shuffled, saved_shuffled = render_forward(params[order], book.camera, book.pose)
+    v = cotangents(generator, scene.camera)
+    out, saved = render_forward(params, scene.camera, scene.pose)
+    shuffled, saved_shuffled = render_forward(params[order], scene.camera, scene.pose)
     for name in ("rgb", "depth_m", "alpha"):
         torch.testing.assert_close(getattr(shuffled, name), getattr(out, name))
     for name in ("first_index", "dominant_index"):
@@ -87,10 +96,10 @@ def test_order_of_rows_does_not_matter(book, generator):
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @pytest.mark.parametrize("n", [0, 1, 33])
 @pytest.mark.parametrize("size", [(1, 1), (27, 19), (16, 8), (129, 3)])
-def test_any_number_of_gaussians_on_any_image(book, generator, n, size, dtype):
+def test_any_number_of_gaussians_on_any_image(scene, generator, n, size, dtype):
     camera = Camera(width=size[0], height=size[1], fx=30.0, fy=30.0, cx=size[0] / 2, cy=size[1] / 2)
-    params = book.random_map(generator, n, degree=2, dtype=dtype)
-    out, saved = render_forward(params, camera, book.pose.float())
+    params = scene.random_map(generator, n, degree=2, dtype=dtype)
+    out, saved = render_forward(params, camera, scene.pose.float())
     assert out.rgb.shape == (size[1], size[0], 3)
     assert out.rgb.dtype == dtype
     gradient = render_vjp(saved, *cotangents(generator, camera, dtype))
@@ -104,22 +113,22 @@ def test_any_number_of_gaussians_on_any_image(book, generator, n, size, dtype):
         assert (out.first_index == -1).all()
 
 
-def test_all_behind_the_camera(book, generator):
-    params = book.random_map(generator, 10)
-    turned = book.pose.clone()
+def test_all_behind_the_camera(scene, generator):
+    params = scene.random_map(generator, 10)
+    turned = scene.pose.clone()
     turned[:3, 0], turned[:3, 2] = -turned[:3, 0], -turned[:3, 2]
-    out, saved = render_forward(params, book.camera, turned)
+    out, saved = render_forward(params, scene.camera, turned)
     assert (out.alpha == 0).all()
-    gradient = render_vjp(saved, *cotangents(generator, book.camera))
+    gradient = render_vjp(saved, *cotangents(generator, scene.camera))
     assert all((g == 0).all() for g in columns(gradient))
 
 
-def test_float32_is_close_to_float64(book, generator):
-    params = book.random_map(generator, 300, degree=3)
-    single = book.random_map(torch.Generator().manual_seed(0), 300, degree=3, dtype=torch.float32)
-    v = cotangents(generator, book.camera)
-    exact, saved = render_forward(params, book.camera, book.pose)
-    out, saved_single = render_forward(single, book.camera, book.pose)
+def test_float32_is_close_to_float64(scene, generator):
+    params = scene.random_map(generator, 300, degree=3)
+    single = scene.random_map(torch.Generator().manual_seed(0), 300, degree=3, dtype=torch.float32)
+    v = cotangents(generator, scene.camera)
+    exact, saved = render_forward(params, scene.camera, scene.pose)
+    out, saved_single = render_forward(single, scene.camera, scene.pose)
     # one step of a 1/255 or 1e-4 threshold may differ at a few pixels
     assert (out.rgb.double() - exact.rgb).abs().median() < 1e-6
     assert ((out.rgb.double() - exact.rgb) ** 2).mean() < 1e-8
@@ -128,18 +137,18 @@ def test_float32_is_close_to_float64(book, generator):
         assert torch.cosine_similarity(a.double().flatten(), b.flatten(), dim=0) > 0.9999
 
 
-def test_without_indices(book, generator):
-    params = book.random_map(generator, 10)
-    full, bare = (render_forward(params, book.camera, book.pose, with_indices=w)[0] for w in (True, False))
+def test_without_indices(scene, generator):
+    params = scene.random_map(generator, 10)
+    full, bare = (render_forward(params, scene.camera, scene.pose, with_indices=w)[0] for w in (True, False))
     assert torch.equal(full.rgb, bare.rgb)
     assert bare.first_index is None
     assert bare.dominant_index is None
 
 
-def test_depth_and_alpha_gradients_default_to_zero(book, generator):
-    params = book.random_map(generator, 10)
-    _, saved = render_forward(params, book.camera, book.pose)
-    v_rgb, v_depth, v_alpha = cotangents(generator, book.camera)
+def test_depth_and_alpha_gradients_default_to_zero(scene, generator):
+    params = scene.random_map(generator, 10)
+    _, saved = render_forward(params, scene.camera, scene.pose)
+    v_rgb, v_depth, v_alpha = cotangents(generator, scene.camera)
     for a, b in zip(
         columns(render_vjp(saved, v_rgb)), columns(render_vjp(saved, v_rgb, 0 * v_depth, 0 * v_alpha)), strict=True
     ):

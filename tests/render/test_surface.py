@@ -68,13 +68,13 @@ def test_blended_depth_by_hand():
     "config",
     [DiscConfig(), DiscConfig(opaque_alpha=0.4, max_offset=None, min_cosine=0.2), DiscConfig(depth="blended")],
 )
-def test_agrees_with_its_parts(book, generator, config):
-    params = book.random_map(generator, 30, opacity=(0.5, 0.99), scale=0.3, dtype=torch.float32)
-    T_WC = book.pose.float()
-    view = view_surface(params, book.camera, T_WC, config)
-    output, _ = render_forward(params, book.camera, T_WC, opaque_alpha=config.opaque_alpha)
+def test_agrees_with_its_parts(scene, generator, config):
+    params = scene.random_map(generator, 30, opacity=(0.5, 0.99), scale=0.3, dtype=torch.float32)
+    T_WC = scene.pose.float()
+    view = view_surface(params, scene.camera, T_WC, config)
+    output, _ = render_forward(params, scene.camera, T_WC, opaque_alpha=config.opaque_alpha)
     disc = disc_depth(
-        params, book.camera, T_WC, output.hit_index, max_offset=config.max_offset, min_cosine=config.min_cosine
+        params, scene.camera, T_WC, output.hit_index, max_offset=config.max_offset, min_cosine=config.min_cosine
     )
     assert torch.equal(view.rgb, output.rgb)
     assert torch.equal(view.hit_index, output.hit_index)
@@ -83,25 +83,25 @@ def test_agrees_with_its_parts(book, generator, config):
     torch.testing.assert_close(view.transmittance, 1 - output.alpha)
     expected = disc.depth_m if config.depth == "disc" else blended_depth_m(output)
     assert torch.equal(view.depth_m, expected)
-    assert torch.equal(surface_depth_m(params, book.camera, T_WC, output, config), expected)
+    assert torch.equal(surface_depth_m(params, scene.camera, T_WC, output, config), expected)
     assert (view.depth_m > 0).any()
 
 
-def test_normals_face_the_camera_wherever_it_is(book, generator):
-    params = book.random_map(generator, 40, opacity=(0.9, 0.99), scale=0.3, dtype=torch.float32)
-    view = view_surface(params, book.camera, book.pose.float())
+def test_normals_face_the_camera_wherever_it_is(scene, generator):
+    params = scene.random_map(generator, 40, opacity=(0.9, 0.99), scale=0.3, dtype=torch.float32)
+    view = view_surface(params, scene.camera, scene.pose.float())
     seen = view.hit_index >= 0
     centre = params.xyz_W[view.hit_index[seen]]
-    to_camera = book.pose[:3, 3].float() - centre
+    to_camera = scene.pose[:3, 3].float() - centre
     assert ((view.normal_W[seen] * to_camera).sum(1) > 0).all()
     torch.testing.assert_close(view.normal_W[seen].norm(dim=1), torch.ones(int(seen.sum())))
 
 
-def test_some_pixels_only(book, generator):
-    params = book.random_map(generator, 30, opacity=(0.7, 0.99), scale=0.3, dtype=torch.float32)
-    pixels = torch.rand(book.camera.height, book.camera.width, generator=generator) < 0.3
-    T_WC = book.pose.float()
-    whole, part = (view_surface(params, book.camera, T_WC, pixels=p) for p in (None, pixels))
+def test_some_pixels_only(scene, generator):
+    params = scene.random_map(generator, 30, opacity=(0.7, 0.99), scale=0.3, dtype=torch.float32)
+    pixels = torch.rand(scene.camera.height, scene.camera.width, generator=generator) < 0.3
+    T_WC = scene.pose.float()
+    whole, part = (view_surface(params, scene.camera, T_WC, pixels=p) for p in (None, pixels))
     assert torch.equal(part.depth_m, torch.where(pixels, whole.depth_m, 0.0))
     assert torch.equal(part.hit_index, torch.where(pixels, whole.hit_index, -1))
     torch.testing.assert_close(part.rgb, torch.where(pixels[..., None], whole.rgb, 0.0))

@@ -13,8 +13,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from ..constants import ALPHA_MIN
-from .tiles import TileLists
+from gsfusion_nb.constants import ALPHA_MIN
+from gsfusion_nb.render.tiles import TileLists
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -36,8 +36,9 @@ def list_entries(
     """The polynomial of every entry (formula at the top of this file). Differentiable: ``entries_vjp``."""
     row, P = tiles.gaussian, tiles.tile_px
     u, v, A, B, C, ln_o = torch.cat([uv, conic, opacity.log()[:, None]], dim=1).T.contiguous().index_select(1, row)
-    tile_y = tiles.tile // tiles.tiles_x
-    tile_x = tiles.tile - tile_y * tiles.tiles_x
+    tile = torch.repeat_interleave(tiles.offset.diff(), output_size=len(row))
+    tile_y = tile // tiles.tiles_x
+    tile_x = tile - tile_y * tiles.tiles_x
     u, v = u - (tile_x * P + P / 2), v - (tile_y * P + P / 2)
     q_x, q_y = A * u + B * v, B * u + C * v
     poly = torch.empty(len(row) + 1, 6, dtype=uv.dtype, device=uv.device)

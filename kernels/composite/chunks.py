@@ -13,9 +13,9 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from ..constants import TRANSMITTANCE_MIN
-from ..types import Camera
-from .tiles import TileLists
+from gsfusion_nb.constants import TRANSMITTANCE_MIN
+from gsfusion_nb.render.tiles import TileLists
+from gsfusion_nb.types import Camera
 
 RANKS = 32
 """List entries per chunk: an opaque tile is noticed after at most so many more."""
