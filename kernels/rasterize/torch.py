@@ -15,9 +15,7 @@ class TorchSaved(RenderSaved):
     backend = "torch"
 
 
-def render_forward(
-    params: GaussianParams, camera: Camera, T_WC: Tensor, **options: Any
-) -> tuple[RenderOutput, Record]:
+def render_forward(params: GaussianParams, camera: Camera, T_WC: Tensor, **options: Any) -> tuple[RenderOutput, Record]:
     """See ``gsfusion_nb.render.render_forward``."""
     with use_backend("torch"):
         output, saved = load("render_forward", "reference")(params, camera, T_WC, **options)
