@@ -1,4 +1,4 @@
-"""The whole renderer in torch: the steps are the reference's, with the stages of backend "torch"; any device, float64."""
+"""The whole renderer in torch: the reference's steps, with the stages of backend "torch"; for any device and float64."""
 
 from typing import Any
 
