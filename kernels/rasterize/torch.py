@@ -1,4 +1,4 @@
-"""The whole renderer in torch: the reference's steps, with the stages of backend "torch"; for any device and float64."""
+"""The whole renderer in torch: the steps of the reference, with the stages of backend "torch"; also in float64."""
 
 from typing import Any
 
