@@ -59,7 +59,9 @@ def main() -> int:
         if f.remedy and not f.ok:
             print(f"      {'':<{width}}  -> {f.remedy}")
     missing = [f for f in findings if not f.ok and f.needed]
-    print("Everything needed is here." if not missing else f"{len(missing)} thing(s) to mend: see the arrows above.")
+    print(
+        f"{len(missing)} problem(s) to solve: see the arrows above." if missing else "Everything needed is installed."
+    )
     return 1 if missing else 0
 
 

@@ -162,7 +162,7 @@ class RenderOutput:
     hit_index: Int[Tensor, "H W"] | None = None
     """Row of the nearest Gaussian that is opaque at the pixel, blended or not, or -1. ``None`` if not asked for."""
     surface_depth_m: Float[Tensor, "H W"] | None = None
-    """z-depth of the surface, 0 where none is, of a map that has one of its own (RTG-SLAM's discs), metres."""
+    """z-depth of the surface, metres, 0 where there is none; only for maps that have a surface (RTG-SLAM's discs)."""
 
     def to(self, device: torch.device | str) -> "RenderOutput":
         """The same images on ``device``."""

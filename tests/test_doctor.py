@@ -18,7 +18,7 @@ def test_everything_needed_is_found_here(capsys, monkeypatch):
     assert doctor.main() == 0
     text = capsys.readouterr().out
     assert "render_forward / reference" in text
-    assert "Everything needed is here." in text
+    assert "Everything needed is installed." in text
 
 
 def test_a_missing_package_is_named_with_its_remedy(capsys, monkeypatch):

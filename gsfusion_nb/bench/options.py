@@ -23,7 +23,7 @@ class BenchOptions:
     data: str = "room"
     """Folder of the sequence for tsdf, map and the check-up in waits, or "room" for the built-in scene."""
     size: tuple[str, ...] = ()
-    """Image sizes for these, such as 320x240 640x480; the recording's own by default, 320x240 for the room."""
+    """Image sizes for these, such as 320x240 640x480; those of the recording by default, 320x240 for the room."""
     frames: int = 0
     """Frames of the sequence to use; 0 means 60, or 8 with --quick."""
     backend: tuple[str, ...] = ()

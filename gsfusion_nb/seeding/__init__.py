@@ -1,4 +1,4 @@
-"""Where new Gaussians are born: the image quadtree, the context a rule sees, the registry, and the rules."""
+"""Where new Gaussians are created: the image quadtree, the context a rule sees, the registry, and the rules."""
 
 from ..types import Seeds as Seeds
 from . import rules as rules

@@ -11,7 +11,7 @@ from .nearest import k_nearest
 NEIGHBOURS = 3
 """Nearest neighbours looked at (released code)."""
 REACH = 3.0
-"""An existing disc covers so many of its radii."""
+"""An existing disc covers this many of its radii."""
 BORDER_M = 0.05
 """Existing discs farther than this outside the new points' bounding box are no neighbours."""
 
@@ -49,7 +49,7 @@ def gaps_around(
         neighbour_xyz_W: Centres of the discs that exist.
         neighbour_radius_m: Their radii.
         reach: Radii that an existing disc covers.
-        neighbours: How many; fewer where there are not so many points.
+        neighbours: How many; fewer if there are fewer points.
 
     Differentiable: no. Source: the released code (the paper says "cover the scene ... with little overlapping").
     """
@@ -74,6 +74,6 @@ def gaps_around(
 def nearest(
     xyz_W: Float[Tensor, "M 3"], others_W: Float[Tensor, "N 3"], neighbours: int = NEIGHBOURS
 ) -> tuple[Float[Tensor, "M K"], Tensor]:
-    """Distance to the nearest of ``others_W`` and their rows; infinite, and row 0, where there are not so many."""
+    """Distance to the nearest of ``others_W`` and their rows; infinite, and row 0, if there are fewer."""
     distance, row = k_nearest(xyz_W, others_W, neighbours)
     return distance, row.masked_fill(row == len(others_W), 0)

@@ -11,7 +11,7 @@ _DISTANCES = 1 << 25
 def k_nearest(
     xyz_W: Float[Tensor, "M 3"], others_W: Float[Tensor, "N 3"], k: int
 ) -> tuple[Float[Tensor, "M K"], Int[Tensor, "M K"]]:
-    """Distance to the ``k`` nearest of ``others_W`` and their rows, nearest first; where there are not so many,
+    """Distance to the ``k`` nearest of ``others_W`` and their rows, nearest first; if there are fewer,
     infinite and row N. On the device of the points; differentiable: no."""
     M, N = len(xyz_W), len(others_W)
     if M == 0 or N == 0:

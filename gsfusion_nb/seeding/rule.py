@@ -1,6 +1,6 @@
 """Seeding rules by name: ``@seeding_rule`` registers a function, a mapper takes the name or the function itself.
 
-A rule is a function ``(ctx: SeedContext, *, number=default, ...) -> Seeds``. It proposes the Gaussians that are born
+A rule is a function ``(ctx: SeedContext, *, number=default, ...) -> Seeds``. It proposes the Gaussians that are created
 from one frame; it changes nothing, and draws random numbers only from ``ctx.generator``.
 """
 
@@ -33,7 +33,7 @@ def seeding_rule(rule: F) -> F:
             word out of ``Literal["...", ...]``.
     """
     if not callable(rule):
-        raise TypeError(f"@seeding_rule goes on a function, got {type(rule).__name__}; write it without parentheses")
+        raise TypeError(f"@seeding_rule decorates a function, got {type(rule).__name__}; write it without parentheses")
     if not rule_name(rule).isidentifier():
         raise TypeError(f"a seeding rule is registered by its name, and {rule_name(rule)!r} is none: use def")
     _options_of(rule)

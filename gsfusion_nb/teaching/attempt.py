@@ -51,7 +51,7 @@ class Attempt:
             raise NotWritten
         for before, after in zip([*args, *kwargs.values()], [*given, *named.values()], strict=True):
             if isinstance(before, Tensor) and not torch.equal(before.nan_to_num(), after.nan_to_num()):
-                raise Failed("it leaves its inputs as they are", on, "a tensor that was passed in has changed")
+                raise Failed("it does not change its inputs", on, "a tensor that was passed in has changed")
         return copy.copy(result)
 
 
@@ -86,7 +86,7 @@ def close(got: Any, expected: Any, prop: str, *, on: str, tolerance: float = 1e-
 
 
 def unpack(value: Any, names: Sequence[str], *, on: str) -> tuple[Any, ...]:
-    """The parts of a returned tuple, one for each name; fails unless there are so many."""
+    """The parts of a returned tuple, one for each name; fails unless their number is right."""
     if not isinstance(value, (tuple, list)) or len(value) != len(names):
         raise Failed(f"it returns {', '.join(names)}", on, f"it returned {describe([value])}")
     return tuple(value)

@@ -33,7 +33,10 @@ def overall_speedup(attempt: Attempt) -> None:
     """How many times as fast a frame gets when one stage does (Amdahl)."""
     on = "one stage alone, 4 times as fast"
     close(
-        attempt.on(on)({"optimise": 0.2}, "optimise", 4.0), 4.0, "with one stage, the whole gains what it gains", on=on
+        attempt.on(on)({"optimise": 0.2}, "optimise", 4.0),
+        4.0,
+        "with one stage, the whole frame gains as much as the stage",
+        on=on,
     )
     on = "50 ms optimise and 50 ms tsdf; optimise 5 times as fast"
     seconds = {"optimise": 0.05, "tsdf": 0.05}
@@ -174,7 +177,7 @@ def _average_unclamped(D, W, d, max_weight):
     ),
     wrong=(
         Wrong(_average_of_everything, says="behind the surface"),
-        Wrong(_average_in_place, says="leaves its inputs"),
+        Wrong(_average_in_place, says="does not change its inputs"),
         Wrong(_average_uncapped, says="max_weight"),
         Wrong(_average_unclamped, says="at most 1"),
     ),
@@ -188,7 +191,7 @@ def average_loop(attempt: Attempt) -> None:
         kept = tuple(a.copy() for a in given)
         result = unpack(attempt.on(on)(*given, cap), names, on=on)
         if not all(np.array_equal(a, b, equal_nan=True) for a, b in zip(given, kept, strict=True)):
-            raise Failed("it leaves its inputs as they are", on, "D or W has changed; work on copies, D.copy()")
+            raise Failed("it does not change its inputs", on, "D or W has changed; work on copies, D.copy()")
         return result
 
     on = "D = 0.5 after 3 observations, and d = 0.1"

@@ -6,7 +6,7 @@ In a notebook::
     check.lift_pixel                 # title, difficulty, minutes, number of hints
     check.lift_pixel.hint()          # the next hint, on request
     check.lift_pixel(lift_pixel)     # Verdict: green, or red with the property that failed and the input
-    f = check.lift_pixel.working(f)  # the student's function if it passes, otherwise ours: the chapter goes on
+    f = check.lift_pixel.working(f)  # the student's function if it passes, else ours
 
 In ``teaching/<chapter>.py`` (found by itself, nothing to register elsewhere)::
 
@@ -96,7 +96,7 @@ class Exercise:
         return Hint(wanted, len(self.hints), self.hints[wanted - 1])
 
     def working(self, function: Any) -> Callable[..., Any]:
-        """``function`` if it passes, otherwise our solution, so that the chapter can go on."""
+        """``function`` if it passes, otherwise our solution, so that the chapter can continue."""
         return function if self(function) else self.solution
 
     def __repr__(self) -> str:

@@ -236,6 +236,6 @@ def halve_intrinsics(attempt: Attempt) -> None:
 
 
 def _last(point: object) -> Tensor:
-    """z of a point, whatever the student made it."""
+    """z of a point, of whatever type the student returned."""
     t = torch.as_tensor(point)
     return t[..., -1] if t.ndim else torch.full((1,), math.nan)

@@ -44,7 +44,7 @@ def _moves_x(loss: Loss, x: Tensor, h: float) -> Tensor:
     wrong=(
         Wrong(_one_sided, says="a parabola has no error"),
         Wrong(_half_forgotten, says="the slope of a straight line"),
-        Wrong(_moves_x, says="it leaves its inputs as they are"),
+        Wrong(_moves_x, says="it does not change its inputs"),
     ),
 )  # fmt: skip
 def slope(attempt: Attempt) -> None:

@@ -1,4 +1,4 @@
-"""Exercises of chapter 6: the online loop of GSFusion: what a frame gets, key frames, and honest frame rates."""
+"""Exercises of chapter 6: the online loop of GSFusion: what a frame gets, keyframes, and correct frame rates."""
 
 import torch
 from torch import Tensor
@@ -39,7 +39,7 @@ def frame_rate(attempt: Attempt) -> None:
     on = "ten frames of 0.1 s"
     close(attempt.on(on)([0.1] * 10), 10.0, "equal frames: one over the time of each", on=on)
     on = "one frame of 0.01 s and one of 0.99 s"
-    why = "The mean of 1/t would be 50.5, and nobody saw 50 frames in a second"
+    why = "The mean of 1/t would be 50.5, but only two frames were mapped in that second"
     close(attempt.on(on)([0.01, 0.99]), 2.0, "frames divided by the time they took", on=on, why=why)
 
 
@@ -68,14 +68,14 @@ def _plan_with_replacement(n_seeds, n_keyframes, m, n, r, min_seeds):
 @exercise(
     chapter=6, difficulty=2, minutes=8, solution=_plan_frame,
     hints=(
-        "Key frame or not is decided by the number of new Gaussians alone: 'greater than a certain threshold'.",
-        "A key frame gets m steps and no others. Any other frame gets n, and then r on random key frames.",
-        "How many different key frames can you draw from a list of one?",
+        "Keyframe or not is decided by the number of new Gaussians alone: 'greater than a certain threshold'.",
+        "A keyframe gets m steps and no others. Any other frame gets n, and then r on random keyframes.",
+        "How many different keyframes can you draw from a list of one?",
     ),
     wrong=(
         Wrong(_plan_with_at_least, says="more new Gaussians than"),
-        Wrong(_plan_revisiting_always, says="a key frame has no time for others"),
-        Wrong(_plan_with_replacement, says="different key frames"),
+        Wrong(_plan_revisiting_always, says="at a keyframe no other frames are revisited"),
+        Wrong(_plan_with_replacement, says="different keyframes"),
     ),
 )  # fmt: skip
 def plan_frame(attempt: Attempt) -> None:
@@ -85,22 +85,22 @@ def plan_frame(attempt: Attempt) -> None:
     def plan(on: str, *numbers: int) -> tuple:
         return unpack(attempt.on(on)(*numbers), names, on=on)
 
-    on = "300 new Gaussians, 7 key frames so far, m = 5, n = 3, r = 2, threshold 50"
+    on = "300 new Gaussians, 7 keyframes so far, m = 5, n = 3, r = 2, threshold 50"
     key, steps, revisits = plan(on, 300, 7, 5, 3, 2, 50)
-    holds(key, "a frame that brings much is a key frame", on=on, detail=f"is_keyframe is {key!r}")
-    close(steps, 5, "a key frame gets m steps", on=on)
-    close(revisits, 0, "a key frame has no time for others", on=on)
-    on = "10 new Gaussians, 7 key frames so far"
+    holds(key, "a frame with many new Gaussians is a keyframe", on=on, detail=f"is_keyframe is {key!r}")
+    close(steps, 5, "a keyframe gets m steps", on=on)
+    close(revisits, 0, "at a keyframe no other frames are revisited", on=on)
+    on = "10 new Gaussians, 7 keyframes so far"
     key, steps, revisits = plan(on, 10, 7, 5, 3, 2, 50)
-    holds(not key, "a frame that brings little is none", on=on, detail=f"is_keyframe is {key!r}")
+    holds(not key, "a frame with few new Gaussians is not a keyframe", on=on, detail=f"is_keyframe is {key!r}")
     close([steps, revisits], [3, 2], "another frame gets n steps, and r revisits", on=on)
     on = "exactly 50 new Gaussians"
     key, *_ = plan(on, 50, 7, 5, 3, 2, 50)
-    holds(not key, "a key frame brings more new Gaussians than the threshold", on=on, detail="50 is not more than 50")
-    on = "10 new Gaussians, one key frame so far"
-    close(plan(on, 10, 1, 5, 3, 2, 50)[2], 1, "revisits go to different key frames", on=on)
-    on = "10 new Gaussians, no key frame yet"
-    close(plan(on, 10, 0, 5, 3, 2, 50)[2], 0, "revisits go to different key frames, of which there are none", on=on)
+    holds(not key, "a keyframe adds more new Gaussians than the threshold", on=on, detail="50 is not more than 50")
+    on = "10 new Gaussians, one keyframe so far"
+    close(plan(on, 10, 1, 5, 3, 2, 50)[2], 1, "revisits go to different keyframes", on=on)
+    on = "10 new Gaussians, no keyframe yet"
+    close(plan(on, 10, 0, 5, 3, 2, 50)[2], 0, "revisits go to different keyframes, of which there are none", on=on)
 
 
 def _draw_keyframes(n_keyframes: int, count: int, generator: torch.Generator) -> Tensor:
@@ -126,13 +126,13 @@ def _draw_from_the_global_generator(n_keyframes: int, count: int, generator: tor
         "torch.randperm takes the generator; a slice takes care of lists that are too short.",
     ),
     wrong=(
-        Wrong(_draw_with_replacement, says="no key frame twice"),
-        Wrong(_draw_the_latest, says="every key frame has the same chance"),
+        Wrong(_draw_with_replacement, says="no keyframe twice"),
+        Wrong(_draw_the_latest, says="every keyframe has the same chance"),
         Wrong(_draw_from_the_global_generator, says="the generator that is passed in"),
     ),
 )  # fmt: skip
 def draw_keyframes(attempt: Attempt) -> None:
-    """Indices of random key frames to revisit."""
+    """Indices of random keyframes to revisit."""
 
     def draw(on: str, n: int, count: int, seed: int) -> list[int]:
         drawn = attempt.on(on)(n, count, torch.Generator().manual_seed(seed))
@@ -140,9 +140,9 @@ def draw_keyframes(attempt: Attempt) -> None:
 
     on = "2 out of 5, drawn 400 times"
     draws = [draw(on, 5, 2, seed) for seed in range(400)]
-    holds(all(len(d) == 2 and min(d) >= 0 and max(d) < 5 for d in draws), "so many indices as asked for, in 0..n-1",
+    holds(all(len(d) == 2 and min(d) >= 0 and max(d) < 5 for d in draws), "as many indices as requested, in 0..n-1",
           on=on, detail=f"one draw was {next((d for d in draws if len(d) != 2 or max(d) > 4), draws[0])}")  # fmt: skip
-    holds(all(len(set(d)) == 2 for d in draws), "no key frame twice in one draw", on=on,
+    holds(all(len(set(d)) == 2 for d in draws), "no keyframe twice in one draw", on=on,
           detail=f"one draw was {next((d for d in draws if len(set(d)) < 2), [])}")  # fmt: skip
     torch_state = torch.get_rng_state()
     again = [draw(on, 5, 2, seed) for seed in range(20)]
@@ -150,7 +150,7 @@ def draw_keyframes(attempt: Attempt) -> None:
     holds(same, "random numbers come only from the generator that is passed in", on=on,
           detail="the same seed gave another draw, or torch's global generator has moved")  # fmt: skip
     share = torch.bincount(torch.tensor(draws).flatten(), minlength=5) / 800
-    holds((share - 0.2).abs().max() < 0.06, "every key frame has the same chance", on=on,
+    holds((share - 0.2).abs().max() < 0.06, "every keyframe has the same chance", on=on,
           detail=f"shares of the five: {[round(float(s), 2) for s in share]}, expected 0.2 each")  # fmt: skip
     on = "4 out of 3"
     close(sorted(draw(on, 3, 4, 0)), [0, 1, 2], "from a short list, all of it", on=on)
@@ -166,7 +166,7 @@ class Log:
         self.calls: list[tuple[str, int, int]] = []
 
     def __call__(self, view: "Frame | Keyframe") -> None:
-        kind = "key frame" if isinstance(view, Keyframe) else "frame"
+        kind = "keyframe" if isinstance(view, Keyframe) else "frame"
         self.calls.append((kind, view.index, len(self.mapper.gaussians)))
 
 
@@ -231,14 +231,14 @@ def _map_forgetting(mapper: GSFusion, frame: Frame, optimise) -> int:
         "mapper.seed_context(frame)); mapper.gaussians.append(seeds, frame.index); optimise(frame).",
         "A frame with more than mapper.config.keyframe_min_seeds seeds goes to mapper.keyframes.append(frame) and gets "
         "mapper.config.optim.keyframe_iterations steps; others frame_iterations.",
-        "After a frame that is no key frame: for keyframe in mapper.keyframes.draw("
+        "After a frame that is not a keyframe: for keyframe in mapper.keyframes.draw("
         "mapper.config.optim.random_keyframe_iterations, mapper.generator): optimise(keyframe).",
     ),
     wrong=(
         Wrong(_map_seeding_first, says="the TSDF takes in the frame before the rule looks at it"),
         Wrong(_map_optimising_too_early, says="new Gaussians are there when the frame is optimised"),
-        Wrong(_map_without_keyframes, says="becomes a key frame"),
-        Wrong(_map_forgetting, says="random key frames"),
+        Wrong(_map_without_keyframes, says="becomes a keyframe"),
+        Wrong(_map_forgetting, says="random keyframes"),
     ),
 )  # fmt: skip
 def map_frame(attempt: Attempt) -> None:
@@ -256,23 +256,23 @@ def map_frame(attempt: Attempt) -> None:
     early = any(n < expected for _, _, n in log.calls)
     holds(not early, "the new Gaussians are there when the frame is optimised", on=on,
           detail="optimise was called while the map was empty")  # fmt: skip
-    holds(len(theirs.keyframes) == 1, "a frame with many new Gaussians becomes a key frame", on=on,
-          detail=f"{expected} new Gaussians, and {len(theirs.keyframes)} key frames")  # fmt: skip
-    close(len(log.calls), 5, "a key frame gets m = 5 steps, all on itself", on=on)
+    holds(len(theirs.keyframes) == 1, "a frame with many new Gaussians becomes a keyframe", on=on,
+          detail=f"{expected} new Gaussians, and {len(theirs.keyframes)} keyframes")  # fmt: skip
+    close(len(log.calls), 5, "a keyframe gets m = 5 steps, all on itself", on=on)
     on = "the same wall again"
     _second(attempt, theirs, log, on)
 
 
 def _second(attempt: Attempt, mapper: GSFusion, log: Log, on: str) -> None:
-    """The frame shows nothing new: three steps on it, then one on the only key frame."""
+    """The frame shows nothing new: three steps on it, then one on the only keyframe."""
     log.calls.clear()
     close(attempt.on(on)(mapper, _wall(1), log), 0, "what was seen is not seeded again", on=on)
-    close(len(mapper.keyframes), 1, "a frame that brings little is no key frame", on=on)
+    close(len(mapper.keyframes), 1, "a frame with few new Gaussians is not a keyframe", on=on)
     kinds = [kind for kind, _, _ in log.calls]
-    close(kinds.count("frame"), 3, "a frame that is no key frame gets n = 3 steps", on=on)
-    holds(kinds.count("key frame") == 1, "afterwards random key frames are revisited, up to two", on=on,
-          detail=f"the list has one, and {kinds.count('key frame')} were optimised")  # fmt: skip
-    if kinds[-1] != "key frame":
+    close(kinds.count("frame"), 3, "a frame that is not a keyframe gets n = 3 steps", on=on)
+    holds(kinds.count("keyframe") == 1, "afterwards random keyframes are revisited, up to two", on=on,
+          detail=f"the list has one, and {kinds.count('keyframe')} were optimised")  # fmt: skip
+    if kinds[-1] != "keyframe":
         raise Failed("the revisits come last", on, f"the order was {', '.join(kinds)}")
 
 

@@ -1,4 +1,4 @@
-"""Exercises of chapter 3: contrast of a cell, cutting, the recursion, from a cell to a Gaussian."""
+"""Exercises of chapter 3: contrast of a cell, splitting, the recursion, from a cell to a Gaussian."""
 
 import math
 
@@ -49,7 +49,7 @@ def _contrast_without_pixels(cell_rgb: Tensor, image_pixels: int) -> float:
     ),
 )  # fmt: skip
 def contrast(attempt: Attempt) -> None:
-    """The contrast that decides whether a cell is cut."""
+    """The contrast that decides whether a cell is split."""
     on = "a cell of one colour"
     plain = torch.full((4, 4, 3), 90, dtype=torch.uint8)
     close(attempt.on(on)(plain, 90_000), 0.0, "a plain cell has no contrast", on=on, tolerance=1e-9)
@@ -94,7 +94,7 @@ def _split_at_the_origin(x0: int, y0: int, width: int, height: int) -> list[Cell
     ),
 )  # fmt: skip
 def split_cell(attempt: Attempt) -> None:
-    """Cut a cell in four."""
+    """Split a cell into four."""
     names = ("four cells: top left", "bottom left", "top right", "bottom right")
     for cell in ((0, 0, 8, 4), (3, 2, 6, 4), (10, 20, 7, 5)):
         on = f"the cell (x0, y0, width, height) = {cell}"
@@ -140,7 +140,7 @@ def _cut_what_is_plain(rgb_u8: Tensor, threshold: float, min_cell_px: int) -> li
     wrong=(
         Wrong(_leaves_by_full_size, says="half sizes stay above min_cell_px = 5"),
         Wrong(_leaves_and_inner_nodes, says="exactly one leaf"),
-        Wrong(_cut_what_is_plain, says="is cut"),
+        Wrong(_cut_what_is_plain, says="is split"),
     ),
 )  # fmt: skip
 def quadtree_leaves(attempt: Attempt) -> None:
@@ -154,7 +154,7 @@ def quadtree_leaves(attempt: Attempt) -> None:
     holds(got == {(0, 0, 28, 20)}, "a plain image stays one cell", on=on, detail=f"got {len(got)} cells")
     on = "an image of noise"
     cells = _as_cells(attempt.on(on)(noise, 0.001, 5), on)
-    holds(len(cells) > 1, "a busy image is cut", on=on, detail=f"got {len(cells)} cell")
+    holds(len(cells) > 1, "a busy image is split", on=on, detail=f"got {len(cells)} cell")
     covered = torch.zeros(20, 28, dtype=torch.int64)
     for x, y, w, h in cells:
         covered[y : y + h, x : x + w] += 1

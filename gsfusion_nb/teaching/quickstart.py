@@ -1,4 +1,4 @@
-"""Exercises of the quickstart: whom the TSDF lets in, what a decibel is, and which frames are the exam."""
+"""Exercises of the quickstart: which cells get a Gaussian, what a decibel is, and which frames are held out."""
 
 import torch
 from torch import Tensor
@@ -27,7 +27,7 @@ def _depth_or_not(weight: Tensor, depth_m: Tensor) -> Tensor:
     chapter=0, difficulty=1, minutes=5, solution=_first_seen,
     hints=(
         "Fusion comes before seeding. A voxel that this frame was the first to see has been averaged once.",
-        "A cell whose middle has no depth has no point in space: nothing can stand there.",
+        "A cell whose middle has no depth has no point in space, so no Gaussian can be placed.",
     ),
     wrong=(
         Wrong(_never_seen, says="Fusion comes first"),
@@ -44,7 +44,7 @@ def first_seen(attempt: Attempt) -> None:
     close(torch.as_tensor(got).double(), [1, 0, 0], "a place is new where the weight is 1", on=on, why=why)
     on = "weight 0: a point outside of the volume"
     got = attempt.on(on)(torch.tensor([0.0, 1.0]), depth_m[:2])
-    close(torch.as_tensor(got).double(), [0, 1], "a voxel that is not in the map says nothing", on=on)
+    close(torch.as_tensor(got).double(), [0, 1], "a voxel that is not in the map is not observed", on=on)
     on = "weight 1, depth 0"
     got = attempt.on(on)(torch.tensor([1.0, 1.0]), torch.tensor([0.0, 2.0]))
     close(torch.as_tensor(got).double(), [0, 1], "no depth, no Gaussian", on=on)
@@ -86,13 +86,13 @@ def psnr(attempt: Attempt) -> None:
     on = "a picture that is too bright by 0.1 everywhere"
     got = torch.as_tensor(attempt.on(on)(photo + 0.1, photo)).double()
     holds(
-        float(got.mean()) > 0, "more is better, and 0 dB is hopeless", on=on, detail=f"got {float(got.mean()):.1f} dB"
+        float(got.mean()) > 0, "more is better, and 0 dB is very bad", on=on, detail=f"got {float(got.mean()):.1f} dB"
     )
     close(got, 20.0, "the squared differences count: 0.1 off is 20 dB", on=on)
     half = photo.clone()
     half[:3] += 0.1
     on = "a picture of which one half is right and one half 0.1 too bright"
-    why = "The logarithm comes after the mean; otherwise one perfect pixel outweighs all others"
+    why = "The logarithm comes after the mean; otherwise one perfect pixel dominates all others"
     expected = -10 * torch.log10(torch.tensor(0.005, dtype=torch.float64))
     close(attempt.on(on)(half, photo), expected, "one mean over the whole picture", on=on, why=why)
 
@@ -126,7 +126,7 @@ def _all_others(n: int, every: int, offset: int) -> list[int]:
     ),
 )  # fmt: skip
 def exam_frames(attempt: Attempt) -> None:
-    """Which of n frames are held out: one in every so many, counted from an offset."""
+    """Which of n frames are held out: every n-th one, counted from an offset."""
 
     def chosen(on: str, n: int, every: int, offset: int) -> list[int]:
         return [int(i) for i in attempt.on(on)(n, every, offset)]
@@ -134,11 +134,18 @@ def exam_frames(attempt: Attempt) -> None:
     on = "80 frames, every 8th, offset 4"
     got = chosen(on, 80, 8, 4)
     detail = f"got {len(got)} frames: {str(got[:8])[1:-1]} ..."
-    holds(len(got) <= 40, "one in every eight is the exam, the others are mapped", on=on, detail=detail)
-    holds(not got or max(got) - min(got) > 40, "the exam is spread over the whole walk", on=on, detail=detail)
+    holds(len(got) <= 40, "one in every eight is held out, the others are mapped", on=on, detail=detail)
+    holds(
+        not got or max(got) - min(got) > 40, "the held-out frames are spread over the whole walk", on=on, detail=detail
+    )
     holds(0 not in got, "the first frame is mapped: the map begins there", on=on, detail=detail)
-    close(got, open_sequence("room", n_frames=80).held_out.positions, "the exam is that of the library", on=on)
-    on = "3 frames, every 8th, offset 4: the walk ends before the first exam"
-    close(len(chosen(on, 3, 8, 4)), 0, "a short walk has no exam", on=on)
+    close(
+        got,
+        open_sequence("room", n_frames=80).held_out.positions,
+        "the held-out frames are those of the library",
+        on=on,
+    )
+    on = "3 frames, every 8th, offset 4: the walk ends before the first held-out frame"
+    close(len(chosen(on, 3, 8, 4)), 0, "a short walk has no held-out frame", on=on)
     on = "11 frames, every 5th, offset 2"
     close(chosen(on, 11, 5, 2), [2, 7], "counted from the offset", on=on)

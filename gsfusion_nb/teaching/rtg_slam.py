@@ -175,12 +175,12 @@ def _any_errors(stable: bool, eta: int, errors: int, age: int) -> str:
     hints=(
         "Two cases, stable or not. Only a stable Gaussian has errors that matter, only an unstable one an age.",
         "An unstable one is asked first whether it has been optimised enough (eta > 100), then whether it is too old.",
-        "A stable one in error is not deleted by the paper: it becomes unstable and gets another chance.",
+        "A stable one in error is not deleted by the paper: it becomes unstable and is optimised again.",
     ),
     wrong=(
-        Wrong(_errors_kill, says="a stable one in error gets another chance"),
+        Wrong(_errors_kill, says="a stable one with errors becomes unstable again"),
         Wrong(_old_first, says="enough optimisation counts, even at the last moment"),
-        Wrong(_everything_ages, says="a stable one never grows too old"),
+        Wrong(_everything_ages, says="a stable one is never too old"),
         Wrong(_any_errors, says="errors of an unstable one do not count"),
     ),
 )  # fmt: skip
@@ -189,12 +189,12 @@ def next_state(attempt: Attempt) -> None:
     cases = (
         ((False, 101, 0, 5), BECOMES_STABLE, "optimised more than 100 times, it is stable"),
         ((False, 100, 0, 5), STAYS, "exactly 100 is not more than 100"),
-        ((False, 3, 0, 121), GOES, "unstable for more than 120 frames, it goes"),
+        ((False, 3, 0, 121), GOES, "unstable for more than 120 frames: it is deleted"),
         ((False, 101, 0, 121), BECOMES_STABLE, "enough optimisation counts, even at the last moment"),
         ((False, 3, 11, 5), STAYS, "errors of an unstable one do not count"),
         ((True, 400, 10, 90), STAYS, "exactly 10 errors are not too many"),
-        ((True, 400, 11, 90), BECOMES_UNSTABLE, "a stable one in error gets another chance"),
-        ((True, 400, 2, 1000), STAYS, "a stable one never grows too old"),
+        ((True, 400, 11, 90), BECOMES_UNSTABLE, "a stable one with errors becomes unstable again"),
+        ((True, 400, 2, 1000), STAYS, "a stable one is never too old"),
     )
     for (stable, eta, errors, age), expected, prop in cases:
         on = f"{'stable' if stable else 'unstable'}, eta {eta}, {errors} errors, {age} frames old"
@@ -233,8 +233,8 @@ def _unguarded(before: Tensor, after: Tensor, eta_before: Tensor, eta_after: Ten
         "Rows that no step ever touched have eta 0: clamp the divisor. w needs [:, None] to act on rows.",
     ),
     wrong=(
-        Wrong(_swapped, says="a newborn takes what the window found"),
-        Wrong(_half_half, says="a newborn takes what the window found"),
+        Wrong(_swapped, says="a new Gaussian takes the values from the window"),
+        Wrong(_half_half, says="a new Gaussian takes the values from the window"),
         Wrong(_sum_of_counts, says="the newer values weigh as much as their steps"),
         Wrong(_unguarded, says="a Gaussian never seen stays as it is"),
     ),
@@ -244,7 +244,7 @@ def fuse(attempt: Attempt) -> None:
     before, after = torch.tensor([[0.0, 4.0]]), torch.tensor([[1.0, 0.0]])
     on = "eta 0 before, 20 after"
     got = attempt.on(on)(before, after, torch.tensor([0]), torch.tensor([20]))
-    close(got, after, "a newborn takes what the window found", on=on)
+    close(got, after, "a new Gaussian takes the values from the window", on=on)
     on = "eta 30 before, 40 after"
     got = attempt.on(on)(before, after, torch.tensor([30]), torch.tensor([40]))
     why = "10 of the 40 steps were made in this window: w_curr = 1/4"

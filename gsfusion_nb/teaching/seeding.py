@@ -207,27 +207,27 @@ def _budget_overshooting(rgb_u8: Tensor, n_cells: int) -> list[Leaf]:
         "sum c^2 - (sum c)^2 / pixels.",
     ),
     wrong=(
-        Wrong(_budget_by_mean, says="in sum"),
-        Wrong(_budget_by_size, says="in sum"),
+        Wrong(_budget_by_mean, says="sum of errors"),
+        Wrong(_budget_by_size, says="sum of errors"),
         Wrong(_budget_overshooting, says="at most n_cells"),
     ),
 )  # fmt: skip
 def budget_cells(attempt: Attempt) -> None:
-    """A quadtree that spends a given number of cells where they help most."""
+    """A quadtree that uses a given number of cells where they help most."""
     on = "an image of two halves, black and white, and 4 cells"
     halves = torch.zeros(16, 16, 3, dtype=torch.uint8)
     halves[:, 8:] = 255
     cells = _cells(attempt.on(on)(halves, 4), 16, 16, on)
     holds(len(cells) <= 4, "there are at most n_cells cells", on=on, detail=f"there are {len(cells)}")
-    close(len(cells), 4, "one cut gives four cells", on=on)
+    close(len(cells), 4, "one split gives four cells", on=on)
     on = "a plain wall with a small bright pattern, 37 x 29, and 40 cells"
     image = _busy_corner()
     cells = _cells(attempt.on(on)(image, 40), 37, 29, on)
     holds(len(cells) <= 40, "there are at most n_cells cells", on=on, detail=f"there are {len(cells)}")
-    holds(len(cells) >= 37, "the budget is spent: three more would be too many", on=on, detail=f"{len(cells)} cells")
+    holds(len(cells) >= 37, "the budget is used up: three more would be too many", on=on, detail=f"{len(cells)} cells")
     error = _squared_error_of(image)
     got, best = (sum(error(*c) for c in some) for some in (cells, _budget_cells(image, 40)))
-    holds(got <= 1.02 * best, "the cell with the largest error in sum is cut next", on=on,
+    holds(got <= 1.02 * best, "the cell with the largest sum of errors is split next", on=on,
           detail=f"the squared error left is {got / best:.2f} times that of this order")  # fmt: skip
 
 
@@ -261,7 +261,7 @@ def _pareto_against_itself(n_gaussians: Tensor, psnr_db: Tensor) -> Tensor:
     chapter=9, difficulty=2, minutes=8, solution=_pareto,
     hints=(
         "Rule a beats rule b if it has no more Gaussians, no less PSNR, and is better in at least one of the two.",
-        "n[:, None] <= n compares everyone with everyone: row a, column b.",
+        "n[:, None] <= n compares every rule with every rule: row a, column b.",
     ),
     wrong=(
         Wrong(_pareto_best_ratio, says="both ends"),
@@ -271,7 +271,7 @@ def _pareto_against_itself(n_gaussians: Tensor, psnr_db: Tensor) -> Tensor:
     ),
 )  # fmt: skip
 def pareto_rules(attempt: Attempt) -> None:
-    """Which rules are beaten by no other: [N] true or false."""
+    """Which rules no other rule beats: [N] true or false."""
 
     def front(on: str, n: list[float], psnr: list[float]) -> list[bool]:
         got = torch.as_tensor(attempt.on(on)(torch.tensor(n), torch.tensor(psnr)))
@@ -282,7 +282,7 @@ def pareto_rules(attempt: Attempt) -> None:
     got = front(on, [1000.0, 5000.0, 9000.0], [20.0, 25.0, 24.0])
     holds(got[:2] == [True, True], "both ends of the front count: the smallest map and the best picture", on=on,
           detail=f"got {got}, expected [True, True, False]")  # fmt: skip
-    holds(not got[2], "who has more Gaussians and a worse picture is beaten", on=on, detail=f"got {got}")
+    holds(not got[2], "a rule with more Gaussians and a worse picture is beaten", on=on, detail=f"got {got}")
     on = "3,000 with 22 dB and 6,000 with 22 dB"
     got = front(on, [3000.0, 6000.0], [22.0, 22.0])
     holds(got == [True, False], "of two equally good pictures the smaller map wins", on=on, detail=f"got {got}")

@@ -171,19 +171,19 @@ def _world_motion(T_before: Tensor, T_last: Tensor) -> Tensor:
 @exercise(
     chapter=8, difficulty=2, minutes=6, solution=_predict,
     hints=(
-        "The motion between the two frames, as the camera felt it: inverse(T_before) @ T_last.",
+        "The motion between the two frames, in the camera's own axes: inverse(T_before) @ T_last.",
         "Do the same motion once more, from where the camera is now, in its own axes: on the right.",
         "Poses cannot be added: 2 T_last - T_before has a rotation part that is no rotation.",
     ),
     wrong=(
-        Wrong(_same_again, says="a steady motion goes on"),
-        Wrong(_backwards, says="a steady motion goes on"),
+        Wrong(_same_again, says="a constant motion continues"),
+        Wrong(_backwards, says="a constant motion continues"),
         Wrong(_linear, says="the result is a rigid motion"),
-        Wrong(_world_motion, says="who walks a curve goes on along the curve"),
+        Wrong(_world_motion, says="a motion along a curve continues along the curve"),
     ),
 )  # fmt: skip
 def predict(attempt: Attempt) -> None:
-    """Where will the camera be next, if it goes on like this?"""
+    """Where will the camera be next, if its motion continues?"""
     eye, ahead = torch.eye(4, dtype=torch.float64), torch.eye(4, dtype=torch.float64)
     ahead[2, 3] = 0.1
     on = "10 cm forward since the frame before"
@@ -191,13 +191,13 @@ def predict(attempt: Attempt) -> None:
     holds(
         isinstance(got, Tensor) and got.shape == (4, 4), "it returns a pose", on=on, detail="expected a tensor [4, 4]"
     )
-    close(got[:3, 3], [0.0, 0.0, 0.2], "a steady motion goes on", on=on)
+    close(got[:3, 3], [0.0, 0.0, 0.2], "a constant motion continues", on=on)
     curve = se3.exp(torch.tensor([0.0, 0.0, 0.1, 0.0, 0.3, 0.0], dtype=torch.float64))
     on = "forward and turning by 17 degrees"
     got = attempt.on(on)(curve, curve @ curve)
     R = got[:3, :3]
     close(R @ R.T, torch.eye(3), "the result is a rigid motion", on=on, tolerance=1e-6)
-    close(got, curve @ curve @ curve, "who walks a curve goes on along the curve", on=on, tolerance=1e-6)
+    close(got, curve @ curve @ curve, "a motion along a curve continues along the curve", on=on, tolerance=1e-6)
 
 
 def _spread(poses: Tensor, T_loop: Tensor) -> Tensor:
@@ -241,7 +241,7 @@ def _linear_blend(poses: Tensor, T_loop: Tensor) -> Tensor:
     ),
 )  # fmt: skip
 def spread_correction(attempt: Attempt) -> None:
-    """Spread what a closed loop found over the path that led there."""
+    """Spread the correction found by a closed loop over the path before it."""
     n = 5
     path = torch.eye(4, dtype=torch.float64).repeat(n, 1, 1)
     path[:, 0, 3] = torch.arange(n)

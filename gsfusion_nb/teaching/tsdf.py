@@ -67,7 +67,7 @@ def signed_distance(attempt: Attempt) -> None:
     holds(observed.all(), "free space in front of the surface is observed, however far", on=on, detail="it is not")
     on = "a voxel 1 m behind a surface at 2 m"
     d, observed = ask(on, 2.0, [3.0])
-    hidden = "a voxel hidden behind the band is not observed: nobody knows what is there"
+    hidden = "a voxel hidden behind the band is not observed: what is there is unknown"
     holds(not observed.any(), hidden, on=on, detail="observed is true")
     on = "a pixel whose depth is 0, voxel at 5 cm"
     d, observed = ask(on, 0.0, [0.05])

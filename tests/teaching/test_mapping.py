@@ -50,7 +50,7 @@ def test_the_log_tells_key_frames_from_frames():
     frame = mapping._wall(4)
     log(frame)
     log(Keyframe(index=2, rgb_u8=frame.rgb_u8, camera=frame.camera, T_WC=frame.T_WC))
-    assert log.calls == [("frame", 4, 0), ("key frame", 2, 0)]
+    assert log.calls == [("frame", 4, 0), ("keyframe", 2, 0)]
 
 
 def test_the_papers_tables_and_ours_beside_them():

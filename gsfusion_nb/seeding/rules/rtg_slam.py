@@ -21,7 +21,7 @@ OPAQUE_OPACITY, TRANSPARENT_OPACITY = 0.99, 0.1
 ERROR_SHARE = 0.05
 """Released code: share of the pixels in error that is drawn, whatever that of newly seen ones."""
 UNSTABLE_REACH = 0.6
-"""Released code: nothing is added within so many radii of an unstable Gaussian."""
+"""Released code: nothing is added within this many radii of an unstable Gaussian."""
 
 
 @seeding_rule

@@ -1,4 +1,4 @@
-"""The key frames of a run as a strip of small pictures."""
+"""The keyframes of a run as a strip of small pictures."""
 
 from collections.abc import Iterable
 
@@ -20,7 +20,7 @@ def keyframe_strip(keyframes: Iterable[Keyframe], *, columns: int = 10, width: i
         most: If there are more, so many of them evenly spread.
 
     Returns:
-        White where there is nothing; one white row of pixels if there are no key frames.
+        White where there is nothing; one white row of pixels if there are no keyframes.
     """
     shown = list(keyframes)
     if len(shown) > most:

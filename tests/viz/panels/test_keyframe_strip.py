@@ -1,4 +1,4 @@
-"""The strip of key frames: so many pictures, in order, evenly spread when there are too many."""
+"""The strip of keyframes: so many pictures, in order, evenly spread when there are too many."""
 
 import torch
 
