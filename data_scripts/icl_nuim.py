@@ -13,9 +13,9 @@ from pathlib import Path
 
 import torch
 
-from gsfusion_nb.data.convert.open3d_log import read_trajectory_file
-from gsfusion_nb.data.fetch import Item, Plan, Reading, command, obtain
-from gsfusion_nb.data.fetch.pose_lines import write_pose_lines
+from gsfusion_nb.data.convert.formats.open3d_log import read_trajectory_file
+from gsfusion_nb.data.fetch import Item, Plan, SequenceOnDisk, command, obtain
+from gsfusion_nb.data.recorded.poses import write_pose_lines
 
 HOST = "https://github.com/isl-org/open3d_downloads/releases/download/augmented-icl-nuim"
 MD5 = {
@@ -82,7 +82,7 @@ def plan(sequence: str, depth: str = "clean", checksums: dict[str, str] = MD5) -
         "Choi, Zhou, Koltun: Robust Reconstruction of Indoor Scenes, 2015.",
         items=[Item(base=HOST, path=name, checksum=f"md5:{checksums[name]}", **kind) for name, kind in kinds.items()],
         unpacked_bytes=COLOUR_BYTES + DEPTH_BYTES + 3 * CLOUD_BYTES,
-        readings=lambda root: [Reading(preset="replica" if depth == "clean" else "tum")],
+        sequences=lambda root: [SequenceOnDisk(preset="replica" if depth == "clean" else "tum")],
         convert=to_plain_layout,
     )
 

@@ -11,7 +11,7 @@ import re
 import sys
 from pathlib import Path
 
-from gsfusion_nb.data.fetch import Item, Plan, Reading, command, obtain
+from gsfusion_nb.data.fetch import Item, Plan, SequenceOnDisk, command, obtain
 
 HOST = "https://cvg-data.inf.ethz.ch/nice-slam"
 SCENES = ("office0", "office1", "office2", "office3", "office4", "room0", "room1", "room2")
@@ -44,7 +44,7 @@ def plan(scene: str) -> Plan:
             Item(base=HOST, path="cull_replica_mesh.zip", stated_bytes=MESHES_BYTES, choose=culled),
         ],
         unpacked_bytes=SCENE_BYTES,
-        readings=lambda root: [Reading(preset="replica")],
+        sequences=lambda root: [SequenceOnDisk(preset="replica")],
         note="all scenes come in one archive: name those that are wanted together, or use --keep-archives",
     )
 

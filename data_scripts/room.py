@@ -14,7 +14,7 @@ from gsfusion_nb.data.fetch.disk import require_space, size_text
 from gsfusion_nb.data.fetch.plan import duration_text
 from gsfusion_nb.data.fetch.work_folder import only_one, unfinished_folder
 from gsfusion_nb.data.room import room_mesh
-from gsfusion_nb.data.room.layouts import WRITERS, Walk
+from gsfusion_nb.data.room.write_layouts import WRITERS, Walk
 from gsfusion_nb.export import write_mesh_ply
 
 BYTES_PER_FRAME, BYTES_OF_MESH = 500_000, 9_000_000
@@ -35,10 +35,10 @@ def write(layout: str, walk: Walk, terms: command.Terms) -> None:
     require_space(terms.out, size, name)
     with only_one(terms.out), unfinished_folder(target, terms.out) as folder:
         with command.counting("frame") as progress:
-            reading = writer(folder, walk, progress)
+            sequence = writer(folder, walk, progress)
         write_mesh_ply(folder / "mesh.ply", room_mesh(0.03, seed=walk.seed))
-        proof = reading.prove(folder)
-    terms.say(f"{proof}\n  {reading.command(target)}")
+        proof = sequence.prove(folder)
+    terms.say(f"{proof}\n  {sequence.command(target)}")
 
 
 def main(arguments: list[str] | None = None) -> int:

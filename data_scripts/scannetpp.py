@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 from gsfusion_nb.data.convert.scannetpp_scene import MESH, listed_pictures, prepare_scene
-from gsfusion_nb.data.fetch import FetchError, Reading, command
+from gsfusion_nb.data.fetch import FetchError, SequenceOnDisk, command
 from gsfusion_nb.data.fetch.disk import require_space, size_text
 from gsfusion_nb.data.fetch.plan import agree, duration_text
 from gsfusion_nb.data.fetch.work_folder import only_one, unfinished_folder
@@ -18,7 +18,7 @@ from gsfusion_nb.export import read_mesh_ply
 
 BYTES_PER_PICTURE = 800_000
 SECONDS_PER_PICTURE = 3.0
-READING = Reading(preset="scannetpp")
+SEQUENCE = SequenceOnDisk(preset="scannetpp")
 
 
 def describe(scene: Path, target: Path, n_pictures: int) -> str:
@@ -46,8 +46,8 @@ def prepare(scene: Path, terms: command.Terms) -> None:
         with only_one(terms.out), unfinished_folder(target, terms.out, resume=True) as folder:
             with command.counting("picture") as progress:
                 prepare_scene(scene, read_mesh_ply(scene / MESH), folder, progress=progress)
-            READING.prove(folder)
-    terms.say(f"{READING.prove(target)}\n  {READING.command(target)}")
+            SEQUENCE.prove(folder)
+    terms.say(f"{SEQUENCE.prove(target)}\n  {SEQUENCE.command(target)}")
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -10,7 +10,7 @@ import re
 import sys
 from pathlib import Path
 
-from gsfusion_nb.data.fetch import ArchiveError, Item, Limits, Plan, Reading, command, obtain, unpack
+from gsfusion_nb.data.fetch import ArchiveError, Item, Limits, Plan, SequenceOnDisk, command, obtain, unpack
 
 HOST = "https://download.microsoft.com/download/2/8/5/28564B23-0828-408F-8631-23B1EFF1DAC8"
 FRAMES = {
@@ -38,16 +38,16 @@ def unpack_sequences(folder: Path) -> None:
 
         unpack(archive, folder, choose=choose, limits=Limits(max_bytes=4_000_000_000))
         archive.unlink()
-    if not readings(folder):
+    if not sequences(folder):
         raise ArchiveError(
             f"{folder.name}: the archive holds no seq-01.zip or the like; expected the scene's sequences"
         )
 
 
-def readings(folder: Path) -> list[Reading]:
+def sequences(folder: Path) -> list[SequenceOnDisk]:
     """One per sequence."""
     names = sorted(path.name for path in folder.glob("seq-*") if path.is_dir())
-    return [Reading(path=name, preset="tum", reader={"register": True}) for name in names]
+    return [SequenceOnDisk(path=name, preset="tum", reader={"register": True}) for name in names]
 
 
 def plan(scene: str) -> Plan:
@@ -65,7 +65,7 @@ def plan(scene: str) -> Plan:
         cite="Shotton et al.: Scene Coordinate Regression Forests for Camera Relocalization in RGB-D Images, 2013.",
         items=[Item(base=HOST, path=f"{scene}.zip", stated_bytes=size, choose=choose)],
         unpacked_bytes=2 * size,  # for a moment, the inner archives and what is in them
-        readings=readings,
+        sequences=sequences,
         convert=unpack_sequences,
         note="colour is registered to depth by the reader (register=true), with a calibration estimated on RedKitchen",
     )

@@ -6,7 +6,7 @@ python data_scripts/tum.py fr1_desk --out data
 import sys
 from pathlib import Path
 
-from gsfusion_nb.data.fetch import Item, Plan, Reading, command, obtain
+from gsfusion_nb.data.fetch import Item, Plan, SequenceOnDisk, command, obtain
 
 HOST = "https://cvg.cit.tum.de/rgbd/dataset"
 SIZES_GB = {
@@ -44,7 +44,7 @@ def plan(name: str) -> Plan:
         cite="Sturm, Engelhard, Endres, Burgard, Cremers: A Benchmark for the Evaluation of RGB-D SLAM Systems, 2012.",
         items=[Item(base=HOST, path=f"{camera}/{folder}.tgz", stated_bytes=size, choose=choose)],
         unpacked_bytes=size,
-        readings=lambda root: [Reading(preset="tum")],
+        sequences=lambda root: [SequenceOnDisk(preset="tum")],
     )
 
 

@@ -7,10 +7,9 @@ from typing import Any
 
 from ..checks import check_name
 from ..config import DataConfig
-from .protocol import Sequence, SequenceError, SequenceNotFoundError
+from .adjust.select import OpenedSequence, apply_options
 from .readers.folder import LOOKS_FOR as FOLDER_FILES
 from .readers.folder import folder
-from .readers.layout import missing
 from .readers.replica import LOOKS_FOR as REPLICA_FILES
 from .readers.replica import replica
 from .readers.scannetpp import LOOKS_FOR as SCANNETPP_FILES
@@ -19,7 +18,8 @@ from .readers.seven_scenes import LOOKS_FOR as SEVEN_SCENES_FILES
 from .readers.seven_scenes import first_sequence, seven_scenes
 from .readers.tum import LOOKS_FOR as TUM_FILES
 from .readers.tum import tum
-from .view import OpenedSequence, apply_options
+from .recorded.find_files import missing
+from .sequence import Sequence, SequenceError, SequenceNotFoundError
 
 
 @dataclass(frozen=True)

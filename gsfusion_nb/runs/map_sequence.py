@@ -8,7 +8,7 @@ from typing import Any
 import torch
 
 from ..data import Sequence, SequenceError, apply_options, open_sequence
-from ..data.checkup.consistency import check_sequence
+from ..data.checkup.quick_check import check_sequence
 from ..mapping.systems import Config, get_system
 from ..progress import ProgressDisplay
 from ..seeding import SeedingRule

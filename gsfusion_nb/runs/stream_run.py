@@ -74,8 +74,8 @@ class StreamRun(MappingRun):
     def extra_metrics(self) -> dict[str, Any]:
         """How many frames came, gave way, and could not be used; what the policy was."""
         return {
-            "n_frames_received": self._feed.mailbox.n_received,
-            "n_frames_dropped": self._feed.mailbox.n_dropped,
+            "n_frames_received": self._feed.queue.n_received,
+            "n_frames_dropped": self._feed.queue.n_dropped,
             "n_frames_unusable": self.n_unusable,
             "policy": self.policy,
         }

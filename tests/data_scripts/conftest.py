@@ -61,7 +61,7 @@ def writer():
 @pytest.fixture
 def copied_scene():
     """The module that writes a ScanNet++ scene as it is handed out."""
-    return load(TESTS / "data/fetch/test_scannetpp_scene.py")
+    return load(TESTS / "data/convert/test_scannetpp_scene.py")
 
 
 @pytest.fixture

@@ -7,20 +7,20 @@ from pathlib import Path
 from typing import Any
 
 from ...config import DataConfig, RepairConfig
+from ..adjust.select import apply_options
 from ..open import detect_layout, open_sequence
-from ..protocol import Sequence
-from ..recorded import RecordedSequence
-from ..view import apply_options
+from ..recorded.recorded_sequence import RecordedSequence
+from ..sequence import Sequence
 from . import judge_colour, judge_fit, judge_frames
 from .alignment import fit_colour, in_order
+from .conventions import pairs_of
 from .depth_values import DepthCode, clear_codes, code_finding, find_codes, missing_finding
-from .explain import Explanation, Row, explain, repair_fields
-from .files import examine_files
+from .explain import Alternative, Explanation, explain, repair_fields
+from .file_checks import examine_files
 from .findings import Finding, flags_of
+from .frame_to_frame import OverFrames, gains, measure_over_frames
 from .geometry_fit import Correction, FitData, agreeing, median_error
-from .over_frames import OverFrames, gains, measure_over_frames
-from .overlays import pictures_of, top_view
-from .readings import pairs_of
+from .pictures import pictures_of, top_view
 from .report import CheckupReport
 from .sample import Sample, read_sample
 
@@ -214,7 +214,7 @@ def _limits(codes: Rows[DepthCode], factor: float) -> DataConfig:
     return data
 
 
-def _measured_again(sequence: Sequence, pairs: Rows[tuple[int, int]], claimed: Row) -> Row:
+def _measured_again(sequence: Sequence, pairs: Rows[tuple[int, int]], claimed: Alternative) -> Alternative:
     """The claim replaced by what the repaired recording measures when it is read again."""
     places = sorted({p for pair in pairs for p in pair if p < len(sequence)})
     sample = read_sample(sequence, at=places)

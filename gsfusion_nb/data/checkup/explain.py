@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 
 from ...config import RepairConfig
 from ...types import Camera
+from .conventions import DEPTH_FACTORS, PRICE, Tried, best_reading
 from .corrections import KINDS, Corrected, Fitted, correct
 from .geometry_fit import Correction, FitData, agreeing
-from .readings import DEPTH_FACTORS, PRICE, Tried, best_reading
 from .sample import Sample
 
 WORTH_TRYING = 0.03
@@ -22,7 +22,7 @@ PLAUSIBLE_DEPTH_M = (0.15, 20.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Row:
+class Alternative:
     """One alternative that was tried, for the table."""
 
     what: str
@@ -40,9 +40,9 @@ class Explanation:
     reading: RepairConfig
     """Direction, axes, quaternion order and units."""
     corrected: Corrected
-    before: Row
-    after: Row
-    rows: list[Row]
+    before: Alternative
+    after: Alternative
+    rows: list[Alternative]
     """Everything tried, best first."""
     data: FitData
     """Of the pairs, under ``reading``."""
@@ -67,11 +67,11 @@ def explain(sample: Sample, pairs: Rows[tuple[int, int]]) -> Explanation:
         followed.append((worth, t.repair, corrected, data, share, median_m))
     _, reading, corrected, data, share, median_m = max(followed, key=lambda f: f[0])
     start = FitData.of(sample, far, RepairConfig())
-    before = Row(what="as read", flags="", **_numbers(start, Correction()))
+    before = Alternative(what="as read", flags="", **_numbers(start, Correction()))
     units = with_units(reading, sample)
     flags = replace(units, **repair_fields(corrected.correction, sample.camera, units)).flags
     median_m *= units.depth_factor / reading.depth_factor
-    after = Row(what="best explanation", flags=flags, agreeing=share, median_m=median_m)
+    after = Alternative(what="best explanation", flags=flags, agreeing=share, median_m=median_m)
     return Explanation(
         reading=units,
         corrected=corrected,
@@ -145,19 +145,21 @@ def _table(
     last: list[Fitted],
     data: FitData,
     reading: RepairConfig,
-    before: Row,
-) -> list[Row]:
+    before: Alternative,
+) -> list[Alternative]:
     """As read, the best readings, and the best of every kind of correction on top of the reading adopted."""
     rows = [before]
     for t in [t for t in tried if not t.is_as_read][:8]:
         numbers = _numbers(FitData.of(sample, pairs, t.repair), Correction())
         units = with_units(t.repair, sample)
         numbers["median_m"] *= units.depth_factor / t.repair.depth_factor
-        rows.append(Row(what="another reading", flags=units.flags, **numbers))
+        rows.append(Alternative(what="another reading", flags=units.flags, **numbers))
     for f in last:
         if f.amount <= KINDS[f.kind].least:
             continue
         fields = repair_fields(f.correction, sample.camera, reading)
         if fields:
-            rows.append(Row(what=f.kind, flags=replace(reading, **fields).flags, **_numbers(data, f.correction)))
+            rows.append(
+                Alternative(what=f.kind, flags=replace(reading, **fields).flags, **_numbers(data, f.correction))
+            )
     return sorted(rows, key=lambda r: -r.agreeing)

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from ...config import RepairConfig
 from ...types import Camera
-from ..readers.pose_reading import pose_between, reread_poses
+from ..adjust.pose_conventions import pose_between, reread_poses
 from .reprojection import AGREES, relative_poses
 from .sample import Sample
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ...drawing.page import PageGraph, page_graph
-from .over_frames import OverFrames
+from .frame_to_frame import OverFrames
 
 
 def graphs(over: OverFrames | None, top_view: str) -> list[PageGraph]:

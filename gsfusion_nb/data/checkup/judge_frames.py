@@ -6,7 +6,7 @@ from collections.abc import Sequence as Rows
 import numpy as np
 
 from .findings import Finding
-from .over_frames import OverFrames
+from .frame_to_frame import OverFrames
 
 _JUMP_BASE_DEG, _JUMP_BASE_M = 1.0, 0.03
 """Shorter steps are no jumps."""

@@ -10,10 +10,10 @@ from ...drawing.html import fill
 from ...drawing.page import page_picture
 from ...drawing.pictures import Picture
 from ...files import write_file
-from .explain import Row
+from .explain import Alternative
 from .findings import RANK, Finding, Verdict, flags_of
+from .frame_to_frame import OverFrames
 from .graphs import graphs
-from .over_frames import OverFrames
 
 _MARKS: dict[Verdict, str] = {"ok": "ok", "doubtful": "??", "wrong": "NO"}
 
@@ -30,7 +30,7 @@ class CheckupReport:
     frames_read: int
     reader: Mapping[str, Any] = field(default_factory=dict)
     """Options of the reader that repair it: ``open_sequence(path, **report.reader)``."""
-    rows: Sequence[Row] = ()
+    rows: Sequence[Alternative] = ()
     """Ways to understand the recording that were tried, the best first."""
     over: OverFrames | None = None
     """From frame to frame."""

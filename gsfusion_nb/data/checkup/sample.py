@@ -9,7 +9,7 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from ...types import Camera, Frame
-from ..protocol import BadFrameError, Sequence
+from ..sequence import BadFrameError, Sequence
 from .reprojection import thinned
 
 WINDOW = 31

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import tyro
 
-from .formats import formats
+from .detect import formats
 from .options import ConvertOptions
 from .run import ConvertReport, convert
 

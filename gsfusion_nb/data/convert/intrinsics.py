@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from ...types import Camera
-from ..lens import CameraModel
-from ..protocol import SequenceError
-from ..readers.layout import numbers
+from ..lens.camera_model import CameraModel
+from ..recorded.camera_json import numbers
+from ..sequence import SequenceError
 from .trajectory import read_numbers, read_text
 
 _WAYS = "'fx fy cx cy [k1 k2 p1 p2 [k3 ...]]', a 3x3 or 4x4 matrix, or JSON (Open3D's, or fx fy cx cy)"

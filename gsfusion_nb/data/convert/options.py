@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from ...checks import check_number
-from ..protocol import SequenceError
+from ..sequence import SequenceError
 
 
 @dataclass(frozen=True, kw_only=True)

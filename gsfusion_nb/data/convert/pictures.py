@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..protocol import BadFrameError, SequenceError
-from ..readers.images import decode_image, decode_rgb, read_image_bytes
+from ..recorded.images import decode_image, decode_rgb, read_image_bytes
+from ..sequence import BadFrameError, SequenceError
 from .recording import Pictures
 
 DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".pgm", ".npy", ".exr")

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from torch import Tensor
 
-from ..lens import CameraModel
+from ..lens.camera_model import CameraModel
 
 
 @dataclass(frozen=True, eq=False)

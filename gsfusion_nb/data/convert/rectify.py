@@ -6,9 +6,9 @@ import numpy as np
 import torch
 
 from ...types import Camera
-from ..lens import TIE, CameraModel, pixel_map, same_rays, z_of_range
-from ..register import warp_depth
-from ..resize import resize_colour
+from ..adjust.resize import resize_colour
+from ..lens.camera_model import TIE, CameraModel, pixel_map, same_rays, z_of_range
+from ..lens.register import warp_depth
 from .recording import Pictures, Shot
 
 _KEPT_MAPS = 4

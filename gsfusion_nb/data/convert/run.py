@@ -15,15 +15,15 @@ from torch import Tensor
 
 from ...progress import ProgressDisplay
 from ...types import Camera
-from ..lens import CameraModel
-from ..protocol import BadFrameError, SequenceError
-from ..readers.poses import checked_pose
-from .formats import FORMATS, detect_format
+from ..lens.camera_model import CameraModel
+from ..recorded.poses import checked_pose
+from ..sequence import BadFrameError, SequenceError
+from .detect import FORMATS, detect_format
 from .intrinsics import read_intrinsics
 from .options import ConvertOptions
 from .recording import Pictures, Recording, Shot
 from .rectify import Rectifier, output_camera
-from .staging import Row, Staging
+from .staging import JournalEntry, Staging
 from .trajectory import Trajectory, camera_in_body, read_trajectory
 
 MILLIMETRES = 1000.0
@@ -246,7 +246,7 @@ class _Conversion:
             self._staging.drop(i, "no depth", f"{shot.source} holds no depth that can be written")
             return
         numbers = () if T_WC is None else tuple(T_WC.flatten().tolist())
-        row = Row(i, time_s=shot.time_s, T_WC=numbers)
+        row = JournalEntry(i, time_s=shot.time_s, T_WC=numbers)
         lossless = not pictures.encoded.startswith(b"\xff\xd8")
         self._staging.write(row, rectified.encoded or rectified.rgb, depth, lossless=lossless)
 
@@ -281,7 +281,7 @@ class _Conversion:
         limit = 65535 / self.depth_scale
         return [f"{self._far_pixels} pixels are farther than 16 bits hold ({limit:.1f} m) and count as missing"]
 
-    def _time_hint(self, rows: list[Row]) -> str:
+    def _time_hint(self, rows: list[JournalEntry]) -> str:
         """Both time ranges, where a trajectory matched no frame."""
         trajectory = self._poses.trajectory
         if trajectory is None or not rows:

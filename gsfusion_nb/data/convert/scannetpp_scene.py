@@ -10,6 +10,7 @@ Read of the licensed copy, ``<scene>/``:
 Depth is that of the mesh at the pinhole's own rays: no depth image is undistorted, so none is interpolated.
 """
 
+import dataclasses
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -25,12 +26,11 @@ from torch import Tensor
 from ...files import write_file
 from ...types import Camera, Mesh
 from ..fetch.errors import FetchError
-from ..fetch.fisheye import HalfSizePinhole, half_size, shrink
-from ..fetch.mesh_depth import mesh_depth
-from ..lens import CameraModel
-from ..readers.images import read_rgb
-from ..readers.layout import camera as read_camera
-from ..readers.layout import read_json
+from ..lens.camera_model import CameraModel, pixel_map
+from ..recorded.camera_json import camera as read_camera
+from ..recorded.camera_json import read_json
+from ..recorded.images import read_rgb
+from .mesh_depth import mesh_depth
 
 MESH = "scans/mesh_aligned_0.05.ply"
 _KEYS = ("w", "h", "fl_x", "fl_y", "cx", "cy")
@@ -86,6 +86,38 @@ class Photographs:
         kept = {key: self.values[key] for key in ("frames", "test_frames") if key in self.values}
         numbers = {"fl_x": c.fx, "fl_y": c.fy, "cx": c.cx, "cy": c.cy, "w": c.width, "h": c.height}
         return numbers | {"camera_model": "PINHOLE"} | kept
+
+
+class HalfSizePinhole:
+    """Turns pictures of a fisheye lens into pinhole pictures at half the resolution.
+
+    The pinhole sees no place that the fisheye does not, and its principal point is the image's middle, as in the
+    ScanNet++ toolbox. A picture is undistorted at full size and then averaged, two by two.
+    """
+
+    def __init__(self, lens: CameraModel):
+        pinhole = lens.pinhole()
+        full = dataclasses.replace(pinhole, cx=pinhole.width / 2, cy=pinhole.height / 2)
+        self._map = pixel_map(lens, full)
+        self.camera = half_size(full)
+
+    def __call__(self, picture: np.ndarray) -> np.ndarray:
+        """The picture as ``camera`` sees it. [H, W, 3] -> [H/2, W/2, 3], uint8"""
+        import cv2
+
+        return shrink(cv2.remap(picture, *self._map, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), self.camera)
+
+
+def half_size(camera: Camera) -> Camera:
+    """The same view on a grid of half the pixels each way."""
+    return camera.resized(camera.width // 2, camera.height // 2)
+
+
+def shrink(picture: np.ndarray, camera: Camera) -> np.ndarray:
+    """A picture averaged down to the size of ``camera``."""
+    import cv2
+
+    return cv2.resize(picture, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
 
 
 def listed_pictures(scene: Path) -> list[str]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...files import move_into_place, write_file
 from ...types import Camera
-from ..protocol import BadFrameError, SequenceError
+from ..sequence import BadFrameError, SequenceError
 
 JPEG_QUALITY = 95
 _JOURNAL = "frames.jsonl"
@@ -19,7 +19,7 @@ _CAMERA = "camera.json"
 
 
 @dataclass(frozen=True)
-class Row:
+class JournalEntry:
     """What became of one shot."""
 
     shot: int
@@ -54,7 +54,7 @@ class Staging:
         self.resumed = len(self.rows)
 
     @property
-    def kept(self) -> list[Row]:
+    def kept(self) -> list[JournalEntry]:
         """Rows of the frames that were written, in order."""
         return [r for r in self.rows if not r.dropped]
 
@@ -75,9 +75,9 @@ class Staging:
 
     def drop(self, shot: int, reason: str, detail: str = "") -> None:
         """Note that a shot is left out."""
-        self._append(Row(shot, reason, detail=detail))
+        self._append(JournalEntry(shot, reason, detail=detail))
 
-    def write(self, row: Row, rgb: np.ndarray | bytes, depth: np.ndarray, *, lossless: bool = True) -> None:
+    def write(self, row: JournalEntry, rgb: np.ndarray | bytes, depth: np.ndarray, *, lossless: bool = True) -> None:
         """Write colour and 16-bit depth, then the journal's line.
 
         Args:
@@ -124,7 +124,7 @@ class Staging:
             self.out.rmdir()
         move_into_place(self.folder, self.out)
 
-    def _open(self, plan: dict[str, Any]) -> list[Row]:
+    def _open(self, plan: dict[str, Any]) -> list[JournalEntry]:
         file = self.folder / _PLAN
         text = json.dumps(plan, sort_keys=True, indent=1)
         if self.folder.exists():
@@ -139,7 +139,7 @@ class Staging:
         file.write_text(text)
         return []
 
-    def _read_journal(self) -> list[Row]:
+    def _read_journal(self) -> list[JournalEntry]:
         """Rows whose line is whole; a line that was cut short is forgotten, with its pictures."""
         journal = self.folder / _JOURNAL
         text = journal.read_text() if journal.exists() else ""
@@ -149,10 +149,10 @@ class Staging:
         rows = []
         for line in whole.splitlines():
             values = json.loads(line)
-            rows.append(Row(**{**values, "T_WC": tuple(values["T_WC"])}))
+            rows.append(JournalEntry(**{**values, "T_WC": tuple(values["T_WC"])}))
         return rows
 
-    def _append(self, row: Row) -> None:
+    def _append(self, row: JournalEntry) -> None:
         with (self.folder / _JOURNAL).open("a") as file:
             file.write(json.dumps(vars(row)) + "\n")
         self.rows.append(row)

@@ -10,8 +10,8 @@ from torch import Tensor
 
 from ...checks import check_pose
 from ...geometry import se3
-from ..protocol import SequenceError, SequenceNotFoundError
-from ..readers.poses import interpolate_rows, matrices
+from ..recorded.poses import interpolate_rows, matrices
+from ..sequence import SequenceError, SequenceNotFoundError
 
 _UNIT_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _LARGEST_STEP = {"s": 5.0, "ms": 5e3, "us": 5e5, "ns": float("inf")}

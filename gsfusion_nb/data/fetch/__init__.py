@@ -15,4 +15,4 @@ from .obtain import Terms as Terms
 from .obtain import obtain as obtain
 from .plan import Item as Item
 from .plan import Plan as Plan
-from .reading import Reading as Reading
+from .sequence_on_disk import SequenceOnDisk as SequenceOnDisk

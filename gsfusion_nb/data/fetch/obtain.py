@@ -123,11 +123,11 @@ def _place(plan: Plan, item: Item, file: Path, folder: Path) -> None:
 
 def _report(plan: Plan, folder: Path, target: Path, terms: Terms) -> None:
     """Read every sequence in ``folder``, which is or becomes ``target``, and say how to map it."""
-    readings = plan.readings(folder)
-    if not readings:
+    sequences = plan.sequences(folder)
+    if not sequences:
         raise FetchError(f"{folder} holds no sequence")
-    for reading in readings:
-        terms.say(f"{reading.prove(folder)}\n  {reading.command(target)}")
+    for sequence in sequences:
+        terms.say(f"{sequence.prove(folder)}\n  {sequence.command(target)}")
 
 
 def _missing(item: Item, size: int | None, terms: Terms) -> int:

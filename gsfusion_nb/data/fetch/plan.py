@@ -7,7 +7,7 @@ from pathlib import Path
 from .archive.member_names import Choose, everything
 from .disk import size_text
 from .errors import DeclinedError
-from .reading import Reading
+from .sequence_on_disk import SequenceOnDisk
 
 ASSUMED_BYTES_PER_S = 10e6
 """A line of 100 Mbit/s, for the estimate of time; the servers of universities often give less."""
@@ -50,7 +50,7 @@ class Plan:
     items: list[Item]
     unpacked_bytes: int
     """About what it fills on disk in the end."""
-    readings: Callable[[Path], list[Reading]]
+    sequences: Callable[[Path], list[SequenceOnDisk]]
     """The sequences in the finished folder, and how to map them."""
     convert: Callable[[Path], None] = lambda folder: None
     """What is done to the unpacked files."""

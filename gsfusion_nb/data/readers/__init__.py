@@ -1,6 +1,6 @@
 """Readers of recordings on disk, one file a layout, and what they share."""
 
-from .associate import associate as associate
+from ..recorded.associate import associate as associate
 from .folder import folder as folder
 from .replica import replica as replica
 from .scannetpp import scannetpp as scannetpp

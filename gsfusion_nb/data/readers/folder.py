@@ -22,10 +22,11 @@ Poses: camera-to-world, OpenCV axes (x right, y down, z forward), metres. Images
 from pathlib import Path
 from typing import Any
 
-from ..protocol import SequenceError
-from ..recorded import RecordedSequence
-from .layout import camera, images_in, numbers, pair_by_stem, read_json, require
-from .poses import no_poses, read_pose_lines
+from ..recorded.camera_json import camera, numbers, read_json
+from ..recorded.find_files import images_in, pair_by_stem, require
+from ..recorded.poses import no_poses, read_pose_lines
+from ..recorded.recorded_sequence import RecordedSequence
+from ..sequence import SequenceError
 
 LOOKS_FOR = ("rgb/", "depth/", "intrinsics.json")
 CAMERA_KEYS = ("width", "height", "fx", "fy", "cx", "cy")

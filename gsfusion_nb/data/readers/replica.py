@@ -10,10 +10,11 @@ import re
 from pathlib import Path
 
 from ...types import Camera
-from ..protocol import SequenceError
-from ..recorded import RecordedSequence
-from .layout import camera, images_in, numbers, read_json, require
-from .poses import read_pose_lines
+from ..recorded.camera_json import camera, numbers, read_json
+from ..recorded.find_files import images_in, require
+from ..recorded.poses import read_pose_lines
+from ..recorded.recorded_sequence import RecordedSequence
+from ..sequence import SequenceError
 
 LOOKS_FOR = ("results/", "traj.txt")
 DEPTH_SCALE = 6553.5

@@ -18,9 +18,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ...types import Camera
-from ..protocol import SequenceError, SequenceNotFoundError
-from ..recorded import RecordedSequence
-from .layout import camera, read_json, require
+from ..recorded.camera_json import camera, read_json
+from ..recorded.find_files import require
+from ..recorded.recorded_sequence import RecordedSequence
+from ..sequence import SequenceError, SequenceNotFoundError
 
 LOOKS_FOR = ("nerfstudio/transforms_undistorted*.json", "train_test_lists.json")
 DEPTH_SCALE = 1000.0

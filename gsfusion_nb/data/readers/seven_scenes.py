@@ -16,12 +16,12 @@ from pathlib import Path
 import torch
 
 from ...types import Camera
-from ..lens import CameraModel
-from ..protocol import SequenceError, SequenceNotFoundError
-from ..recorded import RecordedSequence
-from ..register import Registration
-from .layout import require
-from .poses import read_rows
+from ..lens.camera_model import CameraModel
+from ..lens.register import Registration
+from ..recorded.find_files import require
+from ..recorded.poses import read_rows
+from ..recorded.recorded_sequence import RecordedSequence
+from ..sequence import SequenceError, SequenceNotFoundError
 
 log = logging.getLogger(__name__)
 

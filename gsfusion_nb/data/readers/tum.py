@@ -15,13 +15,13 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ...types import Camera
-from ..lens import CameraModel
-from ..protocol import SequenceError
-from ..recorded import RecordedSequence
-from .associate import associate
-from .layout import require
-from .poses import interpolate_rows, matrices, no_poses, read_stamped_poses, read_words
-from .undistort import Undistorter
+from ..lens.camera_model import CameraModel
+from ..lens.undistort import Undistorter
+from ..recorded.associate import associate
+from ..recorded.find_files import require
+from ..recorded.poses import interpolate_rows, matrices, no_poses, read_stamped_poses, read_words
+from ..recorded.recorded_sequence import RecordedSequence
+from ..sequence import SequenceError
 
 log = logging.getLogger(__name__)
 

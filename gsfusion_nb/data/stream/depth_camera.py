@@ -10,9 +10,9 @@ import numpy as np
 import torch
 
 from ...types import Camera, Frame
-from ..lens import CameraModel
-from ..protocol import SequenceError, SequenceNotFoundError
-from ..readers.undistort import Undistorter
+from ..lens.camera_model import CameraModel
+from ..lens.undistort import Undistorter
+from ..sequence import SequenceError, SequenceNotFoundError
 from .live_source import LiveSource
 
 log = logging.getLogger(__name__)
@@ -34,7 +34,7 @@ class CameraLost(Exception):
 
 
 @dataclass(frozen=True, eq=False)
-class Shot:
+class RawFrame:
     """What a camera gave at one time: colour uint8 RGB [H, W, 3]; depth in metres, 0 missing, float32 [H, W]."""
 
     rgb: np.ndarray
@@ -74,7 +74,7 @@ class DepthCamera(LiveSource):
             lens = self._open()
             undistorter = Undistorter(lens) if self.undistort and any(abs(k) > 1e-9 for k in lens.distortion) else None
             self.camera = lens.camera if undistorter is None else undistorter.camera
-            for index, shot in enumerate(self._shots()):
+            for index, shot in enumerate(self._raw_frames()):
                 yield self._frame(index, shot, undistorter)
         finally:
             self._switch_off()
@@ -83,7 +83,7 @@ class DepthCamera(LiveSource):
         """End the iteration after the frame that is being waited for."""
         self._stopping.set()
 
-    def _shots(self) -> Iterator[Shot]:
+    def _raw_frames(self) -> Iterator[RawFrame]:
         """Shots after the warm-up, until stopped or lost."""
         seen = silent = 0
         while not self._stopping.is_set():
@@ -107,7 +107,7 @@ class DepthCamera(LiveSource):
             if seen > self.warm_up:
                 yield shot
 
-    def _frame(self, index: int, shot: Shot, undistorter: Undistorter | None) -> Frame:
+    def _frame(self, index: int, shot: RawFrame, undistorter: Undistorter | None) -> Frame:
         assert self.camera is not None
         rgb, depth_m = (shot.rgb, shot.depth_m) if undistorter is None else undistorter(shot.rgb, shot.depth_m)
         if rgb.shape[:2] != depth_m.shape:
@@ -143,7 +143,7 @@ class DepthCamera(LiveSource):
         """
 
     @abc.abstractmethod
-    def _shoot(self) -> Shot | None:
+    def _shoot(self) -> RawFrame | None:
         """The next shot; None if colour or depth is missing.
 
         Raises:

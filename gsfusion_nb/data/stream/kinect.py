@@ -7,8 +7,8 @@ import numpy as np
 
 from ...checks import check_name
 from ...types import Camera
-from ..lens import CameraModel
-from .depth_camera import CameraLost, CameraNotFoundError, CameraTimeout, DepthCamera, Shot
+from ..lens.camera_model import CameraModel
+from .depth_camera import CameraLost, CameraNotFoundError, CameraTimeout, DepthCamera, RawFrame
 
 RESOLUTIONS = ("720P", "1080P", "1440P", "1536P", "2160P", "3072P")
 DEPTH_MODES = ("NFOV_2X2BINNED", "NFOV_UNBINNED", "WFOV_2X2BINNED", "WFOV_UNBINNED")
@@ -78,7 +78,7 @@ class AzureKinect(DepthCamera):
         camera = Camera(width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy)
         return CameraModel(camera, tuple(float(k) for k in distortion))
 
-    def _shoot(self) -> Shot | None:
+    def _shoot(self) -> RawFrame | None:
         driver = self._driver
         try:
             capture = self._k4a.get_capture(timeout=round(1000 * self.timeout_s))
@@ -89,7 +89,7 @@ class AzureKinect(DepthCamera):
             raise CameraLost(str(e) or "the driver reports a failure") from None
         if colour is None or depth is None:
             return None
-        return Shot(
+        return RawFrame(
             rgb=np.ascontiguousarray(colour[..., 2::-1]),  # BGRA
             depth_m=depth.astype(np.float32) * np.float32(1e-3),
             timestamp_s=capture.color_timestamp_usec / 1e6,

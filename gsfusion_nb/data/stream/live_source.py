@@ -4,7 +4,7 @@ import abc
 from collections.abc import Iterator
 
 from ...types import Frame
-from .mailbox import Policy
+from .frame_queue import Policy
 
 
 class LiveSource(abc.ABC):

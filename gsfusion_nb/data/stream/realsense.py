@@ -7,9 +7,9 @@ import numpy as np
 
 from ...checks import check_name
 from ...types import Camera
-from ..lens import CameraModel
-from ..protocol import SequenceError
-from .depth_camera import CameraLost, CameraNotFoundError, CameraTimeout, DepthCamera, Shot
+from ..lens.camera_model import CameraModel
+from ..sequence import SequenceError
+from .depth_camera import CameraLost, CameraNotFoundError, CameraTimeout, DepthCamera, RawFrame
 
 FILTERS = ("decimation", "threshold", "spatial", "temporal", "hole_filling")
 """In the order in which the driver's documentation applies them."""
@@ -78,7 +78,7 @@ class RealSense(DepthCamera):
         self._filters = self._make_filters()
         return _lens(profile.get_stream(rs.stream.color).as_video_stream_profile().get_intrinsics())
 
-    def _shoot(self) -> Shot | None:
+    def _shoot(self) -> RawFrame | None:
         try:
             frames = self._pipeline.wait_for_frames(round(1000 * self.timeout_s))
             for each in self._filters:
@@ -87,7 +87,7 @@ class RealSense(DepthCamera):
             colour, depth = frames.get_color_frame(), frames.get_depth_frame()
             if not colour or not depth:
                 return None
-            return Shot(
+            return RawFrame(
                 rgb=np.asanyarray(colour.get_data()).copy(),
                 depth_m=np.asanyarray(depth.get_data()).astype(np.float32) * np.float32(self._depth_scale),
                 timestamp_s=colour.get_timestamp() / 1000.0,

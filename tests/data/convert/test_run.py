@@ -7,7 +7,8 @@ import pytest
 
 from gsfusion_nb.cli import main
 from gsfusion_nb.data import SequenceError, SequenceNotFoundError, detect_layout
-from gsfusion_nb.data.convert import ConvertOptions, convert, detect_format, formats
+from gsfusion_nb.data.convert import ConvertOptions, convert, detect_format
+from gsfusion_nb.data.convert import detect as formats
 from gsfusion_nb.data.convert.staging import Staging
 from gsfusion_nb.data.readers import folder
 

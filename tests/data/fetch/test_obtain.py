@@ -19,7 +19,7 @@ from gsfusion_nb.data.fetch import (
     Item,
     NoSpaceError,
     Plan,
-    Reading,
+    SequenceOnDisk,
     Terms,
     obtain,
 )
@@ -58,7 +58,7 @@ class Job:
             cite="Nobody 2020.",
             items=[Item(base=f"{site.address}/set", path="scan.zip", stated_bytes=10_000, choose=self.choose)],
             unpacked_bytes=20_000,
-            readings=lambda folder: [Reading(preset="replica")],
+            sequences=lambda folder: [SequenceOnDisk(preset="replica")],
         )
 
     def choose(self, name: str) -> str:
@@ -237,6 +237,6 @@ def test_texts(job):
     assert [duration_text(s) for s in (0.1, 80.0, 600.0, 9000.0)] == ["1 s", "80 s", "10 min", "2.5 h"]
     text = describe(job.plan, Path("data"), [None])
     assert "scan.zip (10 kB, estimated; no checksum public)" in text
-    reading = Reading(path="seq 01", preset="tum", format="seven_scenes", reader={"register": True})
+    sequence = SequenceOnDisk(path="seq 01", preset="tum", format="seven_scenes", reader={"register": True})
     expected = "gsfusion-nb map 'data/chess/seq 01' --preset tum --format seven_scenes --reader register=true"
-    assert reading.command(Path("data/chess")) == expected
+    assert sequence.command(Path("data/chess")) == expected

@@ -7,12 +7,12 @@ import pytest
 import torch
 
 from gsfusion_nb.data import SequenceError, SequenceNotFoundError, open_sequence
-from gsfusion_nb.data.checkup.consistency import depth_agreement
-from gsfusion_nb.data.lens import CameraModel
+from gsfusion_nb.data.checkup.quick_check import depth_agreement
+from gsfusion_nb.data.lens.camera_model import CameraModel
+from gsfusion_nb.data.lens.undistort import Undistorter
 from gsfusion_nb.data.readers import tum
-from gsfusion_nb.data.readers.poses import interpolate_rows
 from gsfusion_nb.data.readers.tum import LENSES
-from gsfusion_nb.data.readers.undistort import Undistorter
+from gsfusion_nb.data.recorded.poses import interpolate_rows
 from gsfusion_nb.geometry import quaternion
 from gsfusion_nb.types import Camera
 

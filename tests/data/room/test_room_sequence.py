@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from gsfusion_nb.data.protocol import Sequence
 from gsfusion_nb.data.room import kinect_depth, render_room, room, room_mesh, room_sdf
 from gsfusion_nb.data.room.sensor import DISPARITY_STEP_PX, FOCAL_BASELINE_PX_M
+from gsfusion_nb.data.sequence import Sequence
 from gsfusion_nb.files import cache_folder
 from gsfusion_nb.geometry import depth_to_points, project, se3
 from gsfusion_nb.types import Camera, Frame

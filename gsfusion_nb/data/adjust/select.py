@@ -1,0 +1,148 @@
+"""Part of a sequence, with the options of ``DataConfig`` applied: size, range, depth limits, held-out frames."""
+
+import dataclasses
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ...config import DataConfig
+from ...types import Camera, Frame
+from ..sequence import BadFrameError, Sequence, SequenceError, position
+from .repair import repaired
+from .resize import resize_frame
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SequenceView:
+    """Some frames of a sequence, resized and with depth limits (a ``Sequence``). Frames keep the source's index."""
+
+    source: Sequence
+    positions: list[int]
+    """Frames of the source, in order."""
+    camera: Camera
+    """Camera of the source or a resized one."""
+    depth_min_m: float = 0.0
+    depth_max_m: float = 0.0
+    """0 means no limit."""
+
+    @property
+    def name(self) -> str:
+        """Name of the source."""
+        return self.source.name
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    def __iter__(self) -> Iterator[Frame]:
+        return (self[i] for i in range(len(self)))
+
+    def pose(self, i: int) -> Float[Tensor, "4 4"]:
+        """Camera-to-world pose of frame ``i``."""
+        return self.source.pose(self.positions[position(i, len(self))])
+
+    def __getitem__(self, i: int) -> Frame:
+        frame = self.source[self.positions[position(i, len(self))]]
+        return within_depth(resize_frame(frame, self.camera), self.depth_min_m, self.depth_max_m, name=self.name)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class OpenedSequence(SequenceView):
+    """All selected frames of a sequence (itself a ``Sequence``), parted into those to map and those held out."""
+
+    mapping: SequenceView
+    """Frames to map."""
+    held_out: SequenceView
+    """Frames never mapped, for novel-view evaluation; may be empty."""
+
+
+def apply_options(source: Sequence, data: DataConfig | None = None) -> OpenedSequence:
+    """Select, resize and split the frames of any sequence.
+
+    Of the frames ``start, start + stride, ...`` below ``stop``, the one at position i is held out when
+    ``i % hold_out_every == hold_out_offset``: positions count within the selection, so the held-out share does not
+    depend on the stride. Frames that the data set itself publishes as test views (``source.novel``, ScanNet++) are
+    always held out, all of them, and neither counted nor thinned.
+
+    The corrections of ``data.repair`` come first; frames it skips keep their numbers and are neither counted nor held
+    out.
+
+    Raises:
+        SequenceError: no frames, a start beyond the end, or nothing left to map.
+    """
+    if not isinstance(source, Sequence):
+        raise SequenceError(
+            f"expected a sequence (name, camera, len(), [i], pose(i)) or the path of one, got {type(source).__name__}"
+        )
+    data = data or DataConfig()
+    source = repaired(source, data.repair)
+    published, skipped = set(getattr(source, "novel", ())), set(data.repair.skip)
+    novel = sorted(published - skipped)
+    chosen = _selection(source, published | skipped, data)
+    every, offset = data.hold_out_every, data.hold_out_offset
+    if every and not 0 <= offset < every:
+        raise SequenceError(
+            f"data.hold_out_offset must be between 0 and {every - 1} (hold_out_every - 1), got {offset}"
+        )
+    held = [p for i, p in enumerate(chosen) if every and i % every == offset]
+    mapped = sorted(set(chosen) - set(held))
+    if not mapped:
+        raise SequenceError(f"{source.name}: holding out every {every}th of {len(chosen)} frames leaves none to map")
+    camera = resized_camera(source.camera, data)
+
+    def view(positions: list[int]) -> SequenceView:
+        return SequenceView(
+            source=source,
+            positions=positions,
+            camera=camera,
+            depth_min_m=data.depth_min_m,
+            depth_max_m=data.depth_max_m,
+        )
+
+    everything = view(chosen + novel)
+    return OpenedSequence(
+        **{f.name: getattr(everything, f.name) for f in dataclasses.fields(SequenceView)},
+        mapping=view(mapped),
+        held_out=view(held + novel),
+    )
+
+
+def _selection(source: Sequence, apart: set[int], data: DataConfig) -> list[int]:
+    frames = [i for i in range(len(source)) if i not in apart]
+    if not frames:
+        raise SequenceError(f"{source.name} has no frames; expected at least one")
+    if data.start >= len(frames):
+        raise SequenceError(f"{source.name} has {len(frames)} frames; data.start must be below that, got {data.start}")
+    if 0 < data.stop <= data.start:
+        raise SequenceError(f"{source.name}: data.stop must be above data.start {data.start}, or 0, got {data.stop}")
+    return frames[data.start : data.stop or None : data.stride]
+
+
+def resized_camera(camera: Camera, data: DataConfig) -> Camera:
+    """Camera at the wanted size; one side alone keeps the proportions."""
+    if not data.width and not data.height:
+        return camera
+    width = data.width or max(1, round(camera.width * data.height / camera.height))
+    height = data.height or max(1, round(camera.height * data.width / camera.width))
+    return camera.resized(width, height)
+
+
+def within_depth(frame: Frame, near_m: float | int, far_m: float | int, *, name: str) -> Frame:
+    """The frame without depth nearer than ``near_m`` or farther than ``far_m`` (0: no limit).
+
+    Raises:
+        BadFrameError: nothing is left; ``name`` is that of its sequence.
+    """
+    if near_m == 0 and far_m == 0:
+        return frame
+    far = far_m or torch.inf
+    kept = (frame.depth_m >= near_m) & (frame.depth_m <= far)
+    depth_m = frame.depth_m.where(kept, 0.0)
+    if not bool(depth_m.any()):
+        raise BadFrameError(
+            f"{name} frame {frame.index} has no depth between {near_m:g} and {far:g} m; expected "
+            "some within data.depth_min_m and data.depth_max_m"
+        )
+    return dataclasses.replace(frame, depth_m=depth_m)

@@ -1,0 +1,217 @@
+"""What the files themselves say before any frame can be made of them: image sizes, pose matrices, time stamps."""
+
+import itertools
+import math
+import re
+from dataclasses import replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ...config import RepairConfig
+from ..adjust.pose_conventions import raw_matrices
+from ..recorded.images import read_depth, read_rgb
+from ..recorded.poses import MAX_RIGIDITY_ERROR
+from ..recorded.recorded_sequence import RecordedSequence
+from ..sequence import BadFrameError
+from .findings import Finding
+
+_TRIES = 5
+_TIME_GAP = 5.0
+"""A gap in time is told when it is this many times the usual step."""
+
+
+def examine_files(source: RecordedSequence, given: RepairConfig) -> tuple[RepairConfig, list[Finding]]:
+    """Findings on sizes, matrices and times, and what must be repaired before frames can be read.
+
+    What ``given`` repairs already is in order.
+    """
+    repair, size = image_size(source)
+    if given.fit_sizes:
+        repair, size = RepairConfig(), replace(size, verdict="ok", repair="")
+    matrices, poses = pose_matrices(raw_matrices(source.poses, given))
+    return replace(repair, **matrices.changes), [size, poses, *time_stamps(source)]  # pyright: ignore[reportArgumentType]
+
+
+def image_size(source: RecordedSequence) -> tuple[RepairConfig, Finding]:
+    """Whether colour, depth and intrinsics are of one size."""
+    rgb_size, depth_size = _stored_sizes(source)
+    expected = source.stored_size or (source.camera.width, source.camera.height)
+    if rgb_size is None or depth_size is None:
+        return RepairConfig(), Finding(name="image size", verdict="ok", sentence="No pair of images could be read.")
+    sizes = {"colour": rgb_size, "depth": depth_size, "the intrinsics": expected}
+    numbers = {
+        f"{name.removeprefix('the ')}_{side}": float(v)
+        for name, s in sizes.items()
+        for side, v in zip(("width", "height"), s, strict=True)
+    }
+    if len(set(sizes.values())) == 1:
+        return RepairConfig(), Finding(
+            name="image size",
+            verdict="ok",
+            numbers=numbers,
+            sentence=f"Colour, depth and intrinsics are all {expected[0]}x{expected[1]}.",
+        )
+    described = ", ".join(f"{name} {w}x{h}" for name, (w, h) in sizes.items())
+    fits = source.rectify is None
+    aspect = max(w / h for w, h in sizes.values()) / min(w / h for w, h in sizes.values())
+    note = (
+        "" if aspect < 1.01 else " Their proportions differ too: one of them is cropped, so look at the registration."
+    )
+    repair = RepairConfig(fit_sizes=True) if fits else RepairConfig()
+    return repair, Finding(
+        name="image size",
+        verdict="wrong",
+        numbers=numbers,
+        repair=repair.flags or "write intrinsics of the images' size",
+        sentence=f"The sizes differ: {described}.{note}",
+    )
+
+
+def pose_matrices(stored: Float[Tensor, "N 4 4"]) -> tuple[RepairConfig, Finding]:
+    """Whether the matrices are rigid, or become so when read by columns or with the nearest rotation."""
+    n = len(stored)
+    known = stored[torch.isfinite(stored).all(dim=(1, 2))]
+    lost = n - len(known)
+    if not len(known):
+        return RepairConfig(), Finding(
+            name="pose matrices", verdict="wrong", sentence=f"None of the {n} poses is finite."
+        )
+    shares = {}
+    options = (
+        RepairConfig(),
+        RepairConfig(matrices="column_major"),
+        RepairConfig(nearest_rotation=True),
+        RepairConfig(matrices="column_major", nearest_rotation=True),
+    )
+    for option in options:
+        shares[option] = float(_rigid(raw_matrices(known, option)).float().mean())
+    # the nearest rotation always exists: it counts only for matrices that are rotations but for scale and noise
+    for option in options[2:]:
+        by_columns = raw_matrices(known, RepairConfig(matrices=option.matrices))
+        shares[option] *= float(_nearly_rotation(by_columns).float().mean())
+    best = max(options, key=lambda o: shares[o] - 0.01 * len(o.changes))
+    scale = _scale(known)
+    numbers = {"rigid_share": shares[options[0]], "lost_share": lost / n, "scale": scale}
+    text = f"{shares[options[0]]:.0%} of {n} poses are rigid" + (f", {lost} are lost (NaN or infinite)" if lost else "")
+    if best == options[0]:
+        bad = shares[best] < 1 or lost
+        return best, Finding(
+            name="pose matrices",
+            verdict="doubtful" if bad else "ok",
+            numbers=numbers,
+            sentence=f"{text}." + (" Frames without a pose are left out of the map." if bad else ""),
+        )
+    why = {
+        "column_major": "read by columns they are: the 16 numbers are stored column by column",
+        "nearest_rotation": f"their rotations are scaled by {scale:.4g} or not quite orthogonal",
+    }
+    reasons = [why["column_major"]] * (best.matrices == "column_major") + [
+        why["nearest_rotation"]
+    ] * best.nearest_rotation
+    return best, Finding(
+        name="pose matrices",
+        verdict="wrong",
+        numbers=numbers,
+        repair=best.flags,
+        sentence=f"{text}; {' and '.join(reasons)}.",
+    )
+
+
+def time_stamps(source: RecordedSequence) -> list[Finding]:
+    """Whether times increase without gaps, and whether file numbers do."""
+    times = source.timestamps_s
+    steps = [b - a for a, b in itertools.pairwise(times)]
+    if not steps:
+        return []
+    usual = sorted(steps)[len(steps) // 2]
+    backward = [i for i, dt in enumerate(steps) if dt <= 0]
+    gaps = [i for i, dt in enumerate(steps) if usual > 0 and dt > _TIME_GAP * usual]
+    numbers = {
+        "usual_step_s": usual,
+        "longest_step_s": max(steps),
+        "gaps": float(len(gaps)),
+        "not_increasing": float(len(backward)),
+    }
+    if backward:
+        return [
+            Finding(
+                name="time stamps",
+                verdict="wrong",
+                numbers=numbers,
+                repair="sort the frames by time in the recording's lists",
+                sentence=f"Time does not increase after {len(backward)} of {len(times)} frames, first {backward[0]}.",
+            )
+        ]
+    missing = _numbers_left_out(source)
+    if gaps or missing:
+        place = f", the longest {max(steps):.3g} s after frame {steps.index(max(steps))}" if gaps else ""
+        text = f"{len(gaps)} gaps in time{place} (usual step {usual:.3g} s)" if gaps else ""
+        text += f"{'; ' if text else ''}{missing} numbers are left out among the file names" if missing else ""
+        return [
+            Finding(
+                name="time stamps",
+                verdict="doubtful",
+                numbers=numbers | {"numbers_left_out": float(missing)},
+                repair="nothing if there are no pose jumps; else map the pieces apart: --data.start, --data.stop",
+                sentence=f"{text}.",
+            )
+        ]
+    rate = f"{1 / usual:.3g} frames per second" if usual > 0 else "one time for all"
+    return [
+        Finding(name="time stamps", verdict="ok", numbers=numbers, sentence=f"Times increase without gaps, {rate}.")
+    ]
+
+
+def _stored_sizes(source: RecordedSequence) -> tuple[tuple[int, int] | None, tuple[int, int] | None]:
+    """(width, height) of the first colour and depth image that can be read."""
+    found: list[tuple[int, int] | None] = []
+    readers = (read_rgb, lambda path: read_depth(path, scale=source.depth_scale))
+    for files, read in zip((source.rgb_files, source.depth_files), readers, strict=True):
+        size = None
+        for path in files[:_TRIES]:
+            try:
+                height, width = read(path).shape[:2]
+            except BadFrameError:
+                continue
+            size = (width, height)
+            break
+        found.append(size)
+    return found[0], found[1]
+
+
+def _rigid(T: Float[Tensor, "N 4 4"]) -> Tensor:
+    R = T[:, :3, :3]
+    error = (R @ R.transpose(1, 2) - torch.eye(3, dtype=T.dtype)).abs().amax(dim=(1, 2))
+    bottom = (T[:, 3] - T.new_tensor([0.0, 0, 0, 1])).abs().amax(1)
+    return (error <= MAX_RIGIDITY_ERROR) & (bottom <= MAX_RIGIDITY_ERROR) & (torch.linalg.det(R) > 0)
+
+
+def _nearly_rotation(T: Float[Tensor, "N 4 4"]) -> Tensor:
+    """Orthogonal up to a scale within 20 per cent of an entry, not mirrored, bottom row in place."""
+    R = T[:, :3, :3]
+    determinant = torch.linalg.det(R)
+    scale = determinant.clamp_min(1e-12) ** (1 / 3)
+    R = R / scale[:, None, None]
+    error = (R @ R.transpose(1, 2) - torch.eye(3, dtype=T.dtype)).abs().amax(dim=(1, 2))
+    return (error < 0.2) & (determinant > 0) & (T[:, 3, :3].abs().amax(1) < 1e-6)
+
+
+def _scale(T: Float[Tensor, "N 4 4"]) -> float:
+    """Median scale of the rotations."""
+    determinant = float(torch.linalg.det(T[:, :3, :3]).median())
+    return math.copysign(abs(determinant) ** (1 / 3), determinant)
+
+
+def _numbers_left_out(source: RecordedSequence) -> int:
+    """Numbers missing among the colour files' names, in units of their usual step; 0 where names are no numbers."""
+    numbers = [re.search(r"(\d+)$", p.stem) for p in source.rgb_files]
+    if not all(numbers) or len(numbers) < 3:
+        return 0
+    values = [int(m[1]) for m in numbers if m]
+    if max(values) > 10**9:  # times, not counts
+        return 0
+    steps = [b - a for a, b in itertools.pairwise(values)]
+    usual = max(1, sorted(steps)[len(steps) // 2])
+    return sum(max(0, round(s / usual) - 1) for s in steps)

@@ -1,0 +1,135 @@
+"""Do depth, poses and intrinsics of a sequence fit together? A look at a few pairs; ``checkup`` looks closer."""
+
+from dataclasses import dataclass
+
+import torch
+
+from ...config import RepairConfig
+from ...geometry import se3
+from ...types import Frame
+from ..adjust.pose_conventions import reread_poses
+from ..sequence import BadFrameError, Sequence, SequenceError
+from .reprojection import agreement, depth_pair, relative_poses
+
+_MIN_ANGLE_RAD = 0.12
+
+AS_READ = "as read"
+USUAL_READINGS = {
+    AS_READ: RepairConfig(),
+    "inverted poses (they are world-to-camera)": RepairConfig(poses="world_to_camera"),
+    "OpenGL axes (y up, z backward)": RepairConfig(axes="opengl"),
+    "a depth scale that was 1000 instead of 5000": RepairConfig(depth_factor=0.2),
+    "a depth scale that was 5000 instead of 1000": RepairConfig(depth_factor=5.0),
+    "a depth scale that was 1000 instead of 6553.5": RepairConfig(depth_factor=0.1526),
+}
+"""The mistakes that are made most often, and what repairs them."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthAgreement:
+    """How well the depth of one frame predicts that of another."""
+
+    median_m: float
+    """Median absolute difference of z-depth over the pixels both see, metres; NaN where they share none."""
+    overlap: float
+    """Share of the first frame's points that fall on a valid depth of the second."""
+    agreeing: float
+    """Share of the first frame's points that also agree with it within 3 per cent."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SequenceCheck:
+    """Which reading of poses and depth scale makes neighbouring frames agree best."""
+
+    agreeing: dict[str, float]
+    """Share of agreeing points for each reading; "as read" is the sequence as it is."""
+
+    @property
+    def best(self) -> str:
+        """The reading under which most points agree."""
+        return max(self.agreeing, key=self.agreeing.__getitem__)
+
+    @property
+    def ok(self) -> bool:
+        """Whether a third of the points agree as read, and no other reading is clearly better."""
+        as_read = self.agreeing[AS_READ]
+        return as_read > 1 / 3 and self.agreeing[self.best] < as_read + 0.1
+
+    def __str__(self) -> str:
+        share = f"{self.agreeing[AS_READ]:.0%} of the points of a frame agree with a later frame"
+        if self.ok:
+            return f"consistent: {share}"
+        if self.best == AS_READ:
+            return f"doubtful: only {share}, and no usual mistake explains it; gsfusion-nb check tries more"
+        return (
+            f"inconsistent: only {share}, but {self.agreeing[self.best]:.0%} do with {self.best}: "
+            f"{USUAL_READINGS[self.best].flags}; gsfusion-nb check says more"
+        )
+
+
+def depth_agreement(a: Frame, b: Frame, *, step: int = 4) -> DepthAgreement:
+    """Move the points of frame ``a`` into frame ``b`` and compare with the depth measured there.
+
+    Args:
+        a, b: Two frames of one world and one camera.
+        step: Every step-th pixel of ``a`` in both directions is used.
+    """
+    T_ba = relative_poses(a.T_WC.double()[None], b.T_WC.double()[None])
+    found = agreement(depth_pair(a.depth_m, b.depth_m, b.camera, step=step), T_ba)
+    return DepthAgreement(median_m=float(found.median_m), overlap=float(found.overlap), agreeing=float(found.agreeing))
+
+
+def check_sequence(sequence: Sequence, *, pairs: int = 4) -> SequenceCheck:
+    """Try the usual mistakes on a few pairs of frames: inverted poses, OpenGL axes, a wrong depth scale.
+
+    Args:
+        sequence: Any sequence with some motion.
+        pairs: Number of pairs, spread over the sequence.
+
+    Raises:
+        SequenceError: no two usable frames.
+    """
+    scores = []
+    for k in range(pairs):
+        first = k * len(sequence) // (pairs + 1)
+        try:
+            a, b = sequence[first], sequence[_partner(sequence, first)]
+        except BadFrameError:
+            continue
+        if a.index == b.index:
+            continue
+        stored = torch.stack([a.T_WC, b.T_WC]).double()
+        T_ba = torch.cat([relative_under(stored[:1], stored[1:], r) for r in USUAL_READINGS.values()])
+        scores.append(agreement(depth_pair(a.depth_m, b.depth_m, b.camera), T_ba).agreeing)
+    if not scores:
+        raise SequenceError(f"{sequence.name} has no two usable frames; expected some to compare")
+    mean = torch.stack(scores).mean(0).tolist()
+    return SequenceCheck(agreeing=dict(zip(USUAL_READINGS, mean, strict=True)))
+
+
+def relative_under(T_a: torch.Tensor, T_b: torch.Tensor, reading: RepairConfig) -> torch.Tensor:
+    """Transforms from camera a to camera b, in units of the depth as read, if ``reading`` is right. [P, 4, 4]
+
+    A factor on depth scales all points, which leaves directions alone: the translation is divided by it instead.
+
+    Args:
+        T_a, T_b: Poses as stored. [P, 4, 4]
+        reading: How they and the depth are to be understood.
+    """
+    n = len(T_a)
+    T = reread_poses(torch.cat([T_a, T_b]), reading)
+    relative = relative_poses(T[:n], T[n:])
+    relative[:, :3, 3] /= reading.depth_factor
+    return relative
+
+
+def _partner(sequence: Sequence, first: int) -> int:
+    """The next frame that has turned or moved enough for a wrong reading to show, at most 30 later."""
+    T = sequence.pose(first).double()
+    last = min(first + 30, len(sequence) - 1)
+    for i in range(first + 1, last):
+        relative = se3.inverse(T) @ sequence.pose(i).double()
+        moved_m = float(relative[:3, 3].norm())
+        if float(se3.rotation_angle(relative[:3, :3])) > _MIN_ANGLE_RAD or moved_m > 0.15:
+            return i
+    return last

@@ -1,0 +1,1 @@
+"""The foreign formats that can be converted, one file each (and what it needs)."""

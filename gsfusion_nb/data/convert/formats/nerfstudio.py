@@ -1,0 +1,180 @@
+"""Nerfstudio's ``transforms.json``, also as written by instant-ngp, Polycam and the like, with ``depth_file_path``.
+
+Poses are camera-to-world with OpenGL axes (y up, z backward), turned by C2W diag(1, -1, -1, 1). Pixel centres at 0.5.
+Intrinsics are global or per frame; k1..k4, p1, p2 are removed. ``applied_transform`` and ``applied_scale``, which say
+how the world was moved, are undone, so that depth and poses share their unit. Depth is in millimetres unless
+``depth_scale``, ``integer_depth_scale`` or ``depth_unit_scale_factor`` say otherwise.
+"""
+
+import math
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ....geometry import se3
+from ...lens.camera_model import CameraModel
+from ...recorded.camera_json import read_json
+from ...recorded.find_files import natural_order
+from ...sequence import SequenceError
+from ..intrinsics import model_of
+from ..options import ConvertOptions
+from ..pictures import find_depth, load_pair
+from ..recording import Recording, Shot
+
+_GL_TO_CV = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
+_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "OPENCV_FISHEYE")
+
+
+def recognise(path: Path) -> bool:
+    """The file, or a folder that holds it."""
+    return _file(path) is not None
+
+
+def read(path: Path, options: ConvertOptions) -> Recording:
+    """Frames of a transforms.json, in natural order of their names (module docstring)."""
+    file = _file(path)
+    if file is None:
+        raise SequenceError(f"{path} holds no transforms.json; expected that file or its folder")
+    values = read_json(file, "nerfstudio transforms")
+    frames = values.get("frames")
+    if not isinstance(frames, list) or not frames or not all(isinstance(f, dict) for f in frames):
+        raise SequenceError(f"{file} lacks frames; expected a list of objects with file_path and transform_matrix")
+    for i, frame in enumerate(frames):
+        if not isinstance(frame.get("file_path"), str) or "transform_matrix" not in frame:
+            raise SequenceError(f"{file}: frame {i} lacks file_path or transform_matrix")
+    frames = sorted(frames, key=lambda f: natural_order(Path(f["file_path"])))
+    if not options.depth and not any("depth_file_path" in f for f in frames):
+        raise SequenceError(
+            f"{file} has no depth_file_path; RGB-D mapping needs depth: give its folder with --depth, or add the key"
+        )
+    world, notes = _undo(values, file)
+    scale = options.depth_scale or _depth_scale(values)
+
+    def shots() -> Iterator[Shot]:
+        for frame in frames:
+            colour = _image(file.parent / frame["file_path"])
+            yield Shot(
+                source=str(colour),
+                time_s=_time(frame),
+                model=None if options.intrinsics else _model(values | frame, file, colour),
+                T_WC=_pose(frame, world, file),
+                load=partial(load_pair, colour, _depth(frame, file, colour, options), scale),
+            )
+
+    return Recording(
+        name=str(file),
+        shots=shots,
+        n_shots=len(frames),
+        depth_scale=scale,
+        notes=(*notes, f"depth read as {scale:g} per metre"),
+    )
+
+
+def _file(path: Path) -> Path | None:
+    if path.is_file():
+        return path if path.suffix.lower() == ".json" and path.name.startswith("transforms") else None
+    return path / "transforms.json" if (path / "transforms.json").is_file() else None
+
+
+def _undo(values: dict[str, Any], file: Path) -> tuple[Float[Tensor, "4 4"], list[str]]:
+    """Matrix that takes the moved and scaled world back: S^-1 then A^-1."""
+    notes = []
+    back = torch.eye(4, dtype=torch.float64)
+    if "applied_transform" in values:
+        A = torch.eye(4, dtype=torch.float64)
+        rows = _matrix(values["applied_transform"], f"{file}: applied_transform")
+        A[: len(rows)] = rows
+        if abs(float(torch.linalg.det(A[:3, :3])) - 1) > 1e-3:
+            raise SequenceError(f"{file}: applied_transform must be a rotation and a translation; it scales or mirrors")
+        back = se3.inverse(A)
+        notes.append("applied_transform was undone")
+    if float(values.get("applied_scale", 1.0)) != 1.0:
+        back = back @ torch.diag(torch.tensor([1 / float(values["applied_scale"])] * 3 + [1.0], dtype=torch.float64))
+        notes.append(f"applied_scale {float(values['applied_scale']):g} was undone")
+    return back, notes
+
+
+def _pose(frame: dict[str, Any], world: Float[Tensor, "4 4"], file: Path) -> Float[Tensor, "4 4"]:
+    T = torch.eye(4, dtype=torch.float64)
+    rows = _matrix(frame["transform_matrix"], f"{file}: transform_matrix of {frame['file_path']}")
+    T[: len(rows)] = rows
+    moved = world @ T
+    moved[:3, :3] = world[:3, :3] / torch.linalg.det(world[:3, :3]).abs() ** (1 / 3) @ T[:3, :3]
+    return moved @ _GL_TO_CV
+
+
+def _matrix(rows: Any, source: str) -> Float[Tensor, "R 4"]:
+    try:
+        matrix = torch.tensor(rows, dtype=torch.float64)
+    except (ValueError, TypeError, RuntimeError):
+        raise SequenceError(f"{source} must be 4x4 or 3x4 numbers") from None
+    if matrix.ndim != 2 or tuple(matrix.shape) not in ((4, 4), (3, 4)):
+        raise SequenceError(f"{source} must be 4x4 or 3x4 numbers, got {list(matrix.shape)}")
+    return matrix
+
+
+def _model(values: dict[str, Any], file: Path, colour: Path) -> CameraModel:
+    """Camera of a frame: its own numbers before the global ones."""
+    name = values.get("camera_model", "OPENCV")
+    if name not in _MODELS:
+        raise SequenceError(f"{file}: cannot undistort camera_model {name!r}; known: {', '.join(_MODELS)}")
+    width, height = _size(values, colour)
+    source = f"{file}: the camera of {colour.name}"
+    try:
+        fx, fy = _focal(values, width, height)
+        cx, cy = (float(values.get(k, half)) for k, half in (("cx", width / 2), ("cy", height / 2)))
+        k = [float(values.get(key, 0.0)) for key in ("k1", "k2", "p1", "p2", "k3", "k4")]
+    except (TypeError, ValueError, KeyError):
+        raise SequenceError(f"{source} must have fl_x (or camera_angle_x), cx and cy as numbers") from None
+    fisheye = name == "OPENCV_FISHEYE"
+    if not fisheye and k[5]:  # a numerator term in nerfstudio, a denominator term in OpenCV
+        raise SequenceError(
+            f"{source} has k4 = {k[5]:g}, which only a fisheye may have here; undistort the images first"
+        )
+    distortion = (k[0], k[1], k[4], k[5]) if fisheye else tuple(k[:5])
+    return model_of([fx, fy, cx, cy], (width, height), source, centre=0.5, distortion=distortion, fisheye=fisheye)
+
+
+def _size(values: dict[str, Any], colour: Path) -> tuple[int, int]:
+    if "w" in values and "h" in values:
+        return int(values["w"]), int(values["h"])
+    from ...recorded.images import read_rgb
+
+    height, width = read_rgb(colour).shape[:2]
+    return width, height
+
+
+def _focal(values: dict[str, Any], width: int, height: int) -> tuple[float, float]:
+    if "fl_x" in values:
+        return float(values["fl_x"]), float(values.get("fl_y", values["fl_x"]))
+    fx = 0.5 * width / math.tan(0.5 * float(values["camera_angle_x"]))
+    if "camera_angle_y" not in values:
+        return fx, fx
+    return fx, 0.5 * height / math.tan(0.5 * float(values["camera_angle_y"]))
+
+
+def _image(path: Path) -> Path:
+    """The image, whose suffix some writers leave out."""
+    found = (path.with_name(path.name + s) for s in ("", ".png", ".jpg", ".jpeg"))
+    return next((p for p in found if p.is_file()), path)
+
+
+def _depth(frame: dict[str, Any], file: Path, colour: Path, options: ConvertOptions) -> Path:
+    if options.depth:
+        return find_depth(Path(options.depth), colour.stem)
+    return file.parent / frame.get("depth_file_path", f"depth of {colour.name}, of which the file says nothing")
+
+
+def _depth_scale(values: dict[str, Any]) -> float:
+    unit = values.get("integer_depth_scale", values.get("depth_unit_scale_factor", 1e-3))
+    return 1.0 / float(unit)
+
+
+def _time(frame: dict[str, Any]) -> float | None:
+    value = frame.get("timestamp", frame.get("time"))
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None

@@ -1,0 +1,112 @@
+"""Open3D's reconstruction system and the Redwood data: color/, depth/, ``trajectory.log``, ``camera_intrinsic.json``.
+
+The log holds camera-to-world matrices in blocks of five lines, the first of which begins with the frame's number; a
+``PinholeCameraTrajectory`` JSON holds column-major world-to-camera ones, with intrinsics. Axes are OpenCV's, pixel
+centres at integers, depth in millimetres.
+"""
+
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ....geometry import se3
+from ...lens.camera_model import CameraModel
+from ...recorded.camera_json import read_json
+from ...recorded.find_files import images_in, natural_order
+from ...sequence import SequenceError, SequenceNotFoundError
+from ..intrinsics import intrinsics_of_json, model_of_object
+from ..options import ConvertOptions
+from ..pictures import DEPTH_SUFFIXES, load_pair
+from ..recording import Recording, Shot
+from ..trajectory import read_text
+
+_COLOUR = ("color", "image", "rgb", "images")
+_INTRINSICS = ("camera_intrinsic.json", "intrinsic.json", "intrinsics.json", "camera_intrinsics.json")
+_TRAJECTORIES = ("trajectory.log", "scene/trajectory.log", "scene/integrated.log", "*.log", "trajectory.json")
+
+
+def recognise(path: Path) -> bool:
+    """A folder with a log and depth images."""
+    return path.is_dir() and (path / "depth").is_dir() and _trajectory(path) is not None
+
+
+def read(path: Path, options: ConvertOptions) -> Recording:
+    """Images and the poses of a log (module docstring)."""
+    colour_folder = next((path / n for n in _COLOUR if (path / n).is_dir()), None)
+    if colour_folder is None or not (path / "depth").is_dir():
+        raise SequenceNotFoundError(f"{path} lacks color/ or depth/; expected both beside trajectory.log")
+    colour, depth = images_in(colour_folder), images_in(path / "depth", DEPTH_SUFFIXES)
+    if len(colour) != len(depth):
+        raise SequenceError(
+            f"{path} has {len(colour)} colour and {len(depth)} depth images; expected pairs, matched in order of names"
+        )
+    file = _trajectory(path)
+    poses, model = ({}, None) if file is None else read_trajectory_file(file)
+    beyond = [i for i in poses if i >= len(colour)]
+    if beyond:
+        raise SequenceError(f"{file} has a pose of frame {beyond[0]}, but {path} holds {len(colour)} images, from 0")
+    intrinsics = next((path / n for n in _INTRINSICS if (path / n).is_file()), None)
+    notes = []
+    if intrinsics is not None and not options.intrinsics:
+        model, notes = (
+            intrinsics_of_json(intrinsics, None),
+            [f"intrinsics from {intrinsics}, pixel centres at integers"],
+        )
+    scale = options.depth_scale or 1000.0
+
+    def shots() -> Iterator[Shot]:
+        for i, (c, d) in enumerate(zip(colour, depth, strict=True)):
+            yield Shot(
+                source=str(c), time_s=i / 30, model=model, T_WC=poses.get(i), load=partial(load_pair, c, d, scale)
+            )
+
+    return Recording(
+        name=str(path), shots=shots, n_shots=len(colour), depth_scale=scale, has_poses=bool(poses), notes=tuple(notes)
+    )
+
+
+def read_trajectory_file(path: Path) -> tuple[dict[int, Float[Tensor, "4 4"]], CameraModel | None]:
+    """Camera-to-world poses by frame number of a .log or PinholeCameraTrajectory .json, and the latter's camera."""
+    if path.suffix.lower() == ".json":
+        return _read_json(path)
+    lines = [line.split() for line in read_text(path, "Open3D's trajectory.log").splitlines() if line.strip()]
+    if not lines or len(lines) % 5:
+        raise SequenceError(
+            f"{path} has {len(lines)} lines; expected blocks of five, 'i i i+1' and four rows of a matrix; is it cut?"
+        )
+    poses = {}
+    for at in range(0, len(lines), 5):
+        try:
+            frame = int(lines[at][0])
+            T = torch.tensor([[float(w) for w in row] for row in lines[at + 1 : at + 5]], dtype=torch.float64)
+        except (ValueError, IndexError):
+            T, frame = torch.zeros(0, 0), -1
+        if tuple(T.shape) != (4, 4):
+            raise SequenceError(f"{path}: block {at // 5} must be 'i i i+1' and four rows of four numbers")
+        poses[frame] = T
+    return poses, None
+
+
+def _read_json(path: Path) -> tuple[dict[int, Float[Tensor, "4 4"]], CameraModel | None]:
+    entries: Any = read_json(path, "an Open3D PinholeCameraTrajectory").get("parameters")
+    if not isinstance(entries, list) or not entries:
+        raise SequenceError(f"{path} lacks parameters; expected an Open3D PinholeCameraTrajectory")
+    poses = {}
+    for i, entry in enumerate(entries):
+        try:
+            T_CW = torch.tensor(entry["extrinsic"], dtype=torch.float64).reshape(4, 4).T
+        except (KeyError, TypeError, ValueError, RuntimeError):
+            raise SequenceError(f"{path}: parameters {i} must have extrinsic, 16 numbers column by column") from None
+        poses[i] = se3.inverse(T_CW)
+    intrinsic = entries[0].get("intrinsic")
+    return poses, None if intrinsic is None else model_of_object(intrinsic, None, str(path), centre=0.0)
+
+
+def _trajectory(path: Path) -> Path | None:
+    found = (p for pattern in _TRAJECTORIES for p in sorted(path.glob(pattern), key=natural_order) if p.is_file())
+    return next((p for p in found if p.suffix != ".json" or '"parameters"' in p.read_text(errors="replace")), None)

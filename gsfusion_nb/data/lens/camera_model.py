@@ -1,0 +1,104 @@
+"""A camera with its distortion, the pinhole it is undistorted to, and the pixel maps between cameras."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...types import Camera
+from ..sequence import SequenceError
+
+TIE = 1e-3
+"""Pixels by which nearest-pixel maps are moved, so that of two equally near pixels it is always the lower one."""
+SAME_PX = 0.05
+"""Cameras whose rays meet the image border this close to each other, in pixels, are taken as one."""
+
+
+@dataclass(frozen=True)
+class CameraModel:
+    """A pinhole with OpenCV's distortion: Brown's (k1 k2 p1 p2 [k3 [k4 k5 k6 ...]]) or, for a fisheye, k1 to k4."""
+
+    camera: Camera
+    distortion: tuple[float, ...] = ()
+    fisheye: bool = False
+
+    @property
+    def is_pinhole(self) -> bool:
+        """No distortion."""
+        return not self.fisheye and not any(self.distortion)
+
+    def resized(self, width: int, height: int) -> "CameraModel":
+        """The same lens on another pixel grid."""
+        return CameraModel(self.camera.resized(width, height), self.distortion, self.fisheye)
+
+    def fitted(self, width: int, height: int, source: str) -> "CameraModel":
+        """This camera for an image of the given size.
+
+        Raises:
+            SequenceError: the image has other proportions than the camera, so it is not the same picture resized.
+        """
+        if (self.camera.width, self.camera.height) == (width, height):
+            return self
+        if abs(width * self.camera.height - height * self.camera.width) > max(width, height):
+            raise SequenceError(
+                f"{source} is {width}x{height}, but its camera is {self.camera.width}x{self.camera.height}, of other "
+                "proportions; give the intrinsics of the images as they are"
+            )
+        return self.resized(width, height)
+
+    def pinhole(self) -> Camera:
+        """The pinhole of the undistorted image, which sees nothing outside the stored one."""
+        import cv2
+
+        if self.is_pinhole:
+            return self.camera
+        K, D, size = _opencv(self)
+        if self.fisheye:
+            K_new = cv2.fisheye.estimateNewCameraMatrixForUndistortRectify(K, D, size, np.eye(3), balance=0.0)
+        else:
+            K_new, _ = cv2.getOptimalNewCameraMatrix(K, D, size, 0.0)
+        fx, fy, cx, cy = (float(K_new[i]) for i in ((0, 0), (1, 1), (0, 2), (1, 2)))
+        return Camera(width=size[0], height=size[1], fx=fx, fy=fy, cx=cx + 0.5, cy=cy + 0.5)
+
+
+def same_rays(model: CameraModel, camera: Camera) -> bool:
+    """``model`` is ``camera``, or so near to it that no pixel would move."""
+    a = model.camera
+    if not model.is_pinhole or (a.width, a.height) != (camera.width, camera.height):
+        return False
+    across = [abs((x - a.cx) / a.fx * camera.fx + camera.cx - x) for x in (0, a.width)]
+    down = [abs((y - a.cy) / a.fy * camera.fy + camera.cy - y) for y in (0, a.height)]
+    return max(across + down) < SAME_PX
+
+
+def pixel_map(model: CameraModel, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """Where in the image of ``model`` each pixel of ``camera`` looks, for ``cv2.remap``. Two float32 [H, W]"""
+    import cv2
+
+    K, D, _ = _opencv(model)
+    K_new, _, size = _opencv(CameraModel(camera))
+    if model.fisheye:
+        return cv2.fisheye.initUndistortRectifyMap(K, D, np.eye(3), K_new, size, cv2.CV_32FC1)
+    return cv2.initUndistortRectifyMap(K, D, np.eye(3), K_new, size, cv2.CV_32FC1)
+
+
+def z_of_range(range_m: np.ndarray, model: CameraModel) -> np.ndarray:
+    """z-depth of distances measured along each pixel's ray: z = range / |ray with z = 1|, float32. [H, W]"""
+    import cv2
+
+    height, width = range_m.shape
+    K, D, _ = _opencv(model)
+    u, v = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
+    uv = np.stack([u, v], -1).reshape(-1, 1, 2)
+    undistort = cv2.fisheye.undistortPoints if model.fisheye else cv2.undistortPoints
+    xy = undistort(uv, K, D).reshape(height, width, 2)
+    return (range_m / np.sqrt(1 + (xy * xy).sum(-1))).astype(np.float32)
+
+
+def _opencv(model: CameraModel) -> tuple[np.ndarray, np.ndarray, tuple[int, int]]:
+    K = model.camera.K.numpy().copy()
+    K[:2, 2] -= 0.5  # OpenCV puts pixel centres at integers
+    # OpenCV takes 4, 5, 8, 12 or 14 coefficients
+    n = 4 if model.fisheye else next(n for n in (4, 5, 8, 12, 14) if n >= len(model.distortion))
+    D = np.zeros(n)
+    D[: len(model.distortion)] = model.distortion
+    return K, D, (model.camera.width, model.camera.height)

@@ -1,0 +1,100 @@
+"""A sequence of image files: what every reader returns. Images are decoded when asked for, nothing is kept."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ...types import Camera, Frame
+from ..adjust.resize import resize_colour
+from ..sequence import BadFrameError, position
+from .images import read_depth, read_rgb
+from .poses import checked_pose
+
+Rectify = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""Colour (uint8, RGB) and depth (metres) as stored -> the same pair as ``camera`` sees it."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RecordedSequence:
+    """Files, poses and times of a recorded sequence (a ``Sequence``).
+
+    Frame ``i`` has index ``i``. A frame whose image is damaged, whose depth is all missing or whose pose is not rigid
+    raises ``BadFrameError``; the other frames stay readable.
+    """
+
+    name: str
+    camera: Camera
+    """Camera of the frames, pixel centres at (i + 0.5, j + 0.5)."""
+    rgb_files: list[Path]
+    depth_files: list[Path]
+    timestamps_s: list[float]
+    poses: Float[Tensor, "N 4 4"]
+    """Camera-to-world, as read; float64."""
+    pose_sources: list[str]
+    """Where each pose was written, for messages."""
+    depth_scale: float
+    """Stored depth value of one metre."""
+    depth_invalid: tuple[int, ...] = ()
+    """Stored depth values that mean "missing", besides 0."""
+    stored_size: tuple[int, int] | None = None
+    """Width and height of the files if they differ from the camera's, pixels."""
+    rectify: Rectify | None = None
+    """Applied to every pair of images (undistortion, registration)."""
+    fit_sizes: bool = False
+    """Resize colour images that have not the camera's size instead of refusing them."""
+    has_poses: bool = True
+    """False: the recording came without; every pose is the identity, and a mapper has to track."""
+    novel: frozenset[int] = field(default_factory=frozenset)
+    """Frames that the data set publishes as test views: never mapped."""
+
+    def __len__(self) -> int:
+        return len(self.rgb_files)
+
+    def __iter__(self) -> Iterator[Frame]:
+        return (self[i] for i in range(len(self)))
+
+    def pose(self, i: int) -> Float[Tensor, "4 4"]:
+        """Camera-to-world pose of frame ``i``. Raises ``BadFrameError`` if it is not rigid."""
+        i = position(i, len(self))
+        return checked_pose(self.poses[i], self.pose_sources[i])
+
+    def __getitem__(self, i: int) -> Frame:
+        i = position(i, len(self))
+        T_WC = self.pose(i)
+        rgb = read_rgb(self.rgb_files[i])
+        depth_m = read_depth(self.depth_files[i], scale=self.depth_scale, invalid=self.depth_invalid)
+        if self.fit_sizes:
+            rgb = resize_colour(rgb, self.camera.width, self.camera.height)
+        self._check_sizes(i, rgb, depth_m)
+        if self.rectify is not None:
+            rgb, depth_m = self.rectify(rgb, depth_m)
+        return Frame(
+            index=i,
+            timestamp_s=self.timestamps_s[i],
+            rgb=torch.from_numpy(rgb).to(torch.float32).mul_(1.0 / 255.0),
+            depth_m=torch.from_numpy(depth_m),
+            camera=self.camera,
+            T_WC=T_WC,
+        )
+
+    def _check_sizes(self, i: int, rgb: np.ndarray, depth_m: np.ndarray) -> None:
+        rgb_size, depth_size = rgb.shape[1::-1], depth_m.shape[1::-1]
+        if rgb_size != depth_size:
+            raise BadFrameError(
+                f"{self.depth_files[i]} is {_wxh(depth_size)} but {self.rgb_files[i]} is {_wxh(rgb_size)}; "
+                "expected colour and depth of the same size, registered to each other"
+            )
+        expected = self.stored_size or (self.camera.width, self.camera.height)
+        if rgb_size != expected:
+            raise BadFrameError(
+                f"{self.rgb_files[i]} is {_wxh(rgb_size)}; expected {_wxh(expected)}, as the intrinsics say"
+            )
+
+
+def _wxh(size: tuple[int, ...]) -> str:
+    return f"{size[0]}x{size[1]}"

@@ -1,0 +1,201 @@
+"""The built-in room written to disk in every layout that is read, as its own data set would be."""
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ...geometry import quaternion
+from ...types import Camera
+from ..fetch.sequence_on_disk import SequenceOnDisk
+from ..lens.camera_model import CameraModel
+from ..readers.replica import DEPTH_SCALE as REPLICA_DEPTH_SCALE
+from ..readers.scannetpp import DEPTH_SCALE as SCANNETPP_DEPTH_SCALE
+from ..readers.seven_scenes import COLOUR_LENS, DEPTH_CAMERA, T_DEPTH_COLOUR
+from ..readers.seven_scenes import DEPTH_SCALE as SEVEN_SCENES_DEPTH_SCALE
+from ..readers.tum import DEPTH_SCALE as TUM_DEPTH_SCALE
+from ..readers.tum import LENSES
+from ..recorded.poses import write_pose_lines
+from .sequence import RoomSequence, render_room
+
+ROOM_DEPTH_SCALE = 10_000.0
+"""The room's own depth counts tenths of a millimetre, so the plain layout holds it without loss."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Walk:
+    """Frames to write: the room's walk, and the size of pictures where the layout leaves it open."""
+
+    n_frames: int = 200
+    width: int = 640
+    height: int = 480
+    seed: int = 0
+
+    @property
+    def sequence(self) -> RoomSequence:
+        """The room as a sequence."""
+        return RoomSequence(n_frames=self.n_frames, width=self.width, height=self.height, seed=self.seed)
+
+    def poses(self) -> Float[Tensor, "N 4 4"]:
+        """Camera-to-world, float64. [N, 4, 4]"""
+        sequence = self.sequence
+        return torch.stack([sequence.pose(i) for i in range(self.n_frames)]).double()
+
+    def render(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> tuple[np.ndarray, np.ndarray]:
+        """Colour, uint8 RGB, and z-depth in metres as any camera sees them."""
+        rgb, depth_m = render_room(camera, T_WC.float(), seed=self.seed)
+        return np.rint(rgb.numpy() * 255).astype(np.uint8), depth_m.numpy()
+
+
+Progress = Callable[[int, int], object]
+"""Called with the frames done and the frames in all."""
+
+Writer = Callable[[Path, Walk, Progress], SequenceOnDisk]
+"""(new folder, frames, progress) -> how to read what was written."""
+
+
+def write_folder(folder: Path, walk: Walk, progress: Progress) -> SequenceOnDisk:
+    """The plain layout, lossless: PNG colour, depth in tenths of a millimetre."""
+    sequence = walk.sequence
+    for i in range(walk.n_frames):
+        frame = sequence[i]
+        _write_rgb(folder / f"rgb/{i:06d}.png", frame.rgb_u8.numpy())
+        _write_depth(folder / f"depth/{i:06d}.png", frame.depth_m.numpy(), ROOM_DEPTH_SCALE)
+        progress(i + 1, walk.n_frames)
+    write_pose_lines(folder / "poses.txt", walk.poses())
+    write_intrinsics(folder / "intrinsics.json", sequence.camera, depth_scale=ROOM_DEPTH_SCALE)
+    return SequenceOnDisk(preset="replica")
+
+
+def write_intrinsics(path: Path, camera: Camera, *, depth_scale: float) -> None:
+    """``intrinsics.json`` of the plain layout, pixel centres at (i + 0.5, j + 0.5) as in the package."""
+    values = asdict(camera) | {"depth_scale": depth_scale, "pixel_centre": 0.5, "pose_convention": "camera-to-world"}
+    path.write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
+
+
+def write_replica(folder: Path, walk: Walk, progress: Progress) -> SequenceOnDisk:
+    """As NICE-SLAM's Replica: JPEG colour, 6553.5 per metre, pixel centres at integers."""
+    camera, poses = walk.sequence.camera, walk.poses()
+    for i, T_WC in enumerate(poses):
+        rgb, depth_m = walk.render(camera, T_WC)
+        _write_rgb(folder / f"results/frame{i:06d}.jpg", rgb)
+        _write_depth(folder / f"results/depth{i:06d}.png", depth_m, REPLICA_DEPTH_SCALE)
+        progress(i + 1, len(poses))
+    write_pose_lines(folder / "traj.txt", poses)
+    numbers = {"w": camera.width, "h": camera.height, "fx": camera.fx, "fy": camera.fy}
+    numbers |= {"cx": camera.cx - 0.5, "cy": camera.cy - 0.5, "scale": REPLICA_DEPTH_SCALE}
+    (folder / "cam_params.json").write_text(json.dumps({"camera": numbers}), encoding="utf-8")
+    return SequenceOnDisk(preset="replica")
+
+
+def write_tum(folder: Path, walk: Walk, progress: Progress) -> SequenceOnDisk:
+    """As the TUM benchmark with its third camera (640x480, no distortion); the folder's name must name it."""
+    camera, poses = LENSES["freiburg3"].camera, walk.poses()
+    stamps = [f"{1305031102 + 0.001 + i / 30:.6f}" for i in range(len(poses))]
+    quats = quaternion.from_matrix(poses[:, :3, :3])[:, [1, 2, 3, 0]]
+    rows = torch.cat([poses[:, :3, 3], quats], dim=1).tolist()
+    for i, (stamp, T_WC) in enumerate(zip(stamps, poses, strict=True)):
+        rgb, depth_m = walk.render(camera, T_WC)
+        _write_rgb(folder / f"rgb/{stamp}.png", rgb)
+        _write_depth(folder / f"depth/{stamp}.png", depth_m, TUM_DEPTH_SCALE)
+        progress(i + 1, len(poses))
+    lists = {kind: [f"{stamp} {kind}/{stamp}.png" for stamp in stamps] for kind in ("rgb", "depth")}
+    lists["groundtruth"] = [
+        f"{stamp} " + " ".join(f"{value:.9f}" for value in row) for stamp, row in zip(stamps, rows, strict=True)
+    ]
+    for name, lines in lists.items():
+        (folder / f"{name}.txt").write_text("\n".join(["# the built-in room", *lines, ""]), encoding="utf-8")
+    return SequenceOnDisk(preset="tum")
+
+
+def write_seven_scenes(folder: Path, walk: Walk, progress: Progress) -> SequenceOnDisk:
+    """As 7-Scenes: colour comes from its own lens beside the depth camera, and is not registered."""
+    poses = walk.poses()
+    lens = _DistortedView(COLOUR_LENS)
+    for i, T_WC in enumerate(poses):
+        _, depth_m = walk.render(DEPTH_CAMERA, T_WC)
+        wide, _ = walk.render(lens.wide, T_WC @ T_DEPTH_COLOUR)
+        stem = f"seq-01/frame-{i:06d}"
+        _write_rgb(folder / f"{stem}.color.png", lens(wide))
+        _write_depth(folder / f"{stem}.depth.png", depth_m, SEVEN_SCENES_DEPTH_SCALE)
+        lines = ["\t ".join(f"{value: .9e}" for value in row) for row in T_WC.tolist()]
+        (folder / f"{stem}.pose.txt").write_text("\n".join([*lines, ""]), encoding="utf-8")
+        progress(i + 1, len(poses))
+    return SequenceOnDisk(path="seq-01", preset="tum", reader={"register": True})
+
+
+def write_scannetpp(folder: Path, walk: Walk, progress: Progress) -> SequenceOnDisk:
+    """As ScanNet++ at half resolution; every eighth picture is a published test view."""
+    camera, poses = walk.sequence.camera, walk.poses()
+    names = [f"DSC{i:05d}.JPG" for i in range(len(poses))]
+    frames = {}
+    for i, (name, T_WC) in enumerate(zip(names, poses, strict=True)):
+        rgb, depth_m = walk.render(camera, T_WC)
+        _write_rgb(folder / f"dslr/undistorted_images_2/{name}", rgb)
+        _write_depth(folder / f"dslr/undistorted_depths_2/{Path(name).stem}.png", depth_m, SCANNETPP_DEPTH_SCALE)
+        matrix = T_WC @ torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
+        frames[name] = {"file_path": name, "transform_matrix": matrix.tolist(), "is_bad": False}
+        progress(i + 1, len(poses))
+    lists = {"train": [n for i, n in enumerate(names) if i % 8 != 4], "test": names[4::8]}
+    values = {"fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy, "w": camera.width}
+    values |= {"h": camera.height, "camera_model": "PINHOLE", "frames": [frames[n] for n in lists["train"]]}
+    values |= {"test_frames": [frames[n] for n in lists["test"]]}
+    (folder / "dslr/nerfstudio").mkdir(parents=True)
+    (folder / "dslr/nerfstudio/transforms_undistorted_2.json").write_text(json.dumps(values), encoding="utf-8")
+    (folder / "dslr/train_test_lists.json").write_text(json.dumps(lists), encoding="utf-8")
+    return SequenceOnDisk(preset="scannetpp")
+
+
+WRITERS: dict[str, tuple[str, Writer]] = {
+    "folder": ("room-folder", write_folder),
+    "replica": ("room-replica", write_replica),
+    "tum": ("room-tum-freiburg3", write_tum),
+    "seven_scenes": ("room-seven-scenes", write_seven_scenes),
+    "scannetpp": ("room-scannetpp", write_scannetpp),
+}
+"""Layout -> folder to make, and what fills it."""
+
+
+class _DistortedView:
+    """Bends a pinhole rendering as a lens does, the inverse of ``Undistorter``."""
+
+    MARGIN_PX = 24
+
+    def __init__(self, lens: CameraModel):
+        import cv2
+
+        c, m = lens.camera, self.MARGIN_PX
+        self.wide = Camera(width=c.width + 2 * m, height=c.height + 2 * m, fx=c.fx, fy=c.fy, cx=c.cx + m, cy=c.cy + m)
+        K = c.K.numpy().copy()
+        K[:2, 2] -= 0.5  # OpenCV puts pixel centres at integers
+        u, v = np.meshgrid(np.arange(c.width, dtype=np.float64), np.arange(c.height, dtype=np.float64))
+        seen = np.stack([u, v], -1).reshape(-1, 1, 2)
+        straight = cv2.undistortPoints(seen, K, np.asarray(lens.distortion), P=K).reshape(c.height, c.width, 2)
+        self._u, self._v = (straight[..., k].astype(np.float32) + m for k in (0, 1))
+
+    def __call__(self, wide: np.ndarray) -> np.ndarray:
+        import cv2
+
+        return cv2.remap(wide, self._u, self._v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+
+
+def _write_rgb(path: Path, rgb: np.ndarray) -> None:
+    import cv2
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    jpeg = path.suffix.lower() == ".jpg"
+    whole_colour = [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
+    options = [cv2.IMWRITE_JPEG_QUALITY, 97, *whole_colour] if jpeg else [cv2.IMWRITE_PNG_COMPRESSION, 3]
+    path.write_bytes(cv2.imencode(".jpg" if jpeg else ".png", rgb[..., ::-1], options)[1].tobytes())
+
+
+def _write_depth(path: Path, depth_m: np.ndarray, scale: float) -> None:
+    import cv2
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(cv2.imencode(".png", np.rint(depth_m * scale).astype(np.uint16))[1].tobytes())

@@ -1,0 +1,246 @@
+"""A folder in the plain layout, followed while another program writes it."""
+
+import logging
+import os
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from ...types import Frame
+from ..readers.folder import CAMERA_KEYS, read_intrinsics
+from ..recorded.camera_json import camera
+from ..recorded.find_files import natural_order
+from ..recorded.poses import no_poses
+from ..recorded.recorded_sequence import RecordedSequence
+from ..sequence import BadFrameError, SequenceError, SequenceNotFoundError
+from .appended_lines import AppendedLines
+from .complete_image import is_complete_image
+from .frame_queue import Policy
+from .live_source import LiveSource
+
+log = logging.getLogger(__name__)
+
+_SUFFIXES = {"rgb": (".jpg", ".jpeg", ".png"), "depth": (".png", ".tif", ".tiff", ".pgm")}
+
+_LOOK_AT = 64
+"""Of the frames that wait, so many are looked at in one round."""
+
+
+@dataclass
+class _Waiting:
+    """A frame some of whose files are there."""
+
+    rgb: Path
+    sizes: tuple[int, int] = (-1, -1)
+    """Bytes of its two files when last looked at; -1 where missing."""
+    settled: bool = False
+    """They had the same sizes in the round before."""
+
+
+class GrowingFolder(LiveSource):
+    """Frames of a folder in the plain layout (``gsfusion_nb.data.readers.folder``) as they are written.
+
+    A frame counts when both its images have kept their sizes for one round and end as they should, and, unless the
+    camera is to be tracked, its line of ``poses.txt`` is written; line k belongs to the k-th colour image. Frames come
+    in natural order of their names. One that stays incomplete for ``patience_s`` while later ones are there raises
+    ``BadFrameError``, and so does a later file that sorts before the frames already taken; poses are waited for.
+
+    It ends when a file called ``stop_file`` is in the folder or nothing has changed for ``idle_s``, after the frames
+    that are there, or with ``stop`` at once.
+
+    Args:
+        path: The folder; it may still be empty, but must exist.
+        poses: False: there is no ``poses.txt``, the camera is to be tracked.
+        poll_s: Time between two rounds, seconds.
+        idle_s: End after so long without any change, seconds.
+        patience_s: Skip an incomplete frame after so long, seconds.
+        stop_file: Name of the file that ends the recording.
+        wait: Waits for so many seconds; for tests.
+
+    Raises:
+        SequenceNotFoundError: no such folder.
+    """
+
+    policy: Policy = "all"
+
+    def __init__(
+        self,
+        path: str | Path,
+        *,
+        poses: bool = True,
+        poll_s: float | int = 0.1,
+        idle_s: float | int = 10.0,
+        patience_s: float | int = 3.0,
+        stop_file: str = "stop",
+        wait: Callable[[float | int], Any] | None = None,
+    ):
+        self.root = Path(path).expanduser()
+        if not self.root.is_dir():
+            raise SequenceNotFoundError(f"{self.root} is no folder; expected one in which a recording is being written")
+        self.name, self.has_poses = self.root.resolve().name, poses
+        self._poll_s, self._idle_s, self._patience_s = poll_s, idle_s, patience_s
+        self._stop_file = self.root / stop_file
+        self._stopping = threading.Event()
+        self._wait = wait or self._stopping.wait
+        self._poses = AppendedLines(self.root / "poses.txt")
+        self._values: dict[str, Any] = {}
+        self._known: set[str] = set()
+        self._waiting: dict[str, _Waiting] = {}
+        self._depth: dict[str, Path] = {}
+        self._late: list[Path] = []
+        self._last: Any = None
+        self._count = 0
+        self._ending = False
+        self._idled_s = self._head_s = 0.0
+
+    def __iter__(self) -> "GrowingFolder":
+        return self
+
+    def __next__(self) -> Frame:
+        while not self._stopping.is_set():
+            if self._late:
+                late = self._late.pop()
+                raise BadFrameError(f"{late} came after frames behind it were taken; expected files in order of name")
+            head = next(iter(self._waiting), None)
+            if head is not None and self._values:
+                reason = self._lacks(head)
+                if not reason:
+                    return self._take(head)
+                if self._ending or (self._head_s > self._patience_s and self._may_skip(head)):
+                    self._leave(head)
+                    raise BadFrameError(f"{reason}; the frame is left out")
+            elif self._ending:
+                break
+            self._round()
+        if not self._values and not self._stopping.is_set():
+            read_intrinsics(self.root / "intrinsics.json")  # says what is wrong with it
+        raise StopIteration
+
+    def stop(self) -> None:
+        """End the iteration at once."""
+        self._stopping.set()
+
+    def _round(self) -> None:
+        """Look at the folder, and again after a while until something is new or it is over."""
+        if self._look():
+            self._idled_s = 0.0
+            if self._waiting and self._values and not self._lacks(next(iter(self._waiting))):
+                return
+        self._ending = self._stop_file.exists() or self._idled_s >= self._idle_s
+        if self._ending:  # whatever was written before the end was declared
+            self._look(final=True)
+            return
+        self._wait(self._poll_s)
+        self._idled_s += self._poll_s
+        self._head_s += self._poll_s
+
+    def _look(self, *, final: bool = False) -> bool:
+        """Bring up to date what is known of the files; whether anything was new."""
+        if not self._values:
+            try:
+                self._values = read_intrinsics(self.root / "intrinsics.json")
+            except SequenceError:
+                self._values = {}
+        changed = self._list()
+        changed |= self.has_poses and self._poses.update(final=final)
+        for stem in list(self._waiting)[: None if final else _LOOK_AT]:
+            changed |= self._measure(stem, final)
+        return changed
+
+    def _list(self) -> bool:
+        """Find new names; whether there were any."""
+        new = [p for p in self._files("rgb") if p.stem not in self._known]
+        for path in sorted(new, key=natural_order):
+            self._known.add(path.stem)
+            if self._last is not None and natural_order(path) < self._last:
+                self._late.append(path)
+            else:
+                self._waiting[path.stem] = _Waiting(path)
+        order = sorted(self._waiting.items(), key=lambda item: natural_order(item[1].rgb))
+        if new:
+            self._waiting = dict(order)
+        self._depth = {p.stem: p for p in self._files("depth") if p.stem in self._waiting}
+        return bool(new)
+
+    def _files(self, kind: str) -> list[Path]:
+        try:
+            names = os.listdir(self.root / kind)
+        except OSError:
+            return []
+        return [self.root / kind / n for n in names if n.lower().endswith(_SUFFIXES[kind]) and not n.startswith(".")]
+
+    def _measure(self, stem: str, final: bool) -> bool:
+        """Look at the sizes of a frame's files; whether they changed."""
+        waiting = self._waiting[stem]
+        depth = self._depth.get(stem)
+        sizes = (_size(waiting.rgb), -1 if depth is None else _size(depth))
+        changed = sizes != waiting.sizes
+        waiting.settled = min(sizes) > 0 and (final or not changed)
+        waiting.sizes = sizes
+        return changed
+
+    def _lacks(self, stem: str) -> str:
+        """What the frame still lacks, or nothing."""
+        waiting, depth = self._waiting[stem], self._depth.get(stem)
+        if depth is None:
+            return f"{self.root / 'depth'} has no image {stem} for {waiting.rgb}"
+        if not waiting.settled:
+            return f"{waiting.rgb} or {depth} is empty or still being written"
+        for path in (waiting.rgb, depth):
+            if not is_complete_image(path):
+                return f"{path} is truncated; expected a whole image"
+        if self.has_poses and self._poses.take(self._count) is None:
+            return f"{self._poses.path} has no pose {self._count} for {waiting.rgb}"
+        return ""
+
+    def _may_skip(self, stem: str) -> bool:
+        """Later frames are there, and it is not only the pose that is late."""
+        return len(self._waiting) > 1 and "has no pose" not in self._lacks(stem)
+
+    def _take(self, stem: str) -> Frame:
+        rgb, depth = self._waiting[stem].rgb, self._depth[stem]
+        line, number = self._poses.take(self._count) if self.has_poses else None, self._count
+        self._leave(stem)
+        file = self.root / "intrinsics.json"
+        shift = 0.5 - self._values.get("pixel_centre", 0.0)
+        one = RecordedSequence(
+            name=self.name,
+            camera=camera(self._values, CAMERA_KEYS, file, shift=shift),
+            rgb_files=[rgb],
+            depth_files=[depth],
+            timestamps_s=[number / self._values.get("fps", 30.0)],
+            poses=no_poses(1) if line is None else _pose(line, self._poses.path, number),
+            pose_sources=[f"{self._poses.path} pose {number}"],
+            has_poses=self.has_poses,
+            depth_scale=float(self._values["depth_scale"]),
+            depth_invalid=(int(self._values.get("depth_invalid", 0)),),
+        )
+        return one[0]
+
+    def _leave(self, stem: str) -> None:
+        """Go on to the next frame."""
+        self._last = natural_order(self._waiting.pop(stem).rgb)
+        self._depth.pop(stem, None)
+        self._count += 1
+        self._idled_s = self._head_s = 0.0
+
+
+def _size(path: Path) -> int:
+    try:
+        return path.stat().st_size
+    except OSError:
+        return -1
+
+
+def _pose(line: str, path: Path, number: int) -> torch.Tensor:
+    try:
+        values = [float(word) for word in line.replace(",", " ").split()]
+    except ValueError:
+        values = []
+    if len(values) != 16:
+        raise BadFrameError(f"{path} pose {number} must be 16 row-major numbers, got {line[:60]!r}")
+    return torch.tensor(values, dtype=torch.float64).reshape(1, 4, 4)

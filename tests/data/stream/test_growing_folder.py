@@ -1,0 +1,317 @@
+import shutil
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from gsfusion_nb.data import BadFrameError, SequenceError, SequenceNotFoundError
+from gsfusion_nb.data.readers import folder
+from gsfusion_nb.data.stream import GrowingFolder
+from gsfusion_nb.data.stream.appended_lines import AppendedLines
+from gsfusion_nb.data.stream.complete_image import is_complete_image
+from gsfusion_nb.types import Frame
+
+
+@pytest.fixture
+def recorded(box, tmp_path):
+    """A finished folder of six frames, to be copied piece by piece."""
+    return box.folder(tmp_path / "recorded", 6)
+
+
+class Writer:
+    """Writes a folder step by step; each wait of the reader is one step, so that nothing depends on the clock."""
+
+    def __init__(self, source: Path, target: Path):
+        self.source, self.target = source, target
+        for kind in ("rgb", "depth"):
+            (target / kind).mkdir(parents=True)
+        self.lines = (source / "poses.txt").read_text().splitlines(keepends=True)
+        self.steps = []
+        self.waits = 0
+
+    def __call__(self, _seconds):
+        self.waits += 1
+        for action in self.steps.pop(0) if self.steps else ():
+            action()
+
+    def then(self, *actions):
+        self.steps.append(actions)
+        return self
+
+    def file(self, name: str, share: float = 1.0):
+        def write():
+            data = (self.source / name).read_bytes()
+            (self.target / name).write_bytes(data[: round(share * len(data))])
+
+        return write
+
+    def camera(self):
+        return self.file("intrinsics.json")
+
+    def rgb(self, i, share=1.0):
+        return self.file(f"rgb/{i:06d}.jpg", share)
+
+    def depth(self, i, share=1.0):
+        return self.file(f"depth/{i:06d}.png", share)
+
+    def pose(self, i, part: slice = slice(None)):
+        def append():
+            with (self.target / "poses.txt").open("a") as file:
+                file.write(self.lines[i][part])
+
+        return append
+
+    def whole(self, i):
+        return (self.rgb(i), self.depth(i), self.pose(i))
+
+    def stop(self):
+        (self.target / "stop").touch()
+
+
+@pytest.fixture
+def writer(recorded, tmp_path):
+    return Writer(recorded, tmp_path / "live")
+
+
+def follow(writer: Writer, **options) -> GrowingFolder:
+    return GrowingFolder(writer.target, wait=writer, **options)
+
+
+def everything(source: GrowingFolder) -> list[Any]:
+    """What comes: frames, and of errors their text."""
+    found: list[Any] = []
+    while True:
+        try:
+            found.append(next(source))
+        except StopIteration:
+            return found
+        except BadFrameError as e:
+            found.append(str(e))
+
+
+def indices(found) -> list:
+    return [round(f.timestamp_s * 30) if isinstance(f, Frame) else "bad" for f in found]
+
+
+def test_frames_that_are_written_one_by_one_are_those_of_the_finished_folder(writer, recorded):
+    writer.then(writer.camera())
+    for i in range(6):
+        writer.then(*writer.whole(i))
+    found = everything(follow(writer))
+    whole = folder(recorded)
+    assert indices(found) == list(range(6))
+    for i, frame in enumerate(found):
+        assert isinstance(frame, Frame)
+        assert frame.camera == whole.camera
+        torch.testing.assert_close(frame.rgb, whole[i].rgb)
+        torch.testing.assert_close(frame.depth_m, whole[i].depth_m)
+        torch.testing.assert_close(frame.T_WC, whole[i].T_WC)
+
+
+def test_a_frame_comes_only_when_both_images_and_the_pose_are_whole(writer):
+    """In pieces: half of the colour, all of it, half of the depth, all of it, half of the pose's line, its end."""
+    writer.then(writer.camera(), writer.rgb(0, 0.5)).then(writer.rgb(0)).then(writer.depth(0, 0.0))
+    writer.then(writer.depth(0, 0.6)).then(writer.depth(0)).then().then(writer.pose(0, slice(0, 40)))
+    writer.then().then(writer.pose(0, slice(40, None)))
+    source = follow(writer)
+    frame = next(source)
+    assert writer.waits == 9
+    assert frame.rgb.shape == (48, 64, 3)
+
+
+def test_a_png_cut_anywhere_is_not_whole(recorded, tmp_path):
+    for name in ("depth/000000.png", "rgb/000000.jpg"):
+        data = (recorded / name).read_bytes()
+        path = tmp_path / Path(name).name
+        for n in (0, 4, 100, len(data) // 2, len(data) - 1):
+            path.write_bytes(data[:n])
+            assert not is_complete_image(path)
+        path.write_bytes(data)
+        assert is_complete_image(path)
+        path.write_bytes(data + b"\0" * 8)
+        assert is_complete_image(path)
+    assert not is_complete_image(tmp_path / "nothing.png")
+
+
+def test_poses_that_come_late_are_waited_for(writer):
+    writer.then(writer.camera(), *(writer.rgb(i) for i in range(3)), *(writer.depth(i) for i in range(3)))
+    for _ in range(50):  # 5 s, longer than an incomplete frame is waited for
+        writer.then()
+    writer.then(writer.pose(0), writer.pose(1)).then(writer.pose(2))
+    assert indices(everything(follow(writer))) == [0, 1, 2]
+
+
+def test_depth_that_never_comes_is_named_and_the_poses_stay_with_their_frames(writer, recorded):
+    writer.then(writer.camera(), writer.rgb(0), writer.depth(0), writer.rgb(1), writer.rgb(2), writer.depth(2))
+    writer.then(*(writer.pose(i) for i in range(3)))
+    found = everything(follow(writer))
+    assert indices(found) == [0, "bad", 2]
+    assert "depth has no image 000001" in found[1]
+    torch.testing.assert_close(found[2].T_WC, folder(recorded)[2].T_WC)
+
+
+def test_a_frame_that_stays_truncated_is_named(writer):
+    writer.then(writer.camera(), *writer.whole(0), writer.rgb(1), writer.depth(1, 0.5), writer.pose(1))
+    writer.then(*writer.whole(2)).then(*writer.whole(3))
+    found = everything(follow(writer))
+    assert indices(found) == [0, "bad", 2, 3]
+    assert "depth/000001.png is truncated" in found[1]
+
+
+def test_a_damaged_image_and_a_bad_pose_line_are_named(writer):
+    writer.then(writer.camera(), *writer.whole(0), writer.rgb(1), writer.depth(1))
+
+    def damage():
+        data = bytearray((writer.target / "depth/000001.png").read_bytes())
+        data[60:200] = b"\0" * 140
+        (writer.target / "depth/000001.png").write_bytes(data)
+        with (writer.target / "poses.txt").open("a") as file:
+            file.write("1 0 0\nnan " + "0 " * 15 + "\n")
+
+    shutil.copy(writer.source / "rgb/000002.jpg", writer.target / "rgb")
+    shutil.copy(writer.source / "depth/000002.png", writer.target / "depth")
+    writer.then(damage, writer.rgb(3), writer.depth(3), writer.pose(3))
+    found = everything(follow(writer))
+    assert indices(found) == [0, "bad", "bad", 3]
+    assert "pose 1 must be 16 row-major numbers, got '1 0 0'" in found[1]
+    assert "pose 2 has NaN" in found[2]
+
+
+def test_files_come_in_natural_order_and_late_ones_are_named(writer):
+    for kind in ("rgb", "depth"):
+        for path in (writer.source / kind).iterdir():
+            path.rename(path.with_stem(str(int(path.stem) + 8)))  # 8, 9, 10, ...
+
+    def named(i):
+        return writer.file(f"rgb/{i}.jpg"), writer.file(f"depth/{i}.png")
+
+    writer.then(writer.camera(), *named(9), *named(10), *(writer.pose(i) for i in range(6)))
+    writer.then().then().then(*named(8)).then(*named(11))
+    found = everything(follow(writer))
+    assert ["bad" if isinstance(f, str) else "frame" for f in found] == ["frame", "frame", "bad", "frame"]
+    assert "8.jpg came after frames behind it" in found[2]
+
+
+def test_the_stop_file_ends_it_after_the_frames_that_are_there(writer):
+    writer.then(writer.camera(), *writer.whole(0), *writer.whole(1)[:2], writer.pose(1, slice(0, -1)), writer.stop)
+    source = follow(writer)
+    assert indices(everything(source)) == [0, 1]  # the last line has no end, but nothing will be added
+    assert writer.waits == 1
+
+
+def test_what_is_incomplete_when_it_ends_is_named(writer):
+    writer.then(writer.camera(), *writer.whole(0), writer.rgb(1), writer.stop)
+    found = everything(follow(writer))
+    assert indices(found) == [0, "bad"]
+    assert "depth has no image 000001" in found[1]
+
+
+def test_it_ends_when_nothing_changes(writer):
+    writer.then(writer.camera(), *writer.whole(0))
+    source = follow(writer, idle_s=2.0, poll_s=0.1)
+    assert indices(everything(source)) == [0]
+    assert 20 <= writer.waits <= 26
+
+
+def test_time_spent_mapping_is_not_idleness(writer):
+    """Only waits count, so a mapper that takes long over a frame does not end the recording."""
+    writer.then(writer.camera(), *writer.whole(0), *writer.whole(1))
+    source = follow(writer, idle_s=0.5)
+    assert next(source).timestamp_s == 0
+    for _ in range(3):
+        writer.then()
+    writer.then(*writer.whole(2))
+    assert indices(everything(source)) == [1, 2]
+
+
+def test_stop_ends_it_at_once(writer):
+    writer.then(writer.camera(), *writer.whole(0), *writer.whole(1))
+    source = follow(writer)
+    next(source)
+    source.stop()
+    assert everything(source) == []
+
+
+def test_without_poses_the_camera_is_to_be_tracked(writer):
+    writer.then(writer.camera(), writer.rgb(0), writer.depth(0), writer.stop)
+    source = follow(writer, poses=False)
+    assert not source.has_poses
+    [frame] = everything(source)
+    assert isinstance(frame, Frame)
+    torch.testing.assert_close(frame.T_WC, torch.eye(4))
+
+
+def test_a_folder_without_intrinsics_says_so_in_the_end(writer):
+    writer.then(writer.rgb(0), writer.depth(0), writer.pose(0))
+    with pytest.raises(SequenceNotFoundError, match=r"intrinsics\.json does not exist"):
+        everything(follow(writer, idle_s=1))
+    (writer.target / "intrinsics.json").write_text('{"width": 64')
+    with pytest.raises(SequenceError, match=r"intrinsics\.json is no valid JSON"):
+        everything(follow(writer, idle_s=1))
+
+
+def test_a_missing_folder_is_refused(tmp_path):
+    with pytest.raises(SequenceNotFoundError, match="expected one in which a recording is being written"):
+        GrowingFolder(tmp_path / "nowhere")
+
+
+def test_a_long_recording_that_is_already_there_takes_few_rounds(writer, recorded):
+    shutil.copytree(recorded, writer.target, dirs_exist_ok=True)
+    lines = "".join(writer.lines)
+    for i in range(6, 150):
+        for kind, suffix in (("rgb", "jpg"), ("depth", "png")):
+            (writer.target / kind / f"{i:06d}.{suffix}").symlink_to(recorded / kind / f"{i % 6:06d}.{suffix}")
+    (writer.target / "poses.txt").write_text(lines * 25)
+    source = follow(writer, idle_s=1.0)
+    assert indices(everything(source)) == list(range(150))
+    assert writer.waits < 20
+
+
+def test_a_writer_in_another_thread(writer, recorded):
+    """Real time: images are written in four pieces, poses after their frame."""
+    pieces = 4
+
+    def write_slowly():
+        writer.camera()()
+        for i in range(4):
+            for name in (f"rgb/{i:06d}.jpg", f"depth/{i:06d}.png"):
+                data = (recorded / name).read_bytes()
+                with (writer.target / name).open("wb") as file:
+                    for k in range(pieces):
+                        file.write(data[k * len(data) // pieces : (k + 1) * len(data) // pieces])
+                        file.flush()
+                        time.sleep(0.01)
+            time.sleep(0.02)
+            writer.pose(i)()
+        writer.stop()
+
+    thread = threading.Thread(target=write_slowly)
+    thread.start()
+    found = everything(GrowingFolder(writer.target, poll_s=0.01, idle_s=20))
+    thread.join(5)
+    assert indices(found) == [0, 1, 2, 3]
+
+
+def test_appended_lines(tmp_path):
+    lines = AppendedLines(tmp_path / "poses.txt")
+    assert not lines.update()
+    lines.path.write_text("# x y\na\n\nb\nc")
+    assert lines.update()
+    assert (lines.take(0), lines.take(1), lines.take(2)) == ("a", "b", None)
+    with lines.path.open("a") as file:
+        file.write("c\nd\n")
+    lines.update()
+    assert (lines.take(2), lines.take(3), lines.take(1)) == ("cc", "d", None)
+    lines.path.write_text("A\nB\n")  # written anew, shorter
+    lines.update()
+    assert lines.n_lines == 2
+    assert lines.take(3) is None
+    with lines.path.open("a") as file:
+        file.write("C\nD")
+    lines.update()
+    assert lines.take(3) is None
+    lines.update(final=True)
+    assert lines.take(3) == "D"
