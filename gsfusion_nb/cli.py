@@ -267,7 +267,7 @@ def _map_defaults(arguments: list[str]) -> GSFusionMapOptions | RtgSlamMapOption
         try:
             document = json.loads(Path(path).read_text(encoding="utf-8"))
             name = document.get("system", "gsfusion")
-            config = from_dict(get_system(name).config, document["config"])
+            config = from_dict(get_system(name).config_type, document["config"])
         except (json.JSONDecodeError, KeyError, TypeError) as e:
             raise ValueError(f"{path} is no config.json of a run: {type(e).__name__} {e}") from None
     elif name == "rtg_slam":

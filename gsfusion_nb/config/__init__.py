@@ -15,6 +15,7 @@ from .rtg_slam import RtgSlamConfig as RtgSlamConfig
 from .rtg_slam import StateConfig as StateConfig
 from .rtg_slam import WindowConfig as WindowConfig
 from .rtg_slam import rtg_slam as rtg_slam
+from .system import SystemConfig as SystemConfig
 from .tracking import BackEndConfig as BackEndConfig
 from .tracking import TrackingConfig as TrackingConfig
 from .values import from_dict as from_dict

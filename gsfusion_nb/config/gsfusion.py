@@ -4,8 +4,8 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from ..checks import check_name, check_number
-from .parts import DataConfig, SeedingConfig, TsdfConfig
-from .tracking import TrackingConfig
+from .parts import TsdfConfig
+from .system import SystemConfig
 from .values import from_dict, replace
 
 
@@ -70,32 +70,17 @@ class OptimConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class GSFusionConfig:
+class GSFusionConfig(SystemConfig):
     """All settings of a GSFusion run, except where the data is."""
 
     tsdf: TsdfConfig = field(default_factory=TsdfConfig)
-    seeding: SeedingConfig = field(default_factory=SeedingConfig)
     optim: OptimConfig = field(default_factory=OptimConfig)
-    tracking: TrackingConfig = field(default_factory=TrackingConfig)
-    data: DataConfig = field(default_factory=DataConfig)
-    sh_degree: int = 3
-    """Degree of the spherical harmonics that store a Gaussian's colour, 0 to 3. 0: one colour from all sides, least
-    memory and time. 3: colour may change with the viewing direction (gloss, reflections)."""
     keyframe_min_seeds: int = 50
     """A frame that adds more Gaussians than this becomes a keyframe. Larger: fewer keyframes, less memory. Usual: 20 to
     500."""
     keep_all_frames: bool = False
     """Keep every frame, not only keyframes, for optimising earlier views and for the passes after the scan (ScanNet++,
     whose views are far apart). On: more memory and a longer optimisation after the scan."""
-    keyframes_on: Literal["device", "cpu"] = "device"
-    """Where the images of the keyframes are kept: "device" (with the map) or "cpu", which saves memory of the GPU."""
-    seed: int = 0
-    """Seed of all random numbers. The same seed on the same machine gives the same map."""
-
-    def __post_init__(self):
-        if self.sh_degree not in (0, 1, 2, 3):
-            raise ValueError(f"sh_degree must be 0, 1, 2 or 3, got {self.sh_degree}")
-        check_name("keyframes_on", self.keyframes_on, ("device", "cpu"))
 
 
 _GSFUSION: dict[str, dict[str, Any]] = {

@@ -10,7 +10,7 @@ from typing import Any, Literal
 from ..checks import check_name, check_number, check_positive
 from ..constants import DISC_MAX_OFFSET, DISC_MIN_COSINE, OPAQUE_ALPHA
 from .parts import DataConfig, SeedingConfig, TsdfConfig
-from .tracking import TrackingConfig
+from .system import SystemConfig
 from .values import check_kinds, from_dict, replace
 
 
@@ -202,7 +202,7 @@ class FinalConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RtgSlamConfig:
+class RtgSlamConfig(SystemConfig):
     """All settings of an RTG-SLAM run, except where the data is."""
 
     seeding: SeedingConfig = field(default_factory=lambda: SeedingConfig(rule="rtg_slam"))
@@ -211,22 +211,9 @@ class RtgSlamConfig:
     states: StateConfig = field(default_factory=StateConfig)
     keyframes: KeyframeConfig = field(default_factory=KeyframeConfig)
     final: FinalConfig = field(default_factory=FinalConfig)
-    tracking: TrackingConfig = field(default_factory=TrackingConfig)
     mesh: TsdfConfig = field(default_factory=lambda: TsdfConfig(voxel_size_m=0.02, truncation_voxels=4.0, near_m=0.2))
     """The volume into which the rendered depth is fused when a mesh is needed."""
     data: DataConfig = field(default_factory=lambda: DataConfig(depth_min_m=0.3, depth_max_m=5.0))
-    sh_degree: int = 3
-    """Degree of the spherical harmonics that store a Gaussian's colour, 0 to 3. 0: one colour from all sides, least
-    memory and time. 3: colour may change with the viewing direction (gloss, reflections)."""
-    keyframes_on: Literal["device", "cpu"] = "device"
-    """Where the images of the keyframes are kept: "device" (with the map) or "cpu", which saves memory of the GPU."""
-    seed: int = 0
-    """Seed of all random numbers. The same seed on the same machine gives the same map."""
-
-    def __post_init__(self):
-        if self.sh_degree not in (0, 1, 2, 3):
-            raise ValueError(f"sh_degree must be 0, 1, 2 or 3, got {self.sh_degree}")
-        check_name("keyframes_on", self.keyframes_on, ("device", "cpu"))
 
 
 _RTG_SLAM: dict[str, dict[str, Any]] = {

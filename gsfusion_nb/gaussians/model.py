@@ -28,8 +28,10 @@ class GaussianModel:
     _COUNTS: tuple[str, ...] = ("birth_frame", "birth_step", "tag")
     """Columns of whole numbers."""
     _MOMENTS: tuple[str, ...] = ("exp_avg", "exp_avg_sq")
-    _PLACES: tuple[str, ...] = ("",)
-    """Prefixes of the columns that are centres and orientations."""
+    _POSE_PREFIXES: tuple[str, ...] = ("",)
+    """Prefixes of the columns that hold centres and orientations, which move when a loop is closed."""
+    TAG_MEANING = "quadtree level"
+    """What ``tag`` says of a row."""
 
     def __init__(self, sh_degree: int = 3, device: torch.device | str = "cpu"):
         if sh_degree not in (0, 1, 2, 3):
@@ -141,7 +143,7 @@ class GaussianModel:
 
     def move(self, T: Float[Tensor, "N 4 4"]) -> None:
         """Apply a rigid motion to centre and orientation of each row (a loop closure)."""
-        for prefix in self._PLACES:
+        for prefix in self._POSE_PREFIXES:
             xyz, quat = (self._columns[f"{prefix}{name}"][: self._count] for name in ("xyz_W", "quat"))
             turn = T.to(xyz)
             xyz.copy_((turn[:, :3, :3] @ xyz[:, :, None]).squeeze(2) + turn[:, :3, 3])

@@ -28,7 +28,8 @@ class SurfelModel(GaussianModel):
 
     _COUNTS = (*GaussianModel._COUNTS, "state", "confidence", "colour_errors", "depth_errors", "frames_in_view")
     _MOMENTS = ()
-    _PLACES = ("", "anchor.")
+    _POSE_PREFIXES = ("", "anchor.")
+    TAG_MEANING = "why the row was added"
 
     @property
     def state(self) -> Int[Tensor, " N"]:

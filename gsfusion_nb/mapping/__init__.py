@@ -1,12 +1,12 @@
 """The mapping systems, one frame step each."""
 
 from .gsfusion import GSFusion as GSFusion
+from .mapper import MapPart as MapPart
+from .mapper import Mapper as Mapper
 from .rtg_slam import RTGSLAM as RTGSLAM
 from .step_report import GlobalStep as GlobalStep
 from .step_report import StepReport as StepReport
 from .systems import SYSTEMS as SYSTEMS
-from .systems import Config as Config
-from .systems import Mapper as Mapper
 from .systems import get_system as get_system
 from .systems import make_mapper as make_mapper
 from .systems import system_of as system_of

@@ -1,38 +1,40 @@
 """GSFusion (Wei & Leutenegger 2024): TSDF fusion and Gaussian splatting, one frame at a time, in the paper's order."""
 
-from collections.abc import Iterator
 from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ..config import GSFusionConfig, from_dict, to_dict
+from ..config import GSFusionConfig, gsfusion
 from ..errors import BadFrameError
 from ..gaussians import GaussianModel
-from ..optim import Keyframe, KeyframeList, adam_step, dssim_vjp, l1_mse_vjp
-from ..render import render, render_forward, render_vjp
-from ..seeding import SeedContext, SeedingRule, apply_rule, get_rule
-from ..tracking import Correction, tsdf_surface
+from ..optim import Keyframe, adam_step, dssim_vjp, l1_mse_vjp
+from ..render import render_forward, render_vjp
+from ..seeding import Cells, SeedContext, SeedingRule, apply_rule
+from ..tracking import tsdf_surface
 from ..tsdf import RaycastOutput, TsdfVolume, extract_mesh, integrate, raycast
-from ..types import Camera, Frame, Mesh, RenderOutput, Seeds
+from ..types import Camera, Frame, Mesh, Seeds
 from .frame_checks import check_frame
-from .keyframe_passes import KeyframePasses
-from .localiser import Localiser, move_map
-from .step_report import GlobalStep, StageClock, StepReport, psnr_from_mse
+from .mapper import MapPart, Mapper
+from .step_report import StageClock, StepReport, psnr_from_mse
 
 
-class GSFusion:
-    """The mapper: feed it frames with ``step``; its two maps are ``volume`` and ``gaussians``.
-
-    Args:
-        config: Settings; see ``gsfusion_nb.config.gsfusion`` for the published presets.
-        seeding: Name of a registered rule, or the rule function itself; overrides ``config.seeding.rule``.
-        device: Where the maps live.
+class GSFusion(Mapper):
+    """GSFusion: its two maps are ``volume`` (TSDF) and ``gaussians``.
 
     GSFusion as published takes the poses as given; ``config.tracking.poses = "tracked"`` aligns each frame to the TSDF
-    by RTG-SLAM's ICP instead.
+    by RTG-SLAM's ICP instead. Settings and published presets: ``gsfusion_nb.config.gsfusion``.
     """
+
+    title = "GSFusion"
+    config_type = GSFusionConfig
+    preset = staticmethod(gsfusion)
+    panels = ("input", "render", "error", "quadtree_seeds")
+    memory_savers = ("a larger seeding.quadtree_threshold", "larger voxels (tsdf.voxel_size_m)")
+
+    config: GSFusionConfig
+    gaussians: GaussianModel
 
     def __init__(
         self,
@@ -41,16 +43,8 @@ class GSFusion:
         seeding: "str | SeedingRule | None" = None,
         device: torch.device | str = "cpu",
     ):
-        self.config = config or GSFusionConfig()
-        self.rule = get_rule(seeding if seeding is not None else self.config.seeding.rule)
-        self.device = torch.device(device)
+        super().__init__(config, seeding=seeding, device=device)
         self.volume = TsdfVolume(self.config.tsdf, device=self.device)
-        self.gaussians = GaussianModel(self.config.sh_degree, device=self.device)
-        self.keyframes = KeyframeList("cpu" if self.config.keyframes_on == "cpu" else self.device)
-        self.generator = torch.Generator().manual_seed(self.config.seed)
-        self.n_frames = 0
-        self.passes = KeyframePasses()
-        self.localiser = Localiser(self.config.tracking)
 
     def __repr__(self) -> str:
         return (
@@ -65,8 +59,7 @@ class GSFusion:
             BadFrameError: the pose is not rigid, an image holds a NaN or colours beyond 0..1, or the frame lies too far
                 away for the voxel index. The maps are unchanged.
         """
-        frame = check_frame(frame, self.device)
-        clock = StageClock()
+        frame, clock = check_frame(frame, self.device), StageClock()
         with clock("tracking"):
             frame = self.localiser.locate(frame, tsdf_surface(self.volume))
         with clock("tsdf"):
@@ -82,7 +75,7 @@ class GSFusion:
         with clock("optimise"):
             losses, psnrs = self._optimise_online(frame, is_keyframe)  # Eq. 12
         with clock("tracking"):
-            self._correct(self.localiser.record(frame))
+            self._follow(self.localiser.record(frame))
         self.n_frames += 1
         return StepReport(
             frame_index=frame.index,
@@ -113,10 +106,6 @@ class GSFusion:
         options = self.config.seeding.options
         return apply_rule(self.rule, context, options, one_per_voxel=self.config.seeding.one_per_voxel)
 
-    def render(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RenderOutput:
-        """The Gaussian map seen by a camera (Eq. 11)."""
-        return render(self.gaussians.params, camera, T_WC.to(self.device))
-
     def surface(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RaycastOutput:
         """Depth, normals and colours of the TSDF map's surface seen by a camera."""
         return raycast(self.volume, camera, T_WC.to(self.device))
@@ -125,58 +114,48 @@ class GSFusion:
         """Surface of the TSDF map."""
         return extract_mesh(self.volume)
 
-    def global_optimise(self, passes: int | None = None) -> Iterator[GlobalStep]:
-        """Optimise over the keyframes after the scan: each pass visits all of them once in a new random order.
-
-        A generator, so that the caller can show progress or stop: ``for step in mapper.global_optimise(): ...``.
-
-        Args:
-            passes: Number of passes; ``config.optim.global_iterations`` by default. One that was cut short is finished
-                first and counts as one of them.
-        """
-        passes = self.n_passes if passes is None else passes
-        if not self.passes.begun:
-            self._correct(self.localiser.finish())
-        yield from self.passes.run(passes, len(self.keyframes), self.generator, self._optimise_globally)
-
     @property
     def n_passes(self) -> int:
         """Passes of the global optimisation that the settings ask for."""
         return self.config.optim.global_iterations
 
-    def state_dict(self) -> dict[str, Any]:
-        """Everything needed to go on later exactly where this stands, as tensors and plain values."""
-        return {
-            "config": to_dict(self.config),
-            "rule": self.rule.__name__,
-            "n_frames": self.n_frames,
-            "passes": self.passes.state_dict(),
-            "localiser": self.localiser.state_dict(),
-            "generator": self.generator.get_state(),
-            "volume": self.volume.state_dict(),
-            "gaussians": self.gaussians.state_dict(),
-            "keyframes": self.keyframes.state_dict(),
-        }
+    def quadtree_cells(self, frame: Frame) -> Cells:
+        """The quadtree on the frame (section III-B.1)."""
+        return self.seed_context(frame).quadtree_cells()
 
-    @classmethod
-    def from_state_dict(
-        cls,
-        state: dict[str, Any],
-        *,
-        seeding: "str | SeedingRule | None" = None,
-        device: torch.device | str = "cpu",
-    ) -> "GSFusion":
-        """The mapper that ``state_dict`` described; a rule that is not registered by name must be given again."""
-        config = from_dict(GSFusionConfig, state["config"])
-        mapper = cls(config, seeding=seeding if seeding is not None else state["rule"], device=device)
-        mapper.n_frames = state["n_frames"]
-        mapper.passes.load_state_dict(state["passes"])
-        mapper.localiser.load_state_dict(state["localiser"])
-        mapper.generator.set_state(state["generator"])
-        mapper.volume.load_state_dict(state["volume"])
-        mapper.gaussians = GaussianModel.from_state_dict(state["gaussians"], device)
-        mapper.keyframes = KeyframeList.from_state_dict(state["keyframes"], mapper.keyframes.device)
-        return mapper
+    def counts(self) -> dict[str, int]:
+        """Voxel blocks of the TSDF."""
+        return {"n_blocks": self.volume.n_blocks}
+
+    def parts(self) -> list[MapPart]:
+        """Gaussians, keyframes and voxel blocks."""
+        blocks = MapPart(name="voxel blocks", count=self.volume.n_blocks, size_bytes=self.volume.memory_bytes)
+        return [*super().parts(), blocks]
+
+    def mesh_on_cpu(self) -> Mesh:
+        """The mesh of a copy of the TSDF in the memory of the processor."""
+        return extract_mesh(self.volume.to("cpu"))
+
+    def step_warnings(self, frame: Frame, report: StepReport) -> list[str]:
+        """Also: no depth of the first frame is in the range that is fused."""
+        warnings = super().step_warnings(frame, report)
+        if self.n_frames > 1 or report.n_blocks:
+            return warnings
+        tsdf, known = self.config.tsdf, frame.depth_m[frame.depth_m > 0]
+        median = f"its median is {float(known.median()):.4g} m" if len(known) else "it has none at all"
+        return [
+            *warnings,
+            f"frame {frame.index} has no depth between tsdf.near_m {tsdf.near_m:g} and tsdf.far_m {tsdf.far_m:g} m "
+            f"({median}), so nothing was mapped from it: is the depth scale right?",
+        ]
+
+    def state_dict(self) -> dict[str, Any]:
+        """The state of any mapper, and the TSDF."""
+        return super().state_dict() | {"volume": self.volume.state_dict()}
+
+    def _load(self, state: dict[str, Any]) -> None:
+        super()._load(state)
+        self.volume.load_state_dict(state["volume"])
 
     def _fuse(self, frame: Frame) -> None:
         """Fold the frame into the TSDF."""
@@ -184,11 +163,6 @@ class GSFusion:
             integrate(self.volume, frame)
         except ValueError as e:
             raise BadFrameError(f"frame {frame.index} cannot be mapped: {e}") from None
-
-    def _correct(self, correction: Correction | None) -> None:
-        """After a closed loop: Gaussians and keyframes move with the trajectory if asked to; the TSDF stays."""
-        if correction is not None and self.config.tracking.back_end.on_correction == "move":
-            move_map(correction, self.gaussians, self.keyframes)
 
     def _optimise_online(self, frame: Frame, is_keyframe: bool) -> tuple[list[float], list[float]]:
         """m steps on a keyframe; n on another frame, then some on random keyframes against forgetting (III-B.3)."""
@@ -205,7 +179,7 @@ class GSFusion:
         losses, errors = torch.stack([torch.stack(step) for step in steps], dim=1).tolist()
         return losses, [psnr_from_mse(mse) for mse in errors]
 
-    def _optimise_globally(self, i: int) -> Float[Tensor, ""]:
+    def _global_step(self, i: int) -> Float[Tensor, ""]:
         """One step on the i-th keyframe after the scan."""
         return self._optimise_view(self.keyframes[i], ssim_weight=self.config.optim.ssim_weight)[0]
 

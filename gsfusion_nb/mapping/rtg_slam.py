@@ -2,26 +2,25 @@
 
 import dataclasses
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from typing import Any
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from ..config import RtgSlamConfig, from_dict, to_dict
+from ..config import RtgSlamConfig, rtg_slam
 from ..gaussians import STABLE, SurfelModel, Transitions, change_states, count_errors, count_views, state_counts
 from ..geometry import se3
-from ..optim import Keyframe, KeyframeList, fuse_with_history
+from ..optim import Keyframe, fuse_with_history
 from ..render import SurfaceView, render_forward, rows_in_view, surface_depth_m, view_surface
-from ..seeding import SeedContext, SeedingRule, apply_rule, get_rule, rule_name
+from ..seeding import SeedContext, SeedingRule, apply_rule, rule_name
 from ..tracking import Correction, Surface
 from ..tsdf import TsdfVolume, extract_mesh, integrate
 from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput, Seeds
 from .frame_checks import check_frame
-from .keyframe_passes import KeyframePasses
-from .localiser import Localiser, move_map
-from .step_report import GlobalStep, StageClock, StepReport, psnr_from_mse
+from .mapper import Mapper
+from .step_report import StageClock, StepReport, psnr_from_mse
 from .surfel_optimiser import SurfelOptimiser, View
 
 MASKED_BELOW = 0.8
@@ -30,15 +29,27 @@ MESH_VIEWS = 60
 """Views whose rendered depth makes the mesh."""
 
 
-class RTGSLAM:
-    """The mapper: feed it frames with ``step``; its map is ``gaussians``.
+class RTGSLAM(Mapper):
+    """RTG-SLAM: its map is ``gaussians``, discs on the surface.
 
-    Args:
-        config: Settings; see ``gsfusion_nb.config.rtg_slam`` for the published presets.
-        seeding: Name of a registered rule, or the rule function itself; overrides ``config.seeding.rule``. The
-            settings' options are for the settings' rule: another one runs with its defaults.
-        device: Where the map lives.
+    Settings and published presets: ``gsfusion_nb.config.rtg_slam``. The options of the seeding rule in the settings are
+    for the rule in the settings: another rule runs with its defaults.
     """
+
+    title = "RTG-SLAM"
+    config_type = RtgSlamConfig
+    preset = staticmethod(rtg_slam)
+    fidelities = ("measured", "paper", "code")
+    model_type = SurfelModel
+    gaussians_are_discs = True
+    panels = ("input", "render", "error", "depth_error", "states", "seed_causes")
+    curves = Mapper.curves | {
+        "stable Gaussians": lambda report: report.counts["stable_opaque"] + report.counts["stable_transparent"]
+    }
+    memory_savers = ("a smaller share in seeding.options",)
+
+    config: RtgSlamConfig
+    gaussians: SurfelModel
 
     def __init__(
         self,
@@ -47,17 +58,9 @@ class RTGSLAM:
         seeding: "str | SeedingRule | None" = None,
         device: torch.device | str = "cpu",
     ):
-        self.config = config or RtgSlamConfig()
-        self.rule = get_rule(seeding if seeding is not None else self.config.seeding.rule)
-        self.device = torch.device(device)
-        self.gaussians = SurfelModel(self.config.sh_degree, device=self.device)
-        self.localiser = Localiser(self.config.tracking)
+        super().__init__(config, seeding=seeding, device=device)
         self.camera: Camera | None = None
         self.window: deque[Frame] = deque(maxlen=self.config.window.frames)
-        self.keyframes = KeyframeList("cpu" if self.config.keyframes_on == "cpu" else self.device)
-        self.generator = torch.Generator().manual_seed(self.config.seed)
-        self.n_frames = 0
-        self.passes = KeyframePasses()
         self._final: SurfelOptimiser | None = None
 
     def __repr__(self) -> str:
@@ -70,8 +73,7 @@ class RTGSLAM:
         Raises:
             BadFrameError: the frame cannot be used. The map is unchanged.
         """
-        frame = check_frame(frame, self.device, needs_depth=True)
-        clock = StageClock()
+        frame, clock = check_frame(frame, self.device, needs_depth=True), StageClock()
         with clock("tracking"):
             frame = self.localiser.locate(frame, self._tracking_surface)  # Eq. 10
         with clock("seeding"):
@@ -90,7 +92,7 @@ class RTGSLAM:
         with clock("states"):
             after, transitions = self._manage_states(frame)
         with clock("tracking"):
-            self._correct(self.localiser.record(frame))
+            self._follow(self.localiser.record(frame))
         self.camera = frame.camera
         self.n_frames += 1
         self.gaussians.step_count = self.n_frames
@@ -127,11 +129,13 @@ class RTGSLAM:
         """Colour, transmittance, depth and normals of the map seen by a camera (Eq. 1-5)."""
         return view_surface(self.gaussians.params, camera, T_WC.to(self.device), self.config.discs)
 
-    def render(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RenderOutput:
+    @classmethod
+    def render_gaussians(
+        cls, params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"], config: RtgSlamConfig
+    ) -> RenderOutput:
         """The map seen by a camera, with the depth of its discs as ``surface_depth_m``."""
-        params, T_WC = self.gaussians.params, T_WC.to(self.device)
-        output, _ = render_forward(params, camera, T_WC, opaque_alpha=self.config.discs.opaque_alpha)
-        depth_m = surface_depth_m(params, camera, T_WC, output, self.config.discs)
+        output, _ = render_forward(params, camera, T_WC, opaque_alpha=config.discs.opaque_alpha)
+        depth_m = surface_depth_m(params, camera, T_WC, output, config.discs)
         return dataclasses.replace(output, surface_depth_m=depth_m)
 
     def mesh(self) -> Mesh:
@@ -152,72 +156,41 @@ class RTGSLAM:
             integrate(volume, frame)
         return extract_mesh(volume)
 
-    def global_optimise(self, passes: int | None = None) -> Iterator[GlobalStep]:
-        """Optimise all Gaussians over the keyframes after the scan; centres stay. A generator.
-
-        Args:
-            passes: Steps per keyframe; ``config.final.passes`` by default. One that was cut short is finished first
-                and counts as one of them.
-        """
-        passes = self.n_passes if passes is None else passes
-        if not self.passes.begun:
-            self._correct(self.localiser.finish())
-        yield from self.passes.run(passes, len(self.keyframes), self.generator, self._optimise_finally)
-
     @property
     def n_passes(self) -> int:
         """Passes of the final optimisation that the settings ask for."""
         return self.config.final.passes
 
+    def counts(self) -> dict[str, int]:
+        """Gaussians by state and kind."""
+        return {f"n_{name}": count for name, count in state_counts(self.gaussians).items()}
+
     def state_dict(self) -> dict[str, Any]:
-        """Everything needed to go on later exactly where this stands, as tensors and plain values."""
-        return {
-            "config": to_dict(self.config),
-            "rule": self.rule.__name__,
-            "n_frames": self.n_frames,
-            "passes": self.passes.state_dict(),
-            "localiser": self.localiser.state_dict(),
+        """The state of any mapper, the window, and the optimiser of the final passes."""
+        return super().state_dict() | {
             "camera": None if self.camera is None else vars(self.camera),
-            "final": None if self._final is None else self._final.state_dict(),
-            "generator": self.generator.get_state(),
-            "gaussians": self.gaussians.state_dict(),
-            "keyframes": self.keyframes.state_dict(),
             "window": [vars(f) | {"camera": vars(f.camera)} for f in self.window],
+            "final": None if self._final is None else self._final.state_dict(),
         }
 
-    @classmethod
-    def from_state_dict(
-        cls,
-        state: dict[str, Any],
-        *,
-        seeding: "str | SeedingRule | None" = None,
-        device: torch.device | str = "cpu",
-    ) -> "RTGSLAM":
-        """The mapper that ``state_dict`` described; a rule that is not registered by name must be given again."""
-        config = from_dict(RtgSlamConfig, state["config"])
-        mapper = cls(config, seeding=seeding if seeding is not None else state["rule"], device=device)
-        mapper.n_frames = state["n_frames"]
-        mapper.passes.load_state_dict(state["passes"])
-        mapper.localiser.load_state_dict(state["localiser"])
-        mapper.camera = None if state["camera"] is None else Camera(**state["camera"])
-        mapper.generator.set_state(state["generator"])
-        mapper.gaussians = SurfelModel.from_state_dict(state["gaussians"], device)
-        mapper.keyframes = KeyframeList.from_state_dict(state["keyframes"], mapper.keyframes.device)
-        mapper.window.extend(Frame(**{**f, "camera": Camera(**f["camera"])}).to(device) for f in state["window"])
+    def _load(self, state: dict[str, Any]) -> None:
+        super()._load(state)
+        self.camera = None if state["camera"] is None else Camera(**state["camera"])
+        frames = (Frame(**{**f, "camera": Camera(**f["camera"])}) for f in state["window"])
+        self.window.extend(frame.to(self.device) for frame in frames)
         if state["final"] is not None:
-            mapper._final = mapper._final_optimiser()
-            mapper._final.load_state_dict(state["final"])
-        return mapper
+            self._final = self._final_optimiser()
+            self._final.load_state_dict(state["final"])
 
     def _tracking_surface(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> Surface:
         view = self.surface(camera, T_WC)
         return Surface(depth_m=view.depth_m, normal_W=view.normal_W, camera=camera, T_WC=T_WC, rgb=view.rgb)
 
-    def _correct(self, correction: Correction | None) -> None:
-        """After a closed loop: Gaussians, keyframes and window move with the trajectory, if asked to."""
+    def _follow(self, correction: Correction | None) -> None:
+        """After a closed loop the window moves as well."""
+        super()._follow(correction)
         if correction is None or self.config.tracking.back_end.on_correction == "leave":
             return
-        move_map(correction, self.gaussians, self.keyframes)
         moves = correction.transform_of(torch.tensor([f.index for f in self.window])).float()
         moved = [dataclasses.replace(f, T_WC=T.to(f.T_WC) @ f.T_WC) for f, T in zip(self.window, moves, strict=True)]
         self.window = deque(moved, maxlen=self.window.maxlen)
@@ -317,7 +290,7 @@ class RTGSLAM:
         )
         return _psnr(view.rgb, frame), change_states(self.gaussians, self.config.states)
 
-    def _optimise_finally(self, i: int) -> Float[Tensor, ""]:
+    def _global_step(self, i: int) -> Float[Tensor, ""]:
         """One step on the i-th keyframe, on all pixels and all Gaussians, which are all stable from here on."""
         if self._final is None:
             self.gaussians.state.fill_(STABLE)

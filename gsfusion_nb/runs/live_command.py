@@ -9,9 +9,9 @@ import tyro
 
 from ..backends import from_environment, use_backend
 from ..checks import check_name
-from ..config import replace
+from ..config import SystemConfig, replace
 from ..data.stream import AzureKinect, GrowingFolder, LiveSource, RealSense
-from ..mapping.systems import Config, get_system
+from ..mapping import get_system
 from .map_sequence import FinishedRun
 from .map_stream import map_stream
 
@@ -135,10 +135,10 @@ def live(arguments: list[str]) -> FinishedRun:
     options = tyro.cli(SOURCES[name], prog=f"gsfusion-nb live {name}", args=arguments[1:])
     with use_backend(options.backend):
         source = options.source()
-        mapper = get_system(options.system).mapper(_settings(options, source), device=options.device)
+        mapper = get_system(options.system)(_settings(options, source), device=options.device)
         return map_stream(
-            mapper,
             source,
+            mapper,
             policy=options.policy or None,
             queue_frames=options.queue,
             folder=options.out or None,
@@ -147,7 +147,7 @@ def live(arguments: list[str]) -> FinishedRun:
         )
 
 
-def _settings(options: LiveOptions, source: LiveSource) -> Config:
+def _settings(options: LiveOptions, source: LiveSource) -> SystemConfig:
     """The preset, tracked where the source has no poses, ending after ``frames``, with the single settings."""
     config = get_system(options.system).preset(options.preset)
     if not source.has_poses:

@@ -7,9 +7,10 @@ from typing import Any
 
 import torch
 
+from ..config import SystemConfig
 from ..data import Sequence, SequenceError, apply_options, open_sequence
 from ..data.checkup.quick_check import check_sequence
-from ..mapping.systems import Config, get_system
+from ..mapping import get_system, make_mapper
 from ..progress import ProgressDisplay
 from ..seeding import SeedingRule
 from ..types import Mesh
@@ -23,7 +24,7 @@ log = logging.getLogger(__name__)
 
 def run_mapping(
     data: str | Path | Sequence,
-    config: Config | str | None = None,
+    config: SystemConfig | str | None = None,
     *,
     system: str = "gsfusion",
     folder: Path | str | None = None,
@@ -37,7 +38,7 @@ def run_mapping(
     Args:
         data: Folder of a sequence, "room" for the built-in scene, or any ``Sequence``.
         config: Settings, or the name of a preset; the built-in scene's or Replica's by default.
-        system: "gsfusion" or "rtg_slam", where ``config`` is no settings.
+        system: Name of the system (``gsfusion_nb.mapping.SYSTEMS``), used only where ``config`` holds no settings.
         folder: New or empty folder for the results; ``runs/<name>-<time>`` by default.
         seeding: Name of a seeding rule, or the rule itself.
         device: Where the maps live.
@@ -56,7 +57,7 @@ def run_mapping(
         sequence = open_sequence(**source, data=settings.data)
     else:
         source, sequence = {}, apply_options(data, settings.data)
-    run = MappingRun(sequence, settings, seeding=seeding, device=device, source=source)
+    run = MappingRun(sequence, make_mapper(settings, seeding=seeding, device=device), source=source)
     if source and str(data) != "room" and has_poses(sequence):
         run.warnings += _doubts(sequence.mapping)
     return drive(run, new_folder(sequence.name, folder), evaluate)
@@ -79,7 +80,7 @@ def resume_mapping(
     return drive(run, Path(folder), evaluate)
 
 
-def _settings(config: Config | str | None, system: str, *, is_room: bool) -> Config:
+def _settings(config: SystemConfig | str | None, system: str, *, is_room: bool) -> SystemConfig:
     """Settings as given, or the preset of that name."""
     if config is None or isinstance(config, str):
         return get_system(system).preset(config or ("room" if is_room else "replica"))

@@ -7,7 +7,7 @@ from typing import Literal
 
 from ..data import Sequence
 from ..data.stream import Policy
-from ..mapping.systems import Config, Mapper
+from ..mapping import Mapper
 from ..progress import ProgressDisplay
 from ..types import Frame
 from .map_sequence import FinishedRun, drive
@@ -16,8 +16,8 @@ from .stream_run import StreamRun
 
 
 def map_stream(
-    mapper_or_config: Config | Mapper,
     frames: Iterable[Frame] | Sequence,
+    mapper: Mapper,
     *,
     policy: Policy | None = None,
     queue_frames: int = 4,
@@ -33,8 +33,8 @@ def map_stream(
     only a few frames are kept, to score by.
 
     Args:
-        mapper_or_config: Settings, or a mapper that goes on with its maps.
         frames: Any iterable: a list, a generator, a camera (``RealSense``, ``AzureKinect``), a ``GrowingFolder``.
+        mapper: Who maps them, such as ``GSFusion(config)``; one that has mapped already goes on with its map.
         policy: "all", "queue", "latest" or "drop" (``gsfusion_nb.data.stream.POLICIES``); the source's own by
             default ("latest" for cameras, "all" for anything else).
         queue_frames: Frames that may wait, for "all" and "queue".
@@ -50,7 +50,7 @@ def map_stream(
         SequenceError: no frame could be mapped; names the first reason.
         Exception: what the source raised, after everything was saved.
     """
-    run = StreamRun(mapper_or_config, frames, policy=policy, queue_frames=queue_frames)
+    run = StreamRun(frames, mapper, policy=policy, queue_frames=queue_frames)
 
     def map_frames(run: MappingRun, stop: StopRequest) -> None:
         _with_progress(run, stop)

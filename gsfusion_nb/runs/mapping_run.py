@@ -13,14 +13,10 @@ from typing import Any, Protocol, runtime_checkable
 
 import torch
 
-from ..config import TsdfConfig
 from ..data import OpenedSequence, RecordedSequence, SequenceError, SequenceView, open_sequence
 from ..data.stream import read_ahead
 from ..export import load_checkpoint, save_checkpoint
-from ..mapping.gsfusion import GSFusion
-from ..mapping.rtg_slam import RTGSLAM
-from ..mapping.step_report import GlobalStep, StepReport
-from ..mapping.systems import Config, Mapper, get_system, make_mapper, system_of
+from ..mapping import GlobalStep, Mapper, StepReport, get_system, system_of
 from ..seeding import SeedingRule
 from ..types import Frame
 from .posed_frames import has_poses
@@ -58,9 +54,7 @@ class MappingRun:
 
     Args:
         sequence: What to map, from ``open_sequence`` or ``apply_options``.
-        config: Settings, or a mapper that is to go on with its maps.
-        seeding: Name of a rule or the rule itself; overrides ``config.seeding.rule``.
-        device: Where the maps live.
+        mapper: Who maps it, such as ``GSFusion(config)``; one that has mapped already goes on with its map.
         source: How the sequence was opened (path, format), written to config.json so that it can be opened again.
 
     Raises:
@@ -73,14 +67,13 @@ class MappingRun:
     def __init__(
         self,
         sequence: OpenedSequence,
-        config: Config | Mapper,
+        mapper: Mapper,
         *,
-        seeding: "str | SeedingRule | None" = None,
-        device: torch.device | str = "cpu",
         source: dict[str, Any] | None = None,
     ):
-        is_mapper = isinstance(config, (GSFusion, RTGSLAM))
-        self.mapper = config if is_mapper else make_mapper(config, seeding=seeding, device=device)
+        if not isinstance(mapper, Mapper):
+            raise TypeError(f"expected a mapper, such as GSFusion(config), got {type(mapper).__name__}")
+        self.mapper: Any = mapper
         if self.mapper.config.tracking.poses == "given" and not has_poses(sequence):
             raise SequenceError(
                 f"{sequence.name} came without poses; expected tracking.poses = 'tracked' in the settings"
@@ -106,7 +99,7 @@ class MappingRun:
     @property
     def system(self) -> str:
         """Name of the system that maps."""
-        return system_of(self.mapper)
+        return system_of(self.mapper.config)
 
     @property
     def poses(self) -> list[torch.Tensor]:
@@ -142,7 +135,8 @@ class MappingRun:
                 self.steps.append(report)
                 self.timestamps_s.append(frame.timestamp_s)
                 self._passed(frame)
-                self._look_at(frame, report)
+                for sentence in self.mapper.step_warnings(frame, report):
+                    self._warn(sentence)
                 yield report
         finally:
             frames.close()
@@ -202,15 +196,14 @@ class MappingRun:
             raise FileNotFoundError(f"{path} is not there: only a run that was interrupted can be resumed")
         state = load_checkpoint(path)
         try:
-            mapper = get_system(state["system"]).mapper.from_state_dict(state["mapper"], seeding=seeding, device=device)
+            mapper = get_system(state["system"]).from_state_dict(state["mapper"], seeding=seeding, device=device)
             source, values = state["source"], {name: state["run"][name] for name in _STATE}
             steps = [StepReport(**{**s, "losses": tuple(s["losses"])}) for s in values["steps"]]
         except (KeyError, TypeError, AttributeError) as e:
             raise ValueError(f"{path} is damaged or from another version: {type(e).__name__} {e}") from None
         if not source:
             raise ValueError(f"{path} is of a sequence in memory; only one opened by path or name can be resumed")
-        run = cls(open_sequence(**source, data=mapper.config.data), mapper.config, seeding=mapper.rule, source=source)
-        run.mapper = mapper
+        run = cls(open_sequence(**source, data=mapper.config.data), mapper, source=source)
         for name, value in values.items():
             setattr(run, name, value)
         run.steps = steps
@@ -227,21 +220,6 @@ class MappingRun:
     def _why_nothing(self) -> str:
         reason = self.warnings[0].removeprefix("skipped a frame: ") if self.warnings else "there are none"
         return f"none of the {len(self.sequence.mapping)} frames could be mapped, the first because {reason}"
-
-    def _look_at(self, frame: Frame, report: StepReport) -> None:
-        """Warn of what a user should know about a step."""
-        if len(self.steps) == 1 and isinstance(self.mapper, GSFusion) and not report.n_blocks:
-            self._warn(self._nothing_in_range(frame, self.mapper.config.tsdf))
-        if report.tracking.get("status") == "recovered":
-            self._warn(f"frame {frame.index}: tracking was lost and found again")
-
-    def _nothing_in_range(self, frame: Frame, tsdf: TsdfConfig) -> str:
-        known = frame.depth_m[frame.depth_m > 0]
-        median = f"its median is {float(known.median()):.4g} m" if len(known) else "it has none at all"
-        return (
-            f"frame {frame.index} has no depth between tsdf.near_m {tsdf.near_m:g} and tsdf.far_m {tsdf.far_m:g} m "
-            f"({median}), so nothing was mapped from it: is the depth scale right?"
-        )
 
     def _warn(self, sentence: str) -> None:
         self.warnings.append(sentence)

@@ -24,13 +24,9 @@ from ..evaluation import (
 )
 from ..export import write_gaussian_ply, write_mesh_ply, write_trajectory_tum
 from ..files import write_file
-from ..gaussians import state_counts
-from ..mapping.gsfusion import GSFusion
-from ..mapping.rtg_slam import RTGSLAM
 from ..mapping.step_report import StepReport
-from ..mapping.systems import get_system
-from ..seeding import Cells, quadtree, rule_name
-from ..types import Frame, Mesh
+from ..seeding import rule_name
+from ..types import Mesh
 from .mapping_run import MappingRun
 from .memory import mesh_when_full
 from .posed_frames import frames_in_map, ground_truth_poses, readable_frames
@@ -93,7 +89,7 @@ def write_page(run: MappingRun, folder: Path, metrics: dict[str, Any]) -> Path:
     """Write report.html."""
     config = run.mapper.config
     data = ReportData(
-        title=f"{get_system(run.system).title} on {run.sequence.name}",
+        title=f"{run.mapper.title} on {run.sequence.name}",
         subtitle=f"{len(run.steps)} frames, colour of SH degree {config.sh_degree}, rule {rule_name(run.mapper.rule)}",
         metrics=metrics,
         config=to_dict(config),
@@ -116,7 +112,7 @@ def map_metrics(run: MappingRun, mesh: Mesh) -> dict[str, Any]:
         "model_size_mb": run.mapper.gaussians.size_bytes / 1e6,
         "n_keyframes": sum(s.is_keyframe for s in run.steps),
         "n_frames": len(run.steps),
-        **_parts(run),
+        **run.mapper.counts(),
         "n_triangles": len(mesh.faces),
         **frame_rates(seconds),
         **_tracking_rates(run),
@@ -125,13 +121,6 @@ def map_metrics(run: MappingRun, mesh: Mesh) -> dict[str, Any]:
         "seconds_global": run.seconds_global,
         "peak_memory_mb": peak_memory_mb(run.mapper.device),
     }
-
-
-def _parts(run: MappingRun) -> dict[str, int]:
-    """What else the map consists of: voxel blocks, or Gaussians by state."""
-    if isinstance(run.mapper, GSFusion):
-        return {"n_blocks": run.mapper.volume.n_blocks}
-    return {f"n_{name}": count for name, count in state_counts(run.mapper.gaussians).items()}
 
 
 def _tracking_rates(run: MappingRun) -> dict[str, float]:
@@ -166,7 +155,7 @@ def score_mesh(run: MappingRun, mesh: Mesh) -> dict[str, Any]:
     generator = torch.Generator().manual_seed(run.mapper.config.seed)
     scores = mesh_scores(mesh, seen, generator=generator)
     metrics = {"mesh_accuracy_m": scores} if isinstance(scores, NotComputed) else scores.as_metrics()
-    if isinstance(run.mapper, RTGSLAM):
+    if run.mapper.gaussians_are_discs:
         scores = disc_scores(run.mapper.gaussians.params, seen, generator=generator)
         metrics |= {"disc_accuracy_m": scores} if isinstance(scores, NotComputed) else scores.as_metrics("disc")
     return metrics
@@ -216,21 +205,8 @@ def _panels(run: MappingRun) -> list[ViewPanel]:
         picked = dataclasses.replace(view, positions=[view.positions[i] for i in picks])
         for frame in frames_in_map(picked, run.mapper.localiser, run.sequence.mapping):
             rendered = run.mapper.render(frame.camera, frame.T_WC)
-            panels.append(ViewPanel.of(frame, rendered, held_out=held_out, cells=_cells(run, frame)))
+            panels.append(ViewPanel.of(frame, rendered, held_out=held_out, cells=run.mapper.quadtree_cells(frame)))
     return panels
-
-
-def _cells(run: MappingRun, frame: Frame) -> Cells | None:
-    """The quadtree on a frame, for the system that seeds by it."""
-    if not isinstance(run.mapper, GSFusion):
-        return None
-    seeding = run.mapper.config.seeding
-    return quadtree(
-        frame.rgb_u8,
-        threshold=seeding.quadtree_threshold,
-        min_cell_px=seeding.quadtree_min_cell_px,
-        contrast=seeding.quadtree_contrast,
-    )
 
 
 def _mesh_pictures(run: MappingRun) -> dict[str, torch.Tensor]:

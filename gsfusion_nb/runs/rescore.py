@@ -4,12 +4,14 @@ import json
 from pathlib import Path
 from typing import Any
 
+from torch import Tensor
+
 from ..config import from_dict
 from ..data import open_sequence
 from ..evaluation import metrics_as_json, score_views
 from ..export import read_gaussian_ply
 from ..mapping.systems import get_system
-from ..render import render
+from ..types import Camera, RenderOutput
 from .outputs import write_json
 from .posed_frames import readable_frames
 
@@ -38,14 +40,17 @@ def rescore(folder: Path | str, *, data: str | None = None, with_lpips: bool = F
     if "path_or_name" not in source:
         raise ValueError(f"{folder} was mapped from a sequence in memory; give the folder of one on disk (--data)")
     system = get_system(settings.get("system", "gsfusion"))
-    config = from_dict(system.config, settings["config"])
+    config = from_dict(system.config_type, settings["config"])
     sequence = open_sequence(**source, data=config.data)
     params = read_gaussian_ply(folder / "gaussians.ply")
+
+    def see(camera: Camera, T_WC: Tensor) -> RenderOutput:
+        return system.render_gaussians(params, camera, T_WC, config)
 
     indices = {row["frame_index"] for row in document["frames"]}
     for name, view in (("held_out", readable_frames(sequence.held_out)), ("mapped", readable_frames(sequence.mapping))):
         frames = (frame for frame in view if name == "held_out" or frame.index in indices)
-        scores = score_views(lambda camera, T_WC: render(params, camera, T_WC), frames, with_lpips=with_lpips)
+        scores = score_views(see, frames, with_lpips=with_lpips)
         document["metrics"] |= metrics_as_json(scores.as_metrics(name) | {f"n_views_{name}": len(scores)})
     write_json(folder / "metrics.json", document)
     return document["metrics"]

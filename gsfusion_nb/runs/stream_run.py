@@ -5,9 +5,9 @@ from typing import Any
 
 from ..data import BadFrameError, Sequence, SequenceError, SequenceView
 from ..data.stream import BackgroundFrames, Policy, SelectedFrames
+from ..mapping import Mapper
 from ..mapping.frame_checks import check_frame
 from ..mapping.keyframe_passes import KeyframePasses
-from ..mapping.systems import Config, Mapper
 from ..types import Frame
 from .kept_frames import KeptFrames
 from .mapping_run import MappingRun
@@ -21,8 +21,8 @@ class StreamRun(MappingRun):
     ``sequence`` holds what is kept: poses of all mapped frames, images of a few.
 
     Args:
-        mapper_or_config: A mapper, which goes on with its maps, or settings for a new one.
         frames: Any iterable of frames, a ``LiveSource`` for one; used once.
+        mapper: Who maps them, such as ``GSFusion(config)``; one that has mapped already goes on with its map.
         policy: What gives way when mapping is slower; the source's own by default, "all" where it has none.
         queue_frames: Frames that may wait, for "all" and "queue".
         until: Asked while no frame comes; True ends the stream.
@@ -35,8 +35,8 @@ class StreamRun(MappingRun):
 
     def __init__(
         self,
-        mapper_or_config: Config | Mapper,
         frames: Iterable[Frame] | Sequence,
+        mapper: Mapper,
         *,
         policy: Policy | None = None,
         queue_frames: int = 4,
@@ -44,7 +44,7 @@ class StreamRun(MappingRun):
     ):
         name = getattr(frames, "name", "stream")
         self.kept = KeptFrames(name, has_poses=getattr(frames, "has_poses", True))
-        super().__init__(self.kept.opened(), mapper_or_config)
+        super().__init__(self.kept.opened(), mapper)
         self.frames_source = frames
         self.until = until
         self.policy: Policy = policy or getattr(frames, "policy", "all")

@@ -14,6 +14,7 @@ from ..config import replace as replaced
 from ..data import OpenedSequence, open_sequence
 from ..drawing.html import fill
 from ..evaluation import ImageScores, NotComputed, score_views
+from ..mapping import GSFusion
 from ..progress import ProgressDisplay
 from ..runs import MappingRun
 from ..seeding import SeedingRule, get_rule, rule_name
@@ -208,14 +209,14 @@ class Contest:
         """Load and compile what every run needs, so that the first one does not pay for it."""
         if not self._warm:
             self._warm = True
-            scratch = MappingRun(self.sequence, self.config).online()
+            scratch = MappingRun(self.sequence, GSFusion(self.config)).online()
             for _ in zip(range(2), scratch):  # noqa: B905
                 pass
 
     def _run(self, position: int) -> Iterator[Progress]:
         entrant = self.entrants[position]
         config = replaced(self.config, seeding__options=dict(entrant.options))
-        run = MappingRun(self.sequence, config, seeding=entrant.rule)
+        run = MappingRun(self.sequence, GSFusion(config, seeding=entrant.rule))
         n, cpu_s = len(self.sequence.mapping), []
         place = {"rule": entrant.name, "position": position, "n_rules": len(self.entrants), "n_frames": n}
         frames = run.online()

@@ -13,7 +13,7 @@ from gsfusion_nb import GSFusion, gsfusion, open_sequence
 from gsfusion_nb.runs import MappingRun
 from gsfusion_nb.viz import LiveMapper
 config = gsfusion("room", tsdf__voxel_size_m=0.02)
-run = MappingRun(open_sequence("room", data=config.data, n_frames=60), config)
+run = MappingRun(open_sequence("room", data=config.data, n_frames=60), GSFusion(config))
 live = LiveMapper(run)
 live.run_sync(1)
 live

@@ -14,9 +14,10 @@ import torch
 torch.set_num_threads(1)
 from gsfusion_nb.config import gsfusion
 from gsfusion_nb.data import open_sequence
+from gsfusion_nb.mapping import GSFusion
 from gsfusion_nb.runs import MappingRun
 config = gsfusion("room", optim__global_iterations=0)
-run = MappingRun(open_sequence("room", data=config.data, n_frames=8), config)
+run = MappingRun(open_sequence("room", data=config.data, n_frames=8), GSFusion(config))
 steps = run.online()
 for _ in range(3):
     next(steps)

@@ -5,6 +5,7 @@ import dataclasses
 import inspect
 import itertools
 import textwrap
+from typing import Any
 
 import pytest
 
@@ -21,12 +22,13 @@ def config_classes(cls: type) -> set[type]:
 
 
 def explanations(cls: type) -> dict[str, str]:
-    """The text under each field."""
-    body = ast.parse(textwrap.dedent(inspect.getsource(cls))).body[0].body  # pyright: ignore[reportAttributeAccessIssue]
+    """The text under each field, inherited ones included."""
     texts = {}
-    for field, text in itertools.pairwise(body):
-        if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant):
-            texts[field.target.id] = str(text.value.value)  # pyright: ignore[reportAttributeAccessIssue]
+    for base in filter(dataclasses.is_dataclass, reversed(cls.__mro__)):
+        source: Any = ast.parse(textwrap.dedent(inspect.getsource(base))).body[0]
+        for field, text in itertools.pairwise(source.body):
+            if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant):
+                texts[field.target.id] = str(text.value.value)  # pyright: ignore[reportAttributeAccessIssue]
     return texts
 
 

@@ -11,13 +11,13 @@ from gsfusion_nb.mapping import RTGSLAM, SYSTEMS, GSFusion, get_system, make_map
 )
 def test_settings_mapper_and_name_belong_together(name, config, mapper):
     system = get_system(name)
-    assert (system.config, system.mapper) == (config, mapper)
+    assert (system, system.config_type) == (mapper, config)
     settings = system.preset("room")
     made = make_mapper(settings)
     assert type(settings) is config
     assert type(made) is mapper
     assert made.config is settings
-    assert system_of(settings) == system_of(made) == name
+    assert system_of(settings) == system_of(made.config) == name
 
 
 def test_a_rule_is_handed_on():

@@ -7,6 +7,7 @@ import torch
 
 from gsfusion_nb.config import DataConfig, gsfusion, rtg_slam
 from gsfusion_nb.data import BadFrameError, SequenceError, open_sequence
+from gsfusion_nb.mapping import make_mapper
 from gsfusion_nb.runs import MappingRun, mapping_run, run_mapping
 from gsfusion_nb.types import Frame
 
@@ -48,7 +49,7 @@ def config(system):
 
 
 def mapped(frames, system):
-    run = MappingRun(open_stream(frames), config(system))
+    run = MappingRun(open_stream(frames), make_mapper(config(system)))
     for _ in run.online():
         pass
     return run

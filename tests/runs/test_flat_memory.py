@@ -12,6 +12,7 @@ from gsfusion_nb.config import replace
 from gsfusion_nb.data import RecordedSequence, apply_options
 from gsfusion_nb.data.readers import folder
 from gsfusion_nb.data.room import RoomSequence, room
+from gsfusion_nb.mapping import make_mapper
 from gsfusion_nb.runs import MappingRun, StreamRun
 
 MAX_BYTES_PER_FRAME = 8_000
@@ -70,8 +71,8 @@ def make_run(kind: str, sequence: RecordedSequence, config) -> MappingRun:
     few = {"optim__keyframe_iterations": 2, "optim__frame_iterations": 1, "optim__random_keyframe_iterations": 1}
     settings = replace(config, data__stop=0, data__hold_out_every=8, **few)
     if kind == "stream":
-        return StreamRun(settings, (frame for frame in sequence))
-    return MappingRun(apply_options(sequence, settings.data), settings)
+        return StreamRun((frame for frame in sequence), make_mapper(settings))
+    return MappingRun(apply_options(sequence, settings.data), make_mapper(settings))
 
 
 @pytest.mark.parametrize("kind", ["sequence", "stream"])

@@ -72,7 +72,7 @@ def saved(folder) -> dict:
 
 
 def test_a_stream_gives_the_same_maps_as_the_sequence(tmp_path, small_room, config):
-    stream = map_stream(config, Plain(small_room), folder=tmp_path / "stream")
+    stream = map_stream(Plain(small_room), make_mapper(config), folder=tmp_path / "stream")
     whole = run_mapping(Plain(small_room), config, folder=tmp_path / "whole")
     ours, theirs = stream.mapper.gaussians.params, whole.mapper.gaussians.params
     for name in ("xyz_W", "sh", "opacity_logit"):
@@ -89,7 +89,7 @@ def test_a_stream_gives_the_same_maps_as_the_sequence(tmp_path, small_room, conf
 
 
 def test_anything_iterable_can_be_mapped(tmp_path, frames, config):
-    run = map_stream(config, (f for f in frames), folder=tmp_path / "out", evaluate=False)
+    run = map_stream((f for f in frames), make_mapper(config), folder=tmp_path / "out", evaluate=False)
     assert run.metrics["n_frames"] == 9
     assert run.run.sequence.name == "stream"
     assert len(read_trajectory_tum(run.folder / "trajectory.txt")[0]) == 9
@@ -97,9 +97,9 @@ def test_anything_iterable_can_be_mapped(tmp_path, frames, config):
 
 def test_a_mapper_goes_on_with_its_maps(tmp_path, frames, config):
     mapper = make_mapper(replace(config, data__hold_out_every=0, data__stop=0))
-    map_stream(mapper, frames[:4], folder=tmp_path / "a", evaluate=False)
+    map_stream(frames[:4], mapper, folder=tmp_path / "a", evaluate=False)
     n = len(mapper.gaussians)
-    run = map_stream(mapper, frames[4:8], folder=tmp_path / "b")
+    run = map_stream(frames[4:8], mapper, folder=tmp_path / "b")
     assert len(mapper.gaussians) > n
     assert mapper.localiser.frame_indices == list(range(8))
     assert len(run.run.poses) == run.metrics["n_frames"] == 4
@@ -111,7 +111,7 @@ def test_a_mapper_goes_on_with_its_maps(tmp_path, frames, config):
 def test_unusable_frames_are_named_and_counted(tmp_path, frames, config):
     black = dataclasses.replace(frames[3], rgb=torch.zeros_like(frames[3].rgb))
     items = [frames[0], BadFrameError("depth/000001.png is truncated"), frames[2], black, *frames[4:10]]
-    run = map_stream(config, Source(items), policy="all", folder=tmp_path / "out")
+    run = map_stream(Source(items), make_mapper(config), policy="all", folder=tmp_path / "out")
     assert run.run.warnings[0] == "skipped a frame: depth/000001.png is truncated"
     assert "black" in run.run.warnings[1]
     assert run.metrics["n_frames_unusable"] == 2
@@ -121,7 +121,7 @@ def test_unusable_frames_are_named_and_counted(tmp_path, frames, config):
 
 def test_a_source_that_breaks_off_ends_it_with_everything_saved(tmp_path, frames, config):
     source = Source(frames[:6], broke_off="the camera was disconnected: cable")
-    run = map_stream(config, source, folder=tmp_path / "out")
+    run = map_stream(source, make_mapper(config), folder=tmp_path / "out")
     assert run.run.status == "stopped"
     assert run.run.warnings == ["the camera was disconnected: cable; everything mapped before is kept"]
     assert {p.name for p in run.folder.iterdir()} == FILES
@@ -130,7 +130,9 @@ def test_a_source_that_breaks_off_ends_it_with_everything_saved(tmp_path, frames
 
 def test_an_exception_of_the_source_is_raised_after_saving(tmp_path, frames, config):
     with pytest.raises(RuntimeError, match="the driver crashed") as e:
-        map_stream(config, Source([*frames[:6], RuntimeError("the driver crashed")]), folder=tmp_path / "out")
+        map_stream(
+            Source([*frames[:6], RuntimeError("the driver crashed")]), make_mapper(config), folder=tmp_path / "out"
+        )
     assert "frames mapped before are saved in" in e.value.__notes__[0]
     assert len(read_gaussian_ply(tmp_path / "out" / "gaussians.ply")) > 0
     assert saved(tmp_path / "out")["status"] == "failed"
@@ -147,7 +149,7 @@ def test_an_exception_of_the_mapper_ends_the_source(tmp_path, frames, config, mo
 
     monkeypatch.setattr(GSFusion, "step", failing)
     with pytest.raises(ArithmeticError, match="cannot go on"):
-        map_stream(config, source, policy="all", folder=tmp_path / "out")
+        map_stream(source, make_mapper(config), policy="all", folder=tmp_path / "out")
     assert source.stopped.is_set()
     assert "frames" not in {t.name for t in threading.enumerate()}
     assert saved(tmp_path / "out")["status"] == "failed"
@@ -155,13 +157,15 @@ def test_an_exception_of_the_mapper_ends_the_source(tmp_path, frames, config, mo
 
 def test_a_stream_without_a_usable_frame_says_why(tmp_path, frames, config):
     with pytest.raises(SequenceError, match="no frame came from source"):
-        map_stream(config, Source([]), folder=tmp_path / "a")
+        map_stream(Source([]), make_mapper(config), folder=tmp_path / "a")
     with pytest.raises(SequenceError, match=r"no frame of source could be mapped, the first because it is torn"):
-        map_stream(config, Source([BadFrameError("it is torn")]), folder=tmp_path / "b")
+        map_stream(Source([BadFrameError("it is torn")]), make_mapper(config), folder=tmp_path / "b")
     with pytest.raises(SequenceError, match=r"the first because the camera gave no frame for 10 s$"):
-        map_stream(config, Source([], broke_off="the camera gave no frame for 10 s"), folder=tmp_path / "c")
+        map_stream(
+            Source([], broke_off="the camera gave no frame for 10 s"), make_mapper(config), folder=tmp_path / "c"
+        )
     with pytest.raises(SequenceError, match=r"^no camera is connected$"):
-        map_stream(config, Source([SequenceError("no camera is connected")]), folder=tmp_path / "d")
+        map_stream(Source([SequenceError("no camera is connected")]), make_mapper(config), folder=tmp_path / "d")
 
 
 def step_then(monkeypatch, after):
@@ -196,7 +200,7 @@ def test_ctrl_c_while_no_frame_comes(tmp_path, frames, config, monkeypatch, on_s
     source = Waiting(frames[:6])
     source.all_mapped = threading.Event()
     step_then(monkeypatch, lambda frame: source.all_mapped.set() if frame.index == 5 else None)
-    run = map_stream(config, source, policy="all", folder=tmp_path / "out", on_stop=on_stop)
+    run = map_stream(source, make_mapper(config), policy="all", folder=tmp_path / "out", on_stop=on_stop)
     assert {p.name for p in run.folder.iterdir()} == FILES  # a stream cannot be resumed: no checkpoint
     if on_stop == "save":
         assert run.run.status == "interrupted"
@@ -216,7 +220,7 @@ def test_ctrl_c_between_frames_of_an_endless_stream(tmp_path, frames, config):
             yield frames[i % 16]
 
     endless_config = replace(config, data__stop=0)
-    run = map_stream(endless_config, endless(), folder=tmp_path / "out", evaluate=False)
+    run = map_stream(endless(), make_mapper(endless_config), folder=tmp_path / "out", evaluate=False)
     assert run.run.status == "interrupted"
     assert 8 <= len(run.run.steps) <= 20
 
@@ -249,7 +253,9 @@ def test_what_happens_to_frames_that_come_while_the_first_is_mapped(
 
     step_then(monkeypatch, after)
     every = replace(config, data__hold_out_every=0)
-    run = map_stream(every, source(), policy=policy, queue_frames=3, folder=tmp_path / "out", evaluate=False)
+    run = map_stream(
+        source(), make_mapper(every), policy=policy, queue_frames=3, folder=tmp_path / "out", evaluate=False
+    )
     assert [s.frame_index for s in run.run.steps] == mapped
     assert run.metrics["n_frames_received"] == 8
     assert run.metrics["n_frames_dropped"] == dropped
@@ -258,15 +264,15 @@ def test_what_happens_to_frames_that_come_while_the_first_is_mapped(
 
 
 def test_the_sources_own_policy_is_the_default(frames, config):
-    assert StreamRun(config, Source(frames)).policy == "latest"
-    assert StreamRun(config, frames).policy == "all"
+    assert StreamRun(Source(frames), make_mapper(config)).policy == "latest"
+    assert StreamRun(frames, make_mapper(config)).policy == "all"
 
 
 def test_without_poses_the_settings_must_ask_to_track(frames, config):
     source = Source(frames)
     source.has_poses = False
     with pytest.raises(SequenceError, match=r"source came without poses; expected tracking\.poses = 'tracked'"):
-        StreamRun(config, source)
+        StreamRun(source, make_mapper(config))
 
 
 @pytest.mark.parametrize("has_poses", [True, False])
@@ -277,7 +283,7 @@ def test_a_tracked_stream(tmp_path, config, has_poses):
     source = Source(walk[i] for i in range(14))
     source.has_poses = has_poses
     tracked = replace(config, tracking__poses="tracked", tsdf__voxel_size_m=0.03)
-    run = map_stream(tracked, source, policy="all", folder=tmp_path / "out")
+    run = map_stream(source, make_mapper(tracked), policy="all", folder=tmp_path / "out")
     _, poses = read_trajectory_tum(run.folder / "trajectory.txt")
     truth = torch.stack([walk.pose(i) for i in run.mapper.localiser.frame_indices]).double()
     assert (poses[:, :3, 3] - truth[:, :3, 3]).norm(dim=1).max() < 0.02
@@ -291,7 +297,7 @@ def test_a_tracked_stream(tmp_path, config, has_poses):
 
 
 def test_a_notebook_can_drive_it(frames, config):
-    run = StreamRun(config, frames)
+    run = StreamRun(frames, make_mapper(config))
     with contextlib.closing(run.online()) as reports:
         assert [next(reports).frame_index for _ in range(3)] == [0, 1, 3]
     assert run.sequence.mapping[run.next_position - 1].index == 3

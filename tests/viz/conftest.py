@@ -12,6 +12,7 @@ import torch
 from gsfusion_nb.config import gsfusion
 from gsfusion_nb.data import apply_options
 from gsfusion_nb.gaussians import GaussianModel
+from gsfusion_nb.mapping import make_mapper
 from gsfusion_nb.runs import MappingRun
 from gsfusion_nb.types import Camera, Frame, Seeds
 
@@ -71,7 +72,7 @@ def make_run():
         config = gsfusion(
             "online", tsdf__voxel_size_m=0.05, seeding__quadtree_contrast="std", data__hold_out_every=0, sh_degree=0
         )
-        return MappingRun(apply_options(Wall(**options), config.data), config)
+        return MappingRun(apply_options(Wall(**options), config.data), make_mapper(config))
 
     return make
 

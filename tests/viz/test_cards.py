@@ -16,6 +16,7 @@ from gsfusion_nb import gsfusion
 from gsfusion_nb.config import TsdfConfig
 from gsfusion_nb.data import open_sequence
 from gsfusion_nb.gaussians import GaussianModel, SurfelModel
+from gsfusion_nb.mapping import make_mapper
 from gsfusion_nb.runs import MappingRun
 from gsfusion_nb.seeding import quadtree
 from gsfusion_nb.tsdf import TsdfVolume
@@ -27,7 +28,7 @@ from gsfusion_nb.viz.cards import card
 def run() -> MappingRun:
     config = gsfusion("room")
     config = dataclasses.replace(config, data=dataclasses.replace(config.data, width=80, height=60))
-    made = MappingRun(open_sequence("room", data=config.data, n_frames=20), config)
+    made = MappingRun(open_sequence("room", data=config.data, n_frames=20), make_mapper(config))
     steps = made.online()
     for _ in range(2):
         next(steps)

@@ -165,14 +165,7 @@ class LiveMapper:
         return dataclasses.replace(frame, T_WC=mapped.poses[-1].to(frame.T_WC))
 
     def _curves(self, width: int, scale: int = 2) -> Picture:
-        steps = self.run.steps
-        series = {
-            "PSNR of the frame, dB": [s.psnr_after_db for s in steps],
-            "Gaussians": [s.n_gaussians for s in steps],
-        }
-        if steps and steps[-1].counts:
-            names = ("stable_opaque", "stable_transparent")
-            series["stable Gaussians"] = [sum(s.counts.get(name, 0) for name in names) for s in steps]
+        series = {title: [value(s) for s in self.run.steps] for title, value in self.run.mapper.curves.items()}
         return small_curves(series, n_x=len(self.run.sequence.mapping), width=width // len(series), scale=scale)
 
     def _build(self, panel_width: int) -> None:

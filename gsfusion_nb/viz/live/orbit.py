@@ -10,8 +10,8 @@ from torch import Tensor
 
 from ...drawing.pictures import Picture, encode_jpeg
 from ...evaluation import expected_depth_m
-from ...gaussians import GaussianModel, SurfelModel
-from ...mapping import RTGSLAM, GSFusion
+from ...gaussians import GaussianModel
+from ...mapping import Mapper
 from ...render import render
 from ...types import Camera, GaussianParams
 from ..display import with_picture
@@ -24,7 +24,7 @@ _LABELLED = {"first-seen frame": "birth_frame", "quadtree level": "tag"}
 
 
 def orbit_view(
-    source: GSFusion | RTGSLAM | GaussianModel | GaussianParams,
+    source: Mapper | GaussianModel | GaussianParams,
     *,
     camera: Camera | None = None,
     T_WC: Float[Tensor, "4 4"] | None = None,
@@ -55,7 +55,7 @@ class OrbitView:
 
     def __init__(
         self,
-        source: GSFusion | RTGSLAM | GaussianModel | GaussianParams,
+        source: Mapper | GaussianModel | GaussianParams,
         *,
         camera: Camera | None = None,
         T_WC: Float[Tensor, "4 4"] | None = None,
@@ -65,7 +65,7 @@ class OrbitView:
     ):
         self._source = source
         self._lock = lock or contextlib.nullcontext()
-        keyframes = list(source.keyframes) if isinstance(source, GSFusion | RTGSLAM) else []
+        keyframes = list(source.keyframes) if isinstance(source, Mapper) else []
         self.camera = _camera(camera or (keyframes[0].camera if keyframes else None), size)
         self.up_W = torch.as_tensor(world_up([k.T_WC for k in keyframes]) if up_W is None else up_W).float()
         start = keyframes[0].T_WC if T_WC is None and keyframes else T_WC
@@ -203,14 +203,13 @@ class OrbitView:
         return self._source if isinstance(self._source, GaussianParams) else self._model().params
 
     def _model(self) -> Any:
-        return self._source.gaussians if isinstance(self._source, GSFusion | RTGSLAM) else self._source
+        return self._source.gaussians if isinstance(self._source, Mapper) else self._source
 
     def _labels(self, column: str) -> Int[Tensor, " N"] | None:
         model = self._model()
-        is_level = not isinstance(model, SurfelModel)  # of a disc the tag is why it was added
-        return (
-            None if isinstance(model, GaussianParams) or (column == "tag" and not is_level) else getattr(model, column)
-        )
+        if isinstance(model, GaussianParams) or (column == "tag" and model.TAG_MEANING != "quadtree level"):
+            return None
+        return getattr(model, column)
 
     def _half_view(self) -> float:
         """Tangent of half the narrower angle of view."""

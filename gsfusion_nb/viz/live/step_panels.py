@@ -1,42 +1,85 @@
 """What one mapping step looks like: photograph, render, errors, and where and why new Gaussians came."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 
 from ...drawing.pictures import Picture, depth_error_map, error_map, paint_cells, to_uint8
 from ...drawing.side_by_side import side_by_side
-from ...mapping import GSFusion
-from ...mapping.systems import Mapper
-from ...seeding import quadtree
-from ...types import Frame
+from ...evaluation import expected_depth_m
+from ...mapping import Mapper
+from ...types import Frame, RenderOutput
 from ..splats.surfel_pictures import cause_picture, paint_rows, state_picture
-
-_GSFUSION = {
-    "input": "photograph",
-    "render": "Gaussian map, rendered",
-    "error": "|render − photograph|, bright from 0.25",
-    "seeds": "quadtree cells, new Gaussians in red",
-}
-_RTG_SLAM = {
-    "input": "photograph",
-    "render": "Gaussian map, rendered",
-    "error": "|render − photograph|, bright from 0.25",
-    "depth_error": "|disc depth − depth|, bright from 10 cm",
-    "states": "blue stable, orange unstable",
-    "seeds": "new: green area, red depth, blue colour",
-}
 
 _DEPTH_ERROR_M = 0.1
 """What RTG-SLAM calls wrong (delta_d)."""
 _SEED_COLOUR = (255, 48, 64)
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MappedFrame:
+    """A frame after it was mapped, and what the mapper renders of its view."""
+
+    mapper: Mapper
+    frame: Frame
+    """With the pose that it was mapped at."""
+    output: RenderOutput
+    photo: Picture
+    rendered: Picture
+
+
+@dataclass(frozen=True)
+class Panel:
+    """A picture of one step."""
+
+    caption: str
+    draw: Callable[[MappedFrame], Picture]
+
+
+def _depth_error(step: MappedFrame) -> Picture:
+    return depth_error_map(expected_depth_m(step.output), step.frame.depth_m, limit_m=_DEPTH_ERROR_M)
+
+
+def _new_gaussians(step: MappedFrame) -> Picture:
+    return _with_new_gaussians(step.photo.copy(), step)
+
+
+def _quadtree_seeds(step: MappedFrame) -> Picture:
+    cells = step.mapper.quadtree_cells(step.frame)
+    return _with_new_gaussians(paint_cells(step.photo, cells, by_level=False, strength=0.35), step)
+
+
+def _states(step: MappedFrame) -> Picture:
+    return state_picture(step.mapper.gaussians, step.output, step.frame.camera, step.frame.T_WC)
+
+
+def _seed_causes(step: MappedFrame) -> Picture:
+    return cause_picture(step.photo, step.mapper.gaussians, step.frame)
+
+
+def _with_new_gaussians(picture: Picture, step: MappedFrame) -> Picture:
+    model, frame = step.mapper.gaussians, step.frame
+    paint_rows(picture, model, model.birth_frame == frame.index, _SEED_COLOUR, frame.camera, frame.T_WC)
+    return picture
+
+
+PANELS: dict[str, Panel] = {
+    "input": Panel("photograph", lambda step: step.photo),
+    "render": Panel("Gaussian map, rendered", lambda step: step.rendered),
+    "error": Panel("|render − photograph|, bright from 0.25", lambda step: error_map(step.rendered, step.photo)),
+    "depth_error": Panel("|rendered depth − depth|, bright from 10 cm", _depth_error),
+    "new_gaussians": Panel("new Gaussians in red", _new_gaussians),
+    "quadtree_seeds": Panel("quadtree cells, new Gaussians in red", _quadtree_seeds),
+    "seed_causes": Panel("new: green area, red depth, blue colour", _seed_causes),
+    "states": Panel("blue stable, orange unstable", _states),
+}
+"""What a system can name in ``Mapper.panels``."""
+
+
 def captions_of(mapper: Mapper) -> dict[str, str]:
     """The panels of a system: name -> what it shows."""
-    return dict(_GSFUSION if isinstance(mapper, GSFusion) else _RTG_SLAM)
+    return {name: PANELS[name].caption for name in mapper.panels}
 
 
 def columns_for(n_panels: int) -> int:
@@ -64,36 +107,15 @@ class LivePanels:
 
 
 def live_panels(mapper: Mapper, frame: Frame) -> LivePanels:
-    """Draw the state of the maps after ``mapper.step(frame)``; 25 ms at 320x240 or less.
+    """Draw the state of the map after ``mapper.step(frame)``; 25 ms at 320x240 or less.
 
     Args:
-        mapper: Of either system; ``captions_of`` says what is drawn.
+        mapper: Of any system; ``captions_of`` says what is drawn.
         frame: With the pose that it was mapped at.
     """
-    photo = to_uint8(frame.rgb)
-    if isinstance(mapper, GSFusion):
-        rendered = to_uint8(mapper.render(frame.camera, frame.T_WC).rgb)
-        own = {"seeds": _cells_and_seeds(photo, mapper, frame)}
-    else:
-        view = mapper.surface(frame.camera, frame.T_WC)
-        rendered = to_uint8(view.rgb.clamp(0, 1))
-        own = {
-            "depth_error": depth_error_map(view.depth_m, frame.depth_m, limit_m=_DEPTH_ERROR_M),
-            "states": state_picture(mapper.gaussians, view, frame.camera, frame.T_WC),
-            "seeds": cause_picture(photo, mapper.gaussians, frame),
-        }
-    shared = {"input": photo, "render": rendered, "error": error_map(rendered, photo)}
-    return LivePanels(pictures=shared | own, captions=captions_of(mapper))
-
-
-def _cells_and_seeds(photo: Picture, mapper: GSFusion, frame: Frame) -> Picture:
-    settings = mapper.config.seeding
-    cells = quadtree(
-        torch.from_numpy(photo),
-        threshold=settings.quadtree_threshold,
-        min_cell_px=settings.quadtree_min_cell_px,
-        contrast=settings.quadtree_contrast,
+    output = mapper.render(frame.camera, frame.T_WC)
+    step = MappedFrame(
+        mapper=mapper, frame=frame, output=output, photo=to_uint8(frame.rgb), rendered=to_uint8(output.rgb.clamp(0, 1))
     )
-    picture, model = paint_cells(photo, cells, by_level=False, strength=0.35), mapper.gaussians
-    paint_rows(picture, model, model.birth_frame == frame.index, _SEED_COLOUR, frame.camera, frame.T_WC)
-    return picture
+    pictures = {name: PANELS[name].draw(step) for name in mapper.panels}
+    return LivePanels(pictures=pictures, captions=captions_of(mapper))

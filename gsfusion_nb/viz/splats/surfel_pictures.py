@@ -9,7 +9,7 @@ from ...drawing.pictures import AnyImage, Picture, to_uint8
 from ...gaussians import GaussianModel, SurfelModel
 from ...geometry import project, se3
 from ...render import SurfaceView
-from ...types import Camera, Frame
+from ...types import Camera, Frame, RenderOutput
 
 STATE_COLOURS = {
     "stable_opaque": (66, 133, 198),
@@ -24,15 +24,16 @@ CAUSES = {1: ("new area", (60, 210, 90)), 2: ("depth wrong", (255, 60, 60)), 3: 
 _NOTHING = (24, 24, 28)
 
 
-def state_picture(model: SurfelModel, view: SurfaceView, camera: Camera, T_WC: Tensor) -> Picture:
+def state_picture(model: SurfelModel, view: SurfaceView | RenderOutput, camera: Camera, T_WC: Tensor) -> Picture:
     """Every pixel in the colour of the state of the disc that it hits, shaded by the render; transparent rows as dots.
 
     Args:
         model: The map.
-        view: Its surface from there, ``RTGSLAM.surface``.
+        view: What a camera there sees, from ``RTGSLAM.render`` or ``RTGSLAM.surface``.
         camera, T_WC: Where it is seen from.
     """
     table = np.array([STATE_COLOURS["unstable_opaque"], STATE_COLOURS["stable_opaque"], _NOTHING], np.float32)
+    assert view.hit_index is not None
     hit = view.hit_index.cpu()
     state = torch.where(hit >= 0, model.state.cpu()[hit.clamp_min(0).long()].long(), 2) if len(model) else hit * 0 + 2
     light = view.rgb.cpu().clamp(0, 1).mean(-1).numpy()

@@ -6,7 +6,7 @@ import torch
 
 from gsfusion_nb.config import gsfusion, rtg_slam
 from gsfusion_nb.data import open_sequence
-from gsfusion_nb.mapping import RTGSLAM, GSFusion
+from gsfusion_nb.mapping import RTGSLAM, GSFusion, make_mapper
 from gsfusion_nb.runs import MappingRun
 from gsfusion_nb.viz import LiveMapper, OrbitView, SplatViewer, draw, show_mesh
 from gsfusion_nb.viz.cards import card
@@ -25,7 +25,7 @@ def run_of(system) -> MappingRun:
         ),
     }[system]()
     source = {"path_or_name": "room"}
-    return MappingRun(open_sequence("room", data=config.data), config, device="cuda", source=source)
+    return MappingRun(open_sequence("room", data=config.data), make_mapper(config, device="cuda"), source=source)
 
 
 @pytest.mark.parametrize("system", ["gsfusion", "rtg_slam"])

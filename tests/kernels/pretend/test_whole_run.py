@@ -7,7 +7,7 @@ import torch
 
 from gsfusion_nb.config import DataConfig, gsfusion, rtg_slam
 from gsfusion_nb.data import open_sequence
-from gsfusion_nb.mapping import RTGSLAM, GSFusion
+from gsfusion_nb.mapping import RTGSLAM, GSFusion, make_mapper
 from gsfusion_nb.mapping.surfel_optimiser import SurfelOptimiser
 from gsfusion_nb.runs import MappingRun, outputs, run_mapping
 
@@ -107,9 +107,8 @@ def test_rtg_slam_waits_for_the_number_of_pairs_only(gpu, monkeypatch):
 
 @pytest.mark.parametrize("settings", [gsfusion_settings, rtg_slam_settings])
 def test_a_run_is_resumed_on_the_device(settings, gpu, tmp_path):
-    run = MappingRun(
-        open_sequence("room", data=settings().data), settings(), device="cuda", source={"path_or_name": "room"}
-    )
+    mapper = make_mapper(settings(), device="cuda")
+    run = MappingRun(open_sequence("room", data=settings().data), mapper, source={"path_or_name": "room"})
     online = run.online()
     next(online)
     online.close()

@@ -41,7 +41,7 @@ def test_panels_show_the_frame_the_map_the_error_and_the_seeds(make_run):
     assert {p.shape for p in panels.pictures.values()} == {(36, 48, 3)}
     assert (panels["input"] == (frame.rgb.numpy() * 255 + 0.5).astype(np.uint8)).all()
     assert (panels["error"] == error_map(panels["render"], panels["input"])).all()
-    red = (panels["seeds"] == (255, 48, 64)).all(-1)
+    red = (panels["quadtree_seeds"] == (255, 48, 64)).all(-1)
     assert report.n_seeds / 4 < red.sum() <= 4 * report.n_seeds
     mosaic = panels.mosaic()
     assert mosaic.shape[1] == 2 * 48 + 6

@@ -9,6 +9,7 @@ from gsfusion_nb.data import apply_options
 from gsfusion_nb.gaussians import SurfelModel
 from gsfusion_nb.gaussians.surfels import OPAQUE, STABLE, TRANSPARENT
 from gsfusion_nb.geometry import quaternion
+from gsfusion_nb.mapping import make_mapper
 from gsfusion_nb.render import view_surface
 from gsfusion_nb.runs import MappingRun
 from gsfusion_nb.types import Camera, Frame, Seeds
@@ -46,7 +47,7 @@ def rtg_run(make_run):
     def make(n=8, **options):
         wall = make_run(n=n).sequence.source
         config = rtg_slam("replica", data__hold_out_every=0, sh_degree=0, **options)
-        return MappingRun(apply_options(wall, config.data), config)
+        return MappingRun(apply_options(wall, config.data), make_mapper(config))
 
     return make
 
@@ -87,10 +88,10 @@ def test_panels_of_rtg_slam(rtg_run):
     run = rtg_run()
     report = next(run.online())
     panels = live_panels(run.mapper, run.sequence.mapping[0])
-    assert list(panels.pictures) == ["input", "render", "error", "depth_error", "states", "seeds"]
-    assert list(captions_of(run.mapper)) == ["input", "render", "error", "depth_error", "states", "seeds"]
+    assert list(panels.pictures) == ["input", "render", "error", "depth_error", "states", "seed_causes"]
+    assert list(captions_of(run.mapper)) == ["input", "render", "error", "depth_error", "states", "seed_causes"]
     assert {p.shape for p in panels.pictures.values()} == {(36, 48, 3)}
-    green = (panels["seeds"] == CAUSES[1][1]).all(-1).sum()
+    green = (panels["seed_causes"] == CAUSES[1][1]).all(-1).sum()
     assert report.n_seeds / 4 < green <= 4 * report.n_seeds
     assert panels.mosaic().shape[1] == 3 * 48 + 2 * 6
 

@@ -1,0 +1,252 @@
+"""What a mapping system is: the steps each system defines, what all systems share, and what a run asks of any of them.
+
+A system is one subclass of ``Mapper`` in this folder, its settings in ``gsfusion_nb/config``, and one line in
+``systems.py``. Everything around it (runs, report, checkpoints, command line, live panels) asks only what is here.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol, TypeVar, runtime_checkable
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ..config import SystemConfig, from_dict, to_dict
+from ..gaussians import GaussianModel
+from ..optim import KeyframeList
+from ..render import render
+from ..seeding import Cells, SeedContext, SeedingRule, apply_rule, get_rule
+from ..tracking import Correction
+from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput, Seeds
+from .keyframe_passes import KeyframePasses
+from .localiser import Localiser, move_map
+from .step_report import GlobalStep, StepReport
+
+M = TypeVar("M", bound="Mapper")
+
+
+@runtime_checkable
+class SurfaceImage(Protocol):
+    """The surface of a map as a camera sees it."""
+
+    @property
+    def rgb(self) -> Float[Tensor, "H W 3"]:
+        """Its colours, 0..1."""
+        ...
+
+    @property
+    def depth_m(self) -> Float[Tensor, "H W"]:
+        """z-depth, metres; 0 where there is none."""
+        ...
+
+    @property
+    def normal_W(self) -> Float[Tensor, "H W 3"]:
+        """Unit normal towards the camera, world frame; 0 where it is not known."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapPart:
+    """One kind of thing that a map consists of."""
+
+    name: str
+    """In the plural, as in "12,000 Gaussians"."""
+    count: int
+    size_bytes: int
+    """Memory that it takes."""
+
+
+class Mapper(ABC):
+    """A mapping system at work: feed it frames with ``step``; the map is ``gaussians``, and what the subclass adds.
+
+    Args:
+        config: Settings; the defaults of ``config_type`` if none are given.
+        seeding: Name of a registered rule, or the rule function itself; overrides ``config.seeding.rule``.
+        device: Where the map lives.
+
+    A subclass defines ``title``, ``config_type``, ``preset``, ``n_passes``, ``step``, ``surface``, ``mesh`` and
+    ``_global_step``. It overrides the rest where the default does not fit.
+    """
+
+    title: ClassVar[str]
+    """Name of the system, for people."""
+    config_type: ClassVar[type[SystemConfig]]
+    """Class of the settings."""
+    preset: ClassVar[Callable[..., Any]]
+    """``preset(name, **overrides)``: settings as published for a data set; also takes ``fidelity`` if there are any."""
+    fidelities: ClassVar[tuple[str, ...]] = ()
+    """Values of ``fidelity``, the default first: what to follow where paper and released code differ. Often none."""
+    model_type: ClassVar[type[GaussianModel]] = GaussianModel
+    """Class of the Gaussian map."""
+    gaussians_are_discs: ClassVar[bool] = False
+    """The Gaussians lie on the surface like discs, so their distance to the true surface is scored as well."""
+    panels: ClassVar[tuple[str, ...]] = ("input", "render", "error", "new_gaussians")
+    """Pictures of one step to show while mapping, by name; ``gsfusion_nb.viz.live.step_panels.PANELS`` draws them."""
+    curves: ClassVar[Mapping[str, Callable[[StepReport], float | int]]] = {
+        "PSNR of the frame, dB": lambda report: report.psnr_after_db,
+        "Gaussians": lambda report: report.n_gaussians,
+    }
+    """Title -> value after a step, to plot while mapping."""
+    memory_savers: ClassVar[tuple[str, ...]] = ()
+    """Settings with which the map takes less memory, beside smaller images, for the message when memory is full."""
+
+    config: Any
+    """The settings, a ``config_type``."""
+    gaussians: Any
+    """The Gaussian map, a ``model_type``."""
+
+    def __init__(
+        self,
+        config: Any = None,
+        *,
+        seeding: "str | SeedingRule | None" = None,
+        device: torch.device | str = "cpu",
+    ):
+        self.config = config or self.config_type()
+        self.rule = get_rule(seeding if seeding is not None else self.config.seeding.rule)
+        self.device = torch.device(device)
+        self.gaussians = self.model_type(self.config.sh_degree, device=self.device)
+        self.keyframes = KeyframeList("cpu" if self.config.keyframes_on == "cpu" else self.device)
+        self.generator = torch.Generator().manual_seed(self.config.seed)
+        self.localiser = Localiser(self.config.tracking)
+        self.passes = KeyframePasses()
+        self.n_frames = 0
+        """Frames mapped so far."""
+
+    def __repr__(self) -> str:
+        return (
+            f"{type(self).__name__}({self.n_frames} frames, {len(self.gaussians):,} Gaussians, "
+            f"{len(self.keyframes)} keyframes, rule {self.rule.__name__!r})"
+        )
+
+    @property
+    @abstractmethod
+    def n_passes(self) -> int:
+        """Passes of the optimisation after the scan that the settings ask for."""
+
+    @abstractmethod
+    def step(self, frame: Frame) -> StepReport:
+        """Map one frame.
+
+        Raises:
+            BadFrameError: the frame cannot be used. The map is unchanged.
+        """
+
+    @abstractmethod
+    def surface(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> SurfaceImage:
+        """Depth, normals and colours of the map's surface seen by a camera."""
+
+    @abstractmethod
+    def mesh(self) -> Mesh:
+        """Surface of the map."""
+
+    @abstractmethod
+    def _global_step(self, i: int) -> Float[Tensor, ""]:
+        """One step of the optimisation after the scan, on the i-th keyframe; the loss before it."""
+
+    @classmethod
+    def render_gaussians(
+        cls, params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"], config: Any
+    ) -> RenderOutput:
+        """Gaussians as this system renders and scores them. Here: blended colour and blended depth (Kerbl et al. 2023).
+
+        Args:
+            params: The Gaussians, of a mapper or read from a file.
+            camera, T_WC: Where they are seen from.
+            config: Settings of the system.
+        """
+        return render(params, camera, T_WC)
+
+    def render(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RenderOutput:
+        """The Gaussian map seen by a camera."""
+        return self.render_gaussians(self.gaussians.params, camera, T_WC.to(self.device), self.config)
+
+    def seed_context(self, frame: Frame) -> SeedContext:
+        """What a seeding rule sees of this frame."""
+        return SeedContext(frame, gaussians=self.gaussians, generator=self.generator, config=self.config.seeding)
+
+    def propose_seeds(self, context: SeedContext) -> Seeds:
+        """Ask the seeding rule for new Gaussians."""
+        return apply_rule(self.rule, context, self.config.seeding.options)
+
+    def global_optimise(self, passes: int | None = None) -> Iterator[GlobalStep]:
+        """Optimise over the keyframes after the scan: each pass visits all of them once in a new random order.
+
+        A generator, so that the caller can show progress or stop: ``for step in mapper.global_optimise(): ...``.
+
+        Args:
+            passes: Number of passes; ``n_passes`` by default. One that was cut short is finished first and counts as
+                one of them.
+        """
+        passes = self.n_passes if passes is None else passes
+        if not self.passes.begun:
+            self._follow(self.localiser.finish())
+        yield from self.passes.run(passes, len(self.keyframes), self.generator, self._global_step)
+
+    def counts(self) -> dict[str, int]:
+        """Sizes of the map beside its Gaussians and keyframes, under the names that they have in metrics.json."""
+        return {}
+
+    def parts(self) -> list[MapPart]:
+        """What the map consists of and how much memory each part takes."""
+        return [
+            MapPart(name="Gaussians", count=len(self.gaussians), size_bytes=self.gaussians.memory_bytes),
+            MapPart(name="keyframes", count=len(self.keyframes), size_bytes=self.keyframes.size_bytes),
+        ]
+
+    def mesh_on_cpu(self) -> Mesh | None:
+        """The mesh without using the GPU, whose memory is full; ``None`` if that cannot be done."""
+        return None
+
+    def quadtree_cells(self, frame: Frame) -> Cells | None:
+        """The quadtree that seeding cut the frame into; ``None`` if the system seeds without one."""
+        return None
+
+    def step_warnings(self, frame: Frame, report: StepReport) -> list[str]:
+        """What a user should know about the step that gave ``report``, as sentences."""
+        if report.tracking.get("status") == "recovered":
+            return [f"frame {frame.index}: tracking was lost and found again"]
+        return []
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything needed to go on later exactly where this stands, as tensors and plain values."""
+        return {
+            "config": to_dict(self.config),
+            "rule": self.rule.__name__,
+            "n_frames": self.n_frames,
+            "passes": self.passes.state_dict(),
+            "localiser": self.localiser.state_dict(),
+            "generator": self.generator.get_state(),
+            "gaussians": self.gaussians.state_dict(),
+            "keyframes": self.keyframes.state_dict(),
+        }
+
+    @classmethod
+    def from_state_dict(
+        cls: type[M],
+        state: dict[str, Any],
+        *,
+        seeding: "str | SeedingRule | None" = None,
+        device: torch.device | str = "cpu",
+    ) -> M:
+        """The mapper that ``state_dict`` described; a rule that is not registered by name must be given again."""
+        config = from_dict(cls.config_type, state["config"])
+        mapper = cls(config, seeding=seeding if seeding is not None else state["rule"], device=device)
+        mapper._load(state)
+        return mapper
+
+    def _load(self, state: dict[str, Any]) -> None:
+        """Take the state that ``state_dict`` gave; a subclass extends both."""
+        self.n_frames = state["n_frames"]
+        self.passes.load_state_dict(state["passes"])
+        self.localiser.load_state_dict(state["localiser"])
+        self.generator.set_state(state["generator"])
+        self.gaussians = self.model_type.from_state_dict(state["gaussians"], self.device)
+        self.keyframes = KeyframeList.from_state_dict(state["keyframes"], self.keyframes.device)
+
+    def _follow(self, correction: Correction | None) -> None:
+        """After a closed loop: Gaussians and keyframes move with the trajectory, if the settings say so."""
+        if correction is not None and self.config.tracking.back_end.on_correction == "move":
+            move_map(correction, self.gaussians, self.keyframes)
