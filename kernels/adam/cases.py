@@ -13,7 +13,7 @@ _SHAPES = ((0, 3), (1,), (7, 3), (2100, 16, 3))
 
 
 def cases() -> Iterator[Case]:
-    """One for each kind of step count."""
+    """One for each kind of step count, and one for the rows in use of a map's buffer."""
     for steps in ("none", "shared", "per_row"):
 
         def run(device: torch.device, dtype: torch.dtype, steps: str = steps) -> dict[str, Tensor]:
@@ -25,6 +25,7 @@ def cases() -> Iterator[Case]:
             return results
 
         yield Case(name=f"step count {steps!r}", operations=("adam_update",), run=run)
+    yield Case(name="rows of a larger buffer", operations=("adam_update",), run=_part_of_a_buffer)
 
 
 def _three_updates(shape: tuple[int, ...], steps: str, device: torch.device, dtype: torch.dtype) -> dict[str, Tensor]:
@@ -37,3 +38,12 @@ def _three_updates(shape: tuple[int, ...], steps: str, device: torch.device, dty
         counts = {"none": None, "shared": t, "per_row": rows}
         adam_update(param, gradient, exp_avg, exp_avg_sq, counts[steps], lr=lr, beta1=0.9, beta2=0.999, eps=1e-15)
     return {"param": param, "exp_avg": exp_avg, "exp_avg_sq": exp_avg_sq}
+
+
+def _part_of_a_buffer(device: torch.device, dtype: torch.dtype) -> dict[str, Tensor]:
+    """The other rows stay as they are; a gradient may have gaps."""
+    buffer, exp_avg, exp_avg_sq = (torch.zeros(10, 3, device=device, dtype=dtype) for _ in range(3))
+    gradient = torch.arange(24.0, device=device, dtype=dtype).view(4, 6) - 7
+    for g in (gradient[:, :3].contiguous(), gradient[:, ::2]):
+        adam_update(buffer[:4], g, exp_avg[:4], exp_avg_sq[:4], None, lr=1.0, beta1=0.9, beta2=0.999, eps=1e-15)
+    return {"buffer": buffer, "exp_avg": exp_avg, "exp_avg_sq": exp_avg_sq}

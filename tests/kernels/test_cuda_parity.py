@@ -14,6 +14,7 @@ from gsfusion_nb.render import render_forward
 from gsfusion_nb.types import Camera, GaussianParams
 
 ROOT = Path(__file__).resolve().parents[2]
+FOLDERS = ("tests/kernels/cuda", "tests/kernels/gpu", "tests/kernels/test_parity.py::test_same_as_the_reference")
 
 
 def run_emulated(library: Path, **environment: str) -> str:
@@ -21,7 +22,7 @@ def run_emulated(library: Path, **environment: str) -> str:
     if "GSFUSION_CUDA_EMULATOR" in os.environ:
         pytest.skip("tests/kernels/cuda run in this session already")
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests/kernels/cuda", "tests/kernels/gpu"],
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *FOLDERS],
         cwd=ROOT,
         env={**os.environ, "GSFUSION_CUDA_EMULATOR": str(library), **environment},
         capture_output=True,

@@ -1,3 +1,5 @@
+"""The numba D-SSIM beyond what ``test_parity.py`` compares."""
+
 import pytest
 import torch
 
@@ -5,18 +7,6 @@ from gsfusion_nb.backends import use_backend
 from gsfusion_nb.optim import dssim_vjp
 
 pytest.importorskip("numba")
-
-
-@pytest.mark.parametrize("size", [(1, 1), (3, 5), (11, 16), (40, 33), (61, 95)])
-def test_value_and_gradient_agree(size, generator):
-    x = torch.rand(*size, 3, generator=generator)
-    y = (x + 0.2 * torch.randn(*size, 3, generator=generator)).clamp(0, 1)
-    expected, v_expected = dssim_vjp.reference(x.double(), y.double(), 0.7)  # pyright: ignore[reportFunctionMemberAccess]
-    with use_backend("numba"):
-        loss, v = dssim_vjp(x, y, 0.7)
-    torch.testing.assert_close(loss.double(), expected, rtol=0, atol=2e-6)
-    # worst seen 3e-6 of the largest entry: E[x^2] - E[x]^2 cancels in float32, for the reference as well
-    torch.testing.assert_close(v.double(), v_expected, rtol=0, atol=2e-5 * float(v_expected.abs().max()))
 
 
 def test_equal_images(generator):

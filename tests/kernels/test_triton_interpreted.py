@@ -9,6 +9,7 @@ import pytest
 import torch
 
 ROOT = Path(__file__).resolve().parents[2]
+FOLDERS = ("tests/kernels/triton", "tests/kernels/gpu", "tests/kernels/test_parity.py::test_same_as_the_reference")
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU: tests/kernels/triton run on it")
@@ -17,7 +18,7 @@ def test_kernels_under_the_interpreter():
     if "TRITON_INTERPRET" in os.environ:
         pytest.skip("tests/kernels/triton run in this session already")
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests/kernels/triton", "tests/kernels/gpu"],
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *FOLDERS],
         cwd=ROOT,
         env={**os.environ, "TRITON_INTERPRET": "1"},
         capture_output=True,

@@ -12,7 +12,7 @@ from gsfusion_nb.types import GaussianParams
 
 @pytest.fixture
 def launch(backend):
-    return importlib.import_module(f"gsfusion_nb.kernels.{backend}.launch")
+    return importlib.import_module(f"gsfusion_nb.kernels.runtime.{backend}.launch")
 
 
 def test_tensors_on_two_devices_are_refused(launch, device):
