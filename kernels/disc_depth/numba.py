@@ -45,7 +45,7 @@ def disc_depth(
     """See ``gsfusion_nb.render.disc_depth``."""
     options = {"max_offset": max_offset, "min_cosine": min_cosine}
     if params.xyz_W.dtype != torch.float32:
-        with use_backend("reference"):
+        with use_backend("torch"):
             return reference.disc_depth(params, camera, T_WC, hit_index, **options)
     reference.check_discs(len(params), camera, hit_index, max_offset, min_cosine)
     arrays, view, hit = _arrays(params), _view(camera, T_WC), hit_index.long().contiguous().numpy()
@@ -71,7 +71,7 @@ def disc_depth_vjp(
     """See ``gsfusion_nb.render.disc_depth_vjp``."""
     options = {"max_offset": max_offset, "min_cosine": min_cosine}
     if params.xyz_W.dtype != torch.float32:
-        with use_backend("reference"):
+        with use_backend("torch"):
             return reference.disc_depth_vjp(params, camera, T_WC, hit_index, v_depth_m, **options, rows=rows)
     reference.check_discs(len(params), camera, hit_index, max_offset, min_cosine)
     trained = _ALL_ROWS

@@ -35,7 +35,7 @@ def disc_depth(
     """See ``gsfusion_nb.render.disc_depth``. A row beyond the last is taken for no hit: the host would have to wait."""
     options = {"max_offset": max_offset, "min_cosine": min_cosine}
     if params.xyz_W.dtype != torch.float32:
-        with use_backend("reference"):
+        with use_backend("torch"):
             return reference.disc_depth(params, camera, T_WC, hit_index, **options)
     device = device_of("disc_depth", **vars(params), hit_index=hit_index)
     _check(camera, hit_index, max_offset, min_cosine)
@@ -62,7 +62,7 @@ def disc_depth_vjp(
     """See ``gsfusion_nb.render.disc_depth_vjp``."""
     options = {"max_offset": max_offset, "min_cosine": min_cosine}
     if params.xyz_W.dtype != torch.float32:
-        with use_backend("reference"):
+        with use_backend("torch"):
             return reference.disc_depth_vjp(params, camera, T_WC, hit_index, v_depth_m, **options, rows=rows)
     device = device_of("disc_depth_vjp", **vars(params), hit_index=hit_index, v_depth_m=v_depth_m, rows=rows)
     _check(camera, hit_index, max_offset, min_cosine)

@@ -15,9 +15,9 @@ from gsfusion_nb import backends, warm
 from gsfusion_nb.backends import BackendUnavailable, use_backend
 
 KERNELS = Path(__file__).resolve().parents[2] / "kernels"
-SHARED = ("runtime", "binning", "composite", "harmonics", "project")
+SHARED = ("runtime", "harmonics", "project")
 """Folders whose kernels other folders use, without operations of their own."""
-EXPECTED = ("allocate", "disc_depth", "integrate", "marching_cubes", "rasterize", "raycast", "sample")
+EXPECTED = ("allocate", "integrate", "marching_cubes", "raycast", "sample")
 """Folders whose cases are still being written."""
 
 EMULATES = [b for b, variable in backends._EMULATED_BY.items() if os.environ.get(variable)]

@@ -1,0 +1,61 @@
+"""Cases of ``render_forward`` and ``render_vjp``: every degree and option, and maps of no, one and fifty Gaussians."""
+
+import functools
+from collections.abc import Iterator
+
+import torch
+from torch import Tensor
+
+from gsfusion_nb.render import render_forward, render_vjp
+
+from ..runtime.cases import HEIGHT, WIDTH, Case, make_frame, make_params
+
+OPAQUE = 0.3
+
+
+def cases() -> Iterator[Case]:
+    """Each option alone, and together."""
+    for degree in range(4):
+        yield _case(f"SH {degree}", degree=degree)
+    for degree in (0, 3):
+        yield _case(f"SH {degree}, without indices", degree=degree, with_indices=False)
+    for degree in (0, 3):
+        yield _case(f"SH {degree}, gradient of colour only", degree=degree, with_indices=False, gradients=1)
+    yield _case("gradients of colour and depth", gradients=2)
+    yield _case("hits", opaque_alpha=OPAQUE)
+    yield _case("hits, without indices", opaque_alpha=OPAQUE, with_indices=False)
+    yield _case("some pixels", masked=True)
+    yield _case("some rows", some_rows=True)
+    yield _case("some pixels and rows, hits", degree=3, masked=True, some_rows=True, opaque_alpha=OPAQUE)
+    for n in (0, 1):
+        yield _case(f"{n} Gaussians", n=n, masked=True, some_rows=True, opaque_alpha=OPAQUE)
+
+
+def _case(name: str, **options) -> Case:
+    # a pair within rounding of the 1/255 cut or of the 1e-4 stop may fall on either side
+    run = functools.partial(_run, **options)
+    return Case(name=name, operations=("render_forward", "render_vjp"), run=run, tolerance=2e-5, flips=2e-3)
+
+
+def _run(
+    device: torch.device,
+    dtype: torch.dtype,
+    *,
+    degree: int = 0,
+    n: int = 50,
+    masked: bool = False,
+    some_rows: bool = False,
+    gradients: int = 3,
+    **options,
+) -> dict[str, Tensor]:
+    """``gradients``: how many of colour, depth and alpha have one."""
+    params, frame = make_params(degree, device, dtype, n), make_frame(device)
+    g = torch.Generator().manual_seed(1)
+    v = [torch.randn(HEIGHT, WIDTH, *size, generator=g).to(device, dtype) for size in ((3,), (), ())]
+    pixels = torch.rand(HEIGHT, WIDTH, generator=g) < 0.3
+    pixels[: HEIGHT // 2, : WIDTH // 2] = False  # and whole tiles without any
+    pixels, rows = pixels.to(device), (torch.rand(n, generator=g) < 0.5).to(device)
+    out, saved = render_forward(params, frame.camera, frame.T_WC, pixels=pixels if masked else None, **options)
+    gradient = render_vjp(saved, *v[:gradients], rows=rows if some_rows else None)
+    images = {name: image for name, image in vars(out).items() if image is not None}
+    return images | {f"v_{name}": value for name, value in vars(gradient).items()}
