@@ -2,15 +2,13 @@
 
 import pytest
 import torch
-
-from gsfusion_nb.backends import use_backend
 from gsfusion_nb.kernels.composite import chunks
 from gsfusion_nb.kernels.composite.cases import cases
 
+from gsfusion_nb.backends import use_backend
 
-@pytest.mark.parametrize(
-    "size", [(3, 2), (1, 1), (7, 1000)], ids=["many chunks", "one entry each", "all tiles at once"]
-)
+
+@pytest.mark.parametrize("size", [(3, 2), (1, 1), (7, 1000)], ids=["many", "one entry each", "all tiles"])
 @pytest.mark.parametrize("case", list(cases())[:-1], ids=lambda case: case.name)
 def test_chunks_do_not_show(case, size, monkeypatch):
     with use_backend("reference"):
