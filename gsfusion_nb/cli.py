@@ -43,7 +43,7 @@ class MapOptions:
     out: str = ""
     """New or empty folder for the results; runs/<name>-<time> by default."""
     format: str = "auto"
-    """Layout of the data: folder, tum, replica, scannetpp, seven_scenes; recognised by itself by default."""
+    """Layout of the data: the name of a file in gsfusion_nb/data/readers; recognised by its files by default."""
     split: str = ""
     """Which published split to map (ScanNet++: train or test)."""
     reader: tuple[str, ...] = ()
@@ -91,7 +91,7 @@ class CheckOptions:
     frames: int = 250
     """About how many frames are read; a longer recording is read in windows of 31 consecutive ones."""
     format: str = "auto"
-    """Layout of the data: folder, tum, replica, scannetpp, seven_scenes; recognised by itself by default."""
+    """Layout of the data: the name of a file in gsfusion_nb/data/readers; recognised by its files by default."""
     reader: tuple[str, ...] = ()
     """Options of the layout's reader, name=value: register=true (7-Scenes), undistort=false (TUM), poses=false (folder,
     TUM), n_frames=480 (room)."""

@@ -1,46 +1,23 @@
 """Opening a sequence by path or name, whatever its layout."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+import importlib
+import pkgutil
 from pathlib import Path
 from typing import Any
 
 from ..checks import check_name
 from ..config import DataConfig
+from . import readers
 from .adjust.select import OpenedSequence, apply_options
-from .readers.folder import LOOKS_FOR as FOLDER_FILES
-from .readers.folder import folder
-from .readers.replica import LOOKS_FOR as REPLICA_FILES
-from .readers.replica import replica
-from .readers.scannetpp import LOOKS_FOR as SCANNETPP_FILES
-from .readers.scannetpp import scannetpp, scene_folder
-from .readers.seven_scenes import LOOKS_FOR as SEVEN_SCENES_FILES
-from .readers.seven_scenes import first_sequence, seven_scenes
-from .readers.tum import LOOKS_FOR as TUM_FILES
-from .readers.tum import tum
 from .recorded.find_files import missing
-from .sequence import Sequence, SequenceError, SequenceNotFoundError
+from .recorded.layout import Layout
+from .sequence import SequenceError, SequenceNotFoundError
 
 
-@dataclass(frozen=True)
-class Layout:
-    """One way to lay out a sequence on disk."""
-
-    read: Callable[..., Sequence]
-    looks_for: tuple[str, ...]
-    locate: Callable[[Path], Path] = lambda path: path
-    """Folder below the given one where the parts are looked for."""
-    has_splits: bool = False
-
-
-LAYOUTS: dict[str, Layout] = {
-    "folder": Layout(folder, FOLDER_FILES),
-    "replica": Layout(replica, REPLICA_FILES),
-    "tum": Layout(tum, TUM_FILES),
-    "scannetpp": Layout(scannetpp, SCANNETPP_FILES, scene_folder, True),
-    "seven_scenes": Layout(seven_scenes, SEVEN_SCENES_FILES, first_sequence),
-}
-"""Layouts by name, in the order in which they are tried."""
+def known_layouts() -> dict[str, Layout]:
+    """Layouts by name: ``LAYOUT`` of every file in ``readers``, in the order in which they are tried."""
+    names = sorted(module.name for module in pkgutil.iter_modules(readers.__path__))
+    return {name: importlib.import_module(f"{readers.__name__}.{name}").LAYOUT for name in names}
 
 
 def open_sequence(
@@ -67,7 +44,7 @@ def open_sequence(
         SequenceError: the folder fits no layout (the message lists what was looked for), or its content makes no sense.
         KeyError: unknown format.
     """
-    check_name("format", format, ("auto", "room", *LAYOUTS))
+    check_name("format", format, ("auto", "room", *known_layouts()))
     if format == "room" or (format == "auto" and str(path_or_name) == "room"):
         if split is not None:
             raise SequenceError(
@@ -85,7 +62,7 @@ def open_sequence(
             f"{path} is no folder; expected one that holds a sequence, or the name of a built-in: room"
         )
     name = detect_layout(path) if format == "auto" else format
-    layout = LAYOUTS[name]
+    layout = known_layouts()[name]
     if split is not None:
         if not layout.has_splits:
             raise SequenceError(
@@ -97,7 +74,7 @@ def open_sequence(
 
 def layouts() -> list[str]:
     """Names that ``open_sequence(format=...)`` takes besides "auto" and "room"."""
-    return list(LAYOUTS)
+    return list(known_layouts())
 
 
 def detect_layout(path: str | Path) -> str:
@@ -107,10 +84,11 @@ def detect_layout(path: str | Path) -> str:
         SequenceError: none; lists for each layout what was looked for and what is missing.
     """
     path = Path(path)
-    lacking = {name: missing(layout.locate(path), layout.looks_for) for name, layout in LAYOUTS.items()}
+    known = known_layouts()
+    lacking = {name: missing(layout.locate(path), layout.looks_for) for name, layout in known.items()}
     for name, parts in lacking.items():
         if not parts:
             return name
-    nearest = sorted(LAYOUTS, key=lambda name: len(lacking[name]) / len(LAYOUTS[name].looks_for))
-    described = "; ".join(f"{n}: {', '.join(LAYOUTS[n].looks_for)} (missing {', '.join(lacking[n])})" for n in nearest)
+    nearest = sorted(known, key=lambda name: len(lacking[name]) / len(known[name].looks_for))
+    described = "; ".join(f"{n}: {', '.join(known[n].looks_for)} (missing {', '.join(lacking[n])})" for n in nearest)
     raise SequenceError(f"{path} fits no known layout; looked for {described}")

@@ -8,7 +8,7 @@ from typing import Any
 
 from ...config import DataConfig, RepairConfig
 from ..adjust.select import apply_options
-from ..open import detect_layout, open_sequence
+from ..open import detect_layout, known_layouts, open_sequence
 from ..recorded.recorded_sequence import RecordedSequence
 from ..sequence import Sequence
 from . import judge_colour, judge_fit, judge_frames
@@ -174,8 +174,8 @@ def _opened(sequence_or_path: str | Path | Sequence, reader_options: dict[str, A
     layout = reader_options.get("format", "auto")
     if layout == "auto" and isinstance(source, RecordedSequence):
         layout = detect_layout(Path(sequence_or_path).expanduser())
-    unregistered = layout == "seven_scenes" and not reader_options.get("register")
-    return source, {"register": True} if unregistered else {}
+    registration = known_layouts()[layout].registration if layout in known_layouts() else {}
+    return source, {} if any(reader_options.get(name) for name in registration) else dict(registration)
 
 
 def _reader_flags(reader: dict[str, Any]) -> str:

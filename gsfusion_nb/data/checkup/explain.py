@@ -103,7 +103,7 @@ def repair_fields(c: Correction, camera: Camera, reading: RepairConfig) -> dict:
         if abs(c.cx_px - half) < 0.2 and abs(c.cy_px - half) < 0.2:
             found["pixel_shift"] = half
         else:
-            found |= {"cx": round(camera.cx + c.cx_px, 1), "cy": round(camera.cy + c.cy_px, 1)}
+            found |= {"cx": max(0.0, round(camera.cx + c.cx_px, 1)), "cy": max(0.0, round(camera.cy + c.cy_px, 1))}
             differ = abs(camera.cx - camera.cy) > 10
             if differ and abs(found["cx"] - camera.cy) < 3 and abs(found["cy"] - camera.cx) < 3:
                 found |= {"cx": camera.cy, "cy": camera.cx}

@@ -1,6 +1,9 @@
-"""Readers of recordings on disk, one file a layout, and what they share."""
+"""Readers of recordings on disk, one file per layout.
 
-from ..recorded.associate import associate as associate
+A new reader is one new file here: a function that reads a folder, and ``LAYOUT``, which says how to recognise one.
+``open_sequence``, the command line and the check of a recording then know the layout by the name of the file.
+"""
+
 from .folder import folder as folder
 from .replica import replica as replica
 from .scannetpp import scannetpp as scannetpp

@@ -24,6 +24,7 @@ from typing import Any
 
 from ..recorded.camera_json import camera, numbers, read_json
 from ..recorded.find_files import images_in, pair_by_stem, require
+from ..recorded.layout import Layout
 from ..recorded.poses import no_poses, read_pose_lines
 from ..recorded.recorded_sequence import RecordedSequence
 from ..sequence import SequenceError
@@ -95,3 +96,6 @@ def read_intrinsics(path: Path) -> dict[str, Any]:
             f"{path}: pose_convention must begin with 'camera-to-world', got {convention!r}; invert the poses"
         )
     return values
+
+
+LAYOUT = Layout(read=folder, looks_for=LOOKS_FOR)

@@ -12,6 +12,7 @@ from pathlib import Path
 from ...types import Camera
 from ..recorded.camera_json import camera, numbers, read_json
 from ..recorded.find_files import images_in, require
+from ..recorded.layout import Layout
 from ..recorded.poses import read_pose_lines
 from ..recorded.recorded_sequence import RecordedSequence
 from ..sequence import SequenceError
@@ -91,3 +92,6 @@ def _calibration(root: Path) -> tuple[Camera, float]:
                 raise SequenceError(f"{file} lacks the key camera; expected an object with {', '.join(_KEYS)}, scale")
             return camera(values, _KEYS, file, shift=0.5), numbers(values, ("scale",), file)["scale"]
     return DEFAULT_CAMERA, DEPTH_SCALE
+
+
+LAYOUT = Layout(read=replica, looks_for=LOOKS_FOR)

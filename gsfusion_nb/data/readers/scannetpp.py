@@ -20,6 +20,7 @@ from torch import Tensor
 from ...types import Camera
 from ..recorded.camera_json import camera, read_json
 from ..recorded.find_files import require
+from ..recorded.layout import Layout
 from ..recorded.recorded_sequence import RecordedSequence
 from ..sequence import SequenceError, SequenceNotFoundError
 
@@ -137,3 +138,6 @@ def _camera(values: dict[str, Any], path: Path) -> Camera:
             f"{path} describes a distorted {model} camera; expected the undistorted images' PINHOLE camera"
         )
     return camera(values, ("w", "h", "fl_x", "fl_y", "cx", "cy"), path, shift=0.0)
+
+
+LAYOUT = Layout(read=scannetpp, looks_for=LOOKS_FOR, locate=scene_folder, has_splits=True)

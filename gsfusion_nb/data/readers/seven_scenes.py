@@ -19,6 +19,7 @@ from ...types import Camera
 from ..lens.camera_model import CameraModel
 from ..lens.register import Registration
 from ..recorded.find_files import require
+from ..recorded.layout import Layout
 from ..recorded.poses import read_rows
 from ..recorded.recorded_sequence import RecordedSequence
 from ..sequence import SequenceError, SequenceNotFoundError
@@ -127,3 +128,6 @@ def _read_pose(path: Path) -> torch.Tensor:
     if rows.shape != (4, 4):
         raise SequenceError(f"{path} must hold a 4x4 camera-to-world matrix, got {len(rows)} rows of 4")
     return rows
+
+
+LAYOUT = Layout(read=seven_scenes, looks_for=LOOKS_FOR, locate=first_sequence, registration={"register": True})

@@ -19,6 +19,7 @@ from ..lens.camera_model import CameraModel
 from ..lens.undistort import Undistorter
 from ..recorded.associate import associate
 from ..recorded.find_files import require
+from ..recorded.layout import Layout
 from ..recorded.poses import interpolate_rows, matrices, no_poses, read_stamped_poses, read_words
 from ..recorded.recorded_sequence import RecordedSequence
 from ..sequence import SequenceError
@@ -140,3 +141,6 @@ def _with_poses(path: Path, frames: list[tuple[float, int, int]]) -> list[tuple[
     stamps, rows = read_stamped_poses(path)
     found = ((t, d, c, interpolate_rows(stamps, rows, t, max_gap_s=MAX_POSE_GAP_S)) for t, d, c in frames)
     return [(t, d, c, row) for t, d, c, row in found if row is not None]
+
+
+LAYOUT = Layout(read=tum, looks_for=LOOKS_FOR)
