@@ -1,0 +1,379 @@
+"""ARCHITECTURE.md is true: its floors are those of the layout test, and an example of everything it says how to add is
+added to a copy of the package, in exactly the files it names, and works."""
+
+import importlib.util
+import os
+import re
+import shutil
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGE = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
+
+RULE = '''
+"""A rule for a test."""
+
+from ...types import Seeds
+from ..context import SeedContext
+from ..rule import seeding_rule
+
+
+@seeding_rule
+def toy_rule(ctx: SeedContext, *, step_px: int = 8) -> Seeds:
+    """Every ``step_px``-th pixel of every ``step_px``-th row."""
+    return ctx.seeds_at(ctx.pixels(), 1.0)[:: step_px**2]
+'''
+
+READER = '''
+"""Frames in one NumPy file."""
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from ...types import Camera, Frame
+
+LOOKS_FOR = ("frames.npz",)
+
+
+class Frames:
+    """A sequence of flat walls."""
+
+    name = "toy"
+    camera = Camera(width=64, height=48, fx=60.0, fy=60.0, cx=32.0, cy=24.0)
+
+    def __init__(self, depth_m):
+        self.depth_m = depth_m
+
+    def __len__(self):
+        return len(self.depth_m)
+
+    def __getitem__(self, i):
+        if i >= len(self):
+            raise IndexError(i)
+        depth_m = torch.full((48, 64), self.depth_m[i])
+        rgb = torch.rand(48, 64, 3)
+        return Frame(index=i, timestamp_s=i / 30, rgb=rgb, depth_m=depth_m, camera=self.camera, T_WC=self.pose(i))
+
+    def pose(self, i):
+        return torch.eye(4)
+
+
+def toy_reader(path: Path) -> Frames:
+    """Depths of the walls: ``depth_m`` of frames.npz."""
+    return Frames([float(d) for d in np.load(path / "frames.npz")["depth_m"]])
+'''
+
+OPERATION = '''
+"""Twice a number."""
+
+from torch import Tensor
+
+from ..backends import op
+
+
+@op("toy_operation")
+def toy_operation(x: Tensor) -> Tensor:
+    """2 x."""
+    return 2 * x
+
+
+@op("toy_operation")
+def toy_operation_vjp(v: Tensor) -> Tensor:
+    """dL/dx of dL/d(2 x)."""
+    return 2 * v
+'''
+
+CASES = '''
+"""Cases of ``toy_operation``."""
+
+import torch
+
+from gsfusion_nb.optim import toy_operation
+
+from ..runtime.cases import Case
+
+
+def cases():
+    """One."""
+
+    def run(device, dtype):
+        return {"y": toy_operation(torch.arange(3, device=device, dtype=dtype))}
+
+    yield Case(name="three numbers", operations=("toy_operation",), run=run)
+'''
+
+BACKEND = '''
+"""Twice a number, by addition."""
+
+CALLS = []
+
+
+def toy_operation(x):
+    """See ``gsfusion_nb.optim.toy_operation``."""
+    CALLS.append(x)
+    return x + x
+'''
+
+SYSTEM_CONFIG = '''
+"""Settings of a toy system."""
+
+from dataclasses import dataclass
+
+from .system import SystemConfig
+from .values import replace
+
+
+@dataclass(frozen=True, kw_only=True)
+class ToyConfig(SystemConfig):
+    """All settings."""
+
+    steps: int = 2
+    """Optimisation steps per frame. Larger: better pictures. Usual: 1 to 5."""
+
+
+def toy_system(preset: str = "replica", **overrides) -> ToyConfig:
+    """Settings by preset; there is only one."""
+    return replace(ToyConfig(), **overrides)
+'''
+
+SYSTEM = '''
+"""A toy system: Gaussians where the rule puts them, optimised against every frame; a TSDF only for the mesh."""
+
+from torch import Tensor
+
+from ..config import OptimConfig, TsdfConfig
+from ..config.toy_system import ToyConfig, toy_system
+from ..optim import adam_step, l1_mse_vjp
+from ..render import render_forward, render_vjp
+from ..seeding import SeedContext
+from ..tsdf import TsdfVolume, extract_mesh, integrate, raycast
+from .frame_checks import check_frame
+from .mapper import Mapper
+from .step_report import StageClock, StepReport
+
+
+class ToySystem(Mapper):
+    """The mapper."""
+
+    title = "Toy system"
+    config_type = ToyConfig
+    preset = toy_system
+
+    def __init__(self, config=None, *, seeding=None, device="cpu"):
+        super().__init__(config, seeding=seeding, device=device)
+        self.volume = TsdfVolume(TsdfConfig(voxel_size_m=0.1), device=self.device)
+
+    @property
+    def n_passes(self) -> int:
+        return 1
+
+    def step(self, frame) -> StepReport:
+        frame = check_frame(frame, self.device)
+        integrate(self.volume, frame)
+        context = SeedContext(frame, volume=self.volume, gaussians=self.gaussians, generator=self.generator,
+                              config=self.config.seeding, near_m=0.1)
+        seeds = self.propose_seeds(context)
+        self.gaussians.append(seeds, frame.index)
+        self.keyframes.append(frame)
+        clock = StageClock()
+        with clock("optimise"):
+            losses = tuple(float(self._optimise(frame)) for _ in range(self.config.steps))
+        self.localiser.record(frame)
+        self.n_frames += 1
+        return StepReport(frame_index=frame.index, n_seeds=len(seeds), n_gaussians=len(self.gaussians),
+                          is_keyframe=True, losses=losses, psnr_before_db=0.0, psnr_after_db=0.0, seconds=clock.seconds)
+
+    def surface(self, camera, T_WC):
+        return raycast(self.volume, camera, T_WC)
+
+    def mesh(self):
+        return extract_mesh(self.volume)
+
+    def _global_step(self, i: int) -> Tensor:
+        return self._optimise(self.keyframes[i])
+
+    def _optimise(self, view) -> Tensor:
+        output, saved = render_forward(self.gaussians.params, view.camera, view.T_WC, with_indices=False)
+        loss = l1_mse_vjp(output.rgb, view.rgb)
+        adam_step(self.gaussians, render_vjp(saved, loss.v_rgb), OptimConfig())
+        return loss.value
+'''
+
+CHAPTER = '''
+"""Exercises of a toy chapter."""
+
+from .exercise import Attempt, Wrong, close, exercise
+
+
+@exercise(chapter=11, difficulty=1, minutes=1, solution=lambda x: x + x, hints=("Add it to itself.",),
+          wrong=(Wrong(lambda x: x, says="twice"),))
+def toy_exercise(attempt: Attempt) -> None:
+    """Twice a number."""
+    close(attempt.on("3")(3), 6, "the result is twice the number", on="3")
+'''
+
+NOTEBOOK = '{"cells": [], "metadata": {}, "nbformat": 4, "nbformat_minor": 5}\n'
+WHOLE = {
+    "a seeding rule": {
+        "gsfusion_nb/seeding/rules/toy_rule.py": RULE,
+        "gsfusion_nb/seeding/rules/__init__.py": ("+", "from .toy_rule import toy_rule as toy_rule\n"),
+    },
+    "a data set": {
+        "gsfusion_nb/data/readers/toy_reader.py": READER,
+        "gsfusion_nb/data/open.py": (
+            ("from .readers.tum import", "from .readers.toy_reader import LOOKS_FOR as TOY_FILES, toy_reader\n"),
+            ('    "tum": Layout(', '    "toy_reader": Layout(toy_reader, TOY_FILES),\n'),
+        ),
+    },
+    "an operation": {
+        "gsfusion_nb/optim/toy_operation.py": OPERATION,
+        "gsfusion_nb/optim/__init__.py": ("+", "from .toy_operation import toy_operation as toy_operation\n"),
+        "kernels/toy_operation/__init__.py": '"""Twice a number."""\n',
+        "kernels/toy_operation/cases.py": CASES,
+        "pyproject.toml": (('  "gsfusion_nb.mapping",', '  "gsfusion_nb.kernels.toy_operation",\n'),),
+    },
+    "a backend of an operation": {"kernels/toy_operation/torch.py": BACKEND},
+    "a system": {
+        "gsfusion_nb/config/toy_system.py": SYSTEM_CONFIG,
+        "gsfusion_nb/mapping/toy_system.py": SYSTEM,
+        "gsfusion_nb/mapping/systems.py": (
+            ("from .rtg_slam import", "from .toy_system import ToySystem\n"),
+            ('    "rtg_slam":', '    "toy_system": ToySystem,\n'),
+        ),
+    },
+    "a chapter": {
+        "gsfusion_nb/teaching/toy_chapter.py": CHAPTER,
+        "notebooks/11_toy_chapter.ipynb": NOTEBOOK,
+        "README.md": (("| `10_backends_and_speed`", "| `11_toy_chapter` | a toy | nothing | 1 min |\n"),),
+    },
+    "a setting": {
+        "gsfusion_nb/config/parts.py": (
+            ("    near_m: float", '    toy_m: float = 0.1\n    """A length, metres. Larger: more. Usual: 0 to 1."""\n'),
+        )
+    },
+}
+"""What is added -> file -> its text; ("+", text) to append; or pairs (beginning of a line, text to put before it)."""
+
+USE = """
+import sys, tempfile
+from pathlib import Path
+import numpy as np, torch
+import gsfusion_nb
+assert Path(gsfusion_nb.__file__).is_relative_to(Path.cwd()), gsfusion_nb.__file__
+from gsfusion_nb import backends, cli, open_sequence, run_mapping
+from gsfusion_nb.config.toy_system import toy_system
+from gsfusion_nb.optim import toy_operation
+from gsfusion_nb.seeding import check_rule
+from gsfusion_nb.teaching import check
+
+check_rule("toy_rule")
+
+data = Path(tempfile.mkdtemp())
+np.savez(data / "frames.npz", depth_m=[1.0, 1.5, 2.0])
+walls = open_sequence(data).mapping
+assert len(walls) == 3 and float(walls[1].depth_m.mean()) == 1.5
+
+assert toy_operation.reference(torch.ones(2)).tolist() == [2, 2]
+assert backends.offered("toy_operation") == ("torch",)
+mine = [case for case in backends.cases() if case.operations == ("toy_operation",)]
+by_backend = []
+for name in ("reference", "torch"):
+    with backends.use_backend(name):
+        by_backend.append(mine[0].run(torch.device("cpu"), torch.float64)["y"].tolist())
+assert by_backend == [[0, 2, 4]] * 2 and backends.load("toy_operation", "torch").__globals__["CALLS"]
+
+config = toy_system(seeding__rule="toy_rule", data__hold_out_every=0)
+run = run_mapping(data, config, folder="toy_run")
+assert run.metrics["psnr_mapped_db"] > 0 and (run.folder / "gaussians.ply").is_file(), run.metrics
+assert (run.folder / "report.html").is_file() and (run.folder / "mesh.ply").is_file()
+
+assert check.toy_exercise(lambda x: 2 * x) and not check.toy_exercise(lambda x: x)
+
+from gsfusion_nb import gsfusion
+assert gsfusion("room", tsdf__toy_m=0.3).tsdf.toy_m == 0.3
+try:
+    cli.main(["map", "--help"])
+except SystemExit:
+    pass
+"""
+
+
+def rows() -> dict[str, list[str]]:
+    """What can be added -> the files that the page names for it."""
+    section = PAGE.split("## How to add")[1].split("\n## ")[0]
+    cells = [[c.strip() for c in line.strip("|").split("|")] for line in section.splitlines() if line.startswith("| a")]
+    return {name: re.findall(r"`([^`]+)`", files) for name, files, *_ in cells}
+
+
+def matches(named: str, file: str) -> bool:
+    return bool(re.fullmatch(re.sub(r"<\w+>", r"\\w+", named.replace(".", r"\.")), file))
+
+
+@pytest.fixture(scope="module")
+def copy(tmp_path_factory) -> Path:
+    """A copy of the package with all examples added."""
+    root = tmp_path_factory.mktemp("copy")
+    without_caches = shutil.ignore_patterns("__pycache__", ".ipynb_checkpoints")
+    shutil.copytree(ROOT / "gsfusion_nb", root / "gsfusion_nb", ignore=without_caches)
+    shutil.copytree(ROOT / "kernels", root / "gsfusion_nb/kernels", ignore=without_caches)
+    (root / "kernels").symlink_to(root / "gsfusion_nb/kernels")
+    (root / "notebooks").mkdir()
+    for name in ("pyproject.toml", "README.md"):
+        shutil.copy(ROOT / name, root)
+    for files in WHOLE.values():
+        for name, change in files.items():
+            add(root / name, change)
+    return root
+
+
+def add(path: Path, change) -> None:
+    if isinstance(change, str):
+        assert not path.exists(), f"{path} exists already"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(textwrap.dedent(change).lstrip("\n"))
+        return
+    text = path.read_text()
+    if change[0] == "+":
+        path.write_text(text + change[1])
+        return
+    for beginning, line in change:
+        assert "\n" + beginning in text, f"{path.name}: {beginning!r} must begin a line"
+        text = text.replace("\n" + beginning, "\n" + line + beginning, 1)
+    path.write_text(text)
+
+
+def test_the_floors_are_those_of_the_layout_test():
+    spec = importlib.util.spec_from_file_location("layout", ROOT / "tests/test_layout.py")
+    assert spec is not None
+    assert spec.loader is not None
+    layout = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(layout)
+    floors = {}
+    for floor, names in re.findall(r"^\| +(\d+) \| (`[^|]+`) \|", PAGE, re.MULTILINE):
+        floors |= dict.fromkeys(re.findall(r"`(\w+)`", names), int(floor))
+    assert floors == {room: floor for room, floor in layout.FLOORS.items() if room != "__main__"}
+
+
+def test_each_example_is_in_the_files_that_the_page_names():
+    named = rows()
+    assert set(named) == set(WHOLE)
+    for what, files in WHOLE.items():
+        unnamed = [f for f in files if not any(matches(n, f) for n in named[what])]
+        unused = [n for n in named[what] if not any(matches(n, f) for f in files)]
+        assert not unnamed and not unused, f"{what}: not named {unnamed}, not needed {unused}"
+
+
+def test_the_examples_work(copy):
+    environment = os.environ | {"PYTHONPATH": str(copy), "GSFUSION_BACKEND": "torch", "PYTHONDONTWRITEBYTECODE": "1"}
+    done = subprocess.run(
+        [sys.executable, "-c", USE], cwd=copy, env=environment, capture_output=True, text=True, timeout=300
+    )
+    assert done.returncode == 0, done.stderr[-3000:]
+    assert "--tsdf.toy-m" in done.stdout
