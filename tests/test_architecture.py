@@ -367,7 +367,7 @@ def test_each_example_is_in_the_files_that_the_page_names():
     for what, files in WHOLE.items():
         unnamed = [f for f in files if not any(matches(n, f) for n in named[what])]
         unused = [n for n in named[what] if not any(matches(n, f) for f in files)]
-        assert not unnamed and not unused, f"{what}: not named {unnamed}, not needed {unused}"
+        assert (unnamed, unused) == ([], []), f"{what}: not named {unnamed}, not needed {unused}"
 
 
 def test_the_examples_work(copy):
