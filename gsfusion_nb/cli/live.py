@@ -1,38 +1,35 @@
 """``gsfusion-nb live``: map what a camera sees, or a folder that another program is writing."""
 
 import dataclasses
-import json
-from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from ..backends import from_environment, use_backend
+from ..backends import use_backend
 from ..checks import check_name
-from ..config import SystemConfig, replace
 from ..data.stream import AzureKinect, GrowingFolder, LiveSource, RealSense
-from ..mapping import get_system
-from .map_sequence import FinishedRun
-from .map_stream import map_stream
+from .result import print_result
+from .settings import SettingsOptions, parse
+
+if TYPE_CHECKING:
+    from ..runs import FinishedRun
 
 USAGE = """gsfusion-nb live: map frames as they come; Ctrl-C ends the scan, then the report is made
 
   gsfusion-nb live folder PATH [options]    a folder in the plain layout while it is being written
   gsfusion-nb live realsense [options]      an Intel RealSense camera, tracked
   gsfusion-nb live kinect [options]         an Azure Kinect, tracked
+
+Every setting is an option, as for gsfusion-nb map: --tsdf.voxel-size-m 0.02 --data.width 320
+All options of a source: gsfusion-nb live folder --help
 """
 
 
 @dataclass(frozen=True, kw_only=True)
-class LiveOptions:
+class LiveOptions(SettingsOptions):
     """What all sources have in common."""
 
-    system: Literal["gsfusion", "rtg_slam"] = "gsfusion"
-    """Which published system maps."""
-    preset: str = "replica"
-    """Settings as published for a data set."""
-    set: tuple[str, ...] = ()
-    """Single settings that override it, name=value: --set tsdf.voxel_size_m=0.02 data.width=320."""
     out: str = ""
     """New or empty folder for the results; runs/<name>-<time> by default."""
     policy: Literal["", "all", "queue", "latest", "drop"] = ""
@@ -41,13 +38,13 @@ class LiveOptions:
     queue: int = 4
     """Frames that may wait, for all and queue."""
     frames: int = 0
-    """End after so many frames have come; 0 goes on until the source ends or Ctrl-C."""
-    device: str = "cpu"
-    """Where the maps live: cpu or cuda."""
-    backend: str = field(default_factory=from_environment)
-    """auto, reference, torch, numba, triton or cuda; by default what the variable GSFUSION_BACKEND says, else auto."""
+    """End after this many frames have come; 0 goes on until the source ends or Ctrl-C."""
     evaluate: bool = True
     """Score the frames that were kept and write the report."""
+
+    def source(self) -> LiveSource:
+        """Where the frames come from."""
+        raise NotImplementedError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,9 +56,9 @@ class FolderOptions(LiveOptions):
     poses: bool = True
     """--no-poses: there is no poses.txt, the camera is tracked."""
     idle_s: float = 10.0
-    """End when nothing has changed for so long, seconds."""
+    """End when nothing has changed for this long, seconds."""
     patience_s: float = 3.0
-    """Skip an incomplete frame after so long, seconds."""
+    """Skip an incomplete frame after this long, seconds."""
     stop_file: str = "stop"
     """Name of the file in the folder that ends the recording."""
 
@@ -100,7 +97,7 @@ class KinectOptions(LiveOptions):
     """Map what an Azure Kinect sees; its path is tracked."""
 
     resolution: Literal["720P", "1080P", "1440P", "1536P", "2160P", "3072P"] = "720P"
-    """Of the colour camera; resize with --set data.width=640."""
+    """Of the colour camera; resize with --data.width 640."""
     depth_mode: Literal["NFOV_2X2BINNED", "NFOV_UNBINNED", "WFOV_2X2BINNED", "WFOV_UNBINNED"] = "NFOV_UNBINNED"
     """Field of view and binning of depth."""
     fps: Literal[5, 15, 30] = 30
@@ -124,21 +121,32 @@ class KinectOptions(LiveOptions):
 SOURCES: dict[str, Any] = {"folder": FolderOptions, "realsense": RealSenseOptions, "kinect": KinectOptions}
 
 
-def live(arguments: list[str]) -> FinishedRun:
-    """Run ``gsfusion-nb live ARGUMENTS``.
+def run(arguments: list[str]) -> int:
+    """Run ``gsfusion-nb live ARGUMENTS``; the exit status."""
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(USAGE)
+        return 0
+    return print_result(live(arguments))
+
+
+def live(arguments: list[str]) -> "FinishedRun":
+    """Map what comes from the source that ``arguments`` name.
 
     Raises:
         ValueError, KeyError, OSError: with a sentence.
     """
     name = arguments[0] if arguments else ""
     check_name("live source", name, SOURCES)
-    options = tyro.cli(SOURCES[name], prog=f"gsfusion-nb live {name}", args=arguments[1:])
+    options: LiveOptions = parse(SOURCES[name], f"gsfusion-nb live {name}", arguments[1:])
+    from ..mapping import make_mapper
+    from ..runs import map_stream
+
     with use_backend(options.backend):
+        options.check_device()
         source = options.source()
-        mapper = get_system(options.system)(_settings(options, source), device=options.device)
         return map_stream(
             source,
-            mapper,
+            make_mapper(_settings(options, source), device=options.device),
             policy=options.policy or None,
             queue_frames=options.queue,
             folder=options.out or None,
@@ -147,20 +155,11 @@ def live(arguments: list[str]) -> FinishedRun:
         )
 
 
-def _settings(options: LiveOptions, source: LiveSource) -> SystemConfig:
-    """The preset, tracked where the source has no poses, ending after ``frames``, with the single settings."""
-    config = get_system(options.system).preset(options.preset)
+def _settings(options: LiveOptions, source: LiveSource) -> Any:
+    """The settings, tracked where the source has no poses, ending after ``frames``."""
+    config = options.settings()
     if not source.has_poses:
-        config = replace(config, tracking__poses="tracked")
+        config = dataclasses.replace(config, tracking=dataclasses.replace(config.tracking, poses="tracked"))
     if options.frames:
-        config = replace(config, data=dataclasses.replace(config.data, stop=options.frames))
-    changes: dict[str, Any] = {}
-    for text in options.set:
-        name, equals, value = text.partition("=")
-        if not equals:
-            raise ValueError(f"--set expects name=value, such as tsdf.voxel_size_m=0.02, got {text!r}")
-        try:
-            changes[name.strip().replace(".", "__")] = json.loads(value)
-        except json.JSONDecodeError:
-            changes[name.strip().replace(".", "__")] = value
-    return replace(config, **changes)
+        config = dataclasses.replace(config, data=dataclasses.replace(config.data, stop=options.frames))
+    return config

@@ -5,10 +5,19 @@ import cv2
 import numpy as np
 import pytest
 
+from gsfusion_nb.cli.live import live
 from gsfusion_nb.data import SequenceNotFoundError
-from gsfusion_nb.runs.live_command import live
 
-SETTINGS = ("tsdf.voxel_size_m=0.04", "optim.global_iterations=1", "sh_degree=0", "data.hold_out_every=0")
+SETTINGS = [
+    "--tsdf.voxel-size-m",
+    "0.04",
+    "--optim.global-iterations",
+    "1",
+    "--sh-degree",
+    "0",
+    "--data.hold-out-every",
+    "0",
+]
 
 
 @pytest.fixture
@@ -31,7 +40,7 @@ def ended_folder(tmp_path, small_room):
 
 
 def test_a_folder_is_followed_to_its_end(ended_folder, tmp_path):
-    arguments = ["folder", str(ended_folder), "--out", str(tmp_path / "run"), "--set", *SETTINGS, "--frames", "5"]
+    arguments = ["folder", str(ended_folder), "--out", str(tmp_path / "run"), *SETTINGS, "--frames", "5"]
     run = live(arguments)
     assert run.run.status == "complete"
     assert run.metrics["n_frames"] == 5
@@ -42,15 +51,16 @@ def test_a_folder_is_followed_to_its_end(ended_folder, tmp_path):
     assert settings["tracking"]["poses"] == "given"
 
 
-def test_what_cannot_be_is_said_in_a_sentence(ended_folder, tmp_path, monkeypatch):
+def test_what_cannot_be_is_said_in_a_sentence(ended_folder, tmp_path, monkeypatch, capsys):
     with pytest.raises(KeyError, match="no live source 'webcam'; known: folder, kinect, realsense"):
         live(["webcam"])
     with pytest.raises(SequenceNotFoundError, match="expected one in which a recording is being written"):
         live(["folder", str(tmp_path / "nowhere")])
-    with pytest.raises(ValueError, match="--set expects name=value"):
-        live(["folder", str(ended_folder), "--set", "voxel"])
-    with pytest.raises(ValueError, match=r"tsdf\.: unknown keys \['voxel'\]"):
-        live(["folder", str(ended_folder), "--set", "tsdf.voxel=1"])
+    with pytest.raises(KeyError, match="no preset 'repilca'; known:"):
+        live(["folder", str(ended_folder), "--preset", "repilca"])
+    with pytest.raises(SystemExit):
+        live(["folder", str(ended_folder), "--tsdf.voxel", "1"])
+    assert "voxel-size-m" in capsys.readouterr().err
     monkeypatch.setitem(sys.modules, "pyrealsense2", None)
     with pytest.raises(SequenceNotFoundError, match=r"pip install 'gsfusion-nb\[realsense\]'"):
         live(["realsense", "--out", str(tmp_path / "camera")])

@@ -45,7 +45,7 @@ def test_preset_is_a_start_that_options_override(tmp_path, capsys):
         main(["map", "room", "--preset", "tum", "--help"])
     assert stop.value.code == 0
     text = " ".join(capsys.readouterr().out.replace("│", " ").split())
-    assert "Passes over the keyframes after the scan. (default: 20)" in text
+    assert "Usual: 0 to 20. (default: 20)" in text
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,76 @@
+"""``gsfusion-nb map``: map a sequence, or go on with a run that was interrupted."""
+
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import tyro
+
+from ..backends import use_backend
+from .result import print_result
+from .settings import SettingsOptions, named_values, parse
+
+_WITH_RESUME = ("--resume", "--device", "--evaluate", "--no-evaluate", "--backend")
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapOptions(SettingsOptions):
+    """Map a sequence online, optimise over its keyframes, score it; write maps, numbers and a report to a folder.
+
+    Every setting of the chosen system is an option.
+    """
+
+    data: Annotated[str, tyro.conf.Positional] = ""
+    """Folder of a sequence, or "room" for the built-in scene."""
+    out: str = ""
+    """New or empty folder for the results; runs/<name>-<time> by default."""
+    format: str = "auto"
+    """Layout of the data: the name of a file in gsfusion_nb/data/readers; recognised by its files by default."""
+    split: str = ""
+    """Which published split to map (ScanNet++: train or test)."""
+    reader: tuple[str, ...] = ()
+    """Options of the layout's reader, name=value: register=true (7-Scenes), undistort=false (TUM), poses=false (folder,
+    TUM), n_frames=480 (room)."""
+    resume: str = ""
+    """Folder of an interrupted run to go on with; no other option is needed."""
+    evaluate: bool = True
+    """Score mapped and held-out views and write the report."""
+
+
+def run(arguments: list[str]) -> int:
+    """Run ``gsfusion-nb map ARGUMENTS``; the exit status.
+
+    Raises:
+        ValueError, KeyError, OSError: with a sentence.
+    """
+    options = parse(MapOptions, "gsfusion-nb map", arguments, data="data")
+    from ..runs import resume_mapping, run_mapping
+
+    with use_backend(options.backend):
+        options.check_device()
+        if options.resume:
+            _refuse_more(options, arguments)
+            return print_result(resume_mapping(options.resume, device=options.device, evaluate=options.evaluate))
+        if not options.data:
+            raise ValueError("expected the folder of a sequence or the name of a built-in scene: gsfusion-nb map room")
+        reader: dict[str, Any] = {"format": options.format} if options.format != "auto" else {}
+        reader |= named_values(options.reader)
+        if options.split:
+            reader["split"] = options.split
+        finished = run_mapping(
+            options.data,
+            options.settings(),
+            folder=options.out or None,
+            device=options.device,
+            evaluate=options.evaluate,
+            **reader,
+        )
+    return print_result(finished)
+
+
+def _refuse_more(options: MapOptions, arguments: list[str]) -> None:
+    """A resumed run has its own settings and data: raise ``ValueError`` if others are given."""
+    more = [a for a in arguments if a.startswith("-") and a.split("=")[0] not in _WITH_RESUME]
+    if more or options.data:
+        raise ValueError(
+            f"--resume goes on with the run's own settings and data; leave out {options.data} {' '.join(more)}"
+        )

@@ -1,0 +1,32 @@
+"""What a command prints when a run has ended."""
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from ..runs import FinishedRun
+
+
+def print_result(run: "FinishedRun") -> int:
+    """Print a run's numbers, notes and files; the exit status: 0, or 130 if it was interrupted."""
+    print_metrics(run.metrics)
+    for warning in run.run.warnings:
+        print(f"note: {warning}")
+    print(f"Files in {run.folder}:")
+    for path in sorted(run.folder.iterdir()):
+        print(f"  {path.name:<16} {path.stat().st_size / 1e6:8.2f} MB")
+    interrupted = run.run.status == "interrupted"
+    if interrupted and run.run.resumable:
+        print(f"To go on: gsfusion-nb map --resume {run.folder}")
+    return 130 if interrupted else 0
+
+
+def print_metrics(metrics: dict[str, Any]) -> None:
+    """Print the numbers that have a name, in groups."""
+    from ..evaluation.metrics import METRIC_GROUPS, format_metric
+
+    for group, known in METRIC_GROUPS.items():
+        rows = [(metric.label, format_metric(name, metrics[name])) for name, metric in known.items() if name in metrics]
+        if rows:
+            print(group)
+        for label, value in rows:
+            print(f"  {label:<28} {value}")

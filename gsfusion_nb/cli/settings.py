@@ -1,0 +1,139 @@
+"""One grammar of settings for all commands that map: every setting is an option, such as ``--tsdf.voxel-size-m 0.02``.
+
+The options begin with the system and the preset, which decide the defaults of all others; their order does not matter.
+"""
+
+import dataclasses
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import tyro
+
+from ..backends import from_environment
+from ..config import SystemConfig, from_dict
+
+O = TypeVar("O", bound="SettingsOptions")  # noqa: E741
+ROOM = "room"
+"""Name of the built-in scene, and of the preset for it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SettingsOptions:
+    """Which system maps, with which settings, and where."""
+
+    system: str = "gsfusion"
+    """Which published system maps: gsfusion or rtg_slam."""
+    preset: str = ""
+    """Settings as published for a data set, such as replica or tum; single options override it. By default replica, and
+    room for the built-in scene."""
+    fidelity: str = ""
+    """RTG-SLAM: what to follow where paper and released code differ: paper, code, or measured, of each what measured
+    better (the default)."""
+    from_config: str = ""
+    """A config.json of an earlier run whose settings to start from instead of a preset."""
+    rule_options: tuple[str, ...] = ()
+    """Options of the seeding rule, such as: --rule-options share=0.2 transparent=false."""
+    device: str = "cpu"
+    """Where the maps live: cpu or cuda."""
+    backend: str = field(default_factory=from_environment)
+    """auto, reference, torch, numba, triton or cuda; by default what the variable GSFUSION_BACKEND says, else auto."""
+    config: SystemConfig = field(default_factory=SystemConfig)
+
+    def settings(self) -> Any:
+        """The settings of the system, with the options of the seeding rule."""
+        seeding = self.config.seeding
+        options = seeding.options | named_values(self.rule_options)
+        return dataclasses.replace(self.config, seeding=dataclasses.replace(seeding, options=options))
+
+    def check_device(self) -> None:
+        """Raise ``ValueError`` with the reason if the device cannot be used here."""
+        import torch
+
+        try:
+            torch.zeros(1, device=self.device)
+        except (RuntimeError, AssertionError, NotImplementedError) as e:
+            reason = str(e).splitlines()[0]
+            raise ValueError(
+                f"--device {self.device} cannot be used here, expected cpu or a CUDA device: {reason}"
+            ) from None
+
+
+def parse(options: type[O], prog: str, arguments: list[str], *, data: str = "") -> O:
+    """The options of a command that maps, with all settings of the chosen system among them.
+
+    Args:
+        options: Class of the command's options.
+        prog: The command as help shows it.
+        arguments: What the user typed after it.
+        data: Name of the field that says what is mapped: if that is the built-in scene, its preset is the default.
+
+    Raises:
+        KeyError, ValueError: no such system, preset or fidelity; a file of settings that is none.
+    """
+    preset = "replica"
+    if data and ROOM in arguments and not _value_of(arguments, "--preset"):
+        plain = [a for a in arguments if a not in ("-h", "--help")]
+        first = tyro.cli(with_settings(options, _start(plain, preset)), prog=prog, args=plain)
+        preset = ROOM if getattr(first, data) == ROOM else preset
+    return tyro.cli(with_settings(options, _start(arguments, preset)), prog=prog, args=arguments)
+
+
+def named_values(texts: tuple[str, ...]) -> dict[str, Any]:
+    """``name=value`` texts as numbers, true or false, or words."""
+    values: dict[str, Any] = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise ValueError(f"expected an option as name=value, got {text!r}")
+        try:
+            values[name.replace("-", "_")] = json.loads(value.lower())
+        except json.JSONDecodeError:
+            values[name.replace("-", "_")] = value
+    return values
+
+
+def with_settings(options: type[O], config: SystemConfig) -> type[O]:
+    """``options`` with the fields of ``config`` as options beside its own, such as ``--tsdf.voxel-size-m``."""
+    flat = Annotated[type(config), tyro.conf.arg(name="")]
+    fields = [("config", flat, field(default_factory=lambda: config))]
+    cls: Any = dataclasses.make_dataclass(options.__name__, fields, bases=(options,), frozen=True, kw_only=True)
+    cls.__doc__ = options.__doc__
+    return cls
+
+
+def _start(arguments: list[str], preset: str) -> SystemConfig:
+    """The settings that single options override: of the file, or of the system and preset, that the user named."""
+    from ..mapping import get_system
+
+    path = _value_of(arguments, "--from-config")
+    if path:
+        return _read_settings(Path(path))
+    system = get_system(_value_of(arguments, "--system") or "gsfusion")
+    preset, fidelity = _value_of(arguments, "--preset") or preset, _value_of(arguments, "--fidelity")
+    if fidelity and fidelity not in system.fidelities:
+        raise ValueError(
+            f"{system.title} has no --fidelity {fidelity}; known: {', '.join(system.fidelities) or 'none'}"
+        )
+    return system.preset(preset, **({"fidelity": fidelity} if fidelity else {}))
+
+
+def _read_settings(path: Path) -> SystemConfig:
+    from ..mapping import get_system
+
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+        return from_dict(get_system(document.get("system", "gsfusion")).config_type, document["config"])
+    except (json.JSONDecodeError, KeyError, TypeError) as e:
+        raise ValueError(f"{path} is no config.json of a run: {type(e).__name__} {e}") from None
+
+
+def _value_of(arguments: list[str], option: str) -> str | None:
+    """The value given last for an option, as ``--option value`` or ``--option=value``."""
+    found = None
+    for i, argument in enumerate(arguments):
+        name, equals, value = argument.partition("=")
+        if name.replace("_", "-") == option:
+            found = value if equals else (arguments[i + 1] if i + 1 < len(arguments) else found)
+    return found

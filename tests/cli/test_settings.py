@@ -1,0 +1,78 @@
+"""One grammar of settings: the same options for every command that maps, in any order."""
+
+import itertools
+import json
+
+import pytest
+
+from gsfusion_nb.cli.live import FolderOptions
+from gsfusion_nb.cli.map import MapOptions
+from gsfusion_nb.cli.settings import parse
+from gsfusion_nb.config import gsfusion, replace, rtg_slam, to_dict
+
+PARTS = [["room"], ["--device", "cpu"], ["--sh-degree", "1"], ["--reader", "n_frames=9"], ["--no-evaluate"]]
+"""A list of values, such as that of --reader, ends with the next option, so the scene must not follow it."""
+
+
+def settings(*arguments: str):
+    return parse(MapOptions, "map", list(arguments), data="data").settings()
+
+
+@pytest.mark.parametrize("parts", [PARTS[i:] + PARTS[:i] for i in range(len(PARTS))])
+def test_the_order_of_options_does_not_matter(parts):
+    arguments = list(itertools.chain(*parts))
+    options = parse(MapOptions, "map", arguments, data="data")
+    assert (options.data, options.device, options.evaluate, options.reader) == ("room", "cpu", False, ("n_frames=9",))
+    assert options.config == gsfusion("room", sh_degree=1)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["room"], gsfusion("room")),
+        (["--device", "cpu", "room"], gsfusion("room")),
+        (["--data.stop", "6", "room", "--tsdf.far-m", "3"], gsfusion("room", data__stop=6, tsdf__far_m=3.0)),
+        (["recording", "--out", "room"], gsfusion("replica")),
+        (["recording"], gsfusion("replica")),
+        (["--preset", "tum", "room"], gsfusion("tum")),
+        (["room", "--preset=tum"], gsfusion("tum")),
+        (["--system", "rtg_slam", "room"], rtg_slam("room")),
+        (["room", "--system=rtg_slam", "--fidelity", "paper"], rtg_slam("room", "paper")),
+        (["recording", "--fidelity=code", "--preset", "tum", "--system", "rtg_slam"], rtg_slam("tum", "code")),
+        (["room", "--rule-options", "fraction=0.1"], gsfusion("room", seeding__options={"fraction": 0.1})),
+    ],
+)  # fmt: skip
+def test_system_and_preset_are_found_wherever_they_stand(arguments, expected):
+    assert settings(*arguments) == expected
+
+
+def test_settings_of_an_earlier_run_are_a_start(tmp_path):
+    path = tmp_path / "config.json"
+    earlier = rtg_slam("tum", sh_degree=1)
+    path.write_text(json.dumps({"system": "rtg_slam", "config": to_dict(earlier)}))
+    options = parse(MapOptions, "map", ["room", "--seed", "3", "--from-config", str(path)], data="data")
+    assert options.settings() == replace(earlier, seed=3)
+
+
+@pytest.mark.parametrize(("system", "preset"), [("gsfusion", gsfusion), ("rtg_slam", rtg_slam)])
+def test_a_live_folder_takes_the_same_options(system, preset):
+    arguments = ["--tracking.poses", "tracked", "scan", "--sh-degree", "0", "--system", system]
+    options = parse(FolderOptions, "live folder", arguments)
+    assert options.path == "scan"
+    assert options.settings() == preset("replica", tracking__poses="tracked", sh_degree=0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["room", "--system", "rtgslam"], "no system 'rtgslam'; known: gsfusion, rtg_slam"),
+        (["room", "--preset", "repilca"], "no preset 'repilca'; known:"),
+        (["room", "--system", "rtg_slam", "--fidelity", "papre"], "has no --fidelity papre; known: measured, paper"),
+        (["room", "--fidelity", "paper"], "GSFusion has no --fidelity paper; known: none"),
+        (["room", "--from-config", __file__], "is no config.json of a run"),
+        (["room", "--rule-options", "share"], "expected an option as name=value, got 'share'"),
+    ],
+)  # fmt: skip
+def test_mistakes_are_sentences(arguments, message):
+    with pytest.raises((KeyError, ValueError), match=message):
+        settings(*arguments)
