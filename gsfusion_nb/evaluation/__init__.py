@@ -7,8 +7,8 @@ from .geometry import cull_unseen as cull_unseen
 from .geometry import mesh_scores as mesh_scores
 from .geometry import sample_surface as sample_surface
 from .geometry import seen_by as seen_by
-from .image import ImageRow as ImageRow
 from .image import ImageScores as ImageScores
+from .image import ViewScores as ViewScores
 from .image import depth_l1_m as depth_l1_m
 from .image import expected_depth_m as expected_depth_m
 from .image import lpips as lpips

@@ -148,7 +148,7 @@ def expected_depth_m(view: RenderOutput, *, alpha_min: float = 0.5) -> Float[Ten
 
 
 @dataclass(frozen=True, kw_only=True)
-class ImageRow:
+class ViewScores:
     """Scores of one view."""
 
     index: int
@@ -168,7 +168,7 @@ class ImageRow:
 class ImageScores:
     """Scores of many views: the rows, and their means as properties."""
 
-    rows: tuple[ImageRow, ...]
+    rows: tuple[ViewScores, ...]
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -236,7 +236,7 @@ def score_views(
         frame = frame.to(view.rgb.device)
         l1_m, share = depth_l1_m(expected_depth_m(view), frame.depth_m)
         rows.append(
-            ImageRow(
+            ViewScores(
                 index=frame.index,
                 psnr=psnr(view.rgb, frame.rgb, quantise=quantise),
                 ssim=ssim(view.rgb, frame.rgb, quantise=quantise) if min(frame.rgb.shape[:2]) >= 6 else math.nan,

@@ -7,7 +7,7 @@ from .map_stream import map_stream as map_stream
 from .mapping_run import MappingRun as MappingRun
 from .report_data import FrameRow as FrameRow
 from .report_data import ReportData as ReportData
-from .report_data import ViewPanel as ViewPanel
+from .report_data import ReportView as ReportView
 from .report_page import write_report as write_report
 from .rescore import rescore as rescore
 from .stream_run import StreamRun as StreamRun

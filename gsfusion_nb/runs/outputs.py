@@ -30,7 +30,7 @@ from ..types import Mesh
 from .mapping_run import MappingRun
 from .memory import mesh_when_full
 from .posed_frames import frames_in_map, ground_truth_poses, readable_frames
-from .report_data import FrameRow, ReportData, ViewPanel
+from .report_data import FrameRow, ReportData, ReportView
 from .report_page import write_report
 
 MAX_SCORED_VIEWS = 250
@@ -197,7 +197,7 @@ def _strict(value: Any) -> Any:
     return str(value) if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _panels(run: MappingRun) -> list[ViewPanel]:
+def _panels(run: MappingRun) -> list[ReportView]:
     """A few held-out and mapped views, as photographed and as rendered."""
     panels = []
     for view, held_out in ((run.sequence.held_out, True), (run.mapped_views(1000), False)):
@@ -205,7 +205,7 @@ def _panels(run: MappingRun) -> list[ViewPanel]:
         picked = dataclasses.replace(view, positions=[view.positions[i] for i in picks])
         for frame in frames_in_map(picked, run.mapper.localiser, run.sequence.mapping):
             rendered = run.mapper.render(frame.camera, frame.T_WC)
-            panels.append(ViewPanel.of(frame, rendered, held_out=held_out, cells=run.mapper.quadtree_cells(frame)))
+            panels.append(ReportView.of(frame, rendered, held_out=held_out, cells=run.mapper.quadtree_cells(frame)))
     return panels
 
 

@@ -7,7 +7,7 @@ from typing import Any
 from ..drawing import pictures
 from ..drawing.page import PICTURE_WIDTH, ColourBar, PageGraph, PagePicture, page_graph, page_picture
 from ..evaluation.metrics import METRIC_GROUPS, METRICS, NBSP, format_metric, format_value, reason_missing
-from .report_data import FrameRow, ViewPanel
+from .report_data import FrameRow, ReportView
 
 HEADLINE = (
     ("psnr_held_out_db", "PSNR, held out", "ssim_held_out", "SSIM {}"),
@@ -34,7 +34,7 @@ def headline(metrics: Mapping[str, Any]) -> list[dict[str, Any]]:
     return cards
 
 
-def views(panels: Sequence[ViewPanel]) -> list[dict[str, Any]]:
+def views(panels: Sequence[ReportView]) -> list[dict[str, Any]]:
     """Input, render and error of each view and the same for depth; held-out views come first."""
     shown = []
     for panel in sorted(panels, key=lambda panel: not panel.held_out):
@@ -45,7 +45,7 @@ def views(panels: Sequence[ViewPanel]) -> list[dict[str, Any]]:
     return shown
 
 
-def _colour_pictures(panel: ViewPanel) -> list[PagePicture]:
+def _colour_pictures(panel: ReportView) -> list[PagePicture]:
     limit = pictures.ERROR_LIMIT
     error = pictures.error_map(panel.render, panel.rgb)
     bar = ColourBar(colours=pictures.ERROR_COLOURS, low="0", high=f"{limit:g} or more, of 1")
@@ -56,7 +56,7 @@ def _colour_pictures(panel: ViewPanel) -> list[PagePicture]:
     ]
 
 
-def _depth_pictures(panel: ViewPanel) -> list[PagePicture]:
+def _depth_pictures(panel: ReportView) -> list[PagePicture]:
     pair = {"Depth, measured": panel.depth_m, "Depth, rendered": panel.render_depth_m}
     known = {caption: depth for caption, depth in pair.items() if depth is not None}
     if not known:
@@ -75,7 +75,7 @@ def _depth_pictures(panel: ViewPanel) -> list[PagePicture]:
     return shown
 
 
-def quadtrees(panels: Sequence[ViewPanel]) -> list[PagePicture]:
+def quadtrees(panels: Sequence[ReportView]) -> list[PagePicture]:
     """The cells of each view that has some, painted over the input."""
     shown = []
     for panel in sorted(panels, key=lambda panel: not panel.held_out):

@@ -36,7 +36,7 @@ class FrameRow:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ViewPanel:
+class ReportView:
     """One view, as photographed and as rendered."""
 
     name: str
@@ -56,10 +56,10 @@ class ViewPanel:
     ssim: float = float("nan")
 
     @staticmethod
-    def of(frame: Frame, view: RenderOutput, *, held_out: bool, cells: Any = None) -> "ViewPanel":
+    def of(frame: Frame, view: RenderOutput, *, held_out: bool, cells: Any = None) -> "ReportView":
         """The panel of a frame and the render of its view, scored."""
         view = view.to(frame.rgb.device)
-        return ViewPanel(
+        return ReportView(
             name=f"Frame {frame.index}",
             held_out=held_out,
             rgb=frame.rgb,
@@ -86,7 +86,7 @@ class ReportData:
     frames: Sequence[FrameRow] = ()
     global_losses: Sequence[float | int] = ()
     """Mean loss of each pass of the global optimisation."""
-    views: Sequence[ViewPanel] = ()
+    views: Sequence[ReportView] = ()
     mesh_pictures: Mapping[str, AnyImage] = field(default_factory=dict)
     """Caption -> picture of the mesh."""
     warnings: Sequence[str] = ()

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from .live.orbit import orbit_view as orbit_view
     from .live.player import Player as Player
     from .live.watch import Watch as Watch
-    from .meshes.show_mesh import show_mesh as show_mesh
+    from .meshes.show import show_mesh as show_mesh
     from .microscopes.gaussian_panels import one_gaussian_panel as one_gaussian_panel
     from .microscopes.gaussian_panels import sh_ball_panel as sh_ball_panel
     from .microscopes.gradient_microscope import GradientMicroscope as GradientMicroscope
@@ -61,7 +61,7 @@ if TYPE_CHECKING:
     from .panels.tsdf_fill import fill_panel as fill_panel
     from .panels.tsdf_slice import distance_colours as distance_colours
     from .panels.tsdf_slice import slice_picture as slice_picture
-    from .splats.map_picture import draw as draw
+    from .splats.map_picture import draw_gaussians as draw_gaussians
     from .splats.viewer import SplatViewer as SplatViewer
     from .viewpoint import orbit_camera as orbit_camera
 
@@ -85,7 +85,7 @@ _LAZY = {
     "disc_panel": ".panels.discs",
     "disc_stage": ".panels.discs",
     "distance_colours": ".panels.tsdf_slice",
-    "draw": ".splats.map_picture",
+    "draw_gaussians": ".splats.map_picture",
     "ellipse_picture": ".microscopes.stack_picture",
     "enlarged": ".microscopes.stack_picture",
     "error_map": "..drawing.pictures",
@@ -115,7 +115,7 @@ _LAZY = {
     "rule_picture": ".panels.seeding_rule",
     "sh_ball_panel": ".microscopes.gaussian_panels",
     "show": ".display",
-    "show_mesh": ".meshes.show_mesh",
+    "show_mesh": ".meshes.show",
     "side_by_side": "..drawing.side_by_side",
     "single_level": ".panels.icp",
     "slice_picture": ".panels.tsdf_slice",

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from gsfusion_nb.evaluation import NotComputed
-from gsfusion_nb.runs import FrameRow, ReportData, ViewPanel, write_report
+from gsfusion_nb.runs import FrameRow, ReportData, ReportView, write_report
 from gsfusion_nb.types import Camera, Frame, RenderOutput
 
 VOID = {"meta", "link", "img", "br", "input", "hr"}
@@ -74,7 +74,7 @@ def panel(generator, held_out=False, **changes):
         "psnr": 21.5,
         "ssim": 0.71,
     }
-    return ViewPanel(**{**values, **changes})
+    return ReportView(**{**values, **changes})
 
 
 def row(index, **changes):
@@ -207,7 +207,7 @@ def test_panel_of_a_frame_scores_the_render(generator):
     rgb, depth, index = torch.rand(8, 8, 3, generator=generator), torch.ones(8, 8), torch.zeros(8, 8, dtype=torch.int64)
     frame = Frame(index=12, timestamp_s=0.0, rgb=rgb, depth_m=depth, camera=camera, T_WC=torch.eye(4))
     view = RenderOutput(rgb=rgb, depth_m=depth * 0.8, alpha=depth * 0.8, first_index=index, dominant_index=index)
-    made = ViewPanel.of(frame, view, held_out=True)
+    made = ReportView.of(frame, view, held_out=True)
     assert (made.name, made.psnr, made.ssim) == ("Frame 12", math.inf, 1.0)
     assert made.render_depth_m is not None
     assert torch.allclose(made.render_depth_m, depth)

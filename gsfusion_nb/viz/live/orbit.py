@@ -15,7 +15,7 @@ from ...mapping import Mapper
 from ...render import render
 from ...types import Camera, GaussianParams
 from ..display import with_picture
-from ..splats.map_picture import SHOWS, draw
+from ..splats.map_picture import SHOWS, draw_gaussians
 from ..viewpoint import Vector, Viewpoint, extent, viewpoint_of, world_up
 
 _FOCAL_PER_WIDTH = 0.7
@@ -96,7 +96,7 @@ class OrbitView:
             show: Any = self.show.value
             labels = self._labels(_LABELLED[show]) if show in _LABELLED else None
             cut_m = self.sliders["cut"].value
-            return draw(self._params(), self.camera, self.pose(), show, labels=labels, cut_m=cut_m)
+            return draw_gaussians(self._params(), self.camera, self.pose(), show, labels=labels, cut_m=cut_m)
 
     def set(
         self,

@@ -30,7 +30,7 @@ class MappedFrame:
 
 
 @dataclass(frozen=True)
-class Panel:
+class StepPanel:
     """A picture of one step."""
 
     caption: str
@@ -64,15 +64,15 @@ def _with_new_gaussians(picture: Picture, step: MappedFrame) -> Picture:
     return picture
 
 
-PANELS: dict[str, Panel] = {
-    "input": Panel("photograph", lambda step: step.photo),
-    "render": Panel("Gaussian map, rendered", lambda step: step.rendered),
-    "error": Panel("|render − photograph|, bright from 0.25", lambda step: error_map(step.rendered, step.photo)),
-    "depth_error": Panel("|rendered depth − depth|, bright from 10 cm", _depth_error),
-    "new_gaussians": Panel("new Gaussians in red", _new_gaussians),
-    "quadtree_seeds": Panel("quadtree cells, new Gaussians in red", _quadtree_seeds),
-    "seed_causes": Panel("new: green area, red depth, blue colour", _seed_causes),
-    "states": Panel("blue stable, orange unstable", _states),
+PANELS: dict[str, StepPanel] = {
+    "input": StepPanel("photograph", lambda step: step.photo),
+    "render": StepPanel("Gaussian map, rendered", lambda step: step.rendered),
+    "error": StepPanel("|render − photograph|, bright from 0.25", lambda step: error_map(step.rendered, step.photo)),
+    "depth_error": StepPanel("|rendered depth − depth|, bright from 10 cm", _depth_error),
+    "new_gaussians": StepPanel("new Gaussians in red", _new_gaussians),
+    "quadtree_seeds": StepPanel("quadtree cells, new Gaussians in red", _quadtree_seeds),
+    "seed_causes": StepPanel("new: green area, red depth, blue colour", _seed_causes),
+    "states": StepPanel("blue stable, orange unstable", _states),
 }
 """What a system can name in ``Mapper.panels``."""
 
@@ -115,7 +115,7 @@ def live_panels(mapper: Mapper, frame: Frame) -> LivePanels:
     """
     output = mapper.render(frame.camera, frame.T_WC)
     step = MappedFrame(
-        mapper=mapper, frame=frame, output=output, photo=to_uint8(frame.rgb), rendered=to_uint8(output.rgb.clamp(0, 1))
+        mapper=mapper, frame=frame, output=output, photo=to_uint8(frame.rgb), rendered=to_uint8(output.rgb)
     )
     pictures = {name: PANELS[name].draw(step) for name in mapper.panels}
     return LivePanels(pictures=pictures, captions=captions_of(mapper))

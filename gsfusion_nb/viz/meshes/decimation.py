@@ -9,7 +9,7 @@ from ...types import Mesh
 _TRIALS = 8
 
 
-def reduced(mesh: Mesh, max_triangles: int) -> Mesh:
+def decimated(mesh: Mesh, max_triangles: int) -> Mesh:
     """The mesh with at most ``max_triangles``, by vertex clustering (Rossignac & Borrel 1993).
 
     The cell size follows from the surface's area and is widened until the count fits. Position and colour of a cluster

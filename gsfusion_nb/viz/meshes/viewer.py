@@ -11,11 +11,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ...checks import check_pose
-from ...drawing.pictures import Picture, encode_jpeg
+from ...drawing.pictures import Picture, encode_jpeg, to_uint8
 from ...types import Camera, Mesh
 from ..display import static_views
 from ..front_end import mesh_front_end, source
-from .decimation import reduced
+from .decimation import decimated
 from .painter import BACKGROUND, draw_mesh
 
 _STORED_TRIANGLES = 40_000
@@ -87,7 +87,7 @@ class MeshViewer(anywidget.AnyWidget):
 
     def picture(self) -> Picture:
         """What the viewer shows, painted in Python."""
-        small = reduced(self.mesh, _STORED_TRIANGLES)
+        small = decimated(self.mesh, _STORED_TRIANGLES)
         return draw_mesh(small, self.camera, self.T_WC, shading=self.shading)
 
     def __repr__(self) -> str:
@@ -108,6 +108,6 @@ class MeshViewer(anywidget.AnyWidget):
         """A view has opened."""
         if content.get("kind") != "ready":
             return
-        rgb = (self.mesh.rgb.cpu().numpy().clip(0, 1) * 255 + 0.5).astype(np.uint8)
+        rgb = to_uint8(self.mesh.rgb[None])[0]
         arrays = [self.mesh.vertices_W.cpu().numpy(), self.mesh.faces.int().cpu().numpy(), rgb]
         self.send({"kind": "mesh"}, [np.ascontiguousarray(a).tobytes() for a in arrays])

@@ -59,7 +59,7 @@ def _bars(image: Picture, stack: PixelStack, edges: np.ndarray, span: tuple[int,
     import cv2
 
     top, bottom = span
-    full = to_uint8(stack.rgb.clamp(0, 1)[None])[0].astype(float)
+    full = to_uint8(stack.rgb[None])[0].astype(float)
     for k, colour in enumerate(full):
         x0, x1 = int(edges[k]), max(int(edges[k + 1]) - gap, int(edges[k]) + 1)
         for value, fill in ((stack.alpha[k], 0.35 * colour + 0.65 * 255), (stack.weight[k], colour)):
@@ -173,7 +173,7 @@ def ellipse_picture(splats: Splats, height: int) -> Picture:
     rows = p.visible.nonzero().squeeze(1)
     rows = rows[p.depth_m[rows].argsort(descending=True)]
     rings = (outlines(splats, rows, 20) * zoom * 16).round().clip(-1e6, 1e6).astype(np.int32)
-    inks = to_uint8(splats.rgb[rows].clamp(0, 1)[None])[0].tolist()
+    inks = to_uint8(splats.rgb[rows][None])[0].tolist()
     for ring, ink in zip(rings, inks, strict=True):
         cv2.polylines(view, [ring], True, ink, 1, cv2.LINE_AA, shift=4)
     return view

@@ -232,15 +232,16 @@ def adding_panel(view: SurfaceView, frame: Frame) -> Panel:
         frame: The new frame.
     """
 
+    photo, rendered = to_uint8(frame.rgb), to_uint8(view.rgb)
+
     def draw(*, min_transmittance: float, depth_error_m: float, colour_error: float) -> Drawn:
         masks = adding_masks(
             view, frame, min_transmittance=min_transmittance, depth_error_m=depth_error_m, colour_error=colour_error
         )
-        picture = np.repeat(0.25 * 255 + 0.5 * to_uint8(frame.rgb).mean(-1, keepdims=True), 3, axis=-1)
+        picture = np.repeat(0.25 * 255 + 0.5 * photo.mean(-1, keepdims=True), 3, axis=-1)
         for cause, mask in masks.items():
             picture[mask.numpy()] = 0.35 * picture[mask.numpy()] + 0.65 * np.array(CAUSES[cause][1])
-        rendered = to_uint8(view.rgb.clamp(0, 1))
-        pictures = [to_uint8(frame.rgb), rendered, error_map(rendered, to_uint8(frame.rgb)), picture.astype(np.uint8)]
+        pictures = [photo, rendered, error_map(rendered, photo), picture.astype(np.uint8)]
         k = max(1, round(300 / picture.shape[1]))
         pictures = [p.repeat(k, 0).repeat(k, 1) for p in pictures]
         top = side_by_side(pictures[:2], ["new frame", "map so far"])

@@ -76,7 +76,7 @@ def residual_picture(frame: Frame, surface: Surface, T_WC: Float[Tensor, "4 4"],
 
 def overlay_picture(frame: Frame, surface: Surface, T_WC: Float[Tensor, "4 4"]) -> Picture:
     """The surface's colours and the frame's, put where the pose says, half and half: a wrong pose shows double."""
-    base = np.zeros((*surface.depth_m.shape, 3), np.uint8) if surface.rgb is None else to_uint8(surface.rgb.clamp(0, 1))
+    base = np.zeros((*surface.depth_m.shape, 3), np.uint8) if surface.rgb is None else to_uint8(surface.rgb)
     known = frame.depth_m > 0
     xyz_W = se3.apply(T_WC.float(), depth_to_points(frame.camera, frame.depth_m)[known])
     xyz_S = se3.apply(se3.inverse(surface.T_WC.float()), xyz_W)

@@ -18,12 +18,12 @@ from ...types import Camera, GaussianParams
 
 Show = Literal["colour", "depth", "opacity", "first-seen frame", "quadtree level"]
 SHOWS: tuple[str, ...] = get_args(Show)
-"""What ``draw`` can show."""
+"""What ``draw_gaussians`` can show."""
 
 _BAR_PX = 14
 
 
-def draw(
+def draw_gaussians(
     params: GaussianParams,
     camera: Camera,
     T_WC: Float[Tensor, "4 4"],

@@ -11,7 +11,7 @@ from .columns import Column
 
 
 @dataclass(frozen=True, kw_only=True)
-class SplatRow:
+class GaussianRecord:
     """One row of a map, activated values. ``str(row)`` and the notebook show it as a small table."""
 
     row: int
@@ -46,7 +46,7 @@ class SplatRow:
         return fill("splat_record.html", lines=self.lines())
 
 
-def splat_row(params: GaussianParams, columns: list[Column], row: int) -> SplatRow:
+def gaussian_record(params: GaussianParams, columns: list[Column], row: int) -> GaussianRecord:
     """The record of one row.
 
     Raises:
@@ -60,7 +60,7 @@ def splat_row(params: GaussianParams, columns: list[Column], row: int) -> SplatR
     def numbers(values: torch.Tensor) -> tuple[float, ...]:
         return tuple(float(v) for v in values)
 
-    return SplatRow(
+    return GaussianRecord(
         row=row,
         xyz_W=numbers(one.xyz_W[0]),
         scale_m=numbers(one.log_scale[0].exp()),

@@ -28,7 +28,7 @@ from ..front_end import source, splat_front_end
 from ..viewpoint import Vector, world_up
 from .columns import Column, columns_of, stacked
 from .packed_rows import finite_rows, layout_for, pack_rows, packet_between
-from .record import SplatRow, splat_row
+from .record import GaussianRecord, gaussian_record
 from .starting_view import starting_pose, viewing_camera
 from .viewer_picture import PALETTES, palette_stops, splat_picture
 
@@ -177,12 +177,12 @@ class SplatViewer(anywidget.AnyWidget):
                 self._timer.daemon = True
                 self._timer.start()
 
-    def picked_row(self) -> SplatRow | None:
+    def picked_row(self) -> GaussianRecord | None:
         """All numbers of the picked Gaussian; ``None`` if none is picked, or it is gone."""
         with self._lock:
             if self.picked is None or self.picked >= len(self._params):
                 return None
-            return splat_row(self._params, self._columns, self.picked)
+            return gaussian_record(self._params, self._columns, self.picked)
 
     def picture(self) -> Picture:
         """What the viewer shows, drawn by the library's renderer (in point mode: as ellipses)."""

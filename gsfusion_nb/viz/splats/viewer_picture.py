@@ -11,7 +11,7 @@ from ...geometry.spherical_harmonics import rgb_to_sh_dc
 from ...render import render
 from ...types import Camera, GaussianParams
 from .columns import STATE_NAMES
-from .map_picture import draw
+from .map_picture import draw_gaussians
 from .surfel_pictures import STATE_COLOURS
 
 PALETTES = ("turbo", "viridis", "state")
@@ -64,7 +64,7 @@ def splat_picture(
         log_size = torch.tensor(size).log().item()
         params = dataclasses.replace(params, log_scale=params.log_scale + log_size, opacity_logit=o.logit())
     if depth:
-        return draw(params, camera, T_WC, "depth")
+        return draw_gaussians(params, camera, T_WC, "depth")
     view = render(params, camera, T_WC)
     if background is None:
         return to_uint8(view.rgb)

@@ -8,7 +8,7 @@ from gsfusion_nb.config import gsfusion, rtg_slam
 from gsfusion_nb.data import open_sequence
 from gsfusion_nb.mapping import RTGSLAM, GSFusion, make_mapper
 from gsfusion_nb.runs import MappingRun
-from gsfusion_nb.viz import LiveMapper, OrbitView, SplatViewer, draw, show_mesh
+from gsfusion_nb.viz import LiveMapper, OrbitView, SplatViewer, draw_gaussians, show_mesh
 from gsfusion_nb.viz.cards import card
 from gsfusion_nb.viz.panels.keyframe_strip import keyframe_strip
 from gsfusion_nb.viz.splats.surfel_pictures import cause_picture, state_picture
@@ -39,7 +39,10 @@ def test_live_panels_cards_and_viewers(system, gpu, monkeypatch):
     frame = run.sequence.mapping[2].to("cuda")
     things = [frame, mapper.gaussians, run] + ([mapper.volume] if isinstance(mapper, GSFusion) else [])
     assert all("data:image" in card(thing) for thing in things)
-    pictures = [keyframe_strip(mapper.keyframes), np.asarray(draw(mapper.gaussians.params, frame.camera, frame.T_WC))]
+    pictures = [
+        keyframe_strip(mapper.keyframes),
+        np.asarray(draw_gaussians(mapper.gaussians.params, frame.camera, frame.T_WC)),
+    ]
     if isinstance(mapper, RTGSLAM):
         view = mapper.surface(frame.camera, frame.T_WC)
         pictures.append(state_picture(mapper.gaussians, view, frame.camera, frame.T_WC))

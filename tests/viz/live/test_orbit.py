@@ -99,7 +99,9 @@ def test_stored_and_live_outputs(view, monkeypatch):
 
 def test_a_moved_slider_renders_once(view, monkeypatch):
     drawn = []
-    monkeypatch.setattr(orbit, "draw", lambda *a, whole=orbit.draw, **k: drawn.append(0) or whole(*a, **k))
+    monkeypatch.setattr(
+        orbit, "draw_gaussians", lambda *a, whole=orbit.draw_gaussians, **k: drawn.append(0) or whole(*a, **k)
+    )
     view.sliders["azimuth"].value = 40
     assert len(drawn) == 1
     view.set(azimuth_deg=20, elevation_deg=10, distance_m=3.0)

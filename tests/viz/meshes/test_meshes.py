@@ -1,4 +1,4 @@
-"""Mesh views: painted by hand, reduced, drawn by VTK where it can draw, and by the browser as by hand."""
+"""Mesh views: painted by hand, decimated, drawn by VTK where it can draw, and by the browser as by hand."""
 
 import base64
 import json
@@ -15,9 +15,9 @@ from gsfusion_nb.viz import orbit_camera, show_mesh
 from gsfusion_nb.viz.display import WIDGET_MIME
 from gsfusion_nb.viz.front_end import joined, mesh_front_end
 from gsfusion_nb.viz.meshes import opengl as gl
-from gsfusion_nb.viz.meshes.decimation import reduced
+from gsfusion_nb.viz.meshes.decimation import decimated
 from gsfusion_nb.viz.meshes.painter import BACKGROUND, draw_mesh
-from gsfusion_nb.viz.meshes.show_mesh import mesh_picture
+from gsfusion_nb.viz.meshes.picture import mesh_picture
 from gsfusion_nb.viz.meshes.viewer import MeshViewer
 
 CAMERA = Camera(width=160, height=120, fx=223.923, fy=223.923, cx=80.0, cy=60.0)
@@ -71,7 +71,7 @@ def test_shape_shading_ignores_colour_and_nothing_is_painted_of_an_empty_mesh():
 
 def test_reduction_keeps_extent_area_colours_and_sides():
     mesh = sheet(101)
-    small = reduced(mesh, 2_000)
+    small = decimated(mesh, 2_000)
     assert 500 < len(small.faces) <= 2_000
     assert int(small.faces.max()) < len(small.vertices_W)
     assert torch.allclose(small.vertices_W.amax(0), torch.tensor([0.5, 0.5, 0.0]), atol=0.03)
@@ -82,10 +82,10 @@ def test_reduction_keeps_extent_area_colours_and_sides():
     far = small.vertices_W[:, 0].abs() > 0.05
     blue = small.vertices_W[far, 0] > 0
     assert (small.rgb[far, 2] > 0.9).equal(blue)
-    assert reduced(mesh, 10**6) is mesh
-    assert len(reduced(mesh, 1).faces) <= 1
+    assert decimated(mesh, 10**6) is mesh
+    assert len(decimated(mesh, 1).faces) <= 1
     with pytest.raises(ValueError, match="max_triangles"):
-        reduced(mesh, 0)
+        decimated(mesh, 0)
 
 
 def test_without_vtk_the_static_view_is_painted(monkeypatch):

@@ -1,4 +1,4 @@
-// Triangles to pixels with a z-buffer: the picture of mesh_picture.py, with colours that run over each triangle.
+// Triangles to pixels with a z-buffer: the picture of painter.py, with colours that run over each triangle.
 const NEAR_M = 0.05;
 const GREY = 217; // 0.85
 

@@ -1,0 +1,60 @@
+"""A mesh in a notebook: a widget that is turned with the mouse, or a picture where the output is to be stored."""
+
+from typing import Any, Literal
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ...checks import check_name
+from ...types import Mesh
+from ..display import show, static_views
+from ..viewpoint import Vector, Viewpoint, extent
+from .decimation import decimated
+from .picture import gaze_m, mesh_camera, mesh_picture
+
+
+def show_mesh(
+    mesh: Mesh,
+    *,
+    T_WC: Float[Tensor, "4 4"] | None = None,
+    up_W: Vector = (0.0, 0.0, 1.0),
+    shading: Literal["colour", "shape"] = "colour",
+    backend: Literal["auto", "live", "static"] = "auto",
+    max_triangles: int = 100_000,
+    size: tuple[int, int] = (640, 480),
+) -> Any:
+    """A view of the mesh; the last line of a cell shows it. Faces seen from behind are hidden, which opens a room.
+
+    Args:
+        mesh: What ``mapper.mesh()`` gives.
+        T_WC: Where to look from; by default from above, at an angle.
+        up_W: What is up.
+        shading: "colour" shows the vertex colours, "shape" a grey surface under a lamp.
+        backend: "live": turn it with the mouse (``MeshViewer``); "static": a picture; "auto": "live", but "static" in
+            ``static_views``.
+        max_triangles: That the live view gets, 2 MB for 100,000; of a larger mesh some are merged first.
+        size: Width and height, pixels.
+
+    Raises:
+        ValueError: the mesh has no triangles. KeyError: no such backend.
+    """
+    check_name("backend", backend, ("auto", "live", "static"))
+    if not len(mesh.faces):
+        raise ValueError("the mesh has no triangles: nothing was mapped, or no surface was seen closely enough")
+    pose = _from_above(mesh, up_W, size) if T_WC is None else T_WC
+    if backend == "static" or (backend == "auto" and static_views()):
+        return show(mesh_picture(mesh, pose, shading=shading, size=size))
+    from .viewer import MeshViewer
+
+    small, up = decimated(mesh, max_triangles), torch.as_tensor(up_W).float()
+    return MeshViewer(small, mesh_camera(size), pose, pivot_m=gaze_m(mesh, pose), up_W=up, shading=shading)
+
+
+def _from_above(mesh: Mesh, up_W: Vector, size: tuple[int, int]) -> Tensor:
+    centre_W, radius_m = extent(mesh.vertices_W)
+    x, y, z = centre_W.tolist()
+    camera = mesh_camera(size)
+    distance_m = 2.0 * radius_m * camera.fx / min(size)
+    view = Viewpoint(target_W=(x, y, z), azimuth_deg=-60.0, elevation_deg=50.0, distance_m=distance_m)
+    return view.pose(up_W)
