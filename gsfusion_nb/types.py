@@ -172,7 +172,10 @@ class RenderOutput:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GaussianParams:
-    """The optimised numbers of a Gaussian map, one row each, before activation. Gradients have the same shape."""
+    """The optimised numbers of a Gaussian map, one row each, before activation. Gradients have the same shape.
+
+    A row stands for the density G(x) = exp(-(x - xyz_W)^T Sigma^-1 (x - xyz_W) / 2) (GSFusion Eq. 1).
+    """
 
     xyz_W: Float[Tensor, "N 3"]
     """Centre, world frame, metres."""
