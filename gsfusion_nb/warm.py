@@ -14,16 +14,11 @@ from dataclasses import dataclass
 import torch
 
 from . import backends
-from .config import OptimConfig, SeedingConfig, TsdfConfig, gsfusion, rtg_slam
+from .config import SeedingConfig, TsdfConfig, gsfusion, rtg_slam
 from .gaussians import GaussianModel
-from .geometry import depth_to_normals
 from .mapping import RTGSLAM, GSFusion
-from .optim import adam_step, dssim_vjp, l1_mse_vjp, rgbd_l1_vjp
-from .render import disc_depth, disc_depth_vjp, render_forward, render_vjp
-from .seeding import quadtree
-from .tracking import Surface, icp
 from .tsdf import TsdfVolume, extract_mesh, integrate, raycast
-from .types import Camera, Frame, GaussianParams, Seeds
+from .types import Camera, Frame, Seeds
 
 _WIDTH, _HEIGHT = 64, 48
 _GAUSSIANS = 50
@@ -85,27 +80,6 @@ def exercises(device: str = "cpu") -> Iterator[Exercise]:
 def _without_cases(device: str) -> Iterator[Exercise]:
     """Operations whose folder has no ``cases.py``."""
     frame, grey = (_frame(device, whole_numbers=n) for n in (True, False))
-    for degree in (0, 3):
-        model = _model(degree, device)
-        for with_indices in (False, True):
-            name = f"render_forward: SH {degree}, {'with' if with_indices else 'without'} indices"
-            run = _once(render_forward, model.params, frame.camera, frame.T_WC, with_indices=with_indices)
-            yield Exercise(name, ("render_forward",), run)
-        for with_depth in (False, True):
-            name = f"render_vjp: SH {degree}, {'with' if with_depth else 'without'} depth"
-            yield Exercise(name, ("render_vjp",), _once(_backward, model.params, frame, with_depth))
-    yield Exercise("icp", ("icp_system",), _once(_align, frame))
-    yield Exercise("disc depth", ("disc_depth", "disc_depth_vjp"), _once(_discs, frame, device))
-    for steps in ("none", "shared", "per_row"):
-        config = OptimConfig(adam_steps=steps)
-        yield Exercise(f"adam_update: {steps}", ("adam_update",), _once(_adam, config, device))
-    yield Exercise("dssim_vjp", ("dssim_vjp",), _once(dssim_vjp, frame.rgb, grey.rgb))
-    yield Exercise("l1_mse_vjp", ("l1_mse_vjp",), _once(l1_mse_vjp, frame.rgb, grey.rgb))
-    for behind_m in (None, 0.1):
-        run = _once(_rgbd_loss, frame, grey, behind_m)
-        yield Exercise(f"rgbd_l1_vjp: {behind_m}", ("rgbd_l1_vjp",), run)
-    for contrast in ("released", "std"):
-        yield Exercise(f"quadtree: {contrast}", ("quadtree",), _once(quadtree, frame.rgb_u8, contrast=contrast))
     for sdf in ("ray", "z"):
         volume = TsdfVolume(TsdfConfig(voxel_size_m=0.05, truncation_voxels=2.0, sdf=sdf), device=device)
         for picture, colours in ((frame, "8-bit"), (grey, "float")):
@@ -122,35 +96,6 @@ def _without_cases(device: str) -> Iterator[Exercise]:
 
 def _once(function: Callable, *args, **kwargs) -> Callable[[], object]:
     return lambda: function(*args, **kwargs)
-
-
-def _backward(params: GaussianParams, frame: Frame, with_depth: bool) -> GaussianParams:
-    output, saved = render_forward(params, frame.camera, frame.T_WC, with_indices=False)
-    more = (output.depth_m, output.alpha) if with_depth else ()
-    return render_vjp(saved, output.rgb, *more)
-
-
-def _discs(frame: Frame, device: str) -> None:
-    params = _model(0, device).params
-    hit_index = render_forward(params, frame.camera, frame.T_WC, opaque_alpha=0.3)[0].hit_index
-    disc = disc_depth(params, frame.camera, frame.T_WC, hit_index)
-    disc_depth_vjp(params, frame.camera, frame.T_WC, hit_index, disc.depth_m)
-
-
-def _align(frame: Frame) -> None:
-    normal_W = depth_to_normals(frame.camera, frame.depth_m)
-    surface = Surface(depth_m=frame.depth_m, normal_W=normal_W, camera=frame.camera, T_WC=frame.T_WC)
-    icp(frame.depth_m, frame.camera, surface, frame.T_WC)
-
-
-def _rgbd_loss(frame: Frame, grey: Frame, behind_m: float | None) -> None:
-    everywhere = torch.ones_like(frame.depth_m, dtype=torch.bool)
-    rgbd_l1_vjp(frame.rgb, frame.depth_m, grey.rgb, grey.depth_m, everywhere, behind_m=behind_m)
-
-
-def _adam(config: OptimConfig, device: str) -> None:
-    model = _model(3, device)
-    adam_step(model, model.params, config)
 
 
 def _map(frame: Frame, grey: Frame, device: str) -> None:
