@@ -15,13 +15,11 @@ import torch
 
 from . import backends
 from .config import SeedingConfig, TsdfConfig, gsfusion, rtg_slam
-from .gaussians import GaussianModel
 from .mapping import RTGSLAM, GSFusion
 from .tsdf import TsdfVolume, extract_mesh, integrate, raycast
-from .types import Camera, Frame, Seeds
+from .types import Camera, Frame
 
 _WIDTH, _HEIGHT = 64, 48
-_GAUSSIANS = 50
 
 
 @dataclass(frozen=True)
@@ -49,8 +47,8 @@ class Progress:
 def warm_up(device: str = "cpu") -> Iterator[Progress]:
     """Run the exercises of all operations that have compiled kernels on ``device``, reporting before each.
 
-    A generator, so that the caller draws the progress. Uses what ``auto`` would choose; what is not installed is
-    passed over.
+    A generator, so that the caller draws the progress. Uses what ``auto`` would choose, and leaves out what is not
+    installed.
     """
     todo = [e for e in exercises(device) if any(_is_compiled(operation, device) for operation in e.operations)]
     start = time.perf_counter()
@@ -134,16 +132,6 @@ def _frame(device: str, *, whole_numbers: bool) -> Frame:
     return frame.to(device)
 
 
-def _model(sh_degree: int, device: str) -> GaussianModel:
-    g = torch.Generator().manual_seed(0)
-    n = _GAUSSIANS
-    xyz = torch.rand(n, 3, generator=g) + torch.tensor([-0.5, -0.5, 1.5])
-    seeds = Seeds.isotropic(xyz, torch.rand(n, 3, generator=g), torch.full((n,), 0.05))
-    model = GaussianModel(sh_degree, device=device)
-    model.append(Seeds(**{name: value.to(device) for name, value in vars(seeds).items()}))
-    return model
-
-
 def _is_compiled(operation: str, device: str) -> bool:
     """Whether ``auto`` takes compiled kernels for it. Operations are declared where their references are imported."""
     return backends.automatic(operation, device) not in ("reference", "torch")
@@ -156,7 +144,7 @@ def _progress(name: str, done: int, total: int, compiled: list[str], start: floa
 
 @contextlib.contextmanager
 def _quietly() -> Iterator[None]:
-    """The kernels do not say that they are being compiled: that is what everybody is waiting for here."""
+    """No message from the kernels that they are being compiled: here that is what was asked for."""
     logger = logging.getLogger("gsfusion_nb.kernels")
     before = logger.level
     logger.setLevel(logging.ERROR)
@@ -168,7 +156,7 @@ def _quietly() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _one_thread() -> Iterator[None]:
-    """Threads have nothing to do on so little data, and wait for each other on a busy machine."""
+    """On so little data threads gain nothing, and on a busy machine they wait for each other."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
