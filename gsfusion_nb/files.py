@@ -95,6 +95,25 @@ def move_into_place(temporary: Path, path: Path) -> None:
     _flush_folder(path.parent)
 
 
+def try_lock(handle: int) -> bool:
+    """Lock an open file for this process, unless another one holds it; whether it is locked now.
+
+    The operating system frees the lock when the file is closed or its holder ends, however it ends.
+    """
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
+
+
 def cache_folder() -> Path:
     """``$GSFUSION_CACHE``, or the folder ``gsfusion_nb`` in the place that the system has for caches."""
     if given := os.environ.get("GSFUSION_CACHE"):

@@ -42,13 +42,12 @@ class ProgressDisplay:
         stream: TextIO | None = None,
         clock: Callable[[], float] = time.monotonic,
     ):
-        stream = sys.stderr if stream is None else stream
-        if not shown:
-            self._display: _Bar | _Lines | None = None
-        elif stream.isatty() or _in_notebook():
-            self._display = _Bar(what, total, unit, done, leave, stream)
-        else:
-            self._display = _Lines(what, total, unit, done, stream, clock)
+        to: TextIO = stream or sys.stderr
+        self._display: _Bar | _Lines | None = None
+        if shown and (to.isatty() or _in_notebook()):
+            self._display = _Bar(what, total, unit, done, leave, to)
+        elif shown:
+            self._display = _Lines(what, total, unit, done, to, clock)
 
     def show(self, done: int, *, total: int | None = None, what: str | None = None, note: str = "") -> None:
         """Say how much is done now.

@@ -6,6 +6,7 @@ of 64 x 48 pixels is enough.
 
 import contextlib
 import dataclasses
+import functools
 import logging
 import time
 from collections.abc import Callable, Iterator
@@ -16,10 +17,14 @@ import torch
 from . import backends
 from .config import SeedingConfig, TsdfConfig, gsfusion, rtg_slam
 from .mapping import RTGSLAM, GSFusion
+from .processes import run_in_processes, usable_cores
 from .tsdf import TsdfVolume, extract_mesh, integrate, raycast
 from .types import Camera, Frame
 
 _WIDTH, _HEIGHT = 64, 48
+_FUSION = ("band_blocks", "fuse_frame_")
+MOST_PROCESSES = 8
+"""More would hardly be faster: the slowest exercise takes an eighth of the whole."""
 
 
 @dataclass(frozen=True)
@@ -44,19 +49,59 @@ class Progress:
     seconds: float
 
 
-def warm_up(device: str = "cpu") -> Iterator[Progress]:
+def warm_up(device: str = "cpu", *, processes: int = 0) -> Iterator[Progress]:
     """Run the exercises of all operations that have compiled kernels on ``device``, reporting before each.
 
     A generator, so that the caller draws the progress. Uses what ``auto`` would choose, and leaves out what is not
-    installed.
+    installed. On the processor, as soon as something has to be compiled, the rest is shared out to several processes;
+    whatever they did not compile is compiled here in the end.
+
+    Args:
+        device: Where the tensors of the exercises are.
+        processes: How many processes compile; 0: as many as there are cores, ``MOST_PROCESSES`` at most.
     """
-    todo = [e for e in exercises(device) if any(_is_compiled(operation, device) for operation in e.operations)]
-    start = time.perf_counter()
-    with backends.use_backend("auto"), _quietly(), _one_thread(), _watching() as compiled:
-        for done, exercise in enumerate(todo):
-            yield _progress(exercise.name, done, len(todo), compiled, start)
+    todo = _todo(device)
+    start, done = time.perf_counter(), 0
+    processes = processes or min(usable_cores(), MOST_PROCESSES)
+    with _as_a_worker() as compiled:
+        while done < len(todo):
+            yield _progress(todo[done].name, done, len(todo), compiled, start)
+            todo[done].run()
+            done += 1
+            if compiled and device == "cpu" and processes > 1 and len(todo) - done > 1:
+                break
+        rest = todo[done:]
+        needs = [frozenset(e.operations) for e in rest]
+        for i, names in run_in_processes(_compile, [(device, e.name) for e in rest], needs, processes):
+            compiled += names or ()
+            done += 1
+            yield _progress(f"after {rest[i].name}", done - 1, len(todo), compiled, start)
+        for exercise in rest:  # from the cache
             exercise.run()
         yield _progress("", len(todo), len(todo), compiled, start)
+
+
+def _todo(device: str) -> list[Exercise]:
+    return [e for e in exercises(device) if any(_is_compiled(operation, device) for operation in e.operations)]
+
+
+@functools.cache
+def _by_name(device: str) -> dict[str, Exercise]:
+    return {exercise.name: exercise for exercise in _todo(device)}
+
+
+def _compile(device: str, name: str) -> list[str]:
+    """Run an exercise in a process of its own; what was compiled."""
+    with _as_a_worker() as compiled:
+        _by_name(device)[name].run()
+        return list(compiled)
+
+
+@contextlib.contextmanager
+def _as_a_worker() -> Iterator[list[str]]:
+    """The fastest backends, no notices, one thread; names of what is compiled meanwhile."""
+    with backends.use_backend("auto"), _quietly(), _one_thread(), _watching() as compiled:
+        yield compiled
 
 
 def exercises(device: str = "cpu") -> Iterator[Exercise]:
@@ -83,13 +128,21 @@ def _without_cases(device: str) -> Iterator[Exercise]:
         for picture, colours in ((frame, "8-bit"), (grey, "float")):
             yield Exercise(
                 f"integrate: {sdf}, {colours} colours",
-                ("band_blocks", "fuse_frame_"),
+                _FUSION,
                 _once(integrate, volume, picture),
             )
-        yield Exercise(f"raycast: {sdf}", ("raycast",), _once(raycast, volume, frame.camera, frame.T_WC))
         points = torch.zeros(8, 3, device=device)
-        yield Exercise(f"sample_voxels: {sdf}", ("sample_voxels",), _once(volume.sample_nearest, points))
-        yield Exercise(f"extract_mesh: {sdf}", ("extract_mesh",), _once(extract_mesh, volume))
+        for operation, run in (
+            ("raycast", _once(raycast, volume, frame.camera, frame.T_WC)),
+            ("sample_voxels", _once(volume.sample_nearest, points)),
+            ("extract_mesh", _once(extract_mesh, volume)),
+        ):
+            yield Exercise(f"{operation}: {sdf}", (*_FUSION, operation), _once(_filled, volume, frame, run))
+
+
+def _filled(volume: TsdfVolume, frame: Frame, run: Callable[[], object]) -> None:
+    integrate(volume, frame)
+    run()
 
 
 def _once(function: Callable, *args, **kwargs) -> Callable[[], object]:

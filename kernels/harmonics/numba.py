@@ -6,6 +6,8 @@ from numba import njit
 from gsfusion_nb.constants import SH_C0
 from gsfusion_nb.geometry import spherical_harmonics as reference
 
+from ..runtime.numba import shared_cache as shared_cache  # before the functions are made
+
 f32 = np.float32
 _C0 = f32(SH_C0)
 _C1 = f32(reference.C1)

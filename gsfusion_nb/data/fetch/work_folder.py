@@ -1,12 +1,11 @@
 """The folder beside the data sets for what is not finished, used by one program at a time."""
 
 import os
-import sys
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
-from ...files import atomic_folder
+from ...files import atomic_folder, try_lock
 from .errors import FetchError
 
 WORK = ".fetch"
@@ -24,12 +23,8 @@ def only_one(out: Path) -> Iterator[None]:
     folder.mkdir(parents=True, exist_ok=True)
     handle = os.open(folder / "lock", os.O_RDWR | os.O_CREAT, 0o644)
     try:
-        try:
-            _lock(handle)
-        except OSError:
-            raise FetchError(
-                f"another program is fetching into {folder}; wait for it, or choose another --out"
-            ) from None
+        if not try_lock(handle):
+            raise FetchError(f"another program is fetching into {folder}; wait for it, or choose another --out")
         yield
     finally:
         os.close(handle)
@@ -38,14 +33,3 @@ def only_one(out: Path) -> Iterator[None]:
 def unfinished_folder(target: Path, out: Path, *, resume: bool = False) -> AbstractContextManager[Path]:
     """A folder of the name of ``target`` to fill, which becomes ``target`` when it is complete (``atomic_folder``)."""
     return atomic_folder(target, out / WORK / "unfinished" / target.name, resume=resume)
-
-
-def _lock(handle: int) -> None:
-    if sys.platform == "win32":
-        import msvcrt
-
-        msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
-    else:
-        import fcntl
-
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -1,3 +1,4 @@
 """Kernels for the CPU, compiled by numba on first use and cached on disk."""
 
 from . import announce as announce
+from . import shared_cache as shared_cache

@@ -1,0 +1,84 @@
+"""Numba's cache on disk, shared by several processes: one compiles a function, the others wait and read what it saved.
+
+Without it two processes would compile the same function side by side, and when they compile it for different types at
+the same time, its index could lose one of the two, or name the other's machine code: numba chooses the name of a data
+file before it writes it. So a process that does not find a function in the cache holds a lock beside the function's
+index until it has saved it.
+"""
+
+import contextlib
+import os
+import time
+from pathlib import Path
+
+from numba.core import dispatcher, event
+from numba.core.caching import FunctionCache
+
+from gsfusion_nb.files import try_lock
+
+_KERNELS = __name__.split(".runtime.")[0]
+
+WAIT_S = 120.0
+"""A process that holds a lock longer than this has probably been stopped: the function is then compiled here, too."""
+_POLL_S = 0.02
+
+_HELD: dict[Path, list[int]] = {}
+"""Lock file -> open handles, the first of which has the lock; the others stand for nested calls of this process."""
+
+
+class SharedCache(FunctionCache):
+    """The cache of one function."""
+
+    def load_overload(self, sig, target_context):
+        """What is in the cache, or None, and then the lock is held until ``save_overload`` or ``release``."""
+        found = super().load_overload(sig, target_context)
+        if found is None and self._py_func.__module__.startswith(_KERNELS):
+            self._hold()
+            found = super().load_overload(sig, target_context)
+            if found is not None:
+                self.release()
+        return found
+
+    def save_overload(self, sig, data):
+        """Keep what was compiled and let others read it."""
+        try:
+            super().save_overload(sig, data)
+        finally:
+            self.release()
+
+    def release(self) -> None:
+        """Let go of the lock."""
+        handles = _HELD.get(self._lock)
+        if handles:
+            os.close(handles.pop())
+
+    def _hold(self) -> None:
+        handles = _HELD.setdefault(self._lock, [])
+        with contextlib.suppress(OSError):  # a folder that cannot be written to keeps no functions either
+            self._impl.locator.ensure_cache_path()
+            handles.append(os.open(self._lock, os.O_RDWR | os.O_CREAT, 0o644))
+            until = time.monotonic() + WAIT_S
+            while len(handles) == 1 and not try_lock(handles[0]) and time.monotonic() < until:
+                time.sleep(_POLL_S)
+
+    @property
+    def _lock(self) -> Path:
+        return Path(self._cache_path, f"{self._impl.filename_base}.lock")
+
+
+class _AfterFailure(event.Listener):
+    """Lets go of the lock of a function that could not be compiled, which numba does not save."""
+
+    def on_start(self, event: event.Event) -> None:
+        pass
+
+    def on_end(self, event: event.Event) -> None:
+        data = event.data
+        assert data is not None
+        function = data["dispatcher"]
+        if isinstance(function._cache, SharedCache) and tuple(data["args"]) not in function.overloads:
+            function._cache.release()
+
+
+dispatcher.FunctionCache = SharedCache  # of @njit(cache=True), from here on # pyright: ignore[reportAttributeAccessIssue]
+event.register("numba:compile", _AfterFailure())

@@ -1,0 +1,90 @@
+"""Several processes that compile the same functions at the same time: each is compiled once, and none is lost."""
+
+import itertools
+import os
+import subprocess
+import sys
+
+import pytest
+
+pytest.importorskip("numba")
+
+_KERNELS = """
+from numba import njit
+
+@njit(cache=True)
+def part(x):
+    s = x
+    for i in range(10):
+        s = s * x + i
+    return s
+
+@njit(cache=True)
+def whole(x):
+    return part(x) + part(x + x)
+"""
+
+_PROCESS = """
+import importlib.util, pathlib, sys, time
+import numba
+from numba.core import event
+from gsfusion_nb.kernels.runtime import numba as _
+from gsfusion_nb.kernels.runtime.numba import shared_cache
+
+folder, types = pathlib.Path(sys.argv[1]), sys.argv[2:]
+spec = importlib.util.spec_from_file_location("gsfusion_nb.kernels.trial", folder / "trial.py")
+trial = sys.modules["gsfusion_nb.kernels.trial"] = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(trial)
+class Count(event.Listener):
+    names = []
+    def on_start(self, event):
+        self.names.append(event.data["dispatcher"].py_func.__name__)
+    def on_end(self, event):
+        pass
+event.register("numba:compile", Count())
+print("ready", flush=True)
+sys.stdin.readline()
+for name in types:
+    if name == "str":
+        try:
+            trial.whole("text")
+        except numba.TypingError:
+            assert not any(shared_cache._HELD.values())
+    else:
+        assert trial.whole(getattr(numba, name)(2)) == trial.whole.py_func(2)
+print(*(name for name in Count.names if name in ("part", "whole")), flush=True)
+"""
+
+
+def run(folder, *types_of_each):
+    """Names of the functions that each of several processes compiled, which begin at the same time."""
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(folder / "cache")}
+    started = [
+        subprocess.Popen(
+            [sys.executable, "-c", _PROCESS, str(folder), *types],
+            env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+        )
+        for types in types_of_each
+    ]  # fmt: skip
+    for process in started:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+    for process in started:
+        assert process.stdin is not None
+        process.stdin.write("go\n")
+        process.stdin.flush()
+    said = [process.communicate(timeout=300)[0] for process in started]
+    assert [process.returncode for process in started] == [0] * len(started)
+    return [words.split() for words in said]
+
+
+def test_each_function_is_compiled_once_for_each_type(tmp_path):
+    (tmp_path / "trial.py").write_text(_KERNELS)
+    compiled = run(tmp_path, ["int64", "float64"], ["float64", "float32"], ["float32", "int64"])
+    assert sorted(itertools.chain(*compiled)) == ["part"] * 3 + ["whole"] * 3
+    assert run(tmp_path, ["int64", "float64", "float32"]) == [[]]
+
+
+def test_a_function_that_cannot_be_compiled_holds_nobody_up(tmp_path):
+    (tmp_path / "trial.py").write_text(_KERNELS)
+    assert run(tmp_path, ["str", "float64"])[0].count("whole") == 2

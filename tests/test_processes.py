@@ -1,0 +1,34 @@
+"""Jobs in several processes: results as they come, failures as None, and needs kept apart."""
+
+import os
+
+from gsfusion_nb.processes import _next, run_in_processes, usable_cores
+
+
+def test_every_job_gives_its_result_or_none():
+    needs = [frozenset(), frozenset({"a"}), frozenset({"a"}), frozenset()]
+    found = dict(run_in_processes(int, [("3",), ("4",), ("four",), ("5",)], needs, 2))
+    assert found == {0: 3, 1: 4, 2: None, 3: 5}
+
+
+def test_the_processes_are_others():
+    found = dict(run_in_processes(os.getpid, [()], [frozenset()], 4))
+    assert found[0] not in (None, os.getpid())
+
+
+def test_processes_that_end_leave_none():
+    assert dict(run_in_processes(os._exit, [(0,), (0,), (0,)], [frozenset()] * 3, 2)) == dict.fromkeys(range(3))
+
+
+def test_a_job_waits_for_what_another_one_uses():
+    needs = [frozenset("ab"), frozenset("b"), frozenset("c"), frozenset("abc")]
+    assert _next([0, 1, 2, 3], needs, set()) == 0
+    assert _next([1, 2, 3], needs, {0}) == 2
+    assert _next([1, 3], needs, {0, 2}) is None
+    assert _next([3], needs, {2}) is None
+    assert _next([3], needs, set()) == 3
+
+
+def test_nothing_to_do_starts_nothing():
+    assert list(run_in_processes(int, [], [], 3)) == []
+    assert usable_cores() >= 1
