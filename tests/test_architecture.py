@@ -356,6 +356,8 @@ def test_the_floors_are_those_of_the_layout_test():
     for floor, names in re.findall(r"^\| +(\d+) \| (`[^|]+`) \|", PAGE, re.MULTILINE):
         floors |= dict.fromkeys(re.findall(r"`(\w+)`", names), int(floor))
     assert floors == {room: floor for room, floor in layout.FLOORS.items() if room != "__main__"}
+    drawing = (ROOT / "docs/images/architecture.svg").read_text()
+    assert not [room for room in floors if f">{room}</text>" not in drawing], "the drawing lacks rooms"
 
 
 def test_each_example_is_in_the_files_that_the_page_names():
