@@ -33,8 +33,9 @@ class TsdfConfig:
     it off only for depth without noise."""
 
     def __post_init__(self):
-        for name in ("voxel_size_m", "truncation_voxels", "max_weight", "far_m"):
+        for name in ("voxel_size_m", "truncation_voxels", "far_m"):
             check_positive(f"tsdf.{name}", getattr(self, name))
+        check_number("tsdf.max_weight", self.max_weight, 1)
         check_number("tsdf.voxel_size_m", self.voxel_size_m, 0.001, 1.0)
         check_number("tsdf.truncation_voxels", self.truncation_voxels, 1, 64)
         check_number("tsdf.far_m", self.far_m, 0, 1000)

@@ -163,7 +163,7 @@ def mapping_work(
         """One that has seen the frame, and how many voxels it observes."""
         made = TsdfVolume(TsdfConfig(), device=device)
         allocate(made, frame)
-        return made, fuse_frame_(made, frame)[1]
+        return made, fuse_frame_(made, frame)
 
     voxels = volume()[1]
     return [

@@ -5,7 +5,7 @@ from .allocate import band_blocks as band_blocks
 from .integrate import IntegrateReport as IntegrateReport
 from .integrate import integrate as integrate
 from .integrate import tsdf_update as tsdf_update
-from .mesh import extract_mesh as extract_mesh
+from .marching_cubes import extract_mesh as extract_mesh
 from .octree import BlockIndex as BlockIndex
 from .raycast import RaycastOutput as RaycastOutput
 from .raycast import raycast as raycast

@@ -1,98 +1,81 @@
-"""The triangle table of marching cubes, derived from the topology of the cube instead of typed in.
-
-Corner c of a cube sits at (c & 1, c >> 1 & 1, c >> 2 & 1). An edge is named by its axis and its lower corner. A case is
-the set of corners inside the surface (negative), one bit each. On every face of the cube each run of inside corners is
-cut off by one segment; the rule looks at the face alone, so the two cubes that share a face agree on it, also where
-its corners alternate, and the surface has no cracks. The segments join into closed loops, which are then triangulated.
-"""
-
-import functools
+"""The surface of the volume as a triangle mesh: marching cubes straight from the sparse blocks."""
 
 import torch
+from jaxtyping import Float, Int
 from torch import Tensor
 
-EDGES = tuple((axis, corner) for axis in range(3) for corner in range(8) if not corner >> axis & 1)
-"""(axis, lower corner) of the twelve edges; the edge joins the lower corner with lower corner + 2^axis."""
+from ..backends import op
+from ..constants import VOXELS_PER_BLOCK
+from ..types import Mesh
+from .triangle_table import EDGES, triangle_table
+from .volume import CORNERS, VOXELS, TsdfVolume
 
-Loop = tuple[int, ...]
-Triangle = tuple[int, int, int]
-
-
-def _faces() -> list[list[int]]:
-    """Corners of the six faces, counter-clockwise seen from outside the cube."""
-    faces = []
-    for axis in range(3):
-        b, c = 1 << (axis + 1) % 3, 1 << (axis + 2) % 3
-        square = [0, b, b | c, c]
-        faces += [square[::-1], [corner | 1 << axis for corner in square]]
-    return faces
+BLOCKS_AT_A_TIME = 256
+"""Bounds the memory for intermediate results, whatever the size of the map."""
 
 
-_FACES = _faces()
+@op("marching_cubes")
+def extract_mesh(volume: TsdfVolume, *, min_weight: float = 1.0) -> Mesh:
+    """Marching cubes over the blocks (Lorensen & Cline 1987), with vertices on the zero crossing of D.
 
+    A cube spans eight voxel centres and is meshed only when all eight were observed at least ``min_weight`` times, so
+    the end of the truncation band makes no false surface. Every cut edge has one vertex, shared by all its triangles.
 
-def _edge_between(a: int, b: int) -> int:
-    return EDGES.index(((a ^ b).bit_length() - 1, min(a, b)))
+    Args:
+        volume: The map.
+        min_weight: Smallest observation count of a usable voxel.
 
+    Returns:
+        Vertices in the world frame (metres), their colours interpolated between the two voxels, and faces,
+        counter-clockwise seen from the free side.
 
-_EDGES_OF_FACE = [{_edge_between(a, b) for a, b in zip(f, f[1:] + f[:1], strict=True)} for f in _FACES]
-
-
-def loops(case: int) -> list[Loop]:
-    """Closed polygons of cut edges that separate inside from outside, counter-clockwise seen from outside."""
-    follows = {}
-    for face in _FACES:
-        for i in range(4):
-            before, start = face[i - 1], face[i]
-            if case >> before & 1 or not case >> start & 1:
-                continue
-            end = i
-            while case >> face[(end + 1) % 4] & 1:
-                end += 1
-            # The run of inside corners from `start` to `end` is cut off: in through one edge, out through another.
-            follows[_edge_between(before, start)] = _edge_between(face[end % 4], face[(end + 1) % 4])
-    found = []
-    while follows:
-        loop = [min(follows)]
-        while (edge := follows.pop(loop[-1])) != loop[0]:
-            loop.append(edge)
-        found.append(tuple(loop))
-    return found
-
-
-def triangulate(loop: Loop) -> list[Triangle]:
-    """Triangles over a loop, without diagonals that lie in a face of the cube where that is possible.
-
-    Such a diagonal could coincide with one of the neighbouring cube, and four triangles would then share it.
+    Differentiable: no.
     """
-    return min(_triangulations(loop), key=lambda triangles: sum(map(_diagonals_in_faces, triangles)))
+    rows = torch.arange(volume.n_blocks, device=volume.device)
+    triangles = torch.cat([_triangles(volume, part, min_weight) for part in rows.split(BLOCKS_AT_A_TIME)])
+    edges, faces = triangles.unique(return_inverse=True)
+    vertices_W, rgb = _vertices(volume, edges)
+    return Mesh(vertices_W=vertices_W, faces=faces, rgb=rgb)
 
 
-def _triangulations(polygon: Loop) -> list[list[Triangle]]:
-    """All ways to cut a polygon into triangles: choose the apex over its last side, then cut the two rests."""
-    if len(polygon) < 3:
-        return [[]]
-    found = []
-    for k in range(1, len(polygon) - 1):
-        for left in _triangulations(polygon[: k + 1]):
-            for right in _triangulations(polygon[k:]):
-                found.append([*left, (polygon[0], polygon[k], polygon[-1]), *right])
-    return found
+def _triangles(volume: TsdfVolume, rows: Int[Tensor, " B"], min_weight: float) -> Int[Tensor, "F 3"]:
+    """The three cut edges of every triangle of the cubes whose lowest corners are the voxels of some blocks.
+
+    The number of an edge is 3 x (position of its lower voxel in the flattened pool) + axis.
+    """
+    corner = _cube_corners(volume, rows)
+    D, weight = volume.D.view(-1)[corner], volume.W.view(-1)[corner]
+    usable = ((corner >= 0) & (weight > 0) & (weight >= min_weight)).all(1)
+    bit = 2 ** torch.arange(8, device=volume.device)
+    case = ((D < 0) * bit).sum(1) * usable  # a cube of case 0 has no triangles
+
+    table, count = (t.to(volume.device) for t in triangle_table())
+    cube, nth = (torch.arange(table.shape[1], device=volume.device) < count[case][:, None]).nonzero().unbind(1)
+    axis, lower = torch.tensor(EDGES, device=volume.device)[table[case[cube], nth]].unbind(-1)
+    return 3 * corner[cube[:, None], lower] + axis
 
 
-def _diagonals_in_faces(triangle: Triangle) -> int:
-    """Sides of a triangle that lie in a face. The loop's own sides all do, so only the diagonals make a difference."""
-    sides = ((triangle[0], triangle[1]), (triangle[1], triangle[2]), (triangle[2], triangle[0]))
-    return sum(any(a in face and b in face for face in _EDGES_OF_FACE) for a, b in sides)
+def _cube_corners(volume: TsdfVolume, rows: Int[Tensor, " B"]) -> Int[Tensor, "C 8"]:
+    """Position in the flattened pool of the eight corners of each cube, -1 where not allocated.
+
+    They lie in the block of the lowest corner or in one of its seven upper neighbours.
+    """
+    device = volume.device
+    coords = volume.block_coords[rows, None] + CORNERS.to(device)
+    neighbour = volume.index.find(coords.view(-1, 3)).view(-1, 8)
+    xyz = (VOXELS[:, None] + CORNERS).to(device)  # 0..8, in voxels from the corner of the block  [512, 8, 3]
+    which, number = (xyz >> 3) @ xyz.new_tensor([1, 2, 4]), (xyz & 7) @ xyz.new_tensor([64, 8, 1])
+    row = neighbour[:, which]
+    return torch.where(row < 0, -1, row * VOXELS_PER_BLOCK + number).view(-1, 8)
 
 
-@functools.cache
-def triangle_table() -> tuple[Tensor, Tensor]:
-    """Edge numbers of the triangles of every case, padded with 0 [256, T, 3], and the number of triangles [256]."""
-    cases = [[t for loop in loops(case) for t in triangulate(loop)] for case in range(256)]
-    count = torch.tensor([len(triangles) for triangles in cases])
-    table = torch.zeros(256, int(count.max()), 3, dtype=torch.int64)
-    for case, triangles in enumerate(cases):
-        if triangles:
-            table[case, : len(triangles)] = torch.tensor(triangles)
-    return table, count
+def _vertices(volume: TsdfVolume, edges: Int[Tensor, " V"]) -> tuple[Float[Tensor, "V 3"], Float[Tensor, "V 3"]]:
+    """Positions and colours of the points on edges where D, linear between the two voxel centres, is zero."""
+    first, axis = edges // 3, edges % 3
+    along = torch.eye(3, dtype=torch.int64, device=edges.device)[axis]
+    ijk = volume.voxel_at(first)
+    second = volume.find_voxels(ijk + along)
+    D0, D1 = volume.D.view(-1)[first], volume.D.view(-1)[second]
+    t = (D0 / (D0 - D1))[:, None]
+    xyz_W = (ijk + 0.5 + along * t.double()) * volume.config.voxel_size_m
+    return xyz_W.to(D0.dtype), torch.lerp(volume.voxel_rgb(first), volume.voxel_rgb(second), t)

@@ -1,17 +1,16 @@
-"""What a camera sees of the volume: march every ray to the surface."""
+"""What a camera sees of the volume: march every ray to the surface (KinectFusion, Newcombe et al. 2011)."""
 
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from ..backends import op
 from ..checks import check_pose
-from ..geometry import se3
+from ..geometry import pixel_grid, rays, se3
 from ..types import Camera
-from .allocate import ray_slopes
-from .volume import TsdfVolume, corner_weights
+from .volume import TsdfVolume, corner_gradients, corner_weights
 
 STEP = 0.7
 """Part of the stored distance to advance. D was measured along other rays and overstates the true distance."""
@@ -21,11 +20,6 @@ CLOSE_VOXELS = 2.0
 
 REFINEMENTS = 2
 """Interpolations after the first, linear one."""
-
-TILE_PX = 16
-"""Edge of the picture tiles whose rays start together, pixels."""
-
-_HIDDEN, _FREE, _INSIDE = 0, 1, 2
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -44,156 +38,94 @@ class RaycastOutput:
 def raycast(volume: TsdfVolume, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RaycastOutput:
     """Depth, normals and colour of the zero crossing of D, as seen from a pose.
 
-    Each ray starts where the first block can be, leaps over what is not allocated, advances by a part of the stored
-    distance, and stops at the first change from + to -, where D is interpolated linearly. A ray that leaves the inside
-    of a surface (- to +) looks at its back and ends there without a result (KinectFusion, Newcombe et al. 2011).
+    Each ray crosses blocks that are not allocated in one step each, advances by a part of the stored distance in the
+    others, and stops where D changes from + to -. A ray on which D changes from - to + has met the back of a surface
+    and ends there without a result.
 
     Args:
         volume: The map.
-        camera: Intrinsics and size of the picture.
+        camera: Intrinsics and size of the image.
         T_WC: Camera-to-world pose.
+
+    Raises:
+        ValueError: the pose is not rigid.
 
     Differentiable: no.
     """
     check_pose("T_WC", T_WC)
-    T_WC = T_WC.to(volume.device)
-    H, W = camera.height, camera.width
-    depth = torch.zeros(H * W, device=volume.device)
-    normal, rgb = torch.zeros(H * W, 3, device=volume.device), torch.zeros(H * W, 3, device=volume.device)
+    T_WC = T_WC.to(volume.device, torch.float32)
+    H, W, n = camera.height, camera.width, camera.height * camera.width
+    depth_m, normal_W, rgb = (torch.zeros(n, *channels, device=volume.device) for channels in ((), (3,), (3,)))
     if volume.n_blocks:
-        x, y = ray_slopes(camera, depth.view(H, W))
-        direction = torch.stack([x, y, torch.ones_like(x)], dim=-1).view(-1, 3)
-        direction_W = se3.rotate(T_WC.to(depth.dtype), direction)
-        origin_W = T_WC[:3, 3].to(depth.dtype)
-        z_first, z_last = (plane.view(-1) for plane in _depth_range(volume, camera, T_WC))
-        ray, z = _march(volume, origin_W, direction_W, z_first, z_last)
-        hit, values = _surface(volume, origin_W + direction_W[ray] * z[:, None])
-        depth[ray[hit]], normal[ray[hit]], rgb[ray[hit]] = z[hit], values[0], values[1]
-    return RaycastOutput(depth_m=depth.view(H, W), normal_W=normal.view(H, W, 3), rgb=rgb.view(H, W, 3))
+        ray_W = se3.rotate(T_WC, rays(camera, pixel_grid(camera, device=volume.device))).view(n, 3)
+        z = _surface_depths(volume, T_WC, ray_W)
+        at, f = volume.cell_corners(T_WC[:3, 3] + z.nan_to_num()[:, None] * ray_W)
+        hit = volume.observed(at).all(1) & ~z.isnan()
+        at, f = at[hit], f[hit]
+        depth_m[hit] = z[hit]
+        gradient = (volume.D.view(-1)[at][..., None] * corner_gradients(f)).sum(1)
+        normal_W[hit] = torch.nn.functional.normalize(gradient, dim=1)
+        rgb[hit] = (volume.voxel_rgb(at) * corner_weights(f)[..., None]).sum(1)
+    return RaycastOutput(depth_m=depth_m.view(H, W), normal_W=normal_W.view(H, W, 3), rgb=rgb.view(H, W, 3))
 
 
-def _depth_range(volume: TsdfVolume, camera: Camera, T_WC: Tensor) -> tuple[Tensor, Tensor]:
-    """Depths between which each pixel's ray can meet a block: block bounds splatted over tiles of 16 x 16 pixels."""
-    T_CW = se3.inverse(T_WC.double())
-    side = volume.block_size_m
-    corners = (volume.block_coords[:, None].double() + _unit_corners(volume.device)) * side
-    xyz_C = se3.apply(T_CW, corners).to(torch.float32)
-    z = xyz_C[..., 2]
-    z_low, z_high = z.amin(1), z.amax(1)
-    # A block that reaches behind the camera is taken to cover the whole picture.
-    behind = z_low <= 0.01
-    safe = z.clamp_min(0.01)
-    nx, ny = -(-camera.width // TILE_PX), -(-camera.height // TILE_PX)
-    u = (camera.fx * xyz_C[..., 0] / safe + camera.cx) / TILE_PX
-    v = (camera.fy * xyz_C[..., 1] / safe + camera.cy) / TILE_PX
-    u0, v0 = (t.amin(1).floor().masked_fill(behind, 0) for t in (u, v))
-    u1, v1 = (t.amax(1).floor().masked_fill(behind, n) for t, n in ((u, nx), (v, ny)))
-    seen = ((z_high > 0) & (u1 >= 0) & (v1 >= 0) & (u0 < nx) & (v0 < ny)).nonzero()[:, 0]
-    u0, u1 = (t[seen].clamp(0, nx - 1).to(torch.int64) for t in (u0, u1))
-    v0, v1 = (t[seen].clamp(0, ny - 1).to(torch.int64) for t in (v0, v1))
-    wide = u1 - u0 + 1
-    n = wide * (v1 - v0 + 1)
-    block = torch.arange(seen.shape[0], device=n.device).repeat_interleave(n)
-    nth = torch.arange(block.shape[0], device=n.device) - (n.cumsum(0) - n)[block]
-    tile = (v0[block] + nth // wide[block]) * nx + u0[block] + nth % wide[block]
-    first = torch.full((nx * ny,), float("inf"), device=n.device)
-    first.scatter_reduce_(0, tile, z_low[seen][block].clamp_min(0.0), "amin")
-    last = torch.zeros(nx * ny, device=n.device).scatter_reduce_(0, tile, z_high[seen][block], "amax")
-    return tuple(  # pyright: ignore[reportReturnType]
-        t.view(ny, nx).repeat_interleave(TILE_PX, 0).repeat_interleave(TILE_PX, 1)[: camera.height, : camera.width]
-        .contiguous() for t in (first, last)
-    )  # fmt: skip
+def _surface_depths(volume: TsdfVolume, T_WC: Float[Tensor, "4 4"], ray_W: Float[Tensor, "R 3"]) -> Float[Tensor, " R"]:
+    """Depth at which each ray first changes from the free side of a surface to its inside, NaN where none does."""
+    origin_W = T_WC[:3, 3]
+    z_blocks = se3.apply(se3.inverse(T_WC.double()), volume.block_corners())[..., 2]
+    z_last = float(z_blocks.max())
+    depth = ray_W.new_full((len(ray_W),), torch.nan)
+    ray = torch.arange(len(ray_W), device=ray_W.device)
+    z = ray_W.new_full((len(ray_W),), max(float(z_blocks.min()), 0.0))
+    z_before, D_before = z, torch.full_like(z, torch.nan)
+    while len(ray):
+        point_W = origin_W + z[:, None] * ray_W[ray]
+        D, allocated = _distance_at(volume, point_W)
+        enters, leaves = (D_before >= 0) & (D < 0), (D_before < 0) & (D >= 0)
+        bracket = [t[enters] for t in (z_before, z, D_before, D)]
+        depth[ray[enters]] = _zero_crossing(volume, origin_W, ray_W[ray[enters]], bracket)
+        inside_m = (STEP * volume.config.truncation_m * D.abs()).nan_to_num(0.0).clamp(min=volume.config.voxel_size_m)
+        step = torch.where(allocated, inside_m / ray_W[ray].norm(dim=1), _to_block_exit(volume, point_W, ray_W[ray]))
+        goes_on = ~enters & ~leaves & (z + step < z_last)
+        ray, z_before, D_before, z = ray[goes_on], z[goes_on], D[goes_on], (z + step)[goes_on]
+    return depth
 
 
-def _unit_corners(device: torch.device) -> Float[Tensor, "8 3"]:
-    return torch.tensor([[c & 1, c >> 1 & 1, c >> 2] for c in range(8)], dtype=torch.float64, device=device)
+def _distance_at(volume: TsdfVolume, point_W: Float[Tensor, "N 3"]) -> tuple[Float[Tensor, " N"], Bool[Tensor, " N"]]:
+    """D at points, NaN where not observed; and whether their block is allocated.
+
+    D is that of the voxel that holds the point and, close to a surface, the interpolated one.
+    """
+    at = volume.find_voxels(volume.voxel_index(point_W))
+    D = volume.D.view(-1)[at].where(volume.observed(at), torch.nan)
+    close = D.abs() * volume.config.truncation_m < CLOSE_VOXELS * volume.config.voxel_size_m
+    smooth, valid = volume.interpolate(point_W[close])
+    D[close] = smooth.where(valid, D[close])
+    return D, at >= 0
 
 
-def _march(
-    volume: TsdfVolume, origin_W: Tensor, direction_W: Tensor, z_first: Tensor, z_last: Tensor
-) -> tuple[Int[Tensor, " N"], Float[Tensor, " N"]]:
-    """Rays that meet a surface, and the depth of the crossing."""
-    voxel, truncation = volume.config.voxel_size_m, volume.config.truncation_m
-    ray = (z_first < z_last).nonzero()[:, 0]
-    z, z_end, direction = z_first[ray], z_last[ray], direction_W[ray]
-    z_per_m = 1.0 / direction.norm(dim=1)
-    z_before, D_before = z.clone(), torch.ones_like(z)
-    state = torch.full_like(ray, _HIDDEN)
-    hits: list[tuple[Tensor, ...]] = []
-    while ray.shape[0]:
-        point = origin_W + direction * z[:, None]
-        D, observed, allocated = _probe(volume, point)
-        now = torch.where(observed, torch.where(D < 0, _INSIDE, _FREE), _HIDDEN)
-        crossing = (now == _INSIDE) & (state == _FREE)
-        if bool(crossing.any()):
-            hits.append((ray[crossing], *(t[crossing] for t in (z_before, z, D_before, D))))
-        step = torch.where(observed, (STEP * truncation * D.abs()).clamp_min(voxel), voxel) * z_per_m
-        outside = (~allocated).nonzero()[:, 0]
-        step[outside] = _to_block_exit(volume, point.index_select(0, outside), direction.index_select(0, outside))
-        on = ~crossing & ~((now == _FREE) & (state == _INSIDE)) & (z + step < z_end)
-        keep = on.nonzero()[:, 0]
-        z_before, D_before, state, step = (t.index_select(0, keep) for t in (z, D, now, step))
-        ray, z_end, direction, z_per_m = (t.index_select(0, keep) for t in (ray, z_end, direction, z_per_m))
-        z = z_before + step
-    if not hits:
-        return ray, z
-    ray, *bracket = (torch.cat(column) for column in zip(*hits, strict=True))
-    return ray, _refine(volume, origin_W, direction_W[ray], bracket)
+def _to_block_exit(
+    volume: TsdfVolume, point_W: Float[Tensor, "N 3"], ray_W: Float[Tensor, "N 3"]
+) -> Float[Tensor, " N"]:
+    """Depth to add to leave the block that holds each point, and a hundredth of a voxel more to be safely across."""
+    p = point_W / volume.block_size_m
+    to_wall_m = torch.where(ray_W > 0, p.floor() + 1 - p, p - p.floor()) * volume.block_size_m
+    return (to_wall_m / ray_W.abs().clamp(min=1e-9)).amin(1) + 0.01 * volume.config.voxel_size_m
 
 
-def _probe(volume: TsdfVolume, point_W: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """D (of the voxel that holds the point; interpolated near a surface), whether observed, whether allocated."""
-    flat = volume.find_voxels(volume.voxel_index(point_W))
-    at = flat.clamp_min(0)
-    allocated = flat >= 0
-    D = volume.D.view(-1).index_select(0, at)
-    observed = allocated & (volume.W.view(-1).index_select(0, at) > 0)
-    close = (observed & (D.abs() * volume.config.truncation_m < CLOSE_VOXELS * volume.config.voxel_size_m)).nonzero()
-    close = close[:, 0]
-    smooth, valid = volume.interpolate(point_W.index_select(0, close))
-    D[close] = torch.where(valid, smooth, D[close])
-    return D, observed, allocated
+def _zero_crossing(
+    volume: TsdfVolume, origin_W: Float[Tensor, " 3"], ray_W: Float[Tensor, "N 3"], bracket: list[Tensor]
+) -> Float[Tensor, " N"]:
+    """Depth of the zero of the interpolated D inside a bracket (depths before and behind, D before and behind).
 
-
-def _to_block_exit(volume: TsdfVolume, point_W: Tensor, direction_W: Tensor) -> Tensor:
-    """Depth to add to leave the block that holds each point, with a little more to be safely across."""
-    side = volume.block_size_m
-    p = point_W / side
-    ahead = torch.where(direction_W > 0, p.floor() + 1 - p, p - p.floor()) * side
-    return (ahead / direction_W.abs().clamp_min(1e-9)).amin(1) + 0.01 * volume.config.voxel_size_m
-
-
-def _refine(volume: TsdfVolume, origin_W: Tensor, direction_W: Tensor, bracket: list[Tensor]) -> Float[Tensor, " N"]:
-    """Depth of the zero of the interpolated D inside a bracket (depths before and after, D before and after).
-
-    Linear interpolation, and once more inside the part of the bracket where the sign changes (regula falsi).
+    Linear interpolation, then again inside the part of the bracket where the sign changes (regula falsi).
     """
     z0, z1, D0, D1 = bracket
-    z = z0 + (z1 - z0) * (D0 / (D0 - D1))
+    z = z0 + (z1 - z0) * D0 / (D0 - D1)
     for _ in range(REFINEMENTS):
-        D, valid = volume.interpolate(origin_W + direction_W * z[:, None])
+        D, valid = volume.interpolate(origin_W + z[:, None] * ray_W)
         before, behind = valid & (D >= 0), valid & (D < 0)
-        z0, D0 = torch.where(before, z, z0), torch.where(before, D, D0)
-        z1, D1 = torch.where(behind, z, z1), torch.where(behind, D, D1)
-        z = z0 + (z1 - z0) * (D0 / (D0 - D1))
+        z0, D0 = z.where(before, z0), D.where(before, D0)
+        z1, D1 = z.where(behind, z1), D.where(behind, D1)
+        z = z0 + (z1 - z0) * D0 / (D0 - D1)
     return z
-
-
-def _surface(volume: TsdfVolume, point_W: Tensor) -> tuple[Tensor, tuple[Tensor, Tensor]]:
-    """Rows of the points whose eight voxels are observed, with their normals and colours, interpolated trilinearly."""
-    corners, f = volume.cell_corners(point_W)
-    observed = (corners >= 0).all(1) & (volume.W.view(-1)[corners.clamp_min(0)] > 0).all(1)
-    hit = observed.nonzero()[:, 0]
-    at, f = corners[hit], f[hit]
-    D = volume.D.view(-1)[at]
-    rgb = (volume.voxel_rgb(at.view(-1)).view(-1, 8, 3) * corner_weights(f)[..., None]).sum(1)
-    gradient = []
-    for axis in range(3):
-        flat = f.clone()
-        side = []
-        for end in (0.0, 1.0):
-            flat[:, axis] = end
-            side.append((D * corner_weights(flat)).sum(1))
-        gradient.append(side[1] - side[0])
-    normal = torch.nn.functional.normalize(torch.stack(gradient, dim=1), dim=1)
-    return hit, (normal, rgb)

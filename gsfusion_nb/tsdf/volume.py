@@ -22,6 +22,12 @@ and 8 bits 50, and converting from a finer integer costs more time than the memo
 
 _FIRST_CAPACITY = 1024
 
+CORNERS = torch.tensor([[c & 1, c >> 1 & 1, c >> 2] for c in range(8)])
+"""Corner c = x + 2 y + 4 z of a unit cube. [8, 3]"""
+
+VOXELS = torch.tensor([[x, y, z] for x in range(8) for y in range(8) for z in range(8)])
+"""Place of voxel 64 x + 8 y + z in its block. [512, 3]"""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TsdfSample:
@@ -119,12 +125,24 @@ class TsdfVolume:
         """Integer coordinates of the voxels that contain the points. int64"""
         return torch.floor(xyz_W / self.config.voxel_size_m).to(torch.int64)
 
-    def find_voxels(self, ijk: Int[Tensor, "N 3"]) -> Int[Tensor, " N"]:
+    def find_voxels(self, ijk: Int[Tensor, "*N 3"]) -> Int[Tensor, "*N"]:
         """Position of each voxel in the flattened pool (row * 512 + number in the block), -1 if not allocated. int64"""
-        rows = self.index.find(ijk >> 3)
-        x, y, z = (ijk & 7).T.contiguous()
-        number = x.mul_(64).add_(y, alpha=8).add_(z)
-        return torch.where(rows < 0, -1, number.add_(rows, alpha=VOXELS_PER_BLOCK))
+        row = self.index.find((ijk >> 3).reshape(-1, 3)).view(ijk.shape[:-1])
+        x, y, z = (ijk & 7).unbind(-1)
+        return torch.where(row < 0, -1, row * VOXELS_PER_BLOCK + 64 * x + 8 * y + z)
+
+    def voxel_at(self, flat: Int[Tensor, " N"]) -> Int[Tensor, "N 3"]:
+        """Integer coordinates of allocated voxels, given by their position in the flattened pool. int64"""
+        row, number = flat // VOXELS_PER_BLOCK, flat % VOXELS_PER_BLOCK
+        return BLOCK_VOXELS * self.block_coords[row].long() + VOXELS.to(self.device)[number]
+
+    def voxel_coords(self, rows: Int[Tensor, " B"]) -> Int[Tensor, "B 512 3"]:
+        """Integer coordinates of the voxels of some blocks. int64"""
+        return BLOCK_VOXELS * self.block_coords[rows, None].long() + VOXELS.to(self.device)
+
+    def voxel_centres(self, rows: Int[Tensor, " B"]) -> Float[Tensor, "B 512 3"]:
+        """Centres of the voxels of some blocks, world frame, metres: what the values of a voxel stand for. float64"""
+        return (self.voxel_coords(rows).double() + 0.5) * self.config.voxel_size_m
 
     def sample_nearest(self, xyz_W: Float[Tensor, "N 3"]) -> TsdfSample:
         """Values of the voxels that contain the points.
@@ -136,7 +154,11 @@ class TsdfVolume:
         """
         return sample_voxels(self, xyz_W)
 
-    def voxel_rgb(self, flat: Int[Tensor, " N"]) -> Float[Tensor, "N 3"]:
+    def block_corners(self) -> Float[Tensor, "B 8 3"]:
+        """Corners of the blocks, world frame, metres. float64"""
+        return (self.block_coords[:, None].double() + CORNERS.to(self.device)) * self.block_size_m
+
+    def voxel_rgb(self, flat: Int[Tensor, "*N"]) -> Float[Tensor, "*N 3"]:
         """Colours of allocated voxels, given by their position in the flattened pool."""
         return self.rgb_planes[flat // VOXELS_PER_BLOCK, :, flat % VOXELS_PER_BLOCK]
 
@@ -147,16 +169,8 @@ class TsdfVolume:
             Positions in the flattened pool, -1 if not allocated, corner x + 2 y + 4 z [N, 8]; fractions in 0..1 [N, 3].
         """
         p = xyz_W / self.config.voxel_size_m - 0.5
-        base = torch.floor(p)
-        first = base.to(torch.int64)
-        steps = torch.tensor([[c & 1, c >> 1 & 1, c >> 2] for c in range(8)], device=xyz_W.device)
-        lowest = self.find_voxels(first)
-        # Two thirds of all cells lie in one block: one lookup. The others look up each corner.
-        corners = lowest[:, None] + steps @ steps.new_tensor([64, 8, 1])
-        corners[lowest < 0] = -1
-        across = ((first & 7) == BLOCK_VOXELS - 1).any(1).nonzero()[:, 0]
-        corners[across] = self.find_voxels((first[across][:, None] + steps).view(-1, 3)).view(-1, 8)
-        return corners, p - base
+        lowest = p.floor()
+        return self.find_voxels(lowest.long()[:, None] + CORNERS.to(self.device)), p - lowest
 
     def interpolate(self, xyz_W: Float[Tensor, "N 3"]) -> tuple[Float[Tensor, " N"], Bool[Tensor, " N"]]:
         """Trilinear signed distance at points, in units of the truncation distance.
@@ -167,17 +181,18 @@ class TsdfVolume:
         Differentiable: no (the map is state, not a parameter).
         """
         check_shape("xyz_W", xyz_W, ("N", 3))
-        corners, f = self.cell_corners(xyz_W)
-        D = xyz_W.new_ones(xyz_W.shape[0])
-        inside = (corners >= 0).all(1)
-        known = inside.nonzero()[:, 0]
-        at = corners.index_select(0, known)
-        observed = (self.W.reshape(-1).take(at) > 0).all(1).nonzero()[:, 0]
-        known, at = known.index_select(0, observed), at.index_select(0, observed)
-        D[known] = (self.D.reshape(-1).take(at) * corner_weights(f.index_select(0, known))).sum(1)
-        valid = torch.zeros_like(inside)
-        valid[known] = True
+        at, f = self.cell_corners(xyz_W)
+        valid = self.observed(at).all(1)
+        D = torch.ones_like(f[:, 0])
+        D[valid] = (self.D.view(-1)[at[valid]] * corner_weights(f[valid])).sum(1)
         return D, valid
+
+    def observed(self, flat: Int[Tensor, "*N"]) -> Bool[Tensor, "*N"]:
+        """Whether voxels, given by their position in the flattened pool, are allocated (not -1) and have a weight."""
+        allocated = flat >= 0
+        observed = torch.zeros_like(allocated)
+        observed[allocated] = self.W.view(-1)[flat[allocated]] > 0
+        return observed
 
     def state_dict(self) -> dict[str, Any]:
         """Everything needed to continue: configuration and the allocated blocks (copies)."""
@@ -230,14 +245,10 @@ class TsdfVolume:
 def sample_voxels(volume: TsdfVolume, xyz_W: Float[Tensor, "N 3"]) -> TsdfSample:
     """Values of the voxels that contain the points; the operation behind ``TsdfVolume.sample_nearest``."""
     check_shape("xyz_W", xyz_W, ("N", 3))
-    flat = volume.find_voxels(volume.voxel_index(xyz_W))
-    D, W = xyz_W.new_ones(flat.shape[0]), xyz_W.new_zeros(flat.shape[0])
-    rgb = xyz_W.new_zeros(flat.shape[0], 3)
-    known = (flat >= 0).nonzero()[:, 0]
-    flat = flat[known]
-    D[known] = volume.D.reshape(-1)[flat]
-    W[known] = volume.W.reshape(-1)[flat]
-    rgb[known] = volume.voxel_rgb(flat)
+    at = volume.find_voxels(volume.voxel_index(xyz_W))
+    known, at = at >= 0, at[at >= 0]
+    D, W, rgb = xyz_W.new_ones(len(known)), xyz_W.new_zeros(len(known)), xyz_W.new_zeros(len(known), 3)
+    D[known], W[known], rgb[known] = volume.D.view(-1)[at], volume.W.view(-1)[at], volume.voxel_rgb(at)
     return TsdfSample(D=D, W=W, rgb=rgb)
 
 
@@ -259,12 +270,16 @@ class _Pool:
 
 
 def corner_weights(f: Float[Tensor, "N 3"]) -> Float[Tensor, "N 8"]:
-    """Trilinear weights of the corners x + 2 y + 4 z of a cell, at fractions ``f`` along its edges."""
-    weights = torch.ones_like(f[:, :1])
-    for axis in range(3):
-        upper = weights * f[:, axis, None]
-        weights = torch.cat([weights - upper, upper], dim=1)
-    return weights
+    """Trilinear weights of the corners of a cell, at fractions ``f`` along its edges: products of f or 1 - f."""
+    return torch.where(CORNERS.to(f.device) == 1, f[:, None], 1.0 - f[:, None]).prod(2)
+
+
+def corner_gradients(f: Float[Tensor, "N 3"]) -> Float[Tensor, "N 8 3"]:
+    """Derivatives of ``corner_weights`` along the three axes: plus or minus the product over the other two axes."""
+    upper = CORNERS.to(f.device) == 1
+    along = torch.where(upper, f[:, None], 1.0 - f[:, None])
+    others = along[..., [[1, 2], [0, 2], [0, 1]]].prod(3)
+    return torch.where(upper, others, -others)
 
 
 def estimate_memory(n_blocks: int) -> int:

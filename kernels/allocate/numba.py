@@ -14,7 +14,7 @@ from numba import njit, prange
 from torch import Tensor
 
 from gsfusion_nb.checks import check_pose
-from gsfusion_nb.tsdf.allocate import OUTLIER_RATIO, block_box, ray_slopes
+from gsfusion_nb.tsdf.allocate import OUTLIER_RATIO
 from gsfusion_nb.tsdf.allocate import band_blocks as reference
 from gsfusion_nb.tsdf.volume import TsdfVolume
 from gsfusion_nb.types import Frame
@@ -35,6 +35,8 @@ from ..runtime.numba.simd import (
     times,
 )
 from ..runtime.numba.simd_int import mark, truncate
+from ..runtime.slopes import ray_slopes
+from .block_box import block_box
 
 f32 = np.float32
 _ZERO, _HALF, _ONE, _TWO, _INFINITE = f32(0.0), f32(0.5), f32(1.0), f32(2.0), f32(np.inf)
@@ -54,9 +56,9 @@ def band_blocks(volume: TsdfVolume, frame: Frame) -> Tensor:
         return reference.reference(volume, frame)
     check_pose("T_WC", frame.T_WC)
     width, height = camera.width, camera.height
-    x, y = ray_slopes(camera, depth_m)
-    slopes = np.zeros(-(-width // 16) * 16, np.float32), np.ascontiguousarray(y[:, 0].numpy())
-    slopes[0][:width] = x[0].numpy()
+    x, y = ray_slopes(camera)
+    slopes = np.zeros(-(-width // 16) * 16, np.float32), y.numpy()
+    slopes[0][:width] = x.numpy()
     limits = np.array([config.near_m, config.far_m, config.truncation_m, OUTLIER_RATIO], np.float32)
     along_ray = config.sdf == "ray"
     depth = np.empty((height, len(slopes[0])), np.float32)

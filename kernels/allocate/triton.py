@@ -16,12 +16,14 @@ import triton.language as tl
 from torch import Tensor
 
 from gsfusion_nb.checks import check_pose
-from gsfusion_nb.tsdf.allocate import OUTLIER_RATIO, block_box
+from gsfusion_nb.tsdf.allocate import OUTLIER_RATIO
 from gsfusion_nb.tsdf.allocate import band_blocks as reference
 from gsfusion_nb.tsdf.volume import TsdfVolume
 from gsfusion_nb.types import Frame
 
+from ..runtime.slopes import ray_slopes
 from ..runtime.triton.launch import device_of, launch, parts
+from .block_box import block_box
 
 _BLOCK = 256
 _MAP_CELLS = 1 << 28
@@ -40,7 +42,7 @@ def band_blocks(volume: TsdfVolume, frame: Frame) -> Tensor:
     total = depth_m.numel()
     programs = parts(total, _BLOCK)
     depth, extents = torch.empty_like(depth_m), torch.empty(3, programs, dtype=torch.float32, device=device)
-    slopes = _slopes(frame, device)
+    slopes = ray_slopes(camera, device)
     options = {"RAY": config.sdf == "ray", "BLOCK": _BLOCK, "num_warps": 4}
     limits = (float(config.near_m), float(config.far_m), float(config.truncation_m), OUTLIER_RATIO)
     launch(
@@ -63,14 +65,6 @@ def band_blocks(volume: TsdfVolume, frame: Frame) -> Tensor:
     number = marks.nonzero()[:, 0]
     _, ny, nz = box.size
     return torch.stack([number // (ny * nz), number // nz % ny, number % nz], dim=1) + box.low.to(device)
-
-
-def _slopes(frame: Frame, device: torch.device) -> tuple[Tensor, Tensor]:
-    """x / z of every column and y / z of every row of pixels, as ``tsdf.allocate.ray_slopes`` has them."""
-    camera = frame.camera
-    x = (torch.arange(camera.width, dtype=torch.float32, device=device) + (0.5 - camera.cx)) / camera.fx
-    y = (torch.arange(camera.height, dtype=torch.float32, device=device) + (0.5 - camera.cy)) / camera.fy
-    return x, y
 
 
 @triton.jit

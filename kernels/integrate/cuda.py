@@ -15,13 +15,13 @@ _RESIDENT = 132 * 16
 """Blocks of threads: as many as an H100 has room for or more; each takes one voxel block after another."""
 
 
-def fuse_frame_(volume: TsdfVolume, frame: Frame) -> tuple[int, int]:
-    """See ``gsfusion_nb.tsdf.integrate.fuse_frame_``. Blocks count as projected that meet the view up to ``far_m``."""
+def fuse_frame_(volume: TsdfVolume, frame: Frame) -> int:
+    """See ``gsfusion_nb.tsdf.integrate.fuse_frame_``."""
     device = device_of("fuse_frame_", volume=volume.D, depth_m=frame.depth_m, rgb=frame.rgb)
     check_dtype("fuse_frame_", torch.float32, volume=volume.D, depth_m=frame.depth_m, rgb=frame.rgb)
     n, camera, config = volume.n_blocks, frame.camera, volume.config
     if not n:
-        return 0, 0
+        return 0
     pose = packed(frame.T_WC.to(device, torch.float32))
     rows = torch.empty(n, dtype=torch.int32, device=device)
     count = torch.zeros(2, dtype=torch.int32, device=device)
@@ -37,8 +37,7 @@ def fuse_frame_(volume: TsdfVolume, frame: Frame) -> tuple[int, int]:
         "fuse_frame_", "integrate:fuse_blocks", min(n, _RESIDENT), _BLOCK, *view, *_voxels(volume), *images,
         camera.width, camera.height, *(float(x) for x in band), config.sdf == "ray",
     )  # fmt: skip
-    touched, updated = count.tolist()
-    return touched, updated
+    return int(count[1])
 
 
 def _voxels(volume: TsdfVolume) -> tuple[Tensor, Tensor, Tensor]:

@@ -143,16 +143,15 @@ extern "C" __global__ void __launch_bounds__(128) fuse_blocks(
         if (!any) continue;
         const long long at = (long long)block * (VOXELS / 4) + threadIdx.x;
         float4 d4 = D[at], w4 = W[at];
-        float *d = &d4.x, *w = &w4.x, share[4];
+        float *d = &d4.x, *w = &w4.x, step[4];
 #pragma unroll
         for (int k = 0; k < 4; k++) {
-            share[k] = 0.0f;
+            step[k] = 0.0f;
             if (!observed[k]) continue;
             const float next = fminf(w[k] + 1.0f, most), value = fminf(fmaxf(sdf[k] * inv_truncation, -1.0f), 1.0f);
-            const float step = 1.0f / next;
-            d[k] += step * (value - d[k]);
+            step[k] = 1.0f / next;
+            d[k] += step[k] * (value - d[k]);
             w[k] = next;
-            share[k] = fminf(step, 1.0f);  // a cap below one is configurable; no colour goes past the new one
         }
         D[at] = d4, W[at] = w4;
 #pragma unroll
@@ -162,7 +161,7 @@ extern "C" __global__ void __launch_bounds__(128) fuse_blocks(
             float* c = &c4.x;
 #pragma unroll
             for (int k = 0; k < 4; k++)
-                if (observed[k]) c[k] += share[k] * (frame.rgb[3 * pixel[k] + channel] - c[k]);
+                if (observed[k]) c[k] += step[k] * (frame.rgb[3 * pixel[k] + channel] - c[k]);
             planes[place] = c4;
         }
     }

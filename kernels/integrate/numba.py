@@ -53,13 +53,13 @@ _SCAN = 4
 _NO_COLOUR = np.empty(0, np.float32)
 
 
-def fuse_frame_(volume: TsdfVolume, frame: Frame) -> tuple[int, int]:
+def fuse_frame_(volume: TsdfVolume, frame: Frame) -> int:
     """See ``gsfusion_nb.tsdf.integrate.fuse_frame_``."""
     images = (frame.depth_m, frame.rgb)
     if any(t.dtype != torch.float32 or t.device.type != "cpu" for t in (*images, volume.D)):
         return reference.reference(volume, frame)
     if not volume.n_blocks:
-        return 0, 0
+        return 0
     camera, config = frame.camera, volume.config
     T_CW = se3.inverse(frame.T_WC.detach().double()).numpy()
     # (U, V, Z) of a world point: one is added to the pixel so that a truncation towards zero finds it.
@@ -77,7 +77,7 @@ def fuse_frame_(volume: TsdfVolume, frame: Frame) -> tuple[int, int]:
         image = packed, _NO_COLOUR if whole_numbers else rgb.reshape(-1)
         updated = np.zeros(-(-len(rows) // _CHUNK), np.int64)
         _fuse(rows, state, image, depth.shape, (T_CW, K), limits, config.sdf == "ray", updated)
-    return len(rows), int(updated.sum())
+    return int(updated.sum())
 
 
 def _packed(depth: np.ndarray, rgb: np.ndarray, near_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, bool]:

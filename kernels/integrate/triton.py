@@ -25,25 +25,24 @@ _EPS = tl.constexpr(1e-4)
 _MISSING = tl.constexpr(-1e9)
 
 
-def fuse_frame_(volume: TsdfVolume, frame: Frame) -> tuple[int, int]:
-    """See ``gsfusion_nb.tsdf.integrate.fuse_frame_``. Blocks count as projected that meet the view up to ``far_m``."""
+def fuse_frame_(volume: TsdfVolume, frame: Frame) -> int:
+    """See ``gsfusion_nb.tsdf.integrate.fuse_frame_``."""
     if any(t.dtype != torch.float32 for t in (frame.depth_m, frame.rgb, volume.D)):
         return reference.reference(volume, frame)
     device = device_of("fuse_frame_", volume=volume.D, depth_m=frame.depth_m, rgb=frame.rgb)
     if not volume.n_blocks:
-        return 0, 0
+        return 0
     camera, config = frame.camera, volume.config
-    counts = torch.empty(2, volume.n_blocks, dtype=torch.int32, device=device)
+    counts = torch.empty(volume.n_blocks, dtype=torch.int32, device=device)
     pose = frame.T_WC.detach().to(device).contiguous()
     launch(
         _fuse, volume.n_blocks, device, volume.block_coords, volume.D, volume.W, volume.rgb_planes,
         *(t.detach().contiguous() for t in (frame.depth_m, frame.rgb)), pose,
-        _lens(camera, config.voxel_size_m, device), counts, volume.n_blocks, camera.width, camera.height,
+        _lens(camera, config.voxel_size_m, device), counts, camera.width, camera.height,
         *(float(x) for x in (config.near_m, config.far_m, config.truncation_m, config.max_weight)),
         RAY=config.sdf == "ray", VOXELS=_VOXELS, num_warps=4,
     )  # fmt: skip
-    touched, updated = counts.sum(1).tolist()
-    return touched, updated
+    return int(counts.sum())
 
 
 @functools.lru_cache(maxsize=16)
@@ -69,12 +68,12 @@ def _in_view(x, z, f, c, size, radius):
     )
 
 
-@triton.jit(do_not_specialize=["n_blocks", "width", "height", "near", "far", "truncation", "most"])
+@triton.jit(do_not_specialize=["width", "height", "near", "far", "truncation", "most"])
 def _fuse(
-    coords, D, W, colours, depth, rgb, T, lens, counts, n_blocks, width, height, near, far, truncation, most,
+    coords, D, W, colours, depth, rgb, T, lens, counts, width, height, near, far, truncation, most,
     RAY: tl.constexpr, VOXELS: tl.constexpr,
 ):  # fmt: skip
-    """counts [2, blocks]: whether the block was projected, and how many of its voxels were observed."""
+    """counts [blocks]: how many voxels of each block were observed."""
     b = tl.program_id(0)
     fx, fy, cx, cy = tl.load(lens), tl.load(lens + 1), tl.load(lens + 2), tl.load(lens + 3)
     voxel = tl.load(lens + 4)
@@ -132,7 +131,7 @@ def _fuse(
         at = b.to(tl.int64) * VOXELS + n
         old_D, old_W = tl.load(D + at, mask=observed, other=0.0), tl.load(W + at, mask=observed, other=0.0)
         new_W = tl.minimum(old_W + 1.0, most)
-        step = 1.0 / tl.maximum(new_W, 1e-20)
+        step = 1.0 / new_W
         value = tl.minimum(tl.maximum(sdf / truncation, -1.0), 1.0)
         tl.store(W + at, new_W, mask=observed)
         tl.store(D + at, old_D + step * (value - old_D), mask=observed)
@@ -140,7 +139,5 @@ def _fuse(
         for channel in tl.static_range(3):
             old = tl.load(plane + channel * VOXELS, mask=observed, other=0.0)
             new = tl.load(rgb + 3 * pixel + channel, mask=observed, other=0.0)
-            # a weight below one is a configured cap: the reference's colours do not take larger steps than the whole
-            tl.store(plane + channel * VOXELS, old + (new - old) / tl.maximum(new_W, 1.0), mask=observed)
-    tl.store(counts + b, seen.to(tl.int32))
-    tl.store(counts + n_blocks + b, updated)
+            tl.store(plane + channel * VOXELS, old + step * (new - old), mask=observed)
+    tl.store(counts + b, updated)

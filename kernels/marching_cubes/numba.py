@@ -11,8 +11,8 @@ import numpy as np
 import torch
 from numba import int64, njit, prange, uint64
 
-from gsfusion_nb.tsdf.marching_cubes import EDGES, triangle_table
-from gsfusion_nb.tsdf.mesh import extract_mesh as reference
+from gsfusion_nb.tsdf.marching_cubes import extract_mesh as reference
+from gsfusion_nb.tsdf.triangle_table import EDGES, triangle_table
 from gsfusion_nb.tsdf.volume import TsdfVolume
 from gsfusion_nb.types import Mesh
 

@@ -12,8 +12,7 @@ from torch import Tensor
 
 from gsfusion_nb.checks import check_pose
 from gsfusion_nb.geometry import se3
-from gsfusion_nb.tsdf.allocate import ray_slopes
-from gsfusion_nb.tsdf.raycast import CLOSE_VOXELS, REFINEMENTS, STEP, TILE_PX, RaycastOutput
+from gsfusion_nb.tsdf.raycast import CLOSE_VOXELS, REFINEMENTS, STEP, RaycastOutput
 from gsfusion_nb.tsdf.raycast import raycast as reference
 from gsfusion_nb.tsdf.volume import TsdfVolume
 from gsfusion_nb.types import Camera
@@ -21,6 +20,7 @@ from gsfusion_nb.types import Camera
 from ..runtime.numba.launch import launching
 from ..runtime.numba.simd import absolute, any_lane, either, floor, load, maximum, minimum, select, splat, sqrt, store
 from ..runtime.numba.simd_int import below, but_not, gather, gather_int, select_int, splat_int, truncate
+from ..runtime.slopes import ray_slopes
 
 f32 = np.float32
 _ZERO, _HALF, _ONE = f32(0.0), f32(0.5), f32(1.0)
@@ -30,6 +30,9 @@ _SMALL = f32(1e-9)
 _INFINITE = f32(np.inf)
 _MARGIN = f32(0.01)
 
+TILE_PX = 16
+"""Edge of the picture tiles whose rays start together, pixels."""
+
 
 def raycast(volume: TsdfVolume, camera: Camera, T_WC: Tensor) -> RaycastOutput:
     """See ``gsfusion_nb.tsdf.raycast``."""
@@ -38,7 +41,7 @@ def raycast(volume: TsdfVolume, camera: Camera, T_WC: Tensor) -> RaycastOutput:
         return reference.reference(volume, camera, T_WC)
     check_pose("T_WC", T_WC)
     depth, normal, rgb = (torch.empty(camera.height, camera.width, *n) for n in ((), (3,), (3,)))
-    x, y = ray_slopes(camera, depth)
+    x, y = ray_slopes(camera)
     pose = T_WC.detach().cpu()
     lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
     sizes = np.array([volume.config.voxel_size_m, volume.config.truncation_m, volume.block_size_m], np.float32)
@@ -47,7 +50,7 @@ def raycast(volume: TsdfVolume, camera: Camera, T_WC: Tensor) -> RaycastOutput:
     T_CW = se3.inverse(pose.double()).numpy()
     with launching():
         spans = _depth_spans(volume.block_coords.numpy(), T_CW, volume.block_size_m, lens, depth.numpy().shape)
-        rays = np.ascontiguousarray(x[0].numpy()), np.ascontiguousarray(y[:, 0].numpy()), pose.to(torch.float32).numpy()
+        rays = x.numpy(), y.numpy(), pose.to(torch.float32).numpy()
         sides = volume.config.voxel_size_m, volume.block_size_m
         field = np.empty(D.size, np.float32)
         _observed_field(volume.block_coords.numpy(), (D, W), T_CW, lens, sides, depth.numpy().shape, field)

@@ -13,13 +13,16 @@ import triton.language as tl
 from torch import Tensor
 
 from gsfusion_nb.checks import check_pose
-from gsfusion_nb.tsdf.raycast import CLOSE_VOXELS, REFINEMENTS, STEP, TILE_PX, RaycastOutput
+from gsfusion_nb.tsdf.raycast import CLOSE_VOXELS, REFINEMENTS, STEP, RaycastOutput
 from gsfusion_nb.tsdf.raycast import raycast as reference
 from gsfusion_nb.tsdf.volume import TsdfVolume
 from gsfusion_nb.types import Camera
 
 from ..runtime.triton.launch import INTERPRETED, device_of, launch, parts
 from ..runtime.triton.lookup import find_voxel, load_colour
+
+TILE_PX = 16
+"""Edge of the picture tiles whose rays start together, pixels."""
 
 RAYS_OF_A_WARP = (8, 4)
 RAYS = (16, 16) if INTERPRETED else RAYS_OF_A_WARP

@@ -26,11 +26,15 @@ def both(config, frames):
     return volumes, reports
 
 
-def assert_same(volumes, flips=1e-4):
+D_ROUNDING = 4e-6
+"""Up to 4 m away the distance of a voxel is the sum of two float32 numbers: 2.6e-7 m, of a truncation of 0.08 m."""
+
+
+def assert_same(volumes, flips=2e-5):
     """Equal to rounding but for voxels that project within rounding of a pixel's border or of the band's end."""
     a, b = volumes
     assert torch.equal(a.block_coords, b.block_coords)
-    off = (a.W != b.W) | ((a.D - b.D).abs() > 2e-6) | ((a.rgb_planes - b.rgb_planes).abs().amax(1) > 2e-6)
+    off = (a.W != b.W) | ((a.D - b.D).abs() > D_ROUNDING) | ((a.rgb_planes - b.rgb_planes).abs().amax(1) > 2e-6)
     assert bool(torch.isfinite(b.D).all())
     assert bool(torch.isfinite(b.rgb_planes).all())
     assert float(off.double().sum()) <= flips * max(1, off.numel()), f"{int(off.sum())} of {off.numel()} voxels differ"
@@ -46,16 +50,14 @@ def test_same_voxels(width, height, eight_bit, sdf, make_frames):
     for a, b in zip(*reports, strict=True):
         assert a.new_blocks == b.new_blocks
         assert abs(a.updated_voxels - b.updated_voxels) <= 1e-4 * a.updated_voxels
-        assert b.touched_blocks <= a.touched_blocks
     assert width < 100 or float(volumes[1].W.max()) == 3.0
 
 
 @pytest.mark.parametrize("shift", [-3.0, 640.0])
 def test_anywhere_in_the_world(shift, make_frames):
-    # At 640 m the corner of a block in camera axes loses digits in float64 already: more voxels flip.
     volumes, _ = both(CONFIG, make_frames(64, 47, shift=shift))
     assert volumes[1].n_blocks > 100
-    assert_same(volumes, flips=1e-3)
+    assert_same(volumes)
 
 
 def test_a_camera_inside_the_map(make_frames):
@@ -68,9 +70,8 @@ def test_a_camera_inside_the_map(make_frames):
         volume.add_blocks(torch.stack(torch.meshgrid(axis, axis, axis, indexing="ij"), dim=-1).view(-1, 3))
     fuse_frame_.reference(volumes[0], frame)
     with use_backend("numba"):
-        touched, updated = fuse_frame_(volumes[1], frame)
+        updated = fuse_frame_(volumes[1], frame)
     assert_same(volumes)
-    assert touched > 0
     assert updated == int((volumes[0].W > 0).sum())
     behind = (volumes[1].block_coords[:, 2] < -1)[:, None]
     assert not bool((volumes[1].W * behind).any())
@@ -99,7 +100,7 @@ def test_frames_and_volumes_with_nothing_in_them(make_frames):
     frame = make_frames(33, 21, n=1)[0]
     volume = TsdfVolume(CONFIG)
     with use_backend("numba"):
-        assert fuse_frame_(volume, frame) == (0, 0)
+        assert fuse_frame_(volume, frame) == 0
     volumes, _ = both(CONFIG, [frame, dataclasses.replace(frame, depth_m=torch.zeros(21, 33))])
     assert_same(volumes)
     infinite = dataclasses.replace(frame, depth_m=torch.full((21, 33), float("inf")))

@@ -1,12 +1,21 @@
-"""Analytic depth images and fields: a sphere and planes, seen by cameras that are exact by construction."""
+"""Analytic depth images and fields: a sphere, planes and the built-in room, seen by cameras that are exact by
+construction. What is tested here is the reference; tests/kernels compare every other backend with it."""
 
 import pytest
 import torch
 
+from gsfusion_nb.backends import use_backend
 from gsfusion_nb.config import TsdfConfig
+from gsfusion_nb.data.room import RoomSequence
 from gsfusion_nb.geometry import pixel_grid, rays
-from gsfusion_nb.tsdf import TsdfVolume
+from gsfusion_nb.tsdf import TsdfVolume, integrate
 from gsfusion_nb.types import Camera, Frame
+
+
+@pytest.fixture(autouse=True)
+def _on_the_reference():
+    with use_backend("reference"):
+        yield
 
 
 @pytest.fixture
@@ -68,7 +77,7 @@ def filled_volume():
         volume = TsdfVolume(config or TsdfConfig(voxel_size_m=0.02, truncation_voxels=4.0))
         axes = [torch.arange(a, b) for a, b in zip(low, high, strict=True)]
         volume.add_blocks(torch.stack(torch.meshgrid(*axes, indexing="ij"), dim=-1).view(-1, 3))
-        centres = voxel_centres(volume)
+        centres = volume.voxel_centres(torch.arange(volume.n_blocks))
         volume.D[:] = (sdf(centres) / volume.config.truncation_m).clamp(-1, 1).to(torch.float32)
         volume.W[:] = 1.0
         volume.rgb_planes[:] = ((centres * 0.2 + 0.5).transpose(1, 2)).to(torch.float32)
@@ -77,13 +86,13 @@ def filled_volume():
     return fill
 
 
-@pytest.fixture
-def centres_of():
-    """``centres_of(volume)``: the centre of every voxel, [B, 512, 3] float64."""
-    return voxel_centres
-
-
-def voxel_centres(volume):
-    axis = torch.arange(8, dtype=torch.float64) + 0.5
-    grid = torch.stack(torch.meshgrid(axis, axis, axis, indexing="ij"), dim=-1).view(1, -1, 3)
-    return (volume.block_coords[:, None].double() * 8 + grid) * volume.config.voxel_size_m
+@pytest.fixture(scope="session")
+def room_volume():
+    """The built-in room in voxels of 4 cm, from 10 depth images without noise; and the frames."""
+    sequence = RoomSequence(n_frames=60, width=96, height=72)
+    frames = [sequence[i] for i in range(0, 20, 2)]
+    volume = TsdfVolume(TsdfConfig(voxel_size_m=0.04, truncation_voxels=3.0))
+    with use_backend("reference"):
+        for frame in frames:
+            integrate(volume, frame)
+    return volume, frames

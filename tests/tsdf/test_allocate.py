@@ -1,5 +1,4 @@
 import dataclasses
-import importlib
 
 import pytest
 import torch
@@ -7,7 +6,7 @@ import torch
 from gsfusion_nb.config import TsdfConfig
 from gsfusion_nb.geometry import backproject, pixel_grid, se3
 from gsfusion_nb.tsdf import TsdfVolume, allocate, band_blocks
-from gsfusion_nb.tsdf.allocate import has_support
+from gsfusion_nb.tsdf.allocate import crossed_cells, has_support
 
 CONFIG = TsdfConfig(voxel_size_m=0.02, truncation_voxels=4.0)
 
@@ -81,14 +80,15 @@ def test_support_by_hand():
     assert has_support(torch.ones(1, 3)).tolist() == [[True] * 3]
 
 
-def test_huge_bounding_box_gives_the_same(monkeypatch, camera, look_from, sphere_depth, make_frame):
-    T_WC = look_from((0.9, 1.2, -0.4))
-    frame = make_frame(sphere_depth(camera, T_WC), camera, T_WC)
-    volume = TsdfVolume(CONFIG)
-    expected = band_blocks(volume, frame)
-    module = importlib.import_module("gsfusion_nb.tsdf.allocate")  # the package's attribute is the function
-    monkeypatch.setattr(module, "_BITMAP_CELLS", 10)
-    assert torch.equal(band_blocks(volume, frame), expected)
+def test_cells_of_a_segment_by_hand():
+    """In x the walls are passed at t = 0.5 and 1.5, in y at 1; the second one runs backwards through one cell."""
+    origin = torch.tensor([0.5, 0.5, 0.5])
+    direction = torch.tensor([[1.0, 0.5, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    cells = crossed_cells(origin, direction, torch.zeros(3), torch.tensor([2.0, 0.6, 9.0]))
+    assert cells.tolist() == [[-1, 0, 0], [0, 0, 0], [1, 0, 0], [1, 1, 0], [2, 1, 0]]
+    diagonal = crossed_cells(origin, torch.tensor([[1.0, 1.01, 1.02]]), torch.zeros(1), torch.ones(1))
+    assert diagonal.tolist() == [[0, 0, 0], [0, 0, 1], [0, 1, 1], [1, 1, 1]]  # z first, then y, then x
+    assert crossed_cells(origin, direction[:0], torch.zeros(0), torch.zeros(0)).shape == (0, 3)
 
 
 def test_shifted_world_shifts_the_blocks(camera, look_from, sphere_depth, make_frame):

@@ -2,6 +2,7 @@ import pytest
 import torch
 
 from gsfusion_nb.config import TsdfConfig
+from gsfusion_nb.data.room import render_room
 from gsfusion_nb.geometry import depth_to_points, se3
 from gsfusion_nb.tsdf import TsdfVolume, integrate, raycast
 
@@ -63,6 +64,21 @@ def test_sees_again_what_was_fused(camera, make_frame, look_from, sphere_depth):
     assert float((error < 0.02).float().mean()) > 0.96
     colour = (out.rgb - frame.rgb)[hit].abs().amax(1)
     assert float(colour.median()) < 0.01
+
+
+def test_the_room_from_where_no_frame_was_taken(room_volume):
+    """Against the exact depth of the built-in room, half-way between two of the cameras that made the map."""
+    volume, frames = room_volume
+    step = se3.log(se3.inverse(frames[4].T_WC) @ frames[5].T_WC)
+    T_WC = frames[4].T_WC @ se3.exp(0.5 * step)
+    camera = frames[0].camera
+    out = raycast(volume, camera, T_WC)
+    _, truth = render_room(camera, T_WC)
+    hit = out.depth_m > 0
+    assert float(hit.double().mean()) > 0.8
+    error = (out.depth_m - truth)[hit].abs()
+    assert float(error.median()) < 0.006
+    assert float((error < 0.08).double().mean()) > 0.95  # the rest are edges, where the camera sees past them
 
 
 def test_nothing_to_see(camera, look_from, filled_volume):

@@ -3,6 +3,7 @@ import torch
 
 from gsfusion_nb.config import TsdfConfig
 from gsfusion_nb.tsdf import TsdfVolume, estimate_memory
+from gsfusion_nb.tsdf.volume import corner_gradients, corner_weights
 
 CONFIG = TsdfConfig(voxel_size_m=0.02, truncation_voxels=4.0)
 
@@ -94,3 +95,27 @@ def test_state_round_trip(filled_volume):
     empty = TsdfVolume(CONFIG)
     empty.load_state_dict(TsdfVolume(CONFIG).state_dict())
     assert empty.n_blocks == 0
+
+
+def test_centres_and_corners_by_hand():
+    volume = TsdfVolume(CONFIG)
+    volume.add_blocks(torch.tensor([[-1, 0, 2]]))
+    centres = volume.voxel_centres(torch.tensor([0]))
+    assert centres.dtype == torch.float64
+    torch.testing.assert_close(centres[0, 83], torch.tensor([-0.16 + 0.03, 0.05, 0.32 + 0.07]).double())
+    coords = volume.voxel_coords(torch.tensor([0]))
+    assert coords[0, 83].tolist() == [-8 + 1, 2, 16 + 3]
+    assert volume.find_voxels(coords[0]).tolist() == list(range(512))
+    assert torch.equal(volume.voxel_at(torch.arange(512)), coords[0])
+    corners = volume.block_corners()[0]
+    torch.testing.assert_close(corners[0b101], torch.tensor([0.0, 0.0, 0.48]).double())
+
+
+def test_weights_of_a_cell_and_their_derivatives(generator):
+    f = torch.rand(20, 3, generator=generator, dtype=torch.float64, requires_grad=True)
+    weights = corner_weights(f)
+    torch.testing.assert_close(weights.sum(1), torch.ones(20).double())
+    torch.testing.assert_close(weights[:, 0b110], (1 - f[:, 0]) * f[:, 1] * f[:, 2])
+    for corner in range(8):
+        (expected,) = torch.autograd.grad(weights[:, corner].sum(), f, retain_graph=True)
+        torch.testing.assert_close(corner_gradients(f)[:, corner], expected)

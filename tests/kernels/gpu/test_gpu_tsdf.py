@@ -86,10 +86,14 @@ def fuse_both(backend, device):
             for volume, counts, name in zip(volumes, updated, ("reference", backend), strict=True):
                 volume.add_blocks(blocks.to(volume.device))
                 with use_backend(name):
-                    counts.append(fuse_frame_(volume, frame.to(volume.device))[1])
+                    counts.append(fuse_frame_(volume, frame.to(volume.device)))
         return volumes, updated
 
     return fuse
+
+
+D_ROUNDING = 4e-6
+"""Up to 4 m away the distance of a voxel is the sum of two float32 numbers: 2.6e-7 m, of a truncation of 0.08 m."""
 
 
 @pytest.fixture
@@ -101,7 +105,7 @@ def assert_same_voxels(compare, backend):
         a, b = volumes
         assert torch.equal(a.block_coords, b.block_coords.cpu())
         compare("fuse_frame_", "W", b.W, a.W, 0.0, share=flips)
-        compare("fuse_frame_", "D", b.D, a.D, 2e-6, share=flips)
+        compare("fuse_frame_", "D", b.D, a.D, D_ROUNDING, share=flips)
         compare("fuse_frame_", "rgb", b.rgb_planes, a.rgb_planes, 2e-6, share=flips)
 
     return check
@@ -135,9 +139,8 @@ def test_a_camera_inside_the_map(make_frames, config, backend, device, copy_to, 
     ours = copy_to(volume)
     fuse_frame_.reference(volume, frame)
     with use_backend(backend):
-        touched, updated = fuse_frame_(ours, frame.to(device))
+        updated = fuse_frame_(ours, frame.to(device))
     assert_same_voxels((volume, ours))
-    assert 0 < touched < len(axis) ** 3
     assert updated == int((ours.W > 0).sum())
     assert not bool((ours.W * (ours.block_coords[:, 2] < 0)[:, None]).any())
 
@@ -145,7 +148,7 @@ def test_a_camera_inside_the_map(make_frames, config, backend, device, copy_to, 
 def test_frames_and_volumes_with_nothing_in_them(make_frames, config, backend, device, fuse_both, assert_same_voxels):
     frame = make_frames(33, 21, n=1)[0]
     with use_backend(backend):
-        assert fuse_frame_(TsdfVolume(config, device), frame.to(device)) == (0, 0)
+        assert fuse_frame_(TsdfVolume(config, device), frame.to(device)) == 0
     volumes, updated = fuse_both(config, [frame, dataclasses.replace(frame, depth_m=torch.zeros(21, 33))])
     assert_same_voxels(volumes)
     assert updated[1][1] == 0
