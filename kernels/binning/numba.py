@@ -5,6 +5,7 @@ from numba import njit, prange
 
 from ..composite.numba import TILE
 from ..project.numba import CHUNK, ROOM, tiles_of
+from ..project.splat import DEPTH
 from ..runtime.numba.dealing import deal_size, dealt
 
 
@@ -41,7 +42,7 @@ def depth_order(splats, count):
     for i in range(count.shape[0]):
         n += count[i] > 0
     rows, keys = np.empty(n, np.int32), np.empty(n, np.uint32)
-    depth_bits = splats[:, 9].copy().view(np.uint32)
+    depth_bits = splats[:, DEPTH].copy().view(np.uint32)
     j = 0
     for i in range(count.shape[0]):
         if count[i] > 0:

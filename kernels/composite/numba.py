@@ -14,6 +14,19 @@ from numba import njit, prange
 
 from gsfusion_nb.constants import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
 
+from ..project.splat import (
+    BLUE,
+    CONIC_A,
+    CONIC_B,
+    CONIC_C,
+    DEPTH,
+    EXTENT_V,
+    GREEN,
+    LN_OPACITY,
+    RED,
+    U,
+    V,
+)
 from ..runtime.numba.dealing import deal_size, dealt
 from ..runtime.numba.simd import (
     any_lane,
@@ -31,8 +44,18 @@ from ..runtime.numba.simd import (
 )
 
 TILE = 16
+PIXELS = TILE * TILE
+
+_SUM_RED, _SUM_GREEN, _SUM_BLUE, _SUM_DEPTH, _HEAVIEST, _DOMINANT, _FIRST, _HIT = range(PIXELS, 9 * PIXELS, PIXELS)
+"""Where the arrays of the forward pass begin in a tile's state, after T: sums of w c, the largest w, indices."""
+
+_REST, _V_RED, _V_GREEN, _V_BLUE, _V_DEPTH, _V_ALPHA = range(PIXELS, 7 * PIXELS, PIXELS)
+"""Those of the backward pass: what is still to come of C . v, and dL/d of the images."""
+
+SUM_GX, SUM_GY, SUM_GXX, SUM_GXY, SUM_GYY, SUM_G, SUM_RED, SUM_GREEN, SUM_BLUE, SUM_DEPTH = range(10)
 PAIR_SUMS = 10
-"""Per (tile, splat): sums over the tile of g dx, g dy, g dx^2, g dx dy, g dy^2, g, and of w v_rgb (3), w v_depth."""
+"""Per (tile, splat): sums over the tile of g dx, g dy, g dx^2, g dx dy, g dy^2, g with g = alpha dL/dalpha, and of
+w v_rgb (3), w v_depth."""
 
 f32 = np.float32
 _LOG_ALPHA_MIN = f32(np.log(ALPHA_MIN))
@@ -58,10 +81,10 @@ def _open_pixels(state, rows_open, pixels, x0, y0, width, height):
     tile_width, tile_height = min(TILE, width - x0), min(TILE, height - y0)
     masked = pixels.shape[0] > 0
     if not masked and tile_width == TILE and tile_height == TILE:
-        state[: TILE * TILE] = _ONE
+        state[:PIXELS] = _ONE
         rows_open[:] = 1
         return TILE
-    state[: TILE * TILE] = -_ONE
+    state[:PIXELS] = -_ONE
     rows_open[:] = 0
     n_open = 0
     for r in range(tile_height):
@@ -89,7 +112,7 @@ def _clear(x0, y0, width, height, rgb, depth, alpha, indices):
 def composite_forward(splats, ids, offset, pixels, width, height, rgb, depth, alpha_out, first, dominant, hit, opaque):
     """Blend every tile's splats into ``rgb`` [H, W, 3], ``depth`` and ``alpha_out`` [H, W].
 
-    splats [N, 12]: u, v, conic A, B, C, ln(opacity), r, g, b, depth, half extents x, y of the visible ellipse.
+    splats [N, SPLAT]: see ``project.splat``.
     ids [I]: splat of each pair, sorted by tile, then depth. offset [tiles + 1].
     first, dominant: int64 [H, W], rows of the first and the heaviest splat of each pixel, or [0, 0] if not wanted.
     hit: likewise, of the first splat with alpha >= ``opaque``, even behind the one that finishes the pixel.
@@ -107,13 +130,13 @@ def composite_forward(splats, ids, offset, pixels, width, height, rgb, depth, al
         if offset[tile] == offset[tile + 1]:
             _clear(x0, y0, width, height, rgb, depth, alpha_out, (first, dominant, hit))
             continue
-        state = _zeros((9 if with_hit else 8) * 256)
-        state[1536:] = -_ONE
+        state = _zeros((9 if with_hit else 8) * PIXELS)
+        state[_DOMINANT:] = -_ONE
         rows_open = np.empty(TILE, np.uint8)
         n_open = _open_pixels(state, rows_open, pixels, x0, y0, width, height)
         if with_hit:  # finished pixels that still look for a hit keep their row open: -1 there, 0 at those not drawn
-            for o in range(256):
-                state[2048 + o] = -max(state[o], _ZERO)
+            for o in range(PIXELS):
+                state[_HIT + o] = -max(state[o], _ZERO)
         centre_x = iota() + splat(f32(x0) + _HALF)
         zero, floor_T = splat(_ZERO), splat(_T_MIN)
         threshold, ceiling, solid = splat(_LOG_ALPHA_MIN), splat(_ALPHA_MAX), splat(opaque)
@@ -121,17 +144,17 @@ def composite_forward(splats, ids, offset, pixels, width, height, rgb, depth, al
             if n_open == 0:
                 break
             s = splats[ids[k]]
-            r0 = max(0, int(np.ceil(s[1] - s[11] - _HALF)) - y0)
-            r1 = min(min(TILE, height - y0), int(np.floor(s[1] + s[11] - _HALF)) + 1 - y0)
-            dx = centre_x - splat(s[0])
-            q0 = splat(-_HALF * s[2]) * dx * dx + splat(s[5])
-            q1 = splat(-s[3]) * dx
-            red, green, blue, z = splat(s[6]), splat(s[7]), splat(s[8]), splat(s[9])
+            r0 = max(0, int(np.ceil(s[V] - s[EXTENT_V] - _HALF)) - y0)
+            r1 = min(min(TILE, height - y0), int(np.floor(s[V] + s[EXTENT_V] - _HALF)) + 1 - y0)
+            dx = centre_x - splat(s[U])
+            q0 = splat(-_HALF * s[CONIC_A]) * dx * dx + splat(s[LN_OPACITY])
+            q1 = splat(-s[CONIC_B]) * dx
+            red, green, blue, z = splat(s[RED]), splat(s[GREEN]), splat(s[BLUE]), splat(s[DEPTH])
             for r in range(r0, r1):
                 if rows_open[r] == 0:
                     continue
-                dy = f32(y0 + r) + _HALF - s[1]
-                log_alpha = q1 * splat(dy) + (q0 + splat(-_HALF * s[4] * dy * dy))
+                dy = f32(y0 + r) + _HALF - s[V]
+                log_alpha = q1 * splat(dy) + (q0 + splat(-_HALF * s[CONIC_C] * dy * dy))
                 seen = log_alpha >= threshold
                 if not any_lane(seen):
                     continue
@@ -145,22 +168,22 @@ def composite_forward(splats, ids, offset, pixels, width, height, rgb, depth, al
                 w = select(goes_on, w, zero)
                 T = select(goes_on, T_next, negative_abs(T))
                 store(state, o, T)
-                store(state, 256 + o, load(state, 256 + o) + w * red)
-                store(state, 512 + o, load(state, 512 + o) + w * green)
-                store(state, 768 + o, load(state, 768 + o) + w * blue)
-                store(state, 1024 + o, load(state, 1024 + o) + w * z)
+                store(state, _SUM_RED + o, load(state, _SUM_RED + o) + w * red)
+                store(state, _SUM_GREEN + o, load(state, _SUM_GREEN + o) + w * green)
+                store(state, _SUM_BLUE + o, load(state, _SUM_BLUE + o) + w * blue)
+                store(state, _SUM_DEPTH + o, load(state, _SUM_DEPTH + o) + w * z)
                 if with_index:  # rows as float32 lanes: exact below 2^24
-                    row, heaviest = splat(f32(ids[k])), load(state, 1280 + o)
+                    row, heaviest = splat(f32(ids[k])), load(state, _HEAVIEST + o)
                     heavier = w > heaviest
-                    store(state, 1280 + o, select(heavier, w, heaviest))
-                    store(state, 1536 + o, select(heavier, row, load(state, 1536 + o)))
-                    seen_first = load(state, 1792 + o)
-                    store(state, 1792 + o, select((w > zero) & (zero > seen_first), row, seen_first))
+                    store(state, _HEAVIEST + o, select(heavier, w, heaviest))
+                    store(state, _DOMINANT + o, select(heavier, row, load(state, _DOMINANT + o)))
+                    seen_first = load(state, _FIRST + o)
+                    store(state, _FIRST + o, select((w > zero) & (zero > seen_first), row, seen_first))
                 open_lanes = zero < T
                 if with_hit:
-                    hit_before = load(state, 2048 + o)
+                    hit_before = load(state, _HIT + o)
                     hit_now = select((alpha >= solid) & (zero > hit_before), splat(f32(ids[k])), hit_before)
-                    store(state, 2048 + o, hit_now)
+                    store(state, _HIT + o, hit_now)
                     open_lanes = either(open_lanes, zero > hit_now)
                 if not any_lane(open_lanes):
                     rows_open[r] = 0
@@ -169,31 +192,31 @@ def composite_forward(splats, ids, offset, pixels, width, height, rgb, depth, al
             for i in range(min(TILE, width - x0)):
                 o = r * TILE + i
                 y, x = y0 + r, x0 + i
-                rgb[y, x, 0] = state[256 + o]
-                rgb[y, x, 1] = state[512 + o]
-                rgb[y, x, 2] = state[768 + o]
-                depth[y, x] = state[1024 + o]
+                rgb[y, x, 0] = state[_SUM_RED + o]
+                rgb[y, x, 1] = state[_SUM_GREEN + o]
+                rgb[y, x, 2] = state[_SUM_BLUE + o]
+                depth[y, x] = state[_SUM_DEPTH + o]
                 alpha_out[y, x] = _ONE - abs(state[o])
                 if with_index:
-                    dominant[y, x] = int(state[1536 + o])
-                    first[y, x] = int(state[1792 + o])
+                    dominant[y, x] = int(state[_DOMINANT + o])
+                    first[y, x] = int(state[_FIRST + o])
                 if with_hit:
-                    hit[y, x] = int(state[2048 + o]) if pixels.shape[0] == 0 or pixels[y, x] else -1
+                    hit[y, x] = int(state[_HIT + o]) if pixels.shape[0] == 0 or pixels[y, x] else -1
 
 
 @njit(cache=True, error_model="numpy")
 def _pass_through(state, rows_open, s, r0, r1, x0, y0):
     """Take what a frozen splat absorbs from T and from what is still to come; returns how many rows it finished."""
-    dx = iota() + splat(f32(x0) + _HALF) - splat(s[0])
+    dx = iota() + splat(f32(x0) + _HALF) - splat(s[U])
     zero = splat(_ZERO)
-    q0 = splat(-_HALF * s[2]) * dx * dx + splat(s[5])
-    q1 = splat(-s[3]) * dx
+    q0 = splat(-_HALF * s[CONIC_A]) * dx * dx + splat(s[LN_OPACITY])
+    q1 = splat(-s[CONIC_B]) * dx
     finished = 0
     for r in range(r0, r1):
         if rows_open[r] == 0:
             continue
-        dy = f32(y0 + r) + _HALF - s[1]
-        log_alpha = q1 * splat(dy) + (q0 + splat(-_HALF * s[4] * dy * dy))
+        dy = f32(y0 + r) + _HALF - s[V]
+        log_alpha = q1 * splat(dy) + (q0 + splat(-_HALF * s[CONIC_C] * dy * dy))
         seen = log_alpha >= splat(_LOG_ALPHA_MIN)
         if not any_lane(seen):
             continue
@@ -207,9 +230,10 @@ def _pass_through(state, rows_open, s, r0, r1, x0, y0):
         w = select(goes_on, w, zero)
         T = select(goes_on, T_next, negative_abs(T))
         store(state, o, T)
-        p = splat(s[6]) * load(state, 512 + o) + splat(s[7]) * load(state, 768 + o)
-        p = p + splat(s[8]) * load(state, 1024 + o) + splat(s[9]) * load(state, 1280 + o) + load(state, 1536 + o)
-        store(state, 256 + o, load(state, 256 + o) - w * p)
+        p = splat(s[RED]) * load(state, _V_RED + o) + splat(s[GREEN]) * load(state, _V_GREEN + o)
+        p = p + splat(s[BLUE]) * load(state, _V_BLUE + o) + splat(s[DEPTH]) * load(state, _V_DEPTH + o)
+        p = p + load(state, _V_ALPHA + o)
+        store(state, _REST + o, load(state, _REST + o) - w * p)
         if not any_lane(zero < T):
             rows_open[r] = 0
             finished += 1
@@ -244,7 +268,7 @@ def composite_backward(splats, lists, pixels, trained, image, v_image, pair_sums
             end -= 1
         if end == offset[tile]:
             continue
-        state = _zeros(7 * 256)
+        state = _zeros(7 * PIXELS)
         rows_open = np.empty(TILE, np.uint8)
         n_open = _open_pixels(state, rows_open, pixels, x0, y0, width, height)
         for r in range(min(TILE, height - y0)):
@@ -252,20 +276,20 @@ def composite_backward(splats, lists, pixels, trained, image, v_image, pair_sums
                 o, y, x = r * TILE + i, y0 + r, x0 + i
                 total = _ZERO
                 for c in range(3):
-                    state[512 + 256 * c + o] = v_rgb[y, x, c]
+                    state[_V_RED + c * PIXELS + o] = v_rgb[y, x, c]
                     total += rgb[y, x, c] * v_rgb[y, x, c]
                 if v_depth.shape[0] > 0:
-                    state[1280 + o] = v_depth[y, x]
+                    state[_V_DEPTH + o] = v_depth[y, x]
                     total += depth[y, x] * v_depth[y, x]
                 if v_alpha.shape[0] > 0:
-                    state[1536 + o] = v_alpha[y, x]
+                    state[_V_ALPHA + o] = v_alpha[y, x]
                     total += alpha_image[y, x] * v_alpha[y, x]
-                state[256 + o] = total
+                state[_REST + o] = total
         if masked:  # a loss may have no gradient there, not even a number
-            for o in range(256):
+            for o in range(PIXELS):
                 if state[o] < _ZERO:
-                    for c in range(1, 7):
-                        state[256 * c + o] = _ZERO
+                    for plane in range(1, 7):
+                        state[plane * PIXELS + o] = _ZERO
         centre_x = iota() + splat(f32(x0) + _HALF)
         zero, one, floor_T = splat(_ZERO), splat(_ONE), splat(_T_MIN)
         threshold, ceiling = splat(_LOG_ALPHA_MIN), splat(_ALPHA_MAX)
@@ -276,22 +300,22 @@ def composite_backward(splats, lists, pixels, trained, image, v_image, pair_sums
                     out[i] = _ZERO
                 continue
             s = splats[ids[k]]
-            r0 = max(0, int(np.ceil(s[1] - s[11] - _HALF)) - y0)
-            r1 = min(min(TILE, height - y0), int(np.floor(s[1] + s[11] - _HALF)) + 1 - y0)
+            r0 = max(0, int(np.ceil(s[V] - s[EXTENT_V] - _HALF)) - y0)
+            r1 = min(min(TILE, height - y0), int(np.floor(s[V] + s[EXTENT_V] - _HALF)) + 1 - y0)
             if not (all_trained or trained[ids[k]]):
                 n_open -= _pass_through(state, rows_open, s, r0, r1, x0, y0)
                 continue
-            dx = centre_x - splat(s[0])
-            q0 = splat(-_HALF * s[2]) * dx * dx + splat(s[5])
-            q1 = splat(-s[3]) * dx
-            red, green, blue, z = splat(s[6]), splat(s[7]), splat(s[8]), splat(s[9])
+            dx = centre_x - splat(s[U])
+            q0 = splat(-_HALF * s[CONIC_A]) * dx * dx + splat(s[LN_OPACITY])
+            q1 = splat(-s[CONIC_B]) * dx
+            red, green, blue, z = splat(s[RED]), splat(s[GREEN]), splat(s[BLUE]), splat(s[DEPTH])
             sum_g, sum_gy, sum_gyy = zero, zero, zero
             sum_r, sum_b, sum_gr, sum_z = zero, zero, zero, zero
             for r in range(r0, r1):
                 if rows_open[r] == 0:
                     continue
-                dy = f32(y0 + r) + _HALF - s[1]
-                log_alpha = q1 * splat(dy) + (q0 + splat(-_HALF * s[4] * dy * dy))
+                dy = f32(y0 + r) + _HALF - s[V]
+                log_alpha = q1 * splat(dy) + (q0 + splat(-_HALF * s[CONIC_C] * dy * dy))
                 seen = log_alpha >= threshold
                 if not any_lane(seen):
                     continue
@@ -306,11 +330,11 @@ def composite_backward(splats, lists, pixels, trained, image, v_image, pair_sums
                 w = select(goes_on, w, zero)
                 T = select(goes_on, T_next, negative_abs(T))
                 store(state, o, T)
-                v_red, v_green, v_blue = load(state, 512 + o), load(state, 768 + o), load(state, 1024 + o)
-                v_z = load(state, 1280 + o)
-                p = red * v_red + green * v_green + blue * v_blue + z * v_z + load(state, 1536 + o)
-                rest = load(state, 256 + o) - w * p
-                store(state, 256 + o, rest)
+                v_red, v_green, v_blue = load(state, _V_RED + o), load(state, _V_GREEN + o), load(state, _V_BLUE + o)
+                v_z = load(state, _V_DEPTH + o)
+                p = red * v_red + green * v_green + blue * v_blue + z * v_z + load(state, _V_ALPHA + o)
+                rest = load(state, _REST + o) - w * p
+                store(state, _REST + o, rest)
                 v_of_alpha = T_open * p - rest / (one - alpha)
                 g = select(goes_on & (seen & (raw < ceiling)), v_of_alpha * alpha, zero)
                 gy = g * splat(dy)
@@ -325,13 +349,13 @@ def composite_backward(splats, lists, pixels, trained, image, v_image, pair_sums
                     rows_open[r] = 0
                     n_open -= 1
             gx = sum_g * dx
-            out[0] = reduce_add(gx)
-            out[1] = reduce_add(sum_gy)
-            out[2] = reduce_add(gx * dx)
-            out[3] = reduce_add(sum_gy * dx)
-            out[4] = reduce_add(sum_gyy)
-            out[5] = reduce_add(sum_g)
-            out[6] = reduce_add(sum_r)
-            out[7] = reduce_add(sum_gr)
-            out[8] = reduce_add(sum_b)
-            out[9] = reduce_add(sum_z)
+            out[SUM_GX] = reduce_add(gx)
+            out[SUM_GY] = reduce_add(sum_gy)
+            out[SUM_GXX] = reduce_add(gx * dx)
+            out[SUM_GXY] = reduce_add(sum_gy * dx)
+            out[SUM_GYY] = reduce_add(sum_gyy)
+            out[SUM_G] = reduce_add(sum_g)
+            out[SUM_RED] = reduce_add(sum_r)
+            out[SUM_GREEN] = reduce_add(sum_gr)
+            out[SUM_BLUE] = reduce_add(sum_b)
+            out[SUM_DEPTH] = reduce_add(sum_z)

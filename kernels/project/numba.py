@@ -11,10 +11,37 @@ from numba import njit, prange
 
 from gsfusion_nb.constants import ALPHA_MIN, NEAR_PLANE_M, SCREEN_BLUR_PX2
 
-from ..composite.numba import PAIR_SUMS, TILE
+from ..composite.numba import (
+    PAIR_SUMS,
+    SUM_BLUE,
+    SUM_DEPTH,
+    SUM_G,
+    SUM_GREEN,
+    SUM_GX,
+    SUM_GXX,
+    SUM_GXY,
+    SUM_GY,
+    SUM_GYY,
+    SUM_RED,
+    TILE,
+)
 from ..harmonics.numba import basis_into, gradient_into
 from ..runtime.numba.dealing import deal_size, dealt
 from .lens import lens
+from .splat import (
+    BLUE,
+    CONIC_A,
+    CONIC_B,
+    CONIC_C,
+    DEPTH,
+    EXTENT_U,
+    EXTENT_V,
+    GREEN,
+    LN_OPACITY,
+    RED,
+    U,
+    V,
+)
 
 f32 = np.float32
 _NEAR = f32(NEAR_PLANE_M)
@@ -25,21 +52,19 @@ _BEYOND = f32(1.01 * math.sqrt(-2.0 * math.log(ALPHA_MIN)))
 """Standard deviations at which the most opaque splat is below 1/255, and a little for rounding."""
 _HALF, _ONE, _TWO, _ZERO = f32(0.5), f32(1.0), f32(2.0), f32(0.0)
 
-SPLAT = 12
-"""u, v, conic A, B, C, ln(opacity), r, g, b, depth, half extents x, y of the ellipse alpha >= 1/255."""
-
 CHUNK = 256
 """Rows that one thread takes at a time."""
 
 ROOM = 16 * CHUNK
 """Tiles of a chunk's splats that are noted while they are counted; if there are more, they are found a second time."""
 
-CAMERA = 23
-"""float32: R_CW (9), t_CW (3), camera centre (3), fx, fy, cx, cy, limits of x/z, y/z in J, width, height."""
+R00, R01, R02, R10, R11, R12, R20, R21, R22, T0, T1, T2 = range(12)
+CENTRE_X, CENTRE_Y, CENTRE_Z, FX, FY, CX, CY, LIMIT_X, LIMIT_Y, WIDTH, HEIGHT = range(12, 23)
+"""The camera as 23 float32: R_CW, t_CW, its centre, fx, fy, cx, cy, limits of x/z and y/z in J, image size."""
 
 
 def pack_camera(camera, T_CW: np.ndarray, centre_W: np.ndarray) -> np.ndarray:
-    """The camera and its pose as one float32 array, in the order of ``CAMERA``."""
+    """The camera and its pose as one float32 array, in the order of the constants above."""
     tail = [*lens(camera), camera.width, camera.height]
     return np.concatenate([T_CW[:3, :3].ravel(), T_CW[:3, 3], centre_W, tail]).astype(np.float32)
 
@@ -69,13 +94,14 @@ def _band(splat, y_first, y_last):
     The ellipse's right edge x(y) = (-B dy + sqrt(B^2 dy^2 - A (C dy^2 - r))) / A is concave, so its largest value in
     the band is at the rightmost point's dy clamped to the band; the left edge likewise.
     """
-    u, v, A, B, C = splat[0], splat[1], splat[2], splat[3], splat[4]
-    reach = _TWO * (splat[5] - _LOG_ALPHA_MIN) + f32(2e-3)  # a little for rounding: more entries, the same picture
-    low = max(f32(y_first) + _HALF - v, -splat[11])
-    high = min(f32(y_last) + _HALF - v, splat[11])
-    dy = min(max(-B * splat[10] / C, low), high)
+    u, v, A, B, C = splat[U], splat[V], splat[CONIC_A], splat[CONIC_B], splat[CONIC_C]
+    slack = f32(2e-3)  # for rounding: more entries, the same picture
+    reach = _TWO * (splat[LN_OPACITY] - _LOG_ALPHA_MIN) + slack
+    low = max(f32(y_first) + _HALF - v, -splat[EXTENT_V])
+    high = min(f32(y_last) + _HALF - v, splat[EXTENT_V])
+    dy = min(max(-B * splat[EXTENT_U] / C, low), high)
     right = (-B * dy + math.sqrt(max(B * B * dy * dy - A * (C * dy * dy - reach), _ZERO))) / A
-    dy = min(max(B * splat[10] / C, low), high)
+    dy = min(max(B * splat[EXTENT_U] / C, low), high)
     left = (-B * dy - math.sqrt(max(B * B * dy * dy - A * (C * dy * dy - reach), _ZERO))) / A
     return int(math.ceil(u + left - _HALF)), int(math.floor(u + right - _HALF))
 
@@ -86,8 +112,8 @@ def tiles_of(splat, width, height, windows, tiles, start, room):
 
     Only tiles count in whose window (``binning.tile_windows``) it can be seen; an empty array stands for whole tiles.
     """
-    y_first = max(0, int(math.ceil(splat[1] - splat[11] - _HALF)))
-    y_last = min(height - 1, int(math.floor(splat[1] + splat[11] - _HALF)))
+    y_first = max(0, int(math.ceil(splat[V] - splat[EXTENT_V] - _HALF)))
+    y_last = min(height - 1, int(math.floor(splat[V] + splat[EXTENT_V] - _HALF)))
     tiles_x = (width + TILE - 1) // TILE
     n = 0
     masked = windows.shape[0] > 0
@@ -117,18 +143,18 @@ def _find_candidates(xyz, log_scale, cam, sums, first, end, found):
     A box around the largest possible picture of a row is looked up in ``sums`` (``binning.tile_windows``). There is no
     branch: which rows pass is random to the processor, and a wrong guess costs as much as the test.
     """
-    fx, fy = cam[15], cam[16]
-    width, height = int(cam[21]), int(cam[22])
+    fx, fy = cam[FX], cam[FY]
+    width, height = int(cam[WIDTH]), int(cam[HEIGHT])
     far = f32(1e6)  # keeps the conversion to int defined
     n = 0
     for i in range(first, end):
         X, Y, Z = xyz[i, 0], xyz[i, 1], xyz[i, 2]
-        z = cam[6] * X + cam[7] * Y + cam[8] * Z + cam[11]
+        z = cam[R20] * X + cam[R21] * Y + cam[R22] * Z + cam[T2]
         inv_z = _ONE / max(z, _NEAR)
-        x = (cam[0] * X + cam[1] * Y + cam[2] * Z + cam[9]) * inv_z
-        y = (cam[3] * X + cam[4] * Y + cam[5] * Z + cam[10]) * inv_z
-        tx, ty = _clamp(x, cam[19]), _clamp(y, cam[20])
-        u, v = fx * x + cam[17], fy * y + cam[18]
+        x = (cam[R00] * X + cam[R01] * Y + cam[R02] * Z + cam[T0]) * inv_z
+        y = (cam[R10] * X + cam[R11] * Y + cam[R12] * Z + cam[T1]) * inv_z
+        tx, ty = _clamp(x, cam[LIMIT_X]), _clamp(y, cam[LIMIT_Y])
+        u, v = fx * x + cam[CX], fy * y + cam[CY]
         # the rows of J are fx/z sqrt(1 + tx^2) and fy/z sqrt(1 + ty^2) long
         size = math.exp(max(log_scale[i, 0], log_scale[i, 1], log_scale[i, 2])) * inv_z
         reach_u = _BEYOND * (fx * size * math.sqrt(_ONE + tx * tx) + _ONE)
@@ -151,8 +177,8 @@ def project_rows(xyz, log_scale, quat, logit, sh, cam, windows, sums, splats, co
     noted: for each chunk ``ROOM`` numbers, the tiles of its rows one after another, as far as they fit.
     """
     N, K = sh.shape[0], sh.shape[1]
-    fx, fy = cam[15], cam[16]
-    width, height = int(cam[21]), int(cam[22])
+    fx, fy = cam[FX], cam[FY]
+    width, height = int(cam[WIDTH]), int(cam[HEIGHT])
     n_parts = (N + CHUNK - 1) // CHUNK
     for k_part in prange(deal_size(n_parts)):
         part = dealt(k_part, n_parts)
@@ -166,22 +192,23 @@ def project_rows(xyz, log_scale, quat, logit, sh, cam, windows, sums, splats, co
         for j in range(_find_candidates(xyz, log_scale, cam, sums, first, end, candidates)):
             i = candidates[j]
             X, Yw, Z = xyz[i, 0], xyz[i, 1], xyz[i, 2]
-            z = cam[6] * X + cam[7] * Yw + cam[8] * Z + cam[11]
+            z = cam[R20] * X + cam[R21] * Yw + cam[R22] * Z + cam[T2]
             opacity = _ONE / (_ONE + math.exp(-logit[i]))
             if not (z > _NEAR and opacity >= _ALPHA_MIN):
                 continue
-            x = cam[0] * X + cam[1] * Yw + cam[2] * Z + cam[9]
-            y = cam[3] * X + cam[4] * Yw + cam[5] * Z + cam[10]
+            x = cam[R00] * X + cam[R01] * Yw + cam[R02] * Z + cam[T0]
+            y = cam[R10] * X + cam[R11] * Yw + cam[R12] * Z + cam[T1]
             inv_z = _ONE / z
-            u, v = fx * x * inv_z + cam[17], fy * y * inv_z + cam[18]
-            tx, ty = _clamp(x * inv_z, cam[19]), _clamp(y * inv_z, cam[20])
+            u, v = fx * x * inv_z + cam[CX], fy * y * inv_z + cam[CY]
+            tx, ty = _clamp(x * inv_z, cam[LIMIT_X]), _clamp(y * inv_z, cam[LIMIT_Y])
             a, b = fx * inv_z, fy * inv_z
             _, r00, r01, r02, r10, r11, r12, r20, r21, r22 = _rotation(quat[i])
             uu, vv, uv, cross2 = _ZERO, _ZERO, _ZERO, _ZERO
             s0, s1, s2 = math.exp(log_scale[i, 0]), math.exp(log_scale[i, 1]), math.exp(log_scale[i, 2])
             # rows of J R_CW, then times each column of R_q S
-            jx0, jx1, jx2 = a * (cam[0] - tx * cam[6]), a * (cam[1] - tx * cam[7]), a * (cam[2] - tx * cam[8])
-            jy0, jy1, jy2 = b * (cam[3] - ty * cam[6]), b * (cam[4] - ty * cam[7]), b * (cam[5] - ty * cam[8])
+            jx0, jy0 = a * (cam[R00] - tx * cam[R20]), b * (cam[R10] - ty * cam[R20])
+            jx1, jy1 = a * (cam[R01] - tx * cam[R21]), b * (cam[R11] - ty * cam[R21])
+            jx2, jy2 = a * (cam[R02] - tx * cam[R22]), b * (cam[R12] - ty * cam[R22])
             mu0, mv0 = (jx0 * r00 + jx1 * r10 + jx2 * r20) * s0, (jy0 * r00 + jy1 * r10 + jy2 * r20) * s0
             mu1, mv1 = (jx0 * r01 + jx1 * r11 + jx2 * r21) * s1, (jy0 * r01 + jy1 * r11 + jy2 * r21) * s1
             mu2, mv2 = (jx0 * r02 + jx1 * r12 + jx2 * r22) * s2, (jy0 * r02 + jy1 * r12 + jy2 * r22) * s2
@@ -192,17 +219,17 @@ def project_rows(xyz, log_scale, quat, logit, sh, cam, windows, sums, splats, co
             cross2 = c0 * c0 + c1 * c1 + c2 * c2
             inv_det = _ONE / (cross2 + _BLUR * (uu + vv) + _BLUR * _BLUR)
             s = splats[i]
-            s[0], s[1] = u, v
-            s[2], s[3], s[4] = (vv + _BLUR) * inv_det, -uv * inv_det, (uu + _BLUR) * inv_det
-            s[5] = math.log(opacity)
-            reach = _TWO * (s[5] - _LOG_ALPHA_MIN)
-            s[9] = z
-            s[10], s[11] = math.sqrt(reach * (uu + _BLUR)), math.sqrt(reach * (vv + _BLUR))
+            s[U], s[V] = u, v
+            s[CONIC_A], s[CONIC_B], s[CONIC_C] = (vv + _BLUR) * inv_det, -uv * inv_det, (uu + _BLUR) * inv_det
+            s[LN_OPACITY] = math.log(opacity)
+            reach = _TWO * (s[LN_OPACITY] - _LOG_ALPHA_MIN)
+            s[DEPTH] = z
+            s[EXTENT_U], s[EXTENT_V] = math.sqrt(reach * (uu + _BLUR)), math.sqrt(reach * (vv + _BLUR))
             count[i] = tiles_of(s, width, height, windows, noted, part * ROOM + n_noted, ROOM - n_noted)
             if count[i] == 0:
                 continue
             n_noted = min(n_noted + count[i], ROOM)
-            dx, dy, dz = X - cam[12], Yw - cam[13], Z - cam[14]
+            dx, dy, dz = X - cam[CENTRE_X], Yw - cam[CENTRE_Y], Z - cam[CENTRE_Z]
             inv = _ONE / max(math.sqrt(dx * dx + dy * dy + dz * dz), f32(1e-12))
             basis_into(dx * inv, dy * inv, dz * inv, K, Y)
             red, green, blue = _HALF, _HALF, _HALF
@@ -210,25 +237,25 @@ def project_rows(xyz, log_scale, quat, logit, sh, cam, windows, sums, splats, co
                 red += Y[k] * sh[i, k, 0]
                 green += Y[k] * sh[i, k, 1]
                 blue += Y[k] * sh[i, k, 2]
-            s[6], s[7], s[8] = max(red, _ZERO), max(green, _ZERO), max(blue, _ZERO)
+            s[RED], s[GREEN], s[BLUE] = max(red, _ZERO), max(green, _ZERO), max(blue, _ZERO)
 
 
 @njit(inline="always")
 def _column_vjp(cam, frame, q0, q1, q2, scale):
     """One column of B = R_CW R_q S: the gradient to that column of R_q (3), its log scale, tx, ty, and m . v_m."""
     a, b, tx, ty, v_uu, v_uv, v_vv = frame
-    B0 = (cam[0] * q0 + cam[1] * q1 + cam[2] * q2) * scale
-    B1 = (cam[3] * q0 + cam[4] * q1 + cam[5] * q2) * scale
-    B2 = (cam[6] * q0 + cam[7] * q1 + cam[8] * q2) * scale
+    B0 = (cam[R00] * q0 + cam[R01] * q1 + cam[R02] * q2) * scale
+    B1 = (cam[R10] * q0 + cam[R11] * q1 + cam[R12] * q2) * scale
+    B2 = (cam[R20] * q0 + cam[R21] * q1 + cam[R22] * q2) * scale
     m_u, m_v = a * (B0 - tx * B2), b * (B1 - ty * B2)
     v_mu = _TWO * v_uu * m_u + v_uv * m_v
     v_mv = _TWO * v_vv * m_v + v_uv * m_u
     v_B0, v_B1 = a * v_mu, b * v_mv
     v_B2 = -(tx * v_B0 + ty * v_B1)
     return (
-        (cam[0] * v_B0 + cam[3] * v_B1 + cam[6] * v_B2) * scale,
-        (cam[1] * v_B0 + cam[4] * v_B1 + cam[7] * v_B2) * scale,
-        (cam[2] * v_B0 + cam[5] * v_B1 + cam[8] * v_B2) * scale,
+        (cam[R00] * v_B0 + cam[R10] * v_B1 + cam[R20] * v_B2) * scale,
+        (cam[R01] * v_B0 + cam[R11] * v_B1 + cam[R21] * v_B2) * scale,
+        (cam[R02] * v_B0 + cam[R12] * v_B1 + cam[R22] * v_B2) * scale,
         v_B0 * B0 + v_B1 * B1 + v_B2 * B2,
         -a * B2 * v_mu,
         -b * B2 * v_mv,
@@ -246,7 +273,7 @@ def project_rows_vjp(
     """
     all_trained = trained.shape[0] == 0
     N, K = sh.shape[0], sh.shape[1]
-    fx, fy = cam[15], cam[16]
+    fx, fy = cam[FX], cam[FY]
     n_parts = (N + CHUNK - 1) // CHUNK
     for k_part in prange(deal_size(n_parts)):
         part = dealt(k_part, n_parts)
@@ -268,11 +295,11 @@ def project_rows_vjp(
                 for j in range(PAIR_SUMS):
                     total[j] += pair_sums[slot, j]
             s = splats[i]
-            A, B, C = s[2], s[3], s[4]
+            A, B, C = s[CONIC_A], s[CONIC_B], s[CONIC_C]
             # ln alpha = ln o - (A dx^2 + C dy^2) / 2 - B dx dy,  d = pixel - centre
-            v_u, v_v = A * total[0] + B * total[1], B * total[0] + C * total[1]
-            v_A, v_B, v_C = -_HALF * total[2], -_HALF * total[3], -_HALF * total[4]
-            v_logit[i] = total[5] * (_ONE - math.exp(s[5]))
+            v_u, v_v = A * total[SUM_GX] + B * total[SUM_GY], B * total[SUM_GX] + C * total[SUM_GY]
+            v_A, v_B, v_C = -_HALF * total[SUM_GXX], -_HALF * total[SUM_GXY], -_HALF * total[SUM_GYY]
+            v_logit[i] = total[SUM_G] * (_ONE - math.exp(s[LN_OPACITY]))
 
             # v_cov = -Q v_Q Q
             p00, p01 = v_A * A + v_B * B, v_A * B + v_B * C
@@ -280,11 +307,11 @@ def project_rows_vjp(
             v_uu, v_uv, v_vv = -(A * p00 + B * p10), -_TWO * (A * p01 + B * p11), -(B * p01 + C * p11)
 
             X, Yw, Z = xyz[i, 0], xyz[i, 1], xyz[i, 2]
-            z = s[9]
+            z = s[DEPTH]
             inv_z = _ONE / z
-            x_z = (cam[0] * X + cam[1] * Yw + cam[2] * Z + cam[9]) * inv_z
-            y_z = (cam[3] * X + cam[4] * Yw + cam[5] * Z + cam[10]) * inv_z
-            tx, ty = _clamp(x_z, cam[19]), _clamp(y_z, cam[20])
+            x_z = (cam[R00] * X + cam[R01] * Yw + cam[R02] * Z + cam[T0]) * inv_z
+            y_z = (cam[R10] * X + cam[R11] * Yw + cam[R12] * Z + cam[T1]) * inv_z
+            tx, ty = _clamp(x_z, cam[LIMIT_X]), _clamp(y_z, cam[LIMIT_Y])
             a, b = fx * inv_z, fy * inv_z
             norm, r00, r01, r02, r10, r11, r12, r20, r21, r22 = _rotation(quat[i])
             frame = (a, b, tx, ty, v_uu, v_uv, v_vv)
@@ -307,16 +334,16 @@ def project_rows_vjp(
             v_xz = fx * v_u + (v_tx if tx == x_z else _ZERO)
             v_yz = fy * v_v + (v_ty if ty == y_z else _ZERO)
             c0, c1 = v_xz * inv_z, v_yz * inv_z
-            c2 = total[9] - inv_z * (x_z * v_xz + y_z * v_yz + v_mm)
-            v_X = cam[0] * c0 + cam[3] * c1 + cam[6] * c2
-            v_Y = cam[1] * c0 + cam[4] * c1 + cam[7] * c2
-            v_Z = cam[2] * c0 + cam[5] * c1 + cam[8] * c2
+            c2 = total[SUM_DEPTH] - inv_z * (x_z * v_xz + y_z * v_yz + v_mm)
+            v_X = cam[R00] * c0 + cam[R10] * c1 + cam[R20] * c2
+            v_Y = cam[R01] * c0 + cam[R11] * c1 + cam[R21] * c2
+            v_Z = cam[R02] * c0 + cam[R12] * c1 + cam[R22] * c2
 
             # colour
-            v_red = total[6] if s[6] > _ZERO else _ZERO
-            v_green = total[7] if s[7] > _ZERO else _ZERO
-            v_blue = total[8] if s[8] > _ZERO else _ZERO
-            dx, dy, dz = X - cam[12], Yw - cam[13], Z - cam[14]
+            v_red = total[SUM_RED] if s[RED] > _ZERO else _ZERO
+            v_green = total[SUM_GREEN] if s[GREEN] > _ZERO else _ZERO
+            v_blue = total[SUM_BLUE] if s[BLUE] > _ZERO else _ZERO
+            dx, dy, dz = X - cam[CENTRE_X], Yw - cam[CENTRE_Y], Z - cam[CENTRE_Z]
             inv = _ONE / max(math.sqrt(dx * dx + dy * dy + dz * dz), f32(1e-12))
             dx, dy, dz = dx * inv, dy * inv, dz * inv
             basis_into(dx, dy, dz, K, Y)

@@ -21,7 +21,8 @@ from gsfusion_nb.types import Camera, GaussianParams, RenderOutput
 
 from ..binning.numba import depth_order, list_tiles, sort_pairs, tile_windows
 from ..composite.numba import PAIR_SUMS, TILE, composite_backward, composite_forward
-from ..project.numba import CHUNK, ROOM, SPLAT, pack_camera, project_rows, project_rows_vjp
+from ..project.numba import CHUNK, ROOM, pack_camera, project_rows, project_rows_vjp
+from ..project.splat import SPLAT
 from ..runtime.numba.launch import launching, scratch
 from .picture import blank, check_options
 
