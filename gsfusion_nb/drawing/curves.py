@@ -18,7 +18,7 @@ INK = "#1c2430"
 MUTED = "#5c6675"
 GRID = "#dfe4ea"
 PALETTE = ("#3d85c6", "#e08a2e", "#3a9d6a", "#d1495b", "#8e6bbf", "#8a8f98", "#2aa5a0", "#b8860b")
-"""Colours of middle lightness: they read on white and on near-black."""
+"""Colours of middle lightness: they can be seen on white and on black."""
 
 _THEMED = {INK: "var(--ink)", MUTED: "var(--muted)", GRID: "var(--line)"}
 

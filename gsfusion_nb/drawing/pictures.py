@@ -1,6 +1,6 @@
 """Arrays to pictures: 8-bit RGB images drawn with OpenCV, fast enough to be redrawn while a slider moves.
 
-Every function takes tensors or numpy arrays and returns a new uint8 RGB array; inputs are left alone.
+Every function takes tensors or numpy arrays and returns a new uint8 RGB array; inputs are not changed.
 """
 
 import base64
@@ -30,7 +30,7 @@ _HATCH = (58, 78)
 
 
 def to_uint8(rgb: ImageLike) -> Picture:
-    """An image of 0..1 as bytes, halves up, clamped, NaN as black; bytes stay as they are (copied)."""
+    """An image as bytes: 0..1 is clamped and rounded, halves up, NaN becomes black; bytes are copied."""
     image = _numpy(rgb)
     if image.dtype == np.uint8:
         return image.copy()
@@ -97,7 +97,7 @@ def paint_cells(
     Args:
         rgb: The image the cells belong to. [H, W, 3]
         cells: Anything with ``x0, y0, width, height, level`` as one-axis tensors or arrays, pixels.
-        scale: Enlarge the image by this factor first, so that the borders of small cells leave something to see.
+        scale: Enlarge the image by this factor first, so that the borders do not hide small cells.
         by_level: Colour by depth in the tree (dark purple is coarse, yellow is fine), else light grey.
         strength: Opacity of the lines.
     """

@@ -1,4 +1,4 @@
-"""Little graphs drawn with OpenCV in a millisecond, for what is redrawn many times a second."""
+"""Small graphs drawn with OpenCV in a millisecond, for panels that are redrawn many times a second."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -60,7 +60,7 @@ def _graph(
 
 
 def number(value: float | int) -> str:
-    """A value short enough for a small graph: 21.5, 3,294, 41.1k."""
+    """A value as short text for a small graph: 21.5, 3,294, 41.1k."""
     if abs(value) >= 10_000:
         return f"{value / 1000:,.1f}k"
     return f"{value:,.0f}" if abs(value) >= 100 or value == int(value) else f"{value:.1f}"

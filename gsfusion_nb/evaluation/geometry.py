@@ -108,7 +108,7 @@ def mesh_scores(
         threshold_m: For precision, completion ratio and F-score, metres.
         n_samples: Points drawn on each surface.
         observed: ``xyz_W [N, 3] -> bool [N]``: which points of the truth count for completion, usually
-            ``lambda xyz: seen_by(xyz, frames)``; a reconstruction cannot be blamed for what no frame shows.
+            ``lambda xyz: seen_by(xyz, frames)``; what no frame shows is not expected of a reconstruction.
         distance: "surface" measures to the triangles nearby. "samples" measures to the closest
             sample, as is usual in published tables; on average it does not fall below half the sample spacing,
             sqrt(area / n_samples) / 2 (9 mm for 60 m^2 and 200,000 samples).

@@ -100,7 +100,7 @@ def lpips(
 
 
 def lpips_unavailable() -> NotComputed | None:
-    """Why LPIPS cannot be computed here, or None if it can. Cheap; touches no network."""
+    """Why LPIPS cannot be computed here, or None if it can. Cheap; nothing is downloaded."""
     network = _lpips_network()
     return network if isinstance(network, NotComputed) else None
 
@@ -124,7 +124,7 @@ def _lpips_network():
 
 
 def depth_l1_m(depth_m: Float[Tensor, "H W"], reference_m: Float[Tensor, "H W"]) -> tuple[float, float]:
-    """Mean |depth - reference|, metres, over the pixels where both have depth, and the share of pixels compared.
+    """Mean |depth - reference|, metres, over the pixels that have depth in both, and the share of these pixels.
 
     Returns:
         ``(l1_m, share)``; the error is NaN when no pixel has both.

@@ -41,8 +41,8 @@ METRIC_GROUPS: dict[str, dict[str, Metric]] = {
     "Novel views (held out)": _image_metrics("held_out"),
     "Mapped views": _image_metrics("mapped"),
     "Before the global optimisation": {
-        "psnr_held_out_online_db": Metric("PSNR, held out", "dB", 2, 1.0, "Of the map as the scan left it."),
-        "psnr_mapped_online_db": Metric("PSNR, mapped", "dB", 2, 1.0, "Of the map as the scan left it."),
+        "psnr_held_out_online_db": Metric("PSNR, held out", "dB", 2, 1.0, "Of the map at the end of the sequence."),
+        "psnr_mapped_online_db": Metric("PSNR, mapped", "dB", 2, 1.0, "Of the map at the end of the sequence."),
     },
     "Maps": {
         "n_gaussians": Metric("Gaussians", "", 0),
@@ -72,7 +72,9 @@ METRIC_GROUPS: dict[str, dict[str, Metric]] = {
     },
     "Stream": {
         "n_frames_received": Metric("Frames received", "", 0),
-        "n_frames_dropped": Metric("Frames dropped", "", 0, 1.0, "They came while mapping was behind."),
+        "n_frames_dropped": Metric(
+            "Frames dropped", "", 0, 1.0, "They arrived while mapping was still busy with earlier frames."
+        ),
         "n_frames_unusable": Metric("Frames unusable", "", 0),
     },
     "Mesh against ground truth": {
@@ -169,7 +171,7 @@ def frame_rates(seconds: Sequence[float | int]) -> dict[str, float | NotComputed
     """Both counts of frames per second from the time of each frame.
 
     ``fps_total`` = n / sum dt.  ``fps_mean_inverse`` = mean of 1 / dt, which the GSFusion paper reports; by the
-    inequality of the means it is never smaller, and a few very fast frames lift it a lot.
+    inequality of the means it is never smaller, and a few very fast frames raise it strongly.
     """
     if not seconds or min(seconds) <= 0:
         missing = NotComputed("no frame was timed" if not seconds else "a frame took no time")

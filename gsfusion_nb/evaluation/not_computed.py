@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class NotComputed:
-    """Stands where a number would be. In JSON it is ``{"not_computed": reason}``."""
+    """Takes the place of a number. In JSON it is ``{"not_computed": reason}``."""
 
     reason: str
     """Why, as a short clause without a full stop."""

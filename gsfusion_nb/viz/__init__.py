@@ -1,4 +1,4 @@
-"""Pictures, live views and players: all that a notebook uses is imported from here, and loads when it is used."""
+"""Pictures, live views and panels for notebooks. Import them from here; each is loaded when it is first used."""
 
 import importlib
 from typing import TYPE_CHECKING

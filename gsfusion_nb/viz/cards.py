@@ -1,4 +1,4 @@
-"""What a notebook shows of an object that is a cell's last line: a small picture beside the numbers that matter."""
+"""What a notebook shows for an object in the last line of a cell: a small picture beside the most important numbers."""
 
 from typing import Any
 
@@ -20,23 +20,23 @@ from .splats.starting_view import starting_pose, viewing_camera
 from .splats.viewer_picture import splat_picture
 
 WIDTH_PX = 240
-"""Of one picture."""
+"""Width of one picture."""
 _MOST_DRAWN = 200_000
-"""Gaussians in a map's picture; of more, every so many-th."""
+"""The picture of a map shows at most this many Gaussians, evenly picked."""
 
 
 def card(thing: Any) -> str:
-    """HTML of a frame, a TSDF volume, quadtree cells, a Gaussian map, or a run; jupyter asks for it by itself.
+    """HTML of a frame, a TSDF volume, quadtree cells, a Gaussian map, or a run; Jupyter calls it.
 
     Raises:
-        TypeError: there is no card of such a thing.
+        TypeError: there is no card for an object of this type.
     """
     for kind, make in _CARDS.items():
         if isinstance(thing, kind):
             picture, rows = make(thing)
             image = "" if picture is None else data_uri(picture)
             return fill("card.html", title=type(thing).__name__, picture=image, rows=rows)
-    raise TypeError(f"no card of a {type(thing).__name__}; of {', '.join(k.__name__ for k in _CARDS)} there is")
+    raise TypeError(f"no card for {type(thing).__name__}; there are cards for {', '.join(k.__name__ for k in _CARDS)}")
 
 
 def _frame(frame: Frame) -> tuple[Picture, dict[str, str]]:
@@ -141,7 +141,7 @@ def _finished(finished: FinishedRun) -> tuple[Picture | None, dict[str, str]]:
 
 
 def _photo_and_render(run: MappingRun) -> Picture | None:
-    """The last frame and the map from there; None where it cannot be read again."""
+    """The last frame beside the map rendered from its pose; None if the frame cannot be read again."""
     frames = list(frames_in_map(run.mapped_views(2), run.mapper.localiser, run.sequence.mapping))
     if not frames:
         return None

@@ -14,10 +14,10 @@ WIDGET_MIME = "application/vnd.jupyter.widget-view+json"
 
 
 def static_views() -> bool:
-    """Whether live views shall leave only a picture in the notebook.
+    """Whether live views should leave only a picture in the notebook.
 
-    So it is with ``GSNB_VIEW=static`` (a notebook that is executed to be stored: a widget without its kernel shows
-    nothing) and with ``GSNB_SMOKE=1`` (a quick run with nobody watching).
+    True with ``GSNB_VIEW=static`` (the notebook is executed to be stored: a widget without its kernel shows
+    nothing) and with ``GSNB_SMOKE=1`` (a quick test run).
     """
     return os.environ.get("GSNB_VIEW") == "static" or os.environ.get("GSNB_SMOKE", "0") not in ("", "0")
 

@@ -83,7 +83,7 @@ def viewpoint_of(T_WC: Float[Tensor, "4 4"], distance_m: float | int, up_W: Vect
 
 
 def world_up(poses: Sequence[Float[Tensor, "4 4"]]) -> Float[Tensor, "3"]:
-    """The direction that was up for the people who held the camera: the mean of the cameras' -y axes.
+    """The up direction of the scene: the mean of the cameras' -y axes.
 
     Within 15 degrees of a world axis it is that axis; without poses it is z.
     """

@@ -96,7 +96,7 @@ def test_a_run_shows_a_frame_beside_the_map(run):
 
 
 def test_of_other_things_there_is_none():
-    with pytest.raises(TypeError, match="no card of a int; of Frame, TsdfVolume"):
+    with pytest.raises(TypeError, match="no card for int; there are cards for Frame, TsdfVolume"):
         card(3)
 
 

@@ -1,4 +1,4 @@
-"""Online mapping to watch: buttons that start, pause, step and stop it, and panels of what the maps look like."""
+"""Online mapping to watch: buttons that start, pause, step and stop it, and pictures of the map."""
 
 import dataclasses
 import html
@@ -28,13 +28,13 @@ log = logging.getLogger(__name__)
 MIN_INTERVAL_S = 0.1
 """The panels are redrawn at most ten times a second."""
 MAX_DRAWING_SHARE = 0.25
-"""Of the time may go into drawing while frames are waiting; the rest is for mapping."""
+"""Drawing takes at most this share of the time while frames are waiting."""
 
 _on_stage: "weakref.ref[LiveMapper] | None" = None
 
 
 class LiveMapper:
-    """Drives the online part of a ``MappingRun`` of either system frame by frame; the kernel stays free meanwhile.
+    """Drives the online part of a ``MappingRun`` frame by frame in a thread; the kernel stays free.
 
     The last line of a cell shows it. From Python: ``start``, ``pause``, ``step``, ``stop``, and ``run_sync(n)``, which
     maps ``n`` frames (or all that are left) in the calling cell. ``lock`` is held during a step; give it to whoever
@@ -55,7 +55,7 @@ class LiveMapper:
         _on_stage = weakref.ref(self)
         self.run = run
         self.viewer: SplatViewer | None = None
-        """Brought up to date whenever the panels are."""
+        """The splat viewer made by ``splats``; it is updated together with the panels."""
         self.player = Player(run.online, on_step=self._on_step, on_rest=self._on_rest)
         self.lock = self.player.lock
         self.panels: LivePanels | None = None
@@ -70,7 +70,7 @@ class LiveMapper:
         self._write_status()
 
     def pause(self) -> None:
-        """Come to rest after the current frame."""
+        """Pause after the current frame."""
         self.player.pause()
 
     def step(self) -> None:
@@ -78,20 +78,20 @@ class LiveMapper:
         self.player.step()
 
     def stop(self) -> None:
-        """End the worker after the current frame; ``start`` goes on from there."""
+        """Stop the thread after the current frame; ``start`` continues from there."""
         self.player.stop()
         self._write_status()
 
     def run_sync(self, n: int | None = None) -> int:
-        """Map ``n`` frames, or all that are left, in this thread; how many were mapped."""
+        """Map ``n`` frames, or all that are left, in this thread. Returns how many were mapped."""
         return self.player.run_sync(n)
 
     def join(self, timeout_s: float | int | None = None) -> bool:
-        """Wait until the worker has ended; whether it has."""
+        """Wait until the thread has ended. Returns whether it has."""
         return self.player.join(timeout_s)
 
     def close(self) -> None:
-        """Stop and wait for the worker."""
+        """Stop, and wait until the thread has ended."""
         self.player.close()
 
     def splats(self, **options: Any) -> "SplatViewer":
@@ -137,7 +137,7 @@ class LiveMapper:
         self._write_status()
 
     def _draw(self) -> None:
-        """Bring the panels up to date, if anything was mapped since."""
+        """Draw the panels again if a frame was mapped since the last time."""
         if self._undrawn is None:
             return
         began = time.monotonic()
@@ -157,7 +157,7 @@ class LiveMapper:
         self._next_draw_s = max(began + MIN_INTERVAL_S, ended + (ended - began) * (1 / MAX_DRAWING_SHARE - 1))
 
     def _last_frame(self) -> Frame:
-        """The frame mapped last, at the pose where it was mapped."""
+        """The frame mapped last, with the pose it was mapped at."""
         frame = self.run.sequence.mapping[self.run.next_position - 1]
         mapped = self.run.mapper.localiser
         if not mapped.poses or mapped.frame_indices[-1] != frame.index:  # frames after it were skipped
@@ -219,7 +219,7 @@ class LiveMapper:
 
 
 def _as_html(error: BaseException | None) -> str:
-    """The error and where it came from, folded away."""
+    """The error, and its traceback to unfold."""
     if error is None:
         return ""
     trace = html.escape("".join(traceback.format_exception(error)))

@@ -19,7 +19,7 @@ from ..splats.map_picture import SHOWS, draw_gaussians
 from ..viewpoint import Vector, Viewpoint, extent, viewpoint_of, world_up
 
 _FOCAL_PER_WIDTH = 0.7
-"""Of the viewer's camera when the map comes without cameras: 71 degrees wide."""
+"""Focal length / image width of the viewer's camera if the map has no cameras: a 71 degree wide view."""
 _LABELLED = {"first-seen frame": "birth_frame", "quadtree level": "tag"}
 
 
@@ -186,7 +186,7 @@ class OrbitView:
         }  # fmt: skip
 
     def _make_places(self) -> dict[str, tuple[Viewpoint, float]]:
-        """Where the buttons lead, and how much they cut away."""
+        """Viewpoint of each button, and the depth up to which it hides the map."""
         inside = Viewpoint(target_W=self._above.target_W, azimuth_deg=90.0, elevation_deg=0.0, distance_m=0.0)
         roof_m = max(self._above.distance_m - 0.13 * self._radius_m, 0.0)
         return {"photo": (self._home, 0.0), "above": (self._above, roof_m), "inside": (inside, 0.0)}
@@ -216,7 +216,7 @@ class OrbitView:
         return min(0.5 * self.camera.width / self.camera.fx, 0.5 * self.camera.height / self.camera.fy)
 
     def _depth_ahead(self, T_WC: Float[Tensor, "4 4"]) -> float:
-        """Median depth of the map in a view, metres: what the orbit shall circle."""
+        """Median depth of the map in a view, metres: the distance of the point to orbit around."""
         depth_m = expected_depth_m(render(self._params(), self.camera, T_WC))
         seen = depth_m[depth_m > 0]
         return float(seen.median()) if len(seen) else self._radius_m
@@ -230,7 +230,7 @@ def _camera(camera: Camera | None, size: tuple[int, int]) -> Camera:
 
 
 def _on_step(value: float | int, step: float | int) -> float:
-    """The nearest value that a slider can stand on: any other comes back rounded from the browser a moment later."""
+    """The nearest value that the slider can show; the browser would round any other one and send it back."""
     return float(round(value / step) * step)
 
 

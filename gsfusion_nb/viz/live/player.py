@@ -1,4 +1,4 @@
-"""A worker thread that goes through an iterator and can be paused, stepped and stopped; the kernel stays free."""
+"""A thread that runs an iterator and can be paused, stepped and stopped; the kernel stays free."""
 
 import contextvars
 import logging
@@ -15,7 +15,7 @@ State = Literal["ready", "running", "paused", "stopped", "finished", "failed"]
 
 
 class Player:
-    """Goes through ``make_steps()`` on a thread of its own.
+    """Goes through ``make_steps()`` in a thread of its own.
 
     Widgets and tests use the same methods: ``start``, ``pause``, ``step``, ``stop``, ``join``; ``run_sync`` does the
     work in the calling thread. ``lock`` is held during a step: whoever reads what the steps change holds it too.
@@ -48,7 +48,7 @@ class Player:
         self._run, self._stop, self._singles = False, False, 0
         self._thread: threading.Thread | None = None
         self._serving = False
-        """The thread is there and will look at the wishes again; changes only while ``_wish`` is held."""
+        """The thread is running and will read the wishes again; changes only while ``_wish`` is held."""
 
     @property
     def is_alive(self) -> bool:
@@ -56,39 +56,41 @@ class Player:
         return self._thread is not None and self._thread.is_alive()
 
     def start(self) -> None:
-        """Go on until paused, stopped or finished."""
+        """Run until paused, stopped or finished."""
         self._want(run=True)
         self._ensure_thread()
 
     def pause(self) -> None:
-        """Come to rest after the current step."""
+        """Pause after the current step."""
         self._want(run=False)
 
     def step(self) -> None:
-        """Do one step, then rest."""
+        """Do one step, then pause."""
         self._want(run=False, single=True)
         self._ensure_thread()
 
     def stop(self) -> None:
-        """End the thread after the current step. ``start`` goes on from there."""
+        """Stop the thread after the current step. ``start`` continues from there."""
         self._want(run=False, stop=True)
         if not self._serving and self.state in ("ready", "paused"):
             self.state = "stopped"
 
     def close(self, timeout_s: float | int = 30.0) -> None:
-        """Stop and wait until the thread is gone."""
+        """Stop, and wait until the thread has ended."""
         self.stop()
         self.join(timeout_s)
 
     def join(self, timeout_s: float | int | None = None) -> bool:
-        """Wait until the thread has ended; whether it has. While paused it does not end by itself."""
+        """Wait until the thread has ended. Returns whether it has. A paused thread does not end by itself."""
         thread = self._thread
         if thread is not None and thread is not threading.current_thread():
             thread.join(timeout_s)
         return not self.is_alive
 
     def run_sync(self, n: int | None = None) -> int:
-        """Do ``n`` steps, or all that are left, here and now; how many were done. A worker thread is stopped first.
+        """Do ``n`` steps, or all that are left, in the calling thread. Returns how many.
+
+        A worker thread is stopped first.
 
         Raises:
             Exception: whatever a step raised.

@@ -13,13 +13,13 @@ from ...types import Frame, RenderOutput
 from ..splats.surfel_pictures import cause_picture, paint_rows, state_picture
 
 _DEPTH_ERROR_M = 0.1
-"""What RTG-SLAM calls wrong (delta_d)."""
+"""A larger error counts as wrong in RTG-SLAM (delta_d)."""
 _SEED_COLOUR = (255, 48, 64)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MappedFrame:
-    """A frame after it was mapped, and what the mapper renders of its view."""
+    """A frame after it was mapped, and the render of its view."""
 
     mapper: Mapper
     frame: Frame
@@ -74,7 +74,7 @@ PANELS: dict[str, StepPanel] = {
     "seed_causes": StepPanel("new: green area, red depth, blue colour", _seed_causes),
     "states": StepPanel("blue stable, orange unstable", _states),
 }
-"""What a system can name in ``Mapper.panels``."""
+"""The names that ``Mapper.panels`` can hold."""
 
 
 def captions_of(mapper: Mapper) -> dict[str, str]:

@@ -17,7 +17,7 @@ MIN_INTERVAL_S = 0.1
 
 
 class Watch:
-    """Drives an iterator step by step with buttons; the kernel stays free meanwhile.
+    """Drives an iterator step by step with buttons; in a thread; the kernel stays free.
 
     The last line of a cell shows it. From Python: ``player.start``, ``player.pause``, ``player.step``, ``player.stop``,
     and ``run_sync(n)``, which does ``n`` steps in the calling cell.
@@ -51,7 +51,7 @@ class Watch:
         return self.player.lock
 
     def run_sync(self, n: int | None = None) -> int:
-        """Do ``n`` steps, or all that are left, here and now; how many were done."""
+        """Do ``n`` steps, or all that are left, in the calling thread. Returns how many were done."""
         return self.player.run_sync(n)
 
     def picture(self) -> Picture:

@@ -15,9 +15,9 @@ from .decimation import decimated
 from .painter import BACKGROUND, draw_mesh
 
 _VIEW_ANGLE_DEG = 30.0
-"""From top to bottom of the picture."""
+"""Vertical angle of view."""
 _MOST_PAINTED = 150_000
-"""Triangles that are painted one by one without VTK."""
+"""At most this many triangles are painted where VTK cannot draw."""
 
 
 def mesh_picture(

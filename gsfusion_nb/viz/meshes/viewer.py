@@ -19,7 +19,7 @@ from .decimation import decimated
 from .painter import BACKGROUND, draw_mesh
 
 _STORED_TRIANGLES = 40_000
-"""Painted for the picture that a stored notebook keeps; takes about half a second."""
+"""Triangles in the picture that a stored notebook keeps; they take about half a second."""
 
 
 def _synced(trait: t.TraitType) -> Any:
@@ -105,7 +105,7 @@ class MeshViewer(anywidget.AnyWidget):
         return {**data, **stored}, metadata
 
     def _heard(self, _widget: Any, content: Any, _buffers: Any) -> None:
-        """A view has opened."""
+        """The front end has opened: send the mesh."""
         if content.get("kind") != "ready":
             return
         rgb = to_uint8(self.mesh.rgb[None])[0]

@@ -1,4 +1,4 @@
-"""Click a pixel and see what it asks of the Gaussians; click a Gaussian and see what all pixels ask of it."""
+"""Click a pixel to see its gradient for each Gaussian; click a Gaussian to see its gradient from each pixel."""
 
 import threading
 from typing import Any
@@ -77,7 +77,7 @@ class GradientMicroscope:
 
     @property
     def row(self) -> int | None:
-        """The Gaussian with the largest weight at the chosen pixel, ``None`` where nothing is."""
+        """The Gaussian with the largest weight at the chosen pixel, ``None`` where there is none."""
         stack = self.of_pixel.stack
         return int(stack.row[stack.weight.argmax()]) if len(stack) else None
 

@@ -14,7 +14,7 @@ _SHOWN = 8
 
 
 def pixel_gradient_picture(image: AnyImage, splats: Splats, gradient: PixelGradient, *, size: int = 300) -> Picture:
-    """The heaviest Gaussians of a pixel, their ellipses green (more opaque, please) or red (less), and where to move.
+    """The heaviest Gaussians of a pixel, ellipses green (descent makes them more opaque) or red (less).
 
     An arrow points against (dL/du, dL/dv), which is where descent moves the centre; the longest has a fixed length.
     """

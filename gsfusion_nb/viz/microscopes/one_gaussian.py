@@ -1,4 +1,4 @@
-"""A single Gaussian under a magnifying glass: the exact projection of its points against the ellipse that is drawn."""
+"""One Gaussian, enlarged: the exact projection of its points beside the ellipse that is drawn."""
 
 import math
 

@@ -54,7 +54,7 @@ class PixelGradient:
 
 
 def pixel_gradient(splats: Splats, v_rgb: Float[Tensor, "H W 3"], u: int, v: int) -> PixelGradient:
-    """What pixel (column ``u``, row ``v``) asks of each Gaussian that made it.
+    """The gradient from pixel (column ``u``, row ``v``) for each Gaussian that made it.
 
     Args:
         splats: The Gaussians on the screen.
@@ -78,14 +78,14 @@ class GaussianGradient:
     uv: Float[Tensor, "h w 2"]
     """Pixel centres of the grid."""
     stride: int
-    """Every so many pixels; with 1 the fields sum up to the renderer's gradient."""
+    """Distance of the grid's pixels; with 1 the fields sum up to the renderer's gradient."""
     weight: Float[Tensor, "h w"]
     v_alpha: Float[Tensor, "h w"]
     v_uv: Float[Tensor, "h w 2"]
 
 
 def gaussian_gradient(splats: Splats, v_rgb: Float[Tensor, "H W 3"], row: int) -> GaussianGradient:
-    """What every pixel under a Gaussian asks of it.
+    """The gradient for one Gaussian from every pixel under it.
 
     Args:
         splats: The Gaussians on the screen.
@@ -127,7 +127,7 @@ def pixel_gradient_table(gradient: PixelGradient, rows: int = 12, unit: float | 
 
     Args:
         gradient: From ``pixel_gradient``.
-        rows: The heaviest so many, in their order.
+        rows: How many lines: those with the largest weights, in their order.
         unit: Numbers are divided by it: 1 / (number of values) turns an L1 gradient into +1 and -1.
     """
     s = gradient.stack

@@ -1,7 +1,8 @@
 """Which Gaussians made a pixel: the blending of a few pixels, evaluated one Gaussian at a time.
 
-The renderer keeps no record of who contributed what; here every Gaussian is tried at the pixels asked for, which needs
-no tiles and so is also an independent witness of the renderer. The rules are those of ``render.composite``.
+The renderer does not record which Gaussians contributed to a pixel. Here every Gaussian is evaluated at the chosen
+pixels. This needs no tiles, and so it also checks the renderer independently. The rules are those of
+``render.composite``.
 """
 
 from dataclasses import dataclass
@@ -53,7 +54,7 @@ class Blend:
     alpha: Float[Tensor, "P K"]
     """Zero where below 1/255 and where the pixel had stopped."""
     transmittance: Float[Tensor, "P K+1"]
-    """T_k in front of each; the last column is what is left behind all."""
+    """T_k in front of each; the last column is the transmittance behind all."""
 
     @property
     def weight(self) -> Float[Tensor, "P K"]:

@@ -11,9 +11,9 @@ from ...drawing.pictures import AnyImage, Picture, to_uint8
 from .pixel_stack import PixelStack, Splats
 
 INK, FAINT, LIGHT = (28, 36, 48), (223, 228, 234), (209, 73, 91)
-"""Text, grid lines, the curve of the light that is left."""
+"""Colour of text, grid lines and the curve of the transmittance."""
 CROSS = (255, 210, 0)
-"""The chosen pixel."""
+"""Colour of the mark at the chosen pixel."""
 
 
 def stack_picture(stack: PixelStack, *, width: int = 420, height: int = 240, scale: int = 2) -> Picture:

@@ -19,7 +19,7 @@ class ClickImage(anywidget.AnyWidget):
     """A picture; ``pixel`` is the (column, row) last clicked, dragged to, or reached with the arrow keys.
 
     ``observe(f, "pixel")`` calls ``f`` at each change. The picture may be larger than the image whose pixels are
-    meant: ``size`` decides.
+    meant: the clicks are counted in the pixels of that image.
 
     Args:
         columns, rows: Size of the image whose pixels are counted.

@@ -1,4 +1,4 @@
-"""Discs to play with: disc depth against blended depth on a small stage, and the masks of Eq. 6 over a picture."""
+"""Panels about discs: disc depth beside blended depth in a small scene, and the masks of Eq. 6 over a picture."""
 
 import dataclasses
 
@@ -23,7 +23,7 @@ from .panel import Drawn, Number, Panel, Slider
 
 STAGE_CAMERA = Camera(width=96, height=60, fx=80.0, fy=80.0, cx=48.0, cy=30.0)
 NEAR_M = 1.2
-"""The stage: a board whose right edge is at x = 0, this far away, in front of another one."""
+"""The right edge of the front board is at x = 0 and this far away, metres."""
 MID_AIR_M = 0.03
 _HALF_M, _ROWS_M, _BAR_M = 0.7, 0.8, 0.2
 _DISC_INK, _BLENDED_INK, _TRUE_INK = (61, 133, 198), (224, 138, 46), (150, 156, 166)
@@ -39,7 +39,7 @@ class Stage:
     planes_m: tuple[Float[Tensor, "H W"], ...]
     """z-depth of the planes that the boards lie in."""
     disc_m: Float[Tensor, "H W"]
-    """Of the discs hit (Eq. 4-5); 0 where none is."""
+    """Depth of the discs that the rays hit (Eq. 4-5); 0 where there is none."""
     blended_m: Float[Tensor, "H W"]
     """sum of w_k z_k / alpha."""
     rgb: Float[Tensor, "H W 3"]
@@ -62,10 +62,10 @@ def disc_stage(
     """A leaning board in front of a wall, both covered with discs of standard deviation spacing / 1.5.
 
     Args:
-        lean_deg: How far the front board turns away about the vertical.
-        gap_m: How far behind it the wall stands; 0: only the board.
-        spacing_m: Distance of the discs.
-        opaque_alpha: A disc is hit from here on.
+        lean_deg: Rotation of the front board about the vertical, degrees.
+        gap_m: Distance of the wall behind it, metres; 0: only the board.
+        spacing_m: Distance of neighbouring discs, metres.
+        opaque_alpha: A ray hits a disc where its alpha is at least this.
     """
     camera, T_WC = STAGE_CAMERA, torch.eye(4)
     lean = np.radians(float(lean_deg))
@@ -155,7 +155,7 @@ def plan_picture(stage: Stage, width: int, height: int = 300) -> Picture:
 
 
 def _far_m(stage: Stage) -> float:
-    """Where the stage ends: a leaning plane meets some rays far behind its last disc, or not at all."""
+    """Largest depth that is drawn: some rays meet a leaning plane far behind its last disc, or never."""
     return min(float(stage.truth_m.max()), float(stage.params.xyz_W[:, 2].max()))
 
 
@@ -173,7 +173,7 @@ def _stage_words(stage: Stage) -> str:
 def _board(
     lean: float, z_m: float, x_m: tuple[float, float], spacing_m: float, rgb: tuple[float, ...]
 ) -> GaussianParams:
-    """Discs on a plane through (0, 0, z) that is turned by ``lean`` about the vertical; it goes away to the left."""
+    """Discs on a plane through (0, 0, z) that is turned by ``lean`` about the vertical; the left side is farther."""
     u = torch.arange(x_m[0] + spacing_m / 2, x_m[1], spacing_m)
     v = torch.arange(-_ROWS_M, _ROWS_M + spacing_m / 2, spacing_m)
     u, v = (a.flatten() for a in torch.meshgrid(u, v, indexing="ij"))

@@ -1,4 +1,4 @@
-"""ICP to look at: every step of one alignment, from how far away it still succeeds, and paths from above."""
+"""Panels about ICP: every step of one alignment, the starts from which it succeeds, and paths from above."""
 
 import dataclasses
 import itertools
@@ -53,7 +53,7 @@ def pose_error(T_WC: Float[Tensor, "4 4"], T_true: Float[Tensor, "4 4"]) -> tupl
 
 
 def single_level(config: TrackingConfig) -> TrackingConfig:
-    """The settings without coarse levels, with as many steps."""
+    """The same settings and number of steps, with the finest level only."""
     return dataclasses.replace(config, pyramid=config.pyramid[-1:], iterations=(sum(config.iterations),))
 
 
@@ -75,7 +75,7 @@ def residual_picture(frame: Frame, surface: Surface, T_WC: Float[Tensor, "4 4"],
 
 
 def overlay_picture(frame: Frame, surface: Surface, T_WC: Float[Tensor, "4 4"]) -> Picture:
-    """The surface's colours and the frame's, put where the pose says, half and half: a wrong pose shows double."""
+    """The surface's colours and the frame's, placed by the pose and mixed; a wrong pose shows double edges."""
     base = np.zeros((*surface.depth_m.shape, 3), np.uint8) if surface.rgb is None else to_uint8(surface.rgb)
     known = frame.depth_m > 0
     xyz_W = se3.apply(T_WC.float(), depth_to_points(frame.camera, frame.depth_m)[known])

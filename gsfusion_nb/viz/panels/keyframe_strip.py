@@ -16,8 +16,8 @@ def keyframe_strip(keyframes: Iterable[Keyframe], *, columns: int = 10, width: i
     Args:
         keyframes: ``mapper.keyframes``.
         columns: Pictures in a row.
-        width: Of the whole, pixels.
-        most: If there are more, so many of them evenly spread.
+        width: Of the whole strip, pixels.
+        most: Of more keyframes, only this many are shown, evenly spread.
 
     Returns:
         White where there is nothing; one white row of pixels if there are no keyframes.

@@ -57,14 +57,14 @@ class Panel:
     """Shows ``draw(**values)`` and draws again when a control moves. The last line of a cell shows it.
 
     ``draw`` is called from whatever thread the notebook handles the control in, one call at a time, and always with
-    the newest values. If it raises, the error stands where the text was, and the last picture stays.
+    the newest values. If it raises, the error is shown instead of the text, and the last picture stays.
 
     Args:
         draw: Control values by name -> picture and text.
         controls: Name -> control, from top to bottom.
         buttons: Label -> function; the picture is drawn again after it.
-        name: Ends the CSS classes: ``gsnb-NAME`` the whole, ``gsnb-NAME-image``, ``gsnb-NAME-text``, and one for every
-            control.
+        name: Ends the CSS classes: ``gsnb-NAME`` for the panel, ``gsnb-NAME-image``, ``gsnb-NAME-text``, and one for
+            every control.
         kind: "jpeg" for photographs, "png" for drawings.
         text: Text of a static output.
     """
@@ -89,7 +89,7 @@ class Panel:
 
     @property
     def values(self) -> dict[str, Any]:
-        """What the controls say now."""
+        """Values of the controls."""
         return {name: control.value for name, control in self.controls.items()}
 
     def set(self, **values: Any) -> "Panel":
@@ -118,7 +118,7 @@ class Panel:
         return self._picture
 
     def redraw(self) -> None:
-        """Call ``draw`` with the values of this moment, and show what it gives."""
+        """Call ``draw`` with the present values, and show the result."""
         with self.lock:
             try:
                 self._picture, words = self.draw(**self.values)

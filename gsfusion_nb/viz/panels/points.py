@@ -24,8 +24,8 @@ def point_view(
 ) -> Picture:
     """The frame's pixels, lifted to points (GSFusion Eq. 10) and projected (Eq. 4) into a camera at ``T_WC``.
 
-    The nearest point wins a pixel. Black: no point fell there, because the frame never saw that place, or because the
-    new camera came closer and the points lie apart.
+    A pixel shows the nearest point. It is black if there is none, because the frame never saw that place, or because
+    the new camera is closer and the points are far apart.
 
     Args:
         frame: Where the points come from.

@@ -1,4 +1,4 @@
-"""The quadtree over a picture, to play with: threshold and smallest cell, what is cut, and how many Gaussians."""
+"""A panel about the quadtree of a picture: threshold, smallest cell, the cells, and the number of Gaussians."""
 
 from typing import Any, Literal
 

@@ -1,4 +1,4 @@
-"""A seeding rule to play with: sliders and lists made from its keywords, and where it puts Gaussians on a frame."""
+"""A panel about a seeding rule: controls made from its keywords, and where it puts Gaussians on a frame."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -34,7 +34,8 @@ def rule_controls(
 
     Args:
         rule: Name or function.
-        ranges: Option -> its least and largest value, where the guess is no good; two whole numbers make whole steps.
+        ranges: Option -> its least and largest value, where the default range does not fit; two whole
+            numbers make whole steps.
 
     Raises:
         KeyError: no such rule, or ``ranges`` names no option of it.
@@ -185,7 +186,7 @@ def _rendered(ctx: SeedContext, seeds: Seeds, *, with_map: bool) -> Picture:
 
 
 def _view_colours(ctx: SeedContext) -> torch.Tensor:
-    """Colours of the map without their change with the viewing direction."""
+    """Colours of the map without their view-dependent part."""
     model: GaussianModel = ctx.gaussians
     return model.rgb.clamp(0, 1)
 

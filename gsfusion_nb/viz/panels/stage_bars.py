@@ -1,4 +1,4 @@
-"""Where the time of a frame goes, and what it would be if a stage were faster (Amdahl's law), to play with."""
+"""Where the time of a frame goes, and a panel that makes stages faster (Amdahl's law)."""
 
 from collections.abc import Mapping
 
@@ -13,11 +13,11 @@ _LEFT, _RIGHT, _BAR = 92, 14, 44
 
 
 def stage_means(seconds: list[dict[str, float]], *, least_share: float = 0.002) -> dict[str, float]:
-    """Mean time of each stage over the frames; stages that take next to nothing are left out.
+    """Mean time of each stage over the frames; very short stages are left out.
 
     Args:
         seconds: ``report.seconds`` of each step.
-        least_share: Of the total, below which a stage is left out.
+        least_share: A stage with a smaller share of the total is left out.
     """
     names = dict.fromkeys(name for s in seconds for name in s)
     means = {name: sum(s.get(name, 0.0) for s in seconds) / len(seconds) for name in names}
@@ -67,7 +67,7 @@ def faster(seconds: Mapping[str, float], factors: Mapping[str, float | int]) -> 
 
 
 def amdahl_panel(seconds: Mapping[str, float], *, width: int = 720) -> Panel:
-    """A slider for each stage: how many times as fast it is made; bars of a frame before and after.
+    """A slider for each stage: its speed-up; and bars of a frame before and after.
 
     Args:
         seconds: Stage -> seconds per frame.

@@ -1,4 +1,4 @@
-"""A camera to carry through a scene, and the TSDF volume that fills with what it measures."""
+"""A panel that moves a camera through a scene and fuses its depth images into a TSDF volume."""
 
 import math
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""What is known about each Gaussian beside its parameters, as columns of numbers that the splat viewer colours by."""
+"""What is known about each Gaussian apart from its parameters: columns of numbers for the splat viewer's colours."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -23,7 +23,7 @@ KNOWN: dict[str, tuple[Kind, str]] = {
 """Attributes of a map that become columns: name -> (kind, label). Extras of these names replace them."""
 STATE_NAMES = ("unstable", "stable")
 SURFEL_TAG = "cause: area, depth, colour"
-"""What the tag of a map with states is (``surfel_pictures.CAUSES``)."""
+"""Name of the tag column of a map with states (``surfel_pictures.CAUSES``)."""
 
 _NAMES_TAKEN = ("rgb", "depth", "opacity")
 
@@ -34,7 +34,7 @@ class Column:
 
     name: str
     label: str
-    """For the menu and the legend."""
+    """Name in the menu and the legend."""
     kind: Kind
     values: Float[np.ndarray, " N"]
 
@@ -53,11 +53,11 @@ class Column:
 
     @property
     def palette(self) -> str:
-        """Which of ``splat_picture.PALETTES`` shows it."""
+        """Which of ``viewer_picture.PALETTES`` shows it."""
         return "state" if self.kind == "state" else "viridis"
 
     def described(self) -> dict[str, Any]:
-        """What the front end is told."""
+        """The message to the front end."""
         low, high = self.limits
         names = list(STATE_NAMES) if self.kind == "state" else None
         return {

@@ -38,7 +38,7 @@ def draw_gaussians(
         params: The map; any number of rows.
         camera: Intrinsics and size of the picture.
         T_WC: Camera-to-world pose.
-        show: "colour"; "depth" (expected depth, striped where nothing is); "opacity" (accumulated, black to white);
+        show: "colour"; "depth" (expected depth, striped where there is none); "opacity" (accumulated, black to white);
             "first-seen frame" and "quadtree level" paint every Gaussian by its row of ``labels``.
         labels: ``birth_frame`` or ``tag`` of each Gaussian, for the last two. [N]
         cut_m: Leave out every Gaussian whose centre is nearer than this, z-depth in metres: opens a closed room.

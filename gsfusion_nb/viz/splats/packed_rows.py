@@ -1,6 +1,6 @@
-"""The rows of a map as the splat viewer's front end reads them: fixed-size binary records, and what of them changed.
+"""The rows of a map as the splat viewer's front end reads them: fixed-size binary records, and which of them changed.
 
-``static/rows.js`` is the other side. Little endian; half floats where the eye does not see the difference.
+``static/rows.js`` is the other side. Little endian; half floats where the difference is invisible.
 """
 
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from ...types import GaussianParams
 PACKET_BYTES = 48_000_000
 """Records of the whole map stay below this; the higher harmonics are the first to go (96 of up to 124 bytes)."""
 MAX_CHANGED_SHARE = 0.6
-"""If more of the rows than this have changed, sending all of them is simpler and hardly longer."""
+"""If more of the rows than this have changed, all of them are sent: simpler, and hardly more bytes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,7 +23,7 @@ class RowLayout:
     """What one record holds."""
 
     columns: int
-    """Labels and numbers of the Gaussian beside its parameters."""
+    """Labels and numbers of the Gaussian apart from its parameters."""
     harmonics: int
     """Coefficients of the colour: 1, 4, 9 or 16."""
 
@@ -102,8 +102,8 @@ def pack_rows(params: GaussianParams, columns: Float[np.ndarray, "N C"], layout:
 def packet_between(old: UInt8[np.ndarray, "_ _"] | None, new: UInt8[np.ndarray, "_ _"]) -> RowPacket | None:
     """What to send to someone who has ``old`` so that they have ``new``; ``None`` if nothing changed.
 
-    A map that only grew costs its new rows; one whose rows moved costs those that moved; one that lost rows is sent
-    whole, since every row after a lost one has another number.
+    If the map only grew, the new rows are sent; if rows changed, those; if rows were removed, all rows are sent,
+    since every row after a removed one has another number.
     """
     everything = RowPacket(n=len(new), index=None, records=new)
     if old is None or old.shape[1] != new.shape[1] or len(old) > len(new):

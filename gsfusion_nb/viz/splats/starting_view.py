@@ -1,4 +1,4 @@
-"""Where the splat viewer stands at first, and the camera it looks through."""
+"""The pose and the camera that the splat viewer starts with."""
 
 from jaxtyping import Float
 from torch import Tensor
@@ -10,13 +10,13 @@ from ...types import Camera, GaussianParams
 from ..viewpoint import Viewpoint, extent
 
 _FOCAL_PER_WIDTH = 0.7
-"""Of a viewer that is given no camera: 71 degrees wide."""
+"""Focal length / image width of a viewer without a camera: a 71 degree wide view."""
 
 
 def viewing_camera(camera: Camera | None, width: int | None, height: int | None) -> Camera:
-    """The given camera on a canvas of the wished size: all of its view if the shape is the same, else as wide as it.
+    """The given camera on a canvas of the given size: all of its view if the shape is the same, else as wide as it.
 
-    Without a wish the canvas is the camera's, at most 640 pixels wide; without a camera 480 x 360.
+    Without a given size the canvas is the camera's, at most 640 pixels wide; without a camera 480 x 360.
     """
     if camera is None:
         w, h = width or 480, height or 360

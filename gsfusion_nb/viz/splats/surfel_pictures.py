@@ -17,7 +17,7 @@ STATE_COLOURS = {
     "stable_transparent": (40, 200, 190),
     "unstable_transparent": (230, 60, 160),
 }
-"""Names as in ``state_counts``. Blue, orange; of transparent ones dots in turquoise and pink."""
+"""Names as in ``state_counts``. Opaque: blue and orange; transparent, as dots: turquoise and pink."""
 CAUSES = {1: ("new area", (60, 210, 90)), 2: ("depth wrong", (255, 60, 60)), 3: ("colour wrong", (70, 150, 255))}
 """Tag of a Gaussian from the rule ``rtg_slam`` -> why it was added, its colour."""
 

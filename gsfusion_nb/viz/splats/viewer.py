@@ -35,11 +35,11 @@ from .viewer_picture import PALETTES, palette_stops, splat_picture
 log = logging.getLogger(__name__)
 
 MIN_INTERVAL_S = 0.2
-"""Between two updates of a growing map."""
+"""Shortest time between two updates of a growing map."""
 SOFTWARE_ROWS = 150_000
-"""The software rasteriser draws the most important rows up to here; with more, the picture lags behind the hand."""
+"""The software rasteriser draws at most this many rows, the most important; more would make the mouse lag."""
 PICK_ALPHA = 0.25
-"""A click picks the front-most Gaussian that covers the pixel at least so much."""
+"""A click picks the front-most Gaussian whose alpha at the pixel is at least this."""
 
 _RULES = {
     "near_m": NEAR_PLANE_M,
@@ -61,7 +61,7 @@ class SplatViewer(anywidget.AnyWidget):
     """Look at a Gaussian map from everywhere; the last line of a cell shows it.
 
     Drag to orbit, shift-drag to pan, ctrl-drag to look around, wheel (after a click) to zoom, R to go back, click to
-    pick: ``viewer.picked`` is the row's number, ``viewer.picked_row()`` its numbers, ``viewer.observe(f, "picked")``
+    pick: ``viewer.picked`` is the row's number, ``viewer.picked_row()`` its values, ``viewer.observe(f, "picked")``
     calls ``f`` at each pick. In ``static_views`` there is only a picture by the library's renderer.
 
     Args:
@@ -154,9 +154,9 @@ class SplatViewer(anywidget.AnyWidget):
         self.pose = T_WC.flatten().tolist()
 
     def update(self, source: Any = None, *, extras: Mapping[str, Any] | None = None) -> None:
-        """Show the map as it is now, or another one. Only rows that changed travel, at most five times a second.
+        """Show the map as it is now, or another one. Only changed rows are sent, at most five times a second.
 
-        Calls in between are not lost: the last one is made good when its time has come.
+        Calls that come sooner wait: the newest of them is sent as soon as that is allowed.
 
         Args:
             source: The map; the one shown so far by default.
@@ -178,7 +178,7 @@ class SplatViewer(anywidget.AnyWidget):
                 self._timer.start()
 
     def picked_row(self) -> GaussianRecord | None:
-        """All numbers of the picked Gaussian; ``None`` if none is picked, or it is gone."""
+        """All numbers of the picked Gaussian; ``None`` if none is picked, or it was removed."""
         with self._lock:
             if self.picked is None or self.picked >= len(self._params):
                 return None
@@ -230,7 +230,7 @@ class SplatViewer(anywidget.AnyWidget):
         return proposal["value"]
 
     def _read(self) -> None:
-        """Look at the source: its parameters and columns."""
+        """Read parameters and columns from the source."""
         held = getattr(self._source, "gaussians", self._source)
         params = held if isinstance(held, GaussianParams) else getattr(held, "params", None)
         if not isinstance(params, GaussianParams):
@@ -240,7 +240,7 @@ class SplatViewer(anywidget.AnyWidget):
         self._columns: list[Column] = columns_of(held, len(params), self._extras)
 
     def _describe(self) -> None:
-        """Tell the front end about the columns and what is wrong with the map."""
+        """Send the front end the columns, and a warning if the map has invalid rows."""
         with self.hold_sync():
             self.columns = [c.described() for c in self._columns]
             frames = [c for c in self._columns if c.kind == "frame" and len(c.values)]
@@ -261,7 +261,7 @@ class SplatViewer(anywidget.AnyWidget):
             self._send_rows(records)
 
     def _refresh_late(self) -> None:
-        """From the timer's thread, whose errors nobody would see."""
+        """Called in the timer's thread, where errors would not be shown."""
         try:
             self._refresh()
         except ValueError as e:
@@ -273,7 +273,7 @@ class SplatViewer(anywidget.AnyWidget):
         )
 
     def _send_rows(self, records: np.ndarray) -> None:
-        """What the front end lacks. While it has not answered yet, a blocking loop may be running: it gets all."""
+        """Send the rows that the front end does not have; all rows if it has not answered (a cell may be running)."""
         if not (self._listening or self._displayed):
             return
         packet = packet_between(self._sent if self._listening else None, records)
@@ -290,7 +290,7 @@ class SplatViewer(anywidget.AnyWidget):
         self.send({"kind": "rows", "head": head}, buffers)
 
     def _heard(self, _widget: Any, content: Any, _buffers: Any) -> None:
-        """A view has opened, or missed something."""
+        """The front end has opened, or has missed a message."""
         if content.get("kind") == "ready":
             with self._lock, self._sending:
                 self._listening, self._sent = True, None
