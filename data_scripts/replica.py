@@ -2,7 +2,7 @@
 
     python data_scripts/replica.py office0 room0 --out data
 
-All eight come in one archive of 12 GB: name every scene that is wanted, or use --keep-archives and come again. Each
+All eight come in one archive of 12 GB: name every scene that is wanted, or use --keep-archives and run it again. Each
 scene gets mesh.ply, the whole mesh, and mesh_culled.ply, what the cameras see of it, for scores of geometry.
 """
 

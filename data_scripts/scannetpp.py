@@ -3,7 +3,7 @@
     python data_scripts/scannetpp.py /data/scannetpp/data/8b5caf3398 --out data
 
 Photographs are undistorted at half resolution and depth is rendered from the scan's mesh, without graphics card or
-display. An interrupted run goes on with the next picture.
+display. An interrupted run continues with the next picture.
 """
 
 import sys

@@ -2,7 +2,7 @@
 
 A complete file is written under a temporary name in the same folder, flushed to disk and renamed, which every file
 system does in one step. So a reader finds the old content or the new one, also after a crash or a power failure. A
-killed program may leave a temporary file behind; nobody reads it.
+killed program may leave a temporary file, which is never read.
 """
 
 import contextlib
@@ -58,7 +58,7 @@ def atomic_folder(path: Path, temporary: Path, *, resume: bool = False) -> Itera
     Args:
         path: Folder to make.
         temporary: Where to fill it, on the same disk.
-        resume: Keep the unfinished folder after an exception, and go on from what an earlier call left there.
+        resume: Keep the unfinished folder after an exception, and continue with what an earlier call left there.
 
     Raises:
         FileExistsError: ``path`` exists.

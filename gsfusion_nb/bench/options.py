@@ -81,7 +81,7 @@ class BenchOptions:
         if self.json:
             folder = Path(self.json).expanduser().parent
             if not folder.is_dir():
-                raise ValueError(f"--json: {folder} is no folder, so {Path(self.json).name} cannot be written there")
+                raise ValueError(f"--json: {folder} is not a folder, so {Path(self.json).name} cannot be written there")
             if Path(self.json).expanduser().is_dir():
                 raise ValueError(f"--json: {self.json} is a folder; expected the name of a file")
 

@@ -59,7 +59,7 @@ def open_sequence(
     path = Path(path_or_name).expanduser()
     if not path.is_dir():
         raise SequenceNotFoundError(
-            f"{path} is no folder; expected one that holds a sequence, or the name of a built-in: room"
+            f"{path} is not a folder; expected one that holds a sequence, or the name of a built-in: room"
         )
     name = detect_layout(path) if format == "auto" else format
     layout = known_layouts()[name]

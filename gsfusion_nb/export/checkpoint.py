@@ -1,4 +1,4 @@
-"""Saving the state of a run so that it can go on later. Nothing in the file is executed when it is read."""
+"""Saving the state of a run so that it can continue later. Nothing in the file is executed when it is read."""
 
 import pickle
 import zipfile
@@ -43,7 +43,7 @@ def load_checkpoint(path: str | Path, *, device: torch.device | str = "cpu") -> 
         content = torch.load(path, map_location=device, weights_only=True)
     except (pickle.UnpicklingError, RuntimeError, EOFError, OSError, KeyError, zipfile.BadZipFile) as e:
         reason = str(e).splitlines()[0] if str(e) else type(e).__name__
-        raise ValueError(f"{path} is no readable checkpoint, it may be truncated: {reason}") from None
+        raise ValueError(f"{path} is not a readable checkpoint, it may be truncated: {reason}") from None
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise ValueError(f"{path} is a PyTorch file but no {FORMAT}; expected one written by save_checkpoint")
     if content.get("version") != VERSION:

@@ -71,7 +71,7 @@ def read_gaussian_ply(path: str | Path) -> GaussianParams:
     try:
         ply = _read(path)
     except (PlyParseError, UnicodeDecodeError) as e:
-        raise ValueError(f"{path} is no readable PLY file ({e}); expected one of Gaussians") from None
+        raise ValueError(f"{path} is not a readable PLY file ({e}); expected one of Gaussians") from None
     if "vertex" not in ply:
         raise ValueError(f"{path} has no element vertex; expected a PLY file of Gaussians")
     data = ply["vertex"].data

@@ -52,7 +52,7 @@ def read_mesh_ply(path: str | Path) -> Mesh:
     try:
         ply = _read(path)
     except (PlyParseError, UnicodeDecodeError) as e:
-        raise ValueError(f"{path} is no readable PLY file of triangles ({e})") from None
+        raise ValueError(f"{path} is not a readable PLY file of triangles ({e})") from None
     if "vertex" not in ply or not {"x", "y", "z"} <= set(ply["vertex"].data.dtype.names or ()):
         raise ValueError(f"{path} has no element vertex with x, y, z; expected a PLY file of a mesh")
     vertex = ply["vertex"].data

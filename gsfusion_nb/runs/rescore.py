@@ -63,7 +63,7 @@ def _read_json(path: Path, keys: tuple[str, ...]) -> dict[str, Any]:
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
     except json.JSONDecodeError as e:
-        raise ValueError(f"{path} is no valid JSON: {e}") from None
+        raise ValueError(f"{path} is not valid JSON: {e}") from None
     lacking = [key for key in keys if not isinstance(document, dict) or key not in document]
     if lacking:
         raise ValueError(f"{path} is not of a run: expected the keys {', '.join(keys)}, lacking {', '.join(lacking)}")

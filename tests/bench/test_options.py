@@ -26,7 +26,7 @@ def test_defaults():
         ({"frames": -3}, ValueError, "--frames must be at least 2"),
         ({"size": ("640",)}, ValueError, "--size must look like 320x240, got '640'"),
         ({"size": ("8x8",)}, ValueError, "--size must be at least 32x32, got 8x8"),
-        ({"json": "/no/such/place/x.json"}, ValueError, "/no/such/place is no folder"),
+        ({"json": "/no/such/place/x.json"}, ValueError, "/no/such/place is not a folder"),
         ({"json": "/"}, ValueError, "is a folder; expected the name of a file"),
     ],
 )

@@ -98,7 +98,7 @@ def test_a_missing_module_is_told_from_a_broken_one(monkeypatch):
 
 
 def test_a_missing_folder_is_said_before_anything_runs():
-    with pytest.raises(FileNotFoundError, match="nowhere is no folder"):
+    with pytest.raises(FileNotFoundError, match="nowhere is not a folder"):
         run_bench(BenchOptions(what="tsdf", data="nowhere"))
 
 

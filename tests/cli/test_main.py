@@ -51,14 +51,14 @@ def test_preset_is_a_start_that_options_override(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "status", "sentence"),
     [
-        (["map", "nowhere"], 1, "nowhere is no folder; expected one that holds a sequence"),
+        (["map", "nowhere"], 1, "nowhere is not a folder; expected one that holds a sequence"),
         (["map"], 1, "expected the folder of a sequence"),
         (["map", "room", "--preset", "repilca"], 1, "no preset 'repilca'; known:"),
         (["map", "room", "--backend", "nubma"], 1, "no backend 'nubma'; known:"),
         (["map", "--resume", "nowhere"], 1, "only a run that was interrupted can be resumed"),
         (["eval", "nowhere"], 1, "config.json"),
         (["bench", "fly"], 1, "no bench 'fly'; known: all, map, panels, raster, tsdf, waits"),
-        (["bench", "tsdf", "--data", "nowhere"], 1, "nowhere is no folder"),
+        (["bench", "tsdf", "--data", "nowhere"], 1, "nowhere is not a folder"),
         (["fly"], 2, "no command 'fly'"),
     ],
 )

@@ -135,10 +135,10 @@ def test_detection_lists_what_was_looked_for(tmp_path, box):
 
 
 def test_wrong_paths_and_names(tmp_path, box):
-    with pytest.raises(SequenceNotFoundError, match=r"nowhere is no folder; .*built-in: room"):
+    with pytest.raises(SequenceNotFoundError, match=r"nowhere is not a folder; .*built-in: room"):
         open_sequence(tmp_path / "nowhere")
     (tmp_path / "file.zip").write_text("")
-    with pytest.raises(SequenceNotFoundError, match=r"file\.zip is no folder"):
+    with pytest.raises(SequenceNotFoundError, match=r"file\.zip is not a folder"):
         open_sequence(tmp_path / "file.zip")
     root = box.folder(tmp_path / "scan")
     with pytest.raises(KeyError, match="no format 'kitti'; known: auto, folder"):

@@ -19,7 +19,7 @@ def test_a_variant_runs_once_and_failures_are_a_sentence(tmp_path):
     assert run_variant("room", tmp_path / "a", arguments) == metrics
     assert (tmp_path / "a" / "metrics.json").stat().st_mtime_ns == written
     failed = run_variant(str(tmp_path / "nowhere"), tmp_path / "b", arguments)
-    assert "is no folder" in failed["error"]
+    assert "is not a folder" in failed["error"]
 
 
 def test_the_table_has_a_row_per_variant(tmp_path, monkeypatch, capsys):

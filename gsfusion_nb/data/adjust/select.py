@@ -63,7 +63,7 @@ def apply_options(source: Sequence, data: DataConfig | None = None) -> OpenedSeq
 
     Of the frames ``start, start + stride, ...`` below ``stop``, the one at position i is held out when
     ``i % hold_out_every == hold_out_offset``: positions count within the selection, so the held-out share does not
-    depend on the stride. Frames that the data set itself publishes as test views (``source.novel``, ScanNet++) are
+    depend on the stride. Frames that the data set publishes as test views (``source.novel``, ScanNet++) are
     always held out, all of them, and neither counted nor thinned.
 
     The corrections of ``data.repair`` come first; frames it skips keep their numbers and are neither counted nor held

@@ -1,4 +1,4 @@
-"""A doctor for recordings: what is wrong with units, poses, intrinsics, registration or images, and what repairs it.
+"""The check-up of a recording: errors in units, poses, intrinsics, registration or images, and what repairs them.
 
 ``check_recording(path)`` gives a ``CheckupReport``: print it, show it in a notebook, or write it as a page.
 """

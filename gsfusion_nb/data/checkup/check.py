@@ -1,4 +1,4 @@
-"""The check-up: read frames, look at each thing, try the alternatives, put the repairs together."""
+"""The check-up of a recording: read frames, examine each property, try the alternatives, combine the repairs."""
 
 import time
 from collections.abc import Sequence as Rows
@@ -35,13 +35,13 @@ def check_recording(
 ) -> CheckupReport:
     """Examine a recording: units, conventions, intrinsics, registration, times, images; and say what repairs it.
 
-    Whatever has alternatives is tried with all of them, and the one under which the depth images predict each other
-    best (cross-frame reprojection) is named, with the options of ``gsfusion-nb map`` that ask for it.
+    A property with alternatives is tried with all of them. The report names the alternative under which the depth
+    images predict each other best (cross-frame reprojection), with the options of ``gsfusion-nb map`` that select it.
 
     Args:
         sequence_or_path: Folder of a recording, "room", or any ``Sequence``.
         data: Range, depth limits and corrections to begin with, for example those of an earlier report; all frames of
-            the range are looked at, held-out ones too.
+            the range are examined, held-out ones too.
         frames: About how many frames are read; a longer recording is read in windows of 31 consecutive ones.
         pictures: Also make the pictures of the page.
         reader_options: For ``open_sequence``: ``format``, ``split``, options of the reader.

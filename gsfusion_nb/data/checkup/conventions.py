@@ -1,4 +1,4 @@
-"""Every way to understand poses and depth scale, and which of them the depth images bear out."""
+"""Every way to interpret poses and depth scale, and which of them the depth images confirm."""
 
 import functools
 import itertools
@@ -48,7 +48,7 @@ _KEPT = 30
 
 
 Reading = tuple[RepairConfig, float]
-"""A way to understand the poses, and a factor on depth."""
+"""An interpretation of the poses, and a factor on depth."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

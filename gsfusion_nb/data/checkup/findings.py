@@ -1,4 +1,4 @@
-"""What a check-up says: one finding per thing looked at, with its numbers and its repair."""
+"""What a check-up finds: one finding per property examined, with its numbers and its repair."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -12,10 +12,10 @@ RANK: dict[Verdict, int] = {"ok": 0, "doubtful": 1, "wrong": 2}
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """One thing that was looked at."""
+    """One property that was examined."""
 
     name: str
-    """What was looked at, for example "depth scale"."""
+    """What was examined, for example "depth scale"."""
     verdict: Verdict
     sentence: str
     """What was found, with the numbers that matter."""

@@ -28,7 +28,7 @@ _NAMED = 12
 
 
 def find_jumps(over: OverFrames) -> tuple[list[int], list[int]]:
-    """Frames that stand apart from both neighbours, and frames after which the path goes on elsewhere."""
+    """Frames that stand apart from both neighbours, and frames after which the path continues elsewhere."""
     step = np.maximum(over.turned_deg / _JUMP_BASE_DEG, over.moved_m / _JUMP_BASE_M)
     usual_error = float(np.nanmedian(over.error)) if np.isfinite(over.error).any() else 0.0
     frozen = over.same_depth | np.roll(over.same_depth, 1)  # there depth says nothing about poses

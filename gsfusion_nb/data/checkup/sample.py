@@ -1,4 +1,4 @@
-"""The frames that a check-up looks at, reduced to what it needs while they are read one by one."""
+"""The frames that a check-up examines, reduced to what it needs as they are read one by one."""
 
 import contextlib
 from dataclasses import dataclass, field

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import tyro
 
-from .detect import formats
+from .detect import known_formats
 from .options import ConvertOptions
 from .run import ConvertReport, convert
 
@@ -13,7 +13,7 @@ from .run import ConvertReport, convert
 @dataclass(frozen=True, kw_only=True)
 class ConvertCommand:
     """Write a recording in another format as a sequence that can be checked and mapped: [FORMAT] SOURCE OUT. Frames
-    are written one by one; an interrupted conversion goes on when the command is repeated."""
+    are written one by one; an interrupted conversion continues when the command is repeated."""
 
     words: Annotated[tuple[str, ...], tyro.conf.Positional]
     """[FORMAT] SOURCE OUT: colmap, icl_nuim, nerfstudio, open3d, record3d, ros, scannet or tum, recognised by itself if
@@ -30,7 +30,7 @@ def run(arguments: list[str]) -> ConvertReport:
     command = tyro.cli(ConvertCommand, prog="gsfusion-nb convert", args=arguments)
     words = command.words
     if not 2 <= len(words) <= 3:
-        listed = "\n".join(f"  {name:<10} {looks_for}" for name, looks_for in formats().items())
+        listed = "\n".join(f"  {name:<10} {looks_for}" for name, looks_for in known_formats().items())
         raise ValueError(f"expected [FORMAT] SOURCE OUT; the formats and what they look for:\n{listed}")
     *format, source, out = words
     return convert(source, out, format=format[0] if format else "auto", options=command.options, progress=True)

@@ -33,7 +33,7 @@ FORMATS: dict[str, Format] = {
 """Formats by name, in the order in which they are tried."""
 
 
-def formats() -> dict[str, str]:
+def known_formats() -> dict[str, str]:
     """Names that ``convert(format=...)`` takes besides "auto", each with what it looks for."""
     return {name: f.looks_for for name, f in FORMATS.items()}
 

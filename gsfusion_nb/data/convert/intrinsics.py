@@ -77,7 +77,7 @@ def intrinsics_of_json(path: Path, size: tuple[int, int] | None, *, centre: floa
     try:
         values = json.loads(read_text(path, "the camera's intrinsics"))
     except json.JSONDecodeError as e:
-        raise SequenceError(f"{path} is no valid JSON ({e}); expected {_WAYS}") from None
+        raise SequenceError(f"{path} is not valid JSON ({e}); expected {_WAYS}") from None
     if not isinstance(values, dict):
         raise SequenceError(f"{path} must hold a JSON object with the camera's intrinsics")
     return model_of_object(values, size, str(path), centre=centre)

@@ -72,7 +72,7 @@ def _numpy_array(path: Path) -> np.ndarray:
     except FileNotFoundError:
         raise BadFrameError(f"{path} does not exist; expected the depth image of this frame") from None
     except (ValueError, EOFError, OSError) as e:
-        raise BadFrameError(f"{path} is no NumPy array of depth ({e})") from None
+        raise BadFrameError(f"{path} is not a NumPy array of depth ({e})") from None
     array = np.squeeze(array)
     if array.ndim != 2 or array.dtype.kind not in "fu":
         raise BadFrameError(f"{path} must hold a depth image [H, W], got {array.dtype} {list(array.shape)}")

@@ -76,13 +76,13 @@ def convert(
     """Write a recording in another format as a ``folder`` sequence (``gsfusion_nb.data.readers.folder``).
 
     Frames are read and written one by one. They are collected in ``OUT.partial`` and appear as ``OUT`` when all is
-    done; an interrupted conversion goes on where it stopped when it is called again. Colour that needs no change is
+    done; an interrupted conversion continues where it stopped when it is called again. Colour that needs no change is
     copied as it is. Frames without pose, with damaged images or without depth are left out and counted.
 
     Args:
         source: File or folder of the recording.
         out: New or empty folder.
-        format: One of ``formats()``; "auto" recognises it.
+        format: One of ``known_formats()``; "auto" recognises it.
         options: How to read and write.
         progress: Show a progress bar.
 
@@ -104,7 +104,7 @@ def convert(
         conversion.run(progress)
         return conversion.finish(name)
     except KeyboardInterrupt as e:
-        e.add_note(f"{len(staging.kept)} frames are in {staging.folder}; repeat the command to go on")
+        e.add_note(f"{len(staging.kept)} frames are in {staging.folder}; repeat the command to continue")
         raise
     except BaseException:
         staging.remove()

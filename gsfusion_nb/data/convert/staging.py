@@ -1,4 +1,4 @@
-"""The folder that a conversion writes: beside its final place until it is whole, and resumable."""
+"""The folder that a conversion writes: beside its final place until it is complete, and resumable."""
 
 import json
 import shutil
@@ -35,12 +35,12 @@ class JournalEntry:
 class Staging:
     """Writes pictures to ``OUT.partial``; ``finish`` puts everything in place at once.
 
-    A journal gets one line per shot after its pictures are on disk, so an interrupted conversion goes on behind the
-    last whole one. The folder reader refuses ``OUT.partial``: the poses and intrinsics are written last.
+    A journal gets one line per shot after its pictures are on disk, so an interrupted conversion continues after the
+    last complete one. The folder reader refuses ``OUT.partial``: the poses and intrinsics are written last.
     """
 
     def __init__(self, out: Path, plan: dict[str, Any]):
-        """Open or go on.
+        """Start, or continue an interrupted conversion.
 
         Args:
             out: Final folder; must not exist, or be empty.
@@ -65,11 +65,11 @@ class Staging:
         return Camera(**json.loads(file.read_text())) if file.exists() else None
 
     def set_camera(self, camera: Camera) -> None:
-        """Keep the camera of all frames, for going on later."""
+        """Keep the camera of all frames, to continue later."""
         write_file(self.folder / _CAMERA, json.dumps(vars(camera)))
 
     def remove(self) -> None:
-        """Take back a conversion of which nothing was written."""
+        """Remove the folder of a conversion that wrote nothing."""
         if not self.kept:
             shutil.rmtree(self.folder)
 
@@ -131,7 +131,7 @@ class Staging:
             if not file.is_file() or file.read_text() != text:
                 raise SequenceError(
                     f"{self.folder} holds an unfinished conversion of something else or with other options; delete it, "
-                    "or repeat the options to go on"
+                    "or repeat the options to continue"
                 )
             return self._read_journal()
         for name in ("rgb", "depth"):

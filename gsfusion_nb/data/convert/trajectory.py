@@ -156,7 +156,7 @@ def read_matrix(path: Path) -> Float[Tensor, "4 4"]:
     try:
         check_pose("the transform", T.reshape(4, 4))
     except ValueError as e:
-        raise SequenceError(f"{path} is no rigid transform: {e}") from None
+        raise SequenceError(f"{path} is not a rigid transform: {e}") from None
     return T.reshape(4, 4)
 
 
@@ -177,4 +177,4 @@ def read_text(path: Path, what: str) -> str:
     except FileNotFoundError:
         raise SequenceNotFoundError(f"{path} does not exist; expected {what}") from None
     except (UnicodeDecodeError, IsADirectoryError):
-        raise SequenceError(f"{path} is no text file; expected {what}") from None
+        raise SequenceError(f"{path} is not a text file; expected {what}") from None

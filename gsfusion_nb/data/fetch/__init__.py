@@ -1,4 +1,4 @@
-"""Fetching public data sets: download, compare, unpack, convert, and only then give the folder its name.
+"""Fetching public data sets: download, verify, unpack, convert, and only then give the folder its name.
 
 The scripts in ``data_scripts/`` say which files make a data set; everything they have in common is here.
 """

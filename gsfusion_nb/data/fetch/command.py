@@ -51,7 +51,7 @@ def run(name: str, script: Callable[[], object]) -> int:
         sys.stderr.write(f"{name}: {e}\n")
         return 1
     except KeyboardInterrupt:
-        sys.stderr.write(f"{name}: interrupted; the same command goes on\n")
+        sys.stderr.write(f"{name}: interrupted; the same command continues\n")
         return 130
     return 0
 

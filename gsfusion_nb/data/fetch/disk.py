@@ -1,4 +1,4 @@
-"""Free space is looked at before it is needed."""
+"""Free disk space, checked before it is needed."""
 
 import errno
 import shutil
@@ -7,7 +7,7 @@ from pathlib import Path
 from .errors import NoSpaceError
 
 MARGIN_BYTES = 200_000_000
-"""Left free for everybody else on the disk."""
+"""Left free for other users of the disk."""
 
 
 def require_space(folder: Path, needed_bytes: int, what: str) -> None:

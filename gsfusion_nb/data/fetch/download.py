@@ -1,6 +1,6 @@
-"""Downloading one file: a broken transfer goes on where it stopped, and a file is whole or not there.
+"""Downloading one file: a broken transfer continues where it stopped, and the file appears when it is complete.
 
-Own code on the standard library: pooch, which installs with PyVista, starts a broken transfer anew.
+Own code on the standard library: pooch, which is installed with PyVista, starts a broken transfer from the beginning.
 """
 
 import http.client
@@ -48,7 +48,7 @@ class Transfer:
 
 
 class _TryAgain(Exception):
-    """The transfer broke; another attempt may go on."""
+    """The transfer broke; another attempt may continue."""
 
     def __init__(self, reason: str, wait_s: float | None = None):
         super().__init__(reason)
@@ -82,10 +82,10 @@ def download(
     transfer: Transfer | None = None,
     progress: Progress = lambda done, total: None,
 ) -> None:
-    """Fetch ``url`` to ``path``; a file that is there already is left as it is.
+    """Fetch ``url`` to ``path``; an existing file is left as it is.
 
-    Until it is whole it lies beside as ``<name>.part`` with ``<name>.part.json``. A transfer goes on only where the
-    server names the file's version (entity tag or date) and it is the same; otherwise it starts anew.
+    Until it is complete it is kept beside as ``<name>.part`` with ``<name>.part.json``. A transfer continues only where
+    the server names the file's version (entity tag or date) and it is the same; otherwise it starts again.
 
     Args:
         url: http or https address.
@@ -114,13 +114,13 @@ def download(
             fruitless = 0 if reached > farthest else fruitless + 1
             farthest = max(farthest, reached)
             if fruitless >= transfer.attempts:
-                kept = f"; {size_text(reached)} are kept, run again to go on" if reached else ""
+                kept = f"; {size_text(reached)} are kept, run again to continue" if reached else ""
                 raise DownloadError(f"{url}: {e}; gave up after {fruitless} attempts in a row{kept}") from None
             wait_s = e.wait_s if e.wait_s is not None else transfer.first_wait_s * 2.0**fruitless
             wait_s = min(wait_s, transfer.longest_wait_s)
             log.warning("%s: %s; again in %.0f s", path.name, e, wait_s)
             transfer.sleep(wait_s)
-    raise DownloadError(f"{url}: the transfer broke {transfer.attempts_in_all} times; run again to go on")
+    raise DownloadError(f"{url}: the transfer broke {transfer.attempts_in_all} times; run again to continue")
 
 
 @dataclass(frozen=True)
@@ -186,7 +186,7 @@ class _Job:
             changed |= None not in (body.total, known.total) and body.total != known.total
             if body.start != start or changed:
                 self.discard()
-                raise _TryAgain("the file has changed since it was begun, so it starts anew")
+                raise _TryAgain("the file has changed since it was begun, so it starts again")
         elif body.start:
             raise DownloadError(f"{self.url} sends the file from byte {body.start} on; expected it from the beginning")
         if body.total is not None and body.total > self.max_bytes:
@@ -225,7 +225,7 @@ class _Job:
                 return DownloadError(
                     f"{self.url} has {total} bytes, but the server promised {known.total} before; run again"
                 )
-            return _TryAgain("the server refuses to go on, so it starts anew")
+            return _TryAgain("the server refuses to continue, so it starts again")
         if error.code not in TRY_AGAIN:
             gone = ": it may have moved; is there a mirror (--mirror)?" if error.code in (404, 410) else ""
             return DownloadError(f"{self.url}: the server answers {error.code} {error.reason}{gone}")

@@ -1,4 +1,4 @@
-"""The whole way of a data set: say, ask, download, compare, unpack, convert, read, and only then give it its name."""
+"""All steps of fetching a data set: describe, ask, download, verify, unpack, convert, read, and only then name it."""
 
 import contextlib
 import hashlib
@@ -21,7 +21,7 @@ from .work_folder import WORK, only_one, unfinished_folder
 log = logging.getLogger(__name__)
 
 LEAST_LIMIT_BYTES = 50_000_000
-"""Small files may be off their stated size by more than a factor."""
+"""Lower bound of the size limits: the stated size of a small file may be far off."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +46,7 @@ class Terms:
 def obtain(plan: Plan, terms: Terms) -> Path:
     """Fetch a data set; its folder.
 
-    A data set that exists is only read again. A broken download goes on at the next run. The folder appears under its
+    A data set that exists is only read again. A broken download continues at the next run. The folder appears under its
     name when everything is in it and the reader has opened it.
 
     Raises:
@@ -101,7 +101,7 @@ def _fetch(plan: Plan, item: Item, file: Path, terms: Terms) -> Obtained:
         except ChecksumError as e:
             file.unlink()
             if attempt == 2:
-                raise ChecksumError(f"{url}: {e} (twice, so it is not the line's fault)") from None
+                raise ChecksumError(f"{url}: {e} (twice, so the connection is not the cause)") from None
             terms.say(f"{e}; it is fetched once more.")
     obtained = Obtained.now(url, file, item.checksum)
     if note := record(terms.out, obtained):

@@ -1,4 +1,4 @@
-"""What is going to be fetched, said before it starts."""
+"""What will be fetched, described before it starts."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -55,7 +55,7 @@ class Plan:
     convert: Callable[[Path], None] = lambda folder: None
     """What is done to the unpacked files."""
     note: str = ""
-    """A sentence for whoever decides."""
+    """A sentence that helps the user to decide."""
     most_growth: float = 3.0
     """A file, and what it unpacks to, may be this many times the stated size before it is refused."""
 
@@ -81,15 +81,15 @@ def describe(plan: Plan, out: Path, sizes: list[int | None], mirror: str = "") -
 
 
 def agree(*, yes: bool, ask: Callable[[str], str] | None) -> None:
-    """Return if somebody agreed. ``ask`` is None where nobody is there to be asked.
+    """Return if the user agreed. ``ask`` is None where there is no user to ask.
 
     Raises:
-        DeclinedError: the answer was no, or there is nobody and ``yes`` was not given.
+        DeclinedError: the answer was no, or there is no user to ask and ``yes`` was not given.
     """
     if yes:
         return
     if ask is None:
-        raise DeclinedError("nobody is there to agree to the size and the licence; run again with --yes")
+        raise DeclinedError("there is no terminal to ask whether you agree to size and licence; run again with --yes")
     try:
         answer = ask("Go on under this licence? [y/N] ")
     except EOFError:

@@ -1,4 +1,4 @@
-"""Proving that a fetched sequence can be read, and saying how to map it."""
+"""One sequence of a data set on disk: a proof that it can be read, and the command that maps it."""
 
 import shlex
 from dataclasses import dataclass, field

@@ -16,7 +16,7 @@ def read_json(path: Path, what: str) -> dict[str, Any]:
     except FileNotFoundError:
         raise SequenceNotFoundError(f"{path} does not exist; expected {what}") from None
     except (json.JSONDecodeError, UnicodeDecodeError) as e:
-        raise SequenceError(f"{path} is no valid JSON ({e}); expected {what}") from None
+        raise SequenceError(f"{path} is not valid JSON ({e}); expected {what}") from None
     if not isinstance(values, dict):
         raise SequenceError(f"{path} must hold a JSON object ({what}), got a {type(values).__name__}")
     return values

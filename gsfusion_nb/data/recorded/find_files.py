@@ -9,10 +9,10 @@ from ..sequence import SequenceError, SequenceNotFoundError
 def require(root: Path, names: tuple[str, ...], layout: str, *, without_poses: str = "") -> None:
     """Raise ``SequenceNotFoundError`` unless ``root`` is a folder that holds all of ``names``.
 
-    If only the file ``without_poses`` is missing, the message says how to go on without.
+    If only the file ``without_poses`` is missing, the message says how to read the sequence without poses.
     """
     if not root.is_dir():
-        raise SequenceNotFoundError(f"{root} is no folder; expected a sequence in the {layout!r} layout")
+        raise SequenceNotFoundError(f"{root} is not a folder; expected a sequence in the {layout!r} layout")
     lacking = missing(root, names)
     if lacking:
         advice = (

@@ -8,7 +8,7 @@ from ..sequence import BadFrameError
 
 
 def read_rgb(path: Path) -> np.ndarray:
-    """8-bit colour image as stored (EXIF orientation is ignored, since intrinsics refer to the stored pixels).
+    """8-bit colour image as stored (EXIF orientation is ignored, because the intrinsics refer to the stored pixels).
 
     Grey images become colour, an alpha channel is dropped, 16-bit images are reduced to 8 bits.
 
@@ -88,7 +88,7 @@ def decode_image(data: bytes, flags: int, source: Path | str, kind: str) -> np.n
         image = None
     if image is None:
         raise BadFrameError(
-            f"{source} cannot be decoded: it is truncated, damaged or no image; expected a {kind} image"
+            f"{source} cannot be decoded: it is truncated, damaged or not an image; expected a {kind} image"
         )
     return image
 

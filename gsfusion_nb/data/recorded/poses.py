@@ -40,7 +40,7 @@ def read_words(path: Path, what: str) -> list[tuple[int, list[str]]]:
     except FileNotFoundError:
         raise SequenceNotFoundError(f"{path} does not exist; expected {what}") from None
     except (UnicodeDecodeError, IsADirectoryError):
-        raise SequenceError(f"{path} is no text file; expected {what}") from None
+        raise SequenceError(f"{path} is not a text file; expected {what}") from None
     lines = [(n, line.replace(",", " ").split()) for n, line in enumerate(text.splitlines(), 1)]
     lines = [(n, words) for n, words in lines if words and not words[0].startswith("#")]
     if not lines:
@@ -72,7 +72,7 @@ def checked_pose(T_WC: Float[Tensor, "4 4"], source: str) -> Float[Tensor, "4 4"
     try:
         check_pose("the pose", T_WC, MAX_RIGIDITY_ERROR)
     except ValueError as e:
-        raise BadFrameError(f"{source} is no rigid camera-to-world pose: {e}") from None
+        raise BadFrameError(f"{source} is not a rigid camera-to-world pose: {e}") from None
     return T_WC.to(torch.float32)
 
 

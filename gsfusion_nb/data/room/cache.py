@@ -39,13 +39,13 @@ def load(path: Path) -> dict[str, ndarray] | None:
             for name in archive.files:
                 image = cv2.imdecode(archive[name], cv2.IMREAD_UNCHANGED)
                 if image is None:
-                    raise ValueError(f"{name} is no PNG")
+                    raise ValueError(f"{name} is not a PNG")
                 images[name] = image
         return images
     except (FileNotFoundError, NotADirectoryError):
         return None
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, cv2.error) as e:
-        log.warning("%s is damaged and is made anew: %s", path, e)
+        log.warning("%s is damaged and is made again: %s", path, e)
         return None
 
 

@@ -1,4 +1,4 @@
-"""The room ready to be looked at: solids, patches, and the textured and lit atlas."""
+"""The room ready to be rendered: solids, patches, and the textured and lit atlas."""
 
 import functools
 import hashlib

@@ -1,7 +1,7 @@
 """Colour of an image from its hits: mip-mapped texture lookups at 2x2 points per pixel.
 
 Inside a patch the four points lie on the patch's tangent plane at the pixel centre (exact on flat patches). Where
-neighbouring pixels belong to different patches, the four points are cast anew against those patches.
+neighbouring pixels belong to different patches, the four points are cast again against those patches.
 """
 
 import numpy as np

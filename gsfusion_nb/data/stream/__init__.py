@@ -1,4 +1,4 @@
-"""Frames as they come: reading ahead, folders that grow, depth cameras, and what happens when mapping is too slow."""
+"""Frames that arrive over time: reading ahead, growing folders, depth cameras, and what a slow mapper drops."""
 
 from .background_frames import BackgroundFrames as BackgroundFrames
 from .background_frames import read_ahead as read_ahead

@@ -6,8 +6,8 @@ from pathlib import Path
 class AppendedLines:
     """Lines by number, from 0; empty ones and ``#`` comments do not count. A line counts once its end is written.
 
-    Each ``update`` reads what was appended since the last. A file that has become shorter was written anew and is read
-    from its beginning; the numbers go on from 0 again.
+    Each ``update`` reads what was appended since the last. A file that has become shorter was rewritten and is read
+    from its beginning; the numbers start from 0 again.
     """
 
     def __init__(self, path: Path):

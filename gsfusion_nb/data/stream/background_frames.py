@@ -1,4 +1,4 @@
-"""A thread that gets frames while earlier ones are being mapped, with a bound on how many wait."""
+"""A thread that reads frames while earlier ones are being mapped, with a bound on how many wait."""
 
 import contextvars
 import logging
@@ -13,23 +13,23 @@ from .frame_queue import FrameQueue
 log = logging.getLogger(__name__)
 
 POLL_S = 0.1
-"""How often a waiting taker looks whether it is still wanted, seconds."""
+"""How often a waiting consumer checks whether to end, seconds."""
 JOIN_S = 5.0
-"""How long ``close`` waits for a source that does not come back, seconds."""
+"""How long ``close`` waits for a source that does not return, seconds."""
 
 
 class BackgroundFrames:
-    """Frames of any iterable, got on a thread of their own (itself an iterator, and a context manager).
+    """Frames of any iterable, read on a separate thread (itself an iterator, and a context manager).
 
-    A frame that cannot be used is raised as the error it is, and the iteration can go on. Any other exception of the
+    For a frame that cannot be used its error is raised, and the iteration can continue. Any other exception of the
     source is raised here after the frames that came before it. The thread starts with the first ``next``.
 
     Args:
-        frames: What to get. If it has a method ``stop``, that is called when this is closed.
-        policy: Who gives way when frames come faster than they are taken, see ``POLICIES``.
+        frames: What to read. If it has a method ``stop``, that is called when this is closed.
+        policy: Which frames are dropped when they come faster than they are taken, see ``POLICIES``.
         size: Frames that may wait.
         until: Asked while no frame is there; True ends the iteration.
-        bad: Errors after which the source can go on.
+        bad: Errors after which the source can continue.
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class BackgroundFrames:
         return frame
 
     def close(self) -> None:
-        """End the thread; frames that wait are let go. A source that does not come back is left behind."""
+        """End the thread and discard waiting frames. A source that does not return is abandoned."""
         self.queue.close()
         stop = getattr(self._source, "stop", None)
         if callable(stop):

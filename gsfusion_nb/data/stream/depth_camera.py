@@ -1,4 +1,4 @@
-"""What all depth cameras share: warm-up, timeouts, being unplugged, undistortion, frames."""
+"""What all depth cameras share: warm-up, timeouts, disconnection, undistortion, frames."""
 
 import abc
 import logging
@@ -18,7 +18,7 @@ from .live_source import LiveSource
 log = logging.getLogger(__name__)
 
 MAX_TIMEOUTS = 5
-"""After so many waits in a row without a frame the camera is taken to be lost."""
+"""After this many waits in a row without a frame the camera counts as lost."""
 
 
 class CameraNotFoundError(SequenceNotFoundError):

@@ -1,4 +1,4 @@
-"""Where frames wait between the thread that gets them and the one that maps them; who gives way when it is full."""
+"""The queue between the thread that reads frames and the one that maps them, and which frames it drops when full."""
 
 import threading
 from collections import deque
@@ -19,14 +19,14 @@ POLICIES: dict[Policy, str] = {
 """What happens to frames that come faster than they are mapped."""
 
 MAX_ERRORS = 64
-"""So many notes of unusable frames may wait; they are not subject to the policy."""
+"""At most this many errors of unusable frames wait; the policy does not apply to them."""
 
 
 class FrameQueue:
     """Hands frames from one thread to another, in order, holding at most ``size`` of them.
 
     Args:
-        policy: What gives way when frames come faster than they are taken, see ``POLICIES``.
+        policy: Which frames are dropped when they come faster than they are taken, see ``POLICIES``.
         size: Frames that may wait, for "all" and "queue"; with "latest" and "drop" it is one.
 
     Raises:
@@ -40,9 +40,9 @@ class FrameQueue:
         self.policy = policy
         self.size = size if policy in ("all", "queue") else 1
         self.n_received = 0
-        """Frames that came, dropped ones included."""
+        """Frames that arrived, dropped ones included."""
         self.n_dropped = 0
-        """Frames that gave way."""
+        """Frames that were dropped."""
         self._frames: deque[Frame | SequenceError] = deque()
         self._n_waiting = 0
         self._changed = threading.Condition()
@@ -53,7 +53,7 @@ class FrameQueue:
 
     @property
     def closed(self) -> bool:
-        """The taker has gone; nothing needs to be put any more."""
+        """The consumer has closed the queue; nothing needs to be put any more."""
         return self._closed
 
     @property
@@ -62,7 +62,7 @@ class FrameQueue:
         return self._n_waiting
 
     def put(self, frame: Frame) -> None:
-        """Leave a frame; with "all" this waits for room, unless the box is closed."""
+        """Add a frame; with "all" this waits for room, unless the queue is closed."""
         with self._changed:
             if self.policy == "all":
                 self._changed.wait_for(lambda: self._closed or self._n_waiting < self.size)
@@ -79,7 +79,7 @@ class FrameQueue:
             self._changed.notify_all()
 
     def put_error(self, error: SequenceError) -> None:
-        """Leave word of a frame that cannot be used; it is raised when its turn comes and never dropped."""
+        """Add the error of a frame that cannot be used; it is raised in its turn and never dropped."""
         with self._changed:
             self._changed.wait_for(lambda: self._closed or len(self._frames) - self._n_waiting < MAX_ERRORS)
             self._frames.append(error)
@@ -117,7 +117,7 @@ class FrameQueue:
             raise StopIteration if error is None else error
 
     def close(self) -> None:
-        """Take nothing more: frames that wait are let go, and whoever waits to put one goes on."""
+        """Take nothing more: waiting frames are discarded, and a producer that waits for room continues."""
         with self._changed:
             self._closed = True
             self._frames.clear()

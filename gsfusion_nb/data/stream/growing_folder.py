@@ -27,7 +27,7 @@ log = logging.getLogger(__name__)
 _SUFFIXES = {"rgb": (".jpg", ".jpeg", ".png"), "depth": (".png", ".tif", ".tiff", ".pgm")}
 
 _LOOK_AT = 64
-"""Of the frames that wait, so many are looked at in one round."""
+"""At most this many waiting frames are checked in one round."""
 
 
 @dataclass
@@ -56,10 +56,10 @@ class GrowingFolder(LiveSource):
         path: The folder; it may still be empty, but must exist.
         poses: False: there is no ``poses.txt``, the camera is to be tracked.
         poll_s: Time between two rounds, seconds.
-        idle_s: End after so long without any change, seconds.
-        patience_s: Skip an incomplete frame after so long, seconds.
+        idle_s: End after this time without any change, seconds.
+        patience_s: Skip an incomplete frame after this time, seconds.
         stop_file: Name of the file that ends the recording.
-        wait: Waits for so many seconds; for tests.
+        wait: Waits for a number of seconds; for tests.
 
     Raises:
         SequenceNotFoundError: no such folder.
@@ -80,7 +80,9 @@ class GrowingFolder(LiveSource):
     ):
         self.root = Path(path).expanduser()
         if not self.root.is_dir():
-            raise SequenceNotFoundError(f"{self.root} is no folder; expected one in which a recording is being written")
+            raise SequenceNotFoundError(
+                f"{self.root} is not a folder; expected one in which a recording is being written"
+            )
         self.name, self.has_poses = self.root.resolve().name, poses
         self._poll_s, self._idle_s, self._patience_s = poll_s, idle_s, patience_s
         self._stop_file = self.root / stop_file
@@ -125,7 +127,7 @@ class GrowingFolder(LiveSource):
         self._stopping.set()
 
     def _round(self) -> None:
-        """Look at the folder, and again after a while until something is new or it is over."""
+        """Look at the folder again and again until something is new or the recording has ended."""
         if self._look():
             self._idled_s = 0.0
             if self._waiting and self._values and not self._lacks(next(iter(self._waiting))):

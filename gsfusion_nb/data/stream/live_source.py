@@ -8,10 +8,10 @@ from .frame_queue import Policy
 
 
 class LiveSource(abc.ABC):
-    """Frames that come in time: iterate over it, from any thread; ``stop`` ends the iteration from another.
+    """Frames that arrive over time: iterate over it, from any thread; ``stop`` ends the iteration from another.
 
-    A frame that cannot be used raises ``BadFrameError`` and the iteration can go on; other errors end it. A source that
-    breaks off by itself (a camera that is unplugged) ends like one that is finished, and ``broke_off`` says why.
+    A frame that cannot be used raises ``BadFrameError`` and the iteration can continue; other errors end it. A source
+    that breaks off by itself (a camera that is unplugged) ends like one that is finished, and ``broke_off`` says why.
     """
 
     name: str = "stream"
@@ -27,4 +27,4 @@ class LiveSource(abc.ABC):
 
     @abc.abstractmethod
     def stop(self) -> None:
-        """End the iteration soon, after the frame that is being got."""
+        """End the iteration soon, after the frame that is being read."""

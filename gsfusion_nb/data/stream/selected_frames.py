@@ -1,4 +1,4 @@
-"""The options of ``DataConfig`` applied to frames as they come."""
+"""The settings of ``DataConfig`` applied to frames as they arrive."""
 
 import dataclasses
 from collections.abc import Iterable, Iterator
@@ -24,7 +24,7 @@ class SelectedFrames:
         self, frames: Iterable[Frame] | Sequence, data: DataConfig, *, name: str = "stream", first_index: int = 0
     ):
         if data.repair.changes:
-            raise SequenceError(f"{name}: data.repair corrects recordings; a stream must come as it should be")
+            raise SequenceError(f"{name}: data.repair corrects recordings; a stream cannot be corrected")
         if 0 < data.stop <= data.start:
             raise SequenceError(f"{name}: data.stop must be above data.start {data.start}, or 0, got {data.stop}")
         self._source, self._data, self._name, self._first_index = frames, data, name, first_index

@@ -69,7 +69,7 @@ def test_the_command_writes_a_page_and_its_flags_are_accepted(broken, tmp_path, 
 
 def test_mistakes_of_the_command(capsys, tmp_path):
     assert main(["check", str(tmp_path / "nowhere")]) == 1
-    assert "is no folder" in capsys.readouterr().err
+    assert "is not a folder" in capsys.readouterr().err
     (tmp_path / "scan").mkdir()
     assert main(["check", str(tmp_path / "scan"), "--reader", "register"]) == 1
     assert "expected an option as name=value, got 'register'" in capsys.readouterr().err
@@ -85,7 +85,7 @@ def test_a_sequence_in_memory_is_left_alone():
 
 def test_few_or_damaged_frames(broken):
     recording, _ = broken("room", "clean")
-    with pytest.raises(SequenceError, match="is no folder"):
+    with pytest.raises(SequenceError, match="is not a folder"):
         check_recording(recording.root / "nowhere")
     files = sorted((recording.root / "depth").iterdir())
     for f in files[:5]:

@@ -7,8 +7,7 @@ import pytest
 
 from gsfusion_nb.cli import main
 from gsfusion_nb.data import SequenceError, SequenceNotFoundError, detect_layout
-from gsfusion_nb.data.convert import ConvertOptions, convert, detect_format
-from gsfusion_nb.data.convert import detect as formats
+from gsfusion_nb.data.convert import ConvertOptions, convert, detect_format, known_formats
 from gsfusion_nb.data.convert.staging import Staging
 from gsfusion_nb.data.readers import folder
 
@@ -84,7 +83,7 @@ def test_bad_frames_are_left_out_and_named(tmp_path, takes, scan):
     report = convert(scan, tmp_path / "out")
     takes.check(tmp_path / "out", (3,))
     assert report.dropped == {"pose is not rigid": 1, "image missing or damaged": 1, "no depth": 1}
-    assert "0.png is no rigid camera-to-world pose" in report.examples[0]
+    assert "0.png is not a rigid camera-to-world pose" in report.examples[0]
     assert "1.png cannot be decoded" in report.examples[1]
     assert "left out 1: no depth" in str(report)
 
@@ -175,7 +174,7 @@ def test_unknown_things(tmp_path, takes, scan):
         ConvertOptions(T_cam_body="a", T_body_cam="b")
     with pytest.raises(ValueError, match="every must be between 1"):
         ConvertOptions(every=0)
-    assert next(iter(formats())) == "ros"
+    assert next(iter(known_formats())) == "ros"
 
 
 def test_command(tmp_path, takes, scan, capsys):

@@ -106,7 +106,7 @@ def test_missing_and_binary_files(tmp_path):
     with pytest.raises(SequenceNotFoundError, match=r"nowhere\.txt does not exist"):
         read_trajectory(tmp_path / "nowhere.txt")
     (tmp_path / "p.txt").write_bytes(b"\xff\xfe\x80\x81")
-    with pytest.raises(SequenceError, match=r"p\.txt is no text file"):
+    with pytest.raises(SequenceError, match=r"p\.txt is not a text file"):
         read_trajectory(tmp_path / "p.txt")
 
 

@@ -110,7 +110,9 @@ def test_archives_are_kept_on_request_and_used_again(job):
 
 def test_agreement(job):
     nobody = dataclasses.replace(job.terms, yes=False)
-    with pytest.raises(DeclinedError, match="nobody is there to agree to the size and the licence; run again with"):
+    with pytest.raises(
+        DeclinedError, match="no terminal to ask whether you agree to size and licence; run again with --yes"
+    ):
         obtain(job.plan, nobody)
     with pytest.raises(DeclinedError, match="nothing was fetched"):
         obtain(job.plan, dataclasses.replace(nobody, ask=lambda question: ""))
@@ -194,7 +196,7 @@ def test_interrupted_while_unpacking(job):
 
 def test_broken_download_goes_on_in_the_next_run(job):
     job.site.faults = {"/set/scan.zip": [hostile.cut(5000)]}
-    with pytest.raises(DownloadError, match="5 kB are kept, run again to go on"):
+    with pytest.raises(DownloadError, match="5 kB are kept, run again to continue"):
         obtain(job.plan, job.terms)
     assert job.nothing_looks_whole()
     job.site.faults, job.site.seen = {}, []

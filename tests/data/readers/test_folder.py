@@ -114,13 +114,13 @@ def test_bad_intrinsics(tmp_path, box, changes, pattern):
 def test_damaged_intrinsics(tmp_path, box):
     root = box.folder(tmp_path)
     (root / "intrinsics.json").write_text("{width: 3")
-    expect(SequenceError, r"intrinsics\.json is no valid JSON", lambda: folder(root))
+    expect(SequenceError, r"intrinsics\.json is not valid JSON", lambda: folder(root))
     (root / "intrinsics.json").write_text("[1]")
     expect(SequenceError, r"intrinsics\.json must hold a JSON object .*, got a list", lambda: folder(root))
 
 
 def test_wrong_path_and_missing_parts(tmp_path, box):
-    expect(SequenceNotFoundError, "nowhere is no folder; expected a sequence", lambda: folder(tmp_path / "nowhere"))
+    expect(SequenceNotFoundError, "nowhere is not a folder; expected a sequence", lambda: folder(tmp_path / "nowhere"))
     with pytest.raises(FileNotFoundError):
         folder(tmp_path / "nowhere")
     root = box.folder(tmp_path / "scan")
@@ -149,9 +149,9 @@ def test_bad_pose_files(tmp_path, box, lines, pattern):
     [
         ("nan " * 16, "pose 1 has NaN or infinite entries"),
         ("-inf " * 16, "pose 1 has NaN or infinite entries.*tracking was lost"),
-        ("2 0 0 0 0 2 0 0 0 0 2 0 0 0 0 1", "pose 1 is no rigid camera-to-world pose: .*misses R R\\^T = I"),
-        ("1 0 0 0 0 1 0 0 0 0 -1 0 0 0 0 1", "pose 1 is no rigid .*determinant -1"),
-        ("1 0 0 0 0 1 0 0 0 0 1 0 1 2 3 1", "pose 1 is no rigid .*end in the row"),
+        ("2 0 0 0 0 2 0 0 0 0 2 0 0 0 0 1", "pose 1 is not a rigid camera-to-world pose: .*misses R R\\^T = I"),
+        ("1 0 0 0 0 1 0 0 0 0 -1 0 0 0 0 1", "pose 1 is not a rigid .*determinant -1"),
+        ("1 0 0 0 0 1 0 0 0 0 1 0 1 2 3 1", "pose 1 is not a rigid .*end in the row"),
     ],
 )
 def test_bad_poses_spoil_one_frame_only(tmp_path, box, pose, pattern):

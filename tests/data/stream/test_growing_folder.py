@@ -249,7 +249,7 @@ def test_a_folder_without_intrinsics_says_so_in_the_end(writer):
     with pytest.raises(SequenceNotFoundError, match=r"intrinsics\.json does not exist"):
         everything(follow(writer, idle_s=1))
     (writer.target / "intrinsics.json").write_text('{"width": 64')
-    with pytest.raises(SequenceError, match=r"intrinsics\.json is no valid JSON"):
+    with pytest.raises(SequenceError, match=r"intrinsics\.json is not valid JSON"):
         everything(follow(writer, idle_s=1))
 
 

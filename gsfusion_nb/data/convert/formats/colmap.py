@@ -40,7 +40,7 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     colour = _beside(path, folder, ("images",), "colour images")
     depth = Path(options.depth) if options.depth else _beside(path, folder, _DEPTH_PLACES, "depth images (--depth)")
     if not depth.is_dir():
-        raise SequenceNotFoundError(f"{depth} is no folder; expected the depth images that belong to {colour}")
+        raise SequenceNotFoundError(f"{depth} is not a folder; expected the depth images that belong to {colour}")
     scale = options.depth_scale or 1000.0
 
     def depth_file(image: ColmapImage) -> Path:

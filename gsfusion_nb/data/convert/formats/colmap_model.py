@@ -203,7 +203,7 @@ def _pose(values: list[float]) -> Float[Tensor, "4 4"]:
 def _count(file: BinaryIO, what: str) -> int:
     (n,) = struct.unpack("<Q", _bytes(file, 8))
     if n > _SANE_COUNT * 100:
-        raise SequenceError(f"{file.name} claims {n} {what}; it is damaged or no COLMAP file")
+        raise SequenceError(f"{file.name} claims {n} {what}; it is damaged or not a COLMAP file")
     return n
 
 

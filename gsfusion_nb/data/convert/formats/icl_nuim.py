@@ -40,7 +40,7 @@ def recognise(path: Path) -> bool:
 def read(path: Path, options: ConvertOptions) -> Recording:
     """A trajectory of ICL-NUIM (module docstring)."""
     if not path.is_dir():
-        raise SequenceNotFoundError(f"{path} is no folder; expected one with rgb/, depth/ and *.gt.freiburg")
+        raise SequenceNotFoundError(f"{path} is not a folder; expected one with rgb/, depth/ and *.gt.freiburg")
     pov = sorted(path.glob("*.depth"))
     pairs = _pov_pairs(pov) if pov else _png_pairs(path)
     file = _ground_truth(path) or _ground_truth(path.parent)

@@ -177,7 +177,7 @@ def _object(data: bytes, source: str) -> dict[str, Any]:
     try:
         values = json.loads(data)
     except (json.JSONDecodeError, UnicodeDecodeError) as e:
-        raise SequenceError(f"{source} is no valid JSON ({e}); expected Record3D's metadata") from None
+        raise SequenceError(f"{source} is not valid JSON ({e}); expected Record3D's metadata") from None
     if not isinstance(values, dict):
         raise SequenceError(f"{source} must hold a JSON object with w, h, K and poses")
     return values
@@ -187,7 +187,7 @@ def _archive(path: Path) -> zipfile.ZipFile:
     try:
         return zipfile.ZipFile(path)
     except zipfile.BadZipFile as e:
-        raise SequenceError(f"{path} is no .r3d archive or is truncated ({e}); export it again") from None
+        raise SequenceError(f"{path} is not an .r3d archive or is truncated ({e}); export it again") from None
 
 
 def _member(archive: zipfile.ZipFile, path: Path, name: str) -> bytes:

@@ -40,7 +40,7 @@ def colour_of(message: Any, source: str) -> tuple[np.ndarray, bytes]:
     if encoding not in _CHANNELS:
         known = ", ".join((*_CHANNELS, *_BAYER, *_YUV))
         raise SequenceError(
-            f"{source} has the encoding {encoding!r}, which is no colour image read here; known: {known}"
+            f"{source} has the encoding {encoding!r}, which is not a colour image read here; known: {known}"
         )
     pixels = _rows(message, _CHANNELS[encoding], np.uint8, source)
     if encoding in ("bgr8", "bgra8", "8UC3"):

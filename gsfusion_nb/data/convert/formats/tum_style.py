@@ -83,7 +83,7 @@ def time_of_name(path: Path) -> float:
 def _entries(path: Path) -> tuple[list[Entry], dict[str, int]]:
     """Frames with colour and depth in order of time, and how many images found no partner."""
     if not path.is_dir():
-        raise SequenceError(f"{path} is no folder; expected one with rgb.txt and depth.txt, or rgb/ and depth/")
+        raise SequenceError(f"{path} is not a folder; expected one with rgb.txt and depth.txt, or rgb/ and depth/")
     file = _associations(path)
     if file is not None:
         return _associated(file), {}

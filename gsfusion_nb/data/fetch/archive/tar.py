@@ -47,7 +47,7 @@ def unpack_tar(unpacker: Unpacker) -> None:
             _to_the_end(unpacker, stream)
         except (tarfile.TarError, EOFError, zlib.error, gzip.BadGzipFile) as e:
             raise ArchiveError(
-                f"{name} is damaged or no archive ({e}); it is no longer kept, run again to fetch it anew"
+                f"{name} is damaged or not an archive ({e}); it was removed, run again to fetch it again"
             ) from None
 
 
@@ -91,4 +91,4 @@ def _to_the_end(unpacker: Unpacker, stream: Readable) -> None:
     while block := stream.read(1 << 16):
         left -= len(block)
         if left < 0:
-            raise ArchiveError(f"{unpacker.archive.name} goes on behind its end; it is damaged, or a bomb")
+            raise ArchiveError(f"{unpacker.archive.name} continues after its end; it is damaged, or a bomb")

@@ -47,7 +47,7 @@ class Unpacker:
         self.members += 1
         if self.members > self.limits.max_files:
             raise ArchiveError(
-                f"{self.archive.name} holds more than {self.limits.max_files} members; it is no data set"
+                f"{self.archive.name} holds more than {self.limits.max_files} members; it is not a data set"
             )
         path = plain_path(name, self.archive.name)
         wanted = None if is_folder or not path else self.choose(path)
@@ -64,7 +64,7 @@ class Unpacker:
         if size < 0 or self.bytes > self.max_bytes:
             raise ArchiveError(
                 f"{self.archive.name} becomes more than {size_text(self.max_bytes)} at {path!r}, too much for its "
-                f"{size_text(self.archive.stat().st_size)}; it is no data set, or a bomb"
+                f"{size_text(self.archive.stat().st_size)}; it is not a data set, or a bomb"
             )
 
     def write(self, path: str, source: Readable, size: int) -> None:

@@ -23,7 +23,7 @@ def unpack_zip(unpacker: Unpacker) -> None:
                 with zipped.open(info) as source:
                     unpacker.write(path, source, info.file_size)
     except (zipfile.BadZipFile, EOFError, NotImplementedError, RuntimeError, zlib.error, lzma.LZMAError) as e:
-        raise ArchiveError(f"{name} is damaged ({e}); it is no longer kept, run again to fetch it anew") from None
+        raise ArchiveError(f"{name} is damaged ({e}); it was removed, run again to fetch it again") from None
 
 
 def _zip_place(unpacker: Unpacker, info: zipfile.ZipInfo) -> str | None:

@@ -106,7 +106,7 @@ def test_bad_files(tmp_path, takes, changes, pattern):
 
 def test_damaged_json(tmp_path):
     (tmp_path / "transforms.json").write_text('{"frames": [')
-    with pytest.raises(SequenceError, match=r"transforms\.json is no valid JSON"):
+    with pytest.raises(SequenceError, match=r"transforms\.json is not valid JSON"):
         convert(tmp_path, tmp_path / "out")
 
 

@@ -301,7 +301,7 @@ def test_mistakes_are_answered_with_a_sentence(tmp_path, takes):
     with pytest.raises(SequenceError, match=r"is packed as RVL"):
         convert(path, tmp_path / "out")
     path = write_bag(tmp_path / "b.bag", takes, 1, colour="8SC3")
-    with pytest.raises(SequenceError, match=r"the encoding '8SC3', which is no colour image read here; known: rgb8"):
+    with pytest.raises(SequenceError, match=r"the encoding '8SC3', which is not a colour image read here; known: rgb8"):
         convert(path, tmp_path / "out")
     path = write_bag(tmp_path / "c.bag", takes, 1)
     whole = path.read_bytes()
