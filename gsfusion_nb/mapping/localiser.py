@@ -14,7 +14,7 @@ from ..optim import KeyframeList
 from ..tracking import (
     BackEnd,
     Correction,
-    Places,
+    KeyframeDatabase,
     SurfaceSource,
     Tracker,
     TrackingLostError,
@@ -42,10 +42,10 @@ class Localiser:
         self._block = torch.zeros(_BLOCK, 4, 4)
         self.report: dict[str, Any] = {}
         """How the last frame was found: status, rms_m, inlier_share. Empty for given poses."""
-        self._tracker = Tracker(config, places=self)
+        self._tracker = Tracker(config)
         self._back_end: BackEnd | None = None
-        self._places: Places | None = None
-        """Keyframes to recognise when tracking is lost; the back end has its own."""
+        self._database: KeyframeDatabase | None = None
+        """Keyframes by appearance, to find the camera again when tracking is lost; the back end has its own."""
 
     @property
     def is_tracking(self) -> bool:
@@ -62,7 +62,7 @@ class Localiser:
         if not self.is_tracking:
             return frame
         try:
-            found = self._tracker.track(frame, surface)
+            found = self._tracker.track(frame, surface, self._relocalise)
         except TrackingLostError as e:
             raise BadFrameError(f"frame {frame.index} cannot be mapped: {e}") from None
         self.report = {"status": found.status, "rms_m": found.rms_m, "inlier_share": found.inlier_share}
@@ -81,9 +81,9 @@ class Localiser:
         self._remember(frame)
         return None
 
-    def relocalise(self, frame: Frame) -> list[Float[Tensor, "4 4"]]:
-        """Poses that the frame may have by its looks, the likeliest first."""
-        known = self._back_end or self._places
+    def _relocalise(self, frame: Frame) -> list[Float[Tensor, "4 4"]]:
+        """Poses that the frame may have by its appearance, the likeliest first."""
+        known = self._back_end or self._database
         return [] if known is None else known.relocalise(frame)
 
     def _kept(self, T_WC: Float[Tensor, "4 4"]) -> Float[Tensor, "4 4"]:
@@ -98,13 +98,13 @@ class Localiser:
         return self._block[n].copy_(T_WC)
 
     def _remember(self, frame: Frame) -> None:
-        """Keep the looks of a frame after enough motion, to find the way back by."""
+        """Add a frame to the database after enough motion."""
         settings = self.config.back_end
-        if self._places is None:
-            self._places = Places(frame.camera, count=settings.features, levels=settings.levels)
-        if not len(self._places) or moved_enough(self._places.T_WC[-1], frame.T_WC, settings):
+        if self._database is None:
+            self._database = KeyframeDatabase(frame.camera, count=settings.features, levels=settings.levels)
+        if not len(self._database) or moved_enough(self._database.T_WC[-1], frame.T_WC, settings):
             features = extract_features(frame, count=settings.features, levels=settings.levels)
-            self._places.add(frame.index, frame.T_WC, features)
+            self._database.add(frame.index, frame.T_WC, features)
 
     def finish(self) -> Correction | None:
         """The back end's last optimisation, over all keyframes and landmarks, after the scan.
@@ -125,26 +125,28 @@ class Localiser:
 
     def state_dict(self) -> dict[str, Any]:
         """Everything needed to go on."""
-        known = self._back_end or self._places
+        known = self._back_end or self._database
         return {
             "poses": list(self.poses),
             "frame_indices": list(self.frame_indices),
             "tracker": self._tracker.state_dict(),
             "camera": None if known is None else vars(known.camera),
             "back_end": None if self._back_end is None else self._back_end.state_dict(),
-            "places": None if self._places is None else self._places.state_dict(),
+            "database": None if self._database is None else self._database.state_dict(),
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Go on from what ``state_dict`` gave."""
         settings = self.config.back_end
         self.poses, self.frame_indices = list(state["poses"]), list(state["frame_indices"])
-        self._tracker = Tracker.from_state_dict(self.config, state["tracker"], places=self)
+        self._tracker = Tracker.from_state_dict(self.config, state["tracker"])
         if state["back_end"] is not None:
             self._back_end = BackEnd.from_state_dict(settings, Camera(**state["camera"]), state["back_end"])
-        if state["places"] is not None:
-            self._places = Places(Camera(**state["camera"]), count=settings.features, levels=settings.levels)
-            self._places.load_state(state["places"])
+        if state["database"] is not None:
+            self._database = KeyframeDatabase(
+                Camera(**state["camera"]), count=settings.features, levels=settings.levels
+            )
+            self._database.load_state(state["database"])
 
 
 def move_map(correction: Correction, gaussians: GaussianModel, keyframes: KeyframeList) -> None:

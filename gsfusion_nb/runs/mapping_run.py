@@ -29,11 +29,6 @@ MAX_BAD_FRAMES_IN_A_ROW = 20
 READ_AHEAD = 4
 """So many frames of a recording on disk are decoded in advance, on a thread of their own."""
 
-_STATE = (
-    "steps", "global_losses", "_pass_losses", "online_scores", "timestamps_s", "warnings", "next_position",
-    "seconds_global",
-)  # fmt: skip
-
 
 @runtime_checkable
 class Frames(Protocol):
@@ -173,10 +168,37 @@ class MappingRun:
 
     def save_checkpoint(self, folder: Path) -> None:
         """Write everything needed to resume to ``folder``."""
-        state = {name: getattr(self, name) for name in _STATE}
-        state["steps"] = [vars(s) | {"losses": list(s.losses)} for s in self.steps]
-        document = {"system": self.system, "run": state, "source": self.source, "mapper": self.mapper.state_dict()}
+        document = {
+            "system": self.system,
+            "run": self.state_dict(),
+            "source": self.source,
+            "mapper": self.mapper.state_dict(),
+        }
         save_checkpoint(folder / CHECKPOINT, document)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Where the run stands, beside its mapper, as plain values."""
+        return {
+            "steps": [vars(step) | {"losses": list(step.losses)} for step in self.steps],
+            "global_losses": list(self.global_losses),
+            "pass_losses": list(self._pass_losses),
+            "online_scores": dict(self.online_scores),
+            "timestamps_s": list(self.timestamps_s),
+            "warnings": list(self.warnings),
+            "next_position": self.next_position,
+            "seconds_global": self.seconds_global,
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from what ``state_dict`` gave."""
+        self.steps = [StepReport(**{**step, "losses": tuple(step["losses"])}) for step in state["steps"]]
+        self.global_losses = state["global_losses"]
+        self._pass_losses = state["pass_losses"]
+        self.online_scores = state["online_scores"]
+        self.timestamps_s = state["timestamps_s"]
+        self.warnings = state["warnings"]
+        self.next_position = state["next_position"]
+        self.seconds_global = state["seconds_global"]
 
     @classmethod
     def resume(
@@ -194,19 +216,19 @@ class MappingRun:
         path = Path(folder) / CHECKPOINT
         if not path.is_file():
             raise FileNotFoundError(f"{path} is not there: only a run that was interrupted can be resumed")
-        state = load_checkpoint(path)
+        document = load_checkpoint(path)
         try:
-            mapper = get_system(state["system"]).from_state_dict(state["mapper"], seeding=seeding, device=device)
-            source, values = state["source"], {name: state["run"][name] for name in _STATE}
-            steps = [StepReport(**{**s, "losses": tuple(s["losses"])}) for s in values["steps"]]
+            system, source, progress = get_system(document["system"]), document["source"], document["run"]
+            mapper = system.from_state_dict(document["mapper"], seeding=seeding, device=device)
         except (KeyError, TypeError, AttributeError) as e:
             raise ValueError(f"{path} is damaged or from another version: {type(e).__name__} {e}") from None
         if not source:
             raise ValueError(f"{path} is of a sequence in memory; only one opened by path or name can be resumed")
         run = cls(open_sequence(**source, data=mapper.config.data), mapper, source=source)
-        for name, value in values.items():
-            setattr(run, name, value)
-        run.steps = steps
+        try:
+            run.load_state_dict(progress)
+        except (KeyError, TypeError, AttributeError) as e:
+            raise ValueError(f"{path} is damaged or from another version: {type(e).__name__} {e}") from None
         return run
 
     def _passed(self, frame: Frame | None) -> None:

@@ -9,12 +9,12 @@ from .icp import IcpIteration as IcpIteration
 from .icp import IcpResult as IcpResult
 from .icp import align as align
 from .icp import icp as icp
+from .keyframe_database import KeyframeDatabase as KeyframeDatabase
 from .normal_equations import IcpSystem as IcpSystem
 from .normal_equations import associate as associate
 from .normal_equations import depth_weight as depth_weight
 from .normal_equations import icp_system as icp_system
 from .normal_equations import point_to_plane as point_to_plane
-from .places import Places as Places
 from .pyramid import DepthLevel as DepthLevel
 from .pyramid import depth_pyramid as depth_pyramid
 from .surface import Surface as Surface

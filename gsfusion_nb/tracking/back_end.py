@@ -18,10 +18,10 @@ from ..geometry import se3
 from ..types import Camera, Frame
 from .correction import Correction, blend
 from .features import Features, extract_features
+from .keyframe_database import KeyframeDatabase
 from .landmarks import Landmarks
-from .loops import depth_thumbnail, path_between, why_not
+from .loop_checks import depth_thumbnail, path_between, why_not_same_place
 from .matching import PointPairs, RelativePose, agreement, refine_pose
-from .places import Places
 from .pose_graph import (
     Edge,
     edge_error,
@@ -81,8 +81,8 @@ class BackEnd:
         """
         require_gtsam()
         self.config, self.camera = config, camera
-        self.places = Places(camera, count=config.features, levels=config.levels)
-        self.landmarks = Landmarks(self.places)
+        self.database = KeyframeDatabase(camera, count=config.features, levels=config.levels)
+        self.landmarks = Landmarks(self.database)
         self.edges: list[Edge] = []
         self.loops: list[tuple[int, Tensor]] = []
         """(keyframe row, its features and the landmarks they are [I, 2]), in the order of the edges of that kind."""
@@ -92,18 +92,18 @@ class BackEnd:
         self._as_tracked: list[Tensor] = []
 
     def __len__(self) -> int:
-        return len(self.places)
+        return len(self.database)
 
     @property
     def T_WC(self) -> Float[Tensor, "K 4 4"]:
         """Current poses of the keyframes, camera-to-world, float64."""
-        return torch.stack(self.places.T_WC) if len(self) else torch.zeros((0, 4, 4), dtype=torch.float64)
+        return torch.stack(self.database.T_WC) if len(self) else torch.zeros((0, 4, 4), dtype=torch.float64)
 
     def wants(self, T_WC: Float[Tensor, "4 4"]) -> bool:
         """Whether the camera has moved or turned enough since the last keyframe to become one."""
         if not len(self):
             return True
-        return moved_enough(self.places.T_WC[-1], T_WC, self.config)
+        return moved_enough(self.database.T_WC[-1], T_WC, self.config)
 
     def add(self, frame: Frame, T_WC: Float[Tensor, "4 4"]) -> Correction | None:
         """Take a keyframe; when it closes a loop that the trajectory misses, optimise the poses.
@@ -124,7 +124,7 @@ class BackEnd:
         row = len(self)
         recent = list(range(max(0, row - RECENT), row))
         pairs = self._track(features, T_WC, recent)
-        self.places.add(frame.index, T_WC, features)
+        self.database.add(frame.index, T_WC, features)
         self.landmarks.add(features, pairs)
         self._thumbnails.append(depth_thumbnail(frame.depth_m))
         self._as_added.append(T_WC)
@@ -133,7 +133,7 @@ class BackEnd:
         if not self._close_loops(row):
             return None
         correction = self._correct(landmarks=False)
-        self._as_tracked[-1] = self.places.T_WC[-1]
+        self._as_tracked[-1] = self.database.T_WC[-1]
         return correction
 
     def finish(self) -> Correction | None:
@@ -141,8 +141,8 @@ class BackEnd:
         return self._correct(landmarks=True) if len(self) > 1 else None
 
     def relocalise(self, view: Frame | Features) -> list[Tensor]:
-        """Where the camera may be, without any earlier pose (``Places.relocalise``)."""
-        return self.places.relocalise(view)
+        """Where the camera may be, without any earlier pose (``KeyframeDatabase.relocalise``)."""
+        return self.database.relocalise(view)
 
     def correct_trajectory(self, indices: Int[Tensor, " N"], poses: Float[Tensor, "N 4 4"]) -> Float[Tensor, "N 4 4"]:
         """Poses of all frames, each moved with the keyframes around it.
@@ -157,7 +157,7 @@ class BackEnd:
         """
         if not len(self):
             return poses.clone()
-        keyframe = torch.tensor(self.places.index)
+        keyframe = torch.tensor(self.database.index)
         motion = blend(keyframe, torch.stack(self._as_tracked), self.T_WC, indices.cpu(), torch.stack(self._as_added))
         moved = (motion @ poses.detach().cpu().double()).to(poses)
         changed = (motion != torch.eye(4, dtype=motion.dtype)).flatten(1).any(1).to(poses.device)
@@ -169,9 +169,9 @@ class BackEnd:
             raise ValueError(
                 f"frame {frame.index} must come from the back end's camera {self.camera}, got {frame.camera}"
             )
-        if len(self) and frame.index <= self.places.index[-1]:
+        if len(self) and frame.index <= self.database.index[-1]:
             raise ValueError(
-                f"keyframes must come in the order of their frames, got {frame.index} after {self.places.index[-1]}"
+                f"keyframes must come in the order of their frames, got {frame.index} after {self.database.index[-1]}"
             )
 
     def _track(self, features: Features, T_WC: Tensor, recent: list[int]) -> Tensor:
@@ -179,7 +179,7 @@ class BackEnd:
         pairs = torch.zeros((0, 2), dtype=torch.int64)
         if not recent:
             return pairs
-        T_WR = self.places.T_WC[recent[-1]]
+        T_WR = self.database.T_WC[recent[-1]]
         pose = None
         for share in (SEARCH_SHARE, SEARCH_SHARE / 4):
             pairs = self.landmarks.find(features, T_WC, recent, share * self.camera.width)
@@ -204,7 +204,7 @@ class BackEnd:
         """Edges to the keyframe before (front end) and to those with most common landmarks."""
         if not recent:
             return
-        T = self.places.T_WC
+        T = self.database.T_WC
         information = odometry_information(self.config.odometry_sigma_deg, self.config.odometry_sigma_m)
         step = se3.inverse(T[row - 1]) @ T[row]
         self.edges.append(Edge(i=row - 1, j=row, T_ij=step, information=information, kind="odometry"))
@@ -212,7 +212,7 @@ class BackEnd:
         for r in sorted(recent, key=lambda r: -len(shared[r]))[:TIED_TO]:
             if len(shared[r]) < MIN_SHARED:
                 continue
-            points = PointPairs.of(self.places.features[row], self.places.features[r], shared[r])
+            points = PointPairs.of(self.database.features[row], self.database.features[r], shared[r])
             pose = refine_pose(self.camera, points, se3.inverse(T[r]) @ T[row], shared[r])
             if pose is not None and len(pose.rows) >= MIN_SHARED:
                 self.edges.append(self._edge(r, row, pose, "landmarks"))
@@ -230,19 +230,19 @@ class BackEnd:
             edge = self._edge(earlier, row, pose, "loop")
             self.edges.append(edge)
             self.loops.append((row, pose.rows))
-            self._fresh_loops.append((self.places.index[row], self.places.index[earlier], len(pose.rows)))
-            missed = se3.inverse(pose.T_RQ) @ se3.inverse(self.places.T_WC[earlier]) @ self.places.T_WC[row]
+            self._fresh_loops.append((self.database.index[row], self.database.index[earlier], len(pose.rows)))
+            missed = se3.inverse(pose.T_RQ) @ se3.inverse(self.database.T_WC[earlier]) @ self.database.T_WC[row]
             degrees = float(torch.rad2deg(se3.rotation_angle(missed[:3, :3])))
             off |= float(missed[:3, 3].norm()) > self.config.correct_from_m or degrees > self.config.correct_from_deg
         return off
 
     def _loop_pose(self, row: int, earlier: int) -> RelativePose | None:
         """Pose of one keyframe relative to another: from their features, then with all landmarks around the other."""
-        features = self.places.features[row]
-        pose = self.places.compare(features, earlier)
+        features = self.database.features[row]
+        pose = self.database.compare(features, earlier)
         if pose is None or len(pose.rows) < self.config.loop_min_inliers:
             return None
-        T_WR = self.places.T_WC[earlier]
+        T_WR = self.database.T_WC[earlier]
         around = list(range(max(0, earlier - AROUND), min(earlier + AROUND, row - self.config.loop_min_gap) + 1))
         pairs = self.landmarks.find(features, T_WR @ pose.T_RQ, around, SEARCH_SHARE / 4 * self.camera.width)
         return refine_pose(self.camera, self._points(features, pairs, T_WR), pose.T_RQ, pairs)
@@ -251,20 +251,22 @@ class BackEnd:
         before = row - self.config.loop_min_gap
         if before < 0:
             return []
-        features = self.places.features[row]
-        rows = [r for r, _ in self.places.similar(features, CANDIDATES, exclude_after=before + 1)]
+        features = self.database.features[row]
+        rows = [r for r, _ in self.database.similar(features, CANDIDATES, exclude_after=before + 1)]
         near = self._nearest_view(row, before + 1)
         return rows if near in rows else [*rows, near]
 
     def _nearest_view(self, row: int, before: int) -> int:
         """The earlier keyframe whose view is nearest by pose: 0.5 m count as much as 45 degrees."""
-        step = se3.inverse(self.places.T_WC[row]) @ self.T_WC[:before]
+        step = se3.inverse(self.database.T_WC[row]) @ self.T_WC[:before]
         distance = step[:, :3, 3].norm(dim=1) / 0.5 + torch.rad2deg(se3.rotation_angle(step[:, :3, :3])) / 45.0
         return int(distance.argmin())
 
     def _is_true(self, row: int, earlier: int, pose: RelativePose) -> bool:
         thumbnails = (self._thumbnails[row], self._thumbnails[earlier])
-        reason = why_not(pose, self.places.features[row], thumbnails, self.camera, self.config.loop_min_inliers)
+        reason = why_not_same_place(
+            pose, self.database.features[row], thumbnails, self.camera, self.config.loop_min_inliers
+        )
         poses = self.T_WC
         drift = se3.inverse(pose.T_RQ) @ se3.inverse(poses[earlier]) @ poses[row]
         if not reason and not path_between(poses[earlier : row + 1]).allows(drift, self.config.loop_max_drift):
@@ -281,10 +283,10 @@ class BackEnd:
         if landmarks:
             result = self._with_landmarks(result.T_WC)
             before, after = result.error_before, result.error_after
-        self.places.move(result.T_WC)
+        self.database.move(result.T_WC)
         fresh, self._fresh_loops = self._fresh_loops, []
         return Correction(
-            frame_index=torch.tensor(self.places.index),
+            frame_index=torch.tensor(self.database.index),
             T_WC_old=old,
             T_WC_new=self.T_WC,
             loops=fresh,
@@ -295,7 +297,7 @@ class BackEnd:
     def _with_landmarks(self, T_WC: Tensor) -> Any:
         loops = [e for e in self.edges if e.kind == "loop"]
         true = [loop for loop, edge in zip(self.loops, loops, strict=True) if edge_error(edge, T_WC) < LOOP_MAX_SIGMA]
-        self.places.move(T_WC)
+        self.database.move(T_WC)
         seen = self.landmarks.observations(true, per_keyframe=self.config.landmarks_per_keyframe)
         odometry = [e for e in fit_odometry(self.edges) if e.kind == "odometry"]
         return optimise_landmarks(self.camera, T_WC, seen, odometry)
@@ -303,7 +305,7 @@ class BackEnd:
     def state_dict(self) -> dict[str, Any]:
         """Everything but the settings: numbers, lists and tensors."""
         return {
-            "places": self.places.state_dict(),
+            "database": self.database.state_dict(),
             "landmarks": self.landmarks.state_dict(),
             "edges": [dict(vars(e)) for e in self.edges],
             "loops": list(self.loops),
@@ -317,11 +319,11 @@ class BackEnd:
     def from_state_dict(cls, config: BackEndConfig, camera: Camera, state: dict[str, Any]) -> "BackEnd":
         """The back end that ``state_dict`` was taken from."""
         self = cls(config, camera)
-        self.places.load_state(state["places"])
+        self.database.load_state(state["database"])
         self.landmarks.load_state(state["landmarks"])
         self.edges = [Edge(**e) for e in state["edges"]]
         self.loops = [(row, pairs) for row, pairs in state["loops"]]
         self._fresh_loops = [(a, b, n) for a, b, n in state["fresh_loops"]]
-        for name in ("thumbnails", "as_added", "as_tracked"):
-            setattr(self, f"_{name}", list(state[name]))
+        self._thumbnails = list(state["thumbnails"])
+        self._as_added, self._as_tracked = list(state["as_added"]), list(state["as_tracked"])
         return self

@@ -11,8 +11,8 @@ from torch import Tensor
 
 from ..geometry import project, se3
 from .features import Features
+from .keyframe_database import KeyframeDatabase
 from .matching import MAX_HAMMING, RATIO
-from .places import Places
 
 _BIT_COUNT = np.array([bin(byte).count("1") for byte in range(256)], np.uint8)
 
@@ -38,14 +38,14 @@ class Observations:
 
 
 class Landmarks:
-    """Tracks of features over the keyframes of ``places``.
+    """Tracks of features over the keyframes of ``database``.
 
     Every feature with depth that no known landmark explains becomes a new one. Its position is kept in the camera of
     the keyframe it was born in, so that a corrected pose moves it along.
     """
 
-    def __init__(self, places: Places):
-        self.places = places
+    def __init__(self, database: KeyframeDatabase):
+        self.database = database
         self.of_feature: list[ndarray] = []
         """Landmark of every feature of every keyframe; -1 for none. [M] each"""
         self._birth = np.zeros((0, 2), np.int32)
@@ -73,7 +73,7 @@ class Landmarks:
         xyz_C = se3.apply(se3.inverse(T_WC.double()), self.positions(torch.from_numpy(landmark)))
         ahead = (xyz_C[:, 2] > 0.1).numpy()
         landmark, descriptors = landmark[ahead], descriptors[ahead]
-        uv = project(self.places.camera, xyz_C[torch.from_numpy(ahead)]).numpy()
+        uv = project(self.database.camera, xyz_C[torch.from_numpy(ahead)]).numpy()
         near = KDTree(features.uv.numpy()).query_ball_point(uv, radius_px) if len(uv) else []
         counts = np.array([len(n) for n in near], int)
         if counts.sum() == 0:
@@ -85,7 +85,7 @@ class Landmarks:
         return torch.from_numpy(np.stack([b[kept], landmark[a[kept]]], 1).astype(np.int64))
 
     def add(self, features: Features, pairs: Int[Tensor, "P 2"]) -> None:
-        """Take in the keyframe that ``places`` got last: known landmarks by ``pairs``, new ones for the rest."""
+        """Take in the keyframe that ``database`` got last: known landmarks by ``pairs``, new ones for the rest."""
         row = len(self.of_feature)
         of_feature = np.full(len(features), NO_LANDMARK, np.int32)
         of_feature[pairs[:, 0].numpy()] = pairs[:, 1].numpy()
@@ -100,8 +100,8 @@ class Landmarks:
         out = np.zeros((len(row), 3))
         for r in np.unique(row):
             mine = row == r
-            xyz_C = self.places.features[r].xyz_C[torch.from_numpy(feature[mine].astype(np.int64))].double()
-            out[mine] = se3.apply(self.places.T_WC[r], xyz_C).numpy()
+            xyz_C = self.database.features[r].xyz_C[torch.from_numpy(feature[mine].astype(np.int64))].double()
+            out[mine] = se3.apply(self.database.T_WC[r], xyz_C).numpy()
         return torch.from_numpy(out)
 
     def shared(self, row_a: int, row_b: int) -> Int[Tensor, "P 2"]:
@@ -109,7 +109,7 @@ class Landmarks:
         a, b = self.of_feature[row_a], self.of_feature[row_b]
         common, at_a, at_b = np.intersect1d(a, b, return_indices=True)
         at_a, at_b = at_a[common >= 0], at_b[common >= 0]
-        with_depth = self.places.features[row_b].has_depth.numpy()[at_b]
+        with_depth = self.database.features[row_b].has_depth.numpy()[at_b]
         return torch.from_numpy(np.stack([at_a[with_depth], at_b[with_depth]], 1).astype(np.int64))
 
     def observations(self, same: list[tuple[int, Tensor]], *, per_keyframe: int, min_views: int = 2) -> Observations:
@@ -121,7 +121,7 @@ class Landmarks:
             per_keyframe: About so many landmarks of each keyframe, those with the longest tracks.
             min_views: Fewer sightings do not tie keyframes together.
         """
-        views = self.places.features
+        views = self.database.features
         row = np.repeat(np.arange(len(views)), [len(f) for f in views])
         landmark = np.concatenate([np.zeros(0, np.int64), *self.of_feature]).astype(np.int64)
         known = (landmark >= 0).nonzero()[0]
@@ -155,7 +155,7 @@ class Landmarks:
         return {"of_feature": [torch.from_numpy(f) for f in self.of_feature], "birth": torch.from_numpy(self._birth)}
 
     def load_state(self, state: dict[str, Any]) -> None:
-        """Take the tracks of ``state_dict`` in place of the present ones; ``places`` must hold their keyframes."""
+        """Take the tracks of ``state_dict`` in place of the present ones; ``database`` must hold their keyframes."""
         self.of_feature = [f.cpu().numpy() for f in state["of_feature"]]
         self._birth = state["birth"].cpu().numpy()
 
@@ -166,7 +166,7 @@ class Landmarks:
         for r in sorted(rows, reverse=True):
             known = self.of_feature[r] >= 0
             landmark.append(self.of_feature[r][known].astype(np.int64))
-            descriptors.append(self.places.features[r].descriptors.numpy()[known])
+            descriptors.append(self.database.features[r].descriptors.numpy()[known])
         every, latest = np.unique(np.concatenate(landmark), return_index=True)
         return every, np.concatenate(descriptors)[latest]
 

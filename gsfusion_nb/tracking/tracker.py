@@ -2,9 +2,9 @@
 
 import dataclasses
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import Any, Literal
 
 from jaxtyping import Float
 from torch import Tensor
@@ -13,8 +13,8 @@ from ..checks import check_pose
 from ..config import TrackingConfig
 from ..geometry import se3
 from ..types import Camera, Frame
+from .appearance import SAME_PLACE, correlation
 from .icp import IcpResult, align
-from .looks import SAME_PLACE, correlation
 from .pyramid import DepthLevel, depth_pyramid
 from .surface import Surface, SurfaceSource, hybrid_surface, smooth_normals
 
@@ -29,20 +29,15 @@ RECOVERED_AGREEMENT = 0.6
 may fit by chance, and a wrong pose spoils the map for good."""
 
 MAX_TIME_RATIO = 4.0
-"""The last motion is carried on for at most so many times the time that it took."""
+"""The last motion is carried on for at most this many times the time that it took."""
 
 
 class TrackingLostError(ValueError):
     """No pose of this frame fits the model; the message says what was tried and by how much it failed."""
 
 
-@runtime_checkable
-class Places(Protocol):
-    """Recognises places seen before."""
-
-    def relocalise(self, frame: Frame) -> list[Tensor]:
-        """Poses ``T_WC`` [4, 4] that the frame may have, the likeliest first."""
-        ...
+Relocaliser = Callable[[Frame], list[Tensor]]
+"""Poses ``T_WC`` [4, 4] that a frame may have by its appearance, the likeliest first."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -75,7 +70,7 @@ class TrackingReport:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Seen:
+class _TrackedPose:
     """A tracked pose, float64, and its time."""
 
     T_WC: Tensor
@@ -101,33 +96,32 @@ class Tracker:
 
     Args:
         config: Levels, gates, prior, what counts as failure.
-        places: Recognises places seen before; asked for poses when ICP has failed from all others.
     """
 
-    def __init__(self, config: TrackingConfig | None = None, places: Places | None = None):
+    def __init__(self, config: TrackingConfig | None = None):
         self.config = config or TrackingConfig()
-        self.places = places
         self.n_lost = 0
         """Frames that could not be tracked."""
         self.lost_in_a_row = 0
-        self._last: _Seen | None = None
-        self._before: _Seen | None = None
+        self._last: _TrackedPose | None = None
+        self._before: _TrackedPose | None = None
         """The frame before the last one, if both were tracked; the motion between them is the velocity."""
         self._last_depth_m: Tensor | None = None
 
     def __repr__(self) -> str:
         return f"Tracker({'not started' if self._last is None else 'running'}, {self.n_lost} frames lost)"
 
-    def track(self, frame: Frame, surface: SurfaceSource) -> TrackingReport:
+    def track(self, frame: Frame, surface: SurfaceSource, relocalise: Relocaliser = lambda frame: []) -> TrackingReport:
         """Pose of the next frame. The first one's is taken from the data.
 
         ICP starts from the predicted pose; if that fails from there with the model's normals smoothed, from the last
-        pose, from there with wide gates, and from the poses of places recognised. Each start is aligned with the model
-        as rendered from it, and accepted by its fit.
+        pose, from there with wide gates, and from the poses of ``relocalise``. Each start is aligned with the model as
+        rendered from it, and accepted by its fit.
 
         Args:
             frame: Its ``T_WC`` is used only if it is the first.
             surface: Renders the model; may be asked several times.
+            relocalise: Asked for poses by appearance when ICP has failed from all other starts.
 
         Raises:
             TrackingLostError: no start led to a pose that fits. Only the counts of lost frames change, so that the next
@@ -143,11 +137,11 @@ class Tracker:
             self._accept(frame, frame.T_WC.double().cpu(), moved=False)
             return TrackingReport(status="first", T_WC=frame.T_WC, seconds=seconds)
         failures: list[str] = []
-        for start in self._starts(frame):
+        for start in self._starts(frame, relocalise):
             result = self._attempt(frame, levels, surface, start, seconds)
             problem = self._problem(result, first_try=not failures, anywhere=start.anywhere)
             if not problem and (failures or self.lost_in_a_row):
-                problem = _wrong_looks(frame, surface(frame.camera, result.T_WC.float()))
+                problem = _wrong_appearance(frame, surface(frame.camera, result.T_WC.float()))
             if not problem:
                 moved = self.lost_in_a_row == 0 and not start.anywhere
                 self._accept(frame, result.T_WC, moved=moved)
@@ -160,7 +154,8 @@ class Tracker:
         check_pose("T_change", T_change)
         change = T_change.double().cpu()
         self._last, self._before = (
-            seen and _Seen(T_WC=change @ seen.T_WC, timestamp_s=seen.timestamp_s) for seen in (self._last, self._before)
+            seen and _TrackedPose(T_WC=change @ seen.T_WC, timestamp_s=seen.timestamp_s)
+            for seen in (self._last, self._before)
         )
 
     def predict(self, timestamp_s: float) -> Float[Tensor, "4 4"]:
@@ -190,15 +185,15 @@ class Tracker:
         }
 
     @classmethod
-    def from_state_dict(cls, config: TrackingConfig, state: dict[str, Any], places: Places | None = None) -> "Tracker":
-        """The tracker that ``state_dict`` described; settings and recognised places are kept elsewhere."""
-        tracker = cls(config, places)
+    def from_state_dict(cls, config: TrackingConfig, state: dict[str, Any]) -> "Tracker":
+        """The tracker that ``state_dict`` described; the settings are kept elsewhere."""
+        tracker = cls(config)
         tracker.n_lost, tracker.lost_in_a_row = state["n_lost"], state["lost_in_a_row"]
-        tracker._last, tracker._before = (state[name] and _Seen(**state[name]) for name in ("last", "before"))
+        tracker._last, tracker._before = (state[name] and _TrackedPose(**state[name]) for name in ("last", "before"))
         tracker._last_depth_m = state["last_depth_m"]
         return tracker
 
-    def _starts(self, frame: Frame) -> Iterator["_Start"]:
+    def _starts(self, frame: Frame, relocalise: Relocaliser) -> Iterator["_Start"]:
         """What ICP starts from, in order."""
         assert self._last is not None
         last = self._last.T_WC
@@ -209,7 +204,7 @@ class Tracker:
         if self.lost_in_a_row > 0 or self._before is not None:
             yield _Start("the last pose", last)
         yield _Start("the last pose with wide gates", last, wide=True)
-        for n, T_WC in enumerate(self.places.relocalise(frame) if self.places else ()):
+        for n, T_WC in enumerate(relocalise(frame)):
             yield _Start(f"place {n + 1}", T_WC.double().cpu(), wide=True, anywhere=True)
 
     def _attempt(
@@ -267,7 +262,7 @@ class Tracker:
 
     def _accept(self, frame: Frame, T_WC: Tensor, *, moved: bool) -> None:
         self._before = self._last if moved else None
-        self._last = _Seen(T_WC=T_WC, timestamp_s=frame.timestamp_s)
+        self._last = _TrackedPose(T_WC=T_WC, timestamp_s=frame.timestamp_s)
         self.lost_in_a_row = 0
         if self.config.target == "hybrid":
             self._last_depth_m = frame.depth_m
@@ -278,8 +273,8 @@ class Tracker:
         return TrackingLostError(reason)
 
 
-def _wrong_looks(frame: Frame, surface: Surface) -> str:
-    """What is wrong with a place found again, as the end of a sentence; empty if nothing is."""
+def _wrong_appearance(frame: Frame, surface: Surface) -> str:
+    """Why the frame cannot come from the pose that was found, as the end of a sentence; empty if it can."""
     likeness = correlation(frame, surface)
     if likeness is None or likeness >= SAME_PLACE:
         return ""

@@ -6,8 +6,8 @@ import torch
 from gsfusion_nb.data.room import room
 from gsfusion_nb.geometry import project, se3
 from gsfusion_nb.tracking.features import Features, extract_features
+from gsfusion_nb.tracking.keyframe_database import KeyframeDatabase
 from gsfusion_nb.tracking.landmarks import Landmarks
-from gsfusion_nb.tracking.places import Places
 from gsfusion_nb.types import Camera
 
 CAMERA = Camera(width=320, height=240, fx=208.0, fy=208.0, cx=160.0, cy=120.0)
@@ -38,9 +38,9 @@ def moved(x):
 
 
 def landmarks_of(*views):
-    landmarks = Landmarks(Places(CAMERA))
+    landmarks = Landmarks(KeyframeDatabase(CAMERA))
     for index, (T_WC, features, pairs) in enumerate(views):
-        landmarks.places.add(index, T_WC, features)
+        landmarks.database.add(index, T_WC, features)
         landmarks.add(features, pairs)
     return landmarks
 
@@ -103,7 +103,7 @@ def test_observations_and_loops(points):
     assert len(joined) == 90
     assert int((joined.keyframe == 2).sum()) == 10
     assert len(joined.xyz_W) == 40
-    T_CW = torch.stack([se3.inverse(T) for T in landmarks.places.T_WC])[joined.keyframe]
+    T_CW = torch.stack([se3.inverse(T) for T in landmarks.database.T_WC])[joined.keyframe]
     xyz_C = (T_CW[:, :3, :3] @ joined.xyz_W[joined.landmark][:, :, None])[:, :, 0] + T_CW[:, :3, 3]
     torch.testing.assert_close(project(CAMERA, xyz_C), joined.uv, atol=1e-3, rtol=0)
     torch.testing.assert_close(xyz_C[:, 2], joined.depth_m, atol=1e-5, rtol=0)
@@ -122,13 +122,13 @@ def test_nothing_to_observe():
     )
     assert len(empty) == 0
     assert len(empty.observations([], per_keyframe=10)) == 0
-    assert len(Landmarks(Places(CAMERA)).observations([], per_keyframe=10)) == 0
+    assert len(Landmarks(KeyframeDatabase(CAMERA)).observations([], per_keyframe=10)) == 0
 
 
 def test_landmarks_move_with_the_keyframe_they_were_born_in(points):
     landmarks = three_views(points)
     before = landmarks.positions(torch.tensor([3, 50]))
-    landmarks.places.move(torch.stack([moved(0.0), moved(0.1), moved(1.2)]))
+    landmarks.database.move(torch.stack([moved(0.0), moved(0.1), moved(1.2)]))
     after = landmarks.positions(torch.tensor([3, 50]))
     torch.testing.assert_close(after - before, torch.tensor([[0.0, 0, 0], [1, 0, 0]], dtype=torch.float64))
 
@@ -137,9 +137,9 @@ def test_in_the_room_found_landmarks_are_the_same_points():
     """Two frames of the walk with exact poses: the two back-projections of a pair meet."""
     sequence = room(n_frames=400, width=320, height=240)
     views = [extract_features(sequence[i], count=1000, levels=8) for i in (40, 44)]
-    places = Places(sequence.camera)
-    landmarks = Landmarks(places)
-    places.add(40, sequence.pose(40), views[0])
+    database = KeyframeDatabase(sequence.camera)
+    landmarks = Landmarks(database)
+    database.add(40, sequence.pose(40), views[0])
     landmarks.add(views[0], NO_PAIRS)
     pairs = landmarks.find(views[1], sequence.pose(44), [0], 6.0)
     assert len(pairs) > 150

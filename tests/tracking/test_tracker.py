@@ -130,26 +130,26 @@ def test_a_wrong_prediction_falls_back_to_the_last_pose(plane_scene, assert_pose
     assert_pose(report.T_WC, torch.eye(4), 1e-3, 0.05)
 
 
-class StubPlaces:
+class KnownPoses:
     """Knows one pose, behind a wrong one."""
 
     def __init__(self, *poses):
         self.poses, self.asked = list(poses), []
 
-    def relocalise(self, frame):
+    def __call__(self, frame):
         self.asked.append(frame.index)
         return self.poses
 
 
-def test_recognised_places_are_tried_last_and_judged_by_their_fit(plane_scene, assert_pose):
+def test_poses_by_appearance_are_tried_last_and_judged_by_their_fit(plane_scene, assert_pose):
     rolled = se3.exp(torch.tensor([0.1, 0.0, 0.1, 0.0, 0.0, 1.8]).double())
-    places = StubPlaces(se3.exp(torch.tensor([9.0, 0, 0, 0, 3, 0]).double()), rolled)
-    corner, tracker = plane_scene("corner"), Tracker(places=places)
+    known = KnownPoses(se3.exp(torch.tensor([9.0, 0, 0, 0, 3, 0]).double()), rolled)
+    corner, tracker = plane_scene("corner"), Tracker()
     track_all(tracker, corner, path(3))
-    assert places.asked == []
+    assert known.asked == []
     there = se3.exp(torch.tensor([0.01, 0.02, 0.0, 0.0, 0.01, 0.02]).double()) @ rolled
-    report = tracker.track(corner.frame(there, 9), corner)
-    assert places.asked == [9]
+    report = tracker.track(corner.frame(there, 9), corner, known)
+    assert known.asked == [9]
     assert (report.status, report.start) == ("recovered", "place 2")
     assert_pose(report.T_WC, there, 1e-3, 0.05)
     assert_pose(tracker.predict(10.0), report.T_WC, 1e-6, 1e-3)

@@ -51,7 +51,7 @@ class Path:
         return metres <= DRIFT_M + share * self.length_m and degrees <= DRIFT_DEG + share * self.turned_deg
 
 
-def why_not(
+def why_not_same_place(
     pose: RelativePose, features: Features, thumbnails: tuple[Tensor, Tensor], camera: Camera, min_inliers: int
 ) -> str:
     """Why the two views are not the same place, from what they show; empty if nothing speaks against it.

@@ -1,4 +1,4 @@
-"""Whether a frame looks like the model from a pose: geometry alone takes one bare wall for another."""
+"""Whether a frame looks like the model from a pose: geometry alone cannot tell one bare wall from another."""
 
 import torch
 

@@ -27,7 +27,7 @@ BITS = 12
 _PATTERN = np.random.default_rng(0).permutation(256)[: TABLES * BITS].reshape(TABLES, BITS)
 
 
-class Places:
+class KeyframeDatabase:
     """Keyframes by appearance. Rows count from 0 in the order of ``add``."""
 
     def __init__(self, camera: Camera, *, count: int = 1000, levels: int = 8, min_inliers: int = 20):

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from gsfusion_nb.tracking import Surface
-from gsfusion_nb.tracking.looks import correlation
+from gsfusion_nb.tracking.appearance import correlation
 from gsfusion_nb.types import Camera, Frame
 
 CAMERA = Camera(width=40, height=30, fx=40.0, fy=40.0, cx=20.0, cy=15.0)

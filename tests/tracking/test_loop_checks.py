@@ -8,7 +8,7 @@ import torch
 from gsfusion_nb.data.room import render_room, room
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.tracking.features import extract_features
-from gsfusion_nb.tracking.loops import Path, depth_agreement, depth_thumbnail, path_between, why_not
+from gsfusion_nb.tracking.loop_checks import Path, depth_agreement, depth_thumbnail, path_between, why_not_same_place
 from gsfusion_nb.tracking.matching import relative_pose
 
 
@@ -54,12 +54,12 @@ def test_a_true_loop_passes_and_others_say_why(pair):
     pose = relative_pose(a.camera, query, reference)
     assert pose is not None
     thumbnails = depth_thumbnail(a.depth_m), depth_thumbnail(b.depth_m)
-    assert why_not(pose, query, thumbnails, a.camera, 30) == ""
-    assert "matches agree" in why_not(pose, query, thumbnails, a.camera, 1000)
+    assert why_not_same_place(pose, query, thumbnails, a.camera, 30) == ""
+    assert "matches agree" in why_not_same_place(pose, query, thumbnails, a.camera, 1000)
     few = dataclasses.replace(pose, n_matches=10 * len(pose.rows))
-    assert "matches agree" in why_not(few, query, thumbnails, a.camera, 30)
+    assert "matches agree" in why_not_same_place(few, query, thumbnails, a.camera, 30)
     corner = query.uv[pose.rows[:, 0]].sum(1).argsort()[:30]
-    assert "parts of the image" in why_not(
+    assert "parts of the image" in why_not_same_place(
         dataclasses.replace(pose, rows=pose.rows[corner][:1].repeat(40, 1), n_matches=40),
         query,
         thumbnails,
@@ -67,7 +67,7 @@ def test_a_true_loop_passes_and_others_say_why(pair):
         30,
     )
     _, depth_m = render_room(a.camera, b.T_WC @ turned(80.0).float())
-    assert "depths agree" in why_not(pose, query, (thumbnails[0], depth_thumbnail(depth_m)), a.camera, 30)
+    assert "depths agree" in why_not_same_place(pose, query, (thumbnails[0], depth_thumbnail(depth_m)), a.camera, 30)
 
 
 def test_the_path_bounds_the_drift():

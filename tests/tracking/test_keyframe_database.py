@@ -1,4 +1,4 @@
-"""Recognising places in the built-in room, whose poses are exact."""
+"""Recognising database in the built-in room, whose poses are exact."""
 
 import dataclasses
 
@@ -9,7 +9,7 @@ from gsfusion_nb.data.room import room
 from gsfusion_nb.export import load_checkpoint, save_checkpoint
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.tracking.features import Features, extract_features
-from gsfusion_nb.tracking.places import Places
+from gsfusion_nb.tracking.keyframe_database import KeyframeDatabase
 
 
 @pytest.fixture(scope="module")
@@ -20,10 +20,10 @@ def sequence():
 @pytest.fixture(scope="module")
 def known(sequence):
     """Every sixth frame of the first part of the walk."""
-    places = Places(sequence.camera)
+    database = KeyframeDatabase(sequence.camera)
     for i in range(0, 120, 6):
-        places.add(i, sequence.pose(i), extract_features(sequence[i], count=1000, levels=8))
-    return places
+        database.add(i, sequence.pose(i), extract_features(sequence[i], count=1000, levels=8))
+    return database
 
 
 def no_features():
@@ -70,33 +70,33 @@ def test_an_unknown_view_is_not_found(known, sequence, generator):
 
 
 def test_views_without_features_can_be_kept_and_asked_about(sequence):
-    places = Places(sequence.camera)
-    assert places.relocalise(no_features()) == []
-    places.add(0, torch.eye(4), no_features())
-    assert places.similar(no_features(), 3) == []
+    database = KeyframeDatabase(sequence.camera)
+    assert database.relocalise(no_features()) == []
+    database.add(0, torch.eye(4), no_features())
+    assert database.similar(no_features(), 3) == []
     features = extract_features(sequence[0], count=300, levels=4)
-    assert places.relocalise(features) == []
-    places.add(1, sequence.pose(0), features)
-    places.add(2, torch.eye(4), no_features())
-    torch.testing.assert_close(places.relocalise(features)[0], sequence.pose(0).double(), atol=1e-4, rtol=0)
+    assert database.relocalise(features) == []
+    database.add(1, sequence.pose(0), features)
+    database.add(2, torch.eye(4), no_features())
+    torch.testing.assert_close(database.relocalise(features)[0], sequence.pose(0).double(), atol=1e-4, rtol=0)
 
 
 def test_corrected_poses_move_what_is_found(known, sequence):
-    places = Places(sequence.camera)
+    database = KeyframeDatabase(sequence.camera)
     for row in range(3):
-        places.add(known.index[row], known.T_WC[row], known.features[row])
+        database.add(known.index[row], known.T_WC[row], known.features[row])
     shift = torch.eye(4, dtype=torch.float64)
     shift[0, 3] = 1.0
-    before = places.relocalise(known.features[1])[0]
-    places.move(shift @ torch.stack(places.T_WC))
-    torch.testing.assert_close(places.relocalise(known.features[1])[0], shift @ before)
+    before = database.relocalise(known.features[1])[0]
+    database.move(shift @ torch.stack(database.T_WC))
+    torch.testing.assert_close(database.relocalise(known.features[1])[0], shift @ before)
     with pytest.raises(ValueError, match="each of the 3 keyframes, got 1"):
-        places.move(shift[None])
+        database.move(shift[None])
 
 
 def test_state_survives_a_checkpoint(known, sequence, tmp_path):
     save_checkpoint(tmp_path / "places.pt", known.state_dict())
-    other = Places(sequence.camera)
+    other = KeyframeDatabase(sequence.camera)
     other.load_state(load_checkpoint(tmp_path / "places.pt"))
     query = extract_features(sequence[45], count=1000, levels=8)
     assert other.similar(query, 5) == known.similar(query, 5)
@@ -109,10 +109,10 @@ def test_another_camera_is_refused(known):
 
 
 def test_among_300_keyframes_the_copies_of_the_same_view_come_first(known):
-    places = Places(known.camera)
+    database = KeyframeDatabase(known.camera)
     for row in range(300):
-        places.add(row, known.T_WC[row % len(known)], known.features[row % len(known)])
-    rows = places.similar(known.features[5], 16)
+        database.add(row, known.T_WC[row % len(known)], known.features[row % len(known)])
+    rows = database.similar(known.features[5], 16)
     copies = list(range(5, 300, len(known)))
     assert sorted(row for row, _ in rows[:-1]) == copies
     assert rows[-1][1] < 0.8 < rows[-2][1]
