@@ -72,5 +72,5 @@ def _refuse_more(options: MapOptions, arguments: list[str]) -> None:
     more = [a for a in arguments if a.startswith("-") and a.split("=")[0] not in _WITH_RESUME]
     if more or options.data:
         raise ValueError(
-            f"--resume goes on with the run's own settings and data; leave out {options.data} {' '.join(more)}"
+            f"--resume continues with the run's own settings and data; leave out {options.data} {' '.join(more)}"
         )

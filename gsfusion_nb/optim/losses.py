@@ -28,7 +28,7 @@ def l1_vjp(rgb: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"], v_loss: 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class L1Loss:
-    """``l1`` of one view, its gradient, and the error of its PSNR. All tensors, so that nobody waits for a GPU."""
+    """``l1`` of one view, its gradient, and the error of its PSNR. All tensors, so that nothing waits for a GPU."""
 
     value: Float[Tensor, ""]
     """Mean absolute difference."""

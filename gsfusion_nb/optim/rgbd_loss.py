@@ -11,7 +11,7 @@ from ..backends import op
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RgbdLoss:
-    """Value and gradient of the loss of one view. All tensors, so that nobody waits for a GPU."""
+    """Value and gradient of the loss of one view. All tensors, so that nothing waits for a GPU."""
 
     colour: Float[Tensor, ""]
     """Mean |C - C^| over the pixels and channels."""

@@ -18,7 +18,7 @@ THUMBNAIL_PX = 64
 """Width of the depth kept of each keyframe."""
 
 MIN_SHARE = 0.3
-"""Of the matches, so many must agree on the pose."""
+"""This many of the matches must agree on the pose."""
 
 MIN_CELLS = 4
 """The agreeing features must lie in so many cells of a 4 x 4 grid over the image: not all on one poster."""

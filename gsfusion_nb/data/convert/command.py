@@ -16,8 +16,8 @@ class ConvertCommand:
     are written one by one; an interrupted conversion continues when the command is repeated."""
 
     words: Annotated[tuple[str, ...], tyro.conf.Positional]
-    """[FORMAT] SOURCE OUT: colmap, icl_nuim, nerfstudio, open3d, record3d, ros, scannet or tum, recognised by itself if
-    left out; the file or folder of the recording; a new folder."""
+    """[FORMAT] SOURCE OUT: colmap, icl_nuim, nerfstudio, open3d, record3d, ros, scannet or tum, recognised
+    automatically if left out; the file or folder of the recording; a new folder."""
     options: Annotated[ConvertOptions, tyro.conf.arg(name="")] = field(default_factory=ConvertOptions)
 
 
