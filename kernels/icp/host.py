@@ -33,11 +33,12 @@ def lens_of(camera: Camera) -> tuple[float, float, float, float]:
 
 def to_system(sums: Tensor) -> IcpSystem:
     """The normal equations from the kernels' sums over all pixels, float64 [31] on the CPU; H and b stay there."""
+    squares, weights, inliers, overlap = sums[SQUARES:].tolist()
     return IcpSystem(
         H=sums[_TRIANGLE],
         b=sums[B:SQUARES],
-        sum_squares_m2=float(sums[SQUARES]),
-        sum_weights=float(sums[WEIGHTS]),
-        n_inliers=int(sums[INLIERS]),
-        n_overlap=int(sums[OVERLAP]),
+        sum_squares_m2=squares,
+        sum_weights=weights,
+        n_inliers=int(inliers),
+        n_overlap=int(overlap),
     )

@@ -12,7 +12,7 @@ from gsfusion_nb.optim.rgbd_loss import RgbdLoss
 from gsfusion_nb.optim.rgbd_loss import rgbd_l1_vjp as reference
 
 from ..runtime.numba.launch import launching
-from .host import counts, is_float32, limit_m, to_loss
+from .host import is_float32, limit_m, to_loss
 
 f32 = np.float32
 
@@ -37,11 +37,12 @@ def rgbd_l1_vjp(
     arrays = [t.detach().contiguous().numpy() for t in (*images, pixels)]
     limit = f32(limit_m(behind_m))
     with launching():
-        sums = torch.from_numpy(_sums(*arrays, limit))
-        n, n_known = counts(sums).tolist()
+        n, n_known, colour_sum, depth_sum = _sums(*arrays, limit).tolist()
+        n, n_known = max(n, 1.0), max(n_known, 1.0)
         scale_rgb, scale_depth = f32(weight_colour / n), f32(weight_depth / n_known)
         _write(*arrays, limit, scale_rgb, scale_depth, v_rgb.numpy(), v_depth_m.numpy())
-    return to_loss(sums, (weight_colour, weight_depth), v_rgb, v_depth_m)
+    colour, depth = colour_sum / n, depth_sum / n_known
+    return to_loss(torch.tensor([colour, depth, weight_colour * colour + weight_depth * depth]), v_rgb, v_depth_m)
 
 
 @njit(inline="always")

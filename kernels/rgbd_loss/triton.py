@@ -14,7 +14,7 @@ from gsfusion_nb.optim.rgbd_loss import RgbdLoss
 from gsfusion_nb.optim.rgbd_loss import rgbd_l1_vjp as reference
 
 from ..runtime.triton.launch import device_of, launch, parts
-from .host import counts, is_float32, limit_m, to_loss
+from .host import is_float32, limit_m, to_loss
 
 _BLOCK = 1024
 
@@ -43,11 +43,13 @@ def rgbd_l1_vjp(
     sums = torch.zeros(parts(total, _BLOCK), 4, dtype=torch.float32, device=device)
     launch(_sums, len(sums), device, *arrays, sums, total, limit, BLOCK=_BLOCK, num_warps=4)
     sums = sums.sum(0, dtype=torch.float64)
+    counts = sums[:2].clamp_min(1.0)
     launch(
-        _write, parts(total, _BLOCK), device, *arrays, counts(sums), v_rgb, v_depth_m, total, limit,
+        _write, parts(total, _BLOCK), device, *arrays, counts, v_rgb, v_depth_m, total, limit,
         float(weight_colour), float(weight_depth), BLOCK=_BLOCK, num_warps=4,
     )  # fmt: skip
-    return to_loss(sums, (weight_colour, weight_depth), v_rgb, v_depth_m)
+    colour, depth = (sums[2:] / counts).float()
+    return to_loss(torch.stack([colour, depth, weight_colour * colour + weight_depth * depth]), v_rgb, v_depth_m)
 
 
 @triton.jit
