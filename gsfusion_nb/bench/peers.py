@@ -2,6 +2,7 @@
 
 import importlib
 import importlib.metadata
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -65,7 +66,9 @@ def why_not(name: str) -> str | None:
     """None if the peer can be measured, else the reason and what to do."""
     peer = PEERS[name]
     try:
-        module = importlib.import_module(peer.module)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # Open3D warns that there is no GPU; its table row says what it ran on
+            module = importlib.import_module(peer.module)
     except ImportError as e:
         missing = e.name and e.name.split(".")[0] == peer.module.split(".")[0]
         reason = "not installed" if missing else f"cannot be imported ({e})"
