@@ -1,4 +1,4 @@
-"""Cases of what a user waits for besides mapping: the import, the check-up of a recording, finding a place again."""
+"""Cases of what a user waits for besides mapping: the import, the check-up of a recording, similar keyframes."""
 
 import functools
 import subprocess
@@ -8,14 +8,14 @@ from collections.abc import Iterator
 from ..data import open_sequence
 from ..data.checkup import check_recording
 from ..tracking.features import extract_features
-from ..tracking.places import Places
+from ..tracking.keyframe_database import KeyframeDatabase
 from .options import BenchOptions
 from .rows import Case, Row
 from .timing import Lap, lap, measure, summary
 from .tsdf import case_name, open_frames
 
 KEYFRAMES = 300
-"""Known places among which one is looked for; their features come from ``VIEWS`` views of the room."""
+"""Keyframes among which the most similar ones are looked for, with the features of ``VIEWS`` views of the room."""
 VIEWS = 20
 
 
@@ -25,7 +25,7 @@ def cases(options: BenchOptions) -> Iterator[Case]:
     for size in options.sizes:
         run = functools.partial(_check, options, size)
         yield Case(section="waits", title=f"check-up of {options.data}", run=lambda run=run: [run()])
-    yield Case(section="waits", title="place query", run=lambda: [_query(options)])
+    yield Case(section="waits", title="most similar views", run=lambda: [_query(options)])
 
 
 def _imports(runs: int) -> Iterator[Row]:
@@ -58,8 +58,8 @@ def _query(options: BenchOptions) -> Row:
     sequence = open_sequence("room", n_frames=400).mapping
     frames = [sequence[6 * i] for i in range(VIEWS)]
     views = [extract_features(frame, count=1000, levels=8) for frame in frames]
-    places = Places(sequence.camera)
+    known = KeyframeDatabase(sequence.camera)
     for row in range(KEYFRAMES):
-        places.add(row, frames[row % VIEWS].T_WC, views[row % VIEWS])
-    timing = measure(lambda: places.similar(views[-1], 5), budget_s=options.budget_s)
-    return Row(section="waits", case=f"{KEYFRAMES} keyframes", method="most similar places", timing=timing)
+        known.add(row, frames[row % VIEWS].T_WC, views[row % VIEWS])
+    timing = measure(lambda: known.similar(views[-1], 5), budget_s=options.budget_s)
+    return Row(section="waits", case=f"{KEYFRAMES} keyframes", method="most similar views", timing=timing)
