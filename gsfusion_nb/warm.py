@@ -18,11 +18,9 @@ from . import backends
 from .config import SeedingConfig, TsdfConfig, gsfusion, rtg_slam
 from .mapping import RTGSLAM, GSFusion
 from .processes import run_in_processes, usable_cores
-from .tsdf import TsdfVolume, extract_mesh, integrate, raycast
 from .types import Camera, Frame
 
 _WIDTH, _HEIGHT = 64, 48
-_FUSION = ("band_blocks", "fuse_frame_")
 MOST_PROCESSES = 8
 """More would hardly be faster: the slowest exercise takes an eighth of the whole."""
 
@@ -106,43 +104,13 @@ def _as_a_worker() -> Iterator[list[str]]:
 
 def exercises(device: str = "cpu") -> Iterator[Exercise]:
     """One for each case of an operation's folder, and the two mappers at the end."""
-    covered = set()
     for case in backends.cases():
-        covered.update(case.operations)
         if torch.float32 in case.dtypes:
             run = _once(case.run, torch.device(device), torch.float32)
             yield Exercise(f"{' and '.join(case.operations)}: {case.name}", case.operations, run)
-    for exercise in _without_cases(device):
-        if not covered.issuperset(exercise.operations):
-            yield exercise
     frame, grey = (_frame(device, whole_numbers=n) for n in (True, False))
     yield Exercise("whole mapper: GSFusion", backends.operations(), _once(_map, frame, grey, device))
     yield Exercise("whole mapper: RTG-SLAM", backends.operations(), _once(_slam, frame, grey, device))
-
-
-def _without_cases(device: str) -> Iterator[Exercise]:
-    """Operations whose folder has no ``cases.py``."""
-    frame, grey = (_frame(device, whole_numbers=n) for n in (True, False))
-    for sdf in ("ray", "z"):
-        volume = TsdfVolume(TsdfConfig(voxel_size_m=0.05, truncation_voxels=2.0, sdf=sdf), device=device)
-        for picture, colours in ((frame, "8-bit"), (grey, "float")):
-            yield Exercise(
-                f"integrate: {sdf}, {colours} colours",
-                _FUSION,
-                _once(integrate, volume, picture),
-            )
-        points = torch.zeros(8, 3, device=device)
-        for operation, run in (
-            ("raycast", _once(raycast, volume, frame.camera, frame.T_WC)),
-            ("sample_voxels", _once(volume.sample_nearest, points)),
-            ("extract_mesh", _once(extract_mesh, volume)),
-        ):
-            yield Exercise(f"{operation}: {sdf}", (*_FUSION, operation), _once(_filled, volume, frame, run))
-
-
-def _filled(volume: TsdfVolume, frame: Frame, run: Callable[[], object]) -> None:
-    integrate(volume, frame)
-    run()
 
 
 def _once(function: Callable, *args, **kwargs) -> Callable[[], object]:
