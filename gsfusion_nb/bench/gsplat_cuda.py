@@ -21,21 +21,8 @@ def is_built(module: object) -> bool:
         return False
 
 
-def forward(scene: Scene) -> Tensor:
-    """The picture, without gradients. [H, W, 3]"""
-    with torch.no_grad():
-        return _render(scene.params, scene)
-
-
-def forward_backward(scene: Scene) -> tuple[Tensor, GaussianParams]:
-    """The picture, and dL/d of every parameter by autograd."""
-    leaves = {name: value.detach().requires_grad_() for name, value in vars(scene.params).items()}
-    rgb = _render(GaussianParams(**leaves), scene)
-    gradients = torch.autograd.grad(rgb, list(leaves.values()), scene.v_rgb)
-    return rgb.detach(), GaussianParams(**dict(zip(leaves, gradients, strict=True)))
-
-
-def _render(params: GaussianParams, scene: Scene) -> Tensor:
+def render(params: GaussianParams, scene: Scene) -> Tensor:
+    """The picture. [H, W, 3] Differentiable: yes, by autograd."""
     from gsplat import rasterization  # pyright: ignore[reportMissingImports]
 
     camera = scene.camera

@@ -28,21 +28,8 @@ BYTES_PER_PIXEL = 6000
 """Memory of a forward and backward pass on a scene with 30 Gaussians a pixel: 1.7 GB at 640x480."""
 
 
-def forward(scene: Scene) -> Tensor:
-    """The picture, without gradients. [H, W, 3]"""
-    with torch.no_grad():
-        return _render(scene.params, scene)
-
-
-def forward_backward(scene: Scene) -> tuple[Tensor, GaussianParams]:
-    """The picture, and dL/d of every parameter by autograd."""
-    leaves = {name: value.detach().requires_grad_() for name, value in vars(scene.params).items()}
-    rgb = _render(GaussianParams(**leaves), scene)
-    gradients = torch.autograd.grad(rgb, list(leaves.values()), scene.v_rgb)
-    return rgb.detach(), GaussianParams(**dict(zip(leaves, gradients, strict=True)))
-
-
-def _render(params: GaussianParams, scene: Scene) -> Tensor:
+def render(params: GaussianParams, scene: Scene) -> Tensor:
+    """The picture. [H, W, 3] Differentiable: yes, by autograd."""
     from gsplat.cuda import _torch_impl as gsplat  # pyright: ignore[reportMissingImports]
 
     camera = scene.camera

@@ -20,9 +20,9 @@ STAGES = {
 
 
 def cases(options: BenchOptions) -> Iterator[Case]:
-    """The reference, then the fastest backend of each operation, on the CPU and on a GPU, for every image size."""
+    """The torch backend, then the fastest backend of each operation, on the CPU and on a GPU, for every image size."""
     backends = our_backends(options, "render_forward", "render_vjp")
-    methods = [("reference", "reference", "cpu")] if "reference" in backends else []
+    methods = [(b, b, "cpu") for b in ("reference", "torch") if b in backends]
     methods += [(f"auto ({b})", "auto", DEVICES[b]) for b in ("numba", "cuda") if b in backends]
     for size in options.sizes:
         for method, backend, device in methods:

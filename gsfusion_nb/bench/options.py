@@ -27,7 +27,8 @@ class BenchOptions:
     frames: int = 0
     """Frames of the sequence to use; 0 means 60, or 8 with --quick."""
     backend: tuple[str, ...] = ()
-    """Only these of our backends: reference, torch, numba, triton, cuda; all that run here by default."""
+    """Only these of our backends: reference, torch, numba, triton, cuda. By default all that run here but the
+    reference, which is written for reading and slow."""
     threads: int = 1
     """Threads that every method may use."""
     quick: bool = False

@@ -6,7 +6,7 @@ from typing import Any
 from .rows import Row
 
 HEADINGS = {
-    "raster": "raster: Gaussian rasteriser; note: PSNR to the reference's picture, least cosine of a gradient",
+    "raster": "raster: Gaussian rasteriser; note: PSNR to the picture of torch, least cosine of a gradient",
     "tsdf": "tsdf: TSDF integration with colour (depth: without), ms a frame; truncation 4 voxels; no decoding",
     "map": "map: GSFusion, Replica settings, means over the frames; note: frames/s without reading, Gaussians",
     "panels": "panels: from a moved control to the new picture; method: what is shown or moved",

@@ -73,7 +73,7 @@ class StoredFrames:
 
 
 def cases(options: BenchOptions) -> Iterator[Case]:
-    """Peers first, then the reference, then the fast backends, for every image size and voxel size."""
+    """Peers first, then our backends, for every image size and voxel size."""
     for size in options.sizes:
         load = functools.lru_cache(1)(functools.partial(stored_frames, options, size))
         for voxel_m in VOXEL_SIZES_M[:1] if options.quick else VOXEL_SIZES_M:
