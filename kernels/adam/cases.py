@@ -34,7 +34,7 @@ def _three_updates(shape: tuple[int, ...], steps: str, device: torch.device, dty
     lr = torch.rand(shape[1:], generator=g).to(device, dtype) if len(shape) > 1 else 0.1
     param, exp_avg, exp_avg_sq = (torch.full(shape, x, device=device, dtype=dtype) for x in (1.0, 0.0, 0.0))
     for t, gradient in enumerate(gradients, start=1):
-        rows = torch.arange(shape[0], dtype=torch.int32, device=device) % 5 + t
+        rows = torch.arange(len(param), dtype=torch.int32, device=device) % 5 + t
         counts = {"none": None, "shared": t, "per_row": rows}
         adam_update(param, gradient, exp_avg, exp_avg_sq, counts[steps], lr=lr, beta1=0.9, beta2=0.999, eps=1e-15)
     return {"param": param, "exp_avg": exp_avg, "exp_avg_sq": exp_avg_sq}

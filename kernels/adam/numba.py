@@ -37,9 +37,11 @@ def adam_update(
         return
     arrays = [t.detach().view(param.shape[0], -1).numpy() for t in tensors]
     rate = step_sizes(lr, param).contiguous().numpy()
-    by_row = (np.atleast_1d(c).astype(np.float32) for c in corrections(steps, beta1, beta2))
+    t = np.atleast_1d(np.inf if steps is None else np.asarray(steps, np.float64))
+    correction_1, correction_2 = corrections(t, beta1, beta2)
     with launching():
-        _update(*arrays, *by_row, rate, f32(beta1), f32(1 - beta1), f32(beta2), f32(1 - beta2), f32(eps))
+        moments = f32(beta1), f32(1 - beta1), f32(beta2), f32(1 - beta2)
+        _update(*arrays, correction_1.astype(np.float32), correction_2.astype(np.float32), rate, *moments, f32(eps))
 
 
 @njit(parallel=True, cache=True, error_model="numpy")

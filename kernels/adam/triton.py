@@ -2,6 +2,8 @@
 
 # pyright: reportCallIssue=false, reportArgumentType=false, reportOperatorIssue=false, reportIndexIssue=false
 
+import math
+
 import triton
 import triton.language as tl
 from torch import Tensor
@@ -35,12 +37,17 @@ def adam_update(
         "adam_update", param=param, gradient=gradient, exp_avg=exp_avg, exp_avg_sq=exp_avg_sq, steps=per_row
     )
     rate = step_sizes(lr, param).to(device).contiguous() if isinstance(lr, Tensor) else None
-    by_row = [c.float() if isinstance(c, Tensor) else float(c) for c in corrections(steps, beta1, beta2)]
+    if per_row is None:
+        correction = corrections(math.inf if steps is None else float(steps), beta1, beta2)
+        by_row = (param, param)
+    else:
+        correction = (1.0, 1.0)
+        by_row = tuple(c.float() for c in corrections(per_row.double(), beta1, beta2))
     total = param.numel()
     launch(
         _update, parts(total, _BLOCK), device, *tensors, param if rate is None else rate,
-        *((param, param) if per_row is None else by_row), total, total // max(param.shape[0], 1),
-        0.0 if rate is not None else float(lr), *(by_row if per_row is None else (1.0, 1.0)),
+        *by_row, total, total // max(param.shape[0], 1),
+        0.0 if rate is not None else float(lr), *correction,
         float(beta1), float(1 - beta1), float(beta2), float(1 - beta2), float(eps),
         RATES=rate is not None, PER_ROW=per_row is not None, BLOCK=_BLOCK, num_warps=4,
     )  # fmt: skip

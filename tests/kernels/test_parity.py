@@ -131,8 +131,8 @@ def test_a_new_operation_or_backend_is_one_file(made_kernels, compare_on):
     assert "kernels/halve has no cases.py" not in folders_without_cases()
     found = [param.values for param in runs(backends.cases())]
     assert [(case.name, backend) for case, backend, _ in found] == [("counting", "torch")] * 2
-    for run in found:
-        check(*run, compare_on)
+    for case, backend, dtype in found:
+        check(case, backend, dtype, compare_on)
     assert not any(exercise.operations == ("halve",) for exercise in warm_up_of("cpu"))
 
     (made_kernels / "numba.py").write_text("def halve(x):\n    return 0.51 * x\n")
@@ -140,7 +140,7 @@ def test_a_new_operation_or_backend_is_one_file(made_kernels, compare_on):
     found = [param.values for param in runs(backends.cases())]
     assert [backend for _, backend, _ in found] == ["torch", "torch", "numba", "numba"]
     with pytest.raises(AssertionError, match="halve half: 4 of 5 differ"):
-        check(*found[2], compare_on)
+        check(found[2][0], "numba", torch.float32, compare_on)
     assert any(exercise.operations == ("halve",) for exercise in warm_up_of("cpu"))
 
 
