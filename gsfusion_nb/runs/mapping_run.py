@@ -25,9 +25,9 @@ log = logging.getLogger(__name__)
 
 CHECKPOINT = "checkpoint.pt"
 MAX_BAD_FRAMES_IN_A_ROW = 20
-"""After so many unusable frames one after another the recording is taken to be broken from there on."""
+"""After this many unusable frames in a row the rest of the recording counts as broken."""
 READ_AHEAD = 4
-"""So many frames of a recording on disk are decoded in advance, on a thread of their own."""
+"""This many frames of a recording on disk are decoded in advance, on another thread."""
 
 
 @runtime_checkable
@@ -44,8 +44,8 @@ class Frames(Protocol):
 class MappingRun:
     """A sequence and the mapper that works through it.
 
-    ``online()`` and ``optimise()`` are generators: whoever drives them (a progress bar, a widget, a plain loop) sees
-    every step and may stop at any. State is complete between two steps, so a run can be saved and resumed there.
+    ``online()`` and ``optimise()`` are generators: the caller (a progress bar, a widget, a plain loop) sees every
+    step and may stop after any. Between two steps the state is complete, so a run can be saved and resumed there.
 
     Args:
         sequence: What to map, from ``open_sequence`` or ``apply_options``.

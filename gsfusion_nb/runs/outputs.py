@@ -1,4 +1,4 @@
-"""What a run leaves behind: maps, trajectory, settings, numbers and a report, each file written atomically."""
+"""What a run writes: maps, trajectory, settings, numbers and a report, each file written atomically."""
 
 import dataclasses
 import json
@@ -34,7 +34,7 @@ from .report_data import FrameRow, ReportData, ReportView
 from .report_page import write_report
 
 MAX_SCORED_VIEWS = 250
-"""At most so many mapped views are scored, evenly spread; held-out views are all scored."""
+"""At most this many mapped views are scored, evenly spread; all held-out views are scored."""
 
 FILES = {
     "gaussians.ply": "Gaussian map, standard 3DGS layout: SuperSplat, antimatter15/splat, Blender and Unity plug-ins",

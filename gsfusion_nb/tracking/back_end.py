@@ -36,13 +36,13 @@ from .pose_graph import (
 log = logging.getLogger(__name__)
 
 RECENT = 5
-"""A new keyframe looks for the landmarks of so many before it."""
+"""A new keyframe looks for the landmarks of this many keyframes before it."""
 
 AROUND = 2
-"""A loop uses the landmarks of so many keyframes before and after the one it leads to."""
+"""A loop uses the landmarks of this many keyframes before and after the one it leads to."""
 
 TIED_TO = 3
-"""... and is tied to so many of them, those it shares most landmarks with."""
+"""... and is tied to this many of them, those with which it shares most landmarks."""
 
 MIN_SHARED = 15
 """Fewer common landmarks do not tie two keyframes together."""
@@ -51,13 +51,13 @@ SEARCH_SHARE = 0.05
 """Landmarks are first searched within this share of the image's width of where the front end's pose puts them."""
 
 CANDIDATES = 3
-"""Loops are sought among so many of the most similar keyframes and one that is near by pose."""
+"""Loops are sought among this many of the most similar keyframes and the one whose pose is nearest."""
 
 LANDMARK_FLOOR = (0.05, 0.002)
 """Standard deviation, degrees and metres, that no relative pose from features is better than."""
 
 LOOP_MAX_SIGMA = 5.0
-"""After the optimisation, a loop farther off than so many standard deviations was false: its matches are not used."""
+"""After the optimisation, a loop farther off than this many standard deviations was false: its matches are not used."""
 
 
 def moved_enough(last: Float[Tensor, "4 4"], T_WC: Float[Tensor, "4 4"], config: BackEndConfig) -> bool:

@@ -118,7 +118,7 @@ class Landmarks:
         Args:
             same: Loops: (keyframe, its features and the landmarks that they are as well [I, 2]). The landmarks the
                 features had so far are taken as one with those.
-            per_keyframe: About so many landmarks of each keyframe, those with the longest tracks.
+            per_keyframe: About this many landmarks of each keyframe, those with the longest tracks.
             min_views: Fewer sightings do not tie keyframes together.
         """
         views = self.database.features

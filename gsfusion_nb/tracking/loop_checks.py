@@ -18,16 +18,16 @@ THUMBNAIL_PX = 64
 """Width of the depth kept of each keyframe."""
 
 MIN_SHARE = 0.3
-"""This many of the matches must agree on the pose."""
+"""At least this share of the matches must agree on the pose."""
 
 MIN_CELLS = 4
-"""The agreeing features must lie in so many cells of a 4 x 4 grid over the image: not all on one poster."""
+"""The agreeing features must lie in at least this many cells of a 4 x 4 grid over the image: not all on one poster."""
 
 DEPTH_TOLERANCE = (0.05, 0.03)
 """Two depths of one surface differ by less than 5 cm plus 3 %: noise, slopes between samples, a pose 1 degree off."""
 
 MIN_DEPTH_AGREEMENT = 0.7
-"""Of the pixels that do not hide behind something, so many must show the same surface in both views."""
+"""At least this share of the pixels that are not hidden must show the same surface in both views."""
 
 MIN_DEPTH_PIXELS = 20
 """With less overlap the depth cannot speak against a loop."""

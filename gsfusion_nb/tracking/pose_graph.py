@@ -19,9 +19,8 @@ from .features import DEPTH_SIGMA_PER_M
 from .landmarks import Observations
 
 LOOP_CAUCHY = 2.0
-"""A loop whose error is this many standard deviations has half its weight; at 100 it is as good as gone. With 1 the
-only loop after a long drift was left open in 2 of 10 cases, with 2 in none: closing it must cost less than leaving
-it."""
+"""A loop whose error is this many standard deviations has half its weight; at 100 it has almost none. With 1 the only
+loop after a long drift was left open in 2 of 10 cases, with 2 in none: closing it must cost less than leaving it."""
 
 TRACK_HUBER = 3.0
 """Errors of relative poses between neighbours grow linearly, not quadratically, from this many standard deviations: a

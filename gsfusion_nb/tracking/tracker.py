@@ -1,4 +1,4 @@
-"""A camera's path through a growing map: predict, align, judge, and find the way back when that fails."""
+"""A camera's path through a growing map: predict, align, check the fit, and search again when it is bad."""
 
 import dataclasses
 import time
