@@ -27,7 +27,7 @@ class Hits:
     """Patch number, flat ones first; -1 where nothing is met. [H, W] int32"""
 
 
-class View:
+class RoomView:
     """The patches as one camera pose sees them: linear forms in (x, y, 1)."""
 
     def __init__(self, flat: FlatPatches, curved: Sequence[CurvedPatch], camera: Camera, T_WC: ndarray):
@@ -75,7 +75,7 @@ class View:
         return np.clip(low_high, 0, size).astype(np.int64)
 
 
-def cast(view: View) -> Hits:
+def cast(view: RoomView) -> Hits:
     """Nearest patch and inverse depth at every pixel centre."""
     w = np.zeros((view.camera.height, view.camera.width), np.float32)
     patch = np.full(w.shape, -1, np.int32)
@@ -84,7 +84,7 @@ def cast(view: View) -> Hits:
     return Hits(w=w, patch=patch)
 
 
-def _cast_flat(view: View, w: ndarray, patch: ndarray) -> None:
+def _cast_flat(view: RoomView, w: ndarray, patch: ndarray) -> None:
     flat = view.flat
     right, up = flat.right * flat.half_w[:, None], flat.up * flat.half_h[:, None]
     corners = np.stack([flat.centre + a * right + b * up for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))], 1)
@@ -111,7 +111,7 @@ def _cast_flat(view: View, w: ndarray, patch: ndarray) -> None:
         np.copyto(patch[area], np.int32(i), where=mask)
 
 
-def _row_intervals(view: View, i: int | np.intp, y: ndarray) -> tuple[ndarray, ndarray]:
+def _row_intervals(view: RoomView, i: int | np.intp, y: ndarray) -> tuple[ndarray, ndarray]:
     """First and last pixel column inside rectangle ``i`` on each row: the four edges |A.r| <= h_w w, |B.r| <= h_h w."""
     W, a, b = view.W[i], view.A[i], view.B[i]
     half_w, half_h = view.flat.half_w[i], view.flat.half_h[i]
@@ -131,7 +131,7 @@ def _row_intervals(view: View, i: int | np.intp, y: ndarray) -> tuple[ndarray, n
     return first.astype(np.int64), last.astype(np.int64)
 
 
-def _inside_disc(view: View, i: int | np.intp, x: ndarray, y: ndarray) -> ndarray:
+def _inside_disc(view: RoomView, i: int | np.intp, x: ndarray, y: ndarray) -> ndarray:
     W, a, b = view.W[i], view.A[i], view.B[i]
     aw, bw, w = (c[0] * x + c[1] * y + c[2] for c in (a, b, W))
     return aw * aw + bw * bw <= (view.flat.half_w[i] * w) ** 2
@@ -140,7 +140,7 @@ def _inside_disc(view: View, i: int | np.intp, x: ndarray, y: ndarray) -> ndarra
 _BOX_CORNERS = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)], float)
 
 
-def _cast_curved(view: View, w: ndarray, patch: ndarray) -> None:
+def _cast_curved(view: RoomView, w: ndarray, patch: ndarray) -> None:
     first = len(view.flat.chart)
     corners = np.stack([piece.t + (_BOX_CORNERS * piece.extent) @ piece.R.T for piece in view.curved])
     corners = (corners - view.eye) @ view.R

@@ -170,7 +170,7 @@ def render_room(
     """
     check_pose("T_WC", T_WC)
     scene = load_scene(seed, cache)
-    view = raycast.View(scene.flat, scene.curved, camera, T_WC.detach().cpu().double().numpy())
+    view = raycast.RoomView(scene.flat, scene.curved, camera, T_WC.detach().cpu().double().numpy())
     hits = raycast.cast(view)
     rgb = shade.colour(scene, view, hits)
     if view_dependent:

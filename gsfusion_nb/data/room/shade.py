@@ -9,7 +9,7 @@ from numpy import ndarray
 
 from .atlas import LEVELS, level_offsets
 from .lighting import LIGHTS
-from .raycast import Hits, View
+from .raycast import Hits, RoomView
 from .scene import Scene
 
 _POINTS = np.array([[-0.25, -0.25], [0.25, -0.25], [-0.25, 0.25], [0.25, 0.25]], np.float32)
@@ -19,7 +19,7 @@ _DITHER = np.array([0.125, 0.625, 0.875, 0.375], np.float32)
 """Added to the mip level before rounding down: over the four points this blends neighbouring levels."""
 
 
-def colour(scene: Scene, view: View, hits: Hits) -> ndarray:
+def colour(scene: Scene, view: RoomView, hits: Hits) -> ndarray:
     """sRGB image, 0..1. [H, W, 3] float32"""
     H, W = hits.patch.shape
     lookup = _TextureLookup(scene, view)
@@ -42,7 +42,7 @@ def colour(scene: Scene, view: View, hits: Hits) -> ndarray:
 class _TextureLookup:
     """Tables of one view, one row per patch, and the lookups that use them."""
 
-    def __init__(self, scene: Scene, view: View):
+    def __init__(self, scene: Scene, view: RoomView):
         self.view, self.scene = view, scene
         flat, layout = view.flat, scene.layout
         self.n_flat = len(flat.chart)
@@ -146,7 +146,7 @@ def _edge_pixels(patch: ndarray) -> ndarray:
     return np.flatnonzero(edge)
 
 
-def _edge_colour(lookup: _TextureLookup, view: View, hits: Hits, edges: ndarray, offsets: ndarray) -> ndarray:
+def _edge_colour(lookup: _TextureLookup, view: RoomView, hits: Hits, edges: ndarray, offsets: ndarray) -> ndarray:
     """Sum of the four points' colours on edge pixels. [E, 3] uint16"""
     H, W = hits.patch.shape
     row, col = np.divmod(edges, W)
@@ -174,7 +174,7 @@ def _edge_colour(lookup: _TextureLookup, view: View, hits: Hits, edges: ndarray,
     return lookup.fetch(U[0], V[0], level).reshape(-1, 4, 3).sum(1, dtype=np.uint16)
 
 
-def _inverse_depth(lookup: _TextureLookup, view: View, patch: ndarray, x: ndarray, y: ndarray) -> ndarray:
+def _inverse_depth(lookup: _TextureLookup, view: RoomView, patch: ndarray, x: ndarray, y: ndarray) -> ndarray:
     """Inverse depth of rays [N, 4] on given patches [N]; -1 where they miss."""
     row = np.minimum(patch, lookup.n_flat - 1)
     flat = view.flat
@@ -189,7 +189,7 @@ def _inverse_depth(lookup: _TextureLookup, view: View, patch: ndarray, x: ndarra
     return np.where(w > 0, w, -1.0)
 
 
-def with_highlights(rgb: ndarray, scene: Scene, view: View, hits: Hits) -> ndarray:
+def with_highlights(rgb: ndarray, scene: Scene, view: RoomView, hits: Hits) -> ndarray:
     """``rgb`` plus a broad lobe gloss * light * (n.h)^16 of every light on glossy patches (Blinn 1977). [H, W, 3]"""
     row, col = np.nonzero(scene.gloss_of_patch[hits.patch] > 0)
     patch = hits.patch[row, col]
