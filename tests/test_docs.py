@@ -147,5 +147,5 @@ def test_options_that_are_named_exist(page, known_options):
 def test_python_compiles_and_its_imports_work(page):
     for block in blocks(page, "python"):
         compile(block, page.name, "exec")
-        imports = [n for n in ast.walk(ast.parse(block)) if isinstance(n, ast.Import | ast.ImportFrom)]
+        imports: list[ast.stmt] = [n for n in ast.walk(ast.parse(block)) if isinstance(n, ast.Import | ast.ImportFrom)]
         exec(compile(ast.Module(body=imports, type_ignores=[]), page.name, "exec"), {})

@@ -5,7 +5,7 @@ A system is one subclass of ``Mapper`` in this folder, its settings in ``gsfusio
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol, TypeVar, runtime_checkable
 
@@ -84,7 +84,7 @@ class Mapper(ABC):
     """The Gaussians lie on the surface like discs, so their distance to the true surface is scored as well."""
     panels: ClassVar[tuple[str, ...]] = ("input", "render", "error", "new_gaussians")
     """Pictures of one step to show while mapping, by name; ``gsfusion_nb.viz.live.step_panels.PANELS`` draws them."""
-    curves: ClassVar[Mapping[str, Callable[[StepReport], float | int]]] = {
+    curves: ClassVar[dict[str, Callable[[StepReport], float | int]]] = {
         "PSNR of the frame, dB": lambda report: report.psnr_after_db,
         "Gaussians": lambda report: report.n_gaussians,
     }

@@ -3,7 +3,7 @@
 import dataclasses
 from collections import deque
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from jaxtyping import Bool, Float
@@ -43,7 +43,7 @@ class RTGSLAM(Mapper):
     model_type = SurfelModel
     gaussians_are_discs = True
     panels = ("input", "render", "error", "depth_error", "states", "seed_causes")
-    curves = Mapper.curves | {
+    curves: ClassVar = Mapper.curves | {
         "stable Gaussians": lambda report: report.counts["stable_opaque"] + report.counts["stable_transparent"]
     }
     memory_savers = ("a smaller share in seeding.options",)

@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Iterator
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -19,7 +20,7 @@ _REACH = 24
 
 def cases() -> Iterator[Case]:
     """One for each way in which the marked blocks come about."""
-    for name, change, config in (
+    ways: tuple[tuple[str, dict[str, Any], dict[str, Any]], ...] = (
         ("along z", {}, {"sdf": "z"}),
         ("along the ray", {}, {"sdf": "ray"}),
         ("isolated pixels", {"isolated": True}, {}),
@@ -27,7 +28,8 @@ def cases() -> Iterator[Case]:
         ("a long band", {}, {"truncation_voxels": 20.0}),
         ("nothing measured", {"depth_m": 0.0}, {}),
         ("640 m from the origin", {"offset_m": 640.0}, {}),
-    ):
+    )
+    for name, change, config in ways:
 
         def run(device: torch.device, dtype: torch.dtype, change=change, config=config) -> dict[str, Tensor]:
             frame = _frame(**change).to(device)

@@ -24,7 +24,7 @@ def config_classes(cls: type) -> set[type]:
 def explanations(cls: type) -> dict[str, str]:
     """The text under each field, inherited ones included."""
     texts = {}
-    for base in filter(dataclasses.is_dataclass, reversed(cls.__mro__)):
+    for base in (base for base in reversed(cls.__mro__) if dataclasses.is_dataclass(base)):
         source: Any = ast.parse(textwrap.dedent(inspect.getsource(base))).body[0]
         for field, text in itertools.pairwise(source.body):
             if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant):

@@ -51,7 +51,7 @@ def test_vjp_is_the_autograd_of_the_forward(generator, degree):
     sh, xyz = some(generator, 40, degree)
     v = torch.randn(40, 3, generator=generator, dtype=torch.float64)
     leaves = [sh.clone().requires_grad_(), xyz.clone().requires_grad_()]
-    rgb = sh_to_rgb(*leaves, ORIGIN)
+    rgb = sh_to_rgb(leaves[0], leaves[1], ORIGIN)
     assert degree == 0 or (rgb == 0).any(), "the clamp should be met in this test"
     expected = torch.autograd.grad(rgb, leaves, v, allow_unused=True, materialize_grads=True)
     torch.testing.assert_close(sh_to_rgb_vjp(sh, xyz, ORIGIN, v), expected)

@@ -20,12 +20,13 @@ def test_residual_and_jacobian_are_the_librarys(generator):
 
 
 def test_prediction_is_the_trackers():
-    from gsfusion_nb.tracking.tracker import _Seen
+    from gsfusion_nb.tracking.tracker import _TrackedPose
 
     before = se3.exp(torch.tensor([0.1, 0.0, 0.2, 0.0, 0.1, 0.0], dtype=torch.float64))
     last = se3.exp(torch.tensor([0.2, 0.1, 0.2, 0.1, 0.3, 0.0], dtype=torch.float64))
     tracker = Tracker()
-    tracker._before, tracker._last = _Seen(T_WC=before, timestamp_s=0.0), _Seen(T_WC=last, timestamp_s=0.1)
+    tracker._before = _TrackedPose(T_WC=before, timestamp_s=0.0)
+    tracker._last = _TrackedPose(T_WC=last, timestamp_s=0.1)
     assert torch.allclose(SOLUTIONS["predict"](before, last), tracker.predict(0.2), atol=1e-9)
 
 
