@@ -191,7 +191,8 @@ def _with_progress(run: MappingRun, stop: StopRequest) -> None:
     with ProgressDisplay("mapping", total=len(run.sequence.mapping), unit="frame", done=run.next_position) as progress:
         for n, report in enumerate(run.online(), start=1):
             seconds += report.total_seconds
-            note = f"{n / seconds:.1f} fps, PSNR {report.psnr_after_db:.1f} dB, {report.n_gaussians:,} Gaussians"
+            rate = f"{n / seconds:.1f} fps, " if seconds > 0 else ""  # a system may not time its stages
+            note = f"{rate}PSNR {report.psnr_after_db:.1f} dB, {report.n_gaussians:,} Gaussians"
             progress.show(run.next_position, note=note)
             if stop:
                 return
