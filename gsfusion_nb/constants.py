@@ -33,8 +33,8 @@ DISC_MAX_OFFSET = 1.0
 lies off the disc (released code of Peng et al. 2024; not in the paper)."""
 
 TILE_PX = 8
-"""Edge of a screen tile, pixels. The result does not depend on it. For the reference 8 is fastest: 16 evaluates twice
-as many (pixel, Gaussian) pairs, 4 makes 2.5 times as many list entries."""
+"""Edge of a screen tile, pixels. The picture does not depend on it. For the torch backend 8 is fastest: 16 evaluates
+twice as many (pixel, Gaussian) pairs, 4 makes 2.5 times as many list entries."""
 
 GROWTH = {"cpu": 2.0, "cuda": 1.25}
 """A map that is full grows by this factor. Untouched memory is free on a CPU; on a GPU it is taken from the rest."""
