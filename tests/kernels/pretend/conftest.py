@@ -7,7 +7,6 @@ CUDA kernels run in the emulator, Triton's under the interpreter, both chosen by
 import importlib
 import importlib.util
 import os
-import pkgutil
 import sys
 from pathlib import Path
 
@@ -23,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 def gpu(monkeypatch):
     """Inside the test there is a GPU, "cuda"; the value counts launches and waits."""
     import tensors  # pyright: ignore[reportMissingImports]
-    from gsfusion_nb.kernels.runtime import triton  # pyright: ignore[reportMissingImports]
+    from gsfusion_nb import kernels
     from gsfusion_nb.kernels.runtime.cuda import driver, launch  # pyright: ignore[reportMissingImports]
 
     try:
@@ -45,9 +44,9 @@ def gpu(monkeypatch):
             kernel[(programs,)](*values, **options)
 
     monkeypatch.setattr(driver, "start", start)
-    for info in pkgutil.iter_modules(triton.__path__):
-        module = importlib.import_module(f"{triton.__name__}.{info.name}")
-        if info.name != "launch" and hasattr(module, "launch"):
+    for path in Path(kernels.__path__[0]).glob("*/triton.py"):
+        module = importlib.import_module(f"{kernels.__name__}.{path.parent.name}.triton")
+        if hasattr(module, "launch"):
             monkeypatch.setattr(module, "launch", interpret)
     for name, value in (("max_memory_allocated", 0), ("mem_get_info", (1 << 34, 1 << 34))):
         monkeypatch.setattr(torch.cuda, name, lambda *_, value=value: value)
