@@ -24,7 +24,8 @@ class ProgressDisplay:
         total: How much there is to do; None if that is not known (yet).
         unit: What is counted, in the singular; "B" for bytes, which are shown in kB, MB or GB.
         done: How much was done before.
-        leave: Whether a terminal keeps the bar when the work is done.
+        leave: Whether a terminal keeps the bar when the work is done. If False, a log is not told of work that is over
+            before its first line.
         shown: False shows nothing at all.
         stream: Where to; standard error by default.
         clock: Seconds.
@@ -47,7 +48,7 @@ class ProgressDisplay:
         if shown and (to.isatty() or _in_notebook()):
             self._display = _Bar(what, total, unit, done, leave, to)
         elif shown:
-            self._display = _Lines(what, total, unit, done, to, clock)
+            self._display = _Lines(what, total, unit, done, leave, to, clock)
 
     def show(self, done: int, *, total: int | None = None, what: str | None = None, note: str = "") -> None:
         """Say how much is done now.
@@ -104,9 +105,18 @@ class _Bar:
 class _Lines:
     """Lines for a log file, a pipe, or continuous integration."""
 
-    def __init__(self, what: str, total: int | None, unit: str, done: int, stream: TextIO, clock: Callable[[], float]):
+    def __init__(
+        self,
+        what: str,
+        total: int | None,
+        unit: str,
+        done: int,
+        leave: bool,
+        stream: TextIO,
+        clock: Callable[[], float],
+    ):
         self._what, self._total, self._unit, self._done = what, total, unit, done
-        self._stream, self._clock, self._note = stream, clock, ""
+        self._leave, self._stream, self._clock, self._note = leave, stream, clock, ""
         self._begun_s = self._said_s = clock()
         self._said = ""
 
@@ -118,7 +128,7 @@ class _Lines:
             self._say()
 
     def close(self) -> None:
-        if self._note or self._done:
+        if (self._leave or self._said) and (self._note or self._done):
             self._say()
 
     def _say(self) -> None:

@@ -88,3 +88,13 @@ def test_on_a_terminal_it_is_a_bar():
     assert "\r" in text
     assert "mapping" in text
     assert "4/4" in text
+
+
+@pytest.mark.parametrize(("seconds", "lines"), [(1.0, 0), (11.0, 2)])
+def test_short_work_that_leaves_nothing_is_kept_out_of_a_log(seconds, lines):
+    log, now = io.StringIO(), [0.0]
+    with ProgressDisplay("file", total=2, leave=False, stream=log, clock=lambda: now[0]) as progress:
+        now[0] = seconds
+        progress.show(1)
+        progress.show(2)
+    assert len(log.getvalue().splitlines()) == lines

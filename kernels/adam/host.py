@@ -23,5 +23,5 @@ def corrections(t: Any, beta1: float, beta2: float) -> tuple[Any, Any]:
 
 def step_sizes(lr: float | Tensor, param: Tensor) -> Tensor:
     """The learning rate of each value of a row, float32 [W], where ``lr`` is or on the CPU."""
-    rate = torch.as_tensor(lr, dtype=torch.float32)
+    rate = lr.to(torch.float32) if isinstance(lr, Tensor) else torch.tensor(lr, dtype=torch.float32)
     return rate.expand(param.shape[1:]).reshape(-1)

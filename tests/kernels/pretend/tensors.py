@@ -33,11 +33,12 @@ class Tally:
     def clear(self) -> None:
         self.launches = 0
         self.waits: collections.Counter[tuple[str, str]] = collections.Counter()
-        """(what for, file:line of the package) -> times."""
+        """(what for, folder/file:line of the package) -> times."""
 
     def wait(self, reason: str) -> None:
         frames = [f for f in traceback.extract_stack() if f.filename.startswith(OURS)]
-        self.waits[reason, f"{Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else ""] += 1
+        place = f"{'/'.join(Path(frames[-1].filename).parts[-2:])}:{frames[-1].lineno}" if frames else ""
+        self.waits[reason, place] += 1
 
     @property
     def n_waits(self) -> int:
