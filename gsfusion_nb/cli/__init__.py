@@ -61,7 +61,8 @@ class DemoOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class EvalOptions:
-    """Score the maps of a finished run again on the sequence they were made from."""
+    """Score the maps of a finished run again, from the views and poses that the run is scored by. The numbers are the
+    run's own; where they differ, this says so and keeps the run's beside them."""
 
     run: Annotated[str, tyro.conf.Positional]
     """Folder of the run."""
@@ -69,6 +70,10 @@ class EvalOptions:
     """Where the sequence lies now, if it has moved."""
     lpips: bool = False
     """Also compute LPIPS (needs the extra "lpips" and AlexNet's weights)."""
+    device: str = ""
+    """Where to render: cpu or cuda; the run's by default."""
+    backend: str = field(default_factory=from_environment)
+    """auto, reference, torch, numba, triton or cuda; by default what the variable GSFUSION_BACKEND says, else auto."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,7 +167,11 @@ def _eval(arguments: list[str]) -> int:
     from ..runs import rescore
 
     options = tyro.cli(EvalOptions, prog="gsfusion-nb eval", args=arguments)
-    print_metrics(rescore(options.run, data=options.data or None, with_lpips=options.lpips))
+    with use_backend(options.backend):
+        metrics = rescore(
+            options.run, data=options.data or None, with_lpips=options.lpips, device=options.device or None
+        )
+    print_metrics(metrics)
     return 0
 
 

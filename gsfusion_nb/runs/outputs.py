@@ -19,7 +19,6 @@ from ..evaluation import (
     frame_rates,
     mesh_scores,
     metrics_as_json,
-    score_views,
     trajectory_scores,
 )
 from ..export import write_gaussian_ply, write_mesh_ply, write_trajectory_tum
@@ -32,9 +31,7 @@ from .memory import mesh_when_full
 from .posed_frames import frames_in_map, ground_truth_poses, readable_frames
 from .report_data import FrameRow, ReportData, ReportView
 from .report_page import write_report
-
-MAX_SCORED_VIEWS = 250
-"""At most this many mapped views are scored, evenly spread; all held-out views are scored."""
+from .scored_views import VIEWS, score_in_map, scored_views, views_as_json
 
 FILES = {
     "gaussians.ply": "Gaussian map, standard 3DGS layout: SuperSplat, antimatter15/splat, Blender and Unity plug-ins",
@@ -42,18 +39,13 @@ FILES = {
     "trajectory.txt": "poses, TUM format: evo_traj tum trajectory.txt",
     "config.json": "all settings: gsfusion-nb map --from-config config.json repeats the run",
     "metrics.json": "all numbers, and one row per frame",
+    "views.json": "which views are scored, and from which poses: gsfusion-nb eval scores them again",
 }
 
 
 def score(run: MappingRun, suffix: str = "", *, with_lpips: bool = False) -> dict[str, Any]:
     """PSNR, SSIM, LPIPS and depth error on mapped and held-out views of the map as it is now."""
-    metrics: dict[str, Any] = {}
-    for name, view in (("held_out", run.sequence.held_out), ("mapped", run.mapped_views(MAX_SCORED_VIEWS))):
-        frames = frames_in_map(view, run.mapper.localiser, run.sequence.mapping)
-        scores = score_views(run.mapper.render, frames, with_lpips=with_lpips)
-        metrics |= scores.as_metrics(name + suffix)
-        metrics[f"n_views_{name}{suffix}"] = len(scores)
-    return metrics
+    return score_in_map(run.mapper.render, scored_views(run), run.sequence, suffix, with_lpips=with_lpips)
 
 
 def write_maps(run: MappingRun, folder: Path) -> Mesh:
@@ -65,10 +57,12 @@ def write_maps(run: MappingRun, folder: Path) -> Mesh:
         "gsfusion_nb": __version__,
         "system": run.system,
         "source": run.source,
+        "device": str(run.mapper.device),
         "rule": rule_name(run.mapper.rule),
         "config": to_dict(run.mapper.config),
     }
     write_json(folder / "config.json", settings)
+    write_json(folder / VIEWS, views_as_json(scored_views(run)))
     try:
         mesh = run.mapper.mesh()
     except torch.OutOfMemoryError as e:

@@ -28,27 +28,55 @@ def readable_frames(view: SequenceView) -> Iterator[Frame]:
             continue
 
 
-def frames_in_map(view: SequenceView, localiser: Localiser, mapping: SequenceView) -> Iterator[Frame]:
-    """The frames of a view at their poses in the map.
+def poses_in_map(view: SequenceView, localiser: Localiser, mapping: SequenceView) -> list[Float[Tensor, "4 4"] | None]:
+    """The pose in the map of each frame of a view, without reading images; ``None`` where it has none.
 
-    With given poses, as they are. With tracked poses a mapped frame has its tracked pose, and any other frame is put
+    With given poses, the data's. With tracked poses a mapped frame has its tracked pose, and any other frame is put
     relative to the nearest mapped frame n by the data's poses:  T_WC = T_WC(n) T_data(n)^-1 T_data. Without poses in
-    the data only mapped frames have a pose in the map, and the others are left out.
+    the data only mapped frames have a pose in the map.
     """
     if not localiser.is_tracking or not localiser.poses:
-        yield from readable_frames(view)
-        return
+        return [_data_pose(view, i) for i in range(len(view))]
     mapped = torch.tensor(localiser.frame_indices)
     position = {index: i for i, index in enumerate(mapping.positions)}
-    for frame in readable_frames(view):
-        nearest = int((mapped - frame.index).abs().argmin())
-        T_WC = localiser.poses[nearest]
-        if int(mapped[nearest]) != frame.index:
-            if not has_poses(mapping) or int(mapped[nearest]) not in position:
-                continue
-            T_data = mapping.pose(position[int(mapped[nearest])])
-            T_WC = T_WC @ se3.inverse(T_data.to(T_WC)) @ frame.T_WC.to(T_WC)
-        yield dataclasses.replace(frame, T_WC=T_WC)
+    poses = []
+    for i, index in enumerate(view.positions):
+        nearest = int((mapped - index).abs().argmin())
+        T_WC: Tensor | None = localiser.poses[nearest]
+        if int(mapped[nearest]) != index:
+            at = position.get(int(mapped[nearest])) if has_poses(mapping) else None
+            there = None if at is None else _data_pose(mapping, at)
+            here = None if there is None else _data_pose(view, i)
+            if there is None or here is None:
+                T_WC = None
+            else:
+                T_WC = T_WC @ se3.inverse(there.to(T_WC)) @ here.to(T_WC)
+        poses.append(T_WC)
+    return poses
+
+
+def frames_in_map(view: SequenceView, localiser: Localiser, mapping: SequenceView) -> Iterator[Frame]:
+    """The readable frames of a view at their ``poses_in_map``, without those that have none."""
+    yield from frames_at(view, poses_in_map(view, localiser, mapping))
+
+
+def frames_at(view: SequenceView, poses: list[Float[Tensor, "4 4"] | None]) -> Iterator[Frame]:
+    """The readable frames of a view at other poses, one per frame; a frame whose pose is ``None`` is left out."""
+    posed = [i for i, T_WC in enumerate(poses) if T_WC is not None]
+    for i in posed:
+        try:
+            frame = view[i]
+        except SequenceError:
+            continue
+        yield dataclasses.replace(frame, T_WC=poses[i])
+
+
+def _data_pose(view: SequenceView, i: int) -> Float[Tensor, "4 4"] | None:
+    """Pose of frame ``i`` of a view as the data has it; ``None`` if it cannot be used."""
+    try:
+        return view.pose(i)
+    except SequenceError:
+        return None
 
 
 def ground_truth_poses(localiser: Localiser, mapping: SequenceView) -> Float[Tensor, "N 4 4"] | None:

@@ -1,0 +1,120 @@
+"""Which views a run is scored by, and from where: kept in the run's folder, so that it can be scored again alike."""
+
+import dataclasses
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ..data import SequenceView
+from ..evaluation import score_views
+from ..types import Camera, Frame, RenderOutput
+from .mapping_run import MappingRun
+from .posed_frames import frames_at, poses_in_map
+
+VIEWS = "views.json"
+MAX_SCORED_VIEWS = 250
+"""At most this many mapped views are scored, evenly spread; all held-out views are scored."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ScoredViews:
+    """Some frames of a sequence, and where each was taken in the map."""
+
+    positions: list[int]
+    """Their places in the sequence."""
+    poses: list[Float[Tensor, "4 4"]]
+    """Camera-to-world in the map, float32."""
+
+    def frames(self, sequence: SequenceView) -> Iterator[Frame]:
+        """The readable ones, at their poses in the map; prepared (size, depth limits) as ``sequence`` prepares them."""
+        view = SequenceView(
+            source=sequence.source,
+            positions=self.positions,
+            camera=sequence.camera,
+            depth_min_m=sequence.depth_min_m,
+            depth_max_m=sequence.depth_max_m,
+        )
+        yield from frames_at(view, list(self.poses))
+
+
+def scored_views(run: MappingRun) -> dict[str, ScoredViews]:
+    """The held-out views and the mapped views of a run that are scored, at their present poses in the map."""
+    localiser, mapping = run.mapper.localiser, run.sequence.mapping
+    mapped = run.mapped_views(MAX_SCORED_VIEWS)
+    refused = set(mapped.positions) - set(localiser.frame_indices)  # read, but not mapped
+    mapped = dataclasses.replace(mapped, positions=[p for p in mapped.positions if p not in refused])
+    found = {}
+    for name, view in (("held_out", run.sequence.held_out), ("mapped", mapped)):
+        posed = [
+            (position, T_WC.to("cpu", torch.float32))
+            for position, T_WC in zip(view.positions, poses_in_map(view, localiser, mapping), strict=True)
+            if T_WC is not None
+        ]
+        found[name] = ScoredViews([position for position, _ in posed], [T_WC for _, T_WC in posed])
+    return found
+
+
+def score_in_map(
+    render: Callable[[Camera, Tensor], RenderOutput],
+    views: dict[str, ScoredViews],
+    sequence: SequenceView,
+    suffix: str = "",
+    *,
+    with_lpips: bool = False,
+) -> dict[str, Any]:
+    """PSNR, SSIM, LPIPS and depth error of each group of views, under the names of metrics.json.
+
+    Args:
+        render: The map seen by a camera.
+        views: Name of the group -> its views.
+        sequence: Where their images are.
+        suffix: Put behind the name of the group.
+        with_lpips: Also compute LPIPS.
+    """
+    metrics: dict[str, Any] = {}
+    for name, group in views.items():
+        scores = score_views(render, group.frames(sequence), with_lpips=with_lpips)
+        metrics |= scores.as_metrics(name + suffix)
+        metrics[f"n_views_{name}{suffix}"] = len(scores)
+    return metrics
+
+
+def views_as_json(views: dict[str, ScoredViews]) -> dict[str, Any]:
+    """Plain numbers; a float32 comes back from them bit for bit."""
+    return {
+        name: [
+            {"frame": position, "T_WC": T_WC.flatten().tolist()}
+            for position, T_WC in zip(group.positions, group.poses, strict=True)
+        ]
+        for name, group in views.items()
+    }
+
+
+def read_views(folder: Path) -> dict[str, ScoredViews]:
+    """What ``views_as_json`` gave, from the file in a run's folder.
+
+    Raises:
+        FileNotFoundError: the run was made by a version that did not write it. ValueError: it is damaged.
+    """
+    path = folder / VIEWS
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"{path} is not there, so it is not known which views to score and at which poses; the run is older than "
+            "this file: map again"
+        )
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+        return {
+            name: ScoredViews(
+                [int(view["frame"]) for view in group],
+                [torch.tensor(view["T_WC"], dtype=torch.float32).reshape(4, 4) for view in group],
+            )
+            for name, group in document.items()
+        }
+    except (ValueError, KeyError, TypeError, AttributeError, RuntimeError) as e:
+        raise ValueError(f"{path} is damaged: {type(e).__name__} {e}") from None

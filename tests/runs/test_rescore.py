@@ -1,0 +1,75 @@
+"""``gsfusion-nb eval`` gives the run's own numbers, and says so where it does not."""
+
+import json
+
+import pytest
+
+from gsfusion_nb.config import gsfusion, rtg_slam
+from gsfusion_nb.runs import rescore, run_mapping
+
+DATA = {"data__stop": 8, "data__hold_out_every": 4, "data__hold_out_offset": 2}
+ROOM = {"n_frames": 480, "width": 80, "height": 60}
+SETTINGS = {
+    "gsfusion": gsfusion(
+        "online", **DATA, tsdf__voxel_size_m=0.04, tsdf__truncation_voxels=4.0, sh_degree=1, keyframe_min_seeds=20
+    ),
+    "rtg_slam": rtg_slam("room", data__width=0, data__height=0, **DATA),
+}
+SCORES = ("psnr_", "ssim_", "depth_l1_", "n_views_")
+
+
+def with_poses(system: str, poses: str):
+    from gsfusion_nb.config import replace
+
+    return replace(SETTINGS[system], tracking__poses=poses)
+
+
+@pytest.mark.parametrize("poses", ["given", "tracked"])
+@pytest.mark.parametrize("system", ["gsfusion", "rtg_slam"])
+def test_scoring_again_gives_the_same_numbers(system, poses, tmp_path, caplog):
+    run = run_mapping("room", with_poses(system, poses), folder=tmp_path / "run", **ROOM)
+    before = (run.folder / "metrics.json").read_text()
+    own = {name: value for name, value in json.loads(before)["metrics"].items() if name.startswith(SCORES)}
+    assert own["n_views_held_out"] == 2
+    assert own["n_views_mapped"] == 6
+    again = rescore(run.folder)
+    assert {name: again[name] for name in own} == own
+    assert (run.folder / "metrics.json").read_text() == before
+    assert not caplog.records
+    assert not list(run.folder.glob("metrics-*"))
+
+
+def test_a_run_that_was_not_scored_gets_its_numbers_later(tmp_path):
+    scored = run_mapping("room", with_poses("gsfusion", "tracked"), folder=tmp_path / "scored", **ROOM)
+    plain = run_mapping("room", with_poses("gsfusion", "tracked"), folder=tmp_path / "plain", evaluate=False, **ROOM)
+    assert "psnr_mapped_db" not in plain.metrics
+    later = rescore(plain.folder)
+    for name in ("psnr_mapped_db", "psnr_held_out_db", "depth_l1_held_out_m"):
+        assert later[name] == scored.metrics[name]
+
+
+def test_numbers_that_differ_are_named_and_the_run_s_are_kept(tmp_path, caplog):
+    run = run_mapping("room", with_poses("gsfusion", "given"), folder=tmp_path / "run", **ROOM)
+    path = run.folder / "metrics.json"
+    document = json.loads(path.read_text())
+    true = document["metrics"]["psnr_mapped_db"]
+    document["metrics"] |= {"psnr_mapped_db": 99.0, "lpips_mapped": 0.25}
+    path.write_text(json.dumps(document))
+    again = rescore(run.folder)
+    assert again["psnr_mapped_db"] == true
+    assert again["lpips_mapped"] == 0.25  # not asked for now, so what is there stays
+    kept = json.loads((run.folder / "metrics-before-eval.json").read_text())
+    assert kept["metrics"]["psnr_mapped_db"] == 99.0
+    sentence = f"1 numbers differ from the run's own: psnr_mapped_db 99 -> {true:.6g}"
+    assert sentence in caplog.text
+    assert sentence in json.loads(path.read_text())["warnings"][-1]
+
+
+def test_a_run_without_its_views_is_refused(tmp_path):
+    run = run_mapping("room", with_poses("gsfusion", "given"), folder=tmp_path / "run", evaluate=False, **ROOM)
+    (run.folder / "views.json").unlink()
+    with pytest.raises(FileNotFoundError, match=r"views.json is not there, so it is not known which views to score"):
+        rescore(run.folder)
+    (run.folder / "views.json").write_text('{"mapped": [{"frame": 0}]}')
+    with pytest.raises(ValueError, match=r"views.json is damaged: KeyError 'T_WC'"):
+        rescore(run.folder)
