@@ -45,12 +45,8 @@ def poses_in_map(view: SequenceView, localiser: Localiser, mapping: SequenceView
         T_WC: Tensor | None = localiser.poses[nearest]
         if int(mapped[nearest]) != index:
             at = position.get(int(mapped[nearest])) if has_poses(mapping) else None
-            there = None if at is None else _data_pose(mapping, at)
-            here = None if there is None else _data_pose(view, i)
-            if there is None or here is None:
-                T_WC = None
-            else:
-                T_WC = T_WC @ se3.inverse(there.to(T_WC)) @ here.to(T_WC)
+            there, here = None if at is None else _data_pose(mapping, at), _data_pose(view, i)
+            T_WC = None if there is None or here is None else T_WC @ se3.inverse(there.to(T_WC)) @ here.to(T_WC)
         poses.append(T_WC)
     return poses
 

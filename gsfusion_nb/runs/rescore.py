@@ -34,8 +34,8 @@ def rescore(
     """Render gaussians.ply of a finished run from the views that the run is scored by, and update metrics.json.
 
     The views and their poses in the map are those in views.json; the system renders as in the run. On the same device
-    and backend the numbers are the run's own, bit for bit. If they are not, the log and the warnings in metrics.json say
-    which, and the file as it was stays beside the new one as metrics-before-eval.json.
+    and backend the numbers are the run's own, bit for bit. If they are not, the log and the warnings in metrics.json
+    say which, and the file as it was stays beside the new one as metrics-before-eval.json.
 
     Args:
         folder: Folder of the run.
