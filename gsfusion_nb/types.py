@@ -1,6 +1,7 @@
 """The values that travel between the rooms: camera, frame, seeds, render output. Frozen; inputs are never modified."""
 
 import dataclasses
+import functools
 from dataclasses import dataclass
 
 import torch
@@ -8,6 +9,11 @@ from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
 from .checks import check_positive, check_shape
+
+
+def rgb_of_bytes(levels: UInt8[Tensor, "*N 3"]) -> Float[Tensor, "*N 3"]:
+    """Colour 0..1 of grey levels 0..255."""
+    return levels.float().div_(255.0)
 
 
 def _places(rows):
@@ -47,41 +53,76 @@ class Camera:
         return Camera(width=width, height=height, fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, init=False)
 class Frame:
-    """One RGB-D observation with its pose."""
+    """One RGB-D observation with its pose.
+
+    ``Frame(rgb=...)`` takes colour as it is: an 8-bit image as uint8, anything else as float32, 0..1. Bytes are carried
+    as bytes; ``frame.rgb`` makes floats of them when they are first asked for, and keeps them.
+
+    Raises:
+        ValueError: a tensor of the wrong type or shape.
+    """
 
     index: int
     """Position in the source sequence (stride and held-out frames keep the source's numbers)."""
     timestamp_s: float
     """Time of the observation, seconds."""
-    rgb: Float[Tensor, "H W 3"]
-    """Colour, 0..1."""
+    colour: UInt8[Tensor, "H W 3"] | Float[Tensor, "H W 3"]
+    """Colour as it was given: grey levels 0..255 as uint8, or float32, 0..1."""
     depth_m: Float[Tensor, "H W"]
     """z-depth, metres; 0 where there is none, never NaN."""
     camera: Camera
     T_WC: Float[Tensor, "4 4"]
     """Camera-to-world pose, OpenCV axes, metres."""
 
-    def __post_init__(self):
-        for name in ("rgb", "depth_m", "T_WC"):
-            value = getattr(self, name)
-            if not isinstance(value, Tensor) or value.dtype != torch.float32:
+    def __init__(
+        self,
+        *,
+        index: int,
+        timestamp_s: float,
+        depth_m: Tensor,
+        camera: Camera,
+        T_WC: Tensor,
+        rgb: Tensor | None = None,
+        colour: Tensor | None = None,
+    ):
+        colour = colour if rgb is None else rgb  # dataclasses.replace(frame, rgb=...) gives both
+        size = (camera.height, camera.width)
+        for name, value, shape in (("rgb", colour, (*size, 3)), ("depth_m", depth_m, size), ("T_WC", T_WC, (4, 4))):
+            types = (torch.float32, torch.uint8) if name == "rgb" else (torch.float32,)
+            if not isinstance(value, Tensor) or value.dtype not in types:
                 kind = value.dtype if isinstance(value, Tensor) else type(value).__name__
-                raise ValueError(f"{name} of frame {self.index} must be a float32 torch.Tensor, got {kind}")
-        size = (self.camera.height, self.camera.width)
-        check_shape("rgb", self.rgb, (*size, 3))
-        check_shape("depth_m", self.depth_m, size)
-        check_shape("T_WC", self.T_WC, (4, 4))
+                wanted = " or ".join(str(t).removeprefix("torch.") for t in types)
+                raise ValueError(f"{name} of frame {index} must be a {wanted} torch.Tensor, got {kind}")
+            check_shape(name, value, shape)
+        for field, value in zip(
+            dataclasses.fields(self), (index, timestamp_s, colour, depth_m, camera, T_WC), strict=True
+        ):
+            object.__setattr__(self, field.name, value)
+
+    @property
+    def is_8_bit(self) -> bool:
+        """Whether colour was given in bytes."""
+        return self.colour.dtype == torch.uint8
+
+    @functools.cached_property
+    def rgb(self) -> Float[Tensor, "H W 3"]:
+        """Colour, 0..1."""
+        return rgb_of_bytes(self.colour) if self.is_8_bit else self.colour
 
     @property
     def rgb_u8(self) -> UInt8[Tensor, "H W 3"]:
-        """Colour in grey levels 0..255, rounded."""
-        return (self.rgb * 255.0).round_().clamp_(0, 255).to(torch.uint8)
+        """Colour in grey levels 0..255: the bytes that were given, or floats rounded."""
+        if self.is_8_bit:
+            return self.colour
+        return (self.colour * 255.0).round_().clamp_(0, 255).to(torch.uint8)
 
     def to(self, device: torch.device | str) -> "Frame":
-        """The same frame with its tensors on ``device``, contiguous."""
-        moved = {name: getattr(self, name).to(device).contiguous() for name in ("rgb", "depth_m", "T_WC")}
+        """The same frame with its tensors on ``device``, contiguous; the frame itself if they are."""
+        moved = {name: getattr(self, name).to(device).contiguous() for name in ("colour", "depth_m", "T_WC")}
+        if all(value is getattr(self, name) for name, value in moved.items()):
+            return self
         return dataclasses.replace(self, **moved)
 
 

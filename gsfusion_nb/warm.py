@@ -146,10 +146,11 @@ def _slam(frame: Frame, grey: Frame, device: str) -> None:
 def _frame(device: str, *, whole_numbers: bool) -> Frame:
     """A checked, slanted wall 1.5 m away; colours as from 8 bits, or between them."""
     v, u = torch.meshgrid(torch.arange(_HEIGHT), torch.arange(_WIDTH), indexing="ij")
-    levels = torch.stack([(u // 7 + v // 5) % 2 * 200, u * 3, v * 4], dim=-1).float() + (0.0 if whole_numbers else 0.4)
+    levels = torch.stack([(u // 7 + v // 5) % 2 * 200, u * 3, v * 4], dim=-1)
+    rgb = levels.byte() if whole_numbers else (levels + 0.4) / 255
     camera = Camera(width=_WIDTH, height=_HEIGHT, fx=50.0, fy=50.0, cx=_WIDTH / 2, cy=_HEIGHT / 2)
     depth_m = 1.5 + 0.004 * u.float()
-    frame = Frame(index=0, timestamp_s=0.0, rgb=levels / 255, depth_m=depth_m, camera=camera, T_WC=torch.eye(4))
+    frame = Frame(index=0, timestamp_s=0.0, rgb=rgb, depth_m=depth_m, camera=camera, T_WC=torch.eye(4))
     return frame.to(device)
 
 

@@ -1,3 +1,5 @@
+import dataclasses
+
 import pytest
 import torch
 
@@ -28,6 +30,34 @@ def test_frame_checks_sizes():
             camera=CAMERA,
             T_WC=torch.eye(4),
         )
+
+
+def frame_of(rgb: torch.Tensor) -> Frame:
+    return Frame(index=0, timestamp_s=0.0, rgb=rgb, depth_m=torch.ones(6, 8), camera=CAMERA, T_WC=torch.eye(4))
+
+
+def test_bytes_stay_bytes_until_somebody_asks_for_floats():
+    levels = torch.randint(0, 256, (6, 8, 3), dtype=torch.uint8)
+    frame = frame_of(levels)
+    assert frame.is_8_bit
+    assert frame.rgb_u8 is levels
+    assert torch.equal(frame.rgb, levels.float() / 255)
+    assert frame.rgb is frame.rgb
+    assert frame.to("cpu") is frame
+    moved = dataclasses.replace(frame, T_WC=2 * torch.eye(4))
+    assert moved.rgb_u8 is levels
+    assert float(dataclasses.replace(frame, rgb=torch.zeros(6, 8, 3)).rgb.max()) == 0
+    with pytest.raises(ValueError, match=r"rgb of frame 0 must be a float32 or uint8 torch.Tensor, got torch.int64"):
+        frame_of(levels.long())
+
+
+def test_eight_bit_colours_survive_the_way_through_floats():
+    every = torch.arange(288).remainder(256).to(torch.uint8).reshape(2, 6, 8, 3)
+    for levels in every:
+        frame = frame_of(levels.float() / 255)
+        assert not frame.is_8_bit
+        assert frame.rgb is frame.colour
+        assert torch.equal(frame.rgb_u8, levels)
 
 
 def test_seeds_filter_all_columns_and_concatenate():

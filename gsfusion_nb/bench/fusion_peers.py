@@ -58,7 +58,7 @@ class Open3dGrid:
 
     def prepare(self, frame: Frame) -> Any:
         depth = np.rint(frame.depth_m.numpy() * DEPTH_SCALE).astype(np.uint16)
-        rgb = np.rint(frame.rgb.numpy() * 255).astype(np.uint8)
+        rgb = frame.rgb_u8.numpy()
         return depth, rgb, np.linalg.inv(frame.T_WC.double().numpy())
 
     def fuse(self, prepared: Any) -> None:

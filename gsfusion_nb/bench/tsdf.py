@@ -4,8 +4,6 @@ import functools
 from collections.abc import Callable, Iterator
 from typing import Any
 
-import torch
-
 from ..backends import use_backend
 from ..config import DataConfig, TsdfConfig
 from ..data import OpenedSequence, open_sequence
@@ -54,7 +52,7 @@ class StoredFrames:
         self.name, self.camera = sequence.name, sequence.camera
         self._images, self._poses = [], []
         for frame in sequence:
-            self._images.append(((frame.rgb * 255).round().to(torch.uint8), frame.depth_m))
+            self._images.append((frame.rgb_u8, frame.depth_m))
             self._poses.append(frame.T_WC)
 
     def __len__(self) -> int:
@@ -65,7 +63,7 @@ class StoredFrames:
         return Frame(
             index=i,
             timestamp_s=float(i),
-            rgb=rgb.float() / 255,
+            rgb=rgb,
             depth_m=depth_m,
             camera=self.camera,
             T_WC=self._poses[i],

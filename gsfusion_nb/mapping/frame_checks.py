@@ -34,11 +34,13 @@ def check_frame(frame: Frame, device: torch.device | None = None, *, needs_depth
 
 
 def _check_images(frame: Frame, needs_depth: bool) -> None:
-    extremes = torch.stack([x for image in (frame.depth_m, frame.rgb) for x in torch.aminmax(image)])
+    extremes = torch.stack([x.float() for image in (frame.depth_m, frame.colour) for x in torch.aminmax(image)])
     depth_low, depth_high, low, high = extremes.tolist()  # NaN if any value is
+    if frame.is_8_bit:
+        low, high = low / 255, high / 255
     if not (math.isfinite(depth_low) and math.isfinite(depth_high)):
         check_finite(f"depth_m of frame {frame.index}", frame.depth_m)
-    check_colours(f"rgb of frame {frame.index}", frame.rgb, (low, high))
+    check_colours(f"rgb of frame {frame.index}", frame.colour, (low, high))
     if high < BLACK:
         raise ValueError("its picture is black; expected an exposed one")
     if needs_depth and not depth_high > 0:

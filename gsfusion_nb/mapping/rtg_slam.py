@@ -169,7 +169,7 @@ class RTGSLAM(Mapper):
         """The state of any mapper, the window, and the optimiser of the final passes."""
         return super().state_dict() | {
             "camera": None if self.camera is None else vars(self.camera),
-            "window": [vars(f) | {"camera": vars(f.camera)} for f in self.window],
+            "window": [_frame_state(f) for f in self.window],
             "final": None if self._final is None else self._final.state_dict(),
         }
 
@@ -317,3 +317,8 @@ class RTGSLAM(Mapper):
 
 def _psnr(rgb: Float[Tensor, "H W 3"], frame: Frame) -> float:
     return psnr_from_mse(float((rgb.clamp(0, 1) - frame.rgb).square().mean()))
+
+
+def _frame_state(frame: Frame) -> dict[str, Any]:
+    """Plain values of a frame."""
+    return {f.name: getattr(frame, f.name) for f in dataclasses.fields(frame)} | {"camera": vars(frame.camera)}

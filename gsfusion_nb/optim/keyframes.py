@@ -9,12 +9,12 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from ..types import Camera, Frame
+from ..types import Camera, Frame, rgb_of_bytes
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Keyframe:
-    """A view to optimise against; its image is kept as uint8, a quarter of float32."""
+    """A view to optimise against. Its image is kept in bytes, a quarter of float32; an 8-bit frame shares its own."""
 
     index: int
     rgb_u8: UInt8[Tensor, "H W 3"]
@@ -26,7 +26,7 @@ class Keyframe:
     @property
     def rgb(self) -> Float[Tensor, "H W 3"]:
         """Colour, 0..1."""
-        return self.rgb_u8.float().div_(255.0)
+        return rgb_of_bytes(self.rgb_u8)
 
     def to(self, device: torch.device | str) -> "Keyframe":
         """The same keyframe with its tensors on ``device``."""

@@ -124,8 +124,7 @@ class SeedContext:
             raise ValueError(f"quadtree_cells: unknown settings {unknown}; known: {sorted(settings)}")
         settings |= overrides
         start = time.perf_counter()
-        rgb_u8 = self._once("rgb_u8", lambda: self.frame.rgb_u8)
-        leaves = self._once(("cells", *settings.values()), lambda: quadtree(rgb_u8, **settings))
+        leaves = self._once(("cells", *settings.values()), lambda: quadtree(self.frame.rgb_u8, **settings))
         self._cache["quadtree_seconds"] = self.quadtree_seconds + time.perf_counter() - start
         return leaves
 

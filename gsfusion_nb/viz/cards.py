@@ -45,7 +45,7 @@ def _frame(frame: Frame) -> tuple[Picture, dict[str, str]]:
     x, y, z = frame.T_WC[:3, 3].tolist()
     c = frame.camera
     return side_by_side(
-        [fit_width(frame.rgb.cpu(), WIDTH_PX), fit_width(colour_depth(depth_m, near, far), WIDTH_PX)]
+        [fit_width(frame.colour.cpu(), WIDTH_PX), fit_width(colour_depth(depth_m, near, far), WIDTH_PX)]
     ), {
         "frame": f"{frame.index}, at {frame.timestamp_s:.3f} s",
         "size": f"{c.width} × {c.height}, focal length {c.fx:.1f}, {c.fy:.1f} px",
@@ -147,7 +147,7 @@ def _photo_and_render(run: MappingRun) -> Picture | None:
         return None
     frame = frames[-1]
     rendered = run.mapper.render(frame.camera, frame.T_WC.to(run.mapper.device)).rgb
-    return side_by_side([fit_width(to_uint8(image), WIDTH_PX) for image in (frame.rgb, rendered)])
+    return side_by_side([fit_width(to_uint8(image), WIDTH_PX) for image in (frame.colour, rendered)])
 
 
 _CARDS: dict[type, Any] = {

@@ -20,12 +20,12 @@ from gsfusion_nb.types import Frame
 from ..runtime.numba.launch import launching
 from ..runtime.numba.simd import any_lane, load, maximum, minimum, select, splat, sqrt, store, times
 from ..runtime.numba.simd_int import (
+    byte_triples,
     count_lanes,
     first_byte,
     float_bits,
     gather,
     gather_pairs,
-    grey_levels,
     prefetch,
     second_byte,
     splat_int,
@@ -37,11 +37,8 @@ from ..runtime.numba.simd_int import (
 f32 = np.float32
 _EPS = f32(1e-4)
 _MISSING = f32(-1e9)
-_ZERO, _HALF, _ONE, _INFINITE = f32(0.0), f32(0.5), f32(1.0), f32(np.inf)
+_ZERO, _ONE, _INFINITE = f32(0.0), f32(1.0), f32(np.inf)
 _GREY_LEVELS = f32(255.0)
-_FAR_OFF = f32(1e9)
-_SAME_COLOUR = f32(1e-3)
-"""Grey levels: a picture nowhere further from whole numbers was made from 8 bits and loses nothing in them."""
 _TILE = 8
 _CHUNK = 16
 """Blocks of one parallel task."""
@@ -50,13 +47,12 @@ _SCAN = 4
 """A block's picture is looked up on the level of the depth pyramid where it is less than this many tiles wide."""
 
 
-_NO_COLOUR = np.empty(0, np.float32)
+_NO_FLOATS, _NO_BYTES = np.empty(0, np.float32), np.empty(0, np.uint8)
 
 
 def fuse_frame_(volume: TsdfVolume, frame: Frame) -> int:
     """See ``gsfusion_nb.tsdf.integrate.fuse_frame_``."""
-    images = (frame.depth_m, frame.rgb)
-    if any(t.dtype != torch.float32 or t.device.type != "cpu" for t in (*images, volume.D)):
+    if any(t.device.type != "cpu" for t in (frame.depth_m, volume.D)) or volume.D.dtype != torch.float32:
         return reference.reference(volume, frame)
     if not volume.n_blocks:
         return 0
@@ -64,27 +60,27 @@ def fuse_frame_(volume: TsdfVolume, frame: Frame) -> int:
     T_CW = se3.inverse(frame.T_WC.detach().double()).numpy()
     # (U, V, Z) of a world point: one is added to the pixel so that a truncation towards zero finds it.
     K = np.array([[camera.fx, 0.0, camera.cx + 1], [0.0, camera.fy, camera.cy + 1], [0.0, 0.0, 1.0]])
-    depth, rgb = (t.detach().contiguous().numpy() for t in images)
+    depth, colour = (t.detach().contiguous().numpy() for t in (frame.depth_m, frame.colour))
+    levels, rgb = (colour.reshape(-1), _NO_FLOATS) if frame.is_8_bit else (_NO_BYTES, colour.reshape(-1))
     limits = np.array(
         [config.near_m, config.far_m, config.truncation_m, config.max_weight, config.voxel_size_m], np.float64
     )
     state = (volume.block_coords.numpy(), *(t.view(-1).numpy() for t in (volume.D, volume.W, volume.rgb_planes)))
     with launching():
-        packed, pyramid, levels, whole_numbers = _packed(depth, rgb, config.near_m)
+        packed, pyramid = _packed(depth, levels, config.near_m)
         seen = np.zeros(volume.n_blocks, np.uint8)
-        _observable(state[0], K @ T_CW[:3], T_CW[2], limits, depth.shape, (pyramid, levels), seen)
+        _observable(state[0], K @ T_CW[:3], T_CW[2], limits, depth.shape, pyramid, seen)
         rows = np.flatnonzero(seen).astype(np.int32)
-        image = packed, _NO_COLOUR if whole_numbers else rgb.reshape(-1)
         updated = np.zeros(-(-len(rows) // _CHUNK), np.int64)
-        _fuse(rows, state, image, depth.shape, (T_CW, K), limits, config.sdf == "ray", updated)
+        _fuse(rows, state, (packed, rgb), depth.shape, (T_CW, K), limits, config.sdf == "ray", updated)
     return int(updated.sum())
 
 
-def _packed(depth: np.ndarray, rgb: np.ndarray, near_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, bool]:
-    """Depth bits and 8-bit colour of every pixel in one word; a pyramid of largest depths; whether 8 bits suffice.
+def _packed(depth: np.ndarray, colour: np.ndarray, near_m: float) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    """Depth bits and, if ``colour`` [H W 3] has any bytes, colour of every pixel in one word; a pyramid of depths.
 
     Unknown depth becomes ``_MISSING``. The pyramid holds the largest depth of tiles of 8, 16, 32 ... pixels, level
-    after level in one array; the third result [L, 3] has the offset, rows and columns of each level.
+    after level in one array; with it come the offset, rows and columns of each level. [L, 3]
     """
     height, width = depth.shape
     levels = [(0, -(-height // _TILE), -(-width // _TILE))]
@@ -92,47 +88,35 @@ def _packed(depth: np.ndarray, rgb: np.ndarray, near_m: float) -> tuple[np.ndarr
         start, h, w = levels[-1]
         levels.append((start + h * w, (h + 1) // 2, (w + 1) // 2))
     packed, pyramid = np.empty(height * width, np.uint64), np.empty(levels[-1][0] + 1, np.float32)
-    error = np.empty(levels[0][1], np.float32)
-    _pack(depth, rgb, f32(near_m), np.array(levels), packed, pyramid, error)
-    return packed, pyramid, np.array(levels), bool(error.max() < _SAME_COLOUR)
+    _pack(depth, colour, f32(near_m), np.array(levels), packed, pyramid)
+    return packed, (pyramid, np.array(levels))
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
-def _pack(depth, rgb, near, levels, packed, pyramid, error):
-    """See ``_packed``; ``error`` [tile rows] is how far 255 x the colours are from whole numbers."""
+def _pack(depth, colour, near, levels, packed, pyramid):
+    """See ``_packed``."""
     height, width = depth.shape
     h, w = levels[0, 1], levels[0, 2]
-    flat_depth, flat_rgb = depth.reshape(-1), rgb.reshape(-1)
+    flat_depth, has_bytes = depth.reshape(-1), len(colour) > 0
     for i in prange(h):
         column = np.full(w * _TILE + 16, _MISSING, np.float32)
         missing, zero, nearest, infinite = splat(_MISSING), splat(_ZERO), splat(near), splat(_INFINITE)
-        worst = zero
         for y in range(i * _TILE, min(height, i * _TILE + _TILE)):
             for x in range(0, width - 15, 16):
                 at = y * width + x
                 d = load(flat_depth, at)
                 d = select((d > zero) & (d >= nearest) & (d < infinite), d, missing)
                 store(column, x, maximum(load(column, x), d))
-                colour, off = grey_levels(flat_rgb, 3 * at)
-                worst = maximum(worst, off)
-                store_pairs(packed, at, d, colour)
+                store_pairs(packed, at, d, byte_triples(colour, 3 * at) if has_bytes else splat_int(int32(0)))
             for x in range(width - width % 16, width):
                 d = depth[y, x]
                 d = d if (d > _ZERO) & (d >= near) & (d < _INFINITE) else _MISSING
                 column[x] = max(column[x], d)
-                colour = uint32(0)
-                for c in range(3):
-                    value = rgb[y, x, c] * _GREY_LEVELS
-                    number = int32(min(max(value, _ZERO), _GREY_LEVELS) + _HALF)
-                    off = abs(value - f32(number))
-                    worst = maximum(worst, splat(off if off < _FAR_OFF else _FAR_OFF))
-                    colour |= uint32(number) << uint32(8 * c)
-                packed[y * width + x] = uint64(float_bits(d)) | uint64(colour) << uint64(32)
-        lanes = np.empty(16, np.float32)
-        store(lanes, 0, worst)
-        error[i] = _ZERO
-        for k in range(16):
-            error[i] = max(error[i], lanes[k])
+                at, word = y * width + x, uint32(0)
+                if has_bytes:
+                    for c in range(3):
+                        word |= uint32(colour[3 * at + c]) << uint32(8 * c)
+                packed[at] = uint64(float_bits(d)) | uint64(word) << uint64(32)
         for j in range(w):
             most = _MISSING
             for x in range(j * _TILE, j * _TILE + _TILE):

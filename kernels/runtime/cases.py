@@ -39,12 +39,13 @@ class Case:
 def make_frame(device: torch.device | str = "cpu", *, whole_numbers: bool = True, shift_m: float = 0.0) -> Frame:
     """A checked, slanted wall 1.5 m away, 64 x 48 pixels; colours as from 8 bits, or between them."""
     v, u = torch.meshgrid(torch.arange(HEIGHT), torch.arange(WIDTH), indexing="ij")
-    levels = torch.stack([(u // 7 + v // 5) % 2 * 200, u * 3, v * 4], dim=-1).float() + (0.0 if whole_numbers else 0.4)
+    levels = torch.stack([(u // 7 + v // 5) % 2 * 200, u * 3, v * 4], dim=-1)
+    rgb = levels.byte() if whole_numbers else (levels + 0.4) / 255
     camera = Camera(width=WIDTH, height=HEIGHT, fx=50.0, fy=50.0, cx=WIDTH / 2, cy=HEIGHT / 2)
     T_WC = torch.eye(4)
     T_WC[0, 3] = shift_m
     depth_m = 1.5 + 0.004 * u.float()
-    frame = Frame(index=0, timestamp_s=0.0, rgb=levels / 255, depth_m=depth_m, camera=camera, T_WC=T_WC)
+    frame = Frame(index=0, timestamp_s=0.0, rgb=rgb, depth_m=depth_m, camera=camera, T_WC=T_WC)
     return frame.to(device)
 
 

@@ -245,7 +245,7 @@ def make_frames(generator):
             depth = torch.where(rough < 0.1, 0.0, depth + 0.002 * rough)
             depth[rough > 0.995] = 0.7
             rgb = torch.rand(height, width, 3, generator=generator)
-            rgb = (rgb * 255).round() / 255 if eight_bit else rgb
+            rgb = (rgb * 255).round().byte() if eight_bit else rgb
             T_WC[:3, 3] += shift
             frames.append(Frame(index=i, timestamp_s=float(i), rgb=rgb, depth_m=depth, camera=camera, T_WC=T_WC))
         return frames

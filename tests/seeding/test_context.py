@@ -106,14 +106,6 @@ def test_quadtree_cells_are_computed_once_per_setting():
         ctx.quadtree_cells(treshold=0.1)
 
 
-def test_eight_bit_colours_survive_the_way_through_floats():
-    every = torch.arange(256, dtype=torch.uint8).reshape(16, 16)
-    levels = torch.stack([every, every, every], dim=-1)
-    ctx = SeedContext(frame(torch.full((16, 16), 1.0), levels.float() / 255))
-    ctx.quadtree_cells()
-    assert torch.equal(ctx._cache["rgb_u8"], levels)
-
-
 def test_normals_face_the_camera_and_turn_with_the_pose():
     T_WC = se3.exp(torch.tensor([0.0, 0.0, 0.0, 0.0, math.pi / 2, 0.0]))
     ctx = SeedContext(frame(torch.full((5, 5), 1.0), T_WC=T_WC))

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Shaped
 from torch import Tensor
 
 from ...config import RepairConfig
@@ -99,16 +99,16 @@ class RepairedSequence:
     def _reread(self, i: int) -> Float[Tensor, "4 4"]:
         return reread_poses(self.source.pose(i).double()[None], self.repair)[0].float()
 
-    def _colour(self, frame: Frame, i: int) -> Float[Tensor, "H W 3"]:
+    def _colour(self, frame: Frame, i: int) -> Shaped[Tensor, "H W 3"]:
         other = i + self.repair.rgb_shift_frames
         if not 0 <= other < len(self):
             raise BadFrameError(f"{self.name} frame {i} has no colour: repair.rgb_shift_frames asks for frame {other}")
-        rgb = frame.rgb if other == i else self.source[other].rgb
+        rgb = frame.colour if other == i else self.source[other].colour
         axes = {"none": (), "x": (1,), "y": (0,), "xy": (0, 1)}[self.repair.rgb_mirror]
         return shifted_colour(rgb.flip(axes) if axes else rgb, self.repair)
 
 
-def shifted_colour(rgb: Float[Tensor, "H W 3"], repair: RepairConfig) -> Float[Tensor, "H W 3"]:
+def shifted_colour(rgb: Shaped[Tensor, "H W 3"], repair: RepairConfig) -> Shaped[Tensor, "H W 3"]:
     """Colour moved back by the shift and scale of ``repair``: pixel u takes  m + s (u - m) + shift,  m the middle.
 
     One shift for all depths: exact for a turned or mis-cropped colour image, an approximation for a second camera.

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Shaped
 from torch import Tensor
 
 from ...types import Camera, Frame
@@ -14,7 +14,8 @@ def resize_frame(frame: Frame, camera: Camera) -> Frame:
     """The same view with the pixel grid of ``camera`` (``frame.camera.resized(width, height)``).
 
     Colour is averaged over the area that a new pixel covers (interpolated linearly when enlarging). Depth is taken from
-    the nearest source pixel and never interpolated, since a mean over a depth edge is a point in mid-air.
+    the nearest source pixel and never interpolated, since a mean over a depth edge is a point in mid-air. An 8-bit
+    image stays one, rounded.
 
     Differentiable: no.
     """
@@ -22,7 +23,7 @@ def resize_frame(frame: Frame, camera: Camera) -> Frame:
         return dataclasses.replace(frame, camera=camera)
     return dataclasses.replace(
         frame,
-        rgb=_resize_rgb(frame.rgb, camera.width, camera.height),
+        rgb=_resize_rgb(frame.colour, camera.width, camera.height),
         depth_m=_resize_depth(frame.depth_m, camera.width, camera.height),
         camera=camera,
     )
@@ -48,7 +49,7 @@ def resize_colour(rgb: np.ndarray, width: int, height: int) -> np.ndarray:
     return cv2.resize(rgb, (width, height), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
 
 
-def _resize_rgb(rgb: Float[Tensor, "H W 3"], width: int, height: int) -> Float[Tensor, "h w 3"]:
+def _resize_rgb(rgb: Shaped[Tensor, "H W 3"], width: int, height: int) -> Shaped[Tensor, "h w 3"]:
     return torch.from_numpy(resize_colour(rgb.cpu().numpy(), width, height)).to(rgb.device)
 
 

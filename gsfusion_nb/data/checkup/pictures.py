@@ -60,7 +60,7 @@ def edge_overlay(frame: Frame) -> Picture:
     """The colour image with the depth image's edges drawn in."""
     import cv2
 
-    picture = fit_width(frame.rgb, _WIDTH)
+    picture = fit_width(frame.colour, _WIDTH)
     _, depth_m = thinned(frame.camera, frame.depth_m, max(1, round(frame.camera.width / 320)))
     h, w = picture.shape[:2]
     painted = cv2.resize(picture, (_WIDTH, round(h * _WIDTH / w)), interpolation=cv2.INTER_LINEAR)

@@ -105,7 +105,7 @@ def _stored_poses(sequence: Sequence) -> Float[Tensor, "L 4 4"]:
 def _facts(frame: Frame, place: int, step: int) -> FrameFacts:
     import cv2
 
-    grey = cv2.cvtColor((frame.rgb.numpy() * np.float32(255)).astype(np.uint8), cv2.COLOR_RGB2GRAY)
+    grey = cv2.cvtColor(frame.rgb_u8.numpy(), cv2.COLOR_RGB2GRAY)
     h, w = grey.shape
     if w > GREY_WIDTH:
         grey = cv2.resize(grey, (GREY_WIDTH, round(h * GREY_WIDTH / w)), interpolation=cv2.INTER_AREA)

@@ -76,7 +76,7 @@ class RecordedSequence:
         return Frame(
             index=i,
             timestamp_s=self.timestamps_s[i],
-            rgb=torch.from_numpy(rgb).to(torch.float32).mul_(1.0 / 255.0),
+            rgb=torch.from_numpy(rgb),
             depth_m=torch.from_numpy(depth_m),
             camera=self.camera,
             T_WC=T_WC,

@@ -105,7 +105,7 @@ class RoomSequence:
         return Frame(
             index=i,
             timestamp_s=float(self.times_s[i]),
-            rgb=torch.from_numpy(images["rgb"].astype(np.float32) / np.float32(255)),
+            rgb=torch.from_numpy(images["rgb"]),
             depth_m=depth_m,
             camera=self.camera,
             T_WC=self.pose(i),

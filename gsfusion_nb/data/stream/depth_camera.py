@@ -118,7 +118,7 @@ class DepthCamera(LiveSource):
         return Frame(
             index=index,
             timestamp_s=shot.timestamp_s,
-            rgb=torch.from_numpy(np.ascontiguousarray(rgb)).to(torch.float32).mul_(1.0 / 255.0),
+            rgb=torch.from_numpy(np.ascontiguousarray(rgb)),
             depth_m=torch.from_numpy(np.ascontiguousarray(depth_m)),
             camera=self.camera,
             T_WC=torch.eye(4),

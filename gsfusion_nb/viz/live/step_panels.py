@@ -115,7 +115,7 @@ def live_panels(mapper: Mapper, frame: Frame) -> LivePanels:
     """
     output = mapper.render(frame.camera, frame.T_WC)
     step = MappedFrame(
-        mapper=mapper, frame=frame, output=output, photo=to_uint8(frame.rgb), rendered=to_uint8(output.rgb)
+        mapper=mapper, frame=frame, output=output, photo=to_uint8(frame.colour), rendered=to_uint8(output.rgb)
     )
     pictures = {name: PANELS[name].draw(step) for name in mapper.panels}
     return LivePanels(pictures=pictures, captions=captions_of(mapper))

@@ -232,7 +232,7 @@ def adding_panel(view: SurfaceView, frame: Frame) -> Panel:
         frame: The new frame.
     """
 
-    photo, rendered = to_uint8(frame.rgb), to_uint8(view.rgb)
+    photo, rendered = to_uint8(frame.colour), to_uint8(view.rgb)
 
     def draw(*, min_transmittance: float, depth_error_m: float, colour_error: float) -> Drawn:
         masks = adding_masks(

@@ -80,7 +80,7 @@ def overlay_picture(frame: Frame, surface: Surface, T_WC: Float[Tensor, "4 4"]) 
     known = frame.depth_m > 0
     xyz_W = se3.apply(T_WC.float(), depth_to_points(frame.camera, frame.depth_m)[known])
     xyz_S = se3.apply(se3.inverse(surface.T_WC.float()), xyz_W)
-    rgb = to_uint8(frame.rgb)[known.numpy()]
+    rgb = to_uint8(frame.colour)[known.numpy()]
     order = xyz_S[:, 2].argsort(descending=True)  # the nearest is written last
     xyz_S, rgb = xyz_S[order], rgb[order.numpy()]
     uv = project(surface.camera, xyz_S)

@@ -69,7 +69,7 @@ def point_colours(frame: Frame, show: str) -> Picture:
     if show not in POINT_COLOURS:
         raise ValueError(f"show must be one of {', '.join(POINT_COLOURS)}, got {show!r}")
     if show == "colour":
-        return to_uint8(frame.rgb)
+        return to_uint8(frame.colour)
     if show == "depth":
         return colour_depth(frame.depth_m, *depth_range_m(frame.depth_m))
     return normal_colours(depth_to_normals(frame.camera, frame.depth_m))

@@ -111,7 +111,9 @@ def rule_picture(
     ctx.generator.manual_seed(0)
     seeds = apply_rule(rule, ctx, options)
     if show == "places":
-        picture = _with_dots((to_uint8(ctx.frame.rgb).repeat(scale, 0).repeat(scale, 1) * 0.5), ctx.frame, seeds, scale)
+        picture = _with_dots(
+            (to_uint8(ctx.frame.colour).repeat(scale, 0).repeat(scale, 1) * 0.5), ctx.frame, seeds, scale
+        )
     else:
         picture = _rendered(ctx, seeds, with_map=show == "map and new").repeat(scale, 0).repeat(scale, 1)
     return picture, seeds

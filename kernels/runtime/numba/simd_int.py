@@ -174,40 +174,19 @@ def _shuffle(builder, a, b, picks):
 
 
 @intrinsic
-def grey_levels(typingctx, rgb, index):
-    """Sixteen pixels of a flat float32 picture as 8-bit colours, red + green << 8 + blue << 16, from ``rgb[index]`` on.
-
-    Returns them and, lane by lane, how far 255 x the values are from whole numbers between 0 and 255.
-    """
-    sig = types.Tuple((i32x16, f32x16))(rgb, index)
+def byte_triples(typingctx, array, index):
+    """Sixteen pixels of a flat uint8 picture as words, red + green << 8 + blue << 16, from ``array[index]`` on."""
+    sig = i32x16(array, index)
 
     def codegen(context, builder, sig, args):
         data = context.make_array(sig.args[0])(context, builder, args[0]).data
-        first = context.cast(builder, args[1], sig.args[1], types.intp)
-        numbers, worst = [], _constant(0.0)
-        for k in range(3):
-            at = builder.gep(data, [builder.add(first, first.type(k * LANES))], inbounds=True)
-            value = builder.load(builder.bitcast(at, _FLOATS.as_pointer()))
-            value.align = 4
-            value = builder.fmul(value, _constant(255.0))
-            clipped = builder.select(builder.fcmp_ordered(">", value, _constant(0.0)), value, _constant(0.0))
-            clipped = builder.select(builder.fcmp_ordered("<", clipped, _constant(255.0)), clipped, _constant(255.0))
-            number = builder.fptosi(builder.fadd(clipped, _constant(0.5)), _INTS)
-            off = builder.fsub(value, builder.sitofp(number, _FLOATS))
-            kind = ir.FunctionType(_FLOATS, [_FLOATS])
-            fabs = cgutils.get_or_insert_function(builder.module, kind, f"llvm.fabs.v{LANES}f32")
-            off = builder.call(fabs, [off])
-            off = builder.select(builder.fcmp_ordered("<", off, _constant(1e9)), off, _constant(1e9))
-            worst = builder.select(builder.fcmp_ordered(">", off, worst), off, worst)
-            numbers.append(number)
-        both = _shuffle(builder, numbers[0], numbers[1], range(2 * LANES))
-        rest = _shuffle(builder, numbers[2], numbers[2], range(2 * LANES))
-        packed = None
-        for channel in range(3):
-            plane = _shuffle(builder, both, rest, range(channel, 3 * LANES, 3))
-            shifted = builder.shl(plane, ir.Constant(_INTS, [_lane(8 * channel)] * LANES))
-            packed = shifted if packed is None else builder.or_(packed, shifted)
-        return context.make_tuple(builder, sig.return_type, (packed, worst))
+        at = builder.gep(data, [context.cast(builder, args[1], sig.args[1], types.intp)], inbounds=True)
+        triples = ir.VectorType(_BYTE, 3 * LANES)
+        value = builder.load(builder.bitcast(at, triples.as_pointer()))
+        value.align = 1
+        zeros = ir.Constant(triples, None)
+        order = [k for i in range(LANES) for k in (3 * i, 3 * i + 1, 3 * i + 2, 3 * LANES)]
+        return builder.bitcast(_shuffle(builder, value, zeros, order), _INTS)
 
     return sig, codegen
 
