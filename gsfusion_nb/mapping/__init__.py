@@ -3,6 +3,8 @@
 from .gsfusion import GSFusion as GSFusion
 from .mapper import MapPart as MapPart
 from .mapper import Mapper as Mapper
+from .one_frame import DelayedInterrupt as DelayedInterrupt
+from .one_frame import HalfMappedError as HalfMappedError
 from .rtg_slam import RTGSLAM as RTGSLAM
 from .step_report import GlobalStep as GlobalStep
 from .step_report import StepReport as StepReport

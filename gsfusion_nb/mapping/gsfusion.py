@@ -3,7 +3,7 @@
 from typing import Any
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from ..config import GSFusionConfig, gsfusion
@@ -11,9 +11,9 @@ from ..errors import BadFrameError
 from ..gaussians import GaussianModel
 from ..optim import Keyframe, adam_step, dssim_vjp, l1_mse_vjp
 from ..render import render_forward, render_vjp
-from ..seeding import Cells, SeedContext, SeedingRule, apply_rule
+from ..seeding import Cells, SeedContext, SeedingRule, VoxelLookup, apply_rule
 from ..tracking import tsdf_surface
-from ..tsdf import RaycastOutput, TsdfVolume, extract_mesh, integrate, raycast
+from ..tsdf import FusedView, RaycastOutput, TsdfVolume, band_blocks, extract_mesh, fuse_frame_, raycast
 from ..types import Camera, Frame, Mesh, Seeds
 from .frame_checks import check_frame
 from .mapper import MapPart, Mapper
@@ -53,30 +53,41 @@ class GSFusion(Mapper):
         )
 
     def step(self, frame: Frame) -> StepReport:
-        """Map one frame (paper Fig. 2, section III-B).
+        """Map one frame (paper Fig. 2, section III-B), all of it or nothing.
+
+        The paper fuses the frame and then asks the seeding rule, which looks at the volume. Here the rule is asked
+        first, with a view of the volume as it will be (``FusedView``): it finds the same values, and a rule that fails
+        leaves the maps as they were.
 
         Raises:
             BadFrameError: the pose is not rigid, an image holds a NaN or colours beyond 0..1, or the frame lies too far
                 away for the voxel index. The maps are unchanged.
+            MemoryError: no room for the new voxel blocks. The maps are unchanged.
+            RuntimeError: another thread is in a step, or an earlier frame was only half mapped.
         """
-        frame, clock = check_frame(frame, self.device), StageClock()
-        with clock("tracking"):
-            frame = self.localiser.locate(frame, tsdf_surface(self.volume))
-        with clock("tsdf"):
-            self._fuse(frame)  # III-B.1, Eq. 6-9
-        with clock("seeding"):
-            context = self.seed_context(frame)
-            seeds = self.propose_seeds(context)  # III-B.2, Eq. 10
+        with self.one_frame(frame):
+            frame, clock = check_frame(frame, self.device), StageClock()
+            with clock("tracking"):
+                frame = self.localiser.locate(frame, tsdf_surface(self.volume))
+            with clock("tsdf"):
+                missing = self._make_room(frame)  # III-B.1, the blocks
+            with clock("seeding"):
+                context = self._context(frame, FusedView(self.volume, frame, missing))
+                seeds = self.propose_seeds(context)  # III-B.2, Eq. 10
+            clock.split("seeding", "quadtree", context.quadtree_seconds)
+            self.guard.changes_begin()
+            with clock("tsdf"):
+                self.volume.allocate_missing(missing)
+                fuse_frame_(self.volume, frame)  # III-B.1, Eq. 6-9
             self.gaussians.append(seeds, frame.index)
-        clock.split("seeding", "quadtree", context.quadtree_seconds)
-        is_keyframe = len(seeds) > self.config.keyframe_min_seeds  # III-B.3
-        if is_keyframe or self.config.keep_all_frames:
-            self.keyframes.append(frame)
-        with clock("optimise"):
-            losses, psnrs = self._optimise_online(frame, is_keyframe)  # Eq. 12
-        with clock("tracking"):
-            self._follow(self.localiser.record(frame))
-        self.n_frames += 1
+            is_keyframe = len(seeds) > self.config.keyframe_min_seeds  # III-B.3
+            if is_keyframe or self.config.keep_all_frames:
+                self.keyframes.append(frame)
+            with clock("optimise"):
+                losses, psnrs = self._optimise_online(frame, is_keyframe)  # Eq. 12
+            with clock("tracking"):
+                self._follow(self.localiser.record(frame))
+            self.n_frames += 1
         return StepReport(
             frame_index=frame.index,
             n_seeds=len(seeds),
@@ -92,9 +103,12 @@ class GSFusion(Mapper):
 
     def seed_context(self, frame: Frame) -> SeedContext:
         """What a seeding rule sees of this frame, after it was fused into the TSDF."""
+        return self._context(frame, self.volume)
+
+    def _context(self, frame: Frame, volume: VoxelLookup) -> SeedContext:
         return SeedContext(
             frame,
-            volume=self.volume,
+            volume=volume,
             gaussians=self.gaussians,
             generator=self.generator,
             config=self.config.seeding,
@@ -127,6 +141,12 @@ class GSFusion(Mapper):
         """Voxel blocks of the TSDF."""
         return {"n_blocks": self.volume.n_blocks}
 
+    def maps(self) -> dict[str, dict[str, Tensor]]:
+        """Gaussians, and the TSDF with its blocks in Morton order."""
+        volume, rows = self.volume, self.volume.index.rows
+        columns = {"block_coords": volume.block_coords, "D": volume.D, "W": volume.W, "rgb": volume.rgb_planes}
+        return super().maps() | {"tsdf": {name: column[rows] for name, column in columns.items()}}
+
     def parts(self) -> list[MapPart]:
         """Gaussians, keyframes and voxel blocks."""
         blocks = MapPart(name="voxel blocks", count=self.volume.n_blocks, size_bytes=self.volume.memory_bytes)
@@ -157,10 +177,10 @@ class GSFusion(Mapper):
         super()._load(state)
         self.volume.load_state_dict(state["volume"])
 
-    def _fuse(self, frame: Frame) -> None:
-        """Fold the frame into the TSDF."""
+    def _make_room(self, frame: Frame) -> Int[Tensor, "M 3"]:
+        """Room for the blocks that the frame needs; those that do not exist yet."""
         try:
-            integrate(self.volume, frame)
+            return self.volume.make_room(band_blocks(self.volume, frame))
         except ValueError as e:
             raise BadFrameError(f"frame {frame.index} cannot be mapped: {e}") from None
 

@@ -43,6 +43,8 @@ class Localiser:
         self.report: dict[str, Any] = {}
         """How the last frame was found: status, rms_m, inlier_share. Empty for given poses."""
         self._tracker = Tracker(config)
+        self._found: Any = None
+        """Where the tracker stood before the frame that it found last, until that frame is recorded."""
         self._back_end: BackEnd | None = None
         self._database: KeyframeDatabase | None = None
         """Keyframes by appearance, to find the camera again when tracking is lost; the back end has its own."""
@@ -58,18 +60,26 @@ class Localiser:
         Raises:
             BadFrameError: tracking was lost and could not be found again with this frame.
         """
-        self.report = {}
+        self.report, self._found = {}, None
         if not self.is_tracking:
             return frame
+        before = self._tracker.standing
         try:
             found = self._tracker.track(frame, surface, self._relocalise)
         except TrackingLostError as e:
             raise BadFrameError(f"frame {frame.index} cannot be mapped: {e}") from None
+        self._found = before
         self.report = {"status": found.status, "rms_m": found.rms_m, "inlier_share": found.inlier_share}
         return dataclasses.replace(frame, T_WC=found.T_WC.to(frame.T_WC))
 
+    def take_back(self) -> None:
+        """The frame that was located last is not mapped: the tracker stands where it stood before."""
+        if self._found is not None:
+            self._tracker.standing, self._found = self._found, None
+
     def record(self, frame: Frame) -> Correction | None:
         """Add a mapped frame to the trajectory; the correction if it closed a loop, already applied to ``poses``."""
+        self._found = None
         self.poses.append(self._kept(frame.T_WC))
         self.frame_indices.append(frame.index)
         if not self.is_tracking:

@@ -4,6 +4,7 @@ A system is one subclass of ``Mapper`` in this folder, its settings in ``gsfusio
 ``systems.py``. Everything around it (runs, report, checkpoints, command line, live panels) asks only what is here.
 """
 
+import contextlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -22,6 +23,7 @@ from ..tracking import Correction
 from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput, Seeds
 from .keyframe_passes import KeyframePasses
 from .localiser import Localiser, move_map
+from .one_frame import FrameGuard
 from .step_report import GlobalStep, StepReport
 
 M = TypeVar("M", bound="Mapper")
@@ -112,6 +114,7 @@ class Mapper(ABC):
         self.generator = torch.Generator().manual_seed(self.config.seed)
         self.localiser = Localiser(self.config.tracking)
         self.passes = KeyframePasses()
+        self.guard = FrameGuard()
         self.n_frames = 0
         """Frames mapped so far."""
 
@@ -128,10 +131,12 @@ class Mapper(ABC):
 
     @abstractmethod
     def step(self, frame: Frame) -> StepReport:
-        """Map one frame.
+        """Map one frame. A subclass does so inside ``with self.one_frame(frame)``.
 
         Raises:
             BadFrameError: the frame cannot be used. The map is unchanged.
+            RuntimeError: another thread is in a step, or an earlier frame was only half mapped. The map is unchanged.
+            Exception: what the seeding rule raised. The map is unchanged.
         """
 
     @abstractmethod
@@ -185,9 +190,30 @@ class Mapper(ABC):
             self._follow(self.localiser.finish())
         yield from self.passes.run(passes, len(self.keyframes), self.generator, self._global_step)
 
+    @contextlib.contextmanager
+    def one_frame(self, frame: Frame) -> Iterator[None]:
+        """The block that maps ``frame``: all of it or nothing, by one thread at a time.
+
+        In it ``self.guard.changes_begin()`` parts what can fail (checks, tracking, the seeding rule) from what changes
+        the map. If the first part fails, the random numbers and the tracked pose are as before it.
+        """
+        with self.guard.one_frame(frame.index):
+            random_numbers = self.generator.get_state()
+            try:
+                yield
+            except BaseException:
+                if not self.guard.is_changing:
+                    self.generator.set_state(random_numbers)
+                    self.localiser.take_back()
+                raise
+
     def counts(self) -> dict[str, int]:
         """Sizes of the map beside its Gaussians and keyframes, under the names that they have in metrics.json."""
         return {}
+
+    def maps(self) -> dict[str, dict[str, Tensor]]:
+        """The numbers of each map, by name: what two runs have in common if their maps are the same."""
+        return {"gaussians": vars(self.gaussians.params)}
 
     def parts(self) -> list[MapPart]:
         """What the map consists of and how much memory each part takes."""

@@ -68,34 +68,37 @@ class RTGSLAM(Mapper):
         return f"RTGSLAM({self.n_frames} frames, {len(self.gaussians):,} Gaussians ({counts}))"
 
     def step(self, frame: Frame) -> StepReport:
-        """Map one frame (paper Fig. 2, section 3.2).
+        """Map one frame (paper Fig. 2, section 3.2), all of it or nothing.
 
         Raises:
             BadFrameError: the frame cannot be used. The map is unchanged.
+            RuntimeError: another thread is in a step, or an earlier frame was only half mapped.
         """
-        frame, clock = check_frame(frame, self.device, needs_depth=True), StageClock()
-        with clock("tracking"):
-            frame = self.localiser.locate(frame, self._tracking_surface)  # Eq. 10
-        with clock("seeding"):
-            context = self.seed_context(frame)
-            before = _psnr(context.surface().rgb, frame) if len(self.gaussians) else 0.0
-            seeds = self.propose_seeds(context)  # Eq. 6
+        with self.one_frame(frame):
+            frame, clock = check_frame(frame, self.device, needs_depth=True), StageClock()
+            with clock("tracking"):
+                frame = self.localiser.locate(frame, self._tracking_surface)  # Eq. 10
+            with clock("seeding"):
+                context = self.seed_context(frame)
+                before = _psnr(context.surface().rgb, frame) if len(self.gaussians) else 0.0
+                seeds = self.propose_seeds(context)  # Eq. 6
+            self.guard.changes_begin()
             self.gaussians.append(seeds, frame.index)
-        self._final = None  # its rows are no longer the map's
-        self.window.append(frame)
-        is_keyframe = self._take_keyframe(frame)
-        with clock("optimise"):
-            losses = self._optimise_window() if self._window_is_due(is_keyframe) else []  # Eq. 7-9
-        with clock("keyframes"):
-            if is_keyframe and self.n_frames:
-                self._optimise_keyframes()
-        with clock("states"):
-            after, transitions = self._manage_states(frame)
-        with clock("tracking"):
-            self._follow(self.localiser.record(frame))
-        self.camera = frame.camera
-        self.n_frames += 1
-        self.gaussians.step_count = self.n_frames
+            self._final = None  # its rows are no longer the map's
+            self.window.append(frame)
+            is_keyframe = self._take_keyframe(frame)
+            with clock("optimise"):
+                losses = self._optimise_window() if self._window_is_due(is_keyframe) else []  # Eq. 7-9
+            with clock("keyframes"):
+                if is_keyframe and self.n_frames:
+                    self._optimise_keyframes()
+            with clock("states"):
+                after, transitions = self._manage_states(frame)
+            with clock("tracking"):
+                self._follow(self.localiser.record(frame))
+            self.camera = frame.camera
+            self.n_frames += 1
+            self.gaussians.step_count = self.n_frames
         return StepReport(
             frame_index=frame.index,
             n_seeds=len(seeds),

@@ -16,7 +16,7 @@ import torch
 from ..data import OpenedSequence, RecordedSequence, SequenceError, SequenceView, open_sequence
 from ..data.stream import read_ahead
 from ..export import load_checkpoint, save_checkpoint
-from ..mapping import GlobalStep, Mapper, StepReport, get_system, system_of
+from ..mapping import DelayedInterrupt, GlobalStep, Mapper, StepReport, get_system, system_of
 from ..seeding import SeedingRule
 from ..types import Frame
 from .posed_frames import has_poses
@@ -82,8 +82,12 @@ class MappingRun:
         self.online_scores: dict[str, float] = {}
         """PSNR of the map as the scan left it, before the global optimisation."""
         self.timestamps_s: list[float] = []
+        self.hashes: dict[str, str] = {}
+        """SHA-256 of each map, once it is written."""
         self.warnings: list[str] = []
         self.next_position = 0
+        self.bad_in_a_row = 0
+        """Frames just before ``next_position`` that could not be used."""
         self.seconds_global = 0.0
         self.status = "running"
         """"running", "complete", "interrupted" (asked to stop) or "stopped" (the data broke off)."""
@@ -107,29 +111,20 @@ class MappingRun:
         Raises:
             SequenceError: not one of the frames could be mapped; names the first reason.
         """
-        bad, frames = 0, self.frames()
+        frames = self.frames()
         try:
             while True:
                 try:
                     frame = next(frames)
-                    report = self.mapper.step(frame)
+                    report = self._map(frame)
                 except StopIteration:
                     break
                 except SequenceError as e:
                     if not self._can_go_on(e):
                         raise
-                    bad += 1
-                    self._passed(None)
-                    self._warn(f"skipped a frame: {e}")
-                    if bad > MAX_BAD_FRAMES_IN_A_ROW:
-                        self.status = "stopped"
-                        self._warn(f"stopped after {bad} unusable frames in a row; everything mapped before is kept")
-                        break
-                    continue
-                bad = 0
-                self.steps.append(report)
-                self.timestamps_s.append(frame.timestamp_s)
-                self._passed(frame)
+                    if self._skip(e):
+                        continue
+                    break
                 for sentence in self.mapper.step_warnings(frame, report):
                     self._warn(sentence)
                 yield report
@@ -137,6 +132,27 @@ class MappingRun:
             frames.close()
         if not self.steps:
             raise SequenceError(self._why_nothing())
+
+    def _map(self, frame: Frame) -> StepReport:
+        """Map a frame and count it, both or neither: Ctrl-C in between waits."""
+        with DelayedInterrupt():
+            report = self.mapper.step(frame)
+            self.bad_in_a_row = 0
+            self.steps.append(report)
+            self.timestamps_s.append(frame.timestamp_s)
+            self._passed(frame)
+        return report
+
+    def _skip(self, error: SequenceError) -> bool:
+        """A frame could not be used; whether to go on with the next."""
+        self.bad_in_a_row += 1
+        self._passed(None)
+        self._warn(f"skipped a frame: {error}")
+        if self.bad_in_a_row <= MAX_BAD_FRAMES_IN_A_ROW:
+            return True
+        self.status = "stopped"
+        self._warn(f"stopped after {self.bad_in_a_row} unusable frames in a row; everything mapped before is kept")
+        return False
 
     def frames(self) -> Frames:
         """The frames that are left; those on disk are decoded in advance."""

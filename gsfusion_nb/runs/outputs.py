@@ -26,6 +26,7 @@ from ..files import write_file
 from ..mapping.step_report import StepReport
 from ..seeding import rule_name
 from ..types import Mesh
+from .map_hashes import map_hashes
 from .mapping_run import MappingRun
 from .memory import mesh_when_full
 from .posed_frames import frames_in_map, ground_truth_poses, readable_frames
@@ -69,13 +70,20 @@ def write_maps(run: MappingRun, folder: Path) -> Mesh:
         mesh = mesh_when_full(run.mapper)
         run.warnings.append(f"the mesh was made on the processor, if at all: {str(e).splitlines()[0]}")
     write_mesh_ply(folder / "mesh.ply", mesh)
+    run.hashes = map_hashes(run, mesh)
     return mesh
 
 
 def write_numbers(run: MappingRun, folder: Path, metrics: dict[str, Any]) -> None:
-    """Write metrics.json: status, warnings, the numbers, and a row per frame."""
+    """Write metrics.json: status, warnings, a hash of each map, the numbers, and a row per frame."""
     rows = [vars(s) | {"losses": list(s.losses), "total_seconds": s.total_seconds} for s in run.steps]
-    document = {"status": run.status, "warnings": run.warnings, "metrics": metrics_as_json(metrics), "frames": rows}
+    document = {
+        "status": run.status,
+        "warnings": run.warnings,
+        "sha256": run.hashes,
+        "metrics": metrics_as_json(metrics),
+        "frames": rows,
+    }
     write_json(folder / "metrics.json", document)
 
 

@@ -111,6 +111,15 @@ class Tracker:
     def __repr__(self) -> str:
         return f"Tracker({'not started' if self._last is None else 'running'}, {self.n_lost} frames lost)"
 
+    @property
+    def standing(self) -> tuple[Any, ...]:
+        """Where the path stands: the last poses and what is kept of the last frame. To be put back, not to be read."""
+        return self._last, self._before, self.lost_in_a_row, self._last_depth_m
+
+    @standing.setter
+    def standing(self, standing: tuple[Any, ...]) -> None:
+        self._last, self._before, self.lost_in_a_row, self._last_depth_m = standing
+
     def track(self, frame: Frame, surface: SurfaceSource, relocalise: Relocaliser = lambda frame: []) -> TrackingReport:
         """Pose of the next frame. The first one's is taken from the data.
 

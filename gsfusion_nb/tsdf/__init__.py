@@ -2,7 +2,9 @@
 
 from .allocate import allocate as allocate
 from .allocate import band_blocks as band_blocks
+from .fused_view import FusedView as FusedView
 from .integrate import IntegrateReport as IntegrateReport
+from .integrate import fuse_frame_ as fuse_frame_
 from .integrate import integrate as integrate
 from .integrate import tsdf_update as tsdf_update
 from .marching_cubes import extract_mesh as extract_mesh

@@ -3,14 +3,15 @@
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from ..backends import op
+from ..config import TsdfConfig
 from ..geometry import project, se3
 from ..types import Camera, Frame
 from .allocate import allocate
-from .volume import TsdfVolume
+from .volume import TsdfSample, TsdfVolume
 
 BLOCKS_AT_A_TIME = 256
 """Bounds the memory for intermediate results, whatever the size of the map."""
@@ -86,39 +87,57 @@ def blocks_in_view(volume: TsdfVolume, camera: Camera, T_CW: Float[Tensor, "4 4"
 
     A block whose eight corners all lie outside the same side of the view is not in view.
     """
-    x, y, z = se3.apply(T_CW, volume.block_corners()).unbind(-1)
+    return corners_in_view(volume.block_corners(), volume.config, camera, T_CW).nonzero()[:, 0]
+
+
+def corners_in_view(
+    corners_W: Float[Tensor, "B 8 3"], config: TsdfConfig, camera: Camera, T_CW: Float[Tensor, "4 4"]
+) -> Bool[Tensor, " B"]:
+    """Which blocks, given by their corners, may reach into the view; see ``blocks_in_view``."""
+    x, y, z = se3.apply(T_CW, corners_W).unbind(-1)
     within = [
         z,
-        volume.config.far_m + volume.config.truncation_m - z,
+        config.far_m + config.truncation_m - z,
         camera.fx * x + camera.cx * z,  # u >= 0
         (camera.width - camera.cx) * z - camera.fx * x,  # u <= width
         camera.fy * y + camera.cy * z,  # v >= 0
         (camera.height - camera.cy) * z - camera.fy * y,  # v <= height
     ]
-    in_view = torch.stack([(distance > 0).any(1) for distance in within]).all(0)
-    return in_view.nonzero()[:, 0]
+    return torch.stack([(distance > 0).any(1) for distance in within]).all(0)
 
 
 def _fuse_blocks(volume: TsdfVolume, rows: Int[Tensor, " B"], frame: Frame, T_CW: Float[Tensor, "4 4"]) -> int:
     """Update the voxels of some blocks from a frame, in place; returns how many were observed."""
-    config, camera = volume.config, frame.camera
-    p_C = se3.apply(T_CW, volume.voxel_centres(rows))
-    z = p_C[..., 2]
-    u, v = project(camera, p_C).unbind(-1)  # Eq. 4
+    before = TsdfSample(D=volume.D[rows], W=volume.W[rows], rgb=volume.rgb[rows])
+    after, observed = fuse_voxels(before, se3.apply(T_CW, volume.voxel_centres(rows)), frame, volume.config)
+    volume.D[rows], volume.W[rows], volume.rgb[rows] = after.D, after.W, after.rgb
+    return int(observed.sum())
+
+
+def fuse_voxels(
+    before: TsdfSample, centres_C: Float[Tensor, "*V 3"], frame: Frame, config: TsdfConfig
+) -> tuple[TsdfSample, Bool[Tensor, "*V"]]:
+    """What voxels hold after a frame is fused, and which of them it observes.
+
+    Args:
+        before: What they hold.
+        centres_C: Their centres, camera frame, metres, float64. [V, 3]
+        frame: Depth and colour.
+        config: Range, truncation, how the distance is taken.
+    """
+    camera, z = frame.camera, centres_C[..., 2]
+    u, v = project(camera, centres_C).unbind(-1)  # Eq. 4
     in_image = (z > 0) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
     u, v = u.where(in_image, 0).long(), v.where(in_image, 0).long()  # the pixel that contains the projection
     depth_m = frame.depth_m[v, u]
     sdf_m = depth_m - z  # Eq. 6
     if config.sdf == "ray":
-        sdf_m = sdf_m * p_C.norm(dim=-1) / z  # not in the paper: the released code measures along the ray
+        sdf_m = sdf_m * centres_C.norm(dim=-1) / z  # not in the paper: the released code measures along the ray
     measured = in_image & (depth_m > 0) & (depth_m >= config.near_m) & (depth_m < torch.inf)
-    sdf_m = sdf_m.where(measured, -torch.inf).to(volume.D.dtype)
+    sdf_m = sdf_m.where(measured, -torch.inf).to(before.D.dtype)
 
-    D, W = volume.D[rows], volume.W[rows]
-    D_k, W_k = tsdf_update(D, W, sdf_m, truncation_m=config.truncation_m, max_weight=config.max_weight)
+    D_k, W_k = tsdf_update(before.D, before.W, sdf_m, truncation_m=config.truncation_m, max_weight=config.max_weight)
     observed = sdf_m > -config.truncation_m
-    rgb, w_k = volume.rgb[rows], W_k[..., None]
-    rgb_k = (rgb * (w_k - 1.0) + frame.rgb[v, u]) / w_k  # the mean of Eq. 9 for the colour
-    volume.D[rows], volume.W[rows] = D_k, W_k
-    volume.rgb[rows] = rgb_k.where(observed[..., None], rgb)
-    return int(observed.sum())
+    w_k = W_k[..., None]
+    rgb_k = (before.rgb * (w_k - 1.0) + frame.rgb[v, u]) / w_k  # the mean of Eq. 9 for the colour
+    return TsdfSample(D=D_k, W=W_k, rgb=rgb_k.where(observed[..., None], before.rgb)), observed

@@ -13,6 +13,7 @@ from ..backends import op
 from ..checks import check_shape
 from ..config import TsdfConfig, from_dict, to_dict
 from ..constants import BLOCK_VOXELS, GROWTH, VOXELS_PER_BLOCK
+from .morton import encode
 from .octree import BlockIndex
 
 BYTES_PER_BLOCK = VOXELS_PER_BLOCK * (4 + 4 + 12) + 12
@@ -31,13 +32,13 @@ VOXELS = torch.tensor([[x, y, z] for x in range(8) for y in range(8) for z in ra
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TsdfSample:
-    """Voxel values at points. Where no voxel is allocated: ``D`` 1, ``W`` 0, black."""
+    """Voxel values at points, or of whole blocks. Where no voxel is allocated: ``D`` 1, ``W`` 0, black."""
 
-    D: Float[Tensor, " N"]
+    D: Float[Tensor, "*N"]
     """Truncated signed distance, in units of the truncation distance, positive in front of the surface."""
-    W: Float[Tensor, " N"]
+    W: Float[Tensor, "*N"]
     """Observation count."""
-    rgb: Float[Tensor, "N 3"]
+    rgb: Float[Tensor, "*N 3"]
     """Mean colour, 0..1."""
 
 
@@ -109,11 +110,28 @@ class TsdfVolume:
         Raises:
             MemoryError: before a growth that the machine (or ``memory_limit_bytes``) has no room for.
         """
-        n = self.n_blocks
+        return self.allocate_missing(self.make_room(coords))
+
+    def make_room(self, coords: Int[Tensor, "N 3"]) -> Int[Tensor, "M 3"]:
+        """Make sure that the blocks at ``coords`` can be allocated; returns those that do not exist yet.
+
+        No block is allocated: everything of ``add_blocks`` that can fail is here.
+
+        Raises:
+            ValueError: a block lies beyond the voxel index.
+            MemoryError: before a growth that the machine (or ``memory_limit_bytes``) has no room for.
+        """
         missing = coords[self.index.find(coords) < 0]
+        if missing.shape[0]:
+            encode(missing)
+            self._reserve(self.n_blocks + missing.shape[0])
+        return missing
+
+    def allocate_missing(self, missing: Int[Tensor, "M 3"]) -> Int[Tensor, " K"]:
+        """Allocate the blocks that ``make_room`` returned; returns their rows."""
+        n = self.n_blocks
         if not missing.shape[0]:
             return torch.zeros(0, dtype=torch.int64, device=self.device)
-        self._reserve(n + missing.shape[0])
         rows = self.index.insert(missing)
         self._pool.D[n : self.n_blocks] = 1.0
         self._pool.W[n : self.n_blocks] = 0.0

@@ -1,0 +1,32 @@
+"""One hash per map: equal hashes mean maps that are equal bit for bit."""
+
+import hashlib
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor
+
+from ..types import Mesh
+from .mapping_run import MappingRun
+
+
+def map_hashes(run: MappingRun, mesh: Mesh) -> dict[str, str]:
+    """SHA-256 of each map of a run, by name: "gaussians", "trajectory", "mesh", and "tsdf" where there is one."""
+    trajectory = {
+        "frame_index": torch.tensor(run.mapper.localiser.frame_indices, dtype=torch.int64),
+        "T_WC": torch.stack(run.mapper.localiser.poses) if run.mapper.localiser.poses else torch.zeros(0, 4, 4),
+    }
+    maps = run.mapper.maps() | {"trajectory": trajectory, "mesh": vars(mesh)}
+    return {name: hash_of(tensors) for name, tensors in maps.items()}
+
+
+def hash_of(tensors: Mapping[str, Tensor]) -> str:
+    """SHA-256 of named tensors: of each, in the order of the names, its name, type and shape as text, then its numbers,
+    row by row, least significant byte first."""
+    digest = hashlib.sha256()
+    for name, tensor in sorted(tensors.items()):
+        values = tensor.detach().cpu().contiguous().numpy()
+        values = values.astype(values.dtype.newbyteorder("<"), copy=False)
+        digest.update(f"{name} {values.dtype.name} {list(values.shape)}\n".encode())
+        digest.update(values.reshape(-1).view("uint8").data)
+    return digest.hexdigest()

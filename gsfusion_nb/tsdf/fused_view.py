@@ -1,0 +1,61 @@
+"""A volume as it will be once a frame is fused, before anything in it is changed."""
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from ..geometry import se3
+from ..types import Frame
+from .integrate import corners_in_view, fuse_voxels
+from .morton import OFFSET, encode
+from .volume import CORNERS, TsdfSample, TsdfVolume
+
+
+class FusedView:
+    """Looks up single voxels of a volume as if ``frame`` were fused already; the volume stays as it is.
+
+    GSFusion's seeding rules look at the volume after the frame is fused into it. With this view they can run before, so
+    that a rule that fails leaves the map as it was.
+
+    Args:
+        volume: The volume before the frame.
+        frame: What will be fused.
+        missing: Blocks that will be allocated for it, from ``TsdfVolume.make_room``. [M, 3]
+    """
+
+    def __init__(self, volume: TsdfVolume, frame: Frame, missing: Int[Tensor, "M 3"]):
+        self.config = volume.config
+        self._volume, self._frame = volume, frame
+        self._new = encode(missing).sort().values
+        self._T_CW = se3.inverse(frame.T_WC.double())
+
+    def sample_nearest(self, xyz_W: Float[Tensor, "N 3"]) -> TsdfSample:
+        """Values that the voxels that contain the points will have.
+
+        Args:
+            xyz_W: Points, world frame, metres. [N, 3]
+
+        Differentiable: no.
+        """
+        volume, config = self._volume, self.config
+        before = volume.sample_nearest(xyz_W)
+        ijk = volume.voxel_index(xyz_W)
+        block = ijk >> 3
+        corners_W = (block[:, None].double() + CORNERS.to(block.device)) * volume.block_size_m
+        changes = self._is_allocated(block) & corners_in_view(corners_W, config, self._frame.camera, self._T_CW)
+        centres_W = (ijk.double() + 0.5) * config.voxel_size_m
+        after, _ = fuse_voxels(before, se3.apply(self._T_CW, centres_W), self._frame, config)
+        return TsdfSample(
+            D=after.D.where(changes, before.D),
+            W=after.W.where(changes, before.W),
+            rgb=after.rgb.where(changes[:, None], before.rgb),
+        )
+
+    def _is_allocated(self, block: Int[Tensor, "N 3"]) -> Bool[Tensor, " N"]:
+        """Blocks that exist, or will."""
+        exists = self._volume.index.find(block) >= 0
+        if not len(self._new):
+            return exists
+        codes = encode(block.clamp(-OFFSET, OFFSET - 1))
+        at = torch.searchsorted(self._new, codes).clamp(max=len(self._new) - 1)
+        return exists | (self._new[at] == codes)

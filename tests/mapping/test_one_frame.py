@@ -1,0 +1,202 @@
+"""A frame is mapped as a whole or not at all, and one at a time."""
+
+import copy
+import signal
+import threading
+from typing import Any
+
+import pytest
+import torch
+
+from gsfusion_nb.config import replace, rtg_slam
+from gsfusion_nb.data import apply_options
+from gsfusion_nb.mapping import RTGSLAM, GSFusion, HalfMappedError, make_mapper
+from gsfusion_nb.mapping.one_frame import DelayedInterrupt
+from gsfusion_nb.runs import MappingRun
+from gsfusion_nb.seeding import SeedContext
+from gsfusion_nb.tsdf import FusedView, TsdfVolume
+from gsfusion_nb.types import Seeds
+
+SYSTEMS = ["gsfusion", "rtg_slam"]
+POSES = ["given", "tracked"]
+
+
+class Breaking:
+    """A rule that draws a random number and then raises, until it is repaired."""
+
+    def __init__(self, at: int):
+        self.at, self.broken = at, True
+
+    def rule(self):
+        def breaking(ctx: SeedContext) -> Seeds:
+            torch.rand(3, generator=ctx.generator)
+            if self.broken and ctx.frame.index >= self.at:
+                raise RuntimeError("my rule is broken")
+            seeds = ctx.cells()
+            return seeds if ctx.volume is None else seeds[ctx.voxel_weight(seeds.xyz_W) == 1]
+
+        return breaking
+
+
+def settings(system, config, poses="given"):
+    if system == "gsfusion":
+        return replace(config, tracking__poses=poses, tracking__back_end__enabled=False)
+    data = {"width": 0, "height": 0, "hold_out_every": 0, "stop": 8}
+    return rtg_slam("room", data=data, tracking={"poses": poses, "back_end": {"enabled": False}})
+
+
+def same(a: Any, b: Any, path: str = "state") -> None:
+    """Two states are equal, bit for bit."""
+    if isinstance(a, torch.Tensor):
+        assert torch.equal(a, b), path
+    elif isinstance(a, dict):
+        assert a.keys() == b.keys(), path
+        for key in a:
+            same(a[key], b[key], f"{path}.{key}")
+    elif isinstance(a, (list, tuple)):
+        assert len(a) == len(b), path
+        for i, (x, y) in enumerate(zip(a, b, strict=True)):
+            same(x, y, f"{path}[{i}]")
+    else:
+        assert a == b, path
+
+
+@pytest.mark.parametrize("poses", POSES)
+@pytest.mark.parametrize("system", SYSTEMS)
+def test_a_rule_that_fails_changes_nothing_and_the_frame_can_be_given_again(system, poses, small_room, config):
+    config = settings(system, config, poses)
+    frames = list(apply_options(small_room, config.data).mapping)[:6]
+    rules = [Breaking(at=frames[3].index), Breaking(at=10**6)]
+    mapper, never = (make_mapper(config, seeding=rule.rule()) for rule in rules)
+    for frame in frames[:3]:
+        mapper.step(frame)
+    before = copy.deepcopy(mapper.state_dict())
+    for _ in range(2):
+        with pytest.raises(RuntimeError, match="my rule is broken"):
+            mapper.step(frames[3])
+        same(before, mapper.state_dict())
+    rules[0].broken = False
+    for frame in frames[3:]:
+        mapper.step(frame)
+    for frame in frames:
+        never.step(frame)
+    same(never.state_dict(), mapper.state_dict())
+
+
+def test_a_run_goes_on_when_the_rule_is_repaired(small_room, config):
+    """As in a notebook: the cell is changed, and Start is pressed again."""
+    rule = Breaking(at=4)
+    split = apply_options(small_room, config.data)
+    run = MappingRun(split, GSFusion(config, seeding=rule.rule()))
+    with pytest.raises(RuntimeError, match="my rule is broken"):
+        list(run.online())
+    assert run.next_position == len(run.steps) == 3
+    rule.broken = False
+    whole = MappingRun(split, GSFusion(config, seeding=rule.rule()))
+    assert len(list(run.online())) + 3 == len(list(whole.online()))
+    same(whole.mapper.state_dict(), run.mapper.state_dict())
+
+
+def test_the_view_before_fusing_finds_what_is_there_after(small_room, config, generator):
+    """On every backend: at the seeds of a frame, and at random places around."""
+    volume = TsdfVolume(config.tsdf)
+    from gsfusion_nb.tsdf import band_blocks, fuse_frame_
+
+    for i in range(6):
+        frame = small_room[i]
+        points = SeedContext(frame).cells().xyz_W
+        around = points[torch.randint(len(points), (3000,), generator=generator)]
+        points = torch.cat([points, around + 0.3 * torch.randn(3000, 3, generator=generator)])
+        missing = volume.make_room(band_blocks(volume, frame))
+        expected = FusedView(volume, frame, missing).sample_nearest(points)
+        volume.allocate_missing(missing)
+        fuse_frame_(volume, frame)
+        found = volume.sample_nearest(points)
+        assert torch.equal(expected.W, found.W)
+        torch.testing.assert_close(expected.D, found.D, atol=1e-5, rtol=0)
+        torch.testing.assert_close(expected.rgb, found.rgb, atol=1e-5, rtol=0)
+
+
+def test_a_second_thread_is_refused(small_room, config):
+    inside, go_on = threading.Event(), threading.Event()
+
+    def waiting(ctx: SeedContext) -> Seeds:
+        inside.set()
+        assert go_on.wait(30)
+        return ctx.cells()
+
+    mapper = GSFusion(config, seeding=waiting)
+    first = threading.Thread(target=mapper.step, args=(small_room[0],))
+    first.start()
+    assert inside.wait(30)
+    with pytest.raises(RuntimeError, match="frame 1 was given while another thread maps frame 0; give one frame"):
+        mapper.step(small_room[1])
+    go_on.set()
+    first.join()
+    assert mapper.n_frames == 1
+    assert mapper.step(small_room[1]).frame_index == 1
+
+
+@pytest.mark.parametrize("system", SYSTEMS)
+def test_a_map_with_half_a_frame_takes_no_more(system, small_room, config, monkeypatch):
+    mapper: Any = {"gsfusion": GSFusion, "rtg_slam": RTGSLAM}[system](settings(system, config))
+    mapper.step(small_room[0])
+
+    def full(*_):
+        raise MemoryError("no room")
+
+    monkeypatch.setattr(mapper, "_optimise_online" if system == "gsfusion" else "_manage_states", full)
+    with pytest.raises(MemoryError, match="no room"):
+        mapper.step(small_room[1])
+    monkeypatch.undo()
+    with pytest.raises(HalfMappedError, match=r"frame 1 was only half mapped \(MemoryError: no room\)"):
+        mapper.step(small_room[1])
+
+
+def test_ctrl_c_while_the_map_changes_waits_until_the_frame_is_counted(small_room, config, monkeypatch):
+    run = MappingRun(apply_options(small_room, config.data), GSFusion(config))
+    step = GSFusion._optimise_online
+
+    def pressed(self, frame, is_keyframe):
+        if self.n_frames == 2:
+            signal.raise_signal(signal.SIGINT)
+        return step(self, frame, is_keyframe)
+
+    monkeypatch.setattr(GSFusion, "_optimise_online", pressed)
+    with pytest.raises(KeyboardInterrupt):
+        list(run.online())
+    assert run.mapper.n_frames == len(run.steps) == run.next_position == 3
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    monkeypatch.undo()
+    list(run.online())
+    whole = MappingRun(apply_options(small_room, config.data), GSFusion(config))
+    list(whole.online())
+    same(whole.mapper.state_dict(), run.mapper.state_dict())
+
+
+def test_ctrl_c_in_the_rule_ends_the_step_at_once(small_room, config):
+    def pressed(ctx: SeedContext) -> Seeds:
+        signal.raise_signal(signal.SIGINT)
+        return ctx.cells()
+
+    mapper = GSFusion(config, seeding=pressed)
+    before = copy.deepcopy(mapper.state_dict())
+    with pytest.raises(KeyboardInterrupt):
+        mapper.step(small_room[0])
+    same(before, mapper.state_dict())
+
+
+def test_signals_are_delivered_by_the_outermost_block():
+    reached = []
+
+    def nested():
+        with DelayedInterrupt():
+            with DelayedInterrupt() as inner:
+                inner.delay()
+                signal.raise_signal(signal.SIGINT)
+            reached.append("the end of the outer block")
+
+    with pytest.raises(KeyboardInterrupt):
+        nested()
+    assert reached
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
