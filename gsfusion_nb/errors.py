@@ -2,7 +2,7 @@
 
 
 class SequenceError(ValueError):
-    """The sequence on disk, or what was asked of it, does not make sense; one sentence that names the file."""
+    """A file or folder that was given, or what was asked of it, makes no sense; one sentence that names the file."""
 
 
 class SequenceNotFoundError(SequenceError, FileNotFoundError):

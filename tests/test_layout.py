@@ -12,9 +12,8 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "gsfusion_nb"
 
 FLOORS = {
-    **dict.fromkeys(
-        ("types", "config", "constants", "checks", "errors", "files", "progress", "processes", "backends"), 0
-    ),
+    **dict.fromkeys(("types", "config", "constants", "checks", "errors", "files", "foreign", "strict_json"), 0),
+    **dict.fromkeys(("progress", "processes", "backends"), 0),
     **dict.fromkeys(("geometry", "drawing"), 1),
     **dict.fromkeys(("tsdf", "gaussians", "render"), 2),
     **dict.fromkeys(("seeding", "optim", "tracking", "export", "evaluation"), 3),

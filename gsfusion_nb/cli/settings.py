@@ -4,7 +4,6 @@ The options begin with the system and the preset, which decide the defaults of a
 """
 
 import dataclasses
-import json
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -13,6 +12,8 @@ import tyro
 
 from ..backends import from_environment
 from ..config import SystemConfig, from_dict
+from ..errors import SequenceError
+from ..strict_json import parse_json, read_object
 
 O = TypeVar("O", bound="SettingsOptions")  # noqa: E741
 ROOM = "room"
@@ -88,8 +89,8 @@ def named_values(texts: tuple[str, ...]) -> dict[str, Any]:
         if not equals:
             raise ValueError(f"expected an option as name=value, got {text!r}")
         try:
-            values[name.replace("-", "_")] = json.loads(value.lower())
-        except json.JSONDecodeError:
+            values[name.replace("-", "_")] = parse_json(value.lower(), text, "a value")
+        except SequenceError:
             values[name.replace("-", "_")] = value
     return values
 
@@ -122,10 +123,10 @@ def _start(arguments: list[str], preset: str) -> SystemConfig:
 def _read_settings(path: Path) -> SystemConfig:
     from ..mapping import get_system
 
+    document = read_object(path, "the config.json of a run")
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
         return from_dict(get_system(document.get("system", "gsfusion")).config_type, document["config"])
-    except (json.JSONDecodeError, KeyError, TypeError) as e:
+    except (KeyError, TypeError, AttributeError, ValueError, OverflowError) as e:
         raise ValueError(f"{path} is no config.json of a run: {type(e).__name__} {e}") from None
 
 

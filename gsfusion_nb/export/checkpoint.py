@@ -1,13 +1,14 @@
 """Saving the state of a run so that it can continue later. Nothing in the file is executed when it is read."""
 
-import pickle
 import zipfile
 from pathlib import Path
 from typing import Any
 
 import torch
 
+from ..errors import SequenceError
 from ..files import atomic_file
+from ..foreign import open_archive, parsing
 
 FORMAT = "gsfusion_nb checkpoint"
 VERSION = 1
@@ -32,18 +33,16 @@ def load_checkpoint(path: str | Path, *, device: torch.device | str = "cpu") -> 
     Raises:
         FileNotFoundError: no such file. ValueError: a damaged file, another kind of file, or another format version.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"{path} does not exist; expected a checkpoint")
-    try:
-        with zipfile.ZipFile(path) as archive:
-            broken = archive.testzip()
+    path, what = Path(path), "a checkpoint"
+    with open_archive(path, what) as archive, parsing(path, what):
+        members = archive.infolist()
+        claimed = sum(member.file_size for member in members)
+        if claimed > path.stat().st_size or any(m.compress_type != zipfile.ZIP_STORED for m in members):
+            raise SequenceError(f"{path} is damaged: its members are packed, or claim more bytes than it has")
+        broken = archive.testzip()
         if broken:
-            raise ValueError(f"{path} is damaged: {broken} in it fails its checksum")
+            raise SequenceError(f"{path} is damaged: {broken} in it fails its checksum")
         content = torch.load(path, map_location=device, weights_only=True)
-    except (pickle.UnpicklingError, RuntimeError, EOFError, OSError, KeyError, zipfile.BadZipFile) as e:
-        reason = str(e).splitlines()[0] if str(e) else type(e).__name__
-        raise ValueError(f"{path} is not a readable checkpoint, it may be truncated: {reason}") from None
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise ValueError(f"{path} is a PyTorch file but no {FORMAT}; expected one written by save_checkpoint")
     if content.get("version") != VERSION:

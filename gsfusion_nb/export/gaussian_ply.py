@@ -11,7 +11,9 @@ import numpy as np
 import torch
 
 from ..files import atomic_file
+from ..foreign import parsing
 from ..types import GaussianParams
+from .ply_header import check_ply_header, check_ply_rows
 
 _REST = 45
 NAMES = (
@@ -61,17 +63,13 @@ def read_gaussian_ply(path: str | Path) -> GaussianParams:
     """Read a Gaussian map written by this or another program; 0, 9, 24 or 45 ``f_rest`` properties give degree 0 to 3.
 
     Raises:
-        FileNotFoundError: no such file. ValueError: no PLY of Gaussians, or a truncated one; names what is missing.
+        FileNotFoundError: no such file. ValueError: no PLY of Gaussians, or one that is truncated or holds NaN; names
+            what is missing, or the first such row.
     """
-    from plyfile import PlyParseError
-
-    path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"{path} does not exist; expected a PLY file of Gaussians")
-    try:
+    path, what = Path(path), "a PLY file of Gaussians"
+    check_ply_header(path, what)
+    with parsing(path, what):
         ply = _read(path)
-    except (PlyParseError, UnicodeDecodeError) as e:
-        raise ValueError(f"{path} is not a readable PLY file ({e}); expected one of Gaussians") from None
     if "vertex" not in ply:
         raise ValueError(f"{path} has no element vertex; expected a PLY file of Gaussians")
     data = ply["vertex"].data
@@ -86,8 +84,10 @@ def read_gaussian_ply(path: str | Path) -> GaussianParams:
 
     def columns(*names: str) -> torch.Tensor:
         out = np.empty((len(data), len(names)), dtype=np.float32)
-        for i, name in enumerate(names):
-            out[:, i] = data[name]
+        with parsing(path, what), np.errstate(over="ignore"):
+            for i, name in enumerate(names):
+                out[:, i] = data[name]
+        check_ply_rows(path, "vertex", out, names)
         return torch.from_numpy(out)
 
     rest = columns(*rest_names).reshape(len(data), 3, n_rest // 3).transpose(1, 2)

@@ -5,8 +5,11 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from ..errors import SequenceError
 from ..files import atomic_file
+from ..foreign import parsing
 from ..types import Mesh
+from .ply_header import check_ply_header, check_ply_rows
 
 _VERTEX = np.dtype([("xyz", "<f4", 3), ("rgb", "u1", 3)])
 _FACE_LISTS = ("vertex_indices", "vertex_index")
@@ -42,28 +45,32 @@ def read_mesh_ply(path: str | Path) -> Mesh:
     """Read a triangle mesh written by this or another program; without colours it is grey (0.5).
 
     Raises:
-        FileNotFoundError: no such file. ValueError: no PLY of a triangle mesh.
+        FileNotFoundError: no such file. ValueError: no PLY of a triangle mesh, or one with NaN or infinities, or with
+            faces of vertices that it has not.
     """
-    from plyfile import PlyParseError
-
-    path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"{path} does not exist; expected a PLY file of a mesh")
-    try:
+    path, what = Path(path), "a PLY file of a mesh"
+    check_ply_header(path, what)
+    with parsing(path, what):
         ply = _read(path)
-    except (PlyParseError, UnicodeDecodeError) as e:
-        raise ValueError(f"{path} is not a readable PLY file of triangles ({e})") from None
     if "vertex" not in ply or not {"x", "y", "z"} <= set(ply["vertex"].data.dtype.names or ()):
         raise ValueError(f"{path} has no element vertex with x, y, z; expected a PLY file of a mesh")
     vertex = ply["vertex"].data
-    xyz = np.stack([vertex[axis].astype(np.float32) for axis in "xyz"], axis=-1)
-    rgb = np.full((len(vertex), 3), 0.5, dtype=np.float32)
-    if {"red", "green", "blue"} <= set(vertex.dtype.names):
-        colour = np.stack([vertex[c] for c in ("red", "green", "blue")], axis=-1)
-        rgb = colour.astype(np.float32) / (255.0 if colour.dtype == np.uint8 else 1.0)
-    return Mesh(
+    with parsing(path, what), np.errstate(over="ignore"):
+        xyz = np.stack([vertex[axis].astype(np.float32) for axis in "xyz"], axis=-1)
+        rgb = np.full((len(vertex), 3), 0.5, dtype=np.float32)
+        if {"red", "green", "blue"} <= set(vertex.dtype.names):
+            colour = np.stack([vertex[c] for c in ("red", "green", "blue")], axis=-1)
+            rgb = colour.astype(np.float32) / (255.0 if colour.dtype == np.uint8 else 1.0)
+    check_ply_rows(path, "vertex", xyz, ("x", "y", "z"))
+    check_ply_rows(path, "vertex", rgb, ("red", "green", "blue"))
+    mesh = Mesh(
         vertices_W=torch.from_numpy(xyz), faces=_triangles(ply, path), rgb=torch.from_numpy(rgb).to(torch.float32)
     )
+    try:
+        check_faces(mesh)
+    except ValueError as e:
+        raise SequenceError(f"{path}: {e}") from None
+    return mesh
 
 
 def check_faces(mesh: Mesh) -> None:
@@ -100,4 +107,6 @@ def _triangles(ply, path: Path) -> torch.Tensor:
                 f"{path} must hold triangles only, got faces of {', '.join(map(str, sorted(sizes)))} vertices"
             )
         column = np.stack(list(column))
+    if column.dtype.kind not in "iu" or int(column.max()) >= 2**31:
+        raise ValueError(f"{path} must hold faces of vertex numbers below 2^31, got {column.dtype} to {column.max()}")
     return torch.from_numpy(np.array(column, dtype=np.int32))

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..files import write_file
+from ..foreign import read_text
 from ..geometry import quaternion
 
 
@@ -39,15 +40,15 @@ def read_trajectory_tum(path: str | Path) -> tuple[list[float], Float[Tensor, "N
     """Times (seconds) and camera-to-world poses (float64) of a trajectory file; ``#`` lines are skipped.
 
     Raises:
-        FileNotFoundError: no such file. ValueError: a line that does not hold 8 finite numbers with a unit quaternion.
+        FileNotFoundError: no such file. ValueError: a line that does not hold 8 finite numbers with a unit quaternion,
+            or whose time is not above that of the line before.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"{path} does not exist; expected a trajectory 't tx ty tz qx qy qz qw'")
     rows = []
-    for number, line in enumerate(path.read_text().splitlines(), 1):
+    for number, line in enumerate(read_text(path, "a trajectory 't tx ty tz qx qy qz qw'").splitlines(), 1):
         if line.strip() and not line.lstrip().startswith("#"):
             rows.append(_parse(line, f"{path} line {number}"))
+            if len(rows) > 1 and rows[-1][0] <= rows[-2][0]:
+                raise ValueError(f"{path} line {number}: time {rows[-1][0]:.9g} does not come after {rows[-2][0]:.9g}")
     table = torch.tensor(rows, dtype=torch.float64).reshape(-1, 8)
     poses = torch.eye(4, dtype=torch.float64).repeat(len(rows), 1, 1)
     poses[:, :3, :3] = quaternion.to_matrix(table[:, [7, 4, 5, 6]])

@@ -1,7 +1,6 @@
 """Score the maps in a run's folder again, from its files alone, exactly as the run did."""
 
 import dataclasses
-import json
 import logging
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from ..data import open_sequence
 from ..evaluation import metrics_as_json
 from ..export import read_gaussian_ply
 from ..mapping.systems import get_system
+from ..strict_json import read_json
 from ..types import Camera, GaussianParams, RenderOutput
 from .outputs import write_json
 from .scored_views import read_views, score_in_map
@@ -115,12 +115,7 @@ def _free_name(folder: Path) -> Path:
 
 def _read_json(path: Path, keys: tuple[str, ...]) -> dict[str, Any]:
     """The document in ``path``, which must have ``keys``."""
-    if not path.is_file():
-        raise FileNotFoundError(f"{path} is not there; expected the folder of a finished run")
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except json.JSONDecodeError as e:
-        raise ValueError(f"{path} is not valid JSON: {e}") from None
+    document = read_json(path, "a file in the folder of a finished run")
     lacking = [key for key in keys if not isinstance(document, dict) or key not in document]
     if lacking:
         raise ValueError(f"{path} is not of a run: expected the keys {', '.join(keys)}, lacking {', '.join(lacking)}")

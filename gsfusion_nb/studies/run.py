@@ -11,6 +11,7 @@ import tyro
 
 from ..checks import check_name
 from ..evaluation import format_metric
+from ..strict_json import read_object
 from . import disc_depth, roofline
 from .variants import STUDIES
 
@@ -87,7 +88,7 @@ def run_variant(data: str, folder: Path, arguments: list[str]) -> dict[str, Any]
         if not _is_complete(folder):
             lines = (done.stderr or done.stdout).strip().splitlines()
             return {"error": lines[-1] if lines else f"ended with status {done.returncode}"}
-    return json.loads((folder / "metrics.json").read_text(encoding="utf-8"))["metrics"]
+    return read_object(folder / "metrics.json", "the numbers of a run")["metrics"]
 
 
 def as_markdown(results: dict[str, dict[str, Any]]) -> str:
@@ -102,7 +103,7 @@ def as_markdown(results: dict[str, dict[str, Any]]) -> str:
 
 def _is_complete(folder: Path) -> bool:
     path = folder / "metrics.json"
-    return path.is_file() and json.loads(path.read_text(encoding="utf-8")).get("status") == "complete"
+    return path.is_file() and read_object(path, "the numbers of a run").get("status") == "complete"
 
 
 def _slug(label: str) -> str:

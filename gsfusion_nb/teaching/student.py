@@ -14,6 +14,8 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+from ..strict_json import read_object
+
 log = logging.getLogger(__name__)
 
 _BEGIN = ("### BEGIN SOLUTION", "<!-- BEGIN SOLUTION -->")
@@ -65,7 +67,7 @@ def copy_course(source: Path, target: Path, *, solutions: bool = False) -> list[
             shutil.copyfile(path, copied)
         else:
             try:
-                notebook = without_solutions(json.loads(path.read_text(encoding="utf-8")))
+                notebook = without_solutions(read_object(path, "a notebook"))
             except ValueError as e:
                 raise ValueError(f"{path}: {e}") from None
             text = json.dumps(notebook, indent=1, ensure_ascii=False) + "\n"

@@ -69,7 +69,7 @@ def test_a_live_folder_takes_the_same_options(system, preset):
         (["room", "--preset", "repilca"], "no preset 'repilca'; known:"),
         (["room", "--system", "rtg_slam", "--fidelity", "papre"], "has no --fidelity papre; known: measured, paper"),
         (["room", "--fidelity", "paper"], "GSFusion has no --fidelity paper; known: none"),
-        (["room", "--from-config", __file__], "is no config.json of a run"),
+        (["room", "--from-config", __file__], "is not valid JSON .*; expected the config.json of a run"),
         (["room", "--rule-options", "share"], "expected an option as name=value, got 'share'"),
     ],
 )  # fmt: skip

@@ -58,7 +58,7 @@ def test_errors_are_sentences(tmp_path, monkeypatch):
     whole = path.read_bytes()
     for cut in (0, 10, len(whole) // 2, len(whole) - 4):
         path.write_bytes(whole[:cut])
-        with pytest.raises(ValueError, match=r"c\.pt is not a readable checkpoint"):
+        with pytest.raises(ValueError, match=r"c\.pt is not readable as a checkpoint"):
             load_checkpoint(path)
     torch.save({"a": 1}, path)
     with pytest.raises(ValueError, match="is a PyTorch file but no gsfusion_nb checkpoint"):
@@ -76,7 +76,7 @@ def test_code_in_a_file_is_not_run(tmp_path):
             return (exec, ("raise SystemExit",))
 
     torch.save({"state": Evil()}, tmp_path / "c.pt")
-    with pytest.raises(ValueError, match="not a readable checkpoint"):
+    with pytest.raises(ValueError, match="not readable as a checkpoint"):
         load_checkpoint(tmp_path / "c.pt")
 
 

@@ -102,7 +102,7 @@ def test_errors_are_sentences(tmp_path, generator):
     with pytest.raises(FileNotFoundError, match=r"g\.ply does not exist; expected a PLY file of Gaussians"):
         read_gaussian_ply(path)
     path.write_text("hello")
-    with pytest.raises(ValueError, match=r"g\.ply is not a readable PLY file"):
+    with pytest.raises(ValueError, match=r"g\.ply is not .*readable .*PLY file"):
         read_gaussian_ply(path)
     rows = np.zeros(2, dtype=[(name, "f4") for name in ("x", "y", "z")])
     plyfile.PlyData([plyfile.PlyElement.describe(rows, "vertex")]).write(str(path))

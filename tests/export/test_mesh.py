@@ -90,10 +90,10 @@ def test_ply_errors_are_sentences(tmp_path):
         read_mesh_ply(path)
     write_mesh_ply(path, tetrahedron())
     path.write_bytes(path.read_bytes()[:-5])
-    with pytest.raises(ValueError, match=r"m\.ply is not a readable PLY file"):
+    with pytest.raises(ValueError, match=r"m\.ply is not .*readable .*PLY file"):
         read_mesh_ply(path)
     path.write_bytes(b"\xff\xfe nothing")
-    with pytest.raises(ValueError, match=r"m\.ply is not a readable PLY file"):
+    with pytest.raises(ValueError, match=r"m\.ply is not .*readable .*PLY file"):
         read_mesh_ply(path)
 
 

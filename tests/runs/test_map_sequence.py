@@ -253,7 +253,7 @@ def test_rescoring_an_interrupted_run_scores_what_was_mapped(tmp_path, small_roo
 
 def test_damaged_files_of_a_run_are_named(tmp_path):
     (tmp_path / "checkpoint.pt").write_bytes(b"nonsense")
-    with pytest.raises(ValueError, match="not a readable checkpoint"):
+    with pytest.raises(ValueError, match="not readable as a checkpoint"):
         resume_mapping(tmp_path)
     (tmp_path / "config.json").write_text("{}")
     with pytest.raises(ValueError, match=r"config.json is not of a run: expected the keys source, config"):

@@ -1,15 +1,15 @@
 """Intrinsics from the many ways in which they are written down."""
 
-import json
 import math
 from pathlib import Path
 from typing import Any
 
+from ...strict_json import read_object
 from ...types import Camera
 from ..lens.camera_model import CameraModel
-from ..recorded.camera_json import numbers
+from ..recorded.camera_json import number, numbers
 from ..sequence import SequenceError
-from .trajectory import read_numbers, read_text
+from .trajectory import read_numbers
 
 _WAYS = "'fx fy cx cy [k1 k2 p1 p2 [k3 ...]]', a 3x3 or 4x4 matrix, or JSON (Open3D's, or fx fy cx cy)"
 
@@ -74,12 +74,7 @@ def model_of_matrix(values: list[float], size: tuple[int, int], source: str, *, 
 
 def intrinsics_of_json(path: Path, size: tuple[int, int] | None, *, centre: float = 0.0) -> CameraModel:
     """Camera of Open3D's camera_intrinsic.json (column-major ``intrinsic_matrix``), or of keys fx, fy, cx, cy."""
-    try:
-        values = json.loads(read_text(path, "the camera's intrinsics"))
-    except json.JSONDecodeError as e:
-        raise SequenceError(f"{path} is not valid JSON ({e}); expected {_WAYS}") from None
-    if not isinstance(values, dict):
-        raise SequenceError(f"{path} must hold a JSON object with the camera's intrinsics")
+    values = read_object(path, f"the camera's intrinsics as {_WAYS}")
     return model_of_object(values, size, str(path), centre=centre)
 
 
@@ -91,11 +86,12 @@ def model_of_object(values: dict[str, Any], size: tuple[int, int] | None, source
         size = (round(checked["width"]), round(checked["height"]))
     if "intrinsic_matrix" in values:
         matrix = values["intrinsic_matrix"]
-        if not isinstance(matrix, list) or len(matrix) != 9 or not all(isinstance(v, int | float) for v in matrix):
+        plain = isinstance(matrix, list) and all(type(v) in (int, float) for v in matrix)
+        if not plain or len(matrix) != 9:
             raise SequenceError(f"{source}: intrinsic_matrix must hold 9 numbers, column by column")
         rows = [float(matrix[i]) for i in (0, 3, 6, 1, 4, 7, 2, 5, 8)]
         return model_of_matrix(rows, size, f"{source}: intrinsic_matrix (column by column)", centre=centre)
     checked = numbers(values, ("fx", "fy", "cx", "cy"), path)
-    distortion = tuple(float(values.get(k, 0.0)) for k in ("k1", "k2", "p1", "p2", "k3"))
-    centre = float(values.get("pixel_centre", centre))
+    distortion = tuple(number(values, k, 0.0, source) for k in ("k1", "k2", "p1", "p2", "k3"))
+    centre = number(values, "pixel_centre", centre, source)
     return model_of([checked[k] for k in ("fx", "fy", "cx", "cy")], size, source, centre=centre, distortion=distortion)

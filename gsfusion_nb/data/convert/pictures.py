@@ -1,10 +1,13 @@
 """Decoding depth of any common kind, from files or from bytes inside a container."""
 
+import io
+import math
 from pathlib import Path
 
 import numpy as np
 
-from ..recorded.images import decode_image, decode_rgb, read_image_bytes
+from ...foreign import parsing
+from ..recorded.images import check_image_size, decode_image, decode_rgb, read_image_bytes
 from ..sequence import BadFrameError, SequenceError
 from .recording import Pictures
 
@@ -67,13 +70,16 @@ def find_depth(folder: Path, stem: str) -> Path:
 
 
 def _numpy_array(path: Path) -> np.ndarray:
-    try:
-        array = np.load(path, allow_pickle=False)
-    except FileNotFoundError:
-        raise BadFrameError(f"{path} does not exist; expected the depth image of this frame") from None
-    except (ValueError, EOFError, OSError) as e:
-        raise BadFrameError(f"{path} is not a NumPy array of depth ({e})") from None
-    array = np.squeeze(array)
+    what = "a NumPy array of depth"
+    data = io.BytesIO(read_image_bytes(path, "depth"))
+    with parsing(path, what, BadFrameError):
+        version = np.lib.format.read_magic(data)
+        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, _, dtype = read(data, max_header_size=10_000)
+        if dtype.itemsize * math.prod(shape) > len(data.getbuffer()):
+            raise BadFrameError(f"{path} claims an array {list(shape)} of {dtype}, more than it holds; expected {what}")
+        data.seek(0)
+        array = np.squeeze(np.load(data, allow_pickle=False))
     if array.ndim != 2 or array.dtype.kind not in "fu":
         raise BadFrameError(f"{path} must hold a depth image [H, W], got {array.dtype} {list(array.shape)}")
     return array
@@ -86,11 +92,9 @@ def _exr_channel(path: Path) -> np.ndarray:
         raise SequenceError(
             f"{path} is an OpenEXR file, which needs the package OpenEXR: pip install OpenEXR"
         ) from None
-    try:
-        with OpenEXR.File(str(path)) as file:
-            channels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}
-    except (RuntimeError, OSError, TypeError) as e:
-        raise BadFrameError(f"{path} cannot be read as OpenEXR ({e})") from None
+    check_image_size(read_image_bytes(path, "depth"), path, "depth")
+    with parsing(path, "depth as OpenEXR", BadFrameError), OpenEXR.File(str(path)) as file:
+        channels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}
     array = next((channels[n] for n in ("Z", "Y", "R", "RGB", "RGBA") if n in channels), None)
     if array is None:
         raise BadFrameError(f"{path} has the channels {', '.join(channels)}; expected depth in Z, Y or R")

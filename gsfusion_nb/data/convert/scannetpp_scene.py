@@ -24,11 +24,14 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ...files import write_file
+from ...foreign import read_bytes
+from ...strict_json import read_object
 from ...types import Camera, Mesh
 from ..fetch.errors import FetchError
 from ..lens.camera_model import CameraModel, pixel_map
+from ..readers.scannetpp import frame_matrices
 from ..recorded.camera_json import camera as read_camera
-from ..recorded.camera_json import read_json
+from ..recorded.camera_json import number
 from ..recorded.images import read_rgb
 from .mesh_depth import mesh_depth
 
@@ -43,8 +46,10 @@ class Photographs:
     """Where the pictures are and how they become those of a pinhole camera."""
 
     folder: Path
+    file: Path
+    """The transforms file."""
     values: dict[str, Any]
-    """Of the transforms file."""
+    """Its content."""
     camera: Camera
     """The pinhole of half size."""
     turn: Callable[[np.ndarray], np.ndarray]
@@ -55,18 +60,18 @@ class Photographs:
         dslr = scene / "dslr"
         fisheye, pinhole = (dslr / f"nerfstudio/transforms{end}.json" for end in ("", "_undistorted"))
         if fisheye.is_file() and (dslr / "resized_images").is_dir():
-            values = read_json(fisheye, "nerfstudio transforms")
+            values = read_object(fisheye, "nerfstudio transforms")
             if values.get("camera_model") != "OPENCV_FISHEYE":
                 raise FetchError(f"{fisheye} describes a {values.get('camera_model')} camera; expected OPENCV_FISHEYE")
-            k1, k2, k3, k4 = (float(values.get(f"k{i}", 0.0)) for i in range(1, 5))
+            k1, k2, k3, k4 = (number(values, f"k{i}", 0.0, fisheye) for i in range(1, 5))
             lens = CameraModel(read_camera(values, _KEYS, fisheye, shift=0.0), (k1, k2, k3, k4), fisheye=True)
             half = HalfSizePinhole(lens)
-            return Photographs(dslr / "resized_images", values, half.camera, half)
+            return Photographs(dslr / "resized_images", fisheye, values, half.camera, half)
         for name in ("resized_undistorted_images", "undistorted_images"):
             if pinhole.is_file() and (dslr / name).is_dir():
-                values = read_json(pinhole, "nerfstudio transforms")
+                values = read_object(pinhole, "nerfstudio transforms")
                 camera = half_size(read_camera(values, _KEYS, pinhole, shift=0.0))
-                return Photographs(dslr / name, values, camera, partial(shrink, camera=camera))
+                return Photographs(dslr / name, pinhole, values, camera, partial(shrink, camera=camera))
         raise FetchError(
             f"{dslr} holds neither nerfstudio/transforms.json with resized_images/ nor "
             "nerfstudio/transforms_undistorted.json with resized_undistorted_images/; expected a scene of ScanNet++"
@@ -74,11 +79,7 @@ class Photographs:
 
     def poses(self) -> dict[str, Float[Tensor, "4 4"]]:
         """Camera-to-world, OpenCV axes, in the world of the file, by picture."""
-        entries = [*self.values.get("frames", []), *self.values.get("test_frames", [])]
-        return {
-            Path(entry["file_path"]).name: torch.tensor(entry["transform_matrix"], dtype=torch.float64) @ _GL_TO_CV
-            for entry in entries
-        }
+        return {name: T @ _GL_TO_CV for name, T in frame_matrices(self.values, self.file).items()}
 
     def transforms(self) -> dict[str, Any]:
         """Content of ``transforms_undistorted_2.json``: the frames as they are, the pinhole's numbers."""
@@ -123,9 +124,9 @@ def shrink(picture: np.ndarray, camera: Camera) -> np.ndarray:
 def listed_pictures(scene: Path) -> list[str]:
     """Pictures of ``train_test_lists.json``, training ones first."""
     path = scene / "dslr/train_test_lists.json"
-    lists = read_json(path, "the lists train and test")
-    names = [str(name) for key in ("train", "test") for name in lists.get(key) or []]
-    if not names:
+    lists = read_object(path, "the lists train and test")
+    names = [name for key in ("train", "test") for name in lists.get(key) or []]
+    if not names or not all(isinstance(name, str) for name in names):
         raise FetchError(f"{path} lists no pictures; expected the lists train and test")
     return names
 
@@ -168,7 +169,7 @@ def prepare_scene(
             _write_depth(depth, mesh_depth(turned.vertices_W, turned.faces, pictures.camera, poses[name]))
         progress(i + 1, len(names))
     write_file(folder / "dslr/nerfstudio/transforms_undistorted_2.json", json.dumps(pictures.transforms(), indent=1))
-    write_file(folder / "dslr/train_test_lists.json", (scene / "dslr/train_test_lists.json").read_bytes())
+    write_file(folder / "dslr/train_test_lists.json", read_bytes(scene / "dslr/train_test_lists.json", "the lists"))
     return len(names)
 
 

@@ -9,9 +9,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ...checks import check_pose
+from ...foreign import read_text
 from ...geometry import se3
 from ..recorded.poses import interpolate_rows, matrices
-from ..sequence import SequenceError, SequenceNotFoundError
+from ..sequence import SequenceError
 
 _UNIT_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _LARGEST_STEP = {"s": 5.0, "ms": 5e3, "us": 5e5, "ns": float("inf")}
@@ -168,13 +169,3 @@ def read_numbers(path: Path, what: str) -> list[float]:
         return [float(w) for w in words]
     except ValueError as e:
         raise SequenceError(f"{path} holds text where {what} were expected ({e})") from None
-
-
-def read_text(path: Path, what: str) -> str:
-    """Text of a file. Raises ``SequenceError`` when it is missing or no text."""
-    try:
-        return path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise SequenceNotFoundError(f"{path} does not exist; expected {what}") from None
-    except (UnicodeDecodeError, IsADirectoryError):
-        raise SequenceError(f"{path} is not a text file; expected {what}") from None

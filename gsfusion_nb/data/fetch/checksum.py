@@ -4,6 +4,7 @@ import hashlib
 import hmac
 from pathlib import Path
 
+from ...foreign import open_regular
 from .errors import ChecksumError
 
 ALGORITHMS = ("md5", "sha1", "sha256", "sha512")
@@ -11,7 +12,7 @@ ALGORITHMS = ("md5", "sha1", "sha256", "sha512")
 
 def digest(path: Path, algorithm: str = "sha256") -> str:
     """``algorithm:hexadecimal`` of a file's bytes."""
-    with path.open("rb") as file:
+    with open_regular(path, "a downloaded file") as file:
         return f"{algorithm}:{hashlib.file_digest(file, algorithm).hexdigest()}"
 
 

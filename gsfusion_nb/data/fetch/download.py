@@ -14,6 +14,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from ...files import move_into_place, write_file
+from ...strict_json import read_json
 from .disk import full_disk, require_space, size_text
 from .errors import DownloadError
 from .request import Body, request, retry_after_s, total_of_refused_range
@@ -66,7 +67,7 @@ class _Partial:
     @staticmethod
     def load(path: Path) -> "_Partial | None":
         try:
-            return _Partial(**json.loads(path.read_text(encoding="utf-8")))
+            return _Partial(**read_json(path, "the state of a download", at_most=1_000_000))
         except (OSError, ValueError, TypeError):
             return None
 

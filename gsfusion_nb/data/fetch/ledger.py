@@ -6,6 +6,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from ...files import write_file
+from ...strict_json import read_json
 from .checksum import digest
 
 LEDGER = "fetched.json"
@@ -41,7 +42,7 @@ class Obtained:
 def read_ledger(folder: Path) -> list[Obtained]:
     """The files obtained so far; a ledger that cannot be read counts as empty."""
     try:
-        return [Obtained(**entry) for entry in json.loads((folder / LEDGER).read_text(encoding="utf-8"))]
+        return [Obtained(**entry) for entry in read_json(folder / LEDGER, "a list of files")]
     except (OSError, ValueError, TypeError):
         return []
 

@@ -22,7 +22,8 @@ Poses: camera-to-world, OpenCV axes (x right, y down, z forward), metres. Images
 from pathlib import Path
 from typing import Any
 
-from ..recorded.camera_json import camera, numbers, read_json
+from ...strict_json import read_object
+from ..recorded.camera_json import camera, number, numbers, shown
 from ..recorded.find_files import images_in, pair_by_stem, require
 from ..recorded.layout import Layout
 from ..recorded.poses import no_poses, read_pose_lines
@@ -77,7 +78,7 @@ def folder(path: str | Path, *, poses: bool = True) -> RecordedSequence:
 
 def read_intrinsics(path: Path) -> dict[str, Any]:
     """The checked values of ``intrinsics.json``."""
-    values = read_json(path, "the camera's intrinsics")
+    values = read_object(path, "the camera's intrinsics")
     unknown = sorted(set(values) - {*_REQUIRED, *_OPTIONAL})
     if unknown:
         raise SequenceError(
@@ -85,15 +86,15 @@ def read_intrinsics(path: Path) -> dict[str, Any]:
         )
     numbers(values, _REQUIRED, path)
     numbers(values, tuple(k for k in ("fps",) if k in values), path)
-    if values.get("pixel_centre", 0.0) not in (0.0, 0.5):
+    if number(values, "pixel_centre", 0.0, path) not in (0.0, 0.5):
         raise SequenceError(f"{path}: pixel_centre must be 0.0 or 0.5, got {values['pixel_centre']!r}")
     invalid = values.get("depth_invalid", 0)
     if isinstance(invalid, bool) or not isinstance(invalid, int) or not 0 <= invalid <= 65535:
-        raise SequenceError(f"{path}: depth_invalid must be an integer between 0 and 65535, got {invalid!r}")
+        raise SequenceError(f"{path}: depth_invalid must be an integer between 0 and 65535, got {shown(invalid)}")
     convention = values.get("pose_convention", "camera-to-world")
     if not str(convention).startswith("camera-to-world"):
         raise SequenceError(
-            f"{path}: pose_convention must begin with 'camera-to-world', got {convention!r}; invert the poses"
+            f"{path}: pose_convention must begin with 'camera-to-world', got {shown(convention)}; invert the poses"
         )
     return values
 

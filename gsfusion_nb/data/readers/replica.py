@@ -9,8 +9,9 @@ cam_params.json                                      beside traj.txt or in the f
 import re
 from pathlib import Path
 
+from ...strict_json import read_object
 from ...types import Camera
-from ..recorded.camera_json import camera, numbers, read_json
+from ..recorded.camera_json import camera, numbers
 from ..recorded.find_files import images_in, require
 from ..recorded.layout import Layout
 from ..recorded.poses import read_pose_lines
@@ -87,7 +88,7 @@ def _calibration(root: Path) -> tuple[Camera, float]:
     """Camera, and stored depth value of one metre."""
     for file in (root / "cam_params.json", root.resolve().parent / "cam_params.json"):
         if file.is_file():
-            values = read_json(file, "Replica's camera").get("camera")
+            values = read_object(file, "Replica's camera").get("camera")
             if not isinstance(values, dict):
                 raise SequenceError(f"{file} lacks the key camera; expected an object with {', '.join(_KEYS)}, scale")
             return camera(values, _KEYS, file, shift=0.5), numbers(values, ("scale",), file)["scale"]

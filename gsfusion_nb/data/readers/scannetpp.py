@@ -17,8 +17,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ...strict_json import read_object
 from ...types import Camera
-from ..recorded.camera_json import camera, read_json
+from ..recorded.camera_json import camera, table
 from ..recorded.find_files import require
 from ..recorded.layout import Layout
 from ..recorded.recorded_sequence import RecordedSequence
@@ -57,9 +58,9 @@ def scannetpp(
     root = scene_folder(Path(path))
     require(root, LOOKS_FOR, "scannetpp")
     json_file, suffix = _transforms_file(root, resolution)
-    values = read_json(json_file, "nerfstudio transforms")
+    values = read_object(json_file, "nerfstudio transforms")
     names, n_train = _names(root / "train_test_lists.json", split)
-    matrices = _matrices(values, json_file)
+    matrices = frame_matrices(values, json_file)
     lacking = [n for n in names if n not in matrices]
     if lacking:
         raise SequenceError(
@@ -102,31 +103,37 @@ def _transforms_file(root: Path, resolution: str) -> tuple[Path, str]:
 
 def _names(path: Path, split: str) -> tuple[list[str], int]:
     """Images of a split in the published order, and how many of them are for training."""
-    lists = read_json(path, "the lists train and test")
+    lists = read_object(path, "the lists train and test")
     wanted = ("train", "test") if split == "all" else (split,)
     for key in wanted:
         if not isinstance(lists.get(key), list) or not all(isinstance(n, str) for n in lists[key]):
             raise SequenceError(f"{path} must hold the key {key}, a list of image names")
+        if len({*lists[key]}) != len(lists[key]):
+            twice = next(n for i, n in enumerate(lists[key]) if n in lists[key][:i])
+            raise SequenceError(f"{path}: {key} lists the image {twice} twice")
     names = [name for key in wanted for name in lists[key]]
     if not names or (split == "all" and not lists["train"]):
         raise SequenceError(f"{path} lists no images for {wanted[0]}; expected at least one")
     return names, len(lists["train"]) if "train" in wanted else 0
 
 
-def _matrices(values: dict[str, Any], path: Path) -> dict[str, Float[Tensor, "4 4"]]:
+def frame_matrices(values: dict[str, Any], path: Path) -> dict[str, Float[Tensor, "4 4"]]:
     """OpenGL camera-to-world matrix of every image, by file name."""
     if not isinstance(values.get("frames"), list):
         raise SequenceError(f"{path} lacks frames; expected a list of objects with file_path and transform_matrix")
     found = {}
-    for entry in [*values["frames"], *values.get("test_frames", [])]:
+    more = values.get("test_frames", [])
+    if not isinstance(more, list):
+        raise SequenceError(f"{path}: test_frames must be a list of objects with file_path and transform_matrix")
+    for entry in [*values["frames"], *more]:
         try:
             name, rows = Path(entry["file_path"]).name, entry["transform_matrix"]
         except (KeyError, TypeError) as e:
             raise SequenceError(f"{path}: a frame lacks {e}; expected file_path and transform_matrix") from None
-        try:
-            found[name] = torch.tensor(rows, dtype=torch.float64).reshape(4, 4)
-        except (ValueError, TypeError, RuntimeError):
-            raise SequenceError(f"{path}: transform_matrix of {name} must be 4x4 numbers") from None
+        matrix = table(rows, f"{path}: transform_matrix of {name}", "4x4 numbers")
+        if matrix.shape != (4, 4):
+            raise SequenceError(f"{path}: transform_matrix of {name} must be 4x4 numbers")
+        found[name] = matrix
     return found
 
 

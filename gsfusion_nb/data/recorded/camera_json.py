@@ -1,25 +1,15 @@
 """JSON files that describe a camera, with errors that name the file and the key."""
 
-import json
 import math
 from pathlib import Path
 from typing import Any
 
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
 from ...types import Camera
-from ..sequence import SequenceError, SequenceNotFoundError
-
-
-def read_json(path: Path, what: str) -> dict[str, Any]:
-    """Object of a JSON file. Raises ``SequenceError`` when it is missing, damaged or no object."""
-    try:
-        values = json.loads(path.read_text(encoding="utf-8-sig"))
-    except FileNotFoundError:
-        raise SequenceNotFoundError(f"{path} does not exist; expected {what}") from None
-    except (json.JSONDecodeError, UnicodeDecodeError) as e:
-        raise SequenceError(f"{path} is not valid JSON ({e}); expected {what}") from None
-    if not isinstance(values, dict):
-        raise SequenceError(f"{path} must hold a JSON object ({what}), got a {type(values).__name__}")
-    return values
+from ..sequence import SequenceError
 
 
 def numbers(values: dict[str, Any], keys: tuple[str, ...], path: Path) -> dict[str, float]:
@@ -34,10 +24,36 @@ def numbers(values: dict[str, Any], keys: tuple[str, ...], path: Path) -> dict[s
     for k in keys:
         value = values[k]
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-            raise SequenceError(f"{path}: {k} must be a number, got {value!r}")
+            raise SequenceError(f"{path}: {k} must be a number, got {shown(value)}")
         if value <= 0 and k not in ("cx", "cy"):
-            raise SequenceError(f"{path}: {k} must be > 0, got {value!r}")
+            raise SequenceError(f"{path}: {k} must be > 0, got {shown(value)}")
     return {k: float(values[k]) for k in keys}
+
+
+def table(value: Any, source: str, what: str) -> Float[Tensor, "..."]:
+    """Nested lists of numbers as a tensor, float64.
+
+    Raises:
+        SequenceError: text, ragged rows or numbers that are too large; names ``source``.
+    """
+    try:
+        return torch.tensor(value, dtype=torch.float64)
+    except (ValueError, TypeError, RuntimeError, OverflowError):
+        raise SequenceError(f"{source} must be {what}") from None
+
+
+def number(values: dict[str, Any], key: str, default: float | int, source: str | Path) -> float:
+    """The number at ``key``, or ``default`` where there is none. Raises ``SequenceError`` for anything else."""
+    value = values.get(key, default)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise SequenceError(f"{source}: {key} must be a number, got {shown(value)}")
+    return float(value)
+
+
+def shown(value: Any) -> str:
+    """A value of a file, short enough for a sentence."""
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
 
 
 def camera(values: dict[str, Any], keys: tuple[str, str, str, str, str, str], path: Path, *, shift: float) -> Camera:

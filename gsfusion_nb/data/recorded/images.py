@@ -4,7 +4,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ..sequence import BadFrameError
+from ...foreign import IMAGE_BYTES, parsing, read_bytes
+from ..sequence import BadFrameError, SequenceError, SequenceNotFoundError
+from .image_header import image_size
+
+MAX_PIXELS = 40_000_000
+"""More than any camera has; a small file can claim, and a decoder would allocate, a thousand times as many."""
 
 
 def read_rgb(path: Path) -> np.ndarray:
@@ -62,13 +67,13 @@ def read_depth(path: Path, *, scale: float, invalid: tuple[int, ...] = ()) -> np
 
 
 def read_image_bytes(path: Path, kind: str) -> bytes:
-    """Content of an image file. Raises ``BadFrameError`` when it is missing, unreadable or empty."""
+    """Content of an image file. Raises ``BadFrameError`` when it is missing, unreadable, empty or far too large."""
     try:
-        data = path.read_bytes()
-    except FileNotFoundError:
+        data = read_bytes(path, f"a {kind} image", at_most=IMAGE_BYTES)
+    except SequenceNotFoundError:
         raise BadFrameError(f"{path} does not exist; expected the {kind} image of this frame") from None
-    except OSError as e:
-        raise BadFrameError(f"{path} cannot be read ({e.strerror}); expected a {kind} image") from None
+    except SequenceError as e:
+        raise BadFrameError(str(e)) from None
     if not data:
         raise BadFrameError(f"{path} is empty; expected a {kind} image")
     return data
@@ -82,15 +87,30 @@ def decode_image(data: bytes, flags: int, source: Path | str, kind: str) -> np.n
         raise BadFrameError(
             f"{source} is truncated; expected a whole {kind} image, but its end-of-image mark is missing"
         )
+    check_image_size(data, source, kind)
     try:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), flags) if data else None
-    except cv2.error:
+        with parsing(source, f"a {kind} image", BadFrameError):
+            image = cv2.imdecode(np.frombuffer(data, np.uint8), flags) if data else None
+    except BadFrameError:
         image = None
     if image is None:
         raise BadFrameError(
             f"{source} cannot be decoded: it is truncated, damaged or not an image; expected a {kind} image"
         )
     return image
+
+
+def check_image_size(data: bytes, source: Path | str, kind: str) -> None:
+    """Raise ``BadFrameError`` before an image is decoded that is of no known kind or claims too many pixels."""
+    size = image_size(data)
+    if size is None:
+        raise BadFrameError(
+            f"{source} cannot be decoded: it is truncated, damaged or not an image; expected a {kind} image, as PNG, "
+            "JPEG, TIFF, PNM or BMP"
+        )
+    width, height = size
+    if width * height > MAX_PIXELS:
+        raise BadFrameError(f"{source} claims {width}x{height} pixels; expected a {kind} image of at most 40 million")
 
 
 def _jpeg_is_cut(data: bytes) -> bool:

@@ -7,8 +7,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ...checks import check_pose
+from ...foreign import read_text
 from ...geometry import quaternion
-from ..sequence import BadFrameError, SequenceError, SequenceNotFoundError
+from ..sequence import BadFrameError, SequenceError
 
 MAX_RIGIDITY_ERROR = 1e-3
 """Largest entry of R R^T - I that still counts as a rotation: poses printed with 4 decimals pass."""
@@ -35,12 +36,7 @@ def read_rows(path: Path, columns: int, what: str) -> Float[Tensor, "N C"]:
 
 def read_words(path: Path, what: str) -> list[tuple[int, list[str]]]:
     """Line number and words of every line that is neither empty nor a ``#`` comment. At least one, or an error."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise SequenceNotFoundError(f"{path} does not exist; expected {what}") from None
-    except (UnicodeDecodeError, IsADirectoryError):
-        raise SequenceError(f"{path} is not a text file; expected {what}") from None
+    text = read_text(path, what)
     lines = [(n, line.replace(",", " ").split()) for n, line in enumerate(text.splitlines(), 1)]
     lines = [(n, words) for n, words in lines if words and not words[0].startswith("#")]
     if not lines:

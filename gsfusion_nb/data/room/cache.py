@@ -10,6 +10,7 @@ import numpy as np
 from numpy import ndarray
 
 from ...files import atomic_file
+from ...foreign import read_bytes
 
 log = logging.getLogger(__name__)
 
@@ -35,14 +36,14 @@ def load(path: Path) -> dict[str, ndarray] | None:
 
     images: dict[str, ndarray] = {}
     try:
-        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as archive:
+        with np.load(io.BytesIO(read_bytes(path, "cached pictures")), allow_pickle=False) as archive:
             for name in archive.files:
                 image = cv2.imdecode(archive[name], cv2.IMREAD_UNCHANGED)
                 if image is None:
                     raise ValueError(f"{name} is not a PNG")
                 images[name] = image
         return images
-    except (FileNotFoundError, NotADirectoryError):
+    except FileNotFoundError:
         return None
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, cv2.error) as e:
         log.warning("%s is damaged and is made again: %s", path, e)

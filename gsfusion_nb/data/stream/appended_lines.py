@@ -2,6 +2,9 @@
 
 from pathlib import Path
 
+from ...foreign import TEXT_BYTES, open_regular
+from ..sequence import SequenceError
+
 
 class AppendedLines:
     """Lines by number, from 0; empty ones and ``#`` comments do not count. A line counts once its end is written.
@@ -26,10 +29,10 @@ class AppendedLines:
             if size < self._read_bytes:
                 self._read_bytes, self._rest, self.n_lines = 0, b"", 0
                 self._lines.clear()
-            with self.path.open("rb") as file:
+            with open_regular(self.path, "lines of text") as file:
                 file.seek(self._read_bytes)
-                new = file.read()
-        except OSError:
+                new = file.read(TEXT_BYTES)
+        except (OSError, SequenceError):
             return False
         self._read_bytes += len(new)
         *whole, self._rest = (self._rest + new).split(b"\n")

@@ -4,6 +4,7 @@ Little-endian; poses are world-to-camera, quaternions wxyz; the centre of the fi
 points are skipped and read only for the images asked for, since they fill gigabytes.
 """
 
+import os
 import struct
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ....foreign import open_regular, parsing, read_exactly, read_text
 from ....geometry import quaternion, se3
 from ...lens.camera_model import CameraModel
 from ...sequence import SequenceError
@@ -26,7 +28,9 @@ _MODELS = {
 }  # fmt: skip
 _ONE_FOCAL = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE")
 _KNOWN = (*_ONE_FOCAL, "PINHOLE", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV")
-_SANE_COUNT = 10_000_000
+_LONGEST_LINE = 100_000_000
+"""Bytes; the points of one image are one line."""
+_LONGEST_NAME = 4096
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,13 +58,14 @@ class ColmapModel:
 
     def observations(self, image: ColmapImage) -> list[tuple[float, float, int]]:
         """Pixel x, y and id of every triangulated point that the image sees."""
-        with (self.folder / f"images{self.suffix}").open("rb") as file:
+        path = self.folder / f"images{self.suffix}"
+        with open_regular(path, "COLMAP's images") as file, parsing(path, f"image points 'x y id' of {image.name}"):
             file.seek(image.points_at)
             if self.suffix == ".txt":
-                words = file.readline().split()
+                words = file.readline(_LONGEST_LINE).split()
                 rows = [(float(x), float(y), int(p)) for x, y, p in zip(*(words[i::3] for i in range(3)), strict=True)]
             else:
-                rows = list(struct.iter_unpack("<ddq", _bytes(file, 24 * image.n_points)))
+                rows = list(struct.iter_unpack("<ddq", read_exactly(file, 24 * image.n_points, path)))
         return [(x, y, p) for x, y, p in rows if p >= 0 and p != 2**64 - 1]
 
     def points(self, wanted: set[int]) -> dict[int, tuple[float, float, float]]:
@@ -70,16 +75,16 @@ class ColmapModel:
             return {}
         found = {}
         if self.suffix == ".txt":
-            with path.open() as text:
-                for line in text:
+            with open_regular(path, "COLMAP's points") as text, parsing(path, "rows 'id x y z'"):
+                while line := text.readline(_LONGEST_LINE):
                     words = line.split(maxsplit=4)
-                    if len(words) > 3 and words[0] != "#" and int(words[0]) in wanted:
+                    if len(words) > 3 and words[0] != b"#" and int(words[0]) in wanted:
                         found[int(words[0])] = (float(words[1]), float(words[2]), float(words[3]))
             return found
-        with path.open("rb") as file:
-            for _ in range(_count(file, "points")):
-                point, x, y, z, *_, track = struct.unpack("<QdddBBBdQ", _bytes(file, 51))
-                file.seek(8 * track, 1)
+        with open_regular(path, "COLMAP's points") as file:
+            for _ in range(_count(file, "points", path, 51)):
+                point, x, y, z, *_, track = struct.unpack("<QdddBBBdQ", read_exactly(file, 51, path))
+                _skip(file, 8 * track, path)
                 if point in wanted:
                     found[point] = (x, y, z)
         return found
@@ -108,7 +113,7 @@ def read_model(folder: Path) -> ColmapModel:
 
 def _cameras_txt(path: Path) -> dict[int, CameraModel]:
     cameras = {}
-    for number, line in enumerate(path.read_text().splitlines(), 1):
+    for number, line in enumerate(read_text(path, "COLMAP's cameras").splitlines(), 1):
         words = line.split()
         if not words or words[0].startswith("#"):
             continue
@@ -125,16 +130,16 @@ def _cameras_txt(path: Path) -> dict[int, CameraModel]:
 
 def _cameras_bin(path: Path) -> dict[int, CameraModel]:
     cameras = {}
-    with path.open("rb") as file:
-        for _ in range(_count(file, "cameras")):
-            number, model, width, height = struct.unpack("<iiQQ", _bytes(file, 24))
+    with open_regular(path, "COLMAP's cameras") as file:
+        for _ in range(_count(file, "cameras", path, 24)):
+            number, model, width, height = struct.unpack("<iiQQ", read_exactly(file, 24, path))
             if model not in _MODELS:
                 raise SequenceError(
                     f"{path} camera {number} has the unknown model {model}; expected one of COLMAP's; is this a "
                     "cameras.bin? otherwise run 'colmap image_undistorter' first"
                 )
             name, n = _MODELS[model]
-            values = list(struct.unpack(f"<{n}d", _bytes(file, 8 * n)))
+            values = list(struct.unpack(f"<{n}d", read_exactly(file, 8 * n, path)))
             cameras[number] = _camera(name, (width, height), values, f"{path} camera {number}")
     return cameras
 
@@ -158,8 +163,8 @@ def _camera(name: str, size: tuple[int, int], values: list[float], source: str) 
 
 def _images_txt(path: Path) -> list[ColmapImage]:
     images = []
-    with path.open("rb") as file:
-        while line := file.readline():
+    with open_regular(path, "COLMAP's images") as file:
+        while line := file.readline(_LONGEST_LINE):
             words = line.decode(errors="replace").split(maxsplit=9)
             if not words or words[0].startswith("#"):
                 continue
@@ -171,24 +176,23 @@ def _images_txt(path: Path) -> list[ColmapImage]:
                     f"{line[:60].decode(errors='replace')!r}"
                 ) from None
             images.append(ColmapImage(name, camera, _pose(pose), file.tell(), -1))
-            file.readline()
+            file.readline(_LONGEST_LINE)
     return images
 
 
 def _images_bin(path: Path) -> list[ColmapImage]:
     images = []
-    with path.open("rb") as file:
-        for _ in range(_count(file, "images")):
-            _, *pose, camera = struct.unpack("<I7dI", _bytes(file, 64))
+    with open_regular(path, "COLMAP's images") as file:
+        for _ in range(_count(file, "images", path, 73)):
+            _, *pose, camera = struct.unpack("<I7dI", read_exactly(file, 64, path))
             name = bytearray()
-            while (letter := _bytes(file, 1)) != b"\0":
+            while (letter := read_exactly(file, 1, path)) != b"\0":
                 name += letter
-            (n_points,) = struct.unpack("<Q", _bytes(file, 8))
+                if len(name) > _LONGEST_NAME:
+                    raise SequenceError(f"{path} is damaged: the name of image {len(images)} does not end")
+            (n_points,) = struct.unpack("<Q", read_exactly(file, 8, path))
             images.append(ColmapImage(name.decode(errors="replace"), camera, _pose(pose), file.tell(), n_points))
-            file.seek(24 * n_points, 1)
-        end = file.tell()
-    if end > path.stat().st_size:
-        raise SequenceError(f"{path} is truncated: it ends inside {images[-1].name}; copy it again")
+            _skip(file, 24 * n_points, path)
     return images
 
 
@@ -200,18 +204,18 @@ def _pose(values: list[float]) -> Float[Tensor, "4 4"]:
     return T
 
 
-def _count(file: BinaryIO, what: str) -> int:
-    (n,) = struct.unpack("<Q", _bytes(file, 8))
-    if n > _SANE_COUNT * 100:
-        raise SequenceError(f"{file.name} claims {n} {what}; it is damaged or not a COLMAP file")
+def _count(file: BinaryIO, what: str, path: Path, least_bytes: int) -> int:
+    """The number of entries, each of at least ``least_bytes``, for which the file must have room."""
+    (n,) = struct.unpack("<Q", read_exactly(file, 8, path))
+    if n * least_bytes > os.fstat(file.fileno()).st_size:
+        raise SequenceError(f"{path} is truncated: it ends before the {n} {what} that it claims; copy it again")
     return n
 
 
-def _bytes(file: BinaryIO, n: int) -> bytes:
-    data = file.read(n)
-    if len(data) != n:
-        raise SequenceError(f"{file.name} is truncated: it ends {n - len(data)} bytes too early; copy it again")
-    return data
+def _skip(file: BinaryIO, n: int, path: Path) -> None:
+    if n > os.fstat(file.fileno()).st_size - file.tell():
+        raise SequenceError(f"{path} is truncated: it ends before the {n} bytes that it claims; copy it again")
+    file.seek(n, 1)
 
 
 def metres_per_unit(

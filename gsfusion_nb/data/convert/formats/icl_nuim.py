@@ -15,6 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ....foreign import read_text
 from ....types import Camera
 from ...lens.camera_model import CameraModel
 from ...recorded.find_files import images_in
@@ -24,7 +25,6 @@ from ...sequence import BadFrameError, SequenceError, SequenceNotFoundError
 from ..options import ConvertOptions
 from ..pictures import load_pair, metres, with_colour
 from ..recording import Pictures, Recording, Shot
-from ..trajectory import read_text
 
 _WIDTH, _HEIGHT = 640, 480
 _MODEL = CameraModel(Camera(width=_WIDTH, height=_HEIGHT, fx=481.2, fy=480.0, cx=319.5 + 0.5, cy=239.5 + 0.5))
@@ -78,10 +78,11 @@ def read_ground_truth(path: Path) -> dict[int, Float[Tensor, "4 4"]]:
             continue
         try:
             frame, row = round(float(words[0])), torch.tensor([float(w) for w in words[1:]], dtype=torch.float64)
-        except ValueError:
+        except (ValueError, OverflowError):
             frame, row = 0, torch.zeros(0)
-        if len(row) != 7:
-            raise SequenceError(f"{path} line {number} must be 'frame tx ty tz qx qy qz qw', got {line[:60]!r}")
+        if len(row) != 7 or frame in poses:
+            twice = ", each frame once" if len(row) == 7 else ""
+            raise SequenceError(f"{path} line {number} must be 'frame tx ty tz qx qy qz qw'{twice}, got {line[:60]!r}")
         poses[frame] = matrices(row[None])[0]
     return poses
 

@@ -17,8 +17,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ....geometry import se3
+from ....strict_json import read_object
 from ...lens.camera_model import CameraModel
-from ...recorded.camera_json import read_json
+from ...recorded.camera_json import number, shown, table
 from ...recorded.find_files import natural_order
 from ...sequence import SequenceError
 from ..intrinsics import model_of
@@ -40,7 +41,7 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     file = _file(path)
     if file is None:
         raise SequenceError(f"{path} holds no transforms.json; expected that file or its folder")
-    values = read_json(file, "nerfstudio transforms")
+    values = read_object(file, "nerfstudio transforms")
     frames = values.get("frames")
     if not isinstance(frames, list) or not frames or not all(isinstance(f, dict) for f in frames):
         raise SequenceError(f"{file} lacks frames; expected a list of objects with file_path and transform_matrix")
@@ -53,7 +54,7 @@ def read(path: Path, options: ConvertOptions) -> Recording:
             f"{file} has no depth_file_path; RGB-D mapping needs depth: give its folder with --depth, or add the key"
         )
     world, notes = _undo(values, file)
-    scale = options.depth_scale or _depth_scale(values)
+    scale = options.depth_scale or _depth_scale(values, file)
 
     def shots() -> Iterator[Shot]:
         for frame in frames:
@@ -93,9 +94,12 @@ def _undo(values: dict[str, Any], file: Path) -> tuple[Float[Tensor, "4 4"], lis
             raise SequenceError(f"{file}: applied_transform must be a rotation and a translation; it scales or mirrors")
         back = se3.inverse(A)
         notes.append("applied_transform was undone")
-    if float(values.get("applied_scale", 1.0)) != 1.0:
-        back = back @ torch.diag(torch.tensor([1 / float(values["applied_scale"])] * 3 + [1.0], dtype=torch.float64))
-        notes.append(f"applied_scale {float(values['applied_scale']):g} was undone")
+    applied = number(values, "applied_scale", 1.0, file)
+    if not 1e-9 < applied < 1e9:
+        raise SequenceError(f"{file}: applied_scale must be a scale above 0, got {applied:g}")
+    if applied != 1.0:
+        back = back @ torch.diag(torch.tensor([1 / applied] * 3 + [1.0], dtype=torch.float64))
+        notes.append(f"applied_scale {applied:g} was undone")
     return back, notes
 
 
@@ -109,10 +113,7 @@ def _pose(frame: dict[str, Any], world: Float[Tensor, "4 4"], file: Path) -> Flo
 
 
 def _matrix(rows: Any, source: str) -> Float[Tensor, "R 4"]:
-    try:
-        matrix = torch.tensor(rows, dtype=torch.float64)
-    except (ValueError, TypeError, RuntimeError):
-        raise SequenceError(f"{source} must be 4x4 or 3x4 numbers") from None
+    matrix = table(rows, source, "4x4 or 3x4 numbers")
     if matrix.ndim != 2 or tuple(matrix.shape) not in ((4, 4), (3, 4)):
         raise SequenceError(f"{source} must be 4x4 or 3x4 numbers, got {list(matrix.shape)}")
     return matrix
@@ -122,14 +123,14 @@ def _model(values: dict[str, Any], file: Path, colour: Path) -> CameraModel:
     """Camera of a frame: its own numbers before the global ones."""
     name = values.get("camera_model", "OPENCV")
     if name not in _MODELS:
-        raise SequenceError(f"{file}: cannot undistort camera_model {name!r}; known: {', '.join(_MODELS)}")
-    width, height = _size(values, colour)
+        raise SequenceError(f"{file}: cannot undistort camera_model {shown(name)}; known: {', '.join(_MODELS)}")
     source = f"{file}: the camera of {colour.name}"
+    width, height = _size(values, colour, source)
     try:
         fx, fy = _focal(values, width, height)
         cx, cy = (float(values.get(k, half)) for k, half in (("cx", width / 2), ("cy", height / 2)))
         k = [float(values.get(key, 0.0)) for key in ("k1", "k2", "p1", "p2", "k3", "k4")]
-    except (TypeError, ValueError, KeyError):
+    except (TypeError, ValueError, KeyError, ZeroDivisionError):
         raise SequenceError(f"{source} must have fl_x (or camera_angle_x), cx and cy as numbers") from None
     fisheye = name == "OPENCV_FISHEYE"
     if not fisheye and k[5]:  # a numerator term in nerfstudio, a denominator term in OpenCV
@@ -140,9 +141,9 @@ def _model(values: dict[str, Any], file: Path, colour: Path) -> CameraModel:
     return model_of([fx, fy, cx, cy], (width, height), source, centre=0.5, distortion=distortion, fisheye=fisheye)
 
 
-def _size(values: dict[str, Any], colour: Path) -> tuple[int, int]:
+def _size(values: dict[str, Any], colour: Path, source: str) -> tuple[int, int]:
     if "w" in values and "h" in values:
-        return int(values["w"]), int(values["h"])
+        return int(number(values, "w", 0, source)), int(number(values, "h", 0, source))
     from ...recorded.images import read_rgb
 
     height, width = read_rgb(colour).shape[:2]
@@ -167,12 +168,18 @@ def _image(path: Path) -> Path:
 def _depth(frame: dict[str, Any], file: Path, colour: Path, options: ConvertOptions) -> Path:
     if options.depth:
         return find_depth(Path(options.depth), colour.stem)
-    return file.parent / frame.get("depth_file_path", f"depth of {colour.name}, of which the file says nothing")
+    name = frame.get("depth_file_path", f"depth of {colour.name}, of which the file says nothing")
+    if not isinstance(name, str):
+        raise SequenceError(f"{file}: depth_file_path of {colour.name} must be the path of a file, got {shown(name)}")
+    return file.parent / name
 
 
-def _depth_scale(values: dict[str, Any]) -> float:
-    unit = values.get("integer_depth_scale", values.get("depth_unit_scale_factor", 1e-3))
-    return 1.0 / float(unit)
+def _depth_scale(values: dict[str, Any], file: Path) -> float:
+    key = next((k for k in ("integer_depth_scale", "depth_unit_scale_factor") if k in values), "depth_scale")
+    unit = number(values, key, 1e-3, file)
+    if not 1e-9 < unit < 1e9:
+        raise SequenceError(f"{file}: {key} must be the metres of one stored unit, such as 0.001, got {unit:g}")
+    return 1.0 / unit
 
 
 def _time(frame: dict[str, Any]) -> float | None:

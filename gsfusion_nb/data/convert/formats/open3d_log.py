@@ -14,16 +14,17 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ....foreign import read_bytes, read_text
 from ....geometry import se3
+from ....strict_json import read_object
 from ...lens.camera_model import CameraModel
-from ...recorded.camera_json import read_json
+from ...recorded.camera_json import table
 from ...recorded.find_files import images_in, natural_order
 from ...sequence import SequenceError, SequenceNotFoundError
 from ..intrinsics import intrinsics_of_json, model_of_object
 from ..options import ConvertOptions
 from ..pictures import DEPTH_SUFFIXES, load_pair
 from ..recording import Recording, Shot
-from ..trajectory import read_text
 
 _COLOUR = ("color", "image", "rgb", "images")
 _INTRINSICS = ("camera_intrinsic.json", "intrinsic.json", "intrinsics.json", "camera_intrinsics.json")
@@ -86,27 +87,31 @@ def read_trajectory_file(path: Path) -> tuple[dict[int, Float[Tensor, "4 4"]], C
             T = torch.tensor([[float(w) for w in row] for row in lines[at + 1 : at + 5]], dtype=torch.float64)
         except (ValueError, IndexError):
             T, frame = torch.zeros(0, 0), -1
-        if tuple(T.shape) != (4, 4):
+        if tuple(T.shape) != (4, 4) or frame < 0:
             raise SequenceError(f"{path}: block {at // 5} must be 'i i i+1' and four rows of four numbers")
+        if frame in poses:
+            raise SequenceError(f"{path} has the pose of frame {frame} twice, again in block {at // 5}")
         poses[frame] = T
     return poses, None
 
 
 def _read_json(path: Path) -> tuple[dict[int, Float[Tensor, "4 4"]], CameraModel | None]:
-    entries: Any = read_json(path, "an Open3D PinholeCameraTrajectory").get("parameters")
+    entries: Any = read_object(path, "an Open3D PinholeCameraTrajectory").get("parameters")
     if not isinstance(entries, list) or not entries:
         raise SequenceError(f"{path} lacks parameters; expected an Open3D PinholeCameraTrajectory")
     poses = {}
     for i, entry in enumerate(entries):
-        try:
-            T_CW = torch.tensor(entry["extrinsic"], dtype=torch.float64).reshape(4, 4).T
-        except (KeyError, TypeError, ValueError, RuntimeError):
-            raise SequenceError(f"{path}: parameters {i} must have extrinsic, 16 numbers column by column") from None
-        poses[i] = se3.inverse(T_CW)
+        what = "an object with extrinsic, 16 numbers column by column"
+        values = table(entry.get("extrinsic") if isinstance(entry, dict) else None, f"{path}: parameters {i}", what)
+        if values.numel() != 16:
+            raise SequenceError(f"{path}: parameters {i} must be {what}")
+        poses[i] = se3.inverse(values.reshape(4, 4).T)
     intrinsic = entries[0].get("intrinsic")
+    if intrinsic is not None and not isinstance(intrinsic, dict):
+        raise SequenceError(f"{path}: intrinsic must be an object with width, height and intrinsic_matrix")
     return poses, None if intrinsic is None else model_of_object(intrinsic, None, str(path), centre=0.0)
 
 
 def _trajectory(path: Path) -> Path | None:
     found = (p for pattern in _TRAJECTORIES for p in sorted(path.glob(pattern), key=natural_order) if p.is_file())
-    return next((p for p in found if p.suffix != ".json" or '"parameters"' in p.read_text(errors="replace")), None)
+    return next((p for p in found if p.suffix != ".json" or b'"parameters"' in read_bytes(p, "a trajectory")), None)

@@ -6,10 +6,9 @@ axes (OpenGL: y up, z backward). Intrinsics are column-major ``K``, or fx fy cx 
 the corner of the image.
 """
 
-import json
+import re
 import struct
 import zipfile
-import zlib
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -20,8 +19,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ....foreign import IMAGE_BYTES, TEXT_BYTES, open_archive, parsing, read_bytes, read_member
+from ....strict_json import parse_json
 from ...lens.camera_model import CameraModel
-from ...recorded.images import read_image_bytes
+from ...recorded.camera_json import number, table
+from ...recorded.images import MAX_PIXELS, read_image_bytes
 from ...recorded.poses import matrices
 from ...sequence import BadFrameError, SequenceError, SequenceNotFoundError
 from ..intrinsics import model_of
@@ -47,7 +49,7 @@ def recognise(path: Path) -> bool:
 def read(path: Path, options: ConvertOptions) -> Recording:
     """A capture of Record3D (module docstring)."""
     if path.is_file():
-        archive = _archive(path)
+        archive = open_archive(path, "an .r3d archive")
         names, fetch = set(archive.namelist()), partial(_member, archive, path)
         metadata = _object(fetch("metadata"), f"{path}: metadata")
     else:
@@ -56,22 +58,23 @@ def read(path: Path, options: ConvertOptions) -> Recording:
             raise SequenceNotFoundError(f"{path} lacks metadata.json; expected an unpacked .r3d or the EXR export")
         names = {str(p.relative_to(path)) for p in path.glob("rgb*/*")}
         fetch = partial(_file, path)
-        metadata = _object(file.read_bytes(), str(file))
+        metadata = _object(read_bytes(file, "Record3D's metadata"), str(file))
     exported = not any(n.startswith("rgbd/") for n in names)
     pattern = "rgb/" if exported else "rgbd/"
-    numbers = sorted(int(Path(n).stem) for n in names if n.startswith(pattern) and n.endswith(".jpg"))
+    found = (re.fullmatch(pattern + r"(\d{1,9})\.jpg", n) for n in names)
+    numbers = sorted({int(match[1]) for match in found if match})
     poses = _poses(metadata, len(numbers), path)
 
     def shots() -> Iterator[Shot]:
-        for i, number in enumerate(numbers):
-            name = f"{pattern}{number}"
+        for i, n in enumerate(numbers):
+            name = f"{pattern}{n}"
             if exported:
-                load = partial(load_pair, path / f"rgb/{number}.jpg", path / f"depth/{number}.exr", 1.0)
+                load = partial(load_pair, path / f"rgb/{n}.jpg", path / f"depth/{n}.exr", 1.0)
             else:
                 load = partial(_load, fetch, name, metadata, options.confidence, f"{path}: {name}")
             yield Shot(
                 source=f"{path}: {name}",
-                time_s=_time(metadata, i),
+                time_s=_time(metadata, i, path),
                 model=_model(metadata, i, path),
                 T_WC=None if poses is None else poses[i],
                 load=load,
@@ -85,19 +88,23 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     )
 
 
-def lzfse_unpacked(data: bytes, source: str) -> bytes:
-    """Content of an LZFSE stream; blocks that are stored as they are need no library.
+_LEAST_BLOCK_BYTES = 20_000
+"""Unpacked, of all but the last blocks: Apple's encoder ends one after 10,000 matches or 40,000 literals."""
+
+
+def lzfse_unpacked(data: bytes, source: str, at_most: int = 4 * MAX_PIXELS) -> bytes:
+    """Content of an LZFSE stream of at most ``at_most`` bytes; blocks that are stored as they are need no library.
 
     Raises:
         SequenceError: it is really packed, and the package ``pyliblzfse`` is missing. BadFrameError: it is damaged.
     """
-    out, at = b"", 0
+    stored, at = [], 0
     while data[at : at + 4] == b"bvx-" and len(data) >= at + 8:
         (n,) = struct.unpack_from("<I", data, at + 4)
-        out += data[at + 8 : at + 8 + n]
+        stored.append(data[at + 8 : at + 8 + n])
         at += 8 + n
-    if out and data[at : at + 4] == b"bvx$":
-        return out
+    if stored and data[at : at + 4] == b"bvx$":
+        return b"".join(stored)
     if data[:3] != b"bvx":
         raise BadFrameError(f"{source} does not begin as LZFSE does; expected the bytes bvx")
     try:
@@ -106,10 +113,36 @@ def lzfse_unpacked(data: bytes, source: str) -> bytes:
         raise SequenceError(
             f"{source} is packed with Apple's LZFSE, which needs the package pyliblzfse: pip install pyliblzfse"
         ) from None
-    try:
-        return liblzfse.decompress(data)
-    except liblzfse.error as e:
-        raise BadFrameError(f"{source} is damaged: LZFSE cannot unpack it ({e})") from None
+    size, blocks = _claimed_size(data, source)
+    if size > at_most or blocks > 2 + size // _LEAST_BLOCK_BYTES:
+        raise BadFrameError(f"{source} claims {size} bytes in {blocks} blocks; expected at most {at_most} bytes")
+    with parsing(source, "an LZFSE stream", BadFrameError):
+        content = liblzfse.decompress(data)
+    if len(content) != size:
+        raise BadFrameError(f"{source} is damaged: LZFSE unpacks {len(content)} of {size} bytes")
+    return content
+
+
+def _claimed_size(data: bytes, source: str) -> tuple[int, int]:
+    """Unpacked bytes and number of blocks, as the blocks' headers say (lzfse_internal.h of Apple's lzfse 1.0)."""
+    at = size = blocks = 0
+    while data[at : at + 4] != b"bvx$":
+        head = data[at : at + 32]
+        kind, blocks = head[:4], blocks + 1
+        if len(head) < 12 or (kind == b"bvx2" and len(head) < 32):
+            raise BadFrameError(f"{source} is truncated: an LZFSE stream ends with the bytes bvx$")
+        n, payload = struct.unpack_from("<II", head, 4)
+        size += n
+        if kind == b"bvx-":
+            at += 8 + n
+        elif kind == b"bvxn":
+            at += 12 + payload
+        elif kind == b"bvx2":
+            literals, matches, states = struct.unpack_from("<QQQ", head, 8)
+            at += max(32, states & 0xFFFFFFFF) + (literals >> 20 & 0xFFFFF) + (matches >> 40 & 0xFFFFF)
+        else:
+            raise BadFrameError(f"{source} holds an unknown LZFSE block {kind!r}; expected bvx-, bvxn or bvx2")
+    return size, blocks
 
 
 def _load(fetch: Fetch, name: str, metadata: dict[str, Any], least: int, source: str) -> Pictures:
@@ -129,10 +162,10 @@ def _load(fetch: Fetch, name: str, metadata: dict[str, Any], least: int, source:
 
 
 def _depth_size(metadata: dict[str, Any], n: int, source: str) -> tuple[int, int]:
-    size = (int(metadata.get("dh", 0)), int(metadata.get("dw", 0)))
-    if size[0] * size[1] == n:
+    size = (int(number(metadata, "dh", 0, source)), int(number(metadata, "dw", 0, source)))
+    if min(size) > 0 and size[0] * size[1] == n:
         return size
-    portrait = metadata.get("h", 1) > metadata.get("w", 0)
+    portrait = number(metadata, "h", 1, source) > number(metadata, "w", 0, source)
     found = next((s for s in _SIZES if s[0] * s[1] == n and (s[0] > s[1]) == portrait), None)
     if found is None:
         raise BadFrameError(f"{source} unpacks to {n} numbers; expected dw x dh = {size[1]}x{size[0]} of the metadata")
@@ -143,12 +176,12 @@ def _poses(metadata: dict[str, Any], n: int, path: Path) -> Float[Tensor, "N 4 4
     rows = metadata.get("poses")
     if not rows:
         return None
-    table = torch.tensor(rows, dtype=torch.float64)
-    if table.ndim != 2 or table.shape[1] != 7 or len(table) < n:
+    poses = table(rows, f"{path}: poses of the metadata", "rows qx qy qz qw tx ty tz")
+    if poses.ndim != 2 or poses.shape[1] != 7 or len(poses) < n:
         raise SequenceError(
-            f"{path}: poses of the metadata are {list(table.shape)}; expected {n} rows qx qy qz qw tx ty tz"
+            f"{path}: poses of the metadata are {list(poses.shape)}; expected {n} rows qx qy qz qw tx ty tz"
         )
-    return matrices(table[:, [4, 5, 6, 0, 1, 2, 3]]) @ _GL_TO_CV
+    return matrices(poses[:, [4, 5, 6, 0, 1, 2, 3]]) @ _GL_TO_CV
 
 
 def _model(metadata: dict[str, Any], i: int, path: Path) -> CameraModel:
@@ -157,16 +190,22 @@ def _model(metadata: dict[str, Any], i: int, path: Path) -> CameraModel:
         frames = metadata.get("perFrameIntrinsicCoeffs") or []
         K = metadata["K"] if i >= len(frames) else None
         values = [float(v) for v in (frames[i][:4] if K is None else (K[0], K[4], K[6], K[7]))]
-    except (KeyError, TypeError, IndexError, ValueError) as e:
+        fx, fy, cx, cy = values
+    except (KeyError, TypeError, IndexError, ValueError, OverflowError) as e:
         raise SequenceError(
             f"{path}: the metadata lack {e}; expected w, h and K of 9 numbers, column by column"
         ) from None
-    return model_of(values, size, f"{path}: the metadata", centre=0.5)
+    return model_of([fx, fy, cx, cy], size, f"{path}: the metadata", centre=0.5)
 
 
-def _time(metadata: dict[str, Any], i: int) -> float:
+def _time(metadata: dict[str, Any], i: int, path: Path) -> float:
     stamps = metadata.get("frameTimestamps") or []
-    return float(stamps[i]) if i < len(stamps) else i / float(metadata.get("fps", 30))
+    if not isinstance(stamps, list) or not all(type(t) in (int, float) for t in stamps[i : i + 1]):
+        raise SequenceError(f"{path}: frameTimestamps of the metadata must be a list of seconds")
+    fps = number(metadata, "fps", 30, f"{path}: the metadata")
+    if not fps > 0:
+        raise SequenceError(f"{path}: fps of the metadata must be above 0, got {fps:g}")
+    return float(stamps[i]) if i < len(stamps) else i / fps
 
 
 def _metadata_file(path: Path) -> Path | None:
@@ -175,29 +214,20 @@ def _metadata_file(path: Path) -> Path | None:
 
 def _object(data: bytes, source: str) -> dict[str, Any]:
     try:
-        values = json.loads(data)
-    except (json.JSONDecodeError, UnicodeDecodeError) as e:
-        raise SequenceError(f"{source} is not valid JSON ({e}); expected Record3D's metadata") from None
+        values = parse_json(data.decode("utf-8-sig"), source, "Record3D's metadata")
+    except UnicodeDecodeError:
+        raise SequenceError(f"{source} is not a text file; expected Record3D's metadata as JSON") from None
     if not isinstance(values, dict):
         raise SequenceError(f"{source} must hold a JSON object with w, h, K and poses")
     return values
 
 
-def _archive(path: Path) -> zipfile.ZipFile:
-    try:
-        return zipfile.ZipFile(path)
-    except zipfile.BadZipFile as e:
-        raise SequenceError(f"{path} is not an .r3d archive or is truncated ({e}); export it again") from None
-
-
 def _member(archive: zipfile.ZipFile, path: Path, name: str) -> bytes:
     try:
-        return archive.read(name)
+        return read_member(archive, name, path, at_most=TEXT_BYTES if name == "metadata" else IMAGE_BYTES)
     except KeyError:
         error = SequenceError if name == "metadata" else BadFrameError
         raise error(f"{path} lacks {name}; expected it in a .r3d archive") from None
-    except (zipfile.BadZipFile, zlib.error, OSError, EOFError) as e:
-        raise BadFrameError(f"{path}: {name} is damaged ({e})") from None
 
 
 def _file(root: Path, name: str) -> bytes:

@@ -17,6 +17,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ....foreign import open_regular, parsing
 from ...lens.camera_model import CameraModel
 from ...recorded.associate import associate
 from ...recorded.poses import interpolate_rows, matrices
@@ -27,6 +28,7 @@ from ..recording import Pictures, Recording, Shot
 from ..trajectory import camera_in_body
 from .ros_images import colour_of, depth_of, stores_millimetres
 from .ros_poses import POSE_TYPES, TransformTree, in_order, pose_rows, seconds
+from .ros_unpacking import bounded_unpacking
 
 MAX_TIME_DIFFERENCE_S = 0.02
 _TF_MESSAGE = "geometry_msgs/TransformStamped[] transforms"
@@ -111,7 +113,7 @@ def _load(colour: Any, depth: Any, scale: float, source: str) -> Pictures:
 def _opened(path: Path) -> Iterator[Any]:
     """A reader of the bag, whose errors become sentences."""
     try:
-        from rosbags.highlevel import AnyReader, AnyReaderError
+        from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
     except ImportError:
         raise SequenceError(
@@ -122,14 +124,11 @@ def _opened(path: Path) -> Iterator[Any]:
     folder = path.parent if path.suffix == ".db3" else path
     types = get_typestore(Stores.ROS2_HUMBLE)  # for ROS 2 bags before Iron, which do not say what their types are
     types.register(get_types_from_msg(_TF_MESSAGE, "tf2_msgs/msg/TFMessage"))
-    try:
-        with AnyReader([folder], default_typestore=types) as reader:
-            yield reader
-    except AnyReaderError as e:
-        raise SequenceError(
-            f"{path} cannot be read as a ROS bag ({e}); it is truncated, or was never closed: try 'rosbag reindex' or "
-            "'ros2 bag reindex'"
-        ) from None
+    for file in [folder] if folder.is_file() else sorted(folder.iterdir()):
+        open_regular(file, "a file of a ROS bag").close()
+    what = "a ROS bag; if it is truncated or was never closed, try 'rosbag reindex' or 'ros2 bag reindex'"
+    with parsing(path, what), bounded_unpacking(), AnyReader([folder], default_typestore=types) as reader:
+        yield reader
 
 
 def _first_pass(path: Path, options: ConvertOptions) -> _Bag:
@@ -251,9 +250,11 @@ def _info_of(bag: _Bag, topic: str) -> Any:
 
 def _model(info: Any, topic: str, path: Path) -> CameraModel:
     """Camera of a CameraInfo; of a rectified topic, of its projection matrix P."""
+    source = f"{path}: the camera_info of {topic}"
     size = (int(info.width), int(info.height))
     K, D, P = ([float(v) for v in getattr(info, n, getattr(info, n.lower(), ()))] for n in ("K", "D", "P"))
-    source = f"{path}: the camera_info of {topic}"
+    if len(D) > 14:
+        raise SequenceError(f"{source} has {len(D)} numbers of distortion; expected at most 14")
     if re.search(r"(^|[/_])rect", topic) and P[0] > 0:
         return model_of([P[0], P[5], P[2], P[6]], size, source, centre=0.0)
     kind = info.distortion_model

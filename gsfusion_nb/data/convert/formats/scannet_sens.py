@@ -5,8 +5,9 @@ extrinsic), int32 colour and depth compression, uint32 colour and depth sizes, f
 frames; then per frame 16 floats of pose, uint64 times in microseconds, uint64 byte counts, and the bytes.
 """
 
+import math
+import os
 import struct
-import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -18,6 +19,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ....foreign import inflate, open_regular, read_exactly
 from ....geometry import se3
 from ...lens.camera_model import CameraModel
 from ...sequence import BadFrameError, SequenceError
@@ -55,13 +57,14 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     Raises:
         SequenceError: another version, a compression that is not read here, or a header that is cut short.
     """
-    with path.open("rb") as file:
+    with open_regular(path, "a ScanNet .sens file") as file:
         header = _read_header(file, path)
     scale = options.depth_scale or header.units_per_m
     T_colour_depth, T_rig_colour = registration(header.extrinsic_colour, header.extrinsic_depth)
 
     def shots() -> Iterator[Shot]:
-        with path.open("rb") as file:
+        with open_regular(path, "a ScanNet .sens file") as file:
+            size = os.fstat(file.fileno()).st_size
             file.seek(header.frames_at)
             for i in range(header.n_frames):
                 head = file.read(_FRAME.size)
@@ -70,8 +73,12 @@ def read(path: Path, options: ConvertOptions) -> Recording:
                         f"{path} is truncated: it ends at frame {i} of {header.n_frames}; download it again"
                     )
                 *pose, colour_us, _, colour_bytes, depth_bytes = _FRAME.unpack(head)
-                data = file.read(colour_bytes), file.read(depth_bytes)
                 source = f"{path} frame {i}"
+                if colour_bytes + depth_bytes > size - file.tell():
+                    raise SequenceError(
+                        f"{path} is truncated: it ends at frame {i} of {header.n_frames}; download it again"
+                    )
+                data = file.read(colour_bytes), file.read(depth_bytes)
                 yield Shot(
                     source=source,
                     time_s=colour_us / 1e6 if colour_us else i / FRAMES_PER_S,
@@ -79,7 +86,7 @@ def read(path: Path, options: ConvertOptions) -> Recording:
                     depth_model=header.depth,
                     T_colour_depth=T_colour_depth,
                     T_WC=torch.tensor(pose, dtype=torch.float64).reshape(4, 4) @ T_rig_colour,
-                    load=partial(_load, data, (colour_bytes, depth_bytes), header, scale, source),
+                    load=partial(_load, data, header, scale, source),
                 )
 
     return Recording(
@@ -100,22 +107,25 @@ def registration(
 
 
 def _read_header(file: BinaryIO, path: Path) -> _Header:
-    version, length = struct.unpack("<IQ", _bytes(file, 12, path))
+    version, length = struct.unpack("<IQ", read_exactly(file, 12, path))
     if version != _VERSION or length > 4096:
         raise SequenceError(
             f"{path} begins with version {version}; expected a ScanNet .sens file of version {_VERSION}"
         )
-    _bytes(file, length, path)
-    matrices = [list(struct.unpack("<16f", _bytes(file, 64, path))) for _ in range(4)]
-    colour, depth = struct.unpack("<ii", _bytes(file, 8, path))
+    read_exactly(file, length, path)
+    matrices = [list(struct.unpack("<16f", read_exactly(file, 64, path))) for _ in range(4)]
+    colour, depth = struct.unpack("<ii", read_exactly(file, 8, path))
     if _COLOUR.get(colour) not in ("jpeg", "png") or _DEPTH.get(depth) not in ("zlib_ushort", "raw_ushort"):
         raise SequenceError(
             f"{path} packs colour as {_COLOUR.get(colour, colour)} and depth as {_DEPTH.get(depth, depth)}; expected "
             "jpeg or png, and zlib_ushort or raw_ushort"
         )
-    *sizes, units, n_frames = struct.unpack("<4IfQ", _bytes(file, 28, path))
-    if not units > 0:
+    *sizes, units, n_frames = struct.unpack("<4IfQ", read_exactly(file, 28, path))
+    if not 0 < units < math.inf:
         raise SequenceError(f"{path} says that one metre is {units} in depth; expected a number above 0")
+    room = os.fstat(file.fileno()).st_size - file.tell()
+    if n_frames * _FRAME.size > room:
+        raise SequenceError(f"{path} claims {n_frames} frames and has {room} bytes for them; download it again")
     extrinsic_colour, extrinsic_depth = (torch.tensor(matrices[i], dtype=torch.float64).reshape(4, 4) for i in (1, 3))
     return _Header(
         model_of_matrix(matrices[0], (sizes[0], sizes[1]), f"{path}: colour intrinsics", centre=0.0),
@@ -129,26 +139,14 @@ def _read_header(file: BinaryIO, path: Path) -> _Header:
     )
 
 
-def _load(data: tuple[bytes, bytes], sizes: tuple[int, int], header: _Header, scale: float, source: str) -> Pictures:
-    if len(data[0]) < sizes[0] or len(data[1]) < sizes[1]:
-        raise BadFrameError(
-            f"{source} is truncated: {len(data[0])} and {len(data[1])} of {sizes[0]} and {sizes[1]} bytes"
-        )
-    try:
-        packed = zlib.decompress(data[1]) if header.compression == "zlib_ushort" else data[1]
-    except zlib.error as e:
-        raise BadFrameError(f"{source}: depth cannot be unpacked ({e})") from None
+def _load(data: tuple[bytes, bytes], header: _Header, scale: float, source: str) -> Pictures:
     camera = header.depth.camera
+    packed = data[1]
+    if header.compression == "zlib_ushort":
+        packed = inflate(packed, f"{source}: depth", at_most=2 * camera.width * camera.height)
     if len(packed) != 2 * camera.width * camera.height:
         raise BadFrameError(
             f"{source}: depth has {len(packed)} bytes; expected {camera.width}x{camera.height} of 2 each"
         )
     raw = np.frombuffer(packed, "<u2").reshape(camera.height, camera.width)
     return with_colour(data[0], source, metres(raw, scale))
-
-
-def _bytes(file: BinaryIO, n: int, path: Path) -> bytes:
-    data = file.read(n)
-    if len(data) < n:
-        raise SequenceError(f"{path} is truncated inside its header; download it again")
-    return data

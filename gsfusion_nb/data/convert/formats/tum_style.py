@@ -5,6 +5,7 @@ camera-to-world with OpenCV axes. The format holds no intrinsics: they are known
 folder's name, and come from ``calibration.txt`` / ``camera.txt`` or the option elsewhere.
 """
 
+import math
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -72,6 +73,8 @@ def time_of_name(path: Path) -> float:
     """
     try:
         value = float(path.stem)
+        if not math.isfinite(value):
+            raise ValueError(path.stem)
     except ValueError:
         raise SequenceError(
             f"{path} is not named by its time, and there is no rgb.txt with lines 'timestamp filename'; expected either"
@@ -110,9 +113,9 @@ def _associated(file: Path) -> list[Entry]:
         try:
             times, files = (float(words[0]), float(words[2])), [file.parent / words[1], file.parent / words[3]]
         except (ValueError, IndexError):
-            raise SequenceError(
-                f"{file} line {number} must be 'time file time file', got {' '.join(words)[:60]!r}"
-            ) from None
+            times, files = (math.nan, math.nan), []
+        if not all(map(math.isfinite, times)):
+            raise SequenceError(f"{file} line {number} must be 'time file time file', got {' '.join(words)[:60]!r}")
         depth = 0 if "depth" in words[1].lower() else 1
         entries.append((times[depth], files[1 - depth], files[depth]))
     return sorted(entries)
@@ -129,11 +132,12 @@ def _stream(path: Path, name: str) -> list[tuple[float, Path]]:
     entries = []
     for number, words in read_words(file, "lines 'timestamp filename'"):
         try:
-            entries.append((float(words[0]), path / words[1]))
+            time_s, image = float(words[0]), path / words[1]
         except (ValueError, IndexError):
-            raise SequenceError(
-                f"{file} line {number} must be 'timestamp filename', got {' '.join(words)[:60]!r}"
-            ) from None
+            time_s, image = math.nan, path
+        if not math.isfinite(time_s):
+            raise SequenceError(f"{file} line {number} must be 'timestamp filename', got {' '.join(words)[:60]!r}")
+        entries.append((time_s, image))
     return entries
 
 

@@ -5,6 +5,7 @@ import tarfile
 import zlib
 from collections.abc import Iterator
 
+from ....foreign import open_regular
 from ..disk import require_space
 from ..errors import ArchiveError
 from .unpacker import Readable, Unpacker
@@ -35,7 +36,7 @@ class _Counted:
 def unpack_tar(unpacker: Unpacker) -> None:
     """Unpack a tar, gzipped or not. Raises ``ArchiveError``, ``NoSpaceError``."""
     name = unpacker.archive.name
-    with unpacker.archive.open("rb") as raw:
+    with open_regular(unpacker.archive, "an archive") as raw:
         zipped = raw.read(2) == _GZIP
         raw.seek(0)
         stream = gzip.GzipFile(fileobj=raw) if zipped else raw

@@ -157,7 +157,7 @@ def test_mistakes_are_answered_with_a_sentence(tmp_path, takes):
     path = write_r3d(tmp_path / "a.r3d", members(takes))
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(SequenceError, match=r"a\.r3d is not an \.r3d archive or is truncated .*export it again"):
+    with pytest.raises(SequenceError, match=r"a\.r3d is not readable as an \.r3d archive .*; it may be truncated"):
         convert(path, tmp_path / "out")
     files = members(takes)
     del files["metadata"]

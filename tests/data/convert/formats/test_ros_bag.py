@@ -306,7 +306,7 @@ def test_mistakes_are_answered_with_a_sentence(tmp_path, takes):
     path = write_bag(tmp_path / "c.bag", takes, 1)
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(SequenceError, match=r"c\.bag cannot be read as a ROS bag"):
+    with pytest.raises(SequenceError, match=r"c\.bag is not readable as a ROS bag"):
         convert(path, tmp_path / "out")
     late = replace(takes, times_s=[t + 5 for t in takes.times_s])
     with Bag(tmp_path / "d.bag", 1) as bag:

@@ -1,0 +1,74 @@
+"""The size of an encoded image, read from its header: known before a decoder asks for memory."""
+
+import re
+import struct
+
+_JPEG_SIZES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
+"""Markers of a frame header (ITU-T T.81, table B.1)."""
+_TIFF_TYPES = {1: "B", 3: "H", 4: "I", 16: "Q"}
+_PNM = re.compile(rb"P[1-6](?:\s|#[^\n]*\n)+(\d+)(?:\s|#[^\n]*\n)+(\d+)\s")
+
+
+def image_size(data: bytes) -> tuple[int, int] | None:
+    """Width and height that a PNG, JPEG, TIFF, PNM, BMP or OpenEXR file claims; None for any other data."""
+    if data[:8] == b"\x89PNG\r\n\x1a\n":
+        return struct.unpack_from(">II", data, 16) if len(data) >= 24 else None
+    if data[:2] == b"\xff\xd8":
+        return _jpeg(data)
+    if data[:4] in (b"II*\0", b"II+\0", b"MM\0*", b"MM\0+"):
+        return _tiff(data)
+    if data[:2] == b"BM":
+        return tuple(map(abs, struct.unpack_from("<ii", data, 18))) if len(data) >= 26 else None
+    if data[:4] == b"v/1\x01":
+        return _exr(data)
+    match = _PNM.match(data[:4096])
+    return (int(match[1]), int(match[2])) if match else None
+
+
+def _jpeg(data: bytes) -> tuple[int, int] | None:
+    """The largest of the frame headers: an embedded thumbnail is inside another segment, which is stepped over."""
+    at, found = 2, None
+    while at + 4 <= len(data):
+        if data[at] != 0xFF:  # decoders skip such bytes
+            at = data.find(b"\xff", at)
+            if at < 0:
+                break
+            continue
+        marker = data[at + 1]
+        if marker in (0x00, 0x01, 0xFF) or 0xD0 <= marker <= 0xD9:
+            at += 1 if marker == 0xFF else 2
+            continue
+        if marker in _JPEG_SIZES and at + 9 <= len(data):
+            height, width = struct.unpack_from(">HH", data, at + 5)
+            found = (max(width, found[0] if found else 0), max(height, found[1] if found else 0))
+        if marker == 0xDA:
+            break
+        at += 2 + max(2, int.from_bytes(data[at + 2 : at + 4], "big"))
+    return found
+
+
+def _exr(data: bytes) -> tuple[int, int] | None:
+    """The data window, whose corners are both inside the picture (OpenEXR file layout, "attribute layout")."""
+    at = data.find(b"dataWindow\0box2i\0\x10\0\0\0")
+    if at < 0 or len(data) < at + 37:
+        return None
+    left, top, right, bottom = struct.unpack_from("<iiii", data, at + 21)
+    return right - left + 1, bottom - top + 1
+
+
+def _tiff(data: bytes) -> tuple[int, int] | None:
+    """Tags 256 and 257 of the first directory (TIFF 6.0, section 2; version 43 has 8-byte places)."""
+    order, big = ("<" if data[:2] == b"II" else ">"), data[2:4] in (b"+\0", b"\0+")
+    place, count, entry, value_at = ("Q", "Q", 20, 12) if big else ("I", "H", 12, 8)
+    try:
+        (at,) = struct.unpack_from(order + place, data, 8 if big else 4)
+        (n,) = struct.unpack_from(order + count, data, at)
+        at += struct.calcsize(order + count)
+        size = {}
+        for i in range(min(n, 1000)):
+            tag, kind = struct.unpack_from(order + "HH", data, at + i * entry)
+            if tag in (256, 257) and kind in _TIFF_TYPES:
+                (size[tag],) = struct.unpack_from(order + _TIFF_TYPES[kind], data, at + i * entry + value_at)
+        return (size[256], size[257]) if len(size) == 2 else None
+    except struct.error:
+        return None

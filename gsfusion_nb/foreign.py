@@ -1,0 +1,139 @@
+"""Reading files of other people and programs: plain files only, within limits, and every error is a sentence.
+
+A file may be damaged, of another kind, or made to harm. So nothing here opens a pipe or a device, which would wait or
+never end; nothing takes more memory than the caller allows, also when the content is packed; and whatever a parser of
+another project raises becomes a ``SequenceError`` that names the file. All other modules read through this one.
+"""
+
+import contextlib
+import os
+import stat
+import zipfile
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO
+
+from .errors import BadFrameError, SequenceError, SequenceNotFoundError
+
+TEXT_BYTES = 256_000_000
+"""Of a text file: the poses of a million frames."""
+IMAGE_BYTES = 256_000_000
+"""Of an encoded image."""
+
+
+def open_regular(path: str | Path, what: str) -> BinaryIO:
+    """Open a plain file for reading bytes. Pipes, sockets, devices and folders are refused, before anything waits.
+
+    Raises:
+        SequenceNotFoundError: no such file. SequenceError: no plain file, or it may not be read.
+    """
+    try:
+        # A pipe that nobody writes to blocks on opening, unless it is opened without waiting.
+        handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    except (FileNotFoundError, NotADirectoryError):
+        raise SequenceNotFoundError(f"{path} does not exist; expected {what}") from None
+    except (OSError, ValueError) as e:
+        reason = getattr(e, "strerror", None) or e
+        if Path(path).is_dir():
+            reason = "it is a folder"
+        raise SequenceError(f"{path} cannot be read ({reason}); expected {what}") from None
+    mode = os.fstat(handle).st_mode
+    if not stat.S_ISREG(mode):
+        os.close(handle)
+        kind = "a folder" if stat.S_ISDIR(mode) else "a pipe or device"
+        raise SequenceError(f"{path} is {kind}, not a plain file; expected {what}")
+    return os.fdopen(handle, "rb")
+
+
+def read_bytes(path: str | Path, what: str, *, at_most: int = TEXT_BYTES) -> bytes:
+    """Content of a plain file (``open_regular``) of at most ``at_most`` bytes."""
+    with open_regular(path, what) as file:
+        try:
+            data = file.read(at_most + 1)
+        except OSError as e:
+            raise SequenceError(f"{path} cannot be read ({e.strerror}); expected {what}") from None
+    if len(data) > at_most:
+        raise SequenceError(f"{path} is larger than {at_most / 1e6:g} MB; expected {what}")
+    return data
+
+
+def read_text(path: str | Path, what: str, *, at_most: int = TEXT_BYTES) -> str:
+    """Text of a plain file in UTF-8, with or without a byte order mark."""
+    try:
+        return read_bytes(path, what, at_most=at_most).decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise SequenceError(f"{path} is not a text file; expected {what}") from None
+
+
+def read_exactly(file: BinaryIO, n: int, path: str | Path) -> bytes:
+    """The next ``n`` bytes of an open file.
+
+    Raises:
+        SequenceError: it has fewer; nothing is read then, so a length that is wrong costs no memory.
+    """
+    left = os.fstat(file.fileno()).st_size - file.tell()
+    if not 0 <= n <= left:
+        raise SequenceError(f"{path} is truncated: it ends {n - left} bytes too early; copy it again")
+    return file.read(n)
+
+
+def inflate(data: bytes, source: str | Path, *, at_most: int) -> bytes:
+    """Unpacked content of a zlib stream. Raises ``BadFrameError`` when it is damaged or larger than ``at_most``."""
+    unpacker = zlib.decompressobj()
+    try:
+        content = unpacker.decompress(data, at_most + 1)
+    except zlib.error as e:
+        raise BadFrameError(f"{source} cannot be unpacked ({e})") from None
+    if len(content) > at_most:
+        raise BadFrameError(f"{source} unpacks to more than the {at_most} bytes that were expected")
+    if not unpacker.eof:
+        raise BadFrameError(f"{source} cannot be unpacked (it is truncated)")
+    return content
+
+
+def open_archive(path: str | Path, what: str) -> zipfile.ZipFile:
+    """A zip archive for reading. Raises ``SequenceError`` for another file."""
+    open_regular(path, what).close()
+    with parsing(path, what):
+        return zipfile.ZipFile(path)
+
+
+def read_member(archive: zipfile.ZipFile, name: str, source: str | Path, *, at_most: int) -> bytes:
+    """Content of one member of an archive, of at most ``at_most`` bytes unpacked.
+
+    Raises:
+        KeyError: no such member. BadFrameError: it is damaged, encrypted or larger.
+    """
+    info = archive.getinfo(name)
+    if info.file_size > at_most:
+        raise BadFrameError(f"{source}: {name} unpacks to {info.file_size} bytes; expected at most {at_most}")
+    try:
+        with archive.open(info) as member:
+            return member.read(at_most)
+    except Exception as e:
+        raise BadFrameError(f"{source}: {name} is damaged ({_reason(e)})") from None
+
+
+@contextlib.contextmanager
+def parsing(source: str | Path, what: str, error: type[SequenceError] = SequenceError) -> Iterator[None]:
+    """Whatever a parser of another project raises in the block becomes one sentence that names ``source``.
+
+    Such parsers were written for files in order: from a damaged one follows any exception, such as ``struct.error`` or
+    ``AssertionError``. Errors that are sentences already pass as they are.
+    """
+    try:
+        yield
+    except SequenceError:
+        raise
+    except MemoryError:
+        raise error(f"{source} asks for more memory than there is; it is damaged; expected {what}") from None
+    except Exception as e:
+        raise error(f"{source} is not readable as {what} ({_reason(e)}); it may be truncated or damaged") from e
+
+
+def _reason(error: Exception) -> str:
+    """The first line of an error, short enough for a sentence."""
+    lines = str(error).strip().splitlines()
+    text = lines[0].split(". ")[0][:160] if lines else ""
+    return text if isinstance(error, OSError | ValueError) and text else f"{type(error).__name__} {text}".strip()
