@@ -2,7 +2,7 @@ import json
 
 import pytest
 
-from gsfusion_nb.config import GSFusionConfig, from_dict, gsfusion, presets, replace, to_dict
+from gsfusion_nb.config import GSFusionConfig, from_dict, gsfusion, gsfusion_fidelity, presets, replace, to_dict
 
 
 @pytest.mark.parametrize(
@@ -16,6 +16,45 @@ def test_presets_carry_the_published_numbers(preset, m, n, random, passes, all_f
     assert (o.global_iterations, o.ssim_weight, c.keep_all_frames) == (passes, 0.2, all_frames)
     assert (c.tsdf.voxel_size_m, c.tsdf.truncation_m, c.tsdf.max_weight) == (0.01, pytest.approx(0.08), 100)
     assert (c.seeding.quadtree_threshold, c.keyframe_min_seeds, c.sh_degree) == (0.1, 50, 3)
+
+
+@pytest.mark.parametrize("preset", presets())
+def test_what_the_paper_says(preset):
+    c = gsfusion(preset, "paper")
+    assert (c.tsdf.sdf, c.tsdf.average, c.tsdf.outlier_guard) == ("z", "eq9", False)
+    assert (c.optim.ssim_weight, c.optim.adam_steps) == (0.0, "shared")
+    assert c.seeding.one_per_voxel
+    assert (c.data.hold_out_every, c.data.scored_views) == (0, 0)
+
+
+@pytest.mark.parametrize("preset", presets())
+def test_what_the_released_code_does(preset):
+    c = gsfusion(preset, "code")
+    assert (c.tsdf.sdf, c.tsdf.average, c.tsdf.outlier_guard) == ("ray", "int16", False)
+    assert (c.optim.ssim_weight, c.optim.adam_steps) == (0.2, "shared")
+    assert not c.seeding.one_per_voxel
+    assert (c.data.hold_out_every, c.data.scored_views) == (0, 0)
+    assert c.optim.keyframe_iterations == gsfusion(preset).optim.keyframe_iterations
+
+
+def test_measured_is_the_default():
+    assert gsfusion("tum") == gsfusion("tum", "measured")
+    assert gsfusion() == GSFusionConfig()
+    with pytest.raises(KeyError, match="no fidelity 'papre'; known: code, measured, paper"):
+        gsfusion("room", "papre")
+
+
+@pytest.mark.parametrize("preset", presets())
+@pytest.mark.parametrize("fidelity", ["measured", "paper", "code"])
+def test_settings_know_what_they_follow(preset, fidelity):
+    assert gsfusion_fidelity(gsfusion(preset, fidelity, sh_degree=0, tsdf__voxel_size_m=0.05)) == fidelity
+
+
+def test_settings_know_their_exceptions():
+    mixed = gsfusion("replica", "code", optim__ssim_weight=0.0)
+    assert gsfusion_fidelity(mixed) == "code, but optim.ssim_weight 0.0"
+    held_out = gsfusion("replica", "paper", data__hold_out_every=8, optim__adam_steps="none")
+    assert gsfusion_fidelity(held_out) == "paper, but data.hold_out_every 8, optim.adam_steps none"
 
 
 def test_overrides_reach_nested_fields():
@@ -44,6 +83,7 @@ def test_unknown_names_are_refused_with_the_known_ones():
     ("override", "message"),
     [
         ({"tsdf__voxel_size_m": 0.0}, r"tsdf.voxel_size_m must be > 0, got 0"),
+        ({"data__scored_views": -1}, "scored_views must be >= 0, got -1"),
         ({"tsdf__near_m": 7.0}, "near_m must be >= 0 and below far_m"),
         ({"seeding__quadtree_threshold": -1.0}, "quadtree_threshold must be > 0"),
         ({"seeding__quadtree_min_cell_px": 0}, "quadtree_min_cell_px must be >= 1"),

@@ -30,8 +30,8 @@ class SettingsOptions:
     """Settings as published for a data set, such as replica or tum; single options override it. By default replica, and
     room for the built-in scene."""
     fidelity: str = ""
-    """RTG-SLAM: what to follow where paper and released code differ: paper, code, or measured, of each what measured
-    better (the default)."""
+    """What to follow where paper and released code differ: paper, code, or measured, of each what measured better (the
+    default)."""
     from_config: str = ""
     """A config.json of an earlier run whose settings to start from instead of a preset."""
     rule_options: tuple[str, ...] = ()

@@ -3,6 +3,7 @@
 from .gsfusion import GSFusionConfig as GSFusionConfig
 from .gsfusion import OptimConfig as OptimConfig
 from .gsfusion import gsfusion as gsfusion
+from .gsfusion import gsfusion_fidelity as gsfusion_fidelity
 from .gsfusion import presets as presets
 from .parts import DataConfig as DataConfig
 from .parts import SeedingConfig as SeedingConfig
@@ -15,6 +16,7 @@ from .rtg_slam import RtgSlamConfig as RtgSlamConfig
 from .rtg_slam import StateConfig as StateConfig
 from .rtg_slam import WindowConfig as WindowConfig
 from .rtg_slam import rtg_slam as rtg_slam
+from .rtg_slam import rtg_slam_fidelity as rtg_slam_fidelity
 from .system import SystemConfig as SystemConfig
 from .tracking import BackEndConfig as BackEndConfig
 from .tracking import TrackingConfig as TrackingConfig

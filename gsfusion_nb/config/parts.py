@@ -5,6 +5,7 @@ from typing import Literal
 
 from ..checks import check_number, check_positive
 from .repair import RepairConfig
+from .values import check_kinds
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,6 +29,11 @@ class TsdfConfig:
     sdf: Literal["z", "ray"] = "ray"
     """How the distance from a voxel to the measured surface is taken: along the optical axis ("z", GSFusion Eq. 6) or
     along the viewing ray ("ray", as the released code; more accurate away from the image centre)."""
+    average: Literal["mean", "eq9", "int16"] = "mean"
+    """How a new distance is averaged with those before. "mean": all count the same; "eq9": GSFusion's Eq. 9 as printed,
+    where a new one counts a little more than all before together, so the surface follows the last frames and their
+    noise; "int16": the mean in whole numbers of 1/32767 truncation distances, rounded towards zero, as the released
+    code."""
     outlier_guard: bool = True
     """Create no voxels for isolated depth pixels, those that differ strongly in depth from all their neighbours. Turn
     it off only for depth without noise."""
@@ -40,6 +46,7 @@ class TsdfConfig:
         check_number("tsdf.truncation_voxels", self.truncation_voxels, 1, 64)
         check_number("tsdf.far_m", self.far_m, 0, 1000)
         check_number("tsdf.near_m", self.near_m)
+        check_kinds("tsdf", self)
         if not 0 <= self.near_m < self.far_m:
             raise ValueError(f"tsdf.near_m must be >= 0 and below far_m, got near {self.near_m} and far {self.far_m}")
 
@@ -66,8 +73,9 @@ class SeedingConfig:
     the released code, so the threshold depends on the image size; "std": standard deviation of the colours in 0..1, the
     same at every size. Channels are weighted by their brightness (luma)."""
     one_per_voxel: bool = False
-    """Create at most one Gaussian per voxel and frame (the paper's text; the released code does not). On: fewer
-    Gaussians close to the camera."""
+    """A voxel holds at most one Gaussian: of the new ones that share a voxel the largest is created, and none where the
+    map has one already (GSFusion's paper, section IV-C.1; the released code does not see to it). On: fewer Gaussians
+    close to the camera."""
     options: dict[str, int | float | str | bool] = field(default_factory=dict)
     """Keyword arguments of the rule, by name; on the command line: --rule-options name=value."""
 
@@ -103,11 +111,14 @@ class DataConfig:
     fewer for the map. 0 maps all frames; 8 is usual."""
     hold_out_offset: int = 4
     """Which of each k frames is held out: 0 to k - 1."""
+    scored_views: int = 250
+    """At most this many mapped views are scored, evenly spread; all held-out views are. 0 scores every mapped view, as
+    the papers do; larger: exacter means, longer scoring. Usual: 100 to 500."""
     repair: RepairConfig = field(default_factory=RepairConfig)
     """Corrections of a recording that differs from what its layout says."""
 
     def __post_init__(self):
-        for name in ("start", "stop", "hold_out_every", "hold_out_offset"):
+        for name in ("start", "stop", "hold_out_every", "hold_out_offset", "scored_views"):
             if getattr(self, name) < 0:
                 raise ValueError(f"data.{name} must be >= 0, got {getattr(self, name)}")
         for name in ("width", "height"):

@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 from ..checks import check_name, check_number, check_positive
 from ..constants import DISC_MAX_OFFSET, DISC_MIN_COSINE, OPAQUE_ALPHA
+from .fidelity import fidelity_of
 from .parts import DataConfig, SeedingConfig, TsdfConfig
 from .system import SystemConfig
 from .values import check_kinds, from_dict, replace
@@ -306,3 +307,8 @@ def rtg_slam(preset: str = "replica", fidelity: str = "measured", **overrides: A
     for layer in layers:
         config = from_dict(RtgSlamConfig, layer, start=config)
     return replace(config, **overrides)
+
+
+def rtg_slam_fidelity(config: RtgSlamConfig) -> str:
+    """Which fidelity the settings have, and what they set otherwise: "code, but final.weight_depth 1.0"."""
+    return fidelity_of(config, {name: [rtg_slam(p, name) for p in _RTG_SLAM] for name in _FIDELITY})

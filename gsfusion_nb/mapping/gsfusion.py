@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from ..config import GSFusionConfig, gsfusion
+from ..config import GSFusionConfig, gsfusion, gsfusion_fidelity
 from ..errors import BadFrameError
 from ..gaussians import GaussianModel
 from ..optim import Keyframe, adam_step, dssim_vjp, l1_mse_vjp
@@ -30,6 +30,8 @@ class GSFusion(Mapper):
     title = "GSFusion"
     config_type = GSFusionConfig
     preset = staticmethod(gsfusion)
+    fidelities = ("measured", "paper", "code")
+    fidelity_of = staticmethod(gsfusion_fidelity)
     panels = ("input", "render", "error", "quadtree_seeds")
     memory_savers = ("a larger seeding.quadtree_threshold", "larger voxels (tsdf.voxel_size_m)")
 

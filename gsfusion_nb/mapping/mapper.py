@@ -80,6 +80,8 @@ class Mapper(ABC):
     """``preset(name, **overrides)``: settings as published for a data set; also takes ``fidelity`` if there are any."""
     fidelities: ClassVar[tuple[str, ...]] = ()
     """Values of ``fidelity``, the default first: what to follow where paper and released code differ. Often none."""
+    fidelity_of: ClassVar[Callable[[Any], str]] = staticmethod(lambda config: "")
+    """``fidelity_of(config)``: which of them the settings follow, with exceptions, in words; "" if there are none."""
     model_type: ClassVar[type[GaussianModel]] = GaussianModel
     """Class of the Gaussian map."""
     gaussians_are_discs: ClassVar[bool] = False

@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from ..config import RtgSlamConfig, rtg_slam
+from ..config import RtgSlamConfig, rtg_slam, rtg_slam_fidelity
 from ..gaussians import STABLE, SurfelModel, Transitions, change_states, count_errors, count_views, state_counts
 from ..geometry import se3
 from ..optim import Keyframe, fuse_with_history
@@ -40,6 +40,7 @@ class RTGSLAM(Mapper):
     config_type = RtgSlamConfig
     preset = staticmethod(rtg_slam)
     fidelities = ("measured", "paper", "code")
+    fidelity_of = staticmethod(rtg_slam_fidelity)
     model_type = SurfelModel
     gaussians_are_discs = True
     panels = ("input", "render", "error", "depth_error", "states", "seed_causes")

@@ -160,9 +160,10 @@ class MappingRun:
         return read_ahead(view, start=self.next_position, depth=READ_AHEAD if _is_on_disk(view) else 0)
 
     def mapped_views(self, limit: int) -> SequenceView:
-        """At most ``limit`` of the frames mapped so far, evenly spread."""
+        """At most ``limit`` of the frames mapped so far, evenly spread; 0: all of them."""
         mapped, n = self.sequence.mapping, self.next_position
-        picks = range(n) if n <= limit else [round(i * (n - 1) / (limit - 1)) for i in range(limit)]
+        few = limit and n > limit
+        picks = [round(i * (n - 1) / max(limit - 1, 1)) for i in range(limit)] if few else range(n)
         return dataclasses.replace(mapped, positions=[mapped.positions[i] for i in picks])
 
     def extra_metrics(self) -> dict[str, Any]:

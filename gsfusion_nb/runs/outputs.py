@@ -60,6 +60,7 @@ def write_maps(run: MappingRun, folder: Path) -> Mesh:
         "source": run.source,
         "device": str(run.mapper.device),
         "rule": rule_name(run.mapper.rule),
+        "fidelity": run.mapper.fidelity_of(run.mapper.config),
         "config": to_dict(run.mapper.config),
     }
     write_json(folder / "config.json", settings)
@@ -89,10 +90,15 @@ def write_numbers(run: MappingRun, folder: Path, metrics: dict[str, Any]) -> Non
 
 def write_page(run: MappingRun, folder: Path, metrics: dict[str, Any]) -> Path:
     """Write report.html."""
-    config = run.mapper.config
+    config, fidelity = run.mapper.config, run.mapper.fidelity_of(run.mapper.config)
+    about = [
+        f"{len(run.steps)} frames",
+        f"colour of SH degree {config.sh_degree}",
+        f"rule {rule_name(run.mapper.rule)}",
+    ]
     data = ReportData(
         title=f"{run.mapper.title} on {run.sequence.name}",
-        subtitle=f"{len(run.steps)} frames, colour of SH degree {config.sh_degree}, rule {rule_name(run.mapper.rule)}",
+        subtitle=", ".join([*about, f"fidelity {fidelity}"] if fidelity else about),
         metrics=metrics,
         config=to_dict(config),
         frames=[_frame_row(s) for s in run.steps],

@@ -17,8 +17,6 @@ from .mapping_run import MappingRun
 from .posed_frames import frames_at, poses_in_map
 
 VIEWS = "views.json"
-MAX_SCORED_VIEWS = 250
-"""At most this many mapped views are scored, evenly spread; all held-out views are scored."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -45,7 +43,7 @@ class ScoredViews:
 def scored_views(run: MappingRun) -> dict[str, ScoredViews]:
     """The held-out views and the mapped views of a run that are scored, at their present poses in the map."""
     localiser, mapping = run.mapper.localiser, run.sequence.mapping
-    mapped = run.mapped_views(MAX_SCORED_VIEWS)
+    mapped = run.mapped_views(run.mapper.config.data.scored_views)
     refused = set(mapped.positions) - set(localiser.frame_indices)  # read, but not mapped
     mapped = dataclasses.replace(mapped, positions=[p for p in mapped.positions if p not in refused])
     found = {}

@@ -86,7 +86,7 @@ def apply_rule(
         rule: Name or function.
         ctx: What the rule may look at.
         options: Keyword arguments for the rule, in place of its defaults.
-        one_per_voxel: Afterwards keep one seed per voxel, see ``keep_one_per_voxel``.
+        one_per_voxel: Afterwards keep one seed per voxel, in voxels without a Gaussian: ``keep_one_per_voxel``.
 
     Returns:
         The new Gaussians, on the frame's device.
@@ -103,22 +103,30 @@ def apply_rule(
         _check_seeds(seeds, ctx)
     except (TypeError, ValueError) as error:
         raise type(error)(f"seeding rule {rule_name(rule)!r} returned something unusable: {error}") from None
-    return keep_one_per_voxel(seeds, ctx.voxel_index(seeds.xyz_W)) if one_per_voxel else seeds
+    if not one_per_voxel:
+        return seeds
+    taken = None if ctx.gaussians is None else ctx.voxel_index(ctx.gaussians.params.xyz_W)
+    return keep_one_per_voxel(seeds, ctx.voxel_index(seeds.xyz_W), taken)
 
 
-def keep_one_per_voxel(seeds: Seeds, voxel: Int[Tensor, "N 3"]) -> Seeds:
+def keep_one_per_voxel(seeds: Seeds, voxel: Int[Tensor, "N 3"], taken: Int[Tensor, "M 3"] | None = None) -> Seeds:
     """Of the seeds that share a voxel, keep the one with the largest standard deviation; of equals, the first.
 
-    The largest leaves the smallest hole where its neighbours are dropped. GSFusion III-B.2 says "at most one Gaussian
-    per voxel" without saying which; seeds of earlier frames are kept away by the rule's own voxel test.
+    The largest leaves the smallest hole where its neighbours are dropped. GSFusion IV-C.1 says that a voxel contains at
+    most one Gaussian without saying which.
 
     Args:
         seeds: Proposed Gaussians, N rows.
         voxel: Integer voxel coordinates of each. [N, 3]
+        taken: Voxels that hold a Gaussian of the map; no seed in them is kept. [M, 3]
 
     Returns:
         The survivors, in their order.
     """
+    if taken is not None and len(taken) and len(seeds):
+        _, group = torch.unique(torch.cat([voxel, taken]), dim=0, return_inverse=True)
+        free = ~torch.isin(group[: len(seeds)], group[len(seeds) :])
+        seeds, voxel = seeds[free], voxel[free]
     if len(seeds) == 0:
         return seeds
     size = seeds.scale_m.amax(dim=-1)

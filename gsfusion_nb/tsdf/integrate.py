@@ -1,6 +1,7 @@
 """Fold one RGB-D frame into the volume (GSFusion III-B.1, Eq. 6-9; Curless & Levoy 1996)."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -12,6 +13,9 @@ from ..geometry import project, se3
 from ..types import Camera, Frame
 from .allocate import allocate
 from .volume import TsdfSample, TsdfVolume
+
+INT16_ONE = 32767.0
+"""D = 1 in the released code's whole numbers."""
 
 BLOCKS_AT_A_TIME = 256
 """Bounds the memory for intermediate results, whatever the size of the map."""
@@ -34,11 +38,12 @@ def tsdf_update(
     *,
     truncation_m: float,
     max_weight: float,
+    average: Literal["mean", "eq9", "int16"] = "mean",
 ) -> tuple[Float[Tensor, "*V"], Float[Tensor, "*V"]]:
     """Fold one signed-distance observation into every voxel that is not behind the truncation band (Eq. 7-9).
 
-    Eq. 9 as printed weights the new value d by w_k where the released code, and this function, weight it by 1. That
-    makes D the mean of all observations: 0.2, 0.4, 0.6 give 0.2, 0.3, 0.4, and as printed 0.2, 0.3333, 0.4933.
+    Eq. 9 as printed weights the new value d by w_k where the released code weights it by 1. The latter makes D the mean
+    of all observations: 0.2, 0.4, 0.6 give 0.2, 0.3, 0.4, and as printed 0.2, 0.3333, 0.4933.
 
     Args:
         D: Truncated signed distance before, tsdf_{k-1}, in units of the truncation distance. Any shape [V]
@@ -46,6 +51,9 @@ def tsdf_update(
         sdf_m: New signed distance, metres, positive in front of the surface; -inf where nothing was measured. [V]
         truncation_m: Half width eps of the band, metres.
         max_weight: Cap w_max on the count, at least 1.
+        average: "mean" of all observations; "eq9" as printed; "int16": the mean with D, d and the result truncated to
+            multiples of 1/32767, as in the released code, so that D no longer follows changes below
+            w_max / 32767 once W has reached w_max.
 
     Returns:
         ``D`` and ``W`` after, tsdf_k and w_k; voxels behind the band keep theirs.
@@ -54,7 +62,12 @@ def tsdf_update(
     """
     d = (sdf_m / truncation_m).clamp(-1.0, 1.0)  # Eq. 7
     W_k = (W + 1.0).clamp(max=max_weight)  # Eq. 8
-    D_k = (D * (W_k - 1.0) + d) / W_k  # Eq. 9, the new value with weight 1
+    if average == "eq9":
+        D_k = (D * W + d * W_k) / (W + W_k)  # Eq. 9 as printed
+    elif average == "int16":
+        D_k = (((D * INT16_ONE).round() * (W_k - 1.0) + (d * INT16_ONE).trunc()) / W_k).trunc() / INT16_ONE
+    else:
+        D_k = (D * (W_k - 1.0) + d) / W_k  # Eq. 9, the new value with weight 1
     in_band = sdf_m > -truncation_m
     return D_k.where(in_band, D), W_k.where(in_band, W)
 
@@ -136,8 +149,9 @@ def fuse_voxels(
     measured = in_image & (depth_m > 0) & (depth_m >= config.near_m) & (depth_m < torch.inf)
     sdf_m = sdf_m.where(measured, -torch.inf).to(before.D.dtype)
 
-    D_k, W_k = tsdf_update(before.D, before.W, sdf_m, truncation_m=config.truncation_m, max_weight=config.max_weight)
+    band = {"truncation_m": config.truncation_m, "max_weight": config.max_weight, "average": config.average}
+    D_k, W_k = tsdf_update(before.D, before.W, sdf_m, **band)
     observed = sdf_m > -config.truncation_m
     w_k = W_k[..., None]
-    rgb_k = (before.rgb * (w_k - 1.0) + frame.rgb[v, u]) / w_k  # the mean of Eq. 9 for the colour
+    rgb_k = (before.rgb * (w_k - 1.0) + frame.rgb[v, u]) / w_k  # colour is the mean of all, which the paper leaves open
     return TsdfSample(D=D_k, W=W_k, rgb=rgb_k.where(observed[..., None], before.rgb)), observed

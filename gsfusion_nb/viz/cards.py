@@ -114,6 +114,8 @@ def _gaussians(model: GaussianModel) -> tuple[Picture | None, dict[str, str]]:
 def _run(run: MappingRun) -> tuple[Picture | None, dict[str, str]]:
     mapper, steps = run.mapper, run.steps
     rows = {"system": run.system, "frames": f"{len(steps):,} mapped, {len(run.warnings)} warnings"}
+    fidelity = mapper.fidelity_of(mapper.config)
+    rows |= {"fidelity": fidelity} if fidelity else {}
     if not steps:
         return None, rows
     seconds = sum(s.total_seconds for s in steps)

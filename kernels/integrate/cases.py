@@ -27,6 +27,9 @@ def cases() -> Iterator[Case]:
         for whole_numbers, colours in ((True, "8-bit"), (False, "float")):
             frames = [wall(whole_numbers=whole_numbers, shift_m=x) for x in (0.0, 0.03)]
             yield _case(f"{sdf}, {colours} colours", frames, sdf=sdf)
+    for average, flips in (("eq9", _FLIPS), ("int16", 2e-2)):  # a last bit decides between two whole numbers
+        frames = [wall(shift_m=x) for x in (0.0, 0.03, 0.01)]
+        yield _case(f"average {average}", frames, flips=flips, average=average)
     frame = wall()
     yield _case("nothing measured", [frame, dataclasses.replace(frame, depth_m=torch.zeros_like(frame.depth_m))])
     yield _case("a camera inside the map", [_moved(frame, z=1.4)])
@@ -51,12 +54,12 @@ def make_map(frames: list[Frame], device: torch.device, **config) -> TsdfVolume:
     return volume
 
 
-def _case(name: str, frames: list[Frame], **config) -> Case:
+def _case(name: str, frames: list[Frame], flips: float = _FLIPS, **config) -> Case:
     def run(device: torch.device, dtype: torch.dtype) -> dict[str, Tensor]:
         volume = make_map(frames, device, **config)
         return {"D": volume.D, "W": volume.W, "rgb": volume.rgb_planes}
 
-    return Case(name=name, operations=("fuse_frame_",), run=run, dtypes=(torch.float32,), flips=_FLIPS)
+    return Case(name=name, operations=("fuse_frame_",), run=run, dtypes=(torch.float32,), flips=flips)
 
 
 def _moved(frame: Frame, *, z: float) -> Frame:

@@ -5,6 +5,7 @@ import ctypes
 import torch
 from torch import Tensor
 
+from gsfusion_nb.tsdf.integrate import fuse_frame_ as reference
 from gsfusion_nb.tsdf.volume import TsdfVolume
 from gsfusion_nb.types import Frame
 
@@ -16,12 +17,14 @@ _RESIDENT = 132 * 16
 
 
 def fuse_frame_(volume: TsdfVolume, frame: Frame) -> int:
-    """See ``gsfusion_nb.tsdf.integrate.fuse_frame_``."""
+    """See ``gsfusion_nb.tsdf.integrate.fuse_frame_``; the published averages are left to the reference."""
     device = device_of("fuse_frame_", volume=volume.D, depth_m=frame.depth_m, rgb=frame.rgb)
     check_dtype("fuse_frame_", torch.float32, volume=volume.D, depth_m=frame.depth_m, rgb=frame.rgb)
     n, camera, config = volume.n_blocks, frame.camera, volume.config
     if not n:
         return 0
+    if config.average != "mean":
+        return reference.reference(volume, frame)
     pose = packed(frame.T_WC.to(device, torch.float32))
     rows = torch.empty(n, dtype=torch.int32, device=device)
     count = torch.zeros(2, dtype=torch.int32, device=device)

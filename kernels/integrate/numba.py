@@ -11,8 +11,10 @@ import numpy as np
 import torch
 from numba import int32, njit, prange, uint32, uint64
 
+from gsfusion_nb.config import TsdfConfig
 from gsfusion_nb.constants import BLOCK_VOXELS, VOXELS_PER_BLOCK
 from gsfusion_nb.geometry import se3
+from gsfusion_nb.tsdf.integrate import INT16_ONE
 from gsfusion_nb.tsdf.integrate import fuse_frame_ as reference
 from gsfusion_nb.tsdf.volume import TsdfVolume
 from gsfusion_nb.types import Frame
@@ -39,6 +41,11 @@ _EPS = f32(1e-4)
 _MISSING = f32(-1e9)
 _ZERO, _ONE, _INFINITE = f32(0.0), f32(1.0), f32(np.inf)
 _GREY_LEVELS = f32(255.0)
+_AVERAGES = {"mean": 0, "eq9": 1, "int16": 2}
+_INT16_ONE, _INT16_ULP = f32(INT16_ONE), f32(1.0 / INT16_ONE)
+_ULP_IS_ONE = f32(2.0**23)
+"""From here on float32 numbers are whole: adding and subtracting it rounds a smaller positive number."""
+
 _TILE = 8
 _CHUNK = 16
 """Blocks of one parallel task."""
@@ -72,8 +79,13 @@ def fuse_frame_(volume: TsdfVolume, frame: Frame) -> int:
         _observable(state[0], K @ T_CW[:3], T_CW[2], limits, depth.shape, pyramid, seen)
         rows = np.flatnonzero(seen).astype(np.int32)
         updated = np.zeros(-(-len(rows) // _CHUNK), np.int64)
-        _fuse(rows, state, (packed, rgb), depth.shape, (T_CW, K), limits, config.sdf == "ray", updated)
+        _fuse(rows, state, (packed, rgb), depth.shape, (T_CW, K), limits, _published(config), updated)
     return int(updated.sum())
+
+
+def _published(config: TsdfConfig) -> tuple[bool, int]:
+    """Whether distances are along the ray, and how they are averaged."""
+    return config.sdf == "ray", _AVERAGES[config.average]
 
 
 def _packed(depth: np.ndarray, colour: np.ndarray, near_m: float) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
@@ -214,8 +226,34 @@ def _offsets(T_CW, K, voxel_size):
     return out
 
 
+@njit(cache=True, error_model="numpy")
+def _as_published(D, d, W, W_k, average):
+    """Averages "eq9" and "int16" of ``tsdf_update``."""
+    if average == 1:
+        return (D * W + d * W_k) / (W + W_k)
+    unit, one = splat(_INT16_ONE), splat(_ONE)
+    total = _rounded(D * unit) * (W_k - one) + _truncated(d * unit)
+    return _truncated(total / W_k) * splat(_INT16_ULP)
+
+
+@njit(cache=True, error_model="numpy")
+def _rounded(x):
+    """The whole numbers next to lanes of less than 2^22 in size."""
+    shift = splat(_ULP_IS_ONE * f32(1.5))
+    return (x + shift) - shift
+
+
+@njit(cache=True, error_model="numpy")
+def _truncated(x):
+    """Lanes of less than 2^22 in size, rounded towards zero."""
+    zero, one = splat(_ZERO), splat(_ONE)
+    whole = _rounded(x)
+    whole = select((x > zero) & (whole > x), whole - one, whole)
+    return select((x < zero) & (whole < x), whole + one, whole)
+
+
 @njit(parallel=True, cache=True, error_model="numpy")
-def _fuse(rows, state, image, size, view, limits, along_ray, updated):
+def _fuse(rows, state, image, size, view, limits, published, updated):
     """Update the voxels of the blocks ``rows``; ``updated`` [tasks] takes the numbers of voxels observed.
 
     A task takes every n-th block, so that tasks cost about the same wherever the hidden blocks are.
@@ -223,6 +261,7 @@ def _fuse(rows, state, image, size, view, limits, along_ray, updated):
     coords, D, W, C = state
     T_CW, K = view
     packed, rgb = image
+    along_ray, average = published
     offset = _offsets(T_CW, K, limits[4])
     height, width = size
     n_tasks = updated.shape[0]
@@ -271,7 +310,10 @@ def _fuse(rows, state, image, size, view, limits, along_ray, updated):
                 step = select(observed, one / W_new, zero)
                 d = maximum(minimum(times(sdf, inv_truncation), one), zero - one)
                 store(W, at, W_new)
-                store(D, at, D_old + select(observed, step * (d - D_old), zero))
+                if average == 0:
+                    store(D, at, D_old + select(observed, step * (d - D_old), zero))
+                else:
+                    store(D, at, select(observed, _as_published(D_old, d, W_old, W_new, average), D_old))
                 for c in range(3):
                     prefetch(C, 3 * ahead + c * VOXELS_PER_BLOCK + o)
                 c0 = row * 3 * VOXELS_PER_BLOCK + o

@@ -26,8 +26,8 @@ _MISSING = tl.constexpr(-1e9)
 
 
 def fuse_frame_(volume: TsdfVolume, frame: Frame) -> int:
-    """See ``gsfusion_nb.tsdf.integrate.fuse_frame_``."""
-    if any(t.dtype != torch.float32 for t in (frame.depth_m, frame.rgb, volume.D)):
+    """See ``gsfusion_nb.tsdf.integrate.fuse_frame_``; the published averages are left to the reference."""
+    if volume.config.average != "mean" or any(t.dtype != torch.float32 for t in (frame.depth_m, frame.rgb, volume.D)):
         return reference.reference(volume, frame)
     device = device_of("fuse_frame_", volume=volume.D, depth_m=frame.depth_m, rgb=frame.rgb)
     if not volume.n_blocks:

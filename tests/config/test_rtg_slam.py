@@ -5,7 +5,7 @@ import math
 
 import pytest
 
-from gsfusion_nb.config import RtgSlamConfig, TrackingConfig, from_dict, replace, rtg_slam, to_dict
+from gsfusion_nb.config import RtgSlamConfig, TrackingConfig, from_dict, replace, rtg_slam, rtg_slam_fidelity, to_dict
 
 PRESETS = ("replica", "tum", "scannetpp", "azure", "room")
 FIDELITIES = ("measured", "paper", "code")
@@ -101,6 +101,14 @@ def test_share_of_newly_seen_pixels_in_the_released_code(preset, points, size):
     options = rtg_slam(preset, "code").seeding.options
     assert options["fidelity"] == "code"
     assert options.get("share", 0.05) * size[0] * size[1] == pytest.approx(points)
+
+
+@pytest.mark.parametrize("fidelity", FIDELITIES)
+@pytest.mark.parametrize("preset", PRESETS)
+def test_settings_know_what_they_follow(preset, fidelity):
+    assert rtg_slam_fidelity(rtg_slam(preset, fidelity, seed=3)) == fidelity
+    changed = rtg_slam(preset, fidelity, window__history_max_weight=0.7)
+    assert rtg_slam_fidelity(changed) == f"{fidelity}, but window.history_max_weight 0.7"
 
 
 def test_overrides_reach_nested_fields():

@@ -7,7 +7,7 @@ import torch
 
 from gsfusion_nb.backends import use_backend
 from gsfusion_nb.config import TsdfConfig
-from gsfusion_nb.tsdf import TsdfVolume, integrate
+from gsfusion_nb.tsdf import TsdfVolume, integrate, tsdf_update
 from gsfusion_nb.tsdf.integrate import fuse_frame_
 
 pytest.importorskip("numba")
@@ -51,6 +51,45 @@ def test_same_voxels(width, height, eight_bit, sdf, make_frames):
         assert a.new_blocks == b.new_blocks
         assert abs(a.updated_voxels - b.updated_voxels) <= 1e-4 * a.updated_voxels
     assert width < 100 or float(volumes[1].W.max()) == 3.0
+
+
+@pytest.mark.parametrize("average", ["eq9", "int16"])
+@pytest.mark.parametrize("max_weight", [3.0, 255.0])
+def test_published_averages(average, max_weight, make_frames):
+    config, frames = dataclasses.replace(CONFIG, average=average, max_weight=max_weight), make_frames(160, 120, n=5)
+    (a, b), _ = both(config, frames)
+    if average == "eq9":
+        assert_same((a, b))
+    else:  # the last bit of a distance decides between two neighbouring whole numbers
+        assert float(((a.D - b.D).abs() > 1 / 32767 + D_ROUNDING).double().mean()) < 2e-5
+        assert float(((a.D - b.D).abs() > D_ROUNDING).double().mean()) < 0.02
+    mean, _ = both(dataclasses.replace(config, average="mean"), frames)
+    assert not torch.allclose(mean[1].D, b.D, atol=D_ROUNDING, rtol=0)
+    assert torch.equal(mean[1].W, b.W)
+    assert torch.equal(mean[1].rgb_planes, b.rgb_planes)
+
+
+@pytest.mark.parametrize("average", ["eq9", "int16"])
+def test_published_averages_of_equal_distances(average):
+    """16,000 voxels of every weight, whole-number D of either sign, and distances on and off whole numbers."""
+    from gsfusion_nb.kernels.integrate.numba import _AVERAGES, _as_published
+    from gsfusion_nb.kernels.runtime.numba.simd import load, store
+    from numba import njit
+
+    @njit
+    def fold(D, d, W, W_k, code, out):
+        for i in range(0, len(D), 16):
+            store(out, i, _as_published(load(D, i), load(d, i), load(W, i), load(W_k, i), code))
+
+    g = torch.Generator().manual_seed(0)
+    D, d = (torch.randint(-32767, 32768, (16_000,), generator=g) / 32767 for _ in range(2))
+    d[::2] = 2 * torch.rand(8_000, generator=g) - 1
+    d[:64] = torch.tensor([-1.0, 0.0, 1.0, -0.0]).repeat(16)
+    W = torch.randint(0, 256, (16_000,), generator=g).float()
+    expected, W_k = tsdf_update(D, W, d.clamp(min=-0.999), truncation_m=1.0, max_weight=255.0, average=average)
+    got = torch.empty_like(D)
+    fold(*(t.numpy() for t in (D, d.clamp(min=-0.999), W, W_k)), _AVERAGES[average], got.numpy())
+    torch.testing.assert_close(got, expected, rtol=0, atol=5e-7)
 
 
 @pytest.mark.parametrize("shift", [-3.0, 640.0])

@@ -51,6 +51,30 @@ def test_steps_per_frame_follow_the_paper(split, config):
     assert kinds == {True, False}
 
 
+def test_a_voxel_holds_at_most_one_gaussian(split, config):
+    """Nothing moves here, so the voxels of the map are those of the seeds."""
+    still = {f"optim__{name}": 0 for name in ("keyframe_iterations", "frame_iterations", "random_keyframe_iterations")}
+    counts = {}
+    for single in (False, True):
+        mapper = GSFusion(replace(config, **still, tsdf__voxel_size_m=0.15, seeding__one_per_voxel=single))
+        for frame in split.mapping:
+            mapper.step(frame)
+        voxels = mapper.seed_context(frame).voxel_index(mapper.gaussians.params.xyz_W)
+        counts[single] = len(voxels), len(torch.unique(voxels, dim=0))
+    assert counts[True][0] == counts[True][1] <= counts[False][1] < counts[False][0]
+
+
+@pytest.mark.parametrize("fidelity", ["paper", "code"])
+def test_as_published(split, config, fidelity):
+    published = gsfusion("room", fidelity)
+    mapper = GSFusion(replace(published, tsdf__voxel_size_m=config.tsdf.voxel_size_m, seeding=config.seeding))
+    for frame in split.mapping:
+        mapper.step(frame)
+    assert held_out_psnr(mapper, split) > 12
+    assert bool(torch.isfinite(mapper.volume.D).all())
+    assert len(list(mapper.global_optimise(1))) == len(mapper.keyframes)
+
+
 def test_keep_all_frames_revisits_every_frame(split, config):
     mapper = GSFusion(replace(config, keep_all_frames=True, keyframe_min_seeds=10**6))
     for frame in split.mapping:

@@ -187,6 +187,16 @@ def test_one_per_voxel_through_apply_rule(ctx):
     assert len(torch.unique(ctx.voxel_index(every.xyz_W), dim=0)) == len(single)
 
 
+def test_one_per_voxel_counts_the_gaussians_of_the_map():
+    voxel = torch.tensor([[0, 0, 0], [5, 0, 0], [-1, 0, 0], [5, 0, 0]])
+    seeds = Seeds.isotropic(voxel.float(), torch.zeros(4, 3), torch.ones(4), tag=torch.arange(4))
+    taken = torch.tensor([[5, 0, 0], [0, 0, 1], [5, 0, 0]])
+    assert keep_one_per_voxel(seeds, voxel, taken).tag.tolist() == [0, 2]
+    assert len(keep_one_per_voxel(seeds, voxel, voxel)) == 0
+    assert keep_one_per_voxel(seeds, voxel, taken[:0]).tag.tolist() == [0, 1, 2]
+    assert len(keep_one_per_voxel(seeds[:0], voxel[:0], taken)) == 0
+
+
 def test_one_per_voxel_without_a_volume_says_so(ctx):
     alone = dataclasses.replace(ctx, volume=None)
     with pytest.raises(ValueError, match="voxel_index needs a TSDF volume"):

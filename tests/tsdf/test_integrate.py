@@ -11,19 +11,41 @@ from gsfusion_nb.types import Camera
 CONFIG = TsdfConfig(voxel_size_m=0.02, truncation_voxels=4.0)
 
 
-def test_running_mean_by_hand():
+@pytest.mark.parametrize(
+    ("average", "expected"),
+    [
+        ("mean", [0.2, 0.3, 0.4]),
+        ("eq9", [0.2, (0.2 + 0.4 * 2) / 3, ((0.2 + 0.8) / 3 * 2 + 0.6 * 3) / 5]),
+        ("int16", [6553 / 32767, 9829 / 32767, 13106 / 32767]),
+    ],
+)
+def test_averages_by_hand(average, expected):
     D, W = torch.ones(1), torch.zeros(1)
-    means, printed = [], []
-    w = literal = 0.0
+    averages = []
     for d in (0.2, 0.4, 0.6):
-        D, W = tsdf_update(D, W, torch.tensor([d * 0.08]), truncation_m=0.08, max_weight=100.0)
-        means.append(float(D))
-        w_k = min(100.0, w + 1)
-        literal, w = (literal * w + d * w_k) / (w + w_k), w_k  # Eq. 9 as printed
-        printed.append(literal)
-    assert means == pytest.approx([0.2, 0.3, 0.4], abs=1e-6)
-    assert printed == pytest.approx([0.2, 1 / 3, 0.49333], abs=1e-4)
+        D, W = tsdf_update(D, W, torch.tensor([d * 0.08]), truncation_m=0.08, max_weight=100.0, average=average)
+        averages.append(float(D))
+    assert averages == pytest.approx(expected, abs=1e-6)
     assert float(W) == 3.0
+
+
+@pytest.mark.parametrize(("average", "reached"), [("mean", 0.502), ("eq9", 0.502), ("int16", 0.5)])
+def test_averages_where_the_weight_is_at_its_cap(average, reached):
+    """A mean that is kept as a whole number no longer follows changes below 100 / 32767; Eq. 9 follows half of each."""
+    D, W = torch.full((1,), 0.5), torch.full((1,), 100.0)
+    update = {"truncation_m": 0.08, "max_weight": 100.0, "average": average}
+    once, _ = tsdf_update(D, W, torch.tensor([0.502 * 0.08]), **update)
+    assert float(once) == pytest.approx({"mean": 0.50002, "eq9": 0.501, "int16": 0.5}[average], abs=2e-5)
+    for _ in range(1000):
+        D, W = tsdf_update(D, W, torch.tensor([0.502 * 0.08]), **update)
+    assert float(D) == pytest.approx(reached, abs=4e-5)
+
+
+def test_int16_truncates_towards_zero():
+    D, W = torch.tensor([-9830 / 32767]), torch.ones(1)
+    update = {"truncation_m": 1.0, "max_weight": 100.0, "average": "int16"}
+    D, _ = tsdf_update(D, W, torch.tensor([-6553.9 / 32767]), **update)
+    assert round(float(D) * 32767) == -8191  # (-9830 - 6553) / 2 = -8191.5
 
 
 def test_update_clamps_caps_and_ignores_what_is_hidden():

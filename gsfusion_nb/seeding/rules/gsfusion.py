@@ -16,7 +16,8 @@ def gsfusion(ctx: SeedContext, *, required_weight: float = 1.0, coverage: bool =
     - a leaf is lost if the voxel around its middle has weight 0, because that voxel's own centre falls on a pixel
       without depth, or too far behind that pixel's depth (object borders);
     - a voxel observed once, and not again in the next frame that measures a point in it, is seeded twice;
-    - several leaves of one frame may share a voxel, unless ``one_per_voxel`` is set in the seeding settings.
+    - several leaves of one frame may share a voxel.
+    The last two cannot happen with ``one_per_voxel`` in the seeding settings.
 
     Args:
         ctx: Frame and volume.

@@ -203,7 +203,12 @@ class LiveMapper:
     def _write_status(self) -> None:
         run, state = self.run, self.player.state
         self.progress.value = run.next_position
-        words = [f"<b>{state}</b>", f"{run.next_position} of {len(run.sequence.mapping)} frames"]
+        fidelity = run.mapper.fidelity_of(run.mapper.config)
+        words = [
+            f"<b>{state}</b>",
+            f"{run.mapper.title} ({html.escape(fidelity)})" if fidelity else run.mapper.title,
+            f"{run.next_position} of {len(run.sequence.mapping)} frames",
+        ]
         if run.steps:
             last = run.steps[-1]
             recent = run.steps[-10:]

@@ -57,6 +57,7 @@ def test_run_sync_draws_the_last_frame_and_counts(make_run):
     assert live.progress.value == live.progress.max == 6
     assert "finished" in live.status.value
     assert "6 of 6 frames" in live.status.value
+    assert "GSFusion (measured" in live.status.value
     assert shown_frame(live) == 5
 
 
