@@ -39,6 +39,16 @@ def test_scoring_again_gives_the_same_numbers(system, poses, tmp_path, caplog):
     assert not list(run.folder.glob("metrics-*"))
 
 
+@pytest.mark.parametrize(("scored", "n"), [(0, 6), (3, 3), (1, 1)])
+def test_as_many_mapped_views_are_scored_as_the_settings_say(scored, n, tmp_path):
+    from gsfusion_nb.config import replace
+
+    config = replace(SETTINGS["gsfusion"], data__scored_views=scored)
+    run = run_mapping("room", config, folder=tmp_path / "run", **ROOM)
+    assert run.metrics["n_views_mapped"] == n
+    assert json.loads((run.folder / "config.json").read_text())["fidelity"].startswith("measured")
+
+
 def test_a_run_that_was_not_scored_gets_its_numbers_later(tmp_path):
     scored = run_mapping("room", with_poses("gsfusion", "tracked"), folder=tmp_path / "scored", **ROOM)
     plain = run_mapping("room", with_poses("gsfusion", "tracked"), folder=tmp_path / "plain", evaluate=False, **ROOM)
