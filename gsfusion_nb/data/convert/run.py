@@ -50,6 +50,13 @@ class ConvertReport:
     has_poses: bool
     notes: tuple[str, ...]
 
+    @staticmethod
+    def of_document(document: dict[str, Any]) -> "ConvertReport":
+        """From ``conversion.json``."""
+        fields = {f.name: document[f.name] for f in dataclasses.fields(ConvertReport)}
+        tuples = {name: tuple(fields[name]) for name in ("examples", "notes")}
+        return ConvertReport(**fields | tuples | {"out": Path(fields["out"]), "camera": Camera(**fields["camera"])})
+
     def __str__(self) -> str:
         c = self.camera
         lines = [
@@ -99,6 +106,8 @@ def convert(
     poses = _Poses(recording, options)
     plan = {"format": name, "source": str(path.resolve()), "options": dataclasses.asdict(options)}
     staging = Staging(Path(out), plan)
+    if staging.finished is not None:
+        return ConvertReport.of_document(staging.finished)
     try:
         conversion = _Conversion(recording, options, poses, staging)
         conversion.run(progress)
@@ -185,7 +194,6 @@ class _Conversion:
         self._rectifier: Rectifier | None = None
         if staging.camera is not None:
             self._rectifier = Rectifier(staging.camera, along_ray=self._along_ray)
-        self._far_pixels = 0
 
     def run(self, progress: bool) -> None:
         """Convert what the journal does not have yet."""
@@ -241,12 +249,12 @@ class _Conversion:
             self._staging.drop(i, "image missing or damaged", str(e))
             return
         rectified = self._rectified(shot, pictures)
-        depth = self._quantised(rectified.depth_m)
+        depth, far_pixels = self._quantised(rectified.depth_m)
         if not depth.any():
             self._staging.drop(i, "no depth", f"{shot.source} holds no depth that can be written")
             return
         numbers = () if T_WC is None else tuple(T_WC.flatten().tolist())
-        row = JournalEntry(i, time_s=shot.time_s, T_WC=numbers)
+        row = JournalEntry(i, time_s=shot.time_s, T_WC=numbers, far_pixels=far_pixels)
         lossless = not pictures.encoded.startswith(b"\xff\xd8")
         self._staging.write(row, rectified.encoded or rectified.rgb, depth, lossless=lossless)
 
@@ -269,17 +277,18 @@ class _Conversion:
             )
         return shot.model
 
-    def _quantised(self, depth_m: np.ndarray) -> np.ndarray:
+    def _quantised(self, depth_m: np.ndarray) -> tuple[np.ndarray, int]:
+        """Stored depth, and how many pixels are farther than it can say."""
         stored = np.rint(depth_m * np.float32(self.depth_scale))
         far = stored > 65535
-        self._far_pixels += int(far.sum())
-        return np.where(far, 0, stored).astype(np.uint16)
+        return np.where(far, 0, stored).astype(np.uint16), int(far.sum())
 
     def _far_note(self) -> list[str]:
-        if not self._far_pixels:
+        far_pixels = sum(row.far_pixels for row in self._staging.kept)
+        if not far_pixels:
             return []
         limit = 65535 / self.depth_scale
-        return [f"{self._far_pixels} pixels are farther than 16 bits hold ({limit:.1f} m) and count as missing"]
+        return [f"{far_pixels} pixels are farther than 16 bits hold ({limit:.1f} m) and count as missing"]
 
     def _time_hint(self, rows: list[JournalEntry]) -> str:
         """Both time ranges, where a trajectory matched no frame."""
