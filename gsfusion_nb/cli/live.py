@@ -52,7 +52,7 @@ class FolderOptions(LiveOptions):
     """Map a folder in the plain layout while another program is writing it."""
 
     path: Annotated[str, tyro.conf.Positional]
-    """The folder: rgb/, depth/, intrinsics.json, and poses.txt, one line per image."""
+    """The folder: rgb/, depth/, intrinsics.json, and poses.txt, whose line k belongs to the image of number k."""
     poses: bool = True
     """--no-poses: there is no poses.txt, the camera is tracked."""
     idle_s: float = 10.0

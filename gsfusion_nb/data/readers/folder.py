@@ -3,7 +3,9 @@
     my_scan/
       rgb/000000.jpg ...        8-bit colour, JPEG or PNG
       depth/000000.png ...      16-bit, one channel, registered to the colour image; 0 = missing; same names as in rgb/
-      poses.txt                 one line per image in order: 16 row-major numbers of the camera-to-world matrix
+      poses.txt                 one line per image in order: 16 row-major numbers of the camera-to-world matrix, or the
+                                name of the image and these
+      times.txt                 optional, lines "name seconds": when each image was taken
       intrinsics.json           {"width": 640, "height": 480, "fx": 525, "fy": 525, "cx": 319.5, "cy": 239.5,
                                  "depth_scale": 1000}
 
@@ -13,10 +15,13 @@ Keys of ``intrinsics.json``: those seven, and optionally
 |---|---|---|
 | ``pixel_centre`` | 0.0 | place of the first pixel's centre: 0.0 as in OpenCV, Open3D, ROS; 0.5 as in COLMAP |
 | ``depth_invalid`` | 0 | a stored depth that means "missing", besides 0 |
-| ``fps`` | 30 | frames per second, for the time stamps |
+| ``fps`` | 30 | frames per second, for the time stamps where there is no times.txt |
+| ``first_image`` | none | number in the name of the first pose's image; poses then belong to images by number |
 | ``pose_convention`` | "camera-to-world" | must begin with that; any comment may follow |
 
-Poses: camera-to-world, OpenCV axes (x right, y down, z forward), metres. Images sort naturally (2 before 10).
+Poses: camera-to-world, OpenCV axes (x right, y down, z forward), metres. Images sort naturally (2 before 10). Where
+lines of poses.txt begin with names, or with ``first_image``, an image may be missing; else there are as many poses as
+images.
 """
 
 from pathlib import Path
@@ -26,14 +31,16 @@ from ...strict_json import read_object
 from ..recorded.camera_json import camera, number, numbers, shown
 from ..recorded.find_files import images_in, pair_by_stem, require
 from ..recorded.layout import Layout
-from ..recorded.poses import no_poses, read_pose_lines
+from ..recorded.pose_lines import poses_of_images
+from ..recorded.poses import no_poses
 from ..recorded.recorded_sequence import RecordedSequence
+from ..recorded.times import TIMES, times_of_images
 from ..sequence import SequenceError
 
 LOOKS_FOR = ("rgb/", "depth/", "intrinsics.json")
 CAMERA_KEYS = ("width", "height", "fx", "fy", "cx", "cy")
 _REQUIRED = (*CAMERA_KEYS, "depth_scale")
-_OPTIONAL = ("pixel_centre", "depth_invalid", "fps", "pose_convention")
+_OPTIONAL = ("pixel_centre", "depth_invalid", "fps", "first_image", "pose_convention")
 
 
 def folder(path: str | Path, *, poses: bool = True) -> RecordedSequence:
@@ -48,8 +55,8 @@ def folder(path: str | Path, *, poses: bool = True) -> RecordedSequence:
 
     Raises:
         SequenceNotFoundError: the folder or one of its parts is missing.
-        SequenceError: no images, a colour image without depth, a number of poses other than that of images, or an
-            unknown, missing or impossible key.
+        SequenceError: no images, a colour image without depth, an image whose pose is missing or not known by name,
+            number or count, or an unknown, missing or impossible key.
     """
     root = Path(path)
     require(root, (*LOOKS_FOR, "poses.txt") if poses else LOOKS_FOR, "folder", without_poses="poses.txt")
@@ -57,17 +64,14 @@ def folder(path: str | Path, *, poses: bool = True) -> RecordedSequence:
     rgb_files = images_in(root / "rgb")
     depth_files = pair_by_stem(rgb_files, images_in(root / "depth", (".png", ".tif", ".tiff", ".pgm")))
     poses_file = root / "poses.txt"
-    T_WC = read_pose_lines(poses_file) if poses else no_poses(len(rgb_files))
-    if len(T_WC) != len(rgb_files):
-        raise SequenceError(
-            f"{poses_file} holds {len(T_WC)} poses; expected {len(rgb_files)}, one per image in {root / 'rgb'}"
-        )
+    T_WC = poses_of_images(poses_file, rgb_files, values.get("first_image")) if poses else no_poses(len(rgb_files))
+    times = times_of_images(root / TIMES, rgb_files)
     return RecordedSequence(
         name=root.resolve().name,
         camera=camera(values, CAMERA_KEYS, root / "intrinsics.json", shift=0.5 - values.get("pixel_centre", 0.0)),
         rgb_files=rgb_files,
         depth_files=depth_files,
-        timestamps_s=[i / values.get("fps", 30.0) for i in range(len(rgb_files))],
+        timestamps_s=times or [i / values.get("fps", 30.0) for i in range(len(rgb_files))],
         poses=T_WC,
         pose_sources=[f"{poses_file} pose {i}" for i in range(len(T_WC))],
         has_poses=poses,
@@ -91,6 +95,9 @@ def read_intrinsics(path: Path) -> dict[str, Any]:
     invalid = values.get("depth_invalid", 0)
     if isinstance(invalid, bool) or not isinstance(invalid, int) or not 0 <= invalid <= 65535:
         raise SequenceError(f"{path}: depth_invalid must be an integer between 0 and 65535, got {shown(invalid)}")
+    first = values.get("first_image", 0)
+    if isinstance(first, bool) or not isinstance(first, int) or first < 0:
+        raise SequenceError(f"{path}: first_image must be a whole number from 0 on, got {shown(first)}")
     convention = values.get("pose_convention", "camera-to-world")
     if not str(convention).startswith("camera-to-world"):
         raise SequenceError(

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from ...types import Frame
 from ..readers.folder import CAMERA_KEYS, read_intrinsics
 from ..recorded.camera_json import camera
@@ -17,10 +15,10 @@ from ..recorded.find_files import natural_order
 from ..recorded.poses import no_poses
 from ..recorded.recorded_sequence import RecordedSequence
 from ..sequence import BadFrameError, SequenceError, SequenceNotFoundError
-from .appended_lines import AppendedLines
 from .complete_image import is_complete_image
 from .frame_queue import Policy
 from .live_source import LiveSource
+from .poses_of_images import PosesOfImages
 
 log = logging.getLogger(__name__)
 
@@ -45,9 +43,11 @@ class GrowingFolder(LiveSource):
     """Frames of a folder in the plain layout (``gsfusion_nb.data.readers.folder``) as they are written.
 
     A frame counts when both its images have kept their sizes for one round and end as they should, and, unless the
-    camera is to be tracked, its line of ``poses.txt`` is written; line k belongs to the k-th colour image. Frames come
-    in natural order of their names. One that stays incomplete for ``patience_s`` while later ones are there raises
-    ``BadFrameError``, and so does a later file that sorts before the frames already taken; poses are waited for.
+    camera is to be tracked, its line of ``poses.txt`` is written. A line belongs to the image whose name it begins
+    with; lines of numbers alone belong to images by the number in their names, from 0 or ``first_image`` on, so that a
+    missing image does not shift the poses (``PosesOfImages``). Frames come in natural order of their names. One that
+    stays incomplete for ``patience_s`` while later ones are there raises ``BadFrameError``, and so does a later file
+    that sorts before the frames already taken; poses are waited for.
 
     It ends when a file called ``stop_file`` is in the folder or nothing has changed for ``idle_s``, after the frames
     that are there, or with ``stop`` at once.
@@ -62,7 +62,8 @@ class GrowingFolder(LiveSource):
         wait: Waits for a number of seconds; for tests.
 
     Raises:
-        SequenceNotFoundError: no such folder.
+        SequenceNotFoundError: no such folder. SequenceError, while iterating: it is not clear which line of
+            ``poses.txt`` belongs to an image.
     """
 
     policy: Policy = "all"
@@ -88,7 +89,7 @@ class GrowingFolder(LiveSource):
         self._stop_file = self.root / stop_file
         self._stopping = threading.Event()
         self._wait = wait or self._stopping.wait
-        self._poses = AppendedLines(self.root / "poses.txt")
+        self._poses = PosesOfImages(self.root / "poses.txt")
         self._values: dict[str, Any] = {}
         self._known: set[str] = set()
         self._waiting: dict[str, _Waiting] = {}
@@ -147,6 +148,7 @@ class GrowingFolder(LiveSource):
                 self._values = read_intrinsics(self.root / "intrinsics.json")
             except SequenceError:
                 self._values = {}
+            self._poses.first_image = self._values.get("first_image")
         changed = self._list()
         changed |= self.has_poses and self._poses.update(final=final)
         for stem in list(self._waiting)[: None if final else _LOOK_AT]:
@@ -195,9 +197,11 @@ class GrowingFolder(LiveSource):
         for path in (waiting.rgb, depth):
             if not is_complete_image(path):
                 return f"{path} is truncated; expected a whole image"
-        if self.has_poses and self._poses.take(self._count) is None:
-            return f"{self._poses.path} has no pose {self._count} for {waiting.rgb}"
-        return ""
+        try:
+            lacks = self.has_poses and not self._poses.is_there(waiting.rgb)
+        except BadFrameError as e:
+            return str(e)
+        return f"{self._poses.path} has no pose for {waiting.rgb}" if lacks else ""
 
     def _may_skip(self, stem: str) -> bool:
         """Later frames are there, and it is not only the pose that is late."""
@@ -205,8 +209,10 @@ class GrowingFolder(LiveSource):
 
     def _take(self, stem: str) -> Frame:
         rgb, depth = self._waiting[stem].rgb, self._depth[stem]
-        line, number = self._poses.take(self._count) if self.has_poses else None, self._count
+        position = self._poses.position(rgb) if self.has_poses else None
+        number = self._count if position is None else position
         self._leave(stem)
+        T_WC, source = self._poses.take(rgb) if self.has_poses else (no_poses(1), "")
         file = self.root / "intrinsics.json"
         shift = 0.5 - self._values.get("pixel_centre", 0.0)
         one = RecordedSequence(
@@ -215,8 +221,8 @@ class GrowingFolder(LiveSource):
             rgb_files=[rgb],
             depth_files=[depth],
             timestamps_s=[number / self._values.get("fps", 30.0)],
-            poses=no_poses(1) if line is None else _pose(line, self._poses.path, number),
-            pose_sources=[f"{self._poses.path} pose {number}"],
+            poses=T_WC,
+            pose_sources=[source],
             has_poses=self.has_poses,
             depth_scale=float(self._values["depth_scale"]),
             depth_invalid=(int(self._values.get("depth_invalid", 0)),),
@@ -225,7 +231,9 @@ class GrowingFolder(LiveSource):
 
     def _leave(self, stem: str) -> None:
         """Go on to the next frame."""
-        self._last = natural_order(self._waiting.pop(stem).rgb)
+        rgb = self._waiting.pop(stem).rgb
+        self._last = natural_order(rgb)
+        self._poses.passed(rgb)
         self._depth.pop(stem, None)
         self._count += 1
         self._idled_s = self._head_s = 0.0
@@ -236,13 +244,3 @@ def _size(path: Path) -> int:
         return path.stat().st_size
     except OSError:
         return -1
-
-
-def _pose(line: str, path: Path, number: int) -> torch.Tensor:
-    try:
-        values = [float(word) for word in line.replace(",", " ").split()]
-    except ValueError:
-        values = []
-    if len(values) != 16:
-        raise BadFrameError(f"{path} pose {number} must be 16 row-major numbers, got {line[:60]!r}")
-    return torch.tensor(values, dtype=torch.float64).reshape(1, 4, 4)

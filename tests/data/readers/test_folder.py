@@ -1,5 +1,7 @@
 """The plain layout, and every way in which it can be wrong."""
 
+import json
+
 import cv2
 import numpy as np
 import pytest
@@ -60,6 +62,47 @@ def test_depth_scale_invalid_value_and_fps(tmp_path, box):
     assert frame.depth_m[0, 0] == frame.depth_m[1, 1] == 0
     assert frame.depth_m[2, 2] == 2.0
     assert frame.timestamp_s == pytest.approx(0.1)
+
+
+def test_poses_by_name_and_by_number(tmp_path, box, caplog):
+    root = box.folder(tmp_path / "scan", n=6)
+    whole, lines = folder(root), (root / "poses.txt").read_text().splitlines(keepends=True)
+    for kind, suffix in (("rgb", "jpg"), ("depth", "png")):
+        (root / kind / f"000002.{suffix}").unlink()
+    expect(SequenceError, r"holds 6 poses; expected 5, .* first_image", lambda: folder(root))
+    wanted = whole.poses[[0, 1, 3, 4, 5]]
+    (root / "poses.txt").write_text("".join(f"{i:06d} {line}" for i, line in reversed(list(enumerate(lines)))))
+    assert torch.equal(folder(root).poses, wanted)
+    (root / "poses.txt").write_text("".join(lines))
+    intrinsics = root / "intrinsics.json"
+    intrinsics.write_text(json.dumps(json.loads(intrinsics.read_text()) | {"first_image": 0}))
+    assert torch.equal(folder(root).poses, wanted)
+    (root / "poses.txt").write_text("".join(lines[:5]))
+    expect(SequenceError, r"holds 5 poses, from image 0 on; expected one for .*000005.jpg", lambda: folder(root))
+    intrinsics.write_text(
+        json.dumps({k: v for k, v in json.loads(intrinsics.read_text()).items() if k[0:5] != "first"})
+    )
+    assert len(folder(root)) == 5  # as many lines as images: taken by order, with a word
+    assert "the numbers of the images have a gap before 000003.jpg" in caplog.text
+    (root / "poses.txt").write_text("".join(f"{i}.jpg {line}" for i, line in enumerate(lines[:5])))
+    expect(SequenceError, r"has no pose of .*000005.jpg", lambda: folder(root))
+    (root / "poses.txt").write_text("".join(f"3 {line}" for line in lines[:5]))
+    expect(SequenceError, r"holds two poses of 3", lambda: folder(root))
+
+
+def test_own_times_are_kept(tmp_path, box, caplog):
+    root = box.folder(tmp_path / "scan", n=3)
+    (root / "times.txt").write_text("frame time_s\n000002 107.5\n000000 100.25\n000001 103.0\n")
+    assert folder(root).timestamps_s == [100.25, 103.0, 107.5]
+    (root / "times.txt").write_text("frame time_s\n" + "".join(f"{i:06d} nan\n" for i in range(3)))
+    assert folder(root).timestamps_s == [0, 1 / 30, 2 / 30]
+    (root / "times.txt").write_text("0 1.0\n1 1.0\n2 2.0\n")
+    assert folder(root).timestamps_s == [1.0, 1.0, 2.0]
+    assert "the time of 000001.jpg is not after that of the image before it" in caplog.text
+    (root / "times.txt").write_text("0 1.0\n")
+    expect(SequenceError, r"times.txt has no time of .*000001.jpg", lambda: folder(root))
+    (root / "times.txt").write_text("0 noon\n")
+    expect(SequenceError, r"times.txt line 1 must be 'name seconds'", lambda: folder(root))
 
 
 def test_natural_order_of_names(tmp_path, box):

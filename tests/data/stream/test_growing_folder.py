@@ -1,3 +1,4 @@
+import json
 import shutil
 import threading
 import time
@@ -188,11 +189,64 @@ def test_files_come_in_natural_order_and_late_ones_are_named(writer):
     def named(i):
         return writer.file(f"rgb/{i}.jpg"), writer.file(f"depth/{i}.png")
 
+    set_key(writer.source, "first_image", 9)
     writer.then(writer.camera(), *named(9), *named(10), *(writer.pose(i) for i in range(6)))
     writer.then().then().then(*named(8)).then(*named(11))
     found = everything(follow(writer))
     assert ["bad" if isinstance(f, str) else "frame" for f in found] == ["frame", "frame", "bad", "frame"]
     assert "8.jpg came after frames behind it" in found[2]
+
+
+def set_key(folder: Path, key: str, value) -> None:
+    path = folder / "intrinsics.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {key: value}))
+
+
+def check_poses(found, truth, expected: dict[int, int]) -> None:
+    """``expected``: place in ``found`` -> frame of ``truth``."""
+    for place, i in expected.items():
+        torch.testing.assert_close(found[place].T_WC, truth[i].T_WC)
+        torch.testing.assert_close(found[place].depth_m, truth[i].depth_m)
+
+
+def test_a_missing_image_does_not_shift_the_poses(writer, recorded):
+    writer.then(writer.camera(), *(write for i in (0, 1, 3, 5) for write in (writer.rgb(i), writer.depth(i))))
+    writer.then(*(writer.pose(i) for i in range(6)))
+    found = everything(follow(writer))
+    assert indices(found) == [0, 1, 3, 5]
+    check_poses(found, folder(recorded), {0: 0, 1: 1, 2: 3, 3: 5})
+
+
+def test_lines_may_begin_with_the_name_of_their_image(writer, recorded):
+    writer.lines = [f"{i:06d}.jpg {line}" for i, line in enumerate(writer.lines)]
+    writer.then(writer.camera(), *(write for i in (1, 2, 4) for write in (writer.rgb(i), writer.depth(i))))
+    writer.then(*(writer.pose(i) for i in (3, 4, 0, 2, 1)))
+    check_poses(everything(follow(writer)), folder(recorded), {0: 1, 1: 2, 2: 4})
+
+
+def test_images_that_do_not_begin_at_0_need_to_say_whose_the_first_line_is(writer, recorded):
+    """A first image 1 may be the first of all, or 0 may be missing."""
+    writer.then(writer.camera(), *writer.whole(0)[2:], *writer.whole(1), *writer.whole(2))
+    with pytest.raises(SequenceError, match=r"not clear which line of .*poses.txt belongs to .*000001.jpg"):
+        everything(follow(writer))
+    set_key(writer.target, "first_image", 0)
+    check_poses(everything(follow(writer)), folder(recorded), {0: 1, 1: 2})
+
+
+def test_an_incomplete_first_image_does_not_shift_the_poses(writer, recorded):
+    writer.then(writer.camera(), writer.rgb(0), writer.pose(0), *writer.whole(1), *writer.whole(2))
+    found = everything(follow(writer))
+    assert "depth has no image 000000" in found[0]
+    check_poses(found, folder(recorded), {1: 1, 2: 2})
+
+
+def test_two_images_of_one_number_are_named(writer):
+    writer.then(writer.camera(), *writer.whole(0), *writer.whole(1))
+    for kind, suffix in (("rgb", "jpg"), ("depth", "png")):
+        shutil.copy(writer.source / kind / f"000002.{suffix}", writer.target / kind / f"b_000001.{suffix}")
+    found = everything(follow(writer))
+    assert indices(found) == [0, 1, "bad"]
+    assert "b_000001.jpg has the same number as an image before it" in found[2]
 
 
 def test_the_stop_file_ends_it_after_the_frames_that_are_there(writer):

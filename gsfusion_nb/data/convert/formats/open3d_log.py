@@ -5,6 +5,7 @@ The log holds camera-to-world matrices in blocks of five lines, the first of whi
 centres at integers, depth in millimetres.
 """
 
+import re
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -42,15 +43,11 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     if colour_folder is None or not (path / "depth").is_dir():
         raise SequenceNotFoundError(f"{path} lacks color/ or depth/; expected both beside trajectory.log")
     colour, depth = images_in(colour_folder), images_in(path / "depth", DEPTH_SUFFIXES)
-    if len(colour) != len(depth):
-        raise SequenceError(
-            f"{path} has {len(colour)} colour and {len(depth)} depth images; expected pairs, matched in order of names"
-        )
+    pairs = _pairs(path, colour, depth)
     file = _trajectory(path)
     poses, model = ({}, None) if file is None else read_trajectory_file(file)
-    beyond = [i for i in poses if i >= len(colour)]
-    if beyond:
-        raise SequenceError(f"{file} has a pose of frame {beyond[0]}, but {path} holds {len(colour)} images, from 0")
+    if file is not None:
+        poses = _of_images(file, poses, path, list(pairs))
     intrinsics = next((path / n for n in _INTRINSICS if (path / n).is_file()), None)
     notes = []
     if intrinsics is not None and not options.intrinsics:
@@ -61,14 +58,58 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     scale = options.depth_scale or 1000.0
 
     def shots() -> Iterator[Shot]:
-        for i, (c, d) in enumerate(zip(colour, depth, strict=True)):
+        for i, (c, d) in pairs.items():
             yield Shot(
                 source=str(c), time_s=i / 30, model=model, T_WC=poses.get(i), load=partial(load_pair, c, d, scale)
             )
 
     return Recording(
-        name=str(path), shots=shots, n_shots=len(colour), depth_scale=scale, has_poses=bool(poses), notes=tuple(notes)
+        name=str(path), shots=shots, n_shots=len(pairs), depth_scale=scale, has_poses=bool(poses), notes=tuple(notes)
     )
+
+
+def _pairs(path: Path, colour: list[Path], depth: list[Path]) -> dict[int, tuple[Path, Path]]:
+    """Colour and depth by frame number from 0: the number that their names begin with, less the first; else by order.
+
+    Raises:
+        SequenceError: an image of one kind without one of the other.
+    """
+    if len(colour) != len(depth):
+        raise SequenceError(f"{path} has {len(colour)} colour and {len(depth)} depth images; expected pairs")
+    numbers = {kind: [_leading_number(p) for p in files] for kind, files in (("colour", colour), ("depth", depth))}
+    if any(None in found or len(set(found)) < len(found) for found in numbers.values()):
+        return dict(enumerate(zip(colour, depth, strict=True)))
+    alone = sorted(set(numbers["colour"]) ^ set(numbers["depth"]))
+    if alone:
+        raise SequenceError(f"{path} has only one image of number {alone[0]}; expected colour and depth of each number")
+    first = numbers["colour"][0]
+    return {n - first: pair for n, pair in zip(numbers["colour"], zip(colour, depth, strict=True), strict=True)}
+
+
+def _leading_number(path: Path) -> int | None:
+    match = re.search(r"\d+", path.stem)  # Redwood's names go on with the time: 0000001-000000033369.png
+    return None if match is None else int(match[0])
+
+
+def _of_images(file: Path, poses: dict[int, Tensor], path: Path, numbers: list[int]) -> dict[int, Tensor]:
+    """The poses by the images' numbers.
+
+    Raises:
+        SequenceError: a pose of no image, or images are missing and it is not clear whose the poses are.
+    """
+    n, span = len(numbers), 1 + max(numbers)
+    if n == span or max(poses) >= n:  # no image is missing, or the log counts the missing ones
+        beyond = [i for i in poses if i >= span]
+        if beyond:
+            raise SequenceError(f"{file} has a pose of frame {beyond[0]}, but {path} holds {n} images, from 0")
+        return poses
+    if len(poses) != n:
+        gap = next(i for i in range(span) if i not in set(numbers))
+        raise SequenceError(
+            f"{path} lacks the image after number {gap - 1} of the first, and {file} has {len(poses)} poses for {n} "
+            "images: expected one pose per image, or poses up to the last number"
+        )
+    return {number: poses[i] for i, number in enumerate(numbers) if i in poses}
 
 
 def read_trajectory_file(path: Path) -> tuple[dict[int, Float[Tensor, "4 4"]], CameraModel | None]:

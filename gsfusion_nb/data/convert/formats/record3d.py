@@ -63,10 +63,10 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     pattern = "rgb/" if exported else "rgbd/"
     found = (re.fullmatch(pattern + r"(\d{1,9})\.jpg", n) for n in names)
     numbers = sorted({int(match[1]) for match in found if match})
-    poses = _poses(metadata, len(numbers), path)
+    poses = _poses(metadata, 1 + max(numbers, default=-1), path)
 
     def shots() -> Iterator[Shot]:
-        for i, n in enumerate(numbers):
+        for n in numbers:  # the place in the metadata's lists: a missing image must not shift them
             name = f"{pattern}{n}"
             if exported:
                 load = partial(load_pair, path / f"rgb/{n}.jpg", path / f"depth/{n}.exr", 1.0)
@@ -74,9 +74,9 @@ def read(path: Path, options: ConvertOptions) -> Recording:
                 load = partial(_load, fetch, name, metadata, options.confidence, f"{path}: {name}")
             yield Shot(
                 source=f"{path}: {name}",
-                time_s=_time(metadata, i, path),
-                model=_model(metadata, i, path),
-                T_WC=None if poses is None else poses[i],
+                time_s=_time(metadata, n, path),
+                model=_model(metadata, n, path),
+                T_WC=None if poses is None else poses[n],
                 load=load,
             )
 

@@ -42,6 +42,22 @@ def test_frames_without_pose_are_dropped(tmp_path, takes):
     assert report.dropped == {"no pose": 1}
 
 
+def test_a_missing_image_does_not_shift_the_poses(tmp_path, takes):
+    root = write_open3d(tmp_path / "scan", takes)
+    for kind in ("color", "depth"):
+        (root / kind / "00001.png").unlink()
+    convert(root, tmp_path / "out")
+    takes.check(tmp_path / "out", (0, 2, 3))
+
+
+def test_images_are_paired_by_number(tmp_path, takes):
+    root = write_open3d(tmp_path / "scan", takes)
+    (root / "color/00001.png").unlink()
+    (root / "depth/00003.png").unlink()
+    with pytest.raises(SequenceError, match="has only one image of number 1; expected colour and depth"):
+        convert(root, tmp_path / "out")
+
+
 def test_json_trajectory(tmp_path, takes):
     root = write_open3d(tmp_path / "scan", takes)
     (root / "trajectory.log").unlink()

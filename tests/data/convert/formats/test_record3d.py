@@ -78,6 +78,17 @@ def test_reads_what_was_written(tmp_path, takes, packed):
     assert json.loads((tmp_path / "out/intrinsics.json").read_text())["fps"] == pytest.approx(10)
 
 
+def test_a_missing_image_does_not_shift_poses_and_times(tmp_path, takes):
+    files = members(takes)
+    whole = write_r3d(tmp_path / "whole.r3d", files)
+    rest = write_r3d(tmp_path / "rest.r3d", {name: data for name, data in files.items() if "/1." not in name})
+    convert(whole, tmp_path / "a")
+    convert(rest, tmp_path / "b")
+    a, b = folder(tmp_path / "a"), folder(tmp_path / "b")
+    assert torch.equal(b.poses, a.poses[[0, 2, 3]])
+    assert b.timestamps_s == pytest.approx([5.0, 5.2, 5.3])
+
+
 @pytest.mark.parametrize(("least", "holes"), [(0, []), (2, [(1, 1), (1, 2)])])
 def test_confidence(tmp_path, takes, least, holes):
     convert(write_r3d(tmp_path / "a.r3d", members(takes)), tmp_path / "out", options=ConvertOptions(confidence=least))
