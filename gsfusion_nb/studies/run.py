@@ -21,6 +21,7 @@ COLUMNS = {
     "psnr_mapped_db": "PSNR mapped",
     "depth_l1_held_out_m": "depth error",
     "n_gaussians": "Gaussians",
+    "n_keyframes": "keyframes",
     "ate_rmse_m": "ATE RMSE",
     "drift_m": "drift",
     "fps_total": "FPS",
@@ -42,7 +43,8 @@ class StudyOptions:
     """
 
     name: Annotated[str, tyro.conf.Positional]
-    """systems, transparent, states, fidelity, depth, tracking, disc-depth, or roofline."""
+    """systems, transparent, states, fidelity, gsfusion-settings, rtg-slam-settings, depth, tracking, disc-depth, or
+    roofline."""
     data: Annotated[str, tyro.conf.Positional] = "room"
     """Folder of a sequence, or "room" for the built-in scene."""
     out: str = ""

@@ -4,6 +4,9 @@ import json
 
 import pytest
 
+from gsfusion_nb.cli.map import MapOptions
+from gsfusion_nb.cli.settings import parse
+from gsfusion_nb.config import to_dict
 from gsfusion_nb.studies import STUDIES, StudyOptions, main
 from gsfusion_nb.studies import run as study_run
 from gsfusion_nb.studies.run import as_markdown, run_variant
@@ -37,6 +40,30 @@ def test_the_table_has_a_row_per_variant(tmp_path, monkeypatch, capsys):
     assert "| RTG-SLAM, given | 22.00 dB | 1,000 |" in table
     assert json.loads((tmp_path / "table.json").read_text())["RTG-SLAM, tracked"] == {"error": "broke"}
     assert "RTG-SLAM, tracked: broke" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("name", "variant"), [(name, v) for name, study in STUDIES.items() for v in study.variants])
+def test_the_options_of_every_variant_are_understood(name, variant):
+    arguments = [*STUDIES[name].variants[variant], "--data.stop", "9"]
+    assert parse(MapOptions, "map", ["room", *arguments], data="data").settings().data.stop == 9
+
+
+@pytest.mark.parametrize("name", ["gsfusion-settings", "rtg-slam-settings"])
+def test_each_variant_of_a_study_of_settings_changes_one(name):
+    """As its label says: the group and the name of the field, or an option of the rule."""
+    configs = {
+        label: parse(MapOptions, "map", ["room", *variant], data="data").settings()
+        for label, variant in STUDIES[name].variants.items()
+    }
+    base = to_dict(configs.pop("measured"))
+    for label, config in configs.items():
+        group, _, field = label.split()[0].rpartition(".")
+        changed = [
+            (g, f) for g, values in to_dict(config).items() if isinstance(values, dict)
+            for f in values if values[f] != base[g][f]
+        ]  # fmt: skip
+        assert {g for g, _ in changed} == {group or "seeding"}
+        assert all(f.startswith(field) or (field == "share" and f == "options") for _, f in changed), label
 
 
 def test_columns_that_nobody_has_are_left_out():
