@@ -12,7 +12,9 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "gsfusion_nb"
 
 FLOORS = {
-    **dict.fromkeys(("types", "config", "constants", "checks", "errors", "files", "foreign", "strict_json"), 0),
+    **dict.fromkeys(
+        ("types", "config", "constants", "checks", "errors", "files", "foreign", "last_resort", "strict_json"), 0
+    ),
     **dict.fromkeys(("progress", "processes", "backends"), 0),
     **dict.fromkeys(("geometry", "drawing"), 1),
     **dict.fromkeys(("tsdf", "gaussians", "render"), 2),

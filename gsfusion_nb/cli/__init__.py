@@ -9,6 +9,7 @@ import tyro
 
 from ..backends import BackendUnavailable, from_environment, use_backend
 from ..config import DataConfig, gsfusion
+from ..last_resort import is_foreseen, unforeseen
 from .result import print_metrics, print_result
 from .settings import named_values
 
@@ -108,8 +109,10 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
     try:
         return commands[name](rest)
-    except (ValueError, OSError, KeyError, BackendUnavailable, MemoryError) as e:
+    except Exception as e:
         text = e.args[0] if isinstance(e, KeyError) and e.args else e
+        if not (isinstance(e, BackendUnavailable) or is_foreseen(e)):
+            text = unforeseen(e, f"gsfusion-nb {name}", rest)
         print(f"gsfusion-nb {name}: {text}", file=sys.stderr)
         for note in getattr(e, "__notes__", ()):
             print(note, file=sys.stderr)

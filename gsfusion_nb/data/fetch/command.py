@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from ...last_resort import is_foreseen, unforeseen
 from ...progress import ProgressDisplay
 from .obtain import Terms as Terms
 
@@ -47,8 +48,9 @@ def run(name: str, script: Callable[[], object]) -> int:
     logging.basicConfig(level=logging.WARNING, format="%(message)s")
     try:
         script()
-    except (ValueError, OSError) as e:
-        sys.stderr.write(f"{name}: {e}\n")
+    except Exception as e:
+        text = str(e) if is_foreseen(e) else unforeseen(e, name, sys.argv[1:])
+        sys.stderr.write(f"{name}: {text}\n")
         return 1
     except KeyboardInterrupt:
         sys.stderr.write(f"{name}: interrupted; the same command continues\n")

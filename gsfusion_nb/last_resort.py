@@ -1,0 +1,77 @@
+"""What a command says of an error that nobody foresaw: one sentence, and a file with the rest."""
+
+import datetime
+import linecache
+import os
+import tempfile
+import traceback
+from pathlib import Path
+
+
+def is_foreseen(error: BaseException) -> bool:
+    """The text of ``error`` is a sentence for people: a ``raise`` of this package wrote it, or it is about a file.
+
+    A ``ValueError`` of a text that is no number, somewhere deep inside, is none.
+    """
+    if isinstance(error, OSError):
+        return True
+    last = error.__traceback__
+    while last is not None and last.tb_next is not None:
+        last = last.tb_next
+    if last is None or not isinstance(error, (ValueError, KeyError, MemoryError)):
+        return False
+    ours = str(last.tb_frame.f_globals.get("__name__", "")).startswith(__name__.partition(".")[0])
+    line = linecache.getline(last.tb_frame.f_code.co_filename, last.tb_lineno).strip()
+    return ours and (not line or line.startswith("raise"))
+
+
+def unforeseen(error: BaseException, command: str, arguments: list[str]) -> str:
+    """One sentence on ``error`` that names the file concerned and the log file with the traceback.
+
+    The log is written to the folder of the run if the arguments name one that exists (``--out``, ``--resume``), else to
+    the system's folder for temporary files.
+
+    Args:
+        error: What was raised.
+        command: The command as it was typed, without its arguments, such as ``gsfusion-nb map``.
+        arguments: The arguments.
+    """
+    log = _write_log(error, command, arguments)
+    lines = str(error).strip().splitlines()
+    reason = f"{type(error).__name__}{f' ({lines[0][:160]})' if lines else ''}"
+    where = f"the traceback is in {log}" if log else "the traceback could not be written to a file"
+    return f"ended by an error that was not foreseen, {reason}, {_concerned(error, arguments)}; {where}"
+
+
+def _concerned(error: BaseException, arguments: list[str]) -> str:
+    """The file that the error names, or else what the command was given."""
+    name = getattr(error, "filename", None)
+    if name:
+        return f"at {name}"
+    places = [a.partition("=")[2] if a.startswith("-") else a for a in arguments]
+    places = [place for place in places if place and Path(place).exists()]
+    return f"while it worked on {' and '.join(places[:3])}" if places else "at no file in particular"
+
+
+def _write_log(error: BaseException, command: str, arguments: list[str]) -> Path | None:
+    name = f"{command.replace(' ', '-')}-{datetime.datetime.now():%Y%m%d-%H%M%S}-{os.getpid()}.log"
+    text = "".join([f"{command} {' '.join(arguments)}\n\n", *traceback.format_exception(error)])
+    for folder in (_run_folder(arguments), Path(tempfile.gettempdir())):
+        try:
+            if folder is not None:
+                (folder / name).write_text(text, encoding="utf-8", errors="backslashreplace")
+                return folder / name
+        except OSError:
+            continue
+    return None
+
+
+def _run_folder(arguments: list[str]) -> Path | None:
+    """The value of ``--out`` or ``--resume``, if it is a folder."""
+    for option in ("--out", "--resume"):
+        for i, argument in enumerate(arguments):
+            name, equals, value = argument.partition("=")
+            value = value if equals else "".join(arguments[i + 1 : i + 2])
+            if name == option and value and Path(value).is_dir():
+                return Path(value)
+    return None

@@ -1,0 +1,227 @@
+"""What reads an input, and what nobody may accept without a word."""
+
+import itertools
+import json
+import logging
+import math
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from gsfusion_nb.data import BadFrameError, open_sequence
+
+
+class SilentAcceptance(Exception):
+    """Something that is wrong was taken as right."""
+
+
+class _Heard(logging.Handler):
+    """Keeps what was said in the log: a warning that names the fault is not silent."""
+
+    def __init__(self):
+        super().__init__(logging.WARNING)
+        self.sentences: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.sentences.append(record.getMessage())
+
+
+HEARD = _Heard()
+
+
+def _need(condition: bool, what: str) -> None:
+    if not condition:
+        raise SilentAcceptance(what)
+
+
+def _check_times(times: list[float], notes: str = "") -> None:
+    _need(all(math.isfinite(t) for t in times), "a time is not finite")
+    said = notes + " ".join(HEARD.sentences)
+    increasing = all(b > a for a, b in itertools.pairwise(times))
+    _need(increasing or "time" in said, "times are equal or not in order")
+
+
+def _check_frames(sequence: Any, at_most: int = 2) -> None:
+    c = sequence.camera
+    _need(all(math.isfinite(float(v)) for v in vars(c).values()) and min(c.fx, c.fy) > 0, f"the camera {c}")
+    error: BadFrameError | None = None
+    for i in range(min(at_most, len(sequence))):
+        try:
+            frame = sequence[i]
+        except BadFrameError as e:
+            error = error or e
+            continue
+        T = frame.T_WC.double()
+        _need(bool(torch.isfinite(T).all()), "a pose is not finite")
+        gap = (T[:3, :3] @ T[:3, :3].T - torch.eye(3, dtype=torch.float64)).abs().max()
+        _need(float(gap) < 2e-3 and float(torch.linalg.det(T[:3, :3])) > 0, "a pose is not rigid")
+        depth = frame.depth_m
+        _need(bool(torch.isfinite(depth).all()) and float(depth.min()) >= 0, "depth is not finite or negative")
+    if error is not None:
+        raise error
+
+
+def sequence(path: Path) -> None:
+    opened = open_sequence(path)
+    source: Any = opened.source
+    _check_times(list(getattr(source, "timestamps_s", ())))
+    _check_frames(source)
+
+
+def growing(path: Path) -> None:
+    from gsfusion_nb.data.stream import GrowingFolder
+
+    (path / "stop").touch()
+    frames, error = GrowingFolder(path, poll_s=0.001, idle_s=0.01, patience_s=0.0), None
+    while True:
+        try:
+            frame = next(frames)
+        except StopIteration:
+            break
+        except BadFrameError as e:
+            error = e
+            continue
+        _need(bool(torch.isfinite(frame.T_WC).all()), "a pose is not finite")
+    if error is not None:
+        raise error
+
+
+def convert(path: Path) -> None:
+    from gsfusion_nb.data import convert as converters
+    from gsfusion_nb.data.readers import folder
+
+    out = path.parent / "converted-by-the-campaign"
+    if out.is_relative_to(path) or out.exists():
+        shutil.rmtree(out, ignore_errors=True)
+    report = converters.convert(path, out)
+    made = folder(out, poses=(out / "poses.txt").exists())
+    rows = (out / "times.txt").read_text().splitlines()[1:]
+    notes = " ".join([*report.notes, *report.examples, *report.dropped])
+    _check_times([float(row.split()[1]) for row in rows if not row.endswith("nan")], notes)
+    _check_frames(made)
+
+
+def trajectory(path: Path) -> None:
+    from gsfusion_nb.data.convert import read_trajectory
+
+    made = read_trajectory(path)
+    _check_times(made.stamps_s.tolist(), " ".join(made.notes))
+    _need(bool(torch.isfinite(made.rows).all()), "a pose is not finite")
+
+
+def run_trajectory(path: Path) -> None:
+    from gsfusion_nb.export import read_trajectory_tum
+
+    times, poses = read_trajectory_tum(path)
+    _check_times(times)
+    _need(bool(torch.isfinite(poses).all()), "a pose is not finite")
+
+
+def intrinsics(path: Path) -> None:
+    from gsfusion_nb.data.convert.intrinsics import read_intrinsics
+
+    model = read_intrinsics(str(path), (24, 18))
+    values = [*map(float, vars(model.camera).values()), *model.distortion]
+    _need(all(map(math.isfinite, values)), f"the camera {model}")
+
+
+def matrix(path: Path) -> None:
+    from gsfusion_nb.data.convert.trajectory import read_matrix
+
+    _need(bool(torch.isfinite(read_matrix(path)).all()), "a matrix is not finite")
+
+
+def gaussians(path: Path) -> None:
+    from gsfusion_nb.export import read_gaussian_ply
+
+    columns = vars(read_gaussian_ply(path))
+    for name, column in columns.items():
+        _need(bool(torch.isfinite(column).all()), f"{name} is not finite")
+    _need(len({len(c) for c in columns.values()}) == 1, "columns of different lengths")
+
+
+def mesh(path: Path) -> None:
+    from gsfusion_nb.export import read_mesh_ply
+
+    made = read_mesh_ply(path)
+    _need(bool(torch.isfinite(made.vertices_W).all()), "a vertex is not finite")
+    if made.faces.numel():
+        low, high = int(made.faces.min()), int(made.faces.max())
+        _need(low >= 0 and high < len(made.vertices_W), "a face of a vertex that is not there")
+
+
+def checkpoint(path: Path) -> None:
+    from gsfusion_nb.export import load_checkpoint
+
+    load_checkpoint(path)
+
+
+def resume(path: Path) -> None:
+    from gsfusion_nb.runs import MappingRun
+
+    run = MappingRun.resume(path)
+    for name, column in vars(run.mapper.gaussians.params).items():
+        _need(bool(torch.isfinite(column).all()), f"{name} of the map is not finite")
+
+
+def settings(path: Path) -> None:
+    from gsfusion_nb.cli.settings import _read_settings
+
+    _read_settings(path)
+
+
+def rescore(path: Path) -> None:
+    from gsfusion_nb.backends import use_backend
+    from gsfusion_nb.runs import rescore as score_again
+
+    with use_backend("torch"):
+        score_again(path)
+
+
+def archive(path: Path) -> None:
+    from gsfusion_nb.data.fetch import Limits, unpack
+
+    folder = path.parent / "unpacked-by-the-campaign"
+    unpack(path, folder, limits=Limits(max_bytes=100_000_000))
+    inside = {p.resolve() for p in folder.rglob("*")}
+    _need(all(p.is_relative_to(folder.resolve()) for p in inside), "a member outside of the folder")
+    shutil.rmtree(folder)
+
+
+def ledger(path: Path) -> None:
+    from gsfusion_nb.data.fetch.ledger import read_ledger
+
+    read_ledger(path.parent)
+
+
+TARGETS: dict[str, Callable[[Path], None]] = {
+    f.__name__: f
+    for f in (sequence, growing, convert, trajectory, run_trajectory, intrinsics, matrix, gaussians, mesh, checkpoint)
+} | {f.__name__: f for f in (resume, settings, rescore, archive, ledger)}
+CORRECTED = ("ledger", "growing")
+"""Targets that go on without a file that is damaged: a ledger begins anew, a folder may still be written."""
+
+
+def strict_json_fault(path: Path) -> str:
+    """What is ambiguous in a JSON file, by other means than the toolkit's."""
+
+    def pairs(items: list[tuple[str, Any]]) -> dict[str, Any]:
+        if len(dict(items)) != len(items):
+            raise ValueError("equal keys")
+        return dict(items)
+
+    def constant(text: str) -> Any:
+        raise ValueError(text)
+
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+        if re.search(r"\d{300}", text):
+            return "a number of 300 digits"
+        json.loads(text, object_pairs_hook=pairs, parse_constant=constant)
+    except (ValueError, RecursionError, OSError) as e:
+        return str(e)[:80]
+    return ""

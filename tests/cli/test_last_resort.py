@@ -1,0 +1,57 @@
+"""Whatever goes wrong, a command ends in one sentence, and the traceback is in a file."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from gsfusion_nb import cli
+from gsfusion_nb.data.fetch import command
+
+
+def broken(arguments):
+    return {}["deep inside"]
+
+
+def text_for_a_number(arguments):
+    return float("abc")
+
+
+def recursing(arguments):
+    return recursing(arguments)
+
+
+@pytest.mark.parametrize("work", [broken, text_for_a_number, recursing])
+def test_a_mistake_of_ours_is_one_sentence_with_the_file_and_a_log(tmp_path, capsys, monkeypatch, work):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "scan").mkdir()
+    monkeypatch.setattr(cli, "_map", work)
+    status = cli.main(["map", str(tmp_path / "scan"), "--out", str(tmp_path / "run")])
+    said = capsys.readouterr()
+    assert (status, said.out) == (1, "")
+    assert said.err.startswith("gsfusion-nb map: ended by an error that was not foreseen")
+    assert said.err.count("\n") == 1
+    assert str(tmp_path / "scan") in said.err
+    log = Path(re.search(r"the traceback is in (.*\.log)", said.err)[1])
+    assert log.parent == tmp_path / "run"
+    assert f"in {work.__name__}" in log.read_text()
+
+
+def test_without_a_run_folder_the_log_is_a_temporary_file(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.setattr(cli, "_check", broken)
+    assert cli.main(["check", "nothing"]) == 1
+    assert "at no file in particular; the traceback is in" in capsys.readouterr().err
+    assert len(list(tmp_path.glob("gsfusion-nb-check-*.log"))) == 1
+
+
+def test_sentences_stay_as_they_are(tmp_path, capsys):
+    assert cli.main(["map", str(tmp_path / "nowhere")]) == 1
+    assert "not foreseen" not in capsys.readouterr().err
+
+
+def test_data_scripts_too(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    assert command.run("tum.py", lambda: [][3]) == 1
+    assert "tum.py: ended by an error that was not foreseen, IndexError" in capsys.readouterr().err
+    assert len(list(tmp_path.glob("*.log"))) == 1
