@@ -26,7 +26,7 @@ demo: setup
 	$(BIN)/gsfusion-nb demo
 
 test: setup
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto --dist worksteal
 
 lint: setup
 	$(BIN)/ruff format --check .

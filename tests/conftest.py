@@ -1,5 +1,10 @@
-"""Fixtures of the whole suite: unwritten memory is NaN, real sequences are optional, the cache is a scratch folder."""
+"""Fixtures of the whole suite: unwritten memory is NaN, real sequences are optional, the cache is a scratch folder.
 
+``-n auto`` shares the tests out to as many processes as cores and memory allow, each with one thread.
+"""
+
+import gc
+import os
 from pathlib import Path
 
 import pytest
@@ -8,8 +13,60 @@ import torch
 from gsfusion_nb.config import gsfusion
 from gsfusion_nb.data import apply_options
 from gsfusion_nb.data.room import room
+from gsfusion_nb.processes import usable_cores
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+MOST_PROCESSES = 8
+"""More only wait for the longest tests."""
+PROCESS_BYTES = 2 * 1024**3
+"""Memory to have for each of them: about the largest that one has used, with the program that a test starts."""
+PARITY = pytest.StashKey[dict[tuple[str, str, str], tuple[float, float, int]]]()
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # of processes that pytest-xdist and the tests start
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers():
+    """How many processes ``-n auto`` starts."""
+    if not hasattr(os, "sysconf") or "SC_PHYS_PAGES" not in os.sysconf_names:
+        return min(usable_cores(), 2)
+    memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    return max(1, min(usable_cores(), MOST_PROCESSES, memory // PROCESS_BYTES))
+
+
+def pytest_configure(config):
+    config.stash[PARITY] = {}
+
+
+def pytest_collection_finish():
+    gc.freeze()  # the tests themselves are never garbage: looking through them took a third of a second each time
+
+
+def pytest_sessionfinish(session):
+    if hasattr(session.config, "workeroutput"):
+        session.config.workeroutput["parity"] = list(session.config.stash[PARITY].items())
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node):
+    """One of several processes has ended: add its table of differences to ours."""
+    for row, (absolute, relative, flips) in getattr(node, "workeroutput", {}).get("parity", ()):
+        widen(node.config.stash[PARITY], tuple(row), absolute, relative, flips)
+
+
+def widen(table, row, absolute, relative, flips):
+    """Keep the largest differences, and the sum of the flips."""
+    before = table.get(row, (0.0, 0.0, 0))
+    table[row] = max(before[0], absolute), max(before[1], relative), before[2] + flips
+
+
+def pytest_terminal_summary(terminalreporter, config):
+    table = config.stash[PARITY]
+    if table:
+        terminalreporter.write_line("\nlargest difference from the reference: absolute, of the largest value; flips")
+    for (backend, operation, name), (absolute, relative, flips) in sorted(table.items()):
+        line = f"  {backend:6} {operation:16} {name:16} {absolute:9.1e} {relative:9.1e} {flips:6d}"
+        terminalreporter.write_line(line)
 
 
 @pytest.fixture(autouse=True)
@@ -28,10 +85,11 @@ def _unwritten_memory_is_nan(monkeypatch):
 
 
 @pytest.fixture(autouse=True, scope="session")
-def _scratch_cache(tmp_path_factory):
-    """Anything the package caches on disk goes to a folder of this test session."""
+def _scratch_cache(tmp_path_factory, pytestconfig):
+    """Anything the package caches on disk goes to a folder of this test session, which its processes share."""
+    own = tmp_path_factory.getbasetemp()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("GSFUSION_CACHE", str(tmp_path_factory.mktemp("cache")))
+        patch.setenv("GSFUSION_CACHE", str((own.parent if hasattr(pytestconfig, "workerinput") else own) / "cache"))
         yield
 
 
@@ -47,6 +105,16 @@ def _own_rules(monkeypatch):
     from gsfusion_nb.seeding import rule
 
     monkeypatch.setattr(rule, "_RULES", dict(rule._RULES))
+
+
+@pytest.fixture
+def note_parity(pytestconfig):
+    """``note_parity(row, absolute, relative, flips)``: differences of a backend from the reference, for the table."""
+
+    def note(row, absolute, relative, flips):
+        widen(pytestconfig.stash[PARITY], row, absolute, relative, flips)
+
+    return note
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ from gsfusion_nb.data import open_sequence
 from gsfusion_nb.data.room import render_room, room, room_mesh
 from gsfusion_nb.export import read_mesh_ply
 
-N = 3
+N = 2
 
 
 @pytest.fixture

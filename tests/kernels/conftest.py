@@ -1,5 +1,5 @@
 """What the tests of the kernels share: which backends for GPUs run here, scenes and depth images for them, and the
-table of their largest differences from the reference.
+comparison with the reference.
 
 Whether kernels for GPUs run on the processor is decided when they are imported, so without a GPU their tests are
 collected only with ``GSFUSION_CUDA_EMULATOR`` or ``TRITON_INTERPRET=1`` in the environment: those of a backend in its
@@ -32,21 +32,12 @@ RUNNING += ["triton"] if (GPU or INTERPRETED) and importlib.util.find_spec("trit
 collect_ignore_glob = [f"{backend}/test_*.py" for backend in ("cuda", "triton") if backend not in RUNNING]
 collect_ignore_glob += [] if RUNNING else ["gpu/test_*.py"]
 
-PARITY: dict[tuple[str, str, str], tuple[float, float, int]] = {}
 POSE = se3.exp(torch.tensor([0.1, -0.2, 0.3, 0.2, -0.3, 0.1]))
 
 
 def pytest_collection_modifyitems(items):
     for item in items if INTERPRETED else ():  # masked lanes are computed in numpy, which warns of their overflows
         item.add_marker(pytest.mark.filterwarnings("ignore::RuntimeWarning"))
-
-
-def pytest_terminal_summary(terminalreporter):
-    if PARITY:
-        terminalreporter.write_line("\nlargest difference from the reference: absolute, of the largest value; flips")
-    for (backend, operation, name), (absolute, relative, flips) in sorted(PARITY.items()):
-        line = f"  {backend:6} {operation:16} {name:16} {absolute:9.1e} {relative:9.1e} {flips:6d}"
-        terminalreporter.write_line(line)
 
 
 @pytest.fixture(scope="session")
@@ -95,7 +86,7 @@ def to(device):
 
 
 @pytest.fixture
-def compare_on():
+def compare_on(note_parity):
     """``compare_on(backend, op, name, ours, reference, tolerance, share)``: at most a ``share`` of the values differs
     by more than ``tolerance`` times the largest one, or at all if they are whole numbers. The largest difference of
     the others, and the number of those, go to the table, under the first word of ``name``."""
@@ -116,9 +107,7 @@ def compare_on():
             f"{operation} {name}: {int(off.sum())} of {off.numel()} differ, the worst by {float(gap.max()):.2g}"
         )
         worst = float(torch.where(off, 0.0, gap).max())
-        row = (backend, operation, name.split()[0])
-        before = PARITY.get(row, (0.0, 0.0, 0))
-        PARITY[row] = max(before[0], worst), max(before[1], worst / scale), before[2] + int(off.sum())
+        note_parity((backend, operation, name.split()[0]), worst, worst / scale, int(off.sum()))
 
     return check
 

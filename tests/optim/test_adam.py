@@ -71,10 +71,10 @@ def test_late_rows_in_a_shared_model(generator):
     model = GaussianModel(sh_degree=0)
     one = Seeds.isotropic(torch.zeros(1, 3), torch.full((1, 3), 0.5), torch.ones(1))
     model.append(one)
-    for _ in range(2000):
+    for _ in range(200):
         adam_step(model, constant_gradients(model.params), config)
     model.append(one)
     before = model.params.opacity_logit[1].item()
     adam_step(model, constant_gradients(model.params), config)
-    # bias correction of v at t = 2001 is 0.865, so the first step is 0.1 / sqrt(0.001 / 0.865) = 2.94 learning rates
-    assert before - model.params.opacity_logit[1].item() == pytest.approx(2.941 * 5e-2, rel=1e-3)
+    # bias correction of v at t = 201 is 0.182, so the first step is 0.1 / sqrt(0.001 / 0.182) = 1.35 learning rates
+    assert before - model.params.opacity_logit[1].item() == pytest.approx(1.3497 * 5e-2, rel=1e-3)

@@ -24,7 +24,8 @@ def test_l1_by_hand():
 def test_vjps_match_finite_differences(size, generator):
     height, width = size
     x, y = pair(height, width, generator)
-    torch.autograd.gradcheck(lambda a: dssim(a, y), x.clone().requires_grad_(True))
+    fast = height * width > 50  # along a random direction only, instead of one value after another
+    torch.autograd.gradcheck(lambda a: dssim(a, y), x.clone().requires_grad_(True), fast_mode=fast)
     for value, v in ((lambda a: l1(a, y), l1_vjp(x, y)), (lambda a: dssim(a, y), dssim_vjp(x, y)[1])):
         a = x.clone().requires_grad_(True)
         (expected,) = torch.autograd.grad(value(a), a)

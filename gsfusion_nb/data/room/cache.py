@@ -15,34 +15,39 @@ from ...foreign import read_bytes
 log = logging.getLogger(__name__)
 
 
-def store(path: Path, **images: ndarray) -> None:
-    """Save uint8 or uint16 images as PNGs in one archive with checksums; failing to write is only logged.
+def store(path: Path, **arrays: ndarray) -> None:
+    """Save arrays in one archive with checksums, uint8 and uint16 ones as PNGs; failing to write is only logged.
 
     Two processes may store the same file at once: each writes its own temporary one, and the last move wins.
     """
     import cv2
 
-    encoded = {k: cv2.imencode(".png", v, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1] for k, v in images.items()}
+    def encoded(v: ndarray) -> ndarray:
+        is_image = v.dtype in (np.uint8, np.uint16)
+        return cv2.imencode(".png", v, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1] if is_image else v
+
     try:
         with atomic_file(path) as temporary:
-            np.savez(temporary, allow_pickle=False, **encoded)
+            np.savez(temporary, allow_pickle=False, **{k: encoded(v) for k, v in arrays.items()})
     except OSError as e:
         _warn_once(str(path.parent), str(e))
 
 
 def load(path: Path) -> dict[str, ndarray] | None:
-    """Images of an archive written by ``store``; None where it is absent or damaged."""
+    """Arrays of an archive written by ``store``; None where it is absent or damaged."""
     import cv2
 
-    images: dict[str, ndarray] = {}
+    arrays: dict[str, ndarray] = {}
     try:
-        with np.load(io.BytesIO(read_bytes(path, "cached pictures")), allow_pickle=False) as archive:
+        with np.load(io.BytesIO(read_bytes(path, "cached arrays")), allow_pickle=False) as archive:
             for name in archive.files:
-                image = cv2.imdecode(archive[name], cv2.IMREAD_UNCHANGED)
-                if image is None:
-                    raise ValueError(f"{name} is not a PNG")
-                images[name] = image
-        return images
+                array = archive[name]
+                if array.dtype == np.uint8:
+                    array = cv2.imdecode(array, cv2.IMREAD_UNCHANGED)
+                    if array is None:
+                        raise ValueError(f"{name} is not a PNG")
+                arrays[name] = array
+        return arrays
     except FileNotFoundError:
         return None
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, cv2.error) as e:

@@ -1,5 +1,6 @@
 """The room's free surface as triangles."""
 
+import hashlib
 from collections.abc import Callable
 
 import numpy as np
@@ -7,10 +8,12 @@ import torch
 from numpy import ndarray
 
 from ...checks import check_positive
+from ...files import cache_folder
 from ...types import Mesh
 from .atlas import LEVELS, level_offsets
+from .cache import load, store
 from .interior import SHELL_SOLIDS, furnishing
-from .scene import Scene, load_scene
+from .scene import Scene, load_scene, version
 from .sdf import signed_distance
 
 _LIFT_M = 0.002
@@ -27,7 +30,7 @@ def room_mesh(resolution_m: float = 0.02, *, seed: int = 0, cache: bool = True) 
     Args:
         resolution_m: Largest edge along a face's axes, metres.
         seed: The room's seed.
-        cache: Keep the painted and lit textures on disk.
+        cache: Keep the mesh and the painted and lit textures on disk.
 
     Returns:
         The mesh; vertices are shared within a face.
@@ -36,6 +39,22 @@ def room_mesh(resolution_m: float = 0.02, *, seed: int = 0, cache: bool = True) 
         ValueError: ``resolution_m`` is not above zero.
     """
     check_positive("resolution_m", resolution_m)
+    key = hashlib.sha256(f"mesh {version()} {seed} {float(resolution_m)!r}".encode()).hexdigest()[:16]
+    path = cache_folder() / "room" / f"mesh-{key}.npz"
+    arrays = load(path) if cache else None
+    if arrays is None:
+        arrays = _made(resolution_m, seed, cache)
+        if cache:
+            store(path, **arrays)
+    return Mesh(
+        vertices_W=torch.from_numpy(arrays["xyz"]),
+        faces=torch.from_numpy(arrays["faces"].astype(np.int64)),
+        rgb=torch.from_numpy(arrays["rgb"]),
+    )
+
+
+def _made(resolution_m: float, seed: int, cache: bool) -> dict[str, ndarray]:
+    """World points [V, 3], triangles [F, 3] and colours [V, 3]."""
     scene = load_scene(seed, cache)
     chart, uv, faces = _tessellate(scene, resolution_m)
     clearance = _clearance(scene, seed)
@@ -45,11 +64,7 @@ def room_mesh(resolution_m: float = 0.02, *, seed: int = 0, cache: bool = True) 
     faces = faces[np.linalg.norm(np.cross(b - a, c - a), axis=1) > 1e-10]
     used, faces = np.unique(faces, return_inverse=True)
     rgb = _colours(scene, chart[used], uv[used], resolution_m)
-    return Mesh(
-        vertices_W=torch.from_numpy(xyz[used]).float(),
-        faces=torch.from_numpy(faces.reshape(-1, 3)),
-        rgb=torch.from_numpy(rgb),
-    )
+    return {"xyz": xyz[used].astype(np.float32), "faces": faces.reshape(-1, 3).astype(np.int32), "rgb": rgb}
 
 
 def _tessellate(scene: Scene, resolution_m: float) -> tuple[ndarray, ndarray, ndarray]:

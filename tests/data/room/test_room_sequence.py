@@ -1,5 +1,6 @@
 """The room as a sequence: interface, cache, noise, paths, coverage, mesh."""
 
+import importlib
 from typing import Any
 
 import numpy as np
@@ -66,6 +67,25 @@ def test_cache_gives_the_same_frame_and_recovers_from_damage(monkeypatch, tmp_pa
     assert (fresh.rgb - rgb).abs().max() < 0.51 / 255
 
 
+def test_cache_gives_the_same_mesh_and_recovers_from_damage(monkeypatch, tmp_path, generator):
+    monkeypatch.setenv("GSFUSION_CACHE", str(tmp_path))
+    module = importlib.import_module("gsfusion_nb.data.room.mesh")
+    xyz, rgb = (torch.rand(40, 3, generator=generator).numpy() for _ in range(2))
+    faces, made = np.arange(39, dtype=np.int32).reshape(-1, 3), []
+    monkeypatch.setattr(module, "_made", lambda *of: made.append(of) or {"xyz": xyz, "faces": faces, "rgb": rgb})
+    for resolution_m, damage, times in ((0.4, None, 1), (0.4, None, 1), (0.4, b"PK" + bytes(2000), 2), (0.3, None, 3)):
+        if damage is not None:
+            (path,) = (cache_folder() / "room").glob("mesh-*.npz")
+            path.write_bytes(damage)
+        mesh = room_mesh(resolution_m)
+        assert len(made) == times
+        assert np.array_equal(mesh.vertices_W, xyz)
+        assert np.array_equal(mesh.faces, faces)
+        assert np.array_equal(mesh.rgb, rgb)
+    room_mesh(0.4, cache=False)
+    assert len(made) == 4
+
+
 def test_unwritable_cache_is_no_error(monkeypatch, tmp_path):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("GSFUSION_CACHE", str(tmp_path / "file"))
@@ -122,7 +142,7 @@ def test_walks_keep_clear_of_things_and_are_calm(trajectory):
 
 def test_the_walk_sees_the_whole_room():
     """Of the surface that a person could see, at least 85 % by area is seen by the mapping walk."""
-    mesh = room_mesh(0.12)
+    mesh = room_mesh(0.08)
     xyz = mesh.vertices_W[mesh.faces].double()
     cross = torch.linalg.cross(xyz[:, 1] - xyz[:, 0], xyz[:, 2] - xyz[:, 0])
     area, centre = 0.5 * cross.norm(dim=1), xyz.mean(1)
@@ -130,7 +150,7 @@ def test_the_walk_sees_the_whole_room():
     open_ = room_sdf(centre + 0.15 * normal) > 0.1
     seen = torch.zeros(len(centre), dtype=torch.bool)
     sequence = room(n_frames=100, **SMALL)
-    for i in range(0, 100, 2):
+    for i in range(0, 100, 3):
         frame = sequence[i]
         xyz_C = se3.apply(se3.inverse(frame.T_WC.double()), centre)
         uv = project(frame.camera, xyz_C)
@@ -157,7 +177,7 @@ def test_mesh_lies_on_the_surface_and_faces_the_free_side():
 
 
 def test_mesh_colours_match_the_rendered_view():
-    mesh = room_mesh(0.05)
+    mesh = room_mesh(0.08)
     frame = room(n_frames=9, width=160, height=120)[4]
     points = se3.apply(frame.T_WC, depth_to_points(frame.camera, frame.depth_m))[::10, ::10].reshape(-1, 3)
     nearest = torch.cdist(points, mesh.vertices_W).argmin(1)
