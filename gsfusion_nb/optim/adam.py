@@ -60,10 +60,14 @@ def adam_update(
 def adam_step(model: GaussianModel, gradients: GaussianParams, config: OptimConfig) -> None:
     """Update every parameter of the map once, each group at its own constant learning rate.
 
-    Adam's bias correction shrinks the first steps after the moments were zero. It was made for parameters that all
-    start together; with ``adam_steps = "none"`` a newborn Gaussian first moves (1 - 0.9) / sqrt(1 - 0.999) = 3.16
-    learning rates, and 6.5 at its tenth step. The released GSFusion corrects by the step count of the whole map
-    ("shared"), which comes to the same for all but the Gaussians of the first frames.
+    The bias correction multiplies a step by sqrt(1 - b2^t) / (1 - b1^t). ``config.adam_steps`` says what t is:
+
+    - ``"per_row"``: the age of each Gaussian (textbook Adam). Its first step is one learning rate.
+    - ``"none"``: no correction. Where the gradient stays the same, the first step of a new Gaussian is
+      (1 - 0.9) / sqrt(1 - 0.999) = 3.16 learning rates and its tenth 6.5.
+    - ``"shared"``: the number of steps of the whole map, as in the released GSFusion. Every Gaussian of the map, new or
+      old, then takes the step of ``"none"`` times the same factor: 0.15 at step 10, 0.44 at 210, 0.93 at 2,000. In a
+      short run all Gaussians learn more slowly; at the 16,000 steps of a Replica sequence there is no difference left.
     """
     model.step_count += 1
     steps: int | Tensor | None = {"none": None, "shared": model.step_count}.get(config.adam_steps)

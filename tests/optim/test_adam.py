@@ -47,6 +47,19 @@ def test_per_row_steps_treat_a_late_row_like_a_first_one(generator):
     torch.testing.assert_close(early, late)
 
 
+@pytest.mark.parametrize(("t", "factor"), [(1, 0.316), (10, 0.153), (210, 0.435), (2000, 0.930), (16000, 1.0)])
+@pytest.mark.parametrize("age", [0, 7])
+def test_a_shared_count_shortens_the_steps_of_new_and_old_rows_alike(t, factor, age, generator):
+    """The correction is sqrt(1 - 0.999^t) / (1 - 0.9^t), whatever the age of the row."""
+    m = (1 - 0.9**age) * torch.randn(4, generator=generator, dtype=torch.float64)
+    v = (1 - 0.999**age) * torch.rand(4, generator=generator, dtype=torch.float64)
+    gradient = torch.randn(4, generator=generator, dtype=torch.float64)
+    shared, none = torch.zeros(2, 4, dtype=torch.float64)
+    adam_update(shared, gradient, m.clone(), v.clone(), t, lr=1.0, **MOMENTS)
+    adam_update(none, gradient, m, v, None, lr=1.0, **MOMENTS)
+    torch.testing.assert_close(shared / none, torch.full_like(none, factor), rtol=0, atol=6e-4)
+
+
 def constant_gradients(params: GaussianParams) -> GaussianParams:
     return GaussianParams(**{name: torch.ones_like(getattr(params, name)) for name in PARAMETERS})
 
