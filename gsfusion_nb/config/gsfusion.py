@@ -37,7 +37,7 @@ class OptimConfig:
     eps: float = 1e-15
     """Added to Adam's denominator against division by zero. Larger: smaller steps where gradients are small."""
     adam_steps: Literal["none", "shared", "per_row"] = "none"
-    """Bias correction of Adam, which decides how fast Gaussians move. "none": no correction, so the first steps of a new
+    """Bias correction of Adam: decides how fast Gaussians move. "none": no correction, so the first steps of a new
     Gaussian are 3 to 6 learning rates long; "shared": by the step count of the whole map, as in the released code: all
     steps are shorter during the first 2,000 (0.15 times at step 10, 0.44 at 210), then as with "none"; "per_row": by
     the age of each Gaussian (textbook Adam), so its first step is 1 learning rate."""

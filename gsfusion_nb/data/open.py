@@ -28,7 +28,7 @@ def open_sequence(
     split: str | None = None,
     **options: Any,
 ) -> OpenedSequence:
-    """Open a sequence: what is to be mapped is ``.mapping``, what is held out for evaluation is ``.held_out``.
+    """Open a sequence: the frames to map are ``.mapping``, those held out for evaluation are ``.held_out``.
 
     Args:
         path_or_name: Folder of a sequence, or "room", the built-in scene (a folder of that name: "./room").
@@ -41,7 +41,8 @@ def open_sequence(
 
     Raises:
         SequenceNotFoundError: no such folder, or one of its files is missing.
-        SequenceError: the folder fits no layout (the message lists what was looked for), or its content makes no sense.
+        SequenceError: the folder fits no layout (the message lists what each layout looks for), or its content is
+            invalid.
         KeyError: unknown format.
     """
     check_name("format", format, ("auto", "room", *known_layouts()))
@@ -78,10 +79,10 @@ def layouts() -> list[str]:
 
 
 def detect_layout(path: str | Path) -> str:
-    """Name of the first layout all of whose files are there.
+    """Name of the first layout whose files are all there.
 
     Raises:
-        SequenceError: none; lists for each layout what was looked for and what is missing.
+        SequenceError: none; the message lists for each layout what it looks for and what is missing.
     """
     path = Path(path)
     known = known_layouts()

@@ -1,4 +1,4 @@
-"""What a sequence is."""
+"""The protocol of sequences."""
 
 from typing import Protocol, runtime_checkable
 
@@ -15,7 +15,7 @@ from ..types import Camera, Frame
 class Sequence(Protocol):
     """Posed RGB-D frames in order. Anything with these members can be mapped; no base class is needed.
 
-    ``sequence[i]`` decodes frame ``i`` when asked and raises ``IndexError`` past the end, so ``for frame in sequence``
+    ``sequence[i]`` decodes frame ``i`` and raises ``IndexError`` past the end, so ``for frame in sequence``
     works.
     """
 

@@ -103,7 +103,7 @@ def test_seven_scenes_hostile_inside(script, site, tmp_path, archives, capsys):
     site.files["/heads.zip"] = archives.zip({"heads/seq-01.zip": archives.zip({"../../outside": b"x"})})
     out = tmp_path / "data"
     assert run(script("seven_scenes"), site, out, "heads") == 1
-    assert "leads out of its folder" in capsys.readouterr().err
+    assert "is outside the target folder" in capsys.readouterr().err
     assert not (out / "7scenes").exists()
     assert not list((out / ".fetch").glob("*.zip"))  # it would fail again
     site.files["/heads.zip"] = archives.zip({"heads/TrainSplit.txt": b"sequence1\n"})
@@ -176,7 +176,7 @@ def test_icl_nuim_corrupted(icl, site, tmp_path, hostile, capsys):
     site.faults = {"/livingroom1-depth-clean.zip": [hostile.corrupt]}
     out = tmp_path / "data"
     assert run(icl, site, out, "livingroom1") == 1
-    assert "is published: it is damaged or another file (twice" in capsys.readouterr().err
+    assert "the file is damaged or another one (twice" in capsys.readouterr().err
     assert not (out / "icl_nuim").exists()
     site.faults, site.seen = {}, []
     assert run(icl, site, out, "livingroom1") == 0

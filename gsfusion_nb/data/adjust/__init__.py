@@ -1,1 +1,1 @@
-"""What is applied to a sequence after it is read: selection, size, depth limits, corrections."""
+"""Changes to a sequence after reading: selection, size, depth limits, corrections."""

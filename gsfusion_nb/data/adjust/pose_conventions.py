@@ -1,4 +1,4 @@
-"""Understanding stored poses in another convention: direction, axes, order of numbers, unit."""
+"""Converting stored poses from another convention: direction, axes, order of numbers, unit."""
 
 import torch
 from jaxtyping import Float
@@ -15,11 +15,11 @@ _ORDER = {"wxyz": [1, 2, 3, 0], "xyzw": [3, 0, 1, 2]}
 
 
 def reread_poses(stored: Float[Tensor, "N 4 4"], repair: RepairConfig) -> Float[Tensor, "N 4 4"]:
-    """Camera-to-world poses, OpenCV axes, metres, of matrices that were stored in the convention of ``repair``.
+    """Camera-to-world poses, OpenCV axes, metres, from matrices stored in the convention of ``repair``.
 
     In this order: order of the 16 numbers, nearest rotation, order of the quaternion, direction, axes, unit of length.
-    With M the stored camera's axes in OpenCV's as columns, T_WC = T M^T; axes that mirror (det M = -1) come with a
-    mirrored world, and T_WC = M T M^T.
+    With the stored camera's axes, expressed in OpenCV's, as the columns of M, T_WC = T M^T; if the axes are mirrored
+    (det M = -1), so is the world, and T_WC = M T M^T.
 
     Args:
         stored: Matrices as they were read. [N, 4, 4]
@@ -53,9 +53,9 @@ def axis_matrix(repair: RepairConfig) -> Float[Tensor, "4 4"]:
 
 
 def raw_matrices(stored: Float[Tensor, "N 4 4"], repair: RepairConfig) -> Float[Tensor, "N 4 4"]:
-    """The corrections that make a rigid matrix of 16 numbers: their order, and the nearest rotation (by SVD).
+    """The corrections that make 16 numbers a rigid matrix: their order, and the nearest rotation (by SVD).
 
-    Matrices with NaN stay as they are. A scale that is common to rotation and bottom corner is divided out.
+    Matrices with NaN are not changed. A scale factor common to rotation and bottom right entry is divided out.
     """
     T = stored.transpose(1, 2) if repair.matrices == "column_major" else stored
     if repair.nearest_rotation:

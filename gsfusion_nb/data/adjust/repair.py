@@ -1,4 +1,4 @@
-"""A recording read with corrections: what ``RepairConfig`` says, applied to any sequence."""
+"""A recording with the corrections of ``RepairConfig``; they can be applied to any sequence."""
 
 import dataclasses
 import math
@@ -18,13 +18,13 @@ from ..sequence import BadFrameError, Sequence, SequenceError, position
 from .pose_conventions import pose_between, raw_matrices, reread_poses
 
 _RAW = ("matrices", "nearest_rotation", "fit_sizes")
-"""Corrections of what no frame can be made from: they need the files' own numbers."""
+"""Corrections without which no frame can be made: they need the numbers of the files."""
 
 
 def repaired(source: Sequence, repair: RepairConfig) -> Sequence:
-    """``source`` with the corrections of ``repair``, or itself where there are none.
+    """``source`` with the corrections of ``repair``, or ``source`` itself if there are none.
 
-    ``skip`` is not applied here: frames keep their places (``apply_options`` selects).
+    ``skip`` is not applied here: frames keep their positions (``apply_options`` selects).
 
     Raises:
         SequenceError: a correction that needs the files of a recording, for a sequence that has none.
@@ -35,7 +35,7 @@ def repaired(source: Sequence, repair: RepairConfig) -> Sequence:
     raw = [name for name in _RAW if name in changes]
     if raw:
         if not isinstance(source, RecordedSequence):
-            raise SequenceError(f"{source.name}: repair.{raw[0]} needs a recording on disk; this is made in memory")
+            raise SequenceError(f"{source.name}: repair.{raw[0]} needs a recording on disk; this sequence is in memory")
         source = dataclasses.replace(source, poses=raw_matrices(source.poses, repair))
         if repair.fit_sizes:
             source = _fitted(source)
@@ -44,7 +44,7 @@ def repaired(source: Sequence, repair: RepairConfig) -> Sequence:
 
 
 def repaired_camera(camera: Camera, repair: RepairConfig) -> Camera:
-    """The camera with the intrinsics of ``repair`` where it names any."""
+    """The camera, with intrinsics replaced by those that ``repair`` sets."""
     changes = {name: getattr(repair, name) for name in ("fx", "fy", "cx", "cy") if getattr(repair, name)}
     camera = dataclasses.replace(camera, **changes)
     return dataclasses.replace(camera, cx=camera.cx + repair.pixel_shift, cy=camera.cy + repair.pixel_shift)
@@ -75,12 +75,13 @@ class RepairedSequence:
         return (self[i] for i in range(len(self)))
 
     def pose(self, i: int) -> Float[Tensor, "4 4"]:
-        """Camera-to-world pose of frame ``i``. Raises ``BadFrameError`` where a shift in time leaves it without."""
+        """Camera-to-world pose of frame ``i``. Raises ``BadFrameError`` if a shift in time leaves the frame without a
+        pose."""
         at = position(i, len(self)) + self.repair.pose_shift_frames
         first = math.floor(at)
         if not 0 <= at <= len(self) - 1:
             raise BadFrameError(
-                f"{self.name} frame {i} has no pose: repair.pose_shift_frames asks for that of frame {at:g}, "
+                f"{self.name} frame {i} has no pose: repair.pose_shift_frames needs that of frame {at:g}, "
                 f"expected one of 0 to {len(self) - 1}"
             )
         T = self._reread(first)
@@ -111,7 +112,8 @@ class RepairedSequence:
 def shifted_colour(rgb: Shaped[Tensor, "H W 3"], repair: RepairConfig) -> Shaped[Tensor, "H W 3"]:
     """Colour moved back by the shift and scale of ``repair``: pixel u takes  m + s (u - m) + shift,  m the middle.
 
-    One shift for all depths: exact for a turned or mis-cropped colour image, an approximation for a second camera.
+    The shift is the same for all depths: exact for a rotated or wrongly cropped colour image, approximate for a second
+        camera.
     """
     shift = (repair.rgb_shift_x_px, repair.rgb_shift_y_px)
     s = repair.rgb_scale
@@ -132,11 +134,11 @@ def shifted_colour(rgb: Shaped[Tensor, "H W 3"], repair: RepairConfig) -> Shaped
 def _fitted(source: RecordedSequence) -> RecordedSequence:
     """The recording at the size of its depth images, intrinsics scaled to it."""
     if source.rectify is not None:
-        raise SequenceError(f"{source.name}: repair.fit_sizes does not go with undistortion or registration")
+        raise SequenceError(f"{source.name}: repair.fit_sizes cannot be combined with undistortion or registration")
     for file in source.depth_files:
         try:
             height, width = read_depth(file, scale=source.depth_scale).shape
         except BadFrameError:
             continue
         return dataclasses.replace(source, camera=source.camera.resized(width, height), fit_sizes=True)
-    raise SequenceError(f"{source.name}: not one of its depth images can be read; expected one to fit sizes to")
+    raise SequenceError(f"{source.name}: none of its depth images can be read; expected one, whose size is used")

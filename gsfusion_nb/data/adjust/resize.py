@@ -32,8 +32,8 @@ def resize_frame(frame: Frame, camera: Camera) -> Frame:
 def nearest_source(size: int, source_size: int) -> Int[Tensor, " S"]:
     """Source pixel whose centre is nearest to that of each of ``size`` new pixels; the lower one of two equals. [S]
 
-    The centre of new pixel i lies at (i + 0.5) source_size / size. Halving therefore takes pixels 0, 2, 4, ..., which
-    are half a source pixel off, as any choice is; a third takes 1, 4, 7, ..., which are exact.
+    The centre of new pixel i lies at (i + 0.5) source_size / size. At half the size these are pixels 0, 2, 4, ..., half
+    a source pixel off, which no choice avoids; at a third they are 1, 4, 7, ..., which is exact.
     """
     numerator = (2 * torch.arange(size) + 1) * source_size
     return -(-numerator // (2 * size)) - 1

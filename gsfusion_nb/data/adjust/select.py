@@ -50,7 +50,7 @@ class SequenceView:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OpenedSequence(SequenceView):
-    """All selected frames of a sequence (itself a ``Sequence``), parted into those to map and those held out."""
+    """All selected frames of a sequence (itself a ``Sequence``), split into those to map and those held out."""
 
     mapping: SequenceView
     """Frames to map."""
@@ -63,11 +63,11 @@ def apply_options(source: Sequence, data: DataConfig | None = None) -> OpenedSeq
 
     Of the frames ``start, start + stride, ...`` below ``stop``, the one at position i is held out when
     ``i % hold_out_every == hold_out_offset``: positions count within the selection, so the held-out share does not
-    depend on the stride. Frames that the data set publishes as test views (``source.novel``, ScanNet++) are
-    always held out, all of them, and neither counted nor thinned.
+    depend on the stride. Frames that the data set publishes as test views (``source.novel``, ScanNet++) are always held
+    out; they are neither counted nor subsampled.
 
-    The corrections of ``data.repair`` come first; frames it skips keep their numbers and are neither counted nor held
-    out.
+    The corrections of ``data.repair`` are applied first; the frames that they skip keep their numbers and are neither
+    counted nor held out.
 
     Raises:
         SequenceError: no frames, a start beyond the end, or nothing left to map.
@@ -121,7 +121,7 @@ def _selection(source: Sequence, apart: set[int], data: DataConfig) -> list[int]
 
 
 def resized_camera(camera: Camera, data: DataConfig) -> Camera:
-    """Camera at the wanted size; one side alone keeps the proportions."""
+    """Camera at the requested size; if only one side is given, the proportions are kept."""
     if not data.width and not data.height:
         return camera
     width = data.width or max(1, round(camera.width * data.height / camera.height))

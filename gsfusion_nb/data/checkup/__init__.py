@@ -1,6 +1,7 @@
-"""The check-up of a recording: errors in units, poses, intrinsics, registration or images, and what repairs them.
+"""The check-up of a recording: errors in units, poses, intrinsics, registration or images, and the options that repair
+them.
 
-``check_recording(path)`` gives a ``CheckupReport``: print it, show it in a notebook, or write it as a page.
+``check_recording(path)`` returns a ``CheckupReport``, which can be printed, shown in a notebook, or written as a page.
 """
 
 from .check import check_recording as check_recording

@@ -1,4 +1,4 @@
-"""Does the colour image show edges where the depth image jumps? Searched over shift, scale, mirroring and time."""
+"""Whether colour edges lie on depth edges; searched over shift, scale, mirroring and time."""
 
 from dataclasses import dataclass
 
@@ -8,41 +8,41 @@ from jaxtyping import Float, UInt8
 from .sample import FrameFacts, Sample
 
 REACH_PX = 24
-"""Shifts are searched this far, pixels of the small images."""
+"""Largest shift that is searched, pixels of the small images."""
 ANCHORS = 12
 TIME_REACH = 4
 JUMP = 0.08
-"""Share of its depth by which a pixel must lie in front of its neighbour to be on an edge."""
+"""A pixel is on an edge if it is nearer than its neighbour by this share of its depth."""
 _SCALES = (0.84, 0.88, 0.92, 0.96, 1.0, 1.04, 1.08, 1.12, 1.16)
 _BETTER = 1.15
-"""How much higher than as read another score must be to be believed."""
+"""Another score is accepted if it is this much higher than the score as read."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ColourFit:
-    """How the colour images lie to the depth images."""
+    """Position of the colour images relative to the depth images."""
 
     shift_px: tuple[float, float]
-    """Of the colour's content to the depth's, right and down, pixels of the full image."""
+    """Shift of the colour image relative to depth, right and down, pixels of the full image."""
     scale: float
-    """Size of things in colour / in depth, about the image's middle."""
+    """Size of objects in colour / in depth, about the image centre."""
     mirror: str
     """"none", "x", "y" or "xy"."""
     shift_frames: int
-    """Colour of frame i + this fits the depth of frame i."""
+    """The colour of frame i + this number fits the depth of frame i."""
     score: float
-    """Mean colour contrast on the depth edges, in units of the neighbourhood's, under the best of all these."""
+    """Mean colour contrast on the depth edges under the best of all these, relative to the neighbourhood."""
     score_as_read: float
     peak: float
-    """How many standard deviations over the other shifts the best one is."""
+    """How many standard deviations the best shift is above the others."""
     edges: int
     """Depth edge pixels per frame."""
     pixel: float
-    """Size of the pixels that were compared, pixels of the full image."""
+    """Size of a compared pixel, pixels of the full image."""
 
 
 def fit_colour(sample: Sample) -> ColourFit | None:
-    """Find how colour lies to depth. None where nothing can be said: fewer than 60 edge pixels per frame."""
+    """Find the position of colour relative to depth; None with fewer than 60 edge pixels per frame."""
     anchors = _anchors(sample)
     edges = [depth_edges(f.depth_m.numpy()) for f in anchors]
     n = int(np.mean([e.sum() for e in edges])) if edges else 0
@@ -61,12 +61,12 @@ def fit_colour(sample: Sample) -> ColourFit | None:
         options.append((*_top(surface), 1.0, name, 0))
     (score, peak, shift, scale, mirror, frames) = max(options, key=lambda o: o[0] * (1 if o[4] == "none" else 0.7))
     near, at_near = _near(spatial)
-    if mirror == "none" and score < _BETTER * near:  # within what noise can do: as read
+    if mirror == "none" and score < _BETTER * near:  # within the noise: keep as read
         score, shift, scale = near, at_near, 1.0
     if best_time and time_score > max(_BETTER * as_read, 0.9 * score):
         score, shift, scale, mirror, frames = time_score, (0.0, 0.0), 1.0, "none", best_time
     small = sample.camera.width / edges[0].shape[1]
-    # a thinned depth pixel lies at the middle of its cell only where the thinning is odd
+    # a subsampled depth pixel is at the centre of its cell only if the step is odd
     offset = 0.5 if round(small) % 2 == 0 else 0.0
     return ColourFit(
         shift_px=(shift[0] * small + offset * (frames == 0), shift[1] * small + offset * (frames == 0)),
@@ -84,7 +84,7 @@ def fit_colour(sample: Sample) -> ColourFit | None:
 def in_order(sample: Sample) -> float | None:
     """Share of the frames whose most similar colour image, of all others read, is at most two frames away.
 
-    None where the poses do not show the same for at least 80 per cent: a camera that stands still or turns back.
+    None if the same holds for the nearest poses of fewer than 80 per cent: the camera stands still or turns back.
     """
     if len(sample.frames) < 10:
         return None
@@ -108,10 +108,10 @@ def _thumbnail(grey: UInt8[np.ndarray, "H W"]) -> np.ndarray:
 
 
 def depth_edges(depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
-    """1 on pixels that lie in front of a neighbour by a jump, else 0.
+    """1 on pixels that are nearer than a neighbour by a depth jump, else 0.
 
-    Narrow holes are closed with the farther of their two sides first: a structured-light camera sees none of the
-    background beside an object, and the edge is the object's.
+    First, narrow holes are filled with the farther of their two sides: beside an object a structured-light camera does
+        not measure the background, and the edge belongs to the object.
     """
     found = np.zeros(depth_m.shape, bool)
     for turned, out in ((depth_m, found), (depth_m.T, found.T)):
@@ -124,7 +124,8 @@ def depth_edges(depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
 
 
 def colour_contrast(grey: UInt8[np.ndarray, "H W"], shape: tuple[int, ...]) -> Float[np.ndarray, "h w"]:
-    """Gradient of the grey image in units of its neighbourhood's mean (so that texture counts little), at most 4."""
+    """Gradient of the grey image divided by its mean in the neighbourhood (so that texture has little weight), at most
+    4."""
     import cv2
 
     image = grey.astype(np.float32)
@@ -136,7 +137,7 @@ def colour_contrast(grey: UInt8[np.ndarray, "H W"], shape: tuple[int, ...]) -> F
 
 
 def _closed(depth_m: np.ndarray, widest: int = 10) -> np.ndarray:
-    """Rows with holes of at most ``widest`` pixels filled by the farther side."""
+    """Image rows in which holes of at most ``widest`` pixels are filled with the farther side."""
     h, w = depth_m.shape
     column = np.arange(w)[None]
     left = np.maximum.accumulate(np.where(depth_m > 0, column, -w), axis=1)
@@ -148,7 +149,7 @@ def _closed(depth_m: np.ndarray, widest: int = 10) -> np.ndarray:
 
 
 def _anchors(sample: Sample) -> list[FrameFacts]:
-    """Frames spread over the sample, those with neighbours in time first choice."""
+    """Frames spread over the sample, preferably those with neighbours in time."""
     there = sample.by_place
     inner = [f for f in sample.frames if all(f.place + k in there for k in (-TIME_REACH, TIME_REACH))]
     chosen = inner or sample.frames
@@ -160,7 +161,7 @@ def _anchors(sample: Sample) -> list[FrameFacts]:
 
 
 def _transforms(contrast: list[np.ndarray]) -> list[np.ndarray]:
-    """Fourier transforms of the contrast images without their mean, with room for the shifts."""
+    """Fourier transforms of the contrast images without their mean, padded for the shifts."""
     return [np.fft.rfft2(G - G.mean(), _size(G.shape)) for G in contrast]
 
 
@@ -171,7 +172,8 @@ def _size(shape: tuple[int, ...]) -> tuple[int, ...]:
 
 
 def _surface(edges: list[np.ndarray], transforms: list[np.ndarray]) -> np.ndarray:
-    """Mean contrast on the edges for every shift of the contrast images, less the contrast anywhere. [2R+1, 2R+1]"""
+    """Mean contrast on the edges for every shift of the contrast images, minus the mean contrast of all pixels. [2R+1,
+    2R+1]"""
     R, size = REACH_PX, _size(edges[0].shape)
     products = [np.conj(np.fft.rfft2(E, size)) * G for E, G in zip(edges, transforms, strict=True)]
     total = np.fft.irfft2(sum(products), size)
@@ -179,14 +181,14 @@ def _surface(edges: list[np.ndarray], transforms: list[np.ndarray]) -> np.ndarra
 
 
 def _top(surface: np.ndarray) -> tuple[float, float, tuple[float, float]]:
-    """Height, height in standard deviations, and place of the highest peak, to parts of a pixel by parabolas."""
+    """Height, height in standard deviations, and position of the highest peak, to fractions of a pixel by parabolas."""
     j, i = np.unravel_index(int(surface.argmax()), surface.shape)
     peak = float((surface[j, i] - surface.mean()) / (surface.std() + 1e-9))
     return float(surface[j, i]), peak, _top_of(surface, int(j), int(i))
 
 
 def _top_of(surface: np.ndarray, j: int, i: int) -> tuple[float, float]:
-    """Place of the peak at row ``j`` and column ``i``, to parts of a pixel."""
+    """Position of the peak at row ``j`` and column ``i``, to fractions of a pixel."""
     place = []
     for at, line in ((i, surface[j]), (j, surface[:, i])):
         d = 0.0
@@ -198,7 +200,7 @@ def _top_of(surface: np.ndarray, j: int, i: int) -> tuple[float, float]:
 
 
 def _near(surface: np.ndarray) -> tuple[float, tuple[float, float]]:
-    """Height and place of the highest of the nine values about no shift."""
+    """Height and position of the highest of the nine values around zero shift."""
     R = REACH_PX
     middle = surface[R - 1 : R + 2, R - 1 : R + 2]
     j, i = np.unravel_index(int(middle.argmax()), middle.shape)
@@ -209,7 +211,7 @@ def _near(surface: np.ndarray) -> tuple[float, tuple[float, float]]:
 def _scaled_peak(
     edges: list[np.ndarray], transforms: list[np.ndarray]
 ) -> tuple[float, float, tuple[float, float], float]:
-    """The best peak over scales of the colour, in two rounds."""
+    """The best peak over scales of the colour image, in two rounds."""
 
     def at(scale: float) -> tuple[float, float, tuple[float, float], float]:
         return (*_top(_surface([_scaled(E, scale) for E in edges], transforms)), scale)
@@ -234,7 +236,7 @@ def _scaled(E: np.ndarray, scale: float) -> np.ndarray:
 
 
 def _best_time(edges: list[np.ndarray], anchors: list[FrameFacts], there: dict[int, FrameFacts]) -> tuple[int, float]:
-    """Which other frame's colour fits best without a shift in the image, and its score."""
+    """The frame whose colour fits best without a shift in the image, and its score."""
     scores = {}
     for k in range(-TIME_REACH, TIME_REACH + 1):
         both = [(E, there[f.place + k]) for E, f in zip(edges, anchors, strict=True) if f.place + k in there]

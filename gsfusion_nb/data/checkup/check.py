@@ -1,7 +1,7 @@
 """The check-up of a recording: read frames, examine each property, try the alternatives, combine the repairs."""
 
 import time
-from collections.abc import Sequence as Rows
+from collections import abc
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from .explain import Alternative, Explanation, explain, repair_fields
 from .file_checks import examine_files
 from .findings import Finding, flags_of
 from .frame_to_frame import OverFrames, gains, measure_over_frames
-from .geometry_fit import Correction, FitData, agreeing, median_error
+from .geometry_fit import CalibrationCorrection, FitData, agreeing, median_error
 from .pictures import pictures_of, top_view
 from .report import CheckupReport
 from .sample import Sample, read_sample
@@ -33,21 +33,23 @@ def check_recording(
     pictures: bool = True,
     **reader_options: Any,
 ) -> CheckupReport:
-    """Examine a recording: units, conventions, intrinsics, registration, times, images; and say what repairs it.
+    """Examine a recording: units, conventions, intrinsics, registration, times, images; and find the options that
+    repair it.
 
     A property with alternatives is tried with all of them. The report names the alternative under which the depth
-    images predict each other best (cross-frame reprojection), with the options of ``gsfusion-nb map`` that select it.
+    images predict each other best (reprojection from frame to frame), and the options of ``gsfusion-nb map`` that
+    select it.
 
     Args:
         sequence_or_path: Folder of a recording, "room", or any ``Sequence``.
-        data: Range, depth limits and corrections to begin with, for example those of an earlier report; all frames of
-            the range are examined, held-out ones too.
-        frames: About how many frames are read; a longer recording is read in windows of 31 consecutive ones.
+        data: Range, depth limits and corrections to start from, for example those of an earlier report; held-out frames
+            are examined too.
+        frames: Approximate number of frames to read; a longer recording is read in windows of 31 consecutive frames.
         pictures: Also make the pictures of the page.
         reader_options: For ``open_sequence``: ``format``, ``split``, options of the reader.
 
     Raises:
-        SequenceError: the recording cannot be opened at all; says why.
+        SequenceError: the recording cannot be opened; the message says why.
     """
     started = time.perf_counter()
     given = replace(data or DataConfig(), hold_out_every=0)
@@ -80,7 +82,7 @@ def check_recording(
         rows=e.rows,
         over=found.over,
         pictures=pictures_of(sequence, again, pairs, changed) if pictures else {},
-        top_view=top_view(sample, e.reading) if pictures else "",
+        top_view=top_view(sample, e.interpretation) if pictures else "",
         seconds=time.perf_counter() - started,
     )
 
@@ -89,33 +91,35 @@ def check_recording(
 class _Found:
     findings: list[Finding]
     data: DataConfig
-    """The repairs on top of how the recording was read."""
+    """The repairs that are added to those the recording was read with."""
     explanation: Explanation
     over: OverFrames
     usual_error: float
 
 
-def _examine(sample: Sample, pairs: Rows[tuple[int, int]], base: Sequence, hint: dict[str, Any]) -> _Found:
-    """Everything that is judged from the frames read."""
+def _examine(sample: Sample, pairs: abc.Sequence[tuple[int, int]], base: Sequence, hint: dict[str, Any]) -> _Found:
+    """All findings that come from the frames read."""
     codes = find_codes(sample.frames)
     clear_codes(sample.frames, codes)
     e = explain(sample, pairs)
     correction = e.corrected.correction
-    fields = repair_fields(correction, sample.camera, e.reading)
-    over = measure_over_frames(sample, e.reading, correction)
+    fields = repair_fields(correction, sample.camera, e.interpretation)
+    over = measure_over_frames(sample, e.interpretation, correction)
     colour, colour_findings = judge_colour.registration_findings(fit_colour(sample), sample.camera, in_order(sample))
     if hint and colour_findings[0].verdict != "ok":
         colour, colour_findings[0] = RepairConfig(), replace(colour_findings[0], repair=_reader_flags(hint))
-    limits = _limits(codes, fields.get("depth_factor", e.reading.depth_factor))
+    limits = _limits(codes, fields.get("depth_factor", e.interpretation.depth_factor))
     frame_findings, skip, piece = _frame_findings(sample, over)
     close = [(a, b) for a, b in pairs if b - a > 1] or list(pairs)
-    data = replace(limits, start=piece.start, stop=piece.stop, repair=combined(replace(e.reading, **fields), colour))
+    data = replace(
+        limits, start=piece.start, stop=piece.stop, repair=combined(replace(e.interpretation, **fields), colour)
+    )
     findings = [
         missing_finding(sample.frames),
         code_finding(codes, base.depth_scale if isinstance(base, RecordedSequence) else None, flags_of(limits)),
         judge_fit.scale_finding(e, sample.camera),
         judge_fit.kind_finding(e),
-        *judge_fit.reading_findings(e),
+        *judge_fit.convention_findings(e),
         judge_fit.time_finding(e, sample.camera),
         *judge_fit.intrinsics_findings(e, sample.camera),
         *colour_findings,
@@ -132,7 +136,7 @@ def _examine(sample: Sample, pairs: Rows[tuple[int, int]], base: Sequence, hint:
 
 
 def _frame_findings(sample: Sample, over: OverFrames) -> tuple[list[Finding], tuple[int, ...], DataConfig]:
-    """Jumps, blur and frozen images; the frames to leave out, and the range to keep."""
+    """Findings on jumps, blur and frozen images, with the frames to leave out and the range to keep."""
     alone, cuts = judge_frames.find_jumps(over)
     blurred, frozen = judge_frames.blurred_frames(over), judge_frames.frozen_frames(over)
     piece = DataConfig()
@@ -150,7 +154,8 @@ def _frame_findings(sample: Sample, over: OverFrames) -> tuple[list[Finding], tu
 
 
 def combined(first: RepairConfig, second: RepairConfig) -> RepairConfig:
-    """One correction that does ``first`` and then ``second``: factors multiply, shifts add, the rest is replaced."""
+    """One correction equal to ``first`` followed by ``second``: factors are multiplied, shifts added, other values
+    replaced."""
     changes = dict(second.changes)
     for name in ("depth_factor", "translation_factor", "rgb_scale"):
         changes[name] = getattr(first, name) * getattr(second, name)
@@ -161,13 +166,13 @@ def combined(first: RepairConfig, second: RepairConfig) -> RepairConfig:
 
 
 def _together(given: DataConfig, more: DataConfig) -> DataConfig:
-    """The range, limits and corrections to read with, and those found on top."""
+    """Range, limits and corrections: those the recording was read with, and those found."""
     changes = {n: getattr(more, n) for n in ("start", "stop", "depth_min_m", "depth_max_m") if getattr(more, n)}
     return replace(given, repair=combined(given.repair, more.repair), **changes)
 
 
 def _opened(sequence_or_path: str | Path | Sequence, reader_options: dict[str, Any]) -> tuple[Sequence, dict[str, Any]]:
-    """The sequence as its reader gives it, and an option of the reader that would register colour to depth."""
+    """The sequence as its reader returns it, and the option of the reader that registers colour to depth."""
     if not isinstance(sequence_or_path, (str, Path)):
         return sequence_or_path, {}
     source = open_sequence(sequence_or_path, **reader_options).source
@@ -184,26 +189,26 @@ def _reader_flags(reader: dict[str, Any]) -> str:
 
 def _readable_finding(sample: Sample, given: RepairConfig) -> Finding:
     tried = len(sample.frames) + len(sample.unreadable)
-    ends = max(abs(given.pose_shift_frames), abs(given.rgb_shift_frames))  # a shift in time leaves these without
+    ends = max(
+        abs(given.pose_shift_frames), abs(given.rgb_shift_frames)
+    )  # a shift in time leaves these frames without a pose
     bad = {i: why for i, why in sample.unreadable.items() if ends <= i <= sample.length - 1 - ends}
     numbers = {"tried": float(tried), "unusable": float(len(bad))}
     if not bad:
-        return Finding(
-            name="frames", verdict="ok", numbers=numbers, sentence=f"All {tried} frames that were tried can be read."
-        )
+        return Finding(name="frames", verdict="ok", numbers=numbers, sentence=f"All {tried} frames read are usable.")
     few = len(sample.frames) >= 2 and len(bad) <= tried / 2
     return Finding(
         name="frames",
         verdict="doubtful" if few else "wrong",
         numbers=numbers,
-        repair="" if few else "mend the files the sentence names",
+        repair="" if few else "repair the files named here",
         sentence=f"{len(bad)} of {tried} frames cannot be used and are left out of the map, the first because "
         f"{next(iter(bad.values()))}.",
     )
 
 
-def _limits(codes: Rows[DepthCode], factor: float) -> DataConfig:
-    """Depth limits that leave the codes out, in metres after the factor."""
+def _limits(codes: abc.Sequence[DepthCode], factor: float) -> DataConfig:
+    """Depth limits that exclude the codes, metres, after the depth factor."""
     data = DataConfig()
     for code in codes:
         value = code.value_m * factor
@@ -214,13 +219,13 @@ def _limits(codes: Rows[DepthCode], factor: float) -> DataConfig:
     return data
 
 
-def _measured_again(sequence: Sequence, pairs: Rows[tuple[int, int]], claimed: Alternative) -> Alternative:
-    """The claim replaced by what the repaired recording measures when it is read again."""
+def _measured_again(sequence: Sequence, pairs: abc.Sequence[tuple[int, int]], claimed: Alternative) -> Alternative:
+    """The same alternative with the values measured on the repaired recording."""
     places = sorted({p for pair in pairs for p in pair if p < len(sequence)})
     sample = read_sample(sequence, at=places)
     there = sample.by_place
     kept = [(a, b) for a, b in pairs if a in there and b in there and b - a > 1]
     if not kept:
         return claimed
-    share, median_m = agreeing(FitData.of(sample, kept, RepairConfig()), Correction())
+    share, median_m = agreeing(FitData.of(sample, kept, RepairConfig()), CalibrationCorrection())
     return replace(claimed, agreeing=share, median_m=median_m)

@@ -1,9 +1,9 @@
-"""Every way to interpret poses and depth scale, and which of them the depth images confirm."""
+"""All interpretations of poses and depth scale, and which of them the depth images confirm."""
 
 import functools
 import itertools
 import math
-from collections.abc import Sequence as Rows
+from collections import abc
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,7 +19,7 @@ from .reprojection import Agreement, DepthPair, agreement, depth_pair
 from .sample import Sample
 
 GAPS = (1, 2, 4, 8, 16, 30)
-"""Frames between the two of a pair: near ones overlap in any recording, far ones show small mistakes."""
+"""Distances in frames between the two of a pair: near frames overlap in any recording, far ones show small errors."""
 PAIRS_PER_GAP = 6
 DEPTH_FACTORS = (
     0.2,
@@ -38,22 +38,22 @@ DEPTH_FACTORS = (
     4.0,
 )
 """Ratios between the scales of public data sets, of metres, centimetres and millimetres, of 5000 and 6553.5, and of
-sensors that count quarter millimetres."""
+sensors that store quarter millimetres."""
 PRICE = 0.01
-"""What a reading must score higher for each thing it changes: of two that fit alike the simpler one is meant."""
+"""Required gain in score for each change; of two that fit equally well the simpler interpretation is chosen."""
 
 _ROUGH_POINTS, _FINE_POINTS = 120, 800
 _ROUGH_PAIRS = 10
 _KEPT = 30
 
 
-Reading = tuple[RepairConfig, float]
+Interpretation = tuple[RepairConfig, float]
 """An interpretation of the poses, and a factor on depth."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Tried:
-    """One reading and how well the depth images agree under it, as means over the pairs."""
+class ScoredInterpretation:
+    """One interpretation and how well the depth images agree with it, as means over the pairs."""
 
     poses: RepairConfig
     """Direction, axes and quaternion order."""
@@ -67,22 +67,22 @@ class Tried:
 
     @functools.cached_property
     def worth(self) -> float:
-        """Score after the price of the changes."""
+        """Score minus the required gain of the changes."""
         return self.score - PRICE * (len(self.poses.changes) + (self.depth_factor != 1.0))
 
     @property
     def is_as_read(self) -> bool:
-        """Whether nothing is changed."""
+        """Whether it changes nothing."""
         return self.depth_factor == 1.0 and not self.poses.changes
 
     @property
     def repair(self) -> RepairConfig:
-        """All of it as a correction."""
+        """The same as a correction."""
         return replace(self.poses, depth_factor=self.depth_factor)
 
 
 def pairs_of(sample: Sample) -> list[tuple[int, int]]:
-    """Places of the frames to compare: for each gap a few pairs, spread over what was read."""
+    """Positions of the frames to compare: for each distance a few pairs, spread over the frames read."""
     found = []
     there = sample.by_place
     for gap in GAPS:
@@ -93,7 +93,7 @@ def pairs_of(sample: Sample) -> list[tuple[int, int]]:
     return found
 
 
-def depth_pairs(sample: Sample, pairs: Rows[tuple[int, int]], points: int) -> list[DepthPair]:
+def depth_pairs(sample: Sample, pairs: abc.Sequence[tuple[int, int]], points: int) -> list[DepthPair]:
     """The pairs with about ``points`` points each."""
     step = max(1, round(math.sqrt(sample.depth_camera.width * sample.depth_camera.height / points)))
     there = sample.by_place
@@ -102,35 +102,39 @@ def depth_pairs(sample: Sample, pairs: Rows[tuple[int, int]], points: int) -> li
     ]
 
 
-def try_readings(sample: Sample, pairs: Rows[tuple[int, int]], readings: Rows[Reading], points: int) -> list[Tried]:
-    """Score each reading on the pairs. In the order given."""
+def try_interpretations(
+    sample: Sample, pairs: abc.Sequence[tuple[int, int]], interpretations: abc.Sequence[Interpretation], points: int
+) -> list[ScoredInterpretation]:
+    """Score each interpretation on the pairs; same order."""
     there = sample.by_place
     T_a = torch.stack([there[a].T_stored for a, _ in pairs])
     T_b = torch.stack([there[b].T_stored for _, b in pairs])
-    relative = _relatives(T_a, T_b, readings)
+    relative = _relatives(T_a, T_b, interpretations)
     results = [_in_parts(pair, relative[:, i]) for i, pair in enumerate(depth_pairs(sample, pairs, points))]
     score, agreeing = (torch.stack([getattr(r, n) for r in results]).mean(0).tolist() for n in ("score", "agreeing"))
     median_m = torch.stack([r.median_m for r in results]).nanmedian(dim=0).values.tolist()
     return [
-        Tried(poses=poses, depth_factor=factor, score=score[k], agreeing=agreeing[k], median_m=median_m[k] * factor)
-        for k, (poses, factor) in enumerate(readings)
+        ScoredInterpretation(
+            poses=poses, depth_factor=factor, score=score[k], agreeing=agreeing[k], median_m=median_m[k] * factor
+        )
+        for k, (poses, factor) in enumerate(interpretations)
     ]
 
 
-def best_reading(sample: Sample, pairs: Rows[tuple[int, int]]) -> list[Tried]:
-    """All pose conventions with all depth scales, roughly; the promising ones again with more points; best first."""
+def best_interpretation(sample: Sample, pairs: abc.Sequence[tuple[int, int]]) -> list[ScoredInterpretation]:
+    """Score all pose conventions with all depth scales on few points, and the best ones again on more; best first."""
     poses = [
         RepairConfig(quaternions=q, poses=p, axes=a)
         for q, p, a in itertools.product(
             ("as_read", "wxyz", "xyzw"), ("camera_to_world", "world_to_camera", "rotation_inverted"), _axes()
         )
     ]
-    readings = [(r, f) for r in poses for f in (1.0, *DEPTH_FACTORS)]
+    interpretations = [(r, f) for r in poses for f in (1.0, *DEPTH_FACTORS)]
     middle = [pairs[i] for i in sorted({int(i) for i in np.linspace(0, len(pairs) - 1, _ROUGH_PAIRS).round()})]
-    rough = sorted(try_readings(sample, middle, readings, _ROUGH_POINTS), key=lambda t: -t.worth)
+    rough = sorted(try_interpretations(sample, middle, interpretations, _ROUGH_POINTS), key=lambda t: -t.worth)
     kept = [(t.poses, t.depth_factor) for t in rough[:_KEPT] if not t.is_as_read]
     as_read = (RepairConfig(), 1.0)
-    return sorted(try_readings(sample, pairs, [as_read, *kept], _FINE_POINTS), key=lambda t: -t.worth)
+    return sorted(try_interpretations(sample, pairs, [as_read, *kept], _FINE_POINTS), key=lambda t: -t.worth)
 
 
 def _axes() -> list[str]:
@@ -139,20 +143,20 @@ def _axes() -> list[str]:
 
 
 def _relatives(
-    T_a: Float[Tensor, "P 4 4"], T_b: Float[Tensor, "P 4 4"], readings: Rows[Reading]
+    T_a: Float[Tensor, "P 4 4"], T_b: Float[Tensor, "P 4 4"], interpretations: abc.Sequence[Interpretation]
 ) -> Float[Tensor, "K P 4 4"]:
-    """Relative poses under every reading; what only axes and depth factor tell apart is worked out once."""
+    """Relative poses under every interpretation; those that differ only in axes and depth factor are computed once."""
     known: dict[tuple[str, str], Float[Tensor, "P 4 4"]] = {}
     axes: dict[str, Float[Tensor, "4 4"]] = {}
-    for poses, _ in readings:
+    for poses, _ in interpretations:
         key = (poses.quaternions, poses.poses)
         if key not in known:
             known[key] = relative_under(T_a, T_b, replace(poses, axes="opencv"))
         if poses.axes not in axes:
             axes[poses.axes] = axis_matrix(poses)
-    M = torch.stack([axes[poses.axes] for poses, _ in readings])[:, None]
-    relative = M @ torch.stack([known[(p.quaternions, p.poses)] for p, _ in readings]) @ M.transpose(2, 3)
-    relative[..., :3, 3] /= torch.tensor([f for _, f in readings], dtype=relative.dtype)[:, None, None]
+    M = torch.stack([axes[poses.axes] for poses, _ in interpretations])[:, None]
+    relative = M @ torch.stack([known[(p.quaternions, p.poses)] for p, _ in interpretations]) @ M.transpose(2, 3)
+    relative[..., :3, 3] /= torch.tensor([f for _, f in interpretations], dtype=relative.dtype)[:, None, None]
     return relative
 
 

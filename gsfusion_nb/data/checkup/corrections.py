@@ -1,4 +1,4 @@
-"""Which small correction makes depth agree best: each kind is fitted alone, the best is adopted, and again."""
+"""Finding small corrections: each kind is fitted alone, the best is adopted, and the search is repeated."""
 
 import math
 from collections.abc import Callable
@@ -6,78 +6,78 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .geometry_fit import Correction, FitData, cost, median_error
+from .geometry_fit import CalibrationCorrection, FitData, cost, median_error
 
 HELPS = 0.95
-"""A correction is adopted if it brings the cost below this share. Of what clean recordings gain by corrections larger
-than ``least``, the most measured is 0.99."""
+"""A correction is adopted if it reduces the cost below this share. The largest gain measured on a clean recording, by a
+correction larger than ``least``, is 0.99."""
 CLEAR = 0.90
-"""Below this share the recording is called wrong without it, above it doubtful."""
+"""Below this share of the cost the recording is called wrong, above it doubtful."""
 _SIZES = (0.25, 1 / 3, 0.5, 2 / 3, 0.75, 4 / 3, 1.5, 2.0, 3.0, 4.0)
-"""Ratios of image sizes: intrinsics of one used with another."""
+"""Ratios of image sizes, for intrinsics of one size used with images of another."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Kind:
+class CorrectionKind:
     """One kind of correction."""
 
     fields: tuple[str, ...]
     width: float
-    """How far to either side it is searched."""
+    """Half the width of the search range."""
     least: float
-    """Smaller ones are within what a clean recording may show."""
+    """Smaller corrections also occur in clean recordings."""
 
 
 KINDS = {
-    "depth scale": Kind(fields=("log_scale",), width=0.5, least=0.012),
-    "pose time": Kind(fields=("shift_frames",), width=4.0, least=0.12),
-    "focal length": Kind(fields=("log_focal",), width=0.5, least=0.01),
-    "fx / fy": Kind(fields=("log_aspect",), width=0.3, least=0.008),
-    "principal point": Kind(fields=("cx_px", "cy_px"), width=60.0, least=0.35),
-    "intrinsics size": Kind(fields=("log_focal", "cx_px", "cy_px"), width=0.0, least=0.0),
-    "depth kind": Kind(fields=("ray",), width=0.0, least=0.0),
+    "depth scale": CorrectionKind(fields=("log_scale",), width=0.5, least=0.012),
+    "pose time": CorrectionKind(fields=("shift_frames",), width=4.0, least=0.12),
+    "focal length": CorrectionKind(fields=("log_focal",), width=0.5, least=0.01),
+    "fx / fy": CorrectionKind(fields=("log_aspect",), width=0.3, least=0.008),
+    "principal point": CorrectionKind(fields=("cx_px", "cy_px"), width=60.0, least=0.35),
+    "intrinsics size": CorrectionKind(fields=("log_focal", "cx_px", "cy_px"), width=0.0, least=0.0),
+    "depth kind": CorrectionKind(fields=("ray",), width=0.0, least=0.0),
 }
 
 
 @dataclass(frozen=True, kw_only=True)
-class Fitted:
+class FittedCorrection:
     """The best correction of one kind."""
 
     kind: str
-    correction: Correction
-    """Including what had been adopted before."""
+    correction: CalibrationCorrection
+    """Including the corrections adopted before."""
     amount: float
-    """Largest change in a field's unit."""
+    """Largest change, in the field's unit."""
     ratio: float
-    """Cost with it / cost without: 1 is no help."""
+    """Cost with the correction / cost without it; 1 means no gain."""
     uncertainty: float
-    """Half the range in which the cost is within 2 per cent of its least, in the first field's unit."""
+    """Half the range in which the cost is within 2 per cent of its minimum, in the first field's unit."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Corrected:
+class AdoptedCorrections:
     """The corrections adopted, in order, and the fits of the last round."""
 
-    adopted: list[Fitted]
-    last: list[Fitted]
+    adopted: list[FittedCorrection]
+    last: list[FittedCorrection]
 
     @property
-    def correction(self) -> Correction:
-        """All of them together."""
-        return self.adopted[-1].correction if self.adopted else Correction()
+    def correction(self) -> CalibrationCorrection:
+        """All corrections together."""
+        return self.adopted[-1].correction if self.adopted else CalibrationCorrection()
 
 
-def correct(data: FitData, *, rounds: int = 3, hurdle: float = 1.0) -> Corrected:
-    """Adopt the kind of correction that helps most until none does.
+def correct(data: FitData, *, rounds: int = 3, hurdle: float = 1.0) -> AdoptedCorrections:
+    """Adopt the kind of correction with the largest gain until none has any.
 
     Args:
         data: The pairs.
-        rounds: Corrections adopted at most.
-        hurdle: Go on after the first only if it brought the cost below this share.
+        rounds: Largest number of corrections.
+        hurdle: Continue after the first only if it reduced the cost below this share.
     """
-    adopted: list[Fitted] = []
-    now = Correction()
-    last: list[Fitted] = []
+    adopted: list[FittedCorrection] = []
+    now = CalibrationCorrection()
+    last: list[FittedCorrection] = []
     for _ in range(rounds):
         last = fit_all(data, now)
         helpful = [f for f in last if f.ratio < HELPS and f.amount > KINDS[f.kind].least]
@@ -88,17 +88,17 @@ def correct(data: FitData, *, rounds: int = 3, hurdle: float = 1.0) -> Corrected
         now = best.correction
         if best.ratio > hurdle:
             break
-    return Corrected(adopted=adopted, last=last)
+    return AdoptedCorrections(adopted=adopted, last=last)
 
 
-def fit_all(data: FitData, start: Correction) -> list[Fitted]:
+def fit_all(data: FitData, start: CalibrationCorrection) -> list[FittedCorrection]:
     """The best correction of every kind from ``start``.
 
-    Differences count up to three times their median (between 0.2 and 6 per cent of the depth).
+    Differences are cut at three times their median (between 0.2 and 6 per cent of the depth).
     """
     tolerance = min(max(3 * median_error(data, start), 0.002), 0.06)
 
-    def f(c: Correction) -> float:
+    def f(c: CalibrationCorrection) -> float:
         return cost(data, c, tolerance)
 
     before = max(f(start), 1e-6)
@@ -114,11 +114,13 @@ def fit_all(data: FitData, start: Correction) -> list[Fitted]:
         if name in ("depth kind", "intrinsics size"):
             best, spread = min(tried, key=f), math.nan
         amount = max(abs(float(getattr(best, x)) - float(getattr(start, x))) for x in kind.fields)
-        fitted.append(Fitted(kind=name, correction=best, amount=amount, ratio=f(best) / before, uncertainty=spread))
+        fitted.append(
+            FittedCorrection(kind=name, correction=best, amount=amount, ratio=f(best) / before, uncertainty=spread)
+        )
     return fitted
 
 
-def _resized(data: FitData, c: Correction, k: float) -> Correction:
+def _resized(data: FitData, c: CalibrationCorrection, k: float) -> CalibrationCorrection:
     """``c`` with all four intrinsics multiplied by ``k``."""
     full = (data.camera.cx * data.thinning, data.camera.cy * data.thinning)
     return replace(
@@ -126,8 +128,10 @@ def _resized(data: FitData, c: Correction, k: float) -> Correction:
     )
 
 
-def _search(f: Callable[[Correction], float], start: Correction, kind: Kind, pixels: float) -> tuple[Correction, float]:
-    """Least cost over the fields of ``kind``, one after another, in narrowing rounds; and how sharp the least is."""
+def _search(
+    f: Callable[[CalibrationCorrection], float], start: CalibrationCorrection, kind: CorrectionKind, pixels: float
+) -> tuple[CalibrationCorrection, float]:
+    """Minimum of the cost over the fields of ``kind``, one after another, in narrowing rounds; and its width."""
     is_centre = "cx_px" in kind.fields
     width = kind.width * (pixels if is_centre else 1.0)
     best, value = start, f(start)
@@ -142,9 +146,15 @@ def _search(f: Callable[[Correction], float], start: Correction, kind: Kind, pix
 
 
 def _line(
-    f: Callable[[Correction], float], c: Correction, value: float, name: str, width: float, levels: int
-) -> tuple[Correction, float, list[tuple[float, float]]]:
-    """Nine values of a field about the best, refined ``levels`` times; the best, its cost, and all that was tried."""
+    f: Callable[[CalibrationCorrection], float],
+    c: CalibrationCorrection,
+    value: float,
+    name: str,
+    width: float,
+    levels: int,
+) -> tuple[CalibrationCorrection, float, list[tuple[float, float]]]:
+    """Try nine values of a field around the best and refine ``levels`` times; returns the best, its cost, and all
+    tried."""
     tried = [(getattr(c, name), value)]
     for _ in range(levels):
         for x in getattr(c, name) + width * np.linspace(-1, 1, 9):

@@ -1,6 +1,6 @@
-"""What the depth images hold: how much is missing, codes that mean "missing", how far things are."""
+"""The values of the depth images: missing pixels, codes that mean "missing", range of depths."""
 
-from collections.abc import Sequence as Rows
+from collections import abc
 from dataclasses import dataclass
 
 import torch
@@ -9,25 +9,25 @@ from .findings import Finding
 from .sample import FrameFacts
 
 _CODE_SHARE = 5e-4
-"""A value that fills this share of the valid pixels, alone at the end of the range, is a code."""
+"""A value at the end of the range with this share of the valid pixels, far from all others, is a code."""
 _CODE_GAP = 1.3
-"""How many times the 99th percentile of the other depths it must be."""
+"""A code at the far end is at least this many times the 99th percentile of the other depths."""
 _MANY_MISSING, _MOST_MISSING = 0.5, 0.85
 
 
 @dataclass(frozen=True, kw_only=True)
 class DepthCode:
-    """A depth that stands for "missing"."""
+    """A depth value that means "missing"."""
 
     value_m: float
     share: float
-    """Of all valid pixels."""
+    """Share of all valid pixels."""
     high: bool
-    """At the far end of the range, else at the near one."""
+    """Whether it is at the far end of the range; else it is at the near end."""
 
 
-def find_codes(frames: Rows[FrameFacts]) -> list[DepthCode]:
-    """Values at either end of the range that many pixels share and that are far from all others."""
+def find_codes(frames: abc.Sequence[FrameFacts]) -> list[DepthCode]:
+    """Values at either end of the range that many pixels have and that are far from all others."""
     values = torch.cat([f.depth_m[f.depth_m > 0] for f in frames]) if frames else torch.zeros(0)
     found = []
     for high in (True, False):
@@ -46,7 +46,7 @@ def find_codes(frames: Rows[FrameFacts]) -> list[DepthCode]:
     return found
 
 
-def clear_codes(frames: Rows[FrameFacts], codes: Rows[DepthCode]) -> None:
+def clear_codes(frames: abc.Sequence[FrameFacts], codes: abc.Sequence[DepthCode]) -> None:
     """Set pixels with a code to missing, in place."""
     for frame in frames:
         for code in codes:
@@ -54,8 +54,8 @@ def clear_codes(frames: Rows[FrameFacts], codes: Rows[DepthCode]) -> None:
         frame.missing = float((frame.depth_m <= 0).float().mean())
 
 
-def code_finding(codes: Rows[DepthCode], depth_scale: float | None, repair: str) -> Finding:
-    """Whether there are codes besides 0."""
+def code_finding(codes: abc.Sequence[DepthCode], depth_scale: float | None, repair: str) -> Finding:
+    """Finding: are there codes besides 0?"""
     if not codes:
         return Finding(name="depth codes", verdict="ok", sentence='No value but 0 stands for "missing".')
     parts = []
@@ -73,8 +73,8 @@ def code_finding(codes: Rows[DepthCode], depth_scale: float | None, repair: str)
     )
 
 
-def missing_finding(frames: Rows[FrameFacts]) -> Finding:
-    """How much depth there is."""
+def missing_finding(frames: abc.Sequence[FrameFacts]) -> Finding:
+    """Finding: how much depth is missing?"""
     shares = sorted(f.missing for f in frames)
     middle, most = shares[len(shares) // 2], shares[-1]
     values = torch.cat([f.depth_m[f.depth_m > 0] for f in frames])
@@ -90,7 +90,10 @@ def missing_finding(frames: Rows[FrameFacts]) -> Finding:
             verdict="wrong" if middle > _MOST_MISSING else "doubtful",
             numbers=numbers,
             sentence=f"{text}.",
-            repair="record within the sensor's range and avoid sun, glass and black surfaces; maps will have holes",
+            repair=(
+                "maps will have holes; when recording, stay within the sensor's range and avoid sunlight, glass and "
+                "black surfaces"
+            ),
         )
     return Finding(name="depth coverage", verdict="ok", numbers=numbers, sentence=f"{text}.")
 

@@ -1,4 +1,4 @@
-"""What the files themselves say before any frame can be made of them: image sizes, pose matrices, time stamps."""
+"""Checks on the files before frames are read: image sizes, pose matrices, time stamps."""
 
 import itertools
 import math
@@ -19,13 +19,13 @@ from .findings import Finding
 
 _TRIES = 5
 _TIME_GAP = 5.0
-"""A gap in time is told when it is this many times the usual step."""
+"""A gap in time is reported if it is this many times the usual step."""
 
 
 def examine_files(source: RecordedSequence, given: RepairConfig) -> tuple[RepairConfig, list[Finding]]:
     """Findings on sizes, matrices and times, and what must be repaired before frames can be read.
 
-    What ``given`` repairs already is in order.
+    Errors that ``given`` already repairs are not reported.
     """
     repair, size = image_size(source)
     if given.fit_sizes:
@@ -35,7 +35,7 @@ def examine_files(source: RecordedSequence, given: RepairConfig) -> tuple[Repair
 
 
 def image_size(source: RecordedSequence) -> tuple[RepairConfig, Finding]:
-    """Whether colour, depth and intrinsics are of one size."""
+    """Finding: do colour, depth and intrinsics have the same size?"""
     rgb_size, depth_size = _stored_sizes(source)
     expected = source.stored_size or (source.camera.width, source.camera.height)
     if rgb_size is None or depth_size is None:
@@ -56,21 +56,19 @@ def image_size(source: RecordedSequence) -> tuple[RepairConfig, Finding]:
     described = ", ".join(f"{name} {w}x{h}" for name, (w, h) in sizes.items())
     fits = source.rectify is None
     aspect = max(w / h for w, h in sizes.values()) / min(w / h for w, h in sizes.values())
-    note = (
-        "" if aspect < 1.01 else " Their proportions differ too: one of them is cropped, so look at the registration."
-    )
+    note = "" if aspect < 1.01 else " Their proportions differ too: one of them is cropped, so check the registration."
     repair = RepairConfig(fit_sizes=True) if fits else RepairConfig()
     return repair, Finding(
         name="image size",
         verdict="wrong",
         numbers=numbers,
-        repair=repair.flags or "write intrinsics of the images' size",
+        repair=repair.flags or "write intrinsics for the size of the images",
         sentence=f"The sizes differ: {described}.{note}",
     )
 
 
 def pose_matrices(stored: Float[Tensor, "N 4 4"]) -> tuple[RepairConfig, Finding]:
-    """Whether the matrices are rigid, or become so when read by columns or with the nearest rotation."""
+    """Finding: are the matrices rigid, or do they become so when read by columns or with the nearest rotation?"""
     n = len(stored)
     known = stored[torch.isfinite(stored).all(dim=(1, 2))]
     lost = n - len(known)
@@ -87,14 +85,16 @@ def pose_matrices(stored: Float[Tensor, "N 4 4"]) -> tuple[RepairConfig, Finding
     )
     for option in options:
         shares[option] = float(_rigid(raw_matrices(known, option)).float().mean())
-    # the nearest rotation always exists: it counts only for matrices that are rotations but for scale and noise
+    # the nearest rotation always exists: accept it only for matrices that are rotations up to scale and noise
     for option in options[2:]:
         by_columns = raw_matrices(known, RepairConfig(matrices=option.matrices))
         shares[option] *= float(_nearly_rotation(by_columns).float().mean())
     best = max(options, key=lambda o: shares[o] - 0.01 * len(o.changes))
     scale = _scale(known)
     numbers = {"rigid_share": shares[options[0]], "lost_share": lost / n, "scale": scale}
-    text = f"{shares[options[0]]:.0%} of {n} poses are rigid" + (f", {lost} are lost (NaN or infinite)" if lost else "")
+    text = f"{shares[options[0]]:.0%} of {n} poses are rigid" + (
+        f", {lost} are missing (NaN or infinite)" if lost else ""
+    )
     if best == options[0]:
         bad = shares[best] < 1 or lost
         return best, Finding(
@@ -104,7 +104,7 @@ def pose_matrices(stored: Float[Tensor, "N 4 4"]) -> tuple[RepairConfig, Finding
             sentence=f"{text}." + (" Frames without a pose are left out of the map." if bad else ""),
         )
     why = {
-        "column_major": "read by columns they are: the 16 numbers are stored column by column",
+        "column_major": "all are when read by columns: the 16 numbers are stored column by column",
         "nearest_rotation": f"their rotations are scaled by {scale:.4g} or not quite orthogonal",
     }
     reasons = [why["column_major"]] * (best.matrices == "column_major") + [
@@ -120,7 +120,7 @@ def pose_matrices(stored: Float[Tensor, "N 4 4"]) -> tuple[RepairConfig, Finding
 
 
 def time_stamps(source: RecordedSequence) -> list[Finding]:
-    """Whether times increase without gaps, and whether file numbers do."""
+    """Finding: do times and file numbers increase without gaps?"""
     times = source.timestamps_s
     steps = [b - a for a, b in itertools.pairwise(times)]
     if not steps:
@@ -148,13 +148,15 @@ def time_stamps(source: RecordedSequence) -> list[Finding]:
     if gaps or missing:
         place = f", the longest {max(steps):.3g} s after frame {steps.index(max(steps))}" if gaps else ""
         text = f"{len(gaps)} gaps in time{place} (usual step {usual:.3g} s)" if gaps else ""
-        text += f"{'; ' if text else ''}{missing} numbers are left out among the file names" if missing else ""
+        text += f"{'; ' if text else ''}{missing} numbers are missing in the file names" if missing else ""
         return [
             Finding(
                 name="time stamps",
                 verdict="doubtful",
                 numbers=numbers | {"numbers_left_out": float(missing)},
-                repair="nothing if there are no pose jumps; else map the pieces apart: --data.start, --data.stop",
+                repair=(
+                    "nothing if there are no pose jumps; otherwise map the pieces separately: --data.start, --data.stop"
+                ),
                 sentence=f"{text}.",
             )
         ]
@@ -189,7 +191,7 @@ def _rigid(T: Float[Tensor, "N 4 4"]) -> Tensor:
 
 
 def _nearly_rotation(T: Float[Tensor, "N 4 4"]) -> Tensor:
-    """Orthogonal up to a scale within 20 per cent of an entry, not mirrored, bottom row in place."""
+    """Whether a matrix is orthogonal up to scale, within 0.2 per entry, not mirrored, with the bottom row of a pose."""
     R = T[:, :3, :3]
     determinant = torch.linalg.det(R)
     scale = determinant.clamp_min(1e-12) ** (1 / 3)
@@ -205,12 +207,12 @@ def _scale(T: Float[Tensor, "N 4 4"]) -> float:
 
 
 def _numbers_left_out(source: RecordedSequence) -> int:
-    """Numbers missing among the colour files' names, in units of their usual step; 0 where names are no numbers."""
+    """Numbers missing among the colour files' names, in units of their usual step; 0 if the names are not numbers."""
     numbers = [re.search(r"(\d+)$", p.stem) for p in source.rgb_files]
     if not all(numbers) or len(numbers) < 3:
         return 0
     values = [int(m[1]) for m in numbers if m]
-    if max(values) > 10**9:  # times, not counts
+    if max(values) > 10**9:  # times, not frame numbers
         return 0
     steps = [b - a for a, b in itertools.pairwise(values)]
     usual = max(1, sorted(steps)[len(steps) // 2])

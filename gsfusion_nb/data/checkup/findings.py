@@ -1,4 +1,4 @@
-"""What a check-up finds: one finding per property examined, with its numbers and its repair."""
+"""The findings of a check-up: one per property examined, with its numbers and its repair."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -20,13 +20,13 @@ class Finding:
     sentence: str
     """What was found, with the numbers that matter."""
     numbers: Mapping[str, float] = field(default_factory=dict)
-    """Measured numbers, the unit in the name."""
+    """Measured numbers; the unit is part of the name."""
     repair: str = ""
-    """Options of ``gsfusion-nb map``, or what to do; empty where nothing is to be done."""
+    """Options of ``gsfusion-nb map``, or what to do; empty if nothing needs to be done."""
 
 
 def flags_of(data: DataConfig) -> str:
-    """The options of ``gsfusion-nb map`` that ask for this range, these depth limits and these corrections."""
+    """The options of ``gsfusion-nb map`` for this range, these depth limits and these corrections."""
     default = DataConfig()
     names = ("start", "stop", "depth_min_m", "depth_max_m")
     words = [

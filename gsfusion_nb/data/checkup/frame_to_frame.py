@@ -1,6 +1,6 @@
-"""What is measured from frame to frame: depth agreement, motion, exposure, sharpness, frozen images."""
+"""Measurements from frame to frame: depth agreement, motion, exposure, sharpness, frozen images."""
 
-from collections.abc import Sequence as Rows
+from collections import abc
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from ...config import RepairConfig
 from ...geometry import se3
 from ..adjust.pose_conventions import reread_poses
-from .geometry_fit import Correction, FitData, land
+from .geometry_fit import CalibrationCorrection, FitData, reproject
 from .sample import Sample
 
 _AGREES_FOR_COLOUR = 0.02
@@ -20,43 +20,43 @@ _PART = 64
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OverFrames:
-    """One value per frame read, from it to the next frame; NaN where that was not read."""
+    """One value per frame read, for the step to the next frame; NaN if that was not read."""
 
     number: Int[np.ndarray, " F"]
-    """Of the frame in the recording."""
+    """Frame number in the recording."""
     error: Float[np.ndarray, " F"]
-    """Median relative depth difference over the points that meet a depth."""
+    """Median relative depth difference over the points that fall on a valid depth."""
     turned_deg: Float[np.ndarray, " F"]
     moved_m: Float[np.ndarray, " F"]
     gain_stops: Float[np.ndarray, " F"]
-    """How much brighter the next frame shows the same points, log2."""
+    """Brightness of the same points in the next frame / in this frame, log2."""
     flow_px: Float[np.ndarray, " F"]
     """Median distance by which points move in the image, pixels of the full image."""
     sharpness: Float[np.ndarray, " F"]
-    """In units of the median of the ten frames around."""
+    """Divided by the median of the ten frames around it."""
     missing: Float[np.ndarray, " F"]
     brightness: Float[np.ndarray, " F"]
     same_colour: Bool[np.ndarray, " F"]
-    """The colour image is the same as the next one."""
+    """Whether the colour image is the same as the next one."""
     same_depth: Bool[np.ndarray, " F"]
 
 
-def measure_over_frames(sample: Sample, reading: RepairConfig, correction: Correction) -> OverFrames:
-    """Compare every frame with the next under the reading and correction adopted."""
+def measure_over_frames(sample: Sample, interpretation: RepairConfig, correction: CalibrationCorrection) -> OverFrames:
+    """Compare every frame with the next under the adopted interpretation and correction."""
     frames, there = sample.frames, sample.by_place
     n = len(frames)
     out = {name: np.full(n, np.nan) for name in ("error", "turned_deg", "moved_m", "gain_stops", "flow_px")}
     same_colour, same_depth = np.zeros(n, bool), np.zeros(n, bool)
     with_next = [i for i, f in enumerate(frames) if f.place + 1 in there]
-    poses = reread_poses(sample.stored_poses, reading)
+    poses = reread_poses(sample.stored_poses, interpretation)
     for k in range(0, len(with_next), _PART):
         part = with_next[k : k + _PART]
         pairs = [(frames[i].place, frames[i].place + 1) for i in part]
-        data = FitData.of(sample, pairs, reading)
-        landing = land(data, correction)
-        shift = (landing.uv_b - data.uv_a).norm(dim=-1) * data.thinning
+        data = FitData.of(sample, pairs, interpretation)
+        reprojected = reproject(data, correction)
+        shift = (reprojected.uv_b - data.uv_a).norm(dim=-1) * data.thinning
         for j, i in enumerate(part):
-            known = landing.known[j]
+            known = reprojected.known[j]
             a, b = frames[i], there[frames[i].place + 1]
             T = se3.inverse(poses[b.place]) @ poses[a.place]
             out["turned_deg"][i] = float(se3.rotation_angle(T[:3, :3]).rad2deg())
@@ -65,10 +65,10 @@ def measure_over_frames(sample: Sample, reading: RepairConfig, correction: Corre
             same_depth[i] = bool(torch.equal(a.depth_m, b.depth_m))
             if int(known.sum()) < 50:
                 continue
-            r = landing.residual[j].abs()
+            r = reprojected.residual[j].abs()
             out["error"][i] = float(r[known].median())
             out["flow_px"][i] = float(shift[j][known].median())
-            out["gain_stops"][i] = _gain(a.grey, b.grey, data, landing.uv_b[j], j, known & (r < _AGREES_FOR_COLOUR))
+            out["gain_stops"][i] = _gain(a.grey, b.grey, data, reprojected.uv_b[j], j, known & (r < _AGREES_FOR_COLOUR))
     return OverFrames(
         number=np.array([f.number for f in frames], dtype=np.int64),
         **out,
@@ -81,13 +81,13 @@ def measure_over_frames(sample: Sample, reading: RepairConfig, correction: Corre
 
 
 def gains(
-    sample: Sample, pairs: Rows[tuple[int, int]], data: FitData, correction: Correction
+    sample: Sample, pairs: abc.Sequence[tuple[int, int]], data: FitData, correction: CalibrationCorrection
 ) -> Float[np.ndarray, " P"]:
-    """How much brighter the second frame of each pair shows the same points, log2; NaN where too few agree."""
-    landing, there = land(data, correction), sample.by_place
-    agrees = landing.known & (landing.residual.abs() < _AGREES_FOR_COLOUR)
+    """Brightness of the same points in the second / first frame of each pair, log2; NaN if too few points agree."""
+    reprojected, there = reproject(data, correction), sample.by_place
+    agrees = reprojected.known & (reprojected.residual.abs() < _AGREES_FOR_COLOUR)
     return np.array(
-        [_gain(there[a].grey, there[b].grey, data, landing.uv_b[j], j, agrees[j]) for j, (a, b) in enumerate(pairs)]
+        [_gain(there[a].grey, there[b].grey, data, reprojected.uv_b[j], j, agrees[j]) for j, (a, b) in enumerate(pairs)]
     )
 
 
@@ -108,7 +108,7 @@ def _look_up(grey: np.ndarray, uv: torch.Tensor, depth_width: int) -> np.ndarray
 
 
 def _relative(values: list[float], reach: int = 5) -> np.ndarray:
-    """Values in units of the median of their neighbours."""
+    """Values divided by the median of their neighbours."""
     array = np.array(values)
     around = [np.median(array[max(0, i - reach) : i + reach + 1]) for i in range(len(array))]
     return array / np.maximum(np.array(around), 1e-6)

@@ -1,8 +1,8 @@
-"""How well depth predicts depth under small corrections: of scale, time, focal length, principal point."""
+"""How well depth images predict each other under small corrections of scale, time, focal length, principal point."""
 
 import math
+from collections import abc
 from collections.abc import Callable
-from collections.abc import Sequence as Rows
 from dataclasses import dataclass, replace
 
 import torch
@@ -15,49 +15,51 @@ from ..adjust.pose_conventions import pose_between, reread_poses
 from .reprojection import AGREES, relative_poses
 from .sample import Sample
 
-Path = Callable[[float], Float[Tensor, "F 4 4"]]
-"""Shift in frames -> poses of all frames used, camera-to-world; NaN where there is none."""
+PosesAtShift = Callable[[float], Float[Tensor, "F 4 4"]]
+"""Shift in frames -> poses of all frames used, camera-to-world; NaN if there is none."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Correction:
-    """What is changed before points are moved from frame to frame. Zeros change nothing."""
+class CalibrationCorrection:
+    """Changes that are applied before points are moved from frame to frame. Zeros change nothing."""
 
     log_scale: float = 0.0
     """Logarithm of a factor on depth."""
     log_focal: float = 0.0
     """Logarithm of a factor on both focal lengths."""
     log_aspect: float = 0.0
-    """Logarithm of a factor on fx, whose inverse goes to fy."""
+    """Logarithm of a factor on fx; fy is divided by the same factor."""
     cx_px: float = 0.0
     cy_px: float = 0.0
     """Added to the principal point, pixels of the full image."""
     shift_frames: float = 0.0
     """Poses are taken this many frames later."""
     ray: bool = False
-    """Depth is the length of the ray."""
+    """Whether depth is the length of the ray."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FitData:
-    """Pixels of the first frames of P pairs, depth of the second ones."""
+    """Pixels of the first frames and depth of the second frames of P pairs."""
 
     uv_a: Float[Tensor, "P N 2"]
-    """Pixel centres in the thinned depth camera."""
+    """Pixel centres in the subsampled depth camera."""
     depth_a: Float[Tensor, "P N"]
     """Metres, 0 = missing."""
     depth_b: Float[Tensor, "P H W"]
     camera: Camera
-    """Of the thinned depth images."""
+    """Camera of the subsampled depth images."""
     thinning: float
-    """Full pixels per thinned pixel."""
+    """Full pixels per subsampled pixel."""
     rows: tuple[list[int], list[int]]
-    """Which of the frames of ``path`` the first and the second of each pair are."""
-    path: Path
+    """Rows of ``path`` for the first and the second frame of each pair."""
+    path: PosesAtShift
 
     @staticmethod
-    def of(sample: Sample, pairs: Rows[tuple[int, int]], reading: RepairConfig, *, points: int = 800) -> "FitData":
-        """Data of the pairs with poses and depth scale understood as ``reading`` says."""
+    def of(
+        sample: Sample, pairs: abc.Sequence[tuple[int, int]], interpretation: RepairConfig, *, points: int = 800
+    ) -> "FitData":
+        """Data of the pairs with poses and depth scale interpreted by ``interpretation``."""
         camera = sample.depth_camera
         step = max(1, round(math.sqrt(camera.width * camera.height / points)))
         grid = torch.meshgrid(
@@ -65,7 +67,7 @@ class FitData:
         )
         v, u = (g.reshape(-1) for g in grid)
         there = sample.by_place
-        factor = reading.depth_factor
+        factor = interpretation.depth_factor
         frames = sorted({place for pair in pairs for place in pair})
         row = {place: i for i, place in enumerate(frames)}
         return FitData(
@@ -75,11 +77,11 @@ class FitData:
             camera=camera,
             thinning=sample.camera.width / camera.width,
             rows=([row[a] for a, _ in pairs], [row[b] for _, b in pairs]),
-            path=_path(reread_poses(sample.stored_poses, reading), frames),
+            path=_path(reread_poses(sample.stored_poses, interpretation), frames),
         )
 
-    def corrected_camera(self, c: Correction) -> Camera:
-        """The thinned camera under a correction."""
+    def corrected_camera(self, c: CalibrationCorrection) -> Camera:
+        """The subsampled camera with a correction."""
         focal, aspect = math.exp(c.log_focal), math.exp(c.log_aspect)
         return replace(
             self.camera,
@@ -91,20 +93,20 @@ class FitData:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Landing:
-    """Where the points of the first frames fall in the second ones."""
+class Reprojection:
+    """Positions of the points of the first frames in the second ones."""
 
     uv_b: Float[Tensor, "P N 2"]
-    """Pixels of the thinned depth camera."""
+    """Pixels of the subsampled depth camera."""
     residual: Float[Tensor, "P N"]
     """Relative depth difference (predicted - measured) / measured; 0 where unknown."""
     known: Bool[Tensor, "P N"]
 
 
-def land(data: FitData, c: Correction) -> Landing:
+def reproject(data: FitData, c: CalibrationCorrection) -> Reprojection:
     """Move all points from frame to frame.
 
-    The measured depth is interpolated between four pixels of one surface; where they are not, nothing is compared.
+    The measured depth is interpolated between four pixels of one surface; points between two surfaces are not compared.
     """
     camera = data.corrected_camera(c)
     T = data.path(c.shift_frames).to(data.uv_a.dtype)
@@ -123,33 +125,33 @@ def land(data: FitData, c: Correction) -> Landing:
         measured = measured / (1 + xb * xb + yb * yb).sqrt()
     known = known & ok
     residual = ((Q[..., 2] - measured) / measured.where(known, 1.0)).where(known, 0.0)
-    return Landing(uv_b=uv_b, residual=residual, known=known)
+    return Reprojection(uv_b=uv_b, residual=residual, known=known)
 
 
-def cost(data: FitData, c: Correction, tolerance: float) -> float:
-    """Mean of min(|residual| / tolerance, 1) over the points that meet a depth; 1 where none does."""
-    found = land(data, c)
+def cost(data: FitData, c: CalibrationCorrection, tolerance: float) -> float:
+    """Mean of min(|residual| / tolerance, 1) over the points that fall on a valid depth; 1 if none does."""
+    found = reproject(data, c)
     each = (found.residual.abs() / tolerance).clamp(max=1.0) * found.known
     return (float(each.sum()) + 1e-9) / (float(found.known.sum()) + 1e-9)
 
 
-def agreeing(data: FitData, c: Correction) -> tuple[float, float]:
+def agreeing(data: FitData, c: CalibrationCorrection) -> tuple[float, float]:
     """Share of the first frames' points that agree within 3 per cent, and the median depth difference in metres."""
-    found = land(data, c)
+    found = reproject(data, c)
     r = found.residual.abs()
     share = float(((r < AGREES) & found.known).sum() / (data.depth_a > 0).sum().clamp_min(1))
     error = (r * data.depth_a)[found.known]
     return share, float(error.median()) * math.exp(c.log_scale) if len(error) else float("nan")
 
 
-def median_error(data: FitData, c: Correction) -> float:
-    """Median |relative depth difference| over the points that meet a depth."""
-    found = land(data, c)
+def median_error(data: FitData, c: CalibrationCorrection) -> float:
+    """Median |relative depth difference| over the points that fall on a valid depth."""
+    found = reproject(data, c)
     return float(found.residual[found.known].abs().median()) if bool(found.known.any()) else float("nan")
 
 
-def _path(poses: Float[Tensor, "L 4 4"], frames: list[int]) -> Path:
-    """Poses of ``frames`` at any shift, remembered."""
+def _path(poses: Float[Tensor, "L 4 4"], frames: list[int]) -> PosesAtShift:
+    """Function that returns the poses of ``frames`` at any shift; results are cached."""
     known: dict[float, Float[Tensor, "F 4 4"]] = {}
 
     def shifted(shift: float) -> Float[Tensor, "F 4 4"]:
@@ -173,7 +175,7 @@ def _rows(poses: Float[Tensor, "L 4 4"], places: list[int]) -> Float[Tensor, "F 
 def _interpolated(
     depth: Float[Tensor, "P H W"], u: Float[Tensor, "P N"], v: Float[Tensor, "P N"]
 ) -> tuple[Float[Tensor, "P N"], Bool[Tensor, "P N"]]:
-    """Depth between pixel centres, bilinear in 1 / z (exact on planes), and where the four pixels are one surface."""
+    """Depth between pixel centres, bilinear in 1 / z (exact on planes), and whether the four pixels are on one surface."""
     n, h, w = depth.shape
     x, y = u - 0.5, v - 0.5
     known = (x >= 0) & (y >= 0) & (x <= w - 1.001) & (y <= h - 1.001)

@@ -1,4 +1,4 @@
-"""Findings on how the colour images lie to the depth images, in space and in time."""
+"""Findings on the position of the colour images relative to the depth images, in space and in time."""
 
 import math
 from dataclasses import replace
@@ -9,28 +9,28 @@ from .alignment import ColourFit
 from .findings import Finding
 
 SHIFT_LIMITS = ((3.0, 1.2), (5.0, 2.0))
-"""Doubtful and wrong from here on: in 640ths of the image's width, and in pixels compared (the larger counts).
-Registered Kinects measure up to 2: their depth edges are ragged."""
+"""Shifts from which a recording is doubtful and wrong, in 640ths of the image width, and in compared pixels (the larger
+counts). Registered Kinects measure up to 2: their depth edges are ragged."""
 SCALE_DOUBTFUL = 0.015
 """Registered recordings measure 0 to 0.005."""
 _CLEAR_PEAK = 5.0
-"""A shift is believed from here on: real ones give 6 and more."""
+"""Smallest peak, in standard deviations, that counts as a shift; real ones have 6 and more."""
 _IN_ORDER = 0.5
 """Share of frames whose most similar colour image is a neighbour in time: 0.99 to 1 in order, 0 shuffled."""
 _UNRELATED_PEAK, _UNRELATED_SCORE = 5.0, 0.4
-"""Below both, colour shows nothing where depth has its edges, at no shift: mixed-up frames give up to 4 and 0.2, real
+"""Below both, colour has no edges on the depth edges under any shift: wrongly paired frames give up to 4 and 0.2,
 registered ones 6 to 10 and 0.9 to 1.4."""
 
 
 def registration_findings(
     fit: ColourFit | None, camera: Camera, order: float | None
 ) -> tuple[RepairConfig, list[Finding]]:
-    """How colour lies to depth, in space and in time.
+    """Findings on the position of colour relative to depth, in space and in time.
 
     Args:
-        fit: What ``fit_colour`` found.
-        camera: Of the full images.
-        order: What ``in_order`` found.
+        fit: Result of ``fit_colour``.
+        camera: Camera of the full images.
+        order: Result of ``in_order``.
     """
     mixed = order is not None and order < _IN_ORDER
     if fit is None and mixed:
@@ -58,12 +58,15 @@ def registration_findings(
         name="registration",
         verdict="ok",
         numbers=numbers,
-        sentence=f"Colour edges lie on depth edges to {shift:.1f} pixels."
+        sentence=f"Colour edges lie on depth edges within {shift:.1f} pixels."
         if fit.peak >= _CLEAR_PEAK
-        else "The edges of colour and depth are too few or too alike to compare.",
+        else "The edges of colour and depth are too few or too similar to compare.",
     )
     time = Finding(
-        name="colour time", verdict="ok", numbers={"shift_frames": 0.0}, sentence="Colour and depth are of one time."
+        name="colour time",
+        verdict="ok",
+        numbers={"shift_frames": 0.0},
+        sentence="Colour and depth were taken at the same time.",
     )
     if fit.shift_frames:
         repair = RepairConfig(rgb_shift_frames=fit.shift_frames)
@@ -73,7 +76,10 @@ def registration_findings(
             verdict="wrong",
             numbers={"shift_frames": float(fit.shift_frames)},
             repair=repair.flags,
-            sentence=f"The colour that belongs to a frame's depth is that of {abs(fit.shift_frames)} frames {side} it.",
+            sentence=(
+                f"The colour that belongs to a frame's depth image is that of the frame {abs(fit.shift_frames)} {side}"
+                " it."
+            ),
         )
         return repair, [space, time]
     if fit.peak < _CLEAR_PEAK or (fit.mirror == "none" and shift < doubtful and not zoomed):
@@ -92,7 +98,7 @@ def _mixed_up(numbers: dict[str, float]) -> Finding:
         verdict="wrong",
         numbers=numbers,
         repair="pair every depth image with the colour image of its time (names, order, association)",
-        sentence="The colour images are not those of the depth images: their order or their edges do not fit.",
+        sentence="The colour images do not belong to the depth images: their order or their edges do not fit.",
     )
 
 
@@ -106,7 +112,7 @@ def _registration_repair(fit: ColourFit, shifted: bool) -> tuple[RepairConfig, s
     )
     words = []
     if fit.mirror != "none":
-        words.append({"x": "mirrored left to right", "y": "upside down", "xy": "turned by 180 degrees"}[fit.mirror])
+        words.append({"x": "mirrored left to right", "y": "upside down", "xy": "rotated by 180 degrees"}[fit.mirror])
     if repair.rgb_scale != 1:
         words.append(f"{fit.scale:.2f} times as large")
     if moved:

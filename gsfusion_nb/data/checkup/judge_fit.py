@@ -1,11 +1,11 @@
-"""Findings on scale, poses and intrinsics from the explanation that fits best."""
+"""Findings on scale, poses and intrinsics, from the best explanation."""
 
 import math
 
 from ...config import RepairConfig
 from ...config.repair import NAMED_AXES
 from ...types import Camera
-from .corrections import CLEAR, Fitted
+from .corrections import CLEAR, FittedCorrection
 from .explain import Explanation, repair_fields
 from .findings import Finding, Verdict
 
@@ -14,7 +14,7 @@ _TYPICAL_ERROR = 0.02
 
 
 def agreement_finding(e: Explanation, usual_error: float) -> Finding:
-    """Whether frames agree at all once everything known is repaired."""
+    """Finding: do frames agree after all repairs?"""
     numbers = {
         "agreeing_as_read": e.before.agreeing,
         "agreeing_repaired": e.after.agreeing,
@@ -33,24 +33,24 @@ def agreement_finding(e: Explanation, usual_error: float) -> Finding:
             name="agreement",
             verdict="wrong",
             numbers=numbers,
-            sentence=f"{text}: nothing that was tried explains the data.",
-            repair="check that poses and images belong together; look at the pictures of the page",
+            sentence=f"{text}: no interpretation or correction explains the data.",
+            repair="check that poses and images belong together; compare the pictures on the page",
         )
     if e.after.agreeing < _HARDLY and usual_error > _TYPICAL_ERROR / 2:
         return Finding(
             name="agreement",
             verdict="doubtful",
             numbers=numbers,
-            sentence=f"{text}: little overlap, or poses that are not precise.",
+            sentence=f"{text}: little overlap, or imprecise poses.",
             repair="",
         )
     return Finding(name="agreement", verdict="ok", numbers=numbers, sentence=f"{text}.")
 
 
 def scale_finding(e: Explanation, camera: Camera) -> Finding:
-    """Depth unit, and unit of the positions."""
-    fields = repair_fields(e.corrected.correction, camera, e.reading)
-    factor, translation = fields.get("depth_factor", e.reading.depth_factor), e.reading.translation_factor
+    """Finding on the units of depth and positions."""
+    fields = repair_fields(e.corrected.correction, camera, e.interpretation)
+    factor, translation = fields.get("depth_factor", e.interpretation.depth_factor), e.interpretation.translation_factor
     repair = RepairConfig(depth_factor=factor, translation_factor=translation)
     fitted = _last(e, "depth scale")
     known = (
@@ -61,7 +61,7 @@ def scale_finding(e: Explanation, camera: Camera) -> Finding:
             name="depth scale",
             verdict="ok",
             numbers={"factor": 1.0},
-            sentence=f"Depth and positions have one unit ({known} from these frames).",
+            sentence=f"Depth and positions have the same unit ({known} from these frames).",
         )
     adopted = _adopted(e, "depth scale")
     verdict: Verdict = "wrong" if adopted is None or adopted.ratio < CLEAR else "doubtful"
@@ -79,7 +79,7 @@ def scale_finding(e: Explanation, camera: Camera) -> Finding:
 
 
 def kind_finding(e: Explanation) -> Finding:
-    """z-depth or length of the ray."""
+    """Finding: is depth z-depth, or the length of the ray?"""
     if e.corrected.correction.ray:
         return Finding(
             name="depth kind",
@@ -96,12 +96,12 @@ def kind_finding(e: Explanation) -> Finding:
     )
 
 
-def reading_findings(e: Explanation) -> list[Finding]:
-    """Direction, axes and quaternion order of the poses."""
-    r = e.reading
+def convention_findings(e: Explanation) -> list[Finding]:
+    """Findings on direction, axes and quaternion order of the poses."""
+    r = e.interpretation
     words = {
         "world_to_camera": "The poses are world-to-camera: they must be inverted.",
-        "rotation_inverted": "The rotations are world-to-camera while the positions are the camera's.",
+        "rotation_inverted": "The rotations are world-to-camera, but the positions are those of the camera.",
         "camera_to_world": "The poses are camera-to-world.",
     }
     numbers = {"agreeing_as_read": e.before.agreeing, "agreeing_repaired": e.after.agreeing}
@@ -109,15 +109,17 @@ def reading_findings(e: Explanation) -> list[Finding]:
     mirrored = " and mirror the world" if _mirrors(r) else ""
     order = "The quaternions are stored {} but were read in the other order."
     return [
-        _reading("pose direction", r.poses != "camera_to_world", words[r.poses], RepairConfig(poses=r.poses), numbers),
-        _reading(
+        _convention(
+            "pose direction", r.poses != "camera_to_world", words[r.poses], RepairConfig(poses=r.poses), numbers
+        ),
+        _convention(
             "pose axes",
             r.axes != "opencv",
-            f"The axes of the poses' cameras are those of {named}{mirrored}.",
+            f"The camera axes of the poses are those of {named}{mirrored}.",
             RepairConfig(axes=r.axes),
             numbers,
         ),
-        _reading(
+        _convention(
             "quaternion order",
             r.quaternions != "as_read",
             order.format(r.quaternions) if r.quaternions != "as_read" else "The rotations are read in the right order.",
@@ -128,7 +130,7 @@ def reading_findings(e: Explanation) -> list[Finding]:
 
 
 def time_finding(e: Explanation, camera: Camera) -> Finding:
-    """Poses earlier or later than the depth images."""
+    """Finding: are the poses earlier or later than the depth images?"""
     shift = e.corrected.correction.shift_frames
     fitted = _last(e, "pose time")
     known = fitted.uncertainty if fitted else math.nan
@@ -138,24 +140,26 @@ def time_finding(e: Explanation, camera: Camera) -> Finding:
             name="pose time",
             verdict="ok",
             numbers={"shift_frames": 0.0},
-            sentence=f"Poses and depth are of one time{sure}.",
+            sentence=f"Poses and depth have the same time{sure}.",
         )
-    fields = repair_fields(e.corrected.correction, camera, e.reading)
+    fields = repair_fields(e.corrected.correction, camera, e.interpretation)
     ratio = _ratio(e, "pose time")
     return Finding(
         name="pose time",
         verdict="wrong" if ratio < CLEAR else "doubtful",
         numbers={"shift_frames": shift, "cost_ratio": ratio},
         repair=RepairConfig(pose_shift_frames=fields["pose_shift_frames"]).flags,
-        sentence=f"The pose that belongs to a frame's depth is that of {abs(shift):.1f} frames "
-        f"{'after' if shift > 0 else 'before'} it.",
+        sentence=(
+            f"The pose that belongs to a frame's depth image is that of {abs(shift):.1f} frames "
+            f"{'after' if shift > 0 else 'before'} it."
+        ),
     )
 
 
 def intrinsics_findings(e: Explanation, camera: Camera) -> list[Finding]:
-    """Focal lengths, principal point, pixel centres."""
+    """Findings on focal lengths, principal point and pixel centres."""
     c = e.corrected.correction
-    fields = repair_fields(c, camera, e.reading)
+    fields = repair_fields(c, camera, e.interpretation)
     focal = {k: v for k, v in fields.items() if k in ("fx", "fy")}
     centre = {k: v for k, v in fields.items() if k in ("cx", "cy")}
     found = [
@@ -179,13 +183,16 @@ def _focal(e: Explanation, camera: Camera, focal: dict, centre: dict) -> Finding
         )
     ratio = min(_ratio(e, k) for k in ("focal length", "fx / fy", "intrinsics size"))
     old, new = f"fx {camera.fx:.1f}, fy {camera.fy:.1f}", f"fx {focal['fx']:.1f}, fy {focal['fy']:.1f}"
-    text = f"The focal lengths are wrong: {old}, but the depth images ask for {new}"
+    text = f"The focal lengths are wrong: {old}, but the depth images give {new}"
     if focal == {"fx": camera.fy, "fy": camera.fx}:
         text += ": they are exchanged"
     fields = dict(focal)
     if _is_size(e):
         times = camera.fx / focal["fx"]
-        text += f", and the principal point scales alike: the intrinsics are those of images {times:.3g} times as large"
+        text += (
+            f", and the principal point has the same factor: the intrinsics are those of images {times:.3g} times as "
+            "large"
+        )
         fields |= centre
     return Finding(
         name="focal length",
@@ -209,7 +216,7 @@ def _centre(e: Explanation, camera: Camera, centre: dict) -> Finding:
         )
     ratio = _ratio(e, "principal point")
     old, new = f"{camera.cx:.1f}, {camera.cy:.1f}", f"{centre['cx']:.1f}, {centre['cy']:.1f}"
-    text = f"The principal point is wrong: {old}, but the depth images ask for {new}"
+    text = f"The principal point is wrong: {old}, but the depth images give {new}"
     if centre == {"cx": camera.cy, "cy": camera.cx}:
         text += ": cx and cy are exchanged"
     return Finding(
@@ -231,25 +238,27 @@ def _pixel_centre(e: Explanation, fields: dict) -> Finding:
             verdict="doubtful",
             numbers={"shift_px": shift, "cost_ratio": _ratio(e, "principal point")},
             repair=RepairConfig(pixel_shift=shift).flags,
-            sentence=f"cx and cy are half a pixel too {'small' if shift > 0 else 'large'}: the first pixel's centre is "
-            f"counted as {'0' if shift > 0 else '0.5'} by the intrinsics and not by the reader.",
+            sentence=(
+                f"cx and cy are half a pixel too {'small' if shift > 0 else 'large'}: the first pixel's centre is "
+                f"{'0' if shift > 0 else '0.5'} in the intrinsics, but not for the reader."
+            ),
         )
     if not known < 0.4:
         return Finding(
             name="pixel centres",
             verdict="ok",
             numbers={"known_to_px": known},
-            sentence="Half a pixel makes no difference that could be measured in these frames.",
+            sentence="Half a pixel makes no measurable difference in these frames.",
         )
     return Finding(
         name="pixel centres",
         verdict="ok",
         numbers={"known_to_px": known},
-        sentence="cx and cy are right to less than half a pixel.",
+        sentence="cx and cy are right within half a pixel.",
     )
 
 
-def _reading(name: str, changed: bool, text: str, repair: RepairConfig, numbers: dict[str, float]) -> Finding:
+def _convention(name: str, changed: bool, text: str, repair: RepairConfig, numbers: dict[str, float]) -> Finding:
     if not changed:
         return Finding(name=name, verdict="ok", sentence=text)
     return Finding(name=name, verdict="wrong", sentence=text, repair=repair.flags, numbers=numbers)
@@ -266,11 +275,11 @@ def _is_size(e: Explanation) -> bool:
     return _adopted(e, "intrinsics size") is not None
 
 
-def _adopted(e: Explanation, kind: str) -> Fitted | None:
+def _adopted(e: Explanation, kind: str) -> FittedCorrection | None:
     return next((f for f in e.corrected.adopted if f.kind == kind), None)
 
 
-def _last(e: Explanation, kind: str) -> Fitted | None:
+def _last(e: Explanation, kind: str) -> FittedCorrection | None:
     return next((f for f in e.corrected.last if f.kind == kind), None)
 
 
@@ -281,10 +290,10 @@ def _ratio(e: Explanation, kind: str) -> float:
 
 def _scale_words(factor: float) -> str:
     known = {
-        0.2: "5000 units are a metre, not 1000",
-        5.0: "1000 units are a metre, not 5000",
+        0.2: "a metre is 5000 units, not 1000",
+        5.0: "a metre is 1000 units, not 5000",
         0.001: "it is in millimetres",
-        1000.0: "it was divided by 1000 once too often",
+        1000.0: "it was divided by 1000 twice",
         10.0: "the scale is ten times too large",
         0.1: "the scale is ten times too small",
         0.01: "it is in centimetres",

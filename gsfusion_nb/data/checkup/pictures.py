@@ -1,6 +1,6 @@
-"""Pictures of a check-up: depth of one frame against another's, depth edges on colour, the path from above."""
+"""Pictures of a check-up: depth of one frame compared with another, depth edges on colour, the path from above."""
 
-from collections.abc import Sequence as Rows
+from collections import abc
 from typing import Any
 
 import numpy as np
@@ -26,9 +26,9 @@ _ARROWS = 24
 
 
 def pictures_of(
-    as_read: Sequence, repaired: Sequence, pairs: Rows[tuple[int, int]], changed: bool
+    as_read: Sequence, repaired: Sequence, pairs: abc.Sequence[tuple[int, int]], changed: bool
 ) -> dict[str, Picture]:
-    """Depth errors and edges of a pair in the middle of the recording, as read and, where it was changed, repaired."""
+    """Depth errors and edges of a pair in the middle of the recording, as read and, if it was changed, repaired."""
     wanted = sorted(pairs, key=lambda p: (abs(p[1] - p[0] - _GAP), abs(p[0] - len(as_read) // 2)))
     found: dict[str, Picture] = {}
     for label, sequence in (("as read", as_read), ("repaired", repaired)):
@@ -48,8 +48,10 @@ def pictures_of(
 
 
 def depth_error(first: Frame, second: Frame) -> Picture:
-    """Depth of ``first`` moved into ``second``, against the depth there: light yellow is 10 cm or more off."""
-    step = max(1, round(first.camera.width / (_WIDTH / 2)))  # sparse points leave holes: the target is half as fine
+    """Depth of ``first`` moved into ``second``, compared with the depth there; light yellow: 10 cm difference or more."""
+    step = max(
+        1, round(first.camera.width / (_WIDTH / 2))
+    )  # sparse points leave holes, so the target has half the resolution
     camera, depth_b = thinned(second.camera, second.depth_m, step)
     T = relative_poses(first.T_WC[None].double(), second.T_WC[None].double())[0]
     warped = warp_depth(first.depth_m, first.camera, camera, T)
@@ -69,9 +71,9 @@ def edge_overlay(frame: Frame) -> Picture:
     return painted
 
 
-def top_view(sample: Sample, reading: RepairConfig) -> str:
+def top_view(sample: Sample, interpretation: RepairConfig) -> str:
     """The path seen along the cameras' mean up direction, with a few viewing directions; SVG."""
-    T = reread_poses(sample.stored_poses, reading)
+    T = reread_poses(sample.stored_poses, interpretation)
     T = T[torch.isfinite(T).all(dim=(1, 2))]
     if len(T) < 2:
         return ""
@@ -90,7 +92,7 @@ def top_view(sample: Sample, reading: RepairConfig) -> str:
 
 
 def _plane(T: Float[Tensor, "N 4 4"]) -> tuple[Float[Tensor, " 3"], Float[Tensor, " 3"]]:
-    """Two directions that span the plane across the mean up direction of the cameras."""
+    """Two directions that span the plane perpendicular to the mean up direction of the cameras."""
     up = -T[:, :3, 1].mean(0)
     up = up / up.norm().clamp_min(1e-9)
     forward = T[0, :3, 2] - (T[0, :3, 2] @ up) * up

@@ -1,4 +1,4 @@
-"""Do depth, poses and intrinsics of a sequence fit together? A look at a few pairs; ``checkup`` looks closer."""
+"""A quick test on a few pairs of frames: do depth, poses and intrinsics fit together? ``checkup`` tests more."""
 
 from dataclasses import dataclass
 
@@ -14,7 +14,7 @@ from .reprojection import agreement, depth_pair, relative_poses
 _MIN_ANGLE_RAD = 0.12
 
 AS_READ = "as read"
-USUAL_READINGS = {
+USUAL_INTERPRETATIONS = {
     AS_READ: RepairConfig(),
     "inverted poses (they are world-to-camera)": RepairConfig(poses="world_to_camera"),
     "OpenGL axes (y up, z backward)": RepairConfig(axes="opengl"),
@@ -22,7 +22,7 @@ USUAL_READINGS = {
     "a depth scale that was 5000 instead of 1000": RepairConfig(depth_factor=5.0),
     "a depth scale that was 1000 instead of 6553.5": RepairConfig(depth_factor=0.1526),
 }
-"""The mistakes that are made most often, and what repairs them."""
+"""The most frequent mistakes, and what repairs them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,7 +30,7 @@ class DepthAgreement:
     """How well the depth of one frame predicts that of another."""
 
     median_m: float
-    """Median absolute difference of z-depth over the pixels both see, metres; NaN where they share none."""
+    """Median absolute difference of z-depth over the pixels that both see, metres; NaN if there are none."""
     overlap: float
     """Share of the first frame's points that fall on a valid depth of the second."""
     agreeing: float
@@ -39,19 +39,19 @@ class DepthAgreement:
 
 @dataclass(frozen=True, kw_only=True)
 class SequenceCheck:
-    """Which reading of poses and depth scale makes neighbouring frames agree best."""
+    """The interpretation of poses and depth scale under which neighbouring frames agree best."""
 
     agreeing: dict[str, float]
-    """Share of agreeing points for each reading; "as read" is the sequence as it is."""
+    """Share of agreeing points for each interpretation; "as read" is the sequence as it is."""
 
     @property
     def best(self) -> str:
-        """The reading under which most points agree."""
+        """The interpretation under which most points agree."""
         return max(self.agreeing, key=self.agreeing.__getitem__)
 
     @property
     def ok(self) -> bool:
-        """Whether a third of the points agree as read, and no other reading is clearly better."""
+        """Whether a third of the points agree as read, and no other interpretation is clearly better."""
         as_read = self.agreeing[AS_READ]
         return as_read > 1 / 3 and self.agreeing[self.best] < as_read + 0.1
 
@@ -63,7 +63,7 @@ class SequenceCheck:
             return f"doubtful: only {share}, and no usual mistake explains it; gsfusion-nb check tries more"
         return (
             f"inconsistent: only {share}, but {self.agreeing[self.best]:.0%} do with {self.best}: "
-            f"{USUAL_READINGS[self.best].flags}; gsfusion-nb check says more"
+            f"{USUAL_INTERPRETATIONS[self.best].flags}; gsfusion-nb check tells more"
         )
 
 
@@ -71,7 +71,7 @@ def depth_agreement(a: Frame, b: Frame, *, step: int = 4) -> DepthAgreement:
     """Move the points of frame ``a`` into frame ``b`` and compare with the depth measured there.
 
     Args:
-        a, b: Two frames of one world and one camera.
+        a, b: Two frames with the same world frame and camera.
         step: Every step-th pixel of ``a`` in both directions is used.
     """
     T_ba = relative_poses(a.T_WC.double()[None], b.T_WC.double()[None])
@@ -99,32 +99,32 @@ def check_sequence(sequence: Sequence, *, pairs: int = 4) -> SequenceCheck:
         if a.index == b.index:
             continue
         stored = torch.stack([a.T_WC, b.T_WC]).double()
-        T_ba = torch.cat([relative_under(stored[:1], stored[1:], r) for r in USUAL_READINGS.values()])
+        T_ba = torch.cat([relative_under(stored[:1], stored[1:], r) for r in USUAL_INTERPRETATIONS.values()])
         scores.append(agreement(depth_pair(a.depth_m, b.depth_m, b.camera), T_ba).agreeing)
     if not scores:
-        raise SequenceError(f"{sequence.name} has no two usable frames; expected some to compare")
+        raise SequenceError(f"{sequence.name} has no two usable frames; expected at least two to compare")
     mean = torch.stack(scores).mean(0).tolist()
-    return SequenceCheck(agreeing=dict(zip(USUAL_READINGS, mean, strict=True)))
+    return SequenceCheck(agreeing=dict(zip(USUAL_INTERPRETATIONS, mean, strict=True)))
 
 
-def relative_under(T_a: torch.Tensor, T_b: torch.Tensor, reading: RepairConfig) -> torch.Tensor:
-    """Transforms from camera a to camera b, in units of the depth as read, if ``reading`` is right. [P, 4, 4]
+def relative_under(T_a: torch.Tensor, T_b: torch.Tensor, interpretation: RepairConfig) -> torch.Tensor:
+    """Transforms from camera a to camera b, in units of the depth as read, if ``interpretation`` is right. [P, 4, 4]
 
-    A factor on depth scales all points, which leaves directions alone: the translation is divided by it instead.
+    A factor on depth scales all points and keeps directions, so the translation is divided by it instead.
 
     Args:
         T_a, T_b: Poses as stored. [P, 4, 4]
-        reading: How they and the depth are to be understood.
+        interpretation: How poses and depth are interpreted.
     """
     n = len(T_a)
-    T = reread_poses(torch.cat([T_a, T_b]), reading)
+    T = reread_poses(torch.cat([T_a, T_b]), interpretation)
     relative = relative_poses(T[:n], T[n:])
-    relative[:, :3, 3] /= reading.depth_factor
+    relative[:, :3, 3] /= interpretation.depth_factor
     return relative
 
 
 def _partner(sequence: Sequence, first: int) -> int:
-    """The next frame that has turned or moved enough for a wrong reading to show, at most 30 later."""
+    """The next frame, at most 30 later, that is rotated or moved enough to reveal a wrong interpretation."""
     T = sequence.pose(first).double()
     last = min(first + 30, len(sequence) - 1)
     for i in range(first + 1, last):

@@ -1,4 +1,4 @@
-"""The report of a check-up: findings, the repair, what was tried, pictures; for a notebook, a terminal or a page."""
+"""The report of a check-up: findings, repair, alternatives tried, pictures; for a notebook, a terminal or a page."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -20,7 +20,7 @@ _MARKS: dict[Verdict, str] = {"ok": "ok", "doubtful": "??", "wrong": "NO"}
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CheckupReport:
-    """What a check-up found. ``report["depth scale"]`` is a finding; print it, or let a notebook show it."""
+    """Result of a check-up: print it, or show it in a notebook. ``report["depth scale"]`` is one finding."""
 
     name: str
     findings: Sequence[Finding]
@@ -31,9 +31,9 @@ class CheckupReport:
     reader: Mapping[str, Any] = field(default_factory=dict)
     """Options of the reader that repair it: ``open_sequence(path, **report.reader)``."""
     rows: Sequence[Alternative] = ()
-    """Ways to understand the recording that were tried, the best first."""
+    """The interpretations and corrections that were tried, best first."""
     over: OverFrames | None = None
-    """From frame to frame."""
+    """Measurements from frame to frame."""
     pictures: Mapping[str, Picture] = field(default_factory=dict)
     """Caption -> picture."""
     top_view: str = ""
@@ -48,7 +48,7 @@ class CheckupReport:
 
     @property
     def verdict(self) -> Verdict:
-        """The worst of the findings."""
+        """The worst verdict of all findings."""
         return max(self.findings, key=lambda f: RANK[f.verdict]).verdict if self.findings else "ok"
 
     @property
@@ -63,18 +63,18 @@ class CheckupReport:
 
     @property
     def flags(self) -> str:
-        """Options of ``gsfusion-nb map`` for all repairs together; empty where there are none."""
+        """Options of ``gsfusion-nb map`` for all repairs together; empty if there are none."""
         reader = [f"--reader {name}={str(value).lower()}" for name, value in self.reader.items()]
         return " ".join([*reader, *([flags_of(self.data)] if flags_of(self.data) else [])])
 
     @property
     def summary(self) -> str:
-        """One sentence."""
+        """The result in one sentence."""
         wrong, doubtful = (sum(f.verdict == v for f in self.findings) for v in ("wrong", "doubtful"))
         read = f"{self.frames_read} of {self.length} frames read"
         if not wrong and not doubtful:
-            return f"{self.name} is in order: {len(self.findings)} things looked at, {read}."
-        return f"{self.name}: {wrong} wrong, {doubtful} doubtful of {len(self.findings)} things looked at, {read}."
+            return f"{self.name} is in order: {len(self.findings)} properties checked, {read}."
+        return f"{self.name}: {wrong} wrong, {doubtful} doubtful of {len(self.findings)} properties checked, {read}."
 
     def __str__(self) -> str:
         width = max(len(f.name) for f in self.findings)
@@ -96,7 +96,7 @@ class CheckupReport:
         return fill("checkup_summary.html", report=self)
 
     def write(self, path: Path | str) -> Path:
-        """Write everything as one HTML page that needs no other file; the path written."""
+        """Write everything as one HTML page that needs no other file. Returns its path."""
         shown = [page_picture(image, caption) for caption, image in self.pictures.items()]
         over = graphs(self.over, self.top_view)
         write_file(

@@ -1,4 +1,4 @@
-"""Points of one depth image seen from another: how many agree with the depth measured there, for many poses at once."""
+"""Points of one depth image moved into another: how many agree with the depth there, for many poses at once."""
 
 from dataclasses import dataclass, replace
 
@@ -24,19 +24,19 @@ class DepthPair:
     camera: Camera
     """Camera of ``depth_b``."""
     frames: tuple[int, int] = (0, 1)
-    """Their places in the sequence."""
+    """Their positions in the sequence."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Agreement:
-    """How well depth predicts depth under each of K relative poses."""
+    """How well two depth images agree under each of K relative poses."""
 
     agreeing: Float[Tensor, " K"]
     """Share of ``a``'s points that fall on a depth of ``b`` which differs by less than 3 per cent."""
     overlap: Float[Tensor, " K"]
     """Share of ``a``'s points that fall on a valid depth of ``b``."""
     median_m: Float[Tensor, " K"]
-    """Median absolute difference of z-depth over those points, metres; NaN where there are none."""
+    """Median absolute difference of z-depth over those points, metres; NaN if there are none."""
     score: Float[Tensor, " K"]
     """Mean of max(0, 1 - difference / 3 per cent) over all points: 1 for exact agreement everywhere."""
 
@@ -84,7 +84,7 @@ def agreement(pair: DepthPair, T_ba: Float[Tensor, "K 4 4"]) -> Agreement:
 
 
 def thinned(camera: Camera, depth_m: Float[Tensor, "H W"], step: int) -> tuple[Camera, Float[Tensor, "h w"]]:
-    """Every ``step``-th pixel of a depth image as an image of its own: the same rays, so nothing is interpolated."""
+    """Every ``step``-th pixel of a depth image as a smaller image with the same rays; nothing is interpolated."""
     first = (step - 1) // 2
     small = depth_m[first::step, first::step]
     moved = {"cx": (camera.cx - first - 0.5) / step + 0.5, "cy": (camera.cy - first - 0.5) / step + 0.5}

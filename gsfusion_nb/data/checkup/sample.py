@@ -1,4 +1,4 @@
-"""The frames that a check-up examines, reduced to what it needs as they are read one by one."""
+"""The frames that a check-up examines, read one by one and reduced to what it needs."""
 
 import contextlib
 from dataclasses import dataclass, field
@@ -13,29 +13,29 @@ from ..sequence import BadFrameError, Sequence
 from .reprojection import thinned
 
 WINDOW = 31
-"""Consecutive frames that are read together where a sequence is too long to read whole."""
+"""Number of consecutive frames per window, if a sequence is too long to be read completely."""
 DEPTH_WIDTH = 320
-"""Depth kept for reprojection is thinned to about this width, pixels."""
+"""Depth for reprojection is subsampled to about this width, pixels."""
 GREY_WIDTH = 320
-"""Grey images kept are averaged down to at most this width, pixels."""
+"""Grey images are averaged down to at most this width, pixels."""
 
 
 @dataclass(kw_only=True, eq=False)
 class FrameFacts:
-    """What is remembered of one frame. Images are small copies."""
+    """The stored values of one frame. Images are small copies."""
 
     place: int
     """Position in the sequence that is read."""
     number: int
     """Frame number in the recording, for messages and repairs."""
     T_stored: Float[Tensor, "4 4"]
-    """Pose as the reader gave it, float64."""
+    """Pose as returned by the reader, float64."""
     grey: UInt8[np.ndarray, "h w"]
     depth_m: Float[Tensor, "h w"]
     missing: float
     """Share of pixels without depth."""
     sharpness: float
-    """Mean squared Laplacian of the grey image over its variance, which leaves exposure out."""
+    """Mean squared Laplacian of the grey image divided by its variance, which makes it independent of exposure."""
     brightness: float
     """Mean grey level, 0..1."""
     clipped: float
@@ -44,17 +44,17 @@ class FrameFacts:
 
 @dataclass(kw_only=True, eq=False)
 class Sample:
-    """The frames that were read, and what could not be."""
+    """The frames that were read, and those that could not be."""
 
     name: str
     length: int
     """Frames in the whole sequence."""
     camera: Camera
-    """Of the full images."""
+    """Camera of the full images."""
     depth_camera: Camera
-    """Of the thinned depth images."""
+    """Camera of the subsampled depth images."""
     stored_poses: Float[Tensor, "L 4 4"]
-    """Of all frames as the reader gives them, float64; NaN where it refuses."""
+    """Poses of all frames as returned by the reader, float64; NaN where it raises an error."""
     frames: list[FrameFacts] = field(default_factory=list)
     unreadable: dict[int, str] = field(default_factory=dict)
     """Position -> why the frame could not be used."""

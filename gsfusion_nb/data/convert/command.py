@@ -25,7 +25,7 @@ def run(arguments: list[str]) -> ConvertReport:
     """Convert as the arguments say.
 
     Raises:
-        ValueError: not a source and a place to write to, with or without a format before them.
+        ValueError: other arguments than [FORMAT] SOURCE OUT.
     """
     command = tyro.cli(ConvertCommand, prog="gsfusion-nb convert", args=arguments)
     words = command.words

@@ -17,7 +17,7 @@ class Format:
     read: Callable[[Path, ConvertOptions], Recording]
     recognise: Callable[[Path], bool]
     looks_for: str
-    """What a file or folder in this format holds, for people."""
+    """Description of the files that identify this format, for messages."""
 
 
 FORMATS: dict[str, Format] = {
@@ -42,12 +42,12 @@ def detect_format(path: Path) -> str:
     """Name of the first format that ``path`` looks like.
 
     Raises:
-        SequenceError: there is nothing, or it looks like none; the message lists what was looked for.
+        SequenceError: nothing is there, or no format fits; the message lists what each format looks for.
     """
     if not path.exists():
         raise SequenceNotFoundError(f"{path} does not exist; expected the file or folder of a recording")
     name = next((name for name, f in FORMATS.items() if f.recognise(path)), None)
     if name is None:
         described = "; ".join(f"{n}: {f.looks_for}" for n, f in FORMATS.items())
-        raise SequenceError(f"{path} looks like no known format; looked for {described}")
+        raise SequenceError(f"{path} is in no known format; looked for {described}")
     return name

@@ -1,4 +1,4 @@
-"""Intrinsics from the many ways in which they are written down."""
+"""Camera intrinsics from numbers, matrices and JSON files."""
 
 import math
 from pathlib import Path
@@ -18,12 +18,12 @@ def read_intrinsics(text_or_file: str, size: tuple[int, int], *, centre: float =
     """Camera of an option: numbers, or a file of numbers or JSON.
 
     Args:
-        text_or_file: "fx fy cx cy [k1 k2 p1 p2 [k3 ...]]", or the file of that, of a matrix, or of a JSON object.
+        text_or_file: "fx fy cx cy [k1 k2 p1 p2 [k3 ...]]", or a file with these numbers, a matrix, or a JSON object.
         size: Width and height of the colour images, pixels; a JSON object with a size of its own overrides it.
         centre: Where the intrinsics put the centre of the first pixel, 0 or 0.5; JSON may say ``pixel_centre``.
 
     Raises:
-        SequenceError: none of these, or a focal length that is not above 0.
+        SequenceError: none of these, or a focal length that is not positive.
     """
     path = Path(text_or_file)
     if path.suffix.lower() == ".json":

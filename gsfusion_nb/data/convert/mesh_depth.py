@@ -9,7 +9,7 @@ from ...types import Camera
 
 NEAR_M = 0.02
 _SAMPLES = 1 << 21
-"""Pixels of triangles looked at together; bounds the memory."""
+"""Pixels of triangles processed at once; limits the memory."""
 
 
 def mesh_depth(
@@ -29,7 +29,7 @@ def mesh_depth(
         T_WC: Camera-to-world pose. [4, 4]
 
     Returns:
-        z-depth, metres, 0 where the mesh is not met beyond 2 cm. [H, W] float32
+        z-depth, metres, 0 where the ray does not meet the mesh, or nearer than 2 cm. [H, W] float32
 
     Differentiable: no. Source: Olano & Greer 1997, "Triangle scan conversion using 2D homogeneous coordinates".
     """
@@ -56,7 +56,7 @@ def mesh_depth(
 
 
 def _cross(a: Float[Tensor, "F 3"], b: Float[Tensor, "F 3"]) -> Float[Tensor, "F 3"]:
-    # In one fixed order, so that b x a is exactly -(a x b) whatever the library's own does.
+    # In one fixed order, so that b x a is exactly -(a x b) which the library's function does not guarantee.
     i, j = [1, 2, 0], [2, 0, 1]
     return a[:, i] * b[:, j] - a[:, j] * b[:, i]
 
@@ -76,7 +76,7 @@ def _pixel_bounds(P: Float[Tensor, "F 3 3"], camera: Camera) -> tuple[Int[Tensor
     limit = points.new_tensor([camera.width, camera.height])
     low = uv.where(counts, torch.inf).amin(dim=1)
     high = uv.where(counts, -torch.inf).amax(dim=1)
-    # A thousandth of a pixel wider than exact: the edge functions decide.
+    # A thousandth of a pixel too wide, because the edge functions decide exactly.
     first = torch.ceil((low - 0.501).clamp(min=0)).minimum(limit)
     last = torch.floor((high - 0.499).clamp(min=-1)).minimum(limit - 1)
     return first.long(), last.long()

@@ -1,4 +1,4 @@
-"""What can be asked of a conversion. Every field is an option of ``gsfusion-nb convert``."""
+"""The options of a conversion. Every field is an option of ``gsfusion-nb convert``."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -9,7 +9,7 @@ from ..sequence import SequenceError
 
 @dataclass(frozen=True, kw_only=True)
 class RosOptions:
-    """Topics and frames of a ROS bag; each is found by itself where there is only one candidate."""
+    """Topics and frames of a ROS bag; each is found automatically where there is only one candidate."""
 
     colour_topic: str = ""
     """Colour images (sensor_msgs/Image or CompressedImage)."""
@@ -20,7 +20,7 @@ class RosOptions:
     camera_info_topic: str = ""
     """Calibration of the colour camera; found beside the colour topic by default."""
     world_frame: str = ""
-    """Frame of the transform tree that is the world; its root by default."""
+    """World frame in the transform tree; its root by default."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,38 +28,42 @@ class ConvertOptions:
     """How a recording is read and written."""
 
     poses: str = ""
-    """Separate trajectory whose poses are interpolated at the frames' times: TUM text, OKVIS2 or EuRoC csv, ORB-SLAM3
-    in seconds or nanoseconds. "none" writes no poses at all, for a camera that is to be tracked."""
+    """File with the camera's trajectory, if the recording has none; poses are interpolated at the frames' times: TUM
+    text, OKVIS2 or EuRoC csv, ORB-SLAM3 in seconds or nanoseconds. "none" writes no poses at all, for a camera that is
+    to be tracked."""
     pose_time_unit: Literal["auto", "s", "ms", "us", "ns"] = "auto"
-    """Unit of the trajectory's times; by default the one that makes its steps plausible."""
+    """Unit of the trajectory's times; "auto" takes the one in which the time steps are plausible."""
     max_gap_s: float = 0.2
     """Largest time between the two poses around a frame; a frame in a longer gap is dropped, seconds."""
     time_offset_s: float = 0.0
-    """Added to the frames' times before the trajectory is looked up, seconds."""
+    """Added to the time of each frame before its pose is interpolated, seconds."""
     T_cam_body: str = ""
-    """File of 16 numbers: body to camera (Kalibr's T_cam_imu), where the trajectory is that of a body or IMU."""
+    """File of 16 numbers: body to camera (Kalibr's T_cam_imu), if the trajectory is that of a body or IMU."""
     T_body_cam: str = ""
     """The inverse: camera to body (EuRoC's T_BS, OKVIS's T_SC)."""
     scale: float = 0.0
-    """Metres per unit of the poses; 0: 1, but measured on the depth images for COLMAP, whose poses have no unit."""
+    """Metres per unit of the poses. 0: measured on the depth images for COLMAP, whose poses have no unit; 1 for all
+    other formats."""
     depth: str = ""
-    """Folder of the depth images where they lie apart from the recording; same names as the colour images."""
+    """Folder of the depth images if they are not part of the recording; same names as the colour images."""
     depth_scale: float = 0.0
-    """Stored depth of one metre; 0: that of the format, 1000 (millimetres) where it has none."""
+    """Stored depth value of one metre. 0: that of the format, or 1000 (millimetres) if it has none."""
     depth_along: Literal["auto", "z", "ray"] = "auto"
-    """Whether depth is measured along the optical axis or along each pixel's ray."""
+    """Whether depth is measured along the optical axis ("z") or along the ray of each pixel ("ray"); "auto": as usual
+    in the format."""
     intrinsics: str = ""
-    """Camera instead of the recording's: "fx fy cx cy [k1 k2 p1 p2 k3]", or a file of that, of a matrix, or JSON."""
+    """Intrinsics to use instead of those of the recording: "fx fy cx cy [k1 k2 p1 p2 k3]", or a file with these
+    numbers, a matrix, or JSON."""
     pixel_centre: float = 0.0
-    """Place of the first pixel's centre in those intrinsics: 0 as in OpenCV and ROS, 0.5 as in COLMAP."""
+    """Coordinate of the first pixel's centre in these intrinsics: 0 as in OpenCV and ROS, 0.5 as in COLMAP."""
     width: int = 0
-    """Width of the images written, pixels; 0: that of the colour images, or in proportion to the height."""
+    """Width of the images to write, pixels. 0: that of the colour images, or in proportion to the height."""
     height: int = 0
-    """Height of the images written, pixels."""
+    """Height of the images to write, pixels. 0: that of the colour images, or in proportion to the width."""
     every: int = 1
-    """Take every n-th frame."""
+    """Convert every n-th frame."""
     confidence: int = 1
-    """Record3D: least confidence of a depth pixel, 0 (all), 1 (medium) or 2 (high)."""
+    """Record3D: smallest confidence at which a depth pixel is kept, 0 (all), 1 (medium) or 2 (high)."""
     ros: RosOptions = RosOptions()
 
     def __post_init__(self):

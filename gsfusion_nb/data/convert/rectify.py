@@ -1,4 +1,4 @@
-"""Bringing the pictures of every shot onto the one camera of a sequence."""
+"""Converting the images of every frame to the one camera of a sequence."""
 
 from collections import OrderedDict
 
@@ -9,17 +9,17 @@ from ...types import Camera
 from ..adjust.resize import resize_colour
 from ..lens.camera_model import TIE, CameraModel, pixel_map, same_rays, z_of_range
 from ..lens.register import warp_depth
-from .recording import Pictures, Shot
+from .recording import RecordedFrame, RgbdImages
 
 _KEPT_MAPS = 4
 """Pixel maps kept; a recording with another focal length in every frame makes as many maps as frames."""
 
 
 class Rectifier:
-    """Turns pictures into colour and depth as ``camera`` sees them.
+    """Converts colour and depth to what ``camera`` would see.
 
     Colour is undistorted at its own size (interpolated), then averaged down. Depth is taken from the nearest pixel and
-    never interpolated; where its camera stands elsewhere, every point is moved to its pixel (``warp_depth``).
+    never interpolated; if the depth camera is at another place, every point is moved to its pixel (``warp_depth``).
     """
 
     def __init__(self, camera: Camera, *, along_ray: bool = False):
@@ -27,13 +27,13 @@ class Rectifier:
         self._along_ray = along_ray
         self._maps: OrderedDict[tuple[CameraModel, Camera], tuple[np.ndarray, np.ndarray]] = OrderedDict()
 
-    def __call__(self, shot: Shot, model: CameraModel, pictures: Pictures) -> Pictures:
-        """The pictures of ``shot``, taken by ``model``. ``encoded`` is empty unless colour is unchanged."""
-        height, width = pictures.rgb.shape[:2]
-        model = model.fitted(width, height, shot.source)
-        rgb = self._colour(pictures.rgb, model)
-        depth_m = self._depth(pictures.depth_m, model, shot)
-        return Pictures(rgb, depth_m, pictures.encoded if rgb is pictures.rgb else b"")
+    def __call__(self, frame: RecordedFrame, model: CameraModel, images: RgbdImages) -> RgbdImages:
+        """The images of ``frame``, taken by ``model``. ``encoded`` is empty unless colour is unchanged."""
+        height, width = images.rgb.shape[:2]
+        model = model.fitted(width, height, frame.source)
+        rgb = self._colour(images.rgb, model)
+        depth_m = self._depth(images.depth_m, model, frame)
+        return RgbdImages(rgb, depth_m, images.encoded if rgb is images.rgb else b"")
 
     def _colour(self, rgb: np.ndarray, model: CameraModel) -> np.ndarray:
         import cv2
@@ -43,19 +43,19 @@ class Rectifier:
             rgb = cv2.remap(rgb, *self._map(model, native), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return resize_colour(rgb, self.camera.width, self.camera.height)
 
-    def _depth(self, depth_m: np.ndarray, colour: CameraModel, shot: Shot) -> np.ndarray:
+    def _depth(self, depth_m: np.ndarray, colour: CameraModel, frame: RecordedFrame) -> np.ndarray:
         height, width = depth_m.shape
-        if shot.depth_model is None:
+        if frame.depth_model is None:
             model = colour.resized(width, height)
         else:
-            model = shot.depth_model.fitted(width, height, f"the depth of {shot.source}")
+            model = frame.depth_model.fitted(width, height, f"the depth of {frame.source}")
         if self._along_ray:
             depth_m = z_of_range(depth_m, model)
-        if shot.T_colour_depth is None:
+        if frame.T_colour_depth is None:
             return self._nearest(depth_m, model, self.camera)
         pinhole = model.pinhole()
         flat = torch.from_numpy(self._nearest(depth_m, model, pinhole))
-        return warp_depth(flat, pinhole, self.camera, shot.T_colour_depth).numpy()
+        return warp_depth(flat, pinhole, self.camera, frame.T_colour_depth).numpy()
 
     def _nearest(self, depth_m: np.ndarray, model: CameraModel, camera: Camera) -> np.ndarray:
         import cv2

@@ -21,7 +21,7 @@ from ..sequence import BadFrameError, SequenceError
 from .detect import FORMATS, detect_format
 from .intrinsics import read_intrinsics
 from .options import ConvertOptions
-from .recording import Pictures, Recording, Shot
+from .recording import RecordedFrame, Recording, RgbdImages
 from .rectify import Rectifier, output_camera
 from .staging import JournalEntry, Staging
 from .trajectory import Trajectory, camera_in_body, read_trajectory
@@ -37,8 +37,8 @@ class ConvertReport:
 
     out: Path
     format: str
-    shots: int
-    """Frames of the recording, of every ``every``-th."""
+    frames_read: int
+    """Frames read: those of the recording, or every n-th of them."""
     frames: int
     """Frames written."""
     dropped: dict[str, int]
@@ -60,7 +60,7 @@ class ConvertReport:
     def __str__(self) -> str:
         c = self.camera
         lines = [
-            f"{self.frames} of {self.shots} frames ({self.format}) in {self.out}",
+            f"{self.frames} of {self.frames_read} frames ({self.format}) in {self.out}",
             f"  camera {c.width}x{c.height}, fx {c.fx:.2f} fy {c.fy:.2f} cx {c.cx:.2f} cy {c.cy:.2f}, pixel centre 0.5",
             f"  depth in 16-bit PNG, {self.depth_scale:g} per metre, 0 = missing; "
             + ("poses camera-to-world in metres" if self.has_poses else "no poses"),
@@ -83,18 +83,18 @@ def convert(
     """Write a recording in another format as a ``folder`` sequence (``gsfusion_nb.data.readers.folder``).
 
     Frames are read and written one by one. They are collected in ``OUT.partial`` and appear as ``OUT`` when all is
-    done; an interrupted conversion continues where it stopped when it is called again. Colour that needs no change is
-    copied as it is. Frames without pose, with damaged images or without depth are left out and counted.
+    done; an interrupted conversion continues where it stopped when it is called again. Colour images that need no
+    change are copied. Frames without pose, with damaged images or without depth are left out and counted.
 
     Args:
         source: File or folder of the recording.
         out: New or empty folder.
         format: One of ``known_formats()``; "auto" recognises it.
-        options: How to read and write.
+        options: Options of reading and writing.
         progress: Show a progress bar.
 
     Raises:
-        SequenceError: the recording cannot be read, needs something that is not given, or no frame of it is usable.
+        SequenceError: the recording cannot be read, needs an option that is not given, or no frame of it is usable.
         KeyError: unknown format.
     """
     options = options or ConvertOptions()
@@ -121,7 +121,8 @@ def convert(
 
 
 class _Poses:
-    """Pose of each shot: its own, or that of a separate trajectory at its time; scaled to metres and checked."""
+    """Pose of each frame: the recorded one, or one from a separate trajectory at its time; scaled to metres and
+    checked."""
 
     def __init__(self, recording: Recording, options: ConvertOptions):
         self.trajectory: Trajectory | None = None
@@ -144,27 +145,27 @@ class _Poses:
             )
         self._scale = 1.0 if self.none else self._metres_per_unit(options)
 
-    def of(self, shot: Shot) -> tuple[Float[Tensor, "4 4"] | None, str]:
+    def of(self, frame: RecordedFrame) -> tuple[Float[Tensor, "4 4"] | None, str]:
         """Pose, or None and the reason why there is none; float64, metres."""
         if self.trajectory is not None:
-            if shot.time_s is None:
+            if frame.time_s is None:
                 raise SequenceError(
-                    f"{shot.source} has no time, which --poses needs; expected a format with times, or image names "
+                    f"{frame.source} has no time, which --poses needs; expected a format with times, or image names "
                     "that are times"
                 )
             T, reason = (
-                self.trajectory.pose_at(shot.time_s + self._offset_s),
-                "no pose of the trajectory around its time",
+                self.trajectory.pose_at(frame.time_s + self._offset_s),
+                "the trajectory has no pose around its time",
             )
         else:
-            T, reason = shot.T_WC, "no pose"
+            T, reason = frame.T_WC, "no pose"
         if T is None:
             return None, reason
         if not bool(torch.isfinite(T).all()):
             return None, "tracking was lost (pose is NaN or infinite)"
         T = T.double().clone()
         T[:3, 3] *= self._scale
-        checked_pose(T, f"the pose of {shot.source}")
+        checked_pose(T, f"the pose of {frame.source}")
         return T, ""
 
     def _metres_per_unit(self, options: ConvertOptions) -> float:
@@ -183,7 +184,7 @@ class _Poses:
 
 
 class _Conversion:
-    """One pass over the shots of a recording."""
+    """One pass over the frames of a recording."""
 
     def __init__(self, recording: Recording, options: ConvertOptions, poses: _Poses, staging: Staging):
         self._recording, self._options, self._poses, self._staging = recording, options, poses, staging
@@ -196,11 +197,11 @@ class _Conversion:
             self._rectifier = Rectifier(staging.camera, along_ray=self._along_ray)
 
     def run(self, progress: bool) -> None:
-        """Convert what the journal does not have yet."""
-        with ProgressDisplay("converting", total=self._recording.n_shots, unit="frame", shown=progress) as shown:
-            for i, shot in enumerate(shown.over(self._recording.shots())):
+        """Convert the frames that are not in the journal yet."""
+        with ProgressDisplay("converting", total=self._recording.n_frames, unit="frame", shown=progress) as shown:
+            for i, frame in enumerate(shown.over(self._recording.frames())):
                 if i % self._options.every == 0 and i // self._options.every >= self._staging.resumed:
-                    self._convert(i, shot)
+                    self._convert(i, frame)
 
     def finish(self, format: str) -> ConvertReport:
         """Put the result in place and report on it."""
@@ -218,7 +219,7 @@ class _Conversion:
         report = ConvertReport(
             out=self._staging.out,
             format=format,
-            shots=len(rows),
+            frames_read=len(rows),
             frames=len(kept),
             dropped=dropped,
             examples=tuple(examples[:3]),
@@ -234,9 +235,9 @@ class _Conversion:
         self._staging.finish(report.camera, settings, written)
         return report
 
-    def _convert(self, i: int, shot: Shot) -> None:
+    def _convert(self, i: int, frame: RecordedFrame) -> None:
         try:
-            T_WC, reason = self._poses.of(shot) if not self._poses.none else (None, "")
+            T_WC, reason = self._poses.of(frame) if not self._poses.none else (None, "")
         except BadFrameError as e:
             self._staging.drop(i, "pose is not rigid", str(e))
             return
@@ -244,38 +245,39 @@ class _Conversion:
             self._staging.drop(i, reason)
             return
         try:
-            pictures = shot.load()
+            images = frame.load()
         except BadFrameError as e:
             self._staging.drop(i, "image missing or damaged", str(e))
             return
         rectified = self._rectified(shot, pictures)
         depth, far_pixels = self._quantised(rectified.depth_m)
         if not depth.any():
-            self._staging.drop(i, "no depth", f"{shot.source} holds no depth that can be written")
+            self._staging.drop(i, "no depth", f"{frame.source} holds no depth that can be written")
             return
         numbers = () if T_WC is None else tuple(T_WC.flatten().tolist())
         row = JournalEntry(i, time_s=shot.time_s, T_WC=numbers, far_pixels=far_pixels)
         lossless = not pictures.encoded.startswith(b"\xff\xd8")
         self._staging.write(row, rectified.encoded or rectified.rgb, depth, lossless=lossless)
 
-    def _rectified(self, shot: Shot, pictures: Pictures) -> Pictures:
-        height, width = pictures.rgb.shape[:2]
-        model = self._model(shot, (width, height))
+    def _rectified(self, frame: RecordedFrame, images: RgbdImages) -> RgbdImages:
+        height, width = images.rgb.shape[:2]
+        model = self._model(frame, (width, height))
         if self._rectifier is None:
-            camera = output_camera(model.fitted(width, height, shot.source), self._options.width, self._options.height)
+            camera = output_camera(model.fitted(width, height, frame.source), self._options.width, self._options.height)
             self._staging.set_camera(camera)
             self._rectifier = Rectifier(camera, along_ray=self._along_ray)
-        return self._rectifier(shot, model, pictures)
+        return self._rectifier(frame, model, images)
 
-    def _model(self, shot: Shot, size: tuple[int, int]) -> CameraModel:
+    def _model(self, frame: RecordedFrame, size: tuple[int, int]) -> CameraModel:
         if self._options.intrinsics:
             return read_intrinsics(self._options.intrinsics, size, centre=self._options.pixel_centre)
-        if shot.model is None:
+        if frame.model is None:
             raise SequenceError(
-                f"{self._recording.name} does not say what camera took it; give --intrinsics 'fx fy cx cy' (pixels), "
-                "or a file of them"
+                f"{self._recording.name} does not contain the camera's intrinsics; give --intrinsics 'fx fy cx cy' "
+                "(pixels), "
+                "or a file with them"
             )
-        return shot.model
+        return frame.model
 
     def _quantised(self, depth_m: np.ndarray) -> tuple[np.ndarray, int]:
         """Stored depth, and how many pixels are farther than it can say."""
@@ -291,10 +293,10 @@ class _Conversion:
         return [f"{far_pixels} pixels are farther than 16 bits hold ({limit:.1f} m) and count as missing"]
 
     def _time_hint(self, rows: list[JournalEntry]) -> str:
-        """Both time ranges, where a trajectory matched no frame."""
+        """Both time ranges, if no frame has a pose in the trajectory."""
         trajectory = self._poses.trajectory
         if trajectory is None or not rows:
             return ""
         first, last = float(trajectory.stamps_s[0]), float(trajectory.stamps_s[-1])
-        shot = next(iter(self._recording.shots()))
-        return f"; the trajectory spans {first:.3f} to {last:.3f} s, the first frame is at {shot.time_s} s"
+        frame = next(iter(self._recording.frames()))
+        return f"; the trajectory spans {first:.3f} to {last:.3f} s, the first frame is at {frame.time_s} s"

@@ -1,6 +1,6 @@
 """Preparing a ScanNet++ scene: photographs undistorted at half resolution, depth rendered from the scan's mesh.
 
-Read of the licensed copy, ``<scene>/``:
+Files of the licensed copy that are read, ``<scene>/``:
 
     dslr/nerfstudio/transforms.json           with dslr/resized_images/: a fisheye camera; or
     dslr/nerfstudio/transforms_undistorted.json   with dslr/resized_undistorted_images/ (or undistorted_images/)
@@ -43,7 +43,7 @@ _MAX_DEPTH_MM = 65535
 
 @dataclass(frozen=True)
 class Photographs:
-    """Where the pictures are and how they become those of a pinhole camera."""
+    """Where the pictures are, and how they are converted to those of a pinhole camera."""
 
     folder: Path
     file: Path
@@ -51,12 +51,12 @@ class Photographs:
     values: dict[str, Any]
     """Its content."""
     camera: Camera
-    """The pinhole of half size."""
+    """The pinhole camera at half size."""
     turn: Callable[[np.ndarray], np.ndarray]
 
     @staticmethod
     def find(scene: Path) -> "Photographs":
-        """Of a scene's copy. Raises ``FetchError`` where it has neither kind."""
+        """Photographs of a copy of a scene. Raises ``FetchError`` if it has neither kind."""
         dslr = scene / "dslr"
         fisheye, pinhole = (dslr / f"nerfstudio/transforms{end}.json" for end in ("", "_undistorted"))
         if fisheye.is_file() and (dslr / "resized_images").is_dir():
@@ -82,7 +82,7 @@ class Photographs:
         return {name: T @ _GL_TO_CV for name, T in frame_matrices(self.values, self.file).items()}
 
     def transforms(self) -> dict[str, Any]:
-        """Content of ``transforms_undistorted_2.json``: the frames as they are, the pinhole's numbers."""
+        """Content of ``transforms_undistorted_2.json``: the unchanged frames and the pinhole's intrinsics."""
         c = self.camera
         kept = {key: self.values[key] for key in ("frames", "test_frames") if key in self.values}
         numbers = {"fl_x": c.fx, "fl_y": c.fy, "cx": c.cx, "cy": c.cy, "w": c.width, "h": c.height}
@@ -90,10 +90,10 @@ class Photographs:
 
 
 class HalfSizePinhole:
-    """Turns pictures of a fisheye lens into pinhole pictures at half the resolution.
+    """Converts pictures of a fisheye lens to pinhole pictures at half the resolution.
 
-    The pinhole sees no place that the fisheye does not, and its principal point is the image's middle, as in the
-    ScanNet++ toolbox. A picture is undistorted at full size and then averaged, two by two.
+    The pinhole camera sees nothing that the fisheye camera does not see, and its principal point is the centre of the
+    image, as in the ScanNet++ toolbox. A picture is undistorted at full size and then averaged, two by two.
     """
 
     def __init__(self, lens: CameraModel):
@@ -110,7 +110,7 @@ class HalfSizePinhole:
 
 
 def half_size(camera: Camera) -> Camera:
-    """The same view on a grid of half the pixels each way."""
+    """The same view with half the pixels in each direction."""
     return camera.resized(camera.width // 2, camera.height // 2)
 
 
@@ -132,7 +132,7 @@ def listed_pictures(scene: Path) -> list[str]:
 
 
 def mesh_in_transforms_world(mesh: Mesh) -> Mesh:
-    """The scan's mesh in the world of the transforms files: x and y swapped, z negated (a rotation)."""
+    """The scan's mesh in the world frame of the transforms files: x and y swapped, z negated (a rotation)."""
     x, y, z = mesh.vertices_W.unbind(dim=1)
     return Mesh(vertices_W=torch.stack([y, x, -z], dim=1), faces=mesh.faces, rgb=mesh.rgb)
 
@@ -140,13 +140,13 @@ def mesh_in_transforms_world(mesh: Mesh) -> Mesh:
 def prepare_scene(
     scene: Path, mesh: Mesh, folder: Path, *, progress: Callable[[int, int], object] = lambda done, count: None
 ) -> int:
-    """Write the scene that the ``scannetpp`` reader takes; pictures that are in ``folder`` already are kept.
+    """Write a scene for the ``scannetpp`` reader; pictures that are already in ``folder`` are kept.
 
     Args:
         scene: The licensed copy of one scene (module docstring).
-        mesh: Its scan, as in its file.
-        folder: Scene to write.
-        progress: Told after every picture.
+        mesh: Its scan, as stored.
+        folder: Folder to write.
+        progress: Called after every picture with the number done and the total.
 
     Returns:
         Number of pictures.

@@ -25,9 +25,9 @@ _VERSION = 2
 
 @dataclass(frozen=True)
 class JournalEntry:
-    """What became of one shot."""
+    """The result for one frame."""
 
-    shot: int
+    position: int
     """Position in the recording."""
     dropped: str = ""
     """Reason why it was left out, or empty."""
@@ -80,12 +80,12 @@ class Staging:
 
     @property
     def camera(self) -> Camera | None:
-        """Camera that an earlier, interrupted conversion chose; None before the first frame."""
+        """Camera chosen by an earlier, interrupted conversion; None before the first frame."""
         file = self.folder / _CAMERA
         return Camera(**read_object(file, "a camera")) if file.exists() else None
 
     def set_camera(self, camera: Camera) -> None:
-        """Keep the camera of all frames, to continue later."""
+        """Store the camera of all frames, for a later continuation."""
         write_file(self.folder / _CAMERA, json.dumps(vars(camera)))
 
     def remove(self) -> None:
@@ -93,18 +93,18 @@ class Staging:
         if not self.kept:
             self._clean_up()
 
-    def drop(self, shot: int, reason: str, detail: str = "") -> None:
-        """Note that a shot is left out."""
-        self._append(JournalEntry(shot, reason, detail=detail))
+    def drop(self, position: int, reason: str, detail: str = "") -> None:
+        """Record that a frame is left out."""
+        self._append(JournalEntry(position, reason, detail=detail))
 
     def write(self, row: JournalEntry, rgb: np.ndarray | bytes, depth: np.ndarray, *, lossless: bool = True) -> None:
         """Write colour and 16-bit depth, then the journal's line.
 
         Args:
             row: The line.
-            rgb: A JPEG or PNG file, which is written as it is, or RGB, uint8. [H, W, 3]
+            rgb: A JPEG or PNG file, which is written unchanged, or RGB, uint8. [H, W, 3]
             depth: Stored depth, uint16. [H, W]
-            lossless: RGB becomes PNG, else JPEG, for what was JPEG before it was resampled.
+            lossless: Write RGB as PNG; otherwise as JPEG, for images that were JPEG before they were resampled.
         """
         import cv2
 
@@ -230,5 +230,5 @@ def _encoded(suffix: str, image: np.ndarray, options: list[int]) -> bytes:
 
     done, data = cv2.imencode(suffix, np.ascontiguousarray(image), options)
     if not done:
-        raise BadFrameError(f"a picture of {image.shape[1]}x{image.shape[0]} cannot be written as {suffix}")
+        raise BadFrameError(f"an image of {image.shape[1]}x{image.shape[0]} cannot be written as {suffix}")
     return data.tobytes()

@@ -1,4 +1,4 @@
-"""A separate trajectory, as tracking programs write it, looked up at the times of the frames."""
+"""A separate trajectory file written by a tracking program, interpolated at the times of the frames."""
 
 import re
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ _TUM = [0, 1, 2, 3, 4, 5, 6, 7]
 _EUROC = [0, 1, 2, 3, 5, 6, 7, 4]
 """Columns of time, position and quaternion xyzw."""
 _EUROC_COLUMNS = 17
-"""time, position, quaternion, velocity and two biases: a ground truth of EuRoC that has lost its header."""
+"""time, position, quaternion, velocity and two biases: an EuRoC ground truth without its header."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,12 +54,13 @@ def read_trajectory(
 
     Args:
         path: The file.
-        time_unit: Unit of its times; "auto" takes that in which they are dates, or else their steps those of a camera.
+        time_unit: Unit of its times; "auto" takes the unit in which they are dates after 2001, or else the one in which
+            the steps are those of a camera.
         max_gap_s: Largest gap to interpolate over, seconds.
         T_body_cam: From the camera's frame to the body's; the identity if the poses are those of the camera.
 
     Raises:
-        SequenceError: no such file, no rows, a row that is no numbers, times that do not increase, or a quaternion
+        SequenceError: no such file, no rows, a row that is not numeric, times that do not increase, or a quaternion
             whose length is not 1.
     """
     table, lost = _checked(_table(path), path)
@@ -77,7 +78,7 @@ def read_trajectory(
 
 
 def _checked(table: Float[Tensor, "N 8"], path: Path) -> tuple[Float[Tensor, "M 8"], int]:
-    """Rows with a pose, each time once, and how many had none. [M, 8]"""
+    """Rows with a pose, each time once, and how many rows had none. [M, 8]"""
     finite = torch.isfinite(table).all(dim=1)
     lost = int((~finite).sum())
     table = table[finite]
@@ -141,7 +142,7 @@ def _time_unit(stamps: Float[Tensor, " N"]) -> str:
 
 
 def camera_in_body(T_cam_body: str, T_body_cam: str) -> Float[Tensor, "4 4"] | None:
-    """From the camera's frame to the body's, of the one file that is given; None without."""
+    """From the camera's frame to the body's, from the file that is given; None if there is none."""
     if not T_cam_body and not T_body_cam:
         return None
     path = Path(T_cam_body or T_body_cam)

@@ -1,6 +1,6 @@
-"""Fetching public data sets: download, verify, unpack, convert, and only then give the folder its name.
+"""Fetching public data sets: download, verify, unpack and convert; the folder gets its name when all is done.
 
-The scripts in ``data_scripts/`` say which files make a data set; everything they have in common is here.
+The scripts in ``data_scripts/`` list the files of each data set; the code that they share is here.
 """
 
 from .archive.unpack import unpack as unpack

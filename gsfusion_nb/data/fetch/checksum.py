@@ -20,11 +20,13 @@ def verify(path: Path, expected: str) -> None:
     """Compare a file with its published digest.
 
     Raises:
-        ChecksumError: it differs. ValueError: ``expected`` is no digest of a known algorithm.
+        ChecksumError: it differs. ValueError: ``expected`` is not a digest of a known algorithm.
     """
     algorithm, _, published = expected.partition(":")
     if algorithm not in ALGORITHMS or len(published) != 2 * hashlib.new(algorithm).digest_size:
         raise ValueError(f"expected algorithm:hexadecimal with one of {', '.join(ALGORITHMS)}, got {expected!r}")
     found = digest(path, algorithm)
     if not hmac.compare_digest(found, f"{algorithm}:{published.lower()}"):
-        raise ChecksumError(f"{path.name} has {found}, but {expected} is published: it is damaged or another file")
+        raise ChecksumError(
+            f"{path.name} has {found}, but the published one is {expected}: the file is damaged or another one"
+        )

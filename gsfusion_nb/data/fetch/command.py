@@ -1,4 +1,4 @@
-"""The command line of a data script: options that all share, errors as sentences."""
+"""The command line of a data script: shared options, and errors without a traceback."""
 
 import argparse
 import logging
@@ -13,20 +13,19 @@ from .obtain import Terms as Terms
 
 
 def parser(description: str, *, downloads: bool = True) -> argparse.ArgumentParser:
-    """A parser with the options of every script. ``description``: its docstring; ``downloads``: does it use the net?"""
+    """A parser with the options of all scripts. ``description``: the script's docstring; ``downloads``: whether it uses
+    the network."""
     made = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     made.add_argument("--out", type=Path, default=Path("data"), help="folder of all data sets (default: data)")
-    made.add_argument("--yes", action="store_true", help="agree to size and licence without being asked")
+    made.add_argument("--yes", action="store_true", help="agree to download size and licence without a question")
     if downloads:
-        made.add_argument(
-            "--mirror", default="", metavar="URL", help="a host with the same paths, instead of the own one"
-        )
+        made.add_argument("--mirror", default="", metavar="URL", help="address of another host with the same paths")
         made.add_argument("--keep-archives", action="store_true", help="keep the downloaded archives in OUT/.fetch")
     return made
 
 
 def terms(options: argparse.Namespace) -> Terms:
-    """What was asked for on the command line; questions go to a person only where standard input is a terminal."""
+    """The terms given on the command line; questions are asked only if standard input is a terminal."""
     return Terms(
         out=options.out,
         yes=options.yes,
@@ -38,13 +37,13 @@ def terms(options: argparse.Namespace) -> Terms:
 
 
 def say(text: str) -> None:
-    """One line or several on standard output, at once."""
+    """Print to standard output without buffering."""
     sys.stdout.write(text + "\n")
     sys.stdout.flush()
 
 
 def run(name: str, script: Callable[[], object]) -> int:
-    """Run a script's body; the exit status: 0 done, 1 an error said in a sentence, 130 interrupted."""
+    """Run the body of a script. Exit status: 0 done, 1 an error (its message is printed), 130 interrupted."""
     logging.basicConfig(level=logging.WARNING, format="%(message)s")
     try:
         script()
@@ -53,13 +52,13 @@ def run(name: str, script: Callable[[], object]) -> int:
         sys.stderr.write(f"{name}: {text}\n")
         return 1
     except KeyboardInterrupt:
-        sys.stderr.write(f"{name}: interrupted; the same command continues\n")
+        sys.stderr.write(f"{name}: interrupted; run the same command again to continue\n")
         return 130
     return 0
 
 
 @contextmanager
 def counting(unit: str) -> Iterator[Callable[[int, int], object]]:
-    """Show the progress of a loop that tells how many it has done of how many."""
+    """Show the progress of a loop that reports how many steps are done and how many there are."""
     with ProgressDisplay("written", unit=unit) as display:
         yield lambda done, count: display.show(done, total=count)

@@ -1,6 +1,7 @@
-"""Downloading one file: a broken transfer continues where it stopped, and the file appears when it is complete.
+"""Downloading one file: a broken transfer continues where it stopped; the file gets its name when it is complete.
 
-Own code on the standard library: pooch, which is installed with PyVista, starts a broken transfer from the beginning.
+It uses only the standard library: pooch, which is installed with PyVista, restarts a broken transfer from the
+beginning.
 """
 
 import http.client
@@ -23,28 +24,28 @@ log = logging.getLogger(__name__)
 
 BLOCK_BYTES = 1 << 20
 TRY_AGAIN = (408, 425, 429, 500, 502, 503, 504)
-"""Status codes that may be better in a moment."""
+"""Status codes after which another attempt may succeed."""
 
 Progress = Callable[[int, int | None], None]
-"""Called with the bytes that are there and the bytes in all, where known."""
+"""Called with the bytes received and the total, where known."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Transfer:
-    """How patient a download is."""
+    """Time limits and attempts of a download."""
 
     timeout_s: float = 60.0
-    """Longest silence of the server, seconds."""
+    """Longest time without data from the server, seconds."""
     attempts: int = 6
-    """Attempts in a row that bring no new byte, before it gives up."""
+    """Attempts in a row without a new byte before the download fails."""
     attempts_in_all: int = 500
-    """Attempts at one file, however much each brings."""
+    """Attempts at one file in total."""
     first_wait_s: float = 2.0
     """Wait after the first failure, seconds; doubled after each."""
     longest_wait_s: float = 120.0
-    """Longest wait, also where the server asks for one, seconds."""
+    """Longest wait, including one that the server asks for, seconds."""
     slowest_bytes_per_s: float = 500.0
-    """Less than this over ``timeout_s`` counts as silence."""
+    """Fewer bytes than this during ``timeout_s`` count as no data."""
     sleep: Callable[[float], object] = time.sleep
 
 
@@ -58,7 +59,7 @@ class _TryAgain(Exception):
 
 @dataclass(frozen=True)
 class _Partial:
-    """What is known of a file that is partly there, kept beside it."""
+    """What is known about a partial file; stored beside it."""
 
     url: str
     validator: str
@@ -83,20 +84,21 @@ def download(
     transfer: Transfer | None = None,
     progress: Progress = lambda done, total: None,
 ) -> None:
-    """Fetch ``url`` to ``path``; an existing file is left as it is.
+    """Fetch ``url`` to ``path``; an existing file is not changed.
 
-    Until it is complete it is kept beside as ``<name>.part`` with ``<name>.part.json``. A transfer continues only where
-    the server names the file's version (entity tag or date) and it is the same; otherwise it starts again.
+    Until it is complete it is stored as ``<name>.part`` with ``<name>.part.json``. A transfer continues only if the
+    server gives the file's version (entity tag or date) and it has not changed; otherwise it starts again.
 
     Args:
         url: http or https address.
-        path: File to make.
-        max_bytes: More than this is refused.
-        transfer: Patience.
-        progress: Told after every block.
+        path: File to write.
+        max_bytes: A larger file is refused.
+        transfer: Time limits and attempts.
+        progress: Called after every block.
 
     Raises:
-        DownloadError: the server refuses, lies about the file, or stays silent. NoSpaceError: the disk is too full.
+        DownloadError: the server refuses, sends something else than it announced, or does not answer. NoSpaceError: the
+            disk is too full.
     """
     transfer = transfer or Transfer()
     if path.exists():
@@ -115,7 +117,7 @@ def download(
             fruitless = 0 if reached > farthest else fruitless + 1
             farthest = max(farthest, reached)
             if fruitless >= transfer.attempts:
-                kept = f"; {size_text(reached)} are kept, run again to continue" if reached else ""
+                kept = f"; {size_text(reached)} are kept; run again to continue" if reached else ""
                 raise DownloadError(f"{url}: {e}; gave up after {fruitless} attempts in a row{kept}") from None
             wait_s = e.wait_s if e.wait_s is not None else transfer.first_wait_s * 2.0**fruitless
             wait_s = min(wait_s, transfer.longest_wait_s)
@@ -148,7 +150,7 @@ class _Job:
         self.note.unlink(missing_ok=True)
 
     def attempt(self) -> None:
-        """One request; returns when the file is whole."""
+        """One request; returns when the file is complete."""
         known = _Partial.load(self.note)
         if known is None or known.url != self.url or not known.validator:
             self.discard()
@@ -171,23 +173,23 @@ class _Job:
                 raise DownloadError(f"{self.url}: the server's certificate is not valid ({e.reason})") from None
             raise _TryAgain(f"no connection ({e.reason})") from None
         except TimeoutError:
-            raise _TryAgain(f"the server was silent for {self.transfer.timeout_s:g} s") from None
+            raise _TryAgain(f"the server sent nothing for {self.transfer.timeout_s:g} s") from None
         except (ConnectionError, http.client.HTTPException, ssl.SSLError) as e:
             raise _TryAgain(f"the connection broke ({type(e).__name__})") from None
         except OSError as e:
-            if e.filename is not None:  # a file of ours, not the network
+            if e.filename is not None:  # an error of the local file, not of the network
                 raise full_disk(e, self.part) or e from None
             raise _TryAgain(f"the network failed ({e.strerror})") from None
 
     def _begin(self, body: Body, start: int, known: _Partial | None) -> int:
-        """Where the body's bytes go in the file; the file is cut or emptied accordingly."""
+        """Position in the file where the body's bytes belong; the file is truncated to it."""
         if known is not None and body.start:
-            # A server may leave out what the condition has said already.
+            # A server may omit what the request already contained.
             changed = body.validator not in ("", known.validator)
             changed |= None not in (body.total, known.total) and body.total != known.total
             if body.start != start or changed:
                 self.discard()
-                raise _TryAgain("the file has changed since it was begun, so it starts again")
+                raise _TryAgain("the file on the server has changed, so the download starts again")
         elif body.start:
             raise DownloadError(f"{self.url} sends the file from byte {body.start} on; expected it from the beginning")
         if body.total is not None and body.total > self.max_bytes:
@@ -204,7 +206,9 @@ class _Job:
             while block := response.read1(BLOCK_BYTES):
                 done += len(block)
                 if done > self.max_bytes:
-                    raise DownloadError(f"{self.url} sends more than {size_text(self.max_bytes)}; it is not that file")
+                    raise DownloadError(
+                        f"{self.url} sends more than {size_text(self.max_bytes)}; it is not the expected file"
+                    )
                 try:
                     file.write(block)
                 except OSError as e:
@@ -224,9 +228,9 @@ class _Job:
             total = total_of_refused_range(error.headers)
             if total == start:
                 return DownloadError(
-                    f"{self.url} has {total} bytes, but the server promised {known.total} before; run again"
+                    f"{self.url} has {total} bytes, but the server announced {known.total} before; run again"
                 )
-            return _TryAgain("the server refuses to continue, so it starts again")
+            return _TryAgain("the server refuses to continue, so the download starts again")
         if error.code not in TRY_AGAIN:
             gone = ": it may have moved; is there a mirror (--mirror)?" if error.code in (404, 410) else ""
             return DownloadError(f"{self.url}: the server answers {error.code} {error.reason}{gone}")
@@ -239,7 +243,7 @@ class _Job:
 
 
 def remote_size(url: str, *, timeout_s: float = 10.0) -> int | None:
-    """Bytes of a file as its server tells them, or None where it does not or cannot be asked. Nothing is fetched."""
+    """Bytes of a file as its server reports them, or None if it does not answer. Nothing is downloaded."""
     try:
         with request(url, timeout_s=timeout_s, method="HEAD") as response:
             return Body.of(response, url).total

@@ -1,4 +1,4 @@
-"""What can go wrong while data are fetched; every message is a sentence that names the address or file."""
+"""Errors of fetching data; every message names the address or file."""
 
 
 class FetchError(ValueError):
@@ -6,11 +6,11 @@ class FetchError(ValueError):
 
 
 class DownloadError(FetchError):
-    """The server gave no usable file, and trying again at once would not help."""
+    """The server sent no usable file, and an immediate second attempt would not help."""
 
 
 class ChecksumError(FetchError):
-    """A file is not the one that was published."""
+    """A file differs from the published one."""
 
 
 class ArchiveError(FetchError):
@@ -22,4 +22,4 @@ class NoSpaceError(FetchError):
 
 
 class DeclinedError(FetchError):
-    """Nobody agreed to the size and the licence."""
+    """The user did not agree to download size and licence."""

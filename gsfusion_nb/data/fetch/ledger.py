@@ -1,4 +1,4 @@
-"""What was obtained, from where and when: one JSON file beside the data sets, and one inside each."""
+"""Records of the downloaded files, with source and date: one JSON file beside the data sets, and one inside each."""
 
 import json
 from dataclasses import asdict, dataclass
@@ -10,9 +10,9 @@ from ...strict_json import read_json
 from .checksum import digest
 
 LEDGER = "fetched.json"
-"""In the folder of all data sets: every file ever obtained."""
+"""In the folder of all data sets: every file that was ever downloaded."""
 SOURCE = "source.json"
-"""In each data set: what it was made from, and its licence."""
+"""In each data set: the files it was made from, and its licence."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,11 +25,11 @@ class Obtained:
     date: str
     """UTC, ISO 8601."""
     published: str = ""
-    """The published digest it was compared with; empty where there is none."""
+    """The published digest it was compared with; empty if there is none."""
 
     @staticmethod
     def now(url: str, file: Path, published: str) -> "Obtained":
-        """Of a file that has just arrived."""
+        """Record of a file that was just downloaded."""
         return Obtained(
             url=url,
             size=file.stat().st_size,
@@ -40,7 +40,7 @@ class Obtained:
 
 
 def read_ledger(folder: Path) -> list[Obtained]:
-    """The files obtained so far; a ledger that cannot be read counts as empty."""
+    """The files downloaded so far; a ledger that cannot be read counts as empty."""
     try:
         return [Obtained(**entry) for entry in read_json(folder / LEDGER, "a list of files")]
     except (OSError, ValueError, TypeError):
@@ -48,7 +48,7 @@ def read_ledger(folder: Path) -> list[Obtained]:
 
 
 def record(folder: Path, obtained: Obtained) -> str:
-    """Add a file to the ledger. Returns a note if the same address gave another file before, else ""."""
+    """Add a file to the ledger. Returns a note if the same address gave a different file before, else ""."""
     entries = read_ledger(folder)
     earlier = [entry for entry in entries if entry.url == obtained.url]
     same = [entry for entry in earlier if entry.sha256 == obtained.sha256]
@@ -56,8 +56,8 @@ def record(folder: Path, obtained: Obtained) -> str:
         write_file(folder / LEDGER, _json([*map(asdict, entries), asdict(obtained)]))
     if earlier and not same:
         return (
-            f"{obtained.url} is not the file it was on {earlier[-1].date}: sha256 {obtained.sha256[:12]} now, "
-            f"{earlier[-1].sha256[:12]} then, and none is published"
+            f"{obtained.url} has changed since {earlier[-1].date}: sha256 was {earlier[-1].sha256[:12]} and is now "
+            f"{obtained.sha256[:12]}; no digest is published"
         )
     return ""
 

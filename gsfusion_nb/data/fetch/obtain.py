@@ -1,4 +1,5 @@
-"""All steps of fetching a data set: describe, ask, download, verify, unpack, convert, read, and only then name it."""
+"""All steps of fetching a data set: describe, ask, download, verify, unpack, convert, read; then the folder gets its
+name."""
 
 import contextlib
 import hashlib
@@ -21,36 +22,36 @@ from .work_folder import WORK, only_one, unfinished_folder
 log = logging.getLogger(__name__)
 
 LEAST_LIMIT_BYTES = 50_000_000
-"""Lower bound of the size limits: the stated size of a small file may be far off."""
+"""Lower bound of the size limits, because the stated size of a small file may be inexact."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Terms:
-    """How a data set is fetched, whichever it is."""
+    """Options that are the same for all data sets."""
 
     out: Path
     """Folder of all data sets."""
     yes: bool = False
-    """Size and licence are agreed to."""
+    """The user agrees to download size and licence."""
     mirror: str = ""
     """Address of a host with the same paths, instead of the data set's own."""
     keep_archives: bool = False
     """Keep the downloaded files in ``.fetch``."""
     transfer: Transfer = field(default_factory=Transfer)
     say: Callable[[str], object] = lambda text: None
-    """Told what a person should know."""
+    """Called with messages for the user."""
     ask: Callable[[str], str] | None = None
-    """Asks a person; None where there is none."""
+    """Asks the user; None if no user is there."""
 
 
 def obtain(plan: Plan, terms: Terms) -> Path:
-    """Fetch a data set; its folder.
+    """Fetch a data set and return its folder.
 
-    A data set that exists is only read again. A broken download continues at the next run. The folder appears under its
-    name when everything is in it and the reader has opened it.
+    An existing data set is only read again. A broken download continues in the next run. The folder gets its name when
+    it is complete and the reader has opened it.
 
     Raises:
-        FetchError: one of its kinds; the message says what to do.
+        FetchError: or a subclass; the message says what to do.
     """
     out, target = terms.out, terms.out / plan.folder
     if target.exists():
@@ -88,7 +89,7 @@ def _make(plan: Plan, terms: Terms, target: Path) -> Path:
 
 
 def _fetch(plan: Plan, item: Item, file: Path, terms: Terms) -> Obtained:
-    """Download a file and compare it; one that does not compare is fetched once more."""
+    """Download a file and compare it; a file with another digest is downloaded once more."""
     url = item.url(terms.mirror)
     for attempt in (1, 2):
         with _shown(file) as progress:
@@ -101,8 +102,8 @@ def _fetch(plan: Plan, item: Item, file: Path, terms: Terms) -> Obtained:
         except ChecksumError as e:
             file.unlink()
             if attempt == 2:
-                raise ChecksumError(f"{url}: {e} (twice, so the connection is not the cause)") from None
-            terms.say(f"{e}; it is fetched once more.")
+                raise ChecksumError(f"{url}: {e} (twice, so a transmission error is unlikely)") from None
+            terms.say(f"{e}; it is downloaded once more.")
     obtained = Obtained.now(url, file, item.checksum)
     if note := record(terms.out, obtained):
         terms.say(f"Note: {note}.")
@@ -117,12 +118,12 @@ def _place(plan: Plan, item: Item, file: Path, folder: Path) -> None:
     try:
         unpack(file, folder, choose=item.choose, limits=Limits(max_bytes=limit))
     except ArchiveError:
-        file.unlink()  # the same bytes would fail again
+        file.unlink()  # the same file would fail again
         raise
 
 
 def _report(plan: Plan, folder: Path, target: Path, terms: Terms) -> None:
-    """Read every sequence in ``folder``, which is or becomes ``target``, and say how to map it."""
+    """Read every sequence in ``folder``, which is or will become ``target``, and print how to map it."""
     sequences = plan.sequences(folder)
     if not sequences:
         raise FetchError(f"{folder} holds no sequence")
@@ -131,7 +132,7 @@ def _report(plan: Plan, folder: Path, target: Path, terms: Terms) -> None:
 
 
 def _missing(item: Item, size: int | None, terms: Terms) -> int:
-    """Bytes of a file that are not here yet."""
+    """Bytes of a file that are not downloaded yet."""
     file = terms.out / WORK / _file_name(item.url(terms.mirror))
     part = file.with_name(file.name + ".part")
     if file.exists():
@@ -144,7 +145,7 @@ def _most(plan: Plan, item: Item) -> int:
 
 
 def _file_name(url: str) -> str:
-    """Name of a downloaded file: its own, and a digest of the address, since hosts may share names."""
+    """Name of a downloaded file: a digest of the address and its own name, because two hosts may use the same name."""
     return f"{hashlib.sha256(url.encode()).hexdigest()[:8]}-{url.rsplit('/', 1)[-1]}"
 
 

@@ -1,4 +1,4 @@
-"""What will be fetched, described before it starts."""
+"""Description of a download, shown before it starts."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from .errors import DeclinedError
 from .sequence_on_disk import SequenceOnDisk
 
 ASSUMED_BYTES_PER_S = 10e6
-"""A line of 100 Mbit/s, for the estimate of time; the servers of universities often give less."""
+"""100 Mbit/s, for the time estimate; university servers are often slower."""
 
 _UNPACK_BYTES_PER_S = 60e6
 
@@ -20,17 +20,17 @@ class Item:
     """One file to download."""
 
     base: str
-    """Address of the host's folder; a mirror takes its place."""
+    """Address of the folder on the host; a mirror replaces it."""
     path: str
     """Address below ``base``."""
     stated_bytes: int
-    """Size as others tell it or as estimated; the server is asked before the start."""
+    """Published or estimated size; the server is asked before the download starts."""
     checksum: str = ""
     """Published digest, ``algorithm:hexadecimal``."""
     choose: Choose = everything
-    """Which members of the archive go where."""
+    """Which members of the archive are unpacked, and to which paths."""
     save_as: str = ""
-    """The file is no archive: its path in the data set's folder."""
+    """For a file that is not an archive: its path in the data set's folder."""
 
     def url(self, mirror: str = "") -> str:
         """Address at the host, or at a mirror with the same paths."""
@@ -39,21 +39,21 @@ class Item:
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """A data set: the files it is made of, what becomes of them, and on which terms."""
+    """A data set: its files, how they are processed, and its licence."""
 
     folder: str
-    """Folder to make, below the folder of all data sets."""
+    """Folder of the data set, inside the folder of all data sets."""
     title: str
     licence: str
     """The terms in a sentence."""
     cite: str
     items: list[Item]
     unpacked_bytes: int
-    """About what it fills on disk in the end."""
+    """Approximate size on disk in the end."""
     sequences: Callable[[Path], list[SequenceOnDisk]]
     """The sequences in the finished folder, and how to map them."""
     convert: Callable[[Path], None] = lambda folder: None
-    """What is done to the unpacked files."""
+    """How the unpacked files are processed."""
     note: str = ""
     """A sentence that helps the user to decide."""
     most_growth: float = 3.0
@@ -61,7 +61,7 @@ class Plan:
 
 
 def describe(plan: Plan, out: Path, sizes: list[int | None], mirror: str = "") -> str:
-    """Contents, size, terms and time of a plan. ``sizes``: as the servers tell them, None where they do not."""
+    """Contents, size, licence and time of a plan. ``sizes``: as reported by the servers, None where unknown."""
     known = [size if size is not None else item.stated_bytes for size, item in zip(sizes, plan.items, strict=True)]
     seconds = sum(known) / ASSUMED_BYTES_PER_S + plan.unpacked_bytes / _UNPACK_BYTES_PER_S
     lines = [plan.title]
@@ -89,7 +89,9 @@ def agree(*, yes: bool, ask: Callable[[str], str] | None) -> None:
     if yes:
         return
     if ask is None:
-        raise DeclinedError("there is no terminal to ask whether you agree to size and licence; run again with --yes")
+        raise DeclinedError(
+            "cannot ask whether you agree to size and licence, because this is not a terminal; run again with --yes"
+        )
     try:
         answer = ask("Go on under this licence? [y/N] ")
     except EOFError:
@@ -99,7 +101,7 @@ def agree(*, yes: bool, ask: Callable[[str], str] | None) -> None:
 
 
 def duration_text(seconds: float) -> str:
-    """Seconds for people."""
+    """A duration as text."""
     if seconds < 90:
         return f"{max(1, round(seconds))} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

@@ -15,13 +15,14 @@ MAX_REDIRECTS = 5
 
 
 def check_address(url: str, *, before: str = "") -> None:
-    """Raise ``DownloadError`` for an address that is not http or https, or that gives up https after ``before``."""
+    """Raise ``DownloadError`` for an address that is not http or https, or that changes from https to http after
+    ``before``."""
     parts = urlsplit(url)
     led = f"{before} redirects to {url}" if before else url
     if parts.scheme not in ("http", "https") or not parts.hostname:
         raise DownloadError(f"{led}: expected an http or https address")
     if before and urlsplit(before).scheme == "https" and parts.scheme == "http":
-        raise DownloadError(f"{led}: expected it to stay with https")
+        raise DownloadError(f"{led}: expected https to stay https")
 
 
 class _Redirects(urllib.request.HTTPRedirectHandler):
@@ -41,7 +42,7 @@ class _Redirects(urllib.request.HTTPRedirectHandler):
     def redirect_request(self, req, fp, code, msg, headers, newurl):
         new = super().redirect_request(req, fp, code, msg, headers, newurl)
         if new is not None:
-            new.method = req.get_method()  # otherwise a question for the size becomes a download
+            new.method = req.get_method()  # otherwise a request for the size becomes a download
         return new
 
     http_error_301 = http_error_303 = http_error_307 = http_error_308 = http_error_302
@@ -64,11 +65,11 @@ def _opener() -> urllib.request.OpenerDirector:
 
 
 def request(url: str, *, timeout_s: float, start: int = 0, validator: str = "", method: str = "GET") -> HTTPResponse:
-    """Ask for a file from byte ``start`` on, as long as it still has the ``validator`` it had before.
+    """Ask for a file from byte ``start`` on, if its version is still ``validator``.
 
     Raises:
-        DownloadError: an address or a redirect that is not allowed. urllib.error.HTTPError: a status that is no
-        success. OSError, http.client.HTTPException: the network.
+        DownloadError: an address or a redirect that is not allowed. urllib.error.HTTPError: a status other than
+            success. OSError, http.client.HTTPException: the network.
     """
     check_address(url)
     asked = urllib.request.Request(url, method=method)
@@ -88,14 +89,14 @@ def request(url: str, *, timeout_s: float, start: int = 0, validator: str = "", 
 
 @dataclass(frozen=True, kw_only=True)
 class Body:
-    """What an answer says about the file."""
+    """What a response says about the file."""
 
     start: int
-    """First byte of the file that the answer holds."""
+    """First byte of the file that the response contains."""
     total: int | None
-    """Bytes of the whole file; None where the server does not say."""
+    """Bytes of the whole file; None if the server does not report it."""
     validator: str
-    """Strong entity tag, or date of the last change; empty where there is neither."""
+    """Strong entity tag, or date of the last change; empty if there is neither."""
 
     @staticmethod
     def of(response: HTTPResponse, url: str) -> "Body":
@@ -103,22 +104,25 @@ class Body:
         headers = response.headers
         encoding = headers.get("Content-Encoding", "identity")
         if encoding != "identity":
-            raise DownloadError(f"{url} comes with the content encoding {encoding}; expected the file as it is")
+            raise DownloadError(f"{url} has the content encoding {encoding}; expected the file without encoding")
         if headers.get_content_type() == "text/html" and headers.get("Content-Type"):
             raise DownloadError(
-                f"{url} is a web page; expected a file: has it moved, or does this network want a login?"
+                f"{url} is a web page; expected a file: has it moved, or does this network need a login?"
             )
         if response.status == 206:
-            found = re.fullmatch(r"bytes (\d+)-(\d+)/(\d+|\*)", headers.get("Content-Range", "").strip())
+            sent = headers.get("Content-Range", "")
+            found = re.fullmatch(r"bytes (\d+)-(\d+)/(\d+|\*)", sent.strip())
             if not found:
-                raise DownloadError(f"{url} answers a range with {headers.get('Content-Range')!r}; expected its place")
+                raise DownloadError(
+                    f"{url} answers a range request with Content-Range {sent!r}; expected the range of bytes"
+                )
             total = None if found[3] == "*" else int(found[3])
             return Body(start=int(found[1]), total=total, validator=_validator(headers))
         return Body(start=0, total=_whole_number(headers.get("Content-Length")), validator=_validator(headers))
 
 
 def retry_after_s(headers: Message, now_s: float) -> float | None:
-    """Seconds the server asks to wait, from ``Retry-After``: a number or a date; None where it says nothing."""
+    """Seconds the server asks to wait, from ``Retry-After``: a number or a date; None if the header is missing."""
     text = (headers.get("Retry-After") or "").strip()
     if text.isdigit():
         return float(text)
@@ -129,7 +133,7 @@ def retry_after_s(headers: Message, now_s: float) -> float | None:
 
 
 def total_of_refused_range(headers: Message) -> int | None:
-    """Size of the file as status 416 tells it in ``Content-Range: bytes */size``."""
+    """Size of the file as status 416 reports it in ``Content-Range: bytes */size``."""
     found = re.fullmatch(r"bytes \*/(\d+)", headers.get("Content-Range", "").strip())
     return int(found[1]) if found else None
 

@@ -1,4 +1,4 @@
-"""One sequence of a data set on disk: a proof that it can be read, and the command that maps it."""
+"""One sequence of a data set on disk: a test that it can be read, and the command that maps it."""
 
 import shlex
 from dataclasses import dataclass, field
@@ -12,17 +12,17 @@ from .errors import FetchError
 
 @dataclass(frozen=True, kw_only=True)
 class SequenceOnDisk:
-    """One sequence of a data set and the options that suit it."""
+    """One sequence of a data set and its options."""
 
     path: str = "."
-    """Below the data set's folder."""
+    """Folder inside the data set's folder."""
     format: str = "auto"
     preset: str
     reader: dict[str, Any] = field(default_factory=dict)
     """Options of the layout's reader."""
 
     def command(self, folder: Path) -> str:
-        """The line that maps it."""
+        """The command that maps it."""
         words = ["gsfusion-nb", "map", str(folder / self.path), "--preset", self.preset]
         if self.format != "auto":
             words += ["--format", self.format]
@@ -31,10 +31,10 @@ class SequenceOnDisk:
         return shlex.join(words)
 
     def prove(self, folder: Path) -> str:
-        """Open it and decode its first and last frame; a line that says what is there.
+        """Open it and decode its first and last frame; returns a line that describes it.
 
         Raises:
-            FetchError: the reader does not take it.
+            FetchError: the reader refuses it.
         """
         place = folder / self.path
         try:

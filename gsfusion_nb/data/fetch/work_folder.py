@@ -1,4 +1,4 @@
-"""The folder beside the data sets for what is not finished, used by one program at a time."""
+"""The folder for unfinished data sets, beside the finished ones; used by one program at a time."""
 
 import os
 from collections.abc import Iterator
@@ -14,10 +14,10 @@ WORK = ".fetch"
 
 @contextmanager
 def only_one(out: Path) -> Iterator[None]:
-    """Lock the work folder in ``out``. The operating system frees the lock when its holder ends, however it ends.
+    """Lock the work folder in ``out``. The operating system releases the lock when the program ends, in any way.
 
     Raises:
-        FetchError: another program holds it.
+        FetchError: another program has locked it.
     """
     folder = out / WORK
     folder.mkdir(parents=True, exist_ok=True)
@@ -31,5 +31,5 @@ def only_one(out: Path) -> Iterator[None]:
 
 
 def unfinished_folder(target: Path, out: Path, *, resume: bool = False) -> AbstractContextManager[Path]:
-    """A folder of the name of ``target`` to fill, which becomes ``target`` when it is complete (``atomic_folder``)."""
+    """A folder to fill, which is renamed to ``target`` when it is complete (``atomic_folder``)."""
     return atomic_folder(target, out / WORK / "unfinished" / target.name, resume=resume)

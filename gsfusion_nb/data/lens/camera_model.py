@@ -8,9 +8,10 @@ from ...types import Camera
 from ..sequence import SequenceError
 
 TIE = 1e-3
-"""Pixels by which nearest-pixel maps are moved, so that of two equally near pixels it is always the lower one."""
+"""Nearest-pixel maps are shifted by this many pixels, so that of two equally near pixels the lower one is always
+chosen."""
 SAME_PX = 0.05
-"""Cameras whose rays meet the image border this close to each other, in pixels, are taken as one."""
+"""Two cameras whose rays meet the image border within this distance, in pixels, count as equal."""
 
 
 @dataclass(frozen=True)
@@ -23,7 +24,7 @@ class CameraModel:
 
     @property
     def is_pinhole(self) -> bool:
-        """No distortion."""
+        """Whether there is no distortion."""
         return not self.fisheye and not any(self.distortion)
 
     def resized(self, width: int, height: int) -> "CameraModel":
@@ -34,7 +35,7 @@ class CameraModel:
         """This camera for an image of the given size.
 
         Raises:
-            SequenceError: the image has other proportions than the camera, so it is not the same picture resized.
+            SequenceError: the image has other proportions than the camera, so it is not only resized.
         """
         if (self.camera.width, self.camera.height) == (width, height):
             return self
@@ -61,7 +62,7 @@ class CameraModel:
 
 
 def same_rays(model: CameraModel, camera: Camera) -> bool:
-    """``model`` is ``camera``, or so near to it that no pixel would move."""
+    """``model`` is ``camera``, or so close to it that no pixel would move."""
     a = model.camera
     if not model.is_pinhole or (a.width, a.height) != (camera.width, camera.height):
         return False
@@ -71,7 +72,7 @@ def same_rays(model: CameraModel, camera: Camera) -> bool:
 
 
 def pixel_map(model: CameraModel, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """Where in the image of ``model`` each pixel of ``camera`` looks, for ``cv2.remap``. Two float32 [H, W]"""
+    """Position in the image of ``model`` for each pixel of ``camera``, for ``cv2.remap``. Two float32 [H, W]"""
     import cv2
 
     K, D, _ = _opencv(model)

@@ -16,10 +16,10 @@ from .undistort import Undistorter
 def warp_depth(
     depth_m: Float[Tensor, "H W"], source: Camera, target: Camera, T_target_source: Float[Tensor, "4 4"]
 ) -> Float[Tensor, "h w"]:
-    """Depth as ``target`` sees it: every point is moved to its pixel there, and the nearest of those that meet is kept.
+    """Depth as ``target`` sees it: every point is moved to its pixel there; if several meet, the nearest is kept.
 
-    One source pixel fills one target pixel, so the target may have holes where it looks from closer; no depth is
-    invented.
+    One source pixel fills one target pixel, so the target may have holes where its resolution is higher; they are not
+    filled.
 
     Args:
         depth_m: z-depth, metres, 0 = missing. [H, W]
@@ -44,7 +44,7 @@ def warp_depth(
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """Makes a registered pair from a colour image with a lens and a depth image from a camera beside it."""
+    """Makes a registered pair from a distorted colour image and a depth image of a second camera."""
 
     depth_camera: Camera
     colour: Undistorter

@@ -6,10 +6,10 @@ from .camera_model import CameraModel, pixel_map
 
 
 class Undistorter:
-    """Maps image pairs of a lens onto a pinhole camera that sees nothing outside the source image.
+    """Maps image pairs of a camera with distortion to a pinhole camera that sees nothing outside the source image.
 
     Colour is interpolated; depth is taken from the nearest pixel, never interpolated. ``camera`` is the pinhole; its
-    focal length differs from the lens's by a few per cent, chosen so that there is no border without data.
+    focal length differs from that of the lens by a few per cent, so that there is no border without data.
     """
 
     def __init__(self, lens: CameraModel):

@@ -51,7 +51,7 @@ def folder(path: str | Path, *, poses: bool = True) -> RecordedSequence:
 
     Args:
         path: Folder of the sequence.
-        poses: False for a recording without ``poses.txt``, whose camera is to be tracked.
+        poses: False for a recording without ``poses.txt``; the camera must then be tracked.
 
     Raises:
         SequenceNotFoundError: the folder or one of its parts is missing.

@@ -31,8 +31,8 @@ def replica(path: str | Path) -> RecordedSequence:
 
     Depth scale: ``scale`` of ``cam_params.json``, else 6553.5. Poses: camera-to-world, OpenCV axes. Pixel centres:
     integers in the file, so 0.5 is added to ``cx`` and ``cy``. Without ``cam_params.json`` the camera is 600, 600,
-    599.5, 339.5 at 1200x680. The number in an image's name is its line in ``traj.txt``, so a thinned copy of the scene
-    reads as well.
+    599.5, 339.5 at 1200x680. The number in an image's name is its line in ``traj.txt``, so a copy with only some of the
+    frames can be read too.
 
     Args:
         path: Folder of the scene.
@@ -71,7 +71,7 @@ def replica(path: str | Path) -> RecordedSequence:
 
 
 def _numbered(folder: Path, prefix: str) -> dict[int, Path]:
-    """Images of ``folder`` named ``prefix`` and a number, by number."""
+    """Images of ``folder`` whose name is ``prefix`` and a number, by number."""
     found = {}
     for p in images_in(folder):
         match = re.fullmatch(prefix + r"(\d+)", p.stem)
@@ -85,7 +85,7 @@ def _numbered(folder: Path, prefix: str) -> dict[int, Path]:
 
 
 def _calibration(root: Path) -> tuple[Camera, float]:
-    """Camera, and stored depth value of one metre."""
+    """Camera, and the stored depth value of one metre."""
     for file in (root / "cam_params.json", root.resolve().parent / "cam_params.json"):
         if file.is_file():
             values = read_object(file, "Replica's camera").get("camera")

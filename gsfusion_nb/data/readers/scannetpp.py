@@ -40,7 +40,7 @@ def scannetpp(
     """Read a ScanNet++ scene in the nerfstudio layout (module docstring).
 
     Depth scale: 1000 per metre. Poses: ``transform_matrix`` is camera-to-world with OpenGL axes (y up, z backward); it
-    is turned to OpenCV axes by C2W diag(1, -1, -1, 1). Pixel centres: at (i + 0.5, j + 0.5) already (COLMAP), so
+    is converted to OpenCV axes by C2W diag(1, -1, -1, 1). Pixel centres: at (i + 0.5, j + 0.5) already (COLMAP), so
     nothing is added. Intrinsics, image size included, come from the JSON. Frames are in the order of
     ``train_test_lists.json``.
 

@@ -64,8 +64,8 @@ def seven_scenes(path: str | Path, *, register: bool = False) -> RecordedSequenc
         register: False: frames are those of the depth camera (f = 585), and colour is used as if it were the same
             camera's, so geometry is right and texture is 10 to 20 pixels off. True: frames are those of the colour
             camera; colour is undistorted, depth is warped into it with a z-buffer, poses are moved. Uses the
-            calibration estimated on RedKitchen, which other scenes share only as far as they were taken with the same
-            Kinect.
+            calibration estimated on RedKitchen, which is right for other scenes only if they were recorded with the
+            same Kinect.
 
     Raises:
         SequenceNotFoundError: the folder or a frame's file is missing.

@@ -53,22 +53,22 @@ def tum(
     Depth scale: 5000 per metre. Poses: camera-to-world, OpenCV axes. Pixel centres: integers in the benchmark's
     calibration, so 0.5 is added to ``cx`` and ``cy``. Each depth image goes with the colour image nearest in time, at
     most 0.02 s away, each used once; the pose is interpolated at the depth image's time between ground-truth poses at
-    most 0.2 s apart. Depth images without either are dropped, and the number is logged.
+    most 0.2 s apart. Depth images without one of them are dropped, and the number is logged.
 
-    Undistortion: fr1 and fr2 images are as the lens made them, and colour and depth correspond pixel by pixel, since
-    the driver registers depth into the distorted colour image; so both are undistorted, or neither. Without it a pixel
-    is 4.8 (fr1) or 4.7 (fr2) pixels off in the median and 12 or 10 at the 95th percentile: 1.9 and 4.5 cm at 2 m.
-    GSFusion as released leaves it out; ``undistort=False`` repeats that.
+    Undistortion: fr1 and fr2 images are distorted, and colour and depth correspond pixel by pixel, because the driver
+    registers depth to the distorted colour image; so both are undistorted, or neither. Without undistortion a pixel is
+    4.8 (fr1) or 4.7 (fr2) pixels off in the median and 12 or 10 at the 95th percentile: 1.9 and 4.5 cm at 2 m. The
+    released GSFusion does not undistort; ``undistort=False`` does the same.
 
     Args:
         path: Folder of the sequence.
         camera: "freiburg1", "freiburg2" or "freiburg3"; "auto" finds it in the folder's name; or your own pinhole.
-        poses: False for a recording without ``groundtruth.txt``, whose camera is to be tracked.
+        poses: False for a recording without ``groundtruth.txt``; the camera must then be tracked.
         undistort: Remove the lens distortion of fr1 and fr2 from colour and depth. The field of view shrinks by 5 %.
 
     Raises:
         SequenceNotFoundError: the folder or one of its lists is missing.
-        SequenceError: unknown camera, a damaged list, or not one frame with colour, depth and pose.
+        SequenceError: unknown camera, a damaged list, or no frame with colour, depth and pose.
     """
     root = Path(path)
     require(root, (*LOOKS_FOR, "groundtruth.txt") if poses else LOOKS_FOR, "tum", without_poses="groundtruth.txt")

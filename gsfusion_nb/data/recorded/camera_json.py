@@ -13,10 +13,10 @@ from ..sequence import SequenceError
 
 
 def numbers(values: dict[str, Any], keys: tuple[str, ...], path: Path) -> dict[str, float]:
-    """The values of ``keys``, which must all be there and be numbers, above zero but for ``cx`` and ``cy``.
+    """The values of ``keys``, which must all be there and be numbers; all except ``cx`` and ``cy`` must be positive.
 
     Raises:
-        SequenceError: a missing key, a value that is no number, or one that is out of range; names the file.
+        SequenceError: a missing key, a value that is not a number or is out of range; the message names the file.
     """
     lacking = [k for k in keys if k not in values]
     if lacking:
@@ -66,7 +66,8 @@ def camera(values: dict[str, Any], keys: tuple[str, str, str, str, str, str], pa
         shift: Added to cx and cy: 0.5 where the file puts the centre of the first pixel at 0, 0 where at 0.5, pixels.
 
     Raises:
-        SequenceError: a missing key, a value that is no number or out of range, or a size that is no whole number.
+        SequenceError: a missing key, a value that is not a number or is out of range, or a size that is not a whole
+            number.
     """
     checked = numbers(values, keys, path)
     for k in keys[:2]:

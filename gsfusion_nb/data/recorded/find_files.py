@@ -42,7 +42,7 @@ def pair_by_stem(rgb_files: list[Path], depth_files: list[Path]) -> list[Path]:
     """Depth file of every colour file, by name without suffix.
 
     Raises:
-        SequenceError: a colour file without depth, or depth without colour; names the first.
+        SequenceError: a colour file without depth, or depth without colour; the message names the first.
     """
     depth_of = {p.stem: p for p in depth_files}
     for p in rgb_files:

@@ -21,7 +21,7 @@ def read_rgb(path: Path) -> np.ndarray:
         RGB, uint8. [H, W, 3]
 
     Raises:
-        BadFrameError: the file is missing, truncated or no image.
+        BadFrameError: the file is missing, truncated or not an image.
     """
     return decode_rgb(read_image_bytes(path, "colour"), path)
 
@@ -80,7 +80,7 @@ def read_image_bytes(path: Path, kind: str) -> bytes:
 
 
 def decode_image(data: bytes, flags: int, source: Path | str, kind: str) -> np.ndarray:
-    """Pixels of an encoded image, as ``cv2.imdecode`` gives them. Raises ``BadFrameError`` naming ``source``."""
+    """Pixels of an encoded image, as ``cv2.imdecode`` returns them. Raises ``BadFrameError`` naming ``source``."""
     import cv2
 
     if _jpeg_is_cut(data):
@@ -116,6 +116,6 @@ def check_image_size(data: bytes, source: Path | str, kind: str) -> None:
 def _jpeg_is_cut(data: bytes) -> bool:
     """A JPEG whose last scan has no end mark: some OpenCV versions fill the rest with grey instead of failing.
 
-    Entropy-coded data never contain FF D9, but an embedded thumbnail does, hence the comparison of places.
+    Entropy-coded data never contain FF D9, but an embedded thumbnail does, so the positions are compared.
     """
     return data[:2] == b"\xff\xd8" and data.rfind(b"\xff\xd9") < data.rfind(b"\xff\xda")

@@ -18,10 +18,11 @@ MAX_RIGIDITY_ERROR = 1e-3
 def read_rows(path: Path, columns: int, what: str) -> Float[Tensor, "N C"]:
     """Numbers of a text file, one row per line; empty lines and lines starting with ``#`` are skipped. float64. [N, C]
 
-    NaN and infinities are kept: they mark single poses as lost.
+    NaN and infinities are kept: they mark a pose as lost.
 
     Raises:
-        SequenceNotFoundError: no such file. SequenceError: no rows, a row of another length, or text that is no number.
+        SequenceNotFoundError: no such file. SequenceError: no rows, a row of another length, or text that is not a
+            number.
     """
     rows = []
     for number, words in read_words(path, what):
@@ -78,7 +79,7 @@ def read_stamped_poses(path: Path) -> tuple[Float[Tensor, " N"], Float[Tensor, "
     Rows with NaN or infinities are left out: there is no pose at that time.
 
     Raises:
-        SequenceError: a row that is no 8 numbers, or a quaternion whose length is not 1 within 1e-2.
+        SequenceError: a row that is not 8 numbers, or a quaternion whose length is not 1 within 1e-2.
     """
     table = read_rows(path, 8, "timestamp tx ty tz qx qy qz qw")
     table = table[torch.isfinite(table).all(dim=1)]

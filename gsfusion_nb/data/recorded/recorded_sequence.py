@@ -1,4 +1,4 @@
-"""A sequence of image files: what every reader returns. Images are decoded when asked for, nothing is kept."""
+"""A sequence of image files: what every reader returns. Images are decoded on request and not kept."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -46,9 +46,9 @@ class RecordedSequence:
     rectify: Rectify | None = None
     """Applied to every pair of images (undistortion, registration)."""
     fit_sizes: bool = False
-    """Resize colour images that have not the camera's size instead of refusing them."""
+    """Resize colour images of another size than the camera's instead of refusing them."""
     has_poses: bool = True
-    """False: the recording came without; every pose is the identity, and a mapper has to track."""
+    """False: the recording has no poses; every pose is the identity, and the mapper must track."""
     novel: frozenset[int] = field(default_factory=frozenset)
     """Frames that the data set publishes as test views: never mapped."""
 

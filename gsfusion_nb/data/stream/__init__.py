@@ -1,4 +1,4 @@
-"""Frames that arrive over time: reading ahead, growing folders, depth cameras, and what a slow mapper drops."""
+"""Frames that arrive over time: reading ahead, growing folders, depth cameras, dropping frames."""
 
 from .background_frames import BackgroundFrames as BackgroundFrames
 from .background_frames import read_ahead as read_ahead

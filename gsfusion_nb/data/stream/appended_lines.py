@@ -7,10 +7,10 @@ from ..sequence import SequenceError
 
 
 class AppendedLines:
-    """Lines by number, from 0; empty ones and ``#`` comments do not count. A line counts once its end is written.
+    """Lines by number, from 0; empty lines and ``#`` comments do not count. A line counts when its line end is written.
 
-    Each ``update`` reads what was appended since the last. A file that has become shorter was rewritten and is read
-    from its beginning; the numbers start from 0 again.
+    Each ``update`` reads what was appended since the last one. A file that has become shorter was rewritten; it is read
+    from its beginning, and the numbers start from 0 again.
     """
 
     def __init__(self, path: Path):
@@ -23,7 +23,7 @@ class AppendedLines:
         self._rest = b""
 
     def update(self, *, final: bool = False) -> bool:
-        """Read on; ``final`` counts a last line without an end. Whether anything was new."""
+        """Read the new lines; ``final`` counts a last line without line end. Returns whether anything was new."""
         try:
             size = self.path.stat().st_size
             if size < self._read_bytes:
@@ -43,7 +43,7 @@ class AppendedLines:
         return bool(new)
 
     def take(self, n: int) -> str | None:
-        """Line ``n``, or None while it is not there; earlier ones are forgotten."""
+        """Line ``n``, or None if it is not written yet; earlier lines are dropped."""
         for earlier in range(self._wanted, n):
             self._lines.pop(earlier, None)
         self._wanted = max(self._wanted, n)

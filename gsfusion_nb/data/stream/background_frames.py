@@ -1,4 +1,4 @@
-"""A thread that reads frames while earlier ones are being mapped, with a bound on how many wait."""
+"""A thread that reads frames while earlier ones are being mapped, with a limit on the number that wait."""
 
 import contextvars
 import logging
@@ -13,7 +13,7 @@ from .frame_queue import FrameQueue
 log = logging.getLogger(__name__)
 
 POLL_S = 0.1
-"""How often a waiting consumer checks whether to end, seconds."""
+"""Interval at which a waiting consumer checks whether to end, seconds."""
 JOIN_S = 5.0
 """How long ``close`` waits for a source that does not return, seconds."""
 
@@ -25,11 +25,11 @@ class BackgroundFrames:
     source is raised here after the frames that came before it. The thread starts with the first ``next``.
 
     Args:
-        frames: What to read. If it has a method ``stop``, that is called when this is closed.
-        policy: Which frames are dropped when they come faster than they are taken, see ``POLICIES``.
+        frames: What to read. If it has a method ``stop``, it is called by ``close``.
+        policy: Which frames are dropped when they arrive faster than they are taken, see ``POLICIES``.
         size: Frames that may wait.
-        until: Asked while no frame is there; True ends the iteration.
-        bad: Errors after which the source can continue.
+        until: Called while no frame is available; True ends the iteration.
+        bad: Types of errors after which the source can continue.
     """
 
     def __init__(
@@ -43,7 +43,7 @@ class BackgroundFrames:
     ):
         self.queue = FrameQueue(policy, size)
         self._source, self._until, self._bad = frames, until, bad
-        context = contextvars.copy_context()  # the chosen backend does not reach a new thread by itself
+        context = contextvars.copy_context()  # a new thread does not take over the chosen backend by itself
         self._thread = threading.Thread(target=context.run, args=(self._work,), name="frames", daemon=True)
 
     def __enter__(self) -> "BackgroundFrames":
@@ -72,7 +72,7 @@ class BackgroundFrames:
         if self._thread.ident and self._thread is not threading.current_thread():
             self._thread.join(JOIN_S)
             if self._thread.is_alive():
-                log.warning("the source of frames did not end within %g s; it is left behind", JOIN_S)
+                log.warning("the source of frames did not end within %g s; its thread is abandoned", JOIN_S)
 
     def _work(self) -> None:
         error, iterator = None, None
@@ -99,7 +99,7 @@ class BackgroundFrames:
 
 
 class FramesInOrder:
-    """The frames of a sequence from a position on; after one that raises an error the next can follow."""
+    """The frames of a sequence from a position on; the iteration can continue after a frame that raises an error."""
 
     def __init__(self, sequence: Sequence, start: int = 0):
         self._sequence, self._next = sequence, start

@@ -1,4 +1,4 @@
-"""What all depth cameras share: warm-up, timeouts, disconnection, undistortion, frames."""
+"""Shared code of all depth cameras: warm-up, timeouts, disconnection, undistortion, frames."""
 
 import abc
 import logging
@@ -18,7 +18,7 @@ from .live_source import LiveSource
 log = logging.getLogger(__name__)
 
 MAX_TIMEOUTS = 5
-"""After this many waits in a row without a frame the camera counts as lost."""
+"""After this many timeouts in a row the camera counts as lost."""
 
 
 class CameraNotFoundError(SequenceNotFoundError):
@@ -30,12 +30,12 @@ class CameraTimeout(Exception):
 
 
 class CameraLost(Exception):
-    """The camera does not answer any more."""
+    """The camera no longer answers."""
 
 
 @dataclass(frozen=True, eq=False)
 class RawFrame:
-    """What a camera gave at one time: colour uint8 RGB [H, W, 3]; depth in metres, 0 missing, float32 [H, W]."""
+    """Images of a camera at one time: colour uint8 RGB [H, W, 3]; depth in metres, 0 missing, float32 [H, W]."""
 
     rgb: np.ndarray
     depth_m: np.ndarray
@@ -43,14 +43,14 @@ class RawFrame:
 
 
 class DepthCamera(LiveSource):
-    """A depth camera whose driver is behind ``_open``, ``_shoot`` and ``_shut``. Poses are to be tracked.
+    """A depth camera; subclasses implement its driver in ``_open``, ``_shoot`` and ``_shut``. Poses must be tracked.
 
-    Iterating starts the camera and ends by switching it off, also when the iteration is given up. Frames without colour
-    or depth are left out and counted. A camera that is unplugged, or silent for ``MAX_TIMEOUTS`` waits, ends the
-    iteration; ``broke_off`` then says why.
+    Iterating starts the camera; at the end, or when the iteration is aborted, the camera is switched off. Frames
+    without colour or depth are left out and counted. A camera that is unplugged, or sends nothing for ``MAX_TIMEOUTS``
+    waits, ends the iteration; ``broke_off`` then says why.
 
     Args:
-        warm_up: Frames to throw away first, while exposure and white balance settle.
+        warm_up: Frames to discard at the start, until exposure and white balance are stable.
         timeout_s: How long to wait for a frame, seconds.
         undistort: Remove the lens distortion of the colour camera from both images.
     """
@@ -64,7 +64,7 @@ class DepthCamera(LiveSource):
         self.n_incomplete = 0
         """Frames that came without colour or without depth."""
         self.n_timeouts = 0
-        """Waits in which no frame came."""
+        """Waits without a frame."""
         self._stopping = threading.Event()
 
     def __iter__(self) -> Iterator[Frame]:
@@ -80,11 +80,11 @@ class DepthCamera(LiveSource):
             self._switch_off()
 
     def stop(self) -> None:
-        """End the iteration after the frame that is being waited for."""
+        """End the iteration after the next frame."""
         self._stopping.set()
 
     def _raw_frames(self) -> Iterator[RawFrame]:
-        """Shots after the warm-up, until stopped or lost."""
+        """Images after the warm-up, until the camera is stopped or lost."""
         seen = silent = 0
         while not self._stopping.is_set():
             try:
@@ -139,15 +139,15 @@ class DepthCamera(LiveSource):
         """Start the device; the colour camera that depth is aligned to, pixel centres at (i + 0.5, j + 0.5).
 
         Raises:
-            CameraNotFoundError: it is not there, or its driver is not installed.
+            CameraNotFoundError: it is not connected, or its driver is not installed.
         """
 
     @abc.abstractmethod
     def _shoot(self) -> RawFrame | None:
-        """The next shot; None if colour or depth is missing.
+        """The next images; None if colour or depth is missing.
 
         Raises:
-            CameraTimeout: none within ``timeout_s``. CameraLost: the device is gone.
+            CameraTimeout: none within ``timeout_s``. CameraLost: the device was disconnected.
         """
 
     @abc.abstractmethod

@@ -12,25 +12,25 @@ Policy = Literal["all", "queue", "latest", "drop"]
 
 POLICIES: dict[Policy, str] = {
     "all": "every frame is mapped; the source waits while the queue is full (files)",
-    "queue": "a full queue loses its oldest frame; the source never waits",
-    "latest": "only the newest frame waits; the one it replaces is lost",
-    "drop": "a frame that comes while another is being mapped or waits is lost",
+    "queue": "a full queue drops its oldest frame; the source never waits",
+    "latest": "only the newest frame waits; the one it replaces is dropped",
+    "drop": "a frame that arrives while another is being mapped or waits is dropped",
 }
-"""What happens to frames that come faster than they are mapped."""
+"""What happens to frames that arrive faster than they are mapped."""
 
 MAX_ERRORS = 64
-"""At most this many errors of unusable frames wait; the policy does not apply to them."""
+"""Largest number of waiting errors of unusable frames; the policy does not apply to them."""
 
 
 class FrameQueue:
-    """Hands frames from one thread to another, in order, holding at most ``size`` of them.
+    """Passes frames from one thread to another, in order; holds at most ``size`` of them.
 
     Args:
-        policy: Which frames are dropped when they come faster than they are taken, see ``POLICIES``.
+        policy: Which frames are dropped when they arrive faster than they are taken, see ``POLICIES``.
         size: Frames that may wait, for "all" and "queue"; with "latest" and "drop" it is one.
 
     Raises:
-        KeyError: unknown policy. ValueError: no room for a frame.
+        KeyError: unknown policy. ValueError: ``size`` is below 1.
     """
 
     def __init__(self, policy: str = "all", size: int = 4):
@@ -53,7 +53,7 @@ class FrameQueue:
 
     @property
     def closed(self) -> bool:
-        """The consumer has closed the queue; nothing needs to be put any more."""
+        """Whether the consumer has closed the queue, so that no more frames are needed."""
         return self._closed
 
     @property
@@ -79,14 +79,14 @@ class FrameQueue:
             self._changed.notify_all()
 
     def put_error(self, error: SequenceError) -> None:
-        """Add the error of a frame that cannot be used; it is raised in its turn and never dropped."""
+        """Add the error of a frame that cannot be used; ``get`` raises it in order, and it is never dropped."""
         with self._changed:
             self._changed.wait_for(lambda: self._closed or len(self._frames) - self._n_waiting < MAX_ERRORS)
             self._frames.append(error)
             self._changed.notify_all()
 
     def end(self, error: BaseException | None = None) -> None:
-        """Nothing more will come; ``error`` is raised after the last frame was taken."""
+        """Declare the end; ``error`` is raised after the last frame was taken."""
         with self._changed:
             self._ended, self._error = True, error
             self._changed.notify_all()
@@ -95,8 +95,8 @@ class FrameQueue:
         """The next frame, or None if none came within ``timeout_s``.
 
         Raises:
-            StopIteration: nothing more will come. SequenceError: the next frame cannot be used.
-            BaseException: what ended the source.
+            StopIteration: the source has ended. SequenceError: the next frame cannot be used. BaseException: the error
+                that ended the source.
         """
         with self._changed:
             self._busy = False
@@ -117,7 +117,7 @@ class FrameQueue:
             raise StopIteration if error is None else error
 
     def close(self) -> None:
-        """Take nothing more: waiting frames are discarded, and a producer that waits for room continues."""
+        """Close the queue: waiting frames are discarded, and a producer that waits for room continues."""
         with self._changed:
             self._closed = True
             self._frames.clear()

@@ -1,4 +1,4 @@
-"""A folder in the plain layout, followed while another program writes it."""
+"""A folder in the plain layout, read while another program writes it."""
 
 import logging
 import os
@@ -30,13 +30,13 @@ _LOOK_AT = 64
 
 @dataclass
 class _Waiting:
-    """A frame some of whose files are there."""
+    """A frame that has some of its files."""
 
     rgb: Path
     sizes: tuple[int, int] = (-1, -1)
-    """Bytes of its two files when last looked at; -1 where missing."""
+    """Sizes of its two files at the last check, bytes; -1 if missing."""
     settled: bool = False
-    """They had the same sizes in the round before."""
+    """Whether they had the same sizes in the previous round."""
 
 
 class GrowingFolder(LiveSource):
@@ -49,17 +49,17 @@ class GrowingFolder(LiveSource):
     stays incomplete for ``patience_s`` while later ones are there raises ``BadFrameError``, and so does a later file
     that sorts before the frames already taken; poses are waited for.
 
-    It ends when a file called ``stop_file`` is in the folder or nothing has changed for ``idle_s``, after the frames
-    that are there, or with ``stop`` at once.
+    The iteration ends after the last frame when a file named ``stop_file`` is in the folder or nothing has changed for
+    ``idle_s``, or immediately with ``stop``.
 
     Args:
         path: The folder; it may still be empty, but must exist.
-        poses: False: there is no ``poses.txt``, the camera is to be tracked.
+        poses: False: there is no ``poses.txt``; the camera must be tracked.
         poll_s: Time between two rounds, seconds.
         idle_s: End after this time without any change, seconds.
         patience_s: Skip an incomplete frame after this time, seconds.
         stop_file: Name of the file that ends the recording.
-        wait: Waits for a number of seconds; for tests.
+        wait: Function that waits for a number of seconds; for tests.
 
     Raises:
         SequenceNotFoundError: no such folder. SequenceError, while iterating: it is not clear which line of
@@ -107,7 +107,9 @@ class GrowingFolder(LiveSource):
         while not self._stopping.is_set():
             if self._late:
                 late = self._late.pop()
-                raise BadFrameError(f"{late} came after frames behind it were taken; expected files in order of name")
+                raise BadFrameError(
+                    f"{late} appeared after later frames were taken; expected files in order of their names"
+                )
             head = next(iter(self._waiting), None)
             if head is not None and self._values:
                 reason = self._lacks(head)
@@ -120,21 +122,21 @@ class GrowingFolder(LiveSource):
                 break
             self._round()
         if not self._values and not self._stopping.is_set():
-            read_intrinsics(self.root / "intrinsics.json")  # says what is wrong with it
+            read_intrinsics(self.root / "intrinsics.json")  # raises an error that describes the damage
         raise StopIteration
 
     def stop(self) -> None:
-        """End the iteration at once."""
+        """End the iteration immediately."""
         self._stopping.set()
 
     def _round(self) -> None:
-        """Look at the folder again and again until something is new or the recording has ended."""
+        """Check the folder repeatedly until something is new or the recording has ended."""
         if self._look():
             self._idled_s = 0.0
             if self._waiting and self._values and not self._lacks(next(iter(self._waiting))):
                 return
         self._ending = self._stop_file.exists() or self._idled_s >= self._idle_s
-        if self._ending:  # whatever was written before the end was declared
+        if self._ending:  # files that were written before the end was declared
             self._look(final=True)
             return
         self._wait(self._poll_s)
@@ -142,7 +144,7 @@ class GrowingFolder(LiveSource):
         self._head_s += self._poll_s
 
     def _look(self, *, final: bool = False) -> bool:
-        """Bring up to date what is known of the files; whether anything was new."""
+        """Update the known files; returns whether anything was new."""
         if not self._values:
             try:
                 self._values = read_intrinsics(self.root / "intrinsics.json")
@@ -156,7 +158,7 @@ class GrowingFolder(LiveSource):
         return changed
 
     def _list(self) -> bool:
-        """Find new names; whether there were any."""
+        """Find new names; returns whether there were any."""
         new = [p for p in self._files("rgb") if p.stem not in self._known]
         for path in sorted(new, key=natural_order):
             self._known.add(path.stem)
@@ -178,7 +180,7 @@ class GrowingFolder(LiveSource):
         return [self.root / kind / n for n in names if n.lower().endswith(_SUFFIXES[kind]) and not n.startswith(".")]
 
     def _measure(self, stem: str, final: bool) -> bool:
-        """Look at the sizes of a frame's files; whether they changed."""
+        """Check the sizes of a frame's files; returns whether they changed."""
         waiting = self._waiting[stem]
         depth = self._depth.get(stem)
         sizes = (_size(waiting.rgb), -1 if depth is None else _size(depth))
@@ -188,7 +190,7 @@ class GrowingFolder(LiveSource):
         return changed
 
     def _lacks(self, stem: str) -> str:
-        """What the frame still lacks, or nothing."""
+        """What is still missing of the frame, or an empty string."""
         waiting, depth = self._waiting[stem], self._depth.get(stem)
         if depth is None:
             return f"{self.root / 'depth'} has no image {stem} for {waiting.rgb}"
@@ -204,7 +206,7 @@ class GrowingFolder(LiveSource):
         return f"{self._poses.path} has no pose for {waiting.rgb}" if lacks else ""
 
     def _may_skip(self, stem: str) -> bool:
-        """Later frames are there, and it is not only the pose that is late."""
+        """Whether later frames are there, and more than the pose is missing."""
         return len(self._waiting) > 1 and "has no pose" not in self._lacks(stem)
 
     def _take(self, stem: str) -> Frame:

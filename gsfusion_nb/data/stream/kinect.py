@@ -21,10 +21,10 @@ class AzureKinect(DepthCamera):
     is added to ``cx`` and ``cy``. Its lens has OpenCV's rational distortion, which is removed from both images.
 
     Args:
-        resolution: Of the colour camera; "720P" is 1280x720. Resize with ``data.width``.
+        resolution: Mode of the colour camera; "720P" is 1280x720. Resize with ``data.width``.
         depth_mode: Narrow or wide field of view, binned or not.
         fps: 5, 15 or 30; wide unbinned depth and 3072P go up to 15.
-        device: Number of the camera, where several are connected.
+        device: Number of the camera, if several are connected.
         options: ``warm_up``, ``timeout_s``, ``undistort``, as for every ``DepthCamera``.
     """
 
@@ -44,7 +44,7 @@ class AzureKinect(DepthCamera):
             raise ValueError(f"the Azure Kinect runs at 5, 15 or 30 fps, got {fps}")
         if fps == 30 and (resolution == "3072P" or depth_mode == "WFOV_UNBINNED"):
             raise ValueError(
-                f"the Azure Kinect gives {resolution} colour with {depth_mode} depth at up to 15 fps, got 30"
+                f"the Azure Kinect supports at most 15 fps for {resolution} colour with {depth_mode} depth, got 30"
             )
         self.name = "kinect"
         self.resolution, self.depth_mode, self.fps, self.device = resolution, depth_mode, fps, device

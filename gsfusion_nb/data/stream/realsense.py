@@ -27,9 +27,9 @@ class RealSense(DepthCamera):
     Args:
         width, height: Size of both streams, pixels; the camera must offer it.
         fps: Frames per second of both streams.
-        serial: Serial number, where several cameras are connected.
-        filters: The driver's filters of depth, any of ``FILTERS``. None by default: the temporal one smears a moving
-            camera's depth, the hole filling invents surfaces.
+        serial: Serial number, if several cameras are connected.
+        filters: The driver's filters of depth, any of ``FILTERS``. None by default: the temporal one blurs the depth of
+            a moving camera, and hole filling adds surfaces that do not exist.
         options: ``warm_up``, ``timeout_s``, ``undistort``, as for every ``DepthCamera``.
     """
 
@@ -92,7 +92,7 @@ class RealSense(DepthCamera):
                 depth_m=np.asanyarray(depth.get_data()).astype(np.float32) * np.float32(self._depth_scale),
                 timestamp_s=colour.get_timestamp() / 1000.0,
             )
-        except RuntimeError as e:  # the driver has one class of errors for everything
+        except RuntimeError as e:  # the driver uses one exception class for all errors
             if self.serial not in self._serials():
                 raise CameraLost(str(e)) from None
             if "didn't arrive" in str(e):

@@ -12,12 +12,12 @@ from .background_frames import FramesInOrder
 
 
 class SelectedFrames:
-    """Frames of a stream numbered by their arrival, selected, resized and with depth limits (an iterator).
+    """Frames of a stream, numbered by arrival, selected, resized and with depth limits (an iterator).
 
     ``start``, ``stop`` and ``stride`` count arrivals, unusable frames included; ``hold_out_every`` is the mapper's.
 
     Raises:
-        SequenceError: ``data.repair`` asks for corrections, which only recordings can have.
+        SequenceError: ``data.repair`` asks for corrections, which are possible only for recordings.
     """
 
     def __init__(

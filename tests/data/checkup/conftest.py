@@ -208,7 +208,7 @@ BREAKAGES = {
         "rotations scaled by 1.3", _poses(lambda T: T @ _SCALED), {"pose matrices"}, {"nearest_rotation": True}
     ),
     "pose jump": Breakage("one pose 70 cm off", _spike, {"pose jumps"}, {"skip": (12,)}),
-    "path breaks": Breakage(
+    "path is interrupted": Breakage(
         "tracking restarted elsewhere at frame 20", _broken_path, {"pose jumps"}, {"start": 0, "stop": 20}
     ),
     "poses early": Breakage("poses one frame early", _later(-1), {"pose time"}, {"pose_shift_frames": 1.0}),

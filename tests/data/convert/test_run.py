@@ -37,7 +37,7 @@ def test_an_interrupted_conversion_goes_on(tmp_path, takes, scan, monkeypatch):
     def stop_after_two(self, row, rgb, depth, **options):
         if len(written) == 2:
             raise KeyboardInterrupt
-        written.append(row.shot)
+        written.append(row.position)
         write(self, row, rgb, depth, **options)
 
     with monkeypatch.context() as patch:
@@ -110,12 +110,12 @@ def test_scale_and_every(tmp_path, takes, scan):
     doubled = takes.T_WC.clone()
     doubled[:, :3, 3] *= 2
     type(takes)(takes.camera, takes.rgb, takes.depth_m, doubled, takes.times_s).check(tmp_path / "out", (0, 2))
-    assert (report.frames, report.shots) == (2, 2)
+    assert (report.frames, report.frames_read) == (2, 2)
 
 
 def test_depth_beyond_16_bits_counts_as_missing(tmp_path, takes, scan):
     report = convert(scan, tmp_path / "out", options=ConvertOptions(depth_scale=50.0))
-    assert "pixels are farther than 16 bits hold (65.5 m) and count as missing" in str(report)
+    assert "pixels beyond 65.5 m, the limit of 16-bit depth, were set to missing" in str(report)
 
 
 def test_distance_along_the_ray(tmp_path, takes, scan):

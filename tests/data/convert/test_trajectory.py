@@ -138,10 +138,10 @@ def test_frames_outside_and_in_gaps_are_dropped_and_counted(tmp_path, takes):
     (tmp_path / "p.txt").write_text(tum([(t[0] + s, s, 0, 0, 0, 0, 0, 1) for s in (0.15, 0.25, 0.35, 0.52)]))
     report = convert(tmp_path, tmp_path / "out", options=options)
     assert report.frames == 2  # 0.2 and 0.4 s; 0 lies before, 0.6 behind
-    assert report.dropped == {"no pose of the trajectory around its time": 2}
+    assert report.dropped == {"the trajectory has no pose around its time": 2}
     report = convert(tmp_path, tmp_path / "b", options=replace(options, max_gap_s=0.15, time_offset_s=0.05))
     assert report.frames == 1  # 0.05 lies before, 0.25 in a step of 0.1 s, 0.45 in one of 0.17 s, 0.65 behind
-    assert report.dropped == {"no pose of the trajectory around its time": 3}
+    assert report.dropped == {"the trajectory has no pose around its time": 3}
 
 
 def test_no_overlap_names_both_times(tmp_path, takes):

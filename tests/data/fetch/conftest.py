@@ -242,7 +242,7 @@ class Archives:
     """Makes small archives, good and bad."""
 
     def zip(self, files: dict[str, bytes], *, modes: dict[str, int] | None = None) -> bytes:
-        """A zip; ``modes``: type bits of members that are no plain files."""
+        """A zip; ``modes``: type bits of members that are not a regular files."""
         out = io.BytesIO()
         with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as zipped:
             for name, content in files.items():
@@ -257,7 +257,7 @@ class Archives:
         zipped.writestr(info, content)
 
     def tgz(self, files: dict[str, bytes], *, kinds: dict[str, bytes] | None = None) -> bytes:
-        """A gzipped tar; ``kinds``: tarfile types of members that are no plain files."""
+        """A gzipped tar; ``kinds``: tarfile types of members that are not a regular files."""
         out = io.BytesIO()
         with tarfile.open(fileobj=out, mode="w:gz") as tar:
             for name, content in files.items():

@@ -55,13 +55,13 @@ CASES = {
     "stalls after 1000 bytes": ([hostile.stall(1000), None], "", [None, "bytes=1000-"], 0),
     "stalls always": (
         [hostile.stall(1000)],
-        "the server was silent for 0.4 s; gave up after 3 attempts in a row; 1 kB are kept",
+        "the server sent nothing for 0.4 s; gave up after 3 attempts in a row; 1 kB are kept",
         [None, *["bytes=1000-"] * 3],
         1000,
     ),
     "promises 10 bytes too many": (
         [hostile.longer],
-        "has 3200 bytes, but the server promised 3210 before",
+        "has 3200 bytes, but the server announced 3210 before",
         [None, "bytes=3200-"],
         0,
     ),
@@ -207,7 +207,7 @@ def test_a_redirect_must_not_give_up_https():
     from gsfusion_nb.data.fetch.request import check_address
 
     check_address("https://b/x", before="https://a/x")
-    with pytest.raises(DownloadError, match="expected it to stay with https"):
+    with pytest.raises(DownloadError, match="expected https to stay https"):
         check_address("http://b/x", before="https://a/x")
 
 

@@ -21,20 +21,20 @@ GOOD = {"set/a.txt": b"a" * 100, "set/deep/b.bin": bytes(range(256)), "set/empty
 def bad_names():
     """Name of a member -> what is said about it."""
     return {
-        "../outside": "leads out of its folder",
-        "set/../../outside": "leads out of its folder",
-        "..\\outside": "leads out of its folder",
+        "../outside": "is outside the target folder",
+        "set/../../outside": "is outside the target folder",
+        "..\\outside": "is outside the target folder",
         "/etc/outside": "absolute path",
         "C:\\outside": "absolute path",
         "c:outside": "absolute path",
         "\\\\server\\share": "absolute path",
-        "set/a\nb": "a name that not every system takes",
-        "set/NUL.txt": "a name that not every system takes",
-        "set/dot.": "a name that not every system takes",
-        "set/stream:x": "a name that not every system takes",
-        "x" * 300: "a name that not every system takes",
-        "set/A.txt": "one name on some systems",
-        "SET/c.txt": "one name on some systems",
+        "set/a\nb": "a name that is invalid on some operating systems",
+        "set/NUL.txt": "a name that is invalid on some operating systems",
+        "set/dot.": "a name that is invalid on some operating systems",
+        "set/stream:x": "a name that is invalid on some operating systems",
+        "x" * 300: "a name that is invalid on some operating systems",
+        "set/A.txt": "the same name on some systems",
+        "SET/c.txt": "the same name on some systems",
         "set/a.txt/c": "both as a file and as a folder",
         "set/deep": "twice",
     }
@@ -59,7 +59,7 @@ def test_choose_takes_part_and_renames(kind, tmp_path, archives):
     chosen = unpack(archive, folder, choose=lambda name: "one" if name.endswith("b.bin") else None, limits=LIMITS)
     assert chosen == 1
     assert [p.name for p in folder.iterdir()] == ["one"]
-    with pytest.raises(ArchiveError, match="holds none of the files that were expected"):
+    with pytest.raises(ArchiveError, match="holds none of the expected files"):
         unpack(archive, tmp_path / "none", choose=lambda name: None, limits=LIMITS)
     with pytest.raises(ArchiveError, match="twice"):
         unpack(archive, tmp_path / "same", choose=lambda name: "one", limits=LIMITS)
@@ -78,7 +78,7 @@ def test_bad_names(kind, name, tmp_path, archives):
 
 def test_bad_members_are_refused_even_where_not_wanted(tmp_path, archives):
     archive, folder = write(tmp_path, archives.zip(GOOD | {"../outside": b"harm"}))
-    with pytest.raises(ArchiveError, match="leads out"):
+    with pytest.raises(ArchiveError, match="is outside"):
         unpack(archive, folder, choose=lambda name: name if name == "set/a.txt" else None, limits=LIMITS)
 
 
@@ -102,7 +102,7 @@ def test_a_member_twice(tmp_path, archives):
 @pytest.mark.parametrize("mode", [stat.S_IFLNK, stat.S_IFCHR, stat.S_IFIFO, stat.S_IFSOCK])
 def test_zip_links_and_devices(mode, tmp_path, archives):
     archive, folder = write(tmp_path, archives.zip(GOOD | {"set/link": b"/etc/passwd"}, modes={"set/link": mode}))
-    with pytest.raises(ArchiveError, match=r"'set/link', (a link|no plain file); nothing of it is unpacked"):
+    with pytest.raises(ArchiveError, match=r"'set/link', (a link|not a regular file); nothing was unpacked"):
         unpack(archive, folder, limits=LIMITS)
 
 
@@ -126,7 +126,7 @@ def test_tar_links_and_devices(kind, said, tmp_path, archives):
 def test_bomb_by_ratio(kind, tmp_path, archives):
     archive, folder = write(tmp_path, getattr(archives, kind)({"bomb": bytes(5_000_000)}))
     assert archive.stat().st_size < 10_000
-    with pytest.raises(ArchiveError, match="too much for its 5 kB; it is not a data set, or a bomb"):
+    with pytest.raises(ArchiveError, match="too much for its 5 kB; it may be a decompression bomb"):
         unpack(archive, folder, limits=LIMITS)
     assert not (folder / "bomb").exists()
 
@@ -172,7 +172,7 @@ def test_cut_and_corrupted(kind, tmp_path, archives):
     good = getattr(archives, kind)({"a.bin": bytes(i * i % 251 for i in range(9000))})
     for content in (good[:-60], good[: len(good) // 2], good[:200] + bytes([good[200] ^ 255]) + good[201:]):
         archive, folder = write(tmp_path, content)
-        with pytest.raises(ArchiveError, match=r"damaged|none of the files"):
+        with pytest.raises(ArchiveError, match=r"damaged|none of the expected files"):
             unpack(archive, folder, limits=LIMITS)
         shutil.rmtree(folder, ignore_errors=True)
 

@@ -12,9 +12,9 @@ from pathlib import Path
 from ....geometry import se3
 from ...recorded.find_files import natural_order
 from ...sequence import BadFrameError, SequenceError, SequenceNotFoundError
+from ..image_files import find_depth, load_pair, read_depth_file
 from ..options import ConvertOptions
-from ..pictures import find_depth, load_pair, read_depth_file
-from ..recording import Recording, Shot
+from ..recording import RecordedFrame, Recording
 from .colmap_model import ColmapImage, ColmapModel, metres_per_unit, read_model
 
 _MODEL_PLACES = ("", "sparse/0", "sparse", "0")
@@ -29,7 +29,7 @@ def recognise(path: Path) -> bool:
 
 
 def read(path: Path, options: ConvertOptions) -> Recording:
-    """A reconstruction and its depth images (module docstring)."""
+    """Read a reconstruction and its depth images (module docstring)."""
     folder = _model_folder(path)
     if folder is None:
         raise SequenceNotFoundError(
@@ -48,10 +48,10 @@ def read(path: Path, options: ConvertOptions) -> Recording:
         found = find_depth(name.parent, name.stem)
         return found if found.is_file() else find_depth(name.parent, name.name)
 
-    def shots() -> Iterator[Shot]:
+    def recorded_frames() -> Iterator[RecordedFrame]:
         for image in images:
             load = partial(load_pair, colour / image.name, depth_file(image), scale)
-            yield Shot(
+            yield RecordedFrame(
                 source=str(colour / image.name),
                 time_s=None if not options.poses else _time(colour / image.name),
                 model=model.cameras[image.camera],
@@ -65,8 +65,8 @@ def read(path: Path, options: ConvertOptions) -> Recording:
 
     return Recording(
         name=str(path),
-        shots=shots,
-        n_shots=len(images),
+        frames=recorded_frames,
+        n_frames=len(images),
         depth_scale=scale,
         up_to_scale=True,
         measured_scale=measured,
@@ -75,7 +75,7 @@ def read(path: Path, options: ConvertOptions) -> Recording:
 
 
 def _measure(model: ColmapModel, images: list[tuple[ColmapImage, Path]], scale: float) -> tuple[float, str]:
-    """Metres per unit of the poses, and a sentence on how sure that is."""
+    """Metres per unit of the poses, and a sentence on how certain that is."""
     ids = {point for image, _ in images for _, _, point in model.observations(image)}
     points = model.points(ids)
     ratios: list[float] = []

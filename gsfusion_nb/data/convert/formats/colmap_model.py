@@ -1,7 +1,7 @@
 """Sparse models of COLMAP, text and binary: cameras, images, and the points that an image sees.
 
-Little-endian; poses are world-to-camera, quaternions wxyz; the centre of the first pixel is at (0.5, 0.5). Image
-points are skipped and read only for the images asked for, since they fill gigabytes.
+Little-endian; poses are world-to-camera, quaternions wxyz; the centre of the first pixel is at (0.5, 0.5). The points
+of an image are read only when they are requested, because those of all images fill gigabytes.
 """
 
 import os
@@ -44,7 +44,7 @@ class ColmapImage:
     points_at: int
     """Place of its two-dimensional points in the file, bytes."""
     n_points: int
-    """Their number; -1 in text, where the line tells."""
+    """Their number; -1 in a text file, where all numbers of the line are points."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +69,7 @@ class ColmapModel:
         return [(x, y, p) for x, y, p in rows if p >= 0 and p != 2**64 - 1]
 
     def points(self, wanted: set[int]) -> dict[int, tuple[float, float, float]]:
-        """World positions of some points; empty where the model has no points3D file."""
+        """World positions of the requested points; empty where the model has no points3D file."""
         path = self.folder / f"points3D{self.suffix}"
         if not path.is_file():
             return {}
@@ -148,7 +148,8 @@ def _camera(name: str, size: tuple[int, int], values: list[float], source: str) 
     wanted = dict(_MODELS.values())
     if name not in _KNOWN:
         raise SequenceError(
-            f"{source} has the model {name}, whose distortion cannot be removed here; known: {', '.join(_KNOWN)}; run "
+            f"{source} has the model {name}, whose distortion gsfusion-nb cannot remove; known: {', '.join(_KNOWN)}; "
+            "run "
             "'colmap image_undistorter' first and convert its result"
         )
     if len(values) != wanted[name]:

@@ -1,8 +1,8 @@
-"""ICL-NUIM: rgb/ and depth/ in the manner of TUM with ``*.gt.freiburg``, or POV-Ray's scene_00_0000.png + .depth.
+"""ICL-NUIM: rgb/ and depth/ in TUM's layout with ``*.gt.freiburg``, or POV-Ray's scene_00_0000.png + .depth.
 
 The camera's fy is -480: its axes are x right, y up, z forward, a left-handed frame, and so is its world. With
-M = diag(1, -1, 1) the right-handed pose is M T M, and fy becomes +480; leaving the sign out, or flipping only the
-camera, gives a mirrored or torn map. Depth PNGs hold z-depth, 5000 per metre. The .depth files hold the distance along
+M = diag(1, -1, 1) the right-handed pose is M T M, and fy becomes +480; without the sign, or with only the camera
+flipped, the map is mirrored or torn. Depth PNGs hold z-depth, 5000 per metre. The .depth files hold the distance along
 each ray as text, row by row: z = distance / sqrt(1 + x^2 + y^2); metres in the living room. Pixel centres at integers.
 """
 
@@ -22,9 +22,10 @@ from ...recorded.find_files import images_in
 from ...recorded.images import read_image_bytes
 from ...recorded.poses import matrices
 from ...sequence import BadFrameError, SequenceError, SequenceNotFoundError
+from ..image_files import load_pair, metres, with_colour
 from ..options import ConvertOptions
-from ..pictures import load_pair, metres, with_colour
-from ..recording import Pictures, Recording, Shot
+from ..image_files import load_pair, metres, with_colour
+from ..recording import RgbdImages, Recording, RecordedFrame
 
 _WIDTH, _HEIGHT = 640, 480
 _MODEL = CameraModel(Camera(width=_WIDTH, height=_HEIGHT, fx=481.2, fy=480.0, cx=319.5 + 0.5, cy=239.5 + 0.5))
@@ -47,10 +48,10 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     poses = read_ground_truth(file) if file else {}
     scale = options.depth_scale or (1.0 if pov else _DEPTH_SCALE)
 
-    def shots() -> Iterator[Shot]:
+    def recorded_frames() -> Iterator[RecordedFrame]:
         for number, (colour, depth) in pairs.items():
             T = poses.get(number)
-            yield Shot(
+            yield RecordedFrame(
                 source=str(colour),
                 time_s=number / 30,
                 model=_MODEL,
@@ -60,8 +61,8 @@ def read(path: Path, options: ConvertOptions) -> Recording:
 
     return Recording(
         name=str(path),
-        shots=shots,
-        n_shots=len(pairs),
+        frames=recorded_frames,
+        n_frames=len(pairs),
         depth_scale=scale,
         depth_along_ray=bool(pov),
         has_poses=bool(poses),
@@ -115,7 +116,7 @@ def _pov_pairs(files: list[Path]) -> dict[int, tuple[Path, Path]]:
     return pairs
 
 
-def _load_pov(colour: Path, depth: Path, scale: float) -> Pictures:
+def _load_pov(colour: Path, depth: Path, scale: float) -> RgbdImages:
     words = read_image_bytes(depth, "depth").split()
     try:
         values = np.array(words, dtype=np.float64)

@@ -1,9 +1,10 @@
-"""Nerfstudio's ``transforms.json``, also as written by instant-ngp, Polycam and the like, with ``depth_file_path``.
+"""Nerfstudio's ``transforms.json``, also as written by instant-ngp, Polycam and similar programs, with
+``depth_file_path``.
 
-Poses are camera-to-world with OpenGL axes (y up, z backward), turned by C2W diag(1, -1, -1, 1). Pixel centres at 0.5.
-Intrinsics are global or per frame; k1..k4, p1, p2 are removed. ``applied_transform`` and ``applied_scale``, which say
-how the world was moved, are undone, so that depth and poses share their unit. Depth is in millimetres unless
-``depth_scale``, ``integer_depth_scale`` or ``depth_unit_scale_factor`` say otherwise.
+Poses are camera-to-world with OpenGL axes (y up, z backward), converted to OpenCV axes by C2W diag(1, -1, -1, 1). Pixel
+centres at 0.5. Intrinsics are global or per frame; k1..k4, p1, p2 are removed. ``applied_transform`` and
+``applied_scale``, which say how the world was moved and scaled, are undone, so that depth and poses have the same unit.
+Depth is in millimetres unless ``depth_scale``, ``integer_depth_scale`` or ``depth_unit_scale_factor`` say otherwise.
 """
 
 import math
@@ -22,10 +23,10 @@ from ...lens.camera_model import CameraModel
 from ...recorded.camera_json import number, shown, table
 from ...recorded.find_files import natural_order
 from ...sequence import SequenceError
+from ..image_files import find_depth, load_pair
 from ..intrinsics import model_of
 from ..options import ConvertOptions
-from ..pictures import find_depth, load_pair
-from ..recording import Recording, Shot
+from ..recording import RecordedFrame, Recording
 
 _GL_TO_CV = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
 _MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "OPENCV_FISHEYE")
@@ -56,10 +57,10 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     world, notes = _undo(values, file)
     scale = options.depth_scale or _depth_scale(values, file)
 
-    def shots() -> Iterator[Shot]:
+    def recorded_frames() -> Iterator[RecordedFrame]:
         for frame in frames:
             colour = _image(file.parent / frame["file_path"])
-            yield Shot(
+            yield RecordedFrame(
                 source=str(colour),
                 time_s=_time(frame),
                 model=None if options.intrinsics else _model(values | frame, file, colour),
@@ -69,8 +70,8 @@ def read(path: Path, options: ConvertOptions) -> Recording:
 
     return Recording(
         name=str(file),
-        shots=shots,
-        n_shots=len(frames),
+        frames=recorded_frames,
+        n_frames=len(frames),
         depth_scale=scale,
         notes=(*notes, f"depth read as {scale:g} per metre"),
     )
@@ -83,7 +84,7 @@ def _file(path: Path) -> Path | None:
 
 
 def _undo(values: dict[str, Any], file: Path) -> tuple[Float[Tensor, "4 4"], list[str]]:
-    """Matrix that takes the moved and scaled world back: S^-1 then A^-1."""
+    """Matrix that undoes the motion and scaling of the world: S^-1 then A^-1."""
     notes = []
     back = torch.eye(4, dtype=torch.float64)
     if "applied_transform" in values:
@@ -120,7 +121,7 @@ def _matrix(rows: Any, source: str) -> Float[Tensor, "R 4"]:
 
 
 def _model(values: dict[str, Any], file: Path, colour: Path) -> CameraModel:
-    """Camera of a frame: its own numbers before the global ones."""
+    """Camera of a frame: its own values where it has them, else the global ones."""
     name = values.get("camera_model", "OPENCV")
     if name not in _MODELS:
         raise SequenceError(f"{file}: cannot undistort camera_model {shown(name)}; known: {', '.join(_MODELS)}")
@@ -160,7 +161,7 @@ def _focal(values: dict[str, Any], width: int, height: int) -> tuple[float, floa
 
 
 def _image(path: Path) -> Path:
-    """The image, whose suffix some writers leave out."""
+    """The image; some programs write its name without the suffix."""
     found = (path.with_name(path.name + s) for s in ("", ".png", ".jpg", ".jpeg"))
     return next((p for p in found if p.is_file()), path)
 

@@ -22,10 +22,11 @@ from ...lens.camera_model import CameraModel
 from ...recorded.camera_json import table
 from ...recorded.find_files import images_in, natural_order
 from ...sequence import SequenceError, SequenceNotFoundError
+from ..image_files import DEPTH_SUFFIXES, load_pair
 from ..intrinsics import intrinsics_of_json, model_of_object
 from ..options import ConvertOptions
-from ..pictures import DEPTH_SUFFIXES, load_pair
-from ..recording import Recording, Shot
+from ..image_files import DEPTH_SUFFIXES, load_pair
+from ..recording import Recording, RecordedFrame
 
 _COLOUR = ("color", "image", "rgb", "images")
 _INTRINSICS = ("camera_intrinsic.json", "intrinsic.json", "intrinsics.json", "camera_intrinsics.json")
@@ -57,9 +58,9 @@ def read(path: Path, options: ConvertOptions) -> Recording:
         )
     scale = options.depth_scale or 1000.0
 
-    def shots() -> Iterator[Shot]:
+    def recorded_frames() -> Iterator[RecordedFrame]:
         for i, (c, d) in pairs.items():
-            yield Shot(
+            yield RecordedFrame(
                 source=str(c), time_s=i / 30, model=model, T_WC=poses.get(i), load=partial(load_pair, c, d, scale)
             )
 
@@ -119,7 +120,8 @@ def read_trajectory_file(path: Path) -> tuple[dict[int, Float[Tensor, "4 4"]], C
     lines = [line.split() for line in read_text(path, "Open3D's trajectory.log").splitlines() if line.strip()]
     if not lines or len(lines) % 5:
         raise SequenceError(
-            f"{path} has {len(lines)} lines; expected blocks of five, 'i i i+1' and four rows of a matrix; is it cut?"
+            f"{path} has {len(lines)} lines; expected blocks of five, 'i i i+1' and four rows of a matrix; is the file"
+            " truncated?"
         )
     poses = {}
     for at in range(0, len(lines), 5):

@@ -26,14 +26,14 @@ from ...recorded.camera_json import number, table
 from ...recorded.images import MAX_PIXELS, read_image_bytes
 from ...recorded.poses import matrices
 from ...sequence import BadFrameError, SequenceError, SequenceNotFoundError
+from ..image_files import load_pair, metres, with_colour
 from ..intrinsics import model_of
 from ..options import ConvertOptions
-from ..pictures import load_pair, metres, with_colour
-from ..recording import Pictures, Recording, Shot
+from ..recording import RecordedFrame, Recording, RgbdImages
 
 _GL_TO_CV = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
 _SIZES = ((192, 256), (256, 192), (640, 480), (480, 640))
-"""Heights and widths of LiDAR and TrueDepth images, for files that do not say."""
+"""Heights and widths of LiDAR and TrueDepth images, for files without this information."""
 
 Fetch = Callable[[str], bytes]
 """Content of a member of the archive, by name."""
@@ -65,14 +65,14 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     numbers = sorted({int(match[1]) for match in found if match})
     poses = _poses(metadata, 1 + max(numbers, default=-1), path)
 
-    def shots() -> Iterator[Shot]:
+    def recorded_frames() -> Iterator[RecordedFrame]:
         for n in numbers:  # the place in the metadata's lists: a missing image must not shift them
             name = f"{pattern}{n}"
             if exported:
                 load = partial(load_pair, path / f"rgb/{n}.jpg", path / f"depth/{n}.exr", 1.0)
             else:
                 load = partial(_load, fetch, name, metadata, options.confidence, f"{path}: {name}")
-            yield Shot(
+            yield RecordedFrame(
                 source=f"{path}: {name}",
                 time_s=_time(metadata, n, path),
                 model=_model(metadata, n, path),
@@ -84,7 +84,12 @@ def read(path: Path, options: ConvertOptions) -> Recording:
         raise SequenceError(f"{path} holds no frames; expected {pattern}0.jpg and so on")
     note = "confidence is not in this export" if exported else f"depth of confidence {options.confidence} and above"
     return Recording(
-        name=str(path), shots=shots, n_shots=len(numbers), depth_scale=1.0, has_poses=poses is not None, notes=(note,)
+        name=str(path),
+        frames=recorded_frames,
+        n_frames=len(numbers),
+        depth_scale=1.0,
+        has_poses=poses is not None,
+        notes=(note,),
     )
 
 
@@ -96,7 +101,7 @@ def lzfse_unpacked(data: bytes, source: str, at_most: int = 4 * MAX_PIXELS) -> b
     """Content of an LZFSE stream of at most ``at_most`` bytes; blocks that are stored as they are need no library.
 
     Raises:
-        SequenceError: it is really packed, and the package ``pyliblzfse`` is missing. BadFrameError: it is damaged.
+        SequenceError: it is compressed, and the package ``pyliblzfse`` is missing. BadFrameError: it is damaged.
     """
     stored, at = [], 0
     while data[at : at + 4] == b"bvx-" and len(data) >= at + 8:
@@ -106,7 +111,7 @@ def lzfse_unpacked(data: bytes, source: str, at_most: int = 4 * MAX_PIXELS) -> b
     if stored and data[at : at + 4] == b"bvx$":
         return b"".join(stored)
     if data[:3] != b"bvx":
-        raise BadFrameError(f"{source} does not begin as LZFSE does; expected the bytes bvx")
+        raise BadFrameError(f"{source} does not begin like LZFSE data; expected the bytes bvx")
     try:
         import liblzfse  # pyright: ignore[reportMissingImports]
     except ImportError:
@@ -145,7 +150,7 @@ def _claimed_size(data: bytes, source: str) -> tuple[int, int]:
     return size, blocks
 
 
-def _load(fetch: Fetch, name: str, metadata: dict[str, Any], least: int, source: str) -> Pictures:
+def _load(fetch: Fetch, name: str, metadata: dict[str, Any], least: int, source: str) -> RgbdImages:
     packed = lzfse_unpacked(fetch(f"{name}.depth"), f"{source}.depth")
     if len(packed) % 4:
         raise BadFrameError(f"{source}.depth unpacks to {len(packed)} bytes; expected float32 numbers")

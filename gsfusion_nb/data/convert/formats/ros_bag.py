@@ -24,7 +24,7 @@ from ...recorded.poses import interpolate_rows, matrices
 from ...sequence import SequenceError, SequenceNotFoundError
 from ..intrinsics import model_of
 from ..options import ConvertOptions
-from ..recording import Pictures, Recording, Shot
+from ..recording import RecordedFrame, Recording, RgbdImages
 from ..trajectory import camera_in_body
 from .ros_images import colour_of, depth_of, stores_millimetres
 from .ros_poses import POSE_TYPES, TransformTree, in_order, pose_rows, seconds
@@ -37,7 +37,7 @@ _IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 
 @dataclass
 class _Bag:
-    """What a first pass over a bag finds, without the pixels."""
+    """What the first pass over a bag collects: everything except the pixels."""
 
     path: Path
     colour: str = ""
@@ -73,16 +73,16 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     pairs = associate(bag.depth_s, bag.colour_s, max_difference_s=MAX_TIME_DIFFERENCE_S)
     if not pairs:
         raise SequenceError(
-            f"{path}: none of {len(bag.depth_s)} images of {bag.depth} has one of {bag.colour} within "
+            f"{path}: none of {len(bag.depth_s)} images of {bag.depth} has an image of {bag.colour} within "
             f"{MAX_TIME_DIFFERENCE_S} s; expected the header stamps of both cameras to come from one clock"
         )
     model, depth_model, T_colour_depth, notes = _cameras(bag, options)
     pose_at = _pose_lookup(bag, options, notes)
 
-    def shots() -> Iterator[Shot]:
+    def recorded_frames() -> Iterator[RecordedFrame]:
         for d, time_s, colour, depth in _second_pass(bag, pairs):
             source = f"{path}: {bag.depth} image {d}"
-            yield Shot(
+            yield RecordedFrame(
                 source=source,
                 time_s=time_s,
                 model=model,
@@ -95,8 +95,8 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     alone = len(bag.depth_s) - len(pairs)
     return Recording(
         name=str(path),
-        shots=shots,
-        n_shots=len(pairs),
+        frames=recorded_frames,
+        n_frames=len(pairs),
         depth_scale=options.depth_scale or (1000.0 if bag.millimetres else 1.0),
         has_poses=pose_at is not None,
         dropped={"no colour image near in time": alone} if alone else {},
@@ -104,14 +104,14 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     )
 
 
-def _load(colour: Any, depth: Any, scale: float, source: str) -> Pictures:
+def _load(colour: Any, depth: Any, scale: float, source: str) -> RgbdImages:
     rgb, encoded = colour_of(colour, f"{source} (colour)")
-    return Pictures(rgb, depth_of(depth, source, scale), encoded)
+    return RgbdImages(rgb, depth_of(depth, source, scale), encoded)
 
 
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
-    """A reader of the bag, whose errors become sentences."""
+    """A reader of the bag; its errors are raised as ``SequenceError``."""
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -122,7 +122,7 @@ def _opened(path: Path) -> Iterator[Any]:
     if not path.exists():
         raise SequenceNotFoundError(f"{path} does not exist; expected a .bag file or the folder of a ROS 2 bag")
     folder = path.parent if path.suffix == ".db3" else path
-    types = get_typestore(Stores.ROS2_HUMBLE)  # for ROS 2 bags before Iron, which do not say what their types are
+    types = get_typestore(Stores.ROS2_HUMBLE)  # ROS 2 bags before Iron do not contain their message types
     types.register(get_types_from_msg(_TF_MESSAGE, "tf2_msgs/msg/TFMessage"))
     for file in [folder] if folder.is_file() else sorted(folder.iterdir()):
         open_regular(file, "a file of a ROS bag").close()
@@ -179,7 +179,7 @@ def _choose_topics(bag: _Bag, types: dict[str, str], options: ConvertOptions) ->
 
 
 def _one(wanted: str, candidates: list[str], known: list[str], what: str, option: str, path: Path) -> str:
-    """The topic that was asked for, or the only candidate; of a raw and a compressed one the raw."""
+    """The requested topic, or the only candidate; where there is a raw and a compressed one, the raw one."""
     if wanted:
         if wanted not in known:
             raise SequenceError(f"{path} has no {what} topic {wanted!r}; it has {', '.join(sorted(known)) or 'none'}")
@@ -188,13 +188,13 @@ def _one(wanted: str, candidates: list[str], known: list[str], what: str, option
     if len(raw) == 1:
         return raw[0]
     listed = ", ".join(sorted(candidates)) or f"none among {', '.join(sorted(known)) or 'no image topics at all'}"
-    raise SequenceError(f"{path} has not one {what} topic but: {listed}; name it with {option}")
+    raise SequenceError(f"{path} must have one {what} topic, found: {listed}; name one with {option}")
 
 
 def _second_pass(bag: _Bag, pairs: list[tuple[int, int]]) -> Iterator[tuple[int, float, Any, Any]]:
     """Depth number, time, and both messages of every pair, in the order in which pairs become complete in the bag.
 
-    Only messages whose partner is still to come are kept: as many as one stream lags behind the other.
+    Only messages whose partner has not been read yet are kept: as many as one stream is behind the other.
     """
     partner = [{c: d for d, c in pairs}, {d: d for d, _ in pairs}]
     waiting: dict[int, tuple[int, Any]] = {}
@@ -219,7 +219,7 @@ def _second_pass(bag: _Bag, pairs: list[tuple[int, int]]) -> Iterator[tuple[int,
 def _cameras(
     bag: _Bag, options: ConvertOptions
 ) -> tuple[CameraModel | None, CameraModel | None, Float[Tensor, "4 4"] | None, list[str]]:
-    """Colour camera, depth camera if it is another, the way between them, and notes."""
+    """Colour camera, depth camera if it is another one, the transform between them, and notes."""
     infos = {kind: _info_of(bag, topic) for kind, topic in (("colour", bag.colour), ("depth", bag.depth))}
     if options.ros.camera_info_topic:
         topic = options.ros.camera_info_topic
@@ -287,8 +287,8 @@ def _pose_lookup(bag: _Bag, options: ConvertOptions, notes: list[str]):
         T_body_cam = bag.tree.between(camera, bag.body) if bag.body and bag.body != camera else None
         if T_body_cam is None and bag.body != camera:
             notes.append(
-                f"the poses of {bag.pose} are taken as those of the colour camera (OpenCV axes); if they are a body's, "
-                "give --T-body-cam"
+                f"the poses of {bag.pose} are taken as those of the colour camera (OpenCV axes); if they are poses of "
+                "a body, give --T-body-cam"
             )
     T_BC = torch.eye(4, dtype=torch.float64) if T_body_cam is None else T_body_cam
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from ...recorded.images import decode_image, decode_rgb
 from ...sequence import BadFrameError, SequenceError
-from ..pictures import is_picture_file, metres
+from ..image_files import is_picture_file, metres
 
 _CHANNELS = {"rgb8": 3, "bgr8": 3, "8UC3": 3, "rgba8": 4, "bgra8": 4, "mono8": 1, "8UC1": 1}
 _BAYER = {"bayer_rggb8": "BayerRG", "bayer_bggr8": "BayerBG", "bayer_gbrg8": "BayerGB", "bayer_grbg8": "BayerGR"}
@@ -21,7 +21,7 @@ def colour_of(message: Any, source: str) -> tuple[np.ndarray, bytes]:
     """RGB uint8 [H, W, 3] of an Image or CompressedImage, and its JPEG or PNG bytes if it came as such.
 
     Raises:
-        SequenceError: an encoding that is not known. BadFrameError: too few bytes, or a damaged image.
+        SequenceError: unknown encoding. BadFrameError: too few bytes, or a damaged image.
     """
     import cv2
 
@@ -39,9 +39,7 @@ def colour_of(message: Any, source: str) -> tuple[np.ndarray, bytes]:
         return cv2.cvtColor(_rows(message, 2, np.uint8, source), code), b""
     if encoding not in _CHANNELS:
         known = ", ".join((*_CHANNELS, *_BAYER, *_YUV))
-        raise SequenceError(
-            f"{source} has the encoding {encoding!r}, which is not a colour image read here; known: {known}"
-        )
+        raise SequenceError(f"{source} has the encoding {encoding!r}, which cannot be read as colour; known: {known}")
     pixels = _rows(message, _CHANNELS[encoding], np.uint8, source)
     if encoding in ("bgr8", "bgra8", "8UC3"):
         pixels = pixels[..., 2::-1]
@@ -54,7 +52,7 @@ def depth_of(message: Any, source: str, scale: float = 0.0) -> np.ndarray:
     Args:
         message: Image or CompressedImage.
         source: Its name, for messages.
-        scale: Stored value of one metre where it is not the standard's (REP 118).
+        scale: Stored value of one metre where it differs from the standard (REP 118).
     """
     if hasattr(message, "format"):
         return _compressed_depth(bytes(message.data), message.format, source, scale)
@@ -73,7 +71,7 @@ def stores_millimetres(message: Any) -> bool:
 
 
 def _compressed_depth(data: bytes, format: str, source: str, scale: float) -> np.ndarray:
-    """A PNG, behind a header of 12 bytes where compressed_depth_image_transport made it.
+    """A PNG, after a header of 12 bytes if compressed_depth_image_transport wrote it.
 
     Header: int32 kind, float32 a, float32 b. 16UC1 is stored as it is; a 32FC1 z as q = a / z + b, 0 = missing.
     """
@@ -89,7 +87,7 @@ def _compressed_depth(data: bytes, format: str, source: str, scale: float) -> np
         header, png = _DEPTH_HEADER.unpack_from(data), data[_DEPTH_HEADER.size :]
     else:
         raise BadFrameError(
-            f"{source} holds no PNG behind its header of 12 bytes ({format!r}); expected compressedDepth"
+            f"{source} holds no PNG after its header of 12 bytes ({format!r}); expected compressedDepth"
         )
     raw = decode_image(png, cv2.IMREAD_UNCHANGED, source, "depth")
     if raw.ndim != 2 or raw.dtype != np.uint16:

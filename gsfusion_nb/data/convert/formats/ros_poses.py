@@ -24,14 +24,14 @@ class _Edge:
 
 
 class TransformTree:
-    """Transforms between frames over time, as tf keeps them."""
+    """Transforms between frames over time, as in tf."""
 
     def __init__(self) -> None:
         self._edges: dict[str, _Edge] = {}
         self._sorted: dict[str, tuple[Float[Tensor, " N"], Float[Tensor, "N 7"]]] = {}
 
     def add(self, message: Any, *, static: bool) -> None:
-        """Take in a TFMessage."""
+        """Add the transforms of a TFMessage."""
         for t in message.transforms:
             child, parent = (name.lstrip("/") for name in (t.child_frame_id, t.header.frame_id))
             edge = self._edges.setdefault(child, _Edge(parent, static))
@@ -44,11 +44,11 @@ class TransformTree:
         return self._chain(frame)[-1]
 
     def knows(self, frame: str, ancestor: str) -> bool:
-        """``ancestor`` lies on the way from ``frame`` to the root."""
+        """Whether ``ancestor`` lies on the path from ``frame`` to the root."""
         return ancestor in self._chain(frame)
 
     def moves(self, frame: str, ancestor: str) -> bool:
-        """Some transform between the two changes over time."""
+        """Whether some transform between the two changes over time."""
         chain = self._chain(frame)
         return any(not self._edges[f].static for f in chain[: chain.index(ancestor)])
 
@@ -87,7 +87,7 @@ class TransformTree:
 
 
 def pose_rows(message: Any) -> tuple[list[float], str]:
-    """``tx ty tz qx qy qz qw`` of a pose message, and the frame whose pose it is ("" where it does not say)."""
+    """``tx ty tz qx qy qz qw`` of a pose message, and the frame whose pose it is ("" where the message has none)."""
     if hasattr(message, "transform"):
         return _row(message.transform.translation, message.transform.rotation), message.child_frame_id.lstrip("/")
     pose = message.pose

@@ -1,7 +1,7 @@
 """ScanNet: a .sens file, or the folders that its exporter makes (color/, depth/, pose/, intrinsic/).
 
-Poses are camera-to-world with OpenCV axes, -inf where tracking was lost. Depth is in millimetres (a .sens file says so
-itself), smaller than colour and with intrinsics of its own; pixel centres at integers.
+Poses are camera-to-world with OpenCV axes, -inf where tracking was lost. Depth is in millimetres (a .sens file holds
+its own scale); depth images are smaller than colour and have their own intrinsics; pixel centres at integers.
 """
 
 from collections.abc import Iterator
@@ -16,10 +16,10 @@ from ...lens.camera_model import CameraModel
 from ...recorded.find_files import images_in
 from ...recorded.images import read_image_bytes, read_rgb
 from ...sequence import SequenceError, SequenceNotFoundError
+from ..image_files import decode_depth, find_depth, load_pair
 from ..intrinsics import model_of_matrix
 from ..options import ConvertOptions
-from ..pictures import decode_depth, find_depth, load_pair
-from ..recording import Recording, Shot
+from ..recording import RecordedFrame, Recording
 from ..trajectory import read_numbers
 from . import scannet_sens
 from .scannet_sens import FRAMES_PER_S, registration
@@ -43,10 +43,10 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     models = {kind: _model(root, kind, colour) for kind in ("color", "depth")}
     T_colour_depth, T_rig_colour = registration(_extrinsic(root, "color"), _extrinsic(root, "depth"))
 
-    def shots() -> Iterator[Shot]:
+    def recorded_frames() -> Iterator[RecordedFrame]:
         for i, file in enumerate(colour):
             depth = find_depth(root / "depth", file.stem)
-            yield Shot(
+            yield RecordedFrame(
                 source=str(file),
                 time_s=i / FRAMES_PER_S,
                 model=models["color"],
@@ -58,8 +58,8 @@ def read(path: Path, options: ConvertOptions) -> Recording:
 
     return Recording(
         name=str(path),
-        shots=shots,
-        n_shots=len(colour),
+        frames=recorded_frames,
+        n_frames=len(colour),
         depth_scale=scale,
         notes=(f"depth read as {scale:g} per metre; times are frame numbers at {FRAMES_PER_S:g} Hz",),
     )

@@ -23,10 +23,10 @@ from ....foreign import inflate, open_regular, read_exactly
 from ....geometry import se3
 from ...lens.camera_model import CameraModel
 from ...sequence import BadFrameError, SequenceError
+from ..image_files import metres, with_colour
 from ..intrinsics import model_of_matrix
 from ..options import ConvertOptions
-from ..pictures import metres, with_colour
-from ..recording import Pictures, Recording, Shot
+from ..recording import RecordedFrame, Recording, RgbdImages
 
 FRAMES_PER_S = 30.0
 """Of exported scans, whose files hold no times."""
@@ -55,14 +55,14 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     """Frames of a .sens file, one in memory at a time.
 
     Raises:
-        SequenceError: another version, a compression that is not read here, or a header that is cut short.
+        SequenceError: another version, an unknown compression, or a truncated header.
     """
     with open_regular(path, "a ScanNet .sens file") as file:
         header = _read_header(file, path)
     scale = options.depth_scale or header.units_per_m
     T_colour_depth, T_rig_colour = registration(header.extrinsic_colour, header.extrinsic_depth)
 
-    def shots() -> Iterator[Shot]:
+    def recorded_frames() -> Iterator[RecordedFrame]:
         with open_regular(path, "a ScanNet .sens file") as file:
             size = os.fstat(file.fileno()).st_size
             file.seek(header.frames_at)
@@ -79,7 +79,7 @@ def read(path: Path, options: ConvertOptions) -> Recording:
                         f"{path} is truncated: it ends at frame {i} of {header.n_frames}; download it again"
                     )
                 data = file.read(colour_bytes), file.read(depth_bytes)
-                yield Shot(
+                yield RecordedFrame(
                     source=source,
                     time_s=colour_us / 1e6 if colour_us else i / FRAMES_PER_S,
                     model=header.colour,
@@ -91,8 +91,8 @@ def read(path: Path, options: ConvertOptions) -> Recording:
 
     return Recording(
         name=str(path),
-        shots=shots,
-        n_shots=header.n_frames,
+        frames=recorded_frames,
+        n_frames=header.n_frames,
         depth_scale=scale,
         notes=(f"depth read as {scale:g} per metre",),
     )
@@ -139,7 +139,7 @@ def _read_header(file: BinaryIO, path: Path) -> _Header:
     )
 
 
-def _load(data: tuple[bytes, bytes], header: _Header, scale: float, source: str) -> Pictures:
+def _load(data: tuple[bytes, bytes], header: _Header, scale: float, source: str) -> RgbdImages:
     camera = header.depth.camera
     packed = data[1]
     if header.compression == "zlib_ushort":

@@ -1,8 +1,8 @@
-"""Folders in the manner of the TUM RGB-D benchmark: rgb.txt, depth.txt, groundtruth.txt; or images named by time.
+"""Folders like those of the TUM RGB-D benchmark: rgb.txt, depth.txt, groundtruth.txt; or images named by time.
 
 Depth is 16-bit, 5000 per metre unless ``depth_scale`` says otherwise; poses "t tx ty tz qx qy qz qw" are
-camera-to-world with OpenCV axes. The format holds no intrinsics: they are known for the benchmark's own cameras, by the
-folder's name, and come from ``calibration.txt`` / ``camera.txt`` or the option elsewhere.
+camera-to-world with OpenCV axes. The format holds no intrinsics. Those of the benchmark's cameras are known by the
+folder's name; for other recordings they come from ``calibration.txt`` / ``camera.txt`` or the option.
 """
 
 import math
@@ -16,10 +16,10 @@ from ...recorded.associate import associate
 from ...recorded.find_files import images_in
 from ...recorded.poses import read_words
 from ...sequence import SequenceError
+from ..image_files import DEPTH_SUFFIXES, load_pair
 from ..intrinsics import read_intrinsics
 from ..options import ConvertOptions
-from ..pictures import DEPTH_SUFFIXES, load_pair
-from ..recording import Recording, Shot
+from ..recording import RecordedFrame, Recording
 from ..trajectory import read_trajectory
 
 _ASSOCIATIONS = ("associations.txt", "association.txt", "associated.txt", "associate.txt", "assoc.txt")
@@ -47,17 +47,17 @@ def read(path: Path, options: ConvertOptions) -> Recording:
         trajectory = read_trajectory(file, time_unit=options.pose_time_unit, max_gap_s=options.max_gap_s)
         notes += list(trajectory.notes)
 
-    def shots() -> Iterator[Shot]:
+    def recorded_frames() -> Iterator[RecordedFrame]:
         for time_s, colour, depth in entries:
             pose = trajectory.pose_at(time_s) if trajectory else None
-            yield Shot(
+            yield RecordedFrame(
                 source=str(colour), time_s=time_s, model=model, T_WC=pose, load=partial(load_pair, colour, depth, scale)
             )
 
     return Recording(
         name=str(path),
-        shots=shots,
-        n_shots=len(entries),
+        frames=recorded_frames,
+        n_frames=len(entries),
         depth_scale=scale,
         has_poses=trajectory is not None,
         dropped=dropped,
@@ -69,7 +69,7 @@ def time_of_name(path: Path) -> float:
     """Seconds of an image named by its time: "1305031102.175304" (seconds) or "1403636579763555584" (nanoseconds).
 
     Raises:
-        SequenceError: the name is no number.
+        SequenceError: the name is not a number.
     """
     try:
         value = float(path.stem)
@@ -84,7 +84,7 @@ def time_of_name(path: Path) -> float:
 
 
 def _entries(path: Path) -> tuple[list[Entry], dict[str, int]]:
-    """Frames with colour and depth in order of time, and how many images found no partner."""
+    """Frames with colour and depth in order of time, and how many images have no partner."""
     if not path.is_dir():
         raise SequenceError(f"{path} is not a folder; expected one with rgb.txt and depth.txt, or rgb/ and depth/")
     file = _associations(path)
@@ -107,7 +107,7 @@ def _associations(path: Path) -> Path | None:
 
 
 def _associated(file: Path) -> list[Entry]:
-    """Frames of lines "time file time file"; whose folder is called depth is the depth image, else the second."""
+    """Frames of lines "time file time file"; the file in a folder named depth is the depth image, else the second."""
     entries = []
     for number, words in read_words(file, "lines 'time rgb time depth'"):
         try:
@@ -142,7 +142,7 @@ def _stream(path: Path, name: str) -> list[tuple[float, Path]]:
 
 
 def _model(path: Path, image: Path) -> tuple[CameraModel | None, list[str]]:
-    """Camera of a calibration file or of the benchmark, if there is one; with a sentence on which."""
+    """Camera of a calibration file or of the benchmark, if there is one, and a sentence that names it."""
     file = next((path / n for n in _CALIBRATIONS if (path / n).is_file()), None)
     if file is not None:
         from ...recorded.images import read_rgb

@@ -1,4 +1,4 @@
-"""Where the members of an archive may go: below one folder, each to a place of its own."""
+"""Checks of the paths in an archive: all inside one folder, no two to the same place."""
 
 import re
 import unicodedata
@@ -14,7 +14,7 @@ _DEVICE = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
 
 
 def everything(name: str) -> str | None:
-    """Chooses every member, where it is."""
+    """Choose every member, at its own path."""
     return name
 
 
@@ -22,26 +22,28 @@ def plain_path(name: str, archive: str) -> str:
     """``name`` as a relative path with forward slashes; empty for the archive's own root.
 
     Raises:
-        ArchiveError: absolute, with a drive, or leading out by "..".
+        ArchiveError: absolute, with a drive letter, or outside the folder through "..".
     """
     path = name.replace("\\", "/")
     if path.startswith("/") or re.match(r"[A-Za-z]:", path):
-        raise ArchiveError(f"{archive} holds the absolute path {name!r}; nothing of it is unpacked")
+        raise ArchiveError(f"{archive} holds the absolute path {name!r}; nothing was unpacked")
     parts = [part for part in path.split("/") if part not in ("", ".")]
     if ".." in parts:
-        raise ArchiveError(f"{archive} holds {name!r}, which leads out of its folder; nothing of it is unpacked")
+        raise ArchiveError(f"{archive} holds {name!r}, which is outside the target folder; nothing was unpacked")
     return "/".join(parts)
 
 
 def check_portable(path: str, archive: str) -> None:
-    """Raise ``ArchiveError`` for a path with a part that some system does not take, or takes for something else."""
+    """Raise ``ArchiveError`` for a path that is invalid, or means something else, on some operating system."""
     for part in path.split("/"):
         if _FORBIDDEN.search(part) or _DEVICE.fullmatch(part) or part[-1] in ". " or len(part.encode()) > 255:
-            raise ArchiveError(f"{archive} holds {path!r}, a name that not every system takes; nothing is unpacked")
+            raise ArchiveError(
+                f"{archive} holds {path!r}, a name that is invalid on some operating systems; nothing was unpacked"
+            )
 
 
 class TakenPaths:
-    """The paths taken so far. Two that are one on some system (case, accents) may not both be."""
+    """The paths used so far. Two paths that some operating system does not distinguish (case, accents) are refused."""
 
     def __init__(self, archive: str):
         self._archive = archive
@@ -49,7 +51,7 @@ class TakenPaths:
         self._names: dict[str, str] = {}
 
     def take_folder(self, path: str) -> None:
-        """Note a folder and those around it; the same one may come often."""
+        """Add a folder and its parents; a folder may be added repeatedly."""
         parts = path.split("/")
         for n in range(1, len(parts) + 1):
             part = "/".join(parts[:n])
@@ -57,17 +59,19 @@ class TakenPaths:
             if key in self._files:
                 raise ArchiveError(f"{self._archive} holds {part!r} both as a file and as a folder")
             if self._names.setdefault(key, part) != part:
-                raise ArchiveError(f"{self._archive} holds {part!r} and {self._names[key]!r}, one name on some systems")
+                raise ArchiveError(
+                    f"{self._archive} holds {part!r} and {self._names[key]!r}, which are the same name on some systems"
+                )
 
     def take_file(self, path: str) -> None:
-        """Note a file. Raises ``ArchiveError`` if its place is taken."""
+        """Add a file. Raises ``ArchiveError`` if its path is already used."""
         folder, _, _ = path.rpartition("/")
         if folder:
             self.take_folder(folder)
         key = _folded(path)
         if key in self._names:
             first = self._names[key]
-            again = "twice" if first == path else f"and {first!r}, one name on some systems"
+            again = "twice" if first == path else f"and {first!r}, which are the same name on some systems"
             raise ArchiveError(f"{self._archive} holds {path!r} {again}; expected one file per place")
         self._names[key] = path
         self._files.add(key)

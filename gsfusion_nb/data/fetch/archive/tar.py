@@ -11,14 +11,15 @@ from ..errors import ArchiveError
 from .unpacker import Readable, Unpacker
 
 MAX_HEADER_BYTES = 1 << 20
-"""Of one member's headers: tarfile holds these in memory, and a gzipped gigabyte of them is a small file."""
+"""Limit for the headers of one member: tarfile holds them in memory, and a small gzipped file can contain gigabytes of
+them."""
 
 _SPACE_EVERY_BYTES = 200_000_000
 _GZIP = b"\x1f\x8b"
 
 
 class _Counted:
-    """A stream that counts what is read of it and stops a header that does not end."""
+    """A stream that counts the bytes read and raises an error for a header that is too long."""
 
     def __init__(self, stream: Readable, name: str):
         self._stream, self._name = stream, name
@@ -29,7 +30,9 @@ class _Counted:
         if self.header_left is not None:
             self.header_left -= len(block)
             if self.header_left < 0:
-                raise ArchiveError(f"{self._name} holds a header of more than {MAX_HEADER_BYTES} bytes; it is a bomb")
+                raise ArchiveError(
+                    f"{self._name} holds a header of more than {MAX_HEADER_BYTES} bytes; it may be a decompression bomb"
+                )
         return block
 
 
@@ -48,7 +51,7 @@ def unpack_tar(unpacker: Unpacker) -> None:
             _to_the_end(unpacker, stream)
         except (tarfile.TarError, EOFError, zlib.error, gzip.BadGzipFile) as e:
             raise ArchiveError(
-                f"{name} is damaged or not an archive ({e}); it was removed, run again to fetch it again"
+                f"{name} is damaged or not an archive ({e}); it was removed, run again to download it again"
             ) from None
 
 
@@ -56,7 +59,7 @@ def _members(tar: tarfile.TarFile, counted: _Counted) -> Iterator[tarfile.TarInf
     while True:
         counted.header_left = MAX_HEADER_BYTES
         member = tar.next()
-        tar.members.clear()  # pyright: ignore[reportAttributeAccessIssue]  # kept for random access, which a stream lacks
+        tar.members.clear()  # pyright: ignore[reportAttributeAccessIssue]  # kept for random access, which is impossible on a stream
         if member is None:
             return
         counted.header_left = None
@@ -76,7 +79,7 @@ def _take(unpacker: Unpacker, tar: tarfile.TarFile, member: tarfile.TarInfo) -> 
     unpacker.count(member.size, member.name)  # wanted or not: it has to be read
     source = tar.extractfile(member)
     if source is None:
-        raise ArchiveError(f"{name}: {member.name!r} has no content; damaged")
+        raise ArchiveError(f"{name}: {member.name!r} has no content; the archive is damaged")
     if path is None:
         while source.read(1 << 20):
             pass
@@ -92,4 +95,6 @@ def _to_the_end(unpacker: Unpacker, stream: Readable) -> None:
     while block := stream.read(1 << 16):
         left -= len(block)
         if left < 0:
-            raise ArchiveError(f"{unpacker.archive.name} continues after its end; it is damaged, or a bomb")
+            raise ArchiveError(
+                f"{unpacker.archive.name} continues after its end; it is damaged, or a decompression bomb"
+            )

@@ -1,7 +1,7 @@
-"""Unpacking an archive that is not trusted: plain files only, below one folder, within limits on number and size.
+"""Unpacking an archive that is not trusted: regular files only, inside one folder, within limits on number and size.
 
-If anything in an archive is refused, all of it is: a zip before anything is written; of a tar, which can only be read
-from front to back, the caller removes what was written (``work_folder.unfinished_folder`` does).
+If one member is refused, the whole archive is. A zip is refused before anything is written. A tar can only be read from
+front to back, so the caller removes what was written (``work_folder.unfinished_folder`` does this).
 """
 
 import zipfile
@@ -18,8 +18,8 @@ def unpack(archive: Path, folder: Path, *, choose: Choose = everything, limits: 
     """Unpack a zip, tar or gzipped tar into ``folder``, which should be new; the number of files written.
 
     Raises:
-        ArchiveError: no archive, a damaged one, or one that holds links, devices, paths that lead elsewhere, two files
-        for one place, or more than ``limits``. NoSpaceError: the disk is too full.
+        ArchiveError: not an archive, a damaged one, or one with links, devices, paths outside the folder, two files
+            with one path, or more than ``limits``. NoSpaceError: the disk is too full.
     """
     unpacker = Unpacker(archive, folder, choose, limits)
     folder.mkdir(parents=True, exist_ok=True)
@@ -28,5 +28,5 @@ def unpack(archive: Path, folder: Path, *, choose: Choose = everything, limits: 
     else:
         unpack_tar(unpacker)
     if not unpacker.files:
-        raise ArchiveError(f"{archive.name} holds none of the files that were expected in it")
+        raise ArchiveError(f"{archive.name} holds none of the expected files")
     return unpacker.files

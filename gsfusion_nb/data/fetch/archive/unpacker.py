@@ -13,19 +13,19 @@ BLOCK_BYTES = 1 << 20
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """What an archive may become."""
+    """How large an unpacked archive may be."""
 
     max_bytes: int
-    """Of all files together."""
+    """Bytes of all files together."""
     max_ratio: float = 100.0
-    """Bytes of all files over bytes of the archive; images hardly shrink, text shrinks by ten."""
+    """Bytes of all files divided by bytes of the archive: about 1 for images, 10 for text."""
     max_files: int = 200_000
-    """Members, folders included."""
+    """Number of members, including folders."""
 
 
 @runtime_checkable
 class Readable(Protocol):
-    """Anything that gives its bytes block by block."""
+    """Anything that can be read block by block."""
 
     def read(self, size: int = -1, /) -> bytes:
         """Up to ``size`` bytes; empty at the end."""
@@ -33,7 +33,7 @@ class Readable(Protocol):
 
 
 class Unpacker:
-    """Puts the members of one archive into a folder and keeps count of them."""
+    """Writes the members of one archive into a folder and counts them."""
 
     def __init__(self, archive: Path, folder: Path, choose: Choose, limits: Limits):
         self.archive, self.folder, self.choose, self.limits = archive, folder, choose, limits
@@ -43,11 +43,11 @@ class Unpacker:
         self._taken = TakenPaths(archive.name)
 
     def place(self, name: str, *, is_folder: bool) -> str | None:
-        """Where a member goes, None if it is not wanted. Wanted or not, it must not lead out."""
+        """Target path of a member, None if it is not chosen. Its own path must be inside the folder in both cases."""
         self.members += 1
         if self.members > self.limits.max_files:
             raise ArchiveError(
-                f"{self.archive.name} holds more than {self.limits.max_files} members; it is not a data set"
+                f"{self.archive.name} holds more than {self.limits.max_files} members, too many for a data set"
             )
         path = plain_path(name, self.archive.name)
         wanted = None if is_folder or not path else self.choose(path)
@@ -59,16 +59,16 @@ class Unpacker:
         return target
 
     def count(self, size: int, path: str) -> None:
-        """Add bytes, real or promised, to those there are. Raises ``ArchiveError`` beyond the limit."""
+        """Add bytes, written or announced, to the total. Raises ``ArchiveError`` beyond the limit."""
         self.bytes += size
         if size < 0 or self.bytes > self.max_bytes:
             raise ArchiveError(
-                f"{self.archive.name} becomes more than {size_text(self.max_bytes)} at {path!r}, too much for its "
-                f"{size_text(self.archive.stat().st_size)}; it is not a data set, or a bomb"
+                f"{self.archive.name} unpacks to more than {size_text(self.max_bytes)} at {path!r}, too much for its "
+                f"{size_text(self.archive.stat().st_size)}; it may be a decompression bomb"
             )
 
     def write(self, path: str, source: Readable, size: int) -> None:
-        """Copy a member of ``size`` bytes, no more and no less."""
+        """Copy a member that must have exactly ``size`` bytes."""
         target = self.folder / path
         target.parent.mkdir(parents=True, exist_ok=True)
         done = 0
@@ -82,5 +82,7 @@ class Unpacker:
         except OSError as e:
             raise full_disk(e, target) or e from None
         if done != size:
-            raise ArchiveError(f"{self.archive.name}: {path!r} says it has {size} bytes, but it has not; damaged")
+            raise ArchiveError(
+                f"{self.archive.name}: {path!r} should have {size} bytes but has another size; the archive is damaged"
+            )
         self.files += 1

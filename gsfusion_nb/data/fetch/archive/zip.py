@@ -23,14 +23,14 @@ def unpack_zip(unpacker: Unpacker) -> None:
                 with zipped.open(info) as source:
                     unpacker.write(path, source, info.file_size)
     except (zipfile.BadZipFile, EOFError, NotImplementedError, RuntimeError, zlib.error, lzma.LZMAError) as e:
-        raise ArchiveError(f"{name} is damaged ({e}); it was removed, run again to fetch it again") from None
+        raise ArchiveError(f"{name} is damaged ({e}); it was removed, run again to download it again") from None
 
 
 def _zip_place(unpacker: Unpacker, info: zipfile.ZipInfo) -> str | None:
     kind = stat.S_IFMT(info.external_attr >> 16)
     if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
-        what = "a link" if stat.S_ISLNK(kind) else "no plain file"
-        raise ArchiveError(f"{unpacker.archive.name} holds {info.filename!r}, {what}; nothing of it is unpacked")
+        what = "a link" if stat.S_ISLNK(kind) else "not a regular file"
+        raise ArchiveError(f"{unpacker.archive.name} holds {info.filename!r}, {what}; nothing was unpacked")
     if info.flag_bits & 1:
-        raise ArchiveError(f"{unpacker.archive.name} is encrypted; expected an open archive")
+        raise ArchiveError(f"{unpacker.archive.name} is encrypted; expected an archive without a password")
     return unpacker.place(info.filename, is_folder=info.is_dir())

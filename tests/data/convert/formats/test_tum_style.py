@@ -46,7 +46,7 @@ def test_without_poses_or_intrinsics_says_what_to_give(tmp_path, takes):
     with pytest.raises(SequenceError, match=r"scan holds no poses; give a trajectory with --poses FILE"):
         convert(root, tmp_path / "out")
     (root / "calibration.txt").unlink()
-    with pytest.raises(SequenceError, match=r"does not say what camera took it; give --intrinsics"):
+    with pytest.raises(SequenceError, match=r"does not contain the camera's intrinsics; give --intrinsics"):
         convert(root, tmp_path / "out", options=ConvertOptions(poses="none"))
     assert not (tmp_path / "out").exists()
     assert not (tmp_path / "out.partial").exists()

@@ -1,4 +1,4 @@
-"""Decoding depth of any common kind, from files or from bytes inside a container."""
+"""Decoding colour and depth images of common formats, from files or from bytes inside a container."""
 
 import io
 import math
@@ -9,7 +9,7 @@ import numpy as np
 from ...foreign import parsing
 from ..recorded.images import check_image_size, decode_image, decode_rgb, read_image_bytes
 from ..sequence import BadFrameError, SequenceError
-from .recording import Pictures
+from .recording import RgbdImages
 
 DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".pgm", ".npy", ".exr")
 
@@ -49,23 +49,23 @@ def metres(raw: np.ndarray, scale: float) -> np.ndarray:
     return depth_m
 
 
-def load_pair(colour: Path, depth: Path, scale: float) -> Pictures:
-    """Pictures of two files. Raises ``BadFrameError`` naming the one that cannot be used."""
+def load_pair(colour: Path, depth: Path, scale: float) -> RgbdImages:
+    """Colour and depth of two files. Raises ``BadFrameError`` naming the one that cannot be used."""
     return with_colour(read_image_bytes(colour, "colour"), str(colour), read_depth_file(depth, scale))
 
 
-def with_colour(data: bytes, source: str, depth_m: np.ndarray) -> Pictures:
-    """Pictures of an encoded colour image and depth in metres."""
-    return Pictures(decode_rgb(data, source), depth_m, data if is_picture_file(data) else b"")
+def with_colour(data: bytes, source: str, depth_m: np.ndarray) -> RgbdImages:
+    """An encoded colour image, decoded, and depth in metres."""
+    return RgbdImages(decode_rgb(data, source), depth_m, data if is_picture_file(data) else b"")
 
 
 def is_picture_file(data: bytes) -> bool:
-    """A whole JPEG or PNG that can be written as it is."""
+    """Whether these bytes are a JPEG or PNG file, which can be written unchanged."""
     return data[:2] == b"\xff\xd8" or data[:8] == b"\x89PNG\r\n\x1a\n"
 
 
 def find_depth(folder: Path, stem: str) -> Path:
-    """Depth file of the colour image ``stem``: the same name, any of the known suffixes. It may not exist."""
+    """Depth file of the colour image ``stem``: the same name with any known suffix. The file may be missing."""
     return next((p for s in DEPTH_SUFFIXES if (p := folder / f"{stem}{s}").is_file()), folder / f"{stem}.png")
 
 
