@@ -2,7 +2,7 @@
 
     python data_scripts/icl_nuim.py livingroom1 --out data
 
-Synthetic, with true poses and a true surface, and the only set here whose checksums are public. Written in the plain
+Synthetic, with true poses and a true surface; the only data set here with public checksums. Written in the plain
 layout: rgb/, depth/, poses.txt, intrinsics.json; groundtruth.ply is the true surface as a point cloud.
 """
 
@@ -38,22 +38,22 @@ MD5 = {
     "office2-depth-simulated.zip": "13f1c5b7c4f44524fa91f7ba87e44bb5",
     "office2-traj.txt": "698f2f09da7d2ed3fcb604889e6f8479",
 }
-"""As Open3D's data module publishes them."""
+"""Published in Open3D's data module."""
 SEQUENCES = ("livingroom1", "livingroom2", "office1", "office2")
 COLOUR_BYTES, DEPTH_BYTES, CLOUD_BYTES, POSES_BYTES = 400_000_000, 500_000_000, 100_000_000, 600_000
-"""Estimated; the server tells the sizes before the start."""
+"""Estimated; the server is asked for the sizes before the download starts."""
 PRIMESENSE = {"width": 640, "height": 480, "fx": 525.0, "fy": 525.0, "cx": 319.5, "cy": 239.5, "pixel_centre": 0.0}
 
 
 def to_plain_layout(folder: Path) -> None:
-    """The poses and the camera, in the plain layout's files."""
+    """Write poses and camera in the plain layout."""
     poses, _ = read_trajectory_file(folder / "trajectory.log")
     write_pose_lines(folder / "poses.txt", torch.stack([poses[i] for i in sorted(poses)]))
     (folder / "intrinsics.json").write_text(json.dumps(PRIMESENSE | {"depth_scale": 1000.0}) + "\n", encoding="utf-8")
 
 
 def numbered(kind: str, suffix: str):
-    """Chooses the images of an archive, whatever folder they lie in there."""
+    """Choose the images of an archive, in any of its folders."""
 
     def choose(path: str) -> str | None:
         found = re.fullmatch(rf"(?:.*/)?(\d+)\.{suffix}", path)
@@ -63,7 +63,7 @@ def numbered(kind: str, suffix: str):
 
 
 def plan(sequence: str, depth: str = "clean", checksums: dict[str, str] = MD5) -> Plan:
-    """What one sequence is made of."""
+    """Files of one sequence."""
     room = sequence.rstrip("12")
     kinds = {
         f"{sequence}-color.zip": {"stated_bytes": COLOUR_BYTES, "choose": numbered("rgb", "jpg")},
@@ -91,7 +91,9 @@ def main(arguments: list[str] | None = None) -> int:
     """Fetch the sequences named on the command line."""
     parser = command.parser(__doc__ or "")
     parser.add_argument("sequence", nargs="+", choices=SEQUENCES, help="which sequences")
-    parser.add_argument("--depth", choices=("clean", "simulated"), default="clean", help="exact, or as of a sensor")
+    parser.add_argument(
+        "--depth", choices=("clean", "simulated"), default="clean", help="exact depth, or depth with sensor errors"
+    )
     options = parser.parse_args(arguments)
 
     def fetch() -> None:

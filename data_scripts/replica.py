@@ -2,8 +2,8 @@
 
     python data_scripts/replica.py office0 room0 --out data
 
-All eight come in one archive of 12 GB: name every scene that is wanted, or use --keep-archives and run it again. Each
-scene gets mesh.ply, the whole mesh, and mesh_culled.ply, what the cameras see of it, for scores of geometry.
+All eight come in one archive of 12 GB: name all scenes that you need, or use --keep-archives and run the script again.
+Each scene gets mesh.ply, the complete mesh, and mesh_culled.ply, the part that the cameras see, for scores of geometry.
 """
 
 import dataclasses
@@ -21,7 +21,7 @@ MESHES_BYTES = 300_000_000
 
 
 def plan(scene: str) -> Plan:
-    """What one scene is made of."""
+    """Files of one scene."""
 
     def frames(path: str) -> str | None:
         name = path.removeprefix("Replica/")
@@ -45,7 +45,7 @@ def plan(scene: str) -> Plan:
         ],
         unpacked_bytes=SCENE_BYTES,
         sequences=lambda root: [SequenceOnDisk(preset="replica")],
-        note="all scenes come in one archive: name those that are wanted together, or use --keep-archives",
+        note="all scenes come in one archive: name all that you need, or use --keep-archives",
     )
 
 
@@ -61,7 +61,7 @@ def main(arguments: list[str] | None = None) -> int:
         for i, scene in enumerate(wanted):
             more = i + 1 < len(wanted)
             obtain(plan(scene), dataclasses.replace(terms, keep_archives=terms.keep_archives or more))
-            terms = dataclasses.replace(terms, yes=True)  # agreed to once, for all of the archive
+            terms = dataclasses.replace(terms, yes=True)  # the user agrees once, for the whole archive
 
     return command.run(Path(__file__).name, fetch)
 

@@ -1,9 +1,10 @@
-"""Write the built-in room to disk in the layouts that are read, as samples of each. Nothing is downloaded.
+"""Write the built-in room to disk as a sample of each layout. Nothing is downloaded.
 
     python data_scripts/room.py tum --out data
     python data_scripts/room.py all --frames 60
 
-folder and replica, scannetpp have pictures of --width x --height; tum and seven_scenes have their camera's 640x480.
+folder and replica, scannetpp have images of --width x --height; tum and seven_scenes have 640x480, the size of their
+camera.
 """
 
 import sys
@@ -46,8 +47,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser = command.parser(__doc__ or "", downloads=False)
     parser.add_argument("layout", nargs="+", choices=(*WRITERS, "all"), help="which layouts")
     parser.add_argument("--frames", type=int, default=200, help="frames of the walk (default: 200)")
-    parser.add_argument("--width", type=int, default=640, help="width of a picture, pixels (default: 640)")
-    parser.add_argument("--height", type=int, default=480, help="height of a picture, pixels (default: 480)")
+    parser.add_argument("--width", type=int, default=640, help="width of the images, pixels (default: 640)")
+    parser.add_argument("--height", type=int, default=480, help="height of the images, pixels (default: 480)")
     options = parser.parse_args(arguments)
 
     def work() -> None:

@@ -2,7 +2,7 @@
 
     python data_scripts/scannetpp.py /data/scannetpp/data/8b5caf3398 --out data
 
-Photographs are undistorted at half resolution and depth is rendered from the scan's mesh, without graphics card or
+Photographs are undistorted at half resolution and depth is rendered from the scan's mesh, without a graphics card or
 display. An interrupted run continues with the next picture.
 """
 
@@ -22,12 +22,12 @@ SEQUENCE = SequenceOnDisk(preset="scannetpp")
 
 
 def describe(scene: Path, target: Path, n_pictures: int) -> str:
-    """What is going to be made, and on which terms."""
+    """Description of the result and its licence."""
     size, seconds = size_text(n_pictures * BYTES_PER_PICTURE), duration_text(n_pictures * SECONDS_PER_PICTURE)
     return (
         f"ScanNet++, {scene.name}: {n_pictures} photographs at half resolution, depth from the laser scan\n"
         f"  from     {scene} (your copy)\n  to       {target} (about {size})\n  time     about {seconds}\n"
-        "  licence  ScanNet++ Terms of Use: NON-COMMERCIAL research, no redistribution, of what is made either.\n"
+        "  licence  ScanNet++ Terms of Use: NON-COMMERCIAL research, no redistribution, also of the result.\n"
         "  cite     Yeshwanth, Liu, Niessner, Dai: ScanNet++: A High-Fidelity Dataset of 3D Indoor Scenes, 2023."
     )
 

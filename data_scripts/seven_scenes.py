@@ -2,8 +2,8 @@
 
     python data_scripts/seven_scenes.py heads --out data
 
-Colour is not registered to depth as published, 10 to 20 pixels off: the printed line has --reader register=true, which
-warps depth into the colour camera with a calibration that was estimated on RedKitchen.
+As published, colour is not registered to depth (10 to 20 pixels off). The printed command has --reader register=true,
+which warps depth into the colour camera with a calibration estimated on RedKitchen.
 """
 
 import re
@@ -22,9 +22,9 @@ FRAMES = {
     "redkitchen": 12_000,
     "stairs": 3000,
 }
-"""Scenes, and their frames in all sequences together."""
+"""Scenes, and the number of frames in all their sequences."""
 BYTES_PER_FRAME = 550_000
-"""Estimated; the server tells the size before the start."""
+"""Estimated; the server is asked for the size before the download starts."""
 
 
 def unpack_sequences(folder: Path) -> None:
@@ -39,9 +39,7 @@ def unpack_sequences(folder: Path) -> None:
         unpack(archive, folder, choose=choose, limits=Limits(max_bytes=4_000_000_000))
         archive.unlink()
     if not sequences(folder):
-        raise ArchiveError(
-            f"{folder.name}: the archive holds no seq-01.zip or the like; expected the scene's sequences"
-        )
+        raise ArchiveError(f"{folder.name}: the archive holds no seq-01.zip or similar; expected the scene's sequences")
 
 
 def sequences(folder: Path) -> list[SequenceOnDisk]:
@@ -51,7 +49,7 @@ def sequences(folder: Path) -> list[SequenceOnDisk]:
 
 
 def plan(scene: str) -> Plan:
-    """What one scene is made of."""
+    """Files of one scene."""
     size = FRAMES[scene] * BYTES_PER_FRAME
 
     def choose(path: str) -> str | None:
@@ -64,7 +62,7 @@ def plan(scene: str) -> Plan:
         licence="Microsoft Research licence (MSR-LA): NON-COMMERCIAL use only.",
         cite="Shotton et al.: Scene Coordinate Regression Forests for Camera Relocalization in RGB-D Images, 2013.",
         items=[Item(base=HOST, path=f"{scene}.zip", stated_bytes=size, choose=choose)],
-        unpacked_bytes=2 * size,  # for a moment, the inner archives and what is in them
+        unpacked_bytes=2 * size,  # temporarily both the inner archives and their content
         sequences=sequences,
         convert=unpack_sequences,
         note="colour is registered to depth by the reader (register=true), with a calibration estimated on RedKitchen",

@@ -24,11 +24,11 @@ SIZES_GB = {
     "fr2_desk": 2.0,
     "fr3_office": 1.6,
 }
-"""Sequences, and about what they weigh: the benchmark publishes no exact sizes and no checksums."""
+"""Sequences and their approximate sizes: the benchmark publishes no exact sizes and no checksums."""
 
 
 def plan(name: str) -> Plan:
-    """What one sequence is made of."""
+    """Files of one sequence."""
     camera, _, short = name.partition("_")
     camera = camera.replace("fr", "freiburg")
     folder = f"rgbd_dataset_{camera}_{'long_office_household' if short == 'office' else short}"

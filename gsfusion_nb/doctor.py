@@ -72,7 +72,7 @@ def warm() -> int:
 
     print("Compiling the fast kernels once, so that no program or notebook has to wait for it (about a minute) ...")
     progress = None
-    with ProgressDisplay("compiling", unit="exercise") as display:
+    with ProgressDisplay("compiling", unit="case") as display:
         for progress in warm_up():
             display.show(progress.done, total=progress.total, note=progress.name)
     if progress is None or not progress.total:

@@ -22,11 +22,11 @@ from .types import Camera, Frame
 
 _WIDTH, _HEIGHT = 64, 48
 MOST_PROCESSES = 8
-"""More would hardly be faster: the slowest exercise takes an eighth of the whole."""
+"""More would hardly be faster: the slowest case takes an eighth of the whole."""
 
 
 @dataclass(frozen=True)
-class Exercise:
+class WarmUpCase:
     """A piece of work that makes its operations' kernels compile."""
 
     name: str
@@ -35,8 +35,8 @@ class Exercise:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Progress:
-    """Where ``warm_up`` stands before and after each exercise."""
+class WarmUpProgress:
+    """Where ``warm_up`` stands before and after each case."""
 
     name: str
     """What runs next; empty at the end."""
@@ -47,15 +47,15 @@ class Progress:
     seconds: float
 
 
-def warm_up(device: str = "cpu", *, processes: int = 0) -> Iterator[Progress]:
-    """Run the exercises of all operations that have compiled kernels on ``device``, reporting before each.
+def warm_up(device: str = "cpu", *, processes: int = 0) -> Iterator[WarmUpProgress]:
+    """Run the cases of all operations that have compiled kernels on ``device``, reporting before each.
 
     A generator, so that the caller draws the progress. Uses what ``auto`` would choose, and leaves out what is not
     installed. On the processor, as soon as something has to be compiled, the rest is shared out to several processes;
     whatever they did not compile is compiled here in the end.
 
     Args:
-        device: Where the tensors of the exercises are.
+        device: Where the tensors of the cases are.
         processes: How many processes compile; 0: as many as there are cores, ``MOST_PROCESSES`` at most.
     """
     todo = _todo(device)
@@ -74,22 +74,22 @@ def warm_up(device: str = "cpu", *, processes: int = 0) -> Iterator[Progress]:
             compiled += names or ()
             done += 1
             yield _progress(f"after {rest[i].name}", done - 1, len(todo), compiled, start)
-        for exercise in rest:  # from the cache
-            exercise.run()
+        for case in rest:  # from the cache
+            case.run()
         yield _progress("", len(todo), len(todo), compiled, start)
 
 
-def _todo(device: str) -> list[Exercise]:
-    return [e for e in exercises(device) if any(_is_compiled(operation, device) for operation in e.operations)]
+def _todo(device: str) -> list[WarmUpCase]:
+    return [e for e in warm_up_cases(device) if any(_is_compiled(operation, device) for operation in e.operations)]
 
 
 @functools.cache
-def _by_name(device: str) -> dict[str, Exercise]:
-    return {exercise.name: exercise for exercise in _todo(device)}
+def _by_name(device: str) -> dict[str, WarmUpCase]:
+    return {case.name: case for case in _todo(device)}
 
 
 def _compile(device: str, name: str) -> list[str]:
-    """Run an exercise in a process of its own; what was compiled."""
+    """Run one case in its own process; returns what was compiled."""
     with _as_a_worker() as compiled:
         _by_name(device)[name].run()
         return list(compiled)
@@ -102,15 +102,15 @@ def _as_a_worker() -> Iterator[list[str]]:
         yield compiled
 
 
-def exercises(device: str = "cpu") -> Iterator[Exercise]:
+def warm_up_cases(device: str = "cpu") -> Iterator[WarmUpCase]:
     """One for each case of an operation's folder, and the two mappers at the end."""
     for case in backends.cases():
         if torch.float32 in case.dtypes:
             run = _once(case.run, torch.device(device), torch.float32)
-            yield Exercise(f"{' and '.join(case.operations)}: {case.name}", case.operations, run)
+            yield WarmUpCase(f"{' and '.join(case.operations)}: {case.name}", case.operations, run)
     frame, grey = (_frame(device, whole_numbers=n) for n in (True, False))
-    yield Exercise("whole mapper: GSFusion", backends.operations(), _once(_map, frame, grey, device))
-    yield Exercise("whole mapper: RTG-SLAM", backends.operations(), _once(_slam, frame, grey, device))
+    yield WarmUpCase("whole mapper: GSFusion", backends.operations(), _once(_map, frame, grey, device))
+    yield WarmUpCase("whole mapper: RTG-SLAM", backends.operations(), _once(_slam, frame, grey, device))
 
 
 def _once(function: Callable, *args, **kwargs) -> Callable[[], object]:
@@ -159,9 +159,9 @@ def _is_compiled(operation: str, device: str) -> bool:
     return backends.automatic(operation, device) not in ("reference", "torch")
 
 
-def _progress(name: str, done: int, total: int, compiled: list[str], start: float) -> Progress:
+def _progress(name: str, done: int, total: int, compiled: list[str], start: float) -> WarmUpProgress:
     seconds = time.perf_counter() - start
-    return Progress(name=name, done=done, total=total, compiled=tuple(compiled), seconds=seconds)
+    return WarmUpProgress(name=name, done=done, total=total, compiled=tuple(compiled), seconds=seconds)
 
 
 @contextlib.contextmanager

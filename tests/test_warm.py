@@ -22,26 +22,26 @@ def dispatched(monkeypatch):
     return ran
 
 
-def test_every_compiled_operation_has_an_exercise_that_runs_it(dispatched):
+def test_every_compiled_operation_has_a_case_that_runs_it(dispatched):
     covered = set()
-    for exercise in warm.exercises():
+    for case in warm.warm_up_cases():
         dispatched.clear()
-        exercise.run()
-        if exercise.name.startswith("whole mapper"):
+        case.run()
+        if case.name.startswith("whole mapper"):
             continue
-        assert set(exercise.operations) <= set(dispatched), exercise.name
-        covered |= set(exercise.operations)
+        assert set(case.operations) <= set(dispatched), case.name
+        covered |= set(case.operations)
     assert covered >= {name for name in backends.operations() if warm._is_compiled(name, "cpu")}
 
 
-def test_the_mapper_needs_nothing_that_the_exercises_left_out():
+def test_the_mapper_needs_nothing_that_the_cases_left_out():
     pytest.importorskip("numba")
-    exercises = list(warm.exercises())
-    mappers = [e for e in exercises if e.name.startswith("whole mapper")]
+    cases = list(warm.warm_up_cases())
+    mappers = [e for e in cases if e.name.startswith("whole mapper")]
     assert len(mappers) == 2
-    for exercise in exercises:
-        if exercise not in mappers:
-            exercise.run()
+    for case in cases:
+        if case not in mappers:
+            case.run()
     with warm._watching() as compiled:
         for mapper in mappers:
             mapper.run()

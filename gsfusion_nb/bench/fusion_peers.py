@@ -1,4 +1,4 @@
-"""Other programs' volumes, behind the two calls that the TSDF bench makes of every method."""
+"""TSDF volumes of other programs, with the two methods that the TSDF bench calls."""
 
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
@@ -8,12 +8,12 @@ import numpy as np
 from ..types import Frame
 
 DEPTH_SCALE = 1000.0
-"""Stored value of one metre for programs that take 16-bit depth."""
+"""Stored value of one metre, for programs with 16-bit depth."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FusionSettings:
-    """The same for every method."""
+    """Settings that are the same for every method."""
 
     voxel_size_m: float
     truncation_voxels: float
@@ -23,28 +23,28 @@ class FusionSettings:
 
 @runtime_checkable
 class Fuser(Protocol):
-    """A volume that takes frames."""
+    """A volume into which frames are fused."""
 
     def prepare(self, frame: Frame) -> Any:
-        """The frame in the program's own terms; not timed, for a reader could have delivered it so."""
+        """Convert the frame to the program's own types; not timed, because a reader could return them directly."""
         ...
 
     def fuse(self, prepared: Any) -> None:
-        """Fold the frame into the volume; timed."""
+        """Fuse the frame into the volume; timed."""
         ...
 
 
 class Open3dGrid:
     """Open3D's VoxelBlockGrid with colour: 16^3 blocks, weight and colour in 16 bits (its fastest).
 
-    It truncates (u, v) to find a depth pixel, which fits intrinsics that count from pixel edges, as ours do. Its legacy
-    volume is no peer: from 0.20 on it gives empty meshes.
+    It truncates (u, v) to find a depth pixel, which is right for intrinsics that count from pixel edges, like ours. Its
+    legacy volume is not compared: since version 0.20 its meshes are empty.
     """
 
     def __init__(self, settings: FusionSettings, first: Frame):
         import open3d as o3d  # pyright: ignore[reportMissingImports]
 
-        if hasattr(o3d.utility, "set_max_threads"):  # from 0.20 on; before, OMP_NUM_THREADS rules
+        if hasattr(o3d.utility, "set_max_threads"):  # since 0.20; before, OMP_NUM_THREADS decides
             o3d.utility.set_max_threads(settings.threads)
         self.o3d, self.core = o3d, o3d.core
         self.settings = settings

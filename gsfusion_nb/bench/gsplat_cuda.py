@@ -1,4 +1,4 @@
-"""gsplat's CUDA rasteriser as a peer on a GPU; it compiles itself with nvcc when it is first used."""
+"""gsplat's CUDA rasteriser, for comparison on a GPU; it is compiled with nvcc on first use."""
 
 import importlib
 
@@ -8,11 +8,11 @@ from torch import Tensor
 from ..constants import NEAR_PLANE_M, SCREEN_BLUR_PX2
 from ..geometry import se3
 from ..types import GaussianParams
-from .scene import Scene
+from .scene import RandomScene
 
 
 def is_built(module: object) -> bool:
-    """Whether there is a GPU, and gsplat has, or can make, its kernels for it."""
+    """Whether there is a GPU, and gsplat has kernels for it or can compile them."""
     if not torch.cuda.is_available():
         return False
     try:
@@ -21,7 +21,7 @@ def is_built(module: object) -> bool:
         return False
 
 
-def render(params: GaussianParams, scene: Scene) -> Tensor:
+def render(params: GaussianParams, scene: RandomScene) -> Tensor:
     """The picture. [H, W, 3] Differentiable: yes, by autograd."""
     from gsplat import rasterization  # pyright: ignore[reportMissingImports]
 

@@ -1,8 +1,8 @@
-"""gsplat's plain torch path, as a peer on the CPU.
+"""gsplat's torch implementation, for comparison on the CPU.
 
 gsplat 1.5 ships its rasteriser in torch, but two parts exist for CUDA only: ``rasterize_to_indices_in_range`` (which
-Gaussian counts at which pixel) and nerfacc's scans over packed rays. Both are written here for the CPU and lent to
-gsplat while it runs; projection, spherical harmonics, tile lists and blending are gsplat's own.
+Gaussian counts at which pixel) and nerfacc's scans over packed rays. Both are written here for the CPU and inserted
+into gsplat while it runs; projection, spherical harmonics, tile lists and blending are gsplat's own.
 """
 
 import contextlib
@@ -18,17 +18,17 @@ from torch import Tensor
 from ..constants import ALPHA_MIN, NEAR_PLANE_M, TRANSMITTANCE_MIN
 from ..geometry import se3
 from ..types import GaussianParams
-from .scene import Scene
+from .scene import RandomScene
 
 _TILE = 16
 _ALPHA_MAX = 0.999
-"""gsplat's own clamp."""
+"""The same limit as in gsplat."""
 
 BYTES_PER_PIXEL = 6000
 """Memory of a forward and backward pass on a scene with 30 Gaussians a pixel: 1.7 GB at 640x480."""
 
 
-def render(params: GaussianParams, scene: Scene) -> Tensor:
+def render(params: GaussianParams, scene: RandomScene) -> Tensor:
     """The picture. [H, W, 3] Differentiable: yes, by autograd."""
     from gsplat.cuda import _torch_impl as gsplat  # pyright: ignore[reportMissingImports]
 
@@ -54,7 +54,7 @@ def render(params: GaussianParams, scene: Scene) -> Tensor:
 
 @contextlib.contextmanager
 def _lent() -> Iterator[None]:
-    """gsplat finds the two missing parts inside the block."""
+    """Inside the block, gsplat has the two missing parts."""
     from gsplat.cuda import _wrapper  # pyright: ignore[reportMissingImports]
 
     scans: Any = types.ModuleType("nerfacc")
@@ -69,7 +69,7 @@ def _lent() -> Iterator[None]:
 
 @torch.no_grad()
 def _pairs(first, last, transmittance, uv, conic, opacity, width, height, tile_px, offsets, ids):
-    """(Gaussian, pixel, image) of everything that is blended, pixel by pixel and near to far."""
+    """(Gaussian, pixel, image) of all blended pairs, pixel by pixel, from near to far."""
     nx, ny = offsets.shape[-1], offsets.shape[-2]
     bounds = [*offsets.reshape(-1).tolist(), len(ids)]
     gaussians, pixels = [], []

@@ -1,4 +1,4 @@
-"""What the numbers were measured on."""
+"""Description of the machine on which the bench runs."""
 
 import datetime
 import importlib.metadata
@@ -14,7 +14,7 @@ PACKAGES = ("torch", "numpy", "numba", "llvmlite", "triton")
 
 
 def describe(threads: int) -> dict[str, Any]:
-    """Processor, memory, versions, and how busy the machine is besides."""
+    """Processor, memory, versions, and the load from other programs."""
     import torch
 
     versions: dict[str, str | None] = {"gsfusion_nb": __version__, "python": platform.python_version()}
@@ -48,7 +48,7 @@ def header(machine: dict[str, Any]) -> list[str]:
     ]
     load = machine["load_average"]
     if load is not None and load > 0.5:
-        lines.append(f"Other programs kept {load:.1f} cores busy just before; CPU time suffers less than wall time.")
+        lines.append(f"Other programs used {load:.1f} cores just before; this affects wall time more than CPU time.")
     return lines
 
 

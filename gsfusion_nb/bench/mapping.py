@@ -1,4 +1,4 @@
-"""Cases of the whole mapper: frames in, both maps out, split into stages."""
+"""Cases of the whole mapper: time per frame, split into stages."""
 
 import functools
 import time
@@ -31,14 +31,14 @@ def cases(options: BenchOptions) -> Iterator[Case]:
 
 
 def _rows(options: BenchOptions, size: tuple[int, int], method: str, backend: str, device: str) -> list[Row]:
-    """A GPU's stages are the time until its work is queued; the step as a whole waits for its end."""
+    """On a GPU the time of a stage ends when its work is queued; the time of the whole step includes its execution."""
     frames = open_frames(options, size)
     config = gsfusion("online")
     with use_backend(backend):
-        GSFusion(config, device=device).step(frames[0])  # compiles, and renders the room's first picture
+        GSFusion(config, device=device).step(frames[0])  # compiles, and renders the first image of the room
         if options.data == "room":
             for i in range(len(frames)):
-                frames[i]  # rendered once and cached; reading a recording is what is timed
+                frames[i]  # images of the room are cached now; for a recording, reading is timed
         with PeakMemory(device) as memory:
             mapper = GSFusion(config, device=device)
             seconds = dict.fromkeys(STAGES, 0.0)

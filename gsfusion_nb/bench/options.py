@@ -1,4 +1,4 @@
-"""What ``gsfusion-nb bench`` can be asked for."""
+"""Options of ``gsfusion-nb bench``."""
 
 import dataclasses
 import os
@@ -16,27 +16,29 @@ SECTIONS = ("raster", "tsdf", "map", "panels", "waits")
 
 @dataclass(frozen=True, kw_only=True)
 class BenchOptions:
-    """Time the toolkit on this machine, beside other programs where they are installed, and print one table."""
+    """Time the toolkit on this machine, compared with other installed programs, and print one table."""
 
     what: Annotated[str, tyro.conf.Positional] = "all"
-    """raster, tsdf, map, panels, waits or all."""
+    """What to time: raster (rasteriser), tsdf (TSDF integration), map (whole mapper), panels (notebook panels), waits
+    (commands one waits for) or all."""
     data: str = "room"
-    """Folder of the sequence for tsdf, map and the check-up in waits, or "room" for the built-in scene."""
+    """Folder of the sequence used by tsdf, map and waits, or "room" for the built-in scene."""
     size: tuple[str, ...] = ()
-    """Image sizes for these, such as 320x240 640x480; those of the recording by default, 320x240 for the room."""
+    """Image sizes of the sequence, for example 320x240 640x480. Default: the size of the recording, 320x240 for the
+    room."""
     frames: int = 0
-    """Frames of the sequence to use; 0 means 60, or 8 with --quick."""
+    """Number of frames of the sequence to use. 0: 60, or 8 with --quick."""
     backend: tuple[str, ...] = ()
-    """Only these of our backends: reference, torch, numba, triton, cuda. By default all that run here but the
-    reference, which is written for reading and slow."""
+    """Backends of gsfusion-nb to time: reference, torch, numba, triton, cuda. Default: all that run on this machine
+    except reference, which is slow because it is written for reading."""
     threads: int = 1
-    """Threads that every method may use."""
+    """Number of threads for every method."""
     quick: bool = False
-    """Few cases, small ones: under a minute or two, to see that everything works."""
+    """Few and small cases, one or two minutes: a test that everything works."""
     scaling: bool = False
-    """Also show how the cost grows with Gaussians, pixels and voxels."""
+    """Also measure how the time grows with the number of Gaussians, pixels and voxels."""
     json: str = ""
-    """File to write all numbers to."""
+    """File for all numbers, as JSON."""
     markdown: bool = False
     """Print the table as Markdown."""
 
@@ -52,7 +54,7 @@ class BenchOptions:
 
     @property
     def budget_s(self) -> float:
-        """Time to spend on repeating one measurement, seconds."""
+        """Time for repeating one measurement, seconds."""
         return 0.3 if self.quick else 1.0
 
     @property
@@ -63,10 +65,10 @@ class BenchOptions:
         return [_parse_size(text) for text in self.size]
 
     def check(self) -> None:
-        """Refuse what cannot be run, before anything takes time.
+        """Check the options before anything is run.
 
         Raises:
-            KeyError, ValueError, OSError: with a sentence.
+            KeyError, ValueError, OSError: an invalid option.
         """
         check_name("bench", self.what, ("all", *SECTIONS))
         for backend in self.backend:

@@ -1,4 +1,4 @@
-"""Cases of the notebooks' panels: how long the new picture takes after a control was moved."""
+"""Cases of the notebook panels: time from moving a control to the new picture."""
 
 import functools
 from collections.abc import Callable, Iterator
@@ -24,12 +24,12 @@ from .scene import random_scene
 from .timing import lap, summary
 
 MOVES = 11
-"""Moves of a control on the clock; with --quick 3."""
+"""Number of timed moves of a control; 3 with --quick."""
 CAMERA = Camera(width=320, height=240, fx=208.0, fy=208.0, cx=160.0, cy=120.0)
 MICROSCOPE_GAUSSIANS, GRADIENT_GAUSSIANS, ORBIT_GAUSSIANS = 5_000, 800, 20_000
 
 Move = Callable[[int], object]
-"""Sets a control to its i-th position and draws the picture."""
+"""Function that sets a control to its i-th position and draws the picture."""
 
 
 def cases(options: BenchOptions) -> Iterator[Case]:
@@ -92,7 +92,7 @@ def _live() -> dict[str, Move]:
 
 
 def _mapper() -> GSFusion:
-    """A mapper that has seen two frames of the room."""
+    """A mapper after two frames of the room."""
     mapper = GSFusion(gsfusion("room"))
     for i in range(2):
         mapper.step(_room()[i])
@@ -150,4 +150,4 @@ PANELS: dict[str, Callable[[], dict[str, Move]]] = {
     "one Gaussian": _one_gaussian,
     "colour ball": _sh_ball,
 }
-"""Name in the table -> what makes the panel and gives a move for each row."""
+"""Name in the table -> function that makes the panel and returns the moves, one per row."""

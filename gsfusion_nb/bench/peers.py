@@ -1,4 +1,4 @@
-"""Which other programs can be measured beside ours here; the others are named with what would install them."""
+"""Which other programs can be measured on this machine; for the rest, how to install them."""
 
 import importlib
 import importlib.metadata
@@ -11,17 +11,17 @@ from . import gsplat_cuda
 
 @dataclass(frozen=True, kw_only=True)
 class Peer:
-    """Another program that does the same work."""
+    """Another program with the same function."""
 
     name: str
     section: str
     package: str
-    """Distribution whose version is stated."""
+    """Distribution whose version is reported."""
     module: str
     remedy: str
     needs: Callable[[object], bool] = lambda module: True
     lacks: str = ""
-    """What is missing if ``needs`` fails."""
+    """Message if ``needs`` fails."""
 
 
 PEERS = {
@@ -32,7 +32,7 @@ PEERS = {
         module="gsplat.cuda._torch_impl",
         remedy="pip install gsplat==1.5.3",
         needs=lambda module: hasattr(module, "_rasterize_to_pixels"),
-        lacks="its torch path is not where version 1.5 has it",
+        lacks="it is not version 1.5, whose torch path is used",
     ),
     "gsplat_cuda": Peer(
         name="gsplat (CUDA)",
@@ -57,17 +57,17 @@ PEERS = {
         module="cv2",
         remedy="pip install 'opencv-python-headless>=5'",
         needs=lambda module: hasattr(module, "VolumeSettings"),
-        lacks="its volume is in version 5 and later",
+        lacks="its volume needs version 5 or later",
     ),
 }
 
 
 def why_not(name: str) -> str | None:
-    """None if the peer can be measured, else the reason and what to do."""
+    """None if the program can be measured, else the reason and what to do."""
     peer = PEERS[name]
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # Open3D warns that there is no GPU; its table row says what it ran on
+            warnings.simplefilter("ignore")  # Open3D warns if there is no GPU; the table shows the device
             module = importlib.import_module(peer.module)
     except ImportError as e:
         missing = e.name and e.name.split(".")[0] == peer.module.split(".")[0]
@@ -77,7 +77,7 @@ def why_not(name: str) -> str | None:
 
 
 def version(name: str) -> str | None:
-    """Installed version of a peer."""
+    """Installed version of a program."""
     try:
         return importlib.metadata.version(PEERS[name].package)
     except importlib.metadata.PackageNotFoundError:

@@ -15,28 +15,28 @@ from . import gsplat_cuda, gsplat_torch
 from .options import BenchOptions
 from .peers import PEERS, why_not
 from .rows import Case, Row
-from .scene import Scene, random_scene
+from .scene import RandomScene, random_scene
 from .timing import measure
 
 COUNTS = (5_000, 20_000, 100_000)
 SIZES = ((320, 240), (640, 480))
 SH_DEGREES = (0, 3)
 ON_A_GPU = (200_000, 1200, 680, 3)
-"""Gaussians, width, height and degree of the case that only a GPU is asked to run."""
+"""Gaussians, width, height and degree of the case that only runs on a GPU."""
 
 DEVICES = {"reference": "cpu", "torch": "cpu", "numba": "cpu", "triton": "cuda", "cuda": "cuda"}
-"""Where each backend computes."""
+"""Device of each backend."""
 
 BASELINE = "torch"
-"""What pictures and gradients are compared with. Tests compare it with the reference, which takes several times as
-long."""
+"""Backend with which pictures and gradients are compared. (Tests compare it with the reference, which is several times
+slower.)"""
 
 Result = tuple[Tensor, GaussianParams | None]
 """Picture and gradients."""
 
 
 def cases(options: BenchOptions) -> Iterator[Case]:
-    """Peers first, then our backends, for every scene and direction."""
+    """Other programs first, then our backends, for every scene and direction."""
     counts, sizes, degrees = (COUNTS[:2], SIZES[:1], (3,)) if options.quick else (COUNTS, SIZES, SH_DEGREES)
     for degree in degrees:
         for width, height in sizes:
@@ -51,7 +51,7 @@ def cases(options: BenchOptions) -> Iterator[Case]:
             yield from _gpu_cases_of(options, scene, f"{n / 1000:g}k {width}x{height} SH{degree}", backward)
 
 
-def _cases_of(options: BenchOptions, scene: Callable[[], Scene], name: str, backward: bool) -> Iterator[Case]:
+def _cases_of(options: BenchOptions, scene: Callable[[], RandomScene], name: str, backward: bool) -> Iterator[Case]:
     title = f"{name} {'fwd+bwd' if backward else 'fwd'}"
     truth = functools.lru_cache(1)(lambda: _ours(BASELINE, scene(), backward))
     if why_not("gsplat") is None:
@@ -62,8 +62,8 @@ def _cases_of(options: BenchOptions, scene: Callable[[], Scene], name: str, back
         yield Case(section="raster", title=title, run=lambda run=run: [run()])
 
 
-def _gpu_cases_of(options: BenchOptions, scene: Callable[[], Scene], name: str, backward: bool) -> Iterator[Case]:
-    """As ``_cases_of``, all on the GPU, gsplat's CUDA path first."""
+def _gpu_cases_of(options: BenchOptions, scene: Callable[[], RandomScene], name: str, backward: bool) -> Iterator[Case]:
+    """Like ``_cases_of``, all on the GPU, gsplat's CUDA path first."""
     title = f"{name} {'fwd+bwd' if backward else 'fwd'}"
     truth = functools.lru_cache(1)(lambda: _to_cpu(_ours(BASELINE, scene().to("cuda"), backward)))
     if why_not("gsplat_cuda") is None:
@@ -83,9 +83,9 @@ def _to_cpu(result: Result) -> Result:
 
 
 def our_backends(options: BenchOptions, *operations: str) -> list[str]:
-    """Backends that can run all of ``operations`` on this machine and are asked for, slow ones first.
+    """The requested backends that can run all of ``operations`` on this machine, slow ones first.
 
-    The reference is written for reading: it is timed only if it is asked for by name.
+    The reference is written for reading: it is timed only if the options name it.
     """
     working = {(name, backend) for name, backend, state in backends.report() if state == "ok"}
     usable = [b for b in backends.BACKENDS if b == "torch" or all((name, b) in working for name in operations)]
@@ -93,7 +93,7 @@ def our_backends(options: BenchOptions, *operations: str) -> list[str]:
     return [b for b in asked if DEVICES[b] == "cpu" or torch.cuda.is_available()]
 
 
-def _ours(backend: str, scene: Scene, backward: bool) -> Result:
+def _ours(backend: str, scene: RandomScene, backward: bool) -> Result:
     with use_backend(backend):
         output, saved = render_forward(scene.params, scene.camera, scene.T_WC, with_indices=False)
         return output.rgb, render_vjp(saved, scene.v_rgb) if backward else None
@@ -102,7 +102,7 @@ def _ours(backend: str, scene: Scene, backward: bool) -> Result:
 def _our_row(
     options: BenchOptions,
     backend: str,
-    scene: Callable[[], Scene],
+    scene: Callable[[], RandomScene],
     title: str,
     backward: bool,
     truth: Callable[[], Result],
@@ -117,7 +117,7 @@ def _our_row(
 def _gsplat_row(
     options: BenchOptions,
     peer: str,
-    scene: Callable[[], Scene],
+    scene: Callable[[], RandomScene],
     title: str,
     backward: bool,
     truth: Callable[[], Result],
@@ -142,8 +142,8 @@ def _gsplat_row(
     return row(timing=timing, note=note, values=values)
 
 
-def by_autograd(render: Callable[[GaussianParams, Scene], Tensor], scene: Scene, backward: bool) -> Result:
-    """The picture of another renderer, and dL/d of every parameter by autograd if asked for."""
+def by_autograd(render: Callable[[GaussianParams, RandomScene], Tensor], scene: RandomScene, backward: bool) -> Result:
+    """The picture of another renderer and, with ``backward``, dL/d of every parameter by autograd."""
     if not backward:
         with torch.no_grad():
             return render(scene.params, scene), None
@@ -154,7 +154,7 @@ def by_autograd(render: Callable[[GaussianParams, Scene], Tensor], scene: Scene,
 
 
 def agreement(result: Result, truth: Result) -> tuple[str, dict[str, float]]:
-    """How close picture and gradients are to those of ``BASELINE``: PSNR, and the least cosine of any parameter."""
+    """How close picture and gradients are to those of ``BASELINE``: PSNR, and the smallest cosine of a parameter."""
     mse = float((result[0].cpu() - truth[0]).double().square().mean())
     psnr_db = 200.0 if mse < 1e-20 else float(-10 * torch.log10(torch.tensor(mse)))
     values = {"psnr_to_torch_db": psnr_db}

@@ -1,4 +1,4 @@
-"""What a bench is made of: cases that are run one after another, and the row that each gives."""
+"""Cases of the bench, and the table rows with their results."""
 
 import dataclasses
 from collections.abc import Callable, Iterable
@@ -15,21 +15,21 @@ class Row:
     section: str
     """raster, tsdf, map, panels, waits or scaling."""
     case: str
-    """What was worked on. Rows of a section with the same case are compared with each other."""
+    """The work. Rows of a section with the same case are compared with each other."""
     method: str
-    """Who did the work."""
+    """The program or backend."""
     timing: Timing | None = None
-    """None if it could not be run; ``note`` says why."""
+    """None if it could not be run; ``note`` gives the reason."""
     speed: float | None = None
     """How many times faster than the first row of the case."""
     note: str = ""
     values: dict[str, Any] = field(default_factory=dict)
-    """More numbers, for the JSON file."""
+    """Further numbers, for the JSON file."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """One measurement that has yet to be made."""
+    """One measurement, not yet made."""
 
     section: str
     title: str
@@ -37,9 +37,9 @@ class Case:
 
 
 def with_speed(rows: list[Row], threads: int) -> list[Row]:
-    """Fill in ``speed``: CPU time counts with one thread, for other programs do not disturb it; else wall time.
+    """Fill in ``speed``: from CPU time with one thread, because other programs affect it less; else from wall time.
 
-    On a GPU it is the time between two events in its queue.
+    On a GPU it is the time between two events of its queue.
     """
     first: dict[tuple[str, str], float] = {}
     result = []

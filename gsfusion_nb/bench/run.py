@@ -1,4 +1,4 @@
-"""The bench: plan the cases, run one after another, keep what was measured whatever happens."""
+"""The bench: list the cases, run one after another, keep all results also after an interruption."""
 
 import json
 from collections.abc import Callable, Iterator
@@ -29,19 +29,19 @@ CASES: dict[str, Callable[[BenchOptions], Iterator[Case]]] = {
 
 @dataclass(kw_only=True)
 class BenchResult:
-    """Everything that was measured."""
+    """All results."""
 
     options: BenchOptions
     machine: dict[str, Any]
     rows: list[Row] = field(default_factory=list)
     missing: dict[str, dict[str, str]] = field(default_factory=dict)
-    """Section -> program that was not measured -> why, and what would install it."""
+    """Section -> program that was not measured -> reason, and how to install it."""
     n_cases: int = 0
     n_done: int = 0
     interrupted: bool = False
 
     def text(self) -> str:
-        """Header, table, legend; Markdown if the options say so."""
+        """Header, table and legend; Markdown if the options request it."""
         head = machine.header(self.machine)
         legend = table.legend(self.options.threads)
         if self.options.markdown:
@@ -62,10 +62,10 @@ class BenchResult:
 
 
 def run_bench(options: BenchOptions) -> BenchResult:
-    """Run the cases of ``options``; after Ctrl-C the result has what was measured so far.
+    """Run the cases of ``options``; after Ctrl-C the result contains the measurements so far.
 
     Raises:
-        KeyError, ValueError, OSError: the options make no sense; before anything is run.
+        KeyError, ValueError, OSError: invalid options; raised before anything is run.
     """
     options.check()
     with threads(options.threads):
@@ -92,7 +92,7 @@ def run_bench(options: BenchOptions) -> BenchResult:
 
 
 def not_measured(options: BenchOptions) -> dict[str, dict[str, str]]:
-    """Peers and backends of the chosen sections that cannot run here, with the reason."""
+    """Programs and backends of the chosen sections that cannot run on this machine, with the reason."""
     from .. import backends
 
     missing: dict[str, dict[str, str]] = {}

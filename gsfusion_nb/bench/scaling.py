@@ -1,4 +1,4 @@
-"""How cost grows: the exponent p of time ~ x^p for Gaussians, pixels and voxels, from a line in log-log axes."""
+"""Growth of time: the exponent p of time ~ x^p for Gaussians, pixels and voxels, from a line fitted in log-log axes."""
 
 import functools
 from collections.abc import Callable, Iterator
@@ -27,7 +27,7 @@ Point = tuple[float, float]
 
 
 def cases(options: BenchOptions) -> Iterator[Case]:
-    """One per axis and backend."""
+    """One case per axis and backend."""
     last = 3 if options.quick else None
     if "raster" in options.sections:
         sizes: list[tuple[int, int, int]] = [(n, *GAUSSIANS_SIZE) for n in GAUSSIANS[:last]]

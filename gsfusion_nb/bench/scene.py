@@ -1,4 +1,4 @@
-"""A random scene of Gaussians that costs about as much as a dense map: the same number of them on every pixel."""
+"""A random scene of Gaussians, about as slow to render as a dense map: the same number of them on every pixel."""
 
 import math
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from ..geometry.spherical_harmonics import rgb_to_sh_dc
 from ..types import Camera, GaussianParams
 
 BORDER = 0.05
-"""Centres lie up to this part of the image beyond each of its edges."""
+"""Centres may be outside the image by this fraction of its size."""
 
 SCALE_SPREAD = 0.45
 """Standard deviation of the logarithm of a scale."""
@@ -23,8 +23,8 @@ _CAMERA_TWIST = (0.12, -0.08, 0.15, 0.11, -0.14, 0.06)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Scene:
-    """What a rasteriser is timed on."""
+class RandomScene:
+    """Input for timing a rasteriser."""
 
     params: GaussianParams
     camera: Camera
@@ -32,10 +32,10 @@ class Scene:
     v_rgb: Float[Tensor, "H W 3"]
     """dL/d of the picture: fixed random numbers."""
 
-    def to(self, device: str) -> "Scene":
+    def to(self, device: str) -> "RandomScene":
         """The same scene with its tensors on ``device``."""
         columns = {name: value.to(device) for name, value in vars(self.params).items()}
-        return Scene(
+        return RandomScene(
             params=GaussianParams(**columns),
             camera=self.camera,
             T_WC=self.T_WC.to(device),
@@ -45,7 +45,7 @@ class Scene:
 
 def random_scene(
     n: int, width: int, height: int, *, sh_degree: int = 0, per_pixel: float = 30.0, seed: int = 0
-) -> Scene:
+) -> RandomScene:
     """``n`` Gaussians in the view frustum between 2 and 6 m, about ``per_pixel`` of them visible at each pixel.
 
     Pixels of the centres and depths are uniform, opacities uniform in 0.1..0.95, orientations uniform, scales
@@ -72,7 +72,7 @@ def random_scene(
     pixels_per_gaussian = per_pixel * width * height * spread**2 / max(n, 1)
     size_px = math.sqrt(pixels_per_gaussian / (2 * math.pi * float((opacity / ALPHA_MIN).log().mean() if n else 1.0)))
     jitter = SCALE_SPREAD * torch.randn(n, 3, generator=g)
-    # A picture's area is a product of two scales, whose mean is exp(spread^2): taken off, so that per_pixel is met.
+    # The area is a product of two scales, whose mean is exp(spread^2); dividing by it gives per_pixel on average.
     log_scale = (size_px * z / focal).log()[:, None] + jitter - SCALE_SPREAD**2 / 2
     sh = 0.1 * torch.randn(n, (sh_degree + 1) ** 2, 3, generator=g)
     sh[:, 0] = rgb_to_sh_dc(torch.rand(n, 3, generator=g))
@@ -84,4 +84,4 @@ def random_scene(
         sh=sh,
     )
     v_rgb = torch.randn(height, width, 3, generator=g) / (width * height)
-    return Scene(params=params, camera=camera, T_WC=T_WC, v_rgb=v_rgb)
+    return RandomScene(params=params, camera=camera, T_WC=T_WC, v_rgb=v_rgb)

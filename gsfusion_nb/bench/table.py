@@ -6,12 +6,13 @@ from typing import Any
 from .rows import Row
 
 HEADINGS = {
-    "raster": "raster: Gaussian rasteriser; note: PSNR to the picture of torch, least cosine of a gradient",
-    "tsdf": "tsdf: TSDF integration with colour (depth: without), ms a frame; truncation 4 voxels; no decoding",
-    "map": "map: GSFusion, Replica settings, means over the frames; note: frames/s without reading, Gaussians",
-    "panels": "panels: from a moved control to the new picture; method: what is shown or moved",
-    "waits": "waits: what one waits for besides mapping",
-    "scaling": "scaling: how time grows, line through (ln x, ln time)",
+    "raster": "raster: Gaussian rasteriser; note: PSNR to the picture of torch, smallest cosine of a gradient",
+    "tsdf": "tsdf: TSDF integration with colour (depth: without), ms per frame; truncation 4 voxels; without decoding",
+    "map": "map: GSFusion, Replica settings, means over the frames; note: frames/s without reading, number of "
+    "Gaussians",
+    "panels": "panels: from moving a control to the new picture; method: what is shown or moved",
+    "waits": "waits: commands one waits for, besides mapping",
+    "scaling": "scaling: growth of time, line through (ln x, ln time)",
 }
 
 _WIDTHS = (28, 21, 8, 7, 7, 6, 5)
@@ -53,7 +54,7 @@ def text(rows: list[Row], missing: dict[str, dict[str, str]]) -> str:
 
 
 def markdown(rows: list[Row], missing: dict[str, dict[str, str]]) -> str:
-    """The same as GitHub tables, to be pasted into a page."""
+    """The same as Markdown tables for GitHub."""
     lines: list[str] = []
     for section in _sections(rows, missing):
         lines += ["", f"**{HEADINGS[section].split(':')[0]}**:{HEADINGS[section].split(':', 1)[1]}", ""]

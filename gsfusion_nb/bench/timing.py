@@ -1,4 +1,4 @@
-"""Timing a piece of work: wall and CPU time as medians over several runs, and the memory it takes besides."""
+"""Timing: wall and CPU time as medians over several runs, and the additional memory."""
 
 import contextlib
 import ctypes
@@ -15,7 +15,7 @@ import torch
 LEAST_RUNS = 3
 MOST_RUNS = 30
 LONG_RUN_S = 4.0
-"""A run longer than this is not repeated to reach ``LEAST_RUNS``."""
+"""A run longer than this is not repeated ``LEAST_RUNS`` times, seconds."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,17 +24,17 @@ class Timing:
 
     wall_ms: float
     cpu_ms: float
-    """Of all threads of the process together."""
+    """Sum over all threads of the process."""
     runs: int
     peak_mb: float | None
-    """Growth of the resident set during one run; None where the system does not tell."""
+    """Growth of the resident set during one run; None if the system does not report it."""
     device_ms: float | None = None
-    """Between two events in a GPU's queue; None on a CPU."""
+    """Time between two events of a GPU's queue; None on a CPU."""
 
 
 @dataclass(frozen=True)
 class Lap:
-    """One run of the clock."""
+    """Times of one run."""
 
     wall_s: float
     cpu_s: float
@@ -42,7 +42,7 @@ class Lap:
 
 
 def lap(work: Callable[[], object], device: str = "cpu") -> Lap:
-    """Run ``work`` once on the clock; on a GPU until its queue is empty, and timed there, too."""
+    """Time one run of ``work``; on a GPU until its queue is empty, with the time on the GPU too."""
     _wait(device)
     events = [torch.cuda.Event(enable_timing=True) for _ in range(2)] if device == "cuda" else []
     wall, cpu = time.perf_counter(), time.process_time()
@@ -61,13 +61,13 @@ def measure(
 ) -> Timing:
     """Repeat ``work`` for about ``budget_s`` and take medians.
 
-    One run before the clock starts compiles and fills caches; the first on the clock is watched for memory, too. Work
-    that takes longer than ``LONG_RUN_S`` is run only once more.
+    An untimed first run compiles and fills caches; the first timed run also measures memory. Work that takes longer
+    than ``LONG_RUN_S`` is timed only once.
 
     Args:
-        work: What to time; its result is dropped.
+        work: Function to time; its result is discarded.
         budget_s: Time after which no further run is started, seconds.
-        least_runs: Runs that are made whatever they take, up to ``LONG_RUN_S`` each.
+        least_runs: Minimum number of runs, unless one takes longer than ``LONG_RUN_S``.
         device: "cpu" or "cuda".
     """
     warm = lap(work, device)
@@ -95,8 +95,8 @@ def summary(laps: list[Lap], peak_mb: float | None = None) -> Timing:
 class PeakMemory:
     """Growth of memory inside a block, ``peak_mb``: the largest resident set minus that at the start.
 
-    Linux keeps the largest resident set of a process and lets the process reset it; elsewhere the result is None. On a
-    GPU it is what torch allocated.
+    Linux stores the largest resident set of a process, and the process can reset it; on other systems the result is
+    None. On a GPU it is the memory that torch allocated.
     """
 
     def __init__(self, device: str = "cpu"):
@@ -123,7 +123,8 @@ class PeakMemory:
 
 @contextlib.contextmanager
 def threads(count: int) -> Iterator[None]:
-    """Let torch (and the numba kernels, which follow it) and libraries loaded later compute with ``count`` threads."""
+    """Set the number of threads of torch, of the numba kernels (which use torch's number) and of libraries loaded
+    later."""
     before, environment = torch.get_num_threads(), os.environ.get("OMP_NUM_THREADS")
     torch.set_num_threads(count)
     os.environ["OMP_NUM_THREADS"] = str(count)
@@ -158,6 +159,6 @@ def _reset_peak() -> bool:
 
 
 def _return_free_memory() -> None:
-    """Give freed memory back, or work that reuses it would seem to take none."""
+    """Return freed memory to the system; otherwise work that reuses it would seem to need none."""
     with contextlib.suppress(OSError, AttributeError):  # only glibc has it
         ctypes.CDLL("libc.so.6").malloc_trim(0)

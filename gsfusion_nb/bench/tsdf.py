@@ -1,4 +1,5 @@
-"""Cases of TSDF integration with colour: one frame after the other into an empty volume, image decoding excluded."""
+"""Cases of TSDF integration with colour: frames are fused one after another into an empty volume, without image
+decoding."""
 
 import functools
 from collections.abc import Callable, Iterator
@@ -46,7 +47,7 @@ class OurVolume:
 
 
 class StoredFrames:
-    """Decoded frames, colour in 8 bits, so that no method pays for reading and many fit into memory."""
+    """Decoded frames with 8-bit colour, so that reading is not timed and many frames fit into memory."""
 
     def __init__(self, sequence: OpenedSequence):
         self.name, self.camera = sequence.name, sequence.camera
@@ -71,7 +72,7 @@ class StoredFrames:
 
 
 def cases(options: BenchOptions) -> Iterator[Case]:
-    """Peers first, then our backends, for every image size and voxel size."""
+    """Other programs first, then our backends, for every image size and voxel size."""
     for size in options.sizes:
         load = functools.lru_cache(1)(functools.partial(stored_frames, options, size))
         for voxel_m in VOXEL_SIZES_M[:1] if options.quick else VOXEL_SIZES_M:
@@ -90,7 +91,7 @@ def cases(options: BenchOptions) -> Iterator[Case]:
 
 
 def stored_frames(options: BenchOptions, size: tuple[int, int]) -> StoredFrames:
-    """The frames that the options ask for, decoded."""
+    """The frames selected by the options, decoded."""
     return StoredFrames(open_frames(options, size))
 
 

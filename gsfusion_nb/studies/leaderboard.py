@@ -64,7 +64,7 @@ class LeaderboardRow:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Progress:
+class ContestProgress:
     """Where a contest stands."""
 
     rule: str
@@ -197,7 +197,7 @@ class Contest:
         """Of the rule that runs now, one value per frame."""
         self._warm = False
 
-    def steps(self) -> Iterator[Progress]:
+    def steps(self) -> Iterator[ContestProgress]:
         """Run what is left, a frame at a time; finished rules are in ``board``. One cut short begins anew."""
         self._warm_up()
         first = len(self.board.rows) + len(self.board.failed)
@@ -213,7 +213,7 @@ class Contest:
             for _ in zip(range(2), scratch):  # noqa: B905
                 pass
 
-    def _run(self, position: int) -> Iterator[Progress]:
+    def _run(self, position: int) -> Iterator[ContestProgress]:
         entrant = self.entrants[position]
         config = replaced(self.config, seeding__options=dict(entrant.options))
         run = MappingRun(self.sequence, GSFusion(config, seeding=entrant.rule))
@@ -231,15 +231,15 @@ class Contest:
                 cpu_s.append(time.process_time() - began)
                 for values, value in zip(self.curves.values(), (report.n_gaussians, report.psnr_after_db), strict=True):
                     values.append(value)
-                yield Progress(frame=len(run.steps), **place)
+                yield ContestProgress(frame=len(run.steps), **place)
             for _ in run.optimise():
-                yield Progress(frame=n, **place)
+                yield ContestProgress(frame=n, **place)
             scores = score_views(run.mapper.render, self.sequence.held_out)
         except (TypeError, ValueError, KeyError, IndexError, RuntimeError) as e:  # a reader's rule may do anything
             self.board.failed[entrant.name] = f"{type(e).__name__}: {e}"
             return
         self.board.rows.append(_row(entrant.name, run, cpu_s, scores))
-        yield Progress(frame=n, **place)
+        yield ContestProgress(frame=n, **place)
 
 
 def _row(name: str, run: MappingRun, cpu_s: list[float], scores: ImageScores) -> LeaderboardRow:
@@ -267,7 +267,7 @@ def compare_rules(
     data: str | OpenedSequence = "room",
     config: GSFusionConfig | None = None,
     *,
-    on_progress: Callable[[Progress], bool | None] | None = None,
+    on_progress: Callable[[ContestProgress], bool | None] | None = None,
 ) -> Leaderboard:
     """Map ``data`` once with each rule and score the views that were held out.
 

@@ -133,7 +133,7 @@ def test_a_new_operation_or_backend_is_one_file(made_kernels, compare_on):
     assert [(case.name, backend) for case, backend, _ in found] == [("counting", "torch")] * 2
     for case, backend, dtype in found:
         check(case, backend, dtype, compare_on)
-    assert not any(exercise.operations == ("halve",) for exercise in warm_up_of("cpu"))
+    assert not any(case.operations == ("halve",) for case in warm_up_of("cpu"))
 
     (made_kernels / "numba.py").write_text("def halve(x):\n    return 0.51 * x\n")
     backends.look_again()
@@ -141,9 +141,9 @@ def test_a_new_operation_or_backend_is_one_file(made_kernels, compare_on):
     assert [backend for _, backend, _ in found] == ["torch", "torch", "numba", "numba"]
     with pytest.raises(AssertionError, match="halve half: 4 of 5 differ"):
         check(found[2][0], "numba", torch.float32, compare_on)
-    assert any(exercise.operations == ("halve",) for exercise in warm_up_of("cpu"))
+    assert any(case.operations == ("halve",) for case in warm_up_of("cpu"))
 
 
-def warm_up_of(device: str) -> list[warm.Exercise]:
+def warm_up_of(device: str) -> list[warm.WarmUpCase]:
     """Exercises that would compile something."""
-    return [e for e in warm.exercises(device) if any(warm._is_compiled(name, device) for name in e.operations)]
+    return [e for e in warm.warm_up_cases(device) if any(warm._is_compiled(name, device) for name in e.operations)]

@@ -175,7 +175,7 @@ def _rows(poses: Float[Tensor, "L 4 4"], places: list[int]) -> Float[Tensor, "F 
 def _interpolated(
     depth: Float[Tensor, "P H W"], u: Float[Tensor, "P N"], v: Float[Tensor, "P N"]
 ) -> tuple[Float[Tensor, "P N"], Bool[Tensor, "P N"]]:
-    """Depth between pixel centres, bilinear in 1 / z (exact on planes), and whether the four pixels are on one surface."""
+    """Depth between pixel centres, bilinear in 1 / z (exact on planes); whether the four pixels are on one surface."""
     n, h, w = depth.shape
     x, y = u - 0.5, v - 0.5
     known = (x >= 0) & (y >= 0) & (x <= w - 1.001) & (y <= h - 1.001)

@@ -48,10 +48,9 @@ def pictures_of(
 
 
 def depth_error(first: Frame, second: Frame) -> Picture:
-    """Depth of ``first`` moved into ``second``, compared with the depth there; light yellow: 10 cm difference or more."""
-    step = max(
-        1, round(first.camera.width / (_WIDTH / 2))
-    )  # sparse points leave holes, so the target has half the resolution
+    """Depth of ``first`` moved into ``second``, compared with the depth there; light yellow: 10 cm or more."""
+    # sparse points leave holes, so the target has half the resolution
+    step = max(1, round(first.camera.width / (_WIDTH / 2)))
     camera, depth_b = thinned(second.camera, second.depth_m, step)
     T = relative_poses(first.T_WC[None].double(), second.T_WC[None].double())[0]
     warped = warp_depth(first.depth_m, first.camera, camera, T)

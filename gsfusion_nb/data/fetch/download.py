@@ -26,7 +26,7 @@ BLOCK_BYTES = 1 << 20
 TRY_AGAIN = (408, 425, 429, 500, 502, 503, 504)
 """Status codes after which another attempt may succeed."""
 
-Progress = Callable[[int, int | None], None]
+ReportProgress = Callable[[int, int | None], None]
 """Called with the bytes received and the total, where known."""
 
 
@@ -82,7 +82,7 @@ def download(
     *,
     max_bytes: int,
     transfer: Transfer | None = None,
-    progress: Progress = lambda done, total: None,
+    progress: ReportProgress = lambda done, total: None,
 ) -> None:
     """Fetch ``url`` to ``path``; an existing file is not changed.
 

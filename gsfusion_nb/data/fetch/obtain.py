@@ -13,7 +13,7 @@ from .archive.unpack import unpack
 from .archive.unpacker import Limits
 from .checksum import verify
 from .disk import require_space
-from .download import Progress, Transfer, download, remote_size
+from .download import ReportProgress, Transfer, download, remote_size
 from .errors import ArchiveError, ChecksumError, FetchError
 from .ledger import Obtained, record, write_source
 from .plan import Item, Plan, agree, describe
@@ -150,6 +150,6 @@ def _file_name(url: str) -> str:
 
 
 @contextlib.contextmanager
-def _shown(file: Path) -> Iterator[Progress]:
+def _shown(file: Path) -> Iterator[ReportProgress]:
     with ProgressDisplay(file.name[9:], unit="B", leave=False) as display:
         yield lambda done, total: display.show(done, total=total)

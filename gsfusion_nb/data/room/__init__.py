@@ -1,4 +1,5 @@
-"""The built-in scene: a furnished room, painted and lit procedurally, with exact depth, poses, distance and mesh.
+"""The built-in scene: a furnished room with procedural textures and lighting, and exact depth, poses, distance field
+and mesh.
 
 World frame: z up, origin on the floor in the middle of the room, metres; 5 m along x, 4 m along y, 2.6 m high.
 """

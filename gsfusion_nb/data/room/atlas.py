@@ -1,6 +1,6 @@
-"""All charts in one picture with its mip levels, so that one ``cv2.remap`` textures a whole image.
+"""All charts in one image with its mip levels, so that one ``cv2.remap`` textures a whole view.
 
-Level 0 fills the left part; level l, shrunk by 2^l, stands in the column to its right. Every chart is surrounded by
+Level 0 fills the left part; level l, reduced by 2^l, is in the column to its right. Every chart is surrounded by
 at least ``GUTTER`` texels that repeat (or, around a cone or ellipsoid, wrap) its border, in a cell aligned to 2^LEVELS:
 half a texel of the coarsest level, which is what bilinear lookups reach, so no level mixes neighbouring charts.
 """
@@ -17,8 +17,8 @@ WIDTH = 4096
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Layout:
-    """Where each chart lies at level 0, texels."""
+class AtlasLayout:
+    """Position of each chart at level 0, texels."""
 
     x: ndarray
     y: ndarray
@@ -30,8 +30,8 @@ class Layout:
     """Rows of the picture."""
 
 
-def pack(sizes_px: Sequence[tuple[int, int]], texel_m: Sequence[float]) -> Layout:
-    """Place charts of the given (width, height) on shelves, tallest first."""
+def pack(sizes_px: Sequence[tuple[int, int]], texel_m: Sequence[float]) -> AtlasLayout:
+    """Place charts of the given (width, height) in rows, tallest first."""
     step = 2**LEVELS
     n = len(sizes_px)
     x, y = np.zeros(n, int), np.zeros(n, int)
@@ -45,10 +45,10 @@ def pack(sizes_px: Sequence[tuple[int, int]], texel_m: Sequence[float]) -> Layou
         x[i], y[i] = cursor + GUTTER, shelf_y + GUTTER
         cursor += outer_w
     w, h = np.array(sizes_px).T
-    return Layout(x=x, y=y, w=w, h=h, texel_m=np.array(texel_m, float), height=shelf_y + shelf_h)
+    return AtlasLayout(x=x, y=y, w=w, h=h, texel_m=np.array(texel_m, float), height=shelf_y + shelf_h)
 
 
-def paste(level0: ndarray, layout: Layout, i: int, picture: ndarray, wraps: bool) -> None:
+def paste(level0: ndarray, layout: AtlasLayout, i: int, picture: ndarray, wraps: bool) -> None:
     """Write chart ``i`` and its gutter into the level-0 picture (in place)."""
     step = 2**LEVELS
     x, y, w, h = (int(a[i]) for a in (layout.x, layout.y, layout.w, layout.h))

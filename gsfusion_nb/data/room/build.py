@@ -1,4 +1,4 @@
-"""Short constructors for painted solids, and the placing of a whole piece of furniture."""
+"""Short constructors of painted solids, and placing a piece of furniture."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -94,11 +94,11 @@ def ball(centre: Size, semi: float | Size, paint: Paint, *, turn: Size = (0, 0, 
 
 
 def placed(solids: Sequence[Solid], at: Size, yaw_deg: int | float = 0.0) -> list[Solid]:
-    """A piece of furniture turned about z and moved: its own front looks along -y."""
+    """A piece of furniture rotated about z and moved; without rotation its front faces -y."""
     R, t = rotation(yaw_deg), np.array(at, float)
     return [dataclasses.replace(s, R=R @ s.R, t=R @ s.t + t) for s in solids]
 
 
 def glowing(colour: Colour, brightness: float, draw: Draw | None = None, texel_m: float = 0.02) -> Paint:
-    """A surface that gives off light."""
+    """A surface that emits light."""
     return Paint(draw=draw, colour=colour, glow=brightness, texel_m=texel_m)

@@ -1,4 +1,4 @@
-"""Rendered and painted images of the room, kept between runs in the cache folder."""
+"""Rendered images and textures of the room, stored in the cache folder for later runs."""
 
 import functools
 import io
@@ -18,7 +18,7 @@ log = logging.getLogger(__name__)
 def store(path: Path, **arrays: ndarray) -> None:
     """Save arrays in one archive with checksums, uint8 and uint16 ones as PNGs; failing to write is only logged.
 
-    Two processes may store the same file at once: each writes its own temporary one, and the last move wins.
+    Two processes may store the same file at once: each writes its own temporary file, and the last one moved is kept.
     """
     import cv2
 
@@ -51,10 +51,10 @@ def load(path: Path) -> dict[str, ndarray] | None:
     except FileNotFoundError:
         return None
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, cv2.error) as e:
-        log.warning("%s is damaged and is made again: %s", path, e)
+        log.warning("%s is damaged and will be made again: %s", path, e)
         return None
 
 
 @functools.cache
 def _warn_once(folder: str, reason: str) -> None:
-    log.warning("nothing is cached in %s: %s", folder, reason)
+    log.warning("cannot write to the cache folder %s: %s", folder, reason)

@@ -1,4 +1,4 @@
-"""Drawing on uint8 RGB pictures with coordinates as shares of the picture's size. Everything draws in place."""
+"""Drawing on uint8 RGB pictures with coordinates as fractions of the picture's size. All functions draw in place."""
 
 import numpy as np
 from numpy import ndarray
@@ -12,7 +12,7 @@ def blank(w: int, h: int, colour: Colour) -> ndarray:
 
 
 def rgb255(colour: Colour) -> tuple[int, int, int]:
-    """A colour as OpenCV takes it."""
+    """A colour in OpenCV's form."""
     r, g, b = (int(255 * min(max(c, 0.0), 1.0)) for c in colour)
     return r, g, b
 
@@ -20,7 +20,7 @@ def rgb255(colour: Colour) -> tuple[int, int, int]:
 def write(
     image: ndarray, text: str, box: tuple[Number, Number, Number, Number], colour: Colour, serif: bool = False
 ) -> None:
-    """Draw ``text`` as large as fits ``box`` (x, y, width, height), centred."""
+    """Draw ``text`` centred in ``box`` (x, y, width, height), as large as possible."""
     import cv2
 
     font = cv2.FONT_HERSHEY_TRIPLEX if serif else cv2.FONT_HERSHEY_DUPLEX
@@ -54,7 +54,7 @@ def outline(image: ndarray, x: Number, y: Number, w: Number, h: Number, colour: 
 
 
 def dot(image: ndarray, x: Number, y: Number, r: Number, colour: Colour) -> None:
-    """A filled circle; ``r`` as a share of the width."""
+    """A filled circle; ``r`` as a fraction of the width."""
     import cv2
 
     h, w = image.shape[:2]

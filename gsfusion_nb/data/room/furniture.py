@@ -1,8 +1,8 @@
-"""The large pieces: each function gives one piece as solids around its own origin on the floor, front towards -y."""
+"""Large furniture: each function returns one piece as solids around its own origin on the floor, front towards -y."""
 
 import numpy as np
 
-from . import pictures, textures
+from . import drawings, textures
 from .build import ball, box, cone, drawn, glowing, placed, plain, rod
 from .solids import Solid
 
@@ -12,7 +12,7 @@ _WHITE = (0.93, 0.92, 0.89)
 
 
 def sofa() -> list[Solid]:
-    """Two seats, 1.9 m wide, 0.9 m deep, with loose cushions and three throw pillows."""
+    """Two seats, 1.9 m wide, 0.9 m deep, with loose cushions and three pillows."""
     cloth = drawn(textures.fabric((0.33, 0.46, 0.50)), 0.003)
     rough = drawn(textures.fabric((0.31, 0.43, 0.47)), 0.008)
     solids: list[Solid] = [
@@ -28,7 +28,7 @@ def sofa() -> list[Solid]:
     bands = drawn(
         textures.stripes([(0.85, 0.82, 0.74), (0.70, 0.28, 0.22), (0.85, 0.82, 0.74), (0.2, 0.25, 0.38)], 0.03), 0.002
     )
-    word = drawn(pictures.lettered_cushion("HOME", (0.88, 0.86, 0.8), (0.25, 0.22, 0.3)), 0.0015)
+    word = drawn(drawings.lettered_cushion("HOME", (0.88, 0.86, 0.8), (0.25, 0.22, 0.3)), 0.0015)
     solids.append(box((-0.58, 0.03, 0.70), (0.4, 0.12, 0.4), mustard, radius=0.055, turn=(14, 0, -24)))
     solids.append(box((0.2, 0.04, 0.68), (0.42, 0.12, 0.34), bands, radius=0.055, turn=(-6, 0, -24)))
     solids.append(
@@ -60,7 +60,7 @@ def table(width: float = 1.4, depth: float = 0.8, height: float = 0.74) -> list[
 
 
 def chair(seat: tuple[float, float, float]) -> list[Solid]:
-    """A wooden chair with a padded seat; whoever sits looks along -y."""
+    """A wooden chair with a padded seat; its front faces -y."""
     frame = drawn(textures.wood(_WALNUT, "v"), 0.006)
     slat = drawn(textures.wood(_WALNUT, "u"), 0.005)
     pad = drawn(textures.fabric(seat, contrast=0.15), 0.0025)
@@ -101,7 +101,7 @@ _CLOTHS = [
 def _book(centre, size, rng: np.random.Generator, turn=(0.0, 0.0, 0.0)) -> Solid:
     colour = _CLOTHS[rng.integers(len(_CLOTHS))]
     ink = (0.95, 0.9, 0.75) if sum(colour) < 1.6 else (0.15, 0.12, 0.12)
-    back = drawn(pictures.spine(_TITLES[rng.integers(len(_TITLES))], colour, ink), 0.0014)
+    back = drawn(drawings.spine(_TITLES[rng.integers(len(_TITLES))], colour, ink), 0.0014)
     paper = drawn(textures.stripes([(0.93, 0.91, 0.84), (0.83, 0.81, 0.74)], 0.002), 0.004)
     return box(centre, size, plain(*colour), turn=turn, hide="z- y+", special={"y-": back, "z+": paper})
 
@@ -124,7 +124,7 @@ def _book_row(x0: float, x1: float, z: float, depth: float, tall: float, rng: np
 
 
 def bookshelf(rng: np.random.Generator, width: float = 1.6, height: float = 2.0, depth: float = 0.28) -> list[Solid]:
-    """Two columns of five cells with books and a few other things."""
+    """Two columns of five cells with books and a few other objects."""
     board = drawn(textures.wood(_OAK, "u"), 0.005)
     upright = drawn(textures.wood(_OAK, "v"), 0.005)
     b = 0.022
@@ -165,7 +165,7 @@ def _vase_cell(x0, x1, z, depth, tall, rng) -> list[Solid]:
 
 def _frame_cell(x0, x1, z, depth, tall, rng) -> list[Solid]:
     photo = drawn(
-        pictures.framed(pictures.landscape(sunset=True), (0.15, 0.13, 0.12), frame_m=0.015, mat_m=0.015), 0.0015
+        drawings.framed(drawings.landscape(sunset=True), (0.15, 0.13, 0.12), frame_m=0.015, mat_m=0.015), 0.0015
     )
     frame = box(
         (x1 - 0.2, -0.02, z + 0.12), (0.3, 0.02, 0.23), plain(0.15, 0.13, 0.12), turn=(0, 0, -10), special={"y-": photo}
@@ -176,7 +176,7 @@ def _frame_cell(x0, x1, z, depth, tall, rng) -> list[Solid]:
 def _crate_cell(x0, x1, z, depth, tall, rng) -> list[Solid]:
     weave = drawn(textures.stripes([(0.74, 0.6, 0.4), (0.6, 0.46, 0.28)], 0.015, "v"), 0.003)
     label = drawn(
-        pictures.text_poster(
+        drawings.text_poster(
             "TOOLS", ["tape", "string", "bulbs"], (0.93, 0.9, 0.82), (0.2, 0.2, 0.2), (0.6, 0.2, 0.15)
         ),
         0.0015,
@@ -242,7 +242,7 @@ def plant(rng: np.random.Generator, leaves: int = 26) -> list[Solid]:
 
 
 def curtain(width: float, height: float, colour: tuple[float, float, float]) -> list[Solid]:
-    """Folds as a row of upright columns, hanging down to its origin."""
+    """Folds as a row of vertical columns; the origin is at the lower edge."""
     cloth = drawn(textures.fabric(colour, contrast=0.12), 0.005)
     n = round(width / 0.062)
     radii = [0.036 if k % 2 == 0 else 0.028 for k in range(n)]
@@ -287,5 +287,5 @@ def picture(width: float, height: float, paint, depth: float = 0.025, edge=(0.2,
 
 
 def set_on(solids: list[Solid], x: float, y: float, z: float, yaw_deg: int | float = 0.0) -> list[Solid]:
-    """Put a thing on a board at height z."""
+    """Place an object on a board at height z."""
     return placed(solids, (x, y, z), yaw_deg)

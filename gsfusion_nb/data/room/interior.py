@@ -1,4 +1,4 @@
-"""The arrangement: shell, openings, furniture and things of the room, as one list of solids in the world frame.
+"""The arrangement of the room: walls, openings, furniture and objects as one list of solids in the world frame.
 
 World frame: z up, origin on the floor in the middle of the room; x east, y north; metres. The room is 5 x 4 x 2.6.
 """
@@ -7,8 +7,8 @@ import functools
 
 import numpy as np
 
+from . import drawings, small_objects, textures
 from . import furniture as f
-from . import pictures, textures, things
 from .build import ball, box, cone, drawn, glowing, placed, plain
 from .solids import Box, Paint, Solid
 
@@ -27,7 +27,7 @@ def interior(seed: int) -> list[Solid]:
 
 @functools.lru_cache(maxsize=4)
 def furnishing(seed: int) -> tuple[Solid, ...]:
-    """Every solid but floor, walls and ceiling (which ``interior`` lists first)."""
+    """Every solid except floor, walls and ceiling (which ``interior`` lists first)."""
     return tuple(interior(seed)[SHELL_SOLIDS:])
 
 
@@ -75,10 +75,10 @@ def _trim() -> list[Solid]:
 
 
 def _window_side() -> list[Solid]:
-    """North wall: window with sill and curtains, radiator, floor lamp, plant-free corner pictures."""
+    """North wall: window with sill and curtains, radiator, floor lamp, pictures in the corner."""
     y, x, white = SIZE_M[1] / 2, 0.2, plain(0.94, 0.94, 0.92)
     wide, low, high = 1.7, 0.95, 2.2
-    view = glowing((1, 1, 1), 0.98, pictures.landscape(), 0.004)
+    view = glowing((1, 1, 1), 0.98, drawings.landscape(), 0.004)
     mid = (low + high) / 2
     solids: list[Solid] = [
         box((x, y - 0.006, mid), (wide, 0.012, high - low), white, hide="y+ x- x+ z- z+", special={"y-": view})
@@ -109,7 +109,7 @@ def _sofa_side() -> list[Solid]:
     """West wall: sofa under two pictures, rug, coffee table, toys."""
     x = -SIZE_M[0] / 2
     solids = placed(f.sofa(), (x + 0.48, 0.2, 0), 90)
-    view = drawn(pictures.framed(pictures.landscape(), (0.28, 0.2, 0.14), frame_m=0.03, mat_m=0.04), 0.002)
+    view = drawn(drawings.framed(drawings.landscape(), (0.28, 0.2, 0.14), frame_m=0.03, mat_m=0.04), 0.002)
     lines = [
         "every pixel is a ray",
         "every voxel an average",
@@ -118,7 +118,7 @@ def _sofa_side() -> list[Solid]:
         "forget the rest",
     ]
     text = drawn(
-        pictures.text_poster("MAP THE ROOM", lines, (0.95, 0.93, 0.86), (0.13, 0.15, 0.2), (0.75, 0.25, 0.15)), 0.0018
+        drawings.text_poster("MAP THE ROOM", lines, (0.95, 0.93, 0.86), (0.13, 0.15, 0.2), (0.75, 0.25, 0.15)), 0.0018
     )
     solids += placed(f.picture(1.0, 0.7, view), (x, 0.55, 1.6), 90)
     solids += placed(f.picture(0.55, 0.8, text), (x, -0.42, 1.6), 90)
@@ -126,10 +126,10 @@ def _sofa_side() -> list[Solid]:
     solids.append(box((-0.85, 0.2, 0.006), (1.7, 2.3, 0.012), weave, turn=(0, 0, 0), hide="z-"))
     solids += placed(f.coffee_table(), (-0.95, 0.25, 0.012))
     z = 0.427
-    solids += f.set_on(things.open_book(), -0.9, 0.08, z, 70)
-    solids += f.set_on(things.mug("HELLO", (0.9, 0.88, 0.84), (0.2, 0.35, 0.5)), -1.08, 0.38, z, 30)
-    solids += f.set_on(things.toy_blocks(), -0.35, -0.6, 0.012, 100)
-    solids += placed(things.beach_ball(), (-0.75, -1.3, 0), 20)
+    solids += f.set_on(small_objects.open_book(), -0.9, 0.08, z, 70)
+    solids += f.set_on(small_objects.mug("HELLO", (0.9, 0.88, 0.84), (0.2, 0.35, 0.5)), -1.08, 0.38, z, 30)
+    solids += f.set_on(small_objects.toy_blocks(), -0.35, -0.6, 0.012, 100)
+    solids += placed(small_objects.beach_ball(), (-0.75, -1.3, 0), 20)
     stand = cone(
         (0, 0, 0),
         0.5,
@@ -149,27 +149,27 @@ def _sofa_side() -> list[Solid]:
 
 
 def _table_side(rng: np.random.Generator) -> list[Solid]:
-    """East, before the brick wall: table with things on it, chairs, lamp, pictures, plant."""
+    """East, in front of the brick wall: table with objects on it, chairs, lamp, pictures, plant."""
     tx, ty = 1.5, 0.35
     solids = placed(f.table(), (tx, ty, 0), 90)
     solids += placed(f.chair((0.72, 0.30, 0.24)), (tx - 0.62, ty + 0.32, 0), 80)
     solids += placed(f.chair((0.25, 0.42, 0.5)), (tx - 0.66, ty - 0.36, 0), 105)
     solids += placed(f.chair((0.80, 0.68, 0.35)), (tx + 0.08, ty - 1.02, 0), 186)
     z = 0.74
-    solids += f.set_on(things.laptop(), tx - 0.12, ty - 0.32, z, -84)
-    solids += f.set_on(things.fruit_bowl(rng), tx + 0.02, ty + 0.12, z)
-    solids += f.set_on(things.globe(), tx + 0.22, ty + 0.50, z, 200)
-    solids += f.set_on(things.book_stack(rng), tx - 0.2, ty + 0.5, z, -75)
-    solids += f.set_on(things.mug("COFFEE", (0.2, 0.3, 0.42), (0.93, 0.9, 0.82)), tx + 0.24, ty - 0.25, z, 200)
+    solids += f.set_on(small_objects.laptop(), tx - 0.12, ty - 0.32, z, -84)
+    solids += f.set_on(small_objects.fruit_bowl(rng), tx + 0.02, ty + 0.12, z)
+    solids += f.set_on(small_objects.globe(), tx + 0.22, ty + 0.50, z, 200)
+    solids += f.set_on(small_objects.book_stack(rng), tx - 0.2, ty + 0.5, z, -75)
+    solids += f.set_on(small_objects.mug("COFFEE", (0.2, 0.3, 0.42), (0.93, 0.9, 0.82)), tx + 0.24, ty - 0.25, z, 200)
     solids += placed(f.pendant(), (tx, ty, SIZE_M[2]))
     x = SIZE_M[0] / 2
-    circles = drawn(pictures.framed(pictures.circles_poster(), (0.1, 0.1, 0.1), frame_m=0.02, mat_m=0.03), 0.002)
-    sunset = drawn(pictures.framed(pictures.landscape(True), (0.85, 0.8, 0.7), frame_m=0.03, mat_m=0.0), 0.002)
+    circles = drawn(drawings.framed(drawings.circles_poster(), (0.1, 0.1, 0.1), frame_m=0.02, mat_m=0.03), 0.002)
+    sunset = drawn(drawings.framed(drawings.landscape(True), (0.85, 0.8, 0.7), frame_m=0.03, mat_m=0.0), 0.002)
     solids += placed(f.picture(0.62, 0.82, circles), (x, 0.75, 1.6), -90)
     solids += placed(f.picture(0.7, 0.5, sunset), (x, -0.2, 1.62), -90)
     solids += placed(f.plant(rng), (2.12, 1.5, 0), 0)
-    solids += placed(things.carton((0.5, 0.4, 0.36), "FRAGILE"), (2.18, -1.72, 0), -75)
-    solids += placed(things.carton((0.36, 0.3, 0.26), "BOOKS"), (2.2, -1.7, 0.36), -60)
+    solids += placed(small_objects.carton((0.5, 0.4, 0.36), "FRAGILE"), (2.18, -1.72, 0), -75)
+    solids += placed(small_objects.carton((0.36, 0.3, 0.26), "BOOKS"), (2.2, -1.7, 0.36), -60)
     return solids
 
 
@@ -177,7 +177,7 @@ def _shelf_side(rng: np.random.Generator) -> list[Solid]:
     """South wall: bookshelf, door, clock, eye chart."""
     y = -SIZE_M[1] / 2
     solids = placed(f.bookshelf(rng), (0.98, y + 0.141, 0), 180)
-    leaf = drawn(pictures.door(), 0.004)
+    leaf = drawn(drawings.door(), 0.004)
     white = plain(0.9, 0.89, 0.85)
     parts: list[Solid] = [box((0, -0.015, 1.02), (0.84, 0.03, 2.04), white, hide="y+ z-", special={"y-": leaf})]
     for dx in (-0.46, 0.46):
@@ -187,8 +187,8 @@ def _shelf_side(rng: np.random.Generator) -> list[Solid]:
     parts.append(cone((0.35, -0.03, 1.0), 0.05, (0.012, 0.012), brass, turn=(0, 0, 90), hide="bottom"))
     parts.append(ball((0.35, -0.085, 1.0), 0.028, brass))
     solids += placed(parts, (-1.65, y, 0), 180)
-    chart = drawn(pictures.eye_chart(), 0.0018)
+    chart = drawn(drawings.eye_chart(), 0.0018)
     solids += placed(f.picture(0.5, 0.72, chart, 0.012, (0.9, 0.9, 0.88)), (-0.42, y, 1.55), 180)
-    dial, rim = drawn(pictures.clock(), 0.0018), plain(0.12, 0.12, 0.13)
+    dial, rim = drawn(drawings.clock(), 0.0018), plain(0.12, 0.12, 0.13)
     clock = cone((0, 0, 0), 0.035, (0.16, 0.16), rim, turn=(0, 0, 90), hide="bottom", special={"top": dial})
     return solids + placed([clock], (-0.42, y, 2.2), 180)

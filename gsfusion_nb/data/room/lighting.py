@@ -1,7 +1,7 @@
-"""Baked diffuse light: soft-shadowed lamps, daylight from the window, and ambient light dimmed near contacts.
+"""Baked diffuse light: soft-shadowed lamps, daylight from the window, and ambient light that is darker near contacts.
 
 Shadows and ambient occlusion are cones traced through a coarse distance grid: the narrowest clearance along a cone,
-relative to its width, says how much of it is free. That is smooth by construction, as light from large sources is.
+relative to its width, tells how much of it is free. The result is smooth, as light from large sources is.
 """
 
 from collections.abc import Sequence
@@ -16,22 +16,22 @@ from .solids import Solid
 
 _VOXEL_M = 0.03
 _REACH_M = 0.3
-"""The grid's distances are cut off here, metres."""
+"""Largest distance stored in the grid, metres."""
 _LIFT_M = 0.03
-"""Cones start this far off their surface, so that it does not shade itself."""
+"""Distance from the surface at which cones start, so that it casts no shadow on itself, metres."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Light:
-    """A soft source: a ball of ``radius_m`` that shines more or less along ``axis``."""
+    """A large light source: a ball of ``radius_m`` that is brightest along ``axis``."""
 
     position: tuple[float, float, float]
     radius_m: float
     colour: tuple[float, float, float]
-    """Irradiance that it would give at 1 m, linear."""
+    """Irradiance at a distance of 1 m, linear."""
     axis: tuple[float, float, float] = (0.0, 0.0, -1.0)
     backward: float = 1.0
-    """Share of its brightness against the axis; 1 shines evenly."""
+    """Brightness opposite to the axis relative to that along it; 1 is the same in all directions."""
 
 
 LIGHTS = (
@@ -44,13 +44,13 @@ LIGHTS = (
     ),
 )
 _AMBIENT_UP = np.array([0.30, 0.30, 0.31])
-"""On surfaces that look up: light from ceiling and upper walls."""
+"""For surfaces that face up: light from ceiling and upper walls."""
 _AMBIENT_DOWN = np.array([0.44, 0.40, 0.36])
-"""On surfaces that look down: light from the wooden floor."""
+"""For surfaces that face down: light from the wooden floor."""
 
 
 class DistanceGrid:
-    """Distance to the furnishing on a coarse grid over the room, cut off at ``_REACH_M``."""
+    """Distance to the furnishing on a coarse grid over the room, at most ``_REACH_M``."""
 
     def __init__(self, solids: Sequence[Solid]):
         half = 0.5 * np.array([*SIZE_M[:2], 0.0])

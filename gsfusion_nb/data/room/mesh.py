@@ -36,7 +36,7 @@ def room_mesh(resolution_m: float = 0.02, *, seed: int = 0, cache: bool = True) 
         The mesh; vertices are shared within a face.
 
     Raises:
-        ValueError: ``resolution_m`` is not above zero.
+        ValueError: ``resolution_m`` is not positive.
     """
     check_positive("resolution_m", resolution_m)
     key = hashlib.sha256(f"mesh {version()} {seed} {float(resolution_m)!r}".encode()).hexdigest()[:16]
@@ -117,12 +117,12 @@ def _clearance(scene: Scene, seed: int) -> Callable[[ndarray, ndarray], ndarray]
 
 
 def _cut(chart: ndarray, uv: ndarray, faces: ndarray, clearance: Callable) -> tuple[ndarray, ndarray, ndarray]:
-    """Remove what is covered; triangles across the contact are cut along it."""
+    """Remove covered parts; triangles that cross the contact line are cut along it."""
     free = clearance(chart, uv) > 0
     n_free = free[faces].sum(1)
     whole = faces[n_free == 3]
     one, two = _turned(faces[n_free == 1], free), _turned(faces[n_free == 2], ~free)
-    # Seen from its odd corner a triangle loses either the two others or that corner.
+    # A cut triangle loses either its one odd corner or the two others.
     pairs = np.concatenate([one[:, [0, 1]], one[:, [0, 2]], two[:, [1, 0]], two[:, [2, 0]]])
     pairs, where = np.unique(pairs, axis=0, return_inverse=True)
     where = where.reshape(-1) + len(chart)

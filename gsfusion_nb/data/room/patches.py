@@ -1,4 +1,5 @@
-"""The surface pieces that rays meet: flat ones (rectangles, discs) as arrays, curved ones (cones, ellipsoids) singly.
+"""The surface pieces that rays meet: flat ones (rectangles, discs) as arrays, curved ones (cones, ellipsoids) one by
+one.
 
 Box faces and caps are flat patches. A rounded box is the union of its flat faces, edge cylinders and corner spheres, so
 it becomes those patches, all textured through the box's own charts.
@@ -47,7 +48,7 @@ class CurvedPatch:
     slope: float = 0.0
     solid: Solid
     charts: ndarray
-    """Chart number by face number of ``solid``; -1 where the face carries no paint."""
+    """Chart number by face number of ``solid``; -1 where the face has no paint."""
     guard_normals: ndarray | None = None
     """The patch can be seen only from beyond one of these planes (rounded edges and corners). [k, 3]"""
     guard_offsets: ndarray | None = None
@@ -57,7 +58,7 @@ class CurvedPatch:
         return self.guard_normals is None or bool((self.guard_normals @ eye_W > self.guard_offsets).any())
 
     def intersect(self, o: ndarray, d: Sequence[ndarray]) -> ndarray:
-        """Nearest t > 0 with o + t d on the patch, local frame; inf where there is none."""
+        """Nearest t > 0 with o + t d on the patch, local frame; inf if there is none."""
         if self.semi is not None:
             return _hit_ellipsoid(o / self.semi, [c / s for c, s in zip(d, self.semi, strict=True)])
         return _hit_cone(o, d, self.half_height, self.rho0, self.slope)
@@ -168,7 +169,7 @@ def _cone(f: Frustum, charts: ndarray) -> CurvedPatch:
 
 
 def _rounded_edges(box: Box, charts: ndarray) -> list[CurvedPatch]:
-    """Twelve edge cylinders and eight corner spheres; a piece between faces without paint is left out."""
+    """Twelve edge cylinders and eight corner spheres; pieces between faces without paint are omitted."""
     pieces = []
     for signs in product((-1, 0, 1), repeat=3):
         s = np.array(signs)

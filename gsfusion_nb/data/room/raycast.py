@@ -1,6 +1,6 @@
 """Exact first hits of a pinhole camera's rays on the room's patches.
 
-A ray is t r with r = (x, y, 1) in the camera frame, so t is z-depth. A plane n.P = k is met at inverse depth
+A ray is t r with r = (x, y, 1) in the camera frame, so t is z-depth. It meets the plane n.P = k at inverse depth
 w = 1 / t = (n.r) / k, and the four edges of a rectangle on it are linear in r too: each row of pixels meets a rectangle
 in one closed-form interval. Curved patches are solved as quadratics in float64. The larger w is nearer.
 """
@@ -19,16 +19,16 @@ _NEAR_M = 0.02
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Hits:
-    """What each ray of an image meets first."""
+    """The first patch that each ray of an image meets."""
 
     w: ndarray
-    """Inverse z-depth, 1/metres; 0 where nothing is met. [H, W] float32"""
+    """Inverse z-depth, 1/metres; 0 if there is none. [H, W] float32"""
     patch: ndarray
-    """Patch number, flat ones first; -1 where nothing is met. [H, W] int32"""
+    """Patch number, flat ones first; -1 if there is none. [H, W] int32"""
 
 
 class RoomView:
-    """The patches as one camera pose sees them: linear forms in (x, y, 1)."""
+    """The patches in the frame of one camera: linear forms in (x, y, 1)."""
 
     def __init__(self, flat: FlatPatches, curved: Sequence[CurvedPatch], camera: Camera, T_WC: ndarray):
         self.flat, self.curved, self.camera = flat, curved, camera
@@ -51,7 +51,7 @@ class RoomView:
         return (self.eye - patch.t) @ patch.R, [M[i, 0] * x + M[i, 1] * y + M[i, 2] for i in range(3)]
 
     def bounds(self, corners_C: ndarray) -> ndarray:
-        """Pixel rectangles (row0, row1, column0, column1) of convex hulls of camera-frame points; empty when unseen.
+        """Pixel rectangles (row0, row1, column0, column1) of convex hulls of camera-frame points; empty if not visible.
 
         [n, k, 3] -> [n, 4]. A hull that crosses the near plane is cut there, pair by pair (a superset of its edges).
         """

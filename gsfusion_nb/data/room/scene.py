@@ -21,7 +21,7 @@ from .solids import Paint, Solid
 log = logging.getLogger(__name__)
 
 SCENE_VERSION = 2
-"""Raised whenever the room's look or shape changes, so that caches of older versions are not used."""
+"""Increased whenever the appearance or shape of the room changes, so that caches of older versions are not used."""
 
 _LIGHT_TEXEL_M = 0.04
 
@@ -37,11 +37,11 @@ class Chart:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scene:
-    """Everything that rendering, distance queries and meshing need."""
+    """The data for rendering, distance queries and meshing."""
 
     solids: list[Solid]
     charts: list[Chart]
-    layout: atlas_.Layout
+    layout: atlas_.AtlasLayout
     flat: FlatPatches
     curved: list[CurvedPatch]
     atlas: ndarray
@@ -74,13 +74,13 @@ def load_scene(seed: int, cache: bool = True) -> Scene:
 
 
 def version() -> str:
-    """What cached pictures depend on besides their options: this room, and the OpenCV that writes its text."""
+    """Version of cached images: that of this room, and that of OpenCV, which draws its text."""
     import cv2
 
     return f"{SCENE_VERSION} opencv {cv2.__version__}"
 
 
-def _lay_out(solids: Sequence[Solid], charts: Sequence[Chart]) -> atlas_.Layout:
+def _lay_out(solids: Sequence[Solid], charts: Sequence[Chart]) -> atlas_.AtlasLayout:
     sizes, texels = [], []
     for chart in charts:
         size_m = solids[chart.solid].face_size_m(chart.face)
@@ -90,12 +90,12 @@ def _lay_out(solids: Sequence[Solid], charts: Sequence[Chart]) -> atlas_.Layout:
     return atlas_.pack(sizes, texels)
 
 
-def _baked(solids, charts, layout: atlas_.Layout, seed: int, cache: bool) -> ndarray:
+def _baked(solids, charts, layout: atlas_.AtlasLayout, seed: int, cache: bool) -> ndarray:
     key = hashlib.sha256(f"atlas {version()} {seed}".encode()).hexdigest()[:16]
     path: Path = cache_folder() / "room" / f"atlas-{key}.npz"
     if cache and (found := load(path)) is not None and found["atlas"].shape == (layout.height, atlas_.WIDTH, 3):
         return found["atlas"]
-    log.info("painting and lighting the room; a few seconds, once")
+    log.info("computing textures and lighting of the room; takes a few seconds, only once")
     level0 = np.zeros((layout.height, atlas_.WIDTH, 3), np.uint8)
     light = _light_maps(solids, charts)
     for k, chart in enumerate(charts):
@@ -130,9 +130,9 @@ def _light_maps(solids: Sequence[Solid], charts: Sequence[Chart]) -> list[ndarra
 
 
 def _exposed(light: ndarray) -> ndarray:
-    """Linear light to a factor on sRGB values: a soft shoulder near 1, then the display's gamma.
+    """Convert linear light to a factor on sRGB values: compress it near 1, then apply the display's gamma.
 
-    A product of linear values is, but for the shoulder, the product of their gamma-encoded ones.
+    Without the compression, the product of gamma-encoded values is the gamma-encoded product.
     """
     bright = np.where(light > 0.7, 0.7 + 0.45 * np.tanh((light - 0.7) / 0.45), light)
     return (bright ** (1 / 2.2)).astype(np.float32)

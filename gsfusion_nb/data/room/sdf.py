@@ -1,4 +1,4 @@
-"""Signed distance to everything solid in the room."""
+"""Signed distance to the solids of the room."""
 
 from collections.abc import Sequence
 

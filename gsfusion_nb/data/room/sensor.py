@@ -1,4 +1,4 @@
-"""A structured-light depth camera's errors: disparity noise and steps, ragged edges, projector shadow, holes."""
+"""Errors of a structured-light depth camera: disparity noise and steps, irregular edges, projector shadow, holes."""
 
 import numpy as np
 import torch
@@ -12,7 +12,7 @@ FOCAL_BASELINE_PX_M = 580.0 * 0.075
 """Focal length (pixels of a 640-pixel-wide sensor) times baseline, as of the first Kinect: disparity = this / depth."""
 
 DISPARITY_STEP_PX = 1.0 / 8.0
-"""Disparities come in eighths of a pixel."""
+"""Disparities are multiples of an eighth of a pixel."""
 
 DISPARITY_SIGMA_PX = 0.06
 """With the steps' own error this gives a depth deviation near 1.6e-3 z^2 (Khoshelham & Elberink 2012: 4 cm at 5 m)."""
@@ -22,7 +22,7 @@ RANGE_M = (0.4, 5.0)
 
 _BASELINE_M = 0.075
 _GRAZING_COS = (0.12, 0.30)
-"""Below the first cosine of incidence nothing returns, above the second everything does."""
+"""Below the first cosine of incidence nothing is measured, above the second everything is."""
 
 
 def kinect_depth(depth_m: Float[Tensor, "H W"], camera: Camera, *, rng: np.random.Generator) -> Float[Tensor, "H W"]:
@@ -67,16 +67,17 @@ def _holes(depth_m: Tensor, z: np.ndarray, camera: Camera, rng: np.random.Genera
     returned = np.clip((cosine.cpu().numpy() - low) / (high - low), 0, 1)
     hole = known & (chance > 0.02 + 0.98 * returned)
     edge = ~known
-    edge[[0, -1], :] = edge[:, [0, -1]] = False  # the image border has no normals either, but is no edge
+    edge[[0, -1], :] = edge[:, [0, -1]] = False  # the image border has no normals either, but is not an edge
     hole |= edge & (chance < 0.45)
     hole |= rng.uniform(size=z.shape) < 0.002
     return hole | _projector_shadow(z, camera)
 
 
 def _projector_shadow(z: np.ndarray, camera: Camera) -> np.ndarray:
-    """Points whose line to the projector is cut by something to their right in the same row.
+    """Points whose line to the projector is blocked by something to their right in the same row.
 
-    The projector sees column u at u - f b / z. It cannot see a point if a point further right lands left of it.
+    The projector sees column u at u - f b / z. It cannot see a point if a point further right is projected to the left
+    of it.
     """
     column = np.arange(z.shape[1])[None] - camera.fx * _BASELINE_M / np.maximum(z, 1e-3)
     leftmost = np.minimum.accumulate(column[:, ::-1], axis=1)[:, ::-1]

@@ -31,30 +31,31 @@ _DEPTH_UNIT_M = 1e-4
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RoomSequence:
-    """The built-in scene: a furnished room of 5 x 4 x 2.6 m, walked through with a hand-held camera.
+    """The built-in scene: a furnished room of 5 x 4 x 2.6 m, seen by a hand-held camera that walks through it.
 
     World frame: z up, origin on the floor in the middle of the room, metres. Everything is procedural; the same options
     give the same frames. Colour has 8 bits and depth has steps of 0.1 mm, whether a frame is rendered or read from the
     cache (``$GSFUSION_CACHE``, or the user's cache folder). Noise is added after the cache. ``room`` is the same class.
 
     Raises:
-        ValueError: an option outside its range, in one sentence. IndexError: no such frame.
+        ValueError: an option outside its range. IndexError: no such frame.
     """
 
     n_frames: int = 200
-    """Number of frames over the same walk of about a minute: fewer frames are farther apart."""
+    """Number of frames, spread over the same walk of about a minute: fewer frames are farther apart."""
     width: int = 640
     height: int = 480
     trajectory: str = "mapping"
     """"mapping" sees the whole room; "novel" is another path through it, for views that were never mapped."""
     noise: str = "none"
-    """"none": exact depth; "kinect": measured as by a Kinect."""
+    """"none": exact depth; "kinect": with the errors of a Kinect."""
     view_dependent: bool = False
-    """Add soft highlights on glossy things; without them every point has one colour from everywhere."""
+    """Add soft highlights on glossy objects; without them the colour of a point does not depend on the direction of
+    view."""
     seed: int = 0
-    """Seed of the scene, the tremor and the noise."""
+    """Seed of the scene, the hand's tremor and the noise."""
     cache: bool = True
-    """Keep rendered frames on disk."""
+    """Store rendered frames on disk."""
 
     def __post_init__(self):
         for name, least in (("n_frames", 1), ("width", 8), ("height", 8), ("seed", 0)):
@@ -117,7 +118,7 @@ class RoomSequence:
 
     @functools.cached_property
     def _folder(self) -> Path:
-        poses = hashlib.sha256(self._walk[0].round(6).tobytes()).hexdigest()  # a changed walk wants other pictures
+        poses = hashlib.sha256(self._walk[0].round(6).tobytes()).hexdigest()  # another walk needs other images
         options = dataclasses.asdict(self) | {"noise": "", "cache": "", "version": version(), "walk": poses}
         key = hashlib.sha256(json.dumps(options, sort_keys=True).encode()).hexdigest()[:16]
         return cache_folder() / "room" / f"{self.name}-{self.width}x{self.height}-{key}"
@@ -156,9 +157,9 @@ def render_room(
     Args:
         camera: Intrinsics.
         T_WC: Camera-to-world pose, OpenCV axes, metres; the world's z points up. [4, 4]
-        view_dependent: Add soft highlights on glossy things.
+        view_dependent: Add soft highlights on glossy objects.
         seed: The room's seed.
-        cache: Keep the painted and lit textures on disk.
+        cache: Store the lit textures on disk.
 
     Returns:
         sRGB colour 0..1 [H, W, 3], and z-depth in metres [H, W]; float32.

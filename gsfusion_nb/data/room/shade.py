@@ -1,7 +1,7 @@
-"""Colour of an image from its hits: mip-mapped texture lookups at 2x2 points per pixel.
+"""Colour of a view from its hits: mip-mapped texture lookups at 2x2 points per pixel.
 
 Inside a patch the four points lie on the patch's tangent plane at the pixel centre (exact on flat patches). Where
-neighbouring pixels belong to different patches, the four points are cast again against those patches.
+neighbouring pixels belong to different patches, the four points are intersected with those patches again.
 """
 
 import numpy as np
@@ -92,7 +92,7 @@ class _TextureLookup:
         t = 1.0 / w
         n = piece.normal(o + t[:, None] * np.stack(d, -1)) @ (piece.R.T @ self.view.R)
         k = t * (n[:, 0] * x + n[:, 1] * y + n[:, 2])
-        k = np.minimum(k, -0.02 * t)  # at the silhouette the tangent plane holds the ray
+        k = np.minimum(k, -0.02 * t)  # at the silhouette the ray lies in the tangent plane
         return n[:, 0] / k, n[:, 1] / k
 
     def _curved_texels(self, i: int, x: ndarray, y: ndarray, t: ndarray) -> tuple[ndarray, ndarray]:

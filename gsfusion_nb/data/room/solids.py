@@ -1,7 +1,8 @@
 """The convex solids the room is made of: shape, placement, exact signed distance, and the charts on their faces.
 
-A solid's local frame is centred; its world point is ``R @ p + t``. A face carries a paint and is addressed by chart
-coordinates (u to the right, v down, both 0..1, seen from outside with local +z up), so that text is never mirrored.
+The local frame of a solid is at its centre; a local point p is at ``R @ p + t`` in the world. A face has a paint and
+chart coordinates (u to the right, v down, both 0..1, seen from outside with local +z up), so that text is never
+mirrored.
 """
 
 from collections.abc import Callable, Mapping
@@ -15,18 +16,18 @@ BOX_FACES = ("x-", "x+", "y-", "y+", "z-", "z+")
 
 @dataclass(frozen=True, kw_only=True)
 class Paint:
-    """What covers one face."""
+    """The surface of one face."""
 
     draw: Callable[[int, int, float, np.random.Generator], ndarray] | None = None
     """(width_px, height_px, texel_m, rng) -> uint8 [height_px, width_px, 3] albedo; None for the plain ``colour``."""
     colour: tuple[int | float, int | float, int | float] = (0.8, 0.8, 0.8)
-    """Albedo as an sRGB value, 0..1, when nothing is drawn."""
+    """Albedo as an sRGB value, 0..1, if nothing is drawn."""
     texel_m: float = 0.03
     """Edge of a texel on the surface, metres."""
     gloss: float = 0.0
-    """Height of the specular lobe where view-dependent shading is asked for."""
+    """Height of the specular lobe in view-dependent shading."""
     glow: float = 0.0
-    """Brightness that the surface gives off; > 0 replaces its shading."""
+    """Emitted brightness; > 0 replaces the shading."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -38,9 +39,9 @@ class Solid:
     R: ndarray = field(default_factory=lambda: np.eye(3))
     """Rotation, local to world. [3, 3]"""
     paints: Mapping[str, Paint]
-    """Face name -> paint. A face without one can never be seen: it is neither drawn nor meshed."""
+    """Face name -> paint. A face without paint is never visible: it is neither drawn nor meshed."""
     occludes: bool = True
-    """Whether it throws shadows (lamps do not)."""
+    """Whether it casts shadows (lamps do not)."""
 
     @property
     def faces(self) -> tuple[str, ...]:
@@ -116,7 +117,7 @@ class Box(Solid):
         e = p - core
         axis = np.abs(e).argmax(-1)
         main = np.take_along_axis(e, axis[..., None], -1)
-        # The rounding is seen from its own core: pushing e out to the sharp outer box gives the chart's point.
+        # The rounding is seen from its own core: moving e out to the sharp outer box gives the point of the chart.
         q = core + e * (self.radius / np.maximum(np.abs(main), 1e-12))
         face = 2 * axis + (main[..., 0] > 0)
         right, up = _RIGHT[face], _UP[face]
@@ -137,7 +138,7 @@ class Frustum(Solid):
 
     @property
     def slope(self) -> float:
-        """Radius gained per metre of height."""
+        """Change of the radius per metre of height."""
         return (self.r_top - self.r_bottom) / (2 * self.half_height)
 
     @property
@@ -197,7 +198,7 @@ class Ellipsoid(Solid):
     def sdf(self, p: ndarray) -> ndarray:
         """Distance to the nearest point x_i = e_i^2 y_i / (t + e_i^2); t solves sum (e_i y_i / (t + e_i^2))^2 = 1.
 
-        Left of the root the function is convex and falling, so Newton's steps from there never overshoot
+        Left of the root the function is convex and decreasing, so Newton's method started there never passes the root
         (Eberly, "Distance from a point to an ellipse, an ellipsoid", 2013).
         """
         e2, y = self.semi**2, np.abs(p)

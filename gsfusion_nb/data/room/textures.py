@@ -1,6 +1,6 @@
 """Procedural materials: functions that make a ``draw(width_px, height_px, texel_m, rng) -> uint8 [h, w, 3]``.
 
-Colours are sRGB, 0..1. Lengths are metres, so that a pattern keeps its size whatever the texel.
+Colours are sRGB, 0..1. Lengths are metres, so that a pattern has the same size with any texel size.
 """
 
 from collections.abc import Callable
@@ -104,7 +104,7 @@ def brick(colour: Colour, mortar: Colour = (0.78, 0.75, 0.70), size_m: tuple[flo
 
 
 def fabric(colour: Colour, thread_m: float = 0.006, contrast: float = 0.10) -> Draw:
-    """Plain weave with uneven threads and broad wear."""
+    """Plain weave with uneven threads and large worn areas."""
 
     def draw(w, h, texel_m, rng):
         v, u = np.mgrid[0:h, 0:w].astype(np.float32) * np.float32(2 * np.pi * texel_m / thread_m)
@@ -185,7 +185,7 @@ def speckled(colour: Colour, dots: Colour, size_m: float = 0.004, share: float =
 
 
 def leaf(colour: Colour) -> Draw:
-    """A flat ellipsoid's skin as a leaf: light midrib along x, side veins."""
+    """Texture of a flat ellipsoid as a leaf: light midrib along x, side veins."""
 
     def draw(w, h, texel_m, rng):
         colat = np.linspace(0, np.pi, h, dtype=np.float32)[:, None]

@@ -7,7 +7,7 @@ _SPEED_M_S = 0.5
 _TURN_RAD_S = np.radians(38.0)
 
 _MAPPING = [
-    # A tour from the middle, looking outwards at every wall.
+    # From the middle of the room, looking outwards at every wall.
     ((0.0, -0.9, 1.50), (-2.4, 0.4, 1.0)),
     ((0.1, 0.2, 1.50), (-2.4, 0.4, 1.1)),
     ((0.2, 0.9, 1.50), (-2.2, 1.6, 1.1)),
@@ -110,7 +110,7 @@ def look_at(eye_W: ndarray, target_W: ndarray) -> ndarray:
 
 
 def _pace(points: ndarray) -> ndarray:
-    """Arrival times along finely sampled (eye, target) at a calm walking and turning speed, seconds. [n, 6] -> [n]"""
+    """Arrival times along finely sampled (eye, target) at a slow walking and turning speed, seconds. [n, 6] -> [n]"""
     eyes, targets = np.split(points, 2, axis=1)
     look = targets - eyes
     look /= np.linalg.norm(look, axis=1, keepdims=True)
@@ -121,7 +121,7 @@ def _pace(points: ndarray) -> ndarray:
 
 
 def _rounded(points: ndarray) -> ndarray:
-    """Waypoints drawn a little towards their neighbours' middle."""
+    """Waypoints moved a little towards the middle of their neighbours."""
     out = points.copy()
     out[1:-1] = 0.7 * points[1:-1] + 0.15 * (points[:-2] + points[2:])
     return out

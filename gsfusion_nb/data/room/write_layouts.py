@@ -1,4 +1,4 @@
-"""The built-in room written to disk in every layout that is read, as its own data set would be."""
+"""Writing the built-in room to disk in every layout that has a reader, like the original data sets."""
 
 import json
 from collections.abc import Callable
@@ -24,12 +24,12 @@ from ..recorded.poses import write_pose_lines
 from .sequence import RoomSequence, render_room
 
 ROOM_DEPTH_SCALE = 10_000.0
-"""The room's own depth counts tenths of a millimetre, so the plain layout holds it without loss."""
+"""The room's depth is a multiple of 0.1 mm, so the plain layout stores it without loss."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Walk:
-    """Frames to write: the room's walk, and the size of pictures where the layout leaves it open."""
+    """Frames to write: the walk through the room, and the image size where the layout does not prescribe it."""
 
     n_frames: int = 200
     width: int = 640
@@ -47,19 +47,19 @@ class Walk:
         return torch.stack([sequence.pose(i) for i in range(self.n_frames)]).double()
 
     def render(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> tuple[np.ndarray, np.ndarray]:
-        """Colour, uint8 RGB, and z-depth in metres as any camera sees them."""
+        """Colour, uint8 RGB, and z-depth in metres for any camera."""
         rgb, depth_m = render_room(camera, T_WC.float(), seed=self.seed)
         return np.rint(rgb.numpy() * 255).astype(np.uint8), depth_m.numpy()
 
 
-Progress = Callable[[int, int], object]
-"""Called with the frames done and the frames in all."""
+ReportProgress = Callable[[int, int], object]
+"""Called with the number of frames done and the total."""
 
-Writer = Callable[[Path, Walk, Progress], SequenceOnDisk]
-"""(new folder, frames, progress) -> how to read what was written."""
+Writer = Callable[[Path, Walk, ReportProgress], SequenceOnDisk]
+"""(new folder, frames, progress) -> how to read the result."""
 
 
-def write_folder(folder: Path, walk: Walk, progress: Progress) -> SequenceOnDisk:
+def write_folder(folder: Path, walk: Walk, progress: ReportProgress) -> SequenceOnDisk:
     """The plain layout, lossless: PNG colour, depth in tenths of a millimetre."""
     sequence = walk.sequence
     for i in range(walk.n_frames):
@@ -78,8 +78,8 @@ def write_intrinsics(path: Path, camera: Camera, *, depth_scale: float) -> None:
     path.write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
 
 
-def write_replica(folder: Path, walk: Walk, progress: Progress) -> SequenceOnDisk:
-    """As NICE-SLAM's Replica: JPEG colour, 6553.5 per metre, pixel centres at integers."""
+def write_replica(folder: Path, walk: Walk, progress: ReportProgress) -> SequenceOnDisk:
+    """Like NICE-SLAM's Replica: JPEG colour, 6553.5 per metre, pixel centres at integers."""
     camera, poses = walk.sequence.camera, walk.poses()
     for i, T_WC in enumerate(poses):
         rgb, depth_m = walk.render(camera, T_WC)
@@ -93,8 +93,8 @@ def write_replica(folder: Path, walk: Walk, progress: Progress) -> SequenceOnDis
     return SequenceOnDisk(preset="replica")
 
 
-def write_tum(folder: Path, walk: Walk, progress: Progress) -> SequenceOnDisk:
-    """As the TUM benchmark with its third camera (640x480, no distortion); the folder's name must name it."""
+def write_tum(folder: Path, walk: Walk, progress: ReportProgress) -> SequenceOnDisk:
+    """Like the TUM benchmark with its third camera (640x480, no distortion), which the folder's name must contain."""
     camera, poses = LENSES["freiburg3"].camera, walk.poses()
     stamps = [f"{1305031102 + 0.001 + i / 30:.6f}" for i in range(len(poses))]
     quats = quaternion.from_matrix(poses[:, :3, :3])[:, [1, 2, 3, 0]]
@@ -113,8 +113,8 @@ def write_tum(folder: Path, walk: Walk, progress: Progress) -> SequenceOnDisk:
     return SequenceOnDisk(preset="tum")
 
 
-def write_seven_scenes(folder: Path, walk: Walk, progress: Progress) -> SequenceOnDisk:
-    """As 7-Scenes: colour comes from its own lens beside the depth camera, and is not registered."""
+def write_seven_scenes(folder: Path, walk: Walk, progress: ReportProgress) -> SequenceOnDisk:
+    """Like 7-Scenes: colour comes from a second camera beside the depth camera, and is not registered."""
     poses = walk.poses()
     lens = _DistortedView(COLOUR_LENS)
     for i, T_WC in enumerate(poses):
@@ -129,8 +129,8 @@ def write_seven_scenes(folder: Path, walk: Walk, progress: Progress) -> Sequence
     return SequenceOnDisk(path="seq-01", preset="tum", reader={"register": True})
 
 
-def write_scannetpp(folder: Path, walk: Walk, progress: Progress) -> SequenceOnDisk:
-    """As ScanNet++ at half resolution; every eighth picture is a published test view."""
+def write_scannetpp(folder: Path, walk: Walk, progress: ReportProgress) -> SequenceOnDisk:
+    """Like ScanNet++ at half resolution; every eighth picture is a published test view."""
     camera, poses = walk.sequence.camera, walk.poses()
     names = [f"DSC{i:05d}.JPG" for i in range(len(poses))]
     frames = {}
@@ -158,11 +158,11 @@ WRITERS: dict[str, tuple[str, Writer]] = {
     "seven_scenes": ("room-seven-scenes", write_seven_scenes),
     "scannetpp": ("room-scannetpp", write_scannetpp),
 }
-"""Layout -> folder to make, and what fills it."""
+"""Layout -> name of the folder, and the function that writes it."""
 
 
 class _DistortedView:
-    """Bends a pinhole rendering as a lens does, the inverse of ``Undistorter``."""
+    """Adds lens distortion to a pinhole rendering; the inverse of ``Undistorter``."""
 
     MARGIN_PX = 24
 

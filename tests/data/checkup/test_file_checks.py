@@ -51,7 +51,7 @@ def test_what_nothing_makes_rigid(poses):
     poses[2:4] = torch.nan
     _, finding = pose_matrices(poses)
     assert finding.verdict == "doubtful"
-    assert "2 are lost" in finding.sentence
+    assert "2 are missing" in finding.sentence
     assert pose_matrices(torch.full((3, 4, 4), torch.nan))[1].verdict == "wrong"
 
 
@@ -68,4 +68,4 @@ def test_times(tmp_path, broken):
     assert back.verdict == "wrong"
     assert "after 1 of 30 frames, first 4" in back.sentence
     names = [Path(f"{i if i < 20 else i + 3:06d}.jpg") for i in range(30)]
-    assert "3 numbers are left out" in time_stamps(dataclasses.replace(sequence, rgb_files=names))[0].sentence
+    assert "3 numbers are missing" in time_stamps(dataclasses.replace(sequence, rgb_files=names))[0].sentence

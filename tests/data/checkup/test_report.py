@@ -37,7 +37,7 @@ def test_a_report_as_text_and_html():
         "--reader register=true --data.depth-max-m 9.5 --data.repair.depth-factor 0.2 --data.repair.skip 3 4"
     )
     text = str(report)
-    assert "1 wrong, 1 doubtful of 3 things looked at" in text
+    assert "1 wrong, 1 doubtful of 3 properties checked" in text
     assert "-> --data.repair.depth-factor 0.2" in text
     html = report._repr_html_()
     assert "Depth &lt;b&gt; must." in html

@@ -49,7 +49,7 @@ def test_an_interrupted_conversion_goes_on(tmp_path, takes, scan, monkeypatch):
     with pytest.raises(SequenceError):
         detect_layout(tmp_path / "out.partial")
     with pytest.raises(
-        SequenceError, match=r"out\.partial holds an unfinished conversion of something else or with other"
+        SequenceError, match=r"out\.partial holds an unfinished conversion of another source or with other"
     ):
         convert(scan, tmp_path / "out", options=ConvertOptions(every=2))
     with (tmp_path / "out.partial/frames.jsonl").open("a") as journal:
@@ -166,7 +166,7 @@ def test_unknown_things(tmp_path, takes, scan):
     with pytest.raises(SequenceNotFoundError, match=r"nowhere does not exist; expected the file or folder"):
         convert(tmp_path / "nowhere", tmp_path / "out")
     (tmp_path / "notes").mkdir()
-    with pytest.raises(SequenceError, match=r"looks like no known format; looked for ros: a \.bag"):
+    with pytest.raises(SequenceError, match=r"is in no known format; looked for ros: a \.bag"):
         detect_format(tmp_path / "notes")
     with pytest.raises(KeyError, match=r"no format 'replica'; known: ros, scannet"):
         convert(scan, tmp_path / "out", format="replica")

@@ -67,7 +67,7 @@ CASES = {
     ),
     "cut inside a chunk": ([hostile.chunked_cut, None], "", [None, "bytes=1000-"], 0),
     "no length, whole": ([hostile.unsized], "", [None], 0),
-    "no length, no end": ([hostile.endless], "sends more than 1 MB; it is not that file", [None], None),
+    "no length, no end": ([hostile.endless], "sends more than 1 MB; it is not the expected file", [None], None),
     "redirect to the file": ([hostile.redirect("/other")], "", [None, None], 0),
     "redirect to file://": ([hostile.redirect("file:///etc/passwd")], "redirects to file:///etc/passwd", [None], 0),
     "redirect to ftp://": (
@@ -91,7 +91,7 @@ CASES = {
         0,
     ),
     "a login page": ([hostile.web_page], "is a web page; expected a file: has it moved", [None], 0),
-    "a compressed transfer": ([hostile.encoded], "comes with the content encoding gzip", [None], 0),
+    "a compressed transfer": ([hostile.encoded], "has the content encoding gzip", [None], 0),
 }
 
 
@@ -221,7 +221,7 @@ def test_disk_full_before_and_during(site, tmp_path, transfer, monkeypatch):
     site.files = {PATH: FILE}
     usage = namedtuple("usage", "total used free")
     monkeypatch.setattr(shutil, "disk_usage", lambda place: usage(10**9, 10**9, 1000))
-    with pytest.raises(NoSpaceError, match=r"has 1 kB free; x needs 3 kB and leaves 200 MB for others"):
+    with pytest.raises(NoSpaceError, match=r"has 1 kB free; x needs 3 kB, and 200 MB must stay free"):
         download(site.address + PATH, tmp_path / "x", max_bytes=10_000, transfer=transfer)
     monkeypatch.undo()
     monkeypatch.setenv("no_proxy", "*")
@@ -245,7 +245,7 @@ def test_disk_full_before_and_during(site, tmp_path, transfer, monkeypatch):
         return Full(file) if mode == "ab" else file
 
     monkeypatch.setattr(Path, "open", full)
-    with pytest.raises(NoSpaceError, match=r"the disk is full: .*x\.part could not be written to its end"):
+    with pytest.raises(NoSpaceError, match=r"the disk is full: .*x\.part could not be written completely"):
         download(site.address + PATH, tmp_path / "x", max_bytes=10_000, transfer=transfer)
     assert not (tmp_path / "x").exists()
 

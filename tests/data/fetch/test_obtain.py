@@ -153,7 +153,7 @@ def test_another_file_at_the_same_address_is_told(job):
     shutil.rmtree(folder)
     job.site.files["/set/scan.zip"] = job.archives.zip(job.files | {"scan/readme": b"new"})
     obtain(job.plan, job.terms)
-    assert any("is not the file it was on 20" in text for text in job.said)
+    assert any("has changed since 20" in text for text in job.said)
     assert len(read_ledger(job.out)) == 2
 
 
@@ -196,7 +196,7 @@ def test_interrupted_while_unpacking(job):
 
 def test_broken_download_goes_on_in_the_next_run(job):
     job.site.faults = {"/set/scan.zip": [hostile.cut(5000)]}
-    with pytest.raises(DownloadError, match="5 kB are kept, run again to continue"):
+    with pytest.raises(DownloadError, match="5 kB are kept; run again to continue"):
         obtain(job.plan, job.terms)
     assert job.nothing_looks_whole()
     job.site.faults, job.site.seen = {}, []

@@ -5,8 +5,8 @@ import pytest
 import torch
 
 from gsfusion_nb.data.room import RoomSequence, render_room, room_sdf
+from gsfusion_nb.data.room.drawings import text_poster
 from gsfusion_nb.data.room.interior import interior
-from gsfusion_nb.data.room.pictures import text_poster
 from gsfusion_nb.data.room.scene import load_scene
 from gsfusion_nb.data.room.trajectory import look_at
 from gsfusion_nb.geometry import depth_to_points, pixel_grid, project, rays, se3

@@ -194,7 +194,7 @@ def test_files_come_in_natural_order_and_late_ones_are_named(writer):
     writer.then().then().then(*named(8)).then(*named(11))
     found = everything(follow(writer))
     assert ["bad" if isinstance(f, str) else "frame" for f in found] == ["frame", "frame", "bad", "frame"]
-    assert "8.jpg came after frames behind it" in found[2]
+    assert "8.jpg appeared after later frames" in found[2]
 
 
 def set_key(folder: Path, key: str, value) -> None:

@@ -182,5 +182,5 @@ def test_mistakes_are_answered_with_a_sentence(tmp_path, takes):
     files["rgbd/2.depth"] = b"garbage"
     report = convert(write_r3d(tmp_path / "e.r3d", files), tmp_path / "out")
     assert report.dropped == {"image missing or damaged": 1}
-    assert "2.depth does not begin as LZFSE does" in report.examples[0]
+    assert "2.depth does not begin like LZFSE data" in report.examples[0]
     assert cv2.imread(str(tmp_path / "out/rgb/000000.jpg")) is not None

@@ -1,4 +1,4 @@
-"""Drawn faces with text and figures: posters, book spines, the window's view, the globe, the clock."""
+"""Drawn surfaces with text and figures: posters, book spines, the view from the window, the globe, the clock."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from .textures import Colour, Draw, fabric, noise, paint, tint
 
 
 def shaded(colour: Colour, share: float) -> Colour:
-    """A darker version of a colour."""
+    """A darker colour."""
     r, g, b = colour
     return r * share, g * share, b * share
 
@@ -123,7 +123,7 @@ def spine(title: str, colour: Colour, ink: Colour) -> Draw:
 
 
 def cover(title: str, colour: Colour, ink: Colour) -> Draw:
-    """A book's front lying flat: title, a figure, an author line."""
+    """The front of a book: title, a figure, an author line."""
 
     def draw(w, h, texel_m, rng):
         image = np.ascontiguousarray(paint(colour, 0.0, 0.03)(w, h, texel_m, rng))
@@ -193,7 +193,7 @@ def keyboard() -> Draw:
 
 
 def cardboard(text: str) -> Draw:
-    """A packing box's side: tape, print, an arrow."""
+    """The side of a cardboard box: tape, text, an arrow."""
 
     def draw(w, h, texel_m, rng):
         image = tint((0.72, 0.56, 0.38), 1 + 0.05 * noise(w, h, 0.006 / texel_m, 0.2 / texel_m, rng))
@@ -280,7 +280,7 @@ def door() -> Draw:
 
 
 def mug(text: str, colour: Colour, ink: Colour) -> Draw:
-    """A band of text around a cup."""
+    """A band of text around a mug."""
 
     def draw(w, h, texel_m, rng):
         image = blank(w, h, colour)

@@ -1,15 +1,15 @@
-"""Small things that lie on tables and floors: each function gives solids around its foot point, front towards -y."""
+"""Small objects on tables and floors: each function returns solids around the point they stand on, front towards -y."""
 
 import numpy as np
 
-from . import pictures, textures
+from . import drawings, textures
 from .build import ball, box, cone, drawn, plain, rod
 from .solids import Solid
 
 
 def mug(text: str, colour: tuple[float, float, float], ink: tuple[float, float, float]) -> list[Solid]:
     """A cup of coffee with a handle."""
-    print_ = drawn(pictures.mug(text, colour, ink), 0.0012, gloss=0.6)
+    print_ = drawn(drawings.mug(text, colour, ink), 0.0012, gloss=0.6)
     glaze, coffee = plain(*colour, gloss=0.6, texel_m=0.008), plain(0.16, 0.09, 0.05, texel_m=0.008)
     return [
         cone((0, 0, 0), 0.095, (0.038, 0.041), print_, hide="bottom", special={"top": coffee}),
@@ -48,21 +48,21 @@ def globe() -> list[Solid]:
     solids: list[Solid] = [
         cone((0, 0, 0), 0.02, (0.085, 0.07), metal, hide="bottom"),
         cone((0, 0, 0.02), 0.08, (0.012, 0.012), metal, hide="bottom top"),
-        ball(centre, 0.14, drawn(pictures.globe(), 0.002, gloss=0.5), turn=(0, 23, 0)),
+        ball(centre, 0.14, drawn(drawings.globe(), 0.002, gloss=0.5), turn=(0, 23, 0)),
         rod(centre - axis, centre + axis, 0.006, metal),
     ]
     return solids
 
 
 def book_stack(rng: np.random.Generator) -> list[Solid]:
-    """Four lying books, each turned a little; the top one shows its cover."""
+    """A stack of four books, each rotated a little; the cover of the top one is visible."""
     titles = ["ATLAS", "OPTICS", "VOXELS", "GAUSS"]
     colours = [(0.14, 0.27, 0.44), (0.56, 0.16, 0.14), (0.85, 0.7, 0.3), (0.18, 0.4, 0.34)]
     solids: list[Solid] = []
     z = 0.0
     for k, (title, colour) in enumerate(zip(titles, colours, strict=True)):
         thick, ink = rng.uniform(0.022, 0.04), (0.95, 0.92, 0.82) if k != 2 else (0.2, 0.15, 0.1)
-        front = drawn(pictures.cover(title, colour, ink), 0.0015)
+        front = drawn(drawings.cover(title, colour, ink), 0.0015)
         back = drawn(_lying_title(title, colour, ink), 0.0015)
         pages = drawn(textures.stripes([(0.93, 0.91, 0.84), (0.82, 0.8, 0.73)], 0.003, "v"), 0.002)
         faces = {"z+": front, "y-": back, "x+": pages, "x-": pages, "y+": pages}
@@ -75,7 +75,7 @@ def book_stack(rng: np.random.Generator) -> list[Solid]:
 
 
 def _lying_title(title, colour, ink):
-    upright = pictures.spine(title, colour, ink)
+    upright = drawings.spine(title, colour, ink)
 
     def draw(w, h, texel_m, rng):
         return np.ascontiguousarray(np.rot90(upright(h, w, texel_m, rng)))
@@ -87,7 +87,7 @@ def open_book() -> list[Solid]:
     """Two facing pages."""
     solids: list[Solid] = []
     for side, heading in ((-1, "CHAPTER 3"), (1, "EQUATION 9")):
-        page = drawn(pictures.print_page(heading), 0.0012)
+        page = drawn(drawings.print_page(heading), 0.0012)
         solids.append(
             box(
                 (side * 0.082, 0, 0.012),
@@ -103,7 +103,7 @@ def open_book() -> list[Solid]:
 def laptop() -> list[Solid]:
     """An open laptop."""
     shell = plain(0.62, 0.63, 0.66, gloss=0.3)
-    keys, display = drawn(pictures.keyboard(), 0.0015), drawn(pictures.screen(), 0.0012)
+    keys, display = drawn(drawings.keyboard(), 0.0015), drawn(drawings.screen(), 0.0012)
     return [
         box((0, 0, 0.009), (0.34, 0.24, 0.018), shell, hide="z-", special={"z+": keys}),
         box((0, 0.155, 0.125), (0.34, 0.01, 0.23), shell, turn=(0, 0, -15), special={"y-": display}),
@@ -111,8 +111,8 @@ def laptop() -> list[Solid]:
 
 
 def carton(size: tuple[float, float, float], text: str) -> list[Solid]:
-    """A packing box."""
-    side, lid = drawn(pictures.cardboard(text), 0.002), drawn(pictures.cardboard(""), 0.003)
+    """A cardboard box."""
+    side, lid = drawn(drawings.cardboard(text), 0.002), drawn(drawings.cardboard(""), 0.003)
     return [box((0, 0, size[2] / 2), size, side, hide="z-", special={"z+": lid})]
 
 
@@ -159,4 +159,4 @@ def beach_ball(radius: float = 0.15) -> list[Solid]:
         (0.95, 0.75, 0.15),
         (0.95, 0.95, 0.92),
     ]
-    return [ball((0, 0, radius), radius, drawn(pictures.ball(gores), 0.003, gloss=0.6), turn=(30, 35, 20))]
+    return [ball((0, 0, radius), radius, drawn(drawings.ball(gores), 0.003, gloss=0.6), turn=(30, 35, 20))]
