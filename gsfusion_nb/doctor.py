@@ -23,7 +23,7 @@ OPTIONAL = {
 
 
 @dataclass(frozen=True)
-class Finding:
+class EnvironmentCheck:
     """One line of the examination."""
 
     topic: str
@@ -34,7 +34,7 @@ class Finding:
     """Whether the package is incomplete without it."""
 
 
-def examine() -> list[Finding]:
+def examine() -> list[EnvironmentCheck]:
     """Look at this Python environment and machine; nothing is changed."""
     return [
         _python(),
@@ -49,16 +49,16 @@ def examine() -> list[Finding]:
 
 
 def main() -> int:
-    """Print the findings; 0 if nothing needed is missing."""
-    findings = examine()
+    """Print the checks; 0 if nothing needed is missing."""
+    checks = examine()
     print(f"gsfusion_nb {__version__} in {sys.prefix}")
-    width = max(len(f.topic) for f in findings)
-    for f in findings:
+    width = max(len(f.topic) for f in checks)
+    for f in checks:
         mark = "ok" if f.ok else "NO" if f.needed else "--"
         print(f"  {mark}  {f.topic:<{width}}  {f.text}")
         if f.remedy and not f.ok:
             print(f"      {'':<{width}}  -> {f.remedy}")
-    missing = [f for f in findings if not f.ok and f.needed]
+    missing = [f for f in checks if not f.ok and f.needed]
     print(
         f"{len(missing)} problem(s) to solve: see the arrows above." if missing else "Everything needed is installed."
     )
@@ -94,55 +94,55 @@ def _version(name: str) -> str | None:
         return None
 
 
-def _python() -> Finding:
+def _python() -> EnvironmentCheck:
     text = f"{platform.python_version()} on {platform.system()} {platform.machine()}, {os.cpu_count()} cores"
-    return Finding("python", sys.version_info >= (3, 11), text, "gsfusion_nb needs Python 3.11 or newer")
+    return EnvironmentCheck("python", sys.version_info >= (3, 11), text, "gsfusion_nb needs Python 3.11 or newer")
 
 
-def _package(name: str) -> Finding:
+def _package(name: str) -> EnvironmentCheck:
     version = _version(name)
-    return Finding(name, version is not None, version or "not installed", f"pip install {name}")
+    return EnvironmentCheck(name, version is not None, version or "not installed", f"pip install {name}")
 
 
-def _optional(name: str, remedy: str) -> Finding:
+def _optional(name: str, remedy: str) -> EnvironmentCheck:
     version = _version(name)
-    return Finding(name, version is not None, version or "not installed", remedy, needed=False)
+    return EnvironmentCheck(name, version is not None, version or "not installed", remedy, needed=False)
 
 
-def _opencv_twins() -> Finding:
+def _opencv_twins() -> EnvironmentCheck:
     twins = [n for n in ("opencv-python", "opencv-contrib-python", "opencv-contrib-python-headless") if _version(n)]
     text = f"{', '.join(twins)} beside opencv-python-headless" if twins else "one copy"
-    return Finding(
+    return EnvironmentCheck(
         "opencv copies", not twins, text, f"they overwrite each other's files: pip uninstall {' '.join(twins)}"
     )
 
 
-def _torch() -> list[Finding]:
+def _torch() -> list[EnvironmentCheck]:
     import torch
 
-    threads = Finding("torch threads", True, f"{torch.get_num_threads()} for computing")
+    threads = EnvironmentCheck("torch threads", True, f"{torch.get_num_threads()} for computing")
     cuda = torch.cuda.is_available()
     text = torch.cuda.get_device_name(0) if cuda else "none; everything runs on the CPU"
-    return [threads, Finding("CUDA device", cuda, text, needed=False)]
+    return [threads, EnvironmentCheck("CUDA device", cuda, text, needed=False)]
 
 
-def _backends() -> list[Finding]:
+def _backends() -> list[EnvironmentCheck]:
     from . import optim, render, seeding, tracking, tsdf  # noqa: F401  (importing them declares their operations)
 
-    findings = [Finding("backends", True, f"asked for: {backends.from_environment()}")]
+    checks = [EnvironmentCheck("backends", True, f"asked for: {backends.from_environment()}")]
     for name, backend, state in backends.report():
-        findings.append(Finding(f"  {name} / {backend}", state == "ok", state, needed=backend == "reference"))
-    return findings
+        checks.append(EnvironmentCheck(f"  {name} / {backend}", state == "ok", state, needed=backend == "reference"))
+    return checks
 
 
-def _drawing() -> Finding:
+def _drawing() -> EnvironmentCheck:
     from .viz.meshes import opengl as gl
 
     ok, why = gl.can_draw()
     remedy = "mesh views fall back to our own pictures until this works"
-    return Finding("VTK drawing", ok, why, remedy, needed=False)
+    return EnvironmentCheck("VTK drawing", ok, why, remedy, needed=False)
 
 
-def _disk() -> Finding:
+def _disk() -> EnvironmentCheck:
     free = shutil.disk_usage(Path.cwd()).free / 1e9
-    return Finding("disk", free > 2, f"{free:.0f} GB free here", "a run with its checkpoint takes up to 1 GB")
+    return EnvironmentCheck("disk", free > 2, f"{free:.0f} GB free here", "a run with its checkpoint takes up to 1 GB")

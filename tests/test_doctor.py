@@ -31,9 +31,9 @@ def test_a_missing_package_is_named_with_its_remedy(capsys, monkeypatch):
 
 def test_opencv_twins_are_found(monkeypatch):
     monkeypatch.setattr(doctor, "_version", lambda name: "5.0" if name.startswith("opencv") else None)
-    finding = doctor._opencv_twins()
-    assert not finding.ok
-    assert "pip uninstall opencv-python" in finding.remedy
+    check = doctor._opencv_twins()
+    assert not check.ok
+    assert "pip uninstall opencv-python" in check.remedy
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from ..data import Sequence, open_sequence
 from ..mapping import GSFusion
 from ..tsdf import TsdfVolume
 from ..types import Camera, Frame
-from ..viz import GradientMicroscope, PixelMicroscope, fill_panel, orbit_view, point_panel, quadtree_panel
+from ..viz import GradientMicroscope, PixelMicroscope, orbit_view, point_panel, quadtree_panel, tsdf_fill_panel
 from ..viz.live.step_panels import live_panels
 from ..viz.microscopes.gaussian_panels import one_gaussian_panel, sh_ball_panel
 from ..viz.panels.discs import disc_panel
@@ -71,7 +71,7 @@ def _filling() -> dict[str, Move]:
         rgb, depth_m = torch.full((*size, 3), 0.5), torch.full(size, 1.5)
         return Frame(index=0, timestamp_s=0.0, rgb=rgb, depth_m=depth_m, camera=camera, T_WC=T_WC)
 
-    panel = fill_panel(TsdfVolume(TsdfConfig(voxel_size_m=0.04, truncation_voxels=4.0)), CAMERA, look)
+    panel = tsdf_fill_panel(TsdfVolume(TsdfConfig(voxel_size_m=0.04, truncation_voxels=4.0)), CAMERA, look)
     for heading in range(-180, 180, 60):
         panel.set(heading_deg=float(heading)).press("measure")
     return {
@@ -122,7 +122,7 @@ def _gradient_microscope() -> dict[str, Move]:
     return moves
 
 
-def _disc_stage() -> dict[str, Move]:
+def _disc_scene() -> dict[str, Move]:
     panel = disc_panel()
     return {"lean": lambda i: panel.set(lean_deg=5 * i)}
 
@@ -146,7 +146,7 @@ PANELS: dict[str, Callable[[], dict[str, Move]]] = {
     "orbit, 20k SH3 320x240": _orbit,
     "pixel, 5k 320x240": _pixel_microscope,
     "gradients, 800 160x120": _gradient_microscope,
-    "disc depth": _disc_stage,
+    "disc depth": _disc_scene,
     "one Gaussian": _one_gaussian,
     "colour ball": _sh_ball,
 }

@@ -1,1 +1,1 @@
-"""Pictures, graphs and HTML pages from arrays and numbers. Every room that shows something draws with this one."""
+"""Pictures, graphs and HTML pages from arrays and numbers. All other rooms draw with this one."""

@@ -1,4 +1,4 @@
-"""Graphs as matplotlib figures without pyplot, safe in threads, and as SVG that follows a page's colours."""
+"""Graphs as matplotlib figures without pyplot, safe in threads, and as SVG in the colours of a page."""
 
 import io
 import math
@@ -18,7 +18,7 @@ INK = "#1c2430"
 MUTED = "#5c6675"
 GRID = "#dfe4ea"
 PALETTE = ("#3d85c6", "#e08a2e", "#3a9d6a", "#d1495b", "#8e6bbf", "#8a8f98", "#2aa5a0", "#b8860b")
-"""Colours of middle lightness: they can be seen on white and on black."""
+"""Colours of medium lightness, visible on white and on black."""
 
 _THEMED = {INK: "var(--ink)", MUTED: "var(--muted)", GRID: "var(--line)"}
 
@@ -40,9 +40,9 @@ def curve_figure(
         series: Label -> values, one per position.
         x_label: Axis label with its unit.
         y_label: Axis label with its unit.
-        stacked: Areas on top of one another (parts of a whole) instead of lines.
+        stacked: Stacked areas (parts of a whole) instead of lines.
         marks: Positions of ticks along the bottom, for example keyframes.
-        marks_label: What the ticks are, for the legend.
+        marks_label: Meaning of the ticks, for the legend.
 
     Returns:
         A ``matplotlib.figure.Figure`` with an Agg canvas, 5.2 x 3 inches at 100 dpi.
@@ -74,10 +74,10 @@ def curve_figure(
 
 
 def figure_svg(figure: "Figure", name: str) -> str:
-    """The figure as an ``<svg>`` element to put straight into a page that defines --ink, --muted and --line.
+    """The figure as an ``<svg>`` element for a page that defines --ink, --muted and --line.
 
-    Text stays text and takes the page's font; ``name`` keeps the inner ids of several figures apart and is the
-    element's description for screen readers.
+    Text stays text and takes the page's font; ``name`` makes the ids of several figures distinct and is the description
+    for screen readers.
     """
     from html import escape
 
@@ -91,7 +91,7 @@ def figure_svg(figure: "Figure", name: str) -> str:
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
     for colour, variable in _THEMED.items():
         svg = svg.replace(colour, variable)
-    # matplotlib writes its size in points; the viewBox alone lets the page decide
+    # matplotlib writes its size in points; with only the viewBox the page decides
     svg = re.sub(r'(<svg[^>]*?) width="[^"]*"', r"\1", svg, count=1)
     svg = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", svg, count=1)
     return svg.replace("<svg", f'<svg role="img" aria-label="{escape(name, quote=True)}"', 1)

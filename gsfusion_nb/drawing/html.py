@@ -16,7 +16,7 @@ def fill(template: str, **values: Any) -> str:
         values: The template's variables.
 
     Raises:
-        jinja2.UndefinedError: the template asks for a variable that was not given.
+        jinja2.UndefinedError: a variable of the template was not given.
     """
     return str(_environment().get_template(template).render(**values)).strip()
 
@@ -40,7 +40,7 @@ def html_table(
         name: CSS class of the table.
         style: CSS of the table.
         cell_style: CSS of every cell.
-        head_style: CSS of every heading; that of the cells if not given.
+        head_style: CSS of every heading; that of the cells by default.
     """
     values = {"name": name, "style": style, "cell_style": cell_style}
     values["head_style"] = cell_style if head_style is None else head_style

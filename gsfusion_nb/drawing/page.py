@@ -1,4 +1,4 @@
-"""What HTML pages show beside text: pictures with captions and colour bars, and graphs (``templates/parts.html``)."""
+"""Elements of HTML pages: pictures with captions and colour bars, and graphs (``templates/parts.html``)."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from . import pictures
 from .curves import Numbers, curve_figure, figure_svg
 
 PICTURE_WIDTH = 960
-"""Pictures are stored no wider than this, pixels; a report of six views stays at a few megabytes."""
+"""Largest width of a stored picture, pixels; a report with six views has a few megabytes."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,19 +11,19 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 Picture = UInt8[np.ndarray, "_ _ 3"]
-"""What the functions here return."""
+"""The type that these functions return."""
 ImageLike = Float[Tensor, "H W 3"] | UInt8[Tensor, "H W 3"] | Float[np.ndarray, "H W 3"] | UInt8[np.ndarray, "H W 3"]
 AnyImage = Float[Tensor, "_ _ 3"] | UInt8[Tensor, "_ _ 3"] | Float[np.ndarray, "_ _ 3"] | UInt8[np.ndarray, "_ _ 3"]
-"""An image whose size need not agree with the other arguments'."""
+"""An image whose size may differ from that of the other arguments."""
 MapLike = Float[Tensor, "H W"] | Float[np.ndarray, "H W"]
 
 DEPTH_COLOURS = "turbo"
 ERROR_COLOURS = "inferno"
 LEVEL_COLOURS = "viridis"
 ERROR_LIMIT = 0.25
-"""|error| at which an error map reaches its brightest colour, of the range 0..1."""
+"""|error| at which an error map has its brightest colour, range 0..1."""
 DEPTH_ERROR_LIMIT_M = 0.10
-"""|depth error| at which a depth error map reaches its brightest colour, metres."""
+"""|depth error| at which a depth error map has its brightest colour, metres."""
 
 _HATCH = (58, 78)
 """Grey levels of the stripes that mark missing depth."""
@@ -140,14 +140,14 @@ def encode_jpeg(image: ImageLike, quality: int = 88) -> bytes:
 
 
 def encode_png(image: ImageLike, compression: int = 6) -> bytes:
-    """PNG bytes of an RGB picture: for drawings, where JPEG would smear the lines."""
+    """PNG bytes of an RGB picture: for drawings, where JPEG would blur the lines."""
     import cv2
 
     return _encode(image, ".png", [cv2.IMWRITE_PNG_COMPRESSION, compression])
 
 
 def data_uri(image: ImageLike, kind: Literal["jpeg", "png"] = "jpeg") -> str:
-    """The picture as text that an HTML page can hold."""
+    """The picture as text for an HTML page."""
     encoded = encode_jpeg(image) if kind == "jpeg" else encode_png(image)
     return f"data:image/{kind};base64,{base64.b64encode(encoded).decode('ascii')}"
 

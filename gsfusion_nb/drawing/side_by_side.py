@@ -7,7 +7,7 @@ import numpy as np
 from .pictures import AnyImage, Picture, to_uint8
 
 LABEL_PX = 26
-"""Height of the strip that holds the labels."""
+"""Height of the strip with the labels."""
 
 
 def side_by_side(images: Sequence[AnyImage], labels: Sequence[str] = (), *, gap: int = 6) -> Picture:
@@ -40,7 +40,7 @@ def side_by_side(images: Sequence[AnyImage], labels: Sequence[str] = (), *, gap:
 
 
 def _label(text: str, width: int) -> np.ndarray:
-    """A white strip with dark text, shrunk until it fits."""
+    """A white strip with dark text, made smaller until it fits."""
     import cv2
 
     strip = np.full((LABEL_PX, width, 3), 255, np.uint8)

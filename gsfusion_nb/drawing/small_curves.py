@@ -18,7 +18,7 @@ def small_curves(
 
     Args:
         series: Title -> values so far, one per step; NaN leaves a gap.
-        n_x: Steps in the whole run, which fill the width, so that the curve shows progress too.
+        n_x: Number of steps of the whole run, which fill the width, so that the curve also shows progress.
         width, height: Size of one graph on screen, pixels.
         scale: Picture pixels per screen pixel; 2 looks sharp on fine screens.
     """

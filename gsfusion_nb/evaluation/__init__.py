@@ -1,4 +1,4 @@
-"""How good a map is: image, geometry and trajectory scores."""
+"""Scores of a map: images, geometry and trajectory."""
 
 from .discs import disc_scores as disc_scores
 from .discs import sample_discs as sample_discs

@@ -1,4 +1,4 @@
-"""How close a map of discs is to the true surface, without meshing it."""
+"""Distance between a map of discs and the true surface, without a mesh."""
 
 import torch
 from jaxtyping import Float
@@ -43,9 +43,9 @@ def disc_scores(
 
     Args:
         params: The map.
-        reference: The true surface, already culled to what was seen (``cull_unseen``).
+        reference: The true surface, already culled to the part that was seen (``cull_unseen``).
         generator: Draws the samples.
-        threshold_m: For the shares, metres.
+        threshold_m: Threshold of the shares, metres.
         n_samples: Points on either side.
 
     Differentiable: no.

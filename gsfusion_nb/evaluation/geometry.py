@@ -1,7 +1,7 @@
-"""How close a mesh is to the true surface: accuracy, completion, and the shares within a threshold.
+"""Distance between a mesh and the true surface: accuracy, completion, and the shares within a threshold.
 
 No ICP alignment is applied: a map made from given poses is in the world frame of its ground truth, and aligning it
-would hide a systematic shift. Distances are metres in the data and centimetres in print.
+would hide a systematic shift. Distances are stored in metres and printed in centimetres.
 """
 
 import math
@@ -19,7 +19,8 @@ from ..types import Frame, Mesh
 from .not_computed import NotComputed
 
 NEIGHBOURS = 8
-"""Nearby points whose triangles are candidates for the nearest surface point; 8 covers the fan of a typical vertex."""
+"""Nearby points whose triangles are candidates for the nearest surface point; 8 covers the triangles around a typical
+vertex."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +47,7 @@ class GeometryScores:
         return 2 * self.precision * self.completion_ratio / total if total > 0 else 0.0
 
     def as_metrics(self, prefix: str = "mesh") -> dict[str, float]:
-        """The numbers under the names of the metrics table."""
+        """The numbers with the names of the metrics table."""
         names = ("accuracy_m", "completion_m", "precision", "completion_ratio", "f_score", "threshold_m")
         return {f"{prefix}_{name}": getattr(self, name) for name in names}
 
@@ -108,13 +109,13 @@ def mesh_scores(
         threshold_m: For precision, completion ratio and F-score, metres.
         n_samples: Points drawn on each surface.
         observed: ``xyz_W [N, 3] -> bool [N]``: which points of the truth count for completion, usually
-            ``lambda xyz: seen_by(xyz, frames)``; what no frame shows is not expected of a reconstruction.
+            ``lambda xyz: seen_by(xyz, frames)``; parts that no frame shows need not be reconstructed.
         distance: "surface" measures to the triangles nearby. "samples" measures to the closest
             sample, as is usual in published tables; on average it does not fall below half the sample spacing,
             sqrt(area / n_samples) / 2 (9 mm for 60 m^2 and 200,000 samples).
 
     Returns:
-        The scores, or why there are none (no reconstructed surface, nothing observed).
+        The scores, or the reason why there are none (no reconstructed surface, nothing observed).
 
     Differentiable: no. Source: accuracy and completion as in iMAP (Sucar et al. 2021), sampled as NICE-SLAM does.
     """
@@ -175,8 +176,8 @@ def seen_by(
 def cull_unseen(mesh: Mesh, frames: Iterable[Frame], *, tolerance_m: float = 0.05, far_m: float = math.inf) -> Mesh:
     """The part of ``mesh`` that the frames show: faces of which a corner or the centroid is ``seen_by`` one of them.
 
-    Meant for finely divided meshes; a wall of two triangles stays whole if any of its corners is seen. For scores, pass
-    ``observed`` to ``mesh_scores`` instead, which decides point by point.
+    For meshes of small triangles; a wall of two triangles is kept completely if one of its corners is seen. For scores,
+    pass ``observed`` to ``mesh_scores`` instead, which decides for each point.
     """
     n = len(mesh.vertices_W)
     centroids = _corners(mesh).mean(1).to(mesh.vertices_W)
@@ -221,7 +222,7 @@ def _distance(xyz: Tensor, mesh: Mesh, samples: SurfaceSamples, kind: str) -> Te
     if kind == "samples":
         return torch.from_numpy(KDTree(samples.xyz_W.cpu().numpy()).query(xyz.cpu().numpy())[0])
     corners = _corners(mesh).cpu()
-    # samples stand for the large triangles, centroids for those too small to have got a sample
+    # samples represent large triangles, centroids those too small to have a sample
     points = torch.cat([samples.xyz_W.cpu(), corners.mean(1)])
     faces = torch.cat([samples.face.cpu(), torch.arange(len(corners))])
     k = min(NEIGHBOURS, len(points))

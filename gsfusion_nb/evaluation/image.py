@@ -1,6 +1,6 @@
-"""How close a render is to the photograph: PSNR, SSIM, LPIPS, depth error, and the scores of many views.
+"""Difference between a rendered and a recorded image: PSNR, SSIM, LPIPS, depth error, and the scores of many views.
 
-Images are RGB in 0..1 with no crop and no mask, and an average over views is the mean of the per-image numbers.
+Images are RGB in 0..1, not cropped and not masked; an average over views is the mean of the per-image numbers.
 """
 
 import functools
@@ -19,7 +19,7 @@ from ..types import Camera, Frame, RenderOutput
 from .not_computed import NotComputed
 
 RenderFn = Callable[[Camera, Tensor], RenderOutput]
-"""A map seen from a camera at pose T_WC. It gets the view only, so that a frame's own pixels cannot leak into it."""
+"""Renders a map for a camera at pose T_WC. It does not receive the frame, so its pixels cannot influence the result."""
 
 
 def to_8bit_grid(rgb: Float[Tensor, "H W 3"]) -> Float[Tensor, "H W 3"]:
@@ -82,11 +82,11 @@ def lpips(
     """Learned perceptual distance with AlexNet features; 0 for equal images, lower is better.
 
     Images enter as RGB scaled to -1..1, as the network was trained. GSFusion's published LPIPS enter as BGR in 0..1
-    and are therefore not comparable with these, nor with anyone else's.
+    and are therefore not comparable with these or other published values.
 
     Returns:
-        The distance, or why there is none: the optional package ``lpips`` or AlexNet's weights are missing. Nothing is
-        ever downloaded from here.
+        The distance, or the reason why there is none: the optional package ``lpips`` or AlexNet's weights are missing.
+            Nothing is downloaded.
 
     Differentiable: no. Source: Zhang et al. 2018, linear weights of release 0.1.
     """
@@ -100,7 +100,7 @@ def lpips(
 
 
 def lpips_unavailable() -> NotComputed | None:
-    """Why LPIPS cannot be computed here, or None if it can. Cheap; nothing is downloaded."""
+    """The reason why LPIPS cannot be computed on this machine, or None. Fast; nothing is downloaded."""
     network = _lpips_network()
     return network if isinstance(network, NotComputed) else None
 
@@ -112,11 +112,11 @@ def _lpips_network():
         from torchvision.models import AlexNet_Weights  # pyright: ignore[reportMissingImports]
     except ImportError as e:
         return NotComputed(f"package {e.name!r} is not installed (pip install 'gsfusion-nb[lpips]')")
-    except RuntimeError as e:  # a torchvision built for another torch fails while it registers its operators
-        return NotComputed(f"torchvision does not fit the installed torch ({e})")
+    except RuntimeError as e:  # a torchvision for another version of torch fails while it registers its operators
+        return NotComputed(f"torchvision is not compatible with the installed torch ({e})")
     name = AlexNet_Weights.IMAGENET1K_V1.url.rsplit("/", 1)[-1]
     weights = Path(torch.hub.get_dir()) / "checkpoints" / name
-    if not weights.is_file():  # the package would start a download here
+    if not weights.is_file():  # otherwise the package would start a download
         return NotComputed(f"AlexNet's weights are not on this machine (expected {weights})")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the package calls torchvision by a deprecated keyword
@@ -139,8 +139,8 @@ def depth_l1_m(depth_m: Float[Tensor, "H W"], reference_m: Float[Tensor, "H W"])
 
 
 def expected_depth_m(view: RenderOutput, *, alpha_min: float = 0.5) -> Float[Tensor, "H W"]:
-    """Depth of the map, metres; 0 (missing) where it has none: ``surface_depth_m`` of a map that has it, else blended
-    depth divided by opacity where the map covers ``alpha_min`` of a pixel."""
+    """Depth of the map, metres; 0 (missing) where it has none: ``surface_depth_m`` if the map has it, else blended
+    depth / opacity where the opacity is at least ``alpha_min``."""
     if view.surface_depth_m is not None:
         return view.surface_depth_m
     covered = view.alpha >= alpha_min
@@ -156,10 +156,10 @@ class ViewScores:
     psnr: float
     """dB."""
     ssim: float
-    """NaN for images under 6 pixels, too small for its window."""
+    """NaN for images of less than 6 pixels, which are too small for its window."""
     lpips: float | NotComputed
     depth_l1_m: float
-    """Metres; NaN where no pixel has both depths."""
+    """Metres; NaN if no pixel has both depths."""
     depth_share: float
     """Share of pixels with both a measured and a rendered depth."""
 
@@ -194,7 +194,7 @@ class ImageScores:
         return self._mean("depth_l1_m")
 
     def as_metrics(self, suffix: str) -> dict[str, float | NotComputed]:
-        """The means under the names of the metrics table, for example ``psnr_held_out_db`` for suffix "held_out"."""
+        """The means with the names of the metrics table, for example ``psnr_held_out_db`` for suffix "held_out"."""
         return {
             f"psnr_{suffix}_db": self.psnr,
             f"ssim_{suffix}": self.ssim,
@@ -226,9 +226,9 @@ def score_views(
         quantise: Round images to 8 bits first.
 
     Returns:
-        One row per frame. Depth is compared where the map covers at least half a pixel.
+        One row per frame. Depth is compared where the opacity of the map is at least 0.5.
     """
-    skipped = NotComputed("not asked for")
+    skipped = NotComputed("not requested")
     rows = []
     for frame in frames:
         with torch.no_grad():

@@ -1,4 +1,4 @@
-"""The numbers of a run: their names, units and digits, and how they are written for people."""
+"""The numbers of a run: names, units, digits, and their form in text."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -12,7 +12,7 @@ NBSP = "\u00a0"
 
 @dataclass(frozen=True)
 class Metric:
-    """How one number is shown."""
+    """Format of one number."""
 
     label: str
     unit: str = ""
@@ -20,7 +20,7 @@ class Metric:
     scale: float = 1.0
     """Factor from the stored unit to the shown one."""
     meaning: str = ""
-    """One sentence for the reader who does not know it."""
+    """Explanation in one sentence."""
 
 
 def _image_metrics(suffix: str) -> dict[str, Metric]:
@@ -61,7 +61,7 @@ METRIC_GROUPS: dict[str, dict[str, Metric]] = {
             "FPS, frames / total time", "fps", 2, 1.0, "Mapped frames divided by the sum of their times."
         ),
         "fps_mean_inverse": Metric(
-            "FPS, mean of 1/dt", "fps", 2, 1.0, "As the GSFusion paper counts; never below frames / total time."
+            "FPS, mean of 1/dt", "fps", 2, 1.0, "As in the GSFusion paper; never below frames / total time."
         ),
         "fps_mapping": Metric("FPS, mapping alone", "fps", 2, 1.0, "Without the time of tracking."),
         "fps_tracking": Metric("FPS, tracking alone", "fps", 2),
@@ -103,21 +103,31 @@ METRIC_GROUPS: dict[str, dict[str, Metric]] = {
         ),
         "ate_mean_m": Metric("ATE mean", "cm", 2, 100.0, "Mean distance of camera centres after alignment."),
         "drift_m": Metric(
-            "Drift at the end", "cm", 2, 100.0, "Distance of the last camera centres; the first pose is the data's."
+            "Drift at the end",
+            "cm",
+            2,
+            100.0,
+            "Distance between the last camera centres; the first pose is given by the data.",
         ),
         "rpe_translation_m": Metric("RPE, translation", "cm", 2, 100.0, "Root mean square, frame to frame."),
         "n_recovered": Metric("Tracking recovered", "frames", 0),
-        "n_degenerate": Metric("Degenerate motion", "frames", 0, 1.0, "A direction of motion was left to the prior."),
+        "n_degenerate": Metric(
+            "Degenerate motion",
+            "frames",
+            0,
+            1.0,
+            "A direction of motion was not measurable and was taken from the prior.",
+        ),
         "rpe_rotation_deg": Metric("RPE, rotation", "°", 3, 1.0, "Root mean square, frame to frame."),
     },
 }
-"""Group heading -> name in metrics.json -> how it is shown."""
+"""Group heading -> name in metrics.json -> format."""
 
 METRICS: dict[str, Metric] = {name: metric for group in METRIC_GROUPS.values() for name, metric in group.items()}
 
 
 def reason_missing(value: Any) -> str | None:
-    """Why ``value`` is no number, or None if it is one. Understands what metrics.json holds, too."""
+    """The reason why ``value`` is not a number, or None if it is one. Also accepts values read from metrics.json."""
     if value is None:
         return "not measured in this run"
     if isinstance(value, NotComputed):
@@ -130,7 +140,7 @@ def reason_missing(value: Any) -> str | None:
 
 
 def format_metric(name: str, value: Any) -> str:
-    """A number with its unit and sensible digits, or "not computed: reason". Unknown names get four digits."""
+    """A number with its unit and rounded digits, or "not computed: reason". Unknown names get four digits."""
     reason = reason_missing(value)
     if reason is not None:
         return f"not computed: {reason}"
@@ -156,7 +166,7 @@ def format_value(value: Any) -> str:
 
 
 def metrics_as_json(metrics: Mapping[str, Any]) -> dict[str, Any]:
-    """The same numbers, missing ones as ``{"not_computed": reason}``: strict JSON has no NaN and no infinity."""
+    """The same numbers; missing ones become ``{"not_computed": reason}``: strict JSON has no NaN and no infinity."""
 
     def plain(value):
         reason = reason_missing(value)
@@ -168,10 +178,10 @@ def metrics_as_json(metrics: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def frame_rates(seconds: Sequence[float | int]) -> dict[str, float | NotComputed]:
-    """Both counts of frames per second from the time of each frame.
+    """Both definitions of frames per second, from the time of each frame.
 
-    ``fps_total`` = n / sum dt.  ``fps_mean_inverse`` = mean of 1 / dt, which the GSFusion paper reports; by the
-    inequality of the means it is never smaller, and a few very fast frames raise it strongly.
+    ``fps_total`` = n / sum dt.  ``fps_mean_inverse`` = mean of 1 / dt, as in the GSFusion paper; it is never smaller
+    than ``fps_total``, and a few very fast frames increase it strongly.
     """
     if not seconds or min(seconds) <= 0:
         missing = NotComputed("no frame was timed" if not seconds else "a frame took no time")

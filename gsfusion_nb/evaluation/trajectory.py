@@ -1,4 +1,4 @@
-"""How close an estimated camera path is to the true one: alignment, absolute and relative errors."""
+"""Difference between an estimated and the true camera path: alignment, absolute and relative errors."""
 
 from dataclasses import dataclass
 
@@ -31,26 +31,26 @@ class RelativeErrors:
     translation_m: float
     rotation_deg: float
     pairs: int
-    """How many pairs of poses were compared."""
+    """Number of compared pairs of poses."""
 
 
 def align_umeyama(source: Float[Tensor, "N 3"], target: Float[Tensor, "N 3"], *, with_scale: bool = False) -> Alignment:
     """The rigid (or similarity) transform that minimises  sum |target - (s R source + t)|^2.
 
     With the covariance of the centred points U D V^T:  R = U S V^T,  s = tr(D S) / var(source),  where
-    S = diag(1, 1, +-1) keeps det R = +1. Points on one line leave the rotation about it free; any choice has the same
-    residual.
+    S = diag(1, 1, +-1) keeps det R = +1. For points on one line the rotation about it is not determined; every choice
+    has the same residual.
 
     Args:
         source: Points to move, metres. [N, 3]
-        target: Where they should be. [N, 3]
-        with_scale: Also solve for the scale, else it is 1.
+        target: Target points. [N, 3]
+        with_scale: Also solve for the scale; else it is 1.
 
     Returns:
         The alignment, in float64.
 
     Raises:
-        ValueError: with fewer than 3 points, or a scale asked for points that coincide.
+        ValueError: with fewer than 3 points, or with a scale if all points coincide.
 
     Differentiable: no. Source: Umeyama 1991, Eq. 34-42.
     """
@@ -88,7 +88,7 @@ def ate_rmse(
         with_scale: The alignment may also scale (monocular systems only).
 
     Returns:
-        Metres. A path that hardly moves (a camera that only turns) makes the aligned number meaningless.
+        Metres. For a camera that hardly moves (only rotates) the aligned number has no meaning.
 
     Raises:
         ValueError: without poses, with non-finite ones, or too few to align.

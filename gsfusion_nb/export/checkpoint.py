@@ -17,10 +17,10 @@ VERSION = 1
 def save_checkpoint(path: str | Path, state: dict[str, Any]) -> None:
     """Write nested dictionaries, lists and tuples of tensors, numbers, strings and None, atomically.
 
-    Tensors are stored detached and on the CPU; of a view, only its own numbers.
+    Tensors are stored detached and on the CPU; of a view, only its own elements are stored.
 
     Raises:
-        TypeError: anything else in ``state``; names the key.
+        TypeError: another type in ``state``; the message names the key.
     """
     content = {"format": FORMAT, "version": VERSION, "state": _plain(state, "state")}
     with atomic_file(path) as temporary:
@@ -28,7 +28,7 @@ def save_checkpoint(path: str | Path, state: dict[str, Any]) -> None:
 
 
 def load_checkpoint(path: str | Path, *, device: torch.device | str = "cpu") -> dict[str, Any]:
-    """Read what ``save_checkpoint`` wrote, with the tensors on ``device``.
+    """Read a file written by ``save_checkpoint``, with the tensors on ``device``.
 
     Raises:
         FileNotFoundError: no such file. ValueError: a damaged file, another kind of file, or another format version.
@@ -44,7 +44,7 @@ def load_checkpoint(path: str | Path, *, device: torch.device | str = "cpu") -> 
             raise SequenceError(f"{path} is damaged: {broken} in it fails its checksum")
         content = torch.load(path, map_location=device, weights_only=True)
     if not isinstance(content, dict) or content.get("format") != FORMAT:
-        raise ValueError(f"{path} is a PyTorch file but no {FORMAT}; expected one written by save_checkpoint")
+        raise ValueError(f"{path} is a PyTorch file but not a {FORMAT}; expected one written by save_checkpoint")
     if content.get("version") != VERSION:
         raise ValueError(
             f"{path} has checkpoint version {content.get('version')}; this program reads version {VERSION}"

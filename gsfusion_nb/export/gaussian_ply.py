@@ -1,4 +1,4 @@
-"""The PLY file of 3D Gaussian splatting, which public viewers open (layout of Kerbl et al. 2023's released code).
+"""The PLY file of 3D Gaussian splatting, which public viewers can open (layout of Kerbl et al. 2023's released code).
 
 Binary little endian, 62 float32 properties, 248 bytes per Gaussian, before activation:
 ``x y z nx ny nz f_dc_0..2 f_rest_0..44 opacity scale_0..2 rot_0..3``. Normals are 0; ``f_rest`` holds 15 coefficients
@@ -30,8 +30,8 @@ NAMES = (
 def write_gaussian_ply(path: str | Path, params: GaussianParams) -> None:
     """Write a Gaussian map in the standard layout, atomically.
 
-    A colour of lower degree is filled up with zero coefficients to degree 3, which looks the same and opens in every
-    viewer.
+    A colour of lower degree is extended with zero coefficients to degree 3, which looks the same and can be opened by
+    every viewer.
 
     Raises:
         ValueError: a degree above 3.
@@ -101,7 +101,7 @@ def read_gaussian_ply(path: str | Path) -> GaussianParams:
 
 
 def _read(path: Path):
-    """Parsed file, mapped into memory; without that plyfile reads row by row. A file without rows cannot be mapped."""
+    """Parsed file, mapped into memory; otherwise plyfile reads row by row. A file without rows cannot be mapped."""
     from plyfile import PlyData
 
     try:

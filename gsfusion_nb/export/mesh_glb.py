@@ -27,9 +27,9 @@ def write_mesh_glb(path: str | Path, mesh: Mesh, *, up: Literal["-y", "+z", "+y"
 
     glTF is right-handed with y up. Positions are rotated: with ``up="-y"`` (a world that began as a camera with OpenCV
     axes) by (x, y, z) -> (x, -y, -z); with ``up="+z"`` (z up) by (x, y, z) -> (x, z, -y). Both keep the handedness, so
-    nothing is mirrored. Colours are stored linear, as glTF asks, with an unlit material: the light is in the colours
-    already. They are float32: 8 bits of linear light have too few dark steps, and MeshLab and trimesh take 16-bit
-    colours for 8-bit ones.
+    nothing is mirrored. Colours are stored linear, as glTF requires, with an unlit material, because the colours
+    contain the lighting already. They are float32: 8 bits of linear light have too few dark steps, and MeshLab and
+    trimesh read 16-bit colours as 8-bit ones.
 
     Args:
         path: File to write.

@@ -17,7 +17,7 @@ _FACE = np.dtype([("count", "u1"), ("vertices", "<i4", 3)])
 
 
 def write_mesh_ply(path: str | Path, mesh: Mesh) -> None:
-    """Write a mesh, atomically. Colours are rounded to 8 bits. MeshLab, Blender, Open3D and PyVista read it."""
+    """Write a mesh, atomically. Colours are rounded to 8 bits. MeshLab, Blender, Open3D and PyVista can read it."""
     check_faces(mesh)
     vertices = np.zeros(mesh.vertices_W.shape[0], dtype=_VERTEX)
     vertices["xyz"] = mesh.vertices_W.detach().cpu().numpy()

@@ -1,4 +1,5 @@
-"""Trajectories as text of the TUM RGB-D benchmark: ``t tx ty tz qx qy qz qw``, seconds, metres, camera-to-world."""
+"""Trajectories in the text format of the TUM RGB-D benchmark: ``t tx ty tz qx qy qz qw``, seconds, metres,
+camera-to-world."""
 
 import math
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""Pinhole projection and its inverse, in the one convention that everything obeys.
+"""Pinhole projection and its inverse, in the convention of the whole package.
 
 | quantity | name | convention |
 |---|---|---|
@@ -9,7 +9,7 @@
 | TSDF | ``D``, ``W`` | D in units of the truncation distance, positive in front of the surface; W observation count |
 | rotation | ``quat`` | wxyz, normalised at use |
 | Gaussians | ``xyz_W, log_scale, quat, opacity_logit, sh`` | activated ones are ``scale_m``, ``opacity``, ``rgb`` |
-| gradient | ``v_x`` | dL/dx, made by ``<op>_vjp`` |
+| gradient | ``v_x`` | dL/dx, from ``<operation>_vjp`` |
 | randomness | ``generator`` | passed in; a run with a seed repeats exactly on one machine and thread count |
 
 A data set whose intrinsics put pixel centres at integers (TUM, 7-Scenes, Replica) gets +0.5 on cx and cy in its reader.
@@ -37,7 +37,7 @@ def rays(camera: Camera, uv: Float[Tensor, "*N 2"]) -> Float[Tensor, "*N 3"]:
 
 
 def backproject(camera: Camera, uv: Float[Tensor, "*N 2"], depth_m: Float[Tensor, "*N"]) -> Float[Tensor, "*N 3"]:
-    """Camera-frame points at z-depth ``depth_m`` behind the pixels ``uv`` (GSFusion Eq. 10, before T_WC).
+    """Camera-frame points at z-depth ``depth_m`` at the pixels ``uv`` (GSFusion Eq. 10, before T_WC).
 
     Differentiable: yes, through torch.
     """

@@ -11,10 +11,11 @@ from .camera import depth_to_points
 def depth_to_normals(
     camera: Camera, depth_m: Float[Tensor, "H W"], *, max_jump: float = 0.05
 ) -> Float[Tensor, "H W 3"]:
-    """Unit normals that face the camera, camera frame; zero where they cannot be known. [H, W, 3]
+    """Unit normals that point towards the camera, camera frame; zero where unknown. [H, W, 3]
 
-    Cross product of central differences of the back-projected points. A pixel gets none when its own or one of its four
-    neighbours' depth is missing, or a neighbour's depth differs by more than ``max_jump`` of its own (a depth edge).
+    Cross product of central differences of the back-projected points. A pixel has no normal if its depth or that of one
+    of its four neighbours is missing, or if a neighbour's depth differs by more than ``max_jump`` times its own (a
+    depth edge).
     """
     P = depth_to_points(camera, depth_m)
     normal = torch.zeros_like(P)
@@ -27,7 +28,7 @@ def depth_to_normals(
         known = known & (n > 0) & ((n - d).abs() <= max_jump * d)
     dx = P[1:-1, 2:] - P[1:-1, :-2]
     dy = P[2:, 1:-1] - P[:-2, 1:-1]
-    n = torch.linalg.cross(dy, dx)  # y down, x right: this order points back at the camera
+    n = torch.linalg.cross(dy, dx)  # y down, x right: in this order the normal points towards the camera
     n = n / n.norm(dim=-1, keepdim=True).clamp_min(1e-12)
     normal[1:-1, 1:-1] = n * known[..., None]
     return normal

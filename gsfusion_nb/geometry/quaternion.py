@@ -89,9 +89,9 @@ def multiply(a: Float[Tensor, "*B 4"], b: Float[Tensor, "*B 4"]) -> Float[Tensor
 
 
 def shortest_arc(a: Float[Tensor, "*B 3"], b: Float[Tensor, "*B 3"]) -> Float[Tensor, "*B 4"]:
-    """Unit quaternion that turns unit vector ``a`` to unit vector ``b`` by the smaller angle.
+    """Unit quaternion that rotates unit vector ``a`` to unit vector ``b`` by the smaller angle.
 
-    q = (1 + a.b, a x b) / |...|; opposite vectors are turned about an axis perpendicular to ``a``.
+    q = (1 + a.b, a x b) / |...|; opposite vectors are rotated about an axis perpendicular to ``a``.
     """
     scalar = 1 + (a * b).sum(-1, keepdim=True)
     least = torch.nn.functional.one_hot(a.abs().argmin(-1), 3).to(a)

@@ -1,6 +1,6 @@
 """View-dependent colour as real spherical harmonics (SH) up to degree 3: value and gradient.
 
-Sign and order of the basis are those of Kerbl et al. 2023: public viewers read the coefficients as they are.
+Sign and order of the basis are those of Kerbl et al. 2023: public viewers use the coefficients unchanged.
 """
 
 import torch
@@ -116,7 +116,8 @@ def sh_to_rgb_vjp(
 
 
 def rgb_to_sh_dc(rgb: Float[Tensor, "*N 3"]) -> Float[Tensor, "*N 3"]:
-    """Coefficient of degree 0 that gives the colour ``rgb`` from everywhere: (rgb - 1/2) / Y_0. Differentiable: yes."""
+    """Coefficient of degree 0 that gives the colour ``rgb`` from all directions: (rgb - 1/2) / Y_0. Differentiable:
+    yes."""
     return (rgb - 0.5) / SH_C0
 
 

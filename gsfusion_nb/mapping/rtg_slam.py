@@ -21,7 +21,7 @@ from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput, Seeds
 from .frame_checks import check_frame
 from .mapper import Mapper
 from .step_report import StageClock, StepReport, psnr_from_mse
-from .surfel_optimiser import SurfelOptimiser, View
+from .surfel_optimiser import SurfelOptimiser, TrainingView
 
 MASKED_BELOW = 0.8
 """With more of the rows in view unstable they touch nearly all pixels, and to find these costs more than it saves."""
@@ -228,7 +228,7 @@ class RTGSLAM(Mapper):
         before = GaussianParams(**{name: value.clone() for name, value in vars(optimiser.trained).items()})
         masked = config.only_unstable and optimiser.n < MASKED_BELOW * int(seen.sum())
         touched = [optimiser.touched(f.camera, f.T_WC) if masked else None for f in self.window]
-        views = [View.of(frame, pixels) for frame, pixels in zip(self.window, touched, strict=True)]
+        views = [TrainingView.of(frame, pixels) for frame, pixels in zip(self.window, touched, strict=True)]
         losses = []
         for step in range(config.iterations):
             newest = config.draw == "newest_half" and 2 * step >= config.iterations
@@ -264,7 +264,7 @@ class RTGSLAM(Mapper):
             lr_factor=config.lr_factor,
             move_centres=False,
         )
-        views = [View.of(keyframe, self._worst_pixels(keyframe)) for keyframe in chosen]
+        views = [TrainingView.of(keyframe, self._worst_pixels(keyframe)) for keyframe in chosen]
         for _ in range(config.iterations):
             optimiser.step(views[self._draw(len(views))])
         optimiser.write_back()
@@ -299,7 +299,7 @@ class RTGSLAM(Mapper):
         if self._final is None:
             self.gaussians.state.fill_(STABLE)
             self._final = self._final_optimiser()
-        loss = self._final.step(View.of(self.keyframes[i].to(self.device)))
+        loss = self._final.step(TrainingView.of(self.keyframes[i].to(self.device)))
         self._final.write_back()
         return loss.total
 

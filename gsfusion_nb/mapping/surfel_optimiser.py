@@ -18,7 +18,7 @@ _GEOMETRY = ("xyz_W", "log_scale", "quat")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class View:
+class TrainingView:
     """An RGB-D image to optimise against, and the pixels of it that count."""
 
     rgb: Float[Tensor, "H W 3"]
@@ -28,12 +28,12 @@ class View:
     pixels: Bool[Tensor, "H W"]
 
     @staticmethod
-    def of(source: Frame | Keyframe, pixels: Bool[Tensor, "H W"] | None = None) -> "View":
+    def of(source: Frame | Keyframe, pixels: Bool[Tensor, "H W"] | None = None) -> "TrainingView":
         """The view of a frame or keyframe; all pixels by default."""
         depth_m = source.depth_m
         assert depth_m is not None
         everywhere = torch.ones_like(depth_m, dtype=torch.bool)
-        return View(
+        return TrainingView(
             rgb=source.rgb,
             depth_m=depth_m,
             camera=source.camera,
@@ -108,7 +108,7 @@ class SurfelOptimiser:
         output, _ = render_forward(self.trained, camera, T_WC, with_indices=False)
         return output.alpha > 0
 
-    def step(self, view: View) -> RgbdLoss:
+    def step(self, view: TrainingView) -> RgbdLoss:
         """One gradient step on one view; the loss before it."""
         w, discs = self.config, self.discs
         output, saved = render_forward(

@@ -1,4 +1,5 @@
-"""A contest of seeding rules to watch: the Pareto plot fills while the rules run; start, pause and stop."""
+"""Live view of a contest of seeding rules: a Pareto plot that is updated while the rules run, with start, pause and
+stop."""
 
 import numpy as np
 
@@ -9,9 +10,9 @@ from .leaderboard import Contest, Leaderboard
 
 
 def watch_contest(contest: Contest) -> Watch:
-    """The contest with buttons; ``contest.board`` is the table, while it runs and afterwards.
+    """Show the contest with buttons; ``contest.board`` is the table, during and after the run.
 
-    One step is one frame. A stop loses nothing but the frames of the rule that was running.
+    One step is one frame. A stop discards only the frames of the rule that was running.
     """
     drawn: list[tuple[int, Picture]] = []
 

@@ -13,7 +13,7 @@ from ..config import rtg_slam
 from ..constants import OPAQUE_ALPHA
 from ..data import open_sequence
 from ..gaussians import SurfelModel
-from ..mapping.surfel_optimiser import SurfelOptimiser, View
+from ..mapping.surfel_optimiser import SurfelOptimiser, TrainingView
 from ..progress import ProgressDisplay
 from ..render import view_surface
 from ..seeding import SeedContext, apply_rule
@@ -30,7 +30,7 @@ METHODS = {
 
 @dataclass(frozen=True, kw_only=True)
 class FitRow:
-    """One image fitted once."""
+    """Result of one fit of one image."""
 
     method: str
     """Key of ``METHODS``."""
@@ -39,7 +39,7 @@ class FitRow:
     depth_l1_m: float
     """Mean |rendered - measured depth| over the pixels with both."""
     depth_median_m: float
-    """Median of the same."""
+    """Median |rendered - measured depth| over the same pixels."""
     within_1cm: float
     """Share of the measured pixels whose rendered depth is within 1 cm."""
     covered: float
@@ -55,7 +55,7 @@ def fit_image(frame: Frame, n: int, method: str, *, steps: int = STEPS, seed: in
         n: Gaussians, at most the pixels with depth and normal.
         method: "disc", "blended" or "round".
         steps: Optimisation steps.
-        seed: Of the draw: the same pixels for every method.
+        seed: Seed of the draw: every method has the same pixels.
     """
     check_name("method", method, METHODS)
     settings = rtg_slam("replica")
@@ -72,7 +72,7 @@ def fit_image(frame: Frame, n: int, method: str, *, steps: int = STEPS, seed: in
     model = SurfelModel(sh_degree=0)
     model.append(seeds)
     optimiser = SurfelOptimiser(model, torch.ones(len(model), dtype=torch.bool), settings.window, discs)
-    view = View.of(frame)
+    view = TrainingView.of(frame)
     for _ in range(steps):
         optimiser.step(view)
     optimiser.write_back()
@@ -96,7 +96,7 @@ def fit_image(frame: Frame, n: int, method: str, *, steps: int = STEPS, seed: in
 def fit_images(
     frames: Iterable[Frame], counts: Iterable[int] = COUNTS, *, steps: int = STEPS, show_progress: bool = False
 ) -> list[FitRow]:
-    """Every image with every number of Gaussians by every method."""
+    """Fit every image with every number of Gaussians and every method."""
     frames = list(frames)
     cases = [(f, n, method) for n in counts for method in METHODS for f in frames]
     with ProgressDisplay("fitting", total=len(cases), unit="image", shown=show_progress) as progress:

@@ -1,4 +1,4 @@
-"""Seeding rules against each other: the same frames, the same settings, one run for each rule, one table."""
+"""Comparing seeding rules: the same frames and settings, one run per rule, one table."""
 
 import math
 import time
@@ -28,7 +28,7 @@ Option = bool | int | float | str
 
 @dataclass(frozen=True)
 class Entrant:
-    """A rule with options, under a name of its own: ``Entrant("uniform", {"fraction": 0.1}, "uniform 10 %")``."""
+    """A rule with options and a name of its own: ``Entrant("uniform", {"fraction": 0.1}, "uniform 10 %")``."""
 
     rule: str | SeedingRule
     """Name of a registered rule, or the function."""
@@ -39,14 +39,14 @@ class Entrant:
 
     @property
     def name(self) -> str:
-        """What the table calls it."""
+        """Name in the table."""
         words = " ".join(f"{k}={v:g}" if isinstance(v, float) else f"{k}={v}" for k, v in self.options.items())
         return self.label or " ".join(filter(None, (rule_name(self.rule), words)))
 
 
 @dataclass(frozen=True, kw_only=True)
 class LeaderboardRow:
-    """What one rule came to."""
+    """Result of one rule."""
 
     name: str
     psnr_db: float
@@ -56,20 +56,20 @@ class LeaderboardRow:
     n_gaussians: int
     n_keyframes: int
     ms_per_frame: float
-    """Wall time of a mapping step, mean over the frames but the first, which loads and compiles."""
+    """Wall time of a mapping step, mean over all frames except the first, which loads and compiles."""
     cpu_ms_per_frame: float
-    """CPU time of the same, all threads: other programs on the machine disturb it less."""
+    """CPU time of the same over all threads; other programs affect it less."""
     seeding_ms: float
-    """Wall time of the rule and its quadtree, mean over the frames but the first."""
+    """Wall time of the rule and its quadtree, mean over all frames except the first."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ContestProgress:
-    """Where a contest stands."""
+    """Progress of a contest."""
 
     rule: str
     position: int
-    """Which entrant, from 0."""
+    """Number of the rule, from 0."""
     n_rules: int
     frame: int
     """Frames mapped with this rule."""
@@ -77,7 +77,7 @@ class ContestProgress:
 
     @property
     def share(self) -> float:
-        """Part of the work done, 0..1."""
+        """Share of the work done, 0..1."""
         return (self.position + self.frame / max(self.n_frames, 1)) / self.n_rules
 
     def __str__(self) -> str:
@@ -86,15 +86,15 @@ class ContestProgress:
 
 @dataclass(kw_only=True)
 class Leaderboard:
-    """A table, best picture first. In a notebook it shows itself; ``figure()`` is the Pareto plot."""
+    """A table, best picture first. A notebook displays it; ``figure()`` is the Pareto plot."""
 
     rows: list[LeaderboardRow] = field(default_factory=list)
     sequence: str = ""
-    """What was mapped."""
+    """Name of the sequence."""
     complete: bool = False
-    """False after a stop: some rules have not run."""
+    """False if it was stopped before all rules had run."""
     failed: dict[str, str] = field(default_factory=dict)
-    """Rule -> why it could not be run."""
+    """Rule -> reason why it could not be run."""
 
     @property
     def sorted(self) -> list[LeaderboardRow]:
@@ -163,16 +163,16 @@ def _cells(row: LeaderboardRow, on_front: bool) -> list[str]:
 
 
 class Contest:
-    """Runs rules one after another on one sequence; ``steps()`` can be left and taken up again between frames.
+    """Runs rules one after another on one sequence; ``steps()`` can be interrupted between frames and continued.
 
     Args:
         rules: Names, functions or ``Entrant``; no two of the same name.
-        data: Name or folder of a sequence, or one that is open; some of its views must be held out.
+        data: Name or folder of a sequence, or an open sequence; some of its views must be held out.
         config: Settings of every run; only the rule and its options are replaced.
 
     Raises:
-        KeyError: no such rule. TypeError: a rule of wrong signature. ValueError: two rules of one name, none at all, or
-            no view held out.
+        KeyError: unknown rule. TypeError: a rule with a wrong signature. ValueError: no rule, two rules with the same
+            name, or no held-out view.
     """
 
     def __init__(
@@ -187,18 +187,19 @@ class Contest:
             get_rule(entrant.rule)
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice or not names:
-            raise ValueError(f"compare_rules needs rules with names of their own, got {', '.join(twice) or 'none'}")
+            raise ValueError(f"compare_rules needs rules with different names, got {', '.join(twice) or 'none'}")
         self.config = config or gsfusion_preset("room", optim__global_iterations=0)
         self.sequence = open_sequence(data, data=self.config.data) if isinstance(data, str) else data
         if len(self.sequence.held_out) == 0:
             raise ValueError("compare_rules scores views that were not mapped; set data.hold_out_every to 2 or more")
         self.board = Leaderboard(sequence=self.sequence.name)
         self.curves: dict[str, list[float]] = {"Gaussians, this rule": [], "PSNR of the frame, dB": []}
-        """Of the rule that runs now, one value per frame."""
+        """Curves of the rule that is running, one value per frame."""
         self._warm = False
 
     def steps(self) -> Iterator[ContestProgress]:
-        """Run what is left, a frame at a time; finished rules are in ``board``. One cut short begins anew."""
+        """Run the remaining rules, one frame per step; finished rules are in ``board``. An interrupted rule starts
+        again."""
         self._warm_up()
         first = len(self.board.rows) + len(self.board.failed)
         for position in range(first, len(self.entrants)):
@@ -206,7 +207,7 @@ class Contest:
         self.board.complete = True
 
     def _warm_up(self) -> None:
-        """Load and compile what every run needs, so that the first one does not pay for it."""
+        """Load and compile what every run needs, so that it is not timed in the first run."""
         if not self._warm:
             self._warm = True
             scratch = MappingRun(self.sequence, GSFusion(self.config)).online()
@@ -235,7 +236,7 @@ class Contest:
             for _ in run.optimise():
                 yield ContestProgress(frame=n, **place)
             scores = score_views(run.mapper.render, self.sequence.held_out)
-        except (TypeError, ValueError, KeyError, IndexError, RuntimeError) as e:  # a reader's rule may do anything
+        except (TypeError, ValueError, KeyError, IndexError, RuntimeError) as e:  # a user's rule may raise anything
             self.board.failed[entrant.name] = f"{type(e).__name__}: {e}"
             return
         self.board.rows.append(_row(entrant.name, run, cpu_s, scores))
@@ -258,7 +259,7 @@ def _row(name: str, run: MappingRun, cpu_s: list[float], scores: ImageScores) ->
 
 
 def _number(score: float | NotComputed) -> float:
-    """NaN where a score could not be computed (images too small for SSIM)."""
+    """NaN if a score could not be computed (images too small for SSIM)."""
     return math.nan if isinstance(score, NotComputed) else score
 
 
@@ -271,16 +272,17 @@ def compare_rules(
 ) -> Leaderboard:
     """Map ``data`` once with each rule and score the views that were held out.
 
-    Ctrl-C (in a notebook: interrupt the kernel) ends it between two frames; the rules that have run are kept.
+    Ctrl-C (in a notebook: interrupt the kernel) ends it between two frames; the results of finished rules are kept.
 
     Args:
         rules: Names, functions or ``Entrant``, which also carries options.
-        data: Name or folder of a sequence, or one that is open.
-        config: Settings that all runs share; the room's without global optimisation by default.
+        data: Name or folder of a sequence, or an open sequence.
+        config: Settings of all runs; by default those of the room without global optimisation.
         on_progress: Called after each frame; returns True to stop. By default a progress bar.
 
     Raises:
-        KeyError, TypeError, ValueError: as ``Contest``. A rule that raises while mapping stands in ``failed`` instead.
+        KeyError, TypeError, ValueError: as for ``Contest``. A rule that raises an error while mapping is listed in
+            ``failed``.
     """
     contest = Contest(rules, data, config)
     with ProgressDisplay("contest", total=100, leave=False, shown=on_progress is None) as display:

@@ -1,4 +1,4 @@
-"""Which of many candidates are worth having when two things count, and a picture of it."""
+"""The Pareto front of cost and quality, and its figure."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -17,7 +17,7 @@ _DIRECTIONS = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (-1, 1), (1, -1), (-1, 
 _DISTANCES_PX = (3.0, 14.0, 28.0, 46.0, 66.0)
 
 LARGEST_AREA, LEAST_AREA = 420.0, 40.0
-"""Points squared: the slowest candidate, and the least that can still be seen."""
+"""Areas, points squared: that of the slowest candidate, and the smallest that is visible."""
 
 
 def pareto_front(cost: np.ndarray, quality: np.ndarray) -> np.ndarray:
@@ -28,7 +28,7 @@ def pareto_front(cost: np.ndarray, quality: np.ndarray) -> np.ndarray:
         quality: More is better. [N]
 
     Returns:
-        Whether each is on the front. [N] bool; of two alike both are.
+        Whether each is on the front. [N] bool; of two equal ones both are.
     """
     cost, quality = np.asarray(cost, float), np.asarray(quality, float)
     as_good = (cost[:, None] <= cost) & (quality[:, None] >= quality)
@@ -37,13 +37,13 @@ def pareto_front(cost: np.ndarray, quality: np.ndarray) -> np.ndarray:
 
 
 def pareto_figure(names: Sequence[str], cost: np.ndarray, quality: np.ndarray, ms: np.ndarray) -> "Figure":
-    """PSNR over the number of Gaussians, a point for each name, with the front as a line.
+    """PSNR over the number of Gaussians, one point per name, with the front as a line.
 
     Args:
         names: One per point.
         cost: Gaussians. [N]
         quality: PSNR, dB. [N]
-        ms: ms per frame, which the points' areas are proportional to. [N]
+        ms: ms per frame; areas of the points are proportional to it. [N]
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -73,7 +73,7 @@ def pareto_figure(names: Sequence[str], cost: np.ndarray, quality: np.ndarray, m
 
 
 def _labels(axes, names: Sequence[str], cost: np.ndarray, quality: np.ndarray, area: np.ndarray) -> None:
-    """A name beside each point, at the first place where it covers neither a point nor another name."""
+    """A name beside each point, at the first position where it covers neither a point nor another name."""
     from matplotlib.patheffects import withStroke
 
     axes.figure.draw_without_rendering()

@@ -1,9 +1,9 @@
-"""The roofline of this machine (Williams, Waterman & Patterson 2009), and where our kernels stand under it.
+"""The roofline of this machine (Williams, Waterman & Patterson 2009), and the position of our kernels below it.
 
     attainable flop/s = min(peak flop/s, intensity x bandwidth),   intensity = flop / bytes moved
 
 Operations and bytes are counted by hand, from the formulas; bytes are those that must move at least once (inputs read,
-outputs written). What a kernel does besides (sorting, gathering, reading twice) counts as time lost.
+outputs written). Further work of a kernel (sorting, gathering, reading twice) shows as a lower speed.
 """
 
 import functools
@@ -51,12 +51,12 @@ weight and colour."""
 
 @dataclass(frozen=True, kw_only=True)
 class Roofs:
-    """What one core, or a GPU, can do at best, measured."""
+    """Measured limits of one core, or of a GPU."""
 
     gflops: float
     """10^9 float32 operations per second: a matrix product."""
     gb_per_s: float
-    """10^9 bytes per second to and from memory: b = a + b, in place, on arrays that fit in no cache."""
+    """10^9 bytes per second to and from memory: b = a + b, in place, on arrays larger than the caches."""
 
     @property
     def ridge(self) -> float:
@@ -64,7 +64,7 @@ class Roofs:
         return self.gflops / self.gb_per_s
 
     def attainable_gflops(self, intensity: float | int) -> float:
-        """The roof over a kernel of this intensity."""
+        """The limit for a kernel of this intensity."""
         return min(self.gflops, intensity * self.gb_per_s)
 
 
@@ -85,24 +85,24 @@ class KernelPoint:
 
     @property
     def gflops(self) -> float:
-        """What it reached."""
+        """Measured speed."""
         return self.flops / self.seconds / 1e9
 
 
 def fastest_s(work: Callable[[], object], *, repeats: int = 5, device: str = "cpu") -> float:
-    """CPU time of the fastest of ``repeats`` runs, after one that compiles and fills caches; other programs on the
-    machine disturb it least. On "cuda" the time between two events in its queue."""
+    """CPU time of the fastest of ``repeats`` runs, which other programs affect least, after one run that compiles and
+    fills caches. On "cuda" the time between two events of its queue."""
     work()
     laps = [lap(work, device) for _ in range(repeats)]
     return max(min(x.cpu_s if x.device_s is None else x.device_s for x in laps), 1e-9)
 
 
 def measure_roofs(*, size: int = 1024, megabytes: int = 96, device: str = "cpu") -> Roofs:
-    """Both roofs of one core, or of a GPU, in about a second.
+    """Measure both limits of one core, or of a GPU, in about a second.
 
     Args:
-        size: Rows and columns of the matrices; 8192 keeps a large GPU busy.
-        megabytes: Size of each of two arrays, which should fit in no cache.
+        size: Rows and columns of the matrices; a large GPU needs 8192.
+        megabytes: Size of each of two arrays, which should be larger than the caches.
         device: "cpu" or "cuda".
     """
     a, b = torch.rand(2, size, size).to(device)
@@ -115,7 +115,7 @@ def measure_roofs(*, size: int = 1024, megabytes: int = 96, device: str = "cpu")
 
 @dataclass(frozen=True, kw_only=True)
 class Work:
-    """An operation to time, with what it costs on paper."""
+    """An operation to time, with its counted flop and bytes."""
 
     name: str
     operations: tuple[str, ...]
@@ -128,7 +128,7 @@ class Work:
 def mapping_work(
     n: int = 20_000, width: int = 320, height: int = 240, per_pixel: float = 30.0, device: str = "cpu"
 ) -> list[Work]:
-    """The operations that a mapping step spends its time in, on a random scene.
+    """The main operations of a mapping step, on a random scene.
 
     Args:
         n: Gaussians, with SH of degree 3; Adam gets five times as many, which do not fit in a cache.
@@ -160,7 +160,7 @@ def mapping_work(
 
     @functools.cache
     def volume() -> tuple[TsdfVolume, int]:
-        """One that has seen the frame, and how many voxels it observes."""
+        """A volume after the frame, and the number of observed voxels."""
         made = TsdfVolume(TsdfConfig(), device=device)
         allocate(made, frame)
         return made, fuse_frame_(made, frame)
@@ -203,7 +203,7 @@ def kernel_points(
 
 
 def roofline_figure(roofs: Roofs, points: Sequence[KernelPoint]) -> "Figure":
-    """The two roofs, and a point for each kernel: hollow for the reference, full for a fast backend."""
+    """The two roofs, and a point for each kernel: hollow for the reference, filled for a fast backend."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -242,7 +242,7 @@ def _kernels(axes, points: list[KernelPoint], backend: str) -> None:
 
 
 def as_table(roofs: Roofs, points: Sequence[KernelPoint]) -> str:
-    """Intensity, time, and share of the roof, a line per kernel."""
+    """Intensity, time, and share of the limit, one line per kernel."""
     lines = [f"{'kernel':20} {'backend':10} {'flop/byte':>9} {'ms':>7} {'Gflop/s':>8} {'of the roof':>11}  limited by"]
     for p in points:
         roof = roofs.attainable_gflops(p.intensity)
@@ -255,7 +255,7 @@ def as_table(roofs: Roofs, points: Sequence[KernelPoint]) -> str:
 
 
 ON_A_GPU = {"n": 200_000, "width": 1200, "height": 680}
-"""Size of the work there; smaller work would measure how fast kernels start."""
+"""Size of the work on a GPU; with less work the time to start kernels would dominate."""
 
 
 def main(device: str, folder: Path) -> int:
@@ -263,7 +263,7 @@ def main(device: str, folder: Path) -> int:
     if device not in ("cpu", "cuda"):
         raise ValueError(f"--device must be cpu or cuda, got {device!r}")
     if device == "cuda" and not torch.cuda.is_available():
-        raise ValueError("--device cuda needs an NVIDIA GPU, and torch sees none")
+        raise ValueError("--device cuda needs an NVIDIA GPU, and torch finds none")
     is_gpu = device == "cuda"
     roofs = measure_roofs(size=8192, megabytes=2000, device=device) if is_gpu else measure_roofs()
     work = functools.partial(mapping_work, **(ON_A_GPU if is_gpu else {}), device=device)

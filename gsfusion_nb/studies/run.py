@@ -1,4 +1,4 @@
-"""Running a study: every variant a run of its own in a process of its own, then one table of their numbers."""
+"""Running a study: every variant is a separate run in its own process; then one table with the results."""
 
 import json
 import subprocess
@@ -37,9 +37,9 @@ COLUMNS = {
 
 @dataclass(frozen=True, kw_only=True)
 class StudyOptions:
-    """Run a comparison of the papers on a sequence and print one table.
+    """Run one of the papers' comparisons on a sequence and print a table.
 
-    Each variant is a run with all its files in OUT; one that is complete there is not run again.
+    Each variant is a run with all its files in OUT; variants that are already complete there are not repeated.
     """
 
     name: Annotated[str, tyro.conf.Positional]
@@ -48,17 +48,18 @@ class StudyOptions:
     data: Annotated[str, tyro.conf.Positional] = "room"
     """Folder of a sequence, or "room" for the built-in scene."""
     out: str = ""
-    """Folder for the runs; runs/study-<name> by default."""
+    """Folder for the runs. Default: runs/study-<name>."""
     options: str = ""
-    """Options of `gsfusion-nb map` for every variant, quoted after an equals sign: --options="--data.width 320"."""
+    """Options of gsfusion-nb map that are used for every variant, in quotes and after an equals sign:
+    --options="--data.width 320 --data.height 240"."""
     views: int = 20
-    """disc-depth: views to fit."""
+    """Only for disc-depth: number of views to fit."""
     device: str = "cpu"
-    """roofline: whose kernels and limits to measure, cpu or cuda."""
+    """Only for roofline: the device to measure, cpu or cuda."""
 
 
 def main(options: StudyOptions) -> int:
-    """Run, print and save; the exit status."""
+    """Run, print and save. Returns the exit status."""
     check_name("study", options.name, ("disc-depth", "roofline", *STUDIES))
     folder = Path(options.out or f"runs/study-{options.name}").expanduser()
     folder.mkdir(parents=True, exist_ok=True)
@@ -80,7 +81,7 @@ def main(options: StudyOptions) -> int:
 
 
 def run_variant(data: str, folder: Path, arguments: list[str]) -> dict[str, Any]:
-    """Metrics of one run, made now unless it is complete in ``folder``; ``{"error": sentence}`` if it failed."""
+    """Metrics of one run, which is started unless it is complete in ``folder``; ``{"error": message}`` if it failed."""
     if not _is_complete(folder):
         command = [sys.executable, "-m", "gsfusion_nb", "map", data, "--out", str(folder), *arguments]
         resumable = (folder / "checkpoint.pt").is_file()
@@ -94,7 +95,7 @@ def run_variant(data: str, folder: Path, arguments: list[str]) -> dict[str, Any]
 
 
 def as_markdown(results: dict[str, dict[str, Any]]) -> str:
-    """A table with a row per variant; columns that no variant has are left out."""
+    """A table with a row per variant; columns without values are left out."""
     shown = [name for name in COLUMNS if any(name in metrics for metrics in results.values())]
     lines = [f"| | {' | '.join(COLUMNS[name] for name in shown)} |", f"|---|{'---:|' * len(shown)}"]
     for label, metrics in results.items():

@@ -1,4 +1,4 @@
-"""What each study compares: variants of one run, as options of ``gsfusion-nb map``."""
+"""The variants that each study compares, as options of ``gsfusion-nb map``."""
 
 from dataclasses import dataclass
 
@@ -8,7 +8,7 @@ _TRACKED = ("--tracking.poses", "tracked")
 
 @dataclass(frozen=True)
 class Study:
-    """Runs that differ in one thing."""
+    """Runs that differ in one respect."""
 
     question: str
     variants: dict[str, tuple[str, ...]]
@@ -17,7 +17,7 @@ class Study:
 
 STUDIES: dict[str, Study] = {
     "systems": Study(
-        "Both systems side by side, with given and with tracked poses",
+        "Both systems, with given and with tracked poses",
         {
             "GSFusion, given": (),
             "RTG-SLAM, given": _RTG,
@@ -82,7 +82,7 @@ STUDIES: dict[str, Study] = {
         {"disc depth": _RTG, "blended depth": (*_RTG, "--discs.depth", "blended")},
     ),
     "tracking": Study(
-        "RTG-SLAM's tracker: what it is aligned to, and the back end",
+        "RTG-SLAM's tracker: the surface it aligns to, and the back end",
         {
             "hybrid (released code)": (*_RTG, *_TRACKED),
             "model (paper)": (*_RTG, *_TRACKED, "--tracking.target", "model"),
@@ -90,4 +90,4 @@ STUDIES: dict[str, Study] = {
         },
     ),
 }
-"""Name on the command line -> what it compares. "disc-depth" (Fig. 7) is in ``disc_depth``."""
+"""Name on the command line -> study. "disc-depth" (Fig. 7) is in ``disc_depth``."""

@@ -25,26 +25,26 @@ if TYPE_CHECKING:
     from .microscopes.gradient_microscope import GradientMicroscope as GradientMicroscope
     from .microscopes.one_gaussian import basis_atlas as basis_atlas
     from .microscopes.one_gaussian import gaussian_row as gaussian_row
-    from .microscopes.one_gaussian import turned as turned
+    from .microscopes.one_gaussian import orientation_from_angles as orientation_from_angles
     from .microscopes.pixel_microscope import PixelMicroscope as PixelMicroscope
     from .microscopes.pixel_stack import pixel_stack as pixel_stack
     from .microscopes.pixel_stack import project_splats as project_splats
     from .microscopes.stack_picture import ellipse_picture as ellipse_picture
     from .microscopes.stack_picture import enlarged as enlarged
     from .microscopes.tile_picture import tile_picture as tile_picture
-    from .panels.discs import adding_panel as adding_panel
+    from .panels.discs import disc_adding_panel as disc_adding_panel
     from .panels.discs import disc_panel as disc_panel
-    from .panels.discs import disc_stage as disc_stage
-    from .panels.discs import stage_picture as stage_picture
-    from .panels.icp import basin as basin
+    from .panels.discs import disc_scene as disc_scene
+    from .panels.discs import disc_scene_picture as disc_scene_picture
     from .panels.icp import basin_picture as basin_picture
+    from .panels.icp import convergence_basin as convergence_basin
+    from .panels.icp import displaced_pose as displaced_pose
     from .panels.icp import frame_surface as frame_surface
     from .panels.icp import icp_panel as icp_panel
-    from .panels.icp import moved_start as moved_start
     from .panels.icp import path_picture as path_picture
     from .panels.icp import pose_error as pose_error
     from .panels.icp import residual_picture as residual_picture
-    from .panels.icp import single_level as single_level
+    from .panels.icp import single_level_config as single_level_config
     from .panels.keyframe_strip import keyframe_strip as keyframe_strip
     from .panels.points import normal_colours as normal_colours
     from .panels.points import point_panel as point_panel
@@ -55,10 +55,10 @@ if TYPE_CHECKING:
     from .panels.seeding_rule import rule_panel as rule_panel
     from .panels.seeding_rule import rule_picture as rule_picture
     from .panels.stage_bars import amdahl_panel as amdahl_panel
-    from .panels.stage_bars import faster as faster
+    from .panels.stage_bars import sped_up as sped_up
     from .panels.stage_bars import stage_bars as stage_bars
     from .panels.stage_bars import stage_means as stage_means
-    from .panels.tsdf_fill import fill_panel as fill_panel
+    from .panels.tsdf_fill import tsdf_fill_panel as tsdf_fill_panel
     from .panels.tsdf_slice import distance_colours as distance_colours
     from .panels.tsdf_slice import slice_picture as slice_picture
     from .splats.map_picture import draw_gaussians as draw_gaussians
@@ -73,9 +73,9 @@ _LAZY = {
     "Player": ".live.player",
     "SplatViewer": ".splats.viewer",
     "Watch": ".live.watch",
-    "adding_panel": ".panels.discs",
+    "disc_adding_panel": ".panels.discs",
     "amdahl_panel": ".panels.stage_bars",
-    "basin": ".panels.icp",
+    "convergence_basin": ".panels.icp",
     "basin_picture": ".panels.icp",
     "basis_atlas": ".microscopes.one_gaussian",
     "card": ".cards",
@@ -83,20 +83,20 @@ _LAZY = {
     "colour_depth": "..drawing.pictures",
     "curve_figure": "..drawing.curves",
     "disc_panel": ".panels.discs",
-    "disc_stage": ".panels.discs",
+    "disc_scene": ".panels.discs",
     "distance_colours": ".panels.tsdf_slice",
     "draw_gaussians": ".splats.map_picture",
     "ellipse_picture": ".microscopes.stack_picture",
     "enlarged": ".microscopes.stack_picture",
     "error_map": "..drawing.pictures",
-    "faster": ".panels.stage_bars",
+    "sped_up": ".panels.stage_bars",
     "figure_png": "..drawing.curves",
-    "fill_panel": ".panels.tsdf_fill",
+    "tsdf_fill_panel": ".panels.tsdf_fill",
     "frame_surface": ".panels.icp",
     "gaussian_row": ".microscopes.one_gaussian",
     "icp_panel": ".panels.icp",
     "keyframe_strip": ".panels.keyframe_strip",
-    "moved_start": ".panels.icp",
+    "displaced_pose": ".panels.icp",
     "normal_colours": ".panels.points",
     "one_gaussian_panel": ".microscopes.gaussian_panels",
     "orbit_camera": ".viewpoint",
@@ -117,15 +117,15 @@ _LAZY = {
     "show": ".display",
     "show_mesh": ".meshes.show",
     "side_by_side": "..drawing.side_by_side",
-    "single_level": ".panels.icp",
+    "single_level_config": ".panels.icp",
     "slice_picture": ".panels.tsdf_slice",
     "stage_bars": ".panels.stage_bars",
     "stage_means": ".panels.stage_bars",
-    "stage_picture": ".panels.discs",
+    "disc_scene_picture": ".panels.discs",
     "static_views": ".display",
     "tile_picture": ".microscopes.tile_picture",
     "to_uint8": "..drawing.pictures",
-    "turned": ".microscopes.one_gaussian",
+    "orientation_from_angles": ".microscopes.one_gaussian",
 }
 
 

@@ -13,7 +13,7 @@ MAP = """
 import torch
 torch.set_num_threads(1)
 from gsfusion_nb import GSFusion, gsfusion, open_sequence
-from gsfusion_nb.viz import fill_panel, orbit_view, point_panel, show_mesh
+from gsfusion_nb.viz import tsdf_fill_panel, orbit_view, point_panel, show_mesh
 config = gsfusion("room", tsdf__voxel_size_m=0.02)
 walk = open_sequence("room", data=config.data, n_frames=60)
 mapper = GSFusion(config)
@@ -36,7 +36,7 @@ FILL = """
 from gsfusion_nb.config import TsdfConfig
 from gsfusion_nb.tsdf import TsdfVolume
 camera = walk.mapping[0].camera
-fill = fill_panel(TsdfVolume(TsdfConfig(voxel_size_m=0.04)), camera, lambda T_WC: walk.mapping[0])
+fill = tsdf_fill_panel(TsdfVolume(TsdfConfig(voxel_size_m=0.04)), camera, lambda T_WC: walk.mapping[0])
 fill
 """
 

@@ -9,7 +9,7 @@ from gsfusion_nb.backends import use_backend
 from gsfusion_nb.config import DiscConfig, WindowConfig
 from gsfusion_nb.gaussians import SurfelModel
 from gsfusion_nb.geometry import se3
-from gsfusion_nb.mapping.surfel_optimiser import SurfelOptimiser, View
+from gsfusion_nb.mapping.surfel_optimiser import SurfelOptimiser, TrainingView
 from gsfusion_nb.render import disc_depth, render_forward, rows_in_view
 from gsfusion_nb.types import Camera, GaussianParams, Seeds
 
@@ -52,12 +52,12 @@ def scene(generator, n: int = 14) -> SurfelModel:
     return model
 
 
-def view(generator) -> View:
+def view(generator) -> TrainingView:
     def uniform(*shape: int):
         return torch.rand(*shape, generator=generator)
 
     depth_m = 1.5 + uniform(18, 24)
-    return View(
+    return TrainingView(
         rgb=uniform(18, 24, 3),
         depth_m=torch.where(uniform(18, 24) < 0.15, 0.0, depth_m),
         camera=CAMERA,
@@ -81,7 +81,7 @@ def double(params: GaussianParams) -> GaussianParams:
     return GaussianParams(**{name: value.double() for name, value in vars(params).items()})
 
 
-def written_out(params, seen: View, window: WindowConfig, discs: DiscConfig, hit, known, held, anchor) -> float:
+def written_out(params, seen: TrainingView, window: WindowConfig, discs: DiscConfig, hit, known, held, anchor) -> float:
     """w_c mean |C - C^| + w_d mean |D - D^| + w_reg (MSE(p) + MSE(log s) + MSE(q)) in float64, which pixel hits which
     disc, and which pixels have a depth loss, held fixed."""
     out, _ = render_forward(params, seen.camera, seen.T_WC, opaque_alpha=discs.opaque_alpha)
@@ -309,7 +309,7 @@ def test_rows_that_no_view_shows_may_be_left_out(request, generator):
     model.params.xyz_W[::3] += 20.0
     seen = rows_in_view(model.params, CAMERA, POSE)
     in_float64 = request.getfixturevalue("in_float64")
-    state, image = in_float64(model.state_dict()), View(**in_float64(vars(image)))
+    state, image = in_float64(model.state_dict()), TrainingView(**in_float64(vars(image)))
     everything, fewer = (SurfelModel.from_state_dict(state) for _ in range(2))
     runs = []
     for copy, rows in ((everything, None), (fewer, seen)):

@@ -117,7 +117,7 @@ def test_a_rule_that_fails_does_not_spoil_the_others(sequence):
 
 
 def test_what_cannot_be_compared_is_refused(sequence):
-    with pytest.raises(ValueError, match="names of their own, got uniform"):
+    with pytest.raises(ValueError, match="rules with different names, got uniform"):
         Contest(["uniform", "uniform"], sequence, CONFIG)
     with pytest.raises(ValueError, match="got none"):
         Contest([], sequence, CONFIG)

@@ -8,12 +8,12 @@ from numba import njit
 
 from gsfusion_nb.studies.roofline import ADAM_FLOATS, ADAM_FLOPS, Roofs
 from gsfusion_nb.teaching import backends, check
-from gsfusion_nb.viz.panels.stage_bars import faster
+from gsfusion_nb.viz.panels.stage_bars import sped_up
 
 
 def test_amdahl_is_the_panels():
     seconds = {"tsdf": 0.02, "optimise": 0.05, "seeding": 0.004}
-    by_panel = sum(seconds.values()) / sum(faster(seconds, {"optimise": 7.0}).values())
+    by_panel = sum(seconds.values()) / sum(sped_up(seconds, {"optimise": 7.0}).values())
     assert abs(backends._speedup(seconds, "optimise", 7.0) - by_panel) < 1e-12
 
 

@@ -6,13 +6,15 @@ from gsfusion_nb.geometry import quaternion
 from gsfusion_nb.render import composite, project_gaussians, tile_intersections
 from gsfusion_nb.teaching import check, splatting
 from gsfusion_nb.types import Camera
-from gsfusion_nb.viz.microscopes.one_gaussian import gaussian_row, turned
+from gsfusion_nb.viz.microscopes.one_gaussian import gaussian_row, orientation_from_angles
 
 CAMERA = Camera(width=80, height=60, fx=52.0, fy=60.0, cx=40.0, cy=30.0)
 
 
 def one(x=0.2):
-    return gaussian_row(torch.tensor([x, -0.1, 1.5]), torch.tensor([0.3, 0.1, 0.02]), turned(30, 40), opacity=0.7)
+    return gaussian_row(
+        torch.tensor([x, -0.1, 1.5]), torch.tensor([0.3, 0.1, 0.02]), orientation_from_angles(30, 40), opacity=0.7
+    )
 
 
 def test_the_covariance_is_the_librarys():

@@ -132,7 +132,7 @@ class _Job:
     path: Path
     max_bytes: int
     transfer: Transfer
-    progress: Progress
+    progress: ReportProgress
 
     @property
     def part(self) -> Path:

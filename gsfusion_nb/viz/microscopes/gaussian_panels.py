@@ -6,7 +6,7 @@ import torch
 from ...drawing.pictures import Picture
 from ...types import Camera
 from ..panels.panel import Drawn, Panel, Slider
-from .one_gaussian import gaussian_row, projection_caption, projection_picture, sh_ball, turned
+from .one_gaussian import gaussian_row, orientation_from_angles, projection_caption, projection_picture, sh_ball
 
 _BALL_PX = 280
 
@@ -18,7 +18,9 @@ def one_gaussian_panel(camera: Camera, *, zoom: int = 6) -> Panel:
         x_m: float | int, z_m: float | int, long_m: float | int, thick_m: float | int, turn_deg: int, lean_deg: int
     ) -> Drawn:
         scale = torch.tensor([float(long_m), float(thick_m), 0.02])
-        params = gaussian_row(torch.tensor([float(x_m), 0.0, float(z_m)]), scale, turned(turn_deg, lean_deg))
+        params = gaussian_row(
+            torch.tensor([float(x_m), 0.0, float(z_m)]), scale, orientation_from_angles(turn_deg, lean_deg)
+        )
         picture, splats = projection_picture(params, camera, zoom=zoom)
         return picture, projection_caption(splats)
 

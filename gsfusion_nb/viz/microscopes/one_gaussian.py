@@ -36,7 +36,7 @@ def gaussian_row(
     )
 
 
-def turned(turn_deg: float | int, lean_deg: float | int) -> Float[Tensor, "4"]:
+def orientation_from_angles(turn_deg: float | int, lean_deg: float | int) -> Float[Tensor, "4"]:
     """Orientation: ``turn_deg`` about the viewing axis z after ``lean_deg`` about the vertical axis y."""
     turn, lean = math.radians(turn_deg) / 2, math.radians(lean_deg) / 2
     about_z = torch.tensor([math.cos(turn), 0.0, 0.0, math.sin(turn)])

@@ -30,7 +30,7 @@ _DISC_INK, _BLENDED_INK, _TRUE_INK = (61, 133, 198), (224, 138, 46), (150, 156, 
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
-class Stage:
+class DiscScene:
     """Two boards covered with discs, seen from the origin, and what a camera sees of them."""
 
     params: GaussianParams
@@ -56,9 +56,9 @@ class Stage:
         return float((away[depth > 0] > MID_AIR_M).float().mean())
 
 
-def disc_stage(
+def disc_scene(
     *, lean_deg: float | int = 30, gap_m: float | int = 0.6, spacing_m: float | int = 0.1, opaque_alpha: float = 0.3
-) -> Stage:
+) -> DiscScene:
     """A leaning board in front of a wall, both covered with discs of standard deviation spacing / 1.5.
 
     Args:
@@ -77,7 +77,7 @@ def disc_stage(
     config = DiscConfig(opaque_alpha=opaque_alpha, min_cosine=0.17, max_offset=3.0)
     seen = view_surface(params, camera, T_WC, config)
     blended = view_surface(params, camera, T_WC, dataclasses.replace(config, depth="blended"))
-    return Stage(
+    return DiscScene(
         params=params,
         truth_m=_truth(camera, lean, float(gap_m)),
         planes_m=_planes(camera, lean, float(gap_m)),
@@ -88,11 +88,11 @@ def disc_stage(
 
 
 def disc_panel() -> Panel:
-    """Sliders over ``disc_stage``: picture, both depths, and the middle row of pixels from above."""
+    """Sliders over ``disc_scene``: picture, both depths, and the middle row of pixels from above."""
 
     def draw(*, lean_deg: Number, gap_m: Number, spacing_m: Number, opaque_alpha: float) -> Drawn:
-        stage = disc_stage(lean_deg=lean_deg, gap_m=gap_m, spacing_m=spacing_m, opaque_alpha=opaque_alpha)
-        return stage_picture(stage), _stage_words(stage)
+        scene = disc_scene(lean_deg=lean_deg, gap_m=gap_m, spacing_m=spacing_m, opaque_alpha=opaque_alpha)
+        return disc_scene_picture(scene), _scene_words(scene)
 
     controls = {
         "lean_deg": Slider(value=30, low=0, high=75, step=1, label="board leans, °"),
@@ -103,23 +103,23 @@ def disc_panel() -> Panel:
     return Panel(draw, controls, name="disc", text="disc depth against blended depth")
 
 
-def stage_picture(stage: Stage) -> Picture:
+def disc_scene_picture(scene: DiscScene) -> Picture:
     """Render, disc depth and blended depth in a row; below, the middle row of pixels as points seen from above."""
-    far = _far_m(stage) + 0.1
-    images = [to_uint8(stage.rgb), *(colour_depth(d, 0.5, far) for d in (stage.disc_m, stage.blended_m))]
+    far = _far_m(scene) + 0.1
+    images = [to_uint8(scene.rgb), *(colour_depth(d, 0.5, far) for d in (scene.disc_m, scene.blended_m))]
     images = [i.repeat(3, 0).repeat(3, 1) for i in images]
     top = side_by_side(images, ["render", "disc depth (Eq. 5)", f"blended; blue 0.5 m, red {far:.1f} m"])
-    plan = plan_picture(stage, top.shape[1])
+    plan = disc_scene_plan(scene, top.shape[1])
     return np.concatenate([top, plan])
 
 
-def plan_picture(stage: Stage, width: int, height: int = 300) -> Picture:
+def disc_scene_plan(scene: DiscScene, width: int, height: int = 300) -> Picture:
     """From above, the camera at the bottom: discs near the middle row, rays' depths as points."""
     import cv2
 
     image = np.full((height, width, 3), 255, np.uint8)
-    far = _far_m(stage)
-    low = max(0.0, float(stage.truth_m[stage.truth_m > 0].min()) - 0.25)
+    far = _far_m(scene)
+    low = max(0.0, float(scene.truth_m[scene.truth_m > 0].min()) - 0.25)
     scale = min((height - 60) / (far + 0.05 - low), 0.95 * width / (1.2 * far))
 
     def at(x: float, z: float) -> tuple[int, int]:
@@ -127,14 +127,14 @@ def plan_picture(stage: Stage, width: int, height: int = 300) -> Picture:
 
     row, camera = STAGE_CAMERA.height // 2, STAGE_CAMERA
     x_over_z = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
-    R, scales = quaternion.to_matrix(stage.params.quat), stage.params.log_scale.exp()
-    for i in (stage.params.xyz_W[:, 1].abs() < 0.6 * float(scales.max())).nonzero().flatten().tolist():
-        c, side = stage.params.xyz_W[i], R[i, :, 0] * scales[i, 0]
+    R, scales = quaternion.to_matrix(scene.params.quat), scene.params.log_scale.exp()
+    for i in (scene.params.xyz_W[:, 1].abs() < 0.6 * float(scales.max())).nonzero().flatten().tolist():
+        c, side = scene.params.xyz_W[i], R[i, :, 0] * scales[i, 0]
         cv2.line(image, at(*(c - side)[[0, 2]].tolist()), at(*(c + side)[[0, 2]].tolist()), (205, 212, 222), 5, 16, 4)
     for depth, ink, radius in (
-        (stage.truth_m, _TRUE_INK, 1),
-        (stage.blended_m, _BLENDED_INK, 3),
-        (stage.disc_m, _DISC_INK, 3),
+        (scene.truth_m, _TRUE_INK, 1),
+        (scene.blended_m, _BLENDED_INK, 3),
+        (scene.disc_m, _DISC_INK, 3),
     ):
         for x, z in zip(x_over_z, depth[row].tolist(), strict=True):
             if 0 < z <= far + 0.05:
@@ -154,18 +154,18 @@ def plan_picture(stage: Stage, width: int, height: int = 300) -> Picture:
     return image
 
 
-def _far_m(stage: Stage) -> float:
+def _far_m(scene: DiscScene) -> float:
     """Largest depth that is drawn: some rays meet a leaning plane far behind its last disc, or never."""
-    return min(float(stage.truth_m.max()), float(stage.params.xyz_W[:, 2].max()))
+    return min(float(scene.truth_m.max()), float(scene.params.xyz_W[:, 2].max()))
 
 
-def _stage_words(stage: Stage) -> str:
+def _scene_words(scene: DiscScene) -> str:
     rows = []
     for name, label in (("disc_m", "disc"), ("blended_m", "blended")):
-        error = stage.errors_m(name)
+        error = scene.errors_m(name)
         median = f"{float(error.median()) * 100:.2f} cm" if len(error) else "-"
-        covered = float((getattr(stage, name) > 0).float().mean())
-        rows.append((label, median, f"{stage.in_mid_air(name):.1%}", f"{covered:.0%}"))
+        covered = float((getattr(scene, name) > 0).float().mean())
+        rows.append((label, median, f"{scene.in_mid_air(name):.1%}", f"{covered:.0%}"))
     heads = ("depth", "error on board", "in mid-air", "covered")
     return html_table(rows, heads=heads, head_style="white-space:nowrap; padding-right:10px")
 
@@ -224,7 +224,7 @@ def adding_masks(
     return {1: new, 2: depth, 3: colour}
 
 
-def adding_panel(view: SurfaceView, frame: Frame) -> Panel:
+def disc_adding_panel(view: SurfaceView, frame: Frame) -> Panel:
     """Sliders for the thresholds of Eq. 6 over a frame that the map has not seen yet.
 
     Args:

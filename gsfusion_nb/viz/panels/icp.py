@@ -35,7 +35,7 @@ def frame_surface(frame: Frame, T_WC: Float[Tensor, "4 4"] | None = None) -> Sur
     return Surface(depth_m=frame.depth_m, normal_W=normal_W, camera=frame.camera, T_WC=T, rgb=frame.rgb)
 
 
-def moved_start(T_WC: Float[Tensor, "4 4"], sideways_m: float | int, turn_deg: float | int) -> Float[Tensor, "4 4"]:
+def displaced_pose(T_WC: Float[Tensor, "4 4"], sideways_m: float | int, turn_deg: float | int) -> Float[Tensor, "4 4"]:
     """A pose off by a step to the camera's right and a turn about its vertical axis, float64."""
     T = T_WC.double()
     angle = float(np.radians(turn_deg))
@@ -52,7 +52,7 @@ def pose_error(T_WC: Float[Tensor, "4 4"], T_true: Float[Tensor, "4 4"]) -> tupl
     return float((T[:3, 3] - true[:3, 3]).norm()), float(angle.rad2deg())
 
 
-def single_level(config: TrackingConfig) -> TrackingConfig:
+def single_level_config(config: TrackingConfig) -> TrackingConfig:
     """The same settings and number of steps, with the finest level only."""
     return dataclasses.replace(config, pyramid=config.pyramid[-1:], iterations=(sum(config.iterations),))
 
@@ -124,10 +124,10 @@ def icp_panel(frame: Frame, surface: Surface, config: TrackingConfig | None = No
     kept: dict[tuple[Number, Number, bool], IcpResult] = {}
 
     def draw(*, step: int, sideways_cm: Number, turn_deg: Number, pyramid: bool) -> Drawn:
-        used, key = settings if pyramid else single_level(settings), (sideways_cm, turn_deg, pyramid)
+        used, key = settings if pyramid else single_level_config(settings), (sideways_cm, turn_deg, pyramid)
         if key not in kept:
             kept.clear()
-            start = moved_start(frame.T_WC, sideways_cm / 100, turn_deg)
+            start = displaced_pose(frame.T_WC, sideways_cm / 100, turn_deg)
             kept[key] = icp(frame.depth_m, frame.camera, surface, start, used)
         result = kept[key]
         n = len(result.history)
@@ -151,7 +151,7 @@ def icp_panel(frame: Frame, surface: Surface, config: TrackingConfig | None = No
     return Panel(draw, controls, name="icp", text="ICP, step by step")
 
 
-def basin(
+def convergence_basin(
     frame: Frame,
     surface: Surface,
     sideways_m: Sequence[float],
@@ -162,7 +162,7 @@ def basin(
     config = config or TrackingConfig()
     rows = []
     for turn in turns_deg:
-        starts = [moved_start(frame.T_WC, aside, turn) for aside in sideways_m]
+        starts = [displaced_pose(frame.T_WC, aside, turn) for aside in sideways_m]
         ends = [icp(frame.depth_m, frame.camera, surface, T, config).T_WC for T in starts]
         rows.append([pose_error(T, frame.T_WC)[0] for T in ends])
     return np.array(rows)

@@ -61,7 +61,7 @@ def stage_bars(runs: Mapping[str, Mapping[str, float]], *, width: int = 720) -> 
     return image
 
 
-def faster(seconds: Mapping[str, float], factors: Mapping[str, float | int]) -> dict[str, float]:
+def sped_up(seconds: Mapping[str, float], factors: Mapping[str, float | int]) -> dict[str, float]:
     """The stages' times if each were ``factors[stage]`` times as fast."""
     return {stage: value / factors.get(stage, 1.0) for stage, value in seconds.items()}
 
@@ -76,7 +76,7 @@ def amdahl_panel(seconds: Mapping[str, float], *, width: int = 720) -> Panel:
     before = dict(seconds)
 
     def draw(**factors: float) -> Drawn:
-        after = faster(before, factors)
+        after = sped_up(before, factors)
         gain = sum(before.values()) / sum(after.values())
         largest = max(after, key=lambda stage: after[stage])
         words = (

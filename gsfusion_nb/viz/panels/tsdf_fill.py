@@ -72,7 +72,7 @@ def _joined(
     return side_by_side([left, view], [title, "the map, seen from the camera"])
 
 
-def fill_panel(
+def tsdf_fill_panel(
     volume: TsdfVolume, camera: Camera, look: Look, *, start: tuple[float, float, float] = (0.0, 0.0, 0.0)
 ) -> Panel:
     """Move a camera, press *measure*, and watch the field fill. Moving alone changes nothing in the map.

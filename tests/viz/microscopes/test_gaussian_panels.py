@@ -14,10 +14,10 @@ from gsfusion_nb.viz.microscopes.one_gaussian import (
     WHITE,
     basis_atlas,
     gaussian_row,
+    orientation_from_angles,
     projection_caption,
     projection_picture,
     sh_ball,
-    turned,
 )
 from gsfusion_nb.viz.microscopes.tile_picture import tile_picture
 from gsfusion_nb.viz.panels.click_image import ClickImage
@@ -27,16 +27,16 @@ EYE = torch.eye(4)
 
 
 def ball(z=2.0, scale=0.1):
-    return gaussian_row(torch.tensor([0.0, 0.0, z]), torch.full((3,), scale), turned(0, 0))
+    return gaussian_row(torch.tensor([0.0, 0.0, z]), torch.full((3,), scale), orientation_from_angles(0, 0))
 
 
 def test_turns_are_about_the_cameras_axes():
     x = torch.tensor([1.0, 0.0, 0.0])
     torch.testing.assert_close(
-        quaternion.to_matrix(turned(90, 0)) @ x, torch.tensor([0.0, 1.0, 0.0]), atol=1e-6, rtol=0
+        quaternion.to_matrix(orientation_from_angles(90, 0)) @ x, torch.tensor([0.0, 1.0, 0.0]), atol=1e-6, rtol=0
     )
     torch.testing.assert_close(
-        quaternion.to_matrix(turned(0, 90)) @ x, torch.tensor([0.0, 0.0, -1.0]), atol=1e-6, rtol=0
+        quaternion.to_matrix(orientation_from_angles(0, 90)) @ x, torch.tensor([0.0, 0.0, -1.0]), atol=1e-6, rtol=0
     )
 
 

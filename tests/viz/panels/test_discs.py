@@ -1,4 +1,4 @@
-"""The stage of discs, and the masks of Eq. 6 over a frame."""
+"""The scene of discs, and the masks of Eq. 6 over a frame."""
 
 import numpy as np
 import pytest
@@ -6,30 +6,37 @@ import torch
 
 from gsfusion_nb.render import SurfaceView
 from gsfusion_nb.types import Camera, Frame
-from gsfusion_nb.viz.panels.discs import NEAR_M, adding_masks, adding_panel, disc_panel, disc_stage, plan_picture
+from gsfusion_nb.viz.panels.discs import (
+    NEAR_M,
+    adding_masks,
+    disc_adding_panel,
+    disc_panel,
+    disc_scene,
+    disc_scene_plan,
+)
 
 
 def test_on_a_plane_the_disc_depth_is_exact_and_the_blended_one_is_not():
-    stage = disc_stage(lean_deg=30, gap_m=0.0, spacing_m=0.2)
-    assert float(stage.errors_m("disc_m").max()) < 1e-3
-    assert float(stage.errors_m("blended_m").mean()) > 0.02
-    assert stage.in_mid_air("disc_m") == 0.0
+    scene = disc_scene(lean_deg=30, gap_m=0.0, spacing_m=0.2)
+    assert float(scene.errors_m("disc_m").max()) < 1e-3
+    assert float(scene.errors_m("blended_m").mean()) > 0.02
+    assert scene.in_mid_air("disc_m") == 0.0
 
 
 def test_truth_of_the_leaning_board_by_hand():
-    stage = disc_stage(lean_deg=45, gap_m=0.0)
+    scene = disc_scene(lean_deg=45, gap_m=0.0)
     # The ray (x, 0, 1) meets x + z = z0 at z = z0 / (1 + x).
-    assert float(stage.truth_m[0, 8]) == pytest.approx(NEAR_M / (1 + (8.5 - 48) / 80), rel=1e-5)
+    assert float(scene.truth_m[0, 8]) == pytest.approx(NEAR_M / (1 + (8.5 - 48) / 80), rel=1e-5)
 
 
 def test_between_two_surfaces_only_the_blended_depth_is_in_mid_air():
-    stage = disc_stage(lean_deg=20, gap_m=0.8)
-    assert stage.in_mid_air("disc_m") < 0.005
-    assert stage.in_mid_air("blended_m") > 0.05
+    scene = disc_scene(lean_deg=20, gap_m=0.8)
+    assert scene.in_mid_air("disc_m") < 0.005
+    assert scene.in_mid_air("blended_m") > 0.05
 
 
 def test_a_higher_threshold_leaves_holes():
-    few, many = (disc_stage(opaque_alpha=a, spacing_m=0.2) for a in (0.9, 0.3))
+    few, many = (disc_scene(opaque_alpha=a, spacing_m=0.2) for a in (0.9, 0.3))
     assert int((few.disc_m > 0).sum()) < int((many.disc_m > 0).sum())
 
 
@@ -52,7 +59,7 @@ def test_every_end_of_the_sliders_draws(lean_deg, gap_m, spacing_m):
 
 def test_a_plane_that_leans_far_still_fills_the_view_from_above():
     """Some rays meet its plane a hundred metres away, or never."""
-    plan = plan_picture(disc_stage(lean_deg=65, gap_m=0.0, spacing_m=0.2), 600)
+    plan = disc_scene_plan(disc_scene(lean_deg=65, gap_m=0.0, spacing_m=0.2), 600)
     blue = (np.abs(plan[40:].astype(int) - (61, 133, 198)).max(-1) < 20).nonzero()
     assert np.ptp(blue[0]) > 120
     assert np.ptp(blue[1]) > 60
@@ -80,7 +87,7 @@ def test_masks_by_hand(scene):
 
 
 def test_the_panel_counts_the_pixels_of_the_masks(scene):
-    panel = adding_panel(*scene)
+    panel = disc_adding_panel(*scene)
     assert '"gsnb-adding-1">2 pixels' in panel.caption.value
     panel.set(colour_error=0.3, depth_error_m=0.3, min_transmittance=0.95)
     assert '"gsnb-adding-1">0 pixels' in panel.caption.value

@@ -11,16 +11,16 @@ from gsfusion_nb.config import TrackingConfig
 from gsfusion_nb.data.room.sequence import RoomSequence
 from gsfusion_nb.tracking import icp
 from gsfusion_nb.viz.panels.icp import (
-    basin,
     basin_picture,
+    convergence_basin,
+    displaced_pose,
     frame_surface,
     icp_panel,
-    moved_start,
     overlay_picture,
     path_picture,
     pose_error,
     residual_picture,
-    single_level,
+    single_level_config,
 )
 
 
@@ -33,11 +33,11 @@ def pair():
 
 def test_a_start_is_off_by_what_was_asked(pair):
     frame = pair[1]
-    start = moved_start(frame.T_WC, 0.1, 0)
+    start = displaced_pose(frame.T_WC, 0.1, 0)
     assert pose_error(start, frame.T_WC) == pytest.approx((0.1, 0.0), abs=1e-4)
     right = start[:3, 3] - frame.T_WC[:3, 3].double()
     assert torch.allclose(right / right.norm(), frame.T_WC[:3, 0].double(), atol=1e-4)
-    assert pose_error(moved_start(frame.T_WC, 0, 5), frame.T_WC) == pytest.approx((0.0, 5.0), abs=1e-3)
+    assert pose_error(displaced_pose(frame.T_WC, 0, 5), frame.T_WC) == pytest.approx((0.0, 5.0), abs=1e-3)
 
 
 def test_residuals_are_white_at_the_truth_and_coloured_beside_it(pair):
@@ -50,7 +50,7 @@ def test_residuals_are_white_at_the_truth_and_coloured_beside_it(pair):
         return (picture.min(-1)[shown] > 150).mean()
 
     assert pale(frame.T_WC.double()) > 0.7
-    assert pale(moved_start(frame.T_WC, 0.0, 3.0)) < 0.6
+    assert pale(displaced_pose(frame.T_WC, 0.0, 3.0)) < 0.6
 
 
 def test_a_point_behind_the_surface_is_red_and_one_before_it_blue(pair):
@@ -87,8 +87,8 @@ def test_the_basin_holds_the_truth_and_coarse_levels_widen_it(pair):
     known, frame = pair
     surface, config = frame_surface(known), TrackingConfig()
     sideways, turns = [-0.2, 0.0, 0.2], [-8.0, 0.0, 8.0]
-    wide = basin(frame, surface, sideways, turns)
-    narrow = basin(frame, surface, sideways, turns, single_level(config))
+    wide = convergence_basin(frame, surface, sideways, turns)
+    narrow = convergence_basin(frame, surface, sideways, turns, single_level_config(config))
     assert wide.shape == (3, 3)
     assert wide[1, 1] < 0.02
     assert (narrow < 0.02).sum() <= (wide < 0.02).sum() < 9
@@ -98,7 +98,7 @@ def test_the_basin_holds_the_truth_and_coarse_levels_widen_it(pair):
 
 
 def test_single_level_keeps_the_number_of_steps(pair):
-    config = single_level(TrackingConfig(pyramid=(8, 4, 2), iterations=(5, 4, 3)))
+    config = single_level_config(TrackingConfig(pyramid=(8, 4, 2), iterations=(5, 4, 3)))
     assert (config.pyramid, config.iterations) == ((2,), (12,))
     known, frame = pair
     result = icp(frame.depth_m, frame.camera, frame_surface(known), frame.T_WC, config)

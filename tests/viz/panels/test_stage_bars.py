@@ -2,7 +2,7 @@
 
 import pytest
 
-from gsfusion_nb.viz.panels.stage_bars import _short, amdahl_panel, faster, stage_bars, stage_means
+from gsfusion_nb.viz.panels.stage_bars import _short, amdahl_panel, sped_up, stage_bars, stage_means
 
 SECONDS = {"tsdf": 0.05, "optimise": 0.05}
 
@@ -13,7 +13,7 @@ def test_means_leave_out_what_takes_nothing():
 
 
 def test_faster_by_hand():
-    assert faster(SECONDS, {"optimise": 5.0}) == {"tsdf": 0.05, "optimise": 0.01}
+    assert sped_up(SECONDS, {"optimise": 5.0}) == {"tsdf": 0.05, "optimise": 0.01}
 
 
 def test_the_panel_says_what_amdahl_says():

@@ -6,7 +6,7 @@ import torch
 from gsfusion_nb.config import TsdfConfig
 from gsfusion_nb.tsdf import TsdfVolume, integrate
 from gsfusion_nb.types import Camera, Frame
-from gsfusion_nb.viz import fill_panel
+from gsfusion_nb.viz import tsdf_fill_panel
 from gsfusion_nb.viz.panels import tsdf_fill as filling
 from gsfusion_nb.viz.panels.tsdf_fill import level_pose
 
@@ -31,7 +31,7 @@ def blue(picture):
 
 @pytest.fixture
 def panel():
-    return fill_panel(TsdfVolume(TsdfConfig(voxel_size_m=0.04, truncation_voxels=4.0)), CAMERA, look)
+    return tsdf_fill_panel(TsdfVolume(TsdfConfig(voxel_size_m=0.04, truncation_voxels=4.0)), CAMERA, look)
 
 
 def test_the_pose_is_rigid_upright_and_looks_along_its_heading():
@@ -84,7 +84,7 @@ def test_only_what_a_control_moves_is_drawn_again(panel, monkeypatch):
 
 def test_it_notices_when_the_volume_is_filled_elsewhere():
     volume = TsdfVolume(TsdfConfig(voxel_size_m=0.04, truncation_voxels=4.0))
-    panel = fill_panel(volume, CAMERA, look)
+    panel = tsdf_fill_panel(volume, CAMERA, look)
     integrate(volume, look(level_pose(0.0, 0.0, 1.3, 0.0)))
     panel.redraw()
     assert blue(panel.picture()) > 200
