@@ -103,14 +103,17 @@ class RepairedSequence:
     def _colour(self, frame: Frame, i: int) -> Shaped[Tensor, "H W 3"]:
         other = i + self.repair.rgb_shift_frames
         if not 0 <= other < len(self):
-            raise BadFrameError(f"{self.name} frame {i} has no colour: repair.rgb_shift_frames asks for frame {other}")
+            raise BadFrameError(
+                f"{self.name} frame {i} has no colour: repair.rgb_shift_frames needs that of frame {other}"
+            )
         rgb = frame.colour if other == i else self.source[other].colour
         axes = {"none": (), "x": (1,), "y": (0,), "xy": (0, 1)}[self.repair.rgb_mirror]
         return shifted_colour(rgb.flip(axes) if axes else rgb, self.repair)
 
 
 def shifted_colour(rgb: Shaped[Tensor, "H W 3"], repair: RepairConfig) -> Shaped[Tensor, "H W 3"]:
-    """Colour moved back by the shift and scale of ``repair``: pixel u takes  m + s (u - m) + shift,  m the middle.
+    """Colour moved back by the shift and scale of ``repair``: pixel u takes the colour at m + s (u - m) + shift, with m
+    the image centre.
 
     The shift is the same for all depths: exact for a rotated or wrongly cropped colour image, approximate for a second
         camera.

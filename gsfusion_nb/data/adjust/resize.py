@@ -14,8 +14,8 @@ def resize_frame(frame: Frame, camera: Camera) -> Frame:
     """The same view with the pixel grid of ``camera`` (``frame.camera.resized(width, height)``).
 
     Colour is averaged over the area that a new pixel covers (interpolated linearly when enlarging). Depth is taken from
-    the nearest source pixel and never interpolated, since a mean over a depth edge is a point in mid-air. An 8-bit
-    image stays one, rounded.
+    the nearest source pixel and never interpolated, because a mean across a depth edge is a point on neither surface.
+    An 8-bit image stays 8-bit, with rounding.
 
     Differentiable: no.
     """

@@ -78,7 +78,7 @@ class Photographs:
         )
 
     def poses(self) -> dict[str, Float[Tensor, "4 4"]]:
-        """Camera-to-world, OpenCV axes, in the world of the file, by picture."""
+        """Camera-to-world, OpenCV axes, in the world frame of the file, by picture name."""
         return {name: T @ _GL_TO_CV for name, T in frame_matrices(self.values, self.file).items()}
 
     def transforms(self) -> dict[str, Any]:

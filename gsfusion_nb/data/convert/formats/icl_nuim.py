@@ -24,8 +24,7 @@ from ...recorded.poses import matrices
 from ...sequence import BadFrameError, SequenceError, SequenceNotFoundError
 from ..image_files import load_pair, metres, with_colour
 from ..options import ConvertOptions
-from ..image_files import load_pair, metres, with_colour
-from ..recording import RgbdImages, Recording, RecordedFrame
+from ..recording import RecordedFrame, Recording, RgbdImages
 
 _WIDTH, _HEIGHT = 640, 480
 _MODEL = CameraModel(Camera(width=_WIDTH, height=_HEIGHT, fx=481.2, fy=480.0, cx=319.5 + 0.5, cy=239.5 + 0.5))

@@ -169,7 +169,7 @@ def _image(path: Path) -> Path:
 def _depth(frame: dict[str, Any], file: Path, colour: Path, options: ConvertOptions) -> Path:
     if options.depth:
         return find_depth(Path(options.depth), colour.stem)
-    name = frame.get("depth_file_path", f"depth of {colour.name}, of which the file says nothing")
+    name = frame.get("depth_file_path", f"depth of {colour.name}, which the file does not name")
     if not isinstance(name, str):
         raise SequenceError(f"{file}: depth_file_path of {colour.name} must be the path of a file, got {shown(name)}")
     return file.parent / name

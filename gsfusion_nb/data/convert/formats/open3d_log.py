@@ -25,8 +25,7 @@ from ...sequence import SequenceError, SequenceNotFoundError
 from ..image_files import DEPTH_SUFFIXES, load_pair
 from ..intrinsics import intrinsics_of_json, model_of_object
 from ..options import ConvertOptions
-from ..image_files import DEPTH_SUFFIXES, load_pair
-from ..recording import Recording, RecordedFrame
+from ..recording import RecordedFrame, Recording
 
 _COLOUR = ("color", "image", "rgb", "images")
 _INTRINSICS = ("camera_intrinsic.json", "intrinsic.json", "intrinsics.json", "camera_intrinsics.json")

@@ -98,7 +98,7 @@ _LEAST_BLOCK_BYTES = 20_000
 
 
 def lzfse_unpacked(data: bytes, source: str, at_most: int = 4 * MAX_PIXELS) -> bytes:
-    """Content of an LZFSE stream of at most ``at_most`` bytes; blocks that are stored as they are need no library.
+    """Content of an LZFSE stream of at most ``at_most`` bytes; uncompressed blocks need no library.
 
     Raises:
         SequenceError: it is compressed, and the package ``pyliblzfse`` is missing. BadFrameError: it is damaged.

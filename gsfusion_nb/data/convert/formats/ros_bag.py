@@ -126,7 +126,7 @@ def _opened(path: Path) -> Iterator[Any]:
     types.register(get_types_from_msg(_TF_MESSAGE, "tf2_msgs/msg/TFMessage"))
     for file in [folder] if folder.is_file() else sorted(folder.iterdir()):
         open_regular(file, "a file of a ROS bag").close()
-    what = "a ROS bag; if it is truncated or was never closed, try 'rosbag reindex' or 'ros2 bag reindex'"
+    what = "a ROS bag; if it is truncated or was not closed after recording, try 'rosbag reindex' or 'ros2 bag reindex'"
     with parsing(path, what), bounded_unpacking(), AnyReader([folder], default_typestore=types) as reader:
         yield reader
 
