@@ -7,9 +7,8 @@ from .rows import Row
 
 HEADINGS = {
     "raster": "raster: Gaussian rasteriser; note: PSNR to the picture of torch, smallest cosine of a gradient",
-    "tsdf": "tsdf: TSDF integration with colour (depth: without), ms per frame; truncation 4 voxels; without decoding",
-    "map": "map: GSFusion, Replica settings, means over the frames; note: frames/s without reading, number of "
-    "Gaussians",
+    "tsdf": "tsdf: TSDF integration with colour (depth: without), ms per frame; truncation 4 voxels",
+    "map": "map: GSFusion, Replica settings, means over the frames; note: frames/s, number of Gaussians",
     "panels": "panels: from moving a control to the new picture; method: what is shown or moved",
     "waits": "waits: commands one waits for, besides mapping",
     "scaling": "scaling: growth of time, line through (ln x, ln time)",
