@@ -249,14 +249,14 @@ class _Conversion:
         except BadFrameError as e:
             self._staging.drop(i, "image missing or damaged", str(e))
             return
-        rectified = self._rectified(shot, pictures)
+        rectified = self._rectified(frame, images)
         depth, far_pixels = self._quantised(rectified.depth_m)
         if not depth.any():
             self._staging.drop(i, "no depth", f"{frame.source} holds no depth that can be written")
             return
         numbers = () if T_WC is None else tuple(T_WC.flatten().tolist())
-        row = JournalEntry(i, time_s=shot.time_s, T_WC=numbers, far_pixels=far_pixels)
-        lossless = not pictures.encoded.startswith(b"\xff\xd8")
+        row = JournalEntry(i, time_s=frame.time_s, T_WC=numbers, far_pixels=far_pixels)
+        lossless = not images.encoded.startswith(b"\xff\xd8")
         self._staging.write(row, rectified.encoded or rectified.rgb, depth, lossless=lossless)
 
     def _rectified(self, frame: RecordedFrame, images: RgbdImages) -> RgbdImages:

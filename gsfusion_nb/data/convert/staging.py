@@ -34,19 +34,19 @@ class JournalEntry:
     time_s: float | None = None
     T_WC: tuple[float, ...] = ()
     detail: str = ""
-    """The error of a dropped shot."""
+    """The error of a dropped frame."""
     far_pixels: int = 0
     """Pixels that are farther than 16 bits hold."""
     files: tuple[Any, ...] = ()
-    """Suffix and size of the colour file and size of the depth file of a kept shot, bytes."""
+    """Suffix and size of the colour file and size of the depth file of a kept frame, bytes."""
 
 
 class Staging:
     """Collects a conversion beside its final place, and puts everything there at once.
 
-    ``OUT.partial`` holds the plan, the camera, a journal with one line per shot, and ``sequence``, which becomes
+    ``OUT.partial`` holds the plan, the camera, a journal with one line per frame, and ``sequence``, which becomes
     ``OUT``. Whatever is there when a program is killed, the same conversion called again goes on: the plan comes first
-    and goes last, a line is written after its pictures, and what the last line promises is there or is made again.
+    and goes last, a line is written after its images, and what the last line promises is there or is made again.
     """
 
     def __init__(self, out: Path, plan: dict[str, Any]):
@@ -170,7 +170,7 @@ class Staging:
         return self._read_journal()
 
     def _read_journal(self) -> list[JournalEntry]:
-        """Rows whose line and pictures are whole; the journal is cut after them, and its end is made again."""
+        """Rows whose line and images are whole; the journal is cut after them, and its end is made again."""
         journal = self.folder / _JOURNAL
         text = read_text(journal, "the journal of a conversion") if journal.exists() else ""
         rows: list[JournalEntry] = []
@@ -187,7 +187,7 @@ class Staging:
         return rows
 
     def _has_pictures(self, row: JournalEntry, number: int) -> bool:
-        """The pictures of a kept row have the bytes that were written; a system that lost power may lack some."""
+        """The images of a kept row have the bytes that were written; a system that lost power may lack some."""
         if row.dropped:
             return True
         suffix, *sizes = row.files
@@ -195,7 +195,7 @@ class Staging:
         return all(f.is_file() and f.stat().st_size == size for f, size in zip(files, sizes, strict=True))
 
     def _remove_strays(self) -> None:
-        """Remove pictures of a frame that was written before a kill and came out with another suffix after it."""
+        """Remove images of a frame that was written before a kill and came out with another suffix after it."""
         names = {f"{i:06d}{row.files[0]}" for i, row in enumerate(self.kept)}
         for file in (self.sequence / "rgb").iterdir():
             if file.name not in names:

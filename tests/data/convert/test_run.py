@@ -53,7 +53,7 @@ def test_an_interrupted_conversion_goes_on(tmp_path, takes, scan, monkeypatch):
     ):
         convert(scan, tmp_path / "out", options=ConvertOptions(every=2))
     with (tmp_path / "out.partial/frames.jsonl").open("a") as journal:
-        journal.write('{"shot": 2, "dro')  # a line that was cut short
+        journal.write('{"position": 2, "dro')  # a line that was cut short
     before = (tmp_path / "out.partial/sequence/rgb/000001.png").stat().st_mtime_ns
     convert(scan, tmp_path / "out")
     takes.check(tmp_path / "out")

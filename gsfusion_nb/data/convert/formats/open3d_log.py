@@ -64,7 +64,12 @@ def read(path: Path, options: ConvertOptions) -> Recording:
             )
 
     return Recording(
-        name=str(path), shots=shots, n_shots=len(pairs), depth_scale=scale, has_poses=bool(poses), notes=tuple(notes)
+        name=str(path),
+        frames=recorded_frames,
+        n_frames=len(pairs),
+        depth_scale=scale,
+        has_poses=bool(poses),
+        notes=tuple(notes),
     )
 
 
