@@ -9,7 +9,10 @@ from ..backends import use_backend
 from .result import print_result
 from .settings import SettingsOptions, named_values, parse
 
-_WITH_RESUME = ("--resume", "--device", "--evaluate", "--no-evaluate", "--backend")
+_WITH_RESUME = (
+    "--resume", "--device", "--evaluate", "--no-evaluate", "--backend", "--checkpoint-every-s",
+    "--checkpoint-every-frames",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,6 +37,11 @@ class MapOptions(SettingsOptions):
     """Folder of an interrupted run to go on with; no other option is needed."""
     evaluate: bool = True
     """Score mapped and held-out views and write the report."""
+    checkpoint_every_s: float = 30.0
+    """Save where the run stands this often, seconds, so that --resume can go on after the process was killed; less
+    often if that takes more than 3 % of the time. 0: only when the run is interrupted."""
+    checkpoint_every_frames: int = 0
+    """Save after every n-th frame as well; 0 does not."""
 
 
 def run(arguments: list[str]) -> int:
@@ -43,13 +51,17 @@ def run(arguments: list[str]) -> int:
         ValueError, KeyError, OSError: with a sentence.
     """
     options = parse(MapOptions, "gsfusion-nb map", arguments, data="data")
-    from ..runs import resume_mapping, run_mapping
+    from ..runs import CheckpointEvery, resume_mapping, run_mapping
 
+    every = CheckpointEvery(seconds=options.checkpoint_every_s, frames=options.checkpoint_every_frames)
     with use_backend(options.backend):
         options.check_device()
         if options.resume:
             _refuse_more(options, arguments)
-            return print_result(resume_mapping(options.resume, device=options.device, evaluate=options.evaluate))
+            finished = resume_mapping(
+                options.resume, device=options.device, evaluate=options.evaluate, checkpoints=every
+            )
+            return print_result(finished)
         if not options.data:
             raise ValueError("expected the folder of a sequence or the name of a built-in scene: gsfusion-nb map room")
         reader: dict[str, Any] = {"format": options.format} if options.format != "auto" else {}
@@ -62,6 +74,7 @@ def run(arguments: list[str]) -> int:
             folder=options.out or None,
             device=options.device,
             evaluate=options.evaluate,
+            checkpoints=every,
             **reader,
         )
     return print_result(finished)

@@ -2,6 +2,8 @@
 
 from .checkpoint import load_checkpoint as load_checkpoint
 from .checkpoint import save_checkpoint as save_checkpoint
+from .checkpoint_store import CheckpointStore as CheckpointStore
+from .checkpoint_store import Saved as Saved
 from .gaussian_ply import read_gaussian_ply as read_gaussian_ply
 from .gaussian_ply import write_gaussian_ply as write_gaussian_ply
 from .mesh_glb import write_mesh_glb as write_mesh_glb

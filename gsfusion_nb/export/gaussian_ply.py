@@ -55,7 +55,7 @@ def write_gaussian_ply(path: str | Path, params: GaussianParams) -> None:
     ]
     table = torch.cat([c.detach().to("cpu", torch.float32) for c in columns], dim=1).contiguous().numpy()
     rows = table.astype("<f4", copy=False).view([(name, "<f4") for name in NAMES]).reshape(n)
-    with atomic_file(path) as temporary:
+    with atomic_file(path, size_bytes=table.nbytes) as temporary:
         PlyData([PlyElement.describe(rows, "vertex")], text=False, byte_order="<").write(str(temporary))
 
 

@@ -35,7 +35,8 @@ def write_mesh_ply(path: str | Path, mesh: Mesh) -> None:
         "property list uchar int vertex_indices",
         "end_header",
     ]
-    with atomic_file(path) as temporary, temporary.open("wb") as file:
+    size = vertices.nbytes + faces.nbytes
+    with atomic_file(path, size_bytes=size) as temporary, temporary.open("wb") as file:
         file.write("\n".join([*header, ""]).encode("ascii"))
         file.write(vertices.tobytes())
         file.write(faces.tobytes())

@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from ..config import StateConfig
-from ..geometry import project, se3
+from ..geometry import project, se3, sum_rows
 from ..types import Camera
 from .surfels import STABLE, UNSTABLE, SurfelModel
 
@@ -102,7 +102,7 @@ def change_states(model: SurfelModel, config: StateConfig) -> Transitions:
     if config.max_radius_factor is not None and len(model):
         radius = model.radius_m
         for rows in (model.is_stable, ~model.is_stable):
-            mean = torch.where(rows, radius, 0.0).sum() / rows.sum()  # NaN of none, and nothing is above that
+            mean = sum_rows(torch.where(rows, radius, 0.0)) / rows.sum()  # NaN of none, and nothing is above that
             oversized |= rows & (radius > config.max_radius_factor * mean)
     changed = (ready, wrong, expired, oversized & ~expired & ~gone)
     gone = gone | expired | oversized

@@ -8,3 +8,4 @@ from .camera import pixel_grid as pixel_grid
 from .camera import project as project
 from .camera import rays as rays
 from .normals import depth_to_normals as depth_to_normals
+from .sums import sum_rows as sum_rows

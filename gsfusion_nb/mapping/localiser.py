@@ -137,8 +137,8 @@ class Localiser:
         """Everything needed to go on."""
         known = self._back_end or self._database
         return {
-            "poses": list(self.poses),
-            "frame_indices": list(self.frame_indices),
+            "poses": torch.stack(self.poses) if self.poses else torch.zeros(0, 4, 4),
+            "frame_indices": torch.tensor(self.frame_indices, dtype=torch.int64),
             "tracker": self._tracker.state_dict(),
             "camera": None if known is None else vars(known.camera),
             "back_end": None if self._back_end is None else self._back_end.state_dict(),
@@ -148,7 +148,9 @@ class Localiser:
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Go on from what ``state_dict`` gave."""
         settings = self.config.back_end
-        self.poses, self.frame_indices = list(state["poses"]), list(state["frame_indices"])
+        self.poses, self.frame_indices = [], state["frame_indices"].tolist()
+        for T_WC in state["poses"].cpu():
+            self.poses.append(self._kept(T_WC))
         self._tracker = Tracker.from_state_dict(self.config, state["tracker"])
         if state["back_end"] is not None:
             self._back_end = BackEnd.from_state_dict(settings, Camera(**state["camera"]), state["back_end"])

@@ -238,6 +238,11 @@ class Mapper(ABC):
             return [f"frame {frame.index}: tracking was lost and found again"]
         return []
 
+    def constant_tensors(self) -> list[Tensor]:
+        """Tensors in ``state_dict`` that never change: a checkpoint writes them once."""
+        images = [image for k in self.keyframes for image in (k.rgb_u8, k.depth_m)]
+        return [image for image in images if image is not None]
+
     def state_dict(self) -> dict[str, Any]:
         """Everything needed to go on later exactly where this stands, as tensors and plain values."""
         return {

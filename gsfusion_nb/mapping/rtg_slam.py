@@ -169,6 +169,10 @@ class RTGSLAM(Mapper):
         """Gaussians by state and kind."""
         return {f"n_{name}": count for name, count in state_counts(self.gaussians).items()}
 
+    def constant_tensors(self) -> list[Tensor]:
+        """Images of keyframes and of the window."""
+        return [*super().constant_tensors(), *(image for f in self.window for image in (f.colour, f.depth_m))]
+
     def state_dict(self) -> dict[str, Any]:
         """The state of any mapper, the window, and the optimiser of the final passes."""
         return super().state_dict() | {

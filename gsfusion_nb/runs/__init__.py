@@ -1,5 +1,6 @@
 """Runs of a mapper over a sequence or a stream: the loop, the clock, checkpoints, files and scores."""
 
+from .autosave import CheckpointEvery as CheckpointEvery
 from .map_sequence import FinishedRun as FinishedRun
 from .map_sequence import resume_mapping as resume_mapping
 from .map_sequence import run_mapping as run_mapping

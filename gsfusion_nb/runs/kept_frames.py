@@ -1,7 +1,9 @@
 """What is kept of a stream to score and to show: a bounded number of its frames, evenly spread, and all poses."""
 
 import bisect
+import dataclasses
 from array import array
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -68,6 +70,23 @@ class KeptFrames:
         """The frames with these indices."""
         return SequenceView(source=self, positions=positions, camera=self.camera)
 
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that is kept, as tensors and plain values."""
+        samples = {"kept_mapped": self.kept_mapped, "kept_held_out": self.kept_held_out}
+        return {name: sample.state_dict() for name, sample in samples.items()} | {
+            "camera": vars(self.camera),
+            "mapped": torch.tensor(self.mapped, dtype=torch.int64),
+            "poses": torch.tensor(self._poses, dtype=torch.float32),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from what ``state_dict`` gave."""
+        self.camera = Camera(**state["camera"])
+        self.mapped[:] = state["mapped"].tolist()
+        self._poses = array("f", state["poses"].tolist())
+        self.kept_mapped.load_state_dict(state["kept_mapped"])
+        self.kept_held_out.load_state_dict(state["kept_held_out"])
+
     def opened(self) -> OpenedSequence:
         """All mapped frames, of which only some are kept, and the held-out frames that are kept."""
         held_out = [frame.index for frame in self.kept_held_out.items]
@@ -95,3 +114,14 @@ class _EvenSample:
             if self._n % self._step == 0:
                 self.items.append(frame)
         self._n += 1
+
+    def state_dict(self) -> dict[str, Any]:
+        return {"items": [_frame_state(frame) for frame in self.items], "step": self._step, "n": self._n}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        self.items = [Frame(**{**f, "camera": Camera(**f["camera"])}) for f in state["items"]]
+        self._step, self._n = state["step"], state["n"]
+
+
+def _frame_state(frame: Frame) -> dict[str, Any]:
+    return {f.name: getattr(frame, f.name) for f in dataclasses.fields(frame)} | {"camera": vars(frame.camera)}

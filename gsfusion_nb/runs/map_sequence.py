@@ -7,19 +7,28 @@ from typing import Any
 
 import torch
 
-from ..config import SystemConfig
+from ..config import SystemConfig, to_dict
 from ..data import Sequence, SequenceError, apply_options, open_sequence
 from ..data.checkup.quick_check import check_sequence
+from ..files import DiskFullError
 from ..mapping import get_system, make_mapper
 from ..progress import ProgressDisplay
 from ..seeding import SeedingRule
 from ..types import Mesh
 from . import outputs
-from .mapping_run import CHECKPOINT, MappingRun, StopRequest, new_folder
+from .autosave import Autosave, CheckpointEvery
+from .disk_need import warn_of_little_space
+from .mapping_run import MappingRun
 from .memory import describe_full
 from .posed_frames import has_poses
+from .resume import load_run
+from .run_folder import RunFolder, new_folder
+from .stop_request import StopRequest
 
 log = logging.getLogger(__name__)
+
+_TRANSIENT = ("interrupted after ", "interrupted while ", "ended by ")
+"""Beginnings of the warnings that are no longer true when a run goes on."""
 
 
 def run_mapping(
@@ -31,6 +40,7 @@ def run_mapping(
     seeding: "str | SeedingRule | None" = None,
     device: torch.device | str = "cpu",
     evaluate: bool = True,
+    checkpoints: CheckpointEvery | None = None,
     **reader_options: Any,
 ) -> "FinishedRun":
     """Map a sequence online, optimise over its keyframes, score it and write everything to a folder.
@@ -43,6 +53,8 @@ def run_mapping(
         seeding: Name of a seeding rule, or the rule itself.
         device: Where the maps live.
         evaluate: Score mapped and held-out views and write the report; the maps are written in any case.
+        checkpoints: How often to save where the run stands, so that it can go on after it was killed; every 30 s by
+            default.
         reader_options: For ``open_sequence``: ``format``, ``split``, options of the reader.
 
     Returns:
@@ -57,10 +69,11 @@ def run_mapping(
         sequence = open_sequence(**source, data=settings.data)
     else:
         source, sequence = {}, apply_options(data, settings.data)
-    run = MappingRun(sequence, make_mapper(settings, seeding=seeding, device=device), source=source)
-    if source and str(data) != "room" and has_poses(sequence):
-        run.warnings += _doubts(sequence.mapping)
-    return drive(run, new_folder(sequence.name, folder), evaluate)
+    with RunFolder(new_folder(sequence.name, folder)) as place:
+        run = MappingRun(sequence, make_mapper(settings, seeding=seeding, device=device), source=source)
+        if source and str(data) != "room" and has_poses(sequence):
+            run.warnings += _doubts(sequence.mapping)
+        return drive(run, place, evaluate, every=checkpoints)
 
 
 def resume_mapping(
@@ -69,15 +82,23 @@ def resume_mapping(
     seeding: "str | SeedingRule | None" = None,
     device: torch.device | str = "cpu",
     evaluate: bool = True,
+    checkpoints: CheckpointEvery | None = None,
 ) -> "FinishedRun":
-    """Go on with a run that was interrupted, in the same folder.
+    """Go on with a run that was interrupted or killed, in the same folder; arguments as for ``run_mapping``.
+
+    It ends with the maps of a run that was never cut off, bit for bit.
 
     Raises:
-        FileNotFoundError: the folder holds no checkpoint.
+        FileNotFoundError: the folder holds no checkpoint. FileExistsError: the run is still going on.
     """
-    run = MappingRun.resume(folder, seeding=seeding, device=device)
-    run.warnings = [w for w in run.warnings if not w.startswith("interrupted after ")]
-    return drive(run, Path(folder), evaluate)
+    if not Path(folder).is_dir():
+        raise FileNotFoundError(f"{folder} does not exist; expected the folder of a run that was cut off")
+    with RunFolder(folder) as place:
+        run = load_run(folder, seeding=seeding, device=device)
+        run.warnings = [w for w in run.warnings if not w.startswith(_TRANSIENT)]
+        if place.taken_over:
+            log.warning(place.taken_over)
+        return drive(run, place, evaluate, every=checkpoints)
 
 
 def _settings(config: SystemConfig | str | None, system: str, *, is_room: bool) -> SystemConfig:
@@ -115,37 +136,43 @@ class FinishedRun:
 
 def drive(
     run: MappingRun,
-    folder: Path,
+    place: RunFolder,
     evaluate: bool,
     map_frames: "Callable[[MappingRun, StopRequest], None] | None" = None,
+    *,
+    every: CheckpointEvery | None = None,
 ) -> FinishedRun:
     """Everything from the first frame to the report. Whatever ends it early, what was mapped is in the folder first.
 
-    ``map_frames`` does the online part until the frames end or a stop is wanted; by default with a progress bar over
-    the sequence.
+    Args:
+        run: What is to be done.
+        place: Its folder, locked.
+        evaluate: Score views and write the report.
+        map_frames: Does the online part until the frames end or a stop is wanted; by default with a progress bar over
+            the sequence.
+        every: How often checkpoints are saved.
     """
-    stop = StopRequest()
+    stop, folder = StopRequest(), place.path
+    _say(run, place, "running")
+    warn_of_little_space(run, folder)
+    run.after_step = Autosave(run, lambda: _checkpoint(run, place, stop), every or CheckpointEvery())
     with stop.listening():
         try:
             _work(run, stop, evaluate, map_frames or _with_progress)
+            if run.status == "interrupted" and run.resumable:
+                _checkpoint(run, place, stop)
+            mesh = _save(run, folder, stop)
         except BaseException as e:
-            run.status = "interrupted" if isinstance(e, KeyboardInterrupt) else "failed"
-            run.warnings.append(f"ended by {type(e).__name__}: {e}")
-            note = f"The {len(run.steps)} frames mapped before are saved in {folder}." if run.steps else ""
-            if run.steps:
-                _save(run, folder, stop)
-            if isinstance(e, torch.OutOfMemoryError):
-                raise MemoryError(f"{describe_full(run.mapper)}. {note}".rstrip()) from e
-            if note:
-                e.add_note(note)
+            _rescue(run, place, stop, e)
             raise
-        mesh = _save(run, folder, stop)
         metrics: dict[str, Any] = outputs.map_metrics(run, mesh) | run.online_scores
         if evaluate:
-            stop.at_once = True
-            metrics |= outputs.score(run) | outputs.score_trajectory(run) | outputs.score_mesh(run, mesh)
+            _score(run, place, stop, mesh, metrics)
             outputs.write_numbers(run, folder, metrics)
             outputs.write_page(run, folder, metrics)
+        if run.status != "interrupted" or not run.resumable:
+            run.remove_checkpoints(folder)
+    _say(run, place, run.status)
     return FinishedRun(run, folder, metrics)
 
 
@@ -154,11 +181,12 @@ def _work(
 ) -> None:
     """Map and optimise until done or asked to stop; sets the run's status."""
     map_frames(run, stop)
-    if evaluate and not (stop or run.mapper.passes.begun) and run.mapper.n_passes:
-        online = outputs.score(run, "_online")
-        names = ("psnr_held_out_online_db", "psnr_mapped_online_db")
-        run.online_scores = {k: online[k] for k in names if isinstance(online[k], float)}
-    if run.status == "running" and not stop:
+    if evaluate and not (stop or run.mapper.passes.begun or run.is_optimised) and run.mapper.n_passes:
+        with stop.ending_at_once():
+            online = outputs.score(run, "_online")
+            names = ("psnr_held_out_online_db", "psnr_mapped_online_db")
+            run.online_scores = {k: online[k] for k in names if isinstance(online[k], float)}
+    if run.status == "running" and not (stop or run.is_optimised):
         _with_progress_of_passes(run, stop)
     if stop:
         run.status = "interrupted"
@@ -171,19 +199,64 @@ def _work(
         run.status = "complete"
 
 
-def _save(run: MappingRun, folder: Path, stop: StopRequest) -> Mesh:
-    """Write the maps and the numbers, then, if there is more to do, the checkpoint, which is the largest."""
-    stop.saving = True
+def _score(run: MappingRun, place: RunFolder, stop: StopRequest, mesh: Mesh, metrics: dict[str, Any]) -> None:
+    """Add the scores to ``metrics``; a stop in the middle keeps those that are there."""
+    already = bool(stop)
+    stop.wanted = False
+    with stop.ending_at_once():
+        metrics |= outputs.score(run)
+        metrics |= outputs.score_trajectory(run)
+        metrics |= outputs.score_mesh(run, mesh)
+    if stop and not already:
+        run.status = "interrupted"
+        run.warnings.append("interrupted while it was scored; the maps are complete")
+        _checkpoint(run, place, stop)
+
+
+def _rescue(run: MappingRun, place: RunFolder, stop: StopRequest, error: BaseException) -> None:
+    """A run ends by ``error``: save what can be saved, and say so in a note of the error."""
+    run.status = "interrupted" if isinstance(error, KeyboardInterrupt) else "failed"
+    run.warnings.append(f"ended by {type(error).__name__}: {error}")
+    for half in filter(None, [run.mapper.guard.half_mapped]):
+        run.warnings.append(half)
+    notes = []
     try:
+        if run.steps and not run.mapper.guard.half_mapped:
+            _checkpoint(run, place, stop)
+        if run.steps and not isinstance(error, DiskFullError):
+            _save(run, place.path, stop)
+            notes = [f"The {len(run.steps)} frames mapped before are saved in {place.path}."]
+        _say(run, place, run.status)
+    except DiskFullError as e:
+        notes = [str(e)]
+    if run.resumable and run.has_checkpoint(place.path):
+        notes.append(f"To go on from the last checkpoint: gsfusion-nb map --resume {place.path}")
+    if isinstance(error, torch.OutOfMemoryError):
+        raise MemoryError(" ".join([f"{describe_full(run.mapper)}.", *notes])) from error
+    for note in notes:
+        error.add_note(note)
+
+
+def _checkpoint(run: MappingRun, place: RunFolder, stop: StopRequest) -> None:
+    """Save where the run stands, if it can be resumed."""
+    if run.can_be_saved:
+        with stop.held_back():
+            run.save_checkpoint(place.path)
+            _say(run, place, "running")
+
+
+def _say(run: MappingRun, place: RunFolder, state: str) -> None:
+    config, mapper = to_dict(run.mapper.config), run.mapper
+    progress = {"frames": len(run.steps), "of": len(run.sequence.mapping), "passes": mapper.passes.done}
+    place.write_status(state, progress, system=run.system, source=run.source, settings=config)
+
+
+def _save(run: MappingRun, folder: Path, stop: StopRequest) -> Mesh:
+    """Write the maps and the numbers."""
+    with stop.held_back():
         mesh = outputs.write_maps(run, folder)
         outputs.write_numbers(run, folder, outputs.map_metrics(run, mesh) | run.online_scores)
-        if run.status == "interrupted" and run.resumable:
-            run.save_checkpoint(folder)
-        elif run.status != "failed":
-            (folder / CHECKPOINT).unlink(missing_ok=True)
         return mesh
-    finally:
-        stop.saving = False
 
 
 def _with_progress(run: MappingRun, stop: StopRequest) -> None:

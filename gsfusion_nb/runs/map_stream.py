@@ -10,8 +10,11 @@ from ..data.stream import Policy
 from ..mapping import Mapper
 from ..progress import ProgressDisplay
 from ..types import Frame
+from .autosave import CheckpointEvery
 from .map_sequence import FinishedRun, drive
-from .mapping_run import MappingRun, StopRequest, new_folder
+from .mapping_run import MappingRun
+from .run_folder import RunFolder, new_folder
+from .stop_request import StopRequest
 from .stream_run import StreamRun
 
 
@@ -24,6 +27,7 @@ def map_stream(
     folder: Path | str | None = None,
     evaluate: bool = True,
     on_stop: Literal["save", "finish"] = "save",
+    checkpoints: CheckpointEvery | None = None,
 ) -> FinishedRun:
     """Map frames as they come, optimise over the keyframes after the last, score, and write everything to a folder.
 
@@ -42,6 +46,7 @@ def map_stream(
         evaluate: Score the frames that were kept and write the report.
         on_stop: What Ctrl-C does: "save" ends the run; "finish" ends only the stream, and the optimisation and the
             report follow as after its last frame, unless it is pressed again.
+        checkpoints: How often to save where the run stands; every 30 s by default.
 
     Returns:
         The run with its folder and numbers; ``n_frames_received`` and ``n_frames_dropped`` are among them.
@@ -50,7 +55,6 @@ def map_stream(
         SequenceError: no frame could be mapped; names the first reason.
         Exception: what the source raised, after everything was saved.
     """
-    run = StreamRun(frames, mapper, policy=policy, queue_frames=queue_frames)
 
     def map_frames(run: MappingRun, stop: StopRequest) -> None:
         _with_progress(run, stop)
@@ -58,7 +62,9 @@ def map_stream(
             run.warnings.append(f"the stream was ended by hand after {len(run.steps)} frames")
             stop.wanted = False
 
-    return drive(run, new_folder(run.sequence.name, folder), evaluate, map_frames)
+    with RunFolder(new_folder(getattr(frames, "name", "stream"), folder)) as place:
+        run = StreamRun(frames, mapper, policy=policy, queue_frames=queue_frames)
+        return drive(run, place, evaluate, map_frames, every=checkpoints)
 
 
 def _with_progress(run: MappingRun, stop: StopRequest) -> None:

@@ -1,29 +1,27 @@
 """One run over a sequence: the loop, the clock, interruption, checkpoints. What comes out is written by ``outputs``."""
 
-import contextlib
 import dataclasses
-import datetime
 import logging
-import signal
-import threading
 import time
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 import torch
+from torch import Tensor
 
-from ..data import OpenedSequence, RecordedSequence, SequenceError, SequenceView, open_sequence
+from ..data import OpenedSequence, RecordedSequence, SequenceError, SequenceView
 from ..data.stream import read_ahead
-from ..export import load_checkpoint, save_checkpoint
-from ..mapping import DelayedInterrupt, GlobalStep, Mapper, StepReport, get_system, system_of
-from ..seeding import SeedingRule
+from ..export import CheckpointStore, Saved
+from ..mapping import DelayedInterrupt, GlobalStep, Mapper, StepReport, system_of
 from ..types import Frame
 from .posed_frames import has_poses
+from .random_state import random_state
+from .run_folder import CHECKPOINTS
+from .step_log import StepLog
 
 log = logging.getLogger(__name__)
 
-CHECKPOINT = "checkpoint.pt"
 MAX_BAD_FRAMES_IN_A_ROW = 20
 """After this many unusable frames in a row the rest of the recording counts as broken."""
 READ_AHEAD = 4
@@ -76,6 +74,7 @@ class MappingRun:
         self.sequence = sequence
         self.source = source or {}
         self.steps: list[StepReport] = []
+        self._step_log = StepLog()
         self.global_losses: list[float] = []
         """Mean loss of each finished pass of the global optimisation."""
         self._pass_losses: list[torch.Tensor] = []
@@ -89,6 +88,11 @@ class MappingRun:
         self.bad_in_a_row = 0
         """Frames just before ``next_position`` that could not be used."""
         self.seconds_global = 0.0
+        self.is_optimised = False
+        """The optimisation after the scan is done."""
+        self.after_step: Callable[[], None] = lambda: None
+        """Called after every frame and every step of the optimisation, when the state is complete."""
+        self._stores: dict[Path, CheckpointStore] = {}
         self.status = "running"
         """"running", "complete", "interrupted" (asked to stop) or "stopped" (the data broke off)."""
 
@@ -127,6 +131,7 @@ class MappingRun:
                     break
                 for sentence in self.mapper.step_warnings(frame, report):
                     self._warn(sentence)
+                self.after_step()
                 yield report
         finally:
             frames.close()
@@ -180,73 +185,75 @@ class MappingRun:
                 self.global_losses.append(float(torch.stack(self._pass_losses).mean()))
                 self._pass_losses = []
             self.seconds_global += time.perf_counter() - start
+            self.after_step()
             yield step
             start = time.perf_counter()
+        self.is_optimised = True
 
-    def save_checkpoint(self, folder: Path) -> None:
-        """Write everything needed to resume to ``folder``."""
+    def save_checkpoint(self, folder: Path) -> Saved:
+        """Write everything needed to resume to ``folder``: only what has changed since the last time."""
         document = {
             "system": self.system,
             "run": self.state_dict(),
-            "source": self.source,
+            "source": self.source or self.stream(),
             "mapper": self.mapper.state_dict(),
+            "random": random_state(),
         }
-        save_checkpoint(folder / CHECKPOINT, document)
+        store = self._stores.setdefault(folder, CheckpointStore(folder / CHECKPOINTS))
+        return store.save(document, constant=self.constant_tensors())
+
+    def constant_tensors(self) -> list[Tensor]:
+        """Tensors of the state that never change."""
+        return [*self.mapper.constant_tensors(), *self._step_log.blocks]
+
+    def stream(self) -> dict[str, Any]:
+        """What a checkpoint says of a source that cannot be opened again, if the run can be finished without it."""
+        return {}
+
+    @property
+    def can_be_saved(self) -> bool:
+        """A checkpoint can be taken now, and something can be made of it."""
+        return self.resumable and not self.mapper.guard.half_mapped
+
+    def has_checkpoint(self, folder: Path) -> bool:
+        """Whether a checkpoint is in ``folder``."""
+        return CheckpointStore(folder / CHECKPOINTS).exists
+
+    def remove_checkpoints(self, folder: Path) -> None:
+        """The run is complete: nothing is to be resumed."""
+        self._stores.pop(folder, CheckpointStore(folder / CHECKPOINTS)).remove()
 
     def state_dict(self) -> dict[str, Any]:
-        """Where the run stands, beside its mapper, as plain values."""
+        """Where the run stands, beside its mapper, as tensors and plain values."""
         return {
-            "steps": [vars(step) | {"losses": list(step.losses)} for step in self.steps],
+            "steps": self._step_log.state_dict(self.steps),
             "global_losses": list(self.global_losses),
-            "pass_losses": list(self._pass_losses),
+            "pass_losses": torch.stack(self._pass_losses) if self._pass_losses else torch.zeros(0),
             "online_scores": dict(self.online_scores),
-            "timestamps_s": list(self.timestamps_s),
+            "timestamps_s": torch.tensor(self.timestamps_s, dtype=torch.float64),
             "warnings": list(self.warnings),
             "next_position": self.next_position,
+            "bad_in_a_row": self.bad_in_a_row,
             "seconds_global": self.seconds_global,
+            "is_optimised": self.is_optimised,
         }
+
+    def use_store(self, folder: Path, store: CheckpointStore) -> None:
+        """Checkpoints in ``folder`` go on in this store."""
+        self._stores[folder] = store
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Go on from what ``state_dict`` gave."""
-        self.steps = [StepReport(**{**step, "losses": tuple(step["losses"])}) for step in state["steps"]]
+        self.steps = self._step_log.load_state_dict(state["steps"])
         self.global_losses = state["global_losses"]
-        self._pass_losses = state["pass_losses"]
+        self._pass_losses = list(state["pass_losses"].to(self.mapper.device))
         self.online_scores = state["online_scores"]
-        self.timestamps_s = state["timestamps_s"]
+        self.timestamps_s = state["timestamps_s"].tolist()
         self.warnings = state["warnings"]
         self.next_position = state["next_position"]
+        self.bad_in_a_row = state["bad_in_a_row"]
         self.seconds_global = state["seconds_global"]
-
-    @classmethod
-    def resume(
-        cls,
-        folder: Path | str,
-        *,
-        seeding: "str | SeedingRule | None" = None,
-        device: torch.device | str = "cpu",
-    ) -> "MappingRun":
-        """The run that was interrupted in ``folder``, at the frame where it stopped.
-
-        Raises:
-            FileNotFoundError: there is no checkpoint in it (a run that completed leaves none).
-        """
-        path = Path(folder) / CHECKPOINT
-        if not path.is_file():
-            raise FileNotFoundError(f"{path} is not there: only a run that was interrupted can be resumed")
-        document = load_checkpoint(path)
-        try:
-            system, source, progress = get_system(document["system"]), document["source"], document["run"]
-            mapper = system.from_state_dict(document["mapper"], seeding=seeding, device=device)
-        except (KeyError, TypeError, AttributeError) as e:
-            raise ValueError(f"{path} is damaged or from another version: {type(e).__name__} {e}") from None
-        if not source:
-            raise ValueError(f"{path} is of a sequence in memory; only one opened by path or name can be resumed")
-        run = cls(open_sequence(**source, data=mapper.config.data), mapper, source=source)
-        try:
-            run.load_state_dict(progress)
-        except (KeyError, TypeError, AttributeError) as e:
-            raise ValueError(f"{path} is damaged or from another version: {type(e).__name__} {e}") from None
-        return run
+        self.is_optimised = state["is_optimised"]
 
     def _passed(self, frame: Frame | None) -> None:
         """A frame was mapped, or could not be used."""
@@ -263,65 +270,6 @@ class MappingRun:
     def _warn(self, sentence: str) -> None:
         self.warnings.append(sentence)
         log.warning(sentence)
-
-
-class StopRequest:
-    """Turns Ctrl-C, a kernel interrupt or SIGTERM into a wish that is granted between two steps.
-
-    Pressing again changes nothing for ``PATIENCE_S`` seconds; after that, or where ``at_once`` is set, the signal
-    raises ``KeyboardInterrupt`` on the spot. While files are written (``saving``) it never does.
-    """
-
-    PATIENCE_S = 5.0
-
-    def __init__(self):
-        self.wanted = False
-        self.at_once = False
-        """Set where stopping in the middle loses nothing: while views are scored."""
-        self.saving = False
-        self._since = 0.0
-
-    def __bool__(self) -> bool:
-        return self.wanted
-
-    def _handle(self, signum, frame) -> None:
-        first, self.wanted = not self.wanted, True
-        if first:
-            self._since = time.monotonic()
-        if self.saving:
-            return
-        if self.at_once or (not first and time.monotonic() - self._since > self.PATIENCE_S):
-            raise KeyboardInterrupt
-
-    @contextlib.contextmanager
-    def listening(self) -> Iterator["StopRequest"]:
-        """Listen inside the block; does nothing outside the main thread, where signals cannot be caught."""
-        if threading.current_thread() is not threading.main_thread():
-            yield self
-            return
-        before = {number: signal.signal(number, self._handle) for number in (signal.SIGINT, signal.SIGTERM)}
-        try:
-            yield self
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
-
-
-def new_folder(name: str, folder: Path | str | None = None) -> Path:
-    """Make the folder of a run: ``folder``, which must be new or empty, or ``runs/<name>-<date>-<time>``."""
-    if folder is None:
-        stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
-        path = Path("runs") / f"{name}-{stamp}"
-        n = 1
-        while path.exists():
-            n += 1
-            path = Path("runs") / f"{name}-{stamp}-{n}"
-    else:
-        path = Path(folder).expanduser()
-        if path.is_file() or (path.is_dir() and any(path.iterdir())):
-            raise FileExistsError(f"{path} must be a new or empty folder, so that no earlier run is overwritten")
-    path.mkdir(parents=True, exist_ok=True)
-    return path
 
 
 def _is_on_disk(view: SequenceView) -> bool:

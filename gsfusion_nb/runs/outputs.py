@@ -5,6 +5,7 @@ import json
 import math
 import platform
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from ..evaluation import (
     trajectory_scores,
 )
 from ..export import write_gaussian_ply, write_mesh_ply, write_trajectory_tum
-from ..files import write_file
+from ..files import DiskFullError, write_file
 from ..mapping.step_report import StepReport
 from ..seeding import rule_name
 from ..types import Mesh
@@ -32,7 +33,7 @@ from .memory import mesh_when_full
 from .posed_frames import frames_in_map, ground_truth_poses, readable_frames
 from .report_data import FrameRow, ReportData, ReportView
 from .report_page import write_report
-from .scored_views import VIEWS, score_in_map, scored_views, views_as_json
+from .scored_views import score_in_map, scored_views
 
 FILES = {
     "gaussians.ply": "Gaussian map, standard 3DGS layout: SuperSplat, antimatter15/splat, Blender and Unity plug-ins",
@@ -50,10 +51,17 @@ def score(run: MappingRun, suffix: str = "", *, with_lpips: bool = False) -> dic
 
 
 def write_maps(run: MappingRun, folder: Path) -> Mesh:
-    """Write both maps, the trajectory and the settings; they need no evaluation, so they are safe first."""
-    write_gaussian_ply(folder / "gaussians.ply", run.mapper.gaussians.params)
-    if run.poses:
-        write_trajectory_tum(folder / "trajectory.txt", run.timestamps_s, torch.stack(run.poses))
+    """Write both maps, the trajectory and the settings; they need no evaluation, so they are safe first.
+
+    Raises:
+        DiskFullError: a file has no room; those that have are written.
+    """
+    try:
+        mesh = run.mapper.mesh()
+    except torch.OutOfMemoryError as e:
+        mesh = mesh_when_full(run.mapper)
+        run.warnings.append(f"the mesh was made on the processor, if at all: {str(e).splitlines()[0]}")
+    run.hashes = map_hashes(run, mesh)
     settings = {
         "gsfusion_nb": __version__,
         "system": run.system,
@@ -63,16 +71,27 @@ def write_maps(run: MappingRun, folder: Path) -> Mesh:
         "fidelity": run.mapper.fidelity_of(run.mapper.config),
         "config": to_dict(run.mapper.config),
     }
-    write_json(folder / "config.json", settings)
-    write_json(folder / VIEWS, views_as_json(scored_views(run)))
-    try:
-        mesh = run.mapper.mesh()
-    except torch.OutOfMemoryError as e:
-        mesh = mesh_when_full(run.mapper)
-        run.warnings.append(f"the mesh was made on the processor, if at all: {str(e).splitlines()[0]}")
-    write_mesh_ply(folder / "mesh.ply", mesh)
-    run.hashes = map_hashes(run, mesh)
+    writers: list[Callable[[], None]] = [
+        lambda: write_json(folder / "config.json", settings),
+        lambda: write_json(folder / VIEWS, views_as_json(scored_views(run))),
+        lambda: _write_trajectory(run, folder),
+        lambda: write_gaussian_ply(folder / "gaussians.ply", run.mapper.gaussians.params),
+        lambda: write_mesh_ply(folder / "mesh.ply", mesh),
+    ]
+    problems: list[DiskFullError] = []
+    for write in writers:
+        try:
+            write()
+        except DiskFullError as e:
+            problems.append(e)
+    if problems:
+        raise problems[0]
     return mesh
+
+
+def _write_trajectory(run: MappingRun, folder: Path) -> None:
+    if run.poses:
+        write_trajectory_tum(folder / "trajectory.txt", run.timestamps_s, torch.stack(run.poses))
 
 
 def write_numbers(run: MappingRun, folder: Path, metrics: dict[str, Any]) -> None:

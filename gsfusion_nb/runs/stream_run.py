@@ -1,7 +1,9 @@
 """One run over frames that come in time, of which only a few are kept."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
+
+from torch import Tensor
 
 from ..data import BadFrameError, Sequence, SequenceError, SequenceView
 from ..data.stream import BackgroundFrames, Policy, SelectedFrames
@@ -56,6 +58,39 @@ class StreamRun(MappingRun):
         self._holds_out = data.hold_out_every > 0 and (self.kept.has_poses or not self.mapper.localiser.is_tracking)
         self._n_earlier = len(earlier)
         self.mapper.passes = KeyframePasses()
+
+    @property
+    def can_be_saved(self) -> bool:
+        """A checkpoint can be taken: after a kill the map so far is kept, though the stream cannot go on."""
+        return not self.mapper.guard.half_mapped
+
+    def state_dict(self) -> dict[str, Any]:
+        """Where the run stands, and what is kept of the stream."""
+        counts = {"n_taken": self._n_taken, "n_unusable": self.n_unusable, "n_earlier": self._n_earlier}
+        return super().state_dict() | {"kept": self.kept.state_dict(), "counts": counts}
+
+    @classmethod
+    def after_a_kill(cls, source: dict[str, Any], mapper: Mapper, state: dict[str, Any]) -> "StreamRun":
+        """The run of a stream that was cut off with its process: no more frames come."""
+        nothing, passes = _Ended(source["stream"], source["has_poses"]), mapper.passes
+        run = cls(nothing, mapper, policy=source["policy"])
+        mapper.passes = passes
+        run.load_state_dict(state)
+        run.kept.load_state_dict(state["kept"])
+        counts = state["counts"]
+        run._n_taken, run.n_unusable, run._n_earlier = counts["n_taken"], counts["n_unusable"], counts["n_earlier"]
+        run.sequence = run.kept.opened()
+        run._warn(f"the stream was cut off after {len(run.steps)} frames, when its process was killed")
+        return run
+
+    def stream(self) -> dict[str, Any]:
+        """Name and policy of the stream, for ``after_a_kill``."""
+        return {"stream": self.kept.name, "has_poses": self.kept.has_poses, "policy": self.policy}
+
+    def constant_tensors(self) -> list[Tensor]:
+        """Also the images of the frames that are kept."""
+        frames = [*self.kept.kept_mapped.items, *self.kept.kept_held_out.items]
+        return [*super().constant_tensors(), *(image for f in frames for image in (f.colour, f.depth_m))]
 
     def frames(self) -> "_Feed":
         """The frames that come, without those held out."""
@@ -123,6 +158,16 @@ class StreamRun(MappingRun):
             return f"no frame came from {self.sequence.name}"
         reason = self.warnings[0].removeprefix("skipped a frame: ").removesuffix("; everything mapped before is kept")
         return f"no frame of {self.sequence.name} could be mapped, the first because {reason}"
+
+
+class _Ended:
+    """A stream that has ended."""
+
+    def __init__(self, name: str, has_poses: bool):
+        self.name, self.has_poses = name, has_poses
+
+    def __iter__(self) -> Iterator[Frame]:
+        return iter(())
 
 
 class _Feed:

@@ -11,6 +11,7 @@ import tyro
 
 from ..checks import check_name
 from ..evaluation import format_metric
+from ..runs.run_folder import CHECKPOINTS
 from ..strict_json import read_object
 from . import disc_depth, roofline
 from .variants import STUDIES
@@ -84,7 +85,7 @@ def run_variant(data: str, folder: Path, arguments: list[str]) -> dict[str, Any]
     """Metrics of one run, which is started unless it is complete in ``folder``; ``{"error": message}`` if it failed."""
     if not _is_complete(folder):
         command = [sys.executable, "-m", "gsfusion_nb", "map", data, "--out", str(folder), *arguments]
-        resumable = (folder / "checkpoint.pt").is_file()
+        resumable = (folder / CHECKPOINTS).is_dir()
         if resumable:
             command = [sys.executable, "-m", "gsfusion_nb", "map", "--resume", str(folder)]
         done = subprocess.run(command, capture_output=True, text=True)

@@ -1,7 +1,6 @@
 """Whether a frame looks like the model from a pose: geometry alone cannot tell one bare wall from another."""
 
-import torch
-
+from ..geometry import sum_rows
 from ..types import Frame
 from .surface import Surface
 
@@ -29,6 +28,6 @@ def correlation(frame: Frame, surface: Surface) -> float | None:
     if int(both.sum()) < ENOUGH_PIXELS:
         return None
     a, b = (image[both].mean(dim=-1) for image in (frame.rgb, surface.rgb))
-    a, b = a - a.mean(), b - b.mean()
-    norm = float(a.norm() * b.norm())
-    return float(torch.dot(a, b)) / norm if norm > 1e-3 else None
+    a, b = a - sum_rows(a) / len(a), b - sum_rows(b) / len(b)
+    norm = float((sum_rows(a * a) * sum_rows(b * b)).sqrt())
+    return float(sum_rows(a * b)) / norm if norm > 1e-3 else None

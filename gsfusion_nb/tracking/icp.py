@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..config import TrackingConfig
-from ..geometry import depth_to_points, se3
+from ..geometry import depth_to_points, se3, sum_rows
 from ..types import Camera
 from .normal_equations import IcpSystem, depth_weight, icp_system
 from .pyramid import DepthLevel, depth_pyramid
@@ -139,9 +139,9 @@ def _extent(level: DepthLevel, even_to_m: float | None) -> Extent:
     rows = level.depth_m > 0
     points = depth_to_points(level.camera, level.depth_m)[rows]
     weight = depth_weight(level.depth_m[rows], even_to_m)
-    share = weight / weight.sum().clamp_min(1e-12)
-    middle = share @ points
-    spread = float((share @ (points - middle).square().sum(1)).sqrt())
+    share = weight / sum_rows(weight).clamp_min(1e-12)
+    middle = sum_rows(share[:, None] * points)
+    spread = float(sum_rows(share * (points - middle).square().sum(1)).sqrt())
     return Extent(centre=middle.double().cpu(), spread_m=max(spread, 1e-3))
 
 

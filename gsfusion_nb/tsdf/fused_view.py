@@ -7,7 +7,7 @@ from torch import Tensor
 from ..geometry import se3
 from ..types import Frame
 from .integrate import corners_in_view, fuse_voxels
-from .morton import OFFSET, encode
+from .morton import OFFSET, interleave
 from .volume import CORNERS, TsdfSample, TsdfVolume
 
 
@@ -26,7 +26,7 @@ class FusedView:
     def __init__(self, volume: TsdfVolume, frame: Frame, missing: Int[Tensor, "M 3"]):
         self.config = volume.config
         self._volume, self._frame = volume, frame
-        self._new = encode(missing).sort().values
+        self._new = interleave(missing).sort().values
         self._T_CW = se3.inverse(frame.T_WC.double())
 
     def sample_nearest(self, xyz_W: Float[Tensor, "N 3"]) -> TsdfSample:
@@ -56,6 +56,6 @@ class FusedView:
         exists = self._volume.index.find(block) >= 0
         if not len(self._new):
             return exists
-        codes = encode(block.clamp(-OFFSET, OFFSET - 1))
+        codes = interleave(block.clamp(-OFFSET, OFFSET - 1))
         at = torch.searchsorted(self._new, codes).clamp(max=len(self._new) - 1)
         return exists | (self._new[at] == codes)

@@ -41,7 +41,12 @@ def encode(coords: Int[Tensor, "N 3"]) -> Int[Tensor, " N"]:
     if shifted.numel() and bool(((shifted < 0) | (shifted >= 2 * OFFSET)).any()):
         low, high = int(coords.min()), int(coords.max())
         raise ValueError(f"block coordinates must lie in [{-OFFSET}, {OFFSET}), got {low} to {high}")
-    spread = shifted
+    return interleave(coords)
+
+
+def interleave(coords: Int[Tensor, "N 3"]) -> Int[Tensor, " N"]:
+    """``encode`` without the check, for which a GPU is waited."""
+    spread = coords.to(torch.int64) + OFFSET
     for shift, mask in _SPREAD:
         spread = (spread | (spread << shift)) & mask
     x, y, z = spread.unbind(1)

@@ -16,7 +16,16 @@ from gsfusion_nb.runs import rescore, resume_mapping, run_mapping
 from gsfusion_nb.seeding import SeedContext
 from gsfusion_nb.types import Seeds
 
-FILES = {"gaussians.ply", "mesh.ply", "trajectory.txt", "config.json", "metrics.json", "views.json", "report.html"}
+FILES = {
+    "gaussians.ply",
+    "mesh.ply",
+    "trajectory.txt",
+    "config.json",
+    "metrics.json",
+    "views.json",
+    "report.html",
+    "status.json",
+}
 ROOM: dict[str, Any] = {"n_frames": 120, "width": 80, "height": 60}
 
 
@@ -111,20 +120,20 @@ def test_ctrl_c_saves_everything_and_the_run_can_go_on(tmp_path, small_room, con
     assert stopped.run.status == "interrupted"
     assert len(stopped.run.steps) == 5  # frames 0, 1, 3, 4 and the one that was being read
     assert "interrupted after 5 of 9 frames" in stopped.run.warnings[-1]
-    assert {p.name for p in stopped.folder.iterdir()} == FILES | {"checkpoint.pt"}
+    assert {p.name for p in stopped.folder.iterdir()} == FILES | {"checkpoint"}
 
     resumed = resume_mapping(stopped.folder, evaluate=False)
     assert resumed.run.status == "complete"
-    assert not (stopped.folder / "checkpoint.pt").exists()
+    assert not (stopped.folder / "checkpoint").exists()
     assert len(resumed.run.steps) == 9
     for name in ("xyz_W", "sh"):
         assert torch.equal(getattr(resumed.mapper.gaussians.params, name), getattr(whole.mapper.gaussians.params, name))
 
 
 def open_small(monkeypatch, sequence):
-    from gsfusion_nb.runs import map_sequence, mapping_run
+    from gsfusion_nb.runs import map_sequence, resume
 
-    for module in (map_sequence, mapping_run):
+    for module in (map_sequence, resume):
         monkeypatch.setattr(module, "open_sequence", lambda path_or_name, data, **_: apply_options(sequence, data))
 
 
@@ -238,7 +247,7 @@ def test_pressing_twice_does_not_lose_the_map(tmp_path, small_room, config):
 
     run = run_mapping(Impatient(small_room, {5}), config, folder=tmp_path / "out", evaluate=False)
     assert run.run.status == "interrupted"
-    assert (run.folder / "checkpoint.pt").exists()
+    assert (run.folder / "checkpoint").exists()
 
 
 def test_rescoring_an_interrupted_run_scores_what_was_mapped(tmp_path, small_room, config, monkeypatch):
@@ -252,8 +261,9 @@ def test_rescoring_an_interrupted_run_scores_what_was_mapped(tmp_path, small_roo
 
 
 def test_damaged_files_of_a_run_are_named(tmp_path):
-    (tmp_path / "checkpoint.pt").write_bytes(b"nonsense")
-    with pytest.raises(ValueError, match="not readable as a checkpoint"):
+    (tmp_path / "checkpoint").mkdir()
+    (tmp_path / "checkpoint" / "000001.json").write_bytes(b"nonsense")
+    with pytest.raises(ValueError, match=r"000001\.json cannot be used"):
         resume_mapping(tmp_path)
     (tmp_path / "config.json").write_text("{}")
     with pytest.raises(ValueError, match=r"config.json is not of a run: expected the keys source, config"):
@@ -264,5 +274,5 @@ def test_an_earlier_run_is_never_overwritten(tmp_path, config):
     (tmp_path / "keep.txt").write_text("precious")
     with pytest.raises(FileExistsError, match="must be a new or empty folder"):
         run_mapping("room", config, folder=tmp_path, **ROOM)
-    with pytest.raises(FileNotFoundError, match="only a run that was interrupted can be resumed"):
+    with pytest.raises(FileNotFoundError, match="only a run that was cut off can be resumed"):
         resume_mapping(tmp_path)

@@ -16,7 +16,16 @@ from gsfusion_nb.runs import StreamRun, map_stream, run_mapping
 from gsfusion_nb.runs.kept_frames import KeptFrames
 from gsfusion_nb.types import Frame
 
-FILES = {"gaussians.ply", "mesh.ply", "trajectory.txt", "config.json", "metrics.json", "views.json", "report.html"}
+FILES = {
+    "gaussians.ply",
+    "mesh.ply",
+    "trajectory.txt",
+    "config.json",
+    "metrics.json",
+    "views.json",
+    "report.html",
+    "status.json",
+}
 
 
 @pytest.fixture(scope="module")

@@ -10,6 +10,7 @@ from gsfusion_nb.data import open_sequence
 from gsfusion_nb.mapping import RTGSLAM, GSFusion, make_mapper
 from gsfusion_nb.mapping.surfel_optimiser import SurfelOptimiser
 from gsfusion_nb.runs import MappingRun, outputs, run_mapping
+from gsfusion_nb.runs.resume import load_run
 
 DATA = {"width": 40, "height": 30, "stop": 9, "stride": 2, "hold_out_every": 4, "hold_out_offset": 2}
 FRAMES_MOST = 40
@@ -113,7 +114,7 @@ def test_a_run_is_resumed_on_the_device(settings, gpu, tmp_path):
     next(online)
     online.close()
     run.save_checkpoint(tmp_path)
-    resumed = MappingRun.resume(tmp_path, device="cuda")
+    resumed = load_run(tmp_path, device="cuda")
     assert len(list(resumed.online())) >= 2
     assert resumed.mapper.gaussians.params.sh.device.type == "cuda"
     assert resumed.mapper.mesh().faces.device.type == "cuda"

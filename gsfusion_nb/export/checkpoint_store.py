@@ -1,0 +1,286 @@
+"""Checkpoints of a run: each is complete, and only what has changed since the one before is written.
+
+A folder holds, per checkpoint n, ``n.json`` (what the checkpoint consists of) and ``n.pieces`` (the numbers that are
+new in it). Tensors are cut into pieces, and a piece is known by the SHA-256 of its bytes, so a piece that is in an
+earlier file already is not written again, and a damaged one is recognised. ``n.json`` begins with its own SHA-256 and
+comes last, when the pieces are on disk: until then the checkpoint before is the one that counts, and it is kept until
+the next is complete. When less than half of the bytes on disk are still needed, everything is written anew.
+
+Nothing in the files is executed when they are read.
+"""
+
+import hashlib
+import json
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..files import atomic_file, write_file
+
+FORMAT = "gsfusion_nb checkpoint"
+VERSION = 2
+PIECE_BYTES = 1 << 18
+SMALL_BYTES = 1 << 12
+"""Tensors below this size are written together, as one."""
+_TAG = "$"
+_DTYPES = {str(t).removeprefix("torch."): t for t in (
+    torch.float32, torch.float64, torch.float16, torch.bfloat16, torch.int64, torch.int32, torch.int16, torch.int8,
+    torch.uint8, torch.bool,
+)}  # fmt: skip
+
+Piece = tuple[str, str, int, int]
+"""SHA-256, file, offset and size of a piece."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Saved:
+    """What saving a checkpoint did."""
+
+    number: int
+    written_bytes: int
+    total_bytes: int
+    """What the checkpoint consists of, in this and earlier files."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Loaded:
+    """A checkpoint that was read."""
+
+    state: dict[str, Any]
+    number: int
+    passed_over: str
+    """Why a later one could not be used; empty if this is the latest."""
+
+
+class CheckpointStore:
+    """Saves and loads checkpoints in one folder."""
+
+    def __init__(self, folder: str | Path):
+        self.folder = Path(folder)
+        self._known: dict[str, Piece] = {}
+        self._constant: dict[int, tuple[Tensor, list[str]]] = {}
+        self._number = self._before = max([0, *self._numbers()])
+        self._files_before: set[str] = set()
+
+    def save(self, state: dict[str, Any], *, constant: Iterable[Tensor] = ()) -> Saved:
+        """Write a checkpoint: nested dictionaries, lists and tuples of tensors, numbers, strings and None.
+
+        Args:
+            state: What to keep. Tensors on a GPU are brought to the CPU.
+            constant: Tensors in it that never change (images); they are looked at only once.
+
+        Raises:
+            TypeError: anything else in ``state``; names the place. DiskFullError: the checkpoint before still counts.
+        """
+        packing = _Packing()
+        tree = packing.plain(state, "state")
+        constants = {id(t) for t in constant}
+        pieces, content = self._pieces(packing.large, constants), packing.small
+        number = self._number + 1
+        tensors = [[str(t.dtype).removeprefix("torch."), list(t.shape), keys] for t, keys in pieces]
+        small = torch.frombuffer(content, dtype=torch.uint8) if content else torch.zeros(0, dtype=torch.uint8)
+        small_keys = [key for key, _ in _cut(small)]
+        blobs = [*pieces, (small, small_keys)]
+        live = {key: size for t, keys in blobs for key, size in zip(keys, _sizes(t.nbytes), strict=True)}
+        name = f"{number:06d}.pieces"
+        self._forget_sparse_files(live)
+        fresh = {key for key in live if key not in self._known}
+        places = self._write(name, blobs, fresh, sum(live[key] for key in fresh))
+        known = {key: piece for key, piece in (self._known | places).items() if key in live}
+        document = {
+            "format": FORMAT, "version": VERSION, "number": number, "state": tree, "tensors": tensors,
+            "small": small_keys, "pieces": list(known.values()),
+        }  # fmt: skip
+        text = json.dumps(document, separators=(",", ":"))
+        write_file(self.folder / f"{number:06d}.json", f"{hashlib.sha256(text.encode()).hexdigest()}\n{text}")
+        self._known = known
+        self._constant = {id(t): (t, keys) for t, keys in pieces if id(t) in constants}
+        files = {piece[1] for piece in self._known.values()}
+        self._remove_all_but({f"{n:06d}.json" for n in (self._before, number)} | files | self._files_before)
+        self._number, self._before, self._files_before = number, number, files
+        return Saved(number=number, written_bytes=sum(live[key] for key in fresh), total_bytes=sum(live.values()))
+
+    def load(self, device: torch.device | str = "cpu") -> Loaded:
+        """The latest checkpoint that is whole.
+
+        Raises:
+            FileNotFoundError: there is none. ValueError: none is whole, or they are of another version.
+        """
+        problems: list[str] = []
+        for number in sorted(self._numbers(), reverse=True):
+            path = self.folder / f"{number:06d}.json"
+            try:
+                state, pieces = self._read(path, device)
+            except (ValueError, OSError, KeyError, TypeError, IndexError, RecursionError) as e:
+                problems.append(f"{path} cannot be used ({e})")
+                continue
+            self._known = {piece[0]: piece for piece in pieces}
+            self._before, self._files_before = number, {piece[1] for piece in pieces}
+            return Loaded(state=state, number=number, passed_over="; ".join(problems))
+        if not problems:
+            raise FileNotFoundError(f"{self.folder} holds no checkpoint")
+        raise ValueError("; ".join(problems))
+
+    @property
+    def exists(self) -> bool:
+        """Whether there is a checkpoint, whole or not."""
+        return bool(self._numbers())
+
+    def remove(self) -> None:
+        """Remove all checkpoints, and the folder if it is empty then."""
+        self._remove_all_but(set())
+        if self.folder.is_dir() and not any(self.folder.iterdir()):
+            self.folder.rmdir()
+
+    def _numbers(self) -> list[int]:
+        names = [p.name for p in self.folder.iterdir()] if self.folder.is_dir() else []
+        return [int(name[:6]) for name in names if re.fullmatch(r"\d{6}\.json", name)]
+
+    def _pieces(self, tensors: list[Tensor], constants: set[int]) -> list[tuple[Tensor, list[str]]]:
+        """The keys of the pieces of every tensor."""
+        found = []
+        for tensor in tensors:
+            known = self._constant.get(id(tensor)) if id(tensor) in constants else None
+            found.append(known or (tensor, [key for key, _ in _cut(tensor)]))
+        return found
+
+    def _forget_sparse_files(self, live: dict[str, int]) -> None:
+        """Forget what is in files of which, all together, less than half is needed: it is written anew."""
+        used = {self._known[key][1] for key in live if key in self._known}
+        on_disk = sum((self.folder / name).stat().st_size for name in used)
+        if on_disk > 2 * sum(live.values()):
+            self._known = {}
+
+    def _write(self, name: str, blobs: list[tuple[Tensor, list[str]]], fresh: set[str], size: int) -> dict[str, Piece]:
+        places: dict[str, Piece] = {}
+        if not fresh:
+            return places
+        with atomic_file(self.folder / name, size_bytes=size) as temporary, temporary.open("wb") as file:
+            for tensor, keys in blobs:
+                if fresh.isdisjoint(keys):
+                    continue
+                for key, piece in zip(keys, _split(tensor), strict=True):
+                    if key in fresh and key not in places:
+                        places[key] = (key, name, file.tell(), len(piece))
+                        file.write(piece)
+        return places
+
+    def _read(self, path: Path, device: torch.device | str) -> tuple[dict[str, Any], list[Piece]]:
+        checksum, _, text = path.read_text(encoding="utf-8").partition("\n")
+        if hashlib.sha256(text.encode()).hexdigest() != checksum:
+            raise ValueError("it fails its checksum")
+        document = json.loads(text)
+        if document.get("format") != FORMAT or document.get("version") != VERSION:
+            raise ValueError(f"it is not a {FORMAT} of version {VERSION}")
+        pieces = [(str(key), str(name), int(at), int(size)) for key, name, at, size in document["pieces"]]
+        content = self._content(pieces)
+        small = b"".join(content[key] for key in document["small"])
+        tensors = [
+            _tensor(d, shape, b"".join(content[k] for k in keys), device) for d, shape, keys in document["tensors"]
+        ]
+        return _unpack(document["state"], tensors, small, device), pieces
+
+    def _content(self, pieces: list[Piece]) -> dict[str, bytes]:
+        content: dict[str, bytes] = {}
+        for name in sorted({piece[1] for piece in pieces}):
+            if not re.fullmatch(r"\d{6}\.pieces", name):
+                raise ValueError(f"{name} is no name of a file of pieces")
+            with (self.folder / name).open("rb") as file:
+                for key, _, at, size in sorted((p for p in pieces if p[1] == name), key=lambda p: p[2]):
+                    file.seek(at)
+                    content[key] = file.read(size)
+                    if hashlib.sha256(content[key]).hexdigest() != key:
+                        raise ValueError(f"{name} is damaged at byte {at}")
+        return content
+
+    def _remove_all_but(self, wanted: set[str]) -> None:
+        """Remove the files of other checkpoints, and what a killed process left."""
+        if not self.folder.is_dir():
+            return
+        for path in self.folder.iterdir():
+            if path.name not in wanted and re.search(r"\.(json|pieces)$", path.name):
+                path.unlink(missing_ok=True)
+
+
+class _Packing:
+    """Turns a state into JSON with tensors set aside: large ones in a list, small ones in one buffer."""
+
+    def __init__(self):
+        self.large: list[Tensor] = []
+        self.small = bytearray()
+
+    def plain(self, value: Any, name: str) -> Any:
+        if isinstance(value, Tensor):
+            return self._tensor(value.detach() if value.requires_grad else value)
+        if value is None or type(value) in (bool, int, float, str):
+            return value
+        if type(value) is dict:
+            for key in value:
+                if type(key) is not str or key == _TAG:
+                    raise TypeError(f"{name} must have strings as keys, got {key!r}")
+            return {key: self.plain(v, f"{name}[{key!r}]") for key, v in value.items()}
+        if type(value) in (list, tuple):
+            items = [self.plain(v, f"{name}[{i}]") for i, v in enumerate(value)]
+            return items if type(value) is list else {_TAG: "tuple", "items": items}
+        raise TypeError(
+            f"{name} must be a tensor, number, string, None, or a dict, list or tuple of those, got {type(value)}"
+        )
+
+    def _tensor(self, value: Tensor) -> dict[str, Any]:
+        if value.nbytes >= SMALL_BYTES:
+            self.large.append(value)
+            return {_TAG: "tensor", "n": len(self.large) - 1}
+        at = len(self.small)
+        self.small += _bytes(value).tobytes()
+        dtype = str(value.dtype).removeprefix("torch.")
+        return {_TAG: "small", "dtype": dtype, "shape": list(value.shape), "at": at}
+
+
+def _unpack(value: Any, tensors: list[Tensor], small: bytes, device: torch.device | str) -> Any:
+    if type(value) is list:
+        return [_unpack(v, tensors, small, device) for v in value]
+    if type(value) is not dict:
+        return value
+    kind = value.get(_TAG)
+    if kind == "tuple":
+        return tuple(_unpack(v, tensors, small, device) for v in value["items"])
+    if kind == "tensor":
+        return tensors[value["n"]]
+    if kind == "small":
+        size = _DTYPES[value["dtype"]].itemsize * int(np.prod(value["shape"]))
+        return _tensor(value["dtype"], value["shape"], small[value["at"] : value["at"] + size], device)
+    return {key: _unpack(v, tensors, small, device) for key, v in value.items()}
+
+
+def _tensor(dtype: str, shape: list[int], content: bytes, device: torch.device | str) -> Tensor:
+    flat = (
+        torch.frombuffer(bytearray(content), dtype=_DTYPES[dtype]) if content else torch.zeros(0, dtype=_DTYPES[dtype])
+    )
+    return flat.reshape(shape).to(device)
+
+
+def _bytes(tensor: Tensor) -> np.ndarray:
+    """The numbers of a tensor, row by row."""
+    flat = tensor.detach().cpu().contiguous().reshape(-1)
+    if flat.stride() != (1,):  # a single number cut from a repeated one
+        flat = torch.empty(flat.shape, dtype=flat.dtype).copy_(flat)
+    return flat.view(torch.uint8).numpy()
+
+
+def _split(tensor: Tensor) -> Iterable[memoryview]:
+    content = _bytes(tensor).data
+    return (content[at : at + PIECE_BYTES] for at in range(0, len(content), PIECE_BYTES))
+
+
+def _cut(tensor: Tensor) -> Iterable[tuple[str, memoryview]]:
+    return ((hashlib.sha256(piece).hexdigest(), piece) for piece in _split(tensor))
+
+
+def _sizes(n_bytes: int) -> list[int]:
+    return [min(PIECE_BYTES, n_bytes - at) for at in range(0, n_bytes, PIECE_BYTES)]

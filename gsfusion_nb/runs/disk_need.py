@@ -1,0 +1,28 @@
+"""Whether the disk has room for what a run will write."""
+
+import logging
+from pathlib import Path
+
+from ..files import free_space
+from .mapping_run import MappingRun
+
+log = logging.getLogger(__name__)
+
+_BASE_BYTES = 50_000_000
+_BYTES_PER_PIXEL = 16
+"""What a frame adds per pixel, on average over the runs of docs/trust.md: maps, checkpoint, its keyframe."""
+
+
+def estimated_bytes(run: MappingRun) -> int:
+    """About how much a run writes, its checkpoints included. Runs differ: half or twice as much is usual."""
+    camera, frames = run.sequence.camera, len(run.sequence.mapping)
+    return _BASE_BYTES + _BYTES_PER_PIXEL * camera.width * camera.height * frames
+
+
+def warn_of_little_space(run: MappingRun, folder: Path) -> None:
+    """Add a warning to the run if less is free than it may need."""
+    need, free = estimated_bytes(run), free_space(folder)
+    if free < need:
+        sentence = f"only {free / 1e6:.0f} MB are free at {folder}, and this run may need about {need / 1e6:.0f} MB"
+        run.warnings.append(sentence)
+        log.warning(sentence)

@@ -1,0 +1,53 @@
+"""Taking up a run where its last checkpoint stands."""
+
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from ..data import open_sequence
+from ..export import CheckpointStore
+from ..mapping import get_system
+from ..seeding import SeedingRule
+from .mapping_run import MappingRun
+from .random_state import load_random_state
+from .run_folder import CHECKPOINTS
+from .stream_run import StreamRun
+
+
+def load_run(
+    folder: Path | str, *, seeding: "str | SeedingRule | None" = None, device: torch.device | str = "cpu"
+) -> MappingRun:
+    """The run that was interrupted or killed in ``folder``. Of a stream, no more frames come.
+
+    Raises:
+        FileNotFoundError: there is no checkpoint in it (a run that completed leaves none).
+        ValueError: no checkpoint is whole, or the run's sequence was in memory.
+    """
+    path, store = Path(folder), CheckpointStore(Path(folder) / CHECKPOINTS)
+    if not store.exists:
+        raise FileNotFoundError(f"{store.folder} holds no checkpoint: only a run that was cut off can be resumed")
+    loaded = store.load()
+    try:
+        run = _run_of(loaded.state, path, seeding, device)
+        load_random_state(loaded.state["random"])
+    except (KeyError, TypeError, AttributeError) as e:
+        raise ValueError(f"{store.folder} is damaged or from another version: {type(e).__name__} {e}") from None
+    run.use_store(path, store)
+    if loaded.passed_over:
+        run.warnings.append(f"{loaded.passed_over}; checkpoint {loaded.number}, which is whole, is used")
+    return run
+
+
+def _run_of(
+    document: dict[str, Any], path: Path, seeding: "str | SeedingRule | None", device: torch.device | str
+) -> MappingRun:
+    source, state = document["source"], document["run"]
+    if not source:
+        raise ValueError(f"{path} is of a sequence in memory; only one opened by path or name can be resumed")
+    mapper = get_system(document["system"]).from_state_dict(document["mapper"], seeding=seeding, device=device)
+    if "stream" in source:
+        return StreamRun.after_a_kill(source, mapper, state)
+    run = MappingRun(open_sequence(**source, data=mapper.config.data), mapper, source=source)
+    run.load_state_dict(state)
+    return run

@@ -1,0 +1,28 @@
+"""A handful of kills in every run of the tests; the whole campaign: python tests/campaign/kills.py."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+SCRIPT = Path(__file__).with_name("kills.py")
+
+pytestmark = pytest.mark.skipif(not hasattr(__import__("os"), "fork"), reason="needs fork")
+
+
+def run(*options: str) -> str:
+    done = subprocess.run([sys.executable, str(SCRIPT), *options], capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr[-3000:]
+    return done.stdout
+
+
+def test_a_run_killed_at_a_few_moments_ends_with_the_same_maps():
+    text = run("--kills", "2", "--variants", "1")
+    assert "kills: 2" in text or "kills: 3" in text
+    assert "different or failed: 0" in text
+
+
+@pytest.mark.slow
+def test_many_kills_of_both_systems():
+    assert "different or failed: 0" in run("--kills", "40")

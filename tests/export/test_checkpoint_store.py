@@ -1,0 +1,157 @@
+import errno
+import json
+from pathlib import Path
+
+import pytest
+import torch
+
+from gsfusion_nb import files
+from gsfusion_nb.export import CheckpointStore
+from gsfusion_nb.files import DiskFullError
+
+
+def state(seed: int = 0) -> dict:
+    generator = torch.Generator().manual_seed(seed)
+    return {
+        "rows": torch.rand(50_000, 3, generator=generator),
+        "mask": torch.rand(9000, generator=generator) > 0.5,
+        "small": [torch.eye(4, dtype=torch.float64), torch.tensor(7), torch.zeros(0, 3)],
+        "one": torch.ones(1).expand(7)[:1],
+        "bits": torch.arange(5000, dtype=torch.float32).to(torch.bfloat16),
+        "plain": {
+            "n": 3,
+            "x": 0.1 + 0.2,
+            "inf": float("inf"),
+            "none": None,
+            "pair": (1, "zwei", [True, torch.ones(2)]),
+        },
+    }
+
+
+def same(a, b) -> bool:
+    if isinstance(a, torch.Tensor):
+        return a.dtype == b.dtype and torch.equal(a, b)
+    if isinstance(a, dict):
+        return a.keys() == b.keys() and all(same(a[k], b[k]) for k in a)
+    if isinstance(a, (list, tuple)):
+        return type(a) is type(b) and len(a) == len(b) and all(map(same, a, b))
+    return type(a) is type(b) and a == b
+
+
+def test_what_is_saved_comes_back(tmp_path):
+    store = CheckpointStore(tmp_path / "c")
+    assert not store.exists
+    store.save(state())
+    loaded = CheckpointStore(tmp_path / "c").load()
+    assert same(loaded.state, state())
+    assert (loaded.number, loaded.passed_over) == (1, "")
+
+
+def test_only_what_changed_is_written(tmp_path):
+    store, content = CheckpointStore(tmp_path), state()
+    first = store.save(content)
+    assert first.written_bytes == first.total_bytes > 600_000
+    content["rows"][10] = 5.0
+    second = store.save(content)
+    assert 0 < second.written_bytes <= 2 * 2**18
+    assert second.total_bytes == first.total_bytes
+    assert store.save(content).written_bytes == 0
+    assert same(store.load().state, content)
+    again = CheckpointStore(tmp_path)
+    again.load()
+    assert again.save(content).written_bytes == 0
+
+
+def test_what_is_constant_is_looked_at_once(tmp_path):
+    store, image, rows = CheckpointStore(tmp_path), torch.rand(300, 300), torch.rand(300, 300)
+    store.save({"image": image, "rows": rows}, constant=[image])
+    before = image.clone()
+    image += 1
+    rows += 1
+    store.save({"image": image, "rows": rows}, constant=[image])
+    back = store.load().state
+    assert torch.equal(back["image"], before)
+    assert torch.equal(back["rows"], rows)
+
+
+def test_files_are_written_anew_when_most_of_them_is_out_of_date(tmp_path):
+    store = CheckpointStore(tmp_path)
+    for seed in range(12):
+        saved = store.save(state(seed))
+        assert len(list(tmp_path.glob("*.json"))) <= 2
+    on_disk = sum(p.stat().st_size for p in tmp_path.glob("*.pieces"))
+    assert on_disk <= 3 * saved.total_bytes
+    assert same(store.load().state, state(11))
+    store.remove()
+    assert not tmp_path.exists()
+
+
+@pytest.mark.parametrize("name", ["000003.json", "000003.pieces"])
+@pytest.mark.parametrize("damage", ["truncated", "a flipped bit", "gone"])
+def test_a_damaged_checkpoint_is_recognised_and_the_one_before_is_used(tmp_path, name, damage):
+    store = CheckpointStore(tmp_path)
+    for seed in range(3):
+        store.save(state(seed))
+    path = tmp_path / name
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content[: len(content) // 2] if damage == "truncated" else content)
+    if damage == "gone":
+        path.unlink()
+    loaded = CheckpointStore(tmp_path).load()
+    assert loaded.number == 2
+    assert same(loaded.state, state(1))
+    assert bool(loaded.passed_over) == (damage != "gone" or name.endswith("pieces"))
+    for path in tmp_path.iterdir():
+        path.write_bytes(b"nonsense")
+    with pytest.raises(ValueError, match="cannot be used"):
+        CheckpointStore(tmp_path).load()
+    with pytest.raises(FileNotFoundError, match="holds no checkpoint"):
+        CheckpointStore(tmp_path / "other").load()
+
+
+def test_a_full_disk_leaves_the_last_checkpoint(tmp_path, monkeypatch):
+    store = CheckpointStore(tmp_path)
+    store.save(state(0))
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    for name in ("pieces", "json"):
+        flush = files._flush
+
+        def flush_most(file: Path, name=name, flush=flush):
+            return full() if file.suffix == f".{name}" else flush(file)
+
+        monkeypatch.setattr(files, "_flush", flush_most)
+        with pytest.raises(
+            DiskFullError, match=rf"000002\.{name} cannot be written: the disk is full; it needs at least"
+        ):
+            store.save(state(1))
+        monkeypatch.undo()
+        assert same(CheckpointStore(tmp_path).load().state, state(0))
+    monkeypatch.setattr(files, "free_space", lambda folder: 1000)
+    with pytest.raises(DiskFullError, match=r"needs at least 0\.6 MB, 0\.0 MB are free"):
+        store.save(state(1))
+    monkeypatch.undo()
+    assert store.save(state(1)).number == 2
+    assert same(store.load().state, state(1))
+
+
+def test_what_cannot_be_saved_is_named(tmp_path):
+    with pytest.raises(TypeError, match=r"state\['a'\]\[1\] must be a tensor, number"):
+        CheckpointStore(tmp_path).save({"a": [1, object()]})
+    with pytest.raises(TypeError, match="must have strings as keys, got 1"):
+        CheckpointStore(tmp_path).save({"a": {1: 2}})
+
+
+def test_another_version_is_refused(tmp_path):
+    import hashlib
+
+    CheckpointStore(tmp_path).save(state())
+    path = tmp_path / "000001.json"
+    document = json.loads(path.read_text().partition("\n")[2]) | {"version": 99}
+    text = json.dumps(document)
+    path.write_text(f"{hashlib.sha256(text.encode()).hexdigest()}\n{text}")
+    with pytest.raises(ValueError, match="not a gsfusion_nb checkpoint of version 2"):
+        CheckpointStore(tmp_path).load()

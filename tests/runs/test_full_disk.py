@@ -1,0 +1,79 @@
+"""A disk that is full costs no map that was made."""
+
+import contextlib
+import errno
+
+import pytest
+
+from gsfusion_nb import files
+from gsfusion_nb.files import DiskFullError, atomic_file, write_file
+from gsfusion_nb.runs import CheckpointEvery, resume_mapping, run_mapping
+
+resource = pytest.importorskip("resource")
+
+
+@contextlib.contextmanager
+def files_of_at_most(size: int):
+    """The system refuses larger files, as a quota does."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def test_the_message_names_file_need_and_space(tmp_path, monkeypatch):
+    write_file(tmp_path / "map.bin", b"old")
+    with files_of_at_most(10_000), pytest.raises(DiskFullError, match=r"map\.bin cannot be written: a file may not be"):
+        write_file(tmp_path / "map.bin", bytes(20_000))
+    assert (tmp_path / "map.bin").read_bytes() == b"old"
+    assert [p.name for p in tmp_path.iterdir()] == ["map.bin"]
+    monkeypatch.setattr(files, "free_space", lambda folder: 5_000_000)
+    with pytest.raises(DiskFullError, match=r"the disk is full; it needs at least 8\.0 MB, 5\.0 MB are free") as full:
+        atomic_file(tmp_path / "map.bin", size_bytes=8_000_000).__enter__()
+    assert full.value.errno == errno.ENOSPC
+
+
+def test_checkpoints_that_do_not_fit_do_not_end_the_run(tmp_path, small_room, config, caplog):
+    with files_of_at_most(200_000):
+        run = run_mapping(
+            "room", config, folder=tmp_path / "out", evaluate=False, checkpoints=CheckpointEvery(seconds=0, frames=2),
+            n_frames=120, width=80, height=60,
+        )  # fmt: skip
+    assert run.run.status == "complete"
+    assert "no checkpoint now" in caplog.text
+    assert "pieces cannot be written" in caplog.text
+    assert (run.folder / "gaussians.ply").exists()
+
+
+def test_maps_that_fit_are_kept_and_the_run_goes_on_when_there_is_room(tmp_path, config, monkeypatch):
+    from gsfusion_nb.runs import outputs
+
+    options = {"n_frames": 120, "width": 80, "height": 60}
+    whole = run_mapping("room", config, folder=tmp_path / "whole", evaluate=False, **options)
+    every = CheckpointEvery(seconds=0, frames=3)
+    write_gaussians = outputs.write_gaussian_ply
+
+    def full(path, params):
+        raise DiskFullError(errno.ENOSPC, f"{path} cannot be written: the disk is full; it needs at least 9.9 MB")
+
+    monkeypatch.setattr(outputs, "write_gaussian_ply", full)
+    with pytest.raises(DiskFullError, match=r"gaussians\.ply cannot be written: the disk is full") as failure:
+        run_mapping("room", config, folder=tmp_path / "out", evaluate=False, checkpoints=every, **options)
+    monkeypatch.setattr(outputs, "write_gaussian_ply", write_gaussians)
+    assert "gsfusion-nb map --resume" in " ".join(failure.value.__notes__)
+    assert (tmp_path / "out" / "mesh.ply").exists()
+    assert (tmp_path / "out" / "trajectory.txt").exists()
+    resumed = resume_mapping(tmp_path / "out", evaluate=False)
+    assert resumed.run.hashes == whole.run.hashes
+    assert resumed.run.warnings == []
+
+
+def test_little_space_is_said_at_the_start(tmp_path, small_room, config, monkeypatch):
+    from gsfusion_nb.runs import disk_need
+
+    monkeypatch.setattr(disk_need, "free_space", lambda folder: 1_000_000)
+    run = run_mapping(small_room, config, folder=tmp_path / "out", evaluate=False)
+    assert "only 1 MB are free at" in run.run.warnings[0]
+    assert "may need about" in run.run.warnings[0]
