@@ -219,16 +219,18 @@ def _rescue(run: MappingRun, place: RunFolder, stop: StopRequest, error: BaseExc
     run.warnings.append(f"ended by {type(error).__name__}: {error}")
     for half in filter(None, [run.mapper.guard.half_mapped]):
         run.warnings.append(half)
-    notes = []
-    try:
-        if run.steps and not run.mapper.guard.half_mapped:
-            _checkpoint(run, place, stop)
-        if run.steps and not isinstance(error, DiskFullError):
-            _save(run, place.path, stop)
-            notes = [f"The {len(run.steps)} frames mapped before are saved in {place.path}."]
-        _say(run, place, run.status)
-    except DiskFullError as e:
-        notes = [str(e)]
+    notes: list[str] = []
+    attempts: list[Callable[[], Any]] = [lambda: _say(run, place, run.status)]
+    if run.steps:
+        attempts = [lambda: _checkpoint(run, place, stop), lambda: _save(run, place.path, stop), *attempts]
+    for attempt in attempts:
+        try:
+            attempt()
+        except DiskFullError as e:
+            notes += [str(e)] if str(e) != str(error) else []
+    if run.steps:
+        saved = "saved" if not notes else "saved as far as there is room"
+        notes.insert(0, f"The {len(run.steps)} frames mapped before are {saved} in {place.path}.")
     if run.resumable and run.has_checkpoint(place.path):
         notes.append(f"To go on from the last checkpoint: gsfusion-nb map --resume {place.path}")
     if isinstance(error, torch.OutOfMemoryError):

@@ -1,5 +1,6 @@
 """The folder of a run: locked while the run writes to it, with a file that says how the run stands."""
 
+import contextlib
 import datetime
 import json
 import os
@@ -46,9 +47,13 @@ class RunFolder:
 
     def __exit__(self, *_: object) -> None:
         if self._handle >= 0:
-            (self.path / LOCK).unlink(missing_ok=True)
+            with contextlib.suppress(PermissionError):  # Windows: not while it is open
+                (self.path / LOCK).unlink(missing_ok=True)
             os.close(self._handle)
             self._handle = -1
+            with contextlib.suppress(OSError):
+                if os.name == "nt":
+                    (self.path / LOCK).unlink(missing_ok=True)
 
     def write_status(self, state: str, progress: dict[str, Any], **known: Any) -> None:
         """Say how the run stands: "running", "complete", "interrupted", "stopped" or "failed", and how far it is.
@@ -93,12 +98,24 @@ def new_folder(name: str, folder: Path | str | None = None) -> Path:
 
 
 def _refuse(path: Path) -> None:
-    """Raise ``FileExistsError``: something is at ``path``, perhaps a run that is going on, or was cut off."""
+    """Raise ``FileExistsError``: something is at ``path``, perhaps a run that is going on, or was cut off.
+
+    A run that was cut off before its first checkpoint left nothing that is worth anything: its files are removed.
+    """
     if (path / STATUS).is_file():
         with RunFolder(path):  # says who, if another run is writing to it
-            pass
+            if _holds_nothing(path):
+                for file in [*(path / CHECKPOINTS).glob("*"), path / STATUS, *path.glob(".*.partial*")]:
+                    file.unlink()
+                return
     hint = f"; to go on with the run in it: gsfusion-nb map --resume {path}" if (path / CHECKPOINTS).is_dir() else ""
     raise FileExistsError(f"{path} must be a new or empty folder, so that no earlier run is overwritten{hint}")
+
+
+def _holds_nothing(path: Path) -> bool:
+    """Nothing is in the folder but what a run writes before its first checkpoint."""
+    names = {p.name for p in path.iterdir() if not (p.name.startswith(".") and ".partial" in p.name)}
+    return names <= {STATUS, LOCK, CHECKPOINTS} and not any((path / CHECKPOINTS).glob("*.json"))
 
 
 def read_status(folder: Path) -> dict[str, Any]:

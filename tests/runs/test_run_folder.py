@@ -39,8 +39,24 @@ def test_a_run_that_was_cut_off_is_taken_over_with_a_sentence(tmp_path):
     with RunFolder(tmp_path) as second:
         assert f"process {os.getpid()} on {platform.node()}" in second.taken_over
         assert "was cut off; its run goes on from the last checkpoint" in second.taken_over
-    with pytest.raises(FileExistsError, match="must be a new or empty folder, so that no earlier run is overwritten"):
+    (tmp_path / "checkpoint").mkdir()
+    (tmp_path / "checkpoint" / "000001.json").write_text("")
+    with pytest.raises(FileExistsError, match=r"must be a new or empty folder.*gsfusion-nb map --resume"):
         new_folder("x", tmp_path)
+
+
+def test_a_run_cut_off_before_its_first_checkpoint_can_be_begun_anew(tmp_path):
+    with RunFolder(tmp_path / "out") as first:
+        first.write_status("running", PROGRESS)
+    (tmp_path / "out" / "checkpoint").mkdir()
+    for name in ("checkpoint/000001.pieces", ".gaussians.0011.partial.ply"):
+        (tmp_path / "out" / name).write_text("")
+    assert new_folder("x", tmp_path / "out") == tmp_path / "out"
+    assert [p.name for p in (tmp_path / "out").rglob("*")] == ["checkpoint"]
+    (tmp_path / "out" / "status.json").write_text("{}")
+    (tmp_path / "out" / "gaussians.ply").write_text("precious")
+    with pytest.raises(FileExistsError, match="must be a new or empty folder, so that no earlier run is overwritten"):
+        new_folder("x", tmp_path / "out")
 
 
 @pytest.mark.parametrize(
