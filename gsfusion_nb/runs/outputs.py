@@ -33,7 +33,7 @@ from .memory import mesh_when_full
 from .posed_frames import frames_in_map, ground_truth_poses, readable_frames
 from .report_data import FrameRow, ReportData, ReportView
 from .report_page import write_report
-from .scored_views import score_in_map, scored_views
+from .scored_views import VIEWS, score_in_map, scored_views, views_as_json
 
 FILES = {
     "gaussians.ply": "Gaussian map, standard 3DGS layout: SuperSplat, antimatter15/splat, Blender and Unity plug-ins",
