@@ -18,23 +18,36 @@ struct View {
     int base[3];         // that block
 };
 
+// Of the camera: pixel (x, y) has the ray ((x + x_offset) / fx, (y + y_offset) / fy, 1).
+struct Rays {
+    int width, height;
+    float fx, fy, x_offset, y_offset;
+};
+
+// Which depths take part, half the width of the band, the outlier guard's largest relative difference (guard: whether
+// it is used); ray: whether the band is measured along the ray.
+struct Limits {
+    float near_m, far_m, truncation_m, outlier_ratio;
+    int guard, ray;
+};
+
+enum { KEYS, INSUFFICIENT };  // the counts: keys in the list; not 0 if the set was too small or a key out of range
 
 struct Set {
     unsigned long long* table;
     unsigned long long* list;
-    int* count;          // keys in the list; not 0 if the set was too small or a key out of range
+    int* count;          // see KEYS and INSUFFICIENT
     int mask, room;
 };
 
 // Whether one of the eight neighbours lies within a part of the pixel's own depth.
-__device__ __forceinline__ bool supported(
-    const float* depth, int x, int y, int width, int height, float d, float ratio) {
+__device__ __forceinline__ bool supported(const float* depth, int x, int y, const Rays& rays, float d, float ratio) {
     const float tolerance = ratio * d;
     bool found = false;
     for (int k = 0; k < 9; k++) {
         const int i = x + k % 3 - 1, j = y + k / 3 - 1;
-        if (k != 4 && i >= 0 && i < width && j >= 0 && j < height)
-            found = found || fabsf(d - depth[(long long)j * width + i]) < tolerance;
+        if (k != 4 && i >= 0 && i < rays.width && j >= 0 && j < rays.height)
+            found = found || fabsf(d - depth[(long long)j * rays.width + i]) < tolerance;
     }
     return found;
 }
@@ -49,16 +62,16 @@ __device__ __forceinline__ void enter(const Set& set, unsigned long long* recent
         if (held == EMPTY) held = atomicCAS(&set.table[slot], EMPTY, key);
         if (held == key) return;
         if (held == EMPTY) {
-            const int at = atomicAdd(&set.count[0], 1);
+            const int at = atomicAdd(&set.count[KEYS], 1);
             if (at < set.room)
                 set.list[at] = key;
             else
-                set.count[1] = 1;
+                set.count[INSUFFICIENT] = 1;
             return;
         }
         slot = (slot + 1) & (unsigned)set.mask;
     }
-    set.count[1] = 1;
+    set.count[INSUFFICIENT] = 1;
 }
 
 // The key of cell (x, y, z), relative to the camera's block; marks the set as insufficient if it does not fit.
@@ -67,7 +80,7 @@ __device__ __forceinline__ unsigned long long key_of(const Set& set, const View&
 #pragma unroll
     for (int a = 0; a < 3; a++) {
         const int shifted = cell[a] + view.base[a] + OFFSET;
-        if (shifted < 0 || shifted >= 2 * OFFSET) set.count[1] = 1;
+        if (shifted < 0 || shifted >= 2 * OFFSET) set.count[INSUFFICIENT] = 1;
         key = key << 21 | (unsigned long long)(shifted & (2 * OFFSET - 1));
     }
     return key;
@@ -103,22 +116,17 @@ __device__ __forceinline__ void walk(
 }
 
 extern "C" __global__ void __launch_bounds__(256) band_blocks(
-    const float* depth, unsigned long long* table, unsigned long long* list, int* count, int mask, int room, int width,
-    int height, float fx, float fy, float x_offset, float y_offset, float near_m, float far_m, float truncation,
-    float ratio, int guard, int ray, float r0, float r1, float r2, float r3, float r4, float r5, float r6, float r7,
-    float r8, float o0, float o1, float o2, int b0, int b1, int b2) {
+    const float* depth, Rays rays, Limits limits, View view, Set set) {
     __shared__ unsigned long long recent[RECENT];
     for (int i = threadIdx.x; i < RECENT; i += blockDim.x) recent[i] = EMPTY;
     __syncthreads();
-    const View view = {{r0, r1, r2, r3, r4, r5, r6, r7, r8}, {o0, o1, o2}, {b0, b1, b2}};
-    const Set set = {table, list, count, mask, room};
     const int x = blockIdx.x * EDGE + threadIdx.x % EDGE, y = blockIdx.y * EDGE + threadIdx.x / EDGE;
-    if (x >= width || y >= height) return;
-    const float d = depth[(long long)y * width + x];
-    if (!(d > 0.0f && d >= near_m && d <= far_m)) return;
-    if (guard && !supported(depth, x, y, width, height, d, ratio)) return;
-    const float sx = ((float)x + x_offset) / fx, sy = ((float)y + y_offset) / fy;
-    const float half = ray ? truncation / sqrtf(sx * sx + sy * sy + 1.0f) : truncation;
+    if (x >= rays.width || y >= rays.height) return;
+    const float d = depth[(long long)y * rays.width + x];
+    if (!(d > 0.0f && d >= limits.near_m && d <= limits.far_m)) return;
+    if (limits.guard && !supported(depth, x, y, rays, d, limits.outlier_ratio)) return;
+    const float sx = ((float)x + rays.x_offset) / rays.fx, sy = ((float)y + rays.y_offset) / rays.fy;
+    const float half = limits.ray ? limits.truncation_m / sqrtf(sx * sx + sy * sy + 1.0f) : limits.truncation_m;
     const float direction[3] = {
         view.R[0] * sx + view.R[1] * sy + view.R[2], view.R[3] * sx + view.R[4] * sy + view.R[5],
         view.R[6] * sx + view.R[7] * sy + view.R[8]};

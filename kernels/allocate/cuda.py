@@ -3,6 +3,9 @@
 The host waits once, for the number of blocks (and for the pose, if that is not in its memory).
 """
 
+import ctypes
+from typing import Annotated, NamedTuple
+
 import torch
 from torch import Tensor
 
@@ -13,11 +16,52 @@ from gsfusion_nb.tsdf.morton import BITS, OFFSET
 from gsfusion_nb.tsdf.volume import TsdfVolume
 from gsfusion_nb.types import Frame
 
-from ..runtime.cuda.launch import check_dtype, device_of, launch, packed, parts
+from ..runtime.cuda.launch import device_of, launch
+from ..runtime.gpu import check_dtype, packed, parts
 
 _EDGE = 16
 _FIRST_SLOTS, _MOST_SLOTS = 1 << 17, 1 << 26
 """Size of the hash set: a power of two, at most half full, eight times larger when it was too small."""
+
+
+class Rays(NamedTuple):
+    """Pixel (x, y) has the ray ((x + x_offset) / fx, (y + y_offset) / fy, 1)."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    x_offset: float
+    y_offset: float
+
+
+class Limits(NamedTuple):
+    """Which depths take part, the band around them, metres, and how both are decided."""
+
+    near_m: float
+    far_m: float
+    truncation_m: float
+    outlier_ratio: float
+    guard: bool
+    ray: bool
+
+
+class View(NamedTuple):
+    """Rows of R_WC, blocks per metre; the camera's centre in its own block; that block."""
+
+    R: Annotated[list[float], ctypes.c_float * 9]
+    origin: Annotated[list[float], ctypes.c_float * 3]
+    base: Annotated[list[int], ctypes.c_int * 3]
+
+
+class Set(NamedTuple):
+    """The hash set, the list of its keys, the counts of both (``allocate.cu``), and their sizes."""
+
+    table: Tensor
+    list: Tensor
+    count: Tensor
+    mask: int
+    room: int
 
 
 def band_blocks(volume: TsdfVolume, frame: Frame) -> Tensor:
@@ -32,18 +76,35 @@ def band_blocks(volume: TsdfVolume, frame: Frame) -> Tensor:
     if float(base.abs().max()) >= OFFSET:
         return reference.reference(volume, frame)
     depth_m = packed(frame.depth_m)
-    view = [*(T[:3, :3] / volume.block_size_m).flatten().tolist(), *(position - base).tolist(), *base.int().tolist()]
+    view = View(
+        R=(T[:3, :3] / volume.block_size_m).flatten().tolist(),
+        origin=(position - base).tolist(),
+        base=base.int().tolist(),
+    )
+    rays = Rays(
+        width=camera.width,
+        height=camera.height,
+        fx=camera.fx,
+        fy=camera.fy,
+        x_offset=0.5 - camera.cx,
+        y_offset=0.5 - camera.cy,
+    )
+    limits = Limits(
+        near_m=config.near_m,
+        far_m=config.far_m,
+        truncation_m=config.truncation_m,
+        outlier_ratio=OUTLIER_RATIO,
+        guard=config.outlier_guard,
+        ray=config.sdf == "ray",
+    )
+    tiles = parts(camera.width, _EDGE), parts(camera.height, _EDGE)
     slots = _FIRST_SLOTS
     while slots <= _MOST_SLOTS:
         table = torch.full((slots,), -1, dtype=torch.int64, device=device)
         found = torch.empty(slots // 2, dtype=torch.int64, device=device)
         count = torch.zeros(2, dtype=torch.int32, device=device)
-        launch(
-            "band_blocks", "allocate:band_blocks", (parts(camera.width, _EDGE), parts(camera.height, _EDGE)), _EDGE**2,
-            depth_m, table, found, count, slots - 1, slots // 2, camera.width, camera.height, float(camera.fx),
-            float(camera.fy), 0.5 - camera.cx, 0.5 - camera.cy, float(config.near_m), float(config.far_m),
-            float(config.truncation_m), OUTLIER_RATIO, config.outlier_guard, config.sdf == "ray", *view,
-        )  # fmt: skip
+        entries = Set(table=table, list=found, count=count, mask=slots - 1, room=slots // 2)
+        launch("band_blocks", "allocate:band_blocks", tiles, _EDGE**2, depth_m, rays, limits, view, entries)
         n, insufficient = count.tolist()
         if not insufficient:
             key = found[:n].sort().values

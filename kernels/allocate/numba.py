@@ -7,6 +7,7 @@ The rays, pieces and roundings are the reference's, so the set of blocks is the 
 # pyright: reportCallIssue=false
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -49,6 +50,27 @@ _MAP_CELLS = 1 << 24
 """Largest box marked in a byte map; float32 counts exactly up to here. The reference handles larger ones."""
 
 
+_NEAREST, _FARTHEST, _LONGEST = range(3)
+"""Rows of what a task finds out about its bands: smallest near end, largest far end, greatest length, metres."""
+
+
+class Limits(NamedTuple):
+    """Float32: which depths take part, metres; half the width of the band, metres; the largest difference between
+    neighbours that support each other, as a share of the depth."""
+
+    near: np.float32
+    far: np.float32
+    truncation: np.float32
+    outlier_ratio: np.float32
+
+
+class View(NamedTuple):
+    """Rows of R_WC, blocks per metre, and the camera's centre, blocks from the corner of the box; float32."""
+
+    R: np.ndarray
+    origin: np.ndarray
+
+
 def band_blocks(volume: TsdfVolume, frame: Frame) -> Tensor:
     """See ``gsfusion_nb.tsdf.band_blocks``."""
     depth_m, config, camera = frame.depth_m, volume.config, frame.camera
@@ -59,21 +81,27 @@ def band_blocks(volume: TsdfVolume, frame: Frame) -> Tensor:
     x, y = ray_slopes(camera)
     slopes = np.zeros(-(-width // 16) * 16, np.float32), y.numpy()
     slopes[0][:width] = x.numpy()
-    limits = np.array([config.near_m, config.far_m, config.truncation_m, OUTLIER_RATIO], np.float32)
+    limits = Limits(
+        near=f32(config.near_m),
+        far=f32(config.far_m),
+        truncation=f32(config.truncation_m),
+        outlier_ratio=f32(OUTLIER_RATIO),
+    )
     along_ray = config.sdf == "ray"
     depth = np.empty((height, len(slopes[0])), np.float32)
     extents = np.empty((-(-height // _ROWS), 3, 16), np.float32)
     with launching():
         _usable(depth_m.detach().contiguous().numpy(), *slopes, limits, config.outlier_guard, along_ray, depth, extents)
-        z_near, z_far, length = float(extents[:, 0].min()), float(extents[:, 1].max()), float(extents[:, 2].max())
+        z_near, z_far = float(extents[:, _NEAREST].min()), float(extents[:, _FARTHEST].max())
         if z_far < 0:
             return torch.zeros(0, 3, dtype=torch.int64)
         box = block_box(volume, frame, z_near, z_far)
         if math.prod(box.size) > _MAP_CELLS:
             return reference.reference(volume, frame)
-        view = np.array([*box.R, box.origin], np.float32)
+        view = View(R=np.array(box.R, np.float32), origin=np.array(box.origin, np.float32))
         marks = np.zeros(math.prod(box.size) // 8 * 8 + 8, np.uint8)
-        _crossed(depth, slopes, limits[2], view, np.array(box.size), box.pieces(length), along_ray, marks)
+        pieces = box.pieces(float(extents[:, _LONGEST].max()))
+        _crossed(depth, slopes, limits.truncation, view, np.array(box.size), pieces, along_ray, marks)
         cells = _cells(marks, np.array(box.size))
     return torch.from_numpy(cells) + box.low
 
@@ -93,7 +121,7 @@ def _band(d, x, y, truncation, along_ray):
 def _usable(depth, x, y, limits, outlier_guard, along_ray, result, extents):
     """Depth in rows of full vectors, -1 where it takes no part.
 
-    ``extents`` [tasks, 3, 16]: smallest near end, largest far end and longest of the bands, metres.
+    ``extents`` [tasks, 3, 16]: see ``_NEAREST``; the extreme of each lane.
     """
     height, width = depth.shape
     stride = result.shape[1]
@@ -108,7 +136,8 @@ def _usable(depth, x, y, limits, outlier_guard, along_ray, result, extents):
         nearest, farthest = splat(_INFINITE), splat(_NOT_USED)
         longest = farthest
         zero, not_used = splat(_ZERO), splat(_NOT_USED)
-        near_m, far_m, truncation, ratio = splat(limits[0]), splat(limits[1]), splat(limits[2]), splat(limits[3])
+        near_m, far_m, truncation = splat(limits.near), splat(limits.far), splat(limits.truncation)
+        ratio = splat(limits.outlier_ratio)
         for i in range(first, last):
             row = result[i]
             for j in range(0, stride, 16):
@@ -126,25 +155,26 @@ def _usable(depth, x, y, limits, outlier_guard, along_ray, result, extents):
                 farthest = maximum(farthest, select(used, far, not_used))
                 longest = maximum(longest, select(used, times(far - near, length), not_used))
                 store(row, j, select(used, d, not_used))
-        store(extents[task, 0], 0, nearest)
-        store(extents[task, 1], 0, farthest)
-        store(extents[task, 2], 0, longest)
+        store(extents[task, _NEAREST], 0, nearest)
+        store(extents[task, _FARTHEST], 0, farthest)
+        store(extents[task, _LONGEST], 0, longest)
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
 def _crossed(depth, slopes, truncation, view, size, pieces, along_ray, marks):
-    """Mark the cells of the box that the bands pass through; ``view`` is R by rows, then the origin.
+    """Mark the cells of the box that the bands pass through.
 
     Threads share the map: each only ever writes ones.
     """
     height, stride = depth.shape
     x, y = slopes
+    R, origin = view.R, view.origin
     n = size[0] * size[1] * size[2]
     for task in prange((height + _ROWS - 1) // _ROWS):
         zero, half, nowhere = splat(_ZERO), splat(_HALF), splat(f32(n))
         late, early = splat(_TWO), splat(_NOT_USED)
         band = splat(truncation)
-        ox, oy, oz = splat(view[3, 0]), splat(view[3, 1]), splat(view[3, 2])
+        ox, oy, oz = splat(origin[0]), splat(origin[1]), splat(origin[2])
         stride_x, stride_y = splat(f32(size[1] * size[2])), splat(f32(size[2]))
         for i in range(task * _ROWS, min(height, task * _ROWS + _ROWS)):
             row, slope_y = depth[i], splat(y[i])
@@ -155,9 +185,9 @@ def _crossed(depth, slopes, truncation, view, size, pieces, along_ray, marks):
                     continue
                 sx = load(x, j)
                 near, far, _ = _band(d, sx, slope_y, band, along_ray)
-                dx = times(splat(view[0, 0]), sx) + times(splat(view[0, 1]), slope_y) + splat(view[0, 2])
-                dy = times(splat(view[1, 0]), sx) + times(splat(view[1, 1]), slope_y) + splat(view[1, 2])
-                dz = times(splat(view[2, 0]), sx) + times(splat(view[2, 1]), slope_y) + splat(view[2, 2])
+                dx = times(splat(R[0, 0]), sx) + times(splat(R[0, 1]), slope_y) + splat(R[0, 2])
+                dy = times(splat(R[1, 0]), sx) + times(splat(R[1, 1]), slope_y) + splat(R[1, 2])
+                dz = times(splat(R[2, 0]), sx) + times(splat(R[2, 1]), slope_y) + splat(R[2, 2])
                 px, py, pz = times(dx, near) + ox, times(dy, near) + oy, times(dz, near) + oz
                 cx, cy, cz = floor(px), floor(py), floor(pz)
                 number = select(used, cx * stride_x + cy * stride_y + cz, nowhere)

@@ -23,9 +23,15 @@ from gsfusion_nb.types import Frame
 
 from ..runtime.slopes import ray_slopes
 from ..runtime.triton.launch import device_of, launch, parts
+from ..runtime.triton.vectors import load3
 from .block_box import block_box
 
 _BLOCK = 256
+_NEAREST, _FARTHEST, _LONGEST = (tl.constexpr(row) for row in range(3))
+"""Rows of what a program finds out about its bands: smallest near end, largest far end, greatest length, metres."""
+
+_ORIGIN = tl.constexpr(9)
+"""Place of the origin in the view, behind the nine entries of R."""
 _MAP_CELLS = 1 << 28
 """Largest box marked in a byte map. The reference handles larger ones."""
 
@@ -42,14 +48,32 @@ def band_blocks(volume: TsdfVolume, frame: Frame) -> Tensor:
     total = depth_m.numel()
     programs = parts(total, _BLOCK)
     depth, extents = torch.empty_like(depth_m), torch.empty(3, programs, dtype=torch.float32, device=device)
-    slopes = ray_slopes(camera, device)
-    options = {"RAY": config.sdf == "ray", "BLOCK": _BLOCK, "num_warps": 4}
-    limits = (float(config.near_m), float(config.far_m), float(config.truncation_m), OUTLIER_RATIO)
+    x_slope, y_slope = ray_slopes(camera, device)
+    shared = {
+        "depth": depth,
+        "x_slope": x_slope,
+        "y_slope": y_slope,
+        "width": camera.width,
+        "truncation": float(config.truncation_m),
+        "RAY": config.sdf == "ray",
+        "BLOCK": _BLOCK,
+        "num_warps": 4,
+    }
     launch(
-        _usable, programs, device, depth_m, *slopes, depth, extents, camera.width, camera.height, *limits,
-        GUARD=config.outlier_guard, **options,
-    )  # fmt: skip
-    z_near, z_far, length = torch.stack([extents[0].amin(), *extents[1:].amax(1)]).tolist()
+        _usable,
+        programs,
+        device,
+        depth_m=depth_m,
+        extents=extents,
+        height=camera.height,
+        near_m=float(config.near_m),
+        far_m=float(config.far_m),
+        ratio=OUTLIER_RATIO,
+        GUARD=config.outlier_guard,
+        **shared,
+    )
+    nearest, farthest, longest = (extents[row.value] for row in (_NEAREST, _FARTHEST, _LONGEST))
+    z_near, z_far, length = torch.stack([nearest.amin(), farthest.amax(), longest.amax()]).tolist()
     if z_far < 0:
         return torch.zeros(0, 3, dtype=torch.int64, device=device)
     box = block_box(volume, dataclasses.replace(frame, T_WC=pose), z_near, z_far)
@@ -58,12 +82,21 @@ def band_blocks(volume: TsdfVolume, frame: Frame) -> Tensor:
         return reference.reference(volume, frame)
     view = torch.tensor([*(x for row in box.R for x in row), *box.origin], dtype=torch.float32).to(device)
     marks = torch.zeros(cells, dtype=torch.uint8, device=device)
+    nx, ny, nz = box.size
     launch(
-        _mark_bands, programs, device, depth, *slopes, view, marks, camera.width, total, float(config.truncation_m),
-        box.pieces(length), *box.size, **options,
-    )  # fmt: skip
+        _mark_bands,
+        programs,
+        device,
+        view=view,
+        marks=marks,
+        total=total,
+        pieces=box.pieces(length),
+        nx=nx,
+        ny=ny,
+        nz=nz,
+        **shared,
+    )
     number = marks.nonzero()[:, 0]
-    _, ny, nz = box.size
     return torch.stack([number // (ny * nz), number // nz % ny, number % nz], dim=1) + box.low.to(device)
 
 
@@ -82,7 +115,7 @@ def _usable(
     depth_m, x_slope, y_slope, depth, extents, width, height, near_m, far_m, truncation, ratio,
     GUARD: tl.constexpr, RAY: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """Depth, -1 where it takes no part; smallest near end, largest far end and longest band of each program."""
+    """Depth, -1 where it takes no part; ``extents`` [3, programs], see ``_NEAREST``."""
     at = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     here = at < width * height
     i, j = at % width, at // width
@@ -101,9 +134,9 @@ def _usable(
     near, far, length = _band(d, x, y, truncation, RAY)
     tl.store(depth + at, tl.where(used, d, -1.0), mask=here)
     n, part = tl.num_programs(0), tl.program_id(0)
-    tl.store(extents + part, tl.min(tl.where(used, near, float("inf")), axis=0))
-    tl.store(extents + n + part, tl.max(tl.where(used, far, -1.0), axis=0))
-    tl.store(extents + 2 * n + part, tl.max(tl.where(used, (far - near) * length, -1.0), axis=0))
+    tl.store(extents + _NEAREST * n + part, tl.min(tl.where(used, near, float("inf")), axis=0))
+    tl.store(extents + _FARTHEST * n + part, tl.max(tl.where(used, far, -1.0), axis=0))
+    tl.store(extents + _LONGEST * n + part, tl.max(tl.where(used, (far - near) * length, -1.0), axis=0))
 
 
 @triton.jit
@@ -131,10 +164,11 @@ def _mark_bands(
     i, j = tl.where(used, at % width, 0), tl.where(used, at // width, 0)
     x, y = tl.load(x_slope + i), tl.load(y_slope + j)
     near, far, _ = _band(d, x, y, truncation, RAY)
-    dx = tl.load(view) * x + tl.load(view + 1) * y + tl.load(view + 2)
-    dy = tl.load(view + 3) * x + tl.load(view + 4) * y + tl.load(view + 5)
-    dz = tl.load(view + 6) * x + tl.load(view + 7) * y + tl.load(view + 8)
-    ox, oy, oz = tl.load(view + 9), tl.load(view + 10), tl.load(view + 11)
+    r0, r1, r2 = load3(view, 0, True)
+    r3, r4, r5 = load3(view, 1, True)
+    r6, r7, r8 = load3(view, 2, True)
+    dx, dy, dz = r0 * x + r1 * y + r2, r3 * x + r4 * y + r5, r6 * x + r7 * y + r8
+    ox, oy, oz = load3(view + _ORIGIN, 0, True)
     px, py, pz = dx * near + ox, dy * near + oy, dz * near + oz
     cx, cy, cz = tl.floor(px), tl.floor(py), tl.floor(pz)
     _mark(marks, cx, cy, cz, ny, nz, used)

@@ -3,36 +3,32 @@
 import numpy as np
 from numba import njit, prange
 
-from ..composite.numba import TILE
-from ..project.numba import CHUNK, ROOM, tiles_of
+from ..composite.numba import TILE, PairLists
+from ..project.numba import CHUNK, NOTED_PER_CHUNK, tiles_of
 from ..project.splat import DEPTH
-from ..runtime.numba.dealing import deal_size, dealt
+from ..runtime.numba.cyclic import cyclic_size, cyclic_task
+from .tile_windows import FIRST_X, FIRST_Y, LAST_X, LAST_Y, TileWindows
 
 
 @njit(cache=True, error_model="numpy")
 def tile_windows(pixels, width, height):
-    """Where there are pixels to be drawn: ``(windows, sums)``. pixels: bool [H, W], or [0, 0] for all.
-
-    windows: int32 [tiles, 4], first and last column, first and last row of those in a tile, in pixels of the image; in
-    a tile without any, the first is behind the last. [0, 4] if all are to be drawn.
-    sums: int32 [tiles_y + 1, tiles_x + 1], sums[j, i] is the number of tiles with any above row j and left of column i.
-    """
+    """Where there are pixels to be drawn. pixels: bool [H, W], or [0, 0] for all."""
     tiles_x, tiles_y = (width + TILE - 1) // TILE, (height + TILE - 1) // TILE
     masked = pixels.shape[0] > 0
     windows = np.empty((tiles_x * tiles_y if masked else 0, 4), np.int32)
-    windows[:, 0], windows[:, 1], windows[:, 2], windows[:, 3] = width, -1, height, -1
+    windows[:, FIRST_X], windows[:, LAST_X], windows[:, FIRST_Y], windows[:, LAST_Y] = width, -1, height, -1
     for y in range(pixels.shape[0]):
         for x in range(width):
             if pixels[y, x]:
                 window = windows[(y // TILE) * tiles_x + x // TILE]
-                window[0], window[1] = min(window[0], x), max(window[1], x)
-                window[2], window[3] = min(window[2], y), y
+                window[FIRST_X], window[LAST_X] = min(window[FIRST_X], x), max(window[LAST_X], x)
+                window[FIRST_Y], window[LAST_Y] = min(window[FIRST_Y], y), y
     sums = np.zeros((tiles_y + 1, tiles_x + 1), np.int32)
     for ty in range(tiles_y):
         for tx in range(tiles_x):
-            here = 1 if not masked or windows[ty * tiles_x + tx, 1] >= 0 else 0
+            here = 1 if not masked or windows[ty * tiles_x + tx, LAST_X] >= 0 else 0
             sums[ty + 1, tx + 1] = here + sums[ty, tx + 1] + sums[ty + 1, tx] - sums[ty, tx]
-    return windows, sums
+    return TileWindows(windows, sums)
 
 
 @njit(cache=True, error_model="numpy")
@@ -70,14 +66,14 @@ def list_tiles(splats, start, noted, width, height, windows, pair_tile):
     """Numbers of the tiles each splat is listed in, row i in ``pair_tile[start[i]:start[i + 1]]``."""
     N = splats.shape[0]
     n_parts = (N + CHUNK - 1) // CHUNK
-    for k_part in prange(deal_size(n_parts)):
-        part = dealt(k_part, n_parts)
+    for k_part in prange(cyclic_size(n_parts)):
+        part = cyclic_task(k_part, n_parts)
         if part >= n_parts:
             continue
         first, end = part * CHUNK, min(N, part * CHUNK + CHUNK)
         n = start[end] - start[first]
-        if n <= ROOM:
-            pair_tile[start[first] : start[end]] = noted[part * ROOM : part * ROOM + n]
+        if n <= NOTED_PER_CHUNK:
+            pair_tile[start[first] : start[end]] = noted[part * NOTED_PER_CHUNK : part * NOTED_PER_CHUNK + n]
             continue
         for i in range(first, end):
             if start[i + 1] > start[i]:
@@ -86,10 +82,7 @@ def list_tiles(splats, start, noted, width, height, windows, pair_tile):
 
 @njit(cache=True, error_model="numpy")
 def sort_pairs(order, start, pair_tile, n_tiles):
-    """Counting sort of the pairs by tile, depth order kept: ``(ids, slot, offset)``.
-
-    ids: splat of each sorted pair. slot: its place in ``pair_tile``, contiguous per splat. offset: [n_tiles + 1].
-    """
+    """Counting sort of the pairs by tile, depth order kept; a pair's slot is its place in ``pair_tile``."""
     offset = np.zeros(n_tiles + 1, np.int32)
     for k in range(pair_tile.shape[0]):
         offset[pair_tile[k] + 1] += 1
@@ -102,4 +95,4 @@ def sort_pairs(order, start, pair_tile, n_tiles):
             place = cursor[pair_tile[k]]
             cursor[pair_tile[k]] += 1
             ids[place], slot[place] = row, k
-    return ids, slot, offset
+    return PairLists(ids, offset, slot)

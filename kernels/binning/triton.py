@@ -1,8 +1,6 @@
 """Lists of the splats that touch each tile, nearest first: count, sum up, list, sort by tile.
 
-Splats are sorted by depth once, the (splat, tile) pairs are listed in that order, and a stable sort by tile number
-keeps it: two sorts with short keys. A splat's tiles are those of the reference, ``render.tiles``: the ellipse
-alpha = 1/255, cut by each row of tiles. The number of pairs is the only value the host waits for.
+A splat's tiles are those of the reference, ``render.tiles``: the ellipse alpha = 1/255, cut by each row of tiles.
 """
 
 # pyright: reportCallIssue=false, reportArgumentType=false, reportOperatorIssue=false, reportIndexIssue=false
@@ -18,8 +16,10 @@ from gsfusion_nb.constants import ALPHA_MIN
 from gsfusion_nb.types import Camera
 
 from ..composite.triton import TILE
+from ..project.triton import CONIC_A, CONIC_B, CONIC_C, EXTENT_U, EXTENT_V, LN_OPACITY, SPLAT, U, V
 from ..runtime.triton.launch import launch, parts
-from .tile_lists import TileLists, active_tiles, empty_pairs, sort_pairs
+from . import host
+from .host import Pairs, TileGrid, TileLists, active_tiles
 
 _BLOCK = 128
 _LOG_ALPHA_MIN = tl.constexpr(math.log(ALPHA_MIN))
@@ -28,25 +28,43 @@ _SLACK = tl.constexpr(1e-2)
 
 def list_tiles(splats: Tensor, depth: Tensor, camera: Camera, pixels: Tensor | None) -> TileLists:
     """Lists of all splats with a finite depth; empty in tiles without any of ``pixels``."""
-    device, N = splats.device, len(splats)
-    tiles_x, tiles_y = parts(camera.width, TILE), parts(camera.height, TILE)
-    n_tiles = tiles_x * tiles_y
+    grid = TileGrid(width=camera.width, height=camera.height, edge=TILE)
     rank, column = (splats, splats) if pixels is None else _active_columns(pixels)
-    size = (camera.width, camera.height, tiles_x)
-    options = {"MASKED": pixels is not None, "TILE": TILE, "BLOCK": _BLOCK, "num_warps": 4}
-    count = torch.empty(N, dtype=torch.int32, device=device)
-    launch(_count, parts(N, _BLOCK), device, splats, depth, rank, count, N, *size, **options)
-    order = torch.sort(depth, stable=True).indices
-    ordered = count.index_select(0, order)
-    end = ordered.cumsum(0)  # int64
-    total = int(end[-1]) if N else 0
-    tile, ids = empty_pairs(total, n_tiles, device)
-    nth = torch.repeat_interleave(ordered, output_size=total)
-    launch(
-        _list, parts(total, _BLOCK), device, splats, nth, order, end, count, rank, column, tile, ids, total, n_tiles,
-        *size, **options,
-    )  # fmt: skip
-    return sort_pairs(tile, ids, tiles_x, tiles_y)
+    shared = {
+        "splats": splats,
+        "rank": rank,
+        "width": grid.width,
+        "height": grid.height,
+        "tiles_x": grid.tiles_x,
+        "MASKED": pixels is not None,
+        "TILE": TILE,
+        "BLOCK": _BLOCK,
+        "num_warps": 4,
+    }
+
+    def count_tiles(count: Tensor) -> None:
+        N = len(splats)
+        launch(_count, parts(N, _BLOCK), splats.device, depth=depth, count=count, N=N, **shared)
+
+    def write_pairs(pairs: Pairs) -> None:
+        total = len(pairs.ids)
+        launch(
+            _list,
+            parts(total, _BLOCK),
+            splats.device,
+            nth=torch.repeat_interleave(pairs.ordered_count, output_size=total),
+            order=pairs.order,
+            end=pairs.end,
+            count=pairs.count,
+            column=column,
+            tile=pairs.tile,
+            ids=pairs.ids,
+            total=total,
+            n_tiles=grid.n_tiles,
+            **shared,
+        )
+
+    return host.list_tiles(depth, grid, count_tiles, write_pairs)
 
 
 def _active_columns(pixels: Tensor) -> tuple[Tensor, Tensor]:
@@ -84,13 +102,18 @@ def _columns(u, v, e_u, e_v, A, B, C, ln_o, ty, width, TILE: tl.constexpr):
 
 @triton.jit
 def _load_ellipse(splats, g, mask):
-    s = splats + g * 12
+    """Centre, extents, conic and ln(opacity) of splats."""
+    s = splats + g * SPLAT
     return (
-        tl.load(s, mask=mask, other=0.0), tl.load(s + 1, mask=mask, other=0.0),
-        tl.load(s + 10, mask=mask, other=0.0), tl.load(s + 11, mask=mask, other=0.0),
-        tl.load(s + 2, mask=mask, other=1.0), tl.load(s + 3, mask=mask, other=0.0),
-        tl.load(s + 4, mask=mask, other=1.0), tl.load(s + 5, mask=mask, other=0.0),
-    )  # fmt: skip
+        tl.load(s + U, mask=mask, other=0.0),
+        tl.load(s + V, mask=mask, other=0.0),
+        tl.load(s + EXTENT_U, mask=mask, other=0.0),
+        tl.load(s + EXTENT_V, mask=mask, other=0.0),
+        tl.load(s + CONIC_A, mask=mask, other=1.0),
+        tl.load(s + CONIC_B, mask=mask, other=0.0),
+        tl.load(s + CONIC_C, mask=mask, other=1.0),
+        tl.load(s + LN_OPACITY, mask=mask, other=0.0),
+    )
 
 
 @triton.jit(do_not_specialize=["N", "width", "height", "tiles_x"])

@@ -21,7 +21,17 @@ struct alignas(16) Entry {
     float c, l, red, green;
     float blue, z;
     int row;
-    unsigned flags;        // bit w: reaches square w; bit 4: its gradient is wanted
+    unsigned flags;        // bit w: reaches square w; TRAINED: its gradient is wanted
+};
+
+constexpr unsigned TRAINED = 1u << 4;
+
+// What is to be composited: the list of each tile, and the pixels that are to be drawn (null: all).
+struct Work {
+    const float4* splats;
+    const int *ids, *offset;
+    const unsigned char* pixels;
+    int width, height, tiles_x;
 };
 
 struct Square {
@@ -30,32 +40,32 @@ struct Square {
     float light[2];        // transmittance; 0 once the pixel has stopped, and where nothing is to be drawn
 };
 
-__device__ __forceinline__ Square square_of(int tiles_x, int width, int height, const unsigned char* pixels) {
+__device__ __forceinline__ Square square_of(const Work& work) {
     Square s;
     const int tile = blockIdx.x;
     s.warp = threadIdx.x / 32, s.lane = threadIdx.x % 32;
-    s.x = tile % tiles_x * TILE + s.warp % 2 * SQUARE + s.lane % SQUARE;
-    s.y[0] = tile / tiles_x * TILE + s.warp / 2 * SQUARE + s.lane / SQUARE;
+    s.x = tile % work.tiles_x * TILE + s.warp % 2 * SQUARE + s.lane % SQUARE;
+    s.y[0] = tile / work.tiles_x * TILE + s.warp / 2 * SQUARE + s.lane / SQUARE;
     s.y[1] = s.y[0] + SQUARE / 2;
 #pragma unroll
     for (int i = 0; i < 2; i++) {
-        s.inside[i] = s.x < width && s.y[i] < height;
-        s.light[i] = s.inside[i] && (!pixels || pixels[(long long)s.y[i] * width + s.x]) ? 1.0f : 0.0f;
+        s.inside[i] = s.x < work.width && s.y[i] < work.height;
+        const long long at = (long long)s.y[i] * work.width + s.x;
+        s.light[i] = s.inside[i] && (!work.pixels || work.pixels[at]) ? 1.0f : 0.0f;
     }
     return s;
 }
 
-// Entry number k of the tile's list as the block keeps it; flags 0 beyond the end.
-__device__ __forceinline__ void bring(
-    Entry* entry, const float4* splats, const int* ids, int k, int end, int tiles_x, const unsigned char* trained) {
+// Entry number k of the tile's list as the block keeps it; flags 0 beyond the end. trained: rows, or null for all.
+__device__ __forceinline__ void fetch(Entry* entry, const Work& work, int k, int end, const unsigned char* trained) {
     entry->flags = 0;
     if (k >= end) return;
-    const int row = ids[k];
-    const Splat s = load_splat(splats, row);
+    const int row = work.ids[k];
+    const Splat s = load_splat(work.splats, row);
     const Valley valley = valley_of(s);
-    const float left = (float)((int)blockIdx.x % tiles_x * TILE) + 0.5f;
-    const float top = (float)((int)blockIdx.x / tiles_x * TILE) + 0.5f;
-    unsigned flags = !trained || trained[row] ? 16u : 0u;
+    const float left = (float)((int)blockIdx.x % work.tiles_x * TILE) + 0.5f;
+    const float top = (float)((int)blockIdx.x / work.tiles_x * TILE) + 0.5f;
+    unsigned flags = !trained || trained[row] ? TRAINED : 0u;
 #pragma unroll
     for (int w = 0; w < 4; w++) {
         const float x = left + (float)(w % 2 * SQUARE), y = top + (float)(w / 2 * SQUARE);
@@ -111,20 +121,18 @@ struct Images {
 };
 
 template <bool INDICES, bool HITS>
-__device__ __forceinline__ void composite_forward(
-    const float4* splats, const int* ids, const int* offset, const unsigned char* pixels, Images image, int width,
-    int height, int tiles_x, float opaque_alpha) {
+__device__ __forceinline__ void composite_forward(const Work& work, const Images& image, float opaque_alpha) {
     __shared__ Entry entries[THREADS];
-    Square s = square_of(tiles_x, width, height, pixels);
+    Square s = square_of(work);
     const float x = (float)s.x + 0.5f, y[2] = {(float)s.y[0] + 0.5f, (float)s.y[1] + 0.5f};
     float red[2] = {}, green[2] = {}, blue[2] = {}, z[2] = {}, opacity[2] = {}, heaviest[2] = {};
     int first[2] = {-1, -1}, dominant[2] = {-1, -1}, hit[2] = {-1, -1};
     bool looking[2] = {HITS && s.light[0] > 0.0f, HITS && s.light[1] > 0.0f};
-    const int end = offset[blockIdx.x + 1];
-    for (int start = offset[blockIdx.x]; start < end; start += THREADS) {
+    const int end = work.offset[blockIdx.x + 1];
+    for (int start = work.offset[blockIdx.x]; start < end; start += THREADS) {
         bool dark = s.light[0] + s.light[1] == 0.0f && !looking[0] && !looking[1];
         if (__syncthreads_count(dark) == THREADS) break;
-        bring(&entries[threadIdx.x], splats, ids, start + threadIdx.x, end, tiles_x, nullptr);
+        fetch(&entries[threadIdx.x], work, start + threadIdx.x, end, nullptr);
         __syncthreads();
         for (int group = 0; group < THREADS; group += 32) {
             dark = s.light[0] + s.light[1] == 0.0f && !looking[0] && !looking[1];
@@ -152,7 +160,7 @@ __device__ __forceinline__ void composite_forward(
 #pragma unroll
     for (int i = 0; i < 2; i++) {
         if (!s.inside[i]) continue;
-        const long long at = (long long)s.y[i] * width + s.x;
+        const long long at = (long long)s.y[i] * work.width + s.x;
         image.rgb[3 * at] = red[i], image.rgb[3 * at + 1] = green[i], image.rgb[3 * at + 2] = blue[i];
         image.depth[at] = z[i], image.alpha[at] = opacity[i];
         if (INDICES) image.first[at] = first[i], image.dominant[at] = dominant[i];
@@ -160,20 +168,22 @@ __device__ __forceinline__ void composite_forward(
     }
 }
 
-#define FORWARD                                                                                                       \
-    const float4 *splats, const int *ids, const int *offset, const unsigned char *pixels, float *rgb, float *depth,   \
-        float *alpha, long long *first, long long *dominant, long long *hit, int width, int height, int tiles_x,      \
-        float opaque_alpha
-#define COMPOSITE(INDICES, HITS)                                                                                      \
-    composite_forward<INDICES, HITS>(                                                                                 \
-        splats, ids, offset, pixels, {rgb, depth, alpha, first, dominant, hit}, width, height, tiles_x, opaque_alpha)
+// Named after what they write besides the image: indices, hits.
+extern "C" __global__ void __launch_bounds__(128) composite_00(Work work, Images image, float opaque_alpha) {
+    composite_forward<false, false>(work, image, opaque_alpha);
+}
 
-extern "C" __global__ void __launch_bounds__(128) composite_00(FORWARD) { COMPOSITE(false, false); }
-extern "C" __global__ void __launch_bounds__(128) composite_01(FORWARD) { COMPOSITE(false, true); }
-extern "C" __global__ void __launch_bounds__(128, 7) composite_10(FORWARD) { COMPOSITE(true, false); }
-extern "C" __global__ void __launch_bounds__(128) composite_11(FORWARD) { COMPOSITE(true, true); }
+extern "C" __global__ void __launch_bounds__(128) composite_01(Work work, Images image, float opaque_alpha) {
+    composite_forward<false, true>(work, image, opaque_alpha);
+}
 
-constexpr int SUMS = 10;
+extern "C" __global__ void __launch_bounds__(128, 7) composite_10(Work work, Images image, float opaque_alpha) {
+    composite_forward<true, false>(work, image, opaque_alpha);
+}
+
+extern "C" __global__ void __launch_bounds__(128) composite_11(Work work, Images image, float opaque_alpha) {
+    composite_forward<true, true>(work, image, opaque_alpha);
+}
 
 __device__ __forceinline__ float exchange(float keep, float send, int distance) {
     return keep + __shfl_xor_sync(FULL, send, distance);
@@ -217,23 +227,19 @@ __device__ __forceinline__ Pixel pixel_of(const Seen& image, long long at, bool 
     return p;
 }
 
-// moments [N, 12], to which is added: sums over pixels of v dx, v dy, v dx^2, v dx dy, v dy^2, v, w v_r, w v_g, w v_b,
-// w v_z with v = alpha dL/dalpha; project.cu makes them gradients of centre and conic.
+// sums [N, SPLAT_FLOATS], to which the sums of every Gaussian are added (splat.cuh); of the rows in trained, null: all.
 extern "C" __global__ void __launch_bounds__(128) composite_backward(
-    const float4* splats, const int* ids, const int* offset, const unsigned char* pixels, const unsigned char* trained,
-    const float* rgb, const float* depth, const float* alpha_image, const float* v_rgb, const float* v_depth,
-    const float* v_alpha, float* moments, int width, int height, int tiles_x) {
+    Work work, Seen image, const unsigned char* trained, float* sums) {
     __shared__ Entry entries[THREADS];
-    Square s = square_of(tiles_x, width, height, pixels);
+    Square s = square_of(work);
     const float x = (float)s.x + 0.5f, y[2] = {(float)s.y[0] + 0.5f, (float)s.y[1] + 0.5f};
-    const Seen image = {rgb, depth, alpha_image, v_rgb, v_depth, v_alpha};
     Pixel pixel[2];
 #pragma unroll
-    for (int i = 0; i < 2; i++) pixel[i] = pixel_of(image, (long long)s.y[i] * width + s.x, s.light[i] > 0.0f);
-    const int end = offset[blockIdx.x + 1];
-    for (int start = offset[blockIdx.x]; start < end; start += THREADS) {
+    for (int i = 0; i < 2; i++) pixel[i] = pixel_of(image, (long long)s.y[i] * work.width + s.x, s.light[i] > 0.0f);
+    const int end = work.offset[blockIdx.x + 1];
+    for (int start = work.offset[blockIdx.x]; start < end; start += THREADS) {
         if (__syncthreads_count(s.light[0] + s.light[1] == 0.0f) == THREADS) break;
-        bring(&entries[threadIdx.x], splats, ids, start + threadIdx.x, end, tiles_x, trained);
+        fetch(&entries[threadIdx.x], work, start + threadIdx.x, end, trained);
         __syncthreads();
         for (int group = 0; group < THREADS; group += 32) {
             if (__all_sync(FULL, s.light[0] + s.light[1] == 0.0f)) break;
@@ -256,15 +262,19 @@ extern "C" __global__ void __launch_bounds__(128) composite_backward(
                     const float passed = fmaf(-p.S, alpha[i] * quick_reciprocal(1.0f - alpha[i]), w_cv);
                     v[i] = w[i] > 0.0f && alpha[i] < GS_ALPHA_MAX ? passed : 0.0f;
                 }
-                if (!(e.flags & 16u)) continue;
+                if (!(e.flags & TRAINED)) continue;
                 const float both = v[0] + v[1], lever = fmaf(v[0], dy[0], v[1] * dy[1]);
-                const float sums[SUMS] = {
-                    both * dx, lever, both * dx * dx, lever * dx, fmaf(v[0] * dy[0], dy[0], v[1] * dy[1] * dy[1]), both,
-                    fmaf(w[0], pixel[0].v_r, w[1] * pixel[1].v_r), fmaf(w[0], pixel[0].v_g, w[1] * pixel[1].v_g),
-                    fmaf(w[0], pixel[0].v_b, w[1] * pixel[1].v_b), fmaf(w[0], pixel[0].v_z, w[1] * pixel[1].v_z)};
+                float own[SUMS];
+                own[SUM_GX] = both * dx, own[SUM_GY] = lever;
+                own[SUM_GXX] = both * dx * dx, own[SUM_GXY] = lever * dx;
+                own[SUM_GYY] = fmaf(v[0] * dy[0], dy[0], v[1] * dy[1] * dy[1]), own[SUM_G] = both;
+                own[SUM_RED] = fmaf(w[0], pixel[0].v_r, w[1] * pixel[1].v_r);
+                own[SUM_GREEN] = fmaf(w[0], pixel[0].v_g, w[1] * pixel[1].v_g);
+                own[SUM_BLUE] = fmaf(w[0], pixel[0].v_b, w[1] * pixel[1].v_b);
+                own[SUM_DEPTH] = fmaf(w[0], pixel[0].v_z, w[1] * pixel[1].v_z);
                 int which;
-                const float sum = warp_sums(sums, s.lane, &which);
-                if (which >= 0) atomicAdd(moments + 4 * SPLAT_VECTORS * (long long)e.row + which, sum);
+                const float sum = warp_sums(own, s.lane, &which);
+                if (which >= 0) atomicAdd(sums + SPLAT_FLOATS * (long long)e.row + which, sum);
             }
         }
     }

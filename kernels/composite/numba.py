@@ -9,6 +9,8 @@ still to come is what is left of the total, so nothing per pair has to be kept b
 # Intrinsics are called without their typing context, which pyright cannot follow:
 # pyright: reportCallIssue=false
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit, prange
 
@@ -27,7 +29,7 @@ from ..project.splat import (
     U,
     V,
 )
-from ..runtime.numba.dealing import deal_size, dealt
+from ..runtime.numba.cyclic import cyclic_size, cyclic_task
 from ..runtime.numba.simd import (
     any_lane,
     either,
@@ -42,6 +44,19 @@ from ..runtime.numba.simd import (
     splat,
     store,
 )
+from .sums import (
+    PAIR_SUMS,
+    SUM_BLUE,
+    SUM_DEPTH,
+    SUM_G,
+    SUM_GREEN,
+    SUM_GX,
+    SUM_GXX,
+    SUM_GXY,
+    SUM_GY,
+    SUM_GYY,
+    SUM_RED,
+)
 
 TILE = 16
 PIXELS = TILE * TILE
@@ -49,13 +64,42 @@ PIXELS = TILE * TILE
 _SUM_RED, _SUM_GREEN, _SUM_BLUE, _SUM_DEPTH, _HEAVIEST, _DOMINANT, _FIRST, _HIT = range(PIXELS, 9 * PIXELS, PIXELS)
 """Where the arrays of the forward pass begin in a tile's state, after T: sums of w c, the largest w, indices."""
 
+_FORWARD_STATE, _FORWARD_STATE_WITHOUT_HITS = 9 * PIXELS, 8 * PIXELS
+
 _REST, _V_RED, _V_GREEN, _V_BLUE, _V_DEPTH, _V_ALPHA = range(PIXELS, 7 * PIXELS, PIXELS)
 """Those of the backward pass: what is still to come of C . v, and dL/d of the images."""
+_BACKWARD_STATE = 7 * PIXELS
 
-SUM_GX, SUM_GY, SUM_GXX, SUM_GXY, SUM_GYY, SUM_G, SUM_RED, SUM_GREEN, SUM_BLUE, SUM_DEPTH = range(10)
-PAIR_SUMS = 10
-"""Per (tile, splat): sums over the tile of g dx, g dy, g dx^2, g dx dy, g dy^2, g with g = alpha dL/dalpha, and of
-w v_rgb (3), w v_depth."""
+
+class PairLists(NamedTuple):
+    """The (splat, tile) pairs, sorted by tile, then by depth: tile t has those from ``offset[t]`` to
+    ``offset[t + 1]``. int32"""
+
+    ids: np.ndarray
+    """Splat of each pair."""
+    offset: np.ndarray
+    slot: np.ndarray
+    """Where the pair's sums go: the slots of a splat are consecutive."""
+
+
+class Image(NamedTuple):
+    """Colour [H, W, 3], depth and alpha [H, W], or dL/d of each; [0, 0] stands for zero. float32"""
+
+    rgb: np.ndarray
+    depth: np.ndarray
+    alpha: np.ndarray
+
+
+class IndexImages(NamedTuple):
+    """Rows of the first and of the heaviest splat of each pixel, and of the first opaque one; -1 for none.
+
+    int64 [H, W], or [0, 0] if not wanted.
+    """
+
+    first: np.ndarray
+    dominant: np.ndarray
+    hit: np.ndarray
+
 
 f32 = np.float32
 _LOG_ALPHA_MIN = f32(np.log(ALPHA_MIN))
@@ -109,28 +153,29 @@ def _clear(x0, y0, width, height, rgb, depth, alpha, indices):
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
-def composite_forward(splats, ids, offset, pixels, width, height, rgb, depth, alpha_out, first, dominant, hit, opaque):
-    """Blend every tile's splats into ``rgb`` [H, W, 3], ``depth`` and ``alpha_out`` [H, W].
+def composite_forward(splats, lists, pixels, image, indices, opaque):
+    """Blend every tile's splats into ``image`` and ``indices``.
 
-    splats [N, SPLAT]: see ``project.splat``.
-    ids [I]: splat of each pair, sorted by tile, then depth. offset [tiles + 1].
-    first, dominant: int64 [H, W], rows of the first and the heaviest splat of each pixel, or [0, 0] if not wanted.
-    hit: likewise, of the first splat with alpha >= ``opaque``, even behind the one that finishes the pixel.
-    pixels: bool [H, W], those to be drawn, or [0, 0] for all.
+    splats [N, SPLAT]: see ``project.splat``. pixels: bool [H, W], those to be drawn, or [0, 0] for all.
+    opaque: a hit is the first splat with at least this alpha, even behind the one that finishes the pixel.
     """
+    ids, offset = lists.ids, lists.offset
+    rgb, depth, alpha_image = image.rgb, image.depth, image.alpha
+    first, dominant, hit = indices.first, indices.dominant, indices.hit
+    height, width = depth.shape
     with_index, with_hit = first.shape[0] > 0, hit.shape[0] > 0
     tiles_x = (width + TILE - 1) // TILE
     tiles_y = (height + TILE - 1) // TILE
     n_tiles = tiles_x * tiles_y
-    for k_tile in prange(deal_size(n_tiles)):
-        tile = dealt(k_tile, n_tiles)
+    for k_tile in prange(cyclic_size(n_tiles)):
+        tile = cyclic_task(k_tile, n_tiles)
         if tile >= n_tiles:
             continue
         x0, y0 = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
         if offset[tile] == offset[tile + 1]:
-            _clear(x0, y0, width, height, rgb, depth, alpha_out, (first, dominant, hit))
+            _clear(x0, y0, width, height, rgb, depth, alpha_image, (first, dominant, hit))
             continue
-        state = _zeros((9 if with_hit else 8) * PIXELS)
+        state = _zeros(_FORWARD_STATE if with_hit else _FORWARD_STATE_WITHOUT_HITS)
         state[_DOMINANT:] = -_ONE
         rows_open = np.empty(TILE, np.uint8)
         n_open = _open_pixels(state, rows_open, pixels, x0, y0, width, height)
@@ -196,7 +241,7 @@ def composite_forward(splats, ids, offset, pixels, width, height, rgb, depth, al
                 rgb[y, x, 1] = state[_SUM_GREEN + o]
                 rgb[y, x, 2] = state[_SUM_BLUE + o]
                 depth[y, x] = state[_SUM_DEPTH + o]
-                alpha_out[y, x] = _ONE - abs(state[o])
+                alpha_image[y, x] = _ONE - abs(state[o])
                 if with_index:
                     dominant[y, x] = int(state[_DOMINANT + o])
                     first[y, x] = int(state[_FIRST + o])
@@ -244,22 +289,21 @@ def _pass_through(state, rows_open, s, r0, r1, x0, y0):
 def composite_backward(splats, lists, pixels, trained, image, v_image, pair_sums):
     """Per (tile, splat) sums of the loss gradient, written to ``pair_sums[slot[k]]`` [I, PAIR_SUMS].
 
-    lists: (ids, offset, slot). pixels: as given to the forward. trained: bool [N], rows whose sums are wanted, or [0]
-    for all; the sums of the others are not written.
-    image: (rgb, depth, alpha) as the forward made them. v_image: dL/d of each; [0, 0] stands for zero.
+    pixels: as given to the forward. trained: bool [N], rows whose sums are wanted, or [0] for all; the sums of the
+    others are not written. image: as the forward made it. v_image: dL/d of it.
     With p_k = c_k . v_rgb + z_k v_depth + v_alpha:  dL/dalpha_k = T_k p_k - (sum_{j > k} w_j p_j) / (1 - alpha_k).
     The last sum starts as the whole pixel's, C . v_rgb + D v_depth + alpha v_alpha, and loses w_k p_k at each step.
     """
-    ids, offset, slot = lists
+    ids, offset, slot = lists.ids, lists.offset, lists.slot
     all_trained, masked = trained.shape[0] == 0, pixels.shape[0] > 0
-    rgb, depth, alpha_image = image
-    v_rgb, v_depth, v_alpha = v_image
-    height, width = rgb.shape[0], rgb.shape[1]
+    rgb, depth, alpha_image = image.rgb, image.depth, image.alpha
+    v_rgb, v_depth, v_alpha = v_image.rgb, v_image.depth, v_image.alpha
+    height, width = depth.shape
     tiles_x = (width + TILE - 1) // TILE
     tiles_y = (height + TILE - 1) // TILE
     n_tiles = tiles_x * tiles_y
-    for k_tile in prange(deal_size(n_tiles)):
-        tile = dealt(k_tile, n_tiles)
+    for k_tile in prange(cyclic_size(n_tiles)):
+        tile = cyclic_task(k_tile, n_tiles)
         if tile >= n_tiles:
             continue
         x0, y0 = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
@@ -268,7 +312,7 @@ def composite_backward(splats, lists, pixels, trained, image, v_image, pair_sums
             end -= 1
         if end == offset[tile]:
             continue
-        state = _zeros(7 * PIXELS)
+        state = _zeros(_BACKWARD_STATE)
         rows_open = np.empty(TILE, np.uint8)
         n_open = _open_pixels(state, rows_open, pixels, x0, y0, width, height)
         for r in range(min(TILE, height - y0)):
@@ -288,8 +332,8 @@ def composite_backward(splats, lists, pixels, trained, image, v_image, pair_sums
         if masked:  # a loss may have no gradient there, not even a number
             for o in range(PIXELS):
                 if state[o] < _ZERO:
-                    for plane in range(1, 7):
-                        state[plane * PIXELS + o] = _ZERO
+                    for plane in range(_REST, _BACKWARD_STATE, PIXELS):
+                        state[plane + o] = _ZERO
         centre_x = iota() + splat(f32(x0) + _HALF)
         zero, one, floor_T = splat(_ZERO), splat(_ONE), splat(_T_MIN)
         threshold, ceiling = splat(_LOG_ALPHA_MIN), splat(_ALPHA_MAX)

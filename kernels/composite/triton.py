@@ -14,6 +14,9 @@ import triton.language as tl
 
 from gsfusion_nb.constants import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
 
+from ..project.triton import BLUE, CONIC_A, CONIC_B, CONIC_C, DEPTH, GREEN, LN_OPACITY, RED, SPLAT, U, V
+from ..runtime.triton.vectors import load3, store3
+
 TILE = 8
 """Edge of a tile, pixels."""
 
@@ -41,10 +44,10 @@ def _pixels_of(t, width, height, tiles_x, pixels, MASKED: tl.constexpr, TILE: tl
 @triton.jit
 def _blend(s, x, y, T):
     """alpha of a splat, its weight, T behind it, and the offsets from its centre. T is 0 where a pixel has stopped."""
-    dx, dy = x - tl.load(s), y - tl.load(s + 1)
-    A, B, C = tl.load(s + 2), tl.load(s + 3), tl.load(s + 4)
+    dx, dy = x - tl.load(s + U), y - tl.load(s + V)
+    A, B, C = tl.load(s + CONIC_A), tl.load(s + CONIC_B), tl.load(s + CONIC_C)
     sigma = 0.5 * (A * dx * dx + C * dy * dy) + B * dx * dy
-    alpha = tl.minimum(tl.exp(tl.load(s + 5) - sigma), _ALPHA_MAX)
+    alpha = tl.minimum(tl.exp(tl.load(s + LN_OPACITY) - sigma), _ALPHA_MAX)
     alpha = tl.where(alpha > _ALPHA_MIN, alpha, 0.0)
     behind = T * (1.0 - alpha)
     on = behind >= _T_MIN
@@ -74,12 +77,12 @@ def composite_forward(
             g = following
             k += 1
             following = tl.load(ids + k, mask=k < end, other=0)
-            s = splats + g * 12
+            s = splats + g * SPLAT
             alpha, w, T, _, _ = _blend(s, x, y, T)
-            red += w * tl.load(s + 6)
-            green += w * tl.load(s + 7)
-            blue += w * tl.load(s + 8)
-            z += w * tl.load(s + 9)
+            red += w * tl.load(s + RED)
+            green += w * tl.load(s + GREEN)
+            blue += w * tl.load(s + BLUE)
+            z += w * tl.load(s + DEPTH)
             opaque += w
             if INDICES:
                 first = tl.where((w > 0) & (first < 0), g, first)
@@ -91,9 +94,7 @@ def composite_forward(
         if HITS:
             left = left | (tl.max((hit == -1).to(tl.int32), axis=0) > 0)
         going = (k < end) & left
-    tl.store(rgb + 3 * at, red, mask=inside)
-    tl.store(rgb + 3 * at + 1, green, mask=inside)
-    tl.store(rgb + 3 * at + 2, blue, mask=inside)
+    store3(rgb, at, red, green, blue, inside)
     tl.store(depth + at, z, mask=inside)
     tl.store(alpha_image + at, opaque, mask=inside)
     if INDICES:
@@ -106,24 +107,23 @@ def composite_forward(
 @triton.jit(do_not_specialize=["width", "height", "tiles_x"])
 def composite_backward(
     splats, ids, offset, pixels, trained, rgb, depth, alpha_image, v_rgb, v_depth, v_alpha, v_splats,
-    width, height, tiles_x, MASKED: tl.constexpr, SOME: tl.constexpr, DEPTH: tl.constexpr, ALPHA: tl.constexpr,
-    TILE: tl.constexpr, STEP: tl.constexpr,
+    width, height, tiles_x, MASKED: tl.constexpr, SOME: tl.constexpr, WITH_DEPTH: tl.constexpr,
+    WITH_ALPHA: tl.constexpr, TILE: tl.constexpr, STEP: tl.constexpr,
 ):  # fmt: skip
-    """Add one tile's gradients to ``v_splats``: of u, v, A, B, C, ln(opacity), r, g, b and depth."""
+    """Add one tile's gradients to ``v_splats``, whose columns are those of the splats, up to the depth."""
     t = tl.program_id(0)
     at, x, y, _, lit = _pixels_of(t, width, height, tiles_x, pixels, MASKED, TILE)
     T = lit.to(tl.float32)
-    v_r = tl.load(v_rgb + 3 * at, mask=lit, other=0.0)
-    v_g = tl.load(v_rgb + 3 * at + 1, mask=lit, other=0.0)
-    v_b = tl.load(v_rgb + 3 * at + 2, mask=lit, other=0.0)
-    S = v_r * tl.load(rgb + 3 * at, mask=lit, other=0.0)
-    S += v_g * tl.load(rgb + 3 * at + 1, mask=lit, other=0.0)
-    S += v_b * tl.load(rgb + 3 * at + 2, mask=lit, other=0.0)
+    v_r, v_g, v_b = load3(v_rgb, at, lit)
+    red, green, blue = load3(rgb, at, lit)
+    S = v_r * red
+    S += v_g * green
+    S += v_b * blue
     v_z, v_o = 0.0 * x, 0.0 * x
-    if DEPTH:
+    if WITH_DEPTH:
         v_z = tl.load(v_depth + at, mask=lit, other=0.0)
         S += v_z * tl.load(depth + at, mask=lit, other=0.0)
-    if ALPHA:
+    if WITH_ALPHA:
         v_o = tl.load(v_alpha + at, mask=lit, other=0.0)
         S += v_o * tl.load(alpha_image + at, mask=lit, other=0.0)
     lane = tl.arange(0, 16)
@@ -136,9 +136,15 @@ def composite_backward(
             g = following
             k += 1
             following = tl.load(ids + k, mask=k < end, other=0)
-            s = splats + g * 12
+            s = splats + g * SPLAT
             alpha, w, T, dx, dy = _blend(s, x, y, T)
-            cv = tl.load(s + 6) * v_r + tl.load(s + 7) * v_g + tl.load(s + 8) * v_b + tl.load(s + 9) * v_z + v_o
+            cv = (
+                tl.load(s + RED) * v_r
+                + tl.load(s + GREEN) * v_g
+                + tl.load(s + BLUE) * v_b
+                + tl.load(s + DEPTH) * v_z
+                + v_o
+            )
             w_cv = w * cv
             S -= w_cv
             wanted = tl.max(w, axis=0) > 0
@@ -148,18 +154,18 @@ def composite_backward(
                 v = tl.where((w > 0) & (alpha < _ALPHA_MAX), w_cv - S * alpha / (1.0 - alpha), 0.0)  # alpha dL/dalpha
                 v_x, v_y = v * dx, v * dy
                 sum_x, sum_y = tl.sum(v_x, axis=0), tl.sum(v_y, axis=0)
-                A, B, C = tl.load(s + 2), tl.load(s + 3), tl.load(s + 4)
-                out = tl.where(lane == 0, A * sum_x + B * sum_y, B * sum_x + C * sum_y)
-                out = tl.where(lane == 2, -0.5 * tl.sum(v_x * dx, axis=0), out)
-                out = tl.where(lane == 3, -tl.sum(v_x * dy, axis=0), out)
-                out = tl.where(lane == 4, -0.5 * tl.sum(v_y * dy, axis=0), out)
-                out = tl.where(lane == 5, tl.sum(v, axis=0), out)
-                out = tl.where(lane == 6, tl.sum(w * v_r, axis=0), out)
-                out = tl.where(lane == 7, tl.sum(w * v_g, axis=0), out)
-                out = tl.where(lane == 8, tl.sum(w * v_b, axis=0), out)
-                if DEPTH:
-                    out = tl.where(lane == 9, tl.sum(w * v_z, axis=0), out)
-                    tl.atomic_add(v_splats + g * 12 + lane, out, mask=lane < 10, sem="relaxed")
+                A, B, C = tl.load(s + CONIC_A), tl.load(s + CONIC_B), tl.load(s + CONIC_C)
+                out = tl.where(lane == U, A * sum_x + B * sum_y, B * sum_x + C * sum_y)
+                out = tl.where(lane == CONIC_A, -0.5 * tl.sum(v_x * dx, axis=0), out)
+                out = tl.where(lane == CONIC_B, -tl.sum(v_x * dy, axis=0), out)
+                out = tl.where(lane == CONIC_C, -0.5 * tl.sum(v_y * dy, axis=0), out)
+                out = tl.where(lane == LN_OPACITY, tl.sum(v, axis=0), out)
+                out = tl.where(lane == RED, tl.sum(w * v_r, axis=0), out)
+                out = tl.where(lane == GREEN, tl.sum(w * v_g, axis=0), out)
+                out = tl.where(lane == BLUE, tl.sum(w * v_b, axis=0), out)
+                if WITH_DEPTH:
+                    out = tl.where(lane == DEPTH, tl.sum(w * v_z, axis=0), out)
+                    tl.atomic_add(v_splats + g * SPLAT + lane, out, mask=lane <= DEPTH, sem="relaxed")
                 else:
-                    tl.atomic_add(v_splats + g * 12 + lane, out, mask=lane < 9, sem="relaxed")
+                    tl.atomic_add(v_splats + g * SPLAT + lane, out, mask=lane < DEPTH, sem="relaxed")
         going = (k < end) & (tl.max(T, axis=0) > 0)

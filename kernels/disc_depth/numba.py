@@ -8,6 +8,7 @@ then each Gaussian adds up its own, in the order of the image: the sums do not d
 # pyright: reportCallIssue=false
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -20,17 +21,40 @@ from gsfusion_nb.constants import DISC_MAX_OFFSET, DISC_MIN_COSINE
 from gsfusion_nb.render import disc as reference
 from gsfusion_nb.types import Camera, GaussianParams
 
-from ..runtime.numba.dealing import deal_size, dealt
+from ..runtime.lens import lens_of
+from ..runtime.numba.cyclic import cyclic_size, cyclic_task
 from ..runtime.numba.launch import launching
 
+P_X, P_Y, P_Z, N_X, N_Y, N_Z, P_DOT_N, MAX_OFFSET_M, NORMAL_X, NORMAL_Y, NORMAL_Z = range(11)
+"""A disc as a row of float32: centre p and normal n in the camera frame, p . n, the largest allowed |z - p_z|, and the
+normal towards the camera in the world frame."""
+
 DISC = 11
-"""Centre p (3) and normal n (3) in the camera frame, p . n, largest allowed |z - p_z|, normal towards the camera in the
-world frame (3)."""
+"""Numbers in a row."""
 
 f32 = np.float32
 _ZERO, _HALF, _ONE, _TWO = f32(0.0), f32(0.5), f32(1.0), f32(2.0)
 _CHUNK = 256
 _ALL_ROWS = np.empty(0, np.bool_)
+
+
+class View(NamedTuple):
+    """The camera and its pose, float32."""
+
+    R_WC: np.ndarray
+    centre_W: np.ndarray
+    fx: np.float32
+    fy: np.float32
+    cx: np.float32
+    cy: np.float32
+
+
+class PixelLists(NamedTuple):
+    """Pixels of an image, ``width`` a row, that hit Gaussian g: ``pixel[start[g] : start[g + 1]]``, in order."""
+
+    pixel: np.ndarray
+    start: np.ndarray
+    width: int
 
 
 def disc_depth(
@@ -84,7 +108,7 @@ def disc_depth_vjp(
     with launching():
         discs = _list_discs(*arrays, view, _offset(max_offset), trained)
         pixel, start = _pixels_by_row(hit.reshape(-1), len(params), trained)
-        lists = pixel, start, hit.shape[1]
+        lists = PixelLists(pixel=pixel, start=start, width=hit.shape[1])
         _meet_all_vjp(
             discs, *arrays[1:], lists, view, f32(min_cosine), v_depth.reshape(-1), v_xyz.numpy(), v_quat.numpy()
         )
@@ -95,12 +119,9 @@ def _arrays(params: GaussianParams) -> list[np.ndarray]:
     return [t.detach().contiguous().numpy() for t in (params.xyz_W, params.log_scale, params.quat)]
 
 
-def _view(camera: Camera, T_WC: Tensor) -> np.ndarray:
-    """R_WC (9), camera centre (3), fx, fy, cx, cy."""
+def _view(camera: Camera, T_WC: Tensor) -> View:
     T = T_WC.detach().float().numpy()
-    return np.concatenate([T[:3, :3].ravel(), T[:3, 3], [camera.fx, camera.fy, camera.cx, camera.cy]]).astype(
-        np.float32
-    )
+    return View(R_WC=T[:3, :3].copy(), centre_W=T[:3, 3].copy(), **lens_of(camera, f32)._asdict())
 
 
 def _offset(max_offset: float | None) -> np.float32:
@@ -129,10 +150,11 @@ def _list_discs(xyz, log_scale, quat, view, max_offset, wanted):
     """The discs [N, DISC]; those of rows that are not ``wanted`` stay empty. An empty array stands for all rows."""
     N = xyz.shape[0]
     all_wanted = wanted.shape[0] == 0
+    R, centre = view.R_WC, view.centre_W
     discs = np.empty((N, DISC), np.float32)
     n_parts = (N + _CHUNK - 1) // _CHUNK
-    for k_part in prange(deal_size(n_parts)):
-        part = dealt(k_part, n_parts)
+    for k_part in prange(cyclic_size(n_parts)):
+        part = cyclic_task(k_part, n_parts)
         if part >= n_parts:
             continue
         for i in range(part * _CHUNK, min(N, part * _CHUNK + _CHUNK)):
@@ -147,26 +169,26 @@ def _list_discs(xyz, log_scale, quat, view, max_offset, wanted):
                 n0, n1, n2 = _TWO * (x * y - w * z), _ONE - _TWO * (x * x + z * z), _TWO * (y * z + w * x)
             else:
                 n0, n1, n2 = _TWO * (x * z + w * y), _TWO * (y * z - w * x), _ONE - _TWO * (x * x + y * y)
-            p0, p1, p2 = xyz[i, 0] - view[9], xyz[i, 1] - view[10], xyz[i, 2] - view[11]
+            p0, p1, p2 = xyz[i, 0] - centre[0], xyz[i, 1] - centre[1], xyz[i, 2] - centre[2]
             for k in range(3):
-                d[k] = view[k] * p0 + view[3 + k] * p1 + view[6 + k] * p2
-                d[3 + k] = view[k] * n0 + view[3 + k] * n1 + view[6 + k] * n2
-            d[6] = d[0] * d[3] + d[1] * d[4] + d[2] * d[5]
-            d[7] = max_offset * math.exp(max(log_scale[i, 0], log_scale[i, 1], log_scale[i, 2]))
-            side = -_ONE if d[6] > _ZERO else _ONE
-            d[8], d[9], d[10] = side * n0, side * n1, side * n2
+                d[P_X + k] = R[0, k] * p0 + R[1, k] * p1 + R[2, k] * p2
+                d[N_X + k] = R[0, k] * n0 + R[1, k] * n1 + R[2, k] * n2
+            d[P_DOT_N] = d[P_X] * d[N_X] + d[P_Y] * d[N_Y] + d[P_Z] * d[N_Z]
+            d[MAX_OFFSET_M] = max_offset * math.exp(max(log_scale[i, 0], log_scale[i, 1], log_scale[i, 2]))
+            side = -_ONE if d[P_DOT_N] > _ZERO else _ONE
+            d[NORMAL_X], d[NORMAL_Y], d[NORMAL_Z] = side * n0, side * n1, side * n2
     return discs
 
 
 @njit(inline="always")
 def _meet(disc, x, y, min_cosine):
     """z, r . n and whether z is on the plane, for the ray (x, y, 1)."""
-    rn = x * disc[3] + y * disc[4] + disc[5]
+    rn = x * disc[N_X] + y * disc[N_Y] + disc[N_Z]
     if abs(rn) >= min_cosine * math.sqrt(x * x + y * y + _ONE):
-        z = disc[6] / rn
-        if z > _ZERO and abs(z - disc[2]) <= disc[7]:
+        z = disc[P_DOT_N] / rn
+        if z > _ZERO and abs(z - disc[P_Z]) <= disc[MAX_OFFSET_M]:
             return z, rn, True
-    return disc[2], rn, False
+    return disc[P_Z], rn, False
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
@@ -174,16 +196,16 @@ def _meet_all(discs, hit, view, min_cosine, depth, normal, on_plane):
     """The three images; every pixel is written."""
     H, W = hit.shape
     for j in prange(H):
-        y = (f32(j) + _HALF - view[15]) / view[13]
+        y = (f32(j) + _HALF - view.cy) / view.fy
         for i in range(W):
             depth[j, i], on_plane[j, i] = _ZERO, False
             normal[j, i, 0], normal[j, i, 1], normal[j, i, 2] = _ZERO, _ZERO, _ZERO
             if hit[j, i] < 0:
                 continue
             d = discs[hit[j, i]]
-            x = (f32(i) + _HALF - view[14]) / view[12]
+            x = (f32(i) + _HALF - view.cx) / view.fx
             depth[j, i], _, on_plane[j, i] = _meet(d, x, y, min_cosine)
-            normal[j, i, 0], normal[j, i, 1], normal[j, i, 2] = d[8], d[9], d[10]
+            normal[j, i, 0], normal[j, i, 1], normal[j, i, 2] = d[NORMAL_X], d[NORMAL_Y], d[NORMAL_Z]
 
 
 @njit(cache=True, error_model="numpy")
@@ -212,11 +234,12 @@ def _pixels_by_row(hit, N, wanted):
 @njit(parallel=True, cache=True, error_model="numpy")
 def _meet_all_vjp(discs, log_scale, quat, lists, view, min_cosine, v_depth, v_xyz, v_quat):
     """Each row's sum over its pixels, in float64, carried to centre and quaternion; every row is written."""
-    pixel, start, width = lists
+    pixel, start, width = lists.pixel, lists.start, lists.width
+    R = view.R_WC
     N = discs.shape[0]
     n_parts = (N + _CHUNK - 1) // _CHUNK
-    for k_part in prange(deal_size(n_parts)):
-        part = dealt(k_part, n_parts)
+    for k_part in prange(cyclic_size(n_parts)):
+        part = cyclic_task(k_part, n_parts)
         if part >= n_parts:
             continue
         v_p, v_n, e = np.empty(3), np.empty(3), np.empty(3)
@@ -228,20 +251,20 @@ def _meet_all_vjp(discs, log_scale, quat, lists, view, min_cosine, v_depth, v_xy
             at_centre, at_plane, n0, n1, n2 = 0.0, 0.0, 0.0, 0.0, 0.0
             for k in range(start[i], start[i + 1]):
                 o = pixel[k]
-                x = (f32(o % width) + _HALF - view[14]) / view[12]
-                y = (f32(o // width) + _HALF - view[15]) / view[13]
+                x = (f32(o % width) + _HALF - view.cx) / view.fx
+                y = (f32(o // width) + _HALF - view.cy) / view.fy
                 z, rn, on_plane = _meet(d, x, y, min_cosine)
                 if on_plane:
                     v = v_depth[o] / rn
                     at_plane += v
-                    n0 += v * (d[0] - z * x)
-                    n1 += v * (d[1] - z * y)
-                    n2 += v * (d[2] - z)
+                    n0 += v * (d[P_X] - z * x)
+                    n1 += v * (d[P_Y] - z * y)
+                    n2 += v * (d[P_Z] - z)
                 else:
                     at_centre += v_depth[o]
             for k in range(3):  # to the world frame: v_p = at_plane n + at_centre (0, 0, 1)
-                a, b, c = view[3 * k], view[3 * k + 1], view[3 * k + 2]
-                v_p[k] = at_plane * (a * d[3] + b * d[4] + c * d[5]) + at_centre * c
+                a, b, c = R[k, 0], R[k, 1], R[k, 2]
+                v_p[k] = at_plane * (a * d[N_X] + b * d[N_Y] + c * d[N_Z]) + at_centre * c
                 v_n[k] = a * n0 + b * n1 + c * n2
                 v_xyz[i, k] = v_p[k]
             e[:] = 0.0

@@ -17,10 +17,15 @@ from gsfusion_nb.constants import DISC_MAX_OFFSET, DISC_MIN_COSINE
 from gsfusion_nb.render import disc as reference
 from gsfusion_nb.types import Camera, GaussianParams
 
-from ..project.triton import load3, load4, load_rotation, rotation
+from ..runtime.lens import lens_of
 from ..runtime.triton.launch import device_of, launch, parts
+from ..runtime.triton.vectors import load3, load4, load_position, load_rotation, rotation, store3, store4
 
 _BLOCK = 128
+
+_V_P_X, _V_P_Y, _V_P_Z, _V_N_X, _V_N_Y, _V_N_Z = (tl.constexpr(column) for column in range(6))
+_V_DISC = tl.constexpr(6)
+"""dL/d of a disc's centre and normal, camera frame: a row of float32."""
 
 
 def disc_depth(
@@ -42,9 +47,17 @@ def disc_depth(
     depth, normal = (torch.empty(*hit_index.shape, *n, dtype=torch.float32, device=device) for n in ((), (3,)))
     on_plane = torch.empty(hit_index.shape, dtype=torch.uint8, device=device)
     launch(
-        _meet_all, parts(hit_index.numel(), _BLOCK), device, *_inputs(params, T_WC, hit_index, device),
-        depth, normal, on_plane, *_sizes(params, camera, max_offset, min_cosine), BLOCK=_BLOCK, num_warps=4,
-    )  # fmt: skip
+        _meet_all,
+        parts(hit_index.numel(), _BLOCK),
+        device,
+        **_discs_of(params, T_WC, device),
+        **_rays_of(camera, hit_index, max_offset, min_cosine),
+        depth=depth,
+        normal=normal,
+        on_plane_image=on_plane,
+        BLOCK=_BLOCK,
+        num_warps=4,
+    )
     return reference.DiscDepth(depth_m=depth, normal_W=normal, on_plane=on_plane.view(torch.bool))
 
 
@@ -68,15 +81,27 @@ def disc_depth_vjp(
     _check(camera, hit_index, max_offset, min_cosine)
     if rows is not None:
         check_mask("rows", rows, (len(params),))
-    inputs, N = _inputs(params, T_WC, hit_index, device), len(params)
-    v_disc = torch.zeros(N, 6, dtype=torch.float32, device=device)
+    discs, N = _discs_of(params, T_WC, device), len(params)
+    v_disc = torch.zeros(N, _V_DISC.value, dtype=torch.float32, device=device)
     v_xyz, v_quat = (torch.empty(N, n, dtype=torch.float32, device=device) for n in (3, 4))
     launch(
-        _meet_all_vjp, parts(hit_index.numel(), _BLOCK), device, *inputs,
-        v_disc if rows is None else rows.contiguous().view(torch.uint8), v_depth_m.detach().float().contiguous(),
-        v_disc, *_sizes(params, camera, max_offset, min_cosine), SOME=rows is not None, BLOCK=_BLOCK, num_warps=4,
+        _meet_all_vjp,
+        parts(hit_index.numel(), _BLOCK),
+        device,
+        **discs,
+        **_rays_of(camera, hit_index, max_offset, min_cosine),
+        trained=v_disc if rows is None else rows.contiguous().view(torch.uint8),
+        v_depth=v_depth_m.detach().float().contiguous(),
+        v_disc=v_disc,
+        SOME=rows is not None,
+        BLOCK=_BLOCK,
+        num_warps=4,
+    )
+    axes = {name: discs[name] for name in ("log_scale", "quat", "T", "N")}
+    launch(
+        _axes_vjp, parts(N, _BLOCK), device, **axes, v_disc=v_disc, v_xyz=v_xyz, v_quat=v_quat, BLOCK=_BLOCK,
+        num_warps=4,
     )  # fmt: skip
-    launch(_axes_vjp, parts(N, _BLOCK), device, *inputs[1:4], v_disc, v_xyz, v_quat, N, BLOCK=_BLOCK, num_warps=4)
     return v_xyz, v_quat
 
 
@@ -87,17 +112,23 @@ def _check(camera: Camera, hit_index: Tensor, max_offset: float | None, min_cosi
         check_positive("max_offset", max_offset)
 
 
-def _inputs(params: GaussianParams, T_WC: Tensor, hit_index: Tensor, device: torch.device) -> tuple[Tensor, ...]:
-    arrays = (params.xyz_W, params.log_scale, params.quat)
-    xyz, log_scale, quat = (a.detach().contiguous() for a in arrays)
-    pose = T_WC.detach().to(device, torch.float32).contiguous()
-    return xyz, log_scale, quat, pose, hit_index.long().contiguous()
+def _discs_of(params: GaussianParams, T_WC: Tensor, device: torch.device) -> dict[str, Tensor | int]:
+    """The Gaussians and the pose."""
+    arrays = {"xyz": params.xyz_W, "log_scale": params.log_scale, "quat": params.quat}
+    arrays = {name: array.detach().contiguous() for name, array in arrays.items()}
+    return {**arrays, "N": len(params), "T": T_WC.detach().to(device, torch.float32).contiguous()}
 
 
-def _sizes(params: GaussianParams, camera: Camera, max_offset: float | None, min_cosine: float) -> tuple:
-    lens = (float(x) for x in (camera.fx, camera.fy, camera.cx, camera.cy))
-    limits = float("inf") if max_offset is None else float(max_offset), float(min_cosine)
-    return camera.width, camera.width * camera.height, len(params), *lens, *limits
+def _rays_of(camera: Camera, hit_index: Tensor, max_offset: float | None, min_cosine: float) -> dict:
+    """What each pixel hits, its ray, and where the ray may meet the disc."""
+    return {
+        "hit": hit_index.long().contiguous(),
+        "width": camera.width,
+        "total": camera.width * camera.height,
+        **lens_of(camera)._asdict(),
+        "max_offset": float("inf") if max_offset is None else float(max_offset),
+        "min_cosine": float(min_cosine),
+    }
 
 
 @triton.jit
@@ -122,7 +153,8 @@ def _discs(xyz, log_scale, quat, T, g, mask):
     n0, n1, n2 = _pick(axis, r0, r1, r2), _pick(axis, r3, r4, r5), _pick(axis, r6, r7, r8)
     c0, c3, c6, c1, c4, c7, c2, c5, c8 = load_rotation(T)  # rows of R_CW
     X, Y, Z = load3(xyz, g, mask)
-    X, Y, Z = X - tl.load(T + 3), Y - tl.load(T + 7), Z - tl.load(T + 11)
+    C_x, C_y, C_z = load_position(T)
+    X, Y, Z = X - C_x, Y - C_y, Z - C_z
     return (
         c0 * X + c1 * Y + c2 * Z, c3 * X + c4 * Y + c5 * Z, c6 * X + c7 * Y + c8 * Z,
         c0 * n0 + c1 * n1 + c2 * n2, c3 * n0 + c4 * n1 + c5 * n2, c6 * n0 + c7 * n1 + c8 * n2,
@@ -157,9 +189,7 @@ def _meet_all(
     side = tl.where(met, tl.where(pn > 0, -1.0, 1.0), 0.0)
     tl.store(depth + at, tl.where(met, z, 0.0), mask=here)
     tl.store(on_plane_image + at, (met & on_plane).to(tl.uint8), mask=here)
-    tl.store(normal + 3 * at, side * n0, mask=here)
-    tl.store(normal + 3 * at + 1, side * n1, mask=here)
-    tl.store(normal + 3 * at + 2, side * n2, mask=here)
+    store3(normal, at, side * n0, side * n1, side * n2, here)
 
 
 @triton.jit(do_not_specialize=["width", "total", "N"])
@@ -167,7 +197,7 @@ def _meet_all_vjp(
     xyz, log_scale, quat, T, hit, trained, v_depth, v_disc, width, total, N, fx, fy, cx, cy, max_offset,
     min_cosine, SOME: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """Add each pixel's gradients of centre and normal, camera frame, to ``v_disc`` [N, 6]."""
+    """Add each pixel's gradients of centre and normal, camera frame, to ``v_disc`` [N, _V_DISC]."""
     at = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     here = at < total
     g = tl.load(hit + at, mask=here, other=-1)
@@ -179,13 +209,13 @@ def _meet_all_vjp(
     z, rn, _, on_plane = _meet(p0, p1, p2, m0, m1, m2, scale, x, y, max_offset, min_cosine)
     v = tl.load(v_depth + at, mask=met, other=0.0)
     v_plane = tl.where(on_plane, v / rn, 0.0)
-    out = v_disc + 6 * g
-    tl.atomic_add(out, v_plane * m0, mask=met & on_plane, sem="relaxed")
-    tl.atomic_add(out + 1, v_plane * m1, mask=met & on_plane, sem="relaxed")
-    tl.atomic_add(out + 2, v_plane * m2 + tl.where(on_plane, 0.0, v), mask=met, sem="relaxed")
-    tl.atomic_add(out + 3, v_plane * (p0 - z * x), mask=met & on_plane, sem="relaxed")
-    tl.atomic_add(out + 4, v_plane * (p1 - z * y), mask=met & on_plane, sem="relaxed")
-    tl.atomic_add(out + 5, v_plane * (p2 - z), mask=met & on_plane, sem="relaxed")
+    out = v_disc + _V_DISC * g
+    tl.atomic_add(out + _V_P_X, v_plane * m0, mask=met & on_plane, sem="relaxed")
+    tl.atomic_add(out + _V_P_Y, v_plane * m1, mask=met & on_plane, sem="relaxed")
+    tl.atomic_add(out + _V_P_Z, v_plane * m2 + tl.where(on_plane, 0.0, v), mask=met, sem="relaxed")
+    tl.atomic_add(out + _V_N_X, v_plane * (p0 - z * x), mask=met & on_plane, sem="relaxed")
+    tl.atomic_add(out + _V_N_Y, v_plane * (p1 - z * y), mask=met & on_plane, sem="relaxed")
+    tl.atomic_add(out + _V_N_Z, v_plane * (p2 - z), mask=met & on_plane, sem="relaxed")
 
 
 @triton.jit(do_not_specialize=["N"])
@@ -193,12 +223,11 @@ def _axes_vjp(log_scale, quat, T, v_disc, v_xyz, v_quat, N, BLOCK: tl.constexpr)
     """To the world frame, and from the normal to the quaternion."""
     i = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     row = i < N
-    a0, a1, a2 = load3(v_disc, 2 * i, row)
-    b0, b1, b2 = load3(v_disc, 2 * i + 1, row)
+    v = v_disc + _V_DISC * i
+    a0, a1, a2 = load3(v + _V_P_X, 0, row)
+    b0, b1, b2 = load3(v + _V_N_X, 0, row)
     k0, k1, k2, k3, k4, k5, k6, k7, k8 = load_rotation(T)
-    tl.store(v_xyz + 3 * i, k0 * a0 + k1 * a1 + k2 * a2, mask=row)
-    tl.store(v_xyz + 3 * i + 1, k3 * a0 + k4 * a1 + k5 * a2, mask=row)
-    tl.store(v_xyz + 3 * i + 2, k6 * a0 + k7 * a1 + k8 * a2, mask=row)
+    store3(v_xyz, i, k0 * a0 + k1 * a1 + k2 * a2, k3 * a0 + k4 * a1 + k5 * a2, k6 * a0 + k7 * a1 + k8 * a2, row)
     v0, v1, v2 = k0 * b0 + k1 * b1 + k2 * b2, k3 * b0 + k4 * b1 + k5 * b2, k6 * b0 + k7 * b1 + k8 * b2
     l0, l1, l2 = load3(log_scale, i, row)
     axis = _thin_axis(l0, l1, l2)
@@ -213,7 +242,5 @@ def _axes_vjp(log_scale, quat, T, v_disc, v_xyz, v_quat, N, BLOCK: tl.constexpr)
     v_y = 2.0 * (ue * v1 + uv * e1 - ev * y + w * (e2 * v0 - e0 * v2))
     v_z = 2.0 * (ue * v2 + uv * e2 - ev * z + w * (e0 * v1 - e1 * v0))
     along = w * v_w + x * v_x + y * v_y + z * v_z
-    tl.store(v_quat + 4 * i, (v_w - w * along) / norm, mask=row)
-    tl.store(v_quat + 4 * i + 1, (v_x - x * along) / norm, mask=row)
-    tl.store(v_quat + 4 * i + 2, (v_y - y * along) / norm, mask=row)
-    tl.store(v_quat + 4 * i + 3, (v_z - z * along) / norm, mask=row)
+    v_w, v_x, v_y, v_z = v_w - w * along, v_x - x * along, v_y - y * along, v_z - z * along
+    store4(v_quat, i, v_w / norm, v_x / norm, v_y / norm, v_z / norm, row)

@@ -6,13 +6,16 @@ from torch import Tensor
 from gsfusion_nb.tracking.normal_equations import IcpSystem
 from gsfusion_nb.tracking.pyramid import DepthLevel
 from gsfusion_nb.tracking.surface import Surface
-from gsfusion_nb.types import Camera
+
+H_ROWS = H_0, H_1, H_2, H_3, H_4, H_5 = 0, 6, 11, 15, 18, 20
+"""Where among the sums of a kernel each row of H begins: with its entry on the diagonal, for H is symmetric."""
 
 B, SQUARES, WEIGHTS, INLIERS, OVERLAP = 21, 27, 28, 29, 30
-"""Places of b, the two sums and the two counts among the 31 sums of a kernel; the upper triangle of H is first."""
+"""Places of the six entries of b, the two sums and the two counts, behind those of H."""
 
-_TRIANGLE = torch.tensor([[0, 1, 2, 3, 4, 5], [1, 6, 7, 8, 9, 10], [2, 7, 11, 12, 13, 14], [3, 8, 12, 15, 16, 17],
-                          [4, 9, 13, 16, 18, 19], [5, 10, 14, 17, 19, 20]])  # fmt: skip
+N_SUMS = 31
+
+_ENTRIES = torch.tensor([[H_ROWS[min(i, j)] + abs(i - j) for j in range(6)] for i in range(6)])
 """Where among the sums each entry of H is."""
 
 
@@ -26,19 +29,13 @@ def images_of(level: DepthLevel, surface: Surface) -> dict[str, Tensor]:
     }
 
 
-def lens_of(camera: Camera) -> tuple[float, float, float, float]:
-    """fx, fy, cx, cy."""
-    return float(camera.fx), float(camera.fy), float(camera.cx), float(camera.cy)
-
-
 def to_system(sums: Tensor) -> IcpSystem:
     """The normal equations from the kernels' sums over all pixels, float64 [31] on the CPU; H and b stay there."""
-    squares, weights, inliers, overlap = sums[SQUARES:].tolist()
     return IcpSystem(
-        H=sums[_TRIANGLE],
+        H=sums[_ENTRIES],
         b=sums[B:SQUARES],
-        sum_squares_m2=squares,
-        sum_weights=weights,
-        n_inliers=int(inliers),
-        n_overlap=int(overlap),
+        sum_squares_m2=float(sums[SQUARES]),
+        sum_weights=float(sums[WEIGHTS]),
+        n_inliers=int(sums[INLIERS]),
+        n_overlap=int(sums[OVERLAP]),
     )

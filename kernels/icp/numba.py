@@ -8,6 +8,8 @@ in order, so the sums do not depend on the number of threads.
 # Arrays are passed on as tuples, which pyright cannot follow:
 # pyright: reportCallIssue=false
 
+from typing import NamedTuple
+
 import numpy as np
 import torch
 from numba import njit, prange
@@ -18,14 +20,37 @@ from gsfusion_nb.tracking.normal_equations import icp_system as reference
 from gsfusion_nb.tracking.pyramid import DepthLevel
 from gsfusion_nb.tracking.surface import Surface
 
+from ..runtime.lens import lens_of
 from ..runtime.numba.launch import launching
-from .host import INLIERS, OVERLAP, SQUARES, WEIGHTS, B, images_of, lens_of, to_system
+from .host import H_ROWS, INLIERS, N_SUMS, OVERLAP, SQUARES, WEIGHTS, B, images_of, to_system
 
 f32 = np.float32
-_RESIDUAL, _WEIGHT = 6, 7
-"""Columns behind the six of J."""
-_N_SUMS = OVERLAP + 1
+_N_X, _N_Y, _N_Z, _M_X, _M_Y, _M_Z, _RESIDUAL, _WEIGHT = range(8)
+"""Columns of a correspondence: the six of J, the normal and the moment of it about the origin, then r and 1."""
+_N_COLUMNS = 8
 _ZERO, _HALF, _ONE = f32(0.0), f32(0.5), f32(1.0)
+
+
+class Images(NamedTuple):
+    """Depth [H, W] and normals [H, W, 3] of a frame, or of the surface that it is aligned with. float32"""
+
+    depth: np.ndarray
+    normal: np.ndarray
+
+
+class Poses(NamedTuple):
+    """T_WC about the centre of the surface's camera [4, 4]; rotation of that camera [3, 3]. float32"""
+
+    T_WC: np.ndarray
+    R_WS: np.ndarray
+
+
+class Gates(NamedTuple):
+    """What a correspondence must meet, and the depth up to which all have the same weight. float32"""
+
+    max_square_m2: np.float32
+    min_cosine: np.float32
+    even_to_m: np.float32
 
 
 def icp_system(
@@ -46,11 +71,15 @@ def icp_system(
     T_WS = surface.T_WC.detach().double().cpu().numpy()
     T = T_WC.detach().double().cpu().numpy().copy()
     T[:3, 3] -= T_WS[:3, 3]  # as ``about_the_surface``, in a tenth of its time
-    poses = T.astype(np.float32), T_WS[:3, :3].astype(np.float32)
-    lenses = tuple(np.array(lens_of(camera), np.float32) for camera in (level.camera, surface.camera))
-    gates = f32(max_distance_m) * f32(max_distance_m), f32(min_cosine), f32(np.inf if even_to_m is None else even_to_m)
+    poses = Poses(T_WC=T.astype(np.float32), R_WS=T_WS[:3, :3].astype(np.float32))
+    gates = Gates(
+        max_square_m2=f32(max_distance_m) * f32(max_distance_m),
+        min_cosine=f32(min_cosine),
+        even_to_m=f32(np.inf if even_to_m is None else even_to_m),
+    )
+    frame, model = Images(depth=depth, normal=normal), Images(depth=surface_depth, normal=surface_normal)
     with launching():
-        sums = _sum_rows((depth, normal), (surface_depth, surface_normal), poses, lenses, gates)
+        sums = _sum_rows(frame, model, poses, lens_of(level.camera, f32), lens_of(surface.camera, f32), gates)
     return to_system(torch.from_numpy(sums.sum(0)))
 
 
@@ -64,23 +93,20 @@ def _dot(a, b, n):
 
 
 @njit(cache=True, error_model="numpy")
-def _correspond(images, model, poses, lenses, gates, j, columns):
+def _correspond(frame, model, poses, lens, surface_lens, gates, j, columns):
     """Write sqrt(w) [J, r, 1] of the correspondences of row j to ``columns``; their number, and that of the overlap."""
-    depth, normal = images
-    surface_depth, surface_normal = model
-    T, R = poses
-    lens, surface_lens = lenses
-    max_square, min_cosine, even_to = gates
+    depth, normal = frame.depth, frame.normal
+    surface_depth, surface_normal = model.depth, model.normal
+    T, R = poses.T_WC, poses.R_WS
     height, width = surface_depth.shape
-    lens_fx, lens_fy, lens_cx, lens_cy = lens[0], lens[1], lens[2], lens[3]
-    fx, fy, cx, cy = surface_lens[0], surface_lens[1], surface_lens[2], surface_lens[3]
-    y = (f32(j) + _HALF - lens_cy) / lens_fy
+    fx, fy, cx, cy = surface_lens.fx, surface_lens.fy, surface_lens.cx, surface_lens.cy
+    y = (f32(j) + _HALF - lens.cy) / lens.fy
     n_inliers, n_overlap = 0, 0
     for i in range(depth.shape[1]):
         z = depth[j, i]
         if not z > _ZERO:
             continue
-        x = (f32(i) + _HALF - lens_cx) / lens_fx
+        x = (f32(i) + _HALF - lens.cx) / lens.fx
         X, Y = z * x, z * y
         p0 = T[0, 0] * X + T[0, 1] * Y + T[0, 2] * z + T[0, 3]
         p1 = T[1, 0] * X + T[1, 1] * Y + T[1, 2] * z + T[1, 3]
@@ -102,7 +128,7 @@ def _correspond(images, model, poses, lenses, gates, j, columns):
         e0 = p0 - (R[0, 0] * X + R[0, 1] * Y + R[0, 2] * d)
         e1 = p1 - (R[1, 0] * X + R[1, 1] * Y + R[1, 2] * d)
         e2 = p2 - (R[2, 0] * X + R[2, 1] * Y + R[2, 2] * d)
-        if not e0 * e0 + e1 * e1 + e2 * e2 <= max_square:
+        if not e0 * e0 + e1 * e1 + e2 * e2 <= gates.max_square_m2:
             continue
         a, b, c = normal[j, i, 0], normal[j, i, 1], normal[j, i, 2]
         cosine = (
@@ -110,34 +136,33 @@ def _correspond(images, model, poses, lenses, gates, j, columns):
             + n1 * (T[1, 0] * a + T[1, 1] * b + T[1, 2] * c)
             + n2 * (T[2, 0] * a + T[2, 1] * b + T[2, 2] * c)
         )
-        if not cosine >= min_cosine:
+        if not cosine >= gates.min_cosine:
             continue
-        near = even_to / z
+        near = gates.even_to_m / z
         w = near * near if near < _ONE else _ONE  # the square root of the weight, on both factors of each product
         k = n_inliers
         columns[_RESIDUAL, k] = w * (e0 * n0 + e1 * n1 + e2 * n2)
         columns[_WEIGHT, k] = w
         n0, n1, n2 = w * n0, w * n1, w * n2
-        columns[0, k], columns[1, k], columns[2, k] = n0, n1, n2
-        columns[3, k], columns[4, k], columns[5, k] = p1 * n2 - p2 * n1, p2 * n0 - p0 * n2, p0 * n1 - p1 * n0
+        columns[_N_X, k], columns[_N_Y, k], columns[_N_Z, k] = n0, n1, n2
+        columns[_M_X, k], columns[_M_Y, k] = p1 * n2 - p2 * n1, p2 * n0 - p0 * n2
+        columns[_M_Z, k] = p0 * n1 - p1 * n0
         n_inliers += 1
     return n_inliers, n_overlap
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
-def _sum_rows(images, model, poses, lenses, gates):
-    """The sums of ``host.to_system`` for each row of pixels [H, 31]."""
-    height, width = images[0].shape
-    sums = np.empty((height, _N_SUMS))
+def _sum_rows(frame, model, poses, lens, surface_lens, gates):
+    """The sums of ``host.to_system`` for each row of pixels [H, N_SUMS]."""
+    height, width = frame.depth.shape
+    sums = np.empty((height, N_SUMS))
     for j in prange(height):
-        columns = np.empty((8, width), np.float32)
-        n, sums[j, OVERLAP] = _correspond(images, model, poses, lenses, gates, j, columns)
+        columns = np.empty((_N_COLUMNS, width), np.float32)
+        n, sums[j, OVERLAP] = _correspond(frame, model, poses, lens, surface_lens, gates, j, columns)
         sums[j, INLIERS] = n
-        at = 0
         for a in range(6):
             for b in range(a, 6):
-                sums[j, at] = _dot(columns[a], columns[b], n)
-                at += 1
+                sums[j, H_ROWS[a] + b - a] = _dot(columns[a], columns[b], n)
         for a in range(6):
             sums[j, B + a] = _dot(columns[a], columns[_RESIDUAL], n)
         sums[j, SQUARES] = _dot(columns[_RESIDUAL], columns[_RESIDUAL], n)

@@ -18,14 +18,16 @@ from gsfusion_nb.tracking.normal_equations import icp_system as reference
 from gsfusion_nb.tracking.pyramid import DepthLevel
 from gsfusion_nb.tracking.surface import Surface
 
-from ..project.triton import load3
+from ..runtime.lens import lens_of
 from ..runtime.triton.launch import device_of, launch, parts
+from ..runtime.triton.vectors import load3, load_position
 from . import host
-from .host import images_of, lens_of, to_system
+from .host import images_of, to_system
 
 _BLOCK = 256
+_H_0, _H_1, _H_2, _H_3, _H_4, _H_5 = (tl.constexpr(place) for place in host.H_ROWS)
 _B, _SQUARES, _WEIGHTS = tl.constexpr(host.B), tl.constexpr(host.SQUARES), tl.constexpr(host.WEIGHTS)
-_INLIERS, _OVERLAP, _N_SUMS = tl.constexpr(host.INLIERS), tl.constexpr(host.OVERLAP), tl.constexpr(host.OVERLAP + 1)
+_INLIERS, _OVERLAP, _N_SUMS = tl.constexpr(host.INLIERS), tl.constexpr(host.OVERLAP), tl.constexpr(host.N_SUMS)
 
 
 def icp_system(
@@ -43,22 +45,40 @@ def icp_system(
         options = {"max_distance_m": max_distance_m, "min_cosine": min_cosine, "even_to_m": even_to_m}
         return reference.reference(level, T_WC, surface, **options)
     device = device_of("icp_system", **images)
-    poses = (pose.to(device) for pose in about_the_surface(T_WC.detach(), surface, torch.float32))
+    T, R_WS = (pose.to(device) for pose in about_the_surface(T_WC.detach(), surface, torch.float32))
+    depth, normal, surface_depth, surface_normal = (t.detach().contiguous() for t in images.values())
     total = level.depth_m.numel()
     sums = torch.empty(parts(total, _BLOCK), _N_SUMS.value, dtype=torch.float32, device=device)
     launch(
-        _sum, len(sums), device, *(t.detach().contiguous() for t in images.values()), *poses, sums,
-        level.camera.width, total, surface.camera.width, surface.camera.height, *lens_of(level.camera),
-        *lens_of(surface.camera), float(max_distance_m) ** 2, float(min_cosine),
-        float("inf") if even_to_m is None else float(even_to_m), BLOCK=_BLOCK, num_warps=4,
-    )  # fmt: skip
+        _sum,
+        len(sums),
+        device,
+        depth=depth,
+        normal=normal,
+        surface_depth=surface_depth,
+        surface_normal=surface_normal,
+        T=T,
+        R_WS=R_WS,
+        sums=sums,
+        width=level.camera.width,
+        total=total,
+        surface_width=surface.camera.width,
+        surface_height=surface.camera.height,
+        **lens_of(level.camera)._asdict(),
+        **{f"surface_{name}": value for name, value in lens_of(surface.camera)._asdict().items()},
+        max_square=float(max_distance_m) ** 2,
+        min_cosine=float(min_cosine),
+        even_to=float("inf") if even_to_m is None else float(even_to_m),
+        BLOCK=_BLOCK,
+        num_warps=4,
+    )
     system = to_system(sums.sum(0, dtype=torch.float64).cpu())
     return dataclasses.replace(system, H=system.H.to(T_WC.device), b=system.b.to(T_WC.device))
 
 
 @triton.jit
 def _add_row(out, at: tl.constexpr, a, b0, b1, b2, b3, b4, b5, first: tl.constexpr):
-    """Store the sums of ``a`` times those of the six columns from number ``first`` on."""
+    """Store the sums of ``a`` times those of the six columns from number ``first`` on, at ``out + at`` and behind."""
     if first <= 0:
         tl.store(out + at, tl.sum(a * b0, axis=0))
     if first <= 1:
@@ -90,25 +110,29 @@ def _turn_back(R, x, y, z):
     return a, b, c
 
 
-@triton.jit(do_not_specialize=["width", "total", "wide", "high", "max_square", "min_cosine", "even_to"])
+@triton.jit(
+    do_not_specialize=["width", "total", "surface_width", "surface_height", "max_square", "min_cosine", "even_to"]
+)
 def _sum(
-    depth, normal, surface_depth, surface_normal, T, R_WS, sums, width, total, wide, high, fx, fy, cx, cy,
-    surface_fx, surface_fy, surface_cx, surface_cy, max_square, min_cosine, even_to, BLOCK: tl.constexpr,
+    depth, normal, surface_depth, surface_normal, T, R_WS, sums, width, total, surface_width, surface_height,
+    fx, fy, cx, cy, surface_fx, surface_fy, surface_cx, surface_cy, max_square, min_cosine, even_to,
+    BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """``T``: T_WC about the centre of the surface's camera [4, 4]. ``wide``, ``high``: size of the surface's image."""
+    """The sums of ``host.to_system`` of each program. ``T``: T_WC about the centre of the surface's camera [4, 4]."""
     at = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     z = tl.load(depth + at, mask=at < total, other=0.0)
     overlap = z > 0
     p0, p1, p2 = _turn(T, 4, z * ((at % width + 0.5 - cx) / fx), z * ((at // width + 0.5 - cy) / fy), z)
-    p0, p1, p2 = p0 + tl.load(T + 3), p1 + tl.load(T + 7), p2 + tl.load(T + 11)
+    C_x, C_y, C_z = load_position(T)
+    p0, p1, p2 = p0 + C_x, p1 + C_y, p2 + C_z
     s0, s1, s2 = _turn_back(R_WS, p0, p1, p2)
     overlap = overlap & (s2 > 0)
     s2 = tl.where(overlap, s2, 1.0)
     u, v = surface_fx * (s0 / s2) + surface_cx, surface_fy * (s1 / s2) + surface_cy
-    overlap = overlap & (u >= 0) & (u < wide) & (v >= 0) & (v < high)
+    overlap = overlap & (u >= 0) & (u < surface_width) & (v >= 0) & (v < surface_height)
     column, row = tl.where(overlap, u, 0.0).to(tl.int32), tl.where(overlap, v, 0.0).to(tl.int32)
-    d = tl.load(surface_depth + row * wide + column, mask=overlap, other=0.0)
-    n0, n1, n2 = load3(surface_normal, row * wide + column, overlap)
+    d = tl.load(surface_depth + row * surface_width + column, mask=overlap, other=0.0)
+    n0, n1, n2 = load3(surface_normal, row * surface_width + column, overlap)
     overlap = overlap & (d > 0) & ((n0 != 0) | (n1 != 0) | (n2 != 0))
     x, y = d * ((column + 0.5 - surface_cx) / surface_fx), d * ((row + 0.5 - surface_cy) / surface_fy)
     q0, q1, q2 = _turn(R_WS, 3, x, y, d)
@@ -122,12 +146,12 @@ def _sum(
     n0, n1, n2 = w * n0, w * n1, w * n2
     m0, m1, m2 = p1 * n2 - p2 * n1, p2 * n0 - p0 * n2, p0 * n1 - p1 * n0
     out = sums + _N_SUMS * tl.program_id(0)
-    _add_row(out, 0, n0, n0, n1, n2, m0, m1, m2, 0)
-    _add_row(out, 6, n1, n0, n1, n2, m0, m1, m2, 1)
-    _add_row(out, 11, n2, n0, n1, n2, m0, m1, m2, 2)
-    _add_row(out, 15, m0, n0, n1, n2, m0, m1, m2, 3)
-    _add_row(out, 18, m1, n0, n1, n2, m0, m1, m2, 4)
-    _add_row(out, 20, m2, n0, n1, n2, m0, m1, m2, 5)
+    _add_row(out, _H_0, n0, n0, n1, n2, m0, m1, m2, 0)
+    _add_row(out, _H_1, n1, n0, n1, n2, m0, m1, m2, 1)
+    _add_row(out, _H_2, n2, n0, n1, n2, m0, m1, m2, 2)
+    _add_row(out, _H_3, m0, n0, n1, n2, m0, m1, m2, 3)
+    _add_row(out, _H_4, m1, n0, n1, n2, m0, m1, m2, 4)
+    _add_row(out, _H_5, m2, n0, n1, n2, m0, m1, m2, 5)
     _add_row(out, _B, r, n0, n1, n2, m0, m1, m2, 0)
     tl.store(out + _SQUARES, tl.sum(r * r, axis=0))
     tl.store(out + _WEIGHTS, tl.sum(w * w, axis=0))

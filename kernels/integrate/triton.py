@@ -14,13 +14,17 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
+from gsfusion_nb.constants import VOXELS_PER_BLOCK
 from gsfusion_nb.tsdf.integrate import fuse_frame_ as reference
 from gsfusion_nb.tsdf.volume import TsdfVolume
 from gsfusion_nb.types import Camera, Frame
 
+from ..runtime.lens import lens_of
 from ..runtime.triton.launch import device_of, launch
+from ..runtime.triton.vectors import load_position
 
-_VOXELS = 512
+_FX, _FY, _CX, _CY, _VOXEL_SIZE = (tl.constexpr(place) for place in range(5))
+"""What of the camera and the map goes to the kernel in float64."""
 _EPS = tl.constexpr(1e-4)
 _MISSING = tl.constexpr(-1e9)
 
@@ -36,25 +40,40 @@ def fuse_frame_(volume: TsdfVolume, frame: Frame) -> int:
     counts = torch.empty(volume.n_blocks, dtype=torch.int32, device=device)
     pose = frame.T_WC.detach().to(device).contiguous()
     launch(
-        _fuse, volume.n_blocks, device, volume.block_coords, volume.D, volume.W, volume.rgb_planes,
-        *(t.detach().contiguous() for t in (frame.depth_m, frame.rgb)), pose,
-        _lens(camera, config.voxel_size_m, device), counts, camera.width, camera.height,
-        *(float(x) for x in (config.near_m, config.far_m, config.truncation_m, config.max_weight)),
-        RAY=config.sdf == "ray", VOXELS=_VOXELS, num_warps=4,
-    )  # fmt: skip
+        _fuse,
+        volume.n_blocks,
+        device,
+        coords=volume.block_coords,
+        D=volume.D,
+        W=volume.W,
+        colours=volume.rgb_planes,
+        depth=frame.depth_m.detach().contiguous(),
+        rgb=frame.rgb.detach().contiguous(),
+        T=pose,
+        lens=_lens(camera, config.voxel_size_m, device),
+        counts=counts,
+        width=camera.width,
+        height=camera.height,
+        near=float(config.near_m),
+        far=float(config.far_m),
+        truncation=float(config.truncation_m),
+        max_weight=float(config.max_weight),
+        RAY=config.sdf == "ray",
+        VOXELS=VOXELS_PER_BLOCK,
+        num_warps=4,
+    )
     return int(counts.sum())
 
 
 @functools.lru_cache(maxsize=16)
 def _lens(camera: Camera, voxel_size_m: float, device: torch.device) -> Tensor:
     """fx, fy, cx, cy and the voxel's edge, float64: a number passed to a kernel is float32."""
-    values = [camera.fx, camera.fy, camera.cx, camera.cy, voxel_size_m]
-    return torch.tensor(values, dtype=torch.float64, device=device)
+    return torch.tensor([*lens_of(camera), voxel_size_m], dtype=torch.float64, device=device)
 
 
 @triton.jit
 def _turn(T, row, x, y, z):
-    """One coordinate of R_CW (x, y, z), float64."""
+    """Coordinate ``row`` of R_CW (x, y, z), float64: a column of R_WC times the vector."""
     a, b, c = tl.load(T + row).to(tl.float64), tl.load(T + 4 + row).to(tl.float64), tl.load(T + 8 + row).to(tl.float64)
     return a * x + b * y + c * z
 
@@ -68,19 +87,20 @@ def _in_view(x, z, f, c, size, radius):
     )
 
 
-@triton.jit(do_not_specialize=["width", "height", "near", "far", "truncation", "most"])
+@triton.jit(do_not_specialize=["width", "height", "near", "far", "truncation", "max_weight"])
 def _fuse(
-    coords, D, W, colours, depth, rgb, T, lens, counts, width, height, near, far, truncation, most,
+    coords, D, W, colours, depth, rgb, T, lens, counts, width, height, near, far, truncation, max_weight,
     RAY: tl.constexpr, VOXELS: tl.constexpr,
 ):  # fmt: skip
     """counts [blocks]: how many voxels of each block were observed."""
     b = tl.program_id(0)
-    fx, fy, cx, cy = tl.load(lens), tl.load(lens + 1), tl.load(lens + 2), tl.load(lens + 3)
-    voxel = tl.load(lens + 4)
+    fx, fy, cx, cy = tl.load(lens + _FX), tl.load(lens + _FY), tl.load(lens + _CX), tl.load(lens + _CY)
+    voxel = tl.load(lens + _VOXEL_SIZE)
     side = 8 * voxel
-    x = tl.load(coords + 3 * b).to(tl.float64) * side - tl.load(T + 3).to(tl.float64)
-    y = tl.load(coords + 3 * b + 1).to(tl.float64) * side - tl.load(T + 7).to(tl.float64)
-    z = tl.load(coords + 3 * b + 2).to(tl.float64) * side - tl.load(T + 11).to(tl.float64)
+    C_x, C_y, C_z = load_position(T)
+    x = tl.load(coords + 3 * b).to(tl.float64) * side - C_x.to(tl.float64)
+    y = tl.load(coords + 3 * b + 1).to(tl.float64) * side - C_y.to(tl.float64)
+    z = tl.load(coords + 3 * b + 2).to(tl.float64) * side - C_z.to(tl.float64)
     x_C, y_C, z_C = _turn(T, 0, x, y, z), _turn(T, 1, x, y, z), _turn(T, 2, x, y, z)
     h = 0.5 * side
     mx, my = (x_C + _turn(T, 0, h, h, h)).to(tl.float32), (y_C + _turn(T, 1, h, h, h)).to(tl.float32)
@@ -130,7 +150,7 @@ def _fuse(
         updated = tl.sum(observed.to(tl.int32), axis=0)
         at = b.to(tl.int64) * VOXELS + n
         old_D, old_W = tl.load(D + at, mask=observed, other=0.0), tl.load(W + at, mask=observed, other=0.0)
-        new_W = tl.minimum(old_W + 1.0, most)
+        new_W = tl.minimum(old_W + 1.0, max_weight)
         step = 1.0 / new_W
         value = tl.minimum(tl.maximum(sdf / truncation, -1.0), 1.0)
         tl.store(W + at, new_W, mask=observed)

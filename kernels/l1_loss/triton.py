@@ -23,9 +23,18 @@ def l1_mse_vjp(rgb: Tensor, target: Tensor) -> reference.L1Loss:
     v_rgb = torch.empty(rgb.shape, dtype=torch.float32, device=device)
     sums = torch.empty(2, parts(total, _BLOCK), dtype=torch.float32, device=device)
     launch(
-        _pass, sums.shape[1], device, rgb.detach().contiguous(), target.detach().contiguous(), v_rgb, sums, total,
-        1.0 / max(total, 1), BLOCK=_BLOCK, num_warps=4,
-    )  # fmt: skip
+        _pass,
+        sums.shape[1],
+        device,
+        rgb=rgb.detach().contiguous(),
+        target=target.detach().contiguous(),
+        v_rgb=v_rgb,
+        sums=sums,
+        total=total,
+        scale=1.0 / max(total, 1),
+        BLOCK=_BLOCK,
+        num_warps=4,
+    )
     value, mse = sums.sum(1, dtype=torch.float64).div_(total).float()
     return reference.L1Loss(value=value, mse=mse, v_rgb=v_rgb)
 

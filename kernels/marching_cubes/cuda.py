@@ -2,19 +2,47 @@
 
 import ctypes
 import functools
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from gsfusion_nb.constants import VOXELS_PER_BLOCK
 from gsfusion_nb.tsdf.triangle_table import triangle_table
 from gsfusion_nb.tsdf.volume import TsdfVolume
 from gsfusion_nb.types import Mesh
 
-from ..runtime.cuda.launch import check_dtype, device_of, launch, parts
+from ..runtime.cuda.launch import device_of, launch
+from ..runtime.gpu import check_dtype, parts
 
 _BLOCK = 128
-_WORDS = 48
-"""Bits of the 3 x 512 edges of a block, in words of 32."""
+_EDGES = 3 * VOXELS_PER_BLOCK
+"""Of a block: those that begin in its voxels."""
+_WORDS = _EDGES // 32
+"""Bits of the edges of a block, in words of 32."""
+
+
+class Map(NamedTuple):
+    """Values of the voxels, rows of each block and its upper neighbours, and the least weight of a voxel."""
+
+    D: Tensor
+    W: Tensor
+    neighbour: Tensor
+    min_weight: float
+
+
+class Table(NamedTuple):
+    """Edges of the triangles of every case, and how many triangles; one byte each."""
+
+    triangles: Tensor
+    count: Tensor
+
+
+class Edges(NamedTuple):
+    """Bits of the edges that have a vertex, and the vertices of all earlier words."""
+
+    words: Tensor
+    before: Tensor
 
 
 def extract_mesh(volume: TsdfVolume, *, min_weight: float = 1.0) -> Mesh:
@@ -22,35 +50,25 @@ def extract_mesh(volume: TsdfVolume, *, min_weight: float = 1.0) -> Mesh:
     device = device_of("extract_mesh", volume=volume.D)
     check_dtype("extract_mesh", torch.float32, volume=volume.D)
     B, coords = volume.n_blocks, volume.block_coords
-    neighbour = _neighbours(volume)
+    field = Map(D=volume.D, W=volume.W, neighbour=_neighbours(volume), min_weight=float(min_weight))
     table = _table(device)
-    voxels = (volume.D, volume.W, neighbour, float(min_weight), *table)
     triangles = torch.zeros(B, dtype=torch.int32, device=device)
     words = torch.zeros(B * _WORDS, dtype=torch.int32, device=device)
     n_vertices = torch.empty_like(words)
-    launch("extract_mesh", "marching_cubes:mark_edges", B, _BLOCK, *voxels, triangles, words)
-    launch(
-        "extract_mesh",
-        "marching_cubes:count_vertices",
-        parts(len(words), _BLOCK),
-        _BLOCK,
-        words,
-        n_vertices,
-        len(words),
-    )
+    launch("extract_mesh", "marching_cubes:mark_edges", B, _BLOCK, field, table, triangles, words)
+    blocks = parts(len(words), _BLOCK)
+    launch("extract_mesh", "marching_cubes:count_vertices", blocks, _BLOCK, words, n_vertices, len(words))
     before, first = (x.cumsum(0, dtype=torch.int32) - x for x in (n_vertices, triangles))
     V, F = torch.stack([n_vertices.sum(), triangles.sum()]).tolist()
     vertices, rgb = (torch.empty(V, 3, dtype=torch.float32, device=device) for _ in range(2))
     faces = torch.empty(F, 3, dtype=torch.int64, device=device)
     if F:
-        edge = ctypes.c_double(volume.config.voxel_size_m)
+        edges, voxel_size_m = Edges(words=words, before=before), ctypes.c_double(volume.config.voxel_size_m)
         launch(
-            "extract_mesh", "marching_cubes:emit_vertices", (B, 3 * 512 // _BLOCK), _BLOCK, volume.D,
-            volume.rgb_planes, coords, neighbour, words, before, edge, vertices, rgb,
+            "extract_mesh", "marching_cubes:emit_vertices", (B, _EDGES // _BLOCK), _BLOCK, field, edges,
+            volume.rgb_planes, coords, voxel_size_m, vertices, rgb,
         )  # fmt: skip
-        launch(
-            "extract_mesh", "marching_cubes:emit_triangles", B, _BLOCK, *voxels, triangles, first, words, before, faces
-        )
+        launch("extract_mesh", "marching_cubes:emit_triangles", B, _BLOCK, field, table, edges, triangles, first, faces)
     return Mesh(vertices_W=vertices, faces=faces, rgb=rgb)
 
 
@@ -62,7 +80,6 @@ def _neighbours(volume: TsdfVolume) -> Tensor:
 
 
 @functools.cache
-def _table(device: torch.device) -> tuple[Tensor, Tensor]:
-    """Edges of the triangles of every case, and their number, one byte each."""
-    table, count = triangle_table()
-    return table.to(device, torch.int8).contiguous(), count.to(device, torch.int8)
+def _table(device: torch.device) -> Table:
+    triangles, count = (numbers.to(device, torch.int8).contiguous() for numbers in triangle_table())
+    return Table(triangles=triangles, count=count)

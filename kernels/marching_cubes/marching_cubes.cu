@@ -17,6 +17,16 @@ struct Map {
     float min_weight;
 };
 
+struct Table {
+    const signed char *triangles, *count;  // edges of the triangles of every case, and how many triangles
+};
+
+// Where the vertices are: bits of the edges that have one [B, 48], and the vertices of all earlier words.
+struct Edges {
+    const unsigned* words;
+    const int* before;
+};
+
 // Bit 0: negative; bit 1: observed often enough. Corner (x, y, z) of block b, 0 to 8 an axis.
 __device__ __forceinline__ unsigned char corner_bits(const Map& m, int b, int x, int y, int z) {
     const int row = m.neighbour[8LL * b + (x >> 3) * 4 + (y >> 3) * 2 + (z >> 3)];
@@ -56,22 +66,19 @@ __device__ __forceinline__ long long edge_key(const Map& m, int b, int n, int ed
 }
 
 // triangles [B]: of each block. words [B, 48]: bits of the edges that have a vertex; zero before.
-extern "C" __global__ void __launch_bounds__(128) mark_edges(
-    const float* D, const float* W, const int* neighbour, float min_weight, const signed char* table,
-    const signed char* table_count, int* triangles, unsigned* words) {
+extern "C" __global__ void __launch_bounds__(128) mark_edges(Map m, Table table, int* triangles, unsigned* words) {
     __shared__ unsigned char corners[SIDE * SIDE * SIDE];
     __shared__ int total;
-    const Map m = {D, W, neighbour, min_weight};
     const int b = blockIdx.x;
     if (threadIdx.x == 0) total = 0;
     load_corners(m, b, corners);
     for (int n = 4 * threadIdx.x; n < 4 * (int)threadIdx.x + 4; n++) {
         const int number = case_of(corners, n);
         if (!number) continue;
-        const int count = table_count[number];
+        const int count = table.count[number];
         atomicAdd(&total, count);
         unsigned used = 0;
-        for (int i = 0; i < 3 * count; i++) used |= 1u << table[number * 3 * MOST + i];
+        for (int i = 0; i < 3 * count; i++) used |= 1u << table.triangles[number * 3 * MOST + i];
         while (used) {
             const long long key = edge_key(m, b, n, __ffs(used) - 1);
             used &= used - 1;
@@ -87,21 +94,20 @@ extern "C" __global__ void __launch_bounds__(128) count_vertices(const unsigned*
     if (i < n_words) vertices[i] = __popc(words[i]);
 }
 
-// One thread an edge bit. before [B * 48]: vertices of earlier words. planes [B, 3, 512]: colours.
+// One thread an edge bit. planes [B, 3, 512]: colours. coords [B, 3]: of the blocks.
 extern "C" __global__ void __launch_bounds__(128) emit_vertices(
-    const float* D, const float* planes, const int* coords, const int* neighbour, const unsigned* words,
-    const int* before, double voxel_size_m, float* vertices, float* rgb) {
+    Map m, Edges edges, const float* planes, const int* coords, double voxel_size_m, float* vertices, float* rgb) {
     const int b = blockIdx.x, edge = blockIdx.y * THREADS + threadIdx.x;
     const long long word = (long long)b * WORDS + edge / 32;
-    const unsigned bits = words[word];
+    const unsigned bits = edges.words[word];
     if (!(bits >> (edge % 32) & 1)) return;
-    const int at = before[word] + __popc(bits & ((1u << (edge % 32)) - 1));
+    const int at = edges.before[word] + __popc(bits & ((1u << (edge % 32)) - 1));
     const int n = edge / 3, axis = edge % 3;
     const int here[3] = {n >> 6, n >> 3 & 7, n & 7};
     const int there[3] = {here[0] + (axis == 0), here[1] + (axis == 1), here[2] + (axis == 2)};
-    const int row = neighbour[8LL * b + (there[0] >> 3) * 4 + (there[1] >> 3) * 2 + (there[2] >> 3)];
+    const int row = m.neighbour[8LL * b + (there[0] >> 3) * 4 + (there[1] >> 3) * 2 + (there[2] >> 3)];
     const int other = (there[0] & 7) * 64 + (there[1] & 7) * 8 + (there[2] & 7);
-    const float D0 = D[(long long)b * VOXELS + n], D1 = D[(long long)row * VOXELS + other], t = D0 / (D0 - D1);
+    const float D0 = m.D[(long long)b * VOXELS + n], D1 = m.D[(long long)row * VOXELS + other], t = D0 / (D0 - D1);
 #pragma unroll
     for (int k = 0; k < 3; k++) {
         const double place = coords[3LL * b + k] * 8.0 + here[k] + 0.5 + (axis == k ? (double)t : 0.0);
@@ -113,12 +119,9 @@ extern "C" __global__ void __launch_bounds__(128) emit_vertices(
 
 // first [B]: triangles of earlier blocks.
 extern "C" __global__ void __launch_bounds__(128) emit_triangles(
-    const float* D, const float* W, const int* neighbour, float min_weight, const signed char* table,
-    const signed char* table_count, const int* triangles, const int* first, const unsigned* words, const int* before,
-    long long* faces) {
+    Map m, Table table, Edges edges, const int* triangles, const int* first, long long* faces) {
     __shared__ unsigned char corners[SIDE * SIDE * SIDE];
     __shared__ int of_warp[THREADS / 32];
-    const Map m = {D, W, neighbour, min_weight};
     const int b = blockIdx.x, lane = threadIdx.x % 32, warp = threadIdx.x / 32;
     if (triangles[b] == 0) return;
     load_corners(m, b, corners);
@@ -126,7 +129,7 @@ extern "C" __global__ void __launch_bounds__(128) emit_triangles(
 #pragma unroll
     for (int k = 0; k < 4; k++) {
         number[k] = case_of(corners, 4 * threadIdx.x + k);
-        if (number[k]) mine += table_count[number[k]];
+        if (number[k]) mine += table.count[number[k]];
     }
     int sum = mine;  // of this lane and those before
 #pragma unroll
@@ -140,11 +143,11 @@ extern "C" __global__ void __launch_bounds__(128) emit_triangles(
     for (int w = 0; w < warp; w++) at += of_warp[w];
 #pragma unroll
     for (int k = 0; k < 4; k++) {
-        const int corners_of_all = number[k] ? 3 * table_count[number[k]] : 0;
+        const int corners_of_all = number[k] ? 3 * table.count[number[k]] : 0;
         for (int i = 0; i < corners_of_all; i++) {
-            const long long key = edge_key(m, b, 4 * threadIdx.x + k, table[number[k] * 3 * MOST + i]);
-            const unsigned bits = words[key >> 5];
-            faces[3 * at + i] = before[key >> 5] + __popc(bits & ((1u << (key & 31)) - 1));
+            const long long key = edge_key(m, b, 4 * threadIdx.x + k, table.triangles[number[k] * 3 * MOST + i]);
+            const unsigned bits = edges.words[key >> 5];
+            faces[3 * at + i] = edges.before[key >> 5] + __popc(bits & ((1u << (key & 31)) - 1));
         }
         at += corners_of_all / 3;
     }

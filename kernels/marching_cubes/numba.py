@@ -7,10 +7,13 @@ vertices and triangles. Order and numbering are the reference's.
 # Intrinsics are called without their typing context, which pyright cannot follow:
 # pyright: reportCallIssue=false
 
+from typing import NamedTuple
+
 import numpy as np
 import torch
 from numba import int64, njit, prange, uint64
 
+from gsfusion_nb.constants import BLOCK_VOXELS, VOXELS_PER_BLOCK
 from gsfusion_nb.tsdf.marching_cubes import extract_mesh as reference
 from gsfusion_nb.tsdf.triangle_table import EDGES, triangle_table
 from gsfusion_nb.tsdf.volume import TsdfVolume
@@ -24,6 +27,60 @@ _ONE, _HALF = f32(1.0), f32(0.5)
 _LAST_Z, _FIRST_Z = np.uint64(0x8080808080808080), np.uint64(0x0101010101010101)
 _NONE = np.uint64(0)
 _EDGES = np.array(EDGES, np.int64)
+_STEP_X, _STEP_Y, _STEP_Z = BLOCK_VOXELS * BLOCK_VOXELS, BLOCK_VOXELS, 1
+"""From a voxel to the next one along each axis, in the order in which a block is stored."""
+
+_X, _Y, _Z = range(3)
+"""Axes: rows of tables of neighbours, and of the words that say which edges along an axis have a vertex."""
+
+_SIGN, _SIGN_Y, _SIGN_Z, _SIGN_YZ = range(3, 7)
+"""The words behind those: the signs at a voxel, and one step ahead along y, along z, along both."""
+_WORDS = 7
+
+
+class Voxels(NamedTuple):
+    """Values in the order of the pool."""
+
+    D: np.ndarray
+    W: np.ndarray
+    rgb: np.ndarray
+
+
+class Topology(NamedTuple):
+    """What makes a surface, as words per slab."""
+
+    words: np.ndarray
+    """[_WORDS, B, 8]"""
+    active: np.ndarray
+    """[B, 8]: cubes with triangles."""
+    first_vertex: np.ndarray
+    """[8 B + 1]: of each slab."""
+    first_triangle: np.ndarray
+    """[B + 1]: of each block."""
+
+
+class Tables(NamedTuple):
+    """Edges of the triangles of every case, their number, and axis and lower corner of every edge."""
+
+    triangles: np.ndarray
+    count: np.ndarray
+    edges: np.ndarray
+
+
+class Grid(NamedTuple):
+    """Where the blocks are, in blocks [B, 3], the edge of a voxel in metres, and the upper neighbours [3, B]."""
+
+    coords: np.ndarray
+    voxel_size_m: float
+    upper: np.ndarray
+
+
+class MeshArrays(NamedTuple):
+    """The mesh to be written."""
+
+    vertices: np.ndarray
+    rgb: np.ndarray
+    faces: np.ndarray
 
 
 def extract_mesh(volume: TsdfVolume, *, min_weight: float = 1.0) -> Mesh:
@@ -38,30 +95,32 @@ def extract_mesh(volume: TsdfVolume, *, min_weight: float = 1.0) -> Mesh:
         upper[axis] = volume.index.find(coords + step).numpy()
         known = np.flatnonzero(upper[axis] >= 0)
         lower[axis, upper[axis, known]] = known
-    D, W, C = (t.view(-1).numpy() for t in (volume.D, volume.W, volume.rgb_planes))
-    table, count = (t.numpy() for t in triangle_table())
+    voxels = Voxels(*(t.view(-1).numpy() for t in (volume.D, volume.W, volume.rgb_planes)))
+    triangles, count = (t.numpy() for t in triangle_table())
+    tables = Tables(triangles=triangles, count=count, edges=_EDGES)
     with launching():
         negative, seen = np.empty((len(coords), 8), np.uint64), np.empty((len(coords), 8), np.uint64)
-        _signs(D, W, f32(min_weight), negative, seen)
-        words, active, starts, first_triangle = _topology(negative, seen, upper, lower, count)
-        n_vertices, n_triangles = int(starts[-1]), int(first_triangle[-1])
+        _signs(voxels, f32(min_weight), negative, seen)
+        topology = Topology(*_topology(negative, seen, upper, lower, count))
+        n_vertices, n_triangles = int(topology.first_vertex[-1]), int(topology.first_triangle[-1])
         vertices, rgb = torch.empty(n_vertices, 3), torch.empty(n_vertices, 3)
         faces = torch.empty(n_triangles, 3, dtype=torch.int64)
-        out = vertices.numpy(), rgb.numpy(), faces.numpy()
-        grid = coords.numpy(), float(volume.config.voxel_size_m)
-        _emit(D, C, words, active, starts, first_triangle, upper, (table, count, _EDGES), grid, *out)
+        mesh = MeshArrays(vertices=vertices.numpy(), rgb=rgb.numpy(), faces=faces.numpy())
+        grid = Grid(coords=coords.numpy(), voxel_size_m=float(volume.config.voxel_size_m), upper=upper)
+        _emit(voxels, topology, tables, grid, mesh)
     return Mesh(vertices_W=vertices, faces=faces, rgb=rgb)
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
-def _signs(D, W, min_weight, negative, seen):
+def _signs(voxels, min_weight, negative, seen):
     """One bit per voxel, a word per slab of a block [B, 8]: whether D is negative, whether it was observed enough."""
+    D, W = voxels.D, voxels.W
     for task in prange(negative.shape[0]):
         b = int64(task)
         for x in range(8):
             minus, known = _NONE, _NONE
             for n in range(64):
-                at = b * 512 + x * 64 + n
+                at = b * VOXELS_PER_BLOCK + x * _STEP_X + n
                 minus |= uint64(D[at] < f32(0)) << uint64(n)
                 known |= uint64((W[at] >= min_weight) & (W[at] > f32(0))) << uint64(n)
             negative[b, x], seen[b, x] = minus, known
@@ -70,14 +129,15 @@ def _signs(D, W, min_weight, negative, seen):
 @njit(cache=True, error_model="numpy")
 def _next_y(words, b, x, upper):
     """The word of the voxels one step further along y."""
-    row = upper[1, b]
+    row = upper[_Y, b]
     across = words[row, x] << uint64(56) if row >= 0 else _NONE
     return words[b, x] >> uint64(8) | across
 
 
 @njit(cache=True, error_model="numpy")
 def _next_z(words, b, x, upper):
-    row = upper[2, b]
+    """The same along z; and so on for the other directions."""
+    row = upper[_Z, b]
     across = (words[row, x] & _FIRST_Z) << uint64(7) if row >= 0 else _NONE
     return (words[b, x] & ~_FIRST_Z) >> uint64(1) | across
 
@@ -86,20 +146,20 @@ def _next_z(words, b, x, upper):
 def _next_x(words, b, x, upper):
     if x < 7:
         return words[b, x + 1]
-    row = upper[0, b]
+    row = upper[_X, b]
     return words[row, 0] if row >= 0 else _NONE
 
 
 @njit(cache=True, error_model="numpy")
 def _previous_y(words, b, x, lower):
-    row = lower[1, b]
+    row = lower[_Y, b]
     across = words[row, x] >> uint64(56) if row >= 0 else _NONE
     return words[b, x] << uint64(8) | across
 
 
 @njit(cache=True, error_model="numpy")
 def _previous_z(words, b, x, lower):
-    row = lower[2, b]
+    row = lower[_Z, b]
     across = (words[row, x] & _LAST_Z) >> uint64(7) if row >= 0 else _NONE
     return (words[b, x] & ~_LAST_Z) << uint64(1) | across
 
@@ -108,26 +168,21 @@ def _previous_z(words, b, x, lower):
 def _previous_x(words, b, x, lower):
     if x > 0:
         return words[b, x - 1]
-    row = lower[0, b]
+    row = lower[_X, b]
     return words[row, 7] if row >= 0 else _NONE
 
 
 @njit(cache=True, error_model="numpy")
 def _topology(negative, seen, upper, lower, count):
-    """What makes a surface, as words per slab.
-
-    Returns:
-        words [7, B, 8]: edges along x, y, z with a vertex; then the signs at (0, 0), (y), (z), (y and z) steps ahead.
-        active [B, 8]: cubes with triangles. starts [8 B + 1]: first vertex of each slab. first_triangle [B + 1].
-    """
+    """The parts of a ``Topology``."""
     B = negative.shape[0]
-    words = np.empty((7, B, 8), np.uint64)
-    minus, minus_y, minus_z, minus_yz = negative, words[4], words[5], words[6]
+    words = np.empty((_WORDS, B, 8), np.uint64)
+    minus, minus_y, minus_z, minus_yz = negative, words[_SIGN_Y], words[_SIGN_Z], words[_SIGN_YZ]
     seen_z, seen_yz, whole = np.empty((B, 8), np.uint64), np.empty((B, 8), np.uint64), np.empty((B, 8), np.uint64)
     for b in range(B):
         for x in range(8):
             minus_y[b, x], minus_z[b, x] = _next_y(minus, b, x, upper), _next_z(minus, b, x, upper)
-            words[3, b, x] = negative[b, x]
+            words[_SIGN, b, x] = negative[b, x]
             seen_z[b, x] = seen[b, x] & _next_z(seen, b, x, upper)
     for b in range(B):
         for x in range(8):
@@ -148,10 +203,10 @@ def _topology(negative, seen, upper, lower, count):
         triangles = 0
         for x in range(8):
             m = minus[b, x]
-            words[0, b, x] = (m ^ _next_x(minus, b, x, upper)) & (whole_z[b, x] | _previous_y(whole_z, b, x, lower))
-            words[1, b, x] = (m ^ minus_y[b, x]) & (whole_z[b, x] | _previous_x(whole_z, b, x, lower))
-            words[2, b, x] = (m ^ minus_z[b, x]) & (whole_y[b, x] | _previous_x(whole_y, b, x, lower))
-            n = popcount(words[0, b, x]) + popcount(words[1, b, x]) + popcount(words[2, b, x])
+            words[_X, b, x] = (m ^ _next_x(minus, b, x, upper)) & (whole_z[b, x] | _previous_y(whole_z, b, x, lower))
+            words[_Y, b, x] = (m ^ minus_y[b, x]) & (whole_z[b, x] | _previous_x(whole_z, b, x, lower))
+            words[_Z, b, x] = (m ^ minus_z[b, x]) & (whole_y[b, x] | _previous_x(whole_y, b, x, lower))
+            n = popcount(words[_X, b, x]) + popcount(words[_Y, b, x]) + popcount(words[_Z, b, x])
             starts[8 * b + x + 1] = starts[8 * b + x] + n
             corners = _corners(words, b, x, upper)
             some = corners[0] | corners[1] | corners[2] | corners[3] | corners[4] | corners[5] | corners[6] | corners[7]
@@ -171,14 +226,14 @@ def _topology(negative, seen, upper, lower, count):
 def _corners(words, b, x, upper):
     """Sign words of the eight corners x + 2 y + 4 z of the cubes of a slab."""
     return (
-        words[3, b, x],
-        _next_x(words[3], b, x, upper),
-        words[4, b, x],
-        _next_x(words[4], b, x, upper),
-        words[5, b, x],
-        _next_x(words[5], b, x, upper),
-        words[6, b, x],
-        _next_x(words[6], b, x, upper),
+        words[_SIGN, b, x],
+        _next_x(words[_SIGN], b, x, upper),
+        words[_SIGN_Y, b, x],
+        _next_x(words[_SIGN_Y], b, x, upper),
+        words[_SIGN_Z, b, x],
+        _next_x(words[_SIGN_Z], b, x, upper),
+        words[_SIGN_YZ, b, x],
+        _next_x(words[_SIGN_YZ], b, x, upper),
     )
 
 
@@ -204,10 +259,14 @@ def _vertex(words, starts, b, x, bit, axis):
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
-def _emit(D, C, words, active, starts, first_triangle, upper, tables, grid, vertices, rgb, faces):
+def _emit(voxels, topology, tables, grid, mesh):
     """Write the vertices of every block, and its triangles."""
-    table, count, edges = tables
-    coords, voxel_size = grid
+    D, C = voxels.D, voxels.rgb
+    words, active, starts = topology.words, topology.active, topology.first_vertex
+    first_triangle = topology.first_triangle
+    table, count, edges = tables.triangles, tables.count, tables.edges
+    coords, voxel_size, upper = grid.coords, grid.voxel_size_m, grid.upper
+    vertices, rgb, faces = mesh.vertices, mesh.rgb, mesh.faces
     B = active.shape[0]
     for task in prange(B):
         b = int64(task)
@@ -230,11 +289,11 @@ def _emit(D, C, words, active, starts, first_triangle, upper, tables, grid, vert
                         continue
                     row, ox, oy, oz = b, x + (corner & 1), y + (corner >> 1 & 1), z + (corner >> 2)
                     if ox > 7:
-                        row, ox = upper[0, row], 0
+                        row, ox = upper[_X, row], 0
                     if oy > 7:
-                        row, oy = upper[1, row], 0
+                        row, oy = upper[_Y, row], 0
                     if oz > 7:
-                        row, oz = upper[2, row], 0
+                        row, oz = upper[_Z, row], 0
                     number[e] = _vertex(words, starts, row, ox, uint64(8 * oy + oz), axis)
                 for t in range(count[case]):
                     for k in range(3):
@@ -244,27 +303,28 @@ def _emit(D, C, words, active, starts, first_triangle, upper, tables, grid, vert
 
 @njit(cache=True, error_model="numpy")
 def _vertices_of_slab(D, C, words, starts, upper, slab, corner, voxel_size, vertices, rgb):
+    """Write the vertices on the edges that begin in a slab: at the zero of D along the edge, with the colour there."""
     b, x = slab
     out = starts[8 * b + x]
-    voxels = words[0, b, x] | words[1, b, x] | words[2, b, x]
+    voxels = words[_X, b, x] | words[_Y, b, x] | words[_Z, b, x]
     while voxels != _NONE:
         bit = lowest(voxels)
         voxels &= voxels - uint64(1)
         y, z = int64(bit >> uint64(3)), int64(bit & uint64(7))
-        n = x * 64 + y * 8 + z
-        D0 = D[b * 512 + n]
+        n = x * _STEP_X + y * _STEP_Y + z * _STEP_Z
+        D0 = D[b * VOXELS_PER_BLOCK + n]
         for axis in range(3):
             if (words[axis, b, x] >> bit & uint64(1)) == _NONE:
                 continue
-            at = x if axis == 0 else (y if axis == 1 else z)
-            step = 64 if axis == 0 else (8 if axis == 1 else 1)
+            at = x if axis == _X else (y if axis == _Y else z)
+            step = _STEP_X if axis == _X else (_STEP_Y if axis == _Y else _STEP_Z)
             row, m = (b, n + step) if at < 7 else (upper[axis, b], n - 7 * step)
-            t = D0 / (D0 - D[row * 512 + m])
-            vertices[out, 0] = (corner[0] * 8 + x + 0.5 + (np.float64(t) if axis == 0 else 0.0)) * voxel_size
-            vertices[out, 1] = (corner[1] * 8 + y + 0.5 + (np.float64(t) if axis == 1 else 0.0)) * voxel_size
-            vertices[out, 2] = (corner[2] * 8 + z + 0.5 + (np.float64(t) if axis == 2 else 0.0)) * voxel_size
+            t = D0 / (D0 - D[row * VOXELS_PER_BLOCK + m])
+            vertices[out, 0] = (corner[0] * 8 + x + 0.5 + (np.float64(t) if axis == _X else 0.0)) * voxel_size
+            vertices[out, 1] = (corner[1] * 8 + y + 0.5 + (np.float64(t) if axis == _Y else 0.0)) * voxel_size
+            vertices[out, 2] = (corner[2] * 8 + z + 0.5 + (np.float64(t) if axis == _Z else 0.0)) * voxel_size
             for c in range(3):
-                first, second = C[(b * 3 + c) * 512 + n], C[(row * 3 + c) * 512 + m]
+                first, second = C[(b * 3 + c) * VOXELS_PER_BLOCK + n], C[(row * 3 + c) * VOXELS_PER_BLOCK + m]
                 towards = second - first
                 rgb[out, c] = first + t * towards if t < _HALF else second - towards * (_ONE - t)
             out += 1

@@ -1,19 +1,41 @@
 """Projection and colour of every Gaussian, and their gradient: ``project.cu``."""
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
 from gsfusion_nb.types import Camera, GaussianParams
 
-from ..runtime.cuda.launch import launch, packed, parts
-from .lens import lens
-
-SPLAT = 12
-"""u, v, conic A, B, C, ln(opacity), r, g, b, depth, half extents x, y of the ellipse alpha >= 1/255; of gradients the
-moments that ``composite.cu`` names."""
+from ..runtime.cuda.launch import launch
+from ..runtime.gpu import packed, parts
+from .lens import projection_lens
+from .splat import SPLAT
 
 _BLOCK = 128
-_NAMES = ("xyz_W", "log_scale", "quat", "opacity_logit", "sh")
+_FIELDS = {"xyz": "xyz_W", "log_scale": "log_scale", "quat": "quat", "logit": "opacity_logit", "sh": "sh"}
+"""Names in the kernels, and those of ``GaussianParams``."""
+
+
+class Params(NamedTuple):
+    """The parameters of a map and the pose T_WC, float32."""
+
+    xyz: Tensor
+    log_scale: Tensor
+    quat: Tensor
+    logit: Tensor
+    sh: Tensor
+    pose: Tensor
+
+
+class Gradients(NamedTuple):
+    """dL/d of the parameters, to be written."""
+
+    xyz: Tensor
+    log_scale: Tensor
+    quat: Tensor
+    logit: Tensor
+    sh: Tensor
 
 
 def project_rows(params: GaussianParams, camera: Camera, T_WC: Tensor) -> tuple[Tensor, Tensor]:
@@ -22,8 +44,8 @@ def project_rows(params: GaussianParams, camera: Camera, T_WC: Tensor) -> tuple[
     splats = torch.empty(N, SPLAT, dtype=torch.float32, device=device)
     depth = torch.empty(N, dtype=torch.float32, device=device)
     launch(
-        "render_forward", f"project:project_{_coefficients(params)}", parts(N, _BLOCK), _BLOCK, *_arrays(params), T_WC,
-        splats, depth, N, *lens(camera), camera.width, camera.height,
+        "render_forward", f"project:project_{_coefficients(params)}", parts(N, _BLOCK), _BLOCK,
+        Params(**_arrays(params), pose=T_WC), projection_lens(camera), splats, depth, N, camera.width, camera.height,
     )  # fmt: skip
     return splats, depth
 
@@ -34,21 +56,21 @@ def project_rows_vjp(
     T_WC: Tensor,
     splats: Tensor,
     depth: Tensor,
-    moments: Tensor,
-    rows: Tensor | None,
+    sums: Tensor,
+    trained: Tensor | None,
 ) -> GaussianParams:
-    """Gradients of the parameters from the moments [N, SPLAT]; zero where ``rows`` [N] is false."""
+    """Gradients of the parameters from the sums of ``composite.cu`` [N, SPLAT]; zero where ``trained`` [N] is 0."""
     N, arrays = len(params), _arrays(params)
-    out = [torch.empty_like(a) for a in arrays]
+    out = {name: torch.empty_like(array) for name, array in arrays.items()}
     launch(
-        "render_vjp", f"project:project_vjp_{_coefficients(params)}", parts(N, _BLOCK), _BLOCK, *arrays, T_WC, splats,
-        depth, moments, rows, *out, N, *lens(camera),
+        "render_vjp", f"project:project_vjp_{_coefficients(params)}", parts(N, _BLOCK), _BLOCK,
+        Params(**arrays, pose=T_WC), projection_lens(camera), splats, depth, sums, trained, Gradients(**out), N,
     )  # fmt: skip
-    return GaussianParams(**dict(zip(_NAMES, out, strict=True)))
+    return GaussianParams(**{field: out[name] for name, field in _FIELDS.items()})
 
 
-def _arrays(params: GaussianParams) -> list[Tensor]:
-    return [packed(getattr(params, name)) for name in _NAMES]
+def _arrays(params: GaussianParams) -> dict[str, Tensor]:
+    return {name: packed(getattr(params, field)) for name, field in _FIELDS.items()}
 
 
 def _coefficients(params: GaussianParams) -> int:

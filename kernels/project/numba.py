@@ -5,13 +5,16 @@ scalars here, so that a row is read once and its intermediate values stay in reg
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit, prange
 
 from gsfusion_nb.constants import ALPHA_MIN, NEAR_PLANE_M, SCREEN_BLUR_PX2
 
-from ..composite.numba import (
+from ..binning.tile_windows import FIRST_X, FIRST_Y, LAST_X, LAST_Y
+from ..composite.numba import TILE
+from ..composite.sums import (
     PAIR_SUMS,
     SUM_BLUE,
     SUM_DEPTH,
@@ -23,11 +26,10 @@ from ..composite.numba import (
     SUM_GY,
     SUM_GYY,
     SUM_RED,
-    TILE,
 )
 from ..harmonics.numba import basis_into, gradient_into
-from ..runtime.numba.dealing import deal_size, dealt
-from .lens import lens
+from ..runtime.numba.cyclic import cyclic_size, cyclic_task
+from .lens import projection_lens
 from .splat import (
     BLUE,
     CONIC_A,
@@ -55,7 +57,7 @@ _HALF, _ONE, _TWO, _ZERO = f32(0.5), f32(1.0), f32(2.0), f32(0.0)
 CHUNK = 256
 """Rows that one thread takes at a time."""
 
-ROOM = 16 * CHUNK
+NOTED_PER_CHUNK = 16 * CHUNK
 """Tiles of a chunk's splats that are noted while they are counted; if there are more, they are found a second time."""
 
 R00, R01, R02, R10, R11, R12, R20, R21, R22, T0, T1, T2 = range(12)
@@ -63,9 +65,19 @@ CENTRE_X, CENTRE_Y, CENTRE_Z, FX, FY, CX, CY, LIMIT_X, LIMIT_Y, WIDTH, HEIGHT = 
 """The camera as 23 float32: R_CW, t_CW, its centre, fx, fy, cx, cy, limits of x/z and y/z in J, image size."""
 
 
+class Params(NamedTuple):
+    """The parameters of a map, or dL/d of each, one Gaussian a row. float32"""
+
+    xyz: np.ndarray
+    log_scale: np.ndarray
+    quat: np.ndarray
+    logit: np.ndarray
+    sh: np.ndarray
+
+
 def pack_camera(camera, T_CW: np.ndarray, centre_W: np.ndarray) -> np.ndarray:
     """The camera and its pose as one float32 array, in the order of the constants above."""
-    tail = [*lens(camera), camera.width, camera.height]
+    tail = [*projection_lens(camera), camera.width, camera.height]
     return np.concatenate([T_CW[:3, :3].ravel(), T_CW[:3, 3], centre_W, tail]).astype(np.float32)
 
 
@@ -127,8 +139,8 @@ def tiles_of(splat, width, height, windows, tiles, start, room):
         for tx in range(left // TILE, right // TILE + 1):
             if masked:
                 t = ty * tiles_x + tx
-                beside = (left > windows[t, 1]) | (right < windows[t, 0])
-                if beside | (y_first > windows[t, 3]) | (y_last < windows[t, 2]):
+                beside = (left > windows[t, LAST_X]) | (right < windows[t, FIRST_X])
+                if beside | (y_first > windows[t, LAST_Y]) | (y_last < windows[t, FIRST_Y]):
                     continue
             if n < room:
                 tiles[start + n] = ty * tiles_x + tx
@@ -170,18 +182,20 @@ def _find_candidates(xyz, log_scale, cam, sums, first, end, found):
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
-def project_rows(xyz, log_scale, quat, logit, sh, cam, windows, sums, splats, count, noted):
+def project_rows(params, cam, wanted, splats, count, noted):
     """Fill ``splats`` [N, SPLAT] and ``count`` [N], the number of tiles each is listed in (0: not drawn).
 
-    windows, sums: where there are pixels to be drawn, from ``binning.tile_windows``.
-    noted: for each chunk ``ROOM`` numbers, the tiles of its rows one after another, as far as they fit.
+    wanted: ``TileWindows``, where there are pixels to be drawn.
+    noted: for each chunk ``NOTED_PER_CHUNK`` numbers, the tiles of its rows one after another, as far as they fit.
     """
+    xyz, log_scale, quat, logit, sh = params.xyz, params.log_scale, params.quat, params.logit, params.sh
+    windows, sums = wanted.windows, wanted.sums
     N, K = sh.shape[0], sh.shape[1]
     fx, fy = cam[FX], cam[FY]
     width, height = int(cam[WIDTH]), int(cam[HEIGHT])
     n_parts = (N + CHUNK - 1) // CHUNK
-    for k_part in prange(deal_size(n_parts)):
-        part = dealt(k_part, n_parts)
+    for k_part in prange(cyclic_size(n_parts)):
+        part = cyclic_task(k_part, n_parts)
         if part >= n_parts:
             continue
         Y = np.empty(16, np.float32)
@@ -225,10 +239,12 @@ def project_rows(xyz, log_scale, quat, logit, sh, cam, windows, sums, splats, co
             reach = _TWO * (s[LN_OPACITY] - _LOG_ALPHA_MIN)
             s[DEPTH] = z
             s[EXTENT_U], s[EXTENT_V] = math.sqrt(reach * (uu + _BLUR)), math.sqrt(reach * (vv + _BLUR))
-            count[i] = tiles_of(s, width, height, windows, noted, part * ROOM + n_noted, ROOM - n_noted)
+            count[i] = tiles_of(
+                s, width, height, windows, noted, part * NOTED_PER_CHUNK + n_noted, NOTED_PER_CHUNK - n_noted
+            )
             if count[i] == 0:
                 continue
-            n_noted = min(n_noted + count[i], ROOM)
+            n_noted = min(n_noted + count[i], NOTED_PER_CHUNK)
             dx, dy, dz = X - cam[CENTRE_X], Yw - cam[CENTRE_Y], Z - cam[CENTRE_Z]
             inv = _ONE / max(math.sqrt(dx * dx + dy * dy + dz * dz), f32(1e-12))
             basis_into(dx * inv, dy * inv, dz * inv, K, Y)
@@ -264,19 +280,20 @@ def _column_vjp(cam, frame, q0, q1, q2, scale):
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
-def project_rows_vjp(
-    xyz, log_scale, quat, logit, sh, cam, splats, start, trained, pair_sums, v_xyz, v_log_scale, v_quat, v_logit, v_sh
-):
+def project_rows_vjp(params, cam, splats, start, trained, pair_sums, v_params):
     """Add up each row's pair sums and carry them to its parameters; every row of the outputs is written.
 
     Rows that are not ``trained`` get zero and their pair sums are not read; an empty array stands for all rows.
     """
+    xyz, log_scale, quat, sh = params.xyz, params.log_scale, params.quat, params.sh
+    v_xyz, v_log_scale, v_quat = v_params.xyz, v_params.log_scale, v_params.quat
+    v_logit, v_sh = v_params.logit, v_params.sh
     all_trained = trained.shape[0] == 0
     N, K = sh.shape[0], sh.shape[1]
     fx, fy = cam[FX], cam[FY]
     n_parts = (N + CHUNK - 1) // CHUNK
-    for k_part in prange(deal_size(n_parts)):
-        part = dealt(k_part, n_parts)
+    for k_part in prange(cyclic_size(n_parts)):
+        part = cyclic_task(k_part, n_parts)
         if part >= n_parts:
             continue
         total = np.empty(PAIR_SUMS, np.float32)

@@ -3,11 +3,11 @@
 // Layout: one thread a row, 128 a block; every intermediate stays in registers. Quaternions, splats and, for degrees 1
 // and 3, the coefficients are read 16 bytes at a time. What limits it is memory: 56 + 12 K bytes in and 52 out forward.
 // Coefficients are read only of rows that are drawn. Activations (exp, sigmoid) are part of the pass, and so is the
-// chain rule from the moments that composite.cu sums to the conic. Formulas: gsfusion_nb/render/project.py.
+// chain rule from the sums of composite.cu to the conic. Formulas: gsfusion_nb/render/project.py.
 #include "harmonics.cuh"
 #include "splat.cuh"
 
-struct Lens {
+struct ProjectionLens {
     float fx, fy, cx, cy, limit_x, limit_y;
 };
 
@@ -38,7 +38,7 @@ __device__ __forceinline__ void camera_axes(const Params& p, int i, Steps& t) {
 }
 
 // The rest of the steps, of a row in front of the near plane.
-__device__ __forceinline__ void ellipse(const Params& p, const Lens& c, int i, Steps& t) {
+__device__ __forceinline__ void ellipse(const Params& p, const ProjectionLens& c, int i, Steps& t) {
     t.inv_z = 1.0f / t.z;
     t.x_z = t.x * t.inv_z, t.y_z = t.y * t.inv_z;
     t.tx = fminf(fmaxf(t.x_z, -c.limit_x), c.limit_x);
@@ -74,7 +74,7 @@ __device__ __forceinline__ float3 direction(const Steps& t, float* distance) {
 }
 
 template <int K>
-__device__ __forceinline__ void project(Params p, Lens c, float4* splats, float* depth, int N, int width, int height) {
+__device__ __forceinline__ void project(Params p, ProjectionLens c, float4* splats, float* depth, int N, int width, int height) {
     const int i = blockIdx.x * blockDim.x + threadIdx.x;
     if (i >= N) return;
     Steps t;
@@ -135,11 +135,11 @@ __device__ __forceinline__ float4 rotation_vjp(const float* q, float norm, const
         (e0 - w * along) / norm, (e1 - x * along) / norm, (e2 - y * along) / norm, (e3 - z * along) / norm);
 }
 
-// moments: per row sum v dx, v dy, v dx^2, v dx dy | v dy^2, v, w v_r, w v_g | w v_b, w v_z, -, -  (composite.cu).
+// sums: of every row, see splat.cuh.
 // trained: rows to be differentiated, or null for all. A row that is not drawn (infinite depth) has no gradient.
 template <int K>
 __device__ __forceinline__ void project_vjp(
-    Params p, Lens c, const float4* splats, const float* depth, const float4* moments, const unsigned char* trained,
+    Params p, ProjectionLens c, const float4* splats, const float* depth, const float4* sums, const unsigned char* trained,
     Gradients o, int N) {
     const int i = blockIdx.x * blockDim.x + threadIdx.x;
     if (i >= N) return;
@@ -151,11 +151,11 @@ __device__ __forceinline__ void project_vjp(
     camera_axes(p, i, t);
     ellipse(p, c, i, t);
     const Splat s = load_splat(splats, i);
-    const float4 m0 = moments[SPLAT_VECTORS * (long long)i], m1 = moments[SPLAT_VECTORS * (long long)i + 1];
-    const float4 m2 = moments[SPLAT_VECTORS * (long long)i + 2];
-    const float v_u = s.A * m0.x + s.B * m0.y, v_v = s.B * m0.x + s.C * m0.y;
+    float sum[SPLAT_FLOATS];
+    load_row(sums, i, sum);
+    const float v_u = s.A * sum[SUM_GX] + s.B * sum[SUM_GY], v_v = s.B * sum[SUM_GX] + s.C * sum[SUM_GY];
     // v_cov = -Q v_Q Q of Q = cov^-1, where the off-diagonal number stands for two entries
-    const float v_A = -0.5f * m0.z, v_B = -0.5f * m0.w, v_C = -0.5f * m1.x;
+    const float v_A = -0.5f * sum[SUM_GXX], v_B = -0.5f * sum[SUM_GXY], v_C = -0.5f * sum[SUM_GYY];
     const float p00 = v_A * s.A + v_B * s.B, p01 = v_A * s.B + v_B * s.C;
     const float p10 = v_B * s.A + v_C * s.B, p11 = v_B * s.B + v_C * s.C;
     const float v_uu = -(s.A * p00 + s.B * p10), v_vv = -(s.B * p01 + s.C * p11);
@@ -171,7 +171,7 @@ __device__ __forceinline__ void project_vjp(
     }
     const float v_xz = c.fx * v_u + (t.tx == t.x_z ? v_tx : 0.0f), v_yz = c.fy * v_v + (t.ty == t.y_z ? v_ty : 0.0f);
     const float v_x = v_xz * t.inv_z, v_y = v_yz * t.inv_z;
-    const float v_z = m2.y - t.inv_z * (t.x_z * v_xz + t.y_z * v_yz + along);
+    const float v_z = sum[SUM_DEPTH] - t.inv_z * (t.x_z * v_xz + t.y_z * v_yz + along);
     float m[9];  // dL/dR_q = R_WC dL/dB S
 #pragma unroll
     for (int k = 0; k < 3; k++) {
@@ -181,10 +181,11 @@ __device__ __forceinline__ void project_vjp(
             m[3 * row + k] = t.s[k] * (t.R[3 * row] * w[k] + t.R[3 * row + 1] * w[3 + k] + t.R[3 * row + 2] * w[6 + k]);
     }
     o.quat[i] = rotation_vjp(t.q, t.norm, m);
-    o.logit[i] = m1.y * (1.0f / (1.0f + expf(p.logit[i])));  // d ln o = (1 - o) d logit
+    o.logit[i] = sum[SUM_G] * (1.0f / (1.0f + expf(p.logit[i])));  // d ln o = (1 - o) d logit
 
     // a colour that is clamped has no gradient
-    const float v[3] = {s.r > 0.0f ? m1.z : 0.0f, s.g > 0.0f ? m1.w : 0.0f, s.b > 0.0f ? m2.x : 0.0f};
+    const float v[3] = {
+        s.r > 0.0f ? sum[SUM_RED] : 0.0f, s.g > 0.0f ? sum[SUM_GREEN] : 0.0f, s.b > 0.0f ? sum[SUM_BLUE] : 0.0f};
     float distance, Y[K], h[3 * K], weight[K];
     const float3 d = direction(t, &distance);
     harmonics<K>(d.x, d.y, d.z, Y);
@@ -204,30 +205,46 @@ __device__ __forceinline__ void project_vjp(
         o.xyz[3 * i + k] = t.R[3 * k] * v_x + t.R[3 * k + 1] * v_y + t.R[3 * k + 2] * v_z + e[k] / distance;
 }
 
-#define PROJECT(K)                                                                                                    \
-    project<K>(                                                                                                       \
-        {xyz, log_scale, quat, logit, sh, pose}, {fx, fy, cx, cy, limit_x, limit_y}, splats, depth, N, width, height)
-#define FORWARD                                                                                                       \
-    const float *xyz, const float *log_scale, const float4 *quat, const float *logit, const float *sh,                \
-        const float *pose, float4 *splats, float *depth, int N, float fx, float fy, float cx, float cy,               \
-        float limit_x, float limit_y, int width, int height
+extern "C" __global__ void __launch_bounds__(128) project_1(
+    Params p, ProjectionLens c, float4* splats, float* depth, int N, int width, int height) {
+    project<1>(p, c, splats, depth, N, width, height);
+}
 
-extern "C" __global__ void __launch_bounds__(128) project_1(FORWARD) { PROJECT(1); }
-extern "C" __global__ void __launch_bounds__(128) project_4(FORWARD) { PROJECT(4); }
-extern "C" __global__ void __launch_bounds__(128) project_9(FORWARD) { PROJECT(9); }
-extern "C" __global__ void __launch_bounds__(128) project_16(FORWARD) { PROJECT(16); }
+extern "C" __global__ void __launch_bounds__(128) project_4(
+    Params p, ProjectionLens c, float4* splats, float* depth, int N, int width, int height) {
+    project<4>(p, c, splats, depth, N, width, height);
+}
 
-#define PROJECT_VJP(K)                                                                                                \
-    project_vjp<K>(                                                                                                   \
-        {xyz, log_scale, quat, logit, sh, pose}, {fx, fy, cx, cy, limit_x, limit_y}, splats, depth, moments, trained, \
-        {v_xyz, v_log_scale, v_quat, v_logit, v_sh}, N)
-#define BACKWARD                                                                                                      \
-    const float *xyz, const float *log_scale, const float4 *quat, const float *logit, const float *sh,                \
-        const float *pose, const float4 *splats, const float *depth, const float4 *moments,                           \
-        const unsigned char *trained, float *v_xyz, float *v_log_scale, float4 *v_quat, float *v_logit, float *v_sh,  \
-        int N, float fx, float fy, float cx, float cy, float limit_x, float limit_y
+extern "C" __global__ void __launch_bounds__(128) project_9(
+    Params p, ProjectionLens c, float4* splats, float* depth, int N, int width, int height) {
+    project<9>(p, c, splats, depth, N, width, height);
+}
 
-extern "C" __global__ void __launch_bounds__(128) project_vjp_1(BACKWARD) { PROJECT_VJP(1); }
-extern "C" __global__ void __launch_bounds__(128) project_vjp_4(BACKWARD) { PROJECT_VJP(4); }
-extern "C" __global__ void __launch_bounds__(128) project_vjp_9(BACKWARD) { PROJECT_VJP(9); }
-extern "C" __global__ void __launch_bounds__(128) project_vjp_16(BACKWARD) { PROJECT_VJP(16); }
+extern "C" __global__ void __launch_bounds__(128) project_16(
+    Params p, ProjectionLens c, float4* splats, float* depth, int N, int width, int height) {
+    project<16>(p, c, splats, depth, N, width, height);
+}
+
+extern "C" __global__ void __launch_bounds__(128) project_vjp_1(
+    Params p, ProjectionLens c, const float4* splats, const float* depth, const float4* sums,
+    const unsigned char* trained, Gradients o, int N) {
+    project_vjp<1>(p, c, splats, depth, sums, trained, o, N);
+}
+
+extern "C" __global__ void __launch_bounds__(128) project_vjp_4(
+    Params p, ProjectionLens c, const float4* splats, const float* depth, const float4* sums,
+    const unsigned char* trained, Gradients o, int N) {
+    project_vjp<4>(p, c, splats, depth, sums, trained, o, N);
+}
+
+extern "C" __global__ void __launch_bounds__(128) project_vjp_9(
+    Params p, ProjectionLens c, const float4* splats, const float* depth, const float4* sums,
+    const unsigned char* trained, Gradients o, int N) {
+    project_vjp<9>(p, c, splats, depth, sums, trained, o, N);
+}
+
+extern "C" __global__ void __launch_bounds__(128) project_vjp_16(
+    Params p, ProjectionLens c, const float4* splats, const float* depth, const float4* sums,
+    const unsigned char* trained, Gradients o, int N) {
+    project_vjp<16>(p, c, splats, depth, sums, trained, o, N);
+}

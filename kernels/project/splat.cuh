@@ -11,6 +11,19 @@ struct Splat {
     float b, z, e_u, e_v;     // depth; half width and half height of the ellipse
 };
 
+// Sums over the pixels of a Gaussian that compositing's gradient leaves for projection's, in a row as long as a splat's:
+// of g dx, g dy, g dx^2, g dx dy, g dy^2, g with g = alpha dL/dalpha, and of w dL/d(colour, depth) with its weight w.
+enum { SUM_GX, SUM_GY, SUM_GXX, SUM_GXY, SUM_GYY, SUM_G, SUM_RED, SUM_GREEN, SUM_BLUE, SUM_DEPTH, SUMS };
+constexpr int SPLAT_FLOATS = 4 * SPLAT_VECTORS;
+
+__device__ __forceinline__ void load_row(const float4* rows, long long row, float* out) {
+#pragma unroll
+    for (int i = 0; i < SPLAT_VECTORS; i++) {
+        const float4 four = rows[SPLAT_VECTORS * row + i];
+        out[4 * i] = four.x, out[4 * i + 1] = four.y, out[4 * i + 2] = four.z, out[4 * i + 3] = four.w;
+    }
+}
+
 __device__ __forceinline__ Splat load_splat(const float4* splats, long long row) {
     const float4 p = splats[SPLAT_VECTORS * row], q = splats[SPLAT_VECTORS * row + 1];
     const float4 s = splats[SPLAT_VECTORS * row + 2];

@@ -21,11 +21,17 @@ from gsfusion_nb.types import Camera, GaussianParams
 
 from ..harmonics.triton import harmonic, harmonic_gradient
 from ..runtime.triton.launch import launch, parts
-from .lens import lens
+from ..runtime.triton.vectors import load3, load4, load_position, load_rotation, rotation, store3, store4
+from . import splat
+from .lens import projection_lens
 
-SPLAT = 12
-"""u, v, conic A, B, C, ln(opacity), r, g, b, depth, half extents x, y of the ellipse alpha >= 1/255; of gradients the
-last two are not used."""
+SPLAT = tl.constexpr(splat.SPLAT)
+(U, V, CONIC_A, CONIC_B, CONIC_C, LN_OPACITY, RED, GREEN, BLUE, DEPTH, EXTENT_U, EXTENT_V) = (
+    tl.constexpr(column) for column in splat.COLUMNS
+)
+"""Columns of a splat, see ``splat``, and of the gradients of splats, where the last two are not used."""
+
+_NAMES = ("xyz_W", "log_scale", "quat", "opacity_logit", "sh")
 
 _BLOCK = 128
 _NEAR = tl.constexpr(NEAR_PLANE_M)
@@ -38,73 +44,55 @@ _LOG_ALPHA_MIN = tl.constexpr(math.log(ALPHA_MIN))
 def project_rows(params: GaussianParams, camera: Camera, T_WC: Tensor) -> tuple[Tensor, Tensor]:
     """Splats [N, SPLAT] and their depths [N], infinite for those that are not drawn. T_WC: float32 [4, 4]."""
     N, device = len(params), T_WC.device
-    splats = torch.empty(N, SPLAT, dtype=torch.float32, device=device)
+    splats = torch.empty(N, splat.SPLAT, dtype=torch.float32, device=device)
     depth = torch.empty(N, dtype=torch.float32, device=device)
-    arrays = (params.xyz_W, params.log_scale, params.quat, params.opacity_logit, params.sh)
     launch(
-        _project, parts(N, _BLOCK), device, *(a.detach().contiguous() for a in arrays), T_WC, splats, depth, N,
-        *lens(camera), camera.width, camera.height, K=params.sh.shape[1], BLOCK=_BLOCK, num_warps=4,
-    )  # fmt: skip
+        _project,
+        parts(N, _BLOCK),
+        device,
+        **_arrays(params),
+        T=T_WC,
+        splats=splats,
+        depth=depth,
+        N=N,
+        **projection_lens(camera)._asdict(),
+        width=camera.width,
+        height=camera.height,
+        K=params.sh.shape[1],
+        BLOCK=_BLOCK,
+        num_warps=4,
+    )
     return splats, depth
 
 
 def project_rows_vjp(
-    params: GaussianParams, camera: Camera, T_WC: Tensor, splats: Tensor, v_splats: Tensor, rows: Tensor | None
+    params: GaussianParams, camera: Camera, T_WC: Tensor, splats: Tensor, v_splats: Tensor, trained: Tensor | None
 ) -> GaussianParams:
-    """Gradients of the parameters from those of the splats [N, SPLAT]; zero where ``rows`` [N] is false."""
-    N, device = len(params), T_WC.device
-    arrays = [params.xyz_W, params.log_scale, params.quat, params.opacity_logit, params.sh]
-    out = [torch.empty_like(a, memory_format=torch.contiguous_format) for a in arrays]
-    trained = splats if rows is None else rows.contiguous().view(torch.uint8)
+    """Gradients of the parameters from those of the splats [N, SPLAT]; zero where ``trained``, uint8 [N], is 0."""
+    N, device, arrays = len(params), T_WC.device, _arrays(params)
+    out = {name: torch.empty_like(array) for name, array in arrays.items()}
     launch(
-        _project_vjp, parts(N, _BLOCK), device, *(a.detach().contiguous() for a in arrays), T_WC, splats, v_splats,
-        trained, *out, N, *lens(camera), K=params.sh.shape[1], SOME=rows is not None, BLOCK=_BLOCK, num_warps=4,
-    )  # fmt: skip
-    names = ("xyz_W", "log_scale", "quat", "opacity_logit", "sh")
-    return GaussianParams(**dict(zip(names, out, strict=True)))
-
-
-@triton.jit
-def rotation(w, x, y, z):
-    """|q|, and the entries of R(q / |q|) row by row."""
-    norm = tl.maximum(tl.sqrt(w * w + x * x + y * y + z * z), 1e-12)
-    w, x, y, z = w / norm, x / norm, y / norm, z / norm
-    return (
-        norm,
-        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
-    )  # fmt: skip
-
-
-@triton.jit
-def load3(base, row, mask):
-    """Three consecutive numbers of each row."""
-    return (
-        tl.load(base + 3 * row, mask=mask, other=0.0),
-        tl.load(base + 3 * row + 1, mask=mask, other=0.0),
-        tl.load(base + 3 * row + 2, mask=mask, other=0.0),
+        _project_vjp,
+        parts(N, _BLOCK),
+        device,
+        **arrays,
+        T=T_WC,
+        splats=splats,
+        v_splats=v_splats,
+        trained=splats if trained is None else trained,
+        **{f"v_{name}": array for name, array in out.items()},
+        N=N,
+        **projection_lens(camera)._asdict(),
+        K=params.sh.shape[1],
+        SOME=trained is not None,
+        BLOCK=_BLOCK,
+        num_warps=4,
     )
+    return GaussianParams(**out)
 
 
-@triton.jit
-def load4(base, row, mask):
-    """A quaternion of each row; the identity where the mask is false."""
-    return (
-        tl.load(base + 4 * row, mask=mask, other=1.0),
-        tl.load(base + 4 * row + 1, mask=mask, other=0.0),
-        tl.load(base + 4 * row + 2, mask=mask, other=0.0),
-        tl.load(base + 4 * row + 3, mask=mask, other=0.0),
-    )
-
-
-@triton.jit
-def load_rotation(T):
-    """R_WC of a pose, row by row."""
-    return (
-        tl.load(T), tl.load(T + 1), tl.load(T + 2), tl.load(T + 4), tl.load(T + 5), tl.load(T + 6),
-        tl.load(T + 8), tl.load(T + 9), tl.load(T + 10),
-    )  # fmt: skip
+def _arrays(params: GaussianParams) -> dict[str, Tensor]:
+    return {name: getattr(params, name).detach().contiguous() for name in _NAMES}
 
 
 @triton.jit
@@ -124,18 +112,19 @@ def _turned(T, q0, q1, q2, q3):
 def _in_camera(T, X, Y, Z):
     """Points in the camera frame; also the offsets from its centre, world frame."""
     c0, c3, c6, c1, c4, c7, c2, c5, c8 = load_rotation(T)
-    X, Y, Z = X - tl.load(T + 3), Y - tl.load(T + 7), Z - tl.load(T + 11)
+    C_x, C_y, C_z = load_position(T)
+    X, Y, Z = X - C_x, Y - C_y, Z - C_z
     return X, Y, Z, c0 * X + c1 * Y + c2 * Z, c3 * X + c4 * Y + c5 * Z, c6 * X + c7 * Y + c8 * Z
 
 
 @triton.jit(do_not_specialize=["N", "width", "height"])
 def _project(
-    xyz, log_scale, quat, logit, sh, T, splats, depth, N, fx, fy, cx, cy, limit_x, limit_y, width, height,
+    xyz_W, log_scale, quat, opacity_logit, sh, T, splats, depth, N, fx, fy, cx, cy, limit_x, limit_y, width, height,
     K: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
     i = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     row = i < N
-    X, Y, Z = load3(xyz, i, row)
+    X, Y, Z = load3(xyz_W, i, row)
     X, Y, Z, x, y, z = _in_camera(T, X, Y, Z)
     in_front = z > _NEAR
     inv_z = 1.0 / tl.where(in_front, z, 1.0)
@@ -153,7 +142,7 @@ def _project(
     uv = mu0 * mv0 + mu1 * mv1 + mu2 * mv2
     c0, c1, c2 = mu1 * mv2 - mu2 * mv1, mu2 * mv0 - mu0 * mv2, mu0 * mv1 - mu1 * mv0
     inv_det = 1.0 / (c0 * c0 + c1 * c1 + c2 * c2 + _BLUR * (uu + vv) + _BLUR2)
-    opacity = 1.0 / (1.0 + tl.exp(-tl.load(logit + i, mask=row, other=0.0)))
+    opacity = 1.0 / (1.0 + tl.exp(-tl.load(opacity_logit + i, mask=row, other=0.0)))
     ln_o = tl.log(tl.maximum(opacity, 1e-30))
     reach = 2.0 * tl.maximum(ln_o - _LOG_ALPHA_MIN, 0.0)
     u, v = fx * x_z + cx, fy * y_z + cy
@@ -170,19 +159,19 @@ def _project(
         h0, h1, h2 = load3(sh, i * K + k, row & drawn)
         red, green, blue = red + basis * h0, green + basis * h1, blue + basis * h2
 
-    s = splats + i * 12
-    tl.store(s, u, mask=row)
-    tl.store(s + 1, v, mask=row)
-    tl.store(s + 2, (vv + _BLUR) * inv_det, mask=row)
-    tl.store(s + 3, -uv * inv_det, mask=row)
-    tl.store(s + 4, (uu + _BLUR) * inv_det, mask=row)
-    tl.store(s + 5, ln_o, mask=row)
-    tl.store(s + 6, tl.maximum(red, 0.0), mask=row)
-    tl.store(s + 7, tl.maximum(green, 0.0), mask=row)
-    tl.store(s + 8, tl.maximum(blue, 0.0), mask=row)
-    tl.store(s + 9, z, mask=row)
-    tl.store(s + 10, e_u, mask=row)
-    tl.store(s + 11, e_v, mask=row)
+    s = splats + i * SPLAT
+    tl.store(s + U, u, mask=row)
+    tl.store(s + V, v, mask=row)
+    tl.store(s + CONIC_A, (vv + _BLUR) * inv_det, mask=row)
+    tl.store(s + CONIC_B, -uv * inv_det, mask=row)
+    tl.store(s + CONIC_C, (uu + _BLUR) * inv_det, mask=row)
+    tl.store(s + LN_OPACITY, ln_o, mask=row)
+    tl.store(s + RED, tl.maximum(red, 0.0), mask=row)
+    tl.store(s + GREEN, tl.maximum(green, 0.0), mask=row)
+    tl.store(s + BLUE, tl.maximum(blue, 0.0), mask=row)
+    tl.store(s + DEPTH, z, mask=row)
+    tl.store(s + EXTENT_U, e_u, mask=row)
+    tl.store(s + EXTENT_V, e_v, mask=row)
 
 
 @triton.jit
@@ -196,12 +185,13 @@ def _inverse_vjp(A, B, C, v_A, v_B, v_C):
 
 @triton.jit(do_not_specialize=["N"])
 def _project_vjp(
-    xyz, log_scale, quat, logit, sh, T, splats, v_splats, trained, o_xyz, o_log_scale, o_quat, o_logit, o_sh, N,
-    fx, fy, cx, cy, limit_x, limit_y, K: tl.constexpr, SOME: tl.constexpr, BLOCK: tl.constexpr,
+    xyz_W, log_scale, quat, opacity_logit, sh, T, splats, v_splats, trained,
+    v_xyz_W, v_log_scale, v_quat, v_opacity_logit, v_sh, N, fx, fy, cx, cy, limit_x, limit_y,
+    K: tl.constexpr, SOME: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
     i = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     row = i < N
-    X, Y, Z = load3(xyz, i, row)
+    X, Y, Z = load3(xyz_W, i, row)
     X, Y, Z, x, y, z = _in_camera(T, X, Y, Z)
     live = row & (z > _NEAR)
     if SOME:
@@ -220,16 +210,16 @@ def _project_vjp(
     mu0, mu1, mu2 = a * (b00 - tx * b20), a * (b01 - tx * b21), a * (b02 - tx * b22)
     mv0, mv1, mv2 = b * (b10 - ty * b20), b * (b11 - ty * b21), b * (b12 - ty * b22)
 
-    s, g = splats + i * 12, v_splats + i * 12
+    s, g = splats + i * SPLAT, v_splats + i * SPLAT
     A, B, C = (
-        tl.load(s + 2, mask=live, other=0.0),
-        tl.load(s + 3, mask=live, other=0.0),
-        tl.load(s + 4, mask=live, other=0.0),
+        tl.load(s + CONIC_A, mask=live, other=0.0),
+        tl.load(s + CONIC_B, mask=live, other=0.0),
+        tl.load(s + CONIC_C, mask=live, other=0.0),
     )
-    v_u, v_v = tl.load(g, mask=live, other=0.0), tl.load(g + 1, mask=live, other=0.0)
+    v_u, v_v = tl.load(g + U, mask=live, other=0.0), tl.load(g + V, mask=live, other=0.0)
     v_uu, v_uv, v_vv = _inverse_vjp(
-        A, B, C, tl.load(g + 2, mask=live, other=0.0), tl.load(g + 3, mask=live, other=0.0),
-        tl.load(g + 4, mask=live, other=0.0),
+        A, B, C, tl.load(g + CONIC_A, mask=live, other=0.0), tl.load(g + CONIC_B, mask=live, other=0.0),
+        tl.load(g + CONIC_C, mask=live, other=0.0),
     )  # fmt: skip
     v_mu0, v_mu1, v_mu2 = 2 * v_uu * mu0 + v_uv * mv0, 2 * v_uu * mu1 + v_uv * mv1, 2 * v_uu * mu2 + v_uv * mv2
     v_mv0, v_mv1, v_mv2 = 2 * v_vv * mv0 + v_uv * mu0, 2 * v_vv * mv1 + v_uv * mu1, 2 * v_vv * mv2 + v_uv * mu2
@@ -242,13 +232,16 @@ def _project_vjp(
     v_yz = fy * v_v + tl.where(ty == y_z, v_ty, 0.0)
     v_x, v_y = v_xz * inv_z, v_yz * inv_z
     along = mu0 * v_mu0 + mu1 * v_mu1 + mu2 * v_mu2 + mv0 * v_mv0 + mv1 * v_mv1 + mv2 * v_mv2
-    v_z = tl.load(g + 9, mask=live, other=0.0) - inv_z * (x_z * v_xz + y_z * v_yz + along)
+    v_z = tl.load(g + DEPTH, mask=live, other=0.0) - inv_z * (x_z * v_xz + y_z * v_yz + along)
     k0, k1, k2, k3, k4, k5, k6, k7, k8 = load_rotation(T)  # R_WC
     v_X, v_Y, v_Z = k0 * v_x + k1 * v_y + k2 * v_z, k3 * v_x + k4 * v_y + k5 * v_z, k6 * v_x + k7 * v_y + k8 * v_z
 
-    tl.store(o_log_scale + 3 * i, w00 * b00 + w10 * b10 + w20 * b20, mask=row)
-    tl.store(o_log_scale + 3 * i + 1, w01 * b01 + w11 * b11 + w21 * b21, mask=row)
-    tl.store(o_log_scale + 3 * i + 2, w02 * b02 + w12 * b12 + w22 * b22, mask=row)
+    v_s0, v_s1, v_s2 = (
+        w00 * b00 + w10 * b10 + w20 * b20,
+        w01 * b01 + w11 * b11 + w21 * b21,
+        w02 * b02 + w12 * b12 + w22 * b22,
+    )
+    store3(v_log_scale, i, v_s0, v_s1, v_s2, row)
     # v of R_q: R_WC v_B, column k times s_k
     m00, m10, m20 = (
         (k0 * w00 + k1 * w10 + k2 * w20) * s0,
@@ -271,19 +264,17 @@ def _project_vjp(
     e2 = 2 * (q1 * (m01 + m10) + q3 * (m12 + m21) + q0 * (m02 - m20) - 2 * q2 * (m00 + m22))
     e3 = 2 * (q1 * (m02 + m20) + q2 * (m12 + m21) + q0 * (m10 - m01) - 2 * q3 * (m00 + m11))
     along = q0 * e0 + q1 * e1 + q2 * e2 + q3 * e3
-    tl.store(o_quat + 4 * i, (e0 - q0 * along) / norm, mask=row)
-    tl.store(o_quat + 4 * i + 1, (e1 - q1 * along) / norm, mask=row)
-    tl.store(o_quat + 4 * i + 2, (e2 - q2 * along) / norm, mask=row)
-    tl.store(o_quat + 4 * i + 3, (e3 - q3 * along) / norm, mask=row)
-    opacity = 1.0 / (1.0 + tl.exp(-tl.load(logit + i, mask=row, other=0.0)))
-    tl.store(o_logit + i, tl.load(g + 5, mask=live, other=0.0) * (1.0 - opacity), mask=row)
+    e0, e1, e2, e3 = e0 - q0 * along, e1 - q1 * along, e2 - q2 * along, e3 - q3 * along
+    store4(v_quat, i, e0 / norm, e1 / norm, e2 / norm, e3 / norm, row)
+    opacity = 1.0 / (1.0 + tl.exp(-tl.load(opacity_logit + i, mask=row, other=0.0)))
+    tl.store(v_opacity_logit + i, tl.load(g + LN_OPACITY, mask=live, other=0.0) * (1.0 - opacity), mask=row)
 
     distance = tl.maximum(tl.sqrt(X * X + Y * Y + Z * Z), 1e-12)
     X, Y, Z = X / distance, Y / distance, Z / distance
     # a colour that is not clamped is above zero; at zero exactly the reference lets the gradient through
-    v_r = tl.where(tl.load(s + 6, mask=live, other=0.0) > 0, tl.load(g + 6, mask=live, other=0.0), 0.0)
-    v_g = tl.where(tl.load(s + 7, mask=live, other=0.0) > 0, tl.load(g + 7, mask=live, other=0.0), 0.0)
-    v_b = tl.where(tl.load(s + 8, mask=live, other=0.0) > 0, tl.load(g + 8, mask=live, other=0.0), 0.0)
+    v_r = tl.where(tl.load(s + RED, mask=live, other=0.0) > 0, tl.load(g + RED, mask=live, other=0.0), 0.0)
+    v_g = tl.where(tl.load(s + GREEN, mask=live, other=0.0) > 0, tl.load(g + GREEN, mask=live, other=0.0), 0.0)
+    v_b = tl.where(tl.load(s + BLUE, mask=live, other=0.0) > 0, tl.load(g + BLUE, mask=live, other=0.0), 0.0)
     d0, d1, d2 = 0.0 * X, 0.0 * X, 0.0 * X
     for k in tl.static_range(K):
         basis = harmonic(k, X, Y, Z)
@@ -292,10 +283,11 @@ def _project_vjp(
             weight = h0 * v_r + h1 * v_g + h2 * v_b
             g0, g1, g2 = harmonic_gradient(k, X, Y, Z)
             d0, d1, d2 = d0 + weight * g0, d1 + weight * g1, d2 + weight * g2
-        tl.store(o_sh + 3 * (i * K + k), basis * v_r, mask=row)
-        tl.store(o_sh + 3 * (i * K + k) + 1, basis * v_g, mask=row)
-        tl.store(o_sh + 3 * (i * K + k) + 2, basis * v_b, mask=row)
+        store3(v_sh, i * K + k, basis * v_r, basis * v_g, basis * v_b, row)
     along = X * d0 + Y * d1 + Z * d2
-    tl.store(o_xyz + 3 * i, v_X + (d0 - X * along) / distance, mask=row)
-    tl.store(o_xyz + 3 * i + 1, v_Y + (d1 - Y * along) / distance, mask=row)
-    tl.store(o_xyz + 3 * i + 2, v_Z + (d2 - Z * along) / distance, mask=row)
+    v_X, v_Y, v_Z = (
+        v_X + (d0 - X * along) / distance,
+        v_Y + (d1 - Y * along) / distance,
+        v_Z + (d2 - Z * along) / distance,
+    )
+    store3(v_xyz_W, i, v_X, v_Y, v_Z, row)

@@ -1,7 +1,7 @@
 """The image quadtree in two passes up and one down: ``quadtree.cu``. The host waits once, for the number of leaves."""
 
 import ctypes
-from typing import Literal
+from typing import Annotated, Literal, NamedTuple
 
 import torch
 from torch import Tensor
@@ -9,8 +9,9 @@ from torch import Tensor
 from gsfusion_nb.constants import QUADTREE_NORMALISER
 from gsfusion_nb.seeding.quadtree import Cells, check_arguments
 
-from ..runtime.cuda.launch import device_of, launch, parts
-from .levels import LUMA_DENOMINATOR, LUMA_NUMERATORS, deepest_level
+from ..runtime.cuda.launch import device_of, launch
+from ..runtime.gpu import parts
+from .levels import LEAF_COLUMNS, LUMA_DENOMINATOR, LUMA_NUMERATORS, deepest_level, to_cells
 
 _BLOCK = 256
 _CLIMB = {"sum_cells": 3, "add_levels": 4}
@@ -21,6 +22,24 @@ _ROOT = 3
 """Place of the number of all leaves."""
 _MOST_PIXELS, _MOST_EXTRA_LEVELS = 256, 7
 """A cell larger than this is summed in parts, as long as there are few of those."""
+
+Double = Annotated[float, ctypes.c_double]
+
+
+class Rule(NamedTuple):
+    """When a cell of a picture is cut; those of level ``levels`` are not. Luma weights are parts of a denominator."""
+
+    width: int
+    height: int
+    levels: int
+    min_cell_px: int
+    released: bool
+    red: int
+    green: int
+    blue: int
+    denominator: int
+    normaliser: Double
+    threshold: Double
 
 
 def quadtree(
@@ -37,28 +56,36 @@ def quadtree(
     levels = deepest_level(width, height, min_cell_px)
     leaves, total = torch.empty(_ROOT + (4**levels - 1) // 3, dtype=torch.int32, device=device), 1
     if levels:
-        numbers = (ctypes.c_double(QUADTREE_NORMALISER), ctypes.c_double(threshold))
-        rule = (levels, min_cell_px, contrast == "released", *LUMA_NUMERATORS, LUMA_DENOMINATOR, *numbers)
+        red, green, blue = LUMA_NUMERATORS
+        rule = Rule(
+            width=width,
+            height=height,
+            levels=levels,
+            min_cell_px=min_cell_px,
+            released=contrast == "released",
+            red=red,
+            green=green,
+            blue=blue,
+            denominator=LUMA_DENOMINATOR,
+            normaliser=QUADTREE_NORMALISER,
+            threshold=threshold,
+        )
         _count_leaves(rgb_u8.contiguous(), leaves, _summed_level(width, height, levels), rule)
         total = int(leaves[_ROOT])
-    out = torch.empty((5, total), dtype=torch.int32, device=device)
+    out = torch.empty((len(LEAF_COLUMNS), total), dtype=torch.int32, device=device)
     launch(
         "quadtree", "quadtree:emit_leaves", parts(4**levels, _BLOCK), _BLOCK, leaves, out, total, levels, width, height
     )
-    return Cells(x0=out[0], y0=out[1], width=out[2], height=out[3], level=out[4])
+    return to_cells(out)
 
 
-def _count_leaves(rgb_u8: Tensor, leaves: Tensor, level: int, rule: tuple) -> None:
+def _count_leaves(rgb_u8: Tensor, leaves: Tensor, level: int, rule: Rule) -> None:
     """Leaves below every cell, from the cells of ``level`` up to the whole picture."""
-    height, width = rgb_u8.shape[:2]
     source, kernel = rgb_u8, "sum_cells"
     while level >= 0:
         up = min(_CLIMB[kernel], level)
         top = torch.empty(4 ** (level - up) * _PART, dtype=torch.int64, device=rgb_u8.device)
-        launch(
-            "quadtree", f"quadtree:{kernel}", 4 ** (level - up), _BLOCK, source, leaves, top, 4**up, level, width,
-            height, *rule,
-        )  # fmt: skip
+        launch("quadtree", f"quadtree:{kernel}", 4 ** (level - up), _BLOCK, source, leaves, top, 4**up, level, rule)
         source, kernel, level = top, "add_levels", level - up - 1
 
 

@@ -14,12 +14,28 @@ from gsfusion_nb.constants import QUADTREE_NORMALISER
 from gsfusion_nb.seeding.quadtree import Cells, check_arguments
 
 from ..runtime.numba.launch import launching
-from .levels import LUMA_DENOMINATOR, LUMA_NUMERATORS, deepest_level
+from .levels import (
+    HEIGHT,
+    LEAF_COLUMNS,
+    LEVEL,
+    LUMA_DENOMINATOR,
+    LUMA_NUMERATORS,
+    WIDTH,
+    X0,
+    Y0,
+    deepest_level,
+    to_cells,
+)
 from .torch import quadtree as vectorised
 
 _RED, _GREEN, _BLUE = LUMA_NUMERATORS
 _DENOMINATOR = float(LUMA_DENOMINATOR)
 _NORMALISER = float(QUADTREE_NORMALISER)
+
+_SUM_RED, _SUM_GREEN, _SUM_BLUE, _SUM_SQUARES = range(4)
+"""Sums over the pixels of a cell, int64: the channels, and their luma-weighted squares."""
+_SUMS = 4
+_N_COLUMNS = len(LEAF_COLUMNS)
 
 
 def quadtree(
@@ -40,11 +56,11 @@ def quadtree(
         xs, ys = _lines(width, levels), _lines(height, levels)
         split = np.empty(0, np.uint8)
         if levels:
-            sums = np.zeros((len(ys) // 2, len(xs) // 2, 4), np.int64)
+            sums = np.zeros((len(ys) // 2, len(xs) // 2, _SUMS), np.int64)
             _sums(image, xs[::2].copy(), ys[::2].copy(), sums)
             split = _splits(sums, xs, ys, levels, float(threshold), int(min_cell_px), contrast == "released")
-        leaves = torch.from_numpy(_leaves(split, xs, ys, levels).copy())
-    return Cells(x0=leaves[0], y0=leaves[1], width=leaves[2], height=leaves[3], level=leaves[4])
+        leaves = _leaves(split, xs, ys, levels).copy()
+    return to_cells(torch.from_numpy(leaves))
 
 
 @njit(cache=True, error_model="numpy")
@@ -63,7 +79,7 @@ def _lines(length, levels):
 
 @njit(parallel=True, cache=True, error_model="numpy")
 def _sums(image, xs, ys, sums):
-    """Add R, G, B and the luma-weighted squares of each cell between the lines to ``sums`` [Y, X, 4]."""
+    """Add R, G, B and the luma-weighted squares of each cell between the lines to ``sums`` [Y, X, _SUMS]."""
     rows, columns = ys.shape[0] - 1, xs.shape[0] - 1
     width = image.shape[1]
     for task in prange(rows):
@@ -80,10 +96,10 @@ def _sums(image, xs, ys, sums):
                 squares[x] += np.int32(_RED) * r * r + np.int32(_GREEN) * g * g + np.int32(_BLUE) * b * b
         for j in range(columns):
             for x in range(xs[j], xs[j + 1]):
-                sums[i, j, 0] += red[x]
-                sums[i, j, 1] += green[x]
-                sums[i, j, 2] += blue[x]
-                sums[i, j, 3] += squares[x]
+                sums[i, j, _SUM_RED] += red[x]
+                sums[i, j, _SUM_GREEN] += green[x]
+                sums[i, j, _SUM_BLUE] += blue[x]
+                sums[i, j, _SUM_SQUARES] += squares[x]
 
 
 @njit(cache=True, error_model="numpy")
@@ -101,8 +117,8 @@ def _splits(sums, xs, ys, levels, threshold, min_cell_px, released):
             for j in range(n):
                 w = xs[(j + 1) * step] - xs[j * step]
                 area = float(h * w)
-                V = sums[i, j, 3] / area
-                r, g, b = sums[i, j, 0] / area, sums[i, j, 1] / area, sums[i, j, 2] / area
+                r, g, b = sums[i, j, _SUM_RED] / area, sums[i, j, _SUM_GREEN] / area, sums[i, j, _SUM_BLUE] / area
+                V = sums[i, j, _SUM_SQUARES] / area
                 V = V - _RED * r * r
                 V = V - _GREEN * g * g
                 V = V - _BLUE * b * b
@@ -115,11 +131,12 @@ def _splits(sums, xs, ys, levels, threshold, min_cell_px, released):
 
 @njit(cache=True, error_model="numpy")
 def _parents(sums):
+    """The sums of the cells one level higher."""
     n = sums.shape[0] // 2
-    out = np.empty((n, n, 4), np.int64)
+    out = np.empty((n, n, _SUMS), np.int64)
     for i in range(n):
         for j in range(n):
-            for c in range(4):
+            for c in range(_SUMS):
                 top = sums[2 * i, 2 * j, c] + sums[2 * i, 2 * j + 1, c]
                 out[i, j, c] = top + sums[2 * i + 1, 2 * j, c] + sums[2 * i + 1, 2 * j + 1, c]
     return out
@@ -127,10 +144,10 @@ def _parents(sums):
 
 @njit(cache=True, error_model="numpy")
 def _leaves(split, xs, ys, levels):
-    """Columns x0, y0, width, height, level of the leaves, in the reference's depth-first order."""
-    leaves = np.empty((5, 1 << 2 * levels), np.int32)
-    stack = np.empty((3 * levels + 4, 3), np.int64)
-    stack[0, 0], stack[0, 1], stack[0, 2] = 0, 0, 0
+    """The leaves (``LEAF_COLUMNS``) in the reference's depth-first order."""
+    leaves = np.empty((_N_COLUMNS, 1 << 2 * levels), np.int32)
+    stack = np.empty((3 * levels + 4, 3), np.int64)  # level, row and column of cells still to be visited
+    stack[0, :] = 0
     top, count = 1, 0
     while top:
         top -= 1
@@ -142,9 +159,9 @@ def _leaves(split, xs, ys, levels):
                 top += 1
             continue
         step = 1 << (levels - level)
-        leaves[0, count], leaves[1, count] = xs[j * step], ys[i * step]
-        leaves[2, count] = xs[(j + 1) * step] - xs[j * step]
-        leaves[3, count] = ys[(i + 1) * step] - ys[i * step]
-        leaves[4, count] = level
+        leaves[X0, count], leaves[Y0, count] = xs[j * step], ys[i * step]
+        leaves[WIDTH, count] = xs[(j + 1) * step] - xs[j * step]
+        leaves[HEIGHT, count] = ys[(i + 1) * step] - ys[i * step]
+        leaves[LEVEL, count] = level
         count += 1
     return leaves[:, :count]

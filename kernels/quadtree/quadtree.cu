@@ -87,23 +87,19 @@ __device__ __forceinline__ void climb(
 
 // leaves: of every cell above level `levels`, at place(). top [blocks]: what add_levels goes on with.
 extern "C" __global__ void __launch_bounds__(256) sum_cells(
-    const unsigned char* rgb, int* leaves, Part* top, int nodes, int level, int width, int height, int levels,
-    int min_cell_px, int released, int red, int green, int blue, int denominator, double normaliser,
-    double threshold) {
+    const unsigned char* rgb, int* leaves, Part* top, int nodes, int level, Rule rule) {
     __shared__ Part shared[CELLS];
-    const Rule rule = {width, height, levels, min_cell_px, released, red, green, blue, denominator, normaliser,
-                       threshold};
     const int t = threadIdx.x;
     Part own = {0, 0, 0, 0, 4};
     if (t < LANES * nodes) {
-        const Cell c = cell_of(width, height, level, blockIdx.x * nodes + t / LANES);
+        const Cell c = cell_of(rule.width, rule.height, level, blockIdx.x * nodes + t / LANES);
         for (int x = c.x + t % LANES; x < c.x + c.w; x += LANES) {
-            const unsigned char* pixel = rgb + 3 * ((long long)c.y * width + x);
+            const unsigned char* pixel = rgb + 3 * ((long long)c.y * rule.width + x);
 #pragma unroll 4
-            for (int i = 0; i < c.h; i++, pixel += 3LL * width) {
+            for (int i = 0; i < c.h; i++, pixel += 3LL * rule.width) {
                 const int r = pixel[0], g = pixel[1], b = pixel[2];
                 own.red += r, own.green += g, own.blue += b;
-                own.squares += red * r * r + green * g * g + blue * b * b;
+                own.squares += rule.red * r * r + rule.green * g * g + rule.blue * b * b;
             }
         }
     }
@@ -122,12 +118,8 @@ extern "C" __global__ void __launch_bounds__(256) sum_cells(
 
 // below: sums of the cells of level + 1.
 extern "C" __global__ void __launch_bounds__(256) add_levels(
-    const Part* below, int* leaves, Part* top, int nodes, int level, int width, int height, int levels,
-    int min_cell_px, int released, int red, int green, int blue, int denominator, double normaliser,
-    double threshold) {
+    const Part* below, int* leaves, Part* top, int nodes, int level, Rule rule) {
     __shared__ Part shared[NODES];
-    const Rule rule = {width, height, levels, min_cell_px, released, red, green, blue, denominator, normaliser,
-                       threshold};
     Part own = {0, 0, 0, 0, 0};
     if ((int)threadIdx.x < nodes) {
         const Part* parts = below + 4 * ((long long)blockIdx.x * nodes + threadIdx.x);
@@ -136,7 +128,10 @@ extern "C" __global__ void __launch_bounds__(256) add_levels(
     climb(rule, own, shared, nodes, level, leaves, top);
 }
 
-// out [5, total]: x0, y0, width, height, level. A leaf is written by the first of the deepest cells inside it.
+// The rows of the leaves [COLUMNS, total], as in levels.py.
+enum { X0, Y0, WIDTH, HEIGHT, LEVEL, COLUMNS };
+
+// A leaf is written by the first of the deepest cells inside it.
 extern "C" __global__ void __launch_bounds__(256) emit_leaves(
     const int* leaves, int* out, int total, int levels, int width, int height) {
     const unsigned rank = blockIdx.x * blockDim.x + threadIdx.x;
@@ -153,7 +148,8 @@ extern "C" __global__ void __launch_bounds__(256) emit_leaves(
         c = child(c, k);
     }
     if (rank & ((1u << 2 * (levels - level)) - 1)) return;
-    const int column[5] = {c.x, c.y, c.w, c.h, level};
+    int column[COLUMNS];
+    column[X0] = c.x, column[Y0] = c.y, column[WIDTH] = c.w, column[HEIGHT] = c.h, column[LEVEL] = level;
 #pragma unroll
-    for (int i = 0; i < 5; i++) out[(long long)i * total + before] = column[i];
+    for (int i = 0; i < COLUMNS; i++) out[(long long)i * total + before] = column[i];
 }

@@ -47,8 +47,9 @@ def quadtree(
         keys.append(2 * order[ix * step] + order[iy * step])
         alive = _children(split)
     depth_first = torch.cat(keys).argsort()
-    columns = [torch.cat(c)[depth_first].to(torch.int32) for c in zip(*parts, strict=True)]
-    return Cells(x0=columns[0], y0=columns[1], width=columns[2], height=columns[3], level=columns[4])
+    columns = (torch.cat(c)[depth_first].to(torch.int32) for c in zip(*parts, strict=True))
+    x0, y0, width, height, depth = columns
+    return Cells(x0=x0, y0=y0, width=width, height=height, level=depth)
 
 
 def _grid_lines(length: int, levels: int) -> Tensor:
@@ -80,8 +81,8 @@ def _variance(corners: Tensor, w: Tensor, h: Tensor) -> Tensor:
     """Luma-weighted population variance of every cell of one level, on 0..255: sum_c w_c (E[c^2] - E[c]^2). [Y, X]"""
     sums = corners.diff(dim=1).diff(dim=2)
     mean = sums.double() / (h[:, None] * w[None, :])
-    V = mean[3]
-    for weight, m in zip(LUMA_NUMERATORS, mean[:3], strict=True):
+    *means, V = mean
+    for weight, m in zip(LUMA_NUMERATORS, means, strict=True):
         V = V - weight * m * m
     return V.clamp_min(0.0) / LUMA_DENOMINATOR
 

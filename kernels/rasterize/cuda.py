@@ -1,72 +1,63 @@
-"""``render_forward`` and ``render_vjp`` from the kernels: what ``gsfusion_nb.backends`` offers for CUDA tensors.
+"""``render_forward`` and ``render_vjp`` in CUDA, which ``gsfusion_nb.backends`` offers for CUDA tensors."""
 
-Project and colour every row, list its tiles, sort, composite; and back. float64 goes to backend "torch". Gradients are
-added up by atomics, in an order that changes from run to run: they repeat to rounding, not bit for bit.
-"""
+from typing import Any, NamedTuple
 
-from dataclasses import dataclass
-from typing import Any
-
-import torch
 from torch import Tensor
 
-from gsfusion_nb.backends import use_backend
-from gsfusion_nb.render import rasterize
 from gsfusion_nb.types import Camera, GaussianParams, RenderOutput
 
 from ..binning.cuda import list_tiles
-from ..project.cuda import SPLAT, project_rows, project_rows_vjp
-from ..runtime.cuda.launch import check_dtype, device_of, launch, packed
-from .picture import Drawn, blank, check_gradients, check_options
+from ..project.cuda import project_rows, project_rows_vjp
+from ..runtime.cuda.launch import device_of, launch
+from . import host
 
 _BLOCK = 128
 _NO_HIT_ALPHA = 1.0
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class CudaSaved(Drawn):
+class CudaPicture(host.Picture):
     """What the backward pass needs of the forward one."""
 
     backend = "cuda"
+
+
+class Work(NamedTuple):
+    """What is to be composited, in which pixels (``None``: all)."""
+
+    splats: Tensor
+    ids: Tensor
+    offset: Tensor
+    pixels: Tensor | None
+    width: int
+    height: int
+    tiles_x: int
+
+
+class Images(NamedTuple):
+    """What is to be written; indices that are not wanted are ``None``."""
+
+    rgb: Tensor
     depth: Tensor
+    alpha: Tensor
+    first: Tensor | None
+    dominant: Tensor | None
+    hit: Tensor | None
 
 
-def render_forward(
-    params: GaussianParams,
-    camera: Camera,
-    T_WC: Tensor,
-    *,
-    with_indices: bool = True,
-    opaque_alpha: float | None = None,
-    pixels: Tensor | None = None,
-) -> tuple[RenderOutput, Any]:
-    """See ``gsfusion_nb.render.render_forward``. The pose may be on any device.
+class Seen(NamedTuple):
+    """A picture and dL/d of it; ``None`` stands for zero."""
 
-    Raises:
-        ValueError: tensors on several devices or of several types, a wrong mask.
-    """
-    if params.xyz_W.dtype == torch.float64:
-        with use_backend("torch"):
-            return rasterize.render_forward(
-                params, camera, T_WC, with_indices=with_indices, opaque_alpha=opaque_alpha, pixels=pixels
-            )
-    device = device_of("render_forward", **vars(params), pixels=pixels)
-    check_dtype("render_forward", torch.float32, **vars(params))
-    check_options(camera, opaque_alpha, pixels)
-    pose = packed(T_WC.to(device, torch.float32))
-    splats, depth = project_rows(params, camera, pose)
-    lists = list_tiles(splats, depth, camera, pixels)
-    drawn = None if pixels is None else packed(pixels).view(torch.uint8)
-    out = blank(camera, device, with_indices=with_indices, with_hits=opaque_alpha is not None)
-    image = out.rgb, out.depth_m, out.alpha
-    launch(
-        "render_forward", f"composite:composite_{int(with_indices)}{int(opaque_alpha is not None)}", lists.n_tiles,
-        _BLOCK, splats, lists.ids, lists.offset, drawn, *image, out.first_index, out.dominant_index, out.hit_index,
-        camera.width, camera.height, lists.tiles_x, float(opaque_alpha or _NO_HIT_ALPHA),
-    )  # fmt: skip
-    return out, CudaSaved(
-        params=params, camera=camera, T_WC=pose, splats=splats, depth=depth, lists=lists, image=image, pixels=drawn
-    )
+    rgb: Tensor
+    depth: Tensor
+    alpha: Tensor
+    v_rgb: Tensor
+    v_depth: Tensor | None
+    v_alpha: Tensor | None
+
+
+def render_forward(params: GaussianParams, camera: Camera, T_WC: Tensor, **options: Any) -> tuple[RenderOutput, Any]:
+    """See ``gsfusion_nb.render.render_forward``. The pose may be on any device."""
+    return host.render_forward(_KERNELS, params, camera, T_WC, **options)
 
 
 def render_vjp(
@@ -77,19 +68,47 @@ def render_vjp(
     *,
     rows: Tensor | None = None,
 ) -> GaussianParams:
-    """See ``gsfusion_nb.render.render_vjp``.
+    """See ``gsfusion_nb.render.render_vjp``."""
+    return host.render_vjp(_KERNELS, saved, v_rgb, v_depth_m, v_alpha, rows=rows)
 
-    Raises:
-        ValueError: the picture is of another backend, tensors are on several devices, a mask is wrong.
-    """
-    check_gradients(saved, v_rgb, v_depth_m, v_alpha, rows)
-    camera, lists = saved.camera, saved.lists
-    device = device_of("render_vjp", picture=saved.splats, v_rgb=v_rgb, v_depth_m=v_depth_m, v_alpha=v_alpha, rows=rows)
-    trained = None if rows is None else packed(rows).view(torch.uint8)
-    v_image = [None if v is None else packed(v.float()) for v in (v_rgb, v_depth_m, v_alpha)]
-    moments = torch.zeros(len(saved.splats), SPLAT, dtype=torch.float32, device=device)
+
+def _work(picture: host.Picture) -> Work:
+    lists, camera = picture.lists, picture.camera
+    return Work(
+        splats=picture.splats,
+        ids=lists.ids,
+        offset=lists.offset,
+        pixels=picture.pixels,
+        width=camera.width,
+        height=camera.height,
+        tiles_x=lists.grid.tiles_x,
+    )
+
+
+def _composite(picture: host.Picture, out: RenderOutput, opaque_alpha: float | None) -> None:
+    images = Images(*picture.image, first=out.first_index, dominant=out.dominant_index, hit=out.hit_index)
+    kernel = f"composite:composite_{int(images.first is not None)}{int(images.hit is not None)}"
+    opaque = float(opaque_alpha or _NO_HIT_ALPHA)
+    launch("render_forward", kernel, picture.lists.grid.n_tiles, _BLOCK, _work(picture), images, opaque)
+
+
+def _composite_vjp(picture: host.Picture, v_image: host.ImageGradients, trained: Tensor | None, sums: Tensor) -> None:
+    kernel, tiles = "composite:composite_backward", picture.lists.grid.n_tiles
     launch(
-        "render_vjp", "composite:composite_backward", lists.n_tiles, _BLOCK, saved.splats, lists.ids, lists.offset,
-        saved.pixels, trained, *saved.image, *v_image, moments, camera.width, camera.height, lists.tiles_x,
-    )  # fmt: skip
-    return project_rows_vjp(saved.params, camera, saved.T_WC, saved.splats, saved.depth, moments, trained)
+        "render_vjp", kernel, tiles, _BLOCK, _work(picture), Seen(*picture.image, **v_image._asdict()), trained, sums
+    )
+
+
+def _project_vjp(picture: host.Picture, sums: Tensor, trained: Tensor | None) -> GaussianParams:
+    return project_rows_vjp(picture.params, picture.camera, picture.T_WC, picture.splats, picture.depth, sums, trained)
+
+
+_KERNELS = host.Kernels(
+    picture=CudaPicture,
+    device_of=device_of,
+    project=project_rows,
+    list_tiles=list_tiles,
+    composite=_composite,
+    composite_vjp=_composite_vjp,
+    project_vjp=_project_vjp,
+)

@@ -20,11 +20,19 @@ from gsfusion_nb.render import rasterize
 from gsfusion_nb.types import Camera, GaussianParams, RenderOutput
 
 from ..binning.numba import depth_order, list_tiles, sort_pairs, tile_windows
-from ..composite.numba import PAIR_SUMS, TILE, composite_backward, composite_forward
-from ..project.numba import CHUNK, ROOM, pack_camera, project_rows, project_rows_vjp
+from ..composite.numba import (
+    TILE,
+    Image,
+    IndexImages,
+    PairLists,
+    composite_backward,
+    composite_forward,
+)
+from ..composite.sums import PAIR_SUMS
+from ..project.numba import CHUNK, NOTED_PER_CHUNK, Params, pack_camera, project_rows, project_rows_vjp
 from ..project.splat import SPLAT
 from ..runtime.numba.launch import launching, scratch
-from .picture import blank, check_options
+from .host import blank, check_options
 
 _NO_IMAGE = np.empty((0, 0), np.float32)
 _NO_INDEX = np.empty((0, 0), np.int64)
@@ -41,10 +49,9 @@ class NumbaSaved(Record):
     camera: np.ndarray
     splats: np.ndarray
     start: np.ndarray
-    ids: np.ndarray
-    slot: np.ndarray
-    offset: np.ndarray
-    image: tuple[np.ndarray, np.ndarray, np.ndarray]
+    """Slots of row i in the lists: from ``start[i]`` to ``start[i + 1]``."""
+    lists: PairLists
+    image: Image
     pixels: np.ndarray
 
 
@@ -65,37 +72,27 @@ def render_forward(
             )
     check_options(camera, opaque_alpha, pixels)
     drawn = _ALL_PIXELS if pixels is None else pixels.contiguous().numpy()
-    arrays = _arrays(params)
+    arrays = Params(*(t.detach().contiguous().numpy() for t in _tensors(params)))
     T = T_WC.detach().double()
     cam = pack_camera(camera, se3.inverse(T).numpy(), T[:3, 3].numpy())
     N, H, W = len(params), camera.height, camera.width
     splats, count = np.empty((N, SPLAT), np.float32), np.empty(N, np.int32)
     out = blank(camera, torch.device("cpu"), with_indices=with_indices, with_hits=opaque_alpha is not None)
-    image = out.rgb.numpy(), out.depth_m.numpy(), out.alpha.numpy()
+    image = Image(rgb=out.rgb.numpy(), depth=out.depth_m.numpy(), alpha=out.alpha.numpy())
+    indices = (out.first_index, out.dominant_index, out.hit_index)
+    indices = IndexImages(*(_NO_INDEX if index is None else index.numpy() for index in indices))
     with launching():
-        windows, sums = tile_windows(drawn, W, H)
-        noted = scratch("noted_tiles", -(-N // CHUNK) * ROOM).view(np.int32)
-        project_rows(*arrays, cam, windows, sums, splats, count, noted)
+        wanted = tile_windows(drawn, W, H)
+        noted = scratch("noted_tiles", -(-N // CHUNK) * NOTED_PER_CHUNK).view(np.int32)
+        project_rows(arrays, cam, wanted, splats, count, noted)
         start = np.zeros(N + 1, np.int32)
         np.cumsum(count, out=start[1:])
         pair_tile = scratch("pair_tile", int(start[-1])).view(np.int32)
-        list_tiles(splats, start, noted, W, H, windows, pair_tile)
+        list_tiles(splats, start, noted, W, H, wanted.windows, pair_tile)
         order = depth_order(splats, count)
-        ids, slot, offset = sort_pairs(order, start, pair_tile, -(-W // TILE) * -(-H // TILE))
-        indices = (out.first_index, out.dominant_index, out.hit_index)
-        indices = [_NO_INDEX if index is None else index.numpy() for index in indices]
-        composite_forward(splats, ids, offset, drawn, W, H, *image, *indices, np.float32(opaque_alpha or 1.0))
-    saved = NumbaSaved(
-        params=params,
-        camera=cam,
-        splats=splats,
-        start=start,
-        ids=ids,
-        slot=slot,
-        offset=offset,
-        image=image,
-        pixels=drawn,
-    )
+        lists = sort_pairs(order, start, pair_tile, -(-W // TILE) * -(-H // TILE))
+        composite_forward(splats, lists, drawn, image, indices, np.float32(opaque_alpha or 1.0))
+    saved = NumbaSaved(params=params, camera=cam, splats=splats, start=start, lists=lists, image=image, pixels=drawn)
     return out, saved
 
 
@@ -112,22 +109,17 @@ def render_vjp(
     if rows is not None:
         check_mask("rows", rows, (len(saved.params),))
         trained = rows.contiguous().numpy()
-    arrays = _arrays(saved.params)
+    arrays = Params(*(t.detach().contiguous().numpy() for t in _tensors(saved.params)))
     out = [torch.empty_like(t, memory_format=torch.contiguous_format) for t in _tensors(saved.params)]
-    v_image = tuple(_NO_IMAGE if v is None else v.contiguous().float().numpy() for v in (v_rgb, v_depth_m, v_alpha))
+    v_image = (_NO_IMAGE if v is None else v.contiguous().float().numpy() for v in (v_rgb, v_depth_m, v_alpha))
     with launching():
-        pair_sums = scratch("pair_sums", len(saved.ids) * PAIR_SUMS).reshape(-1, PAIR_SUMS)
-        lists = saved.ids, saved.offset, saved.slot
-        composite_backward(saved.splats, lists, saved.pixels, trained, saved.image, v_image, pair_sums)
-        results = [t.numpy() for t in out]
-        project_rows_vjp(*arrays, saved.camera, saved.splats, saved.start, trained, pair_sums, *results)
+        pair_sums = scratch("pair_sums", len(saved.lists.ids) * PAIR_SUMS).reshape(-1, PAIR_SUMS)
+        composite_backward(saved.splats, saved.lists, saved.pixels, trained, saved.image, Image(*v_image), pair_sums)
+        results = Params(*(t.numpy() for t in out))
+        project_rows_vjp(arrays, saved.camera, saved.splats, saved.start, trained, pair_sums, results)
     names = ("xyz_W", "log_scale", "quat", "opacity_logit", "sh")
     return GaussianParams(**dict(zip(names, out, strict=True)))
 
 
 def _tensors(params: GaussianParams) -> list[Tensor]:
     return [params.xyz_W, params.log_scale, params.quat, params.opacity_logit, params.sh]
-
-
-def _arrays(params: GaussianParams) -> list[np.ndarray]:
-    return [t.detach().contiguous().numpy() for t in _tensors(params)]

@@ -1,64 +1,29 @@
-"""``render_forward`` and ``render_vjp`` from the kernels: what ``gsfusion_nb.backends`` offers for CUDA tensors.
-
-Project and colour every row, list its tiles, sort, composite; and back. float64 goes to backend "torch". Gradients are
-added up by atomics, in an order that changes from run to run: they repeat to rounding, not bit for bit.
-"""
+"""``render_forward`` and ``render_vjp`` in Triton, which ``gsfusion_nb.backends`` offers for CUDA tensors."""
 
 from typing import Any
 
-import torch
 from torch import Tensor
 
-from gsfusion_nb.backends import use_backend
-from gsfusion_nb.render import rasterize
 from gsfusion_nb.types import Camera, GaussianParams, RenderOutput
 
 from ..binning.triton import list_tiles
 from ..composite.triton import STEP, TILE, composite_backward, composite_forward
-from ..project.triton import SPLAT, project_rows, project_rows_vjp
+from ..project.triton import project_rows, project_rows_vjp
 from ..runtime.triton.launch import device_of, launch
-from .picture import Drawn, blank, check_gradients, check_options
+from . import host
+
+_OPTIONS = {"TILE": TILE, "STEP": STEP, "num_warps": TILE * TILE // 64}
 
 
-class TritonSaved(Drawn):
+class TritonPicture(host.Picture):
     """What the backward pass needs of the forward one."""
 
     backend = "triton"
 
 
-def render_forward(
-    params: GaussianParams,
-    camera: Camera,
-    T_WC: Tensor,
-    *,
-    with_indices: bool = True,
-    opaque_alpha: float | None = None,
-    pixels: Tensor | None = None,
-) -> tuple[RenderOutput, Any]:
+def render_forward(params: GaussianParams, camera: Camera, T_WC: Tensor, **options: Any) -> tuple[RenderOutput, Any]:
     """See ``gsfusion_nb.render.render_forward``. The pose may be on any device."""
-    if params.xyz_W.dtype != torch.float32:
-        with use_backend("torch"):
-            return rasterize.render_forward(
-                params, camera, T_WC, with_indices=with_indices, opaque_alpha=opaque_alpha, pixels=pixels
-            )
-    device = device_of("render_forward", **vars(params), pixels=pixels)
-    check_options(camera, opaque_alpha, pixels)
-    pose = T_WC.detach().to(device, torch.float32).contiguous()
-    splats, depth = project_rows(params, camera, pose)
-    lists = list_tiles(splats, depth, camera, pixels)
-    drawn = None if pixels is None else pixels.contiguous().view(torch.uint8)
-    out = blank(camera, device, with_indices=with_indices, with_hits=opaque_alpha is not None)
-    image = out.rgb, out.depth_m, out.alpha
-    indices = (out.first_index, out.dominant_index, out.hit_index)
-    launch(
-        composite_forward, lists.n_tiles, device, splats, lists.ids, lists.offset,
-        image[1] if drawn is None else drawn, *image, *(image[1] if index is None else index for index in indices),
-        camera.width, camera.height, lists.tiles_x, float(opaque_alpha or 1.0), MASKED=drawn is not None,
-        INDICES=with_indices, HITS=opaque_alpha is not None, TILE=TILE, STEP=STEP, num_warps=TILE * TILE // 64,
-    )  # fmt: skip
-    return out, TritonSaved(
-        params=params, camera=camera, T_WC=pose, splats=splats, lists=lists, image=image, pixels=drawn
-    )
+    return host.render_forward(_KERNELS, params, camera, T_WC, **options)
 
 
 def render_vjp(
@@ -70,18 +35,73 @@ def render_vjp(
     rows: Tensor | None = None,
 ) -> GaussianParams:
     """See ``gsfusion_nb.render.render_vjp``."""
-    check_gradients(saved, v_rgb, v_depth_m, v_alpha, rows)
-    splats, lists, camera, pixels = saved.splats, saved.lists, saved.camera, saved.pixels
-    device = device_of("render_vjp", picture=splats, v_rgb=v_rgb, v_depth_m=v_depth_m, v_alpha=v_alpha, rows=rows)
-    v_rgb, v_depth, v_opaque = (
-        saved.image[1] if v is None else v.detach().contiguous().float() for v in (v_rgb, v_depth_m, v_alpha)
-    )
-    v_splats = torch.zeros(len(splats), SPLAT, dtype=torch.float32, device=device)
+    return host.render_vjp(_KERNELS, saved, v_rgb, v_depth_m, v_alpha, rows=rows)
+
+
+def _work(picture: host.Picture) -> dict:
+    """What is composited, in which pixels; a kernel reads no array that its options do not ask for."""
+    rgb, depth, alpha = picture.image
+    return {
+        "splats": picture.splats,
+        "ids": picture.lists.ids,
+        "offset": picture.lists.offset,
+        "pixels": picture.splats if picture.pixels is None else picture.pixels,
+        "MASKED": picture.pixels is not None,
+        "width": picture.camera.width,
+        "height": picture.camera.height,
+        "tiles_x": picture.lists.grid.tiles_x,
+        "rgb": rgb,
+        "depth": depth,
+        "alpha_image": alpha,
+    }
+
+
+def _composite(picture: host.Picture, out: RenderOutput, opaque_alpha: float | None) -> None:
+    indices = {"first": out.first_index, "dominant": out.dominant_index, "hit": out.hit_index}
     launch(
-        composite_backward, lists.n_tiles, device, splats, lists.ids, lists.offset,
-        splats if pixels is None else pixels, splats if rows is None else rows.contiguous().view(torch.uint8),
-        *saved.image, v_rgb, v_depth, v_opaque, v_splats, camera.width, camera.height, lists.tiles_x,
-        MASKED=pixels is not None, SOME=rows is not None, DEPTH=v_depth_m is not None, ALPHA=v_alpha is not None,
-        TILE=TILE, STEP=STEP, num_warps=TILE * TILE // 64,
-    )  # fmt: skip
-    return project_rows_vjp(saved.params, camera, saved.T_WC, splats, v_splats, rows)
+        composite_forward,
+        picture.lists.grid.n_tiles,
+        picture.splats.device,
+        **_work(picture),
+        **{f"{name}_image": out.depth_m if index is None else index for name, index in indices.items()},
+        opaque_alpha=float(opaque_alpha or 1.0),
+        INDICES=out.first_index is not None,
+        HITS=out.hit_index is not None,
+        **_OPTIONS,
+    )
+
+
+def _composite_vjp(
+    picture: host.Picture, v_image: host.ImageGradients, trained: Tensor | None, v_splats: Tensor
+) -> None:
+    v_rgb, v_depth, v_alpha = v_image.v_rgb, v_image.v_depth, v_image.v_alpha
+    launch(
+        composite_backward,
+        picture.lists.grid.n_tiles,
+        picture.splats.device,
+        **_work(picture),
+        v_rgb=v_rgb,
+        v_depth=v_rgb if v_depth is None else v_depth,
+        v_alpha=v_rgb if v_alpha is None else v_alpha,
+        trained=picture.splats if trained is None else trained,
+        v_splats=v_splats,
+        SOME=trained is not None,
+        WITH_DEPTH=v_depth is not None,
+        WITH_ALPHA=v_alpha is not None,
+        **_OPTIONS,
+    )
+
+
+def _project_vjp(picture: host.Picture, v_splats: Tensor, trained: Tensor | None) -> GaussianParams:
+    return project_rows_vjp(picture.params, picture.camera, picture.T_WC, picture.splats, v_splats, trained)
+
+
+_KERNELS = host.Kernels(
+    picture=TritonPicture,
+    device_of=device_of,
+    project=project_rows,
+    list_tiles=list_tiles,
+    composite=_composite,
+    composite_vjp=_composite_vjp,
+    project_vjp=_project_vjp,
+)

@@ -4,6 +4,7 @@
 # pyright: reportCallIssue=false
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -11,12 +12,15 @@ from numba import int32, int64, njit, prange
 from torch import Tensor
 
 from gsfusion_nb.checks import check_pose
+from gsfusion_nb.constants import VOXELS_PER_BLOCK
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.tsdf.raycast import CLOSE_VOXELS, REFINEMENTS, STEP, RaycastOutput
 from gsfusion_nb.tsdf.raycast import raycast as reference
 from gsfusion_nb.tsdf.volume import TsdfVolume
 from gsfusion_nb.types import Camera
 
+from ..runtime.block_table import BlockTable
+from ..runtime.lens import lens_of
 from ..runtime.numba.launch import launching
 from ..runtime.numba.simd import absolute, any_lane, either, floor, load, maximum, minimum, select, splat, sqrt, store
 from ..runtime.numba.simd_int import below, but_not, gather, gather_int, select_int, splat_int, truncate
@@ -33,6 +37,34 @@ _MARGIN = f32(0.01)
 TILE_PX = 16
 """Edge of the picture tiles whose rays start together, pixels."""
 
+_NEAR_END, _FAR_END = range(2)
+"""Columns of the depths between which a tile's rays can meet a block."""
+
+_X, _Y, _STARTS, _DEPTH = range(4)
+_NORMAL, _RGB = 4, 7
+"""Rows of what sixteen rays bring along and bring back: slopes, whether there is anything to meet, then the results;
+normal and colour take three rows each."""
+_LANE_ROWS = 10
+
+_BITS_OF_VOXEL = VOXELS_PER_BLOCK.bit_length() - 1
+"""Of a voxel's place in the pool, those that number it within its block."""
+
+
+class Rays(NamedTuple):
+    """x / z of every column and y / z of every row of pixels, and the pose [4, 4], float32."""
+
+    x: np.ndarray
+    y: np.ndarray
+    T_WC: np.ndarray
+
+
+class Sizes(NamedTuple):
+    """Edge of a voxel, truncation distance and edge of a block, metres."""
+
+    voxel: float | np.float32
+    truncation: float | np.float32
+    block: float | np.float32
+
 
 def raycast(volume: TsdfVolume, camera: Camera, T_WC: Tensor) -> RaycastOutput:
     """See ``gsfusion_nb.tsdf.raycast``."""
@@ -43,18 +75,20 @@ def raycast(volume: TsdfVolume, camera: Camera, T_WC: Tensor) -> RaycastOutput:
     depth, normal, rgb = (torch.empty(camera.height, camera.width, *n) for n in ((), (3,), (3,)))
     x, y = ray_slopes(camera)
     pose = T_WC.detach().cpu()
-    lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
-    sizes = np.array([volume.config.voxel_size_m, volume.config.truncation_m, volume.block_size_m], np.float32)
-    table = (lookup[0].numpy(), lookup[1].numpy().astype(np.int32), np.array(lookup[2], np.int32))
-    D, W, colour = (t.view(-1).numpy() for t in (volume.D, volume.W, volume.rgb_planes))
-    T_CW = se3.inverse(pose.double()).numpy()
+    rays = Rays(x=x.numpy(), y=y.numpy(), T_WC=pose.to(torch.float32).numpy())
+    lens, size = lens_of(camera, f32), (camera.height, camera.width)
+    config = volume.config
+    exact = Sizes(voxel=config.voxel_size_m, truncation=config.truncation_m, block=volume.block_size_m)
+    sizes = Sizes(*(f32(length) for length in exact))
+    rows, low, blocks = lookup
+    table = BlockTable(rows=rows.numpy(), low=low.numpy().astype(np.int32), size=np.array(blocks, np.int32))
+    D, W, colours = (t.view(-1).numpy() for t in (volume.D, volume.W, volume.rgb_planes))
+    coords, T_CW = volume.block_coords.numpy(), se3.inverse(pose.double()).numpy()
     with launching():
-        spans = _depth_spans(volume.block_coords.numpy(), T_CW, volume.block_size_m, lens, depth.numpy().shape)
-        rays = x.numpy(), y.numpy(), pose.to(torch.float32).numpy()
-        sides = volume.config.voxel_size_m, volume.block_size_m
+        spans = _depth_spans(coords, T_CW, exact.block, lens, size)
         field = np.empty(D.size, np.float32)
-        _observed_field(volume.block_coords.numpy(), (D, W), T_CW, lens, sides, depth.numpy().shape, field)
-        _march(table, field, colour, rays, sizes, spans, depth.numpy(), normal.numpy(), rgb.numpy())
+        _observed_field(coords, D, W, T_CW, lens, exact, size, field)
+        _march(table, field, colours, rays, sizes, spans, depth.numpy(), normal.numpy(), rgb.numpy())
     return RaycastOutput(depth_m=depth, normal_W=normal, rgb=rgb)
 
 
@@ -64,8 +98,8 @@ def _depth_spans(coords, T_CW, side, lens, size):
     height, width = size
     ny, nx = (height + TILE_PX - 1) // TILE_PX, (width + TILE_PX - 1) // TILE_PX
     spans = np.empty((ny, nx, 2), np.float32)
-    spans[:, :, 0] = np.inf
-    spans[:, :, 1] = _ZERO
+    spans[:, :, _NEAR_END] = np.inf
+    spans[:, :, _FAR_END] = _ZERO
     tile = f32(TILE_PX)
     for b in range(coords.shape[0]):
         low_z, high_z = f32(np.inf), f32(-np.inf)
@@ -81,7 +115,7 @@ def _depth_spans(coords, T_CW, side, lens, size):
             z = f32(T_CW[2, 0] * X + T_CW[2, 1] * Y + T_CW[2, 2] * Z + T_CW[2, 3])
             low_z, high_z = min(low_z, z), max(high_z, z)
             safe = max(z, _NEAR)
-            u, v = (lens[0] * x / safe + lens[2]) / tile, (lens[1] * y / safe + lens[3]) / tile
+            u, v = (lens.fx * x / safe + lens.cx) / tile, (lens.fy * y / safe + lens.cy) / tile
             low_u, high_u = min(low_u, u), max(high_u, u)
             low_v, high_v = min(low_v, v), max(high_v, v)
         if high_z <= _ZERO:
@@ -92,22 +126,21 @@ def _depth_spans(coords, T_CW, side, lens, size):
             u0, u1, v0, v1 = 0, nx - 1, 0, ny - 1
         for i in range(max(v0, 0), min(v1, ny - 1) + 1):
             for j in range(max(u0, 0), min(u1, nx - 1) + 1):
-                spans[i, j, 0] = min(spans[i, j, 0], max(low_z, _ZERO))
-                spans[i, j, 1] = max(spans[i, j, 1], high_z)
+                spans[i, j, _NEAR_END] = min(spans[i, j, _NEAR_END], max(low_z, _ZERO))
+                spans[i, j, _FAR_END] = max(spans[i, j, _FAR_END], high_z)
     return spans
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
-def _observed_field(coords, state, T_CW, lens, sides, size, field):
+def _observed_field(coords, D, W, T_CW, lens, sizes, size, field):
     """Set ``field`` to D where a voxel has been observed, else infinity, in the blocks that rays may look up.
 
     Those are the blocks whose bounding sphere, larger by the reach of an interpolation, meets the view.
     """
     height, width = size
-    voxel, side = sides
+    voxel, side = sizes.voxel, sizes.block
     B = coords.shape[0]
-    D, W = state
-    fx, fy, cx, cy = lens[0], lens[1], lens[2], lens[3]
+    fx, fy, cx, cy = lens.fx, lens.fy, lens.cx, lens.cy
     radius = 0.5 * side * np.sqrt(3.0) + 2 * voxel
     slope_u, slope_v = np.sqrt(fx * fx + max(cx, width - cx) ** 2), np.sqrt(fy * fy + max(cy, height - cy) ** 2)
     chunk = 64
@@ -122,7 +155,7 @@ def _observed_field(coords, state, T_CW, lens, sides, size, field):
             above, under = fy * y + cy * z, (height - cy) * z - fy * y
             if z < -radius or min(left, right) < -radius * slope_u or min(above, under) < -radius * slope_v:
                 continue
-            for at in range(b * 512, b * 512 + 512, 16):
+            for at in range(b * VOXELS_PER_BLOCK, (b + 1) * VOXELS_PER_BLOCK, 16):
                 store(field, at, select(load(W, at) > zero, load(D, at), infinite))
 
 
@@ -132,7 +165,7 @@ def _corner(rows, field, cell, number, moved, inside, row, wanted):
     if any_lane(moved):
         nowhere = splat_int(int32(-1))
         row = select_int(moved, gather_int(rows, cell, moved & inside, nowhere), row)
-    at = row * splat_int(int32(512)) + number
+    at = row * splat_int(int32(VOXELS_PER_BLOCK)) + number
     return gather(field, at, wanted & (row >= splat_int(int32(0))), splat(_INFINITE)), at
 
 
@@ -142,7 +175,7 @@ def _cells(table, field, px, py, pz, wanted):
 
     Points are in voxels, less a half. Also returns where they lie in their cells, and which cells are observed whole.
     """
-    rows, low, size = table
+    rows, low, size = table.rows, table.low, table.size
     one, seven, three, zero = splat_int(int32(1)), splat_int(int32(7)), splat_int(int32(3)), splat_int(int32(0))
     bx, by, bz = floor(px), floor(py), floor(pz)
     fx, fy, fz = px - bx, py - by, pz - bz
@@ -207,18 +240,19 @@ def _to_exit(p, d, side):
 @njit(cache=True, error_model="numpy")
 def _crossing(table, field, origin, direction, sizes, span, alive):
     """Depth of the first change from free to inside along sixteen rays, refined, and which of them have one."""
-    rows, low, size = table
+    rows, low, size = table.rows, table.low, table.size
     ox, oy, oz = origin
     dx, dy, dz = direction
     zero, one, infinite = splat(_ZERO), splat(_ONE), splat(_INFINITE)
-    voxel, truncation, side = splat(sizes[0]), splat(sizes[1]), splat(sizes[2])
+    voxel, truncation, side = splat(sizes.voxel), splat(sizes.truncation), splat(sizes.block)
     reach, close_by, margin = splat(_STEP) * truncation, splat(_CLOSE) * voxel, splat(_MARGIN) * voxel
     three, seven, nowhere = splat_int(int32(3)), splat_int(int32(7)), splat_int(int32(-1))
-    eight, sixty_four, block = splat_int(int32(8)), splat_int(int32(64)), splat_int(int32(512))
+    eight, sixty_four, block = splat_int(int32(8)), splat_int(int32(64)), splat_int(int32(VOXELS_PER_BLOCK))
     nx, ny, nz = splat_int(int32(size[0])), splat_int(int32(size[1])), splat_int(int32(size[2]))
     lx, ly, lz = splat_int(low[0]), splat_int(low[1]), splat_int(low[2])
     per_m = one / sqrt(dx * dx + dy * dy + dz * dz)
-    z, z_end = splat(span[0]), splat(span[1])
+    z_start, z_end = span
+    z, z_end = splat(z_start), splat(z_end)
     found = but_not(alive, alive)
     was_free, was_inside = found, found
     z_before, D_before = z, one
@@ -265,13 +299,13 @@ def _crossing(table, field, origin, direction, sizes, span, alive):
 @njit(parallel=True, cache=True, error_model="numpy")
 def _march(table, field, C, rays, sizes, spans, depth, normal, rgb):
     """Fill the three pictures, four by four rays at a time; zero where no ray meets a surface observed on all sides."""
-    x, y, T = rays
+    x, y, T = rays.x, rays.y, rays.T_WC
     height, width = depth.shape
     ny, nx = spans.shape[0], spans.shape[1]
     for task in prange(ny * nx):
         ti, tj = int64(task) // nx, int64(task) % nx
-        lanes = np.empty((10, 16), np.float32)
-        zero, half, voxel = splat(_ZERO), splat(_HALF), splat(sizes[0])
+        lanes = np.empty((_LANE_ROWS, 16), np.float32)
+        zero, half, voxel = splat(_ZERO), splat(_HALF), splat(sizes.voxel)
         ox, oy, oz = splat(T[0, 3]), splat(T[1, 3]), splat(T[2, 3])
         for part in range(TILE_PX * TILE_PX // 16):
             v0 = ti * TILE_PX + part // (TILE_PX // 4) * 4
@@ -280,14 +314,15 @@ def _march(table, field, C, rays, sizes, spans, depth, normal, rgb):
                 continue
             for k in range(16):
                 v, u = v0 + k // 4, u0 + k % 4
-                lanes[0, k], lanes[1, k] = x[min(u, width - 1)], y[min(v, height - 1)]
-                lanes[2, k] = _ONE if v < height and u < width and spans[ti, tj, 0] < spans[ti, tj, 1] else _ZERO
-            sx, sy = load(lanes[0], 0), load(lanes[1], 0)
+                lanes[_X, k], lanes[_Y, k] = x[min(u, width - 1)], y[min(v, height - 1)]
+                starts = v < height and u < width and spans[ti, tj, _NEAR_END] < spans[ti, tj, _FAR_END]
+                lanes[_STARTS, k] = _ONE if starts else _ZERO
+            sx, sy = load(lanes[_X], 0), load(lanes[_Y], 0)
             dx = splat(T[0, 0]) * sx + splat(T[0, 1]) * sy + splat(T[0, 2])
             dy = splat(T[1, 0]) * sx + splat(T[1, 1]) * sy + splat(T[1, 2])
             dz = splat(T[2, 0]) * sx + splat(T[2, 1]) * sy + splat(T[2, 2])
-            alive = load(lanes[2], 0) > zero
-            span = (spans[ti, tj, 0], spans[ti, tj, 1])
+            alive = load(lanes[_STARTS], 0) > zero
+            span = (spans[ti, tj, _NEAR_END], spans[ti, tj, _FAR_END])
             z, found = _crossing(table, field, (ox, oy, oz), (dx, dy, dz), sizes, span, alive)
             px, py, pz = (ox + dx * z) / voxel - half, (oy + dy * z) / voxel - half, (oz + dz * z) / voxel - half
             values, at, f, whole = _cells(table, field, px, py, pz, found)
@@ -295,14 +330,14 @@ def _march(table, field, C, rays, sizes, spans, depth, normal, rgb):
             for k in range(16):
                 v, u = v0 + k // 4, u0 + k % 4
                 if v < height and u < width:
-                    depth[v, u] = lanes[3, k]
+                    depth[v, u] = lanes[_DEPTH, k]
                     for c in range(3):
-                        normal[v, u, c], rgb[v, u, c] = lanes[4 + c, k], lanes[7 + c, k]
+                        normal[v, u, c], rgb[v, u, c] = lanes[_NORMAL + c, k], lanes[_RGB + c, k]
 
 
 @njit(cache=True, error_model="numpy")
 def _surface_into(v, at, f, whole, z, C, lanes):
-    """Depth, normal (the gradient of the trilinear D) and colour of sixteen points to rows 3..9 of ``lanes``."""
+    """Depth, normal (the gradient of the trilinear D) and colour of sixteen points to their rows of ``lanes``."""
     fx, fy, fz = f
     zero = splat(_ZERO)
     x00, x10, x01, x11 = v[1] - v[0], v[3] - v[2], v[5] - v[4], v[7] - v[6]
@@ -314,25 +349,25 @@ def _surface_into(v, at, f, whole, z, C, lanes):
         _bilinear(z00, z10, z01, z11, fx, fy),
     )
     length = maximum(sqrt(nx * nx + ny * ny + nz * nz), splat(f32(1e-12)))
-    store(lanes[3], 0, select(whole, z, zero))
-    store(lanes[4], 0, select(whole, nx / length, zero))
-    store(lanes[5], 0, select(whole, ny / length, zero))
-    store(lanes[6], 0, select(whole, nz / length, zero))
+    store(lanes[_DEPTH], 0, select(whole, z, zero))
+    store(lanes[_NORMAL], 0, select(whole, nx / length, zero))
+    store(lanes[_NORMAL + 1], 0, select(whole, ny / length, zero))
+    store(lanes[_NORMAL + 2], 0, select(whole, nz / length, zero))
     for c in range(3):
-        plane = splat_int(int32(512 * c))
+        plane = splat_int(int32(VOXELS_PER_BLOCK * c))
         colours = (
             _colour(C, at[0], plane, whole), _colour(C, at[1], plane, whole),
             _colour(C, at[2], plane, whole), _colour(C, at[3], plane, whole),
             _colour(C, at[4], plane, whole), _colour(C, at[5], plane, whole),
             _colour(C, at[6], plane, whole), _colour(C, at[7], plane, whole),
         )  # fmt: skip
-        store(lanes[7 + c], 0, select(whole, _blend(colours, f), zero))
+        store(lanes[_RGB + c], 0, select(whole, _blend(colours, f), zero))
 
 
 @njit(cache=True, error_model="numpy")
 def _colour(C, at, plane, whole):
-    row = at >> splat_int(int32(9))
-    return gather(C, row * splat_int(int32(1536)) + (at & splat_int(int32(511))) + plane, whole, splat(_ZERO))
+    row, number = at >> splat_int(int32(_BITS_OF_VOXEL)), at & splat_int(int32(VOXELS_PER_BLOCK - 1))
+    return gather(C, row * splat_int(int32(3 * VOXELS_PER_BLOCK)) + number + plane, whole, splat(_ZERO))
 
 
 @njit(cache=True, error_model="numpy")

@@ -18,8 +18,10 @@ from gsfusion_nb.tsdf.raycast import raycast as reference
 from gsfusion_nb.tsdf.volume import TsdfVolume
 from gsfusion_nb.types import Camera
 
+from ..runtime.lens import lens_of
 from ..runtime.triton.launch import INTERPRETED, device_of, launch, parts
 from ..runtime.triton.lookup import find_voxel, load_colour
+from ..runtime.triton.vectors import load_position, load_rotation, store3
 
 TILE_PX = 16
 """Edge of the picture tiles whose rays start together, pixels."""
@@ -44,52 +46,85 @@ def raycast(volume: TsdfVolume, camera: Camera, T_WC: Tensor) -> RaycastOutput:
     H, W = camera.height, camera.width
     depth, normal, rgb = (torch.zeros(H, W, *n, dtype=torch.float32, device=device) for n in ((), (3,), (3,)))
     if lookup is not None:
-        table, low, size = lookup
+        table, low, (blocks_x, blocks_y, blocks_z) = lookup
         pose = pose.to(device).contiguous()
-        nx, ny = parts(W, TILE_PX), parts(H, TILE_PX)
+        tiles_x, tiles_y = parts(W, TILE_PX), parts(H, TILE_PX)
         # depths above zero sort as their bits do
-        first = torch.full((nx * ny,), _INFINITE_BITS, dtype=torch.int32, device=device)
-        last = torch.zeros(nx * ny, dtype=torch.int32, device=device)
-        lens = tuple(float(x) for x in (camera.fx, camera.fy, camera.cx, camera.cy))
-        sizes = float(volume.block_size_m), float(volume.config.voxel_size_m), float(volume.config.truncation_m)
+        first = torch.full((tiles_x * tiles_y,), _INFINITE_BITS, dtype=torch.int32, device=device)
+        last = torch.zeros(tiles_x * tiles_y, dtype=torch.int32, device=device)
+        spans = {"first": first, "last": last, "tiles_x": tiles_x, "TILE": TILE_PX}
+        lens, side = lens_of(camera)._asdict(), float(volume.block_size_m)
         launch(
-            _splat_blocks, volume.n_blocks, device, volume.block_coords, pose, first, last, nx, ny, *lens, sizes[0],
-            TILE=TILE_PX, CHUNK=32, num_warps=1,
-        )  # fmt: skip
+            _splat_blocks,
+            volume.n_blocks,
+            device,
+            coords=volume.block_coords,
+            T=pose,
+            **spans,
+            tiles_y=tiles_y,
+            **lens,
+            side=side,
+            CHUNK=32,
+            num_warps=1,
+        )
         launch(
-            _march, parts(W, RAYS[0]) * parts(H, RAYS[1]), device, volume.D, volume.W, volume.rgb_planes, table, low,
-            *size, pose.float(), first, last, depth, normal, rgb, W, H, nx, *lens, *sizes,
-            TILE=TILE_PX, WIDE=RAYS[0], HIGH=RAYS[1], num_warps=1,
-        )  # fmt: skip
+            _march,
+            parts(W, RAYS[0]) * parts(H, RAYS[1]),
+            device,
+            D=volume.D,
+            W=volume.W,
+            colours=volume.rgb_planes,
+            table=table,
+            low=low,
+            nx=blocks_x,
+            ny=blocks_y,
+            nz=blocks_z,
+            T=pose.float(),
+            **spans,
+            depth=depth,
+            normal=normal,
+            rgb=rgb,
+            width=W,
+            height=H,
+            **lens,
+            side=side,
+            voxel=float(volume.config.voxel_size_m),
+            truncation=float(volume.config.truncation_m),
+            WIDE=RAYS[0],
+            HIGH=RAYS[1],
+            num_warps=1,
+        )
     return RaycastOutput(depth_m=depth, normal_W=normal, rgb=rgb)
 
 
-@triton.jit(do_not_specialize=["nx", "ny"])
+@triton.jit(do_not_specialize=["tiles_x", "tiles_y"])
 def _splat_blocks(
-    coords, T, first, last, nx, ny, fx, fy, cx, cy, side, TILE: tl.constexpr, CHUNK: tl.constexpr
+    coords, T, first, last, tiles_x, tiles_y, fx, fy, cx, cy, side, TILE: tl.constexpr, CHUNK: tl.constexpr
 ):  # fmt: skip
     """Lower ``first`` and raise ``last`` of the tiles that a block's picture covers to its least and largest depth."""
     b = tl.program_id(0)
     c = tl.arange(0, 8)
     size = side + 0.0
-    x = (tl.load(coords + 3 * b) + (c & 1)).to(tl.float64) * size - tl.load(T + 3).to(tl.float64)
-    y = (tl.load(coords + 3 * b + 1) + ((c >> 1) & 1)).to(tl.float64) * size - tl.load(T + 7).to(tl.float64)
-    z = (tl.load(coords + 3 * b + 2) + (c >> 2)).to(tl.float64) * size - tl.load(T + 11).to(tl.float64)
+    C_x, C_y, C_z = load_position(T)
+    x = (tl.load(coords + 3 * b) + (c & 1)).to(tl.float64) * size - C_x.to(tl.float64)
+    y = (tl.load(coords + 3 * b + 1) + ((c >> 1) & 1)).to(tl.float64) * size - C_y.to(tl.float64)
+    z = (tl.load(coords + 3 * b + 2) + (c >> 2)).to(tl.float64) * size - C_z.to(tl.float64)
     x, y, z = x.to(tl.float32), y.to(tl.float32), z.to(tl.float32)
-    X = tl.load(T).to(tl.float32) * x + tl.load(T + 4).to(tl.float32) * y + tl.load(T + 8).to(tl.float32) * z
-    Y = tl.load(T + 1).to(tl.float32) * x + tl.load(T + 5).to(tl.float32) * y + tl.load(T + 9).to(tl.float32) * z
-    Z = tl.load(T + 2).to(tl.float32) * x + tl.load(T + 6).to(tl.float32) * y + tl.load(T + 10).to(tl.float32) * z
+    r0, r1, r2, r3, r4, r5, r6, r7, r8 = load_rotation(T)
+    X = r0.to(tl.float32) * x + r3.to(tl.float32) * y + r6.to(tl.float32) * z
+    Y = r1.to(tl.float32) * x + r4.to(tl.float32) * y + r7.to(tl.float32) * z
+    Z = r2.to(tl.float32) * x + r5.to(tl.float32) * y + r8.to(tl.float32) * z
     z_low, z_high = tl.min(Z, axis=0), tl.max(Z, axis=0)
     safe = tl.maximum(Z, _NEAR)
     u, v = (fx * X / safe + cx) / TILE, (fy * Y / safe + cy) / TILE
     behind = z_low <= _NEAR  # it is taken to cover the whole picture
-    top_u, top_v = nx + 0.0, ny + 0.0
+    top_u, top_v = tiles_x + 0.0, tiles_y + 0.0
     u0 = tl.where(behind, 0.0, tl.maximum(tl.min(u, axis=0), -1.0))
     v0 = tl.where(behind, 0.0, tl.maximum(tl.min(v, axis=0), -1.0))
     u1 = tl.where(behind, top_u, tl.minimum(tl.max(u, axis=0), top_u))
     v1 = tl.where(behind, top_v, tl.minimum(tl.max(v, axis=0), top_v))
     i0, j0 = tl.maximum(tl.floor(u0).to(tl.int32), 0), tl.maximum(tl.floor(v0).to(tl.int32), 0)
-    i1, j1 = tl.minimum(tl.floor(u1).to(tl.int32), nx - 1), tl.minimum(tl.floor(v1).to(tl.int32), ny - 1)
+    i1, j1 = tl.minimum(tl.floor(u1).to(tl.int32), tiles_x - 1), tl.minimum(tl.floor(v1).to(tl.int32), tiles_y - 1)
     wide, high = tl.maximum(i1 - i0 + 1, 0), tl.maximum(j1 - j0 + 1, 0)
     total = tl.where(z_high > 0, wide * high, 0)
     wide = tl.maximum(wide, 1)
@@ -99,7 +134,7 @@ def _splat_blocks(
     k = 0
     while k < total:
         covered = k + n < total
-        tile = (j0 + (k + n) // wide) * nx + i0 + (k + n) % wide
+        tile = (j0 + (k + n) // wide) * tiles_x + i0 + (k + n) % wide
         tl.atomic_min(first + tile, low + 0 * n, mask=covered, sem="relaxed")
         tl.atomic_max(last + tile, up + 0 * n, mask=covered, sem="relaxed")
         k += CHUNK
@@ -161,15 +196,19 @@ def _march(
     D, W, colours, table, low, nx, ny, nz, T, first, last, depth, normal, rgb, width, height, tiles_x, fx, fy, cx, cy,
     side, voxel, truncation, TILE: tl.constexpr, WIDE: tl.constexpr, HIGH: tl.constexpr,
 ):  # fmt: skip
+    """Write depth, normal and colour of the pixels whose rays meet a surface.
+
+    D, W, colours, table, low, nx, ny, nz: the map and where its blocks are (``find_row``). first, last: from
+    ``_splat_blocks``. side, voxel, truncation: edges of a block and of a voxel, truncation distance, metres.
+    """
     k = tl.arange(0, WIDE * HIGH)
     across = (width + WIDE - 1) // WIDE
     i, j = (tl.program_id(0) % across) * WIDE + k % WIDE, (tl.program_id(0) // across) * HIGH + k // WIDE
     here = (i < width) & (j < height)
     x, y = (i + (0.5 - cx)) / fx, (j + (0.5 - cy)) / fy
-    dx = tl.load(T) * x + tl.load(T + 1) * y + tl.load(T + 2)
-    dy = tl.load(T + 4) * x + tl.load(T + 5) * y + tl.load(T + 6)
-    dz = tl.load(T + 8) * x + tl.load(T + 9) * y + tl.load(T + 10)
-    ox, oy, oz = tl.load(T + 3), tl.load(T + 7), tl.load(T + 11)
+    r0, r1, r2, r3, r4, r5, r6, r7, r8 = load_rotation(T)
+    dx, dy, dz = r0 * x + r1 * y + r2, r3 * x + r4 * y + r5, r6 * x + r7 * y + r8
+    ox, oy, oz = load_position(T)
     tile = (j // TILE) * tiles_x + i // TILE
     z = tl.load(first + tile, mask=here, other=0).to(tl.float32, bitcast=True)
     z_end = tl.load(last + tile, mask=here, other=0).to(tl.float32, bitcast=True)
@@ -220,9 +259,7 @@ def _march(
     length = tl.maximum(tl.sqrt(n0 * n0 + n1 * n1 + n2 * n2), 1e-12)
     pixel = j * width + i
     tl.store(depth + pixel, z, mask=whole)
-    tl.store(normal + 3 * pixel, n0 / length, mask=whole)
-    tl.store(normal + 3 * pixel + 1, n1 / length, mask=whole)
-    tl.store(normal + 3 * pixel + 2, n2 / length, mask=whole)
+    store3(normal, pixel, n0 / length, n1 / length, n2 / length, whole)
     for c in tl.static_range(3):
         a = _mix(
             load_colour(colours, a0, c, whole), load_colour(colours, a1, c, whole),

@@ -5,6 +5,10 @@ from torch import Tensor
 
 from gsfusion_nb.optim.rgbd_loss import RgbdLoss
 
+COLOUR_VALUES, DEPTH_PIXELS, COLOUR_SUM, DEPTH_SUM = range(4)
+"""What the kernels add up: values of colour and pixels with a depth loss, then sum |C - C^| and sum |D - D^|."""
+N_SUMS = 4
+
 
 def is_float32(*images: Tensor) -> bool:
     """Whether the kernels take these images."""

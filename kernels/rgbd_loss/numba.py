@@ -12,7 +12,7 @@ from gsfusion_nb.optim.rgbd_loss import RgbdLoss
 from gsfusion_nb.optim.rgbd_loss import rgbd_l1_vjp as reference
 
 from ..runtime.numba.launch import launching
-from .host import is_float32, limit_m, to_loss
+from .host import COLOUR_SUM, COLOUR_VALUES, DEPTH_PIXELS, DEPTH_SUM, N_SUMS, is_float32, limit_m, to_loss
 
 f32 = np.float32
 
@@ -37,11 +37,11 @@ def rgbd_l1_vjp(
     arrays = [t.detach().contiguous().numpy() for t in (*images, pixels)]
     limit = f32(limit_m(behind_m))
     with launching():
-        n, n_known, colour_sum, depth_sum = _sums(*arrays, limit).tolist()
-        n, n_known = max(n, 1.0), max(n_known, 1.0)
+        sums = _sums(*arrays, limit).tolist()
+        n, n_known = max(sums[COLOUR_VALUES], 1.0), max(sums[DEPTH_PIXELS], 1.0)
         scale_rgb, scale_depth = f32(weight_colour / n), f32(weight_depth / n_known)
         _write(*arrays, limit, scale_rgb, scale_depth, v_rgb.numpy(), v_depth_m.numpy())
-    colour, depth = colour_sum / n, depth_sum / n_known
+    colour, depth = sums[COLOUR_SUM] / n, sums[DEPTH_SUM] / n_known
     return to_loss(torch.tensor([colour, depth, weight_colour * colour + weight_depth * depth]), v_rgb, v_depth_m)
 
 
@@ -53,19 +53,19 @@ def _has_depth_loss(depth, target, limit):
 
 @njit(parallel=True, cache=True, error_model="numpy")
 def _sums(rgb, depth, target_rgb, target_depth, pixels, limit):
-    """Colour values, pixels with a depth loss, sum |C - C^|, sum |D - D^|: by rows, so that threads do not matter."""
+    """The sums of ``host``: by rows, so that threads do not matter."""
     H, W = depth.shape
-    rows = np.zeros((H, 4))
+    rows = np.zeros((H, N_SUMS))
     for y in prange(H):
         for x in range(W):
             if not pixels[y, x]:
                 continue
-            rows[y, 0] += 3
+            rows[y, COLOUR_VALUES] += 3
             for c in range(3):
-                rows[y, 2] += abs(rgb[y, x, c] - target_rgb[y, x, c])
+                rows[y, COLOUR_SUM] += abs(rgb[y, x, c] - target_rgb[y, x, c])
             if _has_depth_loss(depth[y, x], target_depth[y, x], limit):
-                rows[y, 1] += 1
-                rows[y, 3] += abs(depth[y, x] - target_depth[y, x])
+                rows[y, DEPTH_PIXELS] += 1
+                rows[y, DEPTH_SUM] += abs(depth[y, x] - target_depth[y, x])
     return rows.sum(axis=0)
 
 

@@ -14,9 +14,13 @@ from gsfusion_nb.optim.rgbd_loss import RgbdLoss
 from gsfusion_nb.optim.rgbd_loss import rgbd_l1_vjp as reference
 
 from ..runtime.triton.launch import device_of, launch, parts
+from ..runtime.triton.vectors import load3, store3
+from . import host
 from .host import is_float32, limit_m, to_loss
 
 _BLOCK = 1024
+_COLOUR_VALUES, _DEPTH_PIXELS = tl.constexpr(host.COLOUR_VALUES), tl.constexpr(host.DEPTH_PIXELS)
+_COLOUR_SUM, _DEPTH_SUM, _N_SUMS = (tl.constexpr(n) for n in (host.COLOUR_SUM, host.DEPTH_SUM, host.N_SUMS))
 
 
 def rgbd_l1_vjp(
@@ -37,32 +41,45 @@ def rgbd_l1_vjp(
         return reference.reference(*images, pixels, **options)
     names = ("rgb", "depth_m", "target_rgb", "target_depth_m")
     device = device_of("rgbd_l1_vjp", **dict(zip(names, images, strict=True)), pixels=pixels)
-    arrays = [*(image.detach().contiguous() for image in images), pixels.contiguous().view(torch.uint8)]
     v_rgb, v_depth_m = (torch.empty_like(t, memory_format=torch.contiguous_format) for t in (rgb, depth_m))
-    total, limit = depth_m.numel(), limit_m(behind_m)
-    sums = torch.zeros(parts(total, _BLOCK), 4, dtype=torch.float32, device=device)
-    launch(_sums, len(sums), device, *arrays, sums, total, limit, BLOCK=_BLOCK, num_warps=4)
+    total = depth_m.numel()
+    shared = {
+        **{name: image.detach().contiguous() for name, image in zip(names, images, strict=True)},
+        "pixels": pixels.contiguous().view(torch.uint8),
+        "total": total,
+        "limit": limit_m(behind_m),
+        "BLOCK": _BLOCK,
+        "num_warps": 4,
+    }
+    sums = torch.zeros(parts(total, _BLOCK), host.N_SUMS, dtype=torch.float32, device=device)
+    launch(_sums, len(sums), device, sums=sums, **shared)
     sums = sums.sum(0, dtype=torch.float64)
-    counts = sums[:2].clamp_min(1.0)
+    counts = sums[: host.COLOUR_SUM].clamp_min(1.0)
     launch(
-        _write, parts(total, _BLOCK), device, *arrays, counts, v_rgb, v_depth_m, total, limit,
-        float(weight_colour), float(weight_depth), BLOCK=_BLOCK, num_warps=4,
-    )  # fmt: skip
-    colour, depth = (sums[2:] / counts).float()
+        _write,
+        parts(total, _BLOCK),
+        device,
+        counts=counts,
+        v_rgb=v_rgb,
+        v_depth=v_depth_m,
+        weight_colour=float(weight_colour),
+        weight_depth=float(weight_depth),
+        **shared,
+    )
+    colour, depth = (sums[host.COLOUR_SUM :] / counts).float()
     return to_loss(torch.stack([colour, depth, weight_colour * colour + weight_depth * depth]), v_rgb, v_depth_m)
 
 
 @triton.jit
-def _gaps(rgb, depth, target_rgb, target_depth, pixels, at, total, limit):
+def _gaps(rgb, depth_m, target_rgb, target_depth_m, pixels, at, total, limit):
     """Differences of the three colours and of the depth, and which pixels count for either; 0 where not."""
     here = at < total
     wanted = here & (tl.load(pixels + at, mask=here, other=0) != 0)
-    red = tl.load(rgb + 3 * at, mask=wanted, other=0.0) - tl.load(target_rgb + 3 * at, mask=wanted, other=0.0)
-    green = tl.load(rgb + 3 * at + 1, mask=wanted, other=0.0) - tl.load(target_rgb + 3 * at + 1, mask=wanted, other=0.0)
-    blue = tl.load(rgb + 3 * at + 2, mask=wanted, other=0.0) - tl.load(target_rgb + 3 * at + 2, mask=wanted, other=0.0)
-    d, target = tl.load(depth + at, mask=wanted, other=0.0), tl.load(target_depth + at, mask=wanted, other=0.0)
+    r, g, b = load3(rgb, at, wanted)
+    target_r, target_g, target_b = load3(target_rgb, at, wanted)
+    d, target = tl.load(depth_m + at, mask=wanted, other=0.0), tl.load(target_depth_m + at, mask=wanted, other=0.0)
     known = wanted & (d > 0) & (target > 0) & (d - target < limit)
-    return red, green, blue, tl.where(known, d - target, 0.0), wanted, known
+    return r - target_r, g - target_g, b - target_b, tl.where(known, d - target, 0.0), wanted, known
 
 
 @triton.jit
@@ -71,28 +88,26 @@ def _sign(x):
 
 
 @triton.jit(do_not_specialize=["total", "limit"])
-def _sums(rgb, depth, target_rgb, target_depth, pixels, sums, total, limit, BLOCK: tl.constexpr):
-    """Colour values, pixels with a depth loss, sum |C - C^|, sum |D - D^| of each program."""
+def _sums(rgb, depth_m, target_rgb, target_depth_m, pixels, sums, total, limit, BLOCK: tl.constexpr):
+    """The sums of ``host``, of each program."""
     at = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
-    r, g, b, d, wanted, known = _gaps(rgb, depth, target_rgb, target_depth, pixels, at, total, limit)
-    out = sums + 4 * tl.program_id(0)
-    tl.store(out, 3.0 * tl.sum(wanted.to(tl.float32), axis=0))
-    tl.store(out + 1, tl.sum(known.to(tl.float32), axis=0))
-    tl.store(out + 2, tl.sum(tl.abs(r) + tl.abs(g) + tl.abs(b), axis=0))
-    tl.store(out + 3, tl.sum(tl.abs(d), axis=0))
+    r, g, b, d, wanted, known = _gaps(rgb, depth_m, target_rgb, target_depth_m, pixels, at, total, limit)
+    out = sums + _N_SUMS * tl.program_id(0)
+    tl.store(out + _COLOUR_VALUES, 3.0 * tl.sum(wanted.to(tl.float32), axis=0))
+    tl.store(out + _DEPTH_PIXELS, tl.sum(known.to(tl.float32), axis=0))
+    tl.store(out + _COLOUR_SUM, tl.sum(tl.abs(r) + tl.abs(g) + tl.abs(b), axis=0))
+    tl.store(out + _DEPTH_SUM, tl.sum(tl.abs(d), axis=0))
 
 
 @triton.jit(do_not_specialize=["total", "limit", "weight_colour", "weight_depth"])
 def _write(
-    rgb, depth, target_rgb, target_depth, pixels, counts, v_rgb, v_depth, total, limit, weight_colour, weight_depth,
+    rgb, depth_m, target_rgb, target_depth_m, pixels, counts, v_rgb, v_depth, total, limit, weight_colour, weight_depth,
     BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """The two gradient images; every pixel is written."""
+    """The two gradient images; every pixel is written. counts: the first two sums of the image."""
     at = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     here = at < total
-    r, g, b, d, _, _ = _gaps(rgb, depth, target_rgb, target_depth, pixels, at, total, limit)
-    scale = weight_colour / tl.load(counts).to(tl.float32)
-    tl.store(v_rgb + 3 * at, _sign(r) * scale, mask=here)
-    tl.store(v_rgb + 3 * at + 1, _sign(g) * scale, mask=here)
-    tl.store(v_rgb + 3 * at + 2, _sign(b) * scale, mask=here)
-    tl.store(v_depth + at, _sign(d) * (weight_depth / tl.load(counts + 1).to(tl.float32)), mask=here)
+    r, g, b, d, _, _ = _gaps(rgb, depth_m, target_rgb, target_depth_m, pixels, at, total, limit)
+    scale = weight_colour / tl.load(counts + _COLOUR_VALUES).to(tl.float32)
+    store3(v_rgb, at, _sign(r) * scale, _sign(g) * scale, _sign(b) * scale, here)
+    tl.store(v_depth + at, _sign(d) * (weight_depth / tl.load(counts + _DEPTH_PIXELS).to(tl.float32)), mask=here)

@@ -1,6 +1,7 @@
 """Voxel values at points: the seed test of every quadtree cell, one look-up a point."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -12,11 +13,20 @@ from gsfusion_nb.checks import check_shape
 from gsfusion_nb.tsdf import TsdfSample, TsdfVolume
 from gsfusion_nb.tsdf import sample_voxels as reference
 
+from ..runtime.block_table import BlockTable
 from ..runtime.numba.launch import launching
 
 f32 = np.float32
 _FARTHEST = f32(1 << 24)
 """Voxel numbers beyond this are not whole in float32, and no block is there."""
+
+
+class Voxels(NamedTuple):
+    """Values of the blocks in the pool: D [B, 512], W [B, 512], planes of colour [B, 3, 512]."""
+
+    D: np.ndarray
+    W: np.ndarray
+    rgb: np.ndarray
 
 
 def sample_voxels(volume: TsdfVolume, xyz_W: Tensor) -> TsdfSample:
@@ -28,23 +38,25 @@ def sample_voxels(volume: TsdfVolume, xyz_W: Tensor) -> TsdfSample:
     check_shape("xyz_W", xyz_W, ("N", 3))
     n = xyz_W.shape[0]
     D, W, rgb = torch.empty(n), torch.empty(n), torch.empty(n, 3)
-    rows, low, size = lookup[0].numpy(), lookup[1].numpy().astype(np.int64), np.array(lookup[2], np.int64)
-    field = volume.D.numpy(), volume.W.numpy(), volume.rgb_planes.numpy()
+    rows, low, size = lookup
+    table = BlockTable(rows=rows.numpy(), low=low.numpy().astype(np.int64), size=np.array(size, np.int64))
+    voxels = Voxels(D=volume.D.numpy(), W=volume.W.numpy(), rgb=volume.rgb_planes.numpy())
     points = xyz_W.detach().contiguous().numpy()
     with launching():
-        _sample(rows, low, size, field, points, f32(volume.config.voxel_size_m), D.numpy(), W.numpy(), rgb.numpy())
+        _sample(table, voxels, points, f32(volume.config.voxel_size_m), D.numpy(), W.numpy(), rgb.numpy())
     return TsdfSample(D=D, W=W, rgb=rgb)
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
-def _sample(rows, low, size, field, points, voxel, D, W, rgb):
-    """Unallocated: D 1, W 0, black. rows [cells] of the box of blocks at ``low`` of ``size``; field: D, W, rgb."""
-    field_D, field_W, field_rgb = field
+def _sample(table, voxels, points, voxel_size, D, W, rgb):
+    """The values at the points; where no block is allocated D is 1, W 0 and the colour black."""
+    rows, low, size = table.rows, table.low, table.size
+    field_D, field_W, field_rgb = voxels.D, voxels.W, voxels.rgb
     N, chunk = points.shape[0], 1024
     for part in prange((N + chunk - 1) // chunk):
         for i in range(part * chunk, min(N, part * chunk + chunk)):
             D[i], W[i], rgb[i, 0], rgb[i, 1], rgb[i, 2] = f32(1), f32(0), f32(0), f32(0), f32(0)
-            x, y, z = points[i, 0] / voxel, points[i, 1] / voxel, points[i, 2] / voxel
+            x, y, z = points[i, 0] / voxel_size, points[i, 1] / voxel_size, points[i, 2] / voxel_size
             if not (abs(x) < _FARTHEST and abs(y) < _FARTHEST and abs(z) < _FARTHEST):
                 continue
             vx, vy, vz = int(math.floor(x)), int(math.floor(y)), int(math.floor(z))

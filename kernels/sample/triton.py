@@ -15,6 +15,7 @@ from gsfusion_nb.tsdf import sample_voxels as reference
 
 from ..runtime.triton.launch import device_of, launch, parts
 from ..runtime.triton.lookup import find_voxel, load_colour
+from ..runtime.triton.vectors import load3
 
 _BLOCK = 128
 _FARTHEST = tl.constexpr(float(1 << 24))
@@ -28,14 +29,31 @@ def sample_voxels(volume: TsdfVolume, xyz_W: Tensor) -> TsdfSample:
         with use_backend("reference"):
             return reference(volume, xyz_W)
     check_shape("xyz_W", xyz_W, ("N", 3))
-    table, low, size = lookup
+    table, low, (blocks_x, blocks_y, blocks_z) = lookup
     device = device_of("sample_voxels", volume=volume.D, xyz_W=xyz_W)
     n = xyz_W.shape[0]
     D, W, rgb = (torch.empty(n, *k, dtype=torch.float32, device=device) for k in ((), (), (3,)))
     launch(
-        _sample, parts(n, _BLOCK), device, xyz_W.detach().contiguous(), table, low, volume.D, volume.W,
-        volume.rgb_planes, D, W, rgb, n, *size, float(volume.config.voxel_size_m), BLOCK=_BLOCK, num_warps=4,
-    )  # fmt: skip
+        _sample,
+        parts(n, _BLOCK),
+        device,
+        points=xyz_W.detach().contiguous(),
+        table=table,
+        low=low,
+        nx=blocks_x,
+        ny=blocks_y,
+        nz=blocks_z,
+        D=volume.D,
+        W=volume.W,
+        rgb=volume.rgb_planes,
+        out_D=D,
+        out_W=W,
+        out_rgb=rgb,
+        n=n,
+        voxel=float(volume.config.voxel_size_m),
+        BLOCK=_BLOCK,
+        num_warps=4,
+    )
     return TsdfSample(D=D, W=W, rgb=rgb)
 
 
@@ -45,9 +63,8 @@ def _sample(
 ):  # fmt: skip
     i = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     here = i < n
-    x = tl.load(points + 3 * i, mask=here, other=0.0) / voxel
-    y = tl.load(points + 3 * i + 1, mask=here, other=0.0) / voxel
-    z = tl.load(points + 3 * i + 2, mask=here, other=0.0) / voxel
+    x, y, z = load3(points, i, here)
+    x, y, z = x / voxel, y / voxel, z / voxel
     near = here & (tl.abs(x) < _FARTHEST) & (tl.abs(y) < _FARTHEST) & (tl.abs(z) < _FARTHEST)
     x, y, z = tl.where(near, x, 0.0), tl.where(near, y, 0.0), tl.where(near, z, 0.0)
     x, y, z = tl.floor(x).to(tl.int32), tl.floor(y).to(tl.int32), tl.floor(z).to(tl.int32)

@@ -16,6 +16,7 @@ from gsfusion_nb.optim import losses as reference
 
 from ..runtime.numba.launch import launching, scratch
 from ..runtime.numba.simd import LANES, iota, load, reduce_add, select, splat, store
+from .planes import BY_MEAN, BY_PRODUCT, BY_SQUARE, N_MEANS, N_TERMS, XX, XY, YY, X, Y
 from .window import window as window_weights
 
 f32 = np.float32
@@ -36,8 +37,8 @@ def dssim_vjp(rgb: Tensor, target: Tensor, v_loss: float = 1.0) -> tuple[Tensor,
     similarity = np.empty(H, np.float64)
     gradient = torch.empty(H, W, 3)
     with launching():
-        means = scratch("ssim_means", 5 * H * stride).reshape(5, -1)
-        terms = scratch("ssim_terms", 3 * H * stride).reshape(3, -1)
+        means = scratch("ssim_means", N_MEANS * H * stride).reshape(N_MEANS, -1)
+        terms = scratch("ssim_terms", N_TERMS * H * stride).reshape(N_TERMS, -1)
         _average_rows(x, y, window, stride, means)
         _differentiate(means, window, 3 * W, stride, terms, similarity)
         _average_rows_again(terms, window, 3 * W, stride, means)
@@ -63,11 +64,12 @@ def _average_rows(x, y, window, stride, means):
     H, n = x.shape
     for r in prange(H):
         row = np.zeros(stride + 2 * _REACH + LANES, np.float32)
-        for c in range(5):
+        for plane in range(N_MEANS):
             for i in range(n):
                 a, b = x[r, i], y[r, i]
-                row[_REACH + i] = a if c == 0 else b if c == 1 else a * a if c == 2 else b * b if c == 3 else a * b
-            _average_row(row, window, stride, means[c], r * stride)
+                square = a * a if plane == XX else b * b if plane == YY else a * b
+                row[_REACH + i] = a if plane == X else b if plane == Y else square
+            _average_row(row, window, stride, means[plane], r * stride)
 
 
 @njit(inline="always")
@@ -86,11 +88,11 @@ def _differentiate(means, window, n, stride, terms, similarity):
         c1, c2, two, zero = splat(_C1), splat(_C2), splat(_2), splat(f32(0))
         total = 0.0
         for j in range(0, stride, LANES):
-            mx = _average_column(means[0], window, r, H, stride, j)
-            my = _average_column(means[1], window, r, H, stride, j)
-            xx = _average_column(means[2], window, r, H, stride, j)
-            yy = _average_column(means[3], window, r, H, stride, j)
-            xy = _average_column(means[4], window, r, H, stride, j)
+            mx = _average_column(means[X], window, r, H, stride, j)
+            my = _average_column(means[Y], window, r, H, stride, j)
+            xx = _average_column(means[XX], window, r, H, stride, j)
+            yy = _average_column(means[YY], window, r, H, stride, j)
+            xy = _average_column(means[XY], window, r, H, stride, j)
             A1, A2 = two * mx * my + c1, two * (xy - mx * my) + c2
             B1, B2 = mx * mx + my * my + c1, (xx - mx * mx) + (yy - my * my) + c2
             inverse_1, inverse_2 = splat(_1) / B1, splat(_1) / B2
@@ -99,9 +101,9 @@ def _differentiate(means, window, n, stride, terms, similarity):
             S = select(inside, A1 * A2 * both, zero)
             total += reduce_add(S)
             o = r * stride + j
-            store(terms[0], o, two * my * (A2 - A1) * both + two * mx * S * (inverse_2 - inverse_1))
-            store(terms[1], o, zero - S * inverse_2)
-            store(terms[2], o, select(inside, two * A1 * both, zero))
+            store(terms[BY_MEAN], o, two * my * (A2 - A1) * both + two * mx * S * (inverse_2 - inverse_1))
+            store(terms[BY_SQUARE], o, zero - S * inverse_2)
+            store(terms[BY_PRODUCT], o, select(inside, two * A1 * both, zero))
         similarity[r] = total
 
 
@@ -110,19 +112,20 @@ def _average_rows_again(terms, window, n, stride, means):
     """Row averages of the three derivatives."""
     for r in prange(terms.shape[1] // stride):
         row = np.zeros(stride + 2 * _REACH + LANES, np.float32)
-        for c in range(3):
-            row[_REACH : _REACH + n] = terms[c, r * stride : r * stride + n]
-            _average_row(row, window, stride, means[c], r * stride)
+        for term in range(N_TERMS):
+            row[_REACH : _REACH + n] = terms[term, r * stride : r * stride + n]
+            _average_row(row, window, stride, means[term], r * stride)
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
 def _combine(means, x, y, window, stride, scale, gradient):
-    """v_x = scale (G v_mu + 2 x G v_q + y G v_r)."""
+    """v_x = scale (G v_mu + 2 x G v_q + y G v_r); ``means`` holds the averages of the derivatives now."""
     H, n = x.shape
     for r in prange(H):
-        row = np.empty((3, stride), np.float32)
+        row = np.empty((N_TERMS, stride), np.float32)
         for j in range(0, stride, LANES):
-            for c in range(3):
-                store(row[c], j, _average_column(means[c], window, r, H, stride, j))
+            for term in range(N_TERMS):
+                store(row[term], j, _average_column(means[term], window, r, H, stride, j))
         for i in range(n):
-            gradient[r, i] = scale * (row[0, i] + _2 * x[r, i] * row[1, i] + y[r, i] * row[2, i])
+            by_x = row[BY_MEAN, i] + _2 * x[r, i] * row[BY_SQUARE, i]
+            gradient[r, i] = scale * (by_x + y[r, i] * row[BY_PRODUCT, i])

@@ -15,11 +15,15 @@ from torch import Tensor
 from gsfusion_nb.optim import losses as reference
 
 from ..runtime.triton.launch import device_of, launch, parts
+from . import planes
 from .window import window as window_weights
 
 _BLOCK = 256
 _WINDOW = tl.constexpr(reference.WINDOW_PX)
 _HALF = tl.constexpr(reference.WINDOW_PX // 2)
+_X, _Y, _XX, _YY, _XY = (tl.constexpr(n) for n in (planes.X, planes.Y, planes.XX, planes.YY, planes.XY))
+_BY_MEAN, _BY_SQUARE = tl.constexpr(planes.BY_MEAN), tl.constexpr(planes.BY_SQUARE)
+_BY_PRODUCT, _N_TERMS = tl.constexpr(planes.BY_PRODUCT), tl.constexpr(planes.N_TERMS)
 _C1, _C2 = tl.constexpr(reference.C1), tl.constexpr(reference.C2)
 
 
@@ -32,16 +36,17 @@ def dssim_vjp(rgb: Tensor, target: Tensor, v_loss: float = 1.0) -> tuple[Tensor,
     x, y = rgb.detach().contiguous(), target.detach().contiguous()
     total, stride = x.numel(), 3 * x.shape[1]
     programs = parts(total, _BLOCK)
-    means = torch.empty(5, total, dtype=torch.float32, device=device)
-    terms = torch.empty(3, total, dtype=torch.float32, device=device)
+    means = torch.empty(planes.N_MEANS, total, dtype=torch.float32, device=device)
+    terms = torch.empty(planes.N_TERMS, total, dtype=torch.float32, device=device)
     similarity = torch.empty(programs, dtype=torch.float32, device=device)
     gradient = torch.empty(rgb.shape, dtype=torch.float32, device=device)
-    options = {"BLOCK": _BLOCK, "num_warps": 4}
-    launch(_rows, programs, device, x, y, window, means, total, stride, **options)
-    launch(_differentiate, programs, device, means, window, terms, similarity, total, stride, **options)
-    launch(_rows_again, programs, device, terms, window, means, total, stride, **options)
-    scale = -float(v_loss) / total
-    launch(_combine, programs, device, means, x, y, window, gradient, total, stride, scale, **options)
+    shared = {
+        "window": window, "means": means, "total": total, "stride": stride, "BLOCK": _BLOCK, "num_warps": 4,
+    }  # fmt: skip
+    launch(_rows, programs, device, x=x, y=y, **shared)
+    launch(_differentiate, programs, device, terms=terms, similarity=similarity, **shared)
+    launch(_rows_again, programs, device, terms=terms, **shared)
+    launch(_combine, programs, device, x=x, y=y, gradient=gradient, scale=-float(v_loss) / total, **shared)
     return (1.0 - similarity.sum(dtype=torch.float64) / total).float(), gradient
 
 
@@ -63,11 +68,11 @@ def _rows(x, y, window, means, total, stride, BLOCK: tl.constexpr):
         yy += weight * (b * b)
         xy += weight * (a * b)
     here = i < total
-    tl.store(means + i, mx, mask=here)
-    tl.store(means + total + i, my, mask=here)
-    tl.store(means + 2 * total + i, xx, mask=here)
-    tl.store(means + 3 * total + i, yy, mask=here)
-    tl.store(means + 4 * total + i, xy, mask=here)
+    tl.store(means + _X * total + i, mx, mask=here)
+    tl.store(means + _Y * total + i, my, mask=here)
+    tl.store(means + _XX * total + i, xx, mask=here)
+    tl.store(means + _YY * total + i, yy, mask=here)
+    tl.store(means + _XY * total + i, xy, mask=here)
 
 
 @triton.jit
@@ -84,16 +89,17 @@ def _differentiate(means, window, terms, similarity, total, stride, BLOCK: tl.co
     """SSIM summed over each program, and its derivatives by mu_x, G x^2 and G x y."""
     i = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     here = i < total
-    mx, my = _column(means, window, i, total, stride), _column(means + total, window, i, total, stride)
-    xx = _column(means + 2 * total, window, i, total, stride)
-    yy = _column(means + 3 * total, window, i, total, stride)
-    xy = _column(means + 4 * total, window, i, total, stride)
+    mx = _column(means + _X * total, window, i, total, stride)
+    my = _column(means + _Y * total, window, i, total, stride)
+    xx = _column(means + _XX * total, window, i, total, stride)
+    yy = _column(means + _YY * total, window, i, total, stride)
+    xy = _column(means + _XY * total, window, i, total, stride)
     A1, A2 = 2 * mx * my + _C1, 2 * (xy - mx * my) + _C2
     B1, B2 = mx * mx + my * my + _C1, (xx - mx * mx) + (yy - my * my) + _C2
     S = A1 * A2 / (B1 * B2)
-    tl.store(terms + i, 2 * my * (A2 - A1) / (B1 * B2) + 2 * mx * S * (1 / B2 - 1 / B1), mask=here)
-    tl.store(terms + total + i, -S / B2, mask=here)
-    tl.store(terms + 2 * total + i, 2 * A1 / (B1 * B2), mask=here)
+    tl.store(terms + _BY_MEAN * total + i, 2 * my * (A2 - A1) / (B1 * B2) + 2 * mx * S * (1 / B2 - 1 / B1), mask=here)
+    tl.store(terms + _BY_SQUARE * total + i, -S / B2, mask=here)
+    tl.store(terms + _BY_PRODUCT * total + i, 2 * A1 / (B1 * B2), mask=here)
     tl.store(similarity + tl.program_id(0), tl.sum(tl.where(here, S, 0.0), axis=0))
 
 
@@ -102,7 +108,7 @@ def _rows_again(terms, window, means, total, stride, BLOCK: tl.constexpr):
     """Row averages of the three derivatives."""
     i = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     column = i % stride
-    for plane in tl.static_range(3):
+    for plane in tl.static_range(_N_TERMS):
         mean = tl.zeros([BLOCK], tl.float32)
         for k in tl.static_range(_WINDOW):
             shift = 3 * (k - _HALF)
@@ -113,10 +119,11 @@ def _rows_again(terms, window, means, total, stride, BLOCK: tl.constexpr):
 
 @triton.jit(do_not_specialize=["total", "stride", "scale"])
 def _combine(means, x, y, window, gradient, total, stride, scale, BLOCK: tl.constexpr):
-    """v_x = scale (G v_mu + 2 x G v_q + y G v_r)."""
+    """v_x = scale (G v_mu + 2 x G v_q + y G v_r); ``means`` holds the row averages of the derivatives now."""
     i = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     here = i < total
-    g_mu, g_q = _column(means, window, i, total, stride), _column(means + total, window, i, total, stride)
-    g_r = _column(means + 2 * total, window, i, total, stride)
+    g_mu = _column(means + _BY_MEAN * total, window, i, total, stride)
+    g_q = _column(means + _BY_SQUARE * total, window, i, total, stride)
+    g_r = _column(means + _BY_PRODUCT * total, window, i, total, stride)
     a, b = tl.load(x + i, mask=here, other=0.0), tl.load(y + i, mask=here, other=0.0)
     tl.store(gradient + i, scale * (g_mu + 2 * a * g_q + b * g_r), mask=here)

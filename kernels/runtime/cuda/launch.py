@@ -10,13 +10,11 @@ from torch import Tensor
 from gsfusion_nb.backends import BackendUnavailable
 
 from ..gpu import one_device
-from ..gpu import parts as parts
 from . import driver, nvrtc
+from .structs import address, is_group, to_struct
 
 _EMULATOR = os.environ.get("GSFUSION_CUDA_EMULATOR", "")
 _DIMENSION_LIMIT = 2**31 - 1
-_ALIGNMENT = 16
-"""Bytes: rows are read four numbers at a time."""
 
 
 def why_unavailable() -> str | None:
@@ -47,12 +45,6 @@ def device_of(operation: str, **tensors: Tensor | None) -> torch.device:
     return device
 
 
-def packed(tensor: Tensor) -> Tensor:
-    """The same values without gaps, from an address that is a multiple of 16 bytes; a copy only where needed."""
-    tensor = tensor.detach().contiguous()
-    return tensor if tensor.data_ptr() % _ALIGNMENT == 0 else tensor.clone()
-
-
 def launch(operation: str, source: str, grid: int | tuple[int, int], block: int, *args) -> None:
     """Run a kernel; an empty grid is allowed.
 
@@ -62,7 +54,7 @@ def launch(operation: str, source: str, grid: int | tuple[int, int], block: int,
         grid: Blocks along x, or along x and y.
         block: Threads of a block.
         args: In the kernel's order: tensors (their address; ``None`` is the null pointer), bool and int (32 bits),
-            float (32 bits), ctypes values as they are.
+            float (32 bits), ctypes values as they are, and groups of them (``structs``).
 
     Raises:
         ValueError: a tensor has gaps. RuntimeError: the driver refuses.
@@ -74,29 +66,21 @@ def launch(operation: str, source: str, grid: int | tuple[int, int], block: int,
         raise ValueError(f"{operation}: {size} blocks of work are more than a GPU takes at once")
     stem, kernel = source.split(":")
     values = [_argument(operation, arg) for arg in args]
-    device = next(arg.device for arg in args if isinstance(arg, Tensor))
+    everything = (value for arg in args for value in (arg if is_group(arg) else (arg,)))
+    device = next(value.device for value in everything if isinstance(value, Tensor))
     if device.type == "cpu":
         _emulate(operation, kernel, size, block, values)
     else:
         driver.start(operation, stem, kernel, size, block, device, values)
 
 
-def check_dtype(operation: str, dtype: torch.dtype, **tensors: Tensor | None) -> None:
-    """Raise ``ValueError`` unless all ``tensors`` hold numbers of type ``dtype``."""
-    for name, value in tensors.items():
-        if value is not None and value.dtype != dtype:
-            raise ValueError(f"{operation}: {name} must be {dtype}, got {value.dtype}")
-
-
 def _argument(operation: str, arg):
-    if arg is None:
-        return ctypes.c_void_p(None)
+    if is_group(arg):
+        return to_struct(operation, arg)
     if isinstance(arg, (ctypes.c_double, ctypes.c_longlong)):
         return arg
-    if isinstance(arg, Tensor):
-        if not arg.is_contiguous():
-            raise ValueError(f"{operation}: tensors without gaps were expected, got strides {arg.stride()}")
-        return ctypes.c_void_p(arg.data_ptr())
+    if arg is None or isinstance(arg, Tensor):
+        return ctypes.c_void_p(address(operation, arg))
     return ctypes.c_float(arg) if isinstance(arg, float) else ctypes.c_int(arg)
 
 

@@ -35,12 +35,12 @@ def device_of(operation: str, **tensors: Tensor | None) -> torch.device:
     return device
 
 
-def launch(kernel, programs: int, device: torch.device, *args, **options) -> None:
-    """Run ``programs`` programs of a kernel on ``device``; none is allowed."""
+def launch(kernel, programs: int, device: torch.device, /, **arguments) -> None:
+    """Run ``programs`` programs of a kernel on ``device``; none is allowed. Its arguments are given by name."""
     if programs == 0:
         return
     if device.type == "cuda" and device.index not in (None, torch.cuda.current_device()):
         with torch.cuda.device(device):
-            kernel[(programs,)](*args, **options)
+            kernel[(programs,)](**arguments)
     else:
-        kernel[(programs,)](*args, **options)
+        kernel[(programs,)](**arguments)

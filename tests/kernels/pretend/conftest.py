@@ -38,11 +38,11 @@ def gpu(monkeypatch):
         tensors.tally.launches += 1
         emulate(operation, kernel, grid, block, values)
 
-    def interpret(kernel, programs, device, *args, **options):
+    def interpret(kernel, programs, device, /, **arguments):
         tensors.tally.launches += 1
         if programs:
-            values = [a.inner if isinstance(a, tensors.OnGpu) else a for a in args]
-            kernel[(programs,)](*values, **options)
+            values = {name: a.inner if isinstance(a, tensors.OnGpu) else a for name, a in arguments.items()}
+            kernel[(programs,)](**values)
 
     monkeypatch.setattr(driver, "start", start)
     for path in Path(kernels.__path__[0]).glob("*/triton.py"):

@@ -42,29 +42,29 @@ def launches(monkeypatch):
 
     real, seen = InterpretedFunction.__getitem__, {}
 
-    def record(function, args, options):
+    def record(function, arguments):
         parameters = [*inspect.signature(function).parameters.values()]
         fixed = {p.name for p in parameters if "constexpr" in str(p.annotation)}
-        names = (p.name for p in parameters if p.name not in fixed)
         types = {}
-        for name, value in zip(names, args, strict=True):
+        for name in (p.name for p in parameters if p.name not in fixed):
+            value = arguments[name]
             scalar = "i32" if isinstance(value, int) else "fp32"
             types[name] = TYPES[value.dtype] if isinstance(value, torch.Tensor) else scalar
         launch = {
             "module": function.__module__,
             "kernel": function.__name__,
             "types": types,
-            "constants": {name: value for name, value in options.items() if name in fixed},
-            "num_warps": options["num_warps"],
+            "constants": {name: value for name, value in arguments.items() if name in fixed},
+            "num_warps": arguments["num_warps"],
         }
         seen[json.dumps(launch)] = launch
 
     def getitem(self, grid):
         run = real(self, grid)
 
-        def call(*args, **options):
-            record(self.fn, args, options)
-            return run(*args, **options)
+        def call(**arguments):
+            record(self.fn, arguments)
+            return run(**arguments)
 
         return call
 
@@ -109,7 +109,7 @@ def test_every_kernel_compiles(
     run_everything(make_scene(5, 3), camera, make_images(camera), pose, frame)
     kernels = Path(importlib.import_module("gsfusion_nb.kernels").__file__ or "").parent
     sources = "".join(path.read_text(encoding="utf-8") for path in kernels.glob("*/triton.py"))
-    declared = set(re.findall(r"@triton\.jit\(do_not_specialize[^)]*\)\ndef (\w+)", sources))
+    declared = set(re.findall(r"@triton\.jit\(\s*do_not_specialize[^)]*\)\ndef (\w+)", sources))
     assert {launch["kernel"] for launch in launches.values()} == declared
     environment = {k: v for k, v in os.environ.items() if k != "TRITON_INTERPRET"}
     environment["TRITON_CACHE_DIR"] = str(tmp_path)
