@@ -1,7 +1,6 @@
 """Which views a run is scored by, and from where: kept in the run's folder, so that it can be scored again alike."""
 
 import dataclasses
-import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ from torch import Tensor
 
 from ..data import SequenceView
 from ..evaluation import score_views
+from ..strict_json import read_object
 from ..types import Camera, Frame, RenderOutput
 from .mapping_run import MappingRun
 from .posed_frames import frames_at, poses_in_map
@@ -106,7 +106,7 @@ def read_views(folder: Path) -> dict[str, ScoredViews]:
             "this file: map again"
         )
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = read_object(path, "the views that a run is scored by")
         return {
             name: ScoredViews(
                 [int(view["frame"]) for view in group],

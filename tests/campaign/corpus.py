@@ -1,6 +1,5 @@
 """Small valid files of every kind that the toolkit reads, and files made to harm."""
 
-import bz2
 import gzip
 import importlib.util
 import io
@@ -287,7 +286,7 @@ def _run_folder(root: Path, takes) -> list[Seed]:
 def bombs(root: Path) -> list[Seed]:
     """Small files that ask for more than a gigabyte, and trees of pipes and devices."""
     takes = make_takes()
-    zeros = b"".join(_deflated(BOMB_BYTES, zlib.compressobj(1)))
+    zeros = _deflated(BOMB_BYTES)
     sens = of_tests("data/convert/formats/test_scannet.py").write_sens(root / "bomb_sens/a.sens", takes).read_bytes()
     head, colour = sens[: 12 + 8 + 256 + 8 + 28], takes.jpeg(0)
     frame = struct.pack("<16f4Q", *takes.T_WC[0].flatten(), 1, 1, len(colour), len(zeros)) + colour + zeros
@@ -298,7 +297,7 @@ def bombs(root: Path) -> list[Seed]:
         for name, data in files.items():
             with archive.open(name, "w") as member:
                 member.write(data)
-                for _ in range(BOMB_BYTES // 10_000_000 if name == "rgbd/0.depth" else 0):
+                for _ in range(30 if name == "rgbd/0.depth" else 0):
                     member.write(bytes(10_000_000))
     seeds = [Seed("bomb_sens", "convert", root / "bomb_sens", "a.sens")]
     seeds.append(Seed("bomb_r3d", "convert", root / "bomb_r3d", "a.r3d"))
@@ -321,23 +320,11 @@ def bombs(root: Path) -> list[Seed]:
         text = f"ply\nformat binary_little_endian 1.0\nelement face 3\n{rows}\nelement vertex 900000000\n"
         takes.write(root / f"bomb_{name}ply/a.ply", (text + f"{rows}\nend_header\n").encode() + bytes(100))
         seeds.append(Seed(f"bomb_{name}ply", {"g": "gaussians", "m": "mesh"}[name], root / f"bomb_{name}ply", "a.ply"))
-    takes.write(root / "bomb_tar/a.tar.gz", gzip.compress(bytes(200_000_000), 1))
+    takes.write(root / "bomb_tar/a.tar.gz", gzip.compress(bytes(50_000_000), 1))
     seeds.append(Seed("bomb_tar", "archive", root / "bomb_tar", "a.tar.gz"))
     takes.write(root / "bomb_json/K.json", b"[" * 1_000_000)
     seeds.append(Seed("bomb_json", "intrinsics", root / "bomb_json", "K.json"))
-    seeds.append(_bag_bomb(root, takes))
     return seeds
-
-
-def _bag_bomb(root: Path, takes) -> Seed:
-    """A bag whose first chunk is said to be packed, and is: a kilobyte of zeros by the gigabyte."""
-    ros = of_tests("data/convert/formats/test_ros_bag.py")
-    (root / "bomb_bag").mkdir()
-    with ros.Writer1(root / "bomb_bag/a.bag") as writer:
-        del writer
-    packed = b"".join(_deflated(BOMB_BYTES, bz2.BZ2Compressor(1)))
-    takes.write(root / "bomb_bag/a.bag", (root / "bomb_bag/a.bag").read_bytes() + packed)
-    return Seed("bomb_bag", "convert", root / "bomb_bag", "a.bag")
 
 
 def _npy_header(shape: str) -> bytes:
@@ -345,8 +332,10 @@ def _npy_header(shape: str) -> bytes:
     return struct.pack("<H", len(text)) + text.encode()
 
 
-def _deflated(n_bytes: int, packer):
+def _deflated(n_bytes: int) -> bytes:
+    """A zlib stream of zeros: one packed block again and again. Its checksum is wrong, which shows after the end."""
+    packer = zlib.compressobj(1)
     block = bytes(10_000_000)
-    for _ in range(n_bytes // len(block)):
-        yield packer.compress(block)
-    yield packer.flush()
+    first = packer.compress(block) + packer.flush(zlib.Z_FULL_FLUSH)
+    again = packer.compress(block) + packer.flush(zlib.Z_FULL_FLUSH)
+    return first + again * (n_bytes // len(block)) + packer.flush()

@@ -42,10 +42,19 @@ class Figures:
     offending: list[dict] = field(default_factory=list)
     seconds: float = 0.0
 
+    def add(self, number: int, kind: str, text: str) -> None:
+        """Note an input that did not end well, and say so at once."""
+        self.offending.append({"input": number, "kind": kind, "text": text})
+        print(f"{kind}, input {number}: {text}\n", flush=True)
+
     def __str__(self) -> str:
         n = sum(self.counts.values())
         rows = [f"{n:8} inputs in {self.seconds:.0f} s", *(f"{self.counts[k]:8} {k}" for k in (CLEAN, ACCEPTED, *BAD))]
         return "\n".join(rows)
+
+
+class Hang(BaseException):
+    """Raised by the signal with which the parent ends an input that takes too long."""
 
 
 class Campaign:
@@ -93,10 +102,12 @@ class Campaign:
             if chosen is not None and is_json and seed.target not in targets.CORRECTED:
                 fault = targets.strict_json_fault(chosen)
                 kind, text = ("silent acceptances", fault) if fault else (kind, text)
+        except Hang as e:
+            kind, text = "hangs", "".join(traceback.format_exception(e))[-900:]
         except targets.SilentAcceptance as e:
             kind, text = "silent acceptances", str(e)
         except BaseException as e:
-            kind, text = _kind_of(e, folder), "".join(traceback.format_exception(e))[-1500:]
+            kind, text = _kind_of(e, folder), "".join(traceback.format_exception(e))[-900:]
         if _memory("VmHWM") - before > MEMORY_BYTES:
             kind, text = "memory", f"{(_memory('VmHWM') - before) / 1e9:.2f} GB; {text}"
         return kind, f"{seed.name} ({seed.target}), {chosen.name if chosen else 'bomb'}: {text}"
@@ -147,6 +158,11 @@ def _child(campaign: Campaign, numbers: list[int], write: int) -> None:
     quiet = os.open(os.devnull, os.O_WRONLY)
     os.dup2(quiet, 1)
     os.dup2(quiet, 2)
+
+    def hang(number: int, frame: object) -> None:
+        raise Hang
+
+    signal.signal(signal.SIGUSR1, hang)
     resource.setrlimit(resource.RLIMIT_AS, (_memory("VmSize") + MEMORY_BYTES + 500_000_000,) * 2)
     resource.setrlimit(resource.RLIMIT_FSIZE, (2_000_000_000,) * 2)
     with os.fdopen(write, "w", buffering=1) as told:
@@ -176,7 +192,7 @@ def run(campaign: Campaign, numbers: list[int], keep: Path | None = None) -> Fig
             signalled = os.WTERMSIG(status) if os.WIFSIGNALED(status) else 0
             kind = "hangs" if signalled == signal.SIGKILL else "crashes"
             figures.counts[kind] += 1
-            figures.offending.append({"input": batch[done], "kind": kind, "text": f"status {status}"})
+            figures.add(batch[done], kind, f"status {status}")
             done += 1
         left = left[done:]
         if (len(numbers) - len(left)) % (BATCH * 5) == 0:
@@ -188,31 +204,57 @@ def run(campaign: Campaign, numbers: list[int], keep: Path | None = None) -> Fig
 
 
 def _listen(child: int, read: int, figures: Figures) -> int:
-    """Take in the results of a child until it ends or one input takes too long; how many came."""
-    done, rest = 0, b""
+    """Take in the results of a child until it ends or does not answer any more; how many came."""
+    done, rest, clock = 0, b"", _Clock(child)
     try:
         while True:
-            ready, _, _ = select.select([read], [], [], SECONDS * _patience())
+            ready, _, _ = select.select([read], [], [], SECONDS / 4)
             if not ready:
-                os.kill(child, signal.SIGKILL)
-                return done
+                if clock.is_over():
+                    os.kill(child, signal.SIGUSR1 if clock.warned == 1 else signal.SIGKILL)
+                if clock.warned > 1:
+                    return done
+                continue
             block = os.read(read, 1 << 16)
             if not block:
                 return done
+            clock = _Clock(child)
             *lines, rest = (rest + block).split(b"\n")
             for line in lines:
                 i, kind, text = json.loads(line)
                 figures.counts[kind] += 1
                 done += 1
                 if kind in BAD:
-                    figures.offending.append({"input": i, "kind": kind, "text": text})
+                    figures.add(i, kind, text)
     finally:
         os.close(read)
 
 
-def _patience() -> float:
-    """On a machine with more work than cores, waiting for a turn is not hanging."""
-    return max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
+class _Clock:
+    """Ten seconds of work, or of waiting for something that does not come.
+
+    On a machine with more work than cores a process that waits for its turn is neither.
+    """
+
+    def __init__(self, child: int):
+        self._stat = Path(f"/proc/{child}/stat")
+        self._start = self._last = self._cpu_s()[0]
+        self._idle_s = 0.0
+        self.warned = 0
+
+    def is_over(self) -> bool:
+        """Called every quarter of the time that an input has."""
+        now, state = self._cpu_s()
+        self._idle_s = self._idle_s + SECONDS / 4 if state in "SDT" and now == self._last else 0.0
+        self._last = now
+        if self._idle_s < SECONDS and now - self._start < SECONDS:
+            return False
+        self.warned, self._idle_s, self._start = self.warned + 1, 0.0, now
+        return True
+
+    def _cpu_s(self) -> tuple[float, str]:
+        words = self._stat.read_text().rsplit(")", 1)[1].split()
+        return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK"), words[0]
 
 
 def warm() -> None:
@@ -243,8 +285,6 @@ def main() -> int:
         numbers = options.only or list(range(options.first, options.first + options.inputs))
         figures = run(campaign, numbers, options.keep)
     print(figures)
-    for row in figures.offending:
-        print(f"\n{row['kind']}, input {row['input']}: {row['text']}")
     return 1 if figures.offending else 0
 
 

@@ -4,6 +4,7 @@ name."""
 import contextlib
 import hashlib
 import logging
+import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -112,7 +113,7 @@ def _fetch(plan: Plan, item: Item, file: Path, terms: Terms) -> Obtained:
 
 def _place(plan: Plan, item: Item, file: Path, folder: Path) -> None:
     if item.save_as:
-        (folder / item.save_as).write_bytes(file.read_bytes())
+        shutil.copyfile(file, folder / item.save_as)
         return
     limit = max(int(plan.most_growth * plan.unpacked_bytes), LEAST_LIMIT_BYTES)
     try:

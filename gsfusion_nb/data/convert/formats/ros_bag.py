@@ -28,7 +28,7 @@ from ..recording import RecordedFrame, Recording, RgbdImages
 from ..trajectory import camera_in_body
 from .ros_images import colour_of, depth_of, stores_millimetres
 from .ros_poses import POSE_TYPES, TransformTree, in_order, pose_rows, seconds
-from .ros_unpacking import bounded_unpacking
+from .ros_unpacking import BagPath, bounded_unpacking
 
 MAX_TIME_DIFFERENCE_S = 0.02
 _TF_MESSAGE = "geometry_msgs/TransformStamped[] transforms"
@@ -127,7 +127,7 @@ def _opened(path: Path) -> Iterator[Any]:
     for file in [folder] if folder.is_file() else sorted(folder.iterdir()):
         open_regular(file, "a file of a ROS bag").close()
     what = "a ROS bag; if it is truncated or was not closed after recording, try 'rosbag reindex' or 'ros2 bag reindex'"
-    with parsing(path, what), bounded_unpacking(), AnyReader([folder], default_typestore=types) as reader:
+    with parsing(path, what), bounded_unpacking(), AnyReader([BagPath(folder)], default_typestore=types) as reader:
         yield reader
 
 

@@ -1,14 +1,39 @@
-"""Limits for what the chunks of a ROS bag unpack to, which rosbags takes as it comes."""
+"""Limits for what rosbags reads of a bag, and for what the chunks of a bag unpack to; it takes both as they come."""
 
 import bz2
 import contextlib
+import io
+import os
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
+from ....foreign import open_regular
 from ...sequence import SequenceError
 
 MAX_CHUNK_BYTES = 256_000_000
 """Of one chunk unpacked; recorders begin a new one after 0.75 to 4 MB, or after one large message."""
+_LARGE_BYTES = 1 << 20
+
+
+class BagPath(type(Path())):
+    """A path whose file gives no more bytes than it has, also where a damaged bag asks for four gigabytes.
+
+    Python's own files first take the memory that is asked for, and then see how much there is.
+    """
+
+    def open(self, mode: str = "r", *args: Any, **options: Any) -> Any:
+        """Of a plain file only, if it is for reading bytes."""
+        if mode != "rb":
+            return super().open(mode, *args, **options)
+        return _BagFile(open_regular(self, "a file of a ROS bag").detach())  # pyright: ignore[reportAttributeAccessIssue]
+
+
+class _BagFile(io.BufferedReader):
+    def read(self, size: int | None = -1, /) -> bytes:
+        if size is not None and size > _LARGE_BYTES:
+            size = max(0, min(size, os.fstat(self.fileno()).st_size - self.tell()))
+        return super().read(size)
 
 
 @contextlib.contextmanager

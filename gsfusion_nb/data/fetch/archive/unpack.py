@@ -7,6 +7,7 @@ front to back, so the caller removes what was written (``work_folder.unfinished_
 import zipfile
 from pathlib import Path
 
+from ....foreign import open_regular
 from ..errors import ArchiveError
 from .member_names import Choose, everything
 from .tar import unpack_tar
@@ -21,6 +22,7 @@ def unpack(archive: Path, folder: Path, *, choose: Choose = everything, limits: 
         ArchiveError: not an archive, a damaged one, or one with links, devices, paths outside the folder, two files
             with one path, or more than ``limits``. NoSpaceError: the disk is too full.
     """
+    open_regular(archive, "an archive").close()
     unpacker = Unpacker(archive, folder, choose, limits)
     folder.mkdir(parents=True, exist_ok=True)
     if zipfile.is_zipfile(archive):

@@ -1,12 +1,11 @@
 """Unpacking a zip: all names and sizes are checked before anything is written."""
 
-import lzma
+import errno
 import stat
 import zipfile
-import zlib
 
 from ..disk import require_space
-from ..errors import ArchiveError
+from ..errors import ArchiveError, NoSpaceError
 from .unpacker import Unpacker
 
 
@@ -22,7 +21,11 @@ def unpack_zip(unpacker: Unpacker) -> None:
             for path, info in wanted:
                 with zipped.open(info) as source:
                     unpacker.write(path, source, info.file_size)
-    except (zipfile.BadZipFile, EOFError, NotImplementedError, RuntimeError, zlib.error, lzma.LZMAError) as e:
+    except (ArchiveError, NoSpaceError):
+        raise
+    except Exception as e:  # zipfile raises what follows from the damaged bytes
+        if isinstance(e, OSError) and e.errno != errno.EINVAL:
+            raise
         raise ArchiveError(f"{name} is damaged ({e}); it was removed, run again to download it again") from None
 
 

@@ -1,0 +1,184 @@
+"""Files of other people and programs: read in one place, within limits, with sentences."""
+
+import ast
+import os
+import struct
+import zipfile
+import zlib
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from gsfusion_nb.data.recorded.image_header import image_size
+from gsfusion_nb.data.recorded.images import decode_rgb
+from gsfusion_nb.errors import BadFrameError, SequenceError, SequenceNotFoundError
+from gsfusion_nb.foreign import inflate, open_archive, open_regular, parsing, read_bytes, read_member, read_text
+from gsfusion_nb.strict_json import parse_json, read_json, read_object
+
+PACKAGE = Path(__file__).resolve().parents[1] / "gsfusion_nb"
+BY_HAND = {"read_text", "read_bytes", "imread", "imdecode", "loadtxt", "genfromtxt", "fromfile", "memmap"}
+OF_MODULE = {
+    **dict.fromkeys(("json.load", "json.loads", "np.load", "torch.load", "zipfile.ZipFile", "tarfile.open"), ""),
+    **dict.fromkeys(("zlib.decompress", "bz2.decompress", "gzip.open", "gzip.decompress", "PlyData.read"), ""),
+}
+ALLOWED = {
+    "foreign.py": "the place",
+    "strict_json.py": "the place",
+    "files.py": "flushes what was just written",
+    "backends.py": "source files of this package",
+    "teaching/source_lines.py": "source files of this package",
+    "viz/front_end.py": "files of this package",
+    "viz/panels/click_image.py": "files of this package",
+    "tsdf/volume.py": "/proc/meminfo",
+    "bench/machine.py": "/proc/cpuinfo",
+    "bench/timing.py": "/proc/self/status",
+    "studies/contest_view.py": "a picture it has just drawn",
+    "data/recorded/images.py": "decodes after the header was looked at",
+    "data/room/cache.py": "pictures of its own, from bytes of a limited size",
+    "data/convert/pictures.py": "an array whose header was looked at, from bytes of a limited size",
+    "data/fetch/archive/zip.py": "unpacks within limits of its own",
+    "data/fetch/archive/tar.py": "unpacks within limits of its own",
+    "data/convert/formats/ros_unpacking.py": "everything but the reading of bytes, which it bounds",
+    "data/fetch/request.py": "opens an address of the network",
+    "data/fetch/work_folder.py": "a lock of its own",
+    "export/checkpoint.py": "looks at the archive first; nothing in it is executed",
+    "export/gaussian_ply.py": "after the header was compared with the size of the file",
+    "export/mesh_ply.py": "after the header was compared with the size of the file",
+}
+
+
+def opened_by_hand(path: Path) -> list[str]:
+    """Calls that read a file, or unpack bytes, without the limits of ``foreign``."""
+    found = []
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if not isinstance(node, ast.Call):
+            continue
+        f = node.func
+        name = f.attr if isinstance(f, ast.Attribute) else f.id if isinstance(f, ast.Name) else ""
+        dotted = f"{f.value.id}.{f.attr}" if isinstance(f, ast.Attribute) and isinstance(f.value, ast.Name) else name
+        of_class = dotted in ("self.read_text", "foreign.read_text")
+        text = isinstance(f, ast.Attribute) and name in BY_HAND and not of_class
+        modes = [a.value for a in node.args if isinstance(a, ast.Constant) and isinstance(a.value, str)]
+        opens = (
+            name == "open" and not dotted.startswith(("OpenEXR", "tarfile")) and not set("wax") & set("".join(modes))
+        )
+        if text or dotted in OF_MODULE or opens:
+            found.append(f"line {node.lineno}: {dotted}")
+    return found
+
+
+def test_no_file_of_others_is_opened_by_hand():
+    found = {}
+    for path in sorted(PACKAGE.rglob("*.py")):
+        name = path.relative_to(PACKAGE).as_posix()
+        if name not in ALLOWED and (calls := opened_by_hand(path)):
+            found[name] = calls
+    assert found == {}, "read through gsfusion_nb/foreign.py or strict_json.py"
+    assert [name for name in ALLOWED if not opened_by_hand(PACKAGE / name)] == [], "no longer needed"
+
+
+def test_the_scan_finds_what_it_looks_for(tmp_path):
+    lines = ["import json, numpy as np", "path.read_text()", "json.load(f)", "np.load(p)", "open(p)", "p.open('rb')"]
+    (tmp_path / "a.py").write_text("\n".join([*lines, "read_text(p, 'x')", "p.open('w')"]))
+    assert [call.split(":")[0] for call in opened_by_hand(tmp_path / "a.py")] == [f"line {n}" for n in range(2, 7)]
+
+
+def test_pipes_devices_and_folders_are_refused_at_once(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "zero").symlink_to("/dev/zero")
+    (tmp_path / "circle").symlink_to(tmp_path / "circle")
+    for name in ("pipe", "zero"):
+        with pytest.raises(SequenceError, match=rf"{name} is a pipe or device, not a plain file; expected lines"):
+            read_bytes(tmp_path / name, "lines")
+    with pytest.raises(SequenceError, match=r"is a folder, not a plain file"):
+        read_text(tmp_path, "lines")
+    with pytest.raises(SequenceError, match=r"circle cannot be read"):
+        open_regular(tmp_path / "circle", "lines")
+    with pytest.raises(SequenceError, match=r"cannot be read \(embedded null byte\)"):
+        open_regular("a\0b", "lines")
+    with pytest.raises(SequenceNotFoundError, match=r"nowhere does not exist; expected lines"):
+        read_bytes(tmp_path / "nowhere", "lines")
+
+
+def test_limits(tmp_path):
+    (tmp_path / "a").write_bytes(b"12345")
+    assert read_bytes(tmp_path / "a", "text", at_most=5) == b"12345"
+    with pytest.raises(SequenceError, match="is larger than"):
+        read_bytes(tmp_path / "a", "text", at_most=4)
+    packed = zlib.compress(bytes(100_000))
+    assert inflate(packed, "x", at_most=100_000) == bytes(100_000)
+    with pytest.raises(BadFrameError, match="unpacks to more than the 99999 bytes"):
+        inflate(packed, "x", at_most=99_999)
+    with pytest.raises(BadFrameError, match="it is truncated"):
+        inflate(packed[:-6], "x", at_most=100_000)
+    with zipfile.ZipFile(tmp_path / "z", "w", zipfile.ZIP_DEFLATED) as made:
+        made.writestr("m", bytes(1000))
+    with open_archive(tmp_path / "z", "an archive") as archive:
+        assert read_member(archive, "m", "z", at_most=1000) == bytes(1000)
+        with pytest.raises(BadFrameError, match="m unpacks to 1000 bytes; expected at most 999"):
+            read_member(archive, "m", "z", at_most=999)
+
+
+def raising(error):
+    with parsing("a.bag", "a bag"):
+        raise error
+
+
+@pytest.mark.parametrize("error", [AssertionError(), struct.error("x"), IndexError("y"), RecursionError("deep")])
+def test_errors_of_parsers_are_sentences(error):
+    with pytest.raises(SequenceError, match=r"a\.bag is not readable as a bag \("):
+        raising(error)
+
+
+def test_sentences_pass_and_memory_has_its_own():
+    with pytest.raises(BadFrameError, match=r"^mine$"):
+        raising(BadFrameError("mine"))
+    with pytest.raises(SequenceError, match="asks for more memory"):
+        raising(MemoryError())
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ('{"a": 1,\n "b": {"a": 2, "a": 3}}', r'the key "a" is there twice: line 2 column 16'),
+        ('{"a":\n  NaN}', r"NaN is no number of JSON: line 2 column 3"),
+        ('["NaN", -Infinity]', r"-Infinity is no number of JSON: line 1 column 9"),
+        ("[1e999]", r"1e999 is too large a number: line 1 column 2"),
+        (f"[{'9' * 400}]", r"a number of 400 digits: line 1 column 2"),
+        ("[" * 100_000, r"brackets are nested more than 64 deep: line 1 column 65"),
+        ('{"a": [1, 2}', r"line 1 column 12"),
+        ('{"\\u0061": 1, "a": 2}', r"a key is there twice"),
+    ],
+)
+def test_json_that_is_ambiguous_or_no_number(text, fault):
+    with pytest.raises(SequenceError, match=rf"^a\.json is not valid JSON \(.*{fault}.*\); expected settings$"):
+        parse_json(text, "a.json", "settings")
+
+
+def test_json_in_order(tmp_path):
+    (tmp_path / "a.json").write_text(
+        '\ufeff{"a": [1, 2.5, "x, NaN: {[", null, true], "b": {"a": -1e-3}}', encoding="utf-8"
+    )
+    assert read_json(tmp_path / "a.json", "it") == {"a": [1, 2.5, "x, NaN: {[", None, True], "b": {"a": -1e-3}}
+    (tmp_path / "b.json").write_text("[]")
+    with pytest.raises(SequenceError, match=r"b\.json must hold a JSON object \(it\), got a list"):
+        read_object(tmp_path / "b.json", "it")
+    assert parse_json("[" * 64 + "]" * 64, "x", "y")
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".tif", ".bmp", ".pgm"])
+def test_the_size_of_an_image_is_known_from_its_header(suffix):
+    image = np.random.default_rng(0).integers(0, 255, (31, 47) if suffix == ".pgm" else (31, 47, 3), np.uint8)
+    data = cv2.imencode(suffix, image)[1].tobytes()
+    assert image_size(data) == (47, 31)
+    for n in range(0, len(data), max(1, len(data) // 200)):
+        assert image_size(data[:n]) in (None, (47, 31))
+
+
+def test_an_image_that_claims_a_billion_pixels_is_not_decoded():
+    header = struct.pack(">IIBBBBB", 30000, 30000, 8, 2, 0, 0, 0)
+    data = b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + b"IHDR" + header
+    with pytest.raises(BadFrameError, match=r"a\.png claims 30000x30000 pixels; expected .* at most 40 million"):
+        decode_rgb(data, "a.png")
