@@ -1,4 +1,4 @@
-# make demo | make test | make lab | make student | make teacher: each sets up its own virtual environment first. Only Python >= 3.11 and make are needed.
+# make demo | make test | make campaign | make lab | make student | make teacher: each sets up its own virtual environment first. Only Python >= 3.11 and make are needed.
 PYTHON ?= python3
 VENV ?= .venv
 # Where pip should look for PyTorch, if not at the default: see "Installing" in README.md.
@@ -8,7 +8,7 @@ LAB ?=
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.setup-done
 
-.PHONY: setup demo test lint format lab student teacher clean
+.PHONY: setup demo test campaign lint format lab student teacher clean
 
 setup: $(STAMP)
 
@@ -27,6 +27,11 @@ demo: setup
 
 test: setup
 	$(BIN)/python -m pytest -n auto --dist worksteal
+
+# Runs that are killed and resumed, and damaged files: see docs/trust.md. About two hours.
+campaign: setup
+	$(BIN)/python tests/campaign/kills.py --kills 300
+	$(BIN)/python tests/campaign/fuzz.py --inputs 20000
 
 lint: setup
 	$(BIN)/ruff format --check .

@@ -127,7 +127,7 @@ def _read_settings(path: Path) -> SystemConfig:
     try:
         return from_dict(get_system(document.get("system", "gsfusion")).config_type, document["config"])
     except (KeyError, TypeError, AttributeError, ValueError, OverflowError) as e:
-        raise ValueError(f"{path} is no config.json of a run: {type(e).__name__} {e}") from None
+        raise ValueError(f"{path} is no config.json of a run: {type(e).__name__} {str(e)[:200]}") from None
 
 
 def _value_of(arguments: list[str], option: str) -> str | None:

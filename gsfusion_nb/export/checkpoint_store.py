@@ -22,6 +22,7 @@ import torch
 from torch import Tensor
 
 from ..files import atomic_file, write_file
+from ..foreign import open_regular, read_text
 
 FORMAT = "gsfusion_nb checkpoint"
 VERSION = 2
@@ -117,7 +118,7 @@ class CheckpointStore:
             path = self.folder / f"{number:06d}.json"
             try:
                 state, pieces = self._read(path, device)
-            except (ValueError, OSError, KeyError, TypeError, IndexError, RecursionError) as e:
+            except Exception as e:  # whatever follows from content that is damaged
                 problems.append(f"{path} cannot be used ({e})")
                 continue
             self._known = {piece[0]: piece for piece in pieces}
@@ -172,7 +173,7 @@ class CheckpointStore:
         return places
 
     def _read(self, path: Path, device: torch.device | str) -> tuple[dict[str, Any], list[Piece]]:
-        checksum, _, text = path.read_text(encoding="utf-8").partition("\n")
+        checksum, _, text = read_text(path, "a checkpoint").partition("\n")
         if hashlib.sha256(text.encode()).hexdigest() != checksum:
             raise ValueError("it fails its checksum")
         document = json.loads(text)
@@ -191,7 +192,7 @@ class CheckpointStore:
         for name in sorted({piece[1] for piece in pieces}):
             if not re.fullmatch(r"\d{6}\.pieces", name):
                 raise ValueError(f"{name} is no name of a file of pieces")
-            with (self.folder / name).open("rb") as file:
+            with open_regular(self.folder / name, "pieces of a checkpoint") as file:
                 for key, _, at, size in sorted((p for p in pieces if p[1] == name), key=lambda p: p[2]):
                     file.seek(at)
                     content[key] = file.read(size)

@@ -13,6 +13,7 @@ from ..config import from_dict
 from ..data import open_sequence
 from ..evaluation import metrics_as_json
 from ..export import read_gaussian_ply
+from ..foreign import parsing
 from ..mapping.systems import get_system
 from ..strict_json import read_json
 from ..types import Camera, GaussianParams, RenderOutput
@@ -53,15 +54,17 @@ def rescore(
     folder = Path(folder)
     settings = _read_json(folder / "config.json", ("source", "config"))
     document = _read_json(folder / METRICS, ("metrics", "frames"))
-    source = settings["source"]
+    with parsing(folder / "config.json", "the settings of a run"):
+        source = dict(settings["source"])
+        system = get_system(settings.get("system", "gsfusion"))
+        config = from_dict(system.config_type, settings["config"])
     if data is not None:
-        source = {**source, "path_or_name": data}
+        source["path_or_name"] = data
     if "path_or_name" not in source:
         raise ValueError(f"{folder} was mapped from a sequence in memory; give the folder of one on disk (--data)")
-    system = get_system(settings.get("system", "gsfusion"))
-    config = from_dict(system.config_type, settings["config"])
     views = read_views(folder)
-    sequence = open_sequence(**source, data=config.data)
+    with parsing(folder / "config.json", "the settings of a run"):
+        sequence = open_sequence(**source, data=config.data)
     place = torch.device(device or settings.get("device", "cpu"))
     params = _of_degree(read_gaussian_ply(folder / "gaussians.ply"), config.sh_degree, place)
 

@@ -6,6 +6,7 @@ from typing import Any
 import torch
 
 from ..data import open_sequence
+from ..errors import SequenceError
 from ..export import CheckpointStore
 from ..mapping import get_system
 from ..seeding import SeedingRule
@@ -31,7 +32,9 @@ def load_run(
     try:
         run = _run_of(loaded.state, path, seeding, device)
         load_random_state(loaded.state["random"])
-    except (KeyError, TypeError, AttributeError) as e:
+    except SequenceError:
+        raise
+    except Exception as e:  # a checkpoint that is whole, of a state that this version does not know
         raise ValueError(f"{store.folder} is damaged or from another version: {type(e).__name__} {e}") from None
     run.use_store(path, store)
     if loaded.passed_over:
@@ -44,7 +47,7 @@ def _run_of(
 ) -> MappingRun:
     source, state = document["source"], document["run"]
     if not source:
-        raise ValueError(f"{path} is of a sequence in memory; only one opened by path or name can be resumed")
+        raise SequenceError(f"{path} is of a sequence in memory; only one opened by path or name can be resumed")
     mapper = get_system(document["system"]).from_state_dict(document["mapper"], seeding=seeding, device=device)
     if "stream" in source:
         return StreamRun.after_a_kill(source, mapper, state)

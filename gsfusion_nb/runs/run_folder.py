@@ -10,6 +10,7 @@ from typing import Any
 
 from .. import __version__
 from ..files import try_lock, write_file
+from ..strict_json import read_json
 
 STATUS = "status.json"
 LOCK = ".lock"
@@ -121,7 +122,7 @@ def _holds_nothing(path: Path) -> bool:
 def read_status(folder: Path) -> dict[str, Any]:
     """What status.json says; empty if there is none, or it is unreadable."""
     try:
-        status = json.loads((folder / STATUS).read_text(encoding="utf-8"))
+        status = read_json(folder / STATUS, "the status of a run", at_most=1_000_000)
     except (OSError, ValueError):
         return {}
     return status if isinstance(status, dict) else {}

@@ -271,7 +271,7 @@ def _run_folder(root: Path, takes) -> list[Seed]:
         run_mapping(str(root / "folder"), config, folder=root / "run", evaluate=True)
         sequence = open_sequence(root / "folder", data=config.data)
         run = MappingRun(sequence, GSFusion(config), source={"path_or_name": str(root / "folder")})
-        next(run.online())
+        next(iter(run.online()))
         (root / "interrupted").mkdir()
         run.save_checkpoint(root / "interrupted")
     for name in ("report.html", "mesh.ply"):

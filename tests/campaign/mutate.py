@@ -1,5 +1,6 @@
 """Ways to damage a file: blindly, byte by byte, and with knowledge of its structure."""
 
+import hashlib
 import io
 import json
 import random
@@ -50,6 +51,9 @@ def mutated(data: bytes, name: str, rng: random.Random, others: list[bytes]) -> 
     """``data`` with one to three faults; ``name`` says what kind of file it is, ``others`` are spliced in."""
     for _ in range(rng.choice((1, 1, 1, 2, 3))):
         ways = [_bits, _cut, _cut_out, _twice, _splice, _overwrite, _overwrite]
+        if re.fullmatch(r"\d{6}\.json", name) and rng.randrange(3):
+            data = _checkpoint(data, rng, others)
+            continue
         suffix = name.rsplit(".", 1)[-1].lower() if "." in name else name
         if suffix in ("json", "metadata"):
             ways = [_json, _json, _json, _json, _json_text, _json_text, _number, _number, *ways[:3]]
@@ -147,6 +151,12 @@ def _json(data: bytes, rng: random.Random, others: list[bytes]) -> bytes:
     else:
         holder[key] = rng.choice(VALUES)
     return json.dumps(document).encode()
+
+
+def _checkpoint(data: bytes, rng: random.Random, others: list[bytes]) -> bytes:
+    """Another state in a checkpoint whose checksum is right."""
+    text = _json(data.partition(b"\n")[2] or b"{}", rng, others)
+    return hashlib.sha256(text).hexdigest().encode() + b"\n" + text
 
 
 def _places(node: Any):

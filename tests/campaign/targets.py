@@ -161,9 +161,9 @@ def checkpoint(path: Path) -> None:
 
 
 def resume(path: Path) -> None:
-    from gsfusion_nb.runs import MappingRun
+    from gsfusion_nb.runs.resume import load_run
 
-    run = MappingRun.resume(path)
+    run = load_run(path)
     for name, column in vars(run.mapper.gaussians.params).items():
         _need(bool(torch.isfinite(column).all()), f"{name} of the map is not finite")
 
@@ -202,7 +202,7 @@ TARGETS: dict[str, Callable[[Path], None]] = {
     f.__name__: f
     for f in (sequence, growing, convert, trajectory, run_trajectory, intrinsics, matrix, gaussians, mesh, checkpoint)
 } | {f.__name__: f for f in (resume, settings, rescore, archive, ledger)}
-CORRECTED = ("ledger", "growing")
+CORRECTED = ("ledger", "growing", "resume")
 """Targets that go on without a file that is damaged: a ledger begins anew, a folder may still be written."""
 
 

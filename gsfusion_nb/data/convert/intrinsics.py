@@ -56,7 +56,10 @@ def model_of(
         )
     fx, fy, cx, cy = values
     shift = 0.5 - centre
-    camera = Camera(width=size[0], height=size[1], fx=fx, fy=fy, cx=cx + shift, cy=cy + shift)
+    try:
+        camera = Camera(width=size[0], height=size[1], fx=fx, fy=fy, cx=cx + shift, cy=cy + shift)
+    except ValueError as e:
+        raise SequenceError(f"{source}: {e}") from None
     return CameraModel(camera, distortion if any(distortion) or fisheye else (), fisheye)
 
 

@@ -4,6 +4,7 @@ Little-endian; poses are world-to-camera, quaternions wxyz; the centre of the fi
 of an image are read only when they are requested, because those of all images fill gigabytes.
 """
 
+import math
 import os
 import struct
 from dataclasses import dataclass
@@ -66,7 +67,7 @@ class ColmapModel:
                 rows = [(float(x), float(y), int(p)) for x, y, p in zip(*(words[i::3] for i in range(3)), strict=True)]
             else:
                 rows = list(struct.iter_unpack("<ddq", read_exactly(file, 24 * image.n_points, path)))
-        return [(x, y, p) for x, y, p in rows if p >= 0 and p != 2**64 - 1]
+        return [(x, y, p) for x, y, p in rows if p >= 0 and p != 2**64 - 1 and math.isfinite(x) and math.isfinite(y)]
 
     def points(self, wanted: set[int]) -> dict[int, tuple[float, float, float]]:
         """World positions of the requested points; empty where the model has no points3D file."""

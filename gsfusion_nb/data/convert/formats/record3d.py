@@ -198,7 +198,7 @@ def _model(metadata: dict[str, Any], i: int, path: Path) -> CameraModel:
         fx, fy, cx, cy = values
     except (KeyError, TypeError, IndexError, ValueError, OverflowError) as e:
         raise SequenceError(
-            f"{path}: the metadata lack {e}; expected w, h and K of 9 numbers, column by column"
+            f"{path}: the metadata lack {str(e)[:80]}; expected w, h and K of 9 numbers, column by column"
         ) from None
     return model_of([fx, fy, cx, cy], size, f"{path}: the metadata", centre=0.5)
 
