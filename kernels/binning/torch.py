@@ -33,7 +33,8 @@ def tile_intersections(
     table = table.index_select(0, nearest).T.contiguous()
 
     # one line per (Gaussian, row of tiles)
-    y0, y1 = _tile_range(table[1] - table[3], table[1] + table[3], tile_px, camera.height)
+    _, v, _, e_v, *_ = table
+    y0, y1 = _tile_range(v - e_v, v + e_v, tile_px, camera.height)
     g, ty = _expand(y0, y1)
     left, right = _columns(table.index_select(1, g), ty * tile_px, tile_px)
     # one line per (Gaussian, tile)

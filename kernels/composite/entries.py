@@ -16,6 +16,13 @@ from torch import Tensor
 from gsfusion_nb.constants import ALPHA_MIN
 from gsfusion_nb.render.tiles import TileLists
 
+_Q_1, _Q_X, _Q_Y, _Q_XX, _Q_XY, _Q_YY = range(6)
+"""Columns of the polynomials."""
+
+_U, _V, _A, _B, _C, OPACITY = range(6)
+UV, CONIC = slice(_U, _A), slice(_A, OPACITY)
+"""Columns of the gradient of an ellipse."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Entries:
@@ -42,14 +49,14 @@ def list_entries(
     u, v = u - (tile_x * P + P / 2), v - (tile_y * P + P / 2)
     q_x, q_y = A * u + B * v, B * u + C * v
     poly = torch.empty(len(row) + 1, 6, dtype=uv.dtype, device=uv.device)
-    poly[:-1, 0] = ln_o - 0.5 * (q_x * u + q_y * v)
-    poly[:-1, 1] = q_x
-    poly[:-1, 2] = q_y
-    poly[:-1, 3] = -0.5 * A
-    poly[:-1, 4] = -B
-    poly[:-1, 5] = -0.5 * C
+    poly[:-1, _Q_1] = ln_o - 0.5 * (q_x * u + q_y * v)
+    poly[:-1, _Q_X] = q_x
+    poly[:-1, _Q_Y] = q_y
+    poly[:-1, _Q_XX] = -0.5 * A
+    poly[:-1, _Q_XY] = -B
+    poly[:-1, _Q_YY] = -0.5 * C
     poly[-1] = 0.0
-    poly[-1, 0] = -20.0  # e^-20 is below the 1/255 cut
+    poly[-1, _Q_1] = -20.0  # e^-20 is below the 1/255 cut
     return Entries(row=torch.cat([row, row.new_zeros(1)]), u=u, v=v, poly=poly)
 
 
@@ -59,14 +66,14 @@ def entries_vjp(entries: Entries, v_poly: Float[Tensor, "I_plus_1 6"], opacity: 
     u, v, A, B, C = entries.u, entries.v, -2 * half_A, -minus_B, -2 * half_C
     v_1, v_x, v_y, v_xx, v_xy, v_yy = v_poly[:-1].T
     v_entry = torch.empty(len(u), 6, dtype=u.dtype, device=u.device)
-    v_entry[:, 0] = A * v_x + B * v_y - q_x * v_1
-    v_entry[:, 1] = B * v_x + C * v_y - q_y * v_1
-    v_entry[:, 2] = u * v_x - 0.5 * (u * u * v_1 + v_xx)
-    v_entry[:, 3] = v * v_x + u * v_y - u * v * v_1 - v_xy
-    v_entry[:, 4] = v * v_y - 0.5 * (v * v * v_1 + v_yy)
-    v_entry[:, 5] = v_1
+    v_entry[:, _U] = A * v_x + B * v_y - q_x * v_1
+    v_entry[:, _V] = B * v_x + C * v_y - q_y * v_1
+    v_entry[:, _A] = u * v_x - 0.5 * (u * u * v_1 + v_xx)
+    v_entry[:, _B] = v * v_x + u * v_y - u * v * v_1 - v_xy
+    v_entry[:, _C] = v * v_y - 0.5 * (v * v * v_1 + v_yy)
+    v_entry[:, OPACITY] = v_1
     total = u.new_zeros(len(opacity), 6).index_add_(0, entries.row[:-1], v_entry)
-    total[:, 5] /= opacity.clamp_min(ALPHA_MIN)  # d ln o = do / o; a Gaussian below 1/255 is in no list
+    total[:, OPACITY] /= opacity.clamp_min(ALPHA_MIN)  # d ln o = do / o; a Gaussian below 1/255 is in no list
     return total
 
 

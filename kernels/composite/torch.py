@@ -20,7 +20,11 @@ from gsfusion_nb.render.tiles import TileLists
 from gsfusion_nb.types import Camera
 
 from .chunks import NO_HIT, Chunk, Scratch, cut_into_chunks, image_to_tiles, tiles_to_image
-from .entries import Entries, entries_vjp, list_entries, pixel_functions
+from .entries import CONIC, OPACITY, UV, Entries, entries_vjp, list_entries, pixel_functions
+
+_RGB, _DEPTH, _ALPHA = slice(0, 3), 3, 4
+_CHANNELS = 5
+"""Channels of a Gaussian, and of the picture: colour, depth, and 1, whose sum is the picture's alpha."""
 
 _NOT_DRAWN = -2
 """In place of a row: the pixel is none of the picture's, or not wanted, and looks for no hit."""
@@ -61,7 +65,7 @@ def composite(
     functions, scratch = pixel_functions(tiles, uv), Scratch(uv)
     count, P = tiles.tiles_x * tiles.tiles_y, tiles.tile_px**2
     T = image_to_tiles(_light(tiles, camera, uv), tiles).squeeze(1)  # 0 beyond the border
-    C = uv.new_zeros(count, 5 * P)
+    C = uv.new_zeros(count, _CHANNELS * P)
     ranks = PixelRanks(uv.new_zeros(3, count, P)) if with_indices else None
     hit = None if opaque_alpha is None else torch.where(T > 0, NO_HIT, _NOT_DRAWN)
     for chunk in cut_into_chunks(tiles, T, hit):
@@ -77,15 +81,17 @@ def composite(
             ranks.update(chunk, w, T_k, alpha)
         saved.chunks.append(chunk)
 
-    C = C.view(count, 5, P)
+    C = C.view(count, _CHANNELS, P)
     image = tiles_to_image(C, tiles, camera)
     first = dominant = None
     if ranks is not None:
-        first, dominant = tiles_to_image(ranks.rows(tiles, C[:, 4] > 0), tiles, camera).permute(2, 0, 1).contiguous()
+        first, dominant = (
+            tiles_to_image(ranks.rows(tiles, C[:, _ALPHA] > 0), tiles, camera).permute(2, 0, 1).contiguous()
+        )
     return CompositeOutput(
-        rgb=image[..., :3].contiguous(),
-        depth_m=image[..., 3].contiguous(),
-        alpha=image[..., 4].contiguous(),
+        rgb=image[..., _RGB].contiguous(),
+        depth_m=image[..., _DEPTH].contiguous(),
+        alpha=image[..., _ALPHA].contiguous(),
         first_index=first,
         dominant_index=dominant,
         hit_index=None if hit is None else tiles_to_image(hit[:, None], tiles, camera).squeeze(-1).clamp(min=NO_HIT),
@@ -115,9 +121,9 @@ def composite_vjp(
         alpha = _alpha(chunk, entries, functions, scratch)
         T_k = _transmittance(alpha, chunk, scratch)
         w = torch.mul(alpha, T_k[:-1], out=scratch("w", K, n, P))
-        v = v_C.index_select(0, chunk.tile).view(n, 5, P)
+        v = v_C.index_select(0, chunk.tile).view(n, _CHANNELS, P)
         v_c = torch.bmm(v, w.permute(1, 2, 0))  # dL/dc_k = w_k v_C, summed over the pixels
-        v_channels.index_add_(0, _rows_of(chunk, entries), v_c.permute(2, 0, 1).reshape(-1, 5))
+        v_channels.index_add_(0, _rows_of(chunk, entries), v_c.permute(2, 0, 1).reshape(-1, _CHANNELS))
 
         cv = torch.bmm(_channels_of(chunk, saved).permute(1, 0, 2), v, out=scratch("cv", n, K, P)).permute(1, 0, 2)
         w_cv = torch.mul(w, cv, out=scratch("w_cv", K, n, P))  # w_k (c_k . v_C)
@@ -131,11 +137,11 @@ def composite_vjp(
 
     v_ellipse = entries_vjp(entries, v_poly, saved.opacity)
     return CompositeGradient(
-        uv=v_ellipse[:, :2],
-        conic=v_ellipse[:, 2:5],
-        opacity=v_ellipse[:, 5],
-        rgb=v_channels[:, :3],
-        depth_m=v_channels[:, 3],
+        uv=v_ellipse[:, UV],
+        conic=v_ellipse[:, CONIC],
+        opacity=v_ellipse[:, OPACITY],
+        rgb=v_channels[:, _RGB],
+        depth_m=v_channels[:, _DEPTH],
     )
 
 
@@ -185,7 +191,7 @@ def _rows_of(chunk: Chunk, entries: Entries) -> Tensor:
 
 def _channels_of(chunk: Chunk, saved: TorchSaved) -> Tensor:
     """c_k of a chunk. [K, n, 5]"""
-    return saved.channels.index_select(0, _rows_of(chunk, saved.entries)).view(*chunk.entry.shape, 5)
+    return saved.channels.index_select(0, _rows_of(chunk, saved.entries)).view(*chunk.entry.shape, _CHANNELS)
 
 
 def _find_hits(hit: Tensor, chunk: Chunk, entries: Entries, opaque: Tensor) -> None:

@@ -82,7 +82,7 @@ def test_gsfusion_waits_for_the_number_of_pairs_only(gpu):
     for i in range(3):
         mapper._optimise_view(mapper.keyframes[0], ssim_weight=0.2 * i)
     assert gpu.n_waits == 3, gpu.waits.most_common()
-    assert {place.split(":")[0] for _, place in gpu.waits} == {"binning/cuda.py"}
+    assert {place.split(":")[0] for _, place in gpu.waits} == {"binning/host.py"}
     assert mapper.keyframes[0].rgb_u8.dtype == torch.uint8
 
 
