@@ -110,7 +110,8 @@ class StateConfig:
 
     stable_confidence: float = 100.0
     """delta_eta: a Gaussian that was optimised in more steps than this becomes stable. Larger: better fitted before it
-    is fixed, but slower. Usual: 100 to 400."""
+    is fixed, but slower. Code 100 on Replica, which is better with clean depth; 300 is better with noisy depth. Usual:
+    100 to 400."""
     unstable_frames: int = 120
     """delta_t: a Gaussian that is still unstable after this many frames is deleted. Larger: rarely seen places survive,
     and so do floaters. Usual: 100 to 400."""
