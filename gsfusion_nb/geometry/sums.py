@@ -13,4 +13,4 @@ def sum_rows(x: Float[Tensor, "N *W"]) -> Float[Tensor, "*W"]:
 
     Differentiable: no.
     """
-    return x.sum(0) if x.is_cuda else torch.as_tensor(x.detach().numpy().sum(axis=0), dtype=x.dtype)
+    return x.sum(0) if x.device.type != "cpu" else torch.as_tensor(x.detach().numpy().sum(axis=0), dtype=x.dtype)

@@ -4,7 +4,7 @@ import torch
 from jaxtyping import Bool, Int
 from torch import Tensor
 
-from .morton import BITS, decode, encode
+from .morton import BITS, decode, encode, interleave
 
 TABLE_CELLS = 1 << 23
 """Largest dense lookup table, cells (32 MB). A map whose bounding box is larger is searched by Morton code instead."""
@@ -50,14 +50,18 @@ class BlockIndex:
         """Dense lookup table, if there is one: rows (-1: none) of a box of blocks; its lowest block; its size."""
         return None if self._table is None else (self._table, self._low, self._size)
 
-    def insert(self, coords: Int[Tensor, "N 3"]) -> Int[Tensor, " N"]:
+    def insert(self, coords: Int[Tensor, "N 3"], *, in_range: bool = False) -> Int[Tensor, " N"]:
         """Rows of the blocks at ``coords``; those not yet allocated get the next rows, in Morton order.
 
         Breadth-first allocation from the top (GSFusion III-B.1): a descent that creates the missing nodes level by
         level arrives at the new leaves in Morton order. Here the nodes above are implied by the leaf codes, so the
         whole descent is one merge of sorted codes; ``descend`` shows the levels.
+
+        Args:
+            coords: Integer coordinates of the blocks. [N, 3]
+            in_range: They were checked to fit in a code; a GPU is waited for to check it.
         """
-        codes = encode(coords)
+        codes = interleave(coords) if in_range else encode(coords)
         fresh = codes[self._search(codes) < 0].unique()
         if fresh.numel():
             n, new_rows = len(self), torch.arange(len(self), len(self) + len(fresh), device=fresh.device)

@@ -132,7 +132,7 @@ class TsdfVolume:
         n = self.n_blocks
         if not missing.shape[0]:
             return torch.zeros(0, dtype=torch.int64, device=self.device)
-        rows = self.index.insert(missing)
+        rows = self.index.insert(missing, in_range=True)
         self._pool.D[n : self.n_blocks] = 1.0
         self._pool.W[n : self.n_blocks] = 0.0
         self._pool.rgb[n : self.n_blocks] = 0.0
