@@ -290,7 +290,7 @@ class _Conversion:
         if not far_pixels:
             return []
         limit = 65535 / self.depth_scale
-        return [f"{far_pixels} pixels are farther than 16 bits hold ({limit:.1f} m) and count as missing"]
+        return [f"{far_pixels} pixels beyond {limit:.1f} m, the limit of 16-bit depth, were set to missing"]
 
     def _time_hint(self, rows: list[JournalEntry]) -> str:
         """Both time ranges, if no frame has a pose in the trajectory."""

@@ -45,8 +45,9 @@ class Staging:
     """Collects a conversion beside its final place, and puts everything there at once.
 
     ``OUT.partial`` holds the plan, the camera, a journal with one line per frame, and ``sequence``, which becomes
-    ``OUT``. Whatever is there when a program is killed, the same conversion called again goes on: the plan comes first
-    and goes last, a line is written after its images, and what the last line promises is there or is made again.
+    ``OUT``. After a program was killed, the same conversion can be called again and continues: the plan is written
+    first and removed last, a line is written after its images, and the images of the last line are checked and, if
+    damaged, made again.
     """
 
     def __init__(self, out: Path, plan: dict[str, Any]):
@@ -160,7 +161,7 @@ class Staging:
         begun = plan.exists() or journal.exists() or self.sequence.exists()
         if begun and not self._is_of_this_plan():
             raise SequenceError(
-                f"{self.folder} holds an unfinished conversion of something else or with other options; delete it, "
+                f"{self.folder} holds an unfinished conversion of another source or with other options; delete it, "
                 "or repeat the options to continue"
             )
         if not begun:
