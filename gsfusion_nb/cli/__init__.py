@@ -9,6 +9,7 @@ import tyro
 
 from ..backends import BackendUnavailable, from_environment, use_backend
 from ..config import DataConfig, gsfusion
+from ..config.option_help import parse_options
 from ..last_resort import is_foreseen, unforeseen
 from .result import print_metrics, print_result
 from .settings import named_values
@@ -16,32 +17,32 @@ from .settings import named_values
 _USAGE = """gsfusion-nb: online RGB-D mapping with TSDF fusion and 3D Gaussian splatting
 
   gsfusion-nb demo                     map the built-in room and open its report: about a minute
-  gsfusion-nb convert SOURCE OUT       a recording of another kind (COLMAP, ROS, Record3D, ...), to check and map it
-  gsfusion-nb check DATA               is a recording in order? what is wrong, and the options that repair it
+  gsfusion-nb convert SOURCE OUT       convert a recording (COLMAP, ROS, Record3D, ...) to files that can be mapped
+  gsfusion-nb check DATA               find errors in a recording, and the options that repair them
   gsfusion-nb map DATA [options]       map a sequence; every setting is an option: gsfusion-nb map --help
-  gsfusion-nb map --resume RUN         go on with a run that was interrupted
+  gsfusion-nb map --resume RUN         continue an interrupted run
   gsfusion-nb live folder|realsense|kinect   map a camera, or a folder while it is written; Ctrl-C ends the scan
   gsfusion-nb eval RUN                 score a finished run again
-  gsfusion-nb study NAME DATA          the papers' comparisons: systems, disc-depth, transparent, states, ...
-  gsfusion-nb bench [GROUP]            what operations, mapping, panels cost on this machine, beside other programs
-  gsfusion-nb doctor                   what is installed, what works, what to do
-  gsfusion-nb doctor --warm            compile the fast kernels now instead of on first use
+  gsfusion-nb study NAME DATA          run one of the papers' comparisons: systems, disc-depth, transparent, states, ...
+  gsfusion-nb bench [GROUP]            time operations, mapping and panels on this machine, and other programs
+  gsfusion-nb doctor                   show what is installed, what works, and what to do
+  gsfusion-nb doctor --warm            compile the fast kernels now, not on first use
 """
 
 
 @dataclass(frozen=True, kw_only=True)
 class CheckOptions:
-    """Examine a recording: units, conventions, intrinsics, registration, times, images. Say what is wrong and which
-    options of gsfusion-nb map repair it; they can be given here too, to see whether they do. Write one page."""
+    """Examine a recording: units, conventions, intrinsics, registration, times, images. Report errors and the options
+    of gsfusion-nb map that repair them; the same options can be given here to test them. Writes an HTML page."""
 
     path: Annotated[str, tyro.conf.Positional]
     """Folder of a sequence, or "room" for the built-in scene."""
     out: str = ""
-    """The page to write; check-<name>.html by default."""
+    """Name of the page. Default: check-<name>.html."""
     frames: int = 250
-    """About how many frames are read; a longer recording is read in windows of 31 consecutive ones."""
+    """Approximate number of frames to read; a longer recording is read in windows of 31 consecutive frames."""
     format: str = "auto"
-    """Layout of the data: the name of a file in gsfusion_nb/data/readers; recognised by its files by default."""
+    """Layout of the data: the name of a file in gsfusion_nb/data/readers; by default it is recognised by its files."""
     reader: tuple[str, ...] = ()
     """Options of the layout's reader, name=value: register=true (7-Scenes), undistort=false (TUM), poses=false (folder,
     TUM), n_frames=480 (room)."""
@@ -50,43 +51,43 @@ class CheckOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class DemoOptions:
-    """Map the built-in room and report on it."""
+    """Map the built-in room and write a report."""
 
     out: str = ""
     """New or empty folder for the results; runs/room-<time> by default."""
     frames: int = 120
     """Frames of the built-in trajectory."""
     backend: str = field(default_factory=from_environment)
-    """auto, reference, torch, numba, triton or cuda; by default what the variable GSFUSION_BACKEND says, else auto."""
+    """auto, reference, torch, numba, triton or cuda. Default: the environment variable GSFUSION_BACKEND, else auto."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class EvalOptions:
-    """Score the maps of a finished run again, from the views and poses that the run is scored by. The numbers are the
-    run's own; where they differ, this says so and keeps the run's beside them."""
+    """Score the maps of a finished run again, with the views and poses of the run. The numbers should be the same;
+    where they differ, the command reports both."""
 
     run: Annotated[str, tyro.conf.Positional]
     """Folder of the run."""
     data: str = ""
-    """Where the sequence lies now, if it has moved."""
+    """Folder of the sequence, if it was moved."""
     lpips: bool = False
     """Also compute LPIPS (needs the extra "lpips" and AlexNet's weights)."""
     device: str = ""
-    """Where to render: cpu or cuda; the run's by default."""
+    """Where to render: cpu or cuda. Default: as in the run."""
     backend: str = field(default_factory=from_environment)
-    """auto, reference, torch, numba, triton or cuda; by default what the variable GSFUSION_BACKEND says, else auto."""
+    """auto, reference, torch, numba, triton or cuda. Default: the environment variable GSFUSION_BACKEND, else auto."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DoctorOptions:
-    """Say what is installed, what works and what to do where it does not."""
+    """Show what is installed, what works, and what to do where something does not."""
 
     warm: bool = False
-    """Compile the fast kernels once instead, so that nothing waits for it later."""
+    """Instead, compile the fast kernels now, so that later commands need not wait for it."""
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command line; the exit status: 0 done, 1 an error said in a sentence, 130 interrupted."""
+    """Run the command line. Exit status: 0 done, 1 an error (its message is printed), 130 interrupted."""
     arguments = sys.argv[1:] if arguments is None else arguments
     logging.basicConfig(level=logging.WARNING, format="%(message)s")
     commands = {
@@ -146,7 +147,7 @@ def _convert(arguments: list[str]) -> int:
 def _check(arguments: list[str]) -> int:
     from ..data.checkup import check_recording
 
-    options = tyro.cli(CheckOptions, prog="gsfusion-nb check", args=arguments)
+    options = parse_options(CheckOptions, prog="gsfusion-nb check", arguments=arguments)
     reader: dict[str, Any] = {"format": options.format} if options.format != "auto" else {}
     reader |= named_values(options.reader)
     report = check_recording(options.path, data=options.data, frames=options.frames, **reader)
@@ -159,8 +160,8 @@ def _check(arguments: list[str]) -> int:
 def _demo(arguments: list[str]) -> int:
     from ..runs import run_mapping
 
-    options = tyro.cli(DemoOptions, prog="gsfusion-nb demo", args=arguments)
-    print("Mapping the built-in room, frame by frame; the first run also renders and caches its pictures.")
+    options = parse_options(DemoOptions, prog="gsfusion-nb demo", arguments=arguments)
+    print("Mapping the built-in room, frame by frame; the first run also renders its images and stores them.")
     with use_backend(options.backend):
         run = run_mapping("room", gsfusion("room"), folder=options.out or None, n_frames=options.frames)
     return print_result(run)
@@ -169,7 +170,7 @@ def _demo(arguments: list[str]) -> int:
 def _eval(arguments: list[str]) -> int:
     from ..runs import rescore
 
-    options = tyro.cli(EvalOptions, prog="gsfusion-nb eval", args=arguments)
+    options = parse_options(EvalOptions, prog="gsfusion-nb eval", arguments=arguments)
     with use_backend(options.backend):
         metrics = rescore(
             options.run, data=options.data or None, with_lpips=options.lpips, device=options.device or None
@@ -181,17 +182,17 @@ def _eval(arguments: list[str]) -> int:
 def _bench(arguments: list[str]) -> int:
     from .. import bench
 
-    return bench.main(tyro.cli(bench.BenchOptions, prog="gsfusion-nb bench", args=arguments))
+    return bench.main(parse_options(bench.BenchOptions, prog="gsfusion-nb bench", arguments=arguments))
 
 
 def _study(arguments: list[str]) -> int:
     from .. import studies
 
-    return studies.main(tyro.cli(studies.StudyOptions, prog="gsfusion-nb study", args=arguments))
+    return studies.main(parse_options(studies.StudyOptions, prog="gsfusion-nb study", arguments=arguments))
 
 
 def _doctor(arguments: list[str]) -> int:
     from .. import doctor
 
-    options = tyro.cli(DoctorOptions, prog="gsfusion-nb doctor", args=arguments)
+    options = parse_options(DoctorOptions, prog="gsfusion-nb doctor", arguments=arguments)
     return doctor.warm() if options.warm else doctor.main()

@@ -15,9 +15,9 @@ from .settings import SettingsOptions, parse
 if TYPE_CHECKING:
     from ..runs import FinishedRun
 
-USAGE = """gsfusion-nb live: map frames as they come; Ctrl-C ends the scan, then the report is made
+USAGE = """gsfusion-nb live: map frames as they arrive; Ctrl-C ends the scan, then the report is written
 
-  gsfusion-nb live folder PATH [options]    a folder in the plain layout while it is being written
+  gsfusion-nb live folder PATH [options]    a folder in the plain layout while another program writes it
   gsfusion-nb live realsense [options]      an Intel RealSense camera, tracked
   gsfusion-nb live kinect [options]         an Azure Kinect, tracked
 
@@ -28,17 +28,18 @@ All options of a source: gsfusion-nb live folder --help
 
 @dataclass(frozen=True, kw_only=True)
 class LiveOptions(SettingsOptions):
-    """What all sources have in common."""
+    """Options of all sources."""
 
     out: str = ""
     """New or empty folder for the results; runs/<name>-<time> by default."""
     policy: Literal["", "all", "queue", "latest", "drop"] = ""
-    """When mapping is slower than the camera. all: the source waits; queue: the oldest waiting frame is lost; latest:
-    only the newest waits; drop: what comes meanwhile is lost. Default: latest for cameras, all for folders."""
+    """What happens if mapping is slower than the camera. all: the source waits; queue: the oldest waiting frame is
+    dropped; latest: only the newest frame waits; drop: frames that arrive while another is mapped are dropped. Default:
+    latest for cameras, all for folders."""
     queue: int = 4
-    """Frames that may wait, for all and queue."""
+    """Largest number of waiting frames, for all and queue."""
     frames: int = 0
-    """End after this many frames have come; 0 goes on until the source ends or Ctrl-C."""
+    """End after this many frames; 0: continue until the source ends or Ctrl-C."""
     evaluate: bool = True
     """Score the frames that were kept and write the report."""
     checkpoint_every_s: float = 30.0
@@ -46,7 +47,7 @@ class LiveOptions(SettingsOptions):
     that takes more than 3 % of the time. 0: never."""
 
     def source(self) -> LiveSource:
-        """Where the frames come from."""
+        """The source of the frames."""
         raise NotImplementedError
 
 
@@ -57,7 +58,7 @@ class FolderOptions(LiveOptions):
     path: Annotated[str, tyro.conf.Positional]
     """The folder: rgb/, depth/, intrinsics.json, and poses.txt, whose line k belongs to the image of number k."""
     poses: bool = True
-    """--no-poses: there is no poses.txt, the camera is tracked."""
+    """--no-poses: there is no poses.txt; the camera is tracked."""
     idle_s: float = 10.0
     """End when nothing has changed for this long, seconds."""
     patience_s: float = 3.0

@@ -34,7 +34,7 @@ class MapOptions(SettingsOptions):
     """Options of the layout's reader, name=value: register=true (7-Scenes), undistort=false (TUM), poses=false (folder,
     TUM), n_frames=480 (room)."""
     resume: str = ""
-    """Folder of an interrupted run to go on with; no other option is needed."""
+    """Folder of an interrupted run to continue; no other option is needed."""
     evaluate: bool = True
     """Score mapped and held-out views and write the report."""
     checkpoint_every_s: float = 30.0

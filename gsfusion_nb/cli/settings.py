@@ -12,6 +12,7 @@ import tyro
 
 from ..backends import from_environment
 from ..config import SystemConfig, from_dict
+from ..config.option_help import parse_options
 from ..errors import SequenceError
 from ..strict_json import parse_json, read_object
 
@@ -27,19 +28,19 @@ class SettingsOptions:
     system: str = "gsfusion"
     """Which published system maps: gsfusion or rtg_slam."""
     preset: str = ""
-    """Settings as published for a data set, such as replica or tum; single options override it. By default replica, and
-    room for the built-in scene."""
+    """Settings published for a data set, such as replica or tum; single options override it. Default: room for the
+    built-in scene, else replica."""
     fidelity: str = ""
-    """What to follow where paper and released code differ: paper, code, or measured, of each what measured better (the
-    default)."""
+    """What to follow where paper and released code differ: paper, code, or measured (default): in each case what gave
+    better results."""
     from_config: str = ""
-    """A config.json of an earlier run whose settings to start from instead of a preset."""
+    """A config.json of an earlier run; its settings are used instead of a preset."""
     rule_options: tuple[str, ...] = ()
     """Options of the seeding rule, such as: --rule-options share=0.2 transparent=false."""
     device: str = "cpu"
-    """Where the maps live: cpu or cuda."""
+    """Device of the maps: cpu or cuda."""
     backend: str = field(default_factory=from_environment)
-    """auto, reference, torch, numba, triton or cuda; by default what the variable GSFUSION_BACKEND says, else auto."""
+    """auto, reference, torch, numba, triton or cuda. Default: the environment variable GSFUSION_BACKEND, else auto."""
     config: SystemConfig = field(default_factory=SystemConfig)
 
     def settings(self) -> Any:
@@ -67,18 +68,18 @@ def parse(options: type[O], prog: str, arguments: list[str], *, data: str = "") 
     Args:
         options: Class of the command's options.
         prog: The command as help shows it.
-        arguments: What the user typed after it.
+        arguments: Arguments after it.
         data: Name of the field that says what is mapped: if that is the built-in scene, its preset is the default.
 
     Raises:
-        KeyError, ValueError: no such system, preset or fidelity; a file of settings that is none.
+        KeyError, ValueError: unknown system, preset or fidelity; a file that holds no settings.
     """
     preset = "replica"
     if data and ROOM in arguments and not _value_of(arguments, "--preset"):
         plain = [a for a in arguments if a not in ("-h", "--help")]
-        first = tyro.cli(with_settings(options, _start(plain, preset)), prog=prog, args=plain)
+        first = parse_options(with_settings(options, _start(plain, preset)), prog=prog, arguments=plain)
         preset = ROOM if getattr(first, data) == ROOM else preset
-    return tyro.cli(with_settings(options, _start(arguments, preset)), prog=prog, args=arguments)
+    return parse_options(with_settings(options, _start(arguments, preset)), prog=prog, arguments=arguments)
 
 
 def named_values(texts: tuple[str, ...]) -> dict[str, Any]:

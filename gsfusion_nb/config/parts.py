@@ -74,7 +74,7 @@ class SeedingConfig:
     same at every size. Channels are weighted by their brightness (luma)."""
     one_per_voxel: bool = False
     """A voxel holds at most one Gaussian: of the new ones that share a voxel the largest is created, and none where the
-    map has one already (GSFusion's paper, section IV-C.1; the released code does not see to it). On: fewer Gaussians
+    map has one already (GSFusion's paper, section IV-C.1; the released code does not check this). On: fewer Gaussians
     close to the camera."""
     options: dict[str, int | float | str | bool] = field(default_factory=dict)
     """Keyword arguments of the rule, by name; on the command line: --rule-options name=value."""
@@ -113,7 +113,7 @@ class DataConfig:
     """Which of each k frames is held out: 0 to k - 1."""
     scored_views: int = 250
     """At most this many mapped views are scored, evenly spread; all held-out views are. 0 scores every mapped view, as
-    the papers do; larger: exacter means, longer scoring. Usual: 100 to 500."""
+    the papers do; larger: more exact means, longer scoring. Usual: 100 to 500."""
     repair: RepairConfig = field(default_factory=RepairConfig)
     """Corrections of a recording that differs from what its layout says."""
 

@@ -44,8 +44,10 @@ class StudyOptions:
     """
 
     name: Annotated[str, tyro.conf.Positional]
-    """systems, transparent, states, fidelity, gsfusion-settings, rtg-slam-settings, depth, tracking, disc-depth, or
-    roofline."""
+    """What to compare: systems (GSFusion and RTG-SLAM), transparent (with and without transparent Gaussians), states
+    (optimising unstable or all Gaussians), fidelity (paper, released code), gsfusion-settings, rtg-slam-settings
+    (single settings of each), depth (disc or blended depth), tracking (variants of the tracker), disc-depth (depth of
+    single images), or roofline (kernels and the limits of this machine)."""
     data: Annotated[str, tyro.conf.Positional] = "room"
     """Folder of a sequence, or "room" for the built-in scene."""
     out: str = ""

@@ -5,6 +5,7 @@ import json
 
 import pytest
 
+from gsfusion_nb.cli import main
 from gsfusion_nb.cli.live import FolderOptions
 from gsfusion_nb.cli.map import MapOptions
 from gsfusion_nb.cli.settings import parse
@@ -78,3 +79,23 @@ def test_a_live_folder_takes_the_same_options(system, preset):
 def test_mistakes_are_sentences(arguments, message):
     with pytest.raises((KeyError, ValueError), match=message):
         settings(*arguments)
+
+
+@pytest.mark.parametrize("command", ["map", "convert", "check", "bench", "study", "eval", "live folder"])
+def test_help_is_wrapped_to_the_terminal_and_shows_no_empty_defaults(command, capsys, monkeypatch):
+    """Lines of the help end where the next word would not fit, not where the source has a line break."""
+    monkeypatch.setenv("COLUMNS", "100")
+    with pytest.raises(SystemExit) as ended:
+        main([*command.split(), "--help"])
+    assert ended.value.code == 0
+    text = capsys.readouterr().out
+    assert "(default: )" not in text
+    assert "(default: '')" not in text
+    lines = [line[1:-1].rstrip() for line in text.splitlines() if line.startswith("│")]
+    for line, following in itertools.pairwise(lines):
+        goes_on = (
+            following.startswith("      ") and line.startswith("      ") and not following.strip().startswith("--")
+        )
+        if goes_on and line.strip() and following.strip():
+            first = following.split()[0]
+            assert len(line) + 1 + len(first) > 94, f"{line!r} has room for {first!r}"

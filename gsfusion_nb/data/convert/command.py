@@ -5,6 +5,7 @@ from typing import Annotated
 
 import tyro
 
+from ...config.option_help import parse_options
 from .detect import known_formats
 from .options import ConvertOptions
 from .run import ConvertReport, convert
@@ -15,9 +16,9 @@ class ConvertCommand:
     """Write a recording in another format as a sequence that can be checked and mapped: [FORMAT] SOURCE OUT. Frames
     are written one by one; an interrupted conversion continues when the command is repeated."""
 
-    words: Annotated[tuple[str, ...], tyro.conf.Positional]
-    """[FORMAT] SOURCE OUT: colmap, icl_nuim, nerfstudio, open3d, record3d, ros, scannet or tum, recognised
-    automatically if left out; the file or folder of the recording; a new folder."""
+    words: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[FORMAT] SOURCE OUT")]
+    """FORMAT: colmap, icl_nuim, nerfstudio, open3d, record3d, ros, scannet or tum; recognised automatically if omitted.
+    SOURCE: the file or folder of the recording. OUT: a new folder."""
     options: Annotated[ConvertOptions, tyro.conf.arg(name="")] = field(default_factory=ConvertOptions)
 
 
@@ -27,7 +28,7 @@ def run(arguments: list[str]) -> ConvertReport:
     Raises:
         ValueError: other arguments than [FORMAT] SOURCE OUT.
     """
-    command = tyro.cli(ConvertCommand, prog="gsfusion-nb convert", args=arguments)
+    command = parse_options(ConvertCommand, prog="gsfusion-nb convert", arguments=arguments)
     words = command.words
     if not 2 <= len(words) <= 3:
         listed = "\n".join(f"  {name:<10} {looks_for}" for name, looks_for in known_formats().items())

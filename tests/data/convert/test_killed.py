@@ -119,5 +119,5 @@ def test_pictures_that_a_power_failure_took_are_made_again(tmp_path, takes, scan
 
 def test_a_partial_folder_of_something_else_is_refused(tmp_path, scan):
     (tmp_path / "out.partial/sequence").mkdir(parents=True)
-    with pytest.raises(SequenceError, match=r"out\.partial holds an unfinished conversion of something else"):
+    with pytest.raises(SequenceError, match=r"out\.partial holds an unfinished conversion of another source"):
         convert(scan, tmp_path / "out")
