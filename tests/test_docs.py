@@ -17,7 +17,7 @@ from gsfusion_nb.config import gsfusion, to_dict
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
 COMMANDS = ("demo", "convert", "check", "map", "live", "eval", "study", "bench", "doctor")
-OTHER_PROGRAMS = ("--torch-backend", "--allow-root", "--no-install-recommends")
+OTHER_PROGRAMS = ("--torch-backend", "--pdb", "--allow-root", "--no-install-recommends")
 
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 INLINE = re.compile(r"`([^`\n]+)`")
