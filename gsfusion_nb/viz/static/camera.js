@@ -1,4 +1,4 @@
-// The camera in the hand: a pose (OpenCV axes: right, down, forward) that turns around a pivot.
+// The camera of a view: a pose (OpenCV axes: right, down, forward) that turns around a pivot.
 
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 const minus = (a, b) => a.map((v, k) => v - b[k]);
@@ -31,14 +31,14 @@ export class OrbitCamera {
     return [0, 1, 2].flatMap((k) => [r[k], d[k], f[k], this.centre[k]]).concat([0, 0, 0, 1]);
   }
 
-  /** The scene follows the pointer: yaw around the world's up, pitch around the camera's right, short of the poles. */
+  /** The scene follows the pointer: yaw around the world's up, pitch around the camera's right, but not over the poles. */
   orbit(dx, dy, about = this.pivot) {
     this.turn(this.up, -dx, about);
     const forward = turned(this.axes[2], this.axes[0], -dy);
     if (Math.abs(dot(forward, this.up)) < 0.9995) this.turn(this.axes[0], -dy, about);
   }
 
-  /** Turn the head without a step. */
+  /** Rotate in place. */
   look(dx, dy) {
     const reach = Math.sqrt(dot(minus(this.pivot, this.centre), minus(this.pivot, this.centre)));
     this.orbit(-dx, -dy, this.centre);
@@ -50,7 +50,7 @@ export class OrbitCamera {
     this.centre = along(about, turned(minus(this.centre, about), axis, angle), 1);
   }
 
-  /** Sideways and up, so that what lies at the pivot's depth stays under the pointer. */
+  /** Move sideways and up, so that points at the pivot's depth stay under the pointer. */
   pan(dx, dy, focal) {
     const depth = Math.max(Math.abs(dot(minus(this.pivot, this.centre), this.axes[2])), 0.1);
     for (const [k, amount] of [[0, dx], [1, dy]]) {
@@ -59,7 +59,7 @@ export class OrbitCamera {
     }
   }
 
-  /** Towards the pivot by a factor; arrived there, it is pushed ahead. */
+  /** Move towards the pivot by a factor; near the pivot, the pivot is moved ahead. */
   zoom(factor) {
     const offset = minus(this.centre, this.pivot);
     const reach = Math.sqrt(dot(offset, offset));
@@ -67,7 +67,7 @@ export class OrbitCamera {
     else this.centre = along(this.pivot, offset, factor);
   }
 
-  /** Turn around what lies at `depth` behind the point (x, y) of the picture from now on. */
+  /** Make the point at `depth` in pixel (x, y) of the picture the new pivot. */
   aim(x, y, depth, [fx, fy, cx, cy]) {
     const ray = [(x - cx) / fx, (y - cy) / fy, 1];
     this.pivot = ray.reduce((p, amount, k) => along(p, this.axes[k], amount * depth), this.centre);

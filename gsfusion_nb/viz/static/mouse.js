@@ -22,17 +22,17 @@ export function listenTo(scene, view) {
   });
   const release = (e) => {
     if (!held.delete(e.pointerId) || held.size) return;
-    scene.focus({ preventScroll: true }); // last of all: the notebook takes the focus when the button goes down
+    scene.focus({ preventScroll: true }); // must come last: the notebook takes the focus when the button is pressed
     if (e.type === "pointerup" && travel < 4) view.pick(...place(e, scene));
   };
   scene.addEventListener("pointerup", release);
   scene.addEventListener("pointercancel", release);
-  scene.addEventListener("dblclick", () => (view.aiming = true)); // the second click's pick is under way
+  scene.addEventListener("dblclick", () => (view.aiming = true)); // the pick of the second click is not finished yet
   scene.addEventListener("wheel", (e) => wheel(e, scene, view), { passive: false });
   scene.addEventListener("keydown", (e) => key(e, view));
 }
 
-/** Where on the scene, as parts of its size. */
+/** Position in the scene, as fractions of its size. */
 function place(e, scene) {
   const box = scene.getBoundingClientRect();
   return [(e.clientX - box.left) / box.width, (e.clientY - box.top) / box.height];
@@ -51,7 +51,7 @@ function drag(e, [x, y], other, width, { camera, focal }) {
 }
 
 function wheel(e, scene, view) {
-  if (scene.getRootNode().activeElement !== scene && !e.ctrlKey) return; // else the page could not be scrolled past
+  if (scene.getRootNode().activeElement !== scene && !e.ctrlKey) return; // otherwise the page could not be scrolled
   e.preventDefault();
   view.camera.zoom(Math.exp(Math.sign(e.deltaY) * Math.min(Math.abs(e.deltaY), 100) * 0.0015));
   view.moved();

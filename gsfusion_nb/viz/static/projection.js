@@ -88,7 +88,7 @@ export function project(rows, view, look, rules, out = {}) {
   return out;
 }
 
-/** Indices into the projected arrays, nearest first: a counting sort over 65536 steps of depth. */
+/** Indices into the projected arrays, nearest first, by a counting sort over 65536 steps of depth. */
 export function depthOrder({ depth, count }) {
   let near = Infinity, far = 0;
   for (let i = 0; i < count; i++) {

@@ -1,4 +1,4 @@
-// Triangles to pixels with a z-buffer: the picture of painter.py, with colours that run over each triangle.
+// Triangles to pixels with a z-buffer: the picture of painter.py, with colours interpolated over each triangle.
 const NEAR_M = 0.05;
 const GREY = 217; // 0.85
 
@@ -17,7 +17,7 @@ export class MeshPainter {
   draw(view, shape, background) {
     const { width, height } = view;
     if (this.nearness?.length !== width * height) {
-      this.nearness = new Float32Array(width * height); // 1 / z: straight in the picture where z is not
+      this.nearness = new Float32Array(width * height); // 1 / z: linear in the picture, unlike z
       this.pixels = new Uint8ClampedArray(4 * width * height);
     }
     this.nearness.fill(0);
@@ -40,7 +40,7 @@ export class MeshPainter {
     return { pixels: this.pixels, width, height };
   }
 
-  /** z-depth of the surface under a place of the last picture, metres; null where there is none. */
+  /** z-depth of the surface at a point of the last picture, metres; null if there is none. */
   depthAt(column, row, width) {
     const nearness = this.nearness?.[Math.floor(row) * width + Math.floor(column)];
     return nearness > 0 ? 1 / nearness : null;

@@ -1,12 +1,12 @@
-// The widget: the mesh comes once, pictures follow the hand, coarse while it moves and smooth when it rests.
+// The widget: the mesh is sent once; pictures are coarse while the camera moves and fine when it stops.
 import { viewOf } from "../../static/projection.js";
 import { OrbitCamera } from "../../static/camera.js";
 import { listenTo } from "../../static/mouse.js";
 import { MeshPainter } from "./raster.js";
 
-const STILL_MS = 160; // without a movement for so long, the picture is refined
-const GOAL_MS = 30; // for one picture while moving
-const FINE = 2; // pixels of the still picture for one of the canvas, along each axis
+const STILL_MS = 160; // ms without a movement after which a fine picture is drawn
+const GOAL_MS = 30; // target time of one picture while moving, ms
+const FINE = 2; // pixels of the fine picture per canvas pixel, along each axis
 
 class MeshView {
   constructor(model, el) {
@@ -68,7 +68,7 @@ class MeshView {
     else if (ms < 0.6 * GOAL_MS) this.quality = Math.min(1, this.quality * 1.08);
   }
 
-  /** What a test or a curious reader wants to know of the last movement. */
+  /** Measurements of the last movement, for tests. */
   report(ms) {
     this.pictures = (this.pictures ?? 0) + 1;
     this.save({ stats: { ms, quality: this.quality, pictures: this.pictures } });
@@ -111,7 +111,7 @@ class MeshView {
     this.pointed = [x, y];
   }
 
-  /** Set by a double click, after the pick: from now on the camera turns around the place under the pointer. */
+  /** Set by a double click, after the pick: the camera then turns around the point under the pointer. */
   set aiming(_) {
     if (!this.painter) return;
     const [x, y] = this.pointed;

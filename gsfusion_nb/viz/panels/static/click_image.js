@@ -1,4 +1,4 @@
-// A picture that tells which of its pixels was clicked, dragged over, or reached with the arrow keys.
+// A picture that reports which of its pixels was clicked, dragged over, or reached with the arrow keys.
 function render({ model, el }) {
   const image = document.createElement("img");
   image.className = "gsnb-click-image";

@@ -1,4 +1,4 @@
-// The colour of each projected Gaussian: its own, or one that shows what is known about it.
+// The colour of each projected Gaussian: its own, or one that shows a quantity.
 
 /** 256 colours, 0..1, from "rrggbbrrggbb...". */
 export function palette(hex) {

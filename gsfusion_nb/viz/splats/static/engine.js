@@ -1,4 +1,4 @@
-// All that is slow, behind one function: message in, reply out. It runs in a Web Worker, or in the page without one.
+// All slow computations, behind one function: message in, reply out. It runs in a Web Worker, or in the page if there is none.
 import { Rows } from "./rows.js";
 import { alphaAt, depthOrder, pickAt, project } from "../../static/projection.js";
 import { colours, depthRange } from "./colour.js";
@@ -13,7 +13,7 @@ export class Engine {
     this.range = [0, 1];
   }
 
-  /** The reply, and what of it can be handed over without a copy. */
+  /** The reply, and the parts of it that can be transferred without a copy. */
   handle(message) {
     if (message.kind === "rows") return this.receive(message);
     const { view, look, rules } = message;
@@ -21,7 +21,7 @@ export class Engine {
     const p = project(this.rows, view, look, rules, this.p);
     const order = depthOrder(p);
     if (message.kind === "pick") return [{ kind: "picked", ...this.pick(message, order) }, []];
-    if (!message.coarse) this.range = depthRange(p); // while moving, the meaning of the colours stays
+    if (!message.coarse) this.range = depthRange(p); // while moving, the range of the colours is kept
     if (this.rgb.length < 3 * p.count) this.rgb = new Float32Array(3 * p.row.length);
     const paint = look.paint.by === "depth" ? { ...look.paint, low: this.range[0], high: this.range[1] } : look.paint;
     colours(this.rows, p, view.centre, paint, this.rgb);
@@ -54,7 +54,7 @@ export class Engine {
     return out;
   }
 
-  /** Row and colour of what is to be drawn, farthest first, for the graphics card. */
+  /** Row and colour of the Gaussians to draw, farthest first, for the graphics card. */
   instances(nearestFirst) {
     const count = this.p.count;
     const order = new Uint32Array(count), out = new Uint8ClampedArray(4 * count);

@@ -8,7 +8,7 @@ export function buildPanel(model) {
   const nodes = { root };
   for (const node of root.querySelectorAll("*")) {
     for (const name of node.classList) nodes[name.replace("gsnb-splat-", "")] = node;
-    // Keys typed here are not the notebook's; JupyterLab asks the focused element before its parents.
+    // Keys typed here are not for the notebook; JupyterLab asks the focused element before its parents.
     node.setAttribute("data-lm-suppress-shortcuts", "true");
   }
   const fill = () => {
@@ -39,7 +39,7 @@ function bind(model, control) {
 
 const number = (v) => (Number.isInteger(v) ? String(v) : Math.abs(v) < 0.01 ? v.toExponential(1) : v.toFixed(2));
 
-/** What the colours mean: nothing, a bar with its ends, or a swatch per name. */
+/** The legend of the colours: none, a bar with the values at its ends, or a swatch per name. */
 export function showLegend(node, { by, names, low, high, palette: hex }, title, unit = "") {
   node.replaceChildren();
   if (by === "rgb") return;
@@ -57,7 +57,7 @@ export function showLegend(node, { by, names, low, high, palette: hex }, title, 
   }
 }
 
-/** The outline of the picked Gaussian: where it falls to exp(-2) of its middle. */
+/** The outline of the picked Gaussian: where its value is exp(-2) of that at its centre. */
 export function drawMark(canvas, mark, scale) {
   const ctx = canvas.getContext("2d");
   ctx.clearRect(0, 0, canvas.width, canvas.height);

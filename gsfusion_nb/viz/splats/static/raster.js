@@ -1,6 +1,6 @@
-// The software rasteriser: front-to-back blending as in gsfusion_nb/render/composite.py, one Gaussian after the other.
+// The software rasteriser: front-to-back blending as in gsfusion_nb/render/composite.py, one Gaussian after another.
 
-/** Pixels that belong together when it is asked whether anything behind can still be seen. */
+/** Block of pixels for which one test decides whether anything behind is still visible. */
 const BLOCK = 8;
 
 /**

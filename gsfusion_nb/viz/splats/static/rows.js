@@ -1,7 +1,8 @@
-// The rows of a map as they travel and as they are kept. The records are packed by gsfusion_nb/viz/splats/packed_rows.py:
+// The rows of a map, in the packed form that is sent and in the form in which they are stored.
+// The records are packed by gsfusion_nb/viz/splats/packed_rows.py:
 // xyz 3 x f32 | quaternion wxyz 4 x f16 | log scale 3 x f16 | opacity f16 | columns C x f32 | harmonics 3 K x f16.
 
-/** Every float16 as a float32. Float16Array is too young to rely on. */
+/** Every float16 as a float32. Not all browsers have Float16Array. */
 const HALF = (() => {
   const table = new Float32Array(65536);
   for (let bits = 0; bits < 65536; bits++) {

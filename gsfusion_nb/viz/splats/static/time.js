@@ -31,7 +31,7 @@ export class TimeLine {
     this.show();
   }
 
-  /** Python hears of the end only. */
+  /** Python is informed only at the end. */
   play() {
     const [first, last] = this.model.get("birth_range");
     const began = performance.now();

@@ -6,11 +6,11 @@ export function gpuName() {
   if (!gl) return "";
   const info = gl.getExtension("WEBGL_debug_renderer_info");
   const name = String(gl.getParameter(info ? info.UNMASKED_RENDERER_WEBGL : gl.RENDERER));
-  gl.getExtension("WEBGL_lose_context")?.loseContext(); // a page may hold only some 16 contexts
+  gl.getExtension("WEBGL_lose_context")?.loseContext(); // a page may have only about 16 contexts
   return name || "unknown";
 }
 
-/** A renderer that only imitates a graphics card: slower than drawing on the CPU directly. */
+/** A renderer that only emulates a graphics card: slower than drawing on the CPU directly. */
 export const imitatesGpu = (name) => /swiftshader|llvmpipe|softpipe|software|basic render|paravirtual/i.test(name);
 
 export class GpuPainter {

@@ -1,4 +1,4 @@
-// The widget: rows come in, pictures are asked for one at a time, moving ones coarser than still ones.
+// The widget: rows are received, pictures are requested one at a time, coarser while the camera moves.
 import { viewOf } from "../../static/projection.js";
 import { OrbitCamera } from "../../static/camera.js";
 import { GpuPainter, gpuName, imitatesGpu } from "./webgl.js";
@@ -7,8 +7,8 @@ import { buildPanel, drawMark, showLegend } from "./panel.js";
 import { listenTo } from "../../static/mouse.js";
 import { TimeLine } from "./time.js";
 
-const STILL_MS = 160; // without a movement for so long, the picture is refined
-const GOAL_MS = 40; // for one picture while moving
+const STILL_MS = 160; // ms without a movement after which a fine picture is drawn
+const GOAL_MS = 40; // target time of one picture while moving, ms
 const PATIENCE_MS = 10000;
 const REDRAWN_BY = ["colour_by", "size", "opacity", "points", "background", "picked", "columns", "notice"];
 
@@ -18,7 +18,7 @@ class SplatView {
     for (const name of ["width", "height", "intrinsics", "rules"]) this[name] = model.get(name);
     this.focal = this.intrinsics[0] / this.width;
     this.quality = 1;
-    this.n = null; // rows here; null: nothing came yet
+    this.n = null; // rows received; null: none yet
     const { nodes, listeners } = buildPanel(model);
     this.nodes = nodes;
     for (const layer of [nodes.software, nodes.gpu, nodes.marks]) Object.assign(layer, { width: this.width, height: this.height });
@@ -99,7 +99,7 @@ class SplatView {
 
   startGpu() {
     const fresh = Object.assign(this.nodes.gpu.cloneNode(), { width: this.width, height: this.height });
-    this.nodes.gpu.replaceWith(fresh); // a lost context does not come back
+    this.nodes.gpu.replaceWith(fresh); // a lost context cannot be restored
     this.nodes.gpu = fresh;
     try {
       const painter = (this.gpu = new GpuPainter(fresh));
@@ -141,7 +141,7 @@ class SplatView {
     const coarse = Boolean(this.moving && !this.gpu);
     this.asked = { coarse, scale: coarse ? this.quality : 1 };
     const view = this.view(this.asked.scale);
-    if (this.gpu) view.margin = this.width / 2; // sorted for what a turn of the camera may bring into view
+    if (this.gpu) view.margin = this.width / 2; // also sorts what a small turn of the camera brings into view
     this.engine.post({ kind: this.gpu ? "sort" : "draw", view, look: this.look(), rules: this.rules, coarse });
   }
 
@@ -168,7 +168,7 @@ class SplatView {
     else if (ms < 0.6 * GOAL_MS) this.quality = Math.min(1, this.quality * 1.08);
   }
 
-  /** The legend, and in the corner what is drawn by whom. */
+  /** The legend, and in the corner the renderer and its numbers. */
   describe({ drawn, thinned, depthRange: [low, high] }) {
     const paint = this.paint();
     if (paint.by === "depth") showLegend(this.nodes.legend, { ...paint, low, high }, "depth", " m");
@@ -179,7 +179,7 @@ class SplatView {
     this.nodes.status.textContent = words.filter(Boolean).join(" · ");
   }
 
-  /** What a test or a curious reader wants to know of the last movement. */
+  /** Measurements of the last movement, for tests. */
   report({ ms = 0, drawn }) {
     const { shown = [], quality } = this;
     const fps = shown.length > 2 ? ((shown.length - 1) * 1000) / (shown.at(-1) - shown[0]) : null;
