@@ -11,6 +11,7 @@ import stat
 import zipfile
 import zlib
 from collections.abc import Iterator
+from io import BufferedReader
 from pathlib import Path
 from typing import BinaryIO
 
@@ -22,7 +23,7 @@ IMAGE_BYTES = 256_000_000
 """Of an encoded image."""
 
 
-def open_regular(path: str | Path, what: str) -> BinaryIO:
+def open_regular(path: str | Path, what: str) -> BufferedReader:
     """Open a plain file for reading bytes. Pipes, sockets, devices and folders are refused, before anything waits.
 
     Raises:
@@ -112,7 +113,7 @@ def read_member(archive: zipfile.ZipFile, name: str, source: str | Path, *, at_m
         with archive.open(info) as member:
             return member.read(at_most)
     except Exception as e:
-        raise BadFrameError(f"{source}: {name} is damaged ({_reason(e)})") from None
+        raise BadFrameError(f"{source}: {name} is damaged ({reason_of(e)})") from None
 
 
 @contextlib.contextmanager
@@ -129,11 +130,11 @@ def parsing(source: str | Path, what: str, error: type[SequenceError] = Sequence
     except MemoryError:
         raise error(f"{source} asks for more memory than there is; it is damaged; expected {what}") from None
     except Exception as e:
-        raise error(f"{source} is not readable as {what} ({_reason(e)}); it may be truncated or damaged") from e
+        raise error(f"{source} is not readable as {what} ({reason_of(e)}); it may be truncated or damaged") from e
 
 
-def _reason(error: Exception) -> str:
-    """The first line of an error, short enough for a sentence."""
+def reason_of(error: Exception) -> str:
+    """The kind and the first sentence of an error, short enough to be a part of another sentence."""
     lines = str(error).strip().splitlines()
     text = lines[0].split(". ")[0][:160] if lines else ""
     return text if isinstance(error, OSError | ValueError) and text else f"{type(error).__name__} {text}".strip()

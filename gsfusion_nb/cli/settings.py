@@ -14,6 +14,7 @@ from ..backends import from_environment
 from ..config import SystemConfig, from_dict
 from ..config.option_help import parse_options
 from ..errors import SequenceError
+from ..foreign import reason_of
 from ..strict_json import parse_json, read_object
 
 O = TypeVar("O", bound="SettingsOptions")  # noqa: E741
@@ -128,7 +129,7 @@ def _read_settings(path: Path) -> SystemConfig:
     try:
         return from_dict(get_system(document.get("system", "gsfusion")).config_type, document["config"])
     except (KeyError, TypeError, AttributeError, ValueError, OverflowError) as e:
-        raise ValueError(f"{path} is no config.json of a run: {type(e).__name__} {str(e)[:200]}") from None
+        raise ValueError(f"{path} is no config.json of a run: {reason_of(e)}") from None
 
 
 def _value_of(arguments: list[str], option: str) -> str | None:

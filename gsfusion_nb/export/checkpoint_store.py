@@ -22,7 +22,7 @@ import torch
 from torch import Tensor
 
 from ..files import atomic_file, write_file
-from ..foreign import open_regular, read_text
+from ..foreign import open_regular, read_text, reason_of
 
 FORMAT = "gsfusion_nb checkpoint"
 VERSION = 2
@@ -119,7 +119,7 @@ class CheckpointStore:
             try:
                 state, pieces = self._read(path, device)
             except Exception as e:  # whatever follows from content that is damaged
-                problems.append(f"{path} cannot be used ({e})")
+                problems.append(f"{path} cannot be used ({reason_of(e)})")
                 continue
             self._known = {piece[0]: piece for piece in pieces}
             self._before, self._files_before = number, {piece[1] for piece in pieces}

@@ -8,6 +8,7 @@ import torch
 from ..data import open_sequence
 from ..errors import SequenceError
 from ..export import CheckpointStore
+from ..foreign import reason_of
 from ..mapping import get_system
 from ..seeding import SeedingRule
 from .mapping_run import MappingRun
@@ -35,7 +36,7 @@ def load_run(
     except SequenceError:
         raise
     except Exception as e:  # a checkpoint that is whole, of a state that this version does not know
-        raise ValueError(f"{store.folder} is damaged or from another version: {type(e).__name__} {e}") from None
+        raise ValueError(f"{store.folder} is damaged or from another version: {reason_of(e)}") from None
     run.use_store(path, store)
     if loaded.passed_over:
         run.warnings.append(f"{loaded.passed_over}; checkpoint {loaded.number}, which is whole, is used")

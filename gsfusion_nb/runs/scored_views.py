@@ -11,6 +11,7 @@ from torch import Tensor
 
 from ..data import SequenceView
 from ..evaluation import score_views
+from ..foreign import reason_of
 from ..strict_json import read_object
 from ..types import Camera, Frame, RenderOutput
 from .mapping_run import MappingRun
@@ -115,4 +116,4 @@ def read_views(folder: Path) -> dict[str, ScoredViews]:
             for name, group in document.items()
         }
     except (ValueError, KeyError, TypeError, AttributeError, RuntimeError) as e:
-        raise ValueError(f"{path} is damaged: {type(e).__name__} {e}") from None
+        raise ValueError(f"{path} is damaged: {reason_of(e)}") from None

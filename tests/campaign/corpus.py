@@ -274,7 +274,7 @@ def _run_folder(root: Path, takes) -> list[Seed]:
         next(iter(run.online()))
         (root / "interrupted").mkdir()
         run.save_checkpoint(root / "interrupted")
-    for name in ("report.html", "mesh.ply"):
+    for name in ("report.html", "mesh.ply", "status.json"):
         (root / "run" / name).unlink(missing_ok=True)
     return [
         Seed("run", "rescore", root / "run"),

@@ -163,8 +163,9 @@ def _child(campaign: Campaign, numbers: list[int], write: int) -> None:
         raise Hang
 
     signal.signal(signal.SIGUSR1, hang)
-    resource.setrlimit(resource.RLIMIT_AS, (_memory("VmSize") + MEMORY_BYTES + 500_000_000,) * 2)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (2_000_000_000,) * 2)
+    most = _memory("VmSize") + MEMORY_BYTES + 500_000_000
+    resource.setrlimit(resource.RLIMIT_AS, (most, most))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2_000_000_000, 2_000_000_000))
     with os.fdopen(write, "w", buffering=1) as told:
         for i in numbers:
             folder = campaign.root / f"inputs/{i}"

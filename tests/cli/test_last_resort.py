@@ -32,7 +32,8 @@ def test_a_mistake_of_ours_is_one_sentence_with_the_file_and_a_log(tmp_path, cap
     assert said.err.startswith("gsfusion-nb map: ended by an error that was not foreseen")
     assert said.err.count("\n") == 1
     assert str(tmp_path / "scan") in said.err
-    log = Path(re.search(r"the traceback is in (.*\.log)", said.err)[1])
+    (name,) = re.findall(r"the traceback is in (.*\.log)", said.err)
+    log = Path(name)
     assert log.parent == tmp_path / "run"
     assert f"in {work.__name__}" in log.read_text()
 

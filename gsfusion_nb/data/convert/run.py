@@ -53,9 +53,9 @@ class ConvertReport:
     @staticmethod
     def of_document(document: dict[str, Any]) -> "ConvertReport":
         """From ``conversion.json``."""
-        fields = {f.name: document[f.name] for f in dataclasses.fields(ConvertReport)}
-        tuples = {name: tuple(fields[name]) for name in ("examples", "notes")}
-        return ConvertReport(**fields | tuples | {"out": Path(fields["out"]), "camera": Camera(**fields["camera"])})
+        values: dict[str, Any] = {f.name: document[f.name] for f in dataclasses.fields(ConvertReport)}
+        values |= {name: tuple(values[name]) for name in ("examples", "notes")}
+        return ConvertReport(**values | {"out": Path(values["out"]), "camera": Camera(**values["camera"])})
 
     def __str__(self) -> str:
         c = self.camera

@@ -219,7 +219,7 @@ class Staging:
 def _row(line: str) -> JournalEntry | None:
     """The row of a whole line of the journal; None for one that was cut short."""
     try:
-        values = parse_json(line, "the journal", "a row") if line.endswith("\n") else None
+        values = parse_json(line, "the journal", "a row") if line.endswith("\n") else {}
         row = JournalEntry(**{**values, "T_WC": tuple(values["T_WC"]), "files": tuple(values["files"])})
         return row if row.dropped or len(row.files) == 3 else None
     except (SequenceError, TypeError, KeyError):

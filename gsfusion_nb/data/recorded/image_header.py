@@ -18,7 +18,10 @@ def image_size(data: bytes) -> tuple[int, int] | None:
     if data[:4] in (b"II*\0", b"II+\0", b"MM\0*", b"MM\0+"):
         return _tiff(data)
     if data[:2] == b"BM":
-        return tuple(map(abs, struct.unpack_from("<ii", data, 18))) if len(data) >= 26 else None
+        if len(data) < 26:
+            return None
+        width, height = struct.unpack_from("<ii", data, 18)  # the height is negative where the first row is the top one
+        return abs(width), abs(height)
     if data[:4] == b"v/1\x01":
         return _exr(data)
     match = _PNM.match(data[:4096])

@@ -106,6 +106,7 @@ def test_killed_twice(tmp_path, scan):
 
 
 def test_pictures_that_a_power_failure_took_are_made_again(tmp_path, takes, scan):
+    out, partial = tmp_path, tmp_path
     for stop_at in range(14, 60, 4):
         out = tmp_path / str(stop_at)
         assert converted(scan, out, stop_at)[0] == _KILLED

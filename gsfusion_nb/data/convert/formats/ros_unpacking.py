@@ -26,7 +26,7 @@ class BagPath(type(Path())):
         """Of a plain file only, if it is for reading bytes."""
         if mode != "rb":
             return super().open(mode, *args, **options)
-        return _BagFile(open_regular(self, "a file of a ROS bag").detach())  # pyright: ignore[reportAttributeAccessIssue]
+        return _BagFile(open_regular(self, "a file of a ROS bag").detach())
 
 
 class _BagFile(io.BufferedReader):
