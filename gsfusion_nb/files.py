@@ -8,6 +8,7 @@ killed program may leave a temporary file, which is never read.
 import contextlib
 import errno
 import os
+import re
 import secrets
 import shutil
 import sys
@@ -164,7 +165,9 @@ def cache_folder() -> Path:
 
 def _is_full(error: OSError) -> bool:
     # numpy says how much it could write, and no reason
-    return error.errno in _FULL or (error.errno is None and "written" in str(error))
+    return error.errno in _FULL or (
+        error.errno is None and re.search(r"requested and \d+ written", str(error)) is not None
+    )
 
 
 def _no_room(path: Path, size_bytes: int, error: OSError | None) -> str:
