@@ -78,8 +78,11 @@ class Record:
     """Subclasses in the kernels name theirs."""
 
 
-def op(folder: str) -> Callable[[Callable], Callable]:
+def op(folder: str, check: Callable[..., None] | None = None) -> Callable[[Callable], Callable]:
     """Make a function the reference of an operation, whose faster versions are in ``kernels/<folder>``.
+
+    ``check`` takes the arguments of the operation and raises ``ValueError`` for those that no backend can take; it runs
+    before any of them does.
 
     ``f.reference`` is the function itself, and inside it every other operation is the reference too. An operation whose
     first argument is a ``Record`` runs on the backend that made the record, whatever backend is in use.
@@ -92,6 +95,11 @@ def op(folder: str) -> Callable[[Callable], Callable]:
 
         @functools.wraps(reference)
         def dispatch(*args, **kwargs):
+            if check is not None:
+                try:
+                    check(*args, **kwargs)
+                except ValueError as e:
+                    raise ValueError(f"{name}: {e}") from None
             while True:
                 implementation = _select(name, args, kwargs)
                 try:

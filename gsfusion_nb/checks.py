@@ -6,11 +6,13 @@ import torch
 from torch import Tensor
 
 
-def check_shape(name: str, value: Tensor, expected: tuple[int | str, ...]) -> None:
-    """Raise ``ValueError`` unless ``value`` has the expected shape; a string stands for any length.
+def check_shape(name: str, value: object, expected: tuple[int | str, ...]) -> None:
+    """Raise ``ValueError`` unless ``value`` is a tensor of the expected shape; a string stands for any length.
 
     Example: ``check_shape("depth_m", depth_m, ("H", "W"))``.
     """
+    if not isinstance(value, Tensor):
+        raise ValueError(f"{name} must be a torch.Tensor, got {type(value).__name__}")
     got = tuple(value.shape)
     if len(got) != len(expected) or any(isinstance(e, int) and e != g for e, g in zip(expected, got, strict=False)):
         wanted = ", ".join(str(e) for e in expected)

@@ -5,6 +5,10 @@ import math
 NEAR_PLANE_M = 0.2
 """Gaussians closer to the camera than this are not drawn (Kerbl et al. 2023, released rasteriser)."""
 
+FARTHEST_PX = 1e9
+"""A Gaussian whose centre or half size on the screen is not below this, or is NaN, is not drawn: kernels
+count pixels in whole numbers, and a map with a NaN or an infinity in it looks the same on every backend."""
+
 SCREEN_BLUR_PX2 = 0.3
 """Added to the diagonal of every 2D covariance so that no splat is thinner than about a pixel (EWA low-pass)."""
 

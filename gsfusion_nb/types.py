@@ -8,7 +8,10 @@ import torch
 from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
-from .checks import check_positive, check_shape
+from .checks import check_number, check_positive, check_shape
+
+MAX_SIDE_PX, MAX_PIXELS = 1 << 16, 1 << 27
+"""Larger images would not fit into memory, and into the 32-bit numbers that kernels count pixels with."""
 
 
 def rgb_of_bytes(levels: UInt8[Tensor, "*N 3"]) -> Float[Tensor, "*N 3"]:
@@ -41,6 +44,14 @@ class Camera:
     def __post_init__(self):
         for name in ("width", "height", "fx", "fy"):
             check_positive(f"camera {name}", getattr(self, name))
+        for name in ("cx", "cy"):
+            check_number(f"camera {name}", getattr(self, name))
+        if not all(isinstance(n, int) and n <= MAX_SIDE_PX for n in (self.width, self.height)):
+            raise ValueError(
+                f"camera width and height must be whole numbers up to {MAX_SIDE_PX}, got {self.width} x {self.height}"
+            )
+        if self.width * self.height > MAX_PIXELS:
+            raise ValueError(f"an image may have {MAX_PIXELS} pixels, got {self.width} x {self.height}")
 
     @property
     def K(self) -> Float[Tensor, "3 3"]:

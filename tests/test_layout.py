@@ -13,7 +13,19 @@ PACKAGE = ROOT / "gsfusion_nb"
 
 FLOORS = {
     **dict.fromkeys(
-        ("types", "config", "constants", "checks", "errors", "files", "foreign", "last_resort", "strict_json"), 0
+        (
+            "types",
+            "config",
+            "constants",
+            "checks",
+            "operands",
+            "errors",
+            "files",
+            "foreign",
+            "last_resort",
+            "strict_json",
+        ),
+        0,
     ),
     **dict.fromkeys(("progress", "processes", "backends"), 0),
     **dict.fromkeys(("geometry", "drawing"), 1),

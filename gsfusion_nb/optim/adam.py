@@ -1,17 +1,55 @@
 """Adam on a map that grows while it is optimised."""
 
 import math
+from typing import Any
 
 from jaxtyping import Float, Int
 from torch import Tensor
 
 from ..backends import op
+from ..checks import check_number
 from ..config import OptimConfig
 from ..gaussians import GaussianModel
+from ..operands import INTEGERS, check_gaussians, check_operand
 from ..types import GaussianParams
 
 
-@op("adam")
+def check_adam(
+    param: Any,
+    gradient: Any,
+    exp_avg: Any,
+    exp_avg_sq: Any,
+    steps: Any,
+    *,
+    lr: Any,
+    beta1: float,
+    beta2: float,
+    eps: float,
+) -> None:
+    """Raise ``ValueError`` for what ``adam_update`` does not take."""
+    check_operand("param", param, ("N", *("W",) * (getattr(param, "ndim", 1) - 1)))
+    for name, value in {"gradient": gradient, "exp_avg": exp_avg, "exp_avg_sq": exp_avg_sq}.items():
+        check_operand(name, value, tuple(param.shape), dtypes=(param.dtype,), device=param.device)
+    for name, value in {"param": param, "exp_avg": exp_avg, "exp_avg_sq": exp_avg_sq}.items():
+        if not value.is_contiguous() and 0 in value.stride() and value.numel() > 1:
+            raise ValueError(f"{name} is written to and must not be an expanded view, got strides {value.stride()}")
+    if isinstance(steps, Tensor):
+        check_operand("steps", steps, (len(param),), dtypes=INTEGERS, device=param.device)
+    elif steps is not None:
+        check_number("steps", steps, 1)
+    if not isinstance(lr, Tensor):
+        check_number("lr", lr)
+    else:
+        row = tuple(param.shape[1:])
+        check_operand("lr", lr, tuple(lr.shape), device=None if lr.device.type == "cpu" else param.device)
+        if lr.ndim > len(row) or any(a not in (1, b) for a, b in zip(lr.shape[::-1], row[::-1], strict=False)):
+            raise ValueError(f"lr must be one number or fit a row {list(row)}, got {list(lr.shape)}")
+    for name, beta in {"beta1": beta1, "beta2": beta2}.items():
+        check_number(name, beta, 0.0, 1.0)
+    check_number("eps", eps, 0.0)
+
+
+@op("adam", check_adam)
 def adam_update(
     param: Float[Tensor, "N *W"],
     gradient: Float[Tensor, "N *W"],
@@ -69,6 +107,7 @@ def adam_step(model: GaussianModel, gradients: GaussianParams, config: OptimConf
       old, then takes the step of ``"none"`` times the same factor: 0.15 at step 10, 0.44 at 210, 0.93 at 2,000. In a
       short run all Gaussians learn more slowly; at the 16,000 steps of a Replica sequence there is no difference left.
     """
+    check_gaussians(gradients, like=model.params)
     model.step_count += 1
     steps: int | Tensor | None = {"none": None, "shared": model.step_count}.get(config.adam_steps)
     if config.adam_steps == "per_row":

@@ -1,12 +1,15 @@
 """Photometric losses, each with its explicit gradient beside it."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from ..backends import op
+from ..checks import check_number
+from ..operands import check_images
 
 C1 = 0.01**2
 C2 = 0.03**2
@@ -37,7 +40,13 @@ class L1Loss:
     v_rgb: Float[Tensor, "H W 3"]
 
 
-@op("l1_loss")
+def check_pictures(rgb: Any, target: Any, v_loss: float = 1.0) -> None:
+    """Raise ``ValueError`` unless the two have one size, type and device."""
+    check_images(rgb=rgb, target=target)
+    check_number("v_loss", v_loss)
+
+
+@op("l1_loss", check_pictures)
 def l1_mse_vjp(rgb: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"]) -> L1Loss:
     """What an optimisation step needs of a picture: ``l1``, ``l1_vjp`` and the error that its PSNR reports."""
     mse = (rgb.clamp(0, 1) - target).square().mean()
@@ -55,7 +64,7 @@ def dssim(rgb: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"]) -> Float[
     return 1.0 - (A1 * A2 / (B1 * B2)).mean()
 
 
-@op("ssim")
+@op("ssim", check_pictures)
 def dssim_vjp(
     rgb: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"], v_loss: float = 1.0
 ) -> tuple[Float[Tensor, ""], Float[Tensor, "H W 3"]]:

@@ -1,12 +1,16 @@
 """The colour and depth loss of RTG-SLAM on some pixels of a view, with its gradient (Peng et al. 2024, Eq. 7-8)."""
 
+import math
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from ..backends import op
+from ..checks import check_number
+from ..operands import MASK, check_images, check_operand
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -23,7 +27,18 @@ class RgbdLoss:
     v_depth_m: Float[Tensor, "H W"]
 
 
-@op("rgbd_loss")
+def check_rgbd(
+    rgb: Any, depth_m: Any, target_rgb: Any, target_depth_m: Any, pixels: Any, **weights: float | None
+) -> None:
+    """Raise ``ValueError`` for what ``rgbd_l1_vjp`` does not take."""
+    check_images(rgb=rgb, depth_m=depth_m, target_rgb=target_rgb, target_depth_m=target_depth_m)
+    check_operand("pixels", pixels, tuple(depth_m.shape), dtypes=MASK, device=rgb.device)
+    for name, value in weights.items():
+        if value is not None:
+            check_number(name, value)
+
+
+@op("rgbd_loss", check_rgbd)
 def rgbd_l1_vjp(
     rgb: Float[Tensor, "H W 3"],
     depth_m: Float[Tensor, "H W"],
@@ -48,9 +63,8 @@ def rgbd_l1_vjp(
 
     Source: Peng et al. 2024, Eq. 7-8. The third term of Eq. 8 is about Gaussians, not pixels: ``SurfelOptimiser``.
     """
-    known = pixels & (depth_m > 0) & (target_depth_m > 0)
-    if behind_m is not None:
-        known = known & (depth_m - target_depth_m < behind_m)
+    behind_m = math.inf if behind_m is None else behind_m
+    known = pixels & (depth_m > 0) & (target_depth_m > 0) & (depth_m - target_depth_m < behind_m)
     n, n_known = (3 * pixels.sum()).clamp_min(1), known.sum().clamp_min(1)
     colour_gap = torch.where(pixels[..., None], rgb - target_rgb, 0.0)
     depth_gap = torch.where(known, depth_m - target_depth_m, 0.0)

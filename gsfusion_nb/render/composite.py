@@ -17,6 +17,7 @@ Arrays are [K, P]: the K Gaussians of a tile, nearest first, at its P pixels.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -25,6 +26,7 @@ from torch import Tensor
 from ..backends import Record, op
 from ..checks import check_positive
 from ..constants import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
+from ..operands import check_camera, check_operand
 from ..types import Camera
 from .tiles import TileLists
 
@@ -72,7 +74,49 @@ class CompositeGradient:
     depth_m: Float[Tensor, " N"]
 
 
-@op("composite")
+def check_composite(
+    uv: Any,
+    conic: Any,
+    opacity: Any,
+    rgb: Any,
+    depth_m: Any,
+    tiles: Any,
+    camera: Any,
+    *,
+    with_indices: bool = True,
+    opaque_alpha: float | None = None,
+) -> None:
+    """Raise ``ValueError`` for what ``composite`` does not take, such as the lists of another scene or image."""
+    check_operand("uv", uv, ("N", 2))
+    n = len(uv)
+    columns = {"conic": (conic, (n, 3)), "opacity": (opacity, (n,)), "rgb": (rgb, (n, 3)), "depth_m": (depth_m, (n,))}
+    for name, (value, shape) in columns.items():
+        check_operand(name, value, shape, dtypes=(uv.dtype,), device=uv.device)
+    if not isinstance(tiles, TileLists):
+        raise ValueError(f"tiles must be TileLists, as tile_intersections makes them, got {type(tiles).__name__}")
+    check_camera(camera)
+    tiles.check(n, camera)
+    if opaque_alpha is not None:
+        check_positive("opaque_alpha", opaque_alpha)
+
+
+def check_image_gradients(camera: Camera, v_rgb: Any, v_depth_m: Any, v_alpha: Any, device: torch.device) -> None:
+    """Raise ``ValueError`` unless the gradients of the images have the camera's size."""
+    size = (camera.height, camera.width)
+    check_operand("v_rgb", v_rgb, (*size, 3), device=device)
+    for name, value in (("v_depth_m", v_depth_m), ("v_alpha", v_alpha)):
+        if value is not None:
+            check_operand(name, value, size, device=device)
+
+
+def check_composite_vjp(saved: Any, v_rgb: Any, v_depth_m: Any = None, v_alpha: Any = None) -> None:
+    """Raise ``ValueError`` for what ``composite_vjp`` does not take."""
+    if not isinstance(saved, Record) or not hasattr(saved, "tiles"):
+        raise ValueError(f"saved: the record that composite returns was expected, got {type(saved).__name__}")
+    check_image_gradients(saved.camera, v_rgb, v_depth_m, v_alpha, saved.opacity.device)
+
+
+@op("composite", check_composite)
 def composite(
     uv: Float[Tensor, "N 2"],
     conic: Float[Tensor, "N 3"],
@@ -98,8 +142,6 @@ def composite(
 
     Differentiable: ``composite_vjp``.
     """
-    if opaque_alpha is not None:
-        check_positive("opaque_alpha", opaque_alpha)
     c = torch.cat([rgb, depth_m[:, None], torch.ones_like(depth_m)[:, None]], dim=1)
     C = uv.new_zeros(camera.height, camera.width, 5)
     first, dominant, hit = (tiles.gaussian.new_full(C.shape[:2], -1) for _ in range(3))
@@ -125,7 +167,7 @@ def composite(
     )
 
 
-@op("composite")
+@op("composite", check_composite_vjp)
 def composite_vjp(
     saved: CompositeSaved,
     v_rgb: Float[Tensor, "H W 3"],

@@ -14,15 +14,17 @@ ours: a plane that is met behind the camera has no depth.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from ..backends import op
-from ..checks import check_mask, check_positive, check_shape
+from ..checks import check_positive
 from ..constants import DISC_MAX_OFFSET, DISC_MIN_COSINE
 from ..geometry import pixel_grid, quaternion, rays, se3
+from ..operands import INTEGERS, MASK, check_gaussians, check_operand, check_view
 from ..types import Camera, GaussianParams
 
 
@@ -38,7 +40,41 @@ class DiscDepth:
     """The depth is the intersection's, not the centre's."""
 
 
-@op("disc_depth")
+def check_discs(
+    params: Any,
+    camera: Any,
+    T_WC: Any,
+    hit_index: Any,
+    *,
+    max_offset: float | None = DISC_MAX_OFFSET,
+    min_cosine: float = DISC_MIN_COSINE,
+) -> None:
+    """Raise ``ValueError`` for what ``disc_depth`` does not take."""
+    check_gaussians(params)
+    device = params.xyz_W.device
+    check_view(camera, T_WC, device)
+    check_operand("hit_index", hit_index, (camera.height, camera.width), dtypes=INTEGERS, device=device)
+    if device.type == "cpu" and int(hit_index.max()) >= len(params):
+        raise ValueError(
+            f"hit_index must name rows of the {len(params)} Gaussians, got {int(hit_index.max())}; "
+            "take the hit_index that render_forward gave for the same map"
+        )
+    check_positive("min_cosine", min_cosine)
+    if max_offset is not None:
+        check_positive("max_offset", max_offset)
+
+
+def check_discs_vjp(
+    params: Any, camera: Any, T_WC: Any, hit_index: Any, v_depth_m: Any, *, rows: Any = None, **options: float | None
+) -> None:
+    """Raise ``ValueError`` for what ``disc_depth_vjp`` does not take."""
+    check_discs(params, camera, T_WC, hit_index, **options)  # pyright: ignore[reportArgumentType]
+    check_operand("v_depth_m", v_depth_m, (camera.height, camera.width), device=params.xyz_W.device)
+    if rows is not None:
+        check_operand("rows", rows, (len(params),), dtypes=MASK, device=params.xyz_W.device)
+
+
+@op("disc_depth", check_discs)
 def disc_depth(
     params: GaussianParams,
     camera: Camera,
@@ -61,7 +97,6 @@ def disc_depth(
 
     Differentiable: ``disc_depth_vjp``.
     """
-    check_discs(len(params), camera, hit_index, max_offset, min_cosine)
     m = _meet(params, camera, T_WC, hit_index, max_offset, min_cosine)
     hit = hit_index >= 0
     depth_m, on_plane = params.xyz_W.new_zeros(hit.shape), torch.zeros_like(hit)
@@ -73,7 +108,7 @@ def disc_depth(
     return DiscDepth(depth_m=depth_m, normal_W=normal_W, on_plane=on_plane)
 
 
-@op("disc_depth")
+@op("disc_depth", check_discs_vjp)
 def disc_depth_vjp(
     params: GaussianParams,
     camera: Camera,
@@ -97,9 +132,6 @@ def disc_depth_vjp(
     Returns:
         ``(v_xyz_W, v_quat)``, zero for a Gaussian that no pixel hits or that is frozen.
     """
-    check_discs(len(params), camera, hit_index, max_offset, min_cosine)
-    if rows is not None:
-        check_mask("rows", rows, (len(params),))
     with torch.no_grad():
         m = _meet(params, camera, T_WC, hit_index, max_offset, min_cosine)
         v_z, on_plane = v_depth_m.to(m.z)[hit_index >= 0, None], m.on_plane[:, None]
@@ -112,16 +144,6 @@ def disc_depth_vjp(
     if rows is not None:
         v_xyz_W, v_quat = (torch.where(rows[:, None], v, 0.0) for v in (v_xyz_W, v_quat))
     return v_xyz_W, v_quat
-
-
-def check_discs(count: int, camera: Camera, hit_index: Tensor, max_offset: float | None, min_cosine: float) -> None:
-    """Raise ``ValueError`` unless the arguments of ``disc_depth`` fit together."""
-    check_shape("hit_index", hit_index, (camera.height, camera.width))
-    if int(hit_index.max()) >= count:
-        raise ValueError(f"hit_index must name rows of the {count} Gaussians, got {int(hit_index.max())}")
-    check_positive("min_cosine", min_cosine)
-    if max_offset is not None:
-        check_positive("max_offset", max_offset)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

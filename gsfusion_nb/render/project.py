@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from ..constants import ALPHA_MIN, FRUSTUM_CLAMP, NEAR_PLANE_M, SCREEN_BLUR_PX2
+from ..constants import ALPHA_MIN, FARTHEST_PX, FRUSTUM_CLAMP, NEAR_PLANE_M, SCREEN_BLUR_PX2
 from ..geometry import quaternion, se3
 from ..types import Camera, GaussianParams
 
@@ -30,7 +30,7 @@ class Projection:
     extent_px: Float[Tensor, "N 2"]
     """Half width and half height of the box outside which alpha is below 1/255, pixels. No gradient."""
     visible: Bool[Tensor, " N"]
-    """In front of the near plane and at least 1/255 opaque."""
+    """In front of the near plane, at least 1/255 opaque, and of finite position and size."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -61,15 +61,18 @@ def project_gaussians(params: GaussianParams, camera: Camera, T_WC: Float[Tensor
     v = camera.fy * s.y / s.z + camera.cy
     opacity = params.opacity_logit.sigmoid()
     reach = 2 * (opacity / ALPHA_MIN).clamp_min(1.0).log()  # o exp(-sigma) = 1/255 at 2 sigma = 2 ln(255 o)
-    variance = s.cov.diagonal(dim1=1, dim2=2)
-    return Projection(
-        uv=torch.stack([u, v], dim=-1),
-        conic=torch.stack([s.Q[:, 0, 0], s.Q[:, 0, 1], s.Q[:, 1, 1]], dim=-1),
-        depth_m=s.depth_m,
-        opacity=opacity,
-        extent_px=(reach[:, None] * variance).sqrt(),
-        visible=s.in_front & (opacity >= ALPHA_MIN),
-    )
+    extent_px = (reach[:, None] * s.cov.diagonal(dim1=1, dim2=2)).sqrt()
+    uv = torch.stack([u, v], dim=-1)
+    finite = s.depth_m.isfinite() & ((uv.abs() < FARTHEST_PX) & (extent_px < FARTHEST_PX)).all(1)  # false for a NaN
+    values = {
+        "uv": uv,
+        "conic": torch.stack([s.Q[:, 0, 0], s.Q[:, 0, 1], s.Q[:, 1, 1]], dim=-1),
+        "depth_m": s.depth_m,
+        "opacity": opacity,
+        "extent_px": extent_px,
+    }
+    columns = {name: torch.where(finite.view(-1, *[1] * (x.ndim - 1)), x, 0.0) for name, x in values.items()}
+    return Projection(**columns, visible=s.in_front & finite & (opacity >= ALPHA_MIN))
 
 
 def project_gaussians_vjp(

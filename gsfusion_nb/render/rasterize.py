@@ -1,16 +1,19 @@
 """The whole renderer: project, colour, tile lists, composite; and its gradient, stage by stage in reverse."""
 
+import dataclasses
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from ..backends import Record, op
-from ..checks import check_mask
+from ..checks import check_positive
 from ..geometry.spherical_harmonics import sh_to_rgb, sh_to_rgb_vjp
+from ..operands import MASK, check_gaussians, check_operand, check_view
 from ..types import Camera, GaussianParams, RenderOutput
-from .composite import composite, composite_vjp
+from .composite import check_image_gradients, composite, composite_vjp
 from .project import project_gaussians, project_gaussians_vjp
 from .tiles import tile_intersections
 
@@ -22,6 +25,8 @@ class RenderSaved(Record):
     params: GaussianParams
     camera: Camera
     T_WC: Float[Tensor, "4 4"]
+    drawn: Bool[Tensor, " N"]
+    """Rows that may be in the picture."""
     composite: Record
 
 
@@ -29,7 +34,8 @@ def render(params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"]) -
     """Draw the Gaussian map from a camera: colour, blended depth, alpha, first and dominant Gaussian.
 
     Args:
-        params: The map; any number of rows, also none; float32 or float64.
+        params: The map; any number of rows, also none; float32 or float64. A Gaussian whose centre, size, opacity or
+            colour is NaN or infinite is not drawn and has zero gradient.
         camera: Pinhole camera, any image size.
         T_WC: Camera-to-world pose.
 
@@ -39,7 +45,35 @@ def render(params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"]) -
     return render_forward(params, camera, T_WC)[0]
 
 
-@op("rasterize")
+def check_render(
+    params: Any,
+    camera: Any,
+    T_WC: Any,
+    *,
+    with_indices: bool = True,
+    opaque_alpha: float | None = None,
+    pixels: Any = None,
+) -> None:
+    """Raise ``ValueError`` for what ``render_forward`` does not take."""
+    check_gaussians(params)
+    check_view(camera, T_WC, params.xyz_W.device)
+    if opaque_alpha is not None:
+        check_positive("opaque_alpha", opaque_alpha)
+    if pixels is not None:
+        check_operand("pixels", pixels, (camera.height, camera.width), dtypes=MASK, device=params.xyz_W.device)
+
+
+def check_render_vjp(saved: Any, v_rgb: Any, v_depth_m: Any = None, v_alpha: Any = None, *, rows: Any = None) -> None:
+    """Raise ``ValueError`` for what ``render_vjp`` does not take."""
+    if not isinstance(saved, Record) or not hasattr(saved, "params"):
+        raise ValueError(f"saved: the record that render_forward returns was expected, got {type(saved).__name__}")
+    params, camera = saved.params, saved.camera
+    check_image_gradients(camera, v_rgb, v_depth_m, v_alpha, params.xyz_W.device)
+    if rows is not None:
+        check_operand("rows", rows, (len(params),), dtypes=MASK, device=params.xyz_W.device)
+
+
+@op("rasterize", check_render)
 def render_forward(
     params: GaussianParams,
     camera: Camera,
@@ -65,7 +99,9 @@ def render_forward(
     with torch.no_grad():
         T_WC = T_WC.to(params.xyz_W)
         projection = project_gaussians(params, camera, T_WC)
-        rgb = sh_to_rgb(params.sh, params.xyz_W, T_WC[:3, 3])
+        drawn = projection.visible & params.sh.isfinite().all(2).all(1)
+        projection = dataclasses.replace(projection, visible=drawn)
+        rgb = torch.where(drawn[:, None], sh_to_rgb(params.sh, params.xyz_W, T_WC[:3, 3]), 0.0)
         tiles = tile_intersections(projection, camera, pixels=pixels)
         image = composite(
             projection.uv,
@@ -86,10 +122,10 @@ def render_forward(
         dominant_index=image.dominant_index,
         hit_index=image.hit_index,
     )
-    return output, RenderSaved(params=params, camera=camera, T_WC=T_WC, composite=image.saved)
+    return output, RenderSaved(params=params, camera=camera, T_WC=T_WC, drawn=drawn, composite=image.saved)
 
 
-@op("rasterize")
+@op("rasterize", check_render_vjp)
 def render_vjp(
     saved: RenderSaved,
     v_rgb: Float[Tensor, "H W 3"],
@@ -111,8 +147,6 @@ def render_vjp(
     Raises:
         ValueError: ``rows`` is not boolean or not of the length of the parameters.
     """
-    if rows is not None:
-        check_mask("rows", rows, (len(saved.params),))
     params = saved.params
     with torch.no_grad():
         v = composite_vjp(saved.composite, v_rgb, v_depth_m, v_alpha)
@@ -125,9 +159,8 @@ def render_vjp(
         "opacity_logit": g.opacity_logit,
         "sh": v_sh,
     }
-    if rows is not None:
-        for value in gradient.values():
-            value[~rows] = 0.0
+    for value in gradient.values():
+        value[~saved.drawn if rows is None else ~(saved.drawn & rows)] = 0.0
     return GaussianParams(**gradient)
 
 

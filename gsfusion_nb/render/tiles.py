@@ -1,14 +1,15 @@
 """Which Gaussians touch which screen tile, nearest first (Kerbl et al. 2023, section 6)."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Int
 from torch import Tensor
 
 from ..backends import op
-from ..checks import check_mask
 from ..constants import TILE_PX
+from ..operands import INTEGERS, MASK, check_camera, check_operand
 from ..types import Camera
 from .project import Projection
 
@@ -28,6 +29,29 @@ class TileLists:
     pixels: Bool[Tensor, "H W"] | None = None
     """Pixels to be drawn; ``None`` stands for all. Tiles without any have empty lists."""
 
+    def check(self, n: int, camera: Camera) -> None:
+        """Raise ``ValueError`` unless these are lists of ``n`` Gaussians on the image of ``camera``."""
+        tiles = (-(-camera.width // self.tile_px), -(-camera.height // self.tile_px))
+        if (self.tiles_x, self.tiles_y) != tiles:
+            raise ValueError(
+                f"tiles must be {tiles[0]} x {tiles[1]} for this camera, got {self.tiles_x} x {self.tiles_y}"
+            )
+        check_operand("tiles.gaussian", self.gaussian, ("I",), dtypes=INTEGERS)
+        device = self.gaussian.device
+        check_operand("tiles.offset", self.offset, (tiles[0] * tiles[1] + 1,), dtypes=INTEGERS, device=device)
+        if self.pixels is not None:
+            check_operand("tiles.pixels", self.pixels, (camera.height, camera.width), dtypes=MASK, device=device)
+        if device.type != "cpu":
+            return
+        if len(self.gaussian) and not 0 <= int(self.gaussian.min()) <= int(self.gaussian.max()) < n:
+            raise ValueError(
+                f"tiles must name rows of the {n} Gaussians, got {int(self.gaussian.max())}: another map's?"
+            )
+        if int(self.offset[0]) != 0 or int(self.offset[-1]) != len(self.gaussian) or (self.offset.diff() < 0).any():
+            raise ValueError(
+                f"tiles.offset must rise from 0 to the {len(self.gaussian)} entries, as tile_intersections makes it"
+            )
+
     def gaussians_of(self, tile: int) -> Int[Tensor, " K"]:
         """The list of one tile, nearest first."""
         return self.gaussian[self.offset[tile] : self.offset[tile + 1]]
@@ -42,7 +66,23 @@ class TileLists:
         return top + y, left + x
 
 
-@op("binning")
+def check_tiles(projection: Any, camera: Any, *, tile_px: int = TILE_PX, pixels: Any = None) -> None:
+    """Raise ``ValueError`` for what ``tile_intersections`` does not take."""
+    if not isinstance(projection, Projection):
+        raise ValueError(f"projection must be a Projection, got {type(projection).__name__}")
+    check_camera(camera)
+    check_operand("uv", projection.uv, ("N", 2))
+    n, device, dtype = len(projection.uv), projection.uv.device, projection.uv.dtype
+    for name, shape in (("conic", (n, 3)), ("depth_m", (n,)), ("opacity", (n,)), ("extent_px", (n, 2))):
+        check_operand(name, getattr(projection, name), shape, dtypes=(dtype,), device=device)
+    check_operand("visible", projection.visible, (n,), dtypes=MASK, device=device)
+    if not isinstance(tile_px, int) or tile_px < 1:
+        raise ValueError(f"tile_px must be a whole number of at least 1, got {tile_px}")
+    if pixels is not None:
+        check_operand("pixels", pixels, (camera.height, camera.width), dtypes=MASK, device=device)
+
+
+@op("binning", check_tiles)
 def tile_intersections(
     projection: Projection, camera: Camera, *, tile_px: int = TILE_PX, pixels: Bool[Tensor, "H W"] | None = None
 ) -> TileLists:
@@ -62,8 +102,6 @@ def tile_intersections(
 
     Differentiable: no (a list; the gradient at its border is of the size of the 1/255 cut).
     """
-    if pixels is not None:
-        check_mask("pixels", pixels, (camera.height, camera.width))
     nearest_first = projection.depth_m.argsort(stable=True)
     nearest_first = nearest_first[projection.visible[nearest_first]]
     low = (projection.uv - projection.extent_px)[nearest_first]

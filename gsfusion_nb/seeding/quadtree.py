@@ -1,15 +1,16 @@
 """The image quadtree of GSFusion (section III-B.1): small cells where the picture varies, large ones elsewhere."""
 
 from dataclasses import dataclass, fields
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 from jaxtyping import Float, Int, Shaped, UInt8
 from torch import Tensor
 
 from ..backends import op
-from ..checks import check_shape
+from ..checks import check_number
 from ..constants import LUMA_WEIGHTS, QUADTREE_NORMALISER
+from ..operands import check_operand
 
 Cell = tuple[int, int, int, int]
 """First column, first row, width, height, pixels."""
@@ -55,7 +56,22 @@ class Cells:
         return self.width * self.height
 
 
-@op("quadtree")
+def check_quadtree(rgb_u8: Any, *, threshold: float = 0.1, min_cell_px: int = 1, contrast: str = "released") -> None:
+    """Raise ``ValueError`` for what ``quadtree`` does not take."""
+    check_operand("rgb_u8", rgb_u8, ("H", "W", 3), dtypes=(torch.uint8,))
+    if rgb_u8.numel() == 0:
+        raise ValueError(f"rgb_u8 must have at least one pixel, got {list(rgb_u8.shape)}")
+    check_number("threshold", threshold)
+    if not threshold >= 0:
+        raise ValueError(f"threshold must be >= 0, got {threshold}")
+    check_number("min_cell_px", min_cell_px)
+    if min_cell_px < 1:
+        raise ValueError(f"min_cell_px must be >= 1, got {min_cell_px}")
+    if contrast not in ("released", "std"):
+        raise ValueError(f"contrast must be 'released' or 'std', got {contrast!r}")
+
+
+@op("quadtree", check_quadtree)
 def quadtree(
     rgb_u8: UInt8[Tensor, "H W 3"],
     *,
@@ -87,7 +103,6 @@ def quadtree(
 
     Source: GSFusion section III-B.1; contrast, cutting and order as in the released code.
     """
-    check_arguments(rgb_u8, threshold, min_cell_px, contrast)
     H, W = rgb_u8.shape[:2]
 
     def is_cut(x0: int, y0: int, w: int, h: int) -> bool:
@@ -121,18 +136,3 @@ def cut(x0: int, y0: int, width: int, height: int) -> list[Cell]:
         (x0 + w, y0, width - w, h),
         (x0 + w, y0 + h, width - w, height - h),
     ]
-
-
-def check_arguments(rgb_u8: Tensor, threshold: float, min_cell_px: int, contrast: str) -> None:
-    """Raise ``ValueError`` for what ``quadtree`` does not take."""
-    check_shape("rgb_u8", rgb_u8, ("H", "W", 3))
-    if rgb_u8.dtype != torch.uint8:
-        raise ValueError(f"rgb_u8 must hold 8-bit colours (torch.uint8), got {rgb_u8.dtype}")
-    if rgb_u8.numel() == 0:
-        raise ValueError(f"rgb_u8 must have at least one pixel, got {list(rgb_u8.shape)}")
-    if not threshold >= 0:
-        raise ValueError(f"threshold must be >= 0, got {threshold}")
-    if min_cell_px < 1:
-        raise ValueError(f"min_cell_px must be >= 1, got {min_cell_px}")
-    if contrast not in ("released", "std"):
-        raise ValueError(f"contrast must be 'released' or 'std', got {contrast!r}")

@@ -1,13 +1,16 @@
 """Projective association, the point-to-plane residual with its Jacobian, and their sums (Peng et al. 2024, Eq. 10)."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from ..backends import op
+from ..checks import check_number, check_positive
 from ..geometry import depth_to_points, project, se3
+from ..operands import check_operand, check_view
 from .pyramid import DepthLevel
 from .surface import Surface
 
@@ -128,7 +131,36 @@ def depth_weight(depth_m: Float[Tensor, "*N"], even_to_m: float | None) -> Float
     return ((even_to_m / depth_m.clamp_min(1e-6)) ** 4).clamp(max=1.0)
 
 
-@op("icp")
+def check_icp(
+    level: Any,
+    T_WC: Any,
+    surface: Any,
+    *,
+    max_distance_m: float,
+    min_cosine: float,
+    even_to_m: float | None = None,
+) -> None:
+    """Raise ``ValueError`` for what ``icp_system`` does not take."""
+    for name, kind, value in (("level", DepthLevel, level), ("surface", Surface, surface)):
+        if not isinstance(value, kind):
+            raise ValueError(f"{name} must be a {kind.__name__}, got {type(value).__name__}")
+    check_operand("depth_m", level.depth_m, (level.camera.height, level.camera.width))
+    device = level.depth_m.device
+    check_view(level.camera, T_WC, device)
+    images = {"normal_C": level.normal_C}
+    surface_images = {"depth_m of the surface": surface.depth_m, "normal_W of the surface": surface.normal_W}
+    for camera, both in ((level.camera, images), (surface.camera, surface_images)):
+        for name, image in both.items():
+            channels = (3,) if "normal" in name else ()
+            check_operand(name, image, (camera.height, camera.width, *channels), device=device)
+    check_view(surface.camera, surface.T_WC, device)
+    check_positive("max_distance_m", max_distance_m)
+    check_number("min_cosine", min_cosine)
+    if even_to_m is not None:
+        check_positive("even_to_m", even_to_m)
+
+
+@op("icp", check_icp)
 def icp_system(
     level: DepthLevel,
     T_WC: Float[Tensor, "4 4"],

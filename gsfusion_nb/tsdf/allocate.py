@@ -1,5 +1,7 @@
 """Which voxel blocks a depth image needs: those that the viewing rays cross inside the truncation band."""
 
+from typing import Any
+
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
@@ -7,8 +9,9 @@ from torch import Tensor
 from ..backends import op
 from ..checks import check_pose
 from ..geometry import pixel_grid, rays, se3
+from ..operands import check_frame_on
 from ..types import Frame
-from .volume import TsdfVolume
+from .volume import TsdfVolume, check_volume
 
 OUTLIER_RATIO = 0.05
 """A neighbour supports a depth pixel if it differs by less than this part of its depth."""
@@ -23,7 +26,14 @@ def allocate(volume: TsdfVolume, frame: Frame) -> Int[Tensor, " K"]:
     return volume.add_blocks(band_blocks(volume, frame))
 
 
-@op("allocate")
+def check_band(volume: Any, frame: Any) -> None:
+    """Raise ``ValueError`` for what ``band_blocks`` does not take."""
+    check_volume(volume)
+    check_frame_on(frame, volume.device)
+    check_pose("T_WC", frame.T_WC)
+
+
+@op("allocate", check_band)
 def band_blocks(volume: TsdfVolume, frame: Frame) -> Int[Tensor, "N 3"]:
     """Coordinates of all blocks that the band of any pixel's ray crosses, each once, sorted by x, y, z.
 
@@ -35,7 +45,6 @@ def band_blocks(volume: TsdfVolume, frame: Frame) -> Int[Tensor, "N 3"]:
         ValueError: the pose is not rigid.
     """
     config, depth_m = volume.config, frame.depth_m
-    check_pose("T_WC", frame.T_WC)
     used = (depth_m > 0) & (depth_m >= config.near_m) & (depth_m <= config.far_m)
     if config.outlier_guard:
         used &= has_support(depth_m)

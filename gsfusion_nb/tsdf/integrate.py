@@ -1,18 +1,20 @@
 """Fold one RGB-D frame into the volume (GSFusion III-B.1, Eq. 6-9; Curless & Levoy 1996)."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from ..backends import op
+from ..checks import check_pose
 from ..config import TsdfConfig
 from ..geometry import project, se3
+from ..operands import check_frame_on
 from ..types import Camera, Frame
 from .allocate import allocate
-from .volume import TsdfSample, TsdfVolume
+from .volume import TsdfSample, TsdfVolume, check_volume
 
 INT16_ONE = 32767.0
 """D = 1 in the released code's whole numbers."""
@@ -87,7 +89,15 @@ def integrate(volume: TsdfVolume, frame: Frame) -> IntegrateReport:
     return IntegrateReport(new_blocks=new_rows.shape[0], updated_voxels=fuse_frame_(volume, frame))
 
 
-@op("integrate")
+def check_fuse(volume: Any, frame: Any) -> None:
+    """Raise ``ValueError`` for what ``fuse_frame_`` does not take."""
+    check_volume(volume)
+    check_frame_on(frame, volume.device)
+    if frame.T_WC.device.type == "cpu":
+        check_pose("T_WC", frame.T_WC)
+
+
+@op("integrate", check_fuse)
 def fuse_frame_(volume: TsdfVolume, frame: Frame) -> int:
     """Update the allocated voxels that ``frame`` observes, in place; returns how many it observes."""
     T_CW = se3.inverse(frame.T_WC.double())

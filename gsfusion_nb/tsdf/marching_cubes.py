@@ -1,20 +1,29 @@
 """The surface of the volume as a triangle mesh: marching cubes straight from the sparse blocks."""
 
+from typing import Any
+
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
 from ..backends import op
+from ..checks import check_number
 from ..constants import VOXELS_PER_BLOCK
 from ..types import Mesh
 from .triangle_table import EDGES, triangle_table
-from .volume import CORNERS, VOXELS, TsdfVolume
+from .volume import CORNERS, VOXELS, TsdfVolume, check_volume
 
 BLOCKS_AT_A_TIME = 256
 """Bounds the memory for intermediate results, whatever the size of the map."""
 
 
-@op("marching_cubes")
+def check_mesh(volume: Any, *, min_weight: float = 1.0) -> None:
+    """Raise ``ValueError`` for what ``extract_mesh`` does not take."""
+    check_volume(volume)
+    check_number("min_weight", min_weight)
+
+
+@op("marching_cubes", check_mesh)
 def extract_mesh(volume: TsdfVolume, *, min_weight: float = 1.0) -> Mesh:
     """Marching cubes over the blocks (Lorensen & Cline 1987), with vertices on the zero crossing of D.
 

@@ -1,6 +1,7 @@
 """What a camera sees of the volume: march every ray to the surface (KinectFusion, Newcombe et al. 2011)."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float
@@ -9,8 +10,9 @@ from torch import Tensor
 from ..backends import op
 from ..checks import check_pose
 from ..geometry import pixel_grid, rays, se3
+from ..operands import check_view
 from ..types import Camera
-from .volume import TsdfVolume, corner_gradients, corner_weights
+from .volume import TsdfVolume, check_volume, corner_gradients, corner_weights
 
 STEP = 0.7
 """Part of the stored distance to advance. D was measured along other rays and overstates the true distance."""
@@ -34,7 +36,14 @@ class RaycastOutput:
     """Mean colour, 0..1."""
 
 
-@op("raycast")
+def check_raycast(volume: Any, camera: Any, T_WC: Any) -> None:
+    """Raise ``ValueError`` for what ``raycast`` does not take."""
+    check_volume(volume)
+    check_view(camera, T_WC, volume.D.device)
+    check_pose("T_WC", T_WC)
+
+
+@op("raycast", check_raycast)
 def raycast(volume: TsdfVolume, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RaycastOutput:
     """Depth, normals and colour of the zero crossing of D, as seen from a pose.
 
@@ -52,7 +61,6 @@ def raycast(volume: TsdfVolume, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> R
 
     Differentiable: no.
     """
-    check_pose("T_WC", T_WC)
     T_WC = T_WC.to(volume.device, torch.float32)
     H, W, n = camera.height, camera.width, camera.height * camera.width
     depth_m, normal_W, rgb = (torch.zeros(n, *channels, device=volume.device) for channels in ((), (3,), (3,)))

@@ -13,6 +13,7 @@ from ..backends import op
 from ..checks import check_shape
 from ..config import TsdfConfig, from_dict, to_dict
 from ..constants import BLOCK_VOXELS, GROWTH, VOXELS_PER_BLOCK
+from ..operands import check_operand
 from .morton import encode
 from .octree import BlockIndex
 
@@ -259,10 +260,21 @@ class TsdfVolume:
         )
 
 
-@op("sample")
+def check_volume(volume: Any) -> None:
+    """Raise ``ValueError`` unless this is a volume."""
+    if not isinstance(volume, TsdfVolume):
+        raise ValueError(f"volume must be a TsdfVolume, got {type(volume).__name__}")
+
+
+def check_sample(volume: Any, xyz_W: Any) -> None:
+    """Raise ``ValueError`` for what ``sample_voxels`` does not take."""
+    check_volume(volume)
+    check_operand("xyz_W", xyz_W, ("N", 3), device=volume.D.device)
+
+
+@op("sample", check_sample)
 def sample_voxels(volume: TsdfVolume, xyz_W: Float[Tensor, "N 3"]) -> TsdfSample:
     """Values of the voxels that contain the points; the operation behind ``TsdfVolume.sample_nearest``."""
-    check_shape("xyz_W", xyz_W, ("N", 3))
     at = volume.find_voxels(volume.voxel_index(xyz_W))
     known, at = at >= 0, at[at >= 0]
     D, W, rgb = xyz_W.new_ones(len(known)), xyz_W.new_zeros(len(known)), xyz_W.new_zeros(len(known), 3)

@@ -9,7 +9,6 @@ from typing import Annotated, NamedTuple
 import torch
 from torch import Tensor
 
-from gsfusion_nb.checks import check_pose
 from gsfusion_nb.tsdf.allocate import OUTLIER_RATIO
 from gsfusion_nb.tsdf.allocate import band_blocks as reference
 from gsfusion_nb.tsdf.morton import BITS, OFFSET
@@ -69,7 +68,6 @@ def band_blocks(volume: TsdfVolume, frame: Frame) -> Tensor:
     device = device_of("band_blocks", volume=volume.D, depth_m=frame.depth_m)
     check_dtype("band_blocks", torch.float32, depth_m=frame.depth_m)
     pose = frame.T_WC.detach().cpu()
-    check_pose("T_WC", pose)
     config, camera, T = volume.config, frame.camera, pose.double()
     position = T[:3, 3] / volume.block_size_m
     base = position.floor()

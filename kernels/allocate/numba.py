@@ -14,7 +14,6 @@ import torch
 from numba import njit, prange
 from torch import Tensor
 
-from gsfusion_nb.checks import check_pose
 from gsfusion_nb.tsdf.allocate import OUTLIER_RATIO
 from gsfusion_nb.tsdf.allocate import band_blocks as reference
 from gsfusion_nb.tsdf.volume import TsdfVolume
@@ -76,7 +75,6 @@ def band_blocks(volume: TsdfVolume, frame: Frame) -> Tensor:
     depth_m, config, camera = frame.depth_m, volume.config, frame.camera
     if depth_m.dtype != torch.float32 or depth_m.device.type != "cpu":
         return reference.reference(volume, frame)
-    check_pose("T_WC", frame.T_WC)
     width, height = camera.width, camera.height
     x, y = ray_slopes(camera)
     slopes = np.zeros(-(-width // 16) * 16, np.float32), y.numpy()

@@ -15,7 +15,6 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from gsfusion_nb.checks import check_pose
 from gsfusion_nb.tsdf.allocate import OUTLIER_RATIO
 from gsfusion_nb.tsdf.allocate import band_blocks as reference
 from gsfusion_nb.tsdf.volume import TsdfVolume
@@ -43,7 +42,6 @@ def band_blocks(volume: TsdfVolume, frame: Frame) -> Tensor:
     device = device_of("band_blocks", volume=volume.D, depth_m=frame.depth_m)
     config, camera = volume.config, frame.camera
     pose = frame.T_WC.detach().cpu()
-    check_pose("T_WC", pose)
     depth_m = frame.depth_m.detach().contiguous()
     total = depth_m.numel()
     programs = parts(total, _BLOCK)

@@ -15,6 +15,9 @@ from ..runtime.gpu import parts
 
 _SHORT_TILES = 1 << 15
 
+MOST_PAIRS = 1 << 31
+"""Kernels number pairs with 32 bits."""
+
 
 class TileGrid(NamedTuple):
     """An image cut into tiles of ``edge`` x ``edge`` pixels."""
@@ -87,8 +90,7 @@ def list_tiles(
     ordered_count = count.index_select(0, order)
     end = ordered_count.cumsum(0)  # int64
     total = int(end[-1]) if len(depth) else 0
-    if total >= 1 << 31:
-        raise ValueError(f"render_forward: {total} (Gaussian, tile) pairs are more than 2^31; draw a smaller image")
+    check_pairs(total)
     number = torch.int16 if grid.n_tiles < _SHORT_TILES else torch.int32
     tile, ids = (torch.empty(total, dtype=dtype, device=depth.device) for dtype in (number, torch.int32))
     write_pairs(Pairs(order=order, count=count, ordered_count=ordered_count, end=end, tile=tile, ids=ids))
@@ -105,3 +107,12 @@ def active_tiles(pixels: Tensor, edge: int) -> tuple[Tensor, Tensor]:
     padded = torch.nn.functional.pad(pixels, (0, -W % edge, 0, -H % edge))
     active = padded.unflatten(1, (-1, edge)).unflatten(0, (-1, edge)).any(3).any(1).contiguous()
     return active, torch.nn.functional.pad(active.cumsum(1, dtype=torch.int32), (1, 0)).contiguous()
+
+
+def check_pairs(total: int) -> None:
+    """Raise ``ValueError`` if there are more (Gaussian, tile) pairs than kernels can number."""
+    if total >= MOST_PAIRS:
+        raise ValueError(
+            f"render_forward: {total} (Gaussian, tile) pairs are more than 2^31; draw a smaller image, "
+            "or a map of smaller Gaussians"
+        )

@@ -10,7 +10,6 @@ import torch
 from jaxtyping import Bool
 from torch import Tensor
 
-from gsfusion_nb.checks import check_mask
 from gsfusion_nb.constants import ALPHA_MIN, TILE_PX
 from gsfusion_nb.render.project import Projection
 from gsfusion_nb.render.tiles import TileLists
@@ -21,8 +20,6 @@ def tile_intersections(
     projection: Projection, camera: Camera, *, tile_px: int = TILE_PX, pixels: Bool[Tensor, "H W"] | None = None
 ) -> TileLists:
     """See ``gsfusion_nb.render.tile_intersections``."""
-    if pixels is not None:
-        check_mask("pixels", pixels, (camera.height, camera.width))
     tiles_x, tiles_y = -(-camera.width // tile_px), -(-camera.height // tile_px)
     u, v = projection.uv.unbind(-1)
     e_u, e_v = projection.extent_px.unbind(-1)

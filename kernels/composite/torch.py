@@ -13,7 +13,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from gsfusion_nb.backends import Record
-from gsfusion_nb.checks import check_positive
 from gsfusion_nb.constants import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
 from gsfusion_nb.render.composite import CompositeGradient, CompositeOutput
 from gsfusion_nb.render.tiles import TileLists
@@ -35,6 +34,7 @@ class TorchSaved(Record):
     """What ``composite_vjp`` needs of the forward pass."""
 
     backend = "torch"
+    camera: Camera
     tiles: TileLists
     entries: Entries
     opacity: Float[Tensor, " N"]
@@ -57,11 +57,9 @@ def composite(
     opaque_alpha: float | None = None,
 ) -> CompositeOutput:
     """See ``gsfusion_nb.render.composite``."""
-    if opaque_alpha is not None:
-        check_positive("opaque_alpha", opaque_alpha)
     entries = list_entries(tiles, uv, conic, opacity)
     channels = torch.cat([rgb, depth_m[:, None], torch.ones_like(depth_m)[:, None]], dim=1)
-    saved = TorchSaved(tiles=tiles, entries=entries, opacity=opacity, channels=channels, chunks=[])
+    saved = TorchSaved(camera=camera, tiles=tiles, entries=entries, opacity=opacity, channels=channels, chunks=[])
     functions, scratch = pixel_functions(tiles, uv), Scratch(uv)
     count, P = tiles.tiles_x * tiles.tiles_y, tiles.tile_px**2
     T = image_to_tiles(_light(tiles, camera, uv), tiles).squeeze(1)  # 0 beyond the border

@@ -16,7 +16,6 @@ from numba import njit, prange
 from torch import Tensor
 
 from gsfusion_nb.backends import use_backend
-from gsfusion_nb.checks import check_mask
 from gsfusion_nb.constants import DISC_MAX_OFFSET, DISC_MIN_COSINE
 from gsfusion_nb.render import disc as reference
 from gsfusion_nb.types import Camera, GaussianParams
@@ -71,7 +70,6 @@ def disc_depth(
     if params.xyz_W.dtype != torch.float32:
         with use_backend("torch"):
             return reference.disc_depth(params, camera, T_WC, hit_index, **options)
-    reference.check_discs(len(params), camera, hit_index, max_offset, min_cosine)
     arrays, view, hit = _arrays(params), _view(camera, T_WC), hit_index.long().contiguous().numpy()
     depth, normal = torch.empty(hit.shape), torch.empty(*hit.shape, 3)
     on_plane = torch.empty(hit.shape, dtype=torch.bool)
@@ -97,10 +95,8 @@ def disc_depth_vjp(
     if params.xyz_W.dtype != torch.float32:
         with use_backend("torch"):
             return reference.disc_depth_vjp(params, camera, T_WC, hit_index, v_depth_m, **options, rows=rows)
-    reference.check_discs(len(params), camera, hit_index, max_offset, min_cosine)
     trained = _ALL_ROWS
     if rows is not None:
-        check_mask("rows", rows, (len(params),))
         trained = rows.contiguous().numpy()
     arrays, view, hit = _arrays(params), _view(camera, T_WC), hit_index.long().contiguous().numpy()
     v_depth = v_depth_m.detach().float().contiguous().numpy()

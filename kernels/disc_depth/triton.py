@@ -12,7 +12,6 @@ import triton.language as tl
 from torch import Tensor
 
 from gsfusion_nb.backends import use_backend
-from gsfusion_nb.checks import check_mask, check_positive, check_shape
 from gsfusion_nb.constants import DISC_MAX_OFFSET, DISC_MIN_COSINE
 from gsfusion_nb.render import disc as reference
 from gsfusion_nb.types import Camera, GaussianParams
@@ -43,7 +42,6 @@ def disc_depth(
         with use_backend("torch"):
             return reference.disc_depth(params, camera, T_WC, hit_index, **options)
     device = device_of("disc_depth", **vars(params), hit_index=hit_index)
-    _check(camera, hit_index, max_offset, min_cosine)
     depth, normal = (torch.empty(*hit_index.shape, *n, dtype=torch.float32, device=device) for n in ((), (3,)))
     on_plane = torch.empty(hit_index.shape, dtype=torch.uint8, device=device)
     launch(
@@ -78,9 +76,6 @@ def disc_depth_vjp(
         with use_backend("torch"):
             return reference.disc_depth_vjp(params, camera, T_WC, hit_index, v_depth_m, **options, rows=rows)
     device = device_of("disc_depth_vjp", **vars(params), hit_index=hit_index, v_depth_m=v_depth_m, rows=rows)
-    _check(camera, hit_index, max_offset, min_cosine)
-    if rows is not None:
-        check_mask("rows", rows, (len(params),))
     discs, N = _discs_of(params, T_WC, device), len(params)
     v_disc = torch.zeros(N, _V_DISC.value, dtype=torch.float32, device=device)
     v_xyz, v_quat = (torch.empty(N, n, dtype=torch.float32, device=device) for n in (3, 4))
@@ -103,13 +98,6 @@ def disc_depth_vjp(
         num_warps=4,
     )  # fmt: skip
     return v_xyz, v_quat
-
-
-def _check(camera: Camera, hit_index: Tensor, max_offset: float | None, min_cosine: float) -> None:
-    check_shape("hit_index", hit_index, (camera.height, camera.width))
-    check_positive("min_cosine", min_cosine)
-    if max_offset is not None:
-        check_positive("max_offset", max_offset)
 
 
 def _discs_of(params: GaussianParams, T_WC: Tensor, device: torch.device) -> dict[str, Tensor | int]:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit, prange
 
-from gsfusion_nb.constants import ALPHA_MIN, NEAR_PLANE_M, SCREEN_BLUR_PX2
+from gsfusion_nb.constants import ALPHA_MIN, FARTHEST_PX, NEAR_PLANE_M, SCREEN_BLUR_PX2
 
 from ..binning.tile_windows import FIRST_X, FIRST_Y, LAST_X, LAST_Y
 from ..composite.numba import TILE
@@ -48,6 +48,7 @@ from .splat import (
 f32 = np.float32
 _NEAR = f32(NEAR_PLANE_M)
 _BLUR = f32(SCREEN_BLUR_PX2)
+_FARTHEST, _INFINITE = f32(FARTHEST_PX), f32(np.inf)
 _ALPHA_MIN = f32(ALPHA_MIN)
 _LOG_ALPHA_MIN = f32(math.log(ALPHA_MIN))
 _BEYOND = f32(1.01 * math.sqrt(-2.0 * math.log(ALPHA_MIN)))
@@ -239,12 +240,14 @@ def project_rows(params, cam, wanted, splats, count, noted):
             reach = _TWO * (s[LN_OPACITY] - _LOG_ALPHA_MIN)
             s[DEPTH] = z
             s[EXTENT_U], s[EXTENT_V] = math.sqrt(reach * (uu + _BLUR)), math.sqrt(reach * (vv + _BLUR))
+            small = s[EXTENT_U] < _FARTHEST and s[EXTENT_V] < _FARTHEST
+            if not (abs(u) < _FARTHEST and abs(v) < _FARTHEST and small):
+                continue
             count[i] = tiles_of(
                 s, width, height, windows, noted, part * NOTED_PER_CHUNK + n_noted, NOTED_PER_CHUNK - n_noted
             )
             if count[i] == 0:
                 continue
-            n_noted = min(n_noted + count[i], NOTED_PER_CHUNK)
             dx, dy, dz = X - cam[CENTRE_X], Yw - cam[CENTRE_Y], Z - cam[CENTRE_Z]
             inv = _ONE / max(math.sqrt(dx * dx + dy * dy + dz * dz), f32(1e-12))
             basis_into(dx * inv, dy * inv, dz * inv, K, Y)
@@ -253,6 +256,10 @@ def project_rows(params, cam, wanted, splats, count, noted):
                 red += Y[k] * sh[i, k, 0]
                 green += Y[k] * sh[i, k, 1]
                 blue += Y[k] * sh[i, k, 2]
+            if not (abs(red) < _INFINITE and abs(green) < _INFINITE and abs(blue) < _INFINITE):
+                count[i] = 0
+                continue
+            n_noted = min(n_noted + count[i], NOTED_PER_CHUNK)
             s[RED], s[GREEN], s[BLUE] = max(red, _ZERO), max(green, _ZERO), max(blue, _ZERO)
 
 

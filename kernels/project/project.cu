@@ -93,6 +93,8 @@ __device__ __forceinline__ void project(Params p, ProjectionLens c, float4* spla
     const float reach = 2.0f * fmaxf(reach_of(s.ln_o), 0.0f);
     s.u = c.fx * t.x_z + c.cx, s.v = c.fy * t.y_z + c.cy;
     s.e_u = sqrtf(reach * (uu + blur)), s.e_v = sqrtf(reach * (vv + blur));
+    const float far = GS_FARTHEST_PX, infinite = __int_as_float(0x7f800000);
+    if (!(fabsf(s.u) < far && fabsf(s.v) < far && s.e_u < far && s.e_v < far)) return;  // also a NaN
     const bool across = s.u + s.e_u > 0.0f && s.u - s.e_u < (float)width;
     if (!(across && s.v + s.e_v > 0.0f && s.v - s.e_v < (float)height)) return;
     s.A = (vv + blur) * inv_det, s.B = -uv * inv_det, s.C = (uu + blur) * inv_det;
@@ -102,6 +104,7 @@ __device__ __forceinline__ void project(Params p, ProjectionLens c, float4* spla
     load_coefficients<K>(p.sh, i, h);
 #pragma unroll
     for (int k = 0; k < 3 * K; k++) colour[k % 3] += Y[k / 3] * h[k];
+    if (!(fabsf(colour[0]) < infinite && fabsf(colour[1]) < infinite && fabsf(colour[2]) < infinite)) return;
     depth[i] = t.z;
     splats[SPLAT_VECTORS * (long long)i] = make_float4(s.u, s.v, s.A, s.B);
     splats[SPLAT_VECTORS * (long long)i + 1] = make_float4(s.C, s.ln_o, fmaxf(colour[0], 0.0f), fmaxf(colour[1], 0.0f));

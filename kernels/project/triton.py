@@ -16,7 +16,7 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from gsfusion_nb.constants import ALPHA_MIN, NEAR_PLANE_M, SCREEN_BLUR_PX2
+from gsfusion_nb.constants import ALPHA_MIN, FARTHEST_PX, NEAR_PLANE_M, SCREEN_BLUR_PX2
 from gsfusion_nb.types import Camera, GaussianParams
 
 from ..harmonics.triton import harmonic, harmonic_gradient
@@ -37,6 +37,7 @@ _BLOCK = 128
 _NEAR = tl.constexpr(NEAR_PLANE_M)
 _BLUR = tl.constexpr(SCREEN_BLUR_PX2)
 _BLUR2 = tl.constexpr(SCREEN_BLUR_PX2**2)
+_FARTHEST = tl.constexpr(FARTHEST_PX)
 _ALPHA_MIN = tl.constexpr(ALPHA_MIN)
 _LOG_ALPHA_MIN = tl.constexpr(math.log(ALPHA_MIN))
 
@@ -147,22 +148,25 @@ def _project(
     reach = 2.0 * tl.maximum(ln_o - _LOG_ALPHA_MIN, 0.0)
     u, v = fx * x_z + cx, fy * y_z + cy
     e_u, e_v = tl.sqrt(reach * (uu + _BLUR)), tl.sqrt(reach * (vv + _BLUR))
-    drawn = in_front & (opacity >= _ALPHA_MIN)
+    drawn = row & in_front & (opacity >= _ALPHA_MIN)
+    drawn = drawn & (tl.abs(u) < _FARTHEST) & (tl.abs(v) < _FARTHEST) & (e_u < _FARTHEST) & (e_v < _FARTHEST)
     drawn = drawn & (u + e_u > 0) & (u - e_u < width) & (v + e_v > 0) & (v - e_v < height)
-    tl.store(depth + i, tl.where(drawn, z, float("inf")), mask=row)
 
     distance = tl.maximum(tl.sqrt(X * X + Y * Y + Z * Z), 1e-12)
     X, Y, Z = X / distance, Y / distance, Z / distance
     red, green, blue = 0.5 + 0.0 * X, 0.5 + 0.0 * X, 0.5 + 0.0 * X
     for k in tl.static_range(K):
         basis = harmonic(k, X, Y, Z)
-        h0, h1, h2 = load3(sh, i * K + k, row & drawn)
+        h0, h1, h2 = load3(sh, i * K + k, drawn)
         red, green, blue = red + basis * h0, green + basis * h1, blue + basis * h2
+    infinite = float("inf")
+    drawn = drawn & (tl.abs(red) < infinite) & (tl.abs(green) < infinite) & (tl.abs(blue) < infinite)
+    tl.store(depth + i, tl.where(drawn, z, infinite), mask=row)
 
     s = splats + i * SPLAT
     tl.store(s + U, u, mask=row)
     tl.store(s + V, v, mask=row)
-    tl.store(s + CONIC_A, (vv + _BLUR) * inv_det, mask=row)
+    tl.store(s + CONIC_A, tl.where(drawn, (vv + _BLUR) * inv_det, 0.0), mask=row)
     tl.store(s + CONIC_B, -uv * inv_det, mask=row)
     tl.store(s + CONIC_C, (uu + _BLUR) * inv_det, mask=row)
     tl.store(s + LN_OPACITY, ln_o, mask=row)
@@ -191,18 +195,18 @@ def _project_vjp(
 ):  # fmt: skip
     i = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     row = i < N
-    X, Y, Z = load3(xyz_W, i, row)
-    X, Y, Z, x, y, z = _in_camera(T, X, Y, Z)
-    live = row & (z > _NEAR)
+    live = row & (tl.load(splats + i * SPLAT + CONIC_A, mask=row, other=0.0) > 0)  # 0 where nothing is drawn
     if SOME:
         live = live & (tl.load(trained + i, mask=row, other=0) != 0)
+    X, Y, Z = load3(xyz_W, i, live)
+    X, Y, Z, x, y, z = _in_camera(T, X, Y, Z)
     inv_z = 1.0 / tl.where(z > _NEAR, z, 1.0)
     x_z, y_z = x * inv_z, y * inv_z
     tx = tl.minimum(tl.maximum(x_z, -limit_x), limit_x)
     ty = tl.minimum(tl.maximum(y_z, -limit_y), limit_y)
-    s0, s1, s2 = load3(log_scale, i, row)
+    s0, s1, s2 = load3(log_scale, i, live)
     s0, s1, s2 = tl.exp(s0), tl.exp(s1), tl.exp(s2)
-    q0, q1, q2, q3 = load4(quat, i, row)
+    q0, q1, q2, q3 = load4(quat, i, live)
     norm, b00, b01, b02, b10, b11, b12, b20, b21, b22 = _turned(T, q0, q1, q2, q3)
     b00, b10, b20, b01, b11, b21 = b00 * s0, b10 * s0, b20 * s0, b01 * s1, b11 * s1, b21 * s1
     b02, b12, b22 = b02 * s2, b12 * s2, b22 * s2
@@ -266,7 +270,7 @@ def _project_vjp(
     along = q0 * e0 + q1 * e1 + q2 * e2 + q3 * e3
     e0, e1, e2, e3 = e0 - q0 * along, e1 - q1 * along, e2 - q2 * along, e3 - q3 * along
     store4(v_quat, i, e0 / norm, e1 / norm, e2 / norm, e3 / norm, row)
-    opacity = 1.0 / (1.0 + tl.exp(-tl.load(opacity_logit + i, mask=row, other=0.0)))
+    opacity = 1.0 / (1.0 + tl.exp(-tl.load(opacity_logit + i, mask=live, other=0.0)))
     tl.store(v_opacity_logit + i, tl.load(g + LN_OPACITY, mask=live, other=0.0) * (1.0 - opacity), mask=row)
 
     distance = tl.maximum(tl.sqrt(X * X + Y * Y + Z * Z), 1e-12)

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from gsfusion_nb.constants import QUADTREE_NORMALISER
-from gsfusion_nb.seeding.quadtree import Cells, check_arguments
+from gsfusion_nb.seeding.quadtree import Cells
 
 from ..runtime.cuda.launch import device_of, launch
 from ..runtime.gpu import parts
@@ -51,7 +51,6 @@ def quadtree(
 ) -> Cells:
     """See ``gsfusion_nb.seeding.quadtree``."""
     device = device_of("quadtree", rgb_u8=rgb_u8)
-    check_arguments(rgb_u8, threshold, min_cell_px, contrast)
     height, width = rgb_u8.shape[:2]
     levels = deepest_level(width, height, min_cell_px)
     leaves, total = torch.empty(_ROOT + (4**levels - 1) // 3, dtype=torch.int32, device=device), 1

@@ -11,7 +11,7 @@ from numba import int64, njit, prange
 from torch import Tensor
 
 from gsfusion_nb.constants import QUADTREE_NORMALISER
-from gsfusion_nb.seeding.quadtree import Cells, check_arguments
+from gsfusion_nb.seeding.quadtree import Cells
 
 from ..runtime.numba.launch import launching
 from .levels import (
@@ -46,7 +46,6 @@ def quadtree(
     contrast: Literal["released", "std"] = "released",
 ) -> Cells:
     """See ``gsfusion_nb.seeding.quadtree``."""
-    check_arguments(rgb_u8, threshold, min_cell_px, contrast)
     if rgb_u8.device.type != "cpu":
         return vectorised(rgb_u8, threshold=threshold, min_cell_px=min_cell_px, contrast=contrast)
     image = rgb_u8.contiguous().numpy()

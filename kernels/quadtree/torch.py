@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from gsfusion_nb.constants import QUADTREE_NORMALISER
-from gsfusion_nb.seeding.quadtree import Cells, check_arguments
+from gsfusion_nb.seeding.quadtree import Cells
 
 from .levels import LUMA_DENOMINATOR, LUMA_NUMERATORS, deepest_level
 
@@ -23,7 +23,6 @@ def quadtree(
     contrast: Literal["released", "std"] = "released",
 ) -> Cells:
     """See ``gsfusion_nb.seeding.quadtree``."""
-    check_arguments(rgb_u8, threshold, min_cell_px, contrast)
     H, W = rgb_u8.shape[:2]
     finest = deepest_level(W, H, min_cell_px)
     xs, ys = (_grid_lines(n, finest).to(rgb_u8.device) for n in (W, H))

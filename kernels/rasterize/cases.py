@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from gsfusion_nb.render import render_forward, render_vjp
+from gsfusion_nb.types import GaussianParams
 
 from ..runtime.cases import HEIGHT, WIDTH, Case, make_frame, make_params
 
@@ -27,6 +28,7 @@ def cases() -> Iterator[Case]:
     yield _case("some pixels", masked=True)
     yield _case("some rows", some_rows=True)
     yield _case("some pixels and rows, hits", degree=3, masked=True, some_rows=True, opaque_alpha=OPAQUE)
+    yield _case("rows with NaN, infinities and overflows", degree=1, broken=True, opaque_alpha=OPAQUE)
     for n in (0, 1):
         yield _case(f"{n} Gaussians", n=n, masked=True, some_rows=True, opaque_alpha=OPAQUE)
 
@@ -46,10 +48,13 @@ def _run(
     masked: bool = False,
     some_rows: bool = False,
     gradients: int = 3,
+    broken: bool = False,
     **options,
 ) -> dict[str, Tensor]:
-    """``gradients``: how many of colour, depth and alpha have one."""
+    """``gradients``: how many of colour, depth and alpha have one. ``broken``: some rows must not be drawn."""
     params, frame = make_params(degree, device, dtype, n), make_frame(device)
+    if broken:
+        break_rows(params)
     g = torch.Generator().manual_seed(1)
     v = [torch.randn(HEIGHT, WIDTH, *size, generator=g).to(device, dtype) for size in ((3,), (), ())]
     pixels = torch.rand(HEIGHT, WIDTH, generator=g) < 0.3
@@ -59,3 +64,19 @@ def _run(
     gradient = render_vjp(saved, *v[:gradients], rows=rows if some_rows else None)
     images = {name: image for name, image in vars(out).items() if image is not None}
     return images | {f"v_{name}": value for name, value in vars(gradient).items()}
+
+
+def break_rows(params: GaussianParams) -> int:
+    """Spoil the first rows in place, each in another way; returns how many."""
+    nan, inf = float("nan"), float("inf")
+    spoilt = (
+        [("xyz_W", value) for value in (nan, inf, -inf)]
+        + [("log_scale", value) for value in (nan, inf, 50.0)]
+        + [("quat", value) for value in (nan, inf)]
+        + [("opacity_logit", value) for value in (nan, -inf)]
+        + [("sh", value) for value in (nan, inf, -inf)]
+    )
+    for row, (name, value) in enumerate(spoilt):
+        column = getattr(params, name)
+        column.view(len(column), -1)[row, -1] = value
+    return len(spoilt)

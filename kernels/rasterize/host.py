@@ -13,7 +13,6 @@ import torch
 from torch import Tensor
 
 from gsfusion_nb.backends import Record, use_backend
-from gsfusion_nb.checks import check_mask, check_positive, check_shape
 from gsfusion_nb.render import rasterize
 from gsfusion_nb.types import Camera, GaussianParams, RenderOutput
 
@@ -85,7 +84,6 @@ def render_forward(
             return rasterize.render_forward(params, camera, T_WC, **options)
     device = kernels.device_of("render_forward", **vars(params), pixels=pixels)
     check_dtype("render_forward", torch.float32, **vars(params))
-    check_options(camera, opaque_alpha, pixels)
     pose = packed(T_WC.to(device, torch.float32))
     splats, depth = kernels.project(params, camera, pose)
     out = blank(camera, device, with_indices=with_indices, with_hits=opaque_alpha is not None)
@@ -117,7 +115,6 @@ def render_vjp(
     Raises:
         ValueError: the picture is of another backend, tensors are on several devices, a mask is wrong.
     """
-    _check_gradients(picture, v_rgb, v_depth_m, v_alpha, rows)
     tensors = {"v_rgb": v_rgb, "v_depth_m": v_depth_m, "v_alpha": v_alpha, "rows": rows}
     device = kernels.device_of("render_vjp", picture=picture.splats, **tensors)
     v_depth, v_opacity = (None if v is None else packed(v.float()) for v in (v_depth_m, v_alpha))
@@ -133,14 +130,6 @@ def as_bytes(mask: Tensor | None) -> Tensor | None:
     return None if mask is None else packed(mask).view(torch.uint8)
 
 
-def check_options(camera: Camera, opaque_alpha: float | None, pixels: Tensor | None) -> None:
-    """Raise ``ValueError`` unless the options of ``render_forward`` fit."""
-    if opaque_alpha is not None:
-        check_positive("opaque_alpha", opaque_alpha)
-    if pixels is not None:
-        check_mask("pixels", pixels, (camera.height, camera.width))
-
-
 def blank(camera: Camera, device: torch.device, *, with_indices: bool, with_hits: bool) -> RenderOutput:
     """An output that a kernel is to fill."""
     size = (camera.height, camera.width)
@@ -150,19 +139,3 @@ def blank(camera: Camera, device: torch.device, *, with_indices: bool, with_hits
     return RenderOutput(
         rgb=rgb, depth_m=depth_m, alpha=alpha, first_index=first, dominant_index=dominant, hit_index=hit
     )
-
-
-def _check_gradients(
-    picture: Picture, v_rgb: Tensor, v_depth_m: Tensor | None, v_alpha: Tensor | None, rows: Tensor | None
-) -> None:
-    """Raise ``ValueError`` unless the arguments of ``render_vjp`` have the sizes of the picture and of its map."""
-    if not isinstance(picture, Picture):
-        kind = type(picture).__name__
-        raise ValueError(f"render_vjp: the record that render_forward returns was expected, got {kind}")
-    size = (picture.camera.height, picture.camera.width)
-    check_shape("v_rgb", v_rgb, (*size, 3))
-    for name, value in (("v_depth_m", v_depth_m), ("v_alpha", v_alpha)):
-        if value is not None:
-            check_shape(name, value, size)
-    if rows is not None:
-        check_mask("rows", rows, (len(picture.params),))

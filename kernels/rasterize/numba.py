@@ -14,11 +14,11 @@ import torch
 from torch import Tensor
 
 from gsfusion_nb.backends import Record, use_backend
-from gsfusion_nb.checks import check_mask
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.render import rasterize
 from gsfusion_nb.types import Camera, GaussianParams, RenderOutput
 
+from ..binning.host import check_pairs
 from ..binning.numba import depth_order, list_tiles, sort_pairs, tile_windows
 from ..composite.numba import (
     TILE,
@@ -32,7 +32,7 @@ from ..composite.sums import PAIR_SUMS
 from ..project.numba import CHUNK, NOTED_PER_CHUNK, Params, pack_camera, project_rows, project_rows_vjp
 from ..project.splat import SPLAT
 from ..runtime.numba.launch import launching, scratch
-from .host import blank, check_options
+from .host import blank
 
 _NO_IMAGE = np.empty((0, 0), np.float32)
 _NO_INDEX = np.empty((0, 0), np.int64)
@@ -46,7 +46,8 @@ class NumbaSaved(Record):
 
     backend = "numba"
     params: GaussianParams
-    camera: np.ndarray
+    camera: Camera
+    lens: np.ndarray
     splats: np.ndarray
     start: np.ndarray
     """Slots of row i in the lists: from ``start[i]`` to ``start[i + 1]``."""
@@ -70,7 +71,6 @@ def render_forward(
             return rasterize.render_forward(
                 params, camera, T_WC, with_indices=with_indices, opaque_alpha=opaque_alpha, pixels=pixels
             )
-    check_options(camera, opaque_alpha, pixels)
     drawn = _ALL_PIXELS if pixels is None else pixels.contiguous().numpy()
     arrays = Params(*(t.detach().contiguous().numpy() for t in _tensors(params)))
     T = T_WC.detach().double()
@@ -85,6 +85,7 @@ def render_forward(
         wanted = tile_windows(drawn, W, H)
         noted = scratch("noted_tiles", -(-N // CHUNK) * NOTED_PER_CHUNK).view(np.int32)
         project_rows(arrays, cam, wanted, splats, count, noted)
+        check_pairs(int(count.sum(dtype=np.int64)))
         start = np.zeros(N + 1, np.int32)
         np.cumsum(count, out=start[1:])
         pair_tile = scratch("pair_tile", int(start[-1])).view(np.int32)
@@ -92,7 +93,9 @@ def render_forward(
         order = depth_order(splats, count)
         lists = sort_pairs(order, start, pair_tile, -(-W // TILE) * -(-H // TILE))
         composite_forward(splats, lists, drawn, image, indices, np.float32(opaque_alpha or 1.0))
-    saved = NumbaSaved(params=params, camera=cam, splats=splats, start=start, lists=lists, image=image, pixels=drawn)
+    saved = NumbaSaved(
+        params=params, camera=camera, lens=cam, splats=splats, start=start, lists=lists, image=image, pixels=drawn
+    )
     return out, saved
 
 
@@ -107,7 +110,6 @@ def render_vjp(
     """See ``gsfusion_nb.render.render_vjp``."""
     trained = _ALL_ROWS
     if rows is not None:
-        check_mask("rows", rows, (len(saved.params),))
         trained = rows.contiguous().numpy()
     arrays = Params(*(t.detach().contiguous().numpy() for t in _tensors(saved.params)))
     out = [torch.empty_like(t, memory_format=torch.contiguous_format) for t in _tensors(saved.params)]
@@ -116,7 +118,7 @@ def render_vjp(
         pair_sums = scratch("pair_sums", len(saved.lists.ids) * PAIR_SUMS).reshape(-1, PAIR_SUMS)
         composite_backward(saved.splats, saved.lists, saved.pixels, trained, saved.image, Image(*v_image), pair_sums)
         results = Params(*(t.numpy() for t in out))
-        project_rows_vjp(arrays, saved.camera, saved.splats, saved.start, trained, pair_sums, results)
+        project_rows_vjp(arrays, saved.lens, saved.splats, saved.start, trained, pair_sums, results)
     names = ("xyz_W", "log_scale", "quat", "opacity_logit", "sh")
     return GaussianParams(**dict(zip(names, out, strict=True)))
 

@@ -11,7 +11,6 @@ import torch
 from numba import int32, int64, njit, prange
 from torch import Tensor
 
-from gsfusion_nb.checks import check_pose
 from gsfusion_nb.constants import VOXELS_PER_BLOCK
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.tsdf.raycast import CLOSE_VOXELS, REFINEMENTS, STEP, RaycastOutput
@@ -71,7 +70,6 @@ def raycast(volume: TsdfVolume, camera: Camera, T_WC: Tensor) -> RaycastOutput:
     lookup = volume.index.table
     if volume.D.dtype != torch.float32 or volume.device.type != "cpu" or lookup is None:
         return reference.reference(volume, camera, T_WC)
-    check_pose("T_WC", T_WC)
     depth, normal, rgb = (torch.empty(camera.height, camera.width, *n) for n in ((), (3,), (3,)))
     x, y = ray_slopes(camera)
     pose = T_WC.detach().cpu()

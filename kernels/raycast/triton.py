@@ -12,7 +12,6 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from gsfusion_nb.checks import check_pose
 from gsfusion_nb.tsdf.raycast import CLOSE_VOXELS, REFINEMENTS, STEP, RaycastOutput
 from gsfusion_nb.tsdf.raycast import raycast as reference
 from gsfusion_nb.tsdf.volume import TsdfVolume
@@ -42,7 +41,6 @@ def raycast(volume: TsdfVolume, camera: Camera, T_WC: Tensor) -> RaycastOutput:
         return reference.reference(volume, camera, T_WC)
     device = device_of("raycast", volume=volume.D)
     pose = T_WC.detach().cpu()
-    check_pose("T_WC", pose)
     H, W = camera.height, camera.width
     depth, normal, rgb = (torch.zeros(H, W, *n, dtype=torch.float32, device=device) for n in ((), (3,), (3,)))
     if lookup is not None:

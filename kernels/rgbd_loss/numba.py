@@ -69,6 +69,12 @@ def _sums(rgb, depth, target_rgb, target_depth, pixels, limit):
     return rows.sum(axis=0)
 
 
+@njit(inline="always")
+def _sign(gap):
+    """0 for a NaN."""
+    return f32(1.0) if gap > f32(0.0) else (f32(-1.0) if gap < f32(0.0) else f32(0.0))
+
+
 @njit(parallel=True, cache=True, error_model="numpy")
 def _write(rgb, depth, target_rgb, target_depth, pixels, limit, scale_rgb, scale_depth, v_rgb, v_depth):
     """The two gradient images; every pixel is written."""
@@ -81,6 +87,6 @@ def _write(rgb, depth, target_rgb, target_depth, pixels, limit, scale_rgb, scale
             if not pixels[y, x]:
                 continue
             for c in range(3):
-                v_rgb[y, x, c] = scale_rgb * np.sign(rgb[y, x, c] - target_rgb[y, x, c])
+                v_rgb[y, x, c] = scale_rgb * _sign(rgb[y, x, c] - target_rgb[y, x, c])
             if _has_depth_loss(depth[y, x], target_depth[y, x], limit):
-                v_depth[y, x] = scale_depth * np.sign(depth[y, x] - target_depth[y, x])
+                v_depth[y, x] = scale_depth * _sign(depth[y, x] - target_depth[y, x])

@@ -9,7 +9,6 @@ from numba import njit, prange
 from torch import Tensor
 
 from gsfusion_nb.backends import use_backend
-from gsfusion_nb.checks import check_shape
 from gsfusion_nb.tsdf import TsdfSample, TsdfVolume
 from gsfusion_nb.tsdf import sample_voxels as reference
 
@@ -35,7 +34,6 @@ def sample_voxels(volume: TsdfVolume, xyz_W: Tensor) -> TsdfSample:
     if xyz_W.dtype != torch.float32 or volume.device.type != "cpu" or lookup is None:
         with use_backend("reference"):
             return reference(volume, xyz_W)
-    check_shape("xyz_W", xyz_W, ("N", 3))
     n = xyz_W.shape[0]
     D, W, rgb = torch.empty(n), torch.empty(n), torch.empty(n, 3)
     rows, low, size = lookup

@@ -9,7 +9,6 @@ import triton.language as tl
 from torch import Tensor
 
 from gsfusion_nb.backends import use_backend
-from gsfusion_nb.checks import check_shape
 from gsfusion_nb.tsdf import TsdfSample, TsdfVolume
 from gsfusion_nb.tsdf import sample_voxels as reference
 
@@ -28,7 +27,6 @@ def sample_voxels(volume: TsdfVolume, xyz_W: Tensor) -> TsdfSample:
     if xyz_W.dtype != torch.float32 or lookup is None:
         with use_backend("reference"):
             return reference(volume, xyz_W)
-    check_shape("xyz_W", xyz_W, ("N", 3))
     table, low, (blocks_x, blocks_y, blocks_z) = lookup
     device = device_of("sample_voxels", volume=volume.D, xyz_W=xyz_W)
     n = xyz_W.shape[0]

@@ -22,7 +22,7 @@ log = logging.getLogger(__name__)
 
 KERNELS = Path(__file__).parents[2]
 
-_NUMBERS = ("NEAR_PLANE_M", "SCREEN_BLUR_PX2", "ALPHA_MAX", "ALPHA_MIN", "TRANSMITTANCE_MIN")
+_NUMBERS = ("NEAR_PLANE_M", "SCREEN_BLUR_PX2", "ALPHA_MAX", "ALPHA_MIN", "TRANSMITTANCE_MIN", "FARTHEST_PX")
 
 OPTIONS = (
     "-std=c++17",

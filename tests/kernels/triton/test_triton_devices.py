@@ -13,7 +13,7 @@ from gsfusion_nb.optim import dssim_vjp
 
 
 def test_tensors_on_two_devices_are_refused(device):
-    with use_backend("triton"), pytest.raises(ValueError, match="dssim_vjp: all tensors must be on one device"):
+    with use_backend("triton"), pytest.raises(ValueError, match=r"dssim_vjp: target must be on .*, got a tensor on "):
         dssim_vjp(torch.zeros(4, 4, 3, device=device), torch.zeros(4, 4, 3, device="meta"))
 
 

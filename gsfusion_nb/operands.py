@@ -1,0 +1,107 @@
+"""Checks of what operations are given, made before any backend touches memory, with one sentence for all backends.
+
+An operation names its check, ``@op("folder", check)``, a function of the same arguments. It raises ``ValueError``: what
+was expected, what came, what to do. A check looks at shapes, types of numbers and devices, which costs microseconds;
+values are looked at where a wrong one would be read or written outside of memory, and only on the processor, because a
+GPU would have to be waited for. There the kernels leave out what is out of range.
+"""
+
+import math
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from .checks import check_finite, check_shape
+from .types import Camera, Frame, GaussianParams
+
+FLOATS = (torch.float32, torch.float64)
+INTEGERS = (torch.int64, torch.int32)
+MASK = (torch.bool,)
+
+MOST_GAUSSIANS = 1 << 24
+"""Rows that an image of indices can tell apart: kernels carry them as float32."""
+
+
+def check_operand(
+    name: str,
+    value: object,
+    shape: tuple[int | str, ...],
+    *,
+    dtypes: tuple[torch.dtype, ...] = FLOATS,
+    device: torch.device | None = None,
+) -> None:
+    """Raise ``ValueError`` unless ``value`` is a tensor of this shape, of one of the types, on the device.
+
+    Args:
+        name: For the sentence.
+        value: The argument.
+        shape: A string stands for any length.
+        dtypes: Allowed types of numbers.
+        device: Where it must be; anywhere by default.
+    """
+    check_shape(name, value, shape)
+    assert isinstance(value, Tensor)
+    if value.dtype not in dtypes:
+        wanted = "boolean" if dtypes is MASK else " or ".join(str(t) for t in dtypes)
+        raise ValueError(f"{name} must be {wanted}, got {value.dtype}; convert it with .to({dtypes[0]})")
+    if device is None and value.is_meta:
+        raise ValueError(f"{name} must hold numbers, got a tensor on the device meta, which has none")
+    if device is not None and value.device != device:
+        raise ValueError(
+            f"{name} must be on {device}, got a tensor on {value.device}; move it with .to({str(device)!r})"
+        )
+
+
+def check_gaussians(params: Any, like: GaussianParams | None = None) -> None:
+    """Raise ``ValueError`` unless the columns of ``params`` fit together (or, as gradients, those of ``like``)."""
+    if not isinstance(params, GaussianParams):
+        raise ValueError(f"params must be GaussianParams, got {type(params).__name__}")
+    first = params.xyz_W if like is None else like.xyz_W
+    check_operand("xyz_W", params.xyz_W, ("N" if like is None else len(first), 3))
+    n, K = len(first), "K" if like is None else like.sh.shape[1]
+    for name, shape in (("log_scale", (n, 3)), ("quat", (n, 4)), ("opacity_logit", (n,)), ("sh", (n, K, 3))):
+        check_operand(name, getattr(params, name), shape, dtypes=(first.dtype,), device=first.device)
+    if params.sh.shape[1] not in (1, 4, 9, 16):
+        raise ValueError(f"sh must be [N, K, 3] with K = 1, 4, 9 or 16 (degree 0 to 3), got K = {params.sh.shape[1]}")
+    if n >= MOST_GAUSSIANS:
+        raise ValueError(f"a map may have fewer than 2^24 Gaussians, got {n}; leave some out")
+
+
+def check_camera(camera: Any) -> None:
+    """Raise ``ValueError`` unless this is a camera; its numbers were checked when it was made."""
+    if not isinstance(camera, Camera):
+        raise ValueError(f"camera must be a Camera, got {type(camera).__name__}")
+
+
+def check_view(camera: Any, T_WC: Any, device: torch.device) -> None:
+    """Raise ``ValueError`` unless this is a camera and a finite pose, on ``device`` or on the processor.
+
+    A pose on a GPU is not waited for: with a NaN in it nothing is seen.
+    """
+    check_camera(camera)
+    check_operand("T_WC", T_WC, (4, 4), device=None if getattr(T_WC, "device", device).type == "cpu" else device)
+    if T_WC.device.type == "cpu" and not math.isfinite(sum(map(sum, T_WC.tolist()))):
+        check_finite("T_WC", T_WC)
+
+
+def check_frame_on(frame: Any, device: torch.device) -> None:
+    """Raise ``ValueError`` unless this is a frame with its images on ``device``."""
+    if not isinstance(frame, Frame):
+        raise ValueError(f"frame must be a Frame, got {type(frame).__name__}")
+    for name in ("colour", "depth_m", "T_WC"):
+        where = getattr(frame, name).device
+        if where != device and not (name == "T_WC" and where.type == "cpu"):
+            raise ValueError(
+                f"the frame must be on {device}, got its {name} on {where}; move it with .to({str(device)!r})"
+            )
+
+
+def check_images(**images: Any) -> None:
+    """Raise ``ValueError`` unless all are images of one size, type and device. A name with "depth" is [H, W]."""
+    (name, first), *others = images.items()
+    check_operand(name, first, ("H", "W", 3))
+    size = tuple(first.shape[:2])
+    for other, image in others:
+        shape = size if "depth" in other else (*size, 3)
+        check_operand(other, image, shape, dtypes=(first.dtype,), device=first.device)
