@@ -44,6 +44,9 @@ FILES = {
     "views.json": "which views are scored, and from which poses: gsfusion-nb eval scores them again",
 }
 
+SURFACE_SAMPLES = 200_000
+"""Points on either side of the comparison of surfaces."""
+
 
 def score(run: MappingRun, suffix: str = "", *, with_lpips: bool = False) -> dict[str, Any]:
     """PSNR, SSIM, LPIPS and depth error on mapped and held-out views of the map as it is now."""
@@ -180,10 +183,11 @@ def score_mesh(run: MappingRun, mesh: Mesh) -> dict[str, Any]:
         return {}
     seen = cull_unseen(truth(), readable_frames(run.mapped_views(50)))
     generator = torch.Generator().manual_seed(run.mapper.config.seed)
-    scores = mesh_scores(mesh, seen, generator=generator)
+    scores = mesh_scores(mesh, seen, generator=generator, n_samples=SURFACE_SAMPLES)
     metrics = {"mesh_accuracy_m": scores} if isinstance(scores, NotComputed) else scores.as_metrics()
     if run.mapper.gaussians_are_discs:
-        scores = disc_scores(run.mapper.gaussians.params, seen, generator=generator)
+        discs = run.mapper.gaussians.params
+        scores = disc_scores(discs, seen, generator=generator, n_samples=SURFACE_SAMPLES)
         metrics |= {"disc_accuracy_m": scores} if isinstance(scores, NotComputed) else scores.as_metrics("disc")
     return metrics
 

@@ -3,6 +3,7 @@ import json
 import pytest
 
 from gsfusion_nb.cli import main
+from gsfusion_nb.runs import outputs
 
 SMALL = "--data.width 80 --data.height 60 --data.stop 6 --data.hold-out-every 3 --data.hold-out-offset 1"
 FAST = (
@@ -11,7 +12,8 @@ FAST = (
 )
 
 
-def test_map_then_eval_then_repeat_from_its_config(tmp_path, capsys):
+def test_map_then_eval_then_repeat_from_its_config(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(outputs, "SURFACE_SAMPLES", 20_000)
     out = tmp_path / "run"
     assert main(["map", "room", *SMALL.split(), *FAST.split(), "--out", str(out)]) == 0
     text = capsys.readouterr().out
