@@ -11,6 +11,7 @@ from torch import Tensor
 from .. import __version__
 from ..config import from_dict
 from ..data import open_sequence
+from ..errors import SequenceNotFoundError
 from ..evaluation import metrics_as_json
 from ..export import read_gaussian_ply
 from ..foreign import parsing
@@ -63,8 +64,13 @@ def rescore(
     if "path_or_name" not in source:
         raise ValueError(f"{folder} was mapped from a sequence in memory; give the folder of one on disk (--data)")
     views = read_views(folder)
-    with parsing(folder / "config.json", "the settings of a run"):
-        sequence = open_sequence(**source, data=config.data)
+    try:
+        with parsing(folder / "config.json", "the settings of a run"):
+            sequence = open_sequence(**source, data=config.data)
+    except SequenceNotFoundError as e:
+        raise SequenceNotFoundError(
+            f"{e}; {folder / 'config.json'} names this place: give another with --data if the sequence has moved"
+        ) from None
     place = torch.device(device or settings.get("device", "cpu"))
     params = _of_degree(read_gaussian_ply(folder / "gaussians.ply"), config.sh_degree, place)
 

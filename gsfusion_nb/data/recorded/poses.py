@@ -70,7 +70,12 @@ def checked_pose(T_WC: Float[Tensor, "4 4"], source: str) -> Float[Tensor, "4 4"
         check_pose("the pose", T_WC, MAX_RIGIDITY_ERROR)
     except ValueError as e:
         raise BadFrameError(f"{source} is not a rigid camera-to-world pose: {e}") from None
-    return T_WC.to(torch.float32)
+    T_WC_float32 = T_WC.to(torch.float32)
+    if not bool(torch.isfinite(T_WC_float32).all()):
+        raise BadFrameError(
+            f"{source} has a position of {float(T_WC[:3, 3].abs().max()):.3g} m; expected a place nearby"
+        )
+    return T_WC_float32
 
 
 def read_stamped_poses(path: Path) -> tuple[Float[Tensor, " N"], Float[Tensor, "N 7"]]:
