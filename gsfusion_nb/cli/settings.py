@@ -35,7 +35,7 @@ class SettingsOptions:
     """What to follow where paper and released code differ: paper, code, or measured (default): in each case what gave
     better results."""
     from_config: str = ""
-    """A config.json of an earlier run; its settings are used instead of a preset."""
+    """A config.json of an earlier run; its settings are used instead of a system, preset and fidelity."""
     rule_options: tuple[str, ...] = ()
     """Options of the seeding rule, such as: --rule-options share=0.2 transparent=false."""
     device: str = "cpu"
@@ -112,7 +112,12 @@ def _start(arguments: list[str], preset: str) -> SystemConfig:
 
     path = _value_of(arguments, "--from-config")
     if path:
-        return _read_settings(Path(path))
+        others = [option for option in ("--system", "--preset", "--fidelity") if _value_of(arguments, option)]
+        if others:
+            raise ValueError(
+                f"--from-config brings the settings of a run; leave out {' '.join(others)}, or --from-config"
+            )
+        return _read_settings(Path(path), rule=_value_of(arguments, "--seeding.rule"))
     system = get_system(_value_of(arguments, "--system") or "gsfusion")
     preset, fidelity = _value_of(arguments, "--preset") or preset, _value_of(arguments, "--fidelity")
     if fidelity and fidelity not in system.fidelities:
@@ -122,14 +127,27 @@ def _start(arguments: list[str], preset: str) -> SystemConfig:
     return system.preset(preset, **({"fidelity": fidelity} if fidelity else {}))
 
 
-def _read_settings(path: Path) -> SystemConfig:
+def _read_settings(path: Path, rule: str | None) -> SystemConfig:
+    """The settings in a run's config.json; ``rule`` is the seeding rule that is to be used instead of the run's.
+
+    Raises:
+        ValueError: no config.json of a run, or its rule is not one of the package, and no other is given.
+    """
     from ..mapping import get_system
 
     document = read_object(path, "the config.json of a run")
     try:
-        return from_dict(get_system(document.get("system", "gsfusion")).config_type, document["config"])
+        config = from_dict(get_system(document.get("system", "gsfusion")).config_type, document["config"])
     except (KeyError, TypeError, AttributeError, ValueError, OverflowError) as e:
         raise ValueError(f"{path} is no config.json of a run: {reason_of(e)}") from None
+    name = document.get("rule", config.seeding.rule)
+    if rule is None and not document.get("rule_is_built_in", name == config.seeding.rule):
+        raise ValueError(
+            f"{path} is of a run with the seeding rule {name!r}, which is not one of this package and would not be "
+            f"used; its source is in {path.parent / 'rule.py'}: repeat the run in Python, with run_mapping(data, "
+            "config, seeding=<the rule>), or choose another with --seeding.rule"
+        )
+    return config
 
 
 def _value_of(arguments: list[str], option: str) -> str | None:

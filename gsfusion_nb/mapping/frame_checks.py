@@ -6,6 +6,7 @@ import torch
 
 from ..checks import check_colours, check_finite, check_pose
 from ..errors import BadFrameError
+from ..plausible import check_camera, check_place
 from ..types import Frame
 
 BLACK = 2.5 / 255
@@ -21,11 +22,13 @@ def check_frame(frame: Frame, device: torch.device | None = None, *, needs_depth
         needs_depth: Refuse one without any depth.
 
     Raises:
-        BadFrameError: the pose is not rigid, an image holds a NaN or colours beyond 0..1, the picture is black, or
-            there is no depth and ``needs_depth``.
+        BadFrameError: the pose is not rigid or too far away, the camera cannot be one (``gsfusion_nb.plausible``), an
+            image holds a NaN or colours beyond 0..1, the picture is black, or there is no depth and ``needs_depth``.
     """
     try:
         check_pose(f"T_WC of frame {frame.index}", frame.T_WC)
+        check_place(f"T_WC of frame {frame.index}", frame.T_WC)
+        check_camera("its camera", frame.camera)
         frame = frame if device is None else frame.to(device)
         _check_images(frame, needs_depth)
     except ValueError as e:

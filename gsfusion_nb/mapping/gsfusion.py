@@ -51,7 +51,7 @@ class GSFusion(Mapper):
     def __repr__(self) -> str:
         return (
             f"GSFusion({self.n_frames} frames, {len(self.gaussians):,} Gaussians, {len(self.keyframes)} keyframes, "
-            f"{self.volume.n_blocks:,} voxel blocks, rule {self.rule.__name__!r})"
+            f"{self.volume.n_blocks:,} voxel blocks, rule {self.config.seeding.rule!r})"
         )
 
     def step(self, frame: Frame) -> StepReport:

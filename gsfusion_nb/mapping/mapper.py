@@ -18,12 +18,13 @@ from ..config import SystemConfig, from_dict, to_dict
 from ..gaussians import GaussianModel
 from ..optim import KeyframeList
 from ..render import render
-from ..seeding import Cells, SeedContext, SeedingRule, apply_rule, get_rule
+from ..seeding import Cells, ChangedInputError, SeedContext, SeedingRule, apply_rule, get_rule, rule_name
 from ..tracking import Correction
 from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput, Seeds
 from .keyframe_passes import KeyframePasses
 from .localiser import Localiser, move_map
 from .one_frame import FrameGuard
+from .rule_in_use import RuleInUse, check_known, settings_with_rule
 from .step_report import GlobalStep, StepReport
 
 M = TypeVar("M", bound="Mapper")
@@ -65,7 +66,8 @@ class Mapper(ABC):
 
     Args:
         config: Settings; the defaults of ``config_type`` if none are given.
-        seeding: Name of a registered rule, or the rule function itself; overrides ``config.seeding.rule``.
+        seeding: Name of a registered rule, or the rule function itself; overrides ``config.seeding.rule``. The options
+            in the settings are passed on if it takes all of them. ``self.config`` has the rule and options in use.
         device: Where the map lives.
 
     A subclass defines ``title``, ``config_type``, ``preset``, ``n_passes``, ``step``, ``surface``, ``mesh`` and
@@ -108,8 +110,10 @@ class Mapper(ABC):
         seeding: "str | SeedingRule | None" = None,
         device: torch.device | str = "cpu",
     ):
-        self.config = config or self.config_type()
-        self.rule = get_rule(seeding if seeding is not None else self.config.seeding.rule)
+        config = config or self.config_type()
+        self.rule = get_rule(seeding if seeding is not None else config.seeding.rule)
+        self.config = settings_with_rule(config, self.rule)
+        self.rule_in_use = RuleInUse(self.rule)
         self.device = torch.device(device)
         self.gaussians = self.model_type(self.config.sh_degree, device=self.device)
         self.keyframes = KeyframeList("cpu" if self.config.keyframes_on == "cpu" else self.device)
@@ -119,11 +123,13 @@ class Mapper(ABC):
         self.guard = FrameGuard()
         self.n_frames = 0
         """Frames mapped so far."""
+        self.notes: list[str] = []
+        """What a user should know about this mapper, as sentences."""
 
     def __repr__(self) -> str:
         return (
             f"{type(self).__name__}({self.n_frames} frames, {len(self.gaussians):,} Gaussians, "
-            f"{len(self.keyframes)} keyframes, rule {self.rule.__name__!r})"
+            f"{len(self.keyframes)} keyframes, rule {rule_name(self.rule)!r})"
         )
 
     @property
@@ -203,11 +209,15 @@ class Mapper(ABC):
             random_numbers = self.generator.get_state()
             try:
                 yield
-            except BaseException:
+            except BaseException as e:
+                if isinstance(e, ChangedInputError) and e.changed_map:
+                    self.guard.half_mapped = f"at frame {frame.index} the map was changed by its {e}"
                 if not self.guard.is_changing:
                     self.generator.set_state(random_numbers)
                     self.localiser.take_back()
                 raise
+            if self.passes.begun:  # the optimisation after the scan starts anew when more frames follow it
+                self.passes = KeyframePasses()
 
     def counts(self) -> dict[str, int]:
         """Sizes of the map beside its Gaussians and keyframes, under the names that they have in metrics.json."""
@@ -247,7 +257,7 @@ class Mapper(ABC):
         """Everything needed to go on later exactly where this stands, as tensors and plain values."""
         return {
             "config": to_dict(self.config),
-            "rule": self.rule.__name__,
+            "rule": self.rule_in_use.state_dict(),
             "n_frames": self.n_frames,
             "passes": self.passes.state_dict(),
             "localiser": self.localiser.state_dict(),
@@ -264,9 +274,21 @@ class Mapper(ABC):
         seeding: "str | SeedingRule | None" = None,
         device: torch.device | str = "cpu",
     ) -> M:
-        """The mapper that ``state_dict`` described; a rule that is not registered by name must be given again."""
+        """The mapper that ``state_dict`` described; a rule that is not registered by name must be given again.
+
+        Raises:
+            SequenceError: the rule is not given and not known by its name, or it kept something that was not saved.
+        """
         config = from_dict(cls.config_type, state["config"])
-        mapper = cls(config, seeding=seeding if seeding is not None else state["rule"], device=device)
+        if seeding is None:
+            check_known(state["rule"])
+        mapper = cls(config, seeding=seeding if seeding is not None else state["rule"]["name"], device=device)
+        mapper.rule_in_use.load_state_dict(state["rule"])
+        if mapper.rule_in_use.differs(state["rule"]):
+            mapper.notes.append(
+                f"after {state['n_frames']} frames the run went on with another seeding rule, or an edited one: "
+                f"{rule_name(mapper.rule)!r} instead of {state['rule']['name']!r}"
+            )
         mapper._load(state)
         return mapper
 

@@ -14,7 +14,7 @@ from ..gaussians import STABLE, SurfelModel, Transitions, change_states, count_e
 from ..geometry import se3
 from ..optim import Keyframe, fuse_with_history
 from ..render import SurfaceView, render_forward, rows_in_view, surface_depth_m, view_surface
-from ..seeding import SeedContext, SeedingRule, apply_rule, rule_name
+from ..seeding import SeedContext, SeedingRule, apply_rule
 from ..tracking import Correction, Surface
 from ..tsdf import TsdfVolume, extract_mesh, integrate
 from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput, Seeds
@@ -32,8 +32,7 @@ MESH_VIEWS = 60
 class RTGSLAM(Mapper):
     """RTG-SLAM: its map is ``gaussians``, discs on the surface.
 
-    Settings and published presets: ``gsfusion_nb.config.rtg_slam``. The options of the seeding rule in the settings are
-    for the rule in the settings: another rule runs with its defaults.
+    Settings and published presets: ``gsfusion_nb.config.rtg_slam``.
     """
 
     title = "RTG-SLAM"
@@ -126,8 +125,7 @@ class RTGSLAM(Mapper):
 
     def propose_seeds(self, context: SeedContext) -> Seeds:
         """Ask the seeding rule for new Gaussians."""
-        is_own = rule_name(self.rule) == self.config.seeding.rule
-        return apply_rule(self.rule, context, self.config.seeding.options if is_own else {})
+        return apply_rule(self.rule, context, self.config.seeding.options)
 
     def surface(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> SurfaceView:
         """Colour, transmittance, depth and normals of the map seen by a camera (Eq. 1-5)."""

@@ -18,6 +18,7 @@ from ..types import Mesh
 from . import outputs
 from .autosave import Autosave, CheckpointEvery
 from .disk_need import warn_of_little_space
+from .empty_map import why_empty
 from .mapping_run import MappingRun
 from .memory import describe_full
 from .posed_frames import has_poses
@@ -197,6 +198,8 @@ def _work(
         )
     elif run.status == "running":
         run.status = "complete"
+    if run.steps and not len(run.mapper.gaussians):
+        run.warnings.append(why_empty(run))
 
 
 def _score(run: MappingRun, place: RunFolder, stop: StopRequest, mesh: Mesh, metrics: dict[str, Any]) -> None:

@@ -25,7 +25,7 @@ from ..evaluation import (
 from ..export import write_gaussian_ply, write_mesh_ply, write_trajectory_tum
 from ..files import DiskFullError, write_file
 from ..mapping.step_report import StepReport
-from ..seeding import rule_name
+from ..seeding import is_built_in, rule_name, rule_source
 from ..types import Mesh
 from .map_hashes import map_hashes
 from .mapping_run import MappingRun
@@ -41,6 +41,7 @@ FILES = {
     "trajectory.txt": "poses, TUM format: evo_traj tum trajectory.txt",
     "config.json": "all settings: gsfusion-nb map --from-config config.json repeats the run",
     "metrics.json": "all numbers, and one row per frame",
+    "rule.py": "source of the seeding rule, where it is not one of the package",
     "views.json": "which views are scored, and from which poses: gsfusion-nb eval scores them again",
 }
 
@@ -76,6 +77,7 @@ def write_maps(run: MappingRun, folder: Path) -> Mesh:
     }
     writers: list[Callable[[], None]] = [
         lambda: write_json(folder / "config.json", settings),
+        lambda: _write_rule(run, folder),
         lambda: write_json(folder / VIEWS, views_as_json(scored_views(run))),
         lambda: _write_trajectory(run, folder),
         lambda: write_gaussian_ply(folder / "gaussians.ply", run.mapper.gaussians.params),
@@ -90,6 +92,13 @@ def write_maps(run: MappingRun, folder: Path) -> Mesh:
     if problems:
         raise problems[0]
     return mesh
+
+
+def _write_rule(run: MappingRun, folder: Path) -> None:
+    """The source of a seeding rule that is not one of the package: without it the run cannot be repeated."""
+    if not is_built_in(run.mapper.rule):
+        source = rule_source(run.mapper.rule) or "# not known: the rule was not defined in a file or a cell"
+        write_file(folder / "rule.py", source)
 
 
 def _write_trajectory(run: MappingRun, folder: Path) -> None:

@@ -38,6 +38,7 @@ def load_run(
     except Exception as e:  # a checkpoint that is whole, of a state that this version does not know
         raise ValueError(f"{store.folder} is damaged or from another version: {reason_of(e)}") from None
     run.use_store(path, store)
+    run.warnings += run.mapper.notes
     if loaded.passed_over:
         run.warnings.append(f"{loaded.passed_over}; checkpoint {loaded.number}, which is whole, is used")
     return run

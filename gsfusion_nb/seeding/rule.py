@@ -14,8 +14,10 @@ from jaxtyping import Int
 from torch import Tensor
 
 from ..checks import check_finite, check_name, check_shape
+from ..plausible import MAX_DISTANCE_M
 from ..types import Seeds
 from .context import SeedContext
+from .untouched import ChangedInputError, Versions
 
 SeedingRule = Callable[..., Seeds]
 F = TypeVar("F", bound=SeedingRule)
@@ -93,12 +95,16 @@ def apply_rule(
 
     Raises:
         KeyError: no such rule. TypeError: unknown option, wrong type of option or of result.
-        ValueError: a column of wrong shape, NaN, scale <= 0, opacity outside (0, 1), colour outside 0..1.
+        ValueError: a column of wrong shape, NaN, scale <= 0, opacity outside (0, 1), colour outside 0..1, a place or a
+            scale that is implausibly far or large. ChangedInputError: the rule changed the frame or the map in place.
     """
     function = get_rule(rule)
     options = dict(options or {})
     _check_options(function, options)
+    versions = Versions(ctx)
     seeds = function(ctx, **options)
+    if changed := versions.changed():
+        raise ChangedInputError(rule_name(rule), changed)
     try:
         _check_seeds(seeds, ctx)
     except (TypeError, ValueError) as error:
@@ -199,7 +205,10 @@ def _check_seeds(seeds: Any, ctx: SeedContext) -> None:
         if name != "tag" and not column.is_floating_point():
             raise ValueError(f"{name} must be floating point, got {column.dtype}")
     length = seeds.quat.norm(dim=-1)
+    far = f"{MAX_DISTANCE_M:,.0f} m"
     limits = (
+        (f"xyz_W must be within {far} of the origin", seeds.xyz_W, seeds.xyz_W.abs() <= MAX_DISTANCE_M),
+        (f"scale_m must be below {far}", seeds.scale_m, seeds.scale_m < MAX_DISTANCE_M),
         ("scale_m must be > 0", seeds.scale_m, seeds.scale_m > 0),
         ("opacity must lie strictly between 0 and 1", seeds.opacity, (seeds.opacity > 0) & (seeds.opacity < 1)),
         ("rgb must lie in 0..1", seeds.rgb, (seeds.rgb >= 0) & (seeds.rgb <= 1)),
@@ -214,4 +223,8 @@ def _check_seeds(seeds: Any, ctx: SeedContext) -> None:
     for rule, values, ok in limits:
         if not ok.all():
             bad = values[~ok]
-            raise ValueError(f"{rule}, got {len(bad)} other values, from {float(bad.min()):g} to {float(bad.max()):g}")
+            row = int((~ok).nonzero()[0, 0])
+            raise ValueError(
+                f"{rule}, got {len(bad)} other values, from {float(bad.min()):g} to {float(bad.max()):g}, the first in "
+                f"row {row}"
+            )

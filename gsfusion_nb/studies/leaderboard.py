@@ -8,17 +8,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..config import GSFusionConfig
+from ..config import SystemConfig, to_dict
 from ..config import gsfusion as gsfusion_preset
 from ..config import replace as replaced
 from ..data import OpenedSequence, open_sequence
 from ..drawing.html import fill
 from ..evaluation import ImageScores, NotComputed, score_views
-from ..mapping import GSFusion
+from ..mapping import make_mapper
 from ..progress import ProgressDisplay
 from ..runs import MappingRun
-from ..seeding import SeedingRule, get_rule, rule_name
+from ..seeding import SeedingRule, get_rule, rule_fingerprint, rule_name
 from .pareto import pareto_figure, pareto_front
+from .run_key import run_key, sequence_fingerprint
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -59,6 +60,8 @@ class LeaderboardRow:
     """Wall time of a mapping step, mean over all frames except the first, which loads and compiles."""
     cpu_ms_per_frame: float
     """CPU time of the same over all threads; other programs affect it less."""
+    key: str = ""
+    """``run_key`` of data, settings, rule, seed and program: equal in two tables only if the runs were the same."""
     seeding_ms: float
     """Wall time of the rule and its quadtree, mean over all frames except the first."""
 
@@ -168,7 +171,7 @@ class Contest:
     Args:
         rules: Names, functions or ``Entrant``; no two of the same name.
         data: Name or folder of a sequence, or an open sequence; some of its views must be held out.
-        config: Settings of every run; only the rule and its options are replaced.
+        config: Settings of every run, of either system; only the rule and its options are replaced.
 
     Raises:
         KeyError: unknown rule. TypeError: a rule with a wrong signature. ValueError: no rule, two rules with the same
@@ -179,7 +182,7 @@ class Contest:
         self,
         rules: "Iterable[str | SeedingRule | Entrant]",
         data: str | OpenedSequence = "room",
-        config: GSFusionConfig | None = None,
+        config: SystemConfig | None = None,
     ):
         self.entrants = [rule if isinstance(rule, Entrant) else Entrant(rule) for rule in rules]
         names = [entrant.name for entrant in self.entrants]
@@ -196,6 +199,7 @@ class Contest:
         self.curves: dict[str, list[float]] = {"Gaussians, this rule": [], "PSNR of the frame, dB": []}
         """Curves of the rule that is running, one value per frame."""
         self._warm = False
+        self._data = sequence_fingerprint(self.sequence)
 
     def steps(self) -> Iterator[ContestProgress]:
         """Run the remaining rules, one frame per step; finished rules are in ``board``. An interrupted rule starts
@@ -210,14 +214,15 @@ class Contest:
         """Load and compile what every run needs, so that it is not timed in the first run."""
         if not self._warm:
             self._warm = True
-            scratch = MappingRun(self.sequence, GSFusion(self.config)).online()
+            scratch = MappingRun(self.sequence, make_mapper(self.config)).online()
             for _ in zip(range(2), scratch):  # noqa: B905
                 pass
 
     def _run(self, position: int) -> Iterator[ContestProgress]:
         entrant = self.entrants[position]
-        config = replaced(self.config, seeding__options=dict(entrant.options))
-        run = MappingRun(self.sequence, GSFusion(config, seeding=entrant.rule))
+        name = rule_name(entrant.rule)
+        config = replaced(self.config, seeding__rule=name, seeding__options=dict(entrant.options))
+        run = MappingRun(self.sequence, make_mapper(config, seeding=entrant.rule))
         n, cpu_s = len(self.sequence.mapping), []
         place = {"rule": entrant.name, "position": position, "n_rules": len(self.entrants), "n_frames": n}
         frames = run.online()
@@ -239,15 +244,20 @@ class Contest:
         except (TypeError, ValueError, KeyError, IndexError, RuntimeError) as e:  # a user's rule may raise anything
             self.board.failed[entrant.name] = f"{type(e).__name__}: {e}"
             return
-        self.board.rows.append(_row(entrant.name, run, cpu_s, scores))
+        self.board.rows.append(_row(entrant.name, run, cpu_s, scores, self._key(run)))
         yield ContestProgress(frame=n, **place)
 
+    def _key(self, run: MappingRun) -> str:
+        config, rule = to_dict(run.mapper.config), run.mapper.rule
+        return run_key(data=self._data, system=run.system, config=config, rule=rule_fingerprint(rule))
 
-def _row(name: str, run: MappingRun, cpu_s: list[float], scores: ImageScores) -> LeaderboardRow:
+
+def _row(name: str, run: MappingRun, cpu_s: list[float], scores: ImageScores, key: str) -> LeaderboardRow:
     later = run.steps[1:] or run.steps
     seeding_s = [s.seconds["seeding"] + s.seconds.get("quadtree", 0.0) for s in later]
     return LeaderboardRow(
         name=name,
+        key=key,
         psnr_db=_number(scores.psnr),
         ssim=_number(scores.ssim),
         n_gaussians=len(run.mapper.gaussians),
@@ -266,7 +276,7 @@ def _number(score: float | NotComputed) -> float:
 def compare_rules(
     rules: "Iterable[str | SeedingRule | Entrant]",
     data: str | OpenedSequence = "room",
-    config: GSFusionConfig | None = None,
+    config: SystemConfig | None = None,
     *,
     on_progress: Callable[[ContestProgress], bool | None] | None = None,
 ) -> Leaderboard:

@@ -9,11 +9,13 @@ from typing import Annotated, Any
 
 import tyro
 
+from ..backends import from_environment
 from ..checks import check_name
 from ..evaluation import format_metric
 from ..runs.run_folder import CHECKPOINTS
 from ..strict_json import read_object
 from . import disc_depth, roofline
+from .run_key import arguments_with_files, folder_fingerprint, run_key
 from .variants import STUDIES
 
 COLUMNS = {
@@ -40,7 +42,8 @@ COLUMNS = {
 class StudyOptions:
     """Run one of the papers' comparisons on a sequence and print a table.
 
-    Each variant is a run with all its files in OUT; variants that are already complete there are not repeated.
+    Each variant is a run with all its files in OUT, in a folder whose name ends in a key of the data, the options and
+    the program. A variant that is complete in the folder of its key is not repeated; this is said.
     """
 
     name: Annotated[str, tyro.conf.Positional]
@@ -74,8 +77,11 @@ def main(options: StudyOptions) -> int:
     print(f"{study.question}, on {options.data}")
     results = {}
     for label, variant in study.variants.items():
-        results[label] = run_variant(options.data, folder / _slug(label), [*variant, *options.options.split()])
-        print(f"  {label}: {results[label].get('error', 'done')}", flush=True)
+        arguments = [*variant, *options.options.split()]
+        place = folder / f"{_slug(label)}-{variant_key(options.data, arguments)[:12]}"
+        done = f"reused from {place}" if _is_complete(place) else "done"
+        results[label] = run_variant(options.data, place, arguments)
+        print(f"  {label}: {results[label].get('error', done)}", flush=True)
     text = as_markdown(results)
     (folder / "table.md").write_text(f"{study.question}, on {Path(options.data).name}\n\n{text}\n", encoding="utf-8")
     (folder / "table.json").write_text(json.dumps(results, indent=1), encoding="utf-8")
@@ -83,8 +89,16 @@ def main(options: StudyOptions) -> int:
     return 1 if any("error" in r for r in results.values()) else 0
 
 
+def variant_key(data: str, arguments: list[str]) -> str:
+    """Key of a run of ``gsfusion-nb map``: all settings follow from the arguments and the program."""
+    return run_key(data=folder_fingerprint(data), arguments=arguments_with_files(arguments), backend=from_environment())
+
+
 def run_variant(data: str, folder: Path, arguments: list[str]) -> dict[str, Any]:
-    """Metrics of one run, which is started unless it is complete in ``folder``; ``{"error": message}`` if it failed."""
+    """Metrics of one run, which is started unless it is complete in ``folder``; ``{"error": message}`` if it failed.
+
+    ``folder`` is the run's own: see ``variant_key``.
+    """
     if not _is_complete(folder):
         command = [sys.executable, "-m", "gsfusion_nb", "map", data, "--out", str(folder), *arguments]
         resumable = (folder / CHECKPOINTS).is_dir()

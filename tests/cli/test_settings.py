@@ -99,3 +99,16 @@ def test_help_is_wrapped_to_the_terminal_and_shows_no_empty_defaults(command, ca
         if goes_on and line.strip() and following.strip():
             first = following.split()[0]
             assert len(line) + 1 + len(first) > 94, f"{line!r} has room for {first!r}"
+
+
+def test_a_run_with_a_rule_of_one_s_own_is_not_repeated_without_it(tmp_path):
+    path = tmp_path / "config.json"
+    document = {"system": "gsfusion", "rule": "mine", "rule_is_built_in": False, "config": to_dict(gsfusion("room"))}
+    path.write_text(json.dumps(document))
+    with pytest.raises(ValueError, match=r"seeding rule 'mine', which is not one of this package.*rule.py"):
+        parse(MapOptions, "map", ["room", "--from-config", str(path)], data="data")
+    options = parse(MapOptions, "map", ["room", "--from-config", str(path), "--seeding.rule", "uniform"], data="data")
+    assert options.config.seeding.rule == "uniform"
+    for more in (["--fidelity", "paper"], ["--preset", "tum"], ["--system", "rtg_slam"]):
+        with pytest.raises(ValueError, match=f"leave out {more[0]}, or --from-config"):
+            parse(MapOptions, "map", ["room", "--from-config", str(path), *more], data="data")

@@ -19,6 +19,12 @@ GOOD = Frame(
 )
 
 
+def shifted(metres: float) -> torch.Tensor:
+    T = torch.eye(4)
+    T[1, 3] = metres
+    return T
+
+
 def test_a_good_frame_comes_back():
     assert check_frame(GOOD, needs_depth=True) is GOOD
     blind = dataclasses.replace(GOOD, depth_m=torch.zeros(3, 4))
@@ -32,6 +38,10 @@ def test_a_good_frame_comes_back():
     [
         ({"T_WC": torch.diag(torch.tensor([-1.0, 1, 1, 1]))}, "T_WC of frame 7 must be rigid: .* mirrors the world"),
         ({"T_WC": torch.full((4, 4), torch.nan)}, "T_WC of frame 7 must be finite"),
+        ({"T_WC": shifted(1e6)}, r"T_WC of frame 7 must be within 10 km of the origin, got \(0, 1e\+06, 0\) m"),
+        ({"T_WC": shifted(1e30)}, "T_WC of frame 7 must be within 10 km of the origin"),
+        ({"camera": dataclasses.replace(GOOD.camera, fx=1e12)}, "its camera: fx must be between 0.2 and 400 pixels"),
+        ({"camera": dataclasses.replace(GOOD.camera, cx=-500.0)}, "its camera: cx must be between -4 and 8 pixels"),
         ({"depth_m": torch.full((3, 4), torch.inf)}, "depth_m of frame 7 must be finite"),
         ({"rgb": torch.full((3, 4, 3), torch.nan)}, "rgb of frame 7 must be finite"),
         ({"rgb": torch.full((3, 4, 3), 128.0)}, r"rgb of frame 7 must be in 0\.\.1, got 128"),

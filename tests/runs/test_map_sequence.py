@@ -230,10 +230,27 @@ def test_depth_out_of_range_is_named(tmp_path, small_room, config):
     assert "no depth between tsdf.near_m 0.4 and tsdf.far_m 6 m (its median is" in run.run.warnings[0]
 
 
-def test_a_camera_beyond_the_voxel_index_is_skipped(tmp_path, small_room, config):
-    run = run_mapping(Odd(small_room, {4}), config, folder=tmp_path / "out", evaluate=False)
-    assert len(run.run.steps) == 8
-    assert "frame 4 cannot be mapped: block coordinates" in run.run.warnings[0]
+def test_a_camera_too_far_away_is_skipped_by_both_systems(tmp_path, small_room, config):
+    data = {"data__stop": 6, "data__hold_out_every": 0, "data__width": 0, "data__height": 0}
+    for settings in (replace(config, **data), rtg_slam("room", **data)):
+        folder = tmp_path / type(settings).__name__
+        run = run_mapping(Odd(small_room, {4}), settings, folder=folder, evaluate=False)
+        assert len(run.run.steps) == 5
+        assert "frame 4 cannot be mapped: T_WC of frame 4 must be within 10 km" in run.run.warnings[0]
+
+
+def test_an_empty_map_says_why(tmp_path, small_room, config):
+    def nothing(ctx: SeedContext) -> Seeds:
+        """No seeds."""
+        return ctx.cells()[:0]
+
+    short = replace(config, data__stop=3)
+    run = run_mapping(small_room, short, folder=tmp_path / "a", seeding=nothing)
+    assert "no Gaussians: the seeding rule 'nothing' proposed none for any of the" in run.run.warnings[-1]
+    run = run_mapping(Odd(small_room, set(), 1e-3), short, folder=tmp_path / "b", evaluate=False)
+    sentence = "all nearer than the 0.4 m from which depth is used: is the depth scale right?"
+    assert sentence in run.run.warnings[-1]
+    assert sentence in (tmp_path / "b" / "metrics.json").read_text()
 
 
 def test_pressing_twice_does_not_lose_the_map(tmp_path, small_room, config):

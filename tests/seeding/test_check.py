@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from gsfusion_nb.gaussians import GaussianModel
 from gsfusion_nb.seeding import SeedContext, Seeds, check_contexts, check_rule, registered
 
 
@@ -59,6 +60,20 @@ def brightens_frame(ctx):
 def moves_map(ctx):
     ctx.map.xyz_W.add_(0.1)
     return ctx.cells()
+
+
+def moves_real_map_as_array(ctx):
+    if isinstance(ctx.gaussians, GaussianModel):
+        ctx.gaussians.params.xyz_W.numpy()[:] += 0.1  # torch does not count such writes
+    return ctx.cells()
+
+
+CALLS = []
+
+
+def every_tenth(ctx):
+    CALLS.append(ctx.frame.index)
+    return ctx.cells()[len(CALLS) % 1000 == 0 :]
 
 
 def global_torch(ctx):
@@ -113,8 +128,10 @@ def broken_switch(ctx, *, invert: bool = False) -> Any:
 @pytest.mark.parametrize(
     ("rule", "sentence"),
     [
-        (brightens_frame, r"'brightens_frame', scene 'new': it changed frame.rgb in place; work on a copy"),
-        (moves_map, "scene 'half seen': it changed map xyz_W in place"),
+        (brightens_frame, r"'brightens_frame', scene 'new': .* changed frame.*in place; .* work on a copy"),
+        (moves_map, r"'moves_map' changed map\.xyz_W in place"),
+        (moves_real_map_as_array, r"scene 'real map': it changed map\.xyz_W in place"),
+        (every_tenth, "scene 'new': it keeps something from one frame to the next"),
         (global_torch, "drew random numbers from torch's global generator"),
         (seeds_torch, "drew random numbers from torch's global generator"),
         (global_numpy, "drew random numbers from numpy's global generator"),

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from gsfusion_nb.seeding import (
+    ChangedInputError,
     SeedContext,
     Seeds,
     apply_rule,
@@ -201,3 +202,43 @@ def test_one_per_voxel_without_a_volume_says_so(ctx):
     alone = dataclasses.replace(ctx, volume=None)
     with pytest.raises(ValueError, match="voxel_index needs a TSDF volume"):
         apply_rule("gsfusion", alone, {"coverage": False}, one_per_voxel=True)
+
+
+def test_seeds_too_far_away_are_refused_with_the_row(ctx):
+    def faulty(ctx: SeedContext, *, column: float = 0.0) -> Seeds:
+        seeds = ctx.cells()
+        values = seeds.scale_m if column else seeds.xyz_W
+        values[3, 1] = 1e30
+        return seeds
+
+    with pytest.raises(ValueError, match=r"rule 'faulty' .*xyz_W must be within 10,000 m of .* first in row 3"):
+        apply_rule(faulty, ctx)
+    with pytest.raises(ValueError, match=r"rule 'faulty' .*scale_m must be below 10,000 m.* first in row 3"):
+        apply_rule(faulty, ctx, {"column": 1.0})
+
+
+def test_a_rule_that_changes_its_inputs_is_refused(ctx):
+    def clears_depth(ctx: SeedContext) -> Seeds:
+        seeds = ctx.cells()
+        ctx.frame.depth_m[0] = 0.0
+        return seeds
+
+    with pytest.raises(ChangedInputError, match=r"rule 'clears_depth' changed frame.depth_m in place"):
+        apply_rule(clears_depth, ctx)
+
+
+def test_floats_made_of_bytes_may_be_asked_for_but_not_changed(ctx):
+    frame = dataclasses.replace(ctx.frame, colour=ctx.frame.rgb_u8, rgb=None)
+
+    def looks(ctx: SeedContext) -> Seeds:
+        assert ctx.frame.rgb.max() <= 1
+        return ctx.cells()
+
+    def dims(ctx: SeedContext) -> Seeds:
+        ctx.frame.rgb.mul_(0.5)
+        return ctx.cells()
+
+    assert len(apply_rule(looks, dataclasses.replace(ctx, frame=frame)))
+    again = dataclasses.replace(ctx.frame, colour=ctx.frame.rgb_u8, rgb=None)
+    with pytest.raises(ChangedInputError, match=r"rule 'dims' changed frame.rgb in place"):
+        apply_rule(dims, dataclasses.replace(ctx, frame=again))

@@ -5,9 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from gsfusion_nb.config import gsfusion
+from gsfusion_nb.config import gsfusion, replace
 from gsfusion_nb.data import open_sequence
-from gsfusion_nb.mapping import GSFusion
+from gsfusion_nb.mapping import GSFusion, make_mapper
+from gsfusion_nb.runs import MappingRun
 from gsfusion_nb.studies.contest_view import board_picture, watch_contest
 from gsfusion_nb.studies.leaderboard import Contest, Entrant, Leaderboard, LeaderboardRow, compare_rules
 
@@ -74,7 +75,31 @@ def test_a_run_agrees_with_the_mapper(sequence):
 
 def test_it_repeats_exactly(sequence):
     a, b = (compare_rules(["uniform"], sequence, CONFIG, **QUIET).rows[0] for _ in range(2))
-    assert (a.psnr_db, a.n_gaussians) == (b.psnr_db, b.n_gaussians)
+    assert (a.psnr_db, a.n_gaussians, a.key) == (b.psnr_db, b.n_gaussians, b.key)
+
+
+def test_the_key_of_a_row_is_its_content(sequence):
+    def keys(rules, sequence=sequence, config=CONFIG):
+        contest = Contest(rules, sequence, config)
+        runs = [MappingRun(sequence, make_mapper(replace(config, seeding__options=dict(e.options)), seeding=e.rule))
+                for e in contest.entrants]  # fmt: skip
+        return [contest._key(run) for run in runs]
+
+    def mine(ctx):
+        return ctx.cells()
+
+    def edited(ctx):
+        return ctx.cells()[::2]
+
+    edited.__name__ = "mine"
+    base = keys(["uniform", mine])
+    assert base == keys(["uniform", mine])
+    others = [
+        *keys([Entrant("uniform", {"fraction": 0.2}), edited]),
+        *keys(["uniform", mine], config=replace(CONFIG, seed=1)),
+        *keys(["uniform", mine], open_sequence("room", data=CONFIG.data, n_frames=90)),
+    ]
+    assert len({*base, *others}) == 8
 
 
 def test_a_stop_keeps_what_has_finished_and_can_go_on(sequence):

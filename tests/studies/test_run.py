@@ -9,6 +9,7 @@ from gsfusion_nb.cli.settings import parse
 from gsfusion_nb.config import to_dict
 from gsfusion_nb.studies import STUDIES, StudyOptions, main
 from gsfusion_nb.studies import run as study_run
+from gsfusion_nb.studies import run_key as run_key_module
 from gsfusion_nb.studies.run import as_markdown, run_variant
 
 FAST = "--data.stop 4 --data.width 80 --data.height 60 --window.iterations 2 --final.passes 1 --keyframes.iterations 1"
@@ -73,3 +74,43 @@ def test_columns_that_nobody_has_are_left_out():
 def test_unknown_study_is_refused(tmp_path):
     with pytest.raises(KeyError, match="no study 'colours'"):
         main(StudyOptions(name="colours", out=str(tmp_path)))
+
+
+def test_results_of_other_data_or_options_are_never_reused(tmp_path, monkeypatch, capsys):
+    """The folder of a run is named by a key of its content; what is complete there is reused, and said to be."""
+    made = []
+
+    def fake(data, folder, arguments):
+        if not study_run._is_complete(folder):
+            made.append(folder)
+            folder.mkdir(parents=True)
+            (folder / "metrics.json").write_text(json.dumps({"status": "complete", "metrics": {}}))
+        return {"n_gaussians": len(made)}
+
+    monkeypatch.setattr(study_run, "run_variant", fake)
+    scan = tmp_path / "scan"
+    (scan / "rgb").mkdir(parents=True)
+    (scan / "rgb" / "0.jpg").write_bytes(b"first")
+    settings = tmp_path / "config.json"
+    settings.write_text("{}")
+
+    def study(**changes) -> int:
+        before = len(made)
+        values = {"name": "states", "data": str(scan), "out": str(tmp_path / "out")} | changes
+        assert main(StudyOptions(**values)) == 0
+        return len(made) - before
+
+    assert study() == 2
+    capsys.readouterr()
+    assert study() == 0
+    text = capsys.readouterr().out
+    assert all(f"reused from {folder}" in text for folder in made)
+    (scan / "rgb" / "0.jpg").write_bytes(b"other")  # the same name and size
+    assert study() == 2
+    assert study(options="--seed 1") == 2
+    assert study(options=f"--from-config {settings}") == 2
+    settings.write_text('{"sh_degree": 0}')
+    assert study(options=f"--from-config {settings}") == 2
+    assert study(options=f"--from-config {settings}") == 0
+    monkeypatch.setattr(run_key_module, "package_fingerprint", lambda: "edited")
+    assert study() == 2

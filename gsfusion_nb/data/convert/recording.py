@@ -7,7 +7,9 @@ import numpy as np
 from jaxtyping import Float
 from torch import Tensor
 
+from ...plausible import check_camera, check_depth_scale
 from ..lens.camera_model import CameraModel
+from ..sequence import SequenceError
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,7 +26,11 @@ class RgbdImages:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RecordedFrame:
-    """One frame of a recording."""
+    """One frame of a recording.
+
+    Raises:
+        SequenceError: a camera that cannot be one (``gsfusion_nb.plausible``).
+    """
 
     source: str
     """Where it came from, for messages."""
@@ -41,10 +47,22 @@ class RecordedFrame:
     T_colour_depth: Float[Tensor, "4 4"] | None = None
     """From the depth camera's frame to the colour camera's; None: they are one camera."""
 
+    def __post_init__(self):
+        for kind, model in (("colour", self.model), ("depth", self.depth_model)):
+            if model is not None:
+                try:
+                    check_camera(f"{self.source}: {kind} camera", model.camera)
+                except ValueError as e:
+                    raise SequenceError(str(e)) from None
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Recording:
-    """A recording in a foreign format."""
+    """A recording in a foreign format.
+
+    Raises:
+        SequenceError: a depth scale that cannot be one (``gsfusion_nb.plausible``).
+    """
 
     name: str
     frames: Callable[[], Iterator[RecordedFrame]]
@@ -61,4 +79,10 @@ class Recording:
     dropped: dict[str, int] = field(default_factory=dict)
     """Frames that the reader already left out, by reason."""
     notes: tuple[str, ...] = ()
-    """Sentences about what was assumed or found."""
+    """Sentences on what was assumed or found."""
+
+    def __post_init__(self):
+        try:
+            check_depth_scale(self.name, self.depth_scale)
+        except ValueError as e:
+            raise SequenceError(str(e)) from None

@@ -9,6 +9,7 @@ from torch import Tensor
 from ...checks import check_pose
 from ...foreign import read_text
 from ...geometry import quaternion
+from ...plausible import check_place
 from ..sequence import BadFrameError, SequenceError
 
 MAX_RIGIDITY_ERROR = 1e-3
@@ -60,7 +61,8 @@ def checked_pose(T_WC: Float[Tensor, "4 4"], source: str) -> Float[Tensor, "4 4"
     """``T_WC`` as float32 if it is a rigid transform.
 
     Raises:
-        BadFrameError: NaN, infinite (ScanNet marks lost tracking with -inf), or not rigid; names ``source``.
+        BadFrameError: NaN, infinite (ScanNet marks lost tracking with -inf), not rigid, or too far away to be mapped;
+            names ``source``.
     """
     if not bool(torch.isfinite(T_WC).all()):
         raise BadFrameError(
@@ -70,12 +72,11 @@ def checked_pose(T_WC: Float[Tensor, "4 4"], source: str) -> Float[Tensor, "4 4"
         check_pose("the pose", T_WC, MAX_RIGIDITY_ERROR)
     except ValueError as e:
         raise BadFrameError(f"{source} is not a rigid camera-to-world pose: {e}") from None
-    T_WC_float32 = T_WC.to(torch.float32)
-    if not bool(torch.isfinite(T_WC_float32).all()):
-        raise BadFrameError(
-            f"{source} has a position of {float(T_WC[:3, 3].abs().max()):.3g} m; expected a place nearby"
-        )
-    return T_WC_float32
+    try:
+        check_place(source, T_WC)
+    except ValueError as e:
+        raise BadFrameError(str(e)) from None
+    return T_WC.to(torch.float32)
 
 
 def read_stamped_poses(path: Path) -> tuple[Float[Tensor, " N"], Float[Tensor, "N 7"]]:

@@ -9,9 +9,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ...plausible import check_camera, check_depth_scale
 from ...types import Camera, Frame
 from ..adjust.resize import resize_colour
-from ..sequence import BadFrameError, position
+from ..sequence import BadFrameError, SequenceError, position
 from .images import read_depth, read_rgb
 from .poses import checked_pose
 
@@ -25,6 +26,9 @@ class RecordedSequence:
 
     Frame ``i`` has index ``i``. A frame whose image is damaged, whose depth is all missing or whose pose is not rigid
     raises ``BadFrameError``; the other frames stay readable.
+
+    Raises:
+        SequenceError: a camera or a depth scale that cannot be one (``gsfusion_nb.plausible``).
     """
 
     name: str
@@ -51,6 +55,13 @@ class RecordedSequence:
     """False: the recording has no poses; every pose is the identity, and the mapper must track."""
     novel: frozenset[int] = field(default_factory=frozenset)
     """Frames that the data set publishes as test views: never mapped."""
+
+    def __post_init__(self):
+        try:
+            check_camera(f"{self.name}: camera", self.camera)
+            check_depth_scale(self.name, self.depth_scale)
+        except ValueError as e:
+            raise SequenceError(str(e)) from None
 
     def __len__(self) -> int:
         return len(self.rgb_files)

@@ -1,0 +1,88 @@
+"""The seeding rule of a mapper: which options it runs with, and what of it a checkpoint keeps."""
+
+import dataclasses
+import logging
+from typing import Any, TypeVar
+
+from ..config import SystemConfig
+from ..errors import SequenceError
+from ..seeding import SeedingRule, registered, rule_fingerprint, rule_name, rule_options
+
+log = logging.getLogger(__name__)
+
+S = TypeVar("S", bound=SystemConfig)
+
+
+def settings_with_rule(config: S, rule: SeedingRule) -> S:
+    """``config`` with the rule that is used and the options that it is used with, so that what is stored is what ran.
+
+    The options in the settings are for the rule in the settings. Another rule gets them if it takes all of them; if
+    they are the first rule's, it runs with its defaults. Options that neither takes stay, and the first frame refuses
+    them.
+    """
+    name, seeding = rule_name(rule), config.seeding
+    if name == seeding.rule:
+        return config
+    options, own = seeding.options, registered().get(seeding.rule)
+    if (
+        own is not None
+        and not options.keys() <= rule_options(rule).keys()
+        and options.keys() <= rule_options(own).keys()
+    ):
+        log.info("the options %s are of the seeding rule %r; %r runs with its defaults", options, seeding.rule, name)
+        options = {}
+    return dataclasses.replace(config, seeding=dataclasses.replace(seeding, rule=name, options=options))
+
+
+class RuleInUse:
+    """A rule, and how it was when its mapper was made.
+
+    A rule should depend on its context only. One that does keep something from frame to frame is a callable object with
+    ``state_dict()`` and ``load_state_dict(state)``: what they exchange (tensors and plain values) is kept in
+    checkpoints. A rule that keeps something without them can map, but a checkpoint with it is refused.
+    """
+
+    def __init__(self, rule: SeedingRule):
+        self.rule = rule
+        self._fingerprint = rule_fingerprint(rule)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Which rule it is, and what it keeps."""
+        save = getattr(self.rule, "state_dict", None)
+        return {
+            "name": rule_name(self.rule),
+            "fingerprint": self._fingerprint,
+            "changed": rule_fingerprint(self.rule) != self._fingerprint,
+            "kept": save() if callable(save) else None,
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Give the rule what it kept.
+
+        Raises:
+            SequenceError: the rule that made the checkpoint kept something that is not in it.
+        """
+        if state["changed"]:
+            raise SequenceError(
+                f"the seeding rule {state['name']!r} kept something from one frame to the next, which a checkpoint "
+                "does not hold, so the run cannot go on to the same map; make the rule a callable object with "
+                "state_dict() and load_state_dict(state)"
+            )
+        load = getattr(self.rule, "load_state_dict", None)
+        if state["kept"] is not None and callable(load):
+            load(state["kept"])
+
+    def differs(self, state: dict[str, Any]) -> bool:
+        """This is not the rule that ``state`` is of, or it was edited since."""
+        return state["name"] != rule_name(self.rule) or state["fingerprint"] != self._fingerprint
+
+
+def check_known(state: dict[str, Any]) -> None:
+    """Raise ``SequenceError`` if the rule of a checkpoint is not the one that is registered here by its name."""
+    name, known = state["name"], registered().get(state["name"])
+    if known is None or RuleInUse(known).differs(state):
+        what = "is not known here" if known is None else "is not the one that is registered here by that name"
+        raise SequenceError(
+            f"the seeding rule {name!r} of this run {what}; its source is in rule.py of the run's folder: define it, "
+            "and go on with it in Python: resume_mapping(folder, seeding=<the rule>)"
+        )

@@ -1,0 +1,132 @@
+"""The scenes of ``check_rule``: made up from a formula, and one with real maps."""
+
+import dataclasses
+from types import SimpleNamespace
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ..config import SeedingConfig, TsdfConfig
+from ..gaussians import GaussianModel
+from ..geometry import pixel_grid, rays, se3
+from ..tsdf import TsdfVolume, integrate
+from ..types import Camera, Frame, GaussianParams
+from .context import SeedContext
+
+_TSDF = TsdfConfig(voxel_size_m=0.02, truncation_voxels=4.0)
+_SPHERE = ((0.1, 0.05, 1.3), 0.3)
+_WALL = ((0.2, 0.0, -1.0), -1.9)
+"""Normal (not of unit length) and offset: points with normal . p = offset, a slanted wall near z = 2."""
+
+
+def check_contexts() -> dict[str, SeedContext]:
+    """Small scenes by name: a textured slanted wall with a sphere before it, seen from a tilted camera.
+
+    "new": nothing mapped yet; "half seen": the left half was observed before and has Gaussians; "holes": depth missing
+    in stripes; "dark": no depth at all; "odd": 7 x 5 pixels; "tiny": one pixel; "real map": a TSDF volume and a
+    Gaussian map that took in the first view, seen from beside it.
+    """
+    new = _scene_frame(61, 47)
+    stripes = new.depth_m * (torch.arange(61) % 3 > 0)
+    frames = {
+        "new": new,
+        "half seen": new,
+        "holes": dataclasses.replace(new, depth_m=stripes),
+        "dark": dataclasses.replace(new, depth_m=torch.zeros_like(new.depth_m)),
+        "odd": _scene_frame(7, 5),
+        "tiny": _scene_frame(1, 1),
+    }
+    # an absolute variance threshold would leave images this small in one piece
+    config = SeedingConfig(quadtree_contrast="std", quadtree_threshold=0.05)
+    contexts = {}
+    for name, frame in frames.items():
+        seen_left = name == "half seen"
+        volume = SceneVolume(frame.T_WC, seen_left)
+        contexts[name] = SeedContext(frame, volume, _scene_map(frame, seen_left), config=config)
+    contexts["real map"] = _real_map(new, config)
+    return contexts
+
+
+def _real_map(frame: Frame, config: SeedingConfig) -> SeedContext:
+    """Maps as a mapper has them: the scene's frame fused and seeded, then seen from beside."""
+    volume, gaussians = TsdfVolume(_TSDF), GaussianModel(sh_degree=0)
+    integrate(volume, frame)
+    gaussians.append(SeedContext(frame, volume, config=config).cells(), frame.index)
+    beside = _scene_frame(61, 47, shift_m=0.15)
+    integrate(volume, beside)
+    return SeedContext(beside, volume, gaussians, config=config)
+
+
+class SceneVolume:
+    """The made-up scene as a TSDF volume that needs no integration: distances come from its formula.
+
+    Voxels in the truncation band have weight 1, or 3 in the left half of the view if that ``seen_left``.
+    """
+
+    def __init__(self, T_WC: Float[Tensor, "4 4"], seen_left: bool):
+        self.config = _TSDF
+        self._T_CW = se3.inverse(T_WC)
+        self._seen_left = seen_left
+
+    def sample_nearest(self, xyz_W: Float[Tensor, "N 3"]) -> Any:
+        """``D``, ``W`` and ``rgb`` at the centres of the voxels that contain the points."""
+        size = self.config.voxel_size_m
+        centre = ((xyz_W / size).floor() + 0.5) * size
+        xyz_C = se3.apply(self._T_CW, centre)
+        D = (_distance(xyz_C) / self.config.truncation_m).clamp(-1.0, 1.0)
+        W = torch.ones_like(D)
+        if self._seen_left:
+            W[xyz_C[:, 0] < 0] = 3.0
+        W[D.abs() >= 1] = 0.0
+        return SimpleNamespace(D=D, W=W, rgb=torch.full_like(xyz_C, 0.5))
+
+
+def _distance(xyz_C: Float[Tensor, "N 3"]) -> Float[Tensor, " N"]:
+    centre, radius = xyz_C.new_tensor(_SPHERE[0]), _SPHERE[1]
+    normal = xyz_C.new_tensor(_WALL[0])
+    wall = (xyz_C @ normal - _WALL[1]) / normal.norm()
+    return torch.minimum(wall, (xyz_C - centre).norm(dim=-1) - radius)
+
+
+def _scene_frame(width: int, height: int, shift_m: float = 0.0) -> Frame:
+    """The scene by exact ray casting, four plain quarters of a wall, stripes on the sphere: cells of several sizes.
+
+    With ``shift_m`` the camera is that far to the right of the scene's usual camera.
+    """
+    camera = Camera(width=width, height=height, fx=float(width), fy=float(width), cx=width / 2, cy=height / 2)
+    ray = rays(camera, pixel_grid(camera))
+    eye = ray.new_tensor([shift_m, 0.0, 0.0])
+    wall = ray.new_tensor(_WALL[0])
+    z_wall = (_WALL[1] - wall @ eye) / (ray @ wall)
+    centre, radius = ray.new_tensor(_SPHERE[0]) - eye, _SPHERE[1]
+    a, b, c = (ray * ray).sum(-1), ray @ centre, centre @ centre - radius**2
+    root = b * b - a * c
+    z_sphere = torch.where(root > 0, (b - root.clamp_min(0).sqrt()) / a, torch.inf)
+    depth_m = torch.minimum(z_wall, z_sphere)
+    point = ray * depth_m[..., None] + eye
+    checks = ((point[..., :2] > 0).sum(-1) % 2)[..., None]
+    stripes = 0.5 + 0.5 * torch.sin(point * torch.tensor([40.0, 3.0, 11.0]))
+    rgb = torch.where((z_sphere < z_wall)[..., None], stripes, 0.25 + 0.5 * checks.expand_as(stripes))
+    T_WC = se3.exp(torch.tensor([0.3, -0.2, 0.5, 0.2, 2.0, -0.3]))
+    T_WC[:3, 3] += T_WC[:3, :3] @ eye
+    return Frame(index=0, timestamp_s=0.0, rgb=rgb, depth_m=depth_m, camera=camera, T_WC=T_WC)
+
+
+def _scene_map(frame: Frame, seen_left: bool) -> Any:
+    """Gaussians on the left part of the scene, or none."""
+    W = frame.camera.width
+    uv = pixel_grid(frame.camera)[::8, : W // 2 : 8].reshape(-1, 2) if seen_left else torch.zeros(0, 2)
+    z = frame.depth_m[uv[:, 1].long(), uv[:, 0].long()]
+    xyz_W = se3.apply(frame.T_WC, rays(frame.camera, uv) * z[:, None])
+    n = len(uv)
+    quat = torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(n, 1)
+    params = GaussianParams(
+        xyz_W=xyz_W,
+        log_scale=torch.full((n, 3), -3.0),
+        quat=quat,
+        opacity_logit=torch.full((n,), 2.0),
+        sh=torch.zeros(n, 1, 3),
+    )
+    return SimpleNamespace(params=params)

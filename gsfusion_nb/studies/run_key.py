@@ -1,0 +1,109 @@
+"""A key of everything that decides what a run comes to, so that no result of another run is taken for it."""
+
+import functools
+import hashlib
+import importlib.util
+import json
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from .. import __version__
+from ..data import OpenedSequence, SequenceError, SequenceView
+
+_ENDS_BYTES = 4096
+"""Of each file of a recording this many bytes at its beginning and its end are read."""
+_CODE = {".py", ".cu", ".cuh"}
+
+
+def run_key(**parts: Any) -> str:
+    """A key of ``parts`` (plain values), the version and the source of this package: 32 hexadecimal digits.
+
+    Two runs with one key come to the same map on one machine; a change in the data, the settings, a rule, an option,
+    the seed or the program gives another key.
+    """
+    parts |= {"version": __version__, "package": package_fingerprint()}
+    text = json.dumps(parts, sort_keys=True, default=str)
+    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
+
+def folder_fingerprint(path: str | Path) -> str:
+    """A hash of the files in a folder: names, sizes, first and last bytes. Of what is no folder, of its name."""
+    root, digest = Path(path).expanduser(), hashlib.blake2b(digest_size=16)
+    if not root.is_dir():
+        return f"not a folder: {path}"
+    for folder, folders, names in os.walk(root):
+        folders.sort()
+        for name in sorted(names):
+            _add_file(digest, Path(folder) / name, (Path(folder) / name).relative_to(root))
+    return digest.hexdigest()
+
+
+def sequence_fingerprint(sequence: OpenedSequence) -> str:
+    """A hash of an open sequence: frames to map, frames held out, camera, poses, and the pixels of three frames."""
+    digest = hashlib.blake2b(digest_size=16)
+    for view in (sequence.mapping, sequence.held_out):
+        digest.update(repr((view.positions, view.camera, view.depth_min_m, view.depth_max_m)).encode())
+        for i in range(len(view)):
+            digest.update(_pose_bytes(view, i))
+    n = len(sequence.mapping)
+    for i in sorted({0, n // 2, n - 1} & set(range(n))):
+        try:
+            frame = sequence.mapping[i]
+        except SequenceError:
+            continue
+        for pixels in (frame.colour, frame.depth_m):
+            digest.update(pixels.cpu().contiguous().numpy().tobytes())
+    return digest.hexdigest()
+
+
+@functools.cache
+def package_fingerprint() -> str:
+    """A hash of the source of this package and its kernels."""
+    digest = hashlib.blake2b(digest_size=16)
+    for root in _source_folders():
+        for file in sorted(p for p in root.rglob("*") if p.suffix in _CODE):
+            digest.update(str(file.relative_to(root)).encode() + b"\0" + file.read_bytes())
+    return digest.hexdigest()
+
+
+def arguments_with_files(arguments: Iterable[str]) -> list[Any]:
+    """Arguments of a command; behind one that names a file, a hash of its content."""
+    found: list[Any] = []
+    for argument in arguments:
+        found.append(argument)
+        path = Path(argument.partition("=")[2] or argument)
+        if path.is_file():
+            found.append(hashlib.blake2b(path.read_bytes(), digest_size=16).hexdigest())
+    return found
+
+
+def _source_folders() -> list[Path]:
+    package = (__package__ or "").split(".")[0]
+    kernels = importlib.util.find_spec(f"{package}.kernels")
+    places = kernels.submodule_search_locations if kernels is not None else None
+    return [Path(__file__).resolve().parents[1], *(Path(place) for place in places or ())]
+
+
+def _add_file(digest: Any, file: Path, name: Path) -> None:
+    try:
+        if not file.is_file():
+            return
+        size = file.stat().st_size
+        with file.open("rb") as opened:
+            digest.update(f"{name}\0{size}\0".encode() + opened.read(_ENDS_BYTES))
+            if size > _ENDS_BYTES:
+                opened.seek(max(_ENDS_BYTES, size - _ENDS_BYTES))
+                digest.update(opened.read(_ENDS_BYTES))
+    except OSError:
+        digest.update(f"{name}\0unreadable".encode())
+
+
+def _pose_bytes(view: SequenceView, i: int) -> bytes:
+    try:
+        return view.pose(i).to("cpu", torch.float64).contiguous().numpy().tobytes()
+    except SequenceError:
+        return b"no pose"
