@@ -18,6 +18,7 @@ FLOORS = {
             "config",
             "constants",
             "checks",
+            "plausible",
             "operands",
             "errors",
             "files",
