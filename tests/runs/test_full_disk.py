@@ -36,7 +36,7 @@ def test_the_message_names_file_need_and_space(tmp_path, monkeypatch):
 
 
 def test_checkpoints_that_do_not_fit_do_not_end_the_run(tmp_path, small_room, config, caplog):
-    with files_of_at_most(1_000_000):
+    with files_of_at_most(3_000_000):
         run = run_mapping(
             "room", config, folder=tmp_path / "out", evaluate=False, checkpoints=CheckpointEvery(seconds=0, frames=2),
             n_frames=120, width=80, height=60,
