@@ -8,6 +8,7 @@ rgbd_dataset_freiburg1_desk/
 
 import logging
 import math
+from collections import Counter
 from pathlib import Path
 
 import torch
@@ -133,6 +134,9 @@ def _stream(path: Path) -> tuple[list[float], list[Path]]:
             raise SequenceError(f"{path} line {number} must begin with a time in seconds, got {words[0]}")
         stamps.append(stamp)
         files.append(path.parent / name)
+    if len(set(stamps)) != len(stamps):
+        twice = next(t for t, n in Counter(stamps).items() if n > 1)
+        log.warning("%s lists the time %.6f s more than once; each image is used at most once", path, twice)
     return stamps, files
 
 

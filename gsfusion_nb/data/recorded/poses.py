@@ -85,7 +85,8 @@ def read_stamped_poses(path: Path) -> tuple[Float[Tensor, " N"], Float[Tensor, "
     Rows with NaN or infinities are left out: there is no pose at that time.
 
     Raises:
-        SequenceError: a row that is not 8 numbers, or a quaternion whose length is not 1 within 1e-2.
+        SequenceError: a row that is not 8 numbers, a quaternion whose length is not 1 within 1e-2, or two different
+            poses at one time.
     """
     table = read_rows(path, 8, "timestamp tx ty tz qx qy qz qw")
     table = table[torch.isfinite(table).all(dim=1)]
@@ -96,7 +97,13 @@ def read_stamped_poses(path: Path) -> tuple[Float[Tensor, " N"], Float[Tensor, "
         raise SequenceError(
             f"{path}: the pose at {t:.6f} s must end in a unit quaternion, got one of length {wrong:.3g}"
         )
-    table = table[table[:, 0].argsort()]
+    table = table[table[:, 0].argsort(stable=True)]
+    again = table[1:, 0] == table[:-1, 0]
+    differs = again & (table[1:] != table[:-1]).any(dim=1)
+    if bool(differs.any()):
+        t = float(table[1:, 0][differs][0])
+        raise SequenceError(f"{path} has two different poses at {t:.6f} s; expected every time once")
+    table = table[torch.cat([~again.new_zeros(1), ~again])] if len(table) else table
     return table[:, 0].contiguous(), table[:, 1:]
 
 
