@@ -86,9 +86,10 @@ def test_published_averages_of_equal_distances(average):
     d[::2] = 2 * torch.rand(8_000, generator=g) - 1
     d[:64] = torch.tensor([-1.0, 0.0, 1.0, -0.0]).repeat(16)
     W = torch.randint(0, 256, (16_000,), generator=g).float()
-    expected, W_k = tsdf_update(D, W, d.clamp(min=-0.999), truncation_m=1.0, max_weight=255.0, average=average)
+    d.clamp_(min=-0.999)
+    expected, W_k = tsdf_update(D, W, d, truncation_m=1.0, max_weight=255.0, average=average)
     got = torch.empty_like(D)
-    fold(*(t.numpy() for t in (D, d.clamp(min=-0.999), W, W_k)), _AVERAGES[average], got.numpy())
+    fold(D.numpy(), d.numpy(), W.numpy(), W_k.numpy(), _AVERAGES[average], got.numpy())
     torch.testing.assert_close(got, expected, rtol=0, atol=5e-7)
 
 
