@@ -111,7 +111,7 @@ def check_image_gradients(camera: Camera, v_rgb: Any, v_depth_m: Any, v_alpha: A
 
 def check_composite_vjp(saved: Any, v_rgb: Any, v_depth_m: Any = None, v_alpha: Any = None) -> None:
     """Raise ``ValueError`` for what ``composite_vjp`` does not take."""
-    if not isinstance(saved, Record) or not hasattr(saved, "tiles"):
+    if not issubclass(type(saved), Record) or not hasattr(saved, "tiles"):
         raise ValueError(f"saved: the record that composite returns was expected, got {type(saved).__name__}")
     check_image_gradients(saved.camera, v_rgb, v_depth_m, v_alpha, saved.opacity.device)
 

@@ -65,7 +65,7 @@ def check_render(
 
 def check_render_vjp(saved: Any, v_rgb: Any, v_depth_m: Any = None, v_alpha: Any = None, *, rows: Any = None) -> None:
     """Raise ``ValueError`` for what ``render_vjp`` does not take."""
-    if not isinstance(saved, Record) or not hasattr(saved, "params"):
+    if not issubclass(type(saved), Record) or not hasattr(saved, "params"):
         raise ValueError(f"saved: the record that render_forward returns was expected, got {type(saved).__name__}")
     params, camera = saved.params, saved.camera
     check_image_gradients(camera, v_rgb, v_depth_m, v_alpha, params.xyz_W.device)

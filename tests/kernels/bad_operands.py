@@ -128,7 +128,7 @@ def mutations(name: str, value: Any) -> Iterator[tuple[str, Callable[[], Any]]]:
     elif isinstance(value, float):
         yield "NaN", lambda: float("nan")
         yield "a word", lambda: "many"
-    elif dataclasses.is_dataclass(value) and not isinstance(value, Record):
+    elif dataclasses.is_dataclass(value) and not isinstance(value, (Record, type)):
         for field in dataclasses.fields(value):
             if isinstance(getattr(value, field.name), Tensor):
                 for what, change in mutations(field.name, getattr(value, field.name)):
