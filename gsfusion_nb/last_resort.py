@@ -9,18 +9,20 @@ from pathlib import Path
 
 
 def is_foreseen(error: BaseException) -> bool:
-    """The text of ``error`` is a sentence for people: a ``raise`` of this package wrote it, or it is about a file.
+    """The text of ``error`` is a sentence for people: an error of this package's own, what a ``raise`` of this package
+    wrote, or an error about a file.
 
     A ``ValueError`` of a text that is no number, somewhere deep inside, is none.
     """
-    if isinstance(error, OSError):
+    package = __name__.partition(".")[0]
+    if isinstance(error, OSError) or type(error).__module__.startswith(package):
         return True
     last = error.__traceback__
     while last is not None and last.tb_next is not None:
         last = last.tb_next
     if last is None or not isinstance(error, (ValueError, KeyError, MemoryError)):
         return False
-    ours = str(last.tb_frame.f_globals.get("__name__", "")).startswith(__name__.partition(".")[0])
+    ours = str(last.tb_frame.f_globals.get("__name__", "")).startswith(package)
     line = linecache.getline(last.tb_frame.f_code.co_filename, last.tb_lineno).strip()
     return ours and (not line or line.startswith("raise"))
 

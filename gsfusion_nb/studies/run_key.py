@@ -77,7 +77,8 @@ def arguments_with_files(arguments: Iterable[str]) -> list[Any]:
         found.append(argument)
         path = Path(argument.partition("=")[2] or argument)
         if path.is_file():
-            found.append(hashlib.blake2b(path.read_bytes(), digest_size=16).hexdigest())
+            with path.open("rb") as file:
+                found.append(hashlib.file_digest(file, "blake2b").hexdigest()[:32])
     return found
 
 

@@ -61,7 +61,7 @@ def test_errors_are_sentences(tmp_path, monkeypatch):
         with pytest.raises(ValueError, match=r"c\.pt is not readable as a checkpoint"):
             load_checkpoint(path)
     torch.save({"a": 1}, path)
-    with pytest.raises(ValueError, match="is a PyTorch file but no gsfusion_nb checkpoint"):
+    with pytest.raises(ValueError, match="is a PyTorch file but not a gsfusion_nb checkpoint"):
         load_checkpoint(path)
     monkeypatch.setattr(checkpoint, "VERSION", 2)
     save_checkpoint(path, {})

@@ -61,6 +61,11 @@ def same(a: Any, b: Any, path: str = "state") -> None:
         assert a == b, path
 
 
+def maps_of(mapper) -> dict[str, Any]:
+    """The state of a mapper but for its rule, of which there are two here."""
+    return {name: value for name, value in mapper.state_dict().items() if name != "rule"}
+
+
 @pytest.mark.parametrize("poses", POSES)
 @pytest.mark.parametrize("system", SYSTEMS)
 def test_a_rule_that_fails_changes_nothing_and_the_frame_can_be_given_again(system, poses, small_room, config):
@@ -80,7 +85,7 @@ def test_a_rule_that_fails_changes_nothing_and_the_frame_can_be_given_again(syst
         mapper.step(frame)
     for frame in frames:
         never.step(frame)
-    same(never.state_dict(), mapper.state_dict())
+    same(maps_of(never), maps_of(mapper))
 
 
 def test_a_run_goes_on_when_the_rule_is_repaired(small_room, config):
@@ -94,7 +99,7 @@ def test_a_run_goes_on_when_the_rule_is_repaired(small_room, config):
     rule.broken = False
     whole = MappingRun(split, GSFusion(config, seeding=rule.rule()))
     assert len(list(run.online())) + 3 == len(list(whole.online()))
-    same(whole.mapper.state_dict(), run.mapper.state_dict())
+    same(maps_of(whole.mapper), maps_of(run.mapper))
 
 
 def test_the_view_before_fusing_finds_what_is_there_after(small_room, config, generator):
@@ -171,7 +176,7 @@ def test_ctrl_c_while_the_map_changes_waits_until_the_frame_is_counted(small_roo
     list(run.online())
     whole = MappingRun(apply_options(small_room, config.data), GSFusion(config))
     list(whole.online())
-    same(whole.mapper.state_dict(), run.mapper.state_dict())
+    same(maps_of(whole.mapper), maps_of(run.mapper))
 
 
 def test_ctrl_c_in_the_rule_ends_the_step_at_once(small_room, config):
