@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from ..files import DiskFullError
-from .mapping_run import MappingRun
+from ..mapping import Mapper
 
 log = logging.getLogger(__name__)
 
@@ -32,20 +32,20 @@ class Autosave:
     """Called after every step of a run; saves a checkpoint when one is due. It changes nothing in the run.
 
     Args:
-        run: Whose state is saved.
-        save: Saves it.
+        mapper: Nothing is saved while it holds half a frame.
+        save: Saves a checkpoint.
         every: How often.
         clock: Seconds.
     """
 
     def __init__(
         self,
-        run: MappingRun,
+        mapper: Mapper,
         save: Callable[[], None],
         every: CheckpointEvery,
         clock: Callable[[], float] = time.monotonic,
     ):
-        self._run, self._save, self._every, self._clock = run, save, every, clock
+        self._mapper, self._save, self._every, self._clock = mapper, save, every, clock
         self._next_s, self._steps = clock() + every.seconds, 0
         self.n_saved = 0
         self.seconds = 0.0
@@ -55,7 +55,7 @@ class Autosave:
         self._steps += 1
         every = self._every
         due = (every.frames and self._steps >= every.frames) or (every.seconds and self._clock() >= self._next_s)
-        if due and not self._run.mapper.guard.half_mapped:
+        if due and not self._mapper.guard.half_mapped:
             self._steps = 0
             self._take()
 

@@ -156,7 +156,7 @@ def drive(
     stop, folder = StopRequest(), place.path
     _say(run, place, "running")
     warn_of_little_space(run, folder)
-    run.after_step = Autosave(run, lambda: _checkpoint(run, place, stop), every or CheckpointEvery())
+    run.after_step = Autosave(run.mapper, lambda: _checkpoint(run, place, stop), every or CheckpointEvery())
     with stop.listening():
         try:
             _work(run, stop, evaluate, map_frames or _with_progress)

@@ -171,7 +171,7 @@ def resume(path: Path) -> None:
 def settings(path: Path) -> None:
     from gsfusion_nb.cli.settings import _read_settings
 
-    _read_settings(path)
+    _read_settings(path, rule=None)
 
 
 def rescore(path: Path) -> None:

@@ -96,27 +96,24 @@ class Clock:
 
 
 def test_checkpoints_come_by_time_or_by_frames_and_take_a_small_share_of_the_time(config):
-    class Run:
-        mapper = GSFusion(gsfusion("room"))
-
-    clock, saved = Clock(), []
+    mapper, clock, saved = GSFusion(gsfusion("room")), Clock(), []
 
     def save():
         saved.append(clock.now)
         clock.now += 2.0
 
-    autosave = Autosave(Run(), save, CheckpointEvery(seconds=30), clock)  # pyright: ignore[reportArgumentType]
+    autosave = Autosave(mapper, save, CheckpointEvery(seconds=30), clock)
     for _ in range(300):
         clock.now += 1.0
         autosave()
     assert saved[:2] == [30.0, pytest.approx(30 + 2 + 2 / 0.03, abs=1.0)]
     saved.clear()
-    autosave = Autosave(Run(), save, CheckpointEvery(seconds=0, frames=4), clock)  # pyright: ignore[reportArgumentType]
+    autosave = Autosave(mapper, save, CheckpointEvery(seconds=0, frames=4), clock)
     for _ in range(9):
         autosave()
     assert len(saved) == autosave.n_saved == 2
     for _ in range(9):
-        Autosave(Run(), save, CheckpointEvery(seconds=0), clock)()  # pyright: ignore[reportArgumentType]
+        Autosave(mapper, save, CheckpointEvery(seconds=0), clock)()
     assert len(saved) == 2
     with pytest.raises(ValueError, match="every 0 or more"):
         CheckpointEvery(seconds=-1)
