@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from gsfusion_nb.data import SequenceError, open_sequence
-from gsfusion_nb.data.convert.recording import RecordedFrame, Recording
+from gsfusion_nb.data.convert.recording import RecordedFrame, Recording, RgbdImages
 from gsfusion_nb.data.lens.camera_model import CameraModel
 from gsfusion_nb.data.recorded.poses import checked_pose
 from gsfusion_nb.plausible import check_camera, check_depth_scale, is_near
@@ -25,15 +25,19 @@ WRONG = [
 LAYOUT_KEYS = ("width", "height", "fx", "fy", "cx", "cy")
 
 
+def no_images() -> RgbdImages:
+    raise AssertionError("images are read after the camera was looked at")
+
+
 @pytest.mark.parametrize(("change", "sentence"), WRONG)
 def test_cameras_that_cannot_be(change, sentence, tmp_path):
     camera = dataclasses.replace(VGA, **change)
     with pytest.raises(ValueError, match=f"here: {sentence}"):
         check_camera("here", camera)
     with pytest.raises(SequenceError, match=f"shot 3: colour camera: {sentence}"):
-        RecordedFrame(source="shot 3", time_s=None, model=CameraModel(camera), load=partial(dict))
+        RecordedFrame(source="shot 3", time_s=None, model=CameraModel(camera), load=no_images)
     with pytest.raises(SequenceError, match=f"shot 3: depth camera: {sentence}"):
-        RecordedFrame(source="shot 3", time_s=None, model=None, depth_model=CameraModel(camera), load=partial(dict))
+        RecordedFrame(source="shot 3", time_s=None, model=None, depth_model=CameraModel(camera), load=no_images)
     write_scan(
         tmp_path, {name: getattr(camera, name) for name in LAYOUT_KEYS} | {"depth_scale": 1000, "pixel_centre": 0.5}
     )

@@ -13,7 +13,7 @@ import torch
 
 from .rule import SeedingRule
 
-_OWN = __package__.split(".")[0]
+_OWN = __name__.partition(".")[0]
 _PLAIN = (type(None), bool, int, float, complex, str, bytes)
 
 

@@ -2,6 +2,7 @@
 
 import contextlib
 import errno
+from typing import Any
 
 import pytest
 
@@ -50,7 +51,7 @@ def test_checkpoints_that_do_not_fit_do_not_end_the_run(tmp_path, small_room, co
 def test_maps_that_fit_are_kept_and_the_run_goes_on_when_there_is_room(tmp_path, config, monkeypatch):
     from gsfusion_nb.runs import outputs
 
-    options = {"n_frames": 120, "width": 80, "height": 60}
+    options: dict[str, Any] = {"n_frames": 120, "width": 80, "height": 60}
     whole = run_mapping("room", config, folder=tmp_path / "whole", evaluate=False, **options)
     every = CheckpointEvery(seconds=0, frames=3)
     write_gaussians = outputs.write_gaussian_ply

@@ -231,7 +231,7 @@ def test_depth_out_of_range_is_named(tmp_path, small_room, config):
 
 
 def test_a_camera_too_far_away_is_skipped_by_both_systems(tmp_path, small_room, config):
-    data = {"data__stop": 6, "data__hold_out_every": 0, "data__width": 0, "data__height": 0}
+    data: dict[str, Any] = {"data__stop": 6, "data__hold_out_every": 0, "data__width": 0, "data__height": 0}
     for settings in (replace(config, **data), rtg_slam("room", **data)):
         folder = tmp_path / type(settings).__name__
         run = run_mapping(Odd(small_room, {4}), settings, folder=folder, evaluate=False)

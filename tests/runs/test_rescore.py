@@ -1,14 +1,15 @@
 """``gsfusion-nb eval`` gives the run's own numbers, and says so where it does not."""
 
 import json
+from typing import Any
 
 import pytest
 
 from gsfusion_nb.config import gsfusion, rtg_slam
 from gsfusion_nb.runs import rescore, run_mapping
 
-DATA = {"data__stop": 8, "data__hold_out_every": 4, "data__hold_out_offset": 2}
-ROOM = {"n_frames": 480, "width": 80, "height": 60}
+DATA: dict[str, Any] = {"data__stop": 8, "data__hold_out_every": 4, "data__hold_out_offset": 2}
+ROOM: dict[str, Any] = {"n_frames": 480, "width": 80, "height": 60}
 SETTINGS = {
     "gsfusion": gsfusion(
         "online", **DATA, tsdf__voxel_size_m=0.04, tsdf__truncation_voxels=4.0, sh_degree=1, keyframe_min_seeds=20

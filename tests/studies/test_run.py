@@ -1,6 +1,7 @@
 """Running the variants of a study: each a run of its own, complete ones kept, failures said."""
 
 import json
+from typing import Any
 
 import pytest
 
@@ -96,7 +97,7 @@ def test_results_of_other_data_or_options_are_never_reused(tmp_path, monkeypatch
 
     def study(**changes) -> int:
         before = len(made)
-        values = {"name": "states", "data": str(scan), "out": str(tmp_path / "out")} | changes
+        values: dict[str, Any] = {"name": "states", "data": str(scan), "out": str(tmp_path / "out")} | changes
         assert main(StudyOptions(**values)) == 0
         return len(made) - before
 

@@ -81,19 +81,20 @@ def _pairs(path: Path, colour: list[Path], depth: list[Path]) -> dict[int, tuple
     """
     if len(colour) != len(depth):
         raise SequenceError(f"{path} has {len(colour)} colour and {len(depth)} depth images; expected pairs")
-    numbers = {kind: [_leading_number(p) for p in files] for kind, files in (("colour", colour), ("depth", depth))}
-    if any(None in found or len(set(found)) < len(found) for found in numbers.values()):
+    of_colour, of_depth = (_numbers(files) for files in (colour, depth))
+    if of_colour is None or of_depth is None:
         return dict(enumerate(zip(colour, depth, strict=True)))
-    alone = sorted(set(numbers["colour"]) ^ set(numbers["depth"]))
+    alone = sorted(set(of_colour) ^ set(of_depth))
     if alone:
         raise SequenceError(f"{path} has only one image of number {alone[0]}; expected colour and depth of each number")
-    first = numbers["colour"][0]
-    return {n - first: pair for n, pair in zip(numbers["colour"], zip(colour, depth, strict=True), strict=True)}
+    return {n - of_colour[0]: pair for n, pair in zip(of_colour, zip(colour, depth, strict=True), strict=True)}
 
 
-def _leading_number(path: Path) -> int | None:
-    match = re.search(r"\d+", path.stem)  # Redwood's names go on with the time: 0000001-000000033369.png
-    return None if match is None else int(match[0])
+def _numbers(files: list[Path]) -> list[int] | None:
+    """The first number in each name, or None if a name has none or two have the same."""
+    # Redwood's names go on with the time: 0000001-000000033369.png
+    found = [int(match[0]) for file in files if (match := re.search(r"\d+", file.stem))]
+    return found if len(set(found)) == len(files) else None
 
 
 def _of_images(file: Path, poses: dict[int, Tensor], path: Path, numbers: list[int]) -> dict[int, Tensor]:
