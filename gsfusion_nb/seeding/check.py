@@ -92,11 +92,15 @@ def _run_untouched(rule: SeedingRule, ctx: SeedContext, where: str) -> Seeds:
     try:
         seeds = apply_rule(rule, fresh)
     except ChangedInputError as e:
-        raise AssertionError(f"{where}: {e}") from None
+        raise AssertionError(_changed(where, e.what)) from None
     for name, tensor, before in watched:
         if not torch.equal(tensor, before):
-            raise AssertionError(f"{where}: it changed {name} in place; work on a copy (x.clone())")
+            raise AssertionError(_changed(where, name))
     return seeds
+
+
+def _changed(where: str, what: str) -> str:
+    return f"{where}: it changed {what} in place; work on a copy (x.clone())"
 
 
 def _check_no_memory(rule: SeedingRule, before: str, where: str) -> None:

@@ -22,6 +22,7 @@ class ChangedInputError(RuntimeError):
             f"seeding rule {rule!r} changed {' and '.join(what)} in place; a rule must leave its inputs as they are: "
             "work on a copy (x.clone())"
         )
+        self.what = " and ".join(what)
         self.changed_map = any(not name.startswith("frame.") for name in what)
 
 
@@ -47,7 +48,8 @@ class Versions:
 def context_tensors(context: SeedContext) -> Iterator[tuple[str, Tensor]]:
     """Name and tensor of all that a context gives a rule to look at: frame, Gaussians, volume."""
     frame = context.frame
-    yield from ((f"frame.{name}", getattr(frame, name)) for name in ("colour", "depth_m", "T_WC"))
+    yield "frame.rgb_u8" if frame.is_8_bit else "frame.rgb", frame.colour
+    yield from ((f"frame.{name}", getattr(frame, name)) for name in ("depth_m", "T_WC"))
     if (rgb := vars(frame).get("rgb")) is not None and rgb is not frame.colour:
         yield "frame.rgb", rgb
     if context.gaussians is not None:

@@ -1,5 +1,7 @@
 """Chapters 7 and 8 as a student uses them: drag the sliders of discs and ICP, map live, answer exercises."""
 
+import re
+
 import pytest
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning")]
@@ -48,7 +50,7 @@ def test_rtg_slam_is_mapped_live_and_stops_when_asked(lab, discs):
     states = live.locator(".gsnb-live-states").first
     before = states.get_attribute("src")
     live.locator(".gsnb-live-start").first.click()
-    lab.wait_for(lambda: int(status.inner_text().split("·")[1].split(" of ")[0]) >= 16, "sixteen frames", 120)
+    lab.wait_for(lambda: int(re.findall(r"(\d+) of", status.inner_text())[0]) >= 16, "sixteen frames", 120)
     live.locator(".gsnb-live-pause").first.click()
     lab.wait_for(lambda: "paused" in status.inner_text(), "the pause")
     assert states.get_attribute("src") != before

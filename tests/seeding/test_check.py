@@ -128,8 +128,8 @@ def broken_switch(ctx, *, invert: bool = False) -> Any:
 @pytest.mark.parametrize(
     ("rule", "sentence"),
     [
-        (brightens_frame, r"'brightens_frame', scene 'new': .* changed frame.*in place; .* work on a copy"),
-        (moves_map, r"'moves_map' changed map\.xyz_W in place"),
+        (brightens_frame, r"'brightens_frame', scene 'new': it changed frame\.rgb in place; work on a copy"),
+        (moves_map, r"'moves_map', scene '[\w ]+': it changed map\.xyz_W in place"),
         (moves_real_map_as_array, r"scene 'real map': it changed map\.xyz_W in place"),
         (every_tenth, "scene 'new': it keeps something from one frame to the next"),
         (global_torch, "drew random numbers from torch's global generator"),
