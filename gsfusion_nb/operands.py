@@ -47,7 +47,7 @@ def check_operand(
         raise ValueError(f"{name} must be {wanted}, got {value.dtype}; convert it with .to({dtypes[0]})")
     if device is None and value.is_meta:
         raise ValueError(f"{name} must hold numbers, got a tensor on the device meta, which has none")
-    if device is not None and value.device != device:
+    if device is not None and not _is_on(value.device, device):
         raise ValueError(
             f"{name} must be on {device}, got a tensor on {value.device}; move it with .to({str(device)!r})"
         )
@@ -91,7 +91,7 @@ def check_frame_on(frame: Any, device: torch.device) -> None:
         raise ValueError(f"frame must be a Frame, got {type(frame).__name__}")
     for name in ("colour", "depth_m", "T_WC"):
         where = getattr(frame, name).device
-        if where != device and not (name == "T_WC" and where.type == "cpu"):
+        if not _is_on(where, device) and not (name == "T_WC" and where.type == "cpu"):
             raise ValueError(
                 f"the frame must be on {device}, got its {name} on {where}; move it with .to({str(device)!r})"
             )
@@ -105,3 +105,8 @@ def check_images(**images: Any) -> None:
     for other, image in others:
         shape = size if "depth" in other else (*size, 3)
         check_operand(other, image, shape, dtypes=(first.dtype,), device=first.device)
+
+
+def _is_on(found: torch.device, wanted: torch.device) -> bool:
+    """Both are the same; "cuda" without a number is any GPU, since tensors on it say "cuda:0"."""
+    return found.type == wanted.type and (wanted.index is None or found.index == wanted.index)

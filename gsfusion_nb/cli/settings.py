@@ -138,10 +138,11 @@ def _read_settings(path: Path, rule: str | None) -> SystemConfig:
     document = read_object(path, "the config.json of a run")
     try:
         config = from_dict(get_system(document.get("system", "gsfusion")).config_type, document["config"])
+        own_rule = config.seeding.rule
     except (KeyError, TypeError, AttributeError, ValueError, OverflowError) as e:
         raise ValueError(f"{path} is no config.json of a run: {reason_of(e)}") from None
-    name = document.get("rule", config.seeding.rule)
-    if rule is None and not document.get("rule_is_built_in", name == config.seeding.rule):
+    name = document.get("rule", own_rule)
+    if rule is None and not document.get("rule_is_built_in", name == own_rule):
         raise ValueError(
             f"{path} is of a run with the seeding rule {name!r}, which is not one of this package and would not be "
             f"used; its source is in {path.parent / 'rule.py'}: repeat the run in Python, with run_mapping(data, "

@@ -33,8 +33,10 @@ def load_run(
     try:
         run = _run_of(loaded.state, path, seeding, device)
         load_random_state(loaded.state["random"])
-    except SequenceError:
-        raise
+    except SequenceError as e:
+        if str(path) in str(e):
+            raise
+        raise SequenceError(f"{store.folder}: {e}") from e
     except Exception as e:  # a checkpoint that is whole, of a state that this version does not know
         raise ValueError(f"{store.folder} is damaged or from another version: {reason_of(e)}") from None
     run.use_store(path, store)
