@@ -220,8 +220,8 @@ def _rescue(run: MappingRun, place: RunFolder, stop: StopRequest, error: BaseExc
     """A run ends by ``error``: save what can be saved, and say so in a note of the error."""
     run.status = "interrupted" if isinstance(error, KeyboardInterrupt) else "failed"
     run.warnings.append(f"ended by {type(error).__name__}: {error}")
-    for half in filter(None, [run.mapper.guard.half_mapped]):
-        run.warnings.append(half)
+    if run.mapper.guard.half_mapped:
+        run.warnings.append(run.mapper.guard.half_mapped)
     notes: list[str] = []
     attempts: list[Callable[[], Any]] = [lambda: _say(run, place, run.status)]
     if run.steps:

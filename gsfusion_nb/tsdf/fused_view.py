@@ -8,7 +8,7 @@ from ..geometry import se3
 from ..types import Frame
 from .integrate import corners_in_view, fuse_voxels
 from .morton import OFFSET, interleave
-from .volume import CORNERS, TsdfSample, TsdfVolume
+from .volume import TsdfSample, TsdfVolume
 
 
 class FusedView:
@@ -41,10 +41,9 @@ class FusedView:
         before = volume.sample_nearest(xyz_W)
         ijk = volume.voxel_index(xyz_W)
         block = ijk >> 3
-        corners_W = (block[:, None].double() + CORNERS.to(block.device)) * volume.block_size_m
-        changes = self._is_allocated(block) & corners_in_view(corners_W, config, self._frame.camera, self._T_CW)
-        centres_W = (ijk.double() + 0.5) * config.voxel_size_m
-        after, _ = fuse_voxels(before, se3.apply(self._T_CW, centres_W), self._frame, config)
+        in_view = corners_in_view(volume.corners_of(block), config, self._frame.camera, self._T_CW)
+        changes = self._is_allocated(block) & in_view
+        after, _ = fuse_voxels(before, se3.apply(self._T_CW, volume.centres_of(ijk)), self._frame, config)
         return TsdfSample(
             D=after.D.where(changes, before.D),
             W=after.W.where(changes, before.W),

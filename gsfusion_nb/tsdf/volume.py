@@ -161,7 +161,11 @@ class TsdfVolume:
 
     def voxel_centres(self, rows: Int[Tensor, " B"]) -> Float[Tensor, "B 512 3"]:
         """Centres of the voxels of some blocks, world frame, metres: what the values of a voxel stand for. float64"""
-        return (self.voxel_coords(rows).double() + 0.5) * self.config.voxel_size_m
+        return self.centres_of(self.voxel_coords(rows))
+
+    def centres_of(self, ijk: Int[Tensor, "*N 3"]) -> Float[Tensor, "*N 3"]:
+        """Centres of voxels, allocated or not, given by their integer coordinates. World frame, metres. float64"""
+        return (ijk.double() + 0.5) * self.config.voxel_size_m
 
     def sample_nearest(self, xyz_W: Float[Tensor, "N 3"]) -> TsdfSample:
         """Values of the voxels that contain the points.
@@ -175,7 +179,11 @@ class TsdfVolume:
 
     def block_corners(self) -> Float[Tensor, "B 8 3"]:
         """Corners of the blocks, world frame, metres. float64"""
-        return (self.block_coords[:, None].double() + CORNERS.to(self.device)) * self.block_size_m
+        return self.corners_of(self.block_coords)
+
+    def corners_of(self, blocks: Int[Tensor, "B 3"]) -> Float[Tensor, "B 8 3"]:
+        """Corners of blocks, allocated or not, given by their integer coordinates. World frame, metres. float64"""
+        return (blocks[:, None].double() + CORNERS.to(self.device)) * self.block_size_m
 
     def voxel_rgb(self, flat: Int[Tensor, "*N"]) -> Float[Tensor, "*N 3"]:
         """Colours of allocated voxels, given by their position in the flattened pool."""

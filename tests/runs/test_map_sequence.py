@@ -16,16 +16,6 @@ from gsfusion_nb.runs import rescore, resume_mapping, run_mapping
 from gsfusion_nb.seeding import SeedContext
 from gsfusion_nb.types import Seeds
 
-FILES = {
-    "gaussians.ply",
-    "mesh.ply",
-    "trajectory.txt",
-    "config.json",
-    "metrics.json",
-    "views.json",
-    "report.html",
-    "status.json",
-}
 ROOM: dict[str, Any] = {"n_frames": 120, "width": 80, "height": 60}
 
 
@@ -58,9 +48,9 @@ class Interrupting(Damaged):
         return self.source[i]
 
 
-def test_a_run_leaves_all_files_and_the_numbers_agree(tmp_path, config):
+def test_a_run_leaves_all_files_and_the_numbers_agree(tmp_path, config, run_files):
     run = run_mapping("room", config, folder=tmp_path / "out", **ROOM)
-    assert {p.name for p in run.folder.iterdir()} == FILES
+    assert {p.name for p in run.folder.iterdir()} == run_files
     params = read_gaussian_ply(run.folder / "gaussians.ply")
     ours = run.mapper.gaussians.params
     torch.testing.assert_close(params.xyz_W, ours.xyz_W)
@@ -86,14 +76,14 @@ def test_a_run_leaves_all_files_and_the_numbers_agree(tmp_path, config):
     assert again["psnr_mapped_db"] == run.metrics["psnr_mapped_db"]
 
 
-def test_maps_lie_where_the_surfaces_are(tmp_path, config):
+def test_maps_lie_where_the_surfaces_are(tmp_path, config, run_files):
     from gsfusion_nb.data.room import room_sdf
 
     run = run_mapping("room", config, folder=tmp_path / "out", evaluate=False, **ROOM)
     mesh = run.mapper.mesh()
     assert room_sdf(mesh.vertices_W).abs().median() < 0.01
     assert room_sdf(run.mapper.gaussians.params.xyz_W).abs().median() < 0.02
-    assert {p.name for p in run.folder.iterdir()} == FILES - {"report.html"}
+    assert {p.name for p in run.folder.iterdir()} == run_files - {"report.html"}
 
 
 def test_a_bad_frame_in_the_middle_is_skipped_and_named(tmp_path, small_room, config):
@@ -113,14 +103,14 @@ def test_a_recording_that_breaks_off_keeps_what_was_mapped(tmp_path, small_room,
     assert len(read_gaussian_ply(run.folder / "gaussians.ply")) == len(run.mapper.gaussians) > 0
 
 
-def test_ctrl_c_saves_everything_and_the_run_can_go_on(tmp_path, small_room, config, monkeypatch):
+def test_ctrl_c_saves_everything_and_the_run_can_go_on(tmp_path, small_room, config, monkeypatch, run_files):
     whole = run_mapping("room", config, folder=tmp_path / "whole", evaluate=False, **ROOM)
     open_small(monkeypatch, Interrupting(small_room, {5}))
     stopped = run_mapping("room", config, folder=tmp_path / "out", **ROOM)
     assert stopped.run.status == "interrupted"
     assert len(stopped.run.steps) == 5  # frames 0, 1, 3, 4 and the one that was being read
     assert "interrupted after 5 of 9 frames" in stopped.run.warnings[-1]
-    assert {p.name for p in stopped.folder.iterdir()} == FILES | {"checkpoint"}
+    assert {p.name for p in stopped.folder.iterdir()} == run_files | {"checkpoint"}
 
     resumed = resume_mapping(stopped.folder, evaluate=False)
     assert resumed.run.status == "complete"

@@ -16,17 +16,6 @@ from gsfusion_nb.runs import StreamRun, map_stream, run_mapping
 from gsfusion_nb.runs.kept_frames import KeptFrames
 from gsfusion_nb.types import Frame
 
-FILES = {
-    "gaussians.ply",
-    "mesh.ply",
-    "trajectory.txt",
-    "config.json",
-    "metrics.json",
-    "views.json",
-    "report.html",
-    "status.json",
-}
-
 
 @pytest.fixture(scope="module")
 def frames(small_room):
@@ -80,13 +69,13 @@ def saved(folder) -> dict:
     return json.loads((folder / "metrics.json").read_text())
 
 
-def test_a_stream_gives_the_same_maps_as_the_sequence(tmp_path, small_room, config):
+def test_a_stream_gives_the_same_maps_as_the_sequence(tmp_path, small_room, config, run_files):
     stream = map_stream(Plain(small_room), make_mapper(config), folder=tmp_path / "stream")
     whole = run_mapping(Plain(small_room), config, folder=tmp_path / "whole")
     ours, theirs = stream.mapper.gaussians.params, whole.mapper.gaussians.params
     for name in ("xyz_W", "sh", "opacity_logit"):
         torch.testing.assert_close(getattr(ours, name), getattr(theirs, name))
-    assert {p.name for p in stream.folder.iterdir()} == FILES
+    assert {p.name for p in stream.folder.iterdir()} == run_files
     for name in ("psnr_held_out_db", "psnr_mapped_db", "psnr_held_out_online_db", "n_frames", "n_views_held_out"):
         assert stream.metrics[name] == pytest.approx(whole.metrics[name], abs=1e-6)
     assert stream.run.timestamps_s == whole.run.timestamps_s
@@ -128,12 +117,12 @@ def test_unusable_frames_are_named_and_counted(tmp_path, frames, config):
     assert saved(run.folder)["warnings"] == run.run.warnings
 
 
-def test_a_source_that_breaks_off_ends_it_with_everything_saved(tmp_path, frames, config):
+def test_a_source_that_breaks_off_ends_it_with_everything_saved(tmp_path, frames, config, run_files):
     source = Source(frames[:6], broke_off="the camera was disconnected: cable")
     run = map_stream(source, make_mapper(config), folder=tmp_path / "out")
     assert run.run.status == "stopped"
     assert run.run.warnings == ["the camera was disconnected: cable; everything mapped before is kept"]
-    assert {p.name for p in run.folder.iterdir()} == FILES
+    assert {p.name for p in run.folder.iterdir()} == run_files
     assert source.stopped.is_set()
 
 
@@ -205,12 +194,12 @@ class Waiting(Source):
 
 
 @pytest.mark.parametrize("on_stop", ["save", "finish"])
-def test_ctrl_c_while_no_frame_comes(tmp_path, frames, config, monkeypatch, on_stop):
+def test_ctrl_c_while_no_frame_comes(tmp_path, frames, config, monkeypatch, on_stop, run_files):
     source = Waiting(frames[:6])
     source.all_mapped = threading.Event()
     step_then(monkeypatch, lambda frame: source.all_mapped.set() if frame.index == 5 else None)
     run = map_stream(source, make_mapper(config), policy="all", folder=tmp_path / "out", on_stop=on_stop)
-    assert {p.name for p in run.folder.iterdir()} == FILES  # a stream cannot be resumed: no checkpoint
+    assert {p.name for p in run.folder.iterdir()} == run_files  # a stream cannot be resumed: no checkpoint
     if on_stop == "save":
         assert run.run.status == "interrupted"
         assert not run.run.global_losses
