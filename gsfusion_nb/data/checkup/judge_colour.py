@@ -118,8 +118,8 @@ def _registration_repair(fit: ColourFit, shifted: bool) -> tuple[RepairConfig, s
     if moved:
         x, y = fit.shift_px
         words.append(
-            f"{abs(x):.1f} pixels to the {'right' if x > 0 else 'left'} and {abs(y):.1f} "
-            f"{'below' if y > 0 else 'above'}"
+            f"shifted by {abs(x):.1f} pixels to the {'right' if x > 0 else 'left'} and {abs(y):.1f} "
+            f"{'down' if y > 0 else 'up'}"
         )
     note = "; a reader that registers depth with a calibration is better" if repair.rgb_scale != 1 else ""
-    return repair, f"The colour image is {', '.join(words)} against the depth image{note}."
+    return repair, f"The colour image is {', '.join(words)} compared with the depth image{note}."
