@@ -1,7 +1,7 @@
-"""What a camera, a pose and a depth scale can be: one set of limits for all readers, converters and mappers.
+"""Limits of a plausible camera, pose and depth scale: one set for all readers, converters and mappers.
 
-The limits are wide. What lies beyond them is a mistake in a file (a wrong unit, swapped numbers), from which would come
-a wrong or an empty map.
+The limits are wide. A value beyond them is a mistake in a file (a wrong unit, swapped numbers) that would lead to a
+wrong or an empty map.
 """
 
 from jaxtyping import Bool, Float
@@ -22,7 +22,7 @@ DEPTH_SCALE = (1.0, 1_000_000.0)
 
 
 def check_camera(source: str, camera: Camera) -> None:
-    """Raise ``ValueError`` if ``camera`` cannot be one; the sentence begins with ``source``."""
+    """Raise ``ValueError`` for an impossible camera; the sentence begins with ``source``."""
     for axis, focal, centre, side in (
         ("x", camera.fx, camera.cx, camera.width),
         ("y", camera.fy, camera.cy, camera.height),

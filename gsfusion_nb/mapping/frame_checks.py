@@ -22,7 +22,7 @@ def check_frame(frame: Frame, device: torch.device | None = None, *, needs_depth
         needs_depth: Refuse one without any depth.
 
     Raises:
-        BadFrameError: the pose is not rigid or too far away, the camera cannot be one (``gsfusion_nb.plausible``), an
+        BadFrameError: the pose is not rigid or too far away, the camera is impossible (``gsfusion_nb.plausible``), an
             image holds a NaN or colours beyond 0..1, the picture is black, or there is no depth and ``needs_depth``.
     """
     try:

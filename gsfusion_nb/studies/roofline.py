@@ -184,12 +184,17 @@ def mapping_work(
 
 
 def kernel_points(
-    make_work: Callable[[], Sequence[Work]] = mapping_work, *, repeats: int = 3, device: str = "cpu"
+    make_work: Callable[[], Sequence[Work]] = mapping_work,
+    *,
+    repeats: int = 3,
+    device: str = "cpu",
+    backends: Sequence[str] = BACKENDS,
 ) -> list[KernelPoint]:
-    """Time every operation on every backend of a device that has it, on one thread. ``make_work`` puts it there."""
+    """Time every operation on those of ``backends`` that have it on a device, on one thread. ``make_work`` puts its
+    tensors there."""
     working = {(name, backend) for name, backend, state in report() if state == "ok"}
     points = []
-    for backend in (b for b in BACKENDS if DEVICES[b] == device):
+    for backend in (b for b in backends if DEVICES[b] == device):
         for work in make_work():
             if not all((name, backend) in working for name in work.operations):
                 continue

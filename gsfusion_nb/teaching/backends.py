@@ -133,24 +133,24 @@ def _average_loop(D, W, d, max_weight):
     new_D, new_W = D.copy(), W.copy()
     for i in range(len(D)):
         if d[i] == d[i] and d[i] >= -1.0:
-            new_D[i] = (D[i] * W[i] + min(d[i], 1.0)) / (W[i] + 1)
             new_W[i] = min(W[i] + 1, max_weight)
+            new_D[i] = (D[i] * (new_W[i] - 1) + min(d[i], 1.0)) / new_W[i]
     return new_D, new_W
 
 
 def _average_of_everything(D, W, d, max_weight):
     new_D, new_W = D.copy(), W.copy()
     for i in range(len(D)):
-        new_D[i] = (D[i] * W[i] + min(d[i], 1.0)) / (W[i] + 1)
         new_W[i] = min(W[i] + 1, max_weight)
+        new_D[i] = (D[i] * (new_W[i] - 1) + min(d[i], 1.0)) / new_W[i]
     return new_D, new_W
 
 
 def _average_in_place(D, W, d, max_weight):
     for i in range(len(D)):
         if d[i] == d[i] and d[i] >= -1.0:
-            D[i] = (D[i] * W[i] + min(d[i], 1.0)) / (W[i] + 1)
             W[i] = min(W[i] + 1, max_weight)
+            D[i] = (D[i] * (W[i] - 1) + min(d[i], 1.0)) / W[i]
     return D, W
 
 
@@ -163,7 +163,16 @@ def _average_unclamped(D, W, d, max_weight):
     new_D, new_W = D.copy(), W.copy()
     for i in range(len(D)):
         if d[i] == d[i] and d[i] >= -1.0:
-            new_D[i] = (D[i] * W[i] + d[i]) / (W[i] + 1)
+            new_W[i] = min(W[i] + 1, max_weight)
+            new_D[i] = (D[i] * (new_W[i] - 1) + d[i]) / new_W[i]
+    return new_D, new_W
+
+
+def _average_of_more_than_the_cap(D, W, d, max_weight):
+    new_D, new_W = D.copy(), W.copy()
+    for i in range(len(D)):
+        if d[i] == d[i] and d[i] >= -1.0:
+            new_D[i] = (D[i] * W[i] + min(d[i], 1.0)) / (W[i] + 1)
             new_W[i] = min(W[i] + 1, max_weight)
     return new_D, new_W
 
@@ -171,15 +180,16 @@ def _average_unclamped(D, W, d, max_weight):
 @exercise(
     chapter=10, difficulty=3, minutes=15, solution=_average_loop,
     hints=(
-        "The same formulas as in chapter 2 (Eq. 7-8), for one voxel i at a time, in a plain for loop.",
+        "The same formulas as in chapter 2 (Eq. 7-9), for one voxel i at a time, in a plain for loop.",
         "NaN is the only number that is not equal to itself: `if d[i] == d[i]`.",
-        "new_D[i] = (D[i] W[i] + min(d[i], 1)) / (W[i] + 1) and new_W[i] = min(W[i] + 1, max_weight), if d[i] >= -1.",
+        "If d[i] >= -1: new_W[i] = min(W[i] + 1, max_weight), and new_D[i] = (D[i] (new_W[i] - 1) + min(d[i], 1)) / new_W[i].",
     ),
     wrong=(
         Wrong(_average_of_everything, says="behind the surface"),
         Wrong(_average_in_place, says="does not change its inputs"),
         Wrong(_average_uncapped, says="max_weight"),
         Wrong(_average_unclamped, says="at most 1"),
+        Wrong(_average_of_more_than_the_cap, says="1 / max_weight"),
     ),
 )  # fmt: skip
 def average_loop(attempt: Attempt) -> None:
@@ -204,5 +214,7 @@ def average_loop(attempt: Attempt) -> None:
     close(W, [3.0, 3.0], "a voxel far behind the surface, or without depth, was not observed", on=on)
     on = "d = 7, free space far in front of the surface"
     close(update(on, [0.5], [1.0], [7.0], 100.0)[0], [0.75], "d counts as at most 1", on=on)
-    on = "W = 100 and max_weight 100"
-    close(update(on, [0.5], [100.0], [0.1], 100.0)[1], [100.0], "the weight stops at max_weight", on=on)
+    on = "W = 4 with max_weight 4, D = 0, and d = 1"
+    D, W = update(on, [0.0], [4.0], [1.0], 4.0)
+    close(W, [4.0], "the weight stops at max_weight", on=on)
+    close(D, [0.25], "at max_weight a new observation counts 1 / max_weight", on=on)

@@ -8,14 +8,14 @@ In a notebook::
     check.lift_pixel(lift_pixel)     # Verdict: green, or red with the property that failed and the input
     f = check.lift_pixel.working(f)  # the student's function if it passes, else ours
 
-In ``teaching/<chapter>.py`` (found by itself, nothing to register elsewhere)::
+In ``teaching/<chapter>.py`` (found automatically, nothing to register elsewhere)::
 
     def _solution(camera, uv, depth_m): ...
     def _along_the_ray(camera, uv, depth_m): ...            # a plausible wrong answer
 
     @exercise(
         chapter=1, difficulty=2, minutes=10, solution=_solution,
-        hints=("What is z of the point?", "Multiply the ray with z = 1."),
+        hints=("What is z of the point?", "Multiply the ray by the depth."),
         wrong=(Wrong(_along_the_ray, says="the depth is the point's z"),),
     )
     def lift_pixel(attempt: Attempt) -> None:               # the name of the exercise

@@ -79,7 +79,7 @@ def _lift_with_one_focal_length(camera: Camera, uv: Tensor, depth_m: Tensor) -> 
     chapter=1, difficulty=2, minutes=5, solution=_lift,
     hints=(
         "Solve Eq. 4 for x and y; z is known.",
-        "The ray ((u - cx) / fx, (v - cy) / fy, 1) has z = 1. What must it be multiplied with to get z = depth?",
+        "The ray ((u - cx) / fx, (v - cy) / fy, 1) has z = 1. What must it be multiplied by to get z = depth?",
     ),
     wrong=(
         Wrong(_lift_along_the_ray, says="the depth is z, not the distance to the camera"),
@@ -92,7 +92,7 @@ def lift_pixels(attempt: Attempt) -> None:
     uv, depth = torch.tensor([[7.5, 5.5]]), torch.tensor([2.0])
     point = attempt.on(on)(_CAMERA, uv, depth)
     close(_last(point), [2.0], "the depth is z, not the distance to the camera", on=on)
-    close(point, [[0.7, 1.0, 2.0]], "fx and fy scale x and y, each its own", on=on)
+    close(point, [[0.7, 1.0, 2.0]], "x is divided by fx and y by fy: fx and fy may differ", on=on)
     on = "many pixels, lifted and projected again"
     generator = torch.Generator().manual_seed(0)
     uv = torch.rand(50, 2, generator=generator) * torch.tensor([8.0, 6.0])

@@ -190,7 +190,7 @@ def _one_side(Q: Tensor, v_Q: Tensor) -> Tensor:
     hints=(
         "Start from Q cov = I and move cov a little: dQ cov + Q dcov = 0.",
         "So dQ = -Q dcov Q. For 1 x 1 matrices that is d(1/s) = -ds / s^2.",
-        "L changes by <v_Q, dQ> = -trace(v_Q^T Q dcov Q). Turn it round until it reads <v_cov, dcov>.",
+        "L changes by <v_Q, dQ> = -trace(v_Q^T Q dcov Q). Rearrange it until it reads <v_cov, dcov>.",
     ),
     wrong=(
         Wrong(_plus, says="a wider Gaussian has a smaller conic"),

@@ -27,7 +27,7 @@ def _rate_of_the_last(seconds: list[float]) -> float:
     chapter=6, difficulty=1, minutes=4, solution=_frame_rate,
     hints=(
         "Three frames in 0.7 s: how many frames is that in one second?",
-        "Frames divided by time. Do not average rates: a rate counts the quick frames more than they last.",
+        "Frames divided by time. Do not average rates: quick frames would count more than the time they took.",
     ),
     wrong=(
         Wrong(_mean_of_rates, says="frames divided by the time they took"),

@@ -55,7 +55,7 @@ class BesideThePaper:
     Args:
         number: "IV" to "VIII".
         ours: Setting -> column -> value; only the paper's columns, and "Gaussians", are shown. Settings that the paper
-            does not have are shown with ours alone. Settings that begin with a number stand in its order.
+            does not have are shown with ours alone. Settings that begin with a number are sorted by it.
 
     Raises:
         KeyError: the paper has no such ablation.

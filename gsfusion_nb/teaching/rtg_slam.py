@@ -46,7 +46,7 @@ def _range(r: Tensor, p: Tensor, n: Tensor) -> Tensor:
         Wrong(_always_centre, says="a leaning disc is nearer on one side than on the other"),
         Wrong(_one_sided, says="a normal may point either way"),
         Wrong(_always_plane, says="seen flatter than 60 degrees, the centre's depth counts"),
-        Wrong(_range, says="depth is z, not the way along the ray"),
+        Wrong(_range, says="depth is z, not the distance along the ray"),
     ),
 )  # fmt: skip
 def disc_hit(attempt: Attempt) -> None:
@@ -54,7 +54,7 @@ def disc_hit(attempt: Attempt) -> None:
     ahead, back = torch.tensor([0.0, 0.0, 2.0]), torch.tensor([0.0, 0.0, -1.0])
     on = "a disc 2 m ahead that faces the camera, ray (0.3, 0, 1)"
     ray = torch.tensor([0.3, 0.0, 1.0])
-    close(attempt.on(on)(ray, ahead, back), 2.0, "depth is z, not the way along the ray", on=on)
+    close(attempt.on(on)(ray, ahead, back), 2.0, "depth is z, not the distance along the ray", on=on)
     leaning = torch.tensor([-0.6, 0.0, -0.8])
     on = "a disc 2 m ahead, leaning 37 degrees, ray (0.2, 0, 1)"
     ray = torch.tensor([0.2, 0.0, 1.0])
@@ -126,7 +126,7 @@ def adding_masks(attempt: Attempt) -> None:
             holds(right, "masks are truth values", on=on, detail="expected two bool tensors [H, W]")
         return got
 
-    on = "five pixels: fine, unseen, 20 cm too far, 20 cm too near, unseen and wrong"
+    on = "five pixels: right, unseen, 20 cm too far, 20 cm too near, unseen and wrong"
     surface, colour = ask(on, [0.0, 0.9, 0.0, 0.0, 0.9], [2.0, 2.0, 2.2, 1.8, 2.5], [2.0] * 5, grey)
     holds(surface[0, 1] and surface[0, 2], "either reason is enough", on=on, detail=f"M_s is {surface.tolist()}")
     holds(surface[0, 3], "too near is as wrong as too far", on=on, detail="the fourth pixel is not in M_s: use |.|")
@@ -143,7 +143,7 @@ def adding_masks(attempt: Attempt) -> None:
     holds(not (surface | colour).any(), "no disc where nothing was measured", on=on, detail="need D > 0 in both masks")
 
 
-STAYS, BECOMES_STABLE, BECOMES_UNSTABLE, GOES = "stays", "becomes stable", "becomes unstable", "goes"
+STAYS, BECOMES_STABLE, BECOMES_UNSTABLE, DELETED = "stays", "becomes stable", "becomes unstable", "is deleted"
 
 
 def _next_state(stable: bool, eta: int, errors: int, age: int) -> str:
@@ -151,19 +151,19 @@ def _next_state(stable: bool, eta: int, errors: int, age: int) -> str:
         return BECOMES_UNSTABLE if errors > 10 else STAYS
     if eta > 100:
         return BECOMES_STABLE
-    return GOES if age > 120 else STAYS
+    return DELETED if age > 120 else STAYS
 
 
 def _errors_kill(stable: bool, eta: int, errors: int, age: int) -> str:
-    return GOES if stable and errors > 10 else _next_state(stable, eta, errors, age)
+    return DELETED if stable and errors > 10 else _next_state(stable, eta, errors, age)
 
 
 def _old_first(stable: bool, eta: int, errors: int, age: int) -> str:
-    return GOES if not stable and age > 120 else _next_state(stable, eta, errors, age)
+    return DELETED if not stable and age > 120 else _next_state(stable, eta, errors, age)
 
 
 def _everything_ages(stable: bool, eta: int, errors: int, age: int) -> str:
-    return GOES if stable and age > 120 else _next_state(stable, eta, errors, age)
+    return DELETED if stable and age > 120 else _next_state(stable, eta, errors, age)
 
 
 def _any_errors(stable: bool, eta: int, errors: int, age: int) -> str:
@@ -175,7 +175,7 @@ def _any_errors(stable: bool, eta: int, errors: int, age: int) -> str:
     hints=(
         "Two cases, stable or not. Only a stable Gaussian has errors that matter, only an unstable one an age.",
         "An unstable one is asked first whether it has been optimised enough (eta > 100), then whether it is too old.",
-        "A stable one in error is not deleted by the paper: it becomes unstable and is optimised again.",
+        "In the paper, a stable one in error is not deleted: it becomes unstable and is optimised again.",
     ),
     wrong=(
         Wrong(_errors_kill, says="a stable one with errors becomes unstable again"),
@@ -189,7 +189,7 @@ def next_state(attempt: Attempt) -> None:
     cases = (
         ((False, 101, 0, 5), BECOMES_STABLE, "optimised more than 100 times, it is stable"),
         ((False, 100, 0, 5), STAYS, "exactly 100 is not more than 100"),
-        ((False, 3, 0, 121), GOES, "unstable for more than 120 frames: it is deleted"),
+        ((False, 3, 0, 121), DELETED, "unstable for more than 120 frames: it is deleted"),
         ((False, 101, 0, 121), BECOMES_STABLE, "enough optimisation counts, even at the last moment"),
         ((False, 3, 11, 5), STAYS, "errors of an unstable one do not count"),
         ((True, 400, 10, 90), STAYS, "exactly 10 errors are not too many"),

@@ -101,7 +101,7 @@ def _where_swapped(ctx: SeedContext, *, max_alpha: float = 0.5) -> Seeds:
 @exercise(
     chapter=9, difficulty=3, minutes=15, solution=_where_empty,
     hints=(
-        "ctx.cells() proposes a seed for each quadtree leaf with depth. ctx.render().alpha [H, W] tells how opaque the "
+        "ctx.cells() proposes a seed for each quadtree leaf with depth. ctx.render().alpha [H, W] says how opaque the "
         "map is at each pixel.",
         "Where is a seed in the image? leaves = ctx.quadtree_cells(); x, y = leaves.centre_uv.long().unbind(-1).",
         "Leaves without depth gave no seed: kept = ctx.has_depth()[y, x], then alpha[y, x][kept] has a row per seed.",
@@ -287,7 +287,7 @@ def pareto_rules(attempt: Attempt) -> None:
     got = front(on, [3000.0, 6000.0], [22.0, 22.0])
     holds(got == [True, False], "of two equally good pictures the smaller map wins", on=on, detail=f"got {got}")
     on = "two rules with the same numbers"
-    holds(front(on, [3.0, 3.0], [22.0, 22.0]) == [True, True], "nobody beats an equal", on=on, detail="one is missing")
+    holds(front(on, [3.0, 3.0], [22.0, 22.0]) == [True, True], "a rule does not beat an equal one", on=on, detail="one is missing")
 
 
 def wall_context(covered: str = "nothing") -> SeedContext:

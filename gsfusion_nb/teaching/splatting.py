@@ -177,12 +177,12 @@ def _whole_tiles_only(u: Number, v: Number, extent_px: Number, width: int, heigh
     hints=(
         "Tile number of a coordinate: floor(coordinate / tile_px). Do it for u - extent and u + extent.",
         "The ranges are half open, like range(): the end is one more than the last tile.",
-        "There are ceil(width / tile_px) tiles across. Clamp both ends to 0 .. that number: a splat may hang over.",
+        "There are ceil(width / tile_px) tiles across. Clamp both ends to 0 .. that number: a splat may reach beyond the picture.",
     ),
     wrong=(
         Wrong(_last_one_missing, says="a splat inside one tile is in that tile"),
         Wrong(_unclamped, says="tiles outside of the picture do not exist"),
-        Wrong(_whole_tiles_only, says="the last tile may hang over the border"),
+        Wrong(_whole_tiles_only, says="the last tile may reach beyond the picture's border"),
     ),
 )  # fmt: skip
 def tiles_touched(attempt: Attempt) -> None:
@@ -214,7 +214,7 @@ def tiles_touched(attempt: Attempt) -> None:
         1,
         60,
         45,
-        "the last tile may hang over the border",
+        "the last tile may reach beyond the picture's border",
         "ceil, not floor",
     )
     on = "u -30, v 20, extent 5: left of the picture"

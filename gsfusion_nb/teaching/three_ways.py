@@ -10,7 +10,7 @@ from torch import Tensor
 from ..drawing.html import html_table
 
 TOLERANCE = 1e-5
-"""Largest difference, of the largest number, that counts as agreement in float64."""
+"""Largest difference that counts as agreement in float64, as a share of the largest number."""
 _SHOWN = 3
 
 
@@ -25,7 +25,7 @@ class Compared:
 
     @property
     def errors(self) -> tuple[float, float]:
-        """Largest deviation of the hand-written one from autograd and from differences, of the largest number."""
+        """Largest deviation of the hand-written one from autograd and from differences, as a share of the largest number."""
         scale = float(self.difference.abs().max().clamp_min(1e-12)) if self.difference.numel() else 1.0
         return tuple(float((self.hand - other).abs().max()) / scale for other in (self.autograd, self.difference))  # pyright: ignore[reportReturnType]
 

@@ -31,7 +31,7 @@ def _rotation_first(p: Tensor, q: Tensor, n: Tensor) -> tuple[Tensor, Tensor]:
     chapter=8, difficulty=3, minutes=12, solution=_residual_and_jacobian,
     hints=(
         "The residual is a signed number: how far p is from the plane through q, along n.",
-        "A small motion moves p by rho + omega x p. Dot it with n: n.rho + n.(omega x p).",
+        "A small motion moves p by rho + omega x p. The dot product of this with n is n.rho + n.(omega x p).",
         "n.(omega x p) = omega.(p x n), the triple product. So a row of J is [n, p x n].",
     ),
     wrong=(

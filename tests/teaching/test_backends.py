@@ -8,6 +8,7 @@ from numba import njit
 
 from gsfusion_nb.studies.roofline import ADAM_FLOATS, ADAM_FLOPS, Roofs
 from gsfusion_nb.teaching import backends, check
+from gsfusion_nb.tsdf import tsdf_update
 from gsfusion_nb.viz.panels.stage_bars import sped_up
 
 
@@ -24,24 +25,24 @@ def test_the_roof_and_the_traffic_are_the_librarys():
     assert backends._adam_traffic(10) == (4 * ADAM_FLOATS * 10, ADAM_FLOPS / (4 * ADAM_FLOATS))
 
 
-def test_the_loop_compiles_and_agrees_with_torch():
+def test_the_loop_compiles_and_agrees_with_the_library():
     g = np.random.default_rng(0)
     D, d = (g.uniform(-1.5, 1.5, 500).astype(np.float32) for _ in range(2))
     d[::7] = np.nan
     W = g.integers(0, 8, 500).astype(np.float32)
     loop = inspect.unwrap(backends._average_loop)  # without the run-time type checks of the tests
     new_D, new_W = njit()(loop)(D, W, d, 5.0)
-    seen = torch.from_numpy(d) >= -1
     t = [torch.from_numpy(a) for a in (D, W, d)]
-    mean = (t[0] * t[1] + t[2].clamp(max=1)) / (t[1] + 1)
-    np.testing.assert_allclose(new_D, torch.where(seen, mean, t[0]).numpy(), atol=1e-6)
-    np.testing.assert_allclose(new_W, torch.where(seen, (t[1] + 1).clamp(max=5), t[1]).numpy())
+    right_D, right_W = tsdf_update(*t, truncation_m=1.0, max_weight=5.0)
+    np.testing.assert_allclose(new_D, right_D.numpy(), atol=1e-6)
+    np.testing.assert_allclose(new_W, right_W.numpy())
 
 
 def test_an_answer_in_vectors_also_passes():
     def vectors(D, W, d, max_weight):
         seen = d >= -1
-        mean = (D * W + np.minimum(d, 1)) / (W + 1)
-        return np.where(seen, mean, D), np.where(seen, np.minimum(W + 1, max_weight), W)
+        W_new = np.minimum(W + 1, max_weight)
+        mean = (D * (W_new - 1) + np.minimum(d, 1)) / W_new
+        return np.where(seen, mean, D), np.where(seen, W_new, W)
 
     assert check.average_loop(vectors)

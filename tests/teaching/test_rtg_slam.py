@@ -51,10 +51,10 @@ def test_next_state_is_what_change_states_does(stable, eta, errors, age):
     model.colour_errors[0], model.step_count = errors, age
     change_states(model, StateConfig(max_radius_factor=None))
     said = SOLUTIONS["next_state"](stable, eta, errors if stable else 0, age)
-    happened = "goes" if not len(model) else {0: "unstable", 1: "stable"}[int(model.state[0])]
+    happened = "is deleted" if not len(model) else {0: "unstable", 1: "stable"}[int(model.state[0])]
     expected = {
         "stays": "stable" if stable else "unstable", "becomes stable": "stable", "becomes unstable": "unstable",
-        "goes": "goes",
+        "is deleted": "is deleted",
     }  # fmt: skip
     assert happened == expected[said]
 

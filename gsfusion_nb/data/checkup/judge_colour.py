@@ -70,15 +70,14 @@ def registration_findings(
     )
     if fit.shift_frames:
         repair = RepairConfig(rgb_shift_frames=fit.shift_frames)
-        side = "after" if fit.shift_frames > 0 else "before"
+        side = "later" if fit.shift_frames > 0 else "earlier"
         time = Finding(
             name="colour time",
             verdict="wrong",
             numbers={"shift_frames": float(fit.shift_frames)},
             repair=repair.flags,
             sentence=(
-                f"The colour that belongs to a frame's depth image is that of the frame {abs(fit.shift_frames)} {side}"
-                " it."
+                f"The depth image of a frame belongs to the colour image recorded {abs(fit.shift_frames)} frames {side}."
             ),
         )
         return repair, [space, time]

@@ -150,8 +150,8 @@ def time_finding(e: Explanation, camera: Camera) -> Finding:
         numbers={"shift_frames": shift, "cost_ratio": ratio},
         repair=RepairConfig(pose_shift_frames=fields["pose_shift_frames"]).flags,
         sentence=(
-            f"The pose that belongs to a frame's depth image is that of {abs(shift):.1f} frames "
-            f"{'after' if shift > 0 else 'before'} it."
+            f"The depth image of a frame belongs to the pose recorded {abs(shift):.1f} frames "
+            f"{'later' if shift > 0 else 'earlier'}."
         ),
     )
 

@@ -63,7 +63,7 @@ class SequenceCheck:
             return f"doubtful: only {share}, and no usual mistake explains it; gsfusion-nb check tries more"
         return (
             f"inconsistent: only {share}, but {self.agreeing[self.best]:.0%} do with {self.best}: "
-            f"{USUAL_INTERPRETATIONS[self.best].flags}; gsfusion-nb check tells more"
+            f"{USUAL_INTERPRETATIONS[self.best].flags}; gsfusion-nb check finds more"
         )
 
 

@@ -29,7 +29,7 @@ class RecordedFrame:
     """One frame of a recording.
 
     Raises:
-        SequenceError: a camera that cannot be one (``gsfusion_nb.plausible``).
+        SequenceError: an impossible camera (``gsfusion_nb.plausible``).
     """
 
     source: str
@@ -61,7 +61,7 @@ class Recording:
     """A recording in a foreign format.
 
     Raises:
-        SequenceError: a depth scale that cannot be one (``gsfusion_nb.plausible``).
+        SequenceError: an impossible depth scale (``gsfusion_nb.plausible``).
     """
 
     name: str

@@ -1,7 +1,8 @@
 """Readers of recordings on disk, one file per layout.
 
 A new reader is one new file here: a function that reads a folder, and ``LAYOUT``, which says how to recognise one.
-``open_sequence``, the command line and the check of a recording then know the layout by the name of the file.
+The name of the file is the name of the layout, which ``open_sequence``, the command line and the check of a recording
+then know.
 """
 
 from .folder import folder as folder

@@ -28,7 +28,7 @@ class RecordedSequence:
     raises ``BadFrameError``; the other frames stay readable.
 
     Raises:
-        SequenceError: a camera or a depth scale that cannot be one (``gsfusion_nb.plausible``).
+        SequenceError: an impossible camera or depth scale (``gsfusion_nb.plausible``).
     """
 
     name: str

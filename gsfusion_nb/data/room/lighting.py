@@ -1,7 +1,7 @@
 """Baked diffuse light: soft-shadowed lamps, daylight from the window, and ambient light that is darker near contacts.
 
 Shadows and ambient occlusion are cones traced through a coarse distance grid: the narrowest clearance along a cone,
-relative to its width, tells how much of it is free. The result is smooth, as light from large sources is.
+relative to its width, is the share of it that is free. The result is smooth, as light from large sources is.
 """
 
 from collections.abc import Sequence

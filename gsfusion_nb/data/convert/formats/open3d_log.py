@@ -92,7 +92,7 @@ def _pairs(path: Path, colour: list[Path], depth: list[Path]) -> dict[int, tuple
 
 def _numbers(files: list[Path]) -> list[int] | None:
     """The first number in each name, or None if a name has none or two have the same."""
-    # Redwood's names go on with the time: 0000001-000000033369.png
+    # Redwood's names continue with the time: 0000001-000000033369.png
     found = [int(match[0]) for file in files if (match := re.search(r"\d+", file.stem))]
     return found if len(set(found)) == len(files) else None
 

@@ -1,4 +1,4 @@
-"""Limits for what rosbags reads of a bag, and for what the chunks of a bag unpack to; it takes both as they come."""
+"""Limits for what the package rosbags reads of a bag, and for what the chunks of a bag unpack to; rosbags has none."""
 
 import bz2
 import contextlib
@@ -65,7 +65,7 @@ def _bounded(name: str, unpack: Callable[..., bytes]) -> Callable[..., bytes]:
     def bounded(data: bytes, *size: int) -> bytes:
         content = _STREAMS[name]().decompress(bytes(data), MAX_CHUNK_BYTES + 1)
         if len(content) > MAX_CHUNK_BYTES:
-            raise SequenceError(f"a chunk of the bag unpacks to more than {MAX_CHUNK_BYTES / 1e6:g} MB; it is a bomb")
+            raise SequenceError(f"a chunk of the bag unpacks to more than {MAX_CHUNK_BYTES / 1e6:g} MB; it may be a decompression bomb")
         return content
 
     return bounded
