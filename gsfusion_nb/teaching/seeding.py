@@ -287,7 +287,12 @@ def pareto_rules(attempt: Attempt) -> None:
     got = front(on, [3000.0, 6000.0], [22.0, 22.0])
     holds(got == [True, False], "of two equally good pictures the smaller map wins", on=on, detail=f"got {got}")
     on = "two rules with the same numbers"
-    holds(front(on, [3.0, 3.0], [22.0, 22.0]) == [True, True], "a rule does not beat an equal one", on=on, detail="one is missing")
+    holds(
+        front(on, [3.0, 3.0], [22.0, 22.0]) == [True, True],
+        "a rule does not beat an equal one",
+        on=on,
+        detail="one is missing",
+    )
 
 
 def wall_context(covered: str = "nothing") -> SeedContext:

@@ -65,7 +65,9 @@ def _bounded(name: str, unpack: Callable[..., bytes]) -> Callable[..., bytes]:
     def bounded(data: bytes, *size: int) -> bytes:
         content = _STREAMS[name]().decompress(bytes(data), MAX_CHUNK_BYTES + 1)
         if len(content) > MAX_CHUNK_BYTES:
-            raise SequenceError(f"a chunk of the bag unpacks to more than {MAX_CHUNK_BYTES / 1e6:g} MB; it may be a decompression bomb")
+            raise SequenceError(
+                f"a chunk of the bag unpacks to more than {MAX_CHUNK_BYTES / 1e6:g} MB; it may be a decompression bomb"
+            )
         return content
 
     return bounded
