@@ -71,7 +71,7 @@ class SeedingConfig:
     quadtree_contrast: Literal["released", "std"] = "released"
     """How contrast is measured. "released": variance of the colour levels (0 to 255) times the number of image pixels
     / 9e7, as in the released code, so the threshold depends on the image size; "std": standard deviation of the colours
-    in 0..1, the same at every size. Both average the variances of R, G and B with luma weights (0.299, 0.587, 0.114)."""
+    in 0..1, the same at every size. Both average the variances of R, G and B with luma weights (0.3, 0.59, 0.11)."""
     one_per_voxel: bool = False
     """A voxel holds at most one Gaussian: of the new ones that share a voxel the largest is created, and none where the
     map has one already (GSFusion's paper, section IV-C.1; the released code does not check this). On: fewer Gaussians

@@ -182,7 +182,7 @@ def _average_of_more_than_the_cap(D, W, d, max_weight):
     hints=(
         "The same formulas as in chapter 2 (Eq. 7-9), for one voxel i at a time, in a plain for loop.",
         "NaN is the only number that is not equal to itself: `if d[i] == d[i]`.",
-        "If d[i] >= -1: new_W[i] = min(W[i] + 1, max_weight), and new_D[i] = (D[i] (new_W[i] - 1) + min(d[i], 1)) / new_W[i].",
+        "If d[i] >= -1: w = min(W[i] + 1, max_weight), new_W[i] = w, new_D[i] = (D[i] (w - 1) + min(d[i], 1)) / w.",
     ),
     wrong=(
         Wrong(_average_of_everything, says="behind the surface"),

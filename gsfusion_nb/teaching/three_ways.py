@@ -25,7 +25,7 @@ class Compared:
 
     @property
     def errors(self) -> tuple[float, float]:
-        """Largest deviation of the hand-written one from autograd and from differences, as a share of the largest number."""
+        """Largest deviation of the hand-written one from autograd and differences, as a share of the largest number."""
         scale = float(self.difference.abs().max().clamp_min(1e-12)) if self.difference.numel() else 1.0
         return tuple(float((self.hand - other).abs().max()) / scale for other in (self.autograd, self.difference))  # pyright: ignore[reportReturnType]
 

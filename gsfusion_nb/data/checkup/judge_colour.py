@@ -77,7 +77,7 @@ def registration_findings(
             numbers={"shift_frames": float(fit.shift_frames)},
             repair=repair.flags,
             sentence=(
-                f"The depth image of a frame belongs to the colour image recorded {abs(fit.shift_frames)} frames {side}."
+                f"A frame's depth image belongs to the colour image recorded {abs(fit.shift_frames)} frames {side}."
             ),
         )
         return repair, [space, time]

@@ -150,7 +150,7 @@ def time_finding(e: Explanation, camera: Camera) -> Finding:
         numbers={"shift_frames": shift, "cost_ratio": ratio},
         repair=RepairConfig(pose_shift_frames=fields["pose_shift_frames"]).flags,
         sentence=(
-            f"The depth image of a frame belongs to the pose recorded {abs(shift):.1f} frames "
+            f"A frame's depth image belongs to the pose recorded {abs(shift):.1f} frames "
             f"{'later' if shift > 0 else 'earlier'}."
         ),
     )

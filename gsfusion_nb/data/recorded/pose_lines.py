@@ -105,9 +105,9 @@ def _lines_by_number(path: Path, n_lines: int, images: list[Path], first_image: 
     if len(steps) > 1:
         gap = next(b for a, b in itertools.pairwise(images) if _step(a, b) != min(steps))
         log.warning(
-            "%s: the numbers of the images have a gap before %s, but line k is taken as the pose of the k-th image: if an "
-            "image is missing, all later poses are wrong (with first_image in intrinsics.json, lines belong to images by "
-            "number)",
+            "%s: the numbers of the images have a gap before %s, but line k is taken as the pose of the k-th image: if "
+            "an image is missing, all later poses are wrong (with first_image in intrinsics.json, lines belong to "
+            "images by number)",
             path,
             gap.name,
         )
