@@ -177,7 +177,7 @@ def _whole_tiles_only(u: Number, v: Number, extent_px: Number, width: int, heigh
     hints=(
         "Tile number of a coordinate: floor(coordinate / tile_px). Do it for u - extent and u + extent.",
         "The ranges are half open, like range(): the end is one more than the last tile.",
-        "There are ceil(width / tile_px) tiles across. Clamp both ends to 0 .. that number: splats may cross the border.",
+        "There are ceil(width / tile_px) tiles across. Clamp both ends to 0 .. that number.",
     ),
     wrong=(
         Wrong(_last_one_missing, says="a splat inside one tile is in that tile"),
