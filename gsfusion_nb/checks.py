@@ -5,6 +5,11 @@ import math
 import torch
 from torch import Tensor
 
+from .errors import shown
+
+SAVED_RIGIDITY_ERROR = 1e-2
+"""Largest entry of R R^T - I in a pose of a checkpoint; tracking multiplies poses, so it may grow a little."""
+
 
 def check_shape(name: str, value: object, expected: tuple[int | str, ...]) -> None:
     """Raise ``ValueError`` unless ``value`` is a tensor of the expected shape; a string stands for any length.
@@ -72,7 +77,7 @@ def check_positive(name: str, value: object) -> None:
 def check_number(name: str, value: object, low: float | int = -math.inf, high: float | int = math.inf) -> None:
     """Raise ``ValueError`` unless ``value`` is a finite number from ``low`` to ``high``."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise ValueError(f"{name} must be a number, got {value!r}")
+        raise ValueError(f"{name} must be a number, got {shown(value)}")
     if not math.isfinite(value):
         raise ValueError(f"{name} must be finite, got {value}")
     if not low <= value <= high:
@@ -82,4 +87,30 @@ def check_number(name: str, value: object, low: float | int = -math.inf, high: f
 def check_name(kind: str, name: str, known) -> None:
     """Raise ``KeyError`` unless ``name`` is one of ``known``; the message lists them."""
     if name not in known:
-        raise KeyError(f"no {kind} {name!r}; known: {', '.join(sorted(known))}")
+        raise KeyError(f"no {kind} {shown(name)}; known: {', '.join(sorted(known))}")
+
+
+def check_saved(
+    name: str,
+    value: object,
+    shape: tuple[int | str, ...],
+    dtype: torch.dtype = torch.float32,
+    *,
+    finite: bool = True,
+) -> None:
+    """Raise ``ValueError`` unless ``value``, from a checkpoint, is a tensor of this shape and type, and finite."""
+    check_shape(name, value, shape)
+    assert isinstance(value, Tensor)
+    if value.dtype != dtype:
+        raise ValueError(f"{name} must be {dtype}, got {value.dtype}")
+    if finite and value.is_floating_point():
+        check_finite(name, value)
+
+
+def check_whole(name: str, value: object, low: int, high: int | None = None) -> None:
+    """Raise ``ValueError`` unless ``value`` is a whole number from ``low`` to ``high``, both allowed."""
+    if isinstance(value, bool) or not isinstance(value, int):
+        raise ValueError(f"{name} must be a whole number, got {shown(value)}")
+    if value < low or (high is not None and value > high):
+        wanted = f">= {low}" if high is None else f"between {low} and {high}"
+        raise ValueError(f"{name} must be {wanted}, got {value}")

@@ -23,6 +23,14 @@ IMAGE_BYTES = 256_000_000
 """Of an encoded image."""
 
 
+def is_file(path: Path) -> bool:
+    """Whether there is a file; False for a name, written by somebody else, that no file can have."""
+    try:
+        return path.is_file()
+    except OSError:
+        return False
+
+
 def open_regular(path: str | Path, what: str) -> BufferedReader:
     """Open a plain file for reading bytes. Pipes, sockets, devices and folders are refused, before anything waits.
 
@@ -36,7 +44,7 @@ def open_regular(path: str | Path, what: str) -> BufferedReader:
         raise SequenceNotFoundError(f"{path} does not exist; expected {what}") from None
     except (OSError, ValueError) as e:
         reason = getattr(e, "strerror", None) or e
-        if Path(path).is_dir():
+        if os.path.isdir(path):
             reason = "it is a folder"
         raise SequenceError(f"{path} cannot be read ({reason}); expected {what}") from None
     mode = os.fstat(handle).st_mode

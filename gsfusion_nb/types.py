@@ -255,7 +255,11 @@ class GaussianParams:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Mesh:
-    """A coloured triangle mesh with shared vertices."""
+    """A coloured triangle mesh with shared vertices.
+
+    Raises:
+        ValueError: a face of a vertex that is not there.
+    """
 
     vertices_W: Float[Tensor, "V 3"]
     """Positions, world frame, metres."""
@@ -263,3 +267,10 @@ class Mesh:
     """Vertex indices, counter-clockwise seen from the free side."""
     rgb: Float[Tensor, "V 3"]
     """Vertex colours, 0..1."""
+
+    def __post_init__(self):
+        if not self.faces.numel():
+            return
+        low, high = torch.stack(torch.aminmax(self.faces)).tolist()
+        if low < 0 or high >= len(self.vertices_W):
+            raise ValueError(f"faces must refer to vertices 0 to {len(self.vertices_W) - 1}, got {low} to {high}")

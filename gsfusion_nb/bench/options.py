@@ -11,7 +11,7 @@ import tyro
 from ..backends import BACKENDS
 from ..checks import check_name
 
-SECTIONS = ("raster", "tsdf", "map", "panels", "waits")
+SECTIONS = ("raster", "tsdf", "map", "panels", "waits", "checkpoints")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,9 +20,9 @@ class BenchOptions:
 
     what: Annotated[str, tyro.conf.Positional] = "all"
     """What to time: raster (rasteriser), tsdf (TSDF integration), map (whole mapper), panels (notebook panels), waits
-    (commands one waits for) or all."""
+    (commands one waits for), checkpoints (what they cost, and how soon after SIGTERM one is saved) or all."""
     data: str = "room"
-    """Folder of the sequence used by tsdf, map and waits, or "room" for the built-in scene."""
+    """Folder of the sequence used by tsdf, map, waits and checkpoints, or "room" for the built-in scene."""
     size: tuple[str, ...] = ()
     """Image sizes of the sequence, for example 320x240 640x480. Default: the size of the recording, 320x240 for the
     room."""

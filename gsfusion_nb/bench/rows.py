@@ -13,7 +13,7 @@ class Row:
     """One line of the table."""
 
     section: str
-    """raster, tsdf, map, panels, waits or scaling."""
+    """raster, tsdf, map, panels, waits, checkpoints or scaling."""
     case: str
     """The work. Rows of a section with the same case are compared with each other."""
     method: str

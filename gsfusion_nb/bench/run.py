@@ -9,7 +9,7 @@ from typing import Any
 from .. import optim, render, seeding, tsdf  # noqa: F401  (importing them declares their operations)
 from ..files import write_file
 from ..progress import ProgressDisplay
-from . import machine, panels, scaling, table, waits
+from . import checkpoints, machine, panels, scaling, table, waits
 from . import mapping as mapping_cases
 from . import raster as raster_cases
 from . import tsdf as tsdf_cases
@@ -24,6 +24,7 @@ CASES: dict[str, Callable[[BenchOptions], Iterator[Case]]] = {
     "map": mapping_cases.cases,
     "panels": panels.cases,
     "waits": waits.cases,
+    "checkpoints": checkpoints.cases,
 }
 
 
@@ -70,7 +71,7 @@ def run_bench(options: BenchOptions) -> BenchResult:
     options.check()
     with threads(options.threads):
         result = BenchResult(options=options, machine=machine.describe(options.threads))
-        if {"tsdf", "map", "waits"} & set(options.sections):
+        if {"tsdf", "map", "waits", "checkpoints"} & set(options.sections):
             for size in options.sizes:
                 tsdf_cases.open_frames(options, size)
         result.missing = not_measured(options)

@@ -11,6 +11,7 @@ HEADINGS = {
     "map": "map: GSFusion, Replica settings, means over the frames; note: frames/s, number of Gaussians",
     "panels": "panels: from moving a control to the new picture; method: what is shown or moved",
     "waits": "waits: commands one waits for, besides mapping",
+    "checkpoints": "checkpoints: saving a run; note: share of the 30 s between two, by CPU time; size",
     "scaling": "scaling: growth of time, line through (ln x, ln time)",
 }
 

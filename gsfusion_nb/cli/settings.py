@@ -13,7 +13,7 @@ import tyro
 from ..backends import from_environment
 from ..config import SystemConfig, from_dict
 from ..config.option_help import parse_options
-from ..errors import SequenceError
+from ..errors import SequenceError, shown
 from ..foreign import reason_of
 from ..strict_json import parse_json, read_object
 
@@ -89,7 +89,7 @@ def named_values(texts: tuple[str, ...]) -> dict[str, Any]:
     for text in texts:
         name, equals, value = text.partition("=")
         if not equals:
-            raise ValueError(f"expected an option as name=value, got {text!r}")
+            raise ValueError(f"expected an option as name=value, got {shown(text)}")
         try:
             values[name.replace("-", "_")] = parse_json(value.lower(), text, "a value")
         except SequenceError:
@@ -144,8 +144,8 @@ def _read_settings(path: Path, rule: str | None) -> SystemConfig:
     name = document.get("rule", own_rule)
     if rule is None and not document.get("rule_is_built_in", name == own_rule):
         raise ValueError(
-            f"{path} is of a run with the seeding rule {name!r}, which is not one of this package and would not be "
-            f"used; its source is in {path.parent / 'rule.py'}: repeat the run in Python, with run_mapping(data, "
+            f"{path} is of a run with the seeding rule {shown(name)}, which is not one of this package and would not "
+            f"be used; its source is in {path.parent / 'rule.py'}: repeat the run in Python, with run_mapping(data, "
             "config, seeding=<the rule>), or choose another with --seeding.rule"
         )
     return config

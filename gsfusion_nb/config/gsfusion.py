@@ -7,7 +7,7 @@ from ..checks import check_name, check_number
 from .fidelity import fidelity_of
 from .parts import TsdfConfig
 from .system import SystemConfig
-from .values import from_dict, replace
+from .values import check_kinds, from_dict, replace
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,6 +57,7 @@ class OptimConfig:
     Larger: sharper structure, less exact colours. 0.2 in the released code; 0 is the paper's loss (Eq. 12)."""
 
     def __post_init__(self):
+        check_kinds("optim", self)
         for name in ("lr_xyz", "lr_sh_dc", "lr_sh_rest", "lr_log_scale", "lr_quat", "lr_opacity_logit"):
             check_number(f"optim.{name}", getattr(self, name), 0, 10)
         for name in ("beta1", "beta2"):

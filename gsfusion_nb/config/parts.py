@@ -80,6 +80,7 @@ class SeedingConfig:
     """Keyword arguments of the rule, by name; on the command line: --rule-options name=value."""
 
     def __post_init__(self):
+        check_kinds("seeding", self)
         check_positive("seeding.quadtree_threshold", self.quadtree_threshold)
         if self.quadtree_min_cell_px < 1:
             raise ValueError(f"seeding.quadtree_min_cell_px must be >= 1, got {self.quadtree_min_cell_px}")
@@ -118,6 +119,7 @@ class DataConfig:
     """Corrections of a recording that differs from what its layout says."""
 
     def __post_init__(self):
+        check_kinds("data", self)
         for name in ("start", "stop", "hold_out_every", "hold_out_offset", "scored_views"):
             if getattr(self, name) < 0:
                 raise ValueError(f"data.{name} must be >= 0, got {getattr(self, name)}")

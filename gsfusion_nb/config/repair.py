@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from ..checks import check_number, check_positive
+from .values import check_kinds
 
 _DIRECTIONS = (("right", "left"), ("down", "up"), ("forward", "back"))
 NAMED_AXES = {
@@ -71,6 +72,7 @@ class RepairConfig:
     """Numbers of the frames to leave out, for example frozen or blurred ones."""
 
     def __post_init__(self):
+        check_kinds("repair", self)
         for name in ("depth_factor", "translation_factor", "rgb_scale"):
             check_positive(f"repair.{name}", getattr(self, name))
         for name in ("fx", "fy", "cx", "cy"):

@@ -6,6 +6,7 @@ from typing import Literal
 from ..checks import check_name
 from .parts import DataConfig, SeedingConfig
 from .tracking import TrackingConfig
+from .values import check_kinds
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,3 +28,4 @@ class SystemConfig:
         if self.sh_degree not in (0, 1, 2, 3):
             raise ValueError(f"sh_degree must be 0, 1, 2 or 3, got {self.sh_degree}")
         check_name("keyframes_on", self.keyframes_on, ("device", "cpu"))
+        check_kinds("", self)

@@ -4,6 +4,8 @@ import dataclasses
 import typing
 from typing import Any, TypeVar
 
+from ..errors import shown
+
 C = TypeVar("C")
 
 
@@ -33,16 +35,22 @@ def to_dict(config: Any) -> dict[str, Any]:
 
 
 def check_kinds(group: str, config: Any) -> None:
-    """Raise ``ValueError`` unless words are among those a field lists, whole numbers whole and switches booleans."""
+    """Raise ``ValueError`` unless words are among those a field lists, whole numbers whole, switches booleans."""
     for f in dataclasses.fields(config):
-        name, value = f"{group}.{f.name}", getattr(config, f.name)
+        name, value = f"{group}.{f.name}".removeprefix("."), getattr(config, f.name)
         words = typing.get_args(f.type) if typing.get_origin(f.type) is typing.Literal else ()
         if words and value not in words:
-            raise ValueError(f"{name} must be one of {', '.join(words)}, got {value!r}")
+            raise ValueError(f"{name} must be one of {', '.join(words)}, got {shown(value)}")
         if f.type is int and (isinstance(value, bool) or not isinstance(value, int)):
-            raise ValueError(f"{name} must be a whole number, got {value!r}")
+            raise ValueError(f"{name} must be a whole number, got {shown(value)}")
         if f.type is bool and not isinstance(value, bool):
-            raise ValueError(f"{name} must be True or False, got {value!r}")
+            raise ValueError(f"{name} must be True or False, got {shown(value)}")
+        if f.type is str and not isinstance(value, str):
+            raise ValueError(f"{name} must be a text, got {shown(value)}")
+        if isinstance(f.type, type) and dataclasses.is_dataclass(f.type) and not isinstance(value, f.type):
+            raise ValueError(f"{name} must be a group of settings, got {shown(value)}")
+        if typing.get_origin(f.type) is dict and not isinstance(value, dict):
+            raise ValueError(f"{name} must hold values by name, got {shown(value)}")
 
 
 def _merge(config: Any, values: dict[str, Any], path: str) -> Any:

@@ -1,7 +1,5 @@
 """Files for other programs (Gaussian PLY, mesh PLY and GLB, trajectory) and checkpoints, all written atomically."""
 
-from .checkpoint import load_checkpoint as load_checkpoint
-from .checkpoint import save_checkpoint as save_checkpoint
 from .checkpoint_store import CheckpointStore as CheckpointStore
 from .checkpoint_store import Saved as Saved
 from .gaussian_ply import read_gaussian_ply as read_gaussian_ply

@@ -17,23 +17,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
+from ..checks import check_whole
+from ..errors import shown
 from ..files import atomic_file, write_file
-from ..foreign import open_regular, read_text, reason_of
+from ..foreign import open_regular, read_exactly, read_text, reason_of
+from ..tsdf.volume import available_memory
+from .packed_state import Packing, bytes_of, tensor_of, unpack
 
 FORMAT = "gsfusion_nb checkpoint"
 VERSION = 2
 PIECE_BYTES = 1 << 18
-SMALL_BYTES = 1 << 12
-"""Tensors below this size are written together, as one."""
-_TAG = "$"
-_DTYPES = {str(t).removeprefix("torch."): t for t in (
-    torch.float32, torch.float64, torch.float16, torch.bfloat16, torch.int64, torch.int32, torch.int16, torch.int8,
-    torch.uint8, torch.bool,
-)}  # fmt: skip
 
 Piece = tuple[str, str, int, int]
 """SHA-256, file, offset and size of a piece."""
@@ -79,7 +75,7 @@ class CheckpointStore:
         Raises:
             TypeError: anything else in ``state``; names the place. DiskFullError: the checkpoint before still counts.
         """
-        packing = _Packing()
+        packing = Packing()
         tree = packing.plain(state, "state")
         constants = {id(t) for t in constant}
         pieces, content = self._pieces(packing.large, constants), packing.small
@@ -177,25 +173,25 @@ class CheckpointStore:
         if hashlib.sha256(text.encode()).hexdigest() != checksum:
             raise ValueError("it fails its checksum")
         document = json.loads(text)
-        if document.get("format") != FORMAT or document.get("version") != VERSION:
+        if not isinstance(document, dict) or document.get("format") != FORMAT or document.get("version") != VERSION:
             raise ValueError(f"it is not a {FORMAT} of version {VERSION}")
-        pieces = [(str(key), str(name), int(at), int(size)) for key, name, at, size in document["pieces"]]
+        pieces = [_piece(*row) for row in document["pieces"]]
+        sizes = {key: size for key, _, _, size in pieces}
+        _check_memory(sum(sizes[key] for _, _, keys in document["tensors"] for key in keys), "its tensors")
         content = self._content(pieces)
         small = b"".join(content[key] for key in document["small"])
         tensors = [
-            _tensor(d, shape, b"".join(content[k] for k in keys), device) for d, shape, keys in document["tensors"]
+            tensor_of(d, shape, b"".join(content[k] for k in keys), device) for d, shape, keys in document["tensors"]
         ]
-        return _unpack(document["state"], tensors, small, device), pieces
+        return unpack(document["state"], tensors, small, device), pieces
 
     def _content(self, pieces: list[Piece]) -> dict[str, bytes]:
         content: dict[str, bytes] = {}
         for name in sorted({piece[1] for piece in pieces}):
-            if not re.fullmatch(r"\d{6}\.pieces", name):
-                raise ValueError(f"{name} is no name of a file of pieces")
             with open_regular(self.folder / name, "pieces of a checkpoint") as file:
                 for key, _, at, size in sorted((p for p in pieces if p[1] == name), key=lambda p: p[2]):
                     file.seek(at)
-                    content[key] = file.read(size)
+                    content[key] = read_exactly(file, size, name)
                     if hashlib.sha256(content[key]).hexdigest() != key:
                         raise ValueError(f"{name} is damaged at byte {at}")
         return content
@@ -209,73 +205,26 @@ class CheckpointStore:
                 path.unlink(missing_ok=True)
 
 
-class _Packing:
-    """Turns a state into JSON with tensors set aside: large ones in a list, small ones in one buffer."""
-
-    def __init__(self):
-        self.large: list[Tensor] = []
-        self.small = bytearray()
-
-    def plain(self, value: Any, name: str) -> Any:
-        if isinstance(value, Tensor):
-            return self._tensor(value.detach() if value.requires_grad else value)
-        if value is None or type(value) in (bool, int, float, str):
-            return value
-        if type(value) is dict:
-            for key in value:
-                if type(key) is not str or key == _TAG:
-                    raise TypeError(f"{name} must have strings as keys, got {key!r}")
-            return {key: self.plain(v, f"{name}[{key!r}]") for key, v in value.items()}
-        if type(value) in (list, tuple):
-            items = [self.plain(v, f"{name}[{i}]") for i, v in enumerate(value)]
-            return items if type(value) is list else {_TAG: "tuple", "items": items}
-        raise TypeError(
-            f"{name} must be a tensor, number, string, None, or a dict, list or tuple of those, got {type(value)}"
-        )
-
-    def _tensor(self, value: Tensor) -> dict[str, Any]:
-        if value.nbytes >= SMALL_BYTES:
-            self.large.append(value)
-            return {_TAG: "tensor", "n": len(self.large) - 1}
-        at = len(self.small)
-        self.small += _bytes(value).tobytes()
-        dtype = str(value.dtype).removeprefix("torch.")
-        return {_TAG: "small", "dtype": dtype, "shape": list(value.shape), "at": at}
+def _piece(key: object, name: object, at: object, size: object) -> Piece:
+    """A row of the list of pieces."""
+    if not isinstance(key, str) or not isinstance(name, str) or not re.fullmatch(r"\d{6}\.pieces", name):
+        raise ValueError(f"{shown(name)} is no name of a file of pieces")
+    check_whole("place of a piece", at, 0)
+    check_whole("size of a piece", size, 0)
+    assert isinstance(at, int)
+    assert isinstance(size, int)
+    return key, name, at, size
 
 
-def _unpack(value: Any, tensors: list[Tensor], small: bytes, device: torch.device | str) -> Any:
-    if type(value) is list:
-        return [_unpack(v, tensors, small, device) for v in value]
-    if type(value) is not dict:
-        return value
-    kind = value.get(_TAG)
-    if kind == "tuple":
-        return tuple(_unpack(v, tensors, small, device) for v in value["items"])
-    if kind == "tensor":
-        return tensors[value["n"]]
-    if kind == "small":
-        size = _DTYPES[value["dtype"]].itemsize * int(np.prod(value["shape"]))
-        return _tensor(value["dtype"], value["shape"], small[value["at"] : value["at"] + size], device)
-    return {key: _unpack(v, tensors, small, device) for key, v in value.items()}
-
-
-def _tensor(dtype: str, shape: list[int], content: bytes, device: torch.device | str) -> Tensor:
-    flat = (
-        torch.frombuffer(bytearray(content), dtype=_DTYPES[dtype]) if content else torch.zeros(0, dtype=_DTYPES[dtype])
-    )
-    return flat.reshape(shape).to(device)
-
-
-def _bytes(tensor: Tensor) -> np.ndarray:
-    """The numbers of a tensor, row by row."""
-    flat = tensor.detach().cpu().contiguous().reshape(-1)
-    if flat.stride() != (1,):  # a single number cut from a repeated one
-        flat = torch.empty(flat.shape, dtype=flat.dtype).copy_(flat)
-    return flat.view(torch.uint8).numpy()
+def _check_memory(size_bytes: int, what: str) -> None:
+    """Raise ``ValueError`` for more than there is: a piece may be used often, so small files can hold large tensors."""
+    free = available_memory(torch.device("cpu"))
+    if free is not None and size_bytes > free:
+        raise ValueError(f"{what} take {size_bytes / 1e6:.0f} MB, and {free / 1e6:.0f} MB of memory are available")
 
 
 def _split(tensor: Tensor) -> Iterable[memoryview]:
-    content = _bytes(tensor).data
+    content = bytes_of(tensor).data
     return (content[at : at + PIECE_BYTES] for at in range(0, len(content), PIECE_BYTES))
 
 

@@ -11,7 +11,6 @@ import torch
 from ..checks import check_name
 from ..files import write_file
 from ..types import Mesh
-from .mesh_ply import check_faces
 
 _TO_Y_UP = {
     "-y": torch.tensor([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]]),
@@ -37,7 +36,6 @@ def write_mesh_glb(path: str | Path, mesh: Mesh, *, up: Literal["-y", "+z", "+y"
         up: Axis of the mesh's world that points up.
     """
     check_name("up axis", up, _TO_Y_UP)
-    check_faces(mesh)
     empty = mesh.faces.shape[0] == 0
     positions, colours, indices = _buffers(mesh, up)
     document: dict[str, Any] = {"asset": {"version": "2.0", "generator": "gsfusion_nb"}, "scene": 0}

@@ -18,7 +18,6 @@ _FACE = np.dtype([("count", "u1"), ("vertices", "<i4", 3)])
 
 def write_mesh_ply(path: str | Path, mesh: Mesh) -> None:
     """Write a mesh, atomically. Colours are rounded to 8 bits. MeshLab, Blender, Open3D and PyVista can read it."""
-    check_faces(mesh)
     vertices = np.zeros(mesh.vertices_W.shape[0], dtype=_VERTEX)
     vertices["xyz"] = mesh.vertices_W.detach().cpu().numpy()
     vertices["rgb"] = (mesh.rgb.detach().clamp(0, 1) * 255).round().to("cpu", torch.uint8).numpy()
@@ -64,23 +63,11 @@ def read_mesh_ply(path: str | Path) -> Mesh:
             rgb = colour.astype(np.float32) / (255.0 if colour.dtype == np.uint8 else 1.0)
     check_ply_rows(path, "vertex", xyz, ("x", "y", "z"))
     check_ply_rows(path, "vertex", rgb, ("red", "green", "blue"))
-    mesh = Mesh(
-        vertices_W=torch.from_numpy(xyz), faces=_triangles(ply, path), rgb=torch.from_numpy(rgb).to(torch.float32)
-    )
+    faces = _triangles(ply, path)
     try:
-        check_faces(mesh)
+        return Mesh(vertices_W=torch.from_numpy(xyz), faces=faces, rgb=torch.from_numpy(rgb).to(torch.float32))
     except ValueError as e:
         raise SequenceError(f"{path}: {e}") from None
-    return mesh
-
-
-def check_faces(mesh: Mesh) -> None:
-    """Raise ``ValueError`` unless every face refers to vertices of the mesh."""
-    if mesh.faces.numel() == 0:
-        return
-    low, high = int(mesh.faces.min()), int(mesh.faces.max())
-    if low < 0 or high >= mesh.vertices_W.shape[0]:
-        raise ValueError(f"faces must refer to vertices 0 to {mesh.vertices_W.shape[0] - 1}, got {low} to {high}")
 
 
 def _read(path: Path):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import SequenceError
+from ..errors import SequenceError, shown
 from ..foreign import open_regular
 
 _BYTES = {
@@ -36,7 +36,7 @@ def check_ply_header(path: Path, what: str) -> None:
         elif words[:1] == ["property"] and len(words) in (3, 5):
             kind = words[2] if words[1] == "list" else words[1]  # a list may be empty, but for its length
             if kind not in _BYTES:
-                raise SequenceError(f"{path} has a property of the unknown type {kind[:20]!r}; expected {what}")
+                raise SequenceError(f"{path} has a property of the unknown type {shown(kind)}; expected {what}")
             needed += rows * (2 if text else _BYTES[kind])
             if needed > size:
                 raise SequenceError(

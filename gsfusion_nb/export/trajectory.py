@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ..errors import shown
 from ..files import write_file
 from ..foreign import read_text
 from ..geometry import quaternion
@@ -63,7 +64,7 @@ def _parse(line: str, source: str) -> list[float]:
     except ValueError:
         values = []
     if len(values) != 8 or not all(math.isfinite(v) for v in values):
-        raise ValueError(f"{source} must hold 8 finite numbers 't tx ty tz qx qy qz qw', got {line.strip()!r}")
+        raise ValueError(f"{source} must hold 8 finite numbers 't tx ty tz qx qy qz qw', got {shown(line.strip())}")
     if abs(math.hypot(*values[4:]) - 1) > 1e-2:
         raise ValueError(f"{source} must end in a unit quaternion, got one of length {math.hypot(*values[4:]):.3g}")
     return values

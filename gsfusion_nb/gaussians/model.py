@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from ..checks import check_shape
+from ..checks import check_saved, check_shape, check_whole
 from ..constants import GROWTH, SH_C0
 from ..geometry import quaternion
 from ..geometry.spherical_harmonics import rgb_to_sh_dc
@@ -149,6 +149,11 @@ class GaussianModel:
             xyz.copy_((turn[:, :3, :3] @ xyz[:, :, None]).squeeze(2) + turn[:, :3, 3])
             quat.copy_(quaternion.multiply(quaternion.from_matrix(turn[:, :3, :3]), quaternion.normalise(quat)))
 
+    def count_not_finite(self) -> int:
+        """Rows with a NaN or an infinity in a parameter, which are not drawn."""
+        rows = [column.reshape(self._count, -1).isfinite().all(dim=1) for column in vars(self.params).values()]
+        return int((~torch.stack(rows).all(dim=0)).sum())
+
     def state_dict(self) -> dict[str, Any]:
         """Everything needed to go on later, as tensors and numbers."""
         rows = {name: column[: self._count].clone() for name, column in self._columns.items()}
@@ -156,15 +161,26 @@ class GaussianModel:
 
     @classmethod
     def from_state_dict(cls, state: dict[str, Any], device: torch.device | str = "cpu") -> "GaussianModel":
-        """The model that ``state_dict`` described."""
+        """The model that ``state_dict`` described.
+
+        Raises:
+            ValueError: a column of another type or length, or a count below 0. Rows with NaN pass: they are not drawn.
+        """
         model = cls(state["sh_degree"], device)
+        check_whole("step_count", state["step_count"], 0)
         model.step_count = state["step_count"]
+        check_shape("xyz_W", state["rows"]["xyz_W"], ("N", 3))
         count = state["rows"]["xyz_W"].shape[0]
         model._reserve(count)
         for name, column in model._columns.items():
+            model._check_saved_column(name, state["rows"][name], (count, *column.shape[1:]))
             column[:count] = state["rows"][name]
         model._count = count
         return model
+
+    def _check_saved_column(self, name: str, saved: object, shape: tuple[int, ...]) -> None:
+        """Raise ``ValueError`` unless this is a column of that name, from a checkpoint."""
+        check_saved(name, saved, shape, torch.int32 if name in self._COUNTS else torch.float32, finite=False)
 
     def _rows(self, prefix: str) -> GaussianParams:
         return GaussianParams(**{name: self._columns[prefix + name][: self._count] for name in PARAMETERS})

@@ -15,6 +15,7 @@ TRANSPARENT = 0.1
 UNSTABLE, STABLE = 0, 1
 
 _ANCHOR = ("xyz_W", "log_scale", "quat")
+_AT_LEAST_0 = ("state", "confidence", "colour_errors", "depth_errors", "frames_in_view")
 
 
 class SurfelModel(GaussianModel):
@@ -26,7 +27,7 @@ class SurfelModel(GaussianModel):
     Source: Peng et al. 2024 (RTG-SLAM), section 3.1.
     """
 
-    _COUNTS = (*GaussianModel._COUNTS, "state", "confidence", "colour_errors", "depth_errors", "frames_in_view")
+    _COUNTS = (*GaussianModel._COUNTS, *_AT_LEAST_0)
     _MOMENTS = ()
     _POSE_PREFIXES = ("", "anchor.")
     TAG_MEANING = "why the row was added"
@@ -88,10 +89,19 @@ class SurfelModel(GaussianModel):
         start = len(self)
         super().append(seeds, frame_index)
         stop = len(self)
-        for name in ("state", "confidence", "colour_errors", "depth_errors", "frames_in_view"):
+        for name in _AT_LEAST_0:
             self._columns[name][start:stop] = 0
         for name in _ANCHOR:
             self._columns[f"anchor.{name}"][start:stop] = self._columns[name][start:stop]
+
+    def _check_saved_column(self, name: str, saved: object, shape: tuple[int, ...]) -> None:
+        super()._check_saved_column(name, saved, shape)
+        if name in _AT_LEAST_0 and shape[0]:
+            assert isinstance(saved, Tensor)
+            low, high = int(saved.min()), int(saved.max())
+            if low < 0 or (name == "state" and high > STABLE):
+                wanted = "0 (unstable) or 1 (stable)" if name == "state" else "at least 0"
+                raise ValueError(f"{name} must be {wanted} in every row, got {low} to {high}")
 
     def _column_names(self) -> list[str]:
         return [*super()._column_names(), *(f"anchor.{name}" for name in _ANCHOR)]

@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ..checks import check_whole
 from .step_report import GlobalStep
 
 
@@ -46,6 +47,9 @@ class KeyframePasses:
         """Where the passes stand."""
         return {"done": self.done, "queue": list(self.queue)}
 
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from there."""
+    def load_state_dict(self, state: dict[str, Any], n_keyframes: int) -> None:
+        """Go on from there. Raises ``ValueError`` for keyframes that are not among the ``n_keyframes`` there are."""
+        check_whole("passes done", state["done"], 0)
+        for i in state["queue"]:
+            check_whole("a keyframe of the queue", i, 0, n_keyframes - 1)
         self.done, self.queue = state["done"], list(state["queue"])

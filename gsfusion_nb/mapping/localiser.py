@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ..checks import SAVED_RIGIDITY_ERROR, check_pose, check_saved, check_shape, check_whole
 from ..config import TrackingConfig
 from ..errors import BadFrameError
 from ..gaussians import GaussianModel
@@ -146,10 +147,19 @@ class Localiser:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from what ``state_dict`` gave."""
+        """Go on from what ``state_dict`` gave.
+
+        Raises:
+            ValueError: another number of poses than of frames, or a pose that cannot be one.
+        """
         settings = self.config.back_end
+        check_shape("frame_indices", state["frame_indices"], ("N",))
         self.poses, self.frame_indices = [], state["frame_indices"].tolist()
-        for T_WC in state["poses"].cpu():
+        for index in self.frame_indices:
+            check_whole("a frame's index", index, 0)
+        check_saved("poses", state["poses"], (len(self.frame_indices), 4, 4))
+        for index, T_WC in zip(self.frame_indices, state["poses"].cpu(), strict=True):
+            check_pose(f"pose of frame {index}", T_WC, SAVED_RIGIDITY_ERROR)
             self.poses.append(self._kept(T_WC))
         self._tracker = Tracker.from_state_dict(self.config, state["tracker"])
         if state["back_end"] is not None:

@@ -14,11 +14,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ..checks import check_whole
 from ..config import SystemConfig, from_dict, to_dict
+from ..errors import shown
 from ..gaussians import GaussianModel
 from ..optim import KeyframeList
 from ..render import render
-from ..seeding import Cells, ChangedInputError, SeedContext, SeedingRule, apply_rule, get_rule, rule_name
+from ..seeding import Cells, ChangedInputError, SeedContext, SeedingRule, apply_rule, check_options, get_rule, rule_name
 from ..tracking import Correction
 from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput, Seeds
 from .keyframe_passes import KeyframePasses
@@ -283,23 +285,35 @@ class Mapper(ABC):
         if seeding is None:
             check_known(state["rule"])
         mapper = cls(config, seeding=seeding if seeding is not None else state["rule"]["name"], device=device)
+        check_options(mapper.rule, mapper.config.seeding.options)
         mapper.rule_in_use.load_state_dict(state["rule"])
         if mapper.rule_in_use.differs(state["rule"]):
             mapper.notes.append(
                 f"after {state['n_frames']} frames the run went on with another seeding rule, or an edited one: "
-                f"{rule_name(mapper.rule)!r} instead of {state['rule']['name']!r}"
+                f"{shown(rule_name(mapper.rule))} instead of {shown(state['rule']['name'])}"
             )
         mapper._load(state)
         return mapper
 
     def _load(self, state: dict[str, Any]) -> None:
-        """Take the state that ``state_dict`` gave; a subclass extends both."""
-        self.n_frames = state["n_frames"]
-        self.passes.load_state_dict(state["passes"])
+        """Take the state that ``state_dict`` gave; a subclass extends both.
+
+        Raises:
+            ValueError: what no mapper can have come to.
+        """
         self.localiser.load_state_dict(state["localiser"])
+        check_whole("n_frames", state["n_frames"], 0)
+        self.n_frames = state["n_frames"]
+        if len(self.localiser.poses) != self.n_frames:
+            raise ValueError(f"{self.n_frames} frames must have as many poses, got {len(self.localiser.poses)}")
         self.generator.set_state(state["generator"])
         self.gaussians = self.model_type.from_state_dict(state["gaussians"], self.device)
+        if self.gaussians.sh_degree != self.config.sh_degree:
+            raise ValueError(f"sh_degree must be {self.config.sh_degree}, got {self.gaussians.sh_degree}")
         self.keyframes = KeyframeList.from_state_dict(state["keyframes"], self.keyframes.device)
+        self.passes.load_state_dict(state["passes"], len(self.keyframes))
+        if lost := self.gaussians.count_not_finite():
+            self.notes.append(f"{lost} Gaussians of the checkpoint hold NaN or infinities; they are not drawn")
 
     def _follow(self, correction: Correction | None) -> None:
         """After a closed loop: Gaussians and keyframes move with the trajectory, if the settings say so."""

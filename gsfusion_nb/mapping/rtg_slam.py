@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from ..checks import check_number, check_whole
 from ..config import RtgSlamConfig, rtg_slam, rtg_slam_fidelity
 from ..gaussians import STABLE, SurfelModel, Transitions, change_states, count_errors, count_views, state_counts
 from ..geometry import se3
@@ -182,8 +183,11 @@ class RTGSLAM(Mapper):
     def _load(self, state: dict[str, Any]) -> None:
         super()._load(state)
         self.camera = None if state["camera"] is None else Camera(**state["camera"])
-        frames = (Frame(**{**f, "camera": Camera(**f["camera"])}) for f in state["window"])
-        self.window.extend(frame.to(self.device) for frame in frames)
+        for f in state["window"]:
+            check_whole("index of a frame", f["index"], 0)
+            check_number(f"time of frame {f['index']}", f["timestamp_s"])
+            frame = Frame(**{**f, "camera": Camera(**f["camera"])})
+            self.window.append(check_frame(frame, self.device, needs_depth=True))
         if state["final"] is not None:
             self._final = self._final_optimiser()
             self._final.load_state_dict(state["final"])

@@ -5,7 +5,7 @@ import logging
 from typing import Any, TypeVar
 
 from ..config import SystemConfig
-from ..errors import SequenceError
+from ..errors import SequenceError, shown
 from ..seeding import SeedingRule, registered, rule_fingerprint, rule_name, rule_options
 
 log = logging.getLogger(__name__)
@@ -64,9 +64,9 @@ class RuleInUse:
         """
         if state["changed"]:
             raise SequenceError(
-                f"the seeding rule {state['name']!r} kept something from one frame to the next, which a checkpoint "
-                "does not hold, so the run cannot go on to the same map; make the rule a callable object with "
-                "state_dict() and load_state_dict(state)"
+                f"the seeding rule {shown(state['name'])} kept something from one frame to the next, which a "
+                "checkpoint does not hold, so the run cannot go on to the same map; make the rule a callable object "
+                "with state_dict() and load_state_dict(state)"
             )
         load = getattr(self.rule, "load_state_dict", None)
         if state["kept"] is not None and callable(load):
@@ -83,6 +83,6 @@ def check_known(state: dict[str, Any]) -> None:
     if known is None or RuleInUse(known).differs(state):
         what = "is not known here" if known is None else "is not the one that is registered here by that name"
         raise SequenceError(
-            f"the seeding rule {name!r} of this run {what}; its source is in rule.py of the run's folder: define it, "
-            "and go on with it in Python: resume_mapping(folder, seeding=<the rule>)"
+            f"the seeding rule {shown(name)} of this run {what}; its source is in rule.py of the run's folder: define "
+            "it, and go on with it in Python: resume_mapping(folder, seeding=<the rule>)"
         )

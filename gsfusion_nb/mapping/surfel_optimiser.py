@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from ..checks import check_saved
 from ..config import DiscConfig, WindowConfig
 from ..gaussians import SurfelModel
 from ..optim import Keyframe, RgbdLoss, RowAdam, rgbd_l1_vjp
@@ -160,10 +161,12 @@ class SurfelOptimiser:
         return {"adam": self.adam.state_dict(), "anchor": {name: value.clone() for name, value in self._anchor.items()}}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from there, on the same rows."""
+        """Go on from there, on the same rows. Raises ``ValueError`` for a state of other rows."""
         self.adam.load_state_dict(state["adam"])
-        for name, value in state["anchor"].items():
-            self._anchor[name].copy_(value)
+        for name, mine in self._anchor.items():
+            saved = state["anchor"][name]
+            check_saved(f"anchor of {name}", saved, tuple(mine.shape), mine.dtype, finite=False)
+            mine.copy_(saved)
 
     def _add_regulariser(self, g: GaussianParams) -> None:
         """w_reg times the mean squared distance of transparent rows to their anchor: centre, scale, quaternion."""

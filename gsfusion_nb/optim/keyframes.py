@@ -9,6 +9,8 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
+from ..checks import SAVED_RIGIDITY_ERROR, check_pose, check_saved, check_whole
+from ..plausible import check_camera
 from ..types import Camera, Frame, rgb_of_bytes
 
 
@@ -89,11 +91,28 @@ class KeyframeList:
 
     @classmethod
     def from_state_dict(cls, state: list[dict[str, Any]], device: torch.device | str | None = None) -> "KeyframeList":
-        """The list that ``state_dict`` described, with its images on ``device``, by default where they are."""
+        """The list that ``state_dict`` described, with its images on ``device``, by default where they are.
+
+        Raises:
+            ValueError: images of another type or size than the camera's, or a camera or a pose that cannot be one.
+        """
         keyframes = cls(device)
-        for s in state:
-            keyframes._keep(Keyframe(**{**s, "camera": Camera(**s["camera"])}))
+        for i, s in enumerate(state):
+            keyframe = Keyframe(**{**s, "camera": Camera(**s["camera"])})
+            _check_saved_keyframe(f"keyframe {i}", keyframe)
+            keyframes._keep(keyframe)
         return keyframes
 
     def _keep(self, keyframe: Keyframe) -> None:
         self._items.append(keyframe if self.device is None else keyframe.to(self.device))
+
+
+def _check_saved_keyframe(name: str, keyframe: Keyframe) -> None:
+    camera = keyframe.camera
+    check_camera(name, camera)
+    check_whole(f"index of {name}", keyframe.index, 0)
+    check_saved(f"T_WC of {name}", keyframe.T_WC, (4, 4))
+    check_pose(f"T_WC of {name}", keyframe.T_WC, SAVED_RIGIDITY_ERROR)
+    check_saved(f"rgb_u8 of {name}", keyframe.rgb_u8, (camera.height, camera.width, 3), torch.uint8)
+    if keyframe.depth_m is not None:
+        check_saved(f"depth_m of {name}", keyframe.depth_m, (camera.height, camera.width))

@@ -5,6 +5,7 @@ from typing import Any
 
 import torch
 
+from ..checks import check_saved, check_whole
 from ..types import GaussianParams
 from .adam import adam_update
 
@@ -47,8 +48,12 @@ class RowAdam:
         return {"steps": self.steps, "moments": moments}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Take over what ``state_dict`` gave for parameters of the same shape."""
+        """Take over what ``state_dict`` gave. Raises ``ValueError`` for moments of parameters of another shape."""
+        check_whole("steps", state["steps"], 0)
         self.steps = state["steps"]
+        if set(state["moments"]) != set(self._moments):
+            raise ValueError(f"moments must be of {sorted(self._moments)}, got {sorted(state['moments'])}")
         for name, moments in state["moments"].items():
             for mine, saved in zip(self._moments[name], moments, strict=True):
+                check_saved(f"moment of {name}", saved, tuple(mine.shape), mine.dtype, finite=False)
                 mine.copy_(saved)

@@ -10,8 +10,10 @@ from typing import Any, Protocol, runtime_checkable
 import torch
 from torch import Tensor
 
+from ..checks import check_number, check_saved, check_whole
 from ..data import OpenedSequence, RecordedSequence, SequenceError, SequenceView
 from ..data.stream import read_ahead
+from ..errors import shown
 from ..export import CheckpointStore, Saved
 from ..mapping import DelayedInterrupt, GlobalStep, Mapper, StepReport, system_of
 from ..types import Frame
@@ -243,8 +245,21 @@ class MappingRun:
         self._stores[folder] = store
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from what ``state_dict`` gave."""
+        """Go on from what ``state_dict`` gave.
+
+        Raises:
+            ValueError: numbers that do not fit together.
+        """
         self.steps = self._step_log.load_state_dict(state["steps"])
+        check_saved("timestamps_s", state["timestamps_s"], (len(self.steps),), torch.float64)
+        check_whole("next_position", state["next_position"], len(self.steps))
+        check_whole("bad_in_a_row", state["bad_in_a_row"], 0)
+        check_number("seconds_global", state["seconds_global"], 0)
+        check_saved("pass_losses", state["pass_losses"], ("N",), finite=False)
+        if not all(isinstance(text, str) for text in state["warnings"]):
+            raise ValueError("warnings must be sentences")
+        if not isinstance(state["is_optimised"], bool):
+            raise ValueError(f"is_optimised must be True or False, got {shown(state['is_optimised'])}")
         self.global_losses = state["global_losses"]
         self._pass_losses = list(state["pass_losses"].to(self.mapper.device))
         self.online_scores = state["online_scores"]

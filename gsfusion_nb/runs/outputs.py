@@ -13,6 +13,7 @@ import torch
 
 from .. import __version__
 from ..config import to_dict
+from ..data import sequence_fingerprint
 from ..evaluation import (
     NotComputed,
     cull_unseen,
@@ -70,6 +71,7 @@ def write_maps(run: MappingRun, folder: Path) -> Mesh:
         "gsfusion_nb": __version__,
         "system": run.system,
         "source": run.source,
+        "data_fingerprint": sequence_fingerprint(run.sequence) if run.source else "",
         "device": str(run.mapper.device),
         "rule": rule_name(run.mapper.rule),
         "fidelity": run.mapper.fidelity_of(run.mapper.config),

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from .. import __version__
 from ..config import from_dict
-from ..data import open_sequence
+from ..data import open_sequence, sequence_fingerprint
 from ..errors import SequenceNotFoundError
 from ..evaluation import metrics_as_json
 from ..export import read_gaussian_ply
@@ -37,7 +37,8 @@ def rescore(
 
     The views and their poses in the map are those in views.json; the system renders as in the run. On the same device
     and backend the numbers are the run's own, bit for bit. If they are not, the log and the warnings in metrics.json
-    say which, and the file as it was stays beside the new one as metrics-before-eval.json.
+    say which, and the file as it was stays beside the new one as metrics-before-eval.json. Data with other frames,
+    poses or pixels than those of the run are named there too.
 
     Args:
         folder: Folder of the run.
@@ -71,6 +72,15 @@ def rescore(
         raise SequenceNotFoundError(
             f"{e}; {folder / 'config.json'} names this place: give another with --data if the sequence has moved"
         ) from None
+    known = settings.get("data_fingerprint")
+    if known and known != sequence_fingerprint(sequence):
+        sentence = (
+            f"{source['path_or_name']} does not hold the data that this run was mapped from (or another version of a "
+            "library decodes them otherwise): the numbers compare the map with other views"
+        )
+        if sentence not in document.get("warnings", []):
+            document["warnings"] = [*document.get("warnings", []), sentence]
+        log.warning(sentence)
     place = torch.device(device or settings.get("device", "cpu"))
     params = _of_degree(read_gaussian_ply(folder / "gaussians.ply"), config.sh_degree, place)
 

@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ..checks import SAVED_RIGIDITY_ERROR, check_pose, check_whole
 from ..data import SequenceView
 from ..evaluation import score_views
 from ..foreign import reason_of
@@ -108,12 +109,17 @@ def read_views(folder: Path) -> dict[str, ScoredViews]:
         )
     try:
         document = read_object(path, "the views that a run is scored by")
-        return {
-            name: ScoredViews(
-                [int(view["frame"]) for view in group],
-                [torch.tensor(view["T_WC"], dtype=torch.float32).reshape(4, 4) for view in group],
-            )
-            for name, group in document.items()
-        }
+        return {name: _read_group(group) for name, group in document.items()}
     except (ValueError, KeyError, TypeError, AttributeError, RuntimeError) as e:
         raise ValueError(f"{path} is damaged: {reason_of(e)}") from None
+
+
+def _read_group(group: list[dict[str, Any]]) -> ScoredViews:
+    views = ScoredViews([], [])
+    for view in group:
+        T_WC = torch.tensor(view["T_WC"], dtype=torch.float32).reshape(4, 4)
+        check_whole("frame", view["frame"], 0)
+        check_pose(f"T_WC of frame {view['frame']}", T_WC, SAVED_RIGIDITY_ERROR)
+        views.positions.append(view["frame"])
+        views.poses.append(T_WC)
+    return views

@@ -15,6 +15,7 @@ from .quadtree import Cells as Cells
 from .quadtree import quadtree as quadtree
 from .rule import SeedingRule as SeedingRule
 from .rule import apply_rule as apply_rule
+from .rule import check_options as check_options
 from .rule import get_rule as get_rule
 from .rule import keep_one_per_voxel as keep_one_per_voxel
 from .rule import registered as registered

@@ -14,6 +14,7 @@ from jaxtyping import Int
 from torch import Tensor
 
 from ..checks import check_finite, check_name, check_shape
+from ..errors import shown
 from ..plausible import MAX_DISTANCE_M
 from ..types import Seeds
 from .context import SeedContext
@@ -100,7 +101,7 @@ def apply_rule(
     """
     function = get_rule(rule)
     options = dict(options or {})
-    _check_options(function, options)
+    check_options(function, options)
     versions = Versions(ctx)
     seeds = function(ctx, **options)
     if changed := versions.changed():
@@ -175,11 +176,12 @@ def _signature(rule: SeedingRule) -> inspect.Signature:
         return inspect.signature(rule)
 
 
-def _check_options(rule: SeedingRule, options: dict[str, Any]) -> None:
+def check_options(rule: SeedingRule, options: dict[str, Any]) -> None:
+    """Raise ``TypeError`` for an option that the rule does not have, or a value of another type than its default's."""
     known = _options_of(rule)
     unknown = sorted(set(options) - set(known))
     if unknown:
-        raise TypeError(f"seeding rule {rule_name(rule)!r} has no options {unknown}; known: {sorted(known)}")
+        raise TypeError(f"seeding rule {rule_name(rule)!r} has no options {shown(unknown)}; known: {sorted(known)}")
     for name, value in options.items():
         default = known[name].default
         if isinstance(default, str):
@@ -189,7 +191,7 @@ def _check_options(rule: SeedingRule, options: dict[str, Any]) -> None:
         else:
             fits, wanted = isinstance(value, int | float) and not isinstance(value, bool), "a number"
         if not fits:
-            raise TypeError(f"seeding rule {rule_name(rule)!r}: option {name!r} must be {wanted}, got {value!r}")
+            raise TypeError(f"seeding rule {rule_name(rule)!r}: option {name!r} must be {wanted}, got {shown(value)}")
 
 
 def _check_seeds(seeds: Any, ctx: SeedContext) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from ..config import SystemConfig, to_dict
 from ..config import gsfusion as gsfusion_preset
 from ..config import replace as replaced
-from ..data import OpenedSequence, open_sequence
+from ..data import OpenedSequence, open_sequence, sequence_fingerprint
 from ..drawing.html import fill
 from ..evaluation import ImageScores, NotComputed, score_views
 from ..mapping import make_mapper
@@ -19,7 +19,7 @@ from ..progress import ProgressDisplay
 from ..runs import MappingRun
 from ..seeding import SeedingRule, get_rule, rule_fingerprint, rule_name
 from .pareto import pareto_figure, pareto_front
-from .run_key import run_key, sequence_fingerprint
+from .run_key import run_key
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -9,10 +9,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from .. import __version__
-from ..data import OpenedSequence, SequenceError, SequenceView
 
 _ENDS_BYTES = 4096
 """Of each file of a recording this many bytes at its beginning and its end are read."""
@@ -39,24 +36,6 @@ def folder_fingerprint(path: str | Path) -> str:
         folders.sort()
         for name in sorted(names):
             _add_file(digest, Path(folder) / name, (Path(folder) / name).relative_to(root))
-    return digest.hexdigest()
-
-
-def sequence_fingerprint(sequence: OpenedSequence) -> str:
-    """A hash of an open sequence: frames to map, frames held out, camera, poses, and the pixels of three frames."""
-    digest = hashlib.blake2b(digest_size=16)
-    for view in (sequence.mapping, sequence.held_out):
-        digest.update(repr((view.positions, view.camera, view.depth_min_m, view.depth_max_m)).encode())
-        for i in range(len(view)):
-            digest.update(_pose_bytes(view, i))
-    n = len(sequence.mapping)
-    for i in sorted({0, n // 2, n - 1} & set(range(n))):
-        try:
-            frame = sequence.mapping[i]
-        except SequenceError:
-            continue
-        for pixels in (frame.colour, frame.depth_m):
-            digest.update(pixels.cpu().contiguous().numpy().tobytes())
     return digest.hexdigest()
 
 
@@ -101,10 +80,3 @@ def _add_file(digest: Any, file: Path, name: Path) -> None:
                 digest.update(opened.read(_ENDS_BYTES))
     except OSError:
         digest.update(f"{name}\0unreadable".encode())
-
-
-def _pose_bytes(view: SequenceView, i: int) -> bytes:
-    try:
-        return view.pose(i).to("cpu", torch.float64).contiguous().numpy().tobytes()
-    except SequenceError:
-        return b"no pose"

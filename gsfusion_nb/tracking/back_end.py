@@ -32,6 +32,7 @@ from .pose_graph import (
     require_gtsam,
     with_floor,
 )
+from .saved_state import check_saved_back_end
 
 log = logging.getLogger(__name__)
 
@@ -317,10 +318,15 @@ class BackEnd:
 
     @classmethod
     def from_state_dict(cls, config: BackEndConfig, camera: Camera, state: dict[str, Any]) -> "BackEnd":
-        """The back end that ``state_dict`` was taken from."""
+        """The back end that ``state_dict`` was taken from.
+
+        Raises:
+            ValueError: edges or loops of keyframes that are not there, or poses that cannot be any.
+        """
         self = cls(config, camera)
         self.database.load_state(state["database"])
         self.landmarks.load_state(state["landmarks"])
+        check_saved_back_end(state, [len(f) for f in self.database.features], len(self.landmarks))
         self.edges = [Edge(**e) for e in state["edges"]]
         self.loops = [(row, pairs) for row, pairs in state["loops"]]
         self._fresh_loops = [(a, b, n) for a, b, n in state["fresh_loops"]]

@@ -14,10 +14,11 @@ from jaxtyping import Float
 from numpy import ndarray
 from torch import Tensor
 
-from ..checks import check_pose
+from ..checks import check_pose, check_whole
 from ..types import Camera, Frame
 from .features import Features, extract_features
 from .matching import RelativePose, relative_pose
+from .saved_state import check_saved_features
 
 TABLES = 8
 BITS = 12
@@ -136,10 +137,16 @@ class KeyframeDatabase:
         }
 
     def load_state(self, state: dict[str, Any]) -> None:
-        """Take the keyframes of ``state_dict`` in place of the present ones."""
+        """Take the keyframes of ``state_dict`` in place of the present ones.
+
+        Raises:
+            ValueError: columns of features that do not fit together, or a pose that cannot be one.
+        """
         self.index, self.T_WC, self.features, self._words = [], [], [], []
         self._frequency[:] = 0
         for index, T_WC, features in zip(state["index"], state["T_WC"], state["features"], strict=True):
+            check_whole("a keyframe's index", index, 0)
+            check_saved_features(f"keyframe {index}", features)
             self.add(index, T_WC, Features(**features))
 
 

@@ -13,6 +13,7 @@ from ..geometry import project, se3
 from .features import Features
 from .keyframe_database import KeyframeDatabase
 from .matching import MAX_HAMMING, RATIO
+from .saved_state import check_saved_landmarks
 
 _BIT_COUNT = np.array([bin(byte).count("1") for byte in range(256)], np.uint8)
 
@@ -155,7 +156,12 @@ class Landmarks:
         return {"of_feature": [torch.from_numpy(f) for f in self.of_feature], "birth": torch.from_numpy(self._birth)}
 
     def load_state(self, state: dict[str, Any]) -> None:
-        """Take the tracks of ``state_dict`` in place of the present ones; ``database`` must hold their keyframes."""
+        """Take the tracks of ``state_dict`` in place of the present ones; ``database`` must hold their keyframes.
+
+        Raises:
+            ValueError: a landmark of a feature, or a feature of a landmark, that is not there.
+        """
+        check_saved_landmarks(state, [len(features) for features in self.database.features])
         self.of_feature = [f.cpu().numpy() for f in state["of_feature"]]
         self._birth = state["birth"].cpu().numpy()
 

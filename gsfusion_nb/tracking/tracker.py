@@ -9,13 +9,14 @@ from typing import Any, Literal
 from jaxtyping import Float
 from torch import Tensor
 
-from ..checks import check_pose
+from ..checks import check_number, check_pose, check_saved, check_whole
 from ..config import TrackingConfig
 from ..geometry import se3
 from ..types import Camera, Frame
 from .appearance import SAME_PLACE, correlation
 from .icp import IcpResult, align
 from .pyramid import DepthLevel, depth_pyramid
+from .saved_state import check_saved_pose
 from .surface import Surface, SurfaceSource, hybrid_surface, smooth_normals
 
 WIDE_DISTANCE = 3.0
@@ -195,10 +196,23 @@ class Tracker:
 
     @classmethod
     def from_state_dict(cls, config: TrackingConfig, state: dict[str, Any]) -> "Tracker":
-        """The tracker that ``state_dict`` described; the settings are kept elsewhere."""
+        """The tracker that ``state_dict`` described; the settings are kept elsewhere.
+
+        Raises:
+            ValueError: counts below 0, a pose that cannot be one, or depth that is not finite.
+        """
         tracker = cls(config)
-        tracker.n_lost, tracker.lost_in_a_row = state["n_lost"], state["lost_in_a_row"]
-        tracker._last, tracker._before = (state[name] and _TrackedPose(**state[name]) for name in ("last", "before"))
+        for name in ("n_lost", "lost_in_a_row"):
+            check_whole(name, state[name], 0)
+            setattr(tracker, name, state[name])
+        for name in ("last", "before"):
+            if state[name] is not None:
+                pose = _TrackedPose(**state[name])
+                check_saved_pose(f"the tracker's {name} pose", pose.T_WC)
+                check_number(f"time of the tracker's {name} pose", pose.timestamp_s)
+                setattr(tracker, f"_{name}", pose)
+        if state["last_depth_m"] is not None:
+            check_saved("the tracker's last depth", state["last_depth_m"], ("H", "W"))
         tracker._last_depth_m = state["last_depth_m"]
         return tracker
 

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from ..backends import op
-from ..checks import check_shape
+from ..checks import check_saved, check_shape
 from ..config import TsdfConfig, from_dict, to_dict
 from ..constants import BLOCK_VOXELS, GROWTH, VOXELS_PER_BLOCK
 from ..operands import check_operand
@@ -232,10 +232,16 @@ class TsdfVolume:
         return volume
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Replace the map by one that ``state_dict`` gave; its configuration must be the same."""
+        """Replace the map by one that ``state_dict`` gave; its configuration must be the same.
+
+        Raises:
+            ValueError: another configuration, tensors of other types or sizes, numbers that are not finite, a negative
+                weight, or a block that is there twice or beyond the index.
+        """
         config = from_dict(TsdfConfig, state["config"])
         if config != self.config:
             raise ValueError(f"the saved map was made with {config}, this volume has {self.config}")
+        _check_saved_blocks(state)
         coords = state["block_coords"].to(self.device)
         n, self._pool = coords.shape[0], _Pool(0, self.device)
         self._reserve(n)
@@ -266,6 +272,22 @@ class TsdfVolume:
             f"{self.config.voxel_size_m} m, but {min(allowed, default='the system grants less')}; "
             "take larger voxels (tsdf.voxel_size_m), a smaller tsdf.far_m, or check the depth unit"
         )
+
+
+def _check_saved_blocks(state: dict[str, Any]) -> None:
+    coords = state["block_coords"]
+    check_saved("block_coords", coords, ("B", 3), torch.int32)
+    n = len(coords)
+    for name, shape in (
+        ("D", (n, VOXELS_PER_BLOCK)),
+        ("W", (n, VOXELS_PER_BLOCK)),
+        ("rgb", (n, 3, VOXELS_PER_BLOCK)),
+    ):
+        check_saved(name, state[name], shape)
+    if len(encode(coords).unique()) != n:
+        raise ValueError("block_coords must name every block once")
+    if n and float(state["W"].min()) < 0:
+        raise ValueError(f"W must be at least 0 in every voxel, got {float(state['W'].min()):g}")
 
 
 def check_volume(volume: Any) -> None:

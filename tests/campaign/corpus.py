@@ -3,6 +3,7 @@
 import gzip
 import importlib.util
 import io
+import itertools
 import json
 import struct
 import sys
@@ -17,7 +18,7 @@ import cv2
 import numpy as np
 import torch
 
-from gsfusion_nb.export import save_checkpoint, write_gaussian_ply, write_mesh_ply, write_trajectory_tum
+from gsfusion_nb.export import write_gaussian_ply, write_mesh_ply, write_trajectory_tum
 from gsfusion_nb.geometry import quaternion, se3
 from gsfusion_nb.types import Camera, GaussianParams, Mesh
 
@@ -231,11 +232,10 @@ def _single_files(root: Path, takes) -> list[Seed]:
     lines = ["ply", "format ascii 1.0", "element vertex 3", *(f"property float {a}" for a in "xyz"), "element face 1"]
     lines += ["property list uchar int vertex_indices", "end_header", "0 0 0", "1 0 0", "0 1 0", "3 0 1 2", ""]
     (at / "text.ply").write_text("\n".join(lines))
-    save_checkpoint(at / "c.pt", {"a": torch.rand(5), "b": [1, 2.0, None, "x"], "c": {"d": (1, 2)}})
     _archives(at, takes)
     (at / "fetched.json").write_text(json.dumps([{"url": "u", "size": 1, "sha256": "0", "date": "d"}]))
     targets |= {"run.txt": "run_trajectory", "g.ply": "gaussians", "m.ply": "mesh", "text.ply": "mesh"}
-    targets |= {"c.pt": "checkpoint", "a.zip": "archive", "a.tar.gz": "archive", "a.tar": "archive"}
+    targets |= {"a.zip": "archive", "a.tar.gz": "archive", "a.tar": "archive"}
     targets |= {"fetched.json": "ledger"}
     seeds = []
     for name, target in targets.items():
@@ -259,28 +259,67 @@ def _archives(at: Path, takes) -> None:
 
 
 def _run_folder(root: Path, takes) -> list[Seed]:
-    """A finished run, and the checkpoint of an interrupted one."""
+    """A finished run, and checkpoints of interrupted ones."""
     from gsfusion_nb.backends import use_backend
     from gsfusion_nb.config import gsfusion
-    from gsfusion_nb.data import open_sequence
-    from gsfusion_nb.mapping import GSFusion
-    from gsfusion_nb.runs import MappingRun, run_mapping
+    from gsfusion_nb.runs import run_mapping
 
     config = gsfusion("replica", tsdf__voxel_size_m=0.2, sh_degree=1, optim__global_iterations=1, data__stop=3)
     with use_backend("torch"):
         run_mapping(str(root / "folder"), config, folder=root / "run", evaluate=True)
-        sequence = open_sequence(root / "folder", data=config.data)
-        run = MappingRun(sequence, GSFusion(config), source={"path_or_name": str(root / "folder")})
-        next(iter(run.online()))
-        (root / "interrupted").mkdir()
-        run.save_checkpoint(root / "interrupted")
+        of_tests("data/conftest.py").Box().folder(root / "scan")
+        interrupted = [_interrupted(root, *kind) for kind in INTERRUPTED]
     for name in ("report.html", "mesh.ply", "status.json"):
         (root / "run" / name).unlink(missing_ok=True)
     return [
         Seed("run", "rescore", root / "run"),
         Seed("config", "settings", root / "run", "config.json"),
-        Seed("interrupted", "resume", root / "interrupted"),
+        *interrupted,
     ]
+
+
+TRACKED = {
+    "tracking__poses": "tracked",
+    "tracking__back_end__keyframe_rotation_deg": 1.0,
+    "tracking__back_end__enabled": True,
+}
+INTERRUPTED = (
+    ("interrupted", "gsfusion", {}, 2),
+    ("interrupted_passes", "gsfusion", {}, 4),
+    ("interrupted_rtg", "rtg_slam", {}, 2),
+    ("interrupted_rtg_passes", "rtg_slam", {}, 4),
+    ("interrupted_tracked", "rtg_slam", TRACKED, 2),
+    ("interrupted_lost", "gsfusion", TRACKED | {"tracking__back_end__enabled": False}, 2),
+    ("interrupted_stream", "gsfusion", {}, 2),
+)
+"""Name, system, settings, and the steps after which the run was cut off; there are three frames."""
+
+
+def _interrupted(root: Path, name: str, system: str, values: dict, n_steps: int) -> Seed:
+    from gsfusion_nb.config import gsfusion, rtg_slam
+    from gsfusion_nb.data import open_sequence
+    from gsfusion_nb.mapping import make_mapper
+    from gsfusion_nb.runs import MappingRun, StreamRun
+
+    values = {"sh_degree": 1, "data__stop": 3, **values}
+    if system == "gsfusion":
+        values |= {"tsdf__voxel_size_m": 0.2, "keyframe_min_seeds": 1, "optim__global_iterations": 2}
+        values |= {"seeding__quadtree_contrast": "std", "seeding__quadtree_threshold": 0.03}
+        config = gsfusion("replica", **values)
+    else:
+        values |= {"window__iterations": 2, "final__passes": 2, "keyframes__rotation_deg": 1.0}
+        config = rtg_slam("replica", **values)
+    sequence = open_sequence(root / "scan", data=config.data)
+    if name.endswith("stream"):
+        run = StreamRun(list(sequence.mapping), make_mapper(config))
+    else:
+        run = MappingRun(sequence, make_mapper(config), source={"path_or_name": str(root / "scan")})
+    for step, _ in enumerate(itertools.chain(run.online(), run.optimise()), start=1):
+        if step == n_steps:
+            break
+    (root / name).mkdir()
+    run.save_checkpoint(root / name)
+    return Seed(name, "resume", root / name)
 
 
 def bombs(root: Path) -> list[Seed]:

@@ -12,7 +12,8 @@ from typing import Any
 
 import torch
 
-from gsfusion_nb.data import BadFrameError, open_sequence
+from gsfusion_nb.data import BadFrameError, SequenceError, open_sequence
+from gsfusion_nb.last_resort import is_foreseen
 
 
 class SilentAcceptance(Exception):
@@ -154,18 +155,29 @@ def mesh(path: Path) -> None:
         _need(low >= 0 and high < len(made.vertices_W), "a face of a vertex that is not there")
 
 
-def checkpoint(path: Path) -> None:
-    from gsfusion_nb.export import load_checkpoint
-
-    load_checkpoint(path)
-
-
 def resume(path: Path) -> None:
+    """Load a run, look at its maps, and let it go on."""
+    from gsfusion_nb.backends import use_backend
     from gsfusion_nb.runs.resume import load_run
 
-    run = load_run(path)
-    for name, column in vars(run.mapper.gaussians.params).items():
-        _need(bool(torch.isfinite(column).all()), f"{name} of the map is not finite")
+    with use_backend("torch"):
+        run = load_run(path)
+        for name, table in run.mapper.maps().items():
+            for column in table.values():
+                finite = bool(torch.isfinite(column.float()).all())
+                _need(finite or any("NaN" in note for note in run.mapper.notes), f"{name} is not finite")
+        states = getattr(run.mapper.gaussians, "state", torch.zeros(0))
+        _need(bool(((states == 0) | (states == 1)).all()), "a state that there is not")
+        for keyframe in run.mapper.keyframes:
+            _need(keyframe.rgb_u8.shape[:2] == (keyframe.camera.height, keyframe.camera.width), "a keyframe's size")
+            _need(bool(torch.isfinite(keyframe.T_WC).all()), "a keyframe's pose is not finite")
+        for steps in (run.online(), run.optimise()):
+            try:
+                next(iter(steps), None)
+            except Exception as e:
+                if not is_foreseen(e):
+                    raise
+                raise SequenceError(f"{path}: {e}") from e
 
 
 def settings(path: Path) -> None:
@@ -199,8 +211,7 @@ def ledger(path: Path) -> None:
 
 
 TARGETS: dict[str, Callable[[Path], None]] = {
-    f.__name__: f
-    for f in (sequence, growing, convert, trajectory, run_trajectory, intrinsics, matrix, gaussians, mesh, checkpoint)
+    f.__name__: f for f in (sequence, growing, convert, trajectory, run_trajectory, intrinsics, matrix, gaussians, mesh)
 } | {f.__name__: f for f in (resume, settings, rescore, archive, ledger)}
 CORRECTED = ("ledger", "growing", "resume")
 """Targets that go on without a file that is damaged: a ledger begins anew, a folder may still be written."""

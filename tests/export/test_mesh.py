@@ -97,14 +97,11 @@ def test_ply_errors_are_sentences(tmp_path):
         read_mesh_ply(path)
 
 
-@pytest.mark.parametrize("write", [write_mesh_ply, write_mesh_glb])
 @pytest.mark.parametrize("bad", [4, -1])
-def test_faces_must_refer_to_vertices(tmp_path, write, bad):
+def test_faces_must_refer_to_vertices(bad):
     mesh = tetrahedron()
-    wrong = Mesh(vertices_W=mesh.vertices_W, faces=torch.tensor([[0, 1, bad]]), rgb=mesh.rgb)
     with pytest.raises(ValueError, match="faces must refer to vertices 0 to 3"):
-        write(tmp_path / "m", wrong)
-    assert list(tmp_path.iterdir()) == []
+        Mesh(vertices_W=mesh.vertices_W, faces=torch.tensor([[0, 1, bad]]), rgb=mesh.rgb)
 
 
 def parse_glb(data):

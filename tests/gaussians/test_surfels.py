@@ -160,6 +160,7 @@ def test_state_round_trip(generator):
     model.step_count = 17
     for i, name in enumerate(COUNTERS):
         getattr(model, name).copy_(model.tag + i)
+    model.state.copy_(model.tag % 2)
     model.params.xyz_W.add_(1.0)
     again = SurfelModel.from_state_dict(model.state_dict())
     assert isinstance(again, SurfelModel)

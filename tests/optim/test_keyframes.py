@@ -81,6 +81,8 @@ def test_images_are_kept_where_they_are_wanted():
     keyframes = KeyframeList("meta")
     keyframes.append(frame(0), with_depth=True)
     assert {t.device.type for t in vars(keyframes[0]).values() if isinstance(t, torch.Tensor)} == {"meta"}
-    there = KeyframeList.from_state_dict(KeyframeList.state_dict(keyframes), "meta")
+    here = KeyframeList("cpu")
+    here.append(frame(0), with_depth=True)
+    there = KeyframeList.from_state_dict(here.state_dict(), "meta")
     assert there[0].rgb_u8.device.type == "meta"
     assert frame(0).rgb.device.type == "cpu"

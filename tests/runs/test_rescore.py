@@ -84,3 +84,18 @@ def test_a_run_without_its_views_is_refused(tmp_path):
     (run.folder / "views.json").write_text('{"mapped": [{"frame": 0}]}')
     with pytest.raises(ValueError, match=r"views.json is damaged: KeyError 'T_WC'"):
         rescore(run.folder)
+
+
+def test_other_data_than_the_run_s_are_named(tmp_path, caplog):
+    run = run_mapping("room", with_poses("gsfusion", "given"), folder=tmp_path / "run", **ROOM)
+    path = run.folder / "config.json"
+    settings = json.loads(path.read_text())
+    assert len(settings["data_fingerprint"]) == 32
+    settings["source"]["n_frames"] = 240
+    path.write_text(json.dumps(settings))
+    for _ in range(2):
+        rescore(run.folder)
+    sentence = "room does not hold the data that this run was mapped from"
+    assert sentence in caplog.text
+    warnings = json.loads((run.folder / "metrics.json").read_text())["warnings"]
+    assert sum(sentence in warning for warning in warnings) == 1

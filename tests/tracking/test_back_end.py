@@ -10,7 +10,7 @@ from gsfusion_nb.config import BackEndConfig
 from gsfusion_nb.data.room import render_room, room
 from gsfusion_nb.data.room.trajectory import look_at
 from gsfusion_nb.evaluation import ate_rmse
-from gsfusion_nb.export import load_checkpoint, save_checkpoint
+from gsfusion_nb.export import CheckpointStore
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.tracking.back_end import BackEnd
 from gsfusion_nb.types import Camera, Frame
@@ -136,8 +136,8 @@ def test_state_goes_on_where_it_was(circle, generator, tmp_path):
     steps = odometry(true, generator, bias_deg=0.2)
     one = BackEnd(BackEndConfig(), CAMERA)
     tracked, _, _ = drive(one, circle[:32], steps[:31], true[0])
-    save_checkpoint(tmp_path / "state.pt", one.state_dict())
-    two = BackEnd.from_state_dict(BackEndConfig(), CAMERA, load_checkpoint(tmp_path / "state.pt"))
+    CheckpointStore(tmp_path).save(one.state_dict())
+    two = BackEnd.from_state_dict(BackEndConfig(), CAMERA, CheckpointStore(tmp_path).load().state)
     for back_end in (one, two):
         back_end.add(circle[32], tracked[-1] @ steps[31])
         back_end.finish()

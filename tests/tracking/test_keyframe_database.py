@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from gsfusion_nb.data.room import room
-from gsfusion_nb.export import load_checkpoint, save_checkpoint
+from gsfusion_nb.export import CheckpointStore
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.tracking.features import Features, extract_features
 from gsfusion_nb.tracking.keyframe_database import KeyframeDatabase
@@ -95,9 +95,9 @@ def test_corrected_poses_move_what_is_found(known, sequence):
 
 
 def test_state_survives_a_checkpoint(known, sequence, tmp_path):
-    save_checkpoint(tmp_path / "places.pt", known.state_dict())
+    CheckpointStore(tmp_path).save(known.state_dict())
     other = KeyframeDatabase(sequence.camera)
-    other.load_state(load_checkpoint(tmp_path / "places.pt"))
+    other.load_state(CheckpointStore(tmp_path).load().state)
     query = extract_features(sequence[45], count=1000, levels=8)
     assert other.similar(query, 5) == known.similar(query, 5)
     assert torch.equal(other.relocalise(query)[0], known.relocalise(query)[0])

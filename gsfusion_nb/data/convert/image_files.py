@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...foreign import parsing
+from ...foreign import is_file, parsing
 from ..recorded.images import check_image_size, decode_image, decode_rgb, read_image_bytes
 from ..sequence import BadFrameError, SequenceError
 from .recording import RgbdImages
@@ -66,7 +66,8 @@ def is_picture_file(data: bytes) -> bool:
 
 def find_depth(folder: Path, stem: str) -> Path:
     """Depth file of the colour image ``stem``: the same name with any known suffix. The file may be missing."""
-    return next((p for s in DEPTH_SUFFIXES if (p := folder / f"{stem}{s}").is_file()), folder / f"{stem}.png")
+    found = (folder / f"{stem}{s}" for s in DEPTH_SUFFIXES)
+    return next((p for p in found if is_file(p)), folder / f"{stem}.png")
 
 
 def _numpy_array(path: Path) -> np.ndarray:

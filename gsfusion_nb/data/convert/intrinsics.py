@@ -4,6 +4,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+from ...errors import shown
 from ...strict_json import read_object
 from ...types import Camera
 from ..lens.camera_model import CameraModel
@@ -30,7 +31,7 @@ def read_intrinsics(text_or_file: str, size: tuple[int, int], *, centre: float =
         return intrinsics_of_json(path, size, centre=centre)
     try:
         values = [float(w) for w in text_or_file.replace(",", " ").split()]
-        source = f"intrinsics {text_or_file!r}"
+        source = f"intrinsics {shown(text_or_file)}"
     except ValueError:
         values, source = read_numbers(path, _WAYS), str(path)
     if len(values) in (9, 16) and values[-1] == 1:

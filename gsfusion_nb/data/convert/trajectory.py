@@ -9,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ...checks import check_pose
+from ...errors import shown
 from ...foreign import read_text
 from ...geometry import se3
 from ..recorded.poses import interpolate_rows, matrices
@@ -60,11 +61,10 @@ def read_trajectory(
         T_body_cam: From the camera's frame to the body's; the identity if the poses are those of the camera.
 
     Raises:
-        SequenceError: no such file, no rows, a row that is not numeric, times that do not increase, or a quaternion
-            whose length is not 1.
+        SequenceError: no such file, no rows, a row that is not numeric, times that go back, two different poses at one
+            time, or a quaternion whose length is not 1.
     """
-    table, lost = _checked(_table(path), path)
-    notes = [f"{path}: {lost} of {len(table) + lost} poses are NaN and count as lost"] if lost else []
+    table, notes = _checked(_table(path), path)
     unit = _time_unit(table[:, 0]) if time_unit == "auto" else time_unit
     notes.append(f"{path}: {len(table)} poses, times read as {unit}")
     return Trajectory(
@@ -77,10 +77,11 @@ def read_trajectory(
     )
 
 
-def _checked(table: Float[Tensor, "N 8"], path: Path) -> tuple[Float[Tensor, "M 8"], int]:
-    """Rows with a pose, each time once, and how many rows had none. [M, 8]"""
+def _checked(table: Float[Tensor, "N 8"], path: Path) -> tuple[Float[Tensor, "M 8"], list[str]]:
+    """Rows with a pose, each time once [M, 8], and sentences on those that were left out."""
     finite = torch.isfinite(table).all(dim=1)
     lost = int((~finite).sum())
+    notes = [f"{path}: {lost} of {len(table)} poses are NaN and count as lost"] if lost else []
     table = table[finite]
     if not len(table):
         raise SequenceError(f"{path} holds no finite pose; expected rows 't tx ty tz qx qy qz qw'")
@@ -91,7 +92,15 @@ def _checked(table: Float[Tensor, "N 8"], path: Path) -> tuple[Float[Tensor, "M 
             f"{path}: the time {float(table[i + 1, 0]):.9g} comes after {float(table[i, 0]):.9g}; expected increasing "
             "times: sort the file by its first column, and split it if it holds several trajectories"
         )
-    table = table[torch.cat([table.new_ones(1), table[1:, 0] - table[:-1, 0]]) > 0]
+    again = table[1:, 0] == table[:-1, 0]
+    differs = again & (table[1:] != table[:-1]).any(dim=1)
+    if bool(differs.any()):
+        t = float(table[1:, 0][differs][0])
+        raise SequenceError(f"{path} has two different poses at the time {t:.9g}; expected every time once")
+    if bool(again.any()):
+        t = float(table[1:, 0][again][0])
+        notes.append(f"{path}: {int(again.sum())} rows repeat the one before, the first at the time {t:.9g}")
+    table = table[torch.cat([~again.new_zeros(1), ~again])]
     length = table[:, 4:].norm(dim=1)
     if float((length - 1).abs().max()) > 1e-2:
         i = int((length - 1).abs().argmax())
@@ -99,7 +108,7 @@ def _checked(table: Float[Tensor, "N 8"], path: Path) -> tuple[Float[Tensor, "M 
             f"{path}: the pose at {float(table[i, 0]):.9g} must hold a unit quaternion, got one of length "
             f"{float(length[i]):.3g}; expected the columns t tx ty tz qx qy qz qw"
         )
-    return table, lost
+    return table, notes
 
 
 def _table(path: Path) -> Float[Tensor, "N 8"]:
@@ -117,7 +126,7 @@ def _table(path: Path) -> Float[Tensor, "N 8"]:
         except (ValueError, IndexError):
             raise SequenceError(
                 f"{path} line {number} must hold a time, a position and a quaternion in at least 8 numbers, got "
-                f"{line.strip()[:60]!r}"
+                f"{shown(line.strip())}"
             ) from None
     if not rows:
         raise SequenceError(f"{path} is empty; expected rows 't tx ty tz qx qy qz qw'")

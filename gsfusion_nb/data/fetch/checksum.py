@@ -4,6 +4,7 @@ import hashlib
 import hmac
 from pathlib import Path
 
+from ...errors import shown
 from ...foreign import open_regular
 from .errors import ChecksumError
 
@@ -24,7 +25,7 @@ def verify(path: Path, expected: str) -> None:
     """
     algorithm, _, published = expected.partition(":")
     if algorithm not in ALGORITHMS or len(published) != 2 * hashlib.new(algorithm).digest_size:
-        raise ValueError(f"expected algorithm:hexadecimal with one of {', '.join(ALGORITHMS)}, got {expected!r}")
+        raise ValueError(f"expected algorithm:hexadecimal with one of {', '.join(ALGORITHMS)}, got {shown(expected)}")
     found = digest(path, algorithm)
     if not hmac.compare_digest(found, f"{algorithm}:{published.lower()}"):
         raise ChecksumError(

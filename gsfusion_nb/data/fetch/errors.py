@@ -1,8 +1,13 @@
 """Errors of fetching data; every message names the address or file."""
 
+from ...errors import as_sentence
+
 
 class FetchError(ValueError):
     """A data set could not be fetched or prepared."""
+
+    def __str__(self) -> str:
+        return as_sentence(super().__str__())
 
 
 class DownloadError(FetchError):

@@ -9,6 +9,7 @@ from email.utils import parsedate_to_datetime
 from http.client import HTTPResponse
 from urllib.parse import urljoin, urlsplit
 
+from ...errors import shown
 from .errors import DownloadError
 
 MAX_REDIRECTS = 5
@@ -114,7 +115,7 @@ class Body:
             found = re.fullmatch(r"bytes (\d+)-(\d+)/(\d+|\*)", sent.strip())
             if not found:
                 raise DownloadError(
-                    f"{url} answers a range request with Content-Range {sent!r}; expected the range of bytes"
+                    f"{url} answers a range request with Content-Range {shown(sent)}; expected the range of bytes"
                 )
             total = None if found[3] == "*" else int(found[3])
             return Body(start=int(found[1]), total=total, validator=_validator(headers))

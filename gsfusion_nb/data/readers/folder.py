@@ -27,8 +27,9 @@ images.
 from pathlib import Path
 from typing import Any
 
+from ...errors import shown
 from ...strict_json import read_object
-from ..recorded.camera_json import camera, number, numbers, shown
+from ..recorded.camera_json import camera, number, numbers
 from ..recorded.find_files import images_in, pair_by_stem, require
 from ..recorded.layout import Layout
 from ..recorded.pose_lines import poses_of_images
@@ -91,7 +92,7 @@ def read_intrinsics(path: Path) -> dict[str, Any]:
     numbers(values, _REQUIRED, path)
     numbers(values, tuple(k for k in ("fps",) if k in values), path)
     if number(values, "pixel_centre", 0.0, path) not in (0.0, 0.5):
-        raise SequenceError(f"{path}: pixel_centre must be 0.0 or 0.5, got {values['pixel_centre']!r}")
+        raise SequenceError(f"{path}: pixel_centre must be 0.0 or 0.5, got {shown(values['pixel_centre'])}")
     invalid = values.get("depth_invalid", 0)
     if isinstance(invalid, bool) or not isinstance(invalid, int) or not 0 <= invalid <= 65535:
         raise SequenceError(f"{path}: depth_invalid must be an integer between 0 and 65535, got {shown(invalid)}")

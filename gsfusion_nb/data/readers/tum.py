@@ -15,6 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ...errors import shown
 from ...types import Camera
 from ..lens.camera_model import CameraModel
 from ..lens.undistort import Undistorter
@@ -118,7 +119,7 @@ def _lens(root: Path, camera: str | Camera) -> CameraModel:
                 f"{root}: the folder's name holds none of {', '.join(LENSES)}; pass camera= one of them"
             )
     if name not in LENSES:
-        raise SequenceError(f"{root}: no TUM camera {name!r}; known: {', '.join(LENSES)}")
+        raise SequenceError(f"{root}: no TUM camera {shown(name)}; known: {', '.join(LENSES)}")
     return LENSES[name]
 
 
@@ -129,7 +130,9 @@ def _stream(path: Path) -> tuple[list[float], list[Path]]:
         try:
             stamp, name = float(words[0]), words[1]
         except (ValueError, IndexError):
-            raise SequenceError(f"{path} line {number} must be 'timestamp filename', got {' '.join(words)!r}") from None
+            raise SequenceError(
+                f"{path} line {number} must be 'timestamp filename', got {shown(' '.join(words))}"
+            ) from None
         if not math.isfinite(stamp):
             raise SequenceError(f"{path} line {number} must begin with a time in seconds, got {words[0]}")
         stamps.append(stamp)

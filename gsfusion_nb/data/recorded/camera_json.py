@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ...errors import shown
 from ...types import Camera
 from ..sequence import SequenceError
 
@@ -50,12 +51,6 @@ def number(values: dict[str, Any], key: str, default: float | int, source: str |
     return float(value)
 
 
-def shown(value: Any) -> str:
-    """A value of a file, short enough for a sentence."""
-    text = repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
-
-
 def camera(values: dict[str, Any], keys: tuple[str, str, str, str, str, str], path: Path, *, shift: float) -> Camera:
     """Camera of a JSON object.
 
@@ -74,4 +69,7 @@ def camera(values: dict[str, Any], keys: tuple[str, str, str, str, str, str], pa
         if checked[k] != int(checked[k]):
             raise SequenceError(f"{path}: {k} must be a whole number of pixels, got {checked[k]}")
     width, height, fx, fy, cx, cy = (checked[k] for k in keys)
-    return Camera(width=int(width), height=int(height), fx=fx, fy=fy, cx=cx + shift, cy=cy + shift)
+    try:
+        return Camera(width=int(width), height=int(height), fx=fx, fy=fy, cx=cx + shift, cy=cy + shift)
+    except ValueError as e:
+        raise SequenceError(f"{path}: {e}") from None

@@ -28,6 +28,19 @@ def image_size(data: bytes) -> tuple[int, int] | None:
     return (int(match[1]), int(match[2])) if match else None
 
 
+def png_is_cut(data: bytes) -> bool:
+    """A PNG with a chunk that is longer than what is left of the file: OpenCV 5 would ask for that much memory."""
+    at = 8
+    while data[:8] == b"\x89PNG\r\n\x1a\n" and at + 8 <= len(data):
+        length, kind = struct.unpack_from(">I4s", data, at)
+        at += 12 + length
+        if at > len(data):
+            return True
+        if kind == b"IEND":
+            break
+    return False
+
+
 def _jpeg(data: bytes) -> tuple[int, int] | None:
     """The largest of the frame headers: an embedded thumbnail is inside another segment, which is stepped over."""
     at, found = 2, None

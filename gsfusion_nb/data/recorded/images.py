@@ -6,7 +6,7 @@ import numpy as np
 
 from ...foreign import IMAGE_BYTES, parsing, read_bytes
 from ..sequence import BadFrameError, SequenceError, SequenceNotFoundError
-from .image_header import image_size
+from .image_header import image_size, png_is_cut
 
 MAX_PIXELS = 40_000_000
 """More than any camera has; a small file can claim, and a decoder would allocate, a thousand times as many."""
@@ -90,7 +90,7 @@ def decode_image(data: bytes, flags: int, source: Path | str, kind: str) -> np.n
     check_image_size(data, source, kind)
     try:
         with parsing(source, f"a {kind} image", BadFrameError):
-            image = cv2.imdecode(np.frombuffer(data, np.uint8), flags) if data else None
+            image = None if png_is_cut(data) else cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except BadFrameError:
         image = None
     if image is None:

@@ -4,6 +4,7 @@ import logging
 import math
 from pathlib import Path
 
+from ...errors import shown
 from ..sequence import SequenceError
 from .pose_lines import image_key
 from .poses import read_words
@@ -29,7 +30,7 @@ def times_of_images(path: Path, images: list[Path]) -> list[float] | None:
             name, value = words
             time_of[image_key(name)] = float(value)
         except ValueError:
-            raise SequenceError(f"{path} line {number} must be 'name seconds', got {' '.join(words)[:60]!r}") from None
+            raise SequenceError(f"{path} line {number} must be 'name seconds', got {shown(' '.join(words))}") from None
     lacking = [image for image in images if image_key(image.stem) not in time_of]
     if lacking:
         raise SequenceError(f"{path} has no time of {lacking[0]}; expected one per image")

@@ -5,6 +5,7 @@ from pathlib import Path
 from jaxtyping import Float
 from torch import Tensor
 
+from ...errors import shown
 from ..recorded.pose_lines import image_key, image_number, parsed_pose, split_name
 from ..sequence import BadFrameError, SequenceError
 from .appended_lines import AppendedLines
@@ -78,7 +79,7 @@ class PosesOfImages:
         try:
             return parsed_pose(split_name(line)[1]).reshape(1, 4, 4), source
         except ValueError:
-            raise BadFrameError(f"{source} must be 16 row-major numbers, got {line[:60]!r}") from None
+            raise BadFrameError(f"{source} must be 16 row-major numbers, got {shown(line)}") from None
 
     def position(self, image: Path) -> int | None:
         """Which line is the image's, from 0; ``None`` where lines have names."""

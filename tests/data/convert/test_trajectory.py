@@ -151,3 +151,15 @@ def test_no_overlap_names_both_times(tmp_path, takes):
         SequenceError, match=r"the trajectory spans 10\.000 to 11\.000 s, the first frame is at 17000000"
     ):
         convert(tmp_path, tmp_path / "out", options=options)
+
+
+def test_times_that_are_repeated_are_named(tmp_path):
+    path = tmp_path / "t.txt"
+    lines = ["10 0 0 0 0 0 0 1", "11 1 0 0 0 0 0 1", "11 1 0 0 0 0 0 1", "11 1 0 0 0 0 0 1", "12 2 0 0 0 0 0 1"]
+    path.write_text("\n".join(lines))
+    read = read_trajectory(path, max_gap_s=2.0)
+    assert read.stamps_s.tolist() == [10, 11, 12]
+    assert read.notes[0] == f"{path}: 2 rows repeat the one before, the first at the time 11"
+    path.write_text("\n".join([*lines[:2], "11 1.5 0 0 0 0 0 1"]))
+    with pytest.raises(SequenceError, match="has two different poses at the time 11; expected every time once"):
+        read_trajectory(path)

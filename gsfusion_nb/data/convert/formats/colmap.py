@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
+from ....foreign import is_file
 from ....geometry import se3
 from ...recorded.find_files import natural_order
 from ...sequence import BadFrameError, SequenceError, SequenceNotFoundError
@@ -46,7 +47,7 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     def depth_file(image: ColmapImage) -> Path:
         name = depth / image.name
         found = find_depth(name.parent, name.stem)
-        return found if found.is_file() else find_depth(name.parent, name.name)
+        return found if is_file(found) else find_depth(name.parent, name.name)
 
     def recorded_frames() -> Iterator[RecordedFrame]:
         for image in images:

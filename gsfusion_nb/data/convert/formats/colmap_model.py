@@ -16,6 +16,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ....errors import shown
 from ....foreign import open_regular, parsing, read_exactly, read_text
 from ....geometry import quaternion, se3
 from ...lens.camera_model import CameraModel
@@ -123,7 +124,7 @@ def _cameras_txt(path: Path) -> dict[int, CameraModel]:
             values = [float(w) for w in words[4:]]
         except (ValueError, IndexError):
             raise SequenceError(
-                f"{path} line {number} must be 'CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]', got {line[:60]!r}"
+                f"{path} line {number} must be 'CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]', got {shown(line)}"
             ) from None
         cameras[number_of] = _camera(name, size, values, f"{path} camera {number_of}")
     return cameras
@@ -175,7 +176,7 @@ def _images_txt(path: Path) -> list[ColmapImage]:
             except (ValueError, IndexError):
                 raise SequenceError(
                     f"{path}: expected 'IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME' and a line of points, got "
-                    f"{line[:60].decode(errors='replace')!r}"
+                    f"{shown(line.decode(errors='replace'))}"
                 ) from None
             images.append(ColmapImage(name, camera, _pose(pose), file.tell(), -1))
             file.readline(_LONGEST_LINE)

@@ -15,6 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ....errors import shown
 from ....foreign import read_text
 from ....types import Camera
 from ...lens.camera_model import CameraModel
@@ -82,7 +83,7 @@ def read_ground_truth(path: Path) -> dict[int, Float[Tensor, "4 4"]]:
             frame, row = 0, torch.zeros(0)
         if len(row) != 7 or frame in poses:
             twice = ", each frame once" if len(row) == 7 else ""
-            raise SequenceError(f"{path} line {number} must be 'frame tx ty tz qx qy qz qw'{twice}, got {line[:60]!r}")
+            raise SequenceError(f"{path} line {number} must be 'frame tx ty tz qx qy qz qw'{twice}, got {shown(line)}")
         poses[frame] = matrices(row[None])[0]
     return poses
 

@@ -17,10 +17,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ....errors import shown
+from ....foreign import is_file
 from ....geometry import se3
 from ....strict_json import read_object
 from ...lens.camera_model import CameraModel
-from ...recorded.camera_json import number, shown, table
+from ...recorded.camera_json import number, table
 from ...recorded.find_files import natural_order
 from ...sequence import SequenceError
 from ..image_files import find_depth, load_pair
@@ -162,8 +164,8 @@ def _focal(values: dict[str, Any], width: int, height: int) -> tuple[float, floa
 
 def _image(path: Path) -> Path:
     """The image; some programs write its name without the suffix."""
-    found = (path.with_name(path.name + s) for s in ("", ".png", ".jpg", ".jpeg"))
-    return next((p for p in found if p.is_file()), path)
+    found = (Path(f"{path}{s}") for s in ("", ".png", ".jpg", ".jpeg"))
+    return next((p for p in found if is_file(p)), path)
 
 
 def _depth(frame: dict[str, Any], file: Path, colour: Path, options: ConvertOptions) -> Path:

@@ -19,6 +19,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ....errors import shown
 from ....foreign import IMAGE_BYTES, TEXT_BYTES, open_archive, parsing, read_bytes, read_member
 from ....strict_json import parse_json
 from ...lens.camera_model import CameraModel
@@ -146,7 +147,7 @@ def _claimed_size(data: bytes, source: str) -> tuple[int, int]:
             literals, matches, states = struct.unpack_from("<QQQ", head, 8)
             at += max(32, states & 0xFFFFFFFF) + (literals >> 20 & 0xFFFFF) + (matches >> 40 & 0xFFFFF)
         else:
-            raise BadFrameError(f"{source} holds an unknown LZFSE block {kind!r}; expected bvx-, bvxn or bvx2")
+            raise BadFrameError(f"{source} holds an unknown LZFSE block {shown(kind)}; expected bvx-, bvxn or bvx2")
     return size, blocks
 
 

@@ -17,6 +17,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ....errors import shown
 from ....foreign import open_regular, parsing
 from ...lens.camera_model import CameraModel
 from ...recorded.associate import associate
@@ -182,7 +183,9 @@ def _one(wanted: str, candidates: list[str], known: list[str], what: str, option
     """The requested topic, or the only candidate; where there is a raw and a compressed one, the raw one."""
     if wanted:
         if wanted not in known:
-            raise SequenceError(f"{path} has no {what} topic {wanted!r}; it has {', '.join(sorted(known)) or 'none'}")
+            raise SequenceError(
+                f"{path} has no {what} topic {shown(wanted)}; it has {', '.join(sorted(known)) or 'none'}"
+            )
         return wanted
     raw = [t for t in candidates if not any(t != o and t.startswith(f"{o}/") for o in candidates)]
     if len(raw) == 1:
@@ -224,7 +227,9 @@ def _cameras(
     if options.ros.camera_info_topic:
         topic = options.ros.camera_info_topic
         if topic not in bag.info:
-            raise SequenceError(f"{bag.path} has no camera_info topic {topic!r}; it has {', '.join(sorted(bag.info))}")
+            raise SequenceError(
+                f"{bag.path} has no camera_info topic {shown(topic)}; it has {', '.join(sorted(bag.info))}"
+            )
         infos["colour"] = bag.info[topic]
     model = None if infos["colour"] is None else _model(infos["colour"], bag.colour, bag.path)
     frames = [bag.frames.get(t, "") for t in (bag.colour, bag.depth)]
@@ -260,7 +265,7 @@ def _model(info: Any, topic: str, path: Path) -> CameraModel:
     kind = info.distortion_model
     if any(D) and kind not in ("plumb_bob", "rational_polynomial", "equidistant", "fisheye", "none", ""):
         raise SequenceError(
-            f"{source} has the distortion model {kind!r}; known: plumb_bob, rational_polynomial, equidistant"
+            f"{source} has the distortion model {shown(kind)}; known: plumb_bob, rational_polynomial, equidistant"
         )
     fisheye = kind in ("equidistant", "fisheye") and any(D)
     return model_of([K[0], K[4], K[2], K[5]], size, source, centre=0.0, distortion=tuple(D), fisheye=fisheye)
@@ -276,8 +281,10 @@ def _pose_lookup(bag: _Bag, options: ConvertOptions, notes: list[str]):
         if not bag.tree.knows(camera, world) or world == camera:
             if not options.ros.world_frame:
                 return None
-            raise SequenceError(f"{bag.path}: tf does not lead from the camera's frame {camera!r} to {world!r}")
-        notes.append(f"poses of {camera!r} in {world!r} from the transform tree")
+            raise SequenceError(
+                f"{bag.path}: tf does not lead from the camera's frame {shown(camera)} to {shown(world)}"
+            )
+        notes.append(f"poses of {shown(camera)} in {shown(world)} from the transform tree")
         return lambda t: bag.tree.lookup(camera, world, t, gap)
     if not bag.pose_rows:
         return None

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from ....errors import shown
 from ...recorded.images import decode_image, decode_rgb
 from ...sequence import BadFrameError, SequenceError
 from ..image_files import is_picture_file, metres
@@ -39,7 +40,9 @@ def colour_of(message: Any, source: str) -> tuple[np.ndarray, bytes]:
         return cv2.cvtColor(_rows(message, 2, np.uint8, source), code), b""
     if encoding not in _CHANNELS:
         known = ", ".join((*_CHANNELS, *_BAYER, *_YUV))
-        raise SequenceError(f"{source} has the encoding {encoding!r}, which cannot be read as colour; known: {known}")
+        raise SequenceError(
+            f"{source} has the encoding {shown(encoding)}, which cannot be read as colour; known: {known}"
+        )
     pixels = _rows(message, _CHANNELS[encoding], np.uint8, source)
     if encoding in ("bgr8", "bgra8", "8UC3"):
         pixels = pixels[..., 2::-1]
@@ -61,7 +64,7 @@ def depth_of(message: Any, source: str, scale: float = 0.0) -> np.ndarray:
     if message.encoding == "32FC1":
         return metres(_rows(message, 1, np.float32, source)[..., 0], scale or 1.0)
     raise SequenceError(
-        f"{source} has the encoding {message.encoding!r}; expected depth as {', '.join(_MILLIMETRES)} or 32FC1"
+        f"{source} has the encoding {shown(message.encoding)}; expected depth as {', '.join(_MILLIMETRES)} or 32FC1"
     )
 
 
@@ -79,7 +82,7 @@ def _compressed_depth(data: bytes, format: str, source: str, scale: float) -> np
 
     if "rvl" in format:
         raise SequenceError(
-            f"{source} is packed as RVL ({format!r}); expected PNG: record or republish it uncompressed"
+            f"{source} is packed as RVL ({shown(format)}); expected PNG: record or republish it uncompressed"
         )
     if data[:4] == _PNG:
         header, png = None, data
@@ -87,7 +90,7 @@ def _compressed_depth(data: bytes, format: str, source: str, scale: float) -> np
         header, png = _DEPTH_HEADER.unpack_from(data), data[_DEPTH_HEADER.size :]
     else:
         raise BadFrameError(
-            f"{source} holds no PNG after its header of 12 bytes ({format!r}); expected compressedDepth"
+            f"{source} holds no PNG after its header of 12 bytes ({shown(format)}); expected compressedDepth"
         )
     raw = decode_image(png, cv2.IMREAD_UNCHANGED, source, "depth")
     if raw.ndim != 2 or raw.dtype != np.uint16:

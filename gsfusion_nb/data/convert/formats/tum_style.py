@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
+from ....errors import shown
 from ...lens.camera_model import CameraModel
 from ...readers.tum import DEPTH_SCALE, LENSES, MAX_TIME_DIFFERENCE_S
 from ...recorded.associate import associate
@@ -115,7 +116,7 @@ def _associated(file: Path) -> list[Entry]:
         except (ValueError, IndexError):
             times, files = (math.nan, math.nan), []
         if not all(map(math.isfinite, times)):
-            raise SequenceError(f"{file} line {number} must be 'time file time file', got {' '.join(words)[:60]!r}")
+            raise SequenceError(f"{file} line {number} must be 'time file time file', got {shown(' '.join(words))}")
         depth = 0 if "depth" in words[1].lower() else 1
         entries.append((times[depth], files[1 - depth], files[depth]))
     return sorted(entries)
@@ -136,7 +137,7 @@ def _stream(path: Path, name: str) -> list[tuple[float, Path]]:
         except (ValueError, IndexError):
             time_s, image = math.nan, path
         if not math.isfinite(time_s):
-            raise SequenceError(f"{file} line {number} must be 'timestamp filename', got {' '.join(words)[:60]!r}")
+            raise SequenceError(f"{file} line {number} must be 'timestamp filename', got {shown(' '.join(words))}")
         entries.append((time_s, image))
     return entries
 

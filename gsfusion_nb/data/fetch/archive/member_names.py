@@ -4,6 +4,7 @@ import re
 import unicodedata
 from collections.abc import Callable
 
+from ....errors import shown
 from ..errors import ArchiveError
 
 Choose = Callable[[str], str | None]
@@ -26,10 +27,10 @@ def plain_path(name: str, archive: str) -> str:
     """
     path = name.replace("\\", "/")
     if path.startswith("/") or re.match(r"[A-Za-z]:", path):
-        raise ArchiveError(f"{archive} holds the absolute path {name!r}; nothing was unpacked")
+        raise ArchiveError(f"{archive} holds the absolute path {shown(name)}; nothing was unpacked")
     parts = [part for part in path.split("/") if part not in ("", ".")]
     if ".." in parts:
-        raise ArchiveError(f"{archive} holds {name!r}, which is outside the target folder; nothing was unpacked")
+        raise ArchiveError(f"{archive} holds {shown(name)}, which is outside the target folder; nothing was unpacked")
     return "/".join(parts)
 
 
@@ -38,7 +39,7 @@ def check_portable(path: str, archive: str) -> None:
     for part in path.split("/"):
         if _FORBIDDEN.search(part) or _DEVICE.fullmatch(part) or part[-1] in ". " or len(part.encode()) > 255:
             raise ArchiveError(
-                f"{archive} holds {path!r}, a name that is invalid on some operating systems; nothing was unpacked"
+                f"{archive} holds {shown(path)}, a name that is invalid on some operating systems; nothing was unpacked"
             )
 
 
@@ -57,10 +58,11 @@ class TakenPaths:
             part = "/".join(parts[:n])
             key = _folded(part)
             if key in self._files:
-                raise ArchiveError(f"{self._archive} holds {part!r} both as a file and as a folder")
+                raise ArchiveError(f"{self._archive} holds {shown(part)} both as a file and as a folder")
             if self._names.setdefault(key, part) != part:
                 raise ArchiveError(
-                    f"{self._archive} holds {part!r} and {self._names[key]!r}, which are the same name on some systems"
+                    f"{self._archive} holds {shown(part)} and {shown(self._names[key])}, which are the same name "
+                    "on some systems"
                 )
 
     def take_file(self, path: str) -> None:
@@ -71,8 +73,8 @@ class TakenPaths:
         key = _folded(path)
         if key in self._names:
             first = self._names[key]
-            again = "twice" if first == path else f"and {first!r}, which are the same name on some systems"
-            raise ArchiveError(f"{self._archive} holds {path!r} {again}; expected one file per place")
+            again = "twice" if first == path else f"and {shown(first)}, which are the same name on some systems"
+            raise ArchiveError(f"{self._archive} holds {shown(path)} {again}; expected one file per place")
         self._names[key] = path
         self._files.add(key)
 

@@ -5,6 +5,7 @@ import tarfile
 import zlib
 from collections.abc import Iterator
 
+from ....errors import shown
 from ....foreign import open_regular
 from ..disk import require_space
 from ..errors import ArchiveError
@@ -69,9 +70,9 @@ def _members(tar: tarfile.TarFile, counted: _Counted) -> Iterator[tarfile.TarInf
 def _take(unpacker: Unpacker, tar: tarfile.TarFile, member: tarfile.TarInfo) -> None:
     name = unpacker.archive.name
     if member.issym() or member.islnk():
-        raise ArchiveError(f"{name} holds {member.name!r}, a link to {member.linkname!r}; it is not unpacked")
+        raise ArchiveError(f"{name} holds {shown(member.name)}, a link to {shown(member.linkname)}; it is not unpacked")
     if not (member.isreg() or member.isdir()) or member.issparse():
-        raise ArchiveError(f"{name} holds {member.name!r}, a device, pipe or sparse file; it is not unpacked")
+        raise ArchiveError(f"{name} holds {shown(member.name)}, a device, pipe or sparse file; it is not unpacked")
     path = unpacker.place(member.name, is_folder=member.isdir())
     if not member.isreg():
         return
@@ -79,7 +80,7 @@ def _take(unpacker: Unpacker, tar: tarfile.TarFile, member: tarfile.TarInfo) -> 
     unpacker.count(member.size, member.name)  # wanted or not: it has to be read
     source = tar.extractfile(member)
     if source is None:
-        raise ArchiveError(f"{name}: {member.name!r} has no content; the archive is damaged")
+        raise ArchiveError(f"{name}: {shown(member.name)} has no content; the archive is damaged")
     if path is None:
         while source.read(1 << 20):
             pass

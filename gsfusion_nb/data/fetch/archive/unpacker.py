@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
+from ....errors import shown
 from ..disk import full_disk, size_text
 from ..errors import ArchiveError
 from .member_names import Choose, TakenPaths, check_portable, plain_path
@@ -63,8 +64,8 @@ class Unpacker:
         self.bytes += size
         if size < 0 or self.bytes > self.max_bytes:
             raise ArchiveError(
-                f"{self.archive.name} unpacks to more than {size_text(self.max_bytes)} at {path!r}, too much for its "
-                f"{size_text(self.archive.stat().st_size)}; it may be a decompression bomb"
+                f"{self.archive.name} unpacks to more than {size_text(self.max_bytes)} at {shown(path)}, too much for "
+                f"its {size_text(self.archive.stat().st_size)}; it may be a decompression bomb"
             )
 
     def write(self, path: str, source: Readable, size: int) -> None:
@@ -83,6 +84,7 @@ class Unpacker:
             raise full_disk(e, target) or e from None
         if done != size:
             raise ArchiveError(
-                f"{self.archive.name}: {path!r} should have {size} bytes but has another size; the archive is damaged"
+                f"{self.archive.name}: {shown(path)} should have {size} bytes but has another size; the archive is "
+                "damaged"
             )
         self.files += 1

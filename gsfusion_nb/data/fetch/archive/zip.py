@@ -4,6 +4,7 @@ import errno
 import stat
 import zipfile
 
+from ....errors import shown
 from ..disk import require_space
 from ..errors import ArchiveError, NoSpaceError
 from .unpacker import Unpacker
@@ -33,7 +34,7 @@ def _zip_place(unpacker: Unpacker, info: zipfile.ZipInfo) -> str | None:
     kind = stat.S_IFMT(info.external_attr >> 16)
     if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
         what = "a link" if stat.S_ISLNK(kind) else "not a regular file"
-        raise ArchiveError(f"{unpacker.archive.name} holds {info.filename!r}, {what}; nothing was unpacked")
+        raise ArchiveError(f"{unpacker.archive.name} holds {shown(info.filename)}, {what}; nothing was unpacked")
     if info.flag_bits & 1:
         raise ArchiveError(f"{unpacker.archive.name} is encrypted; expected an archive without a password")
     return unpacker.place(info.filename, is_folder=info.is_dir())

@@ -115,3 +115,16 @@ def test_depth_elsewhere(tmp_path, takes):
     (root / "depth").rename(tmp_path / "elsewhere")
     convert(root, tmp_path / "out", options=ConvertOptions(depth=str(tmp_path / "elsewhere")))
     takes.check(tmp_path / "out")
+
+
+@pytest.mark.parametrize("key", ["file_path", "depth_file_path", "camera_model"])
+def test_a_name_without_end_does_not_fill_the_message(tmp_path, takes, key):
+    root = write_nerfstudio(tmp_path / "scan", takes)
+    values = json.loads((root / "transforms.json").read_text())
+    for frame in values["frames"]:
+        frame[key] = "a" * 5000
+    (root / "transforms.json").write_text(json.dumps(values))
+    with pytest.raises(SequenceError) as caught:
+        convert(root, tmp_path / "out")
+    assert len(str(caught.value)) <= 1000
+    assert "scan" in str(caught.value)
