@@ -9,7 +9,7 @@ from torch import Tensor
 from .. import backends
 from ..backends import use_backend
 from ..render import render_forward, render_vjp
-from ..tsdf.volume import available_memory
+from ..tsdf.block_pool import available_memory
 from ..types import GaussianParams
 from . import gsplat_cuda, gsplat_torch
 from .options import BenchOptions

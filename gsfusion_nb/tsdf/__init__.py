@@ -2,6 +2,7 @@
 
 from .allocate import allocate as allocate
 from .allocate import band_blocks as band_blocks
+from .block_pool import estimate_memory as estimate_memory
 from .fused_view import FusedView as FusedView
 from .integrate import IntegrateReport as IntegrateReport
 from .integrate import fuse_frame_ as fuse_frame_
@@ -13,5 +14,4 @@ from .raycast import RaycastOutput as RaycastOutput
 from .raycast import raycast as raycast
 from .volume import TsdfSample as TsdfSample
 from .volume import TsdfVolume as TsdfVolume
-from .volume import estimate_memory as estimate_memory
 from .volume import sample_voxels as sample_voxels

@@ -11,7 +11,8 @@ from ..checks import check_number
 from ..constants import VOXELS_PER_BLOCK
 from ..types import Mesh
 from .triangle_table import EDGES, triangle_table
-from .volume import CORNERS, VOXELS, TsdfVolume, check_volume
+from .trilinear import CORNERS
+from .volume import VOXELS, TsdfVolume, check_volume
 
 BLOCKS_AT_A_TIME = 256
 """Bounds the memory for intermediate results, whatever the size of the map."""

@@ -12,7 +12,8 @@ from ..checks import check_pose
 from ..geometry import pixel_grid, rays, se3
 from ..operands import check_view
 from ..types import Camera
-from .volume import TsdfVolume, check_volume, corner_gradients, corner_weights
+from .trilinear import corner_gradients, corner_weights
+from .volume import TsdfVolume, check_volume
 
 STEP = 0.7
 """Part of the stored distance to advance. D was measured along other rays and overstates the true distance."""

@@ -1,8 +1,6 @@
 """The volumetric map: an unordered pool of 8^3 voxel blocks, found through a linear octree."""
 
-import contextlib
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -12,20 +10,12 @@ from torch import Tensor
 from ..backends import op
 from ..checks import check_saved, check_shape
 from ..config import TsdfConfig, from_dict, to_dict
-from ..constants import BLOCK_VOXELS, GROWTH, VOXELS_PER_BLOCK
+from ..constants import BLOCK_VOXELS, VOXELS_PER_BLOCK
 from ..operands import check_operand
+from .block_pool import BlockPool
 from .morton import encode
 from .octree import BlockIndex
-
-BYTES_PER_BLOCK = VOXELS_PER_BLOCK * (4 + 4 + 12) + 12
-"""Distance, weight and colour of every voxel as float32, and three int32 coordinates. Colour is float32 because a
-running mean at weight 100 moves by a hundredth of the difference: float16 would stall 6 grey levels away from the mean
-and 8 bits 50, and converting from a finer integer costs more time than the memory is worth."""
-
-_FIRST_CAPACITY = 1024
-
-CORNERS = torch.tensor([[c & 1, c >> 1 & 1, c >> 2] for c in range(8)])
-"""Corner c = x + 2 y + 4 z of a unit cube. [8, 3]"""
+from .trilinear import CORNERS, corner_weights
 
 VOXELS = torch.tensor([[x, y, z] for x in range(8) for y in range(8) for z in range(8)])
 """Place of voxel 64 x + 8 y + z in its block. [512, 3]"""
@@ -63,7 +53,7 @@ class TsdfVolume:
         self.device = torch.device(device)
         self.memory_limit_bytes = memory_limit_bytes
         self.index = BlockIndex(device)
-        self._pool = _Pool(0, self.device)
+        self._pool = BlockPool(0, self.device)
 
     @property
     def n_blocks(self) -> int:
@@ -103,7 +93,7 @@ class TsdfVolume:
     @property
     def memory_bytes(self) -> int:
         """Memory of the pool, spare rows included (they cost nothing before they are first written to)."""
-        return self._pool.capacity * BYTES_PER_BLOCK
+        return self._pool.memory_bytes
 
     def add_blocks(self, coords: Int[Tensor, "N 3"]) -> Int[Tensor, " K"]:
         """Allocate the blocks at ``coords`` that do not exist yet; returns their rows.
@@ -243,7 +233,7 @@ class TsdfVolume:
             raise ValueError(f"the saved map was made with {config}, this volume has {self.config}")
         _check_saved_blocks(state)
         coords = state["block_coords"].to(self.device)
-        n, self._pool = coords.shape[0], _Pool(0, self.device)
+        n, self._pool = coords.shape[0], BlockPool(0, self.device)
         self._reserve(n)
         self.index = BlockIndex.of_blocks(coords)
         pool = self._pool
@@ -254,24 +244,8 @@ class TsdfVolume:
         return {"D": self.D, "W": self.W, "rgb": self.rgb_planes, "block_coords": self.block_coords}
 
     def _reserve(self, n_blocks: int) -> None:
-        """Room for ``n_blocks`` rows; grows by a factor, so that the cost of copying stays constant per block."""
-        old = self._pool
-        if n_blocks <= old.capacity:
-            return
-        free = available_memory(self.device)
-        limit = self.memory_limit_bytes
-        for capacity in (max(n_blocks, int(GROWTH[self.device.type] * old.capacity), _FIRST_CAPACITY), n_blocks):
-            size = capacity * BYTES_PER_BLOCK
-            if (limit is None or size <= limit) and (free is None or size <= free):
-                with contextlib.suppress(RuntimeError, MemoryError):  # torch's allocator: less is granted than is free
-                    self._pool = old.grown(capacity)
-                    return
-        allowed = [f"only {x / 1e6:.0f} MB may be used" for x in (limit, free) if x is not None and x < size]
-        raise MemoryError(
-            f"the TSDF volume needs {n_blocks * BYTES_PER_BLOCK / 1e6:.0f} MB for {n_blocks} blocks of 8^3 voxels of "
-            f"{self.config.voxel_size_m} m, but {min(allowed, default='the system grants less')}; "
-            "take larger voxels (tsdf.voxel_size_m), a smaller tsdf.far_m, or check the depth unit"
-        )
+        limit, voxel_size_m = self.memory_limit_bytes, self.config.voxel_size_m
+        self._pool = self._pool.with_room_for(n_blocks, limit_bytes=limit, voxel_size_m=voxel_size_m)
 
 
 def _check_saved_blocks(state: dict[str, Any]) -> None:
@@ -310,52 +284,3 @@ def sample_voxels(volume: TsdfVolume, xyz_W: Float[Tensor, "N 3"]) -> TsdfSample
     D, W, rgb = xyz_W.new_ones(len(known)), xyz_W.new_zeros(len(known)), xyz_W.new_zeros(len(known), 3)
     D[known], W[known], rgb[known] = volume.D.view(-1)[at], volume.W.view(-1)[at], volume.voxel_rgb(at)
     return TsdfSample(D=D, W=W, rgb=rgb)
-
-
-class _Pool:
-    """The tensors behind a volume, with spare rows at the end. New rows are filled when they are handed out."""
-
-    def __init__(self, capacity: int, device: torch.device):
-        self.capacity = capacity
-        self.D = torch.empty(capacity, VOXELS_PER_BLOCK, device=device)
-        self.W = torch.empty(capacity, VOXELS_PER_BLOCK, device=device)
-        self.rgb = torch.empty(capacity, 3, VOXELS_PER_BLOCK, device=device)
-        self.coords = torch.empty(capacity, 3, dtype=torch.int32, device=device)
-
-    def grown(self, capacity: int) -> "_Pool":
-        pool = _Pool(capacity, self.D.device)
-        for name in ("D", "W", "rgb", "coords"):
-            getattr(pool, name)[: self.capacity] = getattr(self, name)
-        return pool
-
-
-def corner_weights(f: Float[Tensor, "N 3"]) -> Float[Tensor, "N 8"]:
-    """Trilinear weights of the corners of a cell, at fractions ``f`` along its edges: products of f or 1 - f."""
-    return torch.where(CORNERS.to(f.device) == 1, f[:, None], 1.0 - f[:, None]).prod(2)
-
-
-def corner_gradients(f: Float[Tensor, "N 3"]) -> Float[Tensor, "N 8 3"]:
-    """Derivatives of ``corner_weights`` along the three axes: plus or minus the product over the other two axes."""
-    upper = CORNERS.to(f.device) == 1
-    along = torch.where(upper, f[:, None], 1.0 - f[:, None])
-    others = along[..., [[1, 2], [0, 2], [0, 1]]].prod(3)
-    return torch.where(upper, others, -others)
-
-
-def estimate_memory(n_blocks: int) -> int:
-    """Bytes that a volume of ``n_blocks`` blocks takes."""
-    return n_blocks * BYTES_PER_BLOCK
-
-
-def available_memory(device: torch.device) -> int | None:
-    """Bytes that can still be allocated on ``device``; None where the system does not say."""
-    if device.type == "cuda":
-        cached = torch.cuda.memory_reserved(device) - torch.cuda.memory_allocated(device)
-        return torch.cuda.mem_get_info(device)[0] + cached
-    meminfo = Path("/proc/meminfo")
-    if device.type != "cpu" or not meminfo.exists():
-        return None
-    for line in meminfo.read_text().splitlines():
-        if line.startswith("MemAvailable:"):
-            return int(line.split()[1]) * 1024
-    return None
