@@ -22,4 +22,4 @@ from .surface import SurfaceSource as SurfaceSource
 from .surface import tsdf_surface as tsdf_surface
 from .tracker import Tracker as Tracker
 from .tracker import TrackingLostError as TrackingLostError
-from .tracker import TrackingReport as TrackingReport
+from .tracking_report import TrackingReport as TrackingReport

@@ -4,7 +4,7 @@ import dataclasses
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 from jaxtyping import Float
 from torch import Tensor
@@ -13,21 +13,17 @@ from ..checks import check_number, check_pose, check_saved, check_whole
 from ..config import TrackingConfig
 from ..geometry import se3
 from ..types import Camera, Frame
-from .appearance import SAME_PLACE, correlation
+from .fit_checks import why_no_fit, why_not_alike, why_too_far
 from .icp import IcpResult, align
 from .pyramid import DepthLevel, depth_pyramid
 from .saved_state import check_saved_pose
 from .surface import Surface, SurfaceSource, hybrid_surface, smooth_normals
+from .tracking_report import TrackingReport
 
 WIDE_DISTANCE = 3.0
 WIDE_ANGLE_DEG = 60.0
 """The wide start takes correspondences this many times farther apart and with normals at up to this angle: on the
 coarse levels it finds a pose that the ordinary gates then refine."""
-
-RECOVERED_SHARE = 0.3
-RECOVERED_AGREEMENT = 0.6
-"""Once the prediction has failed a pose must fit this well, and in every direction of motion: among several starts one
-may fit by chance, and a wrong pose spoils the map for good."""
 
 MAX_TIME_RATIO = 4.0
 """The last motion is carried on for at most this many times the time that it took."""
@@ -39,35 +35,6 @@ class TrackingLostError(ValueError):
 
 Relocaliser = Callable[[Frame], list[Tensor]]
 """Poses ``T_WC`` [4, 4] that a frame may have by its appearance, the likeliest first."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TrackingReport:
-    """The pose of one frame and how it was found."""
-
-    status: Literal["first", "ok", "degenerate", "recovered"]
-    """"first": the data's pose; "degenerate": some directions of motion are the prior's, the scene does not show them;
-    "recovered": ICP failed from the predicted pose but not from another start."""
-    T_WC: Float[Tensor, "4 4"]
-    """Camera-to-world pose, float32."""
-    start: str = ""
-    """Where the successful ICP started: "the predicted pose", "the last pose", ..."""
-    n_inliers: int = 0
-    inlier_share: float = 0.0
-    """Correspondences as a share of the pixels with usable depth."""
-    agreement: float = 0.0
-    """Correspondences as a share of the pixels that fall on a known part of the model."""
-    rms_m: float = 0.0
-    """Weighted root mean square point-to-plane distance."""
-    eigenvalues: tuple[float, ...] = ()
-    """Mean information of the six principal directions of motion, smallest first."""
-    degenerate: int = 0
-    """How many of them the scene does not determine."""
-    iterations: int = 0
-    seconds: dict[str, float]
-    """Wall-clock time of "preprocess", "render" and "icp"."""
-    icp: IcpResult | None = None
-    """Every step of the successful ICP; None for the first frame."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -149,13 +116,16 @@ class Tracker:
         failures: list[str] = []
         for start in self._starts(frame, relocalise):
             result = self._attempt(frame, levels, surface, start, seconds)
-            problem = self._problem(result, first_try=not failures, anywhere=start.anywhere)
-            if not problem and (failures or self.lost_in_a_row):
-                problem = _wrong_appearance(frame, surface(frame.camera, result.T_WC.float()))
+            strict = bool(failures) or self.lost_in_a_row > 0
+            problem = why_no_fit(result, self.config, strict=strict)
+            if not problem and not start.anywhere:
+                problem = why_too_far(self._last.T_WC, result.T_WC, self.config, frames=1 + self.lost_in_a_row)
+            if not problem and strict:
+                problem = why_not_alike(frame, surface(frame.camera, result.T_WC.float()))
             if not problem:
                 moved = self.lost_in_a_row == 0 and not start.anywhere
                 self._accept(frame, result.T_WC, moved=moved)
-                return _report(result, frame, start.name, first_try=not failures, seconds=seconds)
+                return TrackingReport.of(result, frame, start.name, first_try=not failures, seconds=seconds)
             failures.append(f"from {start.name} {problem}")
         raise self._lost(f"frame {frame.index} cannot be tracked: {'; '.join(failures)}")
 
@@ -258,31 +228,6 @@ class Tracker:
             return hybrid_surface(model, depth_m.to(model.depth_m.device))
         return source(camera, T_WC.float())
 
-    def _problem(self, result: IcpResult, *, first_try: bool, anywhere: bool) -> str:
-        """What is wrong with a result, as the end of a sentence; empty if nothing is."""
-        assert self._last is not None
-        config = self.config
-        strict = not first_try or self.lost_in_a_row > 0
-        share = max(config.min_inliers, RECOVERED_SHARE if strict else 0)
-        agreement = max(config.min_agreement, RECOVERED_AGREEMENT if strict else 0)
-        step = se3.inverse(self._last.T_WC) @ result.T_WC
-        moved_m, turned_deg = float(step[:3, 3].norm()), float(se3.rotation_angle(step[:3, :3]).rad2deg())
-        frames = 1 + self.lost_in_a_row
-        if result.inlier_share < share:
-            return f"{result.inlier_share:.0%} of its pixels fit the model (at least {share:.0%} needed)"
-        if result.agreement < agreement:
-            return f"{result.agreement:.0%} of those that meet the model fit it (at least {agreement:.0%} needed)"
-        if not result.rms_m <= config.max_rms_m:
-            return f"its points lie {result.rms_m * 100:.1f} cm from the model (at most {config.max_rms_m * 100:g} cm)"
-        if strict and result.degenerate:
-            return f"{result.degenerate} of 6 directions of motion stay open"
-        if not anywhere and (moved_m > frames * config.max_step_m or turned_deg > frames * config.max_step_deg):
-            return (
-                f"it would have moved {moved_m:.2f} m and turned {turned_deg:.0f} degrees since the last one (at most "
-                f"{frames * config.max_step_m:g} m and {frames * config.max_step_deg:g} degrees)"
-            )
-        return ""
-
     def _accept(self, frame: Frame, T_WC: Tensor, *, moved: bool) -> None:
         self._before = self._last if moved else None
         self._last = _TrackedPose(T_WC=T_WC, timestamp_s=frame.timestamp_s)
@@ -296,14 +241,6 @@ class Tracker:
         return TrackingLostError(reason)
 
 
-def _wrong_appearance(frame: Frame, surface: Surface) -> str:
-    """Why the frame cannot come from the pose that was found, as the end of a sentence; empty if it can."""
-    likeness = correlation(frame, surface)
-    if likeness is None or likeness >= SAME_PLACE:
-        return ""
-    return f"it looks different there (correlation {likeness:.2f}, at least {SAME_PLACE:g} needed)"
-
-
 def _widened(config: TrackingConfig) -> TrackingConfig:
     coarse = config.pyramid[:-1] or config.pyramid
     return dataclasses.replace(
@@ -312,25 +249,6 @@ def _widened(config: TrackingConfig) -> TrackingConfig:
         iterations=tuple(4 * n for n in config.iterations[: len(coarse)]),
         max_distance_m=WIDE_DISTANCE * config.max_distance_m,
         max_angle_deg=max(WIDE_ANGLE_DEG, config.max_angle_deg),
-    )
-
-
-def _report(
-    result: IcpResult, frame: Frame, start: str, *, first_try: bool, seconds: dict[str, float]
-) -> TrackingReport:
-    return TrackingReport(
-        status="recovered" if not first_try else "degenerate" if result.degenerate else "ok",
-        T_WC=result.T_WC.to(frame.T_WC),
-        start=start,
-        n_inliers=result.n_inliers,
-        inlier_share=result.inlier_share,
-        agreement=result.agreement,
-        rms_m=result.rms_m,
-        eigenvalues=result.eigenvalues,
-        degenerate=result.degenerate,
-        iterations=len(result.history),
-        seconds=seconds,
-        icp=result,
     )
 
 
