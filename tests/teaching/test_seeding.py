@@ -4,23 +4,23 @@ import torch
 
 from gsfusion_nb.seeding import check_rule
 from gsfusion_nb.studies.pareto import pareto_front
-from gsfusion_nb.teaching import check, seeding
+from gsfusion_nb.teaching import cell_budget, check, seeding
 
 
 def test_the_budget_trees_error_is_the_sum_of_squares():
-    image = seeding._busy_corner()
-    error = seeding._squared_error_of(image)
+    image = cell_budget._busy_corner()
+    error = cell_budget._squared_error_of(image)
     cell = image[3:10, 5:14].double()
     by_hand = float((cell - cell.mean(dim=(0, 1))).square().sum())
     assert abs(error(5, 3, 9, 7) - by_hand) < 1e-6 * by_hand
 
 
 def test_more_cells_never_make_it_worse():
-    image = seeding._busy_corner()
-    error = seeding._squared_error_of(image)
-    left = [sum(error(*c) for c in seeding._budget_cells(image, n)) for n in (1, 4, 16, 64, 256)]
+    image = cell_budget._busy_corner()
+    error = cell_budget._squared_error_of(image)
+    left = [sum(error(*c) for c in cell_budget._budget_cells(image, n)) for n in (1, 4, 16, 64, 256)]
     assert left == sorted(left, reverse=True)
-    whole = seeding._budget_cells(image, 10_000)
+    whole = cell_budget._budget_cells(image, 10_000)
     assert len(whole) < 10_000  # cells of one pixel's width are not cut
 
 
