@@ -5,7 +5,6 @@ maintained ... used for graph optimization". Here it runs in turn with the front
 written from the mathematics: ORB features (OpenCV), factor graph (GTSAM).
 """
 
-import logging
 from typing import Any
 
 import torch
@@ -19,8 +18,8 @@ from ..types import Camera, Frame
 from .correction import Correction, blend
 from .features import Features, extract_features
 from .keyframe_database import KeyframeDatabase
-from .landmarks import Landmarks
-from .loop_checks import depth_thumbnail, path_between, why_not_same_place
+from .landmarks import SEARCH_SHARE, Landmarks
+from .loop_finder import LoopFinder
 from .matching import PointPairs, RelativePose, agreement, refine_pose
 from .pose_graph import (
     Edge,
@@ -34,25 +33,14 @@ from .pose_graph import (
 )
 from .saved_state import check_saved_back_end
 
-log = logging.getLogger(__name__)
-
 RECENT = 5
 """A new keyframe looks for the landmarks of this many keyframes before it."""
 
-AROUND = 2
-"""A loop uses the landmarks of this many keyframes before and after the one it leads to."""
-
 TIED_TO = 3
-"""... and is tied to this many of them, those with which it shares most landmarks."""
+"""A new keyframe is tied to this many of them, those with which it shares most landmarks."""
 
 MIN_SHARED = 15
 """Fewer common landmarks do not tie two keyframes together."""
-
-SEARCH_SHARE = 0.05
-"""Landmarks are first searched within this share of the image's width of where the front end's pose puts them."""
-
-CANDIDATES = 3
-"""Loops are sought among this many of the most similar keyframes and the one whose pose is nearest."""
 
 LANDMARK_FLOOR = (0.05, 0.002)
 """Standard deviation, degrees and metres, that no relative pose from features is better than."""
@@ -84,11 +72,11 @@ class BackEnd:
         self.config, self.camera = config, camera
         self.database = KeyframeDatabase(camera, count=config.features, levels=config.levels)
         self.landmarks = Landmarks(self.database)
+        self._finder = LoopFinder(config, self.database, self.landmarks)
         self.edges: list[Edge] = []
         self.loops: list[tuple[int, Tensor]] = []
         """(keyframe row, its features and the landmarks they are [I, 2]), in the order of the edges of that kind."""
         self._fresh_loops: list[tuple[int, int, int]] = []
-        self._thumbnails: list[Tensor] = []
         self._as_added: list[Tensor] = []
         self._as_tracked: list[Tensor] = []
 
@@ -127,7 +115,7 @@ class BackEnd:
         pairs = self._track(features, T_WC, recent)
         self.database.add(frame.index, T_WC, features)
         self.landmarks.add(features, pairs)
-        self._thumbnails.append(depth_thumbnail(frame.depth_m))
+        self._finder.add(frame.depth_m)
         self._as_added.append(T_WC)
         self._as_tracked.append(T_WC)
         self._tie(row, recent)
@@ -184,22 +172,12 @@ class BackEnd:
         pose = None
         for share in (SEARCH_SHARE, SEARCH_SHARE / 4):
             pairs = self.landmarks.find(features, T_WC, recent, share * self.camera.width)
-            points = self._points(features, pairs, T_WR)
+            points = self.landmarks.points(features, pairs, T_WR)
             pose = refine_pose(self.camera, points, se3.inverse(T_WR) @ T_WC, pairs)
             if pose is None:
                 return pairs[:0]
             T_WC = T_WR @ pose.T_RQ
-        return pairs[agreement(self.camera, self._points(features, pairs, T_WR), se3.inverse(T_WR) @ T_WC)]
-
-    def _points(self, features: Features, pairs: Tensor, T_WR: Tensor) -> PointPairs:
-        xyz_W = self.landmarks.positions(pairs[:, 1])
-        seen = features[pairs[:, 0]]
-        return PointPairs(
-            xyz_R=se3.apply(se3.inverse(T_WR), xyz_W),
-            uv=seen.uv.double(),
-            depth_m=seen.xyz_C[:, 2].double(),
-            sigma_px=seen.sigma_px.double() * 2**0.5,
-        )
+        return pairs[agreement(self.camera, self.landmarks.points(features, pairs, T_WR), se3.inverse(T_WR) @ T_WC)]
 
     def _tie(self, row: int, recent: list[int]) -> None:
         """Edges to the keyframe before (front end) and to those with most common landmarks."""
@@ -224,10 +202,7 @@ class BackEnd:
     def _close_loops(self, row: int) -> bool:
         """Take the loops that the new keyframe closes; whether one of them is missed by the present trajectory."""
         off = False
-        for earlier in self._loop_candidates(row):
-            pose = self._loop_pose(row, earlier)
-            if pose is None or not self._is_true(row, earlier, pose):
-                continue
+        for earlier, pose in self._finder.loops(row):
             edge = self._edge(earlier, row, pose, "loop")
             self.edges.append(edge)
             self.loops.append((row, pose.rows))
@@ -236,45 +211,6 @@ class BackEnd:
             degrees = float(torch.rad2deg(se3.rotation_angle(missed[:3, :3])))
             off |= float(missed[:3, 3].norm()) > self.config.correct_from_m or degrees > self.config.correct_from_deg
         return off
-
-    def _loop_pose(self, row: int, earlier: int) -> RelativePose | None:
-        """Pose of one keyframe relative to another: from their features, then with all landmarks around the other."""
-        features = self.database.features[row]
-        pose = self.database.compare(features, earlier)
-        if pose is None or len(pose.rows) < self.config.loop_min_inliers:
-            return None
-        T_WR = self.database.T_WC[earlier]
-        around = list(range(max(0, earlier - AROUND), min(earlier + AROUND, row - self.config.loop_min_gap) + 1))
-        pairs = self.landmarks.find(features, T_WR @ pose.T_RQ, around, SEARCH_SHARE / 4 * self.camera.width)
-        return refine_pose(self.camera, self._points(features, pairs, T_WR), pose.T_RQ, pairs)
-
-    def _loop_candidates(self, row: int) -> list[int]:
-        before = row - self.config.loop_min_gap
-        if before < 0:
-            return []
-        features = self.database.features[row]
-        rows = [r for r, _ in self.database.similar(features, CANDIDATES, exclude_after=before + 1)]
-        near = self._nearest_view(row, before + 1)
-        return rows if near in rows else [*rows, near]
-
-    def _nearest_view(self, row: int, before: int) -> int:
-        """The earlier keyframe whose view is nearest by pose: 0.5 m count as much as 45 degrees."""
-        step = se3.inverse(self.database.T_WC[row]) @ self.T_WC[:before]
-        distance = step[:, :3, 3].norm(dim=1) / 0.5 + torch.rad2deg(se3.rotation_angle(step[:, :3, :3])) / 45.0
-        return int(distance.argmin())
-
-    def _is_true(self, row: int, earlier: int, pose: RelativePose) -> bool:
-        thumbnails = (self._thumbnails[row], self._thumbnails[earlier])
-        reason = why_not_same_place(
-            pose, self.database.features[row], thumbnails, self.camera, self.config.loop_min_inliers
-        )
-        poses = self.T_WC
-        drift = se3.inverse(pose.T_RQ) @ se3.inverse(poses[earlier]) @ poses[row]
-        if not reason and not path_between(poses[earlier : row + 1]).allows(drift, self.config.loop_max_drift):
-            reason = f"the trajectory cannot have drifted by {float(drift[:3, 3].norm()):.2f} m"
-        if reason:
-            log.debug("no loop from keyframe %d to %d: %s", row, earlier, reason)
-        return not reason
 
     def _correct(self, *, landmarks: bool) -> Correction:
         """Optimise the poses over relative poses, then, if asked, over the landmarks too."""
@@ -311,7 +247,7 @@ class BackEnd:
             "edges": [dict(vars(e)) for e in self.edges],
             "loops": list(self.loops),
             "fresh_loops": list(self._fresh_loops),
-            "thumbnails": list(self._thumbnails),
+            "thumbnails": list(self._finder.thumbnails),
             "as_added": list(self._as_added),
             "as_tracked": list(self._as_tracked),
         }
@@ -330,6 +266,6 @@ class BackEnd:
         self.edges = [Edge(**e) for e in state["edges"]]
         self.loops = [(row, pairs) for row, pairs in state["loops"]]
         self._fresh_loops = [(a, b, n) for a, b, n in state["fresh_loops"]]
-        self._thumbnails = list(state["thumbnails"])
+        self._finder.thumbnails = list(state["thumbnails"])
         self._as_added, self._as_tracked = list(state["as_added"]), list(state["as_tracked"])
         return self

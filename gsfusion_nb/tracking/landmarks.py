@@ -12,12 +12,16 @@ from torch import Tensor
 from ..geometry import project, se3
 from .features import Features
 from .keyframe_database import KeyframeDatabase
-from .matching import MAX_HAMMING, RATIO
+from .matching import MAX_HAMMING, RATIO, PointPairs
 from .saved_state import check_saved_landmarks
 
 _BIT_COUNT = np.array([bin(byte).count("1") for byte in range(256)], np.uint8)
 
 NO_LANDMARK = -1
+
+SEARCH_SHARE = 0.05
+"""Landmarks are first searched within this share of the image's width of where a pose puts them, and then within a
+quarter of it, around the pose that they agree on."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -104,6 +108,16 @@ class Landmarks:
             xyz_C = self.database.features[r].xyz_C[torch.from_numpy(feature[mine].astype(np.int64))].double()
             out[mine] = se3.apply(self.database.T_WC[r], xyz_C).numpy()
         return torch.from_numpy(out)
+
+    def points(self, features: Features, pairs: Int[Tensor, "P 2"], T_WR: Float[Tensor, "4 4"]) -> PointPairs:
+        """The ``pairs`` that ``find`` gave, as points in a reference camera and where the features see them."""
+        seen = features[pairs[:, 0]]
+        return PointPairs(
+            xyz_R=se3.apply(se3.inverse(T_WR), self.positions(pairs[:, 1])),
+            uv=seen.uv.double(),
+            depth_m=seen.xyz_C[:, 2].double(),
+            sigma_px=seen.sigma_px.double() * 2**0.5,
+        )
 
     def shared(self, row_a: int, row_b: int) -> Int[Tensor, "P 2"]:
         """Features of two keyframes that are the same landmark: (feature of a, feature of b), both with depth in b."""
