@@ -76,26 +76,12 @@ def pose_matrices(stored: Float[Tensor, "N 4 4"]) -> tuple[RepairConfig, Finding
         return RepairConfig(), Finding(
             name="pose matrices", verdict="wrong", sentence=f"None of the {n} poses is finite."
         )
-    shares = {}
-    options = (
-        RepairConfig(),
-        RepairConfig(matrices="column_major"),
-        RepairConfig(nearest_rotation=True),
-        RepairConfig(matrices="column_major", nearest_rotation=True),
-    )
-    for option in options:
-        shares[option] = float(_rigid(raw_matrices(known, option)).float().mean())
-    # the nearest rotation always exists: accept it only for matrices that are rotations up to scale and noise
-    for option in options[2:]:
-        by_columns = raw_matrices(known, RepairConfig(matrices=option.matrices))
-        shares[option] *= float(_nearly_rotation(by_columns).float().mean())
-    best = max(options, key=lambda o: shares[o] - 0.01 * len(o.changes))
+    shares = _rigid_shares(known)
+    best, as_stored = max(shares, key=lambda o: shares[o] - 0.01 * len(o.changes)), shares[RepairConfig()]
     scale = _scale(known)
-    numbers = {"rigid_share": shares[options[0]], "lost_share": lost / n, "scale": scale}
-    text = f"{shares[options[0]]:.0%} of {n} poses are rigid" + (
-        f", {lost} are missing (NaN or infinite)" if lost else ""
-    )
-    if best == options[0]:
+    numbers = {"rigid_share": as_stored, "lost_share": lost / n, "scale": scale}
+    text = f"{as_stored:.0%} of {n} poses are rigid" + (f", {lost} are missing (NaN or infinite)" if lost else "")
+    if best == RepairConfig():
         bad = shares[best] < 1 or lost
         return best, Finding(
             name="pose matrices",
@@ -103,13 +89,11 @@ def pose_matrices(stored: Float[Tensor, "N 4 4"]) -> tuple[RepairConfig, Finding
             numbers=numbers,
             sentence=f"{text}." + (" Frames without a pose are left out of the map." if bad else ""),
         )
-    why = {
-        "column_major": "all are when read by columns: the 16 numbers are stored column by column",
-        "nearest_rotation": f"their rotations are scaled by {scale:.4g} or not quite orthogonal",
-    }
-    reasons = [why["column_major"]] * (best.matrices == "column_major") + [
-        why["nearest_rotation"]
-    ] * best.nearest_rotation
+    reasons = []
+    if best.matrices == "column_major":
+        reasons.append("all are when read by columns: the 16 numbers are stored column by column")
+    if best.nearest_rotation:
+        reasons.append(f"their rotations are scaled by {scale:.4g} or not quite orthogonal")
     return best, Finding(
         name="pose matrices",
         verdict="wrong",
@@ -181,6 +165,19 @@ def _stored_sizes(source: RecordedSequence) -> tuple[tuple[int, int] | None, tup
             break
         found.append(size)
     return found[0], found[1]
+
+
+def _rigid_shares(stored: Float[Tensor, "N 4 4"]) -> dict[RepairConfig, float]:
+    """Share of the matrices that are rigid when read in each of the possible ways, the way they are stored first."""
+    shares = {}
+    for nearest in (False, True):
+        for matrices in ("row_major", "column_major"):
+            option = RepairConfig(matrices=matrices, nearest_rotation=nearest)
+            shares[option] = float(_rigid(raw_matrices(stored, option)).float().mean())
+            if nearest:  # it always exists: accepted only for matrices that are rotations up to scale and noise
+                as_read = raw_matrices(stored, RepairConfig(matrices=matrices))
+                shares[option] *= float(_nearly_rotation(as_read).float().mean())
+    return shares
 
 
 def _rigid(T: Float[Tensor, "N 4 4"]) -> Tensor:

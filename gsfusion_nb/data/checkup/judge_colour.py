@@ -41,9 +41,6 @@ def registration_findings(
             Finding(name="registration", verdict="ok", sentence=text),
             Finding(name="colour time", verdict="ok", sentence=text),
         ]
-    shift = math.hypot(*fit.shift_px)
-    doubtful, wrong_from = (max(limit * camera.width / 640, pixels * fit.pixel) for limit, pixels in SHIFT_LIMITS)
-    zoomed = abs(fit.scale - 1) > SCALE_DOUBTFUL
     numbers = {
         "shift_x_px": fit.shift_px[0],
         "shift_y_px": fit.shift_px[1],
@@ -54,41 +51,43 @@ def registration_findings(
     }
     if mixed or (fit.score < _UNRELATED_SCORE and fit.peak < _UNRELATED_PEAK):
         return RepairConfig(), [_mixed_up(numbers)]
+    shift = math.hypot(*fit.shift_px)
+    together = f"Colour edges lie on depth edges within {shift:.1f} pixels."
+    unclear = "The edges of colour and depth are too few or too similar to compare."
     space = Finding(
-        name="registration",
-        verdict="ok",
-        numbers=numbers,
-        sentence=f"Colour edges lie on depth edges within {shift:.1f} pixels."
-        if fit.peak >= _CLEAR_PEAK
-        else "The edges of colour and depth are too few or too similar to compare.",
+        name="registration", verdict="ok", numbers=numbers, sentence=together if fit.peak >= _CLEAR_PEAK else unclear
     )
-    time = Finding(
-        name="colour time",
-        verdict="ok",
-        numbers={"shift_frames": 0.0},
-        sentence="Colour and depth were taken at the same time.",
-    )
+    repair, time = _time_finding(fit)
     if fit.shift_frames:
-        repair = RepairConfig(rgb_shift_frames=fit.shift_frames)
-        side = "later" if fit.shift_frames > 0 else "earlier"
-        time = Finding(
-            name="colour time",
-            verdict="wrong",
-            numbers={"shift_frames": float(fit.shift_frames)},
-            repair=repair.flags,
-            sentence=(
-                f"A frame's depth image belongs to the colour image recorded {abs(fit.shift_frames)} frames {side}."
-            ),
-        )
         return repair, [space, time]
+    doubtful, wrong_from = (max(limit * camera.width / 640, pixels * fit.pixel) for limit, pixels in SHIFT_LIMITS)
+    zoomed = abs(fit.scale - 1) > SCALE_DOUBTFUL
     if fit.peak < _CLEAR_PEAK or (fit.mirror == "none" and shift < doubtful and not zoomed):
         return RepairConfig(), [space, time]
     repair, text = _registration_repair(fit, shift >= doubtful)
     wrong = fit.mirror != "none" or shift >= wrong_from or zoomed
-    return repair, [
-        replace(space, verdict="wrong" if wrong else "doubtful", sentence=text, repair=repair.flags),
-        time,
-    ]
+    verdict = "wrong" if wrong else "doubtful"
+    return repair, [replace(space, verdict=verdict, sentence=text, repair=repair.flags), time]
+
+
+def _time_finding(fit: ColourFit) -> tuple[RepairConfig, Finding]:
+    """Were colour and depth taken at the same time?"""
+    if not fit.shift_frames:
+        return RepairConfig(), Finding(
+            name="colour time",
+            verdict="ok",
+            numbers={"shift_frames": 0.0},
+            sentence="Colour and depth were taken at the same time.",
+        )
+    repair = RepairConfig(rgb_shift_frames=fit.shift_frames)
+    side = "later" if fit.shift_frames > 0 else "earlier"
+    return repair, Finding(
+        name="colour time",
+        verdict="wrong",
+        numbers={"shift_frames": float(fit.shift_frames)},
+        repair=repair.flags,
+        sentence=f"A frame's depth image belongs to the colour image recorded {abs(fit.shift_frames)} frames {side}.",
+    )
 
 
 def _mixed_up(numbers: dict[str, float]) -> Finding:
