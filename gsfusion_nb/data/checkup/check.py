@@ -11,7 +11,7 @@ from ..adjust.select import apply_options
 from ..open import detect_layout, known_layouts, open_sequence
 from ..recorded.recorded_sequence import RecordedSequence
 from ..sequence import Sequence
-from . import judge_colour, judge_fit, judge_frames
+from . import judge_colour, judge_fit, judge_frames, judge_intrinsics
 from .alignment import fit_colour, in_order
 from .conventions import pairs_of
 from .depth_values import DepthCode, clear_codes, code_finding, find_codes, missing_finding
@@ -121,7 +121,7 @@ def _examine(sample: Sample, pairs: abc.Sequence[tuple[int, int]], base: Sequenc
         judge_fit.kind_finding(e),
         *judge_fit.convention_findings(e),
         judge_fit.time_finding(e, sample.camera),
-        *judge_fit.intrinsics_findings(e, sample.camera),
+        *judge_intrinsics.intrinsics_findings(e, sample.camera),
         *colour_findings,
         *frame_findings,
         judge_frames.exposure_finding(over, gains(sample, close, e.data, correction)),

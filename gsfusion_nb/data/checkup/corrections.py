@@ -66,6 +66,19 @@ class AdoptedCorrections:
         """All corrections together."""
         return self.adopted[-1].correction if self.adopted else CalibrationCorrection()
 
+    def adopted_fit(self, kind: str) -> FittedCorrection | None:
+        """The correction of a kind, if it was adopted."""
+        return next((f for f in self.adopted if f.kind == kind), None)
+
+    def last_fit(self, kind: str) -> FittedCorrection | None:
+        """The fit of a kind in the last round."""
+        return next((f for f in self.last if f.kind == kind), None)
+
+    def cost_ratio(self, kind: str) -> float:
+        """What a kind of correction, adopted or only tried, leaves of the cost; NaN if it was not tried."""
+        fitted = self.adopted_fit(kind) or self.last_fit(kind)
+        return fitted.ratio if fitted else math.nan
+
 
 def correct(data: FitData, *, rounds: int = 3, hurdle: float = 1.0) -> AdoptedCorrections:
     """Adopt the kind of correction with the largest gain until none has any.

@@ -1,11 +1,11 @@
-"""Findings on scale, poses and intrinsics, from the best explanation."""
+"""Findings on scale and poses, from the best explanation."""
 
 import math
 
 from ...config import RepairConfig
 from ...config.repair import NAMED_AXES
 from ...types import Camera
-from .corrections import CLEAR, FittedCorrection
+from .corrections import CLEAR
 from .explain import Explanation, repair_fields
 from .findings import Finding, Verdict
 
@@ -52,7 +52,7 @@ def scale_finding(e: Explanation, camera: Camera) -> Finding:
     fields = repair_fields(e.corrected.correction, camera, e.interpretation)
     factor, translation = fields.get("depth_factor", e.interpretation.depth_factor), e.interpretation.translation_factor
     repair = RepairConfig(depth_factor=factor, translation_factor=translation)
-    fitted = _last(e, "depth scale")
+    fitted = e.corrected.last_fit("depth scale")
     known = (
         f"known to {fitted.uncertainty:.1%}" if fitted and math.isfinite(fitted.uncertainty) else "not known precisely"
     )
@@ -63,7 +63,7 @@ def scale_finding(e: Explanation, camera: Camera) -> Finding:
             numbers={"factor": 1.0},
             sentence=f"Depth and positions have the same unit ({known} from these frames).",
         )
-    adopted = _adopted(e, "depth scale")
+    adopted = e.corrected.adopted_fit("depth scale")
     verdict: Verdict = "wrong" if adopted is None or adopted.ratio < CLEAR else "doubtful"
     if translation != 1.0:
         text = f"The positions of the poses must be multiplied by {translation:g} to be metres."
@@ -85,13 +85,13 @@ def kind_finding(e: Explanation) -> Finding:
             name="depth kind",
             verdict="wrong",
             repair=RepairConfig(depth_kind="ray").flags,
-            numbers={"cost_ratio": _ratio(e, "depth kind")},
+            numbers={"cost_ratio": e.corrected.cost_ratio("depth kind")},
             sentence="Depth is the distance along each pixel's ray, not along the optical axis.",
         )
     return Finding(
         name="depth kind",
         verdict="ok",
-        numbers={"cost_ratio_if_ray": _ratio(e, "depth kind")},
+        numbers={"cost_ratio_if_ray": e.corrected.cost_ratio("depth kind")},
         sentence="Depth is measured along the optical axis.",
     )
 
@@ -132,7 +132,7 @@ def convention_findings(e: Explanation) -> list[Finding]:
 def time_finding(e: Explanation, camera: Camera) -> Finding:
     """Finding: are the poses earlier or later than the depth images?"""
     shift = e.corrected.correction.shift_frames
-    fitted = _last(e, "pose time")
+    fitted = e.corrected.last_fit("pose time")
     known = fitted.uncertainty if fitted else math.nan
     if not shift:
         sure = f" (known to {known:.2f} frames)" if math.isfinite(known) else ""
@@ -143,7 +143,7 @@ def time_finding(e: Explanation, camera: Camera) -> Finding:
             sentence=f"Poses and depth have the same time{sure}.",
         )
     fields = repair_fields(e.corrected.correction, camera, e.interpretation)
-    ratio = _ratio(e, "pose time")
+    ratio = e.corrected.cost_ratio("pose time")
     return Finding(
         name="pose time",
         verdict="wrong" if ratio < CLEAR else "doubtful",
@@ -153,108 +153,6 @@ def time_finding(e: Explanation, camera: Camera) -> Finding:
             f"A frame's depth image belongs to the pose recorded {abs(shift):.1f} frames "
             f"{'later' if shift > 0 else 'earlier'}."
         ),
-    )
-
-
-def intrinsics_findings(e: Explanation, camera: Camera) -> list[Finding]:
-    """Findings on focal lengths, principal point and pixel centres."""
-    c = e.corrected.correction
-    fields = repair_fields(c, camera, e.interpretation)
-    focal = {k: v for k, v in fields.items() if k in ("fx", "fy")}
-    centre = {k: v for k, v in fields.items() if k in ("cx", "cy")}
-    found = [
-        _focal(e, camera, focal, centre),
-        _centre(e, camera, {} if _is_size(e) else centre),
-        _pixel_centre(e, fields),
-    ]
-    return found
-
-
-def _focal(e: Explanation, camera: Camera, focal: dict, centre: dict) -> Finding:
-    numbers = {"fx": camera.fx, "fy": camera.fy, **{f"{k}_measured": v for k, v in focal.items()}}
-    if not focal:
-        fitted = _last(e, "focal length")
-        known = f", known to {fitted.uncertainty:.1%}" if fitted and math.isfinite(fitted.uncertainty) else ""
-        return Finding(
-            name="focal length",
-            verdict="ok",
-            numbers=numbers,
-            sentence=f"The focal lengths fit (fx {camera.fx:.1f}, fy {camera.fy:.1f}{known}).",
-        )
-    ratio = min(_ratio(e, k) for k in ("focal length", "fx / fy", "intrinsics size"))
-    old, new = f"fx {camera.fx:.1f}, fy {camera.fy:.1f}", f"fx {focal['fx']:.1f}, fy {focal['fy']:.1f}"
-    text = f"The focal lengths are wrong: {old}, but the depth images give {new}"
-    if focal == {"fx": camera.fy, "fy": camera.fx}:
-        text += ": they are exchanged"
-    fields = dict(focal)
-    if _is_size(e):
-        times = camera.fx / focal["fx"]
-        text += (
-            f", and the principal point has the same factor: the intrinsics are those of images {times:.3g} times as "
-            "large"
-        )
-        fields |= centre
-    return Finding(
-        name="focal length",
-        verdict="wrong" if ratio < CLEAR else "doubtful",
-        numbers=numbers | {"cost_ratio": ratio},
-        sentence=f"{text}.",
-        repair=RepairConfig(**fields).flags,
-    )
-
-
-def _centre(e: Explanation, camera: Camera, centre: dict) -> Finding:
-    numbers = {"cx": camera.cx, "cy": camera.cy, **{f"{k}_measured": v for k, v in centre.items()}}
-    if not centre:
-        fitted = _last(e, "principal point")
-        known = f", known to {fitted.uncertainty:.1f} pixels" if fitted and math.isfinite(fitted.uncertainty) else ""
-        return Finding(
-            name="principal point",
-            verdict="ok",
-            numbers=numbers,
-            sentence=f"The principal point fits (cx {camera.cx:.1f}, cy {camera.cy:.1f}{known}).",
-        )
-    ratio = _ratio(e, "principal point")
-    old, new = f"{camera.cx:.1f}, {camera.cy:.1f}", f"{centre['cx']:.1f}, {centre['cy']:.1f}"
-    text = f"The principal point is wrong: {old}, but the depth images give {new}"
-    if centre == {"cx": camera.cy, "cy": camera.cx}:
-        text += ": cx and cy are exchanged"
-    return Finding(
-        name="principal point",
-        verdict="wrong" if ratio < CLEAR else "doubtful",
-        numbers=numbers | {"cost_ratio": ratio},
-        sentence=f"{text}.",
-        repair=RepairConfig(**centre).flags,
-    )
-
-
-def _pixel_centre(e: Explanation, fields: dict) -> Finding:
-    shift = fields.get("pixel_shift", 0.0)
-    fitted = _last(e, "principal point")
-    known = fitted.uncertainty if fitted else math.nan
-    if shift:
-        return Finding(
-            name="pixel centres",
-            verdict="doubtful",
-            numbers={"shift_px": shift, "cost_ratio": _ratio(e, "principal point")},
-            repair=RepairConfig(pixel_shift=shift).flags,
-            sentence=(
-                f"cx and cy are half a pixel too {'small' if shift > 0 else 'large'}: the first pixel's centre is "
-                f"{'0' if shift > 0 else '0.5'} in the intrinsics, but not for the reader."
-            ),
-        )
-    if not known < 0.4:
-        return Finding(
-            name="pixel centres",
-            verdict="ok",
-            numbers={"known_to_px": known},
-            sentence="Half a pixel makes no measurable difference in these frames.",
-        )
-    return Finding(
-        name="pixel centres",
-        verdict="ok",
-        numbers={"known_to_px": known},
-        sentence="cx and cy are right within half a pixel.",
     )
 
 
@@ -269,23 +167,6 @@ def _mirrors(r: RepairConfig) -> bool:
     order = [kinds[w] for w in r.axis_words]
     swaps = sum(a > b for i, a in enumerate(order) for b in order[i + 1 :])
     return (swaps + sum(w in ("left", "up", "back") for w in r.axis_words)) % 2 == 1
-
-
-def _is_size(e: Explanation) -> bool:
-    return _adopted(e, "intrinsics size") is not None
-
-
-def _adopted(e: Explanation, kind: str) -> FittedCorrection | None:
-    return next((f for f in e.corrected.adopted if f.kind == kind), None)
-
-
-def _last(e: Explanation, kind: str) -> FittedCorrection | None:
-    return next((f for f in e.corrected.last if f.kind == kind), None)
-
-
-def _ratio(e: Explanation, kind: str) -> float:
-    fitted = _adopted(e, kind) or _last(e, kind)
-    return fitted.ratio if fitted else math.nan
 
 
 def _scale_words(factor: float) -> str:
