@@ -6,7 +6,8 @@ import numpy as np
 from ..drawing.curves import figure_png
 from ..drawing.pictures import Picture
 from ..viz.live.watch import Watch
-from .leaderboard import Contest, Leaderboard
+from .contest import Contest
+from .leaderboard import Leaderboard
 
 
 def watch_contest(contest: Contest) -> Watch:

@@ -9,14 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
-from jaxtyping import Float
-from torch import Tensor
 
 from ...progress import ProgressDisplay
 from ...types import Camera
 from ..lens.camera_model import CameraModel
-from ..recorded.poses import checked_pose
 from ..sequence import BadFrameError, SequenceError
 from .detect import FORMATS, detect_format
 from .intrinsics import read_intrinsics
@@ -24,7 +20,6 @@ from .options import ConvertOptions
 from .recording import RecordedFrame, Recording, RgbdImages
 from .rectify import Rectifier, output_camera
 from .staging import JournalEntry, Staging
-from .trajectory import Trajectory, camera_in_body, read_trajectory
 
 MILLIMETRES = 1000.0
 _FINEST, _COARSEST = 20000.0, 200.0
@@ -103,7 +98,7 @@ def convert(
     if name not in FORMATS:
         raise KeyError(f"no format {name!r}; known: {', '.join(FORMATS)}")
     recording = FORMATS[name].read(path, options)
-    poses = _Poses(recording, options)
+    poses = FramePoses(recording, options)
     plan = {"format": name, "source": str(path.resolve()), "options": dataclasses.asdict(options)}
     staging = Staging(Path(out), plan)
     if staging.finished is not None:
@@ -120,73 +115,10 @@ def convert(
         raise
 
 
-class _Poses:
-    """Pose of each frame: the recorded one, or one from a separate trajectory at its time; scaled to metres and
-    checked."""
-
-    def __init__(self, recording: Recording, options: ConvertOptions):
-        self.trajectory: Trajectory | None = None
-        self.none = options.poses == "none"
-        self._offset_s = options.time_offset_s
-        self._recording = recording
-        self.notes: list[str] = []
-        if options.poses and not self.none:
-            self.trajectory = read_trajectory(
-                Path(options.poses),
-                time_unit=options.pose_time_unit,
-                max_gap_s=options.max_gap_s,
-                T_body_cam=camera_in_body(options.T_cam_body, options.T_body_cam),
-            )
-            self.notes += self.trajectory.notes
-        elif not self.none and not recording.has_poses:
-            raise SequenceError(
-                f"{recording.name} holds no poses; give a trajectory with --poses FILE (TUM, OKVIS2, ORB-SLAM3, "
-                "EuRoC), or --poses none to track the camera later"
-            )
-        self._scale = 1.0 if self.none else self._metres_per_unit(options)
-
-    def of(self, frame: RecordedFrame) -> tuple[Float[Tensor, "4 4"] | None, str]:
-        """Pose, or None and the reason why there is none; float64, metres."""
-        if self.trajectory is not None:
-            if frame.time_s is None:
-                raise SequenceError(
-                    f"{frame.source} has no time, which --poses needs; expected a format with times, or image names "
-                    "that are times"
-                )
-            T, reason = (
-                self.trajectory.pose_at(frame.time_s + self._offset_s),
-                "the trajectory has no pose around its time",
-            )
-        else:
-            T, reason = frame.T_WC, "no pose"
-        if T is None:
-            return None, reason
-        if not bool(torch.isfinite(T).all()):
-            return None, "tracking was lost (pose is NaN or infinite)"
-        T = T.double().clone()
-        T[:3, 3] *= self._scale
-        checked_pose(T, f"the pose of {frame.source}")
-        return T, ""
-
-    def _metres_per_unit(self, options: ConvertOptions) -> float:
-        if options.scale:
-            self.notes.append(f"positions were multiplied by {options.scale:g} (--scale)")
-            return options.scale
-        if self.trajectory is not None or not self._recording.up_to_scale:
-            return 1.0
-        scale, sentence = (1.0, "nothing to measure it on")
-        if self._recording.measured_scale is not None:
-            scale, sentence = self._recording.measured_scale()
-        self.notes.append(
-            f"these poses have no unit of length; one unit is taken as {scale:.6g} m ({sentence}; --scale)"
-        )
-        return scale
-
-
 class _Conversion:
     """One pass over the frames of a recording."""
 
-    def __init__(self, recording: Recording, options: ConvertOptions, poses: _Poses, staging: Staging):
+    def __init__(self, recording: Recording, options: ConvertOptions, poses: FramePoses, staging: Staging):
         self._recording, self._options, self._poses, self._staging = recording, options, poses, staging
         scale = options.depth_scale or recording.depth_scale
         self.depth_scale = scale if _COARSEST <= scale <= _FINEST else MILLIMETRES
