@@ -17,17 +17,15 @@ from ..optim import Keyframe, fuse_with_history
 from ..render import SurfaceView, render_forward, rows_in_view, surface_depth_m, view_surface
 from ..seeding import SeedContext, SeedingRule, apply_rule
 from ..tracking import Correction, Surface
-from ..tsdf import TsdfVolume, extract_mesh, integrate
 from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput, Seeds
 from .frame_checks import check_frame
 from .mapper import Mapper
+from .rendered_mesh import mesh_of_views
 from .step_report import StageClock, StepReport, psnr_from_mse
 from .surfel_optimiser import SurfelOptimiser, TrainingView
 
 MASKED_BELOW = 0.8
 """With more of the rows in view unstable they touch nearly all pixels, and to find these costs more than it saves."""
-MESH_VIEWS = 60
-"""Views whose rendered depth makes the mesh."""
 
 
 class RTGSLAM(Mapper):
@@ -143,21 +141,7 @@ class RTGSLAM(Mapper):
 
     def mesh(self) -> Mesh:
         """Surface of the rendered depth, fused into a TSDF from poses all along the trajectory."""
-        volume = TsdfVolume(self.config.mesh, device=self.device)
-        poses = self.localiser.poses
-        for index, T_WC in enumerate(poses[:: max(1, len(poses) // MESH_VIEWS)]):
-            assert self.camera is not None
-            view = self.surface(self.camera, T_WC)
-            frame = Frame(
-                index=index,
-                timestamp_s=0.0,
-                rgb=view.rgb.clamp(0, 1),
-                depth_m=view.depth_m,
-                camera=self.camera,
-                T_WC=T_WC.to(self.device),
-            )
-            integrate(volume, frame)
-        return extract_mesh(volume)
+        return mesh_of_views(self.surface, self.camera, self.localiser.poses, self.config.mesh, self.device)
 
     @property
     def n_passes(self) -> int:
