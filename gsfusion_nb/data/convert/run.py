@@ -15,6 +15,7 @@ from ...types import Camera
 from ..lens.camera_model import CameraModel
 from ..sequence import BadFrameError, SequenceError
 from .detect import FORMATS, detect_format
+from .frame_poses import FramePoses
 from .intrinsics import read_intrinsics
 from .options import ConvertOptions
 from .recording import RecordedFrame, Recording, RgbdImages
