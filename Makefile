@@ -1,7 +1,7 @@
 # make demo | make test | make campaign | make lab | make student | make teacher: each sets up its own virtual environment first. Only Python >= 3.11 and make are needed.
 PYTHON ?= python3
 VENV ?= .venv
-# Where pip should look for PyTorch, if not at the default: see "Installing" in README.md.
+# Where pip should look for PyTorch, if not at the default: see docs/install.md.
 TORCH_INDEX ?=
 # More options for jupyter lab, such as --allow-root or --no-browser.
 LAB ?=
