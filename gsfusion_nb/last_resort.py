@@ -42,7 +42,7 @@ def unforeseen(error: BaseException, command: str, arguments: list[str]) -> str:
     lines = str(error).strip().splitlines()
     reason = f"{type(error).__name__}{f' ({lines[0][:160]})' if lines else ''}"
     where = f"the traceback is in {log}" if log else "the traceback could not be written to a file"
-    return f"ended by an error that was not foreseen, {reason}, {_concerned(error, arguments)}; {where}"
+    return f"ended by an unexpected error, {reason}, {_concerned(error, arguments)}; {where}"
 
 
 def _concerned(error: BaseException, arguments: list[str]) -> str:

@@ -65,12 +65,12 @@ def parse_json(text: str, source: str, what: str) -> Any:
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     values = dict(pairs)
     if len(values) != len(pairs):
-        raise _Fault("a key is there twice")
+        raise _Fault("a key appears twice")
     return values
 
 
 def _refuse(constant: str) -> Any:
-    raise _Fault(f"{constant} is no number")
+    raise _Fault(f"{constant} is not a number")
 
 
 def _whole_number(text: str) -> int:
@@ -102,7 +102,7 @@ def _first_fault(text: str, *, only_depth: bool = False) -> str:
             continue
         elif token == ":" and keys and keys[-1] is not None:
             if string in keys[-1]:
-                return f"the key {string[:40]} is there twice: {_place(text, string_at)}"
+                return f"the key {string[:40]} appears twice: {_place(text, string_at)}"
             keys[-1].add(string)
         elif token[0] == '"':
             string, string_at = token, match.start()
@@ -113,7 +113,7 @@ def _first_fault(text: str, *, only_depth: bool = False) -> str:
 
 def _bad_number(token: str) -> str:
     if token in ("NaN", "Infinity", "-Infinity"):
-        return f"{token} is no number of JSON"
+        return f"{token} is not a JSON number"
     if re.fullmatch(r"-?\d+", token):
         return f"a number of {len(token)} digits" if len(token) > MAX_DIGITS else ""
     try:

@@ -146,14 +146,14 @@ def test_sentences_pass_and_memory_has_its_own():
 @pytest.mark.parametrize(
     ("text", "fault"),
     [
-        ('{"a": 1,\n "b": {"a": 2, "a": 3}}', r'the key "a" is there twice: line 2 column 16'),
-        ('{"a":\n  NaN}', r"NaN is no number of JSON: line 2 column 3"),
-        ('["NaN", -Infinity]', r"-Infinity is no number of JSON: line 1 column 9"),
+        ('{"a": 1,\n "b": {"a": 2, "a": 3}}', r'the key "a" appears twice: line 2 column 16'),
+        ('{"a":\n  NaN}', r"NaN is not a JSON number: line 2 column 3"),
+        ('["NaN", -Infinity]', r"-Infinity is not a JSON number: line 1 column 9"),
         ("[1e999]", r"1e999 is too large a number: line 1 column 2"),
         (f"[{'9' * 400}]", r"a number of 400 digits: line 1 column 2"),
         ("[" * 100_000, r"brackets are nested more than 64 deep: line 1 column 65"),
         ('{"a": [1, 2}', r"line 1 column 12"),
-        ('{"\\u0061": 1, "a": 2}', r"a key is there twice"),
+        ('{"\\u0061": 1, "a": 2}', r"a key appears twice"),
     ],
 )
 def test_json_that_is_ambiguous_or_no_number(text, fault):

@@ -43,7 +43,7 @@ class LiveOptions(SettingsOptions):
     evaluate: bool = True
     """Score the frames that were kept and write the report."""
     checkpoint_every_s: float = 30.0
-    """Save where the scan stands this often, seconds, so that the map is kept if the process is killed; less often if
+    """Save the state of the scan this often, seconds, so that the map is kept if the process is killed; less often if
     that takes more than 3 % of the time. 0: never."""
 
     def source(self) -> LiveSource:

@@ -38,7 +38,7 @@ class MapOptions(SettingsOptions):
     evaluate: bool = True
     """Score mapped and held-out views and write the report."""
     checkpoint_every_s: float = 30.0
-    """Save where the run stands this often, seconds, so that --resume can go on after the process was killed; less
+    """Save the state of the run this often, seconds, so that --resume can continue after a kill; less
     often if that takes more than 3 % of the time. 0: only when the run is interrupted."""
     checkpoint_every_frames: int = 0
     """Save after every n-th frame as well; 0 does not."""

@@ -16,7 +16,7 @@ def print_result(run: "FinishedRun") -> int:
         print(f"  {path.name:<16} {path.stat().st_size / 1e6:8.2f} MB")
     interrupted = run.run.status == "interrupted"
     if interrupted and run.run.resumable:
-        print(f"To go on: gsfusion-nb map --resume {run.folder}")
+        print(f"To continue: gsfusion-nb map --resume {run.folder}")
     return 130 if interrupted else 0
 
 

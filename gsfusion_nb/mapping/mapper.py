@@ -289,7 +289,7 @@ class Mapper(ABC):
         mapper.rule_in_use.load_state_dict(state["rule"])
         if mapper.rule_in_use.differs(state["rule"]):
             mapper.notes.append(
-                f"after {state['n_frames']} frames the run went on with another seeding rule, or an edited one: "
+                f"after {state['n_frames']} frames the run continued with another seeding rule, or an edited one: "
                 f"{shown(rule_name(mapper.rule))} instead of {shown(state['rule']['name'])}"
             )
         mapper._load(state)

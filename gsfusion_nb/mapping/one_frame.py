@@ -41,7 +41,7 @@ class FrameGuard:
         try:
             if self.half_mapped:
                 raise HalfMappedError(
-                    f"{self.half_mapped}; this map takes no more frames: go on from the run's last checkpoint "
+                    f"{self.half_mapped}; this map takes no more frames: continue from the run's last checkpoint "
                     "(resume_mapping), or with a new mapper"
                 )
             self._index, self._changing = index, False

@@ -65,7 +65,7 @@ class RuleInUse:
         if state["changed"]:
             raise SequenceError(
                 f"the seeding rule {shown(state['name'])} kept something from one frame to the next, which a "
-                "checkpoint does not hold, so the run cannot go on to the same map; make the rule a callable object "
+                "checkpoint does not hold, so the run cannot continue to the same map; make the rule a callable object "
                 "with state_dict() and load_state_dict(state)"
             )
         load = getattr(self.rule, "load_state_dict", None)
@@ -84,5 +84,5 @@ def check_known(state: dict[str, Any]) -> None:
         what = "is not known here" if known is None else "is not the one that is registered here by that name"
         raise SequenceError(
             f"the seeding rule {shown(name)} of this run {what}; its source is in rule.py of the run's folder: define "
-            "it, and go on with it in Python: resume_mapping(folder, seeding=<the rule>)"
+            "it, and continue in Python: resume_mapping(folder, seeding=<the rule>)"
         )

@@ -65,7 +65,7 @@ class Autosave:
             self._save()
             self.n_saved += 1
         except DiskFullError as e:
-            log.warning("no checkpoint now: %s; the last one is kept, and the run goes on", e)
+            log.warning("no checkpoint now: %s; the last one is kept, and the run continues", e)
         took = self._clock() - began
         self.seconds += took
         self._next_s = began + took + max(self._every.seconds, took / MAX_SHARE)

@@ -93,7 +93,7 @@ def resume_mapping(
         FileNotFoundError: the folder holds no checkpoint. FileExistsError: the run is still going on.
     """
     if not Path(folder).is_dir():
-        raise FileNotFoundError(f"{folder} does not exist; expected the folder of a run that was cut off")
+        raise FileNotFoundError(f"{folder} does not exist; expected the folder of an interrupted run")
     with RunFolder(folder) as place:
         run = load_run(folder, seeding=seeding, device=device)
         run.warnings = [w for w in run.warnings if not w.startswith(_TRANSIENT)]
@@ -235,7 +235,7 @@ def _rescue(run: MappingRun, place: RunFolder, stop: StopRequest, error: BaseExc
         saved = "saved" if not notes else "saved as far as there is room"
         notes.insert(0, f"The {len(run.steps)} frames mapped before are {saved} in {place.path}.")
     if run.resumable and run.has_checkpoint(place.path):
-        notes.append(f"To go on from the last checkpoint: gsfusion-nb map --resume {place.path}")
+        notes.append(f"To continue from the last checkpoint: gsfusion-nb map --resume {place.path}")
     if isinstance(error, torch.OutOfMemoryError):
         raise MemoryError(" ".join([f"{describe_full(run.mapper)}.", *notes])) from error
     for note in notes:
@@ -269,7 +269,7 @@ def _with_progress(run: MappingRun, stop: StopRequest) -> None:
     with ProgressDisplay("mapping", total=len(run.sequence.mapping), unit="frame", done=run.next_position) as progress:
         for n, report in enumerate(run.online(), start=1):
             seconds += report.total_seconds
-            rate = f"{n / seconds:.1f} fps, " if seconds > 0 else ""  # a system may not time its stages
+            rate = f"{n / seconds:.1f} frames/s, " if seconds > 0 else ""  # a system may not time its stages
             note = f"{rate}PSNR {report.psnr_after_db:.1f} dB, {report.n_gaussians:,} Gaussians"
             progress.show(run.next_position, note=note)
             if stop:

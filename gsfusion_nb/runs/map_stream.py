@@ -76,7 +76,7 @@ def _with_progress(run: MappingRun, stop: StopRequest) -> None:
             seconds += report.total_seconds
             dropped = run.extra_metrics()["n_frames_dropped"]
             note = (
-                f"{n / max(seconds, 1e-9):.1f} fps, PSNR {report.psnr_after_db:.1f} dB, "
+                f"{n / max(seconds, 1e-9):.1f} frames/s, PSNR {report.psnr_after_db:.1f} dB, "
                 f"{report.n_gaussians:,} Gaussians, {dropped} frames dropped"
             )
             progress.show(n, note=note)

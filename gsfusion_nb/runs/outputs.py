@@ -210,7 +210,7 @@ def peak_memory_mb(device: torch.device) -> float | NotComputed:
     try:
         import resource
     except ImportError:
-        return NotComputed("this system does not tell")
+        return NotComputed("this operating system does not report it")
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak / 1e6 if sys.platform == "darwin" else peak * 1024 / 1e6
 

@@ -28,7 +28,7 @@ def load_run(
     """
     path, store = Path(folder), CheckpointStore(Path(folder) / CHECKPOINTS)
     if not store.exists:
-        raise FileNotFoundError(f"{store.folder} holds no checkpoint: only a run that was cut off can be resumed")
+        raise FileNotFoundError(f"{store.folder} holds no checkpoint: only an interrupted run can be resumed")
     loaded = store.load()
     try:
         run = _run_of(loaded.state, path, seeding, device)

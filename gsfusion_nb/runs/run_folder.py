@@ -43,7 +43,7 @@ class RunFolder:
         if not self._lock() and not _is_dead(status):
             raise FileExistsError(f"{self.path} is in use: {_who(status)} is writing to it; wait until it has ended")
         if status.get("state") == "running":
-            self.taken_over = f"{_who(status)} was cut off; its run goes on from the last checkpoint"
+            self.taken_over = f"{_who(status)} was interrupted; its run continues from the last checkpoint"
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -109,7 +109,7 @@ def _refuse(path: Path) -> None:
                 for file in [*(path / CHECKPOINTS).glob("*"), path / STATUS, *path.glob(".*.partial*")]:
                     file.unlink()
                 return
-    hint = f"; to go on with the run in it: gsfusion-nb map --resume {path}" if (path / CHECKPOINTS).is_dir() else ""
+    hint = f"; to continue the run in it: gsfusion-nb map --resume {path}" if (path / CHECKPOINTS).is_dir() else ""
     raise FileExistsError(f"{path} must be a new or empty folder, so that no earlier run is overwritten{hint}")
 
 

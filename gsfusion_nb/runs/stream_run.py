@@ -80,7 +80,7 @@ class StreamRun(MappingRun):
         counts = state["counts"]
         run._n_taken, run.n_unusable, run._n_earlier = counts["n_taken"], counts["n_unusable"], counts["n_earlier"]
         run.sequence = run.kept.opened()
-        run._warn(f"the stream was cut off after {len(run.steps)} frames, when its process was killed")
+        run._warn(f"the stream was interrupted after {len(run.steps)} frames, when its process was killed")
         return run
 
     def stream(self) -> dict[str, Any]:

@@ -38,7 +38,7 @@ def seeding_rule(rule: F) -> F:
     if not callable(rule):
         raise TypeError(f"@seeding_rule decorates a function, got {type(rule).__name__}; write it without parentheses")
     if not rule_name(rule).isidentifier():
-        raise TypeError(f"a seeding rule is registered by its name, and {rule_name(rule)!r} is none: use def")
+        raise TypeError(f"a seeding rule is registered by its name, and {rule_name(rule)!r} is not a name: use def")
     _options_of(rule)
     _RULES[rule_name(rule)] = rule
     return rule

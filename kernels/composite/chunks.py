@@ -18,7 +18,7 @@ from gsfusion_nb.render.tiles import TileLists
 from gsfusion_nb.types import Camera
 
 RANKS = 32
-"""List entries per chunk: an opaque tile is noticed after at most so many more."""
+"""List entries per chunk: an opaque tile is noticed after at most this many more."""
 TILES = 128
 """Tiles per chunk: 32 x 128 x 64 float32 are a MiB, about a core's second-level cache."""
 

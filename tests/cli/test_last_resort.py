@@ -29,7 +29,7 @@ def test_a_mistake_of_ours_is_one_sentence_with_the_file_and_a_log(tmp_path, cap
     status = cli.main(["map", str(tmp_path / "scan"), "--out", str(tmp_path / "run")])
     said = capsys.readouterr()
     assert (status, said.out) == (1, "")
-    assert said.err.startswith("gsfusion-nb map: ended by an error that was not foreseen")
+    assert said.err.startswith("gsfusion-nb map: ended by an unexpected error")
     assert said.err.count("\n") == 1
     assert str(tmp_path / "scan") in said.err
     (name,) = re.findall(r"the traceback is in (.*\.log)", said.err)
@@ -48,11 +48,11 @@ def test_without_a_run_folder_the_log_is_a_temporary_file(tmp_path, capsys, monk
 
 def test_sentences_stay_as_they_are(tmp_path, capsys):
     assert cli.main(["map", str(tmp_path / "nowhere")]) == 1
-    assert "not foreseen" not in capsys.readouterr().err
+    assert "unexpected error" not in capsys.readouterr().err
 
 
 def test_data_scripts_too(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     assert command.run("tum.py", lambda: [][3]) == 1
-    assert "tum.py: ended by an error that was not foreseen, IndexError" in capsys.readouterr().err
+    assert "tum.py: ended by an unexpected error, IndexError" in capsys.readouterr().err
     assert len(list(tmp_path.glob("*.log"))) == 1

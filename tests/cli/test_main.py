@@ -57,7 +57,7 @@ def test_preset_is_a_start_that_options_override(tmp_path, capsys):
         (["map"], 1, "expected the folder of a sequence"),
         (["map", "room", "--preset", "repilca"], 1, "no preset 'repilca'; known:"),
         (["map", "room", "--backend", "nubma"], 1, "no backend 'nubma'; known:"),
-        (["map", "--resume", "nowhere"], 1, "nowhere does not exist; expected the folder of a run that was cut off"),
+        (["map", "--resume", "nowhere"], 1, "nowhere does not exist; expected the folder of an interrupted run"),
         (["eval", "nowhere"], 1, "config.json"),
         (["bench", "fly"], 1, "no bench 'fly'; known: all, checkpoints, map, panels, raster, tsdf, waits"),
         (["bench", "tsdf", "--data", "nowhere"], 1, "nowhere is not a folder"),

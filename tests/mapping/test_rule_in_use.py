@@ -122,7 +122,7 @@ def test_another_rule_of_the_same_name_is_noticed(config, frames):
     with pytest.raises(ValueError, match="'mine' of this run is not the one that is registered here by that name"):
         GSFusion.from_state_dict(state)
     [note] = GSFusion.from_state_dict(state, seeding=fewer).notes
-    assert "after 1 frames the run went on with another seeding rule, or an edited one" in note
+    assert "after 1 frames the run continued with another seeding rule, or an edited one" in note
     state["rule"]["name"] = "yours"
     with pytest.raises(ValueError, match=r"'yours' of this run is not known here; its source is in rule.py"):
         GSFusion.from_state_dict(state)

@@ -38,7 +38,7 @@ def test_a_run_that_was_cut_off_is_taken_over_with_a_sentence(tmp_path):
     (tmp_path / ".lock").write_text("")  # left by a process that was killed
     with RunFolder(tmp_path) as second:
         assert f"process {os.getpid()} on {platform.node()}" in second.taken_over
-        assert "was cut off; its run goes on from the last checkpoint" in second.taken_over
+        assert "was interrupted; its run continues from the last checkpoint" in second.taken_over
     (tmp_path / "checkpoint").mkdir()
     (tmp_path / "checkpoint" / "000001.json").write_text("")
     with pytest.raises(FileExistsError, match=r"must be a new or empty folder.*gsfusion-nb map --resume"):
@@ -75,7 +75,7 @@ def test_where_files_cannot_be_locked_the_status_decides(tmp_path, monkeypatch, 
     monkeypatch.setattr(run_folder, "try_lock", lambda handle: False)
     if dead:
         with RunFolder(tmp_path) as second:
-            assert "was cut off" in second.taken_over
+            assert "was interrupted" in second.taken_over
     else:
         with pytest.raises(FileExistsError, match="is in use"):
             RunFolder(tmp_path).__enter__()

@@ -82,7 +82,7 @@ def test_a_stream_that_was_killed_keeps_its_map(tmp_path, small_room, config):
     assert after.mapper.n_frames == len(run.steps) == 8
     assert len(after.run.global_losses) == 2
     assert after.metrics["n_views_held_out"] == 2
-    assert after.run.warnings == ["the stream was cut off after 8 frames, when its process was killed"]
+    assert after.run.warnings == ["the stream was interrupted after 8 frames, when its process was killed"]
     assert {"gaussians.ply", "mesh.ply", "report.html"} <= {p.name for p in tmp_path.iterdir()}
     list(run.optimise())
     assert torch.equal(run.mapper.gaussians.params.sh, after.mapper.gaussians.params.sh)

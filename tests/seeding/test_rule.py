@@ -99,7 +99,7 @@ def free_word(ctx, *, where="near"):
         (any_keyword, "must be keyword-only"),
         (listed, r"default of option 'sizes' must be a number, True/False or a word, got \(1, 2\)"),
         (free_word, r'where: Literal\["near", ...\] = "near"'),
-        (lambda ctx: some_seeds(), "'<lambda>' is none: use def"),
+        (lambda ctx: some_seeds(), "'<lambda>' is not a name: use def"),
     ],
 )
 def test_bad_signatures_are_refused_with_a_sentence(bad, sentence):

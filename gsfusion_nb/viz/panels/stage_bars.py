@@ -39,7 +39,7 @@ def stage_bars(runs: Mapping[str, Mapping[str, float]], *, width: int = 720) -> 
     stages = list(dict.fromkeys(stage for run in runs.values() for stage in run))
     longest = max(sum(run.values()) for run in runs.values()) or 1.0
     image = np.full((len(runs) * (_BAR + 26) + 34, width, 3), 255, np.uint8)
-    scale = (width - _LEFT - _RIGHT - 120) / longest
+    scale = (width - _LEFT - _RIGHT - 160) / longest
     for row, (label, run) in enumerate(runs.items()):
         y, x = row * (_BAR + 26) + 8, float(_LEFT)
         _text(image, label, 6, y + 28, _INK)
@@ -51,7 +51,8 @@ def stage_bars(runs: Mapping[str, Mapping[str, float]], *, width: int = 720) -> 
                 _text(image, _short(1e3 * run[stage]), round(x) + 6, y + 28, (255, 255, 255))
             x += long
         total = sum(run.values())
-        _text(image, f"{_short(1e3 * total)} ms, {_short(1 / total)} fps" if total else "", round(x) + 6, y + 28, _INK)
+        rate = f"{_short(1e3 * total)} ms, {_short(1 / total)} frames/s" if total else ""
+        _text(image, rate, round(x) + 6, y + 28, _INK)
     x = _LEFT
     for k, stage in enumerate(stages):
         y = image.shape[0] - 24

@@ -142,7 +142,7 @@ def expect(error, pattern, act):
         ({"fx": "525"}, "fx must be a number, got '525'"),
         ({"fx": 0}, "fx must be > 0, got 0"),
         ({"depth_scale": -1000}, "depth_scale must be > 0"),
-        ({"width": float("nan")}, r"NaN is no number of JSON: line 1 column 11"),
+        ({"width": float("nan")}, r"NaN is not a JSON number: line 1 column 11"),
         ({"pixel_centre": 0.25}, r"pixel_centre must be 0\.0 or 0\.5, got 0\.25"),
         ({"depth_invalid": 70000}, "depth_invalid must be an integer between 0 and 65535"),
         ({"fps": 0}, "fps must be > 0"),
