@@ -208,7 +208,7 @@ class CheckpointStore:
 def _piece(key: object, name: object, at: object, size: object) -> Piece:
     """A row of the list of pieces."""
     if not isinstance(key, str) or not isinstance(name, str) or not re.fullmatch(r"\d{6}\.pieces", name):
-        raise ValueError(f"{shown(name)} is no name of a file of pieces")
+        raise ValueError(f"{shown(name)} is not the name of a file of pieces")
     check_whole("place of a piece", at, 0)
     check_whole("size of a piece", size, 0)
     assert isinstance(at, int)
