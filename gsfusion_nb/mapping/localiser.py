@@ -55,6 +55,12 @@ class Localiser:
         """Poses are estimated."""
         return self.config.poses == "tracked"
 
+    @property
+    def camera(self) -> Camera | None:
+        """Camera of the keyframes that the camera is found by when tracking is lost; None if there are none."""
+        known = self._back_end or self._database
+        return None if known is None else known.camera
+
     def locate(self, frame: Frame, surface: SurfaceSource) -> Frame:
         """The frame with its pose in the map.
 
@@ -136,12 +142,11 @@ class Localiser:
 
     def state_dict(self) -> dict[str, Any]:
         """Everything needed to go on."""
-        known = self._back_end or self._database
         return {
             "poses": torch.stack(self.poses) if self.poses else torch.zeros(0, 4, 4),
             "frame_indices": torch.tensor(self.frame_indices, dtype=torch.int64),
             "tracker": self._tracker.state_dict(),
-            "camera": None if known is None else vars(known.camera),
+            "camera": None if self.camera is None else vars(self.camera),
             "back_end": None if self._back_end is None else self._back_end.state_dict(),
             "database": None if self._database is None else self._database.state_dict(),
         }

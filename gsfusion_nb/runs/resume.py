@@ -57,9 +57,12 @@ def _run_of(
         return StreamRun.after_a_kill(source, mapper, state)
     run = MappingRun(open_sequence(**source, data=mapper.config.data), mapper, source=source)
     run.load_state_dict(state)
-    known = [keyframe.camera for keyframe in run.mapper.keyframes][-1:] or [run.sequence.camera]
-    if run.sequence.camera != known[0]:
-        raise SequenceError(f"{path} was mapped with the camera {known[0]}, but {run.sequence.name} has another now")
+    cameras = [run.mapper.localiser.camera, *(keyframe.camera for keyframe in run.mapper.keyframes)]
+    others = [camera for camera in cameras if camera not in (None, run.sequence.camera)]
+    if others:
+        raise SequenceError(
+            f"{path} was mapped with the camera {others[0]}, but {run.sequence.name} has {run.sequence.camera}"
+        )
     n = len(run.sequence.mapping)
     if run.next_position > n:
         raise SequenceError(

@@ -2,6 +2,8 @@
 
 import contextlib
 import errno
+import shutil
+import subprocess
 from typing import Any
 
 import pytest
@@ -11,6 +13,7 @@ from gsfusion_nb.files import DiskFullError, atomic_file, write_file
 from gsfusion_nb.runs import CheckpointEvery, resume_mapping, run_mapping
 
 resource = pytest.importorskip("resource")
+SMALL: dict[str, Any] = {"n_frames": 120, "width": 80, "height": 60}
 
 
 @contextlib.contextmanager
@@ -69,6 +72,39 @@ def test_maps_that_fit_are_kept_and_the_run_goes_on_when_there_is_room(tmp_path,
     resumed = resume_mapping(tmp_path / "out", evaluate=False)
     assert resumed.run.hashes == whole.run.hashes
     assert resumed.run.warnings == []
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A disk of 3 MB; mounting one needs rights that only some machines give."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", "size=3m", "tmpfs", str(place)]
+    made = subprocess.run(command, capture_output=True, text=True) if shutil.which("mount") else None
+    if made is None or made.returncode != 0:
+        pytest.skip(f"no disk can be mounted here: {made.stderr.strip() if made else 'there is no command mount'}")
+    yield place
+    subprocess.run(["umount", "-l", str(place)], check=True)
+
+
+def test_a_disk_that_is_really_full(small_disk, small_room, config, caplog):
+    """The run goes to its end, what fits is kept, and with room again the maps are those of any other disk."""
+    every = CheckpointEvery(seconds=0, frames=3)
+    filler = small_disk / "filler"
+    filler.write_bytes(bytes(2_600_000))
+    with pytest.raises(
+        DiskFullError, match=r"cannot be written: the disk is full; it needs at least \d\.\d MB"
+    ) as full:
+        run_mapping("room", config, folder=small_disk / "out", evaluate=False, checkpoints=every, **SMALL)
+    assert str(small_disk) in str(full.value)
+    assert "no checkpoint now" in caplog.text
+    kept = {p.name for p in (small_disk / "out").iterdir()}
+    assert {"config.json", "status.json"} <= kept
+    assert not any(".partial" in name for name in kept)
+    filler.unlink()
+    whole = run_mapping("room", config, folder=small_disk.parent / "whole", evaluate=False, **SMALL)
+    again = run_mapping("room", config, folder=small_disk / "again", evaluate=False, **SMALL)
+    assert again.run.hashes == whole.run.hashes
 
 
 def test_little_space_is_said_at_the_start(tmp_path, small_room, config, monkeypatch):

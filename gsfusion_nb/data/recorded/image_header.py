@@ -3,6 +3,7 @@
 import re
 import struct
 
+EXR_MAGIC = b"v/1\x01"
 _JPEG_SIZES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
 """Markers of a frame header (ITU-T T.81, table B.1)."""
 _TIFF_TYPES = {1: "B", 3: "H", 4: "I", 16: "Q"}
@@ -22,7 +23,7 @@ def image_size(data: bytes) -> tuple[int, int] | None:
             return None
         width, height = struct.unpack_from("<ii", data, 18)  # the height is negative where the first row is the top one
         return abs(width), abs(height)
-    if data[:4] == b"v/1\x01":
+    if data[:4] == EXR_MAGIC:
         return _exr(data)
     match = _PNM.match(data[:4096])
     return (int(match[1]), int(match[2])) if match else None
@@ -64,12 +65,59 @@ def _jpeg(data: bytes) -> tuple[int, int] | None:
 
 
 def _exr(data: bytes) -> tuple[int, int] | None:
-    """The data window, whose corners are both inside the picture (OpenEXR file layout, "attribute layout")."""
-    at = data.find(b"dataWindow\0box2i\0\x10\0\0\0")
-    if at < 0 or len(data) < at + 37:
+    """The data window, whose corners are both inside the picture; of several parts the largest."""
+    parts = exr_parts(data)
+    if not parts:
         return None
-    left, top, right, bottom = struct.unpack_from("<iiii", data, at + 21)
-    return right - left + 1, bottom - top + 1
+    return max(width for width, _, _ in parts), max(height for _, height, _ in parts)
+
+
+def exr_parts(data: bytes) -> list[tuple[int, int, int]]:
+    """Width, height and number of channels of each part of an OpenEXR file; empty if the header is damaged.
+
+    Source: "OpenEXR File Layout": attributes of name, type, size and value; an empty name ends the header of a part,
+    and an empty header the list of parts of a file whose version has bit 12 set.
+    """
+    if len(data) < 8:
+        return []
+    several, at, parts = bool(struct.unpack_from("<I", data, 4)[0] & 0x1000), 8, []
+    while True:
+        part, at = _exr_part(data, at)
+        if part is None:
+            return parts if several and at > 0 else []
+        parts.append(part)
+        if not several:
+            return parts
+
+
+def _exr_part(data: bytes, at: int) -> tuple[tuple[int, int, int] | None, int]:
+    """Width, height and channels of the header at ``at``, and where it ends; at -1 if it is damaged."""
+    values: dict[bytes, bytes] = {}
+    try:
+        while data[at]:
+            name, kind, at = _exr_text(data, at)
+            (size,) = struct.unpack_from("<i", data, at)
+            if not 0 <= size <= len(data) - at - 4:
+                return None, -1
+            values[name + b" " + kind] = data[at + 4 : at + 4 + size]
+            at += 4 + size
+        if not values:
+            return None, at + 1
+        left, top, right, bottom = struct.unpack("<iiii", values[b"dataWindow box2i"])
+        channels, n, place = values[b"channels chlist"], 0, 0
+        while channels[place]:  # a name, then the type, a flag with 3 spare bytes, and two steps of sampling
+            place = channels.index(b"\0", place) + 17
+            n += 1
+    except (struct.error, ValueError, IndexError, KeyError):
+        return None, -1
+    return (right - left + 1, bottom - top + 1, n), at + 1
+
+
+def _exr_text(data: bytes, at: int) -> tuple[bytes, bytes, int]:
+    """Two texts that end in a zero byte, and where the second ends."""
+    middle = data.index(b"\0", at)
+    end = data.index(b"\0", middle + 1)
+    return data[at:middle], data[middle + 1 : end], end + 1
 
 
 def _tiff(data: bytes) -> tuple[int, int] | None:

@@ -6,10 +6,14 @@ import numpy as np
 
 from ...foreign import IMAGE_BYTES, parsing, read_bytes
 from ..sequence import BadFrameError, SequenceError, SequenceNotFoundError
-from .image_header import image_size, png_is_cut
+from .image_header import EXR_MAGIC, exr_parts, image_size, png_is_cut
 
 MAX_PIXELS = 40_000_000
 """More than any camera has; a small file can claim, and a decoder would allocate, a thousand times as many."""
+
+
+MAX_EXR_NUMBERS = 2 * MAX_PIXELS
+"""Of all channels of an OpenEXR file together, which are all unpacked."""
 
 
 def read_rgb(path: Path) -> np.ndarray:
@@ -111,6 +115,11 @@ def check_image_size(data: bytes, source: Path | str, kind: str) -> None:
     width, height = size
     if width * height > MAX_PIXELS:
         raise BadFrameError(f"{source} claims {width}x{height} pixels; expected a {kind} image of at most 40 million")
+    numbers = sum(w * h * channels for w, h, channels in exr_parts(data)) if data[:4] == EXR_MAGIC else 0
+    if numbers > MAX_EXR_NUMBERS:
+        raise BadFrameError(
+            f"{source} claims {numbers} numbers in all its channels; expected a {kind} image of at most 80 million"
+        )
 
 
 def _jpeg_is_cut(data: bytes) -> bool:

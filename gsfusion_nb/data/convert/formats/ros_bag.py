@@ -29,7 +29,7 @@ from ..recording import RecordedFrame, Recording, RgbdImages
 from ..trajectory import camera_in_body
 from .ros_images import colour_of, depth_of, stores_millimetres
 from .ros_poses import POSE_TYPES, TransformTree, in_order, pose_rows, seconds
-from .ros_unpacking import BagPath, bounded_unpacking
+from .ros_unpacking import BagPath, bounded_unpacking, check_packed_files
 
 MAX_TIME_DIFFERENCE_S = 0.02
 _TF_MESSAGE = "geometry_msgs/TransformStamped[] transforms"
@@ -127,6 +127,8 @@ def _opened(path: Path) -> Iterator[Any]:
     types.register(get_types_from_msg(_TF_MESSAGE, "tf2_msgs/msg/TFMessage"))
     for file in [folder] if folder.is_file() else sorted(folder.iterdir()):
         open_regular(file, "a file of a ROS bag").close()
+    if folder.is_dir():
+        check_packed_files(folder)
     what = "a ROS bag; if it is truncated or was not closed after recording, try 'rosbag reindex' or 'ros2 bag reindex'"
     with parsing(path, what), bounded_unpacking(), AnyReader([BagPath(folder)], default_typestore=types) as reader:
         yield reader
