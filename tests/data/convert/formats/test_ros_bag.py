@@ -12,13 +12,14 @@ import torch
 
 from gsfusion_nb.data import SequenceError
 from gsfusion_nb.data.convert import ConvertOptions, RosOptions, convert, detect_format
+from gsfusion_nb.data.convert.formats import ros_unpacking
 from gsfusion_nb.data.readers import folder
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.types import Camera
 
 pytest.importorskip("rosbags")
 from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -34,6 +35,8 @@ class Bag:
     version: int
     storage: StoragePlugin | None = None
     bag_format: Literal[8, 9] = 9
+    packed: bool = False
+    """Each file as a whole, with zstd."""
 
     def __enter__(self):
         self.store = get_typestore(Stores.ROS1_NOETIC if self.version == 1 else Stores.ROS2_HUMBLE)
@@ -45,6 +48,8 @@ class Bag:
             if self.version == 1
             else Writer2(self.path, version=self.bag_format, storage_plugin=plugin)
         )
+        if self.packed:
+            self.writer.set_compression(CompressionMode.FILE, CompressionFormat.ZSTD)
         self.writer.open()
         self.connections = {}
         return self
@@ -145,8 +150,9 @@ def write_bag(
     big=False,
     storage=None,
     bag_format: Literal[8, 9] = 9,
+    packed=False,
 ):
-    with Bag(path, version, storage, bag_format) as bag:
+    with Bag(path, version, storage, bag_format, packed) as bag:
         if poses == "tf":
             write_tf(bag, takes)
         for i, t in enumerate(takes.times_s):
@@ -328,3 +334,25 @@ def test_without_the_library(tmp_path, takes, monkeypatch):
     monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
     with pytest.raises(SequenceError, match=r"needs the package rosbags: pip install 'gsfusion-nb\[ros\]'"):
         convert(path, tmp_path / "out")
+
+
+def test_files_that_are_packed_as_a_whole_unpack_within_limits(tmp_path, takes, monkeypatch):
+    path = write_bag(tmp_path / "scan", takes, 2, packed=True)
+    (file,) = path.glob("*.zstd")
+    convert(path, tmp_path / "out")
+    takes.check(tmp_path / "out")
+    monkeypatch.setattr(ros_unpacking, "free_space", lambda folder: 10_000)
+    with pytest.raises(
+        SequenceError, match=r"\.zstd unpacks to more than 0 MB, 100 times its size or all the free space"
+    ):
+        convert(path, tmp_path / "full")
+    monkeypatch.undo()
+    content = file.read_bytes()
+    bomb = ros_unpacking._zstd_module().compress(bytes(300_000_000))
+    assert len(bomb) < 100_000
+    file.write_bytes(bomb)
+    with pytest.raises(SequenceError, match=r"\.zstd unpacks to more than"):
+        convert(path, tmp_path / "bomb")
+    file.write_bytes(content[: len(content) // 2])
+    with pytest.raises(SequenceError, match=r"\.zstd is not readable as a file packed with zstd"):
+        convert(path, tmp_path / "cut")
