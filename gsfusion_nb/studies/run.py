@@ -43,7 +43,7 @@ class StudyOptions:
     """Run one of the papers' comparisons on a sequence and print a table.
 
     Each variant is a run with all its files in OUT, in a folder whose name ends in a key of the data, the options and
-    the program. A variant that is complete in the folder of its key is not repeated; this is said.
+    the program. A variant that is complete in the folder of its key is not repeated; the command says so.
     """
 
     name: Annotated[str, tyro.conf.Positional]
