@@ -14,7 +14,7 @@ from pathlib import Path
 import torch
 
 from gsfusion_nb.data.convert.formats.open3d_log import read_trajectory_file
-from gsfusion_nb.data.fetch import Item, Plan, SequenceOnDisk, command, obtain
+from gsfusion_nb.data.fetch import Item, Plan, SequenceOnDisk, command, fetch_data_set
 from gsfusion_nb.data.recorded.poses import write_pose_lines
 
 HOST = "https://github.com/isl-org/open3d_downloads/releases/download/augmented-icl-nuim"
@@ -98,7 +98,7 @@ def main(arguments: list[str] | None = None) -> int:
 
     def fetch() -> None:
         for name in options.sequence:
-            obtain(plan(name, options.depth), command.terms(options))
+            fetch_data_set(plan(name, options.depth), command.fetch_options(options))
 
     return command.run(Path(__file__).name, fetch)
 

@@ -11,7 +11,7 @@ import re
 import sys
 from pathlib import Path
 
-from gsfusion_nb.data.fetch import Item, Plan, SequenceOnDisk, command, obtain
+from gsfusion_nb.data.fetch import Item, Plan, SequenceOnDisk, command, fetch_data_set
 
 HOST = "https://cvg-data.inf.ethz.ch/nice-slam"
 SCENES = ("office0", "office1", "office2", "office3", "office4", "room0", "room1", "room2")
@@ -57,11 +57,13 @@ def main(arguments: list[str] | None = None) -> int:
     wanted = SCENES if "all" in options.scene else tuple(dict.fromkeys(options.scene))
 
     def fetch() -> None:
-        terms = command.terms(options)
+        fetch_options = command.fetch_options(options)
         for i, scene in enumerate(wanted):
             more = i + 1 < len(wanted)
-            obtain(plan(scene), dataclasses.replace(terms, keep_archives=terms.keep_archives or more))
-            terms = dataclasses.replace(terms, yes=True)  # the user agrees once, for the whole archive
+            fetch_data_set(
+                plan(scene), dataclasses.replace(fetch_options, keep_archives=fetch_options.keep_archives or more)
+            )
+            fetch_options = dataclasses.replace(fetch_options, yes=True)  # the user agrees once, for the whole archive
 
     return command.run(Path(__file__).name, fetch)
 

@@ -22,24 +22,24 @@ BYTES_PER_FRAME, BYTES_OF_MESH = 500_000, 9_000_000
 SECONDS_PER_FRAME, SECONDS_OF_MESH = 0.25, 10.0
 
 
-def write(layout: str, walk: Walk, terms: command.Terms) -> None:
+def write(layout: str, walk: Walk, fetch_options: command.FetchOptions) -> None:
     """Write one layout."""
     name, writer = WRITERS[layout]
-    target = terms.out / name
+    target = fetch_options.out / name
     size = BYTES_OF_MESH + walk.n_frames * BYTES_PER_FRAME
     seconds = SECONDS_OF_MESH + walk.n_frames * SECONDS_PER_FRAME
-    terms.say(
+    fetch_options.say(
         f"The built-in room in the layout {layout}: {walk.n_frames} frames\n"
         f"  to       {target} (about {size_text(size)})\n"
         f"  time     about {duration_text(seconds)}\n  licence  Apache-2.0, as the package"
     )
-    require_space(terms.out, size, name)
-    with only_one(terms.out), unfinished_folder(target, terms.out) as folder:
+    require_space(fetch_options.out, size, name)
+    with only_one(fetch_options.out), unfinished_folder(target, fetch_options.out) as folder:
         with command.counting("frame") as progress:
             sequence = writer(folder, walk, progress)
         write_mesh_ply(folder / "mesh.ply", room_mesh(0.03, seed=walk.seed))
         proof = sequence.prove(folder)
-    terms.say(f"{proof}\n  {sequence.command(target)}")
+    fetch_options.say(f"{proof}\n  {sequence.command(target)}")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -54,7 +54,7 @@ def main(arguments: list[str] | None = None) -> int:
     def work() -> None:
         walk = Walk(n_frames=options.frames, width=options.width, height=options.height)
         for layout in WRITERS if "all" in options.layout else dict.fromkeys(options.layout):
-            write(layout, walk, command.terms(options))
+            write(layout, walk, command.fetch_options(options))
 
     return command.run(Path(__file__).name, work)
 

@@ -32,22 +32,22 @@ def describe(scene: Path, target: Path, n_pictures: int) -> str:
     )
 
 
-def prepare(scene: Path, terms: command.Terms) -> None:
+def prepare(scene: Path, fetch_options: command.FetchOptions) -> None:
     """Prepare one scene."""
     scene = scene.expanduser().resolve()
-    target = terms.out / "scannetpp" / scene.name
+    target = fetch_options.out / "scannetpp" / scene.name
     if not target.exists():
         if not (scene / MESH).is_file():
             raise FetchError(f"{scene / MESH} does not exist; expected the folder of a ScanNet++ scene with its scan")
         names = listed_pictures(scene)
-        terms.say(describe(scene, target, len(names)))
-        require_space(terms.out, len(names) * BYTES_PER_PICTURE, scene.name)
-        agree(yes=terms.yes, ask=terms.ask)
-        with only_one(terms.out), unfinished_folder(target, terms.out, resume=True) as folder:
+        fetch_options.say(describe(scene, target, len(names)))
+        require_space(fetch_options.out, len(names) * BYTES_PER_PICTURE, scene.name)
+        agree(yes=fetch_options.yes, ask=fetch_options.ask)
+        with only_one(fetch_options.out), unfinished_folder(target, fetch_options.out, resume=True) as folder:
             with command.counting("picture") as progress:
                 prepare_scene(scene, read_mesh_ply(scene / MESH), folder, progress=progress)
             SEQUENCE.prove(folder)
-    terms.say(f"{SEQUENCE.prove(target)}\n  {SEQUENCE.command(target)}")
+    fetch_options.say(f"{SEQUENCE.prove(target)}\n  {SEQUENCE.command(target)}")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -58,7 +58,7 @@ def main(arguments: list[str] | None = None) -> int:
 
     def work() -> None:
         for scene in options.scene:
-            prepare(scene, command.terms(options))
+            prepare(scene, command.fetch_options(options))
 
     return command.run(Path(__file__).name, work)
 

@@ -10,7 +10,7 @@ import re
 import sys
 from pathlib import Path
 
-from gsfusion_nb.data.fetch import ArchiveError, Item, Limits, Plan, SequenceOnDisk, command, obtain, unpack
+from gsfusion_nb.data.fetch import ArchiveError, Item, Limits, Plan, SequenceOnDisk, command, fetch_data_set, unpack
 
 HOST = "https://download.microsoft.com/download/2/8/5/28564B23-0828-408F-8631-23B1EFF1DAC8"
 FRAMES = {
@@ -77,7 +77,7 @@ def main(arguments: list[str] | None = None) -> int:
 
     def fetch() -> None:
         for scene in options.scene:
-            obtain(plan(scene), command.terms(options))
+            fetch_data_set(plan(scene), command.fetch_options(options))
 
     return command.run(Path(__file__).name, fetch)
 

@@ -6,7 +6,7 @@ python data_scripts/tum.py fr1_desk --out data
 import sys
 from pathlib import Path
 
-from gsfusion_nb.data.fetch import Item, Plan, SequenceOnDisk, command, obtain
+from gsfusion_nb.data.fetch import Item, Plan, SequenceOnDisk, command, fetch_data_set
 
 HOST = "https://cvg.cit.tum.de/rgbd/dataset"
 SIZES_GB = {
@@ -56,7 +56,7 @@ def main(arguments: list[str] | None = None) -> int:
 
     def fetch() -> None:
         for name in options.sequence:
-            obtain(plan(name), command.terms(options))
+            fetch_data_set(plan(name), command.fetch_options(options))
 
     return command.run(Path(__file__).name, fetch)
 

@@ -38,16 +38,18 @@ def __dir__():
     return sorted([*globals(), *_LAZY])
 
 
-def _show_cards() -> None:
-    """In IPython, frames, volumes, quadtrees, maps and runs show a picture and a table (``gsfusion_nb.viz.cards``)."""
+def _register_summaries() -> None:
+    """Show frames, volumes, quadtrees, maps and runs as a picture and a table in IPython (``viz.summaries``)."""
     shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
     if shell is not None:
         html = shell.display_formatter.formatters["text/html"]
-        for module, name in _WITH_CARD:
-            html.for_type_by_name(module, name, lambda x: importlib.import_module("gsfusion_nb.viz.cards").card(x))
+        for module, name in _WITH_SUMMARY:
+            html.for_type_by_name(
+                module, name, lambda x: importlib.import_module("gsfusion_nb.viz.summaries").html_summary(x)
+            )
 
 
-_WITH_CARD = (
+_WITH_SUMMARY = (
     ("gsfusion_nb.types", "Frame"),
     ("gsfusion_nb.tsdf.volume", "TsdfVolume"),
     ("gsfusion_nb.seeding.quadtree", "Cells"),
@@ -56,4 +58,4 @@ _WITH_CARD = (
     ("gsfusion_nb.runs.map_sequence", "FinishedRun"),
 )
 
-_show_cards()
+_register_summaries()

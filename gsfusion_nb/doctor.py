@@ -1,4 +1,4 @@
-"""``gsfusion-nb doctor``: what is installed, what works, and what to do where it does not; and compiling ahead."""
+"""``gsfusion-nb doctor``: what is installed, what works, and what to do where it does not; ``--warm`` compiles."""
 
 import importlib.metadata
 import os
@@ -31,11 +31,11 @@ class EnvironmentCheck:
     text: str
     remedy: str = ""
     needed: bool = True
-    """Whether the package is incomplete without it."""
+    """Whether the toolkit cannot be used without it."""
 
 
 def examine() -> list[EnvironmentCheck]:
-    """Look at this Python environment and machine; nothing is changed."""
+    """Examine this Python environment and machine; nothing is changed."""
     return [
         _python(),
         *(_package(name) for name in PACKAGES),
@@ -49,7 +49,7 @@ def examine() -> list[EnvironmentCheck]:
 
 
 def main() -> int:
-    """Print the checks; 0 if nothing needed is missing."""
+    """Print the checks. Returns 0 if nothing needed is missing, else 1."""
     checks = examine()
     print(f"gsfusion_nb {__version__} in {sys.prefix}")
     width = max(len(f.topic) for f in checks)
@@ -66,23 +66,23 @@ def main() -> int:
 
 
 def warm() -> int:
-    """Compile the fast kernels once and show which; 0 if there was something to compile with."""
+    """Compile the fast kernels once and show which. Returns 0, or 1 if no fast kernel can run here."""
     from .progress import ProgressDisplay
     from .warm import warm_up
 
-    print("Compiling the fast kernels once, so that no program or notebook has to wait for it (about a minute) ...")
+    print("Compiling the fast kernels once, so that programs and notebooks start faster (about a minute) ...")
     progress = None
     with ProgressDisplay("compiling", unit="case") as display:
         for progress in warm_up():
             display.show(progress.done, total=progress.total, note=progress.name)
     if progress is None or not progress.total:
-        print("No fast kernels can run here, so there is nothing to compile: gsfusion-nb doctor says why.")
+        print("No fast kernels can run here, so there is nothing to compile; gsfusion-nb doctor shows why.")
         return 1
     n = len(progress.compiled)
     print(
-        f"{n} functions compiled in {progress.seconds:.0f} s and kept on disk."
+        f"{n} functions compiled in {progress.seconds:.0f} s and stored on disk."
         if n
-        else f"Everything was compiled already and was read from the disk in {progress.seconds:.1f} s."
+        else f"Everything was compiled already and was read from disk in {progress.seconds:.1f} s."
     )
     return 0
 
@@ -111,7 +111,7 @@ def _optional(name: str, remedy: str) -> EnvironmentCheck:
 
 def _opencv_twins() -> EnvironmentCheck:
     twins = [n for n in ("opencv-python", "opencv-contrib-python", "opencv-contrib-python-headless") if _version(n)]
-    text = f"{', '.join(twins)} beside opencv-python-headless" if twins else "one copy"
+    text = f"{', '.join(twins)} and opencv-python-headless" if twins else "one copy"
     return EnvironmentCheck(
         "opencv copies", not twins, text, f"they overwrite each other's files: pip uninstall {' '.join(twins)}"
     )
@@ -129,7 +129,7 @@ def _torch() -> list[EnvironmentCheck]:
 def _backends() -> list[EnvironmentCheck]:
     from . import optim, render, seeding, tracking, tsdf  # noqa: F401  (importing them declares their operations)
 
-    checks = [EnvironmentCheck("backends", True, f"asked for: {backends.from_environment()}")]
+    checks = [EnvironmentCheck("backends", True, f"chosen: {backends.from_environment()}")]
     for name, backend, state in backends.report():
         checks.append(EnvironmentCheck(f"  {name} / {backend}", state == "ok", state, needed=backend == "reference"))
     return checks
@@ -139,7 +139,7 @@ def _drawing() -> EnvironmentCheck:
     from .viz.meshes import opengl as gl
 
     ok, why = gl.can_draw()
-    remedy = "mesh views fall back to our own pictures until this works"
+    remedy = "until this works, meshes are drawn by slower code without VTK"
     return EnvironmentCheck("VTK drawing", ok, why, remedy, needed=False)
 
 

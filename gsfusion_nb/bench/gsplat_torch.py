@@ -25,7 +25,7 @@ _ALPHA_MAX = 0.999
 """The same limit as in gsplat."""
 
 BYTES_PER_PIXEL = 6000
-"""Memory of a forward and backward pass on a scene with 30 Gaussians a pixel: 1.7 GB at 640x480."""
+"""Memory of a forward and backward pass on a scene with 30 Gaussians per pixel, bytes: 1.7 GB at 640x480."""
 
 
 def render(params: GaussianParams, scene: RandomScene) -> Tensor:
@@ -54,7 +54,7 @@ def render(params: GaussianParams, scene: RandomScene) -> Tensor:
 
 @contextlib.contextmanager
 def _lent() -> Iterator[None]:
-    """Inside the block, gsplat has the two missing parts."""
+    """Insert the two missing parts into gsplat inside the block."""
     from gsplat.cuda import _wrapper  # pyright: ignore[reportMissingImports]
 
     scans: Any = types.ModuleType("nerfacc")

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from .. import __version__
-from .peers import PEERS, version
+from .other_programs import OTHER_PROGRAMS, version
 
 PACKAGES = ("torch", "numpy", "numba", "llvmlite", "triton")
 
@@ -23,7 +23,7 @@ def describe(threads: int) -> dict[str, Any]:
             versions[name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
             versions[name] = None
-    versions |= {peer.package: version(name) for name, peer in PEERS.items()}
+    versions |= {program.package: version(name) for name, program in OTHER_PROGRAMS.items()}
     return {
         "processor": _processor(),
         "cores": os.cpu_count(),

@@ -66,10 +66,10 @@ def _rows(options: BenchOptions, size: tuple[int, int], method: str, backend: st
     }
     case = case_name(frames.name, frames.camera.width, frames.camera.height)
     total = Timing(wall_ms=1e3 * step_s / n, cpu_ms=1e3 * cpu_s / n, runs=n, peak_mb=memory.peak_mb)
-    note = f"{n / step_s:.1f} FPS, {len(mapper.gaussians) / 1e3:.1f}k"
+    note = f"{n / step_s:.1f}/s, {len(mapper.gaussians) / 1e3:.1f}k"
     rows = [Row(section="map", case=case, method=method, timing=total, note=note, values=values)]
     for stage, name in STAGES.items():
         each = Timing(wall_ms=1e3 * seconds[stage] / n, cpu_ms=0.0, runs=n, peak_mb=None)
-        share = "not in FPS" if stage == "read" else f"{100 * seconds[stage] / step_s:.0f} %"
+        share = "not counted" if stage == "read" else f"{100 * seconds[stage] / step_s:.0f} %"
         rows.append(Row(section="map", case=f"{case} / {name}", method=method, timing=each, note=share))
     return rows

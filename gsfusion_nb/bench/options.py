@@ -11,18 +11,19 @@ import tyro
 from ..backends import BACKENDS
 from ..checks import check_name
 
-SECTIONS = ("raster", "tsdf", "map", "panels", "waits", "checkpoints")
+SECTIONS = ("raster", "tsdf", "map", "panels", "latency", "checkpoints")
 
 
 @dataclass(frozen=True, kw_only=True)
 class BenchOptions:
-    """Time the toolkit on this machine, compared with other installed programs, and print one table."""
+    """Measure the speed of the toolkit on this machine, compared with other installed programs, and print a table."""
 
     what: Annotated[str, tyro.conf.Positional] = "all"
-    """What to time: raster (rasteriser), tsdf (TSDF integration), map (whole mapper), panels (notebook panels), waits
-    (commands one waits for), checkpoints (what they cost, and how soon after SIGTERM one is saved) or all."""
+    """What to time: raster (rasteriser), tsdf (TSDF integration), map (whole mapper), panels (notebook panels),
+    latency (import, recording check, search for similar keyframes), checkpoints (time and size of one, and time from
+    SIGTERM until it is saved) or all."""
     data: str = "room"
-    """Folder of the sequence used by tsdf, map, waits and checkpoints, or "room" for the built-in scene."""
+    """Folder of the sequence used by tsdf, map, latency and checkpoints, or "room" for the built-in scene."""
     size: tuple[str, ...] = ()
     """Image sizes of the sequence, for example 320x240 640x480. Default: the size of the recording, 320x240 for the
     room."""
@@ -34,11 +35,11 @@ class BenchOptions:
     threads: int = 1
     """Number of threads for every method."""
     quick: bool = False
-    """Few and small cases, one or two minutes: a test that everything works."""
+    """Run few and small cases, in one or two minutes, to test that everything works."""
     scaling: bool = False
     """Also measure how the time grows with the number of Gaussians, pixels and voxels."""
     json: str = ""
-    """File for all numbers, as JSON."""
+    """Write all numbers to this file, as JSON."""
     markdown: bool = False
     """Print the table as Markdown."""
 

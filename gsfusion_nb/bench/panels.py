@@ -65,13 +65,13 @@ def _points() -> dict[str, Move]:
 def _filling() -> dict[str, Move]:
     """A volume with six views of a wall around the camera."""
 
-    def look(T_WC: torch.Tensor) -> Frame:
+    def wall(T_WC: torch.Tensor) -> Frame:
         camera = CAMERA.resized(160, 120)
         size = (camera.height, camera.width)
         rgb, depth_m = torch.full((*size, 3), 0.5), torch.full(size, 1.5)
         return Frame(index=0, timestamp_s=0.0, rgb=rgb, depth_m=depth_m, camera=camera, T_WC=T_WC)
 
-    panel = tsdf_fill_panel(TsdfVolume(TsdfConfig(voxel_size_m=0.04, truncation_voxels=4.0)), CAMERA, look)
+    panel = tsdf_fill_panel(TsdfVolume(TsdfConfig(voxel_size_m=0.04, truncation_voxels=4.0)), CAMERA, wall)
     for heading in range(-180, 180, 60):
         panel.set(heading_deg=float(heading)).press("measure")
     return {

@@ -13,7 +13,7 @@ from ..tsdf.block_pool import available_memory
 from ..types import GaussianParams
 from . import gsplat_cuda, gsplat_torch
 from .options import BenchOptions
-from .peers import PEERS, why_not
+from .other_programs import OTHER_PROGRAMS, why_not
 from .rows import Case, Row
 from .scene import RandomScene, random_scene
 from .timing import measure
@@ -28,7 +28,7 @@ DEVICES = {"reference": "cpu", "torch": "cpu", "numba": "cpu", "triton": "cuda",
 """Device of each backend."""
 
 BASELINE = "torch"
-"""Backend with which pictures and gradients are compared. (Tests compare it with the reference, which is several times
+"""Backend that pictures and gradients are compared with. (Tests compare it with the reference, which is several times
 slower.)"""
 
 Result = tuple[Tensor, GaussianParams | None]
@@ -110,23 +110,23 @@ def _our_row(
     device = DEVICES[backend]
     here = scene().to(device)
     timing = measure(lambda: _ours(backend, here, backward), budget_s=options.budget_s, device=device)
-    note, values = ("", {}) if backend == BASELINE else agreement(_ours(backend, here, backward), truth())
+    note, values = ("", {}) if backend == BASELINE else compare_to_baseline(_ours(backend, here, backward), truth())
     return Row(section="raster", case=title, method=backend, timing=timing, note=note, values=values)
 
 
 def _gsplat_row(
     options: BenchOptions,
-    peer: str,
+    program: str,
     scene: Callable[[], RandomScene],
     title: str,
     backward: bool,
     truth: Callable[[], Result],
 ) -> Row:
-    """``peer``: "gsplat", its torch path on the processor, or "gsplat_cuda"."""
-    row = functools.partial(Row, section="raster", case=title, method=PEERS[peer].name)
-    path, device = (gsplat_torch, "cpu") if peer == "gsplat" else (gsplat_cuda, "cuda")
+    """``program``: "gsplat", its torch path on the CPU, or "gsplat_cuda"."""
+    row = functools.partial(Row, section="raster", case=title, method=OTHER_PROGRAMS[program].name)
+    path, device = (gsplat_torch, "cpu") if program == "gsplat" else (gsplat_cuda, "cuda")
     here = scene().to(device)
-    if peer == "gsplat":
+    if program == "gsplat":
         needed = gsplat_torch.BYTES_PER_PIXEL * here.camera.width * here.camera.height
         free = available_memory(torch.device("cpu"))
         if free is not None and free < needed:
@@ -136,9 +136,9 @@ def _gsplat_row(
     def work() -> None:
         last[:] = [by_autograd(path.render, here, backward)]
 
-    least_runs = 1 if options.quick and peer == "gsplat" else 3
+    least_runs = 1 if options.quick and program == "gsplat" else 3
     timing = measure(work, budget_s=options.budget_s, least_runs=least_runs, device=device)
-    note, values = agreement(last[0], truth())
+    note, values = compare_to_baseline(last[0], truth())
     return row(timing=timing, note=note, values=values)
 
 
@@ -153,7 +153,7 @@ def by_autograd(render: Callable[[GaussianParams, RandomScene], Tensor], scene: 
     return rgb.detach(), GaussianParams(**dict(zip(leaves, gradients, strict=True)))
 
 
-def agreement(result: Result, truth: Result) -> tuple[str, dict[str, float]]:
+def compare_to_baseline(result: Result, truth: Result) -> tuple[str, dict[str, float]]:
     """How close picture and gradients are to those of ``BASELINE``: PSNR, and the smallest cosine of a parameter."""
     mse = float((result[0].cpu() - truth[0]).double().square().mean())
     psnr_db = 200.0 if mse < 1e-20 else float(-10 * torch.log10(torch.tensor(mse)))

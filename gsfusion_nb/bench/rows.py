@@ -13,7 +13,7 @@ class Row:
     """One line of the table."""
 
     section: str
-    """raster, tsdf, map, panels, waits, checkpoints or scaling."""
+    """raster, tsdf, map, panels, latency, checkpoints or scaling."""
     case: str
     """The work. Rows of a section with the same case are compared with each other."""
     method: str
@@ -37,9 +37,9 @@ class Case:
 
 
 def with_speed(rows: list[Row], threads: int) -> list[Row]:
-    """Fill in ``speed``: from CPU time with one thread, because other programs affect it less; else from wall time.
+    """Fill in ``speed``: from CPU time with one thread, which other programs affect less; else from wall time.
 
-    On a GPU it is the time between two events of its queue.
+    On a GPU the time between two events of its queue is used.
     """
     first: dict[tuple[str, str], float] = {}
     result = []

@@ -1,4 +1,4 @@
-"""The bench: list the cases, run one after another, keep all results also after an interruption."""
+"""The bench: list the cases and run them one after another; the results are kept if it is interrupted."""
 
 import json
 from collections.abc import Callable, Iterator
@@ -9,12 +9,12 @@ from typing import Any
 from .. import optim, render, seeding, tsdf  # noqa: F401  (importing them declares their operations)
 from ..files import write_file
 from ..progress import ProgressDisplay
-from . import checkpoints, machine, panels, scaling, table, waits
+from . import checkpoints, latency, machine, panels, scaling, table
 from . import mapping as mapping_cases
 from . import raster as raster_cases
 from . import tsdf as tsdf_cases
 from .options import BenchOptions
-from .peers import PEERS, why_not
+from .other_programs import OTHER_PROGRAMS, why_not
 from .rows import Case, Row, with_speed
 from .timing import threads
 
@@ -23,7 +23,7 @@ CASES: dict[str, Callable[[BenchOptions], Iterator[Case]]] = {
     "tsdf": tsdf_cases.cases,
     "map": mapping_cases.cases,
     "panels": panels.cases,
-    "waits": waits.cases,
+    "latency": latency.cases,
     "checkpoints": checkpoints.cases,
 }
 
@@ -71,7 +71,7 @@ def run_bench(options: BenchOptions) -> BenchResult:
     options.check()
     with threads(options.threads):
         result = BenchResult(options=options, machine=machine.describe(options.threads))
-        if {"tsdf", "map", "waits", "checkpoints"} & set(options.sections):
+        if {"tsdf", "map", "latency", "checkpoints"} & set(options.sections):
             for size in options.sizes:
                 tsdf_cases.open_frames(options, size)
         result.missing = not_measured(options)
@@ -97,10 +97,10 @@ def not_measured(options: BenchOptions) -> dict[str, dict[str, str]]:
     from .. import backends
 
     missing: dict[str, dict[str, str]] = {}
-    for name, peer in PEERS.items():
-        reason = why_not(name) if peer.section in options.sections else None
+    for name, program in OTHER_PROGRAMS.items():
+        reason = why_not(name) if program.section in options.sections else None
         if reason:
-            missing.setdefault(peer.section, {})[peer.name] = reason
+            missing.setdefault(program.section, {})[program.name] = reason
     sections = {"render_forward": "raster", "fuse_frame_": "tsdf"}
     for operation, backend, state in backends.report():
         section = sections.get(operation)
@@ -110,7 +110,7 @@ def not_measured(options: BenchOptions) -> dict[str, dict[str, str]]:
 
 
 def main(options: BenchOptions) -> int:
-    """Run, print the table, write the JSON file; 0, or 130 after Ctrl-C."""
+    """Run, print the table and write the JSON file. Returns 0, or 130 after Ctrl-C."""
     result = run_bench(options)
     print(result.text())
     if options.json:

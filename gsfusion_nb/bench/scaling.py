@@ -7,8 +7,8 @@ import numpy as np
 
 from ..backends import use_backend
 from ..render import render_forward, render_vjp
-from .fusion_peers import FusionSettings
 from .options import BenchOptions
+from .other_tsdf_volumes import FusionSettings
 from .raster import DEVICES, our_backends
 from .rows import Case, Row
 from .scene import random_scene

@@ -7,11 +7,11 @@ from .rows import Row
 
 HEADINGS = {
     "raster": "raster: Gaussian rasteriser; note: PSNR to the picture of torch, smallest cosine of a gradient",
-    "tsdf": "tsdf: TSDF integration with colour (depth: without), ms per frame; truncation 4 voxels",
+    "tsdf": "tsdf: TSDF integration with colour (depth: without), truncation 4 voxels; note: frames/s",
     "map": "map: GSFusion, Replica settings, means over the frames; note: frames/s, number of Gaussians",
     "panels": "panels: from moving a control to the new picture; method: what is shown or moved",
-    "waits": "waits: commands one waits for, besides mapping",
-    "checkpoints": "checkpoints: saving a run; note: share of the 30 s between two, by CPU time; size",
+    "latency": "latency: waiting times besides mapping",
+    "checkpoints": "checkpoints: saving a run; note: share of the 30 s between two checkpoints, by CPU time; size",
     "scaling": "scaling: growth of time, line through (ln x, ln time)",
 }
 
@@ -20,12 +20,12 @@ _COLUMNS = ("case", "method", "wall ms", "CPU ms", "speed", "MB", "runs", "note"
 
 LEGEND = (
     "Medians of several runs. CPU ms: all threads together. speed: how many times faster than the first row of the "
-    "case, by {clock} time where it is given, on a GPU by that between two events in its queue. MB: growth of memory."
+    "case, by {clock} time, on a GPU by the time between two events in its queue. MB: growth of memory."
 )
 
 
 def legend(threads: int) -> str:
-    """How to read the columns."""
+    """Explanation of the columns."""
     return LEGEND.format(clock="CPU" if threads == 1 else "wall")
 
 

@@ -15,7 +15,7 @@ import torch
 LEAST_RUNS = 3
 MOST_RUNS = 30
 LONG_RUN_S = 4.0
-"""A run longer than this is not repeated ``LEAST_RUNS`` times, seconds."""
+"""A run longer than this is timed only once, seconds."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,9 +10,9 @@ from ..config import DataConfig, TsdfConfig
 from ..data import OpenedSequence, open_sequence
 from ..tsdf import TsdfVolume, integrate
 from ..types import Frame
-from .fusion_peers import Fuser, FusionSettings, Open3dGrid, OpencvHash
 from .options import BenchOptions
-from .peers import PEERS, why_not
+from .other_programs import OTHER_PROGRAMS, why_not
+from .other_tsdf_volumes import Fuser, FusionSettings, Open3dGrid, OpencvHash
 from .raster import DEVICES, our_backends
 from .rows import Case, Row
 from .timing import Lap, PeakMemory, lap, summary
@@ -82,7 +82,7 @@ def cases(options: BenchOptions) -> Iterator[Case]:
             makers: dict[str, Callable[[Frame], Fuser]] = {}
             for name, make in MAKERS.items():
                 if why_not(name) is None:
-                    makers[PEERS[name].name] = functools.partial(make, settings)
+                    makers[OTHER_PROGRAMS[name].name] = functools.partial(make, settings)
             for backend in our_backends(options, "band_blocks", "fuse_frame_"):
                 makers[backend] = lambda first, b=backend, s=settings: OurVolume(b, s)
             for method, make in makers.items():
@@ -126,13 +126,13 @@ def _row(load: Callable[[], StoredFrames], voxel_m: float, method: str, make: Ca
         case=f"{case_name(frames.name, camera.width, camera.height)} {100 * voxel_m:g} cm",
         method=method,
         timing=timing,
-        note=f"{values['frames_per_second']:.0f} FPS" + (", depth" if isinstance(fuser, OpencvHash) else ""),
+        note=f"{values['frames_per_second']:.0f}/s" + (", depth" if isinstance(fuser, OpencvHash) else ""),
         values=values,
     )
 
 
 def fuse_all(fuser: Fuser, frames: StoredFrames, n: int) -> list[Lap]:
-    """Fuse the first ``n`` frames; what each took."""
+    """Fuse the first ``n`` frames. Returns the time of each."""
     laps = []
     for i in range(n):
         prepared = fuser.prepare(frames[i])
@@ -141,5 +141,5 @@ def fuse_all(fuser: Fuser, frames: StoredFrames, n: int) -> list[Lap]:
 
 
 def _device(fuser: Fuser) -> str:
-    """Where it computes; peers know only the processor."""
+    """The device of the volume; other programs use the CPU only."""
     return getattr(fuser, "device", "cpu")

@@ -24,7 +24,7 @@ _USAGE = """gsfusion-nb: online RGB-D mapping with TSDF fusion and 3D Gaussian s
   gsfusion-nb live folder|realsense|kinect   map a camera, or a folder while it is written; Ctrl-C ends the scan
   gsfusion-nb eval RUN                 score a finished run again
   gsfusion-nb study NAME DATA          run one of the papers' comparisons: systems, disc-depth, transparent, states, ...
-  gsfusion-nb bench [GROUP]            time operations, mapping and panels on this machine, and other programs
+  gsfusion-nb bench [GROUP]            measure the speed of operations, mapping and panels, beside other programs
   gsfusion-nb doctor                   show what is installed, what works, and what to do
   gsfusion-nb doctor --warm            compile the fast kernels now, not on first use
 """
@@ -32,17 +32,20 @@ _USAGE = """gsfusion-nb: online RGB-D mapping with TSDF fusion and 3D Gaussian s
 
 @dataclass(frozen=True, kw_only=True)
 class CheckOptions:
-    """Examine a recording: units, conventions, intrinsics, registration, times, images. Report errors and the options
-    of gsfusion-nb map that repair them; the same options can be given here to test them. Writes an HTML page."""
+    """Examine a recording: units, conventions, intrinsics, registration, times, images.
+
+    Reports errors and the options of gsfusion-nb map that repair them; the same options can be given here to test
+    them. Writes an HTML page."""
 
     path: Annotated[str, tyro.conf.Positional]
     """Folder of a sequence, or "room" for the built-in scene."""
     out: str = ""
-    """Name of the page. Default: check-<name>.html."""
+    """Name of the HTML file. Default: check-<name>.html."""
     frames: int = 250
     """Approximate number of frames to read; a longer recording is read in windows of 31 consecutive frames."""
     format: str = "auto"
-    """Layout of the data: the name of a file in gsfusion_nb/data/readers; by default it is recognised by its files."""
+    """Layout of the data: auto (recognised by its files) or the name of a file in gsfusion_nb/data/readers, such as tum
+    or replica."""
     reader: tuple[str, ...] = ()
     """Options of the layout's reader, name=value: register=true (7-Scenes), undistort=false (TUM), poses=false (folder,
     TUM), n_frames=480 (room)."""
@@ -56,15 +59,16 @@ class DemoOptions:
     out: str = ""
     """New or empty folder for the results; runs/room-<time> by default."""
     frames: int = 120
-    """Frames of the built-in trajectory."""
+    """Number of frames, spread evenly over one walk through the room. More: a better map, and more time."""
     backend: str = field(default_factory=from_environment)
     """auto, reference, torch, numba, triton or cuda. Default: the environment variable GSFUSION_BACKEND, else auto."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class EvalOptions:
-    """Score the maps of a finished run again, with the views and poses of the run. The numbers should be the same;
-    where they differ, the command reports both."""
+    """Score the maps of a finished run again, with the views and poses of the run.
+
+    The numbers should be the same; where they differ, the command reports both."""
 
     run: Annotated[str, tyro.conf.Positional]
     """Folder of the run."""
@@ -83,7 +87,7 @@ class DoctorOptions:
     """Show what is installed, what works, and what to do where something does not."""
 
     warm: bool = False
-    """Instead, compile the fast kernels now, so that later commands need not wait for it."""
+    """Compile the fast kernels now instead, so that later commands do not have to."""
 
 
 def main(arguments: list[str] | None = None) -> int:

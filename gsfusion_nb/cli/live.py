@@ -44,7 +44,7 @@ class LiveOptions(SettingsOptions):
     """Score the frames that were kept and write the report."""
     checkpoint_every_s: float = 30.0
     """Save the state of the scan this often, seconds, so that the map is kept if the process is killed; less often if
-    that takes more than 3 % of the time. 0: never."""
+    saving takes more than 3 % of the time. 0: never."""
 
     def source(self) -> LiveSource:
         """The source of the frames."""
@@ -53,7 +53,7 @@ class LiveOptions(SettingsOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class FolderOptions(LiveOptions):
-    """Map a folder in the plain layout while another program is writing it."""
+    """Map a folder in the plain layout while another program is writing it. Ctrl-C ends the scan."""
 
     path: Annotated[str, tyro.conf.Positional]
     """The folder: rgb/, depth/, intrinsics.json, and poses.txt, whose line k belongs to the image of number k."""
@@ -62,7 +62,7 @@ class FolderOptions(LiveOptions):
     idle_s: float = 10.0
     """End when nothing has changed for this long, seconds."""
     patience_s: float = 3.0
-    """Skip an incomplete frame after this long, seconds."""
+    """Skip a frame that is still incomplete after this long, seconds."""
     stop_file: str = "stop"
     """Name of the file in the folder that ends the recording."""
 
@@ -75,20 +75,20 @@ class FolderOptions(LiveOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class RealSenseOptions(LiveOptions):
-    """Map what an Intel RealSense camera sees; its path is tracked."""
+    """Map what an Intel RealSense camera sees; its poses are tracked. Ctrl-C ends the scan."""
 
     width: int = 640
-    """Width of both streams, pixels."""
+    """Width of the colour and depth images, pixels."""
     height: int = 480
-    """Height of both streams, pixels."""
+    """Height of the colour and depth images, pixels."""
     fps: int = 30
     """Frames per second."""
     serial: str = ""
-    """Serial number, where several cameras are connected."""
+    """Serial number of the camera; needed if several are connected."""
     filters: tuple[Literal["decimation", "threshold", "spatial", "temporal", "hole_filling"], ...] = ()
-    """The driver's filters of depth."""
+    """Filters of the driver for the depth images, in the order of the driver. Default: none."""
     warm_up: int = 30
-    """Frames to throw away first."""
+    """Number of frames to skip at the start, while the camera adapts its exposure."""
 
     def source(self) -> LiveSource:
         """The camera."""
@@ -98,18 +98,18 @@ class RealSenseOptions(LiveOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class KinectOptions(LiveOptions):
-    """Map what an Azure Kinect sees; its path is tracked."""
+    """Map what an Azure Kinect sees; its poses are tracked. Ctrl-C ends the scan."""
 
     resolution: Literal["720P", "1080P", "1440P", "1536P", "2160P", "3072P"] = "720P"
-    """Of the colour camera; resize with --data.width 640."""
+    """Resolution of the colour camera; resize the images with --data.width 640."""
     depth_mode: Literal["NFOV_2X2BINNED", "NFOV_UNBINNED", "WFOV_2X2BINNED", "WFOV_UNBINNED"] = "NFOV_UNBINNED"
-    """Field of view and binning of depth."""
+    """Depth mode: narrow (NFOV) or wide (WFOV) field of view; 2X2BINNED has half the resolution but a longer range."""
     fps: Literal[5, 15, 30] = 30
     """Frames per second."""
     number: int = 0
-    """Which camera, where several are connected."""
+    """Number of the camera, from 0; needed if several are connected."""
     warm_up: int = 30
-    """Frames to throw away first."""
+    """Number of frames to skip at the start, while the camera adapts its exposure."""
 
     def source(self) -> LiveSource:
         """The camera."""
@@ -126,7 +126,7 @@ SOURCES: dict[str, Any] = {"folder": FolderOptions, "realsense": RealSenseOption
 
 
 def run(arguments: list[str]) -> int:
-    """Run ``gsfusion-nb live ARGUMENTS``; the exit status."""
+    """Run ``gsfusion-nb live ARGUMENTS``. Returns the exit status."""
     if not arguments or arguments[0] in ("-h", "--help"):
         print(USAGE)
         return 0
@@ -137,7 +137,7 @@ def live(arguments: list[str]) -> "FinishedRun":
     """Map what comes from the source that ``arguments`` name.
 
     Raises:
-        ValueError, KeyError, OSError: with a sentence.
+        ValueError, KeyError, OSError: invalid options, or a source that cannot be opened.
     """
     name = arguments[0] if arguments else ""
     check_name("live source", name, SOURCES)
@@ -161,7 +161,7 @@ def live(arguments: list[str]) -> "FinishedRun":
 
 
 def _settings(options: LiveOptions, source: LiveSource) -> Any:
-    """The settings, tracked where the source has no poses, ending after ``frames``."""
+    """The settings, with tracking where the source has no poses, and with the limit ``frames``."""
     config = options.settings()
     if not source.has_poses:
         config = dataclasses.replace(config, tracking=dataclasses.replace(config.tracking, poses="tracked"))

@@ -1,4 +1,4 @@
-"""``gsfusion-nb map``: map a sequence, or go on with a run that was interrupted."""
+"""``gsfusion-nb map``: map a sequence, or continue a run that was interrupted."""
 
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -17,7 +17,7 @@ _WITH_RESUME = (
 
 @dataclass(frozen=True, kw_only=True)
 class MapOptions(SettingsOptions):
-    """Map a sequence online, optimise over its keyframes, score it; write maps, numbers and a report to a folder.
+    """Map a sequence online, optimise over its keyframes, and score it. Writes maps, numbers and a report to a folder.
 
     Every setting of the chosen system is an option.
     """
@@ -27,9 +27,10 @@ class MapOptions(SettingsOptions):
     out: str = ""
     """New or empty folder for the results; runs/<name>-<time> by default."""
     format: str = "auto"
-    """Layout of the data: the name of a file in gsfusion_nb/data/readers; recognised by its files by default."""
+    """Layout of the data: auto (recognised by its files) or the name of a file in gsfusion_nb/data/readers, such as tum
+    or replica."""
     split: str = ""
-    """Which published split to map (ScanNet++: train or test)."""
+    """Published split of the data to map (ScanNet++: train or test). Default: the one that the reader chooses."""
     reader: tuple[str, ...] = ()
     """Options of the layout's reader, name=value: register=true (7-Scenes), undistort=false (TUM), poses=false (folder,
     TUM), n_frames=480 (room)."""
@@ -38,17 +39,17 @@ class MapOptions(SettingsOptions):
     evaluate: bool = True
     """Score mapped and held-out views and write the report."""
     checkpoint_every_s: float = 30.0
-    """Save the state of the run this often, seconds, so that --resume can continue after a kill; less
-    often if that takes more than 3 % of the time. 0: only when the run is interrupted."""
+    """Save the state of the run this often, seconds, so that --resume can continue after the process was killed; less
+    often if saving takes more than 3 % of the time. 0: only when the run is interrupted."""
     checkpoint_every_frames: int = 0
-    """Save after every n-th frame as well; 0 does not."""
+    """Also save after every n-th frame. 0: no."""
 
 
 def run(arguments: list[str]) -> int:
-    """Run ``gsfusion-nb map ARGUMENTS``; the exit status.
+    """Run ``gsfusion-nb map ARGUMENTS``. Returns the exit status.
 
     Raises:
-        ValueError, KeyError, OSError: with a sentence.
+        ValueError, KeyError, OSError: invalid options, or data that cannot be mapped.
     """
     options = parse(MapOptions, "gsfusion-nb map", arguments, data="data")
     from ..runs import CheckpointEvery, resume_mapping, run_mapping

@@ -7,7 +7,7 @@ if TYPE_CHECKING:
 
 
 def print_result(run: "FinishedRun") -> int:
-    """Print a run's numbers, notes and files; the exit status: 0, or 130 if it was interrupted."""
+    """Print a run's numbers, notes and files. Returns the exit status: 0, or 130 if the run was interrupted."""
     print_metrics(run.metrics)
     for warning in run.run.warnings:
         print(f"note: {warning}")
@@ -21,7 +21,7 @@ def print_result(run: "FinishedRun") -> int:
 
 
 def print_metrics(metrics: dict[str, Any]) -> None:
-    """Print the numbers that have a name, in groups."""
+    """Print the known metrics, in groups."""
     from ..evaluation.metrics import METRIC_GROUPS, format_metric
 
     for group, known in METRIC_GROUPS.items():

@@ -1,6 +1,6 @@
-"""One grammar of settings for all commands that map: every setting is an option, such as ``--tsdf.voxel-size-m 0.02``.
+"""Settings as command-line options, the same for all commands that map: ``--tsdf.voxel-size-m 0.02``.
 
-The options begin with the system and the preset, which decide the defaults of all others; their order does not matter.
+The system and the preset decide the defaults of all other options. The order of options does not matter.
 """
 
 import dataclasses
@@ -27,15 +27,15 @@ class SettingsOptions:
     """Which system maps, with which settings, and where."""
 
     system: str = "gsfusion"
-    """Which published system maps: gsfusion or rtg_slam."""
+    """Mapping system: gsfusion or rtg_slam."""
     preset: str = ""
-    """Settings published for a data set, such as replica or tum; single options override it. Default: room for the
-    built-in scene, else replica."""
+    """Settings published for a data set, such as replica, tum or scannetpp; single options override them. Default: room
+    for the built-in scene, otherwise replica."""
     fidelity: str = ""
-    """What to follow where paper and released code differ: paper, code, or measured (default): in each case what gave
-    better results."""
+    """What to follow where paper and released code differ: paper, code, or measured (in each case the choice that gave
+    better results). Default: measured."""
     from_config: str = ""
-    """A config.json of an earlier run; its settings are used instead of a system, preset and fidelity."""
+    """The config.json of an earlier run, whose settings are used instead of system, preset and fidelity."""
     rule_options: tuple[str, ...] = ()
     """Options of the seeding rule, such as: --rule-options share=0.2 transparent=false."""
     device: str = "cpu"
@@ -64,16 +64,16 @@ class SettingsOptions:
 
 
 def parse(options: type[O], prog: str, arguments: list[str], *, data: str = "") -> O:
-    """The options of a command that maps, with all settings of the chosen system among them.
+    """Parse the options of a command that maps, which include all settings of the chosen system.
 
     Args:
         options: Class of the command's options.
-        prog: The command as help shows it.
-        arguments: Arguments after it.
-        data: Name of the field that says what is mapped: if that is the built-in scene, its preset is the default.
+        prog: Name of the command in its help.
+        arguments: Arguments after the command.
+        data: Name of the field with the data to map; if that is the built-in scene, its preset is the default.
 
     Raises:
-        KeyError, ValueError: unknown system, preset or fidelity; a file that holds no settings.
+        KeyError, ValueError: unknown system, preset or fidelity, or a file that holds no settings.
     """
     preset = "replica"
     if data and ROOM in arguments and not _value_of(arguments, "--preset"):
@@ -84,7 +84,7 @@ def parse(options: type[O], prog: str, arguments: list[str], *, data: str = "") 
 
 
 def named_values(texts: tuple[str, ...]) -> dict[str, Any]:
-    """``name=value`` texts as numbers, true or false, or words."""
+    """``name=value`` texts as a dictionary of numbers, True or False, and words."""
     values: dict[str, Any] = {}
     for text in texts:
         name, equals, value = text.partition("=")
@@ -107,16 +107,14 @@ def with_settings(options: type[O], config: SystemConfig) -> type[O]:
 
 
 def _start(arguments: list[str], preset: str) -> SystemConfig:
-    """The settings that single options override: of the file, or of the system and preset, that the user named."""
+    """The settings before single options override them: those of ``--from-config``, or of system and preset."""
     from ..mapping import get_system
 
     path = _value_of(arguments, "--from-config")
     if path:
         others = [option for option in ("--system", "--preset", "--fidelity") if _value_of(arguments, option)]
         if others:
-            raise ValueError(
-                f"--from-config brings the settings of a run; leave out {' '.join(others)}, or --from-config"
-            )
+            raise ValueError(f"--from-config sets all settings; leave out {' '.join(others)}, or --from-config")
         return _read_settings(Path(path), rule=_value_of(arguments, "--seeding.rule"))
     system = get_system(_value_of(arguments, "--system") or "gsfusion")
     preset, fidelity = _value_of(arguments, "--preset") or preset, _value_of(arguments, "--fidelity")
@@ -128,10 +126,10 @@ def _start(arguments: list[str], preset: str) -> SystemConfig:
 
 
 def _read_settings(path: Path, rule: str | None) -> SystemConfig:
-    """The settings in a run's config.json; ``rule`` is the seeding rule that is to be used instead of the run's.
+    """The settings in a run's config.json; ``rule`` is the seeding rule to use instead of the run's, if given.
 
     Raises:
-        ValueError: no config.json of a run, or its rule is not one of the package, and no other is given.
+        ValueError: not the config.json of a run, or its rule is not part of this package and no other is given.
     """
     from ..mapping import get_system
 
@@ -140,13 +138,13 @@ def _read_settings(path: Path, rule: str | None) -> SystemConfig:
         config = from_dict(get_system(document.get("system", "gsfusion")).config_type, document["config"])
         own_rule = config.seeding.rule
     except (KeyError, TypeError, AttributeError, ValueError, OverflowError) as e:
-        raise ValueError(f"{path} is no config.json of a run: {reason_of(e)}") from None
+        raise ValueError(f"{path} is not the config.json of a run: {reason_of(e)}") from None
     name = document.get("rule", own_rule)
     if rule is None and not document.get("rule_is_built_in", name == own_rule):
         raise ValueError(
-            f"{path} is of a run with the seeding rule {shown(name)}, which is not one of this package and would not "
-            f"be used; its source is in {path.parent / 'rule.py'}: repeat the run in Python, with run_mapping(data, "
-            "config, seeding=<the rule>), or choose another with --seeding.rule"
+            f"{path} is from a run with the seeding rule {shown(name)}, which is not part of this package, so it "
+            f"cannot be used here; its source is in {path.parent / 'rule.py'}. Repeat the run in Python, with "
+            "run_mapping(data, config, seeding=<the rule>), or choose another rule with --seeding.rule"
         )
     return config
 

@@ -273,7 +273,7 @@ _FIDELITY: dict[str, dict[str, Any]] = {
             "damping": 1e-4,
             "prior": "previous",
             "target": "hybrid",
-            "min_agreement": 0.25,
+            "min_overlap_inliers": 0.25,
         },
     },
 }

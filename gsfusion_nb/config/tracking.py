@@ -97,7 +97,7 @@ class TrackingConfig:
     min_inliers: float = 0.15
     """Tracking fails if less than this share of the pixels with depth found a corresponding point, 0 to 1. Larger:
     gives up earlier instead of accepting a wrong pose. Usual: 0.1 to 0.4."""
-    min_agreement: float = 0.4
+    min_overlap_inliers: float = 0.4
     """Tracking also fails if less than this share of the pixels that fall on a known part of the model found a
     corresponding point, 0 to 1. Correctly tracked frames had 0.53 or more; of 390 frames started at the pose of another
     place, 15 reached more than 0.4. Usual: 0.3 to 0.5."""
@@ -130,5 +130,5 @@ class TrackingConfig:
             check_positive("tracking.even_to_m", self.even_to_m)
         check_number("tracking.damping", self.damping, 0, 1)
         check_number("tracking.min_inliers", self.min_inliers, 0, 1)
-        check_number("tracking.min_agreement", self.min_agreement, 0, 1)
+        check_number("tracking.min_overlap_inliers", self.min_overlap_inliers, 0, 1)
         check_number("tracking.min_eigenvalue", self.min_eigenvalue, 0, 1)

@@ -1,1 +1,1 @@
-"""Pictures, graphs and HTML pages from arrays and numbers. All other rooms draw with this one."""
+"""Pictures, graphs and HTML pages from arrays and numbers, for all other parts of the package."""

@@ -9,7 +9,7 @@ if TYPE_CHECKING:
 
 
 def fill(template: str, **values: Any) -> str:
-    """The text of a template, without line breaks at its ends.
+    """The text of a filled-in template, without line breaks at its ends.
 
     Args:
         template: File name in ``templates/``.

@@ -121,7 +121,7 @@ def paint_cells(
 
 
 def fit_width(image: ImageLike, width: int) -> Picture:
-    """The picture no wider than ``width`` pixels, averaged down; a smaller one is returned as it is."""
+    """The picture, at most ``width`` pixels wide; a wider one is scaled down by averaging."""
     import cv2
 
     picture = to_uint8(image)

@@ -11,7 +11,7 @@ from .not_computed import NotComputed
 
 
 def sample_discs(params: GaussianParams, n: int, generator: torch.Generator) -> Float[Tensor, "n 3"]:
-    """``n`` points spread evenly over the opaque discs, each reaching to one standard deviation.
+    """``n`` points spread evenly over the opaque discs, each with a radius of one standard deviation.
 
     A disc is drawn with probability a b / sum, its two largest standard deviations; inside it sqrt(u) makes the
     radius uniform over the area. Source: Peng et al. 2024, section 3.1 (the surfel's extent); the released evaluation
@@ -43,10 +43,10 @@ def disc_scores(
 
     Args:
         params: The map.
-        reference: The true surface, already culled to the part that was seen (``cull_unseen``).
+        reference: The true surface, already reduced to the part that was seen (``cull_unseen``).
         generator: Draws the samples.
         threshold_m: Threshold of the shares, metres.
-        n_samples: Points on either side.
+        n_samples: Number of points on each of the two surfaces.
 
     Differentiable: no.
     """

@@ -19,8 +19,8 @@ from ..types import Frame, Mesh
 from .not_computed import NotComputed
 
 NEIGHBOURS = 8
-"""Nearby points whose triangles are candidates for the nearest surface point; 8 covers the triangles around a typical
-vertex."""
+"""Number of nearby points whose triangles are tested for the nearest surface point; 8 covers the triangles around a
+typical vertex."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,7 +108,7 @@ def mesh_scores(
         generator: Draws the samples.
         threshold_m: For precision, completion ratio and F-score, metres.
         n_samples: Points drawn on each surface.
-        observed: ``xyz_W [N, 3] -> bool [N]``: which points of the truth count for completion, usually
+        observed: ``xyz_W [N, 3] -> bool [N]``: which points of the true surface count for completion, usually
             ``lambda xyz: seen_by(xyz, frames)``; parts that no frame shows need not be reconstructed.
         distance: "surface" measures to the triangles nearby. "samples" measures to the closest
             sample, as is usual in published tables; on average it does not fall below half the sample spacing,
@@ -190,8 +190,8 @@ def cull_unseen(mesh: Mesh, frames: Iterable[Frame], *, tolerance_m: float = 0.0
 def point_triangle_distance(xyz: Float[Tensor, "*N 3"], triangle: Float[Tensor, "*N 3 3"]) -> Float[Tensor, "*N"]:
     """Distance from a point to a filled triangle, metres.
 
-    The foot of the perpendicular counts if it lies inside; otherwise the nearest point is on one of the three edges. A
-    triangle without area is the longest of its edges.
+    The foot of the perpendicular is used if it lies inside; otherwise the nearest point is on one of the three edges. A
+    triangle without area counts as its longest edge.
 
     Differentiable: no.
     """

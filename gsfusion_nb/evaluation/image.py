@@ -38,7 +38,7 @@ def psnr(rgb: Float[Tensor, "H W 3"], reference: Float[Tensor, "H W 3"], *, quan
 
     Args:
         rgb: Image, 0..1 (clamped). [H, W, 3]
-        reference: What it should be. [H, W, 3]
+        reference: The image to compare with. [H, W, 3]
         quantise: Round both to 8 bits first, as when a render is stored and read back before it is scored.
 
     Returns:
@@ -59,7 +59,7 @@ def ssim(rgb: Float[Tensor, "H W 3"], reference: Float[Tensor, "H W 3"], *, quan
 
     Args:
         rgb: Image, 0..1 (clamped); at least 6 pixels on each side. [H, W, 3]
-        reference: What it should be. [H, W, 3]
+        reference: The image to compare with. [H, W, 3]
         quantise: Round both to 8 bits first.
 
     Returns:
@@ -81,8 +81,8 @@ def lpips(
 ) -> float | NotComputed:
     """Learned perceptual distance with AlexNet features; 0 for equal images, lower is better.
 
-    Images enter as RGB scaled to -1..1, as the network was trained. GSFusion's published LPIPS enter as BGR in 0..1
-    and are therefore not comparable with these or other published values.
+    Images are given to the network as RGB in -1..1, as it was trained. GSFusion's published values were computed from
+    BGR images in 0..1, so they are not comparable with these or other published values.
 
     Returns:
         The distance, or the reason why there is none: the optional package ``lpips`` or AlexNet's weights are missing.
@@ -156,7 +156,7 @@ class ViewScores:
     psnr: float
     """dB."""
     ssim: float
-    """NaN for images of less than 6 pixels, which are too small for its window."""
+    """NaN for images with a side of less than 6 pixels, which are too small for its window."""
     lpips: float | NotComputed
     depth_l1_m: float
     """Metres; NaN if no pixel has both depths."""
@@ -222,7 +222,7 @@ def score_views(
     Args:
         render_fn: ``(camera, T_WC) -> RenderOutput``.
         frames: The views to score, in any order; only one is held in memory at a time.
-        with_lpips: Also compute LPIPS (about 0.1 s a view on a CPU).
+        with_lpips: Also compute LPIPS (about 0.1 s per view on a CPU).
         quantise: Round images to 8 bits first.
 
     Returns:

@@ -1,4 +1,4 @@
-"""The numbers of a run: names, units, digits, and their form in text."""
+"""The numbers of a run: names, units, digits, and their format in text."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -58,13 +58,13 @@ METRIC_GROUPS: dict[str, dict[str, Metric]] = {
     },
     "Speed and memory": {
         "fps_total": Metric(
-            "FPS, frames / total time", "fps", 2, 1.0, "Mapped frames divided by the sum of their times."
+            "Speed, frames / total time", "frames/s", 2, 1.0, "Mapped frames divided by the sum of their times."
         ),
         "fps_mean_inverse": Metric(
-            "FPS, mean of 1/dt", "fps", 2, 1.0, "As in the GSFusion paper; never below frames / total time."
+            "Speed, mean of 1/dt", "frames/s", 2, 1.0, "As in the GSFusion paper; never below frames / total time."
         ),
-        "fps_mapping": Metric("FPS, mapping alone", "fps", 2, 1.0, "Without the time of tracking."),
-        "fps_tracking": Metric("FPS, tracking alone", "fps", 2),
+        "fps_mapping": Metric("Speed, mapping alone", "frames/s", 2, 1.0, "Without the time of tracking."),
+        "fps_tracking": Metric("Speed, tracking alone", "frames/s", 2),
         "seconds_online": Metric("Online mapping", "s", 1),
         "seconds_global": Metric("Global optimisation", "s", 1),
         "seconds_total": Metric("Whole run", "s", 1),
@@ -107,7 +107,7 @@ METRIC_GROUPS: dict[str, dict[str, Metric]] = {
             "cm",
             2,
             100.0,
-            "Distance between the last camera centres; the first pose is given by the data.",
+            "Distance between the last estimated and the last true camera centre; the first pose is given by the data.",
         ),
         "rpe_translation_m": Metric("RPE, translation", "cm", 2, 100.0, "Root mean square, frame to frame."),
         "n_recovered": Metric("Tracking recovered", "frames", 0),
@@ -116,7 +116,7 @@ METRIC_GROUPS: dict[str, dict[str, Metric]] = {
             "frames",
             0,
             1.0,
-            "A direction of motion was not measurable and was taken from the prior.",
+            "Frames in which a direction of motion could not be measured and was taken from the prediction.",
         ),
         "rpe_rotation_deg": Metric("RPE, rotation", "°", 3, 1.0, "Root mean square, frame to frame."),
     },
@@ -166,7 +166,7 @@ def format_value(value: Any) -> str:
 
 
 def metrics_as_json(metrics: Mapping[str, Any]) -> dict[str, Any]:
-    """The same numbers; missing ones become ``{"not_computed": reason}``: strict JSON has no NaN and no infinity."""
+    """The same numbers for strict JSON, which has no NaN: missing ones become ``{"not_computed": reason}``."""
 
     def plain(value):
         reason = reason_missing(value)

@@ -20,7 +20,7 @@ class Alignment:
     scale: float
 
     def apply(self, xyz: Float[Tensor, "*N 3"]) -> Float[Tensor, "*N 3"]:
-        """Moved points."""
+        """The points moved by the alignment, metres. [N, 3]"""
         return self.scale * xyz @ self.R.T + self.t
 
 
@@ -84,11 +84,12 @@ def ate_rmse(
     Args:
         estimate: Camera-to-world poses, one per reference pose. [N, 4, 4]
         reference: True poses. [N, 4, 4]
-        align: First move the estimate onto the reference (a map's world frame is free); False for given poses.
+        align: First align the estimate with the reference (the world frame of a map is arbitrary); False for given
+            poses.
         with_scale: The alignment may also scale (monocular systems only).
 
     Returns:
-        Metres. For a camera that hardly moves (only rotates) the aligned number has no meaning.
+        Metres. For a camera that only rotates, the number after an alignment has no meaning.
 
     Raises:
         ValueError: without poses, with non-finite ones, or too few to align.

@@ -1,12 +1,12 @@
-"""Checkpoints of a run: each is complete, and only what has changed since the one before is written.
+"""Checkpoints of a run: each is complete, but only what has changed since the previous one is written.
 
-A folder holds, per checkpoint n, ``n.json`` (what the checkpoint consists of) and ``n.pieces`` (the numbers that are
-new in it). Tensors are cut into pieces, and a piece is known by the SHA-256 of its bytes, so a piece that is in an
-earlier file already is not written again, and a damaged one is recognised. ``n.json`` begins with its own SHA-256 and
-comes last, when the pieces are on disk: until then the checkpoint before is the one that counts, and it is kept until
-the next is complete. When less than half of the bytes on disk are still needed, everything is written anew.
+For each checkpoint n a folder holds ``n.json`` (the structure of the state, and the list of its pieces) and
+``n.pieces`` (the data that is new). Tensors are cut into pieces that are identified by the SHA-256 of their bytes: a
+piece that is in an earlier file is not written again, and a damaged piece is detected. ``n.json`` begins with its own
+SHA-256 and is written last, after the pieces; until then the previous checkpoint is the valid one, and it is kept
+until the next is complete. When less than half of the bytes on disk are still needed, all pieces are written again.
 
-Nothing in the files is executed when they are read.
+No code from the files is executed when they are read.
 """
 
 import hashlib
@@ -37,12 +37,12 @@ Piece = tuple[str, str, int, int]
 
 @dataclass(frozen=True, kw_only=True)
 class Saved:
-    """What saving a checkpoint did."""
+    """Result of saving a checkpoint."""
 
     number: int
     written_bytes: int
     total_bytes: int
-    """What the checkpoint consists of, in this and earlier files."""
+    """Size of the whole checkpoint, in this and earlier files."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -52,7 +52,7 @@ class Loaded:
     state: dict[str, Any]
     number: int
     passed_over: str
-    """Why a later one could not be used; empty if this is the latest."""
+    """Why a later checkpoint could not be used; empty if this is the latest."""
 
 
 class CheckpointStore:
@@ -69,11 +69,12 @@ class CheckpointStore:
         """Write a checkpoint: nested dictionaries, lists and tuples of tensors, numbers, strings and None.
 
         Args:
-            state: What to keep. Tensors on a GPU are brought to the CPU.
-            constant: Tensors in it that never change (images); they are looked at only once.
+            state: What to save. Tensors on a GPU are copied to the CPU.
+            constant: Tensors in it that never change (images); they are hashed only once.
 
         Raises:
-            TypeError: anything else in ``state``; names the place. DiskFullError: the checkpoint before still counts.
+            TypeError: Another type in ``state``; the message names the place.
+            DiskFullError: The disk is full; the previous checkpoint is still valid.
         """
         packing = Packing()
         tree = packing.plain(state, "state")
@@ -104,17 +105,17 @@ class CheckpointStore:
         return Saved(number=number, written_bytes=sum(live[key] for key in fresh), total_bytes=sum(live.values()))
 
     def load(self, device: torch.device | str = "cpu") -> Loaded:
-        """The latest checkpoint that is whole.
+        """The latest checkpoint that is not damaged.
 
         Raises:
-            FileNotFoundError: there is none. ValueError: none is whole, or they are of another version.
+            FileNotFoundError: There is none. ValueError: All are damaged, or from another version.
         """
         problems: list[str] = []
         for number in sorted(self._numbers(), reverse=True):
             path = self.folder / f"{number:06d}.json"
             try:
                 state, pieces = self._read(path, device)
-            except Exception as e:  # whatever follows from content that is damaged
+            except Exception as e:  # damaged content can cause any error
                 problems.append(f"{path} cannot be used ({reason_of(e)})")
                 continue
             self._known = {piece[0]: piece for piece in pieces}
@@ -126,11 +127,11 @@ class CheckpointStore:
 
     @property
     def exists(self) -> bool:
-        """Whether there is a checkpoint, whole or not."""
+        """Whether there is a checkpoint, damaged or not."""
         return bool(self._numbers())
 
     def remove(self) -> None:
-        """Remove all checkpoints, and the folder if it is empty then."""
+        """Remove all checkpoints, and the folder if it is empty afterwards."""
         self._remove_all_but(set())
         if self.folder.is_dir() and not any(self.folder.iterdir()):
             self.folder.rmdir()
@@ -148,7 +149,7 @@ class CheckpointStore:
         return found
 
     def _forget_sparse_files(self, live: dict[str, int]) -> None:
-        """Forget what is in files of which, all together, less than half is needed: it is written anew."""
+        """Forget all earlier pieces, so that they are written again, if less than half of their files is still used."""
         used = {self._known[key][1] for key in live if key in self._known}
         on_disk = sum((self.folder / name).stat().st_size for name in used)
         if on_disk > 2 * sum(live.values()):
@@ -171,10 +172,10 @@ class CheckpointStore:
     def _read(self, path: Path, device: torch.device | str) -> tuple[dict[str, Any], list[Piece]]:
         checksum, _, text = read_text(path, "a checkpoint").partition("\n")
         if hashlib.sha256(text.encode()).hexdigest() != checksum:
-            raise ValueError("it fails its checksum")
+            raise ValueError("its checksum is wrong")
         document = json.loads(text)
         if not isinstance(document, dict) or document.get("format") != FORMAT or document.get("version") != VERSION:
-            raise ValueError(f"it is not a {FORMAT} of version {VERSION}")
+            raise ValueError(f"expected a {FORMAT} of version {VERSION}")
         pieces = [_piece(*row) for row in document["pieces"]]
         sizes = {key: size for key, _, _, size in pieces}
         _check_memory(sum(sizes[key] for _, _, keys in document["tensors"] for key in keys), "its tensors")
@@ -197,7 +198,7 @@ class CheckpointStore:
         return content
 
     def _remove_all_but(self, wanted: set[str]) -> None:
-        """Remove the files of other checkpoints, and what a killed process left."""
+        """Remove the files of other checkpoints, also those left by a killed process."""
         if not self.folder.is_dir():
             return
         for path in self.folder.iterdir():
@@ -206,10 +207,10 @@ class CheckpointStore:
 
 
 def _piece(key: object, name: object, at: object, size: object) -> Piece:
-    """A row of the list of pieces."""
+    """Check a row of the list of pieces."""
     if not isinstance(key, str) or not isinstance(name, str) or not re.fullmatch(r"\d{6}\.pieces", name):
-        raise ValueError(f"{shown(name)} is not the name of a file of pieces")
-    check_whole("place of a piece", at, 0)
+        raise ValueError(f"expected a file name like 000001.pieces, got {shown(name)}")
+    check_whole("offset of a piece", at, 0)
     check_whole("size of a piece", size, 0)
     assert isinstance(at, int)
     assert isinstance(size, int)
@@ -217,10 +218,10 @@ def _piece(key: object, name: object, at: object, size: object) -> Piece:
 
 
 def _check_memory(size_bytes: int, what: str) -> None:
-    """Raise ``ValueError`` for more than there is: a piece may be used often, so small files can hold large tensors."""
+    """Raise ``ValueError`` if memory is too small: pieces can be used repeatedly, so small files can hold much data."""
     free = available_memory(torch.device("cpu"))
     if free is not None and size_bytes > free:
-        raise ValueError(f"{what} take {size_bytes / 1e6:.0f} MB, and {free / 1e6:.0f} MB of memory are available")
+        raise ValueError(f"{what} need {size_bytes / 1e6:.0f} MB, but only {free / 1e6:.0f} MB of memory are available")
 
 
 def _split(tensor: Tensor) -> Iterable[memoryview]:

@@ -30,11 +30,11 @@ NAMES = (
 def write_gaussian_ply(path: str | Path, params: GaussianParams) -> None:
     """Write a Gaussian map in the standard layout, atomically.
 
-    A colour of lower degree is extended with zero coefficients to degree 3, which looks the same and can be opened by
-    every viewer.
+    Colours of a lower SH degree are padded with zero coefficients to degree 3, which looks the same and can be opened
+    by every viewer.
 
     Raises:
-        ValueError: a degree above 3.
+        ValueError: The SH degree is above 3.
     """
     from plyfile import PlyData, PlyElement
 
@@ -63,22 +63,22 @@ def read_gaussian_ply(path: str | Path) -> GaussianParams:
     """Read a Gaussian map written by this or another program; 0, 9, 24 or 45 ``f_rest`` properties give degree 0 to 3.
 
     Raises:
-        FileNotFoundError: no such file. ValueError: no PLY of Gaussians, or one that is truncated or holds NaN; names
-            what is missing, or the first such row.
+        FileNotFoundError: The file does not exist. ValueError: The file is not a PLY file of Gaussians, is truncated,
+            or contains NaN; the message names the missing part or the first such row.
     """
     path, what = Path(path), "a PLY file of Gaussians"
     check_ply_header(path, what)
     with parsing(path, what):
         ply = _read(path)
     if "vertex" not in ply:
-        raise ValueError(f"{path} has no element vertex; expected a PLY file of Gaussians")
+        raise ValueError(f"{path} has no element 'vertex'; expected a PLY file of Gaussians")
     data = ply["vertex"].data
     present = set(data.dtype.names or ())
     n_rest = sum(name.startswith("f_rest_") for name in present)
     rest_names = tuple(f"f_rest_{i}" for i in range(n_rest))
     lacking = [n for n in (*NAMES[:3], *NAMES[6:9], *rest_names, *NAMES[-8:]) if n not in present]
     if lacking:
-        raise ValueError(f"{path} lacks the properties {', '.join(lacking)}; expected a PLY file of Gaussians")
+        raise ValueError(f"{path} has no properties {', '.join(lacking)}; expected a PLY file of Gaussians")
     if n_rest not in (0, 9, 24, 45):
         raise ValueError(f"{path} must have 0, 9, 24 or 45 f_rest properties (degree 0 to 3), got {n_rest}")
 
@@ -101,7 +101,7 @@ def read_gaussian_ply(path: str | Path) -> GaussianParams:
 
 
 def _read(path: Path):
-    """Parsed file, mapped into memory; otherwise plyfile reads row by row. A file without rows cannot be mapped."""
+    """The parsed file. It is memory-mapped, which is faster; a file without rows cannot be, and is read normally."""
     from plyfile import PlyData
 
     try:

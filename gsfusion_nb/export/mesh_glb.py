@@ -24,11 +24,11 @@ _VERTEX_DATA, _INDEX_DATA = 34962, 34963
 def write_mesh_glb(path: str | Path, mesh: Mesh, *, up: Literal["-y", "+z", "+y"] = "-y") -> None:
     """Write a mesh as one ``.glb`` file, atomically.
 
-    glTF is right-handed with y up. Positions are rotated: with ``up="-y"`` (a world that began as a camera with OpenCV
-    axes) by (x, y, z) -> (x, -y, -z); with ``up="+z"`` (z up) by (x, y, z) -> (x, z, -y). Both keep the handedness, so
-    nothing is mirrored. Colours are stored linear, as glTF requires, with an unlit material, because the colours
-    contain the lighting already. They are float32: 8 bits of linear light have too few dark steps, and MeshLab and
-    trimesh read 16-bit colours as 8-bit ones.
+    glTF is right-handed with y up. Positions are rotated: with ``up="-y"`` (a world frame with the OpenCV axes of the
+    first camera) by (x, y, z) -> (x, -y, -z); with ``up="+z"`` (z up) by (x, y, z) -> (x, z, -y). Both are rotations,
+    so nothing is mirrored. Colours are stored as linear RGB, as glTF requires, with an unlit material, because they
+    already contain the lighting. They are float32: 8 bits of linear RGB are too coarse for dark colours, and MeshLab
+    and trimesh read 16-bit colours as 8-bit ones.
 
     Args:
         path: File to write.
@@ -49,7 +49,7 @@ def write_mesh_glb(path: str | Path, mesh: Mesh, *, up: Literal["-y", "+z", "+y"
 
 
 def linear_from_srgb(rgb: np.ndarray) -> np.ndarray:
-    """Linear light of sRGB values in 0..1 (IEC 61966-2-1)."""
+    """Linear RGB values of sRGB values in 0..1 (IEC 61966-2-1)."""
     return np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
 
 

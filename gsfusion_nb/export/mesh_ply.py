@@ -45,15 +45,15 @@ def read_mesh_ply(path: str | Path) -> Mesh:
     """Read a triangle mesh written by this or another program; without colours it is grey (0.5).
 
     Raises:
-        FileNotFoundError: no such file. ValueError: no PLY of a triangle mesh, or one with NaN or infinities, or with
-            faces of vertices that it has not.
+        FileNotFoundError: The file does not exist. ValueError: The file is not a PLY file of a triangle mesh, contains
+            NaN or infinities, or has faces with vertices that do not exist.
     """
     path, what = Path(path), "a PLY file of a mesh"
     check_ply_header(path, what)
     with parsing(path, what):
         ply = _read(path)
     if "vertex" not in ply or not {"x", "y", "z"} <= set(ply["vertex"].data.dtype.names or ()):
-        raise ValueError(f"{path} has no element vertex with x, y, z; expected a PLY file of a mesh")
+        raise ValueError(f"{path} has no element 'vertex' with x, y, z; expected a PLY file of a mesh")
     vertex = ply["vertex"].data
     with parsing(path, what), np.errstate(over="ignore"):
         xyz = np.stack([vertex[axis].astype(np.float32) for axis in "xyz"], axis=-1)
@@ -71,7 +71,7 @@ def read_mesh_ply(path: str | Path) -> Mesh:
 
 
 def _read(path: Path):
-    """Parsed file. Rows of triangles are mapped at once; other polygons need plyfile's slower, row by row reading."""
+    """The parsed file. A list of triangles is memory-mapped; other polygons are read row by row, which is slower."""
     from plyfile import PlyData, PlyParseError
 
     try:
@@ -92,9 +92,9 @@ def _triangles(ply, path: Path) -> torch.Tensor:
         sizes = {len(face) for face in column}
         if sizes != {3}:
             raise ValueError(
-                f"{path} must hold triangles only, got faces of {', '.join(map(str, sorted(sizes)))} vertices"
+                f"{path} must contain only triangles, got faces with {', '.join(map(str, sorted(sizes)))} vertices"
             )
         column = np.stack(list(column))
     if column.dtype.kind not in "iu" or int(column.max()) >= 2**31:
-        raise ValueError(f"{path} must hold faces of vertex numbers below 2^31, got {column.dtype} to {column.max()}")
+        raise ValueError(f"{path} must have whole vertex numbers below 2^31, got {column.dtype} up to {column.max()}")
     return torch.from_numpy(np.array(column, dtype=np.int32))

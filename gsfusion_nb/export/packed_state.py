@@ -1,4 +1,4 @@
-"""A state as plain values for JSON, with its tensors set aside, and back."""
+"""A state as plain values for JSON, with its tensors stored separately, and back."""
 
 import math
 from typing import Any
@@ -20,14 +20,14 @@ _DTYPES = {str(t).removeprefix("torch."): t for t in (
 
 
 class Packing:
-    """Turns a state into JSON with tensors set aside: large ones in a list, small ones in one buffer."""
+    """Turns a state into JSON with tensors stored separately: large ones in a list, small ones in one buffer."""
 
     def __init__(self):
         self.large: list[Tensor] = []
         self.small = bytearray()
 
     def plain(self, value: Any, name: str) -> Any:
-        """``value`` for JSON. Raises ``TypeError`` for what cannot be saved; names the place."""
+        """``value`` for JSON. Raises ``TypeError``, with the place, for a type that cannot be saved."""
         if isinstance(value, Tensor):
             return self._tensor(value.detach() if value.requires_grad else value)
         if value is None or type(value) in (bool, int, float, str):
@@ -55,7 +55,7 @@ class Packing:
 
 
 def unpack(value: Any, tensors: list[Tensor], small: bytes, device: torch.device | str) -> Any:
-    """The state that ``Packing.plain`` was given. Raises ``ValueError`` for tensors that are not there."""
+    """The state that ``Packing.plain`` was given. Raises ``ValueError`` for missing tensors."""
     if type(value) is list:
         return [unpack(v, tensors, small, device) for v in value]
     if type(value) is not dict:
@@ -71,12 +71,12 @@ def unpack(value: Any, tensors: list[Tensor], small: bytes, device: torch.device
         size = _DTYPES[value["dtype"]].itemsize * math.prod(value["shape"])
         return tensor_of(value["dtype"], value["shape"], small[value["at"] : value["at"] + size], device)
     if kind is not None:
-        raise ValueError(f"it holds an unknown kind of value, {shown(kind)}")
+        raise ValueError(f"it contains a value of the unknown kind {shown(kind)}")
     return {key: unpack(v, tensors, small, device) for key, v in value.items()}
 
 
 def tensor_of(dtype: str, shape: list[int], content: bytes, device: torch.device | str) -> Tensor:
-    """A tensor of its numbers, row by row. Raises ``ValueError`` if they are not as many as its shape says."""
+    """A tensor from the bytes of its numbers, row by row. Raises ``ValueError`` if their number does not fit."""
     for side in shape:
         check_whole("side of a tensor", side, 0)
     if len(content) != _DTYPES[dtype].itemsize * math.prod(shape):
@@ -90,8 +90,8 @@ def tensor_of(dtype: str, shape: list[int], content: bytes, device: torch.device
 
 
 def bytes_of(tensor: Tensor) -> np.ndarray:
-    """The numbers of a tensor, row by row."""
+    """The bytes of a tensor's numbers, row by row."""
     flat = tensor.detach().cpu().contiguous().reshape(-1)
-    if flat.stride() != (1,):  # a single number cut from a repeated one
+    if flat.stride() != (1,):  # a single element of an expanded tensor
         flat = torch.empty(flat.shape, dtype=flat.dtype).copy_(flat)
     return flat.view(torch.uint8).numpy()

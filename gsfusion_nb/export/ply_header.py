@@ -1,6 +1,6 @@
-"""The header of a PLY file, checked against the size of the file before anything is read by it.
+"""Checks the header of a PLY file against the size of the file before the rest is read.
 
-A header is text that promises rows; a reader that believes it asks for memory for all of them.
+The header gives the number of rows; a reader that trusts a wrong number asks for too much memory.
 """
 
 from pathlib import Path
@@ -20,7 +20,7 @@ _HEADER_BYTES = 1 << 20
 
 
 def check_ply_header(path: Path, what: str) -> None:
-    """Raise ``SequenceError`` unless ``path`` is a plain file with the header of a PLY whose rows it has room for."""
+    """Raise ``SequenceError`` unless ``path`` is a regular PLY file, large enough for the rows in its header."""
     with open_regular(path, what) as file:
         head = file.read(_HEADER_BYTES)
         size = file.seek(0, 2)
@@ -34,24 +34,24 @@ def check_ply_header(path: Path, what: str) -> None:
         if words[:1] == ["element"] and len(words) == 3 and words[2].isdecimal():
             name, rows = words[1], int(words[2])
         elif words[:1] == ["property"] and len(words) in (3, 5):
-            kind = words[2] if words[1] == "list" else words[1]  # a list may be empty, but for its length
+            kind = words[2] if words[1] == "list" else words[1]  # an empty list still has its length
             if kind not in _BYTES:
                 raise SequenceError(f"{path} has a property of the unknown type {shown(kind)}; expected {what}")
             needed += rows * (2 if text else _BYTES[kind])
             if needed > size:
                 raise SequenceError(
-                    f"{path} promises {rows} rows of {name}, more than its {size} bytes have room for; it is truncated "
-                    "or damaged"
+                    f"{path} says it has {rows} rows of {name}, but its {size} bytes are too few for them; it is "
+                    "truncated or damaged"
                 )
 
 
 def check_ply_rows(path: Path, element: str, columns: np.ndarray, names: tuple[str, ...]) -> None:
-    """Raise ``SequenceError`` where a row of ``columns`` [N, C] holds NaN or infinities; names the first."""
+    """Raise ``SequenceError`` if a row of ``columns`` [N, C] contains NaN or infinities; names the first."""
     bad = ~np.isfinite(columns)
     if bad.any():
         rows = bad.any(axis=1)
         row = int(rows.argmax())
         raise SequenceError(
-            f"{path} holds NaN or infinities in {int(rows.sum())} rows of {element}, the first is "
+            f"{path} contains NaN or infinities in {int(rows.sum())} rows of {element}, the first is "
             f"{names[int(bad[row].argmax())]} of row {row}; expected finite numbers"
         )

@@ -24,7 +24,7 @@ def write_trajectory_tum(path: str | Path, timestamps_s: Sequence[float], poses:
         poses: Camera-to-world, OpenCV axes, metres. [N, 4, 4]
 
     Raises:
-        ValueError: another number of times than of poses, or a value that is not finite.
+        ValueError: The numbers of times and poses differ, or a value is not finite.
     """
     if len(timestamps_s) != len(poses):
         raise ValueError(f"timestamps_s must hold {len(poses)} times, one per pose, got {len(timestamps_s)}")
@@ -42,8 +42,8 @@ def read_trajectory_tum(path: str | Path) -> tuple[list[float], Float[Tensor, "N
     """Times (seconds) and camera-to-world poses (float64) of a trajectory file; ``#`` lines are skipped.
 
     Raises:
-        FileNotFoundError: no such file. ValueError: a line that does not hold 8 finite numbers with a unit quaternion,
-            or whose time is not above that of the line before.
+        FileNotFoundError: The file does not exist. ValueError: A line does not have 8 finite numbers with a unit
+            quaternion, or its time is not after that of the previous line.
     """
     rows = []
     for number, line in enumerate(read_text(path, "a trajectory 't tx ty tz qx qy qz qw'").splitlines(), 1):
@@ -64,7 +64,7 @@ def _parse(line: str, source: str) -> list[float]:
     except ValueError:
         values = []
     if len(values) != 8 or not all(math.isfinite(v) for v in values):
-        raise ValueError(f"{source} must hold 8 finite numbers 't tx ty tz qx qy qz qw', got {shown(line.strip())}")
+        raise ValueError(f"{source} must have 8 finite numbers 't tx ty tz qx qy qz qw', got {shown(line.strip())}")
     if abs(math.hypot(*values[4:]) - 1) > 1e-2:
         raise ValueError(f"{source} must end in a unit quaternion, got one of length {math.hypot(*values[4:]):.3g}")
     return values

@@ -1,4 +1,4 @@
-"""The Gaussian map: rows of parameters, and with them the rows of their optimiser, which grow and shrink together."""
+"""The Gaussian map: rows of parameters and the rows of their optimiser, which are added and removed together."""
 
 import dataclasses
 from typing import Any
@@ -21,8 +21,8 @@ _FIRST_CAPACITY = 4096
 class GaussianModel:
     """A map of Gaussians and the state of Adam for each of them.
 
-    Rows live in buffers that grow by a factor when full; every property is a view of the rows in use. Rows change only
-    through ``append``, ``keep`` and the optimiser, so parameters and moments never drift apart.
+    Rows are stored in buffers that grow by a factor when full; every property is a view of the rows in use. Rows change
+    only through ``append``, ``keep``, ``move`` and the optimiser, so parameters and moments always belong together.
     """
 
     _COUNTS: tuple[str, ...] = ("birth_frame", "birth_step", "tag")
@@ -31,7 +31,7 @@ class GaussianModel:
     _POSE_PREFIXES: tuple[str, ...] = ("",)
     """Prefixes of the columns that hold centres and orientations, which move when a loop is closed."""
     TAG_MEANING = "quadtree level"
-    """What ``tag`` says of a row."""
+    """Meaning of ``tag``."""
 
     def __init__(self, sh_degree: int = 3, device: torch.device | str = "cpu"):
         if sh_degree not in (0, 1, 2, 3):
@@ -78,7 +78,7 @@ class GaussianModel:
 
     @property
     def tag(self) -> Int[Tensor, " N"]:
-        """Label the seeding rule gave each row."""
+        """Label that the seeding rule gave each row."""
         return self._columns["tag"][: self._count]
 
     @property
@@ -103,7 +103,7 @@ class GaussianModel:
 
     @property
     def memory_bytes(self) -> int:
-        """Memory of the map with the optimiser's moments, spare rows included."""
+        """Memory of the map with the optimiser's moments and the spare rows, bytes."""
         return sum(column.nbytes for column in self._columns.values())
 
     def append(self, seeds: Seeds, frame_index: int = 0) -> None:
@@ -111,7 +111,7 @@ class GaussianModel:
 
         Args:
             seeds: New Gaussians, activated values.
-            frame_index: Kept as ``birth_frame``.
+            frame_index: Number of the frame they come from, stored as ``birth_frame``.
         """
         n = len(seeds)
         if n == 0:
@@ -134,7 +134,7 @@ class GaussianModel:
         self._count = stop
 
     def keep(self, rows: Bool[Tensor, " N"]) -> None:
-        """Drop every row where ``rows`` is false, parameters and moments alike; order is kept."""
+        """Remove every row where ``rows`` is false, parameters and moments alike; the order is kept."""
         check_shape("rows", rows, (self._count,))
         kept = int(rows.sum())
         for column in self._columns.values():
@@ -155,16 +155,17 @@ class GaussianModel:
         return int((~torch.stack(rows).all(dim=0)).sum())
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything needed to go on later, as tensors and numbers."""
+        """Everything needed to continue later, as tensors and numbers."""
         rows = {name: column[: self._count].clone() for name, column in self._columns.items()}
         return {"sh_degree": self.sh_degree, "step_count": self.step_count, "rows": rows}
 
     @classmethod
     def from_state_dict(cls, state: dict[str, Any], device: torch.device | str = "cpu") -> "GaussianModel":
-        """The model that ``state_dict`` described.
+        """The model that was saved with ``state_dict``.
 
         Raises:
-            ValueError: a column of another type or length, or a count below 0. Rows with NaN pass: they are not drawn.
+            ValueError: A column of another type or length, or a count below 0. Rows with NaN are accepted: they are not
+                drawn.
         """
         model = cls(state["sh_degree"], device)
         check_whole("step_count", state["step_count"], 0)

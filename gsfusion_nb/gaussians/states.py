@@ -1,4 +1,4 @@
-"""When a Gaussian becomes stable, loses that state, or goes (Peng et al. 2024, section 3.2, "State management")."""
+"""When a Gaussian becomes stable or unstable, or is removed (Peng et al. 2024, section 3.2, "State management")."""
 
 from dataclasses import dataclass
 
@@ -17,13 +17,13 @@ class Transitions:
     """How many rows changed state in one frame."""
 
     stabilised: int
-    """Unstable rows optimised often enough."""
+    """Unstable rows that became stable."""
     released: int
-    """Stable rows in error too often, unstable again (or deleted, ``on_error="delete"``)."""
+    """Stable rows with too many errors, which became unstable again (or were deleted, ``on_error="delete"``)."""
     expired: int
-    """Rows removed because they stayed unstable too long."""
+    """Rows removed because they were unstable for too long."""
     oversized: int
-    """Rows removed for their radius."""
+    """Rows removed because their radius was too large."""
 
 
 def count_errors(
@@ -34,9 +34,9 @@ def count_errors(
     depth_index: Int[Tensor, "H W"],
     config: StateConfig,
 ) -> None:
-    """Count this frame against every stable row that it shows wrong: e_i + 1, for colour and for depth.
+    """Add 1 to the error count e_i of every stable row that is wrong in this frame, for colour and for depth.
 
-    A row is wrong if the largest error among the pixels that it made is above the threshold.
+    A row is wrong if the largest error among its pixels is above the threshold.
 
     Args:
         model: The map; its counters change.
@@ -57,7 +57,7 @@ def count_errors(
 
 
 def count_views(model: SurfelModel, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> None:
-    """Count this frame for every row whose centre lies before the camera and inside the picture, hidden or not.
+    """Add 1 to ``frames_in_view`` of every row whose centre is in front of the camera and in the image, even if hidden.
 
     Args:
         model: The map; its counter changes.
@@ -70,7 +70,7 @@ def count_views(model: SurfelModel, camera: Camera, T_WC: Float[Tensor, "4 4"]) 
 
 
 def change_states(model: SurfelModel, config: StateConfig) -> Transitions:
-    """Unstable -> stable by confidence, stable -> unstable by errors, and removal of what stays bad.
+    """Unstable -> stable by confidence, stable -> unstable by errors, and removal of bad rows.
 
     eta_i > delta_eta                unstable becomes stable
     e_i > delta_e                    stable becomes unstable; its confidence and its age start again
@@ -102,7 +102,7 @@ def change_states(model: SurfelModel, config: StateConfig) -> Transitions:
     if config.max_radius_factor is not None and len(model):
         radius = model.radius_m
         for rows in (model.is_stable, ~model.is_stable):
-            mean = sum_rows(torch.where(rows, radius, 0.0)) / rows.sum()  # NaN of none, and nothing is above that
+            mean = sum_rows(torch.where(rows, radius, 0.0)) / rows.sum()  # NaN without rows; no radius is above NaN
             oversized |= rows & (radius > config.max_radius_factor * mean)
     changed = (ready, wrong, expired, oversized & ~expired & ~gone)
     gone = gone | expired | oversized

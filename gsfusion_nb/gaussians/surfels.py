@@ -1,4 +1,4 @@
-"""The compact Gaussian map of RTG-SLAM: every Gaussian a disc, opaque or transparent, stable or unstable."""
+"""The compact Gaussian map of RTG-SLAM: every Gaussian is a disc, opaque or transparent, stable or unstable."""
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -9,9 +9,9 @@ from ..types import Seeds
 from .model import GaussianModel
 
 OPAQUE = 0.99
-"""Opacity of a Gaussian that fits the surface and its main colour."""
+"""Opacity of a Gaussian that represents the surface and its main colour."""
 TRANSPARENT = 0.1
-"""Opacity of one that fits what colour is left."""
+"""Opacity of a Gaussian that only corrects the remaining colour."""
 UNSTABLE, STABLE = 0, 1
 
 _ANCHOR = ("xyz_W", "log_scale", "quat")
@@ -21,8 +21,8 @@ _AT_LEAST_0 = ("state", "confidence", "colour_errors", "depth_errors", "frames_i
 class SurfelModel(GaussianModel):
     """A Gaussian map whose rows are also surfels: normal, confidence count, birth frame, error counters, state.
 
-    Opacity is decided at birth and never changes. No moments are kept: each optimisation starts its own Adam, and
-    ``step_count`` counts frames.
+    Opacity is set when a row is added and never changes. No moments are stored: each optimisation starts a new Adam,
+    and ``step_count`` counts frames.
 
     Source: Peng et al. 2024 (RTG-SLAM), section 3.1.
     """
@@ -39,22 +39,22 @@ class SurfelModel(GaussianModel):
 
     @property
     def confidence(self) -> Int[Tensor, " N"]:
-        """eta: optimisation steps that changed the colour of each row."""
+        """eta: number of optimisation steps that changed the colour of each row."""
         return self._columns["confidence"][: len(self)]
 
     @property
     def colour_errors(self) -> Int[Tensor, " N"]:
-        """Frames in which the row's colour was wrong since it became stable."""
+        """Number of frames in which the row's colour was wrong since it became stable."""
         return self._columns["colour_errors"][: len(self)]
 
     @property
     def depth_errors(self) -> Int[Tensor, " N"]:
-        """Frames in which the row's depth was wrong since it became stable."""
+        """Number of frames in which the row's depth was wrong since it became stable."""
         return self._columns["depth_errors"][: len(self)]
 
     @property
     def frames_in_view(self) -> Int[Tensor, " N"]:
-        """Frames that had the row's centre in their picture since it was born or released."""
+        """Number of frames with the row's centre in view since it was added or last became unstable."""
         return self._columns["frames_in_view"][: len(self)]
 
     @property
@@ -69,7 +69,7 @@ class SurfelModel(GaussianModel):
 
     @property
     def normal_W(self) -> Float[Tensor, "N 3"]:
-        """Axis of the smallest scale, world frame; either side."""
+        """Axis of the smallest scale, unit vector in the world frame; its sign is arbitrary."""
         R = quaternion.to_matrix(self.params.quat)
         thin = self.params.log_scale.argmin(dim=1)
         return R.gather(2, thin[:, None, None].expand(-1, 3, 1)).squeeze(2)
@@ -81,7 +81,7 @@ class SurfelModel(GaussianModel):
 
     @property
     def anchor(self) -> dict[str, Tensor]:
-        """Centre, log-scale and quaternion at birth, which the regulariser holds transparent rows at (Eq. 8)."""
+        """Centre, log-scale and quaternion when added; the regulariser keeps transparent rows close to them (Eq. 8)."""
         return {name: self._columns[f"anchor.{name}"][: len(self)] for name in _ANCHOR}
 
     def append(self, seeds: Seeds, frame_index: int = 0) -> None:
@@ -116,5 +116,5 @@ def state_counts(model: SurfelModel) -> dict[str, int]:
         "unstable_opaque": ~stable & ~transparent,
         "unstable_transparent": ~stable & transparent,
     }
-    counts = torch.stack(list(kinds.values())).sum(dim=1).tolist()  # a GPU is waited for once
+    counts = torch.stack(list(kinds.values())).sum(dim=1).tolist()  # the host waits for a GPU once
     return dict(zip(kinds, counts, strict=True))

@@ -1,4 +1,4 @@
-"""Whether a frame can be mapped at all."""
+"""Checks whether a frame can be mapped."""
 
 import math
 
@@ -10,20 +10,20 @@ from ..plausible import check_camera, check_place
 from ..types import Frame
 
 BLACK = 2.5 / 255
-"""A frame with no brighter pixel was not exposed."""
+"""A frame without any brighter pixel counts as black."""
 
 
 def check_frame(frame: Frame, device: torch.device | None = None, *, needs_depth: bool = False) -> Frame:
-    """The frame itself, if it can be used, on ``device``.
+    """The frame itself on ``device``, if it can be mapped.
 
     Args:
-        frame: What is about to be mapped.
-        device: Where it is wanted; by default where it is. A GPU is waited for once.
-        needs_depth: Refuse one without any depth.
+        frame: The frame to check.
+        device: Device to move it to; by default it stays where it is. The host waits for a GPU once.
+        needs_depth: Refuse a frame without any depth.
 
     Raises:
         BadFrameError: the pose is not rigid or too far away, the camera is impossible (``gsfusion_nb.plausible``), an
-            image holds a NaN or colours beyond 0..1, the picture is black, or there is no depth and ``needs_depth``.
+            image holds a NaN or colours outside 0..1, the picture is black, or it has no depth with ``needs_depth``.
     """
     try:
         check_pose(f"T_WC of frame {frame.index}", frame.T_WC)
@@ -45,6 +45,6 @@ def _check_images(frame: Frame, needs_depth: bool) -> None:
         check_finite(f"depth_m of frame {frame.index}", frame.depth_m)
     check_colours(f"rgb of frame {frame.index}", frame.colour, (low, high))
     if high < BLACK:
-        raise ValueError("its picture is black; expected an exposed one")
+        raise ValueError("its picture is black; expected a picture with brighter pixels")
     if needs_depth and not depth_high > 0:
-        raise ValueError("it has no depth at all; expected some above 0")
+        raise ValueError("it has no depth at all; expected pixels with depth above 0")

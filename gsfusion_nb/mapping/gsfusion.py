@@ -57,12 +57,11 @@ class GSFusion(Mapper):
     def step(self, frame: Frame) -> StepReport:
         """Map one frame (paper Fig. 2, section III-B), all of it or nothing.
 
-        The paper fuses the frame and then asks the seeding rule, which looks at the volume. Here the rule is asked
-        first, with a view of the volume as it will be (``FusedView``): it finds the same values, and a rule that fails
-        leaves the maps as they were.
+        In the paper the frame is fused before the seeding rule runs. Here the rule runs first, on a preview of the
+        fused volume (``FusedView``): it reads the same values, but if it fails, the maps are unchanged.
 
         Raises:
-            BadFrameError: the pose is not rigid, an image holds a NaN or colours beyond 0..1, or the frame lies too far
+            BadFrameError: the pose is not rigid, an image holds a NaN or colours outside 0..1, or the frame is too far
                 away for the voxel index. The maps are unchanged.
             MemoryError: no room for the new voxel blocks. The maps are unchanged.
             RuntimeError: another thread is in a step, or an earlier frame was only half mapped.
@@ -132,15 +131,15 @@ class GSFusion(Mapper):
 
     @property
     def n_passes(self) -> int:
-        """Passes of the global optimisation that the settings ask for."""
+        """Number of passes of the global optimisation in the settings."""
         return self.config.optim.global_iterations
 
     def quadtree_cells(self, frame: Frame) -> Cells:
-        """The quadtree on the frame (section III-B.1)."""
+        """The quadtree of the frame's image (section III-B.1)."""
         return self.seed_context(frame).quadtree_cells()
 
     def counts(self) -> dict[str, int]:
-        """Voxel blocks of the TSDF."""
+        """Number of voxel blocks of the TSDF."""
         return {"n_blocks": self.volume.n_blocks}
 
     def maps(self) -> dict[str, dict[str, Tensor]]:
@@ -155,11 +154,11 @@ class GSFusion(Mapper):
         return [*super().parts(), blocks]
 
     def mesh_on_cpu(self) -> Mesh:
-        """The mesh of a copy of the TSDF in the memory of the processor."""
+        """The mesh, computed from a copy of the TSDF in CPU memory."""
         return extract_mesh(self.volume.to("cpu"))
 
     def step_warnings(self, frame: Frame, report: StepReport) -> list[str]:
-        """Also: no depth of the first frame is in the range that is fused."""
+        """In addition: a warning if no depth of the first frame is in the range that is fused."""
         warnings = super().step_warnings(frame, report)
         if self.n_frames > 1 or report.n_blocks:
             return warnings
@@ -168,7 +167,7 @@ class GSFusion(Mapper):
         return [
             *warnings,
             f"frame {frame.index} has no depth between tsdf.near_m {tsdf.near_m:g} and tsdf.far_m {tsdf.far_m:g} m "
-            f"({median}), so nothing was mapped from it: is the depth scale right?",
+            f"({median}), so nothing was mapped from it; check the depth scale",
         ]
 
     def state_dict(self) -> dict[str, Any]:
@@ -180,14 +179,14 @@ class GSFusion(Mapper):
         self.volume.load_state_dict(state["volume"])
 
     def _make_room(self, frame: Frame) -> Int[Tensor, "M 3"]:
-        """Room for the blocks that the frame needs; those that do not exist yet."""
+        """Make room for the blocks that the frame needs. Returns those that do not exist yet."""
         try:
             return self.volume.make_room(band_blocks(self.volume, frame))
         except ValueError as e:
             raise BadFrameError(f"frame {frame.index} cannot be mapped: {e}") from None
 
     def _optimise_online(self, frame: Frame, is_keyframe: bool) -> tuple[list[float], list[float]]:
-        """m steps on a keyframe; n on another frame, then some on random keyframes against forgetting (III-B.3)."""
+        """m steps on a keyframe; n on another frame, then some on random keyframes to avoid forgetting (III-B.3)."""
         optim = self.config.optim
         if len(self.gaussians) == 0:
             return [], []
@@ -208,9 +207,9 @@ class GSFusion(Mapper):
     def _optimise_view(
         self, view: Frame | Keyframe, ssim_weight: float = 0.0
     ) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
-        """One gradient step on one view; its loss and squared error before it. Online the loss is L1 alone (Eq. 12).
+        """One gradient step on one view. Returns loss and MSE before it. Online the loss is only L1 (Eq. 12).
 
-        Both stay on the device: waiting for them after every step would leave a GPU idle.
+        Both stay on the device, because waiting for them after every step would leave a GPU idle.
         """
         view = view.to(self.device)
         target = view.rgb

@@ -1,4 +1,4 @@
-"""Passes over the keyframes after the scan, which can stop and go on anywhere."""
+"""Passes over the keyframes after the scan, which can stop and continue at any keyframe."""
 
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -16,13 +16,13 @@ class KeyframePasses:
 
     def __init__(self):
         self.done = 0
-        """Passes finished."""
+        """Number of finished passes."""
         self.queue: list[int] = []
-        """Keyframes still to be visited in the pass that is under way."""
+        """Keyframes that the current pass has not visited yet."""
 
     @property
     def begun(self) -> bool:
-        """At least one keyframe was visited."""
+        """Whether at least one keyframe was visited."""
         return self.done > 0 or len(self.queue) > 0
 
     def run(
@@ -30,7 +30,7 @@ class KeyframePasses:
     ) -> Iterator[GlobalStep]:
         """Visit every keyframe ``passes`` times; ``optimise(i)`` takes one step on the i-th and returns its loss.
 
-        A pass that was cut short is finished first and counts as one of them.
+        A pass that was interrupted is finished first and counts as one of them.
         """
         begun = len(self.queue) > 0
         n_steps, step = (passes - begun) * n_keyframes + len(self.queue), 0
@@ -44,12 +44,12 @@ class KeyframePasses:
                 yield GlobalStep(pass_index=pass_index, step=step, n_steps=n_steps, loss_value=loss)
 
     def state_dict(self) -> dict[str, Any]:
-        """Where the passes stand."""
+        """The state of the passes."""
         return {"done": self.done, "queue": list(self.queue)}
 
     def load_state_dict(self, state: dict[str, Any], n_keyframes: int) -> None:
-        """Go on from there. Raises ``ValueError`` for keyframes that are not among the ``n_keyframes`` there are."""
+        """Restore what ``state_dict`` saved. Raises ``ValueError`` for keyframes beyond ``n_keyframes``."""
         check_whole("passes done", state["done"], 0)
         for i in state["queue"]:
-            check_whole("a keyframe of the queue", i, 0, n_keyframes - 1)
+            check_whole("keyframe in the queue", i, 0, n_keyframes - 1)
         self.done, self.queue = state["done"], list(state["queue"])

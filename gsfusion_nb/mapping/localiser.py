@@ -1,4 +1,4 @@
-"""Where each frame was taken, as the data says or tracked against the map; the trajectory and its corrections."""
+"""The pose of each frame, given by the data or tracked against the map; the trajectory and its corrections."""
 
 import dataclasses
 from typing import Any
@@ -25,7 +25,7 @@ from ..tracking import (
 from ..types import Camera, Frame
 
 _BLOCK = 1024
-"""Poses that share one piece of memory."""
+"""Number of poses that are stored in one tensor."""
 
 
 class Localiser:
@@ -42,22 +42,22 @@ class Localiser:
         self.frame_indices: list[int] = []
         self._block = torch.zeros(_BLOCK, 4, 4)
         self.report: dict[str, Any] = {}
-        """How the last frame was found: status, rms_m, inlier_share. Empty for given poses."""
+        """How the last frame was tracked: status, rms_m, inlier_share. Empty for given poses."""
         self._tracker = Tracker(config)
         self._found: Any = None
-        """Where the tracker stood before the frame that it found last, until that frame is recorded."""
+        """State of the tracker before the frame that it tracked last, until that frame is recorded."""
         self._back_end: BackEnd | None = None
         self._database: KeyframeDatabase | None = None
-        """Keyframes by appearance, to find the camera again when tracking is lost; the back end has its own."""
+        """Keyframes by appearance, to relocalise when tracking is lost; used if there is no back end."""
 
     @property
     def is_tracking(self) -> bool:
-        """Poses are estimated."""
+        """Whether poses are estimated."""
         return self.config.poses == "tracked"
 
     @property
     def camera(self) -> Camera | None:
-        """Camera of the keyframes that the camera is found by when tracking is lost; None if there are none."""
+        """Camera of the keyframes used for relocalisation; None if there are none."""
         known = self._back_end or self._database
         return None if known is None else known.camera
 
@@ -65,7 +65,7 @@ class Localiser:
         """The frame with its pose in the map.
 
         Raises:
-            BadFrameError: tracking was lost and could not be found again with this frame.
+            BadFrameError: tracking is lost and could not recover with this frame.
         """
         self.report, self._found = {}, None
         if not self.is_tracking:
@@ -80,12 +80,12 @@ class Localiser:
         return dataclasses.replace(frame, T_WC=found.T_WC.to(frame.T_WC))
 
     def take_back(self) -> None:
-        """The frame that was located last is not mapped: the tracker stands where it stood before."""
+        """Undo the last ``locate``, because its frame was not mapped."""
         if self._found is not None:
             self._tracker.standing, self._found = self._found, None
 
     def record(self, frame: Frame) -> Correction | None:
-        """Add a mapped frame to the trajectory; the correction if it closed a loop, already applied to ``poses``."""
+        """Add a mapped frame to the trajectory. If it closed a loop, returns the correction (applied to ``poses``)."""
         self._found = None
         self.poses.append(self._kept(frame.T_WC))
         self.frame_indices.append(frame.index)
@@ -99,15 +99,15 @@ class Localiser:
         return None
 
     def _relocalise(self, frame: Frame) -> list[Float[Tensor, "4 4"]]:
-        """Poses that the frame may have by its appearance, the likeliest first."""
+        """Possible poses of the frame by its appearance, the most likely first."""
         known = self._back_end or self._database
         return [] if known is None else known.relocalise(frame)
 
     def _kept(self, T_WC: Float[Tensor, "4 4"]) -> Float[Tensor, "4 4"]:
-        """A copy among many in one piece of memory.
+        """A copy of the pose inside a larger tensor.
 
-        A small tensor of its own per frame, between the large ones of the frames, would keep the allocator from using
-        the frames' memory again: measured, 50 to 220 kB lost per frame of 160x120.
+        A small tensor of its own per frame, between the large ones of the frames, would prevent the allocator from
+        reusing the frames' memory: measured, 50 to 220 kB lost per frame of 160x120.
         """
         n = len(self.poses) % _BLOCK
         if n == 0:
@@ -115,7 +115,7 @@ class Localiser:
         return self._block[n].copy_(T_WC)
 
     def _remember(self, frame: Frame) -> None:
-        """Add a frame to the database after enough motion."""
+        """Add the frame to the database if the camera has moved enough."""
         settings = self.config.back_end
         if self._database is None:
             self._database = KeyframeDatabase(frame.camera, count=settings.features, levels=settings.levels)
@@ -124,9 +124,9 @@ class Localiser:
             self._database.add(frame.index, frame.T_WC, features)
 
     def finish(self) -> Correction | None:
-        """The back end's last optimisation, over all keyframes and landmarks, after the scan.
+        """The last optimisation of the back end, over all keyframes and landmarks, after the scan.
 
-        Without a loop the front end's path stays: a precise one has more to lose than to gain from landmarks alone.
+        Without a loop the tracked path is kept, because landmarks alone would rather make a precise path worse.
         """
         if self._back_end is None or not self._back_end.loops:
             return None
@@ -141,7 +141,7 @@ class Localiser:
         return correction
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything needed to go on."""
+        """Everything needed to continue."""
         return {
             "poses": torch.stack(self.poses) if self.poses else torch.zeros(0, 4, 4),
             "frame_indices": torch.tensor(self.frame_indices, dtype=torch.int64),
@@ -152,10 +152,10 @@ class Localiser:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from what ``state_dict`` gave.
+        """Restore what ``state_dict`` saved.
 
         Raises:
-            ValueError: another number of poses than of frames, or a pose that cannot be one.
+            ValueError: The numbers of poses and frames differ, or a pose is not a rigid transform.
         """
         settings = self.config.back_end
         check_shape("frame_indices", state["frame_indices"], ("N",))
@@ -177,9 +177,9 @@ class Localiser:
 
 
 def move_map(correction: Correction, gaussians: GaussianModel, keyframes: KeyframeList) -> None:
-    """Let Gaussians and keyframes follow a corrected trajectory: each moves with the keyframes around its birth.
+    """Move Gaussians and keyframes with a corrected trajectory: each with the keyframes around its frame.
 
-    View-dependent colour is not turned with them; a loop turns the map by a few degrees at most.
+    View-dependent colour is not rotated with them; a loop rotates the map by a few degrees at most.
     """
     gaussians.move(correction.transform_of(gaussians.birth_frame))
     if len(keyframes):

@@ -1,7 +1,7 @@
-"""What a mapping system is: the steps each system defines, what all systems share, and what a run asks of any of them.
+"""The interface of a mapping system: what each system defines, what all systems share, and what runs need from them.
 
 A system is one subclass of ``Mapper`` in this folder, its settings in ``gsfusion_nb/config``, and one line in
-``systems.py``. Everything around it (runs, report, checkpoints, command line, live panels) asks only what is here.
+``systems.py``. Everything around it (runs, report, checkpoints, command line, live panels) uses only this interface.
 """
 
 import contextlib
@@ -38,7 +38,7 @@ class SurfaceImage(Protocol):
 
     @property
     def rgb(self) -> Float[Tensor, "H W 3"]:
-        """Its colours, 0..1."""
+        """Colours of the surface, 0..1."""
         ...
 
     @property
@@ -54,51 +54,51 @@ class SurfaceImage(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class MapPart:
-    """One kind of thing that a map consists of."""
+    """One kind of elements of a map."""
 
     name: str
     """In the plural, as in "12,000 Gaussians"."""
     count: int
     size_bytes: int
-    """Memory that it takes."""
+    """Their memory, bytes."""
 
 
 class Mapper(ABC):
-    """A mapping system at work: feed it frames with ``step``; the map is ``gaussians``, and what the subclass adds.
+    """A mapping system: give it frames with ``step``; the map is ``gaussians``, and what the subclass adds.
 
     Args:
         config: Settings; the defaults of ``config_type`` if none are given.
         seeding: Name of a registered rule, or the rule function itself; overrides ``config.seeding.rule``. The options
-            in the settings are passed on if it takes all of them. ``self.config`` has the rule and options in use.
-        device: Where the map lives.
+            in the settings are passed to it if it has all of them. ``self.config`` has the rule and options in use.
+        device: Device of the map.
 
     A subclass defines ``title``, ``config_type``, ``preset``, ``n_passes``, ``step``, ``surface``, ``mesh`` and
     ``_global_step``. It overrides the rest where the default does not fit.
     """
 
     title: ClassVar[str]
-    """Name of the system, for people."""
+    """Name of the system in reports and messages."""
     config_type: ClassVar[type[SystemConfig]]
     """Class of the settings."""
     preset: ClassVar[Callable[..., Any]]
     """``preset(name, **overrides)``: settings as published for a data set; also takes ``fidelity`` if there are any."""
     fidelities: ClassVar[tuple[str, ...]] = ()
-    """Values of ``fidelity``, the default first: what to follow where paper and released code differ. Often none."""
+    """Values of ``fidelity`` (what to follow where paper and released code differ), the default first; may be empty."""
     fidelity_of: ClassVar[Callable[[Any], str]] = staticmethod(lambda config: "")
-    """``fidelity_of(config)``: which of them the settings follow, with exceptions, in words; "" if there are none."""
+    """``fidelity_of(config)``: which of ``fidelities`` the settings follow, with exceptions, in words; "" if none."""
     model_type: ClassVar[type[GaussianModel]] = GaussianModel
     """Class of the Gaussian map."""
     gaussians_are_discs: ClassVar[bool] = False
-    """The Gaussians lie on the surface like discs, so their distance to the true surface is scored as well."""
+    """Whether the Gaussians are discs on the surface; then their distance to the true surface is scored, too."""
     panels: ClassVar[tuple[str, ...]] = ("input", "render", "error", "new_gaussians")
     """Pictures of one step to show while mapping, by name; ``gsfusion_nb.viz.live.step_panels.PANELS`` draws them."""
     curves: ClassVar[dict[str, Callable[[StepReport], float | int]]] = {
         "PSNR of the frame, dB": lambda report: report.psnr_after_db,
         "Gaussians": lambda report: report.n_gaussians,
     }
-    """Title -> value after a step, to plot while mapping."""
+    """Title -> value after a step, plotted while mapping."""
     memory_savers: ClassVar[tuple[str, ...]] = ()
-    """Settings with which the map takes less memory, beside smaller images, for the message when memory is full."""
+    """Settings, besides smaller images, that reduce the memory of the map; named in the message when memory is full."""
 
     config: Any
     """The settings, a ``config_type``."""
@@ -124,9 +124,9 @@ class Mapper(ABC):
         self.passes = KeyframePasses()
         self.guard = FrameGuard()
         self.n_frames = 0
-        """Frames mapped so far."""
+        """Number of frames mapped so far."""
         self.notes: list[str] = []
-        """What a user should know about this mapper, as sentences."""
+        """Notes for the user about this mapper, as sentences."""
 
     def __repr__(self) -> str:
         return (
@@ -137,7 +137,7 @@ class Mapper(ABC):
     @property
     @abstractmethod
     def n_passes(self) -> int:
-        """Passes of the optimisation after the scan that the settings ask for."""
+        """Number of passes of the optimisation after the scan in the settings."""
 
     @abstractmethod
     def step(self, frame: Frame) -> StepReport:
@@ -146,7 +146,7 @@ class Mapper(ABC):
         Raises:
             BadFrameError: the frame cannot be used. The map is unchanged.
             RuntimeError: another thread is in a step, or an earlier frame was only half mapped. The map is unchanged.
-            Exception: what the seeding rule raised. The map is unchanged.
+            Exception: any error that the seeding rule raised. The map is unchanged.
         """
 
     @abstractmethod
@@ -159,17 +159,17 @@ class Mapper(ABC):
 
     @abstractmethod
     def _global_step(self, i: int) -> Float[Tensor, ""]:
-        """One step of the optimisation after the scan, on the i-th keyframe; the loss before it."""
+        """One step of the optimisation after the scan, on the i-th keyframe. Returns the loss before it."""
 
     @classmethod
     def render_gaussians(
         cls, params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"], config: Any
     ) -> RenderOutput:
-        """Gaussians as this system renders and scores them. Here: blended colour and blended depth (Kerbl et al. 2023).
+        """Gaussians as this system renders and scores them. Default: blended colour and depth (Kerbl et al. 2023).
 
         Args:
             params: The Gaussians, of a mapper or read from a file.
-            camera, T_WC: Where they are seen from.
+            camera, T_WC: The camera and its pose.
             config: Settings of the system.
         """
         return render(params, camera, T_WC)
@@ -192,8 +192,8 @@ class Mapper(ABC):
         A generator, so that the caller can show progress or stop: ``for step in mapper.global_optimise(): ...``.
 
         Args:
-            passes: Number of passes; ``n_passes`` by default. One that was cut short is finished first and counts as
-                one of them.
+            passes: Number of passes; ``n_passes`` by default. A pass that was interrupted is finished first and counts
+                as one of them.
         """
         passes = self.n_passes if passes is None else passes
         if not self.passes.begun:
@@ -202,10 +202,10 @@ class Mapper(ABC):
 
     @contextlib.contextmanager
     def one_frame(self, frame: Frame) -> Iterator[None]:
-        """The block that maps ``frame``: all of it or nothing, by one thread at a time.
+        """Context in which ``frame`` is mapped, all of it or nothing, by one thread at a time.
 
-        In it ``self.guard.changes_begin()`` parts what can fail (checks, tracking, the seeding rule) from what changes
-        the map. If the first part fails, the random numbers and the tracked pose are as before it.
+        In it ``self.guard.changes_begin()`` separates what can fail (checks, tracking, the seeding rule) from what
+        changes the map. If the first part fails, the random numbers and the tracked pose are restored.
         """
         with self.guard.one_frame(frame.index):
             random_numbers = self.generator.get_state()
@@ -218,15 +218,15 @@ class Mapper(ABC):
                     self.generator.set_state(random_numbers)
                     self.localiser.take_back()
                 raise
-            if self.passes.begun:  # the optimisation after the scan starts anew when more frames follow it
+            if self.passes.begun:  # with more frames, the optimisation after the scan starts again
                 self.passes = KeyframePasses()
 
     def counts(self) -> dict[str, int]:
-        """Sizes of the map beside its Gaussians and keyframes, under the names that they have in metrics.json."""
+        """Sizes of the map besides its Gaussians and keyframes, with their names in metrics.json."""
         return {}
 
     def maps(self) -> dict[str, dict[str, Tensor]]:
-        """The numbers of each map, by name: what two runs have in common if their maps are the same."""
+        """The tensors of each map, by name; two runs have the same maps if these are equal."""
         return {"gaussians": vars(self.gaussians.params)}
 
     def parts(self) -> list[MapPart]:
@@ -237,17 +237,17 @@ class Mapper(ABC):
         ]
 
     def mesh_on_cpu(self) -> Mesh | None:
-        """The mesh without using the GPU, whose memory is full; ``None`` if that cannot be done."""
+        """The mesh, computed without a GPU whose memory is full; ``None`` if that is not possible."""
         return None
 
     def quadtree_cells(self, frame: Frame) -> Cells | None:
-        """The quadtree that seeding cut the frame into; ``None`` if the system seeds without one."""
+        """The quadtree cells of the frame that seeding used; ``None`` if the system has no quadtree."""
         return None
 
     def step_warnings(self, frame: Frame, report: StepReport) -> list[str]:
-        """What a user should know about the step that gave ``report``, as sentences."""
+        """Warnings for the user about the step that gave ``report``, as sentences."""
         if report.tracking.get("status") == "recovered":
-            return [f"frame {frame.index}: tracking was lost and found again"]
+            return [f"frame {frame.index}: tracking was lost and has recovered"]
         return []
 
     def constant_tensors(self) -> list[Tensor]:
@@ -256,7 +256,7 @@ class Mapper(ABC):
         return [image for image in images if image is not None]
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything needed to go on later exactly where this stands, as tensors and plain values."""
+        """Everything needed to continue later from exactly this state, as tensors and plain values."""
         return {
             "config": to_dict(self.config),
             "rule": self.rule_in_use.state_dict(),
@@ -276,10 +276,10 @@ class Mapper(ABC):
         seeding: "str | SeedingRule | None" = None,
         device: torch.device | str = "cpu",
     ) -> M:
-        """The mapper that ``state_dict`` described; a rule that is not registered by name must be given again.
+        """The mapper that was saved with ``state_dict``; a rule that is not registered by name must be given again.
 
         Raises:
-            SequenceError: the rule is not given and not known by its name, or it kept something that was not saved.
+            SequenceError: the rule is neither given nor registered by its name, or it had a state that was not saved.
         """
         config = from_dict(cls.config_type, state["config"])
         if seeding is None:
@@ -296,10 +296,10 @@ class Mapper(ABC):
         return mapper
 
     def _load(self, state: dict[str, Any]) -> None:
-        """Take the state that ``state_dict`` gave; a subclass extends both.
+        """Restore what ``state_dict`` saved; a subclass extends both.
 
         Raises:
-            ValueError: what no mapper can have come to.
+            ValueError: The state contradicts itself or the settings.
         """
         self.localiser.load_state_dict(state["localiser"])
         check_whole("n_frames", state["n_frames"], 0)
@@ -316,6 +316,6 @@ class Mapper(ABC):
             self.notes.append(f"{lost} Gaussians of the checkpoint hold NaN or infinities; they are not drawn")
 
     def _follow(self, correction: Correction | None) -> None:
-        """After a closed loop: Gaussians and keyframes move with the trajectory, if the settings say so."""
+        """After a loop closure, move Gaussians and keyframes with the trajectory, if the settings say so."""
         if correction is not None and self.config.tracking.back_end.on_correction == "move":
             move_map(correction, self.gaussians, self.keyframes)

@@ -8,28 +8,28 @@ from typing import Any, ClassVar
 
 
 class HalfMappedError(RuntimeError):
-    """A map took in a part of a frame; it cannot go on, because the rest of that frame is lost."""
+    """A map contains only a part of a frame; it cannot map more frames, because the rest of that frame is lost."""
 
 
 class FrameGuard:
-    """Lets a mapper take in one frame at a time, and remembers one that it could not finish.
+    """Lets a mapper map one frame at a time, and remembers a frame that it could not finish.
 
-    Everything that can fail on the user's code or data comes before ``changes_begin``. If it fails, the map is as it
-    was. After it, only a failure of the machine (memory) or of the program can leave a frame half mapped; the map then
-    refuses more frames.
+    Everything that can fail because of the user's code or data comes before ``changes_begin``; if it fails, the map is
+    unchanged. Later, only a failure of the machine (memory) or of the program can leave a frame half mapped; the map
+    then refuses more frames.
     """
 
     def __init__(self):
         self.half_mapped = ""
-        """Which frame was only half mapped, and why; empty if none."""
+        """Which frame was only half mapped, and why; empty if none was."""
         self._lock = threading.Lock()
         self._index, self._changing = -1, False
 
     @contextlib.contextmanager
     def one_frame(self, index: int) -> Iterator[None]:
-        """The step of a mapper on the frame with this index.
+        """Context for the step of a mapper on the frame with this index.
 
-        Ctrl-C that comes after ``changes_begin`` waits until the frame is mapped.
+        After ``changes_begin``, Ctrl-C takes effect only when the frame is mapped.
 
         Raises:
             RuntimeError: another thread is in a step. HalfMappedError: an earlier frame was only half mapped.
@@ -56,21 +56,21 @@ class FrameGuard:
             self._lock.release()
 
     def changes_begin(self) -> None:
-        """From here on the frame changes the map."""
+        """Declare that the frame changes the map from here on."""
         self._interrupt.delay()
         self._changing = True
 
     @property
     def is_changing(self) -> bool:
-        """The frame has begun to change the map."""
+        """Whether the frame has begun to change the map."""
         return self._changing
 
 
 class DelayedInterrupt:
-    """As a context manager: after ``delay``, Ctrl-C and SIGTERM are delivered when the block ends.
+    """Context manager: after ``delay``, Ctrl-C and SIGTERM are delivered only when the block ends.
 
-    Of nested blocks, the outermost delivers. Outside the main thread, where no signal arrives, and for signals that
-    Python does not handle, nothing changes.
+    Of nested blocks, the outermost delivers them. It does nothing outside the main thread, where no signal arrives, nor
+    for signals that Python does not handle.
     """
 
     _outermost: "ClassVar[DelayedInterrupt | None]" = None
@@ -85,7 +85,7 @@ class DelayedInterrupt:
         return self
 
     def delay(self) -> None:
-        """Hold the signals back from now on."""
+        """Delay signals from now on."""
         outer = DelayedInterrupt._outermost
         if outer is None or outer._handlers or threading.current_thread() is not threading.main_thread():
             return

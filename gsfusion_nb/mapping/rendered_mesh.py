@@ -1,4 +1,4 @@
-"""A mesh of a map that has no distance field: the depth that it renders, fused into a TSDF."""
+"""Mesh of a map without a distance field: its rendered depth is fused into a TSDF."""
 
 from collections.abc import Callable, Sequence
 
@@ -11,7 +11,7 @@ from ..tsdf import TsdfVolume, extract_mesh, integrate
 from ..types import Camera, Frame, Mesh
 
 VIEWS = 60
-"""Views whose rendered depth makes the mesh."""
+"""Number of views whose rendered depth is fused to the mesh."""
 
 
 def mesh_of_views(
@@ -21,9 +21,9 @@ def mesh_of_views(
     config: TsdfConfig,
     device: torch.device,
 ) -> Mesh:
-    """Surface of the depth that ``see`` renders from about ``VIEWS`` poses ``T_WC``, all along the trajectory.
+    """Surface of the map: depth rendered by ``see`` from about ``VIEWS`` poses ``T_WC`` along the trajectory, fused.
 
-    camera: Of the views; None if there are no poses.
+    ``camera`` is that of the views; it may be None if there are no poses.
     """
     volume = TsdfVolume(config, device=device)
     for index, T_WC in enumerate(poses[:: max(1, len(poses) // VIEWS)]):

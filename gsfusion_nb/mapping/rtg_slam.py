@@ -25,7 +25,7 @@ from .step_report import StageClock, StepReport, psnr_from_mse
 from .surfel_optimiser import SurfelOptimiser, TrainingView
 
 MASKED_BELOW = 0.8
-"""With more of the rows in view unstable they touch nearly all pixels, and to find these costs more than it saves."""
+"""If more of the rows in view are unstable, they touch nearly all pixels; finding these then saves no time."""
 
 
 class RTGSLAM(Mapper):
@@ -140,12 +140,12 @@ class RTGSLAM(Mapper):
         return dataclasses.replace(output, surface_depth_m=depth_m)
 
     def mesh(self) -> Mesh:
-        """Surface of the rendered depth, fused into a TSDF from poses all along the trajectory."""
+        """Surface of the map: depth rendered from poses along the whole trajectory, fused into a TSDF."""
         return mesh_of_views(self.surface, self.camera, self.localiser.poses, self.config.mesh, self.device)
 
     @property
     def n_passes(self) -> int:
-        """Passes of the final optimisation that the settings ask for."""
+        """Number of passes of the final optimisation in the settings."""
         return self.config.final.passes
 
     def counts(self) -> dict[str, int]:
@@ -181,7 +181,7 @@ class RTGSLAM(Mapper):
         return Surface(depth_m=view.depth_m, normal_W=view.normal_W, camera=camera, T_WC=T_WC, rgb=view.rgb)
 
     def _follow(self, correction: Correction | None) -> None:
-        """After a closed loop the window moves as well."""
+        """After a loop closure the window moves as well."""
         super()._follow(correction)
         if correction is None or self.config.tracking.back_end.on_correction == "leave":
             return
@@ -208,7 +208,7 @@ class RTGSLAM(Mapper):
         return (self.n_frames + 1) % self.config.window.every_frames == 0 and not replaced
 
     def _optimise_window(self) -> list[float]:
-        """Optimise the unstable Gaussians against the last frames, then fuse them with what they were (Eq. 7-9)."""
+        """Optimise the unstable Gaussians against the last frames, then fuse them with the old values (Eq. 7-9)."""
         config, model = self.config.window, self.gaussians
         trained = ~model.is_stable if config.only_unstable else torch.ones_like(model.is_stable)
         seen = self._seen(self.window)
@@ -267,13 +267,13 @@ class RTGSLAM(Mapper):
         return seen
 
     def _worst_pixels(self, keyframe: Keyframe) -> Bool[Tensor, "H W"]:
-        """The share of the pixels whose colour is farthest off."""
+        """The pixels with the largest colour errors, a fixed share of the image."""
         view = self.surface(keyframe.camera, keyframe.T_WC)
         error = (view.rgb - keyframe.rgb).abs().mean(dim=-1)
         return error >= error.flatten().quantile(1 - self.config.keyframes.pixel_share)
 
     def _manage_states(self, frame: Frame) -> tuple[float, Transitions]:
-        """Count errors against stable Gaussians, then change states and remove outliers; PSNR of the view before."""
+        """Count errors of stable Gaussians, change states and remove outliers. Returns the PSNR of the view before."""
         count_views(self.gaussians, frame.camera, frame.T_WC)
         view = self.surface(frame.camera, frame.T_WC)
         known = frame.depth_m > 0
@@ -285,7 +285,7 @@ class RTGSLAM(Mapper):
         return _psnr(view.rgb, frame), change_states(self.gaussians, self.config.states)
 
     def _global_step(self, i: int) -> Float[Tensor, ""]:
-        """One step on the i-th keyframe, on all pixels and all Gaussians, which are all stable from here on."""
+        """One step on the i-th keyframe, on all pixels and all Gaussians, which all become stable at the first step."""
         if self._final is None:
             self.gaussians.state.fill_(STABLE)
             self._final = self._final_optimiser()

@@ -1,4 +1,4 @@
-"""The seeding rule of a mapper: which options it runs with, and what of it a checkpoint keeps."""
+"""The seeding rule of a mapper: its options, and what a checkpoint saves of it."""
 
 import dataclasses
 import logging
@@ -14,11 +14,11 @@ S = TypeVar("S", bound=SystemConfig)
 
 
 def settings_with_rule(config: S, rule: SeedingRule) -> S:
-    """``config`` with the rule that is used and the options that it is used with, so that what is stored is what ran.
+    """``config`` with the rule and the options that are really used, so that the stored settings are those of the run.
 
-    The options in the settings are for the rule in the settings. Another rule gets them if it takes all of them; if
-    they are the first rule's, it runs with its defaults. Options that neither takes stay, and the first frame refuses
-    them.
+    The options in the settings are for the rule in the settings. Another rule gets them if it has all of them; if only
+    the first rule has them, the other runs with its defaults. Options that neither has are kept, and the first frame
+    refuses them.
     """
     name, seeding = rule_name(rule), config.seeding
     if name == seeding.rule:
@@ -29,17 +29,17 @@ def settings_with_rule(config: S, rule: SeedingRule) -> S:
         and not options.keys() <= rule_options(rule).keys()
         and options.keys() <= rule_options(own).keys()
     ):
-        log.info("the options %s are of the seeding rule %r; %r runs with its defaults", options, seeding.rule, name)
+        log.info("the options %s belong to the seeding rule %r; %r runs with its defaults", options, seeding.rule, name)
         options = {}
     return dataclasses.replace(config, seeding=dataclasses.replace(seeding, rule=name, options=options))
 
 
 class RuleInUse:
-    """A rule, and how it was when its mapper was made.
+    """A rule, and its fingerprint from when its mapper was made.
 
-    A rule should depend on its context only. One that does keep something from frame to frame is a callable object with
-    ``state_dict()`` and ``load_state_dict(state)``: what they exchange (tensors and plain values) is kept in
-    checkpoints. A rule that keeps something without them can map, but a checkpoint with it is refused.
+    A rule should depend on its context only. A rule that needs a state must be a callable object with ``state_dict()``
+    and ``load_state_dict(state)``: what they exchange (tensors and plain values) is saved in checkpoints. A rule that
+    stores something without them can map, but its checkpoints cannot be resumed.
     """
 
     def __init__(self, rule: SeedingRule):
@@ -47,7 +47,7 @@ class RuleInUse:
         self._fingerprint = rule_fingerprint(rule)
 
     def state_dict(self) -> dict[str, Any]:
-        """Which rule it is, and what it keeps."""
+        """Name and fingerprint of the rule, and its state."""
         save = getattr(self.rule, "state_dict", None)
         return {
             "name": rule_name(self.rule),
@@ -57,23 +57,23 @@ class RuleInUse:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Give the rule what it kept.
+        """Restore the state of the rule.
 
         Raises:
-            SequenceError: the rule that made the checkpoint kept something that is not in it.
+            SequenceError: the rule that made the checkpoint stored something that is not in it.
         """
         if state["changed"]:
             raise SequenceError(
-                f"the seeding rule {shown(state['name'])} kept something from one frame to the next, which a "
-                "checkpoint does not hold, so the run cannot continue to the same map; make the rule a callable object "
-                "with state_dict() and load_state_dict(state)"
+                f"the seeding rule {shown(state['name'])} stores something from one frame to the next that is not in "
+                "the checkpoint, so the run cannot continue to the same map; make the rule a callable object with "
+                "state_dict() and load_state_dict(state)"
             )
         load = getattr(self.rule, "load_state_dict", None)
         if state["kept"] is not None and callable(load):
             load(state["kept"])
 
     def differs(self, state: dict[str, Any]) -> bool:
-        """This is not the rule that ``state`` is of, or it was edited since."""
+        """Whether this is not the rule of ``state``, or it was edited since."""
         return state["name"] != rule_name(self.rule) or state["fingerprint"] != self._fingerprint
 
 
@@ -84,5 +84,5 @@ def check_known(state: dict[str, Any]) -> None:
         what = "is not known here" if known is None else "is not the one that is registered here by that name"
         raise SequenceError(
             f"the seeding rule {shown(name)} of this run {what}; its source is in rule.py of the run's folder: define "
-            "it, and continue in Python: resume_mapping(folder, seeding=<the rule>)"
+            "it and continue with it in Python: resume_mapping(folder, seeding=<the rule>)"
         )

@@ -1,4 +1,4 @@
-"""What one step of a mapper reports, and the clock that splits it into stages."""
+"""The report of one step of a mapper, and the clock that divides its time into stages."""
 
 import contextlib
 import math
@@ -13,26 +13,26 @@ from torch import Tensor
 
 @dataclass(frozen=True, kw_only=True)
 class StepReport:
-    """One frame, mapped."""
+    """Report on one mapped frame."""
 
     frame_index: int
     n_seeds: int
-    """New Gaussians of this frame."""
+    """Number of new Gaussians from this frame."""
     n_gaussians: int
-    """Gaussians in the map after it."""
+    """Number of Gaussians in the map after the step."""
     is_keyframe: bool
     losses: tuple[float, ...]
     """Loss before each optimisation step on this frame."""
     psnr_before_db: float
-    """PSNR of this view before it was optimised: GSFusion with its new Gaussians, RTG-SLAM without."""
+    """PSNR of this view before its optimisation: GSFusion with the new Gaussians, RTG-SLAM without."""
     psnr_after_db: float
-    """PSNR of this view after: GSFusion at the last step on it (before that step is taken), RTG-SLAM at the end."""
+    """PSNR of this view: GSFusion just before the last optimisation step on it, RTG-SLAM at the end of the step."""
     n_blocks: int = 0
-    """Voxel blocks in the TSDF map after it, if there is one."""
+    """Number of voxel blocks in the TSDF map after the step, if there is one."""
     counts: dict[str, int] = field(default_factory=dict)
-    """RTG-SLAM: Gaussians by state, and how many changed state."""
+    """RTG-SLAM: number of Gaussians by state, and of changes of state."""
     tracking: dict[str, Any] = field(default_factory=dict)
-    """How the pose was found: status, rms_m, inlier_share. Empty for given poses."""
+    """How the frame was tracked: status, rms_m, inlier_share. Empty for given poses."""
     seconds: dict[str, float] = field(default_factory=dict)
     """Wall time by stage: tracking, tsdf, quadtree, seeding, optimise, keyframes, states."""
 
@@ -44,10 +44,10 @@ class StepReport:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GlobalStep:
-    """One view revisited in the optimisation after the scan."""
+    """One step on one keyframe in the optimisation after the scan."""
 
     pass_index: int
-    """Which pass over the keyframes, from 0."""
+    """Number of the pass over the keyframes, from 0."""
     step: int
     """Steps done so far in this optimisation, from 1."""
     n_steps: int
@@ -82,5 +82,5 @@ class StageClock:
 
 
 def psnr_from_mse(mse: float) -> float:
-    """PSNR in dB of images in 0..1; at most 100, which stands for equal images."""
+    """PSNR in dB of images in 0..1; at most 100, also for equal images."""
     return -10 * math.log10(max(mse, 1e-10))

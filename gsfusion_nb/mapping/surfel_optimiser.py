@@ -1,4 +1,4 @@
-"""Optimising some rows of an RTG-SLAM map against RGB-D views; the others stand still (Peng et al. 2024, Eq. 7-8)."""
+"""Optimising some rows of an RTG-SLAM map against RGB-D views; the others do not change (Peng et al. 2024, Eq. 7-8)."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ _GEOMETRY = ("xyz_W", "log_scale", "quat")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrainingView:
-    """An RGB-D image to optimise against, and the pixels of it that count."""
+    """An RGB-D image to optimise against, and the pixels of it that are used."""
 
     rgb: Float[Tensor, "H W 3"]
     depth_m: Float[Tensor, "H W"]
@@ -44,21 +44,21 @@ class TrainingView:
 
 
 class SurfelOptimiser:
-    """Adam on the rows ``trained`` of a map; of the others, those in ``drawn`` are part of the picture.
+    """Adam on the rows ``trained`` of a map; of the other rows, those in ``drawn`` are rendered, too.
 
-    The rows are worked on in a copy, the trained ones first; ``write_back`` carries the trained ones to the map.
+    It works on a copy of the rows, the trained ones first; ``write_back`` copies the trained ones to the map.
 
     Args:
         model: The map.
         trained: Rows to optimise. [N]
         window: Learning rates and weights of the loss.
-        discs: When a ray hits a disc.
-        drawn: Rows that are in the picture; all by default. [N]
-        seen: Rows that the views to come may show, from ``rows_in_view``; all by default. The others have no gradient
-            from a view: leaving them out costs less and changes the gradients of the rest by rounding only. [N]
-        lr_factor: Share of the learning rates.
-        move_centres: False leaves the centres where they are.
-        weight_depth: In place of the window's.
+        discs: When a ray counts as hitting a disc.
+        drawn: Rows that are rendered; all by default. [N]
+        seen: Rows that the views may show, from ``rows_in_view``; all by default. The others get no gradient, and
+            leaving them out takes less time and changes the other gradients by rounding only. [N]
+        lr_factor: Multiplies all learning rates.
+        move_centres: False: the centres do not move.
+        weight_depth: Weight of the depth loss, instead of that of ``window``.
     """
 
     def __init__(
@@ -84,11 +84,11 @@ class SurfelOptimiser:
         self.rows = trained.nonzero().squeeze(1)
         """Rows of the map that are optimised."""
         self.n = len(self.rows)
-        """Rows that are optimised; the first of ``params``."""
+        """Number of rows that are optimised; they are the first rows of ``params``."""
         self.params = model.params[torch.cat([self.rows, others.nonzero().squeeze(1)])]
         self.trained = self.params[: self.n]
         self.steps_seen = torch.zeros(self.n, dtype=torch.int32, device=trained.device)
-        """Steps that changed the colour of each trained row."""
+        """Number of steps that changed the colour of each trained row."""
         w = self.config
         rates = {
             "xyz_W": w.lr_xyz * lr_factor * move_centres,
@@ -105,12 +105,12 @@ class SurfelOptimiser:
         self._anchor = {name: start[name][self.rows[self._held]].clone() for name in _GEOMETRY}
 
     def touched(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> Bool[Tensor, "H W"]:
-        """Pixels where a trained row is seen, or would be if nothing stood before it."""
+        """Pixels that a trained row covers, even if other rows hide it."""
         output, _ = render_forward(self.trained, camera, T_WC, with_indices=False)
         return output.alpha > 0
 
     def step(self, view: TrainingView) -> RgbdLoss:
-        """One gradient step on one view; the loss before it."""
+        """One gradient step on one view. Returns the loss before it."""
         w, discs = self.config, self.discs
         output, saved = render_forward(
             self.params,
@@ -152,16 +152,16 @@ class SurfelOptimiser:
         return loss
 
     def write_back(self, params: GaussianParams | None = None) -> None:
-        """Carry the trained rows, or ``params`` in their place, to the map."""
+        """Copy the trained rows, or ``params`` instead of them, to the map."""
         for name, value in vars(params or self.trained).items():
             getattr(self._model.params, name)[self.rows] = value
 
     def state_dict(self) -> dict[str, Any]:
-        """What cannot be made anew from the map: Adam's moments, and where transparent rows are held."""
+        """What cannot be computed from the map: Adam's moments and the anchors of transparent rows."""
         return {"adam": self.adam.state_dict(), "anchor": {name: value.clone() for name, value in self._anchor.items()}}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from there, on the same rows. Raises ``ValueError`` for a state of other rows."""
+        """Restore what ``state_dict`` saved, for the same rows. Raises ``ValueError`` for other rows."""
         self.adam.load_state_dict(state["adam"])
         for name, mine in self._anchor.items():
             saved = state["anchor"][name]
@@ -169,7 +169,7 @@ class SurfelOptimiser:
             mine.copy_(saved)
 
     def _add_regulariser(self, g: GaussianParams) -> None:
-        """w_reg times the mean squared distance of transparent rows to their anchor: centre, scale, quaternion."""
+        """Add the gradient of w_reg times the mean squared distance of transparent rows to their anchors."""
         if not len(self._held):
             return
         for name in _GEOMETRY:

@@ -1,4 +1,4 @@
-"""The mapping systems by name. A new one is a line in ``SYSTEMS``."""
+"""The mapping systems by name. A new system is added to ``SYSTEMS``."""
 
 from typing import Any
 

@@ -26,7 +26,7 @@ def check_adam(
     beta2: float,
     eps: float,
 ) -> None:
-    """Raise ``ValueError`` for what ``adam_update`` does not take."""
+    """Raise ``ValueError`` for arguments that ``adam_update`` refuses."""
     check_operand("param", param, ("N", *("W",) * (getattr(param, "ndim", 1) - 1)))
     for name, value in {"gradient": gradient, "exp_avg": exp_avg, "exp_avg_sq": exp_avg_sq}.items():
         check_operand(name, value, tuple(param.shape), dtypes=(param.dtype,), device=param.device)
@@ -72,13 +72,13 @@ def adam_update(
         gradient: dL/dparam. [N, ...]
         exp_avg: m. [N, ...]
         exp_avg_sq: v. [N, ...]
-        steps: t, counting this step: one number for all rows, or one per row [N]; None is t = infinity, no correction.
-        lr: Step size, in units of the parameter; one for all values of a row, or one for each. [...]
+        steps: t, including this step: one number for all rows, or one per row [N]. None: no bias correction.
+        lr: Learning rate, in units of the parameter: one number, or one for each value of a row. [...]
         beta1: Decay of m.
         beta2: Decay of v.
         eps: Keeps the division finite where v = 0.
 
-    Rows that no pixel sees have zero gradient and still drift by their momentum, as in the released GSFusion.
+    Rows that no pixel sees have zero gradient, but their momentum still moves them, as in the released GSFusion.
 
     Source: Kingma & Ba 2015, algorithm 1.
     """

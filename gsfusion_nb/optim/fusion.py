@@ -22,12 +22,12 @@ def fuse_with_history(
     Args:
         before, after: Parameters before and after the optimisation of a window.
         confidence_before, confidence_after: Confidence counts eta.
-        history_max_weight: Cap on the weight of the past (paper 1, released code 0.5).
+        history_max_weight: Largest weight of the values before (paper 1, released code 0.5).
 
     Differentiable: yes, through torch.
 
-    Source: Peng et al. 2024, Eq. 9, whose w_curr is 1 - w. (The released code uses the first row's weight for all
-    parameters but centre and quaternion.)
+    Source: Peng et al. 2024, Eq. 9, whose w_curr is 1 - w. (The released code uses the weight of the first row for all
+    parameters except centre and quaternion.)
     """
     w = (confidence_before / confidence_after.clamp_min(1)).clamp(max=history_max_weight).to(after.xyz_W)
     w_1, w_2 = w[:, None], w[:, None, None]

@@ -16,14 +16,14 @@ from ..types import Camera, Frame, rgb_of_bytes
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Keyframe:
-    """A view to optimise against. Its image is kept in bytes, a quarter of float32; an 8-bit frame shares its own."""
+    """A view to optimise against. Its image is stored as bytes, a quarter of float32, shared with an 8-bit frame."""
 
     index: int
     rgb_u8: UInt8[Tensor, "H W 3"]
     camera: Camera
     T_WC: Float[Tensor, "4 4"]
     depth_m: Float[Tensor, "H W"] | None = None
-    """z-depth, where the mapper has a depth loss, metres."""
+    """z-depth, metres; None if the mapper has no depth loss."""
 
     @property
     def rgb(self) -> Float[Tensor, "H W 3"]:
@@ -37,10 +37,10 @@ class Keyframe:
 
 
 class KeyframeList:
-    """Keyframes in the order they were taken; all draws come from the generator that is passed in.
+    """Keyframes in the order in which they were added; random numbers come only from the generator that is passed in.
 
     Args:
-        device: Where the images are kept; by default where they come from.
+        device: Device on which the images are stored; by default that of the frames.
     """
 
     def __init__(self, device: torch.device | str | None = None):
@@ -58,11 +58,11 @@ class KeyframeList:
 
     @property
     def size_bytes(self) -> int:
-        """Memory of the images."""
+        """Memory of the images, bytes."""
         return sum(k.rgb_u8.numel() + (0 if k.depth_m is None else 4 * k.depth_m.numel()) for k in self._items)
 
     def append(self, frame: Frame, *, with_depth: bool = False) -> None:
-        """Keep ``frame`` as a keyframe."""
+        """Add ``frame`` as a keyframe, with its depth if ``with_depth``."""
         keyframe = Keyframe(
             index=frame.index,
             rgb_u8=frame.rgb_u8,
@@ -91,10 +91,10 @@ class KeyframeList:
 
     @classmethod
     def from_state_dict(cls, state: list[dict[str, Any]], device: torch.device | str | None = None) -> "KeyframeList":
-        """The list that ``state_dict`` described, with its images on ``device``, by default where they are.
+        """The list that was saved with ``state_dict``, with its images on ``device`` if one is given.
 
         Raises:
-            ValueError: images of another type or size than the camera's, or a camera or a pose that cannot be one.
+            ValueError: Images of another type or size than the camera's, or an invalid camera or pose.
         """
         keyframes = cls(device)
         for i, s in enumerate(state):

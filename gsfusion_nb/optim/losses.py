@@ -31,24 +31,24 @@ def l1_vjp(rgb: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"], v_loss: 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class L1Loss:
-    """``l1`` of one view, its gradient, and the error of its PSNR. All tensors, so that nothing waits for a GPU."""
+    """``l1`` of one view, its gradient, and the MSE of its PSNR. All are tensors, so the host does not wait."""
 
     value: Float[Tensor, ""]
     """Mean absolute difference."""
     mse: Float[Tensor, ""]
-    """Mean squared difference of the picture as it is shown, clamped to 0..1."""
+    """Mean squared difference of the picture clamped to 0..1, as it is shown."""
     v_rgb: Float[Tensor, "H W 3"]
 
 
 def check_pictures(rgb: Any, target: Any, v_loss: float = 1.0) -> None:
-    """Raise ``ValueError`` unless the two have one size, type and device."""
+    """Raise ``ValueError`` unless both images have the same size, type and device."""
     check_images(rgb=rgb, target=target)
     check_number("v_loss", v_loss)
 
 
 @op("l1_loss", check_pictures)
 def l1_mse_vjp(rgb: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"]) -> L1Loss:
-    """What an optimisation step needs of a picture: ``l1``, ``l1_vjp`` and the error that its PSNR reports."""
+    """What an optimisation step needs from a picture: ``l1``, ``l1_vjp`` and the MSE for its PSNR."""
     mse = (rgb.clamp(0, 1) - target).square().mean()
     return L1Loss(value=l1(rgb, target), mse=mse, v_rgb=l1_vjp(rgb, target))
 
@@ -58,7 +58,7 @@ def dssim(rgb: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"]) -> Float[
 
         SSIM = (2 mu_x mu_y + C1) (2 sigma_xy + C2) / ((mu_x^2 + mu_y^2 + C1) (sigma_x^2 + sigma_y^2 + C2))
 
-    Differentiable: ``dssim_vjp``. Source: Wang et al. 2004, Eq. 13; GSFusion's global optimisation uses 0.2 of it.
+    Differentiable: ``dssim_vjp``. Source: Wang et al. 2004, Eq. 13; its weight in GSFusion's global loss is 0.2.
     """
     A1, A2, B1, B2 = _ssim_factors(rgb, target)
     return 1.0 - (A1 * A2 / (B1 * B2)).mean()
@@ -93,7 +93,7 @@ def _ssim_factors(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]
 
 
 def window_mean(image: Float[Tensor, "H W 3"]) -> Float[Tensor, "H W 3"]:
-    """Average around each pixel, weighted by the window; pixels beyond the border are zero."""
+    """Average around each pixel, weighted by the window; pixels outside the image count as zero."""
     from kornia.filters import gaussian_blur2d
 
     size, sigma = (WINDOW_PX, WINDOW_PX), (WINDOW_SIGMA_PX, WINDOW_SIGMA_PX)

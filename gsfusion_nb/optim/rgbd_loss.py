@@ -15,7 +15,7 @@ from ..operands import MASK, check_images, check_operand
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RgbdLoss:
-    """Value and gradient of the loss of one view. All tensors, so that nothing waits for a GPU."""
+    """Value and gradient of the loss of one view. All are tensors, so the host need not wait for a GPU."""
 
     colour: Float[Tensor, ""]
     """Mean |C - C^| over the pixels and channels."""
@@ -30,7 +30,7 @@ class RgbdLoss:
 def check_rgbd(
     rgb: Any, depth_m: Any, target_rgb: Any, target_depth_m: Any, pixels: Any, **weights: float | None
 ) -> None:
-    """Raise ``ValueError`` for what ``rgbd_l1_vjp`` does not take."""
+    """Raise ``ValueError`` for arguments that ``rgbd_l1_vjp`` refuses."""
     check_images(rgb=rgb, depth_m=depth_m, target_rgb=target_rgb, target_depth_m=target_depth_m)
     check_operand("pixels", pixels, tuple(depth_m.shape), dtypes=MASK, device=rgb.device)
     for name, value in weights.items():
@@ -55,11 +55,11 @@ def rgbd_l1_vjp(
     Args:
         rgb, depth_m: Rendered, C^ and D^; depth 0 where no disc is hit, which has no depth loss.
         target_rgb, target_depth_m: Measured, C and D; depth 0 where missing.
-        pixels: Which pixels count.
+        pixels: The pixels to compare. [H, W]
         weight_colour, weight_depth: w_c and w_d.
-        behind_m: Depth rendered farther than this behind the measurement has no loss (released code).
+        behind_m: Depth rendered more than this behind the measurement has no loss, metres (released code).
 
-    Differentiable: this is the derivative; zero where both are equal.
+    Differentiable: no; it returns the gradient, which is zero where both are equal.
 
     Source: Peng et al. 2024, Eq. 7-8. The third term of Eq. 8 is about Gaussians, not pixels: ``SurfelOptimiser``.
     """

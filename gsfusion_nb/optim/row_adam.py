@@ -1,4 +1,4 @@
-"""Adam on a set of Gaussians that neither grows nor shrinks while it runs: one window, or the end of a scan."""
+"""Adam on a fixed set of Gaussians, for one optimisation window or for the end of a scan."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -16,9 +16,9 @@ class RowAdam:
     """Moments that start at zero, bias correction by the number of steps taken, one constant rate per group.
 
     Args:
-        params: What to update, in place.
-        rates: Learning rate of each group: xyz_W, log_scale, quat, sh_dc, sh_rest. Groups at rate 0 are left alone;
-            opacity is never touched (Peng et al. 2024: lr_alpha = 0).
+        params: Parameters to update, in place.
+        rates: Learning rate of each group: xyz_W, log_scale, quat, sh_dc, sh_rest. Groups with rate 0 do not change;
+            opacity never changes (Peng et al. 2024: lr_alpha = 0).
     """
 
     def __init__(self, params: GaussianParams, rates: Mapping[str, float]):
@@ -32,7 +32,7 @@ class RowAdam:
         self._moments = {name: [torch.zeros_like(getattr(params, name)) for _ in range(2)] for name in self._rates}
 
     def step(self, gradients: GaussianParams) -> None:
-        """Update once. Rows of ``gradients`` beyond those of ``params`` are not looked at."""
+        """Update once. Rows of ``gradients`` beyond those of ``params`` are ignored."""
         self.steps += 1
         n = len(self.params)
         for name, lr in self._rates.items():
@@ -48,7 +48,7 @@ class RowAdam:
         return {"steps": self.steps, "moments": moments}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Take over what ``state_dict`` gave. Raises ``ValueError`` for moments of parameters of another shape."""
+        """Restore what ``state_dict`` saved. Raises ``ValueError`` for moments of parameters of another shape."""
         check_whole("steps", state["steps"], 0)
         self.steps = state["steps"]
         if set(state["moments"]) != set(self._moments):

@@ -33,7 +33,7 @@ from .tiles import TileLists
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CompositeSaved(Record):
-    """What ``composite_vjp`` needs of the forward pass: its inputs."""
+    """What ``composite_vjp`` needs from the forward pass: its inputs."""
 
     uv: Float[Tensor, "N 2"]
     conic: Float[Tensor, "N 3"]
@@ -86,7 +86,7 @@ def check_composite(
     with_indices: bool = True,
     opaque_alpha: float | None = None,
 ) -> None:
-    """Raise ``ValueError`` for what ``composite`` does not take, such as the lists of another scene or image."""
+    """Raise ``ValueError`` for arguments that ``composite`` refuses, such as the lists of another scene or image."""
     check_operand("uv", uv, ("N", 2))
     n = len(uv)
     columns = {"conic": (conic, (n, 3)), "opacity": (opacity, (n,)), "rgb": (rgb, (n, 3)), "depth_m": (depth_m, (n,))}
@@ -110,7 +110,7 @@ def check_image_gradients(camera: Camera, v_rgb: Any, v_depth_m: Any, v_alpha: A
 
 
 def check_composite_vjp(saved: Any, v_rgb: Any, v_depth_m: Any = None, v_alpha: Any = None) -> None:
-    """Raise ``ValueError`` for what ``composite_vjp`` does not take."""
+    """Raise ``ValueError`` for arguments that ``composite_vjp`` refuses."""
     if not issubclass(type(saved), Record) or not hasattr(saved, "tiles"):
         raise ValueError(f"saved: the record that composite returns was expected, got {type(saved).__name__}")
     check_image_gradients(saved.camera, v_rgb, v_depth_m, v_alpha, saved.opacity.device)
@@ -174,14 +174,14 @@ def composite_vjp(
     v_depth_m: Float[Tensor, "H W"] | None = None,
     v_alpha: Float[Tensor, "H W"] | None = None,
 ) -> CompositeGradient:
-    """Gradient of ``composite`` to everything it blends (equations at the top of this file).
+    """Gradient of ``composite`` with respect to everything that it blends (equations at the top of this file).
 
-    It is the derivative of the forward: zero where alpha is clamped at 0.99 or cut at 1/255. (The code released with
-    Kerbl et al. 2023 lets the gradient through the 0.99 clamp.)
+    It is the exact derivative of the forward pass: zero where alpha is clamped at 0.99 or cut at 1/255. (The code
+    released with Kerbl et al. 2023 lets the gradient through the 0.99 clamp.)
 
     Args:
         saved: ``CompositeOutput.saved``.
-        v_rgb, v_depth_m, v_alpha: dL/d of the images; ``None`` is zero. Of pixels that were not drawn it is not used.
+        v_rgb, v_depth_m, v_alpha: dL/d of the images; ``None`` is zero. Pixels that were not drawn are ignored.
     """
     uv, conic, opacity, c = saved.uv, saved.conic, saved.opacity, saved.c
     v_depth_m, v_alpha = (torch.zeros_like(v_rgb[..., 0]) if v is None else v for v in (v_depth_m, v_alpha))
@@ -219,7 +219,7 @@ def _alpha(uv: Tensor, conic: Tensor, opacity: Tensor, x: Tensor, y: Tensor) -> 
 
 
 def _weights(alpha: Float[Tensor, "K P"]) -> tuple[Float[Tensor, "K P"], Float[Tensor, "K P"]]:
-    """T_k and w_k; the pixel stops before the Gaussian behind which less than 1e-4 of the light would be left."""
+    """T_k and w_k; blending stops before the first Gaussian behind which T would be below 1e-4."""
     T_behind = (1 - alpha).cumprod(dim=0)  # RTG-SLAM Eq. 3
     T = torch.cat([torch.ones_like(alpha[:1]), T_behind[:-1]])
     return T, torch.where(T_behind >= TRANSMITTANCE_MIN, alpha * T, 0.0)

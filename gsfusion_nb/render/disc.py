@@ -37,7 +37,7 @@ class DiscDepth:
     normal_W: Float[Tensor, "H W 3"]
     """Unit normal of the disc, world frame, on the side of the camera; 0 where no disc is hit. No gradient."""
     on_plane: Bool[Tensor, "H W"]
-    """The depth is the intersection's, not the centre's."""
+    """Whether the depth is that of the intersection with the plane, not of the centre."""
 
 
 def check_discs(
@@ -49,7 +49,7 @@ def check_discs(
     max_offset: float | None = DISC_MAX_OFFSET,
     min_cosine: float = DISC_MIN_COSINE,
 ) -> None:
-    """Raise ``ValueError`` for what ``disc_depth`` does not take."""
+    """Raise ``ValueError`` for arguments that ``disc_depth`` refuses."""
     check_gaussians(params)
     device = params.xyz_W.device
     check_view(camera, T_WC, device)
@@ -67,7 +67,7 @@ def check_discs(
 def check_discs_vjp(
     params: Any, camera: Any, T_WC: Any, hit_index: Any, v_depth_m: Any, *, rows: Any = None, **options: float | None
 ) -> None:
-    """Raise ``ValueError`` for what ``disc_depth_vjp`` does not take."""
+    """Raise ``ValueError`` for arguments that ``disc_depth_vjp`` refuses."""
     check_discs(params, camera, T_WC, hit_index, **options)  # pyright: ignore[reportArgumentType]
     check_operand("v_depth_m", v_depth_m, (camera.height, camera.width), device=params.xyz_W.device)
     if rows is not None:
@@ -89,8 +89,8 @@ def disc_depth(
     Args:
         params, camera, T_WC: as given to ``render_forward``.
         hit_index: Row of the hit Gaussian or -1, ``RenderOutput.hit_index``. [H, W]
-        max_offset: Largest |z - p_z|, in largest scales of the disc. ``None``: no such test, as in the paper.
-        min_cosine: Least cosine of the angle between ray and normal.
+        max_offset: Largest |z - p_z|, in units of the disc's largest scale. ``None``: no limit, as in the paper.
+        min_cosine: Smallest cosine of the angle between ray and normal.
 
     Raises:
         ValueError: ``hit_index`` is not of the camera's size or names a row that ``params`` does not have.
@@ -120,14 +120,14 @@ def disc_depth_vjp(
     min_cosine: float = DISC_MIN_COSINE,
     rows: Bool[Tensor, " N"] | None = None,
 ) -> tuple[Float[Tensor, "N 3"], Float[Tensor, "N 4"]]:
-    """Gradient of ``disc_depth`` to centre and quaternion (equations at the top of this file).
+    """Gradient of ``disc_depth`` with respect to centre and quaternion (equations at the top of this file).
 
-    Which disc is hit, and which of the two cases applies, is taken as given: nothing flows to scale or opacity.
+    Which disc is hit, and which of the two cases applies, is treated as constant: scale and opacity get no gradient.
 
     Args:
         params, camera, T_WC, hit_index, max_offset, min_cosine: as given to ``disc_depth``.
         v_depth_m: dL/d of its depth.
-        rows: Gradients are wanted only where this is true; the others cost nothing. [N]
+        rows: Compute gradients only where this is true; the other Gaussians are frozen. [N]
 
     Returns:
         ``(v_xyz_W, v_quat)``, zero for a Gaussian that no pixel hits or that is frozen.

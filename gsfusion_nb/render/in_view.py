@@ -1,4 +1,4 @@
-"""Which Gaussians a camera may see: a cheap test that leaves none out."""
+"""Which Gaussians a camera may see: a fast test that never misses one."""
 
 import torch
 from jaxtyping import Bool, Float
@@ -21,7 +21,7 @@ def rows_in_view(params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 
         params, camera, T_WC: as given to ``render``.
 
     Returns:
-        True for every row that is drawn, and for few others. [N]
+        True for every row that is drawn, and for a few others. [N]
     """
     x, y, z = se3.apply(se3.inverse(T_WC.to(params.xyz_W)), params.xyz_W).unbind(-1)
     opacity = params.opacity_logit.sigmoid()

@@ -17,7 +17,7 @@ from ..types import Camera, GaussianParams
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Projection:
-    """The Gaussians as ellipses on the screen. Rows that are not ``visible`` hold finite, meaningless numbers."""
+    """The Gaussians as ellipses in the image. Rows that are not ``visible`` contain finite numbers without meaning."""
 
     uv: Float[Tensor, "N 2"]
     """Centre, pixels."""
@@ -35,7 +35,7 @@ class Projection:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ProjectionGradient:
-    """dL/d of the parameters that ``project_gaussians`` uses."""
+    """dL/d of the Gaussian parameters that ``project_gaussians`` uses."""
 
     xyz_W: Float[Tensor, "N 3"]
     log_scale: Float[Tensor, "N 3"]

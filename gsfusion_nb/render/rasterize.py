@@ -1,4 +1,4 @@
-"""The whole renderer: project, colour, tile lists, composite; and its gradient, stage by stage in reverse."""
+"""The whole renderer: project, colour, tile lists, composite; and its gradient, the stages in reverse order."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ from .tiles import tile_intersections
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RenderSaved(Record):
-    """What ``render_vjp`` needs of the forward pass. Every backend has its own kind of record."""
+    """What ``render_vjp`` needs from the forward pass. Every backend has its own kind of record."""
 
     params: GaussianParams
     camera: Camera
@@ -34,13 +34,13 @@ def render(params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"]) -
     """Draw the Gaussian map from a camera: colour, blended depth, alpha, first and dominant Gaussian.
 
     Args:
-        params: The map; any number of rows, also none; float32 or float64. A Gaussian whose centre, size, opacity or
+        params: The map; any number of rows, even none; float32 or float64. A Gaussian whose centre, size, opacity or
             colour is NaN or infinite is not drawn and has zero gradient.
         camera: Pinhole camera, any image size.
         T_WC: Camera-to-world pose.
 
     Differentiable: use ``render_forward`` with ``render_vjp``, or ``render_autograd``.
-    Source: Kerbl et al. 2023; what is not in the paper (clamps, cuts) is in ``constants``.
+    Source: Kerbl et al. 2023; the clamps and cuts, which are not in the paper, are in ``constants``.
     """
     return render_forward(params, camera, T_WC)[0]
 
@@ -54,7 +54,7 @@ def check_render(
     opaque_alpha: float | None = None,
     pixels: Any = None,
 ) -> None:
-    """Raise ``ValueError`` for what ``render_forward`` does not take."""
+    """Raise ``ValueError`` for arguments that ``render_forward`` refuses."""
     check_gaussians(params)
     check_view(camera, T_WC, params.xyz_W.device)
     if opaque_alpha is not None:
@@ -64,7 +64,7 @@ def check_render(
 
 
 def check_render_vjp(saved: Any, v_rgb: Any, v_depth_m: Any = None, v_alpha: Any = None, *, rows: Any = None) -> None:
-    """Raise ``ValueError`` for what ``render_vjp`` does not take."""
+    """Raise ``ValueError`` for arguments that ``render_vjp`` refuses."""
     if not issubclass(type(saved), Record) or not hasattr(saved, "params"):
         raise ValueError(f"saved: the record that render_forward returns was expected, got {type(saved).__name__}")
     params, camera = saved.params, saved.camera
@@ -87,11 +87,11 @@ def render_forward(
 
     Args:
         params, camera, T_WC: as given to ``render``.
-        with_indices: Find the first and the dominant Gaussian. An optimiser has no use for them; without, both are
-            ``None`` and it is a little faster.
+        with_indices: Find the first and the dominant Gaussian of each pixel. An optimiser does not need them; with
+            False both are ``None``, which is a little faster.
         opaque_alpha: If given, also find the Gaussians for ``disc_depth``; the paper's is ``constants.OPAQUE_ALPHA``.
-        pixels: Draw only where this is true; elsewhere all images are 0, indices -1 and gradients zero. A tile of the
-            image without such a pixel costs nothing. (Peng et al. 2024, RTG-SLAM, section 3.2.) [H, W]
+        pixels: Draw only where this is true; elsewhere all images are 0, indices -1 and gradients zero. Tiles without
+            such a pixel take no time. (Peng et al. 2024, RTG-SLAM, section 3.2.) [H, W]
 
     Raises:
         ValueError: ``pixels`` is not boolean or not of the camera's size.
@@ -138,8 +138,8 @@ def render_vjp(
 
     Args:
         saved: Second result of ``render_forward``.
-        v_rgb, v_depth_m, v_alpha: dL/d of the images; ``None`` is zero. Of pixels that were not drawn it is not used.
-        rows: Gradients are wanted only where this is true; the other Gaussians are frozen and cost less. [N]
+        v_rgb, v_depth_m, v_alpha: dL/d of the images; ``None`` is zero. Pixels that were not drawn are ignored.
+        rows: Compute gradients only where this is true; the other Gaussians are frozen, which takes less time. [N]
 
     Returns:
         Gradients, in the shape of the parameters; zero for a Gaussian that is not seen or is frozen.
@@ -153,7 +153,7 @@ def render_vjp(
         v_sh, v_xyz_W = sh_to_rgb_vjp(params.sh, params.xyz_W, saved.T_WC[:3, 3], v.rgb)
         g = project_gaussians_vjp(params, saved.camera, saved.T_WC, v.uv, v.conic, v.depth_m, v.opacity)
     gradient = {
-        "xyz_W": g.xyz_W + v_xyz_W,  # a centre decides where its Gaussian is seen, and from which side
+        "xyz_W": g.xyz_W + v_xyz_W,  # the centre affects position and view direction
         "log_scale": g.log_scale,
         "quat": g.quat,
         "opacity_logit": g.opacity_logit,

@@ -1,4 +1,4 @@
-"""The surface that a Gaussian map shows to a camera: what a mapper compares with depth, and a tracker aligns to."""
+"""The surface that a camera sees in a Gaussian map: mappers compare it with depth, trackers align frames with it."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ from .disc import disc_depth
 from .rasterize import render_forward
 
 BLENDED_MIN_ALPHA = 0.5
-"""Blended depth counts where at least so much of the light was stopped."""
+"""Blended depth is used only where the accumulated alpha is at least this."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -21,7 +21,7 @@ class SurfaceView:
 
     rgb: Float[Tensor, "H W 3"]
     transmittance: Float[Tensor, "H W"]
-    """Light that is left behind all Gaussians (Eq. 3)."""
+    """Share of the light that passes all Gaussians (Eq. 3)."""
     depth_m: Float[Tensor, "H W"]
     """z-depth of the surface (Eq. 5); 0 where there is none (-1 in the paper)."""
     normal_W: Float[Tensor, "H W 3"]
@@ -29,7 +29,7 @@ class SurfaceView:
     hit_index: Int[Tensor, "H W"]
     """Row of the hit disc, or -1."""
     dominant_index: Int[Tensor, "H W"]
-    """Row with the largest part in the colour, or -1."""
+    """Row of the Gaussian with the largest weight in the colour, or -1."""
 
 
 def view_surface(
@@ -40,12 +40,12 @@ def view_surface(
     *,
     pixels: Bool[Tensor, "H W"] | None = None,
 ) -> SurfaceView:
-    """Everything a mapper or tracker asks of the map at one pose, in one pass.
+    """Everything that a mapper or tracker needs from the map at one pose, in one pass.
 
     Args:
         params, camera, T_WC: as for ``render``.
-        config: When a disc is hit; with ``depth="blended"`` the depth is sum of w_k z_k / alpha instead.
-        pixels: Draw only these. [H, W]
+        config: When a disc counts as hit; with ``depth="blended"`` the depth is sum of w_k z_k / alpha instead.
+        pixels: Draw only where this is true. [H, W]
 
     Differentiable: no; ``render_forward``, ``disc_depth`` and their vjp are.
     """
@@ -70,7 +70,7 @@ def view_surface(
 def surface_depth_m(
     params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"], output: RenderOutput, config: DiscConfig
 ) -> Float[Tensor, "H W"]:
-    """Depth of the surface in ``output``, which was rendered with ``opaque_alpha``: of the discs hit, or blended."""
+    """Depth of the surface in ``output`` (rendered with ``opaque_alpha``), metres: of the discs hit, or blended."""
     if config.depth == "blended":
         return blended_depth_m(output)
     assert output.hit_index is not None
@@ -80,6 +80,6 @@ def surface_depth_m(
 
 
 def blended_depth_m(output: RenderOutput, min_alpha: float = BLENDED_MIN_ALPHA) -> Float[Tensor, "H W"]:
-    """sum of w_k z_k / alpha, metres; 0 where less than ``min_alpha`` of the light was stopped."""
+    """sum of w_k z_k / alpha, metres; 0 where alpha is below ``min_alpha``."""
     depth_m = output.depth_m / output.alpha.clamp_min(1e-6)
     return torch.where(output.alpha >= min_alpha, depth_m, 0.0)

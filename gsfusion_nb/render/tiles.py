@@ -21,13 +21,13 @@ class TileLists:
     gaussian: Int[Tensor, " I"]
     """Row of the Gaussian, by tile, then by depth."""
     offset: Int[Tensor, " T_plus_1"]
-    """Where each tile's list begins; the last number is the total. Tiles are numbered row by row."""
+    """Start of each tile's list; the last number is the total. Tiles are numbered row by row."""
     tile_px: int
     """Edge of a tile, pixels."""
     tiles_x: int
     tiles_y: int
     pixels: Bool[Tensor, "H W"] | None = None
-    """Pixels to be drawn; ``None`` stands for all. Tiles without any have empty lists."""
+    """Pixels to draw; ``None`` means all. Tiles without such a pixel have empty lists."""
 
     def check(self, n: int, camera: Camera) -> None:
         """Raise ``ValueError`` unless these are lists of ``n`` Gaussians on the image of ``camera``."""
@@ -45,19 +45,17 @@ class TileLists:
             return
         if len(self.gaussian) and not 0 <= int(self.gaussian.min()) <= int(self.gaussian.max()) < n:
             raise ValueError(
-                f"tiles must name rows of the {n} Gaussians, got {int(self.gaussian.max())}: another map's?"
+                f"tiles must name rows of the {n} Gaussians, got {int(self.gaussian.max())}; are they of another map?"
             )
         if int(self.offset[0]) != 0 or int(self.offset[-1]) != len(self.gaussian) or (self.offset.diff() < 0).any():
-            raise ValueError(
-                f"tiles.offset must rise from 0 to the {len(self.gaussian)} entries, as tile_intersections makes it"
-            )
+            raise ValueError(f"tiles.offset must rise from 0 to {len(self.gaussian)}, the length of tiles.gaussian")
 
     def gaussians_of(self, tile: int) -> Int[Tensor, " K"]:
         """The list of one tile, nearest first."""
         return self.gaussian[self.offset[tile] : self.offset[tile + 1]]
 
     def pixels_of(self, tile: int, camera: Camera) -> tuple[Int[Tensor, " P"], Int[Tensor, " P"]]:
-        """Rows and columns of a tile's pixels that are to be drawn."""
+        """Rows and columns of the pixels of a tile that will be drawn."""
         drawn = self.pixels
         if drawn is None:
             drawn = torch.ones(camera.height, camera.width, dtype=torch.bool, device=self.gaussian.device)
@@ -67,7 +65,7 @@ class TileLists:
 
 
 def check_tiles(projection: Any, camera: Any, *, tile_px: int = TILE_PX, pixels: Any = None) -> None:
-    """Raise ``ValueError`` for what ``tile_intersections`` does not take."""
+    """Raise ``ValueError`` for arguments that ``tile_intersections`` refuses."""
     if not isinstance(projection, Projection):
         raise ValueError(f"projection must be a Projection, got {type(projection).__name__}")
     check_camera(camera)
@@ -95,12 +93,12 @@ def tile_intersections(
         projection: Screen-space Gaussians.
         camera: Gives the image size; the last row and column of tiles may reach beyond the image.
         tile_px: Edge of a tile, pixels. The picture does not depend on it.
-        pixels: The pixels to be drawn, if not all.
+        pixels: The pixels to draw; by default all. [H, W]
 
     Raises:
         ValueError: ``pixels`` is not boolean or not of the camera's size.
 
-    Differentiable: no (a list; the gradient at its border is of the size of the 1/255 cut).
+    Differentiable: no (a list; the neglected gradient at the border of a box is as small as the cut at 1/255).
     """
     nearest_first = projection.depth_m.argsort(stable=True)
     nearest_first = nearest_first[projection.visible[nearest_first]]

@@ -1,4 +1,4 @@
-"""Runs of a mapper over a sequence or a stream: the loop, the clock, checkpoints, files and scores."""
+"""Runs of a mapper over a sequence or a stream: the loop over the frames, timing, checkpoints, files and scores."""
 
 from .autosave import CheckpointEvery as CheckpointEvery
 from .map_sequence import FinishedRun as FinishedRun

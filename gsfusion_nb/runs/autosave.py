@@ -1,4 +1,4 @@
-"""Checkpoints while a run goes on."""
+"""Checkpoints saved at intervals during a run."""
 
 import logging
 import time
@@ -11,31 +11,34 @@ from ..mapping import Mapper
 log = logging.getLogger(__name__)
 
 MAX_SHARE = 0.03
-"""Checkpoints by time take at most this share of it: after one that took long, the next comes later."""
+"""Checkpoints at time intervals take at most this share of the run: after a slow one, the next is saved later."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CheckpointEvery:
-    """How often a run saves where it stands. Both 0: only when it is interrupted."""
+    """How often a run saves a checkpoint. If both are 0, only when it is interrupted."""
 
     seconds: float | int = 30.0
-    """Time between two checkpoints; more if one takes more than 3 % of it."""
+    """Time between two checkpoints; longer if saving one takes more than 3 % of it. 0: not by time."""
     frames: int = 0
-    """Frames, or views of the optimisation after the scan, between two checkpoints."""
+    """Frames, or views of the optimisation after the scan, between two checkpoints. 0: not by frames."""
 
     def __post_init__(self):
         if self.seconds < 0 or self.frames < 0:
-            raise ValueError(f"checkpoints come every 0 or more seconds or frames, got {self.seconds}, {self.frames}")
+            raise ValueError(
+                f"the interval of checkpoints must be at least 0 s and 0 frames, got {self.seconds} s and "
+                f"{self.frames} frames"
+            )
 
 
 class Autosave:
-    """Called after every step of a run; saves a checkpoint when one is due. It changes nothing in the run.
+    """Called after every step of a run; saves a checkpoint when one is due. It does not change the run.
 
     Args:
-        mapper: Nothing is saved while it holds half a frame.
+        mapper: Nothing is saved while a frame is only partly in its map.
         save: Saves a checkpoint.
-        every: How often.
-        clock: Seconds.
+        every: How often to save.
+        clock: Returns the time in seconds.
     """
 
     def __init__(
@@ -49,7 +52,7 @@ class Autosave:
         self._next_s, self._steps = clock() + every.seconds, 0
         self.n_saved = 0
         self.seconds = 0.0
-        """Time that all checkpoints took."""
+        """Total time spent on checkpoints."""
 
     def __call__(self) -> None:
         self._steps += 1
@@ -65,7 +68,7 @@ class Autosave:
             self._save()
             self.n_saved += 1
         except DiskFullError as e:
-            log.warning("no checkpoint now: %s; the last one is kept, and the run continues", e)
+            log.warning("this checkpoint could not be saved: %s; the last one is kept, and the run continues", e)
         took = self._clock() - began
         self.seconds += took
         self._next_s = began + took + max(self._every.seconds, took / MAX_SHARE)

@@ -1,4 +1,4 @@
-"""What is kept of a stream to score and to show: a bounded number of its frames, evenly spread, and all poses."""
+"""The frames of a stream that are kept for scoring and display: a limited number, evenly spread, and all poses."""
 
 import bisect
 import dataclasses
@@ -20,10 +20,10 @@ _UNKNOWN = Camera(width=1, height=1, fx=1.0, fy=1.0, cx=0.5, cy=0.5)
 
 
 class KeptFrames:
-    """Some frames of a stream by their index, and the poses of all mapped ones (a ``Sequence``).
+    """A ``Sequence`` of some frames of a stream, by index, and of the poses of all mapped frames.
 
-    A frame that was not kept raises ``BadFrameError``. When there are more than ``most``, every other one is dropped,
-    and from then on frames are kept half as often.
+    Reading a frame that was not kept raises ``BadFrameError``. When there are more than ``most`` frames, every other
+    one is dropped, and from then on frames are kept half as often.
     """
 
     def __init__(self, name: str, *, has_poses: bool = True, most: int = MOST_VIEWS):
@@ -48,14 +48,14 @@ class KeptFrames:
         raise BadFrameError(f"frame {i} of {self.name} was not kept")
 
     def pose(self, i: int) -> Float[Tensor, "4 4"]:
-        """Pose of frame ``i`` as the stream gave it."""
+        """Camera-to-world pose of frame ``i`` as given by the stream."""
         k = bisect.bisect_left(self.mapped, i)
         if k < len(self.mapped) and self.mapped[k] == i:
             return torch.tensor(self._poses[16 * k : 16 * k + 16]).reshape(4, 4)
         return self[i].T_WC
 
     def add(self, frame: Frame) -> None:
-        """A frame was mapped."""
+        """Record a frame that was mapped."""
         self.camera = frame.camera
         self.mapped.append(frame.index)
         self._poses.extend(frame.T_WC.flatten().tolist())
@@ -63,7 +63,7 @@ class KeptFrames:
         self._last = frame
 
     def hold_out(self, frame: Frame) -> None:
-        """A frame is not mapped, so that the map can be scored by it."""
+        """Record a held-out frame: it is not mapped, so that the map can be scored with it."""
         self.kept_held_out.add(frame)
 
     def view(self, positions: list[int]) -> SequenceView:
@@ -71,7 +71,7 @@ class KeptFrames:
         return SequenceView(source=self, positions=positions, camera=self.camera)
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything that is kept, as tensors and plain values."""
+        """All kept frames and poses, as tensors and plain values."""
         samples = {"kept_mapped": self.kept_mapped, "kept_held_out": self.kept_held_out}
         return {name: sample.state_dict() for name, sample in samples.items()} | {
             "camera": vars(self.camera),
@@ -80,7 +80,7 @@ class KeptFrames:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from what ``state_dict`` gave."""
+        """Restore what ``state_dict`` saved."""
         self.camera = Camera(**state["camera"])
         self.mapped[:] = state["mapped"].tolist()
         self._poses = array("f", state["poses"].tolist())
@@ -88,7 +88,7 @@ class KeptFrames:
         self.kept_held_out.load_state_dict(state["kept_held_out"])
 
     def opened(self) -> OpenedSequence:
-        """All mapped frames, of which only some are kept, and the held-out frames that are kept."""
+        """All mapped frames, of which only some have images, and the held-out frames that were kept."""
         held_out = [frame.index for frame in self.kept_held_out.items]
         return OpenedSequence(
             source=self,
@@ -100,7 +100,7 @@ class KeptFrames:
 
 
 class _EvenSample:
-    """At most ``most`` of the frames that were added, evenly spread over them."""
+    """At most ``most`` of the added frames, evenly spread."""
 
     def __init__(self, most: int):
         self.items: list[Frame] = []

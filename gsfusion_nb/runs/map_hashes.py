@@ -11,7 +11,7 @@ from .mapping_run import MappingRun
 
 
 def map_hashes(run: MappingRun, mesh: Mesh) -> dict[str, str]:
-    """SHA-256 of each map of a run, by name: "gaussians", "trajectory", "mesh", and "tsdf" where there is one."""
+    """SHA-256 of each map of a run, by name: "gaussians", "trajectory", "mesh", and "tsdf" if the system has one."""
     trajectory = {
         "frame_index": torch.tensor(run.mapper.localiser.frame_indices, dtype=torch.int64),
         "T_WC": torch.stack(run.mapper.localiser.poses) if run.mapper.localiser.poses else torch.zeros(0, 4, 4),
@@ -21,8 +21,8 @@ def map_hashes(run: MappingRun, mesh: Mesh) -> dict[str, str]:
 
 
 def hash_of(tensors: Mapping[str, Tensor]) -> str:
-    """SHA-256 of named tensors: of each, in the order of the names, its name, type and shape as text, then its numbers,
-    row by row, least significant byte first."""
+    """SHA-256 of named tensors, sorted by name. Of each tensor the name, type and shape are hashed as text, then its
+    numbers, row by row, in little-endian byte order."""
     digest = hashlib.sha256()
     for name, tensor in sorted(tensors.items()):
         values = tensor.detach().cpu().contiguous().numpy()

@@ -29,7 +29,7 @@ from .stop_request import StopRequest
 log = logging.getLogger(__name__)
 
 _TRANSIENT = ("interrupted after ", "interrupted while ", "ended by ")
-"""Beginnings of the warnings that are no longer true when a run goes on."""
+"""First words of warnings that no longer hold once a run is resumed."""
 
 
 def run_mapping(
@@ -48,19 +48,19 @@ def run_mapping(
 
     Args:
         data: Folder of a sequence, "room" for the built-in scene, or any ``Sequence``.
-        config: Settings, or the name of a preset; the built-in scene's or Replica's by default.
-        system: Name of the system (``gsfusion_nb.mapping.SYSTEMS``), used only where ``config`` holds no settings.
+        config: Settings, or the name of a preset; by default "room" for the built-in scene, else "replica".
+        system: Name of the system (``gsfusion_nb.mapping.SYSTEMS``), used only if ``config`` is not a settings object.
         folder: New or empty folder for the results; ``runs/<name>-<time>`` by default.
         seeding: Name of a seeding rule, or the rule itself.
-        device: Where the maps live.
-        evaluate: Score mapped and held-out views and write the report; the maps are written in any case.
-        checkpoints: How often to save where the run stands, so that it can go on after it was killed; every 30 s by
+        device: Device of the maps.
+        evaluate: Score mapped and held-out views and write the report; the maps are always written.
+        checkpoints: How often to save a checkpoint, so that the run can be resumed if it is killed; every 30 s by
             default.
         reader_options: For ``open_sequence``: ``format``, ``split``, options of the reader.
 
     Returns:
-        The run with its folder and numbers. After Ctrl-C everything mapped so far is saved in it, and
-        ``resume_mapping(folder)`` goes on.
+        The run with its folder and numbers. After Ctrl-C everything mapped so far is in the folder, and
+        ``resume_mapping(folder)`` continues the run.
     """
     settings = _settings(config, system, is_room=str(data) == "room")
     if isinstance(data, (str, Path)):
@@ -85,12 +85,12 @@ def resume_mapping(
     evaluate: bool = True,
     checkpoints: CheckpointEvery | None = None,
 ) -> "FinishedRun":
-    """Go on with a run that was interrupted or killed, in the same folder; arguments as for ``run_mapping``.
+    """Continue a run that was interrupted or killed, in the same folder; arguments as for ``run_mapping``.
 
-    It ends with the maps of a run that was never cut off, bit for bit.
+    The final maps are equal, bit for bit, to those of a run without interruption.
 
     Raises:
-        FileNotFoundError: the folder holds no checkpoint. FileExistsError: the run is still going on.
+        FileNotFoundError: The folder holds no checkpoint. FileExistsError: The run is still running.
     """
     if not Path(folder).is_dir():
         raise FileNotFoundError(f"{folder} does not exist; expected the folder of an interrupted run")
@@ -103,14 +103,14 @@ def resume_mapping(
 
 
 def _settings(config: SystemConfig | str | None, system: str, *, is_room: bool) -> SystemConfig:
-    """Settings as given, or the preset of that name."""
+    """The given settings, or the preset of that name."""
     if config is None or isinstance(config, str):
         return get_system(system).preset(config or ("room" if is_room else "replica"))
     return config
 
 
 def _doubts(sequence: Sequence) -> list[str]:
-    """A sentence if another reading of poses or depth fits the data better, from a few pairs of frames."""
+    """A warning if poses or depth seem to follow another convention, checked on a few pairs of frames."""
     try:
         verdict = check_sequence(sequence)
     except SequenceError:
@@ -119,7 +119,7 @@ def _doubts(sequence: Sequence) -> list[str]:
 
 
 class FinishedRun:
-    """Where a run's files are, its numbers, and the run itself with both maps (``run.mapper``)."""
+    """The folder of a run's files, its metrics, and the run itself with its maps (``run.mapper``)."""
 
     def __init__(self, run: MappingRun, folder: Path, metrics: dict[str, Any]):
         self.run = run
@@ -143,15 +143,14 @@ def drive(
     *,
     every: CheckpointEvery | None = None,
 ) -> FinishedRun:
-    """Everything from the first frame to the report. Whatever ends it early, what was mapped is in the folder first.
+    """Do a run from the first frame to the report. If anything ends it early, what was mapped is saved first.
 
     Args:
-        run: What is to be done.
+        run: The run to do.
         place: Its folder, locked.
         evaluate: Score views and write the report.
-        map_frames: Does the online part until the frames end or a stop is wanted; by default with a progress bar over
-            the sequence.
-        every: How often checkpoints are saved.
+        map_frames: Does the online part until the frames end or a stop is requested; by default with a progress bar.
+        every: How often to save a checkpoint.
     """
     stop, folder = StopRequest(), place.path
     _say(run, place, "running")
@@ -180,7 +179,7 @@ def drive(
 def _work(
     run: MappingRun, stop: StopRequest, evaluate: bool, map_frames: Callable[[MappingRun, StopRequest], None]
 ) -> None:
-    """Map and optimise until done or asked to stop; sets the run's status."""
+    """Map and optimise until finished or asked to stop; sets the run's status."""
     map_frames(run, stop)
     if evaluate and not (stop or run.mapper.passes.begun or run.is_optimised) and run.mapper.n_passes:
         with stop.ending_at_once():
@@ -194,7 +193,7 @@ def _work(
         of_all = f" of {len(run.sequence.mapping)}" if run.resumable else ""
         run.warnings.append(
             f"interrupted after {len(run.steps)}{of_all} frames and "
-            f"{run.mapper.passes.done} global passes; everything so far is saved"
+            f"{run.mapper.passes.done} global passes; everything mapped so far is saved"
         )
     elif run.status == "running":
         run.status = "complete"
@@ -203,7 +202,7 @@ def _work(
 
 
 def _score(run: MappingRun, place: RunFolder, stop: StopRequest, mesh: Mesh, metrics: dict[str, Any]) -> None:
-    """Add the scores to ``metrics``; a stop in the middle keeps those that are there."""
+    """Add the scores to ``metrics``; if stopped halfway, the scores computed so far are kept."""
     already = bool(stop)
     stop.wanted = False
     with stop.ending_at_once():
@@ -212,12 +211,12 @@ def _score(run: MappingRun, place: RunFolder, stop: StopRequest, mesh: Mesh, met
         metrics |= outputs.score_mesh(run, mesh)
     if stop and not already:
         run.status = "interrupted"
-        run.warnings.append("interrupted while it was scored; the maps are complete")
+        run.warnings.append("interrupted while the views were scored; the maps are complete")
         _checkpoint(run, place, stop)
 
 
 def _rescue(run: MappingRun, place: RunFolder, stop: StopRequest, error: BaseException) -> None:
-    """A run ends by ``error``: save what can be saved, and say so in a note of the error."""
+    """Save what can be saved of a run that ends with ``error``, and say so in a note added to the error."""
     run.status = "interrupted" if isinstance(error, KeyboardInterrupt) else "failed"
     run.warnings.append(f"ended by {type(error).__name__}: {error}")
     if run.mapper.guard.half_mapped:
@@ -232,7 +231,7 @@ def _rescue(run: MappingRun, place: RunFolder, stop: StopRequest, error: BaseExc
         except DiskFullError as e:
             notes += [str(e)] if str(e) != str(error) else []
     if run.steps:
-        saved = "saved" if not notes else "saved as far as there is room"
+        saved = "saved" if not notes else "saved as far as the disk has space"
         notes.insert(0, f"The {len(run.steps)} frames mapped before are {saved} in {place.path}.")
     if run.resumable and run.has_checkpoint(place.path):
         notes.append(f"To continue from the last checkpoint: gsfusion-nb map --resume {place.path}")
@@ -243,7 +242,7 @@ def _rescue(run: MappingRun, place: RunFolder, stop: StopRequest, error: BaseExc
 
 
 def _checkpoint(run: MappingRun, place: RunFolder, stop: StopRequest) -> None:
-    """Save where the run stands, if it can be resumed."""
+    """Save a checkpoint if possible."""
     if run.can_be_saved:
         with stop.held_back():
             run.save_checkpoint(place.path)

@@ -1,4 +1,4 @@
-"""Map frames as they come with one call: a camera, a folder that grows, any iterable."""
+"""Map frames as they arrive, with one call: from a camera, a growing folder or any iterable."""
 
 import contextlib
 from collections.abc import Iterable
@@ -29,31 +29,31 @@ def map_stream(
     on_stop: Literal["save", "finish"] = "save",
     checkpoints: CheckpointEvery | None = None,
 ) -> FinishedRun:
-    """Map frames as they come, optimise over the keyframes after the last, score, and write everything to a folder.
+    """Map frames as they arrive, optimise over the keyframes after the last, score, and write everything to a folder.
 
-    Frames are got on a thread of their own, so that neither waits for the other more than the policy says. One that
-    cannot be used is skipped and named. A source that breaks off, Ctrl-C, and an exception all leave what was mapped so
-    far in the folder. Memory does not grow with the number of frames, but with the map: besides the mapper's keyframes
-    only a few frames are kept, to score by.
+    A second thread receives the frames; ``policy`` says what happens when mapping is slower than the source. A frame
+    that cannot be used is skipped, with a warning. If the source breaks off, or after Ctrl-C or an exception, what was
+    mapped so far is in the folder. Memory grows with the map, not with the number of frames: besides the mapper's
+    keyframes only a few frames are kept, for scoring.
 
     Args:
         frames: Any iterable: a list, a generator, a camera (``RealSense``, ``AzureKinect``), a ``GrowingFolder``.
-        mapper: Who maps them, such as ``GSFusion(config)``; one that has mapped already goes on with its map.
+        mapper: The mapper, such as ``GSFusion(config)``; one that has a map already continues it.
         policy: "all", "queue", "latest" or "drop" (``gsfusion_nb.data.stream.POLICIES``); the source's own by
             default ("latest" for cameras, "all" for anything else).
-        queue_frames: Frames that may wait, for "all" and "queue".
+        queue_frames: Largest number of waiting frames, for "all" and "queue".
         folder: New or empty folder for the results; ``runs/<name>-<time>`` by default.
         evaluate: Score the frames that were kept and write the report.
         on_stop: What Ctrl-C does: "save" ends the run; "finish" ends only the stream, and the optimisation and the
-            report follow as after its last frame, unless it is pressed again.
-        checkpoints: How often to save where the run stands; every 30 s by default.
+            report follow as usual, unless Ctrl-C is pressed again.
+        checkpoints: How often to save a checkpoint; every 30 s by default.
 
     Returns:
         The run with its folder and numbers; ``n_frames_received`` and ``n_frames_dropped`` are among them.
 
     Raises:
-        SequenceError: no frame could be mapped; names the first reason.
-        Exception: what the source raised, after everything was saved.
+        SequenceError: No frame could be mapped; the message gives the first reason.
+        Exception: Raised by the source; everything mapped was saved before.
     """
 
     def map_frames(run: MappingRun, stop: StopRequest) -> None:

@@ -1,4 +1,4 @@
-"""One run over a sequence: the loop, the clock, interruption, checkpoints. What comes out is written by ``outputs``."""
+"""One run over a sequence: the loop over frames, timing, interruption, checkpoints. ``outputs`` writes the results."""
 
 import dataclasses
 import logging
@@ -25,39 +25,40 @@ from .step_log import StepLog
 log = logging.getLogger(__name__)
 
 MAX_BAD_FRAMES_IN_A_ROW = 20
-"""After this many unusable frames in a row the rest of the recording counts as broken."""
+"""After more unusable frames in a row than this, the run stops."""
 READ_AHEAD = 4
-"""This many frames of a recording on disk are decoded in advance, on another thread."""
+"""Number of frames of a recording on disk that another thread decodes in advance."""
 
 
 @runtime_checkable
 class Frames(Protocol):
-    """Frames in order; one that cannot be used raises a ``SequenceError``, and the next can follow."""
+    """Frames in order; one that cannot be used raises a ``SequenceError``, and reading can continue after it."""
 
     def __next__(self) -> Frame: ...
 
     def close(self) -> None:
-        """No more are wanted."""
+        """Stop: no more frames will be read."""
         ...
 
 
 class MappingRun:
-    """A sequence and the mapper that works through it.
+    """A sequence and the mapper that maps it.
 
     ``online()`` and ``optimise()`` are generators: the caller (a progress bar, a widget, a plain loop) sees every
-    step and may stop after any. Between two steps the state is complete, so a run can be saved and resumed there.
+    step and may stop after any of them. Between two steps the state is complete, so a run can be saved and resumed
+    there.
 
     Args:
-        sequence: What to map, from ``open_sequence`` or ``apply_options``.
-        mapper: Who maps it, such as ``GSFusion(config)``; one that has mapped already goes on with its map.
+        sequence: The sequence to map, from ``open_sequence`` or ``apply_options``.
+        mapper: The mapper, such as ``GSFusion(config)``; one that has a map already continues it.
         source: How the sequence was opened (path, format), written to config.json so that it can be opened again.
 
     Raises:
-        SequenceError: the data has no poses, and the settings do not ask to track them.
+        SequenceError: The data has no poses, and the settings do not ask to track them.
     """
 
     resumable = True
-    """A run that was interrupted can go on from its checkpoint."""
+    """Whether an interrupted run can be continued from its checkpoint."""
 
     def __init__(
         self,
@@ -70,9 +71,7 @@ class MappingRun:
             raise TypeError(f"expected a mapper, such as GSFusion(config), got {type(mapper).__name__}")
         self.mapper: Any = mapper
         if self.mapper.config.tracking.poses == "given" and not has_poses(sequence):
-            raise SequenceError(
-                f"{sequence.name} came without poses; expected tracking.poses = 'tracked' in the settings"
-            )
+            raise SequenceError(f"{sequence.name} has no poses; set tracking.poses = 'tracked' to track the camera")
         self.sequence = sequence
         self.source = source or {}
         self.steps: list[StepReport] = []
@@ -81,29 +80,29 @@ class MappingRun:
         """Mean loss of each finished pass of the global optimisation."""
         self._pass_losses: list[torch.Tensor] = []
         self.online_scores: dict[str, float] = {}
-        """PSNR of the map as the scan left it, before the global optimisation."""
+        """PSNR of the map after the scan, before the global optimisation."""
         self.timestamps_s: list[float] = []
         self.hashes: dict[str, str] = {}
-        """SHA-256 of each map, once it is written."""
+        """SHA-256 of each written map."""
         self.warnings: list[str] = []
         self.next_position = 0
         self.bad_in_a_row = 0
-        """Frames just before ``next_position`` that could not be used."""
+        """Number of unusable frames directly before ``next_position``."""
         self.seconds_global = 0.0
         self.is_optimised = False
-        """The optimisation after the scan is done."""
+        """Whether the optimisation after the scan is finished."""
         self.after_step: Callable[[], None] = lambda: None
         """Called after every frame and every step of the optimisation, when the state is complete."""
         self._stores: dict[Path, CheckpointStore] = {}
         self.status = "running"
-        """"running", "complete", "interrupted" (asked to stop) or "stopped" (the data broke off)."""
+        """"running", "complete", "interrupted" (by the user) or "stopped" (the data ended with an error)."""
 
     def __repr__(self) -> str:
         return f"MappingRun({self.sequence.name}, {self.status}, {self.mapper!r})"
 
     @property
     def system(self) -> str:
-        """Name of the system that maps."""
+        """Name of the SLAM system."""
         return system_of(self.mapper.config)
 
     @property
@@ -112,10 +111,10 @@ class MappingRun:
         return self.mapper.localiser.poses
 
     def online(self) -> Generator[StepReport, None, None]:
-        """Map the frames that are left, one by one; those that cannot be used are skipped and named in ``warnings``.
+        """Map the remaining frames one by one; those that cannot be used are skipped and listed in ``warnings``.
 
         Raises:
-            SequenceError: not one of the frames could be mapped; names the first reason.
+            SequenceError: No frame could be mapped; the message gives the first reason.
         """
         frames = self.frames()
         try:
@@ -141,7 +140,7 @@ class MappingRun:
             raise SequenceError(self._why_nothing())
 
     def _map(self, frame: Frame) -> StepReport:
-        """Map a frame and count it, both or neither: Ctrl-C in between waits."""
+        """Map a frame and count it; Ctrl-C takes effect only after both."""
         with DelayedInterrupt():
             report = self.mapper.step(frame)
             self.bad_in_a_row = 0
@@ -151,7 +150,7 @@ class MappingRun:
         return report
 
     def _skip(self, error: SequenceError) -> bool:
-        """A frame could not be used; whether to go on with the next."""
+        """Record a frame that could not be used; returns whether to continue with the next."""
         self.bad_in_a_row += 1
         self._passed(None)
         self._warn(f"skipped a frame: {error}")
@@ -162,23 +161,23 @@ class MappingRun:
         return False
 
     def frames(self) -> Frames:
-        """The frames that are left; those on disk are decoded in advance."""
+        """The remaining frames; those on disk are decoded in advance."""
         view = self.sequence.mapping
         return read_ahead(view, start=self.next_position, depth=READ_AHEAD if _is_on_disk(view) else 0)
 
     def mapped_views(self, limit: int) -> SequenceView:
-        """At most ``limit`` of the frames mapped so far, evenly spread; 0: all of them."""
+        """At most ``limit`` of the frames mapped so far, evenly spread; 0 means all."""
         mapped, n = self.sequence.mapping, self.next_position
         few = limit and n > limit
         picks = [round(i * (n - 1) / max(limit - 1, 1)) for i in range(limit)] if few else range(n)
         return dataclasses.replace(mapped, positions=[mapped.positions[i] for i in picks])
 
     def extra_metrics(self) -> dict[str, Any]:
-        """Numbers that only this kind of run has."""
+        """Metrics that only this kind of run has."""
         return {}
 
     def optimise(self) -> Iterator[GlobalStep]:
-        """Run the passes of the global optimisation that are left, beginning where an interrupted one stood."""
+        """Run the remaining passes of the global optimisation, continuing an interrupted pass."""
         passes = self.mapper.n_passes - self.mapper.passes.done
         start = time.perf_counter()
         for step in self.mapper.global_optimise(passes):
@@ -193,7 +192,7 @@ class MappingRun:
         self.is_optimised = True
 
     def save_checkpoint(self, folder: Path) -> Saved:
-        """Write everything needed to resume to ``folder``: only what has changed since the last time."""
+        """Write a checkpoint to ``folder``, from which the run can be resumed; only what has changed is written."""
         document = {
             "system": self.system,
             "run": self.state_dict(),
@@ -209,24 +208,24 @@ class MappingRun:
         return [*self.mapper.constant_tensors(), *self._step_log.blocks]
 
     def stream(self) -> dict[str, Any]:
-        """What a checkpoint says of a source that cannot be opened again, if the run can be finished without it."""
+        """Description of a source that cannot be opened again, if the run can be finished without it; else empty."""
         return {}
 
     @property
     def can_be_saved(self) -> bool:
-        """A checkpoint can be taken now, and something can be made of it."""
+        """Whether a checkpoint can be saved now and used later."""
         return self.resumable and not self.mapper.guard.half_mapped
 
     def has_checkpoint(self, folder: Path) -> bool:
-        """Whether a checkpoint is in ``folder``."""
+        """Whether ``folder`` holds a checkpoint."""
         return CheckpointStore(folder / CHECKPOINTS).exists
 
     def remove_checkpoints(self, folder: Path) -> None:
-        """The run is complete: nothing is to be resumed."""
+        """Remove the checkpoints of a complete run."""
         self._stores.pop(folder, CheckpointStore(folder / CHECKPOINTS)).remove()
 
     def state_dict(self) -> dict[str, Any]:
-        """Where the run stands, beside its mapper, as tensors and plain values."""
+        """The state of the run without its mapper, as tensors and plain values."""
         return {
             "steps": self._step_log.state_dict(self.steps),
             "global_losses": list(self.global_losses),
@@ -241,14 +240,14 @@ class MappingRun:
         }
 
     def use_store(self, folder: Path, store: CheckpointStore) -> None:
-        """Checkpoints in ``folder`` go on in this store."""
+        """Save the next checkpoints in ``folder`` with this store."""
         self._stores[folder] = store
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from what ``state_dict`` gave.
+        """Restore what ``state_dict`` saved.
 
         Raises:
-            ValueError: numbers that do not fit together.
+            ValueError: The values contradict each other.
         """
         self.steps = self._step_log.load_state_dict(state["steps"])
         check_saved("timestamps_s", state["timestamps_s"], (len(self.steps),), torch.float64)
@@ -257,7 +256,7 @@ class MappingRun:
         check_number("seconds_global", state["seconds_global"], 0)
         check_saved("pass_losses", state["pass_losses"], ("N",), finite=False)
         if not all(isinstance(text, str) for text in state["warnings"]):
-            raise ValueError("warnings must be sentences")
+            raise ValueError("warnings must be strings")
         if not isinstance(state["is_optimised"], bool):
             raise ValueError(f"is_optimised must be True or False, got {shown(state['is_optimised'])}")
         self.global_losses = state["global_losses"]
@@ -271,16 +270,19 @@ class MappingRun:
         self.is_optimised = state["is_optimised"]
 
     def _passed(self, frame: Frame | None) -> None:
-        """A frame was mapped, or could not be used."""
+        """Count a frame that was mapped, or could not be used (None)."""
         self.next_position += 1
 
     def _can_go_on(self, error: SequenceError) -> bool:
-        """The error is of one frame."""
+        """Whether the error concerns only one frame."""
         return True
 
     def _why_nothing(self) -> str:
-        reason = self.warnings[0].removeprefix("skipped a frame: ") if self.warnings else "there are none"
-        return f"none of the {len(self.sequence.mapping)} frames could be mapped, the first because {reason}"
+        n = len(self.sequence.mapping)
+        if not self.warnings:
+            return f"none of the {n} frames could be mapped"
+        reason = self.warnings[0].removeprefix("skipped a frame: ")
+        return f"none of the {n} frames could be mapped, the first because {reason}"
 
     def _warn(self, sentence: str) -> None:
         self.warnings.append(sentence)
@@ -288,7 +290,7 @@ class MappingRun:
 
 
 def _is_on_disk(view: SequenceView) -> bool:
-    """Frames are decoded from files, whatever is applied to them afterwards."""
+    """Whether the frames are decoded from files, even if they are changed afterwards."""
     source: Any = view
     while not isinstance(source, RecordedSequence) and hasattr(source, "source"):
         source = source.source

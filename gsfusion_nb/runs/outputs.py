@@ -1,4 +1,4 @@
-"""What a run writes: maps, trajectory, settings, numbers and a report, each file written atomically."""
+"""The files a run writes: maps, trajectory, settings, metrics and a report, each file written atomically."""
 
 import dataclasses
 import json
@@ -41,31 +41,32 @@ FILES = {
     "mesh.ply": "TSDF surface with vertex colours: MeshLab, Blender, CloudCompare",
     "trajectory.txt": "poses, TUM format: evo_traj tum trajectory.txt",
     "config.json": "all settings: gsfusion-nb map --from-config config.json repeats the run",
-    "metrics.json": "all numbers, and one row per frame",
-    "rule.py": "source of the seeding rule, where it is not one of the package",
-    "views.json": "which views are scored, and from which poses: gsfusion-nb eval scores them again",
+    "metrics.json": "all metrics, and one row per frame",
+    "rule.py": "source of the seeding rule, if it is not part of the package",
+    "views.json": "the scored views and their poses: gsfusion-nb eval scores them again",
 }
 
 SURFACE_SAMPLES = 200_000
-"""Points on either side of the comparison of surfaces."""
+"""Number of points sampled on each of the two surfaces that are compared."""
 
 
 def score(run: MappingRun, suffix: str = "", *, with_lpips: bool = False) -> dict[str, Any]:
-    """PSNR, SSIM, LPIPS and depth error on mapped and held-out views of the map as it is now."""
+    """PSNR, SSIM, LPIPS and depth error of the current map on mapped and held-out views."""
     return score_in_map(run.mapper.render, scored_views(run), run.sequence, suffix, with_lpips=with_lpips)
 
 
 def write_maps(run: MappingRun, folder: Path) -> Mesh:
-    """Write both maps, the trajectory and the settings; they need no evaluation, so they are safe first.
+    """Write both maps, the trajectory and the settings, before the evaluation.
 
     Raises:
-        DiskFullError: a file has no room; those that have are written.
+        DiskFullError: The disk has no space for a file; the files that fit are written.
     """
     try:
         mesh = run.mapper.mesh()
     except torch.OutOfMemoryError as e:
         mesh = mesh_when_full(run.mapper)
-        run.warnings.append(f"the mesh was made on the processor, if at all: {str(e).splitlines()[0]}")
+        where = "extracted on the CPU" if len(mesh.faces) else "not extracted"
+        run.warnings.append(f"the mesh was {where}, because GPU memory was full: {str(e).splitlines()[0]}")
     run.hashes = map_hashes(run, mesh)
     settings = {
         "gsfusion_nb": __version__,
@@ -97,9 +98,9 @@ def write_maps(run: MappingRun, folder: Path) -> Mesh:
 
 
 def _write_rule(run: MappingRun, folder: Path) -> None:
-    """The source of a seeding rule that is not one of the package: without it the run cannot be repeated."""
+    """Write the source of a seeding rule that is not part of the package; it is needed to repeat the run."""
     if not is_built_in(run.mapper.rule):
-        source = rule_source(run.mapper.rule) or "# not known: the rule was not defined in a file or a cell"
+        source = rule_source(run.mapper.rule) or "# unknown: the rule was not defined in a file or a notebook cell"
         write_file(folder / "rule.py", source)
 
 
@@ -109,7 +110,7 @@ def _write_trajectory(run: MappingRun, folder: Path) -> None:
 
 
 def write_numbers(run: MappingRun, folder: Path, metrics: dict[str, Any]) -> None:
-    """Write metrics.json: status, warnings, a hash of each map, the numbers, and a row per frame."""
+    """Write metrics.json: status, warnings, a hash of each map, the metrics, and a row per frame."""
     rows = [vars(s) | {"losses": list(s.losses), "total_seconds": s.total_seconds} for s in run.steps]
     document = {
         "status": run.status,
@@ -126,7 +127,7 @@ def write_page(run: MappingRun, folder: Path, metrics: dict[str, Any]) -> Path:
     config, fidelity = run.mapper.config, run.mapper.fidelity_of(run.mapper.config)
     about = [
         f"{len(run.steps)} frames",
-        f"colour of SH degree {config.sh_degree}",
+        f"SH degree {config.sh_degree}",
         f"rule {rule_name(run.mapper.rule)}",
     ]
     data = ReportData(
@@ -165,7 +166,7 @@ def map_metrics(run: MappingRun, mesh: Mesh) -> dict[str, Any]:
 
 
 def _tracking_rates(run: MappingRun) -> dict[str, float]:
-    """Frames per second of tracking alone and of mapping alone, where poses were tracked."""
+    """Frames per second of tracking alone and of mapping alone; empty if poses were not tracked."""
     tracking = sum(s.seconds.get("tracking", 0.0) for s in run.steps)
     if not run.mapper.localiser.is_tracking or not tracking:
         return {}
@@ -174,7 +175,7 @@ def _tracking_rates(run: MappingRun) -> dict[str, float]:
 
 
 def score_trajectory(run: MappingRun) -> dict[str, Any]:
-    """Absolute trajectory error of tracked poses against the data's."""
+    """Absolute trajectory error of tracked poses against the poses of the data; empty if there are none to compare."""
     localiser = run.mapper.localiser
     truth = ground_truth_poses(localiser, run.sequence.mapping) if localiser.is_tracking else None
     if truth is None or len(localiser.poses) < 3:
@@ -185,9 +186,9 @@ def score_trajectory(run: MappingRun) -> dict[str, Any]:
 
 
 def score_mesh(run: MappingRun, mesh: Mesh) -> dict[str, Any]:
-    """Accuracy and completion of the mesh, and of RTG-SLAM's discs, where ``source.mesh()`` is the truth; else nothing.
+    """Accuracy and completion of the mesh, and of RTG-SLAM's discs, if ``source.mesh()`` gives the true surface.
 
-    Of the true surface only what the mapped frames saw counts.
+    Only the part of the true surface that the mapped frames saw is compared.
     """
     truth = getattr(run.sequence.source, "mesh", None)
     if truth is None or not len(mesh.faces):
@@ -204,7 +205,7 @@ def score_mesh(run: MappingRun, mesh: Mesh) -> dict[str, Any]:
 
 
 def peak_memory_mb(device: torch.device) -> float | NotComputed:
-    """Largest memory so far: of the GPU if the maps live there, else resident memory of the process."""
+    """Peak memory so far, MB: of the GPU if the maps are there, else resident memory of the process."""
     if device.type == "cuda":
         return torch.cuda.max_memory_allocated(device) / 1e6
     try:
@@ -227,7 +228,7 @@ def environment() -> dict[str, str]:
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Write ``value`` as indented JSON, atomically; strict JSON has no NaN and no infinity, so they become text."""
+    """Write ``value`` as indented JSON, atomically; NaN and infinity, which JSON does not have, become text."""
     write_file(path, json.dumps(_strict(value), indent=1, allow_nan=False))
 
 
@@ -240,7 +241,7 @@ def _strict(value: Any) -> Any:
 
 
 def _panels(run: MappingRun) -> list[ReportView]:
-    """A few held-out and mapped views, as photographed and as rendered."""
+    """A few held-out and mapped views: input image and render."""
     panels = []
     for view, held_out in ((run.sequence.held_out, True), (run.mapped_views(1000), False)):
         picks = sorted({round(i * (len(view) - 1) / 2) for i in range(3)}) if len(view) else []
@@ -252,7 +253,7 @@ def _panels(run: MappingRun) -> list[ReportView]:
 
 
 def _mesh_pictures(run: MappingRun) -> dict[str, torch.Tensor]:
-    """The surface from two mapped views: its colours, and its shape shaded by a lamp at the camera."""
+    """The surface seen from two mapped views: in colour, and grey, lit from the camera."""
     pictures = {}
     poses = run.poses
     for i, T_WC in enumerate([poses[0], poses[-1]] if poses else []):
@@ -280,7 +281,7 @@ def _frame_row(s: StepReport) -> FrameRow:
 
 
 def _headline_warnings(run: MappingRun, most: int = 10) -> list[str]:
-    """The first warnings, and how many more there are."""
+    """The first warnings, and the number of further ones."""
     if len(run.warnings) <= most:
         return run.warnings
-    return [*run.warnings[:most], f"and {len(run.warnings) - most} more; metrics.json has them all"]
+    return [*run.warnings[:most], f"and {len(run.warnings) - most} more; all are in metrics.json"]

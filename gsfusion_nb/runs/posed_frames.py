@@ -1,4 +1,4 @@
-"""Frames of a run's sequence at their poses in its map, and the poses of the data to compare with."""
+"""Frames of a run's sequence with their poses in its map, and the poses of the data to compare with."""
 
 import dataclasses
 from collections.abc import Iterator
@@ -29,11 +29,11 @@ def readable_frames(view: SequenceView) -> Iterator[Frame]:
 
 
 def poses_in_map(view: SequenceView, localiser: Localiser, mapping: SequenceView) -> list[Float[Tensor, "4 4"] | None]:
-    """The pose in the map of each frame of a view, without reading images; ``None`` where it has none.
+    """The camera-to-world pose in the map of each frame of a view, or ``None``; no images are read.
 
-    With given poses, the data's. With tracked poses a mapped frame has its tracked pose, and any other frame is put
-    relative to the nearest mapped frame n by the data's poses:  T_WC = T_WC(n) T_data(n)^-1 T_data. Without poses in
-    the data only mapped frames have a pose in the map.
+    With given poses these are the poses of the data. With tracked poses a mapped frame has its tracked pose, and any
+    other frame is placed relative to the nearest mapped frame n with the poses of the data:
+    T_WC = T_WC(n) T_data(n)^-1 T_data. If the data has no poses, only mapped frames have a pose in the map.
     """
     if not localiser.is_tracking or not localiser.poses:
         return [_data_pose(view, i) for i in range(len(view))]
@@ -52,12 +52,12 @@ def poses_in_map(view: SequenceView, localiser: Localiser, mapping: SequenceView
 
 
 def frames_in_map(view: SequenceView, localiser: Localiser, mapping: SequenceView) -> Iterator[Frame]:
-    """The readable frames of a view at their ``poses_in_map``, without those that have none."""
+    """The readable frames of a view with their ``poses_in_map``; frames without one are left out."""
     yield from frames_at(view, poses_in_map(view, localiser, mapping))
 
 
 def frames_at(view: SequenceView, poses: list[Float[Tensor, "4 4"] | None]) -> Iterator[Frame]:
-    """The readable frames of a view at other poses, one per frame; a frame whose pose is ``None`` is left out."""
+    """The readable frames of a view with other poses, one per frame; frames with ``None`` are left out."""
     posed = [i for i, T_WC in enumerate(poses) if T_WC is not None]
     for i in posed:
         try:
@@ -68,7 +68,7 @@ def frames_at(view: SequenceView, poses: list[Float[Tensor, "4 4"] | None]) -> I
 
 
 def _data_pose(view: SequenceView, i: int) -> Float[Tensor, "4 4"] | None:
-    """Pose of frame ``i`` of a view as the data has it; ``None`` if it cannot be used."""
+    """Pose of frame ``i`` of a view in the data; ``None`` if it cannot be used."""
     try:
         return view.pose(i)
     except SequenceError:

@@ -1,4 +1,4 @@
-"""The process's own random numbers, which a seeding rule of the user's may draw from."""
+"""State of the global random generators, which a user's seeding rule may use."""
 
 import json
 import random
@@ -21,7 +21,7 @@ def random_state() -> dict[str, Any]:
 
 
 def load_random_state(state: dict[str, Any]) -> None:
-    """Put the generators where ``random_state`` found them."""
+    """Set the generators to what ``random_state`` returned."""
     torch.set_rng_state(state["torch"].cpu())
     if state["torch_cuda"] and torch.cuda.is_available() and len(state["torch_cuda"]) == torch.cuda.device_count():
         torch.cuda.set_rng_state_all([s.cpu() for s in state["torch_cuda"]])

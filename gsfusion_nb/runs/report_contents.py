@@ -1,4 +1,4 @@
-"""What stands on the report page: from the data of a run to the values that ``templates/report.html`` shows."""
+"""Contents of the report page: converts the data of a run to the values that ``templates/report.html`` shows."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -17,12 +17,12 @@ HEADLINE = (
     ("fps_total", "Frames / total time", "fps_mean_inverse", "mean 1/dt: {}"),
     ("peak_memory_mb", "Peak memory", "seconds_total", "whole run: {}"),
 )
-"""Large number, its label, and the number in the line under it."""
+"""Per box: metric shown large, its label, metric in the line below, and the text of that line."""
 
 
 def headline(metrics: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """The numbers that a reader wants first."""
-    cards = []
+    """The main numbers, shown at the top."""
+    boxes = []
     for name, label, second, line in HEADLINE if metrics else ():
         value, more = metrics.get(name), ""
         if reason_missing(metrics.get(second)) is None:
@@ -30,12 +30,12 @@ def headline(metrics: Mapping[str, Any]) -> list[dict[str, Any]]:
         missing = reason_missing(value) is not None
         text = format_metric(name, value)
         number, _, unit = (text, "", "") if missing else text.partition(NBSP)
-        cards.append({"label": label, "number": number, "unit": unit, "is_missing": missing, "more": more})
-    return cards
+        boxes.append({"label": label, "number": number, "unit": unit, "is_missing": missing, "more": more})
+    return boxes
 
 
 def views(panels: Sequence[ReportView]) -> list[dict[str, Any]]:
-    """Input, render and error of each view and the same for depth; held-out views come first."""
+    """Input, render and error of each view, and the same for depth; held-out views come first."""
     shown = []
     for panel in sorted(panels, key=lambda panel: not panel.held_out):
         scores = [] if math.isnan(panel.psnr) else [f"PSNR {panel.psnr:.2f}{NBSP}dB"]
@@ -76,7 +76,7 @@ def _depth_pictures(panel: ReportView) -> list[PagePicture]:
 
 
 def quadtrees(panels: Sequence[ReportView]) -> list[PagePicture]:
-    """The cells of each view that has some, painted over the input."""
+    """The input of each view that has quadtree cells, with the cells drawn over it."""
     shown = []
     for panel in sorted(panels, key=lambda panel: not panel.held_out):
         if panel.cells is None:
@@ -118,7 +118,7 @@ def graphs(frames: Sequence[FrameRow], global_losses: Sequence[float | int]) -> 
 
 
 def stages(frames: Sequence[FrameRow]) -> list[dict[str, str]]:
-    """Where the time went: each stage per frame, in all, and its share."""
+    """Time of each stage: per frame, in total, and as a share."""
     if not frames or not _stage_names(frames):
         return []
     times = {name: sum(ms) for name, ms in _stages_ms(frames).items()}
@@ -139,7 +139,7 @@ def _stage_names(frames: Sequence[FrameRow]) -> list[str]:
 
 
 def _stages_ms(frames: Sequence[FrameRow]) -> dict[str, list[float]]:
-    """Stage -> milliseconds per frame; time that belongs to no stage is "other", so that the top is the whole step."""
+    """Stage -> milliseconds per frame; time outside all stages is "other", so the sum is the time of the whole step."""
     times = {n: [1e3 * row.stage_seconds.get(n, 0.0) for row in frames] for n in _stage_names(frames)}
     rest = [max(0.0, 1e3 * (row.seconds - sum(row.stage_seconds.values()))) for row in frames]
     if not times:
@@ -148,7 +148,7 @@ def _stages_ms(frames: Sequence[FrameRow]) -> dict[str, list[float]]:
 
 
 def metric_groups(metrics: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Every number, in groups, with what it means; numbers without a known name come last."""
+    """All metrics in groups, each with its meaning; metrics with unknown names come last."""
     known = {
         group: [_metric_line(METRICS[n].label, METRICS[n].meaning, n, metrics[n]) for n in names if n in metrics]
         for group, names in METRIC_GROUPS.items()
@@ -174,7 +174,7 @@ def settings(values: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str
 
 
 def frame_cells(row: FrameRow) -> tuple[str, ...]:
-    """One line of the table of frames."""
+    """One row of the table of frames."""
 
     def number(value: float, digits: int) -> str:
         return "–" if math.isnan(value) else f"{value:.{digits}f}"

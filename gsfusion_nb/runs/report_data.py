@@ -1,4 +1,4 @@
-"""What the report page of a run shows, as plain data."""
+"""The data that the report page of a run shows."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,14 +14,14 @@ from ..types import Frame, RenderOutput
 
 @dataclass(frozen=True, kw_only=True)
 class FrameRow:
-    """What happened at one mapped frame."""
+    """Numbers of one mapped frame."""
 
     index: int
     """Frame number in the source sequence."""
     seconds: float
-    """Time of the whole step."""
+    """Time of the whole step, seconds."""
     n_gaussians: int
-    """Size of the map after the step."""
+    """Number of Gaussians in the map after the step."""
     n_seeds: int
     """New Gaussians of this step."""
     keyframe: bool
@@ -32,12 +32,12 @@ class FrameRow:
     losses: tuple[float, ...] = ()
     """Loss at each optimisation step."""
     stage_seconds: Mapping[str, float] = field(default_factory=dict)
-    """Stage name -> time, in the order of the step."""
+    """Stage name -> seconds, in the order of the step."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ReportView:
-    """One view, as photographed and as rendered."""
+    """One view: input image and render."""
 
     name: str
     """For example "Frame 60"."""
@@ -57,7 +57,7 @@ class ReportView:
 
     @staticmethod
     def of(frame: Frame, view: RenderOutput, *, held_out: bool, cells: Any = None) -> "ReportView":
-        """The panel of a frame and the render of its view, scored."""
+        """A frame and the render of its view, with their scores."""
         view = view.to(frame.rgb.device)
         return ReportView(
             name=f"Frame {frame.index}",
@@ -74,7 +74,7 @@ class ReportView:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ReportData:
-    """Everything the report shows, as plain data. Only the title is needed; what is not given is not shown."""
+    """Everything the report shows. Only the title is required; parts that are not given are not shown."""
 
     title: str
     subtitle: str = ""
@@ -82,7 +82,7 @@ class ReportData:
     metrics: Mapping[str, Any] = field(default_factory=dict)
     """Name -> number or ``NotComputed``; the known names, labels and units are in ``metrics.METRIC_GROUPS``."""
     config: Mapping[str, Any] = field(default_factory=dict)
-    """Settings, nested dictionaries as ``dataclasses.asdict`` gives them."""
+    """Settings as nested dictionaries, as from ``dataclasses.asdict``."""
     frames: Sequence[FrameRow] = ()
     global_losses: Sequence[float | int] = ()
     """Mean loss of each pass of the global optimisation."""
@@ -94,4 +94,4 @@ class ReportData:
     environment: Mapping[str, Any] = field(default_factory=dict)
     """Versions, threads, device."""
     files: Mapping[str, str] = field(default_factory=dict)
-    """File name -> what it holds; those that are there get a line on how to open them."""
+    """File name -> what it contains and which programs open it."""

@@ -1,4 +1,4 @@
-"""One self-contained report.html of a run: numbers, pictures, curves, settings. It loads nothing and can be mailed."""
+"""Report of a run as one HTML file with numbers, pictures, graphs and settings; it loads no other files."""
 
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from .report_data import ReportData
 
 
 def write_report(path: Path | str, run: ReportData) -> Path:
-    """Write ``run`` as one HTML file, atomically: a reader sees the old file or the new one, never a part.
+    """Write ``run`` as one HTML file, atomically: a reader sees the old file or the new one, never a partial one.
 
     Returns:
         The path written.
@@ -21,7 +21,7 @@ def write_report(path: Path | str, run: ReportData) -> Path:
 
 
 def report_html(run: ReportData) -> str:
-    """The page as text."""
+    """The page as HTML text."""
     return fill(
         "report.html",
         title=run.title,

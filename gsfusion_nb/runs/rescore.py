@@ -1,4 +1,4 @@
-"""Score the maps in a run's folder again, from its files alone, exactly as the run did."""
+"""Score the Gaussian map in a run's folder again, only from its files, exactly as the run did."""
 
 import dataclasses
 import logging
@@ -33,25 +33,24 @@ def rescore(
     with_lpips: bool = False,
     device: torch.device | str | None = None,
 ) -> dict[str, Any]:
-    """Render gaussians.ply of a finished run from the views that the run is scored by, and update metrics.json.
+    """Render gaussians.ply of a finished run from the views in views.json, and update the scores in metrics.json.
 
-    The views and their poses in the map are those in views.json; the system renders as in the run. On the same device
-    and backend the numbers are the run's own, bit for bit. If they are not, the log and the warnings in metrics.json
-    say which, and the file as it was stays beside the new one as metrics-before-eval.json. Data with other frames,
-    poses or pixels than those of the run are named there too.
+    The system renders as in the run, at the poses in views.json. On the same device and backend the scores are equal
+    to the run's, bit for bit. If some differ, the log and the warnings in metrics.json list them, and the old file is
+    kept as metrics-before-eval.json. A warning also says if the data has other frames, poses or pixels than in the run.
 
     Args:
         folder: Folder of the run.
-        data: Where the sequence lies now, if it has moved.
+        data: Current folder of the sequence, if it has moved.
         with_lpips: Also compute LPIPS.
-        device: Where to render; the run's by default.
+        device: Where to render; by default the device of the run.
 
     Returns:
-        All numbers of the run.
+        All metrics of the run.
 
     Raises:
-        FileNotFoundError: the folder holds no config.json, metrics.json, views.json or gaussians.ply.
-        ValueError: one of them is damaged, or the run was made from a sequence that is not on disk.
+        FileNotFoundError: The folder has no config.json, metrics.json, views.json or gaussians.ply.
+        ValueError: One of them is damaged, or the sequence of the run is not on disk.
     """
     folder = Path(folder)
     settings = _read_json(folder / "config.json", ("source", "config"))
@@ -63,20 +62,22 @@ def rescore(
     if data is not None:
         source["path_or_name"] = data
     if "path_or_name" not in source:
-        raise ValueError(f"{folder} was mapped from a sequence in memory; give the folder of one on disk (--data)")
+        raise ValueError(
+            f"{folder} was mapped from a sequence in memory; if the sequence is also on disk, give its folder (--data)"
+        )
     views = read_views(folder)
     try:
         with parsing(folder / "config.json", "the settings of a run"):
             sequence = open_sequence(**source, data=config.data)
     except SequenceNotFoundError as e:
         raise SequenceNotFoundError(
-            f"{e}; {folder / 'config.json'} names this place: give another with --data if the sequence has moved"
+            f"{e}; this path is from {folder / 'config.json'}: if the sequence has moved, give its folder with --data"
         ) from None
     known = settings.get("data_fingerprint")
     if known and known != sequence_fingerprint(sequence):
         sentence = (
             f"{source['path_or_name']} does not hold the data that this run was mapped from (or another version of a "
-            "library decodes them otherwise): the numbers compare the map with other views"
+            "library decodes them differently): the scores compare the map with other images"
         )
         if sentence not in document.get("warnings", []):
             document["warnings"] = [*document.get("warnings", []), sentence]
@@ -104,7 +105,7 @@ def rescore(
 
 
 def _of_degree(params: GaussianParams, degree: int, device: torch.device) -> GaussianParams:
-    """The Gaussians with as many colour coefficients as in the run: the file fills them up to degree 3."""
+    """The Gaussians with the SH degree of the run (the file is padded to degree 3), on ``device``."""
     params = dataclasses.replace(params, sh=params.sh[:, : (degree + 1) ** 2].contiguous())
     return GaussianParams(**{name: column.to(device) for name, column in vars(params).items()})
 
@@ -114,10 +115,10 @@ def _is_number(value: Any) -> bool:
 
 
 def _difference(changed: list[str], stored: dict, scores: dict, version: str, kept: Path) -> str:
-    """What differs from the numbers of the run, and where these are kept."""
+    """A sentence that lists the scores that differ from the run's, and the file that keeps those."""
     shown = ", ".join(f"{name} {_short(stored[name])} -> {_short(scores[name])}" for name in changed)
     by = f" (mapped by version {version}, scored by {__version__})" if version and version != __version__ else ""
-    return f"scored again, {len(changed)} numbers differ from the run's own{by}: {shown}; the run's are in {kept.name}"
+    return f"these scores differ from those of the run{by}: {shown}; the old ones are in {kept.name}"
 
 
 def _short(value: Any) -> str:
@@ -125,7 +126,7 @@ def _short(value: Any) -> str:
 
 
 def _free_name(folder: Path) -> Path:
-    """A new file beside metrics.json."""
+    """A file name next to metrics.json that is not used yet."""
     n = 1
     while (path := folder / f"metrics-before-eval{'' if n == 1 else f'-{n}'}.json").exists():
         n += 1
@@ -137,5 +138,5 @@ def _read_json(path: Path, keys: tuple[str, ...]) -> dict[str, Any]:
     document = read_json(path, "a file in the folder of a finished run")
     lacking = [key for key in keys if not isinstance(document, dict) or key not in document]
     if lacking:
-        raise ValueError(f"{path} is not of a run: expected the keys {', '.join(keys)}, lacking {', '.join(lacking)}")
+        raise ValueError(f"{path} is not from a run: expected the keys {', '.join(keys)}, missing {', '.join(lacking)}")
     return document

@@ -1,4 +1,4 @@
-"""Taking up a run where its last checkpoint stands."""
+"""Continue a run from its last checkpoint."""
 
 from pathlib import Path
 from typing import Any
@@ -20,11 +20,11 @@ from .stream_run import StreamRun
 def load_run(
     folder: Path | str, *, seeding: "str | SeedingRule | None" = None, device: torch.device | str = "cpu"
 ) -> MappingRun:
-    """The run that was interrupted or killed in ``folder``. Of a stream, no more frames come.
+    """The run that was interrupted or killed in ``folder``; a stream gives no more frames.
 
     Raises:
-        FileNotFoundError: there is no checkpoint in it (a run that completed leaves none).
-        ValueError: no checkpoint is whole, or the run's sequence was in memory.
+        FileNotFoundError: The folder holds no checkpoint (a complete run leaves none).
+        ValueError: All checkpoints are damaged, or the run's sequence was in memory.
     """
     path, store = Path(folder), CheckpointStore(Path(folder) / CHECKPOINTS)
     if not store.exists:
@@ -37,12 +37,12 @@ def load_run(
         if str(path) in str(e):
             raise
         raise SequenceError(f"{store.folder}: {e}") from e
-    except Exception as e:  # a checkpoint that is whole, of a state that this version does not know
+    except Exception as e:  # the checkpoint is intact, but this version does not know its state
         raise ValueError(f"{store.folder} is damaged or from another version: {reason_of(e)}") from None
     run.use_store(path, store)
     run.warnings += run.mapper.notes
     if loaded.passed_over:
-        run.warnings.append(f"{loaded.passed_over}; checkpoint {loaded.number}, which is whole, is used")
+        run.warnings.append(f"{loaded.passed_over}; checkpoint {loaded.number}, which is intact, is used instead")
     return run
 
 
@@ -51,7 +51,9 @@ def _run_of(
 ) -> MappingRun:
     source, state = document["source"], document["run"]
     if not source:
-        raise SequenceError(f"{path} is of a sequence in memory; only one opened by path or name can be resumed")
+        raise SequenceError(
+            f"{path} was mapped from a sequence in memory; only runs on a sequence opened by path or name can resume"
+        )
     mapper = get_system(document["system"]).from_state_dict(document["mapper"], seeding=seeding, device=device)
     if "stream" in source:
         return StreamRun.after_a_kill(source, mapper, state)
@@ -61,11 +63,12 @@ def _run_of(
     others = [camera for camera in cameras if camera not in (None, run.sequence.camera)]
     if others:
         raise SequenceError(
-            f"{path} was mapped with the camera {others[0]}, but {run.sequence.name} has {run.sequence.camera}"
+            f"{path} was mapped with the camera {others[0]}, but {run.sequence.name} now has {run.sequence.camera}"
         )
     n = len(run.sequence.mapping)
     if run.next_position > n:
         raise SequenceError(
-            f"{path} was cut off after {run.next_position} frames, but {run.sequence.name} has {n}: were files removed?"
+            f"{path} was interrupted after {run.next_position} frames, but {run.sequence.name} has {n} now; expected "
+            "the files that the run started with"
         )
     return run

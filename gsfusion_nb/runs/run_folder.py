@@ -1,4 +1,4 @@
-"""The folder of a run: locked while the run writes to it, with a file that says how the run stands."""
+"""The folder of a run: locked while the run writes to it, with a file that gives the run's status."""
 
 import contextlib
 import datetime
@@ -21,14 +21,14 @@ CHECKPOINTS = "checkpoint"
 class RunFolder:
     """A run's folder, as a context manager: no second run writes to it inside the block.
 
-    The operating system frees the lock when its holder ends, however it ends. ``taken_over`` is then a sentence about
-    the run that was cut off; else it is empty.
+    The operating system releases the lock when the process ends, even if it is killed. If an earlier run in the folder
+    was cut off, ``taken_over`` is a sentence about it; otherwise it is empty.
 
     Args:
-        path: The folder; it is made.
+        path: The folder; it is created.
 
     Raises:
-        FileExistsError: on entering: another run is writing to the folder; the message names its process.
+        FileExistsError: On entering, if another run is writing to the folder; the message names its process.
     """
 
     def __init__(self, path: str | Path):
@@ -57,9 +57,9 @@ class RunFolder:
                     (self.path / LOCK).unlink(missing_ok=True)
 
     def write_status(self, state: str, progress: dict[str, Any], **known: Any) -> None:
-        """Say how the run stands: "running", "complete", "interrupted", "stopped" or "failed", and how far it is.
+        """Write the state ("running", "complete", "interrupted", "stopped" or "failed") and progress of the run.
 
-        ``known`` (system, settings, source) is kept for the calls that follow.
+        ``known`` (system, settings, source) is remembered and written again by later calls.
         """
         self._known |= known
         now = datetime.datetime.now().astimezone().isoformat(timespec="seconds")
@@ -82,7 +82,7 @@ class RunFolder:
 
 
 def new_folder(name: str, folder: Path | str | None = None) -> Path:
-    """Make the folder of a run: ``folder``, which must be new or empty, or ``runs/<name>-<date>-<time>``."""
+    """Create the folder of a run: ``folder``, which must be new or empty, or ``runs/<name>-<date>-<time>``."""
     if folder is None:
         stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
         path = Path("runs") / f"{name}-{stamp}"
@@ -99,12 +99,12 @@ def new_folder(name: str, folder: Path | str | None = None) -> Path:
 
 
 def _refuse(path: Path) -> None:
-    """Raise ``FileExistsError``: something is at ``path``, perhaps a run that is going on, or was cut off.
+    """Raise ``FileExistsError``, because ``path`` is not empty; perhaps it holds a run that is running or interrupted.
 
-    A run that was cut off before its first checkpoint left nothing that is worth anything: its files are removed.
+    The files of a run that ended before its first checkpoint are removed instead: nothing in them can be used.
     """
     if (path / STATUS).is_file():
-        with RunFolder(path):  # says who, if another run is writing to it
+        with RunFolder(path):  # raises, with the process, if another run is writing to it
             if _holds_nothing(path):
                 for file in [*(path / CHECKPOINTS).glob("*"), path / STATUS, *path.glob(".*.partial*")]:
                     file.unlink()
@@ -114,13 +114,13 @@ def _refuse(path: Path) -> None:
 
 
 def _holds_nothing(path: Path) -> bool:
-    """Nothing is in the folder but what a run writes before its first checkpoint."""
+    """Whether the folder holds only what a run writes before its first checkpoint."""
     names = {p.name for p in path.iterdir() if not (p.name.startswith(".") and ".partial" in p.name)}
     return names <= {STATUS, LOCK, CHECKPOINTS} and not any((path / CHECKPOINTS).glob("*.json"))
 
 
 def read_status(folder: Path) -> dict[str, Any]:
-    """What status.json says; empty if there is none, or it is unreadable."""
+    """Contents of status.json; empty if it is missing or unreadable."""
     try:
         status = read_json(folder / STATUS, "the status of a run", at_most=1_000_000)
     except (OSError, ValueError):
@@ -133,7 +133,7 @@ def _this_process() -> dict[str, Any]:
 
 
 def _is_dead(status: dict[str, Any]) -> bool:
-    """The process that wrote the status has certainly ended: on this host, since another boot or start, or is gone."""
+    """Whether the process that wrote the status, on this machine, has certainly ended."""
     pid = status.get("pid")
     if status.get("host") != platform.node() or not isinstance(pid, int) or not Path("/proc/self/stat").exists():
         return False
@@ -141,7 +141,7 @@ def _is_dead(status: dict[str, Any]) -> bool:
 
 
 def _start_of(pid: int) -> int | None:
-    """When a process started, clock ticks since boot: a process id that is used again has another."""
+    """Start time of a process, clock ticks since boot; it differs if a process id is used again. None if unknown."""
     try:
         return int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[19])
     except (OSError, ValueError, IndexError):
@@ -149,7 +149,7 @@ def _start_of(pid: int) -> int | None:
 
 
 def _boot() -> str:
-    """A name for the time since this machine was started."""
+    """An id that changes with every start of this machine; empty if unknown."""
     try:
         return Path("/proc/sys/kernel/random/boot_id").read_text().strip()
     except OSError:
@@ -163,7 +163,7 @@ def _who(status: dict[str, Any]) -> str:
 
 
 def _is_same(path: Path, handle: int) -> bool:
-    """The open file is the one at ``path``."""
+    """Whether the open file is the one at ``path``."""
     try:
         there, here = path.stat(), os.fstat(handle)
     except OSError:

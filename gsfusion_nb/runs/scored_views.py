@@ -1,4 +1,4 @@
-"""Which views a run is scored by, and from where: kept in the run's folder, so that it can be scored again alike."""
+"""The views that a run is scored with, and their poses, stored in the run's folder so that it can be scored again."""
 
 import dataclasses
 from collections.abc import Callable, Iterator
@@ -23,15 +23,15 @@ VIEWS = "views.json"
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ScoredViews:
-    """Some frames of a sequence, and where each was taken in the map."""
+    """Some frames of a sequence and their poses in the map."""
 
     positions: list[int]
-    """Their places in the sequence."""
+    """Positions of the frames in the sequence."""
     poses: list[Float[Tensor, "4 4"]]
     """Camera-to-world in the map, float32."""
 
     def frames(self, sequence: SequenceView) -> Iterator[Frame]:
-        """The readable ones, at their poses in the map; prepared (size, depth limits) as ``sequence`` prepares them."""
+        """The readable frames with their poses in the map; size and depth limits are those of ``sequence``."""
         view = SequenceView(
             source=sequence.source,
             positions=self.positions,
@@ -43,7 +43,7 @@ class ScoredViews:
 
 
 def scored_views(run: MappingRun) -> dict[str, ScoredViews]:
-    """The held-out views and the mapped views of a run that are scored, at their present poses in the map."""
+    """The held-out and mapped views of a run that are scored, with their current poses in the map."""
     localiser, mapping = run.mapper.localiser, run.sequence.mapping
     mapped = run.mapped_views(run.mapper.config.data.scored_views)
     refused = set(mapped.positions) - set(localiser.frame_indices)  # read, but not mapped
@@ -70,10 +70,10 @@ def score_in_map(
     """PSNR, SSIM, LPIPS and depth error of each group of views, under the names of metrics.json.
 
     Args:
-        render: The map seen by a camera.
+        render: Renders the map for a camera and its camera-to-world pose.
         views: Name of the group -> its views.
-        sequence: Where their images are.
-        suffix: Put behind the name of the group.
+        sequence: The sequence that holds their images.
+        suffix: Appended to the name of the group.
         with_lpips: Also compute LPIPS.
     """
     metrics: dict[str, Any] = {}
@@ -85,7 +85,7 @@ def score_in_map(
 
 
 def views_as_json(views: dict[str, ScoredViews]) -> dict[str, Any]:
-    """Plain numbers; a float32 comes back from them bit for bit."""
+    """The views as plain values for JSON; float32 poses are read back from them bit for bit."""
     return {
         name: [
             {"frame": position, "T_WC": T_WC.flatten().tolist()}
@@ -96,16 +96,16 @@ def views_as_json(views: dict[str, ScoredViews]) -> dict[str, Any]:
 
 
 def read_views(folder: Path) -> dict[str, ScoredViews]:
-    """What ``views_as_json`` gave, from the file in a run's folder.
+    """Read the views from ``views.json`` in a run's folder.
 
     Raises:
-        FileNotFoundError: the run was made by a version that did not write it. ValueError: it is damaged.
+        FileNotFoundError: The run is from a version that did not write the file. ValueError: The file is damaged.
     """
     path = folder / VIEWS
     if not path.is_file():
         raise FileNotFoundError(
-            f"{path} is not there, so it is not known which views to score and at which poses; the run is older than "
-            "this file: map again"
+            f"{path} does not exist, so the views to score and their poses are not known; the run is from an older "
+            "version: map the data again"
         )
     try:
         document = read_object(path, "the views that a run is scored by")

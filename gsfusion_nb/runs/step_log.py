@@ -1,4 +1,4 @@
-"""The reports of all steps, packed for checkpoints: what is packed once is never packed again."""
+"""The reports of all steps, packed as bytes for checkpoints; full blocks are packed only once."""
 
 import json
 from typing import Any
@@ -9,7 +9,7 @@ from torch import Tensor
 from ..mapping import StepReport
 
 BLOCK = 256
-"""Steps that are packed together."""
+"""Number of steps that are packed together."""
 
 
 class StepLog:
@@ -17,7 +17,7 @@ class StepLog:
 
     def __init__(self):
         self.blocks: list[Tensor] = []
-        """Whole blocks; each tensor never changes."""
+        """Full blocks; these tensors never change."""
 
     def state_dict(self, steps: list[StepReport]) -> dict[str, Any]:
         """All reports as tensors of bytes."""

@@ -1,4 +1,4 @@
-"""Ending a run by Ctrl-C or SIGTERM without losing anything."""
+"""Stop a run with Ctrl-C or SIGTERM without losing data."""
 
 import contextlib
 import signal
@@ -8,10 +8,10 @@ from collections.abc import Iterator
 
 
 class StopRequest:
-    """Turns Ctrl-C, a kernel interrupt or SIGTERM into a wish that is granted between two steps.
+    """Turns Ctrl-C, an interrupt of the notebook kernel or SIGTERM into a request to stop after the current step.
 
-    Pressing again changes nothing for ``PATIENCE_S`` seconds; after that, or where ``at_once`` is set, the signal
-    raises ``KeyboardInterrupt`` on the spot. While files are written (``saving``) it never does.
+    A second signal has no effect for ``PATIENCE_S`` seconds; after that, or if ``at_once`` is set, a signal raises
+    ``KeyboardInterrupt`` immediately. While files are written (``saving``) it never does.
     """
 
     PATIENCE_S = 5.0
@@ -19,7 +19,7 @@ class StopRequest:
     def __init__(self):
         self.wanted = False
         self.at_once = False
-        """Set where stopping in the middle loses nothing: while views are scored."""
+        """True while stopping at any point loses no data, as when views are scored."""
         self.saving = False
         self._since = 0.0
 
@@ -37,7 +37,7 @@ class StopRequest:
 
     @contextlib.contextmanager
     def ending_at_once(self) -> Iterator[None]:
-        """A block in which stopping loses nothing: a signal ends it on the spot, and what follows it goes on."""
+        """A block that a signal ends immediately, because nothing is lost; the code after it runs as usual."""
         self.at_once = True
         try:
             if not self.wanted:
@@ -50,7 +50,7 @@ class StopRequest:
 
     @contextlib.contextmanager
     def held_back(self) -> Iterator[None]:
-        """A block that writes files: no signal ends it."""
+        """A block that no signal interrupts, for writing files."""
         before, self.saving = self.saving, True
         try:
             yield
@@ -59,7 +59,7 @@ class StopRequest:
 
     @contextlib.contextmanager
     def listening(self) -> Iterator["StopRequest"]:
-        """Listen inside the block; does nothing outside the main thread, where signals cannot be caught."""
+        """Catch signals inside the block; does nothing outside the main thread, where that is not possible."""
         if threading.current_thread() is not threading.main_thread():
             yield self
             return

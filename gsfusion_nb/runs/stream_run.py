@@ -1,4 +1,4 @@
-"""One run over frames that come in time, of which only a few are kept."""
+"""One run over frames that arrive over time, of which only a few are kept."""
 
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
@@ -16,21 +16,22 @@ from .mapping_run import MappingRun
 
 
 class StreamRun(MappingRun):
-    """A mapper and the frames that come to it; drive it as any ``MappingRun``, also in a ``LiveMapper``.
+    """A mapper and the frames that arrive for it; used like any ``MappingRun``, also in a ``LiveMapper``.
 
-    Frames are got on a thread of their own. Their indices count arrivals, dropped ones included. Every
-    ``data.hold_out_every``-th is held out for scoring, unless the camera is tracked without poses to compare with.
-    ``sequence`` holds what is kept: poses of all mapped frames, images of a few.
+    A second thread receives the frames. Their indices count all that arrive, also dropped ones. Every
+    ``data.hold_out_every``-th is held out for scoring, unless the camera is tracked and there are no poses to compare
+    with. ``sequence`` holds what is kept: the poses of all mapped frames and the images of a few.
 
     Args:
-        frames: Any iterable of frames, a ``LiveSource`` for one; used once.
-        mapper: Who maps them, such as ``GSFusion(config)``; one that has mapped already goes on with its map.
-        policy: What gives way when mapping is slower; the source's own by default, "all" where it has none.
-        queue_frames: Frames that may wait, for "all" and "queue".
-        until: Asked while no frame comes; True ends the stream.
+        frames: Any iterable of frames, for example a ``LiveSource``; used once.
+        mapper: The mapper, such as ``GSFusion(config)``; one that has a map already continues it.
+        policy: What happens to frames when mapping is slower than the source
+            (``gsfusion_nb.data.stream.POLICIES``); by default the policy of the source, or "all".
+        queue_frames: Largest number of waiting frames, for "all" and "queue".
+        until: Called while no frame arrives; the stream ends when it returns True.
 
     Raises:
-        SequenceError: the source has no poses and the settings do not ask to track them, or ``data.repair`` is set.
+        SequenceError: The source has no poses and the settings do not ask to track them, or ``data.repair`` is set.
     """
 
     resumable = False
@@ -61,17 +62,17 @@ class StreamRun(MappingRun):
 
     @property
     def can_be_saved(self) -> bool:
-        """A checkpoint can be taken: after a kill the map so far is kept, though the stream cannot go on."""
+        """Whether a checkpoint can be saved now; it keeps the map if the process is killed, though not the stream."""
         return not self.mapper.guard.half_mapped
 
     def state_dict(self) -> dict[str, Any]:
-        """Where the run stands, and what is kept of the stream."""
+        """The state of the run, and the kept frames of the stream."""
         counts = {"n_taken": self._n_taken, "n_unusable": self.n_unusable, "n_earlier": self._n_earlier}
         return super().state_dict() | {"kept": self.kept.state_dict(), "counts": counts}
 
     @classmethod
     def after_a_kill(cls, source: dict[str, Any], mapper: Mapper, state: dict[str, Any]) -> "StreamRun":
-        """The run of a stream that was cut off with its process: no more frames come."""
+        """The run of a stream whose process was killed; it gets no more frames."""
         nothing, passes = _Ended(source["stream"], source["has_poses"]), mapper.passes
         run = cls(nothing, mapper, policy=source["policy"])
         mapper.passes = passes
@@ -88,7 +89,7 @@ class StreamRun(MappingRun):
         return {"stream": self.kept.name, "has_poses": self.kept.has_poses, "policy": self.policy}
 
     def constant_tensors(self) -> list[Tensor]:
-        """Also the images of the frames that are kept."""
+        """Also the images of the kept frames."""
         frames = [*self.kept.kept_mapped.items, *self.kept.kept_held_out.items]
         return [*super().constant_tensors(), *(image for f in frames for image in (f.colour, f.depth_m))]
 
@@ -98,16 +99,16 @@ class StreamRun(MappingRun):
 
     @property
     def poses(self) -> list[Any]:
-        """Camera-to-world pose of every frame that this run mapped, as given or as tracked and corrected so far."""
+        """Camera-to-world pose [4, 4] of every frame of this run, as given, or as tracked and corrected so far."""
         return self.mapper.localiser.poses[self._n_earlier :]
 
     def mapped_views(self, limit: int) -> SequenceView:
-        """The mapped frames that are kept, at most ``limit``, evenly spread."""
+        """At most ``limit`` of the kept mapped frames, evenly spread."""
         kept = [frame.index for frame in self.kept.kept_mapped.items]
         return self.kept.view(kept[:: -(-len(kept) // limit)] if kept else [])
 
     def extra_metrics(self) -> dict[str, Any]:
-        """How many frames came, gave way, and could not be used; what the policy was."""
+        """Numbers of frames received, dropped and unusable, and the policy."""
         return {
             "n_frames_received": self._feed.queue.n_received,
             "n_frames_dropped": self._feed.queue.n_dropped,
@@ -116,7 +117,7 @@ class StreamRun(MappingRun):
         }
 
     def next_frame(self) -> Frame:
-        """The next frame to map; those that are due to be held out are put aside."""
+        """The next frame to map; held-out frames are stored and passed over."""
         data = self.mapper.config.data
         while True:
             try:
@@ -132,7 +133,7 @@ class StreamRun(MappingRun):
             self.sequence = self.kept.opened()
 
     def close(self) -> None:
-        """Let the source go."""
+        """Stop reading from the source."""
         self._feed.close()
 
     def _passed(self, frame: Frame | None) -> None:
@@ -161,7 +162,7 @@ class StreamRun(MappingRun):
 
 
 class _Ended:
-    """A stream that has ended."""
+    """A stream without further frames."""
 
     def __init__(self, name: str, has_poses: bool):
         self.name, self.has_poses = name, has_poses
@@ -180,5 +181,5 @@ class _Feed:
         return self._run.next_frame()
 
     def close(self) -> None:
-        """No more are wanted."""
+        """Stop: no more frames will be read."""
         self._run.close()

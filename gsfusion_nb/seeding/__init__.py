@@ -1,4 +1,4 @@
-"""Where new Gaussians are created: the image quadtree, the context a rule sees, the registry, and the rules."""
+"""Where new Gaussians are created: the image quadtree, the context that a rule sees, the registry, and the rules."""
 
 from ..types import Seeds as Seeds
 from . import rules as rules
@@ -23,4 +23,4 @@ from .rule import rule_choices as rule_choices
 from .rule import rule_name as rule_name
 from .rule import rule_options as rule_options
 from .rule import seeding_rule as seeding_rule
-from .untouched import ChangedInputError as ChangedInputError
+from .unchanged_inputs import ChangedInputError as ChangedInputError

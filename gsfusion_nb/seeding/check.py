@@ -1,4 +1,4 @@
-"""``check_rule``: does a seeding rule keep the contract? On small scenes, without any data."""
+"""``check_rule`` tests on small built-in scenes whether a seeding rule keeps the contract."""
 
 import dataclasses
 import pickle
@@ -17,7 +17,7 @@ from .check_scenes import check_contexts
 from .context import SeedContext
 from .fingerprint import rule_fingerprint
 from .rule import Option, SeedingRule, apply_rule, get_rule, rule_choices, rule_name, rule_options
-from .untouched import ChangedInputError, context_tensors
+from .unchanged_inputs import ChangedInputError, context_tensors
 
 
 @dataclass(frozen=True)
@@ -41,26 +41,26 @@ class RuleCheck:
 
 
 def check_rule(rule: str | SeedingRule, contexts: dict[str, SeedContext] | None = None) -> RuleCheck:
-    """Run the contract of a seeding rule: sound rows, in front of the camera, none without depth, repeatable, and
-    nothing touched that is not its own.
+    """Check the contract of a seeding rule: valid seeds, in front of the camera, none without depth, repeatable, and no
+    change to the frame or the map.
 
     Args:
         rule: Name or function; it need not be registered.
-        contexts: Scenes by name, in place of the built ones.
+        contexts: Scenes by name, in place of the built-in ones.
 
     Returns:
         A report, printed as text.
 
     Raises:
-        AssertionError: a broken property, in a sentence that names rule, scene and property.
-        TypeError, ValueError: bad signature, or seeds that no map could take.
+        AssertionError: a property does not hold; the message names rule, scene and property.
+        TypeError, ValueError: wrong signature, or invalid seeds.
     """
     function, name = get_rule(rule), rule_name(rule)
     scenes = check_contexts() if contexts is None else contexts
     counts, kept = {}, rule_fingerprint(function)
     for scene, ctx in scenes.items():
         where = f"seeding rule {name!r}, scene {scene!r}"
-        first = _run_untouched(function, ctx, where)
+        first = _run_unchanged(function, ctx, where)
         _check_randomness(function, ctx, first, where)
         _check_in_front(first, ctx.frame, where)
         _check_missing_depth(function, ctx, where)
@@ -84,8 +84,8 @@ def _fresh(ctx: SeedContext, seed: int = 0, **changes: Any) -> SeedContext:
     return dataclasses.replace(ctx, generator=torch.Generator().manual_seed(seed), **changes)
 
 
-def _run_untouched(rule: SeedingRule, ctx: SeedContext, where: str) -> Seeds:
-    """One run, after which frame and maps must be bit for bit what they were."""
+def _run_unchanged(rule: SeedingRule, ctx: SeedContext, where: str) -> Seeds:
+    """Run once; frame and maps must be bit for bit the same afterwards."""
     fresh = _fresh(ctx)
     watched = [(name, tensor, tensor.clone()) for name, tensor in context_tensors(fresh)]
     _ = fresh.frame.rgb
@@ -104,7 +104,7 @@ def _changed(where: str, what: str) -> str:
 
 
 def _check_no_memory(rule: SeedingRule, before: str, where: str) -> None:
-    """After all these runs the rule keeps what it kept before."""
+    """The rule stores nothing new after all these runs."""
     if rule_fingerprint(rule) != before:
         raise AssertionError(
             f"{where}: it keeps something from one frame to the next (a global, a variable around it, an attribute); "
@@ -147,7 +147,7 @@ def _check_missing_depth(rule: SeedingRule, ctx: SeedContext, where: str) -> Non
 
 
 def _check_every_option(rule: SeedingRule, ctx: SeedContext, first: Seeds, where: str) -> None:
-    """Defaults given by name change nothing; switches and choices work in every position."""
+    """Passing the defaults by name changes nothing; every switch and every choice works."""
     defaults = rule_options(rule)
     if not _same(first, apply_rule(rule, _fresh(ctx), defaults)):
         raise AssertionError(
@@ -174,7 +174,7 @@ _STATES: dict[str, Callable[[], Any]] = {
     "torch's global generator": lambda: torch.get_rng_state().numpy().tobytes(),
     "numpy's global generator": lambda: pickle.dumps(np.random.get_state()),  # noqa: NPY002
 }
-"""Not Python's ``random``: run-time type checkers draw from it too. A rule that does shows in its result."""
+"""Not Python's ``random``, which run-time type checkers use, too; a rule that uses it gives different results."""
 
 
 def _generator_states() -> dict[str, Any]:
@@ -183,7 +183,7 @@ def _generator_states() -> dict[str, Any]:
 
 @contextmanager
 def _other_generators(seed: int) -> Iterator[None]:
-    """Global random generators set to other states inside the block, and put back behind it."""
+    """Set the global random generators to other states inside the block, and restore them after it."""
     before = torch.get_rng_state(), np.random.get_state(), random.getstate()  # noqa: NPY002
     torch.default_generator.manual_seed(seed)
     np.random.seed(seed)  # noqa: NPY002

@@ -1,4 +1,4 @@
-"""The scenes of ``check_rule``: made up from a formula, and one with real maps."""
+"""The scenes of ``check_rule``: defined by formulas, and one with real maps."""
 
 import dataclasses
 from types import SimpleNamespace
@@ -26,7 +26,7 @@ def check_contexts() -> dict[str, SeedContext]:
 
     "new": nothing mapped yet; "half seen": the left half was observed before and has Gaussians; "holes": depth missing
     in stripes; "dark": no depth at all; "odd": 7 x 5 pixels; "tiny": one pixel; "real map": a TSDF volume and a
-    Gaussian map that took in the first view, seen from beside it.
+    Gaussian map made from the first view, seen from a place beside it.
     """
     new = _scene_frame(61, 47)
     stripes = new.depth_m * (torch.arange(61) % 3 > 0)
@@ -50,7 +50,7 @@ def check_contexts() -> dict[str, SeedContext]:
 
 
 def _real_map(frame: Frame, config: SeedingConfig) -> SeedContext:
-    """Maps as a mapper has them: the scene's frame fused and seeded, then seen from beside."""
+    """Maps as a mapper has them: one frame fused and seeded, then a second one from 15 cm beside it fused."""
     volume, gaussians = TsdfVolume(_TSDF), GaussianModel(sh_degree=0)
     integrate(volume, frame)
     gaussians.append(SeedContext(frame, volume, config=config).cells(), frame.index)
@@ -60,7 +60,7 @@ def _real_map(frame: Frame, config: SeedingConfig) -> SeedContext:
 
 
 class SceneVolume:
-    """The made-up scene as a TSDF volume that needs no integration: distances come from its formula.
+    """The scene as a TSDF volume that needs no integration: distances come from the formula.
 
     Voxels in the truncation band have weight 1, or 3 in the left half of the view if that ``seen_left``.
     """
@@ -91,7 +91,7 @@ def _distance(xyz_C: Float[Tensor, "N 3"]) -> Float[Tensor, " N"]:
 
 
 def _scene_frame(width: int, height: int, shift_m: float = 0.0) -> Frame:
-    """The scene by exact ray casting, four plain quarters of a wall, stripes on the sphere: cells of several sizes.
+    """The scene by exact ray casting. The wall has four plain quarters and the sphere stripes: cells of several sizes.
 
     With ``shift_m`` the camera is that far to the right of the scene's usual camera.
     """

@@ -1,4 +1,4 @@
-"""What a seeding rule may look at: the frame, the volume, the map, all read-only and computed when first asked for."""
+"""What a seeding rule may read: frame, volume and map. Derived quantities are computed when first asked for."""
 
 import time
 from dataclasses import KW_ONLY, dataclass, field
@@ -40,15 +40,15 @@ class MapView:
     opacity: Float[Tensor, " N"]
     """Peak opacity."""
     tag: Int[Tensor, " N"] | None
-    """Label that the seeding rule gave each Gaussian, where the map keeps it."""
+    """Label that the seeding rule gave each Gaussian; None if the map does not keep it."""
     state: Int[Tensor, " N"] | None
-    """Stable (1) or unstable (0), where the map distinguishes them."""
+    """Stable (1) or unstable (0); None if the map does not distinguish them."""
     quat: Float[Tensor, "N 4"]
     """Orientation, wxyz, not normalised."""
 
     @property
     def normal_W(self) -> Float[Tensor, "N 3"]:
-        """Axis of the smallest standard deviation, world frame; either side."""
+        """Unit vector along the smallest standard deviation, world frame; its sign is arbitrary."""
         R = quaternion.to_matrix(self.quat)
         return R.gather(2, self.scale_m.argmin(dim=1)[:, None, None].expand(-1, 3, 1)).squeeze(2)
 
@@ -60,11 +60,11 @@ class MapView:
 class SeedContext:
     """Everything a seeding rule is given. ``SeedContext(frame)`` alone is enough for rules that need no map.
 
-    The volume has already taken in the current frame (GSFusion III-B.2 tests it afterwards); the Gaussians have not.
+    The volume already contains the current frame (GSFusion III-B.2 tests it afterwards); the Gaussian map does not.
     """
 
     frame: Frame
-    """The observation that seeds are drawn from."""
+    """The frame that the seeds are made from."""
     volume: VoxelLookup | None = None
     """TSDF volume, for ``voxel_weight``, ``tsdf`` and ``voxel_index``."""
     gaussians: Any = None
@@ -75,9 +75,9 @@ class SeedContext:
     generator: torch.Generator = field(default_factory=lambda: torch.Generator().manual_seed(0))
     """The only source of randomness a rule may use."""
     discs: DiscConfig = field(default_factory=DiscConfig)
-    """When a ray hits a Gaussian, for ``surface``."""
+    """When a ray counts as hitting a Gaussian, for ``surface``."""
     near_m: float | None = None
-    """Depth below this counts as missing, metres. Not given: the volume's, or 0.4 m as published if there is none."""
+    """Depth below this counts as missing, metres. Default: the volume's setting, or 0.4 m (published) without one."""
     _cache: dict = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self):
@@ -112,7 +112,7 @@ class SeedContext:
         """Leaves of the quadtree on the frame's colours, by the context's settings.
 
         Args:
-            overrides: ``threshold``, ``min_cell_px``, ``contrast``, in place of the settings.
+            overrides: ``threshold``, ``min_cell_px`` or ``contrast``, in place of the settings.
         """
         settings = {
             "threshold": self.config.quadtree_threshold,
@@ -130,7 +130,7 @@ class SeedContext:
 
     @property
     def quadtree_seconds(self) -> float:
-        """Wall time spent on quadtrees so far."""
+        """Wall time spent on quadtrees so far, seconds."""
         return self._cache.get("quadtree_seconds", 0.0)
 
     def cells(self, **overrides: Any) -> Seeds:
@@ -153,8 +153,8 @@ class SeedContext:
         opacity: float = 0.5,
         tag: Int[Tensor, " N"] | None = None,
     ) -> Seeds:
-        """Round seeds on the measured surface behind image positions; positions outside the image or without
-        depth are dropped.
+        """Round seeds on the measured surface at image positions; positions outside the image or without depth
+        are dropped.
 
         Position T_WC (z K^-1 uv), standard deviation z radius_px / fx, z and colour of the pixel that contains uv.
 
@@ -218,7 +218,7 @@ class SeedContext:
         surface, the disc that each pixel hits.
 
         Args:
-            rows: Draw only these Gaussians; indices in the result then count among them.
+            rows: Draw only these Gaussians; indices in the result then refer to ``rows``.
         """
         params = self._need_gaussians("surface()")
 

@@ -1,4 +1,4 @@
-"""How large a new disc is: it covers the gap to its neighbours, with little overlap (Peng et al. 2024, section 3.2)."""
+"""Radius of a new disc: it covers the gap to its neighbours, with little overlap (Peng et al. 2024, section 3.2)."""
 
 from dataclasses import dataclass
 
@@ -9,11 +9,11 @@ from torch import Tensor
 from .nearest import k_nearest
 
 NEIGHBOURS = 3
-"""Nearest neighbours looked at (released code)."""
+"""Number of nearest neighbours that are considered (released code)."""
 REACH = 3.0
-"""An existing disc covers this many of its radii."""
+"""An existing disc covers the space within this many of its radii (released code)."""
 BORDER_M = 0.05
-"""Existing discs farther than this outside the new points' bounding box are no neighbours."""
+"""Existing discs farther than this outside the new points' bounding box are ignored, metres."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -21,16 +21,16 @@ class Gaps:
     """Free space around new points."""
 
     gap_m: Float[Tensor, "M K"]
-    """Distance to each of the nearest neighbours, less what the neighbour covers; negative inside it."""
+    """Distance to each of the nearest neighbours minus the radius that it covers; negative inside it, metres."""
 
     @property
     def overlaps(self) -> Bool[Tensor, " M"]:
-        """The point lies in a neighbour's reach."""
+        """Whether the point lies within a neighbour's reach."""
         return (self.gap_m < 0).any(dim=1)
 
     @property
     def size_m(self) -> Float[Tensor, " M"]:
-        """Root mean square of the gaps that are left."""
+        """Root mean square of the gaps, where a negative gap counts as 0, metres."""
         return self.gap_m.clamp_min(0.0).square().mean(dim=1).sqrt()
 
 
@@ -48,8 +48,8 @@ def gaps_around(
         xyz_W: New points, metres.
         neighbour_xyz_W: Centres of the discs that exist.
         neighbour_radius_m: Their radii.
-        reach: Radii that an existing disc covers.
-        neighbours: How many; fewer if there are fewer points.
+        reach: An existing disc covers the space within this many of its radii.
+        neighbours: Number of nearest neighbours; fewer if there are fewer points.
 
     Differentiable: no. Source: the released code (the paper says "cover the scene ... with little overlapping").
     """
@@ -74,6 +74,6 @@ def gaps_around(
 def nearest(
     xyz_W: Float[Tensor, "M 3"], others_W: Float[Tensor, "N 3"], neighbours: int = NEIGHBOURS
 ) -> tuple[Float[Tensor, "M K"], Tensor]:
-    """Distance to the nearest of ``others_W`` and their rows; infinite, and row 0, if there are fewer."""
+    """Distance to the nearest of ``others_W``, metres, and their rows; infinite, and row 0, if there are fewer."""
     distance, row = k_nearest(xyz_W, others_W, neighbours)
     return distance, row.masked_fill(row == len(others_W), 0)

@@ -1,4 +1,4 @@
-"""What a seeding rule is made of: its source, and a fingerprint of its code and of everything it keeps."""
+"""Source code of a seeding rule, and a hash of its code and of the values that it stores."""
 
 import dis
 import functools
@@ -23,7 +23,7 @@ def is_built_in(rule: SeedingRule) -> bool:
 
 
 def rule_source(rule: SeedingRule) -> str:
-    """The source of a rule, of a callable object that of its class; empty where Python does not know it."""
+    """The source code of a rule, or of its class for a callable object; empty where Python does not know it."""
     target = inspect.unwrap(rule) if inspect.isroutine(rule) else type(rule)
     try:
         return textwrap.dedent(inspect.getsource(target))
@@ -34,9 +34,9 @@ def rule_source(rule: SeedingRule) -> str:
 def rule_fingerprint(rule: SeedingRule) -> str:
     """A hash of the rule's code, defaults, closure, attributes, and the values and functions that its code names.
 
-    It changes when the rule is edited, and when the rule keeps something from one call to the next. Of a callable
-    object with ``state_dict`` only the class counts, because its state is kept with the map. What other packages define
-    counts by name.
+    It changes when the rule is edited, and when the rule stores something from one call to the next. For a callable
+    object with ``state_dict`` only the class is hashed, because its state is saved with the map. Of what other packages
+    define only the names are hashed.
     """
     feed = _Feed()
     feed.value(type(rule) if hasattr(rule, "state_dict") and not inspect.isroutine(rule) else rule)
@@ -52,7 +52,7 @@ class _Feed:
         self._module = ""
 
     def value(self, x: Any) -> None:
-        """Any value; of one that is not understood, its type."""
+        """Any value; of an unknown kind of value only its type."""
         self._text(type(x).__qualname__)
         if isinstance(x, _PLAIN):
             self._text(repr(x))
@@ -123,7 +123,7 @@ class _Feed:
                 self.value(constant)
 
     def _is_near(self, module: str | None) -> bool:
-        """The module is where the rule is written; what others define counts by name."""
+        """Whether the module is the one in which the rule is written; of others only names are hashed."""
         module = module or ""
         if not self._module and not module.startswith(f"{_OWN}.") and module.split(".")[0] not in ("torch", "numpy"):
             self._module = module

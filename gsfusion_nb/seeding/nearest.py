@@ -1,11 +1,11 @@
-"""The nearest of many points: a k-d tree on the processor, all distances on a GPU."""
+"""Nearest neighbours of points: a k-d tree on the CPU, all distances on a GPU."""
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
 _DISTANCES = 1 << 25
-"""Computed at a time."""
+"""Number of distances computed at a time."""
 
 
 def k_nearest(
@@ -27,7 +27,7 @@ def k_nearest(
 def by_all_distances(
     xyz_W: Float[Tensor, "M 3"], others_W: Float[Tensor, "N 3"], k: int
 ) -> tuple[Float[Tensor, "M K"], Int[Tensor, "M K"]]:
-    """``k_nearest`` of some thousand points among some ten thousand, without leaving the device."""
+    """``k_nearest`` for thousands of points among tens of thousands, without leaving the device."""
     N = len(others_W)
     missing = (0, max(k - N, 0))
     found = []

@@ -57,7 +57,7 @@ class Cells:
 
 
 def check_quadtree(rgb_u8: Any, *, threshold: float = 0.1, min_cell_px: int = 1, contrast: str = "released") -> None:
-    """Raise ``ValueError`` for what ``quadtree`` does not take."""
+    """Raise ``ValueError`` for arguments that ``quadtree`` refuses."""
     check_operand("rgb_u8", rgb_u8, ("H", "W", 3), dtypes=(torch.uint8,))
     if rgb_u8.numel() == 0:
         raise ValueError(f"rgb_u8 must have at least one pixel, got {list(rgb_u8.shape)}")
@@ -89,7 +89,7 @@ def quadtree(
     Args:
         rgb_u8: Colour, 0..255. [H, W, 3]
         threshold: Contrast above which a cell is cut, in the unit of ``contrast``.
-        min_cell_px: Half sizes must stay above this, pixels.
+        min_cell_px: A cell is cut only while half its width and half its height are above this, pixels.
         contrast: "released" or "std".
 
     Returns:

@@ -1,7 +1,7 @@
-"""Seeding rules by name: ``@seeding_rule`` registers a function, a mapper takes the name or the function itself.
+"""Seeding rules by name: ``@seeding_rule`` registers a function; a mapper takes its name or the function itself.
 
 A rule is a function ``(ctx: SeedContext, *, number=default, ...) -> Seeds``. It proposes the Gaussians that are created
-from one frame; it changes nothing, and draws random numbers only from ``ctx.generator``.
+from one frame. It changes none of its inputs, and draws random numbers only from ``ctx.generator``.
 """
 
 import inspect
@@ -18,7 +18,7 @@ from ..errors import shown
 from ..plausible import MAX_DISTANCE_M
 from ..types import Seeds
 from .context import SeedContext
-from .untouched import ChangedInputError, Versions
+from .unchanged_inputs import ChangedInputError, Versions
 
 SeedingRule = Callable[..., Seeds]
 F = TypeVar("F", bound=SeedingRule)
@@ -32,8 +32,8 @@ def seeding_rule(rule: F) -> F:
     """Register ``rule`` under its own name and return it unchanged; a rule of that name is replaced.
 
     Raises:
-        TypeError: the signature is not ``(ctx, *, name=default, ...)`` with defaults that are numbers, true/false, or a
-            word out of ``Literal["...", ...]``.
+        TypeError: the signature is not ``(ctx, *, name=default, ...)`` with defaults that are numbers, True/False, or a
+            word of a ``Literal["...", ...]``.
     """
     if not callable(rule):
         raise TypeError(f"@seeding_rule decorates a function, got {type(rule).__name__}; write it without parentheses")
@@ -45,7 +45,7 @@ def seeding_rule(rule: F) -> F:
 
 
 def get_rule(rule: str | SeedingRule) -> SeedingRule:
-    """The function registered under a name; a function is returned as it is, once its signature is checked.
+    """The function registered under a name; a function is returned unchanged after its signature was checked.
 
     Raises:
         KeyError: no rule of that name; the message lists the registered ones. TypeError: bad signature.
@@ -65,7 +65,7 @@ def registered() -> dict[str, SeedingRule]:
 
 
 def rule_name(rule: str | SeedingRule) -> str:
-    """What a rule is called in messages and reports."""
+    """Name of a rule in messages and reports."""
     return rule if isinstance(rule, str) else getattr(rule, "__name__", type(rule).__name__)
 
 
@@ -89,15 +89,15 @@ def apply_rule(
         rule: Name or function.
         ctx: What the rule may look at.
         options: Keyword arguments for the rule, in place of its defaults.
-        one_per_voxel: Afterwards keep one seed per voxel, in voxels without a Gaussian: ``keep_one_per_voxel``.
+        one_per_voxel: Afterwards keep at most one seed per voxel, and none in voxels that hold a Gaussian.
 
     Returns:
         The new Gaussians, on the frame's device.
 
     Raises:
         KeyError: no such rule. TypeError: unknown option, wrong type of option or of result.
-        ValueError: a column of wrong shape, NaN, scale <= 0, opacity outside (0, 1), colour outside 0..1, a place or a
-            scale that is implausibly far or large. ChangedInputError: the rule changed the frame or the map in place.
+        ValueError: a column of wrong shape, NaN, scale <= 0, opacity outside (0, 1), colour outside 0..1, or an
+            implausibly large position or scale. ChangedInputError: the rule changed the frame or the map in place.
     """
     function = get_rule(rule)
     options = dict(options or {})
@@ -109,7 +109,7 @@ def apply_rule(
     try:
         _check_seeds(seeds, ctx)
     except (TypeError, ValueError) as error:
-        raise type(error)(f"seeding rule {rule_name(rule)!r} returned something unusable: {error}") from None
+        raise type(error)(f"seeding rule {rule_name(rule)!r} returned invalid seeds: {error}") from None
     if not one_per_voxel:
         return seeds
     taken = None if ctx.gaussians is None else ctx.voxel_index(ctx.gaussians.params.xyz_W)
@@ -117,10 +117,10 @@ def apply_rule(
 
 
 def keep_one_per_voxel(seeds: Seeds, voxel: Int[Tensor, "N 3"], taken: Int[Tensor, "M 3"] | None = None) -> Seeds:
-    """Of the seeds that share a voxel, keep the one with the largest standard deviation; of equals, the first.
+    """Of the seeds that share a voxel, keep the one with the largest standard deviation; of equal ones the first.
 
-    The largest leaves the smallest hole where its neighbours are dropped. GSFusion IV-C.1 says that a voxel contains at
-    most one Gaussian without saying which.
+    The largest one best covers the area of the seeds that are dropped. GSFusion IV-C.1 says that a voxel contains at
+    most one Gaussian, but not which one.
 
     Args:
         seeds: Proposed Gaussians, N rows.
@@ -128,7 +128,7 @@ def keep_one_per_voxel(seeds: Seeds, voxel: Int[Tensor, "N 3"], taken: Int[Tenso
         taken: Voxels that hold a Gaussian of the map; no seed in them is kept. [M, 3]
 
     Returns:
-        The survivors, in their order.
+        The seeds that are kept, in their order.
     """
     if taken is not None and len(taken) and len(seeds):
         _, group = torch.unique(torch.cat([voxel, taken]), dim=0, return_inverse=True)
@@ -154,7 +154,7 @@ def _options_of(rule: SeedingRule) -> dict[str, inspect.Parameter]:
         raise TypeError(f"{wanted}; this one does not take the context as its first argument")
     for p in parameters[1:]:
         if p.kind is not inspect.Parameter.KEYWORD_ONLY:
-            raise TypeError(f"{wanted}; {str(p)!r} must be keyword-only: put it behind a bare *, with a default")
+            raise TypeError(f"{wanted}; {str(p)!r} must be keyword-only: put it after a bare *, with a default")
         if p.default is inspect.Parameter.empty:
             raise TypeError(f"{wanted}; option {p.name!r} has no default, which sliders and check_rule need")
         if not isinstance(p.default, bool | int | float | str):
@@ -163,7 +163,7 @@ def _options_of(rule: SeedingRule) -> dict[str, inspect.Parameter]:
             )
         if isinstance(p.default, str) and p.default not in typing.get_args(p.annotation):
             raise TypeError(
-                f"{wanted}; option {p.name!r} is a word, so annotate what it may be: "
+                f"{wanted}; option {p.name!r} is a word, so annotate the allowed words: "
                 f'{p.name}: Literal["{p.default}", ...] = "{p.default}"'
             )
     return {p.name: p for p in parameters[1:]}
@@ -172,7 +172,7 @@ def _options_of(rule: SeedingRule) -> dict[str, inspect.Parameter]:
 def _signature(rule: SeedingRule) -> inspect.Signature:
     try:
         return inspect.signature(rule, eval_str=True)
-    except (NameError, AttributeError, SyntaxError):  # an annotation written as text that means nothing here
+    except (NameError, AttributeError, SyntaxError):  # an annotation written as text that cannot be evaluated here
         return inspect.signature(rule)
 
 
@@ -227,6 +227,6 @@ def _check_seeds(seeds: Any, ctx: SeedContext) -> None:
             bad = values[~ok]
             row = int((~ok).nonzero()[0, 0])
             raise ValueError(
-                f"{rule}, got {len(bad)} other values, from {float(bad.min()):g} to {float(bad.max()):g}, the first in "
-                f"row {row}"
+                f"{rule}, got {len(bad)} other values, from {float(bad.min()):g} to {float(bad.max()):g}, the first of "
+                f"them in row {row}"
             )

@@ -1,4 +1,4 @@
-"""Comparing seeding rules: the same frames and settings, one run per rule, one table."""
+"""Compare seeding rules: one run per rule on the same frames with the same settings, and one table."""
 
 import math
 import time
@@ -22,7 +22,7 @@ Option = bool | int | float | str
 
 @dataclass(frozen=True)
 class Entrant:
-    """A rule with options and a name of its own: ``Entrant("uniform", {"fraction": 0.1}, "uniform 10 %")``."""
+    """A rule with options and a label: ``Entrant("uniform", {"fraction": 0.1}, "uniform 10 %")``."""
 
     rule: str | SeedingRule
     """Name of a registered rule, or the function."""
@@ -182,7 +182,7 @@ def compare_rules(
         rules: Names, functions or ``Entrant``, which also carries options.
         data: Name or folder of a sequence, or an open sequence.
         config: Settings of all runs; by default those of the room without global optimisation.
-        on_progress: Called after each frame; returns True to stop. By default a progress bar.
+        on_progress: Called after each frame; returns True to stop. By default a progress bar is shown.
 
     Raises:
         KeyError, TypeError, ValueError: as for ``Contest``. A rule that raises an error while mapping is listed in

@@ -5,15 +5,15 @@ import numpy as np
 
 from ..drawing.curves import figure_png
 from ..drawing.pictures import Picture
-from ..viz.live.watch import Watch
+from ..viz.live.live_loop import LiveLoop
 from .contest import Contest
 from .leaderboard import Leaderboard
 
 
-def watch_contest(contest: Contest) -> Watch:
-    """Show the contest with buttons; ``contest.board`` is the table, during and after the run.
+def watch_contest(contest: Contest) -> LiveLoop:
+    """Show the contest with buttons; ``contest.board`` is the table, during the run and after it.
 
-    One step is one frame. A stop discards only the frames of the rule that was running.
+    One step is one frame. Stopping discards only the frames of the rule that was running.
     """
     drawn: list[tuple[int, Picture]] = []
 
@@ -22,7 +22,7 @@ def watch_contest(contest: Contest) -> Watch:
             drawn[:] = [(len(contest.board), board_picture(contest.board))]
         return drawn[-1][1]
 
-    return Watch(contest.steps, picture, contest.curves, n_steps=len(contest.sequence.mapping), width=640)
+    return LiveLoop(contest.steps, picture, contest.curves, n_steps=len(contest.sequence.mapping), width=640)
 
 
 def board_picture(board: Leaderboard) -> Picture:

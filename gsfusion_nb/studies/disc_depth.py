@@ -1,4 +1,4 @@
-"""Fitting single RGB-D images with few Gaussians: disc depth against blended depth (Peng et al. 2024, Fig. 7)."""
+"""Fit single RGB-D images with few Gaussians: disc depth compared with blended depth (Peng et al. 2024, Fig. 7)."""
 
 import dataclasses
 import json
@@ -52,10 +52,10 @@ def fit_image(frame: Frame, n: int, method: str, *, steps: int = STEPS, seed: in
 
     Args:
         frame: The image.
-        n: Gaussians, at most the pixels with depth and normal.
+        n: Number of Gaussians, at most the number of pixels with depth and normal.
         method: "disc", "blended" or "round".
         steps: Optimisation steps.
-        seed: Seed of the draw: every method has the same pixels.
+        seed: Seed of the draw; with the same seed every method gets the same pixels.
     """
     check_name("method", method, METHODS)
     settings = rtg_slam("replica")
@@ -139,7 +139,7 @@ def as_markdown(table: dict[str, dict[int, dict[str, float]]]) -> str:
 
 
 def main(data: str, folder: Path, views: int) -> int:
-    """Fit images spread over a sequence; print a table, write it and a picture to ``folder``."""
+    """Fit ``views`` images spread over a sequence, print a table, and write it and a picture to ``folder``."""
     sequence = open_sequence(data, data=dataclasses.replace(rtg_slam("room").data, hold_out_every=0))
     picks = [round(i * (len(sequence) - 1) / max(views - 1, 1)) for i in range(views)]
     table = summary(fit_images((sequence[i] for i in picks), show_progress=True))

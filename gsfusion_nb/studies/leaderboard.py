@@ -26,9 +26,9 @@ class LeaderboardRow:
     ms_per_frame: float
     """Wall time of a mapping step, mean over all frames except the first, which loads and compiles."""
     cpu_ms_per_frame: float
-    """CPU time of the same over all threads; other programs affect it less."""
+    """CPU time of the same steps, over all threads; other programs affect it less than the wall time."""
     key: str = ""
-    """``run_key`` of data, settings, rule, seed and program: equal in two tables only if the runs were the same."""
+    """``run_key`` of data, settings, rule, seed and program: equal keys mean equal runs."""
     seeding_ms: float
     """Wall time of the rule and its quadtree, mean over all frames except the first."""
 
@@ -41,7 +41,7 @@ class Leaderboard:
     sequence: str = ""
     """Name of the sequence."""
     complete: bool = False
-    """False if it was stopped before all rules had run."""
+    """False if the contest was stopped before all rules had run."""
     failed: dict[str, str] = field(default_factory=dict)
     """Rule -> reason why it could not be run."""
 
@@ -52,7 +52,7 @@ class Leaderboard:
 
     @property
     def front(self) -> list[str]:
-        """Names of the rules that no other beats in both PSNR and number of Gaussians."""
+        """Names of the rules on the Pareto front of PSNR and number of Gaussians."""
         n, psnr = self._columns()
         return [row.name for row, best in zip(self.rows, pareto_front(n, psnr), strict=True) if best]
 
@@ -66,7 +66,7 @@ class Leaderboard:
         return len(self.rows)
 
     def figure(self) -> "Figure":
-        """Held-out PSNR over the number of Gaussians; area of a point by ms per frame; the Pareto front as a line."""
+        """Held-out PSNR over the number of Gaussians; area of a point: ms per frame; line: the Pareto front."""
         n, psnr = self._columns()
         return pareto_figure([r.name for r in self.rows], n, psnr, np.array([r.ms_per_frame for r in self.rows]))
 

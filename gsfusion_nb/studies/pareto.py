@@ -17,18 +17,18 @@ _DIRECTIONS = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (-1, 1), (1, -1), (-1, 
 _DISTANCES_PX = (3.0, 14.0, 28.0, 46.0, 66.0)
 
 LARGEST_AREA, LEAST_AREA = 420.0, 40.0
-"""Areas, points squared: that of the slowest candidate, and the smallest that is visible."""
+"""Areas of the points of the plot, points squared: of the slowest candidate, and the smallest area used."""
 
 
 def pareto_front(cost: np.ndarray, quality: np.ndarray) -> np.ndarray:
-    """Candidates that no other beats: none is at least as good in both and better in one.
+    """The candidates that no other beats, that is, none is at least as good in both numbers and better in one.
 
     Args:
         cost: Less is better. [N]
         quality: More is better. [N]
 
     Returns:
-        Whether each is on the front. [N] bool; of two equal ones both are.
+        Whether each candidate is on the front; two equal ones both are. [N] bool
     """
     cost, quality = np.asarray(cost, float), np.asarray(quality, float)
     as_good = (cost[:, None] <= cost) & (quality[:, None] >= quality)
@@ -43,7 +43,7 @@ def pareto_figure(names: Sequence[str], cost: np.ndarray, quality: np.ndarray, m
         names: One per point.
         cost: Gaussians. [N]
         quality: PSNR, dB. [N]
-        ms: ms per frame; areas of the points are proportional to it. [N]
+        ms: Time per frame, ms; areas of the points are proportional to it. [N]
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

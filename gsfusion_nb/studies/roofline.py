@@ -1,4 +1,4 @@
-"""The roofline of this machine (Williams, Waterman & Patterson 2009), and the position of our kernels below it.
+"""The roofline of this machine (Williams, Waterman & Patterson 2009), and where this package's kernels are below it.
 
     attainable flop/s = min(peak flop/s, intensity x bandwidth),   intensity = flop / bytes moved
 
@@ -131,9 +131,9 @@ def mapping_work(
     """The main operations of a mapping step, on a random scene.
 
     Args:
-        n: Gaussians, with SH of degree 3; Adam gets five times as many, which do not fit in a cache.
-        width, height: Of the image, pixels.
-        per_pixel: Gaussians above alpha = 1/255 at a pixel.
+        n: Number of Gaussians, with SH of degree 3; Adam gets five times as many, which do not fit in a cache.
+        width, height: Size of the image, pixels.
+        per_pixel: Mean number of Gaussians above alpha = 1/255 at a pixel.
         device: Where the tensors are.
     """
     scene = random_scene(n, width, height, sh_degree=3, per_pixel=per_pixel).to(device)
@@ -190,7 +190,7 @@ def kernel_points(
     device: str = "cpu",
     backends: Sequence[str] = BACKENDS,
 ) -> list[KernelPoint]:
-    """Time every operation on those of ``backends`` that have it on a device, on one thread. ``make_work`` puts its
+    """Time every operation on those of ``backends`` that have it on a device, on one thread. ``make_work`` creates the
     tensors there."""
     working = {(name, backend) for name, backend, state in report() if state == "ok"}
     points = []
@@ -268,7 +268,7 @@ def main(device: str, folder: Path) -> int:
     if device not in ("cpu", "cuda"):
         raise ValueError(f"--device must be cpu or cuda, got {device!r}")
     if device == "cuda" and not torch.cuda.is_available():
-        raise ValueError("--device cuda needs an NVIDIA GPU, and torch finds none")
+        raise ValueError("--device cuda needs an NVIDIA GPU, but torch finds none")
     is_gpu = device == "cuda"
     roofs = measure_roofs(size=8192, megabytes=2000, device=device) if is_gpu else measure_roofs()
     work = functools.partial(mapping_work, **(ON_A_GPU if is_gpu else {}), device=device)

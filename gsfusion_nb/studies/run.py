@@ -27,9 +27,9 @@ COLUMNS = {
     "n_keyframes": "keyframes",
     "ate_rmse_m": "ATE RMSE",
     "drift_m": "drift",
-    "fps_total": "FPS",
-    "fps_mapping": "FPS mapping",
-    "fps_tracking": "FPS tracking",
+    "fps_total": "frames/s",
+    "fps_mapping": "mapping, frames/s",
+    "fps_tracking": "tracking, frames/s",
     "mesh_accuracy_m": "accuracy",
     "mesh_completion_m": "completion",
     "mesh_completion_ratio": "completion < 3 cm",
@@ -43,14 +43,14 @@ class StudyOptions:
     """Run one of the papers' comparisons on a sequence and print a table.
 
     Each variant is a run with all its files in OUT, in a folder whose name ends in a key of the data, the options and
-    the program. A variant that is complete in the folder of its key is not repeated; the command says so.
+    the program. A variant that is already complete in its folder is not repeated; the output says so.
     """
 
     name: Annotated[str, tyro.conf.Positional]
     """What to compare: systems (GSFusion and RTG-SLAM), transparent (with and without transparent Gaussians), states
-    (optimising unstable or all Gaussians), fidelity (paper, released code), gsfusion-settings, rtg-slam-settings
-    (single settings of each), depth (disc or blended depth), tracking (variants of the tracker), disc-depth (depth of
-    single images), or roofline (kernels and the limits of this machine)."""
+    (optimising unstable or all Gaussians), fidelity (as measured, paper or released code), gsfusion-settings and
+    rtg-slam-settings (one changed setting at a time), depth (disc or blended depth), tracking (variants of the
+    tracker), disc-depth (depth of single images), or roofline (kernels and the limits of this machine)."""
     data: Annotated[str, tyro.conf.Positional] = "room"
     """Folder of a sequence, or "room" for the built-in scene."""
     out: str = ""
@@ -90,14 +90,14 @@ def main(options: StudyOptions) -> int:
 
 
 def variant_key(data: str, arguments: list[str]) -> str:
-    """Key of a run of ``gsfusion-nb map``: all settings follow from the arguments and the program."""
+    """Key of a run of ``gsfusion-nb map``, made from its data, its arguments, the backend and the program."""
     return run_key(data=folder_fingerprint(data), arguments=arguments_with_files(arguments), backend=from_environment())
 
 
 def run_variant(data: str, folder: Path, arguments: list[str]) -> dict[str, Any]:
     """Metrics of one run, which is started unless it is complete in ``folder``; ``{"error": message}`` if it failed.
 
-    ``folder`` is the run's own: see ``variant_key``.
+    ``folder`` must belong to this variant only: see ``variant_key``.
     """
     if not _is_complete(folder):
         command = [sys.executable, "-m", "gsfusion_nb", "map", data, "--out", str(folder), *arguments]

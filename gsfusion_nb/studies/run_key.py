@@ -1,4 +1,4 @@
-"""A key of everything that decides what a run comes to, so that no result of another run is taken for it."""
+"""A key of everything that determines the result of a run, so that results of another run are never used for it."""
 
 import functools
 import hashlib
@@ -12,14 +12,14 @@ from typing import Any
 from .. import __version__
 
 _ENDS_BYTES = 4096
-"""Of each file of a recording this many bytes at its beginning and its end are read."""
+"""Number of bytes that are read at the beginning and at the end of each file of a recording."""
 _CODE = {".py", ".cu", ".cuh"}
 
 
 def run_key(**parts: Any) -> str:
     """A key of ``parts`` (plain values), the version and the source of this package: 32 hexadecimal digits.
 
-    Two runs with one key come to the same map on one machine; a change in the data, the settings, a rule, an option,
+    Two runs with the same key give the same map on one machine. A change in the data, the settings, a rule, an option,
     the seed or the program gives another key.
     """
     parts |= {"version": __version__, "package": package_fingerprint()}
@@ -28,7 +28,7 @@ def run_key(**parts: Any) -> str:
 
 
 def folder_fingerprint(path: str | Path) -> str:
-    """A hash of the files in a folder: names, sizes, first and last bytes. Of what is no folder, of its name."""
+    """A hash of the files in a folder: names, sizes, first and last bytes. If it is not a folder, its name in words."""
     root, digest = Path(path).expanduser(), hashlib.blake2b(digest_size=16)
     if not root.is_dir():
         return f"not a folder: {path}"
@@ -50,7 +50,7 @@ def package_fingerprint() -> str:
 
 
 def arguments_with_files(arguments: Iterable[str]) -> list[Any]:
-    """Arguments of a command; behind one that names a file, a hash of its content."""
+    """Arguments of a command; after each one that names a file, a hash of its content is inserted."""
     found: list[Any] = []
     for argument in arguments:
         found.append(argument)

@@ -8,7 +8,7 @@ _TRACKED = ("--tracking.poses", "tracked")
 
 @dataclass(frozen=True)
 class Study:
-    """Runs that differ in one respect."""
+    """Runs that differ in one respect, and the question that they answer."""
 
     question: str
     variants: dict[str, tuple[str, ...]]
@@ -48,7 +48,7 @@ STUDIES: dict[str, Study] = {
         },
     ),
     "gsfusion-settings": Study(
-        "GSFusion: each setting in which paper, released code and our defaults differ, alone",
+        "GSFusion: the settings in which paper, released code and our defaults differ, changed one at a time",
         {
             "measured": (),
             "optim.adam_steps shared (both)": ("--optim.adam-steps", "shared"),
@@ -62,7 +62,7 @@ STUDIES: dict[str, Study] = {
         },
     ),
     "rtg-slam-settings": Study(
-        "RTG-SLAM: each setting that our defaults have from measurements, alone as published",
+        "RTG-SLAM: the settings that our defaults take from measurements, set to the published value one at a time",
         {
             "measured": _RTG,
             "discs.opaque_alpha 0.61 (paper)": (*_RTG, "--discs.opaque-alpha", "0.6065"),

@@ -9,7 +9,7 @@ from torch import Tensor
 
 
 class Failed(Exception):
-    """A property does not hold. ``prop`` names it, ``on`` the input, ``detail`` what came and what was expected."""
+    """A property does not hold: ``prop`` names it, ``on`` the input, ``detail`` what was returned and expected."""
 
     def __init__(self, prop: str, on: str, detail: str):
         super().__init__(f"{prop} (on {on}): {detail}")
@@ -21,9 +21,9 @@ class NotWritten(Exception):
 
 
 class Attempt:
-    """Calls the student's function on copies of tensors; what it raises, or writes into its inputs, is a ``Failed``.
+    """Calls the student's function on copies of tensors; if it raises or changes its inputs, that is a ``Failed``.
 
-    ``on`` of the last call is the words for its input: given by ``attempt.on("...")`` before it, or made from it.
+    ``on`` describes the input of a call in words: those given by ``attempt.on("...")`` before it, or made from it.
     """
 
     def __init__(self, function: Callable[..., Any]):
@@ -31,7 +31,7 @@ class Attempt:
         self.words = ""
 
     def on(self, words: str) -> "Attempt":
-        """Name the input of the calls to come: ``attempt.on("a pixel at 2 m")(camera, uv, depth)``."""
+        """Describe the input of the next calls: ``attempt.on("a pixel at 2 m")(camera, uv, depth)``."""
         self.words = words
         return self
 
@@ -67,7 +67,7 @@ def close(got: Any, expected: Any, prop: str, *, on: str, tolerance: float = 1e-
     Args:
         got: What the student returned: a number, a sequence, an array or a tensor.
         expected: The right answer.
-        prop: What holds of a right answer, as a statement: "the depth is the point's z".
+        prop: A statement that is true of a right answer: "the depth is the point's z".
         on: The input, in words.
         tolerance: Largest deviation.
         why: What a deviation usually means; ends the message.
@@ -86,7 +86,7 @@ def close(got: Any, expected: Any, prop: str, *, on: str, tolerance: float = 1e-
 
 
 def unpack(value: Any, names: Sequence[str], *, on: str) -> tuple[Any, ...]:
-    """The parts of a returned tuple, one for each name; fails unless their number is right."""
+    """The parts of a returned tuple, one for each name; fails unless there are exactly that many."""
     if not isinstance(value, (tuple, list)) or len(value) != len(names):
         raise Failed(f"it returns {', '.join(names)}", on, f"it returned {describe([value])}")
     return tuple(value)
@@ -116,7 +116,7 @@ def _numbers(value: Any, prop: str, on: str) -> Tensor:
     try:
         return as_tensor(value)
     except (TypeError, ValueError, RuntimeError):
-        raise Failed(prop, on, f"it returned {describe([value])}, which is no array of numbers") from None
+        raise Failed(prop, on, f"it returned {describe([value])}, which is not an array of numbers") from None
 
 
 def _position(flat: int, shape: torch.Size) -> str:

@@ -30,7 +30,7 @@ def _speedup_by_share(seconds: dict[str, float], stage: str, factor: float) -> f
     ),
 )  # fmt: skip
 def overall_speedup(attempt: Attempt) -> None:
-    """How many times as fast a frame gets when one stage does (Amdahl)."""
+    """Speed-up of a whole frame when one stage gets faster (Amdahl)."""
     on = "one stage alone, 4 times as fast"
     close(
         attempt.on(on)({"optimise": 0.2}, "optimise", 4.0),
@@ -43,7 +43,13 @@ def overall_speedup(attempt: Attempt) -> None:
     close(attempt.on(on)(dict(seconds), "optimise", 5.0), 100 / 60, "the other stages take as long as before", on=on,
           why="10 ms + 50 ms are left of 100 ms")  # fmt: skip
     on = "the same, a million times as fast"
-    close(attempt.on(on)(dict(seconds), "optimise", 1e6), 2.0, "the rest is a limit", on=on, tolerance=1e-4)
+    close(
+        attempt.on(on)(dict(seconds), "optimise", 1e6),
+        2.0,
+        "the other stages limit the speed-up",
+        on=on,
+        tolerance=1e-4,
+    )
     on = "a factor of 1"
     close(attempt.on(on)(dict(seconds), "tsdf", 1.0), 1.0, "no change, no gain", on=on)
 
@@ -67,7 +73,7 @@ def _attainable_sum(intensity: float, peak_gflops: float, gb_per_s: float) -> fl
 @exercise(
     chapter=10, difficulty=1, minutes=5, solution=_attainable,
     hints=(
-        "Bytes arrive at gb_per_s. Each brings work for `intensity` operations. How many operations a second is that?",
+        "Bytes arrive at gb_per_s, and each allows `intensity` operations. How many operations a second is that?",
         "The smaller of the two limits: min(peak, intensity x bandwidth).",
     ),
     wrong=(
@@ -77,11 +83,11 @@ def _attainable_sum(intensity: float, peak_gflops: float, gb_per_s: float) -> fl
     ),
 )  # fmt: skip
 def attainable_gflops(attempt: Attempt) -> None:
-    """The roof over a kernel: Gflop/s that it can reach at best."""
+    """The roofline of a kernel: the most Gflop/s that it can reach."""
     on = "0.5 flop per byte, 100 Gflop/s, 10 GB/s"
     close(attempt.on(on)(0.5, 100.0, 10.0), 5.0, "memory limits a kernel of low intensity", on=on)
     on = "50 flop per byte on the same machine"
-    close(attempt.on(on)(50.0, 100.0, 10.0), 100.0, "arithmetic limits one of high intensity", on=on)
+    close(attempt.on(on)(50.0, 100.0, 10.0), 100.0, "arithmetic limits a kernel of high intensity", on=on)
     on = "the ridge, 10 flop per byte"
     close(attempt.on(on)(10.0, 100.0, 10.0), 100.0, "at the ridge both limits agree", on=on)
 
@@ -110,7 +116,7 @@ def _adam_per_map(n: int) -> tuple[int, float]:
         "Intensity is operations per byte: 12 operations for each number.",
     ),
     wrong=(
-        Wrong(_adam_reads_only, says="what is written moves, too"),
+        Wrong(_adam_reads_only, says="writing moves bytes, too"),
         Wrong(_adam_in_numbers, says="4 bytes"),
         Wrong(_adam_per_map, says="does not depend on the size"),
     ),
@@ -120,8 +126,8 @@ def adam_traffic(attempt: Attempt) -> None:
     names = ("bytes", "intensity")
     on = "one number"
     moved, intensity = unpack(attempt.on(on)(1), names, on=on)
-    holds(float(moved) != 7, "a float32 has 4 bytes", on=on, detail="7 are the numbers, not the bytes")
-    close(moved, 28, "four arrays are read, three are written: what is written moves, too", on=on)
+    holds(float(moved) != 7, "a float32 has 4 bytes", on=on, detail="7 is how many numbers move, not how many bytes")
+    close(moved, 28, "four arrays are read, three are written: writing moves bytes, too", on=on)
     close(intensity, 12 / 28, "intensity is flop per byte", on=on, tolerance=1e-3)
     on = "59 numbers for each of 10,000 Gaussians"
     moved, intensity = unpack(attempt.on(on)(590_000), names, on=on)
@@ -210,7 +216,7 @@ def average_loop(attempt: Attempt) -> None:
     close(W, [4.0], "one observation more", on=on)
     on = "d = -1.5 (far behind) and d = NaN (no depth)"
     D, W = update(on, [0.5, 0.5], [3.0, 3.0], [-1.5, float("nan")], 100.0)
-    close(D, [0.5, 0.5], "a voxel far behind the surface, or without depth, stays as it is", on=on)
+    close(D, [0.5, 0.5], "a voxel far behind the surface, or without depth, does not change", on=on)
     close(W, [3.0, 3.0], "a voxel far behind the surface, or without depth, was not observed", on=on)
     on = "d = 7, free space far in front of the surface"
     close(update(on, [0.5], [1.0], [7.0], 100.0)[0], [0.75], "d counts as at most 1", on=on)

@@ -1,4 +1,4 @@
-"""An exercise of chapter 9: a quadtree that uses a given number of cells where they help most."""
+"""An exercise of chapter 9: a quadtree with a given number of cells, placed where they reduce the error most."""
 
 import heapq
 
@@ -12,7 +12,7 @@ Leaf = tuple[int, int, int, int]
 
 
 def _budget_cells(rgb_u8: UInt8[Tensor, "H W 3"], n_cells: int) -> list[Leaf]:
-    """Cut the cell whose pixels differ most from its mean, in sum, until there are ``n_cells``."""
+    """Cut the cell with the largest sum of squared differences from its mean, until there are ``n_cells``."""
     error = _squared_error_of(rgb_u8)
     H, W = rgb_u8.shape[:2]
     heap = [(-error(0, 0, W, H), (0, 0, W, H))]
@@ -42,7 +42,7 @@ def _squared_error_of(rgb_u8: Tensor):
 
 
 def _budget_by_mean(rgb_u8: Tensor, n_cells: int) -> list[Leaf]:
-    """As the solution, but by the mean error of a pixel: the quadtree's own idea of contrast."""
+    """As the solution, but by the mean error of a pixel, which is the quadtree's contrast."""
     error = _squared_error_of(rgb_u8)
     H, W = rgb_u8.shape[:2]
     heap: list[tuple[float, Leaf]] = [(0.0, (0, 0, W, H))]
@@ -76,8 +76,8 @@ def _budget_overshooting(rgb_u8: Tensor, n_cells: int) -> list[Leaf]:
     chapter=9, difficulty=4, minutes=25, solution=_budget_cells,
     hints=(
         "Keep the leaves in a heap, the one with the largest error on top: heapq with negative errors.",
-        "The error of a cell is the SUM over its pixels and channels of (value - mean)^2: what the PSNR of a picture "
-        "with one colour per cell adds up.",
+        "The error of a cell is the SUM over its pixels and channels of (value - mean)^2, as in the PSNR of a picture "
+        "with one colour per cell.",
         "Pop the worst, cut it in four (as in chapter 3), push the parts; each cut adds three cells. Stop before there "
         "would be more than n_cells.",
         "Two integral images, of c and of c^2, give the error of any cell in a few subtractions: "
@@ -90,7 +90,7 @@ def _budget_overshooting(rgb_u8: Tensor, n_cells: int) -> list[Leaf]:
     ),
 )  # fmt: skip
 def budget_cells(attempt: Attempt) -> None:
-    """A quadtree that uses a given number of cells where they help most."""
+    """A quadtree with a given number of cells, placed where they reduce the error most."""
     on = "an image of two halves, black and white, and 4 cells"
     halves = torch.zeros(16, 16, 3, dtype=torch.uint8)
     halves[:, 8:] = 255
@@ -101,11 +101,13 @@ def budget_cells(attempt: Attempt) -> None:
     image = _busy_corner()
     cells = _cells(attempt.on(on)(image, 40), 37, 29, on)
     holds(len(cells) <= 40, "there are at most n_cells cells", on=on, detail=f"there are {len(cells)}")
-    holds(len(cells) >= 37, "the budget is used up: three more would be too many", on=on, detail=f"{len(cells)} cells")
+    holds(
+        len(cells) >= 37, "the budget is used: three more cells would be too many", on=on, detail=f"{len(cells)} cells"
+    )
     error = _squared_error_of(image)
     got, best = (sum(error(*c) for c in some) for some in (cells, _budget_cells(image, 40)))
     holds(got <= 1.02 * best, "the cell with the largest sum of errors is split next", on=on,
-          detail=f"the squared error left is {got / best:.2f} times that of this order")  # fmt: skip
+          detail=f"the remaining squared error is {got / best:.2f} times as large as it could be")  # fmt: skip
 
 
 def _cells(value: object, width: int, height: int, on: str) -> list[Leaf]:
@@ -118,12 +120,12 @@ def _cells(value: object, width: int, height: int, on: str) -> list[Leaf]:
     for x, y, w, h in cells:
         hits[y : y + h, x : x + w] += 1
     holds((hits == 1).all() and all(w > 0 and h > 0 for *_, w, h in cells), "the cells tile the image", on=on,
-          detail=f"{int((hits != 1).sum())} pixels are in no cell, or in two")  # fmt: skip
+          detail=f"{int((hits != 1).sum())} pixels are in no cell or in several")  # fmt: skip
     return cells
 
 
 def _busy_corner() -> Tensor:
-    """29 x 37: a gentle ramp everywhere, and a few single bright pixels in a corner."""
+    """29 x 37: a slow gradient everywhere, and a few single bright pixels in a corner."""
     ramp = torch.linspace(60, 160, 37).expand(29, 37)[..., None].expand(-1, -1, 3).clone()
     generator = torch.Generator().manual_seed(1)
     ramp[2:9, 2:9] += 60 * torch.rand(7, 7, 3, generator=generator)

@@ -6,7 +6,7 @@ In a notebook::
     check.lift_pixel                 # title, difficulty, minutes, number of hints
     check.lift_pixel.hint()          # the next hint, on request
     check.lift_pixel(lift_pixel)     # Verdict: green, or red with the property that failed and the input
-    f = check.lift_pixel.working(f)  # the student's function if it passes, else ours
+    f = check.lift_pixel.working(f)  # the student's function if it passes, else the solution
 
 In ``teaching/<chapter>.py`` (found automatically, nothing to register elsewhere)::
 
@@ -25,8 +25,8 @@ In ``teaching/<chapter>.py`` (found automatically, nothing to register elsewhere
         close(point, expected, "the depth is the point's z", on=on)
 
 The judge returns nothing and raises ``Failed`` (through ``close``, ``holds``, ``unpack``) at the first property that
-does not hold; put the most telling property first. Tests run every judge on its solution, which must pass, on every
-wrong answer, which must fail and say ``says``, and on an unwritten body.
+does not hold; put the property that explains most mistakes first. Tests run every judge on its solution, which must
+pass, on every wrong answer, which must fail and say ``says``, and on an unwritten body.
 """
 
 import importlib
@@ -96,7 +96,7 @@ class Exercise:
         return Hint(wanted, len(self.hints), self.hints[wanted - 1])
 
     def working(self, function: Any) -> Callable[..., Any]:
-        """``function`` if it passes, otherwise our solution, so that the chapter can continue."""
+        """``function`` if it passes, otherwise the solution, so that the chapter can continue."""
         return function if self(function) else self.solution
 
     def __repr__(self) -> str:
@@ -119,7 +119,7 @@ def exercise(
     """Register the decorated judge as the exercise of its name; the first line of its docstring is the title.
 
     Raises:
-        ValueError: unknown difficulty, no hint, no wrong answer, no title, or a name that another module took.
+        ValueError: unknown difficulty, no hint, no wrong answer, no title, or a name that another module uses.
     """
 
     def register(judge: Callable[[Attempt], None]) -> Exercise:

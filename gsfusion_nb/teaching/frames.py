@@ -53,7 +53,7 @@ def project_points(attempt: Attempt) -> None:
     close(uv, [[6.0, 3.0], [5.0, 3.0]], "a point twice as far lands half as far from the principal point", on=on)
     on = "a point 0.4 m below the axis, 2 m away"
     uv = attempt.on(on)(_CAMERA, torch.tensor([[0.0, 0.4, 2.0]]))
-    close(uv, [[4.0, 4.0]], "y points down, in the world of the camera and in the image", on=on)
+    close(uv, [[4.0, 4.0]], "y points down, in the camera's frame and in the image", on=on)
     on = "a point that projects between pixel centres"
     uv = attempt.on(on)(_CAMERA, torch.tensor([[0.03, 0.01, 1.0]]))
     close(uv, [[4.3, 3.05]], "pixel coordinates are continuous: a point may fall between centres", on=on)
@@ -211,7 +211,7 @@ def _halve_the_centre_alone(fx: float, fy: float, cx: float, cy: float) -> tuple
     chapter=1, difficulty=3, minutes=10, solution=_halve,
     hints=(
         "Where is the image's left edge, counted from the centre of its first pixel? And after halving?",
-        "Go to a convention in which edges stay edges: add 0.5. Halve. Go back.",
+        "Count from the image's edge instead: add 0.5. Then halve. Then subtract 0.5 again.",
     ),
     wrong=(
         Wrong(_halve_everything, says="the middle of the image stays the middle"),

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from .exercise import Attempt, Wrong, close, exercise, unpack
-from .three_ways import central_difference
+from .gradient_check import central_difference
 
 Loss = Callable[[Tensor], Tensor]
 
@@ -38,8 +38,8 @@ def _moves_x(loss: Loss, x: Tensor, h: float) -> Tensor:
     chapter=5, difficulty=1, minutes=5, solution=_slope,
     hints=(
         "For each i: move x[i] up by h, then down by h, and compare the two losses.",
-        "Divide by 2h, the distance between the two places.",
-        "Work on x.clone(): what was passed in belongs to the caller.",
+        "Divide by 2h, the distance between the two points.",
+        "Work on x.clone(), so that the caller's x does not change.",
     ),
     wrong=(
         Wrong(_one_sided, says="a parabola has no error"),
@@ -88,7 +88,7 @@ def _uphill(rgb: Tensor, target: Tensor) -> Tensor:
     chapter=5, difficulty=1, minutes=4, solution=_l1_gradient,
     hints=(
         "The derivative of |x| is its sign.",
-        "The loss is a mean over H x W x 3 values: each gets its share 1 / (H W 3).",
+        "The loss is a mean over H x W x 3 values: each has the factor 1 / (H W 3).",
     ),
     wrong=(
         Wrong(_uphill, says="too bright means a positive gradient"),
@@ -162,7 +162,7 @@ def pinhole_vjp(attempt: Attempt) -> None:
     close(got, [50.0, 0.0, 0.0], "x moves u by fx / z", on=on)
     on = "a point at (1, -0.5, 2), dL/du = dL/dv = 1"
     got = attempt.on(on)(aside, 100.0, 80.0, torch.tensor([1.0, 1.0], dtype=f64))
-    why = "farther away means nearer to the middle: -fx x / z^2"
+    why = "a point farther away projects nearer to the middle: -fx x / z^2"
     close(got, [50.0, 40.0, -25.0 + 10.0], "z moves u and v", on=on, why=why)
     on = "another point"
     xyz, v = torch.tensor([-0.7, 0.3, 1.3], dtype=f64), torch.tensor([0.4, -1.7], dtype=f64)
@@ -245,7 +245,7 @@ def _alpha_for_weight(alpha: Tensor, rgb: Tensor, v_colour: Tensor) -> tuple[Ten
         "C = sum_k w_k c_k is linear in the colours: dL/dc_k = w_k v_C, with w_k = alpha_k T_k.",
         "alpha_k brightens its own term, T_k c_k, and darkens all terms behind: each has the factor (1 - alpha_k).",
         "A term j > k is w_j = (1 - alpha_k) x something, so dw_j/dalpha_k = -w_j / (1 - alpha_k). Sum over j > k.",
-        "S_k, the sum over j > k of w_j (c_j . v_C), is a reversed cumsum minus the own term.",
+        "S_k, the sum over j > k of w_j (c_j . v_C), is a reversed cumsum minus the term of k.",
     ),
     wrong=(
         Wrong(_shadow_forgotten, says="what stands behind gets darker"),
@@ -262,12 +262,12 @@ def blend_vjp(attempt: Attempt) -> None:
     close(
         v_rgb, [[0.5, 0.0, 0.0], [0.4, 0.0, 0.0]], "a colour counts with its weight", on=on, why="w = 0.5 and 0.5 * 0.8"
     )
-    close(v_alpha, [1.0, 0.0], "more alpha brings more of the own colour", on=on)
+    close(v_alpha, [1.0, 0.0], "more alpha adds more of the Gaussian's own colour", on=on)
     on = "the same, dL/dC = (0, 1, 0)"
     v_alpha, _ = unpack(attempt.on(on)(alpha, rgb, torch.tensor([0.0, 1.0, 0.0], dtype=f64)), names, on=on)
     why = "the red one takes light from the green one: -S / (1 - alpha) = -0.4 / 0.5"
     close(v_alpha, [-0.8, 0.5], "what stands behind gets darker", on=on, why=why)
-    on = "nine random ones"
+    on = "nine random Gaussians"
     generator = torch.Generator().manual_seed(2)
     alpha = 0.9 * torch.rand(9, generator=generator, dtype=f64)
     rgb, v = torch.rand(9, 3, generator=generator, dtype=f64), torch.randn(3, generator=generator, dtype=f64)

@@ -1,4 +1,4 @@
-"""Exercises of chapter 6: the online loop of GSFusion: what a frame gets, keyframes, and correct frame rates."""
+"""Exercises of chapter 6: the online loop of GSFusion: the steps of a frame, keyframes, and correct frame rates."""
 
 import torch
 from torch import Tensor
@@ -37,7 +37,7 @@ def _rate_of_the_last(seconds: list[float]) -> float:
 def frame_rate(attempt: Attempt) -> None:
     """Frames per second of a run, from the seconds of each frame."""
     on = "ten frames of 0.1 s"
-    close(attempt.on(on)([0.1] * 10), 10.0, "equal frames: one over the time of each", on=on)
+    close(attempt.on(on)([0.1] * 10), 10.0, "equal frames: one divided by the time of each", on=on)
     on = "one frame of 0.01 s and one of 0.99 s"
     why = "The mean of 1/t would be 50.5, but only two frames were mapped in that second"
     close(attempt.on(on)([0.01, 0.99]), 2.0, "frames divided by the time they took", on=on, why=why)
@@ -79,7 +79,7 @@ def _plan_with_replacement(n_seeds, n_keyframes, m, n, r, min_seeds):
     ),
 )  # fmt: skip
 def plan_frame(attempt: Attempt) -> None:
-    """What the online optimisation spends on a frame (III-B.3)."""
+    """How many optimisation steps a frame gets (III-B.3)."""
     names = ("is_keyframe", "steps", "revisits")
 
     def plan(on: str, *numbers: int) -> tuple:
@@ -93,7 +93,7 @@ def plan_frame(attempt: Attempt) -> None:
     on = "10 new Gaussians, 7 keyframes so far"
     key, steps, revisits = plan(on, 10, 7, 5, 3, 2, 50)
     holds(not key, "a frame with few new Gaussians is not a keyframe", on=on, detail=f"is_keyframe is {key!r}")
-    close([steps, revisits], [3, 2], "another frame gets n steps, and r revisits", on=on)
+    close([steps, revisits], [3, 2], "any other frame gets n steps, and r revisits", on=on)
     on = "exactly 50 new Gaussians"
     key, *_ = plan(on, 50, 7, 5, 3, 2, 50)
     holds(not key, "a keyframe adds more new Gaussians than the threshold", on=on, detail="50 is not more than 50")
@@ -123,7 +123,7 @@ def _draw_from_the_global_generator(n_keyframes: int, count: int, generator: tor
     chapter=6, difficulty=2, minutes=6, solution=_draw_keyframes,
     hints=(
         "The paper: 'the first (m-n) keyframes after shuffling'. Which torch function shuffles 0..n-1?",
-        "torch.randperm takes the generator; a slice takes care of lists that are too short.",
+        "torch.randperm takes the generator; a slice also works for lists that are too short.",
     ),
     wrong=(
         Wrong(_draw_with_replacement, says="no keyframe twice"),
@@ -235,8 +235,8 @@ def _map_forgetting(mapper: GSFusion, frame: Frame, optimise) -> int:
         "mapper.config.optim.random_keyframe_iterations, mapper.generator): optimise(keyframe).",
     ),
     wrong=(
-        Wrong(_map_seeding_first, says="the TSDF takes in the frame before the rule looks at it"),
-        Wrong(_map_optimising_too_early, says="new Gaussians are there when the frame is optimised"),
+        Wrong(_map_seeding_first, says="the frame is fused into the TSDF before the rule runs"),
+        Wrong(_map_optimising_too_early, says="new Gaussians are in the map when the frame is optimised"),
         Wrong(_map_without_keyframes, says="becomes a keyframe"),
         Wrong(_map_forgetting, says="random keyframes"),
     ),
@@ -250,11 +250,11 @@ def map_frame(attempt: Attempt) -> None:
     got = attempt.on(on)(theirs, first, log)
     expected = _map_frame(ours, first, lambda view: None)
     holds(theirs.volume.n_blocks > 0, "the frame is fused into the TSDF", on=on, detail="the volume is still empty")
-    close(len(theirs.gaussians), expected, "the TSDF takes in the frame before the rule looks at it, and the "
+    close(len(theirs.gaussians), expected, "the frame is fused into the TSDF before the rule runs, and the "
           "seeds are appended to the map", on=on, why="Before, every voxel has weight 0")  # fmt: skip
     close(got, expected, "it returns the number of new Gaussians", on=on)
     early = any(n < expected for _, _, n in log.calls)
-    holds(not early, "the new Gaussians are there when the frame is optimised", on=on,
+    holds(not early, "the new Gaussians are in the map when the frame is optimised", on=on,
           detail="optimise was called while the map was empty")  # fmt: skip
     holds(len(theirs.keyframes) == 1, "a frame with many new Gaussians becomes a keyframe", on=on,
           detail=f"{expected} new Gaussians, and {len(theirs.keyframes)} keyframes")  # fmt: skip

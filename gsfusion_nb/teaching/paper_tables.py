@@ -1,4 +1,4 @@
-"""The ablations of the GSFusion paper (Wei & Leutenegger 2024, Tables IV-VIII), to put one's own runs beside them."""
+"""The ablations of the GSFusion paper (Wei & Leutenegger 2024, Tables IV-VIII), to compare your own runs with."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -49,8 +49,8 @@ PAPER_TABLES: dict[str, PaperTable] = {
 _FORMATS = {"PSNR": ".2f", "SSIM": ".3f", "FPS": ".1f", "MB": ".1f", "global s": ".1f", "keyframes": ",.0f"}
 
 
-class BesideThePaper:
-    """A paper's ablation and one's own, row by row; shows itself as text and in a notebook.
+class PaperComparison:
+    """An ablation of the paper and your own runs, row by row, as text or as a table in a notebook.
 
     Args:
         number: "IV" to "VIII".
@@ -71,7 +71,7 @@ class BesideThePaper:
 
     @property
     def title(self) -> str:
-        """One line over the table."""
+        """One line above the table."""
         return f"Table {self.paper.number}, {self.paper.title}: here (in the paper on {self.paper.data})"
 
     def lines(self) -> list[list[str]]:
@@ -98,7 +98,7 @@ class BesideThePaper:
 
 
 def _in_order(settings: list[str]) -> list[str]:
-    """By the number that each begins with; as they are if one has none."""
+    """Sorted by the number that each begins with; in the given order if one has none."""
     try:
         return sorted(settings, key=lambda setting: float(setting.split()[0]))
     except ValueError:

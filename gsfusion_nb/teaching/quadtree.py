@@ -58,7 +58,7 @@ def contrast(attempt: Attempt) -> None:
     mixed[:2, :, 0], mixed[2:, :, 1] = 255, 130
     right = (0.2989 * 127.5**2 + 0.5870 * 65.0**2) / 1000
     got = float(attempt.on(on)(mixed, 90_000))
-    prop = "different colours of the same brightness are contrast too"
+    prop = "different colours of the same brightness have contrast, too"
     holds(got > 0.1 * right, prop, on=on, detail=f"got {got:.4g}, expected {right:.4g}")
     on = "the same cell in images of 90,000 and 180,000 pixels"
     twice = float(attempt.on(on)(mixed, 180_000)) / got
@@ -218,13 +218,13 @@ def _gaussian_of_one_size(camera: Camera, cell: Cell, depth_m: Tensor, T_WC: Ten
     ),
 )  # fmt: skip
 def cell_to_gaussian(attempt: Attempt) -> None:
-    """Where a cell's Gaussian stands and how large it is (Eq. 10 and the size below it)."""
+    """Position and size of a cell's Gaussian (Eq. 10 and the size below it)."""
     camera = Camera(width=40, height=30, fx=20.0, fy=20.0, cx=20.0, cy=15.0)
     names = ("xyz_W", "scale_m")
     on = "the cell (18, 11, 4, 8) around the image centre, depth 2 m, identity pose"
     flat = torch.full((30, 40), 2.0)
     xyz, scale = unpack(attempt.on(on)(camera, (18, 11, 4, 8), flat, torch.eye(4)), names, on=on)
-    close(xyz, [0.0, 0.0, 2.0], "the Gaussian stands behind the middle of the cell", on=on)
+    close(xyz, [0.0, 0.0, 2.0], "the Gaussian is on the ray through the middle of the cell", on=on)
     far = "the same cell on walls at 2 m and at 4 m"
     _, scale_far = unpack(attempt.on(far)(camera, (18, 11, 4, 8), 2 * flat, torch.eye(4)), names, on=far)
     prop = "on a wall twice as far the same cell is twice as large in metres"

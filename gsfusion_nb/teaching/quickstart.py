@@ -1,4 +1,4 @@
-"""Exercises of the quickstart: which cells get a Gaussian, what a decibel is, and which frames are held out."""
+"""Exercises of the quickstart: which cells get a Gaussian, what PSNR measures, and which frames are held out."""
 
 import torch
 from torch import Tensor
@@ -42,7 +42,7 @@ def first_seen(attempt: Attempt) -> None:
     why = "Fusion comes first: the weight is already 1 when this frame is the first"
     got = attempt.on(on)(torch.tensor([1.0, 2.0, 7.0]), depth_m)
     close(torch.as_tensor(got).double(), [1, 0, 0], "a place is new where the weight is 1", on=on, why=why)
-    on = "weight 0: a point outside of the volume"
+    on = "weight 0: a point outside the volume"
     got = attempt.on(on)(torch.tensor([0.0, 1.0]), depth_m[:2])
     close(torch.as_tensor(got).double(), [0, 1], "a voxel that is not in the map is not observed", on=on)
     on = "weight 1, depth 0"

@@ -43,9 +43,9 @@ def _range(r: Tensor, p: Tensor, n: Tensor) -> Tensor:
         "cos of the angle between ray and normal: |r . n| / |r|. Below 0.5 (60 degrees) return p's z instead.",
     ),
     wrong=(
-        Wrong(_always_centre, says="a leaning disc is nearer on one side than on the other"),
+        Wrong(_always_centre, says="a tilted disc is nearer on one side than on the other"),
         Wrong(_one_sided, says="a normal may point either way"),
-        Wrong(_always_plane, says="seen flatter than 60 degrees, the centre's depth counts"),
+        Wrong(_always_plane, says="beyond 60 degrees the depth of the centre is used"),
         Wrong(_range, says="depth is z, not the distance along the ray"),
     ),
 )  # fmt: skip
@@ -56,17 +56,17 @@ def disc_hit(attempt: Attempt) -> None:
     ray = torch.tensor([0.3, 0.0, 1.0])
     close(attempt.on(on)(ray, ahead, back), 2.0, "depth is z, not the distance along the ray", on=on)
     leaning = torch.tensor([-0.6, 0.0, -0.8])
-    on = "a disc 2 m ahead, leaning 37 degrees, ray (0.2, 0, 1)"
+    on = "a disc 2 m ahead, tilted by 37 degrees, ray (0.2, 0, 1)"
     ray = torch.tensor([0.2, 0.0, 1.0])
     got = attempt.on(on)(ray, ahead, -leaning)
-    close(got, 1.6 / 0.92, "a leaning disc is nearer on one side than on the other", on=on, why="Eq. 4: p.n / r.n")
+    close(got, 1.6 / 0.92, "a tilted disc is nearer on one side than on the other", on=on, why="Eq. 4: p.n / r.n")
     on = "the same with the normal turned round"
     close(attempt.on(on)(ray, ahead, leaning), 1.6 / 0.92, "a normal may point either way", on=on, why="use |r.n|")
     on = "the same ray, normalised"
-    close(attempt.on(on)(ray / ray.norm(), ahead, leaning), 1.6 / 0.92, "the length of the ray does not count", on=on)
+    close(attempt.on(on)(ray / ray.norm(), ahead, leaning), 1.6 / 0.92, "the length of the ray does not matter", on=on)
     on = "a disc turned 80 degrees, ray (0.2, 0, 1)"
     flat = torch.tensor([-0.9848, 0.0, -0.1736])
-    prop = "seen flatter than 60 degrees, the centre's depth counts"
+    prop = "beyond 60 degrees the depth of the centre is used"
     close(attempt.on(on)(ray, ahead, torch.tensor([0.9848, 0.0, -0.1736])), 2.0, prop, on=on)
     on = "a disc turned 80 degrees, to the other side"
     close(attempt.on(on)(torch.tensor([0.0, 0.1, 1.0]), ahead, flat), 2.0, prop, on=on)
@@ -123,7 +123,7 @@ def adding_masks(attempt: Attempt) -> None:
         got = unpack(attempt.on(on)(*maps, grey, C), names, on=on)
         for mask in got:
             right = isinstance(mask, Tensor) and mask.dtype == torch.bool and mask.shape == (1, 5)
-            holds(right, "masks are truth values", on=on, detail="expected two bool tensors [H, W]")
+            holds(right, "the masks are boolean", on=on, detail="expected two bool tensors [H, W]")
         return got
 
     on = "five pixels: right, unseen, 20 cm too far, 20 cm too near, unseen and wrong"
@@ -134,7 +134,7 @@ def adding_masks(attempt: Attempt) -> None:
     close(colour, [[0] * 5], "where the colours agree M_c is empty", on=on)
     other = grey.clone()
     other[0, 1:] = torch.tensor([0.8, 0.5, 0.8])
-    on = "the same, all but the first 0.2 off in colour, the second known now"
+    on = "the same, with a wrong colour in all but the first, and the second in the map now"
     surface, colour = ask(on, [0.0, 0.0, 0.0, 0.0, 0.9], [2.0, 2.0, 2.2, 1.8, 2.5], [2.0] * 5, other)
     holds(not (surface & colour).any(), "no pixel is in both", on=on, detail=f"M_c is {colour.tolist()}")
     close(colour, [[0, 1, 0, 0, 0]], "M_c = wrong in colour only", on=on)
@@ -228,19 +228,19 @@ def _unguarded(before: Tensor, after: Tensor, eta_before: Tensor, eta_after: Ten
 @exercise(
     chapter=7, difficulty=3, minutes=8, solution=_fuse,
     hints=(
-        "eta_after already contains eta_before: a window with 20 steps takes 30 to 50.",
+        "eta_after already contains eta_before: a window with 20 steps raises it from 30 to 50.",
         "w_curr = (eta_after - eta_before) / eta_after is the share of the steps that this window made.",
         "Rows that no step ever touched have eta 0: clamp the divisor. w needs [:, None] to act on rows.",
     ),
     wrong=(
         Wrong(_swapped, says="a new Gaussian takes the values from the window"),
         Wrong(_half_half, says="a new Gaussian takes the values from the window"),
-        Wrong(_sum_of_counts, says="the newer values weigh as much as their steps"),
-        Wrong(_unguarded, says="a Gaussian never seen stays as it is"),
+        Wrong(_sum_of_counts, says="the newer values are weighted by their share of the steps"),
+        Wrong(_unguarded, says="a Gaussian never seen does not change"),
     ),
 )  # fmt: skip
 def fuse(attempt: Attempt) -> None:
-    """Merge the values after a window with those before it (Eq. 9)."""
+    """Merge the values after an optimisation window with those before it (Eq. 9)."""
     before, after = torch.tensor([[0.0, 4.0]]), torch.tensor([[1.0, 0.0]])
     on = "eta 0 before, 20 after"
     got = attempt.on(on)(before, after, torch.tensor([0]), torch.tensor([20]))
@@ -248,13 +248,13 @@ def fuse(attempt: Attempt) -> None:
     on = "eta 30 before, 40 after"
     got = attempt.on(on)(before, after, torch.tensor([30]), torch.tensor([40]))
     why = "10 of the 40 steps were made in this window: w_curr = 1/4"
-    close(got, [[0.25, 3.0]], "the newer values weigh as much as their steps", on=on, why=why)
+    close(got, [[0.25, 3.0]], "the newer values are weighted by their share of the steps", on=on, why=why)
     on = "eta 50 before and after: seen by no view of this window"
     got = attempt.on(on)(before, after, torch.tensor([50]), torch.tensor([50]))
     close(got, before, "without steps nothing changes", on=on)
     on = "eta 0 before and after"
     got = attempt.on(on)(before, before, torch.tensor([0]), torch.tensor([0]))
-    close(got, before, "a Gaussian never seen stays as it is", on=on, why="do not divide by zero")
+    close(got, before, "a Gaussian never seen does not change", on=on, why="do not divide by zero")
     on = "two rows at once"
     both = [torch.cat([x, x]) for x in (before, after)]
     got = attempt.on(on)(*both, torch.tensor([0, 30]), torch.tensor([20, 40]))

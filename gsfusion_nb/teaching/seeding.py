@@ -1,4 +1,4 @@
-"""Exercises of chapter 9: rules that keep the contract, and what a Pareto front is."""
+"""Exercises of chapter 9: rules that keep the contract, and Pareto fronts."""
 
 from types import SimpleNamespace
 
@@ -111,7 +111,7 @@ def _where_swapped(ctx: SeedContext, *, max_alpha: float = 0.5) -> Seeds:
     ),
 )  # fmt: skip
 def silhouette_rule(attempt: Attempt) -> None:
-    """Seed where the map is still transparent (SplaTAM's silhouette), instead of asking the TSDF."""
+    """Seed where the map is still transparent (SplaTAM's silhouette) instead of testing the TSDF."""
     on = "a wall, and an empty map"
     ctx = wall_context(covered="nothing")
     all_cells = ctx.cells()

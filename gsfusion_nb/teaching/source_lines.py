@@ -1,4 +1,4 @@
-"""Where an equation stands in the code: the line is looked up when the cell runs, so it cannot go out of date."""
+"""Where an equation is in the code: the line is searched when the cell runs, so it is always up to date."""
 
 import inspect
 from collections.abc import Callable
@@ -15,7 +15,7 @@ _ROOT = Path(gsfusion_nb.__file__).resolve().parent
 
 
 class SourceLines:
-    """A table: what, the line of code that does it, file and number. Made by ``source_lines``."""
+    """A table: description, line of code, file and line number. Made by ``source_lines``."""
 
     def __init__(self, rows: list[tuple[str, str, str, int]]):
         self.rows = rows
@@ -36,10 +36,10 @@ def source_lines(lines: dict[str, tuple[Callable[..., Any], str]]) -> SourceLine
     """Find lines of the library.
 
     Args:
-        lines: What the line does -> (any function of the file, a piece of the line that no other line there has).
+        lines: What the line does -> (any function of the file, a part of the line that no other line there has).
 
     Raises:
-        ValueError: no line, or more than one, has the piece.
+        ValueError: no line, or more than one, contains the part.
     """
     rows = []
     for what, (function, piece) in lines.items():

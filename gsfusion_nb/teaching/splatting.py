@@ -41,11 +41,11 @@ def _one_focal_length(xyz_C: Tensor, cov_C: Tensor, fx: float, fy: float) -> Ten
     chapter=4, difficulty=3, minutes=12, solution=_covariance_2d,
     hints=(
         "J holds the derivatives of u = fx x/z + cx and v = fy y/z + cy by x, y and z: two rows, three columns.",
-        "du/dz is not zero: u = fx x/z, so du/dz = -fx x / z^2. A Gaussian that is deep along z smears sideways.",
+        "du/dz is not zero: u = fx x/z, so du/dz = -fx x / z^2. Extent along z therefore widens the ellipse sideways.",
         "The covariance of J x is J cov J^T. The low-pass filter is 0.3 px^2 on both diagonal entries, added last.",
     ),
     wrong=(
-        Wrong(_flat, says="off the axis, depth smears the ellipse sideways"),
+        Wrong(_flat, says="off the axis, extent along z widens the ellipse"),
         Wrong(_no_low_pass, says="a Gaussian too small to see is still about a pixel wide"),
         Wrong(_one_focal_length, says="fy acts on v"),
     ),
@@ -65,7 +65,7 @@ def covariance_2d(attempt: Attempt) -> None:
     needle, right = torch.diag(torch.tensor([0.0, 0.0, 0.04], dtype=f64)), torch.tensor([1.0, 0.0, 2.0], dtype=f64)
     got = attempt.on(on)(right, needle, 100.0, 100.0)
     why = "J needs its third column, du/dz = -fx x / z^2"
-    close(got, [[25.3, 0.0], [0.0, 0.3]], "off the axis, depth smears the ellipse sideways", on=on, why=why)
+    close(got, [[25.3, 0.0], [0.0, 0.3]], "off the axis, extent along z widens the ellipse", on=on, why=why)
     on = "a ball, fx = 100 px and fy = 50 px"
     got = attempt.on(on)(axis, 0.01 * torch.eye(3, dtype=f64), 100.0, 50.0)
     close(got, [[25.3, 0.0], [0.0, 6.55]], "fy acts on v", on=on)
@@ -98,12 +98,12 @@ def _averaged(alpha: Tensor, rgb: Tensor) -> tuple[Tensor, Tensor]:
 @exercise(
     chapter=4, difficulty=2, minutes=8, solution=_composite_pixel,
     hints=(
-        "Go through the Gaussians with a number T, the light that is left. It starts at 1.",
+        "Go through the Gaussians with a number T, the light that is left, which starts at 1.",
         "Each adds alpha * T * colour; then T becomes T * (1 - alpha). The order of these two lines matters.",
         "Without a loop: T = cumprod of (1 - alpha), shifted by one place so that it starts with 1.",
     ),
     wrong=(
-        Wrong(_own_alpha_too, says="nothing stands in front of the first one"),
+        Wrong(_own_alpha_too, says="nothing is in front of the first one"),
         Wrong(_farthest_first, says="the nearest comes first"),
         Wrong(_averaged, says="what is not covered stays black"),
     ),
@@ -119,7 +119,7 @@ def composite_pixel(attempt: Attempt) -> None:
         detail="the colour is not divided by the sum of the weights",
     )  # fmt: skip
     why = "T in front of a Gaussian does not contain its own alpha"
-    close(colour, [0.5, 0.0, 0.0], "nothing stands in front of the first one", on=on, why=why)
+    close(colour, [0.5, 0.0, 0.0], "nothing is in front of the first one", on=on, why=why)
     close(left, 0.5, "half of the light is left", on=on)
     on = "red alpha 0.8 in front of green alpha 0.5"
     colour, left = unpack(attempt.on(on)(torch.tensor([0.8, 0.5]), torch.tensor([red, green])), names, on=on)
@@ -129,7 +129,7 @@ def composite_pixel(attempt: Attempt) -> None:
     colour, left = unpack(attempt.on(on)(torch.zeros(0), torch.zeros(0, 3)), names, on=on)
     close(colour, [0.0, 0.0, 0.0], "an empty pixel is black", on=on)
     close(left, 1.0, "an empty pixel keeps all its light", on=on)
-    on = "seven random ones"
+    on = "seven random Gaussians"
     generator = torch.Generator().manual_seed(3)
     alpha, rgb = torch.rand(7, generator=generator), torch.rand(7, 3, generator=generator)
     colour, left = unpack(attempt.on(on)(alpha, rgb), names, on=on)
@@ -181,7 +181,7 @@ def _whole_tiles_only(u: Number, v: Number, extent_px: Number, width: int, heigh
     ),
     wrong=(
         Wrong(_last_one_missing, says="a splat inside one tile is in that tile"),
-        Wrong(_unclamped, says="tiles outside of the picture do not exist"),
+        Wrong(_unclamped, says="tiles outside the picture do not exist"),
         Wrong(_whole_tiles_only, says="the last tile may reach beyond the picture's border"),
     ),
 )  # fmt: skip
@@ -205,8 +205,8 @@ def tiles_touched(attempt: Attempt) -> None:
         half_open,
     )
     ask("u 16, v 24, extent 5", 16, 24, 5, 64, 48, "a splat across a border is on both sides")
-    ask("u 2, v 3, extent 10", 2, 3, 10, 64, 48, "tiles outside of the picture do not exist", "clamp the ranges")
-    ask("u 62, v 46, extent 10", 62, 46, 10, 64, 48, "tiles outside of the picture do not exist", "clamp the ranges")
+    ask("u 2, v 3, extent 10", 2, 3, 10, 64, 48, "tiles outside the picture do not exist", "clamp the ranges")
+    ask("u 62, v 46, extent 10", 62, 46, 10, 64, 48, "tiles outside the picture do not exist", "clamp the ranges")
     ask(
         "u 58, v 43, extent 1, picture 60 x 45",
         58,
@@ -219,7 +219,7 @@ def tiles_touched(attempt: Attempt) -> None:
     )
     on = "u -30, v 20, extent 5: left of the picture"
     x0, x1, _, _ = unpack(attempt.on(on)(-30.0, 20.0, 5.0, 64, 48, 8), names, on=on)
-    holds(x1 <= x0, "a splat outside of the picture touches no tile", on=on, detail=f"got columns {x0} to {x1}")
+    holds(x1 <= x0, "a splat outside the picture touches no tile", on=on, detail=f"got columns {x0} to {x1}")
 
 
 def _view_colour(sh: Tensor, xyz_W: Tensor, centre_W: Tensor) -> Tensor:
@@ -284,6 +284,6 @@ def view_colour(attempt: Attempt) -> None:
     close(attempt.on(on)(-4 * sh, ahead, origin), [0.0] * 3, "no colour is below 0", on=on)
     generator = torch.Generator().manual_seed(5)
     sh, xyz, centre = (0.4 * torch.randn(n, 3, generator=generator) for n in (4, 1, 1))
-    on = "random coefficients and places"
+    on = "random coefficients and positions"
     expected = sh_to_rgb(sh[None], xyz, centre[0])[0]
     close(attempt.on(on)(sh, xyz[0], centre[0]), expected, "order and signs of the basis are Y0, -y, z, -x", on=on)

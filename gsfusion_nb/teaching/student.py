@@ -2,8 +2,8 @@
 
 ``python -m gsfusion_nb.teaching.student SRC DST [--teacher]``. In a code cell everything from the line
 ``### BEGIN SOLUTION`` to ``### END SOLUTION`` is a solution, in a text cell from ``<!-- BEGIN SOLUTION -->`` to
-``<!-- END SOLUTION -->``. A cell that is empty without it is left out. A student's copy has no outputs: they would show
-what the reader is asked to predict.
+``<!-- END SOLUTION -->``. A cell that would be empty without it is left out. A student's copy has no outputs, because
+they would show what the reader is asked to predict.
 """
 
 import argparse
@@ -23,10 +23,10 @@ _END = ("### END SOLUTION", "<!-- END SOLUTION -->")
 
 
 def without_solutions(notebook: dict[str, Any]) -> dict[str, Any]:
-    """The notebook (as read from JSON) without solutions and outputs; the given one is left as it is.
+    """A copy of the notebook (as read from JSON) without solutions and outputs.
 
     Raises:
-        ValueError: a marker without its partner; which cell.
+        ValueError: a marker without its partner; the message names the cell.
     """
     student = copy.deepcopy(notebook)
     kept = []
@@ -44,21 +44,21 @@ def without_solutions(notebook: dict[str, Any]) -> dict[str, Any]:
 
 
 def copy_course(source: Path, target: Path, *, solutions: bool = False) -> list[Path]:
-    """Write the notebooks of a folder, or one notebook, into the folder ``target``; the files written.
+    """Write the notebooks of a folder, or one notebook, into the folder ``target``. Returns the files written.
 
     Args:
         source: A folder of notebooks, or one notebook.
-        target: Made if it is not there. Notebooks of the same name in it are replaced.
+        target: Created if it does not exist. Notebooks of the same name in it are replaced.
         solutions: Keep solutions and outputs: an exact copy.
 
     Raises:
-        ValueError: no notebook at ``source``, ``target`` is the source's folder, or unbalanced markers (which file).
+        ValueError: no notebook at ``source``, ``target`` is the source's folder, or unbalanced markers.
     """
     notebooks = [source] if source.is_file() else sorted(source.glob("*.ipynb"))
     if not notebooks:
         raise ValueError(f"there is no notebook at {source}")
     if target.resolve() == notebooks[0].parent.resolve():
-        raise ValueError(f"the copies would replace the notebooks in {target}; name another folder")
+        raise ValueError(f"the copies would replace the notebooks in {target}; choose another folder")
     target.mkdir(parents=True, exist_ok=True)
     written = []
     for path in notebooks:

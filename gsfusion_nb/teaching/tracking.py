@@ -1,4 +1,4 @@
-"""Exercises of chapter 8: ICP, prediction, and what a closed loop changes."""
+"""Exercises of chapter 8: ICP, prediction of the next pose, and the correction after a loop closure."""
 
 import torch
 from torch import Tensor
@@ -99,7 +99,7 @@ def _not_rigid(T_WC: Tensor, r: Tensor, J: Tensor) -> Tensor:
     hints=(
         "Minimise |r + J xi|^2: set the derivative to zero, J^T J xi = -J^T r.",
         "torch.linalg.solve(J.T @ J, -J.T @ r). Then turn the twist into a motion with se3.exp(xi).",
-        "The twist moved points that were already in the world: the motion stands on the left of T_WC.",
+        "The twist moved points that were already in the world: so the motion is multiplied from the left of T_WC.",
     ),
     wrong=(
         Wrong(_plus_sign, says="the step goes towards the surface"),
@@ -139,7 +139,7 @@ def gauss_newton(attempt: Attempt) -> None:
     close(got, eye, "one step solves a small error", on=on, tolerance=1e-4, why="solve J^T J xi = -J^T r")
     on = "a camera turned by 90 degrees, 1 cm off along x"
     got = ask(on, quarter, [0.01, 0.0, 0.0, 0.0, 0.0, 0.0])
-    close(got, quarter, "the motion is in the world frame", on=on, tolerance=1e-4, why="exp(xi) stands on the left")
+    close(got, quarter, "the motion is in the world frame", on=on, tolerance=1e-4, why="exp(xi) must be on the left")
     on = "the same, turned by 17 degrees"
     R = ask(on, quarter, [0.0, 0.0, 0.0, 0.1, -0.2, 0.2])[:3, :3]
     close(R @ R.T, torch.eye(3), "the result is a rigid motion", on=on, tolerance=1e-6, why="use se3.exp, not I + hat")
@@ -173,7 +173,7 @@ def _world_motion(T_before: Tensor, T_last: Tensor) -> Tensor:
     hints=(
         "The motion between the two frames, in the camera's own axes: inverse(T_before) @ T_last.",
         "Do the same motion once more, from where the camera is now, in its own axes: on the right.",
-        "Poses cannot be added: 2 T_last - T_before has a rotation part that is no rotation.",
+        "Poses cannot be added: 2 T_last - T_before has a rotation part that is not a rotation.",
     ),
     wrong=(
         Wrong(_same_again, says="a constant motion continues"),
@@ -241,7 +241,7 @@ def _linear_blend(poses: Tensor, T_loop: Tensor) -> Tensor:
     ),
 )  # fmt: skip
 def spread_correction(attempt: Attempt) -> None:
-    """Spread the correction found by a closed loop over the path before it."""
+    """Spread the correction found by a loop closure over the path before it."""
     n = 5
     path = torch.eye(4, dtype=torch.float64).repeat(n, 1, 1)
     path[:, 0, 3] = torch.arange(n)
@@ -261,4 +261,4 @@ def spread_correction(attempt: Attempt) -> None:
     eye = torch.eye(3, dtype=torch.float64).expand(n, 3, 3)
     close(R @ R.transpose(1, 2), eye, "every pose stays rigid", on=on, tolerance=1e-6, why="exp(share * log(change))")
     half = float(se3.rotation_angle(R[2]))
-    close(half, 0.6, "halfway, half the turn", on=on, tolerance=1e-6)
+    close(half, 0.6, "halfway along the path it is half the turn", on=on, tolerance=1e-6)

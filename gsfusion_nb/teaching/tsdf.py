@@ -105,7 +105,7 @@ def _halfway(D: Tensor, W: Tensor, d: Tensor, max_weight: float) -> tuple[Tensor
     ),
 )  # fmt: skip
 def running_average(attempt: Attempt) -> None:
-    """Fold one observation into a voxel: W capped, D the running mean (Eq. 8-9)."""
+    """Add one observation to a voxel: W is capped, D is the running mean (Eq. 8-9)."""
     names = ("D", "W")
     on = "a voxel never observed (D = 1, W = 0), observation 0.2"
     D, W = unpack(attempt.on(on)(torch.ones(1), torch.zeros(1), torch.tensor([0.2]), 100.0), names, on=on)
@@ -149,7 +149,7 @@ def _voxel_of(xyz_W: Tensor, voxel_size_m: float) -> Tensor:
     chapter=2, difficulty=1, minutes=5, solution=_block_of,
     hints=(
         "A block spans 8 voxels along each axis: its edge is 8 voxel sizes.",
-        "Which whole number belongs to -0.1? Compare int(-0.1) with math.floor(-0.1).",
+        "Which whole number should -0.1 give? Compare int(-0.1) with math.floor(-0.1).",
     ),
     wrong=(
         Wrong(_block_of_truncated, says="below zero"),
@@ -190,7 +190,7 @@ def _morton_z_first(x: int, y: int, z: int) -> int:
         "Bit i of x becomes bit 3 i, of y bit 3 i + 1, of z bit 3 i + 2; collect them with |.",
     ),
     wrong=(
-        Wrong(_morton_one_after_the_other, says="bits take turns"),
+        Wrong(_morton_one_after_the_other, says="bits alternate"),
         Wrong(_morton_z_first, says="x comes first"),
     ),
 )  # fmt: skip
@@ -200,7 +200,7 @@ def morton_code(attempt: Attempt) -> None:
         ((1, 0, 0), 1, "x comes first: bit 0 of x is bit 0 of the code"),
         ((0, 1, 0), 2, "then y: bit 0 of y is bit 1 of the code"),
         ((0, 0, 1), 4, "then z: bit 0 of z is bit 2 of the code"),
-        ((2, 0, 0), 8, "the bits take turns: bit 1 of x is bit 3 of the code"),
+        ((2, 0, 0), 8, "the bits alternate: bit 1 of x is bit 3 of the code"),
     ):
         on = f"block {coords}"
         close(attempt.on(on)(*coords), expected, _turns(prop), on=on)
@@ -212,11 +212,11 @@ def morton_code(attempt: Attempt) -> None:
         close(code >> 3, parent, "the parent's code is code >> 3", on=on)
         origin = int(morton.encode(torch.zeros(1, 3, dtype=torch.int64)))
         library = int(morton.encode(torch.tensor([coords]))) - origin
-        close(code, library, "it agrees with gsfusion_nb.tsdf.morton.encode, less the code of the origin", on=on)
+        close(code, library, "it agrees with gsfusion_nb.tsdf.morton.encode, minus the code of the origin", on=on)
 
 
 def _turns(prop: str) -> str:
-    return prop if "take turns" in prop else f"{prop} (the bits take turns)"
+    return prop if "alternate" in prop else f"{prop} (the bits alternate)"
 
 
 def _zero_crossing(p0: Tensor, p1: Tensor, D0: Tensor, D1: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""What a checker answers: green, red with the property and the input, or grey while nothing is written."""
+"""The answer of a checker: green, red with the property and the input, or grey while nothing is written."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -21,7 +21,7 @@ class Verdict:
     on: str = ""
     """The input on which it failed, in words."""
     detail: str = ""
-    """What came and what was expected; or, when passed, what was checked."""
+    """What was returned and what was expected; or, when passed, what was checked."""
     hints_left: int = 0
     """Hints not yet asked for."""
 

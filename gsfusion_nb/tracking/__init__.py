@@ -1,4 +1,4 @@
-"""Where the camera is: frame-to-model ICP, and the back end that closes loops."""
+"""Camera tracking: frame-to-model ICP, relocalisation, and the back end that closes loops."""
 
 from .back_end import BackEnd as BackEnd
 from .back_end import moved_enough as moved_enough

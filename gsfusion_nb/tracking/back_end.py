@@ -1,8 +1,8 @@
-"""The back end of tracking: keyframes, landmarks, loops, and the graph that keeps them consistent.
+"""The back end of tracking: keyframes, landmarks, loops, and the pose graph that makes them consistent.
 
 Peng et al. 2024, section 3.2: "a back-end optimization thread similar to ORB-SLAM2 ... a set of 3D landmarks are also
-maintained ... used for graph optimization". Here it runs in turn with the front end, keyframe by keyframe, and is
-written from the mathematics: ORB features (OpenCV), factor graph (GTSAM).
+maintained ... used for graph optimization". Here it runs in turn with the front end, keyframe by keyframe, with ORB
+features (OpenCV) and a factor graph (GTSAM).
 """
 
 from typing import Any
@@ -20,7 +20,7 @@ from .features import Features, extract_features
 from .keyframe_database import KeyframeDatabase
 from .landmarks import SEARCH_SHARE, Landmarks
 from .loop_finder import LoopFinder
-from .matching import PointPairs, RelativePose, agreement, refine_pose
+from .matching import PointPairs, RelativePose, is_inlier, refine_pose
 from .pose_graph import (
     Edge,
     edge_error,
@@ -34,23 +34,23 @@ from .pose_graph import (
 from .saved_state import check_saved_back_end
 
 RECENT = 5
-"""A new keyframe looks for the landmarks of this many keyframes before it."""
+"""A new keyframe searches the landmarks of this many keyframes before it."""
 
 TIED_TO = 3
-"""A new keyframe is tied to this many of them, those with which it shares most landmarks."""
+"""A new keyframe gets edges to this many recent keyframes, those with which it shares most landmarks."""
 
 MIN_SHARED = 15
-"""Fewer common landmarks do not tie two keyframes together."""
+"""Smallest number of common landmarks for an edge between two keyframes."""
 
 LANDMARK_FLOOR = (0.05, 0.002)
-"""Standard deviation, degrees and metres, that no relative pose from features is better than."""
+"""Smallest standard deviation of a relative pose from features, degrees and metres."""
 
 LOOP_MAX_SIGMA = 5.0
-"""After the optimisation, a loop farther off than this many standard deviations was false: its matches are not used."""
+"""A loop with a larger error after the optimisation, in standard deviations, is false: its matches are not used."""
 
 
 def moved_enough(last: Float[Tensor, "4 4"], T_WC: Float[Tensor, "4 4"], config: BackEndConfig) -> bool:
-    """The camera has turned or moved so far since the pose ``last`` that a keyframe should be taken."""
+    """Whether the camera has turned or moved far enough since the pose ``last`` for a new keyframe."""
     step = se3.inverse(last.detach().cpu().double()) @ T_WC.detach().cpu().double()
     turned_deg, moved_m = float(se3.rotation_angle(step[:3, :3]).rad2deg()), float(step[:3, 3].norm())
     return turned_deg > config.keyframe_rotation_deg or moved_m > config.keyframe_translation_m
@@ -59,8 +59,8 @@ def moved_enough(last: Float[Tensor, "4 4"], T_WC: Float[Tensor, "4 4"], config:
 class BackEnd:
     """Corrects the front end's trajectory over keyframes.
 
-    World frame: ``add`` takes poses in the world as corrected so far; a front end applies each ``Correction`` to its
-    own pose before it goes on.
+    World frame: ``add`` expects poses in the world frame as corrected so far; a front end applies each ``Correction``
+    to its own pose before the next frame.
     """
 
     def __init__(self, config: BackEndConfig, camera: Camera):
@@ -75,7 +75,7 @@ class BackEnd:
         self._finder = LoopFinder(config, self.database, self.landmarks)
         self.edges: list[Edge] = []
         self.loops: list[tuple[int, Tensor]] = []
-        """(keyframe row, its features and the landmarks they are [I, 2]), in the order of the edges of that kind."""
+        """(keyframe row, pairs of feature and landmark [I, 2]) of each loop, in the order of the edges of that kind."""
         self._fresh_loops: list[tuple[int, int, int]] = []
         self._as_added: list[Tensor] = []
         self._as_tracked: list[Tensor] = []
@@ -95,14 +95,14 @@ class BackEnd:
         return moved_enough(self.database.T_WC[-1], T_WC, self.config)
 
     def add(self, frame: Frame, T_WC: Float[Tensor, "4 4"]) -> Correction | None:
-        """Take a keyframe; when it closes a loop that the trajectory misses, optimise the poses.
+        """Add a keyframe; if it closes a loop that the trajectory does not, optimise the poses.
 
         Args:
-            frame: Colour and depth; its own pose is not looked at.
+            frame: Colour and depth; its own pose is not used.
             T_WC: The front end's pose, in the world as corrected so far. [4, 4]
 
         Returns:
-            What the loop changed, or None.
+            The correction, or None if there is none.
 
         Raises:
             ValueError: an index that does not increase, another camera, a pose that is not rigid.
@@ -126,11 +126,11 @@ class BackEnd:
         return correction
 
     def finish(self) -> Correction | None:
-        """Optimise poses and landmarks together, once, over everything; None with fewer than two keyframes."""
+        """Optimise all poses and landmarks together, once; None with fewer than two keyframes."""
         return self._correct(landmarks=True) if len(self) > 1 else None
 
     def relocalise(self, view: Frame | Features) -> list[Tensor]:
-        """Where the camera may be, without any earlier pose (``KeyframeDatabase.relocalise``)."""
+        """Possible poses of the camera, without any earlier pose (``KeyframeDatabase.relocalise``)."""
         return self.database.relocalise(view)
 
     def correct_trajectory(self, indices: Int[Tensor, " N"], poses: Float[Tensor, "N 4 4"]) -> Float[Tensor, "N 4 4"]:
@@ -142,7 +142,7 @@ class BackEnd:
                 keyframe's after the correction it caused). [N, 4, 4]
 
         Returns:
-            The same poses in the world as corrected now, in their dtype; untouched where nothing changed.
+            The same poses in the world as corrected now, in their dtype; unchanged where no keyframe moved.
         """
         if not len(self):
             return poses.clone()
@@ -164,7 +164,7 @@ class BackEnd:
             )
 
     def _track(self, features: Features, T_WC: Tensor, recent: list[int]) -> Tensor:
-        """Landmarks seen again: searched around the front end's pose, then around the pose they agree on."""
+        """Landmarks that are seen again: searched with the front end's pose, then with the pose that they agree on."""
         pairs = torch.zeros((0, 2), dtype=torch.int64)
         if not recent:
             return pairs
@@ -177,10 +177,10 @@ class BackEnd:
             if pose is None:
                 return pairs[:0]
             T_WC = T_WR @ pose.T_RQ
-        return pairs[agreement(self.camera, self.landmarks.points(features, pairs, T_WR), se3.inverse(T_WR) @ T_WC)]
+        return pairs[is_inlier(self.camera, self.landmarks.points(features, pairs, T_WR), se3.inverse(T_WR) @ T_WC)]
 
     def _tie(self, row: int, recent: list[int]) -> None:
-        """Edges to the keyframe before (front end) and to those with most common landmarks."""
+        """Add edges to the previous keyframe (odometry) and to those with most common landmarks."""
         if not recent:
             return
         T = self.database.T_WC
@@ -200,7 +200,7 @@ class BackEnd:
         return Edge(i=i, j=j, T_ij=pose.T_RQ, information=with_floor(pose.information, *LANDMARK_FLOOR), kind=kind)
 
     def _close_loops(self, row: int) -> bool:
-        """Take the loops that the new keyframe closes; whether one of them is missed by the present trajectory."""
+        """Add the loops that the new keyframe closes. Returns whether the trajectory contradicts one of them."""
         off = False
         for earlier, pose in self._finder.loops(row):
             edge = self._edge(earlier, row, pose, "loop")
@@ -213,7 +213,7 @@ class BackEnd:
         return off
 
     def _correct(self, *, landmarks: bool) -> Correction:
-        """Optimise the poses over relative poses, then, if asked, over the landmarks too."""
+        """Optimise the poses with relative poses and then, with ``landmarks``, also with the landmarks."""
         old = self.T_WC
         result = optimise_poses(old, fit_odometry(self.edges))
         before, after = result.error_before, result.error_after
@@ -240,7 +240,7 @@ class BackEnd:
         return optimise_landmarks(self.camera, T_WC, seen, odometry)
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything but the settings: numbers, lists and tensors."""
+        """Everything except the settings: numbers, lists and tensors."""
         return {
             "database": self.database.state_dict(),
             "landmarks": self.landmarks.state_dict(),
@@ -254,10 +254,10 @@ class BackEnd:
 
     @classmethod
     def from_state_dict(cls, config: BackEndConfig, camera: Camera, state: dict[str, Any]) -> "BackEnd":
-        """The back end that ``state_dict`` was taken from.
+        """The back end that was saved with ``state_dict``.
 
         Raises:
-            ValueError: edges or loops of keyframes that are not there, or poses that cannot be any.
+            ValueError: Edges or loops between keyframes that do not exist, or poses that are not rigid transforms.
         """
         self = cls(config, camera)
         self.database.load_state(state["database"])

@@ -1,4 +1,4 @@
-"""What a closed loop changes: the keyframes' poses before and after, and how everything else moves with them."""
+"""The correction after a loop closure: poses of keyframes before and after, and how everything else moves with them."""
 
 from dataclasses import dataclass
 
@@ -11,10 +11,10 @@ from ..geometry import quaternion, se3
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Correction:
-    """New poses of all keyframes. What was born at or tracked near a keyframe moves with it."""
+    """New poses of all keyframes. Gaussians and frames near a keyframe move with it."""
 
     frame_index: Int[Tensor, " K"]
-    """Increasing."""
+    """Frame index of each keyframe, increasing."""
     T_WC_old: Float[Tensor, "K 4 4"]
     T_WC_new: Float[Tensor, "K 4 4"]
     """Camera-to-world, float64."""
@@ -25,7 +25,7 @@ class Correction:
     """Half the sum of robust squared errors of the graph, in standard deviations."""
 
     def transform_of(self, frame_index: Int[Tensor, " N"]) -> Float[Tensor, "N 4 4"]:
-        """What moves the world near each frame: T_new T_old^-1, blended between the keyframes before and after.
+        """The motion of the world near each frame: T_new T_old^-1, blended between the keyframes before and after.
 
         Args:
             frame_index: Frames, in any order. [N]
@@ -45,15 +45,15 @@ def blend(
 ) -> Float[Tensor, "N 4 4"]:
     """T_new T_old^-1 at any frame, from its neighbouring keyframes.
 
-    Rotations are interpolated along the shorter arc, and the point c between the two old camera centres goes to between
-    where its neighbours would take it: R(t) = slerp(R_a, R_b, t), R(t) c + t(t) = (1 - t) D_a c + t D_b c.
+    Rotations are interpolated along the shorter arc. The point c between the two old camera centres moves to the
+    interpolation of its two images: R(t) = slerp(R_a, R_b, t), R(t) c + t(t) = (1 - t) D_a c + t D_b c.
 
     Args:
         keyframe: Frame index of the keyframes, increasing.
-        T_old: Their poses before.
-        T_new: ... and after.
-        frame_index: Frames asked for; before the first and after the last keyframe its transform is taken.
-        T_old_next: Pose before, of a keyframe as seen from the frames that precede it, if it differs.
+        T_old: Their poses before. [K, 4, 4]
+        T_new: Their poses after. [K, 4, 4]
+        frame_index: The frames; before the first and after the last keyframe its transform is used. [N]
+        T_old_next: Poses before, for the frames that precede a keyframe, if they differ from ``T_old``. [K, 4, 4]
     """
     if len(keyframe) == 0:
         return torch.eye(4, dtype=torch.float64).expand(len(frame_index), 4, 4).clone()

@@ -1,4 +1,4 @@
-"""ORB features of a frame, spread over the image, with the depth behind each."""
+"""ORB features of a frame, spread over the image, with the depth of each."""
 
 import dataclasses
 import functools
@@ -18,20 +18,20 @@ SCALE_FACTOR = 1.2
 """Ratio of neighbouring pyramid levels (Rublee et al. 2011)."""
 
 FAST_THRESHOLD = 7
-"""Grey levels a FAST corner must stand out by; low, since the grid and not this threshold limits the number."""
+"""Smallest contrast of a FAST corner, grey levels; low, because the grid limits the number of features."""
 
 DETECTED_PER_KEPT = 4
-"""So many more features are detected than kept, so that weak corners in plain corners of the image get a chance."""
+"""This many times more features are detected than kept, so that image parts with little texture get some, too."""
 
 CORNER_SIGMA_PX = 1.0
-"""Standard deviation of a corner's position on its own pyramid level. A corner sits on a whole pixel and does
-not look the same from elsewhere; 0.6 made the red kitchen's trajectory twice as wrong and the room's no better."""
+"""Standard deviation of a corner's position on its own pyramid level, pixels. A corner is found at a whole pixel and
+looks different from another view. With 0.6 the error of redkitchen250's trajectory doubled; that of the room stayed."""
 
 DEPTH_SIGMA_PER_M = 1.6e-3
-"""A depth z has a standard deviation of this times z^2, metres (Khoshelham & Elberink 2012: 4 cm at 5 m)."""
+"""The standard deviation of a depth z is this times z^2, metres (Khoshelham & Elberink 2012: 4 cm at 5 m)."""
 
 EDGE_SHARE = 0.04
-"""Pixels around a feature may differ in depth by this share of it; more is an edge, and the depth is not used."""
+"""If depths around a feature differ by more than this share, it is on a depth edge, and its depth is not used."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -43,11 +43,11 @@ class Features:
     descriptors: UInt8[Tensor, "M 32"]
     """256 bits, compared by Hamming distance."""
     xyz_C: Float[Tensor, "M 3"]
-    """Point behind the feature, camera frame, metres; the origin where there is no depth."""
+    """3D point of the feature, camera frame, metres; the origin where there is no depth."""
     has_depth: Bool[Tensor, " M"]
-    """Whether the depth is known and the feature does not sit on a depth edge."""
+    """Whether the depth is known and the feature is not on a depth edge."""
     sigma_px: Float[Tensor, " M"]
-    """Standard deviation of ``uv``, pixels: grows with the pyramid level the corner was found on."""
+    """Standard deviation of ``uv``, pixels: larger for coarser pyramid levels."""
 
     def __len__(self) -> int:
         return self.uv.shape[0]
@@ -59,13 +59,13 @@ class Features:
 def extract_features(frame: Frame, *, count: int, levels: int) -> Features:
     """ORB corners of the frame's grey image, the strongest of each grid cell first, with depth (Rublee et al. 2011).
 
-    The image is cut into square cells, about one per four features. Every cell gives its strongest corner, then every
-    cell its second one, and so on, until there are ``count``: one richly textured poster cannot take them all.
+    The image is divided into square cells, about one per four features. Every cell gives its strongest corner, then
+    every cell its second one, and so on, until there are ``count``. So one richly textured poster cannot get them all.
 
     Args:
         frame: Colour and depth.
-        count: Most features to return.
-        levels: Levels of the pyramid, each 1.2 times smaller.
+        count: Largest number of features to return.
+        levels: Number of pyramid levels, each 1.2 times smaller.
 
     Returns:
         Features on the CPU; none if the image is black or plain.
@@ -103,7 +103,7 @@ def _orb(count: int, levels: int) -> Any:
 
 
 def _spread(position: ndarray, strength: ndarray, count: int, shape: tuple[int, int]) -> ndarray:
-    """Rows of the corners to keep: all cells' strongest, then all cells' second strongest, ..."""
+    """Rows of the corners to keep: the strongest of each cell, then the second strongest of each cell, ..."""
     height, width = shape
     edge = max(8.0, 2.0 * (height * width / count) ** 0.5)
     columns = int(width // edge) + 1
@@ -117,10 +117,10 @@ def _spread(position: ndarray, strength: ndarray, count: int, shape: tuple[int, 
 
 
 def _centred(point: ndarray, scale: ndarray, shape: tuple[int, int]) -> ndarray:
-    """OpenCV's corner positions in our convention.
+    """OpenCV's corner positions in this package's pixel convention.
 
     ORB reports x = s x_l for pixel x_l of level l (scale s). That pixel's centre is x_l + 0.5 of the level's width W_l,
-    so u = (x_l + 0.5) W / W_l: adding 0.5 to x, right on the finest level, would be 1.3 px off at s = 3.6.
+    so u = (x_l + 0.5) W / W_l. Adding 0.5 to x, right on the finest level, would be wrong by 1.3 px at s = 3.6.
     """
     size = np.array([shape[1], shape[0]], float)
     level_size = np.rint(size / scale[:, None])
@@ -140,10 +140,10 @@ def _rows(frame: Frame, uv: ndarray, descriptors: ndarray, scale: ndarray) -> Fe
 
 
 def _depth_at(depth_m: ndarray, uv: ndarray) -> tuple[ndarray, ndarray]:
-    """Depth at continuous pixels, and whether it can be trusted; 0 where it cannot.
+    """Depth at continuous pixels, and whether it is reliable; 0 where it is not.
 
     Inverse depth is linear in the image on a plane, so it is interpolated between the four nearest pixel centres. It is
-    trusted where all of the 4 x 4 pixels around are known and agree within ``EDGE_SHARE``.
+    reliable where all 4 x 4 pixels around are known and agree within ``EDGE_SHARE``.
     """
     height, width = depth_m.shape
     x, y = uv[:, 0] - 0.5, uv[:, 1] - 0.5

@@ -15,7 +15,7 @@ from .solve import Extent, Step, solve_step
 from .surface import Surface
 
 CONVERGED_M = 1e-5
-"""A smaller step, measured by how far it moves the surface, ends the finest level; on coarser levels the limit is
+"""ICP ends on the finest level when a step moves the surface by less than this, metres; on coarser levels the limit is
 multiplied by their reduction factor."""
 
 
@@ -24,11 +24,11 @@ class IcpIteration:
     """One Gauss-Newton step."""
 
     factor: int
-    """Reduction of the level."""
+    """Reduction factor of the pyramid level."""
     T_WC: Float[Tensor, "4 4"]
     """Pose before the step, float64."""
     rms_m: float
-    """Root mean square point-to-plane distance there."""
+    """Root mean square point-to-plane distance at that pose, metres."""
     n_inliers: int
     n_overlap: int
     step_m: float
@@ -37,22 +37,22 @@ class IcpIteration:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class IcpResult:
-    """Where ICP ended, and how it got there. Counts are of the finest level, at the final pose."""
+    """The result of ICP and its steps. Counts are of the finest level, at the final pose."""
 
     T_WC: Float[Tensor, "4 4"]
     """Camera-to-world pose, float64."""
     rms_m: float
-    """Root mean square point-to-plane distance of the correspondences."""
+    """Root mean square point-to-plane distance of the correspondences, metres."""
     n_inliers: int
-    """Correspondences within the gates."""
+    """Number of correspondences within the limits of distance and angle."""
     n_overlap: int
-    """Pixels that fall on a known part of the surface."""
+    """Number of pixels that fall on a known part of the surface."""
     n_pixels: int
-    """Pixels with usable depth."""
+    """Number of pixels with usable depth."""
     eigenvalues: tuple[float, ...]
     """Mean information of the six principal directions of motion, smallest first (see ``solve_step``)."""
     degenerate: int
-    """How many of them the scene does not determine. Along these the pose stays where ICP started."""
+    """Number of these directions that the scene does not determine. Along them the pose keeps its starting value."""
     history: tuple[IcpIteration, ...]
 
     @property
@@ -61,7 +61,7 @@ class IcpResult:
         return self.n_inliers / max(self.n_pixels, 1)
 
     @property
-    def agreement(self) -> float:
+    def overlap_inlier_share(self) -> float:
         """Correspondences as a share of the pixels that fall on a known part of the surface."""
         return self.n_inliers / max(self.n_overlap, 1)
 
@@ -78,13 +78,13 @@ def icp(
     Args:
         depth_m: z-depth, metres, 0 where there is none. [H, W]
         camera: Its intrinsics.
-        surface: What to align it with.
-        T_WC_start: Where to start.
-        config: Levels, gates, damping.
+        surface: The surface to align it with.
+        T_WC_start: Camera-to-world pose to start from. [4, 4]
+        config: Pyramid levels, limits of correspondences, damping.
 
     Returns:
-        The pose and how well it fits. The caller decides whether that is good enough: without any correspondence the
-        pose is the one to start from and ``n_inliers`` is 0.
+        The pose and how well it fits. The caller decides whether it is good enough: without any correspondence the
+        pose is the starting pose and ``n_inliers`` is 0.
 
     Differentiable: no. Source: Peng et al. 2024, Eq. 10; Newcombe et al. 2011.
     """
@@ -107,8 +107,8 @@ def align(
     points = _extent(levels[-1], config.even_to_m)
     history: list[IcpIteration] = []
     for level, iterations in zip(levels, config.iterations, strict=True):
-        # 5 degrees move a point 2 m away by 17 cm, more than the gate of the finest level. A gate in proportion to the
-        # factor would be too wide: with it one frame of a noise-free room converged to a wrong pose.
+        # 5 degrees move a point 2 m away by 17 cm, more than the limit of the finest level. A limit in proportion to
+        # the factor would be too large: with it one frame of a noise-free room converged to a wrong pose.
         reach = (level.factor / levels[-1].factor) ** 0.5
         coarse = gates | {"max_distance_m": reach * config.max_distance_m}
         for _ in range(iterations):
@@ -135,7 +135,7 @@ def align(
 
 
 def _extent(level: DepthLevel, even_to_m: float | None) -> Extent:
-    """Middle and spread of the points in the camera frame."""
+    """Weighted mean and spread of the points in the camera frame."""
     rows = level.depth_m > 0
     points = depth_to_points(level.camera, level.depth_m)[rows]
     weight = depth_weight(level.depth_m[rows], even_to_m)

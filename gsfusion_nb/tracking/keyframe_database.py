@@ -1,9 +1,9 @@
-"""Recognising a place by its features: the most similar keyframes, and the camera's pose against them.
+"""Place recognition: the keyframes with the most similar features, and the camera's pose relative to them.
 
 Every descriptor is turned into eight words, one per table: twelve of its bits, the same twelve for all descriptors
 (locality-sensitive hashing, Gionis et al. 1999). Descriptors of one point seen twice differ in few of their 256 bits,
-so they share some of the words; the words rare among the keyframes count most (tf-idf, Sivic & Zisserman 2003). Nothing
-is trained and nothing is downloaded.
+so they share some of the words; words that are rare among the keyframes count most (tf-idf, Sivic & Zisserman 2003).
+Nothing is trained and nothing is downloaded.
 """
 
 from typing import Any
@@ -35,9 +35,9 @@ class KeyframeDatabase:
         """
         Args:
             camera: Intrinsics of all keyframes and queries.
-            count: Features extracted from a frame that is asked about.
-            levels: ... and their pyramid levels.
-            min_inliers: Matches that must agree on a pose for ``relocalise`` to return it.
+            count: Number of features to extract from the frame of a query.
+            levels: Number of pyramid levels for these features.
+            min_inliers: Number of matches that must agree with a pose for ``relocalise`` to return it.
         """
         self.camera = camera
         self.count, self.levels, self.min_inliers = count, levels, min_inliers
@@ -53,7 +53,7 @@ class KeyframeDatabase:
         return len(self.index)
 
     def add(self, index: int, T_WC: Float[Tensor, "4 4"], features: Features) -> None:
-        """Remember a keyframe: its frame index, its pose, its features (features may be none)."""
+        """Add a keyframe: its frame index, its camera-to-world pose and its features (may be empty)."""
         check_pose("T_WC", T_WC)
         words = _words(features)
         self.index.append(int(index))
@@ -69,14 +69,14 @@ class KeyframeDatabase:
         self.T_WC = list(T_WC.detach().cpu().double().unbind(0))
 
     def similar(self, features: Features, k: int, *, exclude_after: int | None = None) -> list[tuple[int, float]]:
-        """The ``k`` keyframes that look most alike, best first.
+        """The ``k`` keyframes that are most similar to a view, best first.
 
         The score is the cosine between the sets of words, each word weighted by log(keyframes / keyframes with it).
 
         Args:
-            features: Of the view in question.
-            k: Most rows to return.
-            exclude_after: Only rows before this one take part; all if None.
+            features: Features of the view.
+            k: Largest number of rows to return.
+            exclude_after: Search only rows before this one; all if None.
 
         Returns:
             (row, score); rows without any word in common are left out.
@@ -86,7 +86,7 @@ class KeyframeDatabase:
         filled = np.array([r for r in range(rows) if len(self._words[r])], int)
         if len(filled) == 0 or k < 1 or len(query) == 0:
             return []
-        # One more than the number of keyframes: with a single one, every word would weigh nothing.
+        # One more than the number of keyframes: otherwise, with one keyframe, the weight of every word would be 0.
         weight = np.log((len(self) + 1) / np.maximum(self._frequency, 1)).astype(np.float32) ** 2
         shared = np.zeros_like(weight)
         shared[query] = weight[query]
@@ -98,14 +98,14 @@ class KeyframeDatabase:
         return [(int(filled[b]), float(score[b])) for b in best if score[b] > 0]
 
     def relocalise(self, view: Frame | Features, *, k: int = 5) -> list[Tensor]:
-        """Where the camera may be, without any earlier pose: against each of the ``k`` most similar keyframes.
+        """Possible poses of the camera, without any earlier pose: one for each of the ``k`` most similar keyframes.
 
         Args:
-            view: A frame (its own pose is not looked at), or its features.
-            k: Keyframes to try.
+            view: A frame (its own pose is not used), or its features.
+            k: Number of keyframes to try.
 
         Returns:
-            Camera-to-world poses [4, 4] float64, the one on which most matches agree first; none if the place is
+            Camera-to-world poses [4, 4] float64, the one with most agreeing matches first; none if the place is
             unknown.
 
         Raises:
@@ -125,11 +125,11 @@ class KeyframeDatabase:
         return [T_WC for _, T_WC in sorted(found, key=lambda f: -f[0])]
 
     def compare(self, features: Features, row: int) -> RelativePose | None:
-        """Pose of the view relative to keyframe ``row``; None if too little agrees."""
+        """Pose of the view relative to keyframe ``row``; None if too few matches agree."""
         return relative_pose(self.camera, features, self.features[row])
 
     def state_dict(self) -> dict[str, Any]:
-        """Poses and features; the words follow from them."""
+        """Poses and features, from which the words are computed."""
         return {
             "index": list(self.index),
             "T_WC": torch.stack(self.T_WC) if self.T_WC else torch.zeros((0, 4, 4), dtype=torch.float64),
@@ -137,10 +137,10 @@ class KeyframeDatabase:
         }
 
     def load_state(self, state: dict[str, Any]) -> None:
-        """Take the keyframes of ``state_dict`` in place of the present ones.
+        """Replace the keyframes by those of ``state_dict``.
 
         Raises:
-            ValueError: columns of features that do not fit together, or a pose that cannot be one.
+            ValueError: Columns of features of different lengths, or a pose that is not a rigid transform.
         """
         self.index, self.T_WC, self.features, self._words = [], [], [], []
         self._frequency[:] = 0

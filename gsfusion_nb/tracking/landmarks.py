@@ -1,4 +1,4 @@
-"""Points that several keyframes see: found again by projection and Hamming distance (Peng et al. 2024, section 3.2)."""
+"""3D points seen by several keyframes, found again by projection and Hamming distance (Peng et al. 2024, sec. 3.2)."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -20,20 +20,20 @@ _BIT_COUNT = np.array([bin(byte).count("1") for byte in range(256)], np.uint8)
 NO_LANDMARK = -1
 
 SEARCH_SHARE = 0.05
-"""Landmarks are first searched within this share of the image's width of where a pose puts them, and then within a
-quarter of it, around the pose that they agree on."""
+"""Radius of the first search for a landmark around its predicted pixel, as a share of the image width; the second
+search, with the pose estimated from the first, uses a quarter of it."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Observations:
-    """Where keyframes see landmarks, one row per sighting."""
+    """Observations of landmarks by keyframes, one row each."""
 
     keyframe: Int[Tensor, " O"]
     landmark: Int[Tensor, " O"]
-    """Numbered 0..L-1 in this table."""
+    """Number of the landmark, 0..L-1 in this table."""
     uv: Float[Tensor, "O 2"]
     depth_m: Float[Tensor, " O"]
-    """0 where not measured."""
+    """Metres; 0 where not measured."""
     sigma_px: Float[Tensor, " O"]
     xyz_W: Float[Tensor, "L 3"]
     """Position of every landmark of the table, world frame, metres."""
@@ -45,8 +45,8 @@ class Observations:
 class Landmarks:
     """Tracks of features over the keyframes of ``database``.
 
-    Every feature with depth that no known landmark explains becomes a new one. Its position is kept in the camera of
-    the keyframe it was born in, so that a corrected pose moves it along.
+    Every feature with depth that matches no known landmark becomes a new one. Its position is stored in the camera
+    frame of its first keyframe, so that it moves with a correction of that keyframe's pose.
     """
 
     def __init__(self, database: KeyframeDatabase):
@@ -61,10 +61,10 @@ class Landmarks:
     def find(
         self, features: Features, T_WC: Float[Tensor, "4 4"], rows: list[int], radius_px: float
     ) -> Int[Tensor, "P 2"]:
-        """Landmarks seen from the keyframes ``rows`` that project near a feature and look like it.
+        """Landmarks seen from the keyframes ``rows`` that project near a feature with a similar descriptor.
 
-        A pair is each other's nearest descriptor among what lies within ``radius_px``, within 64 bits, and clearly
-        nearer than the landmark's second choice.
+        Both of a pair are each other's nearest descriptor within ``radius_px``, they differ in at most 64 bits, and
+        clearly less than the landmark's second best match.
 
         Returns:
             (feature row, landmark). [P, 2]
@@ -90,7 +90,7 @@ class Landmarks:
         return torch.from_numpy(np.stack([b[kept], landmark[a[kept]]], 1).astype(np.int64))
 
     def add(self, features: Features, pairs: Int[Tensor, "P 2"]) -> None:
-        """Take in the keyframe that ``database`` got last: known landmarks by ``pairs``, new ones for the rest."""
+        """Process the keyframe last added to ``database``: known landmarks by ``pairs``, new ones for the rest."""
         row = len(self.of_feature)
         of_feature = np.full(len(features), NO_LANDMARK, np.int32)
         of_feature[pairs[:, 0].numpy()] = pairs[:, 1].numpy()
@@ -110,7 +110,7 @@ class Landmarks:
         return torch.from_numpy(out)
 
     def points(self, features: Features, pairs: Int[Tensor, "P 2"], T_WR: Float[Tensor, "4 4"]) -> PointPairs:
-        """The ``pairs`` that ``find`` gave, as points in a reference camera and where the features see them."""
+        """The ``pairs`` from ``find``: points in a reference camera frame R, pixels and depth of the features."""
         seen = features[pairs[:, 0]]
         return PointPairs(
             xyz_R=se3.apply(se3.inverse(T_WR), self.positions(pairs[:, 1])),
@@ -120,7 +120,7 @@ class Landmarks:
         )
 
     def shared(self, row_a: int, row_b: int) -> Int[Tensor, "P 2"]:
-        """Features of two keyframes that are the same landmark: (feature of a, feature of b), both with depth in b."""
+        """Features of two keyframes that are the same landmark and have depth in b: (feature of a, feature of b)."""
         a, b = self.of_feature[row_a], self.of_feature[row_b]
         common, at_a, at_b = np.intersect1d(a, b, return_indices=True)
         at_a, at_b = at_a[common >= 0], at_b[common >= 0]
@@ -128,20 +128,20 @@ class Landmarks:
         return torch.from_numpy(np.stack([at_a[with_depth], at_b[with_depth]], 1).astype(np.int64))
 
     def observations(self, same: list[tuple[int, Tensor]], *, per_keyframe: int, min_views: int = 2) -> Observations:
-        """All sightings of landmarks with at least ``min_views`` keyframes, thinned out.
+        """Observations of landmarks that at least ``min_views`` keyframes see, reduced to ``per_keyframe`` of each.
 
         Args:
-            same: Loops: (keyframe, its features and the landmarks that they are as well [I, 2]). The landmarks the
-                features had so far are taken as one with those.
-            per_keyframe: About this many landmarks of each keyframe, those with the longest tracks.
-            min_views: Fewer sightings do not tie keyframes together.
+            same: Loops: (keyframe, pairs of feature and landmark [I, 2]). Each of these landmarks is merged with the
+                landmark that the feature belonged to before.
+            per_keyframe: About this many landmarks of each keyframe are used, those with the longest tracks.
+            min_views: Landmarks with fewer observations are left out.
         """
         views = self.database.features
         row = np.repeat(np.arange(len(views)), [len(f) for f in views])
         landmark = np.concatenate([np.zeros(0, np.int64), *self.of_feature]).astype(np.int64)
         known = (landmark >= 0).nonzero()[0]
         name = self._merged(same)[landmark[known]]
-        # One sighting per keyframe and landmark; two would be a wrong match or a merged neighbour.
+        # One observation per keyframe and landmark; two would be a wrong match or a merged neighbour.
         _, first = np.unique(name * (len(views) + 1) + row[known], return_index=True)
         sighting, name = known[first], name[first]
         length = np.bincount(name, minlength=len(self))[name]
@@ -170,17 +170,17 @@ class Landmarks:
         return {"of_feature": [torch.from_numpy(f) for f in self.of_feature], "birth": torch.from_numpy(self._birth)}
 
     def load_state(self, state: dict[str, Any]) -> None:
-        """Take the tracks of ``state_dict`` in place of the present ones; ``database`` must hold their keyframes.
+        """Replace the tracks by those of ``state_dict``; ``database`` must hold their keyframes.
 
         Raises:
-            ValueError: a landmark of a feature, or a feature of a landmark, that is not there.
+            ValueError: A feature names a landmark that does not exist, or a landmark names such a feature.
         """
         check_saved_landmarks(state, [len(features) for features in self.database.features])
         self.of_feature = [f.cpu().numpy() for f in state["of_feature"]]
         self._birth = state["birth"].cpu().numpy()
 
     def _seen_from(self, rows: list[int]) -> tuple[ndarray, ndarray]:
-        """Landmarks seen from the keyframes, each with the descriptor of its latest sighting."""
+        """Landmarks seen from the keyframes, each with the descriptor of its latest observation."""
         landmark = [np.zeros(0, np.int64)]
         descriptors = [np.zeros((0, 32), np.uint8)]
         for r in sorted(rows, reverse=True):
@@ -203,7 +203,7 @@ class Landmarks:
 
 
 def _clear_and_mutual(a: ndarray, b: ndarray, distance: ndarray) -> ndarray:
-    """Which of the candidate pairs are best on both sides, near enough, and clearly better than a's second choice."""
+    """Which candidate pairs are mutually best, close enough, and clearly better than the second best match of a."""
     order = np.lexsort((distance, a))
     a_sorted, d_sorted = a[order], distance[order]
     first = np.diff(a_sorted, prepend=-1) != 0

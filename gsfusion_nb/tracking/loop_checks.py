@@ -1,4 +1,4 @@
-"""Whether two views that look alike are the same place."""
+"""Checks whether two similar views show the same place."""
 
 import logging
 from dataclasses import dataclass
@@ -15,37 +15,37 @@ from .matching import RelativePose
 log = logging.getLogger(__name__)
 
 THUMBNAIL_PX = 64
-"""Width of the depth kept of each keyframe."""
+"""Width of the small depth image that is stored for each keyframe, pixels."""
 
 MIN_SHARE = 0.3
 """At least this share of the matches must agree on the pose."""
 
 MIN_CELLS = 4
-"""The agreeing features must lie in at least this many cells of a 4 x 4 grid over the image: not all on one poster."""
+"""The agreeing features must lie in at least this many cells of a 4 x 4 grid over the image, not all on one poster."""
 
 DEPTH_TOLERANCE = (0.05, 0.03)
-"""Two depths of one surface differ by less than 5 cm plus 3 %: noise, slopes between samples, a pose 1 degree off."""
+"""Depths of one surface differ by less than 5 cm plus 3 %: noise, slopes between samples, pose errors of 1 degree."""
 
 MIN_DEPTH_AGREEMENT = 0.7
 """At least this share of the pixels that are not hidden must show the same surface in both views."""
 
 MIN_DEPTH_PIXELS = 20
-"""With less overlap the depth cannot speak against a loop."""
+"""With fewer overlapping pixels the depth is not used to reject a loop."""
 
 DRIFT_M = 0.3
 DRIFT_DEG = 10.0
-"""A loop may always disagree with the trajectory by this much, and beyond by a share of the path in between."""
+"""A loop may disagree with the trajectory by this much, plus a share of the path in between."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Path:
-    """How far the camera went between two keyframes."""
+    """How far the camera moved and turned between two keyframes."""
 
     length_m: float
     turned_deg: float
 
     def allows(self, drift: Float[Tensor, "4 4"], share: float) -> bool:
-        """Whether the trajectory may have drifted so far: 0.3 m and 10 degrees plus ``share`` of the path."""
+        """Whether the drift is plausible: at most 0.3 m and 10 degrees plus ``share`` of the path."""
         metres = float(drift[:3, 3].norm())
         degrees = float(torch.rad2deg(se3.rotation_angle(drift[:3, :3])))
         return metres <= DRIFT_M + share * self.length_m and degrees <= DRIFT_DEG + share * self.turned_deg
@@ -54,14 +54,14 @@ class Path:
 def why_not_same_place(
     pose: RelativePose, features: Features, thumbnails: tuple[Tensor, Tensor], camera: Camera, min_inliers: int
 ) -> str:
-    """Why the two views are not the same place, from what they show; empty if nothing speaks against it.
+    """The reason why two views cannot show the same place; empty if there is none.
 
     Args:
         pose: Query relative to reference; the first column of its rows are features of the query.
-        features: Of the query.
-        thumbnails: Depth of query and reference, as ``depth_thumbnail`` makes it.
+        features: Features of the query.
+        thumbnails: Small depth images of query and reference, from ``depth_thumbnail``.
         camera: Intrinsics of the full images.
-        min_inliers: Matches that must agree.
+        min_inliers: Smallest number of matches that must agree.
     """
     agreeing = len(pose.rows)
     if agreeing < max(min_inliers, MIN_SHARE * pose.n_matches):
@@ -80,7 +80,7 @@ def why_not_same_place(
 
 
 def depth_thumbnail(depth_m: Float[Tensor, "H W"]) -> Float[Tensor, "h w"]:
-    """About 64 pixels wide, each the depth of one pixel in the middle of its cell."""
+    """A depth image about 64 pixels wide; each pixel is the depth in the middle of its cell, metres."""
     step = max(1, depth_m.shape[1] // THUMBNAIL_PX)
     return depth_m[step // 2 :: step, step // 2 :: step].cpu().clone()
 
@@ -88,12 +88,12 @@ def depth_thumbnail(depth_m: Float[Tensor, "H W"]) -> Float[Tensor, "h w"]:
 def depth_agreement(
     camera: Camera, depth_a: Float[Tensor, "h w"], depth_b: Float[Tensor, "h w"], T_BA: Float[Tensor, "4 4"]
 ) -> tuple[float, int]:
-    """Share of a's pixels whose point lies on b's surface, among those that b sees at or in front of its surface.
+    """Share of a's pixels whose point lies on b's surface, among those that lie on it or in front of it.
 
-    Points behind b's surface are hidden and say nothing, unless they are the majority.
+    Points behind b's surface are hidden and are not counted, unless they are the majority.
 
     Returns:
-        Share, and the number of pixels it is a share of.
+        Share, and the number of pixels that were counted.
     """
     height, width = depth_a.shape
     small = camera.resized(width, height)

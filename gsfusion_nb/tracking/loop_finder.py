@@ -1,4 +1,4 @@
-"""Which earlier keyframes show the same place as a new one, and from where."""
+"""Finds earlier keyframes that show the same place as a new one, and the relative poses."""
 
 import logging
 from collections.abc import Iterator
@@ -17,10 +17,10 @@ from .matching import RelativePose, refine_pose
 log = logging.getLogger(__name__)
 
 CANDIDATES = 3
-"""Loops are sought among this many of the most similar keyframes and the one whose pose is nearest."""
+"""Loops are searched in this many of the most similar keyframes and in the one whose pose is nearest."""
 
 AROUND = 2
-"""A loop uses the landmarks of this many keyframes before and after the one it leads to."""
+"""A loop uses the landmarks of this many keyframes before and after the earlier keyframe."""
 
 
 class LoopFinder:
@@ -32,11 +32,11 @@ class LoopFinder:
         """Small depth images of the keyframes, in the order of the database."""
 
     def add(self, depth_m: Float[Tensor, "H W"]) -> None:
-        """Take in the keyframe that ``database`` got last."""
+        """Add the depth of the keyframe last added to ``database``."""
         self.thumbnails.append(depth_thumbnail(depth_m))
 
     def loops(self, row: int) -> Iterator[tuple[int, RelativePose]]:
-        """Earlier keyframes at the place of keyframe ``row``, each with the pose of ``row`` relative to it."""
+        """Earlier keyframes that see the same place as keyframe ``row``, each with the relative pose."""
         for earlier in self._candidates(row):
             pose = self._pose(row, earlier)
             if pose is not None and self._is_true(row, earlier, pose):
@@ -51,13 +51,13 @@ class LoopFinder:
         return rows if near in rows else [*rows, near]
 
     def _nearest_view(self, row: int, before: int) -> int:
-        """The earlier keyframe whose view is nearest by pose: 0.5 m count as much as 45 degrees."""
+        """The earlier keyframe with the nearest pose, where 0.5 m counts as much as 45 degrees."""
         step = se3.inverse(self.database.T_WC[row]) @ torch.stack(self.database.T_WC[:before])
         distance = step[:, :3, 3].norm(dim=1) / 0.5 + torch.rad2deg(se3.rotation_angle(step[:, :3, :3])) / 45.0
         return int(distance.argmin())
 
     def _pose(self, row: int, earlier: int) -> RelativePose | None:
-        """Pose of one keyframe relative to another: from their features, then with all landmarks around the other."""
+        """Pose of one keyframe relative to another: from their features, then from all landmarks around the other."""
         features, camera = self.database.features[row], self.database.camera
         pose = self.database.compare(features, earlier)
         if pose is None or len(pose.rows) < self.config.loop_min_inliers:

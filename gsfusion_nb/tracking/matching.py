@@ -1,4 +1,4 @@
-"""Which features of two images are the same point, and the relative pose that follows."""
+"""Matching features of two images, and the relative pose that follows from them."""
 
 from dataclasses import dataclass
 
@@ -16,39 +16,39 @@ MAX_HAMMING = 64
 """Descriptors that differ in more of their 256 bits are not the same point."""
 
 RATIO = 0.8
-"""The second best match must be clearly worse (Lowe 2004): this is what rejects repeated texture."""
+"""Largest ratio of best to second best distance (Lowe 2004); it rejects repeated texture."""
 
 RANSAC_PX = 4.0
-"""Reprojection error that RANSAC accepts, before the test in standard deviations."""
+"""Largest reprojection error that RANSAC accepts, pixels, before the test in standard deviations."""
 
 RANSAC_ROUNDS = 150
-"""With 30 % true matches, three of which make a pose, 150 draws fail in 2 % of the cases."""
+"""Number of random draws. A pose needs three true matches; if 30 % are true, 150 draws fail in 2 % of the cases."""
 
 MIN_PAIRS = 8
-"""Fewer matches do not make a pose."""
+"""Smallest number of matches for a pose."""
 
 GATE_CHI2 = 9.21
-"""A point agrees if its two pixel errors, squared and in standard deviations, sum to less (99 %)."""
+"""A point agrees if the squares of its two pixel errors, in standard deviations, sum to less (99 %)."""
 
 GATE_DEPTH = 3.0
-"""... and its depth differs by less than this many standard deviations."""
+"""A point agrees if its depth error, in standard deviations, is also less than this."""
 
 _CAUCHY = 2.4
-"""Errors beyond this many standard deviations lose weight (95 % efficiency on Gaussian errors)."""
+"""Larger errors, in standard deviations, get less weight (95 % efficiency for Gaussian errors)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PointPairs:
-    """Points known in a reference camera, and where the query camera sees them. One row each, float64."""
+    """3D points in a reference camera frame, and their pixels in the query image. One row each, float64."""
 
     xyz_R: Float[Tensor, "P 3"]
     """Reference camera frame, metres."""
     uv: Float[Tensor, "P 2"]
-    """Seen there in the query image, pixels."""
+    """Position in the query image, pixels."""
     depth_m: Float[Tensor, " P"]
-    """Measured at that pixel, metres; 0 where it is not."""
+    """Measured depth at that pixel, metres; 0 where there is none."""
     sigma_px: Float[Tensor, " P"]
-    """Standard deviation of ``uv``, together with that of the reference's own pixel."""
+    """Standard deviation of ``uv``, with that of the reference pixel included, pixels."""
 
     @staticmethod
     def of(query: Features, reference: Features, rows: Int[Tensor, "P 2"]) -> "PointPairs":
@@ -65,7 +65,7 @@ class PointPairs:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RelativePose:
-    """Where the query camera is, seen from the reference camera."""
+    """Pose of the query camera relative to the reference camera."""
 
     T_RQ: Float[Tensor, "4 4"]
     """Query camera to reference camera, float64."""
@@ -74,7 +74,7 @@ class RelativePose:
     rows: Int[Tensor, "I 2"]
     """The matches that agree: (query row, reference row)."""
     n_matches: int
-    """How many there were before the geometric test."""
+    """Number of matches before the geometric test."""
 
 
 def match_features(query: Features, reference: Features) -> Int[Tensor, "P 2"]:
@@ -104,15 +104,15 @@ def _nearest(a: ndarray, b: ndarray, k: int) -> tuple[ndarray, ndarray]:
 
 
 def relative_pose(camera: Camera, query: Features, reference: Features) -> RelativePose | None:
-    """Pose between two views of the same place, from their features alone; None if too little agrees.
+    """Pose between two views of the same place, from their features alone; None if too few matches agree.
 
-    Matches, then RANSAC over poses from three points (OpenCV), then least squares over what agrees in pixels and, where
-    both have it, in depth.
+    Matches, then RANSAC over poses from three points (OpenCV), then least squares over the errors of the agreeing
+    matches in pixels and, where both have depth, in depth.
 
     Args:
-        camera: Intrinsics of both.
-        query: Features of the view whose pose is sought.
-        reference: Features of the view it is sought against.
+        camera: Intrinsics of both views.
+        query: Features of the view whose pose is estimated.
+        reference: Features of the reference view.
 
     Differentiable: no.
     """
@@ -131,17 +131,17 @@ def refine_pose(
     """Least squares over pixel and depth errors with Cauchy weights; None if fewer than ``MIN_PAIRS`` agree.
 
     With y = T_RQ^-1 x the point in the query camera, the errors in standard deviations are the two of its pixel and
-    (y_z - z) / sigma_z, sigma_z^2 = (1.6e-3 y_z^2)^2 + (1.6e-3 x_z^2)^2 + (sigma_px y_z / f)^2: the last term is what a
-    surface at 45 degrees makes of an error of the pixel.
+    (y_z - z) / sigma_z, sigma_z^2 = (1.6e-3 y_z^2)^2 + (1.6e-3 x_z^2)^2 + (sigma_px y_z / f)^2; the last
+    term is the depth error that an error of the pixel causes on a surface at 45 degrees.
 
     Args:
         camera: Intrinsics of the query view.
-        pairs: Points and where they are seen.
-        T_RQ: Where to start, query camera to reference camera. [4, 4]
-        rows: Kept for those that agree, as ``RelativePose.rows``. [P, 2]
+        pairs: Points and their pixels.
+        T_RQ: Starting pose, query camera to reference camera. [4, 4]
+        rows: The matches; those that agree are returned as ``RelativePose.rows``. [P, 2]
 
     Returns:
-        Pose, information, rows that agree.
+        Pose, information matrix and the matches that agree.
     """
     T = T_RQ.double()
     H = torch.eye(6, dtype=torch.float64)
@@ -153,7 +153,7 @@ def refine_pose(
         T = T @ se3.exp(torch.cat([step[3:], step[:3]]))
         if float(step.abs().max()) < 1e-7:
             break
-    agrees = agreement(camera, pairs, T)
+    agrees = is_inlier(camera, pairs, T)
     if int(agrees.sum()) < MIN_PAIRS or not bool(torch.isfinite(T).all()):
         return None
     return RelativePose(T_RQ=T, information=H, rows=rows[agrees], n_matches=len(rows))
@@ -164,8 +164,8 @@ def pose_errors(
 ) -> tuple[Float[Tensor, "P 3"], Float[Tensor, "P 3 6"]]:
     """Pixel and depth errors in standard deviations (see ``refine_pose``), and their derivative.
 
-    The derivative is by xi in T_RQ exp(xi), rotation first: y = T_RQ^-1 x moves by dy = [y]x dw - dv. Rows behind the
-    camera, and depth errors without a depth, are zero.
+    The derivative is with respect to xi in T_RQ exp(xi), rotation first: y = T_RQ^-1 x moves by
+    dy = [y]x dw - dv. Rows behind the camera, and depth errors without a depth, are zero.
 
     Returns:
         Errors [P, 3] and Jacobian [P, 3, 6].
@@ -188,7 +188,7 @@ def pose_errors(
     return error, by_y @ dy
 
 
-def agreement(camera: Camera, pairs: PointPairs, T_RQ: Float[Tensor, "4 4"]) -> Tensor:
+def is_inlier(camera: Camera, pairs: PointPairs, T_RQ: Float[Tensor, "4 4"]) -> Tensor:
     """Which rows agree with the pose: in front, pixels within 99 %, depth (where known) within 3 sigma. [P]"""
     error, _ = pose_errors(camera, pairs, T_RQ)
     ahead = se3.apply(se3.inverse(T_RQ), pairs.xyz_R)[:, 2] > 0.05
@@ -207,7 +207,7 @@ def _ransac(camera: Camera, pairs: PointPairs) -> Float[Tensor, "4 4"] | None:
     found, rotation, translation, inliers = cv2.solvePnPRansac(
         pairs.xyz_R.numpy(),
         pairs.uv.numpy(),
-        camera.K.numpy(),  # pixels and K share our convention, whichever it is
+        camera.K.numpy(),  # pixels and K use the same convention
         None,
         iterationsCount=RANSAC_ROUNDS,
         reprojectionError=RANSAC_PX,

@@ -28,9 +28,9 @@ class IcpSystem:
     sum_weights: float
     """sum w."""
     n_inliers: int
-    """Correspondences that passed the gates."""
+    """Number of correspondences within the limits of distance and angle."""
     n_overlap: int
-    """Pixels of the frame that fall on known pixels of the surface. Only they can tell anything about the pose."""
+    """Number of pixels of the frame that fall on known pixels of the surface, which alone give information."""
 
     @property
     def rms_m(self) -> float:
@@ -40,10 +40,10 @@ class IcpSystem:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Correspondences:
-    """The point of each pixel of the frame, and the point of the surface at the pixel that it falls on.
+    """The point of each pixel of the frame, and the point of the surface at the pixel that it projects to.
 
-    Points are relative to the centre of the surface's camera, along the axes of the world. Rotations are then about
-    that camera, however far the world's origin is.
+    Points are relative to the centre of the surface's camera, along the axes of the world, so that rotations are about
+    that camera and not about a world origin that may be far away.
     """
 
     xyz: Float[Tensor, "H W 3"]
@@ -52,20 +52,20 @@ class Correspondences:
     """Point of the surface, metres."""
     surface_normal: Float[Tensor, "H W 3"]
     overlap: Bool[Tensor, "H W"]
-    """Both have depth."""
+    """Whether both have depth."""
     inlier: Bool[Tensor, "H W"]
-    """Both also agree within the gates."""
+    """Whether both also agree within the limits of distance and angle."""
 
 
 def point_to_plane(
     xyz: Float[Tensor, "N 3"], surface_xyz: Float[Tensor, "N 3"], surface_normal: Float[Tensor, "N 3"]
 ) -> tuple[Float[Tensor, " N"], Float[Tensor, "N 6"]]:
-    """Residual  r = n . (p - q)  and its derivative by a twist xi (translation first) with  p <- exp(xi) p.
+    """Residual  r = n . (p - q)  and its derivative with respect to a twist xi (translation first), p <- exp(xi) p.
 
     dp = rho + omega x p, so  dr/dxi = [n, p x n].
 
     Returns:
-        r, metres, and J.
+        r, metres [N], and J [N, 6].
 
     Differentiable: yes, through torch. Source: Peng et al. 2024, Eq. 10; Chen & Medioni 1992.
     """
@@ -80,11 +80,11 @@ def associate(
     """Projective association: every point of the frame is compared with the surface at the pixel it projects into.
 
     Args:
-        level: The frame.
-        T_WC: Its supposed pose.
-        surface: Where to look.
-        max_distance_m: Points farther apart do not correspond.
-        min_cosine: Nor do points whose normals are at an angle with a smaller cosine.
+        level: A pyramid level of the frame.
+        T_WC: Estimate of its camera-to-world pose. [4, 4]
+        surface: The surface.
+        max_distance_m: Largest distance of corresponding points, metres.
+        min_cosine: Smallest cosine of the angle between the normals of corresponding points.
 
     Differentiable: no. Source: Blais & Levine 1995; Newcombe et al. 2011.
     """
@@ -123,8 +123,8 @@ def about_the_surface(
 def depth_weight(depth_m: Float[Tensor, "*N"], even_to_m: float | None) -> Float[Tensor, "*N"]:
     """Weight of a measurement at depth z: min(1, (even_to / z)^4), or 1 without a limit.
 
-    The deviation of a structured-light camera grows with z^2 (Khoshelham & Elberink 2012); its calibration errs in the
-    same way. Eq. 10 has no weights.
+    The standard deviation of a structured-light camera grows with z^2 (Khoshelham & Elberink 2012), and so does its
+    calibration error. Eq. 10 has no weights.
     """
     if even_to_m is None:
         return torch.ones_like(depth_m)
@@ -140,7 +140,7 @@ def check_icp(
     min_cosine: float,
     even_to_m: float | None = None,
 ) -> None:
-    """Raise ``ValueError`` for what ``icp_system`` does not take."""
+    """Raise ``ValueError`` for arguments that ``icp_system`` refuses."""
     for name, kind, value in (("level", DepthLevel, level), ("surface", Surface, surface)):
         if not isinstance(value, kind):
             raise ValueError(f"{name} must be a {kind.__name__}, got {type(value).__name__}")
@@ -172,7 +172,7 @@ def icp_system(
 ) -> IcpSystem:
     """Normal equations of the point-to-plane error about the pose ``T_WC``.
 
-    The twist turns and moves the frame in the world's axes about the centre o of the surface's camera:
+    The twist rotates and moves the frame in the world's axes about the centre o of the surface's camera:
     ``T_WC <- shift(o) exp(xi) shift(-o) T_WC``.
 
     Args:

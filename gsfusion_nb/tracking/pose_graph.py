@@ -1,4 +1,4 @@
-"""Least squares over the keyframes' poses: relative poses, and the landmarks that tie them together (GTSAM).
+"""Least squares over the keyframes' poses, from relative poses and from landmarks (GTSAM).
 
 Units: metres, radians, pixels. A relative pose's information is the inverse covariance of xi in T_ij exp(xi), rotation
 first (1/rad^2), then translation (1/m^2); GTSAM orders a pose's tangent in the same way.
@@ -19,27 +19,27 @@ from .features import DEPTH_SIGMA_PER_M
 from .landmarks import Observations
 
 LOOP_CAUCHY = 2.0
-"""A loop whose error is this many standard deviations has half its weight; at 100 it has almost none. With 1 the only
-loop after a long drift was left open in 2 of 10 cases, with 2 in none: closing it must cost less than leaving it."""
+"""A loop whose error is this many standard deviations has half its weight; at 100 almost none. With 1 the only loop
+after a long drift was not closed in 2 of 10 cases, with 2 in none."""
 
 TRACK_HUBER = 3.0
-"""Errors of relative poses between neighbours grow linearly, not quadratically, from this many standard deviations: a
-front end may slip once."""
+"""Larger errors of relative poses between neighbours, in standard deviations, count linearly instead of quadratically,
+because the front end may slip once."""
 
 SIGHTING_CAUCHY = 2.4
-"""... and those of sightings lose weight (95 % efficiency on Gaussian errors)."""
+"""Larger errors of landmark observations, in standard deviations, get less weight (95 % efficiency)."""
 
 ODOMETRY_FLOOR = (0.05, 0.002)
-"""Standard deviation, degrees and metres, that no front end is trusted beyond."""
+"""Smallest standard deviation that is assumed for the front end, degrees and metres."""
 
 MIN_STEPS = 10
-"""Fewer steps measured twice do not tell how precise the front end is."""
+"""Steps measured by both front end and landmarks that are needed to estimate the precision of the front end."""
 
 _HALVES = (slice(0, 3), slice(3, 6))
-"""Rotation and translation in a tangent."""
+"""Rotation and translation in a tangent vector."""
 
 _LANDMARK_KEYS = 10_000_000
-"""Keys below are poses."""
+"""Smaller keys are poses."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -60,7 +60,7 @@ class Optimised:
     """Poses that fit the graph best."""
 
     T_WC: Float[Tensor, "K 4 4"]
-    """float64; the first is where it was."""
+    """float64; the first pose does not change."""
     error_before: float
     """Half the sum of (robust) squared errors in standard deviations, at the start ..."""
     error_after: float
@@ -71,7 +71,7 @@ def require_gtsam() -> Any:
     """The module ``gtsam``.
 
     Raises:
-        ImportError: it is not installed; says how to get it.
+        ImportError: it is not installed; the message says how to install it.
     """
     try:
         import gtsam
@@ -83,7 +83,7 @@ def require_gtsam() -> Any:
 
 
 def odometry_information(sigma_deg: float, sigma_m: float) -> Float[Tensor, "6 6"]:
-    """Information of a relative pose whose axes have these standard deviations; rotation first."""
+    """Information matrix of a relative pose with these standard deviations along each axis; rotation first."""
     sigma = torch.tensor([np.radians(sigma_deg)] * 3 + [sigma_m] * 3, dtype=torch.float64)
     return torch.diag(sigma**-2)
 
@@ -91,22 +91,22 @@ def odometry_information(sigma_deg: float, sigma_m: float) -> Float[Tensor, "6 6
 def with_floor(information: Float[Tensor, "6 6"], sigma_deg: float, sigma_m: float) -> Float[Tensor, "6 6"]:
     """Information after adding these standard deviations to the covariance.
 
-    Hundreds of features promise a tenth of a millimetre, but their errors are not independent of one another.
+    Hundreds of features would give a tenth of a millimetre if their errors were independent, which they are not.
     """
     floor = torch.linalg.inv(odometry_information(sigma_deg, sigma_m))
     return torch.linalg.inv(torch.linalg.inv(information) + floor)
 
 
 def fit_odometry(edges: list[Edge]) -> list[Edge]:
-    """The edges, those of the front end with the precision that they show against the landmarks.
+    """The edges, where those of the front end get the precision that a comparison with the landmarks shows.
 
     The difference of two measurements of one step has the sum of their variances. With d its components over all steps
     that both have measured, for a Gaussian  median(d^2) = 0.455 var(d), so
 
         sigma_odometry^2 = median(d^2) / 0.455 - median(sigma_landmarks^2),
 
-    for rotation and translation each, not below ``ODOMETRY_FLOOR`` and not above what the edges came with: a precise
-    front end is not pulled about by its landmarks. With fewer than ``MIN_STEPS`` such steps, nothing changes.
+    for rotation and translation each, not below ``ODOMETRY_FLOOR`` and not above the given value, so that landmarks do
+    not make a precise front end worse. With fewer than ``MIN_STEPS`` such steps, nothing changes.
     """
     steps = {e.j: e for e in edges if e.kind == "odometry"}
     both = [(steps[e.j], e) for e in edges if e.kind == "landmarks" and e.j in steps and e.i == steps[e.j].i]
@@ -128,17 +128,17 @@ def edge_error(edge: Edge, T_WC: Float[Tensor, "K 4 4"]) -> float:
 
 
 def optimise_poses(T_WC: Float[Tensor, "K 4 4"], edges: list[Edge], *, iterations: int = 50) -> Optimised:
-    """Poses that agree best with the relative poses, the first one held.
+    """Poses that agree best with the relative poses; the first pose is fixed.
 
     minimise  sum rho(|log(T_ij^-1 T_i^-1 T_j)|_information), with rho Huber for steps between neighbours and Cauchy
-    for loops: a false loop contradicts all others and loses its weight. Levenberg-Marquardt, from where the poses are
-    and from where all loops taken at their word would put them: after a long drift the first true loop is far off too.
-    The lower of the two minima is taken.
+    for loops: a false loop contradicts all others and loses its weight. Levenberg-Marquardt is started twice, from the
+    present poses and from the optimum without robust weights of loops, because after a long drift also the first true
+    loop has a large error. The lower of the two minima is used.
 
     Args:
-        T_WC: Where to start, camera-to-world. [K, 4, 4]
-        edges: Relative poses; every keyframe must hang together with the first one.
-        iterations: Most steps.
+        T_WC: Camera-to-world poses to start from. [K, 4, 4]
+        edges: Relative poses; every keyframe must be connected with the first one.
+        iterations: Largest number of steps.
 
     Raises:
         ImportError: without GTSAM.
@@ -162,18 +162,18 @@ def optimise_landmarks(
     *,
     iterations: int = 20,
 ) -> Optimised:
-    """Poses and landmark positions that agree best with every sighting and with ``edges``; the first pose held.
+    """Poses and landmark positions that agree best with all observations and with ``edges``; the first pose is fixed.
 
-    A sighting with depth z counts as the stereo pair (u, u - f b / z, v) of a camera with baseline b = 1 m. Its
-    covariance is s^2 for u and v and (f b 1.6e-3)^2 for the disparity: the depth's 1.6e-3 z^2, whatever z. A sighting
-    without depth counts as (u, v). Cauchy weights.
+    An observation with depth z counts as the stereo pair (u, u - f b / z, v) of a camera with baseline b = 1 m. Its
+    covariance is s^2 for u and v and (f b 1.6e-3)^2 for the disparity, which is a depth error of 1.6e-3 z^2 at any z.
+    An observation without depth counts as (u, v). Errors get Cauchy weights.
 
     Args:
         camera: Intrinsics of all keyframes.
-        T_WC: Where to start. [K, 4, 4]
-        seen: Sightings and the landmarks' starting positions.
-        edges: Relative poses besides, such as the front end's.
-        iterations: Most steps.
+        T_WC: Camera-to-world poses to start from. [K, 4, 4]
+        seen: Observations, and the landmarks' starting positions.
+        edges: Further relative poses, such as those of the front end.
+        iterations: Largest number of steps.
 
     Raises:
         ImportError: without GTSAM.
@@ -245,7 +245,7 @@ def _add_sightings(gtsam: Any, graph: Any, camera: Camera, seen: Observations) -
 
 
 def _sighting_noise(gtsam: Any, camera: Camera, sigma_px: float, with_depth: bool) -> Any:
-    """Covariance of (u, u - d, v): u and d err independently, so the first two are correlated."""
+    """Noise of (u, u - d, v): the errors of u and d are independent, so the first two are correlated."""
     s2, d2 = sigma_px**2, (camera.fx * DEPTH_SIGMA_PER_M) ** 2
     covariance = np.array([[s2, s2, 0], [s2, s2 + d2, 0], [0, 0, s2]]) if with_depth else np.eye(2) * s2
     noise = gtsam.noiseModel.Gaussian.Covariance(covariance)

@@ -1,4 +1,4 @@
-"""A depth frame made ready for ICP: unusable pixels dropped, reduced to several sizes, with normals."""
+"""Preparation of a depth frame for ICP: several sizes, with normals, without unusable pixels."""
 
 from dataclasses import dataclass
 
@@ -11,11 +11,11 @@ from ..geometry import depth_to_normals, pixel_grid, rays
 from ..types import Camera
 
 GRAZING_COSINE = 0.2
-"""A surface seen flatter than this (78 degrees) is dropped: its depth error is the largest, and five times that along
-the surface (released code of Peng et al. 2024)."""
+"""Surfaces at a more grazing angle (cosine below this, 78 degrees) are left out: their depth errors are largest, and
+five times larger along the surface (released code of Peng et al. 2024)."""
 
 BLOCK_JUMP = 0.05
-"""Pixels of a block farther than this share from the block's median lie on another surface."""
+"""Pixels of a block whose depth differs from the block's median by more than this share lie on another surface."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -26,7 +26,7 @@ class DepthLevel:
     """One pixel stands for ``factor`` x ``factor`` of the frame's."""
     camera: Camera
     depth_m: Float[Tensor, "H W"]
-    """z-depth, metres; 0 where there is none, or where ICP is not to use it."""
+    """z-depth, metres; 0 where there is none, or where ICP does not use it."""
     normal_C: Float[Tensor, "H W 3"]
     """Unit normals that face the camera, camera frame; 0 where they are not known."""
 
@@ -45,7 +45,7 @@ def depth_pyramid(depth_m: Float[Tensor, "H W"], camera: Camera, factors: tuple[
     depth_m = torch.where(torch.isfinite(depth_m) & (depth_m > 0), depth_m, 0.0)
     reduced = {1: depth_m}
     for factor in sorted(set(factors)):
-        finer = max(f for f in reduced if factor % f == 0)  # of a reduced image there is less to look through
+        finer = max(f for f in reduced if factor % f == 0)  # reducing an already reduced image is faster
         reduced[factor] = reduce_depth(reduced[finer], factor // finer)
     return [_level(reduced[factor], reduced_camera(camera, factor), factor) for factor in factors]
 
@@ -64,7 +64,7 @@ def _level(depth_m: Tensor, camera: Camera, factor: int) -> DepthLevel:
 
 
 def reduced_camera(camera: Camera, factor: int) -> Camera:
-    """The view with pixels ``factor`` times as large; the last ones reach beyond an image that it does not divide."""
+    """The camera with pixels ``factor`` times as large; the last ones may reach beyond the image."""
     return Camera(
         width=-(-camera.width // factor),
         height=-(-camera.height // factor),
@@ -76,11 +76,11 @@ def reduced_camera(camera: Camera, factor: int) -> Camera:
 
 
 def reduce_depth(depth_m: Float[Tensor, "H W"], factor: int) -> Float[Tensor, "h w"]:
-    """Harmonic mean of each block's pixels that lie on the surface of its median; missing where under half have depth.
+    """Harmonic mean of each block's pixels on the surface of its median; missing where less than half have depth.
 
-    On a plane 1 / z is linear in the pixel, so this is the plane's depth at the block's centre, and of a stereo or
-    structured-light camera it is 1 / z whose noise is even. The maximum, which the released code takes, moves every
-    slanted surface back; a mean over a depth edge is a point in mid-air.
+    On a plane 1 / z is linear in the pixel, so this is the plane's depth at the block's centre. The noise of 1 / z of a
+    stereo or structured-light camera is also the same at all depths. The maximum, which the released code uses, moves
+    slanted surfaces back; a mean across a depth edge would be a point in mid-air.
     """
     if factor == 1:
         return depth_m

@@ -1,4 +1,4 @@
-"""What the tracking may find in a checkpoint: numbers that fit together, and rows that are there."""
+"""Checks of the tracking state in a checkpoint: sizes that fit together, and indices that exist."""
 
 from typing import Any
 
@@ -16,7 +16,7 @@ def check_saved_pose(name: str, T: Tensor) -> None:
 
 
 def check_saved_features(name: str, features: dict[str, Tensor]) -> None:
-    """Raise ``ValueError`` unless the columns are those of features, of one length."""
+    """Raise ``ValueError`` unless the columns are those of features and have one length."""
     check_saved(f"uv of {name}", features["uv"], ("M", 2))
     n = len(features["uv"])
     check_saved(f"descriptors of {name}", features["descriptors"], (n, 32), torch.uint8)
@@ -26,11 +26,11 @@ def check_saved_features(name: str, features: dict[str, Tensor]) -> None:
 
 
 def check_saved_landmarks(state: dict[str, Any], n_features: list[int]) -> None:
-    """Raise ``ValueError`` for a landmark of a feature, or a feature of a landmark, that is not there.
+    """Raise ``ValueError`` if a feature names a landmark that does not exist, or a landmark such a feature.
 
     Args:
-        state: Of ``Landmarks.state_dict``.
-        n_features: Of each keyframe.
+        state: From ``Landmarks.state_dict``.
+        n_features: Number of features of each keyframe.
     """
     birth = state["birth"]
     check_saved("birth of the landmarks", birth, ("L", 2), torch.int32)
@@ -41,16 +41,16 @@ def check_saved_landmarks(state: dict[str, Any], n_features: list[int]) -> None:
     row, feature = birth.long().unbind(1)
     known = (row >= 0) & (row < len(n_features))
     if not bool(known.all()) or bool(((feature < 0) | (feature >= torch.tensor(n_features or [0])[row])).any()):
-        raise ValueError("the birth of a landmark must be a feature of a keyframe")
+        raise ValueError("the first observation of a landmark must be a feature of a keyframe")
 
 
 def check_saved_back_end(state: dict[str, Any], n_features: list[int], n_landmarks: int) -> None:
-    """Raise ``ValueError`` for edges or loops of what is not there, or poses that cannot be any.
+    """Raise ``ValueError`` for edges or loops between keyframes that do not exist, or poses that are not rigid.
 
     Args:
-        state: Of ``BackEnd.state_dict``.
-        n_features: Of each keyframe.
-        n_landmarks: Known landmarks.
+        state: From ``BackEnd.state_dict``.
+        n_features: Number of features of each keyframe.
+        n_landmarks: Number of known landmarks.
     """
     n = len(n_features)
     for edge in state["edges"]:
@@ -60,7 +60,7 @@ def check_saved_back_end(state: dict[str, Any], n_features: list[int], n_landmar
         check_saved("landmarks of a loop", pairs, ("I", 2), torch.int64)
         limits = torch.tensor([n_features[row], n_landmarks])
         if len(pairs) and bool(((pairs < 0) | (pairs >= limits)).any()):
-            raise ValueError("a loop must be of features and landmarks that are there")
+            raise ValueError("a loop must name features and landmarks that exist")
     if len(state["loops"]) != sum(edge["kind"] == "loop" for edge in state["edges"]):
         raise ValueError("there must be one edge for each loop")
     for name in ("thumbnails", "as_added", "as_tracked"):
@@ -78,4 +78,4 @@ def _check_edge(edge: dict[str, Any], n: int) -> None:
     check_saved_pose("T_ij of an edge", edge["T_ij"])
     check_saved("information of an edge", edge["information"], (6, 6), torch.float64)
     if edge["kind"] not in ("odometry", "landmarks", "loop"):
-        raise ValueError(f"an edge must be of odometry, landmarks or a loop, got {shown(edge['kind'])}")
+        raise ValueError(f"the kind of an edge must be odometry, landmarks or loop, got {shown(edge['kind'])}")

@@ -1,4 +1,4 @@
-"""One damped Gauss-Newton step that leaves alone what the scene does not determine."""
+"""One damped Gauss-Newton step, only along the directions of motion that the scene determines."""
 
 from dataclasses import dataclass
 
@@ -12,13 +12,13 @@ from .normal_equations import IcpSystem
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Extent:
-    """Where the points of a frame lie: a twist about their middle, with rotations in units of their spread, has six
-    parts that all mean metres of surface motion (Gelfand et al. 2003)."""
+    """Mean and spread of the points of a frame: in a twist about the mean, with rotations times the spread, all six
+    components are metres of surface motion (Gelfand et al. 2003)."""
 
     centre: Float[Tensor, " 3"]
     """Mean of the points, in the frame of the twist, metres; float64."""
     spread_m: float
-    """Root mean square distance from it."""
+    """Root mean square distance from the mean, metres."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -28,25 +28,25 @@ class Step:
     xi: Float[Tensor, " 6"]
     """Twist, translation first, float64."""
     length_m: float
-    """How far it moves the surface: its norm in the units of ``Extent``."""
+    """How far it moves the surface, metres: its norm in the units of ``Extent``."""
     eigenvalues: Float[Tensor, " 6"]
-    """Mean information of the six principal directions of motion, smallest first; they add up to about 2."""
+    """Mean information of the six principal directions of motion, smallest first; their sum is about 2."""
     degenerate: int
-    """How many of them the scene does not determine."""
+    """Number of these directions that the scene does not determine."""
 
 
 def solve_step(system: IcpSystem, extent: Extent, *, damping: float, min_eigenvalue: float) -> Step:
     """Minimise  |r + J xi|^2 + damping tr(H) |xi|^2  in the directions of motion that the scene determines.
 
-    The twist is first written about the middle of the points, xi = A y, so that the eigenvalues of A^T H A can be
-    compared. In directions e whose eigenvalue is below ``min_eigenvalue`` of the largest the step is 0: the pose keeps
-    what it started with there, the prior (solution remapping).
+    The twist is first written about the mean of the points, xi = A y, so that the eigenvalues of A^T H A can be
+    compared. In directions whose eigenvalue is below ``min_eigenvalue`` times the largest, the step is 0: there the
+    pose keeps its starting value, the prediction (solution remapping).
 
     Args:
         system: Normal equations H, b.
-        extent: Middle and spread of the points.
+        extent: Mean and spread of the points.
         damping: Share of the trace that is added to every eigenvalue.
-        min_eigenvalue: Share of the largest.
+        min_eigenvalue: Smallest eigenvalue of a determined direction, as a share of the largest.
 
     Differentiable: no. Source: Zhang, Kaess & Singh 2016, "On degeneracy of optimization-based state estimation".
     """

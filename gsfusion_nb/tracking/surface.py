@@ -1,4 +1,4 @@
-"""What ICP aligns a frame with: depth and normals of the model, rendered from a pose."""
+"""The surface that ICP aligns a frame with: depth and normals of the model, rendered from a pose."""
 
 import dataclasses
 from collections.abc import Callable
@@ -15,13 +15,13 @@ from ..types import Camera
 
 HYBRID_DEPTH_M = 0.01
 HYBRID_COSINE_GAP = 0.01
-"""Beyond this difference, metres, or 1 - cos of the normals' angle (8 degrees), a hybrid target takes the last frame's
+"""If depths (metres) or normals (1 - cosine; 8 degrees) differ by more than this, a hybrid target uses the last frame's
 own depth (released code of Peng et al. 2024)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Surface:
-    """The model as a camera sees it; it may have another size than the frames."""
+    """The model as a camera sees it; its image size may differ from that of the frames."""
 
     depth_m: Float[Tensor, "H W"]
     """z-depth, metres; 0 where there is none."""
@@ -31,7 +31,7 @@ class Surface:
     T_WC: Float[Tensor, "4 4"]
     """Pose that it was rendered from."""
     rgb: Float[Tensor, "H W 3"] | None = None
-    """Its colours, 0..1, if the model has any: a place found again must look right."""
+    """Its colours, 0..1, if the model has any; they verify the appearance after relocalisation."""
 
     def __post_init__(self):
         size = (self.camera.height, self.camera.width)
@@ -55,10 +55,10 @@ def tsdf_surface(volume: TsdfVolume) -> SurfaceSource:
 
 
 def smooth_normals(model: Surface) -> Surface:
-    """The same surface with each normal the mean of its 3x3 pixels: of a model that only noisy frames went into.
+    """The same surface with each normal averaged over 3x3 pixels, for models of few noisy frames.
 
-    The raycast of a TSDF that has seen one Kinect frame has normals 30 degrees off; averaged they agree with the next
-    frame's. Along edges the mean is of two surfaces, so a good model is better as it is.
+    The normals of a TSDF of one Kinect frame have errors of 30 degrees; averaged, they agree with those of the next
+    frame. Along edges the mean mixes two surfaces, so normals of a good model are better without it.
     """
     known = (model.normal_W != 0).any(dim=-1, keepdim=True)
     mean = torch.nn.functional.avg_pool2d(model.normal_W.permute(2, 0, 1), 3, stride=1, padding=1).permute(1, 2, 0)
@@ -67,10 +67,10 @@ def smooth_normals(model: Surface) -> Surface:
 
 
 def hybrid_surface(model: Surface, depth_m: Float[Tensor, "H W"]) -> Surface:
-    """The model where it agrees with the last frame, that frame's own depth elsewhere (released code).
+    """The model where it agrees with the last frame, and that frame's own depth elsewhere (released code).
 
     They agree where both have depth, the depths differ by at most 1 cm and the normals by at most 8 degrees. Normals
-    are taken anew from the mixed depth.
+    are computed from the mixed depth.
 
     Args:
         model: Rendered from the pose of the last frame, with its camera.

@@ -1,4 +1,4 @@
-"""A camera's path through a growing map: predict, align, check the fit, and search again when it is bad."""
+"""Camera tracking in a growing map: predict the pose, align it, check the fit, and try other starts if it is bad."""
 
 import dataclasses
 import time
@@ -22,19 +22,19 @@ from .tracking_report import TrackingReport
 
 WIDE_DISTANCE = 3.0
 WIDE_ANGLE_DEG = 60.0
-"""The wide start takes correspondences this many times farther apart and with normals at up to this angle: on the
-coarse levels it finds a pose that the ordinary gates then refine."""
+"""ICP from a wide start allows this many times the distance and normals at up to this angle: on the coarse levels it
+finds a pose that the usual limits then refine."""
 
 MAX_TIME_RATIO = 4.0
-"""The last motion is carried on for at most this many times the time that it took."""
+"""The last motion is extrapolated for at most this many times its duration."""
 
 
 class TrackingLostError(ValueError):
-    """No pose of this frame fits the model; the message says what was tried and by how much it failed."""
+    """No pose of this frame fits the model; the message lists what was tried and why it failed."""
 
 
 Relocaliser = Callable[[Frame], list[Tensor]]
-"""Poses ``T_WC`` [4, 4] that a frame may have by its appearance, the likeliest first."""
+"""Returns possible poses ``T_WC`` [4, 4] of a frame by its appearance, the most likely first."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -47,14 +47,14 @@ class _TrackedPose:
 
 @dataclass(frozen=True, eq=False)
 class _Start:
-    """What ICP starts from."""
+    """A starting pose of ICP."""
 
     name: str
     T_WC: Tensor
     wide: bool = False
-    """With wide gates first."""
+    """Use wide limits of distance and angle first."""
     smooth: bool = False
-    """The model's normals averaged over their neighbours."""
+    """Average the model's normals over their neighbours."""
     anywhere: bool = False
     """It may be far from the last pose."""
 
@@ -63,13 +63,13 @@ class Tracker:
     """Frame-to-model tracking (Peng et al. 2024, section 3.2, "Camera tracking").
 
     Args:
-        config: Levels, gates, prior, what counts as failure.
+        config: Pyramid levels, limits, prediction, and what counts as failure.
     """
 
     def __init__(self, config: TrackingConfig | None = None):
         self.config = config or TrackingConfig()
         self.n_lost = 0
-        """Frames that could not be tracked."""
+        """Number of frames that could not be tracked."""
         self.lost_in_a_row = 0
         self._last: _TrackedPose | None = None
         self._before: _TrackedPose | None = None
@@ -81,7 +81,7 @@ class Tracker:
 
     @property
     def standing(self) -> tuple[Any, ...]:
-        """Where the path stands: the last poses and what is kept of the last frame. To be put back, not to be read."""
+        """The state of the path (last poses and last frame), opaque to others, so that a step can be undone."""
         return self._last, self._before, self.lost_in_a_row, self._last_depth_m
 
     @standing.setter
@@ -89,26 +89,26 @@ class Tracker:
         self._last, self._before, self.lost_in_a_row, self._last_depth_m = standing
 
     def track(self, frame: Frame, surface: SurfaceSource, relocalise: Relocaliser = lambda frame: []) -> TrackingReport:
-        """Pose of the next frame. The first one's is taken from the data.
+        """Pose of the next frame. That of the first frame is taken from the data.
 
-        ICP starts from the predicted pose; if that fails from there with the model's normals smoothed, from the last
-        pose, from there with wide gates, and from the poses of ``relocalise``. Each start is aligned with the model as
-        rendered from it, and accepted by its fit.
+        ICP starts from the predicted pose. If that fails, it starts again from the predicted pose with smoothed
+        normals, from the last pose, from the last pose with wide limits, and from the poses of ``relocalise``. For each
+        start the frame is aligned with the model as rendered from it, and the result is accepted if it fits.
 
         Args:
             frame: Its ``T_WC`` is used only if it is the first.
-            surface: Renders the model; may be asked several times.
-            relocalise: Asked for poses by appearance when ICP has failed from all other starts.
+            surface: Renders the model; may be called several times.
+            relocalise: Called for poses by appearance when ICP has failed from all other starts.
 
         Raises:
-            TrackingLostError: no start led to a pose that fits. Only the counts of lost frames change, so that the next
-                frame is looked for again.
+            TrackingLostError: no start led to a pose that fits. Only the counts of lost frames change, so the next
+                frame is tried again.
         """
         seconds = {"preprocess": 0.0, "render": 0.0, "icp": 0.0}
         with _Clock(seconds, "preprocess"):
             levels = depth_pyramid(frame.depth_m, frame.camera, self.config.pyramid)
         if not any(bool((level.depth_m > 0).any()) for level in levels[-1:]):
-            raise self._lost(f"frame {frame.index} cannot be tracked: none of its pixels has usable depth")
+            raise self._lost(f"frame {frame.index} cannot be tracked: none of its pixels have usable depth")
         if self._last is None:
             check_pose(f"T_WC of frame {frame.index}", frame.T_WC)
             self._accept(frame, frame.T_WC.double().cpu(), moved=False)
@@ -130,7 +130,7 @@ class Tracker:
         raise self._lost(f"frame {frame.index} cannot be tracked: {'; '.join(failures)}")
 
     def correct(self, T_change: Float[Tensor, "4 4"]) -> None:
-        """The back end moved the end of the path: every pose T becomes ``T_change @ T``."""
+        """Apply a correction by the back end to the last poses: every pose T becomes ``T_change @ T``."""
         check_pose("T_change", T_change)
         change = T_change.double().cpu()
         self._last, self._before = (
@@ -139,9 +139,9 @@ class Tracker:
         )
 
     def predict(self, timestamp_s: float) -> Float[Tensor, "4 4"]:
-        """Where the camera should be at a time: the last motion carried on in proportion, or the last pose. float64
+        """Predicted pose at a time: the last motion extrapolated in proportion to time, or the last pose. float64
 
-        Frames are not evenly spaced in time (some are held out, some dropped), so the motion is scaled by time.
+        Frames are not evenly spaced in time (some are held out or dropped), so the motion is scaled by time.
 
         Raises:
             ValueError: before the first frame.
@@ -155,7 +155,7 @@ class Tracker:
         return self._last.T_WC @ se3.exp(ratio * se3.log(se3.inverse(self._before.T_WC) @ self._last.T_WC))
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything needed to go on later exactly where this stands, as tensors and plain values."""
+        """Everything needed to continue later from exactly this state, as tensors and plain values."""
         return {
             "n_lost": self.n_lost,
             "lost_in_a_row": self.lost_in_a_row,
@@ -166,10 +166,10 @@ class Tracker:
 
     @classmethod
     def from_state_dict(cls, config: TrackingConfig, state: dict[str, Any]) -> "Tracker":
-        """The tracker that ``state_dict`` described; the settings are kept elsewhere.
+        """The tracker that was saved with ``state_dict``; the settings are stored elsewhere.
 
         Raises:
-            ValueError: counts below 0, a pose that cannot be one, or depth that is not finite.
+            ValueError: Counts below 0, a pose that is not a rigid transform, or depth that is not finite.
         """
         tracker = cls(config)
         for name in ("n_lost", "lost_in_a_row"):
@@ -187,7 +187,7 @@ class Tracker:
         return tracker
 
     def _starts(self, frame: Frame, relocalise: Relocaliser) -> Iterator["_Start"]:
-        """What ICP starts from, in order."""
+        """The starting poses of ICP, in order."""
         assert self._last is not None
         last = self._last.T_WC
         if self.lost_in_a_row == 0:
@@ -196,7 +196,7 @@ class Tracker:
             yield _Start("the predicted pose with smooth normals", predicted, smooth=True)
         if self.lost_in_a_row > 0 or self._before is not None:
             yield _Start("the last pose", last)
-        yield _Start("the last pose with wide gates", last, wide=True)
+        yield _Start("the last pose with wide limits", last, wide=True)
         for n, T_WC in enumerate(relocalise(frame)):
             yield _Start(f"place {n + 1}", T_WC.double().cpu(), wide=True, anywhere=True)
 

@@ -1,4 +1,4 @@
-"""What tracking says about a frame: its pose and how it was found."""
+"""Result of tracking one frame: its pose and how it was found."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -15,8 +15,8 @@ class TrackingReport:
     """The pose of one frame and how it was found."""
 
     status: Literal["first", "ok", "degenerate", "recovered"]
-    """"first": the data's pose; "degenerate": some directions of motion are the prior's, the scene does not show them;
-    "recovered": ICP failed from the predicted pose but not from another start."""
+    """"first": pose from the data; "degenerate": some directions of motion, which the scene does not determine, are
+    predicted; "recovered": ICP failed from the predicted pose but not from another start."""
     T_WC: Float[Tensor, "4 4"]
     """Camera-to-world pose, float32."""
     start: str = ""
@@ -24,14 +24,14 @@ class TrackingReport:
     n_inliers: int = 0
     inlier_share: float = 0.0
     """Correspondences as a share of the pixels with usable depth."""
-    agreement: float = 0.0
+    overlap_inlier_share: float = 0.0
     """Correspondences as a share of the pixels that fall on a known part of the model."""
     rms_m: float = 0.0
-    """Weighted root mean square point-to-plane distance."""
+    """Weighted root mean square point-to-plane distance, metres."""
     eigenvalues: tuple[float, ...] = ()
     """Mean information of the six principal directions of motion, smallest first."""
     degenerate: int = 0
-    """How many of them the scene does not determine."""
+    """Number of these directions that the scene does not determine."""
     iterations: int = 0
     seconds: dict[str, float]
     """Wall-clock time of "preprocess", "render" and "icp"."""
@@ -42,14 +42,14 @@ class TrackingReport:
     def of(
         cls, result: IcpResult, frame: Frame, start: str, *, first_try: bool, seconds: dict[str, float]
     ) -> "TrackingReport":
-        """The report on ``frame``, which ICP has aligned from the start of this name."""
+        """Report of a frame that ICP aligned from the start named ``start``."""
         return cls(
             status="recovered" if not first_try else "degenerate" if result.degenerate else "ok",
             T_WC=result.T_WC.to(frame.T_WC),
             start=start,
             n_inliers=result.n_inliers,
             inlier_share=result.inlier_share,
-            agreement=result.agreement,
+            overlap_inlier_share=result.overlap_inlier_share,
             rms_m=result.rms_m,
             eigenvalues=result.eigenvalues,
             degenerate=result.degenerate,

@@ -14,7 +14,7 @@ from ..types import Frame
 from .volume import TsdfVolume, check_volume
 
 OUTLIER_RATIO = 0.05
-"""A neighbour supports a depth pixel if it differs by less than this part of its depth."""
+"""A neighbour supports a depth pixel if their depths differ by less than this share of the pixel's depth."""
 
 
 def allocate(volume: TsdfVolume, frame: Frame) -> Int[Tensor, " K"]:
@@ -27,7 +27,7 @@ def allocate(volume: TsdfVolume, frame: Frame) -> Int[Tensor, " K"]:
 
 
 def check_band(volume: Any, frame: Any) -> None:
-    """Raise ``ValueError`` for what ``band_blocks`` does not take."""
+    """Raise ``ValueError`` for arguments that ``band_blocks`` refuses."""
     check_volume(volume)
     check_frame_on(frame, volume.device)
     check_pose("T_WC", frame.T_WC)
@@ -38,7 +38,7 @@ def band_blocks(volume: TsdfVolume, frame: Frame) -> Int[Tensor, "N 3"]:
     """Coordinates of all blocks that the band of any pixel's ray crosses, each once, sorted by x, y, z.
 
     The band is ``depth +- truncation`` along z (``sdf="z"``) or along the ray (``sdf="ray"``). Pixels outside
-    ``near_m`` .. ``far_m`` and, with ``outlier_guard``, isolated ones take no part. The crossing is exact: no block is
+    ``near_m`` .. ``far_m`` and, with ``outlier_guard``, isolated ones are ignored. The crossing is exact: no block is
     skipped at a corner, and no pixel is skipped.
 
     Raises:

@@ -1,4 +1,4 @@
-"""The memory of a volume: one row of values per voxel block, with spare rows for blocks to come."""
+"""The memory of a volume: one row of values per voxel block, with spare rows for future blocks."""
 
 import contextlib
 from pathlib import Path
@@ -9,8 +9,8 @@ from ..constants import GROWTH, VOXELS_PER_BLOCK
 
 BYTES_PER_BLOCK = VOXELS_PER_BLOCK * (4 + 4 + 12) + 12
 """Distance, weight and colour of every voxel as float32, and three int32 coordinates. Colour is float32 because a
-running mean at weight 100 moves by a hundredth of the difference: float16 would stall 6 grey levels away from the mean
-and 8 bits 50, and converting from a finer integer costs more time than the memory is worth."""
+running mean at weight 100 changes by a hundredth of the difference: float16 would stop 6 grey levels away from the
+mean and 8 bits 50 levels away. Integers with more bits would save memory, but converting them takes too long."""
 
 _FIRST_CAPACITY = 1024
 
@@ -27,19 +27,19 @@ class BlockPool:
 
     @property
     def memory_bytes(self) -> int:
-        """Memory of all rows (spare ones cost nothing before they are first written to)."""
+        """Memory of all rows, bytes (spare rows take no memory before they are first written to)."""
         return self.capacity * BYTES_PER_BLOCK
 
     def with_room_for(self, n_blocks: int, *, limit_bytes: int | None, voxel_size_m: float) -> "BlockPool":
         """This pool, or a larger copy; it grows by a factor, so that the cost of copying stays constant per block.
 
         Args:
-            n_blocks: Rows that are needed.
-            limit_bytes: Refuse to grow beyond this; None: beyond what the machine has available.
-            voxel_size_m: For the sentence.
+            n_blocks: Number of rows needed.
+            limit_bytes: Largest size allowed; None: what the machine has available.
+            voxel_size_m: Voxel size, metres, for the error message.
 
         Raises:
-            MemoryError: nothing was changed.
+            MemoryError: The pool would be too large; it is unchanged.
         """
         if n_blocks <= self.capacity:
             return self
@@ -48,13 +48,13 @@ class BlockPool:
         for capacity in (max(n_blocks, int(GROWTH[device.type] * self.capacity), _FIRST_CAPACITY), n_blocks):
             size = estimate_memory(capacity)
             if (limit_bytes is None or size <= limit_bytes) and (free is None or size <= free):
-                with contextlib.suppress(RuntimeError, MemoryError):  # torch's allocator: less is granted than is free
+                with contextlib.suppress(RuntimeError, MemoryError):  # torch may get less than is free
                     return self._grown(capacity)
         allowed = [f"only {x / 1e6:.0f} MB may be used" for x in (limit_bytes, free) if x is not None and x < size]
         raise MemoryError(
             f"the TSDF volume needs {estimate_memory(n_blocks) / 1e6:.0f} MB for {n_blocks} blocks of 8^3 voxels of "
             f"{voxel_size_m} m, but {min(allowed, default='the system grants less')}; "
-            "take larger voxels (tsdf.voxel_size_m), a smaller tsdf.far_m, or check the depth unit"
+            "use larger voxels (tsdf.voxel_size_m) or a smaller tsdf.far_m, or check the depth unit"
         )
 
     def _grown(self, capacity: int) -> "BlockPool":
@@ -65,12 +65,12 @@ class BlockPool:
 
 
 def estimate_memory(n_blocks: int) -> int:
-    """Bytes that a volume of ``n_blocks`` blocks takes."""
+    """Memory of a volume of ``n_blocks`` blocks, bytes."""
     return n_blocks * BYTES_PER_BLOCK
 
 
 def available_memory(device: torch.device) -> int | None:
-    """Bytes that can still be allocated on ``device``; None where the system does not say."""
+    """Bytes that can still be allocated on ``device``; None where the system does not report it."""
     if device.type == "cuda":
         cached = torch.cuda.memory_reserved(device) - torch.cuda.memory_allocated(device)
         return torch.cuda.mem_get_info(device)[0] + cached

@@ -1,4 +1,4 @@
-"""A volume as it will be once a frame is fused, before anything in it is changed."""
+"""A preview of a volume with a frame fused into it, without changing the volume."""
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -12,15 +12,15 @@ from .volume import TsdfSample, TsdfVolume
 
 
 class FusedView:
-    """Looks up single voxels of a volume as if ``frame`` were fused already; the volume stays as it is.
+    """Looks up single voxels of a volume as if ``frame`` were already fused; the volume is not changed.
 
-    GSFusion's seeding rules look at the volume after the frame is fused into it. With this view they can run before, so
-    that a rule that fails leaves the map as it was.
+    GSFusion's seeding rules need the volume with the frame fused into it. With this view they can run before it is
+    fused, so that a rule that fails leaves the map unchanged.
 
     Args:
         volume: The volume before the frame.
-        frame: What will be fused.
-        missing: Blocks that will be allocated for it, from ``TsdfVolume.make_room``. [M, 3]
+        frame: The frame that will be fused.
+        missing: The blocks that will be allocated for it, from ``TsdfVolume.make_room``. [M, 3]
     """
 
     def __init__(self, volume: TsdfVolume, frame: Frame, missing: Int[Tensor, "M 3"]):
@@ -30,7 +30,7 @@ class FusedView:
         self._T_CW = se3.inverse(frame.T_WC.double())
 
     def sample_nearest(self, xyz_W: Float[Tensor, "N 3"]) -> TsdfSample:
-        """Values that the voxels that contain the points will have.
+        """Values that the voxels containing the points will have.
 
         Args:
             xyz_W: Points, world frame, metres. [N, 3]
@@ -51,7 +51,7 @@ class FusedView:
         )
 
     def _is_allocated(self, block: Int[Tensor, "N 3"]) -> Bool[Tensor, " N"]:
-        """Blocks that exist, or will."""
+        """Whether each block exists, or will exist."""
         exists = self._volume.index.find(block) >= 0
         if not len(self._new):
             return exists

@@ -1,4 +1,4 @@
-"""Fold one RGB-D frame into the volume (GSFusion III-B.1, Eq. 6-9; Curless & Levoy 1996)."""
+"""Fuse one RGB-D frame into the volume (GSFusion III-B.1, Eq. 6-9; Curless & Levoy 1996)."""
 
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -17,15 +17,15 @@ from .allocate import allocate
 from .volume import TsdfSample, TsdfVolume, check_volume
 
 INT16_ONE = 32767.0
-"""D = 1 in the released code's whole numbers."""
+"""D = 1 in the 16-bit integers of the released code."""
 
 BLOCKS_AT_A_TIME = 256
-"""Bounds the memory for intermediate results, whatever the size of the map."""
+"""Limits the memory for intermediate results, independent of the size of the map."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class IntegrateReport:
-    """What one frame did to the volume."""
+    """How one frame changed the volume."""
 
     new_blocks: int
     """Blocks allocated."""
@@ -42,10 +42,10 @@ def tsdf_update(
     max_weight: float,
     average: Literal["mean", "eq9", "int16"] = "mean",
 ) -> tuple[Float[Tensor, "*V"], Float[Tensor, "*V"]]:
-    """Fold one signed-distance observation into every voxel that is not behind the truncation band (Eq. 7-9).
+    """Add one signed-distance observation to every voxel that is not behind the truncation band (Eq. 7-9).
 
-    Eq. 9 as printed weights the new value d by w_k where the released code weights it by 1. The latter makes D the mean
-    of all observations: 0.2, 0.4, 0.6 give 0.2, 0.3, 0.4, and as printed 0.2, 0.3333, 0.4933.
+    Eq. 9 as printed weights the new value d by w_k, but the released code weights it by 1, which makes D the mean of
+    all observations: after 0.2, 0.4 and 0.6, D is 0.2, 0.3 and 0.4; with the printed equation 0.2, 0.3333 and 0.4933.
 
     Args:
         D: Truncated signed distance before, tsdf_{k-1}, in units of the truncation distance. Any shape [V]
@@ -90,7 +90,7 @@ def integrate(volume: TsdfVolume, frame: Frame) -> IntegrateReport:
 
 
 def check_fuse(volume: Any, frame: Any) -> None:
-    """Raise ``ValueError`` for what ``fuse_frame_`` does not take."""
+    """Raise ``ValueError`` for arguments that ``fuse_frame_`` refuses."""
     check_volume(volume)
     check_frame_on(frame, volume.device)
     if frame.T_WC.device.type == "cpu":
@@ -140,13 +140,13 @@ def _fuse_blocks(volume: TsdfVolume, rows: Int[Tensor, " B"], frame: Frame, T_CW
 def fuse_voxels(
     before: TsdfSample, centres_C: Float[Tensor, "*V 3"], frame: Frame, config: TsdfConfig
 ) -> tuple[TsdfSample, Bool[Tensor, "*V"]]:
-    """What voxels hold after a frame is fused, and which of them it observes.
+    """Values of voxels after a frame is fused, and which of the voxels it observes.
 
     Args:
-        before: What they hold.
+        before: Their values before.
         centres_C: Their centres, camera frame, metres, float64. [V, 3]
         frame: Depth and colour.
-        config: Range, truncation, how the distance is taken.
+        config: Range, truncation, and definition of the distance.
     """
     camera, z = frame.camera, centres_C[..., 2]
     u, v = project(camera, centres_C).unbind(-1)  # Eq. 4
@@ -163,5 +163,5 @@ def fuse_voxels(
     D_k, W_k = tsdf_update(before.D, before.W, sdf_m, **band)
     observed = sdf_m > -config.truncation_m
     w_k = W_k[..., None]
-    rgb_k = (before.rgb * (w_k - 1.0) + frame.rgb[v, u]) / w_k  # colour is the mean of all, which the paper leaves open
+    rgb_k = (before.rgb * (w_k - 1.0) + frame.rgb[v, u]) / w_k  # the mean; the paper does not define colour
     return TsdfSample(D=D_k, W=W_k, rgb=rgb_k.where(observed[..., None], before.rgb)), observed

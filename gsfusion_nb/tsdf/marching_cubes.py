@@ -15,11 +15,11 @@ from .trilinear import CORNERS
 from .volume import VOXELS, TsdfVolume, check_volume
 
 BLOCKS_AT_A_TIME = 256
-"""Bounds the memory for intermediate results, whatever the size of the map."""
+"""Limits the memory for intermediate results, independent of the size of the map."""
 
 
 def check_mesh(volume: Any, *, min_weight: float = 1.0) -> None:
-    """Raise ``ValueError`` for what ``extract_mesh`` does not take."""
+    """Raise ``ValueError`` for arguments that ``extract_mesh`` refuses."""
     check_volume(volume)
     check_number("min_weight", min_weight)
 
@@ -29,7 +29,7 @@ def extract_mesh(volume: TsdfVolume, *, min_weight: float = 1.0) -> Mesh:
     """Marching cubes over the blocks (Lorensen & Cline 1987), with vertices on the zero crossing of D.
 
     A cube spans eight voxel centres and is meshed only when all eight were observed at least ``min_weight`` times, so
-    the end of the truncation band makes no false surface. Every cut edge has one vertex, shared by all its triangles.
+    the end of the truncation band creates no false surface. Every cut edge has one vertex, shared by all its triangles.
 
     Args:
         volume: The map.

@@ -1,4 +1,4 @@
-"""Morton codes: three block coordinates interleaved bit by bit into one integer that sorts like an octree walk."""
+"""Morton codes: three block coordinates interleaved bit by bit; sorted codes visit the blocks in octree order."""
 
 import torch
 from jaxtyping import Int
@@ -45,7 +45,7 @@ def encode(coords: Int[Tensor, "N 3"]) -> Int[Tensor, " N"]:
 
 
 def interleave(coords: Int[Tensor, "N 3"]) -> Int[Tensor, " N"]:
-    """``encode`` without the check, for which a GPU is waited."""
+    """``encode`` without the check, for which the host would have to wait for a GPU."""
     spread = coords.to(torch.int64) + OFFSET
     for shift, mask in _SPREAD:
         spread = (spread | (spread << shift)) & mask

@@ -14,8 +14,8 @@ class BlockIndex:
     """Sorted Morton codes of the allocated blocks, and the pool row of each.
 
     A linear octree (Gargantini 1982): only leaves are stored, the node above a code is ``code >> 3``, and all leaves
-    below a node are neighbours in ``codes``. The world has no bounds but the 21 bits per axis of a code. Lookups of a
-    compact map go through a table over its bounding box, which is faster than a binary search and gives the same rows.
+    below a node are neighbours in ``codes``. The world is limited only by the 21 bits per axis of a code. In a compact
+    map blocks are found through a table over its bounding box, which is faster than a binary search.
     """
 
     def __init__(self, device: torch.device | str = "cpu"):
@@ -27,7 +27,7 @@ class BlockIndex:
 
     @classmethod
     def of_blocks(cls, coords: Int[Tensor, "B 3"]) -> "BlockIndex":
-        """The index of blocks whose row is their position in ``coords``; no two may be the same."""
+        """The index of blocks whose row is their position in ``coords``, which must all be different."""
         index = cls(coords.device)
         index.codes, index.rows = encode(coords).sort()
         if len(index):
@@ -59,7 +59,7 @@ class BlockIndex:
 
         Args:
             coords: Integer coordinates of the blocks. [N, 3]
-            in_range: They were checked to fit in a code; a GPU is waited for to check it.
+            in_range: The coordinates are known to fit in a code, so that the host need not wait for a GPU to check it.
         """
         codes = interleave(coords) if in_range else encode(coords)
         fresh = codes[self._search(codes) < 0].unique()

@@ -16,13 +16,13 @@ from .trilinear import corner_gradients, corner_weights
 from .volume import TsdfVolume, check_volume
 
 STEP = 0.7
-"""Part of the stored distance to advance. D was measured along other rays and overstates the true distance."""
+"""Share of the stored distance to advance. D was measured along other rays and overestimates the true distance."""
 
 CLOSE_VOXELS = 2.0
-"""Nearer to a surface than this, marching looks at the interpolated D: the nearest voxel's sign can be wrong there."""
+"""Closer to a surface, marching uses the interpolated D, because the sign of the nearest voxel can be wrong there."""
 
 REFINEMENTS = 2
-"""Interpolations after the first, linear one."""
+"""Number of interpolations after the first, linear one."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -38,7 +38,7 @@ class RaycastOutput:
 
 
 def check_raycast(volume: Any, camera: Any, T_WC: Any) -> None:
-    """Raise ``ValueError`` for what ``raycast`` does not take."""
+    """Raise ``ValueError`` for arguments that ``raycast`` refuses."""
     check_volume(volume)
     check_view(camera, T_WC, volume.D.device)
     check_pose("T_WC", T_WC)
@@ -48,7 +48,7 @@ def check_raycast(volume: Any, camera: Any, T_WC: Any) -> None:
 def raycast(volume: TsdfVolume, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RaycastOutput:
     """Depth, normals and colour of the zero crossing of D, as seen from a pose.
 
-    Each ray crosses blocks that are not allocated in one step each, advances by a part of the stored distance in the
+    Each ray crosses a block that is not allocated in one step, advances by a share of the stored distance in the
     others, and stops where D changes from + to -. A ray on which D changes from - to + has met the back of a surface
     and ends there without a result.
 
@@ -116,7 +116,7 @@ def _distance_at(volume: TsdfVolume, point_W: Float[Tensor, "N 3"]) -> tuple[Flo
 def _to_block_exit(
     volume: TsdfVolume, point_W: Float[Tensor, "N 3"], ray_W: Float[Tensor, "N 3"]
 ) -> Float[Tensor, " N"]:
-    """Depth to add to leave the block that holds each point, and a hundredth of a voxel more to be safely across."""
+    """Depth to add so that each point leaves its block, plus a hundredth of a voxel to be surely outside."""
     p = point_W / volume.block_size_m
     to_wall_m = torch.where(ray_W > 0, p.floor() + 1 - p, p - p.floor()) * volume.block_size_m
     return (to_wall_m / ray_W.abs().clamp(min=1e-9)).amin(1) + 0.01 * volume.config.voxel_size_m

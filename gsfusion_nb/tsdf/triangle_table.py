@@ -1,6 +1,6 @@
 """The triangle table of marching cubes, derived from the topology of the cube instead of typed in.
 
-Corner c of a cube sits at (c & 1, c >> 1 & 1, c >> 2 & 1). An edge is named by its axis and its lower corner. A case is
+Corner c of a cube is at (c & 1, c >> 1 & 1, c >> 2 & 1). An edge is named by its axis and its lower corner. A case is
 the set of corners inside the surface (negative), one bit each. On every face of the cube each run of inside corners is
 cut off by one segment; the rule looks at the face alone, so the two cubes that share a face agree on it, also where
 its corners alternate, and the surface has no cracks. The segments join into closed loops, which are then triangulated.
@@ -69,7 +69,7 @@ def triangulate(loop: Loop) -> list[Triangle]:
 
 
 def _triangulations(polygon: Loop) -> list[list[Triangle]]:
-    """All ways to cut a polygon into triangles: choose the apex over its last side, then cut the two rests."""
+    """All ways to cut a polygon into triangles: choose the apex over its last side, then cut the two other parts."""
     if len(polygon) < 3:
         return [[]]
     found = []

@@ -1,4 +1,4 @@
-"""Trilinear interpolation between the eight corners of a cell: the weights, and how they change with the place."""
+"""Trilinear interpolation between the eight corners of a cell: the weights and their derivatives."""
 
 import torch
 from jaxtyping import Float

@@ -38,11 +38,11 @@ class TsdfVolume:
 
     Voxel i of an axis spans [i, i + 1) voxel sizes from the world's origin, and its values stand for its centre.
     Block b holds voxels 8b .. 8b + 7; inside a block, voxel (x, y, z) is number 64 x + 8 y + z. Blocks are created
-    where they are needed, anywhere in the world, and keep their row for good.
+    where they are needed, anywhere in the world, and keep their row.
 
     Args:
-        config: Voxel size, truncation and the like.
-        device: Where the pool lives.
+        config: Voxel size, truncation and the other settings.
+        device: Device of the tensors.
         memory_limit_bytes: Refuse to grow beyond this; by default, beyond what the machine has available.
     """
 
@@ -92,7 +92,7 @@ class TsdfVolume:
 
     @property
     def memory_bytes(self) -> int:
-        """Memory of the pool, spare rows included (they cost nothing before they are first written to)."""
+        """Memory of the pool, bytes, with its spare rows (which take no memory before they are first written to)."""
         return self._pool.memory_bytes
 
     def add_blocks(self, coords: Int[Tensor, "N 3"]) -> Int[Tensor, " K"]:
@@ -106,7 +106,7 @@ class TsdfVolume:
     def make_room(self, coords: Int[Tensor, "N 3"]) -> Int[Tensor, "M 3"]:
         """Make sure that the blocks at ``coords`` can be allocated; returns those that do not exist yet.
 
-        No block is allocated: everything of ``add_blocks`` that can fail is here.
+        No block is allocated yet: this is the part of ``add_blocks`` that can fail.
 
         Raises:
             ValueError: a block lies beyond the voxel index.
@@ -222,11 +222,11 @@ class TsdfVolume:
         return volume
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Replace the map by one that ``state_dict`` gave; its configuration must be the same.
+        """Replace the map by one saved with ``state_dict``; its configuration must be the same.
 
         Raises:
-            ValueError: another configuration, tensors of other types or sizes, numbers that are not finite, a negative
-                weight, or a block that is there twice or beyond the index.
+            ValueError: Another configuration, tensors of other types or sizes, numbers that are not finite, a negative
+                weight, or a block that is stored twice or lies outside the index range.
         """
         config = from_dict(TsdfConfig, state["config"])
         if config != self.config:
@@ -259,7 +259,7 @@ def _check_saved_blocks(state: dict[str, Any]) -> None:
     ):
         check_saved(name, state[name], shape)
     if len(encode(coords).unique()) != n:
-        raise ValueError("block_coords must name every block once")
+        raise ValueError("block_coords must contain every block once")
     if n and float(state["W"].min()) < 0:
         raise ValueError(f"W must be at least 0 in every voxel, got {float(state['W'].min()):g}")
 
@@ -271,7 +271,7 @@ def check_volume(volume: Any) -> None:
 
 
 def check_sample(volume: Any, xyz_W: Any) -> None:
-    """Raise ``ValueError`` for what ``sample_voxels`` does not take."""
+    """Raise ``ValueError`` for arguments that ``sample_voxels`` refuses."""
     check_volume(volume)
     check_operand("xyz_W", xyz_W, ("N", 3), device=volume.D.device)
 

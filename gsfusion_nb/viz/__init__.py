@@ -11,14 +11,13 @@ if TYPE_CHECKING:
     from ..drawing.pictures import paint_cells as paint_cells
     from ..drawing.pictures import to_uint8 as to_uint8
     from ..drawing.side_by_side import side_by_side as side_by_side
-    from .cards import card as card
     from .display import show as show
     from .display import static_views as static_views
+    from .live.live_loop import LiveLoop as LiveLoop
     from .live.live_mapper import LiveMapper as LiveMapper
     from .live.orbit import OrbitView as OrbitView
     from .live.orbit import orbit_view as orbit_view
     from .live.player import Player as Player
-    from .live.watch import Watch as Watch
     from .meshes.show import show_mesh as show_mesh
     from .microscopes.gaussian_panels import one_gaussian_panel as one_gaussian_panel
     from .microscopes.gaussian_panels import sh_ball_panel as sh_ball_panel
@@ -30,7 +29,7 @@ if TYPE_CHECKING:
     from .microscopes.pixel_stack import pixel_stack as pixel_stack
     from .microscopes.pixel_stack import project_splats as project_splats
     from .microscopes.stack_picture import ellipse_picture as ellipse_picture
-    from .microscopes.stack_picture import enlarged as enlarged
+    from .microscopes.stack_picture import resize_to_height as resize_to_height
     from .microscopes.tile_picture import tile_picture as tile_picture
     from .panels.discs import disc_adding_panel as disc_adding_panel
     from .panels.discs import disc_panel as disc_panel
@@ -63,6 +62,7 @@ if TYPE_CHECKING:
     from .panels.tsdf_slice import slice_picture as slice_picture
     from .splats.map_picture import draw_gaussians as draw_gaussians
     from .splats.viewer import SplatViewer as SplatViewer
+    from .summaries import html_summary as html_summary
     from .viewpoint import orbit_camera as orbit_camera
 
 _LAZY = {
@@ -72,13 +72,13 @@ _LAZY = {
     "PixelMicroscope": ".microscopes.pixel_microscope",
     "Player": ".live.player",
     "SplatViewer": ".splats.viewer",
-    "Watch": ".live.watch",
+    "LiveLoop": ".live.live_loop",
     "disc_adding_panel": ".panels.discs",
     "amdahl_panel": ".panels.stage_bars",
     "convergence_basin": ".panels.icp",
     "basin_picture": ".panels.icp",
     "basis_atlas": ".microscopes.one_gaussian",
-    "card": ".cards",
+    "html_summary": ".summaries",
     "cell_means": ".panels.quadtree",
     "colour_depth": "..drawing.pictures",
     "curve_figure": "..drawing.curves",
@@ -87,7 +87,7 @@ _LAZY = {
     "distance_colours": ".panels.tsdf_slice",
     "draw_gaussians": ".splats.map_picture",
     "ellipse_picture": ".microscopes.stack_picture",
-    "enlarged": ".microscopes.stack_picture",
+    "resize_to_height": ".microscopes.stack_picture",
     "error_map": "..drawing.pictures",
     "sped_up": ".panels.stage_bars",
     "figure_png": "..drawing.curves",

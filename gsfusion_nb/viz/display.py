@@ -25,7 +25,7 @@ def static_views() -> bool:
 def show(
     images: AnyImage | Sequence[AnyImage], labels: str | Sequence[str] = (), *, scale: float | int = 1.0
 ) -> "Image":
-    """One image, or several in a row with a label over each, as the output of a notebook cell.
+    """One image, or several in a row with a label above each, as the output of a notebook cell.
 
     Args:
         images: RGB, 0..1 or bytes. [H, W, 3]
@@ -37,7 +37,7 @@ def show(
 
     row: list[Any] = list(images) if isinstance(images, (list, tuple)) else [images]
     captions = [labels] if isinstance(labels, str) else list(labels)
-    if scale < 1 or captions:  # before the labels are written, whose size is right as it is
+    if scale < 1 or captions:  # resized before the labels are written, so that the text keeps its size
         how = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
         row = [cv2.resize(to_uint8(i), None, fx=scale, fy=scale, interpolation=how) for i in row]
         scale = 1
@@ -48,7 +48,7 @@ def show(
 def with_picture(bundle: Any, picture: AnyImage, text: str) -> dict[str, Any]:
     """A widget's mime bundle with a picture beside it, for readers of the stored notebook.
 
-    A live notebook shows the widget, a code host the picture. In ``static_views`` the picture is all there is.
+    A live notebook shows the widget, a code host the picture. With ``static_views()`` only the picture is kept.
     """
     import base64
 

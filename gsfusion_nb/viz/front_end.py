@@ -1,4 +1,4 @@
-"""The front ends of the viewers, each as one text: anywidget takes one module, and a page may load nothing else."""
+"""The JavaScript of each viewer, joined to one text: anywidget takes one module, and a page may load nothing else."""
 
 import functools
 import json
@@ -6,11 +6,11 @@ import re
 from importlib.resources import files
 
 ENGINE = ("splats/rows", "projection", "splats/colour", "splats/raster", "splats/engine")
-"""The modules of the splat viewer's worker, in the order of their imports; they use no page, so node runs them too."""
+"""Modules of the splat viewer's worker, in the order of their imports; without a page, so that node runs them too."""
 SPLAT_PAGE = ("camera", "splats/webgl", "splats/worker", "splats/panel", "mouse", "splats/time", "splats/widget")
 """The modules of the splat viewer's page."""
 MESH_PAGE = ("projection", "camera", "mouse", "meshes/raster", "meshes/widget")
-"""The modules of the mesh viewer, which turns its camera as the splat viewer does."""
+"""The modules of the mesh viewer; its camera moves as in the splat viewer."""
 
 _IMPORT = re.compile(r'^import .* from "[./\w]+\.js";\n', re.MULTILINE)
 _EXPORT = re.compile(r"^export (?!default)", re.MULTILINE)

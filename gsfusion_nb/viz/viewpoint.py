@@ -11,7 +11,7 @@ from torch import Tensor
 Vector = Float[Tensor, "3"] | Sequence[float | int]
 
 _SNAP_DEG = 15.0
-"""A measured up this close to a world axis is taken to be that axis."""
+"""An estimated up direction within this angle of a world axis is replaced by that axis, degrees."""
 
 
 def orbit_camera(
@@ -26,8 +26,8 @@ def orbit_camera(
         r = cos(az) e_1 + sin(az) e_2,   centre = target + distance (cos(el) r + sin(el) up),   right = up x r
 
     with e_1 the world axis farthest from up (x when up is z) made orthogonal to it, and e_2 = up x e_1. "Right" does
-    not depend on the elevation, so that looking straight down is no special case. At distance 0 the camera stands at
-    the target and looks around.
+    not depend on the elevation, so looking straight down needs no special case. At distance 0 the camera is at the
+    target, and the angles only turn it.
 
     Args:
         target_W: Point in the middle of the picture, metres. [3]

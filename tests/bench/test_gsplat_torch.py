@@ -4,8 +4,8 @@ import pytest
 import torch
 
 from gsfusion_nb.bench import gsplat_torch, random_scene
-from gsfusion_nb.bench.peers import why_not
-from gsfusion_nb.bench.raster import agreement, by_autograd
+from gsfusion_nb.bench.other_programs import why_not
+from gsfusion_nb.bench.raster import by_autograd, compare_to_baseline
 from gsfusion_nb.render import render_forward, render_vjp
 
 
@@ -68,6 +68,6 @@ def test_the_peer_draws_our_picture_with_our_gradients(sh_degree):
     scene = random_scene(300, 64, 48, sh_degree=sh_degree)
     output, saved = render_forward.reference(scene.params, scene.camera, scene.T_WC)
     truth = (output.rgb, render_vjp.reference(saved, scene.v_rgb))
-    _, values = agreement(by_autograd(gsplat_torch.render, scene, backward=True), truth)
+    _, values = compare_to_baseline(by_autograd(gsplat_torch.render, scene, backward=True), truth)
     assert values["psnr_to_torch_db"] > 90
     assert values["least_gradient_cosine"] > 0.9999

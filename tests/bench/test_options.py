@@ -8,7 +8,7 @@ from gsfusion_nb.bench import BenchOptions
 def test_defaults():
     options = BenchOptions()
     options.check()
-    assert options.sections == ("raster", "tsdf", "map", "panels", "waits", "checkpoints")
+    assert options.sections == ("raster", "tsdf", "map", "panels", "latency", "checkpoints")
     assert options.sizes == [(320, 240)]
     assert options.n_frames == 60
     assert BenchOptions(quick=True).n_frames == 8
@@ -19,7 +19,11 @@ def test_defaults():
 @pytest.mark.parametrize(
     ("changes", "error", "sentence"),
     [
-        ({"what": "rastre"}, KeyError, "no bench 'rastre'; known: all, checkpoints, map, panels, raster, tsdf, waits"),
+        (
+            {"what": "rastre"},
+            KeyError,
+            "no bench 'rastre'; known: all, checkpoints, latency, map, panels, raster, tsdf",
+        ),
         ({"backend": ("cuda", "numa")}, KeyError, "no backend .numa.; known: cuda, numba, reference, torch, triton"),
         ({"threads": 0}, ValueError, f"between 1 and {os.cpu_count()}, the cores of this machine, got 0"),
         ({"frames": 1}, ValueError, "--frames must be at least 2"),

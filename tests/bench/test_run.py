@@ -5,9 +5,9 @@ import sys
 
 import pytest
 
-from gsfusion_nb.bench import BenchOptions, mapping, panels, raster, run, run_bench, scaling, tsdf, waits
+from gsfusion_nb.bench import BenchOptions, latency, mapping, panels, raster, run, run_bench, scaling, tsdf
 from gsfusion_nb.bench.options import SECTIONS
-from gsfusion_nb.bench.peers import PEERS, why_not
+from gsfusion_nb.bench.other_programs import OTHER_PROGRAMS, why_not
 from gsfusion_nb.bench.rows import Case, Row
 
 
@@ -22,9 +22,9 @@ def small(monkeypatch):
     monkeypatch.setattr(scaling, "PIXELS_GAUSSIANS", 200)
     monkeypatch.setattr(scaling, "VOXELS_M", (0.08, 0.06, 0.04))
     monkeypatch.setattr(panels, "PANELS", {"colour ball": panels.PANELS["colour ball"]})
-    monkeypatch.setattr(waits, "VIEWS", 2)
+    monkeypatch.setattr(latency, "VIEWS", 2)
     monkeypatch.setattr(BenchOptions, "budget_s", 0.0)
-    for name in ("raster", "tsdf", "scaling", "mapping"):  # the peers are tested by themselves
+    for name in ("raster", "tsdf", "scaling", "mapping"):  # other programs are tested separately
         module = sys.modules[f"gsfusion_nb.bench.{name}"]
         if hasattr(module, "why_not"):
             monkeypatch.setattr(module, "why_not", lambda name: "not installed: pip install it")
@@ -85,7 +85,7 @@ def test_ctrl_c_keeps_what_was_measured(monkeypatch, tmp_path, capsys):
 
 
 def test_what_is_not_installed_is_named_with_its_remedy(monkeypatch):
-    monkeypatch.setattr(run, "why_not", lambda name: f"not installed: {PEERS[name].remedy}")
+    monkeypatch.setattr(run, "why_not", lambda name: f"not installed: {OTHER_PROGRAMS[name].remedy}")
     missing = run.not_measured(BenchOptions())
     assert missing["raster"]["gsplat (torch path)"] == "not installed: pip install gsplat==1.5.3"
     assert missing["tsdf"]["Open3D VoxelBlockGrid"] == "not installed: pip install open3d"
@@ -104,7 +104,7 @@ def test_a_missing_folder_is_said_before_anything_runs():
 
 @pytest.mark.skipif(why_not("opencv") is not None, reason="OpenCV has no volume before version 5")
 def test_opencv_takes_our_frames():
-    from gsfusion_nb.bench.fusion_peers import FusionSettings, OpencvHash
+    from gsfusion_nb.bench.other_tsdf_volumes import FusionSettings, OpencvHash
 
     frames = tsdf.stored_frames(BenchOptions(frames=2), (64, 48))
     settings = FusionSettings(voxel_size_m=0.08, truncation_voxels=4.0, far_m=5.0, threads=1)

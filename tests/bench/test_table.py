@@ -16,7 +16,7 @@ ROWS = [
     row("gsplat (torch path)", 7323.4, note="131 dB 1.0000"),
     row("reference", 1100.0),
     row("numba", 61.25, wall_ms=122.5, note="118 dB 1.0000", values={"psnr_to_torch_db": 118.0}),
-    row("reference", 33.0, case="redkitchen250 640x480 1 cm", section="tsdf", note="10 FPS"),
+    row("reference", 33.0, case="redkitchen250 640x480 1 cm", section="tsdf", note="10 frames/s"),
 ]
 MISSING = {"tsdf": {"Open3D VoxelBlockGrid": "not installed: pip install open3d"}}
 
@@ -29,7 +29,7 @@ def test_speed_is_relative_to_the_first_row_of_the_case():
 
 
 def test_a_row_without_time_is_no_base():
-    failed = Row(section="raster", case="a", method="peer", note="needs 2 GB, 1 free")
+    failed = Row(section="raster", case="a", method="program", note="needs 2 GB, 1 free")
     rows = with_speed([failed, row("reference", 10.0, case="a"), row("numba", 5.0, case="a")], threads=1)
     assert [r.speed for r in rows] == [None, 1, 2]
     assert "needs 2 GB" in table.text(rows, {})

@@ -66,12 +66,13 @@ def test_rtg_slam_is_mapped_live_and_stops_when_asked(lab, discs):
 
 def test_icp_sliders_step_through_an_alignment(lab, tracking):
     words = tracking.locator(".gsnb-icp-text").first
-    assert "arrived" in words.inner_text()
+    assert "converged:" in words.inner_text()
+    assert "not converged" not in words.inner_text()
     for _ in range(3):
         changes(lab, tracking, "icp", "step", 1)
     lab.screenshot(tracking.locator(".gsnb-icp").first, "08_icp_step")
     changes(lab, tracking, "icp", "turn_deg", 12)
-    lab.wait_for(lambda: "lost" in words.inner_text(), "the start outside of the basin to be lost")
+    lab.wait_for(lambda: "not converged" in words.inner_text(), "the start outside the basin to fail")
     assert lab.screenshot(tracking.locator(".gsnb-icp").first, "08_icp_lost").std() > 20
     assert lab.errors == []
     assert lab.requests == []

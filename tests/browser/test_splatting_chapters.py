@@ -78,7 +78,7 @@ def test_the_sliders_move_the_gaussian(lab, forward):
 def test_an_exercise_is_red_then_green(lab, forward):
     wrong = "lambda alpha, rgb: ((alpha * (1 - alpha).cumprod(0))[:, None] * rgb).sum(0)"
     verdict = lab.run(forward, f"print(check.composite_pixel(lambda a, c: (({wrong})(a, c), 0.5)))")
-    assert "nothing stands in front of the first one" in verdict
+    assert "nothing is in front of the first one" in verdict
     right = "lambda a, c: (check.composite_pixel.solution)(a, c)"
     assert "all checks pass" in lab.run(forward, f"print(check.composite_pixel({right}))")
 
@@ -88,11 +88,11 @@ def test_the_fit_starts_pauses_steps_and_stops(lab, backward):
         return int(lab.run(backward, "print(watch.player.n_steps)"))
 
     def press(name):
-        button = backward.locator(f".gsnb-watch-{name}")
+        button = backward.locator(f".gsnb-live-loop-{name}")
         button.scroll_into_view_if_needed()
         button.click()
 
-    picture = backward.locator("img.gsnb-watch-image")
+    picture = backward.locator("img.gsnb-live-loop-image")
     before = lab.screenshot(picture, "fit_before")
     press("start")
     lab.wait_for(lambda: steps() > 25, "the fit to run")
@@ -106,7 +106,7 @@ def test_the_fit_starts_pauses_steps_and_stops(lab, backward):
     press("stop")
     lab.wait_for(lambda: lab.run(backward, "print(watch.player.state)") == "stopped", "the stop")
     assert np.abs(lab.screenshot(picture, "fit_after") - before).mean() > 1
-    lab.screenshot(backward.locator(".gsnb-watch"), "fit")
+    lab.screenshot(backward.locator(".gsnb-live-loop"), "fit")
 
 
 def test_the_gradient_microscope_follows_click_and_switch(lab, backward):

@@ -236,7 +236,7 @@ def _single_files(root: Path, takes) -> list[Seed]:
     (at / "fetched.json").write_text(json.dumps([{"url": "u", "size": 1, "sha256": "0", "date": "d"}]))
     targets |= {"run.txt": "run_trajectory", "g.ply": "gaussians", "m.ply": "mesh", "text.ply": "mesh"}
     targets |= {"a.zip": "archive", "a.tar.gz": "archive", "a.tar": "archive"}
-    targets |= {"fetched.json": "ledger"}
+    targets |= {"fetched.json": "download_log"}
     seeds = []
     for name, target in targets.items():
         folder = root / f"file_{name.replace('.', '_')}"

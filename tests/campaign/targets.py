@@ -204,17 +204,17 @@ def archive(path: Path) -> None:
     shutil.rmtree(folder)
 
 
-def ledger(path: Path) -> None:
-    from gsfusion_nb.data.fetch.ledger import read_ledger
+def download_log(path: Path) -> None:
+    from gsfusion_nb.data.fetch.download_log import read_download_log
 
-    read_ledger(path.parent)
+    read_download_log(path.parent)
 
 
 TARGETS: dict[str, Callable[[Path], None]] = {
     f.__name__: f for f in (sequence, growing, convert, trajectory, run_trajectory, intrinsics, matrix, gaussians, mesh)
-} | {f.__name__: f for f in (resume, settings, rescore, archive, ledger)}
-CORRECTED = ("ledger", "growing", "resume")
-"""Targets that go on without a file that is damaged: a ledger begins anew, a folder may still be written."""
+} | {f.__name__: f for f in (resume, settings, rescore, archive, download_log)}
+CORRECTED = ("download_log", "growing", "resume")
+"""Targets that continue without a damaged file: a list of downloads starts again, a folder may still grow."""
 
 
 def strict_json_fault(path: Path) -> str:

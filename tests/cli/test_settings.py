@@ -105,7 +105,7 @@ def test_a_run_with_a_rule_of_one_s_own_is_not_repeated_without_it(tmp_path):
     path = tmp_path / "config.json"
     document = {"system": "gsfusion", "rule": "mine", "rule_is_built_in": False, "config": to_dict(gsfusion("room"))}
     path.write_text(json.dumps(document))
-    with pytest.raises(ValueError, match=r"seeding rule 'mine', which is not one of this package.*rule.py"):
+    with pytest.raises(ValueError, match=r"seeding rule 'mine', which is not part of this package.*rule.py"):
         parse(MapOptions, "map", ["room", "--from-config", str(path)], data="data")
     options = parse(MapOptions, "map", ["room", "--from-config", str(path), "--seeding.rule", "uniform"], data="data")
     assert options.config.seeding.rule == "uniform"

@@ -54,9 +54,11 @@ def test_tum_resumes_and_says_where(script, site, tum_set, tmp_path, hostile, ca
     assert run(module, site, out, "fr1_desk") == 1
     assert capsys.readouterr().err.startswith(f"tum.py: {site.address}{tum_set}: the server answers 404 Not Found")
     site.faults, site.seen = {tum_set: [hostile.cut(half), None]}, []
-    terms = module.command.terms
+    fetch_options = module.command.fetch_options
     patient = Transfer(sleep=lambda seconds: None)
-    monkeypatch.setattr(module.command, "terms", lambda options: dataclasses.replace(terms(options), transfer=patient))
+    monkeypatch.setattr(
+        module.command, "fetch_options", lambda options: dataclasses.replace(fetch_options(options), transfer=patient)
+    )
     assert run(module, site, out, "fr1_desk") == 0
     assert site.ranges() == [None, f"bytes={half}-"]
 

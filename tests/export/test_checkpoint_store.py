@@ -161,5 +161,5 @@ def test_another_version_is_refused(tmp_path):
     document = json.loads(path.read_text().partition("\n")[2]) | {"version": 99}
     text = json.dumps(document)
     path.write_text(f"{hashlib.sha256(text.encode()).hexdigest()}\n{text}")
-    with pytest.raises(ValueError, match="not a gsfusion_nb checkpoint of version 2"):
+    with pytest.raises(ValueError, match="expected a gsfusion_nb checkpoint of version 2"):
         CheckpointStore(tmp_path).load()

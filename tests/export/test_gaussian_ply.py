@@ -106,7 +106,7 @@ def test_errors_are_sentences(tmp_path, generator):
         read_gaussian_ply(path)
     rows = np.zeros(2, dtype=[(name, "f4") for name in ("x", "y", "z")])
     plyfile.PlyData([plyfile.PlyElement.describe(rows, "vertex")]).write(str(path))
-    with pytest.raises(ValueError, match=r"lacks the properties f_dc_0, .*rot_3"):
+    with pytest.raises(ValueError, match=r"has no properties f_dc_0, .*rot_3"):
         read_gaussian_ply(path)
     write_gaussian_ply(path, gaussians(3, 0, generator))
     path.write_bytes(path.read_bytes()[:-10])

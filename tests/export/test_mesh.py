@@ -86,7 +86,7 @@ def test_ply_errors_are_sentences(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"m\.ply does not exist"):
         read_mesh_ply(path)
     foreign_ply(path, [[0, 1, 2], [0, 1, 3, 2]])
-    with pytest.raises(ValueError, match="triangles only, got faces of 3, 4 vertices"):
+    with pytest.raises(ValueError, match="only triangles, got faces with 3, 4 vertices"):
         read_mesh_ply(path)
     write_mesh_ply(path, tetrahedron())
     path.write_bytes(path.read_bytes()[:-5])

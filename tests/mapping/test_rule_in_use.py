@@ -68,7 +68,7 @@ def test_a_rule_that_keeps_something_cannot_be_resumed(config, frames):
     fresh = mapper.state_dict()
     mapper.step(frames[0])
     assert fresh["rule"]["fingerprint"] == mapper.state_dict()["rule"]["fingerprint"]
-    with pytest.raises(ValueError, match="'fewer_each_time' kept something from one frame to the next"):
+    with pytest.raises(ValueError, match="'fewer_each_time' stores something from one frame to the next"):
         GSFusion.from_state_dict(mapper.state_dict(), seeding=fewer_each_time)
 
 

@@ -46,7 +46,7 @@ def test_checkpoints_that_do_not_fit_do_not_end_the_run(tmp_path, small_room, co
             n_frames=120, width=80, height=60,
         )  # fmt: skip
     assert run.run.status == "complete"
-    assert "no checkpoint now" in caplog.text
+    assert "this checkpoint could not be saved" in caplog.text
     assert "pieces cannot be written" in caplog.text
     assert (run.folder / "gaussians.ply").exists()
 
@@ -112,5 +112,5 @@ def test_little_space_is_said_at_the_start(tmp_path, small_room, config, monkeyp
 
     monkeypatch.setattr(disk_need, "free_space", lambda folder: 1_000_000)
     run = run_mapping(small_room, config, folder=tmp_path / "out", evaluate=False)
-    assert "only 1 MB are free at" in run.run.warnings[0]
+    assert "only 1 MB are free in" in run.run.warnings[0]
     assert "may need about" in run.run.warnings[0]

@@ -238,7 +238,7 @@ def test_an_empty_map_says_why(tmp_path, small_room, config):
     run = run_mapping(small_room, short, folder=tmp_path / "a", seeding=nothing)
     assert "no Gaussians: the seeding rule 'nothing' proposed none for any of the" in run.run.warnings[-1]
     run = run_mapping(Odd(small_room, set(), 1e-3), short, folder=tmp_path / "b", evaluate=False)
-    sentence = "all nearer than the 0.4 m from which depth is used: is the depth scale right?"
+    sentence = "but only depth of at least 0.4 m is used; check the depth scale"
     assert sentence in run.run.warnings[-1]
     assert sentence in (tmp_path / "b" / "metrics.json").read_text()
 
@@ -273,7 +273,7 @@ def test_damaged_files_of_a_run_are_named(tmp_path):
     with pytest.raises(ValueError, match=r"000001\.json cannot be used"):
         resume_mapping(tmp_path)
     (tmp_path / "config.json").write_text("{}")
-    with pytest.raises(ValueError, match=r"config.json is not of a run: expected the keys source, config"):
+    with pytest.raises(ValueError, match=r"config.json is not from a run: expected the keys source, config"):
         rescore(tmp_path)
 
 

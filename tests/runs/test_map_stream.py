@@ -269,7 +269,7 @@ def test_the_sources_own_policy_is_the_default(frames, config):
 def test_without_poses_the_settings_must_ask_to_track(frames, config):
     source = Source(frames)
     source.has_poses = False
-    with pytest.raises(SequenceError, match=r"source came without poses; expected tracking\.poses = 'tracked'"):
+    with pytest.raises(SequenceError, match=r"source has no poses; set tracking\.poses = 'tracked'"):
         StreamRun(source, make_mapper(config))
 
 

@@ -109,7 +109,7 @@ def test_a_recording_without_poses_is_tracked_from_the_identity(tmp_path):
     with pytest.raises(SequenceNotFoundError, match=r"lacks poses.txt.*--reader poses=false"):
         open_sequence(tmp_path / "scan", format="folder")
     config = gsfusion("online", tracking__poses="tracked", data__hold_out_every=4, data__hold_out_offset=2)
-    with pytest.raises(SequenceError, match="came without poses"):
+    with pytest.raises(SequenceError, match="has no poses"):
         run_mapping(tmp_path / "scan", gsfusion("online"), folder=tmp_path / "no", poses=False)
     done = run_mapping(tmp_path / "scan", config, folder=tmp_path / "run", poses=False)
     assert done.metrics["n_frames"] == 6

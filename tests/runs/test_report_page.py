@@ -115,7 +115,8 @@ def test_the_whole_page(generator, tmp_path):
     )  # fmt: skip
     page = page_of(run, tmp_path)
     for text in (
-        "GSFusion on a <room>", "Stopped at frame 5", "23.68 dB", "SSIM 0.812", "8,386", "3.21 fps", "of 42 frames",
+        "GSFusion on a <room>", "Stopped at frame 5", "23.68 dB", "SSIM 0.812", "8,386", "3.21 frames/s",
+        "of 42 frames",
         "not computed: package 'lpips' is not installed", "0.72 cm", "my_own", "tsdf.voxel_size_m", "0.01", "threads",
         "SuperSplat", "notes.txt", "PSNR 21.50 dB · SSIM 0.710", "Quadtree", "2 cells", "2.00 m", "10 cm or more",
         "time, ms", "PSNR, dB", "keyframe", "pass over the keyframes", "All 6 frames", "integrate", "other",

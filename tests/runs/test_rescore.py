@@ -71,7 +71,7 @@ def test_numbers_that_differ_are_named_and_the_run_s_are_kept(tmp_path, caplog):
     assert again["lpips_mapped"] == 0.25  # not asked for now, so what is there stays
     kept = json.loads((run.folder / "metrics-before-eval.json").read_text())
     assert kept["metrics"]["psnr_mapped_db"] == 99.0
-    sentence = f"1 numbers differ from the run's own: psnr_mapped_db 99 -> {true:.6g}"
+    sentence = f"these scores differ from those of the run: psnr_mapped_db 99 -> {true:.6g}"
     assert sentence in caplog.text
     assert sentence in json.loads(path.read_text())["warnings"][-1]
 
@@ -79,7 +79,7 @@ def test_numbers_that_differ_are_named_and_the_run_s_are_kept(tmp_path, caplog):
 def test_a_run_without_its_views_is_refused(tmp_path):
     run = run_mapping("room", with_poses("gsfusion", "given"), folder=tmp_path / "run", evaluate=False, **ROOM)
     (run.folder / "views.json").unlink()
-    with pytest.raises(FileNotFoundError, match=r"views.json is not there, so it is not known which views to score"):
+    with pytest.raises(FileNotFoundError, match=r"views.json does not exist, so the views to score"):
         rescore(run.folder)
     (run.folder / "views.json").write_text('{"mapped": [{"frame": 0}]}')
     with pytest.raises(ValueError, match=r"views.json is damaged: KeyError 'T_WC'"):

@@ -41,8 +41,8 @@ def test_a_stop_while_scoring_leaves_a_report_and_the_run_can_be_scored_again(tm
     assert run.run.status == "interrupted"
     assert "psnr_held_out_db" in metrics_of(run.folder)["metrics"]
     assert "mesh_accuracy_m" not in metrics_of(run.folder)["metrics"]
-    assert run.run.warnings == ["interrupted while it was scored; the maps are complete"]
-    assert "interrupted while it was scored" in (run.folder / "report.html").read_text()
+    assert run.run.warnings == ["interrupted while the views were scored; the maps are complete"]
+    assert "interrupted while the views were scored" in (run.folder / "report.html").read_text()
     assert (run.folder / "checkpoint").is_dir()
     again = resume_mapping(run.folder)
     assert (again.run.status, again.run.warnings) == ("complete", [])

@@ -149,7 +149,7 @@ def test_broken_rules_are_named(rule, sentence):
 
 
 def test_a_switch_is_tried_in_both_positions():
-    with pytest.raises(TypeError, match="'broken_switch' returned something unusable: expected Seeds, got NoneType"):
+    with pytest.raises(TypeError, match="'broken_switch' returned invalid seeds: expected Seeds, got NoneType"):
         check_rule(broken_switch)
 
 

@@ -94,7 +94,7 @@ def free_word(ctx, *, where="near"):
     [
         (no_context, r"def no_context\(ctx, \*, number=default, ...\) -> Seeds; this one does not take the context"),
         (star, "does not take the context as its first argument"),
-        (positional, "'depth_m=1.0' must be keyword-only: put it behind a bare"),
+        (positional, "'depth_m=1.0' must be keyword-only: put it after a bare"),
         (no_default, "option 'depth_m' has no default"),
         (any_keyword, "must be keyword-only"),
         (listed, r"default of option 'sizes' must be a number, True/False or a word, got \(1, 2\)"),
@@ -145,7 +145,7 @@ def test_wrong_options_are_refused(options, sentence, ctx):
         (
             lambda: None,
             TypeError,
-            r"'faulty' returned something unusable: expected Seeds, got NoneType \(is there a ret",
+            r"'faulty' returned invalid seeds: expected Seeds, got NoneType \(is there a ret",
         ),
         (lambda: [1, 2], TypeError, "expected Seeds, got list"),
         (lambda: {"scale_m": torch.zeros(3, 3)}, ValueError, "scale_m must be > 0, got 9 other values, from 0 to 0"),
@@ -211,9 +211,9 @@ def test_seeds_too_far_away_are_refused_with_the_row(ctx):
         values[3, 1] = 1e30
         return seeds
 
-    with pytest.raises(ValueError, match=r"rule 'faulty' .*xyz_W must be within 10,000 m of .* first in row 3"):
+    with pytest.raises(ValueError, match=r"rule 'faulty' .*xyz_W must be within 10,000 m of .* first of them in row 3"):
         apply_rule(faulty, ctx)
-    with pytest.raises(ValueError, match=r"rule 'faulty' .*scale_m must be below 10,000 m.* first in row 3"):
+    with pytest.raises(ValueError, match=r"rule 'faulty' .*scale_m must be below 10,000 m.* first of them in row 3"):
         apply_rule(faulty, ctx, {"column": 1.0})
 
 

@@ -127,7 +127,7 @@ def test_an_attempt_notices_what_the_student_does():
         (torch.zeros(2), torch.zeros(3), r"the shape is \[2\], expected \[3\]"),
         ([1.0, float("nan")], [1.0, 2.0], "NaN or infinite"),
         ([[1.0, 2.0], [3.0, 9.0]], [[1.0, 2.0], [3.0, 4.0]], r"got 9 at \[1, 1\], expected 4"),
-        ("four", 4.0, "no array of numbers"),
+        ("four", 4.0, "not an array of numbers"),
         (3.0, 4.0, "got 3, expected 4"),
     ],
 )

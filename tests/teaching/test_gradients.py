@@ -5,8 +5,8 @@ import torch
 
 from gsfusion_nb.render import project_gaussians
 from gsfusion_nb.teaching import check, gradients
+from gsfusion_nb.teaching.gradient_check import central_difference, compare_gradients
 from gsfusion_nb.teaching.source_lines import source_lines
-from gsfusion_nb.teaching.three_ways import central_difference, three_ways
 
 F64 = torch.float64
 X = torch.tensor([0.3, -1.2, 2.0], dtype=F64)
@@ -19,7 +19,7 @@ def test_central_difference_of_a_cubic():
 
 
 def test_three_ways_agree_on_a_right_gradient():
-    table = three_ways(torch.sin, lambda v, x: v * x.cos(), {"x": X})
+    table = compare_gradients(torch.sin, lambda v, x: v * x.cos(), {"x": X})
     assert table
     assert "all three agree" in repr(table)
     html = table._repr_html_()
@@ -33,46 +33,48 @@ def test_three_ways_find_one_wrong_element():
         g[2] *= 1.001
         return g
 
-    table = three_ways(torch.sin, almost, {"x": X})
+    table = compare_gradients(torch.sin, almost, {"x": X})
     assert not table
     assert "do NOT agree" in repr(table)
     assert "✗" in table._repr_html_()
 
 
 def test_three_ways_name_the_input_that_is_wrong():
-    table = three_ways(lambda a, b: a * b, lambda v, a, b: (v * b, v * b), {"a": X, "b": X + 1})
+    table = compare_gradients(lambda a, b: a * b, lambda v, a, b: (v * b, v * b), {"a": X, "b": X + 1})
     assert [max(row.errors) < 1e-5 for row in table.rows] == [True, False]
 
 
 def test_an_input_without_influence_has_zero_gradient():
-    table = three_ways(lambda a, b: a * 2, lambda v, a, b: (2 * v, torch.zeros_like(b)), {"a": X, "b": X})
+    table = compare_gradients(lambda a, b: a * 2, lambda v, a, b: (2 * v, torch.zeros_like(b)), {"a": X, "b": X})
     assert table
 
 
 def test_the_given_v_is_used():
-    table = three_ways(lambda a: a.sum(), lambda v, a: v * torch.ones_like(a), {"a": X}, v=torch.tensor(3.0, dtype=F64))
+    table = compare_gradients(
+        lambda a: a.sum(), lambda v, a: v * torch.ones_like(a), {"a": X}, v=torch.tensor(3.0, dtype=F64)
+    )
     torch.testing.assert_close(table.rows[0].difference, torch.full((3,), 3.0, dtype=F64))
 
 
 def test_inputs_are_left_alone():
     before = X.clone()
-    three_ways(torch.sin, lambda v, x: v * x.cos(), {"x": X})
+    compare_gradients(torch.sin, lambda v, x: v * x.cos(), {"x": X})
     assert torch.equal(before, X)
 
 
 def test_all_solutions_pass_three_ways():
     v_C = torch.tensor([0.3, -1.0, 0.5], dtype=F64)
     alpha, rgb = torch.tensor([0.5, 0.8, 0.3], dtype=F64), torch.rand(3, 3, dtype=F64)
-    assert three_ways(
+    assert compare_gradients(
         gradients._blend, lambda v, a, c: gradients._blend_vjp(a, c, v), {"alpha": alpha, "rgb": rgb}, v=v_C
     )
     cov = torch.tensor([[2.0, 0.8], [0.8, 1.0]], dtype=F64)
-    assert three_ways(torch.linalg.inv, lambda v, s: gradients._inverse_vjp(s.inverse(), v), {"cov": cov})
+    assert compare_gradients(torch.linalg.inv, lambda v, s: gradients._inverse_vjp(s.inverse(), v), {"cov": cov})
 
     def pinhole(p):
         return torch.stack([90 * p[0] / p[2], 110 * p[1] / p[2]])
 
-    assert three_ways(pinhole, lambda v, p: gradients._pinhole_vjp(p, 90.0, 110.0, v), {"p": X})
+    assert compare_gradients(pinhole, lambda v, p: gradients._pinhole_vjp(p, 90.0, 110.0, v), {"p": X})
 
 
 def test_a_numpy_answer_also_passes():

@@ -7,7 +7,7 @@ from gsfusion_nb.config import gsfusion
 from gsfusion_nb.mapping import GSFusion
 from gsfusion_nb.optim import Keyframe, KeyframeList
 from gsfusion_nb.teaching import check, mapping
-from gsfusion_nb.teaching.paper_tables import PAPER_TABLES, BesideThePaper
+from gsfusion_nb.teaching.paper_tables import PAPER_TABLES, PaperComparison
 
 
 def test_the_reference_step_maps_as_the_library_does():
@@ -55,14 +55,14 @@ def test_the_log_tells_key_frames_from_frames():
 
 def test_the_papers_tables_and_ours_beside_them():
     assert list(PAPER_TABLES) == ["IV", "V", "VI", "VII", "VIII"]
-    table = BesideThePaper("VII", {"with": {"PSNR": 20.0, "FPS": 30.0, "Gaussians": 1234, "MB": 3.0}})
+    table = PaperComparison("VII", {"with": {"PSNR": 20.0, "FPS": 30.0, "Gaussians": 1234, "MB": 3.0}})
     head, without, with_ = table.lines()
     assert head == ["random keyframe optimisation", "PSNR", "SSIM", "FPS", "Gaussians"]
     assert without == ["without", "- (24.22)", "- (0.849)", "- (9.7)", "-"]
     assert with_ == ["with", "20.00 (28.64)", "- (0.900)", "30.0 (9.7)", "1,234"]
-    thresholds = BesideThePaper("VIII", {k: {"PSNR": 20.0} for k in ("10", "200", "50")})
+    thresholds = PaperComparison("VIII", {k: {"PSNR": 20.0} for k in ("10", "200", "50")})
     assert [row[0] for row in thresholds.lines()[1:]] == ["10", "40", "50", "90", "200"]
     assert "Table VII" in repr(table)
     assert "<td>20.00 (28.64)</td>" in table._repr_html_()
     with pytest.raises(KeyError, match="IV, V, VI, VII, VIII"):
-        BesideThePaper("III", {})
+        PaperComparison("III", {})

@@ -134,7 +134,7 @@ def test_nothing_to_align(plane_scene):
     start = se3.exp(torch.tensor([0.1, 0.0, 0.0, 0.0, 0.0, 0.0]).double())
     for depth_m, target in ((frame.depth_m, blank), (torch.zeros_like(frame.depth_m), surface)):
         found = icp(depth_m, frame.camera, target, start)
-        assert (found.n_inliers, found.inlier_share, found.agreement, found.history) == (0, 0.0, 0.0, ())
+        assert (found.n_inliers, found.inlier_share, found.overlap_inlier_share, found.history) == (0, 0.0, 0.0, ())
         assert torch.equal(found.T_WC, start)
 
 

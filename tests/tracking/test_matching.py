@@ -5,7 +5,7 @@ import torch
 
 from gsfusion_nb.geometry import project, se3
 from gsfusion_nb.tracking.features import Features
-from gsfusion_nb.tracking.matching import PointPairs, agreement, match_features, pose_errors, refine_pose, relative_pose
+from gsfusion_nb.tracking.matching import PointPairs, is_inlier, match_features, pose_errors, refine_pose, relative_pose
 from gsfusion_nb.types import Camera
 
 CAMERA = Camera(width=320, height=240, fx=208.0, fy=210.0, cx=160.0, cy=121.0)
@@ -88,7 +88,7 @@ def test_points_behind_count_for_nothing(generator, T_RQ):
     error, J = pose_errors(CAMERA, pairs, T_RQ)
     assert (error[1] == 0).all()
     assert (J[1] == 0).all()
-    assert agreement(CAMERA, pairs, T_RQ).tolist() == [True, False, True]
+    assert is_inlier(CAMERA, pairs, T_RQ).tolist() == [True, False, True]
 
 
 def test_refinement_reaches_the_exact_pose_despite_outliers(generator, T_RQ):
@@ -153,4 +153,4 @@ def test_equal_depths_are_asked_for(generator, T_RQ):
     pairs = PointPairs(
         xyz_R=xyz_R, uv=project(CAMERA, xyz_Q), depth_m=depth_m, sigma_px=torch.ones(30, dtype=torch.float64)
     )
-    assert agreement(CAMERA, pairs, T_RQ).logical_not().nonzero().flatten().tolist() == [5]
+    assert is_inlier(CAMERA, pairs, T_RQ).logical_not().nonzero().flatten().tolist() == [5]

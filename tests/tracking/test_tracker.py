@@ -36,7 +36,7 @@ def test_a_steady_motion_is_followed(plane_scene, assert_pose):
         assert set(report.seconds) == {"preprocess", "render", "icp"}
     last = reports[-1]
     assert last.inlier_share > 0.9
-    assert last.agreement > 0.9
+    assert last.overlap_inlier_share > 0.9
     assert last.icp is not None
     assert last.iterations == len(last.icp.history) > 0
     assert tracker.n_lost == 0
@@ -86,7 +86,7 @@ def test_no_depth_at_all_is_a_loss_in_one_sentence(plane_scene):
     scene, tracker = plane_scene("corner"), Tracker()
     blind = scene.frame(path(3)[2], 7)
     blind = dataclasses.replace(blind, depth_m=torch.zeros_like(blind.depth_m))
-    message = "frame 7 cannot be tracked: none of its pixels has usable depth"
+    message = "frame 7 cannot be tracked: none of its pixels have usable depth"
     with pytest.raises(TrackingLostError, match=message):
         tracker.track(blind, scene)
     assert tracker.track(scene.frame(path(1)[0]), scene).status == "first"
@@ -106,7 +106,7 @@ def test_a_jump_is_lost_and_found_when_the_stream_returns(plane_scene, assert_po
     elsewhere = torch.eye(4).double()
     elsewhere[2, 3] = 1.0
     for i in range(3):
-        with pytest.raises(TrackingLostError, match=r"frame 1\d cannot be tracked: from the .* pose .*%.*wide gates"):
+        with pytest.raises(TrackingLostError, match=r"frame 1\d cannot be tracked: from the .* pose .*%.*wide limits"):
             tracker.track(other.frame(elsewhere, 10 + i), corner)
     assert tracker.n_lost == 3
     back = path(1, start=5)[0]

@@ -15,7 +15,7 @@ from ...config import RepairConfig
 from ...config.repair import AXES, NAMED_AXES
 from ..adjust.pose_conventions import axis_matrix
 from .quick_check import relative_under
-from .reprojection import Agreement, DepthPair, agreement, depth_pair
+from .reprojection import DepthConsistency, DepthPair, depth_consistency, depth_pair
 from .sample import Sample
 
 GAPS = (1, 2, 4, 8, 16, 30)
@@ -59,7 +59,7 @@ class ScoredInterpretation:
     """Direction, axes and quaternion order."""
     depth_factor: float
     score: float
-    """0..1; see ``Agreement.score``."""
+    """0..1; see ``DepthConsistency.score``."""
     agreeing: float
     """Share of the points that agree within 3 per cent."""
     median_m: float
@@ -160,8 +160,8 @@ def _relatives(
     return relative
 
 
-def _in_parts(pair: DepthPair, T_ba: Float[Tensor, "K 4 4"], part: int = 512) -> Agreement:
-    """``agreement`` in parts of ``part`` poses, which keeps the arrays small."""
-    parts = [agreement(pair, T_ba[k : k + part]) for k in range(0, len(T_ba), part)]
+def _in_parts(pair: DepthPair, T_ba: Float[Tensor, "K 4 4"], part: int = 512) -> DepthConsistency:
+    """``depth_consistency`` in parts of ``part`` poses, which keeps the arrays small."""
+    parts = [depth_consistency(pair, T_ba[k : k + part]) for k in range(0, len(T_ba), part)]
     names = ("agreeing", "overlap", "median_m", "score")
-    return Agreement(**{n: torch.cat([getattr(p, n) for p in parts]) for n in names})
+    return DepthConsistency(**{n: torch.cat([getattr(p, n) for p in parts]) for n in names})

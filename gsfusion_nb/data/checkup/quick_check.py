@@ -9,7 +9,7 @@ from ...geometry import se3
 from ...types import Frame
 from ..adjust.pose_conventions import reread_poses
 from ..sequence import BadFrameError, Sequence, SequenceError
-from .reprojection import agreement, depth_pair, relative_poses
+from .reprojection import depth_consistency, depth_pair, relative_poses
 
 _MIN_ANGLE_RAD = 0.12
 
@@ -75,7 +75,7 @@ def depth_agreement(a: Frame, b: Frame, *, step: int = 4) -> DepthAgreement:
         step: Every step-th pixel of ``a`` in both directions is used.
     """
     T_ba = relative_poses(a.T_WC.double()[None], b.T_WC.double()[None])
-    found = agreement(depth_pair(a.depth_m, b.depth_m, b.camera, step=step), T_ba)
+    found = depth_consistency(depth_pair(a.depth_m, b.depth_m, b.camera, step=step), T_ba)
     return DepthAgreement(median_m=float(found.median_m), overlap=float(found.overlap), agreeing=float(found.agreeing))
 
 
@@ -100,7 +100,7 @@ def check_sequence(sequence: Sequence, *, pairs: int = 4) -> SequenceCheck:
             continue
         stored = torch.stack([a.T_WC, b.T_WC]).double()
         T_ba = torch.cat([relative_under(stored[:1], stored[1:], r) for r in USUAL_INTERPRETATIONS.values()])
-        scores.append(agreement(depth_pair(a.depth_m, b.depth_m, b.camera), T_ba).agreeing)
+        scores.append(depth_consistency(depth_pair(a.depth_m, b.depth_m, b.camera), T_ba).agreeing)
     if not scores:
         raise SequenceError(f"{sequence.name} has no two usable frames; expected at least two to compare")
     mean = torch.stack(scores).mean(0).tolist()

@@ -28,7 +28,7 @@ class DepthPair:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Agreement:
+class DepthConsistency:
     """How well two depth images agree under each of K relative poses."""
 
     agreeing: Float[Tensor, " K"]
@@ -54,7 +54,7 @@ def depth_pair(
     return DepthPair(xyz_a=points[points[:, 2] > 0], depth_b=depth_b, camera=camera, frames=frames)
 
 
-def agreement(pair: DepthPair, T_ba: Float[Tensor, "K 4 4"]) -> Agreement:
+def depth_consistency(pair: DepthPair, T_ba: Float[Tensor, "K 4 4"]) -> DepthConsistency:
     """Move the points of ``a`` into ``b`` under each pose and compare with the depth of the pixel they fall on.
 
     Args:
@@ -73,7 +73,7 @@ def agreement(pair: DepthPair, T_ba: Float[Tensor, "K 4 4"]) -> Agreement:
     error = (z - measured).abs()
     unit = (error / (AGREES * measured.clamp_min(1e-9))).where(seen, torch.inf)
     total = max(pair.xyz_a.shape[0], 1)
-    return Agreement(
+    return DepthConsistency(
         agreeing=(unit < 1).sum(-1) / total,
         overlap=seen.sum(-1) / total,
         median_m=error.where(seen, torch.nan).nanmedian(dim=-1).values

@@ -11,8 +11,8 @@ from .errors import DeclinedError as DeclinedError
 from .errors import DownloadError as DownloadError
 from .errors import FetchError as FetchError
 from .errors import NoSpaceError as NoSpaceError
-from .obtain import Terms as Terms
-from .obtain import obtain as obtain
+from .fetch_data_set import FetchOptions as FetchOptions
+from .fetch_data_set import fetch_data_set as fetch_data_set
 from .plan import Item as Item
 from .plan import Plan as Plan
 from .sequence_on_disk import SequenceOnDisk as SequenceOnDisk

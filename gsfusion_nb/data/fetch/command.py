@@ -9,7 +9,7 @@ from pathlib import Path
 
 from ...last_resort import is_foreseen, unforeseen
 from ...progress import ProgressDisplay
-from .obtain import Terms as Terms
+from .fetch_data_set import FetchOptions as FetchOptions
 
 
 def parser(description: str, *, downloads: bool = True) -> argparse.ArgumentParser:
@@ -24,9 +24,9 @@ def parser(description: str, *, downloads: bool = True) -> argparse.ArgumentPars
     return made
 
 
-def terms(options: argparse.Namespace) -> Terms:
-    """The terms given on the command line; questions are asked only if standard input is a terminal."""
-    return Terms(
+def fetch_options(options: argparse.Namespace) -> FetchOptions:
+    """The options given on the command line; questions are asked only if standard input is a terminal."""
+    return FetchOptions(
         out=options.out,
         yes=options.yes,
         mirror=getattr(options, "mirror", ""),

@@ -12,7 +12,7 @@ def dense(ctx: SeedContext, *, required_weight: float = 1.0, coverage: bool = Tr
     Args:
         ctx: Frame and volume.
         required_weight: Observation count that the voxel must have, as in the rule ``gsfusion``.
-        coverage: False skips the voxel test; every frame then seeds every pixel.
+        coverage: False skips the voxel test; then every pixel with depth is seeded in every frame.
 
     Source: the one-pixel footprint of SplaTAM, with GSFusion's voxel test in place of its silhouette test.
     """

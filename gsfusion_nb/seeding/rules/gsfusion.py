@@ -9,20 +9,20 @@ from ..rule import seeding_rule
 def gsfusion(ctx: SeedContext, *, required_weight: float = 1.0, coverage: bool = True) -> Seeds:
     """One Gaussian per quadtree leaf whose middle lies in a voxel that this frame was the first to observe.
 
-    The voxel test runs after the frame has been integrated, so a weight of exactly 1 means "first observed now". What
-    follows from it, in the released code as here:
+    The voxel test runs after the frame has been integrated, so a weight of exactly 1 means "first observed now". In the
+    released code as here, this has some consequences:
     - a voxel that was free space when first observed has a weight too: a surface that appears there later is never
       seeded;
     - a leaf is lost if the voxel around its middle has weight 0, because that voxel's own centre falls on a pixel
       without depth, or too far behind that pixel's depth (object borders);
-    - a voxel observed once, and not again in the next frame that measures a point in it, is seeded twice;
+    - a voxel is seeded twice if a later frame measures a point in it but does not update its weight;
     - several leaves of one frame may share a voxel.
     The last two cannot happen with ``one_per_voxel`` in the seeding settings.
 
     Args:
         ctx: Frame and volume.
         required_weight: Observation count that the voxel must have.
-        coverage: False skips the voxel test; every frame then seeds everything it sees.
+        coverage: False skips the voxel test; then every leaf with depth is seeded in every frame.
 
     Source: GSFusion section III-B.2, Eq. 10.
     """

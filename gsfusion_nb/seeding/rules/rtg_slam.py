@@ -1,4 +1,4 @@
-"""RTG-SLAM's rule: opaque discs where the surface is new or wrong, transparent ones where only the colour is."""
+"""RTG-SLAM's rule: opaque discs where the surface is new or wrong, transparent ones where only the colour is wrong."""
 
 import dataclasses
 from typing import Literal
@@ -19,7 +19,7 @@ NEW_AREA, DEPTH_ERROR, COLOUR_ERROR = 1, 2, 3
 
 OPAQUE_OPACITY, TRANSPARENT_OPACITY = 0.99, 0.1
 ERROR_SHARE = 0.05
-"""Released code: share of the pixels in error that is drawn, whatever that of newly seen ones."""
+"""Released code: share of the pixels with errors that is drawn, independent of the share of new pixels."""
 UNSTABLE_REACH = 0.6
 """Released code: nothing is added within this many radii of an unstable Gaussian."""
 
@@ -43,25 +43,26 @@ def rtg_slam(
 
         M_s = { T > delta_T  or  |D^ - D| > delta_d },   M_c = { |C^ - C| > delta_c } \\ M_s
 
-    A share of each is drawn at random. Those of M_s become opaque. One of M_c asks for the disc that its ray hits:
-    if that is unstable nothing is added, if it is stable a transparent one is, to correct the colour. Discs lie in
-    the measured surface, as wide as the gap to their neighbours.
+    A share of each is drawn at random. Those of M_s become opaque discs. For one of M_c the disc that its ray hits
+    decides: if it is unstable, nothing is added; if it is stable, a transparent disc is added to correct the colour.
+    Discs lie in the measured surface and are as wide as the gap to their neighbours.
 
     Args:
         ctx: Frame and Gaussian map; without a map every pixel is new.
-        share: Part of the pixels of each kind that is drawn; with "code" of newly seen ones, 0.05 of the others.
-        min_transmittance: delta_T.
-        depth_error_m: delta_d, metres.
-        colour_error: delta_c, mean absolute difference over R, G, B.
-        transparent: False adds none (the ablation of Fig. 6).
-        transparent_radius_m: Largest radius of a transparent disc (paper; the code has no such limit).
-        min_radius_m: Least radius of any.
-        max_radius_m: Largest radius of any.
+        share: Share of the pixels of each kind that is drawn, 0..1; with "code" only of newly seen pixels, and 0.05 of
+            the others. Larger: more Gaussians, denser map.
+        min_transmittance: delta_T: a pixel is newly seen if more than this share of its light passes the map.
+        depth_error_m: delta_d: larger depth errors count as wrong, metres.
+        colour_error: delta_c: larger mean absolute differences over R, G, B (0..1) count as wrong.
+        transparent: False adds no transparent discs (the ablation of Fig. 6).
+        transparent_radius_m: Largest radius of a transparent disc, metres (paper; the code has no such limit).
+        min_radius_m: Smallest radius of any disc, metres.
+        max_radius_m: Largest radius of any disc, metres.
         thickness: Smallest standard deviation, as a share of the radius.
         fidelity: "paper": as above; a pixel that hits no disc is wrong in depth. "code": pixels of the two error kinds
-            are one kind; nothing is added near an unstable disc, nor within 3 radii of any; transparent is what lies on
-            a stable disc's plane, whatever its kind. "measured": as the paper, but a pixel without a hit has no depth
-            error, and nothing opaque is added within the reach of an existing disc at its own depth.
+            are one kind; nothing is added near an unstable disc, nor within 3 radii of any disc; a new disc on a stable
+            disc's plane is transparent, whatever its kind. "measured": as the paper, but a pixel without a hit has no
+            depth error, and no opaque disc is added within 3 radii of an existing opaque one.
 
     Source: Peng et al. 2024, section 3.2, "Gaussians adding"; sizes and "code" from the released code.
     """
@@ -115,7 +116,7 @@ def wrong_pixels(
 
 
 def draw_share(mask: Bool[Tensor, "H W"], share: float, generator: torch.Generator) -> Int[Tensor, " M"]:
-    """Places in the flat image of a random share of the pixels, without replacement, in the order of the image."""
+    """Indices into the flat image of a random share of the pixels, without replacement, in image order."""
     pixel = mask.flatten().nonzero().squeeze(1)
     n = round(share * len(pixel))
     order = torch.randperm(len(pixel), generator=generator, device=generator.device)[:n]
@@ -123,7 +124,7 @@ def draw_share(mask: Bool[Tensor, "H W"], share: float, generator: torch.Generat
 
 
 def discs_at(ctx: SeedContext, pixel: Int[Tensor, " M"], tag: Int[Tensor, " M"]) -> Seeds:
-    """Opaque discs of no size yet on the measured surface: thin axis z along the normal."""
+    """Opaque discs on the measured surface, their thin axis z along the normal, with sizes still to be set."""
     depth_m = ctx.frame.depth_m.flatten()[pixel]
     uv = pixel_grid(ctx.camera, device=depth_m.device).view(-1, 2)[pixel]
     xyz_W = se3.apply(ctx.frame.T_WC, backproject(ctx.camera, uv.to(depth_m), depth_m))
@@ -171,7 +172,7 @@ def sized(
 def _decide_by_hit(
     ctx: SeedContext, view: SurfaceView, seeds: Seeds, pixel: Tensor, depth_error_m: float
 ) -> Float[Tensor, " M"]:
-    """Opacity by the disc that the pixel's ray hits: transparent over a stable one, 0 (none) over an unstable one."""
+    """Opacity by the disc that the pixel's ray hits: transparent on a stable disc, 0 (none) on an unstable one."""
     hit = view.hit_index.flatten()[pixel]
     state = ctx.map.state
     stable = torch.ones_like(hit, dtype=torch.bool) if state is None else state[hit.clamp_min(0)] == 1
@@ -186,7 +187,9 @@ def _decide_by_plane(
     unstable = torch.zeros(len(ctx.map), dtype=torch.bool) if ctx.map.state is None else ctx.map.state == 0
     unstable = unstable.to(pixel.device)
     distance, row = nearest(seeds.xyz_W, ctx.map.xyz_W[unstable])
-    radius = torch.cat([ctx.map.radius_m[unstable], seeds.opacity.new_zeros(1)])  # one row more where there are none
+    radius = torch.cat(
+        [ctx.map.radius_m[unstable], seeds.opacity.new_zeros(1)]
+    )  # one more row, for indices where there is none
     crowded = (distance < UNSTABLE_REACH * radius[row]).any(dim=1)
 
     stable_rows = (~unstable).nonzero().squeeze(1)

@@ -9,16 +9,16 @@ from ..rule import seeding_rule
 
 @seeding_rule
 def uniform(ctx: SeedContext, *, fraction: float = 0.05, required_weight: float = 1.0, coverage: bool = True) -> Seeds:
-    """A random part of the pixels that have depth and lie in voxels observed for the first time, all of one image size.
+    """A random share of the pixels that have depth and lie in voxels observed for the first time, of equal image size.
 
-    Each Gaussian stands for 1 / fraction pixels and is as large as GSFusion would make a square cell of that area:
+    Each Gaussian represents 1 / fraction pixels and has the size that GSFusion gives a square cell of that area:
     radius sqrt(1 / (2 fraction)) pixels.
 
     Args:
         ctx: Frame and volume.
-        fraction: Part of the candidate pixels that is seeded, 0..1, drawn without replacement.
+        fraction: Share of the candidate pixels that is seeded, 0..1, drawn without replacement.
         required_weight: Observation count that the voxel must have, as in the rule ``gsfusion``.
-        coverage: False skips the voxel test; every frame then seeds everywhere.
+        coverage: False skips the voxel test; then every frame is seeded everywhere.
 
     Source: RTG-SLAM's uniform sampling of 5 % of a frame, with GSFusion's voxel test and size.
     """

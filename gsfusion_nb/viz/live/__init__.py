@@ -1,1 +1,1 @@
-"""Online mapping and other loops to watch while they run, and a camera that is moved by sliders."""
+"""Live views of online mapping and of other loops while they run, and a camera that is moved with sliders."""

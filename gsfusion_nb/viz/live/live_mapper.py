@@ -1,4 +1,4 @@
-"""Online mapping to watch: buttons that start, pause, step and stop it, and pictures of the map."""
+"""A live view of online mapping: buttons to start, pause, step and stop it, and pictures of the map."""
 
 import dataclasses
 import html
@@ -34,18 +34,18 @@ _on_stage: "weakref.ref[LiveMapper] | None" = None
 
 
 class LiveMapper:
-    """Drives the online part of a ``MappingRun`` frame by frame in a thread; the kernel stays free.
+    """Runs the online part of a ``MappingRun`` frame by frame in its own thread; other cells can run meanwhile.
 
     The last line of a cell shows it. From Python: ``start``, ``pause``, ``step``, ``stop``, and ``run_sync(n)``, which
-    maps ``n`` frames (or all that are left) in the calling cell. ``lock`` is held during a step; give it to whoever
-    looks at the maps at the same time. Making another ``LiveMapper`` stops this one: a cell that is run again does not
-    leave an invisible run behind.
+    maps ``n`` frames (or all that are left) in the calling cell. ``lock`` is held during a step; pass it to any code
+    that reads the maps at the same time. Making another ``LiveMapper`` stops this one, so running a cell twice does not
+    leave the first run going unseen.
 
     Args:
         run: The run; it may have mapped some frames already.
         panel_width: Width of each panel on screen, pixels.
 
-    ``splats()`` makes a splat viewer that follows the map; a cell of its own shows it.
+    ``splats()`` makes a splat viewer that follows the map; show it in a cell of its own.
     """
 
     def __init__(self, run: MappingRun, *, panel_width: int = 320):
@@ -95,14 +95,14 @@ class LiveMapper:
         self.player.close()
 
     def splats(self, **options: Any) -> "SplatViewer":
-        """A view of the Gaussians to turn while they are being mapped, with the ``options`` of ``SplatViewer``.
+        """A splat viewer that is updated while the map grows; ``options`` are those of ``SplatViewer``.
 
-        Its time slider goes back over what was mapped so far. Another call makes another one, which is then the one
-        that follows the map.
+        Its time slider shows the map as it was at earlier frames. After another call only the newer viewer follows the
+        map.
         """
         from ..splats.viewer import SplatViewer
 
-        if not len(self.run.mapper.keyframes) and len(self.run.sequence.mapping):  # no place to stand yet but the first
+        if not len(self.run.mapper.keyframes) and len(self.run.sequence.mapping):  # no keyframe yet
             first = self.run.sequence.mapping[0]
             options = {"camera": first.camera, "T_WC": first.T_WC} | options
         self.viewer = SplatViewer(self.run.mapper, lock=self.lock, **options)
@@ -145,7 +145,7 @@ class LiveMapper:
         try:
             frame = self._last_frame()
         except SequenceError as e:
-            log.warning("the panels stay as they are: %s", e)
+            log.warning("the panels were not redrawn: %s", e)
             return
         self.panels = live_panels(self.run.mapper, frame)
         for name, image in self.images.items():
@@ -224,7 +224,7 @@ class LiveMapper:
 
 
 def _as_html(error: BaseException | None) -> str:
-    """The error, and its traceback to unfold."""
+    """The error as HTML, with its traceback folded below."""
     if error is None:
         return ""
     trace = html.escape("".join(traceback.format_exception(error)))

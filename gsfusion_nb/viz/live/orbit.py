@@ -32,14 +32,14 @@ def orbit_view(
     size: tuple[int, int] = (480, 360),
     lock: Any = None,
 ) -> "OrbitView":
-    """Look at a Gaussian map from everywhere; the last line of a cell shows the viewer.
+    """Look at a Gaussian map from every side; the last line of a cell shows the viewer.
 
     Args:
-        source: A mapper (which also knows its cameras), a model, or bare parameters. It is drawn as it is at that
-            moment, so a map that grows can be watched.
-        camera: Intrinsics to look with; the mapper's own by default.
-        T_WC: Where to start; the mapper's first keyframe by default.
-        up_W: What is up; by default the mean of the mapper's cameras' -y, or z.
+        source: A mapper (which also knows its cameras), a model, or bare parameters. Every redraw shows its current
+            state, also while the map grows.
+        camera: Intrinsics of the view; the mapper's own by default.
+        T_WC: Camera-to-world pose to start from; the mapper's first keyframe by default.
+        up_W: The world's up direction; by default the mean of the mapper's cameras' -y axes, or z.
         size: Width and height of the picture, pixels.
         lock: Held while drawing, if another thread changes the map (``LiveMapper.lock``).
     """
@@ -124,9 +124,9 @@ class OrbitView:
         return self
 
     def look_from(self, place: str) -> "OrbitView":
-        """Go to one of the places of the buttons: "photo", "above" or "inside"."""
+        """Move the camera to the viewpoint of a button: "photo", "above" or "inside"."""
         if place not in self.places:
-            raise KeyError(f"no place {place!r}; known: {', '.join(self.places)}")
+            raise KeyError(f"no viewpoint {place!r}; known: {', '.join(self.places)}")
         view, cut_m = self.places[place]
         self._target_W = view.target_W
         return self.set(
@@ -173,8 +173,8 @@ class OrbitView:
         rows = {  # label, value, low, high, step, tooltip
             "azimuth": ("azimuth °", _wrapped(home.azimuth_deg), -180, 180, 1, "around the vertical"),
             "elevation": ("elevation °", home.elevation_deg, -89, 89, 1, "above the horizontal"),
-            "distance": ("distance m", home.distance_m, 0, reach, 0.05, "0 stands at the target"),
-            "cut": ("cut away m", 0, 0, reach, 0.05, "hide all that is nearer"),
+            "distance": ("distance m", home.distance_m, 0, reach, 0.05, "0: the camera is at the target"),
+            "cut": ("cut away m", 0, 0, reach, 0.05, "hide everything nearer than this"),
         }
         return {
             name: w.FloatSlider(
@@ -223,7 +223,7 @@ class OrbitView:
 
 
 def _camera(camera: Camera | None, size: tuple[int, int]) -> Camera:
-    """The given camera on a picture of ``size``, with square pixels and the given one's horizontal angle of view."""
+    """A camera for a picture of ``size``, with square pixels and the horizontal angle of view of the given one."""
     width, height = size
     focal = _FOCAL_PER_WIDTH * width if camera is None else camera.fx * width / camera.width
     return Camera(width=width, height=height, fx=focal, fy=focal, cx=width / 2, cy=height / 2)

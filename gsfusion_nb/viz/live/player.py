@@ -1,4 +1,4 @@
-"""A thread that runs an iterator and can be paused, stepped and stopped; the kernel stays free."""
+"""A thread that runs an iterator and can be paused, stepped and stopped while other cells run."""
 
 import contextvars
 import logging
@@ -15,19 +15,19 @@ State = Literal["ready", "running", "paused", "stopped", "finished", "failed"]
 
 
 class Player:
-    """Goes through ``make_steps()`` in a thread of its own.
+    """Runs the iterator that ``make_steps()`` returns in a thread of its own.
 
     Widgets and tests use the same methods: ``start``, ``pause``, ``step``, ``stop``, ``join``; ``run_sync`` does the
-    work in the calling thread. ``lock`` is held during a step: whoever reads what the steps change holds it too.
+    work in the calling thread. ``lock`` is held during a step: hold it too when reading what the steps change.
 
     Args:
-        make_steps: Makes the iterator. It is called again after a stop or an error, so it must go on where the work
-            stands rather than start over.
-        on_step: Called after each step, on the thread that made it, with the lock held and what the iterator yielded.
-        on_rest: Called, with the lock held, whenever the work comes to rest: paused, stopped, finished or failed.
+        make_steps: Makes the iterator. It is called again after a stop or an error and must then continue from the
+            current state, not start again.
+        on_step: Called after each step with what the iterator yielded, in the thread of the step, with the lock held.
+        on_rest: Called with the lock held when the work has paused, stopped, finished or failed.
 
-    An exception ends the work: ``state`` is "failed" and ``error`` holds it; it is not printed from the thread, whose
-    output would land under any cell.
+    An exception ends the work: ``state`` is "failed" and ``error`` holds the exception. It is not printed, because the
+    output of a thread may appear under any cell.
     """
 
     def __init__(
@@ -48,7 +48,7 @@ class Player:
         self._run, self._stop, self._singles = False, False, 0
         self._thread: threading.Thread | None = None
         self._serving = False
-        """The thread is running and will read the wishes again; changes only while ``_wish`` is held."""
+        """The thread is running and will read new requests; changes only while ``_wish`` is held."""
 
     @property
     def is_alive(self) -> bool:
@@ -103,7 +103,7 @@ class Player:
             while (n is None or done < n) and self._advance():
                 done += 1
         except KeyboardInterrupt:
-            self._steps = None  # a generator that was interrupted is dead
+            self._steps = None  # a generator that was interrupted cannot continue
             self._rest("paused")
             raise
         except Exception as e:
@@ -123,7 +123,7 @@ class Player:
             if self._serving or self.state == "finished":
                 return
             self.error, self._serving = None, True
-            context, threads = contextvars.copy_context(), torch.get_num_threads()  # neither reaches a new thread
+            context, threads = contextvars.copy_context(), torch.get_num_threads()  # a new thread inherits neither
             previous = self._thread
             self._thread = threading.Thread(target=context.run, args=(self._work, threads, previous), daemon=True)
             self._thread.start()
@@ -183,7 +183,7 @@ class Player:
             self._on_rest()
 
     def _fail(self, error: BaseException) -> None:
-        self._steps = None  # a generator that raised is dead
+        self._steps = None  # a generator that raised cannot continue
         self.error, self.state = error, "failed"
         with self.lock:
             try:

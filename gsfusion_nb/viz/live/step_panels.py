@@ -1,4 +1,4 @@
-"""What one mapping step looks like: photograph, render, errors, and where and why new Gaussians came."""
+"""Pictures of one mapping step: photograph, render, errors, and where and why Gaussians were added."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from ...types import Frame, RenderOutput
 from ..splats.surfel_pictures import cause_picture, paint_rows, state_picture
 
 _DEPTH_ERROR_M = 0.1
-"""A larger error counts as wrong in RTG-SLAM (delta_d)."""
+"""Depth error at the end of the colour scale, metres: RTG-SLAM's delta_d, above which a pixel counts as wrong."""
 _SEED_COLOUR = (255, 48, 64)
 
 
@@ -71,7 +71,7 @@ PANELS: dict[str, StepPanel] = {
     "depth_error": StepPanel("|rendered depth − depth|, bright from 10 cm", _depth_error),
     "new_gaussians": StepPanel("new Gaussians in red", _new_gaussians),
     "quadtree_seeds": StepPanel("quadtree cells, new Gaussians in red", _quadtree_seeds),
-    "seed_causes": StepPanel("new: green area, red depth, blue colour", _seed_causes),
+    "seed_causes": StepPanel("added for: green area, red depth, blue colour", _seed_causes),
     "states": StepPanel("blue stable, orange unstable", _states),
 }
 """The names that ``Mapper.panels`` can hold."""

@@ -13,7 +13,7 @@ _PROBE = (
 
 @functools.cache
 def can_draw() -> tuple[bool, str]:
-    """Whether a pyvista ``Plotter`` works here, and if not, why.
+    """Whether a pyvista ``Plotter`` works on this machine, and the reason if not.
 
     On a machine with neither libgl1 nor libegl1 creating one ends the process with a segmentation fault that no ``try``
     catches, so it is tried once in a process of its own. The environment variable GSNB_VTK=ok or none skips the trial.

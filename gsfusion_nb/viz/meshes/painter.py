@@ -26,10 +26,10 @@ def draw_mesh(
     *,
     shading: Literal["colour", "shape"] = "colour",
 ) -> Picture:
-    """The mesh seen by a camera; triangles seen from behind are left out, so a closed room opens towards the viewer.
+    """The mesh seen by a camera; triangles seen from behind are left out, so that one can look into a closed room.
 
     Args:
-        mesh: Any mesh; some 100,000 triangles take about a second.
+        mesh: Any mesh; 100,000 triangles take about a second.
         camera: Intrinsics and size.
         T_WC: Camera-to-world pose.
         shading: "colour": vertex colours under a soft lamp at the camera; "shape": the lamp alone, on grey.

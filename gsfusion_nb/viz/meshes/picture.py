@@ -68,14 +68,14 @@ def _plotter(mesh: Mesh, T_WC: Tensor, shading: str, size: tuple[int, int]) -> A
 
 
 def mesh_camera(size: tuple[int, int]) -> Camera:
-    """The camera of ``mesh_picture``; the widget starts with it, too."""
+    """The camera of ``mesh_picture``, with which the widget also starts."""
     width, height = size
     focal = 0.5 * height / math.tan(math.radians(_VIEW_ANGLE_DEG / 2))
     return Camera(width=width, height=height, fx=focal, fy=focal, cx=width / 2, cy=height / 2)
 
 
 def gaze_m(mesh: Mesh, T_WC: Tensor) -> float:
-    """How far ahead the mouse's centre of rotation lies."""
+    """Distance from the camera to the point that the mouse turns it around, metres."""
     centre_W, radius_m = extent(mesh.vertices_W)
     ahead = float((centre_W - T_WC[:3, 3].cpu()) @ T_WC[:3, 2].cpu())
     return max(ahead, 0.3 * radius_m)

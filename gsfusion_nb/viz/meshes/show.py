@@ -1,4 +1,4 @@
-"""A mesh in a notebook: a widget that is turned with the mouse, or a picture where the output is to be stored."""
+"""A mesh in a notebook: a widget that is turned with the mouse, or a picture in notebooks that are stored."""
 
 from typing import Any, Literal
 
@@ -24,16 +24,16 @@ def show_mesh(
     max_triangles: int = 100_000,
     size: tuple[int, int] = (640, 480),
 ) -> Any:
-    """A view of the mesh; the last line of a cell shows it. Faces seen from behind are hidden, which opens a room.
+    """A view of the mesh; the last line of a cell shows it. Faces seen from behind are hidden: one can see into a room.
 
     Args:
         mesh: What ``mapper.mesh()`` gives.
-        T_WC: Where to look from; by default from above, at an angle.
-        up_W: What is up.
+        T_WC: Camera-to-world pose to look from; by default from above, at an angle.
+        up_W: The world's up direction.
         shading: "colour" shows the vertex colours, "shape" a grey surface under a lamp.
-        backend: "live": turn it with the mouse (``MeshViewer``); "static": a picture; "auto": "live", but "static" in
-            ``static_views``.
-        max_triangles: That the live view gets, 2 MB for 100,000; of a larger mesh some are merged first.
+        backend: "live": turn it with the mouse (``MeshViewer``); "static": a picture; "auto": "live", but "static" if
+            ``static_views()``.
+        max_triangles: Most triangles of the live view (100,000 are 2 MB); a larger mesh is simplified first.
         size: Width and height, pixels.
 
     Raises:

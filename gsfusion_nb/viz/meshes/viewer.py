@@ -19,7 +19,7 @@ from .decimation import decimated
 from .painter import BACKGROUND, draw_mesh
 
 _STORED_TRIANGLES = 40_000
-"""Triangles in the picture that a stored notebook keeps; they take about half a second."""
+"""Most triangles in the picture that a stored notebook keeps; painting them takes about half a second."""
 
 
 def _synced(trait: t.TraitType) -> Any:
@@ -27,18 +27,18 @@ def _synced(trait: t.TraitType) -> Any:
 
 
 class MeshViewer(anywidget.AnyWidget):
-    """Look at a mesh from everywhere; the last line of a cell shows it. Faces seen from behind are hidden.
+    """Look at a mesh from every side; the last line of a cell shows it. Faces seen from behind are hidden.
 
     Drag to orbit, shift-drag to pan, ctrl-drag to look around, wheel (after a click) to zoom, double-click to turn
-    around a place, R to go back. ``viewer.T_WC`` is where the camera is. The mesh travels as one binary message and is
-    not part of the widget's state, so a saved notebook holds a picture and not the mesh.
+    around a point, R to reset. ``viewer.T_WC`` is the camera's pose. The mesh is sent as one binary message and is not
+    part of the widget's state, so a saved notebook holds a picture and not the mesh.
 
     Args:
-        mesh: With at least one triangle; some 100,000 are drawn at 30 pictures a second.
-        camera: Intrinsics to look with, and the size of the canvas.
-        T_WC: Where to start.
-        pivot_m: How far ahead the mouse's centre of rotation lies, metres.
-        up_W: What is up. [3]
+        mesh: With at least one triangle; about 100,000 are drawn at 30 pictures a second.
+        camera: Intrinsics of the view, and the size of the canvas.
+        T_WC: Camera-to-world pose to start from.
+        pivot_m: Distance from the camera to the point that the mouse turns it around, metres.
+        up_W: The world's up direction. [3]
         shading: "colour" shows the vertex colours, "shape" a grey surface under a lamp; may be changed later.
     """
 
@@ -77,7 +77,7 @@ class MeshViewer(anywidget.AnyWidget):
 
     @property
     def T_WC(self) -> Float[Tensor, "4 4"]:
-        """Where the camera is now; assign a pose to move it."""
+        """The camera's present pose; assign a pose to move it."""
         return torch.tensor(self.pose).view(4, 4)
 
     @T_WC.setter

@@ -1,1 +1,1 @@
-"""One pixel, one Gaussian, one tile at a time: what made a colour, and where gradients go."""
+"""Panels for one pixel, one Gaussian or one tile: which Gaussians made a colour, and which gradients they get."""

@@ -20,24 +20,24 @@ from ..panels.click_image import ClickImage
 from .gradient_picture import gaussian_gradient_picture, pixel_gradient_picture
 from .pixel_gradient import GaussianGradient, PixelGradient, gaussian_gradient, pixel_gradient, pixel_gradient_table
 from .pixel_stack import CELL_STYLE, project_splats
-from .stack_picture import enlarged, with_cross
+from .stack_picture import resize_to_height, with_cross
 
 PICKS = ("pixel", "Gaussian")
 """What a click can choose."""
 PICTURE_PX = 222
 """Height of the pictures, pixels."""
-LABELS = ("rendered", "target", "where they should go")
+LABELS = ("rendered", "target", "direction of descent")
 
 
 class GradientMicroscope:
-    """The gradient of L1 (and D-SSIM) on one image, taken apart.
+    """The gradient of L1 (and D-SSIM) of one image, split into the terms of single pixels and Gaussians.
 
     Click the rendered picture. With "pixel", every Gaussian of the pixel's stack shows its dL/dalpha and an arrow
-    against dL/d(u, v). With "Gaussian", the one with the largest weight there shows the pixels' pushes and their sum,
-    which is the renderer's gradient. From Python: ``look_at(u, v)`` and ``pick``.
+    along -dL/d(u, v). With "Gaussian", the one with the largest weight there shows the term of each pixel and their
+    sum, which is the renderer's gradient. From Python: ``look_at(u, v)`` and ``pick``.
 
     Args:
-        params, camera, T_WC: The map and where it is seen from.
+        params, camera, T_WC: The map, and the camera and pose that it is seen from.
         target: The photograph. [H, W, 3]
         ssim_weight: L = (1 - s) L1 + s D-SSIM.
         pixel: Where to look first; the middle by default. (column, row)
@@ -83,12 +83,12 @@ class GradientMicroscope:
 
     @property
     def of_pixel(self) -> PixelGradient:
-        """What the chosen pixel gives."""
+        """The gradient from the chosen pixel for each of its Gaussians."""
         return self._of_pixel
 
     @property
     def of_gaussian(self) -> GaussianGradient | None:
-        """What the chosen Gaussian receives."""
+        """The gradient of the chosen Gaussian from each pixel; ``None`` where no Gaussian is chosen."""
         return None if self.row is None else gaussian_gradient(self.splats, self.v_rgb, self.row)
 
     def look_at(self, u: int, v: int) -> "GradientMicroscope":
@@ -113,7 +113,7 @@ class GradientMicroscope:
 
     def picture(self) -> Picture:
         """The three pictures in a row, as a stored notebook shows them."""
-        pair = [with_cross(self.image, self._u, self._v, PICTURE_PX), enlarged(self.target, PICTURE_PX)]
+        pair = [with_cross(self.image, self._u, self._v, PICTURE_PX), resize_to_height(self.target, PICTURE_PX)]
         return side_by_side([*pair, self.lens()], LABELS)
 
     def _repr_mimebundle_(self, **kwargs: Any) -> dict[str, Any]:
@@ -121,7 +121,7 @@ class GradientMicroscope:
         return with_picture(self.widget._repr_mimebundle_(**kwargs), self.picture(), words)
 
     def _read(self, params: GaussianParams, camera: Camera, T_WC: Tensor) -> None:
-        """Render once, and once back to the screen-space Gaussians."""
+        """Render, and compute the gradient with respect to the projected Gaussians."""
         with torch.no_grad():
             self.splats = project_splats(params, camera, T_WC)
             p = self.splats.projection
@@ -187,5 +187,5 @@ class GradientMicroscope:
     def _redraw(self) -> None:
         self.clicks.show(with_cross(self.image, self._u, self._v, PICTURE_PX))
         self.arrows.value = encode_png(self.lens(), 1)
-        unit = f"numbers are multiples of 1/{self.target.numel():,}: one pixel's push is ±1 per channel"
+        unit = f"numbers are multiples of 1/{self.target.numel():,}: L1 gives ±1 per pixel and channel"
         self.numbers.value = f"pixel ({self._u}, {self._v}); {unit}<br>{self.table()}"

@@ -1,4 +1,4 @@
-"""Drawings of gradients: arrows at the Gaussians of a pixel, and the field of pushes under one Gaussian."""
+"""Drawings of gradients: arrows at the Gaussians of a pixel, and the gradient of one Gaussian from each pixel."""
 
 import numpy as np
 import torch
@@ -9,14 +9,14 @@ from .pixel_stack import Splats
 from .stack_picture import CROSS, INK, outlines
 
 MORE, LESS = (26, 127, 55), (198, 40, 40)
-"""Green: descent makes it more opaque there; red: less."""
+"""Green: gradient descent makes the Gaussian more opaque there; red: less."""
 _SHOWN = 8
 
 
 def pixel_gradient_picture(image: AnyImage, splats: Splats, gradient: PixelGradient, *, size: int = 300) -> Picture:
-    """The heaviest Gaussians of a pixel, ellipses green (descent makes them more opaque) or red (less).
+    """The Gaussians with the largest weights at a pixel, ellipses green (descent makes them more opaque) or red (less).
 
-    An arrow points against (dL/du, dL/dv), which is where descent moves the centre; the longest has a fixed length.
+    An arrow points along -(dL/du, dL/dv), where descent moves the centre; the longest has a fixed length.
     """
     import cv2
 
@@ -45,10 +45,10 @@ def pixel_gradient_picture(image: AnyImage, splats: Splats, gradient: PixelGradi
 def gaussian_gradient_picture(
     image: AnyImage, splats: Splats, gradient: GaussianGradient, *, size: int = 300
 ) -> Picture:
-    """The pixels under a Gaussian: green where they want it more opaque, red where less; arrows where it should go.
+    """The pixels under a Gaussian: green where descent makes it more opaque, red where less; arrows where it moves it.
 
-    Small arrows are the pushes -(dL/du, dL/dv) of single pixels, averaged over a grid of at most 11 x 11; the thick one
-    is their sum, not to the same scale.
+    Small arrows are -(dL/du, dL/dv) of single pixels, averaged over a grid of at most 11 x 11; the thick one is their
+    sum, not to the same scale.
     """
     import cv2
 
@@ -87,7 +87,7 @@ def gaussian_gradient_picture(
 
 
 def _coarse(gradient: GaussianGradient) -> tuple[np.ndarray, np.ndarray]:
-    """Centres and mean pushes of at most 11 x 11 blocks of pixels."""
+    """Centres and mean -(dL/du, dL/dv) of at most 11 x 11 blocks of pixels."""
     h, w = gradient.weight.shape
     step = max(1, -(-max(h, w) // 11))
     at, push = gradient.uv.double().numpy(), -gradient.v_uv.double().numpy()

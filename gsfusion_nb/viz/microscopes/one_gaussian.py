@@ -26,7 +26,7 @@ def gaussian_row(
     opacity: float = 0.9,
     rgb: tuple[float, float, float] = (0.25, 0.55, 0.9),
 ) -> GaussianParams:
-    """A map of one Gaussian from activated values, with the same colour from everywhere."""
+    """A map of one Gaussian from activated values, with the same colour from every direction."""
     return GaussianParams(
         xyz_W=xyz_W[None].float(),
         log_scale=scale_m[None].float().log(),
@@ -56,7 +56,7 @@ def projection_picture(
         params: One row.
         camera: Its picture is small, so that pixels can be seen.
         zoom: Screen pixels per pixel.
-        n_points: How many points; the same ones each time.
+        n_points: Number of points; they are the same each time.
 
     Returns:
         The picture and the splat's numbers.
@@ -96,8 +96,8 @@ def projection_caption(splats: Splats) -> str:
 def sh_ball(sh: Float[Tensor, "K 3"], size: int = 160) -> Picture:
     """The colour of one Gaussian from all sides, painted on a ball: each point has the colour seen from that side.
 
-    The ball is seen by a camera that looks along +z, x to the right, y down; a viewer out at normal n looks along
-    d = -n, which is the direction the harmonics get.
+    The ball is seen by a camera that looks along +z, x to the right, y down. A viewer in the direction of the normal n
+    looks along d = -n, which is the direction that the harmonics are evaluated at.
     """
     n, inside = _ball_normals(size)
     degree = round(sh.shape[0] ** 0.5) - 1

@@ -1,4 +1,4 @@
-"""Gradients through the blending, one pixel or one Gaussian at a time: what the renderer's gradient is the sum of.
+"""Gradients through the blending, one pixel or one Gaussian at a time: the terms of the renderer's gradient.
 
 With v_C = dL/dC at a pixel (``render.composite`` has the derivation):
 
@@ -18,7 +18,7 @@ from ...drawing.html import html_table
 from .pixel_stack import CELL_STYLE, Blend, PixelStack, Splats, blend_at, blend_pixel, stack_of, swatch
 
 FIELD_WORK = 150_000
-"""Pixels times Gaussians that a field may cost; a larger field is evaluated at every n-th pixel only."""
+"""Most pairs of pixel and Gaussian that are evaluated; beyond, only every n-th pixel is."""
 
 
 def blend_vjp(
@@ -39,7 +39,7 @@ def blend_vjp(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PixelGradient:
-    """The gradient that one pixel gives to the Gaussians of its stack, nearest first. A notebook shows a table."""
+    """The gradient from one pixel for the Gaussians of its stack, nearest first. A notebook shows it as a table."""
 
     stack: PixelStack
     v_colour: Float[Tensor, "3"]
@@ -78,7 +78,7 @@ class GaussianGradient:
     uv: Float[Tensor, "h w 2"]
     """Pixel centres of the grid."""
     stride: int
-    """Distance of the grid's pixels; with 1 the fields sum up to the renderer's gradient."""
+    """Distance between the grid's pixels; only with 1 the sum is the renderer's gradient."""
     weight: Float[Tensor, "h w"]
     v_alpha: Float[Tensor, "h w"]
     v_uv: Float[Tensor, "h w 2"]
@@ -127,20 +127,20 @@ def pixel_gradient_table(gradient: PixelGradient, rows: int = 12, unit: float | 
 
     Args:
         gradient: From ``pixel_gradient``.
-        rows: How many lines: those with the largest weights, in their order.
-        unit: Numbers are divided by it: 1 / (number of values) turns an L1 gradient into +1 and -1.
+        rows: Number of lines: the Gaussians with the largest weights, nearest first.
+        unit: Numbers are divided by this: 1 / (number of values) turns an L1 gradient into +1 and -1.
     """
     s = gradient.stack
-    heads = ("k", "row", "w", "dL/dα", "it should be", "dL/do", "dL/du", "dL/dv", "c now", "dL/dr, dL/dg, dL/db")
+    heads = ("k", "row", "w", "dL/dα", "descent makes it", "dL/do", "dL/du", "dL/dv", "c now", "dL/dr, dL/dg, dL/db")
     lines = []
     keep = s.weight.argsort(descending=True)[:rows].sort().values.tolist()
     for k in keep:
         a, o = float(gradient.v_alpha[k]) / unit, float(gradient.v_opacity[k]) / unit
         u, v = (gradient.v_uv[k] / unit).tolist()
-        wish = "as it is" if abs(a) < 1e-9 else ("more opaque" if a < 0 else "less opaque")
+        wish = "no change" if abs(a) < 1e-9 else ("more opaque" if a < 0 else "less opaque")
         rgb = " ".join(f"{float(x) / unit:+.3f}" for x in gradient.v_rgb[k])
         numbers = (f"{a:+.3f}", wish, f"{o:+.3f}", f"{u:+.3f}", f"{v:+.3f}")
         lines.append((str(k), str(int(s.row[k])), f"{float(s.weight[k]):.3f}", *numbers, swatch(s.rgb[k]), rgb))
-    foot = f"… {len(s) - len(keep)} lighter ones" if len(keep) < len(s) else ""
+    foot = f"… {len(s) - len(keep)} more with smaller weights" if len(keep) < len(s) else ""
     looks = {"name": "gsnb-pixel-gradient", "style": "font-size:12px", "cell_style": CELL_STYLE}
     return html_table(lines, heads=heads, foot=foot, **looks)

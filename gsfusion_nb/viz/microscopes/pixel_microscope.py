@@ -18,18 +18,18 @@ from .stack_picture import lens_picture, stack_picture, with_cross
 PICTURE_PX = 300
 """Height of the pictures, pixels."""
 OUTLINED = 12
-"""Ellipses in the lens."""
+"""Number of ellipses in the enlarged neighbourhood."""
 
 
 class PixelMicroscope:
-    """A picture to click, the neighbourhood under a lens, and the pixel's stack as a graph and as a table.
+    """A picture to click, the pixel's neighbourhood enlarged, and the pixel's stack as a graph and as a table.
 
     Click or drag on the picture, or use the arrow keys. From Python: ``look_at(u, v)``. ``stack`` is what is shown.
 
     Args:
         params: The map.
-        camera, T_WC: Where it is seen from.
-        pixel: Where to look first; the middle by default. (column, row)
+        camera, T_WC: The camera and pose that it is seen from.
+        pixel: The pixel to start with; the middle by default. (column, row)
     """
 
     def __init__(
@@ -49,7 +49,7 @@ class PixelMicroscope:
         self._redraw()
 
     def look_at(self, u: int, v: int) -> PixelStack:
-        """Choose the pixel in column ``u`` and row ``v``; its stack."""
+        """Choose the pixel in column ``u`` and row ``v``. Returns its stack."""
         with self._lock:
             self._choose(u, v)
             self.clicks.pixel = (u, v)

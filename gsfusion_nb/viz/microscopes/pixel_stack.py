@@ -52,7 +52,7 @@ class Blend:
     offset_px: Float[Tensor, "P K 2"]
     """(dx, dy) = pixel centre - (u, v)."""
     alpha: Float[Tensor, "P K"]
-    """Zero where below 1/255 and where the pixel had stopped."""
+    """Zero where below 1/255 and where blending had already stopped."""
     transmittance: Float[Tensor, "P K+1"]
     """T_k in front of each; the last column is the transmittance behind all."""
 
@@ -83,7 +83,7 @@ def blend_at(splats: Splats, uv: Float[Tensor, "P 2"]) -> Blend:
     alpha = (p.opacity[row] * torch.exp(-sigma)).clamp(max=ALPHA_MAX)
     alpha = torch.where(alpha >= ALPHA_MIN, alpha, 0.0)
     after = (1.0 - alpha).cumprod(1)
-    alpha = torch.where(after >= TRANSMITTANCE_MIN, alpha, 0.0)  # the pixel stops before the splat that ends its light
+    alpha = torch.where(after >= TRANSMITTANCE_MIN, alpha, 0.0)  # stops before T falls below the limit
     one = alpha.new_ones(len(uv), 1)
     T = torch.cat([one, (1.0 - alpha).cumprod(1)], dim=1)
     used = (alpha > 0).any(0)
@@ -113,7 +113,7 @@ class PixelStack:
     rgb: Float[Tensor, "K 3"]
     """c_k."""
     light_left: float
-    """T behind all of them: the part of the black background."""
+    """T behind all of them: the weight of the black background."""
 
     def __len__(self) -> int:
         return self.row.shape[0]
@@ -168,7 +168,7 @@ def check_pixel(camera: Camera, u: int, v: int) -> None:
     """Raise ``ValueError`` unless the picture has pixel (u, v)."""
     if not (0 <= u < camera.width and 0 <= v < camera.height):
         raise ValueError(
-            f"pixel ({u}, {v}) is outside of the picture: columns 0..{camera.width - 1}, rows 0..{camera.height - 1}"
+            f"pixel ({u}, {v}) is outside the picture: columns 0..{camera.width - 1}, rows 0..{camera.height - 1}"
         )
 
 

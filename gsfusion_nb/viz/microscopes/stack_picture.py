@@ -1,4 +1,4 @@
-"""Drawings of a pixel's stack of Gaussians: weights and light as a graph, and the neighbourhood under a lens."""
+"""Drawings of a pixel's stack of Gaussians: weights and transmittance as a graph, and the enlarged neighbourhood."""
 
 from itertools import pairwise
 
@@ -19,8 +19,8 @@ CROSS = (255, 210, 0)
 def stack_picture(stack: PixelStack, *, width: int = 420, height: int = 240, scale: int = 2) -> Picture:
     """One bar per Gaussian, nearest at the left, and below them the colour as it builds up.
 
-    The light bar is alpha, the full one the weight, in the Gaussian's colour; the red steps are the transmittance. The
-    strip at the bottom is the sum of w c up to there: its right end is the pixel.
+    The pale bar is alpha, the full one the weight, in the Gaussian's colour; the red steps are the transmittance. The
+    strip at the bottom is the sum of w c so far: its right end is the colour of the pixel.
 
     Args:
         stack: From ``pixel_stack``.
@@ -85,7 +85,7 @@ def lens_picture(
         image: The rendered picture. [H, W, 3]
         splats: What it was rendered from.
         pixel: In the middle, framed. (column, row)
-        rows: Gaussians to outline, the most important first; thickness falls.
+        rows: Gaussians to outline, the most important first, which gets a thicker line.
         radius_px: Pixels of the image to each side.
         size: Edge of the result, pixels.
     """
@@ -124,10 +124,10 @@ def outlines(splats: Splats, rows: Int[Tensor, " K"], points: int = 48) -> Float
 
 
 def with_cross(image: AnyImage, u: int, v: int, height: int) -> Picture:
-    """The picture enlarged to ``height`` pixels, with a small cross around pixel (u, v), open in the middle."""
+    """The picture resized to ``height`` pixels, with a small cross around pixel (u, v), open in the middle."""
     import cv2
 
-    picture, zoom = enlarged(image, height), height / image.shape[0]
+    picture, zoom = resize_to_height(image, height), height / image.shape[0]
     x, y = round((u + 0.5) * zoom), round((v + 0.5) * zoom)
     for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1)):
         inner, outer = ((x + r * dx, y + r * dy) for r in (5, 13))
@@ -136,8 +136,8 @@ def with_cross(image: AnyImage, u: int, v: int, height: int) -> Picture:
     return picture
 
 
-def enlarged(image: AnyImage, height: int) -> Picture:
-    """The picture at another height; enlarged pixels stay squares."""
+def resize_to_height(image: AnyImage, height: int) -> Picture:
+    """The picture at another height, pixels; enlarged pixels stay sharp squares."""
     import cv2
 
     picture = to_uint8(image)
@@ -149,7 +149,7 @@ def enlarged(image: AnyImage, height: int) -> Picture:
 def write(
     image: Picture, words: str, x: int, y: int, scale: int, size: float = 0.36, ink: tuple[int, ...] = INK
 ) -> None:
-    """Small text into a drawing, in place; a line too long for it is written smaller."""
+    """Write small text into a drawing, in place; text too long for it is written smaller."""
     import cv2
 
     font = cv2.FONT_HERSHEY_SIMPLEX

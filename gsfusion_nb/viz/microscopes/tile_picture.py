@@ -1,4 +1,4 @@
-"""The tiles of a picture and how many Gaussians each has to blend."""
+"""The tiles of a picture and the number of Gaussians that each blends."""
 
 import numpy as np
 

@@ -18,11 +18,11 @@ def _synced(trait: t.TraitType) -> Any:
 class ClickImage(anywidget.AnyWidget):
     """A picture; ``pixel`` is the (column, row) last clicked, dragged to, or reached with the arrow keys.
 
-    ``observe(f, "pixel")`` calls ``f`` at each change. The picture may be larger than the image whose pixels are
-    meant: the clicks are counted in the pixels of that image.
+    ``observe(f, "pixel")`` calls ``f`` at each change. The picture may be an enlarged copy of the image: ``pixel`` is
+    in pixels of the image.
 
     Args:
-        columns, rows: Size of the image whose pixels are counted.
+        columns, rows: Size of the image, pixels.
         width: On screen, pixels.
         format: "jpeg" for photographs, "png" for drawings.
         alt: What it shows, for screen readers.

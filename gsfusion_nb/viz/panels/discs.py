@@ -1,4 +1,4 @@
-"""Panels about discs: disc depth beside blended depth in a small scene, and the masks of Eq. 6 over a picture."""
+"""Panels about discs: disc depth beside blended depth in a small scene, and the masks of RTG-SLAM's Eq. 6."""
 
 import dataclasses
 
@@ -59,7 +59,7 @@ class DiscScene:
 def disc_scene(
     *, lean_deg: float | int = 30, gap_m: float | int = 0.6, spacing_m: float | int = 0.1, opaque_alpha: float = 0.3
 ) -> DiscScene:
-    """A leaning board in front of a wall, both covered with discs of standard deviation spacing / 1.5.
+    """A tilted board in front of a wall, both covered with discs of standard deviation spacing / 1.5.
 
     Args:
         lean_deg: Rotation of the front board about the vertical, degrees.
@@ -95,7 +95,7 @@ def disc_panel() -> Panel:
         return disc_scene_picture(scene), _scene_words(scene)
 
     controls = {
-        "lean_deg": Slider(value=30, low=0, high=75, step=1, label="board leans, °"),
+        "lean_deg": Slider(value=30, low=0, high=75, step=1, label="board tilt, °"),
         "gap_m": Slider(value=0.6, low=0.0, high=1.2, step=0.05, label="wall behind, m"),
         "spacing_m": Slider(value=0.1, low=0.05, high=0.3, step=0.01, label="disc spacing, m"),
         "opaque_alpha": Slider(value=0.3, low=0.1, high=0.95, step=0.05, label="hit from δ_α"),
@@ -114,7 +114,7 @@ def disc_scene_picture(scene: DiscScene) -> Picture:
 
 
 def disc_scene_plan(scene: DiscScene, width: int, height: int = 300) -> Picture:
-    """From above, the camera at the bottom: discs near the middle row, rays' depths as points."""
+    """The scene from above, the camera at the bottom: discs near the middle row, the depths of its rays as points."""
     import cv2
 
     image = np.full((height, width, 3), 255, np.uint8)
@@ -155,7 +155,7 @@ def disc_scene_plan(scene: DiscScene, width: int, height: int = 300) -> Picture:
 
 
 def _far_m(scene: DiscScene) -> float:
-    """Largest depth that is drawn: some rays meet a leaning plane far behind its last disc, or never."""
+    """Largest depth that is drawn: some rays meet a tilted plane far behind its last disc, or never."""
     return min(float(scene.truth_m.max()), float(scene.params.xyz_W[:, 2].max()))
 
 
@@ -213,7 +213,7 @@ def _truth(camera: Camera, lean: float, gap_m: float) -> Float[Tensor, "H W"]:
 def adding_masks(
     view: SurfaceView, frame: Frame, *, min_transmittance: float, depth_error_m: float, colour_error: float
 ) -> dict[int, Tensor]:
-    """Pixels by the cause that asks for a Gaussian (Eq. 6), keys as in ``CAUSES``; no pixel is in two.
+    """The pixels where Gaussians are added, by cause (RTG-SLAM Eq. 6), keys as in ``CAUSES``; no pixel is in two.
 
     A pixel without a disc has no depth error, as in the library's default.
     """
@@ -225,10 +225,10 @@ def adding_masks(
 
 
 def disc_adding_panel(view: SurfaceView, frame: Frame) -> Panel:
-    """Sliders for the thresholds of Eq. 6 over a frame that the map has not seen yet.
+    """Sliders for the thresholds of RTG-SLAM's Eq. 6 over a frame that the map has not seen yet.
 
     Args:
-        view: The map from the frame's pose.
+        view: The map, rendered at the frame's pose.
         frame: The new frame.
     """
 

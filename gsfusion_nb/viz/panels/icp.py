@@ -1,4 +1,4 @@
-"""Panels about ICP: every step of one alignment, the starts from which it succeeds, and paths from above."""
+"""Panels about ICP: every step of one alignment, the starting poses from which it succeeds, and paths from above."""
 
 import dataclasses
 import itertools
@@ -17,7 +17,7 @@ from ...drawing.small_curves import small_curves
 from ...geometry import depth_to_normals, depth_to_points, project, se3
 from ...tracking import IcpResult, Surface, associate, depth_pyramid, icp, point_to_plane
 from ...types import Frame
-from ..microscopes.stack_picture import enlarged, write
+from ..microscopes.stack_picture import resize_to_height, write
 from .panel import Drawn, Number, Panel, Slider, Switch
 from .tsdf_slice import distance_colours
 
@@ -25,18 +25,18 @@ RESIDUAL_M = 0.03
 """Point-to-plane distance at the end of the colour scale."""
 _REJECTED, _OUTSIDE = (70, 74, 82), (24, 24, 28)
 SUCCESS_M, SUCCESS_DEG = 0.02, 1.0
-"""An alignment that ends this near the truth has succeeded."""
+"""An alignment that ends closer than this to the true pose has succeeded."""
 
 
 def frame_surface(frame: Frame, T_WC: Float[Tensor, "4 4"] | None = None) -> Surface:
-    """A depth frame as the surface that another is aligned to (frame to frame, without a model)."""
+    """A depth frame as the surface that another frame is aligned with (frame to frame, without a model)."""
     T = frame.T_WC if T_WC is None else T_WC.to(frame.depth_m)
     normal_W = se3.rotate(T, depth_to_normals(frame.camera, frame.depth_m))
     return Surface(depth_m=frame.depth_m, normal_W=normal_W, camera=frame.camera, T_WC=T, rgb=frame.rgb)
 
 
 def displaced_pose(T_WC: Float[Tensor, "4 4"], sideways_m: float | int, turn_deg: float | int) -> Float[Tensor, "4 4"]:
-    """A pose off by a step to the camera's right and a turn about its vertical axis, float64."""
+    """The pose moved to the camera's right and then turned about its vertical axis, float64."""
     T = T_WC.double()
     angle = float(np.radians(turn_deg))
     xi = torch.tensor([0.0, 0.0, 0.0, 0.0, angle, 0.0], dtype=torch.float64)
@@ -60,7 +60,7 @@ def single_level_config(config: TrackingConfig) -> TrackingConfig:
 def residual_picture(frame: Frame, surface: Surface, T_WC: Float[Tensor, "4 4"], config: TrackingConfig) -> Picture:
     """Point-to-plane residual of the finest level: red behind the surface, white on it, blue in front of it.
 
-    Grey pixels meet the surface but fail a gate, dark ones do not meet it.
+    Grey pixels fall on the surface but are rejected by distance or angle; dark ones do not fall on it.
     """
     level = depth_pyramid(frame.depth_m, frame.camera, config.pyramid[-1:])[0]
     found = associate(
@@ -75,7 +75,7 @@ def residual_picture(frame: Frame, surface: Surface, T_WC: Float[Tensor, "4 4"],
 
 
 def overlay_picture(frame: Frame, surface: Surface, T_WC: Float[Tensor, "4 4"]) -> Picture:
-    """The surface's colours and the frame's, placed by the pose and mixed; a wrong pose shows double edges."""
+    """The frame's colours, projected with the pose, mixed with the surface's; a wrong pose shows double edges."""
     base = np.zeros((*surface.depth_m.shape, 3), np.uint8) if surface.rgb is None else to_uint8(surface.rgb)
     known = frame.depth_m > 0
     xyz_W = se3.apply(T_WC.float(), depth_to_points(frame.camera, frame.depth_m)[known])
@@ -97,14 +97,14 @@ def icp_picture(frame: Frame, surface: Surface, result: IcpResult, step: int, co
     poses = [h.T_WC for h in result.history] + [result.T_WC]
     T_WC = poses[min(step, len(poses) - 1)]
     parts = [overlay_picture(frame, surface, T_WC), residual_picture(frame, surface, T_WC, config)]
-    parts = [enlarged(p, 270) for p in parts]
-    top = side_by_side(parts, ["surface and frame, half and half", "residual: red behind, blue in front, 3 cm"])
+    parts = [resize_to_height(p, 270) for p in parts]
+    top = side_by_side(parts, ["surface and frame, mixed", "residual: red behind, blue in front, 3 cm"])
     errors = [pose_error(T, frame.T_WC) for T in poses[: step + 1]]
     rms = [h.rms_m for h in result.history] + [result.rms_m]
     series = {
         "rms residual, mm": [1000 * r for r in rms[: step + 1]],
-        "position off, cm": [100 * e[0] for e in errors],
-        "angle off, deg": [e[1] for e in errors],
+        "position error, cm": [100 * e[0] for e in errors],
+        "angle error, deg": [e[1] for e in errors],
     }
     curves = small_curves(series, n_x=sum(config.iterations) + 1, width=top.shape[1] // 3, scale=1)
     strip = np.full((curves.shape[0], top.shape[1], 3), 255, np.uint8)
@@ -113,12 +113,12 @@ def icp_picture(frame: Frame, surface: Surface, result: IcpResult, step: int, co
 
 
 def icp_panel(frame: Frame, surface: Surface, config: TrackingConfig | None = None) -> Panel:
-    """Sliders for the start and for the step of an alignment whose true pose is ``frame.T_WC``.
+    """Sliders for the starting pose and for the step of an alignment whose true pose is ``frame.T_WC``.
 
     Args:
-        frame: What is aligned.
-        surface: What it is aligned with.
-        config: Levels, gates.
+        frame: The frame to align.
+        surface: The surface to align it with.
+        config: Pyramid levels and limits of correspondences; the defaults if left out.
     """
     settings = config or TrackingConfig()
     kept: dict[tuple[Number, Number, bool], IcpResult] = {}
@@ -139,7 +139,9 @@ def icp_panel(frame: Frame, surface: Surface, config: TrackingConfig | None = No
             if at
             else f"after all {n} steps: {result.n_inliers:,} of {result.n_overlap:,} fit"
         )
-        verdict = f"<b>{'arrived' if well else 'lost'}</b>: ends {off_m * 100:.1f} cm and {off_deg:.2f}° off"
+        verdict = (
+            f"<b>{'converged' if well else 'not converged'}</b>: final error {off_m * 100:.1f} cm and {off_deg:.2f}°"
+        )
         return icp_picture(frame, surface, result, min(step, n), used), f"{words}<br>{verdict}"
 
     controls = {
@@ -158,7 +160,7 @@ def convergence_basin(
     turns_deg: Sequence[float],
     config: TrackingConfig | None = None,
 ) -> Float[np.ndarray, "R C"]:
-    """Final distance from the true pose ``frame.T_WC``, metres; rows are turns, columns steps aside."""
+    """Final distance from the true pose ``frame.T_WC``, metres; rows are turns, columns sideways displacements."""
     config = config or TrackingConfig()
     rows = []
     for turn in turns_deg:
@@ -171,7 +173,7 @@ def convergence_basin(
 def basin_picture(
     errors_m: Float[np.ndarray, "R C"], sideways_m: Sequence[float], turns_deg: Sequence[float]
 ) -> Picture:
-    """Green where the start led to within 2 cm of the truth, through yellow to red at 20 cm and more."""
+    """Green: from this start ICP ended within 2 cm of the true pose; yellow to red: up to 20 cm and more."""
     cell, left, low = 30, 62, 40
     R, C = errors_m.shape
     image = np.full((R * cell + low, left + C * cell + 10, 3), 255, np.uint8)
@@ -187,7 +189,7 @@ def basin_picture(
     for j in (0, C // 2, C - 1):
         write(image, f"{sideways_m[j] * 100:+.0f} cm", left + j * cell - 8, R * cell + 16, 1, 0.4)
     share = float((errors_m < SUCCESS_M).mean())
-    write(image, f"{share:.0%} of the starts arrive", left, R * cell + 34, 1, 0.42)
+    write(image, f"{share:.0%} of the starts converge", left, R * cell + 34, 1, 0.42)
     return image
 
 

@@ -17,7 +17,7 @@ def keyframe_strip(keyframes: Iterable[Keyframe], *, columns: int = 10, width: i
         keyframes: ``mapper.keyframes``.
         columns: Pictures in a row.
         width: Of the whole strip, pixels.
-        most: Of more keyframes, only this many are shown, evenly spread.
+        most: At most this many keyframes are shown, evenly spread over the run.
 
     Returns:
         White where there is nothing; one white row of pixels if there are no keyframes.

@@ -23,7 +23,7 @@ class Slider:
     low: Number
     high: Number
     step: Number
-    """Distance of two positions; of their logarithms to base 10 with ``log``. Whole numbers if this is an int."""
+    """Distance between two positions, or between their base-10 logarithms with ``log``. An int: whole numbers."""
     label: str
     log: bool = False
     readout: str = ".2f"
@@ -56,17 +56,17 @@ Drawn = tuple[Picture, str]
 class Panel:
     """Shows ``draw(**values)`` and draws again when a control moves. The last line of a cell shows it.
 
-    ``draw`` is called from whatever thread the notebook handles the control in, one call at a time, and always with
-    the newest values. If it raises, the error is shown instead of the text, and the last picture stays.
+    ``draw`` is called in the thread in which the notebook handles the control, one call at a time, always with the
+    newest values. If it raises, the error is shown instead of the text, and the last picture stays.
 
     Args:
         draw: Control values by name -> picture and text.
         controls: Name -> control, from top to bottom.
         buttons: Label -> function; the picture is drawn again after it.
-        name: Ends the CSS classes: ``gsnb-NAME`` for the panel, ``gsnb-NAME-image``, ``gsnb-NAME-text``, and one for
-            every control.
+        name: Part of the CSS classes: ``gsnb-NAME`` for the panel, ``gsnb-NAME-image``, ``gsnb-NAME-text``, and one
+            for every control.
         kind: "jpeg" for photographs, "png" for drawings.
-        text: Text of a static output.
+        text: Shown where neither widgets nor pictures can be shown.
     """
 
     def __init__(

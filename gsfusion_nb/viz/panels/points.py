@@ -1,4 +1,4 @@
-"""One RGB-D frame as a cloud of points, seen from a camera that moved: the pose made visible."""
+"""One RGB-D frame as a point cloud, seen by a camera at another pose."""
 
 import torch
 from jaxtyping import Float
@@ -31,7 +31,8 @@ def point_view(
         frame: Where the points come from.
         T_WC: Pose of the camera that looks at them.
         camera: Its intrinsics; the frame's by default.
-        show: Colour of the points: photograph, z-depth in the frame, or normals (see ``normal_colours``).
+        show: Colour of the points: "colour" (photograph), "depth" (z-depth in the frame), "normals"
+            (``normal_colours``).
         point_px: Edge of the square that a point covers, pixels.
 
     Raises:
@@ -65,7 +66,7 @@ def normal_colours(normal: Float[Tensor, "H W 3"]) -> Picture:
 
 
 def point_colours(frame: Frame, show: str) -> Picture:
-    """The frame as ``point_view`` paints its points."""
+    """The colours that ``point_view`` gives to the frame's pixels."""
     if show not in POINT_COLOURS:
         raise ValueError(f"show must be one of {', '.join(POINT_COLOURS)}, got {show!r}")
     if show == "colour":
@@ -79,21 +80,21 @@ def moved_pose(
     T_WC: Float[Tensor, "4 4"],
     offset_C_m: tuple[float, float, float],
     turn_deg: float | int,
-    nod_deg: float | int = 0.0,
+    pitch_deg: float | int = 0.0,
 ) -> Float[Tensor, "4 4"]:
-    """The pose after a step along the camera's own axes, then a turn about its y and a nod about its x axis.
+    """The pose after a step along the camera's own axes, then a turn about its y and a pitch about its x axis.
 
     Args:
         T_WC: Where it starts.
         offset_C_m: Right, down, forward, metres.
         turn_deg: To the right, degrees.
-        nod_deg: Upwards, degrees.
+        pitch_deg: Upwards, degrees.
     """
     step = torch.zeros(6, dtype=torch.float64)
     step[:3] = torch.tensor(offset_C_m, dtype=torch.float64)
-    turn, nod = torch.zeros(6, dtype=torch.float64), torch.zeros(6, dtype=torch.float64)
-    turn[4], nod[3] = torch.deg2rad(torch.tensor([float(turn_deg), float(nod_deg)], dtype=torch.float64))
-    return (T_WC.double() @ se3.exp(step) @ se3.exp(turn) @ se3.exp(nod)).float()
+    turn, pitch = torch.zeros(6, dtype=torch.float64), torch.zeros(6, dtype=torch.float64)
+    turn[4], pitch[3] = torch.deg2rad(torch.tensor([float(turn_deg), float(pitch_deg)], dtype=torch.float64))
+    return (T_WC.double() @ se3.exp(step) @ se3.exp(turn) @ se3.exp(pitch)).float()
 
 
 def point_panel(frame: Frame) -> Panel:

@@ -30,7 +30,7 @@ def quadtree_picture(
 
     "cells": borders over the image, coarse purple to fine yellow; "mean colours": every cell filled with its mean;
     "Gaussians": a disc of one standard deviation (half the cell's diagonal, GSFusion III-B.2) in the colour of the
-    pixel in the middle, smaller ones over larger ones.
+    pixel in the middle, smaller discs over larger ones.
 
     Args:
         rgb: Colour, 0..1 or bytes. [H, W, 3]
@@ -39,7 +39,7 @@ def quadtree_picture(
         scale: Enlargement.
 
     Raises:
-        ValueError: what ``quadtree`` refuses, or an unknown ``show``.
+        ValueError: settings that ``quadtree`` refuses, or an unknown ``show``.
     """
     if show not in SHOWS:
         raise ValueError(f"show must be one of {', '.join(SHOWS)}, got {show!r}")
@@ -87,7 +87,7 @@ def _discs(photo: Picture, cells: Cells) -> Picture:
 
 
 def quadtree_panel(rgb: AnyImage, *, threshold: float | int = 0.1, min_cell_px: int = 1, scale: int = 1) -> Panel:
-    """Sliders for threshold and smallest cell over an image, with the number of leaves, by level.
+    """Sliders for threshold and smallest cell over an image, with the number of leaves at each level.
 
     Args:
         rgb: The image. [H, W, 3]
@@ -104,10 +104,11 @@ def quadtree_panel(rgb: AnyImage, *, threshold: float | int = 0.1, min_cell_px: 
     controls = {
         "threshold": Slider(
             value=threshold, low=0.001, high=10, step=0.02, label="threshold", log=True, readout=".3g",
-            tip="a cell is cut while its contrast is above this",
+            tip="a cell is split if its contrast is above this",
         ),
         "min_cell_px": Slider(
-            value=min_cell_px, low=1, high=32, step=1, label="smallest half px", tip="half sizes must stay above this"
+            value=min_cell_px, low=1, high=32, step=1, label="min half size, px",
+            tip="a cell is split only if half its size is above this",
         ),
         "contrast": Choice(value="released", options=CONTRASTS, label="contrast"),
         "show": Choice(value="cells", options=SHOWS, label="show"),

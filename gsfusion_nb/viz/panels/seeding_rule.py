@@ -1,4 +1,4 @@
-"""A panel about a seeding rule: controls made from its keywords, and where it puts Gaussians on a frame."""
+"""A panel about a seeding rule: controls made from its options, and where it places Gaussians in a frame."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -29,13 +29,13 @@ def rule_controls(
 ) -> dict[str, Control]:
     """A control for each option of a rule, at its default.
 
-    True/False becomes a check box, a word a list of the allowed ones, a number above 0 a slider over a factor of 20 in
-    both directions (whole steps for a whole number), others a slider of +-1.
+    A bool becomes a check box, a word a menu of the allowed words, an int a slider up to 4 times its default, a
+    positive float a slider from 1/20 to 20 times its default, any other float a slider from default - 1 to default + 1.
 
     Args:
         rule: Name or function.
-        ranges: Option -> its least and largest value, where the default range does not fit; two whole
-            numbers make whole steps.
+        ranges: Option -> its smallest and largest value, where the default range does not fit; two ints give whole
+            steps.
 
     Raises:
         KeyError: no such rule, or ``ranges`` names no option of it.
@@ -67,9 +67,9 @@ def _control(name: str, default: Any, words: Sequence[str], limits: tuple[float 
 
 
 def rule_context(mapper: GSFusion, frame: Frame) -> SeedContext:
-    """What a rule would see if ``mapper`` took in ``frame`` next; the mapper stays as it is.
+    """What a rule would see if ``mapper`` mapped ``frame`` next; the mapper is not changed.
 
-    The volume is copied and the frame fused into the copy, as the mapper does before it asks its rule.
+    The volume is copied and the frame is fused into the copy: a rule sees the volume with the new frame in it.
     """
     volume = TsdfVolume(mapper.config.tsdf, device=mapper.device)
     volume.load_state_dict(_copied(mapper.volume.state_dict()))
@@ -93,12 +93,12 @@ def rule_picture(
 ) -> tuple[Picture, Seeds]:
     """The seeds that a rule proposes for a frame, drawn, and the seeds themselves.
 
-    "places": red dots over the darkened photograph; "new Gaussians": they alone, rendered; "map and new": rendered
-    together with the map of the context, as the optimiser will find them.
+    "places": red dots over the darkened photograph; "new Gaussians": the seeds alone, rendered; "map and new": the
+    seeds rendered together with the map of the context, which is where the optimisation starts.
 
     Args:
         rule: Name or function.
-        ctx: The frame, and what was mapped before. Its generator is set to 0 first: the same picture each time.
+        ctx: The frame, and what was mapped before. Its generator is seeded with 0 first, so the picture repeats.
         options: Keyword arguments for the rule.
         show: What is drawn, one of ``SHOWS``.
         scale: Enlargement.
@@ -126,7 +126,7 @@ def rule_panel(
     ranges: Mapping[str, tuple[float | int, float | int]] | None = None,
     scale: int = 1,
 ) -> Panel:
-    """Sliders from a rule's keywords, and the seeds that it proposes for a frame.
+    """Controls for a rule's options, and the seeds that it proposes for a frame.
 
     Args:
         rule: Name or function.

@@ -1,4 +1,4 @@
-"""Where the time of a frame goes, and a panel that makes stages faster (Amdahl's law)."""
+"""How the time of a frame divides into stages, and a panel that speeds up single stages (Amdahl's law)."""
 
 from collections.abc import Mapping
 
@@ -13,7 +13,7 @@ _LEFT, _RIGHT, _BAR = 92, 14, 44
 
 
 def stage_means(seconds: list[dict[str, float]], *, least_share: float = 0.002) -> dict[str, float]:
-    """Mean time of each stage over the frames; very short stages are left out.
+    """Mean time of each stage over the frames, seconds; very short stages are left out.
 
     Args:
         seconds: ``report.seconds`` of each step.
@@ -68,7 +68,7 @@ def sped_up(seconds: Mapping[str, float], factors: Mapping[str, float | int]) ->
 
 
 def amdahl_panel(seconds: Mapping[str, float], *, width: int = 720) -> Panel:
-    """A slider for each stage: its speed-up; and bars of a frame before and after.
+    """A slider for the speed-up of each stage, and bars of a frame's time before and after.
 
     Args:
         seconds: Stage -> seconds per frame.
@@ -81,7 +81,7 @@ def amdahl_panel(seconds: Mapping[str, float], *, width: int = 720) -> Panel:
         gain = sum(before.values()) / sum(after.values())
         largest = max(after, key=lambda stage: after[stage])
         words = (
-            f'<b class="gsnb-amdahl-gain">{gain:.2f}</b> times as fast<br>what is left is mostly {largest}: '
+            f'<b class="gsnb-amdahl-gain">{gain:.2f}</b> times as fast<br>largest remaining stage: {largest}, '
             f"{100 * after[largest] / sum(after.values()):.0f} %"
         )
         return stage_bars({"now": before, "then": after}, width=width), words
@@ -94,7 +94,7 @@ def amdahl_panel(seconds: Mapping[str, float], *, width: int = 720) -> Panel:
 
 
 def _short(number: float) -> str:
-    """Three digits, or all of a whole number."""
+    """Three digits, or all digits of the whole number from 1000 on."""
     return f"{number:.3g}" if number < 1000 else f"{number:,.0f}"
 
 

@@ -17,8 +17,8 @@ from ...types import Camera, Frame
 from .panel import Choice, Drawn, Panel, Slider, Switch
 from .tsdf_slice import QUANTITIES, draw_camera, slice_legend, slice_picture
 
-Look = Callable[[Float[Tensor, "4 4"]], Frame]
-"""A measurement from a pose."""
+DepthSensor = Callable[[Float[Tensor, "4 4"]], Frame]
+"""Takes a frame at a camera-to-world pose."""
 
 
 def level_pose(
@@ -29,7 +29,7 @@ def level_pose(
     Args:
         x_m, y_m, height_m: Where it stands, metres.
         heading_deg: Where it looks, counter-clockwise from the world's x axis, degrees.
-        tilt_deg: Upwards from the horizontal, degrees.
+        tilt_deg: Angle above the horizontal, degrees.
     """
     h, t = math.radians(heading_deg), math.radians(tilt_deg)
     forward = [math.cos(h) * math.cos(t), math.sin(h) * math.cos(t), math.sin(t)]
@@ -73,19 +73,19 @@ def _joined(
 
 
 def tsdf_fill_panel(
-    volume: TsdfVolume, camera: Camera, look: Look, *, start: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    volume: TsdfVolume, camera: Camera, sensor: DepthSensor, *, start: tuple[float, float, float] = (0.0, 0.0, 0.0)
 ) -> Panel:
-    """Move a camera, press *measure*, and watch the field fill. Moving alone changes nothing in the map.
+    """Move a camera, press *measure*, and see the volume fill. Moving alone does not change the map.
 
     Args:
         volume: Filled in place; *forget* empties it.
         camera: Of the preview.
-        look: What the camera measures at a pose: a frame, fused by ``integrate``.
+        sensor: Takes a frame at a pose; ``integrate`` fuses it.
         start: x, y in metres, and heading in degrees.
     """
     fused = [0]
 
-    # A control that rests costs nothing: what does not depend on the others is kept until the volume changes.
+    # Each part of the picture is kept until the volume or one of its own controls changes.
     @lru_cache(maxsize=1)
     def flat(_state: tuple[int, float], height_m: float | int, quantity: str) -> Picture:
         return slice_picture(volume, height_m=height_m, quantity=quantity)
@@ -99,7 +99,7 @@ def tsdf_fill_panel(
         return int((volume.W > 0).sum())
 
     def measured(T_WC: Tensor) -> None:
-        integrate(volume, look(T_WC))
+        integrate(volume, sensor(T_WC))
         fused[0] += 1
 
     def pose(values: dict[str, Any]) -> Float[Tensor, "4 4"]:

@@ -1,4 +1,4 @@
-"""What is known about each Gaussian apart from its parameters: columns of numbers for the splat viewer's colours."""
+"""Numbers per Gaussian besides its parameters (birth frame, state, ...), used by the splat viewer as colours."""
 
 import dataclasses
 from collections.abc import Mapping

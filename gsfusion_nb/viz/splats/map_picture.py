@@ -1,4 +1,4 @@
-"""The Gaussian map as a picture, in its own colours or coloured by what is known about each Gaussian."""
+"""The Gaussian map as a picture, in its own colours or coloured by a number per Gaussian."""
 
 import dataclasses
 import functools
@@ -73,7 +73,7 @@ def draw_gaussians(
 
 
 def _painted(params: GaussianParams, labels: Tensor, low: int, high: int) -> GaussianParams:
-    """The same Gaussians with the colour of their label, seen alike from every side."""
+    """The same Gaussians in the colour of their label, the same from every side."""
     level = (labels - low) * 255 // max(high - low, 1)
     colours = torch.from_numpy(_table("viridis")).to(params.sh) / 255
     sh = rgb_to_sh_dc(colours[level.long()])

@@ -13,9 +13,9 @@ from torch import Tensor
 from ...types import GaussianParams
 
 PACKET_BYTES = 48_000_000
-"""Records of the whole map stay below this; the higher harmonics are the first to go (96 of up to 124 bytes)."""
+"""The records of a map stay below this size; if necessary its higher harmonics are left out (96 of 124 bytes)."""
 MAX_CHANGED_SHARE = 0.6
-"""If more of the rows than this have changed, all of them are sent: simpler, and hardly more bytes."""
+"""If a larger share of the rows has changed, all rows are sent: simpler, and hardly more bytes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,7 +100,7 @@ def pack_rows(params: GaussianParams, columns: Float[np.ndarray, "N C"], layout:
 
 
 def packet_between(old: UInt8[np.ndarray, "_ _"] | None, new: UInt8[np.ndarray, "_ _"]) -> RowPacket | None:
-    """What to send to someone who has ``old`` so that they have ``new``; ``None`` if nothing changed.
+    """What to send to a front end that holds ``old`` so that it holds ``new``; ``None`` if nothing changed.
 
     If the map only grew, the new rows are sent; if rows changed, those; if rows were removed, all rows are sent,
     since every row after a removed one has another number.

@@ -1,4 +1,4 @@
-"""All numbers of one Gaussian, as a person reads them."""
+"""All numbers of one Gaussian as a readable table."""
 
 from dataclasses import dataclass
 
@@ -29,7 +29,7 @@ class GaussianRecord:
     sh_degree: int
     """Degree of the view-dependent part."""
     extras: dict[str, float]
-    """Birth frame, seed level, and whatever else is known of it."""
+    """Birth frame, seed level, and the other columns of the viewer."""
 
     def lines(self) -> list[tuple[str, str]]:
         """Names and values, rounded for reading."""

@@ -14,9 +14,9 @@ _FOCAL_PER_WIDTH = 0.7
 
 
 def viewing_camera(camera: Camera | None, width: int | None, height: int | None) -> Camera:
-    """The given camera on a canvas of the given size: all of its view if the shape is the same, else as wide as it.
+    """The given camera for a canvas of the given size, with its horizontal angle of view.
 
-    Without a given size the canvas is the camera's, at most 640 pixels wide; without a camera 480 x 360.
+    By default the canvas has the camera's size, at most 640 pixels wide; without a camera it is 480 x 360.
     """
     if camera is None:
         w, h = width or 480, height or 360
@@ -35,7 +35,7 @@ def viewing_camera(camera: Camera | None, width: int | None, height: int | None)
 def starting_pose(
     params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"] | None, up_W: Float[Tensor, "3"]
 ) -> tuple[Float[Tensor, "4 4"], float]:
-    """The first pose and the distance of the point to turn around: the median depth ahead, metres.
+    """The first pose, and the distance of the point to turn around (the median depth of the view), metres.
 
     Without a pose it is a view of the whole map from 35 degrees above.
     """

@@ -1,4 +1,4 @@
-"""What only an RTG-SLAM map can show: which disc each pixel hits and in what state it is, and why discs were added."""
+"""Pictures of RTG-SLAM maps only: the state of the disc that each pixel hits, and why discs were added."""
 
 import numpy as np
 import torch
@@ -30,7 +30,7 @@ def state_picture(model: SurfelModel, view: SurfaceView | RenderOutput, camera: 
     Args:
         model: The map.
         view: What a camera there sees, from ``RTGSLAM.render`` or ``RTGSLAM.surface``.
-        camera, T_WC: Where it is seen from.
+        camera, T_WC: The camera and pose that it is seen from.
     """
     table = np.array([STATE_COLOURS["unstable_opaque"], STATE_COLOURS["stable_opaque"], _NOTHING], np.float32)
     assert view.hit_index is not None
@@ -47,7 +47,7 @@ def state_picture(model: SurfelModel, view: SurfaceView | RenderOutput, camera: 
 
 
 def cause_picture(photo: AnyImage, model: SurfelModel, frame: Frame) -> Picture:
-    """The photograph, greyed, with the Gaussians born at this frame as dots in the colour of their cause."""
+    """The photograph in grey, with the Gaussians added at this frame as dots in the colour of their cause."""
     grey = to_uint8(photo).mean(-1, keepdims=True)
     picture = np.repeat((60 + 0.55 * grey).astype(np.uint8), 3, axis=-1)
     born = model.birth_frame == frame.index
@@ -59,7 +59,7 @@ def cause_picture(photo: AnyImage, model: SurfelModel, frame: Frame) -> Picture:
 def paint_rows(
     picture: Picture, model: GaussianModel, rows: Bool[Tensor, " N"], ink: tuple[int, ...], camera: Camera, T_WC: Tensor
 ) -> None:
-    """Dots of two by two pixels, in place, where some Gaussians lie in the picture."""
+    """Draw a dot of two by two pixels at the centre of each of the given Gaussians, in place."""
     xyz_W = model.params.xyz_W[rows]
     xyz_C = se3.apply(se3.inverse(T_WC.to(xyz_W)), xyz_W)
     uv = project(camera, xyz_C[xyz_C[:, 2] > 0]).cpu().numpy()

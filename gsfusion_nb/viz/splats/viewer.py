@@ -1,7 +1,7 @@
-"""The splat viewer: a Gaussian map in a notebook cell, turned with the mouse, coloured by what is known about it.
+"""The splat viewer: a Gaussian map in a notebook cell, turned with the mouse, coloured by a chosen quantity.
 
 The browser draws (``static/``): with WebGL2 where there is a graphics card, else with a rasteriser in a worker.
-Rows travel as binary messages and are not part of the widget's state, so a saved notebook does not hold the map.
+Rows are sent as binary messages and are not part of the widget's state, so a saved notebook does not hold the map.
 """
 
 import base64
@@ -37,7 +37,7 @@ log = logging.getLogger(__name__)
 MIN_INTERVAL_S = 0.2
 """Shortest time between two updates of a growing map."""
 SOFTWARE_ROWS = 150_000
-"""The software rasteriser draws at most this many rows, the most important; more would make the mouse lag."""
+"""The software rasteriser draws at most this many rows, the most important; with more it would react too slowly."""
 PICK_ALPHA = 0.25
 """A click picks the front-most Gaussian whose alpha at the pixel is at least this."""
 
@@ -58,25 +58,25 @@ def _synced(trait: t.TraitType) -> Any:
 
 
 class SplatViewer(anywidget.AnyWidget):
-    """Look at a Gaussian map from everywhere; the last line of a cell shows it.
+    """Look at a Gaussian map from every side; the last line of a cell shows it.
 
-    Drag to orbit, shift-drag to pan, ctrl-drag to look around, wheel (after a click) to zoom, R to go back, click to
+    Drag to orbit, shift-drag to pan, ctrl-drag to look around, wheel (after a click) to zoom, R to reset, click to
     pick: ``viewer.picked`` is the row's number, ``viewer.picked_row()`` its values, ``viewer.observe(f, "picked")``
-    calls ``f`` at each pick. In ``static_views`` there is only a picture by the library's renderer.
+    calls ``f`` at each pick. With ``static_views()`` only a picture by the library's renderer is shown.
 
     Args:
         source: A mapper (which also knows its cameras), a model, or bare parameters.
-        camera: Intrinsics to look with; the mapper's own by default.
-        T_WC: Where to start; the mapper's first keyframe by default, else above the map.
+        camera: Intrinsics of the view; the mapper's own by default.
+        T_WC: Camera-to-world pose to start from; the mapper's first keyframe by default, else above the map.
         width, height: Of the canvas, pixels.
         extras: Numbers to colour by: name -> one per Gaussian. [N] each
-        up_W: What is up; by default the mean of the known cameras' -y.
+        up_W: The world's up direction; by default the mean of the known cameras' -y axes.
         lock: Held while reading the map, if another thread changes it (``LiveMapper.lock``).
         colour_by: "rgb", "depth" (from the camera), "opacity", "birth_frame", "tag" (seed level), "state",
             "contribution" or another extra, where given.
 
     Raises:
-        TypeError: ``source`` is no map. ValueError: an extra does not fit the map, or the pose is not rigid.
+        TypeError: ``source`` is not a map. ValueError: an extra does not fit the map, or the pose is not rigid.
     """
 
     _esm = splat_front_end()
@@ -145,7 +145,7 @@ class SplatViewer(anywidget.AnyWidget):
 
     @property
     def T_WC(self) -> Float[Tensor, "4 4"]:
-        """Where the camera is now; assign a pose to move it."""
+        """The camera's present pose; assign a pose to move it."""
         return torch.tensor(self.pose).view(4, 4)
 
     @T_WC.setter
@@ -156,7 +156,7 @@ class SplatViewer(anywidget.AnyWidget):
     def update(self, source: Any = None, *, extras: Mapping[str, Any] | None = None) -> None:
         """Show the map as it is now, or another one. Only changed rows are sent, at most five times a second.
 
-        Calls that come sooner wait: the newest of them is sent as soon as that is allowed.
+        After a call that comes too soon, the state of the map is sent a little later.
 
         Args:
             source: The map; the one shown so far by default.
@@ -252,7 +252,7 @@ class SplatViewer(anywidget.AnyWidget):
             self.notice = notice
 
     def _refresh(self) -> None:
-        with self._lock, self._sending:  # in this order everywhere: who calls `update` may hold the first already
+        with self._lock, self._sending:  # always in this order: a caller of `update` may hold the first already
             self._timer = None
             self._read()
             records = self._packed()

@@ -51,7 +51,8 @@ def splat_picture(
 
     Args:
         params, camera, T_WC: as for ``render``.
-        paint: Number of each Gaussian, those of the first and the last colour, and a palette; ``None``: own colours.
+        paint: One number per Gaussian, the numbers of the first and the last colour, and a palette; ``None``: own
+            colours.
         depth: Show expected depth instead.
         size: Multiplies every standard deviation.
         opacity: Multiplies every opacity (clamped below 1).

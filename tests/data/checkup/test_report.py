@@ -41,7 +41,7 @@ def test_a_report_as_text_and_html():
     assert "-> --data.repair.depth-factor 0.2" in text
     html = report._repr_html_()
     assert "Depth &lt;b&gt; must." in html
-    assert "The other 1 are in order" in html
+    assert "Findings that are ok: 1." in html
     assert repr(report) == "CheckupReport(scan: wrong, 2 of 3 findings not ok)"
 
 
@@ -53,7 +53,7 @@ def test_the_command_writes_a_page_and_its_flags_are_accepted(broken, tmp_path, 
     assert "-> --data.repair.poses world_to_camera" in text
     html = page.read_text(encoding="utf-8")
     assert html.count("data:image/jpeg") >= 4
-    assert "What was tried" in html
+    assert "Corrections that were tried" in html
     assert "Path from above" in html
     assert "http" not in html.replace("http://www.w3.org", "")
     flags = text.split("All repairs together: ")[1].splitlines()[0].split()

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from gsfusion_nb.data.checkup.reprojection import agreement, depth_pair, relative_poses, thinned
+from gsfusion_nb.data.checkup.reprojection import depth_consistency, depth_pair, relative_poses, thinned
 from gsfusion_nb.geometry import depth_to_points, se3
 from gsfusion_nb.types import Camera
 
@@ -18,7 +18,7 @@ def test_a_wall_by_hand():
     nearer[2, 3] = -0.03  # 1.5 % of 2 m: half of what counts as agreeing
     aside[0, 3] = 1.0  # a pixel is 0.25 m wide there: four of eight columns leave
     behind[2, 3] = -3.0
-    found = agreement(pair, torch.stack([still, nearer, aside, behind]))
+    found = depth_consistency(pair, torch.stack([still, nearer, aside, behind]))
     assert found.agreeing.tolist() == [1.0, 1.0, 0.5, 0.0]
     assert found.overlap.tolist() == [1.0, 1.0, 0.5, 0.0]
     assert found.score.tolist() == pytest.approx([1.0, 0.5, 0.5, 0.0], abs=1e-5)
@@ -29,7 +29,7 @@ def test_a_wall_by_hand():
 def test_missing_depth_is_no_point():
     depth_m = torch.zeros(6, 8)
     pair = depth_pair(depth_m, depth_m, CAMERA, step=1)
-    found = agreement(pair, torch.eye(4)[None])
+    found = depth_consistency(pair, torch.eye(4)[None])
     assert found.agreeing.tolist() == found.score.tolist() == [0.0]
     assert found.median_m.isnan().all()
 

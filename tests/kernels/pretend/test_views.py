@@ -9,9 +9,9 @@ from gsfusion_nb.data import open_sequence
 from gsfusion_nb.mapping import RTGSLAM, GSFusion, make_mapper
 from gsfusion_nb.runs import MappingRun
 from gsfusion_nb.viz import LiveMapper, OrbitView, SplatViewer, draw_gaussians, show_mesh
-from gsfusion_nb.viz.cards import card
 from gsfusion_nb.viz.panels.keyframe_strip import keyframe_strip
 from gsfusion_nb.viz.splats.surfel_pictures import cause_picture, state_picture
+from gsfusion_nb.viz.summaries import html_summary
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 DATA = {"width": 40, "height": 30, "stop": 6, "hold_out_every": 0}
@@ -29,7 +29,7 @@ def run_of(system) -> MappingRun:
 
 
 @pytest.mark.parametrize("system", ["gsfusion", "rtg_slam"])
-def test_live_panels_cards_and_viewers(system, gpu, monkeypatch):
+def test_live_panels_summaries_and_viewers(system, gpu, monkeypatch):
     monkeypatch.setenv("GSNB_VIEW", "static")
     run = run_of(system)
     live = LiveMapper(run)
@@ -38,7 +38,7 @@ def test_live_panels_cards_and_viewers(system, gpu, monkeypatch):
     assert len(run.steps) == 3
     frame = run.sequence.mapping[2].to("cuda")
     things = [frame, mapper.gaussians, run] + ([mapper.volume] if isinstance(mapper, GSFusion) else [])
-    assert all("data:image" in card(thing) for thing in things)
+    assert all("data:image" in html_summary(thing) for thing in things)
     pictures = [
         keyframe_strip(mapper.keyframes),
         np.asarray(draw_gaussians(mapper.gaussians.params, frame.camera, frame.T_WC)),

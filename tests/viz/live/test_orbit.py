@@ -52,7 +52,7 @@ def test_places_and_their_buttons(view):
     view.buttons["above"].click()
     assert view.sliders["elevation"].value > 45
     assert view.sliders["cut"].value > 0
-    with pytest.raises(KeyError, match="no place 'below'"):
+    with pytest.raises(KeyError, match="no viewpoint 'below'"):
         view.look_from("below")
 
 

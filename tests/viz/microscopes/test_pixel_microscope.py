@@ -11,9 +11,9 @@ from gsfusion_nb.viz.microscopes import pixel_microscope
 from gsfusion_nb.viz.microscopes.pixel_stack import pixel_stack, project_splats
 from gsfusion_nb.viz.microscopes.stack_picture import (
     ellipse_picture,
-    enlarged,
     lens_picture,
     outlines,
+    resize_to_height,
     stack_picture,
     with_cross,
 )
@@ -70,7 +70,7 @@ def test_the_stored_output_is_a_picture(params, monkeypatch):
 
 def test_a_pixel_outside_is_refused_and_nothing_changes(params):
     microscope = PixelMicroscope(params, CAMERA, EYE, pixel=(10, 10))
-    with pytest.raises(ValueError, match="outside of the picture"):
+    with pytest.raises(ValueError, match="outside the picture"):
         microscope.look_at(-1, 0)
     assert (microscope.stack.u, microscope.stack.v) == (10, 10)
     microscope.clicks.pixel = (999, -5)  # a front end may be mistaken
@@ -135,7 +135,7 @@ def test_the_cross_leaves_the_pixel_free():
     assert picture.shape == (300, 400, 3)
     assert picture[155, 205].tolist() == [90, 90, 90]
     assert picture[155, 205 + 9].tolist() == [255, 210, 0]
-    assert enlarged(image, 15).shape == (15, 20, 3)
+    assert resize_to_height(image, 15).shape == (15, 20, 3)
 
 
 def test_the_ellipses_have_their_colours(params):

@@ -98,7 +98,7 @@ def test_an_empty_pixel_and_an_empty_map(generator):
 
 def test_a_pixel_outside_is_refused(generator):
     splats = project_splats(random_map(3, generator), CAMERA, EYE)
-    with pytest.raises(ValueError, match=r"pixel \(40, 0\) is outside of the picture: columns 0..39"):
+    with pytest.raises(ValueError, match=r"pixel \(40, 0\) is outside the picture: columns 0..39"):
         pixel_stack(splats, 40, 0)
 
 

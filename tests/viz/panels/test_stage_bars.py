@@ -22,7 +22,7 @@ def test_the_panel_says_what_amdahl_says():
     before = panel.picture().copy()
     panel.set(optimise=1000.0)
     assert ">2.00</b>" in panel.caption.value
-    assert "mostly tsdf: 100 %" in panel.caption.value
+    assert "stage: tsdf, 100 %" in panel.caption.value
     assert (panel.picture() != before).any()
 
 

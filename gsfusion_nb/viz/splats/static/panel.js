@@ -1,4 +1,4 @@
-// The elements of splat.html: controls bound to traits, the legend, the outline of the picked Gaussian.
+// The elements of viewer.html: controls bound to traits, the legend, the outline of the picked Gaussian.
 
 /** All elements by the end of their class, and every control with `data-trait` bound to that trait. */
 export function buildPanel(model) {
@@ -12,7 +12,7 @@ export function buildPanel(model) {
     node.setAttribute("data-lm-suppress-shortcuts", "true");
   }
   const fill = () => {
-    const names = [["rgb", "colour"], ["depth", "depth from here"], ["opacity", "opacity"]];
+    const names = [["rgb", "colour"], ["depth", "depth from the camera"], ["opacity", "opacity"]];
     const known = names.concat(model.get("columns").map((c) => [c.name, c.label]));
     nodes.colour_by.replaceChildren(...known.map(([value, text]) => new Option(text, value)));
     nodes.colour_by.value = model.get("colour_by");

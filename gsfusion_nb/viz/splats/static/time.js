@@ -21,7 +21,7 @@ export class TimeLine {
     this.timeline.hidden = first === undefined || first === last;
     const until = this.until ?? last;
     Object.assign(this.time, { min: first, max: last, value: until });
-    this.when.textContent = `seen up to frame ${Math.round(until)}`;
+    this.when.textContent = `map up to frame ${Math.round(until)}`;
     this.changed();
   }
 

@@ -42,7 +42,7 @@ class SplatView {
     listenTo(nodes.scene, this);
     this.chooseRenderer();
     this.say("waiting for the map ...");
-    const late = "No answer from Python: it is busy, or its kernel was restarted; run the cell again.";
+    const late = "No answer from Python: it is busy, or the kernel was restarted. Run the cell again.";
     this.patience = setTimeout(() => this.n ?? this.say(late), PATIENCE_MS);
     ready();
   }
@@ -90,7 +90,7 @@ class SplatView {
     this.gpu?.close();
     this.gpu = null;
     if (name && (wish === "webgl" || !imitatesGpu(name))) this.startGpu();
-    this.trouble = wish === "webgl" && !this.gpu ? "no WebGL2 here" : "";
+    this.trouble = wish === "webgl" && !this.gpu ? "this browser has no WebGL2" : "";
     this.nodes.software.hidden = Boolean(this.gpu);
     this.nodes.gpu.hidden = !this.gpu;
     this.save({ renderer_used: this.gpu ? "webgl" : "software", gpu: name });

@@ -1,4 +1,4 @@
-"""A gradient three ways: written by hand, by autograd, and by finite differences, side by side."""
+"""Comparison of a gradient computed in three ways: by hand-written code, by autograd and by finite differences."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ _SHOWN = 3
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """The three gradients by one input."""
+    """The three gradients with respect to one input."""
 
     name: str
     hand: Tensor
@@ -30,15 +30,15 @@ class Compared:
         return tuple(float((self.hand - other).abs().max()) / scale for other in (self.autograd, self.difference))  # pyright: ignore[reportReturnType]
 
 
-class ThreeWays:
-    """The table that ``three_ways`` makes. ``ok`` says whether all three agree; a notebook shows it in colour."""
+class GradientComparison:
+    """The table that ``compare_gradients`` makes; ``ok`` says whether all three agree. Notebooks show it in colour."""
 
     def __init__(self, rows: list[Compared]):
         self.rows = rows
 
     @property
     def ok(self) -> bool:
-        """Whether the hand-written gradient agrees with both others, everywhere."""
+        """Whether the hand-written gradient agrees with both others for all inputs."""
         return all(max(row.errors) < TOLERANCE for row in self.rows)
 
     def __bool__(self) -> bool:
@@ -74,14 +74,14 @@ class ThreeWays:
         return html_table(lines, heads=heads, **looks)
 
 
-def three_ways(
+def compare_gradients(
     forward: Callable[..., Tensor],
     vjp: Callable[..., Tensor | tuple[Tensor, ...]],
     inputs: dict[str, Tensor],
     *,
     v: Tensor | None = None,
     step: float = 1e-6,
-) -> ThreeWays:
+) -> GradientComparison:
     """Compare a hand-written gradient with autograd and with central differences.
 
     The scalar is L = sum(v * forward(*inputs)): with a random ``v`` all outputs are tested at once.
@@ -91,7 +91,7 @@ def three_ways(
         vjp: ``vjp(v, *inputs)`` returns dL/d of each input, in order.
         inputs: Name -> value; float64.
         v: dL/d of the output; random numbers, the same each time, by default.
-        step: Of the central differences.
+        step: Step of the central differences.
     """
     values = {name: x.detach().clone().double().requires_grad_() for name, x in inputs.items()}
     out = forward(*values.values())
@@ -111,7 +111,7 @@ def three_ways(
             numeric = central_difference(loss, x, step)
             from_graph = torch.zeros_like(x) if auto[i] is None else auto[i]
             rows.append(Compared(name, hands[i].double(), from_graph, numeric))
-    return ThreeWays(rows)
+    return GradientComparison(rows)
 
 
 def central_difference(loss: Callable[[Tensor], float], x: Tensor, step: float) -> Tensor:

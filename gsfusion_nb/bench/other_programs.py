@@ -1,4 +1,4 @@
-"""Which other programs can be measured on this machine; for the rest, how to install them."""
+"""Other programs to compare with: which can be measured on this machine, and how to install the rest."""
 
 import importlib
 import importlib.metadata
@@ -10,7 +10,7 @@ from . import gsplat_cuda
 
 
 @dataclass(frozen=True, kw_only=True)
-class Peer:
+class OtherProgram:
     """Another program with the same function."""
 
     name: str
@@ -24,8 +24,8 @@ class Peer:
     """Message if ``needs`` fails."""
 
 
-PEERS = {
-    "gsplat": Peer(
+OTHER_PROGRAMS = {
+    "gsplat": OtherProgram(
         name="gsplat (torch path)",
         section="raster",
         package="gsplat",
@@ -34,7 +34,7 @@ PEERS = {
         needs=lambda module: hasattr(module, "_rasterize_to_pixels"),
         lacks="it is not version 1.5, whose torch path is used",
     ),
-    "gsplat_cuda": Peer(
+    "gsplat_cuda": OtherProgram(
         name="gsplat (CUDA)",
         section="raster",
         package="gsplat",
@@ -43,14 +43,14 @@ PEERS = {
         needs=gsplat_cuda.is_built,
         lacks="no GPU, or its CUDA kernels could not be built",
     ),
-    "open3d": Peer(
+    "open3d": OtherProgram(
         name="Open3D VoxelBlockGrid",
         section="tsdf",
         package="open3d",
         module="open3d",
         remedy="pip install open3d",
     ),
-    "opencv": Peer(
+    "opencv": OtherProgram(
         name="OpenCV HashTSDF",
         section="tsdf",
         package="opencv-python-headless",
@@ -64,21 +64,21 @@ PEERS = {
 
 def why_not(name: str) -> str | None:
     """None if the program can be measured, else the reason and what to do."""
-    peer = PEERS[name]
+    program = OTHER_PROGRAMS[name]
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # Open3D warns if there is no GPU; the table shows the device
-            module = importlib.import_module(peer.module)
+            module = importlib.import_module(program.module)
     except ImportError as e:
-        missing = e.name and e.name.split(".")[0] == peer.module.split(".")[0]
+        missing = e.name and e.name.split(".")[0] == program.module.split(".")[0]
         reason = "not installed" if missing else f"cannot be imported ({e})"
-        return f"{reason}: {peer.remedy}"
-    return None if peer.needs(module) else f"{peer.lacks}: {peer.remedy}"
+        return f"{reason}: {program.remedy}"
+    return None if program.needs(module) else f"{program.lacks}: {program.remedy}"
 
 
 def version(name: str) -> str | None:
     """Installed version of a program."""
     try:
-        return importlib.metadata.version(PEERS[name].package)
+        return importlib.metadata.version(OTHER_PROGRAMS[name].package)
     except importlib.metadata.PackageNotFoundError:
         return None

@@ -25,18 +25,20 @@ _MOST_DRAWN = 200_000
 """The picture of a map shows at most this many Gaussians, evenly picked."""
 
 
-def card(thing: Any) -> str:
+def html_summary(thing: Any) -> str:
     """HTML of a frame, a TSDF volume, quadtree cells, a Gaussian map, or a run; Jupyter calls it.
 
     Raises:
-        TypeError: there is no card for an object of this type.
+        TypeError: there is no summary for an object of this type.
     """
-    for kind, make in _CARDS.items():
+    for kind, make in _SUMMARIES.items():
         if isinstance(thing, kind):
             picture, rows = make(thing)
             image = "" if picture is None else data_uri(picture)
-            return fill("card.html", title=type(thing).__name__, picture=image, rows=rows)
-    raise TypeError(f"no card for {type(thing).__name__}; there are cards for {', '.join(k.__name__ for k in _CARDS)}")
+            return fill("summary.html", title=type(thing).__name__, picture=image, rows=rows)
+    raise TypeError(
+        f"no summary for {type(thing).__name__}; there are summaries for {', '.join(k.__name__ for k in _SUMMARIES)}"
+    )
 
 
 def _frame(frame: Frame) -> tuple[Picture, dict[str, str]]:
@@ -77,7 +79,7 @@ def _volume(volume: TsdfVolume) -> tuple[Picture | None, dict[str, str]]:
     extent = " × ".join(f"{float(s):.2f}" for s in size)
     return picture, rows | {
         "extent": f"{extent} m",
-        "picture": f"signed distance at z = {middle_m:.2f} m: blue free, red behind a surface, striped never seen",
+        "picture": f"TSDF at z = {middle_m:.2f} m: blue free, red behind a surface, striped unobserved",
     }
 
 
@@ -106,8 +108,8 @@ def _gaussians(model: GaussianModel) -> tuple[Picture | None, dict[str, str]]:
     size_cm, opacity = 100 * model.scale_m.median(), model.opacity.median()
     return splat_picture(params, camera, pose.to(model.device)), rows | {
         "median": f"standard deviation {float(size_cm):.2f} cm, opacity {float(opacity):.2f}",
-        "born": f"in frames {int(model.birth_frame.min())} to {int(model.birth_frame.max())}",
-        "picture": "from 35 degrees above",
+        "added": f"in frames {int(model.birth_frame.min())} to {int(model.birth_frame.max())}",
+        "picture": "seen from 35 degrees above",
     }
 
 
@@ -152,7 +154,7 @@ def _photo_and_render(run: MappingRun) -> Picture | None:
     return side_by_side([fit_width(to_uint8(image), WIDTH_PX) for image in (frame.colour, rendered)])
 
 
-_CARDS: dict[type, Any] = {
+_SUMMARIES: dict[type, Any] = {
     Frame: _frame,
     TsdfVolume: _volume,
     Cells: _cells,

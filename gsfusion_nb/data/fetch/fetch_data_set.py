@@ -15,8 +15,8 @@ from .archive.unpacker import Limits
 from .checksum import verify
 from .disk import require_space
 from .download import ReportProgress, Transfer, download, remote_size
+from .download_log import DownloadedFile, record, write_source
 from .errors import ArchiveError, ChecksumError, FetchError
-from .ledger import Obtained, record, write_source
 from .plan import Item, Plan, agree, describe
 from .work_folder import WORK, only_one, unfinished_folder
 
@@ -27,7 +27,7 @@ LEAST_LIMIT_BYTES = 50_000_000
 
 
 @dataclass(frozen=True, kw_only=True)
-class Terms:
+class FetchOptions:
     """Options that are the same for all data sets."""
 
     out: Path
@@ -45,7 +45,7 @@ class Terms:
     """Asks the user; None if no user is there."""
 
 
-def obtain(plan: Plan, terms: Terms) -> Path:
+def fetch_data_set(plan: Plan, options: FetchOptions) -> Path:
     """Fetch a data set and return its folder.
 
     An existing data set is only read again. A broken download continues in the next run. The folder gets its name when
@@ -54,25 +54,25 @@ def obtain(plan: Plan, terms: Terms) -> Path:
     Raises:
         FetchError: or a subclass; the message says what to do.
     """
-    out, target = terms.out, terms.out / plan.folder
+    out, target = options.out, options.out / plan.folder
     if target.exists():
-        terms.say(f"{target} already exists; nothing is fetched (remove or rename it to fetch it again).")
-        _report(plan, target, target, terms)
+        options.say(f"{target} already exists; nothing is fetched (remove or rename it to fetch it again).")
+        _report(plan, target, target, options)
         return target
-    sizes = [remote_size(item.url(terms.mirror)) for item in plan.items]
-    terms.say(describe(plan, out, sizes, terms.mirror))
-    missing = sum(_missing(item, size, terms) for size, item in zip(sizes, plan.items, strict=True))
+    sizes = [remote_size(item.url(options.mirror)) for item in plan.items]
+    options.say(describe(plan, out, sizes, options.mirror))
+    missing = sum(_missing(item, size, options) for size, item in zip(sizes, plan.items, strict=True))
     require_space(out, missing + plan.unpacked_bytes, f"{plan.folder}, its archives included,")
-    agree(yes=terms.yes, ask=terms.ask)
+    agree(yes=options.yes, ask=options.ask)
     with only_one(out):
-        return _make(plan, terms, target)
+        return _make(plan, options, target)
 
 
-def _make(plan: Plan, terms: Terms, target: Path) -> Path:
-    work = terms.out / WORK
-    files = [(item, work / _file_name(item.url(terms.mirror))) for item in plan.items]
-    obtained = [_fetch(plan, item, file, terms) for item, file in files]
-    with unfinished_folder(target, terms.out) as folder:
+def _make(plan: Plan, options: FetchOptions, target: Path) -> Path:
+    work = options.out / WORK
+    files = [(item, work / _file_name(item.url(options.mirror))) for item in plan.items]
+    downloaded = [_fetch(plan, item, file, options) for item, file in files]
+    with unfinished_folder(target, options.out) as folder:
         for item, file in files:
             _place(plan, item, file, folder)
         try:
@@ -81,20 +81,20 @@ def _make(plan: Plan, terms: Terms, target: Path) -> Path:
             for _, file in files:
                 file.unlink(missing_ok=True)
             raise
-        write_source(folder, title=plan.title, licence=plan.licence, cite=plan.cite, files=obtained)
-        _report(plan, folder, target, terms)
-    if not terms.keep_archives:
+        write_source(folder, title=plan.title, licence=plan.licence, cite=plan.cite, files=downloaded)
+        _report(plan, folder, target, options)
+    if not options.keep_archives:
         for _, file in files:
             file.unlink(missing_ok=True)
     return target
 
 
-def _fetch(plan: Plan, item: Item, file: Path, terms: Terms) -> Obtained:
+def _fetch(plan: Plan, item: Item, file: Path, options: FetchOptions) -> DownloadedFile:
     """Download a file and compare it; a file with another digest is downloaded once more."""
-    url = item.url(terms.mirror)
+    url = item.url(options.mirror)
     for attempt in (1, 2):
         with _shown(file) as progress:
-            download(url, file, max_bytes=_most(plan, item), transfer=terms.transfer, progress=progress)
+            download(url, file, max_bytes=_most(plan, item), transfer=options.transfer, progress=progress)
         if not item.checksum:
             break
         try:
@@ -104,11 +104,11 @@ def _fetch(plan: Plan, item: Item, file: Path, terms: Terms) -> Obtained:
             file.unlink()
             if attempt == 2:
                 raise ChecksumError(f"{url}: {e} (twice, so a transmission error is unlikely)") from None
-            terms.say(f"{e}; it is downloaded once more.")
-    obtained = Obtained.now(url, file, item.checksum)
-    if note := record(terms.out, obtained):
-        terms.say(f"Note: {note}.")
-    return obtained
+            options.say(f"{e}; it is downloaded once more.")
+    downloaded = DownloadedFile.now(url, file, item.checksum)
+    if note := record(options.out, downloaded):
+        options.say(f"Note: {note}.")
+    return downloaded
 
 
 def _place(plan: Plan, item: Item, file: Path, folder: Path) -> None:
@@ -123,18 +123,18 @@ def _place(plan: Plan, item: Item, file: Path, folder: Path) -> None:
         raise
 
 
-def _report(plan: Plan, folder: Path, target: Path, terms: Terms) -> None:
+def _report(plan: Plan, folder: Path, target: Path, options: FetchOptions) -> None:
     """Read every sequence in ``folder``, which is or will become ``target``, and print how to map it."""
     sequences = plan.sequences(folder)
     if not sequences:
         raise FetchError(f"{folder} holds no sequence")
     for sequence in sequences:
-        terms.say(f"{sequence.prove(folder)}\n  {sequence.command(target)}")
+        options.say(f"{sequence.prove(folder)}\n  {sequence.command(target)}")
 
 
-def _missing(item: Item, size: int | None, terms: Terms) -> int:
+def _missing(item: Item, size: int | None, options: FetchOptions) -> int:
     """Bytes of a file that are not downloaded yet."""
-    file = terms.out / WORK / _file_name(item.url(terms.mirror))
+    file = options.out / WORK / _file_name(item.url(options.mirror))
     part = file.with_name(file.name + ".part")
     if file.exists():
         return 0

@@ -1,4 +1,4 @@
-"""Whether a seeding rule leaves its inputs as they are, told by the versions that torch counts: it costs nothing."""
+"""Whether a seeding rule leaves its inputs unchanged, by torch's version counters, which costs almost no time."""
 
 import dataclasses
 from collections.abc import Iterator
@@ -19,7 +19,7 @@ class ChangedInputError(RuntimeError):
 
     def __init__(self, rule: str, what: list[str]):
         super().__init__(
-            f"seeding rule {rule!r} changed {' and '.join(what)} in place; a rule must leave its inputs as they are: "
+            f"seeding rule {rule!r} changed {' and '.join(what)} in place; a rule must leave its inputs unchanged: "
             "work on a copy (x.clone())"
         )
         self.what = " and ".join(what)
@@ -27,9 +27,9 @@ class ChangedInputError(RuntimeError):
 
 
 class Versions:
-    """The versions of a context's tensors at one time.
+    """torch's version counters of a context's tensors at one time.
 
-    Writes through ``numpy()`` are not counted; ``check_rule`` finds those, too.
+    Writes through ``numpy()`` are not counted; ``check_rule`` finds those.
     """
 
     def __init__(self, context: SeedContext):
@@ -37,7 +37,7 @@ class Versions:
         self._tensors = [(name, tensor, _version(tensor)) for name, tensor in context_tensors(context)]
 
     def changed(self) -> list[str]:
-        """Names of the tensors that were written to since."""
+        """Names of the tensors that have been changed since."""
         names = [name for name, tensor, version in self._tensors if _version(tensor) != version]
         made = vars(self._frame).get("rgb")  # floats that the rule was the first to ask for
         if made is not None and all(made is not tensor for _, tensor, _ in self._tensors):
@@ -46,7 +46,7 @@ class Versions:
 
 
 def context_tensors(context: SeedContext) -> Iterator[tuple[str, Tensor]]:
-    """Name and tensor of all that a context gives a rule to look at: frame, Gaussians, volume."""
+    """Name and tensor of everything that a rule can read in a context: frame, Gaussians, volume."""
     frame = context.frame
     yield "frame.rgb_u8" if frame.is_8_bit else "frame.rgb", frame.colour
     yield from ((f"frame.{name}", getattr(frame, name)) for name in ("depth_m", "T_WC"))

@@ -35,10 +35,10 @@ class Fuser(Protocol):
 
 
 class Open3dGrid:
-    """Open3D's VoxelBlockGrid with colour: 16^3 blocks, weight and colour in 16 bits (its fastest).
+    """Open3D's VoxelBlockGrid with colour: voxel blocks of 16^3, weight and colour in 16 bits (its fastest setting).
 
-    It truncates (u, v) to find a depth pixel, which is right for intrinsics that count from pixel edges, like ours. Its
-    legacy volume is not compared: since version 0.20 its meshes are empty.
+    It truncates (u, v) to find a depth pixel, which is right for intrinsics that count from pixel edges, as here. Its
+    legacy volume is not compared, because its meshes are empty since version 0.20.
     """
 
     def __init__(self, settings: FusionSettings, first: Frame):
@@ -71,7 +71,7 @@ class Open3dGrid:
 
 
 class OpencvHash:
-    """OpenCV's hashed volume of 16^3 units. It holds no colour, so it does less than the others."""
+    """OpenCV's hashed volume of 16^3 voxel blocks. It stores no colour, so it does less work than the others."""
 
     def __init__(self, settings: FusionSettings, first: Frame):
         import cv2

@@ -20,8 +20,8 @@ from gsfusion_nb.mapping import make_mapper
 from gsfusion_nb.runs import MappingRun
 from gsfusion_nb.seeding import quadtree
 from gsfusion_nb.tsdf import TsdfVolume
-from gsfusion_nb.viz import cards
-from gsfusion_nb.viz.cards import card
+from gsfusion_nb.viz import summaries
+from gsfusion_nb.viz.summaries import html_summary
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +45,7 @@ def picture(page: str) -> np.ndarray:
 
 def test_a_frame_shows_colour_beside_depth(run):
     frame = run.sequence.mapping[0]
-    page = card(frame)
+    page = html_summary(frame)
     assert "80 × 60" in page
     assert "100 % of the pixels" in page
     shown = picture(page)
@@ -56,23 +56,23 @@ def test_a_frame_shows_colour_beside_depth(run):
 
 def test_a_frame_without_depth(run):
     frame = dataclasses.replace(run.sequence.mapping[0], depth_m=torch.zeros(60, 80))
-    assert "0 % of the pixels" in card(frame)
+    assert "0 % of the pixels" in html_summary(frame)
 
 
 def test_a_volume_shows_its_extent_and_a_slice(run):
     volume = run.mapper.volume
-    page = card(volume)
+    page = html_summary(volume)
     size = (volume.block_coords.amax(0) + 1 - volume.block_coords.amin(0)) * volume.block_size_m
     assert " × ".join(f"{s:.2f}" for s in size.tolist()) in page
     assert f"{volume.n_blocks:,}" in page
     shown = picture(page).astype(int)
     assert (shown[..., 2] - shown[..., 0] > 60).any()  # free space is blue
-    assert "<img" not in card(TsdfVolume(TsdfConfig()))
+    assert "<img" not in html_summary(TsdfVolume(TsdfConfig()))
 
 
 def test_cells_are_counted_level_by_level(run):
     cells = quadtree(run.sequence.mapping[0].rgb_u8, threshold=0.1)
-    page = card(cells)
+    page = html_summary(cells)
     for level in cells.level.unique().tolist():
         count = f"{int((cells.level == level).sum()):,}"
         assert f'level {level}</th><td style="text-align:left;vertical-align:top">{count}<' in page
@@ -80,15 +80,15 @@ def test_cells_are_counted_level_by_level(run):
 
 
 def test_a_map_is_seen_from_above(run):
-    page = card(run.mapper.gaussians)
+    page = html_summary(run.mapper.gaussians)
     assert f"{len(run.mapper.gaussians):,}" in page
     assert picture(page).max() > 60
-    assert "<img" not in card(GaussianModel())
-    assert "SurfelModel" in card(SurfelModel(0))
+    assert "<img" not in html_summary(GaussianModel())
+    assert "SurfelModel" in html_summary(SurfelModel(0))
 
 
 def test_a_run_shows_a_frame_beside_the_map(run):
-    page = card(run)
+    page = html_summary(run)
     assert "2 mapped" in page
     assert f"{len(run.mapper.gaussians):,}" in page
     photo, rendered = np.split(picture(page)[:, :166], [86], axis=1)
@@ -96,17 +96,17 @@ def test_a_run_shows_a_frame_beside_the_map(run):
 
 
 def test_of_other_things_there_is_none():
-    with pytest.raises(TypeError, match="no card for int; there are cards for Frame, TsdfVolume"):
-        card(3)
+    with pytest.raises(TypeError, match="no summary for int; there are summaries for Frame, TsdfVolume"):
+        html_summary(3)
 
 
-def test_ipython_is_told_of_every_card_and_of_no_other():
-    made = {(kind.__module__, kind.__name__) for kind in cards._CARDS}
-    assert set(gsfusion_nb._WITH_CARD) == made
-    assert len(gsfusion_nb._WITH_CARD) == len(made)
+def test_ipython_is_told_of_every_summary_and_of_no_other():
+    made = {(kind.__module__, kind.__name__) for kind in summaries._SUMMARIES}
+    assert set(gsfusion_nb._WITH_SUMMARY) == made
+    assert len(gsfusion_nb._WITH_SUMMARY) == len(made)
 
 
-def test_ipython_shows_the_card():
+def test_ipython_shows_the_summary():
     code = """
 from IPython.core.interactiveshell import InteractiveShell
 shell = InteractiveShell.instance()

@@ -16,15 +16,15 @@ from gsfusion_nb.data.fetch import (
     DeclinedError,
     DownloadError,
     FetchError,
+    FetchOptions,
     Item,
     NoSpaceError,
     Plan,
     SequenceOnDisk,
-    Terms,
-    obtain,
+    fetch_data_set,
 )
 from gsfusion_nb.data.fetch.checksum import digest, verify
-from gsfusion_nb.data.fetch.ledger import read_ledger
+from gsfusion_nb.data.fetch.download_log import read_download_log
 from gsfusion_nb.data.fetch.plan import agree, describe, duration_text
 from gsfusion_nb.data.fetch.work_folder import only_one
 
@@ -37,7 +37,7 @@ _spec.loader.exec_module(hostile)
 
 @pytest.fixture
 def job(site, tmp_path, box, archives, transfer):
-    """A data set in the plain layout behind a server, a plan for it, and terms that agree."""
+    """A data set in the plain layout behind a server, a plan for it, and options that agree."""
     source = box.folder(tmp_path / "source")
     files = {f"scan/{p.relative_to(source)}": p.read_bytes() for p in source.rglob("*") if p.is_file()}
     site.files["/set/scan.zip"] = archives.zip(files)
@@ -50,7 +50,7 @@ class Job:
     def __init__(self, site, out, files, transfer, archives):
         self.site, self.out, self.files, self.archives = site, out, files, archives
         self.said: list[str] = []
-        self.terms = Terms(out=out, yes=True, transfer=transfer, say=self.said.append)
+        self.options = FetchOptions(out=out, yes=True, transfer=transfer, say=self.said.append)
         self.plan = Plan(
             folder="sets/scan",
             title="A scan",
@@ -73,7 +73,7 @@ class Job:
 
 def test_the_whole_way(job):
     md5 = "md5:" + hashlib.md5(job.site.files["/set/scan.zip"]).hexdigest()
-    folder = obtain(job.with_item(checksum=md5), job.terms)
+    folder = fetch_data_set(job.with_item(checksum=md5), job.options)
     assert folder == job.out / "sets" / "scan"
     for name, content in job.files.items():
         assert (folder / job.choose(name)).read_bytes() == content
@@ -84,7 +84,7 @@ def test_the_whole_way(job):
     assert job.said[-1].splitlines()[1] == f"  gsfusion-nb map {folder} --preset replica"
     source = json.loads((folder / "source.json").read_text())
     assert source["licence"] == "Free to test."
-    (entry,) = read_ledger(job.out)
+    (entry,) = read_download_log(job.out)
     assert source["files"] == [dataclasses.asdict(entry)]
     assert (entry.published, entry.size) == (md5, len(job.site.files["/set/scan.zip"]))
     assert entry.sha256 == hashlib.sha256(job.site.files["/set/scan.zip"]).hexdigest()
@@ -92,32 +92,32 @@ def test_the_whole_way(job):
 
 
 def test_a_second_time_nothing_is_asked(job):
-    obtain(job.plan, job.terms)
+    fetch_data_set(job.plan, job.options)
     job.site.seen.clear()
-    obtain(job.plan, dataclasses.replace(job.terms, yes=False))
+    fetch_data_set(job.plan, dataclasses.replace(job.options, yes=False))
     assert job.site.seen == []
     assert "already exists; nothing is fetched" in job.said[-2]
 
 
 def test_archives_are_kept_on_request_and_used_again(job):
-    terms = dataclasses.replace(job.terms, keep_archives=True)
-    folder = obtain(job.plan, terms)
+    options = dataclasses.replace(job.options, keep_archives=True)
+    folder = fetch_data_set(job.plan, options)
     shutil.rmtree(folder)
     job.site.seen.clear()
-    obtain(job.plan, terms)
+    fetch_data_set(job.plan, options)
     assert job.site.ranges() == []
 
 
 def test_agreement(job):
-    nobody = dataclasses.replace(job.terms, yes=False)
+    nobody = dataclasses.replace(job.options, yes=False)
     with pytest.raises(
         DeclinedError, match=r"cannot ask whether you agree to size and licence, .*run again with --yes"
     ):
-        obtain(job.plan, nobody)
+        fetch_data_set(job.plan, nobody)
     with pytest.raises(DeclinedError, match="nothing was fetched"):
-        obtain(job.plan, dataclasses.replace(nobody, ask=lambda question: ""))
+        fetch_data_set(job.plan, dataclasses.replace(nobody, ask=lambda question: ""))
     assert job.site.ranges() == []  # only the size was asked for
-    obtain(job.plan, dataclasses.replace(nobody, ask=lambda question: "Yes"))
+    fetch_data_set(job.plan, dataclasses.replace(nobody, ask=lambda question: "Yes"))
 
     def gone(question):
         raise EOFError
@@ -131,30 +131,30 @@ def test_corrupted_once_and_always(job):
     plan = job.with_item(checksum="md5:" + hashlib.md5(content).hexdigest())
     job.site.faults = {path: [hostile.corrupt]}
     with pytest.raises(ChecksumError, match=r"scan\.zip has md5:.*, but the published one is md5:.*twice"):
-        obtain(plan, job.terms)
+        fetch_data_set(plan, job.options)
     assert job.nothing_looks_whole()
     assert job.site.ranges() == [None, None]
     job.site.faults = {path: [hostile.corrupt, None]}
-    obtain(plan, job.terms)
+    fetch_data_set(plan, job.options)
     assert any("it is downloaded once more" in text for text in job.said)
 
 
 def test_too_short_by_a_lie_is_found_in_the_archive(job):
     job.site.faults = {"/set/scan.zip": [hostile.shorter]}
     with pytest.raises(ArchiveError, match="damaged"):
-        obtain(job.plan, job.terms)
+        fetch_data_set(job.plan, job.options)
     assert job.nothing_looks_whole()
     job.site.faults = {}
-    obtain(job.plan, job.terms)  # the bad archive was not kept
+    fetch_data_set(job.plan, job.options)  # the bad archive was not kept
 
 
 def test_another_file_at_the_same_address_is_told(job):
-    folder = obtain(job.plan, job.terms)
+    folder = fetch_data_set(job.plan, job.options)
     shutil.rmtree(folder)
     job.site.files["/set/scan.zip"] = job.archives.zip(job.files | {"scan/readme": b"new"})
-    obtain(job.plan, job.terms)
+    fetch_data_set(job.plan, job.options)
     assert any("has changed since 20" in text for text in job.said)
-    assert len(read_ledger(job.out)) == 2
+    assert len(read_download_log(job.out)) == 2
 
 
 @pytest.mark.parametrize(
@@ -169,7 +169,7 @@ def test_another_file_at_the_same_address_is_told(job):
 def test_hostile_archive(job, add, error):
     job.site.files["/set/scan.zip"] = job.archives.zip(job.files | add)
     with pytest.raises(ArchiveError, match=error):
-        obtain(job.plan, job.terms)
+        fetch_data_set(job.plan, job.options)
     assert job.nothing_looks_whole()
     assert not (job.out / "outside").exists()
 
@@ -177,7 +177,7 @@ def test_hostile_archive(job, add, error):
 def test_a_set_that_cannot_be_read_never_gets_its_name(job):
     job.site.files["/set/scan.zip"] = job.archives.zip({k: v for k, v in job.files.items() if "poses" not in k})
     with pytest.raises(FetchError, match=r"cannot be read as a sequence: .* lacks poses\.txt"):
-        obtain(job.plan, job.terms)
+        fetch_data_set(job.plan, job.options)
     assert job.nothing_looks_whole()
 
 
@@ -187,20 +187,20 @@ def test_interrupted_while_unpacking(job):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        obtain(dataclasses.replace(job.plan, convert=interrupt), job.terms)
+        fetch_data_set(dataclasses.replace(job.plan, convert=interrupt), job.options)
     assert job.nothing_looks_whole()
     job.site.seen.clear()
-    obtain(job.plan, job.terms)
+    fetch_data_set(job.plan, job.options)
     assert job.site.ranges() == []  # the archive was whole
 
 
 def test_broken_download_goes_on_in_the_next_run(job):
     job.site.faults = {"/set/scan.zip": [hostile.cut(5000)]}
     with pytest.raises(DownloadError, match="5 kB are kept; run again to continue"):
-        obtain(job.plan, job.terms)
+        fetch_data_set(job.plan, job.options)
     assert job.nothing_looks_whole()
     job.site.faults, job.site.seen = {}, []
-    obtain(job.plan, job.terms)
+    fetch_data_set(job.plan, job.options)
     assert job.site.ranges() == ["bytes=5000-"]
 
 
@@ -208,19 +208,19 @@ def test_disk_space_is_asked_for_first(job, monkeypatch):
     usage = namedtuple("usage", "total used free")
     monkeypatch.setattr(shutil, "disk_usage", lambda place: usage(10**9, 10**9, 100_000_000))
     with pytest.raises(NoSpaceError, match="has 100 MB free; sets/scan, its archives included, needs"):
-        obtain(job.plan, job.terms)
+        fetch_data_set(job.plan, job.options)
     assert job.site.ranges() == []
 
 
 def test_one_at_a_time(job):
     with only_one(job.out), pytest.raises(FetchError, match="another program is fetching into"):
-        obtain(job.plan, job.terms)
-    obtain(job.plan, job.terms)
+        fetch_data_set(job.plan, job.options)
+    fetch_data_set(job.plan, job.options)
 
 
 def test_mirror(job):
-    terms = dataclasses.replace(job.terms, mirror=job.site.address + "/set/")
-    obtain(job.with_item(base="http://nowhere.invalid"), terms)
+    options = dataclasses.replace(job.options, mirror=job.site.address + "/set/")
+    fetch_data_set(job.with_item(base="http://nowhere.invalid"), options)
 
 
 def test_digests(tmp_path):

@@ -1,4 +1,4 @@
-"""Cases of what a user waits for besides mapping: the import, the check-up of a recording, similar keyframes."""
+"""Waiting times besides mapping: the import, the check of a recording, the search for similar keyframes."""
 
 import functools
 import subprocess
@@ -15,27 +15,27 @@ from .timing import Lap, lap, measure, summary
 from .tsdf import case_name, open_frames
 
 KEYFRAMES = 300
-"""Keyframes among which the most similar ones are looked for, with the features of ``VIEWS`` views of the room."""
+"""Number of keyframes that are searched, with the features of ``VIEWS`` views of the room."""
 VIEWS = 20
 
 
 def cases(options: BenchOptions) -> Iterator[Case]:
-    """The import beside that of torch alone; the check-up for every image size; one query."""
-    yield Case(section="waits", title="import", run=functools.partial(_imports, 1 if options.quick else 5))
+    """The import compared with that of torch alone; the check of a recording for every image size; one search."""
+    yield Case(section="latency", title="import", run=functools.partial(_imports, 1 if options.quick else 5))
     for size in options.sizes:
         run = functools.partial(_check, options, size)
-        yield Case(section="waits", title=f"check-up of {options.data}", run=lambda run=run: [run()])
-    yield Case(section="waits", title="most similar views", run=lambda: [_query(options)])
+        yield Case(section="latency", title=f"check of {options.data}", run=lambda run=run: [run()])
+    yield Case(section="latency", title="most similar views", run=lambda: [_query(options)])
 
 
 def _imports(runs: int) -> Iterator[Row]:
     for module in ("torch", "gsfusion_nb"):
         laps = [_import_lap(module) for _ in range(runs + 1)][1:]  # the first one fills the system's file cache
-        yield Row(section="waits", case="import in a new process", method=module, timing=summary(laps))
+        yield Row(section="latency", case="import in a new process", method=module, timing=summary(laps))
 
 
 def _import_lap(module: str) -> Lap:
-    """What ``import module`` takes in a process of its own, the start of Python excluded."""
+    """Time of ``import module`` in a process of its own, without the start of Python."""
     code = (
         f"import time; w, c = time.perf_counter(), time.process_time(); import {module}; "
         "print(time.perf_counter() - w, time.process_time() - c)"
@@ -51,7 +51,7 @@ def _check(options: BenchOptions, size: tuple[int, int]) -> Row:
         frames[i]  # the room's pictures are rendered once and kept; a recording's files are then in memory
     timing = summary([lap(lambda: check_recording(frames))])
     case = case_name(frames.name, frames.camera.width, frames.camera.height)
-    return Row(section="waits", case=case, method="check-up", timing=timing, note=f"{len(frames)} frames")
+    return Row(section="latency", case=case, method="check", timing=timing, note=f"{len(frames)} frames")
 
 
 def _query(options: BenchOptions) -> Row:
@@ -62,4 +62,4 @@ def _query(options: BenchOptions) -> Row:
     for row in range(KEYFRAMES):
         known.add(row, frames[row % VIEWS].T_WC, views[row % VIEWS])
     timing = measure(lambda: known.similar(views[-1], 5), budget_s=options.budget_s)
-    return Row(section="waits", case=f"{KEYFRAMES} keyframes", method="most similar views", timing=timing)
+    return Row(section="latency", case=f"{KEYFRAMES} keyframes", method="most similar views", timing=timing)

@@ -1,4 +1,4 @@
-"""Any iterative computation to watch: buttons that start, pause, step and stop it, one picture, and curves."""
+"""A live view of any iterative computation: buttons to start, pause, step and stop it, one picture, and curves."""
 
 import html
 import time
@@ -16,17 +16,17 @@ MIN_INTERVAL_S = 0.1
 """The picture is redrawn at most ten times a second."""
 
 
-class Watch:
-    """Drives an iterator step by step with buttons; in a thread; the kernel stays free.
+class LiveLoop:
+    """Runs an iterator step by step in its own thread, controlled by buttons; other cells can run meanwhile.
 
     The last line of a cell shows it. From Python: ``player.start``, ``player.pause``, ``player.step``, ``player.stop``,
     and ``run_sync(n)``, which does ``n`` steps in the calling cell.
 
     Args:
-        make_steps: Makes the iterator; called again after a stop, it goes on where the work stands.
-        picture: What to show, called with the lock held, at most ten times a second.
+        make_steps: Makes the iterator; called again after a stop, it continues from the current state.
+        picture: Makes the picture to show; called with the lock held, at most ten times a second.
         curves: Title -> values so far, lists that the steps append to.
-        n_steps: How many steps fill the curves' width.
+        n_steps: Number of steps that the width of the curves stands for.
         width: Of the picture on screen, pixels.
     """
 
@@ -66,7 +66,7 @@ class Watch:
     def _repr_mimebundle_(self, **kwargs: Any) -> dict[str, Any]:
         self._draw()
         return with_picture(
-            self.widget._repr_mimebundle_(**kwargs), self.picture(), f"Watch({self.player.n_steps} steps)"
+            self.widget._repr_mimebundle_(**kwargs), self.picture(), f"LiveLoop({self.player.n_steps} steps)"
         )
 
     def _on_step(self, _result: Any) -> None:
@@ -103,12 +103,12 @@ class Watch:
             name: w.Button(description=name, icon=icons[name], layout=w.Layout(width="88px")) for name in actions
         }
         for name, button in self.buttons.items():
-            button.add_class(f"gsnb-watch-{name.lower()}")
+            button.add_class(f"gsnb-live-loop-{name.lower()}")
             button.on_click(lambda _, act=actions[name]: act())
         self.status = w.HTML()
-        self.status.add_class("gsnb-watch-status")
+        self.status.add_class("gsnb-live-loop-status")
         wide = w.Layout(width=f"{self._width}px", max_width="100%")
         self.image, self.graphs = w.Image(format="jpeg", layout=wide), w.Image(format="png", layout=wide)
-        self.image.add_class("gsnb-watch-image")
+        self.image.add_class("gsnb-live-loop-image")
         self.widget = w.VBox([w.HBox(list(self.buttons.values())), self.status, self.image, self.graphs])
-        self.widget.add_class("gsnb-watch")
+        self.widget.add_class("gsnb-live-loop")
