@@ -13,8 +13,11 @@ from pathlib import Path
 
 import torch
 
+from gsfusion_nb.data import SequenceError
 from gsfusion_nb.data.convert.formats.open3d_log import read_trajectory_file
 from gsfusion_nb.data.fetch import Item, Plan, SequenceOnDisk, command, fetch_data_set
+from gsfusion_nb.data.recorded.find_files import images_in
+from gsfusion_nb.data.recorded.pose_lines import image_number
 from gsfusion_nb.data.recorded.poses import write_pose_lines
 
 HOST = "https://github.com/isl-org/open3d_downloads/releases/download/augmented-icl-nuim"
@@ -46,10 +49,15 @@ PRIMESENSE = {"width": 640, "height": 480, "fx": 525.0, "fy": 525.0, "cx": 319.5
 
 
 def to_plain_layout(folder: Path) -> None:
-    """Write poses and camera in the plain layout."""
+    """Write poses and camera in the plain layout. Line k of the poses is of the k-th number of the images' names."""
     poses, _ = read_trajectory_file(folder / "trajectory.log")
-    write_pose_lines(folder / "poses.txt", torch.stack([poses[i] for i in sorted(poses)]))
-    (folder / "intrinsics.json").write_text(json.dumps(PRIMESENSE | {"depth_scale": 1000.0}) + "\n", encoding="utf-8")
+    lacking = sorted(set(range(len(poses))) - set(poses))
+    if lacking:
+        raise SequenceError(f"{folder / 'trajectory.log'} lacks the pose of frame {lacking[0]}; expected all from 0 on")
+    write_pose_lines(folder / "poses.txt", torch.stack([poses[i] for i in range(len(poses))]))
+    first = image_number(images_in(folder / "rgb")[0])
+    values = PRIMESENSE | {"depth_scale": 1000.0, "first_image": first or 0}
+    (folder / "intrinsics.json").write_text(json.dumps(values) + "\n", encoding="utf-8")
 
 
 def numbered(kind: str, suffix: str):

@@ -17,6 +17,8 @@ MAX_DEPTH = 64
 """Brackets inside brackets; settings and camera files have about five."""
 MAX_DIGITS = 40
 """Of a whole number; a time in nanoseconds has 19."""
+MAX_FLOAT_DIGITS = 200
+"""Of a number with a point or an exponent; some programs write 60."""
 
 _TOKEN = re.compile(r'"(?:[^"\\]|\\.)*"|[\[\]{},:]|[^\s\[\]{},:"]+', re.DOTALL)
 
@@ -80,6 +82,8 @@ def _whole_number(text: str) -> int:
 
 
 def _number(text: str) -> float:
+    if len(text) > MAX_FLOAT_DIGITS:
+        raise _Fault(f"a number of {len(text)} digits")
     value = float(text)
     if not math.isfinite(value):
         raise _Fault(f"{text[:20]} is too large")
@@ -116,6 +120,8 @@ def _bad_number(token: str) -> str:
         return f"{token} is not a JSON number"
     if re.fullmatch(r"-?\d+", token):
         return f"a number of {len(token)} digits" if len(token) > MAX_DIGITS else ""
+    if len(token) > MAX_FLOAT_DIGITS and re.fullmatch(r"[-+.eE\d]+", token):
+        return f"a number of {len(token)} digits"
     try:
         return "" if math.isfinite(float(token)) else f"{token[:20]} is too large a number"
     except ValueError:

@@ -151,6 +151,7 @@ def test_sentences_pass_and_memory_has_its_own():
         ('["NaN", -Infinity]', r"-Infinity is not a JSON number: line 1 column 9"),
         ("[1e999]", r"1e999 is too large a number: line 1 column 2"),
         (f"[{'9' * 400}]", r"a number of 400 digits: line 1 column 2"),
+        (f"[0.{'9' * 400}]", r"a number of 402 digits: line 1 column 2"),
         ("[" * 100_000, r"brackets are nested more than 64 deep: line 1 column 65"),
         ('{"a": [1, 2}', r"line 1 column 12"),
         ('{"\\u0061": 1, "a": 2}', r"a key appears twice"),

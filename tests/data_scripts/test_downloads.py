@@ -194,6 +194,24 @@ def test_icl_nuim_poses_that_make_no_sense(icl, site, tmp_path, capsys):
     assert "trajectory.log has 4 lines; expected blocks of five" in capsys.readouterr().err
 
 
+def test_icl_nuim_poses_go_to_images_by_number(icl, site, tmp_path, box, capsys):
+    """Of an archive without its middle image, or a log without a pose, no later pose is shifted."""
+    log = site.files["/livingroom1-traj.txt"].decode().splitlines()
+    out = tmp_path / "data"
+    assert run(icl, site, out, "livingroom1") == 0
+    folder = out / "icl_nuim/livingroom1-clean"
+    for kind, suffix in (("rgb", "jpg"), ("depth", "png")):
+        (folder / f"{kind}/00001.{suffix}").unlink()
+    sequence = open_sequence(folder)
+    assert len(sequence) == 2
+    assert all(box.off_wall_m(frame) < 0.0005 for frame in sequence)
+    content = "\n".join([*log[:5], *log[10:], ""]).encode()
+    site.files["/livingroom1-traj.txt"] = content
+    icl.MD5["livingroom1-traj.txt"] = hashlib.md5(content).hexdigest()
+    assert run(icl, site, tmp_path / "other", "livingroom1") == 1
+    assert "trajectory.log lacks the pose of frame 1; expected all from 0 on" in capsys.readouterr().err
+
+
 def test_published_digests_are_digests(script):
     md5 = script("icl_nuim").MD5
     assert len(md5) == 18

@@ -182,7 +182,12 @@ class _Conversion:
         except BadFrameError as e:
             self._staging.drop(i, "image missing or damaged", str(e))
             return
-        rectified = self._rectified(frame, images)
+        try:
+            rectified = self._rectified(frame, images)
+        except SequenceError:
+            raise
+        except ValueError as e:
+            raise SequenceError(f"{frame.source}: {e}") from None
         depth, far_pixels = self._quantised(rectified.depth_m)
         if not depth.any():
             self._staging.drop(i, "no depth", f"{frame.source} holds no depth that can be written")

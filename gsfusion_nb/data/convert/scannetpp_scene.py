@@ -65,7 +65,10 @@ class Photographs:
                 raise FetchError(f"{fisheye} describes a {values.get('camera_model')} camera; expected OPENCV_FISHEYE")
             k1, k2, k3, k4 = (number(values, f"k{i}", 0.0, fisheye) for i in range(1, 5))
             lens = CameraModel(read_camera(values, _KEYS, fisheye, shift=0.0), (k1, k2, k3, k4), fisheye=True)
-            half = HalfSizePinhole(lens)
+            try:
+                half = HalfSizePinhole(lens)
+            except ValueError as e:
+                raise FetchError(f"{fisheye}: {e}") from None
             return Photographs(dslr / "resized_images", fisheye, values, half.camera, half)
         for name in ("resized_undistorted_images", "undistorted_images"):
             if pinhole.is_file() and (dslr / name).is_dir():

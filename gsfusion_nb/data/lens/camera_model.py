@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...plausible import check_camera
 from ...types import Camera
 from ..sequence import SequenceError
 
@@ -47,7 +48,11 @@ class CameraModel:
         return self.resized(width, height)
 
     def pinhole(self) -> Camera:
-        """The pinhole of the undistorted image, which sees nothing outside the stored one."""
+        """The pinhole of the undistorted image, which sees nothing outside the stored one.
+
+        Raises:
+            ValueError: the distortion is so strong that there is none.
+        """
         import cv2
 
         if self.is_pinhole:
@@ -58,7 +63,13 @@ class CameraModel:
         else:
             K_new, _ = cv2.getOptimalNewCameraMatrix(K, D, size, 0.0)
         fx, fy, cx, cy = (float(K_new[i]) for i in ((0, 0), (1, 1), (0, 2), (1, 2)))
-        return Camera(width=size[0], height=size[1], fx=fx, fy=fy, cx=cx + 0.5, cy=cy + 0.5)
+        try:
+            camera = Camera(width=size[0], height=size[1], fx=fx, fy=fy, cx=cx + 0.5, cy=cy + 0.5)
+            check_camera("the camera without it", camera)
+            return camera
+        except ValueError as e:
+            numbers = " ".join(f"{value:g}" for value in self.distortion)
+            raise ValueError(f"the distortion {numbers} cannot be removed by a pinhole camera: {e}") from None
 
 
 def same_rays(model: CameraModel, camera: Camera) -> bool:

@@ -15,6 +15,7 @@ from torch import Tensor
 from ...lens.camera_model import CameraModel
 from ...recorded.find_files import images_in
 from ...recorded.images import read_image_bytes, read_rgb
+from ...recorded.pose_lines import image_number
 from ...sequence import SequenceError, SequenceNotFoundError
 from ..image_files import decode_depth, find_depth, load_pair
 from ..intrinsics import model_of_matrix
@@ -45,10 +46,11 @@ def read(path: Path, options: ConvertOptions) -> Recording:
 
     def recorded_frames() -> Iterator[RecordedFrame]:
         for i, file in enumerate(colour):
+            number = image_number(file)  # a missing image must not shift the times of the later ones
             depth = find_depth(root / "depth", file.stem)
             yield RecordedFrame(
                 source=str(file),
-                time_s=i / FRAMES_PER_S,
+                time_s=(i if number is None else number) / FRAMES_PER_S,
                 model=models["color"],
                 depth_model=models["depth"],
                 T_colour_depth=T_colour_depth,

@@ -144,3 +144,11 @@ def test_missing_intrinsics(tmp_path, takes):
     (root / "intrinsic/intrinsic_depth.txt").unlink()
     with pytest.raises(SequenceError, match=r"scan lacks intrinsic/intrinsic_depth\.txt; expected a 4x4 matrix"):
         convert(root, tmp_path / "out")
+
+
+def test_a_missing_image_does_not_shift_the_times_of_later_ones(tmp_path, takes):
+    root = write_exported(tmp_path / "scan", takes)
+    (root / "color/1.jpg").unlink()
+    convert(root, tmp_path / "out")
+    times = (tmp_path / "out/times.txt").read_text().splitlines()[1:]
+    assert [float(line.split()[1]) for line in times] == pytest.approx([0, 2 / 30, 3 / 30])

@@ -76,3 +76,11 @@ def test_names_that_are_no_times(tmp_path, takes):
     takes.write(tmp_path / "depth/first.png", takes.depth_png(0))
     with pytest.raises(SequenceError, match=r"first\.png is not named by its time, and there is no rgb\.txt"):
         convert(str(tmp_path), tmp_path / "out", format="tum")
+
+
+@pytest.mark.parametrize("distortion", ["0 0 5 5", "1e30 0 0 0"])
+def test_a_distortion_that_no_pinhole_undoes_is_a_sentence(tmp_path, takes, distortion):
+    root, c = write_tum(tmp_path / "scan", takes), takes.camera
+    (root / "calibration.txt").write_text(f"{c.fx} {c.fy} {c.cx} {c.cy} {distortion}")
+    with pytest.raises(SequenceError, match=r"scan/rgb/.*: the distortion .* cannot be removed by a pinhole camera: "):
+        convert(root, tmp_path / "out")
