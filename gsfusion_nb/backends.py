@@ -5,7 +5,8 @@ name in ``kernels/<folder>/<backend>.py``; they are found by their file name and
 the package imports ``gsfusion_nb.kernels``.
 
 The backend ``torch`` is vectorised PyTorch: it runs on any device and in float64, and exists only where it is several
-times as fast as the reference. ``numba`` (CPU), ``triton`` and ``cuda`` (NVIDIA GPUs) are compiled, for float32.
+times as fast as the reference. ``numba`` (CPU), ``triton`` and ``cuda`` (NVIDIA GPUs) are compiled, for float32;
+operations on Gaussians in float64 run on torch instead.
 """
 
 import contextlib
@@ -25,6 +26,7 @@ from typing import Any
 import torch
 
 from .checks import check_name
+from .types import GaussianParams
 
 log = logging.getLogger(__name__)
 
@@ -100,6 +102,9 @@ def op(folder: str, check: Callable[..., None] | None = None) -> Callable[[Calla
                     check(*args, **kwargs)
                 except ValueError as e:
                     raise ValueError(f"{name}: {e}") from None
+            if _chosen() not in ("reference", "torch") and _is_double((*args, *kwargs.values())[:1]):
+                with use_backend("torch"):
+                    return load(name, "torch")(*args, **kwargs)
             while True:
                 implementation = _select(name, args, kwargs)
                 try:
@@ -247,6 +252,11 @@ def _select(name: str, args: tuple, kwargs: dict) -> Callable:
     else:
         _log_once(logging.INFO, name, f"{name}: {backend}")
     return load(name, backend)
+
+
+def _is_double(first: tuple) -> bool:
+    """The operation is of Gaussians in float64, which the compiled backends do not take."""
+    return bool(first) and isinstance(first[0], GaussianParams) and first[0].xyz_W.dtype != torch.float32
 
 
 def _named(name: str, backend: str) -> Callable:

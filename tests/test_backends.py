@@ -7,6 +7,7 @@ import torch
 
 from gsfusion_nb import backends
 from gsfusion_nb.backends import BackendUnavailable, look_again, op, use_backend
+from gsfusion_nb.types import GaussianParams
 
 
 @pytest.fixture
@@ -48,6 +49,24 @@ def test_reference_runs_when_there_is_nothing_else(double):
     assert double(torch.ones(2)).tolist() == [2.0, 2.0]
     assert double.__name__ == "double"
     assert double.reference(torch.ones(1)).tolist() == [2.0]
+
+
+@pytest.mark.parametrize("asked", ["auto", "numba"])
+def test_gaussians_in_float64_go_to_torch_before_a_kernel_sees_them(double, write_kernel, monkeypatch, asked):
+    @op("double")
+    def double(params: GaussianParams) -> torch.dtype:
+        """The type of the numbers."""
+        return params.xyz_W.dtype
+
+    write_kernel("numba", "def double(params):\n    return 'compiled'\n")
+    n = {"xyz_W": (2, 3), "log_scale": (2, 3), "quat": (2, 4), "opacity_logit": (2,), "sh": (2, 1, 3)}
+    single, twice = (
+        GaussianParams(**{name: torch.ones(shape, dtype=dtype) for name, shape in n.items()})
+        for dtype in (torch.float32, torch.float64)
+    )
+    with use_backend(asked):
+        assert double(single) == double(params=single) == "compiled"
+        assert double(twice) == double(params=twice) == torch.float64
 
 
 def test_a_backend_asked_for_by_name_must_exist(double, write_kernel):

@@ -15,7 +15,6 @@ import torch
 from numba import njit, prange
 from torch import Tensor
 
-from gsfusion_nb.backends import use_backend
 from gsfusion_nb.constants import DISC_MAX_OFFSET, DISC_MIN_COSINE
 from gsfusion_nb.render import disc as reference
 from gsfusion_nb.types import Camera, GaussianParams
@@ -66,10 +65,6 @@ def disc_depth(
     min_cosine: float = DISC_MIN_COSINE,
 ) -> reference.DiscDepth:
     """See ``gsfusion_nb.render.disc_depth``."""
-    options = {"max_offset": max_offset, "min_cosine": min_cosine}
-    if params.xyz_W.dtype != torch.float32:
-        with use_backend("torch"):
-            return reference.disc_depth(params, camera, T_WC, hit_index, **options)
     arrays, view, hit = _arrays(params), _view(camera, T_WC), hit_index.long().contiguous().numpy()
     depth, normal = torch.empty(hit.shape), torch.empty(*hit.shape, 3)
     on_plane = torch.empty(hit.shape, dtype=torch.bool)
@@ -91,10 +86,6 @@ def disc_depth_vjp(
     rows: Tensor | None = None,
 ) -> tuple[Tensor, Tensor]:
     """See ``gsfusion_nb.render.disc_depth_vjp``."""
-    options = {"max_offset": max_offset, "min_cosine": min_cosine}
-    if params.xyz_W.dtype != torch.float32:
-        with use_backend("torch"):
-            return reference.disc_depth_vjp(params, camera, T_WC, hit_index, v_depth_m, **options, rows=rows)
     trained = _ALL_ROWS
     if rows is not None:
         trained = rows.contiguous().numpy()

@@ -11,7 +11,6 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from gsfusion_nb.backends import use_backend
 from gsfusion_nb.constants import DISC_MAX_OFFSET, DISC_MIN_COSINE
 from gsfusion_nb.render import disc as reference
 from gsfusion_nb.types import Camera, GaussianParams
@@ -37,10 +36,6 @@ def disc_depth(
     min_cosine: float = DISC_MIN_COSINE,
 ) -> reference.DiscDepth:
     """See ``gsfusion_nb.render.disc_depth``. A row beyond the last is taken for no hit: the host would have to wait."""
-    options = {"max_offset": max_offset, "min_cosine": min_cosine}
-    if params.xyz_W.dtype != torch.float32:
-        with use_backend("torch"):
-            return reference.disc_depth(params, camera, T_WC, hit_index, **options)
     device = device_of("disc_depth", **vars(params), hit_index=hit_index)
     depth, normal = (torch.empty(*hit_index.shape, *n, dtype=torch.float32, device=device) for n in ((), (3,)))
     on_plane = torch.empty(hit_index.shape, dtype=torch.uint8, device=device)
@@ -71,10 +66,6 @@ def disc_depth_vjp(
     rows: Tensor | None = None,
 ) -> tuple[Tensor, Tensor]:
     """See ``gsfusion_nb.render.disc_depth_vjp``."""
-    options = {"max_offset": max_offset, "min_cosine": min_cosine}
-    if params.xyz_W.dtype != torch.float32:
-        with use_backend("torch"):
-            return reference.disc_depth_vjp(params, camera, T_WC, hit_index, v_depth_m, **options, rows=rows)
     device = device_of("disc_depth_vjp", **vars(params), hit_index=hit_index, v_depth_m=v_depth_m, rows=rows)
     discs, N = _discs_of(params, T_WC, device), len(params)
     v_disc = torch.zeros(N, _V_DISC.value, dtype=torch.float32, device=device)

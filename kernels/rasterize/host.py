@@ -12,8 +12,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from gsfusion_nb.backends import Record, use_backend
-from gsfusion_nb.render import rasterize
+from gsfusion_nb.backends import Record
 from gsfusion_nb.types import Camera, GaussianParams, RenderOutput
 
 from ..binning.host import TileLists
@@ -78,10 +77,6 @@ def render_forward(
     Raises:
         ValueError: tensors on several devices or of several types, a wrong mask.
     """
-    if params.xyz_W.dtype != torch.float32:
-        options = {"with_indices": with_indices, "opaque_alpha": opaque_alpha, "pixels": pixels}
-        with use_backend("torch"):
-            return rasterize.render_forward(params, camera, T_WC, **options)
     device = kernels.device_of("render_forward", **vars(params), pixels=pixels)
     check_dtype("render_forward", torch.float32, **vars(params))
     pose = packed(T_WC.to(device, torch.float32))

@@ -13,9 +13,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gsfusion_nb.backends import Record, use_backend
+from gsfusion_nb.backends import Record
 from gsfusion_nb.geometry import se3
-from gsfusion_nb.render import rasterize
 from gsfusion_nb.types import Camera, GaussianParams, RenderOutput
 
 from ..binning.host import check_pairs
@@ -66,11 +65,6 @@ def render_forward(
     pixels: Tensor | None = None,
 ) -> tuple[RenderOutput, Any]:
     """See ``gsfusion_nb.render.render_forward``."""
-    if params.xyz_W.dtype != torch.float32:
-        with use_backend("torch"):
-            return rasterize.render_forward(
-                params, camera, T_WC, with_indices=with_indices, opaque_alpha=opaque_alpha, pixels=pixels
-            )
     drawn = _ALL_PIXELS if pixels is None else pixels.contiguous().numpy()
     arrays = Params(*(t.detach().contiguous().numpy() for t in _tensors(params)))
     T = T_WC.detach().double()
