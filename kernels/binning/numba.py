@@ -3,9 +3,10 @@
 import numpy as np
 from numba import njit, prange
 
-from ..composite.numba import TILE, PairLists
-from ..project.numba import CHUNK, NOTED_PER_CHUNK, tiles_of
+from ..composite.layout import TILE, PairLists
+from ..project.numba import CHUNK, NOTED_PER_CHUNK
 from ..project.splat import DEPTH
+from ..project.tiles import tiles_of
 from ..runtime.numba.cyclic import cyclic_size, cyclic_task
 from .tile_windows import FIRST_X, FIRST_Y, LAST_X, LAST_Y, TileWindows
 

@@ -19,17 +19,13 @@ from gsfusion_nb.types import Camera, GaussianParams, RenderOutput
 
 from ..binning.host import check_pairs
 from ..binning.numba import depth_order, list_tiles, sort_pairs, tile_windows
-from ..composite.numba import (
-    TILE,
-    Image,
-    IndexImages,
-    PairLists,
-    composite_backward,
-    composite_forward,
-)
+from ..composite.layout import TILE, Image, IndexImages, PairLists
+from ..composite.numba import composite_backward, composite_forward
 from ..composite.sums import PAIR_SUMS
-from ..project.numba import CHUNK, NOTED_PER_CHUNK, Params, pack_camera, project_rows, project_rows_vjp
+from ..project.layout import Params, pack_camera
+from ..project.numba import CHUNK, NOTED_PER_CHUNK, project_rows
 from ..project.splat import SPLAT
+from ..project.vjp import project_rows_vjp
 from ..runtime.numba.launch import launching, scratch
 from .host import blank
 
