@@ -169,9 +169,7 @@ def _crossed(depth, slopes, truncation, view, size, pieces, along_ray, marks):
     R, origin = view.R, view.origin
     n = size[0] * size[1] * size[2]
     for task in prange((height + _ROWS - 1) // _ROWS):
-        zero, half, nowhere = splat(_ZERO), splat(_HALF), splat(f32(n))
-        late, early = splat(_TWO), splat(_NOT_USED)
-        band = splat(truncation)
+        zero, nowhere, band = splat(_ZERO), splat(f32(n)), splat(truncation)
         ox, oy, oz = splat(origin[0]), splat(origin[1]), splat(origin[2])
         stride_x, stride_y = splat(f32(size[1] * size[2])), splat(f32(size[2]))
         for i in range(task * _ROWS, min(height, task * _ROWS + _ROWS)):
@@ -199,29 +197,35 @@ def _crossed(depth, slopes, truncation, view, size, pieces, along_ray, marks):
                     mx, my, mz = ex - cx, ey - cy, ez - cz
                     diagonal = used & (absolute(mx) + absolute(my) + absolute(mz) > splat(_MORE_THAN_ONE))
                     if any_lane(diagonal):
-                        # As in the reference: the coordinate that changes first has done so, then all but the last.
-                        tx, ty, tz = _wall(px, qx, cx, mx), _wall(py, qy, cy, my), _wall(pz, qz, cz, mz)
-                        stays_x, stays_y, stays_z = absolute(mx) < half, absolute(my) < half, absolute(mz) < half
-                        ux, uy, uz = select(stays_x, late, tx), select(stays_y, late, ty), select(stays_z, late, tz)
-                        entry = minimum(minimum(ux, uy), uz)
-                        kx, ky, kz = (
-                            select(entry >= ux, mx, zero),
-                            select(entry >= uy, my, zero),
-                            select(entry >= uz, mz, zero),
-                        )
-                        number = (cx + kx) * stride_x + (cy + ky) * stride_y + (cz + kz)
-                        _mark(marks, select(diagonal, number, nowhere), nowhere)
-                        ux, uy, uz = select(stays_x, early, tx), select(stays_y, early, ty), select(stays_z, early, tz)
-                        leave = maximum(maximum(ux, uy), uz)
-                        kx, ky, kz = (
-                            select(leave > ux, mx, zero),
-                            select(leave > uy, my, zero),
-                            select(leave > uz, mz, zero),
-                        )
-                        number = (cx + kx) * stride_x + (cy + ky) * stride_y + (cz + kz)
-                        _mark(marks, select(diagonal, number, nowhere), nowhere)
+                        piece = ((px, py, pz), (qx, qy, qz))
+                        _mark_between(marks, piece, (cx, cy, cz), (mx, my, mz), diagonal, (stride_x, stride_y), nowhere)
                     px, py, pz, cx, cy, cz = qx, qy, qz, ex, ey, ez
     marks[n] = 0
+
+
+@njit(cache=True, error_model="numpy")
+def _mark_between(marks, piece, cell, step, diagonal, strides, nowhere):
+    """Mark the cells that pieces pass between the cells of their ends, where these differ along more than one axis.
+
+    As in the reference: the coordinate that changes first has done so, then all but the last.
+    """
+    (px, py, pz), (qx, qy, qz) = piece
+    cx, cy, cz = cell
+    mx, my, mz = step
+    stride_x, stride_y = strides
+    zero, half, late, early = splat(_ZERO), splat(_HALF), splat(_TWO), splat(_NOT_USED)
+    tx, ty, tz = _wall(px, qx, cx, mx), _wall(py, qy, cy, my), _wall(pz, qz, cz, mz)
+    stays_x, stays_y, stays_z = absolute(mx) < half, absolute(my) < half, absolute(mz) < half
+    ux, uy, uz = select(stays_x, late, tx), select(stays_y, late, ty), select(stays_z, late, tz)
+    entry = minimum(minimum(ux, uy), uz)
+    kx, ky, kz = select(entry >= ux, mx, zero), select(entry >= uy, my, zero), select(entry >= uz, mz, zero)
+    number = (cx + kx) * stride_x + (cy + ky) * stride_y + (cz + kz)
+    _mark(marks, select(diagonal, number, nowhere), nowhere)
+    ux, uy, uz = select(stays_x, early, tx), select(stays_y, early, ty), select(stays_z, early, tz)
+    leave = maximum(maximum(ux, uy), uz)
+    kx, ky, kz = select(leave > ux, mx, zero), select(leave > uy, my, zero), select(leave > uz, mz, zero)
+    number = (cx + kx) * stride_x + (cy + ky) * stride_y + (cz + kz)
+    _mark(marks, select(diagonal, number, nowhere), nowhere)
 
 
 @njit(inline="always")

@@ -1,0 +1,84 @@
+"""Trilinear interpolation of the voxels around sixteen points at a time."""
+
+# Intrinsics are called without their typing context, which pyright cannot follow:
+# pyright: reportCallIssue=false
+
+import numpy as np
+from numba import int32, njit
+
+from gsfusion_nb.constants import VOXELS_PER_BLOCK
+
+from ..runtime.numba.simd import any_lane, either, floor, maximum, splat
+from ..runtime.numba.simd_int import below, but_not, gather, gather_int, select_int, splat_int, truncate
+
+f32 = np.float32
+_HALF, _INFINITE = f32(0.5), f32(np.inf)
+
+
+@njit(cache=True, error_model="numpy")
+def _corner(rows, field, cell, number, moved, inside, row, wanted):
+    """Value and position of one corner of sixteen cells; ``moved`` are those where it lies in another block."""
+    if any_lane(moved):
+        nowhere = splat_int(int32(-1))
+        row = select_int(moved, gather_int(rows, cell, moved & inside, nowhere), row)
+    at = row * splat_int(int32(VOXELS_PER_BLOCK)) + number
+    return gather(field, at, wanted & (row >= splat_int(int32(0))), splat(_INFINITE)), at
+
+
+@njit(cache=True, error_model="numpy")
+def cells(table, field, px, py, pz, wanted):
+    """The eight voxels around sixteen points: their values (infinite where not observed) and positions.
+
+    Points are in voxels, less a half. Also returns where they lie in their cells, and which cells are observed whole.
+    """
+    rows, low, size = table.rows, table.low, table.size
+    one, seven, three, zero = splat_int(int32(1)), splat_int(int32(7)), splat_int(int32(3)), splat_int(int32(0))
+    bx, by, bz = floor(px), floor(py), floor(pz)
+    fx, fy, fz = px - bx, py - by, pz - bz
+    x, y, z = truncate(bx), truncate(by), truncate(bz)
+    nx, ny, nz = splat_int(int32(size[0])), splat_int(int32(size[1])), splat_int(int32(size[2]))
+    X0, Y0, Z0 = (x >> three) - splat_int(low[0]), (y >> three) - splat_int(low[1]), (z >> three) - splat_int(low[2])
+    ox, oy, oz = wanted & ((x & seven) == seven), wanted & ((y & seven) == seven), wanted & ((z & seven) == seven)
+    X1, Y1, Z1 = X0 + select_int(ox, one, zero), Y0 + select_int(oy, one, zero), Z0 + select_int(oz, one, zero)
+    inx, iny, inz = below(X0, nx), below(Y0, ny), below(Z0, nz)
+    jnx, jny, jnz = below(X1, nx), below(Y1, ny), below(Z1, nz)
+    X0, X1, Y0, Y1 = X0 * ny * nz, X1 * ny * nz, Y0 * nz, Y1 * nz
+    eight, sixty_four = splat_int(int32(8)), splat_int(int32(64))
+    x0, x1 = (x & seven) * sixty_four, ((x + one) & seven) * sixty_four
+    y0, y1 = (y & seven) * eight, ((y + one) & seven) * eight
+    z0, z1 = z & seven, (z + one) & seven
+    row = gather_int(rows, X0 + Y0 + Z0, wanted & inx & iny & inz, splat_int(int32(-1)))
+    wanted = wanted & (row >= zero)
+    none = ox & but_not(oy, oy)
+    oxy, oxz, oyz = either(ox, oy), either(ox, oz), either(oy, oz)
+    v0, a0 = _corner(rows, field, X0, x0 + y0 + z0, none, none, row, wanted)
+    v1, a1 = _corner(rows, field, X1 + Y0 + Z0, x1 + y0 + z0, ox, jnx & iny & inz, row, wanted)
+    v2, a2 = _corner(rows, field, X0 + Y1 + Z0, x0 + y1 + z0, oy, inx & jny & inz, row, wanted)
+    v3, a3 = _corner(rows, field, X1 + Y1 + Z0, x1 + y1 + z0, oxy, jnx & jny & inz, row, wanted)
+    v4, a4 = _corner(rows, field, X0 + Y0 + Z1, x0 + y0 + z1, oz, inx & iny & jnz, row, wanted)
+    v5, a5 = _corner(rows, field, X1 + Y0 + Z1, x1 + y0 + z1, oxz, jnx & iny & jnz, row, wanted)
+    v6, a6 = _corner(rows, field, X0 + Y1 + Z1, x0 + y1 + z1, oyz, inx & jny & jnz, row, wanted)
+    v7, a7 = _corner(rows, field, X1 + Y1 + Z1, x1 + y1 + z1, either(oxy, oz), jnx & jny & jnz, row, wanted)
+    most = maximum(maximum(maximum(v0, v1), maximum(v2, v3)), maximum(maximum(v4, v5), maximum(v6, v7)))
+    whole = wanted & (most < splat(_INFINITE))
+    return (v0, v1, v2, v3, v4, v5, v6, v7), (a0, a1, a2, a3, a4, a5, a6, a7), (fx, fy, fz), whole
+
+
+@njit(cache=True, error_model="numpy")
+def blend(v, f):
+    """Trilinear interpolation between corners x + 2 y + 4 z."""
+    fx, fy, fz = f
+    y0, y1 = v[0] + (v[1] - v[0]) * fx, v[2] + (v[3] - v[2]) * fx
+    y2, y3 = v[4] + (v[5] - v[4]) * fx, v[6] + (v[7] - v[6]) * fx
+    z0, z1 = y0 + (y1 - y0) * fy, y2 + (y3 - y2) * fy
+    return z0 + (z1 - z0) * fz
+
+
+@njit(cache=True, error_model="numpy")
+def interpolate(table, field, point, voxel, wanted):
+    """Trilinear D at sixteen world points, and where all eight voxels around them have been observed."""
+    half = splat(_HALF)
+    v, _, f, whole = cells(
+        table, field, point[0] / voxel - half, point[1] / voxel - half, point[2] / voxel - half, wanted
+    )
+    return blend(v, f), whole
