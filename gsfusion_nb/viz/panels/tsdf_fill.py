@@ -124,15 +124,18 @@ def tsdf_fill_panel(
         )
         return picture, text
 
-    controls = {
-        "x_m": Slider(value=float(start[0]), low=-2.2, high=2.2, step=0.05, label="x, m"),
-        "y_m": Slider(value=float(start[1]), low=-1.7, high=1.7, step=0.05, label="y, m"),
-        "heading_deg": Slider(value=float(start[2]), low=-180, high=180, step=1.0, label="heading, °", readout=".0f"),
+    buttons = {"measure": measure, "forget": forget}
+    panel = Panel(draw, _controls(*start), buttons=buttons, name="fill", kind="png", text="fill panel")
+    return panel
+
+
+def _controls(x_m: float, y_m: float, turn_deg: float) -> dict[str, Slider | Choice | Switch]:
+    return {
+        "x_m": Slider(value=float(x_m), low=-2.2, high=2.2, step=0.05, label="x, m"),
+        "y_m": Slider(value=float(y_m), low=-1.7, high=1.7, step=0.05, label="y, m"),
+        "heading_deg": Slider(value=float(turn_deg), low=-180, high=180, step=1.0, label="heading, °", readout=".0f"),
         "tilt_deg": Slider(value=0.0, low=-60, high=60, step=1.0, label="tilt, °", readout=".0f"),
         "height_m": Slider(value=1.0, low=0.0, high=2.6, step=0.02, label="slice at z, m"),
         "quantity": Choice(value="distance", options=QUANTITIES, label="show"),
         "at_every_move": Switch(value=False, label="measure at every move"),
     }
-    buttons = {"measure": measure, "forget": forget}
-    panel = Panel(draw, controls, buttons=buttons, name="fill", kind="png", text="fill panel")
-    return panel
