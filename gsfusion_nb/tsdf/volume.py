@@ -218,7 +218,7 @@ class TsdfVolume:
     def to(self, device: torch.device | str) -> "TsdfVolume":
         """A copy of the map on ``device``."""
         volume = TsdfVolume(self.config, device, memory_limit_bytes=self.memory_limit_bytes)
-        volume.load_state_dict({"config": to_dict(self.config)} | self._tensors())
+        volume._take(self._tensors())
         return volume
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -232,13 +232,17 @@ class TsdfVolume:
         if config != self.config:
             raise ValueError(f"the saved map was made with {config}, this volume has {self.config}")
         _check_saved_blocks(state)
-        coords = state["block_coords"].to(self.device)
+        self._take({name: state[name] for name in ("D", "W", "rgb", "block_coords")})
+
+    def _take(self, tensors: dict[str, Tensor]) -> None:
+        """Replace the blocks by those of ``_tensors``, which may be on another device, whose memory may be full."""
+        coords = tensors["block_coords"].to(self.device)
         n, self._pool = coords.shape[0], BlockPool(0, self.device)
         self._reserve(n)
         self.index = BlockIndex.of_blocks(coords)
         pool = self._pool
         for target, name in ((pool.D, "D"), (pool.W, "W"), (pool.rgb, "rgb"), (pool.coords, "block_coords")):
-            target[:n] = state[name].to(self.device)
+            target[:n] = tensors[name].to(self.device)
 
     def _tensors(self) -> dict[str, Tensor]:
         return {"D": self.D, "W": self.W, "rgb": self.rgb_planes, "block_coords": self.block_coords}

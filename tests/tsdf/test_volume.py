@@ -39,7 +39,7 @@ def test_values_survive_growth(generator):
 def test_refuses_to_outgrow_memory():
     volume = TsdfVolume(CONFIG, memory_limit_bytes=estimate_memory(10))
     volume.add_blocks(torch.tensor([[i, 0, 0] for i in range(10)]))
-    with pytest.raises(MemoryError, match=r"needs 0 MB for 11 blocks .* take larger voxels"):
+    with pytest.raises(MemoryError, match=r"needs 0 MB for 11 blocks .* use larger voxels"):
         volume.add_blocks(torch.tensor([[0, 1, 0]]))
     assert volume.n_blocks == 10
     assert volume.index.find(torch.tensor([[0, 1, 0]])).tolist() == [-1]
