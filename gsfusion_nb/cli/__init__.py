@@ -16,17 +16,24 @@ from .settings import named_values
 
 _USAGE = """gsfusion-nb: online RGB-D mapping with TSDF fusion and 3D Gaussian splatting
 
-  gsfusion-nb demo                     map the built-in room and open its report: about a minute
-  gsfusion-nb convert SOURCE OUT       convert a recording (COLMAP, ROS, Record3D, ...) to files that can be mapped
-  gsfusion-nb check DATA               find errors in a recording, and the options that repair them
-  gsfusion-nb map DATA [options]       map a sequence; every setting is an option: gsfusion-nb map --help
-  gsfusion-nb map --resume RUN         continue an interrupted run
-  gsfusion-nb live folder|realsense|kinect   map a camera, or a folder while it is written; Ctrl-C ends the scan
-  gsfusion-nb eval RUN                 score a finished run again
-  gsfusion-nb study NAME DATA          run one of the papers' comparisons: systems, disc-depth, transparent, states, ...
-  gsfusion-nb bench [GROUP]            measure the speed of operations, mapping and panels, beside other programs
-  gsfusion-nb doctor                   show what is installed, what works, and what to do
-  gsfusion-nb doctor --warm            compile the fast kernels now, not on first use
+  gsfusion-nb demo                 map the built-in room (about a minute)
+  gsfusion-nb convert SOURCE OUT   convert a recording (COLMAP, ROS, Record3D, ...)
+                                   to files that can be mapped
+  gsfusion-nb check DATA           find errors in a recording, and the options that
+                                   repair them
+  gsfusion-nb map DATA [options]   map a sequence
+  gsfusion-nb map --resume RUN     continue an interrupted run
+  gsfusion-nb live SOURCE          map a camera, or a folder while it is written;
+                                   SOURCE: folder, realsense or kinect
+  gsfusion-nb eval RUN             score a finished run again
+  gsfusion-nb study NAME DATA      run one of the papers' comparisons
+  gsfusion-nb bench [GROUP]        measure the speed of operations, mapping and
+                                   panels, compared with other programs
+  gsfusion-nb doctor               show what is installed, what works, and what to
+                                   do where something does not
+  gsfusion-nb doctor --warm        compile the fast kernels now, not on first use
+
+Options of a command, with their defaults: gsfusion-nb map --help
 """
 
 
@@ -87,7 +94,7 @@ class DoctorOptions:
     """Show what is installed, what works, and what to do where something does not."""
 
     warm: bool = False
-    """Compile the fast kernels now instead, so that later commands do not have to."""
+    """Only compile the fast kernels, so that later commands start faster."""
 
 
 def main(arguments: list[str] | None = None) -> int:

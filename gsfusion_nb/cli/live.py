@@ -15,13 +15,16 @@ from .settings import SettingsOptions, parse
 if TYPE_CHECKING:
     from ..runs import FinishedRun
 
-USAGE = """gsfusion-nb live: map frames as they arrive; Ctrl-C ends the scan, then the report is written
+USAGE = """gsfusion-nb live: map frames as they arrive
+Ctrl-C ends the scan; then the report is written.
 
-  gsfusion-nb live folder PATH [options]    a folder in the plain layout while another program writes it
-  gsfusion-nb live realsense [options]      an Intel RealSense camera, tracked
-  gsfusion-nb live kinect [options]         an Azure Kinect, tracked
+  gsfusion-nb live folder PATH [options]   map a folder in the plain layout while
+                                           another program writes it
+  gsfusion-nb live realsense [options]     track and map an Intel RealSense camera
+  gsfusion-nb live kinect [options]        track and map an Azure Kinect camera
 
-Every setting is an option, as for gsfusion-nb map: --tsdf.voxel-size-m 0.02 --data.width 320
+Every setting is an option, as in gsfusion-nb map:
+  gsfusion-nb live folder scan --tsdf.voxel-size-m 0.02 --data.width 320
 All options of a source: gsfusion-nb live folder --help
 """
 
@@ -32,7 +35,9 @@ class LiveOptions(SettingsOptions):
 
     out: str = ""
     """New or empty folder for the results; runs/<name>-<time> by default."""
-    policy: Literal["", "all", "queue", "latest", "drop"] = ""
+    policy: Annotated[
+        Literal["", "all", "queue", "latest", "drop"], tyro.conf.arg(metavar="{all,queue,latest,drop}")
+    ] = ""
     """What happens if mapping is slower than the camera. all: the source waits; queue: the oldest waiting frame is
     dropped; latest: only the newest frame waits; drop: frames that arrive while another is mapped are dropped. Default:
     latest for cameras, all for folders."""

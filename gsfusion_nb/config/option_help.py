@@ -1,18 +1,21 @@
 """The help of the command line: the explanation under each field of an options class, as flowing text."""
 
 import ast
+import contextlib
 import functools
 import inspect
 import itertools
+import shutil
+import sys
 import textwrap
 from dataclasses import is_dataclass
-from typing import Annotated, Any, TypeVar, get_args, get_origin
+from typing import Annotated, Any, TextIO, TypeVar, cast, get_args, get_origin
 
 T = TypeVar("T")
 
 
 def parse_options(options: type[T], *, prog: str, arguments: list[str]) -> T:
-    """``tyro.cli`` with help texts that are wrapped to the terminal, not at the line breaks of the source.
+    """``tyro.cli`` with help texts wrapped to the width of the terminal.
 
     Args:
         options: Dataclass of the options; the text under a field is its help.
@@ -22,7 +25,25 @@ def parse_options(options: type[T], *, prog: str, arguments: list[str]) -> T:
     import tyro
 
     _explain(options)
-    return tyro.cli(options, prog=prog, args=arguments)
+    with contextlib.redirect_stdout(cast(TextIO, _Wrapped(sys.stdout))):
+        return tyro.cli(options, prog=prog, args=arguments)
+
+
+class _Wrapped:
+    """A stream that wraps long lines of plain text: tyro prints the description of a command as one line."""
+
+    def __init__(self, stream: TextIO):
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        width = shutil.get_terminal_size().columns
+        lines = text.split("\n")
+        plain = [line[:1].isalpha() and len(line) > width for line in lines]  # tables begin with a frame or a colour
+        wrapped = [textwrap.fill(line, width) if p else line for line, p in zip(lines, plain, strict=True)]
+        return self._stream.write("\n".join(wrapped))
 
 
 @functools.cache
@@ -42,12 +63,14 @@ def _explain(options: type) -> None:
                 metavar = next((mark.metavar for mark in marks if hasattr(mark, "metavar")), None)
                 if tyro.conf.Positional in marks and not metavar:
                     metavar = f"[{name.upper()}]" if hasattr(base, name) else name.upper()
-                explained = tyro.conf.arg(help=texts[name], metavar=metavar, help_behavior_hint=_default)
+                hint = functools.partial(_default, text=texts[name])
+                explained = tyro.conf.arg(help=texts[name], metavar=metavar, help_behavior_hint=hint)
                 base.__annotations__[name] = Annotated[(plain, *marks, explained)]
 
 
-def _default(value: str) -> str:
-    return "" if value in ("", "''", "{}") else f"(default: {value})"
+def _default(value: str, text: str) -> str:
+    """The default value after an explanation that does not give it."""
+    return "" if value in ("", "''", "{}") or "default" in text.lower() else f"(default: {value})"
 
 
 def _explanations(cls: type) -> dict[str, str]:
