@@ -97,7 +97,7 @@ def test_a_disk_that_is_really_full(small_disk, small_room, config, caplog):
     ) as full:
         run_mapping("room", config, folder=small_disk / "out", evaluate=False, checkpoints=every, **SMALL)
     assert str(small_disk) in str(full.value)
-    assert "no checkpoint now" in caplog.text
+    assert "this checkpoint could not be saved" in caplog.text
     kept = {p.name for p in (small_disk / "out").iterdir()}
     assert {"config.json", "status.json"} <= kept
     assert not any(".partial" in name for name in kept)
