@@ -32,7 +32,7 @@ def parse_options(options: type[T], *, prog: str, arguments: list[str]) -> T:
 class _Wrapped:
     """A stream that wraps long lines of plain text: tyro prints the description of a command as one line."""
 
-    def __init__(self, stream: TextIO):
+    def __init__(self, stream: Any):
         self._stream = stream
 
     def __getattr__(self, name: str) -> Any:
