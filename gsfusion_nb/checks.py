@@ -44,7 +44,7 @@ def check_pose(name: str, T: Tensor, tolerance: float = 1e-3) -> None:
     """Raise ``ValueError`` unless ``T`` is a rigid 4x4 transform (finite, rotation orthonormal, no mirroring)."""
     check_shape(name, T, (4, 4))
     check_finite(name, T)
-    numbers = T.detach().double().cpu().numpy()  # on so few numbers torch takes ten times as long
+    numbers = T.detach().double().cpu().numpy()  # on so few numbers torch takes more than twice as long
     R, bottom = numbers[:3, :3], numbers[3]
     error = float(np.abs(R @ R.T - np.eye(3)).max())
     if error > tolerance:
