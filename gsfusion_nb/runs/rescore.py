@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from .. import __version__
-from ..config import from_dict
-from ..data import open_sequence, sequence_fingerprint
+from ..config import DataConfig, from_dict
+from ..data import OpenedSequence, open_sequence, sequence_fingerprint
 from ..errors import SequenceNotFoundError
 from ..evaluation import metrics_as_json
 from ..export import read_gaussian_ply
@@ -66,22 +66,14 @@ def rescore(
             f"{folder} was mapped from a sequence in memory; if the sequence is also on disk, give its folder (--data)"
         )
     views = read_views(folder)
-    try:
-        with parsing(folder / "config.json", "the settings of a run"):
-            sequence = open_sequence(**source, data=config.data)
-    except SequenceNotFoundError as e:
-        raise SequenceNotFoundError(
-            f"{e}; this path is from {folder / 'config.json'}: if the sequence has moved, give its folder with --data"
-        ) from None
+    sequence = _sequence_of(folder, source, config.data)
     known = settings.get("data_fingerprint")
     if known and known != sequence_fingerprint(sequence):
-        sentence = (
+        _warn(
+            document,
             f"{source['path_or_name']} does not hold the data that this run was mapped from (or another version of a "
-            "library decodes them differently): the scores compare the map with other images"
+            "library decodes them differently): the scores compare the map with other images",
         )
-        if sentence not in document.get("warnings", []):
-            document["warnings"] = [*document.get("warnings", []), sentence]
-        log.warning(sentence)
     place = torch.device(device or settings.get("device", "cpu"))
     params = _of_degree(read_gaussian_ply(folder / "gaussians.ply"), config.sh_degree, place)
 
@@ -96,12 +88,29 @@ def rescore(
     if changed:
         kept = _free_name(folder)
         write_json(kept, document)
-        sentence = _difference(changed, stored, scores, settings.get("gsfusion_nb", ""), kept)
-        document["warnings"] = [*document.get("warnings", []), sentence]
-        log.warning(sentence)
+        _warn(document, _difference(changed, stored, scores, settings.get("gsfusion_nb", ""), kept))
     document["metrics"] = stored | scores
     write_json(folder / METRICS, document)
     return document["metrics"]
+
+
+def _sequence_of(folder: Path, source: dict[str, Any], data: DataConfig) -> OpenedSequence:
+    """The sequence of the run in ``folder``."""
+    file = folder / "config.json"
+    try:
+        with parsing(file, "the settings of a run"):
+            return open_sequence(**source, data=data)
+    except SequenceNotFoundError as e:
+        raise SequenceNotFoundError(
+            f"{e}; this path is from {file}: if the sequence has moved, give its folder with --data"
+        ) from None
+
+
+def _warn(document: dict[str, Any], sentence: str) -> None:
+    """Log a warning, and write it, once, among those of metrics.json."""
+    log.warning(sentence)
+    if sentence not in document.get("warnings", []):
+        document["warnings"] = [*document.get("warnings", []), sentence]
 
 
 def _of_degree(params: GaussianParams, degree: int, device: torch.device) -> GaussianParams:
