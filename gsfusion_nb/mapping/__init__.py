@@ -1,7 +1,7 @@
 """The mapping systems, one frame step each."""
 
 from .gsfusion import GSFusion as GSFusion
-from .mapper import MapPart as MapPart
+from .map_view import MapPart as MapPart
 from .mapper import Mapper as Mapper
 from .one_frame import DelayedInterrupt as DelayedInterrupt
 from .one_frame import HalfMappedError as HalfMappedError

@@ -16,7 +16,8 @@ from ..tracking import tsdf_surface
 from ..tsdf import FusedView, RaycastOutput, TsdfVolume, band_blocks, extract_mesh, fuse_frame_, raycast
 from ..types import Camera, Frame, Mesh, Seeds
 from .frame_checks import check_frame
-from .mapper import MapPart, Mapper
+from .map_view import MapPart
+from .mapper import Mapper
 from .step_report import StageClock, StepReport, psnr_from_mse
 
 

@@ -7,8 +7,7 @@ A system is one subclass of ``Mapper`` in this folder, its settings in ``gsfusio
 import contextlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol, TypeVar, runtime_checkable
+from typing import Any, ClassVar, TypeVar
 
 import torch
 from jaxtyping import Float
@@ -25,42 +24,12 @@ from ..tracking import Correction
 from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput, Seeds
 from .keyframe_passes import KeyframePasses
 from .localiser import Localiser, move_map
+from .map_view import MapPart, SurfaceImage
 from .one_frame import FrameGuard
 from .rule_in_use import RuleInUse, check_known, settings_with_rule
 from .step_report import GlobalStep, StepReport
 
 M = TypeVar("M", bound="Mapper")
-
-
-@runtime_checkable
-class SurfaceImage(Protocol):
-    """The surface of a map as a camera sees it."""
-
-    @property
-    def rgb(self) -> Float[Tensor, "H W 3"]:
-        """Colours of the surface, 0..1."""
-        ...
-
-    @property
-    def depth_m(self) -> Float[Tensor, "H W"]:
-        """z-depth, metres; 0 where there is none."""
-        ...
-
-    @property
-    def normal_W(self) -> Float[Tensor, "H W 3"]:
-        """Unit normal towards the camera, world frame; 0 where it is not known."""
-        ...
-
-
-@dataclass(frozen=True, kw_only=True)
-class MapPart:
-    """One kind of elements of a map."""
-
-    name: str
-    """In the plural, as in "12,000 Gaussians"."""
-    count: int
-    size_bytes: int
-    """Their memory, bytes."""
 
 
 class Mapper(ABC):
