@@ -5,7 +5,7 @@ still to come is what is left of the total, so nothing per pair has to be kept b
 """
 
 # Intrinsics are called without their typing context, which pyright cannot follow:
-# pyright: reportCallIssue=false
+# pyright: reportCallIssue=false, reportGeneralTypeIssues=false
 
 import numpy as np
 from numba import njit, prange
