@@ -1,5 +1,6 @@
 """Settings of GSFusion and its presets, named after papers and data sets."""
 
+import functools
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -145,7 +146,12 @@ def gsfusion(preset: str = "replica", fidelity: str = "measured", **overrides: A
 
 def gsfusion_fidelity(config: GSFusionConfig) -> str:
     """Which fidelity the settings have, and what they set otherwise: "code, but optim.ssim_weight 0"."""
-    return fidelity_of(config, {name: [gsfusion(p, name) for p in _GSFUSION] for name in _FIDELITY})
+    return fidelity_of(config, _settings_by_fidelity())
+
+
+@functools.cache
+def _settings_by_fidelity() -> dict[str, list[GSFusionConfig]]:
+    return {name: [gsfusion(preset, name) for preset in _GSFUSION] for name in _FIDELITY}
 
 
 def presets() -> list[str]:

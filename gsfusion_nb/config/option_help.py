@@ -46,26 +46,29 @@ class _Wrapped:
         return self._stream.write("\n".join(wrapped))
 
 
-@functools.cache
 def _explain(options: type) -> None:
     """Attach the explanations to the fields of a dataclass, of its bases, and of the dataclasses in it."""
+    for base in options.__mro__:
+        if "__dataclass_fields__" in vars(base):
+            _explain_own_fields(base)
+
+
+@functools.cache
+def _explain_own_fields(cls: type) -> None:
     import tyro
 
-    for base in options.__mro__:
-        if "__dataclass_fields__" not in vars(base):
-            continue
-        texts = _explanations(base)
-        for name, kind in list(inspect.get_annotations(base).items()):
-            plain, *marks = get_args(kind) if get_origin(kind) is Annotated else (kind,)
-            if is_dataclass(plain):
-                _explain(plain)  # pyright: ignore[reportArgumentType]
-            elif name in texts:
-                metavar = next((mark.metavar for mark in marks if hasattr(mark, "metavar")), None)
-                if tyro.conf.Positional in marks and not metavar:
-                    metavar = f"[{name.upper()}]" if hasattr(base, name) else name.upper()
-                hint = functools.partial(_default, text=texts[name])
-                explained = tyro.conf.arg(help=texts[name], metavar=metavar, help_behavior_hint=hint)
-                base.__annotations__[name] = Annotated[(plain, *marks, explained)]
+    texts = _explanations(cls)
+    for name, kind in list(inspect.get_annotations(cls).items()):
+        plain, *marks = get_args(kind) if get_origin(kind) is Annotated else (kind,)
+        if is_dataclass(plain):
+            _explain(plain)  # pyright: ignore[reportArgumentType]
+        elif name in texts:
+            metavar = next((mark.metavar for mark in marks if hasattr(mark, "metavar")), None)
+            if tyro.conf.Positional in marks and not metavar:
+                metavar = f"[{name.upper()}]" if hasattr(cls, name) else name.upper()
+            hint = functools.partial(_default, text=texts[name])
+            explained = tyro.conf.arg(help=texts[name], metavar=metavar, help_behavior_hint=hint)
+            cls.__annotations__[name] = Annotated[(plain, *marks, explained)]
 
 
 def _default(value: str, text: str) -> str:

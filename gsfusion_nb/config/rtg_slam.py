@@ -3,6 +3,7 @@
 Where the paper and the released code differ, the field says what each does; ``rtg_slam(fidelity=...)`` sets them all.
 """
 
+import functools
 import math
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -312,4 +313,9 @@ def rtg_slam(preset: str = "replica", fidelity: str = "measured", **overrides: A
 
 def rtg_slam_fidelity(config: RtgSlamConfig) -> str:
     """Which fidelity the settings have, and what they set otherwise: "code, but final.weight_depth 1.0"."""
-    return fidelity_of(config, {name: [rtg_slam(p, name) for p in _RTG_SLAM] for name in _FIDELITY})
+    return fidelity_of(config, _settings_by_fidelity())
+
+
+@functools.cache
+def _settings_by_fidelity() -> dict[str, list[RtgSlamConfig]]:
+    return {name: [rtg_slam(preset, name) for preset in _RTG_SLAM] for name in _FIDELITY}

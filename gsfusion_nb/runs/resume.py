@@ -28,7 +28,10 @@ def load_run(
     """
     path, store = Path(folder), CheckpointStore(Path(folder) / CHECKPOINTS)
     if not store.exists:
-        raise FileNotFoundError(f"{store.folder} holds no checkpoint: only an interrupted run can be resumed")
+        raise FileNotFoundError(
+            f"{store.folder} holds no checkpoint: the run completed, or was killed before its first one; map again, "
+            "into another folder"
+        )
     loaded = store.load()
     try:
         run = _run_of(loaded.state, path, seeding, device)

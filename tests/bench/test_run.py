@@ -24,6 +24,8 @@ def small(monkeypatch):
     monkeypatch.setattr(panels, "PANELS", {"colour ball": panels.PANELS["colour ball"]})
     monkeypatch.setattr(latency, "VIEWS", 2)
     monkeypatch.setattr(BenchOptions, "budget_s", 0.0)
+    import_lap = latency._import_lap
+    monkeypatch.setattr(latency, "_import_lap", lambda module: import_lap("json"))
     for name in ("raster", "tsdf", "scaling", "mapping"):  # other programs are tested separately
         module = sys.modules[f"gsfusion_nb.bench.{name}"]
         if hasattr(module, "why_not"):

@@ -13,6 +13,7 @@ import io
 import json
 import os
 import random
+import re
 import shutil
 import signal
 import sys
@@ -111,7 +112,7 @@ def _run(variant: tuple[str, str], folder: Path, every: int, kill: KillPoint | N
 
     mapping_run.MappingRun.__setattr__ = watched  # pyright: ignore[reportAttributeAccessIssue]
     checkpoints = CheckpointEvery(seconds=0, frames=every)
-    if (folder / "checkpoint").is_dir() and any((folder / "checkpoint").glob("*.json")):
+    if has_checkpoint(folder):
         run = resume_mapping(folder, evaluate=False, checkpoints=checkpoints)
     else:
         shutil.rmtree(folder, ignore_errors=True)
@@ -205,6 +206,11 @@ class _Writing:
         self._file.close()
 
 
+def has_checkpoint(folder: Path) -> bool:
+    """Whether a checkpoint was completed in the folder of a run; looking changes nothing there."""
+    return any(re.fullmatch(r"\d{6}\.json", path.name) for path in folder.glob("checkpoint/*"))
+
+
 def finish(pid: int, seconds: float | None = None) -> bool:
     """Wait for a process, or kill it after ``seconds``; whether it was killed."""
     if seconds is not None:
@@ -235,7 +241,7 @@ def kill_and_resume(
             break
         n_killed += 1
         figures.kills[kill.kind] += 1
-        figures.before_first += not any(folder.glob("checkpoint/*.json"))
+        figures.before_first += not has_checkpoint(folder)
     try:
         result = whole(variant, folder)
     except RuntimeError as e:

@@ -281,5 +281,5 @@ def test_an_earlier_run_is_never_overwritten(tmp_path, config):
     (tmp_path / "keep.txt").write_text("precious")
     with pytest.raises(FileExistsError, match="must be a new or empty folder"):
         run_mapping("room", config, folder=tmp_path, **ROOM)
-    with pytest.raises(FileNotFoundError, match="only an interrupted run can be resumed"):
+    with pytest.raises(FileNotFoundError, match="holds no checkpoint: the run completed, or was killed"):
         resume_mapping(tmp_path)

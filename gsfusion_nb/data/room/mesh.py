@@ -111,7 +111,8 @@ def _clearance(scene: Scene, seed: int) -> Callable[[ndarray, ndarray], ndarray]
     def clearance(chart: ndarray, uv: ndarray) -> ndarray:
         xyz, normal = _points(scene, chart, uv)
         owner = np.maximum(solid_of_chart[chart] - SHELL_SOLIDS, -1)
-        return signed_distance(furnishing(seed), xyz + _LIFT_M * normal, owner) - _CLEAR_M
+        lifted = xyz + _LIFT_M * normal
+        return signed_distance(furnishing(seed), lifted, owner, at_most=2 * _CLEAR_M) - _CLEAR_M
 
     return clearance
 

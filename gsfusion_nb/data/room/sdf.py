@@ -20,13 +20,17 @@ def shell_distance(xyz_W: ndarray) -> ndarray:
     return (half - np.abs(xyz_W - [0.0, 0.0, half[2]])).min(-1)
 
 
-def signed_distance(furnishing: Sequence[Solid], xyz_W: ndarray, owner: ndarray | None = None) -> ndarray:
+def signed_distance(
+    furnishing: Sequence[Solid], xyz_W: ndarray, owner: ndarray | None = None, *, at_most: float = np.inf
+) -> ndarray:
     """Distance to the union of shell and ``furnishing``: the minimum over convex solids, exact in free space. [N]
 
-    With ``owner`` [N], each point leaves out the solid of that number (-1: the shell).
+    With ``owner`` [N], each point leaves out the solid of that number (-1: the shell). Larger distances than
+    ``at_most`` become ``at_most``; a small value saves looking at distant solids.
     """
     out = np.empty(len(xyz_W))
     centres = np.array([s.t for s in furnishing])
+    boxes = np.array([np.abs(s.R) @ s.extent for s in furnishing])
     radii = np.array([np.linalg.norm(s.extent) for s in furnishing])
     for start in range(0, len(xyz_W), _CHUNK):
         part = slice(start, start + _CHUNK)
@@ -34,13 +38,14 @@ def signed_distance(furnishing: Sequence[Solid], xyz_W: ndarray, owner: ndarray 
         best = shell_distance(xyz)
         if owner is not None:
             best[owner[part] == -1] = np.inf
-        middle = 0.5 * (xyz.min(0) + xyz.max(0))
-        spread = np.linalg.norm(xyz - middle, axis=1).max()
-        lower = np.linalg.norm(centres - middle, axis=1) - radii - spread
+        best = np.minimum(best, at_most)
+        gap = np.maximum(xyz.min(0) - centres - boxes, centres - boxes - xyz.max(0)).max(1)
+        lower = np.where(gap > 0, gap, -np.inf)  # a solid may be this close to the box around the points
         for i in np.argsort(lower):
             if lower[i] > best.max():
                 break
-            near = np.linalg.norm(xyz - centres[i], axis=1) - radii[i] < best
+            offset, reach = xyz - centres[i], (best + radii[i]).clip(min=0)
+            near = np.einsum("nk,nk->n", offset, offset) < reach * reach
             if owner is not None:
                 near &= owner[part] != i
             rows = np.flatnonzero(near)
