@@ -2,6 +2,7 @@
 
 import dataclasses
 import logging
+import re
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from torch import Tensor
 from .. import __version__
 from ..config import DataConfig, from_dict
 from ..data import OpenedSequence, open_sequence, sequence_fingerprint
-from ..errors import SequenceNotFoundError
+from ..errors import SequenceError, SequenceNotFoundError, shown
 from ..evaluation import metrics_as_json
 from ..export import read_gaussian_ply
 from ..foreign import parsing
@@ -74,7 +75,7 @@ def rescore(
             f"{source['path_or_name']} does not hold the data that this run was mapped from (or another version of a "
             "library decodes them differently): the scores compare the map with other images",
         )
-    place = torch.device(device or settings.get("device", "cpu"))
+    place = torch.device(device) if device else _device_of(settings.get("device", "cpu"), folder / "config.json")
     params = _of_degree(read_gaussian_ply(folder / "gaussians.ply"), config.sh_degree, place)
 
     def see(camera: Camera, T_WC: Tensor) -> RenderOutput:
@@ -111,6 +112,13 @@ def _warn(document: dict[str, Any], sentence: str) -> None:
     log.warning(sentence)
     if sentence not in document.get("warnings", []):
         document["warnings"] = [*document.get("warnings", []), sentence]
+
+
+def _device_of(stored: object, path: Path) -> torch.device:
+    """The device of the run; the processor where there is no GPU now."""
+    if stored not in ("cpu", "cuda") and not (isinstance(stored, str) and re.fullmatch(r"cuda:\d", stored)):
+        raise SequenceError(f"{path}: device must be cpu or cuda, got {shown(stored)}; name one with --device")
+    return torch.device(str(stored) if torch.cuda.is_available() else "cpu")
 
 
 def _of_degree(params: GaussianParams, degree: int, device: torch.device) -> GaussianParams:

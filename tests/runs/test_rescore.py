@@ -99,3 +99,16 @@ def test_other_data_than_the_run_s_are_named(tmp_path, caplog):
     assert sentence in caplog.text
     warnings = json.loads((run.folder / "metrics.json").read_text())["warnings"]
     assert sum(sentence in warning for warning in warnings) == 1
+
+
+def test_the_device_of_a_run_may_be_gone_but_not_nonsense(tmp_path, monkeypatch):
+    run = run_mapping("room", with_poses("gsfusion", "given"), folder=tmp_path / "run", **ROOM)
+    path = run.folder / "config.json"
+    settings = json.loads(path.read_text())
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    path.write_text(json.dumps(settings | {"device": "cuda:0"}))
+    assert rescore(run.folder)["psnr_mapped_db"] == run.metrics["psnr_mapped_db"]
+    for device in ("", "meta", None, "a" * 5000):
+        path.write_text(json.dumps(settings | {"device": device}))
+        with pytest.raises(ValueError, match=r"config\.json: device must be cpu or cuda, got "):
+            rescore(run.folder)
