@@ -41,10 +41,10 @@ class AzureKinect(DepthCamera):
         check_name("colour resolution", resolution, RESOLUTIONS)
         check_name("depth mode", depth_mode, DEPTH_MODES)
         if fps not in (5, 15, 30):
-            raise ValueError(f"the Azure Kinect runs at 5, 15 or 30 fps, got {fps}")
+            raise ValueError(f"the Azure Kinect runs at 5, 15 or 30 frames/s, got {fps}")
         if fps == 30 and (resolution == "3072P" or depth_mode == "WFOV_UNBINNED"):
             raise ValueError(
-                f"the Azure Kinect supports at most 15 fps for {resolution} colour with {depth_mode} depth, got 30"
+                f"the Azure Kinect supports at most 15 frames/s for {resolution} colour with {depth_mode} depth, got 30"
             )
         self.name = "kinect"
         self.resolution, self.depth_mode, self.fps, self.device = resolution, depth_mode, fps, device

@@ -222,9 +222,9 @@ def test_kinect_settings(box, monkeypatch):
         "camera_fps": "FPS_15",
         "synchronized_images_only": True,
     }
-    with pytest.raises(ValueError, match="at most 15 fps for"):
+    with pytest.raises(ValueError, match="at most 15 frames/s for"):
         AzureKinect(depth_mode="WFOV_UNBINNED")
-    with pytest.raises(ValueError, match="5, 15 or 30 fps, got 7"):
+    with pytest.raises(ValueError, match="5, 15 or 30 frames/s, got 7"):
         AzureKinect(fps=7)
     with pytest.raises(CameraNotFoundError, match="is another program using it"):
         some(device.plugged([0], busy=True).camera(), 1)
