@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 import textwrap
+import tokenize
 from pathlib import Path
 
 import pytest
@@ -369,24 +370,60 @@ def test_each_example_is_in_the_files_that_the_page_names():
         assert (unnamed, unused) == ([], []), f"{what}: not named {unnamed}, not needed {unused}"
 
 
-EQUATIONS = re.findall(
-    r"^\| +(\d+) \| .* \| `([^`]+)` \| `(\w+)` \|$", (ROOT / "docs/equations.md").read_text(), re.MULTILINE
-)
+INDEX = (ROOT / "docs/equations.md").read_text(encoding="utf-8")
+EQUATIONS = [
+    (paper, *row)
+    for paper in ("GSFusion", "RTG-SLAM")
+    for row in re.findall(
+        r"^\| +(\d+) \| .* \| `([^`]+)` \| `(\w+)` \|$", INDEX.split(f"## {paper} ")[1].split("\n## ")[0], re.MULTILINE
+    )
+]
+GRADIENTS = re.findall(r"^\| .* \| `([^`]+)` \| `(\w+)` \| (`.+`) \|$", INDEX.split("## Gradients")[1], re.MULTILINE)
+NOT_EVALUATED = ("GSFusion", "1")
+"""The density of a Gaussian in space is never computed, so no line has its formula."""
+NUMBERS = {"GSFusion": r"(?<!Kerbl )(?<!RTG-SLAM )Eq\. ", "RTG-SLAM": r"RTG-SLAM Eq\. "}
 
 
-@pytest.mark.parametrize(("number", "file", "function"), EQUATIONS)
-def test_each_equation_is_where_the_index_says(number, file, function):
-    tree = ast.parse((ROOT / file).read_text())
-    nodes = [n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef | ast.ClassDef) and n.name == function]
-    assert nodes, f"{file} has no {function}"
-    sources = "\n".join(ast.get_source_segment((ROOT / file).read_text(), n) or "" for n in nodes)
-    ranges = re.findall(r"Eq\. (\d+)(?:-(\d+)| and (\d+))?", sources)
-    numbers = {n for a, b, c in ranges for n in [*range(int(a), int(b or a) + 1), int(c or a)]}
-    assert int(number) in numbers, f"{function} in {file} does not say Eq. {number}, only {sorted(numbers)}"
+def lines_of(file: str, function: str) -> range:
+    """Line numbers of a function or class."""
+    nodes = [
+        n
+        for n in ast.walk(ast.parse((ROOT / file).read_text(encoding="utf-8")))
+        if isinstance(n, ast.FunctionDef | ast.ClassDef) and n.name == function
+    ]
+    assert len(nodes) == 1, f"{file} has {len(nodes)} {function}"
+    return range(nodes[0].lineno, (nodes[0].end_lineno or 0) + 1)
+
+
+def comments_beside_code(file: str, lines: range) -> list[str]:
+    """Comments on lines that also hold code; not docstrings."""
+    with tokenize.open(ROOT / file) as f:
+        tokens = list(tokenize.generate_tokens(f.readline))
+    comments = [t for t in tokens if t.type == tokenize.COMMENT and t.start[0] in lines]
+    return [t.string for t in comments if t.line[: t.start[1]].strip()]
+
+
+@pytest.mark.parametrize(("paper", "number", "file", "function"), EQUATIONS)
+def test_each_equation_is_a_comment_at_its_formula(paper, number, file, function):
+    lines = lines_of(file, function)
+    if (paper, number) == NOT_EVALUATED:
+        return
+    comments = comments_beside_code(file, lines)
+    found = [c for comment in comments for c in re.findall(NUMBERS[paper] + r"(\d+)(?:-(\d+)| and (\d+))?", comment)]
+    numbers = {n for a, b, c in found for n in [*range(int(a), int(b or a) + 1), int(c or a)]}
+    assert int(number) in numbers, f"no line of {function} in {file} has {paper} Eq. {number}, only {sorted(numbers)}"
 
 
 def test_the_index_has_every_equation_of_both_papers():
-    assert [int(n) for n, *_ in EQUATIONS] == [*range(1, 13), *range(1, 11)]
+    assert [int(number) for _, number, *_ in EQUATIONS] == [*range(1, 13), *range(1, 11)]
+
+
+@pytest.mark.parametrize(("file", "function", "pieces"), GRADIENTS)
+def test_each_gradient_is_where_the_index_says(file, function, pieces):
+    lines = (ROOT / file).read_text(encoding="utf-8").splitlines()
+    for piece in re.findall(r"`([^`]+)`", pieces):
+        found = [n for n in lines_of(file, function) if piece in lines[n - 1]]
+        assert len(found) == 1, f"{function} in {file} has {len(found)} lines with {piece}"
 
 
 def test_the_examples_work(copy):

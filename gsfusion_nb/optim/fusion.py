@@ -32,7 +32,7 @@ def fuse_with_history(
     w = (confidence_before / confidence_after.clamp_min(1)).clamp(max=history_max_weight).to(after.xyz_W)
     w_1, w_2 = w[:, None], w[:, None, None]
     return GaussianParams(
-        xyz_W=w_1 * before.xyz_W + (1 - w_1) * after.xyz_W,
+        xyz_W=w_1 * before.xyz_W + (1 - w_1) * after.xyz_W,  # RTG-SLAM Eq. 9, for each parameter
         log_scale=w_1 * before.log_scale + (1 - w_1) * after.log_scale,
         quat=quaternion.slerp(after.quat, before.quat, w),
         opacity_logit=after.opacity_logit,

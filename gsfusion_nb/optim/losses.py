@@ -21,7 +21,7 @@ WINDOW_SIGMA_PX = 1.5
 
 def l1(rgb: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"]) -> Float[Tensor, ""]:
     """Mean absolute difference over pixels and channels (GSFusion Eq. 12). Differentiable: ``l1_vjp``."""
-    return (rgb - target).abs().mean()
+    return (rgb - target).abs().mean()  # GSFusion Eq. 12
 
 
 def l1_vjp(rgb: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"], v_loss: float = 1.0) -> Float[Tensor, "H W 3"]:

@@ -68,11 +68,11 @@ def rgbd_l1_vjp(
     n, n_known = (3 * pixels.sum()).clamp_min(1), known.sum().clamp_min(1)
     colour_gap = torch.where(pixels[..., None], rgb - target_rgb, 0.0)
     depth_gap = torch.where(known, depth_m - target_depth_m, 0.0)
-    colour, depth = colour_gap.abs().sum() / n, depth_gap.abs().sum() / n_known  # Eq. 7
+    colour, depth = colour_gap.abs().sum() / n, depth_gap.abs().sum() / n_known  # RTG-SLAM Eq. 7
     return RgbdLoss(
         colour=colour,
         depth_m=depth,
-        total=weight_colour * colour + weight_depth * depth,  # Eq. 8
+        total=weight_colour * colour + weight_depth * depth,  # RTG-SLAM Eq. 8
         v_rgb=weight_colour * torch.sign(colour_gap) / n,
         v_depth_m=weight_depth * torch.sign(depth_gap) / n_known,
     )

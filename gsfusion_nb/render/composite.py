@@ -214,7 +214,7 @@ def _alpha(uv: Tensor, conic: Tensor, opacity: Tensor, x: Tensor, y: Tensor) -> 
     dx, dy = x + 0.5 - uv[:, :1], y + 0.5 - uv[:, 1:]
     A, B, C = conic[:, :, None].unbind(1)
     sigma = (A * dx * dx + C * dy * dy) / 2 + B * dx * dy  # (u - mu)^T Sigma'^-1 (u - mu) / 2: GSFusion Eq. 3
-    alpha = (opacity[:, None] * torch.exp(-sigma)).clamp(max=ALPHA_MAX)
+    alpha = (opacity[:, None] * torch.exp(-sigma)).clamp(max=ALPHA_MAX)  # RTG-SLAM Eq. 2
     return torch.where(alpha >= ALPHA_MIN, alpha, 0.0), dx, dy
 
 

@@ -159,8 +159,8 @@ def _splat(params: GaussianParams, camera: Camera, T_WC: Tensor) -> _Splat:
     J = _matrix([[camera.fx / z, o, -camera.fx * tx / z], [o, camera.fy / z, -camera.fy * ty / z]])
 
     R, S = quaternion.to_matrix(params.quat), params.log_scale.exp().diag_embed()
-    # Sigma = R S S^T R^T (Kerbl Eq. 6, GSFusion Eq. 2),  Sigma' = J W Sigma W^T J^T (Kerbl Eq. 5, GSFusion Eq. 5)
-    M = J @ W @ R @ S  # so that Sigma' = M M^T
+    # Sigma = R S S^T R^T (Kerbl Eq. 6),  Sigma' = J W Sigma W^T J^T (Kerbl Eq. 5)
+    M = J @ W @ R @ S  # so that Sigma' = M M^T: GSFusion Eq. 2 and 5
     cov = M @ M.mT + SCREEN_BLUR_PX2 * torch.eye(2).to(M)
     uu, uv, vv = cov[:, 0, 0], cov[:, 0, 1], cov[:, 1, 1]
     # det(M M^T + e I) = |m_u x m_v|^2 + e tr(M M^T) + e^2: for a needle, uu vv - uv^2 would lose all digits in float32

@@ -174,7 +174,7 @@ class SeedContext:
         uv, i, j = uv[kept], i[kept], j[kept]
         z = self.frame.depth_m[j, i]
         size = radius_px[kept] if isinstance(radius_px, Tensor) else radius_px
-        xyz_W = se3.apply(self.frame.T_WC, backproject(self.camera, uv.to(z.dtype), z))
+        xyz_W = se3.apply(self.frame.T_WC, backproject(self.camera, uv.to(z.dtype), z))  # GSFusion Eq. 10
         return Seeds.isotropic(
             xyz_W,
             self.frame.rgb[j, i],

@@ -69,7 +69,7 @@ def point_to_plane(
 
     Differentiable: yes, through torch. Source: Peng et al. 2024, Eq. 10; Chen & Medioni 1992.
     """
-    r = ((xyz - surface_xyz) * surface_normal).sum(-1)
+    r = ((xyz - surface_xyz) * surface_normal).sum(-1)  # RTG-SLAM Eq. 10
     J = torch.cat([surface_normal, torch.linalg.cross(xyz, surface_normal)], dim=-1)
     return r, J
 

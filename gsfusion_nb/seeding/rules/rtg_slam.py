@@ -105,7 +105,7 @@ def wrong_pixels(
     A pixel that hits no disc has rendered depth -1 in the paper and so is wrong in depth; otherwise it has no depth
     error, as in the released code.
     """
-    new = usable & (view.transmittance > min_transmittance)
+    new = usable & (view.transmittance > min_transmittance)  # RTG-SLAM Eq. 6: M_s is new or depth, M_c is colour
     off = (view.depth_m - ctx.frame.depth_m).abs() > depth_error_m
     hit = view.depth_m > 0
     depth = usable & ~new & (off | ~hit if fidelity == "paper" else off & hit)
