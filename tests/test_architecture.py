@@ -254,7 +254,10 @@ WHOLE = {
     "a setting": {
         "gsfusion_nb/config/parts.py": (
             ("    near_m: float", '    toy_m: float = 0.1\n    """A length, metres. Larger: more. Usual: 0 to 1."""\n'),
-        )
+        ),
+        "gsfusion_nb/config/gsfusion.py": (
+            ("    lr_xyz: float", '    toy_steps: int = 3\n    """Steps. Larger: slower. Usual: 1 to 5."""\n'),
+        ),
     },
 }
 """What is added -> file -> its text; ("+", text) to append; or pairs (beginning of a line, text to put before it)."""
@@ -296,6 +299,7 @@ assert check.toy_exercise(lambda x: 2 * x) and not check.toy_exercise(lambda x: 
 
 from gsfusion_nb import gsfusion
 assert gsfusion("room", tsdf__toy_m=0.3).tsdf.toy_m == 0.3
+assert gsfusion("room", optim__toy_steps=4).optim.toy_steps == 4
 try:
     cli.main(["map", "--help"])
 except SystemExit:
@@ -433,3 +437,4 @@ def test_the_examples_work(copy):
     )
     assert done.returncode == 0, done.stderr[-3000:]
     assert "--tsdf.toy-m" in done.stdout
+    assert "--optim.toy-steps" in done.stdout
