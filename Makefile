@@ -1,4 +1,4 @@
-# make demo | make test | make campaign | make lab | make student | make teacher: each sets up its own virtual environment first. Only Python >= 3.11 and make are needed.
+# make demo | make test | make campaign | make lab | make student | make teacher: each first sets up the virtual environment .venv, which all of them share. Only Python >= 3.11 and make are needed.
 PYTHON ?= python3
 VENV ?= .venv
 # Where pip should look for PyTorch, if not at the default: see docs/install.md.

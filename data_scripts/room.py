@@ -3,8 +3,8 @@
     python data_scripts/room.py tum --out data
     python data_scripts/room.py all --frames 60
 
-folder and replica, scannetpp have images of --width x --height; tum and seven_scenes have 640x480, the size of their
-camera.
+The images of folder, replica and scannetpp have the size --width x --height; those of tum and seven_scenes have
+640x480, the size of their camera.
 """
 
 import sys

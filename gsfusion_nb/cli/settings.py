@@ -27,7 +27,7 @@ class SettingsOptions:
     """Which system maps, with which settings, and where."""
 
     system: str = "gsfusion"
-    """Mapping system: gsfusion or rtg_slam."""
+    """Name of the mapping system, such as gsfusion or rtg_slam."""
     preset: str = ""
     """Settings published for a data set, such as replica, tum or scannetpp; single options override them. Default: room
     for the built-in scene, otherwise replica."""

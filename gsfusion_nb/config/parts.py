@@ -1,4 +1,4 @@
-"""Settings that both systems share: the volumetric map, seeding, the data."""
+"""Settings that several systems share: the volumetric map, seeding, the data."""
 
 from dataclasses import dataclass, field
 from typing import Literal

@@ -38,8 +38,12 @@ class Mapper(ABC):
     Args:
         config: Settings; the defaults of ``config_type`` if none are given.
         seeding: Name of a registered rule, or the rule function itself; overrides ``config.seeding.rule``. The options
-            in the settings are passed to it if it has all of them. ``self.config`` has the rule and options in use.
+            in the settings are passed to it if it has all of them. If only ``config.seeding.rule`` has them, the rule
+            runs with its defaults. ``self.config`` has the rule and options in use.
         device: Device of the map.
+
+    Raises:
+        TypeError: neither rule has all of the options, or the value of an option is of the wrong type.
 
     A subclass defines ``title``, ``config_type``, ``preset``, ``n_passes``, ``step``, ``surface``, ``mesh`` and
     ``_global_step``. It overrides the rest where the default does not fit.
@@ -50,7 +54,8 @@ class Mapper(ABC):
     config_type: ClassVar[type[SystemConfig]]
     """Class of the settings."""
     preset: ClassVar[Callable[..., Any]]
-    """``preset(name, **overrides)``: settings as published for a data set; also takes ``fidelity`` if there are any."""
+    """``preset(name, **overrides)``: settings as published for a data set; also takes ``fidelity`` if there are any.
+    It must know the names "room" and "replica", the defaults of the command line."""
     fidelities: ClassVar[tuple[str, ...]] = ()
     """Values of ``fidelity`` (what to follow where paper and released code differ), the default first; may be empty."""
     fidelity_of: ClassVar[Callable[[Any], str]] = staticmethod(lambda config: "")
@@ -111,6 +116,9 @@ class Mapper(ABC):
     @abstractmethod
     def step(self, frame: Frame) -> StepReport:
         """Map one frame. A subclass does so inside ``with self.one_frame(frame)``.
+
+        All work that takes time belongs in a stage, ``with clock("optimise"): ...`` with a ``StageClock``: the speed
+        that a run reports is computed from the sum of the stages, ``StepReport.seconds``.
 
         Raises:
             BadFrameError: the frame cannot be used. The map is unchanged.

@@ -17,8 +17,8 @@ def settings_with_rule(config: S, rule: SeedingRule) -> S:
     """``config`` with the rule and the options that are really used, so that the stored settings are those of the run.
 
     The options in the settings are for the rule in the settings. Another rule gets them if it has all of them; if only
-    the first rule has them, the other runs with its defaults. Options that neither has are kept, and the first frame
-    refuses them.
+    the first rule has them, the other runs with its defaults. Options that neither has are returned unchanged; the
+    mapper refuses them when it is made.
     """
     name, seeding = rule_name(rule), config.seeding
     if name == seeding.rule:

@@ -24,17 +24,20 @@ class StepReport:
     losses: tuple[float, ...]
     """Loss before each optimisation step on this frame."""
     psnr_before_db: float
-    """PSNR of this view before its optimisation: GSFusion with the new Gaussians, RTG-SLAM without."""
+    """PSNR of this view before its optimisation, dB; 0 if not measured. Each system decides whether its new Gaussians
+    are drawn for it (GSFusion draws them, RTG-SLAM does not)."""
     psnr_after_db: float
-    """PSNR of this view: GSFusion just before the last optimisation step on it, RTG-SLAM at the end of the step."""
+    """PSNR of this view after its optimisation, dB; 0 if not measured. A system may take the last value that needs no
+    extra rendering (GSFusion: just before the last optimisation step; RTG-SLAM renders at the end of the step)."""
     n_blocks: int = 0
     """Number of voxel blocks in the TSDF map after the step, if there is one."""
     counts: dict[str, int] = field(default_factory=dict)
-    """RTG-SLAM: number of Gaussians by state, and of changes of state."""
+    """What only this system counts, by name, such as the number of Gaussians by state and of changes of state."""
     tracking: dict[str, Any] = field(default_factory=dict)
     """How the frame was tracked: status, rms_m, inlier_share. Empty for given poses."""
     seconds: dict[str, float] = field(default_factory=dict)
-    """Wall time by stage: tracking, tsdf, quadtree, seeding, optimise, keyframes, states."""
+    """Wall time by stage. Each system names its stages, such as tsdf, seeding, optimise; "tracking" is the time for the
+    pose, which a run reports separately."""
 
     @property
     def total_seconds(self) -> float:

@@ -60,7 +60,7 @@ class MapView:
 class SeedContext:
     """Everything a seeding rule is given. ``SeedContext(frame)`` alone is enough for rules that need no map.
 
-    The volume already contains the current frame (GSFusion III-B.2 tests it afterwards); the Gaussian map does not.
+    The current frame is already fused into the volume (GSFusion, section III-B.2), but not yet in the Gaussian map.
     """
 
     frame: Frame

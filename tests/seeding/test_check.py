@@ -21,16 +21,16 @@ def test_every_registered_rule_keeps_the_contract(name):
     assert "keeps the contract" in repr(report)
 
 
-def near_only(ctx: SeedContext, *, max_depth_m: float = 1.5) -> Seeds:
+def near_only(ctx: SeedContext, *, max_range_m: float = 1.5) -> Seeds:
     """The example rule of the design notes."""
     cells = ctx.cells()
-    return cells[(cells.xyz_W - ctx.frame.T_WC[:3, 3]).norm(dim=-1) < max_depth_m]
+    return cells[(cells.xyz_W - ctx.frame.T_WC[:3, 3]).norm(dim=-1) < max_range_m]
 
 
 def test_a_rule_from_a_notebook_cell():
     report = check_rule(near_only)
     assert 0 < report.seeds["new"] < check_rule("gsfusion").seeds["new"]
-    assert "max_depth_m" in repr(report)
+    assert "max_range_m" in repr(report)
 
 
 def uncovered(ctx: SeedContext, *, min_alpha: float = 0.5) -> Seeds:

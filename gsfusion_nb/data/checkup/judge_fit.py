@@ -54,7 +54,7 @@ def scale_finding(e: Explanation, camera: Camera) -> Finding:
     repair = RepairConfig(depth_factor=factor, translation_factor=translation)
     fitted = e.corrected.last_fit("depth scale")
     known = (
-        f"known to {fitted.uncertainty:.1%}" if fitted and math.isfinite(fitted.uncertainty) else "not known precisely"
+        f"± {100 * fitted.uncertainty:.1f} %" if fitted and math.isfinite(fitted.uncertainty) else "not known precisely"
     )
     if repair == RepairConfig():
         return Finding(
@@ -135,7 +135,7 @@ def time_finding(e: Explanation, camera: Camera) -> Finding:
     fitted = e.corrected.last_fit("pose time")
     known = fitted.uncertainty if fitted else math.nan
     if not shift:
-        sure = f" (known to {known:.2f} frames)" if math.isfinite(known) else ""
+        sure = f" (± {known:.2f} frames)" if math.isfinite(known) else ""
         return Finding(
             name="pose time",
             verdict="ok",

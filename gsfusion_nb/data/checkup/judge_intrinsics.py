@@ -27,7 +27,7 @@ def _focal(e: Explanation, camera: Camera, focal: dict, centre: dict) -> Finding
     numbers = {"fx": camera.fx, "fy": camera.fy, **{f"{k}_measured": v for k, v in focal.items()}}
     if not focal:
         fitted = e.corrected.last_fit("focal length")
-        known = f", known to {fitted.uncertainty:.1%}" if fitted and math.isfinite(fitted.uncertainty) else ""
+        known = f", ± {100 * fitted.uncertainty:.1f} %" if fitted and math.isfinite(fitted.uncertainty) else ""
         return Finding(
             name="focal length",
             verdict="ok",
@@ -60,7 +60,7 @@ def _centre(e: Explanation, camera: Camera, centre: dict) -> Finding:
     numbers = {"cx": camera.cx, "cy": camera.cy, **{f"{k}_measured": v for k, v in centre.items()}}
     if not centre:
         fitted = e.corrected.last_fit("principal point")
-        known = f", known to {fitted.uncertainty:.1f} pixels" if fitted and math.isfinite(fitted.uncertainty) else ""
+        known = f", ± {fitted.uncertainty:.1f} pixels" if fitted and math.isfinite(fitted.uncertainty) else ""
         return Finding(
             name="principal point",
             verdict="ok",
