@@ -20,7 +20,7 @@ def is_foreseen(error: BaseException) -> bool:
     last = error.__traceback__
     while last is not None and last.tb_next is not None:
         last = last.tb_next
-    if last is None or not isinstance(error, (ValueError, KeyError, MemoryError)):
+    if last is None or not isinstance(error, (ValueError, TypeError, KeyError, MemoryError)):
         return False
     ours = str(last.tb_frame.f_globals.get("__name__", "")).startswith(package)
     line = linecache.getline(last.tb_frame.f_code.co_filename, last.tb_lineno).strip()

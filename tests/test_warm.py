@@ -108,7 +108,7 @@ def test_compiling_is_announced_once_and_only_when_it_happens(tmp_path):
     first, second = (
         subprocess.run(command, env=environment, capture_output=True, text=True, check=True) for _ in range(2)
     )
-    assert first.stderr.count("compiling numba kernels (first time on this machine") == 1
+    assert first.stderr.count("compiling the numba kernels that this command needs (once on this machine") == 1
     assert second.stderr == ""
     # numba's OpenMP layer sets the thread count of the runtime that it shares with torch; it must be put back
     assert first.stdout.strip() == second.stdout.strip() == "1"

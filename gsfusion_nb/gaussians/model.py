@@ -112,18 +112,29 @@ class GaussianModel:
         Args:
             seeds: New Gaussians, activated values.
             frame_index: Number of the frame they come from, stored as ``birth_frame``.
+
+        Raises:
+            ValueError: a value is NaN, a scale is negative, or an opacity is not in 0..1. The map is unchanged.
         """
         n = len(seeds)
         if n == 0:
             return
         check_shape("seeds.xyz_W", seeds.xyz_W, (n, 3))
+        values = {"xyz_W": seeds.xyz_W, "quat": seeds.quat, "rgb": seeds.rgb}
+        values |= {"scale_m": seeds.scale_m.log(), "opacity": seeds.opacity.logit()}
+        if bool(torch.stack([v.isnan().any() for v in values.values()]).any()):  # a GPU is waited for once
+            name, row = next((k, int(v.isnan().nonzero()[0, 0])) for k, v in values.items() if v.isnan().any())
+            raise ValueError(
+                "new Gaussians need numbers that are not NaN, scales >= 0 and opacities in 0..1, got "
+                f"{getattr(seeds, name)[row].tolist()} as {name} of row {row}"
+            )
         start, stop = self._count, self._count + n
         self._reserve(stop)
         new = self._columns
         new["xyz_W"][start:stop] = seeds.xyz_W
-        new["log_scale"][start:stop] = seeds.scale_m.log()
+        new["log_scale"][start:stop] = values["scale_m"]
         new["quat"][start:stop] = seeds.quat
-        new["opacity_logit"][start:stop] = seeds.opacity.logit()
+        new["opacity_logit"][start:stop] = values["opacity"]
         new["sh"][start:stop] = 0.0
         new["sh"][start:stop, 0] = rgb_to_sh_dc(seeds.rgb)
         new["birth_frame"][start:stop] = frame_index

@@ -89,6 +89,7 @@ class Mapper(ABC):
         config = config or self.config_type()
         self.rule = get_rule(seeding if seeding is not None else config.seeding.rule)
         self.config = settings_with_rule(config, self.rule)
+        check_options(self.rule, self.config.seeding.options)
         self.rule_in_use = RuleInUse(self.rule)
         self.device = torch.device(device)
         self.gaussians = self.model_type(self.config.sh_degree, device=self.device)
@@ -262,7 +263,6 @@ class Mapper(ABC):
         if seeding is None:
             check_known(state["rule"])
         mapper = cls(config, seeding=seeding if seeding is not None else state["rule"]["name"], device=device)
-        check_options(mapper.rule, mapper.config.seeding.options)
         mapper.rule_in_use.load_state_dict(state["rule"])
         if mapper.rule_in_use.differs(state["rule"]):
             mapper.notes.append(

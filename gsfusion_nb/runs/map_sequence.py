@@ -70,8 +70,8 @@ def run_mapping(
         sequence = open_sequence(**source, data=settings.data)
     else:
         source, sequence = {}, apply_options(data, settings.data)
+    run = MappingRun(sequence, make_mapper(settings, seeding=seeding, device=device), source=source)
     with RunFolder(new_folder(sequence.name, folder)) as place:
-        run = MappingRun(sequence, make_mapper(settings, seeding=seeding, device=device), source=source)
         if source and str(data) != "room" and has_poses(sequence):
             run.warnings += _doubts(sequence.mapping)
         return drive(run, place, evaluate, every=checkpoints)

@@ -141,7 +141,7 @@ def test_wrong_paths_and_names(tmp_path, box):
     with pytest.raises(SequenceNotFoundError, match=r"file\.zip is not a folder"):
         open_sequence(tmp_path / "file.zip")
     root = box.folder(tmp_path / "scan")
-    with pytest.raises(KeyError, match="no format 'kitti'; known: auto, folder"):
+    with pytest.raises(KeyError, match=r"no format 'kitti'; known: auto, .*folder"):
         open_sequence(root, format="kitti")
     with pytest.raises(SequenceError, match="the 'folder' layout has no split 'test'"):
         open_sequence(root, split="test")
@@ -157,3 +157,11 @@ def test_paths_as_text_and_home(tmp_path, box, monkeypatch):
     assert len(open_sequence("~/scan")) == 2
     monkeypatch.chdir(tmp_path / "scan")
     assert open_sequence(".").name == "scan"
+
+
+def test_a_sequence_shows_itself_in_a_line():
+    sequence = open_sequence(
+        "room", n_frames=20, width=80, height=60, data=DataConfig(hold_out_every=4, hold_out_offset=2)
+    )
+    assert repr(sequence) == "OpenedSequence('room', 20 frames, 80x60: 15 to map, 5 held out)"
+    assert repr(sequence.held_out) == "SequenceView('room', 5 frames, 80x60)"

@@ -92,3 +92,12 @@ def test_bad_arguments_are_sentences():
         GaussianModel(sh_degree=4)
     with pytest.raises(ValueError, match=r"rows must be \[0\], got \[2\]"):
         GaussianModel().keep(torch.ones(2, dtype=torch.bool))
+
+
+@pytest.mark.parametrize(("name", "value"), [("opacity", 3.0), ("scale_m", -0.1), ("xyz_W", float("nan"))])
+def test_gaussians_that_are_not_numbers_are_refused(generator, name, value):
+    new, model = seeds(5, generator), GaussianModel(sh_degree=0)
+    getattr(new, name)[2] = value
+    with pytest.raises(ValueError, match=rf"got .* as {name} of row 2"):
+        model.append(new)
+    assert len(model) == 0

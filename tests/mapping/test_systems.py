@@ -26,6 +26,6 @@ def test_a_rule_is_handed_on():
 
 
 def test_unknown_system_lists_the_known():
-    with pytest.raises(KeyError, match="no system 'rtgslam'; known: gsfusion, rtg_slam"):
+    with pytest.raises(KeyError, match=r"no system 'rtgslam'; known: gsfusion, .*rtg_slam"):
         get_system("rtgslam")
-    assert set(SYSTEMS) == {"gsfusion", "rtg_slam"}
+    assert set(SYSTEMS) >= {"gsfusion", "rtg_slam"}

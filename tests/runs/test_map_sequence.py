@@ -283,3 +283,15 @@ def test_an_earlier_run_is_never_overwritten(tmp_path, config):
         run_mapping("room", config, folder=tmp_path, **ROOM)
     with pytest.raises(FileNotFoundError, match="holds no checkpoint: the run completed, or was killed"):
         resume_mapping(tmp_path)
+
+
+def test_an_option_that_the_rule_does_not_have_is_refused_before_there_is_a_folder(tmp_path, config, capsys):
+    from gsfusion_nb.cli import main
+
+    folder = tmp_path / "run"
+    command = ["map", "room", "--seeding.rule", "uniform", "--rule-options", "fration=0.2", "--out", str(folder)]
+    assert main(command) == 1
+    said = capsys.readouterr().err
+    assert "'uniform' has no options ['fration']; known: ['coverage', 'fraction'" in said
+    assert "unexpected error" not in said
+    assert not folder.exists()

@@ -57,7 +57,9 @@ def test_registry_copy_does_not_reach_the_registry():
 
 
 def test_unknown_name_lists_the_known_ones():
-    with pytest.raises(KeyError, match=r"no seeding rule 'frist_seen'; known: dense, gsfusion, rtg_slam, uniform"):
+    with pytest.raises(
+        KeyError, match=r"no seeding rule 'frist_seen'; known: .*dense, .*gsfusion, .*rtg_slam, .*uniform"
+    ):
         get_rule("frist_seen")
 
 

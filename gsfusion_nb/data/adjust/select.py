@@ -15,7 +15,7 @@ from .repair import repaired
 from .resize import resize_frame
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class SequenceView:
     """Some frames of a sequence, resized and with depth limits (a ``Sequence``). Frames keep the source's index."""
 
@@ -33,6 +33,10 @@ class SequenceView:
         """Name of the source."""
         return self.source.name
 
+    def __repr__(self) -> str:
+        size = f"{self.camera.width}x{self.camera.height}"
+        return f"{type(self).__name__}({self.name!r}, {len(self)} frames, {size})"
+
     def __len__(self) -> int:
         return len(self.positions)
 
@@ -48,7 +52,7 @@ class SequenceView:
         return within_depth(resize_frame(frame, self.camera), self.depth_min_m, self.depth_max_m, name=self.name)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class OpenedSequence(SequenceView):
     """All selected frames of a sequence (itself a ``Sequence``), split into those to map and those held out."""
 
@@ -56,6 +60,9 @@ class OpenedSequence(SequenceView):
     """Frames to map."""
     held_out: SequenceView
     """Frames never mapped, for novel-view evaluation; may be empty."""
+
+    def __repr__(self) -> str:
+        return f"{super().__repr__()[:-1]}: {len(self.mapping)} to map, {len(self.held_out)} held out)"
 
 
 def apply_options(source: Sequence, data: DataConfig | None = None) -> OpenedSequence:

@@ -22,7 +22,7 @@ class CompileNotice(event.Listener):
             return
         self.given = True
         log.warning(
-            "compiling numba kernels (first time on this machine, 10 to 60 s in all) ... "
+            "compiling the numba kernels that this command needs (once on this machine, 10 to 120 s) ... "
             "`gsfusion-nb doctor --warm` does it once for all"
         )
 
