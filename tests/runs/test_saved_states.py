@@ -77,6 +77,7 @@ def filled(index, number):
 GAUSSIANS, KEYFRAME = ("mapper", "gaussians"), ("mapper", "keyframes", 0)
 VOLUME, PLACES = ("mapper", "volume"), ("mapper", "localiser")
 BACK_END = (*PLACES, "back_end")
+DATA_SETTINGS = ("mapper", "config", "data")
 CHANGES = {
     "gsfusion": [
         (put(*GAUSSIANS, "rows", "quat", value=lambda x: x[:-1]), r"quat must be \["),
@@ -102,6 +103,14 @@ CHANGES = {
         (put("run", "is_optimised", value="no"), "is_optimised must be True or False, got 'no'"),
         (put("run", "bad_in_a_row", value=True), "bad_in_a_row must be a whole number"),
         (put("system", value="a" * 5000), r"no system 'aaa"),
+    ],
+    "settings": [
+        (put(*DATA_SETTINGS, "repair", "rgb_mirror", value=0.2), "repair.rgb_mirror must be one of none"),
+        (put(*DATA_SETTINGS, "repair", "quaternions", value=None), "repair.quaternions must be one of"),
+        (put(*DATA_SETTINGS, "repair", value=5), "data.repair must be a group of settings, got 5"),
+        (put(*DATA_SETTINGS, "repair", "cx", value=30.0), "was mapped with the camera .*, but room"),
+        (put("mapper", "config", "seeding", "quadtree_contrast", value="x"), "seeding.quadtree_contrast must be one"),
+        (put("mapper", "config", "seeding", "options", value={"a": 1}), "has no options"),
     ],
     "rtg_slam": [
         (put(*GAUSSIANS, "rows", "state", value=filled(3, 2)), r"state must be 0 \(unstable\) or 1 \(stable\)"),
@@ -131,7 +140,7 @@ CHANGES = {
     ("name", "change", "sentence"), [(name, *rest) for name, changes in CHANGES.items() for rest in changes]
 )
 def test_what_no_run_can_have_come_to_is_refused(states, tmp_path, name, change, sentence):
-    state = copy.deepcopy(states[name])
+    state = copy.deepcopy(states["gsfusion" if name == "settings" else name])
     change(state)
     CheckpointStore(tmp_path / CHECKPOINTS).save(state)
     with pytest.raises(ValueError, match=sentence) as caught:
