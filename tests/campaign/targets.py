@@ -230,7 +230,7 @@ def strict_json_fault(path: Path) -> str:
 
     try:
         text = path.read_text(encoding="utf-8-sig")
-        if re.search(r"\d{300}", text):
+        if re.search(r"(?<![\w.\"])-?\d{300}", text):
             return "a number of 300 digits"
         json.loads(text, object_pairs_hook=pairs, parse_constant=constant)
     except (ValueError, RecursionError, OSError) as e:
