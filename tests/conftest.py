@@ -5,6 +5,7 @@
 
 import gc
 import os
+import signal
 from pathlib import Path
 
 import pytest
@@ -35,6 +36,7 @@ def pytest_xdist_auto_num_workers():
 
 
 def pytest_configure(config):
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's job in the background would ignore Ctrl-C
     config.stash[PARITY] = {}
 
 

@@ -115,5 +115,5 @@ def test_checkpoints_come_by_time_or_by_frames_and_take_a_small_share_of_the_tim
     for _ in range(9):
         Autosave(mapper, save, CheckpointEvery(seconds=0), clock)()
     assert len(saved) == 2
-    with pytest.raises(ValueError, match="every 0 or more"):
+    with pytest.raises(ValueError, match="must be at least 0 s and 0 frames, got -1 s"):
         CheckpointEvery(seconds=-1)
