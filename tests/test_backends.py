@@ -51,8 +51,9 @@ def test_reference_runs_when_there_is_nothing_else(double):
     assert double.reference(torch.ones(1)).tolist() == [2.0]
 
 
+@pytest.mark.usefixtures("double")
 @pytest.mark.parametrize("asked", ["auto", "numba"])
-def test_gaussians_in_float64_go_to_torch_before_a_kernel_sees_them(double, write_kernel, monkeypatch, asked):
+def test_gaussians_in_float64_go_to_torch_before_a_kernel_sees_them(write_kernel, monkeypatch, asked):
     @op("double")
     def double(params: GaussianParams) -> torch.dtype:
         """The type of the numbers."""

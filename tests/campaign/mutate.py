@@ -218,7 +218,7 @@ def _tensor_row(document: dict, folder: Path, rng: random.Random) -> None:
 
 
 def _piece_row(document: dict, folder: Path, rng: random.Random) -> None:
-    row = rng.choice(document["pieces"] or [[0]])
+    row: Any = rng.choice(document["pieces"] or [[0]])
     if isinstance(row, list) and row:
         row[rng.randrange(len(row))] = rng.choice((*VALUES, "000002.pieces", "../x", 2**62))
 

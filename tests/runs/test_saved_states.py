@@ -16,7 +16,7 @@ from gsfusion_nb.runs import MappingRun
 from gsfusion_nb.runs.resume import load_run
 from gsfusion_nb.runs.run_folder import CHECKPOINTS
 
-ROOM = {"n_frames": 240, "width": 96, "height": 72}
+ROOM: dict[str, Any] = {"n_frames": 240, "width": 96, "height": 72}
 DATA: dict[str, Any] = {"data__stop": 5, "data__hold_out_every": 0}
 SETTINGS = {
     "gsfusion": gsfusion(

@@ -49,7 +49,7 @@ class Bag:
             else Writer2(self.path, version=self.bag_format, storage_plugin=plugin)
         )
         if self.packed:
-            self.writer.set_compression(CompressionMode.FILE, CompressionFormat.ZSTD)
+            self.writer.set_compression(CompressionMode.FILE, CompressionFormat.ZSTD)  # pyright: ignore[reportCallIssue]
         self.writer.open()
         self.connections = {}
         return self
