@@ -28,7 +28,7 @@ def forward(lab):
 @pytest.fixture(scope="module")
 def backward(lab):
     end = "gradients = GradientMicroscope("
-    cells = lab.chapter("05_splatting_gradients.ipynb", end, without="watch.run_sync()\n", changes=LONG_FIT)
+    cells = lab.chapter("05_splatting_gradients.ipynb", end, without="loop.run_sync()\n", changes=LONG_FIT)
     page = lab.open(cells)
     yield page
     page.close()
@@ -85,7 +85,7 @@ def test_an_exercise_is_red_then_green(lab, forward):
 
 def test_the_fit_starts_pauses_steps_and_stops(lab, backward):
     def steps():
-        return int(lab.run(backward, "print(watch.player.n_steps)"))
+        return int(lab.run(backward, "print(loop.player.n_steps)"))
 
     def press(name):
         button = backward.locator(f".gsnb-live-loop-{name}")
@@ -97,14 +97,14 @@ def test_the_fit_starts_pauses_steps_and_stops(lab, backward):
     press("start")
     lab.wait_for(lambda: steps() > 25, "the fit to run")
     press("pause")
-    lab.wait_for(lambda: lab.run(backward, "print(watch.player.state)") == "paused", "the pause")
+    lab.wait_for(lambda: lab.run(backward, "print(loop.player.state)") == "paused", "the pause")
     stood = steps()
     time.sleep(0.5)
     assert steps() == stood
     press("step")
     lab.wait_for(lambda: steps() == stood + 1, "one step")
     press("stop")
-    lab.wait_for(lambda: lab.run(backward, "print(watch.player.state)") == "stopped", "the stop")
+    lab.wait_for(lambda: lab.run(backward, "print(loop.player.state)") == "stopped", "the stop")
     assert np.abs(lab.screenshot(picture, "fit_after") - before).mean() > 1
     lab.screenshot(backward.locator(".gsnb-live-loop"), "fit")
 
