@@ -102,7 +102,7 @@ def op(folder: str, check: Callable[..., None] | None = None) -> Callable[[Calla
                     check(*args, **kwargs)
                 except ValueError as e:
                     raise ValueError(f"{name}: {e}") from None
-            if _chosen() not in ("reference", "torch") and _is_double((*args, *kwargs.values())[:1]):
+            if _chosen() not in ("reference", "torch") and _is_double(args, kwargs):
                 with use_backend("torch"):
                     return load(name, "torch")(*args, **kwargs)
             while True:
@@ -254,9 +254,10 @@ def _select(name: str, args: tuple, kwargs: dict) -> Callable:
     return load(name, backend)
 
 
-def _is_double(first: tuple) -> bool:
-    """The operation is of Gaussians in float64, which the compiled backends do not take."""
-    return bool(first) and isinstance(first[0], GaussianParams) and first[0].xyz_W.dtype != torch.float32
+def _is_double(args: tuple, kwargs: dict) -> bool:
+    """Whether the first argument is Gaussians in float64, which the compiled backends do not take."""
+    first = next(iter((*args, *kwargs.values())), None)
+    return isinstance(first, GaussianParams) and first.xyz_W.dtype != torch.float32
 
 
 def _named(name: str, backend: str) -> Callable:

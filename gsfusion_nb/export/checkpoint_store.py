@@ -178,7 +178,7 @@ class CheckpointStore:
             raise ValueError(f"expected a {FORMAT} of version {VERSION}")
         pieces = [_piece(*row) for row in document["pieces"]]
         sizes = {key: size for key, _, _, size in pieces}
-        _check_memory(sum(sizes[key] for _, _, keys in document["tensors"] for key in keys), "its tensors")
+        _check_memory(sum(sizes[key] for _, _, keys in document["tensors"] for key in keys))
         content = self._content(pieces)
         small = b"".join(content[key] for key in document["small"])
         tensors = [
@@ -217,11 +217,13 @@ def _piece(key: object, name: object, at: object, size: object) -> Piece:
     return key, name, at, size
 
 
-def _check_memory(size_bytes: int, what: str) -> None:
+def _check_memory(size_bytes: int) -> None:
     """Raise ``ValueError`` if memory is too small: pieces can be used repeatedly, so small files can hold much data."""
     free = available_memory(torch.device("cpu"))
     if free is not None and size_bytes > free:
-        raise ValueError(f"{what} need {size_bytes / 1e6:.0f} MB, but only {free / 1e6:.0f} MB of memory are available")
+        raise ValueError(
+            f"its tensors need {size_bytes / 1e6:.0f} MB, but only {free / 1e6:.0f} MB of memory are available"
+        )
 
 
 def _split(tensor: Tensor) -> Iterable[memoryview]:

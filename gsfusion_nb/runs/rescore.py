@@ -133,9 +133,9 @@ def _is_number(value: Any) -> bool:
 
 def _difference(changed: list[str], stored: dict, scores: dict, version: str, kept: Path) -> str:
     """A sentence that lists the scores that differ from the run's, and the file that keeps those."""
-    shown = ", ".join(f"{name} {_short(stored[name])} -> {_short(scores[name])}" for name in changed)
+    differences = ", ".join(f"{name} {_short(stored[name])} -> {_short(scores[name])}" for name in changed)
     by = f" (mapped by version {version}, scored by {__version__})" if version and version != __version__ else ""
-    return f"these scores differ from those of the run{by}: {shown}; the old ones are in {kept.name}"
+    return f"these scores differ from those of the run{by}: {differences}; the old ones are in {kept.name}"
 
 
 def _short(value: Any) -> str:

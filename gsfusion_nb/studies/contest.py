@@ -116,13 +116,13 @@ class Contest:
         entrant = self.entrants[position]
         name = rule_name(entrant.rule)
         config = replaced(self.config, seeding__rule=name, seeding__options=dict(entrant.options))
-        run = MappingRun(self.sequence, make_mapper(config, seeding=entrant.rule))
         n, cpu_s = len(self.sequence.mapping), []
         place = {"rule": entrant.name, "position": position, "n_rules": len(self.entrants), "n_frames": n}
-        frames = run.online()
         for values in self.curves.values():
             values.clear()
         try:
+            run = MappingRun(self.sequence, make_mapper(config, seeding=entrant.rule))
+            frames = run.online()
             while True:
                 began = time.process_time()
                 report = next(frames, None)

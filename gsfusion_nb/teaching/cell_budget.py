@@ -1,6 +1,7 @@
 """An exercise of chapter 9: a quadtree with a given number of cells, placed where they reduce the error most."""
 
 import heapq
+from collections.abc import Callable
 
 import torch
 from jaxtyping import UInt8
@@ -13,7 +14,11 @@ Leaf = tuple[int, int, int, int]
 
 def _budget_cells(rgb_u8: UInt8[Tensor, "H W 3"], n_cells: int) -> list[Leaf]:
     """Cut the cell with the largest sum of squared differences from its mean, until there are ``n_cells``."""
-    error = _squared_error_of(rgb_u8)
+    return _cut_worst(rgb_u8, n_cells, _squared_error_of(rgb_u8))
+
+
+def _cut_worst(rgb_u8: Tensor, n_cells: int, error: Callable[[int, int, int, int], float]) -> list[Leaf]:
+    """Cut the cell (x, y, w, h) with the largest ``error`` in four, until there are ``n_cells``."""
     H, W = rgb_u8.shape[:2]
     heap = [(-error(0, 0, W, H), (0, 0, W, H))]
     done: list[Leaf] = []
@@ -44,18 +49,7 @@ def _squared_error_of(rgb_u8: Tensor):
 def _budget_by_mean(rgb_u8: Tensor, n_cells: int) -> list[Leaf]:
     """As the solution, but by the mean error of a pixel, which is the quadtree's contrast."""
     error = _squared_error_of(rgb_u8)
-    H, W = rgb_u8.shape[:2]
-    heap: list[tuple[float, Leaf]] = [(0.0, (0, 0, W, H))]
-    done: list[Leaf] = []
-    while heap and len(heap) + len(done) + 3 <= n_cells:
-        _, (x, y, w, h) = heapq.heappop(heap)
-        if w < 2 or h < 2:
-            done.append((x, y, w, h))
-            continue
-        a, b = w // 2, h // 2
-        for p in ((x, y, a, b), (x, y + b, a, h - b), (x + a, y, w - a, b), (x + a, y + b, w - a, h - b)):
-            heapq.heappush(heap, (-error(*p) / (p[2] * p[3]), p))
-    return done + [cell for _, cell in heap]
+    return _cut_worst(rgb_u8, n_cells, lambda x, y, w, h: error(x, y, w, h) / (w * h))
 
 
 def _budget_by_size(rgb_u8: Tensor, n_cells: int) -> list[Leaf]:

@@ -15,12 +15,11 @@ def intrinsics_findings(e: Explanation, camera: Camera) -> list[Finding]:
     fields = repair_fields(c, camera, e.interpretation)
     focal = {k: v for k, v in fields.items() if k in ("fx", "fy")}
     centre = {k: v for k, v in fields.items() if k in ("cx", "cy")}
-    found = [
+    return [
         _focal(e, camera, focal, centre),
         _centre(e, camera, {} if _size_is_wrong(e) else centre),
         _pixel_centre(e, fields),
     ]
-    return found
 
 
 def _focal(e: Explanation, camera: Camera, focal: dict, centre: dict) -> Finding:

@@ -46,10 +46,8 @@ class FramePoses:
                     f"{frame.source} has no time, which --poses needs; expected a format with times, or image names "
                     "that are times"
                 )
-            T, reason = (
-                self.trajectory.pose_at(frame.time_s + self._offset_s),
-                "the trajectory has no pose around its time",
-            )
+            T = self.trajectory.pose_at(frame.time_s + self._offset_s)
+            reason = "the trajectory has no pose around its time"
         else:
             T, reason = frame.T_WC, "no pose"
         if T is None:
@@ -67,7 +65,7 @@ class FramePoses:
             return options.scale
         if self.trajectory is not None or not self._recording.up_to_scale:
             return 1.0
-        scale, sentence = (1.0, "nothing to measure it on")
+        scale, sentence = 1.0, "nothing to measure it on"
         if self._recording.measured_scale is not None:
             scale, sentence = self._recording.measured_scale()
         self.notes.append(

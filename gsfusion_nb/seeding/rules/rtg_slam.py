@@ -187,9 +187,8 @@ def _decide_by_plane(
     unstable = torch.zeros(len(ctx.map), dtype=torch.bool) if ctx.map.state is None else ctx.map.state == 0
     unstable = unstable.to(pixel.device)
     distance, row = nearest(seeds.xyz_W, ctx.map.xyz_W[unstable])
-    radius = torch.cat(
-        [ctx.map.radius_m[unstable], seeds.opacity.new_zeros(1)]
-    )  # one more row, for indices where there is none
+    one_more = seeds.opacity.new_zeros(1)  # without any disc, ``nearest`` names row 0
+    radius = torch.cat([ctx.map.radius_m[unstable], one_more])
     crowded = (distance < UNSTABLE_REACH * radius[row]).any(dim=1)
 
     stable_rows = (~unstable).nonzero().squeeze(1)
