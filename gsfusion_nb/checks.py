@@ -20,6 +20,8 @@ def check_shape(name: str, value: object, expected: tuple[int | str, ...]) -> No
     if not isinstance(value, Tensor):
         raise ValueError(f"{name} must be a torch.Tensor, got {type(value).__name__}")
     got = tuple(value.shape)
+    if got == expected:
+        return
     if len(got) != len(expected) or any(isinstance(e, int) and e != g for e, g in zip(expected, got, strict=False)):
         wanted = ", ".join(str(e) for e in expected)
         raise ValueError(f"{name} must be [{wanted}], got {list(got)}")
@@ -43,8 +45,9 @@ def check_finite(name: str, value: Tensor) -> None:
 def check_pose(name: str, T: Tensor, tolerance: float = 1e-3) -> None:
     """Raise ``ValueError`` unless ``T`` is a rigid 4x4 transform (finite, rotation orthonormal, no mirroring)."""
     check_shape(name, T, (4, 4))
-    check_finite(name, T)
-    numbers = T.detach().double().cpu().numpy()  # on so few numbers torch takes more than twice as long
+    numbers = T.detach().cpu().double().numpy()  # on so few numbers torch takes more than twice as long
+    if not np.isfinite(numbers).all():
+        check_finite(name, T)
     R, bottom = numbers[:3, :3], numbers[3]
     error = float(np.abs(R @ R.T - np.eye(3)).max())
     if error > tolerance:

@@ -129,12 +129,27 @@ class Frame:
             return self.colour
         return (self.colour * 255.0).round_().clamp_(0, 255).to(torch.uint8)
 
+    @functools.cached_property
+    def T_WC_cpu(self) -> Float[Tensor, "4 4"]:
+        """The pose in CPU memory; of a frame that was moved to a GPU, it is known without waiting for the GPU."""
+        return self.T_WC.detach().cpu()
+
     def to(self, device: torch.device | str) -> "Frame":
-        """The same frame with its tensors on ``device``, contiguous; the frame itself if they are."""
-        moved = {name: getattr(self, name).to(device).contiguous() for name in ("colour", "depth_m", "T_WC")}
+        """The same frame with its tensors on ``device``, contiguous; the frame itself if they are.
+
+        To a GPU they are copied without waiting for it, except from pinned memory, which its owner may write to next.
+        """
+        moved = {name: _moved(getattr(self, name), torch.device(device)) for name in ("colour", "depth_m", "T_WC")}
         if all(value is getattr(self, name) for name, value in moved.items()):
             return self
-        return dataclasses.replace(self, **moved)
+        frame = dataclasses.replace(self, **moved)
+        frame.__dict__["T_WC_cpu"] = self.T_WC_cpu
+        return frame
+
+
+def _moved(tensor: Tensor, device: torch.device) -> Tensor:
+    uploads = tensor.device.type == "cpu" and device.type == "cuda"
+    return tensor.to(device, non_blocking=uploads and not tensor.is_pinned()).contiguous()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

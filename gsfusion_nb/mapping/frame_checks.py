@@ -26,8 +26,8 @@ def check_frame(frame: Frame, device: torch.device | None = None, *, needs_depth
             image holds a NaN or colours outside 0..1, the picture is black, or it has no depth with ``needs_depth``.
     """
     try:
-        check_pose(f"T_WC of frame {frame.index}", frame.T_WC)
-        check_place(f"T_WC of frame {frame.index}", frame.T_WC)
+        check_pose(f"T_WC of frame {frame.index}", frame.T_WC_cpu)
+        check_place(f"T_WC of frame {frame.index}", frame.T_WC_cpu)
         check_camera("its camera", frame.camera)
         frame = frame if device is None else frame.to(device)
         _check_images(frame, needs_depth)

@@ -87,7 +87,7 @@ class Localiser:
     def record(self, frame: Frame) -> Correction | None:
         """Add a mapped frame to the trajectory. If it closed a loop, returns the correction (applied to ``poses``)."""
         self._found = None
-        self.poses.append(self._kept(frame.T_WC))
+        self.poses.append(self._kept(frame.T_WC_cpu))
         self.frame_indices.append(frame.index)
         if not self.is_tracking:
             return None

@@ -30,7 +30,7 @@ def check_band(volume: Any, frame: Any) -> None:
     """Raise ``ValueError`` for arguments that ``band_blocks`` refuses."""
     check_volume(volume)
     check_frame_on(frame, volume.device)
-    check_pose("T_WC", frame.T_WC)
+    check_pose("T_WC", frame.T_WC_cpu)
 
 
 @op("allocate", check_band)

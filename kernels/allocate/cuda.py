@@ -1,6 +1,6 @@
 """The blocks that the band of a depth image crosses, entered into a hash set: ``allocate.cu``.
 
-The host waits once, for the number of blocks (and for the pose, if that is not in its memory).
+The host waits once, for the number of blocks.
 """
 
 import ctypes
@@ -67,8 +67,7 @@ def band_blocks(volume: TsdfVolume, frame: Frame) -> Tensor:
     """See ``gsfusion_nb.tsdf.band_blocks``. Blocks in the order of the reference."""
     device = device_of("band_blocks", volume=volume.D, depth_m=frame.depth_m)
     check_dtype("band_blocks", torch.float32, depth_m=frame.depth_m)
-    pose = frame.T_WC.detach().cpu()
-    config, camera, T = volume.config, frame.camera, pose.double()
+    config, camera, T = volume.config, frame.camera, frame.T_WC_cpu.double()
     position = T[:3, 3] / volume.block_size_m
     base = position.floor()
     if float(base.abs().max()) >= OFFSET:

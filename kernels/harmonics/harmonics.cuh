@@ -66,3 +66,17 @@ __device__ __forceinline__ void load_coefficients(const float* sh, long long row
         for (int i = 0; i < 3 * K; i++) out[i] = sh[row * (3 * K) + i];
     }
 }
+
+// Writes them, in the same way.
+template <int K>
+__device__ __forceinline__ void store_coefficients(float* sh, long long row, const float* values) {
+    if constexpr (3 * K % 4 == 0) {
+        float4* to = reinterpret_cast<float4*>(sh) + row * (3 * K / 4);
+#pragma unroll
+        for (int i = 0; i < 3 * K / 4; i++)
+            to[i] = make_float4(values[4 * i], values[4 * i + 1], values[4 * i + 2], values[4 * i + 3]);
+    } else {
+#pragma unroll
+        for (int i = 0; i < 3 * K; i++) sh[row * (3 * K) + i] = values[i];
+    }
+}

@@ -123,7 +123,8 @@ __device__ __forceinline__ void no_gradient(const Gradients& o, int i) {
     for (int k = 0; k < 3; k++) o.xyz[3 * i + k] = o.log_scale[3 * i + k] = 0.0f;
     o.quat[i] = make_float4(0.0f, 0.0f, 0.0f, 0.0f);
     o.logit[i] = 0.0f;
-    for (int k = 0; k < 3 * K; k++) o.sh[(long long)i * (3 * K) + k] = 0.0f;
+    const float none[3 * K] = {};
+    store_coefficients<K>(o.sh, i, none);
 }
 
 // dL/dq of R(q / |q|) from dL/dR: of the unit quaternion, then v_q = (v - q (q . v)) / |q|.
@@ -199,8 +200,10 @@ __device__ __forceinline__ void project_vjp(
         for (int k = 0; k < K; k++) weight[k] = dot3(h + 3 * k, v);
         g = harmonics_gradient<K>(d.x, d.y, d.z, weight);
     }
+    float v_h[3 * K];
 #pragma unroll
-    for (int k = 0; k < 3 * K; k++) o.sh[(long long)i * (3 * K) + k] = Y[k / 3] * v[k % 3];
+    for (int k = 0; k < 3 * K; k++) v_h[k] = Y[k / 3] * v[k % 3];
+    store_coefficients<K>(o.sh, i, v_h);
     const float radial = d.x * g.x + d.y * g.y + d.z * g.z;
     const float e[3] = {g.x - d.x * radial, g.y - d.y * radial, g.z - d.z * radial};
 #pragma unroll

@@ -3,6 +3,7 @@
 import ctypes
 import functools
 import sys
+import threading
 
 import torch
 
@@ -38,13 +39,17 @@ def start(operation: str, stem: str, kernel: str, grid: Size, block: int, device
         values: Arguments as ctypes values.
     """
     driver = library()
-    index = torch.cuda.current_device() if device.index is None else device.index
-    with torch.cuda.device(index):
-        _enter_context(operation, driver, index)
-        function = _function(operation, stem, kernel, index)
-        pointers = (ctypes.c_void_p * len(values))(*(ctypes.addressof(value) for value in values))
-        stream = ctypes.c_void_p(torch.cuda.current_stream(index).cuda_stream)
-        status = driver.cuLaunchKernel(function, grid[0], grid[1], 1, block, 1, 1, 0, stream, pointers, None)
+    current = torch.cuda.current_device()
+    index = current if device.index is None else device.index
+    if index != current:
+        with torch.cuda.device(index):
+            start(operation, stem, kernel, grid, block, device, values)
+        return
+    _enter_context(operation, driver, index)
+    function = _function(operation, stem, kernel, index)
+    pointers = (ctypes.c_void_p * len(values))(*map(ctypes.addressof, values))
+    stream = ctypes.c_void_p(_stream(index))
+    status = driver.cuLaunchKernel(function, *grid, 1, block, 1, 1, 0, stream, pointers, None)
     _check(operation, driver, status)
 
 
@@ -67,14 +72,25 @@ def _module(operation: str, stem: str, index: int) -> ctypes.c_void_p:
     return module
 
 
+def _stream(index: int) -> int:
+    """Torch's current stream; its public ``current_stream`` makes an object at every call."""
+    return torch._C._cuda_getCurrentRawStream(index)
+
+
+_threads = threading.local()
+
+
 def _enter_context(operation: str, driver: ctypes.CDLL, index: int) -> None:
     """Torch makes its context current in a thread when it first needs it there; a launch may come before."""
+    if getattr(_threads, "device", None) == index:
+        return
     context = ctypes.c_void_p()
     _check(operation, driver, driver.cuCtxGetCurrent(ctypes.byref(context)))
     if not context.value:
         torch.cuda.init()
         _check(operation, driver, driver.cuDevicePrimaryCtxRetain(ctypes.byref(context), _device(index)))
         _check(operation, driver, driver.cuCtxSetCurrent(context))
+    _threads.device = index
 
 
 def _device(index: int) -> int:

@@ -66,8 +66,7 @@ def launch(operation: str, source: str, grid: int | tuple[int, int], block: int,
         raise ValueError(f"{operation}: {size} blocks of work are more than a GPU takes at once")
     stem, kernel = source.split(":")
     values = [_argument(operation, arg) for arg in args]
-    everything = (value for arg in args for value in (arg if is_group(arg) else (arg,)))
-    device = next(value.device for value in everything if isinstance(value, Tensor))
+    device = _first_tensor(args).device
     if device.type == "cpu":
         _emulate(operation, kernel, size, block, values)
     else:
@@ -75,13 +74,21 @@ def launch(operation: str, source: str, grid: int | tuple[int, int], block: int,
 
 
 def _argument(operation: str, arg):
-    if is_group(arg):
-        return to_struct(operation, arg)
-    if isinstance(arg, (ctypes.c_double, ctypes.c_longlong)):
-        return arg
     if arg is None or isinstance(arg, Tensor):
         return ctypes.c_void_p(address(operation, arg))
-    return ctypes.c_float(arg) if isinstance(arg, float) else ctypes.c_int(arg)
+    if isinstance(arg, int):
+        return ctypes.c_int(arg)
+    if isinstance(arg, float):
+        return ctypes.c_float(arg)
+    return to_struct(operation, arg) if is_group(arg) else arg
+
+
+def _first_tensor(args: tuple) -> Tensor:
+    for arg in args:
+        for value in arg if is_group(arg) else (arg,):
+            if isinstance(value, Tensor):
+                return value
+    raise ValueError("a kernel takes at least one tensor")
 
 
 @functools.cache

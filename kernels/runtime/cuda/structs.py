@@ -33,13 +33,18 @@ def to_struct(operation: str, group: Any) -> ctypes.Structure:
     Raises:
         ValueError: a tensor has gaps.
     """
-    values = []
-    for value, (_, kind) in zip(group, layout(type(group))._fields_, strict=True):  # pyright: ignore[reportAssignmentType]
-        if value is None or isinstance(value, Tensor):
-            values.append(address(operation, value))
-        else:
-            values.append(kind(*value) if issubclass(kind, ctypes.Array) else value)
-    return layout(type(group))(*values)
+    struct, arrays = _parts(type(group))
+    values = [address(operation, value) if isinstance(value, Tensor) else value for value in group]
+    for i, kind in arrays:
+        values[i] = kind(*values[i])
+    return struct(*values)
+
+
+@functools.cache
+def _parts(group: type) -> tuple[type[ctypes.Structure], list[tuple[int, Any]]]:
+    """The struct, and place and type of those of its fields that are arrays of numbers."""
+    fields = enumerate(layout(group)._fields_)  # pyright: ignore[reportArgumentType]
+    return layout(group), [(i, kind) for i, (_, kind) in fields if issubclass(kind, ctypes.Array)]
 
 
 def address(operation: str, tensor: Tensor | None) -> int | None:
