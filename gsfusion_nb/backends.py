@@ -113,6 +113,7 @@ def op(folder: str, check: Callable[..., None] | None = None) -> Callable[[Calla
                     if _chosen() != "auto" or e.backend in _set_aside:
                         raise
                     _set_aside.add(e.backend)
+                    automatic.cache_clear()
                     log.warning("backend %r is not used any more: %s", e.backend, e)
 
         @functools.wraps(reference)
@@ -201,7 +202,7 @@ def use_backend(backend: str) -> Iterator[None]:
 
 def look_again() -> None:
     """Forget what was found out about backends, because files, packages or the environment have changed (tests)."""
-    for cached in (offered, load, _problem):
+    for cached in (offered, load, automatic, _problem):
         cached.cache_clear()
 
 
@@ -210,6 +211,7 @@ def report() -> list[tuple[str, str, str]]:
     return [(name, b, _problem(name, b) or "ok") for name in sorted(_OPS) for b in ("reference", *offered(name))]
 
 
+@functools.cache
 def automatic(name: str, device: str) -> str:
     """The backend that "auto" takes for operation ``name`` and tensors on a kind of device ("cpu", "cuda", ...)."""
     for backend in _PREFERRED.get(device, ("torch",)):

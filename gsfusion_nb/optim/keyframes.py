@@ -31,8 +31,10 @@ class Keyframe:
         return rgb_of_bytes(self.rgb_u8)
 
     def to(self, device: torch.device | str) -> "Keyframe":
-        """The same keyframe with its tensors on ``device``."""
+        """The same keyframe with its tensors on ``device``; the keyframe itself if they are."""
         moved = {name: x.to(device) for name, x in vars(self).items() if isinstance(x, Tensor)}
+        if all(value is getattr(self, name) for name, value in moved.items()):
+            return self
         return dataclasses.replace(self, **moved)
 
 

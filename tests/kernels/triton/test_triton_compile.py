@@ -16,7 +16,7 @@ import torch
 from gsfusion_nb.backends import use_backend
 from gsfusion_nb.config import TsdfConfig
 from gsfusion_nb.geometry import depth_to_normals
-from gsfusion_nb.optim import adam_update, dssim_vjp, l1_mse_vjp
+from gsfusion_nb.optim import adam_update, dssim_vjp
 from gsfusion_nb.optim.rgbd_loss import rgbd_l1_vjp
 from gsfusion_nb.render import disc_depth, disc_depth_vjp, render_forward, render_vjp
 from gsfusion_nb.tracking import DepthLevel, Surface, icp_system
@@ -87,7 +87,6 @@ def run_everything(scene, camera, images, pose, frame) -> None:
         for steps, lr in ((None, 0.1), (torch.ones(len(p), dtype=torch.int64), torch.ones(p.shape[1:]))):
             adam_update(p, g, g.clone(), g.clone() ** 2, steps, lr=lr, beta1=0.9, beta2=0.999, eps=1e-15)
         dssim_vjp(images[0], out.rgb)
-        l1_mse_vjp(images[0], out.rgb)
         rgbd_l1_vjp(out.rgb, out.depth_m, images[0], images[1], pixels)
         volume = TsdfVolume(TsdfConfig(voxel_size_m=0.1, truncation_voxels=2.0))
         integrate(volume, frame)
