@@ -14,10 +14,10 @@ from ..export import Saved
 from ..mapping import SYSTEMS, get_system
 from ..runs import CheckpointEvery, MappingRun
 from ..runs.stop_request import StopRequest
+from .frames import case_name, open_frames
 from .options import BenchOptions
 from .rows import Case, Row
 from .timing import Lap, summary
-from .tsdf import case_name, open_frames
 
 EVERY_S = CheckpointEvery().seconds
 """Time between two checkpoints of a run; the cost of one is given as a share of it."""

@@ -9,10 +9,10 @@ from ..data import open_sequence
 from ..data.checkup import check_recording
 from ..tracking.features import extract_features
 from ..tracking.keyframe_database import KeyframeDatabase
+from .frames import case_name, open_frames
 from .options import BenchOptions
 from .rows import Case, Row
 from .timing import Lap, lap, measure, summary
-from .tsdf import case_name, open_frames
 
 KEYFRAMES = 300
 """Number of keyframes that are searched, with the features of ``VIEWS`` views of the room."""

@@ -7,11 +7,11 @@ from collections.abc import Iterator
 from ..backends import use_backend
 from ..config import gsfusion
 from ..mapping import GSFusion
+from .frames import case_name, open_frames, render_in_advance
 from .options import BenchOptions
 from .raster import DEVICES, our_backends
 from .rows import Case, Row
 from .timing import PeakMemory, Timing
-from .tsdf import case_name, open_frames
 
 STAGES = {
     "read": "read", "tsdf": "TSDF", "quadtree": "quadtree", "seeding": "seeding", "optimise": "optimisation",
@@ -36,9 +36,7 @@ def _rows(options: BenchOptions, size: tuple[int, int], method: str, backend: st
     config = gsfusion("online")
     with use_backend(backend):
         GSFusion(config, device=device).step(frames[0])  # compiles, and renders the first image of the room
-        if options.data == "room":
-            for i in range(len(frames)):
-                frames[i]  # images of the room are cached now; for a recording, reading is timed
+        render_in_advance(options, size)
         with PeakMemory(device) as memory:
             mapper = GSFusion(config, device=device)
             seconds = dict.fromkeys(STAGES, 0.0)

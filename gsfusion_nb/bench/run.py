@@ -13,6 +13,7 @@ from . import checkpoints, latency, machine, panels, scaling, table
 from . import mapping as mapping_cases
 from . import raster as raster_cases
 from . import tsdf as tsdf_cases
+from .frames import open_frames
 from .options import BenchOptions
 from .other_programs import OTHER_PROGRAMS, why_not
 from .rows import Case, Row, with_speed
@@ -73,7 +74,7 @@ def run_bench(options: BenchOptions) -> BenchResult:
         result = BenchResult(options=options, machine=machine.describe(options.threads))
         if {"tsdf", "map", "latency", "checkpoints"} & set(options.sections):
             for size in options.sizes:
-                tsdf_cases.open_frames(options, size)
+                open_frames(options, size)
         result.missing = not_measured(options)
         planned = [case for section in options.sections for case in CASES[section](options)]
         if options.scaling:

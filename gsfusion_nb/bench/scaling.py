@@ -7,13 +7,14 @@ import numpy as np
 
 from ..backends import use_backend
 from ..render import render_forward, render_vjp
+from .frames import StoredFrames, stored_frames
 from .options import BenchOptions
 from .other_tsdf_volumes import FusionSettings
 from .raster import DEVICES, our_backends
 from .rows import Case, Row
 from .scene import random_scene
 from .timing import Timing, measure, summary
-from .tsdf import FAR_M, TRUNCATION_VOXELS, OurVolume, StoredFrames, fuse_all, stored_frames
+from .tsdf import FAR_M, TRUNCATION_VOXELS, OurVolume, fuse_all
 
 GAUSSIANS = (5_000, 10_000, 20_000, 40_000, 80_000)
 GAUSSIANS_SIZE = (320, 240)

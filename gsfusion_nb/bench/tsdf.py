@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from ..backends import use_backend
-from ..config import DataConfig, TsdfConfig
-from ..data import OpenedSequence, open_sequence
+from ..config import TsdfConfig
 from ..tsdf import TsdfVolume, integrate
 from ..types import Frame
+from .frames import StoredFrames, case_name, stored_frames
 from .options import BenchOptions
 from .other_programs import OTHER_PROGRAMS, why_not
 from .other_tsdf_volumes import Fuser, FusionSettings, Open3dGrid, OpencvHash
@@ -46,31 +46,6 @@ class OurVolume:
             self.updated_voxels += integrate(self.volume, prepared).updated_voxels
 
 
-class StoredFrames:
-    """Decoded frames with 8-bit colour, so that reading is not timed and many frames fit into memory."""
-
-    def __init__(self, sequence: OpenedSequence):
-        self.name, self.camera = sequence.name, sequence.camera
-        self._images, self._poses = [], []
-        for frame in sequence:
-            self._images.append((frame.rgb_u8, frame.depth_m))
-            self._poses.append(frame.T_WC)
-
-    def __len__(self) -> int:
-        return len(self._images)
-
-    def __getitem__(self, i: int) -> Frame:
-        rgb, depth_m = self._images[i]
-        return Frame(
-            index=i,
-            timestamp_s=float(i),
-            rgb=rgb,
-            depth_m=depth_m,
-            camera=self.camera,
-            T_WC=self._poses[i],
-        )
-
-
 def cases(options: BenchOptions) -> Iterator[Case]:
     """Other programs first, then our backends, for every image size and voxel size."""
     for size in options.sizes:
@@ -88,22 +63,6 @@ def cases(options: BenchOptions) -> Iterator[Case]:
             for method, make in makers.items():
                 run = functools.partial(_row, load, voxel_m, method, make)
                 yield Case(section="tsdf", title=f"{options.data} at {100 * voxel_m:g} cm", run=lambda run=run: [run()])
-
-
-def stored_frames(options: BenchOptions, size: tuple[int, int]) -> StoredFrames:
-    """The frames selected by the options, decoded."""
-    return StoredFrames(open_frames(options, size))
-
-
-def open_frames(options: BenchOptions, size: tuple[int, int]) -> OpenedSequence:
-    """The sequence that the options ask for, without held-out frames; nothing is read yet."""
-    data = DataConfig(width=size[0], height=size[1], stop=options.n_frames, hold_out_every=0)
-    return open_sequence(options.data, data=data)
-
-
-def case_name(name: str, width: int, height: int) -> str:
-    """Sequence and size, short enough for the table."""
-    return f"{name if len(name) <= 13 else name[:12] + '~'} {width}x{height}"
 
 
 def _row(load: Callable[[], StoredFrames], voxel_m: float, method: str, make: Callable[[Frame], Fuser]) -> Row:

@@ -6,6 +6,7 @@ import sys
 import pytest
 
 from gsfusion_nb.bench import BenchOptions, latency, mapping, panels, raster, run, run_bench, scaling, tsdf
+from gsfusion_nb.bench.frames import stored_frames
 from gsfusion_nb.bench.options import SECTIONS
 from gsfusion_nb.bench.other_programs import OTHER_PROGRAMS, why_not
 from gsfusion_nb.bench.rows import Case, Row
@@ -108,7 +109,7 @@ def test_a_missing_folder_is_said_before_anything_runs():
 def test_opencv_takes_our_frames():
     from gsfusion_nb.bench.other_tsdf_volumes import FusionSettings, OpencvHash
 
-    frames = tsdf.stored_frames(BenchOptions(frames=2), (64, 48))
+    frames = stored_frames(BenchOptions(frames=2), (64, 48))
     settings = FusionSettings(voxel_size_m=0.08, truncation_voxels=4.0, far_m=5.0, threads=1)
     fuser = OpencvHash(settings, frames[0])
     assert len(tsdf.fuse_all(fuser, frames, 2)) == 2
