@@ -274,7 +274,8 @@ def _why_slow(name: str, device: str) -> str:
     tried = [b for b in _PREFERRED.get(device, ("torch",)) if b in offered(name)]
     reason = "; ".join(obstacle for b in tried if (obstacle := _obstacle(name, b)))
     if reason:
-        return f"{reason}; {name} runs on the slower reference: `gsfusion-nb doctor` says what to install"
+        advice = "" if _set_aside.intersection(tried) else ": `gsfusion-nb doctor` says what to install"
+        return f"{reason}; {name} runs on the slower reference{advice}"
     known = " and ".join(sorted({kind for kind, names in _PREFERRED.items() if set(names) & set(offered(name))}))
     return f"{name} runs on the slower reference: its faster versions take {known} tensors, and these are on {device!r}"
 

@@ -16,7 +16,7 @@ PACKAGES = (
 )  # fmt: skip
 
 OPTIONAL = {
-    "triton": "GPU kernels: pip install 'gsfusion-nb[gpu]'",
+    "triton": "GPU kernels for disc depth, losses, raycast and ICP: pip install 'gsfusion-nb[gpu]'",
     "gtsam": "RTG-SLAM back end: pip install 'gsfusion-nb[slam]'",
     "lpips": "LPIPS metric: pip install 'gsfusion-nb[lpips]'",
 }

@@ -8,8 +8,10 @@ from typing import Annotated
 
 import tyro
 
-from ..backends import BACKENDS
 from ..checks import check_name
+
+TIMED_BACKENDS = ("reference", "torch", "numba", "cuda")
+"""Those with a rasteriser and TSDF integration."""
 
 SECTIONS = ("raster", "tsdf", "map", "panels", "latency", "checkpoints")
 
@@ -30,8 +32,8 @@ class BenchOptions:
     frames: int = 0
     """Number of frames of the sequence to use. 0: 60, or 8 with --quick."""
     backend: tuple[str, ...] = ()
-    """Backends of gsfusion-nb to time: reference, torch, numba, triton, cuda. Default: all that run on this machine
-    except reference, which is slow because it is written for reading."""
+    """Backends of gsfusion-nb to time: reference, torch, numba, cuda. Default: all that run on this machine except
+    reference, which is slow because it is written for reading."""
     threads: int = 1
     """Number of threads for every method."""
     quick: bool = False
@@ -73,7 +75,7 @@ class BenchOptions:
         """
         check_name("bench", self.what, ("all", *SECTIONS))
         for backend in self.backend:
-            check_name("backend", backend, BACKENDS)
+            check_name("backend", backend, TIMED_BACKENDS)
         cores = os.cpu_count() or 1
         if not 1 <= self.threads <= cores:
             raise ValueError(f"--threads must be between 1 and {cores}, the cores of this machine, got {self.threads}")

@@ -1,4 +1,4 @@
-"""The blocks that a view can meet, numbered from a corner: what the kernels mark cells in."""
+"""The blocks that a view can meet, numbered from a corner: what the numba kernels mark cells in."""
 
 import math
 from dataclasses import dataclass

@@ -1,24 +1,45 @@
-"""``render_forward`` and ``render_vjp`` in CUDA, which ``gsfusion_nb.backends`` offers for CUDA tensors."""
+"""``render_forward`` and ``render_vjp`` in CUDA, which ``gsfusion_nb.backends`` offers for CUDA tensors.
 
+Project and colour every row, list its tiles, sort, composite; and back. float64 goes to backend "torch". Gradients are
+added up by atomics, in an order that changes from run to run: they repeat to rounding, not bit for bit.
+"""
+
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import torch
 from torch import Tensor
 
+from gsfusion_nb.backends import Record
 from gsfusion_nb.types import Camera, GaussianParams, RenderOutput
 
-from ..binning.cuda import list_tiles
+from ..binning.cuda import TileLists, list_tiles
 from ..project.cuda import project_rows, project_rows_vjp
+from ..project.splat import SPLAT
 from ..runtime.cuda.launch import device_of, launch
-from . import host
+from ..runtime.gpu import check_dtype, packed
+from .host import blank
 
 _BLOCK = 128
 _NO_HIT_ALPHA = 1.0
 
 
-class CudaPicture(host.Picture):
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CudaPicture(Record):
     """What the backward pass needs of the forward one."""
 
     backend = "cuda"
+    params: GaussianParams
+    camera: Camera
+    T_WC: Tensor
+    splats: Tensor
+    depth: Tensor
+    """Of the splats, infinite for those that are not drawn."""
+    lists: TileLists
+    image: tuple[Tensor, Tensor, Tensor]
+    """Colour, depth, alpha."""
+    pixels: Tensor | None
+    """uint8, those to be drawn; ``None`` for all."""
 
 
 class Work(NamedTuple):
@@ -55,9 +76,41 @@ class Seen(NamedTuple):
     v_alpha: Tensor | None
 
 
-def render_forward(params: GaussianParams, camera: Camera, T_WC: Tensor, **options: Any) -> tuple[RenderOutput, Any]:
-    """See ``gsfusion_nb.render.render_forward``. The pose may be on any device."""
-    return host.render_forward(_KERNELS, params, camera, T_WC, **options)
+def render_forward(
+    params: GaussianParams,
+    camera: Camera,
+    T_WC: Tensor,
+    *,
+    with_indices: bool = True,
+    opaque_alpha: float | None = None,
+    pixels: Tensor | None = None,
+) -> tuple[RenderOutput, Any]:
+    """See ``gsfusion_nb.render.render_forward``. The pose may be on any device.
+
+    Raises:
+        ValueError: tensors on several devices or of several types, a wrong mask.
+    """
+    device = device_of("render_forward", **vars(params), pixels=pixels)
+    check_dtype("render_forward", torch.float32, **vars(params))
+    with_hits = opaque_alpha is not None
+    pose = packed(T_WC.to(device, torch.float32))
+    splats, depth = project_rows(params, camera, pose)
+    out = blank(camera, device, with_indices=with_indices, with_hits=with_hits)
+    picture = CudaPicture(
+        params=params,
+        camera=camera,
+        T_WC=pose,
+        splats=splats,
+        depth=depth,
+        lists=list_tiles(splats, depth, camera, pixels),
+        image=(out.rgb, out.depth_m, out.alpha),
+        pixels=_as_bytes(pixels),
+    )
+    images = Images(*picture.image, first=out.first_index, dominant=out.dominant_index, hit=out.hit_index)
+    kernel = f"composite:composite_{int(with_indices)}{int(with_hits)}"
+    opaque = float(opaque_alpha or _NO_HIT_ALPHA)
+    launch("render_forward", kernel, picture.lists.n_tiles, _BLOCK, _work(picture), images, opaque)
+    return out, picture
 
 
 def render_vjp(
@@ -68,11 +121,22 @@ def render_vjp(
     *,
     rows: Tensor | None = None,
 ) -> GaussianParams:
-    """See ``gsfusion_nb.render.render_vjp``."""
-    return host.render_vjp(_KERNELS, saved, v_rgb, v_depth_m, v_alpha, rows=rows)
+    """See ``gsfusion_nb.render.render_vjp``.
+
+    Raises:
+        ValueError: tensors on several devices, a wrong mask.
+    """
+    gradients = {"v_rgb": v_rgb, "v_depth": v_depth_m, "v_alpha": v_alpha}
+    device = device_of("render_vjp", picture=saved.splats, rows=rows, **gradients)
+    seen = Seen(*saved.image, **{name: None if v is None else packed(v.float()) for name, v in gradients.items()})
+    trained = _as_bytes(rows)
+    sums = torch.zeros(len(saved.splats), SPLAT, dtype=torch.float32, device=device)
+    kernel, tiles = "composite:composite_backward", saved.lists.n_tiles
+    launch("render_vjp", kernel, tiles, _BLOCK, _work(saved), seen, trained, sums)
+    return project_rows_vjp(saved.params, saved.camera, saved.T_WC, saved.splats, saved.depth, sums, trained)
 
 
-def _work(picture: host.Picture) -> Work:
+def _work(picture: CudaPicture) -> Work:
     lists, camera = picture.lists, picture.camera
     return Work(
         splats=picture.splats,
@@ -81,34 +145,10 @@ def _work(picture: host.Picture) -> Work:
         pixels=picture.pixels,
         width=camera.width,
         height=camera.height,
-        tiles_x=lists.grid.tiles_x,
+        tiles_x=lists.tiles_x,
     )
 
 
-def _composite(picture: host.Picture, out: RenderOutput, opaque_alpha: float | None) -> None:
-    images = Images(*picture.image, first=out.first_index, dominant=out.dominant_index, hit=out.hit_index)
-    kernel = f"composite:composite_{int(images.first is not None)}{int(images.hit is not None)}"
-    opaque = float(opaque_alpha or _NO_HIT_ALPHA)
-    launch("render_forward", kernel, picture.lists.grid.n_tiles, _BLOCK, _work(picture), images, opaque)
-
-
-def _composite_vjp(picture: host.Picture, v_image: host.ImageGradients, trained: Tensor | None, sums: Tensor) -> None:
-    kernel, tiles = "composite:composite_backward", picture.lists.grid.n_tiles
-    launch(
-        "render_vjp", kernel, tiles, _BLOCK, _work(picture), Seen(*picture.image, **v_image._asdict()), trained, sums
-    )
-
-
-def _project_vjp(picture: host.Picture, sums: Tensor, trained: Tensor | None) -> GaussianParams:
-    return project_rows_vjp(picture.params, picture.camera, picture.T_WC, picture.splats, picture.depth, sums, trained)
-
-
-_KERNELS = host.Kernels(
-    picture=CudaPicture,
-    device_of=device_of,
-    project=project_rows,
-    list_tiles=list_tiles,
-    composite=_composite,
-    composite_vjp=_composite_vjp,
-    project_vjp=_project_vjp,
-)
+def _as_bytes(mask: Tensor | None) -> Tensor | None:
+    """A boolean mask as uint8, which kernels read; ``None`` stays."""
+    return None if mask is None else packed(mask).view(torch.uint8)

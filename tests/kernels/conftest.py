@@ -133,10 +133,10 @@ def compare_pictures(compare):
 
 
 @pytest.fixture
-def compare_gradients(compare, backend):
+def compare_gradients(compare):
     """``compare_gradients(ours, reference, tolerance, operation)``: some are off because a pair falls on the other side
     of a cut; so far none in the emulator."""
-    flips = 2e-3 if backend == "cuda" and not GPU else 2e-2
+    flips = 2e-2 if GPU else 2e-3
 
     def check(ours, theirs, tolerance=2e-5, operation="render_vjp"):
         for name in vars(theirs):

@@ -1,4 +1,4 @@
-"""Lists of tiles, clamped pairs, frozen rows, tensors with gaps; the rest is in tests/kernels/gpu."""
+"""Lists of tiles, clamped pairs, frozen rows, tensors with gaps; the rest is in ``test_cuda_pictures.py``."""
 
 import pytest
 import torch

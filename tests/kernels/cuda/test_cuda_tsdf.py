@@ -1,4 +1,4 @@
-"""The hash set of the allocation, and meshing; the rest is in tests/kernels/gpu."""
+"""The hash set of the allocation, and meshing; the rest is in ``test_cuda_fusion.py``."""
 
 import importlib
 

@@ -1,10 +1,12 @@
 """Both systems, from the first frame to the report, on a device that is not the processor."""
 
 import gc
+import logging
 
 import pytest
 import torch
 
+from gsfusion_nb import backends
 from gsfusion_nb.config import DataConfig, gsfusion, rtg_slam
 from gsfusion_nb.data import open_sequence
 from gsfusion_nb.mapping import RTGSLAM, GSFusion, make_mapper
@@ -68,6 +70,36 @@ def frames(n: int):
     return [sequence.mapping[i] for i in range(n)]
 
 
+def test_torch_takes_over_from_cuda_kernels_that_do_not_compile(gpu, monkeypatch, caplog):
+    """In the middle of a frame: PyTorch continues on the GPU with a warning, and Triton's kernels stay in use."""
+    from gsfusion_nb.kernels.runtime.cuda import driver  # pyright: ignore[reportMissingImports]
+
+    def start(operation, stem, *rest, start=driver.start):
+        if stem == "composite":
+            raise backends.KernelsUnusable("cuda", "composite.cu does not compile")
+        start(operation, stem, *rest)
+
+    monkeypatch.setattr(driver, "start", start)
+    monkeypatch.setattr(backends, "_set_aside", set())
+    there, here = (GSFusion(gsfusion_settings(), device=d) for d in ("cuda", "cpu"))
+    with caplog.at_level(logging.WARNING, logger="gsfusion_nb.backends"):
+        for frame in frames(2):
+            ours, theirs = (mapper.step(frame) for mapper in (there, here))
+            assert ours.psnr_after_db == pytest.approx(theirs.psnr_after_db, abs=0.1)
+    assert len(there.gaussians) == pytest.approx(len(here.gaussians), rel=0.02)
+    assert caplog.messages[0] == "backend 'cuda' is not used any more: composite.cu does not compile"
+    chosen = {
+        "render_forward": "torch",
+        "render_vjp": "torch",
+        "quadtree": "torch",
+        "band_blocks": "reference",
+        "fuse_frame_": "reference",
+        "disc_depth": "triton",
+        "l1_mse_vjp": "triton",
+    }
+    assert {name: backends.automatic(name, "cuda") for name in chosen} == chosen
+
+
 def test_gsfusion_waits_for_the_number_of_pairs_only(gpu):
     """In an optimisation step the host waits for the device once: how many (Gaussian, tile) pairs to make room for."""
     mapper = GSFusion(gsfusion_settings(), device="cuda")
@@ -82,7 +114,7 @@ def test_gsfusion_waits_for_the_number_of_pairs_only(gpu):
     for i in range(3):
         mapper._optimise_view(mapper.keyframes[0], ssim_weight=0.2 * i)
     assert gpu.n_waits == 3, gpu.waits.most_common()
-    assert {place.split(":")[0] for _, place in gpu.waits} == {"binning/host.py"}
+    assert {place.split(":")[0] for _, place in gpu.waits} == {"binning/cuda.py"}
     assert mapper.keyframes[0].rgb_u8.dtype == torch.uint8
 
 

@@ -22,9 +22,9 @@ def test_cuda_tensors_are_found_wherever_they_are(make_scene, make_camera, pose,
     monkeypatch.setitem(backends._PREFERRED, "meta", ("triton",))
     scene = make_scene(2, 0)
     there = type(scene)(**{name: value.to("meta") for name, value in vars(scene).items()})
-    chosen = backends._select("render_forward", (there, make_camera(4, 4), pose), {})
-    assert chosen is backends.load("render_forward", "triton")
-    assert backends._select("render_forward", (scene, make_camera(4, 4), pose), {}) is not chosen
+    chosen = backends._select("disc_depth", (there, make_camera(4, 4), pose), {})
+    assert chosen is backends.load("disc_depth", "triton")
+    assert backends._select("disc_depth", (scene, make_camera(4, 4), pose), {}) is not chosen
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")

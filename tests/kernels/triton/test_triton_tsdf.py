@@ -1,4 +1,4 @@
-"""Raycast and look-ups of the volumetric map; the rest is in tests/kernels/gpu."""
+"""Raycast and look-ups of the volumetric map."""
 
 # pyright: reportFunctionMemberAccess=false
 

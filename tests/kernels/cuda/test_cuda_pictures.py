@@ -1,4 +1,4 @@
-"""Picture, indices and gradients, of every backend for GPUs."""
+"""Picture, indices and gradients; lists of tiles, clamped pairs and gaps are in ``test_cuda_render.py``."""
 
 import pytest
 import torch
@@ -31,7 +31,7 @@ def test_picture_and_gradients(
 
 
 def test_some_pixels_and_some_rows(
-    backend, make_scene, make_camera, make_images, pose, to, generator, compare_pictures, compare_gradients
+    make_scene, make_camera, make_images, pose, to, generator, compare_pictures, compare_gradients
 ):
     camera, params = make_camera(48, 40), make_scene(60, 1)
     v, pixels = make_images(camera), some_pixels(40, 48)
@@ -39,7 +39,7 @@ def test_some_pixels_and_some_rows(
     theirs, saved = render_forward.reference(params, camera, pose, opaque_alpha=0.6, pixels=pixels)
     expected = render_vjp.reference(saved, *v, rows=rows)
     nonsense = [torch.where(pixels[..., None] if x.ndim == 3 else pixels, x, torch.nan) for x in v]
-    with use_backend(backend):
+    with use_backend("cuda"):
         ours, saved = render_forward(to(params), camera, to(pose), opaque_alpha=0.6, pixels=to(pixels))
         found = render_vjp(saved, *to(nonsense), rows=to(rows))
         none, nothing = render_forward(to(params), camera, to(pose), pixels=to(pixels & False))
@@ -51,29 +51,27 @@ def test_some_pixels_and_some_rows(
     assert not any(x.cpu()[~rows].any() for x in vars(found).values())
 
 
-def test_optional_outputs_and_gradients(backend, make_scene, make_camera, make_images, pose, to, compare_gradients):
+def test_optional_outputs_and_gradients(make_scene, make_camera, make_images, pose, to, compare_gradients):
     camera, params = make_camera(33, 17), make_scene(37, 0)
     v_rgb, v_depth, v_alpha = make_images(camera)
     theirs, saved = render_forward.reference(params, camera, pose, opaque_alpha=0.6)
-    with use_backend(backend):
+    with use_backend("cuda"):
         out, ours = render_forward(to(params), camera, pose, with_indices=False)
         hits, _ = render_forward(to(params), camera, pose, with_indices=False, opaque_alpha=0.6)
     assert out.first_index is out.dominant_index is out.hit_index is None
     assert torch.equal(hits.hit_index.cpu(), theirs.hit_index)
     for extra in ({}, {"v_depth_m": v_depth}, {"v_alpha": v_alpha}):
         expected = render_vjp.reference(saved, v_rgb, **extra)
-        with use_backend(backend):
+        with use_backend("cuda"):
             found = render_vjp(ours, to(v_rgb), **{k: to(x) for k, x in extra.items()})
         compare_gradients(found, expected)
 
 
-def test_gradients_are_the_differences_of_the_reference_in_float64(
-    backend, make_scene, make_camera, make_images, pose, to
-):
+def test_gradients_are_the_differences_of_the_reference_in_float64(make_scene, make_camera, make_images, pose, to):
     """d sum(v . images) along a random direction of each parameter, by central differences."""
     camera, params = make_camera(32, 24), make_scene(20, 1, scale_m=0.15)
     v = make_images(camera)
-    with use_backend(backend):
+    with use_backend("cuda"):
         _, saved = render_forward(to(params), camera, to(pose))
         found = render_vjp(saved, *to(v))
     double = {name: getattr(params, name).double() for name in NAMES}
@@ -91,7 +89,7 @@ def test_gradients_are_the_differences_of_the_reference_in_float64(
         assert along == pytest.approx(difference, rel=2e-4, abs=1e-3), name
 
 
-def test_closed_form_profile(backend, to):
+def test_closed_form_profile(to):
     """Isotropic 1 cm Gaussian on the axis at 2 m, fx 600: variance 9.3 px^2, alpha o exp(-d^2 / 18.6)."""
     camera = Camera(width=33, height=33, fx=600.0, fy=600.0, cx=16.5, cy=16.5)
     params = GaussianParams(
@@ -101,13 +99,13 @@ def test_closed_form_profile(backend, to):
         opacity_logit=torch.zeros(1),
         sh=torch.ones(1, 1, 3),
     )
-    with use_backend(backend):
+    with use_backend("cuda"):
         out, _ = render_forward(to(params), camera, torch.eye(4))
     expected = [0.5, 0.473828, 0.403249, 0.308196, 0.130389]
     assert [out.alpha[16, 16 + d].item() for d in (0, 1, 2, 3, 5)] == pytest.approx(expected, abs=2e-6)
 
 
-def test_a_wall_stops_the_light_and_hits_go_on_behind_it(backend, to):
+def test_a_wall_stops_the_light_and_hits_go_on_behind_it(to):
     """Three walls of alpha 0.99, 0.99, 0.99: the third would leave 1e-6 of the light, and so is not blended."""
     n = 3
     camera = Camera(width=16, height=16, fx=16.0, fy=16.0, cx=8.0, cy=8.0)
@@ -119,7 +117,7 @@ def test_a_wall_stops_the_light_and_hits_go_on_behind_it(backend, to):
         sh=torch.ones(n, 1, 3),
     )
     theirs, _ = render_forward.reference(params, camera, torch.eye(4), opaque_alpha=0.9)
-    with use_backend(backend):
+    with use_backend("cuda"):
         ours, _ = render_forward(to(params), camera, torch.eye(4), opaque_alpha=0.9)
     assert (ours.hit_index == 2).all()
     for name in ("first_index", "dominant_index", "hit_index"):

@@ -1,4 +1,4 @@
-"""Allocation and integration, of every backend for GPUs."""
+"""Allocation and integration; the hash set and meshing are in ``test_cuda_tsdf.py``."""
 
 import dataclasses
 
@@ -11,15 +11,14 @@ from gsfusion_nb.tsdf import TsdfVolume, band_blocks
 from gsfusion_nb.tsdf.integrate import fuse_frame_
 
 CONFIG = TsdfConfig(voxel_size_m=0.02, truncation_voxels=4.0, max_weight=3.0)
-COARSE = TsdfConfig(voxel_size_m=0.08, truncation_voxels=3.0, max_weight=3.0)
 
 
 @pytest.fixture
-def assert_same_blocks(backend, device):
+def assert_same_blocks(device):
     """The same set in the same order, but for blocks that a ray only touches to rounding: none on the processor."""
 
     def check(config, frame, share):
-        with use_backend(backend):
+        with use_backend("cuda"):
             ours = band_blocks(TsdfVolume(config, device), frame.to(device)).cpu()
         theirs = band_blocks.reference(TsdfVolume(config), frame)
         assert ours.dtype == theirs.dtype == torch.int64
@@ -36,10 +35,10 @@ def assert_same_blocks(backend, device):
 @pytest.mark.parametrize("sdf", ["z", "ray"])
 @pytest.mark.parametrize("guard", [True, False])
 @pytest.mark.parametrize(("width", "height"), [(64, 48), (37, 29), (16, 1), (1, 1)])
-def test_same_blocks(width, height, sdf, guard, make_frames, assert_same_blocks, backend):
+def test_same_blocks(width, height, sdf, guard, make_frames, assert_same_blocks):
     config = dataclasses.replace(CONFIG, sdf=sdf, outlier_guard=guard)
     for frame in make_frames(width, height):
-        assert_same_blocks(config, frame, share={"cuda": 2e-3, "triton": 1e-3}[backend])
+        assert_same_blocks(config, frame, share=2e-3)
 
 
 @pytest.mark.parametrize("truncation_voxels", [1.0, 20.0])
@@ -61,21 +60,15 @@ def test_missing_and_infinite_depth(make_frames, assert_same_blocks):
         assert_same_blocks(config, dataclasses.replace(frame, depth_m=mixed), share=2e-3)
 
 
-def test_a_bad_pose_is_refused(make_frames, backend, device):
+def test_a_bad_pose_is_refused(make_frames, device):
     frame = make_frames(40, 30, n=1)[0]
     bad = dataclasses.replace(frame, T_WC=frame.T_WC * float("nan")).to(device)
-    with use_backend(backend), pytest.raises(ValueError, match="T_WC must be finite"):
+    with use_backend("cuda"), pytest.raises(ValueError, match="T_WC must be finite"):
         band_blocks(TsdfVolume(CONFIG, device), bad)
 
 
 @pytest.fixture
-def config(backend) -> TsdfConfig:
-    """Fewer blocks for the interpreter, which takes them one by one."""
-    return {"cuda": CONFIG, "triton": COARSE}[backend]
-
-
-@pytest.fixture
-def fuse_both(backend, device):
+def fuse_both(device):
     """``fuse_both(config, frames)``: the reference's volume and ours after the frames, on the blocks of the reference;
     observed voxels of each."""
 
@@ -83,7 +76,7 @@ def fuse_both(backend, device):
         volumes, updated = [TsdfVolume(config), TsdfVolume(config, device)], [[], []]
         for frame in frames:
             blocks = band_blocks.reference(volumes[0], frame)
-            for volume, counts, name in zip(volumes, updated, ("reference", backend), strict=True):
+            for volume, counts, name in zip(volumes, updated, ("reference", "cuda"), strict=True):
                 volume.add_blocks(blocks.to(volume.device))
                 with use_backend(name):
                     counts.append(fuse_frame_(volume, frame.to(volume.device)))
@@ -97,11 +90,10 @@ D_ROUNDING = 4e-6
 
 
 @pytest.fixture
-def assert_same_voxels(compare, backend):
+def assert_same_voxels(compare):
     """Equal to rounding but for voxels that project within rounding of a pixel's border or of the band's end."""
 
-    def check(volumes, flips=None):
-        flips = flips or {"cuda": 1e-4, "triton": 1e-3}[backend]
+    def check(volumes, flips=1e-4):
         a, b = volumes
         assert torch.equal(a.block_coords, b.block_coords.cpu())
         compare("fuse_frame_", "W", b.W, a.W, 0.0, share=flips)
@@ -113,49 +105,49 @@ def assert_same_voxels(compare, backend):
 
 @pytest.mark.parametrize("sdf", ["z", "ray"])
 @pytest.mark.parametrize(("width", "height"), [(64, 47), (16, 1)])
-def test_same_voxels(width, height, sdf, make_frames, config, fuse_both, assert_same_voxels, backend):
+def test_same_voxels(width, height, sdf, make_frames, fuse_both, assert_same_voxels):
     frames = make_frames(width, height, n=4, eight_bit=False)
-    volumes, updated = fuse_both(dataclasses.replace(config, sdf=sdf, near_m=0.0), frames)
+    volumes, updated = fuse_both(dataclasses.replace(CONFIG, sdf=sdf, near_m=0.0), frames)
     assert_same_voxels(volumes)
     for theirs, ours in zip(*updated, strict=True):
-        assert abs(theirs - ours) <= {"cuda": 1e-4 * theirs, "triton": max(3, 5e-4 * theirs)}[backend]
+        assert abs(theirs - ours) <= 1e-4 * theirs
     assert width < 64 or float(volumes[1].W.max()) == 3.0
 
 
 @pytest.mark.parametrize("shift", [-3.0, 640.0])
-def test_voxels_anywhere_in_the_world(shift, make_frames, config, fuse_both, assert_same_voxels, backend):
-    volumes, _ = fuse_both(config, make_frames(40, 31, n=2, shift=shift))
-    assert volumes[1].n_blocks > {"cuda": 100, "triton": 10}[backend]
-    assert_same_voxels(volumes, flips={"cuda": 1e-3, "triton": 2e-3}[backend])
+def test_voxels_anywhere_in_the_world(shift, make_frames, fuse_both, assert_same_voxels):
+    volumes, _ = fuse_both(CONFIG, make_frames(40, 31, n=2, shift=shift))
+    assert volumes[1].n_blocks > 100
+    assert_same_voxels(volumes, flips=1e-3)
 
 
-def test_a_camera_inside_the_map(make_frames, config, backend, device, copy_to, assert_same_voxels):
+def test_a_camera_inside_the_map(make_frames, device, copy_to, assert_same_voxels):
     """Blocks around and behind the camera: nothing behind it is updated, and nothing is divided by zero."""
     frame = make_frames(64, 47, n=1)[0]
     frame = dataclasses.replace(frame, T_WC=torch.eye(4), depth_m=torch.full((47, 64), 1.0))
     axis = torch.arange(-3, 4)
-    volume = TsdfVolume(config)
+    volume = TsdfVolume(CONFIG)
     volume.add_blocks(torch.stack(torch.meshgrid(axis, axis, axis, indexing="ij"), dim=-1).view(-1, 3))
     ours = copy_to(volume)
     fuse_frame_.reference(volume, frame)
-    with use_backend(backend):
+    with use_backend("cuda"):
         updated = fuse_frame_(ours, frame.to(device))
     assert_same_voxels((volume, ours))
     assert updated == int((ours.W > 0).sum())
     assert not bool((ours.W * (ours.block_coords[:, 2] < 0)[:, None]).any())
 
 
-def test_frames_and_volumes_with_nothing_in_them(make_frames, config, backend, device, fuse_both, assert_same_voxels):
+def test_frames_and_volumes_with_nothing_in_them(make_frames, device, fuse_both, assert_same_voxels):
     frame = make_frames(33, 21, n=1)[0]
-    with use_backend(backend):
-        assert fuse_frame_(TsdfVolume(config, device), frame.to(device)) == 0
-    volumes, updated = fuse_both(config, [frame, dataclasses.replace(frame, depth_m=torch.zeros(21, 33))])
+    with use_backend("cuda"):
+        assert fuse_frame_(TsdfVolume(CONFIG, device), frame.to(device)) == 0
+    volumes, updated = fuse_both(CONFIG, [frame, dataclasses.replace(frame, depth_m=torch.zeros(21, 33))])
     assert_same_voxels(volumes)
     assert updated[1][1] == 0
 
 
-def test_strided_images(make_frames, config, fuse_both):
+def test_strided_images(make_frames, fuse_both):
     frame = make_frames(40, 31, n=1, eight_bit=False)[0]
     images = (frame.rgb, frame.rgb.permute(2, 0, 1).contiguous().permute(1, 2, 0))
-    volumes = [fuse_both(config, [dataclasses.replace(frame, rgb=rgb)])[0][1] for rgb in images]
+    volumes = [fuse_both(CONFIG, [dataclasses.replace(frame, rgb=rgb)])[0][1] for rgb in images]
     assert torch.equal(*(volume.rgb_planes for volume in volumes))
