@@ -29,25 +29,26 @@ def library() -> ctypes.CDLL:
         raise BackendUnavailable(f"backend 'cuda' needs NVIDIA's driver ({name}), which is not installed") from None
 
 
-def start(operation: str, stem: str, kernel: str, grid: Size, block: int, device: torch.device, values: list) -> None:
+def start(
+    operation: str, stem: str, kernel: str, grid: Size, block: int, device: torch.device, pointers: ctypes.Array
+) -> None:
     """Run a kernel of ``<stem>.cu`` on torch's current stream of ``device``; nothing waits for it.
 
     Args:
         operation: Named by errors.
         grid: Blocks along x and y.
         block: Threads of a block.
-        values: Arguments as ctypes values.
+        pointers: Where each argument is.
     """
     driver = library()
     current = torch.cuda.current_device()
     index = current if device.index is None else device.index
     if index != current:
         with torch.cuda.device(index):
-            start(operation, stem, kernel, grid, block, device, values)
+            start(operation, stem, kernel, grid, block, device, pointers)
         return
     _enter_context(operation, driver, index)
     function = _function(operation, stem, kernel, index)
-    pointers = (ctypes.c_void_p * len(values))(*map(ctypes.addressof, values))
     stream = ctypes.c_void_p(_stream(index))
     status = driver.cuLaunchKernel(function, *grid, 1, block, 1, 1, 0, stream, pointers, None)
     _check(operation, driver, status)

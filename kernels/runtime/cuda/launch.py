@@ -11,7 +11,7 @@ from gsfusion_nb.backends import BackendUnavailable
 
 from ..gpu import one_device
 from . import driver, nvrtc
-from .structs import address, is_group, to_struct
+from .structs import Arguments, is_group
 
 _EMULATOR = os.environ.get("GSFUSION_CUDA_EMULATOR", "")
 _DIMENSION_LIMIT = 2**31 - 1
@@ -57,7 +57,7 @@ def launch(operation: str, source: str, grid: int | tuple[int, int], block: int,
             float (32 bits), ctypes values as they are, and groups of them (``structs``).
 
     Raises:
-        ValueError: a tensor has gaps. RuntimeError: the driver refuses.
+        ValueError: a tensor has gaps, or a number is too large. RuntimeError: the driver refuses.
     """
     size = (grid, 1) if isinstance(grid, int) else grid
     if 0 in size:
@@ -65,22 +65,19 @@ def launch(operation: str, source: str, grid: int | tuple[int, int], block: int,
     if size[0] > _DIMENSION_LIMIT or size[1] > 65535:
         raise ValueError(f"{operation}: {size} blocks of work are more than a GPU takes at once")
     stem, kernel = source.split(":")
-    values = [_argument(operation, arg) for arg in args]
+    layout = _layouts.get(source)
+    if layout is None:
+        layout = _layouts[source] = Arguments(args)
+    pointers, _kept = layout.pack(operation, args)
     device = _first_tensor(args).device
     if device.type == "cpu":
-        _emulate(operation, kernel, size, block, values)
+        _emulate(operation, kernel, size, block, pointers)
     else:
-        driver.start(operation, stem, kernel, size, block, device, values)
+        driver.start(operation, stem, kernel, size, block, device, pointers)
 
 
-def _argument(operation: str, arg):
-    if arg is None or isinstance(arg, Tensor):
-        return ctypes.c_void_p(address(operation, arg))
-    if isinstance(arg, int):
-        return ctypes.c_int(arg)
-    if isinstance(arg, float):
-        return ctypes.c_float(arg)
-    return to_struct(operation, arg) if is_group(arg) else arg
+_layouts: dict[str, Arguments] = {}
+"""Of the kernels that were launched before."""
 
 
 def _first_tensor(args: tuple) -> Tensor:
@@ -96,8 +93,7 @@ def _emulator() -> ctypes.CDLL:
     return ctypes.CDLL(_EMULATOR)
 
 
-def _emulate(operation: str, kernel: str, grid: tuple[int, int], block: int, values: list) -> None:
-    pointers = (ctypes.c_void_p * len(values))(*(ctypes.addressof(value) for value in values))
+def _emulate(operation: str, kernel: str, grid: tuple[int, int], block: int, pointers: ctypes.Array) -> None:
     run = getattr(_emulator(), f"emulate_{kernel}")
     run.restype = ctypes.c_char_p
     if problem := run(grid[0], grid[1], block, pointers):

@@ -3,16 +3,23 @@
 A field is a number of 32 bits, or the address of a tensor, unless its annotation says what it is, for example
 ``Annotated[float, ctypes.c_double]`` or ``Annotated[list[float], ctypes.c_float * 9]``. A test compares every group
 with its source.
+
+How the arguments of a kernel lie in memory is worked out at its first launch; after that they are packed in one go,
+because making an object of ``ctypes`` for each costs the host more than starting the kernel.
 """
 
 import ctypes
 import functools
+import struct
 import types
+from collections.abc import Sequence
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 from torch import Tensor
 
 _NUMBERS = {bool: ctypes.c_int, int: ctypes.c_int, float: ctypes.c_float}
+_STRUCT = ctypes.Structure
+_CODES = {ctypes.c_void_p: "Q", ctypes.c_int: "i", ctypes.c_float: "f", ctypes.c_double: "d", ctypes.c_longlong: "q"}
 
 
 def is_group(arg: Any) -> bool:
@@ -27,37 +34,83 @@ def layout(group: type) -> type[ctypes.Structure]:
     return type(group.__name__, (ctypes.Structure,), {"_fields_": [(name, _c_type(h)) for name, h in hints.items()]})
 
 
-def to_struct(operation: str, group: Any) -> ctypes.Structure:
-    """The struct with the values of a group.
+class Arguments:
+    """How the arguments of one kernel lie in memory: as the members of a struct.
 
-    Raises:
-        ValueError: a tensor has gaps.
+    Args:
+        example: The arguments of a launch; those of later ones are of the same kinds.
     """
-    struct, arrays = _parts(type(group))
-    values = [address(operation, value) if isinstance(value, Tensor) else value for value in group]
-    for i, kind in arrays:
-        values[i] = kind(*values[i])
-    return struct(*values)
+
+    def __init__(self, example: Sequence[Any]):
+        kinds = [layout(type(arg)) if is_group(arg) else _c_type_of(arg) for arg in example]
+        everything = type("Everything", (ctypes.Structure,), {"_fields_": [(f"_{i}", k) for i, k in enumerate(kinds)]})
+        self._offsets = [getattr(everything, f"_{i}").offset for i in range(len(kinds))]
+        text, end = "=", 0
+        for offset, code, size in _leaves(everything, 0):
+            text, end = f"{text}{offset - end}x{code}", offset + size
+        self._format = struct.Struct(text)
+        self._pointers = ctypes.c_void_p * len(kinds)
+        members = [kind for k in kinds for kind in ([f[1] for f in k._fields_] if issubclass(k, _STRUCT) else [k])]
+        self._is_group = [issubclass(kind, _STRUCT) for kind in kinds]
+        self._tensors = [i for i, kind in enumerate(members) if kind is ctypes.c_void_p]
+        self._arrays = [i for i, kind in enumerate(members) if issubclass(kind, ctypes.Array)]
+        flat = self._flat(example)
+        self._wrapped = [i for i, value in enumerate(flat) if isinstance(value, ctypes._SimpleCData)]
+
+    def _flat(self, args: Sequence[Any]) -> list[Any]:
+        flat: list[Any] = []
+        for arg, is_group in zip(args, self._is_group, strict=True):
+            if is_group:
+                flat += arg
+            else:
+                flat.append(arg)
+        return flat
+
+    def pack(self, operation: str, args: Sequence[Any]) -> tuple[Any, Any]:
+        """The addresses of the packed arguments, which are valid as long as the second result lives.
+
+        Raises:
+            ValueError: a tensor has gaps, or a number does not fit in 32 bits.
+        """
+        values = self._flat(args)
+        for i in self._tensors:
+            values[i] = _address(operation, values[i])
+        for i in self._wrapped:
+            values[i] = values[i].value
+        for i in reversed(self._arrays):
+            values[i : i + 1] = values[i]
+        try:
+            packed = ctypes.create_string_buffer(self._format.pack(*values), self._format.size)
+        except (struct.error, OverflowError) as e:
+            raise ValueError(f"{operation}: a number does not fit in the kernel's 32 bits ({e})") from None
+        start = ctypes.addressof(packed)
+        return self._pointers(*[start + offset for offset in self._offsets]), packed
 
 
-@functools.cache
-def _parts(group: type) -> tuple[type[ctypes.Structure], list[tuple[int, Any]]]:
-    """The struct, and place and type of those of its fields that are arrays of numbers."""
-    fields = enumerate(layout(group)._fields_)  # pyright: ignore[reportArgumentType]
-    return layout(group), [(i, kind) for i, (_, kind) in fields if issubclass(kind, ctypes.Array)]
-
-
-def address(operation: str, tensor: Tensor | None) -> int | None:
-    """Where the values of a tensor are; the null pointer for ``None``.
-
-    Raises:
-        ValueError: it has gaps.
-    """
+def _address(operation: str, tensor: Tensor | None) -> int:
+    """Where the values of a tensor are; the null pointer for ``None``."""
     if tensor is None:
-        return None
+        return 0
     if not tensor.is_contiguous():
         raise ValueError(f"{operation}: tensors without gaps were expected, got strides {tensor.stride()}")
     return tensor.data_ptr()
+
+
+def _leaves(kind: Any, start: int) -> list[tuple[int, str, int]]:
+    """Offset, code of ``struct`` and bytes of every number and address inside a type, in order."""
+    if issubclass(kind, ctypes.Structure):
+        fields = [(getattr(kind, name).offset, k) for name, k in kind._fields_]  # pyright: ignore[reportAssignmentType]
+        return [leaf for offset, k in fields for leaf in _leaves(k, start + offset)]
+    if issubclass(kind, ctypes.Array):
+        size = ctypes.sizeof(kind._type_)
+        return [leaf for i in range(kind._length_) for leaf in _leaves(kind._type_, start + i * size)]
+    return [(start, _CODES[kind], ctypes.sizeof(kind))]
+
+
+def _c_type_of(arg: Any) -> Any:
+    if arg is None or isinstance(arg, Tensor):
+        return ctypes.c_void_p
+    return type(arg) if isinstance(arg, ctypes._SimpleCData) else _NUMBERS[float if isinstance(arg, float) else int]
 
 
 def _c_type(hint: Any) -> Any:

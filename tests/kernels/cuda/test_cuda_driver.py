@@ -61,7 +61,8 @@ def stand_in(monkeypatch):
 
 def start(module):
     values = [ctypes.c_void_p(1234), ctypes.c_int(-3), ctypes.c_float(0.5)]
-    module.start("op", "binning", "count_tiles", (10, 2), 128, torch.device("cuda", 0), values)
+    pointers = (ctypes.c_void_p * len(values))(*map(ctypes.addressof, values))
+    module.start("op", "binning", "count_tiles", (10, 2), 128, torch.device("cuda", 0), pointers)
 
 
 def test_arguments_grid_and_stream(stand_in):

