@@ -57,8 +57,13 @@ def check_gaussians(params: Any, like: GaussianParams | None = None) -> None:
     """Raise ``ValueError`` unless the columns of ``params`` fit together (or, as gradients, those of ``like``)."""
     if not isinstance(params, GaussianParams):
         raise ValueError(f"params must be GaussianParams, got {type(params).__name__}")
+    if like is not None and _same_layout(params, like):
+        return
     first = params.xyz_W if like is None else like.xyz_W
-    check_operand("xyz_W", params.xyz_W, ("N" if like is None else len(first), 3))
+    if like is None:
+        check_operand("xyz_W", first, ("N", 3))
+    else:
+        check_operand("xyz_W", params.xyz_W, (len(first), 3), dtypes=(first.dtype,), device=first.device)
     n, K = len(first), "K" if like is None else like.sh.shape[1]
     for name, shape in (("log_scale", (n, 3)), ("quat", (n, 4)), ("opacity_logit", (n,)), ("sh", (n, K, 3))):
         check_operand(name, getattr(params, name), shape, dtypes=(first.dtype,), device=first.device)
@@ -66,6 +71,14 @@ def check_gaussians(params: Any, like: GaussianParams | None = None) -> None:
         raise ValueError(f"sh must be [N, K, 3] with K = 1, 4, 9 or 16 (degree 0 to 3), got K = {params.sh.shape[1]}")
     if n >= MOST_GAUSSIANS:
         raise ValueError(f"a map may have fewer than 2^24 Gaussians, got {n}; leave some out")
+
+
+def _same_layout(a: GaussianParams, b: GaussianParams) -> bool:
+    """Whether all columns have the same shape, type of numbers and device: the usual case, found quickly."""
+    return all(
+        isinstance(x, Tensor) and x.shape == y.shape and x.dtype == y.dtype and x.device == y.device
+        for x, y in zip(vars(a).values(), vars(b).values(), strict=True)
+    )
 
 
 def check_camera(camera: Any) -> None:

@@ -1,7 +1,9 @@
 """Losses, the optimiser of a growing map, keyframes."""
 
+from .adam import ColumnRates as ColumnRates
 from .adam import adam_step as adam_step
 from .adam import adam_update as adam_update
+from .adam import adam_update_map as adam_update_map
 from .fusion import fuse_with_history as fuse_with_history
 from .keyframes import Keyframe as Keyframe
 from .keyframes import KeyframeList as KeyframeList

@@ -1,7 +1,7 @@
 """Adam on a map that grows while it is optimised."""
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 from jaxtyping import Float, Int
 from torch import Tensor
@@ -31,12 +31,8 @@ def check_adam(
     for name, value in {"gradient": gradient, "exp_avg": exp_avg, "exp_avg_sq": exp_avg_sq}.items():
         check_operand(name, value, tuple(param.shape), dtypes=(param.dtype,), device=param.device)
     for name, value in {"param": param, "exp_avg": exp_avg, "exp_avg_sq": exp_avg_sq}.items():
-        if not value.is_contiguous() and 0 in value.stride() and value.numel() > 1:
-            raise ValueError(f"{name} is written to and must not be an expanded view, got strides {value.stride()}")
-    if isinstance(steps, Tensor):
-        check_operand("steps", steps, (len(param),), dtypes=INTEGERS, device=param.device)
-    elif steps is not None:
-        check_number("steps", steps, 1)
+        _check_writable(name, value)
+    _check_steps(steps, param)
     if not isinstance(lr, Tensor):
         check_number("lr", lr)
     else:
@@ -44,8 +40,24 @@ def check_adam(
         check_operand("lr", lr, tuple(lr.shape), device=None if lr.device.type == "cpu" else param.device)
         if lr.ndim > len(row) or any(a not in (1, b) for a, b in zip(lr.shape[::-1], row[::-1], strict=False)):
             raise ValueError(f"lr must be one number or fit a row {list(row)}, got {list(lr.shape)}")
-    for name, beta in {"beta1": beta1, "beta2": beta2}.items():
-        check_number(name, beta, 0.0, 1.0)
+    _check_decay(beta1, beta2, eps)
+
+
+def _check_writable(name: str, value: Tensor) -> None:
+    if not value.is_contiguous() and 0 in value.stride() and value.numel() > 1:
+        raise ValueError(f"{name} is written to and must not be an expanded view, got strides {value.stride()}")
+
+
+def _check_steps(steps: Any, param: Tensor) -> None:
+    if isinstance(steps, Tensor):
+        check_operand("steps", steps, (len(param),), dtypes=INTEGERS, device=param.device)
+    elif steps is not None:
+        check_number("steps", steps, 1)
+
+
+def _check_decay(beta1: float, beta2: float, eps: float) -> None:
+    check_number("beta1", beta1, 0.0, 1.0)
+    check_number("beta2", beta2, 0.0, 1.0)
     check_number("eps", eps, 0.0)
 
 
@@ -95,6 +107,96 @@ def adam_update(
     exp_avg_sq.copy_(v)
 
 
+class ColumnRates(NamedTuple):
+    """Learning rate of each column of a map, in units of the parameter."""
+
+    xyz_W: float
+    log_scale: float
+    quat: float
+    opacity_logit: float
+    sh_dc: float
+    """Of SH coefficient 0."""
+    sh_rest: float
+    """Of the other SH coefficients."""
+
+    def by_column(self, sh: Float[Tensor, "N K 3"]) -> dict[str, float | Tensor]:
+        """The same as ``adam_update`` takes it: one number, and for ``sh`` one for each coefficient. [K, 3]"""
+        sh_rates = sh.new_full((sh.shape[1], 1), self.sh_rest)
+        sh_rates[0] = self.sh_dc
+        return {
+            "xyz_W": self.xyz_W,
+            "log_scale": self.log_scale,
+            "quat": self.quat,
+            "opacity_logit": self.opacity_logit,
+            "sh": sh_rates.expand(-1, 3),
+        }
+
+
+def check_adam_map(
+    params: Any,
+    gradients: Any,
+    exp_avg: Any,
+    exp_avg_sq: Any,
+    steps: Any,
+    *,
+    rates: Any,
+    beta1: float,
+    beta2: float,
+    eps: float,
+) -> None:
+    """Raise ``ValueError`` for arguments that ``adam_update_map`` refuses."""
+    check_gaussians(params)
+    for name, rows in {"gradients": gradients, "exp_avg": exp_avg, "exp_avg_sq": exp_avg_sq}.items():
+        if not isinstance(rows, GaussianParams):
+            raise ValueError(f"{name} must be GaussianParams, got {type(rows).__name__}")
+        try:
+            check_gaussians(rows, like=params)
+        except ValueError as e:
+            raise ValueError(f"{name}.{e}") from None
+    for name, rows in {"params": params, "exp_avg": exp_avg, "exp_avg_sq": exp_avg_sq}.items():
+        for column, value in vars(rows).items():
+            _check_writable(f"{name}.{column}", value)
+    _check_steps(steps, params.xyz_W)
+    if not isinstance(rates, ColumnRates):
+        raise ValueError(f"rates must be ColumnRates, got {type(rates).__name__}")
+    for name, rate in zip(ColumnRates._fields, rates, strict=True):
+        check_number(f"rates.{name}", rate)
+    _check_decay(beta1, beta2, eps)
+
+
+@op("adam", check_adam_map)
+def adam_update_map(
+    params: GaussianParams,
+    gradients: GaussianParams,
+    exp_avg: GaussianParams,
+    exp_avg_sq: GaussianParams,
+    steps: int | Int[Tensor, " N"] | None,
+    *,
+    rates: ColumnRates,
+    beta1: float,
+    beta2: float,
+    eps: float,
+) -> None:
+    """``adam_update`` of every column of a map, each at its own learning rate.
+
+    Args:
+        params: Values to update, in place.
+        gradients: dL/dparams.
+        exp_avg: m of each value, updated in place.
+        exp_avg_sq: v of each value, updated in place.
+        steps: t, including this step: one number for all rows, or one per row [N]. None: no bias correction.
+        rates: Learning rates.
+        beta1: Decay of m.
+        beta2: Decay of v.
+        eps: Keeps the division finite where v = 0.
+
+    Source: Kingma & Ba 2015, algorithm 1.
+    """
+    for name, lr in rates.by_column(params.sh).items():
+        p, g, m, v = (getattr(rows, name) for rows in (params, gradients, exp_avg, exp_avg_sq))
+        adam_update(p, g, m, v, steps, lr=lr, beta1=beta1, beta2=beta2, eps=eps)
+
+
 def adam_step(model: GaussianModel, gradients: GaussianParams, config: OptimConfig) -> None:
     """Update every parameter of the map once, each group at its own constant learning rate.
 
@@ -107,21 +209,20 @@ def adam_step(model: GaussianModel, gradients: GaussianParams, config: OptimConf
       old, then takes the step of ``"none"`` times the same factor: 0.15 at step 10, 0.44 at 210, 0.93 at 2,000. In a
       short run all Gaussians learn more slowly; at the 16,000 steps of a Replica sequence there is no difference left.
     """
-    check_gaussians(gradients, like=model.params)
-    model.step_count += 1
-    steps: int | Tensor | None = {"none": None, "shared": model.step_count}.get(config.adam_steps)
+    t = model.step_count + 1
+    steps: int | Tensor | None = {"none": None, "shared": t}.get(config.adam_steps)
     if config.adam_steps == "per_row":
-        steps = model.step_count - model.birth_step
-    sh_rates = model.params.sh.new_full((model.params.sh.shape[1], 1), config.lr_sh_rest)
-    sh_rates[0] = config.lr_sh_dc
-    rates: dict[str, float | Tensor] = {
-        "xyz_W": config.lr_xyz,
-        "log_scale": config.lr_log_scale,
-        "quat": config.lr_quat,
-        "opacity_logit": config.lr_opacity_logit,
-        "sh": sh_rates.expand(-1, 3),
-    }
-    params, m, v = model.params, model.exp_avg, model.exp_avg_sq
-    for name, lr in rates.items():
-        p, g, mm, vv = (getattr(rows, name) for rows in (params, gradients, m, v))
-        adam_update(p, g, mm, vv, steps, lr=lr, beta1=config.beta1, beta2=config.beta2, eps=config.eps)
+        steps = t - model.birth_step
+    rates = ColumnRates(
+        xyz_W=config.lr_xyz,
+        log_scale=config.lr_log_scale,
+        quat=config.lr_quat,
+        opacity_logit=config.lr_opacity_logit,
+        sh_dc=config.lr_sh_dc,
+        sh_rest=config.lr_sh_rest,
+    )
+    moments = (model.exp_avg, model.exp_avg_sq)
+    adam_update_map(
+        model.params, gradients, *moments, steps, rates=rates, beta1=config.beta1, beta2=config.beta2, eps=config.eps
+    )
+    model.step_count = t

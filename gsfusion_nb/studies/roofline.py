@@ -21,18 +21,18 @@ from ..bench.raster import DEVICES
 from ..bench.scene import random_scene
 from ..bench.timing import lap, threads
 from ..config import TsdfConfig
-from ..optim import dssim_vjp, l1_mse_vjp
-from ..optim.adam import adam_update
+from ..optim import ColumnRates, adam_update_map, dssim_vjp, l1_mse_vjp
 from ..render import render_forward, render_vjp
 from ..tsdf import TsdfVolume, allocate
 from ..tsdf.integrate import fuse_frame_
-from ..types import Frame
+from ..types import Frame, GaussianParams
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-FLOATS_PER_GAUSSIAN = 3 + 3 + 4 + 1 + 48
-"""xyz, log scale, quaternion, opacity, SH of degree 3."""
+_ROW = {"xyz_W": (3,), "log_scale": (3,), "quat": (4,), "opacity_logit": (), "sh": (16, 3)}
+FLOATS_PER_GAUSSIAN = sum(math.prod(shape) for shape in _ROW.values())
+"""Centre, log scale, quaternion, opacity, SH of degree 3."""
 
 ADAM_FLOPS, ADAM_FLOATS = 12, 7
 """Per number. m: 3, v: 4, step: sqrt, +, /, x, - = 5. Read value, gradient, m, v; write value, m, v."""
@@ -141,7 +141,11 @@ def mapping_work(
     pairs = per_pixel * pixels
     g = torch.Generator().manual_seed(0)
     rows = 5 * n  # too much for a cache
-    value, gradient, m, v = (torch.rand(rows, FLOATS_PER_GAUSSIAN, generator=g).to(device) for _ in range(4))
+    params, gradients, m, v = (
+        GaussianParams(**{name: torch.rand(rows, *shape, generator=g).to(device) for name, shape in _ROW.items()})
+        for _ in range(4)
+    )
+    rates = ColumnRates(*[1e-3] * len(ColumnRates._fields))
     image, target = (torch.rand(height, width, 3, generator=g).to(device) for _ in range(2))
     depth_m = (1.5 + 0.5 * torch.rand(height, 1, generator=g)).expand(height, width).contiguous()
     frame = Frame(
@@ -167,9 +171,10 @@ def mapping_work(
 
     voxels = volume()[1]
     return [
-        Work(name="Adam", operations=("adam_update",), flops=ADAM_FLOPS * value.numel(),
-             bytes=4 * ADAM_FLOATS * value.numel(),
-             run=lambda: adam_update(value, gradient, m, v, None, lr=1e-3, beta1=0.9, beta2=0.999, eps=1e-15)),
+        Work(name="Adam", operations=("adam_update_map",), flops=ADAM_FLOPS * 5 * numbers,
+             bytes=4 * ADAM_FLOATS * 5 * numbers,
+             run=lambda: adam_update_map(
+                 params, gradients, m, v, None, rates=rates, beta1=0.9, beta2=0.999, eps=1e-15)),
         Work(name="L1 and gradient", operations=("l1_mse_vjp",), flops=L1_FLOPS * 3 * pixels,
              bytes=4 * L1_FLOATS * 3 * pixels, run=lambda: l1_mse_vjp(image, target)),
         Work(name="D-SSIM and gradient", operations=("dssim_vjp",), flops=SSIM_FLOPS * 3 * pixels,

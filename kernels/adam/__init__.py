@@ -1,1 +1,1 @@
-"""One step of Adam on every row of a map."""
+"""One step of Adam on every row of a map, or of one parameter."""

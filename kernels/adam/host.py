@@ -1,9 +1,13 @@
 """What is computed once per call, whatever the backend."""
 
+from collections.abc import Callable
 from typing import Any
 
 import torch
 from torch import Tensor
+
+from gsfusion_nb.optim.adam import ColumnRates
+from gsfusion_nb.types import GaussianParams
 
 
 def is_simple(*tensors: Tensor) -> bool:
@@ -25,3 +29,20 @@ def step_sizes(lr: float | Tensor, param: Tensor) -> Tensor:
     """The learning rate of each value of a row, float32 [W], where ``lr`` is or on the CPU."""
     rate = lr.to(torch.float32) if isinstance(lr, Tensor) else torch.tensor(lr, dtype=torch.float32)
     return rate.expand(param.shape[1:]).reshape(-1)
+
+
+def update_columns(
+    update: Callable[..., None],
+    params: GaussianParams,
+    gradients: GaussianParams,
+    exp_avg: GaussianParams,
+    exp_avg_sq: GaussianParams,
+    steps: int | Tensor | None,
+    *,
+    rates: ColumnRates,
+    **decay: float,
+) -> None:
+    """``adam_update_map`` by a backend's ``adam_update``, called for one column after the other."""
+    for name, lr in rates.by_column(params.sh).items():
+        columns = (getattr(rows, name) for rows in (params, gradients, exp_avg, exp_avg_sq))
+        update(*columns, steps, lr=lr, **decay)

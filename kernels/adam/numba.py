@@ -4,14 +4,14 @@
 # pyright: reportCallIssue=false
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit, prange
 from torch import Tensor
 
 from ..runtime.numba.launch import launching
-from .host import corrections, is_simple, step_sizes
+from .host import corrections, is_simple, step_sizes, update_columns
 from .torch import adam_update as vectorised
 
 f32 = np.float32
@@ -71,6 +71,11 @@ def adam_update(
     )
     with launching():
         _update(arrays, by_row, rate, decay)
+
+
+def adam_update_map(*operands: Any, **options: Any) -> None:
+    """See ``gsfusion_nb.optim.adam_update_map``."""
+    update_columns(adam_update, *operands, **options)
 
 
 @njit(parallel=True, cache=True, error_model="numpy")

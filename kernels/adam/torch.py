@@ -1,11 +1,12 @@
 """Adam without temporary copies of the parameter: two are made instead of ten."""
 
 import math
+from typing import Any
 
 import torch
 from torch import Tensor
 
-from .host import corrections
+from .host import corrections, update_columns
 
 
 def adam_update(
@@ -31,3 +32,8 @@ def adam_update(
     step = exp_avg_sq.sqrt().mul_(correction_2).add_(eps)
     torch.div(exp_avg, step, out=step)
     param.sub_(step.mul_(lr * correction_1))
+
+
+def adam_update_map(*operands: Any, **options: Any) -> None:
+    """See ``gsfusion_nb.optim.adam_update_map``."""
+    update_columns(adam_update, *operands, **options)

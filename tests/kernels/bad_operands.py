@@ -17,7 +17,7 @@ from torch import Tensor
 
 from gsfusion_nb.backends import Record, offered, use_backend
 from gsfusion_nb.config import TsdfConfig
-from gsfusion_nb.optim import adam_update, dssim_vjp, l1_mse_vjp, rgbd_l1_vjp
+from gsfusion_nb.optim import ColumnRates, adam_update, adam_update_map, dssim_vjp, l1_mse_vjp, rgbd_l1_vjp
 from gsfusion_nb.render import disc_depth, disc_depth_vjp, project_gaussians, render_forward, render_vjp
 from gsfusion_nb.render.composite import composite, composite_vjp
 from gsfusion_nb.render.tiles import tile_intersections
@@ -28,7 +28,7 @@ from gsfusion_nb.tracking.surface import Surface
 from gsfusion_nb.tsdf import TsdfVolume, band_blocks, extract_mesh, integrate, raycast
 from gsfusion_nb.tsdf.integrate import fuse_frame_
 from gsfusion_nb.tsdf.volume import sample_voxels
-from gsfusion_nb.types import Camera
+from gsfusion_nb.types import Camera, GaussianParams
 
 SHAPES: dict[str, Callable[[Tensor], Any]] = {
     "one row short": lambda x: x[:-1],
@@ -85,12 +85,20 @@ def operations() -> dict[str, tuple[Callable, dict[str, Any]]]:
     moments = {"gradient": x, "exp_avg": x.clone(), "exp_avg_sq": x * x}
     adam = {"param": x.clone(), **moments, "steps": torch.ones(len(x), dtype=torch.int64), "lr": torch.ones(12)}
     gates = {"max_distance_m": 0.1, "min_cosine": 0.5}
-    rates = {"beta1": 0.9, "beta2": 0.999, "eps": 1e-8}
+    decay = {"beta1": 0.9, "beta2": 0.999, "eps": 1e-8}
+    squares = GaussianParams(**{name: column.square() for name, column in vars(params).items()})
+    adam_map = {"params": params, "gradients": params, "exp_avg": params, "exp_avg_sq": squares}
+    adam_map |= {"steps": adam["steps"], "rates": ColumnRates(*(0.1 * k for k in range(1, 7)))}
 
     def update(**operands: Any) -> list[Any]:
-        values = {k: t.clone() if isinstance(t, Tensor) and t.is_contiguous() else t for k, t in operands.items()}
-        adam_update(**values, **rates)
+        values = {name: copied(value) for name, value in operands.items()}
+        adam_update(**values, **decay)
         return [values["param"], values["exp_avg"]]
+
+    def update_map(**operands: Any) -> list[Any]:
+        values = {name: copied(value) for name, value in operands.items()}
+        adam_update_map(**values, **decay)
+        return [values["params"], values["exp_avg"]]
 
     return {
         "render_forward": (lambda **o: render_forward(**o)[0], view | {"pixels": mask, "opaque_alpha": 0.5}),
@@ -101,6 +109,7 @@ def operations() -> dict[str, tuple[Callable, dict[str, Any]]]:
         "disc_depth": (disc_depth, disc | {"min_cosine": 0.5, "max_offset": 1.0}),
         "disc_depth_vjp": (disc_depth_vjp, disc | {"v_depth_m": v["v_depth_m"], "rows": rows}),
         "adam_update": (update, adam),
+        "adam_update_map": (update_map, adam_map),
         "l1_mse_vjp": (l1_mse_vjp, pair),
         "dssim_vjp": (dssim_vjp, pair),
         "rgbd_l1_vjp": (rgbd_l1_vjp, images | {"pixels": mask}),
@@ -112,6 +121,15 @@ def operations() -> dict[str, tuple[Callable, dict[str, Any]]]:
         "sample_voxels": (sample_voxels, {"volume": volume, "xyz_W": params.xyz_W}),
         "extract_mesh": (extract_mesh, {"volume": volume, "min_weight": 1.0}),
     }  # fmt: skip
+
+
+def copied(value: Any) -> Any:
+    """A copy of tensors, which an operation may write to; those with gaps stay as they are."""
+    if isinstance(value, Tensor):
+        return value.clone() if value.is_contiguous() else value
+    if isinstance(value, GaussianParams):
+        return GaussianParams(**{name: copied(column) for name, column in vars(value).items()})
+    return value
 
 
 def mutations(name: str, value: Any) -> Iterator[tuple[str, Callable[[], Any]]]:
@@ -136,6 +154,10 @@ def mutations(name: str, value: Any) -> Iterator[tuple[str, Callable[[], Any]]]:
                         f"{field.name}, {what}",
                         lambda field=field, change=change: dataclasses.replace(value, **{field.name: change()}),
                     )
+    elif isinstance(value, ColumnRates):
+        for field, rate in value._asdict().items():
+            for what, change in mutations(field, rate):
+                yield f"{field}, {what}", lambda field=field, change=change: value._replace(**{field: change()})
     if not isinstance(value, (float, int, str, Tensor)):
         yield "something else", object
 

@@ -84,6 +84,16 @@ def test_every_mistake_is_refused_in_one_sentence(expected):
         ),
         ("adam_update: steps, one row short", "adam_update: steps must be [50], got [49]"),
         (
+            "adam_update_map: exp_avg, sh, one row short",
+            "adam_update_map: exp_avg.sh must be [50, 4, 3], got [49, 4, 3]",
+        ),
+        (
+            "adam_update_map: gradients, xyz_W, half precision",
+            "adam_update_map: gradients.xyz_W must be torch.float32, got torch.float16; "
+            "convert it with .to(torch.float32)",
+        ),
+        ("adam_update_map: rates, sh_rest, NaN", "adam_update_map: rates.sh_rest must be finite, got nan"),
+        (
             "raycast: T_WC, NaN",
             "raycast: T_WC must be finite, got 16 NaN or infinite values, the first at [0, 0]",
         ),

@@ -2,11 +2,13 @@ import dataclasses
 
 import pytest
 import torch
+from gsfusion_nb.kernels.runtime.cases import make_params
 
+from gsfusion_nb.backends import use_backend
 from gsfusion_nb.config import OptimConfig
 from gsfusion_nb.gaussians import GaussianModel
 from gsfusion_nb.gaussians.model import PARAMETERS
-from gsfusion_nb.optim import adam_step, adam_update
+from gsfusion_nb.optim import ColumnRates, adam_step, adam_update, adam_update_map
 from gsfusion_nb.types import GaussianParams, Seeds
 
 MOMENTS = {"beta1": 0.9, "beta2": 0.999, "eps": 1e-15}
@@ -58,6 +60,37 @@ def test_a_shared_count_shortens_the_steps_of_new_and_old_rows_alike(t, factor, 
     adam_update(shared, gradient, m.clone(), v.clone(), t, lr=1.0, **MOMENTS)
     adam_update(none, gradient, m, v, None, lr=1.0, **MOMENTS)
     torch.testing.assert_close(shared / none, torch.full_like(none, factor), rtol=0, atol=6e-4)
+
+
+@pytest.mark.parametrize("backend", ["reference", "torch", "numba"])
+@pytest.mark.parametrize("steps", [None, 3, torch.tensor([1, 200, 10**6], dtype=torch.int32)])
+def test_a_map_is_updated_like_its_columns(backend, steps, generator):
+    """Bit for bit; coefficient 0 of SH at its own rate."""
+    rates = ColumnRates(xyz_W=1e-3, log_scale=2e-3, quat=3e-3, opacity_logit=4e-3, sh_dc=5e-3, sh_rest=6e-3)
+    sh_rates = torch.full((4, 3), rates.sh_rest)
+    sh_rates[0] = rates.sh_dc
+
+    like = vars(make_params(1, "cpu", n=3))
+    maps = [GaussianParams(**{k: torch.rand(x.shape, generator=generator) for k, x in like.items()}) for _ in range(4)]
+    expected = [{name: column.clone() for name, column in vars(rows).items()} for rows in maps]
+    with use_backend(backend):
+        adam_update_map(*maps, steps, rates=rates, **MOMENTS)
+        for name in PARAMETERS:
+            lr = sh_rates if name == "sh" else getattr(rates, name)
+            adam_update(*(columns[name] for columns in expected), steps, lr=lr, **MOMENTS)
+    for rows, columns in zip(maps, expected, strict=True):
+        assert all(torch.equal(getattr(rows, name), columns[name]) for name in PARAMETERS)
+
+
+def test_columns_that_cannot_be_written_are_refused():
+    def ones() -> GaussianParams:
+        return constant_gradients(make_params(0, "cpu", n=2))
+
+    rates = ColumnRates(*[0.1] * 6)
+    flat = dataclasses.replace(ones(), quat=torch.ones(4).expand(2, 4))
+    adam_update_map(ones(), flat, ones(), ones(), None, rates=rates, **MOMENTS)
+    with pytest.raises(ValueError, match=r"exp_avg.quat is written to and must not be an expanded view, got strides"):
+        adam_update_map(ones(), ones(), flat, ones(), None, rates=rates, **MOMENTS)
 
 
 def constant_gradients(params: GaussianParams) -> GaussianParams:

@@ -7,12 +7,15 @@ import pytest
 import torch
 
 from gsfusion_nb import backends
-from gsfusion_nb.config import DataConfig, gsfusion, rtg_slam
+from gsfusion_nb.config import DataConfig, OptimConfig, gsfusion, rtg_slam
 from gsfusion_nb.data import open_sequence
+from gsfusion_nb.gaussians import GaussianModel
 from gsfusion_nb.mapping import RTGSLAM, GSFusion, make_mapper
 from gsfusion_nb.mapping.surfel_optimiser import SurfelOptimiser
+from gsfusion_nb.optim import adam_step
 from gsfusion_nb.runs import MappingRun, outputs, run_mapping
 from gsfusion_nb.runs.resume import load_run
+from gsfusion_nb.types import GaussianParams, Seeds
 
 DATA = {"width": 40, "height": 30, "stop": 9, "stride": 2, "hold_out_every": 4, "hold_out_offset": 2}
 FRAMES_MOST = 40
@@ -116,6 +119,17 @@ def test_gsfusion_waits_for_the_number_of_pairs_only(gpu):
     assert gpu.n_waits == 3, gpu.waits.most_common()
     assert {place.split(":")[0] for _, place in gpu.waits} == {"binning/cuda.py"}
     assert mapper.keyframes[0].rgb_u8.dtype == torch.uint8
+
+
+@pytest.mark.parametrize(("steps", "launches"), [("none", 1), ("shared", 1), ("per_row", 2)])
+def test_an_adam_step_of_a_map_is_one_launch(steps, launches, gpu):
+    """And one more for the age of every row."""
+    model = GaussianModel(sh_degree=3, device="cuda")
+    model.append(Seeds.isotropic(*(torch.rand(5, 3).to("cuda") for _ in range(2)), torch.rand(5).to("cuda")))
+    gradients = GaussianParams(**{name: torch.ones_like(column) for name, column in vars(model.params).items()})
+    gpu.clear()
+    adam_step(model, gradients, OptimConfig(adam_steps=steps))
+    assert (gpu.launches, gpu.n_waits) == (launches, 0)
 
 
 def test_rtg_slam_waits_for_the_number_of_pairs_only(gpu, monkeypatch):

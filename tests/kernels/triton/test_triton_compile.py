@@ -16,7 +16,7 @@ import torch
 from gsfusion_nb.backends import use_backend
 from gsfusion_nb.config import TsdfConfig
 from gsfusion_nb.geometry import depth_to_normals
-from gsfusion_nb.optim import adam_update, dssim_vjp
+from gsfusion_nb.optim import dssim_vjp
 from gsfusion_nb.optim.rgbd_loss import rgbd_l1_vjp
 from gsfusion_nb.render import disc_depth, disc_depth_vjp, render_forward
 from gsfusion_nb.tracking import DepthLevel, Surface, icp_system
@@ -83,9 +83,6 @@ def run_everything(scene, camera, images, pose, frame) -> None:
     with use_backend("triton"):
         disc_depth(scene, camera, pose, out.hit_index)
         disc_depth_vjp(scene, camera, pose, out.hit_index, images[1], rows=rows)
-        p, g = scene.sh.clone(), torch.ones_like(scene.sh)
-        for steps, lr in ((None, 0.1), (torch.ones(len(p), dtype=torch.int64), torch.ones(p.shape[1:]))):
-            adam_update(p, g, g.clone(), g.clone() ** 2, steps, lr=lr, beta1=0.9, beta2=0.999, eps=1e-15)
         dssim_vjp(images[0], out.rgb)
         rgbd_l1_vjp(out.rgb, out.depth_m, images[0], images[1], pixels)
         seen = raycast(volume, frame.camera, frame.T_WC)
