@@ -65,9 +65,9 @@ def launch(operation: str, source: str, grid: int | tuple[int, int], block: int,
     if size[0] > _DIMENSION_LIMIT or size[1] > 65535:
         raise ValueError(f"{operation}: {size} blocks of work are more than a GPU takes at once")
     stem, kernel = source.split(":")
-    layout = _layouts.get(source)
+    layout = _layouts.get((source, len(args)))
     if layout is None:
-        layout = _layouts[source] = Arguments(args)
+        layout = _layouts[source, len(args)] = Arguments(args)
     pointers, _kept = layout.pack(operation, args)
     device = _first_tensor(args).device
     if device.type == "cpu":
@@ -76,7 +76,7 @@ def launch(operation: str, source: str, grid: int | tuple[int, int], block: int,
         driver.start(operation, stem, kernel, size, block, device, pointers)
 
 
-_layouts: dict[str, Arguments] = {}
+_layouts: dict[tuple[str, int], Arguments] = {}
 """Of the kernels that were launched before."""
 
 
