@@ -42,6 +42,8 @@ class GaussianModel:
         """Optimiser steps so far, shared by all rows."""
         self._count = 0
         self._columns = {name: self._new_column(name, _FIRST_CAPACITY) for name in self._column_names()}
+        self._views: dict[str, tuple[Tensor, GaussianParams]] = {}
+        """Prefix -> buffer of the last column when they were made, and views of the rows in use."""
 
     def __len__(self) -> int:
         return self._count
@@ -53,7 +55,8 @@ class GaussianModel:
 
     @property
     def params(self) -> GaussianParams:
-        """Parameters before activation; views, so the optimiser updates them in place."""
+        """Parameters before activation; views, so the optimiser updates them in place. The same ones until the number
+        of rows changes."""
         return self._rows("")
 
     @property
@@ -195,7 +198,13 @@ class GaussianModel:
         check_saved(name, saved, shape, torch.int32 if name in self._COUNTS else torch.float32, finite=False)
 
     def _rows(self, prefix: str) -> GaussianParams:
-        return GaussianParams(**{name: self._columns[prefix + name][: self._count] for name in PARAMETERS})
+        last = self._columns[prefix + PARAMETERS[-1]]
+        buffer, views = self._views.get(prefix, (None, None))
+        if views is not None and buffer is last and len(views) == self._count:
+            return views
+        views = GaussianParams(**{name: self._columns[prefix + name][: self._count] for name in PARAMETERS})
+        self._views[prefix] = (last, views)
+        return views
 
     def _moment_names(self) -> list[str]:
         return [f"{moment}.{name}" for moment in self._MOMENTS for name in PARAMETERS]
@@ -220,6 +229,7 @@ class GaussianModel:
         if count <= capacity:
             return
         capacity = max(count, int(GROWTH[self.device.type] * capacity))
+        self._views.clear()
         for name, old in self._columns.items():
             grown = self._new_column(name, capacity)
             grown[: self._count] = old[: self._count]

@@ -155,7 +155,8 @@ def check_adam_map(
             raise ValueError(f"{name}.{e}") from None
     for name, rows in {"params": params, "exp_avg": exp_avg, "exp_avg_sq": exp_avg_sq}.items():
         for column, value in vars(rows).items():
-            _check_writable(f"{name}.{column}", value)
+            if not value.is_contiguous():
+                _check_writable(f"{name}.{column}", value)
     _check_steps(steps, params.xyz_W)
     if not isinstance(rates, ColumnRates):
         raise ValueError(f"rates must be ColumnRates, got {type(rates).__name__}")

@@ -88,7 +88,8 @@ def adam_update_map(
     operation = "adam_update_map"
     device_of(operation, params=params.xyz_W)
     groups = [Columns(**vars(rows)) for rows in (params, gradients, exp_avg, exp_avg_sq)]
-    if not all(is_simple(*group) for group in groups):
+    is_float32 = params.xyz_W.dtype == torch.float32  # and all others are of the same type
+    if not (is_float32 and all(column.is_contiguous() for group in groups for column in group)):
         update_columns(
             adam_update, params, gradients, exp_avg, exp_avg_sq, steps, rates=rates, beta1=beta1, beta2=beta2, eps=eps
         )

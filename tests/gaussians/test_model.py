@@ -53,6 +53,22 @@ def test_growth_clears_what_a_dropped_row_left_behind(generator):
     assert model.exp_avg_sq.xyz_W[4:].eq(0.0).all()
 
 
+def test_views_are_made_again_when_the_rows_change(generator):
+    """Also where a map has as many rows as before, in another buffer."""
+    model = GaussianModel(sh_degree=0)
+    model.append(seeds(10, generator))
+    before = model.params
+    assert model.params is before
+    assert model.exp_avg is model.exp_avg
+    model.append(seeds(5000, generator))
+    model.keep(torch.arange(5010) < 10)
+    after = model.params
+    assert after is not before
+    after.xyz_W.zero_()
+    assert model.state_dict()["rows"]["xyz_W"].eq(0).all()
+    assert before.xyz_W.ne(0).any()
+
+
 def test_keep_filters_every_column_alike(generator):
     model = GaussianModel(sh_degree=2)
     all_seeds = seeds(50, generator)
