@@ -8,8 +8,8 @@ from torch import Tensor
 
 from .. import backends
 from ..backends import use_backend
+from ..memory import available_memory
 from ..render import render_forward, render_vjp
-from ..tsdf.block_pool import available_memory
 from ..types import GaussianParams
 from . import gsplat_cuda, gsplat_torch
 from .options import BenchOptions

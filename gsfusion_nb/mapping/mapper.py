@@ -71,6 +71,8 @@ class Mapper(ABC):
         "Gaussians": lambda report: report.n_gaussians,
     }
     """Title -> value after a step, plotted while mapping."""
+    asks_rule: ClassVar[bool] = True
+    """Whether new Gaussians come from the seeding rule; the report then names it."""
     memory_savers: ClassVar[tuple[str, ...]] = ()
     """Settings, besides smaller images, that reduce the memory of the map; named in the message when memory is full."""
 

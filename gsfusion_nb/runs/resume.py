@@ -29,8 +29,8 @@ def load_run(
     path, store = Path(folder), CheckpointStore(Path(folder) / CHECKPOINTS)
     if not store.exists:
         raise FileNotFoundError(
-            f"{store.folder} holds no checkpoint: the run completed, or was killed before its first one; map again, "
-            "into another folder"
+            f"{store.folder} holds no checkpoint: the run completed, or was killed before its first one; in that "
+            "case, map again into the same folder"
         )
     loaded = store.load()
     try:

@@ -1,11 +1,11 @@
 """The memory of a volume: one row of values per voxel block, with spare rows for future blocks."""
 
 import contextlib
-from pathlib import Path
 
 import torch
 
 from ..constants import GROWTH, VOXELS_PER_BLOCK
+from ..memory import available_memory
 
 BYTES_PER_BLOCK = VOXELS_PER_BLOCK * (4 + 4 + 12) + 12
 """Distance, weight and colour of every voxel as float32, and three int32 coordinates. Colour is float32 because a
@@ -67,17 +67,3 @@ class BlockPool:
 def estimate_memory(n_blocks: int) -> int:
     """Memory of a volume of ``n_blocks`` blocks, bytes."""
     return n_blocks * BYTES_PER_BLOCK
-
-
-def available_memory(device: torch.device) -> int | None:
-    """Bytes that can still be allocated on ``device``; None where the system does not report it."""
-    if device.type == "cuda":
-        cached = torch.cuda.memory_reserved(device) - torch.cuda.memory_allocated(device)
-        return torch.cuda.mem_get_info(device)[0] + cached
-    meminfo = Path("/proc/meminfo")
-    if device.type != "cpu" or not meminfo.exists():
-        return None
-    for line in meminfo.read_text().splitlines():
-        if line.startswith("MemAvailable:"):
-            return int(line.split()[1]) * 1024
-    return None
