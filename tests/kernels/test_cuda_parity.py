@@ -1,5 +1,6 @@
 """Without a GPU the CUDA kernels are compiled for the CPU, where fibres stand in for the threads of a block."""
 
+import importlib.util
 import os
 import subprocess
 import sys
@@ -63,3 +64,19 @@ def test_without_a_gpu_it_says_so(monkeypatch):
         pytest.raises(BackendUnavailable, match="'cuda' needs an NVIDIA GPU, and torch sees none"),
     ):
         render_forward(params, camera, torch.eye(4))
+
+
+ON_AN_AMD_GPU = """
+import torch
+torch.cuda.is_available, torch.version.hip = lambda: True, "6.4"
+from gsfusion_nb import backends, optim, render, tsdf
+print([backends.automatic(name, "cuda") for name in ("render_forward", "render_vjp", "band_blocks", "l1_mse_vjp")])
+"""
+
+
+def test_on_an_amd_gpu_torch_takes_their_place():
+    """TSDF fusion has no torch version; what Triton has is Triton's."""
+    environment = {k: v for k, v in os.environ.items() if k not in backends._EMULATED_BY.values()}
+    done = subprocess.run([sys.executable, "-c", ON_AN_AMD_GPU], capture_output=True, text=True, env=environment)
+    triton = "triton" if importlib.util.find_spec("triton") else "reference"
+    assert done.stdout.strip() == str(["torch", "torch", "reference", triton]), done.stderr
