@@ -16,7 +16,7 @@ PACKAGES = (
 )  # fmt: skip
 
 OPTIONAL = {
-    "triton": "GPU kernels for disc depth, losses, raycast and ICP: pip install 'gsfusion-nb[gpu]'",
+    "triton": "some of the kernels for GPUs: pip install 'gsfusion-nb[gpu]'",
     "gtsam": "RTG-SLAM back end: pip install 'gsfusion-nb[slam]'",
     "lpips": "LPIPS metric: pip install 'gsfusion-nb[lpips]'",
 }

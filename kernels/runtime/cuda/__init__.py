@@ -3,10 +3,3 @@
 ``GSFUSION_CUDA_EMULATOR``, set before Python starts, names a library with the same kernels compiled for the CPU, which
 then takes CPU tensors: very slow, for tests.
 """
-
-from gsfusion_nb.backends import BackendUnavailable
-
-from .launch import why_unavailable
-
-if _reason := why_unavailable():
-    raise BackendUnavailable(_reason)

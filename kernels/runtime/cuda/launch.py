@@ -17,7 +17,7 @@ _EMULATOR = os.environ.get("GSFUSION_CUDA_EMULATOR", "")
 _DIMENSION_LIMIT = 2**31 - 1
 
 
-def why_unavailable() -> str | None:
+def _why_unavailable() -> str | None:
     """A sentence if the kernels cannot run here, else ``None``."""
     if _EMULATOR:
         return None
@@ -31,6 +31,10 @@ def why_unavailable() -> str | None:
     except BackendUnavailable as e:
         return str(e)
     return None
+
+
+if _reason := _why_unavailable():  # here and not in the package: every kernel imports this module, and is refused again
+    raise BackendUnavailable(_reason)
 
 
 def device_of(operation: str, **tensors: Tensor | None) -> torch.device:
