@@ -3,7 +3,7 @@
 from typing import Any
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
 from ..config import GSFusionConfig, gsfusion, gsfusion_fidelity
@@ -13,7 +13,7 @@ from ..optim import Keyframe, adam_step, dssim_vjp, l1_mse_vjp
 from ..render import render_forward, render_vjp
 from ..seeding import Cells, SeedContext, SeedingRule, VoxelLookup, apply_rule
 from ..tracking import tsdf_surface
-from ..tsdf import FusedView, RaycastOutput, TsdfVolume, band_blocks, extract_mesh, fuse_frame_, raycast
+from ..tsdf import FusedView, NewBlocks, RaycastOutput, TsdfVolume, band_blocks, extract_mesh, fuse_frame_, raycast
 from ..types import Camera, Frame, Mesh, Seeds
 from .frame_checks import check_frame
 from .map_view import MapPart
@@ -179,7 +179,7 @@ class GSFusion(Mapper):
         super()._load(state)
         self.volume.load_state_dict(state["volume"])
 
-    def _make_room(self, frame: Frame) -> Int[Tensor, "M 3"]:
+    def _make_room(self, frame: Frame) -> NewBlocks:
         """Make room for the blocks that the frame needs. Returns those that do not exist yet."""
         try:
             return self.volume.make_room(band_blocks(self.volume, frame))

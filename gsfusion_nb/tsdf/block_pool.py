@@ -3,6 +3,8 @@
 import contextlib
 
 import torch
+from jaxtyping import Int
+from torch import Tensor
 
 from ..constants import GROWTH, VOXELS_PER_BLOCK
 from ..memory import available_memory
@@ -29,6 +31,14 @@ class BlockPool:
     def memory_bytes(self) -> int:
         """Memory of all rows, bytes (spare rows take no memory before they are first written to)."""
         return self.capacity * BYTES_PER_BLOCK
+
+    def hand_out(self, first: int, coords: Int[Tensor, "M 3"]) -> None:
+        """Fill the rows from ``first`` on as those of blocks that were never observed."""
+        rows = slice(first, first + len(coords))
+        self.D[rows] = 1.0
+        self.W[rows] = 0.0
+        self.rgb[rows] = 0.0
+        self.coords[rows] = coords
 
     def with_room_for(self, n_blocks: int, *, limit_bytes: int | None, voxel_size_m: float) -> "BlockPool":
         """This pool, or a larger copy; it grows by a factor, so that the cost of copying stays constant per block.

@@ -1,13 +1,17 @@
 """A preview of a volume with a frame fused into it, without changing the volume."""
 
+from typing import Any
+
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
+from ..backends import op
 from ..geometry import se3
+from ..operands import check_operand
 from ..types import Frame
-from .integrate import corners_in_view, fuse_voxels
-from .morton import OFFSET, interleave
+from .integrate import check_fuse, corners_in_view, fuse_voxels
+from .octree import NewBlocks
 from .volume import TsdfSample, TsdfVolume
 
 
@@ -20,14 +24,12 @@ class FusedView:
     Args:
         volume: The volume before the frame.
         frame: The frame that will be fused.
-        missing: The blocks that will be allocated for it, from ``TsdfVolume.make_room``. [M, 3]
+        missing: The blocks that will be allocated for it, from ``TsdfVolume.make_room``.
     """
 
-    def __init__(self, volume: TsdfVolume, frame: Frame, missing: Int[Tensor, "M 3"]):
+    def __init__(self, volume: TsdfVolume, frame: Frame, missing: NewBlocks):
         self.config = volume.config
-        self._volume, self._frame = volume, frame
-        self._new = interleave(missing).sort().values
-        self._T_CW = se3.inverse(frame.T_WC.double())
+        self._volume, self._frame, self._missing = volume, frame, missing
 
     def sample_nearest(self, xyz_W: Float[Tensor, "N 3"]) -> TsdfSample:
         """Values that the voxels containing the points will have.
@@ -37,24 +39,40 @@ class FusedView:
 
         Differentiable: no.
         """
-        volume, config = self._volume, self.config
-        before = volume.sample_nearest(xyz_W)
-        ijk = volume.voxel_index(xyz_W)
-        block = ijk >> 3
-        in_view = corners_in_view(volume.corners_of(block), config, self._frame.camera, self._T_CW)
-        changes = self._is_allocated(block) & in_view
-        after, _ = fuse_voxels(before, se3.apply(self._T_CW, volume.centres_of(ijk)), self._frame, config)
-        return TsdfSample(
-            D=after.D.where(changes, before.D),
-            W=after.W.where(changes, before.W),
-            rgb=after.rgb.where(changes[:, None], before.rgb),
-        )
+        return sample_fused_voxels(self._volume, self._frame, self._missing, xyz_W)
 
-    def _is_allocated(self, block: Int[Tensor, "N 3"]) -> Bool[Tensor, " N"]:
-        """Whether each block exists, or will exist."""
-        exists = self._volume.index.find(block) >= 0
-        if not len(self._new):
-            return exists
-        codes = interleave(block.clamp(-OFFSET, OFFSET - 1))
-        at = torch.searchsorted(self._new, codes).clamp(max=len(self._new) - 1)
-        return exists | (self._new[at] == codes)
+
+def check_sample_fused(volume: Any, frame: Any, missing: Any, xyz_W: Any) -> None:
+    """Raise ``ValueError`` for arguments that ``sample_fused_voxels`` refuses."""
+    check_fuse(volume, frame)
+    if not isinstance(missing, NewBlocks):
+        raise ValueError(f"missing must be NewBlocks, got {type(missing).__name__}")
+    device = volume.D.device
+    check_operand("codes", missing.codes, ("M",), dtypes=(torch.int64,), device=device)
+    check_operand("coords", missing.coords, (len(missing), 3), dtypes=(torch.int64,), device=device)
+    check_operand("xyz_W", xyz_W, ("N", 3), device=device)
+
+
+@op("sample", check_sample_fused)
+def sample_fused_voxels(
+    volume: TsdfVolume, frame: Frame, missing: NewBlocks, xyz_W: Float[Tensor, "N 3"]
+) -> TsdfSample:
+    """Values that voxels will have; the operation behind ``FusedView.sample_nearest``.
+
+    Raises:
+        ValueError: the pose is not rigid.
+
+    Source: GSFusion III-B.1, Eq. 6-9. Differentiable: no.
+    """
+    T_CW = se3.inverse(frame.T_WC.double())
+    before = volume.sample_nearest(xyz_W)
+    ijk = volume.voxel_index(xyz_W)
+    block = ijk >> 3
+    in_view = corners_in_view(volume.corners_of(block), volume.config, frame.camera, T_CW)
+    changes = ((volume.index.find(block) >= 0) | missing.contains(block)) & in_view
+    after, _ = fuse_voxels(before, se3.apply(T_CW, volume.centres_of(ijk)), frame, volume.config)
+    return TsdfSample(
+        D=after.D.where(changes, before.D),
+        W=after.W.where(changes, before.W),
+        rgb=after.rgb.where(changes[:, None], before.rgb),
+    )

@@ -37,11 +37,15 @@ def encode(coords: Int[Tensor, "N 3"]) -> Int[Tensor, " N"]:
     Differentiable: no. Source: Morton 1966; GSFusion section III-A.
     """
     check_shape("coords", coords, ("N", 3))
-    shifted = coords.to(torch.int64) + OFFSET
-    if shifted.numel() and bool(((shifted < 0) | (shifted >= 2 * OFFSET)).any()):
-        low, high = int(coords.min()), int(coords.max())
-        raise ValueError(f"block coordinates must lie in [{-OFFSET}, {OFFSET}), got {low} to {high}")
+    if coords.numel():
+        check_range(*torch.stack(torch.aminmax(coords)).tolist())
     return interleave(coords)
+
+
+def check_range(low: int, high: int) -> None:
+    """Raise ``ValueError`` unless all coordinates from ``low`` to ``high`` have a code."""
+    if low < -OFFSET or high >= OFFSET:
+        raise ValueError(f"block coordinates must lie in [{-OFFSET}, {OFFSET}), got {low} to {high}")
 
 
 def interleave(coords: Int[Tensor, "N 3"]) -> Int[Tensor, " N"]:

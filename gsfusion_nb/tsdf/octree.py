@@ -1,13 +1,44 @@
 """The linear octree that finds a voxel block by its coordinates."""
 
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
 import torch
 from jaxtyping import Bool, Int
 from torch import Tensor
 
-from .morton import BITS, decode, encode, interleave
+from .morton import BITS, OFFSET, check_range, decode, encode, interleave
+
+Corner = tuple[int, int, int]
 
 TABLE_CELLS = 1 << 23
 """Largest dense lookup table, cells (32 MB). A map whose bounding box is larger is searched by Morton code instead."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class NewBlocks:
+    """Blocks that are not allocated yet, each once, in Morton order."""
+
+    coords: Int[Tensor, "M 3"]
+    """Integer coordinates. int64"""
+    codes: Int[Tensor, " M"]
+    """Their Morton codes."""
+    low: Corner
+    """A box around all of them: its lowest block."""
+    high: Corner
+    """Its highest block."""
+
+    def __len__(self) -> int:
+        return self.codes.shape[0]
+
+    def contains(self, block_coords: Int[Tensor, "N 3"]) -> Bool[Tensor, " N"]:
+        """Whether each block is one of them."""
+        if not len(self):
+            return torch.zeros(len(block_coords), dtype=torch.bool, device=block_coords.device)
+        codes = interleave(block_coords.clamp(-OFFSET, OFFSET - 1))
+        at = torch.searchsorted(self.codes, codes).clamp(max=len(self) - 1)
+        return self.codes[at] == codes
 
 
 class BlockIndex:
@@ -23,7 +54,9 @@ class BlockIndex:
         self.rows: Int[Tensor, " B"] = torch.zeros(0, dtype=torch.int64, device=device)
         self._table: Tensor | None = None
         self._low: Tensor = torch.zeros(3, dtype=torch.int64, device=device)
-        self._size: tuple[int, int, int] = (0, 0, 0)
+        self._lowest: Corner = (0, 0, 0)
+        self._size: Corner = (0, 0, 0)
+        self._bounds: tuple[Corner, Corner] | None = None
 
     @classmethod
     def of_blocks(cls, coords: Int[Tensor, "B 3"]) -> "BlockIndex":
@@ -31,7 +64,9 @@ class BlockIndex:
         index = cls(coords.device)
         index.codes, index.rows = encode(coords).sort()
         if len(index):
-            index._update_table(coords, 0)
+            low, high = torch.stack(torch.aminmax(coords, dim=0)).tolist()
+            index._enclose(_corner(low), _corner(high))
+            index._make_table()
         return index
 
     def __len__(self) -> int:
@@ -46,31 +81,62 @@ class BlockIndex:
         return torch.where(inside, rows, -1)
 
     @property
-    def table(self) -> tuple[Tensor, Tensor, tuple[int, int, int]] | None:
+    def table(self) -> tuple[Tensor, Tensor, Corner] | None:
         """Dense lookup table, if there is one: rows (-1: none) of a box of blocks; its lowest block; its size."""
         return None if self._table is None else (self._table, self._low, self._size)
 
-    def insert(self, coords: Int[Tensor, "N 3"], *, in_range: bool = False) -> Int[Tensor, " N"]:
+    @property
+    def table_low(self) -> Corner:
+        """The table's lowest block, in the host's memory."""
+        return self._lowest
+
+    def missing(self, coords: Int[Tensor, "N 3"]) -> NewBlocks:
+        """Those of the blocks at ``coords`` that are not allocated. The host waits for a GPU once.
+
+        Raises:
+            ValueError: a coordinate does not fit in a Morton code.
+        """
+        coords, N = coords.to(torch.int64), len(coords)
+        if not N:
+            return NewBlocks(coords=coords, codes=coords.new_zeros(0), low=(0, 0, 0), high=(0, 0, 0))
+        codes = interleave(coords)
+        absent = self._search(codes) < 0
+        codes, order = codes.where(absent, -1).sort()  # those that exist come first, as -1
+        counts = torch.stack([absent.sum(), (codes.diff() == 0).sum()])
+        *box, M, equal = torch.cat([*torch.aminmax(coords, dim=0), counts]).tolist()
+        check_range(min(box), max(box))
+        codes, order = codes[N - M :], order[N - M :]
+        if equal > max(N - M - 1, 0):  # a block was given twice
+            first = codes.diff(prepend=codes.new_full((1,), -1)) != 0
+            codes, order = codes[first], order[first]
+        return NewBlocks(coords=coords[order], codes=codes, low=_corner(box[:3]), high=_corner(box[3:]))
+
+    def insert(self, coords: Int[Tensor, "N 3"]) -> Int[Tensor, " N"]:
         """Rows of the blocks at ``coords``; those not yet allocated get the next rows, in Morton order.
+
+        Raises:
+            ValueError: a coordinate does not fit in a Morton code.
+        """
+        self.add(self.missing(coords))
+        return self.find(coords)
+
+    def add(self, new: NewBlocks) -> None:
+        """Give the next rows to the blocks that ``missing`` returned, in their order.
 
         Breadth-first allocation from the top (GSFusion III-B.1): a descent that creates the missing nodes level by
         level arrives at the new leaves in Morton order. Here the nodes above are implied by the leaf codes, so the
         whole descent is one merge of sorted codes; ``descend`` shows the levels.
-
-        Args:
-            coords: Integer coordinates of the blocks. [N, 3]
-            in_range: The coordinates are known to fit in a code, so that the host need not wait for a GPU to check it.
         """
-        codes = interleave(coords) if in_range else encode(coords)
-        fresh = codes[self._search(codes) < 0].unique()
-        if fresh.numel():
-            n, new_rows = len(self), torch.arange(len(self), len(self) + len(fresh), device=fresh.device)
-            at = torch.searchsorted(self.codes, fresh) + new_rows - n
-            old_at = torch.searchsorted(fresh, self.codes) + torch.arange(n, device=fresh.device)
-            self.codes = _merge(self.codes, old_at, fresh, at)
-            self.rows = _merge(self.rows, old_at, new_rows, at)
-            self._update_table(decode(fresh), n)
-        return self._search(codes)
+        n, M = len(self), len(new)
+        if not M:
+            return
+        places = torch.arange(n + M, device=self.codes.device)
+        at = torch.searchsorted(self.codes, new.codes) + places[:M]
+        old_at = torch.searchsorted(new.codes, self.codes) + places[:n]
+        self.codes = _merge(self.codes, old_at, new.codes, at)
+        self.rows = _merge(self.rows, old_at, places[n:], at)
+        self._enclose(new.low, new.high)
+        self._enter(new, places[n:])
 
     def level(self, k: int) -> Int[Tensor, " P"]:
         """Codes of the distinct octree nodes ``k`` levels above the blocks; ``level(0)`` are the blocks. Sorted."""
@@ -102,23 +168,38 @@ class BlockIndex:
         inside = (x >= 0) & (x < nx) & (y >= 0) & (y < ny) & (z >= 0) & (z < nz)
         return ((x * ny + y) * nz + z) * inside, inside
 
-    def _update_table(self, new_coords: Tensor, first_row: int) -> None:
-        """Enter the new blocks, or make a larger table where the map has outgrown it."""
-        if self._table is not None:
-            cell, inside = self._cell(new_coords)
-            if bool(inside.all()):
-                self._table[cell] = torch.arange(first_row, len(self), dtype=torch.int32, device=cell.device)
-                return
-        coords = decode(self.codes)
-        low, high = coords.amin(0), coords.amax(0)
-        margin = (high - low) // 8 + 2
-        self._low = low - margin
-        nx, ny, nz = (int(s) for s in high - low + 2 * margin + 1)
-        self._size = (nx, ny, nz)
-        self._table = None
-        if nx * ny * nz <= TABLE_CELLS:
-            self._table = torch.full((nx * ny * nz,), -1, dtype=torch.int32, device=coords.device)
-            self._table[self._cell(coords)[0]] = self.rows.to(torch.int32)
+    def _enclose(self, low: Corner, high: Corner) -> None:
+        """Enlarge the bounding box of the allocated blocks, which the host knows without waiting for a GPU."""
+        if self._bounds is not None:
+            low, high = (_corner(map(f, a, b)) for f, a, b in zip((min, max), self._bounds, (low, high), strict=True))
+        self._bounds = low, high
+
+    def _enter(self, new: NewBlocks, rows: Int[Tensor, " M"]) -> None:
+        """Enter new blocks into the table, or make a larger one where the map has outgrown it."""
+        ends = [low + size for low, size in zip(self._lowest, self._size, strict=True)]
+        fits = all(low <= a and b < end for low, a, b, end in zip(self._lowest, new.low, new.high, ends, strict=True))
+        if self._table is None or not fits:
+            self._make_table()
+        else:
+            self._table[self._cell(new.coords)[0]] = rows.to(torch.int32)
+
+    def _make_table(self) -> None:
+        """A table of the box around all blocks, with room for more, unless it would be too large."""
+        assert self._bounds is not None
+        low, high = self._bounds
+        margin = [(b - a) // 8 + 2 for a, b in zip(low, high, strict=True)]
+        self._lowest = _corner(a - m for a, m in zip(low, margin, strict=True))
+        self._size = _corner(b - a + 2 * m + 1 for a, b, m in zip(low, high, margin, strict=True))
+        self._table, cells = None, math.prod(self._size)
+        if cells <= TABLE_CELLS:
+            self._low = torch.tensor(self._lowest, device=self.codes.device)
+            self._table = torch.full((cells,), -1, dtype=torch.int32, device=self.codes.device)
+            self._table[self._cell(decode(self.codes))[0]] = self.rows.to(torch.int32)
+
+
+def _corner(numbers: Iterable[int]) -> Corner:
+    x, y, z = numbers
+    return x, y, z
 
 
 def _merge(old: Tensor, old_at: Tensor, new: Tensor, new_at: Tensor) -> Tensor:

@@ -14,8 +14,8 @@ from ..constants import BLOCK_VOXELS, VOXELS_PER_BLOCK
 from ..operands import check_operand
 from .block_pool import BlockPool
 from .morton import encode
-from .octree import BlockIndex
-from .trilinear import CORNERS, corner_weights
+from .octree import BlockIndex, NewBlocks
+from .trilinear import corner_weights, corners
 
 VOXELS = torch.tensor([[x, y, z] for x in range(8) for y in range(8) for z in range(8)])
 """Place of voxel 64 x + 8 y + z in its block. [512, 3]"""
@@ -103,31 +103,25 @@ class TsdfVolume:
         """
         return self.allocate_missing(self.make_room(coords))
 
-    def make_room(self, coords: Int[Tensor, "N 3"]) -> Int[Tensor, "M 3"]:
+    def make_room(self, coords: Int[Tensor, "N 3"]) -> NewBlocks:
         """Make sure that the blocks at ``coords`` can be allocated; returns those that do not exist yet.
 
-        No block is allocated yet: this is the part of ``add_blocks`` that can fail.
+        No block is allocated yet: this is the part of ``add_blocks`` that can fail. The host waits for a GPU once.
 
         Raises:
             ValueError: a block lies beyond the voxel index.
             MemoryError: before a growth that the machine (or ``memory_limit_bytes``) has no room for.
         """
-        missing = coords[self.index.find(coords) < 0]
-        if missing.shape[0]:
-            encode(missing)
-            self._reserve(self.n_blocks + missing.shape[0])
+        missing = self.index.missing(coords)
+        if len(missing):
+            self._reserve(self.n_blocks + len(missing))
         return missing
 
-    def allocate_missing(self, missing: Int[Tensor, "M 3"]) -> Int[Tensor, " K"]:
+    def allocate_missing(self, missing: NewBlocks) -> Int[Tensor, " K"]:
         """Allocate the blocks that ``make_room`` returned; returns their rows."""
         n = self.n_blocks
-        if not missing.shape[0]:
-            return torch.zeros(0, dtype=torch.int64, device=self.device)
-        rows = self.index.insert(missing, in_range=True)
-        self._pool.D[n : self.n_blocks] = 1.0
-        self._pool.W[n : self.n_blocks] = 0.0
-        self._pool.rgb[n : self.n_blocks] = 0.0
-        self._pool.coords[rows] = missing.to(torch.int32)
+        self.index.add(missing)
+        self._pool.hand_out(n, missing.coords)
         return torch.arange(n, self.n_blocks, device=self.device)
 
     def voxel_index(self, xyz_W: Float[Tensor, "N 3"]) -> Int[Tensor, "N 3"]:
@@ -173,7 +167,7 @@ class TsdfVolume:
 
     def corners_of(self, blocks: Int[Tensor, "B 3"]) -> Float[Tensor, "B 8 3"]:
         """Corners of blocks, allocated or not, given by their integer coordinates. World frame, metres. float64"""
-        return (blocks[:, None].double() + CORNERS.to(self.device)) * self.block_size_m
+        return (blocks[:, None].double() + corners(self.device)) * self.block_size_m
 
     def voxel_rgb(self, flat: Int[Tensor, "*N"]) -> Float[Tensor, "*N 3"]:
         """Colours of allocated voxels, given by their position in the flattened pool."""
@@ -187,7 +181,7 @@ class TsdfVolume:
         """
         p = xyz_W / self.config.voxel_size_m - 0.5
         lowest = p.floor()
-        return self.find_voxels(lowest.long()[:, None] + CORNERS.to(self.device)), p - lowest
+        return self.find_voxels(lowest.long()[:, None] + corners(self.device)), p - lowest
 
     def interpolate(self, xyz_W: Float[Tensor, "N 3"]) -> tuple[Float[Tensor, " N"], Bool[Tensor, " N"]]:
         """Trilinear signed distance at points, in units of the truncation distance.

@@ -24,9 +24,8 @@ Double = Annotated[float, ctypes.c_double]
 
 
 class View(NamedTuple):
-    """The blocks, where the camera is, its lens and the edge of a voxel, and the size of the images."""
+    """Where the camera is, its lens and the edge of a voxel, and the size of the images."""
 
-    coords: Tensor
     T_WC: Tensor
     fx: Double
     fy: Double
@@ -45,8 +44,10 @@ class Frame(NamedTuple):
 
 
 class Band(NamedTuple):
-    """Around the measured depth, metres; the largest weight; whether distances are along the ray."""
+    """The largest depth of a block in view, and the smallest depth that is used; around it, metres; the largest weight;
+    whether distances are along the ray."""
 
+    far: float
     near: float
     truncation: float
     inv_truncation: float
@@ -66,32 +67,38 @@ def fuse_frame_(volume: TsdfVolume, frame: types.Frame) -> int:
     """See ``gsfusion_nb.tsdf.integrate.fuse_frame_``; the published averages are left to the reference."""
     device = device_of("fuse_frame_", volume=volume.D, depth_m=frame.depth_m, rgb=frame.rgb)
     check_dtype("fuse_frame_", torch.float32, volume=volume.D, depth_m=frame.depth_m, rgb=frame.rgb)
-    n, camera, config = volume.n_blocks, frame.camera, volume.config
+    n = volume.n_blocks
     if not n:
         return 0
-    if config.average != "mean":
+    if volume.config.average != "mean":
         return reference.reference(volume, frame)
-    pose = packed(frame.T_WC.to(device, torch.float32))
     rows = torch.empty(n, dtype=torch.int32, device=device)
     count = torch.zeros(_N_COUNTS, dtype=torch.int32, device=device)
+    coords, (view, images, band) = volume.block_coords, view_of(volume, frame)
+    blocks = parts(n, _BLOCK)
+    launch("fuse_frame_", "integrate:visible_blocks", blocks, _BLOCK, view, coords, n, band.far, rows, count)
+    voxels = Voxels(D=volume.D, W=volume.W, planes=volume.rgb_planes)
+    blocks = min(n, _RESIDENT)
+    launch("fuse_frame_", "integrate:fuse_blocks", blocks, _BLOCK, view, coords, images, band, voxels, rows, count)
+    return int(count[_OBSERVED])
+
+
+def view_of(volume: TsdfVolume, frame: types.Frame) -> tuple[View, Frame, Band]:
+    """What ``voxel.cuh`` is given of a frame and of the settings of a volume."""
+    camera, config = frame.camera, volume.config
     view = View(
-        coords=volume.block_coords,
-        T_WC=pose,
+        T_WC=packed(frame.T_WC.to(volume.device, torch.float32)),
         **lens_of(camera)._asdict(),
         voxel=config.voxel_size_m,
         width=camera.width,
         height=camera.height,
     )
-    far = float(config.far_m + config.truncation_m)
-    launch("fuse_frame_", "integrate:visible_blocks", parts(n, _BLOCK), _BLOCK, view, n, far, rows, count)
     band = Band(
+        far=config.far_m + config.truncation_m,
         near=config.near_m,
         truncation=config.truncation_m,
         inv_truncation=1.0 / config.truncation_m,
         max_weight=config.max_weight,
         ray=config.sdf == "ray",
     )
-    images = Frame(depth=packed(frame.depth_m), rgb=packed(frame.rgb))
-    voxels = Voxels(D=volume.D, W=volume.W, planes=volume.rgb_planes)
-    launch("fuse_frame_", "integrate:fuse_blocks", min(n, _RESIDENT), _BLOCK, view, images, band, voxels, rows, count)
-    return int(count[_OBSERVED])
+    return view, Frame(depth=packed(frame.depth_m), rgb=packed(frame.rgb)), band

@@ -1,1 +1,1 @@
-"""Voxels nearest to given points."""
+"""Voxels that contain given points, as they are and as a frame will change them."""

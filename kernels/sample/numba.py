@@ -8,9 +8,10 @@ import torch
 from numba import njit, prange
 from torch import Tensor
 
-from gsfusion_nb.backends import use_backend
-from gsfusion_nb.tsdf import TsdfSample, TsdfVolume
+from gsfusion_nb.backends import load, use_backend
+from gsfusion_nb.tsdf import NewBlocks, TsdfSample, TsdfVolume
 from gsfusion_nb.tsdf import sample_voxels as reference
+from gsfusion_nb.types import Frame
 
 from ..runtime.block_table import BlockTable
 from ..runtime.numba.launch import launching
@@ -43,6 +44,11 @@ def sample_voxels(volume: TsdfVolume, xyz_W: Tensor) -> TsdfSample:
     with launching():
         _sample(table, voxels, points, f32(volume.config.voxel_size_m), D.numpy(), W.numpy(), rgb.numpy())
     return TsdfSample(D=D, W=W, rgb=rgb)
+
+
+def sample_fused_voxels(volume: TsdfVolume, frame: Frame, missing: NewBlocks, xyz_W: Tensor) -> TsdfSample:
+    """See ``gsfusion_nb.tsdf.sample_fused_voxels``: it is that function, whose look-ups run on this backend."""
+    return load("sample_fused_voxels", "reference")(volume, frame, missing, xyz_W)
 
 
 @njit(parallel=True, cache=True, error_model="numpy")

@@ -25,9 +25,16 @@ from gsfusion_nb.seeding import quadtree
 from gsfusion_nb.tracking import icp_system
 from gsfusion_nb.tracking.pyramid import depth_pyramid
 from gsfusion_nb.tracking.surface import Surface
-from gsfusion_nb.tsdf import TsdfVolume, band_blocks, extract_mesh, integrate, raycast
-from gsfusion_nb.tsdf.integrate import fuse_frame_
-from gsfusion_nb.tsdf.volume import sample_voxels
+from gsfusion_nb.tsdf import (
+    TsdfVolume,
+    band_blocks,
+    extract_mesh,
+    fuse_frame_,
+    integrate,
+    raycast,
+    sample_fused_voxels,
+    sample_voxels,
+)
 from gsfusion_nb.types import Camera, GaussianParams
 
 SHAPES: dict[str, Callable[[Tensor], Any]] = {
@@ -77,6 +84,8 @@ def operations() -> dict[str, tuple[Callable, dict[str, Any]]]:
         tiles = tile_intersections(p, camera, pixels=mask)
         integrate(volume, frame)
         surface = raycast(volume, camera, T_WC)
+        closer = dataclasses.replace(frame, depth_m=0.8 * frame.depth_m)
+        missing = volume.make_room(band_blocks(volume, closer))
     model = Surface(depth_m=surface.depth_m, normal_W=surface.normal_W, camera=camera, T_WC=T_WC)
     level = depth_pyramid(frame.depth_m, camera, (1,))[0]
     images = {"rgb": frame.rgb, "depth_m": frame.depth_m, "target_rgb": frame.rgb, "target_depth_m": frame.depth_m}
@@ -119,6 +128,10 @@ def operations() -> dict[str, tuple[Callable, dict[str, Any]]]:
         "fuse_frame_": (fuse_frame_, {"volume": volume, "frame": frame}),
         "raycast": (raycast, {"volume": volume, "camera": camera, "T_WC": T_WC}),
         "sample_voxels": (sample_voxels, {"volume": volume, "xyz_W": params.xyz_W}),
+        "sample_fused_voxels": (
+            sample_fused_voxels,
+            {"volume": volume, "frame": closer, "missing": missing, "xyz_W": params.xyz_W},
+        ),
         "extract_mesh": (extract_mesh, {"volume": volume, "min_weight": 1.0}),
     }  # fmt: skip
 

@@ -50,7 +50,7 @@ def groups_of(module) -> list[type]:
 def test_groups_are_the_structs_of_the_sources(name):
     structs = importlib.import_module("gsfusion_nb.kernels.runtime.cuda.structs")
     module = importlib.import_module(f"gsfusion_nb.kernels.{name}.cuda")
-    declared = structs_of(source_of(*FOLDER.glob(f"{'composite' if name == 'rasterize' else name}/*.cu")))
+    declared = structs_of(source_of(*FOLDER.glob(f"{'composite' if name == 'rasterize' else name}/*.cu*")))
     for group in groups_of(module):
         assert structs.layout(group)._fields_ == declared[group.__name__], group.__name__
 
@@ -93,10 +93,10 @@ def test_arguments_that_do_not_fit_are_refused():
 
 
 def test_a_wrong_group_would_be_found():
-    declared = structs_of(source_of(FOLDER / "integrate" / "integrate.cu"))
-    assert declared["Band"][0] == ("near", ctypes.c_float)
+    declared = structs_of(source_of(FOLDER / "integrate" / "voxel.cuh"))
+    assert declared["Band"][0] == ("far", ctypes.c_float)
     assert declared["Band"][-1] == ("ray", ctypes.c_int)
-    assert [kind for _, kind in declared["View"][:3]] == [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_double]
+    assert [kind for _, kind in declared["View"][:2]] == [ctypes.c_void_p, ctypes.c_double]
     (R, origin, _) = structs_of(source_of(FOLDER / "allocate" / "allocate.cu"))["View"]
     assert ctypes.sizeof(R[1]) == 36
     assert origin != R

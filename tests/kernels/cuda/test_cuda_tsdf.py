@@ -1,5 +1,6 @@
-"""The hash set of the allocation, and meshing; the rest is in ``test_cuda_fusion.py``."""
+"""The hash set of the allocation, single voxels, and meshing; the rest is in ``test_cuda_fusion.py``."""
 
+import dataclasses
 import importlib
 
 import pytest
@@ -7,7 +8,7 @@ import torch
 
 from gsfusion_nb.backends import use_backend
 from gsfusion_nb.config import TsdfConfig
-from gsfusion_nb.tsdf import TsdfVolume, band_blocks, extract_mesh
+from gsfusion_nb.tsdf import FusedView, TsdfVolume, band_blocks, extract_mesh, fuse_frame_, sample_voxels
 from gsfusion_nb.types import Mesh
 
 CONFIG = TsdfConfig(voxel_size_m=0.02, truncation_voxels=4.0, max_weight=3.0)
@@ -24,6 +25,44 @@ def test_a_set_that_is_too_small_grows(make_frames, device, monkeypatch):
             found = band_blocks(TsdfVolume(CONFIG, device=device), frame.to(device))
             assert len(found) > 100
             assert abs(len(found) - len(expected)) <= 1
+
+
+def test_same_samples(make_frames, make_volume, to, compare, copy_to, generator):
+    config = dataclasses.replace(CONFIG, voxel_size_m=0.08)
+    volume = make_volume(config, make_frames(40, 30, n=2))
+    points = torch.cat([3 * torch.rand(200, 3, generator=generator) - 1.5, torch.tensor([[1e30, 0.0, -1e30]])])
+    expected = sample_voxels.reference(volume, points)
+    with use_backend("cuda"):
+        found = sample_voxels(copy_to(volume), to(points))
+        none = sample_voxels(copy_to(volume), to(points[:0]))
+    assert len(none.D) == 0
+    assert float((expected.W > 0).double().mean()) > 0.05
+    for name in ("D", "W", "rgb"):
+        compare("sample_voxels", name, getattr(found, name), getattr(expected, name), 0.0)
+
+
+@pytest.mark.parametrize("sdf", ["z", "ray"])
+def test_the_preview_is_what_the_fusion_writes(sdf, make_frames, device, generator):
+    """To the last bit: in old and in new blocks, in blocks that are not needed, and where no block can be."""
+    config = dataclasses.replace(CONFIG, sdf=sdf)
+    volume = TsdfVolume(config, device=device)
+    changed = 0
+    with use_backend("cuda"):
+        for frame in make_frames(64, 47, n=4, eight_bit=False):
+            frame = frame.to(device)
+            missing = volume.make_room(band_blocks(volume, frame))
+            nearby = 1.4 * torch.rand(3000, 3, generator=generator).to(device) - 0.7
+            voxels = volume.config.voxel_size_m * (8 * missing.coords.float() + 4.5)
+            points = torch.cat([nearby, voxels, nearby[:1] * torch.inf, nearby[:1] * 1e8])
+            before = volume.sample_nearest(points)
+            preview = FusedView(volume, frame, missing).sample_nearest(points)
+            volume.allocate_missing(missing)
+            fuse_frame_(volume, frame)
+            after = volume.sample_nearest(points)
+            for name in ("D", "W", "rgb"):
+                assert torch.equal(getattr(preview, name), getattr(after, name))
+            changed += int((preview.W != before.W).sum())
+    assert changed > 1000
 
 
 def assert_same_mesh(volume, copy_to, compare, min_weight=1.0) -> Mesh:

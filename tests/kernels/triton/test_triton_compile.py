@@ -86,7 +86,6 @@ def run_everything(scene, camera, images, pose, frame) -> None:
         dssim_vjp(images[0], out.rgb)
         rgbd_l1_vjp(out.rgb, out.depth_m, images[0], images[1], pixels)
         seen = raycast(volume, frame.camera, frame.T_WC)
-        volume.sample_nearest(frame.T_WC[None, :3, 3])
         normal = depth_to_normals(frame.camera, frame.depth_m)
         level = DepthLevel(factor=1, camera=frame.camera, depth_m=frame.depth_m, normal_C=normal)
         surface = Surface(depth_m=seen.depth_m, normal_W=seen.normal_W, camera=frame.camera, T_WC=frame.T_WC)

@@ -1,4 +1,4 @@
-"""Raycast and look-ups of the volumetric map."""
+"""Raycast of the volumetric map."""
 
 # pyright: reportFunctionMemberAccess=false
 
@@ -8,7 +8,6 @@ import torch
 from gsfusion_nb.backends import use_backend
 from gsfusion_nb.config import TsdfConfig
 from gsfusion_nb.tsdf import TsdfVolume, raycast
-from gsfusion_nb.tsdf.volume import sample_voxels
 
 CONFIG = TsdfConfig(voxel_size_m=0.08, truncation_voxels=3.0, max_weight=3.0)
 
@@ -42,16 +41,3 @@ def test_raycast_from_inside_and_of_nothing(mapped, device, compare, copy_to):
         empty = raycast(TsdfVolume(CONFIG, device), camera, torch.eye(4))
     compare("raycast", "depth_m", found.depth_m, expected.depth_m, 1e-5, share=1e-2)
     assert not bool(empty.depth_m.any())
-
-
-def test_same_samples(mapped, to, compare, copy_to, generator):
-    volume, _ = mapped
-    points = torch.cat([3 * torch.rand(200, 3, generator=generator) - 1.5, torch.tensor([[1e30, 0.0, -1e30]])])
-    expected = sample_voxels.reference(volume, points)
-    with use_backend("triton"):
-        found = sample_voxels(copy_to(volume), to(points))
-        none = sample_voxels(copy_to(volume), to(points[:0]))
-    assert len(none.D) == 0
-    assert float((expected.W > 0).double().mean()) > 0.05
-    for name in ("D", "W", "rgb"):
-        compare("sample_voxels", name, getattr(found, name), getattr(expected, name), 0.0)
