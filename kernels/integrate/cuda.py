@@ -94,7 +94,7 @@ def view_of(volume: TsdfVolume, frame: types.Frame) -> tuple[View, Frame, Band]:
         height=camera.height,
     )
     band = Band(
-        far=config.far_m + config.truncation_m,
+        far=float(config.far_m + config.truncation_m),
         near=config.near_m,
         truncation=config.truncation_m,
         inv_truncation=1.0 / config.truncation_m,

@@ -63,7 +63,7 @@ def sample_voxels(volume: TsdfVolume, xyz_W: Tensor) -> TsdfSample:
     if _is_left_to_the_reference(volume, xyz_W):
         return tsdf.sample_voxels.reference(volume, xyz_W)
     points, table, pool, out = _ask(volume, xyz_W)
-    blocks, size = parts(points.count, _BLOCK), volume.config.voxel_size_m
+    blocks, size = parts(points.count, _BLOCK), float(volume.config.voxel_size_m)
     launch("sample_voxels", "sample:sample_voxels", blocks, _BLOCK, points, table, pool, size, out)
     return TsdfSample(**out._asdict())
 
