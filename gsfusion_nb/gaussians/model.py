@@ -41,6 +41,8 @@ class GaussianModel:
         self.step_count = 0
         """Optimiser steps so far, shared by all rows."""
         self._count = 0
+        self._most = 0
+        """Rows of the buffers that have ever been in use."""
         self._columns = {name: self._new_column(name, _FIRST_CAPACITY) for name in self._column_names()}
         self._views: dict[str, tuple[Tensor, GaussianParams]] = {}
         """Prefix -> buffer of the last column when they were made, and views of the rows in use."""
@@ -125,7 +127,7 @@ class GaussianModel:
         check_shape("seeds.xyz_W", seeds.xyz_W, (n, 3))
         values = {"xyz_W": seeds.xyz_W, "quat": seeds.quat, "rgb": seeds.rgb}
         values |= {"scale_m": seeds.scale_m.log(), "opacity": seeds.opacity.logit()}
-        if bool(torch.stack([v.isnan().any() for v in values.values()]).any()):  # a GPU is waited for once
+        if bool(torch.cat([v.reshape(-1) for v in values.values()]).isnan().any()):  # a GPU is waited for once
             name, row = next((k, int(v.isnan().nonzero()[0, 0])) for k, v in values.items() if v.isnan().any())
             raise ValueError(
                 "new Gaussians need numbers that are not NaN, scales >= 0 and opacities in 0..1, got "
@@ -138,14 +140,14 @@ class GaussianModel:
         new["log_scale"][start:stop] = values["scale_m"]
         new["quat"][start:stop] = seeds.quat
         new["opacity_logit"][start:stop] = values["opacity"]
-        new["sh"][start:stop] = 0.0
+        if start < self._most:  # rows beyond, which were never in use, are zero
+            for name in ("sh", *self._moment_names()):
+                new[name][start:stop] = 0.0
         new["sh"][start:stop, 0] = rgb_to_sh_dc(seeds.rgb)
         new["birth_frame"][start:stop] = frame_index
         new["birth_step"][start:stop] = self.step_count
         new["tag"][start:stop] = seeds.tag
-        for name in self._moment_names():
-            new[name][start:stop] = 0.0
-        self._count = stop
+        self._count, self._most = stop, max(self._most, stop)
 
     def keep(self, rows: Bool[Tensor, " N"]) -> None:
         """Remove every row where ``rows`` is false, parameters and moments alike; the order is kept."""
@@ -190,7 +192,7 @@ class GaussianModel:
         for name, column in model._columns.items():
             model._check_saved_column(name, state["rows"][name], (count, *column.shape[1:]))
             column[:count] = state["rows"][name]
-        model._count = count
+        model._count = model._most = count
         return model
 
     def _check_saved_column(self, name: str, saved: object, shape: tuple[int, ...]) -> None:
@@ -234,3 +236,4 @@ class GaussianModel:
             grown = self._new_column(name, capacity)
             grown[: self._count] = old[: self._count]
             self._columns[name] = grown
+        self._most = self._count

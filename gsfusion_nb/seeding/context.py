@@ -97,8 +97,11 @@ class SeedContext:
 
     def has_depth(self) -> Bool[Tensor, "H W"]:
         """Pixels whose depth can be used: not missing, and at least ``near_m``. [H, W]"""
-        depth_m = self.frame.depth_m
-        return (depth_m > 0) & (depth_m >= (self.near_m or 0.0))
+        return self._is_used(self.frame.depth_m)
+
+    def _is_used(self, depth_m: Float[Tensor, "*N"]) -> Bool[Tensor, "*N"]:
+        near_m = max(self.near_m or 0.0, torch.finfo(depth_m.dtype).tiny)  # the smallest depth that is not missing
+        return depth_m >= near_m
 
     def normals(self) -> Float[Tensor, "H W 3"]:
         """Surface normals of the depth image, camera frame, zero where unknown."""
@@ -168,16 +171,16 @@ class SeedContext:
             At most N seeds, in the order of ``uv``.
         """
         i, j = uv.floor().long().unbind(-1)
-        W, H = self.camera.width, self.camera.height
-        inside = (i >= 0) & (i < W) & (j >= 0) & (j < H)
-        kept = (inside & self.has_depth()[j.clamp(0, H - 1), i.clamp(0, W - 1)]).nonzero()[:, 0]
-        uv, i, j = uv[kept], i[kept], j[kept]
-        z = self.frame.depth_m[j, i]
+        column, row = i.clamp(0, self.camera.width - 1), j.clamp(0, self.camera.height - 1)
+        pixel = torch.add(column, row, alpha=self.camera.width)
+        depth_m = self.frame.depth_m.flatten()[pixel]
+        kept = ((i == column) & (j == row) & self._is_used(depth_m)).nonzero()[:, 0]
+        uv, pixel, z = uv[kept], pixel[kept], depth_m[kept]
         size = radius_px[kept] if isinstance(radius_px, Tensor) else radius_px
         xyz_W = se3.apply(self.frame.T_WC, backproject(self.camera, uv.to(z.dtype), z))  # GSFusion Eq. 10
         return Seeds.isotropic(
             xyz_W,
-            self.frame.rgb[j, i],
+            self.frame.rgb.flatten(0, 1)[pixel],
             z * size / self.camera.fx,
             opacity=opacity,
             tag=None if tag is None else tag[kept],

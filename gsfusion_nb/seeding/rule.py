@@ -5,7 +5,9 @@ from one frame. It changes none of its inputs, and draws random numbers only fro
 """
 
 import inspect
+import math
 import typing
+import weakref
 from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
@@ -25,6 +27,8 @@ F = TypeVar("F", bound=SeedingRule)
 Option = bool | int | float | str
 
 _RULES: dict[str, SeedingRule] = {}
+_KNOWN_OPTIONS: weakref.WeakKeyDictionary[SeedingRule, dict[str, inspect.Parameter]] = weakref.WeakKeyDictionary()
+"""Rule -> its options, since reading a signature takes longer than many a step of a rule."""
 _COLUMNS = {"xyz_W": ("N", 3), "rgb": ("N", 3), "scale_m": ("N", 3), "quat": ("N", 4), "opacity": ("N",), "tag": ("N",)}
 
 
@@ -146,6 +150,16 @@ def keep_one_per_voxel(seeds: Seeds, voxel: Int[Tensor, "N 3"], taken: Int[Tenso
 
 def _options_of(rule: SeedingRule) -> dict[str, inspect.Parameter]:
     """The keyword options of a rule, or a sentence about what is wrong with its signature."""
+    try:
+        options = _KNOWN_OPTIONS.get(rule)
+    except TypeError:  # an object that cannot be a key
+        return _read_options(rule)
+    if options is None:
+        options = _KNOWN_OPTIONS[rule] = _read_options(rule)
+    return options
+
+
+def _read_options(rule: SeedingRule) -> dict[str, inspect.Parameter]:
     name = rule_name(rule)
     wanted = f"a seeding rule is written  def {name}(ctx, *, number=default, ...) -> Seeds"
     parameters = list(_signature(rule).parameters.values())
@@ -194,6 +208,22 @@ def check_options(rule: SeedingRule, options: dict[str, Any]) -> None:
             raise TypeError(f"seeding rule {rule_name(rule)!r}: option {name!r} must be {wanted}, got {shown(value)}")
 
 
+def _is_plausible(seeds: Seeds) -> bool:
+    """Whether all values are finite and within the limits of ``_check_seeds``. A GPU is waited for once."""
+    columns = [getattr(seeds, name) for name in _COLUMNS if name != "tag"]
+    extremes = [extreme for column in (*columns, seeds.quat.norm(dim=-1)) for extreme in torch.aminmax(column)]
+    values = torch.stack(extremes).tolist()  # those of a NaN are NaN
+    xyz, rgb, scale_m, _, opacity, length = zip(values[::2], values[1::2], strict=True)
+    return (
+        all(map(math.isfinite, values))
+        and max(-xyz[0], xyz[1]) <= MAX_DISTANCE_M
+        and 0 <= rgb[0] <= rgb[1] <= 1
+        and 0 < scale_m[0] <= scale_m[1] < MAX_DISTANCE_M
+        and 0 < opacity[0] <= opacity[1] < 1
+        and length[0] > 1e-6
+    )
+
+
 def _check_seeds(seeds: Any, ctx: SeedContext) -> None:
     if not isinstance(seeds, Seeds):
         hint = " (is there a return?)" if seeds is None else ""
@@ -206,6 +236,8 @@ def _check_seeds(seeds: Any, ctx: SeedContext) -> None:
             raise ValueError(f"{name} must be on the frame's device {ctx.frame.depth_m.device}, got {column.device}")
         if name != "tag" and not column.is_floating_point():
             raise ValueError(f"{name} must be floating point, got {column.dtype}")
+    if n == 0 or _is_plausible(seeds):
+        return
     length = seeds.quat.norm(dim=-1)
     far = f"{MAX_DISTANCE_M:,.0f} m"
     limits = (
@@ -216,9 +248,6 @@ def _check_seeds(seeds: Any, ctx: SeedContext) -> None:
         ("rgb must lie in 0..1", seeds.rgb, (seeds.rgb >= 0) & (seeds.rgb <= 1)),
         ("quat must not be zero", length, length > 1e-6),
     )
-    finite = [torch.isfinite(getattr(seeds, name)).all() for name in _COLUMNS if name != "tag"]
-    if bool(torch.stack([*finite, *(ok.all() for _, _, ok in limits)]).all()):  # a GPU is waited for once
-        return
     for name in _COLUMNS:
         if name != "tag":
             check_finite(name, getattr(seeds, name))

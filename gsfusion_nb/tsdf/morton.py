@@ -1,5 +1,7 @@
 """Morton codes: three block coordinates interleaved bit by bit; sorted codes visit the blocks in octree order."""
 
+import functools
+
 import torch
 from jaxtyping import Int
 from torch import Tensor
@@ -20,6 +22,9 @@ _SPREAD = (
     (2, 0x1249249249249249),
 )
 """Shift and mask pairs that move bit i of a 21-bit number to bit 3 i, halving the groups each time."""
+
+_PART = 7
+"""Bits that ``interleave`` looks up at a time: 2^7 numbers, three times."""
 
 
 def encode(coords: Int[Tensor, "N 3"]) -> Int[Tensor, " N"]:
@@ -50,11 +55,21 @@ def check_range(low: int, high: int) -> None:
 
 def interleave(coords: Int[Tensor, "N 3"]) -> Int[Tensor, " N"]:
     """``encode`` without the check, for which the host would have to wait for a GPU."""
-    spread = coords.to(torch.int64) + OFFSET
+    spread, first_bit, place = _tables(coords.device)
+    parts = (coords.to(torch.int64) + OFFSET)[:, :, None] >> first_bit & ((1 << _PART) - 1)
+    return (spread[parts] << place).sum((1, 2))
+
+
+@functools.cache
+def _tables(device: torch.device) -> tuple[Int[Tensor, " P"], Int[Tensor, " 3"], Int[Tensor, "3 3"]]:
+    """Every part of a coordinate with two zeros between its bits; the first bit of the parts; their places in the code,
+    by axis. The tables of a GPU are copied there once."""
+    spread = torch.arange(1 << _PART)
     for shift, mask in _SPREAD:
         spread = (spread | (spread << shift)) & mask
-    x, y, z = spread.unbind(1)
-    return x | (y << 1) | (z << 2)
+    first_bit = torch.arange(0, BITS, _PART)
+    place = torch.arange(3)[:, None] + 3 * first_bit
+    return spread.to(device), first_bit.to(device), place.to(device)
 
 
 def decode(codes: Int[Tensor, " N"]) -> Int[Tensor, "N 3"]:

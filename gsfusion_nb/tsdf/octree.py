@@ -34,11 +34,7 @@ class NewBlocks:
 
     def contains(self, block_coords: Int[Tensor, "N 3"]) -> Bool[Tensor, " N"]:
         """Whether each block is one of them."""
-        if not len(self):
-            return torch.zeros(len(block_coords), dtype=torch.bool, device=block_coords.device)
-        codes = interleave(block_coords.clamp(-OFFSET, OFFSET - 1))
-        at = torch.searchsorted(self.codes, codes).clamp(max=len(self) - 1)
-        return self.codes[at] == codes
+        return _among(interleave(block_coords.clamp(-OFFSET, OFFSET - 1)), self.codes)
 
 
 class BlockIndex:
@@ -54,6 +50,7 @@ class BlockIndex:
         self.rows: Int[Tensor, " B"] = torch.zeros(0, dtype=torch.int64, device=device)
         self._table: Tensor | None = None
         self._low: Tensor = torch.zeros(3, dtype=torch.int64, device=device)
+        self._strides: Tensor = self._low
         self._lowest: Corner = (0, 0, 0)
         self._size: Corner = (0, 0, 0)
         self._bounds: tuple[Corner, Corner] | None = None
@@ -96,17 +93,17 @@ class BlockIndex:
         Raises:
             ValueError: a coordinate does not fit in a Morton code.
         """
-        coords, N = coords.to(torch.int64), len(coords)
-        if not N:
+        coords = coords.to(torch.int64)
+        if not len(coords):
             return NewBlocks(coords=coords, codes=coords.new_zeros(0), low=(0, 0, 0), high=(0, 0, 0))
         codes = interleave(coords)
-        absent = self._search(codes) < 0
-        codes, order = codes.where(absent, -1).sort()  # those that exist come first, as -1
-        counts = torch.stack([absent.sum(), (codes.diff() == 0).sum()])
-        *box, M, equal = torch.cat([*torch.aminmax(coords, dim=0), counts]).tolist()
+        present = _among(codes, self.codes)
+        codes, order = codes.masked_fill(present, -1).sort()  # those that exist come first, as -1
+        counts = torch.stack([present.sum(), (codes.diff() == 0).sum()])
+        *box, n, equal = torch.cat([*torch.aminmax(coords, dim=0), counts]).tolist()
         check_range(min(box), max(box))
-        codes, order = codes[N - M :], order[N - M :]
-        if equal > max(N - M - 1, 0):  # a block was given twice
+        codes, order = codes[n:], order[n:]
+        if equal > max(n - 1, 0):  # a block was given twice
             first = codes.diff(prepend=codes.new_full((1,), -1)) != 0
             codes, order = codes[first], order[first]
         return NewBlocks(coords=coords[order], codes=codes, low=_corner(box[:3]), high=_corner(box[3:]))
@@ -181,7 +178,8 @@ class BlockIndex:
         if self._table is None or not fits:
             self._make_table()
         else:
-            self._table[self._cell(new.coords)[0]] = rows.to(torch.int32)
+            cell = ((new.coords - self._low) * self._strides).sum(1)
+            self._table[cell] = rows.to(torch.int32)
 
     def _make_table(self) -> None:
         """A table of the box around all blocks, with room for more, unless it would be too large."""
@@ -192,7 +190,8 @@ class BlockIndex:
         self._size = _corner(b - a + 2 * m + 1 for a, b, m in zip(low, high, margin, strict=True))
         self._table, cells = None, math.prod(self._size)
         if cells <= TABLE_CELLS:
-            self._low = torch.tensor(self._lowest, device=self.codes.device)
+            strides = (self._size[1] * self._size[2], self._size[2], 1)
+            self._low, self._strides = torch.tensor([self._lowest, strides], device=self.codes.device)
             self._table = torch.full((cells,), -1, dtype=torch.int32, device=self.codes.device)
             self._table[self._cell(decode(self.codes))[0]] = self.rows.to(torch.int32)
 
@@ -200,6 +199,14 @@ class BlockIndex:
 def _corner(numbers: Iterable[int]) -> Corner:
     x, y, z = numbers
     return x, y, z
+
+
+def _among(codes: Tensor, sorted_codes: Tensor) -> Bool[Tensor, " N"]:
+    """Whether each code is one of ``sorted_codes``."""
+    if not len(sorted_codes):
+        return torch.zeros_like(codes, dtype=torch.bool)
+    at = torch.searchsorted(sorted_codes, codes).clamp(max=len(sorted_codes) - 1)
+    return sorted_codes[at] == codes
 
 
 def _merge(old: Tensor, old_at: Tensor, new: Tensor, new_at: Tensor) -> Tensor:

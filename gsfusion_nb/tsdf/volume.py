@@ -120,8 +120,9 @@ class TsdfVolume:
     def allocate_missing(self, missing: NewBlocks) -> Int[Tensor, " K"]:
         """Allocate the blocks that ``make_room`` returned; returns their rows."""
         n = self.n_blocks
-        self.index.add(missing)
-        self._pool.hand_out(n, missing.coords)
+        if len(missing):
+            self.index.add(missing)
+            self._pool.hand_out(n, missing.coords)
         return torch.arange(n, self.n_blocks, device=self.device)
 
     def voxel_index(self, xyz_W: Float[Tensor, "N 3"]) -> Int[Tensor, "N 3"]:
