@@ -127,7 +127,8 @@ def test_gsfusion_waits_for_the_number_of_pairs_only(gpu):
 def test_an_adam_step_of_a_map_is_one_launch(steps, launches, gpu):
     """And one more for the age of every row."""
     model = GaussianModel(sh_degree=3, device="cuda")
-    model.append(Seeds.isotropic(*(torch.rand(5, 3).to("cuda") for _ in range(2)), torch.rand(5).to("cuda")))
+    xyz_W, rgb, radius_m = (torch.rand(shape).to("cuda") for shape in ((5, 3), (5, 3), (5,)))
+    model.append(Seeds.isotropic(xyz_W, rgb, radius_m))
     gradients = GaussianParams(**{name: torch.ones_like(column) for name, column in vars(model.params).items()})
     gpu.clear()
     adam_step(model, gradients, OptimConfig(adam_steps=steps))
