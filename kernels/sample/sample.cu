@@ -3,26 +3,16 @@
 // Layout: one point a thread. What limits it: a few thousand points are one wave of threads, so the chain of reads of
 // one point: its block's row from the dense table (of a block that is not allocated yet, a binary search among the
 // sorted codes of the new ones), the voxel, and for the preview the depth and colour of its pixel.
+#include "lookup.cuh"
 #include "voxel.cuh"
 
-constexpr int VOXELS = 512;
 constexpr float FARTHEST = 16777216.0f;  // voxel numbers from here on are not whole in float32, and no block is there
 constexpr int OFFSET = 1 << 20;
-constexpr int NONE = -1, NEW = -2;       // rows of blocks that are not allocated; NEW: but will be
+constexpr int NEW = -2;                  // row of a block that is not allocated, but will be
 
 struct Points {
     const float* xyz;
     int count;
-};
-
-// Pool row of every block of a box, -1 where there is none.
-struct Table {
-    const int* rows;
-    int low[3], size[3];
-};
-
-struct Pool {
-    const float *D, *W, *planes;
 };
 
 // Sorted Morton codes of the blocks that will be allocated.
@@ -47,13 +37,6 @@ __device__ __forceinline__ unsigned long long spread(int number) {
     x = (x | x << 8) & 0x100F00F00F00F00Full;
     x = (x | x << 4) & 0x10C30C30C30C30C3ull;
     return (x | x << 2) & 0x1249249249249249ull;
-}
-
-__device__ __forceinline__ int row_of(const Table& table, const int* block) {
-    const int x = block[0] - table.low[0], y = block[1] - table.low[1], z = block[2] - table.low[2];
-    const int nx = table.size[0], ny = table.size[1], nz = table.size[2];
-    if (x < 0 || y < 0 || z < 0 || x >= nx || y >= ny || z >= nz) return NONE;
-    return table.rows[(x * ny + y) * nz + z];
 }
 
 __device__ __forceinline__ bool will_be(const NewBlocks& fresh, const int* block) {
@@ -90,7 +73,7 @@ __device__ __forceinline__ bool voxel_of(const Points& points, int i, float size
 // What a voxel holds; 1, 0 and black where its block is not allocated.
 __device__ __forceinline__ Voxel read(const Pool& pool, int row, const int* voxel) {
     if (row < 0) return {1.0f, 0.0f, {0.0f, 0.0f, 0.0f}};
-    const int number = 64 * (voxel[0] & 7) + 8 * (voxel[1] & 7) + (voxel[2] & 7);
+    const int number = number_of(voxel);
     const long long at = (long long)row * VOXELS + number;
     const float* plane = pool.planes + (long long)row * (3 * VOXELS) + number;
     return {pool.D[at], pool.W[at], {plane[0], plane[VOXELS], plane[2 * VOXELS]}};

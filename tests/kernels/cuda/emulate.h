@@ -224,6 +224,20 @@ T atomicCAS(T* at, T expected, T value) {
     return old;
 }
 template <class T>
+T atomicMin(T* at, T value) {
+    const T old = *at;
+    *at = std::min(old, value);
+    return old;
+}
+
+template <class T>
+T atomicMax(T* at, T value) {
+    const T old = *at;
+    *at = std::max(old, value);
+    return old;
+}
+
+template <class T>
 T atomicOr(T* at, T value) {
     const T old = *at;
     *at = old | value;
@@ -232,4 +246,7 @@ T atomicOr(T* at, T value) {
 
 inline int __popc(unsigned x) { return __builtin_popcount(x); }
 inline int __ffs(int x) { return __builtin_ffs(x); }
+inline int __float_as_int(float x) { return emulator::value_of<int>(emulator::bits_of(x)); }
+inline int min(int a, int b) { return std::min(a, b); }
+inline int max(int a, int b) { return std::max(a, b); }
 inline float __int_as_float(int x) { return emulator::value_of<float>(emulator::bits_of(x)); }

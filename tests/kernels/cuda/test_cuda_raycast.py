@@ -24,7 +24,7 @@ def test_same_picture(width, height, mapped, to, compare, copy_to):
     camera, ours = frames[0].camera.resized(width, height), copy_to(volume)
     for frame in frames[:1]:
         expected = raycast.reference(volume, camera, frame.T_WC)
-        with use_backend("triton"):
+        with use_backend("cuda"):
             found = raycast(ours, camera, to(frame.T_WC))
         for name, tolerance in (("depth_m", 1e-5), ("normal_W", 1e-3), ("rgb", 1e-3)):
             compare("raycast", name, getattr(found, name), getattr(expected, name), tolerance, share=1e-2)
@@ -36,7 +36,7 @@ def test_raycast_from_inside_and_of_nothing(mapped, device, compare, copy_to):
     camera = frames[0].camera.resized(16, 12)
     volume.W[::3] = 0.0
     expected = raycast.reference(volume, camera, torch.eye(4))
-    with use_backend("triton"):
+    with use_backend("cuda"):
         found = raycast(copy_to(volume), camera, torch.eye(4))
         empty = raycast(TsdfVolume(CONFIG, device), camera, torch.eye(4))
     compare("raycast", "depth_m", found.depth_m, expected.depth_m, 1e-5, share=1e-2)
