@@ -53,6 +53,22 @@ def test_growth_clears_what_a_dropped_row_left_behind(generator):
     assert model.exp_avg_sq.xyz_W[4:].eq(0.0).all()
 
 
+def test_only_rows_that_were_never_in_use_are_zero_already(generator):
+    """Rows are dropped, partly used again, and the buffers grow: no moment and no coefficient of old rows is left."""
+    model = GaussianModel(sh_degree=1)
+    for n, kept in ((10, 4), (3, 7), (8, 2), (5000, 4999), (4, 1), (9000, 9000)):
+        start = len(model)
+        model.append(seeds(n, generator))
+        assert model.params.sh[start:, 1:].eq(0.0).all()
+        for moments in (model.exp_avg, model.exp_avg_sq):
+            assert all(column[start:].eq(0.0).all() for column in vars(moments).values())
+            for column in vars(moments).values():
+                column.fill_(3.0)
+        model.params.sh.fill_(3.0)
+        model = GaussianModel.from_state_dict(model.state_dict()) if n == 8 else model
+        model.keep(torch.arange(len(model)) < kept)
+
+
 def test_views_are_made_again_when_the_rows_change(generator):
     """Also where a map has as many rows as before, in another buffer."""
     model = GaussianModel(sh_degree=0)

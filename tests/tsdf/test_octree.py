@@ -31,6 +31,39 @@ def test_against_a_dictionary(generator):
     assert index.find(query).tolist() == [expected.get(tuple(c), -1) for c in query.tolist()]
 
 
+def test_missing_blocks_are_new_sorted_and_different(generator):
+    index, edge = BlockIndex(), morton.OFFSET
+    index.insert(torch.randint(-9, 9, (300, 3), generator=generator))
+    coords = torch.randint(-12, 12, (500, 3), generator=generator)  # old and new ones, and some twice
+    coords = torch.cat([coords, torch.tensor([[edge - 1] * 3, [-edge] * 3])])
+    for given in (coords, coords.to(torch.int32), coords[:0]):
+        new, before = index.missing(given), len(index)
+        wanted = {tuple(c) for c, row in zip(given.tolist(), index.find(given).tolist(), strict=True) if row < 0}
+        assert sorted(map(tuple, new.coords.tolist())) == sorted(wanted)
+        assert len(new) == len(wanted)
+        assert torch.equal(new.codes, morton.encode(new.coords))
+        assert bool((new.codes.diff() > 0).all())
+        assert new.contains(given).tolist() == [tuple(c) in wanted for c in given.tolist()]
+        assert len(index) == before
+    new = index.missing(coords)
+    index.add(new)
+    assert index.find(new.coords).tolist() == list(range(before, before + len(new)))
+    assert len(index.missing(coords)) == 0
+    assert not index.missing(coords).contains(coords).any()
+    with pytest.raises(ValueError, match=r"must lie in \[-1048576, 1048576\), got -1048577 to 9"):
+        index.missing(torch.tensor([[9, 9, 9], [0, 0, -edge - 1]]))
+
+
+def test_a_table_grows_as_if_it_had_been_made_at_once(generator):
+    grown = BlockIndex()
+    for size in (2, 3, 20, 21, 40):
+        coords = torch.randint(-size, size, (200, 3), generator=generator)
+        grown.insert(coords)
+        at_once = BlockIndex.of_blocks(morton.decode(grown.codes))
+        query = torch.randint(-60, 60, (3000, 3), generator=generator)
+        assert torch.equal(grown.rows[at_once.find(query)].where(at_once.find(query) >= 0, -1), grown.find(query))
+
+
 def test_a_far_block_falls_back_to_codes(generator):
     coords = torch.randint(-20, 20, (300, 3), generator=generator)
     near, both = BlockIndex(), BlockIndex()

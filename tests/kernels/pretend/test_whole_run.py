@@ -21,6 +21,10 @@ from gsfusion_nb.types import GaussianParams, Seeds
 DATA = {"width": 40, "height": 30, "stop": 9, "stride": 2, "hold_out_every": 4, "hold_out_offset": 2}
 FRAMES_MOST = 40
 """Waits for the device in a frame, besides those of the optimisation."""
+GSFUSION_MOST = {"waits": 12, "launches": 160}
+"""In a frame of GSFusion, besides the optimisation. Three of the waits are copies to the GPU, which does not stop for
+them; the others: is the image valid, the number of blocks, of new ones, of leaves, of leaves with depth and of seeds,
+are the seeds valid (twice), and the number of observed voxels."""
 
 
 def gsfusion_settings(**changes):
@@ -106,14 +110,15 @@ def test_torch_takes_over_from_cuda_kernels_that_do_not_compile(gpu, monkeypatch
 
 
 def test_gsfusion_waits_for_the_number_of_pairs_only(gpu):
-    """In an optimisation step the host waits for the device once: how many (Gaussian, tile) pairs to make room for."""
+    """In an optimisation step the host waits for the device once: how many (Gaussian, tile) pairs to make room for; and
+    after the steps of a frame once for their losses."""
     mapper = GSFusion(gsfusion_settings(), device="cuda")
     for frame in frames(2):
         gpu.clear()
         report = mapper.step(frame)
     optim = mapper.config.optim
     steps = optim.keyframe_iterations if report.is_keyframe else optim.frame_iterations + 1
-    assert gpu.n_waits <= FRAMES_MOST + steps, gpu.waits.most_common()
+    assert gpu.n_waits <= GSFUSION_MOST["waits"] + steps + 1, gpu.waits.most_common()
     mapper._optimise_view(mapper.keyframes[0], ssim_weight=0.2)  # the window of SSIM is made once
     gpu.clear()
     for i in range(3):
@@ -121,6 +126,16 @@ def test_gsfusion_waits_for_the_number_of_pairs_only(gpu):
     assert gpu.n_waits == 3, gpu.waits.most_common()
     assert {place.split(":")[0] for _, place in gpu.waits} == {"binning/cuda.py"}
     assert mapper.keyframes[0].rgb_u8.dtype == torch.uint8
+
+
+def test_gsfusion_starts_little_besides_the_optimisation(gpu, monkeypatch):
+    mapper = GSFusion(gsfusion_settings(), device="cuda")
+    monkeypatch.setattr(mapper, "_optimise_online", lambda *_: ([], []))
+    for frame in frames(2):
+        gpu.clear()
+        mapper.step(frame)
+    assert gpu.launches <= GSFUSION_MOST["launches"]
+    assert gpu.n_waits <= GSFUSION_MOST["waits"], gpu.waits.most_common()
 
 
 @pytest.mark.parametrize(("steps", "launches"), [("none", 1), ("shared", 1), ("per_row", 2)])
