@@ -13,7 +13,7 @@ from ..optim import Keyframe, adam_step, dssim_vjp, l1_mse_vjp
 from ..render import render_forward, render_vjp
 from ..seeding import Cells, SeedContext, SeedingRule, VoxelLookup, apply_rule
 from ..tracking import tsdf_surface
-from ..tsdf import FusedView, NewBlocks, RaycastOutput, TsdfVolume, band_blocks, extract_mesh, fuse_frame_, raycast
+from ..tsdf import FusedView, NewBlocks, RaycastOutput, TsdfVolume, extract_mesh, fuse_frame_, new_band_blocks, raycast
 from ..types import Camera, Frame, Mesh, Seeds
 from .frame_checks import check_frame
 from .map_view import MapPart
@@ -182,7 +182,7 @@ class GSFusion(Mapper):
     def _make_room(self, frame: Frame) -> NewBlocks:
         """Make room for the blocks that the frame needs. Returns those that do not exist yet."""
         try:
-            return self.volume.make_room(band_blocks(self.volume, frame))
+            return self.volume.reserve(new_band_blocks(self.volume, frame))
         except ValueError as e:
             raise BadFrameError(f"frame {frame.index} cannot be mapped: {e}") from None
 

@@ -2,6 +2,7 @@
 
 from .allocate import allocate as allocate
 from .allocate import band_blocks as band_blocks
+from .allocate import new_band_blocks as new_band_blocks
 from .block_pool import estimate_memory as estimate_memory
 from .fused_view import FusedView as FusedView
 from .fused_view import sample_fused_voxels as sample_fused_voxels

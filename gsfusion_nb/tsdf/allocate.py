@@ -11,6 +11,7 @@ from ..checks import check_pose
 from ..geometry import pixel_grid, rays, se3
 from ..operands import check_frame_on
 from ..types import Frame
+from .octree import NewBlocks
 from .volume import TsdfVolume, check_volume
 
 OUTLIER_RATIO = 0.05
@@ -23,7 +24,7 @@ def allocate(volume: TsdfVolume, frame: Frame) -> Int[Tensor, " K"]:
     GSFusion III-B.1: "a ray is marched along the line of sight for each pixel, and voxel blocks are allocated only if
     they fall into the specified band around the depth measurement".
     """
-    return volume.add_blocks(band_blocks(volume, frame))
+    return volume.allocate_missing(volume.reserve(new_band_blocks(volume, frame)))
 
 
 def check_band(volume: Any, frame: Any) -> None:
@@ -57,6 +58,16 @@ def band_blocks(volume: TsdfVolume, frame: Frame) -> Int[Tensor, "N 3"]:
     own_block = position.floor()  # counted from the camera's own block, float32 is exact enough anywhere in the world
     origin = (position - own_block).to(z)
     return crossed_cells(origin, direction, (z - half_m).clamp(min=0.0), z + half_m) + own_block.long()
+
+
+@op("allocate", check_band)
+def new_band_blocks(volume: TsdfVolume, frame: Frame) -> NewBlocks:
+    """Those of ``band_blocks`` that are not allocated yet.
+
+    Raises:
+        ValueError: the pose is not rigid, or a block lies beyond the voxel index.
+    """
+    return volume.index.missing(band_blocks(volume, frame))
 
 
 def crossed_cells(

@@ -112,7 +112,14 @@ class TsdfVolume:
             ValueError: a block lies beyond the voxel index.
             MemoryError: before a growth that the machine (or ``memory_limit_bytes``) has no room for.
         """
-        missing = self.index.missing(coords)
+        return self.reserve(self.index.missing(coords))
+
+    def reserve(self, missing: NewBlocks) -> NewBlocks:
+        """Make sure that blocks which do not exist yet can be allocated; returns them.
+
+        Raises:
+            MemoryError: before a growth that the machine (or ``memory_limit_bytes``) has no room for.
+        """
         if len(missing):
             self._reserve(self.n_blocks + len(missing))
         return missing

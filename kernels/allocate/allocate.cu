@@ -7,10 +7,12 @@
 // steps a pixel, and the shared atomics that drop repetitions.
 // Keys are absolute block coordinates, 21 bits an axis with 2^20 added, x highest: sorted, they are in the order of the
 // reference.
+#include "lookup.cuh"
+#include "morton.cuh"
+
 constexpr int EDGE = 16;
 constexpr int RECENT = 512;
 constexpr unsigned long long EMPTY = ~0ull;
-constexpr int OFFSET = 1 << 20;
 
 struct View {
     float R[9];          // rows of R_WC, blocks per metre
@@ -31,12 +33,14 @@ struct Limits {
     int guard, ray;
 };
 
-enum { KEYS, INSUFFICIENT };  // the counts: keys in the list; not 0 if the set was too small or a key out of range
+// The counts: keys in the list; not 0 if the set was too small or a key out of range; keys of blocks that do not exist,
+// and the box around those: (2 OFFSET - 1) - the lowest of each coordinate with OFFSET added, and the highest.
+enum { KEYS, INSUFFICIENT, MISSING, LOWEST, HIGHEST = LOWEST + 3 };
 
 struct Set {
     unsigned long long* table;
-    unsigned long long* list;
-    int* count;          // see KEYS and INSUFFICIENT
+    unsigned long long *list, *codes;  // codes: room for those of missing blocks
+    int* count;          // see KEYS
     int mask, room;
 };
 
@@ -131,4 +135,34 @@ extern "C" __global__ void __launch_bounds__(256) band_blocks(
         view.R[0] * sx + view.R[1] * sy + view.R[2], view.R[3] * sx + view.R[4] * sy + view.R[5],
         view.R[6] * sx + view.R[7] * sy + view.R[8]};
     walk(set, view, recent, direction, fmaxf(d - half, 0.0f), d + half);
+}
+
+// Of the keys in the list those whose blocks are not in the volume's table, as Morton codes; their number and box.
+extern "C" __global__ void __launch_bounds__(256) missing_blocks(Set set, Table table) {
+    const int n = min(set.count[KEYS], set.room);
+    for (int i = blockIdx.x * blockDim.x + threadIdx.x; i < n; i += gridDim.x * blockDim.x) {
+        int shifted[3], block[3];
+        unsigned long long code = 0;
+#pragma unroll
+        for (int a = 0; a < 3; a++) {
+            shifted[a] = (int)(set.list[i] >> (BITS * (2 - a)) & (2 * OFFSET - 1)), block[a] = shifted[a] - OFFSET;
+            code |= spread(shifted[a]) << a;
+        }
+        if (row_of(table, block) != NONE) continue;
+        set.codes[atomicAdd(&set.count[MISSING], 1)] = code;
+#pragma unroll
+        for (int a = 0; a < 3; a++) {
+            atomicMax(&set.count[LOWEST + a], 2 * OFFSET - 1 - shifted[a]);
+            atomicMax(&set.count[HIGHEST + a], shifted[a]);
+        }
+    }
+}
+
+// coords [n, 3]: of the blocks with these Morton codes.
+extern "C" __global__ void __launch_bounds__(128) decode_blocks(
+    const unsigned long long* codes, long long* coords, int n) {
+    const int i = blockIdx.x * blockDim.x + threadIdx.x;
+    if (i >= n) return;
+#pragma unroll
+    for (int a = 0; a < 3; a++) coords[3ll * i + a] = gathered(codes[i] >> a) - OFFSET;
 }

@@ -1,15 +1,19 @@
-"""Cases of ``band_blocks``: both distances, isolated pixels, nothing measured, and a camera far from the origin."""
+"""Cases of ``band_blocks`` and ``new_band_blocks``: both distances, isolated pixels, nothing measured, and a camera far
+from the origin."""
 
 import dataclasses
+import functools
 from collections.abc import Iterator
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from gsfusion_nb.backends import use_backend
 from gsfusion_nb.config import TsdfConfig
 from gsfusion_nb.geometry import se3
-from gsfusion_nb.tsdf import TsdfVolume, band_blocks
+from gsfusion_nb.tsdf import TsdfVolume, band_blocks, new_band_blocks
+from gsfusion_nb.tsdf.morton import encode
 from gsfusion_nb.types import Frame
 
 from ..runtime.cases import Case, make_frame
@@ -37,6 +41,35 @@ def cases() -> Iterator[Case]:
             return {"marked": _marked(band_blocks(volume, frame), volume, frame)}
 
         yield Case(name=name, operations=("band_blocks",), run=run, dtypes=(torch.float32,), flips=1e-4)
+        for known in ("none", "some", "all", "far apart"):
+            run_new = functools.partial(_run_new, known=known, change=change, config=config)
+            named = f"{name}, {known} known"
+            yield Case(name=named, operations=("new_band_blocks",), run=run_new, dtypes=(torch.float32,), flips=1e-4)
+
+
+def _run_new(
+    device: torch.device, dtype: torch.dtype, *, known: str, change: dict[str, Any], config: dict[str, Any]
+) -> dict[str, Tensor]:
+    """``known``: which of the blocks exist already; far apart: in a map that is too large for a table."""
+    frame = _frame(**change)
+    volume = TsdfVolume(TsdfConfig(**{"voxel_size_m": 0.02, "truncation_voxels": 4.0, **config}))
+    with use_backend("reference"):
+        blocks = band_blocks(volume, frame)
+    if known != "none":
+        volume.add_blocks(blocks if known == "all" else blocks[::2])
+    if known == "far apart":
+        volume.add_blocks(torch.tensor([[-100_000, 0, 0], [100_000, 7, 90_000]]))
+    frame, volume = frame.to(device), volume.to(device)
+    new = new_band_blocks(volume, frame)
+    inside = (new.coords >= torch.tensor(new.low, device=device)) & (
+        new.coords <= torch.tensor(new.high, device=device)
+    )
+    return {
+        "marked": _marked(new.coords, volume, frame),
+        "codes that do not fit": (new.codes != encode(new.coords)).sum(),
+        "codes out of order": (new.codes.diff() <= 0).sum(),
+        "outside the box": (~inside).sum(),
+    }
 
 
 def _frame(*, isolated: bool = False, depth_m: float | None = None, offset_m: float = 0.0) -> Frame:

@@ -1,6 +1,5 @@
-"""The blocks that the band of a depth image crosses, entered into a hash set: ``allocate.cu``.
-
-The host waits once, for the number of blocks.
+"""The blocks that the band of a depth image crosses, entered into a hash set, and those of them that are new:
+``allocate.cu``. The host waits once, for their number.
 """
 
 import ctypes
@@ -9,16 +8,21 @@ from typing import Annotated, NamedTuple
 import torch
 from torch import Tensor
 
+from gsfusion_nb import tsdf
+from gsfusion_nb.tsdf import NewBlocks, TsdfVolume
 from gsfusion_nb.tsdf.allocate import OUTLIER_RATIO
-from gsfusion_nb.tsdf.allocate import band_blocks as reference
 from gsfusion_nb.tsdf.morton import BITS, OFFSET
-from gsfusion_nb.tsdf.volume import TsdfVolume
 from gsfusion_nb.types import Frame
 
 from ..runtime.cuda.launch import device_of, launch
 from ..runtime.gpu import check_dtype, packed, parts
+from ..sample.cuda import Table
 
-_EDGE = 16
+_EDGE, _BLOCK = 16, 128
+_PROGRAMS, _WIDE_BLOCK = 64, 256
+"""Blocks of threads that look for missing blocks among the keys, whose number only the GPU knows, and their size."""
+_KEYS, _INSUFFICIENT, _MISSING, _LOWEST, _HIGHEST, _COUNTS = 0, 1, 2, 3, 6, 9
+"""Places of the counts; as in ``allocate.cu``."""
 _FIRST_SLOTS, _MOST_SLOTS = 1 << 17, 1 << 26
 """Size of the hash set: a power of two, at most half full, eight times larger when it was too small."""
 
@@ -58,6 +62,7 @@ class Set(NamedTuple):
 
     table: Tensor
     list: Tensor
+    codes: Tensor
     count: Tensor
     mask: int
     room: int
@@ -65,13 +70,45 @@ class Set(NamedTuple):
 
 def band_blocks(volume: TsdfVolume, frame: Frame) -> Tensor:
     """See ``gsfusion_nb.tsdf.band_blocks``. Blocks in the order of the reference."""
-    device = device_of("band_blocks", volume=volume.D, depth_m=frame.depth_m)
-    check_dtype("band_blocks", torch.float32, depth_m=frame.depth_m)
+    found = _entered("band_blocks", volume, frame)
+    if found is None:
+        return tsdf.band_blocks.reference(volume, frame)
+    entries, counts = found
+    key = entries.list[: counts[_KEYS]].sort().values
+    mask = (1 << BITS) - 1
+    return torch.stack([key >> (2 * BITS), key >> BITS & mask, key & mask], dim=1) - OFFSET
+
+
+def new_band_blocks(volume: TsdfVolume, frame: Frame) -> NewBlocks:
+    """See ``gsfusion_nb.tsdf.new_band_blocks``. A map that is too large for a table is searched by torch."""
+    lookup = volume.index.table
+    if volume.n_blocks and lookup is None:
+        return volume.index.missing(band_blocks(volume, frame))
+    rows, _, size = lookup or (None, None, (0, 0, 0))
+    found = _entered("new_band_blocks", volume, frame, Table(rows=rows, low=volume.index.table_low, size=size))
+    if found is None:
+        return tsdf.new_band_blocks.reference(volume, frame)
+    entries, counts = found
+    n = counts[_MISSING]
+    codes = entries.codes[:n].sort().values
+    coords = torch.empty(n, 3, dtype=torch.int64, device=codes.device)
+    launch("new_band_blocks", "allocate:decode_blocks", parts(n, _BLOCK), _BLOCK, codes, coords, n)
+    low = [OFFSET - 1 - number for number in counts[_LOWEST:_HIGHEST]]
+    high = [number - OFFSET for number in counts[_HIGHEST:]]
+    return NewBlocks(coords=coords, codes=codes, low=(low[0], low[1], low[2]), high=(high[0], high[1], high[2]))
+
+
+def _entered(
+    operation: str, volume: TsdfVolume, frame: Frame, table: Table | None = None
+) -> tuple[Set, list[int]] | None:
+    """The blocks of the band and the counts; with a table also those that it lacks. None if no set is large enough."""
+    device = device_of(operation, volume=volume.D, depth_m=frame.depth_m)
+    check_dtype(operation, torch.float32, depth_m=frame.depth_m)
     config, camera, T = volume.config, frame.camera, frame.T_WC_cpu.double()
     position = T[:3, 3] / volume.block_size_m
     base = position.floor()
     if float(base.abs().max()) >= OFFSET:
-        return reference.reference(volume, frame)
+        return None
     depth_m = packed(frame.depth_m)
     view = View(
         R=(T[:3, :3] / volume.block_size_m).flatten().tolist(),
@@ -97,15 +134,15 @@ def band_blocks(volume: TsdfVolume, frame: Frame) -> Tensor:
     tiles = parts(camera.width, _EDGE), parts(camera.height, _EDGE)
     slots = _FIRST_SLOTS
     while slots <= _MOST_SLOTS:
-        table = torch.full((slots,), -1, dtype=torch.int64, device=device)
-        found = torch.empty(slots // 2, dtype=torch.int64, device=device)
-        count = torch.zeros(2, dtype=torch.int32, device=device)
-        entries = Set(table=table, list=found, count=count, mask=slots - 1, room=slots // 2)
-        launch("band_blocks", "allocate:band_blocks", tiles, _EDGE**2, depth_m, rays, limits, view, entries)
-        n, insufficient = count.tolist()
-        if not insufficient:
-            key = found[:n].sort().values
-            mask = (1 << BITS) - 1
-            return torch.stack([key >> (2 * BITS), key >> BITS & mask, key & mask], dim=1) - OFFSET
+        marks = torch.full((slots,), -1, dtype=torch.int64, device=device)
+        keys, codes = torch.empty(2, slots // 2, dtype=torch.int64, device=device)
+        count = torch.zeros(_COUNTS, dtype=torch.int32, device=device)
+        entries = Set(table=marks, list=keys, codes=codes, count=count, mask=slots - 1, room=slots // 2)
+        launch(operation, "allocate:band_blocks", tiles, _EDGE**2, depth_m, rays, limits, view, entries)
+        if table is not None:
+            launch(operation, "allocate:missing_blocks", _PROGRAMS, _WIDE_BLOCK, entries, table)
+        counts = count.tolist()
+        if not counts[_INSUFFICIENT]:
+            return entries, counts
         slots *= 8
-    return reference.reference(volume, frame)
+    return None

@@ -14,6 +14,7 @@ import torch
 from numba import njit, prange
 from torch import Tensor
 
+from gsfusion_nb.tsdf import NewBlocks
 from gsfusion_nb.tsdf.allocate import OUTLIER_RATIO
 from gsfusion_nb.tsdf.allocate import band_blocks as reference
 from gsfusion_nb.tsdf.volume import TsdfVolume
@@ -102,6 +103,11 @@ def band_blocks(volume: TsdfVolume, frame: Frame) -> Tensor:
         _crossed(depth, slopes, limits.truncation, view, np.array(box.size), pieces, along_ray, marks)
         cells = _cells(marks, np.array(box.size))
     return torch.from_numpy(cells) + box.low
+
+
+def new_band_blocks(volume: TsdfVolume, frame: Frame) -> NewBlocks:
+    """See ``gsfusion_nb.tsdf.new_band_blocks``."""
+    return volume.index.missing(band_blocks(volume, frame))
 
 
 @njit(inline="always")

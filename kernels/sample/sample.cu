@@ -4,10 +4,10 @@
 // one point: its block's row from the dense table (of a block that is not allocated yet, a binary search among the
 // sorted codes of the new ones), the voxel, and for the preview the depth and colour of its pixel.
 #include "lookup.cuh"
+#include "morton.cuh"
 #include "voxel.cuh"
 
 constexpr float FARTHEST = 16777216.0f;  // voxel numbers from here on are not whole in float32, and no block is there
-constexpr int OFFSET = 1 << 20;
 constexpr int NEW = -2;                  // row of a block that is not allocated, but will be
 
 struct Points {
@@ -28,16 +28,6 @@ struct Sample {
 struct Voxel {
     float D, W, rgb[3];
 };
-
-// Bit i of a 21-bit number becomes bit 3 i.
-__device__ __forceinline__ unsigned long long spread(int number) {
-    unsigned long long x = (unsigned long long)number;
-    x = (x | x << 32) & 0x001F00000000FFFFull;
-    x = (x | x << 16) & 0x001F0000FF0000FFull;
-    x = (x | x << 8) & 0x100F00F00F00F00Full;
-    x = (x | x << 4) & 0x10C30C30C30C30C3ull;
-    return (x | x << 2) & 0x1249249249249249ull;
-}
 
 __device__ __forceinline__ bool will_be(const NewBlocks& fresh, const int* block) {
     unsigned long long wanted = 0;
