@@ -33,7 +33,7 @@ extern "C" __global__ void __launch_bounds__(256) l1_pass(
         if (i >= total) break;
         const float shown = rgb[i], wanted = target[i], gap = shown - wanted;
         v_rgb[i] = gap > 0.0f ? scale : gap < 0.0f ? -scale : 0.0f;
-        const float off = fminf(fmaxf(shown, 0.0f), 1.0f) - wanted;
+        const float off = (shown < 0.0f ? 0.0f : shown > 1.0f ? 1.0f : shown) - wanted;  // NaN stays NaN
         absolute += fabsf(gap), square += off * off;
     }
     const Errors sum = sum_of_block({absolute, square});
