@@ -46,8 +46,10 @@ class BlockIndex:
     """
 
     def __init__(self, device: torch.device | str = "cpu"):
-        self.codes: Int[Tensor, " B"] = torch.zeros(0, dtype=torch.int64, device=device)
-        self.rows: Int[Tensor, " B"] = torch.zeros(0, dtype=torch.int64, device=device)
+        self._codes: Int[Tensor, " B"] = torch.zeros(0, dtype=torch.int64, device=device)
+        self._rows: Int[Tensor, " B"] = torch.zeros(0, dtype=torch.int64, device=device)
+        self._added: list[Tensor] = []
+        self._count = 0
         self._table: Tensor | None = None
         self._low: Tensor = torch.zeros(3, dtype=torch.int64, device=device)
         self._strides: Tensor = self._low
@@ -59,7 +61,8 @@ class BlockIndex:
     def of_blocks(cls, coords: Int[Tensor, "B 3"]) -> "BlockIndex":
         """The index of blocks whose row is their position in ``coords``, which must all be different."""
         index = cls(coords.device)
-        index.codes, index.rows = encode(coords).sort()
+        index._codes, index._rows = encode(coords).sort()
+        index._count = len(coords)
         if len(index):
             low, high = torch.stack(torch.aminmax(coords, dim=0)).tolist()
             index._enclose(_corner(low), _corner(high))
@@ -67,7 +70,19 @@ class BlockIndex:
         return index
 
     def __len__(self) -> int:
-        return self.codes.shape[0]
+        return self._count
+
+    @property
+    def codes(self) -> Int[Tensor, " B"]:
+        """Morton codes of the blocks, sorted."""
+        self._merge_added()
+        return self._codes
+
+    @property
+    def rows(self) -> Int[Tensor, " B"]:
+        """Pool row of each of them."""
+        self._merge_added()
+        return self._rows
 
     def find(self, block_coords: Int[Tensor, "N 3"]) -> Int[Tensor, " N"]:
         """Pool row of each block, -1 where it is not allocated. int64"""
@@ -122,18 +137,30 @@ class BlockIndex:
 
         Breadth-first allocation from the top (GSFusion III-B.1): a descent that creates the missing nodes level by
         level arrives at the new leaves in Morton order. Here the nodes above are implied by the leaf codes, so the
-        whole descent is one merge of sorted codes; ``descend`` shows the levels.
+        whole descent is one merge of sorted codes; ``descend`` shows the levels. The merge is left until the codes are
+        asked for: where blocks are found through the table, that is not in every frame.
         """
         n, M = len(self), len(new)
         if not M:
             return
-        places = torch.arange(n + M, device=self.codes.device)
-        at = torch.searchsorted(self.codes, new.codes) + places[:M]
-        old_at = torch.searchsorted(new.codes, self.codes) + places[:n]
-        self.codes = _merge(self.codes, old_at, new.codes, at)
-        self.rows = _merge(self.rows, old_at, places[n:], at)
+        self._added.append(new.codes)
+        self._count += M
         self._enclose(new.low, new.high)
-        self._enter(new, places[n:])
+        self._enter(new, torch.arange(n, n + M, dtype=torch.int32, device=new.codes.device))
+
+    def _merge_added(self) -> None:
+        if not self._added:
+            return
+        fresh, n = torch.cat(self._added), len(self._codes)
+        rows = torch.arange(n, n + len(fresh), device=fresh.device)
+        if len(self._added) > 1:
+            fresh, order = fresh.sort()
+            rows = rows[order]
+        places = torch.arange(n + len(fresh), device=fresh.device)
+        at = torch.searchsorted(self._codes, fresh) + places[: len(fresh)]
+        old_at = torch.searchsorted(fresh, self._codes) + places[:n]
+        self._codes, self._rows = _merge(self._codes, old_at, fresh, at), _merge(self._rows, old_at, rows, at)
+        self._added = []
 
     def level(self, k: int) -> Int[Tensor, " P"]:
         """Codes of the distinct octree nodes ``k`` levels above the blocks; ``level(0)`` are the blocks. Sorted."""
@@ -179,7 +206,7 @@ class BlockIndex:
             self._make_table()
         else:
             cell = ((new.coords - self._low) * self._strides).sum(1)
-            self._table[cell] = rows.to(torch.int32)
+            self._table[cell] = rows
 
     def _make_table(self) -> None:
         """A table of the box around all blocks, with room for more, unless it would be too large."""
@@ -191,8 +218,8 @@ class BlockIndex:
         self._table, cells = None, math.prod(self._size)
         if cells <= TABLE_CELLS:
             strides = (self._size[1] * self._size[2], self._size[2], 1)
-            self._low, self._strides = torch.tensor([self._lowest, strides], device=self.codes.device)
-            self._table = torch.full((cells,), -1, dtype=torch.int32, device=self.codes.device)
+            self._low, self._strides = torch.tensor([self._lowest, strides], device=self._codes.device)
+            self._table = torch.full((cells,), -1, dtype=torch.int32, device=self._codes.device)
             self._table[self._cell(decode(self.codes))[0]] = self.rows.to(torch.int32)
 
 

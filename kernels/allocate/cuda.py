@@ -5,6 +5,7 @@
 import ctypes
 from typing import Annotated, NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -104,16 +105,16 @@ def _entered(
     """The blocks of the band and the counts; with a table also those that it lacks. None if no set is large enough."""
     device = device_of(operation, volume=volume.D, depth_m=frame.depth_m)
     check_dtype(operation, torch.float32, depth_m=frame.depth_m)
-    config, camera, T = volume.config, frame.camera, frame.T_WC_cpu.double()
+    config, camera, T = volume.config, frame.camera, frame.T_WC_cpu.double().numpy()
     position = T[:3, 3] / volume.block_size_m
-    base = position.floor()
-    if float(base.abs().max()) >= OFFSET:
+    base = np.floor(position)
+    if np.abs(base).max() >= OFFSET:
         return None
     depth_m = packed(frame.depth_m)
     view = View(
         R=(T[:3, :3] / volume.block_size_m).flatten().tolist(),
         origin=(position - base).tolist(),
-        base=base.int().tolist(),
+        base=base.astype(int).tolist(),
     )
     rays = Rays(
         width=camera.width,
