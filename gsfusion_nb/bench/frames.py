@@ -1,5 +1,7 @@
 """The sequence that cases work on."""
 
+from typing import Any
+
 from ..config import DataConfig
 from ..data import OpenedSequence, open_sequence
 from ..data.room import room
@@ -46,7 +48,7 @@ def stored_frames(options: BenchOptions, size: tuple[int, int]) -> StoredFrames:
 def open_frames(options: BenchOptions, size: tuple[int, int]) -> OpenedSequence:
     """The sequence that the options ask for, without held-out frames; nothing is read yet."""
     data = DataConfig(width=size[0], height=size[1], stop=options.n_frames, hold_out_every=0)
-    walk = {"n_frames": max(_WALK, options.n_frames)} if options.data == "room" else {}
+    walk: dict[str, Any] = {"n_frames": max(_WALK, options.n_frames)} if options.data == "room" else {}
     return open_sequence(options.data, data=data, **walk)
 
 

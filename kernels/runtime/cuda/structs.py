@@ -102,8 +102,9 @@ def _leaves(kind: Any, start: int) -> list[tuple[int, str, int]]:
         fields = [(getattr(kind, name).offset, k) for name, k in kind._fields_]  # pyright: ignore[reportAssignmentType]
         return [leaf for offset, k in fields for leaf in _leaves(k, start + offset)]
     if issubclass(kind, ctypes.Array):
-        size = ctypes.sizeof(kind._type_)
-        return [leaf for i in range(kind._length_) for leaf in _leaves(kind._type_, start + i * size)]
+        array: Any = kind
+        number, count = array._type_, array._length_
+        return [leaf for i in range(count) for leaf in _leaves(number, start + i * ctypes.sizeof(number))]
     return [(start, _CODES[kind], ctypes.sizeof(kind))]
 
 
