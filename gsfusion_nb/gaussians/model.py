@@ -203,7 +203,8 @@ class GaussianModel:
         last = self._columns[prefix + PARAMETERS[-1]]
         buffer, views = self._views.get(prefix, (None, None))
         if views is not None and buffer is last and len(views) == self._count:
-            return views
+            if not any(view.requires_grad for view in vars(views).values()):  # somebody's own derivative
+                return views
         views = GaussianParams(**{name: self._columns[prefix + name][: self._count] for name in PARAMETERS})
         self._views[prefix] = (last, views)
         return views

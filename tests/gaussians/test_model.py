@@ -69,6 +69,16 @@ def test_only_rows_that_were_never_in_use_are_zero_already(generator):
         model.keep(torch.arange(len(model)) < kept)
 
 
+def test_a_derivative_asked_of_a_view_stays_with_that_view(generator):
+    model = GaussianModel(0)
+    model.append(seeds(3, generator))
+    mine = model.params.xyz_W.requires_grad_()
+    assert mine.requires_grad
+    assert not model.params.xyz_W.requires_grad
+    model.params.xyz_W.add_(1.0)
+    assert torch.equal(mine.detach(), model.params.xyz_W)
+
+
 def test_views_are_made_again_when_the_rows_change(generator):
     """Also where a map has as many rows as before, in another buffer."""
     model = GaussianModel(sh_degree=0)
