@@ -202,9 +202,9 @@ class GaussianModel:
     def _rows(self, prefix: str) -> GaussianParams:
         last = self._columns[prefix + PARAMETERS[-1]]
         buffer, views = self._views.get(prefix, (None, None))
-        if views is not None and buffer is last and len(views) == self._count:
-            if not any(view.requires_grad for view in vars(views).values()):  # somebody's own derivative
-                return views
+        is_current = views is not None and buffer is last and len(views) == self._count
+        if is_current and not any(view.requires_grad for view in vars(views).values()):  # somebody's own derivative
+            return views
         views = GaussianParams(**{name: self._columns[prefix + name][: self._count] for name in PARAMETERS})
         self._views[prefix] = (last, views)
         return views
