@@ -202,8 +202,7 @@ class GaussianModel:
     def _rows(self, prefix: str) -> GaussianParams:
         last = self._columns[prefix + PARAMETERS[-1]]
         buffer, views = self._views.get(prefix, (None, None))
-        is_current = views is not None and buffer is last and len(views) == self._count
-        if is_current and not any(view.requires_grad for view in vars(views).values()):  # somebody's own derivative
+        if views is not None and buffer is last and len(views) == self._count and not _is_differentiated(views):
             return views
         views = GaussianParams(**{name: self._columns[prefix + name][: self._count] for name in PARAMETERS})
         self._views[prefix] = (last, views)
@@ -238,3 +237,8 @@ class GaussianModel:
             grown[: self._count] = old[: self._count]
             self._columns[name] = grown
         self._most = self._count
+
+
+def _is_differentiated(params: GaussianParams) -> bool:
+    """Whether somebody asked for a derivative of one of these columns."""
+    return any(column.requires_grad for column in vars(params).values())
