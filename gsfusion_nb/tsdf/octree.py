@@ -109,6 +109,8 @@ class BlockIndex:
             ValueError: a coordinate does not fit in a Morton code.
         """
         coords = coords.to(torch.int64)
+        if self._table is not None and coords.device.type == "cpu":  # most blocks exist; a GPU would be waited for here
+            coords = coords[self.find(coords) < 0]
         if not len(coords):
             return NewBlocks(coords=coords, codes=coords.new_zeros(0), low=(0, 0, 0), high=(0, 0, 0))
         codes = interleave(coords)
