@@ -4,7 +4,6 @@ from typing import Any
 
 from ..config import DataConfig
 from ..data import OpenedSequence, open_sequence
-from ..data.room import room
 from ..processes import run_in_processes, usable_cores
 from ..types import Frame
 from .options import BenchOptions
@@ -12,7 +11,7 @@ from .options import BenchOptions
 _WALK = 200
 """Frames of the room's walk; more frames are closer together on the same walk."""
 _JOB = 8
-"""Frames that a process renders at a time; the first are rendered here."""
+"""Frames that a process renders at a time; the first are rendered here, and with them what all of them share."""
 
 
 class StoredFrames:
@@ -57,17 +56,17 @@ def render_in_advance(options: BenchOptions, size: tuple[int, int]) -> None:
     nothing, because there reading is timed."""
     if options.data != "room":
         return
-    n, walk = options.n_frames, max(_WALK, options.n_frames)
-    _render(walk, size, 0, min(_JOB, n))
-    jobs = [(walk, size, first, min(first + _JOB, n)) for first in range(_JOB, n, _JOB)]
+    n = options.n_frames
+    _render(options, size, 0, min(_JOB, n))
+    jobs = [(options, size, first, min(first + _JOB, n)) for first in range(_JOB, n, _JOB)]
     for _ in run_in_processes(_render, jobs, [frozenset()] * len(jobs), usable_cores()):
         pass
 
 
-def _render(n_frames: int, size: tuple[int, int], first: int, stop: int) -> None:
-    sequence = room(n_frames=n_frames, width=size[0], height=size[1])
+def _render(options: BenchOptions, size: tuple[int, int], first: int, stop: int) -> None:
+    frames = open_frames(options, size)
     for i in range(first, stop):
-        sequence[i]
+        frames[i]
 
 
 def case_name(name: str, width: int, height: int) -> str:

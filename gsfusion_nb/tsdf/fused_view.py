@@ -24,7 +24,7 @@ class FusedView:
     Args:
         volume: The volume before the frame.
         frame: The frame that will be fused.
-        missing: The blocks that will be allocated for it, from ``TsdfVolume.make_room``.
+        missing: The blocks that will be allocated for it, from ``new_band_blocks``.
     """
 
     def __init__(self, volume: TsdfVolume, frame: Frame, missing: NewBlocks):

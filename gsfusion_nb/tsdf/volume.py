@@ -125,7 +125,7 @@ class TsdfVolume:
         return missing
 
     def allocate_missing(self, missing: NewBlocks) -> Int[Tensor, " K"]:
-        """Allocate the blocks that ``make_room`` returned; returns their rows."""
+        """Allocate the blocks that ``reserve`` returned; returns their rows."""
         n = self.n_blocks
         if len(missing):
             self.index.add(missing)

@@ -9,7 +9,7 @@ struct Columns {
     float *xyz_W, *log_scale, *quat, *opacity_logit, *sh;
 };
 
-struct Rates {
+struct ColumnRates {
     float xyz_W, log_scale, quat, opacity_logit, sh_dc, sh_rest;
 };
 
@@ -96,7 +96,7 @@ __device__ __forceinline__ bool is_of(int& block, int total) {
 
 // Columns of N rows, K coefficients of SH in each. Blocks: those of each column, one after another.
 extern "C" __global__ void __launch_bounds__(256) update_map(
-    Columns params, Columns gradients, Columns exp_avg, Columns exp_avg_sq, Rates rates, Steps steps, Decay decay, int N,
+    Columns params, Columns gradients, Columns exp_avg, Columns exp_avg_sq, ColumnRates rates, Steps steps, Decay decay, int N,
     int K) {
     int block = blockIdx.x;
     if (is_of(block, 3 * N)) {

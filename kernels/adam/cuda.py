@@ -40,17 +40,6 @@ class Column(NamedTuple):
     exp_avg_sq: Tensor
 
 
-class Rates(NamedTuple):
-    """See ``gsfusion_nb.optim.ColumnRates``."""
-
-    xyz_W: float
-    log_scale: float
-    quat: float
-    opacity_logit: float
-    sh_dc: float
-    sh_rest: float
-
-
 class Steps(NamedTuple):
     """The step count of every row, int32 or int64; with neither, the corrections of all rows (``host.corrections``)."""
 
@@ -97,7 +86,7 @@ def adam_update_map(
     N, K = len(params), params.sh.shape[1]
     blocks = 2 * parts(3 * N, _NUMBERS) + parts(4 * N, _NUMBERS) + parts(N, _NUMBERS) + parts(3 * K * N, _NUMBERS)
     counts, decay = _steps(steps, beta1, beta2), _decay(beta1, beta2, eps)
-    launch(operation, "adam:update_map", blocks, _BLOCK, *groups, Rates(*rates), counts, decay, N, K)
+    launch(operation, "adam:update_map", blocks, _BLOCK, *groups, rates, counts, decay, N, K)
 
 
 def adam_update(

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from gsfusion_nb.tsdf.raycast import CLOSE_VOXELS, STEP, RaycastOutput
+from gsfusion_nb.tsdf.raycast import CLOSE_VOXELS, REFINEMENTS, STEP, RaycastOutput
 from gsfusion_nb.tsdf.raycast import raycast as reference
 from gsfusion_nb.tsdf.volume import TsdfVolume
 from gsfusion_nb.types import Camera
@@ -35,13 +35,14 @@ class Lens(NamedTuple):
 
 
 class Sizes(NamedTuple):
-    """Metres; the share of the stored distance that a ray advances."""
+    """Metres; the share of the stored distance that a ray advances; interpolations after the linear one."""
 
     voxel: float
     block: float
     truncation: float
     step: float
     close: float
+    refinements: int
 
 
 class Spans(NamedTuple):
@@ -82,6 +83,7 @@ def raycast(volume: TsdfVolume, camera: Camera, T_WC: Tensor) -> RaycastOutput:
         truncation=float(config.truncation_m),
         step=STEP,
         close=CLOSE_VOXELS * config.voxel_size_m,
+        refinements=REFINEMENTS,
     )
     tiles_x, tiles_y = parts(W, _TILE), parts(H, _TILE)
     first = torch.full((tiles_x * tiles_y,), _INFINITE_BITS, dtype=torch.int32, device=device)

@@ -7,7 +7,6 @@
 
 constexpr int TILE = 16, WIDE = 16, HIGH = 8;  // a block of threads takes WIDE x HIGH pixels
 constexpr float NEAR = 0.01f;
-constexpr int REFINEMENTS = 2;
 
 struct Lens {
     const float* T_WC;
@@ -15,9 +14,11 @@ struct Lens {
     int width, height;
 };
 
-// Metres; step: the share of the stored distance that a ray advances; close: where D is interpolated, metres.
+// Metres; step: the share of the stored distance that a ray advances; close: where D is interpolated, metres;
+// refinements: number of interpolations after the first, linear one.
 struct Sizes {
     float voxel, block, truncation, step, close;
+    int refinements;
 };
 
 // Nearest and farthest depth of any block in each tile, as the bits of floats above 0, which sort as the floats do.
@@ -166,7 +167,7 @@ __device__ __forceinline__ float refine(
     const Table& table, const Pool& pool, const Sizes& sizes, const float* origin, const float* d, Bracket b) {
     float z = b.z0 + (b.z1 - b.z0) * (b.D0 / (b.D0 - b.D1));
     Corners c;
-    for (int k = 0; k < REFINEMENTS; k++) {
+    for (int k = 0; k < sizes.refinements; k++) {
         float p[3];
         point_at(origin, d, z, p);
         if (corners_of(table, pool, p, sizes.voxel, c)) {

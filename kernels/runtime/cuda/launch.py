@@ -11,7 +11,7 @@ from gsfusion_nb.backends import BackendUnavailable
 
 from ..gpu import one_device
 from . import driver, nvrtc
-from .structs import Arguments, is_group
+from .structs import Arguments
 
 _EMULATOR = os.environ.get("GSFUSION_CUDA_EMULATOR", "")
 _DIMENSION_LIMIT = 2**31 - 1
@@ -72,8 +72,9 @@ def launch(operation: str, source: str, grid: int | tuple[int, int], block: int,
     layout = _layouts.get((source, len(args)))
     if layout is None:
         layout = _layouts[source, len(args)] = Arguments(args)
-    pointers, _kept = layout.pack(operation, args)
-    device = _first_tensor(args).device
+    values = layout.flat(args)
+    device = next(value.device for value in values if isinstance(value, Tensor))
+    pointers, _kept = layout.pack(operation, values)
     if device.type == "cpu":
         _emulate(operation, kernel, size, block, pointers)
     else:
@@ -82,14 +83,6 @@ def launch(operation: str, source: str, grid: int | tuple[int, int], block: int,
 
 _layouts: dict[tuple[str, int], Arguments] = {}
 """Of the kernels that were launched before."""
-
-
-def _first_tensor(args: tuple) -> Tensor:
-    for arg in args:
-        for value in arg if is_group(arg) else (arg,):
-            if isinstance(value, Tensor):
-                return value
-    raise ValueError("a kernel takes at least one tensor")
 
 
 @functools.cache

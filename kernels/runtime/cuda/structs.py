@@ -18,7 +18,6 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 from torch import Tensor
 
 _NUMBERS = {bool: ctypes.c_int, int: ctypes.c_int, float: ctypes.c_float}
-_STRUCT = ctypes.Structure
 _CODES = {ctypes.c_void_p: "Q", ctypes.c_int: "i", ctypes.c_float: "f", ctypes.c_double: "d", ctypes.c_longlong: "q"}
 
 
@@ -50,29 +49,31 @@ class Arguments:
             text, end = f"{text}{offset - end}x{code}", offset + size
         self._format = struct.Struct(text)
         self._pointers = ctypes.c_void_p * len(kinds)
-        members = [kind for k in kinds for kind in ([f[1] for f in k._fields_] if issubclass(k, _STRUCT) else [k])]
-        self._is_group = [issubclass(kind, _STRUCT) for kind in kinds]
+        self._groups = [is_group(arg) for arg in example]
+        members: list[Any] = []
+        for kind, grouped in zip(kinds, self._groups, strict=True):
+            members += [field[1] for field in kind._fields_] if grouped else [kind]
         self._tensors = [i for i, kind in enumerate(members) if kind is ctypes.c_void_p]
         self._arrays = [i for i, kind in enumerate(members) if issubclass(kind, ctypes.Array)]
-        flat = self._flat(example)
-        self._wrapped = [i for i, value in enumerate(flat) if isinstance(value, ctypes._SimpleCData)]
+        self._wrapped = [i for i, value in enumerate(self.flat(example)) if isinstance(value, ctypes._SimpleCData)]
 
-    def _flat(self, args: Sequence[Any]) -> list[Any]:
+    def flat(self, args: Sequence[Any]) -> list[Any]:
+        """The arguments, those in groups one after another."""
         flat: list[Any] = []
-        for arg, is_group in zip(args, self._is_group, strict=True):
-            if is_group:
+        for arg, grouped in zip(args, self._groups, strict=True):
+            if grouped:
                 flat += arg
             else:
                 flat.append(arg)
         return flat
 
-    def pack(self, operation: str, args: Sequence[Any]) -> tuple[Any, Any]:
-        """The addresses of the packed arguments, which are valid as long as the second result lives.
+    def pack(self, operation: str, values: list[Any]) -> tuple[Any, Any]:
+        """The addresses of the packed arguments, which are valid as long as the second result lives. ``values``: from
+        ``flat``; they are overwritten.
 
         Raises:
             ValueError: a tensor has gaps, or a number does not fit in 32 bits.
         """
-        values = self._flat(args)
         for i in self._tensors:
             values[i] = _address(operation, values[i])
         for i in self._wrapped:
