@@ -3,6 +3,7 @@
 import dataclasses
 import html
 import logging
+import threading
 import time
 import traceback
 import weakref
@@ -59,6 +60,7 @@ class LiveMapper:
         self.player = Player(run.online, on_step=self._on_step, on_rest=self._on_rest)
         self.lock = self.player.lock
         self.panels: LivePanels | None = None
+        self._writing = threading.RLock()
         self._undrawn: StepReport | None = None
         self._next_draw_s = 0.0
         self._build(panel_width)
@@ -201,7 +203,12 @@ class LiveMapper:
         self.widget.add_class("gsnb-live")
 
     def _write_status(self) -> None:
-        run, state = self.run, self.player.state
+        """Show the state of now. Called from two threads: who writes last must also be who read the state last."""
+        with self._writing:
+            self._write_status_of(self.player.state)
+
+    def _write_status_of(self, state: str) -> None:
+        run = self.run
         self.progress.value = run.next_position
         fidelity = run.mapper.fidelity_of(run.mapper.config)
         words = [

@@ -1,6 +1,7 @@
 """Online mapping to watch, without a browser: buttons, panels, curves, errors."""
 
 import itertools
+import threading
 import time
 from types import SimpleNamespace
 
@@ -80,6 +81,24 @@ def test_buttons(make_run):
     assert live.join(20)
     assert len(run.steps) == 40
     assert "finished" in live.status.value
+
+
+def test_the_last_status_shown_is_the_last_state(make_run, monkeypatch):
+    """The button's thread has read "paused" and is slow to show it; meanwhile the worker stops."""
+    live = LiveMapper(make_run())
+    live.step()
+    wait_for(lambda: live.player.state == "paused")
+    fidelity_of = live.run.mapper.fidelity_of
+
+    def slow_in_this_thread(config):
+        if threading.current_thread() is threading.main_thread():
+            live.join(0.5)
+        return fidelity_of(config)
+
+    monkeypatch.setattr(live.run.mapper, "fidelity_of", slow_in_this_thread)
+    live.stop()
+    assert live.join(20)
+    assert "stopped" in live.status.value
 
 
 @pytest.mark.parametrize(("tick_s", "interval_s"), [(0.01, MIN_INTERVAL_S), (0.08, 2 * 0.08 / MAX_DRAWING_SHARE)])
