@@ -36,7 +36,7 @@ FLOORS = {
     "data": 5,
     "runs": 6,
     **dict.fromkeys(("viz", "teaching", "warm"), 7),
-    **dict.fromkeys(("doctor", "bench"), 8),
+    **dict.fromkeys(("doctor", "bench", "lab"), 8),
     "studies": 9,
     "cli": 10,
     "__main__": 11,

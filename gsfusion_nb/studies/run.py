@@ -12,10 +12,10 @@ import tyro
 from ..backends import from_environment
 from ..checks import check_name
 from ..evaluation import format_metric
+from ..lab.run_key import arguments_with_files, folder_fingerprint, run_key
 from ..runs.run_folder import CHECKPOINTS
 from ..strict_json import read_object
 from . import disc_depth, roofline
-from .run_key import arguments_with_files, folder_fingerprint, run_key
 from .variants import STUDIES
 
 COLUMNS = {

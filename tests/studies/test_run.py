@@ -8,9 +8,9 @@ import pytest
 from gsfusion_nb.cli.map import MapOptions
 from gsfusion_nb.cli.settings import parse
 from gsfusion_nb.config import to_dict
+from gsfusion_nb.lab import run_key as run_key_module
 from gsfusion_nb.studies import STUDIES, StudyOptions, main
 from gsfusion_nb.studies import run as study_run
-from gsfusion_nb.studies import run_key as run_key_module
 from gsfusion_nb.studies.run import as_markdown, run_variant
 
 FAST = "--data.stop 4 --data.width 80 --data.height 60 --window.iterations 2 --final.passes 1 --keyframes.iterations 1"

@@ -2,8 +2,8 @@
 
 import torch
 
+from gsfusion_nb.lab.pareto import pareto_front
 from gsfusion_nb.seeding import check_rule
-from gsfusion_nb.studies.pareto import pareto_front
 from gsfusion_nb.teaching import cell_budget, check, seeding
 
 

@@ -7,11 +7,11 @@ import pytest
 
 from gsfusion_nb.config import gsfusion, replace
 from gsfusion_nb.data import open_sequence
+from gsfusion_nb.lab.contest import Contest, Entrant, compare_rules
+from gsfusion_nb.lab.contest_view import board_picture, watch_contest
+from gsfusion_nb.lab.leaderboard import Leaderboard, LeaderboardRow
 from gsfusion_nb.mapping import GSFusion, make_mapper
 from gsfusion_nb.runs import MappingRun
-from gsfusion_nb.studies.contest import Contest, Entrant, compare_rules
-from gsfusion_nb.studies.contest_view import board_picture, watch_contest
-from gsfusion_nb.studies.leaderboard import Leaderboard, LeaderboardRow
 
 CONFIG = gsfusion(
     "room", data__width=64, data__height=48, data__stop=5, data__hold_out_every=5, tsdf__voxel_size_m=0.05,

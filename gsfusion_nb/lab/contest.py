@@ -16,6 +16,7 @@ from ..runs import MappingRun
 from ..seeding import SeedingRule, get_rule, rule_fingerprint, rule_name
 from .leaderboard import Leaderboard, LeaderboardRow
 from .run_key import run_key
+from .spec import label_of
 
 Option = bool | int | float | str
 
@@ -34,8 +35,7 @@ class Entrant:
     @property
     def name(self) -> str:
         """Name in the table."""
-        words = " ".join(f"{k}={v:g}" if isinstance(v, float) else f"{k}={v}" for k, v in self.options.items())
-        return self.label or " ".join(filter(None, (rule_name(self.rule), words)))
+        return self.label or label_of(rule_name(self.rule), self.options)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gsfusion_nb.studies.pareto import pareto_figure, pareto_front
+from gsfusion_nb.lab.pareto import pareto_figure, pareto_front
 
 
 def test_by_hand():

@@ -1,0 +1,5 @@
+"""The seeding lab: rules, settings and scenes compared by runs with equal budgets."""
+
+from .result import RunResult as RunResult
+from .spec import Budget as Budget
+from .spec import RunSpec as RunSpec

@@ -1,0 +1,158 @@
+"""What one run of the lab is: a rule with options, a scene, a seed, a budget and settings, as plain values."""
+
+import dataclasses
+import functools
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from ..backends import from_environment
+from ..checks import check_name, check_number, check_positive
+from ..config import SystemConfig, to_dict
+from ..config.values import check_kinds
+from ..errors import shown
+from ..mapping import get_system
+from .run_key import folder_fingerprint, run_key
+from .setting_names import with_settings
+
+Option = bool | int | float | str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Budget:
+    """What every rule of a comparison may spend."""
+
+    steps: Literal["equal", "own"] = "equal"
+    """Gradient steps. "equal": the same fixed schedule for every rule; "own": keyframes, and so the number of steps,
+    follow from the seeds of the rule, as published."""
+    gaussians: int | None = None
+    """Gaussians in the final map: one numeric option of each rule is tuned until it has this many. None: as many as the
+    rule makes."""
+    seconds: float | None = None
+    """Wall time of the mapping, seconds: the gradient steps per frame are tuned until it takes this long. None: as long
+    as it takes."""
+    tolerance: float = 0.05
+    """Largest relative deviation from ``gaussians`` or ``seconds``."""
+
+    def __post_init__(self):
+        check_kinds("budget", self)
+        if self.gaussians is not None:
+            check_number("budget.gaussians", self.gaussians, 1)
+            if not isinstance(self.gaussians, int):
+                raise ValueError(f"budget.gaussians must be a whole number, got {shown(self.gaussians)}")
+        if self.seconds is not None:
+            check_positive("budget.seconds", self.seconds)
+        check_number("budget.tolerance", self.tolerance, 0.001, 0.5)
+
+    def __str__(self) -> str:
+        parts = [] if self.gaussians is None else [f"{self.gaussians:,} Gaussians"]
+        parts += [] if self.seconds is None else [f"{self.seconds:g} s"]
+        return ", ".join([*(parts or ["own size"]), f"{self.steps} steps"])
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunSpec:
+    """One run of the lab. Everything that decides its result is in here, as plain values that JSON can hold."""
+
+    rule: str
+    """Name of a registered seeding rule, or "FILE.py:name"."""
+    label: str = ""
+    """Name in tables; made from the rule's name and its options if empty."""
+    options: Mapping[str, Option] = field(default_factory=dict)
+    """Keyword arguments of the rule."""
+    scene: str = "room"
+    """Name of the scene in tables."""
+    data: str = ""
+    """Folder of the sequence, or "room"; ``scene`` if empty."""
+    reader: Mapping[str, Option] = field(default_factory=dict)
+    """Options for opening the data: format, split, and those of the layout's reader, such as ``n_frames``."""
+    seed: int = 0
+    """Seed of all random numbers."""
+    budget: Budget = field(default_factory=Budget)
+    """What the run may spend."""
+    system: str = "gsfusion"
+    """Name of the mapping system."""
+    preset: str = ""
+    """Settings published for a data set; "room" for the built-in scene and "replica" for others if empty."""
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    """Settings that differ from the preset, by dotted name: ``{"tsdf.voxel_size_m": 0.02}``."""
+    size_option: str = ""
+    """Option of the rule, or dotted setting, that is tuned to reach ``budget.gaussians``; the rule's own if empty.
+    "thin": a random share of the seeds is kept instead."""
+    size_range: tuple[float, float] | None = None
+    """Smallest and largest value of ``size_option``; the usual range if None."""
+    keep_share: float = 1.0
+    """Share of the rule's seeds that is kept, drawn at random; 1 keeps all."""
+    rule_source: str = ""
+    """Source of the file that the rule comes from; empty for a rule of this package."""
+    rule_hash: str = ""
+    """``rule_fingerprint`` of a rule that was defined in this process, such as in a notebook; otherwise empty."""
+    data_hash: str = ""
+    """``sequence_fingerprint`` of a sequence that was opened by the caller; otherwise empty."""
+    device: str = "cpu"
+    """Device of the maps."""
+
+    def __post_init__(self):
+        object.__setattr__(self, "label", self.label or label_of(self.rule_name, self.options))
+        object.__setattr__(self, "data", self.data or self.scene)
+        object.__setattr__(self, "preset", self.preset or ("room" if self.data == "room" else "replica"))
+        check_number("seed", self.seed, 0)
+        check_number("keep_share", self.keep_share, 1e-6, 1)
+
+    @property
+    def rule_name(self) -> str:
+        """Name of the rule, without the file that it comes from."""
+        return self.rule.rpartition(":")[2]
+
+    def config(self) -> SystemConfig:
+        """The settings of the mapper, before the budget changes any.
+
+        Raises:
+            KeyError: unknown system or preset. ValueError: a setting that does not exist, or has an invalid value.
+        """
+        base = get_system(self.system).preset(self.preset)
+        own = {"seeding.rule": self.rule_name, "seeding.options": dict(self.options), "seed": self.seed}
+        return with_settings(base, {**self.settings, **own})
+
+    @functools.cached_property
+    def key(self) -> str:
+        """``run_key`` of data, settings, rule, options, seed, budget and program: equal keys mean equal results."""
+        parts = self.to_json()
+        for name in ("label", "scene", "data", "rule", "preset", "settings"):  # names, and what the settings say
+            parts.pop(name)
+        content = self.data_hash or _content(self.data)
+        return run_key(**parts, config=to_dict(self.config()), content=content, backend=from_environment())
+
+    def to_json(self) -> dict[str, Any]:
+        """The run as plain values."""
+        return json.loads(json.dumps(dataclasses.asdict(self)))
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> "RunSpec":
+        """The run that ``to_json`` gave.
+
+        Raises:
+            ValueError, TypeError, KeyError: ``values`` are not those of a run.
+        """
+        check_names = {f.name for f in dataclasses.fields(cls)}
+        for name in values:
+            check_name("field of a run", name, check_names)
+        size_range = values.get("size_range")
+        return cls(
+            **{
+                **values,
+                "budget": Budget(**values.get("budget", {})),
+                "size_range": None if size_range is None else (float(size_range[0]), float(size_range[1])),
+            }
+        )
+
+
+def label_of(rule: str, options: Mapping[str, Option]) -> str:
+    """Name of a rule with options in tables: "uniform fraction=0.1"."""
+    return " ".join([rule, *(f"{k}={v:g}" if isinstance(v, float) else f"{k}={v}" for k, v in options.items())])
+
+
+@functools.lru_cache(maxsize=64)
+def _content(data: str) -> str:
+    return folder_fingerprint(data)
