@@ -7,6 +7,8 @@ from .composite import composite_vjp as composite_vjp
 from .disc import DiscDepth as DiscDepth
 from .disc import disc_depth as disc_depth
 from .disc import disc_depth_vjp as disc_depth_vjp
+from .footprints import Footprints as Footprints
+from .footprints import footprints as footprints
 from .in_view import rows_in_view as rows_in_view
 from .project import Projection as Projection
 from .project import ProjectionGradient as ProjectionGradient

@@ -63,7 +63,9 @@ def check_render(
         check_operand("pixels", pixels, (camera.height, camera.width), dtypes=MASK, device=params.xyz_W.device)
 
 
-def check_render_vjp(saved: Any, v_rgb: Any, v_depth_m: Any = None, v_alpha: Any = None, *, rows: Any = None) -> None:
+def check_render_vjp(
+    saved: Any, v_rgb: Any, v_depth_m: Any = None, v_alpha: Any = None, *, rows: Any = None, v_uv: Any = None
+) -> None:
     """Raise ``ValueError`` for arguments that ``render_vjp`` refuses."""
     if not issubclass(type(saved), Record) or not hasattr(saved, "params"):
         raise ValueError(f"saved: the record that render_forward returns was expected, got {type(saved).__name__}")
@@ -71,6 +73,10 @@ def check_render_vjp(saved: Any, v_rgb: Any, v_depth_m: Any = None, v_alpha: Any
     check_image_gradients(camera, v_rgb, v_depth_m, v_alpha, params.xyz_W.device)
     if rows is not None:
         check_operand("rows", rows, (len(params),), dtypes=MASK, device=params.xyz_W.device)
+    if v_uv is not None:
+        check_operand("v_uv", v_uv, (len(params), 2), dtypes=(params.xyz_W.dtype,), device=params.xyz_W.device)
+        if not v_uv.is_contiguous():
+            raise ValueError(f"v_uv is written to and must be contiguous, got strides {v_uv.stride()}")
 
 
 @op("rasterize", check_render)
@@ -133,6 +139,7 @@ def render_vjp(
     v_alpha: Float[Tensor, "H W"] | None = None,
     *,
     rows: Bool[Tensor, " N"] | None = None,
+    v_uv: Float[Tensor, "N 2"] | None = None,
 ) -> GaussianParams:
     """dL/d of every parameter from dL/d of the images: the vjp of each stage, last stage first.
 
@@ -140,12 +147,15 @@ def render_vjp(
         saved: Second result of ``render_forward``.
         v_rgb, v_depth_m, v_alpha: dL/d of the images; ``None`` is zero. Pixels that were not drawn are ignored.
         rows: Compute gradients only where this is true; the other Gaussians are frozen, which takes less time. [N]
+        v_uv: If given, it is filled with dL/d of the centres in the image, per pixel, their size and shape in the image
+            held fixed; densification decides by it (Kerbl et al. 2023, section 5.2). Zero as the other gradients are.
 
     Returns:
         Gradients, in the shape of the parameters; zero for a Gaussian that is not seen or is frozen.
 
     Raises:
-        ValueError: ``rows`` is not boolean or not of the length of the parameters.
+        ValueError: ``rows`` is not boolean or not of the length of the parameters; ``v_uv`` is not [N, 2] of the
+            parameters' type.
     """
     params = saved.params
     with torch.no_grad():
@@ -159,8 +169,11 @@ def render_vjp(
         "opacity_logit": g.opacity_logit,
         "sh": v_sh,
     }
+    frozen = ~saved.drawn if rows is None else ~(saved.drawn & rows)
     for value in gradient.values():
-        value[~saved.drawn if rows is None else ~(saved.drawn & rows)] = 0.0
+        value[frozen] = 0.0
+    if v_uv is not None:
+        v_uv.copy_(v.uv).masked_fill_(frozen[:, None], 0.0)
     return GaussianParams(**gradient)
 
 

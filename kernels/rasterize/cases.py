@@ -25,12 +25,16 @@ def cases() -> Iterator[Case]:
     yield _case("gradients of colour and depth", gradients=2)
     yield _case("hits", opaque_alpha=OPAQUE)
     yield _case("hits, without indices", opaque_alpha=OPAQUE, with_indices=False)
+    yield _case("centres in the image", with_centres=True)
+    yield _case("centres in the image, some pixels and rows", with_centres=True, masked=True, some_rows=True)
     yield _case("some pixels", masked=True)
     yield _case("some rows", some_rows=True)
     yield _case("some pixels and rows, hits", degree=3, masked=True, some_rows=True, opaque_alpha=OPAQUE)
-    yield _case("rows with NaN, infinities and overflows", degree=1, broken=True, opaque_alpha=OPAQUE)
+    yield _case(
+        "rows with NaN, infinities and overflows", degree=1, broken=True, with_centres=True, opaque_alpha=OPAQUE
+    )
     for n in (0, 1):
-        yield _case(f"{n} Gaussians", n=n, masked=True, some_rows=True, opaque_alpha=OPAQUE)
+        yield _case(f"{n} Gaussians", n=n, masked=True, some_rows=True, with_centres=True, opaque_alpha=OPAQUE)
 
 
 def _case(name: str, **options) -> Case:
@@ -49,9 +53,11 @@ def _run(
     some_rows: bool = False,
     gradients: int = 3,
     broken: bool = False,
+    with_centres: bool = False,
     **options,
 ) -> dict[str, Tensor]:
-    """``gradients``: how many of colour, depth and alpha have one. ``broken``: some rows must not be drawn."""
+    """``gradients``: how many of colour, depth and alpha have one. ``broken``: some rows must not be drawn.
+    ``with_centres``: also the gradient of the centres in the image."""
     params, frame = make_params(degree, device, dtype, n), make_frame(device)
     if broken:
         break_rows(params)
@@ -61,9 +67,11 @@ def _run(
     pixels[: HEIGHT // 2, : WIDTH // 2] = False  # and whole tiles without any
     pixels, rows = pixels.to(device), (torch.rand(n, generator=g) < 0.5).to(device)
     out, saved = render_forward(params, frame.camera, frame.T_WC, pixels=pixels if masked else None, **options)
-    gradient = render_vjp(saved, *v[:gradients], rows=rows if some_rows else None)
-    images = {name: image for name, image in vars(out).items() if image is not None}
-    return images | {f"v_{name}": value for name, value in vars(gradient).items()}
+    v_uv = torch.full((n, 2), torch.nan, dtype=dtype, device=device) if with_centres else None
+    gradient = render_vjp(saved, *v[:gradients], rows=rows if some_rows else None, v_uv=v_uv)
+    results = {name: image for name, image in vars(out).items() if image is not None}
+    results |= {f"v_{name}": value for name, value in vars(gradient).items()}
+    return results if v_uv is None else results | {"v_uv": v_uv}
 
 
 def break_rows(params: GaussianParams) -> int:

@@ -14,8 +14,9 @@ from gsfusion_nb.backends import Record
 from gsfusion_nb.types import Camera, GaussianParams, RenderOutput
 
 from ..binning.cuda import TileLists, list_tiles
+from ..composite.sums import SUM_GX, SUM_GY
 from ..project.cuda import project_rows, project_rows_vjp
-from ..project.splat import SPLAT
+from ..project.splat import CONIC_A, CONIC_B, CONIC_C, SPLAT
 from ..runtime.cuda.launch import device_of, launch
 from ..runtime.gpu import check_dtype, packed
 from .host import blank
@@ -120,6 +121,7 @@ def render_vjp(
     v_alpha: Tensor | None = None,
     *,
     rows: Tensor | None = None,
+    v_uv: Tensor | None = None,
 ) -> GaussianParams:
     """See ``gsfusion_nb.render.render_vjp``.
 
@@ -133,7 +135,17 @@ def render_vjp(
     sums = torch.zeros(len(saved.splats), SPLAT, dtype=torch.float32, device=device)
     kernel, tiles = "composite:composite_backward", saved.lists.n_tiles
     launch("render_vjp", kernel, tiles, _BLOCK, _work(saved), seen, trained, sums)
+    if v_uv is not None:
+        _centre_vjp(saved, sums, rows, v_uv)
     return project_rows_vjp(saved.params, saved.camera, saved.T_WC, saved.splats, saved.depth, sums, trained)
+
+
+def _centre_vjp(picture: CudaPicture, sums: Tensor, rows: Tensor | None, v_uv: Tensor) -> None:
+    """dL/d of the centres in the image, from the sums of ``composite.cu``; zero for rows that are not drawn."""
+    A, B, C = (picture.splats[:, column] for column in (CONIC_A, CONIC_B, CONIC_C))
+    g_x, g_y = sums[:, SUM_GX], sums[:, SUM_GY]
+    drawn = picture.depth.isfinite() if rows is None else picture.depth.isfinite() & rows
+    v_uv.copy_(torch.where(drawn[:, None], torch.stack([A * g_x + B * g_y, B * g_x + C * g_y], dim=1), 0.0))
 
 
 def _work(picture: CudaPicture) -> Work:

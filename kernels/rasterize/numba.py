@@ -22,6 +22,7 @@ from ..binning.numba import depth_order, list_tiles, sort_pairs, tile_windows
 from ..composite.layout import TILE, Image, IndexImages, PairLists
 from ..composite.numba import composite_backward, composite_forward
 from ..composite.sums import PAIR_SUMS
+from ..project.centre_vjp import centre_vjp
 from ..project.layout import Params, pack_camera
 from ..project.numba import CHUNK, NOTED_PER_CHUNK, project_rows
 from ..project.splat import SPLAT
@@ -96,6 +97,7 @@ def render_vjp(
     v_alpha: Tensor | None = None,
     *,
     rows: Tensor | None = None,
+    v_uv: Tensor | None = None,
 ) -> GaussianParams:
     """See ``gsfusion_nb.render.render_vjp``."""
     trained = _ALL_ROWS
@@ -109,6 +111,8 @@ def render_vjp(
         composite_backward(saved.splats, saved.lists, saved.pixels, trained, saved.image, Image(*v_image), pair_sums)
         results = Params(*(t.numpy() for t in out))
         project_rows_vjp(arrays, saved.lens, saved.splats, saved.start, trained, pair_sums, results)
+        if v_uv is not None:
+            centre_vjp(saved.splats, saved.start, trained, pair_sums, v_uv.numpy())
     names = ("xyz_W", "log_scale", "quat", "opacity_logit", "sh")
     return GaussianParams(**dict(zip(names, out, strict=True)))
 

@@ -29,7 +29,8 @@ def render_vjp(
     v_alpha: Tensor | None = None,
     *,
     rows: Tensor | None = None,
+    v_uv: Tensor | None = None,
 ) -> GaussianParams:
     """See ``gsfusion_nb.render.render_vjp``."""
     with use_backend("torch"):
-        return load("render_vjp", "reference")(saved, v_rgb, v_depth_m, v_alpha, rows=rows)
+        return load("render_vjp", "reference")(saved, v_rgb, v_depth_m, v_alpha, rows=rows, v_uv=v_uv)

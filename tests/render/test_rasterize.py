@@ -43,9 +43,42 @@ def test_is_its_stages_and_the_gradient_is_their_autograd(scene, generator, degr
         torch.testing.assert_close(getattr(out, name), getattr(image, name).detach())
     v = cotangents(generator, scene.camera)
     loss = (image.rgb * v[0]).sum() + (image.depth_m * v[1]).sum() + (image.alpha * v[2]).sum()
-    expected = torch.autograd.grad(loss, columns(leaves))
-    for name, g, e in zip(scene.columns, columns(render_vjp(saved, *v)), expected, strict=True):
+    *expected, expected_uv = torch.autograd.grad(loss, [*columns(leaves), p.uv])
+    v_uv = torch.full((50, 2), torch.nan, dtype=torch.float64)
+    for name, g, e in zip(scene.columns, columns(render_vjp(saved, *v, v_uv=v_uv)), expected, strict=True):
         torch.testing.assert_close(g, e, atol=1e-9, rtol=1e-8, msg=lambda m, name=name: f"{name}: {m}")
+    torch.testing.assert_close(v_uv, expected_uv, atol=1e-9, rtol=1e-8)
+
+
+def test_centres_in_the_image_by_moving_the_principal_point(scene, generator):
+    """A shift of cx moves every centre by as much: dL/dcx is the sum of dL/du of all Gaussians; by differences."""
+    params, v = scene.random_map(generator, 20, degree=1), cotangents(generator, scene.camera)
+
+    def loss(**shifted):
+        out = render(params, dataclasses.replace(scene.camera, **shifted), scene.pose)
+        return float(sum((x * y).sum() for x, y in zip((out.rgb, out.depth_m, out.alpha), v, strict=True)))
+
+    v_uv, h = torch.empty(20, 2, dtype=torch.float64), 1e-6
+    _, saved = render_forward(params, scene.camera, scene.pose)
+    render_vjp(saved, *v, v_uv=v_uv)
+    for name, found in zip(("cx", "cy"), v_uv.sum(0).tolist(), strict=True):
+        at = getattr(scene.camera, name)
+        assert found == pytest.approx((loss(**{name: at + h}) - loss(**{name: at - h})) / (2 * h), rel=1e-5)
+    some, rows_ = torch.empty(20, 2, dtype=torch.float64), torch.arange(20) % 3 == 0
+    render_vjp(saved, *v, rows=rows_, v_uv=some)
+    assert torch.equal(some, torch.where(rows_[:, None], v_uv, 0.0))
+
+
+def test_a_wrong_place_for_the_gradient_of_the_centres_is_named(scene, generator):
+    params, v = scene.random_map(generator, 4), cotangents(generator, scene.camera)
+    _, saved = render_forward(params, scene.camera, scene.pose)
+    for bad, message in (
+        (torch.empty(3, 2, dtype=torch.float64), r"v_uv must be \[4, 2\], got \[3, 2\]"),
+        (torch.empty(4, 2), "v_uv must be"),
+        (torch.empty(2, 4, dtype=torch.float64).T, "v_uv is written to and must be contiguous"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            render_vjp(saved, *v, v_uv=bad)
 
 
 @pytest.mark.parametrize(("degree", "n"), [(0, 5), (3, 2)])
