@@ -181,7 +181,7 @@ class ToySystem(Mapper):
     def step(self, frame) -> StepReport:
         frame = check_frame(frame, self.device)
         integrate(self.volume, frame)
-        context = SeedContext(frame, volume=self.volume, gaussians=self.gaussians, generator=self.generator,
+        context = SeedContext(frame, volume=self.volume, gaussians=self.gaussians, generator=self.random.rule,
                               config=self.config.seeding, near_m=0.1)
         seeds = self.propose_seeds(context)
         self.gaussians.append(seeds, frame.index)

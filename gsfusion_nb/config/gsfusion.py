@@ -81,9 +81,17 @@ class GSFusionConfig(SystemConfig):
     keyframe_min_seeds: int = 50
     """A frame that adds more Gaussians than this becomes a keyframe. Larger: fewer keyframes, less memory. Usual: 20 to
     500."""
+    keyframe_every: int = 0
+    """Make every n-th mapped frame a keyframe, from the first on, however many Gaussians it adds; 0: keyframe_min_seeds
+    decides, as published. Above 0, all seeding rules get the same number of optimisation steps. Larger: fewer
+    keyframes. Usual: 0, or 3 to 10."""
     keep_all_frames: bool = False
     """Keep every frame, not only keyframes, for optimising earlier views and for the passes after the scan (ScanNet++,
     whose views are far apart). On: more memory and a longer optimisation after the scan."""
+
+    def __post_init__(self):
+        super().__post_init__()
+        check_number("keyframe_every", self.keyframe_every, 0)
 
 
 _GSFUSION: dict[str, dict[str, Any]] = {

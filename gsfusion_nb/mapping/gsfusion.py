@@ -11,7 +11,7 @@ from ..errors import BadFrameError
 from ..gaussians import GaussianModel
 from ..optim import Keyframe, adam_step, dssim_vjp, l1_mse_vjp
 from ..render import render_forward, render_vjp
-from ..seeding import Cells, SeedContext, SeedingRule, VoxelLookup, apply_rule
+from ..seeding import Cells, SeedContext, SeedingRule, rule_name
 from ..tracking import tsdf_surface
 from ..tsdf import FusedView, NewBlocks, RaycastOutput, TsdfVolume, extract_mesh, fuse_frame_, new_band_blocks, raycast
 from ..types import Camera, Frame, Mesh, Seeds
@@ -46,7 +46,13 @@ class GSFusion(Mapper):
         seeding: "str | SeedingRule | None" = None,
         device: torch.device | str = "cpu",
     ):
+        """Raises ``ValueError`` for a rule that is asked in keyframes only, without ``keyframe_every``."""
         super().__init__(config, seeding=seeding, device=device)
+        if self.rule_in_use.when.only_keyframes and not self.config.keyframe_every:
+            raise ValueError(
+                f"the seeding rule {rule_name(self.rule)!r} is asked in keyframes only, and with keyframe_every = 0 a "
+                "frame becomes a keyframe by its seeds; set keyframe_every, such as 5"
+            )
         self.volume = TsdfVolume(self.config.tsdf, device=self.device)
 
     def __repr__(self) -> str:
@@ -74,7 +80,8 @@ class GSFusion(Mapper):
             with clock("tsdf"):
                 missing = self._make_room(frame)  # III-B.1, the blocks
             with clock("seeding"):
-                context = self._context(frame, FusedView(self.volume, frame, missing))
+                preview = FusedView(self.volume, frame, missing)
+                context = self._context(frame, volume=preview, near_m=self.config.tsdf.near_m)
                 seeds = self.propose_seeds(context)  # III-B.2, Eq. 10
             clock.split("seeding", "quadtree", context.quadtree_seconds)
             self.guard.changes_begin()
@@ -82,7 +89,8 @@ class GSFusion(Mapper):
                 self.volume.allocate_missing(missing)
                 fuse_frame_(self.volume, frame)  # III-B.1, Eq. 6-9
             self.gaussians.append(seeds, frame.index)
-            is_keyframe = len(seeds) > self.config.keyframe_min_seeds  # III-B.3
+            known, steps_before = self.is_next_keyframe(frame), self.gaussians.step_count
+            is_keyframe = len(seeds) > self.config.keyframe_min_seeds if known is None else known  # III-B.3
             if is_keyframe or self.config.keep_all_frames:
                 self.keyframes.append(frame)
             with clock("optimise"):
@@ -95,6 +103,7 @@ class GSFusion(Mapper):
             n_seeds=len(seeds),
             n_gaussians=len(self.gaussians),
             n_blocks=self.volume.n_blocks,
+            n_steps=self.gaussians.step_count - steps_before,
             is_keyframe=is_keyframe,
             losses=tuple(losses),
             psnr_before_db=psnrs[0] if psnrs else 0.0,
@@ -105,22 +114,16 @@ class GSFusion(Mapper):
 
     def seed_context(self, frame: Frame) -> SeedContext:
         """What a seeding rule sees of this frame, after it was fused into the TSDF."""
-        return self._context(frame, self.volume)
+        return self._context(frame, volume=self.volume, near_m=self.config.tsdf.near_m)
 
-    def _context(self, frame: Frame, volume: VoxelLookup) -> SeedContext:
-        return SeedContext(
-            frame,
-            volume=volume,
-            gaussians=self.gaussians,
-            generator=self.generator,
-            config=self.config.seeding,
-            near_m=self.config.tsdf.near_m,
-        )
+    def propose_seeds(self, context: SeedContext, **checks: Any) -> Seeds:
+        """Ask the seeding rule for new Gaussians; there are none in a frame in which it is not due."""
+        return super().propose_seeds(context, one_per_voxel=self.config.seeding.one_per_voxel, **checks)
 
-    def propose_seeds(self, context: SeedContext) -> Seeds:
-        """Ask the seeding rule for new Gaussians."""
-        options = self.config.seeding.options
-        return apply_rule(self.rule, context, options, one_per_voxel=self.config.seeding.one_per_voxel)
+    def is_next_keyframe(self, frame: Frame) -> bool | None:
+        """Whether this frame, mapped next, becomes a keyframe; None if that depends on the number of its seeds."""
+        every = self.config.keyframe_every
+        return self.n_frames % every == 0 if every else None
 
     def surface(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RaycastOutput:
         """Depth, normals and colours of the TSDF map's surface seen by a camera."""
@@ -194,7 +197,7 @@ class GSFusion(Mapper):
         n = optim.keyframe_iterations if is_keyframe else optim.frame_iterations
         steps = [self._optimise_view(frame) for _ in range(n)]
         if not is_keyframe:
-            for keyframe in self.keyframes.draw(optim.random_keyframe_iterations, self.generator):
+            for keyframe in self.keyframes.draw(optim.random_keyframe_iterations, self.random.keyframes):
                 self._optimise_view(keyframe)
         if not steps:
             return [], []

@@ -19,13 +19,14 @@ from ..errors import shown
 from ..gaussians import GaussianModel
 from ..optim import KeyframeList
 from ..render import render
-from ..seeding import Cells, ChangedInputError, SeedContext, SeedingRule, apply_rule, check_options, get_rule, rule_name
+from ..seeding import Cells, ChangedInputError, SeedContext, SeedingRule, apply_rule, copy_memory, get_rule, rule_name
 from ..tracking import Correction
 from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput, Seeds
 from .keyframe_passes import KeyframePasses
 from .localiser import Localiser, move_map
 from .map_view import MapPart, SurfaceImage
 from .one_frame import FrameGuard
+from .random_streams import RandomStreams
 from .rule_in_use import RuleInUse, check_known, settings_with_rule
 from .step_report import GlobalStep, StepReport
 
@@ -91,12 +92,11 @@ class Mapper(ABC):
         config = config or self.config_type()
         self.rule = get_rule(seeding if seeding is not None else config.seeding.rule)
         self.config = settings_with_rule(config, self.rule)
-        check_options(self.rule, self.config.seeding.options)
-        self.rule_in_use = RuleInUse(self.rule)
+        self.rule_in_use = RuleInUse(self.rule, self.config.seeding.options)
         self.device = torch.device(device)
         self.gaussians = self.model_type(self.config.sh_degree, device=self.device)
         self.keyframes = KeyframeList("cpu" if self.config.keyframes_on == "cpu" else self.device)
-        self.generator = torch.Generator().manual_seed(self.config.seed)
+        self.random = RandomStreams(self.config.seed)
         self.localiser = Localiser(self.config.tracking)
         self.passes = KeyframePasses()
         self.guard = FrameGuard()
@@ -158,13 +158,47 @@ class Mapper(ABC):
         """The Gaussian map seen by a camera."""
         return self.render_gaussians(self.gaussians.params, camera, T_WC.to(self.device), self.config)
 
+    @property
+    def memory(self) -> dict[str, Any]:
+        """What the seeding rule keeps from one frame to the next."""
+        return self.rule_in_use.memory
+
     def seed_context(self, frame: Frame) -> SeedContext:
         """What a seeding rule sees of this frame."""
-        return SeedContext(frame, gaussians=self.gaussians, generator=self.generator, config=self.config.seeding)
+        return self._context(frame)
 
-    def propose_seeds(self, context: SeedContext) -> Seeds:
-        """Ask the seeding rule for new Gaussians."""
-        return apply_rule(self.rule, context, self.config.seeding.options)
+    def _context(self, frame: Frame, **more: Any) -> SeedContext:
+        """A context with what every system gives a rule, and ``more`` of this one."""
+        return SeedContext(
+            frame,
+            gaussians=self.gaussians,
+            generator=self.random.rule,
+            config=self.config.seeding,
+            memory=self.memory,
+            starts_submap=self.rule_in_use.when.starts_submap(self.n_frames),
+            **more,
+        )
+
+    def propose_seeds(self, context: SeedContext, **checks: Any) -> Seeds:
+        """Ask the seeding rule for new Gaussians; there are none in a frame in which it is not due (``MapRule.when``).
+
+        Args:
+            context: What the rule sees.
+            checks: Further arguments of ``apply_rule``.
+        """
+        when, is_keyframe = self.rule_in_use.when, self.is_next_keyframe(context.frame)
+        if when.only_keyframes and is_keyframe is None:
+            raise ValueError(
+                f"the seeding rule {rule_name(self.rule)!r} is asked in keyframes only, but {self.title} chooses its "
+                "keyframes after the seeding"
+            )
+        if not when.is_due(self.n_frames, is_keyframe):
+            return Seeds.empty(context.frame.depth_m)
+        return apply_rule(self.rule, context, self.config.seeding.options, **checks)
+
+    def is_next_keyframe(self, frame: Frame) -> bool | None:
+        """Whether this frame, mapped next, becomes a keyframe; None if that depends on its seeds."""
+        return None
 
     def global_optimise(self, passes: int | None = None) -> Iterator[GlobalStep]:
         """Optimise over the keyframes after the scan: each pass visits all of them once in a new random order.
@@ -178,24 +212,26 @@ class Mapper(ABC):
         passes = self.n_passes if passes is None else passes
         if not self.passes.begun:
             self._follow(self.localiser.finish())
-        yield from self.passes.run(passes, len(self.keyframes), self.generator, self._global_step)
+        yield from self.passes.run(passes, len(self.keyframes), self.random.passes, self._global_step)
 
     @contextlib.contextmanager
     def one_frame(self, frame: Frame) -> Iterator[None]:
         """Context in which ``frame`` is mapped, all of it or nothing, by one thread at a time.
 
         In it ``self.guard.changes_begin()`` separates what can fail (checks, tracking, the seeding rule) from what
-        changes the map. If the first part fails, the random numbers and the tracked pose are restored.
+        changes the map. If the first part fails, the random numbers, the rule's memory and the tracked pose are
+        restored.
         """
         with self.guard.one_frame(frame.index):
-            random_numbers = self.generator.get_state()
+            random_numbers, memory = self.random.state_dict(), copy_memory(self.memory)
             try:
                 yield
             except BaseException as e:
                 if isinstance(e, ChangedInputError) and e.changed_map:
                     self.guard.half_mapped = f"at frame {frame.index} the map was changed by its {e}"
                 if not self.guard.is_changing:
-                    self.generator.set_state(random_numbers)
+                    self.random.load_state_dict(random_numbers)
+                    self.rule_in_use.set_memory(memory)
                     self.localiser.take_back()
                 raise
             if self.passes.begun:  # with more frames, the optimisation after the scan starts again
@@ -243,7 +279,7 @@ class Mapper(ABC):
             "n_frames": self.n_frames,
             "passes": self.passes.state_dict(),
             "localiser": self.localiser.state_dict(),
-            "generator": self.generator.get_state(),
+            "random": self.random.state_dict(),
             "gaussians": self.gaussians.state_dict(),
             "keyframes": self.keyframes.state_dict(),
         }
@@ -285,7 +321,7 @@ class Mapper(ABC):
         self.n_frames = state["n_frames"]
         if len(self.localiser.poses) != self.n_frames:
             raise ValueError(f"{self.n_frames} frames must have as many poses, got {len(self.localiser.poses)}")
-        self.generator.set_state(state["generator"])
+        self.random.load_state_dict(state["random"])
         self.gaussians = self.model_type.from_state_dict(state["gaussians"], self.device)
         if self.gaussians.sh_degree != self.config.sh_degree:
             raise ValueError(f"sh_degree must be {self.config.sh_degree}, got {self.gaussians.sh_degree}")

@@ -15,9 +15,9 @@ from ..gaussians import STABLE, SurfelModel, Transitions, change_states, count_e
 from ..geometry import se3
 from ..optim import Keyframe, fuse_with_history
 from ..render import SurfaceView, render_forward, rows_in_view, surface_depth_m, view_surface
-from ..seeding import SeedContext, SeedingRule, apply_rule
+from ..seeding import SeedContext, SeedingRule
 from ..tracking import Correction, Surface
-from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput, Seeds
+from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput
 from .frame_checks import check_frame
 from .mapper import Mapper
 from .rendered_mesh import mesh_of_views
@@ -85,12 +85,13 @@ class RTGSLAM(Mapper):
             self.gaussians.append(seeds, frame.index)
             self._final = None  # its rows are no longer the map's
             self.window.append(frame)
-            is_keyframe = self._take_keyframe(frame)
+            is_keyframe = self.is_next_keyframe(frame)
+            if is_keyframe:
+                self.keyframes.append(frame, with_depth=True)
             with clock("optimise"):
                 losses = self._optimise_window() if self._window_is_due(is_keyframe) else []  # Eq. 7-9
             with clock("keyframes"):
-                if is_keyframe and self.n_frames:
-                    self._optimise_keyframes()
+                n_steps = self._optimise_keyframes() if is_keyframe and self.n_frames else 0
             with clock("states"):
                 after, transitions = self._manage_states(frame)
             with clock("tracking"):
@@ -102,6 +103,7 @@ class RTGSLAM(Mapper):
             frame_index=frame.index,
             n_seeds=len(seeds),
             n_gaussians=len(self.gaussians),
+            n_steps=len(losses) + n_steps,
             is_keyframe=is_keyframe,
             losses=tuple(losses),
             psnr_before_db=before,
@@ -113,18 +115,7 @@ class RTGSLAM(Mapper):
 
     def seed_context(self, frame: Frame) -> SeedContext:
         """What a seeding rule sees of this frame."""
-        return SeedContext(
-            frame,
-            gaussians=self.gaussians,
-            generator=self.generator,
-            config=self.config.seeding,
-            discs=self.config.discs,
-            near_m=self.config.data.depth_min_m,
-        )
-
-    def propose_seeds(self, context: SeedContext) -> Seeds:
-        """Ask the seeding rule for new Gaussians."""
-        return apply_rule(self.rule, context, self.config.seeding.options)
+        return self._context(frame, discs=self.config.discs, near_m=self.config.data.depth_min_m)
 
     def surface(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> SurfaceView:
         """Colour, transmittance, depth and normals of the map seen by a camera (Eq. 1-5)."""
@@ -189,17 +180,14 @@ class RTGSLAM(Mapper):
         moved = [dataclasses.replace(f, T_WC=T.to(f.T_WC) @ f.T_WC) for f, T in zip(self.window, moves, strict=True)]
         self.window = deque(moved, maxlen=self.window.maxlen)
 
-    def _take_keyframe(self, frame: Frame) -> bool:
-        """Keep the frame if the camera has turned or moved far enough since the last keyframe."""
-        limits = self.config.keyframes
-        if len(self.keyframes):
-            last = self.keyframes[len(self.keyframes) - 1].T_WC.to(frame.T_WC)
-            turned = torch.rad2deg(se3.rotation_angle(last[:3, :3].T @ frame.T_WC[:3, :3]))
-            moved = (last[:3, 3] - frame.T_WC[:3, 3]).norm()
-            if float(turned) < limits.rotation_deg and float(moved) < limits.translation_m:
-                return False
-        self.keyframes.append(frame, with_depth=True)
-        return True
+    def is_next_keyframe(self, frame: Frame) -> bool:
+        """Whether the camera has turned or moved far enough since the last keyframe."""
+        if not len(self.keyframes):
+            return True
+        limits, last = self.config.keyframes, self.keyframes[len(self.keyframes) - 1].T_WC.to(frame.T_WC)
+        turned = torch.rad2deg(se3.rotation_angle(last[:3, :3].T @ frame.T_WC[:3, :3]))
+        moved = (last[:3, 3] - frame.T_WC[:3, 3]).norm()
+        return float(turned) >= limits.rotation_deg or float(moved) >= limits.translation_m
 
     def _window_is_due(self, is_keyframe: bool) -> bool:
         if not self.n_frames:
@@ -233,17 +221,20 @@ class RTGSLAM(Mapper):
         model.confidence[optimiser.rows] = now
         return torch.stack(losses).tolist() if losses else []
 
-    def _optimise_keyframes(self) -> None:
-        """Optimise over the latest and some random keyframes, on the pixels with the largest colour errors."""
+    def _optimise_keyframes(self) -> int:
+        """Optimise over the latest and some random keyframes, on the pixels with the largest colour errors.
+
+        Returns the number of gradient steps.
+        """
         config, model = self.config.keyframes, self.gaussians
         n = len(self.keyframes)
         latest = list(range(max(0, n - config.latest), n))
-        earlier = torch.randperm(n - len(latest), generator=self.generator)[: config.random].tolist()
+        earlier = torch.randperm(n - len(latest), generator=self.random.keyframes)[: config.random].tolist()
         chosen = [self.keyframes[i].to(self.device) for i in earlier + latest]
         rows = model.is_stable if config.rows == "stable" else torch.ones_like(model.is_stable)
         seen = self._seen(chosen)
         if not (rows & seen).any():
-            return
+            return 0
         optimiser = SurfelOptimiser(
             model,
             rows,
@@ -258,6 +249,7 @@ class RTGSLAM(Mapper):
         for _ in range(config.iterations):
             optimiser.step(views[self._draw(len(views))])
         optimiser.write_back()
+        return config.iterations
 
     def _seen(self, views: Iterable[Frame | Keyframe]) -> Bool[Tensor, " N"]:
         """Rows that any of the views may show."""
@@ -306,7 +298,7 @@ class RTGSLAM(Mapper):
         )
 
     def _draw(self, n: int) -> int:
-        return int(torch.randint(n, (), generator=self.generator))
+        return int(torch.randint(n, (), generator=self.random.keyframes))
 
 
 def _psnr(rgb: Float[Tensor, "H W 3"], frame: Frame) -> float:

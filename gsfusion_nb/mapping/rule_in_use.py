@@ -1,4 +1,4 @@
-"""The seeding rule of a mapper: its options, and what a checkpoint saves of it."""
+"""The seeding rule of a mapper: its options, when it is asked, its memory, and what a checkpoint saves of it."""
 
 import dataclasses
 import logging
@@ -6,7 +6,20 @@ from typing import Any, TypeVar
 
 from ..config import SystemConfig
 from ..errors import SequenceError, shown
-from ..seeding import SeedingRule, registered, rule_fingerprint, rule_name, rule_options
+from ..seeding import (
+    EVERY_FRAME,
+    MapRule,
+    SeedingRule,
+    When,
+    check_memory,
+    check_options,
+    copy_memory,
+    is_map_rule,
+    registered,
+    rule_fingerprint,
+    rule_name,
+    rule_options,
+)
 
 log = logging.getLogger(__name__)
 
@@ -35,25 +48,47 @@ def settings_with_rule(config: S, rule: SeedingRule) -> S:
 
 
 class RuleInUse:
-    """A rule, and its fingerprint from when its mapper was made.
+    """A rule with the options of one mapper, its fingerprint from when the mapper was made, and its memory.
 
-    A rule should depend on its context only. A rule that needs a state must be a callable object with ``state_dict()``
-    and ``load_state_dict(state)``: what they exchange (tensors and plain values) is saved in checkpoints. A rule that
-    stores something without them can map, but its checkpoints cannot be resumed.
+    A function should depend on its context only; what it must remember belongs in ``ctx.memory``. A callable object may
+    instead have ``state_dict()`` and ``load_state_dict(state)``: what they exchange (tensors and plain values) is saved
+    in checkpoints. A rule that stores something elsewhere can map, but its checkpoints cannot be resumed. The instances
+    of a class (``MapRule``) are frozen, so its only state is its memory.
+
+    Args:
+        rule: The rule.
+        options: Values of its options.
+
+    Raises:
+        TypeError: an option that the rule does not have, or a value of the wrong type. Also whatever a class raises in
+            ``__post_init__`` for its options.
     """
 
-    def __init__(self, rule: SeedingRule):
+    def __init__(self, rule: SeedingRule, options: dict[str, Any]):
         self.rule = rule
+        check_options(rule, options)
+        self.map_rule: MapRule | None = rule(**options) if is_map_rule(rule) else None
+        """The rule with its options, if it is a class."""
+        self.when: When = self.map_rule.when if self.map_rule else EVERY_FRAME
+        """In which frames it is asked for seeds."""
+        self.memory: dict[str, Any] = {}
+        """What it keeps from one frame to the next; always the same dict."""
         self._fingerprint = rule_fingerprint(rule)
 
     def state_dict(self) -> dict[str, Any]:
-        """Name and fingerprint of the rule, and its state."""
+        """Name and fingerprint of the rule, and its state.
+
+        Raises:
+            TypeError: the memory holds something that a checkpoint cannot save.
+        """
         save = getattr(self.rule, "state_dict", None)
+        check_memory(rule_name(self.rule), self.memory)
         return {
             "name": rule_name(self.rule),
             "fingerprint": self._fingerprint,
-            "changed": rule_fingerprint(self.rule) != self._fingerprint,
+            "changed": self.map_rule is None and rule_fingerprint(self.rule) != self._fingerprint,
             "kept": save() if callable(save) else None,
+            "memory": copy_memory(self.memory),
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -65,12 +100,19 @@ class RuleInUse:
         if state["changed"]:
             raise SequenceError(
                 f"the seeding rule {shown(state['name'])} stores something from one frame to the next that is not in "
-                "the checkpoint, so the run cannot continue to the same map; make the rule a callable object with "
-                "state_dict() and load_state_dict(state)"
+                "the checkpoint, so the run cannot continue to the same map; keep it in ctx.memory instead"
             )
         load = getattr(self.rule, "load_state_dict", None)
         if state["kept"] is not None and callable(load):
             load(state["kept"])
+        self.set_memory(state["memory"])
+
+    def set_memory(self, memory: dict[str, Any]) -> None:
+        """Replace the contents of the memory by a copy of ``memory``. Raises ``TypeError`` for an impossible one."""
+        check_memory(rule_name(self.rule), memory)
+        kept = copy_memory(memory)
+        self.memory.clear()
+        self.memory.update(kept)
 
     def differs(self, state: dict[str, Any]) -> bool:
         """Whether this is not the rule of ``state``, or it was edited since."""
@@ -80,7 +122,7 @@ class RuleInUse:
 def check_known(state: dict[str, Any]) -> None:
     """Raise ``SequenceError`` if the rule of a checkpoint is not the one that is registered here by its name."""
     name, known = state["name"], registered().get(state["name"])
-    if known is None or RuleInUse(known).differs(state):
+    if known is None or rule_fingerprint(known) != state["fingerprint"]:
         what = "is not known here" if known is None else "is not the one that is registered here by that name"
         raise SequenceError(
             f"the seeding rule {shown(name)} of this run {what}; its source is in rule.py of the run's folder: define "

@@ -29,6 +29,8 @@ class StepReport:
     psnr_after_db: float
     """PSNR of this view after its optimisation, dB; 0 if not measured. A system may take the last value that needs no
     extra rendering (GSFusion: just before the last optimisation step; RTG-SLAM renders at the end of the step)."""
+    n_steps: int = 0
+    """Number of gradient steps in this frame, on any view."""
     n_blocks: int = 0
     """Number of voxel blocks in the TSDF map after the step, if there is one."""
     counts: dict[str, int] = field(default_factory=dict)

@@ -16,7 +16,8 @@ from ..types import Frame, Seeds
 from .check_scenes import check_contexts
 from .context import SeedContext
 from .fingerprint import rule_fingerprint
-from .rule import Option, SeedingRule, apply_rule, get_rule, rule_choices, rule_name, rule_options
+from .rule import apply_rule, get_rule, rule_choices, rule_options
+from .rule_signature import Option, SeedingRule, rule_name
 from .unchanged_inputs import ChangedInputError, context_tensors
 
 

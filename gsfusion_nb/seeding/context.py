@@ -78,6 +78,11 @@ class SeedContext:
     """When a ray counts as hitting a Gaussian, for ``surface``."""
     near_m: float | None = None
     """Depth below this counts as missing, metres. Default: the volume's setting, or 0.4 m (published) without one."""
+    memory: dict[str, Any] = field(default_factory=dict)
+    """What rules of this mapper keep from one frame to the next, by name: tensors and plain values. The mapper's own
+    dict, not a copy; it is saved in checkpoints."""
+    starts_submap: bool = False
+    """The first frame of the map, and the first of each submap if the rule has submaps (``seeding.submaps``)."""
     _cache: dict = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self):

@@ -1,17 +1,21 @@
 """Source code of a seeding rule, and a hash of its code and of the values that it stores."""
 
+import ast
+import dataclasses
 import dis
 import functools
 import hashlib
 import inspect
+import linecache
 import textwrap
 import types
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import torch
 
-from .rule import SeedingRule
+from .rule_signature import SeedingRule
 
 _OWN = __name__.partition(".")[0]
 _PLAIN = (type(None), bool, int, float, complex, str, bytes)
@@ -24,22 +28,36 @@ def is_built_in(rule: SeedingRule) -> bool:
 
 def rule_source(rule: SeedingRule) -> str:
     """The source code of a rule, or of its class for a callable object; empty where Python does not know it."""
-    target = inspect.unwrap(rule) if inspect.isroutine(rule) else type(rule)
+    target = inspect.unwrap(rule) if inspect.isroutine(rule) else rule if isinstance(rule, type) else type(rule)
     try:
         return textwrap.dedent(inspect.getsource(target))
     except (OSError, TypeError):
-        return ""
+        return _source_of_cell(target) if isinstance(target, type) else ""
+
+
+def _source_of_cell(cls: type) -> str:
+    """The source code of a class in a notebook cell, which Python knows by the code of its methods only."""
+    methods = [inspect.unwrap(member) for member in vars(cls).values() if inspect.isfunction(member)]
+    for code in (method.__code__ for method in methods):
+        lines = linecache.getlines(code.co_filename)
+        for node in ast.walk(ast.parse("".join(lines))):
+            if isinstance(node, ast.ClassDef) and node.name == cls.__name__ and node.end_lineno is not None:
+                first = min(part.lineno for part in (node, *node.decorator_list))
+                if first <= code.co_firstlineno <= node.end_lineno:
+                    return textwrap.dedent("".join(lines[first - 1 : node.end_lineno]))
+    return ""
 
 
 def rule_fingerprint(rule: SeedingRule) -> str:
     """A hash of the rule's code, defaults, closure, attributes, and the values and functions that its code names.
 
-    It changes when the rule is edited, and when the rule stores something from one call to the next. For a callable
-    object with ``state_dict`` only the class is hashed, because its state is saved with the map. Of what other packages
-    define only the names are hashed.
+    It changes when the rule is edited, and when the rule stores something from one call to the next; of a class it
+    covers the base classes, too. For a callable object with ``state_dict`` only the class is hashed, because its state
+    is saved with the map. Of what other packages define only the names are hashed.
     """
     feed = _Feed()
-    feed.value(type(rule) if hasattr(rule, "state_dict") and not inspect.isroutine(rule) else rule)
+    is_object = not isinstance(rule, type) and not inspect.isroutine(rule)
+    feed.value(type(rule) if is_object and hasattr(rule, "state_dict") else rule)
     return feed.hash.hexdigest()
 
 
@@ -62,7 +80,7 @@ class _Feed:
         self._seen[id(x)] = x  # kept, so that its id is not given to another
         if isinstance(x, (torch.Tensor, np.ndarray)):
             self._array(x)
-        elif isinstance(x, dict):
+        elif isinstance(x, Mapping):
             for key in sorted(x, key=repr):
                 self.value(key)
                 self.value(x[key])
@@ -88,9 +106,13 @@ class _Feed:
         elif isinstance(x, type):
             self._text(f"{x.__module__}.{x.__qualname__}")
             if self._is_near(x.__module__):
+                for base in x.__bases__:
+                    self.value(base)
                 for name, member in sorted(vars(x).items()):
-                    if not name.startswith("__") or name == "__call__":
+                    if not name.startswith("__") or name in ("__call__", "__post_init__"):
                         self.value(member)
+        elif dataclasses.is_dataclass(x) and type(x).__module__.startswith(f"{_OWN}."):  # such as when a rule is due
+            self.value([getattr(x, field.name) for field in dataclasses.fields(x)])
         elif self._is_near(type(x).__module__) and hasattr(x, "__dict__"):
             self.value(type(x))
             self.value(vars(x))

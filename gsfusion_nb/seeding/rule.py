@@ -1,14 +1,13 @@
-"""Seeding rules by name: ``@seeding_rule`` registers a function; a mapper takes its name or the function itself.
+"""Seeding rules by name: ``@seeding_rule`` registers a function or class; a mapper takes its name, or the rule itself.
 
-A rule is a function ``(ctx: SeedContext, *, number=default, ...) -> Seeds``. It proposes the Gaussians that are created
-from one frame. It changes none of its inputs, and draws random numbers only from ``ctx.generator``.
+A rule is a function ``(ctx: SeedContext, *, number=default, ...) -> Seeds``, or a class (``MapRule``). It proposes the
+Gaussians that are created from one frame. It changes none of its inputs but ``ctx.memory``, and draws random numbers
+only from ``ctx.generator``.
 """
 
-import inspect
 import math
 import typing
-import weakref
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, TypeVar
 
 import torch
@@ -16,19 +15,17 @@ from jaxtyping import Int
 from torch import Tensor
 
 from ..checks import check_finite, check_name, check_shape
-from ..errors import shown
 from ..plausible import MAX_DISTANCE_M
 from ..types import Seeds
 from .context import SeedContext
+from .map_rule import MapRule
+from .memory import check_memory
+from .rule_signature import Option, SeedingRule, check_options, is_map_rule, options_of, rule_name
 from .unchanged_inputs import ChangedInputError, Versions
 
-SeedingRule = Callable[..., Seeds]
 F = TypeVar("F", bound=SeedingRule)
-Option = bool | int | float | str
 
 _RULES: dict[str, SeedingRule] = {}
-_KNOWN_OPTIONS: weakref.WeakKeyDictionary[SeedingRule, dict[str, inspect.Parameter]] = weakref.WeakKeyDictionary()
-"""Rule -> its options, since reading a signature takes longer than many a step of a rule."""
 _COLUMNS = {"xyz_W": ("N", 3), "rgb": ("N", 3), "scale_m": ("N", 3), "quat": ("N", 4), "opacity": ("N",), "tag": ("N",)}
 
 
@@ -37,19 +34,19 @@ def seeding_rule(rule: F) -> F:
 
     Raises:
         TypeError: the signature is not ``(ctx, *, name=default, ...)`` with defaults that are numbers, True/False, or a
-            word of a ``Literal["...", ...]``.
+            word of a ``Literal["...", ...]``; or the class is not as ``MapRule`` says.
     """
     if not callable(rule):
         raise TypeError(f"@seeding_rule decorates a function, got {type(rule).__name__}; write it without parentheses")
     if not rule_name(rule).isidentifier():
         raise TypeError(f"a seeding rule is registered by its name, and {rule_name(rule)!r} is not a name: use def")
-    _options_of(rule)
+    options_of(rule)
     _RULES[rule_name(rule)] = rule
     return rule
 
 
 def get_rule(rule: str | SeedingRule) -> SeedingRule:
-    """The function registered under a name; a function is returned unchanged after its signature was checked.
+    """The rule registered under a name; a function or class is returned unchanged after its signature was checked.
 
     Raises:
         KeyError: no rule of that name; the message lists the registered ones. TypeError: bad signature.
@@ -57,30 +54,30 @@ def get_rule(rule: str | SeedingRule) -> SeedingRule:
     if isinstance(rule, str):
         check_name("seeding rule", rule, _RULES)
         return _RULES[rule]
+    if isinstance(rule, MapRule):
+        raise TypeError(
+            f"pass the class {type(rule).__name__} itself as the seeding rule, and its options in the settings: "
+            "seeding__options={...}"
+        )
     if not callable(rule):
         raise TypeError(f"a seeding rule is a name or a function, got {type(rule).__name__}")
-    _options_of(rule)
+    options_of(rule)
     return rule
 
 
 def registered() -> dict[str, SeedingRule]:
-    """Name -> function of every registered rule, in order of registration (a copy)."""
+    """Name -> function or class of every registered rule, in order of registration (a copy)."""
     return dict(_RULES)
-
-
-def rule_name(rule: str | SeedingRule) -> str:
-    """Name of a rule in messages and reports."""
-    return rule if isinstance(rule, str) else getattr(rule, "__name__", type(rule).__name__)
 
 
 def rule_options(rule: str | SeedingRule) -> dict[str, Option]:
     """Option name -> default; sliders and check boxes are made from it."""
-    return {name: parameter.default for name, parameter in _options_of(get_rule(rule)).items()}
+    return {name: parameter.default for name, parameter in options_of(get_rule(rule)).items()}
 
 
 def rule_choices(rule: str | SeedingRule) -> dict[str, tuple[str, ...]]:
     """Option name -> allowed words, for the options that are a word; drop-down lists are made from it."""
-    options = _options_of(get_rule(rule))
+    options = options_of(get_rule(rule))
     return {name: typing.get_args(p.annotation) for name, p in options.items() if isinstance(p.default, str)}
 
 
@@ -90,24 +87,26 @@ def apply_rule(
     """Run a rule on one frame and check what it returns.
 
     Args:
-        rule: Name or function.
-        ctx: What the rule may look at.
-        options: Keyword arguments for the rule, in place of its defaults.
+        rule: Name, function or class.
+        ctx: What the rule may look at, and its memory.
+        options: Values of the rule's options, in place of its defaults.
         one_per_voxel: Afterwards keep at most one seed per voxel, and none in voxels that hold a Gaussian.
 
     Returns:
         The new Gaussians, on the frame's device.
 
     Raises:
-        KeyError: no such rule. TypeError: unknown option, wrong type of option or of result.
+        KeyError: no such rule. TypeError: unknown option, wrong type of option or of result, or something in the
+            rule's memory that cannot be saved.
         ValueError: a column of wrong shape, NaN, scale <= 0, opacity outside (0, 1), colour outside 0..1, or an
             implausibly large position or scale. ChangedInputError: the rule changed the frame or the map in place.
     """
-    function = get_rule(rule)
+    found = get_rule(rule)
     options = dict(options or {})
-    check_options(function, options)
+    check_options(found, options)
     versions = Versions(ctx)
-    seeds = function(ctx, **options)
+    seeds = found(**options).seeds(ctx, ctx.memory) if is_map_rule(found) else found(ctx, **options)
+    check_memory(rule_name(rule), ctx.memory)
     if changed := versions.changed():
         raise ChangedInputError(rule_name(rule), changed)
     try:
@@ -146,66 +145,6 @@ def keep_one_per_voxel(seeds: Seeds, voxel: Int[Tensor, "N 3"], taken: Int[Tenso
     rank = torch.arange(len(seeds), device=group.device)
     best = torch.full_like(rank, len(seeds)).scatter_reduce_(0, group, rank, "amin")
     return seeds[order[best[best < len(seeds)]].sort().values]
-
-
-def _options_of(rule: SeedingRule) -> dict[str, inspect.Parameter]:
-    """The keyword options of a rule, or a sentence about what is wrong with its signature."""
-    try:
-        options = _KNOWN_OPTIONS.get(rule)
-    except TypeError:  # an object that cannot be a key
-        return _read_options(rule)
-    if options is None:
-        options = _KNOWN_OPTIONS[rule] = _read_options(rule)
-    return options
-
-
-def _read_options(rule: SeedingRule) -> dict[str, inspect.Parameter]:
-    name = rule_name(rule)
-    wanted = f"a seeding rule is written  def {name}(ctx, *, number=default, ...) -> Seeds"
-    parameters = list(_signature(rule).parameters.values())
-    positional = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
-    if not parameters or parameters[0].kind not in positional:
-        raise TypeError(f"{wanted}; this one does not take the context as its first argument")
-    for p in parameters[1:]:
-        if p.kind is not inspect.Parameter.KEYWORD_ONLY:
-            raise TypeError(f"{wanted}; {str(p)!r} must be keyword-only: put it after a bare *, with a default")
-        if p.default is inspect.Parameter.empty:
-            raise TypeError(f"{wanted}; option {p.name!r} has no default, which sliders and check_rule need")
-        if not isinstance(p.default, bool | int | float | str):
-            raise TypeError(
-                f"{wanted}; the default of option {p.name!r} must be a number, True/False or a word, got {p.default!r}"
-            )
-        if isinstance(p.default, str) and p.default not in typing.get_args(p.annotation):
-            raise TypeError(
-                f"{wanted}; option {p.name!r} is a word, so annotate the allowed words: "
-                f'{p.name}: Literal["{p.default}", ...] = "{p.default}"'
-            )
-    return {p.name: p for p in parameters[1:]}
-
-
-def _signature(rule: SeedingRule) -> inspect.Signature:
-    try:
-        return inspect.signature(rule, eval_str=True)
-    except (NameError, AttributeError, SyntaxError):  # an annotation written as text that cannot be evaluated here
-        return inspect.signature(rule)
-
-
-def check_options(rule: SeedingRule, options: dict[str, Any]) -> None:
-    """Raise ``TypeError`` for an option that the rule does not have, or a value of another type than its default's."""
-    known = _options_of(rule)
-    unknown = sorted(set(options) - set(known))
-    if unknown:
-        raise TypeError(f"seeding rule {rule_name(rule)!r} has no options {shown(unknown)}; known: {sorted(known)}")
-    for name, value in options.items():
-        default = known[name].default
-        if isinstance(default, str):
-            fits, wanted = value in typing.get_args(known[name].annotation), typing.get_args(known[name].annotation)
-        elif isinstance(default, bool):
-            fits, wanted = isinstance(value, bool), "True or False"
-        else:
-            fits, wanted = isinstance(value, int | float) and not isinstance(value, bool), "a number"
-        if not fits:
-            raise TypeError(f"seeding rule {rule_name(rule)!r}: option {name!r} must be {wanted}, got {shown(value)}")
 
 
 def _is_plausible(seeds: Seeds) -> bool:

@@ -181,7 +181,7 @@ def _map_frame(mapper: GSFusion, frame: Frame, optimise) -> int:
     for _ in range(optim.keyframe_iterations if is_keyframe else optim.frame_iterations):
         optimise(frame)
     if not is_keyframe:
-        for keyframe in mapper.keyframes.draw(optim.random_keyframe_iterations, mapper.generator):
+        for keyframe in mapper.keyframes.draw(optim.random_keyframe_iterations, mapper.random.keyframes):
             optimise(keyframe)
     return len(seeds)
 
@@ -232,7 +232,7 @@ def _map_forgetting(mapper: GSFusion, frame: Frame, optimise) -> int:
         "A frame with more than mapper.config.keyframe_min_seeds seeds goes to mapper.keyframes.append(frame) and gets "
         "mapper.config.optim.keyframe_iterations steps; others frame_iterations.",
         "After a frame that is not a keyframe: for keyframe in mapper.keyframes.draw("
-        "mapper.config.optim.random_keyframe_iterations, mapper.generator): optimise(keyframe).",
+        "mapper.config.optim.random_keyframe_iterations, mapper.random.keyframes): optimise(keyframe).",
     ),
     wrong=(
         Wrong(_map_seeding_first, says="the frame is fused into the TSDF before the rule runs"),

@@ -1,0 +1,93 @@
+"""Seeding rules as classes: rules with a memory, that say when they are asked and which settings they need."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any, ClassVar
+
+from ..checks import check_whole
+from ..types import Seeds
+from .context import SeedContext
+
+
+@dataclass(frozen=True, kw_only=True)
+class When:
+    """In which mapped frames a rule is asked: ``EVERY_FRAME``, ``KEYFRAMES``, ``every(n)`` or ``submaps(n)``."""
+
+    frames: int = 1
+    """The rule is asked in the first of this many mapped frames; counted from the start of the submap, if there are
+    submaps."""
+    submap_frames: int = 0
+    """Number of mapped frames in a submap; 0: the whole map is one."""
+    only_keyframes: bool = False
+    """Only frames that become keyframes."""
+
+    def __post_init__(self):
+        check_whole("frames between two calls of a rule", self.frames, 1)
+        check_whole("frames of a submap", self.submap_frames, 0)
+
+    def is_due(self, n_mapped: int, is_keyframe: bool | None) -> bool:
+        """Whether the rule is asked.
+
+        Args:
+            n_mapped: Number of frames that were mapped before this one.
+            is_keyframe: Whether this frame becomes a keyframe; None if that depends on its seeds.
+        """
+        within = n_mapped % self.submap_frames if self.submap_frames else n_mapped
+        return within % self.frames == 0 and (is_keyframe is True or not self.only_keyframes)
+
+    def starts_submap(self, n_mapped: int) -> bool:
+        """Whether the frame after ``n_mapped`` others is the first of a submap."""
+        return (n_mapped % self.submap_frames if self.submap_frames else n_mapped) == 0
+
+
+EVERY_FRAME = When()
+"""The rule is asked in every mapped frame."""
+KEYFRAMES = When(only_keyframes=True)
+"""The rule is asked in keyframes only. GSFusion must then know them before the rule runs: ``keyframe_every``."""
+
+
+def every(n: int, *, submap_frames: int = 0) -> When:
+    """The rule is asked in the first of each ``n`` mapped frames, counted anew in each submap of ``submap_frames``."""
+    return When(frames=n, submap_frames=submap_frames)
+
+
+def submaps(n: int) -> When:
+    """The rule is asked in the first of each ``n`` mapped frames, where a submap starts."""
+    return When(frames=n, submap_frames=n)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapRule(ABC):
+    """Base of seeding rules that are classes. Use a function where it is enough: it is shorter.
+
+    A rule is a frozen dataclass. It is registered by the name of its class, and its fields are its options: numbers,
+    True/False, or a word of a ``Literal["...", ...]``, each with a default. ::
+
+        @seeding_rule
+        @dataclass(frozen=True, kw_only=True)
+        class every_fifth(MapRule):
+            min_alpha: float = 0.5
+            when: ClassVar[When] = every(5)
+            overrides: ClassVar[Mapping[str, Any]] = {"optim__lr_xyz": 1e-4}
+
+            def seeds(self, ctx: SeedContext, memory: dict[str, Any]) -> Seeds:
+                memory["calls"] = memory.get("calls", 0) + 1
+                return ctx.seeds_at(ctx.pixels()[:: memory["calls"]], 1.0)
+
+    A rule keeps what it must remember in ``memory``, one dict for each mapper with words as keys: tensors, numbers,
+    True/False, words, None, and lists, tuples and dicts of these. It is saved in checkpoints. If a frame cannot be
+    mapped, the memory is restored to what it was before that frame.
+    """
+
+    when: ClassVar[When] = EVERY_FRAME
+    """In which frames ``seeds`` is called."""
+    needs: ClassVar[frozenset[str]] = frozenset()
+    """Statistics of the optimisation that the mapper collects only if a rule asks for them."""
+    overrides: ClassVar[Mapping[str, Any]] = MappingProxyType({})
+    """Settings of the system that the rule brings, by name: ``{"optim__lr_xyz": 1e-4}``."""
+
+    @abstractmethod
+    def seeds(self, ctx: SeedContext, memory: dict[str, Any]) -> Seeds:
+        """The Gaussians that are created from one frame; ``memory`` is ``ctx.memory``."""

@@ -1,0 +1,169 @@
+"""When a mapper asks its rule, which frames are keyframes, the random streams, and the rule's memory."""
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import pytest
+import torch
+
+from gsfusion_nb.config import replace, rtg_slam
+from gsfusion_nb.mapping import RTGSLAM, GSFusion
+from gsfusion_nb.mapping.random_streams import RandomStreams
+from gsfusion_nb.seeding import KEYFRAMES, MapRule, SeedContext, Seeds, When, every, submaps
+
+
+@pytest.fixture
+def frames(split):
+    return [split.mapping[i] for i in range(4)]
+
+
+def random_cells(ctx: SeedContext, *, draws: int = 1, share: float = 0.5) -> Seeds:
+    """A random share of the cells, after some more random numbers."""
+    cells = ctx.cells()
+    for _ in range(draws):
+        drawn = torch.rand(len(cells), generator=ctx.generator)
+    return cells[drawn < share]
+
+
+def rule_due(when: When) -> type[MapRule]:
+    @dataclass(frozen=True, kw_only=True)
+    class noting(MapRule):
+        """Writes down when it was asked."""
+
+        def seeds(self, ctx: SeedContext, memory: dict[str, Any]) -> Seeds:
+            memory.setdefault("asked", []).append(ctx.frame.index)
+            memory.setdefault("starts", []).append(ctx.starts_submap)
+            return ctx.cells()[::3]
+
+    noting.when = when
+    return noting
+
+
+@dataclass(frozen=True, kw_only=True)
+class Remembering(MapRule):
+    """Seeds where it did not seed before, by a tensor in its memory, at random."""
+
+    when: ClassVar[When] = every(1)
+    fail_at: int = -1
+
+    def seeds(self, ctx: SeedContext, memory: dict[str, Any]) -> Seeds:
+        """New voxels only."""
+        cells = ctx.cells()
+        voxel = (cells.xyz_W / 0.2).floor().long() @ torch.tensor([1, 1000, 1000000])
+        known = memory.get("voxels", torch.zeros(0, dtype=torch.int64))
+        fresh = ~torch.isin(voxel, known) & (torch.rand(len(cells), generator=ctx.generator) < 0.7)
+        memory["voxels"] = torch.cat([known, voxel[fresh]])
+        memory["voxels"] += 0
+        memory["calls"] = memory.get("calls", 0) + 1
+        if memory["calls"] == self.fail_at:
+            raise RuntimeError("my rule is broken")
+        return cells[fresh]
+
+
+@pytest.mark.parametrize("system", [GSFusion, RTGSLAM])
+@pytest.mark.parametrize(("when", "asked"), [(every(2), [0, 2]), (submaps(3), [0, 3])])
+def test_a_rule_is_asked_only_when_it_is_due(system, when, asked, frames, config):
+    settings = config if system is GSFusion else rtg_slam("room", data__width=0, data__height=0)
+    mapper = system(settings, seeding=rule_due(when))
+    new = [mapper.step(frame).n_seeds for frame in frames]
+    assert [i for i, n in enumerate(new) if n] == asked
+    assert mapper.memory["asked"] == [frames[i].index for i in asked]
+    assert mapper.memory["starts"] == [i == 0 or when == submaps(3) for i in asked]
+
+
+def test_a_rule_for_keyframes_needs_keyframes_that_do_not_depend_on_seeds(frames, config):
+    with pytest.raises(ValueError, match=r"'noting' is asked in keyframes only, .*; set keyframe_every, such as 5"):
+        GSFusion(config, seeding=rule_due(KEYFRAMES))
+    mapper = GSFusion(replace(config, keyframe_every=3), seeding=rule_due(KEYFRAMES))
+    reports = [mapper.step(frame) for frame in frames]
+    assert [report.is_keyframe for report in reports] == [True, False, False, True]
+    assert mapper.memory["asked"] == [frames[0].index, frames[3].index]
+
+
+def test_rtg_slam_knows_its_keyframes_before_the_rule_runs(frames):
+    settings = rtg_slam("room", data__width=0, data__height=0, keyframes__rotation_deg=1e-3)
+    mapper = RTGSLAM(settings, seeding=rule_due(KEYFRAMES))
+    reports = [mapper.step(frame) for frame in (frames[0], frames[0], frames[1])]
+    assert [report.is_keyframe for report in reports] == [True, False, True]
+    assert [report.n_seeds > 0 for report in reports] == [True, False, True]
+
+
+def test_with_keyframe_every_all_rules_get_the_same_steps(frames, config):
+    settings = replace(config, keyframe_every=2)
+    counts = []
+    for share in (0.9, 0.1):
+        mapper = GSFusion(replace(settings, seeding__options={"share": share}), seeding=random_cells)
+        reports = [mapper.step(frame) for frame in frames]
+        assert mapper.gaussians.step_count == sum(report.n_steps for report in reports)
+        counts.append([(report.is_keyframe, report.n_steps) for report in reports])
+    assert counts[0] == counts[1]
+    assert [keyframe for keyframe, _ in counts[0]] == [True, False, True, False]
+    with pytest.raises(ValueError, match="keyframe_every must be between 0 and inf, got -1"):
+        replace(config, keyframe_every=-1)
+
+
+def test_rtg_slam_counts_its_steps(frames):
+    mapper = RTGSLAM(rtg_slam("room", data__width=0, data__height=0, keyframes__rotation_deg=1e-3))
+    first, second = (mapper.step(frame).n_steps for frame in frames[:2])
+    assert first == mapper.config.window.iterations
+    assert second == mapper.config.keyframes.iterations
+
+
+def test_draws_of_a_rule_shift_neither_keyframes_nor_passes(frames, config):
+    drawn = []
+    for draws in (1, 5):
+        settings = replace(config, keyframe_every=1, seeding__options={"draws": draws})
+        mapper = GSFusion(settings, seeding=random_cells)
+        for frame in frames:
+            mapper.step(frame)
+        next(iter(mapper.global_optimise(1)))
+        views = [k.index for k in mapper.keyframes.draw(2, mapper.random.keyframes)]
+        drawn.append((mapper.passes.queue, views, mapper.random.rule.get_state().tolist()))
+    assert drawn[0][:2] == drawn[1][:2]
+    assert drawn[0][2] != drawn[1][2]
+
+
+def test_the_streams_follow_from_the_seed_and_differ():
+    streams, again, other = RandomStreams(3), RandomStreams(3), RandomStreams(4)
+    numbers = {name: torch.rand(4, generator=generator) for name, generator in vars(streams).items()}
+    assert torch.equal(numbers["keyframes"], torch.rand(4, generator=torch.Generator().manual_seed(3)))
+    assert len({tuple(n.tolist()) for n in numbers.values()}) == 3
+    for name, generator in vars(again).items():
+        assert torch.equal(torch.rand(4, generator=generator), numbers[name])
+        assert not torch.equal(torch.rand(4, generator=getattr(other, name)), numbers[name])
+    again.load_state_dict(streams.state_dict())
+    with pytest.raises(ValueError, match="random streams must be rule, keyframes, passes, got rule"):
+        again.load_state_dict({"rule": streams.rule.get_state()})
+
+
+@pytest.mark.parametrize("system", [GSFusion, RTGSLAM])
+def test_a_resumed_map_with_a_memory_is_equal_bit_for_bit(system, frames, config):
+    settings = config if system is GSFusion else rtg_slam("room", data__width=0, data__height=0)
+    whole, half = (system(settings, seeding=Remembering) for _ in range(2))
+    for frame in frames:
+        whole.step(frame)
+    for frame in frames[:2]:
+        half.step(frame)
+    state = half.state_dict()
+    kept = state["rule"]["memory"]["voxels"].clone()
+    half.step(frames[2])  # the checkpoint shares nothing with the mapper
+    assert torch.equal(state["rule"]["memory"]["voxels"], kept)
+    resumed = system.from_state_dict(state, seeding=Remembering)
+    assert not resumed.notes
+    for frame in frames[2:]:
+        resumed.step(frame)
+    for name, column in vars(whole.gaussians.params).items():
+        assert torch.equal(column, getattr(resumed.gaussians.params, name)), name
+    assert resumed.memory["calls"] == 4
+    assert torch.equal(resumed.memory["voxels"], whole.memory["voxels"])
+
+
+def test_a_frame_that_fails_leaves_the_memory_as_it_was(frames, config):
+    mapper = GSFusion(replace(config, seeding__options={"fail_at": 2}), seeding=Remembering)
+    mapper.step(frames[0])
+    memory, voxels = mapper.memory, mapper.memory["voxels"].clone()
+    with pytest.raises(RuntimeError, match="my rule is broken"):
+        mapper.step(frames[1])
+    assert mapper.memory is memory
+    assert memory["calls"] == 1
+    assert torch.equal(memory["voxels"], voxels)

@@ -1,0 +1,243 @@
+"""Rules that are classes: how they are written, their options, when they are asked, and what they remember."""
+
+import linecache
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
+
+import pytest
+import torch
+
+from gsfusion_nb.seeding import (
+    EVERY_FRAME,
+    KEYFRAMES,
+    MapRule,
+    SeedContext,
+    Seeds,
+    apply_rule,
+    check_contexts,
+    check_memory,
+    copy_memory,
+    describe_memory,
+    every,
+    get_rule,
+    is_map_rule,
+    rule_choices,
+    rule_fingerprint,
+    rule_name,
+    rule_options,
+    rule_source,
+    seeding_rule,
+    submaps,
+)
+
+
+@pytest.fixture(scope="module")
+def ctx() -> SeedContext:
+    return check_contexts()["odd"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Thinning(MapRule):
+    """Every n-th cell, fewer with each call."""
+
+    first: int = 1
+    side: Literal["all", "none"] = "all"
+
+    def seeds(self, ctx: SeedContext, memory: dict[str, Any]) -> Seeds:
+        """Fewer with each call."""
+        memory["calls"] = memory.get("calls", self.first - 1) + 1
+        return ctx.cells()[:: memory["calls"]] if self.side == "all" else Seeds.empty()
+
+
+def test_a_class_is_registered_by_its_name_and_its_fields_are_its_options():
+    assert seeding_rule(Thinning) is Thinning is get_rule("Thinning")
+    assert is_map_rule(Thinning)
+    assert not is_map_rule(get_rule("gsfusion"))
+    assert rule_name(Thinning) == "Thinning"
+    assert rule_options("Thinning") == {"first": 1, "side": "all"}
+    assert rule_choices(Thinning) == {"side": ("all", "none")}
+    assert "Every n-th cell" in rule_source(Thinning)
+
+
+def test_a_class_is_asked_with_its_options_and_the_memory_of_the_context(ctx):
+    n = len(ctx.cells())
+    ctx.memory.clear()
+    sizes = [len(apply_rule(Thinning, ctx, {"first": 2})) for _ in range(2)]
+    assert sizes == [-(-n // 2), -(-n // 3)]
+    assert ctx.memory == {"calls": 3}
+    with pytest.raises(TypeError, match=r"'Thinning' has no options \['last'\]; known: \['first', 'side'\]"):
+        apply_rule(Thinning, ctx, {"last": 2})
+    ctx.memory.clear()
+
+
+def no_dataclass():
+    class Bare(MapRule):
+        def seeds(self, ctx, memory):
+            return ctx.cells()
+
+    return Bare
+
+
+def no_base():
+    class Loose:
+        pass
+
+    return Loose
+
+
+def no_seeds():
+    @dataclass(frozen=True, kw_only=True)
+    class Empty(MapRule):
+        pass
+
+    return Empty
+
+
+def positional():
+    @dataclass(frozen=True)
+    class Placed(MapRule):
+        n: int = 1
+
+        def seeds(self, ctx, memory):
+            return ctx.cells()
+
+    return Placed
+
+
+def no_memory():
+    @dataclass(frozen=True, kw_only=True)
+    class Short(MapRule):
+        def seeds(self, ctx):
+            return ctx.cells()
+
+    return Short
+
+
+def bad_when():
+    @dataclass(frozen=True, kw_only=True)
+    class Late(MapRule):
+        when: ClassVar[Any] = 5
+
+        def seeds(self, ctx, memory):
+            return ctx.cells()
+
+    return Late
+
+
+def no_default():
+    @dataclass(frozen=True, kw_only=True)
+    class Open(MapRule):
+        n: int
+
+        def seeds(self, ctx, memory):
+            return ctx.cells()
+
+    return Open
+
+
+@pytest.mark.parametrize(
+    ("make", "sentence"),
+    [
+        (no_dataclass, r"@dataclass\(frozen=True, kw_only=True\) class Bare\(MapRule\); this one is not a dataclass"),
+        (no_base, r"does not derive from gsfusion_nb\.seeding\.MapRule"),
+        (no_seeds, r"this one lacks seeds\(self, ctx, memory\)"),
+        (positional, "this one was made without kw_only=True"),
+        (no_memory, r"its method must be  def seeds\(self, ctx, memory\) -> Seeds"),
+        (bad_when, r"its when must be EVERY_FRAME, KEYFRAMES, every\(n\) or submaps\(n\), got 5"),
+        (no_default, "option 'n' has no default"),
+    ],
+)
+def test_a_class_that_is_no_rule_is_refused_with_a_sentence(make, sentence):
+    with pytest.raises(TypeError, match=sentence):
+        seeding_rule(make())
+
+
+@pytest.mark.parametrize(
+    ("when", "due", "starts"),
+    [
+        (EVERY_FRAME, [0, 1, 2, 3, 4, 5, 6, 7, 8], [0]),
+        (every(3), [0, 3, 6], [0]),
+        (submaps(4), [0, 4, 8], [0, 4, 8]),
+        (every(3, submap_frames=4), [0, 3, 4, 7, 8], [0, 4, 8]),
+        (KEYFRAMES, [0, 5], [0]),
+    ],
+)
+def test_when_a_rule_is_due(when, due, starts):
+    assert [n for n in range(9) if when.is_due(n, n % 5 == 0)] == due
+    assert [n for n in range(9) if when.starts_submap(n)] == starts
+
+
+def test_a_rule_for_keyframes_is_not_due_where_they_are_unknown():
+    assert not KEYFRAMES.is_due(0, None)
+    assert EVERY_FRAME.is_due(0, None)
+    with pytest.raises(ValueError, match="frames between two calls of a rule must be >= 1, got 0"):
+        every(0)
+
+
+def test_memory_holds_what_a_checkpoint_can_save(ctx):
+    memory = {"seen": torch.zeros(2, 3), "n": 3, "deep": {"list": [1.5, None, "x", (True, torch.ones(1))]}}
+    check_memory("mine", memory)
+    copied = copy_memory(memory)
+    memory["seen"] += 1
+    memory["deep"]["list"].append(2)
+    assert copied["seen"].sum() == 0
+    assert len(copied["deep"]["list"]) == 4
+    assert isinstance(copied["deep"]["list"][3], tuple)
+    assert describe_memory(memory) == "seen 2 x 3 float32, n 3, deep (1 values)"
+    assert describe_memory({}) == "empty"
+    with pytest.raises(
+        TypeError, match=r"'mine' keeps a set in its memory\['deep'\]\['s'\], which a checkpoint cannot"
+    ):
+        check_memory("mine", {"deep": {"s": {1}}})
+    with pytest.raises(TypeError, match="'mine': the keys of its memory must be words, got 1"):
+        check_memory("mine", {1: 2})
+
+    def hoards(ctx: SeedContext) -> Seeds:
+        ctx.memory["frame"] = ctx.frame
+        return ctx.cells()
+
+    with pytest.raises(TypeError, match=r"'hoards' keeps a Frame in its memory\['frame'\]"):
+        apply_rule(hoards, ctx)
+    ctx.memory.clear()
+
+
+CELL = """
+@seeding_rule
+@dataclass(frozen=True, kw_only=True)
+class of_a_cell(MapRule):
+    n: int = {n}
+    when: ClassVar[When] = every({when})
+    overrides: ClassVar[Mapping] = {{"optim__lr_xyz": 1.0}}
+
+    def __post_init__(self):
+        assert self.n > {least}
+
+    def seeds(self, ctx, memory):
+        return helper(ctx.cells(), self.n)
+
+def helper(seeds, n):
+    return seeds[::n]
+"""
+
+
+def run_cell(**values) -> Any:
+    """The class that a notebook cell defines: a module without a file, whose lines only linecache knows."""
+    name, text = "<ipython-input-7>", CELL.format(**{"n": 1, "when": 1, "least": 0} | values)
+    linecache.cache[name] = (len(text), None, text.splitlines(keepends=True), name)
+    space = {"__name__": "__main__", **{k: globals()[k] for k in ("seeding_rule", "dataclass", "MapRule", "every")}}
+    exec(compile(text, name, "exec"), space | {"ClassVar": ClassVar, "When": type(every(1)), "Mapping": Mapping}, space)
+    return space["of_a_cell"]
+
+
+def test_source_of_a_class_in_a_notebook_cell():
+    source = rule_source(run_cell())
+    assert source.startswith("@seeding_rule\n@dataclass(frozen=True, kw_only=True)\nclass of_a_cell(MapRule):")
+    assert source.endswith("return helper(ctx.cells(), self.n)\n")
+
+
+def test_the_fingerprint_of_a_class_sees_options_checks_and_when():
+    first = rule_fingerprint(run_cell())
+    assert rule_fingerprint(run_cell()) == first
+    changed = [rule_fingerprint(run_cell(**change)) for change in ({"n": 2}, {"when": 2}, {"least": -1})]
+    assert len({first, *changed}) == 4
