@@ -17,10 +17,12 @@ Numbers = Sequence[float | int] | np.ndarray
 INK = "#1c2430"
 MUTED = "#5c6675"
 GRID = "#dfe4ea"
+PAPER = "#fffffe"
+"""White, behind names and around points; the colour of a card in a page."""
 PALETTE = ("#3d85c6", "#e08a2e", "#3a9d6a", "#d1495b", "#8e6bbf", "#8a8f98", "#2aa5a0", "#b8860b")
 """Colours of medium lightness, visible on white and on black."""
 
-_THEMED = {INK: "var(--ink)", MUTED: "var(--muted)", GRID: "var(--line)"}
+_THEMED = {INK: "var(--ink)", MUTED: "var(--muted)", GRID: "var(--line)", PAPER: "var(--card)"}
 
 
 def curve_figure(
@@ -74,7 +76,7 @@ def curve_figure(
 
 
 def figure_svg(figure: "Figure", name: str) -> str:
-    """The figure as an ``<svg>`` element for a page that defines --ink, --muted and --line.
+    """The figure as an ``<svg>`` element for a page that defines --ink, --muted, --line and --card.
 
     Text stays text and takes the page's font; ``name`` makes the ids of several figures distinct and is the description
     for screen readers.

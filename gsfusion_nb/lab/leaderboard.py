@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..drawing.html import fill
-from .pareto import pareto_figure, pareto_front
+from .pareto import ParetoPoints, pareto_figure, pareto_front
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -68,7 +68,8 @@ class Leaderboard:
     def figure(self) -> "Figure":
         """Held-out PSNR over the number of Gaussians; area of a point: ms per frame; line: the Pareto front."""
         n, psnr = self._columns()
-        return pareto_figure([r.name for r in self.rows], n, psnr, np.array([r.ms_per_frame for r in self.rows]))
+        ms = np.array([r.ms_per_frame for r in self.rows])
+        return pareto_figure(ParetoPoints(names=[r.name for r in self.rows], cost=n, quality=psnr, ms=ms))
 
     def as_markdown(self) -> str:
         """The table for a report."""

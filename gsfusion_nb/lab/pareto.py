@@ -1,11 +1,17 @@
 """The Pareto front of cost and quality, and its figure."""
 
+import itertools
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..drawing.curves import GRID, INK, MUTED, PAPER
+
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 Box = tuple[float, float, float, float]
@@ -13,11 +19,34 @@ Box = tuple[float, float, float, float]
 
 CHARACTER_PX, LINE_PX = 6.4, 14.0
 """Size of a character at 8 points and 100 dots per inch."""
-_DIRECTIONS = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (-1, 1), (1, -1), (-1, -1))
-_DISTANCES_PX = (3.0, 14.0, 28.0, 46.0, 66.0)
+_N_DIRECTIONS = 16
+_DISTANCES_PX = (3.0, 14.0, 28.0, 46.0, 66.0, 90.0, 118.0, 150.0, 190.0)
 
-LARGEST_AREA, LEAST_AREA = 420.0, 40.0
-"""Areas of the points of the plot, points squared: of the slowest candidate, and the smallest area used."""
+ON_FRONT, BEATEN = "#d1495b", "#3d85c6"
+LARGEST_AREA, LEAST_AREA, PLAIN_AREA = 420.0, 40.0, 46.0
+"""Areas of the points of the plot, points squared: of the slowest candidate, the smallest area used, and where the area
+means nothing."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ParetoPoints:
+    """The points of one plot. Points of the same name are one rule at several budgets and are joined by a line."""
+
+    names: Sequence[str]
+    """[N]"""
+    cost: np.ndarray
+    """Less is better. [N]"""
+    quality: np.ndarray
+    """More is better. [N]"""
+    cost_sd: np.ndarray | None = None
+    """Half the length of the horizontal error bars; NaN for none. [N]"""
+    quality_sd: np.ndarray | None = None
+    """Half the length of the vertical error bars; NaN for none. [N]"""
+    ms: np.ndarray | None = None
+    """Time per frame, ms: areas of the points are proportional to it. [N]"""
+    title: str = ""
+    cost_label: str = "Gaussians (fewer is better)"
+    quality_label: str = "PSNR of held-out views, dB"
 
 
 def pareto_front(cost: np.ndarray, quality: np.ndarray) -> np.ndarray:
@@ -36,81 +65,156 @@ def pareto_front(cost: np.ndarray, quality: np.ndarray) -> np.ndarray:
     return np.logical_not((as_good & better).any(axis=0))
 
 
-def pareto_figure(names: Sequence[str], cost: np.ndarray, quality: np.ndarray, ms: np.ndarray) -> "Figure":
-    """PSNR over the number of Gaussians, one point per name, with the front as a line.
+def pareto_figure(*plots: ParetoPoints, columns: int = 2) -> "Figure":
+    """Quality over cost, with error bars, the front as a red line, and a name beside each rule.
 
     Args:
-        names: One per point.
-        cost: Gaussians. [N]
-        quality: PSNR, dB. [N]
-        ms: Time per frame, ms; areas of the points are proportional to it. [N]
+        plots: One or more; each is 6.4 x 4 inches at 100 dpi.
+        columns: Plots in a row.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(6.4, 4.0), dpi=100, facecolor="white", layout="constrained")
+    columns = min(columns, len(plots))
+    rows = math.ceil(len(plots) / columns)
+    figure = Figure(figsize=(6.4 * columns, 4.0 * rows), dpi=100, facecolor=PAPER, layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
-    axes.set_xlabel("Gaussians (fewer is better)")
-    axes.set_ylabel("PSNR of held-out views, dB")
-    axes.grid(True, which="major", alpha=0.3)
-    if len(names) == 0:
-        axes.set(xticks=[], yticks=[])
-        axes.text(0.5, 0.5, "no rule has finished yet", ha="center", va="center", color="#5c6675")
-        return figure
-    on_front = pareto_front(cost, quality)
-    area = np.maximum(LARGEST_AREA * ms / max(float(np.max(ms)), 1e-9), LEAST_AREA)
-    colours = np.where(on_front, "#d1495b", "#3d85c6")
-    axes.scatter(cost, quality, s=area, c=colours, alpha=0.75, edgecolors="white", zorder=3)
-    best = np.argsort(cost[on_front], kind="stable")
-    axes.step(cost[on_front][best], quality[on_front][best], where="post", color="#d1495b", linewidth=1.2, zorder=2)
-    axes.set_xscale("log")
-    axes.margins(x=0.38, y=0.25)
-    _plain_numbers(axes)
-    axes.set_title("red: on the Pareto front; larger: more ms per frame", fontsize=9, color="#5c6675", loc="left")
-    _labels(axes, names, cost, quality, area)
+    all_axes = [figure.add_subplot(rows, columns, i + 1) for i in range(len(plots))]
+    for axes, points in zip(all_axes, plots, strict=True):
+        _draw(axes, points)
+    figure.draw_without_rendering()  # labels are placed in pixels, after the layout is known
+    for axes, points in zip(all_axes, plots, strict=True):
+        _label_points(axes, points)
     return figure
 
 
-def _labels(axes, names: Sequence[str], cost: np.ndarray, quality: np.ndarray, area: np.ndarray) -> None:
-    """A name beside each point, at the first position where it covers neither a point nor another name."""
-    from matplotlib.patheffects import withStroke
+def _draw(axes: "Axes", points: ParetoPoints) -> None:
+    _style(axes, points)
+    cost, quality = np.asarray(points.cost, float), np.asarray(points.quality, float)
+    if len(points.names) == 0:
+        axes.set(xticks=[], yticks=[])
+        axes.text(0.5, 0.5, "no rule has finished yet", ha="center", va="center", color=MUTED)
+        return
+    on_front = pareto_front(cost, quality)
+    colours = np.where(on_front, ON_FRONT, BEATEN)
+    for name in dict.fromkeys(points.names):
+        own = [i for i, other in enumerate(points.names) if other == name]
+        own.sort(key=lambda i: cost[i])
+        if len(own) > 1:
+            axes.plot(cost[own], quality[own], color=MUTED, linewidth=0.8, alpha=0.5, zorder=1)
+    _error_bars(axes, points, colours)
+    axes.scatter(cost, quality, s=_areas(points), c=colours, alpha=0.75, edgecolors=PAPER, zorder=3)
+    best = np.argsort(cost[on_front], kind="stable")
+    axes.step(cost[on_front][best], quality[on_front][best], where="post", color=ON_FRONT, linewidth=1.2, zorder=2)
+    axes.margins(x=0.38, y=0.25)
+    _scale_of_costs(axes, cost)
 
-    axes.figure.draw_without_rendering()
-    centre = axes.transData.transform(np.stack([cost, quality], axis=1).astype(float)).tolist()
+
+def _style(axes: "Axes", points: ParetoPoints) -> None:
+    axes.set_xlabel(points.cost_label, color=MUTED)
+    axes.set_ylabel(points.quality_label, color=MUTED)
+    axes.tick_params(colors=MUTED)
+    axes.grid(True, which="major", color=GRID, linewidth=0.8)
+    axes.set_axisbelow(True)
+    for spine in axes.spines.values():
+        spine.set_color(GRID)
+    meaning = "red: on the Pareto front" + ("; larger: more ms per frame" if points.ms is not None else "")
+    axes.set_title(f"{points.title}\n{meaning}".strip(), fontsize=9, color=MUTED, loc="left")
+
+
+def _areas(points: ParetoPoints) -> np.ndarray:
+    if points.ms is None:
+        return np.full(len(points.names), PLAIN_AREA)
+    return np.maximum(LARGEST_AREA * points.ms / max(float(np.max(points.ms)), 1e-9), LEAST_AREA)
+
+
+def _spread(sd: np.ndarray | None, n: int) -> np.ndarray:
+    return np.zeros(n) if sd is None else np.nan_to_num(np.asarray(sd, float), nan=0.0)
+
+
+def _ends(points: ParetoPoints) -> tuple[np.ndarray, np.ndarray]:
+    """Ends of the error bars, left, right and bottom, top; the left end stays on the logarithmic axis. [2, N] each"""
+    n, cost, quality = len(points.names), np.asarray(points.cost, float), np.asarray(points.quality, float)
+    wide, high = _spread(points.cost_sd, n), _spread(points.quality_sd, n)
+    left = np.maximum(cost - wide, cost / 10)
+    return np.stack([left, cost + wide]), np.stack([quality - high, quality + high])
+
+
+def _error_bars(axes: "Axes", points: ParetoPoints, colours: np.ndarray) -> None:
+    (left, right), (bottom, top) = _ends(points)
+    style = {"colors": colours, "linewidth": 1.3, "alpha": 0.8, "zorder": 2}
+    axes.hlines(points.quality, left, right, **style)
+    axes.vlines(points.cost, bottom, top, **style)
+
+
+def _label_points(axes: "Axes", points: ParetoPoints) -> None:
+    """The name of each rule beside its best point, where it covers no point, error bar or other name if possible."""
+    if len(points.names) == 0:
+        return
+    quality, area = np.asarray(points.quality, float), _areas(points)
+    where = np.stack([np.asarray(points.cost, float), quality], axis=1)
+    centre = axes.transData.transform(where).tolist()
     dots = [(x - r, y - r, x + r, y + r) for (x, y), r in zip(centre, (np.sqrt(area) * 0.7).tolist(), strict=True)]
-    taken = list(dots)
+    taken = [*dots, *_bar_boxes(axes, points)]
+    left, bottom, right, top = axes.get_window_extent().extents.tolist()
+    named: set[str] = set()
     for i in np.argsort(-quality, kind="stable"):
+        if points.names[i] in named:
+            continue
+        named.add(points.names[i])
         x, y = centre[i]
-        size = CHARACTER_PX * len(names[i]), LINE_PX
-        places = [_place(dots[i], size, turn, far) for far in _DISTANCES_PX for turn in _DIRECTIONS]
-        box = next((p for p in places if not any(_overlap(p, other) for other in taken)), places[0])
+        box = _free_place(dots[i], CHARACTER_PX * len(points.names[i]), taken, (left, bottom, right, top))
         taken.append(box)
         middle = ((box[0] + box[2]) / 2 - x) * 0.72, ((box[1] + box[3]) / 2 - y) * 0.72  # pixels to points
         axes.annotate(
-            names[i], (cost[i], quality[i]), xytext=middle, textcoords="offset points", ha="center", va="center",
-            fontsize=8, arrowprops={"arrowstyle": "-", "color": "#8a8f98", "linewidth": 0.6},
-            path_effects=[withStroke(linewidth=2.5, foreground="white")],
+            points.names[i], where[i], xytext=middle, textcoords="offset points", ha="center", va="center",
+            fontsize=8, color=INK, arrowprops={"arrowstyle": "-", "color": MUTED, "linewidth": 0.6},
+            bbox={"boxstyle": "square,pad=0.05", "facecolor": PAPER, "edgecolor": "none", "alpha": 0.75},
         )  # fmt: skip
 
 
-def _place(dot: Box, size: tuple[float, float], turn: tuple[int, int], far: float) -> Box:
-    """A box of ``size`` beside ``dot``, in direction ``turn``, ``far`` pixels from it."""
-    x, y = (dot[0] + dot[2]) / 2, (dot[1] + dot[3]) / 2
+def _bar_boxes(axes: "Axes", points: ParetoPoints) -> list[Box]:
+    """The error bars as boxes, pixels."""
+    (left, right), (bottom, top) = _ends(points)
+    quality, cost = np.asarray(points.quality, float), np.asarray(points.cost, float)
+    corners = [np.stack(ends, axis=1) for ends in ((left, quality), (right, quality), (cost, bottom), (cost, top))]
+    a, b, c, d = (axes.transData.transform(ends).tolist() for ends in corners)
+    across = [(p[0], p[1] - 1, q[0], p[1] + 1) for p, q in zip(a, b, strict=True)]
+    return across + [(p[0] - 1, p[1], p[0] + 1, q[1]) for p, q in zip(c, d, strict=True)]
+
+
+def _free_place(dot: Box, width: float, taken: Sequence[Box], inside: Box) -> Box:
+    """The nearest box beside ``dot`` that is inside the plot and covers nothing, or else covers least."""
+    turns = [(math.cos(a), math.sin(a)) for a in np.linspace(0.5, 2.5, _N_DIRECTIONS + 1)[:-1] * np.pi]
+    tried = [
+        _place(dot, (width, LINE_PX), turn, far) for far, turn in itertools.product(_DISTANCES_PX, turns)
+    ]  # fmt: skip
+    fitting = [b for b in tried if inside[0] < b[0] and inside[1] < b[1] and b[2] < inside[2] and b[3] < inside[3]]
+    return min(fitting or tried, key=lambda box: sum(_overlap(box, other) for other in taken))
+
+
+def _place(dot: Box, size: tuple[float, float], turn: tuple[float, float], far: float) -> Box:
+    """A box of ``size`` beside ``dot``, in direction ``turn``, about ``far`` pixels from it."""
     reach = (dot[2] - dot[0]) / 2 + far
-    x += turn[0] * (reach + size[0] / 2)
-    y += turn[1] * (reach + size[1] / 2)
+    x = (dot[0] + dot[2]) / 2 + turn[0] * (reach + size[0] / 2)
+    y = (dot[1] + dot[3]) / 2 + turn[1] * (reach + size[1] / 2)
     return x - size[0] / 2, y - size[1] / 2, x + size[0] / 2, y + size[1] / 2
 
 
-def _overlap(a: Box, b: Box) -> bool:
-    return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]
+def _overlap(a: Box, b: Box) -> float:
+    """Common area, pixels squared."""
+    return max(min(a[2], b[2]) - max(a[0], b[0]), 0.0) * max(min(a[3], b[3]) - max(a[1], b[1]), 0.0)
 
 
-def _plain_numbers(axes) -> None:
-    """3k, 10k, 30k along the logarithmic axis."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+def _scale_of_costs(axes: "Axes", cost: np.ndarray) -> None:
+    """A logarithmic axis with 2k, 5k, 10k; a linear one if the costs are within a factor of two."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
+    if cost.max() < 2 * cost.min():
+        axes.xaxis.set_major_locator(MaxNLocator(5))
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:,.6g}"))
+        return
+    axes.set_xscale("log")
     axes.xaxis.set_major_locator(LogLocator(base=10, subs=(1.0, 2.0, 5.0)))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v / 1000:g}k" if v >= 1000 else f"{v:g}"))
     axes.xaxis.set_minor_formatter(NullFormatter())

@@ -12,7 +12,7 @@ _TEX = {
     "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "<": r"\textless{}", ">": r"\textgreater{}",
     "±": r"$\pm$", "–": "--", "∞": r"$\infty$", "°": r"$^\circ$", "\u00a0": "~",
 }  # fmt: skip
-_PREAMBLE = r"""% Written by gsfusion-nb lab. In the document: \usepackage{booktabs}, then \input{table}
+_PREAMBLE = r"""% Written by gsfusion-nb lab. In the document: \usepackage{booktabs,graphicx}, then \input{table}
 % Best of a column: bold; second: underlined.
 """
 
@@ -32,7 +32,7 @@ def as_markdown(table: ResultTable) -> str:
 
 
 def as_latex(table: ResultTable, *, label: str = "") -> str:
-    """A ``table`` environment with booktabs; columns of the same group of views share a heading.
+    """A ``table`` environment with booktabs, made smaller if it is wider than the line; ± in small print.
 
     Args:
         table: The table.
@@ -41,11 +41,15 @@ def as_latex(table: ResultTable, *, label: str = "") -> str:
     lines = [r"\begin{table}[htbp]", r"\centering\small\setlength{\tabcolsep}{4pt}"]
     lines += [rf"\caption{{{_tex(table.title)}. {_tex(_sentences(table.notes))}}}"]
     lines += [rf"\label{{{label}}}"] if label else []
-    lines += [rf"\begin{{tabular}}{{l{'r' * len(table.columns)}}}", r"\toprule"]
+    lines += [
+        r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%",
+        rf"\begin{{tabular}}{{l{'r' * len(table.columns)}}}",
+        r"\toprule",
+    ]
     lines += _tex_heads(table.columns)
     for row in table.rows:
         lines.append(" & ".join([_tex(row.label), *map(_tex_cell, row.cells)]) + r" \\")
-    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", r"\end{table}"])
+    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}}", r"\end{table}"])
 
 
 def latex_file(tables: Iterable[ResultTable]) -> str:
@@ -97,7 +101,8 @@ def _tex_heads(columns: Sequence[Column]) -> list[str]:
 
 
 def _tex_cell(cell: Cell) -> str:
-    return {0: "{}", 1: r"\textbf{{{}}}", 2: r"\underline{{{}}}"}[cell.place].format(_tex(cell.text))
+    spread = rf" {{\scriptsize$\pm$ {_tex(cell.sd)}}}" if cell.sd else ""
+    return {0: "{}", 1: r"\textbf{{{}}}", 2: r"\underline{{{}}}"}[cell.place].format(_tex(cell.mean)) + spread
 
 
 def _sentences(notes: Sequence[str]) -> str:

@@ -17,7 +17,12 @@ def made_run():
         spec = RunSpec(rule="uniform", label=label, scene=scene, data="room", seed=seed, budget=budget or Budget())
         if failed:
             return RunResult(spec=spec, status="failed", reason=failed)
-        numbers = {"psnr_held_out_db": psnr, "psnr_mapped_db": psnr + 2, "n_gaussians": 4000.0, "n_steps": 200.0}
+        numbers = {
+            "psnr_held_out_db": float(psnr),
+            "psnr_mapped_db": psnr + 2.0,
+            "n_gaussians": 4000.0,
+            "n_steps": 200.0,
+        }
         return RunResult(
             spec=spec, status="done", metrics=numbers | metrics, notes=list(notes), pictures=pictures or {},
             map_hash=f"map-{label}-{scene}-{seed}", data_hash=f"data-{scene}", rule_source=f"def {label}(ctx): ...",
@@ -45,8 +50,8 @@ def made_results(made_run):
             size = 4000 + noise.integers(-100, 100) if budget.gaussians else n + 10 * seed
             stem = f"{label.split()[0]}-{scene}-{budget.steps}"
             run = made_run(
-                label, scene, seed, psnr + noise.normal(0, 0.05), budget=budget, n_gaussians=float(size),
-                ms_per_frame=40 + n / 200 + noise.normal(0, 2), ssim_held_out=0.8, depth_l1_held_out_m=0.021,
+                label, scene, seed, psnr + float(noise.normal(0, 0.05)), budget=budget, n_gaussians=float(size),
+                ms_per_frame=40 + n / 200 + float(noise.normal(0, 2)), ssim_held_out=0.8, depth_l1_held_out_m=0.021,
                 peak_memory_mb=1200.0, pictures={} if seed else _pictures(folder, stem, psnr),
             )  # fmt: skip
             results.append(run)

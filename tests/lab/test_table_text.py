@@ -52,8 +52,8 @@ def test_markdown(equal):
 
 def test_latex(equal):
     text = as_latex(scene_table(group_runs(equal)), label="tab:x")
-    assert r"a\_b & \underline{24.10 $\pm$ 0.10}" in text
-    assert r"c|d & \textbf{25.00 $\pm$ 0.00}" in text
+    assert r"a\_b & \underline{24.10} {\scriptsize$\pm$ 0.10}" in text
+    assert r"c|d & \textbf{25.00} {\scriptsize$\pm$ 0.00}" in text
     assert r" & \multicolumn{2}{c}{PSNR [dB]} &  &  \\" in text
     assert r"\cmidrule(lr){2-3}" in text
     assert r"rule & held out & mapped & Gaussians & Gradient steps \\" in text
