@@ -1,5 +1,7 @@
 """The Gaussian map, its rows and their states."""
 
+from .apply_edit import shared as shared
+from .edit import Edit as Edit
 from .model import GaussianModel as GaussianModel
 from .states import Transitions as Transitions
 from .states import change_states as change_states

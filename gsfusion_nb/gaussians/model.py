@@ -4,25 +4,28 @@ import dataclasses
 from typing import Any
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from ..checks import check_saved, check_shape, check_whole
-from ..constants import GROWTH, SH_C0
+from ..constants import SH_C0
 from ..geometry import quaternion
 from ..geometry.spherical_harmonics import rgb_to_sh_dc
 from ..types import GaussianParams, Seeds
+from .apply_edit import apply_edit
+from .edit import Edit, check_rate
+from .rows import GrowingRows
 
 PARAMETERS = tuple(f.name for f in dataclasses.fields(GaussianParams))
 
-_FIRST_CAPACITY = 4096
 
-
-class GaussianModel:
+class GaussianModel(GrowingRows):
     """A map of Gaussians and the state of Adam for each of them.
 
     Rows are stored in buffers that grow by a factor when full; every property is a view of the rows in use. Rows change
-    only through ``append``, ``keep``, ``move`` and the optimiser, so parameters and moments always belong together.
+    only through ``append``, ``edit``, ``keep``, ``move`` and the optimiser, so parameters and moments always belong
+    together. Two kinds of columns exist only once they are used: factors of learning rates (``rates``), and numbers
+    that a seeding rule keeps for each row (``memory``).
     """
 
     _COUNTS: tuple[str, ...] = ("birth_frame", "birth_step", "tag")
@@ -40,15 +43,9 @@ class GaussianModel:
         self.device = torch.device(device)
         self.step_count = 0
         """Optimiser steps so far, shared by all rows."""
-        self._count = 0
-        self._most = 0
-        """Rows of the buffers that have ever been in use."""
-        self._columns = {name: self._new_column(name, _FIRST_CAPACITY) for name in self._column_names()}
+        super().__init__(self._column_names())
         self._views: dict[str, tuple[Tensor, GaussianParams]] = {}
         """Prefix -> buffer of the last column when they were made, and views of the rows in use."""
-
-    def __len__(self) -> int:
-        return self._count
 
     def __repr__(self) -> str:
         return (
@@ -106,11 +103,6 @@ class GaussianModel:
         """Size of the map in the standard PLY layout: 62 float32 per Gaussian."""
         return 62 * 4 * len(self)
 
-    @property
-    def memory_bytes(self) -> int:
-        """Memory of the map with the optimiser's moments and the spare rows, bytes."""
-        return sum(column.nbytes for column in self._columns.values())
-
     def append(self, seeds: Seeds, frame_index: int = 0) -> None:
         """Add rows for ``seeds``; their moments start at zero (GSFusion III-B.2).
 
@@ -147,15 +139,42 @@ class GaussianModel:
         new["birth_frame"][start:stop] = frame_index
         new["birth_step"][start:stop] = self.step_count
         new["tag"][start:stop] = seeds.tag
-        self._count, self._most = stop, max(self._most, stop)
+        self._fill_optional(slice(start, stop))
+        self._in_use(stop)
 
-    def keep(self, rows: Bool[Tensor, " N"]) -> None:
-        """Remove every row where ``rows`` is false, parameters and moments alike; the order is kept."""
-        check_shape("rows", rows, (self._count,))
-        kept = int(rows.sum())
-        for column in self._columns.values():
-            column[:kept] = column[: self._count][rows]
-        self._count = kept
+    def edit(self, edit: Edit, generator: torch.Generator, frame_index: int = 0) -> Int[Tensor, " M"]:
+        """Change rows as ``edit`` says, in the order of its fields; parameters, moments, birth and tag stay together.
+
+        Args:
+            edit: What to change.
+            generator: Where the halves of a split row go is drawn from it.
+            frame_index: Number of the frame, stored as ``birth_frame`` of the Gaussians in ``edit.add``; copies have
+                the ``birth_frame`` of their row, and like all new rows the present ``birth_step``.
+
+        Returns:
+            For each of the rows after the edit its number before, -1 for new rows. [M]
+
+        Raises:
+            ValueError: see ``Edit``. The map is unchanged.
+        """
+        return apply_edit(self, edit, generator, frame_index)
+
+    def copy_rows(self, rows: Int[Tensor, " M"]) -> None:
+        """Append a copy of each of these rows, with zero moments; row numbers may repeat."""
+        start = len(self)
+        super().copy_rows(rows)
+        self.clear_moments(slice(start, None))
+        self.as_new(slice(start, None))
+
+    def as_new(self, rows: Int[Tensor, " M"] | slice) -> None:
+        """Count these rows as added now."""
+        self.birth_step[rows] = self.step_count
+
+    def clear_moments(self, rows: Int[Tensor, " M"] | slice, parameter: str | None = None) -> None:
+        """Set Adam's moments of these rows to zero, of all parameters or of one."""
+        for name in self._moment_names():
+            if parameter is None or name.endswith(f".{parameter}"):
+                self._columns[name][: self._count][rows] = 0.0
 
     def move(self, T: Float[Tensor, "N 4 4"]) -> None:
         """Apply a rigid motion to centre and orientation of each row (a loop closure)."""
@@ -172,8 +191,7 @@ class GaussianModel:
 
     def state_dict(self) -> dict[str, Any]:
         """Everything needed to continue later, as tensors and numbers."""
-        rows = {name: column[: self._count].clone() for name, column in self._columns.items()}
-        return {"sh_degree": self.sh_degree, "step_count": self.step_count, "rows": rows}
+        return {"sh_degree": self.sh_degree, "step_count": self.step_count, "rows": self.snapshot()}
 
     @classmethod
     def from_state_dict(cls, state: dict[str, Any], device: torch.device | str = "cpu") -> "GaussianModel":
@@ -189,15 +207,21 @@ class GaussianModel:
         check_shape("xyz_W", state["rows"]["xyz_W"], ("N", 3))
         count = state["rows"]["xyz_W"].shape[0]
         model._reserve(count)
+        for name in state["rows"]:
+            if name.startswith(tuple(cls._OPTIONAL)):
+                model._use(name)
         for name, column in model._columns.items():
             model._check_saved_column(name, state["rows"][name], (count, *column.shape[1:]))
             column[:count] = state["rows"][name]
-        model._count = model._most = count
+        model._in_use(count)
         return model
 
     def _check_saved_column(self, name: str, saved: object, shape: tuple[int, ...]) -> None:
         """Raise ``ValueError`` unless this is a column of that name, from a checkpoint."""
-        check_saved(name, saved, shape, torch.int32 if name in self._COUNTS else torch.float32, finite=False)
+        is_optional = name.startswith(tuple(self._OPTIONAL))
+        check_saved(name, saved, shape, torch.int32 if name in self._COUNTS else torch.float32, finite=is_optional)
+        if name.startswith("rate."):
+            check_rate(name.removeprefix("rate."), saved)
 
     def _rows(self, prefix: str) -> GaussianParams:
         last = self._columns[prefix + PARAMETERS[-1]]
@@ -227,16 +251,9 @@ class GaussianModel:
         return torch.zeros(capacity, *widths[name.split(".")[-1]], device=self.device)
 
     def _reserve(self, count: int) -> None:
-        capacity = self._columns["xyz_W"].shape[0]
-        if count <= capacity:
-            return
-        capacity = max(count, int(GROWTH[self.device.type] * capacity))
-        self._views.clear()
-        for name, old in self._columns.items():
-            grown = self._new_column(name, capacity)
-            grown[: self._count] = old[: self._count]
-            self._columns[name] = grown
-        self._most = self._count
+        if count > self._capacity:
+            self._views.clear()  # of the old buffers
+        super()._reserve(count)
 
 
 def _is_differentiated(params: GaussianParams) -> bool:

@@ -88,11 +88,29 @@ class SurfelModel(GaussianModel):
         """Add rows: unstable, confidence 0, no errors."""
         start = len(self)
         super().append(seeds, frame_index)
-        stop = len(self)
+        self.as_new(slice(start, len(self)))
+
+    def set_rows(self, name: str, rows: Int[Tensor, " M"], values: Tensor) -> None:
+        """Also: geometry that is set is where the regulariser holds a transparent row; a new state starts its counts
+        again, as in ``change_states``."""
+        super().set_rows(name, rows, values)
+        if name in _ANCHOR:
+            super().set_rows(f"anchor.{name}", rows, values)
+        if name == "state":
+            self.colour_errors[rows] = 0
+            self.depth_errors[rows] = 0
+            released = rows[self.state[rows] == UNSTABLE]
+            self.confidence[released] = 0
+            self.frames_in_view[released] = 0
+            super().as_new(released)
+
+    def as_new(self, rows: Int[Tensor, " M"] | slice) -> None:
+        """Count these rows as added now: unstable, confidence 0, no errors, held where they are."""
+        super().as_new(rows)
         for name in _AT_LEAST_0:
-            self._columns[name][start:stop] = 0
+            self._columns[name][: len(self)][rows] = 0
         for name in _ANCHOR:
-            self._columns[f"anchor.{name}"][start:stop] = self._columns[name][start:stop]
+            self.anchor[name][rows] = self._columns[name][: len(self)][rows]
 
     def _check_saved_column(self, name: str, saved: object, shape: tuple[int, ...]) -> None:
         super()._check_saved_column(name, saved, shape)
