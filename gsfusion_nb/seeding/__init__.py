@@ -1,5 +1,6 @@
 """Where new Gaussians are created: the image quadtree, the context that a rule sees, the registry, and the rules."""
 
+from ..gaussians import Edit as Edit
 from ..types import Seeds as Seeds
 from . import rules as rules
 from .check import RuleCheck as RuleCheck
