@@ -160,9 +160,8 @@ def run_quickly(notebook: dict, name: str, tmp_path: Path) -> Path:
     return copy
 
 
-@pytest.mark.parametrize(
-    "path", [NOTEBOOKS[0], *(pytest.param(p, marks=pytest.mark.slow) for p in NOTEBOOKS[1:])], ids=lambda p: p.stem
-)
+@EACH
+@pytest.mark.ci
 def test_runs_in_an_empty_folder_without_network(path, tmp_path):
     cleared = json.loads(path.read_text(encoding="utf-8"))
     for cell in cleared["cells"]:

@@ -78,6 +78,7 @@ def test_two_processes_leave_nothing_to_compile(tmp_path):
     assert second == 0
 
 
+@pytest.mark.ci
 def test_doctor_says_what_it_did(capsys):
     assert doctor.warm() == 0
     assert doctor.warm() == 0
@@ -102,6 +103,7 @@ print(torch.get_num_threads())
 """
 
 
+@pytest.mark.ci
 def test_compiling_is_announced_once_and_only_when_it_happens(tmp_path):
     pytest.importorskip("numba")
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "GSFUSION_BACKEND": "auto"}

@@ -49,6 +49,7 @@ def test_raster(small):
             assert row.values["least_gradient_cosine"] > 0.9999
 
 
+@pytest.mark.ci
 def test_all_groups_and_scaling(small, tmp_path, capsys):
     path = tmp_path / "bench.json"
     options = BenchOptions(quick=True, frames=2, size=("64x48",), scaling=True, json=str(path))

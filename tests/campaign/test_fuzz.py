@@ -10,7 +10,7 @@ FUZZ = Path(__file__).parent / "fuzz.py"
 
 
 @pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="memory is measured as Linux does")
-@pytest.mark.parametrize(("inputs", "seed"), [(120, 7), pytest.param(1500, 8, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("inputs", "seed"), [(60, 7), pytest.param(1500, 8, marks=pytest.mark.slow)])
 def test_damaged_and_hostile_files(inputs, seed):
     command = [sys.executable, str(FUZZ), "--inputs", str(inputs), "--seed", str(seed)]
     done = subprocess.run(command, capture_output=True, text=True)

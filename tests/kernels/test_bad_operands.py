@@ -110,7 +110,7 @@ def test_same_on_every_backend(backend, expected):
     assert not differences(found, expected)
 
 
-@pytest.mark.slow
+@pytest.mark.ci
 def test_same_from_the_cuda_kernels_on_the_processor(emulator_library, expected):
     found = outcomes("cuda", GSFUSION_CUDA_EMULATOR=str(emulator_library))
     assert len(found) > 200

@@ -11,6 +11,8 @@ import pytest
 from gsfusion_nb.backends import BackendUnavailable
 
 KERNELS = Path(__file__).resolve().parents[2] / "kernels"
+pytestmark = pytest.mark.ci
+
 SOURCES = sorted(KERNELS.glob("*/*.cu"))
 
 

@@ -33,7 +33,7 @@ def run_emulated(library: Path, **environment: str) -> str:
     return done.stdout
 
 
-@pytest.mark.slow
+@pytest.mark.ci
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU: tests/kernels/cuda run on it")
 def test_kernels_on_the_cpu(emulator_library):
     assert " passed" in run_emulated(emulator_library)

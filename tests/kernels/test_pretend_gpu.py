@@ -11,7 +11,7 @@ import torch
 ROOT = Path(__file__).resolve().parents[2]
 
 
-@pytest.mark.slow
+@pytest.mark.ci
 @pytest.mark.skipif(torch.version.cuda is not None, reason="this torch is built for CUDA and looks for a GPU")
 def test_both_systems_on_a_pretended_gpu(emulator_library):
     pytest.importorskip("triton", reason="triton is not installed (pip install 'gsfusion-nb[gpu]')")

@@ -8,6 +8,7 @@ import sys
 import pytest
 
 pytest.importorskip("numba")
+pytestmark = pytest.mark.ci
 
 _KERNELS = """
 from numba import njit

@@ -12,6 +12,7 @@ ROOT = Path(__file__).resolve().parents[2]
 FOLDERS = ("tests/kernels/triton", "tests/kernels/gpu", "tests/kernels/test_parity.py::test_same_as_the_reference")
 
 
+@pytest.mark.ci
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU: tests/kernels/triton run on it")
 def test_kernels_under_the_interpreter():
     pytest.importorskip("triton", reason="triton is not installed (pip install 'gsfusion-nb[gpu]')")

@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).resolve().parents[2]
 
 CONFIG = '''
@@ -156,6 +158,7 @@ print("the toy system works")
 """
 
 
+@pytest.mark.ci
 def test_a_toy_system_runs_from_first_frame_to_report(tmp_path):
     copy = tmp_path / "gsfusion_nb"
     shutil.copytree(ROOT / "gsfusion_nb", copy, ignore=shutil.ignore_patterns("__pycache__"))

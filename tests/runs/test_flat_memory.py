@@ -75,7 +75,7 @@ def make_run(kind: str, sequence: RecordedSequence, config) -> MappingRun:
     return MappingRun(apply_options(sequence, settings.data), make_mapper(settings))
 
 
-@pytest.mark.parametrize("kind", ["sequence", "stream"])
+@pytest.mark.parametrize("kind", ["sequence", pytest.param("stream", marks=pytest.mark.ci)])
 def test_memory_is_flat_over_300_frames(tmp_path, small_room, config, kind):
     sequence = repeated(written(tmp_path, small_room, list(range(7))), 300)
     run = make_run(kind, sequence, config)

@@ -18,13 +18,14 @@ from gsfusion_nb.runs.run_folder import CHECKPOINTS
 
 ROOM: dict[str, Any] = {"n_frames": 240, "width": 96, "height": 72}
 DATA: dict[str, Any] = {"data__stop": 5, "data__hold_out_every": 0}
+FEW = {"window__iterations": 2, "keyframes__iterations": 2}
 SETTINGS = {
     "gsfusion": gsfusion(
         "online", **DATA, tsdf__voxel_size_m=0.1, sh_degree=1, keyframe_min_seeds=5, optim__global_iterations=2
     ),
-    "rtg_slam": rtg_slam("room", data__width=0, data__height=0, **DATA, keyframes__rotation_deg=0.5),
+    "rtg_slam": rtg_slam("room", data__width=0, data__height=0, **DATA, **FEW, keyframes__rotation_deg=0.5),
     "tracked": rtg_slam(
-        "room", data__width=0, data__height=0, **DATA, tracking__poses="tracked",
+        "room", data__width=0, data__height=0, **DATA, **FEW, tracking__poses="tracked",
         tracking__back_end__enabled=True, tracking__back_end__keyframe_rotation_deg=0.1,
     ),
 }  # fmt: skip
@@ -38,7 +39,7 @@ def states(tmp_path_factory):
     for name, config in SETTINGS.items():
         folder = tmp_path_factory.mktemp(name)
         sequence = open_sequence("room", data=config.data, **ROOM)
-        with use_backend("torch"):
+        with use_backend("auto"):
             run = MappingRun(sequence, make_mapper(config), source={"path_or_name": "room", **ROOM})
             for _ in itertools.chain(run.online(), itertools.islice(run.optimise(), 1)):
                 pass

@@ -96,6 +96,7 @@ def test_evo_agrees(circle, generator):
     assert ate_rmse(estimate, true) == pytest.approx(ape.get_statistic(metrics.StatisticsType.rmse), rel=1e-6)
 
 
+@pytest.mark.ci
 def test_exact_poses_stay_exact(circle):
     """The landmarks' errors must not spoil a front end that makes none."""
     true = torch.stack([f.T_WC for f in circle]).double()

@@ -5,9 +5,9 @@ import pytest
 from gsfusion_nb.data.checkup import check_recording
 
 # names are spelled out here because conftest cannot be imported; a test below compares
-FAST = ("clean", "depth 5000 as 1000", "opengl", "focal", "colour ahead")
+FAST = ("clean", "depth 5000 as 1000", "opengl")
+IN_CI = ("focal", "colour ahead", "inverted", "wxyz", "pose jump", "65535", "colour moved")
 SLOW = (
-    "inverted", "wxyz", "pose jump", "65535", "colour moved",
     "depth a tenth", "depth 4 % off", "mm poses", "ros", "unity", "opengl view matrices", "columns",
     "scaled rotations", "path is interrupted", "poses early", "poses late", "cx cy", "half intrinsics", "half a pixel",
     "other size", "large colour", "ray depth", "other camera", "mirrored", "mixed up", "exposure", "blur", "frozen",
@@ -18,7 +18,7 @@ TOO_NOISY = ("half a pixel",)
 
 
 def test_all_breakages_are_listed(breakages):
-    assert set(FAST) | set(SLOW) == set(breakages)
+    assert {*FAST, *IN_CI, *SLOW} == set(breakages)
 
 
 def expected_value(value, intrinsics):
@@ -64,15 +64,21 @@ def test_the_room(broken, breakages, table, name):
     examine(broken, breakages, table, "room", name)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", SLOW)
+@pytest.mark.ci
+@pytest.mark.parametrize("name", IN_CI)
 def test_the_room_in_more_ways(broken, breakages, table, name):
     examine(broken, breakages, table, "room", name)
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("name", SLOW)
+def test_the_room_in_every_way(broken, breakages, table, name):
+    examine(broken, breakages, table, "room", name)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("source", REAL)
-@pytest.mark.parametrize("name", [n for n in (*FAST, *SLOW) if n != "clean"])
+@pytest.mark.parametrize("name", [n for n in (*FAST, *IN_CI, *SLOW) if n != "clean"])
 def test_real_sequences(broken, breakages, table, source, name):
     if name in TOO_NOISY and source.startswith("redkitchen"):
         recording, _ = broken(source, name)
@@ -83,6 +89,7 @@ def test_real_sequences(broken, breakages, table, source, name):
     examine(broken, breakages, table, source, name)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("source", REAL)
 def test_clean_sequences_get_a_clean_bill(shared_sequence, source):
     report = check_recording(shared_sequence(source), frames=31, pictures=False)
@@ -100,7 +107,7 @@ def test_whole_clean_sequences(shared_sequence, source):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("source", ["room", *REAL])
-@pytest.mark.parametrize("name", [*FAST[1:], *SLOW])
+@pytest.mark.parametrize("name", [*FAST[1:], *IN_CI, *SLOW])
 def test_every_repair_repairs(broken, breakages, source, name):
     if not breakages[name].mends or (name in TOO_NOISY and source.startswith("redkitchen")):
         pytest.skip("there is no repair for this")

@@ -45,6 +45,7 @@ def test_a_report_as_text_and_html():
     assert repr(report) == "CheckupReport(scan: wrong, 2 of 3 findings not ok)"
 
 
+@pytest.mark.ci
 def test_the_command_writes_a_page_and_its_flags_are_accepted(broken, tmp_path, capsys):
     recording, _ = broken("room", "inverted")
     page = tmp_path / "page.html"
@@ -75,6 +76,7 @@ def test_mistakes_of_the_command(capsys, tmp_path):
     assert "expected an option as name=value, got 'register'" in capsys.readouterr().err
 
 
+@pytest.mark.ci
 def test_a_sequence_in_memory_is_left_alone():
     sequence: Any = room(n_frames=400, width=80, height=60)
     report = check_recording(sequence, frames=31, pictures=False)
