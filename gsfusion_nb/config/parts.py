@@ -78,9 +78,14 @@ class SeedingConfig:
     close to the camera."""
     options: dict[str, int | float | str | bool] = field(default_factory=dict)
     """Keyword arguments of the rule, by name; on the command line: --rule-options name=value."""
+    own_settings: tuple[str, ...] = ()
+    """Settings that keep the value given here although the rule brings another one, by name, such as optim.lr_xyz, by
+    group, such as optim, or all. Empty: everything that the rule brings applies."""
 
     def __post_init__(self):
         check_kinds("seeding", self)
+        if not all(isinstance(name, str) for name in self.own_settings):
+            raise ValueError(f"seeding.own_settings must hold names of settings, got {self.own_settings}")
         check_positive("seeding.quadtree_threshold", self.quadtree_threshold)
         if self.quadtree_min_cell_px < 1:
             raise ValueError(f"seeding.quadtree_min_cell_px must be >= 1, got {self.quadtree_min_cell_px}")

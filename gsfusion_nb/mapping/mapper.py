@@ -27,7 +27,8 @@ from .localiser import Localiser, move_map
 from .map_view import MapPart, SurfaceImage
 from .one_frame import FrameGuard
 from .random_streams import RandomStreams
-from .rule_in_use import RuleInUse, check_known, settings_with_rule
+from .rule_in_use import RuleInUse, check_known
+from .rule_settings import settings_of_run, settings_with_rule
 from .step_report import GlobalStep, StepReport
 
 M = TypeVar("M", bound="Mapper")
@@ -40,11 +41,13 @@ class Mapper(ABC):
         config: Settings; the defaults of ``config_type`` if none are given.
         seeding: Name of a registered rule, or the rule function itself; overrides ``config.seeding.rule``. The options
             in the settings are passed to it if it has all of them. If only ``config.seeding.rule`` has them, the rule
-            runs with its defaults. ``self.config`` has the rule and options in use.
+            runs with its defaults. Settings that the rule brings (``MapRule.overrides``) replace those of ``config``
+            that ``config.seeding.own_settings`` does not name. ``self.config`` has the settings in use.
         device: Device of the map.
 
     Raises:
         TypeError: neither rule has all of the options, or the value of an option is of the wrong type.
+        ValueError: the rule brings a setting that the system does not have.
 
     A subclass defines ``title``, ``config_type``, ``preset``, ``n_passes``, ``step``, ``surface``, ``mesh`` and
     ``_global_step``. It overrides the rest where the default does not fit.
@@ -300,7 +303,8 @@ class Mapper(ABC):
         config = from_dict(cls.config_type, state["config"])
         if seeding is None:
             check_known(state["rule"])
-        mapper = cls(config, seeding=seeding if seeding is not None else state["rule"]["name"], device=device)
+        rule = get_rule(seeding if seeding is not None else state["rule"]["name"])
+        mapper = cls(settings_of_run(config, rule), seeding=rule, device=device)
         mapper.rule_in_use.load_state_dict(state["rule"])
         if mapper.rule_in_use.differs(state["rule"]):
             mapper.notes.append(

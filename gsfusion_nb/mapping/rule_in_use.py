@@ -1,10 +1,7 @@
-"""The seeding rule of a mapper: its options, when it is asked, its memory, and what a checkpoint saves of it."""
+"""The seeding rule of a mapper: with its options, when it is asked, its memory, and what a checkpoint saves of it."""
 
-import dataclasses
-import logging
-from typing import Any, TypeVar
+from typing import Any
 
-from ..config import SystemConfig
 from ..errors import SequenceError, shown
 from ..seeding import (
     EVERY_FRAME,
@@ -18,33 +15,7 @@ from ..seeding import (
     registered,
     rule_fingerprint,
     rule_name,
-    rule_options,
 )
-
-log = logging.getLogger(__name__)
-
-S = TypeVar("S", bound=SystemConfig)
-
-
-def settings_with_rule(config: S, rule: SeedingRule) -> S:
-    """``config`` with the rule and the options that are really used, so that the stored settings are those of the run.
-
-    The options in the settings are for the rule in the settings. Another rule gets them if it has all of them; if only
-    the first rule has them, the other runs with its defaults. Options that neither has are returned unchanged; the
-    mapper refuses them when it is made.
-    """
-    name, seeding = rule_name(rule), config.seeding
-    if name == seeding.rule:
-        return config
-    options, own = seeding.options, registered().get(seeding.rule)
-    if (
-        own is not None
-        and not options.keys() <= rule_options(rule).keys()
-        and options.keys() <= rule_options(own).keys()
-    ):
-        log.info("the options %s belong to the seeding rule %r; %r runs with its defaults", options, seeding.rule, name)
-        options = {}
-    return dataclasses.replace(config, seeding=dataclasses.replace(seeding, rule=name, options=options))
 
 
 class RuleInUse:

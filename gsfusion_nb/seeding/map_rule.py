@@ -86,7 +86,9 @@ class MapRule(ABC):
     needs: ClassVar[frozenset[str]] = frozenset()
     """Statistics of the optimisation that the mapper collects only if a rule asks for them."""
     overrides: ClassVar[Mapping[str, Any]] = MappingProxyType({})
-    """Settings of the system that the rule brings, by name: ``{"optim__lr_xyz": 1e-4}``."""
+    """Settings of the system that the rule brings, by name: ``{"optim__lr_xyz": 1e-4}``. The mapper applies them when
+    it is made, so they are among the settings that are stored and shown. They replace the user's values, except those
+    that the user names in the setting ``seeding.own_settings``."""
 
     @abstractmethod
     def seeds(self, ctx: SeedContext, memory: dict[str, Any]) -> Seeds:
