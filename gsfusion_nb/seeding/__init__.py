@@ -6,9 +6,9 @@ from . import rules as rules
 from .check import RuleCheck as RuleCheck
 from .check import check_rule as check_rule
 from .check_scenes import check_contexts as check_contexts
-from .context import MapView as MapView
 from .context import SeedContext as SeedContext
 from .context import VoxelLookup as VoxelLookup
+from .discs import as_discs as as_discs
 from .fingerprint import is_built_in as is_built_in
 from .fingerprint import rule_fingerprint as rule_fingerprint
 from .fingerprint import rule_source as rule_source
@@ -18,9 +18,11 @@ from .map_rule import MapRule as MapRule
 from .map_rule import When as When
 from .map_rule import every as every
 from .map_rule import submaps as submaps
+from .map_view import MapView as MapView
 from .memory import check_memory as check_memory
 from .memory import copy_memory as copy_memory
 from .memory import describe_memory as describe_memory
+from .nearest import Neighbours as Neighbours
 from .quadtree import Cells as Cells
 from .quadtree import quadtree as quadtree
 from .rule import apply_rule as apply_rule
@@ -34,4 +36,6 @@ from .rule_signature import SeedingRule as SeedingRule
 from .rule_signature import check_options as check_options
 from .rule_signature import is_map_rule as is_map_rule
 from .rule_signature import rule_name as rule_name
+from .spacing import sized_by_neighbours as sized_by_neighbours
 from .unchanged_inputs import ChangedInputError as ChangedInputError
+from .unmapped import unmapped_pixels as unmapped_pixels

@@ -1,17 +1,22 @@
 """What a seeding rule may read: frame, volume and map. Derived quantities are computed when first asked for."""
 
+import functools
 import time
 from dataclasses import KW_ONLY, dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
 from ..config import DiscConfig, SeedingConfig, TsdfConfig
-from ..geometry import backproject, depth_to_normals, pixel_grid, quaternion, se3
+from ..geometry import backproject, depth_to_normals, pixel_grid, se3
 from ..render import SurfaceView, render, view_surface
+from ..tsdf import RaycastOutput, TsdfVolume, raycast
 from ..types import Camera, Frame, GaussianParams, RenderOutput, Seeds
+from .image_features import ImageFeatures
+from .map_view import MapView, view_map
+from .point_queries import PointQueries
 from .quadtree import Cells, quadtree
 
 
@@ -27,37 +32,8 @@ class VoxelLookup(Protocol):
         ...
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class MapView:
-    """The Gaussians that exist before this frame, one row each."""
-
-    xyz_W: Float[Tensor, "N 3"]
-    """Centre, world frame, metres."""
-    scale_m: Float[Tensor, "N 3"]
-    """Standard deviation along the Gaussian's own axes, metres."""
-    radius_m: Float[Tensor, " N"]
-    """Mean of the two largest standard deviations (RTG-SLAM's radius of a disc), metres."""
-    opacity: Float[Tensor, " N"]
-    """Peak opacity."""
-    tag: Int[Tensor, " N"] | None
-    """Label that the seeding rule gave each Gaussian; None if the map does not keep it."""
-    state: Int[Tensor, " N"] | None
-    """Stable (1) or unstable (0); None if the map does not distinguish them."""
-    quat: Float[Tensor, "N 4"]
-    """Orientation, wxyz, not normalised."""
-
-    @property
-    def normal_W(self) -> Float[Tensor, "N 3"]:
-        """Unit vector along the smallest standard deviation, world frame; its sign is arbitrary."""
-        R = quaternion.to_matrix(self.quat)
-        return R.gather(2, self.scale_m.argmin(dim=1)[:, None, None].expand(-1, 3, 1)).squeeze(2)
-
-    def __len__(self) -> int:
-        return self.xyz_W.shape[0]
-
-
 @dataclass(frozen=True, eq=False)
-class SeedContext:
+class SeedContext(ImageFeatures, PointQueries):
     """Everything a seeding rule is given. ``SeedContext(frame)`` alone is enough for rules that need no map.
 
     The current frame is already fused into the volume (GSFusion, section III-B.2), but not yet in the Gaussian map.
@@ -83,6 +59,13 @@ class SeedContext:
     dict, not a copy; it is saved in checkpoints."""
     starts_submap: bool = False
     """The first frame of the map, and the first of each submap if the rule has submaps (``seeding.submaps``)."""
+    keyframes: tuple[Any, ...] = ()
+    """The keyframes so far, oldest first. Each has ``index`` (of the frame in the source), ``rgb`` [H, W, 3] 0..1,
+    ``rgb_u8``, ``camera``, ``T_WC``, and ``depth_m``, which is None if the mapper keeps no depth (GSFusion). They may
+    be on the CPU while the frame is on a GPU; ``keyframe.to(device)``."""
+    past_T_WC: tuple[Float[Tensor, "4 4"], ...] = ()
+    """Camera-to-world poses of the frames mapped before this one, oldest first, on the CPU, corrected where a loop was
+    closed."""
     _cache: dict = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self):
@@ -99,6 +82,16 @@ class SeedContext:
     def camera(self) -> Camera:
         """The frame's camera."""
         return self.frame.camera
+
+    @property
+    def frame_number(self) -> int:
+        """Number of frames mapped before this one; 0 for the first. ``frame.index`` counts the source's frames."""
+        return len(self.past_T_WC)
+
+    @property
+    def step_count(self) -> int:
+        """Gradient steps of the map so far; in RTG-SLAM the number of frames. 0 if the map does not count."""
+        return getattr(self.gaussians, "step_count", 0)
 
     def has_depth(self) -> Bool[Tensor, "H W"]:
         """Pixels whose depth can be used: not missing, and at least ``near_m``. [H, W]"""
@@ -160,6 +153,7 @@ class SeedContext:
         *,
         opacity: float = 0.5,
         tag: Int[Tensor, " N"] | None = None,
+        depth_m: Float[Tensor, "H W"] | None = None,
     ) -> Seeds:
         """Round seeds on the measured surface at image positions; positions outside the image or without depth
         are dropped.
@@ -171,6 +165,7 @@ class SeedContext:
             radius_px: Standard deviation as seen in the image, pixels. [N] or one number
             opacity: Peak opacity of every seed.
             tag: Label of every seed. [N]
+            depth_m: Another depth image in place of the frame's, such as that of ``raycast()``. [H, W]
 
         Returns:
             At most N seeds, in the order of ``uv``.
@@ -178,9 +173,9 @@ class SeedContext:
         i, j = uv.floor().long().unbind(-1)
         column, row = i.clamp(0, self.camera.width - 1), j.clamp(0, self.camera.height - 1)
         pixel = torch.add(column, row, alpha=self.camera.width)
-        depth_m = self.frame.depth_m.flatten()[pixel]
-        kept = ((i == column) & (j == row) & self._is_used(depth_m)).nonzero()[:, 0]
-        uv, pixel, z = uv[kept], pixel[kept], depth_m[kept]
+        depths = (self.frame.depth_m if depth_m is None else depth_m).flatten()[pixel]
+        kept = ((i == column) & (j == row) & self._is_used(depths)).nonzero()[:, 0]
+        uv, pixel, z = uv[kept], pixel[kept], depths[kept]
         size = radius_px[kept] if isinstance(radius_px, Tensor) else radius_px
         xyz_W = se3.apply(self.frame.T_WC, backproject(self.camera, uv.to(z.dtype), z))  # GSFusion Eq. 10
         return Seeds.isotropic(
@@ -191,9 +186,15 @@ class SeedContext:
             tag=None if tag is None else tag[kept],
         )
 
-    def pixels(self) -> Float[Tensor, "N 2"]:
-        """Centres of the pixels that have depth, row by row. [N, 2]"""
-        return pixel_grid(self.camera, device=self.frame.depth_m.device)[self.has_depth()]
+    def pixels(self, where: Bool[Tensor, "H W"] | None = None) -> Float[Tensor, "N 2"]:
+        """Centres of the pixels that have depth, row by row; of those only the ones in the mask, if given. [N, 2]"""
+        mask = self.has_depth() if where is None else self.has_depth() & where
+        return pixel_grid(self.camera, device=self.frame.depth_m.device)[mask]
+
+    def values_at(self, image: Shaped[Tensor, "H W *C"], uv: Float[Tensor, "N 2"]) -> Shaped[Tensor, "N *C"]:
+        """Values of an image at the pixels that contain ``uv``, which must lie inside it. [N, ...]"""
+        i, j = uv.floor().long().unbind(-1)
+        return image[j, i]
 
     def voxel_weight(self, xyz_W: Float[Tensor, "N 3"]) -> Float[Tensor, " N"]:
         """Observation count of the voxels that contain the points; 0 where nothing was ever observed."""
@@ -207,10 +208,20 @@ class SeedContext:
         """Integer coordinates of the voxels that contain the points, floor(xyz / voxel size). [N, 3] int64"""
         return (xyz_W / self._need_volume("voxel_index").config.voxel_size_m).floor().long()
 
+    def raycast(self) -> RaycastOutput:
+        """The surface of the TSDF that the frame's camera sees, with this frame fused into it: ``depth_m`` [H, W],
+        ``normal_W`` and ``rgb`` [H, W, 3]; zero where no ray meets one. In a mapper it needs a copy of the volume."""
+        volume: Any = self._need_volume("raycast()")
+        if not isinstance(volume, TsdfVolume) and not hasattr(volume, "raycast"):
+            raise ValueError(f"raycast() needs a TSDF volume that rays can be cast into, got {type(volume).__name__}")
+        cast = functools.partial(raycast, volume) if isinstance(volume, TsdfVolume) else volume.raycast
+        return self._once("raycast", lambda: cast(self.camera, self.frame.T_WC))
+
     @property
     def map(self) -> MapView:
         """The Gaussians that exist before this frame."""
-        return self._once("map", lambda: _map_view(self.gaussians, self._need_gaussians("map")))
+        self._need_gaussians("map")
+        return self._once("map", lambda: view_map(self.gaussians, self.frame.index))
 
     def render(self) -> RenderOutput:
         """What the frame's camera sees of the current map."""
@@ -253,16 +264,3 @@ class SeedContext:
         if self.gaussians is None:
             raise ValueError(f"{what} needs a Gaussian map, but this SeedContext was made without one: pass gaussians=")
         return self.gaussians.params
-
-
-def _map_view(gaussians: Any, params: GaussianParams) -> MapView:
-    scale_m = params.log_scale.exp()
-    return MapView(
-        xyz_W=params.xyz_W,
-        scale_m=scale_m,
-        radius_m=scale_m.sort(dim=-1).values[:, 1:].mean(dim=-1),
-        opacity=params.opacity_logit.sigmoid(),
-        tag=getattr(gaussians, "tag", None),
-        state=getattr(gaussians, "state", None),
-        quat=params.quat,
-    )

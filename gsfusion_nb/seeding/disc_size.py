@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from .nearest import k_nearest
+from .nearest import k_nearest, nearest_others
 
 NEIGHBOURS = 3
 """Number of nearest neighbours that are considered (released code)."""
@@ -58,17 +58,12 @@ def gaps_around(
         return Gaps(gap_m=xyz_W.new_zeros(0, neighbours))
     low, high = xyz_W.amin(0) - BORDER_M, xyz_W.amax(0) + BORDER_M
     near = ((neighbour_xyz_W >= low) & (neighbour_xyz_W <= high)).all(dim=1)
-    centres = torch.cat([xyz_W, neighbour_xyz_W[near]])
-    radius = torch.cat([xyz_W.new_zeros(M), neighbour_radius_m[near]])
-    k = min(neighbours + 1, len(centres))
-    if k == 1:
+    k = min(neighbours, M + int(near.sum()) - 1)
+    if k == 0:
         return Gaps(gap_m=xyz_W.new_full((1, 1), torch.inf))
-    distance, index = k_nearest(xyz_W, centres, k)
-    other = index != torch.arange(M, device=index.device)[:, None]
-    other[other.all(dim=1), -1] = False  # a duplicate hid the point itself: leave out the farthest
-    kept = other.byte().sort(dim=1, descending=True, stable=True).indices[:, : k - 1]
-    distance, index = distance.gather(1, kept), index.gather(1, kept)
-    return Gaps(gap_m=distance - reach * radius[index])
+    found = nearest_others(xyz_W, neighbour_xyz_W[near], k)
+    radius = torch.cat([xyz_W.new_zeros(M), neighbour_radius_m[near]])
+    return Gaps(gap_m=found.distance_m - reach * radius[found.row])
 
 
 def nearest(

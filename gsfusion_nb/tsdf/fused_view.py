@@ -9,14 +9,15 @@ from torch import Tensor
 from ..backends import op
 from ..geometry import se3
 from ..operands import check_operand
-from ..types import Frame
-from .integrate import check_fuse, corners_in_view, fuse_voxels
+from ..types import Camera, Frame
+from .integrate import check_fuse, corners_in_view, fuse_frame_, fuse_voxels
 from .octree import NewBlocks
+from .raycast import RaycastOutput, raycast
 from .volume import TsdfSample, TsdfVolume
 
 
 class FusedView:
-    """Looks up single voxels of a volume as if ``frame`` were already fused; the volume is not changed.
+    """Shows a volume as if ``frame`` were already fused; the volume is not changed.
 
     GSFusion's seeding rules need the volume with the frame fused into it. With this view they can run before it is
     fused, so that a rule that fails leaves the map unchanged.
@@ -40,6 +41,19 @@ class FusedView:
         Differentiable: no.
         """
         return sample_fused_voxels(self._volume, self._frame, self._missing, xyz_W)
+
+    def raycast(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RaycastOutput:
+        """The surface that a camera will see; computed in a copy of the volume into which the frame is fused.
+
+        Raises:
+            MemoryError: no room for the copy.
+
+        Differentiable: no.
+        """
+        copy = self._volume.to(self._volume.device)
+        copy.add_blocks(self._missing.coords)
+        fuse_frame_(copy, self._frame)
+        return raycast(copy, camera, T_WC)
 
 
 def check_sample_fused(volume: Any, frame: Any, missing: Any, xyz_W: Any) -> None:

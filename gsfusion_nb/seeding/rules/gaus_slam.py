@@ -1,0 +1,49 @@
+"""GauS-SLAM's rule: SplaTAM's test with flat Gaussians in the measured surface."""
+
+from typing import Literal
+
+from ...types import Seeds
+from ..context import SeedContext
+from ..discs import as_discs
+from ..footprint import one_pixel_seeds
+from ..rule import seeding_rule
+from ..unmapped import unmapped_pixels
+
+
+@seeding_rule
+def gaus_slam(
+    ctx: SeedContext,
+    *,
+    min_alpha: float = 0.6,
+    median_factor: float = 50.0,
+    max_points: int = 0,
+    thickness: float = 0.1,
+    median_of: Literal["all", "measured"] = "all",
+) -> Seeds:
+    """A disc of one pixel, thin along the normal of the depth image, for each pixel with depth where
+
+        A < 0.6   or   ( D^ > D  and  |D^ - D| > 50 median |D^ - D| )
+
+    Args:
+        ctx: Frame and Gaussian map.
+        min_alpha: Pixels with a smaller accumulated opacity A are seeded. Release: 0.6.
+        median_factor: How many medians a depth error must exceed. Release: 50.
+        max_points: At most this many pixels, drawn at random; 0: no limit. The release has such a limit; its value is
+            not known here. Unlike with ``share`` in other rules, sizes do not grow.
+        thickness: Third standard deviation as a share of the other two. The release has flat Gaussians without one;
+            0.1 is chosen here.
+        median_of: The median over "all" pixels counts missing depth as an error of 0, as in the release.
+
+    A disc without a normal (at edges and borders of the depth image) faces the camera. D^ is the blended depth that is
+    not divided by A; whether GauS-SLAM's renderer divides it was not checked. Left out: its choice of keyframes (more
+    than 1 % of the pixels have A < 0.5), pruning (opacity below 0.05, mean scale below 0.0005 or above 0.1), local
+    maps, and growth into depth holes, which the release has switched off.
+    Source: the released code of GauS-SLAM.
+    """
+    chosen = unmapped_pixels(ctx, min_alpha, median_factor, median_of=median_of)
+    if max_points and int(chosen.sum()) > max_points:
+        kept = chosen.flatten().nonzero()[:, 0]
+        kept = kept[ctx.draw(len(kept), max_points)]
+        chosen = chosen.new_zeros(chosen.numel()).index_fill(0, kept, True).view_as(chosen)
+    seeds = one_pixel_seeds(ctx, chosen)
+    return as_discs(ctx, seeds, ctx.normals_W()[chosen], thickness)

@@ -1,0 +1,78 @@
+"""GPS-SLAM's rule: discs on the surface of the TSDF where the colour is wrong."""
+
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ...geometry import pixel_grid
+from ...types import Seeds
+from ..context import SeedContext
+from ..discs import as_discs
+from ..map_rule import MapRule, When, every
+from ..rule import seeding_rule
+from ..spacing import sized_by_neighbours
+
+MAX_DEPTH_M = 5.0
+THICKNESS = 0.1
+
+
+@seeding_rule
+@dataclass(frozen=True, kw_only=True)
+class gps_slam(MapRule):
+    """Every 10 mapped frames, a random 25 % of the pixels whose mean colour error is above 0.05 and where the TSDF has
+    a surface nearer than 5 m. Discs on that surface, along its normal, as large as the root mean square distance to
+    their 3 nearest neighbours among the new ones, but at most 1 cm; 0.1 of that thick.
+
+    Args:
+        colour_error: Mean over R, G, B of |C^ - C| (0..1) above which a pixel is a candidate. Release: 0.05.
+        share: Share of the candidates that is drawn at random, 0..1. Release: 0.25.
+        max_radius_m: Largest standard deviation, metres. Release: 0.01, at 1200 x 680 pixels; at 320 x 240 most discs
+            would be larger.
+        base: What the error is measured against. "map": the picture of the Gaussians alone, since a mapper here draws
+            nothing else; "tsdf": with the TSDF's colour where the Gaussians do not cover, as the release, whose picture
+            is made of both.
+        surface: "tsdf": positions and normals of the raycast TSDF, as in the release; "depth": of the depth image (as
+            in the same group's later system), which needs no TSDF.
+        only_with_depth: Leave out pixels without measured depth. The release seeds them where the TSDF has a surface.
+
+    Left out: the test that the sum of weights is below 5, because here opacities do not sum to more than 1; removal of
+    discs that are small (3 mm), large (10 cm) or transparent (0.005), and blending without order. Gaussian normals come
+    from the TSDF's gradient, in the release from differences of raycast points.
+    Source: Peng et al. 2025 (GPS-SLAM) and its released code.
+    """
+
+    colour_error: float = 0.05
+    share: float = 0.25
+    max_radius_m: float = 0.01
+    base: Literal["map", "tsdf"] = "map"
+    surface: Literal["tsdf", "depth"] = "tsdf"
+    only_with_depth: bool = True
+
+    when: ClassVar[When] = every(10)
+
+    def seeds(self, ctx: SeedContext, memory: dict[str, Any]) -> Seeds:
+        """The discs of one mapped frame."""
+        found = ctx.raycast() if self.surface == "tsdf" else None
+        depth_m, normal_W = (ctx.frame.depth_m, ctx.normals_W()) if found is None else (found.depth_m, found.normal_W)
+        chosen = (depth_m >= (ctx.near_m or 0.0)) & (depth_m > 0) & (depth_m < MAX_DEPTH_M)
+        chosen &= self._error(ctx) > self.colour_error
+        if self.only_with_depth:
+            chosen &= ctx.has_depth()
+        uv = pixel_grid(ctx.camera, device=depth_m.device)[chosen]
+        drawn = ctx.draw(len(uv), int(self.share * len(uv)))
+        seeds = ctx.seeds_at(uv[drawn], 1.0, depth_m=depth_m)
+        seeds = sized_by_neighbours(ctx, seeds, max_m=self.max_radius_m)
+        return as_discs(ctx, seeds, normal_W[chosen][drawn], THICKNESS)
+
+    def _error(self, ctx: SeedContext) -> Float[Tensor, "H W"]:
+        """Mean absolute colour error of the picture that exists before this frame's discs."""
+        rgb, alpha = torch.zeros_like(ctx.frame.rgb), torch.zeros_like(ctx.frame.depth_m)
+        if ctx.has_map:
+            view = ctx.render()
+            rgb, alpha = view.rgb, view.alpha
+        if self.base == "tsdf":
+            rgb = rgb + (1 - alpha)[..., None] * ctx.raycast().rgb
+        return (rgb - ctx.frame.rgb).abs().mean(dim=-1)
