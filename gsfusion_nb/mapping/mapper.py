@@ -179,6 +179,8 @@ class Mapper(ABC):
             config=self.config.seeding,
             memory=self.memory,
             starts_submap=self.rule_in_use.when.starts_submap(self.n_frames),
+            keyframes=tuple(self.keyframes),
+            past_T_WC=tuple(self.localiser.poses),
             **more,
         )
 

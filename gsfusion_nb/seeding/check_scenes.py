@@ -10,8 +10,8 @@ from torch import Tensor
 
 from ..config import SeedingConfig, TsdfConfig
 from ..gaussians import GaussianModel
-from ..geometry import pixel_grid, rays, se3
-from ..tsdf import TsdfVolume, integrate
+from ..geometry import depth_to_normals, pixel_grid, rays, se3
+from ..tsdf import RaycastOutput, TsdfVolume, integrate
 from ..types import Camera, Frame, GaussianParams
 from .context import SeedContext
 
@@ -82,6 +82,12 @@ class SceneVolume:
         W[D.abs() >= 1] = 0.0
         return SimpleNamespace(D=D, W=W, rgb=torch.full_like(xyz_C, 0.5))
 
+    def raycast(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RaycastOutput:
+        """The surface as a camera at the pose of the scene's sees it."""
+        depth_m, rgb = _scene_images(camera, torch.zeros(3))
+        normal_W = se3.rotate(T_WC, depth_to_normals(camera, depth_m))
+        return RaycastOutput(depth_m=depth_m, normal_W=normal_W, rgb=rgb)
+
 
 def _distance(xyz_C: Float[Tensor, "N 3"]) -> Float[Tensor, " N"]:
     centre, radius = xyz_C.new_tensor(_SPHERE[0]), _SPHERE[1]
@@ -96,8 +102,16 @@ def _scene_frame(width: int, height: int, shift_m: float = 0.0) -> Frame:
     With ``shift_m`` the camera is that far to the right of the scene's usual camera.
     """
     camera = Camera(width=width, height=height, fx=float(width), fy=float(width), cx=width / 2, cy=height / 2)
+    eye = torch.tensor([shift_m, 0.0, 0.0])
+    depth_m, rgb = _scene_images(camera, eye)
+    T_WC = se3.exp(torch.tensor([0.3, -0.2, 0.5, 0.2, 2.0, -0.3]))
+    T_WC[:3, 3] += T_WC[:3, :3] @ eye
+    return Frame(index=0, timestamp_s=0.0, rgb=rgb, depth_m=depth_m, camera=camera, T_WC=T_WC)
+
+
+def _scene_images(camera: Camera, eye: Float[Tensor, " 3"]) -> tuple[Float[Tensor, "H W"], Float[Tensor, "H W 3"]]:
+    """Depth, metres, and colour of the scene, seen from ``eye`` in the scene's frame."""
     ray = rays(camera, pixel_grid(camera))
-    eye = ray.new_tensor([shift_m, 0.0, 0.0])
     wall = ray.new_tensor(_WALL[0])
     z_wall = (_WALL[1] - wall @ eye) / (ray @ wall)
     centre, radius = ray.new_tensor(_SPHERE[0]) - eye, _SPHERE[1]
@@ -108,10 +122,7 @@ def _scene_frame(width: int, height: int, shift_m: float = 0.0) -> Frame:
     point = ray * depth_m[..., None] + eye
     checks = ((point[..., :2] > 0).sum(-1) % 2)[..., None]
     stripes = 0.5 + 0.5 * torch.sin(point * torch.tensor([40.0, 3.0, 11.0]))
-    rgb = torch.where((z_sphere < z_wall)[..., None], stripes, 0.25 + 0.5 * checks.expand_as(stripes))
-    T_WC = se3.exp(torch.tensor([0.3, -0.2, 0.5, 0.2, 2.0, -0.3]))
-    T_WC[:3, 3] += T_WC[:3, :3] @ eye
-    return Frame(index=0, timestamp_s=0.0, rgb=rgb, depth_m=depth_m, camera=camera, T_WC=T_WC)
+    return depth_m, torch.where((z_sphere < z_wall)[..., None], stripes, 0.25 + 0.5 * checks.expand_as(stripes))
 
 
 def _scene_map(frame: Frame, seen_left: bool) -> Any:

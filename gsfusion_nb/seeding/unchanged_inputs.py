@@ -46,7 +46,7 @@ class Versions:
 
 
 def context_tensors(context: SeedContext) -> Iterator[tuple[str, Tensor]]:
-    """Name and tensor of everything that a rule can read in a context: frame, Gaussians, volume."""
+    """Name and tensor of everything that a rule can read in a context: frame, Gaussians, keyframes, poses, volume."""
     frame = context.frame
     yield "frame.rgb_u8" if frame.is_8_bit else "frame.rgb", frame.colour
     yield from ((f"frame.{name}", getattr(frame, name)) for name in ("depth_m", "T_WC"))
@@ -58,6 +58,11 @@ def context_tensors(context: SeedContext) -> Iterator[tuple[str, Tensor]]:
         for name in ("tag", "state"):
             if isinstance(column := getattr(context.gaussians, name, None), Tensor):
                 yield f"map.{name}", column
+    for i, keyframe in enumerate(context.keyframes):
+        for name in ("rgb_u8", "depth_m", "T_WC"):
+            if isinstance(value := getattr(keyframe, name, None), Tensor):
+                yield f"keyframes[{i}].{name}", value
+    yield from (("past_T_WC", T_WC) for T_WC in context.past_T_WC[-1:])  # a mapper's poses share one counter
     for name in ("D", "W", "rgb"):
         if isinstance(values := getattr(context.volume, name, None), Tensor):
             yield f"volume.{name}", values

@@ -12,11 +12,17 @@ from gsfusion_nb.gaussians import GaussianModel
 from gsfusion_nb.seeding import SeedContext, Seeds, check_contexts, check_rule, registered
 
 
+SEED_WHAT_IS_MAPPED = ("gs_icp", "gs_slam", "hf_slam", "monogs", "photo_slam", "vings")
+"""Rules that look for errors where the map is, or do not look at it at all."""
+
+
 @pytest.mark.parametrize("name", sorted(registered()))
 def test_every_registered_rule_keeps_the_contract(name):
     report = check_rule(name)
     assert report.rule == name
-    assert report.seeds["new"] > report.seeds["half seen"] > 0
+    assert report.seeds["new"] > 0
+    assert report.seeds["half seen"] > 0
+    assert name in SEED_WHAT_IS_MAPPED or report.seeds["new"] > report.seeds["half seen"]
     assert report.seeds["dark"] == 0
     assert "keeps the contract" in repr(report)
 

@@ -15,7 +15,7 @@ from ..spacing import MIN_SPACING_M
 
 PRESETS = {"replica": (10, 5e-4, 0.7), "tum": (5, 1e-3, 0.81)}
 """Distance of the grid's pixels; distance up to which a point overlaps with the map; share of them in a keyframe."""
-LAST = "gs_icp: last keyframe of tracking"
+LAST = "last_tracking_keyframe"
 OPACITY = 0.1
 
 

@@ -80,6 +80,8 @@ def rule_context(mapper: GSFusion, frame: Frame) -> SeedContext:
         gaussians=GaussianModel.from_state_dict(_copied(mapper.gaussians.state_dict())),
         config=mapper.config.seeding,
         near_m=mapper.config.tsdf.near_m,
+        keyframes=tuple(mapper.keyframes),
+        past_T_WC=tuple(mapper.localiser.poses),
     )
 
 
