@@ -97,7 +97,7 @@ class SurfelOptimiser:
             "sh_dc": w.lr_sh_dc * lr_factor,
             "sh_rest": w.lr_sh_rest * lr_factor,
         }
-        self.adam = RowAdam(self.trained, rates)
+        self.adam = RowAdam(self.trained, rates, {name: f[self.rows] for name, f in model.rates.items()})
         self._is_trained = torch.arange(len(self.params), device=trained.device) < self.n
         self._held = (self.trained.opacity_logit < 0).nonzero().squeeze(1)
         born = model.anchor

@@ -12,6 +12,7 @@ from ..config import OptimConfig
 from ..gaussians import GaussianModel
 from ..operands import INTEGERS, check_gaussians, check_operand
 from ..types import GaussianParams
+from .row_rates import at_row_rates
 
 
 def check_adam(
@@ -209,6 +210,8 @@ def adam_step(model: GaussianModel, gradients: GaussianParams, config: OptimConf
     - ``"shared"``: the number of steps of the whole map, as in the released GSFusion. Every Gaussian of the map, new or
       old, then takes the step of ``"none"`` times the same factor: 0.15 at step 10, 0.44 at 210, 0.93 at 2,000. In a
       short run all Gaussians learn more slowly; at the 16,000 steps of a Replica sequence there is no difference left.
+
+    Where the map has factors of learning rates (``model.rates``), each row takes its own part of the step.
     """
     t = model.step_count + 1
     steps: int | Tensor | None = {"none": None, "shared": t}.get(config.adam_steps)
@@ -222,8 +225,9 @@ def adam_step(model: GaussianModel, gradients: GaussianParams, config: OptimConf
         sh_dc=config.lr_sh_dc,
         sh_rest=config.lr_sh_rest,
     )
-    moments = (model.exp_avg, model.exp_avg_sq)
-    adam_update_map(
-        model.params, gradients, *moments, steps, rates=rates, beta1=config.beta1, beta2=config.beta2, eps=config.eps
-    )
+    moments, decay = (model.exp_avg, model.exp_avg_sq), (config.beta1, config.beta2)
+    with at_row_rates(model.params, model.rates):
+        adam_update_map(
+            model.params, gradients, *moments, steps, rates=rates, beta1=decay[0], beta2=decay[1], eps=config.eps
+        )
     model.step_count = t

@@ -1,13 +1,16 @@
 """Adam on a fixed set of Gaussians, for one optimisation window or for the end of a scan."""
 
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from ..checks import check_saved, check_whole
 from ..types import GaussianParams
 from .adam import adam_update
+from .row_rates import at_row_rates
 
 BETA1, BETA2, EPS = 0.9, 0.999, 1e-15
 
@@ -19,10 +22,14 @@ class RowAdam:
         params: Parameters to update, in place.
         rates: Learning rate of each group: xyz_W, log_scale, quat, sh_dc, sh_rest. Groups with rate 0 do not change;
             opacity never changes (Peng et al. 2024: lr_alpha = 0).
+        factors: Parameter -> factor of its rate for each row [N]; those that are missing are 1.
     """
 
-    def __init__(self, params: GaussianParams, rates: Mapping[str, float]):
+    def __init__(
+        self, params: GaussianParams, rates: Mapping[str, float], factors: Mapping[str, Tensor] = MappingProxyType({})
+    ):
         self.params = params
+        self._factors = factors
         self.steps = 0
         sh_rates = params.sh.new_full((params.sh.shape[1], 1), rates["sh_rest"])
         sh_rates[0] = rates["sh_dc"]
@@ -35,12 +42,13 @@ class RowAdam:
         """Update once. Rows of ``gradients`` beyond those of ``params`` are ignored."""
         self.steps += 1
         n = len(self.params)
-        for name, lr in self._rates.items():
-            m, v = self._moments[name]
-            gradient = getattr(gradients, name)[:n]
-            adam_update(
-                getattr(self.params, name), gradient, m, v, self.steps, lr=lr, beta1=BETA1, beta2=BETA2, eps=EPS
-            )
+        with at_row_rates(self.params, self._factors):
+            for name, lr in self._rates.items():
+                m, v = self._moments[name]
+                gradient = getattr(gradients, name)[:n]
+                adam_update(
+                    getattr(self.params, name), gradient, m, v, self.steps, lr=lr, beta1=BETA1, beta2=BETA2, eps=EPS
+                )
 
     def state_dict(self) -> dict[str, Any]:
         """Moments and step count."""
