@@ -1,0 +1,209 @@
+"""What a context offers beyond frame, volume and map: picture features, questions about points, the past, raycasts."""
+
+import dataclasses
+
+import pytest
+import torch
+
+from gsfusion_nb.config import gsfusion
+from gsfusion_nb.gaussians import GaussianModel
+from gsfusion_nb.geometry import quaternion
+from gsfusion_nb.mapping import GSFusion
+from gsfusion_nb.seeding import SeedContext, Seeds, apply_rule
+from gsfusion_nb.tsdf import FusedView, TsdfVolume, fuse_frame_, new_band_blocks, raycast
+from gsfusion_nb.types import Camera, Frame
+
+W, H = 40, 30
+
+
+def frame(rgb: torch.Tensor | None = None, index: int = 0) -> Frame:
+    return Frame(
+        index=index,
+        timestamp_s=0.0,
+        rgb=torch.full((H, W, 3), 0.5) if rgb is None else rgb,
+        depth_m=torch.full((H, W), 1.0),
+        camera=Camera(width=W, height=H, fx=40.0, fy=40.0, cx=W / 2, cy=H / 2),
+        T_WC=torch.eye(4),
+    )
+
+
+def square() -> SeedContext:
+    """A white square on black: columns 10 to 29, rows 8 to 21."""
+    rgb = torch.zeros(H, W, 3)
+    rgb[8:22, 10:30] = 1.0
+    return SeedContext(frame(rgb))
+
+
+def with_map(xyz_W: torch.Tensor, **more) -> SeedContext:
+    model = GaussianModel(sh_degree=0)
+    model.append(Seeds.isotropic(xyz_W, torch.full_like(xyz_W, 0.25), torch.full((len(xyz_W),), 0.1)), 3)
+    model.step_count = 50
+    return SeedContext(frame(index=7), gaussians=model, **more)
+
+
+def test_detail_of_the_picture():
+    ctx = square()
+    assert ctx.grey()[10, 15].item() == pytest.approx(0.9999, abs=1e-4)
+    assert ctx.gradient()[15, 9:12].tolist() == pytest.approx([0.5, 0.5, 0.0], abs=1e-3)
+    lap = ctx.laplacian()
+    assert lap[15, 8:13].tolist() == [0.0, 3.0, 3.0, 0.0, 0.0]
+    assert lap[8, 10].item() == 6.0  # a corner of the square
+    assert ctx.laplacian() is lap
+    thin, wide = ctx.edges(), ctx.edges(dilate_px=2)
+    assert thin.any()
+    assert not thin[12:18, 13:27].any()
+    assert (wide & ~thin).any()
+    assert not (thin & ~wide).any()
+
+
+@pytest.mark.parametrize("method", ["orb", "shi_tomasi"])
+def test_corners_of_a_square(method):
+    found = square().corners(50, method)
+    true = torch.tensor([[10.0, 8.0], [30.0, 8.0], [10.0, 22.0], [30.0, 22.0]])
+    assert (torch.cdist(true, found).min(dim=1).values < 2.5).all()
+    assert (torch.cdist(found, true).min(dim=1).values < 8.0).all()
+    assert ((found - 0.5) % 1 == 0).all()
+    assert len(square().corners(1, method)) <= 1
+    assert len(SeedContext(frame()).corners(50, method)) == 0
+
+
+def test_nearest_neighbours_and_the_usual_size():
+    ctx = with_map(torch.tensor([[0.0, 0.0, 1.0]]))
+    new = torch.tensor([[1.0, 0.0, 1.0], [3.0, 0.0, 1.0], [3.0, 0.0, 1.0]])
+    among_new = ctx.nearest(new)
+    assert among_new.distance_m.tolist() == [[2.0, 2.0, torch.inf], [0.0, 2.0, torch.inf], [0.0, 2.0, torch.inf]]
+    assert among_new.row[:, 2].tolist() == [-1, -1, -1]
+    assert among_new.spacing_m.tolist() == pytest.approx([2.0, 2**0.5, 2**0.5])
+    both = ctx.nearest(new, among="new and map")
+    assert both.row[0].tolist()[0] == 3
+    assert both.distance_m[0].tolist() == [1.0, 2.0, 2.0]
+    existing = ctx.nearest(new, 1, "map")
+    assert existing.distance_m[:, 0].tolist() == [1.0, 3.0, 3.0]
+    assert existing.row[:, 0].tolist() == [0, 0, 0]
+    alone = SeedContext(frame())
+    assert alone.nearest(new[:1]).spacing_m.isnan().all()
+    assert alone.nearest(new, 1, "map").distance_m.isinf().all()
+
+
+def test_occupied_voxels():
+    ctx = with_map(torch.tensor([[0.02, -0.02, 1.0], [0.03, -0.02, 1.04]]))
+    points = torch.tensor([[0.0, -0.04, 1.0], [0.06, -0.02, 1.0], [-0.01, -0.02, 1.0]])
+    assert ctx.occupied(points, 0.05).tolist() == [True, False, False]
+    assert ctx.occupied(points, 10.0).tolist() == [True, True, False]
+    assert not SeedContext(frame()).occupied(points, 0.05).any()
+    assert ctx.first_in_voxel(points, 0.1).tolist() == [True, False, True]
+
+
+def one_per_5_cm(ctx: SeedContext) -> Seeds:
+    seeds = ctx.seeds_at(ctx.pixels(), 1.0)
+    seeds = seeds[~ctx.occupied(seeds.xyz_W, 0.05)]
+    return seeds[ctx.first_in_voxel(seeds.xyz_W, 0.05)]
+
+
+def test_one_gaussian_a_voxel_across_frames():
+    model = GaussianModel(sh_degree=0)
+    for shift in (0.0, 0.01, 0.3):
+        view = frame()
+        view.T_WC[0, 3] = shift
+        model.append(apply_rule(one_per_5_cm, SeedContext(view, gaussians=model)))
+    voxels = (model.params.xyz_W / 0.05).floor()
+    assert len(voxels.unique(dim=0)) == len(model) > 100
+
+
+def test_outliers_are_far_from_all_others():
+    points = torch.rand(200, 3, generator=torch.Generator().manual_seed(0))
+    points[7] += 10.0
+    ctx = SeedContext(frame())
+    assert ctx.outliers(points).nonzero()[:, 0].tolist() == [7]
+    assert ctx.outliers(points[:1]).tolist() == [False]
+
+
+def test_draws():
+    ctx = SeedContext(frame())
+    drawn = ctx.draw(10, 4)
+    assert len(drawn.unique()) == 4
+    assert (drawn.diff() > 0).all()
+    assert ctx.draw(3, 5).tolist() == [0, 1, 2]
+    weight = torch.tensor([0.0, 1.0, 0.0, 3.0, 0.0])
+    assert ctx.draw_weighted(weight, 4).tolist() == [1, 3]
+    assert len(ctx.draw_weighted(weight, 0)) == 0
+    heavy = sum(ctx.draw_weighted(weight, 1).item() == 3 for _ in range(400))
+    assert heavy == pytest.approx(300, abs=40)  # 4.6 standard deviations
+
+
+def test_orientations_from_normals():
+    normal = torch.nn.functional.normalize(torch.randn(50, 3, generator=torch.Generator().manual_seed(1)), dim=1)
+    special = torch.tensor([[0.0, 0.0, 1.0], [0.0, 0.0, -2.0], [0.0, 0.0, 0.0]])
+    quat = SeedContext(frame()).quat_from_normals(torch.cat([normal, special]))
+    torch.testing.assert_close(quat.norm(dim=1), torch.ones(53))
+    turned = quaternion.to_matrix(quat)[:, :, 2]
+    torch.testing.assert_close(turned[:50], normal, atol=1e-5, rtol=0)
+    assert turned[50:, 2].tolist() == pytest.approx([1.0, -1.0, 1.0])
+
+
+def test_ages_and_colours_of_the_map():
+    view = with_map(torch.zeros(2, 3)).map
+    assert view.age_frames is not None
+    assert view.age_steps is not None
+    assert view.age_frames.tolist() == [4, 4]
+    assert view.age_steps.tolist() == [50, 50]
+    torch.testing.assert_close(view.rgb, torch.full((2, 3), 0.25))
+    assert view.sh.shape == (2, 1, 3)
+
+
+def test_values_at_and_pixels_of_a_mask():
+    ctx = SeedContext(frame())
+    mask = torch.zeros(H, W, dtype=torch.bool)
+    mask[3, 4] = mask[5, 6] = True
+    uv = ctx.pixels(mask)
+    assert uv.tolist() == [[4.5, 3.5], [6.5, 5.5]]
+    image = torch.arange(H * W).view(H, W)
+    assert ctx.values_at(image, uv).tolist() == [3 * W + 4, 5 * W + 6]
+
+
+def test_raycast_shows_the_volume_with_the_frame_in_it(small_walk):
+    config = dataclasses.replace(gsfusion("room").tsdf, voxel_size_m=0.04)
+    volume = TsdfVolume(config)
+    for past in small_walk[:2]:
+        volume.allocate_missing(volume.reserve(new_band_blocks(volume, past)))
+        fuse_frame_(volume, past)
+    now = small_walk[2]
+    missing = volume.reserve(new_band_blocks(volume, now))
+    before = volume.D.clone()
+    preview = SeedContext(now, FusedView(volume, now, missing)).raycast()
+    assert torch.equal(volume.D, before)
+    volume.allocate_missing(missing)
+    fuse_frame_(volume, now)
+    after = SeedContext(now, volume).raycast()
+    assert torch.equal(preview.depth_m, after.depth_m)
+    assert torch.equal(after.normal_W, raycast(volume, now.camera, now.T_WC).normal_W)
+    assert (after.depth_m > 0).float().mean() > 0.5
+
+
+def test_raycast_needs_a_volume():
+    with pytest.raises(ValueError, match=r"raycast\(\) needs a TSDF volume, but this SeedContext has none"):
+        SeedContext(frame()).raycast()
+
+
+def test_a_mapper_tells_its_rule_about_the_past(small_walk):
+    seen = []
+
+    def rule(ctx: SeedContext) -> Seeds:
+        seen.append(
+            (
+                ctx.frame_number,
+                ctx.step_count,
+                [k.index for k in ctx.keyframes],
+                torch.stack(ctx.past_T_WC or (torch.eye(4),)),
+            )
+        )
+        return ctx.cells()
+
+    mapper = GSFusion(gsfusion("room", tsdf__voxel_size_m=0.05, keyframe_every=1), seeding=rule)
+    for f in small_walk:
+        mapper.step(f)
+    assert [number for number, *_ in seen] == [0, 1, 2]
+    assert seen[0][1] == 0
+    assert 0 < seen[1][1] < seen[2][1]
+    assert seen[1][2] == [0]
+    assert torch.equal(seen[2][3], torch.stack([f.T_WC for f in small_walk[:2]]))

@@ -1,0 +1,393 @@
+"""The published rules choose what their publications say, counted on a wall with a map whose rendering is given."""
+
+import dataclasses
+import importlib
+import math
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import torch
+
+from gsfusion_nb.config import TsdfConfig
+from gsfusion_nb.gaussians import GaussianModel
+from gsfusion_nb.geometry import quaternion
+from gsfusion_nb.seeding import SeedContext, Seeds, apply_rule
+from gsfusion_nb.tsdf import RaycastOutput
+from gsfusion_nb.types import Camera, Frame, RenderOutput
+
+W, H, F = 64, 48, 60.0
+N = W * H
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Staged(SeedContext):
+    """A context in which ``render`` shows what the test says."""
+
+    view: Any = None
+
+    def render(self) -> RenderOutput:
+        """The given picture."""
+        return self.view
+
+
+def wall(rgb: torch.Tensor | None = None, depth_m: torch.Tensor | None = None, fy: float = F) -> Frame:
+    """A grey wall 2 m away, seen straight on by 64 x 48 pixels."""
+    return Frame(
+        index=0,
+        timestamp_s=0.0,
+        rgb=torch.full((H, W, 3), 0.5) if rgb is None else rgb,
+        depth_m=torch.full((H, W), 2.0) if depth_m is None else depth_m,
+        camera=Camera(width=W, height=H, fx=F, fy=fy, cx=W / 2, cy=H / 2),
+        T_WC=torch.eye(4),
+    )
+
+
+def model_of(xyz_W: torch.Tensor, scale_m: float = 0.02) -> GaussianModel:
+    """A map with round Gaussians at these places."""
+    model = GaussianModel(sh_degree=0)
+    model.append(Seeds.isotropic(xyz_W, torch.full_like(xyz_W, 0.5), torch.full((len(xyz_W),), scale_m)))
+    return model
+
+
+def first(frame: Frame | None = None, **more: Any) -> SeedContext:
+    """A context without any Gaussian."""
+    return SeedContext(frame or wall(), gaussians=GaussianModel(sh_degree=0), **more)
+
+
+def staged(
+    frame: Frame | None = None,
+    alpha: torch.Tensor | float = 1.0,
+    depth_m: torch.Tensor | float = 2.0,
+    rgb: torch.Tensor | float = 0.5,
+    xyz_W: torch.Tensor | None = None,
+    **more: Any,
+) -> SeedContext:
+    """A context whose map shows these images; its Gaussians are elsewhere unless their places are given."""
+
+    def image(value: torch.Tensor | float, *channels: int) -> torch.Tensor:
+        return torch.as_tensor(value, dtype=torch.float32).expand(H, W, *channels)
+
+    view = RenderOutput(
+        rgb=image(rgb, 3), depth_m=image(depth_m), alpha=image(alpha), first_index=None, dominant_index=None
+    )
+    places = torch.tensor([[0.0, 0.0, -5.0]]) if xyz_W is None else xyz_W
+    return Staged(frame or wall(), gaussians=model_of(places), view=view, **more)
+
+
+def some(count: int, where: str = "left") -> torch.Tensor:
+    """A mask of the first ``count`` pixels of the left or right half, column by column."""
+    column, row = torch.meshgrid(torch.arange(W), torch.arange(H), indexing="xy")
+    order = (column if where == "left" else W - 1 - column) * H + row
+    return order < count
+
+
+def with_values(fill: float, *parts: tuple[torch.Tensor, float]) -> torch.Tensor:
+    """An image of one value with others where the masks say."""
+    image = torch.full((H, W), fill)
+    for mask, value in parts:
+        image[mask] = value
+    return image
+
+
+def pixels_of(ctx: SeedContext, seeds: Seeds) -> torch.Tensor:
+    """The pixels that contain the seeds, as a mask."""
+    mask = torch.zeros(H, W, dtype=torch.bool)
+    z = seeds.xyz_W[:, 2]
+    u, v = seeds.xyz_W[:, 0] / z * F + W / 2, seeds.xyz_W[:, 1] / z * ctx.camera.fy + H / 2
+    mask[v.floor().long(), u.floor().long()] = True
+    return mask
+
+
+def half_wrong() -> SeedContext:
+    """A quarter is not covered (768 pixels), 40 pixels are covered by 0.55 only, 20 are 1 m wrong, of these 12 too far
+    away; the rest is wrong by 1 cm, so that is the median."""
+    bare, thin, far, near = some(768, "right"), some(40), some(52) & ~some(40), some(60) & ~some(52)
+    alpha = with_values(1.0, (bare, 0.0), (thin, 0.55))
+    return staged(alpha=alpha, depth_m=with_values(2.01, (bare, 0.0), (far, 3.0), (near, 1.0)))
+
+
+@pytest.mark.parametrize(
+    ("rule", "options", "count"),
+    [
+        ("splatam", {}, 768 + 12),
+        ("splatam", {"min_alpha": 0.6}, 768 + 40 + 12),
+        ("splatam", {"median_factor": 101.0}, 768),  # 1 m is 100 medians
+        ("splatam", {"share": 0.1}, 78),
+        ("mm3dgs", {}, 768 + 20),
+        ("mm3dgs", {"method": "splatam"}, 768 + 12),
+        ("gaus_slam", {}, 768 + 40 + 12),
+        ("gaus_slam", {"max_points": 100}, 100),
+        ("gaussian_slam", {"share": 0.5}, (768 + 40 + 12) // 2),
+        ("vtgaussian", {}, 768 + 12),
+        ("vtgaussian", {"detail": -1.0}, 4 * (768 + 12)),
+        ("cg_slam", {}, 768),
+        ("cg_slam", {"share": 0.25}, 192),
+        ("gs_slam", {}, 768 + 20),
+        ("gs_slam", {"depth_error": 1.5, "share": 0.5}, 384),
+        ("hf_slam", {}, 768 + 20),
+        ("hf_slam", {"relative_depth_error": 0.6}, 768),
+    ],
+)
+def test_pixels_that_the_map_does_not_show_rightly(rule, options, count):
+    assert len(apply_rule(rule, half_wrong(), options)) == count
+
+
+@pytest.mark.parametrize("rule", ["splatam", "mm3dgs", "gaus_slam", "hf_slam"])
+def test_every_pixel_of_the_first_frame_as_large_as_a_pixel(rule):
+    ctx = first(wall(fy=30.0))
+    seeds = apply_rule(rule, ctx)
+    assert pixels_of(ctx, seeds).all()
+    assert len(seeds) == N
+    torch.testing.assert_close(seeds.scale_m[:, 0], torch.full((N,), 2.0 / 45.0))  # z over the mean of 60 and 30
+    assert (seeds.opacity == 0.5).all()
+
+
+def test_splatam_at_half_resolution_is_splatam_s():
+    seeds = apply_rule("splatam", first(), {"every_px": 2})
+    assert len(seeds) == N // 4
+    torch.testing.assert_close(seeds.scale_m, torch.full((N // 4, 3), 2 * 2.0 / F))
+
+
+def test_a_share_covers_the_same_area():
+    everything, tenth = (apply_rule("splatam", first(), {"share": s}) for s in (1.0, 0.1))
+    area = [float(seeds.scale_m[:, 0].square().sum()) for seeds in (everything, tenth)]
+    assert area[1] == pytest.approx(area[0], rel=1e-3)
+
+
+@pytest.mark.parametrize("rule", ["splatam", "mm3dgs", "gaus_slam", "vtgaussian"])
+def test_with_holes_the_median_over_all_pixels_is_zero(rule):
+    """Of 1,200 pixels with depth, 1,100 are 1 cm too far away and 100 1 cm too near; 1,872 have no depth."""
+    hole, near = some(N - 1200, "right"), some(100)
+    ctx = staged(wall(depth_m=with_values(2.0, (hole, 0.0))), depth_m=with_values(2.01, (near, 1.99)))
+    assert len(apply_rule(rule, ctx)) == (1200 if rule == "mm3dgs" else 1100)
+    assert len(apply_rule(rule, ctx, {"median_of": "measured"})) == 0
+
+
+def test_hf_slam_looks_at_colours_and_at_depth_relative_to_the_distance():
+    red = some(30)
+    rgb = torch.full((H, W, 3), 0.05)
+    rgb[red] = 0.66  # 0.61 more; 0.6 is the limit
+    far = some(70) & ~red
+    depth = with_values(2.0, (some(110) & ~some(70), 2.19), (far, 2.21))  # 10 % are the limit
+    ctx = staged(wall(rgb=torch.full((H, W, 3), 0.05)), depth_m=depth, rgb=rgb)
+    assert torch.equal(pixels_of(ctx, apply_rule("hf_slam", ctx)), red | far)
+
+
+@pytest.mark.parametrize(("preset", "one_in", "point_size"), [("replica", 64, 0.05), ("tum", 128, 0.02)])
+def test_monogs_draws_a_share_whatever_is_mapped(preset, one_in, point_size):
+    assert len(apply_rule("monogs", first(), {"preset": preset})) == N // 32
+    ctx = staged()
+    seeds = apply_rule("monogs", ctx, {"preset": preset})
+    assert len(seeds) == N // one_in
+    assert len(apply_rule("monogs", staged(), {"preset": preset, "density": 2.0})) == 2 * N // one_in
+    near = torch.cdist(seeds.xyz_W.double(), seeds.xyz_W.double()).topk(4, largest=False).values[:, 1:]
+    wanted = (near.square().mean(dim=1) * point_size).sqrt()
+    torch.testing.assert_close(seeds.scale_m[:, 0].double(), wanted, atol=1e-6, rtol=1e-4)
+
+
+def test_monogs_drops_black_pixels():
+    rgb = torch.full((H, W, 3), 0.5)
+    rgb[:, : W // 2] = 0.003
+    ctx = first(wall(rgb=rgb))
+    seeds = apply_rule("monogs", ctx, {"density": 32.0})
+    assert torch.equal(pixels_of(ctx, seeds), some(N // 2, "right"))
+
+
+def test_gaussian_slam_starts_a_submap_with_random_pixels_gradients_and_edges():
+    start = importlib.import_module("gsfusion_nb.seeding.rules.gaussian_slam")._start_of_submap
+    assert int(start(first(), 100).sum()) == 100
+    rgb = torch.zeros(H, W, 3)
+    rgb[:, W // 2 :] = 1.0
+    column = torch.arange(W).expand(H, W)
+    chosen = start(first(wall(rgb=rgb)), 0)
+    step = (column == W // 2 - 1) | (column == W // 2)  # where central differences see it
+    assert (chosen & step).sum() == 2 * H
+    assert not (chosen & ((column < W // 2 - 2) | (column > W // 2 + 1))).any()
+
+
+def test_gaussian_slam_reseeds_where_a_submap_starts():
+    assert len(apply_rule("gaussian_slam", staged())) == 0
+    again = staged(starts_submap=True)
+    assert len(apply_rule("gaussian_slam", again)) == N
+    assert len(apply_rule("gaussian_slam", again, {"restart": False})) == 0
+
+
+@pytest.mark.parametrize(("preset", "left"), [("replica", N), ("tum", N - 100), ("scannetpp", N)])
+def test_gaussian_slam_pushes_back_and_rejects_what_is_near(preset, left):
+    everything = apply_rule("gaussian_slam", first())
+    torch.testing.assert_close(everything.xyz_W[:, 2], torch.full((N,), 2.0 * 1.005))
+    spacing = 2.0 * 1.005 / F
+    inside = everything.scale_m[:, 0].view(H, W)[2:-2, 2:-2]
+    torch.testing.assert_close(inside, torch.full_like(inside, spacing), atol=1e-5, rtol=0)
+    beside = everything.xyz_W[:100] + torch.tensor([0.0, 0.0, 0.005])  # 5 mm: between the limits 0.3 mm and 1 cm
+    ctx = staged(alpha=0.0, xyz_W=beside)
+    module = importlib.import_module("gsfusion_nb.seeding.rules.gaussian_slam")
+    kept = dataclasses.replace(module.PRESETS[preset], removes_outliers=False, frame_points=0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(module.PRESETS, preset, kept)
+        assert len(apply_rule("gaussian_slam", ctx, {"preset": preset})) == left
+
+
+def test_cg_slam_measures_distances_to_the_map_as_well():
+    bare = staged(alpha=with_values(1.0, (some(1, "right"), 0.0)), xyz_W=first().seeds_at(pair(), 1.0).xyz_W)
+    seeds = apply_rule("cg_slam", bare)
+    assert len(seeds) == 1
+    distances = (bare.map.xyz_W - seeds.xyz_W).norm(dim=1)
+    torch.testing.assert_close(seeds.scale_m[0, 0], distances.square().mean().sqrt())
+
+
+def pair() -> torch.Tensor:
+    """Two places in the image."""
+    return torch.tensor([[60.5, 1.5], [50.5, 3.5]])
+
+
+def test_gs_slam_takes_half_of_the_first_frame():
+    assert len(apply_rule("gs_slam", first())) == N // 2
+    assert len(apply_rule("gs_slam", first(), {"share": 0.5})) == N // 4
+
+
+def test_photo_slam_takes_every_corner_with_depth():
+    rgb = torch.rand(H // 4, W // 4, 3, generator=torch.Generator().manual_seed(0))
+    frame = wall(rgb=rgb.repeat_interleave(4, 0).repeat_interleave(4, 1))
+    corners = first(frame).corners(1000)
+    assert len(corners) > 20
+    for ctx in (first(frame), staged(frame)):
+        seeds = apply_rule("photo_slam", ctx)
+        assert len(seeds) == len(corners)
+        assert seeds.opacity.unique().tolist() == pytest.approx([0.1])
+    hole = dataclasses.replace(frame, depth_m=with_values(2.0, (some(N // 2), 0.0)))
+    assert len(apply_rule("photo_slam", first(hole))) == int((corners[:, 0] > W // 2).sum())
+    assert len(apply_rule("photo_slam", first(frame), {"max_depth_m": 1.9})) == 0
+
+
+def test_gs_icp_adds_the_whole_grid_or_nothing():
+    assert len(apply_rule("gs_icp", first())) == math.ceil(W / 10) * math.ceil(H / 10)
+    ctx = first()
+    grid = ctx.seeds_at(ctx.pixels(), 1.0).xyz_W.view(H, W, 3)[::5, ::5].reshape(-1, 3)
+    count, tum = len(grid), {"preset": "tum"}
+    enough = grid[: math.ceil(0.81 * count)]
+    assert len(apply_rule("gs_icp", staged(xyz_W=enough, past_T_WC=poses(29)), tum)) == 0
+    assert len(apply_rule("gs_icp", staged(xyz_W=enough, past_T_WC=poses(30)), tum)) == count
+    memory: dict[str, Any] = {}
+    too_few = staged(xyz_W=grid[: count // 2], past_T_WC=poses(7), memory=memory)
+    assert len(apply_rule("gs_icp", too_few, tum)) == count
+    assert list(memory.values()) == [7]
+    assert len(apply_rule("gs_icp", staged(xyz_W=enough, past_T_WC=poses(30), memory=memory), tum)) == 0
+    assert len(apply_rule("gs_icp", staged(xyz_W=enough, past_T_WC=poses(37), memory=memory), tum)) == count
+
+
+def poses(n: int) -> tuple[torch.Tensor, ...]:
+    """As many past frames."""
+    return (torch.eye(4),) * n
+
+
+def test_gs_icp_takes_the_shape_of_the_neighbourhood():
+    seeds = apply_rule("gs_icp", first(), {"every_px": 4, "neighbours": 9})
+    middle = ((seeds.xyz_W[:, :2].abs() < 0.5).all(dim=1)).nonzero()[0, 0]
+    # 3 x 3 grid points 4 px apart: variance 2/3 of the distance squared along x and y, none along z
+    spacing = 4 * 2.0 / F
+    wanted = (2 / 3) ** 0.5 * spacing / (2 * 2.0**1.5)
+    assert seeds.scale_m[middle].tolist() == pytest.approx([1e-7**0.5, wanted, wanted], rel=1e-4)
+    thin = quaternion.to_matrix(seeds.quat)[middle, :, 0]
+    assert thin.abs().tolist() == pytest.approx([0.0, 0.0, 1.0], abs=1e-5)
+
+
+def test_two_dgs_slam_seeds_empty_voxels_only():
+    ctx = first()
+    assert len(apply_rule("two_dgs_slam", ctx)) == round(0.1 * N)
+    held = ctx.seeds_at(ctx.pixels(some(N // 2)), 1.0).xyz_W
+    held = held[held[:, 0] < -0.05]  # whole voxels
+    seeds = apply_rule("two_dgs_slam", staged(xyz_W=held), {"share": 1.0})
+    assert len(seeds) == int((ctx.seeds_at(ctx.pixels(), 1.0).xyz_W[:, 0] >= -0.05).sum())
+    assert seeds.opacity[0].item() == pytest.approx(1 / (1 + math.exp(-0.999)))
+    torch.testing.assert_close(seeds.scale_m[:, 2], 0.1 * seeds.scale_m[:, 0])
+    assert apply_rule("two_dgs_slam", ctx, {"as_released": False}).opacity[0].item() == pytest.approx(0.999)
+    one = apply_rule("two_dgs_slam", ctx, {"one_per_voxel": True, "share": 1.0})
+    assert len(one) == len((one.xyz_W / 0.05).floor().unique(dim=0)) < N
+
+
+class SeenVolume:
+    """A TSDF whose surface is 3 m away on the left half of the view, with the wall's colour but on some pixels."""
+
+    config = TsdfConfig()
+
+    def sample_nearest(self, xyz_W: torch.Tensor) -> Any:
+        return SimpleNamespace(D=xyz_W[:, 0] * 0, W=xyz_W[:, 0] * 0 + 1)
+
+    def raycast(self, camera: Camera, T_WC: torch.Tensor) -> RaycastOutput:
+        rgb = torch.full((H, W, 3), 0.5)
+        rgb[some(100)] = 0.6
+        depth_m = with_values(3.0, (some(N // 2, "right"), 0.0))
+        normal_W = torch.zeros(H, W, 3)
+        normal_W[..., 0] = 1.0
+        return RaycastOutput(depth_m=depth_m, normal_W=normal_W, rgb=rgb)
+
+
+def test_gps_slam_seeds_the_surface_of_the_tsdf_where_the_colour_is_wrong():
+    ctx = first(volume=SeenVolume())
+    seeds = apply_rule("gps_slam", ctx)
+    assert len(seeds) == N // 2 // 4
+    torch.testing.assert_close(seeds.xyz_W[:, 2], torch.full((len(seeds),), 3.0))
+    assert seeds.scale_m[:, 0].max().item() == pytest.approx(0.01)
+    torch.testing.assert_close(seeds.scale_m[:, 2], 0.1 * seeds.scale_m[:, 0])
+    assert quaternion.to_matrix(seeds.quat)[0, :, 2].tolist() == pytest.approx([1.0, 0.0, 0.0], abs=1e-6)
+    assert len(apply_rule("gps_slam", ctx, {"base": "tsdf"})) == 25
+    assert len(apply_rule("gps_slam", first(), {"surface": "depth"})) == N // 4
+    shown = staged(rgb=0.56, volume=SeenVolume())
+    assert len(apply_rule("gps_slam", shown)) == N // 8
+    assert len(apply_rule("gps_slam", shown, {"colour_error": 0.07})) == 0
+
+
+def test_vings_counts_the_wrong_pixels_and_draws_from_all():
+    bare = some(N // 4, "right")
+    ctx = staged(alpha=with_values(1.0, (bare, 0.98)), depth_m=2.0)
+    released = apply_rule("vings", ctx, {"points": 400})
+    assert len(released) == 100
+    assert (pixels_of(ctx, released) & ~bare).any()
+    assert released.opacity.unique().tolist() == pytest.approx([0.8])
+    assert len(released.quat.unique(dim=0)) == 100
+    from_mask = apply_rule("vings", ctx, {"points": 400, "as_released": False})
+    assert len(from_mask) == 100
+    assert not (pixels_of(ctx, from_mask) & ~bare).any()
+    begin = apply_rule("vings", first(), {"points": 1000})
+    assert len(begin) == 1000
+    assert begin.opacity.unique().tolist() == pytest.approx([0.1])
+
+
+def test_on_the_fly_nvs_seeds_detail_that_the_picture_lacks():
+    row, column = torch.meshgrid(torch.arange(H), torch.arange(W), indexing="ij")
+    chequers = ((row + column) % 2).float()[..., None].expand(H, W, 3).contiguous()
+    fine = wall(rgb=chequers)
+    seeds = apply_rule("on_the_fly_nvs", first(fine))
+    assert len(seeds) == N  # P = 2 everywhere
+    torch.testing.assert_close(seeds.scale_m, torch.full((N, 3), 2.0 / F))  # 1 / sqrt(2) is below one pixel
+    few = apply_rule("on_the_fly_nvs", first(fine), {"density": 0.05})
+    assert len(few) == pytest.approx(N * 0.1, rel=0.2)
+    torch.testing.assert_close(few.scale_m[0, 0].item(), 10**0.5 * 2.0 / F, atol=1e-5, rtol=0)
+    assert len(apply_rule("on_the_fly_nvs", first())) == 0  # a plain wall
+    assert len(apply_rule("on_the_fly_nvs", staged(fine, rgb=chequers, depth_m=3.0))) == 0  # nothing is lacking
+    assert len(apply_rule("on_the_fly_nvs", staged(fine, rgb=0.5, depth_m=2.0))) == 0  # D >= D^
+    assert len(apply_rule("on_the_fly_nvs", staged(fine, rgb=0.5, depth_m=2.0), {"drop_hidden": False})) == N
+    assert len(apply_rule("on_the_fly_nvs", staged(fine, rgb=0.5, depth_m=2.1))) == N
+
+
+def test_vtgaussian_is_finer_where_the_colour_varies():
+    rgb = torch.zeros(H, W, 3)
+    rgb[:, W // 2 :] = 1.0
+    seeds = apply_rule("vtgaussian", first(wall(rgb=rgb)))
+    assert len(seeds) == N - 2 * H + 4 * 2 * H
+    sizes, counts = seeds.scale_m[:, 0].unique(return_counts=True)
+    assert sizes.tolist() == pytest.approx([1.0 / F, 2.0 / F])
+    assert counts.tolist() == [8 * H, N - 2 * H]
+
+
+@pytest.mark.parametrize("rule", ["gaus_slam", "two_dgs_slam"])
+def test_discs_lie_in_the_surface(rule):
+    seeds = apply_rule(rule, first())
+    thin = quaternion.to_matrix(seeds.quat)[:, :, 2]
+    assert thin[:, 2].median().item() == pytest.approx(-1.0, abs=1e-5)
+    torch.testing.assert_close(seeds.scale_m[:, 2], 0.1 * seeds.scale_m[:, 1])
+    facing = -seeds.xyz_W / seeds.xyz_W.norm(dim=1, keepdim=True)
+    assert ((thin * facing).sum(dim=1) > 0.7).all()  # also at the border, where there is no normal
