@@ -56,6 +56,22 @@ class OptimConfig:
     ssim_weight: float = 0.2
     """Weight of the structural loss D-SSIM in the passes after the scan, 0 to 1; the colour difference L1 has the rest.
     Larger: sharper structure, less exact colours. 0.2 in the released code; 0 is the paper's loss (Eq. 12)."""
+    online_ssim_weight: float = 0.0
+    """Weight of D-SSIM in the steps while scanning, 0 to 1; L1 has the rest. Larger: as for ssim_weight, and slower
+    steps. 0 as published; SplaTAM has 0.2."""
+    depth_weight: float = 0.0
+    """Weight of the mean depth error in metres, over the pixels with measured depth, in all steps. The rendered depth
+    is not divided by alpha, so the loss also closes holes. Larger: closer to the measured depth, noise included. 0 as
+    published; SplaTAM has 2 in units of its colour loss."""
+    isotropy_weight: float = 0.0
+    """Weight of the mean difference, in metres, between a Gaussian's three sizes and their mean, in all steps. Larger:
+    rounder Gaussians, fewer long needles. 0 as published; MonoGS has 10."""
+    scale_weight: float = 0.0
+    """Weight of the mean size of the Gaussians in metres, in all steps. Larger: smaller Gaussians. 0 as published;
+    3DGS-MCMC has 0.01 in a scene of a few metres."""
+    opacity_weight: float = 0.0
+    """Weight of the mean opacity of the Gaussians, in all steps. Larger: Gaussians that the pictures do not need
+    disappear. 0 as published; 3DGS-MCMC has 0.01."""
 
     def __post_init__(self):
         check_kinds("optim", self)
@@ -68,8 +84,10 @@ class OptimConfig:
         for name in counts:
             if getattr(self, name) < 0:
                 raise ValueError(f"optim.{name} must be >= 0, got {getattr(self, name)}")
-        if not 0 <= self.ssim_weight <= 1:
-            raise ValueError(f"optim.ssim_weight must be between 0 and 1, got {self.ssim_weight}")
+        for name in ("ssim_weight", "online_ssim_weight"):
+            check_number(f"optim.{name}", getattr(self, name), 0, 1)
+        for name in ("depth_weight", "isotropy_weight", "scale_weight", "opacity_weight"):
+            check_number(f"optim.{name}", getattr(self, name), 0, 1e6)
 
 
 @dataclass(frozen=True, kw_only=True)

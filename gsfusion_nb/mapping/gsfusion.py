@@ -9,7 +9,7 @@ from torch import Tensor
 from ..config import GSFusionConfig, gsfusion, gsfusion_fidelity
 from ..errors import BadFrameError
 from ..gaussians import GaussianModel
-from ..optim import Keyframe, adam_step, dssim_vjp, l1_mse_vjp
+from ..optim import Keyframe, adam_step, add_penalties_, depth_l1, depth_l1_vjp, dssim_vjp, l1_mse_vjp
 from ..render import render_forward, render_vjp
 from ..seeding import Cells, SeedContext, SeedingRule, rule_name
 from ..tracking import tsdf_surface
@@ -92,7 +92,7 @@ class GSFusion(Mapper):
             known, steps_before = self.is_next_keyframe(frame), self.gaussians.step_count
             is_keyframe = len(seeds) > self.config.keyframe_min_seeds if known is None else known  # III-B.3
             if is_keyframe or self.config.keep_all_frames:
-                self.keyframes.append(frame)
+                self.keyframes.append(frame, with_depth=self.config.optim.depth_weight > 0)
             with clock("optimise"):
                 losses, psnrs = self._optimise_online(frame, is_keyframe)  # Eq. 12
             with clock("tracking"):
@@ -195,10 +195,10 @@ class GSFusion(Mapper):
         if len(self.gaussians) == 0:
             return [], []
         n = optim.keyframe_iterations if is_keyframe else optim.frame_iterations
-        steps = [self._optimise_view(frame) for _ in range(n)]
+        steps = [self._optimise_view(frame, optim.online_ssim_weight) for _ in range(n)]
         if not is_keyframe:
             for keyframe in self.keyframes.draw(optim.random_keyframe_iterations, self.random.keyframes):
-                self._optimise_view(keyframe)
+                self._optimise_view(keyframe, optim.online_ssim_weight)
         if not steps:
             return [], []
         losses, errors = torch.stack([torch.stack(step) for step in steps], dim=1).tolist()
@@ -208,21 +208,26 @@ class GSFusion(Mapper):
         """One step on the i-th keyframe after the scan."""
         return self._optimise_view(self.keyframes[i], ssim_weight=self.config.optim.ssim_weight)[0]
 
-    def _optimise_view(
-        self, view: Frame | Keyframe, ssim_weight: float = 0.0
-    ) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
-        """One gradient step on one view. Returns loss and MSE before it. Online the loss is only L1 (Eq. 12).
+    def _optimise_view(self, view: Frame | Keyframe, ssim_weight: float) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
+        """One gradient step on one view. Returns loss and MSE before it. As published, the loss is only L1 online.
 
         Both stay on the device, because waiting for them after every step would leave a GPU idle.
         """
-        view = view.to(self.device)
+        view, optim = view.to(self.device), self.config.optim
         target = view.rgb
         output, saved = render_forward(self.gaussians.params, view.camera, view.T_WC, with_indices=False)
         pixels = l1_mse_vjp(output.rgb, target)
-        loss, v_rgb = pixels.value, pixels.v_rgb
+        loss, v_rgb, v_depth_m = pixels.value, pixels.v_rgb, None
         if ssim_weight > 0:
             structural, v_structural = dssim_vjp(output.rgb, target)
             loss = (1 - ssim_weight) * loss + ssim_weight * structural
             v_rgb = (1 - ssim_weight) * v_rgb + ssim_weight * v_structural
-        adam_step(self.gaussians, render_vjp(saved, v_rgb), self.config.optim)
+        if optim.depth_weight > 0 and view.depth_m is not None:
+            loss = loss + optim.depth_weight * depth_l1(output.depth_m, view.depth_m)
+            v_depth_m = depth_l1_vjp(output.depth_m, view.depth_m, optim.depth_weight)
+        gradients = render_vjp(saved, v_rgb, v_depth_m)
+        penalties = {"isotropy": optim.isotropy_weight, "scale": optim.scale_weight, "opacity": optim.opacity_weight}
+        if any(penalties.values()):
+            loss = loss + add_penalties_(gradients, self.gaussians.params, **penalties)
+        adam_step(self.gaussians, gradients, optim)
         return loss, pixels.mse

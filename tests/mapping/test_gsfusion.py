@@ -7,6 +7,9 @@ from gsfusion_nb.backends import use_backend
 from gsfusion_nb.config import gsfusion, replace
 from gsfusion_nb.evaluation import psnr
 from gsfusion_nb.mapping import GSFusion
+from gsfusion_nb.optim import depth_l1, dssim, l1
+from gsfusion_nb.optim.map_penalties import anisotropy
+from gsfusion_nb.render import render
 from gsfusion_nb.seeding import SeedContext, seeding_rule
 from gsfusion_nb.types import Seeds
 
@@ -151,3 +154,54 @@ def test_a_bad_frame_is_refused_and_changes_nothing(split, config, change, messa
 def test_unknown_rule_lists_the_registered():
     with pytest.raises(KeyError, match="gsfusion"):
         GSFusion(gsfusion("replica"), seeding="gsfuzion")
+
+
+def test_a_depth_loss_brings_the_rendered_depth_closer(split, config):
+    """Online and after the scan; without it the keyframes keep no depth."""
+    errors = []
+    for weight in (0.0, 2.0):
+        mapper = GSFusion(replace(config, optim__depth_weight=weight, optim__lr_xyz=5e-3))
+        for frame in split.mapping:
+            mapper.step(frame)
+        list(mapper.global_optimise(1))
+        assert (mapper.keyframes[0].depth_m is not None) == (weight > 0)
+        views = [(mapper.render(f.camera, f.T_WC).depth_m, f.depth_m) for f in split.mapping]
+        errors.append(sum(float(depth_l1(seen, measured)) for seen, measured in views))
+    assert errors[1] < 0.8 * errors[0]
+
+
+@pytest.mark.parametrize(
+    ("weights", "value"),
+    [
+        ({"isotropy_weight": 100.0}, lambda m: float(anisotropy(m.gaussians.params.log_scale))),
+        ({"scale_weight": 10.0}, lambda m: float(m.gaussians.scale_m.mean())),
+        ({"opacity_weight": 10.0}, lambda m: float(m.gaussians.opacity.mean())),
+    ],
+)
+def test_penalties_shrink_what_they_weigh(split, config, weights, value):
+    maps = []
+    for changes in ({}, weights):
+        mapper = GSFusion(replace(config, optim=changes))
+        reports = [mapper.step(frame) for frame in list(split.mapping)[:3]]
+        maps.append((value(mapper), reports[0].losses[0]))
+    assert maps[1][0] < maps[0][0]
+    if "isotropy_weight" not in weights:  # new Gaussians are round
+        assert maps[1][1] > maps[0][1]
+
+
+def test_the_structural_loss_may_be_used_online(split, config):
+    frame, losses = split.mapping[0], []
+    for weight in (0.0, 0.5):
+        mapper = GSFusion(replace(config, optim__online_ssim_weight=weight))
+        losses.append(mapper.step(frame).losses[0])
+    rendered = render(fresh_map(config, frame), frame.camera, frame.T_WC).rgb
+    expected = 0.5 * l1(rendered, frame.rgb) + 0.5 * dssim(rendered, frame.rgb)
+    assert losses[0] == pytest.approx(float(l1(rendered, frame.rgb)), rel=1e-5)
+    assert losses[1] == pytest.approx(float(expected), rel=1e-5)
+
+
+def fresh_map(config, frame):
+    """The Gaussians of the first frame before any step."""
+    mapper = GSFusion(replace(config, optim__keyframe_iterations=0))
+    mapper.step(frame)
+    return mapper.gaussians.params
