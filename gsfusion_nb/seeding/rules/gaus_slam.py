@@ -20,7 +20,9 @@ def gaus_slam(
     thickness: float = 0.1,
     median_of: Literal["all", "measured"] = "all",
 ) -> Seeds:
-    """A disc of one pixel, thin along the normal of the depth image, for each pixel with depth where
+    """GauS-SLAM: a disc of one pixel wherever the map does not cover the view, or lies behind the measured surface.
+
+    Thin along the normal of the depth image, for each pixel with depth where
 
         A < 0.6   or   ( D^ > D  and  |D^ - D| > 50 median |D^ - D| )
 

@@ -43,9 +43,10 @@ PRESETS = {
 @seeding_rule
 @dataclass(frozen=True, kw_only=True)
 class gaussian_slam(MapRule):
-    """Where a submap starts, every 50 mapped frames: the union of random pixels, of 50,000 pixels drawn in proportion
-    to the image gradient, and of all edges (Canny 100/200, dilated 2 x 2). In every fifth frame between: the pixels
-    where
+    """Gaussian-SLAM: a dense start of each submap, then every fifth frame what the map does not cover.
+
+    Where a submap starts, every 50 mapped frames: the union of random pixels, of 50,000 pixels drawn in proportion to
+    the image gradient, and of all edges (Canny 100/200, dilated 2 x 2). In every fifth frame between: the pixels where
 
         A < 0.6   or   ( D^ > D  and  |D^ - D| > 40 median |D^ - D| )
 

@@ -22,9 +22,11 @@ THICKNESS = 0.1
 @seeding_rule
 @dataclass(frozen=True, kw_only=True)
 class gps_slam(MapRule):
-    """Every 10 mapped frames, a random 25 % of the pixels whose mean colour error is above 0.05 and where the TSDF has
-    a surface nearer than 5 m. Discs on that surface, along its normal, as large as the root mean square distance to
-    their 3 nearest neighbours among the new ones, but at most 1 cm; 0.1 of that thick.
+    """GPS-SLAM: every 10 frames, discs on the TSDF's surface for a quarter of the pixels whose colour is wrong.
+
+    A random 25 % of the pixels whose mean colour error is above 0.05 and where the TSDF has a surface nearer than 5 m.
+    Discs on that surface, along its normal, as large as the root mean square distance to their 3 nearest neighbours
+    among the new ones, but at most 1 cm; 0.1 of that thick.
 
     Args:
         colour_error: Mean over R, G, B of |C^ - C| (0..1) above which a pixel is a candidate. Release: 0.05.

@@ -22,12 +22,13 @@ OPACITY = 0.1
 @seeding_rule
 @dataclass(frozen=True, kw_only=True)
 class gs_icp(MapRule):
-    """All points of a regular grid (every 10th pixel of every 10th row), in a frame that is a keyframe.
+    """GS-ICP SLAM: a grid of pixels, where the map overlaps too little with the view, and every 30 frames.
 
-    It is one for tracking if less than 70 % of its grid points are near a Gaussian of the map, and one for mapping
-    every 30 frames after the last one for tracking. A Gaussian has the shape of its neighbourhood: its axes and
-    standard deviations are those of the covariance of the nearest grid points, the standard deviations divided by
-    max(2 z^1.5, 1) with the depth z in metres. Opacity 0.1.
+    In a frame that is a keyframe, all points of the grid (every 10th pixel of every 10th row) with depth. It is one for
+    tracking if less than 70 % of its grid points are near a Gaussian of the map, and one for mapping every 30 frames
+    after the last one for tracking. A Gaussian has the shape of its neighbourhood: its axes and standard deviations are
+    those of the covariance of the nearest grid points, the standard deviations divided by max(2 z^1.5, 1) with the
+    depth z in metres. Opacity 0.1.
 
     Args:
         preset: Grid and thresholds of the release: "replica" (10 pixels, 5e-4, 70 %), "tum" (5 pixels, 1e-3, 81 %).

@@ -15,9 +15,11 @@ from ..unmapped import depth_error_m
 @seeding_rule
 @dataclass(frozen=True, kw_only=True)
 class gs_slam(MapRule):
-    """In the first frame half of the pixels with depth, drawn at random; in later keyframes the pixels with depth where
-    A < tau_T or |D^ - D| > tau_D. Round Gaussians, as large as the root mean square distance to their 3 nearest
-    neighbours, new or in the map.
+    """GS-SLAM: in keyframes, Gaussians wherever the map does not cover the view, or its depth is wrong.
+
+    In the first frame half of the pixels with depth, drawn at random; in later keyframes those where A < tau_T or
+    |D^ - D| > tau_D. Round Gaussians, as large as the root mean square distance to their 3 nearest neighbours, new or
+    in the map.
 
     Args:
         first_share: Share of the pixels of the first frame. Publication: half.

@@ -16,7 +16,9 @@ def hf_slam(
     relative_depth_error: float = 0.1,
     share: float = 1.0,
 ) -> Seeds:
-    """A round Gaussian of one pixel for each pixel with depth where
+    """HF-SLAM: a Gaussian of one pixel wherever the map does not cover the view, or its colour or depth is wrong.
+
+    Round, with standard deviation z / f, f = (fx + fy) / 2, for each pixel with depth where
 
         A < 0.5   or   mean over R, G, B of |C^ - C| > 0.6   or   |D^ - D| / D > 0.1
 

@@ -18,8 +18,10 @@ def mm3dgs(
     share: float = 1.0,
     median_of: Literal["all", "measured"] = "all",
 ) -> Seeds:
-    """A round Gaussian of one pixel for each pixel with depth where A < 0.5 or |D^ - D| > 10 median |D^ - D|, whether
-    the measured surface lies in front of the map's or behind it.
+    """MM3DGS: a Gaussian of one pixel wherever the map does not cover the view, or its depth is wrong by far.
+
+    Round, with standard deviation z / f, f = (fx + fy) / 2, for each pixel with depth where A < 0.5 or |D^ - D| > 10
+    median |D^ - D|, whether the measured surface lies in front of the map's or behind it.
 
     Args:
         ctx: Frame and Gaussian map.

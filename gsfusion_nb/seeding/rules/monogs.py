@@ -18,10 +18,11 @@ FIRST_SHARE, MAX_POINT_SIZE, MIN_COLOUR_SUM = 1 / 32, 0.05, 0.01
 @seeding_rule
 @dataclass(frozen=True, kw_only=True)
 class monogs(MapRule):
-    """In every keyframe a random 1/64 of the pixels with depth, in the first frame 1/32, without looking at the map.
+    """MonoGS: in keyframes, a small random share of all pixels, whatever is mapped.
 
-    Round Gaussians of standard deviation sqrt(d^2 p): d^2 is the mean squared distance to the 3 nearest of the new
-    points, p = min(0.05, c median(D)) the point size. Black pixels (R + G + B <= 0.01) are left out.
+    1/64 of the pixels with depth, in the first frame 1/32. Round Gaussians of standard deviation sqrt(d^2 p): d^2 is
+    the mean squared distance to the 3 nearest of the new points, p = min(0.05, c median(D)) the point size. Black
+    pixels (R + G + B <= 0.01) are left out.
 
     Args:
         preset: "replica": 1/64, c = 0.05; "tum": 1/128, c = 0.01, as in the release for these data sets.

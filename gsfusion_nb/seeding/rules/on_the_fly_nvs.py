@@ -18,7 +18,9 @@ MIN_ALPHA = 0.5
 @seeding_rule
 @dataclass(frozen=True, kw_only=True)
 class on_the_fly_nvs(MapRule):
-    """In every keyframe each pixel with depth is seeded with the probability P(image) - P(map's picture), where
+    """On-the-fly NVS: in keyframes, random pixels where the map's picture lacks detail of the frame.
+
+    Each pixel with depth is seeded with the probability P(image) - P(map's picture), where
 
         P = 2 clamp(B |Laplacian|, 0, 1),      |Laplacian| summed over R, G, B,   B a blur with a disc
 

@@ -14,7 +14,7 @@ from ..spacing import sized_by_neighbours
 @seeding_rule
 @dataclass(frozen=True, kw_only=True)
 class photo_slam(MapRule):
-    """In every keyframe a Gaussian for each ORB corner whose depth lies in a range, whether or not the map covers it.
+    """Photo-SLAM: in keyframes, a Gaussian for each ORB corner with depth, whatever is mapped.
 
     Round Gaussians as large as the root mean square distance to their 3 nearest neighbours among the new ones; opacity
     0.1.

@@ -19,7 +19,9 @@ def splatam(
     every_px: int = 1,
     median_of: Literal["all", "measured"] = "all",
 ) -> Seeds:
-    """A round Gaussian of one pixel, z / f with f = (fx + fy) / 2, for each pixel with depth where
+    """SplaTAM: a Gaussian of one pixel wherever the map does not cover the view, or lies behind the measured surface.
+
+    Round, with standard deviation z / f, f = (fx + fy) / 2, for each pixel with depth where
 
         A < 0.5   or   ( D^ > D  and  |D^ - D| > 50 median |D^ - D| )
 

@@ -21,9 +21,11 @@ MAX_OF_MEAN = 3.0
 @seeding_rule
 @dataclass(frozen=True, kw_only=True)
 class two_dgs_slam(MapRule):
-    """In every keyframe a random 10 % of the pixels with depth (0.1 to 10 m), of those the ones in voxels of 5 cm that
-    hold no Gaussian of the map. Discs along the normals of the depth image, as large as the root mean square distance
-    to their 3 nearest neighbours among the new ones, but at most 3 times the mean of these.
+    """2DGS-SLAM: in keyframes, discs for random pixels in voxels of 5 cm that hold no Gaussian yet.
+
+    A random 10 % of the pixels with depth (0.1 to 10 m), of those the ones in voxels of 5 cm that hold no Gaussian of
+    the map. Discs along the normals of the depth image, as large as the root mean square distance to their 3 nearest
+    neighbours among the new ones, but at most 3 times the mean of these.
 
     Args:
         share: Share of the pixels that is drawn at random, 0..1. Release: 0.1.

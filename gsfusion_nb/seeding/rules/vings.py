@@ -24,7 +24,9 @@ def vings(
     thickness: float = 0.1,
     as_released: bool = True,
 ) -> Seeds:
-    """Discs of random orientation; their number is ``points`` times the share of the image's pixels where
+    """VINGS-Mono: as many discs as there are pixels with errors, drawn from all pixels, of random orientation.
+
+    Their number is ``points`` times the share of the image's pixels where
 
         A <= 0.98   or   |D^ - D| > 10 median |D^ - D|   or   sum over R, G, B of |C^ - C| > 0.1
 

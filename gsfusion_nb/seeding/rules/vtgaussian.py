@@ -21,8 +21,10 @@ QUARTERS = torch.tensor([[-0.25, -0.25], [0.25, -0.25], [-0.25, 0.25], [0.25, 0.
 @seeding_rule
 @dataclass(frozen=True, kw_only=True)
 class vtgaussian(MapRule):
-    """A round Gaussian of one pixel for each pixel with depth where A < 0.5, or D^ > D and |D^ - D| > 50 medians; in
-    its place four of half a pixel where the colour varies. Centres and rotations are not optimised ("view-tied").
+    """VTGaussian-SLAM: SplaTAM's pixels, finer where the colour varies, and Gaussians that do not move.
+
+    A round Gaussian of one pixel for each pixel with depth where A < 0.5, or D^ > D and |D^ - D| > 50 medians; in its
+    place four of half a pixel where the colour varies. Centres and rotations are not optimised ("view-tied").
 
     Args:
         min_alpha: Pixels with a smaller accumulated opacity A are seeded. Release: 0.5.

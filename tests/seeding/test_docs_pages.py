@@ -1,0 +1,57 @@
+"""The pages about seeding name every built-in rule and everything that a rule may read."""
+
+import dataclasses
+import inspect
+import re
+from pathlib import Path
+
+import pytest
+
+from gsfusion_nb.seeding import MapView, SeedContext, is_built_in, registered, rule_options
+
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+RULES = [name for name, rule in registered().items() if is_built_in(rule)]
+
+
+def public_names(kind: type) -> list[str]:
+    names = {field.name for field in dataclasses.fields(kind)} | {name for name, _ in inspect.getmembers(kind)}
+    return sorted(name for name in names if not name.startswith("_"))
+
+
+@pytest.mark.parametrize("kind", [SeedContext, MapView], ids=lambda kind: kind.__name__)
+def test_the_page_on_the_context_is_complete(kind):
+    page = (DOCS / "seeding_context.md").read_text(encoding="utf-8")
+    described = set(re.findall(r"`(\w+)(?:\([^`]*\))?`", page))
+    assert [name for name in public_names(kind) if name not in described] == []
+
+
+def test_the_page_on_the_context_names_nothing_else():
+    page = (DOCS / "seeding_context.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+)", page, re.MULTILINE)
+    assert sorted(rows) == public_names(SeedContext)
+
+
+def test_the_table_has_every_built_in_rule():
+    page = (DOCS / "seeding_rules.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| \[`(\w+)`\]\(\.\./gsfusion_nb/seeding/rules/(\w+)\.py\)", page, re.MULTILINE)
+    assert sorted(name for name, _ in rows) == sorted(RULES)
+    assert all(name == file for name, file in rows)
+
+
+@pytest.mark.parametrize("name", RULES)
+def test_the_option_that_sets_the_number_exists(name):
+    page = (DOCS / "seeding_rules.md").read_text(encoding="utf-8")
+    row = re.search(rf"^\| \[`{name}`\].*$", page, re.MULTILINE)
+    assert row is not None
+    last = row[0].split(" | ")[-1]
+    option = re.search(r"^`(\w+)`", last)
+    assert option is None or option[1] in rule_options(name)
+
+
+@pytest.mark.parametrize("name", RULES)
+def test_a_rule_says_what_it_does_in_its_first_line(name):
+    doc = inspect.getdoc(registered()[name]) or ""
+    assert doc.splitlines()[0].endswith(".")
+    assert "Source:" in doc
+    missing = [option for option in rule_options(name) if not re.search(rf"^ +{option}: ", doc, re.MULTILINE)]
+    assert missing == []
