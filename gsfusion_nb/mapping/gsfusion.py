@@ -64,8 +64,10 @@ class GSFusion(Mapper):
     def step(self, frame: Frame) -> StepReport:
         """Map one frame (paper Fig. 2, section III-B), all of it or nothing.
 
-        In the paper the frame is fused before the seeding rule runs. Here the rule runs first, on a preview of the
-        fused volume (``FusedView``): it reads the same values, but if it fails, the maps are unchanged.
+        In the paper the frame is fused before the seeding rule runs. Here the frame is fused last, because that cannot
+        be undone. The rule sees a preview of the fused volume (``FusedView``), with the same values, and the
+        optimisation does not read the volume, so the maps are those of the paper's order. Whatever the rule raises,
+        also after a gradient step (``MapRule.after_step``), the maps are unchanged.
 
         Raises:
             BadFrameError: the pose is not rigid, an image holds a NaN or colours outside 0..1, or the frame is too far
@@ -84,17 +86,18 @@ class GSFusion(Mapper):
                 context = self._context(frame, volume=preview, near_m=self.config.tsdf.near_m)
                 seeds = self.propose_seeds(context)  # III-B.2, Eq. 10
             clock.split("seeding", "quadtree", context.quadtree_seconds)
-            self.guard.changes_begin()
-            with clock("tsdf"):
-                self.volume.allocate_missing(missing)
-                fuse_frame_(self.volume, frame)  # III-B.1, Eq. 6-9
+            self.guard.changes_begin(self._undo() if self.after_steps.edits else None)
             self.gaussians.append(seeds, frame.index)
             known, steps_before = self.is_next_keyframe(frame), self.gaussians.step_count
             is_keyframe = len(seeds) > self.config.keyframe_min_seeds if known is None else known  # III-B.3
             if is_keyframe or self.config.keep_all_frames:
                 self.keyframes.append(frame, with_depth=self.config.optim.depth_weight > 0)
             with clock("optimise"):
-                losses, psnrs = self._optimise_online(frame, is_keyframe)  # Eq. 12
+                losses, psnrs = self._optimise_online(context, is_keyframe)  # Eq. 12
+            self.guard.changes_stay()
+            with clock("tsdf"):
+                self.volume.allocate_missing(missing)
+                fuse_frame_(self.volume, frame)  # III-B.1, Eq. 6-9
             with clock("tracking"):
                 self._follow(self.localiser.record(frame))
             self.n_frames += 1
@@ -189,16 +192,18 @@ class GSFusion(Mapper):
         except ValueError as e:
             raise BadFrameError(f"frame {frame.index} cannot be mapped: {e}") from None
 
-    def _optimise_online(self, frame: Frame, is_keyframe: bool) -> tuple[list[float], list[float]]:
+    def _optimise_online(self, context: SeedContext, is_keyframe: bool) -> tuple[list[float], list[float]]:
         """m steps on a keyframe; n on another frame, then some on random keyframes to avoid forgetting (III-B.3)."""
         optim = self.config.optim
         if len(self.gaussians) == 0:
             return [], []
         n = optim.keyframe_iterations if is_keyframe else optim.frame_iterations
-        steps = [self._optimise_view(frame, optim.online_ssim_weight) for _ in range(n)]
-        if not is_keyframe:
-            for keyframe in self.keyframes.draw(optim.random_keyframe_iterations, self.random.keyframes):
-                self._optimise_view(keyframe, optim.online_ssim_weight)
+        n_earlier = 0 if is_keyframe else optim.random_keyframe_iterations
+        earlier = self.keyframes.draw(n_earlier, self.random.keyframes)
+        self.after_steps.frame_begins(context, n + len(earlier))
+        steps = [self._optimise_view(context.frame, optim.online_ssim_weight) for _ in range(n)]
+        for keyframe in earlier:
+            self._optimise_view(keyframe, optim.online_ssim_weight)
         if not steps:
             return [], []
         losses, errors = torch.stack([torch.stack(step) for step in steps], dim=1).tolist()
@@ -213,8 +218,10 @@ class GSFusion(Mapper):
 
         Both stay on the device, because waiting for them after every step would leave a GPU idle.
         """
+        self.guard.may_stop()
         view, optim = view.to(self.device), self.config.optim
         target = view.rgb
+        watched = self.after_steps.watch(self.gaussians, view.camera, view.T_WC)
         output, saved = render_forward(self.gaussians.params, view.camera, view.T_WC, with_indices=False)
         pixels = l1_mse_vjp(output.rgb, target)
         loss, v_rgb, v_depth_m = pixels.value, pixels.v_rgb, None
@@ -225,9 +232,12 @@ class GSFusion(Mapper):
         if optim.depth_weight > 0 and view.depth_m is not None:
             loss = loss + optim.depth_weight * depth_l1(output.depth_m, view.depth_m)
             v_depth_m = depth_l1_vjp(output.depth_m, view.depth_m, optim.depth_weight)
-        gradients = render_vjp(saved, v_rgb, v_depth_m)
+        gradients = render_vjp(saved, v_rgb, v_depth_m, v_uv=None if watched is None else watched.v_uv)
         penalties = {"isotropy": optim.isotropy_weight, "scale": optim.scale_weight, "opacity": optim.opacity_weight}
         if any(penalties.values()):
             loss = loss + add_penalties_(gradients, self.gaussians.params, **penalties)
         adam_step(self.gaussians, gradients, optim)
+        if watched is not None:
+            watched = self.after_steps.add_up(self.gaussians, watched, view.camera)
+            self.after_steps(self, watched, view, loss, output.rgb)
         return loss, pixels.mse

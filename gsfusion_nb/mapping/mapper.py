@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from typing import Any, ClassVar, TypeVar
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from ..checks import check_whole
@@ -22,6 +22,7 @@ from ..render import render
 from ..seeding import Cells, ChangedInputError, SeedContext, SeedingRule, apply_rule, copy_memory, get_rule, rule_name
 from ..tracking import Correction
 from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput, Seeds
+from .after_steps import AfterSteps
 from .keyframe_passes import KeyframePasses
 from .localiser import Localiser, move_map
 from .map_view import MapPart, SurfaceImage
@@ -96,6 +97,7 @@ class Mapper(ABC):
         self.rule = get_rule(seeding if seeding is not None else config.seeding.rule)
         self.config = settings_with_rule(config, self.rule)
         self.rule_in_use = RuleInUse(self.rule, self.config.seeding.options)
+        self.after_steps = AfterSteps(self.rule_in_use)
         self.device = torch.device(device)
         self.gaussians = self.model_type(self.config.sh_degree, device=self.device)
         self.keyframes = KeyframeList("cpu" if self.config.keyframes_on == "cpu" else self.device)
@@ -225,22 +227,44 @@ class Mapper(ABC):
 
         In it ``self.guard.changes_begin()`` separates what can fail (checks, tracking, the seeding rule) from what
         changes the map. If the first part fails, the random numbers, the rule's memory and the tracked pose are
-        restored.
+        restored; if the second part fails before ``changes_stay`` and ``changes_begin`` was given ``_undo()``, so is
+        the map.
         """
         with self.guard.one_frame(frame.index):
             random_numbers, memory = self.random.state_dict(), copy_memory(self.memory)
             try:
                 yield
             except BaseException as e:
-                if isinstance(e, ChangedInputError) and e.changed_map:
+                if isinstance(e, ChangedInputError) and e.changed_map and not self.guard.can_undo:
                     self.guard.half_mapped = f"at frame {frame.index} the map was changed by its {e}"
-                if not self.guard.is_changing:
+                if self.guard.undo():
                     self.random.load_state_dict(random_numbers)
                     self.rule_in_use.set_memory(memory)
                     self.localiser.take_back()
                 raise
+            finally:
+                self.after_steps.frame_ends()
             if self.passes.begun:  # with more frames, the optimisation after the scan starts again
                 self.passes = KeyframePasses()
+
+    def _undo(self) -> Callable[[], None]:
+        """A function that undoes what a frame changes in the map, from now on; a subclass extends it."""
+        rows, steps, taken = self.gaussians.snapshot(), self.gaussians.step_count, self.after_steps.taken
+        n_keyframes = len(self.keyframes)
+
+        def undo() -> None:
+            self.gaussians.restore(rows)
+            self.gaussians.step_count, self.after_steps.taken = steps, taken
+            self.keyframes.cut(n_keyframes)
+
+        return undo
+
+    def rows_changed(self, before: Int[Tensor, " N"]) -> None:  # noqa: B027
+        """Called after a rule's edit of the map; a subclass that holds copies of rows brings them up to date.
+
+        Args:
+            before: For each row of the map its number before the edit, -1 for new rows. [N]
+        """
 
     def counts(self) -> dict[str, int]:
         """Sizes of the map besides its Gaussians and keyframes, with their names in metrics.json."""
@@ -282,6 +306,7 @@ class Mapper(ABC):
             "config": to_dict(self.config),
             "rule": self.rule_in_use.state_dict(),
             "n_frames": self.n_frames,
+            "steps_taken": self.after_steps.taken,
             "passes": self.passes.state_dict(),
             "localiser": self.localiser.state_dict(),
             "random": self.random.state_dict(),
@@ -325,6 +350,8 @@ class Mapper(ABC):
         self.localiser.load_state_dict(state["localiser"])
         check_whole("n_frames", state["n_frames"], 0)
         self.n_frames = state["n_frames"]
+        check_whole("steps_taken", state["steps_taken"], 0)
+        self.after_steps.taken = state["steps_taken"]
         if len(self.localiser.poses) != self.n_frames:
             raise ValueError(f"{self.n_frames} frames must have as many poses, got {len(self.localiser.poses)}")
         self.random.load_state_dict(state["random"])

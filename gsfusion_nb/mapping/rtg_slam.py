@@ -1,12 +1,13 @@
 """RTG-SLAM (Peng et al. 2024): compact Gaussians, optimised while unstable, frame by frame in the paper's order."""
 
 import dataclasses
+import math
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, ClassVar
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from ..checks import check_number, check_whole
@@ -18,6 +19,7 @@ from ..render import SurfaceView, render_forward, rows_in_view, surface_depth_m,
 from ..seeding import SeedContext, SeedingRule
 from ..tracking import Correction, Surface
 from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput
+from .after_steps import WatchedStep
 from .frame_checks import check_frame
 from .mapper import Mapper
 from .rendered_mesh import mesh_of_views
@@ -26,6 +28,9 @@ from .surfel_optimiser import SurfelOptimiser, TrainingView
 
 MASKED_BELOW = 0.8
 """If more of the rows in view are unstable, they touch nearly all pixels; finding these then saves no time."""
+
+LastStep = tuple[int, Tensor, WatchedStep]
+"""Number of its view, its loss, and what was collected of it."""
 
 
 class RTGSLAM(Mapper):
@@ -81,17 +86,25 @@ class RTGSLAM(Mapper):
                 context = self.seed_context(frame)
                 before = _psnr(context.surface().rgb, frame) if len(self.gaussians) else 0.0
                 seeds = self.propose_seeds(context)  # Eq. 6
-            self.guard.changes_begin()
+            is_keyframe = self.is_next_keyframe(frame)
+            window_is_due, keyframes_are_due = self._window_is_due(is_keyframe), is_keyframe and self.n_frames > 0
+            self.guard.changes_begin(self._undo() if window_is_due or keyframes_are_due else None)
             self.gaussians.append(seeds, frame.index)
             self._final = None  # its rows are no longer the map's
             self.window.append(frame)
-            is_keyframe = self.is_next_keyframe(frame)
             if is_keyframe:
                 self.keyframes.append(frame, with_depth=True)
+            steps = (
+                window_is_due * self.config.window.iterations,
+                keyframes_are_due * self.config.keyframes.iterations,
+            )
+            self.after_steps.frame_begins(context, sum(steps))
             with clock("optimise"):
-                losses = self._optimise_window() if self._window_is_due(is_keyframe) else []  # Eq. 7-9
+                losses = self._optimise_window() if window_is_due else []  # Eq. 7-9
             with clock("keyframes"):
-                n_steps = self._optimise_keyframes() if is_keyframe and self.n_frames else 0
+                n_steps = self._optimise_keyframes() if keyframes_are_due else 0
+            self.guard.may_stop()
+            self.guard.changes_stay()
             with clock("states"):
                 after, transitions = self._manage_states(frame)
             with clock("tracking"):
@@ -167,6 +180,16 @@ class RTGSLAM(Mapper):
             self._final = self._final_optimiser()
             self._final.load_state_dict(state["final"])
 
+    def _undo(self) -> Callable[[], None]:
+        """Also the window and the optimiser of the final passes."""
+        undo_map, window, final = super()._undo(), list(self.window), self._final
+
+        def undo() -> None:
+            undo_map()
+            self.window, self._final = deque(window, maxlen=self.window.maxlen), final
+
+        return undo
+
     def _tracking_surface(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> Surface:
         view = self.surface(camera, T_WC)
         return Surface(depth_m=view.depth_m, normal_W=view.normal_W, camera=camera, T_WC=T_WC, rgb=view.rgb)
@@ -207,11 +230,8 @@ class RTGSLAM(Mapper):
         masked = config.only_unstable and optimiser.n < MASKED_BELOW * int(seen.sum())
         touched = [optimiser.touched(f.camera, f.T_WC) if masked else None for f in self.window]
         views = [TrainingView.of(frame, pixels) for frame, pixels in zip(self.window, touched, strict=True)]
-        losses = []
-        for step in range(config.iterations):
-            newest = config.draw == "newest_half" and 2 * step >= config.iterations
-            losses.append(optimiser.step(views[-1] if newest else views[self._draw(len(views))]).total)
-
+        newest_from = config.iterations / 2 if config.draw == "newest_half" else math.inf
+        losses, last = self._take_steps(optimiser, views, config.iterations, newest_from)
         was = model.confidence[optimiser.rows]
         now = was + optimiser.steps_seen
         fused = fuse_with_history(
@@ -219,6 +239,7 @@ class RTGSLAM(Mapper):
         )  # Eq. 9
         optimiser.write_back(fused)
         model.confidence[optimiser.rows] = now
+        self._edit(optimiser, self.window, last)
         return torch.stack(losses).tolist() if losses else []
 
     def _optimise_keyframes(self) -> int:
@@ -246,10 +267,33 @@ class RTGSLAM(Mapper):
             move_centres=False,
         )
         views = [TrainingView.of(keyframe, self._worst_pixels(keyframe)) for keyframe in chosen]
-        for _ in range(config.iterations):
-            optimiser.step(views[self._draw(len(views))])
+        _, last = self._take_steps(optimiser, views, config.iterations)
         optimiser.write_back()
+        self._edit(optimiser, chosen, last)
         return config.iterations
+
+    def _take_steps(
+        self, optimiser: SurfelOptimiser, views: list[TrainingView], n: int, newest_from: float = math.inf
+    ) -> tuple[list[Tensor], LastStep | None]:
+        """``n`` gradient steps on views drawn at random, from step ``newest_from`` on only on the newest.
+
+        Returns the losses before them; and the number of the view, the loss and what was collected of the last step,
+        None if nothing is.
+        """
+        losses, last = [], None
+        for step in range(n):
+            self.guard.may_stop()
+            i = len(views) - 1 if step >= newest_from else self._draw(len(views))
+            loss, watched = self.after_steps.surfel_step(self.gaussians, optimiser, views[i])
+            losses.append(loss)
+            last = None if watched is None else (i, loss, watched)
+        return losses, last
+
+    def _edit(self, optimiser: SurfelOptimiser, sources: Sequence[Frame | Keyframe], last: LastStep | None) -> None:
+        """Let the rule edit the map after its rows were written back."""
+        if last is not None:
+            i, loss, watched = last
+            self.after_steps(self, watched, sources[i], loss, optimiser.picture)
 
     def _seen(self, views: Iterable[Frame | Keyframe]) -> Bool[Tensor, " N"]:
         """Rows that any of the views may show."""
@@ -281,9 +325,18 @@ class RTGSLAM(Mapper):
         if self._final is None:
             self.gaussians.state.fill_(STABLE)
             self._final = self._final_optimiser()
-        loss = self._final.step(TrainingView.of(self.keyframes[i].to(self.device)))
+        keyframe = self.keyframes[i].to(self.device)
+        loss, watched = self.after_steps.surfel_step(self.gaussians, self._final, TrainingView.of(keyframe))
         self._final.write_back()
-        return loss.total
+        self._edit(self._final, [keyframe], None if watched is None else (0, loss, watched))
+        return loss
+
+    def rows_changed(self, before: Int[Tensor, " N"]) -> None:
+        """In the passes after the scan all rows stay stable, and Adam goes on with the rows that are left."""
+        if self._final is not None:
+            self.gaussians.state.fill_(STABLE)
+            earlier, self._final = self._final, self._final_optimiser()
+            self._final.take_over(earlier, before)
 
     def _final_optimiser(self) -> SurfelOptimiser:
         config, everything = self.config.final, torch.ones_like(self.gaussians.is_stable)

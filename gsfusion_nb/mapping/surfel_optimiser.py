@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from ..checks import check_saved
@@ -85,7 +85,9 @@ class SurfelOptimiser:
         """Rows of the map that are optimised."""
         self.n = len(self.rows)
         """Number of rows that are optimised; they are the first rows of ``params``."""
-        self.params = model.params[torch.cat([self.rows, others.nonzero().squeeze(1)])]
+        self.drawn = torch.cat([self.rows, others.nonzero().squeeze(1)])
+        """Rows of the map that are rendered."""
+        self.params = model.params[self.drawn]
         self.trained = self.params[: self.n]
         self.steps_seen = torch.zeros(self.n, dtype=torch.int32, device=trained.device)
         """Number of steps that changed the colour of each trained row."""
@@ -98,6 +100,8 @@ class SurfelOptimiser:
             "sh_rest": w.lr_sh_rest * lr_factor,
         }
         self.adam = RowAdam(self.trained, rates, {name: f[self.rows] for name, f in model.rates.items()})
+        self.picture: Tensor | None = None
+        """The picture [H, W, 3] before the last step."""
         self._is_trained = torch.arange(len(self.params), device=trained.device) < self.n
         self._held = (self.trained.opacity_logit < 0).nonzero().squeeze(1)
         born = model.anchor
@@ -109,8 +113,13 @@ class SurfelOptimiser:
         output, _ = render_forward(self.trained, camera, T_WC, with_indices=False)
         return output.alpha > 0
 
-    def step(self, view: TrainingView) -> RgbdLoss:
-        """One gradient step on one view. Returns the loss before it."""
+    def step(self, view: TrainingView, v_uv: Float[Tensor, "R 2"] | None = None) -> RgbdLoss:
+        """One gradient step on one view. Returns the loss before it; the picture before it is ``picture`` then.
+
+        Args:
+            view: What to compare with.
+            v_uv: If given, filled with dL/d of the centres of the ``drawn`` rows in the image, as by ``render_vjp``.
+        """
         w, discs = self.config, self.discs
         output, saved = render_forward(
             self.params,
@@ -138,23 +147,33 @@ class SurfelOptimiser:
             behind_m=w.depth_behind_m,
         )
         if discs.depth == "disc":
-            g = render_vjp(saved, loss.v_rgb, rows=self._is_trained)
+            g = render_vjp(saved, loss.v_rgb, rows=self._is_trained, v_uv=v_uv)
             v_xyz, v_quat = disc_depth_vjp(
                 self.params, view.camera, view.T_WC, hit, loss.v_depth_m, rows=self._is_trained, **options
             )
             g = dataclasses.replace(g, xyz_W=g.xyz_W + v_xyz, quat=g.quat + v_quat)
         else:  # of D / A: v_D = v / A,  v_A = -v D / A^2
             v_D = loss.v_depth_m / output.alpha.clamp_min(1e-6)
-            g = render_vjp(saved, loss.v_rgb, v_D, -v_D * depth_m, rows=self._is_trained)
+            g = render_vjp(saved, loss.v_rgb, v_D, -v_D * depth_m, rows=self._is_trained, v_uv=v_uv)
         self._add_regulariser(g)
         self.steps_seen += (g.sh[: self.n, 0] != 0).any(dim=1)
         self.adam.step(g)
+        self.picture = output.rgb
         return loss
 
     def write_back(self, params: GaussianParams | None = None) -> None:
         """Copy the trained rows, or ``params`` instead of them, to the map."""
         for name, value in vars(params or self.trained).items():
             getattr(self._model.params, name)[self.rows] = value
+
+    def take_over(self, earlier: "SurfelOptimiser", before: Int[Tensor, " N"]) -> None:
+        """Go on with Adam where an optimiser of the same map was before its rows changed; both train all rows.
+
+        Args:
+            earlier: The optimiser from before.
+            before: For each row of the map its number then, -1 for new rows, whose moments stay zero. [N]
+        """
+        self.adam.take_over(earlier.adam, before)
 
     def state_dict(self) -> dict[str, Any]:
         """What cannot be computed from the map: Adam's moments and the anchors of transparent rows."""

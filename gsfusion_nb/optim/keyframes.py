@@ -74,6 +74,10 @@ class KeyframeList:
         )
         self._keep(keyframe)
 
+    def cut(self, count: int) -> None:
+        """Keep only the first ``count`` keyframes."""
+        del self._items[count:]
+
     def move(self, T: Float[Tensor, "K 4 4"]) -> None:
         """Apply a rigid motion to each keyframe's pose (a loop closure)."""
         self._items = [

@@ -5,6 +5,7 @@ from types import MappingProxyType
 from typing import Any
 
 import torch
+from jaxtyping import Int
 from torch import Tensor
 
 from ..checks import check_saved, check_whole
@@ -49,6 +50,13 @@ class RowAdam:
                 adam_update(
                     getattr(self.params, name), gradient, m, v, self.steps, lr=lr, beta1=BETA1, beta2=BETA2, eps=EPS
                 )
+
+    def take_over(self, earlier: "RowAdam", before: Int[Tensor, " N"]) -> None:
+        """Continue with the moments and the step count of other rows; ``before`` is the row there of each, or -1."""
+        self.steps, known = earlier.steps, before >= 0
+        for name, moments in self._moments.items():
+            for mine, theirs in zip(moments, earlier._moments[name], strict=True):
+                mine[known] = theirs[before[known]]
 
     def state_dict(self) -> dict[str, Any]:
         """Moments and step count."""

@@ -7,8 +7,10 @@ from types import MappingProxyType
 from typing import Any, ClassVar
 
 from ..checks import check_whole
+from ..gaussians import Edit
 from ..types import Seeds
 from .context import SeedContext
+from .step_stats import StepStats
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,7 +86,8 @@ class MapRule(ABC):
     when: ClassVar[When] = EVERY_FRAME
     """In which frames ``seeds`` is called."""
     needs: ClassVar[frozenset[str]] = frozenset()
-    """Statistics of the optimisation that the mapper collects only if a rule asks for them."""
+    """Statistics of the optimisation that the mapper collects only if a rule asks for them: "visibility",
+    "image_gradients", "render" (``StepStats``)."""
     overrides: ClassVar[Mapping[str, Any]] = MappingProxyType({})
     """Settings of the system that the rule brings, by name: ``{"optim__lr_xyz": 1e-4}``. The mapper applies them when
     it is made, so they are among the settings that are stored and shown. They replace the user's values, except those
@@ -93,3 +96,20 @@ class MapRule(ABC):
     @abstractmethod
     def seeds(self, ctx: SeedContext, memory: dict[str, Any]) -> Seeds:
         """The Gaussians that are created from one frame; ``memory`` is ``ctx.memory``."""
+
+    def after_step(self, ctx: SeedContext, stats: StepStats, memory: dict[str, Any]) -> Edit | None:
+        """Changes of the map after a gradient step; None for none. A rule need not have this method.
+
+        GSFusion calls it after every gradient step. RTG-SLAM optimises copies of some rows and calls it each time after
+        these were written to the map: once after a window, once after a keyframe's optimisation, and after every step
+        in the passes after the scan. If it raises while a frame is mapped, the whole frame is undone. In the passes the
+        step stays, and the edit is not made.
+
+        Args:
+            ctx: The frame that is mapped (in the passes: the keyframe, without depth if the mapper keeps none), and the
+                map as it is after the step. Numbers for each row of the map that move with the row are in
+                ``ctx.gaussians.row_memory("name")``.
+            stats: The step.
+            memory: The rule's memory, ``ctx.memory``.
+        """
+        return None

@@ -9,6 +9,7 @@ from torch import Tensor
 from ..constants import SH_C0
 from ..geometry import quaternion
 from ..types import GaussianParams
+from .step_stats import image_gradient, times_visible
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -36,6 +37,12 @@ class MapView:
     those that are not mapped. None if the map does not keep it."""
     age_steps: Int[Tensor, " N"] | None = None
     """Steps of the map (``SeedContext.step_count``) since each Gaussian was added. None if the map does not keep it."""
+    times_visible: Float[Tensor, " N"] | None = None
+    """Gradient steps in which each Gaussian was visible; None unless a rule that is a class asks for it: needs
+    "visibility"."""
+    image_gradient: Float[Tensor, " N"] | None = None
+    """Mean length of dL/d of its centre in the image over these steps, in units of half the image; None unless a rule
+    that is a class asks for it: needs "image_gradients"."""
 
     @property
     def normal_W(self) -> Float[Tensor, "N 3"]:
@@ -73,4 +80,6 @@ def view_map(gaussians: Any, frame_index: int) -> MapView:
         state=getattr(gaussians, "state", None),
         age_frames=None if birth_frame is None else frame_index - birth_frame,
         age_steps=None if birth_step is None else gaussians.step_count - birth_step,
+        times_visible=times_visible(gaussians) if hasattr(gaussians, "memory") else None,
+        image_gradient=image_gradient(gaussians) if hasattr(gaussians, "memory") else None,
     )

@@ -150,7 +150,7 @@ def test_a_map_with_half_a_frame_takes_no_more(system, small_room, config, monke
     def full(*_):
         raise MemoryError("no room")
 
-    monkeypatch.setattr(mapper, "_optimise_online" if system == "gsfusion" else "_manage_states", full)
+    monkeypatch.setattr(mapper.localiser, "record", full)
     with pytest.raises(MemoryError, match="no room"):
         mapper.step(small_room[1])
     monkeypatch.undo()
@@ -162,10 +162,10 @@ def test_ctrl_c_while_the_map_changes_waits_until_the_frame_is_counted(small_roo
     run = MappingRun(apply_options(small_room, config.data), GSFusion(config))
     step = GSFusion._optimise_online
 
-    def pressed(self, frame, is_keyframe):
+    def pressed(self, context, is_keyframe):
         if self.n_frames == 2:
             signal.raise_signal(signal.SIGINT)
-        return step(self, frame, is_keyframe)
+        return step(self, context, is_keyframe)
 
     monkeypatch.setattr(GSFusion, "_optimise_online", pressed)
     with pytest.raises(KeyboardInterrupt):

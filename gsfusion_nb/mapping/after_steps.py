@@ -1,0 +1,193 @@
+"""What a seeding rule does after gradient steps: the statistics that it asks for, and its edits of the map."""
+
+import dataclasses
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from ..errors import shown
+from ..gaussians import Edit, GaussianModel, SurfelModel
+from ..optim import Keyframe
+from ..render import Footprints, footprints
+from ..seeding import ChangedInputError, MapRule, SeedContext, StepStats, check_memory, copy_memory, rule_name
+from ..seeding.step_stats import add_up
+from ..seeding.unchanged_inputs import Versions
+from ..types import Camera, Frame
+from .rule_in_use import RuleInUse
+from .surfel_optimiser import SurfelOptimiser, TrainingView
+
+if TYPE_CHECKING:
+    from .mapper import Mapper
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class WatchedStep:
+    """What is collected while a step is taken."""
+
+    footprints: Footprints | None
+    """Of all rows of the map."""
+    v_uv: Float[Tensor, "N 2"] | None
+    """To be filled by ``render_vjp``, one row for each Gaussian that it is given."""
+
+
+class AfterSteps:
+    """Collects the statistics of gradient steps that a rule asks for, and lets it edit the map after them.
+
+    Args:
+        rule: The rule of the mapper; a function neither asks for statistics nor edits.
+    """
+
+    def __init__(self, rule: RuleInUse):
+        made = rule.map_rule
+        self._rule, self._name = made, rule_name(rule.rule)
+        self._needs: frozenset[str] = frozenset() if made is None else made.needs
+        self.edits = made is not None and type(made).after_step is not MapRule.after_step
+        """Whether the rule may edit the map after a step."""
+        self.is_used = self.edits or bool(self._needs)
+        """Whether anything at all is done after a step."""
+        self.taken = 0
+        """Number of gradient steps so far; counted only if ``is_used``."""
+        self._context: SeedContext | None = None
+        self._steps_in_frame, self._first = 1, 0
+
+    def frame_begins(self, context: SeedContext, n_steps: int) -> None:
+        """The frame of ``context`` will be optimised with ``n_steps`` gradient steps."""
+        self._context, self._steps_in_frame, self._first = context, n_steps, self.taken
+
+    def frame_ends(self) -> None:
+        """Further steps belong to the passes after the scan."""
+        self._context = None
+
+    def watch(
+        self, model: GaussianModel, camera: Camera, T_WC: Tensor, n_rows: int | None = None
+    ) -> WatchedStep | None:
+        """Begin a step; None if nothing is collected.
+
+        Args:
+            model: The map before the step.
+            camera, T_WC: The view that is rendered.
+            n_rows: Number of rows that are rendered; all by default.
+        """
+        if not self.is_used:
+            return None
+        gradients = "image_gradients" in self._needs
+        seen = footprints(model.params, camera, T_WC) if gradients or "visibility" in self._needs else None
+        n = len(model) if n_rows is None else n_rows
+        return WatchedStep(footprints=seen, v_uv=torch.zeros(n, 2, device=model.device) if gradients else None)
+
+    def add_up(
+        self, model: GaussianModel, step: WatchedStep, camera: Camera, rows: Int[Tensor, " R"] | None = None
+    ) -> WatchedStep:
+        """Count a step and add it to the statistics of each row; returns it with ``v_uv`` for all rows of the map.
+
+        Args:
+            model: The map.
+            step: From ``watch``.
+            camera: That of the view.
+            rows: Row of the map of each rendered Gaussian, if not all were.
+        """
+        self.taken += 1
+        if step.footprints is None:
+            return step
+        if rows is not None and step.v_uv is not None:
+            every = step.v_uv.new_zeros(len(model), 2)
+            every[rows] = step.v_uv
+            step = dataclasses.replace(step, v_uv=every)
+        add_up(model, step.footprints.visible, step.v_uv, camera)
+        return step
+
+    def surfel_step(
+        self, model: SurfelModel, optimiser: SurfelOptimiser, view: TrainingView
+    ) -> tuple[Float[Tensor, ""], WatchedStep | None]:
+        """A step of an optimiser that works on copies of rows: its loss, and what was collected of it."""
+        watched = self.watch(model, view.camera, view.T_WC, len(optimiser.drawn))
+        loss = optimiser.step(view, None if watched is None else watched.v_uv).total
+        if watched is not None:
+            watched = self.add_up(model, watched, view.camera, optimiser.drawn)
+        return loss, watched
+
+    def __call__(
+        self,
+        mapper: "Mapper",
+        step: WatchedStep,
+        view: Frame | Keyframe,
+        loss: Float[Tensor, ""],
+        rgb: Float[Tensor, "H W 3"],
+    ) -> None:
+        """Let the rule edit the map, after a step was written to it.
+
+        Args:
+            mapper: Its map, and its contexts of keyframes in the passes after the scan.
+            step: From ``add_up``.
+            view: What was rendered.
+            loss: Loss before the step.
+            rgb: The rendered picture.
+
+        Raises:
+            Exception: what the rule raises, or ``ValueError`` if its edit is not possible. The map has no part of the
+                edit. In the passes after the scan the rule's memory and its random numbers are as before the call;
+                online, whoever undoes the frame restores them.
+        """
+        if not self.edits:
+            return
+        if self._context is not None:
+            self._edit(mapper, dataclasses.replace(self._context), self._stats(step, view, loss, rgb))
+            return
+        ctx = mapper.seed_context(_as_frame(view))
+        memory, random_numbers = copy_memory(ctx.memory), ctx.generator.get_state()
+        try:
+            self._edit(mapper, ctx, self._stats(step, view, loss, rgb))
+        except BaseException:
+            ctx.memory.clear()
+            ctx.memory.update(memory)
+            ctx.generator.set_state(random_numbers)
+            raise
+
+    def _stats(self, step: WatchedStep, view: Frame | Keyframe, loss: Tensor, rgb: Tensor) -> StepStats:
+        online, seen = self._context is not None, step.footprints
+        return StepStats(
+            step=self.taken,
+            stage="online" if online else "passes",
+            step_in_frame=self.taken - self._first if online else 1,
+            steps_in_frame=self._steps_in_frame if online else 1,
+            frame_index=view.index,
+            camera=view.camera,
+            T_WC=view.T_WC,
+            target=view.rgb,
+            loss=loss,
+            rgb=rgb if "render" in self._needs else None,
+            visible=None if seen is None else seen.visible,
+            radius_px=None if seen is None else seen.radius_px,
+            v_uv=step.v_uv,
+        )
+
+    def _edit(self, mapper: "Mapper", ctx: SeedContext, stats: StepStats) -> None:
+        assert self._rule is not None
+        versions = Versions(ctx)
+        edit = self._rule.after_step(ctx, stats, ctx.memory)
+        check_memory(self._name, ctx.memory)
+        if changed := versions.changed():
+            raise ChangedInputError(self._name, changed)
+        if edit is None:
+            return
+        if not isinstance(edit, Edit):
+            raise TypeError(f"seeding rule {self._name!r}: after_step must return an Edit or None, got {shown(edit)}")
+        try:
+            before = mapper.gaussians.edit(edit, ctx.generator, ctx.frame.index)
+        except ValueError as error:
+            raise ValueError(f"seeding rule {self._name!r} returned an impossible edit: {error}") from None
+        mapper.rows_changed(before)
+
+
+def _as_frame(view: Frame | Keyframe) -> Frame:
+    """A keyframe as a frame: at time 0, and without depth if it has none."""
+    if isinstance(view, Frame):
+        return view
+    size, depth_m = view.rgb_u8.shape[:2], view.depth_m
+    depth_m = torch.zeros(size, device=view.rgb_u8.device) if depth_m is None else depth_m
+    return Frame(
+        index=view.index, timestamp_s=0.0, colour=view.rgb_u8, depth_m=depth_m, camera=view.camera, T_WC=view.T_WC
+    )

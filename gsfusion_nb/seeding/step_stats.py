@@ -1,0 +1,93 @@
+"""What a rule that is a class learns about each optimisation step."""
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from ..types import Camera
+
+NEEDS = {
+    "visibility": "``visible`` and ``radius_px``, and how often each Gaussian was visible",
+    "image_gradients": "``v_uv``, and the mean length of it for each Gaussian",
+    "render": "``rgb``",
+}
+"""What ``MapRule.needs`` may name, and what is then collected; "image_gradients" includes "visibility"."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StepStats:
+    """One gradient step, or the last of several if the map is written only after them (RTG-SLAM).
+
+    Values for each Gaussian are those of the map before the step; N is its number of rows, which is the same after it.
+    What only ``MapRule.needs`` makes the mapper collect is None without it.
+    """
+
+    step: int
+    """Number of gradient steps of the map so far, this one included, from 1."""
+    stage: Literal["online", "passes"]
+    """While scanning, or in the passes over the keyframes after the scan."""
+    step_in_frame: int
+    """Number of gradient steps for this frame so far, from 1. In the passes after the scan: 1."""
+    steps_in_frame: int
+    """Number of gradient steps that there will be for this frame. In the passes after the scan: 1."""
+    frame_index: int
+    """Index of the frame or keyframe that was rendered and compared; online it may be an earlier one than
+    ``ctx.frame``."""
+    camera: Camera
+    T_WC: Float[Tensor, "4 4"]
+    """Camera and pose that were rendered."""
+    target: Float[Tensor, "H W 3"]
+    """The measured colours, 0..1."""
+    loss: Float[Tensor, ""]
+    """Loss before the step, on the device of the map."""
+    rgb: Float[Tensor, "H W 3"] | None = None
+    """The rendered picture before the step, with "render". Pixels that were not drawn are black (RTG-SLAM)."""
+    visible: Bool[Tensor, " N"] | None = None
+    """Whether each Gaussian reaches into the picture, hidden or not, with "visibility"."""
+    radius_px: Float[Tensor, " N"] | None = None
+    """Half of the longer side of the box in the picture outside which its alpha is below 1/255, pixels, 0 where not
+    visible; with "visibility"."""
+    v_uv: Float[Tensor, "N 2"] | None = None
+    """dL/d of its centre in the picture, per pixel, with "image_gradients"; 0 where it was not optimised."""
+
+
+VISIBLE, GRADIENT = "times_visible", "image_gradient"
+"""Names of the numbers that are summed up for each row: steps in which it was visible, and lengths of its ``v_uv``."""
+
+
+def add_up(gaussians: Any, visible: Bool[Tensor, " N"], v_uv: Float[Tensor, "N 2"] | None, camera: Camera) -> None:
+    """Add a step to the statistics of each row of a map, which ``times_visible`` and ``image_gradient`` read."""
+    gaussians.row_memory(VISIBLE).add_(visible)
+    if v_uv is not None:
+        length = (v_uv * v_uv.new_tensor([camera.width / 2, camera.height / 2])).norm(dim=1)
+        gaussians.row_memory(GRADIENT).add_(torch.where(visible, length, 0.0))
+
+
+def times_visible(gaussians: Any) -> Float[Tensor, " N"] | None:
+    """Number of gradient steps in which each Gaussian was visible since ``restart_statistics``; None if not collected.
+
+    Source: Kerbl et al. 2023, section 5.2.
+    """
+    return gaussians.memory.get(VISIBLE)
+
+
+def image_gradient(gaussians: Any) -> Float[Tensor, " N"] | None:
+    """Mean length of dL/d of each centre in the image over the steps in which it was visible; None if not collected.
+
+    The unit of length in the image is half its width and half its height, as in 3DGS and gsplat, whose threshold
+    2e-4 refers to it.
+
+    Source: Kerbl et al. 2023, section 5.2.
+    """
+    total = gaussians.memory.get(GRADIENT)
+    return None if total is None else total / gaussians.memory[VISIBLE].clamp_min(1)
+
+
+def restart_statistics(gaussians: Any) -> None:
+    """Forget what was summed up so far."""
+    for name in (VISIBLE, GRADIENT):
+        if name in gaussians.memory:
+            gaussians.memory[name].zero_()
