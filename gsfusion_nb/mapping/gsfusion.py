@@ -58,7 +58,7 @@ class GSFusion(Mapper):
     def __repr__(self) -> str:
         return (
             f"GSFusion({self.n_frames} frames, {len(self.gaussians):,} Gaussians, {len(self.keyframes)} keyframes, "
-            f"{self.volume.n_blocks:,} voxel blocks, rule {self.config.seeding.rule!r})"
+            f"{self.volume.n_blocks:,} voxel blocks, rule {self.config.seeding.rule!r}{self.rule_in_use.memory_note})"
         )
 
     def step(self, frame: Frame) -> StepReport:

@@ -113,7 +113,7 @@ class Mapper(ABC):
     def __repr__(self) -> str:
         return (
             f"{type(self).__name__}({self.n_frames} frames, {len(self.gaussians):,} Gaussians, "
-            f"{len(self.keyframes)} keyframes, rule {rule_name(self.rule)!r})"
+            f"{len(self.keyframes)} keyframes, rule {rule_name(self.rule)!r}{self.rule_in_use.memory_note})"
         )
 
     @property
@@ -275,11 +275,13 @@ class Mapper(ABC):
         return {"gaussians": vars(self.gaussians.params)}
 
     def parts(self) -> list[MapPart]:
-        """What the map consists of and how much memory each part takes."""
-        return [
+        """What the map consists of and how much memory each part takes; the rule's memory only if it has one."""
+        parts = [
             MapPart(name="Gaussians", count=len(self.gaussians), size_bytes=self.gaussians.memory_bytes),
             MapPart(name="keyframes", count=len(self.keyframes), size_bytes=self.keyframes.size_bytes),
         ]
+        kept = MapPart(name="values kept by the rule", count=len(self.memory), size_bytes=self.rule_in_use.memory_bytes)
+        return [*parts, kept] if self.memory else parts
 
     def mesh_on_cpu(self) -> Mesh | None:
         """The mesh, computed without a GPU whose memory is full; ``None`` if that is not possible."""

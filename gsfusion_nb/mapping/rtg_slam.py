@@ -69,7 +69,8 @@ class RTGSLAM(Mapper):
 
     def __repr__(self) -> str:
         counts = ", ".join(f"{n:,} {name.replace('_', ' ')}" for name, n in state_counts(self.gaussians).items())
-        return f"RTGSLAM({self.n_frames} frames, {len(self.gaussians):,} Gaussians ({counts}))"
+        note = self.rule_in_use.memory_note
+        return f"RTGSLAM({self.n_frames} frames, {len(self.gaussians):,} Gaussians ({counts}){note})"
 
     def step(self, frame: Frame) -> StepReport:
         """Map one frame (paper Fig. 2, section 3.2), all of it or nothing.

@@ -1,6 +1,9 @@
 """The seeding rule of a mapper: with its options, when it is asked, its memory, and what a checkpoint saves of it."""
 
+from collections.abc import Iterator
 from typing import Any
+
+from torch import Tensor
 
 from ..errors import SequenceError, shown
 from ..seeding import (
@@ -11,6 +14,7 @@ from ..seeding import (
     check_memory,
     check_options,
     copy_memory,
+    describe_memory,
     is_map_rule,
     registered,
     rule_fingerprint,
@@ -45,6 +49,16 @@ class RuleInUse:
         self.memory: dict[str, Any] = {}
         """What it keeps from one frame to the next; always the same dict."""
         self._fingerprint = rule_fingerprint(rule)
+
+    @property
+    def memory_note(self) -> str:
+        """What the memory holds and the sizes, for the end of a line; empty without a memory."""
+        return f", memory: {describe_memory(self.memory)}" if self.memory else ""
+
+    @property
+    def memory_bytes(self) -> int:
+        """Size of the tensors in the memory, bytes."""
+        return sum(tensor.nbytes for tensor in _tensors(self.memory))
 
     def state_dict(self) -> dict[str, Any]:
         """Name and fingerprint of the rule, and its state.
@@ -88,6 +102,14 @@ class RuleInUse:
     def differs(self, state: dict[str, Any]) -> bool:
         """Whether this is not the rule of ``state``, or it was edited since."""
         return state["name"] != rule_name(self.rule) or state["fingerprint"] != self._fingerprint
+
+
+def _tensors(memory: Any) -> Iterator[Tensor]:
+    if isinstance(memory, Tensor):
+        yield memory
+    elif isinstance(memory, (dict, list, tuple)):
+        for value in memory.values() if isinstance(memory, dict) else memory:
+            yield from _tensors(value)
 
 
 def check_known(state: dict[str, Any]) -> None:

@@ -5,6 +5,7 @@ from .map_sequence import FinishedRun as FinishedRun
 from .map_sequence import resume_mapping as resume_mapping
 from .map_sequence import run_mapping as run_mapping
 from .map_stream import map_stream as map_stream
+from .mapped_contexts import mapped_contexts as mapped_contexts
 from .mapping_run import MappingRun as MappingRun
 from .report_data import FrameRow as FrameRow
 from .report_data import ReportData as ReportData

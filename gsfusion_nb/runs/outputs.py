@@ -128,7 +128,7 @@ def write_page(run: MappingRun, folder: Path, metrics: dict[str, Any]) -> Path:
     about = [
         f"{len(run.steps)} frames",
         f"SH degree {config.sh_degree}",
-        *([f"rule {rule_name(run.mapper.rule)}"] if run.mapper.asks_rule else []),
+        *([f"rule {rule_name(run.mapper.rule)}{run.mapper.rule_in_use.memory_note}"] if run.mapper.asks_rule else []),
     ]
     data = ReportData(
         title=f"{run.mapper.title} on {run.sequence.name}",

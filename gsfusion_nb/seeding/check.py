@@ -13,9 +13,10 @@ import torch
 
 from ..geometry import se3
 from ..types import Frame, Seeds
-from .check_scenes import check_contexts
+from .check_scenes import Walk, check_contexts
 from .context import SeedContext
 from .fingerprint import rule_fingerprint
+from .memory import copy_memory, equal_memories
 from .rule import apply_rule, get_rule, rule_choices, rule_options
 from .rule_signature import Option, SeedingRule, rule_name
 from .unchanged_inputs import ChangedInputError, context_tensors
@@ -45,9 +46,12 @@ def check_rule(rule: str | SeedingRule, contexts: dict[str, SeedContext] | None 
     """Check the contract of a seeding rule: valid seeds, in front of the camera, none without depth, repeatable, and no
     change to the frame or the map.
 
+    It runs in single frames, and through a walk in which a map grows from its own seeds and its memory is kept. For a
+    map that GSFusion optimised, see ``gsfusion_nb.runs.mapped_contexts``.
+
     Args:
-        rule: Name or function; it need not be registered.
-        contexts: Scenes by name, in place of the built-in ones.
+        rule: Name, function or class; it need not be registered.
+        contexts: Scenes by name, in place of the built-in ones and of the walk.
 
     Returns:
         A report, printed as text.
@@ -66,13 +70,15 @@ def check_rule(rule: str | SeedingRule, contexts: dict[str, SeedContext] | None 
         _check_in_front(first, ctx.frame, where)
         _check_missing_depth(function, ctx, where)
         _check_every_option(function, ctx, first, where)
-        _check_no_memory(function, kept, where)
+        _check_nothing_kept(function, kept, where)
         counts[scene] = len(first)
+    if contexts is None:
+        counts["walk"] = _check_walk(function, kept, f"seeding rule {name!r}, scene 'walk'")
     passed = (
         "columns of the right shape, finite, scale > 0, opacity in (0, 1), colour in 0..1",
         "changes neither the frame nor the map",
         "same input, same output; random numbers only from ctx.generator",
-        "nothing kept from one frame to the next",
+        "nothing kept from one frame to the next, except in ctx.memory",
         "seeds lie in front of the camera",
         "no depth, no seeds",
         f"every option is taken: {', '.join(rule_options(function)) or '(it has none)'}",
@@ -81,8 +87,9 @@ def check_rule(rule: str | SeedingRule, contexts: dict[str, SeedContext] | None 
 
 
 def _fresh(ctx: SeedContext, seed: int = 0, **changes: Any) -> SeedContext:
-    """The same context with nothing cached and its generator at the start."""
-    return dataclasses.replace(ctx, generator=torch.Generator().manual_seed(seed), **changes)
+    """The same context with nothing cached, a copy of its memory, and its generator at the start."""
+    generator = torch.Generator().manual_seed(seed)
+    return dataclasses.replace(ctx, generator=generator, memory=copy_memory(ctx.memory), **changes)
 
 
 def _run_unchanged(rule: SeedingRule, ctx: SeedContext, where: str) -> Seeds:
@@ -104,20 +111,38 @@ def _changed(where: str, what: str) -> str:
     return f"{where}: it changed {what} in place; work on a copy (x.clone())"
 
 
-def _check_no_memory(rule: SeedingRule, before: str, where: str) -> None:
-    """The rule stores nothing new after all these runs."""
+def _check_walk(rule: SeedingRule, kept: str, where: str) -> int:
+    """Several frames in which a map grows from the rule's own seeds. Returns the number of seeds."""
+    total, memory = 0, {}
+    walk = Walk()
+    for number in range(walk.n_frames):
+        here, ctx = f"{where}, frame {number}", walk.context(number, memory)
+        first = _run_unchanged(rule, ctx, here)
+        after = _check_randomness(rule, ctx, first, here)
+        _check_in_front(first, ctx.frame, here)
+        _check_nothing_kept(rule, kept, here)
+        walk.grow(first)
+        total, memory = total + len(first), after
+    return total
+
+
+def _check_nothing_kept(rule: SeedingRule, before: str, where: str) -> None:
+    """The rule stores nothing new after all these runs, except in the memory of a context."""
     if rule_fingerprint(rule) != before:
         raise AssertionError(
             f"{where}: it keeps something from one frame to the next (a global, a variable around it, an attribute); "
-            "its seeds may depend on the context only"
+            "its seeds may depend on the context only: keep it in ctx.memory"
         )
 
 
-def _check_randomness(rule: SeedingRule, ctx: SeedContext, first: Seeds, where: str) -> None:
+def _check_randomness(rule: SeedingRule, ctx: SeedContext, first: Seeds, where: str) -> dict[str, Any]:
+    """Runs on equal inputs give equal seeds, and leave equal memories. Returns the memory afterwards."""
+    memories = []
     for seed in (1, 2):
+        fresh = _fresh(ctx)
         with _other_generators(seed):
             state = _generator_states()
-            again = apply_rule(rule, _fresh(ctx))
+            again = apply_rule(rule, fresh)
             drawn_from = [name for name, value in _generator_states().items() if value != state[name]]
         if drawn_from:
             raise AssertionError(
@@ -129,6 +154,13 @@ def _check_randomness(rule: SeedingRule, ctx: SeedContext, first: Seeds, where: 
                 f"{where}: two runs on the same input gave different seeds; a rule may depend on the context only, "
                 "and draw from ctx.generator only"
             )
+        memories.append(fresh.memory)
+    if not equal_memories(*memories):
+        raise AssertionError(
+            f"{where}: two runs on the same input left different values in its memory; they may depend on the context "
+            "and on the memory only"
+        )
+    return memories[0]
 
 
 def _check_in_front(seeds: Seeds, frame: Frame, where: str) -> None:

@@ -12,7 +12,7 @@ from ..config import SeedingConfig, TsdfConfig
 from ..gaussians import GaussianModel
 from ..geometry import depth_to_normals, pixel_grid, rays, se3
 from ..tsdf import RaycastOutput, TsdfVolume, integrate
-from ..types import Camera, Frame, GaussianParams
+from ..types import Camera, Frame, GaussianParams, Seeds
 from .context import SeedContext
 
 _TSDF = TsdfConfig(voxel_size_m=0.02, truncation_voxels=4.0)
@@ -57,6 +57,39 @@ def _real_map(frame: Frame, config: SeedingConfig) -> SeedContext:
     beside = _scene_frame(61, 47, shift_m=0.15)
     integrate(volume, beside)
     return SeedContext(beside, volume, gaussians, config=config)
+
+
+class Walk:
+    """A camera that moves sideways through the scene, and maps that grow as in a mapper, without optimisation.
+
+    So that the Gaussians are not all round and equal, their sizes, directions and opacities are disturbed a little.
+    """
+
+    n_frames = 3
+
+    def __init__(self):
+        self._volume, self._gaussians = TsdfVolume(_TSDF), GaussianModel(sh_degree=1)
+        self._frames: list[Frame] = []
+
+    def context(self, number: int, memory: dict[str, Any]) -> SeedContext:
+        """What a rule sees of the next frame; ``memory`` is what it kept so far. The frame is in the volume."""
+        frame = dataclasses.replace(_scene_frame(48, 36, shift_m=0.2 * number), index=number)
+        integrate(self._volume, frame)
+        self._frames.append(frame)
+        past = tuple(f.T_WC for f in self._frames[:-1])
+        config = SeedingConfig(quadtree_contrast="std", quadtree_threshold=0.05)
+        return SeedContext(
+            frame, self._volume, self._gaussians, config=config, memory=memory, past_T_WC=past, starts_submap=not number
+        )
+
+    def grow(self, seeds: Seeds) -> None:
+        """Add seeds to the map."""
+        before = len(self._gaussians)
+        self._gaussians.append(seeds, self._frames[-1].index)
+        params, n, g = self._gaussians.params, len(self._gaussians) - before, torch.Generator().manual_seed(before)
+        for column, size in ((params.log_scale, 0.3), (params.quat, 0.2), (params.opacity_logit, 1.0)):
+            column[before:] += size * torch.randn(n, *column.shape[1:], generator=g)
+        self._gaussians.step_count += 5
 
 
 class SceneVolume:

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import torch
 from torch import Tensor
 
 from ..errors import shown
@@ -44,6 +45,19 @@ def copy_memory(memory: Any) -> Any:
     if isinstance(memory, (list, tuple)):
         return type(memory)(copy_memory(value) for value in memory)
     return memory
+
+
+def equal_memories(a: Any, b: Any) -> bool:
+    """Whether two memories hold the same values, bit for bit."""
+    if type(a) is not type(b):
+        return False
+    if isinstance(a, Tensor):
+        return a.dtype == b.dtype and a.shape == b.shape and torch.equal(a, b)
+    if isinstance(a, dict):
+        return a.keys() == b.keys() and all(equal_memories(value, b[key]) for key, value in a.items())
+    if isinstance(a, (list, tuple)):
+        return len(a) == len(b) and all(map(equal_memories, a, b))
+    return a == b or (a != a and b != b)
 
 
 def describe_memory(memory: dict[str, Any]) -> str:

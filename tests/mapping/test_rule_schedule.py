@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 import pytest
 import torch
 
-from gsfusion_nb.config import replace, rtg_slam
+from gsfusion_nb.config import RtgSlamConfig, replace, rtg_slam
 from gsfusion_nb.mapping import RTGSLAM, GSFusion
 from gsfusion_nb.mapping.random_streams import RandomStreams
 from gsfusion_nb.seeding import KEYFRAMES, MapRule, SeedContext, Seeds, When, every, submaps
@@ -15,6 +15,12 @@ from gsfusion_nb.seeding import KEYFRAMES, MapRule, SeedContext, Seeds, When, ev
 @pytest.fixture
 def frames(split):
     return [split.mapping[i] for i in range(4)]
+
+
+def small_rtg_slam(**changes: Any) -> RtgSlamConfig:
+    """Few steps."""
+    few = {"window__iterations": 4, "keyframes__iterations": 3}
+    return rtg_slam("room", data__width=0, data__height=0, **few, **changes)
 
 
 def random_cells(ctx: SeedContext, *, draws: int = 1, share: float = 0.5) -> Seeds:
@@ -63,7 +69,7 @@ class Remembering(MapRule):
 @pytest.mark.parametrize("system", [GSFusion, RTGSLAM])
 @pytest.mark.parametrize(("when", "asked"), [(every(2), [0, 2]), (submaps(3), [0, 3])])
 def test_a_rule_is_asked_only_when_it_is_due(system, when, asked, frames, config):
-    settings = config if system is GSFusion else rtg_slam("room", data__width=0, data__height=0)
+    settings = config if system is GSFusion else small_rtg_slam()
     mapper = system(settings, seeding=rule_due(when))
     new = [mapper.step(frame).n_seeds for frame in frames]
     assert [i for i, n in enumerate(new) if n] == asked
@@ -81,7 +87,7 @@ def test_a_rule_for_keyframes_needs_keyframes_that_do_not_depend_on_seeds(frames
 
 
 def test_rtg_slam_knows_its_keyframes_before_the_rule_runs(frames):
-    settings = rtg_slam("room", data__width=0, data__height=0, keyframes__rotation_deg=1e-3)
+    settings = small_rtg_slam(keyframes__rotation_deg=1e-3)
     mapper = RTGSLAM(settings, seeding=rule_due(KEYFRAMES))
     reports = [mapper.step(frame) for frame in (frames[0], frames[0], frames[1])]
     assert [report.is_keyframe for report in reports] == [True, False, True]
@@ -103,7 +109,7 @@ def test_with_keyframe_every_all_rules_get_the_same_steps(frames, config):
 
 
 def test_rtg_slam_counts_its_steps(frames):
-    mapper = RTGSLAM(rtg_slam("room", data__width=0, data__height=0, keyframes__rotation_deg=1e-3))
+    mapper = RTGSLAM(small_rtg_slam(keyframes__rotation_deg=1e-3))
     first, second = (mapper.step(frame).n_steps for frame in frames[:2])
     assert first == mapper.config.window.iterations
     assert second == mapper.config.keyframes.iterations
@@ -138,7 +144,7 @@ def test_the_streams_follow_from_the_seed_and_differ():
 
 @pytest.mark.parametrize("system", [GSFusion, RTGSLAM])
 def test_a_resumed_map_with_a_memory_is_equal_bit_for_bit(system, frames, config):
-    settings = config if system is GSFusion else rtg_slam("room", data__width=0, data__height=0)
+    settings = config if system is GSFusion else small_rtg_slam()
     whole, half = (system(settings, seeding=Remembering) for _ in range(2))
     for frame in frames:
         whole.step(frame)
@@ -155,6 +161,9 @@ def test_a_resumed_map_with_a_memory_is_equal_bit_for_bit(system, frames, config
     for name, column in vars(whole.gaussians.params).items():
         assert torch.equal(column, getattr(resumed.gaussians.params, name)), name
     assert resumed.memory["calls"] == 4
+    n = len(resumed.memory["voxels"])
+    assert f", memory: voxels {n:,} int64, calls 4)" in repr(resumed)
+    assert next(p for p in resumed.parts() if p.name == "values kept by the rule").size_bytes == 8 * n
     assert torch.equal(resumed.memory["voxels"], whole.memory["voxels"])
 
 

@@ -2,14 +2,16 @@
 
 import pickle
 import random
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 import torch
 
 from gsfusion_nb.gaussians import GaussianModel
-from gsfusion_nb.seeding import SeedContext, Seeds, check_contexts, check_rule, registered
+from gsfusion_nb.runs import mapped_contexts
+from gsfusion_nb.seeding import MapRule, SeedContext, Seeds, check_contexts, check_rule, registered
 
 SEED_WHAT_IS_MAPPED = ("gs_icp", "gs_slam", "hf_slam", "monogs", "photo_slam", "vings")
 """Rules that look for errors where the map is, or do not look at it at all."""
@@ -24,6 +26,7 @@ def test_every_registered_rule_keeps_the_contract(name):
     assert name in SEED_WHAT_IS_MAPPED or report.seeds["new"] > report.seeds["half seen"]
     assert report.seeds["dark"] == 0
     assert "keeps the contract" in repr(report)
+    assert check_rule(name, mapped_contexts()).seeds["turned"] > 0
 
 
 def near_only(ctx: SeedContext, *, max_range_m: float = 1.5) -> Seeds:
@@ -179,3 +182,94 @@ def test_the_scene_is_what_it_says():
     assert ctx.frame.depth_m.max() > 1.9
     assert (ctx.normals()[1:-1, 1:-1].norm(dim=-1) > 0.99).float().mean() > 0.85
     assert len(ctx.quadtree_cells().level.unique()) >= 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class NewVoxels(MapRule):
+    """Cells in coarse voxels that it did not seed before, which it keeps in its memory."""
+
+    size_m: float = 0.1
+
+    def seeds(self, ctx: SeedContext, memory: dict[str, Any]) -> Seeds:
+        """New voxels only."""
+        cells = ctx.cells()
+        key = (cells.xyz_W / self.size_m).floor().long() @ torch.tensor([1, 1000, 1000000])
+        known = memory.get("known", key[:0])
+        fresh = ~torch.isin(key, known)
+        memory["known"] = torch.cat([known, key[fresh]])
+        return cells[fresh]
+
+
+def test_a_class_rule_with_a_memory_keeps_the_contract():
+    report = check_rule(NewVoxels)
+    assert report.seeds["walk"] > 0
+    assert "except in ctx.memory" in repr(report)
+    assert check_rule(NewVoxels, mapped_contexts()).seeds["turned"] > 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class HidesState(MapRule):
+    """Counts in an attribute of its class."""
+
+    calls: ClassVar[list[int]] = []
+
+    def seeds(self, ctx, memory):
+        self.calls.append(1)
+        return ctx.cells()
+
+
+@dataclass(frozen=True, kw_only=True)
+class TellsTheTime(MapRule):
+    """Its memory differs from run to run."""
+
+    def seeds(self, ctx, memory):
+        memory["at"] = memory.get("at", 0) + random.random()
+        return ctx.cells()
+
+
+@dataclass(frozen=True, kw_only=True)
+class MovesOldGaussians(MapRule):
+    """Changes the map, but only if it has seen it before."""
+
+    def seeds(self, ctx, memory):
+        if memory.setdefault("frames", 0) > 1:
+            ctx.gaussians.params.opacity_logit[0] = 0.0
+        memory["frames"] += 1
+        return ctx.cells()
+
+
+@dataclass(frozen=True, kw_only=True)
+class KeepsTheFrame(MapRule):
+    """Keeps what a checkpoint cannot save."""
+
+    def seeds(self, ctx, memory):
+        memory["frame"] = ctx.frame
+        return ctx.cells()
+
+
+@pytest.mark.parametrize(
+    ("rule", "error", "sentence"),
+    [
+        (HidesState, AssertionError, r"it keeps something from one frame to the next .*: keep it in ctx\.memory"),
+        (TellsTheTime, AssertionError, "two runs on the same input left different values in its memory"),
+        (MovesOldGaussians, AssertionError, r"scene 'walk', frame 2: it changed map\.opacity_logit in place"),
+        (KeepsTheFrame, TypeError, r"'KeepsTheFrame' keeps a Frame in its memory\['frame'\]"),
+    ],
+)
+def test_broken_class_rules_are_named(rule, error, sentence):
+    with pytest.raises(error, match=sentence):
+        check_rule(rule)
+
+
+def test_mapped_contexts_are_copies_of_a_real_map():
+    first, second = mapped_contexts(), mapped_contexts()
+    for name, ctx in first.items():
+        assert len(ctx.map) > 100
+        assert len(ctx.past_T_WC) == 4
+        assert len(ctx.keyframes) == 2
+        before = second[name].gaussians.params.xyz_W.clone()
+        ctx.gaussians.params.xyz_W.add_(1.0)
+        ctx.volume.D.fill_(0.0)
+        assert torch.equal(second[name].gaussians.params.xyz_W, before)
+        assert second[name].volume.D.abs().max() > 0
+    assert (first["seen"].render().alpha > 0.5).float().mean() > 0.1

@@ -13,7 +13,7 @@ from ...geometry import camera as pinhole
 from ...geometry import se3
 from ...mapping import GSFusion
 from ...render import render
-from ...seeding import SeedContext, SeedingRule, apply_rule, rule_choices, rule_name, rule_options
+from ...seeding import SeedContext, SeedingRule, apply_rule, copy_memory, rule_choices, rule_name, rule_options
 from ...tsdf import TsdfVolume, integrate
 from ...types import Frame, Seeds
 from .panel import Choice, Control, Drawn, Panel, Slider, Switch
@@ -74,14 +74,12 @@ def rule_context(mapper: GSFusion, frame: Frame) -> SeedContext:
     volume = TsdfVolume(mapper.config.tsdf, device=mapper.device)
     volume.load_state_dict(_copied(mapper.volume.state_dict()))
     integrate(volume, frame)
-    return SeedContext(
-        frame,
+    return dataclasses.replace(
+        mapper.seed_context(frame),
         volume=volume,
         gaussians=GaussianModel.from_state_dict(_copied(mapper.gaussians.state_dict())),
-        config=mapper.config.seeding,
-        near_m=mapper.config.tsdf.near_m,
-        keyframes=tuple(mapper.keyframes),
-        past_T_WC=tuple(mapper.localiser.poses),
+        generator=torch.Generator().manual_seed(0),
+        memory=copy_memory(mapper.memory),
     )
 
 
@@ -100,7 +98,8 @@ def rule_picture(
 
     Args:
         rule: Name or function.
-        ctx: The frame, and what was mapped before. Its generator is seeded with 0 first, so the picture repeats.
+        ctx: The frame, and what was mapped before. Its generator is seeded with 0 first, and its memory is restored
+            afterwards, so the picture repeats.
         options: Keyword arguments for the rule.
         show: What is drawn, one of ``SHOWS``.
         scale: Enlargement.
@@ -111,7 +110,12 @@ def rule_picture(
     if show not in SHOWS:
         raise ValueError(f"show must be one of {', '.join(SHOWS)}, got {show!r}")
     ctx.generator.manual_seed(0)
-    seeds = apply_rule(rule, ctx, options)
+    memory = copy_memory(ctx.memory)
+    try:
+        seeds = apply_rule(rule, ctx, options)
+    finally:
+        ctx.memory.clear()
+        ctx.memory.update(memory)
     if show == "places":
         picture = _with_dots(
             (to_uint8(ctx.frame.colour).repeat(scale, 0).repeat(scale, 1) * 0.5), ctx.frame, seeds, scale
