@@ -102,7 +102,7 @@ def op(folder: str, check: Callable[..., None] | None = None) -> Callable[[Calla
                     check(*args, **kwargs)
                 except ValueError as e:
                     raise ValueError(f"{name}: {e}") from None
-            if _chosen() not in ("reference", "torch") and _is_double(args, kwargs):
+            if chosen() not in ("reference", "torch") and _is_double(args, kwargs):
                 with use_backend("torch"):
                     return load(name, "torch")(*args, **kwargs)
             while True:
@@ -110,7 +110,7 @@ def op(folder: str, check: Callable[..., None] | None = None) -> Callable[[Calla
                 try:
                     return implementation(*args, **kwargs)
                 except KernelsUnusable as e:
-                    if _chosen() != "auto" or e.backend in _set_aside:
+                    if chosen() != "auto" or e.backend in _set_aside:
                         raise
                     _set_aside.add(e.backend)
                     automatic.cache_clear()
@@ -235,14 +235,15 @@ def _obstacle(name: str, backend: str) -> str | None:
     return f"backend {backend!r} is not used any more" if backend in _set_aside else _problem(name, backend)
 
 
-def _chosen() -> str:
+def chosen() -> str:
+    """The backend that was asked for: by ``use_backend``, else by the environment."""
     return _choice.get() or _FROM_ENVIRONMENT
 
 
 def _select(name: str, args: tuple, kwargs: dict) -> Callable:
     if args and isinstance(args[0], Record):
         return load(name, args[0].backend)
-    choice = _chosen()
+    choice = chosen()
     if choice != "auto":
         return _named(name, choice)
     if not offered(name):

@@ -4,7 +4,7 @@ import contextlib
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from multiprocessing.connection import Connection, wait
 from typing import Any
 
@@ -14,6 +14,88 @@ def usable_cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+class Died:
+    """The result of a job whose process ended without one: it was killed, or ran out of memory."""
+
+
+class WorkerPool:
+    """Processes that do one job at a time, as a context manager; at its end they are ended.
+
+    A process is started when there is a job for it, also in place of one that died.
+
+    Args:
+        job: A function of a module; its arguments and results can be pickled.
+        n_processes: The most processes.
+        environment: Environment variables of the processes.
+    """
+
+    def __init__(self, job: Callable[..., Any], n_processes: int, environment: Mapping[str, str] | None = None):
+        self._job, self._most = job, n_processes
+        self._environment = dict(environment or {})
+        self._context = multiprocessing.get_context("spawn")
+        self._processes: dict[Connection, Any] = {}
+        self._free: list[Connection] = []
+        self._running: dict[Connection, int] = {}
+
+    def __enter__(self) -> "WorkerPool":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for process in self._processes.values():
+            process.terminate()
+        for process in self._processes.values():
+            process.join()
+
+    @property
+    def has_room(self) -> bool:
+        """Whether a process is free, or can be started."""
+        return bool(self._free) or len(self._processes) < self._most
+
+    @property
+    def running(self) -> set[int]:
+        """Numbers of the jobs that have been started and not returned."""
+        return set(self._running.values())
+
+    def start(self, number: int, arguments: tuple) -> None:
+        """Begin ``job(*arguments)`` in a free process; ``wait`` returns its result with ``number``."""
+        connection = self._free.pop() if self._free else self._new()
+        self._running[connection] = number
+        with contextlib.suppress(OSError):  # it has died, which ``wait`` notices
+            connection.send(arguments)
+
+    def wait(self) -> list[tuple[int, Any]]:
+        """Wait for the next jobs to end. Returns number and result of each: None if the job raised, ``Died`` (the
+        class) if its process ended."""
+        ended = []
+        for connection in wait(list(self._running)):
+            assert isinstance(connection, Connection)
+            number = self._running.pop(connection)
+            try:
+                ended.append((number, connection.recv()))
+                self._free.append(connection)
+            except (EOFError, OSError):
+                self._processes.pop(connection).join()
+                ended.append((number, Died))
+        return ended
+
+    def _new(self) -> Connection:
+        ours, theirs = self._context.Pipe()
+        process = self._context.Process(target=_serve, args=(self._job, theirs), daemon=True)
+        before = {name: os.environ.get(name) for name in self._environment}
+        os.environ.update(self._environment)
+        try:
+            process.start()
+        finally:
+            for name, value in before.items():
+                if value is None:
+                    del os.environ[name]
+                else:
+                    os.environ[name] = value
+        theirs.close()
+        self._processes[ours] = process
+        return ours
 
 
 def run_in_processes(
@@ -32,40 +114,13 @@ def run_in_processes(
     The result is None if the job raised or its process was ended from outside. If the caller stops iterating, the
     processes are ended.
     """
-    context = multiprocessing.get_context("spawn")
-    left, free, running = list(range(len(arguments))), [], {}
-    processes = []
-    try:
-        for _ in range(min(n_processes, len(arguments))):
-            ours, theirs = context.Pipe()
-            processes.append(context.Process(target=_serve, args=(job, theirs), daemon=True))
-            processes[-1].start()
-            theirs.close()
-            free.append(ours)
-        while left or running:
-            while free and (i := _next(left, needs, set(running.values()))) is not None:
+    left = list(range(len(arguments)))
+    with WorkerPool(job, n_processes) as pool:
+        while left or pool.running:
+            while pool.has_room and (i := _next(left, needs, pool.running)) is not None:
                 left.remove(i)
-                running[free[-1]] = i
-                with contextlib.suppress(OSError):
-                    free[-1].send(arguments[i])
-                free.pop()
-            if not running:  # every process has ended
-                yield from ((i, None) for i in left)
-                return
-            for connection in wait(list(running)):
-                assert isinstance(connection, Connection)
-                i = running.pop(connection)
-                try:
-                    result = connection.recv()
-                    free.append(connection)
-                except (EOFError, OSError):
-                    result = None
-                yield i, result
-    finally:
-        for process in processes:
-            process.terminate()
-        for process in processes:
-            process.join()
+                pool.start(i, arguments[i])
+            yield from ((i, None if result is Died else result) for i, result in pool.wait())
 
 
 def _next(left: list[int], needs: Sequence[frozenset[str]], running: set[int]) -> int | None:

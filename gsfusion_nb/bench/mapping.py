@@ -7,11 +7,12 @@ from collections.abc import Iterator
 from ..backends import use_backend
 from ..config import gsfusion
 from ..mapping import GSFusion
+from ..memory import PeakMemory
 from .frames import case_name, open_frames, render_in_advance
 from .options import BenchOptions
 from .raster import DEVICES, our_backends
 from .rows import Case, Row
-from .timing import PeakMemory, Timing
+from .timing import Timing
 
 STAGES = {
     "read": "read", "tsdf": "TSDF", "quadtree": "quadtree", "seeding": "seeding", "optimise": "optimisation",

@@ -7,6 +7,7 @@ from typing import Any
 
 from ..backends import use_backend
 from ..config import TsdfConfig
+from ..memory import PeakMemory
 from ..tsdf import TsdfVolume, integrate
 from ..types import Frame
 from .frames import StoredFrames, case_name, stored_frames
@@ -15,7 +16,7 @@ from .other_programs import OTHER_PROGRAMS, why_not
 from .other_tsdf_volumes import Fuser, FusionSettings, Open3dGrid, OpencvHash
 from .raster import DEVICES, our_backends
 from .rows import Case, Row
-from .timing import Lap, PeakMemory, lap, summary
+from .timing import Lap, lap, summary
 
 VOXEL_SIZES_M = (0.02, 0.01)
 TRUNCATION_VOXELS = 4.0

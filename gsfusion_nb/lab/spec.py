@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from ..backends import from_environment
+from ..backends import chosen
 from ..checks import check_name, check_number, check_positive
 from ..config import SystemConfig, to_dict
 from ..config.values import check_kinds
@@ -29,10 +29,10 @@ class Budget:
     gaussians: int | None = None
     """Gaussians in the final map: one numeric option of each rule is tuned until it has this many. None: as many as the
     rule makes."""
-    seconds: float | None = None
+    seconds: float | int | None = None
     """Wall time of the mapping, seconds: the gradient steps per frame are tuned until it takes this long. None: as long
     as it takes."""
-    tolerance: float = 0.05
+    tolerance: float | int = 0.05
     """Largest relative deviation from ``gaussians`` or ``seconds``."""
 
     def __post_init__(self):
@@ -80,9 +80,9 @@ class RunSpec:
     size_option: str = ""
     """Option of the rule, or dotted setting, that is tuned to reach ``budget.gaussians``; the rule's own if empty.
     "thin": a random share of the seeds is kept instead."""
-    size_range: tuple[float, float] | None = None
+    size_range: tuple[float | int, float | int] | None = None
     """Smallest and largest value of ``size_option``; the usual range if None."""
-    keep_share: float = 1.0
+    keep_share: float | int = 1.0
     """Share of the rule's seeds that is kept, drawn at random; 1 keeps all."""
     rule_source: str = ""
     """Source of the file that the rule comes from; empty for a rule of this package."""
@@ -108,12 +108,16 @@ class RunSpec:
     def config(self) -> SystemConfig:
         """The settings of the mapper, before the budget changes any.
 
+        A rule that brings settings with it does not change those in ``settings``.
+
         Raises:
             KeyError: unknown system or preset. ValueError: a setting that does not exist, or has an invalid value.
         """
         base = get_system(self.system).preset(self.preset)
-        own = {"seeding.rule": self.rule_name, "seeding.options": dict(self.options), "seed": self.seed}
-        return with_settings(base, {**self.settings, **own})
+        given = {name.replace("-", "_"): value for name, value in self.settings.items()}
+        own = [*base.seeding.own_settings, *given.pop("seeding.own_settings", ()), *given]
+        rule = {"seeding.rule": self.rule_name, "seeding.options": dict(self.options), "seed": self.seed}
+        return with_settings(base, given | rule | {"seeding.own_settings": own})
 
     @functools.cached_property
     def key(self) -> str:
@@ -122,7 +126,7 @@ class RunSpec:
         for name in ("label", "scene", "data", "rule", "preset", "settings"):  # names, and what the settings say
             parts.pop(name)
         content = self.data_hash or _content(self.data)
-        return run_key(**parts, config=to_dict(self.config()), content=content, backend=from_environment())
+        return run_key(**parts, config=to_dict(self.config()), content=content, backend=chosen())
 
     def to_json(self) -> dict[str, Any]:
         """The run as plain values."""

@@ -5,9 +5,10 @@ Gaussians that are created from one frame. It changes none of its inputs but ``c
 only from ``ctx.generator``.
 """
 
+import contextlib
 import math
 import typing
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, TypeVar
 
 import torch
@@ -68,6 +69,17 @@ def get_rule(rule: str | SeedingRule) -> SeedingRule:
 def registered() -> dict[str, SeedingRule]:
     """Name -> function or class of every registered rule, in order of registration (a copy)."""
     return dict(_RULES)
+
+
+@contextlib.contextmanager
+def keep_registered() -> Iterator[dict[str, SeedingRule]]:
+    """Context in which rules can be registered, which are forgotten at its end; gives the rules registered before."""
+    before = dict(_RULES)
+    try:
+        yield before
+    finally:
+        _RULES.clear()
+        _RULES.update(before)
 
 
 def rule_options(rule: str | SeedingRule) -> dict[str, Option]:

@@ -7,7 +7,8 @@ import torch
 
 from gsfusion_nb.bench import timing
 from gsfusion_nb.bench.rows import Row, with_speed
-from gsfusion_nb.bench.timing import Lap, PeakMemory, Timing, lap, measure, summary, threads
+from gsfusion_nb.bench.timing import Lap, Timing, lap, measure, summary, threads
+from gsfusion_nb.memory import PeakMemory
 
 
 def test_medians_by_hand():

@@ -41,7 +41,7 @@ def test_the_settings_of_a_run_are_the_preset_with_its_changes():
 
 
 def test_the_key_follows_from_the_content_and_not_from_names():
-    same = [SPEC, changed(label="mine"), changed(scene="a room"), changed(settings=SPEC.settings | {"sh_degree": 3})]
+    same = [SPEC, changed(label="mine"), changed(scene="a room"), changed(preset="room")]
     others = [
         changed(seed=1),
         changed(rule="dense", options={}),

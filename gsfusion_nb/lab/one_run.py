@@ -1,0 +1,192 @@
+"""One run of the lab: reach the budget, map, score. The result follows from the spec alone."""
+
+import dataclasses
+import hashlib
+import json
+import math
+import platform
+from collections.abc import Generator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numba
+
+from ..data import sequence_fingerprint
+from ..drawing.pictures import encode_png
+from ..evaluation import ImageScores, NotComputed, score_views
+from ..evaluation.image import lpips_unavailable
+from ..files import write_file
+from ..mapping import StepReport
+from ..runs import MappingRun
+from ..runs.map_hashes import map_hashes
+from ..runs.outputs import environment, score_mesh
+from ..runs.scored_views import ScoredViews, scored_views
+from ..seeding import rule_source
+from ..types import Mesh
+from .map_scene import Entry, Mapped, map_scene
+from .result import RunResult
+from .spec import Budget, RunSpec
+from .tune import reach_budget, tune
+
+MOST_PICTURES = 3
+"""Held-out views of which pictures are saved."""
+SURFACE_SAMPLES = 50_000
+"""Points drawn on each of the two surfaces; with a quarter of those of a single run the numbers differ by 1 %."""
+MOST_MESHES = 100
+_scored_meshes: dict[str, dict[str, Any]] = {}
+"""Hash of a mesh and of the frames -> its scores."""
+
+
+def run_spec(spec: RunSpec, folder: Path | None = None) -> RunResult:
+    """Run ``spec`` and score it; the same on any machine that has the data, with the same programs.
+
+    Args:
+        spec: The run.
+        folder: Where pictures of some held-out views are saved; None saves none.
+
+    Returns:
+        The result; a rule, or data, that raises an error gives a failed one with the reason.
+    """
+    return run_entry(Entry(spec=spec), folder)
+
+
+def run_entry(entry: Entry, folder: Path | None = None, tuned: Mapping[str, Any] | None = None) -> RunResult:
+    """``run_spec`` of a run that has objects of this process; ``tuned`` as for ``reach_budget``."""
+    steps = run_steps(entry, folder, tuned)
+    while True:
+        try:
+            next(steps)
+        except StopIteration as ended:
+            return ended.value
+
+
+def run_steps(
+    entry: Entry,
+    folder: Path | None = None,
+    tuned: Mapping[str, Any] | None = None,
+    *,
+    everything: bool = True,
+) -> Generator[StepReport | None, None, RunResult]:
+    """``run_entry`` step by step: yields the report of each frame of the scored run, and None after other work.
+
+    A run that misses its number of Gaussians, because its seed differs from that of the tuning, is tuned once more with
+    its own seed.
+
+    Args:
+        entry: The run.
+        folder: Where pictures are saved; None saves none.
+        tuned: What ``tune`` found; see ``reach_budget``.
+        everything: False scores only the held-out views: no mapped views, no mesh.
+    """
+    try:
+        ready = yield from reach_budget(entry, tuned)
+        mapped = yield from map_scene(ready.entry, ready.config)
+        budget = entry.spec.budget
+        if budget.gaussians is not None and _error(mapped, budget) > budget.tolerance:
+            again = yield from tune(ready.entry)
+            ready = yield from reach_budget(entry, again | {"n_runs": again["n_runs"] + ready.tuned["n_runs"]})
+            mapped = yield from map_scene(ready.entry, ready.config)
+        return _result(entry, mapped, ready.tuned | _errors(mapped, budget), folder, everything)
+    except Exception as e:  # a user's rule may raise anything
+        return RunResult(spec=entry.spec, status="failed", reason=f"{type(e).__name__}: {e}")
+
+
+def _result(entry: Entry, mapped: Mapped, tuned: dict[str, Any], folder: Path | None, everything: bool) -> RunResult:
+    run, views = mapped.run, scored_views(mapped.run)
+    with_lpips = lpips_unavailable() is None
+    groups = ("held_out", "mapped") if everything else ("held_out",)
+    scores = {
+        name: score_views(run.mapper.render, views[name].frames(run.sequence), with_lpips=with_lpips) for name in groups
+    }
+    mesh = run.mapper.mesh()
+    numbers: dict[str, Any] = {}
+    for name, group in scores.items():
+        numbers |= group.as_metrics(name)
+    hashes = map_hashes(run, mesh)
+    if everything:
+        numbers |= _mesh_numbers(run, mesh, hashes["mesh"])
+    numbers |= _costs(mapped)
+    return RunResult(
+        spec=entry.spec,
+        status="done",
+        metrics={k: float(v) for k, v in numbers.items() if not isinstance(v, NotComputed) and math.isfinite(v)},
+        per_view={f"psnr_{name}_db": _per_view(group) for name, group in scores.items()},
+        tuned=tuned,
+        notes=mapped.notes,
+        map_hash=hashlib.sha256(json.dumps(hashes, sort_keys=True).encode()).hexdigest(),
+        data_hash=entry.spec.data_hash or sequence_fingerprint(run.sequence),
+        rule_source=entry.spec.rule_source or rule_source(entry.found_rule()),
+        versions=versions(),
+        pictures=_pictures(entry, mapped, views["held_out"], folder) if folder is not None else {},
+    )
+
+
+def _mesh_numbers(run: MappingRun, mesh: Mesh, mesh_hash: str) -> dict[str, Any]:
+    """Accuracy and completion of the mesh. Runs with the same TSDF have the same mesh, which is scored once."""
+    key = f"{mesh_hash} {sequence_fingerprint(run.sequence)}"
+    if key not in _scored_meshes:
+        scores = score_mesh(run, mesh, seed=0, n_samples=SURFACE_SAMPLES)
+        names = ("mesh_accuracy_m", "mesh_completion_m")
+        if len(_scored_meshes) >= MOST_MESHES:
+            _scored_meshes.clear()
+        _scored_meshes[key] = {name: scores[name] for name in names if name in scores}
+    return _scored_meshes[key]
+
+
+def _error(mapped: Mapped, budget: Budget) -> float:
+    """Relative deviation from the number of Gaussians."""
+    assert budget.gaussians is not None
+    return abs(len(mapped.run.mapper.gaussians) / budget.gaussians - 1)
+
+
+def _errors(mapped: Mapped, budget: Budget) -> dict[str, float]:
+    """Deviations of the scored run from its budget, per cent."""
+    errors = {} if budget.gaussians is None else {"error_percent": 100 * _error(mapped, budget)}
+    if budget.seconds is not None:
+        errors["seconds_error_percent"] = 100 * abs(mapped.seconds / budget.seconds - 1)
+    return errors
+
+
+def _per_view(scores: ImageScores) -> list[float]:
+    return [min(row.psnr, 100.0) for row in scores.rows]
+
+
+def _costs(mapped: Mapped) -> dict[str, Any]:
+    """Sizes, steps, times and memory."""
+    run = mapped.run
+    later = run.steps[1:] or run.steps
+    seeding_s = [s.seconds.get("seeding", 0.0) + s.seconds.get("quadtree", 0.0) for s in later]
+    return {
+        "n_gaussians": len(run.mapper.gaussians),
+        "n_keyframes": len(run.mapper.keyframes),
+        "n_frames": len(run.steps),
+        "n_steps": mapped.n_steps,
+        "ms_per_frame": 1e3 * sum(s.total_seconds for s in later) / len(later),
+        "cpu_ms_per_frame": 1e3 * sum(mapped.cpu_s[-len(later) :]) / len(later),
+        "seeding_ms": 1e3 * sum(seeding_s) / len(later),
+        "seconds_total": mapped.seconds,
+        "peak_memory_mb": math.nan if mapped.peak_mb is None else mapped.peak_mb,
+    }
+
+
+def versions() -> dict[str, str]:
+    """Versions of the programs that decide the numbers, and the kind of machine."""
+    return environment() | {"numba": numba.__version__, "processor": platform.processor() or platform.machine()}
+
+
+def _pictures(entry: Entry, mapped: Mapped, views: ScoredViews, folder: Path) -> dict[str, str]:
+    """Save some held-out views as rendered and as recorded. Returns name -> file, relative to ``folder``."""
+    run, n = mapped.run, len(views.positions)
+    picks = sorted({round(i * (n - 1) / (MOST_PICTURES - 1)) for i in range(MOST_PICTURES)}) if n else []
+    few = dataclasses.replace(
+        views, positions=[views.positions[i] for i in picks], poses=[views.poses[i] for i in picks]
+    )
+    scene = sequence_fingerprint(run.sequence)[:12]
+    found = {}
+    for frame in few.frames(run.sequence):
+        rendered = run.mapper.render(frame.camera, frame.T_WC).rgb.clamp(0, 1).cpu()
+        found[f"held_out {frame.index}"] = f"pictures/{entry.spec.key[:12]}-{frame.index}.png"
+        found[f"truth {frame.index}"] = f"pictures/truth-{scene}-{frame.index}.png"
+        write_file(folder / found[f"held_out {frame.index}"], encode_png(rendered))
+        write_file(folder / found[f"truth {frame.index}"], encode_png(frame.rgb))
+    return found

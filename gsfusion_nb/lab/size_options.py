@@ -1,0 +1,97 @@
+"""The option of each rule that decides how many Gaussians it makes, which is tuned to reach a budget."""
+
+from dataclasses import dataclass
+
+from ..errors import shown
+from ..seeding import SeedingRule, rule_name, rule_options
+from .schedule import dotted
+from .setting_names import flat_settings
+from .spec import RunSpec, label_of
+
+THIN = "thin"
+"""Size option of any rule: the share of its seeds that is kept, drawn at random."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SizeOption:
+    """A number that decides how many Gaussians a rule makes."""
+
+    name: str
+    """Option of the rule, a dotted setting, or "thin"."""
+    low: float | int
+    """Smallest value that is tried."""
+    high: float | int
+    """Largest value that is tried."""
+    only_seeding: bool = False
+    """The number of Gaussians does not depend on their optimisation, so it can be counted without any."""
+
+
+SIZE_OPTIONS: dict[str, SizeOption] = {
+    "gsfusion": SizeOption(name="seeding.quadtree_threshold", low=1e-6, high=100.0, only_seeding=True),
+    "uniform": SizeOption(name="fraction", low=1e-5, high=1.0, only_seeding=True),
+    "rtg_slam": SizeOption(name="share", low=1e-5, high=1.0),
+}
+"""Registered rule -> its size option."""
+
+
+def size_option(spec: RunSpec, rule: SeedingRule) -> SizeOption:
+    """The size option of a run: the one that ``spec`` names, else the rule's own.
+
+    Raises:
+        ValueError: there is none, the rule does not have it, or it is not a number.
+    """
+    known = SIZE_OPTIONS.get(rule_name(rule)) if not spec.rule_source and not spec.rule_hash else None
+    name = dotted(spec.size_option) or (known.name if known else "")
+    if not name:
+        raise ValueError(
+            f"the rule {rule_name(rule)} has no size option to reach a number of Gaussians with: name one "
+            f'(size_option), or "{THIN}" to keep a random share of its seeds'
+        )
+    if known is not None and name == known.name and spec.size_range is None:
+        return known
+    low, high = spec.size_range or _usual_range(spec, rule, name)
+    return SizeOption(name=name, low=low, high=high)
+
+
+def start_value(spec: RunSpec, rule: SeedingRule, option: SizeOption) -> float | int:
+    """The value of the size option before it is tuned.
+
+    Raises:
+        ValueError: the rule and the settings do not have it, or it is not a number.
+    """
+    if option.name == THIN:
+        return spec.keep_share
+    values = {**flat_settings(spec.config()), **rule_options(rule), **spec.options}
+    if option.name not in values:
+        known = ", ".join([*rule_options(rule), THIN])
+        raise ValueError(f"the rule {rule_name(rule)} has no option {shown(option.name)} to tune; known: {known}")
+    value = values[option.name]
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or value <= 0:
+        raise ValueError(f"the size option {option.name} must be a number above 0, got {shown(value)}")
+    return value
+
+
+def with_size(spec: RunSpec, option: SizeOption, value: float | int) -> RunSpec:
+    """``spec`` with another value of the size option; its label stays."""
+    values = spec.to_json()
+    if option.name == THIN:
+        values["keep_share"] = value
+    elif "." in option.name:
+        values["settings"] = {**values["settings"], option.name: value}
+    else:
+        values["options"] = {**values["options"], option.name: value}
+    return RunSpec.from_json(values)
+
+
+def described(option: SizeOption, value: float | int) -> str:
+    """The tuned value in words: "fraction=0.1"."""
+    return label_of("", {option.name: value}).strip()
+
+
+def _usual_range(spec: RunSpec, rule: SeedingRule, name: str) -> tuple[float | int, float | int]:
+    if name == THIN:
+        return 1e-5, 1.0
+    start = start_value(spec, rule, SizeOption(name=name, low=0, high=0))
+    if isinstance(start, float) and start <= 1 and "." not in name:
+        return 1e-5, 1.0
+    return (1, 1000 * start) if isinstance(start, int) else (start / 1e4, start * 1e4)

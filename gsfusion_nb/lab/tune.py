@@ -1,0 +1,170 @@
+"""Reaching a budget: scratch runs that find the option of a rule, or the steps per frame. They are never scored."""
+
+import dataclasses
+from collections.abc import Generator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from ..config import SystemConfig
+from ..seeding import rule_name
+from .find_value import NotReachedError, Search
+from .map_scene import Entry, Mapped, budgeted, map_scene
+from .schedule import steps_per_frame, with_steps_per_frame, without_steps
+from .size_options import SizeOption, size_option, start_value, with_size
+from .spec import RunSpec
+
+TUNING_SEED = 1_000_003
+"""Seed of tuning runs, so that tuning never sees the random numbers of a scored run."""
+MOST_STEPS = 10_000
+"""Largest number of gradient steps per frame that is tried."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Ready:
+    """A run whose budget was tuned."""
+
+    entry: Entry
+    """With the tuned option."""
+    config: SystemConfig
+    """Settings of the mapper."""
+    tuned: dict[str, Any] = field(default_factory=dict)
+    """What was found, for ``RunResult.tuned``."""
+
+
+def is_tuned(spec: RunSpec) -> bool:
+    """Whether the budget of ``spec`` asks for tuning."""
+    return spec.budget.gaussians is not None or spec.budget.seconds is not None
+
+
+def tuning_spec(spec: RunSpec) -> RunSpec:
+    """The run whose tuning is also that of ``spec``: equal but for the seed, which is the same for all."""
+    return dataclasses.replace(spec, seed=TUNING_SEED)
+
+
+def tune(entry: Entry) -> Generator[None, None, dict[str, Any]]:
+    """Find what the budget of ``entry`` asks for, with scratch runs; yields between their frames.
+
+    Returns:
+        Plain values: option, value, n_gaussians (in the last tuning run), steps_per_frame, seconds, n_runs.
+
+    Raises:
+        NotReachedError: the budget cannot be reached. ValueError: the rule has no size option.
+    """
+    budget, found, runs = entry.spec.budget, {}, 0
+    config = budgeted(entry.spec)
+    if budget.gaussians is not None:
+        found = yield from _tune_size(entry, config)
+        entry = apply_size(entry, found)
+        runs = found["n_runs"]
+    if budget.seconds is not None:
+        steps = yield from _tune_seconds(entry, budgeted(entry.spec))
+        found = {**found, **steps, "n_runs": runs + steps["n_runs"]}
+    return found
+
+
+def reach_budget(entry: Entry, tuned: Mapping[str, Any] | None = None) -> Generator[None, None, Ready]:
+    """The run as its budget wants it.
+
+    Args:
+        entry: The run.
+        tuned: What ``tune`` found for ``tuning_spec(entry.spec)``; it is tuned here if None.
+    """
+    if not is_tuned(entry.spec):
+        return Ready(entry=entry, config=budgeted(entry.spec))
+    if tuned is None:
+        tuned = yield from tune(dataclasses.replace(entry, spec=tuning_spec(entry.spec)))
+    entry = apply_size(entry, tuned)
+    config = budgeted(entry.spec)
+    if "steps_per_frame" in tuned:
+        config = with_steps_per_frame(config, tuned["steps_per_frame"])
+    return Ready(entry=entry, config=config, tuned=dict(tuned))
+
+
+def apply_size(entry: Entry, tuned: Mapping[str, Any]) -> Entry:
+    """``entry`` with the tuned value of its size option."""
+    if "option" not in tuned:
+        return entry
+    option = size_option(entry.spec, entry.found_rule())
+    return dataclasses.replace(entry, spec=with_size(entry.spec, option, tuned["value"]))
+
+
+def _tune_size(entry: Entry, config: SystemConfig) -> Generator[None, None, dict[str, Any]]:
+    """First without gradient steps, which is fast; then, unless the rule never looks at the map, with all of them."""
+    spec, rule = entry.spec, entry.found_rule()
+    option = size_option(spec, rule)
+    start, target = start_value(spec, rule, option), spec.budget.gaussians
+    assert target is not None
+    whole = isinstance(start, int)
+    runs, value, tolerance = 0, float(start), spec.budget.tolerance / 2
+    stages = (False,) if option.only_seeding or without_steps(config) == config else (False, True)
+    for with_steps in stages:
+        close = tolerance if with_steps == stages[-1] else 4 * tolerance
+        search = Search(
+            target=target, low=option.low, high=option.high, whole=whole, tolerance=close,
+            accepted=spec.budget.tolerance,
+        )  # fmt: skip
+        values, count = search.values(value), None
+        try:
+            while True:
+                value = next(values) if count is None else values.send(count)
+                mapped = yield from _scratch_run(entry, option, int(value) if whole else value, with_steps)
+                count, runs = float(len(mapped.run.mapper.gaussians)), runs + 1
+        except StopIteration as ended:
+            value = ended.value
+        except NotReachedError as e:
+            if with_steps == stages[-1]:
+                raise NotReachedError(
+                    f"{rule_name(rule)} does not reach {target:,} Gaussians within {spec.budget.tolerance:.1%} by its "
+                    f"option {option.name}: {e}"
+                ) from None
+            value = min(search.counts, key=search.error)
+    return {
+        "option": option.name, "value": int(value) if whole else value, "n_runs": runs,
+        "n_gaussians": int(search.counts[value]),
+    }  # fmt: skip
+
+
+def _scratch_run(
+    entry: Entry, option: SizeOption, value: float | int, with_steps: bool
+) -> Generator[None, None, Mapped]:
+    changed = dataclasses.replace(entry, spec=with_size(entry.spec, option, value))
+    config = budgeted(changed.spec)
+    return (yield from _quiet(changed, config if with_steps else without_steps(config)))
+
+
+def _tune_seconds(entry: Entry, config: SystemConfig) -> Generator[None, None, dict[str, Any]]:
+    budget = entry.spec.budget
+    assert budget.seconds is not None
+    search = Search(
+        target=budget.seconds,
+        low=1,
+        high=MOST_STEPS,
+        whole=True,
+        tolerance=budget.tolerance / 2,
+        accepted=budget.tolerance,
+    )
+    values, seconds = search.values(max(steps_per_frame(config), 1)), None
+    try:
+        while True:
+            steps = next(values) if seconds is None else values.send(seconds)
+            mapped = yield from _quiet(entry, with_steps_per_frame(config, int(steps)))
+            seconds = mapped.seconds
+    except StopIteration as ended:
+        return {
+            "steps_per_frame": int(ended.value), "seconds": search.counts[ended.value], "n_runs": len(search.counts)
+        }  # fmt: skip
+    except NotReachedError as e:
+        raise NotReachedError(
+            f"{budget.seconds:g} s within {budget.tolerance:.1%} cannot be reached by gradient steps per frame: {e} s"
+        ) from None
+
+
+def _quiet(entry: Entry, config: SystemConfig) -> Generator[None, None, Mapped]:
+    """``map_scene`` without its reports, which belong to the scored run."""
+    steps = map_scene(entry, config, with_memory=False)
+    while True:
+        try:
+            next(steps)
+        except StopIteration as ended:
+            return ended.value
+        yield None
