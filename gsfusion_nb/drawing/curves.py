@@ -91,6 +91,7 @@ def figure_svg(figure: "Figure", name: str) -> str:
     svg = buffer.getvalue()
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
+    svg = re.sub(r'<g id="[^"]*"', "<g", svg)  # the same in every figure, and nothing refers to them
     for colour, variable in _THEMED.items():
         svg = svg.replace(colour, variable)
     # matplotlib writes its size in points; with only the viewBox the page decides

@@ -53,6 +53,19 @@ class Comparison:
         """Number of pairs."""
         return sum(map(len, self.differences.values()))
 
+    @property
+    def opposite_scenes(self) -> tuple[list[str], list[str]]:
+        """Scenes on which a is better, and on which b is, each by more than noise; empty unless there are both kinds.
+
+        Each scene is tested by itself, over its seeds.
+        """
+        higher, found = COLUMNS[self.metric].better == "higher", ([], [])
+        for scene, values in self.differences.items():
+            d = np.array(values)
+            if paired_t(d)[1] < SIGNIFICANCE:
+                found[0 if (d.mean() > 0) == higher else 1].append(scene)
+        return found if all(found) else ([], [])
+
     def __str__(self) -> str:
         column = COLUMNS[self.metric]
         unit = f" {column.unit}" if column.unit else ""
@@ -64,9 +77,13 @@ class Comparison:
             return f"{self.a} and {self.b} have the same {column.heading} in all {pairs}"
         low, high = (column.text(end) for end in self.interval)
         size = column.text(abs(self.mean))
-        evidence = f"95 % interval {low} to {high}{unit}; {pairs}; paired t test: p = {p_text(self.p_t)}"
+        evidence = f"95 % interval {low} to {high}{unit}; {pairs}; paired t test: {p_text(self.p_t)}"
         if self.verdict == "noise":
-            return f"{self.a} and {self.b} differ by {size}{unit} {column.heading}, which is within noise ({evidence})"
+            text = f"{self.a} and {self.b} differ by {size}{unit} {column.heading}, which is within noise ({evidence})"
+            of_a, of_b = self.opposite_scenes
+            if of_a:
+                text += f"; but {self.a} is better on {', '.join(of_a)}, and {self.b} on {', '.join(of_b)}"
+            return text
         winner, loser = (self.a, self.b) if self.verdict == "a" else (self.b, self.a)
         return (
             f"{winner} is better than {loser} by {size}{unit} {column.heading}, which is more than noise ({evidence})"
@@ -193,8 +210,8 @@ def holm(p_values: Sequence[float]) -> list[float]:
 
 
 def p_text(p: float) -> str:
-    """A p value as text: "0.032", "below 0.001"."""
-    return "–" if math.isnan(p) else "below 0.001" if p < 0.001 else f"{p:.3f}"
+    """A p value as text: "p = 0.032", "p < 0.001"."""
+    return "p unknown" if math.isnan(p) else "p < 0.001" if p < 0.001 else f"p = {p:.3f}"
 
 
 def _count(n: int, noun: str) -> str:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Float
 
 from ..drawing.curves import GRID, INK, MUTED, PAPER
 
@@ -20,6 +21,8 @@ Box = tuple[float, float, float, float]
 CHARACTER_PX, LINE_PX = 6.4, 14.0
 """Size of a character at 8 points and 100 dots per inch."""
 _N_DIRECTIONS = 16
+_NEAR_PX = 16.0
+"""A name that is nearer to its point needs no line between them."""
 _DISTANCES_PX = (3.0, 14.0, 28.0, 46.0, 66.0, 90.0, 118.0, 150.0, 190.0)
 
 ON_FRONT, BEATEN = "#d1495b", "#3d85c6"
@@ -83,6 +86,7 @@ def pareto_figure(*plots: ParetoPoints, columns: int = 2) -> "Figure":
     for axes, points in zip(all_axes, plots, strict=True):
         _draw(axes, points)
     figure.draw_without_rendering()  # labels are placed in pixels, after the layout is known
+    figure.set_layout_engine("none")
     for axes, points in zip(all_axes, plots, strict=True):
         _label_points(axes, points)
     return figure
@@ -166,9 +170,10 @@ def _label_points(axes: "Axes", points: ParetoPoints) -> None:
         box = _free_place(dots[i], CHARACTER_PX * len(points.names[i]), taken, (left, bottom, right, top))
         taken.append(box)
         middle = ((box[0] + box[2]) / 2 - x) * 0.72, ((box[1] + box[3]) / 2 - y) * 0.72  # pixels to points
+        near = box[0] - dots[i][2] < _NEAR_PX and dots[i][0] - box[2] < _NEAR_PX and abs(middle[1]) < _NEAR_PX
         axes.annotate(
             points.names[i], where[i], xytext=middle, textcoords="offset points", ha="center", va="center",
-            fontsize=8, color=INK, arrowprops={"arrowstyle": "-", "color": MUTED, "linewidth": 0.6},
+            fontsize=8, color=INK, arrowprops=None if near else {"arrowstyle": "-", "color": MUTED, "linewidth": 0.6},
             bbox={"boxstyle": "square,pad=0.05", "facecolor": PAPER, "edgecolor": "none", "alpha": 0.75},
         )  # fmt: skip
 
@@ -186,11 +191,13 @@ def _bar_boxes(axes: "Axes", points: ParetoPoints) -> list[Box]:
 def _free_place(dot: Box, width: float, taken: Sequence[Box], inside: Box) -> Box:
     """The nearest box beside ``dot`` that is inside the plot and covers nothing, or else covers least."""
     turns = [(math.cos(a), math.sin(a)) for a in np.linspace(0.5, 2.5, _N_DIRECTIONS + 1)[:-1] * np.pi]
-    tried = [
-        _place(dot, (width, LINE_PX), turn, far) for far, turn in itertools.product(_DISTANCES_PX, turns)
-    ]  # fmt: skip
-    fitting = [b for b in tried if inside[0] < b[0] and inside[1] < b[1] and b[2] < inside[2] and b[3] < inside[3]]
-    return min(fitting or tried, key=lambda box: sum(_overlap(box, other) for other in taken))
+    tried = np.array(
+        [_place(dot, (width, LINE_PX), turn, far) for far, turn in itertools.product(_DISTANCES_PX, turns)]
+    )
+    fits = (tried[:, :2] > inside[:2]).all(axis=1) & (tried[:, 2:] < inside[2:]).all(axis=1)
+    tried = tried[fits] if fits.any() else tried
+    left, bottom, right, top = tried[np.argmin(_covered(tried, np.array(taken)))].tolist()
+    return left, bottom, right, top
 
 
 def _place(dot: Box, size: tuple[float, float], turn: tuple[float, float], far: float) -> Box:
@@ -201,9 +208,11 @@ def _place(dot: Box, size: tuple[float, float], turn: tuple[float, float], far: 
     return x - size[0] / 2, y - size[1] / 2, x + size[0] / 2, y + size[1] / 2
 
 
-def _overlap(a: Box, b: Box) -> float:
-    """Common area, pixels squared."""
-    return max(min(a[2], b[2]) - max(a[0], b[0]), 0.0) * max(min(a[3], b[3]) - max(a[1], b[1]), 0.0)
+def _covered(boxes: Float[np.ndarray, "N 4"], taken: Float[np.ndarray, "M 4"]) -> Float[np.ndarray, "N"]:
+    """How much of ``taken`` each box covers, pixels squared."""
+    low = np.maximum(boxes[:, None, :2], taken[:, :2])
+    high = np.minimum(boxes[:, None, 2:], taken[:, 2:])
+    return np.maximum(high - low, 0.0).prod(axis=2).sum(axis=1)
 
 
 def _scale_of_costs(axes: "Axes", cost: np.ndarray) -> None:

@@ -63,6 +63,11 @@ def group_runs(results: "Iterable[RunResult]") -> list[Group]:
     ]
 
 
+def by_budget(groups: Sequence[Group]) -> list[list[Group]]:
+    """The groups of each budget."""
+    return [[g for g in groups if g.budget == budget] for budget in dict.fromkeys(g.budget for g in groups)]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Ranks:
     """The places of one rule."""

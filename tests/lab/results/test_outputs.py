@@ -7,14 +7,9 @@ import cv2
 import pytest
 
 from gsfusion_nb.lab import Budget
-from gsfusion_nb.lab.outputs import (
-    against_the_best,
-    all_tables,
-    comparison_sentence,
-    figure_of,
-    scene_points,
-    write_outputs,
-)
+from gsfusion_nb.lab.best_rule import against_the_best, comparison_sentence
+from gsfusion_nb.lab.outputs import all_tables
+from gsfusion_nb.lab.scene_plots import figure_of, scene_points
 from gsfusion_nb.lab.statistics import group_runs
 
 DOCUMENT = r"""\documentclass{article}
@@ -25,20 +20,9 @@ DOCUMENT = r"""\documentclass{article}
 """
 
 
-@pytest.fixture(scope="module")
-def written(made_results, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("lab")
-    return write_outputs(folder, made_results(folder))
-
-
-@pytest.fixture(scope="module")
-def folder(written):
-    return written[0].parent
-
-
 def test_the_files(folder, written):
     assert all(path.parent == folder and path.stat().st_size > 1000 for path in written)
-    assert {path.name for path in written} == {"table.md", "table.tex", "pareto.pdf", "pareto.png"}
+    assert {path.name for path in written} == {"table.md", "table.tex", "pareto.pdf", "pareto.png", "page.html"}
     assert (folder / "pareto.pdf").read_bytes()[:5] == b"%PDF-"
     assert cv2.imread(str(folder / "pareto.png")).shape == (1200, 1920, 3)
 

@@ -83,6 +83,15 @@ def test_a_clear_difference_a_small_one_and_none(made_run):
     assert str(compare(a + same, "a", "d")) == "a and d have the same PSNR in all 3 pairs of runs on 1 scene"
 
 
+def test_rules_that_win_on_different_scenes_are_not_called_noise_only(made_run):
+    a = runs(made_run, "a", [25.0, 25.1, 24.9]) + runs(made_run, "a", [20.0, 20.1, 19.9], "kitchen")
+    b = runs(made_run, "b", [24.0, 24.2, 23.8]) + runs(made_run, "b", [21.0, 21.2, 20.8], "kitchen")
+    comparison = compare(a + b, "a", "b")
+    assert comparison.verdict == "noise"
+    assert comparison.opposite_scenes == (["room"], ["kitchen"])
+    assert str(comparison).endswith("; but a is better on room, and b on kitchen")
+
+
 def test_with_one_seed_nothing_can_be_said(made_run):
     one = [made_run(label, scene, 0, db) for scene in ("room", "kitchen") for label, db in (("a", 25.0), ("b", 20.0))]
     comparison = compare(one, "a", "b")

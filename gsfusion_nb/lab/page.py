@@ -1,0 +1,194 @@
+"""The lab's page: one HTML file with tables, Pareto plots, pictures to compare, and where everything comes from."""
+
+import dataclasses
+import itertools
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from ..drawing.curves import figure_svg
+from ..drawing.html import fill
+from ..drawing.page import ColourBar, PageGraph
+from ..drawing.pictures import ERROR_COLOURS, ERROR_LIMIT, Picture, data_uri, fit_width
+from ..evaluation.metrics import format_value
+from .best_rule import against_the_best
+from .columns import COLUMNS, FIRST_METRIC
+from .paired_tests import SIGNIFICANCE, Comparison, compare, p_text
+from .pareto import pareto_figure
+from .result import RunResult
+from .result_table import failures, rank_table, scene_table
+from .scene_plots import COSTS, scene_points
+from .statistics import Group, by_budget, group_runs
+from .view_pictures import views_of
+
+PICTURE_WIDTH = 640
+"""Largest width of a stored picture, pixels: a page of a hundred rules, scenes and budgets has about 15 MB."""
+
+
+class Pictures:
+    """Pictures as data URIs, each stored once however many runs share it."""
+
+    def __init__(self):
+        self.uris: list[str] = []
+        self._numbers: dict[str, int] = {}
+
+    def number(self, picture: Picture) -> int:
+        """Position of a picture in ``uris``; a wide one is made smaller."""
+        uri = data_uri(fit_width(picture, PICTURE_WIDTH))
+        if uri not in self._numbers:
+            self._numbers[uri] = len(self.uris)
+            self.uris.append(uri)
+        return self._numbers[uri]
+
+
+def page_html(folder: Path | str, results: Iterable[RunResult]) -> str:
+    """The page as HTML text; it loads nothing and works from a file.
+
+    Args:
+        folder: Where the file names of ``RunResult.pictures`` are looked up.
+        results: All runs, also those that failed.
+    """
+    results, pictures = list(results), Pictures()
+    groups = group_runs(results)
+    shots = [_shots(group, Path(folder), pictures) for group in groups]
+    data = {"pictures": pictures.uris, "shots": shots, "sentences": _pair_sentences(results)}
+    return fill(
+        "lab.html",
+        title="Seeding lab",
+        subtitle=_subtitle(results, groups),
+        scenes=list(dict.fromkeys(g.scene for g in groups)),
+        budgets=list(dict.fromkeys(g.budget for g in groups)),
+        labels=list(dict.fromkeys(g.label for g in groups)),
+        tables=_tables(groups),
+        graphs=_graphs(groups),
+        noise=_noise(results),
+        failures=failures(results),
+        provenance=provenance(results),
+        error_bar=ColourBar(colours=ERROR_COLOURS, low="no error", high=f"{ERROR_LIMIT:.0%} or more"),
+        data=data,
+    )
+
+
+def provenance(results: Sequence[RunResult]) -> dict[str, Any]:
+    """Where the numbers come from: versions, settings that all runs share, sources, tuning, hashes of data and maps."""
+    done = [r for r in results if r.status == "done"]
+    versions = {name: value for r in done for name, value in r.versions.items()}
+    flat = [{"system": r.spec.system, "preset": r.spec.preset, **r.spec.settings} for r in results]
+    shared = {
+        name: value for name, value in (flat[0] if flat else {}).items() if all(f.get(name) == value for f in flat)
+    }
+    sources: dict[str, tuple[list[str], str]] = {}
+    for r in done:
+        names, _ = sources.setdefault(r.rule_source, ([], r.rule_source))
+        if r.spec.label not in names:
+            names.append(r.spec.label)
+    return {
+        "versions": [(name, format_value(value)) for name, value in versions.items()],
+        "settings": [(name, format_value(value)) for name, value in shared.items()],
+        "sources": [(", ".join(names), source) for names, source in sources.values() if source],
+        "data": list(dict.fromkeys((r.spec.scene, r.data_hash) for r in done if r.data_hash)),
+        "maps": [
+            (r.spec.label, r.spec.scene, str(r.spec.budget), r.spec.seed, _tuning(r.tuned), r.map_hash) for r in done
+        ],
+    }
+
+
+def _subtitle(results: Sequence[RunResult], groups: Sequence[Group]) -> str:
+    counts = {
+        "rule": len({g.label for g in groups}), "scene": len({g.scene for g in groups}),
+        "budget": len({g.budget for g in groups}), "seed": len({r.spec.seed for r in results}), "run": len(results),
+    }  # fmt: skip
+    return " · ".join(f"{n} {noun}{'s' if n != 1 else ''}" for noun, n in counts.items())
+
+
+def _tables(groups: Sequence[Group]) -> list[dict[str, Any]]:
+    """A table for each budget and scene; the ranks over all scenes have the scene ""."""
+    tables = []
+    for of_budget in by_budget(groups):
+        budget, scenes = of_budget[0].budget, list(dict.fromkeys(g.scene for g in of_budget))
+        for scene in scenes:
+            table = scene_table([g for g in of_budget if g.scene == scene])
+            tables.append({"budget": budget, "scene": scene, "table": table})
+        if len(scenes) > 1:
+            tables.append({"budget": budget, "scene": "", "table": rank_table(of_budget)})
+    return tables
+
+
+def _graphs(groups: Sequence[Group]) -> list[PageGraph]:
+    graphs = []
+    for scene, cost in itertools.product(dict.fromkeys(g.scene for g in groups), COSTS):
+        points = scene_points([g for g in groups if g.scene == scene], cost)
+        if len(points.names):
+            title = f"{scene}: quality and {'size' if cost == 'n_gaussians' else 'time'}"
+            figure = pareto_figure(dataclasses.replace(points, title=""))
+            graphs.append(PageGraph(title, figure_svg(figure, f"{title}; {points.quality_label}, {points.cost_label}")))
+    return graphs
+
+
+def _shots(group: Group, folder: Path, pictures: Pictures) -> dict[str, Any]:
+    """The pictures of the first run of a group that has any: number of each picture, by view."""
+    shown = {"label": group.label, "scene": group.scene, "budget": group.budget, "seed": 0, "views": []}
+    for run in sorted(group.runs, key=lambda r: r.spec.seed):
+        views = [
+            {
+                "name": view.name,
+                "truth": pictures.number(view.truth),
+                "render": pictures.number(view.render),
+                "error": pictures.number(view.error),
+            }
+            for view in views_of(run, folder)
+        ]
+        if views:
+            return {**shown, "seed": run.spec.seed, "views": views}
+    return shown
+
+
+def _pair_sentences(results: Sequence[RunResult]) -> list[tuple[str, str, str, str]]:
+    """Budget, two rules, and what the paired test says about them over all scenes."""
+    found = []
+    for budget in dict.fromkeys(str(r.spec.budget) for r in results):
+        labels = dict.fromkeys(r.spec.label for r in results if str(r.spec.budget) == budget)
+        for a, b in itertools.combinations(labels, 2):
+            found.append((budget, a, b, str(compare(results, a, b, budget=budget))))
+    return found
+
+
+def _noise(results: Sequence[RunResult]) -> list[dict[str, Any]]:
+    """A table for each budget: the best rule and each other one."""
+    column, found = COLUMNS[FIRST_METRIC], []
+    for budget in dict.fromkeys(str(r.spec.budget) for r in results):
+        pairs = against_the_best(results, budget)
+        rows = [
+            (
+                c.b, column.text(c.mean), f"{column.text(c.interval[0])} to {column.text(c.interval[1])}",
+                _bare(c.p_t), _bare(p), f"{c.n}", _verdict(c, p),
+            )
+            for c, p in pairs
+        ]  # fmt: skip
+        if rows:
+            found.append({"budget": budget, "best": pairs[0][0].a, "rows": rows})
+    return found
+
+
+def _bare(p: float) -> str:
+    return p_text(p).removeprefix("p ").removeprefix("= ")
+
+
+def _verdict(comparison: Comparison, corrected: float) -> str:
+    """A few words on what the test says."""
+    if comparison.verdict == "unknown":
+        return "cannot be said"
+    if comparison.verdict == "equal":
+        return "equal in all pairs"
+    of_a, of_b = comparison.opposite_scenes
+    if of_a:
+        return f"depends on the scene: better on {', '.join(of_a)}, worse on {', '.join(of_b)}"
+    return "more than noise" if corrected < SIGNIFICANCE else "within noise"
+
+
+def _tuning(tuned: Mapping[str, Any]) -> str:
+    """How the budget of a run was reached, as short text."""
+    if not tuned:
+        return ""
+    words = f"{tuned.get('option', '')} = {format_value(tuned.get('value', ''))}"
+    return f"{words}, {tuned.get('n_runs', 0)} tuning runs, {format_value(tuned.get('error_percent', 0.0))} % off"
