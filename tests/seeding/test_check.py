@@ -13,7 +13,7 @@ from gsfusion_nb.gaussians import GaussianModel
 from gsfusion_nb.runs import mapped_contexts
 from gsfusion_nb.seeding import MapRule, SeedContext, Seeds, check_contexts, check_rule, registered
 
-SEED_WHAT_IS_MAPPED = ("gs_icp", "gs_slam", "hf_slam", "monogs", "photo_slam", "vings")
+SEED_WHAT_IS_MAPPED = ("gs_icp", "gs_slam", "hf_slam", "monogs", "monogs_like", "photo_slam", "vings")
 """Rules that look for errors where the map is, or do not look at it at all."""
 
 

@@ -343,16 +343,16 @@ def test_gps_slam_seeds_the_surface_of_the_tsdf_where_the_colour_is_wrong():
 def test_vings_counts_the_wrong_pixels_and_draws_from_all():
     bare = some(N // 4, "right")
     ctx = staged(alpha=with_values(1.0, (bare, 0.98)), depth_m=2.0)
-    released = apply_rule("vings", ctx, {"points": 400})
+    released = apply_rule("vings", ctx, {"share": 100 / (N // 4)})
     assert len(released) == 100
     assert (pixels_of(ctx, released) & ~bare).any()
     assert released.opacity.unique().tolist() == pytest.approx([0.8])
     assert len(released.quat.unique(dim=0)) == 100
-    from_mask = apply_rule("vings", ctx, {"points": 400, "as_released": False})
+    from_mask = apply_rule("vings", ctx, {"share": 100 / (N // 4), "as_released": False})
     assert len(from_mask) == 100
     assert not (pixels_of(ctx, from_mask) & ~bare).any()
-    begin = apply_rule("vings", first(), {"points": 1000})
-    assert len(begin) == 1000
+    begin = apply_rule("vings", first())
+    assert len(begin) == round(0.13 * N)
     assert begin.opacity.unique().tolist() == pytest.approx([0.1])
 
 

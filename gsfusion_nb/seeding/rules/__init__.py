@@ -11,10 +11,12 @@ from .gsfusion import gsfusion as gsfusion
 from .hf_slam import hf_slam as hf_slam
 from .mm3dgs import mm3dgs as mm3dgs
 from .monogs import monogs as monogs
+from .monogs_like import monogs_like as monogs_like
 from .on_the_fly_nvs import on_the_fly_nvs as on_the_fly_nvs
 from .photo_slam import photo_slam as photo_slam
 from .rtg_slam import rtg_slam as rtg_slam
 from .splatam import splatam as splatam
+from .splatam_like import splatam_like as splatam_like
 from .two_dgs_slam import two_dgs_slam as two_dgs_slam
 from .uniform import uniform as uniform
 from .vings import vings as vings

@@ -17,7 +17,7 @@ from ..unmapped import unmapped_pixels
 def vings(
     ctx: SeedContext,
     *,
-    points: int = 40_000,
+    share: float = 0.13,
     max_alpha: float = 0.98,
     median_factor: float = 10.0,
     colour_error: float = 0.1,
@@ -26,7 +26,7 @@ def vings(
 ) -> Seeds:
     """VINGS-Mono: as many discs as there are pixels with errors, drawn from all pixels, of random orientation.
 
-    Their number is ``points`` times the share of the image's pixels where
+    Their number is ``share`` times the number of the image's pixels where
 
         A <= 0.98   or   |D^ - D| > 10 median |D^ - D|   or   sum over R, G, B of |C^ - C| > 0.1
 
@@ -35,7 +35,8 @@ def vings(
 
     Args:
         ctx: Frame and Gaussian map.
-        points: Number of Gaussians if all pixels are chosen. Release: 40,000.
+        share: Number of Gaussians as a share of the pixels that the test chooses. The release makes 40,000 Gaussians if
+            all pixels are chosen, whatever the size of the image; that is 0.13 of 640 x 480 pixels.
         max_alpha: Pixels with an accumulated opacity A up to this are chosen. Release: 0.98.
         median_factor: How many medians a depth error must exceed, on either side. Release: 10.
         colour_error: Sum of the absolute colour errors (0..1 each) above which a pixel is chosen. Release: 0.1.
@@ -55,7 +56,7 @@ def vings(
         wrong = (view.rgb - ctx.frame.rgb).abs().sum(dim=-1) > colour_error
         depth = unmapped_pixels(ctx, 0.0, median_factor, sides="both")
         chosen = known & ((view.alpha <= max_alpha) | depth | wrong)
-    count = round(points * int(chosen.sum()) / chosen.numel())
+    count = round(share * int(chosen.sum()))
     uv = ctx.pixels(known if as_released else chosen)
     uv = uv[ctx.draw(len(uv), count)]
     balls = sized_by_neighbours(ctx, ctx.seeds_at(uv, 1.0, opacity=0.8 if ctx.has_map else 0.1), factor=2.0)

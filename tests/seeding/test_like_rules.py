@@ -1,0 +1,137 @@
+"""splatam_like and monogs_like: what they remove and add after steps, and the settings that they bring."""
+
+import dataclasses
+from typing import Any
+
+import pytest
+import torch
+
+from gsfusion_nb.config import gsfusion
+from gsfusion_nb.gaussians import GaussianModel
+from gsfusion_nb.mapping import GSFusion
+from gsfusion_nb.seeding import SeedContext, Seeds, StepStats, apply_rule
+from gsfusion_nb.seeding.rules import monogs_like, splatam_like
+from gsfusion_nb.seeding.step_stats import add_up
+from gsfusion_nb.types import Camera, Frame
+
+
+@pytest.fixture
+def frame() -> Frame:
+    """A plain wall 3 m away, its lowest row 6 m."""
+    depth_m = torch.full((6, 8), 3.0)
+    depth_m[5] = 6.0
+    return Frame(
+        index=0,
+        timestamp_s=0.0,
+        rgb=torch.full((6, 8, 3), 0.5),
+        depth_m=depth_m,
+        camera=Camera(width=8, height=6, fx=8.0, fy=8.0, cx=4.0, cy=3.0),
+        T_WC=torch.eye(4),
+    )
+
+
+def model_with(opacity: list[float], scale_m: list[float]) -> GaussianModel:
+    model = GaussianModel(sh_degree=0)
+    n = len(opacity)
+    seeds = Seeds.isotropic(torch.zeros(n, 3), torch.full((n, 3), 0.5), torch.tensor(scale_m))
+    model.append(dataclasses.replace(seeds, opacity=torch.tensor(opacity)))
+    return model
+
+
+def stats_of(frame: Frame, **values: Any) -> StepStats:
+    defaults = {"step": 1, "stage": "online", "step_in_frame": 1, "steps_in_frame": 60}
+    return StepStats(
+        **(defaults | values),
+        frame_index=0,
+        camera=frame.camera,
+        T_WC=frame.T_WC,
+        target=frame.rgb,
+        loss=torch.tensor(0.0),
+    )
+
+
+def test_splatam_like_seeds_as_splatam_and_remembers_the_radius(frame):
+    memory: dict[str, Any] = {}
+    ctx = SeedContext(frame, gaussians=GaussianModel(sh_degree=0), memory=memory)
+    assert len(apply_rule("splatam_like", ctx)) == len(apply_rule("splatam", ctx)) == 48
+    assert memory == {"scene_radius_m": pytest.approx(2.0)}
+
+
+@pytest.mark.parametrize(
+    ("values", "prunes"),
+    [
+        ({"step_in_frame": 1}, True),
+        ({"step_in_frame": 21}, True),
+        ({"step_in_frame": 2}, False),
+        ({"stage": "passes", "step_in_frame": 1}, False),
+    ],
+)
+def test_splatam_like_removes_transparent_and_large_ones(frame, values, prunes):
+    model = model_with([0.5, 0.004, 0.006, 0.5, 0.5], [0.1, 0.1, 0.1, 0.21, 0.19])
+    ctx = SeedContext(frame, gaussians=model)
+    edit = splatam_like().after_step(ctx, stats_of(frame, **values), {"scene_radius_m": 2.0})
+    assert (edit is not None) == prunes
+    if edit is not None:
+        assert edit.keep is not None
+        assert edit.keep.tolist() == [True, False, True, False, True]
+
+
+def test_monogs_like_clones_splits_and_removes_every_150_steps(frame):
+    model = model_with([0.9] * 4 + [0.6, 0.9, 0.9], [0.005, 0.02, 0.005, 0.02, 0.005, 0.11, 0.005])
+    large = torch.tensor([3e-4, 3e-4, 1e-4, 1e-4, 3e-4, 3e-4, 3e-4])  # mean length, in units of half the image
+    v_uv = torch.stack([large / 4.0, torch.zeros(7)], dim=1)  # half the width is 4 pixels
+    add_up(model, torch.ones(7, dtype=torch.bool), v_uv, frame.camera)
+    rule, ctx = monogs_like(), SeedContext(frame, gaussians=model)
+    seen = {"visible": torch.ones(7, dtype=torch.bool), "radius_px": torch.tensor([5.0] * 6 + [21.0])}
+    assert rule.after_step(ctx, stats_of(frame, step=149, **seen), {}) is None
+    narrow = seen | {"radius_px": torch.full((7,), 5.0)}  # the largest radius is remembered
+    edit = rule.after_step(ctx, stats_of(frame, step=150, **narrow), {})
+    assert edit is not None
+    assert edit.clone is not None
+    assert edit.split is not None
+    assert edit.keep is not None
+    assert edit.clone.tolist() == [True] + [False] * 6
+    assert edit.split.tolist() == [False, True] + [False] * 5
+    assert edit.keep.tolist() == [True] * 4 + [False] * 3
+    model.edit(edit, torch.Generator().manual_seed(0), 0)
+    assert len(model) == 3 + 1 + 2  # kept and not split; the clone; the halves
+    assert model.row_memory("largest_radius_px").tolist() == [0.0] * 6
+
+
+def test_monogs_like_resets_what_is_not_visible(frame):
+    ctx = SeedContext(frame, gaussians=model_with([0.9, 0.9], [0.02, 0.02]))
+    seen = {"visible": torch.tensor([True, False]), "radius_px": torch.tensor([5.0, 0.0])}
+    edit = monogs_like().after_step(ctx, stats_of(frame, step=2001, **seen), {})
+    assert edit is not None
+    assert edit.keep is None
+    rows, values = edit.set["opacity"]
+    assert rows.tolist() == [False, True]
+    assert values.tolist() == pytest.approx([0.4])
+    assert monogs_like(reset_every=0).after_step(ctx, stats_of(frame, step=2001, **seen), {}) is None
+
+
+@pytest.mark.parametrize("rule", ["splatam_like", "monogs_like"])
+def test_a_map_is_made_with_the_settings_of_the_rule(rule, small_walk):
+    own = ("optim.keyframe_iterations", "optim.frame_iterations", "optim.random_keyframe_iterations")
+    config = gsfusion(
+        "room",
+        tsdf__voxel_size_m=0.05,
+        seeding__rule=rule,
+        seeding__options={"share": 0.1} if rule == "splatam_like" else {"densify_every": 6},
+        seeding__own_settings=own,
+        optim__keyframe_iterations=4,
+        optim__frame_iterations=2,
+        optim__random_keyframe_iterations=2,
+    )
+    mapper = GSFusion(config)
+    reports = [mapper.step(f) for f in small_walk]
+    assert [report.is_keyframe for report in reports] == [True, False, False]
+    assert mapper.config.sh_degree == 0
+    assert mapper.config.optim.depth_weight == (2.0 if rule == "splatam_like" else 0.0)
+    assert mapper.config.optim.isotropy_weight == (0.0 if rule == "splatam_like" else 10.0)
+    seeded = sum(report.n_seeds for report in reports)
+    if rule == "splatam_like":
+        assert 0 < len(mapper.gaussians) <= seeded
+        assert "scene_radius_m" in mapper.memory
+    else:
+        assert reports[1].n_gaussians not in (0, seeded)  # some were cloned, split or removed after 6 steps
