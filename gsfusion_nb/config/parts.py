@@ -80,8 +80,8 @@ class SeedingConfig:
     options: dict[str, int | float | str | bool] = field(default_factory=dict)
     """Keyword arguments of the rule, by name; on the command line: --rule-options name=value."""
     own_settings: tuple[str, ...] = ()
-    """Settings that keep the value given here although the rule brings another one, by name, such as optim.lr_xyz, by
-    group, such as optim, or all. Empty: everything that the rule brings applies."""
+    """Settings that keep their value although the rule brings another one: names, such as optim.lr_xyz, groups, such as
+    optim, or all. Settings that differ from the defaults, and from the presets room and replica, stay anyway."""
 
     def __post_init__(self):
         check_kinds("seeding", self)

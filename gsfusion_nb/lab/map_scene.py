@@ -128,6 +128,8 @@ def _mapper(entry: Entry, config: SystemConfig) -> tuple[Mapper, list[str]]:
     mapper = make_mapper(config, seeding=rule, device=spec.device)
     used, given = flat_settings(mapper.config), flat_settings(config)
     for name, value in getattr(rule, "overrides", {}).items():
+        if dotted(name) not in used:  # keyframe_every in a system that chooses its keyframes by motion
+            continue
         if used[dotted(name)] != value:
             notes.append(f"the rule's own {dotted(name)} = {value} is not used, but {used[dotted(name)]}")
         elif given[dotted(name)] != value:

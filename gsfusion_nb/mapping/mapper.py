@@ -42,8 +42,8 @@ class Mapper(ABC):
         config: Settings; the defaults of ``config_type`` if none are given.
         seeding: Name of a registered rule, or the rule function itself; overrides ``config.seeding.rule``. The options
             in the settings are passed to it if it has all of them. If only ``config.seeding.rule`` has them, the rule
-            runs with its defaults. Settings that the rule brings (``MapRule.overrides``) replace those of ``config``
-            that ``config.seeding.own_settings`` does not name. ``self.config`` has the settings in use.
+            runs with its defaults. Settings that the rule brings (``MapRule.overrides``) replace the usual values in
+            ``config``, not the user's own (``rule_settings``). ``self.config`` has the settings in use.
         device: Device of the map.
 
     Raises:
@@ -95,7 +95,7 @@ class Mapper(ABC):
     ):
         config = config or self.config_type()
         self.rule = get_rule(seeding if seeding is not None else config.seeding.rule)
-        self.config = settings_with_rule(config, self.rule)
+        self.config = settings_with_rule(config, self.rule, type(self))
         self.rule_in_use = RuleInUse(self.rule, self.config.seeding.options)
         self.after_steps = AfterSteps(self.rule_in_use)
         self.device = torch.device(device)
@@ -333,7 +333,7 @@ class Mapper(ABC):
         if seeding is None:
             check_known(state["rule"])
         rule = get_rule(seeding if seeding is not None else state["rule"]["name"])
-        mapper = cls(settings_of_run(config, rule), seeding=rule, device=device)
+        mapper = cls(settings_of_run(config, rule, cls), seeding=rule, device=device)
         mapper.rule_in_use.load_state_dict(state["rule"])
         if mapper.rule_in_use.differs(state["rule"]):
             mapper.notes.append(

@@ -14,47 +14,72 @@ S = TypeVar("S", bound=SystemConfig)
 
 NOT_FOR_RULES = ("data", "seed", "seeding.rule", "seeding.options", "seeding.own_settings")
 """Settings that a rule cannot bring: they are used before the mapper is made, or choose the rule itself."""
+ONLY_IF_THERE = ("keyframe_every",)
+"""Settings that a rule may bring to systems that do not have them: RTG-SLAM's keyframes never depend on the seeds."""
 ALL = "all"
 
 
-def settings_with_rule(config: S, rule: SeedingRule) -> S:
+def usual_settings(system: Any) -> list[Any]:
+    """The defaults of a system, and its presets "room" and "replica" in every fidelity."""
+    fidelities = [{"fidelity": name} for name in system.fidelities] or [{}]
+    return [system.config_type(), *(system.preset(name, **f) for name in ("room", "replica") for f in fidelities)]
+
+
+def settings_with_rule(config: S, rule: SeedingRule, system: Any = None) -> S:
     """``config`` with everything that the rule decides, so that the stored settings are those of the run.
 
     Options: those in the settings are for the rule in the settings. Another rule gets them if it has all of them; if
     only the first rule has them, the other runs with its defaults. Options that neither has are returned unchanged; the
     mapper refuses them when it is made.
 
-    Settings that the rule brings (``MapRule.overrides``) replace those in ``config``, whatever they are, except those
-    that ``config.seeding.own_settings`` names. Doing this a second time changes nothing.
+    Settings that the rule brings (``MapRule.overrides``) replace the usual values in ``config``: the defaults, and
+    those of the presets "room" and "replica". Any other value, and every setting that ``config.seeding.own_settings``
+    names, is the user's own and stays. Doing this a second time changes nothing.
+
+    Args:
+        config: Settings of a system.
+        rule: The rule that will run.
+        system: Class of the mapper, for its presets; without it only the defaults are usual.
 
     Raises:
         ValueError: the rule brings a setting that the system does not have, or a value that it refuses; or
             ``own_settings`` names a setting that the system does not have.
     """
     config = _with_options(config, rule)
-    brought = {name: value for name, value in _brought(config, rule).items() if not _is_own(config, name)}
-    if all(_value(config, name) == value for name, value in brought.items()):
+    brought = _to_change(config, rule, system)
+    if not brought:
         return config
+    for name, value in brought.items():
+        log.info("the seeding rule %r sets %s = %s, was %s", rule_name(rule), name, value, _value(config, name))
     try:
         return replace(config, **{name.replace(".", "__"): value for name, value in brought.items()})
     except (TypeError, ValueError, KeyError) as e:
         raise ValueError(f"the seeding rule {rule_name(rule)!r} brings settings that are refused: {e}") from None
 
 
-def settings_of_run(config: S, rule: SeedingRule) -> S:
+def settings_of_run(config: S, rule: SeedingRule, system: Any = None) -> S:
     """``config`` of a run that continues with ``rule``: settings that the rule would change become ``own_settings``.
 
     With the rule that made the run nothing changes. With an edited or another rule the settings of the run stay.
     """
-    differing = {
-        name
-        for name, value in _brought(config, rule).items()
-        if not _is_own(config, name) and _value(config, name) != value
-    }
-    if not differing:
+    names = sorted(_to_change(config, rule, system))
+    if not names:
         return config
-    own = (*config.seeding.own_settings, *sorted(differing))
+    own = (*config.seeding.own_settings, *names)
     return dataclasses.replace(config, seeding=dataclasses.replace(config.seeding, own_settings=own))
+
+
+def _to_change(config: SystemConfig, rule: SeedingRule, system: Any) -> dict[str, Any]:
+    """The settings that the rule changes, by dotted name, with their new values."""
+    brought = _brought(config, rule)
+    usual = ([type(config)()] if system is None else usual_settings(system)) if brought else []
+    return {
+        name: value
+        for name, value in brought.items()
+        if _value(config, name) != value
+        and not _is_listed(config, name)
+        and any(_value(config, name) == _value(known, name) for known in usual)
+    }
 
 
 def _with_options(config: S, rule: SeedingRule) -> S:
@@ -76,6 +101,7 @@ def _brought(config: SystemConfig, rule: SeedingRule) -> dict[str, Any]:
     """The settings that a rule brings, by dotted name."""
     overrides = rule.overrides if is_map_rule(rule) else {}
     brought = {name.replace("__", "."): value for name, value in overrides.items()}
+    brought = {name: value for name, value in brought.items() if name not in ONLY_IF_THERE or hasattr(config, name)}
     for name in brought:
         who = f"the seeding rule {rule_name(rule)!r} brings the setting {shown(name)}"
         if any(name == taken or name.startswith(f"{taken}.") for taken in NOT_FOR_RULES):
@@ -84,7 +110,7 @@ def _brought(config: SystemConfig, rule: SeedingRule) -> dict[str, Any]:
     return brought
 
 
-def _is_own(config: SystemConfig, name: str) -> bool:
+def _is_listed(config: SystemConfig, name: str) -> bool:
     """Whether ``seeding.own_settings`` names a setting, its group, or all."""
     found = False
     for entry in config.seeding.own_settings:

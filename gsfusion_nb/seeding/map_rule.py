@@ -90,8 +90,9 @@ class MapRule(ABC):
     "image_gradients", "render" (``StepStats``)."""
     overrides: ClassVar[Mapping[str, Any]] = MappingProxyType({})
     """Settings of the system that the rule brings, by name: ``{"optim__lr_xyz": 1e-4}``. The mapper applies them when
-    it is made, so they are among the settings that are stored and shown. They replace the user's values, except those
-    that the user names in the setting ``seeding.own_settings``."""
+    it is made, so they are among the settings that are stored and shown. They replace defaults and the values of the
+    presets "room" and "replica". Any other value stays, because the user has chosen it, and so does every setting that
+    ``seeding.own_settings`` names. A setting that the system does not have is an error, except ``keyframe_every``."""
 
     @abstractmethod
     def seeds(self, ctx: SeedContext, memory: dict[str, Any]) -> Seeds:

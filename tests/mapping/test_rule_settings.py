@@ -6,8 +6,8 @@ from typing import Any, ClassVar
 
 import pytest
 
-from gsfusion_nb.config import GSFusionConfig, from_dict, gsfusion, replace, to_dict
-from gsfusion_nb.mapping import GSFusion
+from gsfusion_nb.config import GSFusionConfig, from_dict, gsfusion, replace, rtg_slam, to_dict
+from gsfusion_nb.mapping import RTGSLAM, GSFusion
 from gsfusion_nb.mapping.rule_settings import settings_with_rule
 from gsfusion_nb.seeding import KEYFRAMES, MapRule, SeedContext, Seeds, When, get_rule
 
@@ -27,13 +27,12 @@ def bringing(**overrides: Any) -> type[MapRule]:
 
 
 def test_a_rule_brings_settings_and_they_apply_once(config):
-    rule = bringing(optim__lr_xyz=1e-3, keyframe_every=4, optim__frame_iterations=7)
+    rule = bringing(optim__lr_xyz=1e-3, keyframe_every=4, optim__depth_weight=1.0)
     mapper = GSFusion(config, seeding=rule)
     used = mapper.config
-    assert (used.optim.lr_xyz, used.keyframe_every, used.optim.frame_iterations) == (1e-3, 4, 7)
-    assert used == replace(
-        config, seeding__rule="brings", optim__lr_xyz=1e-3, keyframe_every=4, optim__frame_iterations=7
-    )
+    assert (used.optim.lr_xyz, used.keyframe_every, used.optim.depth_weight) == (1e-3, 4, 1.0)
+    brought = {"optim__lr_xyz": 1e-3, "keyframe_every": 4, "optim__depth_weight": 1.0}
+    assert used == replace(config, seeding__rule="brings", **brought)
     assert settings_with_rule(used, rule) is used
     assert settings_with_rule(config, get_rule("gsfusion")) is config
 
@@ -41,19 +40,35 @@ def test_a_rule_brings_settings_and_they_apply_once(config):
 @pytest.mark.parametrize(
     ("own", "rate", "iterations"),
     [
-        (("optim.lr_xyz",), 2e-4, 7),
-        (("optim__lr_xyz",), 2e-4, 7),
-        (("optim.lr-xyz", "keyframe_every"), 2e-4, 7),
-        (("optim",), 2e-4, 3),
-        (("all",), 2e-4, 3),
+        ((), 1e-3, 7),
+        (("optim.lr_xyz",), 1.6e-4, 7),
+        (("optim__lr_xyz",), 1.6e-4, 7),
+        (("optim.lr-xyz", "keyframe_every"), 1.6e-4, 7),
+        (("optim",), 1.6e-4, 3),
+        (("all",), 1.6e-4, 3),
         (("tsdf",), 1e-3, 7),
     ],
 )
-def test_the_users_own_settings_stay(own, rate, iterations):
-    settings = gsfusion("room", optim__lr_xyz=2e-4, seeding__own_settings=own)
+def test_settings_that_the_user_names_stay(own, rate, iterations):
+    settings = gsfusion("room", seeding__own_settings=own)
     used = settings_with_rule(settings, bringing(optim__lr_xyz=1e-3, optim__frame_iterations=7))
     assert (used.optim.lr_xyz, used.optim.frame_iterations) == (rate, iterations)
     assert from_dict(GSFusionConfig, to_dict(used)) == used
+
+
+def test_values_that_are_not_usual_are_the_users_own():
+    rule = bringing(optim__lr_xyz=1e-3, optim__frame_iterations=7, keyframe_every=5)
+    used = settings_with_rule(gsfusion("room", keyframe_every=3, optim__lr_xyz=2e-4), rule)
+    assert (used.keyframe_every, used.optim.lr_xyz, used.optim.frame_iterations) == (3, 2e-4, 7)
+    assert settings_with_rule(gsfusion("tum"), rule).optim.frame_iterations == 5  # published for TUM
+
+
+def test_values_of_the_usual_presets_are_not_the_users_own():
+    rule = bringing(window__lr_sh_dc=1e-4, keyframe_every=5)
+    for fidelity in ("measured", "paper", "code"):
+        assert RTGSLAM(rtg_slam("room", fidelity), seeding=rule).config.window.lr_sh_dc == 1e-4
+    own = rtg_slam("room", window__lr_sh_dc=2e-3)
+    assert RTGSLAM(own, seeding=rule).config.window.lr_sh_dc == 2e-3
 
 
 @pytest.mark.parametrize(
@@ -95,5 +110,5 @@ def test_a_run_continues_with_its_own_settings(split, config):
     assert same.config == made.config
     edited = GSFusion.from_state_dict(state, seeding=bringing(optim__lr_xyz=5e-3, optim__lr_quat=1e-2))
     assert edited.config.optim == made.config.optim
-    assert edited.config.seeding.own_settings == ("optim.lr_quat", "optim.lr_xyz")
+    assert edited.config.seeding.own_settings == ("optim.lr_quat",)
     assert len(edited.notes) == 1
