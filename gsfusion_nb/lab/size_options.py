@@ -26,10 +26,17 @@ class SizeOption:
     """The number of Gaussians does not depend on their optimisation, so it can be counted without any."""
 
 
+SHARE = SizeOption(name="share", low=1e-5, high=1.0)
 SIZE_OPTIONS: dict[str, SizeOption] = {
     "gsfusion": SizeOption(name="seeding.quadtree_threshold", low=1e-6, high=100.0, only_seeding=True),
     "uniform": SizeOption(name="fraction", low=1e-5, high=1.0, only_seeding=True),
-    "rtg_slam": SizeOption(name="share", low=1e-5, high=1.0),
+    "monogs": SizeOption(name="density", low=1e-4, high=128.0, only_seeding=True),
+    "monogs_like": SizeOption(name="density", low=1e-4, high=128.0),
+    "photo_slam": SizeOption(name="corners", low=1, high=100_000, only_seeding=True),
+    "gs_icp": SizeOption(name="density", low=1e-3, high=100.0),
+    "on_the_fly_nvs": SizeOption(name="density", low=1e-4, high=1e4),
+    **dict.fromkeys(("cg_slam", "gaus_slam", "gaussian_slam", "gps_slam", "gs_slam", "hf_slam", "mm3dgs"), SHARE),
+    **dict.fromkeys(("rtg_slam", "splatam", "splatam_like", "two_dgs_slam", "vings", "vtgaussian"), SHARE),
 }
 """Registered rule -> its size option."""
 

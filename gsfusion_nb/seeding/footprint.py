@@ -1,7 +1,7 @@
 """Gaussians that are as large as the pixel that they are made from."""
 
 import torch
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from ..types import Seeds
@@ -24,16 +24,27 @@ def one_pixel_seeds(
     Raises:
         ValueError: ``share`` not in 0..1, or ``every_px`` below 1.
     """
-    if not 0 < share <= 1:
-        raise ValueError(f"share must be above 0 and at most 1, got {share}")
     if every_px < 1:
         raise ValueError(f"every_px must be at least 1, got {every_px}")
     if every_px > 1:
         grid = torch.zeros_like(chosen)
         grid[::every_px, ::every_px] = True
         chosen = chosen & grid
+    return ctx.seeds_at(drawn_pixels(ctx, chosen, share), every_px * pixel_radius(ctx, share), opacity=opacity)
+
+
+def drawn_pixels(ctx: SeedContext, chosen: Bool[Tensor, "H W"], share: float) -> Float[Tensor, "N 2"]:
+    """Centres of the chosen pixels with depth, or of a random share of them, row by row.
+
+    Raises:
+        ValueError: ``share`` not in 0..1.
+    """
+    if not 0 < share <= 1:
+        raise ValueError(f"share must be above 0 and at most 1, got {share}")
     uv = ctx.pixels(chosen)
-    if share < 1:
-        uv = uv[ctx.draw(len(uv), round(share * len(uv)))]
-    pixel = 2 * ctx.camera.fx / (ctx.camera.fx + ctx.camera.fy)  # seeds_at divides by fx
-    return ctx.seeds_at(uv, pixel * every_px / share**0.5, opacity=opacity)
+    return uv if share == 1 else uv[ctx.draw(len(uv), round(share * len(uv)))]
+
+
+def pixel_radius(ctx: SeedContext, share: float = 1.0) -> float:
+    """The ``radius_px`` of ``ctx.seeds_at`` that gives z / ((fx + fy) / 2), times 1 / sqrt(share)."""
+    return 2 * ctx.camera.fx / (ctx.camera.fx + ctx.camera.fy) / share**0.5  # seeds_at divides by fx

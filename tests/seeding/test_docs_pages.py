@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from gsfusion_nb.lab.size_options import SIZE_OPTIONS, THIN
 from gsfusion_nb.seeding import MapView, SeedContext, is_built_in, registered, rule_options
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -33,13 +34,13 @@ def test_the_table_has_every_built_in_rule():
 
 
 @pytest.mark.parametrize("name", RULES)
-def test_the_option_that_sets_the_number_exists(name):
+def test_the_table_names_the_option_that_sets_the_number(name):
     page = (DOCS / "seeding_rules.md").read_text(encoding="utf-8")
     row = re.search(rf"^\| \[`{name}`\].*$", page, re.MULTILINE)
     assert row is not None
-    last = row[0].split(" | ")[-1]
-    option = re.search(r"^`(\w+)`", last)
-    assert option is None or option[1] in rule_options(name)
+    option = SIZE_OPTIONS[name].name.split(".")[-1] if name in SIZE_OPTIONS else THIN
+    assert f"`{option}`" in row[0].split(" | ")[-1]
+    assert option in rule_options(name) or name in ("gsfusion", "dense")
 
 
 @pytest.mark.parametrize("name", RULES)

@@ -119,6 +119,7 @@ def half_wrong() -> SeedContext:
         ("mm3dgs", {"method": "splatam"}, 768 + 12),
         ("gaus_slam", {}, 768 + 40 + 12),
         ("gaus_slam", {"max_points": 100}, 100),
+        ("gaus_slam", {"share": 0.5}, (768 + 40 + 12) // 2),
         ("gaussian_slam", {"share": 0.5}, (768 + 40 + 12) // 2),
         ("vtgaussian", {}, 768 + 12),
         ("vtgaussian", {"detail": -1.0}, 4 * (768 + 12)),
@@ -267,6 +268,9 @@ def test_gs_icp_adds_the_whole_grid_or_nothing():
     ctx = first()
     grid = ctx.seeds_at(ctx.pixels(), 1.0).xyz_W.view(H, W, 3)[::5, ::5].reshape(-1, 3)
     count, tum = len(grid), {"preset": "tum"}
+    assert len(apply_rule("gs_icp", first(), tum | {"density": 0.5})) == round(
+        0.98 * math.ceil(W / 7) * math.ceil(H / 7)
+    )
     enough = grid[: math.ceil(0.81 * count)]
     assert len(apply_rule("gs_icp", staged(xyz_W=enough, past_T_WC=poses(29)), tum)) == 0
     assert len(apply_rule("gs_icp", staged(xyz_W=enough, past_T_WC=poses(30)), tum)) == count
@@ -284,7 +288,7 @@ def poses(n: int) -> tuple[torch.Tensor, ...]:
 
 
 def test_gs_icp_takes_the_shape_of_the_neighbourhood():
-    seeds = apply_rule("gs_icp", first(), {"every_px": 4, "neighbours": 9})
+    seeds = apply_rule("gs_icp", first(), {"density": 6.25, "neighbours": 9})
     middle = ((seeds.xyz_W[:, :2].abs() < 0.5).all(dim=1)).nonzero()[0, 0]
     # 3 x 3 grid points 4 px apart: variance 2/3 of the distance squared along x and y, none along z
     spacing = 4 * 2.0 / F
@@ -383,9 +387,9 @@ def test_vtgaussian_is_finer_where_the_colour_varies():
     assert counts.tolist() == [8 * H, N - 2 * H]
 
 
-@pytest.mark.parametrize("rule", ["gaus_slam", "two_dgs_slam"])
-def test_discs_lie_in_the_surface(rule):
-    seeds = apply_rule(rule, first())
+@pytest.mark.parametrize(("rule", "options"), [("gaus_slam", {}), ("gaus_slam", {"share": 0.5}), ("two_dgs_slam", {})])
+def test_discs_lie_in_the_surface(rule, options):
+    seeds = apply_rule(rule, first(), options)
     thin = quaternion.to_matrix(seeds.quat)[:, :, 2]
     assert thin[:, 2].median().item() == pytest.approx(-1.0, abs=1e-5)
     torch.testing.assert_close(seeds.scale_m[:, 2], 0.1 * seeds.scale_m[:, 1])

@@ -5,7 +5,7 @@ from typing import Literal
 from ...types import Seeds
 from ..context import SeedContext
 from ..discs import as_discs
-from ..footprint import one_pixel_seeds
+from ..footprint import drawn_pixels, pixel_radius
 from ..rule import seeding_rule
 from ..unmapped import unmapped_pixels
 
@@ -16,6 +16,7 @@ def gaus_slam(
     *,
     min_alpha: float = 0.6,
     median_factor: float = 50.0,
+    share: float = 1.0,
     max_points: int = 0,
     thickness: float = 0.1,
     median_of: Literal["all", "measured"] = "all",
@@ -30,8 +31,9 @@ def gaus_slam(
         ctx: Frame and Gaussian map.
         min_alpha: Pixels with a smaller accumulated opacity A are seeded. Release: 0.6.
         median_factor: How many medians a depth error must exceed. Release: 50.
+        share: Share of the pixels that is drawn at random, 0..1, with sizes 1 / sqrt(share) times as large. Release: 1.
         max_points: At most this many pixels, drawn at random; 0: no limit. The release has such a limit; its value is
-            not known here. Unlike with ``share`` in other rules, sizes do not grow.
+            not known here. Sizes do not grow.
         thickness: Third standard deviation as a share of the other two. The release has flat Gaussians without one;
             0.1 is chosen here.
         median_of: The median over "all" pixels counts missing depth as an error of 0, as in the release.
@@ -43,9 +45,8 @@ def gaus_slam(
     Source: the released code of GauS-SLAM.
     """
     chosen = unmapped_pixels(ctx, min_alpha, median_factor, median_of=median_of)
-    if max_points and int(chosen.sum()) > max_points:
-        kept = chosen.flatten().nonzero()[:, 0]
-        kept = kept[ctx.draw(len(kept), max_points)]
-        chosen = chosen.new_zeros(chosen.numel()).index_fill(0, kept, True).view_as(chosen)
-    seeds = one_pixel_seeds(ctx, chosen)
-    return as_discs(ctx, seeds, ctx.normals_W()[chosen], thickness)
+    uv = drawn_pixels(ctx, chosen, share)
+    if max_points:
+        uv = uv[ctx.draw(len(uv), max_points)]
+    seeds = ctx.seeds_at(uv, pixel_radius(ctx, share))
+    return as_discs(ctx, seeds, ctx.values_at(ctx.normals_W(), uv), thickness)

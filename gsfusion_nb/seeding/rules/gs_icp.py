@@ -32,7 +32,8 @@ class gs_icp(MapRule):
 
     Args:
         preset: Grid and thresholds of the release: "replica" (10 pixels, 5e-4, 70 %), "tum" (5 pixels, 1e-3, 81 %).
-        every_px: Distance of the grid's pixels in place of the preset's; 0: the preset's.
+        density: Multiplies the number of points: those of a grid that is as fine as needed, of these as many as needed,
+            drawn at random. Release: 1.
         keyframe_frames: A keyframe for mapping after this many frames; 0: none. Release: 30.
         neighbours: Number of points whose covariance is taken, the point itself included. 20 is usual in generalised
             ICP and is chosen here.
@@ -45,7 +46,7 @@ class gs_icp(MapRule):
     """
 
     preset: Literal["replica", "tum"] = "replica"
-    every_px: int = 0
+    density: float = 1.0
     keyframe_frames: int = 30
     neighbours: int = 20
     squared: bool = True
@@ -55,10 +56,13 @@ class gs_icp(MapRule):
     def seeds(self, ctx: SeedContext, memory: dict[str, Any]) -> Seeds:
         """All grid points, or none."""
         spacing, near, share = PRESETS[self.preset]
-        spacing = self.every_px or spacing
+        spacing /= self.density**0.5
+        step = max(int(spacing), 1)
         grid = torch.zeros_like(ctx.frame.depth_m, dtype=torch.bool)
-        grid[::spacing, ::spacing] = True
-        seeds = ctx.seeds_at(ctx.pixels(grid), 1.0, opacity=OPACITY)
+        grid[::step, ::step] = True
+        uv = ctx.pixels(grid)
+        uv = uv[ctx.draw(len(uv), round(len(uv) * (step / spacing) ** 2))]
+        seeds = ctx.seeds_at(uv, 1.0, opacity=OPACITY)
         if len(seeds) == 0:
             return seeds
         if not ctx.has_map or self._overlap(ctx, seeds, near) < share:

@@ -45,8 +45,7 @@ class monogs_like(MapRule):
     others than keyframes 20, and up to 10 on earlier keyframes), so that 150 steps fall on a keyframe; these numbers
     are chosen here. "Not visible" is judged by the view of that step; a radius reaches to where alpha is 1/255. Left
     out: the window of covisible keyframes, its loss on depth, whose weight was not available, pruning by covisibility,
-    which takes effect only without depth, and 26,000 steps of colour refinement after the scan. These settings replace
-    yours unless ``seeding.own_settings`` names them.
+    which takes effect only without depth, and 26,000 steps of colour refinement after the scan.
     Source: Matsuki et al. 2024 (MonoGS) and its released code; Kerbl et al. 2023 (3DGS), section 5.2.
     """
 

@@ -39,8 +39,7 @@ class splatam_like(MapRule):
     The release takes 30 steps a frame on TUM. It draws the views of its steps from frames that overlap; here, on a
     keyframe (every 5th frame) all 60 steps are on the frame, on others 30 are, and up to 30 on earlier keyframes drawn
     at random. Colours are SH coefficients of degree 0, and their rate is divided by the factor between the two. There
-    are no steps after the scan. Left out: tracking. These settings replace yours unless ``seeding.own_settings`` names
-    them.
+    are no steps after the scan. Left out: tracking.
     Source: Keetha et al. 2024 (SplaTAM) and its released code.
     """
 

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from ...types import Seeds
 from ..context import SeedContext
-from ..footprint import one_pixel_seeds
+from ..footprint import one_pixel_seeds, pixel_radius
 from ..map_rule import EVERY_FRAME, MapRule, When
 from ..rule import seeding_rule
 from ..unmapped import unmapped_pixels
@@ -59,4 +59,4 @@ class vtgaussian(MapRule):
         uv = ctx.pixels(fine)
         uv = (uv[:, None] + QUARTERS.to(uv)).reshape(-1, 2)
         uv = uv[ctx.draw(len(uv), round(self.share * len(uv)))]
-        return ctx.seeds_at(uv, ctx.camera.fx / (ctx.camera.fx + ctx.camera.fy) / self.share**0.5)
+        return ctx.seeds_at(uv, 0.5 * pixel_radius(ctx, self.share))
