@@ -1,4 +1,4 @@
-"""The command ``gsfusion-nb``: demo, convert, check, map, live, eval, study, bench, doctor."""
+"""The command ``gsfusion-nb``: demo, convert, check, map, live, eval, lab, sweep, study, bench, doctor."""
 
 import logging
 import sys
@@ -26,6 +26,10 @@ _USAGE = """gsfusion-nb: online RGB-D mapping with TSDF fusion and 3D Gaussian s
   gsfusion-nb live SOURCE          map a camera, or a folder while it is written;
                                    SOURCE: folder, realsense or kinect
   gsfusion-nb eval RUN             score a finished run again
+  gsfusion-nb lab TABLE            compare seeding rules: rules x scenes x seeds x
+                                   budgets, from a file (--new FILE writes one)
+  gsfusion-nb sweep DATA --grid X  compare values of settings, or repeat a table
+                                   of the papers
   gsfusion-nb study NAME DATA      run one of the papers' comparisons
   gsfusion-nb bench [GROUP]        measure the speed of operations, mapping and
                                    panels, compared with other programs
@@ -109,6 +113,8 @@ def main(arguments: list[str] | None = None) -> int:
         "live": _live,
         "eval": _eval,
         "bench": _bench,
+        "lab": _lab,
+        "sweep": _sweep,
         "study": _study,
         "doctor": _doctor,
     }
@@ -194,6 +200,23 @@ def _bench(arguments: list[str]) -> int:
     from .. import bench
 
     return bench.main(parse_options(bench.BenchOptions, prog="gsfusion-nb bench", arguments=arguments))
+
+
+def _lab(arguments: list[str]) -> int:
+    from ..lab import command
+
+    return command.main(parse_options(command.LabOptions, prog="gsfusion-nb lab", arguments=arguments))
+
+
+def _sweep(arguments: list[str]) -> int:
+    from ..lab import sweep
+
+    options = parse_options(sweep.SweepOptions, prog="gsfusion-nb sweep", arguments=arguments)
+    if options.table == "rtg-fig-7":
+        from .. import studies
+
+        return studies.main(studies.StudyOptions(name="disc-depth", data=options.data, out=options.out))
+    return sweep.main(options)
 
 
 def _study(arguments: list[str]) -> int:

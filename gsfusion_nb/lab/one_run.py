@@ -122,14 +122,13 @@ def _result(entry: Entry, mapped: Mapped, tuned: dict[str, Any], folder: Path | 
 
 
 def _mesh_numbers(run: MappingRun, mesh: Mesh, mesh_hash: str) -> dict[str, Any]:
-    """Accuracy and completion of the mesh. Runs with the same TSDF have the same mesh, which is scored once."""
+    """Accuracy and completion of the mesh, and of discs. Runs with equal TSDFs have equal meshes, scored once."""
     key = f"{mesh_hash} {sequence_fingerprint(run.sequence)}"
     if key not in _scored_meshes:
         scores = score_mesh(run, mesh, seed=0, n_samples=SURFACE_SAMPLES)
-        names = ("mesh_accuracy_m", "mesh_completion_m")
         if len(_scored_meshes) >= MOST_MESHES:
             _scored_meshes.clear()
-        _scored_meshes[key] = {name: scores[name] for name in names if name in scores}
+        _scored_meshes[key] = scores
     return _scored_meshes[key]
 
 
@@ -164,7 +163,9 @@ def _costs(mapped: Mapped) -> dict[str, Any]:
         "ms_per_frame": 1e3 * sum(s.total_seconds for s in later) / len(later),
         "cpu_ms_per_frame": 1e3 * sum(mapped.cpu_s[-len(later) :]) / len(later),
         "seeding_ms": 1e3 * sum(seeding_s) / len(later),
+        "seconds_global": run.seconds_global,
         "seconds_total": mapped.seconds,
+        "model_size_mb": run.mapper.gaussians.size_bytes / 1e6,
         "peak_memory_mb": math.nan if mapped.peak_mb is None else mapped.peak_mb,
     }
 

@@ -14,7 +14,8 @@ def with_settings(config: C, values: Mapping[str, Any]) -> C:
 
     Args:
         config: Settings of a system.
-        values: Dotted name -> value; a dash in a name counts as an underscore.
+        values: Dotted name -> value; a dash in a name counts as an underscore, and a whole number as a float where one
+            is wanted.
 
     Raises:
         ValueError: no such setting, or an invalid value.
@@ -26,7 +27,17 @@ def with_settings(config: C, values: Mapping[str, Any]) -> C:
         for group in groups:
             node = node.setdefault(group, {})
         node[leaf] = value
+    _whole_as_float(config, tree)
     return from_dict(type(config), tree, start=config)
+
+
+def _whole_as_float(config: Any, tree: dict[str, Any]) -> None:
+    for name, value in tree.items():
+        old = getattr(config, name, None)
+        if isinstance(value, dict) and dataclasses.is_dataclass(old):
+            _whole_as_float(old, value)
+        elif isinstance(old, float) and isinstance(value, int) and not isinstance(value, bool):
+            tree[name] = float(value)
 
 
 def flat_settings(config: Any, path: str = "") -> dict[str, Any]:

@@ -1,0 +1,118 @@
+"""``gsfusion-nb lab``: a comparison from a file, with all its outputs in a folder."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from ..backends import from_environment, use_backend
+from ..files import write_file
+from .example_table import EXAMPLE
+from .executors import executor
+from .map_scene import Entry
+from .outputs import write_outputs
+from .records import write_records
+from .result import RunResult
+from .run_all import run_all
+from .spec import RunSpec
+from .store import ResultStore
+from .table_file import read_table
+
+
+@dataclass(frozen=True, kw_only=True)
+class WhereOptions:
+    """Where runs are done, and where their results go."""
+
+    out: str = ""
+    """Folder for the results. Default: runs/ and the name of the file."""
+    jobs: int = 1
+    """Number of processes on this machine; each uses its share of the cores."""
+    dask: str = ""
+    """Address of the scheduler of a Dask cluster, such as tcp://host:8786, or "local" for one of --jobs workers on this
+    machine. The workers must find the data under the same paths. Needs the extra "cluster"."""
+    backend: str = field(default_factory=from_environment)
+    """auto, reference, torch, numba, triton or cuda. Default: the environment variable GSFUSION_BACKEND, else auto."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LabOptions(WhereOptions):
+    """Compare seeding rules: rules x scenes x seeds x budgets, as a file says.
+
+    Writes runs.csv, table.md, table.tex, pareto.pdf, provenance.json and a page. After Ctrl-C the same command
+    continues; no run is computed twice, also in later commands."""
+
+    table: Annotated[str, tyro.conf.Positional] = ""
+    """The file that describes the comparison (TOML)."""
+    new: str = ""
+    """Write a commented example to this file, and do nothing else."""
+
+
+def main(options: LabOptions) -> int:
+    """Run the command. Returns the exit status: 0, 1 if a run failed, or 130 if it was interrupted.
+
+    Raises:
+        ValueError: mistakes in the file. FileNotFoundError: no such file. FileExistsError: ``new`` exists already.
+    """
+    if options.new:
+        return _write_example(Path(options.new).expanduser())
+    if not options.table:
+        raise ValueError("expected the file of a comparison: gsfusion-nb lab table.toml (--new table.toml writes one)")
+    with use_backend(options.backend):
+        table = read_table(options.table)
+        print(table)
+        folder = Path(options.out or f"runs/{Path(options.table).stem}").expanduser()
+        return run_and_write(table.specs, folder, options, text=table.text)
+
+
+def run_and_write(specs: Sequence[RunSpec], folder: Path, options: WhereOptions, *, text: str = "") -> int:
+    """Run all ``specs``, print each result as it comes, and write the outputs. Returns the exit status."""
+    results: dict[int, RunResult] = {}
+    began, interrupted = time.perf_counter(), False
+    store = ResultStore(folder)
+    try:
+        with executor(options.jobs, options.dask) as where:
+            for i, result in run_all([Entry(spec=spec) for spec in specs], store, where):
+                results[i] = result
+                print(f"[{len(results):3d}/{len(specs)}] {describe(result)}", flush=True)
+                write_records(folder, in_order(results), text=text)
+    except KeyboardInterrupt:
+        interrupted = True
+    done = in_order(results)
+    if done:
+        write_records(folder, done, text=text)
+        write_outputs(folder, done)
+        print(f"\n{(folder / 'table.md').read_text(encoding='utf-8')}")
+    failed = sum(result.status == "failed" for result in done)
+    print(
+        f"{len(done)} of {len(specs)} runs in {time.perf_counter() - began:.0f} s, {failed} failed; files in {folder}"
+    )
+    if interrupted:
+        print("Interrupted: the same command continues.")
+        return 130
+    return 1 if failed else 0
+
+
+def describe(result: RunResult) -> str:
+    """One line about a run."""
+    spec, numbers = result.spec, result.metrics
+    name = f"{spec.scene}, {spec.label}, seed {spec.seed}, {spec.budget}"
+    if result.status == "failed":
+        return f"{name}: failed: {result.reason}"
+    psnr = f"{numbers['psnr_held_out_db']:.2f} dB held out, " if "psnr_held_out_db" in numbers else ""
+    return f"{name}: {psnr}{numbers['n_gaussians']:,.0f} Gaussians, {numbers['n_steps']:,.0f} steps"
+
+
+def in_order(results: dict[int, RunResult]) -> list[RunResult]:
+    """The results in the order of their runs."""
+    return [results[i] for i in sorted(results)]
+
+
+def _write_example(path: Path) -> int:
+    if path.exists():
+        raise FileExistsError(f"{path} exists already; choose another name for the example")
+    write_file(path, EXAMPLE)
+    print(f"wrote {path}; run it with: gsfusion-nb lab {path}")
+    return 0
