@@ -64,8 +64,9 @@ def test_the_papers_tables_are_runs_and_our_numbers_stand_beside_theirs(scene, n
     assert len({s.key for s in specs}) == len(specs)
     metrics = {
         "psnr_held_out_db": 21.0, "psnr_mapped_db": 23.0, "ssim_held_out": 0.5, "ssim_mapped": 0.6,
-        "n_gaussians": 900.0,        "n_keyframes": 7.0, "ms_per_frame": 50.0, "model_size_mb": 0.2, "seconds_global": 3.0, "disc_accuracy_m": 0.02,
-        "disc_precision": 0.9, "disc_completion_m": 0.03, "disc_completion_ratio": 0.8,
+        "n_gaussians": 900.0,
+        "n_keyframes": 7.0, "ms_per_frame": 50.0, "model_size_mb": 0.2, "seconds_global": 3.0,
+        "disc_accuracy_m": 0.02, "disc_precision": 0.9, "disc_completion_m": 0.03, "disc_completion_ratio": 0.8,
     }  # fmt: skip
     text = beside_paper(name, [RunResult(spec=s, status="done", metrics=metrics) for s in specs])
     expected = {
