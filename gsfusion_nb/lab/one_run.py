@@ -5,7 +5,7 @@ import hashlib
 import json
 import math
 import platform
-from collections.abc import Generator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +33,7 @@ MOST_PICTURES = 3
 SURFACE_SAMPLES = 50_000
 """Points drawn on each of the two surfaces; with a quarter of those of a single run the numbers differ by 1 %."""
 MOST_MESHES = 100
+OnStep = Callable[[StepReport | None], None]
 _scored_meshes: dict[str, dict[str, Any]] = {}
 """Hash of a mesh and of the frames -> its scores."""
 
@@ -50,12 +51,20 @@ def run_spec(spec: RunSpec, folder: Path | None = None) -> RunResult:
     return run_entry(Entry(spec=spec), folder)
 
 
-def run_entry(entry: Entry, folder: Path | None = None, tuned: Mapping[str, Any] | None = None) -> RunResult:
-    """``run_spec`` of a run that has objects of this process; ``tuned`` as for ``reach_budget``."""
+def run_entry(
+    entry: Entry,
+    folder: Path | None = None,
+    tuned: Mapping[str, Any] | None = None,
+    on_step: OnStep = lambda report: None,
+) -> RunResult:
+    """``run_spec`` of a run that has objects of this process; ``tuned`` as for ``reach_budget``.
+
+    ``on_step`` is called after each piece of work of ``run_steps``, with what that yields.
+    """
     steps = run_steps(entry, folder, tuned)
     while True:
         try:
-            next(steps)
+            on_step(next(steps))
         except StopIteration as ended:
             return ended.value
 

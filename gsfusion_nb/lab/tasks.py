@@ -12,7 +12,7 @@ from typing import Any, Literal
 from ..backends import use_backend
 from ..seeding import SeedingRule, rule_name
 from .map_scene import Entry
-from .one_run import run_entry
+from .one_run import OnStep, run_entry
 from .result import RunResult
 from .spec import RunSpec
 from .tune import tune, tuning_spec
@@ -65,31 +65,34 @@ class Answer:
     """Content of the picture files of a run, by name."""
 
 
-def do_task(task: Task) -> Answer:
-    """Do a piece of work. Raises nothing; a failure is in the answer."""
+def do_task(task: Task, on_step: OnStep = lambda report: None) -> Answer:
+    """Do a piece of work. Raises nothing; a failure is in the answer.
+
+    ``on_step`` is called after each frame, and after other pieces of work with None.
+    """
     with _ONE_AT_A_TIME, use_backend(task.backend):
         try:
             rule = pickle.loads(task.rule) if isinstance(task.rule, bytes) else task.rule
             entry = Entry(spec=task.spec, rule=rule, sequence=task.sequence)
-            return _tune(entry) if task.kind == "tune" else _run(entry, task)
+            return _tune(entry, on_step) if task.kind == "tune" else _run(entry, task, on_step)
         except Exception as e:  # a user's rule may raise anything
             return Answer(reason=f"{type(e).__name__}: {e}")
 
 
-def _tune(entry: Entry) -> Answer:
+def _tune(entry: Entry, on_step: OnStep) -> Answer:
     steps = tune(dataclasses.replace(entry, spec=tuning_spec(entry.spec)))
     while True:
         try:
-            next(steps)
+            on_step(next(steps))
         except StopIteration as ended:
             return Answer(tuned=ended.value)
 
 
-def _run(entry: Entry, task: Task) -> Answer:
+def _run(entry: Entry, task: Task, on_step: OnStep) -> Answer:
     if not task.with_pictures:
-        return Answer(result=run_entry(entry, None, task.tuned))
+        return Answer(result=run_entry(entry, None, task.tuned, on_step))
     with tempfile.TemporaryDirectory(prefix="gsfusion-lab-") as folder:
-        result = run_entry(entry, Path(folder), task.tuned)
+        result = run_entry(entry, Path(folder), task.tuned, on_step)
         pictures = {name: (Path(folder) / name).read_bytes() for name in result.pictures.values()}
     return Answer(result=result, pictures=pictures)
 

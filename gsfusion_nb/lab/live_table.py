@@ -1,0 +1,249 @@
+"""A comparison in a notebook: a table that fills while the runs are done, with buttons, and the pictures of a row."""
+
+import html
+import threading
+import time
+import weakref
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..drawing.curves import figure_png
+from ..drawing.html import fill
+from ..drawing.pictures import Picture, data_uri
+from ..drawing.side_by_side import side_by_side
+from ..viz.display import with_picture
+from ..viz.live.player import Player
+from .live_runs import LiveRuns
+from .map_scene import Entry
+from .outputs import all_tables, write_outputs
+from .pareto import ParetoPoints, pareto_figure
+from .result import RunResult
+from .result_table import ResultTable, failures, scene_table
+from .scene_plots import scene_points
+from .spec import RunSpec
+from .statistics import Group, group_runs
+from .store import ResultStore
+from .table_widget import TableWidget
+from .view_pictures import views_of
+
+MIN_INTERVAL_S = 0.1
+"""The line with the state is written at most ten times a second."""
+
+_on_stage: "weakref.ref[LiveTable] | None" = None
+
+
+class LiveTable:
+    """Does runs in a thread of its own and shows their results as they come; other cells can run meanwhile.
+
+    The last line of a cell shows it: a table of one scene and budget, which a click on a heading sorts; a click on a
+    rule shows its held-out views. From Python: ``start``, ``pause``, ``step``, ``stop``, and ``run_sync(n)``, which
+    does ``n`` runs in the calling cell. Results are kept in ``folder``, and a run that is done is never repeated: the
+    same table made again has its rows at once. Making another ``LiveTable`` stops this one.
+
+    Args:
+        runs: What is compared; ``entries_of`` makes all combinations of rules, scenes, seeds and budgets.
+        folder: Where results and pictures are kept.
+        jobs: Number of processes; with 1 the runs are done in this process and pause between two frames, with more
+            they pause between two runs.
+        dask: As for ``executors.executor``.
+
+    ``results`` are those so far. ``write()`` writes tables, figures and the page into ``folder``.
+    """
+
+    def __init__(
+        self, runs: Iterable[Entry | RunSpec], folder: str | Path | ResultStore = "runs/lab", *, jobs: int = 1,
+        dask: str = "",
+    ):  # fmt: skip
+        global _on_stage
+        if _on_stage is not None and (earlier := _on_stage()) is not None:
+            earlier.stop()
+        _on_stage = weakref.ref(self)
+        self.store = folder if isinstance(folder, ResultStore) else ResultStore(folder)
+        self._runs = LiveRuns(runs, self.store, jobs=jobs, dask=dask, on_frame=self._on_frame)
+        self.player = Player(lambda: self._runs, on_step=self._on_run, on_rest=self._on_rest)
+        self._writing = threading.RLock()
+        self._next_write_s = 0.0
+        self._build()
+        self._show_table()
+        self._write_status()
+
+    @property
+    def results(self) -> list[RunResult]:
+        """Results so far, in the order of the runs."""
+        return self._runs.results
+
+    def start(self) -> None:
+        """Run until paused, stopped or done."""
+        self._runs.go_on()
+        self.player.start()
+        self._write_status()
+
+    def pause(self) -> None:
+        """Pause after the current frame; with several processes, after the current run."""
+        self._runs.pause()
+        self.player.pause()
+        self._write_status()
+
+    def step(self) -> None:
+        """Do one run, or the rest of the current one."""
+        self._runs.go_on()
+        self.player.step()
+
+    def stop(self) -> None:
+        """Give up the current run; ``start`` begins with it again."""
+        self._runs.stop()
+        self.player.stop()
+        self._write_status()
+
+    def run_sync(self, n: int | None = None) -> int:
+        """Do ``n`` runs, or all that are left, in this thread. Returns how many results came."""
+        self._runs.stop()
+        self.player.close()
+        self._runs.go_on()
+        before = len(self.results)
+        self.player.run_sync(n)
+        return len(self.results) - before
+
+    def join(self, timeout_s: float | int | None = None) -> bool:
+        """Wait until the thread has ended. Returns whether it has."""
+        return self.player.join(timeout_s)
+
+    def close(self) -> None:
+        """Stop, and wait until the thread has ended."""
+        self.stop()
+        self.player.join(30.0)
+
+    def table(self) -> ResultTable:
+        """The table that is shown."""
+        groups = self._shown()
+        title = f"{self.scene.value}, {self.budget.value}"
+        return scene_table(groups, title=title)
+
+    def figure(self) -> Any:
+        """The Pareto plot of the scene and budget that are shown."""
+        groups = self._shown()
+        nothing = ParetoPoints(names=[], cost=np.zeros(0), quality=np.zeros(0))
+        return pareto_figure(scene_points(groups, "n_gaussians") if groups else nothing)
+
+    def picture(self) -> Picture:
+        """The Pareto plot as an image."""
+        import cv2
+
+        data = np.frombuffer(figure_png(self.figure()), np.uint8)
+        return np.ascontiguousarray(np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR))[..., ::-1])
+
+    def write(self, folder: str | Path | None = None) -> list[Path]:
+        """``write_outputs`` of the results so far; into the folder of the results if none is given."""
+        return write_outputs(folder or self.store.folder, self.results)
+
+    def __repr__(self) -> str:
+        return f"LiveTable({len(self.results)} of {self._runs.n_runs} runs)"
+
+    def _repr_mimebundle_(self, **kwargs: Any) -> dict[str, Any]:
+        self._show_table()
+        self._write_status()
+        picture = self.picture()
+        data = with_picture(self.widget._repr_mimebundle_(**kwargs), picture, repr(self))
+        values = {"tables": all_tables(self.results), "failures": failures(self.results)}
+        data["text/html"] = fill("live_table.html", **values, picture=data_uri(picture, "png"))
+        return data
+
+    def _shown(self) -> list[Group]:
+        place = (self.scene.value, self.budget.value)
+        return [g for g in group_runs(self.results) if (g.scene, g.budget) == place]
+
+    def _on_frame(self) -> None:
+        if self._runs.is_resting or time.monotonic() >= self._next_write_s:
+            self._next_write_s = time.monotonic() + MIN_INTERVAL_S
+            self._write_status()
+
+    def _on_run(self, _result: Any) -> None:
+        self._show_table()
+        self._write_status()
+
+    def _on_rest(self) -> None:
+        if self.player.state in ("stopped", "finished", "failed"):
+            self._runs.close()
+        self._show_table()
+        self._write_status()
+
+    def _show_table(self) -> None:
+        with self._writing:
+            place = (self.scene.value, self.budget.value)
+            planned = self._runs.planned(*place)
+            states = {}
+            for group in self._shown():
+                n, lost = planned[group.label], len(group.failed)
+                done = f"{len(group.runs)} of {n} runs" if len(group.runs) < n else ""
+                states[group.label] = f"{done}, {lost} failed" if lost else done
+            self.widget_table.show(self.table(), states)
+            lines = [
+                f"{label}, seed {seed}: {reason}"
+                for label, scene, budget, seed, reason in failures(self.results)
+                if (scene, budget) == place
+            ]
+            self.failed.value = "<br>".join(html.escape(line) for line in lines)
+
+    def _show_pictures(self, _change: Any = None) -> None:
+        with self._writing:
+            self.pictures.value = self._pictures_of(self.widget_table.selected)
+
+    def _pictures_of(self, label: str) -> str:
+        """The held-out views of a rule at the scene and budget shown, as HTML."""
+        for run in next((g.runs for g in self._shown() if g.label == label), ()):
+            rows = [
+                (view.name, data_uri(side_by_side([view.truth, view.render, view.error], ["recorded", label, "error"])))
+                for view in views_of(run, self.store.folder)
+            ]
+            if rows:
+                return fill("view_pictures.html", label=label, seed=run.spec.seed, rows=rows)
+        return html.escape(f"{label}: no pictures") if label else ""
+
+    def _write_status(self) -> None:
+        """Show the state of now. Called from two threads: who writes last must also be who read the state last."""
+        with self._writing:
+            state = "paused" if self._runs.is_resting and self.player.state == "running" else self.player.state
+            words = [f"<b>{state}</b>", f"{len(self.results)} of {self._runs.n_runs} runs"]
+            if state in ("running", "paused"):
+                words.append(html.escape(self._runs.now))
+            error = self.player.error
+            if error is not None:
+                words.append(f'<span style="color:#b3261e">{html.escape(f"{type(error).__name__}: {error}")}</span>')
+            self.progress.value = len(self.results)
+            self.status.value = " · ".join(word for word in words if word)
+
+    def _build(self) -> None:
+        import ipywidgets as w
+
+        actions = {"Start": self.start, "Pause": self.pause, "Step": self.step, "Stop": self.stop}
+        icons = {"Start": "play", "Pause": "pause", "Step": "step-forward", "Stop": "stop"}
+        self.buttons = {
+            name: w.Button(description=name, icon=icons[name], layout=w.Layout(width="88px")) for name in actions
+        }
+        for name, button in self.buttons.items():
+            button.add_class(f"gsnb-lab-{name.lower()}")
+            button.on_click(lambda _, act=actions[name]: act())
+        self.progress = w.IntProgress(min=0, max=max(self._runs.n_runs, 1), layout=w.Layout(width="260px"))
+        self.status, self.failed, self.pictures = w.HTML(), w.HTML(), w.HTML()
+        self.status.add_class("gsnb-lab-status")
+        self.pictures.add_class("gsnb-lab-pictures")
+        self.failed.add_class("gsnb-lab-failed")
+        self.scene = w.Dropdown(options=self._runs.scenes, description="Scene")
+        self.budget = w.Dropdown(options=self._runs.budgets, description="Budget", layout=w.Layout(width="360px"))
+        for menu in (self.scene, self.budget):
+            menu.observe(lambda _: self._place_changed(), names="value")
+        self.widget_table = TableWidget()
+        self.widget_table.observe(self._show_pictures, names="selected")
+        row = w.Layout(flex_flow="row wrap")
+        controls = w.HBox([*self.buttons.values(), self.progress], layout=row)
+        menus = w.HBox([self.scene, self.budget], layout=row)
+        parts = [controls, self.status, menus, self.widget_table, self.failed, self.pictures]
+        self.widget = w.VBox(parts)
+        self.widget.add_class("gsnb-lab")
+
+    def _place_changed(self) -> None:
+        self._show_table()
+        self._show_pictures()
