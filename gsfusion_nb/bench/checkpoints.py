@@ -71,6 +71,7 @@ def _stop(run: MappingRun, folder: Path, n: int) -> tuple[Saved, Lap, float | No
         seconds. None outside the main thread, where no signal arrives.
     """
     stop, sent = StopRequest(), []
+    run.mapper.guard.stop_wanted = lambda: bool(stop)
 
     def send() -> None:
         sent.append(time.perf_counter())

@@ -4,6 +4,7 @@ from .gsfusion import GSFusion as GSFusion
 from .map_view import MapPart as MapPart
 from .mapper import Mapper as Mapper
 from .one_frame import DelayedInterrupt as DelayedInterrupt
+from .one_frame import FrameUndone as FrameUndone
 from .one_frame import HalfMappedError as HalfMappedError
 from .rtg_slam import RTGSLAM as RTGSLAM
 from .step_report import GlobalStep as GlobalStep

@@ -1,5 +1,6 @@
 """Map a whole sequence with one call, from a notebook or the command line."""
 
+import contextlib
 import logging
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -180,7 +181,8 @@ def _work(
     run: MappingRun, stop: StopRequest, evaluate: bool, map_frames: Callable[[MappingRun, StopRequest], None]
 ) -> None:
     """Map and optimise until finished or asked to stop; sets the run's status."""
-    map_frames(run, stop)
+    with _frames_may_be_undone(run, stop):
+        map_frames(run, stop)
     if evaluate and not (stop or run.mapper.passes.begun or run.is_optimised) and run.mapper.n_passes:
         with stop.ending_at_once():
             online = outputs.score(run, "_online")
@@ -199,6 +201,17 @@ def _work(
         run.status = "complete"
     if run.steps and not len(run.mapper.gaussians):
         run.warnings.append(why_empty(run))
+
+
+@contextlib.contextmanager
+def _frames_may_be_undone(run: MappingRun, stop: StopRequest) -> Iterator[None]:
+    """A block in which a request to stop takes effect between two gradient steps of a frame, except of the first."""
+    guard = run.mapper.guard
+    guard.stop_wanted = lambda: bool(stop) and len(run.steps) > 0
+    try:
+        yield
+    finally:
+        guard.stop_wanted = lambda: False
 
 
 def _score(run: MappingRun, place: RunFolder, stop: StopRequest, mesh: Mesh, metrics: dict[str, Any]) -> None:

@@ -15,7 +15,7 @@ from ..data import OpenedSequence, RecordedSequence, SequenceError, SequenceView
 from ..data.stream import read_ahead
 from ..errors import shown
 from ..export import CheckpointStore, Saved
-from ..mapping import DelayedInterrupt, GlobalStep, Mapper, StepReport, system_of
+from ..mapping import DelayedInterrupt, FrameUndone, GlobalStep, Mapper, StepReport, system_of
 from ..types import Frame
 from .posed_frames import has_poses
 from .random_state import random_state
@@ -113,6 +113,9 @@ class MappingRun:
     def online(self) -> Generator[StepReport, None, None]:
         """Map the remaining frames one by one; those that cannot be used are skipped and listed in ``warnings``.
 
+        It ends early if a frame was undone because ``mapper.guard.stop_wanted`` asks for it; that frame is then the
+        next one.
+
         Raises:
             SequenceError: No frame could be mapped; the message gives the first reason.
         """
@@ -124,6 +127,8 @@ class MappingRun:
                     report = self._map(frame)
                 except StopIteration:
                     break
+                except FrameUndone:  # the run is asked to stop
+                    return
                 except SequenceError as e:
                     if not self._can_go_on(e):
                         raise

@@ -7,9 +7,10 @@ import signal
 import pytest
 import torch
 
-from gsfusion_nb.config import gsfusion
+from gsfusion_nb.config import gsfusion, rtg_slam
 from gsfusion_nb.data import apply_options
 from gsfusion_nb.mapping import GSFusion, make_mapper
+from gsfusion_nb.mapping.one_frame import FrameGuard
 from gsfusion_nb.runs import CheckpointEvery, StreamRun, outputs, resume_mapping, run_mapping
 from gsfusion_nb.runs.autosave import Autosave
 
@@ -49,6 +50,39 @@ def test_a_stop_while_scoring_leaves_a_report_and_the_run_can_be_scored_again(tm
     assert "mesh_accuracy_m" in metrics_of(run.folder)["metrics"]
     assert again.run.hashes == whole.run.hashes == run.run.hashes
     assert not (run.folder / "checkpoint").exists()
+
+
+@pytest.mark.parametrize("at_frame", [0, 3])
+def test_sigterm_between_two_gradient_steps_undoes_the_frame_and_the_run_resumes(
+    tmp_path, small, monkeypatch, at_frame
+):
+    """RTG-SLAM takes many steps for a frame. The first frame is mapped to its end, so that there is a map."""
+    data = {"data__width": 32, "data__height": 24, "data__stop": 5, "data__hold_out_every": 0}
+    config = rtg_slam(
+        "room", window__every_frames=1, window__iterations=6, final__passes=1, mesh__voxel_size_m=0.1, **data
+    )
+    may_stop, looks = FrameGuard.may_stop, []
+
+    def stopped(guard):
+        looks.append(guard._index)
+        if looks.count(at_frame) == 3:
+            signal.raise_signal(signal.SIGTERM)
+        may_stop(guard)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(FrameGuard, "may_stop", stopped)
+        run = run_mapping("room", config, folder=tmp_path / "out", evaluate=False)
+    assert run.run.status == "interrupted"
+    assert looks.count(at_frame) == (3 if at_frame else 7)
+    assert len(run.run.steps) == run.run.mapper.n_frames == run.run.next_position == max(at_frame, 1)
+    assert (run.folder / "checkpoint").is_dir()
+    assert not run.run.mapper.guard.stop_wanted()
+    assert run.run.mapper.guard.half_mapped == ""
+    if at_frame:
+        whole = run_mapping("room", config, folder=tmp_path / "whole", evaluate=False)
+        again = resume_mapping(run.folder, evaluate=False)
+        assert again.run.status == "complete"
+        assert again.run.hashes == whole.run.hashes
 
 
 def test_the_checkpoint_comes_before_the_maps_and_scoring_is_cut_short(tmp_path, small, config, monkeypatch):
