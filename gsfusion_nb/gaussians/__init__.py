@@ -1,5 +1,6 @@
 """The Gaussian map, its rows and their states."""
 
+from .apply_edit import SPLIT_SHRINKS as SPLIT_SHRINKS
 from .apply_edit import shared as shared
 from .edit import Edit as Edit
 from .model import GaussianModel as GaussianModel

@@ -1,7 +1,7 @@
 """How an ``Edit`` changes a map: parameters, moments, birth, tag and states together."""
 
 import math
-from typing import TYPE_CHECKING
+from typing import Any
 
 import torch
 from jaxtyping import Float, Int
@@ -10,9 +10,6 @@ from torch import Tensor
 from ..geometry import quaternion
 from ..geometry.spherical_harmonics import rgb_to_sh_dc
 from .edit import STORED, Edit
-
-if TYPE_CHECKING:
-    from .model import GaussianModel
 
 SPLIT_SHRINKS = 1.6
 """A half of a split Gaussian is smaller by this factor (code released with Kerbl et al. 2023)."""
@@ -51,10 +48,8 @@ def shared(
     return share.clamp(min_opacity, one).to(opacity), torch.where((n > 1)[:, None], scale, scale_m)
 
 
-def apply_edit(
-    model: "GaussianModel", edit: Edit, generator: torch.Generator, frame_index: int = 0
-) -> Int[Tensor, " M"]:
-    """Change the rows of a map as ``GaussianModel.edit`` says."""
+def apply_edit(model: Any, edit: Edit, generator: torch.Generator, frame_index: int = 0) -> Int[Tensor, " M"]:
+    """Change the rows of ``model`` as its method ``edit`` says (``GaussianModel``)."""
     before = len(model)
     edit = edit.resolved(model.params.sh, "state" in model.columns)
     for name, factors in edit.rates.items():
@@ -84,7 +79,7 @@ def apply_edit(
     return origin[kept]
 
 
-def _stored(model: "GaussianModel", name: str, rows: Tensor, values: Tensor) -> tuple[str, Tensor, Tensor]:
+def _stored(model: Any, name: str, rows: Tensor, values: Tensor) -> tuple[str, Tensor, Tensor]:
     """Column, rows and values of ``Edit.set`` as the map stores them."""
     if name == "scale_m":
         return "log_scale", rows, values.log()
@@ -97,7 +92,7 @@ def _stored(model: "GaussianModel", name: str, rows: Tensor, values: Tensor) -> 
     return name, rows, values
 
 
-def _share(model: "GaussianModel", rows: Int[Tensor, " M"], min_opacity: float) -> Int[Tensor, " R"]:
+def _share(model: Any, rows: Int[Tensor, " M"], min_opacity: float) -> Int[Tensor, " R"]:
     """Give every row that is named k times the opacity and scale of one of k + 1 copies; returns those rows, once."""
     once, times = rows.unique(return_counts=True)
     params = model.params
@@ -109,7 +104,7 @@ def _share(model: "GaussianModel", rows: Int[Tensor, " M"], min_opacity: float) 
     return once
 
 
-def _relocate(model: "GaussianModel", moved: Tensor, target: Tensor, min_opacity: float) -> None:
+def _relocate(model: Any, moved: Tensor, target: Tensor, min_opacity: float) -> None:
     once = _share(model, target, min_opacity)
     columns = model.columns
     for name in (*STORED, "birth_frame", "tag", *(f"rate.{name}" for name in model.rates)):
@@ -119,7 +114,7 @@ def _relocate(model: "GaussianModel", moved: Tensor, target: Tensor, min_opacity
     model.as_new(once if "state" not in columns else torch.cat([once, moved]))
 
 
-def _clone(model: "GaussianModel", rows: Tensor, shares: bool, min_opacity: float) -> None:
+def _clone(model: Any, rows: Tensor, shares: bool, min_opacity: float) -> None:
     if shares:
         _share(model, rows, min_opacity)
     start = len(model)
@@ -128,7 +123,7 @@ def _clone(model: "GaussianModel", rows: Tensor, shares: bool, min_opacity: floa
         model.clear_memory(slice(start, None))
 
 
-def _split(model: "GaussianModel", rows: Tensor, shares: bool, generator: torch.Generator) -> None:
+def _split(model: Any, rows: Tensor, shares: bool, generator: torch.Generator) -> None:
     params = model.params
     scale_m, R = params.log_scale[rows].exp(), quaternion.to_matrix(params.quat[rows])
     drawn = torch.randn(2, len(rows), 3, generator=generator, device=generator.device).to(scale_m)

@@ -2,7 +2,7 @@
 
 import dataclasses
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Any
 
 import torch
 from jaxtyping import Float, Int
@@ -18,9 +18,6 @@ from ..seeding.unchanged_inputs import Versions
 from ..types import Camera, Frame
 from .rule_in_use import RuleInUse
 from .surfel_optimiser import SurfelOptimiser, TrainingView
-
-if TYPE_CHECKING:
-    from .mapper import Mapper
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -111,7 +108,7 @@ class AfterSteps:
 
     def __call__(
         self,
-        mapper: "Mapper",
+        mapper: Any,
         step: WatchedStep,
         view: Frame | Keyframe,
         loss: Float[Tensor, ""],
@@ -120,7 +117,7 @@ class AfterSteps:
         """Let the rule edit the map, after a step was written to it.
 
         Args:
-            mapper: Its map, and its contexts of keyframes in the passes after the scan.
+            mapper: The ``Mapper``, for its map, and its contexts of keyframes in the passes after the scan.
             step: From ``add_up``.
             view: What was rendered.
             loss: Loss before the step.
@@ -164,7 +161,7 @@ class AfterSteps:
             v_uv=step.v_uv,
         )
 
-    def _edit(self, mapper: "Mapper", ctx: SeedContext, stats: StepStats) -> None:
+    def _edit(self, mapper: Any, ctx: SeedContext, stats: StepStats) -> None:
         assert self._rule is not None
         versions = Versions(ctx)
         edit = self._rule.after_step(ctx, stats, ctx.memory)

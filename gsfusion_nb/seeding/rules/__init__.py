@@ -1,6 +1,7 @@
 """One file per rule; importing a file registers its rule."""
 
 from .cg_slam import cg_slam as cg_slam
+from .default_strategy import default_strategy as default_strategy
 from .dense import dense as dense
 from .gaus_slam import gaus_slam as gaus_slam
 from .gaussian_slam import gaussian_slam as gaussian_slam
@@ -9,6 +10,7 @@ from .gs_icp import gs_icp as gs_icp
 from .gs_slam import gs_slam as gs_slam
 from .gsfusion import gsfusion as gsfusion
 from .hf_slam import hf_slam as hf_slam
+from .mcmc import mcmc as mcmc
 from .mm3dgs import mm3dgs as mm3dgs
 from .monogs import monogs as monogs
 from .monogs_like import monogs_like as monogs_like

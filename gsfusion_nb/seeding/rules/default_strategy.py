@@ -1,0 +1,136 @@
+"""Densification and pruning of 3DGS, as gsplat's DefaultStrategy does them."""
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from ...gaussians import SPLIT_SHRINKS, Edit
+from ...types import Seeds
+from ..context import SeedContext
+from ..footprint import one_pixel_seeds
+from ..map_rule import MapRule
+from ..rule import seeding_rule
+from ..step_stats import StepStats, image_gradient, restart_statistics
+from ..unmapped import unmapped_pixels
+
+RADIUS = "largest_radius"
+"""Name of the largest radius of each row in an image so far, as a share of the image's longer side."""
+
+
+@seeding_rule
+@dataclass(frozen=True, kw_only=True)
+class default_strategy(MapRule):
+    """3DGS's adaptive density control: copies small Gaussians and splits large ones where the image asks for detail.
+
+    Every ``refine_every`` gradient steps, each Gaussian with a mean gradient of its centre in the image above
+    ``grow_grad2d`` is copied if it is small, or split in two if it is large; nearly transparent and very large ones are
+    removed. Every ``reset_every`` steps all opacities are lowered to at most ``2 prune_opa``.
+
+    3DGS starts from the points of a reconstruction. Here a few pixels that the map does not cover are seeded in each
+    frame, and the densification does the rest.
+
+    Args:
+        share: Share of the pixels not yet covered that is seeded, 0..1; their Gaussians are as large as their share.
+        scene_scale_m: Extent of the scene, metres, the unit of the sizes in 3D. 0: 1.1 times the largest distance of a
+            camera from their mean, at least 1 m (gsplat's trainer, without the minimum).
+        prune_opa: Gaussians with a smaller opacity are removed.
+        grow_grad2d: Mean length of dL/d(centre in the image) above which a Gaussian is copied or split; the unit in
+            the image is half its width and half its height.
+        grow_scale3d: Gaussians up to this size (largest standard deviation / scene) are copied, larger ones split.
+        grow_scale2d: Gaussians with a larger radius in an image are split, share of the longer side of the image.
+        prune_scale3d: Gaussians larger than this (as ``grow_scale3d``) are removed after the first reset.
+        prune_scale2d: Gaussians with a larger radius in an image (as ``grow_scale2d``) are removed after it.
+        refine_scale2d_stop_iter: The two sizes in the image are used until this step; 0: never.
+        refine_start_iter: Step after which refining begins.
+        refine_stop_iter: Step at which refining and resets end.
+        refine_every: Steps between two refinings.
+        reset_every: Steps between two resets of the opacity.
+        pause_refine_after_reset: Steps after a reset without refining.
+        revised_opacity: Halves of a split have the opacity 1 - sqrt(1 - o) (Rota Bulò et al. 2024).
+
+    The names and defaults are gsplat's, and so are the rows that change, with three exceptions. The resets really
+    happen; in gsplat 1.5.3 they never do, because ``step % reset_every == 0 & step > 0`` is always false in Python.
+    A Gaussian that is small but large in an image is only split; gsplat copies it as well. And ``absgrad`` is missing,
+    because the kernels add up gradients with their signs. In RTG-SLAM, which does not optimise opacities, set
+    ``reset_every`` above the number of steps.
+    Source: Kerbl et al. 2023, section 5; gsplat 1.5.3, ``strategy/default.py``.
+    """
+
+    share: float = 0.05
+    scene_scale_m: float = 0.0
+    prune_opa: float = 0.005
+    grow_grad2d: float = 0.0002
+    grow_scale3d: float = 0.01
+    grow_scale2d: float = 0.05
+    prune_scale3d: float = 0.1
+    prune_scale2d: float = 0.15
+    refine_scale2d_stop_iter: int = 0
+    refine_start_iter: int = 500
+    refine_stop_iter: int = 15_000
+    refine_every: int = 100
+    reset_every: int = 3000
+    pause_refine_after_reset: int = 0
+    revised_opacity: bool = False
+
+    needs: ClassVar[frozenset[str]] = frozenset({"image_gradients"})
+
+    def seeds(self, ctx: SeedContext, memory: dict[str, Any]) -> Seeds:
+        """A share of the pixels that the map does not cover."""
+        return one_pixel_seeds(ctx, unmapped_pixels(ctx, 0.5, torch.inf), share=self.share)
+
+    def after_step(self, ctx: SeedContext, stats: StepStats, memory: dict[str, Any]) -> Edit | None:
+        """Refine or reset, where it is time."""
+        step, last = stats.step - 1, memory.get("step", -1)  # gsplat counts from 0
+        memory["step"] = step
+        if step >= self.refine_stop_iter:
+            return None
+        if self.refine_scale2d_stop_iter > 0:
+            side, radius = max(stats.camera.width, stats.camera.height), ctx.gaussians.row_memory(RADIUS)
+            assert stats.radius_px is not None
+            torch.maximum(radius, stats.radius_px / side, out=radius)
+        refines = step // self.refine_every > last // self.refine_every and step > self.refine_start_iter
+        resets = step // self.reset_every > last // self.reset_every and step > 0
+        edit: dict[str, Any] = {}
+        if refines and step % self.reset_every >= self.pause_refine_after_reset:
+            edit = self._refined(ctx, step)
+            restart_statistics(ctx.gaussians)
+            if RADIUS in ctx.gaussians.memory:
+                ctx.gaussians.memory[RADIUS].zero_()
+        if resets:
+            edit["reset_opacity"] = 2 * self.prune_opa
+        return Edit(**edit) if edit else None
+
+    def _refined(self, ctx: SeedContext, step: int) -> dict[str, Tensor | bool]:
+        """Which rows are copied, split and removed."""
+        gradient, size, scene = image_gradient(ctx.gaussians), ctx.map.scale_m.amax(dim=1), self._scene_m(ctx)
+        assert gradient is not None
+        wanted, small = gradient > self.grow_grad2d, size <= self.grow_scale3d * scene
+        clone, split = wanted & small, wanted & ~small
+        if step < self.refine_scale2d_stop_iter:
+            split = split | (ctx.gaussians.row_memory(RADIUS) > self.grow_scale2d)
+            clone = clone & ~split
+        gone = self._pruned(ctx, split, size / scene, step)
+        return {"clone": clone & ~gone, "split": split & ~gone, "keep": ~gone, "split_shares": self.revised_opacity}
+
+    def _pruned(
+        self, ctx: SeedContext, split: Bool[Tensor, " N"], size: Float[Tensor, " N"], step: int
+    ) -> Bool[Tensor, " N"]:
+        """Rows to remove, themselves or, of those that are split, their halves."""
+        opacity = ctx.map.opacity
+        if self.revised_opacity:
+            opacity = torch.where(split, 1 - (1 - opacity).sqrt(), opacity)
+        gone = opacity < self.prune_opa
+        if step > self.reset_every:
+            gone = gone | (torch.where(split, size / SPLIT_SHRINKS, size) > self.prune_scale3d)
+            if step < self.refine_scale2d_stop_iter:
+                gone = gone | (ctx.gaussians.row_memory(RADIUS) > self.prune_scale2d)
+        return gone
+
+    def _scene_m(self, ctx: SeedContext) -> float:
+        if self.scene_scale_m > 0:
+            return self.scene_scale_m
+        places = torch.stack([T[:3, 3] for T in (*ctx.past_T_WC, ctx.frame.T_WC_cpu)])
+        return max(1.0, 1.1 * float((places - places.mean(dim=0)).norm(dim=1).max()))

@@ -1,0 +1,257 @@
+"""gsplat's strategies as rules: which rows change, by hand and against gsplat itself; and that they run online."""
+
+import math
+import warnings
+from typing import Any
+
+import pytest
+import torch
+
+from gsfusion_nb.config import gsfusion
+from gsfusion_nb.data.room import room
+from gsfusion_nb.gaussians import Edit, GaussianModel
+from gsfusion_nb.mapping import GSFusion
+from gsfusion_nb.seeding import SeedContext, StepStats, restart_statistics
+from gsfusion_nb.seeding.rules import default_strategy, mcmc
+from gsfusion_nb.seeding.step_stats import add_up
+from gsfusion_nb.types import Seeds
+
+N = 40
+
+
+@pytest.fixture(scope="module")
+def frame() -> Any:
+    return room(n_frames=120, width=32, height=24)[0]
+
+
+@pytest.fixture
+def model(generator) -> GaussianModel:
+    """Rows of all sizes and opacities, each visible in four steps, with gradients around the threshold."""
+    made = GaussianModel(sh_degree=1)
+    seeds = Seeds.isotropic(
+        torch.rand(N, 3, generator=generator),
+        torch.rand(N, 3, generator=generator),
+        0.02 * torch.rand(N, generator=generator) + 0.001,
+    )
+    opacity = torch.rand(N, generator=generator) ** 4 * 0.99 + 0.001
+    made.append(Seeds(**vars(seeds) | {"opacity": opacity}))
+    made.params.log_scale.add_(0.5 * torch.randn(N, 3, generator=generator))
+    return made
+
+
+def told(frame: Any, step: int, **more: Any) -> StepStats:
+    return StepStats(
+        step=step,
+        stage="online",
+        step_in_frame=1,
+        steps_in_frame=1,
+        frame_index=0,
+        camera=frame.camera,
+        T_WC=frame.T_WC,
+        target=frame.rgb,
+        loss=torch.zeros(()),
+        **more,
+    )
+
+
+def seen(model: GaussianModel, frame: Any, generator: torch.Generator, steps: int = 4) -> torch.Tensor:
+    """Statistics of some steps; returns the gradients [steps, N, 2], in units of half the image."""
+    restart_statistics(model)
+    half = torch.tensor([frame.camera.width / 2, frame.camera.height / 2])
+    gradients = 4e-4 * torch.rand(steps, N, 2, generator=generator)
+    for g in gradients:
+        add_up(model, torch.ones(N, dtype=torch.bool), g / half, frame.camera)
+    return gradients
+
+
+def refined(rule: Any, model: GaussianModel, frame: Any, step: int, generator: torch.Generator, **more) -> Edit | None:
+    ctx = SeedContext(frame, gaussians=model, generator=generator)
+    return rule.after_step(ctx, told(frame, step, **more), {"step": step - 2})
+
+
+def test_small_ones_are_copied_large_ones_split_faint_ones_removed(model, frame, generator):
+    seen(model, frame, generator)
+    p = model.params
+    p.log_scale.fill_(math.log(0.005))
+    p.opacity_logit.fill_(0.0)
+    p.log_scale[1] = math.log(0.02)
+    p.log_scale[2] = math.log(0.5)
+    p.opacity_logit[3] = -6.0
+    model.memory["image_gradient"].zero_()
+    model.memory["image_gradient"][:3] = 4 * 3e-4
+    rule = default_strategy(scene_scale_m=1.0, reset_every=600)
+    edit = refined(rule, model, frame, 701, generator)
+    assert edit is not None
+    assert edit.clone.nonzero()[:, 0].tolist() == [0]
+    assert edit.split.nonzero()[:, 0].tolist() == [1]  # the halves of row 2 would still be too large
+    assert (~edit.keep).nonzero()[:, 0].tolist() == [2, 3]
+    assert not model.memory["image_gradient"].any()
+    assert edit.reset_opacity is None
+
+
+@pytest.mark.parametrize(
+    ("step", "grows", "resets"),
+    [
+        (401, False, False),
+        (501, False, False),
+        (601, True, False),
+        (650, False, False),
+        (3001, True, True),
+        (3101, False, False),
+        (3301, True, False),
+        (15001, False, False),
+    ],
+)
+def test_when_it_refines_and_resets(model, frame, generator, step, grows, resets):
+    seen(model, frame, generator)
+    rule = default_strategy(pause_refine_after_reset=200 if step > 3001 else 0)
+    edit = refined(rule, model, frame, step, generator)
+    assert (edit is not None and edit.keep is not None) == grows
+    assert (edit is not None and edit.reset_opacity == 0.01) == resets
+
+
+def test_a_refining_that_falls_between_two_calls_is_not_lost(model, frame, generator):
+    """RTG-SLAM's map is written after many steps; the call after the 600th step refines."""
+    seen(model, frame, generator)
+    ctx, memory = SeedContext(frame, gaussians=model, generator=generator), {"step": 580}
+    assert default_strategy().after_step(ctx, told(frame, 631), memory) is not None
+    assert default_strategy().after_step(ctx, told(frame, 681), memory) is None
+
+
+@pytest.fixture(scope="module")
+def gsplat() -> Any:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return pytest.importorskip("gsplat.strategy", reason="gsplat is not installed: pip install gsplat==1.5.3")
+
+
+def theirs(model: GaussianModel) -> tuple[Any, dict[str, torch.optim.Optimizer]]:
+    p = model.params
+    columns = {"means": p.xyz_W, "scales": p.log_scale, "quats": p.quat, "opacities": p.opacity_logit, "sh": p.sh}
+    params = torch.nn.ParameterDict({name: torch.nn.Parameter(column.clone()) for name, column in columns.items()})
+    return params, {name: torch.optim.Adam([param], lr=0.0) for name, param in params.items()}
+
+
+def assert_same(model: GaussianModel, params: Any, n_drawn: int = 0) -> None:
+    """Equal rows; the centres of the last ``n_drawn`` were drawn at random, by each from other numbers."""
+    p = model.params
+    columns = {"means": p.xyz_W, "scales": p.log_scale, "quats": p.quat, "opacities": p.opacity_logit, "sh": p.sh}
+    for name, column in columns.items():
+        assert column.shape == params[name].shape
+        rows = slice(len(column) - n_drawn if name == "means" else None)
+        torch.testing.assert_close(column[rows], params[name].data[rows], atol=1e-5, rtol=1e-5)
+
+
+@pytest.mark.parametrize("sizes_in_2d", [0, 10_000])
+@pytest.mark.parametrize("revised", [False, True])
+@pytest.mark.parametrize("step", [700, 3200])
+def test_grows_and_prunes_the_same_rows_as_gsplat(gsplat, model, frame, generator, step, revised, sizes_in_2d):
+    options = {"revised_opacity": revised, "refine_scale2d_stop_iter": sizes_in_2d, "prune_scale3d": 0.015}
+    rule = default_strategy(scene_scale_m=1.3, grow_grad2d=2.5e-4, **options)
+    gradients, large = seen(model, frame, generator), model.scale_m.amax(dim=1) > 0.013
+    radius_px = torch.where(large, 8 * torch.rand(N, generator=generator), 0.0)
+    strategy = gsplat.DefaultStrategy(grow_grad2d=2.5e-4, **options)
+    state = {"grad2d": gradients.norm(dim=2).sum(0), "count": torch.full((N,), 4.0), "scene_scale": 1.3}
+    if sizes_in_2d:
+        state["radii"] = radius_px / 32
+    params, optimisers = theirs(model)
+    ours = torch.Generator().manual_seed(3)
+    edit = refined(rule, model, frame, step + 1, ours, radius_px=radius_px)
+    assert edit is not None
+    model.edit(edit, ours)
+    n_copied, n_split = strategy._grow_gs(params, optimisers, state, step)
+    n_removed = strategy._prune_gs(params, optimisers, state, step)
+    assert min(n_copied, n_split, n_removed) > 0
+    assert_same(model, params, n_drawn=2 * int(edit.split.sum()))
+
+
+def test_moves_and_adds_the_same_rows_as_gsplat(gsplat, model, frame, monkeypatch):
+    import gsplat.strategy.ops as ops  # pyright: ignore[reportMissingImports]
+
+    def relocation(opacities, scales, ratios, binoms):
+        from gsfusion_nb.gaussians import shared
+
+        return shared(opacities, scales, ratios, 1e-9)
+
+    monkeypatch.setattr(ops, "compute_relocation", relocation)  # its formula: tests/gaussians/test_edit_as_gsplat.py
+    strategy = gsplat.MCMCStrategy(min_opacity=0.01, cap_max=41)
+    params, optimisers = theirs(model)
+    ours = torch.Generator().manual_seed(3)
+    edit = refined(mcmc(min_opacity=0.01, cap_max=41, noise_lr=0.0), model, frame, 601, ours)
+    assert edit is not None
+    model.edit(edit, ours)
+    torch.manual_seed(3)
+    binoms = strategy.initialize_state()["binoms"]
+    n_moved = strategy._relocate_gs(params, _with_moments(params, optimisers), binoms)
+    n_added = strategy._add_new_gs(params, optimisers, binoms)
+    assert n_moved > 3
+    assert n_added == 1
+    assert_same(model, params)
+
+
+def _with_moments(params: Any, optimisers: dict[str, torch.optim.Optimizer]) -> dict[str, torch.optim.Optimizer]:
+    for name, optimiser in optimisers.items():
+        params[name].grad = torch.zeros_like(params[name])
+        optimiser.step()
+    return optimisers
+
+
+def test_the_random_motion_is_gsplat_s(gsplat, model, frame):
+    import gsplat.strategy.ops as ops  # pyright: ignore[reportMissingImports]
+
+    params, optimisers = theirs(model)
+    ours = torch.Generator().manual_seed(3)
+    edit = refined(mcmc(), model, frame, 7, ours)
+    assert edit is not None
+    assert edit.relocate is edit.clone is None
+    torch.manual_seed(3)
+    covariance = ops.quat_scale_to_covar_preci
+    ops.quat_scale_to_covar_preci = _covariance
+    try:
+        ops.inject_noise_to_position(params, optimisers, {}, 1.6e-4 * 5e5)
+    finally:
+        ops.quat_scale_to_covar_preci = covariance
+    rows, values = edit.set["xyz_W"]
+    assert rows.tolist() == list(range(N))
+    torch.testing.assert_close(values, params["means"].data, atol=1e-6, rtol=1e-5)
+
+
+def _covariance(quats, scales, **_):
+    """gsplat's function is a CUDA kernel: R diag(s^2) R^T of wxyz quaternions."""
+    from gsplat.utils import normalized_quat_to_rotmat  # pyright: ignore[reportMissingImports]
+
+    R = normalized_quat_to_rotmat(torch.nn.functional.normalize(quats, dim=-1))
+    return R @ torch.diag_embed(scales**2) @ R.mT, None
+
+
+def test_motion_is_large_only_for_transparent_ones_and_has_the_shape_of_the_gaussian(model, frame, generator):
+    model.params.opacity_logit.copy_(torch.where(torch.arange(N) < 20, -9.0, 2.0))
+    model.params.log_scale.copy_(torch.tensor([0.1, 0.001, 0.001]).log().expand(N, 3))
+    model.params.quat.copy_(torch.tensor([1.0, 0, 0, 0]).expand(N, 4))
+    edit = refined(mcmc(lr_xyz=1e-3, noise_lr=1e3), model, frame, 7, generator)
+    assert edit is not None
+    away = (edit.set["xyz_W"][1] - model.params.xyz_W).abs()
+    assert float(away[20:].max()) < 1e-6
+    assert float(away[:20, 0].median()) > 1e-3
+    assert float(away[:20, 1:].max()) < 1e-5
+
+
+@pytest.mark.parametrize(
+    ("rule", "options"),
+    [
+        (default_strategy, {"refine_start_iter": 3, "refine_every": 4, "reset_every": 16, "grow_grad2d": 1e-5}),
+        (mcmc, {"refine_start_iter": 3, "refine_every": 4, "cap_max": 300, "min_opacity": 0.05}),
+    ],
+)
+def test_they_run_online_and_in_the_passes(rule, options):
+    frames = room(n_frames=120, width=32, height=24)
+    small = {"tsdf__voxel_size_m": 0.08, "tsdf__truncation_voxels": 3.0, "keyframe_every": 2, "sh_degree": 1}
+    mapper = GSFusion(gsfusion("room", seeding__options=options | {"share": 0.2}, **small), seeding=rule)
+    counts = [mapper.step(frames[i]).n_gaussians for i in range(0, 8, 2)]
+    n_seeds = 32 * 24 * 0.2
+    assert counts[-1] > n_seeds
+    assert rule is not mcmc or max(counts) <= 300
+    losses = [step.loss for step in mapper.global_optimise(2)]
+    assert all(math.isfinite(loss) for loss in losses)
+    assert mapper.gaussians.count_not_finite() == 0
+    assert mapper.config.optim.opacity_weight == (0.01 if rule is mcmc else 0.0)
