@@ -35,6 +35,7 @@ SIZE_OPTIONS: dict[str, SizeOption] = {
     "photo_slam": SizeOption(name="corners", low=1, high=100_000, only_seeding=True),
     "gs_icp": SizeOption(name="density", low=1e-3, high=100.0),
     "on_the_fly_nvs": SizeOption(name="density", low=1e-4, high=1e4),
+    **dict.fromkeys(("default_strategy", "mcmc"), SHARE),
     **dict.fromkeys(("cg_slam", "gaus_slam", "gaussian_slam", "gps_slam", "gs_slam", "hf_slam", "mm3dgs"), SHARE),
     **dict.fromkeys(("rtg_slam", "splatam", "splatam_like", "two_dgs_slam", "vings", "vtgaussian"), SHARE),
 }
