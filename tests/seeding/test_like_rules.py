@@ -76,6 +76,14 @@ def test_splatam_like_removes_transparent_and_large_ones(frame, values, prunes):
         assert edit.keep.tolist() == [True, False, True, False, True]
 
 
+def test_splatam_like_allows_larger_ones_where_fewer_are_seeded(frame):
+    ctx = SeedContext(frame, gaussians=model_with([0.5, 0.5], [0.39, 0.41]))
+    edit = splatam_like(share=0.25).after_step(ctx, stats_of(frame), {"scene_radius_m": 2.0})
+    assert edit is not None
+    assert edit.keep is not None
+    assert edit.keep.tolist() == [True, False]
+
+
 def test_monogs_like_clones_splits_and_removes_every_150_steps(frame):
     model = model_with([0.9] * 4 + [0.6, 0.9, 0.9], [0.005, 0.02, 0.005, 0.02, 0.005, 0.11, 0.005])
     large = torch.tensor([3e-4, 3e-4, 1e-4, 1e-4, 3e-4, 3e-4, 3e-4])  # mean length, in units of half the image

@@ -33,7 +33,8 @@ class splatam_like(MapRule):
         median_factor: As for ``splatam``.
         share: As for ``splatam``.
         min_opacity: Gaussians with a lower opacity are removed. Release: 0.005.
-        max_extent: Largest standard deviation as a share of the scene's radius. Release: 0.1.
+        max_extent: Largest standard deviation as a share of the scene's radius. Release: 0.1. With a ``share`` below 1,
+            1 / sqrt(share) times that, as the sizes of the seeds.
         radius_share: The scene's radius as a share of the largest depth of the first frame. Release: 1/3 (TUM: 1/2).
 
     The release takes 30 steps a frame on TUM. It draws the views of its steps from frames that overlap; here, on a
@@ -77,6 +78,6 @@ class splatam_like(MapRule):
         """Remove transparent and large Gaussians."""
         if stats.stage != "online" or stats.step_in_frame not in PRUNED_AFTER:
             return None
-        large = ctx.map.scale_m.amax(dim=1) > self.max_extent * memory[RADIUS]
+        large = ctx.map.scale_m.amax(dim=1) > self.max_extent * memory[RADIUS] / self.share**0.5
         keep = (ctx.map.opacity >= self.min_opacity) & ~large
         return None if keep.all() else Edit(keep=keep)
