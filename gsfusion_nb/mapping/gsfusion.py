@@ -213,7 +213,9 @@ class GSFusion(Mapper):
         """One step on the i-th keyframe after the scan."""
         return self._optimise_view(self.keyframes[i], ssim_weight=self.config.optim.ssim_weight)[0]
 
-    def _optimise_view(self, view: Frame | Keyframe, ssim_weight: float) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
+    def _optimise_view(
+        self, view: Frame | Keyframe, ssim_weight: float = 0.0
+    ) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
         """One gradient step on one view. Returns loss and MSE before it. As published, the loss is only L1 online.
 
         Both stay on the device, because waiting for them after every step would leave a GPU idle.

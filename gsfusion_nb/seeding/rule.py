@@ -8,8 +8,8 @@ only from ``ctx.generator``.
 import contextlib
 import math
 import typing
-from collections.abc import Iterator, Mapping
-from typing import Any, TypeVar
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, TypeVar, cast
 
 import torch
 from jaxtyping import Int
@@ -117,7 +117,10 @@ def apply_rule(
     options = dict(options or {})
     check_options(found, options)
     versions = Versions(ctx)
-    seeds = found(**options).seeds(ctx, ctx.memory) if is_map_rule(found) else found(ctx, **options)
+    if is_map_rule(found):
+        seeds = found(**options).seeds(ctx, ctx.memory)
+    else:
+        seeds = cast(Callable[..., Seeds], found)(ctx, **options)
     check_memory(rule_name(rule), ctx.memory)
     if changed := versions.changed():
         raise ChangedInputError(rule_name(rule), changed)

@@ -73,9 +73,9 @@ def _read_options(rule: SeedingRule) -> dict[str, inspect.Parameter]:
         parameters = list(_signature(rule).parameters.values())
     else:
         wanted = f"a seeding rule is written  def {name}(ctx, *, number=default, ...) -> Seeds"
-        context, *parameters = [*_signature(rule).parameters.values()] or [None]
+        parameters = list(_signature(rule).parameters.values())
         positional = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
-        if context is None or context.kind not in positional:
+        if not parameters or parameters.pop(0).kind not in positional:
             raise TypeError(f"{wanted}; this one does not take the context as its first argument")
     for parameter in parameters:
         _check_option(parameter, wanted)

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from gsfusion_nb.config import RtgSlamConfig, replace, rtg_slam
-from gsfusion_nb.mapping import RTGSLAM, GSFusion
+from gsfusion_nb.mapping import RTGSLAM, GSFusion, make_mapper
 from gsfusion_nb.mapping.random_streams import RandomStreams
 from gsfusion_nb.seeding import KEYFRAMES, MapRule, SeedContext, Seeds, When, every, submaps
 
@@ -70,7 +70,7 @@ class Remembering(MapRule):
 @pytest.mark.parametrize(("when", "asked"), [(every(2), [0, 2]), (submaps(3), [0, 3])])
 def test_a_rule_is_asked_only_when_it_is_due(system, when, asked, frames, config):
     settings = config if system is GSFusion else small_rtg_slam()
-    mapper = system(settings, seeding=rule_due(when))
+    mapper = make_mapper(settings, seeding=rule_due(when))
     new = [mapper.step(frame).n_seeds for frame in frames]
     assert [i for i, n in enumerate(new) if n] == asked
     assert mapper.memory["asked"] == [frames[i].index for i in asked]
@@ -145,7 +145,7 @@ def test_the_streams_follow_from_the_seed_and_differ():
 @pytest.mark.parametrize("system", [GSFusion, RTGSLAM])
 def test_a_resumed_map_with_a_memory_is_equal_bit_for_bit(system, frames, config):
     settings = config if system is GSFusion else small_rtg_slam()
-    whole, half = (system(settings, seeding=Remembering) for _ in range(2))
+    whole, half = (make_mapper(settings, seeding=Remembering) for _ in range(2))
     for frame in frames:
         whole.step(frame)
     for frame in frames[:2]:

@@ -12,6 +12,7 @@ import torch
 from gsfusion_nb.gaussians import GaussianModel
 from gsfusion_nb.runs import mapped_contexts
 from gsfusion_nb.seeding import MapRule, SeedContext, Seeds, check_contexts, check_rule, registered
+from gsfusion_nb.tsdf import TsdfVolume
 
 SEED_WHAT_IS_MAPPED = ("gs_icp", "gs_slam", "hf_slam", "monogs", "monogs_like", "photo_slam", "vings")
 """Rules that look for errors where the map is, or do not look at it at all."""
@@ -264,12 +265,15 @@ def test_broken_class_rules_are_named(rule, error, sentence):
 def test_mapped_contexts_are_copies_of_a_real_map():
     first, second = mapped_contexts(), mapped_contexts()
     for name, ctx in first.items():
+        volume, other = ctx.volume, second[name].volume
+        assert isinstance(volume, TsdfVolume)
+        assert isinstance(other, TsdfVolume)
         assert len(ctx.map) > 100
         assert len(ctx.past_T_WC) == 4
         assert len(ctx.keyframes) == 2
         before = second[name].gaussians.params.xyz_W.clone()
         ctx.gaussians.params.xyz_W.add_(1.0)
-        ctx.volume.D.fill_(0.0)
+        volume.D.fill_(0.0)
         assert torch.equal(second[name].gaussians.params.xyz_W, before)
-        assert second[name].volume.D.abs().max() > 0
+        assert other.D.abs().max() > 0
     assert (first["seen"].render().alpha > 0.5).float().mean() > 0.1
