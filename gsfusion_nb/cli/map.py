@@ -6,11 +6,12 @@ from typing import Annotated, Any
 import tyro
 
 from ..backends import use_backend
+from ..seeding.rule_file import is_rule_file
 from .result import print_result
 from .settings import SettingsOptions, named_values, parse
 
 _WITH_RESUME = (
-    "--resume", "--device", "--evaluate", "--no-evaluate", "--backend", "--checkpoint-every-s",
+    "--resume", "--seeding.rule", "--device", "--evaluate", "--no-evaluate", "--backend", "--checkpoint-every-s",
     "--checkpoint-every-frames",
 )  # fmt: skip
 
@@ -60,7 +61,11 @@ def run(arguments: list[str]) -> int:
         if options.resume:
             _refuse_more(options, arguments)
             finished = resume_mapping(
-                options.resume, device=options.device, evaluate=options.evaluate, checkpoints=every
+                options.resume,
+                seeding=options.config.seeding.rule if is_rule_file(options.config.seeding.rule) else None,
+                device=options.device,
+                evaluate=options.evaluate,
+                checkpoints=every,
             )
             return print_result(finished)
         if not options.data:

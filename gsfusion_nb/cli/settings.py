@@ -11,7 +11,7 @@ from typing import Annotated, Any, TypeVar
 import tyro
 
 from ..backends import from_environment
-from ..config import SystemConfig, from_dict
+from ..config import SystemConfig, from_dict, replace
 from ..config.option_help import parse_options
 from ..errors import SequenceError, shown
 from ..foreign import reason_of
@@ -140,6 +140,8 @@ def _read_settings(path: Path, rule: str | None) -> SystemConfig:
     except (KeyError, TypeError, AttributeError, ValueError, OverflowError) as e:
         raise ValueError(f"{path} is not the config.json of a run: {reason_of(e)}") from None
     name = document.get("rule", own_rule)
+    if rule is None and document.get("rule_from_file") and (path.parent / "rule.py").is_file():
+        return replace(config, seeding__rule=f"{path.parent / 'rule.py'}:{name}")
     if rule is None and not document.get("rule_is_built_in", name == own_rule):
         raise ValueError(
             f"{path} is from a run with the seeding rule {shown(name)}, which is not part of this package, so it "

@@ -62,7 +62,7 @@ class SeedingConfig:
 
     rule: str = "gsfusion"
     """Name of a registered seeding rule: gsfusion, rtg_slam, splatam, monogs, uniform, another one of those listed in
-    docs/seeding_rules.md, or your own."""
+    docs/seeding_rules.md, or your own; or a rule in a file: FILE.py:name."""
     quadtree_threshold: float = 0.1
     """A quadtree cell with a contrast above this is split into four. Smaller: more, smaller Gaussians and finer detail,
     but more time and memory. With "released" contrast 0.01 (fine) to 0.2 (coarse); with "std" about 0.01 to 0.05."""

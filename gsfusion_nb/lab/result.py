@@ -13,6 +13,11 @@ from ..files import write_file
 from ..strict_json import read_object
 from .spec import RunSpec
 
+MEASURED = frozenset({
+    "ms_per_frame", "cpu_ms_per_frame", "seeding_ms", "seconds_total", "seconds_global", "peak_memory_mb"
+})  # fmt: skip
+"""Metrics that differ from one run to the next; all others are equal bit for bit for equal keys."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class RunResult:

@@ -55,6 +55,8 @@ def arguments_with_files(arguments: Iterable[str]) -> list[Any]:
     for argument in arguments:
         found.append(argument)
         path = Path(argument.partition("=")[2] or argument)
+        if ".py:" in path.name:  # a seeding rule in a file
+            path = path.with_name(path.name.partition(":")[0])
         if path.is_file():
             with path.open("rb") as file:
                 found.append(hashlib.file_digest(file, "blake2b").hexdigest()[:32])

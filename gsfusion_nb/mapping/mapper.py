@@ -19,7 +19,8 @@ from ..errors import shown
 from ..gaussians import GaussianModel
 from ..optim import KeyframeList
 from ..render import render
-from ..seeding import Cells, ChangedInputError, SeedContext, SeedingRule, apply_rule, copy_memory, get_rule, rule_name
+from ..seeding import Cells, ChangedInputError, SeedContext, SeedingRule, apply_rule, copy_memory, rule_name
+from ..seeding.rule_file import find_rule
 from ..tracking import Correction
 from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput, Seeds
 from .after_steps import AfterSteps
@@ -40,10 +41,11 @@ class Mapper(ABC):
 
     Args:
         config: Settings; the defaults of ``config_type`` if none are given.
-        seeding: Name of a registered rule, or the rule function itself; overrides ``config.seeding.rule``. The options
-            in the settings are passed to it if it has all of them. If only ``config.seeding.rule`` has them, the rule
-            runs with its defaults. Settings that the rule brings (``MapRule.overrides``) replace the usual values in
-            ``config``, not the user's own (``rule_settings``). ``self.config`` has the settings in use.
+        seeding: Name of a registered rule, "FILE.py:name", or the rule function itself; overrides
+            ``config.seeding.rule``. The options in the settings are passed to it if it has all of them. If only
+            ``config.seeding.rule`` has them, the rule runs with its defaults. Settings that the rule brings
+            (``MapRule.overrides``) replace the usual values in ``config``, not the user's own (``rule_settings``).
+            ``self.config`` has the settings in use.
         device: Device of the map.
 
     Raises:
@@ -94,7 +96,7 @@ class Mapper(ABC):
         device: torch.device | str = "cpu",
     ):
         config = config or self.config_type()
-        self.rule = get_rule(seeding if seeding is not None else config.seeding.rule)
+        self.rule = find_rule(seeding if seeding is not None else config.seeding.rule)
         self.config = settings_with_rule(config, self.rule, type(self))
         self.rule_in_use = RuleInUse(self.rule, self.config.seeding.options)
         self.after_steps = AfterSteps(self.rule_in_use)
@@ -332,7 +334,7 @@ class Mapper(ABC):
         config = from_dict(cls.config_type, state["config"])
         if seeding is None:
             check_known(state["rule"])
-        rule = get_rule(seeding if seeding is not None else state["rule"]["name"])
+        rule = find_rule(seeding if seeding is not None else state["rule"]["name"])
         mapper = cls(settings_of_run(config, rule, cls), seeding=rule, device=device)
         mapper.rule_in_use.load_state_dict(state["rule"])
         if mapper.rule_in_use.differs(state["rule"]):

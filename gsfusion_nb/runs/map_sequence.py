@@ -15,6 +15,7 @@ from ..files import DiskFullError
 from ..mapping import get_system, make_mapper
 from ..progress import ProgressDisplay
 from ..seeding import SeedingRule
+from ..seeding.rule_file import file_source
 from ..types import Mesh
 from . import outputs
 from .autosave import Autosave, CheckpointEvery
@@ -52,7 +53,7 @@ def run_mapping(
         config: Settings, or the name of a preset; by default "room" for the built-in scene, else "replica".
         system: Name of the system (``gsfusion_nb.mapping.SYSTEMS``), used only if ``config`` is not a settings object.
         folder: New or empty folder for the results; ``runs/<name>-<time>`` by default.
-        seeding: Name of a seeding rule, or the rule itself.
+        seeding: Name of a seeding rule, "FILE.py:name", or the rule itself.
         device: Device of the maps.
         evaluate: Score mapped and held-out views and write the report; the maps are always written.
         checkpoints: How often to save a checkpoint, so that the run can be resumed if it is killed; every 30 s by
@@ -155,6 +156,7 @@ def drive(
     """
     stop, folder = StopRequest(), place.path
     _say(run, place, "running")
+    outputs.write_rule(run, folder)
     warn_of_little_space(run, folder)
     run.after_step = Autosave(run.mapper, lambda: _checkpoint(run, place, stop), every or CheckpointEvery())
     with stop.listening():
@@ -265,7 +267,8 @@ def _checkpoint(run: MappingRun, place: RunFolder, stop: StopRequest) -> None:
 def _say(run: MappingRun, place: RunFolder, state: str) -> None:
     config, mapper = to_dict(run.mapper.config), run.mapper
     progress = {"frames": len(run.steps), "of": len(run.sequence.mapping), "passes": mapper.passes.done}
-    place.write_status(state, progress, system=run.system, source=run.source, settings=config)
+    place.write_status(state, progress, system=run.system, source=run.source, settings=config,
+                       rule_from_file=bool(file_source(mapper.rule)))  # fmt: skip
 
 
 def _save(run: MappingRun, folder: Path, stop: StopRequest) -> Mesh:

@@ -27,6 +27,7 @@ from ..export import write_gaussian_ply, write_mesh_ply, write_trajectory_tum
 from ..files import DiskFullError, write_file
 from ..mapping.step_report import StepReport
 from ..seeding import is_built_in, rule_name, rule_source
+from ..seeding.rule_file import file_source
 from ..types import Mesh
 from .map_hashes import map_hashes
 from .mapping_run import MappingRun
@@ -34,6 +35,7 @@ from .memory import mesh_when_full
 from .posed_frames import frames_in_map, ground_truth_poses, readable_frames
 from .report_data import FrameRow, ReportData, ReportView
 from .report_page import write_report
+from .run_folder import RULE
 from .scored_views import VIEWS, score_in_map, scored_views, views_as_json
 
 FILES = {
@@ -75,12 +77,13 @@ def write_maps(run: MappingRun, folder: Path) -> Mesh:
         "data_fingerprint": sequence_fingerprint(run.sequence) if run.source else "",
         "device": str(run.mapper.device),
         "rule": rule_name(run.mapper.rule),
+        "rule_from_file": bool(file_source(run.mapper.rule)),
         "fidelity": run.mapper.fidelity_of(run.mapper.config),
         "config": to_dict(run.mapper.config),
     }
     writers: list[Callable[[], None]] = [
         lambda: write_json(folder / "config.json", settings),
-        lambda: _write_rule(run, folder),
+        lambda: write_rule(run, folder),
         lambda: write_json(folder / VIEWS, views_as_json(scored_views(run))),
         lambda: _write_trajectory(run, folder),
         lambda: write_gaussian_ply(folder / "gaussians.ply", run.mapper.gaussians.params),
@@ -97,11 +100,15 @@ def write_maps(run: MappingRun, folder: Path) -> Mesh:
     return mesh
 
 
-def _write_rule(run: MappingRun, folder: Path) -> None:
-    """Write the source of a seeding rule that is not part of the package; it is needed to repeat the run."""
-    if not is_built_in(run.mapper.rule):
-        source = rule_source(run.mapper.rule) or "# unknown: the rule was not defined in a file or a notebook cell"
-        write_file(folder / "rule.py", source)
+def write_rule(run: MappingRun, folder: Path) -> None:
+    """Write the source of a seeding rule that is not part of the package; it is needed to repeat the run.
+
+    Of a rule that was given as FILE.py:name it is the whole file, which a resumed run uses.
+    """
+    rule = run.mapper.rule
+    if not is_built_in(rule):
+        unknown = "# unknown: the rule was not defined in a file or a notebook cell"
+        write_file(folder / RULE, file_source(rule) or rule_source(rule) or unknown)
 
 
 def _write_trajectory(run: MappingRun, folder: Path) -> None:

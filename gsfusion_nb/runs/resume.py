@@ -8,12 +8,13 @@ import torch
 from ..data import open_sequence
 from ..errors import SequenceError
 from ..export import CheckpointStore
-from ..foreign import reason_of
+from ..foreign import read_text, reason_of
 from ..mapping import get_system
 from ..seeding import SeedingRule
+from ..seeding.rule_file import MOST_BYTES, is_rule_file, read_rule_file, rule_of_source
 from .mapping_run import MappingRun
 from .random_state import load_random_state
-from .run_folder import CHECKPOINTS
+from .run_folder import CHECKPOINTS, RULE, read_status
 from .stream_run import StreamRun
 
 
@@ -49,6 +50,25 @@ def load_run(
     return run
 
 
+def _rule_of(path: Path, name: str, given: "str | SeedingRule | None") -> "str | SeedingRule | None":
+    """The rule to continue with: that of the run's folder if it came from a file, else the given one, if any.
+
+    Raises:
+        SequenceError: a file is given whose content is not that in the run's folder.
+    """
+    if not read_status(path).get("rule_from_file") or not (path / RULE).is_file():
+        return given
+    stored = read_text(path / RULE, "the seeding rule of a run", at_most=MOST_BYTES)
+    if given is None:
+        return rule_of_source(stored, name, str(path / RULE))
+    if isinstance(given, str) and is_rule_file(given) and read_rule_file(given) != (stored, name):
+        raise SequenceError(
+            f"{given} is not the seeding rule with which the run in {path} began: the run's own is in {path / RULE}; "
+            "leave out the rule to continue with it, or map again with the new one"
+        )
+    return given
+
+
 def _run_of(
     document: dict[str, Any], path: Path, seeding: "str | SeedingRule | None", device: torch.device | str
 ) -> MappingRun:
@@ -57,7 +77,8 @@ def _run_of(
         raise SequenceError(
             f"{path} was mapped from a sequence in memory; only runs on a sequence opened by path or name can resume"
         )
-    mapper = get_system(document["system"]).from_state_dict(document["mapper"], seeding=seeding, device=device)
+    rule = _rule_of(path, document["mapper"]["rule"]["name"], seeding)
+    mapper = get_system(document["system"]).from_state_dict(document["mapper"], seeding=rule, device=device)
     if "stream" in source:
         return StreamRun.after_a_kill(source, mapper, state)
     run = MappingRun(open_sequence(**source, data=mapper.config.data), mapper, source=source)

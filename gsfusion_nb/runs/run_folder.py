@@ -14,6 +14,8 @@ from ..strict_json import read_json
 
 STATUS = "status.json"
 LOCK = ".lock"
+RULE = "rule.py"
+"""Source of the seeding rule, if it is not part of this package."""
 CHECKPOINTS = "checkpoint"
 """Folder of the checkpoints in a run's folder."""
 
@@ -106,8 +108,8 @@ def _refuse(path: Path) -> None:
     if (path / STATUS).is_file():
         with RunFolder(path):  # raises, with the process, if another run is writing to it
             if _holds_nothing(path):
-                for file in [*(path / CHECKPOINTS).glob("*"), path / STATUS, *path.glob(".*.partial*")]:
-                    file.unlink()
+                for file in [*(path / CHECKPOINTS).glob("*"), path / STATUS, path / RULE, *path.glob(".*.partial*")]:
+                    file.unlink(missing_ok=True)
                 return
     hint = f"; to continue the run in it: gsfusion-nb map --resume {path}" if (path / CHECKPOINTS).is_dir() else ""
     raise FileExistsError(f"{path} must be a new or empty folder, so that no earlier run is overwritten{hint}")
@@ -116,7 +118,7 @@ def _refuse(path: Path) -> None:
 def _holds_nothing(path: Path) -> bool:
     """Whether the folder holds only what a run writes before its first checkpoint."""
     names = {p.name for p in path.iterdir() if not (p.name.startswith(".") and ".partial" in p.name)}
-    return names <= {STATUS, LOCK, CHECKPOINTS} and not any((path / CHECKPOINTS).glob("*.json"))
+    return names <= {STATUS, LOCK, RULE, CHECKPOINTS} and not any((path / CHECKPOINTS).glob("*.json"))
 
 
 def read_status(folder: Path) -> dict[str, Any]:

@@ -67,6 +67,15 @@ def rule_of_source(source: str, name: str, file: str = "rule.py") -> SeedingRule
     return get_rule(rule)
 
 
+def find_rule(rule: str | SeedingRule) -> SeedingRule:
+    """The rule that is registered by a name, or that "FILE.py:name" names; a function or class is returned unchanged.
+
+    Raises:
+        KeyError: no rule of that name. TypeError: bad signature. ValueError, FileNotFoundError: as ``load_rule_file``.
+    """
+    return load_rule_file(rule) if isinstance(rule, str) and is_rule_file(rule) else get_rule(rule)
+
+
 def file_source(rule: SeedingRule) -> str:
     """Source of the whole file that a rule was loaded from; empty for a rule that was not loaded from a file."""
     module = sys.modules.get(getattr(rule, "__module__", "") or "")

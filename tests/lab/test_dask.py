@@ -7,17 +7,16 @@ import pytest
 
 from gsfusion_nb.lab.executors import OnDask
 from gsfusion_nb.lab.map_scene import Entry
+from gsfusion_nb.lab.result import MEASURED
 from gsfusion_nb.lab.run_all import run_all
 from gsfusion_nb.lab.store import ResultStore
 
 distributed = pytest.importorskip("distributed", reason='needs the extra "cluster"')
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]  # Dask warns of what it does to its workers
 
-TIMED = ("ms_per_frame", "cpu_ms_per_frame", "seeding_ms", "seconds_total", "peak_memory_mb")
-
 
 def numbers(result):
-    return {k: v for k, v in result.metrics.items() if k not in TIMED}, result.per_view, result.map_hash
+    return {k: v for k, v in result.metrics.items() if k not in MEASURED}, result.per_view, result.map_hash
 
 
 def test_a_worker_that_is_killed_changes_no_number(spec, tmp_path):

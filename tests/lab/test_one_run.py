@@ -9,6 +9,7 @@ import pytest
 from gsfusion_nb.lab import Budget
 from gsfusion_nb.lab.map_scene import Entry, Mapped
 from gsfusion_nb.lab.one_run import run_entry, run_spec
+from gsfusion_nb.lab.result import MEASURED
 from gsfusion_nb.lab.schedule import EQUAL_KEYFRAME_EVERY
 from gsfusion_nb.seeding import MapRule, rule_fingerprint
 
@@ -38,8 +39,7 @@ def nothing(ctx):
 
 
 def same_numbers(a, b):
-    timed = ("ms_per_frame", "cpu_ms_per_frame", "seeding_ms", "seconds_total", "peak_memory_mb")
-    numbers = [{k: v for k, v in r.metrics.items() if k not in timed} for r in (a, b)]
+    numbers = [{k: v for k, v in r.metrics.items() if k not in MEASURED} for r in (a, b)]
     assert numbers[0] == numbers[1]
     assert (a.per_view, a.map_hash) == (b.per_view, b.map_hash)
 

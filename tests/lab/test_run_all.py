@@ -8,12 +8,12 @@ import pytest
 from gsfusion_nb.lab import Budget, RunResult, executors
 from gsfusion_nb.lab.executors import InProcess, InProcesses, executor, threads_of_each
 from gsfusion_nb.lab.map_scene import Entry
+from gsfusion_nb.lab.result import MEASURED
 from gsfusion_nb.lab.run_all import run_all
 from gsfusion_nb.lab.store import ResultStore
 from gsfusion_nb.lab.tasks import Task, do_task
 from gsfusion_nb.processes import WorkerPool
 
-TIMED = ("ms_per_frame", "cpu_ms_per_frame", "seeding_ms", "seconds_total", "peak_memory_mb")
 DIES_ONCE = """
 import os, pathlib
 
@@ -37,7 +37,7 @@ def entries(spec):
 def numbers(result: RunResult) -> dict:
     """Everything but times."""
     values = dataclasses.asdict(result)
-    values["metrics"] = {k: v for k, v in values["metrics"].items() if k not in TIMED}
+    values["metrics"] = {k: v for k, v in values["metrics"].items() if k not in MEASURED}
     return values
 
 
