@@ -87,13 +87,14 @@ class AfterSteps:
             rows: Row of the map of each rendered Gaussian, if not all were.
         """
         self.taken += 1
-        if step.footprints is None:
+        seen = step.footprints
+        if seen is None:
             return step
         if rows is not None and step.v_uv is not None:
             every = step.v_uv.new_zeros(len(model), 2)
             every[rows] = step.v_uv
             step = dataclasses.replace(step, v_uv=every)
-        add_up(model, step.footprints.visible, step.v_uv, camera)
+        add_up(model, seen.visible, step.v_uv, camera)
         return step
 
     def surfel_step(

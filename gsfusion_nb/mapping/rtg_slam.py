@@ -294,6 +294,7 @@ class RTGSLAM(Mapper):
         """Let the rule edit the map after its rows were written back."""
         if last is not None:
             i, loss, watched = last
+            assert optimiser.picture is not None
             self.after_steps(self, watched, sources[i], loss, optimiser.picture)
 
     def _seen(self, views: Iterable[Frame | Keyframe]) -> Bool[Tensor, " N"]:

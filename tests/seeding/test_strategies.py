@@ -9,7 +9,7 @@ import torch
 
 from gsfusion_nb.config import gsfusion
 from gsfusion_nb.data.room import room
-from gsfusion_nb.gaussians import Edit, GaussianModel
+from gsfusion_nb.gaussians import GaussianModel
 from gsfusion_nb.mapping import GSFusion
 from gsfusion_nb.seeding import SeedContext, StepStats, restart_statistics
 from gsfusion_nb.seeding.rules import default_strategy, mcmc
@@ -64,7 +64,7 @@ def seen(model: GaussianModel, frame: Any, generator: torch.Generator, steps: in
     return gradients
 
 
-def refined(rule: Any, model: GaussianModel, frame: Any, step: int, generator: torch.Generator, **more) -> Edit | None:
+def refined(rule: Any, model: GaussianModel, frame: Any, step: int, generator: torch.Generator, **more) -> Any:
     ctx = SeedContext(frame, gaussians=model, generator=generator)
     return rule.after_step(ctx, told(frame, step, **more), {"step": step - 2})
 
