@@ -1,39 +1,29 @@
 """RTG-SLAM (Peng et al. 2024): compact Gaussians, optimised while unstable, frame by frame in the paper's order."""
 
 import dataclasses
-import math
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
 from typing import Any, ClassVar
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
 from ..checks import check_number, check_whole
 from ..config import RtgSlamConfig, rtg_slam, rtg_slam_fidelity
-from ..gaussians import STABLE, SurfelModel, Transitions, change_states, count_errors, count_views, state_counts
+from ..gaussians import SurfelModel, Transitions, change_states, count_errors, count_views, state_counts
 from ..geometry import se3
-from ..optim import Keyframe, fuse_with_history
-from ..render import SurfaceView, render_forward, rows_in_view, surface_depth_m, view_surface
+from ..render import SurfaceView, render_forward, surface_depth_m, view_surface
 from ..seeding import SeedContext, SeedingRule
 from ..tracking import Correction, Surface
 from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput
-from .after_steps import WatchedStep
 from .frame_checks import check_frame
 from .mapper import Mapper
 from .rendered_mesh import mesh_of_views
 from .step_report import StageClock, StepReport, psnr_from_mse
-from .surfel_optimiser import SurfelOptimiser, TrainingView
-
-MASKED_BELOW = 0.8
-"""If more of the rows in view are unstable, they touch nearly all pixels; finding these then saves no time."""
-
-LastStep = tuple[int, Tensor, WatchedStep]
-"""Number of its view, its loss, and what was collected of it."""
+from .surfel_mapping import SurfelMapping
 
 
-class RTGSLAM(Mapper):
+class RTGSLAM(SurfelMapping):
     """RTG-SLAM: its map is ``gaussians``, discs on the surface.
 
     Settings and published presets: ``gsfusion_nb.config.rtg_slam``.
@@ -64,8 +54,6 @@ class RTGSLAM(Mapper):
     ):
         super().__init__(config, seeding=seeding, device=device)
         self.camera: Camera | None = None
-        self.window: deque[Frame] = deque(maxlen=self.config.window.frames)
-        self._final: SurfelOptimiser | None = None
 
     def __repr__(self) -> str:
         counts = ", ".join(f"{n:,} {name.replace('_', ' ')}" for name, n in state_counts(self.gaussians).items())
@@ -91,15 +79,7 @@ class RTGSLAM(Mapper):
             window_is_due, keyframes_are_due = self._window_is_due(is_keyframe), is_keyframe and self.n_frames > 0
             self.guard.changes_begin(self._undo() if window_is_due or keyframes_are_due else None)
             self.gaussians.append(seeds, frame.index)
-            self._final = None  # its rows are no longer the map's
-            self.window.append(frame)
-            if is_keyframe:
-                self.keyframes.append(frame, with_depth=True)
-            steps = (
-                window_is_due * self.config.window.iterations,
-                keyframes_are_due * self.config.keyframes.iterations,
-            )
-            self.after_steps.frame_begins(context, sum(steps))
+            self._begin(context, is_keyframe, window_is_due, keyframes_are_due)
             with clock("optimise"):
                 losses = self._optimise_window() if window_is_due else []  # Eq. 7-9
             with clock("keyframes"):
@@ -181,16 +161,6 @@ class RTGSLAM(Mapper):
             self._final = self._final_optimiser()
             self._final.load_state_dict(state["final"])
 
-    def _undo(self) -> Callable[[], None]:
-        """Also the window and the optimiser of the final passes."""
-        undo_map, window, final = super()._undo(), list(self.window), self._final
-
-        def undo() -> None:
-            undo_map()
-            self.window, self._final = deque(window, maxlen=self.window.maxlen), final
-
-        return undo
-
     def _tracking_surface(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> Surface:
         view = self.surface(camera, T_WC)
         return Surface(depth_m=view.depth_m, normal_W=view.normal_W, camera=camera, T_WC=T_WC, rgb=view.rgb)
@@ -213,103 +183,6 @@ class RTGSLAM(Mapper):
         moved = (last[:3, 3] - frame.T_WC[:3, 3]).norm()
         return float(turned) >= limits.rotation_deg or float(moved) >= limits.translation_m
 
-    def _window_is_due(self, is_keyframe: bool) -> bool:
-        if not self.n_frames:
-            return True
-        replaced = is_keyframe and self.config.keyframes.instead_of_window and bool(self.gaussians.is_stable.any())
-        return (self.n_frames + 1) % self.config.window.every_frames == 0 and not replaced
-
-    def _optimise_window(self) -> list[float]:
-        """Optimise the unstable Gaussians against the last frames, then fuse them with the old values (Eq. 7-9)."""
-        config, model = self.config.window, self.gaussians
-        trained = ~model.is_stable if config.only_unstable else torch.ones_like(model.is_stable)
-        seen = self._seen(self.window)
-        if not (trained & seen).any():
-            return []
-        optimiser = SurfelOptimiser(model, trained, config, self.config.discs, seen=seen)
-        before = GaussianParams(**{name: value.clone() for name, value in vars(optimiser.trained).items()})
-        masked = config.only_unstable and optimiser.n < MASKED_BELOW * int(seen.sum())
-        touched = [optimiser.touched(f.camera, f.T_WC) if masked else None for f in self.window]
-        views = [TrainingView.of(frame, pixels) for frame, pixels in zip(self.window, touched, strict=True)]
-        newest_from = config.iterations / 2 if config.draw == "newest_half" else math.inf
-        losses, last = self._take_steps(optimiser, views, config.iterations, newest_from)
-        was = model.confidence[optimiser.rows]
-        now = was + optimiser.steps_seen
-        fused = fuse_with_history(
-            before, optimiser.trained, was, now, history_max_weight=config.history_max_weight
-        )  # Eq. 9
-        optimiser.write_back(fused)
-        model.confidence[optimiser.rows] = now
-        self._edit(optimiser, self.window, last)
-        return torch.stack(losses).tolist() if losses else []
-
-    def _optimise_keyframes(self) -> int:
-        """Optimise over the latest and some random keyframes, on the pixels with the largest colour errors.
-
-        Returns the number of gradient steps.
-        """
-        config, model = self.config.keyframes, self.gaussians
-        n = len(self.keyframes)
-        latest = list(range(max(0, n - config.latest), n))
-        earlier = torch.randperm(n - len(latest), generator=self.random.keyframes)[: config.random].tolist()
-        chosen = [self.keyframes[i].to(self.device) for i in earlier + latest]
-        rows = model.is_stable if config.rows == "stable" else torch.ones_like(model.is_stable)
-        seen = self._seen(chosen)
-        if not (rows & seen).any():
-            return 0
-        optimiser = SurfelOptimiser(
-            model,
-            rows,
-            self.config.window,
-            self.config.discs,
-            drawn=rows,
-            seen=seen,
-            lr_factor=config.lr_factor,
-            move_centres=False,
-        )
-        views = [TrainingView.of(keyframe, self._worst_pixels(keyframe)) for keyframe in chosen]
-        _, last = self._take_steps(optimiser, views, config.iterations)
-        optimiser.write_back()
-        self._edit(optimiser, chosen, last)
-        return config.iterations
-
-    def _take_steps(
-        self, optimiser: SurfelOptimiser, views: list[TrainingView], n: int, newest_from: float = math.inf
-    ) -> tuple[list[Tensor], LastStep | None]:
-        """``n`` gradient steps on views drawn at random, from step ``newest_from`` on only on the newest.
-
-        Returns the losses before them; and the number of the view, the loss and what was collected of the last step,
-        None if nothing is.
-        """
-        losses, last = [], None
-        for step in range(n):
-            self.guard.may_stop()
-            i = len(views) - 1 if step >= newest_from else self._draw(len(views))
-            loss, watched = self.after_steps.surfel_step(self.gaussians, optimiser, views[i])
-            losses.append(loss)
-            last = None if watched is None else (i, loss, watched)
-        return losses, last
-
-    def _edit(self, optimiser: SurfelOptimiser, sources: Sequence[Frame | Keyframe], last: LastStep | None) -> None:
-        """Let the rule edit the map after its rows were written back."""
-        if last is not None:
-            i, loss, watched = last
-            assert optimiser.picture is not None
-            self.after_steps(self, watched, sources[i], loss, optimiser.picture)
-
-    def _seen(self, views: Iterable[Frame | Keyframe]) -> Bool[Tensor, " N"]:
-        """Rows that any of the views may show."""
-        params, seen = self.gaussians.params, torch.zeros_like(self.gaussians.is_stable)
-        for view in views:
-            seen |= rows_in_view(params, view.camera, view.T_WC)
-        return seen
-
-    def _worst_pixels(self, keyframe: Keyframe) -> Bool[Tensor, "H W"]:
-        """The pixels with the largest colour errors, a fixed share of the image."""
-        view = self.surface(keyframe.camera, keyframe.T_WC)
-        error = (view.rgb - keyframe.rgb).abs().mean(dim=-1)
-        return error >= error.flatten().quantile(1 - self.config.keyframes.pixel_share)
-
     def _manage_states(self, frame: Frame) -> tuple[float, Transitions]:
         """Count errors of stable Gaussians, change states and remove outliers. Returns the PSNR of the view before."""
         count_views(self.gaussians, frame.camera, frame.T_WC)
@@ -321,39 +194,6 @@ class RTGSLAM(Mapper):
             self.gaussians, colour_error, view.dominant_index, depth_error_m, view.hit_index, self.config.states
         )
         return _psnr(view.rgb, frame), change_states(self.gaussians, self.config.states)
-
-    def _global_step(self, i: int) -> Float[Tensor, ""]:
-        """One step on the i-th keyframe, on all pixels and all Gaussians, which all become stable at the first step."""
-        if self._final is None:
-            self.gaussians.state.fill_(STABLE)
-            self._final = self._final_optimiser()
-        keyframe = self.keyframes[i].to(self.device)
-        loss, watched = self.after_steps.surfel_step(self.gaussians, self._final, TrainingView.of(keyframe))
-        self._final.write_back()
-        self._edit(self._final, [keyframe], None if watched is None else (0, loss, watched))
-        return loss
-
-    def rows_changed(self, before: Int[Tensor, " N"]) -> None:
-        """In the passes after the scan all rows stay stable, and Adam goes on with the rows that are left."""
-        if self._final is not None:
-            self.gaussians.state.fill_(STABLE)
-            earlier, self._final = self._final, self._final_optimiser()
-            self._final.take_over(earlier, before)
-
-    def _final_optimiser(self) -> SurfelOptimiser:
-        config, everything = self.config.final, torch.ones_like(self.gaussians.is_stable)
-        return SurfelOptimiser(
-            self.gaussians,
-            everything,
-            self.config.window,
-            self.config.discs,
-            lr_factor=config.lr_factor,
-            move_centres=False,
-            weight_depth=config.weight_depth,
-        )
-
-    def _draw(self, n: int) -> int:
-        return int(torch.randint(n, (), generator=self.random.keyframes))
 
 
 def _psnr(rgb: Float[Tensor, "H W 3"], frame: Frame) -> float:
