@@ -175,7 +175,11 @@ class CheckpointStore:
             raise ValueError("its checksum is wrong")
         document = json.loads(text)
         if not isinstance(document, dict) or document.get("format") != FORMAT or document.get("version") != VERSION:
-            raise ValueError(f"expected a {FORMAT} of version {VERSION}")
+            got = shown(document.get("version")) if isinstance(document, dict) else "none"
+            raise ValueError(
+                f"expected a {FORMAT} of version {VERSION}, got version {got}: map again, or continue with the version "
+                "of gsfusion_nb that began the run (status.json names it)"
+            )
         pieces = [_piece(*row) for row in document["pieces"]]
         sizes = {key: size for key, _, _, size in pieces}
         _check_memory(sum(sizes[key] for _, _, keys in document["tensors"] for key in keys))

@@ -1,4 +1,5 @@
 import errno
+import hashlib
 import json
 from pathlib import Path
 
@@ -153,13 +154,12 @@ def test_what_cannot_be_saved_is_named(tmp_path):
         CheckpointStore(tmp_path).save({"a": {1: 2}})
 
 
-def test_another_version_is_refused(tmp_path):
-    import hashlib
-
+@pytest.mark.parametrize("version", [2, 99])
+def test_another_version_is_refused(tmp_path, version):
     CheckpointStore(tmp_path).save(state())
     path = tmp_path / "000001.json"
-    document = json.loads(path.read_text().partition("\n")[2]) | {"version": 99}
+    document = json.loads(path.read_text().partition("\n")[2]) | {"version": version}
     text = json.dumps(document)
     path.write_text(f"{hashlib.sha256(text.encode()).hexdigest()}\n{text}")
-    with pytest.raises(ValueError, match="expected a gsfusion_nb checkpoint of version 2"):
+    with pytest.raises(ValueError, match=f"expected a gsfusion_nb checkpoint of version 3, got version {version}: map"):
         CheckpointStore(tmp_path).load()
