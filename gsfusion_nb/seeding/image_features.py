@@ -1,6 +1,7 @@
 """What a seeding rule may look for in the frame's picture: edges, corners, detail."""
 
 import math
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -12,8 +13,21 @@ from torch.nn import functional
 from ..constants import LUMA_WEIGHTS
 from ..types import Frame
 
+NO_GRADIENT = 0.01
+"""Gradients of the brightness well below this are noise, per pixel."""
 SMALLEST_LEVEL_PX, BORDER_PX = 8, 4
 """Corners are looked for on image sizes down to this many pixels, and not closer to the border than this."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class EdgeDirection:
+    """The direction in which brightness changes least."""
+
+    along: Float[Tensor, "H W 2"]
+    """Unit vector along the edge in the image (u, v); its sign is arbitrary."""
+    coherence: Float[Tensor, "H W"]
+    """(l1 - l2) / (l1 + l2) of the eigenvalues l1 >= l2 of the tensor: 1 at a straight edge, 0 where no direction
+    differs from the others."""
 
 
 class ImageFeatures:
@@ -32,6 +46,15 @@ class ImageFeatures:
     def laplacian(self) -> Float[Tensor, "H W"]:
         """Sum over R, G, B of the absolute Laplacian (four neighbours), 0..12: the fine detail. [H, W]"""
         return self._once("laplacian", lambda: absolute_laplacian(self.frame.rgb))
+
+    def edge_direction(self, window_px: int = 3) -> EdgeDirection:
+        """How edges run through each pixel, and how clearly, from the structure tensor of the brightness (Foerstner and
+        Guelch 1987).
+
+        Args:
+            window_px: Odd side of the square over which the tensor is averaged.
+        """
+        return self._once(("edge direction", window_px), lambda: structure_directions(self.grey(), window_px))
 
     def edges(self, low: float = 100.0, high: float = 200.0, dilate_px: int = 1) -> Bool[Tensor, "H W"]:
         """Pixels on edges (Canny 1986, as in OpenCV).
@@ -77,6 +100,32 @@ def gradient_length(grey: Float[Tensor, "H W"]) -> Float[Tensor, "H W"]:
     if not axes:
         return torch.zeros_like(grey)
     return torch.stack(torch.gradient(grey, dim=axes)).norm(dim=0)
+
+
+def structure_directions(grey: Float[Tensor, "H W"], window_px: int) -> EdgeDirection:
+    """Eigenvectors and coherence of the structure tensor, the mean of (gx, gy)^T (gx, gy) over a window. A gradient of
+    less than about 1/100 per pixel counts as none. Differentiable: no.
+
+    Raises:
+        ValueError: ``window_px`` is even or below 1.
+    """
+    if window_px < 1 or window_px % 2 == 0:
+        raise ValueError(f"window_px must be odd and at least 1, got {window_px}")
+    gy, gx = (torch.gradient(grey, dim=d)[0] if grey.shape[d] > 1 else torch.zeros_like(grey) for d in (0, 1))
+    xx, yy, xy = box_blur(torch.stack([gx * gx, gy * gy, gx * gy], dim=2), window_px).unbind(2)
+    difference = ((xx - yy).square() + 4 * xy.square()).sqrt()  # l1 - l2
+    across = torch.atan2(2 * xy, xx - yy) / 2
+    return EdgeDirection(
+        along=torch.stack([-across.sin(), across.cos()], dim=2),
+        coherence=difference / (xx + yy + NO_GRADIENT**2),
+    )
+
+
+def box_blur(image: Float[Tensor, "H W C"], window_px: int) -> Float[Tensor, "H W C"]:
+    """Mean over a square window of odd side; outside the picture its border is repeated."""
+    reach = window_px // 2
+    padded = functional.pad(image.permute(2, 0, 1)[None], (reach,) * 4, mode="replicate")
+    return functional.avg_pool2d(padded, window_px, stride=1)[0].permute(1, 2, 0)
 
 
 def absolute_laplacian(rgb: Float[Tensor, "H W 3"]) -> Float[Tensor, "H W"]:
