@@ -1,24 +1,22 @@
-"""Compare seeding rules: one run per rule on the same frames with the same settings, and one table."""
+"""Compare seeding rules in a notebook: runs on the same frames with the same settings, and one table."""
 
 import math
-import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from ..config import SystemConfig, to_dict
+from ..config import SystemConfig
 from ..config import gsfusion as gsfusion_preset
-from ..config import replace as replaced
 from ..data import OpenedSequence, open_sequence, sequence_fingerprint
-from ..evaluation import ImageScores, NotComputed, score_views
-from ..mapping import make_mapper
+from ..mapping import StepReport, get_system, system_of
 from ..progress import ProgressDisplay
-from ..runs import MappingRun
-from ..seeding import SeedingRule, get_rule, rule_fingerprint, rule_name
+from ..seeding import SeedingRule, is_built_in, rule_fingerprint, rule_name
+from ..seeding.rule_file import find_rule, is_rule_file, read_rule_file
 from .leaderboard import Leaderboard, LeaderboardRow
-from .run_key import run_key
-from .spec import label_of
-
-Option = bool | int | float | str
+from .map_scene import Entry
+from .one_run import run_steps
+from .result import RunResult
+from .setting_names import changed_settings
+from .spec import Budget, Option, RunSpec, label_of
 
 
 @dataclass(frozen=True)
@@ -26,16 +24,21 @@ class Entrant:
     """A rule with options and a label: ``Entrant("uniform", {"fraction": 0.1}, "uniform 10 %")``."""
 
     rule: str | SeedingRule
-    """Name of a registered rule, or the function."""
+    """Name of a registered rule, "FILE.py:name", or the rule itself."""
     options: Mapping[str, Option] = field(default_factory=dict)
     """Keyword arguments for it."""
     label: str = ""
     """Name in the table; made from rule and options if empty."""
+    size_option: str = ""
+    """Option that is tuned to reach a number of Gaussians; the rule's own if empty. "thin" keeps a random share of the
+    seeds."""
+    size_range: tuple[float | int, float | int] | None = None
+    """Smallest and largest value of ``size_option``."""
 
     @property
     def name(self) -> str:
         """Name in the table."""
-        return self.label or label_of(rule_name(self.rule), self.options)
+        return self.label or label_of(rule_name(self.rule).rpartition(":")[2], self.options)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +50,7 @@ class ContestProgress:
     """Number of the rule, from 0."""
     n_rules: int
     frame: int
-    """Frames mapped with this rule."""
+    """Frames mapped with this rule, in all its runs."""
     n_frames: int
 
     @property
@@ -60,12 +63,16 @@ class ContestProgress:
 
 
 class Contest:
-    """Runs rules one after another on one sequence; ``steps()`` can be interrupted between frames and continued.
+    """Runs rules one after another; ``steps()`` can be interrupted between frames and continued.
 
     Args:
         rules: Names, functions or ``Entrant``; no two of the same name.
-        data: Name or folder of a sequence, or an open sequence; some of its views must be held out.
+        data: Name or folder of a sequence, or an open sequence; some of its views must be held out. Or several of them:
+            then a row has the means over all.
         config: Settings of every run, of either system; only the rule and its options are replaced.
+        budget: What every rule may spend. By default each rule has as many Gaussians as it makes, and as many gradient
+            steps as follow from them; the table then says how much they differ.
+        seeds: Number of runs of each rule on each sequence: seeds ``config.seed``, the next one, and so on.
 
     Raises:
         KeyError: unknown rule. TypeError: a rule with a wrong signature. ValueError: no rule, two rules with the same
@@ -75,120 +82,159 @@ class Contest:
     def __init__(
         self,
         rules: "Iterable[str | SeedingRule | Entrant]",
-        data: str | OpenedSequence = "room",
+        data: "str | OpenedSequence | Sequence[str | OpenedSequence]" = "room",
         config: SystemConfig | None = None,
+        *,
+        budget: Budget | None = None,
+        seeds: int = 1,
     ):
         self.entrants = [rule if isinstance(rule, Entrant) else Entrant(rule) for rule in rules]
         names = [entrant.name for entrant in self.entrants]
         for entrant in self.entrants:
-            get_rule(entrant.rule)
+            find_rule(entrant.rule)
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice or not names:
             raise ValueError(f"compare_rules needs rules with different names, got {', '.join(twice) or 'none'}")
         self.config = config or gsfusion_preset("room", optim__global_iterations=0)
-        self.sequence = open_sequence(data, data=self.config.data) if isinstance(data, str) else data
-        if len(self.sequence.held_out) == 0:
+        self.budget = budget or Budget(steps="own")
+        scenes = [data] if isinstance(data, (str, OpenedSequence)) else list(data)
+        self.sequences = [open_sequence(d, data=self.config.data) if isinstance(d, str) else d for d in scenes]
+        if any(len(sequence.held_out) == 0 for sequence in self.sequences):
             raise ValueError("compare_rules scores views that were not mapped; set data.hold_out_every to 2 or more")
-        self.board = Leaderboard(sequence=self.sequence.name)
+        self.entries = [self._entries(entrant, seeds) for entrant in self.entrants]
+        """The runs of each rule."""
+        about = [f"{len(scenes)} sequences"] * (len(scenes) > 1) + [f"{seeds} seeds"] * (seeds > 1)
+        self.board = Leaderboard(sequence=", ".join(s.name for s in self.sequences), means_over=" and ".join(about))
+        self.results: list[RunResult] = []
+        """The results of all runs so far, for ``write_outputs``."""
         self.curves: dict[str, list[float]] = {"Gaussians, this rule": [], "PSNR of the frame, dB": []}
-        """Curves of the rule that is running, one value per frame."""
-        self._warm = False
-        self._data = sequence_fingerprint(self.sequence)
+        """Curves of the run that is going on, one value per frame."""
+
+    @property
+    def sequence(self) -> OpenedSequence:
+        """The first sequence."""
+        return self.sequences[0]
+
+    @property
+    def n_frames(self) -> int:
+        """Number of frames that a rule maps, in all its runs."""
+        return sum(len(entry.opened().mapping) for entry in self.entries[0])
 
     def steps(self) -> Iterator[ContestProgress]:
         """Run the remaining rules, one frame per step; finished rules are in ``board``. An interrupted rule starts
         again."""
-        self._warm_up()
         first = len(self.board.rows) + len(self.board.failed)
         for position in range(first, len(self.entrants)):
             yield from self._run(position)
         self.board.complete = True
 
-    def _warm_up(self) -> None:
-        """Load and compile what every run needs, so that it is not timed in the first run."""
-        if not self._warm:
-            self._warm = True
-            scratch = MappingRun(self.sequence, make_mapper(self.config)).online()
-            for _ in zip(range(2), scratch):  # noqa: B905
-                pass
+    def _entries(self, entrant: Entrant, seeds: int) -> list[Entry]:
+        """The runs of a rule: on every sequence with every seed."""
+        rule, system = entrant.rule, system_of(self.config)
+        settings = changed_settings(self.config, get_system(system).preset("room"))
+        for name in ("seeding.rule", "seeding.options", "seed"):
+            settings.pop(name, None)
+        is_file = isinstance(rule, str) and is_rule_file(rule)
+        is_own = not isinstance(rule, str) and not is_built_in(rule)
+        return [
+            Entry(
+                spec=RunSpec(
+                    rule=rule if isinstance(rule, str) else rule_name(rule), label=entrant.name,
+                    options=entrant.options, scene=sequence.name, data_hash=sequence_fingerprint(sequence),
+                    seed=self.config.seed + seed, budget=self.budget, system=system, preset="room", settings=settings,
+                    size_option=entrant.size_option, size_range=entrant.size_range,
+                    rule_source=read_rule_file(rule)[0] if is_file else "",
+                    rule_hash=rule_fingerprint(rule) if is_own else "",
+                ),
+                rule=None if isinstance(rule, str) else rule,
+                sequence=sequence,
+            )
+            for sequence in self.sequences
+            for seed in range(seeds)
+        ]  # fmt: skip
 
     def _run(self, position: int) -> Iterator[ContestProgress]:
-        entrant = self.entrants[position]
-        name = rule_name(entrant.rule)
-        config = replaced(self.config, seeding__rule=name, seeding__options=dict(entrant.options))
-        n, cpu_s = len(self.sequence.mapping), []
-        place = {"rule": entrant.name, "position": position, "n_rules": len(self.entrants), "n_frames": n}
-        for values in self.curves.values():
-            values.clear()
-        try:
-            run = MappingRun(self.sequence, make_mapper(config, seeding=entrant.rule))
-            frames = run.online()
+        name, frame, results = self.entrants[position].name, 0, []
+        place = {"rule": name, "position": position, "n_rules": len(self.entrants), "n_frames": self.n_frames}
+        for entry in self.entries[position]:
+            for values in self.curves.values():
+                values.clear()
+            run = run_steps(entry, everything=False)
             while True:
-                began = time.process_time()
-                report = next(frames, None)
-                if report is None:
+                try:
+                    report = next(run)
+                except StopIteration as ended:
+                    results.append(ended.value)
                     break
-                cpu_s.append(time.process_time() - began)
-                for values, value in zip(self.curves.values(), (report.n_gaussians, report.psnr_after_db), strict=True):
-                    values.append(value)
-                yield ContestProgress(frame=len(run.steps), **place)
-            for _ in run.optimise():
-                yield ContestProgress(frame=n, **place)
-            scores = score_views(run.mapper.render, self.sequence.held_out)
-        except (TypeError, ValueError, KeyError, IndexError, RuntimeError) as e:  # a user's rule may raise anything
-            self.board.failed[entrant.name] = f"{type(e).__name__}: {e}"
-            return
-        self.board.rows.append(_row(entrant.name, run, cpu_s, scores, self._key(run)))
-        yield ContestProgress(frame=n, **place)
+                frame += report is not None
+                self._draw(report)
+                yield ContestProgress(frame=frame, **place)
+            if results[-1].status == "failed":
+                self.board.failed[name] = results[-1].reason
+                self.results += results
+                return
+        self.results += results
+        self.board.rows.append(mean_row(name, results))
+        yield ContestProgress(frame=frame, **place)
 
-    def _key(self, run: MappingRun) -> str:
-        config, rule = to_dict(run.mapper.config), run.mapper.rule
-        return run_key(data=self._data, system=run.system, config=config, rule=rule_fingerprint(rule))
+    def _draw(self, report: StepReport | None) -> None:
+        if report is not None:
+            for values, value in zip(self.curves.values(), (report.n_gaussians, report.psnr_after_db), strict=True):
+                values.append(value)
 
 
-def _row(name: str, run: MappingRun, cpu_s: list[float], scores: ImageScores, key: str) -> LeaderboardRow:
-    later = run.steps[1:] or run.steps
-    seeding_s = [s.seconds["seeding"] + s.seconds.get("quadtree", 0.0) for s in later]
+def mean_row(name: str, results: Sequence[RunResult]) -> LeaderboardRow:
+    """The row of a rule: means over its runs, which are all done."""
+
+    def mean(metric: str) -> float:
+        """NaN if it could not be computed (images too small for SSIM)."""
+        values = [r.metrics.get(metric, math.nan) for r in results]
+        return sum(values) / len(values)
+
+    psnrs = [r.metrics.get("psnr_held_out_db", math.nan) for r in results]
+    middle = mean("psnr_held_out_db")
+    spread = math.sqrt(sum((v - middle) ** 2 for v in psnrs) / (len(psnrs) - 1)) if len(psnrs) > 1 else math.nan
     return LeaderboardRow(
         name=name,
-        key=key,
-        psnr_db=_number(scores.psnr),
-        ssim=_number(scores.ssim),
-        n_gaussians=len(run.mapper.gaussians),
-        n_keyframes=len(run.mapper.keyframes),
-        ms_per_frame=1e3 * sum(s.total_seconds for s in later) / len(later),
-        cpu_ms_per_frame=1e3 * sum(cpu_s[-len(later) :]) / len(later),
-        seeding_ms=1e3 * sum(seeding_s) / len(later),
+        key=results[0].key,
+        psnr_db=middle,
+        psnr_sd_db=spread,
+        ssim=mean("ssim_held_out"),
+        n_gaussians=round(mean("n_gaussians")),
+        n_keyframes=round(mean("n_keyframes")),
+        n_steps=round(mean("n_steps")),
+        ms_per_frame=mean("ms_per_frame"),
+        cpu_ms_per_frame=mean("cpu_ms_per_frame"),
+        seeding_ms=mean("seeding_ms"),
     )
-
-
-def _number(score: float | NotComputed) -> float:
-    """NaN if a score could not be computed (images too small for SSIM)."""
-    return math.nan if isinstance(score, NotComputed) else score
 
 
 def compare_rules(
     rules: "Iterable[str | SeedingRule | Entrant]",
-    data: str | OpenedSequence = "room",
+    data: "str | OpenedSequence | Sequence[str | OpenedSequence]" = "room",
     config: SystemConfig | None = None,
     *,
+    budget: Budget | None = None,
+    seeds: int = 1,
     on_progress: Callable[[ContestProgress], bool | None] | None = None,
 ) -> Leaderboard:
-    """Map ``data`` once with each rule and score the views that were held out.
+    """Map ``data`` with each rule and score the views that were held out.
 
     Ctrl-C (in a notebook: interrupt the kernel) ends it between two frames; the results of finished rules are kept.
 
     Args:
         rules: Names, functions or ``Entrant``, which also carries options.
-        data: Name or folder of a sequence, or an open sequence.
+        data: Name or folder of a sequence, an open sequence, or several of them.
         config: Settings of all runs; by default those of the room without global optimisation.
+        budget: What every rule may spend; by default whatever it does. See ``Contest``.
+        seeds: Number of runs of each rule on each sequence.
         on_progress: Called after each frame; returns True to stop. By default a progress bar is shown.
 
     Raises:
         KeyError, TypeError, ValueError: as for ``Contest``. A rule that raises an error while mapping is listed in
             ``failed``.
     """
-    contest = Contest(rules, data, config)
+    contest = Contest(rules, data, config, budget=budget, seeds=seeds)
     with ProgressDisplay("contest", total=100, leave=False, shown=on_progress is None) as display:
         try:
             for progress in contest.steps():

@@ -22,7 +22,7 @@ def watch_contest(contest: Contest) -> LiveLoop:
             drawn[:] = [(len(contest.board), board_picture(contest.board))]
         return drawn[-1][1]
 
-    return LiveLoop(contest.steps, picture, contest.curves, n_steps=len(contest.sequence.mapping), width=640)
+    return LiveLoop(contest.steps, picture, contest.curves, n_steps=contest.n_frames, width=640)
 
 
 def board_picture(board: Leaderboard) -> Picture:

@@ -1,5 +1,6 @@
 """The leaderboard of seeding rules: one row per rule, as a table and as a Pareto plot."""
 
+import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -19,10 +20,14 @@ class LeaderboardRow:
     name: str
     psnr_db: float
     """Mean over the held-out views."""
+    psnr_sd_db: float = math.nan
+    """Standard deviation over the runs of the rule; NaN for one run."""
     ssim: float
     """Mean over the held-out views."""
     n_gaussians: int
     n_keyframes: int
+    n_steps: int = 0
+    """Gradient steps; 0 if they were not counted."""
     ms_per_frame: float
     """Wall time of a mapping step, mean over all frames except the first, which loads and compiles."""
     cpu_ms_per_frame: float
@@ -40,6 +45,8 @@ class Leaderboard:
     rows: list[LeaderboardRow] = field(default_factory=list)
     sequence: str = ""
     """Name of the sequence."""
+    means_over: str = ""
+    """Over what the rows are means, such as "3 seeds"; empty for single runs."""
     complete: bool = False
     """False if the contest was stopped before all rules had run."""
     failed: dict[str, str] = field(default_factory=dict)
@@ -98,6 +105,8 @@ class Leaderboard:
         notes = (
             ["● on the Pareto front: no other rule has both fewer Gaussians and a better picture"] if self.rows else []
         )
+        notes += [f"means over {self.means_over}; ±: standard deviation over the runs"] if self.means_over else []
+        notes += _differences(self.rows)
         notes += [f"{name} did not run: {reason}" for name, reason in self.failed.items()]
         return notes if self.complete else [*notes, "stopped before every rule had run"]
 
@@ -105,8 +114,25 @@ class Leaderboard:
 _HEADINGS = ("rule", "PSNR held out, dB", "SSIM", "Gaussians", "keyframes", "ms/frame", "of it seeding", "CPU ms/frame")
 
 
+def _differences(rows: list[LeaderboardRow]) -> list[str]:
+    """A sentence if the rules differ in what they spent, since quality depends on it too."""
+    found = []
+    for what, counts in (
+        ("Gaussians", [r.n_gaussians for r in rows]), ("gradient steps", [r.n_steps for r in rows])
+    ):  # fmt: skip
+        if counts and max(counts) > 1.1 * min(counts):
+            found.append(f"{min(counts):,} to {max(counts):,} {what}")
+    if not found:
+        return []
+    return [f"not equal between the rules: {' and '.join(found)}; a Budget makes them equal"]
+
+
 def _cells(row: LeaderboardRow, on_front: bool) -> list[str]:
     return [
-        f"{'● ' if on_front else ''}{row.name}", f"{row.psnr_db:.2f}", f"{row.ssim:.3f}", f"{row.n_gaussians:,}",
+        f"{'● ' if on_front else ''}{row.name}", _with_spread(row), f"{row.ssim:.3f}", f"{row.n_gaussians:,}",
         f"{row.n_keyframes}", f"{row.ms_per_frame:.0f}", f"{row.seeding_ms:.1f}", f"{row.cpu_ms_per_frame:.0f}",
     ]  # fmt: skip
+
+
+def _with_spread(row: LeaderboardRow) -> str:
+    return f"{row.psnr_db:.2f}" + ("" if math.isnan(row.psnr_sd_db) else f" ± {row.psnr_sd_db:.2f}")

@@ -7,11 +7,11 @@ import pytest
 
 from gsfusion_nb.config import gsfusion, replace
 from gsfusion_nb.data import open_sequence
+from gsfusion_nb.lab import Budget
 from gsfusion_nb.lab.contest import Contest, Entrant, compare_rules
 from gsfusion_nb.lab.contest_view import board_picture, watch_contest
 from gsfusion_nb.lab.leaderboard import Leaderboard, LeaderboardRow
-from gsfusion_nb.mapping import GSFusion, make_mapper
-from gsfusion_nb.runs import MappingRun
+from gsfusion_nb.mapping import GSFusion
 
 CONFIG = gsfusion(
     "room", data__width=64, data__height=48, data__stop=5, data__hold_out_every=5, tsdf__voxel_size_m=0.05,
@@ -81,10 +81,7 @@ def test_it_repeats_exactly(sequence):
 
 def test_the_key_of_a_row_is_its_content(sequence):
     def keys(rules, sequence=sequence, config=CONFIG):
-        contest = Contest(rules, sequence, config)
-        runs = [MappingRun(sequence, make_mapper(replace(config, seeding__options=dict(e.options)), seeding=e.rule))
-                for e in contest.entrants]  # fmt: skip
-        return [contest._key(run) for run in runs]
+        return [entries[0].spec.key for entries in Contest(rules, sequence, config).entries]
 
     def mine(ctx):
         return ctx.cells()
@@ -101,6 +98,19 @@ def test_the_key_of_a_row_is_its_content(sequence):
         *keys(["uniform", mine], open_sequence("room", data=CONFIG.data, n_frames=90)),
     ]
     assert len({*base, *others}) == 8
+
+
+def test_equal_budgets_and_several_seeds(sequence):
+    rules = ["gsfusion", Entrant("uniform", {"fraction": 0.02}), Entrant("dense", size_option="thin")]
+    own = compare_rules(rules[:2], sequence, CONFIG, **QUIET)
+    assert "not equal between the rules" in repr(own)
+    equal = compare_rules(rules, sequence, CONFIG, budget=Budget(gaussians=200), seeds=2, **QUIET)
+    assert not equal.failed
+    assert all(abs(r.n_gaussians / 200 - 1) <= 0.05 for r in equal.rows)
+    assert len({r.n_steps for r in equal.rows}) == 1
+    assert "means over 2 seeds" in repr(equal)
+    assert " ± " in equal.as_markdown()
+    assert "not equal" not in repr(equal)
 
 
 def test_a_stop_keeps_what_has_finished_and_can_go_on(sequence):
