@@ -1,7 +1,5 @@
 """Baseline: pixels drawn at random, whatever the picture shows."""
 
-import torch
-
 from ...types import Seeds
 from ..context import SeedContext
 from ..rule import seeding_rule
@@ -27,6 +25,4 @@ def uniform(ctx: SeedContext, *, fraction: float = 0.05, required_weight: float 
     seeds = ctx.seeds_at(ctx.pixels(), (0.5 / fraction) ** 0.5)
     if coverage:
         seeds = seeds[ctx.voxel_weight(seeds.xyz_W) == required_weight]
-    n = round(fraction * len(seeds))
-    drawn = torch.randperm(len(seeds), generator=ctx.generator, device=ctx.generator.device)[:n]
-    return seeds[drawn.sort().values.to(seeds.xyz_W.device)]
+    return seeds[ctx.draw(len(seeds), round(fraction * len(seeds)))]
