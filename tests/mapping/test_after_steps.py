@@ -329,3 +329,41 @@ def test_between_two_gradient_steps_a_frame_can_be_given_up(frames, monkeypatch,
         mapper.step(frame)
     same(whole.state_dict(), mapper.state_dict())
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_an_edit_that_changes_no_value_changes_no_step(frames):
+    """RTG-SLAM's final passes work on copies of the rows: Adam goes on with its moments although these were made
+    again."""
+
+    @dataclass(frozen=True, kw_only=True)
+    class same_rates(Base):
+        def after_step(self, ctx, stats, memory):
+            return Edit(rates={"sh": torch.ones(len(ctx.map))}, keep=torch.ones(len(ctx.map), dtype=torch.bool))
+
+    mappers = [make_mapper(settings("rtg_slam"), seeding=rule) for rule in (same_rates, Base)]
+    for mapper in mappers:
+        for frame in frames[:3]:
+            mapper.step(frame)
+        assert len(list(mapper.global_optimise(3))) > 4
+    same(*(mapper.maps() for mapper in mappers))
+    assert mappers[0].gaussians.rates["sh"].eq(1).all()
+
+
+def test_moments_go_with_their_rows(frames):
+    mapper = make_mapper(settings("rtg_slam"), seeding=Base)
+    for frame in frames[:3]:
+        mapper.step(frame)
+    list(mapper.global_optimise(1))
+    n = len(mapper.gaussians)
+    earlier = mapper._final.adam
+    moments = {name: [m.clone() for m in pair] for name, pair in earlier._moments.items()}
+    edit = Edit(clone=torch.tensor([3]), keep=torch.arange(n) != 1)
+    mapper.rows_changed(mapper.gaussians.edit(edit, torch.Generator()))
+    kept = [i for i in range(n) if i != 1]
+    assert mapper._final.adam.steps == earlier.steps > 0
+    for name, pair in mapper._final.adam._moments.items():
+        for mine, before in zip(pair, moments[name], strict=True):
+            assert torch.equal(mine[:-1], before[kept])
+            assert not mine[-1].any()
+            assert mine[:-1].any()
+    assert mapper.gaussians.is_stable.all()
