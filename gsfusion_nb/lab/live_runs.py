@@ -164,7 +164,8 @@ class _Gated(InProcess):
         place = f"{kind}{task.spec.label}, {task.spec.scene}, {task.spec.budget}, seed {task.spec.seed}"
 
         def on_step(report: StepReport | None) -> None:
-            self._gate.now = place if report is None else f"{place}, frame {report.frame_index}"
+            work = "optimising and scoring" if report is None else f"frame {report.frame_index}"
+            self._gate.now = f"{place}, {work}"
             self._gate.pass_by()
 
         self._gate.now = place

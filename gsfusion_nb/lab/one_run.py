@@ -95,6 +95,7 @@ def run_steps(
             again = yield from tune(ready.entry)
             ready = yield from reach_budget(entry, again | {"n_runs": again["n_runs"] + ready.tuned["n_runs"]})
             mapped = yield from map_scene(ready.entry, ready.config)
+        yield None
         return _result(entry, mapped, ready.tuned | _errors(mapped, budget), folder, everything)
     except Exception as e:  # a user's rule may raise anything
         return RunResult(spec=entry.spec, status="failed", reason=f"{type(e).__name__}: {e}")

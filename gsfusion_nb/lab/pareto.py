@@ -26,6 +26,8 @@ _NEAR_PX = 16.0
 _DISTANCES_PX = (3.0, 14.0, 28.0, 46.0, 66.0, 90.0, 118.0, 150.0, 190.0)
 
 ON_FRONT, BEATEN = "#d1495b", "#3d85c6"
+_LEAST_SPAN = 0.06
+"""Half the width of a linear axis, relative to the largest cost: differences within a budget's tolerance look small."""
 LARGEST_AREA, LEAST_AREA, PLAIN_AREA = 420.0, 40.0, 46.0
 """Areas of the points of the plot, points squared: of the slowest candidate, the smallest area used, and where the area
 means nothing."""
@@ -220,6 +222,9 @@ def _scale_of_costs(axes: "Axes", cost: np.ndarray) -> None:
     from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
     if cost.max() < 2 * cost.min():
+        low, high = axes.get_xlim()
+        middle, half = (low + high) / 2, max((high - low) / 2, _LEAST_SPAN * cost.max())
+        axes.set_xlim(middle - half, middle + half)
         axes.xaxis.set_major_locator(MaxNLocator(5))
         axes.xaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:,.6g}"))
         return

@@ -76,6 +76,8 @@ def test_names_cover_neither_points_nor_bars_nor_each_other(equal_budget):
 def test_costs_that_are_close_have_a_linear_axis_with_numbers():
     figure = pareto_figure(points(["a", "b"], [3950, 4050], [20.0, 19.0]), points(["a", "b"], [1e3, 1e4], [2.0, 1.0]))
     assert [axes.get_xscale() for axes in figure.axes] == ["linear", "log"]
+    low, high = figure.axes[0].get_xlim()
+    assert high - low >= 0.12 * 4050
     assert "4,000" in [t.get_text() for t in figure.axes[0].get_xticklabels()]
 
 
