@@ -1,44 +1,23 @@
 """Compare seeding rules in a notebook: runs on the same frames with the same settings, and one table."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 
 from ..config import SystemConfig
 from ..config import gsfusion as gsfusion_preset
 from ..data import OpenedSequence, open_sequence, sequence_fingerprint
 from ..mapping import StepReport, get_system, system_of
 from ..progress import ProgressDisplay
-from ..seeding import SeedingRule, is_built_in, rule_fingerprint, rule_name
-from ..seeding.rule_file import find_rule, is_rule_file, read_rule_file
+from ..seeding import SeedingRule
+from ..seeding.rule_file import find_rule
+from .entrant import Entrant
 from .leaderboard import Leaderboard, LeaderboardRow
 from .map_scene import Entry
 from .one_run import run_steps
 from .result import RunResult
 from .setting_names import changed_settings
-from .spec import Budget, Option, RunSpec, label_of
-
-
-@dataclass(frozen=True)
-class Entrant:
-    """A rule with options and a label: ``Entrant("uniform", {"fraction": 0.1}, "uniform 10 %")``."""
-
-    rule: str | SeedingRule
-    """Name of a registered rule, "FILE.py:name", or the rule itself."""
-    options: Mapping[str, Option] = field(default_factory=dict)
-    """Keyword arguments for it."""
-    label: str = ""
-    """Name in the table; made from rule and options if empty."""
-    size_option: str = ""
-    """Option that is tuned to reach a number of Gaussians; the rule's own if empty. "thin" keeps a random share of the
-    seeds."""
-    size_range: tuple[float | int, float | int] | None = None
-    """Smallest and largest value of ``size_option``."""
-
-    @property
-    def name(self) -> str:
-        """Name in the table."""
-        return self.label or label_of(rule_name(self.rule).rpartition(":")[2], self.options)
+from .spec import Budget
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,24 +109,14 @@ class Contest:
 
     def _entries(self, entrant: Entrant, seeds: int) -> list[Entry]:
         """The runs of a rule: on every sequence with every seed."""
-        rule, system = entrant.rule, system_of(self.config)
+        system = system_of(self.config)
         settings = changed_settings(self.config, get_system(system).preset("room"))
         for name in ("seeding.rule", "seeding.options", "seed"):
             settings.pop(name, None)
-        is_file = isinstance(rule, str) and is_rule_file(rule)
-        is_own = not isinstance(rule, str) and not is_built_in(rule)
         return [
-            Entry(
-                spec=RunSpec(
-                    rule=rule if isinstance(rule, str) else rule_name(rule), label=entrant.name,
-                    options=entrant.options, scene=sequence.name, data_hash=sequence_fingerprint(sequence),
-                    seed=self.config.seed + seed, budget=self.budget, system=system, preset="room", settings=settings,
-                    size_option=entrant.size_option, size_range=entrant.size_range,
-                    rule_source=read_rule_file(rule)[0] if is_file else "",
-                    rule_hash=rule_fingerprint(rule) if is_own else "",
-                ),
-                rule=None if isinstance(rule, str) else rule,
-                sequence=sequence,
+            entrant.entry(
+                sequence=sequence, scene=sequence.name, data_hash=sequence_fingerprint(sequence),
+                seed=self.config.seed + seed, budget=self.budget, system=system, preset="room", settings=settings,
             )
             for sequence in self.sequences
             for seed in range(seeds)

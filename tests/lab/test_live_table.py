@@ -5,7 +5,8 @@ import time
 import pytest
 
 from gsfusion_nb.lab import Budget, live_table
-from gsfusion_nb.lab.contest import Entrant
+from gsfusion_nb.lab.contest import Contest
+from gsfusion_nb.lab.entrant import Entrant
 from gsfusion_nb.lab.entries import entries_of
 from gsfusion_nb.lab.live_runs import LiveRuns
 from gsfusion_nb.lab.live_table import LiveTable
@@ -101,6 +102,14 @@ def test_step_does_one_run(live):
     live.step()
     wait_for(lambda: live.player.state == "paused")
     assert len(live.results) == 1
+
+
+def test_a_contest_as_a_live_table(specs, tmp_path, cache):
+    contest = Contest(["uniform", Entrant("uniform", {"fraction": 0.05})], specs[0].data, specs[0].config(), seeds=2)
+    live = LiveTable(contest, ResultStore(tmp_path, cache))
+    assert live.run_sync(1) == 1
+    assert rows(live)["uniform"]["state"] == "1 of 2 runs"
+    assert repr(live) == "LiveTable(1 of 4 runs)"
 
 
 def test_the_menus_choose_scene_and_budget(spec, tmp_path, cache):
