@@ -195,7 +195,8 @@ class Mapper(ABC):
             context: What the rule sees.
             checks: Further arguments of ``apply_rule``.
         """
-        when, is_keyframe = self.rule_in_use.when, self.is_next_keyframe(context.frame)
+        when = self.rule_in_use.when
+        is_keyframe = self.is_next_keyframe(context.frame) if when.only_keyframes else None  # may wait for a GPU
         if when.only_keyframes and is_keyframe is None:
             raise ValueError(
                 f"the seeding rule {rule_name(self.rule)!r} is asked in keyframes only, but {self.title} chooses its "
