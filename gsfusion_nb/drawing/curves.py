@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .pictures import Picture
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -102,11 +104,18 @@ def figure_svg(figure: "Figure", name: str) -> str:
 
 def figure_png(figure) -> bytes:
     """PNG bytes of a matplotlib figure, for an image widget."""
-    import io
-
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png")
     return buffer.getvalue()
+
+
+def figure_picture(figure: "Figure") -> Picture:
+    """A figure as an image, at its own size and resolution."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
 
 def _style(axes: "Axes", x_label: str, y_label: str) -> None:

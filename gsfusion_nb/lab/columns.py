@@ -7,6 +7,7 @@ from typing import Literal
 from ..evaluation.metrics import METRICS
 
 Better = Literal["higher", "lower", "neither"]
+Views = Literal["held out", "mapped", ""]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -16,7 +17,7 @@ class Column:
     metric: str
     """Name in ``RunResult.metrics``."""
     heading: str
-    views: Literal["held out", "mapped", ""] = ""
+    views: Views = ""
     """The views that it is the mean of; empty if it belongs to the whole run."""
     unit: str = ""
     digits: int = 2
@@ -45,7 +46,8 @@ class Column:
 
 
 def _image_columns(metric: str, heading: str, better: Better) -> Iterable[Column]:
-    for views, word in (("held_out", "held out"), ("mapped", "mapped")):
+    both: tuple[tuple[str, Views], ...] = (("held_out", "held out"), ("mapped", "mapped"))
+    for views, word in both:
         name = metric.format(views)
         known = METRICS[name]
         yield Column(

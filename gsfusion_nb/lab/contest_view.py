@@ -1,9 +1,7 @@
 """Live view of a contest of seeding rules: a Pareto plot that is updated while the rules run, with start, pause and
 stop."""
 
-import numpy as np
-
-from ..drawing.curves import figure_png
+from ..drawing.curves import figure_picture
 from ..drawing.pictures import Picture
 from ..viz.live.live_loop import LiveLoop
 from .contest import Contest
@@ -27,7 +25,4 @@ def watch_contest(contest: Contest) -> LiveLoop:
 
 def board_picture(board: Leaderboard) -> Picture:
     """The Pareto plot as an image."""
-    import cv2
-
-    data = np.frombuffer(figure_png(board.figure()), np.uint8)
-    return np.ascontiguousarray(np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR))[..., ::-1])
+    return figure_picture(board.figure())

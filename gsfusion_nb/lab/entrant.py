@@ -43,12 +43,11 @@ class Entrant:
             ValueError: the file of the rule cannot be read. FileNotFoundError: it does not exist.
         """
         rule = self.rule
-        is_file = isinstance(rule, str) and is_rule_file(rule)
-        is_own = not isinstance(rule, str) and not is_built_in(rule)
+        source = read_rule_file(rule)[0] if isinstance(rule, str) and is_rule_file(rule) else ""
+        fingerprint = "" if isinstance(rule, str) or is_built_in(rule) else rule_fingerprint(rule)
         spec = RunSpec(
             rule=rule if isinstance(rule, str) else rule_name(rule), label=self.name, options=self.options,
             size_option=self.size_option, size_range=self.size_range,
-            rule_source=read_rule_file(rule)[0] if is_file else "",
-            rule_hash=rule_fingerprint(rule) if is_own else "", **fields,
+            rule_source=source, rule_hash=fingerprint, **fields,
         )  # fmt: skip
         return Entry(spec=spec, rule=None if isinstance(rule, str) else rule, sequence=sequence)

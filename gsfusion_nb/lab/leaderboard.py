@@ -76,7 +76,9 @@ class Leaderboard:
         """Held-out PSNR over the number of Gaussians; area of a point: ms per frame; line: the Pareto front."""
         n, psnr = self._columns()
         ms = np.array([r.ms_per_frame for r in self.rows])
-        return pareto_figure(ParetoPoints(names=[r.name for r in self.rows], cost=n, quality=psnr, ms=ms))
+        sd = np.array([r.psnr_sd_db for r in self.rows])
+        names = [row.name for row in self.rows]
+        return pareto_figure(ParetoPoints(names=names, cost=n, quality=psnr, quality_sd=sd, ms=ms))
 
     def as_markdown(self) -> str:
         """The table for a report."""

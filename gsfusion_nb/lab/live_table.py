@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..drawing.curves import figure_png
+from ..drawing.curves import figure_picture
 from ..drawing.html import fill
 from ..drawing.pictures import Picture, data_uri
 from ..drawing.side_by_side import side_by_side
@@ -134,10 +134,7 @@ class LiveTable:
 
     def picture(self) -> Picture:
         """The Pareto plot as an image."""
-        import cv2
-
-        data = np.frombuffer(figure_png(self.figure()), np.uint8)
-        return np.ascontiguousarray(np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR))[..., ::-1])
+        return figure_picture(self.figure())
 
     def write(self, folder: str | Path | None = None) -> list[Path]:
         """``write_outputs`` of the results so far; into the folder of the results if none is given."""
@@ -155,9 +152,13 @@ class LiveTable:
         data["text/html"] = fill("live_table.html", **values, picture=data_uri(picture, "png"))
         return data
 
+    @property
+    def _place(self) -> tuple[str, str]:
+        """Scene and budget that are shown."""
+        return str(self.scene.value), str(self.budget.value)
+
     def _shown(self) -> list[Group]:
-        place = (self.scene.value, self.budget.value)
-        return [g for g in group_runs(self.results) if (g.scene, g.budget) == place]
+        return [g for g in group_runs(self.results) if (g.scene, g.budget) == self._place]
 
     def _on_frame(self) -> None:
         if self._runs.is_resting or time.monotonic() >= self._next_write_s:
@@ -176,7 +177,7 @@ class LiveTable:
 
     def _show_table(self) -> None:
         with self._writing:
-            place = (self.scene.value, self.budget.value)
+            place = self._place
             planned = self._runs.planned(*place)
             states = {}
             for group in self._shown():

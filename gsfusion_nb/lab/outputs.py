@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ..files import atomic_file, write_file
 from .best_rule import against_the_best, comparison_sentence
@@ -73,6 +73,6 @@ def save_figure(figure: "Figure", path: Path) -> None:
     """Write a figure as PDF or PNG, without a date, so that equal figures are equal files."""
     import matplotlib
 
-    options = {"metadata": {"CreationDate": None}} if path.suffix == ".pdf" else {"dpi": 150}
+    options: dict[str, Any] = {"metadata": {"CreationDate": None}} if path.suffix == ".pdf" else {"dpi": 150}
     with matplotlib.rc_context({"pdf.fonttype": 42}), atomic_file(path) as temporary:
         figure.savefig(temporary, **options)

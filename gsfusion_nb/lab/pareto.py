@@ -162,9 +162,9 @@ def _label_points(axes: "Axes", points: ParetoPoints) -> None:
     centre = axes.transData.transform(where).tolist()
     dots = [(x - r, y - r, x + r, y + r) for (x, y), r in zip(centre, (np.sqrt(area) * 0.7).tolist(), strict=True)]
     taken = [*dots, *_bar_boxes(axes, points)]
-    left, bottom, right, top = axes.get_window_extent().extents.tolist()
+    left, bottom, right, top = np.asarray(axes.get_window_extent().extents).tolist()
     named: set[str] = set()
-    for i in np.argsort(-quality, kind="stable"):
+    for i in np.argsort(-quality, kind="stable").tolist():
         if points.names[i] in named:
             continue
         named.add(points.names[i])
@@ -173,9 +173,10 @@ def _label_points(axes: "Axes", points: ParetoPoints) -> None:
         taken.append(box)
         middle = ((box[0] + box[2]) / 2 - x) * 0.72, ((box[1] + box[3]) / 2 - y) * 0.72  # pixels to points
         near = box[0] - dots[i][2] < _NEAR_PX and dots[i][0] - box[2] < _NEAR_PX and abs(middle[1]) < _NEAR_PX
+        line = None if near else {"arrowstyle": "-", "color": MUTED, "linewidth": 0.6}
         axes.annotate(
-            points.names[i], where[i], xytext=middle, textcoords="offset points", ha="center", va="center",
-            fontsize=8, color=INK, arrowprops=None if near else {"arrowstyle": "-", "color": MUTED, "linewidth": 0.6},
+            points.names[i], (where[i, 0], where[i, 1]), xytext=middle, textcoords="offset points",
+            ha="center", va="center", fontsize=8, color=INK, arrowprops=line,
             bbox={"boxstyle": "square,pad=0.05", "facecolor": PAPER, "edgecolor": "none", "alpha": 0.75},
         )  # fmt: skip
 

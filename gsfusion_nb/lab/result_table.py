@@ -136,7 +136,9 @@ def failures(results: "Iterable[RunResult]") -> list[tuple[str, str, str, int, s
 
 
 def _column_cells(column: Column, summaries: Sequence[Summary], *, marked: bool = True) -> list[Cell]:
-    marks = places([s.mean for s in summaries], column) if marked else [0] * len(summaries)
+    marks: list[Place] = [0] * len(summaries)
+    if marked:
+        marks = places([s.mean for s in summaries], column)
     return [
         Cell(
             mean=column.text(s.mean),

@@ -139,7 +139,9 @@ def test_curve_figure_has_labels_a_legend_and_no_pyplot():
     axes = figure.axes[0]
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("frame", "PSNR, dB")
     assert [t.get_text() for t in figure.legends[0].get_texts()] == ["a", "b", "keyframe"]
-    assert decoded(curves.figure_png(figure)).shape == (300, 520, 3)
+    png = decoded(curves.figure_png(figure))
+    assert png.shape == (300, 520, 3)
+    assert abs(curves.figure_picture(figure).astype(int) - png).mean() < 1
     assert getattr(sys.modules.get("matplotlib.pyplot"), "get_fignums", list)() == []
 
 

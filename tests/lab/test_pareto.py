@@ -1,6 +1,7 @@
 """Pareto front: by hand, against the definition in a loop, and equals; and its figure."""
 
 import itertools
+from typing import Any
 
 import numpy as np
 import pytest
@@ -42,18 +43,20 @@ def test_a_rule_at_several_budgets_is_named_once_and_joined():
     plot = points(["a", "a", "b", "a"], [4000, 1000, 2000, 2000], [24.0, 20.0, 21.0, 22.0])
     axes = pareto_figure(plot).axes[0]
     assert [t.get_text() for t in axes.texts] == ["a", "b"]
-    assert axes.lines[0].get_xdata().tolist() == [1000, 2000, 4000]
+    assert np.asarray(axes.lines[0].get_xdata()).tolist() == [1000, 2000, 4000]
 
 
 def test_error_bars_in_both_directions():
     plot = points(
         ["a", "b"], [1000, 2000], [20.0, 19.0], cost_sd=np.array([100, np.nan]), quality_sd=np.array([0.5, 5e-2])
     )
-    across, up = pareto_figure(plot).axes[0].collections[:2]
+    bars: Any = pareto_figure(plot).axes[0].collections
+    across, up = bars[:2]
     assert [s.tolist() for s in across.get_segments()] == [[[900, 20], [1100, 20]], [[2000, 19], [2000, 19]]]
     assert up.get_segments()[0].tolist() == [[1000, 19.5], [1000, 20.5]]
     wide = points(["a"], [10], [1.0], cost_sd=np.array([50.0]))  # a logarithmic axis has no zero
-    assert pareto_figure(wide).axes[0].collections[0].get_segments()[0].tolist() == [[1, 1], [60, 1]]
+    bars = pareto_figure(wide).axes[0].collections
+    assert bars[0].get_segments()[0].tolist() == [[1, 1], [60, 1]]
 
 
 @pytest.mark.parametrize("equal_budget", [False, True])
