@@ -1,11 +1,14 @@
 """Which Gaussians a camera sees, and how large they are in its image."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from ..backends import op
+from ..operands import check_gaussians, check_view
 from ..types import Camera, GaussianParams
 from .in_view import rows_in_view
 from .project import project_gaussians
@@ -21,6 +24,13 @@ class Footprints:
     """Half of the longer side of that box, pixels; 0 where not visible."""
 
 
+def check_footprints(params: Any, camera: Any, T_WC: Any) -> None:
+    """Raise ``ValueError`` for arguments that ``footprints`` refuses."""
+    check_gaussians(params)
+    check_view(camera, T_WC, params.xyz_W.device)
+
+
+@op("footprints", check_footprints)
 @torch.no_grad()
 def footprints(params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> Footprints:
     """Visibility and size in the image of every Gaussian.

@@ -1,0 +1,32 @@
+"""Cases of ``footprints``: Gaussians before, beside and behind the camera, some that are not drawn, and none."""
+
+from collections.abc import Iterator
+
+import torch
+from torch import Tensor
+
+from gsfusion_nb.render import footprints
+
+from ..rasterize.cases import break_rows
+from ..runtime.cases import Case, make_frame, make_params
+
+
+def cases() -> Iterator[Case]:
+    """One with everything, and one of an empty map."""
+    yield Case(name="all around", operations=("footprints",), run=_run, flips=2e-3)
+    yield Case(name="0 Gaussians", operations=("footprints",), run=_run_empty)
+
+
+def _run(device: torch.device, dtype: torch.dtype, n: int = 600) -> dict[str, Tensor]:
+    params, frame = make_params(1, device, dtype, n), make_frame(device)
+    if n:
+        params.xyz_W.mul_(3.0)
+        params.xyz_W[::5, 2] -= 5.0
+        params.opacity_logit[::7] = -6.0
+        break_rows(params)
+    seen = footprints(params, frame.camera, frame.T_WC)
+    return {"visible": seen.visible, "radius_px": seen.radius_px}
+
+
+def _run_empty(device: torch.device, dtype: torch.dtype) -> dict[str, Tensor]:
+    return _run(device, dtype, 0)

@@ -1,0 +1,55 @@
+"""Visibility and size in the image of every Gaussian, in one pass over the rows; float64 goes to backend "torch"."""
+
+import math
+
+import numpy as np
+import torch
+from numba import njit, prange
+from torch import Tensor
+
+from gsfusion_nb.constants import ALPHA_MIN, NEAR_PLANE_M
+from gsfusion_nb.geometry import se3
+from gsfusion_nb.render.footprints import Footprints
+from gsfusion_nb.types import Camera, GaussianParams
+
+from ..project.geometry import camera_point
+from ..project.layout import HEIGHT, WIDTH, Params, pack_camera
+from ..project.numba import CHUNK, _project
+from ..project.splat import DEPTH, EXTENT_U, EXTENT_V, LN_OPACITY, SPLAT, U, V
+from ..runtime.numba.launch import launching
+
+f32 = np.float32
+_NEAR, _ALPHA_MIN, _ONE, _ZERO = f32(NEAR_PLANE_M), f32(ALPHA_MIN), f32(1.0), f32(0.0)
+
+
+def footprints(params: GaussianParams, camera: Camera, T_WC: Tensor) -> Footprints:
+    """See ``gsfusion_nb.render.footprints``."""
+    columns = (params.xyz_W, params.log_scale, params.quat, params.opacity_logit, params.sh)
+    arrays = Params(*(t.detach().contiguous().numpy() for t in columns))
+    T = T_WC.detach().double()
+    cam = pack_camera(camera, se3.inverse(T).numpy(), T[:3, 3].numpy())
+    radius_px = torch.empty(len(params), dtype=torch.float32)
+    with launching():
+        _radii(arrays, cam, radius_px.numpy())
+    return Footprints(visible=radius_px > 0, radius_px=radius_px)
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
+def _radii(params, cam, radius):
+    """Write half of the longer side of the box of each row, 0 where it does not reach into the image."""
+    xyz, log_scale, quat, logit, sh = params.xyz, params.log_scale, params.quat, params.logit, params.sh
+    N = sh.shape[0]
+    for part in prange((N + CHUNK - 1) // CHUNK):
+        s = np.empty(SPLAT, np.float32)
+        for i in range(part * CHUNK, min(N, part * CHUNK + CHUNK)):
+            radius[i] = _ZERO
+            x, y, z = camera_point(cam, xyz[i, 0], xyz[i, 1], xyz[i, 2])
+            opacity = _ONE / (_ONE + math.exp(-logit[i]))
+            if not (z > _NEAR and opacity >= _ALPHA_MIN):
+                continue
+            s[DEPTH], s[LN_OPACITY] = z, math.log(opacity)
+            if not _project(cam, x, y, z, log_scale[i], quat[i], s):
+                continue
+            across = s[U] + s[EXTENT_U] > _ZERO and s[U] - s[EXTENT_U] < cam[WIDTH]
+            if across and s[V] + s[EXTENT_V] > _ZERO and s[V] - s[EXTENT_V] < cam[HEIGHT] and np.isfinite(sh[i]).all():
+                radius[i] = max(s[EXTENT_U], s[EXTENT_V])
