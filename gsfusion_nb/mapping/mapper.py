@@ -19,11 +19,12 @@ from ..errors import shown
 from ..gaussians import GaussianModel
 from ..optim import KeyframeList
 from ..render import render
-from ..seeding import Cells, ChangedInputError, SeedContext, SeedingRule, apply_rule, copy_memory, rule_name
+from ..seeding import Cells, ChangedInputError, SeedingRule, copy_memory, rule_name
 from ..seeding.rule_file import find_rule
 from ..tracking import Correction
-from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput, Seeds
+from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput
 from .after_steps import AfterSteps
+from .asks_rule import AsksRule
 from .keyframe_passes import KeyframePasses
 from .localiser import Localiser, move_map
 from .map_view import MapPart, SurfaceImage
@@ -36,7 +37,7 @@ from .step_report import GlobalStep, StepReport
 M = TypeVar("M", bound="Mapper")
 
 
-class Mapper(ABC):
+class Mapper(AsksRule, ABC):
     """A mapping system: give it frames with ``step``; the map is ``gaussians``, and what the subclass adds.
 
     Args:
@@ -165,51 +166,6 @@ class Mapper(ABC):
         """The Gaussian map seen by a camera."""
         return self.render_gaussians(self.gaussians.params, camera, T_WC.to(self.device), self.config)
 
-    @property
-    def memory(self) -> dict[str, Any]:
-        """What the seeding rule keeps from one frame to the next."""
-        return self.rule_in_use.memory
-
-    def seed_context(self, frame: Frame) -> SeedContext:
-        """What a seeding rule sees of this frame."""
-        return self._context(frame)
-
-    def _context(self, frame: Frame, **more: Any) -> SeedContext:
-        """A context with what every system gives a rule, and ``more`` of this one."""
-        return SeedContext(
-            frame,
-            gaussians=self.gaussians,
-            generator=self.random.rule,
-            config=self.config.seeding,
-            memory=self.memory,
-            starts_submap=self.rule_in_use.when.starts_submap(self.n_frames),
-            keyframes=tuple(self.keyframes),
-            past_T_WC=tuple(self.localiser.poses),
-            **more,
-        )
-
-    def propose_seeds(self, context: SeedContext, **checks: Any) -> Seeds:
-        """Ask the seeding rule for new Gaussians; there are none in a frame in which it is not due (``MapRule.when``).
-
-        Args:
-            context: What the rule sees.
-            checks: Further arguments of ``apply_rule``.
-        """
-        when = self.rule_in_use.when
-        is_keyframe = self.is_next_keyframe(context.frame) if when.only_keyframes else None  # may wait for a GPU
-        if when.only_keyframes and is_keyframe is None:
-            raise ValueError(
-                f"the seeding rule {rule_name(self.rule)!r} is asked in keyframes only, but {self.title} chooses its "
-                "keyframes after the seeding"
-            )
-        if not when.is_due(self.n_frames, is_keyframe):
-            return Seeds.empty(context.frame.depth_m)
-        return apply_rule(self.rule, context, self.config.seeding.options, **checks)
-
-    def is_next_keyframe(self, frame: Frame) -> bool | None:
-        """Whether this frame, mapped next, becomes a keyframe; None if that depends on its seeds."""
-        return None
-
     def global_optimise(self, passes: int | None = None) -> Iterator[GlobalStep]:
         """Optimise over the keyframes after the scan: each pass visits all of them once in a new random order.
 
@@ -262,7 +218,7 @@ class Mapper(ABC):
 
         return undo
 
-    def rows_changed(self, before: Int[Tensor, " N"]) -> None:  # noqa: B027
+    def rows_changed(self, before: Int[Tensor, " N"]) -> None:
         """Called after a rule's edit of the map; a subclass that holds copies of rows brings them up to date.
 
         Args:

@@ -6,6 +6,7 @@ import sys
 import traceback
 import types
 from pathlib import Path
+from typing import cast
 
 from ..errors import shown
 from ..foreign import read_text
@@ -64,7 +65,7 @@ def rule_of_source(source: str, name: str, file: str = "rule.py") -> SeedingRule
     if rule is None or not callable(rule):
         known = ", ".join(module.__dict__["__rules__"]) or "none"
         raise ValueError(f"{file} has no seeding rule {shown(name)}; it defines: {known}")
-    return get_rule(rule)
+    return get_rule(cast(SeedingRule, rule))
 
 
 def find_rule(rule: str | SeedingRule) -> SeedingRule:
