@@ -1,7 +1,7 @@
 """All runs of a comparison: what is known is reused, the rest is computed, and results come as they finish."""
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 
 from ..backends import chosen
 from ..files import write_file
@@ -15,7 +15,7 @@ from .tune import is_tuned
 
 def run_all(
     entries: Sequence[Entry], store: ResultStore, executor: Executor | None = None, *, pictures: bool = True
-) -> Iterator[tuple[int, RunResult]]:
+) -> Generator[tuple[int, RunResult], None, None]:
     """Run all ``entries``; yields position and result of each when it is there, each result written to ``store``.
 
     Results in ``store`` are reused, runs with equal keys are done once, and runs that differ only in their seed are

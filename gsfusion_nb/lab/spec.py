@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from ..backends import chosen
 from ..checks import check_name, check_number, check_positive
-from ..config import SystemConfig, to_dict
+from ..config import to_dict
 from ..config.values import check_kinds
 from ..errors import shown
 from ..mapping import get_system
@@ -105,7 +105,7 @@ class RunSpec:
         """Name of the rule, without the file that it comes from."""
         return self.rule.rpartition(":")[2]
 
-    def config(self) -> SystemConfig:
+    def config(self) -> Any:
         """The settings of the mapper, before the budget changes any.
 
         A rule that brings settings with it does not change those in ``settings``.

@@ -1,6 +1,7 @@
 """The leaderboard: what it counts, what it survives, and that a stop keeps what has finished."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ CONFIG = gsfusion(
     "room", data__width=64, data__height=48, data__stop=5, data__hold_out_every=5, tsdf__voxel_size_m=0.05,
     sh_degree=0, optim__global_iterations=0, seeding__quadtree_contrast="std", seeding__quadtree_threshold=0.05,
 )  # fmt: skip
-QUIET = {"on_progress": lambda progress: None}
+QUIET: dict[str, Any] = {"on_progress": lambda progress: None}
 
 
 @pytest.fixture(scope="module")
