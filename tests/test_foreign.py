@@ -34,7 +34,6 @@ ALLOWED = {
     "memory.py": "/proc/meminfo and /proc/self/status",
     "bench/machine.py": "/proc/cpuinfo",
     "lab/command.py": "a table it has just written",
-    "lab/live_table.py": "a picture it has just drawn",
     "lab/map_scene.py": "plain values of its own",
     "lab/spec.py": "plain values of its own",
     "lab/tasks.py": "a picture it has just drawn",

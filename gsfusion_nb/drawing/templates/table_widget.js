@@ -7,9 +7,9 @@ white-space:nowrap;color:inherit;background:none}
 .gsnb-lab-table thead th{white-space:normal;min-width:76px;vertical-align:bottom}
 .gsnb-lab-table button{all:unset;cursor:pointer;font-weight:600}
 .gsnb-lab-table button:focus-visible{outline:2px solid #3d85c6;outline-offset:2px}
-.gsnb-lab-table thead button::after{content:"\\2009\\2195";opacity:.35}
-.gsnb-lab-table [aria-sort=descending] button::after{content:"\\2009\\2193";opacity:1}
-.gsnb-lab-table [aria-sort=ascending] button::after{content:"\\2009\\2191";opacity:1}
+.gsnb-lab-table thead button::after{content:"\\202f\\2195";opacity:.35}
+.gsnb-lab-table [aria-sort=descending] button::after{content:"\\202f\\2193";opacity:1}
+.gsnb-lab-table [aria-sort=ascending] button::after{content:"\\202f\\2191";opacity:1}
 .gsnb-lab-table tbody tr{cursor:pointer}
 .gsnb-lab-table tbody tr:hover,.gsnb-lab-table tr.chosen{background:rgba(61,133,198,.18)}
 .gsnb-lab-table .sd,.gsnb-lab-table .state{opacity:.72;font-size:.86em}`;
