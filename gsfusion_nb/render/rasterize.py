@@ -75,8 +75,8 @@ def check_render_vjp(
         check_operand("rows", rows, (len(params),), dtypes=MASK, device=params.xyz_W.device)
     if v_uv is not None:
         check_operand("v_uv", v_uv, (len(params), 2), dtypes=(params.xyz_W.dtype,), device=params.xyz_W.device)
-        if not v_uv.is_contiguous():
-            raise ValueError(f"v_uv is written to and must be contiguous, got strides {v_uv.stride()}")
+        if not v_uv.is_contiguous() and 0 in v_uv.stride() and v_uv.numel() > 1:
+            raise ValueError(f"v_uv is written to and must not be an expanded view, got strides {v_uv.stride()}")
 
 
 @op("rasterize", check_render)

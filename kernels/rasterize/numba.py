@@ -112,7 +112,9 @@ def render_vjp(
         results = Params(*(t.numpy() for t in out))
         project_rows_vjp(arrays, saved.lens, saved.splats, saved.start, trained, pair_sums, results)
         if v_uv is not None:
-            centre_vjp(saved.splats, saved.start, trained, pair_sums, v_uv.numpy())
+            packed = v_uv.contiguous()
+            centre_vjp(saved.splats, saved.start, trained, pair_sums, packed.numpy())
+            v_uv.copy_(packed)
     names = ("xyz_W", "log_scale", "quat", "opacity_logit", "sh")
     return GaussianParams(**dict(zip(names, out, strict=True)))
 

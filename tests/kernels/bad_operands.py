@@ -18,7 +18,7 @@ from torch import Tensor
 from gsfusion_nb.backends import Record, offered, use_backend
 from gsfusion_nb.config import TsdfConfig
 from gsfusion_nb.optim import ColumnRates, adam_update, adam_update_map, dssim_vjp, l1_mse_vjp, rgbd_l1_vjp
-from gsfusion_nb.render import disc_depth, disc_depth_vjp, project_gaussians, render_forward, render_vjp
+from gsfusion_nb.render import disc_depth, disc_depth_vjp, footprints, project_gaussians, render_forward, render_vjp
 from gsfusion_nb.render.composite import composite, composite_vjp
 from gsfusion_nb.render.tiles import tile_intersections
 from gsfusion_nb.seeding import quadtree
@@ -112,7 +112,8 @@ def operations() -> dict[str, tuple[Callable, dict[str, Any]]]:
 
     return {
         "render_forward": (lambda **o: render_forward(**o)[0], view | {"pixels": mask, "opaque_alpha": 0.5}),
-        "render_vjp": (render_vjp, {"saved": saved, **v, "rows": rows}),
+        "render_vjp": (render_vjp, {"saved": saved, **v, "rows": rows, "v_uv": torch.zeros(len(params), 2)}),
+        "footprints": (footprints, view),
         "tile_intersections": (tile_intersections, {"projection": p, "camera": camera, "pixels": mask, "tile_px": 8}),
         "composite": (lambda **o: composite(**o).rgb, splats | {"tiles": tiles, "camera": camera}),
         "composite_vjp": (composite_vjp, {"saved": composite(**splats, tiles=tiles, camera=camera).saved, **v}),
@@ -151,7 +152,7 @@ def mutations(name: str, value: Any) -> Iterator[tuple[str, Callable[[], Any]]]:
     """What may be wrong with one operand: a name, and a function that makes it wrong."""
     if isinstance(value, Tensor):
         for what, change in (SHAPES | VALUES.get(name, {})).items():
-            if not (what == "nothing" and name in ("pixels", "rows", "v_depth_m", "v_alpha", "steps")):
+            if not (what == "nothing" and name in ("pixels", "rows", "v_depth_m", "v_alpha", "steps", "v_uv")):
                 yield what, lambda change=change: change(value)
     elif isinstance(value, Camera):
         yield "a larger image", lambda: dataclasses.replace(value, width=value.width + 1)
