@@ -186,8 +186,8 @@ def test_what_a_rule_is_told_and_that_asking_changes_nothing(system, needs, fram
     assert numbers == sorted(set(numbers))
     assert numbers[-1] == mapper.after_steps.taken
     assert all(s.step_in_frame <= s.steps_in_frame for s in told)
-    stats: Any
-    for stats, (_, n) in zip(told, now, strict=True):
+    for told_of, (_, n) in zip(told, now, strict=True):
+        stats: Any = told_of
         camera = stats.camera
         assert stats.target.shape == (camera.height, camera.width, 3)
         assert (
