@@ -17,12 +17,15 @@ from .paired_tests import SIGNIFICANCE, Comparison, compare, p_text
 from .pareto import pareto_figure
 from .result import RunResult
 from .result_table import failures, rank_table, scene_table
-from .scene_plots import COSTS, scene_points
+from .scene_plots import costs_of, scene_points
 from .statistics import Group, by_budget, group_runs
 from .view_pictures import views_of
 
 PICTURE_WIDTH = 640
 """Largest width of a stored picture, pixels: a page of a hundred rules, scenes and budgets has about 15 MB."""
+
+
+_NOUNS = {"n_gaussians": "size", "ms_per_frame": "time", "n_steps": "gradient steps"}
 
 
 class Pictures:
@@ -116,10 +119,10 @@ def _tables(groups: Sequence[Group]) -> list[dict[str, Any]]:
 
 def _graphs(groups: Sequence[Group]) -> list[PageGraph]:
     graphs = []
-    for scene, cost in itertools.product(dict.fromkeys(g.scene for g in groups), COSTS):
+    for scene, cost in itertools.product(dict.fromkeys(g.scene for g in groups), costs_of(groups)):
         points = scene_points([g for g in groups if g.scene == scene], cost)
         if len(points.names):
-            title = f"{scene}: quality and {'size' if cost == 'n_gaussians' else 'time'}"
+            title = f"{scene}: quality and {_NOUNS[cost]}"
             figure = pareto_figure(dataclasses.replace(points, title=""))
             graphs.append(PageGraph(title, figure_svg(figure, f"{title}; {points.quality_label}, {points.cost_label}")))
     return graphs

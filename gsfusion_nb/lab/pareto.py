@@ -164,7 +164,8 @@ def _label_points(axes: "Axes", points: ParetoPoints) -> None:
     taken = [*dots, *_bar_boxes(axes, points)]
     left, bottom, right, top = np.asarray(axes.get_window_extent().extents).tolist()
     named: set[str] = set()
-    for i in np.argsort(-quality, kind="stable").tolist():
+    order: list[int] = np.argsort(-quality, kind="stable").tolist()
+    for i in order:
         if points.names[i] in named:
             continue
         named.add(points.names[i])

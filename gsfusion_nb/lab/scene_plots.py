@@ -13,8 +13,18 @@ from .statistics import Group, group_runs
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-COSTS = {"n_gaussians": "Gaussians (fewer is better)", "ms_per_frame": "time per frame, ms (less is better)"}
-"""Costs of the Pareto figure."""
+COSTS = {
+    "n_gaussians": "Gaussians (fewer is better)",
+    "ms_per_frame": "time per frame, ms (less is better)",
+    "n_steps": "gradient steps (fewer is better)",
+}
+"""Costs of the Pareto figure and their labels."""
+
+
+def costs_of(groups: Sequence[Group]) -> list[str]:
+    """The costs that are plotted: gradient steps only where the rules took different numbers of them."""
+    steps = {group.summary("n_steps").mean for group in groups if group.summary("n_steps").n}
+    return [cost for cost in COSTS if cost != "n_steps" or len(steps) > 1]
 
 
 def scene_points(groups: Sequence[Group], cost: str, quality: str = FIRST_METRIC) -> ParetoPoints:
@@ -35,8 +45,10 @@ def scene_points(groups: Sequence[Group], cost: str, quality: str = FIRST_METRIC
 
 
 def figure_of(results: Iterable[RunResult]) -> "Figure":
-    """Held-out PSNR over each of ``COSTS`` on each scene; error bars: standard deviation over seeds."""
+    """Held-out PSNR over each cost on each scene; error bars: standard deviation over seeds."""
     groups = group_runs(results)
+    costs = costs_of(groups)
     scenes = [[g for g in groups if g.scene == scene] for scene in dict.fromkeys(g.scene for g in groups)]
-    plots = [scene_points(of_scene, cost) for of_scene in scenes for cost in COSTS]
-    return pareto_figure(*(plots or [ParetoPoints(names=[], cost=np.zeros(0), quality=np.zeros(0))]))
+    plots = [scene_points(of_scene, cost) for of_scene in scenes for cost in costs]
+    nothing = ParetoPoints(names=[], cost=np.zeros(0), quality=np.zeros(0))
+    return pareto_figure(*(plots or [nothing]), columns=len(costs))

@@ -10,7 +10,7 @@ import pytest
 from gsfusion_nb.lab import Budget
 from gsfusion_nb.lab.best_rule import against_the_best, comparison_sentence
 from gsfusion_nb.lab.outputs import all_tables
-from gsfusion_nb.lab.scene_plots import figure_of, scene_points
+from gsfusion_nb.lab.scene_plots import costs_of, figure_of, scene_points
 from gsfusion_nb.lab.statistics import group_runs
 
 DOCUMENT = r"""\documentclass{article}
@@ -50,6 +50,14 @@ def test_the_points_have_error_bars(made_results, tmp_path):
     assert points.cost[3:].tolist() == [3010, 1510, 9010]
     assert np.asarray(points.cost_sd)[3:].tolist() == pytest.approx([10, 10, 10])
     assert (np.asarray(points.quality_sd) > 0).all()
+
+
+def test_gradient_steps_are_a_cost_where_they_differ(made_run):
+    runs = [made_run("a", n_steps=100.0), made_run("b")]
+    assert [axes.get_xlabel() for axes in figure_of(runs).axes] == [
+        "Gaussians (fewer is better)", "time per frame, ms (less is better)", "gradient steps (fewer is better)"
+    ]  # fmt: skip
+    assert costs_of(group_runs(runs[1:])) == ["n_gaussians", "ms_per_frame"]
 
 
 def test_nothing_yet(made_run):
