@@ -147,8 +147,9 @@ def _client(jobs: int, address: str) -> Iterator[Any]:
         with client:
             yield client
         return
+    no_dashboard: Any = None
     with (
-        LocalCluster(n_workers=max(jobs, 1), threads_per_worker=1, processes=True, dashboard_address=None,
+        LocalCluster(n_workers=max(jobs, 1), threads_per_worker=1, processes=True, dashboard_address=no_dashboard,
                      env=threads_of_each(max(jobs, 1))) as cluster,
         Client(cluster) as client,
     ):  # fmt: skip

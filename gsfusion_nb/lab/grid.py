@@ -58,10 +58,12 @@ def with_values(base: RunSpec, pairs: Iterable[tuple[str, Any]], label: str) -> 
     Raises:
         ValueError: the file of a rule cannot be read. FileNotFoundError: it does not exist.
     """
-    values = base.to_json() | {"label": label}
+    values = base.to_json()
+    values["label"] = label
     for name, value in pairs:
         if name == RULE:
-            values |= {"rule": value, "rule_source": read_rule_file(value)[0] if is_rule_file(value) else ""}
+            values["rule"] = value
+            values["rule_source"] = read_rule_file(value)[0] if is_rule_file(value) else ""
         elif name.startswith(OPTION):
             values["options"] = {**values["options"], name.removeprefix(OPTION): value}
         else:

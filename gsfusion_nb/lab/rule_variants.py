@@ -22,9 +22,11 @@ def thinned(rule: SeedingRule, share: float) -> SeedingRule:
             setattr(Thinned, name, getattr(rule, name))
         return cast(SeedingRule, Thinned)
 
-    @functools.wraps(rule)
+    function: Any = rule
+
+    @functools.wraps(function)
     def some(ctx, **options):
-        return _draw(rule(ctx, **options), share, ctx.generator)
+        return _draw(function(ctx, **options), share, ctx.generator)
 
     return some
 

@@ -64,5 +64,5 @@ def steps_per_frame(config: SystemConfig) -> int:
 def without_steps(config: SystemConfig) -> SystemConfig:
     """``config`` without any gradient step: only seeding and fusion."""
     known = {f.name for f in dataclasses.fields(config)}
-    none = dict.fromkeys((*_PER_FRAME, "optim.global_iterations"), 0) if "optim" in known else {}
+    none: dict[str, Any] = dict.fromkeys((*_PER_FRAME, "optim.global_iterations"), 0) if "optim" in known else {}
     return with_settings(config, none)

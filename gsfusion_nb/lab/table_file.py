@@ -77,7 +77,9 @@ class _Reader:
         if system not in SYSTEMS:
             self._wrong("", 0, "system", f"expected one of {', '.join(SYSTEMS)}, got {shown(system)}")
             system = "gsfusion"
-        self.shared = {name: self.top[name] for name in ("preset", "device") if name in self.top} | {"system": system}
+        self.shared: dict[str, Any] = {name: self.top[name] for name in ("preset", "device") if name in self.top} | {
+            "system": system
+        }
 
     def table(self) -> Table:
         """The comparison, or all its mistakes."""
@@ -162,16 +164,21 @@ class _Reader:
 
     def _settings(self, table: str, i: int, given: dict[str, Any]) -> dict[str, Any]:
         """Settings by dotted name, checked together with those of all runs."""
-        own, top = _dotted(given), _dotted(self.top.get("settings", {}))
-        for name, value in own.items():
-            try:
-                RunSpec(
-                    rule="uniform", **self.shared, settings=top | own if name not in top else {name: value}
-                ).config()
-            except (ValueError, TypeError, KeyError) as e:
-                self._wrong(table, i, name, _text(e))
-                break
+        own = _dotted(given)
+        together = own if table == "settings" else _dotted(self.top.get("settings", {})) | own
+        error = self._refused(together)
+        if error and own:
+            without = (name for name in own if not self._refused({k: v for k, v in together.items() if k != name}))
+            self._wrong(table, i, next(without, next(iter(own))), error)
         return own
+
+    def _refused(self, settings: dict[str, Any]) -> str:
+        """Why settings are refused; empty if they are not."""
+        try:
+            RunSpec(rule="uniform", **self.shared, settings=settings).config()
+        except (ValueError, TypeError, KeyError) as e:
+            return _text(e)
+        return ""
 
     def _tables(self, name: str, known: Mapping[str, tuple], required: str) -> list[tuple[int, dict[str, Any]]]:
         """The tables [[name]] of the file, with their types checked."""
@@ -241,18 +248,19 @@ class _Reader:
 def _lines_of(text: str) -> dict[tuple[str, int, str], int]:
     """(table, its number, key) -> line, from 1; the key is empty for the heading of a table."""
     lines: dict[tuple[str, int, str], int] = {}
-    table, counts = ("", 0), Counter[str]()
+    table: tuple[str, int] = ("", 0)
+    counts = Counter[str]()
     for number, line in enumerate(text.splitlines(), start=1):
         heading = re.match(r"\s*\[\[?\s*([\w.\"-]+)\s*\]", line)
         if heading:
             name = heading[1].strip('"')
             table = (name, counts[name])
             counts[name] += 1
-            lines[*table, ""] = number
+            lines[table[0], table[1], ""] = number
         elif key := re.match(r'\s*(?:"([^"]+)"|([\w.-]+))\s*=', line):
             inner = re.findall(r'[{,]\s*"?([\w.-]+)"?\s*=', line)
             for name in (key[1] or key[2], *inner):
-                lines.setdefault((*table, name.replace("-", "_")), number)
+                lines.setdefault((table[0], table[1], name.replace("-", "_")), number)
     return lines
 
 

@@ -6,7 +6,7 @@ import sys
 import traceback
 import types
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 from ..errors import shown
 from ..foreign import read_text
@@ -61,7 +61,7 @@ def rule_of_source(source: str, name: str, file: str = "rule.py") -> SeedingRule
     module = sys.modules.get(f"rule_file_{digest}")
     if module is None:
         module = _load(source, f"rule_file_{digest}", file)
-    rule = getattr(module, name, None)
+    rule: Any = getattr(module, name, None)
     if rule is None or not callable(rule):
         known = ", ".join(module.__dict__["__rules__"]) or "none"
         raise ValueError(f"{file} has no seeding rule {shown(name)}; it defines: {known}")

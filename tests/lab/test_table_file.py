@@ -77,6 +77,7 @@ def test_all_combinations_in_order(table):
         ('"own"', '"same"', 'line 19: budgets[1].steps: expected "equal" or "own", got \'same\''),
         ('"data.hold_out_every" = 4', '"data.hold_out_every" = 0', "scenes[0].data: no view is held out"),
         ("[[scenes]]", "[[scene]]", "scene: no such key"),
+        ('label = "a wall"', 'settings = { sh_degree = 0, sh_degre = 1 }', "line 15: scenes[0].sh_degre: config: "),
         ('rule = "mine.py:some"', 'label = "x"', "line 9: rules[1]: expected the key rule, got label"),
         ("seeds = [0, 3]", "seeds = [0, 3", "not a TOML file"),
     ],
@@ -85,6 +86,11 @@ def test_mistakes_are_found_before_anything_runs(table, old, new, message):
     with pytest.raises(TableError) as error:
         read_table(table(old, new))
     assert message in str(error.value)
+
+
+def test_settings_are_checked_together(table):
+    path = table("[[rules]]", '"tsdf.near_m" = 7\n"tsdf.far_m" = 9\n[[rules]]')
+    assert read_table(path).specs[0].config().tsdf.near_m == 7.0
 
 
 def test_equal_names_are_refused(table):
