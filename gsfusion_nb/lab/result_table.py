@@ -125,7 +125,7 @@ def notes_of(groups: Sequence[Group]) -> list[str]:
     most = max(len(g.runs) + len(g.failed) for g in groups)
     notes += [f"{g.label}: {len(g.runs)} of {most} runs" for g in groups if len(g.runs) < most]
     notes += _what_differs(groups, runs[0].spec.budget)
-    return list(dict.fromkeys([*notes, *(note for run in runs for note in run.notes)]))
+    return list(dict.fromkeys([*notes, *(f"{run.spec.label}: {note}" for run in runs for note in run.notes)]))
 
 
 def failures(results: "Iterable[RunResult]") -> list[tuple[str, str, str, int, str]]:
