@@ -14,7 +14,6 @@ import numpy as np
 from ..drawing.curves import figure_picture
 from ..drawing.html import fill
 from ..drawing.pictures import Picture, data_uri
-from ..drawing.side_by_side import side_by_side
 from ..viz.display import with_picture
 from ..viz.live.player import Player
 from .contest import Contest
@@ -199,12 +198,17 @@ class LiveTable:
     def _pictures_of(self, label: str) -> str:
         """The held-out views of a rule at the scene and budget shown, as HTML."""
         for run in next((g.runs for g in self._shown() if g.label == label), ()):
-            rows = [
-                (view.name, data_uri(side_by_side([view.truth, view.render, view.error], ["recorded", label, "error"])))
+            pictures = [
+                shown
                 for view in views_of(run, self.store.folder)
+                for shown in (
+                    (f"view {view.name}, recorded", f"View {view.name} as recorded", data_uri(view.truth)),
+                    (label, f"View {view.name} as rendered by {label}", data_uri(view.render)),
+                    ("error", f"Error of {label} in view {view.name}", data_uri(view.error)),
+                )
             ]
-            if rows:
-                return fill("view_pictures.html", label=label, seed=run.spec.seed, rows=rows)
+            if pictures:
+                return fill("view_pictures.html", label=label, seed=run.spec.seed, pictures=pictures)
         return html.escape(f"{label}: no pictures") if label else ""
 
     def _write_status(self) -> None:
