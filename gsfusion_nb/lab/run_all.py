@@ -5,6 +5,7 @@ from collections.abc import Generator, Sequence
 
 from ..backends import chosen
 from ..files import write_file
+from ..seeding import SeedingRule, is_built_in, registered
 from .executors import Executor, InProcess
 from .map_scene import Entry
 from .result import RunResult
@@ -81,7 +82,7 @@ class _Plan:
         entry = self._entries[i]
         self._executor.put(
             number,
-            Task(kind=kind, spec=entry.spec, backend=chosen(), rule=entry.rule, sequence=entry.sequence,
+            Task(kind=kind, spec=entry.spec, backend=chosen(), rule=_own_rule(entry), sequence=entry.sequence,
                  tuned=tuned, with_pictures=self._pictures),
         )  # fmt: skip
 
@@ -91,3 +92,9 @@ class _Plan:
         if answer.result is not None:
             return answer.result
         return RunResult(spec=self._entries[i].spec, status="failed", reason=answer.reason)
+
+
+def _own_rule(entry: Entry) -> SeedingRule | None:
+    """A rule that other processes do not know by its name, because it was defined in this one."""
+    known = registered().get(entry.spec.rule)
+    return entry.rule if known is None or is_built_in(known) or entry.rule is not None else known

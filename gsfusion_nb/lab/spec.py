@@ -13,6 +13,7 @@ from ..config import to_dict
 from ..config.values import check_kinds
 from ..errors import shown
 from ..mapping import get_system
+from ..seeding import is_built_in, registered, rule_fingerprint
 from .run_key import folder_fingerprint, run_key
 from .setting_names import with_settings
 
@@ -126,6 +127,9 @@ class RunSpec:
         for name in ("label", "scene", "data", "rule", "preset", "settings"):  # names, and what the settings say
             parts.pop(name)
         content = self.data_hash or _content(self.data)
+        known = registered().get(self.rule)
+        if known is not None and not is_built_in(known):  # registered in this process, such as in a notebook
+            parts["rule_hash"] = rule_fingerprint(known)
         return run_key(**parts, config=to_dict(self.config()), content=content, backend=chosen())
 
     def to_json(self) -> dict[str, Any]:

@@ -5,6 +5,7 @@ import json
 import pytest
 
 from gsfusion_nb.lab import Budget, RunResult, RunSpec
+from gsfusion_nb.seeding import seeding_rule
 
 SPEC = RunSpec(
     rule="uniform",
@@ -53,6 +54,20 @@ def test_the_key_follows_from_the_content_and_not_from_names():
     ]
     assert len({spec.key for spec in same}) == 1
     assert len({spec.key for spec in [SPEC, *others]}) == 1 + len(others)
+
+
+def test_an_edited_rule_of_a_notebook_has_another_key():
+    def mine(ctx):
+        return ctx.cells()
+
+    first = (seeding_rule(mine), RunSpec(rule="mine").key)[1]
+
+    def edited(ctx):
+        return ctx.cells()[::2]
+
+    edited.__name__ = "mine"
+    seeding_rule(edited)
+    assert RunSpec(rule="mine").key != first
 
 
 @pytest.mark.parametrize(
