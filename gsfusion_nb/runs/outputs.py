@@ -192,9 +192,7 @@ def score_trajectory(run: MappingRun) -> dict[str, Any]:
     return trajectory_scores(torch.stack(localiser.poses), truth) | counts
 
 
-def score_mesh(
-    run: MappingRun, mesh: Mesh, *, seed: int | None = None, n_samples: int = SURFACE_SAMPLES
-) -> dict[str, Any]:
+def score_mesh(run: MappingRun, mesh: Mesh, *, seed: int | None = None, n_samples: int | None = None) -> dict[str, Any]:
     """Accuracy and completion of the mesh, and of RTG-SLAM's discs, if ``source.mesh()`` gives the true surface.
 
     Only the part of the true surface that the mapped frames saw is compared.
@@ -203,11 +201,12 @@ def score_mesh(
         run: The run.
         mesh: Its mesh.
         seed: Of the points that are drawn on the surfaces; the seed of the run by default.
-        n_samples: Number of points drawn on each surface.
+        n_samples: Number of points drawn on each surface; ``SURFACE_SAMPLES`` by default.
     """
     truth = getattr(run.sequence.source, "mesh", None)
     if truth is None or not len(mesh.faces):
         return {}
+    n_samples = n_samples or SURFACE_SAMPLES
     seen = cull_unseen(truth(), readable_frames(run.mapped_views(50)))
     generator = torch.Generator().manual_seed(run.mapper.config.seed if seed is None else seed)
     scores = mesh_scores(mesh, seen, generator=generator, n_samples=n_samples)

@@ -5,6 +5,7 @@ import time
 import pytest
 import torch
 
+from gsfusion_nb import memory as memory_module
 from gsfusion_nb.bench import timing
 from gsfusion_nb.bench.rows import Row, with_speed
 from gsfusion_nb.bench.timing import Lap, Timing, lap, measure, summary, threads
@@ -61,7 +62,7 @@ def test_memory_of_a_known_size():
 
 
 def test_without_the_system_s_help_memory_is_unknown(monkeypatch):
-    monkeypatch.setattr(timing, "_reset_peak", lambda: False)
+    monkeypatch.setattr(memory_module, "_reset_peak", lambda: False)
     with PeakMemory() as memory:
         pass
     assert memory.peak_mb is None

@@ -96,6 +96,7 @@ def test_a_damaged_result_is_computed_again(entries, tmp_path, caplog):
     assert "is not used" in caplog.text
 
 
+@pytest.mark.ci
 def test_processes_give_the_same_numbers_and_one_that_dies_is_replaced(entries, spec, tmp_path):
     """The second worker that meets the rule ``dies`` lives; ``always`` ends every process that runs it."""
     rules = [

@@ -77,6 +77,7 @@ def test_the_papers_tables_are_runs_and_our_numbers_stand_beside_theirs(scene, n
     assert "RTG-SLAM" in beside_paper("rtg-table-3", [])
 
 
+@pytest.mark.ci
 def test_the_command_runs_a_sweep(scene, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(outputs, "save_figure", lambda figure, path: None)
     out = tmp_path / "out"

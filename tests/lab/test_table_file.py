@@ -111,6 +111,7 @@ def test_the_example_is_a_good_file(tmp_path, capsys):
         main(LabOptions())
 
 
+@pytest.mark.ci
 def test_the_command_writes_everything(table, tmp_path, capsys):
     import csv
     import json

@@ -18,7 +18,7 @@ from gsfusion_nb.runs.run_folder import CHECKPOINTS
 
 ROOM: dict[str, Any] = {"n_frames": 240, "width": 96, "height": 72}
 DATA: dict[str, Any] = {"data__stop": 5, "data__hold_out_every": 0}
-FEW = {"window__iterations": 2, "keyframes__iterations": 2}
+FEW: dict[str, Any] = {"window__iterations": 2, "keyframes__iterations": 2}
 SETTINGS = {
     "gsfusion": gsfusion(
         "online", **DATA, tsdf__voxel_size_m=0.1, sh_degree=1, keyframe_min_seeds=5, optim__global_iterations=2

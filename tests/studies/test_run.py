@@ -20,7 +20,7 @@ FAST = (
 
 @pytest.mark.ci
 def test_a_variant_runs_once_and_failures_are_a_sentence(tmp_path):
-    arguments = FAST.split()
+    arguments: list[str] = list(FAST.split())
     metrics = run_variant("room", tmp_path / "a", arguments)
     assert metrics["n_frames"] == 3
     written = (tmp_path / "a" / "metrics.json").stat().st_mtime_ns
