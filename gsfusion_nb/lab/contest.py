@@ -18,6 +18,7 @@ from .one_run import run_steps
 from .result import RunResult
 from .setting_names import changed_settings
 from .spec import Budget
+from .statistics import summarise
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,14 +161,11 @@ def mean_row(name: str, results: Sequence[RunResult]) -> LeaderboardRow:
         values = [r.metrics.get(metric, math.nan) for r in results]
         return sum(values) / len(values)
 
-    psnrs = [r.metrics.get("psnr_held_out_db", math.nan) for r in results]
-    middle = mean("psnr_held_out_db")
-    spread = math.sqrt(sum((v - middle) ** 2 for v in psnrs) / (len(psnrs) - 1)) if len(psnrs) > 1 else math.nan
     return LeaderboardRow(
         name=name,
         key=results[0].key,
-        psnr_db=middle,
-        psnr_sd_db=spread,
+        psnr_db=mean("psnr_held_out_db"),
+        psnr_sd_db=summarise(r.metrics.get("psnr_held_out_db", math.nan) for r in results).sd,
         ssim=mean("ssim_held_out"),
         n_gaussians=round(mean("n_gaussians")),
         n_keyframes=round(mean("n_keyframes")),

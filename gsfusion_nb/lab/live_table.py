@@ -16,6 +16,7 @@ from ..drawing.html import fill
 from ..drawing.pictures import Picture, data_uri
 from ..viz.display import with_picture
 from ..viz.live.player import Player
+from ..viz.live.player_buttons import player_buttons
 from .contest import Contest
 from .live_runs import LiveRuns
 from .map_scene import Entry
@@ -227,14 +228,7 @@ class LiveTable:
     def _build(self) -> None:
         import ipywidgets as w
 
-        actions = {"Start": self.start, "Pause": self.pause, "Step": self.step, "Stop": self.stop}
-        icons = {"Start": "play", "Pause": "pause", "Step": "step-forward", "Stop": "stop"}
-        self.buttons = {
-            name: w.Button(description=name, icon=icons[name], layout=w.Layout(width="88px")) for name in actions
-        }
-        for name, button in self.buttons.items():
-            button.add_class(f"gsnb-lab-{name.lower()}")
-            button.on_click(lambda _, act=actions[name]: act())
+        self.buttons = player_buttons(self, "gsnb-lab")
         self.progress = w.IntProgress(min=0, max=max(self._runs.n_runs, 1), layout=w.Layout(width="260px"))
         self.status, self.failed, self.pictures = w.HTML(), w.HTML(), w.HTML()
         self.status.add_class("gsnb-lab-status")

@@ -4,8 +4,9 @@ import contextlib
 import functools
 import json
 import time
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
+from typing import TypeVar
 
 from ..config import SystemConfig
 from ..data import OpenedSequence, open_sequence
@@ -18,6 +19,9 @@ from .rule_variants import thinned
 from .schedule import dotted, fixed_schedule
 from .setting_names import flat_settings, with_settings
 from .spec import RunSpec
+
+S = TypeVar("S")
+R = TypeVar("R")
 
 _warm: set[str] = set()
 """Systems and devices that have mapped in this process: nothing is compiled or loaded for them any more."""
@@ -111,6 +115,15 @@ def map_scene(
     if empty:
         notes.append(f"after {empty} of {len(run.steps)} frames the map was empty, so no gradient steps were taken")
     return Mapped(run=run, n_steps=n_steps, cpu_s=cpu_s, peak_mb=memory.peak_mb, notes=notes)
+
+
+def finished(steps: Generator[S, None, R], on_step: Callable[[S], object] = lambda step: None) -> R:
+    """What ``steps`` return at their end; ``on_step`` is called with each thing that they yield."""
+    while True:
+        try:
+            on_step(next(steps))
+        except StopIteration as ended:
+            return ended.value
 
 
 def budgeted(spec: RunSpec) -> SystemConfig:

@@ -18,12 +18,11 @@ from ..evaluation.image import lpips_unavailable
 from ..files import write_file
 from ..mapping import StepReport
 from ..runs import MappingRun
-from ..runs.map_hashes import map_hashes
+from ..runs.map_hashes import hash_of, map_hashes
 from ..runs.outputs import environment, score_mesh
 from ..runs.scored_views import ScoredViews, scored_views
 from ..seeding import rule_source
-from ..types import Mesh
-from .map_scene import Entry, Mapped, map_scene
+from .map_scene import Entry, Mapped, finished, map_scene
 from .result import RunResult
 from .spec import Budget, RunSpec
 from .tune import reach_budget, tune
@@ -61,12 +60,7 @@ def run_entry(
 
     ``on_step`` is called after each piece of work of ``run_steps``, with what that yields.
     """
-    steps = run_steps(entry, folder, tuned)
-    while True:
-        try:
-            on_step(next(steps))
-        except StopIteration as ended:
-            return ended.value
+    return finished(run_steps(entry, folder, tuned), on_step)
 
 
 def run_steps(
@@ -108,13 +102,11 @@ def _result(entry: Entry, mapped: Mapped, tuned: dict[str, Any], folder: Path | 
     scores = {
         name: score_views(run.mapper.render, views[name].frames(run.sequence), with_lpips=with_lpips) for name in groups
     }
-    mesh = run.mapper.mesh()
     numbers: dict[str, Any] = {}
     for name, group in scores.items():
         numbers |= group.as_metrics(name)
-    hashes = map_hashes(run, mesh)
     if everything:
-        numbers |= _mesh_numbers(run, mesh, hashes["mesh"])
+        numbers |= _mesh_numbers(run)
     numbers |= _costs(mapped)
     return RunResult(
         spec=entry.spec,
@@ -123,7 +115,7 @@ def _result(entry: Entry, mapped: Mapped, tuned: dict[str, Any], folder: Path | 
         per_view={f"psnr_{name}_db": _per_view(group) for name, group in scores.items()},
         tuned=tuned,
         notes=mapped.notes,
-        map_hash=hashlib.sha256(json.dumps(hashes, sort_keys=True).encode()).hexdigest(),
+        map_hash=hashlib.sha256(json.dumps(map_hashes(run), sort_keys=True).encode()).hexdigest(),
         data_hash=entry.spec.data_hash or sequence_fingerprint(run.sequence),
         rule_source=entry.spec.rule_source or rule_source(entry.found_rule()),
         versions=versions(),
@@ -131,9 +123,10 @@ def _result(entry: Entry, mapped: Mapped, tuned: dict[str, Any], folder: Path | 
     )
 
 
-def _mesh_numbers(run: MappingRun, mesh: Mesh, mesh_hash: str) -> dict[str, Any]:
+def _mesh_numbers(run: MappingRun) -> dict[str, Any]:
     """Accuracy and completion of the mesh, and of discs. Runs with equal TSDFs have equal meshes, scored once."""
-    key = f"{mesh_hash} {sequence_fingerprint(run.sequence)}"
+    mesh = run.mapper.mesh()
+    key = f"{hash_of(vars(mesh))} {sequence_fingerprint(run.sequence)}"
     if key not in _scored_meshes:
         scores = score_mesh(run, mesh, seed=0, n_samples=SURFACE_SAMPLES)
         if len(_scored_meshes) >= MOST_MESHES:

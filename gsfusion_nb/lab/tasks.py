@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 from ..backends import use_backend
 from ..seeding import SeedingRule, rule_name
-from .map_scene import Entry
+from .map_scene import Entry, finished
 from .one_run import OnStep, run_entry
 from .result import RunResult
 from .spec import RunSpec
@@ -80,12 +80,7 @@ def do_task(task: Task, on_step: OnStep = lambda report: None) -> Answer:
 
 
 def _tune(entry: Entry, on_step: OnStep) -> Answer:
-    steps = tune(dataclasses.replace(entry, spec=tuning_spec(entry.spec)))
-    while True:
-        try:
-            on_step(next(steps))
-        except StopIteration as ended:
-            return Answer(tuned=ended.value)
+    return Answer(tuned=finished(tune(dataclasses.replace(entry, spec=tuning_spec(entry.spec))), on_step))
 
 
 def _run(entry: Entry, task: Task, on_step: OnStep) -> Answer:

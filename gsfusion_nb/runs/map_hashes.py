@@ -10,13 +10,14 @@ from ..types import Mesh
 from .mapping_run import MappingRun
 
 
-def map_hashes(run: MappingRun, mesh: Mesh) -> dict[str, str]:
-    """SHA-256 of each map of a run, by name: "gaussians", "trajectory", "mesh", and "tsdf" if the system has one."""
+def map_hashes(run: MappingRun, mesh: Mesh | None = None) -> dict[str, str]:
+    """SHA-256 of each map of a run, by name: "gaussians", "trajectory", "tsdf" if the system has one, and "mesh" if it
+    is given; it follows from the others."""
     trajectory = {
         "frame_index": torch.tensor(run.mapper.localiser.frame_indices, dtype=torch.int64),
         "T_WC": torch.stack(run.mapper.localiser.poses) if run.mapper.localiser.poses else torch.zeros(0, 4, 4),
     }
-    maps = run.mapper.maps() | {"trajectory": trajectory, "mesh": vars(mesh)}
+    maps = run.mapper.maps() | {"trajectory": trajectory} | ({} if mesh is None else {"mesh": vars(mesh)})
     return {name: hash_of(tensors) for name, tensors in maps.items()}
 
 

@@ -96,10 +96,14 @@ def luma(rgb: Float[Tensor, "H W 3"]) -> Float[Tensor, "H W"]:
 
 def gradient_length(grey: Float[Tensor, "H W"]) -> Float[Tensor, "H W"]:
     """Length of the gradient, per pixel; along an axis of one pixel it is 0. Differentiable: no."""
-    axes = [d for d in (0, 1) if grey.shape[d] > 1]
-    if not axes:
-        return torch.zeros_like(grey)
-    return torch.stack(torch.gradient(grey, dim=axes)).norm(dim=0)
+    return torch.stack(gradients(grey)).norm(dim=0)
+
+
+def gradients(grey: Float[Tensor, "H W"]) -> tuple[Float[Tensor, "H W"], Float[Tensor, "H W"]]:
+    """Derivatives along u and along v, per pixel (central differences; one-sided at the border); 0 along an axis of one
+    pixel. Differentiable: no."""
+    gv, gu = (torch.gradient(grey, dim=d)[0] if grey.shape[d] > 1 else torch.zeros_like(grey) for d in (0, 1))
+    return gu, gv
 
 
 def structure_directions(grey: Float[Tensor, "H W"], window_px: int) -> EdgeDirection:
@@ -111,7 +115,7 @@ def structure_directions(grey: Float[Tensor, "H W"], window_px: int) -> EdgeDire
     """
     if window_px < 1 or window_px % 2 == 0:
         raise ValueError(f"window_px must be odd and at least 1, got {window_px}")
-    gy, gx = (torch.gradient(grey, dim=d)[0] if grey.shape[d] > 1 else torch.zeros_like(grey) for d in (0, 1))
+    gx, gy = gradients(grey)
     xx, yy, xy = box_blur(torch.stack([gx * gx, gy * gy, gx * gy], dim=2), window_px).unbind(2)
     difference = ((xx - yy).square() + 4 * xy.square()).sqrt()  # l1 - l2
     across = torch.atan2(2 * xy, xx - yy) / 2

@@ -77,24 +77,8 @@ def state_of(mapper: Any) -> dict[str, Any]:
     return state | {"rule": {"memory": state["rule"]["memory"]}}
 
 
-def same(a: Any, b: Any, path: str = "state") -> None:
-    """Two states are equal, bit for bit."""
-    if isinstance(a, torch.Tensor):
-        assert torch.equal(a, b), path
-    elif isinstance(a, dict):
-        assert a.keys() == b.keys(), path
-        for key in a:
-            same(a[key], b[key], f"{path}.{key}")
-    elif isinstance(a, (list, tuple)):
-        assert len(a) == len(b), path
-        for i, (x, y) in enumerate(zip(a, b, strict=True)):
-            same(x, y, f"{path}[{i}]")
-    else:
-        assert a == b, path
-
-
 @pytest.mark.parametrize("system", SYSTEMS)
-def test_an_error_after_a_step_undoes_the_frame_and_it_can_be_given_again(system, frames):
+def test_an_error_after_a_step_undoes_the_frame_and_it_can_be_given_again(system, frames, same):
     """In the second call of a frame in the middle: what the first call did to the map is undone, too."""
     calls = {}
     counted = make_mapper(settings(system), seeding=editing(calls))
@@ -122,7 +106,7 @@ def test_an_error_after_a_step_undoes_the_frame_and_it_can_be_given_again(system
 
 
 @pytest.mark.parametrize("system", SYSTEMS)
-def test_a_resumed_run_goes_on_as_if_it_had_not_stopped(system, frames):
+def test_a_resumed_run_goes_on_as_if_it_had_not_stopped(system, frames, same):
     rule = editing({})
     whole, part = (make_mapper(settings(system), seeding=rule) for _ in range(2))
     for mapper, some in ((whole, frames), (part, frames[:3])):
@@ -142,7 +126,7 @@ def test_a_resumed_run_goes_on_as_if_it_had_not_stopped(system, frames):
 
 
 @pytest.mark.parametrize("system", SYSTEMS)
-def test_a_rule_without_after_step_changes_nothing_and_collects_nothing(system, frames):
+def test_a_rule_without_after_step_changes_nothing_and_collects_nothing(system, frames, same):
     @dataclass(frozen=True, kw_only=True)
     class plain(Base):
         pass
@@ -161,7 +145,7 @@ def test_a_rule_without_after_step_changes_nothing_and_collects_nothing(system, 
 
 @pytest.mark.parametrize("needs", [(), ("visibility",), ("image_gradients",), ("visibility", "render")])
 @pytest.mark.parametrize("system", SYSTEMS)
-def test_what_a_rule_is_told_and_that_asking_changes_nothing(system, needs, frames):
+def test_what_a_rule_is_told_and_that_asking_changes_nothing(system, needs, frames, same):
     told: list[Any] = []
     now = []
 
@@ -238,7 +222,7 @@ def test_statistics_of_each_row_are_sums_over_the_steps(frames):
     assert not any(model.memory[name].any() for name in ("times_visible", "image_gradient"))
 
 
-def test_an_error_in_the_passes_leaves_the_step_and_no_part_of_the_edit(frames):
+def test_an_error_in_the_passes_leaves_the_step_and_no_part_of_the_edit(frames, same):
     calls: dict[str, int] = {}
     mapper = make_mapper(settings("gsfusion"), seeding=editing(calls))
     for frame in frames[:3]:
@@ -269,7 +253,7 @@ def test_an_error_in_the_passes_leaves_the_step_and_no_part_of_the_edit(frames):
         (lambda ctx: (ctx.gaussians.params.xyz_W.add_(1), None)[1], RuntimeError, "changed map.xyz_W in place"),
     ],
 )
-def test_mistakes_are_sentences_and_undo_the_frame(frames, answer, error, sentence):
+def test_mistakes_are_sentences_and_undo_the_frame(frames, answer, error, sentence, same):
     @dataclass(frozen=True, kw_only=True)
     class wrong(Base):
         def after_step(self, ctx, stats, memory):
@@ -309,7 +293,7 @@ def stop_in(monkeypatch: pytest.MonkeyPatch, mapper: Any, at: int, act: Any) -> 
 
 @pytest.mark.parametrize("at", [1, 3, 5, 8])
 @pytest.mark.parametrize("kind", ["stop", "Ctrl-C"])
-def test_between_two_gradient_steps_a_frame_can_be_given_up(frames, monkeypatch, at, kind):
+def test_between_two_gradient_steps_a_frame_can_be_given_up(frames, monkeypatch, at, kind, same):
     """Also after the window was written back, while keyframes are optimised."""
     mapper, whole = (make_mapper(settings("rtg_slam", keyframes__rotation_deg=0.1)) for _ in range(2))
     for frame in frames:
@@ -331,7 +315,7 @@ def test_between_two_gradient_steps_a_frame_can_be_given_up(frames, monkeypatch,
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
-def test_an_edit_that_changes_no_value_changes_no_step(frames):
+def test_an_edit_that_changes_no_value_changes_no_step(frames, same):
     """RTG-SLAM's final passes work on copies of the rows: Adam goes on with its moments although these were made
     again."""
 

@@ -45,22 +45,6 @@ def settings(system, config, poses="given"):
     return rtg_slam("room", data=data, tracking={"poses": poses, "back_end": {"enabled": False}})
 
 
-def same(a: Any, b: Any, path: str = "state") -> None:
-    """Two states are equal, bit for bit."""
-    if isinstance(a, torch.Tensor):
-        assert torch.equal(a, b), path
-    elif isinstance(a, dict):
-        assert a.keys() == b.keys(), path
-        for key in a:
-            same(a[key], b[key], f"{path}.{key}")
-    elif isinstance(a, (list, tuple)):
-        assert len(a) == len(b), path
-        for i, (x, y) in enumerate(zip(a, b, strict=True)):
-            same(x, y, f"{path}[{i}]")
-    else:
-        assert a == b, path
-
-
 def maps_of(mapper) -> dict[str, Any]:
     """The state of a mapper but for its rule, of which there are two here."""
     return {name: value for name, value in mapper.state_dict().items() if name != "rule"}
@@ -68,7 +52,7 @@ def maps_of(mapper) -> dict[str, Any]:
 
 @pytest.mark.parametrize("poses", POSES)
 @pytest.mark.parametrize("system", SYSTEMS)
-def test_a_rule_that_fails_changes_nothing_and_the_frame_can_be_given_again(system, poses, small_room, config):
+def test_a_rule_that_fails_changes_nothing_and_the_frame_can_be_given_again(system, poses, small_room, config, same):
     config = settings(system, config, poses)
     frames = list(apply_options(small_room, config.data).mapping)[:6]
     rules = [Breaking(at=frames[3].index), Breaking(at=10**6)]
@@ -88,7 +72,7 @@ def test_a_rule_that_fails_changes_nothing_and_the_frame_can_be_given_again(syst
     same(maps_of(never), maps_of(mapper))
 
 
-def test_a_run_goes_on_when_the_rule_is_repaired(small_room, config):
+def test_a_run_goes_on_when_the_rule_is_repaired(small_room, config, same):
     """As in a notebook: the cell is changed, and Start is pressed again."""
     rule = Breaking(at=4)
     split = apply_options(small_room, config.data)
@@ -158,7 +142,7 @@ def test_a_map_with_half_a_frame_takes_no_more(system, small_room, config, monke
         mapper.step(small_room[1])
 
 
-def test_ctrl_c_while_the_map_changes_waits_until_the_frame_is_counted(small_room, config, monkeypatch):
+def test_ctrl_c_while_the_map_changes_waits_until_the_frame_is_counted(small_room, config, monkeypatch, same):
     run = MappingRun(apply_options(small_room, config.data), GSFusion(config))
     step = GSFusion._optimise_online
 
@@ -179,7 +163,7 @@ def test_ctrl_c_while_the_map_changes_waits_until_the_frame_is_counted(small_roo
     same(maps_of(whole.mapper), maps_of(run.mapper))
 
 
-def test_ctrl_c_in_the_rule_ends_the_step_at_once(small_room, config):
+def test_ctrl_c_in_the_rule_ends_the_step_at_once(small_room, config, same):
     def pressed(ctx: SeedContext) -> Seeds:
         signal.raise_signal(signal.SIGINT)
         return ctx.cells()

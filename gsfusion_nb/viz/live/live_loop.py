@@ -11,6 +11,7 @@ from ...drawing.pictures import Picture, encode_jpeg, encode_png
 from ...drawing.small_curves import small_curves
 from ..display import with_picture
 from .player import Player
+from .player_buttons import player_buttons
 
 MIN_INTERVAL_S = 0.1
 """The picture is redrawn at most ten times a second."""
@@ -96,15 +97,7 @@ class LiveLoop:
     def _build(self) -> None:
         import ipywidgets as w
 
-        player = self.player
-        actions = {"Start": player.start, "Pause": player.pause, "Step": player.step, "Stop": player.stop}
-        icons = {"Start": "play", "Pause": "pause", "Step": "step-forward", "Stop": "stop"}
-        self.buttons = {
-            name: w.Button(description=name, icon=icons[name], layout=w.Layout(width="88px")) for name in actions
-        }
-        for name, button in self.buttons.items():
-            button.add_class(f"gsnb-live-loop-{name.lower()}")
-            button.on_click(lambda _, act=actions[name]: act())
+        self.buttons = player_buttons(self.player, "gsnb-live-loop")
         self.status = w.HTML()
         self.status.add_class("gsnb-live-loop-status")
         wide = w.Layout(width=f"{self._width}px", max_width="100%")

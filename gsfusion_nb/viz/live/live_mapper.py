@@ -19,6 +19,7 @@ from ...runs import MappingRun
 from ...types import Frame
 from ..display import with_picture
 from .player import Player
+from .player_buttons import player_buttons
 from .step_panels import LivePanels, captions_of, columns_for, live_panels
 
 if TYPE_CHECKING:
@@ -176,14 +177,7 @@ class LiveMapper:
         self._panel_width = panel_width
         captions = captions_of(self.run.mapper)
         self._width = columns_for(len(captions)) * panel_width
-        icons = {"Start": "play", "Pause": "pause", "Step": "step-forward", "Stop": "stop"}
-        actions = {"Start": self.start, "Pause": self.pause, "Step": self.step, "Stop": self.stop}
-        self.buttons = {
-            name: w.Button(description=name, icon=icons[name], layout=w.Layout(width="88px")) for name in actions
-        }
-        for name, button in self.buttons.items():
-            button.add_class(f"gsnb-live-{name.lower()}")
-            button.on_click(lambda _, act=actions[name]: act())
+        self.buttons = player_buttons(self, "gsnb-live")
         self.progress = w.IntProgress(min=0, max=len(self.run.sequence.mapping), layout=w.Layout(width="260px"))
         self.status = w.HTML()
         self.status.add_class("gsnb-live-status")
@@ -205,29 +199,26 @@ class LiveMapper:
     def _write_status(self) -> None:
         """Show the state of now. Called from two threads: who writes last must also be who read the state last."""
         with self._writing:
-            self._write_status_of(self.player.state)
-
-    def _write_status_of(self, state: str) -> None:
-        run = self.run
-        self.progress.value = run.next_position
-        fidelity = run.mapper.fidelity_of(run.mapper.config)
-        words = [
-            f"<b>{state}</b>",
-            f"{run.mapper.title} ({html.escape(fidelity)})" if fidelity else run.mapper.title,
-            f"{run.next_position} of {len(run.sequence.mapping)} frames",
-        ]
-        if run.steps:
-            last = run.steps[-1]
-            recent = run.steps[-10:]
-            seconds = sum(s.total_seconds for s in recent)
-            words += [
-                f"frame {last.frame_index}{' (keyframe)' if last.is_keyframe else ''}",
-                f"{last.n_seeds:,} new Gaussians",
-                f"PSNR {last.psnr_before_db:.1f} → {last.psnr_after_db:.1f} dB",
-                f"{len(recent) / seconds:.1f} frames/s" if seconds > 0 else "",
+            run, state = self.run, self.player.state
+            self.progress.value = run.next_position
+            fidelity = run.mapper.fidelity_of(run.mapper.config)
+            words = [
+                f"<b>{state}</b>",
+                f"{run.mapper.title} ({html.escape(fidelity)})" if fidelity else run.mapper.title,
+                f"{run.next_position} of {len(run.sequence.mapping)} frames",
             ]
-        self.status.value = " · ".join(word for word in words if word)
-        self.error.value = _as_html(self.player.error)
+            if run.steps:
+                last = run.steps[-1]
+                recent = run.steps[-10:]
+                seconds = sum(s.total_seconds for s in recent)
+                words += [
+                    f"frame {last.frame_index}{' (keyframe)' if last.is_keyframe else ''}",
+                    f"{last.n_seeds:,} new Gaussians",
+                    f"PSNR {last.psnr_before_db:.1f} → {last.psnr_after_db:.1f} dB",
+                    f"{len(recent) / seconds:.1f} frames/s" if seconds > 0 else "",
+                ]
+            self.status.value = " · ".join(word for word in words if word)
+            self.error.value = _as_html(self.player.error)
 
 
 def _as_html(error: BaseException | None) -> str:
