@@ -4,6 +4,7 @@ import contextlib
 import multiprocessing
 import os
 import signal
+import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from multiprocessing.connection import Connection, wait
 from typing import Any
@@ -129,7 +130,8 @@ def _next(left: list[int], needs: Sequence[frozenset[str]], running: set[int]) -
 
 
 def _serve(job: Callable[..., Any], connection: Any) -> None:
-    """In a process: do what is asked until it is ended."""
+    """In a process: do what is asked until it is ended, or the process that asks is gone."""
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that shares the jobs out
     while True:
         try:
@@ -141,3 +143,11 @@ def _serve(job: Callable[..., Any], connection: Any) -> None:
         except Exception:
             result = None
         connection.send(result)
+
+
+def _end_with_parent() -> None:
+    """End this process, in the middle of a job too, when the process that started it was killed."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(1)

@@ -1,6 +1,10 @@
 """Jobs in several processes: results as they come, failures as None, and needs kept apart."""
 
 import os
+import subprocess
+import sys
+
+import pytest
 
 from gsfusion_nb.processes import _next, run_in_processes, usable_cores
 
@@ -18,6 +22,28 @@ def test_the_processes_are_others():
 
 def test_processes_that_end_leave_none():
     assert dict(run_in_processes(os._exit, [(0,), (0,), (0,)], [frozenset()] * 3, 2)) == dict.fromkeys(range(3))
+
+
+_KILLED_WITH_A_JOB_RUNNING = """
+import os, signal, threading, time
+from gsfusion_nb.processes import WorkerPool
+
+if __name__ == "__main__":
+    pool = WorkerPool(time.sleep, 1)
+    pool.start(0, (600,))
+    print(next(iter(pool._processes.values())).pid, flush=True)
+    time.sleep(1)
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.mark.ci
+def test_processes_end_in_the_middle_of_a_job_when_the_one_that_started_them_is_killed(tmp_path):
+    script = tmp_path / "killed.py"
+    script.write_text(_KILLED_WITH_A_JOB_RUNNING, encoding="utf-8")
+    done = subprocess.run([sys.executable, script], stdout=subprocess.PIPE, timeout=60)  # waits for the child's stdout
+    assert done.returncode == -9
+    assert int(done.stdout)
 
 
 def test_a_job_waits_for_what_another_one_uses():
