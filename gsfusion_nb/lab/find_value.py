@@ -1,7 +1,6 @@
 """Search for the value of an option at which a count reaches a target: few evaluations, each of which is a run."""
 
 import math
-from collections.abc import Generator
 from dataclasses import dataclass, field
 
 MOST_RUNS = 24
@@ -18,13 +17,21 @@ class NotReachedError(ValueError):
 
 @dataclass(kw_only=True)
 class Search:
-    """State of a search for ``count(value) = target``; ``count`` is monotone, but the direction need not be known.
+    """A search for ``count(value) = target``; ``count`` is monotone, but the direction need not be known.
+
+    It is asked for a value and told its count, until it has no further value:
+
+        while (value := search.next_value()) is not None:
+            search.tell(value, count(value))
+        value = search.found()
 
     Values and counts are compared by their ratios. Between two values on both sides of the target it interpolates;
     outside it follows the slope.
     """
 
     target: float | int
+    start: float | int
+    """The first value, if it is between ``low`` and ``high``; else the nearer of these."""
     low: float | int
     high: float | int
     tolerance: float | int
@@ -36,24 +43,33 @@ class Search:
     counts: dict[float | int, float | int] = field(default_factory=dict)
     """Value -> count, in the order of evaluation."""
 
-    def values(self, start: float | int) -> Generator[float | int, float | int, float | int]:
-        """Yields values to evaluate, is sent their counts, and returns the value that was found.
+    def next_value(self) -> float | int | None:
+        """The value whose count is wanted next; None when the search has ended."""
+        if not self.counts:
+            return self._allowed(self.start)
+        if len(self.counts) >= MOST_RUNS or self.error(self.best) <= self.tolerance:
+            return None
+        value = self._next()
+        return None if value in self.counts else value
+
+    def tell(self, value: float | int, count: float | int) -> None:
+        """``count`` is the count at ``value``."""
+        self.counts[value] = count
+
+    @property
+    def best(self) -> float | int:
+        """The value whose count is closest to the target so far."""
+        return min(self.counts, key=self.error)
+
+    def found(self) -> float | int:
+        """The best value, if it is close enough to the target.
 
         Raises:
-            NotReachedError: there is no such value.
+            NotReachedError: it is not.
         """
-        value = self._allowed(start)
-        for _ in range(MOST_RUNS):
-            self.counts[value] = yield value
-            if self.error(value) <= self.tolerance:
-                return value
-            value = self._next()
-            if value in self.counts:
-                break
-        best = min(self.counts, key=self.error)
-        if self.error(best) <= self.accepted:
-            return best
-        raise NotReachedError(self._nearest())
+        if self.error(self.best) > max(self.tolerance, self.accepted):
+            raise NotReachedError(self._nearest())
+        return self.best
 
     def error(self, value: float | int) -> float:
         """Relative deviation of the count at ``value`` from the target."""

@@ -95,29 +95,25 @@ def _tune_size(entry: Entry, config: SystemConfig) -> Generator[None, None, dict
     start, target = start_value(spec, rule, option), spec.budget.gaussians
     assert target is not None
     whole = isinstance(start, int)
-    runs, value, tolerance = 0, float(start), spec.budget.tolerance / 2
     stages = (False,) if option.only_seeding or without_steps(config) == config else (False, True)
+    value, runs = float(start), 0
     for with_steps in stages:
-        close = tolerance if with_steps == stages[-1] else 4 * tolerance
         search = Search(
-            target=target, low=option.low, high=option.high, whole=whole, tolerance=close,
+            target=target, start=value, low=option.low, high=option.high, whole=whole,
+            tolerance=spec.budget.tolerance / 2 * (1 if with_steps == stages[-1] else 4),
             accepted=spec.budget.tolerance,
         )  # fmt: skip
-        values, count = search.values(value), None
-        try:
-            while True:
-                value = next(values) if count is None else values.send(count)
-                mapped = yield from _scratch_run(entry, option, int(value) if whole else value, with_steps)
-                count, runs = float(len(mapped.run.mapper.gaussians)), runs + 1
-        except StopIteration as ended:
-            value = ended.value
-        except NotReachedError as e:
-            if with_steps == stages[-1]:
-                raise NotReachedError(
-                    f"{rule_name(rule)} does not reach {target:,} Gaussians within {spec.budget.tolerance:.1%} by its "
-                    f"option {option.name}: {e}"
-                ) from None
-            value = min(search.counts, key=search.error)
+        while (tried := search.next_value()) is not None:
+            mapped = yield from _scratch_run(entry, option, int(tried) if whole else tried, with_steps)
+            search.tell(tried, len(mapped.run.mapper.gaussians))
+        value, runs = search.best, runs + len(search.counts)
+    try:
+        value = search.found()
+    except NotReachedError as e:
+        raise NotReachedError(
+            f"{rule_name(rule)} does not reach {target:,} Gaussians within {spec.budget.tolerance:.1%} by its "
+            f"option {option.name}: {e}"
+        ) from None
     return {
         "option": option.name, "value": int(value) if whole else value, "n_runs": runs,
         "n_gaussians": int(search.counts[value]),
@@ -137,26 +133,23 @@ def _tune_seconds(entry: Entry, config: SystemConfig) -> Generator[None, None, d
     assert budget.seconds is not None
     search = Search(
         target=budget.seconds,
+        start=max(steps_per_frame(config), 1),
         low=1,
         high=MOST_STEPS,
         whole=True,
         tolerance=budget.tolerance / 2,
         accepted=budget.tolerance,
     )
-    values, seconds = search.values(max(steps_per_frame(config), 1)), None
+    while (steps := search.next_value()) is not None:
+        mapped = yield from _quiet(entry, with_steps_per_frame(config, int(steps)))
+        search.tell(steps, mapped.seconds)
     try:
-        while True:
-            steps = next(values) if seconds is None else values.send(seconds)
-            mapped = yield from _quiet(entry, with_steps_per_frame(config, int(steps)))
-            seconds = mapped.seconds
-    except StopIteration as ended:
-        return {
-            "steps_per_frame": int(ended.value), "seconds": search.counts[ended.value], "n_runs": len(search.counts)
-        }  # fmt: skip
+        found = search.found()
     except NotReachedError as e:
         raise NotReachedError(
             f"{budget.seconds:g} s within {budget.tolerance:.1%} cannot be reached by gradient steps per frame: {e} s"
         ) from None
+    return {"steps_per_frame": int(found), "seconds": search.counts[found], "n_runs": len(search.counts)}
 
 
 def _quiet(entry: Entry, config: SystemConfig) -> Generator[None, None, Mapped]:

@@ -6,14 +6,10 @@ from gsfusion_nb.lab.find_value import NotReachedError, Search
 
 
 def found(count, start, target, low=1e-6, high=100.0, tolerance=0.02, whole=False):
-    search = Search(target=target, low=low, high=high, tolerance=tolerance, whole=whole)
-    values, counts = search.values(start), None
-    try:
-        while True:
-            value = next(values) if counts is None else values.send(counts)
-            counts = count(value)
-    except StopIteration as ended:
-        return ended.value, len(search.counts)
+    search = Search(target=target, start=start, low=low, high=high, tolerance=tolerance, whole=whole)
+    while (value := search.next_value()) is not None:
+        search.tell(value, count(value))
+    return search.found(), len(search.counts)
 
 
 CURVES = {
