@@ -88,10 +88,11 @@ def _unwritten_memory_is_nan(monkeypatch):
 
 @pytest.fixture(autouse=True, scope="session")
 def _scratch_cache(tmp_path_factory, pytestconfig):
-    """Anything the package caches on disk goes to a folder of this test session, which its processes share."""
+    """What the package keeps for the user goes to a folder of this test session; its processes share the cache."""
     own = tmp_path_factory.getbasetemp()
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("GSFUSION_CACHE", str((own.parent if hasattr(pytestconfig, "workerinput") else own) / "cache"))
+        patch.setenv("GSNB_COURSE_FILE", str(own / "course.json"))
         yield
 
 

@@ -7,6 +7,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from .place import place_of
+
 
 class Failed(Exception):
     """A property does not hold: ``prop`` names it, ``on`` the input, ``detail`` what was returned and expected."""
@@ -44,9 +46,9 @@ class Attempt:
         except NotImplementedError:
             raise NotWritten from None
         except Exception as e:
-            raise Failed(
-                "it runs", on, f"it raised {type(e).__name__}: {str(e).splitlines()[0] if str(e) else ''}"
-            ) from e
+            place = place_of(e, self.function)
+            raised = f"it raised {type(e).__name__}{f' in {place}' if place else ''}"
+            raise Failed("it runs", on, f"{raised}: {str(e).splitlines()[0] if str(e) else ''}") from e
         if result is None or result is Ellipsis:
             raise NotWritten
         for before, after in zip([*args, *kwargs.values()], [*given, *named.values()], strict=True):

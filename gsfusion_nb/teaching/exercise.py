@@ -6,7 +6,8 @@ In a notebook::
     check.lift_pixel                 # title, difficulty, minutes, number of hints
     check.lift_pixel.hint()          # the next hint, on request
     check.lift_pixel(lift_pixel)     # Verdict: green, or red with the property that failed and the input
-    f = check.lift_pixel.working(f)  # the student's function if it passes, else the solution
+    check.lift_pixel.solution()      # source of a solution, after the first try
+    f = check.lift_pixel.working(f)  # the student's function if it passes, else the reference's; it says whose
 
 In ``teaching/<chapter>.py`` (found automatically, nothing to register elsewhere)::
 
@@ -41,11 +42,14 @@ from .attempt import NotWritten
 from .attempt import close as close
 from .attempt import holds as holds
 from .attempt import unpack as unpack
+from .progress import count, forgiving, note, now, read_section
+from .solution import NotYet, Solution, source_of
 from .verdict import Hint, Verdict
+from .whose import judging, reference_only, tell, whose_code, yours_with_reference
 
 DIFFICULTIES = {1: "warm-up", 2: "easy", 3: "medium", 4: "hard", 5: "challenge"}
 
-_MACHINERY = {"attempt", "exercise", "student", "verdict"}
+_MACHINERY = {"attempt", "exercise", "place", "progress", "solution", "student", "verdict", "whose"}
 
 _EXERCISES: dict[str, "Exercise"] = {}
 
@@ -69,18 +73,32 @@ class Exercise:
     minutes: int
     hints: tuple[str, ...]
     judge: Callable[[Attempt], None]
-    solution: Callable[..., Any]
+    _solution: Callable[..., Any]
     wrong: tuple[Wrong, ...]
     hints_given: int = 0
+    tries: int = 0
+    """Functions of this exercise's name that were judged in this process; unwritten ones do not count."""
 
     def __call__(self, function: Any) -> Verdict:
         """The verdict on ``function``: passed, failed (which property, on what input), or not written."""
-        if not callable(function):
-            kind = type(function).__name__
-            return Verdict(exercise=self.name, state="failed", prop="it is a function", detail=f"got a {kind}")
+        verdict = self._judged(function)
+        own = getattr(function, "__name__", "") in (self.name, "<lambda>")
+        if verdict or (verdict.state == "failed" and own):
+            self.tries += 1
+            with forgiving():
+                count("exercises", self.name, "tries")
+                if verdict and "passed" not in read_section("exercises")[self.name]:
+                    note("exercises", self.name, passed=now())
+        return verdict
+
+    def _judged(self, function: Any) -> Verdict:
         left = len(self.hints) - self.hints_given
+        if not callable(function):
+            detail = f"got a {type(function).__name__}"
+            return Verdict(exercise=self.name, state="failed", prop="it is a function", detail=detail, hints_left=left)
         try:
-            self.judge(Attempt(function))
+            with judging():
+                self.judge(Attempt(function))
         except NotWritten:
             detail = "the function returns nothing so far"
             return Verdict(exercise=self.name, state="not written", detail=detail, hints_left=left)
@@ -93,11 +111,37 @@ class Exercise:
         wanted = self.hints_given + 1 if number is None else number
         wanted = min(max(wanted, 1), len(self.hints))
         self.hints_given = max(self.hints_given, wanted)
+        with forgiving():
+            note("exercises", self.name, hints=self.hints_given)
         return Hint(wanted, len(self.hints), self.hints[wanted - 1])
 
-    def working(self, function: Any) -> Callable[..., Any]:
-        """``function`` if it passes, otherwise the solution, so that the chapter can continue."""
-        return function if self(function) else self.solution
+    def solution(self) -> Solution | NotYet:
+        """Source code of a solution; before the first try, a sentence that says what to do."""
+        tried = self.tries > 0
+        with forgiving():
+            tried = tried or read_section("exercises").get(self.name, {}).get("tries", 0) > 0
+        if not tried:
+            return NotYet(self.name, len(self.hints) - self.hints_given)
+        with forgiving():
+            note("exercises", self.name, solution_shown=now())
+        return Solution(self.name, source_of(self.name, self._solution))
+
+    def working(self, function: Any, *, plain: bool = False) -> Callable[..., Any]:
+        """``function`` if it passes, otherwise the reference's, so that the chapter can go on; one sentence says whose.
+
+        If the student's function raises in a later call, the sentence names its line and the reference's goes on.
+
+        Args:
+            function: The student's.
+            plain: Return the function itself, for a compiler such as numba; its errors stop the cell.
+        """
+        verdict = self._judged(function)
+        tell(whose_code(verdict))
+        if plain:
+            return function if verdict else self._solution
+        if verdict:
+            return yours_with_reference(self.name, function, self._solution)
+        return reference_only(self.name, self._solution)
 
     def __repr__(self) -> str:
         stars = "★" * self.difficulty + "☆" * (5 - self.difficulty)
@@ -134,7 +178,7 @@ def exercise(
             raise ValueError(f"exercise {name} exists already in {known.judge.__module__}")
         _EXERCISES[name] = Exercise(
             name=name, title=title[0], chapter=chapter, difficulty=difficulty, minutes=minutes,
-            hints=tuple(hints), judge=judge, solution=solution, wrong=tuple(wrong),
+            hints=tuple(hints), judge=judge, _solution=solution, wrong=tuple(wrong),
         )  # fmt: skip
         return _EXERCISES[name]
 

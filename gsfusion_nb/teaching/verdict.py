@@ -44,6 +44,8 @@ class Verdict:
         rest += [self.detail] if self.detail else []
         if not self and self.hints_left:
             rest.append(f"{self.hints_left} hint{'s' if self.hints_left > 1 else ''}: check.{self.exercise}.hint()")
+        elif self.state == "failed":
+            rest.append(f"a solution: check.{self.exercise}.solution()")
         return rest
 
     def __repr__(self) -> str:

@@ -81,4 +81,4 @@ def test_icp_sliders_step_through_an_alignment(lab, tracking):
 def test_a_checker_turns_from_red_to_green(lab, tracking):
     setup = "from gsfusion_nb.teaching import check, exercises\ne = exercises()['gauss_newton']\n"
     assert "failed" in lab.run(tracking, setup + "print(check.gauss_newton(e.wrong[0].function).state)")
-    assert "passed" in lab.run(tracking, setup + "print(check.gauss_newton(e.solution).state)")
+    assert "passed" in lab.run(tracking, setup + "print(check.gauss_newton(e._solution).state)")

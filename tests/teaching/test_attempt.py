@@ -6,6 +6,7 @@ import torch
 from gsfusion_nb.teaching import check
 from gsfusion_nb.teaching.attempt import Attempt, Failed, NotWritten, close, describe, unpack
 from gsfusion_nb.teaching.exercise import Wrong, exercise, exercises
+from gsfusion_nb.teaching.progress import read_section
 
 
 def double(x):
@@ -65,13 +66,59 @@ def test_hints_come_one_at_a_time(twice):
     assert "hint" not in repr(twice(abs))
 
 
-def test_the_chapter_goes_on_with_ours(twice):
-    assert twice.working(abs) is double
+def test_the_chapter_goes_on_and_says_with_whose_code(twice, capsys):
+    def printed():
+        return capsys.readouterr().out
+
+    assert twice.working(abs)(2) == 4
+    assert "twice: the reference's is used: yours fails “it is twice as large” (on the number 3)" in printed()
+    assert twice.working(lambda x: None)(2) == 4
+    assert printed() == "twice: the reference's is used: not yet yours.\n"
 
     def mine(x):
-        return x + x
+        return x + (x if len(str(x)) < 99 else 1 / 0)
 
-    assert twice.working(mine) is mine
+    yours = twice.working(mine)
+    assert printed() == "twice: your code is used.\n"
+    assert (yours(2), twice.working(mine, plain=True)) == (4, mine)
+    printed()
+    assert [yours("x" * 99), yours(5)] == ["x" * 198, 10]
+    said = printed()
+    assert said.count("\n") == 1
+    assert "the reference's is used: yours raised ZeroDivisionError in line" in said
+    assert "`return x + (x if len(str(x)) < 99 else 1 / 0)`: division by zero" in said
+
+
+def test_the_references_cannot_be_handed_in(twice):
+    ours = twice.working(abs)
+    assert twice(ours).state == twice(lambda x: ours(x)).state == "failed"
+    assert "write your own" in repr(twice(ours))
+    assert not any(getattr(twice, name, None) is double for name in dir(twice) if not name.startswith("_"))
+
+
+def test_a_crash_names_the_line(twice):
+    def crash(x):
+        y = x
+        return y.nothing
+
+    assert ", `return y.nothing`: 'Tensor' object has no attribute" in twice(crash).detail
+
+
+def test_the_solution_opens_after_a_try(twice, monkeypatch, tmp_path):
+    monkeypatch.setenv("GSNB_COURSE_FILE", str(tmp_path / "course.json"))
+    refused = "The solution of twice opens after your first try: write the function and run check.twice(twice)."
+    assert repr(twice.solution()).startswith(refused)
+    twice(lambda x: None)
+    twice(abs)  # an example of a verdict: its name is not the exercise's
+    assert repr(twice.solution()).startswith(refused)
+    twice(lambda x: x)
+    assert repr(twice.solution()) == "def twice(x):\n    return 2 * x"
+    twice.tries = 0
+    assert "def twice(x)" in twice.solution()._repr_html_()  # a later session
+    twice(double)
+    entry = read_section("exercises")["twice"]
+    assert entry["tries"] == 2
+    assert {"passed", "solution_shown"} <= set(entry)
 
 
 def test_check_knows_its_exercises(twice):

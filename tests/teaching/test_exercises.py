@@ -3,6 +3,7 @@
 import pytest
 
 from gsfusion_nb.teaching import check, exercises
+from gsfusion_nb.teaching.solution import Solution, source_of
 
 ALL = exercises()
 WRONG = [(e, w) for e in ALL.values() for w in e.wrong]
@@ -10,7 +11,7 @@ WRONG = [(e, w) for e in ALL.values() for w in e.wrong]
 
 @pytest.mark.parametrize("name", ALL)
 def test_the_solution_passes(name):
-    verdict = check.__getattr__(name)(ALL[name].solution)
+    verdict = check.__getattr__(name)(ALL[name]._solution)
     assert verdict, repr(verdict)
 
 
@@ -27,7 +28,8 @@ def test_an_unwritten_body_is_neither_right_nor_wrong(name):
     def unwritten(*args, **kwargs): ...
 
     assert ALL[name](unwritten).state == "not written"
-    assert ALL[name].working(unwritten) is ALL[name].solution
+    assert ALL[name].working(unwritten, plain=True) is ALL[name]._solution
+    assert f"def {name}(" in repr(Solution(name, source_of(name, ALL[name]._solution)))
 
 
 @pytest.mark.parametrize("name", ALL)

@@ -13,7 +13,7 @@ from gsfusion_nb.teaching import exercises
 from gsfusion_nb.types import Camera, GaussianParams, Seeds
 
 CAMERA = Camera(width=16, height=12, fx=14.0, fy=14.0, cx=8.0, cy=6.0)
-SOLUTIONS = {name: e.solution for name, e in exercises().items() if e.chapter == 7}
+SOLUTIONS = {name: e._solution for name, e in exercises().items() if e.chapter == 7}
 
 
 def test_chapter_7_has_four():

@@ -6,7 +6,7 @@ from gsfusion_nb.geometry import se3
 from gsfusion_nb.teaching import exercises
 from gsfusion_nb.tracking import Tracker, point_to_plane
 
-SOLUTIONS = {name: e.solution for name, e in exercises().items() if e.chapter == 8}
+SOLUTIONS = {name: e._solution for name, e in exercises().items() if e.chapter == 8}
 
 
 def test_chapter_8_has_four():
