@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any
 
 import cv2
-import nbformat
 import numpy as np
 import pytest
 
@@ -51,12 +50,16 @@ class Lab:
 
     def open(self, cells: list[str], *, timeout_s: float = 180) -> Any:
         """A page with these code cells, all run without an error."""
+        import nbformat
+
         notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(c) for c in cells])
         notebook.metadata["kernelspec"] = {"name": "python3", "display_name": "Python 3", "language": "python"}
         return self.open_notebook(notebook, timeout_s=timeout_s)
 
     def open_notebook(self, notebook: Any, *, timeout_s: float = 180) -> Any:
         """A page with a notebook, all of its cells run without an error."""
+        import nbformat  # it loads jsonschema: three seconds, in processes that only collect these tests, too
+
         name = f"{uuid.uuid4().hex[:8]}.ipynb"
         nbformat.write(notebook, self.folder / name)
         page = self.browser.new_page(viewport={"width": 1280, "height": 1000})

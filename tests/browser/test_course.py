@@ -3,7 +3,6 @@
 import json
 from pathlib import Path
 
-import nbformat
 import numpy as np
 import pytest
 
@@ -30,6 +29,8 @@ def split_cell(x0, y0, width, height):
 
 def students_copy():
     """The whole chapter as a student gets it, in its quick version."""
+    import nbformat
+
     notebook = without_solutions(json.loads(NOTEBOOK.read_text(encoding="utf-8")))
     text = json.dumps(notebook).replace(json.dumps(QUICK)[1:-1], "import torch; torch.set_num_threads(1); SMOKE = True")
     assert "SMOKE = True" in text

@@ -11,15 +11,19 @@ from gsfusion_nb.lab.result import MEASURED
 from gsfusion_nb.lab.run_all import run_all
 from gsfusion_nb.lab.store import ResultStore
 
-distributed = pytest.importorskip("distributed", reason='needs the extra "cluster"')
 pytestmark = pytest.mark.filterwarnings("ignore")  # Dask warns of what it does to its workers
+
+
+@pytest.fixture(scope="module")
+def distributed():
+    return pytest.importorskip("distributed", reason='needs the extra "cluster"')
 
 
 def numbers(result):
     return {k: v for k, v in result.metrics.items() if k not in MEASURED}, result.per_view, result.map_hash
 
 
-def test_a_cluster_gives_the_numbers_of_this_process(spec, tmp_path):
+def test_a_cluster_gives_the_numbers_of_this_process(distributed, spec, tmp_path):
     entries = [Entry(spec=spec("uniform")), Entry(spec=spec("nonsense"))]
     here = dict(run_all(entries, ResultStore(tmp_path / "a", tmp_path / "cache a")))
     cluster = distributed.LocalCluster(n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None)
@@ -30,7 +34,7 @@ def test_a_cluster_gives_the_numbers_of_this_process(spec, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_worker_that_is_killed_changes_no_number(spec, tmp_path):
+def test_a_worker_that_is_killed_changes_no_number(distributed, spec, tmp_path):
     entries = [Entry(spec=spec(rule, seed=seed)) for rule in ("uniform", "gsfusion", "dense") for seed in range(4)]
     here = dict(run_all(entries, ResultStore(tmp_path / "a", tmp_path / "cache a")))
     cluster = distributed.LocalCluster(n_workers=3, threads_per_worker=1, processes=True, dashboard_address=None)

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy import stats
 
 from gsfusion_nb.lab import Budget
 from gsfusion_nb.lab.paired_tests import bootstrap_interval, compare, holm, paired_t, signed_rank_p
@@ -26,6 +25,8 @@ def test_the_t_test_by_hand():
 
 @pytest.mark.parametrize("n", [2, 5, 9, 30])
 def test_the_t_test_is_scipys(n):
+    from scipy import stats  # it takes a second to import
+
     d = np.random.default_rng(n).normal(0.3, 1.0, n)
     expected: Any = stats.ttest_1samp(d, 0.0)
     (low, high), p = paired_t(d)
@@ -35,6 +36,8 @@ def test_the_t_test_is_scipys(n):
 
 @pytest.mark.parametrize("n", [3, 8, 12, 40])
 def test_the_signed_rank_test_is_scipys(n):
+    from scipy import stats
+
     d = np.random.default_rng(n).normal(0.3, 1.0, n)
     method = "exact" if n <= 16 else "approx"
     expected: Any = stats.wilcoxon(d, method=method, correction=n > 16)
