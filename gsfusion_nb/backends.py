@@ -7,6 +7,10 @@ the package imports ``gsfusion_nb.kernels``.
 The backend ``torch`` is vectorised PyTorch: it runs on any device and in float64, and exists only where it is several
 times as fast as the reference. ``numba`` (CPU), ``triton`` and ``cuda`` (NVIDIA GPUs) are compiled, for float32;
 operations on Gaussians in float64 run on torch instead.
+
+``mine`` is the reference with the functions of a learner in it (``own_code``). They replace whole operations, or the
+parts of an operation that are declared with ``@piece``. It exists only in a Python session that has imported
+``gsfusion_nb.teaching.mine``.
 """
 
 import contextlib
@@ -17,6 +21,7 @@ import importlib.resources
 import logging
 import os
 import re
+import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextvars import ContextVar
 from pathlib import Path
@@ -25,12 +30,16 @@ from typing import Any
 
 import torch
 
+from . import own_code
 from .checks import check_name
 from .types import GaussianParams
 
 log = logging.getLogger(__name__)
 
 BACKENDS = ("reference", "torch", "numba", "triton", "cuda")
+
+MINE = "mine"
+"""The backend that runs the functions of a learner."""
 
 _KERNELS = f"{__package__}.kernels"
 _FOLDERS: dict[str, str] = {}
@@ -49,6 +58,7 @@ def from_environment() -> str:
 
 
 _OPS: dict[str, Callable] = {}
+_PIECES: dict[str, Callable] = {}
 _FROM_ENVIRONMENT = from_environment()
 _choice: ContextVar[str | None] = ContextVar("gsfusion_backend", default=None)
 _logged: set[tuple[str, str]] = set()
@@ -102,7 +112,7 @@ def op(folder: str, check: Callable[..., None] | None = None) -> Callable[[Calla
                     check(*args, **kwargs)
                 except ValueError as e:
                     raise ValueError(f"{name}: {e}") from None
-            if chosen() not in ("reference", "torch") and _is_double(args, kwargs):
+            if chosen() not in ("reference", "torch", MINE) and _is_double(args, kwargs):
                 with use_backend("torch"):
                     return load(name, "torch")(*args, **kwargs)
             while True:
@@ -125,6 +135,28 @@ def op(folder: str, check: Callable[..., None] | None = None) -> Callable[[Calla
         return dispatch
 
     return declare
+
+
+def piece(reference: Callable) -> Callable:
+    """Declare a plain function as a part of an operation that a learner can replace: the backend ``mine`` runs theirs.
+
+    On every other backend the function itself runs.
+    """
+    name = reference.__name__
+    _PIECES[name] = reference
+
+    @functools.wraps(reference)
+    def dispatch(*args, **kwargs):
+        if _choice.get() == MINE:
+            return own_code.run(name, reference, args, kwargs)
+        return reference(*args, **kwargs)
+
+    return dispatch
+
+
+def replaceable() -> frozenset[str]:
+    """Names of the operations and pieces that a learner can replace, among those declared so far."""
+    return frozenset(_OPS) | frozenset(_PIECES)
 
 
 def operations() -> tuple[str, ...]:
@@ -186,13 +218,18 @@ def load(name: str, backend: str) -> Callable:
 
 @contextlib.contextmanager
 def use_backend(backend: str) -> Iterator[None]:
-    """Run operations on ``backend`` inside the block: "auto", "reference", "torch", "numba", "triton" or "cuda".
+    """Run operations on ``backend`` inside the block: "auto", "reference", "torch", "numba", "triton", "cuda", "mine".
 
     "torch" uses the reference for an operation that has no faster torch version. With "numba", "triton" or "cuda", an
     operation that only other compiled backends offer raises ``BackendUnavailable``; one that none of them offers runs
-    on torch.
+    on torch. "mine" runs the functions that a learner wrote, and the reference for all other operations.
+
+    Raises:
+        BackendUnavailable: "mine" where the course is not imported, for instance on the command line.
     """
-    check_name("backend", backend, ("auto", *BACKENDS))
+    check_name("backend", backend, ("auto", *BACKENDS, MINE))
+    if backend == MINE:
+        _check_course()
     token = _choice.set(backend)
     try:
         yield
@@ -241,9 +278,12 @@ def chosen() -> str:
 
 
 def _select(name: str, args: tuple, kwargs: dict) -> Callable:
-    if args and isinstance(args[0], Record):
+    if args and isinstance(args[0], Record) and (args[0].backend != "reference" or chosen() != MINE):
         return load(name, args[0].backend)
     choice = chosen()
+    if choice == MINE:
+        _check_course()
+        return functools.partial(_run_mine, name)
     if choice != "auto":
         return _named(name, choice)
     if not offered(name):
@@ -255,6 +295,19 @@ def _select(name: str, args: tuple, kwargs: dict) -> Callable:
     else:
         _log_once(logging.INFO, name, f"{name}: {backend}")
     return load(name, backend)
+
+
+def _run_mine(name: str, *args, **kwargs) -> Any:
+    return own_code.run(name, _OPS[name], args, kwargs)
+
+
+def _check_course() -> None:
+    """Raise ``BackendUnavailable`` unless this Python session can have functions of a learner."""
+    if f"{__package__}.teaching.mine" not in sys.modules:
+        raise BackendUnavailable(
+            f"backend {MINE!r} runs functions that a learner wrote in a notebook of the course, and this program has "
+            "none; use it in a notebook, after `from gsfusion_nb.teaching import mine`"
+        )
 
 
 def _is_double(args: tuple, kwargs: dict) -> bool:

@@ -228,7 +228,7 @@ def test_a_record_is_differentiated_by_the_backend_that_made_it(double, write_ke
 
 def test_unknown_backend_lists_the_known():
     with (
-        pytest.raises(KeyError, match="no backend 'nubma'; known: auto, cuda, numba, reference, torch, triton"),
+        pytest.raises(KeyError, match="no backend 'nubma'; known: auto, cuda, mine, numba, reference, torch, triton"),
         use_backend("nubma"),
     ):
         pass

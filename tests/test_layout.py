@@ -28,7 +28,7 @@ FLOORS = {
         ),
         0,
     ),
-    **dict.fromkeys(("progress", "processes", "memory", "backends"), 0),
+    **dict.fromkeys(("progress", "processes", "memory", "backends", "own_code"), 0),
     **dict.fromkeys(("geometry", "drawing"), 1),
     **dict.fromkeys(("tsdf", "gaussians", "render"), 2),
     **dict.fromkeys(("seeding", "optim", "tracking", "export", "evaluation"), 3),

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from ..backends import chosen
+from ..backends import MINE, BackendUnavailable, chosen
 from ..checks import check_name, check_number, check_positive
 from ..config import to_dict
 from ..config.values import check_kinds
@@ -122,7 +122,16 @@ class RunSpec:
 
     @functools.cached_property
     def key(self) -> str:
-        """``run_key`` of data, settings, rule, options, seed, budget and program: equal keys mean equal results."""
+        """``run_key`` of data, settings, rule, options, seed, budget and program: equal keys mean equal results.
+
+        Raises:
+            BackendUnavailable: on the backend "mine", whose functions are no part of the program.
+        """
+        if chosen() == MINE:
+            raise BackendUnavailable(
+                "the lab keeps its results and cannot see when a learner's function changes; "
+                'use it outside `with use_backend("mine")`'
+            )
         parts = self.to_json()
         for name in ("label", "scene", "data", "rule", "preset", "settings"):  # names, and what the settings say
             parts.pop(name)

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ..backends import op
+from ..backends import op, piece
 from ..checks import check_number
 from ..operands import check_images
 
@@ -24,6 +24,7 @@ def l1(rgb: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"]) -> Float[Ten
     return (rgb - target).abs().mean()  # GSFusion Eq. 12
 
 
+@piece
 def l1_vjp(rgb: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"], v_loss: float = 1.0) -> Float[Tensor, "H W 3"]:
     """dL/drgb = sign(rgb - target) / (number of values), zero where they are equal."""
     return v_loss * torch.sign(rgb - target) / rgb.numel()

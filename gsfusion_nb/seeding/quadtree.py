@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float, Int, Shaped, UInt8
 from torch import Tensor
 
-from ..backends import op
+from ..backends import op, piece
 from ..checks import check_number
 from ..constants import LUMA_WEIGHTS, QUADTREE_NORMALISER
 from ..operands import check_operand
@@ -121,12 +121,14 @@ def quadtree(
     return Cells(x0=x0, y0=y0, width=width, height=height, level=level)
 
 
+@piece
 def luma_variance(rgb: Shaped[Tensor, "h w 3"]) -> float:
     """V = 0.2989 var(R) + 0.5870 var(G) + 0.1140 var(B), the variances of all pixels of a cell, on 0..255."""
     r, g, b = rgb.double().flatten(0, 1).var(dim=0, correction=0).tolist()
     return LUMA_WEIGHTS[0] * r + LUMA_WEIGHTS[1] * g + LUMA_WEIGHTS[2] * b
 
 
+@piece
 def cut(x0: int, y0: int, width: int, height: int) -> list[Cell]:
     """The four parts of a cell: top left, bottom left, top right, bottom right. Left and top get the floor of half."""
     w, h = width // 2, height // 2

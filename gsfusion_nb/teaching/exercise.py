@@ -28,6 +28,9 @@ In ``teaching/<chapter>.py`` (found automatically, nothing to register elsewhere
 The judge returns nothing and raises ``Failed`` (through ``close``, ``holds``, ``unpack``) at the first property that
 does not hold; put the property that explains most mistakes first. Tests run every judge on its solution, which must
 pass, on every wrong answer, which must fail and say ``says``, and on an unwritten body.
+
+A function that passes is kept (``teaching.mine``). ``becomes=Becomes("lift", adapter)`` says which operation of the
+library it replaces under the backend ``mine``; ``adapter(yours, *arguments of the operation)`` calls it.
 """
 
 import importlib
@@ -42,14 +45,29 @@ from .attempt import NotWritten
 from .attempt import close as close
 from .attempt import holds as holds
 from .attempt import unpack as unpack
+from .becomes import Becomes as Becomes
+from .becomes import remember
 from .progress import count, forgiving, note, now, read_section
 from .solution import NotYet, Solution, source_of
 from .verdict import Hint, Verdict
 from .whose import judging, reference_only, tell, whose_code, yours_with_reference
+from .yours import Yours as Yours
 
 DIFFICULTIES = {1: "warm-up", 2: "easy", 3: "medium", 4: "hard", 5: "challenge"}
 
-_MACHINERY = {"attempt", "exercise", "place", "progress", "solution", "student", "verdict", "whose"}
+_MACHINERY = {
+    "attempt",
+    "becomes",
+    "exercise",
+    "mine",
+    "place",
+    "progress",
+    "solution",
+    "student",
+    "verdict",
+    "whose",
+    "yours",
+}
 
 _EXERCISES: dict[str, "Exercise"] = {}
 
@@ -75,6 +93,7 @@ class Exercise:
     judge: Callable[[Attempt], None]
     _solution: Callable[..., Any]
     wrong: tuple[Wrong, ...]
+    becomes: Becomes | None = None
     hints_given: int = 0
     tries: int = 0
     """Functions of this exercise's name that were judged in this process; unwritten ones do not count."""
@@ -104,6 +123,7 @@ class Exercise:
             return Verdict(exercise=self.name, state="not written", detail=detail, hints_left=left)
         except Failed as e:
             return Verdict(exercise=self.name, state="failed", prop=e.prop, on=e.on, detail=e.detail, hints_left=left)
+        remember(self.name, self.becomes, function)
         return Verdict(exercise=self.name, state="passed")
 
     def hint(self, number: int | None = None) -> Hint:
@@ -159,6 +179,7 @@ def exercise(
     hints: Sequence[str],
     solution: Callable[..., Any],
     wrong: Sequence[Wrong],
+    becomes: Becomes | None = None,
 ) -> Callable[[Callable[[Attempt], None]], Exercise]:
     """Register the decorated judge as the exercise of its name; the first line of its docstring is the title.
 
@@ -178,7 +199,7 @@ def exercise(
             raise ValueError(f"exercise {name} exists already in {known.judge.__module__}")
         _EXERCISES[name] = Exercise(
             name=name, title=title[0], chapter=chapter, difficulty=difficulty, minutes=minutes,
-            hints=tuple(hints), judge=judge, _solution=solution, wrong=tuple(wrong),
+            hints=tuple(hints), judge=judge, _solution=solution, wrong=tuple(wrong), becomes=becomes,
         )  # fmt: skip
         return _EXERCISES[name]
 

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from .exercise import Attempt, Wrong, close, exercise, unpack
+from .exercise import Attempt, Becomes, Wrong, Yours, close, exercise, unpack
 from .gradient_check import central_difference
 
 Loss = Callable[[Tensor], Tensor]
@@ -84,8 +84,12 @@ def _uphill(rgb: Tensor, target: Tensor) -> Tensor:
     return torch.sign(target - rgb) / rgb.numel()
 
 
+def _as_l1_vjp(yours: Yours, rgb: Tensor, target: Tensor, v_loss: float = 1.0) -> Tensor:
+    return v_loss * yours(rgb, target, gives={"the gradient": rgb})
+
+
 @exercise(
-    chapter=5, difficulty=1, minutes=4, solution=_l1_gradient,
+    chapter=5, difficulty=1, minutes=4, solution=_l1_gradient, becomes=Becomes("l1_vjp", _as_l1_vjp),
     hints=(
         "The derivative of |x| is its sign.",
         "The loss is a mean over H x W x 3 values: each has the factor 1 / (H W 3).",

@@ -1,4 +1,4 @@
-"""The line of a learner's code that raised an error, in words."""
+"""Where a learner's code is, in words: the line that raised an error, the line of a definition."""
 
 import inspect
 import linecache
@@ -18,10 +18,18 @@ def place_of(error: BaseException, function: Callable[..., Any]) -> str:
         if code is not None and trace.tb_frame.f_code.co_filename == code.co_filename:
             line = trace.tb_lineno
         trace = trace.tb_next
-    if code is None or not line:
-        return ""
-    text = linecache.getline(code.co_filename, line).strip()
-    words = f"line {line}{_cell(code.co_filename)}"
+    return "" if code is None or not line else _in_words(code.co_filename, line)
+
+
+def definition_of(function: Callable[..., Any]) -> str:
+    """``line 1 of cell 7, `def project(xyz_C):` ``: the first line of a function; its type if it has no code."""
+    code = getattr(inspect.unwrap(function), "__code__", None)
+    return type(function).__name__ if code is None else _in_words(code.co_filename, code.co_firstlineno)
+
+
+def _in_words(file: str, line: int) -> str:
+    text = linecache.getline(file, line).strip()
+    words = f"line {line}{_cell(file)}"
     return f"{words}, `{text}`" if text else words
 
 

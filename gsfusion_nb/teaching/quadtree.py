@@ -7,9 +7,9 @@ from torch import Tensor
 
 from ..constants import LUMA_WEIGHTS, QUADTREE_NORMALISER
 from ..geometry import se3
-from ..seeding.quadtree import Cell, cut, luma_variance, quadtree
+from ..seeding.quadtree import Cell, Cells, cut, luma_variance, quadtree
 from ..types import Camera
-from .exercise import Attempt, Wrong, close, exercise, holds, unpack
+from .exercise import Attempt, Becomes, Wrong, Yours, close, exercise, holds, unpack
 
 
 def _contrast(cell_rgb: Tensor, image_pixels: int) -> float:
@@ -34,8 +34,14 @@ def _contrast_without_pixels(cell_rgb: Tensor, image_pixels: int) -> float:
     return _contrast(cell_rgb, 76800)
 
 
+def _as_luma_variance(yours: Yours, rgb: Tensor) -> float:
+    """The contrast is the variance times the image's pixels / 9e7: that of an image of 9e7 pixels is the variance."""
+    pixels = int(QUADTREE_NORMALISER)
+    return float(yours(rgb, pixels, gives={"the contrast": torch.zeros((), dtype=torch.float64)}))
+
+
 @exercise(
-    chapter=3, difficulty=2, minutes=10, solution=_contrast,
+    chapter=3, difficulty=2, minutes=10, solution=_contrast, becomes=Becomes("luma_variance", _as_luma_variance),
     hints=(
         "One variance per colour channel, over all pixels of the cell. cell_rgb is uint8: convert first.",
         "Divide by the number of pixels, not by one less: var(..., correction=0).",
@@ -82,8 +88,13 @@ def _split_at_the_origin(x0: int, y0: int, width: int, height: int) -> list[Cell
     return cut(0, 0, width, height)
 
 
+def _as_cut(yours: Yours, x0: int, y0: int, width: int, height: int) -> list[Cell]:
+    parts = yours(x0, y0, width, height, gives={"the four parts": torch.zeros(4, 4, dtype=torch.int64)})
+    return [(x, y, w, h) for x, y, w, h in parts.tolist()]
+
+
 @exercise(
-    chapter=3, difficulty=1, minutes=5, solution=cut,
+    chapter=3, difficulty=1, minutes=5, solution=cut, becomes=Becomes("cut", _as_cut),
     hints=(
         "The left and the upper part get the floor of the half.",
         "The right part gets what is left: width - width // 2.",
@@ -130,8 +141,35 @@ def _cut_what_is_plain(rgb_u8: Tensor, threshold: float, min_cell_px: int) -> li
     return [(0, 0, rgb_u8.shape[1], rgb_u8.shape[0])]
 
 
+def _as_quadtree(
+    yours: Yours, rgb_u8: Tensor, *, threshold: float = 0.1, min_cell_px: int = 1, contrast: str = "released"
+) -> Cells:
+    """Yours as ``Cells``, in the library's order; a threshold for the standard deviation becomes one for its square."""
+    H, W = rgb_u8.shape[:2]
+    if contrast == "std":  # sqrt(V) / 255 > t  is  V (H W) / 9e7 > (255 t)^2 (H W) / 9e7
+        threshold = (255 * threshold) ** 2 * (H * W) / QUADTREE_NORMALISER
+    given = (rgb_u8, threshold, min_cell_px)
+    try:
+        found = {(int(x), int(y), int(w), int(h)) for x, y, w, h in yours(*given)}
+    except (TypeError, ValueError):
+        yours.fail("must return a list of cells (x0, y0, width, height), and did not", given)
+
+    def leaves(cell: Cell, level: int) -> list[tuple[int, ...]]:
+        if cell in found:
+            return [(*cell, level)]
+        if min(cell[2:]) < 2:
+            yours.fail(f"returned leaves that do not tile the image: none contains the cell {cell}", given)
+        return [leaf for part in cut(*cell) for leaf in leaves(part, level + 1)]
+
+    rows = torch.tensor(leaves((0, 0, W, H), 0), dtype=torch.int32, device=rgb_u8.device)
+    if len(rows) != len(found):
+        yours.fail(f"returned {len(found)} leaves, of which only {len(rows)} come from splitting the image", given)
+    x0, y0, width, height, level = rows.T.contiguous()
+    return Cells(x0=x0, y0=y0, width=width, height=height, level=level)
+
+
 @exercise(
-    chapter=3, difficulty=4, minutes=20, solution=_leaves,
+    chapter=3, difficulty=4, minutes=20, solution=_leaves, becomes=Becomes("quadtree", _as_quadtree),
     hints=(
         "A function visit(x0, y0, w, h) that either appends the cell or visits its four parts.",
         "Cut if w // 2 > min_cell_px and h // 2 > min_cell_px and the contrast is above the threshold.",

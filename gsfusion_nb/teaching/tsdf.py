@@ -1,10 +1,13 @@
 """Exercises of chapter 2: signed distance, running average, voxel blocks, Morton code, zero crossing."""
 
+from typing import Any
+
 import torch
 from torch import Tensor
 
+from ..config import TsdfConfig
 from ..tsdf import morton, tsdf_update
-from .exercise import Attempt, Wrong, close, exercise, holds, unpack
+from .exercise import Attempt, Becomes, Wrong, Yours, close, exercise, holds, unpack
 
 
 def _signed_distance(depth_m: Tensor, z_m: Tensor, truncation_m: float) -> tuple[Tensor, Tensor]:
@@ -31,8 +34,22 @@ def _signed_distance_holes_too(depth_m: Tensor, z_m: Tensor, truncation_m: float
     return _signed_distance(depth_m, z_m, truncation_m)[0], depth_m - z_m > -truncation_m
 
 
+def _as_signed_distance_m(yours: Yours, depth_m: Tensor, centres_C: Tensor, config: TsdfConfig) -> Tensor:
+    """Distances in metres from yours; -inf where yours says that nothing was observed."""
+    z = centres_C[..., 2]
+    asked = (z > 0) & depth_m.isfinite()
+    depth, z = depth_m[asked].to(z), z[asked]
+    if config.sdf == "ray":  # the same equation with lengths along the ray
+        depth, z = depth * centres_C[asked].norm(dim=-1) / z, centres_C[asked].norm(dim=-1)
+    d, observed = yours(depth, z, config.truncation_m, gives={"d": depth, "observed": depth > 0})
+    sdf_m = torch.full_like(depth_m, -torch.inf, dtype=centres_C.dtype)
+    sdf_m[asked] = torch.where(observed, d * config.truncation_m, -torch.inf)
+    return sdf_m
+
+
 @exercise(
     chapter=2, difficulty=2, minutes=8, solution=_signed_distance,
+    becomes=Becomes("signed_distance_m", _as_signed_distance_m),
     hints=(
         "Eq. 6: what the camera measured, minus where the voxel is. Both are along z.",
         "Eq. 7 divides by the truncation and clamps to -1 .. 1.",
@@ -92,8 +109,21 @@ def _halfway(D: Tensor, W: Tensor, d: Tensor, max_weight: float) -> tuple[Tensor
     return torch.where(W > 0, (D + d) / 2, d), (W + 1).clamp(max=max_weight)
 
 
+def _as_tsdf_update(
+    yours: Yours, D: Tensor, W: Tensor, sdf_m: Tensor, *, truncation_m: float, max_weight: float, average: str = "mean"
+) -> Any:
+    """The update of the observed voxels by yours; other definitions of the average are left to the reference."""
+    if average != "mean":
+        return NotImplemented
+    observed = sdf_m > -truncation_m
+    before, weight = D[observed], W[observed]
+    d = (sdf_m[observed] / truncation_m).clamp(-1.0, 1.0)
+    new_D, new_W = yours(before, weight, d, max_weight, gives={"D": before, "W": weight})
+    return D.masked_scatter(observed, new_D), W.masked_scatter(observed, new_W)
+
+
 @exercise(
-    chapter=2, difficulty=2, minutes=10, solution=_running_average,
+    chapter=2, difficulty=2, minutes=10, solution=_running_average, becomes=Becomes("tsdf_update", _as_tsdf_update),
     hints=(
         "The mean of n numbers from the mean of the first n - 1 and the last one.",
         "First W <- min(W + 1, max_weight). Then D <- (D (W - 1) + d) / W, with the new W.",

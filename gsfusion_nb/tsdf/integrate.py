@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from ..backends import op
+from ..backends import op, piece
 from ..checks import check_pose
 from ..config import TsdfConfig
 from ..geometry import project, se3
@@ -33,6 +33,7 @@ class IntegrateReport:
     """Voxels that received an observation."""
 
 
+@piece
 def tsdf_update(
     D: Float[Tensor, "*V"],
     W: Float[Tensor, "*V"],
@@ -137,6 +138,29 @@ def _fuse_blocks(volume: TsdfVolume, rows: Int[Tensor, " B"], frame: Frame, T_CW
     return int(observed.sum())
 
 
+@piece
+def signed_distance_m(
+    depth_m: Float[Tensor, "*V"], centres_C: Float[Tensor, "*V 3"], config: TsdfConfig
+) -> Float[Tensor, "*V"]:
+    """Signed distance of voxels from the measured surface, metres, positive in front (Eq. 6).
+
+    Args:
+        depth_m: Depth of the pixel that contains each voxel's projection, metres. [V]
+        centres_C: Their centres, camera frame, metres. [V, 3]
+        config: Definition of the distance: along z or along the ray.
+
+    Returns:
+        The distance; without meaning where the depth is missing or z is not positive. [V]
+
+    Differentiable: no (the map is state, not a parameter).
+    """
+    z = centres_C[..., 2]
+    sdf_m = depth_m - z  # Eq. 6
+    if config.sdf == "ray":
+        sdf_m = sdf_m * centres_C.norm(dim=-1) / z  # not in the paper: the released code measures along the ray
+    return sdf_m
+
+
 def fuse_voxels(
     before: TsdfSample, centres_C: Float[Tensor, "*V 3"], frame: Frame, config: TsdfConfig
 ) -> tuple[TsdfSample, Bool[Tensor, "*V"]]:
@@ -153,9 +177,7 @@ def fuse_voxels(
     in_image = (z > 0) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
     u, v = u.where(in_image, 0).long(), v.where(in_image, 0).long()  # the pixel that contains the projection
     depth_m = frame.depth_m[v, u]
-    sdf_m = depth_m - z  # Eq. 6
-    if config.sdf == "ray":
-        sdf_m = sdf_m * centres_C.norm(dim=-1) / z  # not in the paper: the released code measures along the ray
+    sdf_m = signed_distance_m(depth_m, centres_C, config)
     measured = in_image & (depth_m > 0) & (depth_m >= config.near_m) & (depth_m < torch.inf)
     sdf_m = sdf_m.where(measured, -torch.inf).to(before.D.dtype)
 

@@ -1,0 +1,157 @@
+"""The learner's accepted functions as a backend: ``with use_backend("mine")`` the library runs them.
+
+In a notebook::
+
+    from gsfusion_nb.backends import use_backend
+    from gsfusion_nb.teaching import mine
+
+    check.l1_gradient(l1_gradient)       # accepted: kept for its exercise
+    with use_backend("mine"):
+        mapper.step(frame)               # the library's mapper, with your gradient of the loss
+    mine.board()                         # whose code ran, how often, how long
+
+An exercise says which operation, or which piece of one, its function becomes (``exercise(..., becomes=...)``). For
+operations without a kept function the plain reference runs.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from markupsafe import Markup
+
+from ..backends import replaceable
+from ..drawing.html import html_table
+from ..own_code import CALLS, FUNCTIONS, Calls
+from .becomes import KEPT, remember
+from .exercise import exercises
+from .yours import LearnerError as LearnerError
+
+_GREEN, _GREY = "#1a7f37", "#6e7781"
+
+
+def keep(exercise: str, function: Callable[..., Any]) -> None:
+    """Use ``function`` for its exercise from now on, without a check; ``check.<exercise>(function)`` keeps what passes.
+
+    The newest function counts. One whose exercise becomes no operation is kept, too, and runs nowhere.
+
+    Raises:
+        KeyError: there is no such exercise.
+    """
+    known = exercises()
+    if exercise not in known:
+        raise KeyError(f"there is no exercise {exercise!r}")
+    remember(exercise, known[exercise].becomes, function)
+
+
+def forget(*names: str) -> None:
+    """Forget the functions of these exercises, or of all; the reference runs again in their place."""
+    known = exercises()
+    for name in names or tuple(KEPT):
+        KEPT.pop(name, None)
+        becomes = known[name].becomes if name in known else None
+        if becomes is not None:
+            FUNCTIONS.pop(becomes.operation, None)
+
+
+def kept() -> dict[str, Callable[..., Any]]:
+    """Exercise -> the learner's function that is kept for it, in the order of the course."""
+    return {name: KEPT[name] for name in exercises() if name in KEPT}
+
+
+def clear_counts() -> None:
+    """Set the numbers of calls and the times of the board to zero."""
+    CALLS.clear()
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoardRow:
+    """One operation, or one piece of an operation, on the board."""
+
+    operation: str
+    """Name of the function of the library."""
+    exercise: str
+    """The exercise whose function replaces it, or "" if there is none."""
+    is_yours: bool
+    """Whether a function of the learner is kept for it."""
+    calls: Calls
+    """Calls since the counts were last cleared."""
+
+    @property
+    def whose(self) -> str:
+        """In words: yours, reference, or both where yours leaves some calls to the reference."""
+        if self.is_yours and self.calls.reference:
+            return f"yours, {self.calls.reference} calls by the reference"
+        return "yours" if self.is_yours else "reference"
+
+
+class Board:
+    """Which operations run the learner's code, how often they were called, and for how long. Made by ``board``."""
+
+    def __init__(self, rows: list[BoardRow]):
+        self.rows = rows
+
+    @property
+    def yours(self) -> list[str]:
+        """Operations for which a function of the learner is kept."""
+        return [row.operation for row in self.rows if row.is_yours]
+
+    @property
+    def line(self) -> str:
+        """A summary in one line."""
+        exercise_rows = [row for row in self.rows if row.exercise]
+        return f"{len(self.yours)} of {len(exercise_rows)} operations that have an exercise run your code"
+
+    def __repr__(self) -> str:
+        head = f"{'operation':26} {'whose':10} {'calls':>8} {'ms':>9} {'ms/call':>8}  exercise"
+        rows = [
+            f"{row.operation:26} {'YOURS' if row.is_yours else 'reference':10} {n:8,} {1e3 * s:9.1f} {each:>8}  "
+            f"{row.exercise}"
+            for row, n, s, each in self._numbers()
+        ]
+        return "\n".join([head, *rows, self.line])
+
+    def _repr_html_(self) -> str:
+        mark = Markup('<span style="color:{}">●</span> <b>{}</b>')
+        rows = [
+            (mark.format(_GREEN if row.is_yours else _GREY, row.operation), row.whose, f"{n:,}", f"{1e3 * s:.1f}", each,
+             row.exercise)
+            for row, n, s, each in self._numbers()
+        ]  # fmt: skip
+        heads = ("operation", "whose code", "calls", "ms", "ms per call", "exercise")
+        style = "font-size:12px"
+        return html_table(rows, heads=heads, foot=self.line, style=style, cell_style="text-align:left")
+
+    def _numbers(self) -> list[tuple[BoardRow, int, float, str]]:
+        """Each row with its number of calls, its seconds, and the milliseconds of one call."""
+        numbers = []
+        for row in self.rows:
+            n, s = row.calls.own + row.calls.reference, row.calls.seconds
+            numbers.append((row, n, s, f"{1e3 * s / n:.3g}" if n else "-"))
+        return numbers
+
+
+def board() -> Board:
+    """Every operation that has an exercise or has run: whose code, how often, how long. Yours come first.
+
+    The time of an operation does not contain that of other operations that it calls, so the times add up.
+    """
+    by_operation = {e.becomes.operation: e.name for e in exercises().values() if e.becomes is not None}
+    names = [*by_operation, *(name for name in CALLS if name not in by_operation)]
+    rows = [
+        BoardRow(
+            operation=name,
+            exercise=by_operation.get(name, ""),
+            is_yours=name in FUNCTIONS,
+            calls=CALLS.get(name, Calls()),
+        )
+        for name in names
+    ]
+    return Board(sorted(rows, key=lambda row: not row.is_yours))
+
+
+def check_becomes() -> None:
+    """Raise ``ValueError`` if an exercise becomes an operation that does not exist (tests)."""
+    for exercise in exercises().values():
+        if exercise.becomes is not None and exercise.becomes.operation not in replaceable():
+            raise ValueError(f"{exercise.name} becomes {exercise.becomes.operation}, which is no operation or piece")
