@@ -5,6 +5,8 @@ VENV ?= .venv
 TORCH_INDEX ?=
 # More options for jupyter lab, such as --allow-root or --no-browser.
 LAB ?=
+# Where a learner's notebooks are kept, a folder in this one.
+COURSE ?= course
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.setup-done
 
@@ -42,10 +44,13 @@ format: setup
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
+# The learner's copies, without solutions, in a folder of the project where changes are kept. Links to source files
+# need the project as the root of the server.
 lab: setup
-	$(BIN)/jupyter lab notebooks $(LAB)
+	@$(BIN)/python -m gsfusion_nb.teaching.student notebooks $(COURSE) --learner
+	$(BIN)/jupyter lab --ServerApp.root_dir="$(CURDIR)" --LabApp.default_url=/lab/tree/$(COURSE)/00_quickstart.ipynb $(LAB)
 
-# Copies of the notebooks to hand out, without solutions and outputs; and with both.
+# Copies of the notebooks to hand out, without solutions and outputs; and the solved ones.
 student: setup
 	$(BIN)/python -m gsfusion_nb.teaching.student notebooks runs/student
 

@@ -58,6 +58,7 @@ DIFFICULTIES = {1: "warm-up", 2: "easy", 3: "medium", 4: "hard", 5: "challenge"}
 _MACHINERY = {
     "attempt",
     "becomes",
+    "edition",
     "exercise",
     "mine",
     "place",

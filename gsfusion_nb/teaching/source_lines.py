@@ -1,6 +1,11 @@
-"""Where an equation is in the code: the line is searched when the cell runs, so it is always up to date."""
+"""Where an equation is in the code: the line is searched when the cell runs, so it is always up to date.
+
+A click opens the file in JupyterLab at the line, if the server's root holds the notebook and the package, as with
+``make lab``.
+"""
 
 import inspect
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -24,12 +29,24 @@ class SourceLines:
         return "\n".join(f"{what}\n    {path}:{number}  {code}" for what, code, path, number in self.rows)
 
     def _repr_html_(self) -> str:
-        link = Markup('<a href="../{}#L{}">{}:{}</a>')
+        up, link = _up(), Markup('<a href="{}/{}#line={}">{}:{}</a>')  # JupyterLab counts lines from 0
         rows = [
-            (what, Markup("<code>{}</code>").format(code), link.format(path, number, path.split("/", 1)[1], number))
+            (
+                what,
+                Markup("<code>{}</code>").format(code),
+                link.format(up, path, number - 1, path.split("/", 1)[1], number),
+            )
             for what, code, path, number in self.rows
         ]
         return html_table(rows, style="font-size:12px", cell_style="text-align:left")
+
+
+def _up() -> str:
+    """The way from the notebook's folder to the package's."""
+    try:
+        return Path(os.path.relpath(_ROOT.parent)).as_posix()
+    except ValueError:  # another drive of Windows: no link can lead there
+        return _ROOT.parent.as_uri()
 
 
 def source_lines(lines: dict[str, tuple[Callable[..., Any], str]]) -> SourceLines:

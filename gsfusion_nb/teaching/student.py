@@ -1,9 +1,9 @@
-"""Copies of the notebooks for students, without the solutions; for teachers, with them.
+"""Copies of the notebooks for students, without the solutions; for teachers, with them; for one learner to work in.
 
-``python -m gsfusion_nb.teaching.student SRC DST [--teacher]``. In a code cell everything from the line
-``### BEGIN SOLUTION`` to ``### END SOLUTION`` is a solution, in a text cell from ``<!-- BEGIN SOLUTION -->`` to
-``<!-- END SOLUTION -->``. A cell that would be empty without it is left out. A student's copy has no outputs, because
-they would show what the reader is asked to predict.
+``python -m gsfusion_nb.teaching.student SRC DST [--teacher | --learner]`` (the last: ``edition.py``). In a code cell
+everything from the line ``### BEGIN SOLUTION`` to ``### END SOLUTION`` is a solution, in a text cell from
+``<!-- BEGIN SOLUTION -->`` to ``<!-- END SOLUTION -->``. A cell that would be empty without it is left out. A student's
+copy has no outputs, because they would show what the reader is asked to predict.
 """
 
 import argparse
@@ -22,8 +22,8 @@ _BEGIN = ("### BEGIN SOLUTION", "<!-- BEGIN SOLUTION -->")
 _END = ("### END SOLUTION", "<!-- END SOLUTION -->")
 
 
-def without_solutions(notebook: dict[str, Any]) -> dict[str, Any]:
-    """A copy of the notebook (as read from JSON) without solutions and outputs.
+def without_solutions(notebook: dict[str, Any], *, outputs: bool = False) -> dict[str, Any]:
+    """A copy of the notebook (as read from JSON) without solutions and, unless they are wanted, ``outputs``.
 
     Raises:
         ValueError: a marker without its partner; the message names the cell.
@@ -34,7 +34,7 @@ def without_solutions(notebook: dict[str, Any]) -> dict[str, Any]:
         lines = _lines(cell["source"])
         left = _outside(lines, number)
         if cell["cell_type"] == "code":
-            cell |= {"outputs": [], "execution_count": None}
+            cell |= {"outputs": cell["outputs"] if outputs else [], "execution_count": None}
         if len(left) < len(lines) and not "".join(left).strip():
             continue
         cell["source"] = [*left[:-1], left[-1].rstrip("\n")] if left else []
@@ -104,14 +104,23 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description="Copy the course's notebooks, without solutions or with them.")
     parser.add_argument("source", type=Path, help="folder of notebooks, or one notebook")
     parser.add_argument("target", type=Path, help="folder for the copies")
-    parser.add_argument("--teacher", action="store_true", help="keep solutions and outputs")
+    kind = parser.add_mutually_exclusive_group()
+    kind.add_argument("--teacher", action="store_true", help="keep solutions and outputs")
+    kind.add_argument(
+        "--learner", action="store_true", help="keep the outputs, and whatever was changed in the folder for the copies"
+    )
     options = parser.parse_args(arguments)
     try:
-        written = copy_course(options.source, options.target, solutions=options.teacher)
+        if options.learner:
+            from .edition import hand_out
+
+            lines = [str(done) for done in hand_out(options.source, options.target) if done.state != "unchanged"]
+        else:
+            lines = [f"wrote {p}" for p in copy_course(options.source, options.target, solutions=options.teacher)]
     except ValueError as e:
         parser.error(str(e))
-    for path in written:
-        log.info("wrote %s", path)
+    for line in lines:
+        log.info(line)
 
 
 if __name__ == "__main__":

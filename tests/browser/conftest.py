@@ -22,7 +22,8 @@ import cv2
 import numpy as np
 import pytest
 
-_NOTEBOOKS = Path(__file__).resolve().parents[2] / "notebooks"
+_PROJECT = Path(__file__).resolve().parents[2]
+_NOTEBOOKS = _PROJECT / "notebooks"
 _FULL = 'SMOKE = os.environ.get("GSNB_SMOKE", "0") == "1"'
 _SETTINGS = {
     "@jupyterlab/apputils-extension/notification.jupyterlab-settings":
@@ -41,8 +42,8 @@ _DONE = "cells.filter(c => c.type === 'code').every(c => c.executionCount !== nu
 class Lab:
     """One server and one browser. ``open(cells)`` runs a new notebook and gives its page."""
 
-    def __init__(self, browser: Any, folder: Path, port: int, token: str):
-        self.browser, self.folder, self.port, self.token = browser, folder, port, token
+    def __init__(self, browser: Any, folder: Path, port: int, token: str, *, under: str = ""):
+        self.browser, self.folder, self.port, self.token, self.under = browser, folder, port, token, under
         self.errors: list[str] = []
         """Uncaught errors of the pages."""
         self.requests: list[str] = []
@@ -65,7 +66,7 @@ class Lab:
         page = self.browser.new_page(viewport={"width": 1280, "height": 1000})
         page.on("pageerror", lambda e: self.errors.append(str(e)))
         page.on("request", lambda r: self._note(r.url))
-        page.goto(f"http://127.0.0.1:{self.port}/lab/tree/{name}?reset&token={self.token}")
+        page.goto(f"http://127.0.0.1:{self.port}/lab/tree/{self.under}{name}?reset&token={self.token}")
         wait(page, _IDLE, timeout_s, "the kernel to be idle")
         page.evaluate("window.jupyterapp.commands.execute('notebook:run-all-cells')")
         wait(page, f"{_DONE} && {_IDLE} || failed", timeout_s, "all cells to have run")
@@ -177,8 +178,18 @@ def lab(tmp_path_factory):
         browser.close()
 
 
+@pytest.fixture(scope="session")
+def project_lab(lab, tmp_path_factory):
+    """A ``Lab`` as ``make lab`` starts it: the root of its server is the project; notebooks go to a folder in it."""
+    folder = _PROJECT / "runs" / f"browser-{uuid.uuid4().hex[:8]}"
+    folder.mkdir(parents=True)
+    with _server(tmp_path_factory.mktemp("project_lab"), _PROJECT) as (port, token):
+        yield Lab(lab.browser, folder, port, token, under=folder.relative_to(_PROJECT).as_posix() + "/")
+    shutil.rmtree(folder)
+
+
 @contextlib.contextmanager
-def _server(home: Path):
+def _server(home: Path, root: Path | None = None):
     """A JupyterLab of our own: free port, fresh settings, its own process group, which ends with it."""
     for name, text in _SETTINGS.items():
         path = home / "settings" / name
@@ -196,7 +207,8 @@ def _server(home: Path):
     command = [
         sys.executable, "-m", "jupyter", "lab", "--no-browser", "--allow-root", "--ip=127.0.0.1", f"--port={port}",
         "--ServerApp.port_retries=0", f"--IdentityProvider.token={token}", "--expose-app-in-browser",
-        f"--ServerApp.root_dir={home / 'work'}", "--LabApp.check_for_updates_class=jupyterlab.NeverCheckForUpdate",
+        f"--ServerApp.root_dir={root or home / 'work'}",
+        "--LabApp.check_for_updates_class=jupyterlab.NeverCheckForUpdate",
     ]  # fmt: skip
     with (home / "server.log").open("w") as output:
         server = subprocess.Popen(command, env=env, stdout=output, stderr=output, start_new_session=True)
