@@ -1,9 +1,10 @@
 """A student's function under test, and the statements a checker makes about what it returns."""
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -26,11 +27,14 @@ class Attempt:
     """Calls the student's function on copies of tensors; if it raises or changes its inputs, that is a ``Failed``.
 
     ``on`` describes the input of a call in words: those given by ``attempt.on("...")`` before it, or made from it.
+    NumPy arrays come back as tensors, NumPy numbers as Python's, and what a generator yields as a list.
     """
 
     def __init__(self, function: Callable[..., Any]):
         self.function = function
         self.words = ""
+        self.returned: Any = None
+        """What the last call returned."""
 
     def on(self, words: str) -> "Attempt":
         """Describe the input of the next calls: ``attempt.on("a pixel at 2 m")(camera, uv, depth)``."""
@@ -42,7 +46,7 @@ class Attempt:
         named = {k: a.clone() if isinstance(a, Tensor) else a for k, a in kwargs.items()}
         on = self.words or describe([*args, *kwargs.values()])
         try:
-            result = self.function(*given, **named)
+            result = plain(self.function(*given, **named))
         except NotImplementedError:
             raise NotWritten from None
         except Exception as e:
@@ -54,7 +58,21 @@ class Attempt:
         for before, after in zip([*args, *kwargs.values()], [*given, *named.values()], strict=True):
             if isinstance(before, Tensor) and not torch.equal(before.nan_to_num(), after.nan_to_num()):
                 raise Failed("it does not change its inputs", on, "a tensor that was passed in has changed")
+        self.returned = result
         return copy.copy(result)
+
+
+def plain(value: Any) -> Any:
+    """``value`` with NumPy arrays as tensors, NumPy numbers as Python's, and generators as lists."""
+    if isinstance(value, np.ndarray) and value.dtype.kind in "biuf":
+        return torch.from_numpy(value.copy())
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, Iterator):
+        return [plain(v) for v in value]
+    if type(value) in (tuple, list):
+        return type(value)(plain(v) for v in value)
+    return value
 
 
 def holds(condition: Any, prop: str, *, on: str, detail: str) -> None:
@@ -94,8 +112,15 @@ def unpack(value: Any, names: Sequence[str], *, on: str) -> tuple[Any, ...]:
     return tuple(value)
 
 
+def as_rows(value: Any) -> Any:
+    """A tensor of two dimensions as a list of lists; everything else as it is."""
+    return value.tolist() if isinstance(value, Tensor) and value.ndim == 2 else value
+
+
 def as_tensor(value: Any) -> Tensor:
-    """``value`` as float64 on the CPU."""
+    """``value`` as float64 on the CPU; a list of tensors becomes one."""
+    if isinstance(value, (list, tuple)) and value and all(isinstance(v, Tensor) and v.ndim for v in value):
+        return torch.stack([as_tensor(v) for v in value])
     return torch.as_tensor(value).detach().cpu().to(torch.float64)
 
 

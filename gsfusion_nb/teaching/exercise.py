@@ -41,7 +41,7 @@ from typing import Any
 
 from .attempt import Attempt as Attempt
 from .attempt import Failed as Failed
-from .attempt import NotWritten
+from .attempt import NotWritten, describe
 from .attempt import close as close
 from .attempt import holds as holds
 from .attempt import unpack as unpack
@@ -116,14 +116,21 @@ class Exercise:
         if not callable(function):
             detail = f"got a {type(function).__name__}"
             return Verdict(exercise=self.name, state="failed", prop="it is a function", detail=detail, hints_left=left)
+        attempt = Attempt(function)
         try:
             with judging():
-                self.judge(Attempt(function))
+                self.judge(attempt)
         except NotWritten:
             detail = "the function returns nothing so far"
             return Verdict(exercise=self.name, state="not written", detail=detail, hints_left=left)
         except Failed as e:
             return Verdict(exercise=self.name, state="failed", prop=e.prop, on=e.on, detail=e.detail, hints_left=left)
+        except Exception as e:  # the judge did something with the result that such a result cannot do
+            prop = "it returns what the function's first line asks for"
+            said = f"{type(e).__name__}: {str(e).splitlines()[0] if str(e) else ''}"
+            detail = f"it returned {describe([attempt.returned])}, with which the checker could not go on ({said})"
+            on = attempt.words
+            return Verdict(exercise=self.name, state="failed", prop=prop, on=on, detail=detail, hints_left=left)
         remember(self.name, self.becomes, function)
         return Verdict(exercise=self.name, state="passed")
 

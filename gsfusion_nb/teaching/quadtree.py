@@ -9,6 +9,7 @@ from ..constants import LUMA_WEIGHTS, QUADTREE_NORMALISER
 from ..geometry import se3
 from ..seeding.quadtree import Cell, Cells, cut, luma_variance, quadtree
 from ..types import Camera
+from .attempt import as_rows
 from .exercise import Attempt, Becomes, Wrong, Yours, close, exercise, holds, unpack
 
 
@@ -109,7 +110,7 @@ def split_cell(attempt: Attempt) -> None:
     names = ("four cells: top left", "bottom left", "top right", "bottom right")
     for cell in ((0, 0, 8, 4), (3, 2, 6, 4), (10, 20, 7, 5)):
         on = f"the cell (x0, y0, width, height) = {cell}"
-        parts = unpack(attempt.on(on)(*cell), names, on=on)
+        parts = unpack(as_rows(attempt.on(on)(*cell)), names, on=on)
         covered = torch.zeros(64, 64, dtype=torch.int64)
         for part in parts:
             x, y, w, h = (int(a) for a in unpack(part, ("x0", "y0", "width", "height"), on=on))
@@ -210,6 +211,7 @@ def quadtree_leaves(attempt: Attempt) -> None:
 
 
 def _as_cells(value: object, on: str) -> set[Cell]:
+    value = as_rows(value)
     holds(isinstance(value, (list, tuple)), "it returns a list of cells", on=on, detail=f"got a {type(value).__name__}")
     rows = [unpack(c, ("x0", "y0", "width", "height"), on=on) for c in value]  # pyright: ignore[reportGeneralTypeIssues]
     return {(int(x), int(y), int(w), int(h)) for x, y, w, h in rows}

@@ -1,5 +1,7 @@
 """Exercises of the quickstart: which cells get a Gaussian, what PSNR measures, and which frames are held out."""
 
+import math
+
 import torch
 from torch import Tensor
 
@@ -58,6 +60,10 @@ def _psnr_of_the_mean_error(rendered: Tensor, photo: Tensor) -> Tensor:
     return -10 * torch.log10((rendered - photo).abs().mean())
 
 
+def _twice_the_log_of_the_mean_error(rendered: Tensor, photo: Tensor) -> Tensor:
+    return -20 * torch.log10((rendered - photo).abs().mean())
+
+
 def _mean_of_pixels(rendered: Tensor, photo: Tensor) -> Tensor:
     return (-10 * torch.log10((rendered - photo).square().mean(-1).clamp_min(1e-12))).mean()
 
@@ -75,6 +81,7 @@ def _negative(rendered: Tensor, photo: Tensor) -> Tensor:
     ),
     wrong=(
         Wrong(_psnr_of_the_mean_error, says="the squared differences"),
+        Wrong(_twice_the_log_of_the_mean_error, says="squared before they are averaged"),
         Wrong(_mean_of_pixels, says="one mean over the whole picture"),
         Wrong(_negative, says="more is better"),
     ),
@@ -94,7 +101,11 @@ def psnr(attempt: Attempt) -> None:
     on = "a picture of which one half is right and one half 0.1 too bright"
     why = "The logarithm comes after the mean; otherwise one perfect pixel dominates all others"
     expected = -10 * torch.log10(torch.tensor(0.005, dtype=torch.float64))
-    close(attempt.on(on)(half, photo), expected, "one mean over the whole picture", on=on, why=why)
+    got = torch.as_tensor(attempt.on(on)(half, photo)).double()
+    not_squared = abs(float(got.mean()) + 20 * math.log10(0.05)) < 1e-3
+    detail = f"got {float(got.mean()):.2f} dB, which is that of the mean absolute difference"
+    holds(not not_squared, "the differences are squared before they are averaged", on=on, detail=detail)
+    close(got, expected, "one mean over the whole picture", on=on, why=why)
 
 
 def _exam(n: int, every: int, offset: int) -> list[int]:

@@ -90,6 +90,10 @@ def _farthest_first(alpha: Tensor, rgb: Tensor) -> tuple[Tensor, Tensor]:
     return _composite_pixel(alpha.flip(0), rgb.flip(0))
 
 
+def _no_transmittance(alpha: Tensor, rgb: Tensor) -> tuple[Tensor, Tensor]:
+    return (alpha[:, None] * rgb).sum(0), (1 - alpha).prod()
+
+
 def _averaged(alpha: Tensor, rgb: Tensor) -> tuple[Tensor, Tensor]:
     colour, T = _composite_pixel(alpha, rgb)
     return colour / (1 - T).clamp(min=1e-9), T
@@ -105,6 +109,7 @@ def _averaged(alpha: Tensor, rgb: Tensor) -> tuple[Tensor, Tensor]:
     wrong=(
         Wrong(_own_alpha_too, says="nothing is in front of the first one"),
         Wrong(_farthest_first, says="the nearest comes first"),
+        Wrong(_no_transmittance, says="only the light that is left"),
         Wrong(_averaged, says="what is not covered stays black"),
     ),
 )  # fmt: skip
@@ -123,6 +128,11 @@ def composite_pixel(attempt: Attempt) -> None:
     close(left, 0.5, "half of the light is left", on=on)
     on = "red alpha 0.8 in front of green alpha 0.5"
     colour, left = unpack(attempt.on(on)(torch.tensor([0.8, 0.5]), torch.tensor([red, green])), names, on=on)
+    red_and_green = torch.as_tensor(colour)[:2].double() - torch.tensor([0.8, 0.5], dtype=torch.float64)
+    holds(
+        float(red_and_green.abs().max()) > 1e-6, "what is behind gets only the light that is left", on=on,
+        detail="red has its whole alpha 0.8 and green its whole alpha 0.5, as if nothing were in front of it",
+    )  # fmt: skip
     close(colour, [0.8, 0.1, 0.0], "the nearest comes first", on=on, why="w = 0.8 and 0.2 * 0.5")
     close(left, 0.1, "the light left is the product of all 1 - alpha", on=on)
     on = "no Gaussian at all"

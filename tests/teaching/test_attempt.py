@@ -1,5 +1,8 @@
 """The machinery: what a verdict says, hints on request, and what an attempt notices."""
 
+import dataclasses
+
+import numpy as np
 import pytest
 import torch
 
@@ -7,6 +10,8 @@ from gsfusion_nb.teaching import check
 from gsfusion_nb.teaching.attempt import Attempt, Failed, NotWritten, close, describe, unpack
 from gsfusion_nb.teaching.exercise import Wrong, exercise, exercises
 from gsfusion_nb.teaching.progress import read_section
+
+SPLIT = exercises()["split_cell"]._solution
 
 
 def double(x):
@@ -190,6 +195,37 @@ def test_close_accepts_what_is_close():
     close([float("inf")], [float("inf")], "p", on="x")
     with pytest.raises(Failed):
         close(1.01, 1.0, "p", on="x")
+
+
+def test_numpy_and_generators_are_accepted(twice):
+    assert twice(lambda x: (2 * x).numpy())
+    assert twice(lambda x: (2 * v for v in x))
+    assert twice(lambda x: [np.float32(2) * float(v) for v in x])
+    assert twice(lambda x: [2 * x[0]])
+    assert check.split_cell(lambda x, y, w, h: np.array(SPLIT(x, y, w, h)))
+
+
+def test_what_the_judge_cannot_use_is_told(twice):
+    def awkward(attempt):
+        """Double a number."""
+        attempt.on("the number 3")(3) + 1
+
+    verdict = dataclasses.replace(twice, judge=awkward)(lambda x: {"a": x})
+    assert (verdict.state, verdict.on) == ("failed", "the number 3")
+    assert "it returned a dict, with which the checker could not go on (TypeError: unsupported operand" in repr(verdict)
+
+
+@pytest.mark.parametrize("name", exercises())
+def test_no_answer_makes_a_checker_raise(name):
+    solution = exercises()[name]._solution
+    for spoil in (
+        lambda v: {"a": 1},
+        lambda v: "x",
+        lambda v: [v, "x"],
+        lambda v: object(),
+        lambda v: (w for w in [v]),
+    ):
+        assert exercises()[name](lambda *a, spoil=spoil, **k: spoil(solution(*a, **k))).state == "failed"
 
 
 def test_words():
