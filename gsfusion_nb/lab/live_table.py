@@ -228,7 +228,7 @@ class LiveTable:
     def _build(self) -> None:
         import ipywidgets as w
 
-        self.buttons = player_buttons(self, "gsnb-lab")
+        self.buttons = player_buttons(self, "gsnb-lab", self.player)
         self.progress = w.IntProgress(min=0, max=max(self._runs.n_runs, 1), layout=w.Layout(width="260px"))
         self.status, self.failed, self.pictures = w.HTML(), w.HTML(), w.HTML()
         self.status.add_class("gsnb-lab-status")

@@ -12,9 +12,12 @@ from ...drawing.small_curves import small_curves
 from ..display import with_picture
 from .player import Player
 from .player_buttons import player_buttons
+from .scrubber import Scrubber
 
 MIN_INTERVAL_S = 0.1
 """The picture is redrawn at most ten times a second."""
+LOOKS_BACK = 40
+"""The slider goes back through at least this many steps, spread evenly; and through all that were drawn."""
 
 
 class LiveLoop:
@@ -42,7 +45,7 @@ class LiveLoop:
     ):
         self._picture, self._series, self._n_steps, self._width = picture, curves, n_steps, width
         self.player = Player(make_steps, on_step=self._on_step, on_rest=self._draw)
-        self._next_draw_s = 0.0
+        self._next_draw_s, self._kept, self._shown = 0.0, -1, 0
         self._build()
         self._draw()
 
@@ -71,24 +74,43 @@ class LiveLoop:
         )
 
     def _on_step(self, _result: Any) -> None:
+        if self.player.n_steps % max(1, self._n_steps // LOOKS_BACK) == 0:
+            self._keep()
         if time.monotonic() >= self._next_draw_s:
             self._draw()
+
+    def _keep(self) -> None:
+        """Keep the picture of this step for the slider."""
+        if self._kept != self.player.n_steps:
+            self._kept = self.player.n_steps
+            self.scrubber.add((self._kept, encode_jpeg(self._picture())))
+
+    def _show_kept(self, kept: tuple[int, bytes]) -> None:
+        self._shown, self.image.value = kept
+        self._write_status()
 
     def _draw(self) -> None:
         began = time.monotonic()
         with self.lock:
             if self.player.error is None:
-                self.image.value = encode_jpeg(self._picture())
+                self._keep()
+                self.scrubber.show_newest()
                 self.graphs.value = encode_png(self._graphs(), 3)
-            state, error = self.player.state, self.player.error
-            done = self.player.n_steps
-            of = f" of {self._n_steps}" if done <= self._n_steps else ""  # several curves one after the other
-            self.status.value = f"<b>{state}</b> · step {done}{of}"
-            if error is not None:
-                words = html.escape(f"{type(error).__name__}: {error}")
-                self.status.value += f'<br><span style="color:#b3261e">{words}</span>'
+            self._write_status()
         ended = time.monotonic()
         self._next_draw_s = max(began + MIN_INTERVAL_S, ended + 2 * (ended - began))  # a third of the time at most
+
+    def _write_status(self) -> None:
+        state, error = self.player.state, self.player.error
+        done = self.player.n_steps
+        of = f" of {self._n_steps}" if done <= self._n_steps else ""  # several curves one after the other
+        words = f"<b>{state}</b> · step {done}{of}"
+        if not self.scrubber.following:
+            words += f" · looking back at step {self._shown}"
+        if error is not None:
+            said = html.escape(f"{type(error).__name__}: {error}")
+            words += f'<br><span style="color:#b3261e">{said}</span>'
+        self.status.value = words
 
     def _graphs(self) -> Picture:
         each = self._width // max(len(self._series), 1)
@@ -97,11 +119,13 @@ class LiveLoop:
     def _build(self) -> None:
         import ipywidgets as w
 
-        self.buttons = player_buttons(self.player, "gsnb-live-loop")
+        self.buttons = player_buttons(self.player, "gsnb-live-loop", self.player)
+        self.scrubber = Scrubber(self._show_kept, what="step", css_class="gsnb-live-loop-step-back")
         self.status = w.HTML()
         self.status.add_class("gsnb-live-loop-status")
         wide = w.Layout(width=f"{self._width}px", max_width="100%")
         self.image, self.graphs = w.Image(format="jpeg", layout=wide), w.Image(format="png", layout=wide)
         self.image.add_class("gsnb-live-loop-image")
-        self.widget = w.VBox([w.HBox(list(self.buttons.values())), self.status, self.image, self.graphs])
+        controls = w.HBox([*self.buttons.values(), self.scrubber.widget])
+        self.widget = w.VBox([controls, self.status, self.image, self.graphs])
         self.widget.add_class("gsnb-live-loop")

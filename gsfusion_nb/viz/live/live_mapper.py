@@ -7,6 +7,7 @@ import threading
 import time
 import traceback
 import weakref
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from ...types import Frame
 from ..display import with_picture
 from .player import Player
 from .player_buttons import player_buttons
+from .scrubber import Scrubber
 from .step_panels import LivePanels, captions_of, columns_for, live_panels
 
 if TYPE_CHECKING:
@@ -31,6 +33,8 @@ MIN_INTERVAL_S = 0.1
 """The panels are redrawn at most ten times a second."""
 MAX_DRAWING_SHARE = 0.25
 """Drawing takes at most this share of the time while frames are waiting."""
+EVERY_FRAME_PIXELS = 100_000
+"""Of images up to this size the panels of every frame are kept; of larger ones those that were drawn."""
 
 _on_stage: "weakref.ref[LiveMapper] | None" = None
 
@@ -47,7 +51,8 @@ class LiveMapper:
         run: The run; it may have mapped some frames already.
         panel_width: Width of each panel on screen, pixels.
 
-    ``splats()`` makes a splat viewer that follows the map; show it in a cell of its own.
+    ``splats()`` makes a splat viewer that follows the map; show it in a cell of its own. The slider ``frame`` goes back
+    through the frames that were mapped; ``run_sync()`` to the end leaves it at the frame that added most.
     """
 
     def __init__(self, run: MappingRun, *, panel_width: int = 320):
@@ -64,6 +69,7 @@ class LiveMapper:
         self._writing = threading.RLock()
         self._undrawn: StepReport | None = None
         self._next_draw_s = 0.0
+        self._kept = self._shown = 0
         self._build(panel_width)
         self._write_status()
 
@@ -86,8 +92,20 @@ class LiveMapper:
         self._write_status()
 
     def run_sync(self, n: int | None = None) -> int:
-        """Map ``n`` frames, or all that are left, in this thread. Returns how many were mapped."""
-        return self.player.run_sync(n)
+        """Map ``n`` frames, or all that are left, in this thread. Returns how many were mapped.
+
+        After the last one of several it shows the frame worth looking at (``show_frame``).
+        """
+        done = self.player.run_sync(n)
+        if self.player.state == "finished" and done:
+            self.show_frame(worth_looking_at(self.run.steps))
+        return done
+
+    def show_frame(self, n_mapped: int) -> None:
+        """Show the panels as they were after ``n_mapped`` frames, or the nearest that were kept."""
+        kept = [at for at, _ in self.scrubber.entries]
+        if kept:
+            self.scrubber.go_to(min(range(len(kept)), key=lambda i: abs(kept[i] - n_mapped)))
 
     def join(self, timeout_s: float | int | None = None) -> bool:
         """Wait until the thread has ended. Returns whether it has."""
@@ -130,6 +148,9 @@ class LiveMapper:
 
     def _on_step(self, report: StepReport) -> None:
         self._undrawn = report
+        camera = self.run.sequence.camera
+        if camera.width * camera.height <= EVERY_FRAME_PIXELS:
+            self._keep()
         if time.monotonic() >= self._next_draw_s:
             self._draw()
             self._write_status()
@@ -144,20 +165,37 @@ class LiveMapper:
         if self._undrawn is None:
             return
         began = time.monotonic()
-        self._undrawn = None
-        try:
-            frame = self._last_frame()
-        except SequenceError as e:
-            log.warning("the panels were not redrawn: %s", e)
+        if not self._keep():
             return
-        self.panels = live_panels(self.run.mapper, frame)
-        for name, image in self.images.items():
-            image.value = encode_jpeg(self.panels[name])
+        self._undrawn = None
+        self.scrubber.show_newest()
         self.curves.value = encode_png(self._curves(self._width), 3)
         if self.viewer is not None:
             self.viewer.update(self.run.mapper)
         ended = time.monotonic()
         self._next_draw_s = max(began + MIN_INTERVAL_S, ended + (ended - began) * (1 / MAX_DRAWING_SHARE - 1))
+
+    def _keep(self) -> bool:
+        """Keep the panels of the frame mapped last for the slider; whether there are any."""
+        if self._kept == self.run.next_position:
+            return True
+        try:
+            frame = self._last_frame()
+        except SequenceError as e:
+            log.warning("the panels were not redrawn: %s", e)
+            self._undrawn = None
+            return False
+        self.panels, self._kept = live_panels(self.run.mapper, frame), self.run.next_position
+        pictures = {name: encode_jpeg(self.panels[name]) for name in self.images}
+        self.scrubber.add((len(self.run.steps), pictures))
+        return True
+
+    def _show_kept(self, kept: tuple[int, dict[str, bytes]]) -> None:
+        """Put the pictures of a frame into the panels."""
+        self._shown, pictures = kept
+        for name, picture in pictures.items():
+            self.images[name].value = picture
+        self._write_status()
 
     def _last_frame(self) -> Frame:
         """The frame mapped last, with the pose it was mapped at."""
@@ -177,7 +215,8 @@ class LiveMapper:
         self._panel_width = panel_width
         captions = captions_of(self.run.mapper)
         self._width = columns_for(len(captions)) * panel_width
-        self.buttons = player_buttons(self, "gsnb-live")
+        self.buttons = player_buttons(self, "gsnb-live", self.player)
+        self.scrubber = Scrubber(self._show_kept, what="frame", css_class="gsnb-live-frame")
         self.progress = w.IntProgress(min=0, max=len(self.run.sequence.mapping), layout=w.Layout(width="260px"))
         self.status = w.HTML()
         self.status.add_class("gsnb-live-status")
@@ -193,7 +232,7 @@ class LiveMapper:
             format="png", value=encode_png(self._curves(self._width), 3), layout=w.Layout(width=f"{self._width}px")
         )
         controls = w.HBox([*self.buttons.values(), self.progress])
-        self.widget = w.VBox([controls, self.status, self.error, *rows, self.curves])
+        self.widget = w.VBox([controls, self.status, self.error, self.scrubber.widget, *rows, self.curves])
         self.widget.add_class("gsnb-live")
 
     def _write_status(self) -> None:
@@ -207,18 +246,26 @@ class LiveMapper:
                 f"{run.mapper.title} ({html.escape(fidelity)})" if fidelity else run.mapper.title,
                 f"{run.next_position} of {len(run.sequence.mapping)} frames",
             ]
-            if run.steps:
-                last = run.steps[-1]
-                recent = run.steps[-10:]
+            at = len(run.steps) if self.scrubber.following else self._shown
+            if at:
+                last = run.steps[at - 1]
+                recent = run.steps[max(at - 10, 0) : at]
+                back = "" if at == len(run.steps) else "looking back at "
                 seconds = sum(s.total_seconds for s in recent)
                 words += [
-                    f"frame {last.frame_index}{' (keyframe)' if last.is_keyframe else ''}",
+                    f"{back}frame {last.frame_index}{' (keyframe)' if last.is_keyframe else ''}",
                     f"{last.n_seeds:,} new Gaussians",
                     f"PSNR {last.psnr_before_db:.1f} → {last.psnr_after_db:.1f} dB",
                     f"{len(recent) / seconds:.1f} frames/s" if seconds > 0 else "",
                 ]
             self.status.value = " · ".join(word for word in words if word)
             self.error.value = _as_html(self.player.error)
+
+
+def worth_looking_at(steps: Sequence[StepReport]) -> int:
+    """How many frames had been mapped after the one with most new Gaussians, the first tenth of the run left out."""
+    late = range(len(steps) // 10 + 1, len(steps))
+    return 1 + max(late, key=lambda i: steps[i].n_seeds) if late else len(steps)
 
 
 def _as_html(error: BaseException | None) -> str:

@@ -40,7 +40,9 @@ class Player:
         self._make_steps, self._on_step, self._on_rest = make_steps, on_step, on_rest
         self._steps: Iterator[Any] | None = None
         self.lock = threading.RLock()
-        self.state: State = "ready"
+        self.on_state: Callable[[], None] = lambda: None
+        """Called after each change of ``state`` and each request, from any thread."""
+        self._state: State = "ready"
         self.error: BaseException | None = None
         self.n_steps = 0
         """Steps done."""
@@ -49,6 +51,21 @@ class Player:
         self._thread: threading.Thread | None = None
         self._serving = False
         """The thread is running and will read new requests; changes only while ``_wish`` is held."""
+
+    @property
+    def state(self) -> State:
+        """What it does now."""
+        return self._state
+
+    @state.setter
+    def state(self, state: State) -> None:
+        self._state = state
+        self.on_state()
+
+    @property
+    def keeps_running(self) -> bool:
+        """Whether it runs, or is about to, until it is paused or stopped."""
+        return self._run and self._state not in ("finished", "failed")
 
     @property
     def is_alive(self) -> bool:
@@ -117,6 +134,7 @@ class Player:
             self._run, self._stop = run, stop
             self._singles = self._singles + 1 if single else 0
             self._wish.notify_all()
+        self.on_state()
 
     def _ensure_thread(self) -> None:
         with self._wish:
@@ -184,6 +202,7 @@ class Player:
 
     def _fail(self, error: BaseException) -> None:
         self._steps = None  # a generator that raised cannot continue
+        self._run = False
         self.error, self.state = error, "failed"
         with self.lock:
             try:

@@ -13,7 +13,7 @@ from gsfusion_nb.drawing.pictures import error_map
 from gsfusion_nb.viz import LiveMapper
 from gsfusion_nb.viz.display import WIDGET_MIME
 from gsfusion_nb.viz.live import live_mapper
-from gsfusion_nb.viz.live.live_mapper import MAX_DRAWING_SHARE, MIN_INTERVAL_S
+from gsfusion_nb.viz.live.live_mapper import MAX_DRAWING_SHARE, MIN_INTERVAL_S, worth_looking_at
 from gsfusion_nb.viz.live.step_panels import live_panels
 
 
@@ -59,11 +59,68 @@ def test_run_sync_draws_the_last_frame_and_counts(make_run):
     assert "finished" in live.status.value
     assert "6 of 6 frames" in live.status.value
     assert "GSFusion (measured" in live.status.value
+    assert live.scrubber.widget.max == 5
+    live.scrubber.widget.value = 5
     assert shown_frame(live) == 5
 
 
+def test_the_slider_goes_back_through_all_frames(make_run):
+    run = make_run(n=12)
+    live = LiveMapper(run)
+    assert live.scrubber.widget.disabled
+    live.run_sync(8)
+    assert (live.scrubber.widget.value, shown_frame(live)) == (7, 7)
+    live.scrubber.widget.value = 2
+    assert shown_frame(live) == 2
+    assert "looking back at frame 2" in live.status.value
+    live.run_sync(1)
+    assert (live.scrubber.widget.max, live.scrubber.widget.value, shown_frame(live)) == (8, 2, 2)
+    live.scrubber.widget.value = 8
+    live.run_sync(1)
+    assert (live.scrubber.widget.value, shown_frame(live)) == (9, 9)
+
+
+def test_run_all_leaves_it_at_a_frame_worth_looking_at(make_run):
+    run = make_run(n=12)
+    live = LiveMapper(run)
+    live.run_sync()
+    most = worth_looking_at(run.steps)
+    assert run.steps[most - 1].n_seeds == max(step.n_seeds for step in run.steps[2:])
+    assert shown_frame(live) == most - 1
+    assert "finished" in live.status.value
+    assert worth_looking_at(run.steps[:1]) == 1
+    assert worth_looking_at([]) == 0
+
+
+def enabled(live):
+    return {name for name, button in live.buttons.items() if not button.disabled}
+
+
+def test_only_buttons_that_do_something_are_enabled(make_run):
+    live = LiveMapper(make_run(n=60))
+    assert enabled(live) == {"Start", "Step"}
+    live.buttons["Step"].click()
+    wait_for(lambda: live.player.state == "paused")
+    assert enabled(live) == {"Start", "Step", "Stop"}
+    live.buttons["Start"].click()
+    assert enabled(live) == {"Pause", "Stop"}
+    live.buttons["Pause"].click()
+    wait_for(lambda: live.player.state == "paused")
+    assert enabled(live) == {"Start", "Step", "Stop"}
+    live.buttons["Stop"].click()
+    assert live.join(10)
+    assert enabled(live) == {"Start", "Step"}
+    short = LiveMapper(make_run(n=2))
+    short.run_sync()
+    assert enabled(short) == set()
+    broken = LiveMapper(make_run(broken=(1,)))
+    broken.start()
+    assert broken.join(20)
+    assert enabled(broken) == {"Start", "Step"}
+
+
 def test_buttons(make_run):
-    run = make_run(n=40)
+    run = make_run(n=16)
     live = LiveMapper(run)
     live.buttons["Step"].click()
     wait_for(lambda: live.player.state == "paused" and "paused" in live.status.value)
@@ -79,7 +136,7 @@ def test_buttons(make_run):
     assert live.join(10)
     live.buttons["Start"].click()
     assert live.join(20)
-    assert len(run.steps) == 40
+    assert len(run.steps) == 16
     assert "finished" in live.status.value
 
 
