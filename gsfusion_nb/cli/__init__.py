@@ -1,4 +1,4 @@
-"""The command ``gsfusion-nb``: demo, convert, check, map, live, eval, lab, sweep, study, bench, doctor."""
+"""The command ``gsfusion-nb``: demo, convert, check, map, live, eval, lab, sweep, study, bench, course, doctor."""
 
 import logging
 import sys
@@ -33,6 +33,7 @@ _USAGE = """gsfusion-nb: online RGB-D mapping with TSDF fusion and 3D Gaussian s
   gsfusion-nb study NAME DATA      run one of the papers' comparisons
   gsfusion-nb bench [GROUP]        measure the speed of operations, mapping and
                                    panels, compared with other programs
+  gsfusion-nb course               show how far you are in the notebooks
   gsfusion-nb doctor               show what is installed, what works, and what to
                                    do where something does not
   gsfusion-nb doctor --warm        compile the fast kernels now, not on first use
@@ -116,6 +117,7 @@ def main(arguments: list[str] | None = None) -> int:
         "lab": _lab,
         "sweep": _sweep,
         "study": _study,
+        "course": _course,
         "doctor": _doctor,
     }
     if not arguments or arguments[0] in ("-h", "--help"):
@@ -223,6 +225,12 @@ def _study(arguments: list[str]) -> int:
     from .. import studies
 
     return studies.main(parse_options(studies.StudyOptions, prog="gsfusion-nb study", arguments=arguments))
+
+
+def _course(arguments: list[str]) -> int:
+    from . import course
+
+    return course.run(arguments)
 
 
 def _doctor(arguments: list[str]) -> int:

@@ -1,4 +1,7 @@
-"""Exercises of the course: checkers by chapter, and the student copies of the notebooks."""
+"""Exercises of the course: checkers by chapter, predictions, progress, and the copies of the notebooks."""
 
+from .course import course_progress as course_progress
 from .exercise import check as check
 from .exercise import exercises as exercises
+from .predictions import came as came
+from .predictions import predict as predict

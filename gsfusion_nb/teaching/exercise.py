@@ -58,10 +58,12 @@ DIFFICULTIES = {1: "warm-up", 2: "easy", 3: "medium", 4: "hard", 5: "challenge"}
 _MACHINERY = {
     "attempt",
     "becomes",
+    "course",
     "edition",
     "exercise",
     "mine",
     "place",
+    "predictions",
     "progress",
     "solution",
     "student",

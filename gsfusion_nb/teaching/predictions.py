@@ -1,0 +1,196 @@
+"""Predictions: asked for before a cell runs, recorded, and shown beside what came.
+
+In a notebook::
+
+    predict("first_seeds", "How many Gaussians will the first frame give?", [300, 3000, 30000])   # a cell before
+    came("first_seeds", report.n_seeds)                                                           # a cell after
+
+A click records the answer (``progress.py``); after ``came`` it stays. Where widgets do not work:
+``predict("first_seeds", answer=3000)``.
+"""
+
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from ..drawing.html import fill
+from .progress import Entries, forgiving, note, now, read_section
+
+Answer = str | float | int
+
+_SECTION = "predictions"
+_unkept: Entries = {}
+"""Predictions of this process, for when the file cannot be read or written."""
+
+
+class Prediction:
+    """A question with buttons, or with a field for a number. Notebooks show it; ``answer`` records from Python."""
+
+    def __init__(self, name: str, question: str, choices: Sequence[Answer], unit: str):
+        self.name, self.question, self.choices, self.unit = name, question, list(choices), unit
+
+    def answer(self, value: Answer) -> str:
+        """Record an answer and return a sentence about it.
+
+        Raises:
+            ValueError: not one of the choices; or not a number, where there are none.
+        """
+        entry = _entry(self.name)
+        if "came" in entry:
+            return f"It came already; {_yours(entry)}"
+        if self.choices and value not in self.choices:
+            raise ValueError(f"prediction {self.name}: expected one of {self.choices}, got {value!r}")
+        if not self.choices and (isinstance(value, str) or not math.isfinite(value)):
+            raise ValueError(f"prediction {self.name}: expected a number, got {value!r}")
+        _note(self.name, question=self.question, answer=value, unit=self.unit, when=now())
+        return self.state
+
+    @property
+    def state(self) -> str:
+        """What is recorded, in words."""
+        entry = _entry(self.name)
+        return _yours(entry) if "answer" in entry else "not predicted yet"
+
+    def __repr__(self) -> str:
+        options = f" ({', '.join(_shown(c, self.unit) for c in self.choices)})" if self.choices else ""
+        return f"Predict: {self.question}{options}\n  {self.state}"
+
+    def _repr_mimebundle_(self, **kwargs: Any) -> dict[str, Any]:
+        html = fill("prediction.html", prediction=self, options=[_shown(c, self.unit) for c in self.choices])
+        if _stored():
+            return {"text/plain": repr(self), "text/html": html}
+        try:
+            bundle = self._widget()._repr_mimebundle_(**kwargs)
+        except ImportError:
+            return {"text/plain": repr(self), "text/html": html}
+        return {**(bundle or {}), "text/plain": repr(self)}
+
+    def _widget(self) -> Any:
+        import ipywidgets as w
+
+        said = w.HTML(self.state)
+        given = _entry(self.name).get("answer")
+        style = {"description_width": "initial"}
+        if self.choices:
+            options = [(_shown(choice, self.unit), choice) for choice in self.choices]
+            control = w.ToggleButtons(options=options, value=given if given in self.choices else None, style=style)
+            control.style.button_width = "auto"
+        else:
+            start = given if isinstance(given, (int, float)) else None
+            control = w.Text(
+                value="" if start is None else f"{start:g}", placeholder="a number", description=self.unit, style=style,
+                continuous_update=False, layout=w.Layout(width="220px"),
+            )  # fmt: skip
+        control.add_class("gsnb-prediction-answer")
+
+        def record(change: Any) -> None:
+            try:
+                value = change["new"]
+                said.value = self.answer(value if self.choices else float(value.replace(",", ".")))
+            except ValueError:
+                said.value = "Please give a number, such as 2.5."
+
+        control.observe(record, names="value")
+        box = w.VBox([w.HTML(f"<b>Predict.</b> {fill('text.html', text=self.question)}"), control, said])
+        box.add_class("gsnb-prediction")
+        return box
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """What was predicted and what came."""
+
+    predicted: str
+    came: str
+    right: bool | None
+    """``None`` where nothing was predicted, or it is not one of two answers."""
+    words: str = ""
+
+    def __repr__(self) -> str:
+        return f"{self.predicted} It came: {self.came}.{f' {self.words}' if self.words else ''}"
+
+    def _repr_html_(self) -> str:
+        colour = {True: "#1a7f37", False: "#b35900", None: "#6e7781"}[self.right]
+        return fill("outcome.html", outcome=self, colour=colour)
+
+
+def predict(
+    name: str, question: str = "", choices: Sequence[Answer] = (), *, unit: str = "", answer: Answer | None = None
+) -> Prediction:
+    """Ask for a prediction; the last line of a cell shows it.
+
+    Args:
+        name: Of the prediction; one for the whole course.
+        question: One sentence.
+        choices: Answers to choose from; none for a number.
+        unit: Of numbers.
+        answer: Records this answer, without a widget.
+    """
+    asked = Prediction(name, question or str(_entry(name).get("question", name)), choices, unit)
+    if answer is not None:
+        asked.answer(answer)
+    return asked
+
+
+def came(name: str, value: Answer, *, right: Answer | None = None) -> Outcome:
+    """What came, beside what was predicted. Of choices that are numbers the nearest one in ratio was right.
+
+    Args:
+        name: Of the prediction.
+        value: What came, a number or a sentence without its full stop.
+        right: The choice that was right, if that does not follow from ``value``.
+    """
+    entry = _entry(name)
+    unit, answer = str(entry.get("unit", "")), entry.get("answer")
+    if "answer" in entry:
+        _note(name, came=value)
+    if answer is None:
+        return Outcome(predicted="You made no prediction.", came=_shown(value, unit), right=None)
+    verdict, words = None, ""
+    if right is not None:
+        verdict = answer == right
+        words = "" if verdict else f"Right was: {_shown(right, unit)}."
+    elif isinstance(answer, (int, float)) and isinstance(value, (int, float)):
+        verdict, words = _compared(float(answer), float(value))
+    return Outcome(predicted=_yours(entry), came=_shown(value, unit), right=verdict, words=words)
+
+
+def _compared(answer: float, value: float) -> tuple[bool, str]:
+    """A prediction within a factor of two counts as good."""
+    if answer * value <= 0:
+        return answer == value, "" if answer == value else "That is another sign, or zero."
+    times = value / answer
+    if 0.8 < times < 1.25:
+        return True, "Close."
+    return 0.5 <= times <= 2, f"That is {times:.2g} times your number."
+
+
+def _yours(entry: dict[str, Any]) -> str:
+    return f"You predicted {_shown(entry['answer'], str(entry.get('unit', '')))}." if "answer" in entry else ""
+
+
+def _shown(value: Answer, unit: str) -> str:
+    if isinstance(value, str):
+        return value
+    number = f"{value:,}" if isinstance(value, int) else f"{value:,.4g}"
+    return f"{number} {unit}".strip()
+
+
+def _entry(name: str) -> dict[str, Any]:
+    entry = dict(_unkept.get(name, {}))
+    with forgiving():
+        entry |= read_section(_SECTION).get(name, {})
+    return entry
+
+
+def _note(name: str, **values: Any) -> None:
+    _unkept.setdefault(name, {}).update(values)
+    with forgiving():
+        note(_SECTION, name, **values)
+
+
+def _stored() -> bool:
+    """The notebook is executed to be stored, or quickly: a widget would show nothing."""
+    return os.environ.get("GSNB_VIEW") == "static" or os.environ.get("GSNB_SMOKE", "0") not in ("", "0")
