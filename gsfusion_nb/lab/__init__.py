@@ -1,6 +1,37 @@
-"""The seeding lab: rules, settings and scenes compared by runs with equal budgets."""
+"""The seeding lab: rules, settings and scenes compared by runs with equal budgets. Each is loaded when first used."""
 
-from .one_run import run_spec as run_spec
-from .result import RunResult as RunResult
-from .spec import Budget as Budget
-from .spec import RunSpec as RunSpec
+import importlib
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from .entrant import Entrant as Entrant
+    from .entries import entries_of as entries_of
+    from .fill_leaderboard import compare_rules as compare_rules
+    from .live_table import LiveTable as LiveTable
+    from .one_run import run_spec as run_spec
+    from .paired_tests import compare as compare
+    from .result import RunResult as RunResult
+    from .spec import Budget as Budget
+    from .spec import RunSpec as RunSpec
+
+_LAZY = {
+    "Budget": ".spec",
+    "Entrant": ".entrant",
+    "LiveTable": ".live_table",
+    "RunResult": ".result",
+    "RunSpec": ".spec",
+    "compare": ".paired_tests",
+    "compare_rules": ".fill_leaderboard",
+    "entries_of": ".entries",
+    "run_spec": ".one_run",
+}
+
+
+def __getattr__(name: str):
+    if name in _LAZY:
+        return getattr(importlib.import_module(_LAZY[name], __name__), name)
+    raise AttributeError(f"module 'gsfusion_nb.lab' has no attribute {name!r}")
+
+
+def __dir__():
+    return sorted([*globals(), *_LAZY])

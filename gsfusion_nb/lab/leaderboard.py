@@ -48,7 +48,7 @@ class Leaderboard:
     means_over: str = ""
     """Over what the rows are means, such as "3 seeds"; empty for single runs."""
     complete: bool = False
-    """False if the contest was stopped before all rules had run."""
+    """False if it was stopped before all rules had run."""
     failed: dict[str, str] = field(default_factory=dict)
     """Rule -> reason why it could not be run."""
 

@@ -1,7 +1,6 @@
 """A comparison in a notebook: a table that fills while the runs are done, with buttons, and the pictures of a row."""
 
 import html
-import itertools
 import threading
 import time
 import weakref
@@ -17,7 +16,6 @@ from ..drawing.pictures import Picture, data_uri
 from ..viz.display import with_picture
 from ..viz.live.player import Player
 from ..viz.live.player_buttons import player_buttons
-from .contest import Contest
 from .live_runs import LiveRuns
 from .map_scene import Entry
 from .outputs import all_tables, write_outputs
@@ -46,8 +44,7 @@ class LiveTable:
     same table made again has its rows at once. Making another ``LiveTable`` stops this one.
 
     Args:
-        runs: What is compared: a ``Contest``, or runs; ``entries_of`` makes all combinations of rules, scenes, seeds
-            and budgets.
+        runs: What is compared; ``entries_of`` makes all combinations of rules, scenes, seeds and budgets.
         folder: Where results and pictures are kept.
         jobs: Number of processes; with 1 the runs are done in this process and pause between two frames, with more
             they pause between two runs.
@@ -57,7 +54,7 @@ class LiveTable:
     """
 
     def __init__(
-        self, runs: "Contest | Iterable[Entry | RunSpec]", folder: str | Path | ResultStore = "runs/lab", *,
+        self, runs: Iterable[Entry | RunSpec], folder: str | Path | ResultStore = "runs/lab", *,
         jobs: int = 1, dask: str = "",
     ):  # fmt: skip
         global _on_stage
@@ -65,8 +62,7 @@ class LiveTable:
             earlier.stop()
         _on_stage = weakref.ref(self)
         self.store = folder if isinstance(folder, ResultStore) else ResultStore(folder)
-        entries = itertools.chain(*runs.entries) if isinstance(runs, Contest) else runs
-        self._runs = LiveRuns(entries, self.store, jobs=jobs, dask=dask, on_frame=self._on_frame)
+        self._runs = LiveRuns(runs, self.store, jobs=jobs, dask=dask, on_frame=self._on_frame)
         self.player = Player(lambda: self._runs, on_step=self._on_run, on_rest=self._on_rest)
         self._writing = threading.RLock()
         self._next_write_s = 0.0

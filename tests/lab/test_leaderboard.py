@@ -8,9 +8,11 @@ import pytest
 
 from gsfusion_nb.config import gsfusion, replace
 from gsfusion_nb.data import open_sequence
+from gsfusion_nb.drawing.curves import figure_picture
 from gsfusion_nb.lab import Budget
-from gsfusion_nb.lab.contest import Contest, Entrant, compare_rules
-from gsfusion_nb.lab.contest_view import board_picture, watch_contest
+from gsfusion_nb.lab.entrant import Entrant
+from gsfusion_nb.lab.entries import entries_of
+from gsfusion_nb.lab.fill_leaderboard import compare_rules
 from gsfusion_nb.lab.leaderboard import Leaderboard, LeaderboardRow
 from gsfusion_nb.mapping import GSFusion
 
@@ -57,7 +59,7 @@ def test_the_table_says_the_numbers_in_text_html_and_markdown():
 
 
 def test_pictures_even_of_nothing():
-    empty, full = board_picture(Leaderboard()), board_picture(BOARD)
+    empty, full = (figure_picture(board.figure()) for board in (Leaderboard(), BOARD))
     assert empty.shape == full.shape == (400, 640, 3)
     assert (full != empty).any()
     assert full.dtype == np.uint8
@@ -82,7 +84,7 @@ def test_it_repeats_exactly(sequence):
 
 def test_the_key_of_a_row_is_its_content(sequence):
     def keys(rules, sequence=sequence, config=CONFIG):
-        return [entries[0].spec.key for entries in Contest(rules, sequence, config).entries]
+        return [e.spec.key for e in entries_of(rules, [sequence], seeds=[config.seed], config=config)]
 
     def mine(ctx):
         return ctx.cells()
@@ -160,24 +162,12 @@ def test_a_rule_that_fails_does_not_spoil_the_others(sequence):
 
 
 def test_what_cannot_be_compared_is_refused(sequence):
-    with pytest.raises(ValueError, match="rules with different names, got uniform"):
-        Contest(["uniform", "uniform"], sequence, CONFIG)
-    with pytest.raises(ValueError, match="got none"):
-        Contest([], sequence, CONFIG)
+    with pytest.raises(ValueError, match="rules with different labels, got uniform twice"):
+        compare_rules(["uniform", "uniform"], sequence, CONFIG)
+    with pytest.raises(ValueError, match="got no rule"):
+        compare_rules([], sequence, CONFIG)
     with pytest.raises(KeyError, match="nonsense"):
-        Contest(["nonsense"], sequence, CONFIG)
+        compare_rules(["nonsense"], sequence, CONFIG)
     unseen = dataclasses.replace(CONFIG, data=dataclasses.replace(CONFIG.data, hold_out_every=0))
     with pytest.raises(ValueError, match="hold_out_every"):
-        Contest(["uniform"], open_sequence("room", data=unseen.data, n_frames=60), unseen)
-
-
-def test_a_contest_to_watch_goes_on_after_a_stop(sequence):
-    contest = Contest(["uniform", "gsfusion"], sequence, CONFIG)
-    watch = watch_contest(contest)
-    assert watch.run_sync(2) == 2
-    watch.player.stop()
-    watch.run_sync()
-    assert [r.name for r in contest.board.rows] == ["uniform", "gsfusion"]
-    assert contest.board.complete
-    assert len(contest.curves["Gaussians, this rule"]) == len(sequence.mapping)
-    assert watch.picture().shape[1] == 640
+        compare_rules(["uniform"], open_sequence("room", data=unseen.data, n_frames=60), unseen)

@@ -5,11 +5,11 @@ import time
 import pytest
 
 from gsfusion_nb.lab import Budget, live_table
-from gsfusion_nb.lab.contest import Contest
 from gsfusion_nb.lab.entrant import Entrant
 from gsfusion_nb.lab.entries import entries_of
 from gsfusion_nb.lab.live_runs import LiveRuns
 from gsfusion_nb.lab.live_table import LiveTable
+from gsfusion_nb.lab.map_scene import Entry
 from gsfusion_nb.lab.store import ResultStore
 from gsfusion_nb.viz.display import WIDGET_MIME
 
@@ -104,14 +104,6 @@ def test_step_does_one_run(live):
     assert len(live.results) == 1
 
 
-def test_a_contest_as_a_live_table(specs, tmp_path, cache):
-    contest = Contest(["uniform", Entrant("uniform", {"fraction": 0.05})], specs[0].data, specs[0].config(), seeds=2)
-    live = LiveTable(contest, ResultStore(tmp_path, cache))
-    assert live.run_sync(1) == 1
-    assert rows(live)["uniform"]["state"] == "1 of 2 runs"
-    assert repr(live) == "LiveTable(1 of 4 runs)"
-
-
 def test_the_menus_choose_scene_and_budget(spec, tmp_path, cache):
     made = [spec("uniform", budget=Budget(steps="own")), spec("uniform", budget=Budget())]
     live = LiveTable(made, ResultStore(tmp_path, cache))
@@ -166,7 +158,24 @@ def test_all_combinations():
     assert entries[2].spec.rule_hash
     assert not entries[0].spec.rule_hash
     assert entries[0].spec.settings == {"sh_degree": 0}
-    with pytest.raises(ValueError, match="got uniform twice"):
+    with pytest.raises(ValueError, match="got uniform twice; give one of them a label"):
         entries_of(["uniform", "uniform"])
     with pytest.raises(KeyError, match="unifrom"):
         entries_of(["unifrom"])
+
+
+def test_settings_and_open_frames_of_a_notebook(specs, tmp_path, cache):
+    config, sequence = specs[0].config(), Entry(spec=specs[0]).opened()
+    rules = ["uniform", Entrant("uniform", {"fraction": 0.05})]
+    entries = entries_of(rules, [sequence], seeds=(0, 1), budgets=[Budget(steps="own")], config=config)
+    assert [e.spec.scene for e in entries] == ["wall"] * 4
+    assert entries[0].spec.config().tsdf == config.tsdf
+    assert entries[1].spec.config().seed == 1
+    live = LiveTable(entries, ResultStore(tmp_path, cache))
+    assert live.run_sync(1) == 1
+    assert rows(live)["uniform"]["state"] == "1 of 2 runs"
+    assert repr(live) == "LiveTable(1 of 4 runs)"
+    by_name = entries_of(["uniform"], [specs[0].data], seeds=[0], budgets=[Budget(steps="own")], config=config)
+    again = LiveTable(by_name, ResultStore(tmp_path / "by_name", cache))
+    again.run_sync()
+    assert again.results[0].map_hash == live.results[0].map_hash
