@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ..backends import piece
 from ..constants import SH_C0
 
 C1 = 0.4886025119029199  # sqrt(3 / 4 pi)
@@ -79,6 +80,7 @@ def sh_basis_gradient(dirs: Float[Tensor, "N 3"], degree: int) -> Float[Tensor, 
     return torch.stack([torch.stack(row, dim=-1) for row in dY], dim=1)
 
 
+@piece
 def sh_to_rgb(
     sh: Float[Tensor, "N K 3"], xyz_W: Float[Tensor, "N 3"], camera_centre_W: Float[Tensor, " 3"]
 ) -> Float[Tensor, "N 3"]:

@@ -23,7 +23,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from ..backends import Record, op
+from ..backends import Record, op, piece
 from ..checks import check_positive
 from ..constants import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
 from ..operands import check_camera, check_operand
@@ -149,9 +149,9 @@ def composite(
         k, (y, x) = tiles.gaussians_of(tile), tiles.pixels_of(tile, camera)
         if len(k) == 0:
             continue
-        alpha, _, _ = _alpha(uv[k], conic[k], opacity[k], x, y)
-        _, w = _weights(alpha)
-        C[y, x] = w.T @ c[k]  # C = sum_k c_k alpha_k T_k: Kerbl Eq. 3, RTG-SLAM Eq. 1, GSFusion Eq. 11
+        dx, dy = _offsets(uv[k], x, y)
+        alpha = splat_alpha(dx, dy, conic[k], opacity[k])
+        w, C[y, x] = blend(alpha, c[k])
         first[y, x] = _nearest(w > 0, k)
         dominant[y, x] = _nearest((w > 0) & (w == w.amax(dim=0)), k)
         if opaque_alpha is not None:
@@ -189,36 +189,78 @@ def composite_vjp(
     v_uv, v_conic, v_opacity, v_c = (torch.zeros_like(value) for value in (uv, conic, opacity, c))
     for tile in range(saved.tiles.tiles_x * saved.tiles.tiles_y):
         k, (y, x) = saved.tiles.gaussians_of(tile), saved.tiles.pixels_of(tile, saved.camera)
-        alpha, dx, dy = _alpha(uv[k], conic[k], opacity[k], x, y)
-        T, w = _weights(alpha)
-        v_C = v_image[y, x]
-        # C = sum_k w_k c_k
-        v_c[k] += w @ v_C
-        # w_k = alpha_k T_k, and every T_j behind has the factor 1 - alpha_k
-        c_dot_v = c[k] @ v_C.T
-        S = _sum_behind(w * c_dot_v)
-        moves = (w > 0) & (alpha < ALPHA_MAX)
-        v_alpha_k = torch.where(moves, T * c_dot_v - S / (1 - alpha), 0.0)
-        # alpha = o exp(-sigma)
-        v_opacity[k] += (v_alpha_k * alpha).sum(1) / opacity[k]
-        v_sigma = -v_alpha_k * alpha
-        # sigma = (A dx^2 + C dy^2) / 2 + B dx dy,  (dx, dy) = pixel centre - (u, v)
-        A, B, C = conic[k, :, None].unbind(1)
-        v_uv[k] -= torch.stack([v_sigma * (A * dx + B * dy), v_sigma * (B * dx + C * dy)], dim=1).sum(2)
-        v_conic[k] += torch.stack([v_sigma * dx * dx / 2, v_sigma * dx * dy, v_sigma * dy * dy / 2], dim=1).sum(2)
+        dx, dy = _offsets(uv[k], x, y)
+        alpha = splat_alpha(dx, dy, conic[k], opacity[k])
+        v_alpha_k, v_c_k = blend_vjp(alpha, c[k], v_image[y, x])
+        v_uv_k, v_conic_k, v_opacity_k = splat_alpha_vjp(dx, dy, conic[k], opacity[k], alpha, v_alpha_k)
+        v_c[k] += v_c_k
+        v_uv[k] += v_uv_k
+        v_conic[k] += v_conic_k
+        v_opacity[k] += v_opacity_k
     return CompositeGradient(uv=v_uv, conic=v_conic, opacity=v_opacity, rgb=v_c[:, :3], depth_m=v_c[:, 3])
 
 
-def _alpha(uv: Tensor, conic: Tensor, opacity: Tensor, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """alpha [K, P] of K Gaussians at the pixels in columns ``x`` and rows ``y`` (RTG-SLAM Eq. 2), and dx, dy."""
-    dx, dy = x + 0.5 - uv[:, :1], y + 0.5 - uv[:, 1:]
+def _offsets(uv: Tensor, x: Tensor, y: Tensor) -> tuple[Float[Tensor, "K P"], Float[Tensor, "K P"]]:
+    """dx and dy, pixel centre - (u, v), of K Gaussians at the pixels in columns ``x`` and rows ``y``."""
+    return x + 0.5 - uv[:, :1], y + 0.5 - uv[:, 1:]
+
+
+@piece
+def splat_alpha(
+    dx: Float[Tensor, "K P"], dy: Float[Tensor, "K P"], conic: Float[Tensor, "K 3"], opacity: Float[Tensor, " K"]
+) -> Float[Tensor, "K P"]:
+    """alpha of K Gaussians at P pixels (RTG-SLAM Eq. 2): at most 0.99, and 0 below 1/255."""
     A, B, C = conic[:, :, None].unbind(1)
     sigma = (A * dx * dx + C * dy * dy) / 2 + B * dx * dy  # (u - mu)^T Sigma'^-1 (u - mu) / 2: GSFusion Eq. 3
     alpha = (opacity[:, None] * torch.exp(-sigma)).clamp(max=ALPHA_MAX)  # RTG-SLAM Eq. 2
-    return torch.where(alpha >= ALPHA_MIN, alpha, 0.0), dx, dy
+    return torch.where(alpha >= ALPHA_MIN, alpha, 0.0)
 
 
-def _weights(alpha: Float[Tensor, "K P"]) -> tuple[Float[Tensor, "K P"], Float[Tensor, "K P"]]:
+@piece
+def splat_alpha_vjp(
+    dx: Float[Tensor, "K P"],
+    dy: Float[Tensor, "K P"],
+    conic: Float[Tensor, "K 3"],
+    opacity: Float[Tensor, " K"],
+    alpha: Float[Tensor, "K P"],
+    v_alpha: Float[Tensor, "K P"],
+) -> tuple[Float[Tensor, "K 2"], Float[Tensor, "K 3"], Float[Tensor, " K"]]:
+    """Gradient of ``splat_alpha``, whose result is ``alpha``: v_uv, v_conic and v_opacity, summed over the pixels.
+
+    ``v_alpha`` is zero where alpha is clamped or cut.
+    """
+    # alpha = o exp(-sigma)
+    v_opacity = (v_alpha * alpha).sum(1) / opacity
+    v_sigma = -v_alpha * alpha
+    # sigma = (A dx^2 + C dy^2) / 2 + B dx dy,  (dx, dy) = pixel centre - (u, v)
+    A, B, C = conic[:, :, None].unbind(1)
+    v_uv = -torch.stack([v_sigma * (A * dx + B * dy), v_sigma * (B * dx + C * dy)], dim=1).sum(2)
+    v_conic = torch.stack([v_sigma * dx * dx / 2, v_sigma * dx * dy, v_sigma * dy * dy / 2], dim=1).sum(2)
+    return v_uv, v_conic, v_opacity
+
+
+@piece
+def blend(alpha: Float[Tensor, "K P"], c: Float[Tensor, "K 5"]) -> tuple[Float[Tensor, "K P"], Float[Tensor, "P 5"]]:
+    """Weights of K sorted Gaussians at P pixels, and the blended values C of the pixels."""
+    _, w = blend_weights(alpha)
+    return w, w.T @ c  # C = sum_k c_k alpha_k T_k: Kerbl Eq. 3, RTG-SLAM Eq. 1, GSFusion Eq. 11
+
+
+@piece
+def blend_vjp(
+    alpha: Float[Tensor, "K P"], c: Float[Tensor, "K 5"], v_C: Float[Tensor, "P 5"]
+) -> tuple[Float[Tensor, "K P"], Float[Tensor, "K 5"]]:
+    """Gradient of ``blend``: v_alpha, zero where alpha is clamped, cut or behind the last blended one; and v_c."""
+    T, w = blend_weights(alpha)
+    # w_k = alpha_k T_k, and every T_j behind has the factor 1 - alpha_k
+    c_dot_v = c @ v_C.T
+    S = _sum_behind(w * c_dot_v)
+    moves = (w > 0) & (alpha < ALPHA_MAX)
+    v_alpha_k = torch.where(moves, T * c_dot_v - S / (1 - alpha), 0.0)
+    return v_alpha_k, w @ v_C  # C = sum_k w_k c_k
+
+
+def blend_weights(alpha: Float[Tensor, "K P"]) -> tuple[Float[Tensor, "K P"], Float[Tensor, "K P"]]:
     """T_k and w_k; blending stops before the first Gaussian behind which T would be below 1e-4."""
     T_behind = (1 - alpha).cumprod(dim=0)  # RTG-SLAM Eq. 3
     T = torch.cat([torch.ones_like(alpha[:1]), T_behind[:-1]])

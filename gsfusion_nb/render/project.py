@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from ..backends import piece
 from ..constants import ALPHA_MIN, FARTHEST_PX, FRUSTUM_CLAMP, NEAR_PLANE_M, SCREEN_BLUR_PX2
 from ..geometry import quaternion, se3
 from ..types import Camera, GaussianParams
@@ -43,6 +44,7 @@ class ProjectionGradient:
     opacity_logit: Float[Tensor, " N"]
 
 
+@piece
 def project_gaussians(params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> Projection:
     """Project every Gaussian onto the image plane.
 
@@ -75,6 +77,7 @@ def project_gaussians(params: GaussianParams, camera: Camera, T_WC: Float[Tensor
     return Projection(**columns, visible=s.in_front & finite & (opacity >= ALPHA_MIN))
 
 
+@piece
 def project_gaussians_vjp(
     params: GaussianParams,
     camera: Camera,

@@ -1,10 +1,13 @@
 """Exercises of chapter 5: gradients written by hand."""
 
 from collections.abc import Callable
+from typing import Any
 
 import torch
 from torch import Tensor
 
+from ..constants import ALPHA_MAX
+from ..render.composite import blend_weights
 from .exercise import Attempt, Becomes, Wrong, Yours, close, exercise, unpack
 from .gradient_check import central_difference
 
@@ -243,8 +246,24 @@ def _alpha_for_weight(alpha: Tensor, rgb: Tensor, v_colour: Tensor) -> tuple[Ten
     return _blend_vjp(alpha, rgb, v_colour)[0], alpha[:, None] * v_colour
 
 
+def _as_blend_vjp(yours: Yours, alpha: Tensor, c: Tensor, v_C: Tensor) -> Any:
+    """Yours for each pixel whose colour has a gradient; a loss of depth or alpha is left to the reference. The
+    blending ends where the reference ends it, and a clamped alpha does not move."""
+    if v_C[:, 3:].any():
+        return NotImplemented
+    _, w = blend_weights(alpha)
+    v_alpha, v_c, rgb = torch.zeros_like(alpha), torch.zeros_like(c), c[:, :3]
+    rows = {p: (w[:, p] > 0).nonzero()[:, 0] for p in v_C.any(1).nonzero()[:, 0].tolist()}
+    calls = [(alpha[k, p], rgb[k], v_C[p, :3].clone()) for p, k in rows.items()]
+    gives = [{"v_alpha": a, "v_rgb": each} for a, each, _ in calls]
+    for (p, k), (v_a, v_rgb) in zip(rows.items(), yours.many(calls, gives), strict=True):
+        v_alpha[k, p] = v_a
+        v_c[k, :3] += v_rgb
+    return v_alpha.where(alpha < ALPHA_MAX, 0.0), v_c
+
+
 @exercise(
-    chapter=5, difficulty=4, minutes=25, solution=_blend_vjp,
+    chapter=5, difficulty=4, minutes=25, solution=_blend_vjp, becomes=Becomes("blend_vjp", _as_blend_vjp),
     hints=(
         "C = sum_k w_k c_k is linear in the colours: dL/dc_k = w_k v_C, with w_k = alpha_k T_k.",
         "alpha_k brightens its own term, T_k c_k, and darkens all terms behind: each has the factor (1 - alpha_k).",

@@ -1,13 +1,18 @@
 """Exercises of chapter 4: from one Gaussian to a picture."""
 
 import math
+from typing import Any
 
 import torch
 from torch import Tensor
 
-from ..constants import SCREEN_BLUR_PX2, SH_C0
+from ..constants import SCREEN_BLUR_PX2, SH_C0, TILE_PX
 from ..geometry.spherical_harmonics import sh_to_rgb
-from .exercise import Attempt, Wrong, close, exercise, holds, unpack
+from ..render.composite import blend_weights
+from ..render.project import Projection
+from ..render.tiles import TileLists
+from ..types import Camera
+from .exercise import Attempt, Becomes, Wrong, Yours, close, exercise, holds, unpack
 
 _C1 = math.sqrt(3 / (4 * math.pi))
 
@@ -99,8 +104,22 @@ def _averaged(alpha: Tensor, rgb: Tensor) -> tuple[Tensor, Tensor]:
     return colour / (1 - T).clamp(min=1e-9), T
 
 
+def _as_blend(yours: Yours, alpha: Tensor, c: Tensor) -> tuple[Tensor, Tensor]:
+    """Yours for each pixel: its colour, and alpha = 1 - the light left. The reference blends the depth, and blending
+    ends where it ends there."""
+    _, w = blend_weights(alpha)
+    C, rgb = w.T @ c, c[:, :3]
+    rows = [(column > 0).nonzero()[:, 0] for column in w.T]
+    calls = [(alpha[k, p], rgb[k]) for p, k in enumerate(rows)]
+    pixels = yours.many(calls, [{"the colour": rgb.new_zeros(3), "the light left": rgb.new_zeros(())}] * len(calls))
+    if pixels:
+        C[:, :3] = torch.stack([colour for colour, _ in pixels])
+        C[:, 4] = 1 - torch.stack([left for _, left in pixels])
+    return w, C
+
+
 @exercise(
-    chapter=4, difficulty=2, minutes=8, solution=_composite_pixel,
+    chapter=4, difficulty=2, minutes=8, solution=_composite_pixel, becomes=Becomes("blend", _as_blend),
     hints=(
         "Go through the Gaussians with a number T, the light that is left, which starts at 1.",
         "Each adds alpha * T * colour; then T becomes T * (1 - alpha). The order of these two lines matters.",
@@ -182,8 +201,36 @@ def _whole_tiles_only(u: Number, v: Number, extent_px: Number, width: int, heigh
     return _tiles_touched(u, v, extent_px, width // tile_px * tile_px, height // tile_px * tile_px, tile_px)
 
 
+def _as_tile_intersections(
+    yours: Yours, projection: Projection, camera: Camera, *, tile_px: int = TILE_PX, pixels: Tensor | None = None
+) -> TileLists:
+    """Lists from the box of yours around each Gaussian, nearest first."""
+    tiles_x, tiles_y = -(-camera.width // tile_px), -(-camera.height // tile_px)
+    lists: list[list[int]] = [[] for _ in range(tiles_x * tiles_y)]
+    four = torch.zeros(4, dtype=torch.int64)
+    nearest_first = projection.depth_m.argsort(stable=True)
+    for k in nearest_first[projection.visible[nearest_first]].tolist():
+        u, v = projection.uv[k].tolist()
+        extent_px = float(projection.extent_px[k].max())
+        given = (u, v, extent_px, camera.width, camera.height, tile_px)
+        x0, x1, y0, y1 = yours(*given, gives={"x0, x1, y0, y1": four}).tolist()
+        if min(x0, y0) < 0 or x1 > tiles_x or y1 > tiles_y:
+            yours.fail(f"returned {(x0, x1, y0, y1)}, but there are {tiles_x} x {tiles_y} tiles", given)
+        for tile in [y * tiles_x + x for y in range(y0, y1) for x in range(x0, x1)]:
+            lists[tile].append(k)
+    if pixels is not None:
+        for tile, listed in enumerate(lists):
+            y, x = tile // tiles_x * tile_px, tile % tiles_x * tile_px
+            if not pixels[y : y + tile_px, x : x + tile_px].any():
+                listed.clear()
+    gaussian = torch.tensor([k for listed in lists for k in listed], dtype=torch.int64, device=projection.uv.device)
+    offset = torch.tensor([0, *(len(listed) for listed in lists)], device=projection.uv.device).cumsum(0)
+    return TileLists(gaussian=gaussian, offset=offset, tile_px=tile_px, tiles_x=tiles_x, tiles_y=tiles_y, pixels=pixels)
+
+
 @exercise(
     chapter=4, difficulty=2, minutes=10, solution=_tiles_touched,
+    becomes=Becomes("tile_intersections", _as_tile_intersections),
     hints=(
         "Tile number of a coordinate: floor(coordinate / tile_px). Do it for u - extent and u + extent.",
         "The ranges are half open, like range(): the end is one more than the last tile.",
@@ -258,8 +305,21 @@ def _not_clamped(sh: Tensor, xyz_W: Tensor, centre_W: Tensor) -> Tensor:
     return torch.stack([torch.full_like(x, SH_C0), -_C1 * y, _C1 * z, -_C1 * x]) @ sh + 0.5
 
 
+def _as_sh_to_rgb(yours: Yours, sh: Tensor, xyz_W: Tensor, camera_centre_W: Tensor) -> Any:
+    """Yours for each Gaussian of degree 0 or 1; higher degrees are left to the reference."""
+    n, K = sh.shape[:2]
+    if K > 4:
+        return NotImplemented
+    sh = torch.nn.functional.pad(sh, (0, 0, 0, 4 - K))
+    rgb = xyz_W.new_zeros(n, 3)
+    usable = (xyz_W != camera_centre_W).any(1) & xyz_W.isfinite().all(1) & sh.isfinite().all(2).all(1)
+    for k in usable.nonzero()[:, 0].tolist():
+        rgb[k] = yours(sh[k], xyz_W[k], camera_centre_W, gives={"the colour": rgb[k]})
+    return rgb
+
+
 @exercise(
-    chapter=4, difficulty=3, minutes=10, solution=_view_colour,
+    chapter=4, difficulty=3, minutes=10, solution=_view_colour, becomes=Becomes("sh_to_rgb", _as_sh_to_rgb),
     hints=(
         "d points from the camera to the Gaussian, and has length 1.",
         "Y_0 = 0.2821, Y_1 = -0.4886 y, Y_2 = 0.4886 z, Y_3 = -0.4886 x, with d = (x, y, z).",

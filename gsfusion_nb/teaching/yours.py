@@ -2,7 +2,7 @@
 
 import functools
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NoReturn
 
 import torch
@@ -51,12 +51,40 @@ class Yours:
             LearnerError: the function raised, or a result has another shape or type, or is not finite.
         """
         copies = [value.clone() if isinstance(value, Tensor) else value for value in args]
+        results = self._checked(self._called(copies), gives, args)
+        for name, value in zip(gives or (), results if len(gives or ()) > 1 else (results,), strict=False):
+            if not value.isfinite().all():
+                bad = (~value.isfinite()).nonzero()
+                at = f", the first at {bad[0].tolist()}" if value.ndim else ""
+                self.fail(f"returned {len(bad)} NaN or infinite values for {name} [{_shape(value)}]{at}", args)
+        return results
+
+    def many(self, calls: Sequence[tuple], gives: Sequence[Mapping[str, Tensor]]) -> list[Any]:
+        """Call the function for each tuple of arguments, which are copies that nothing else uses.
+
+        For functions of one pixel, which are called thousands of times: NaN is looked for in all results at once.
+
+        Raises:
+            LearnerError: as for one call.
+        """
+        results = [self._checked(self._called(args), like, args) for args, like in zip(calls, gives, strict=True)]
+        values = [
+            value.reshape(-1) for result in results for value in (result if isinstance(result, tuple) else [result])
+        ]
+        if values and not torch.cat(values).isfinite().all():
+            for args, like in zip(calls, gives, strict=True):
+                self(*args, gives=like)  # the call that gave NaN says so
+        return results
+
+    def _called(self, args: Sequence[Any]) -> Any:
         try:
             with use_backend("reference"):
-                result = self.function(*copies)
+                return self.function(*args)
         except Exception as e:
             reason = f"{type(e).__name__}: {str(e).splitlines()[0]}" if str(e) else type(e).__name__
-            self.fail(f"raised {reason}", args, cause=e)
+            self.fail(f"raised {reason}", tuple(args), cause=e)
+
+    def _checked(self, result: Any, gives: Mapping[str, Tensor] | None, args: tuple) -> Any:
         if gives is None:
             return result
         values = result if len(gives) > 1 else (result,)
@@ -78,6 +106,8 @@ class Yours:
 
     def _as_tensor(self, name: str, value: Any, like: Tensor, args: tuple) -> Tensor:
         """``value`` with the shape and type of ``like``; numbers, lists and NumPy arrays are converted."""
+        if isinstance(value, Tensor) and value.shape == like.shape and value.dtype == like.dtype:
+            return value.detach()
         expected = f"expected [{_shape(like)}] {_kind(like)}"
         try:
             got = torch.as_tensor(value)
@@ -88,10 +118,6 @@ class Yours:
         exact = isinstance(value, Tensor) or type(value).__module__ == "numpy"
         if like.is_floating_point() and (got.is_complex() or (exact and not got.is_floating_point())):
             self.fail(f"returned {_seen(value)} for {name}; {expected}", args)
-        if got.is_floating_point() and not got.isfinite().all():
-            bad = (~got.isfinite()).nonzero()
-            at = f", the first at {bad[0].tolist()}" if got.ndim else ""
-            self.fail(f"returned {len(bad)} NaN or infinite values for {name} [{_shape(got)}]{at}", args)
         return got.detach().to(like)
 
 
