@@ -16,7 +16,7 @@ operations without a kept function the plain reference runs.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 from markupsafe import Markup
 
@@ -24,10 +24,11 @@ from ..backends import replaceable
 from ..drawing.html import html_table
 from ..own_code import CALLS, FUNCTIONS, Calls
 from .becomes import KEPT, remember
+from .carried import carried
 from .exercise import exercises
 from .yours import LearnerError as LearnerError
 
-_GREEN, _GREY = "#1a7f37", "#6e7781"
+_GREEN, _GREY, _BLUE = "#1a7f37", "#6e7781", "#0969da"
 
 
 def keep(exercise: str, function: Callable[..., Any]) -> None:
@@ -42,6 +43,25 @@ def keep(exercise: str, function: Callable[..., Any]) -> None:
     if exercise not in known:
         raise KeyError(f"there is no exercise {exercise!r}")
     remember(exercise, known[exercise].becomes, function)
+
+
+def load(*, missing: Literal["reference", "solution"] = "reference") -> None:
+    """Use the functions that were accepted in earlier chapters, too, from the course file.
+
+    Args:
+        missing: What runs for an exercise without an accepted function: the reference, or the course's solution, which
+            the board shows as such.
+
+    Raises:
+        CourseFileError: the file is damaged, or a newer version of the program wrote it.
+    """
+    known = exercises()
+    for name, function in carried().items():
+        if name in known and name not in KEPT:
+            keep(name, function)
+    for name, exercise in known.items():
+        if missing == "solution" and name not in KEPT:
+            keep(name, exercise._solution)
 
 
 def forget(*names: str) -> None:
@@ -74,12 +94,16 @@ class BoardRow:
     """The exercise whose function replaces it, or "" if there is none."""
     is_yours: bool
     """Whether a function of the learner is kept for it."""
+    is_solution: bool
+    """Whether the course's solution is kept for it."""
     calls: Calls
     """Calls since the counts were last cleared."""
 
     @property
     def whose(self) -> str:
-        """In words: yours, reference, or both where yours leaves some calls to the reference."""
+        """In words: yours, reference, solution, or both where yours leaves some calls to the reference."""
+        if self.is_solution:
+            return "solution"
         if self.is_yours and self.calls.reference:
             return f"yours, {self.calls.reference} calls by the reference"
         return "yours" if self.is_yours else "reference"
@@ -105,7 +129,7 @@ class Board:
     def __repr__(self) -> str:
         head = f"{'operation':26} {'whose':10} {'calls':>8} {'ms':>9} {'ms/call':>8}  exercise"
         rows = [
-            f"{row.operation:26} {'YOURS' if row.is_yours else 'reference':10} {n:8,} {1e3 * s:9.1f} {each:>8}  "
+            f"{row.operation:26} {'YOURS' if row.is_yours else row.whose:10} {n:8,} {1e3 * s:9.1f} {each:>8}  "
             f"{row.exercise}"
             for row, n, s, each in self._numbers()
         ]
@@ -114,7 +138,7 @@ class Board:
     def _repr_html_(self) -> str:
         mark = Markup('<span style="color:{}">●</span> <b>{}</b>')
         rows = [
-            (mark.format(_GREEN if row.is_yours else _GREY, row.operation), row.whose, f"{n:,}", f"{1e3 * s:.1f}", each,
+            (mark.format(_colour(row), row.operation), row.whose, f"{n:,}", f"{1e3 * s:.1f}", each,
              row.exercise)
             for row, n, s, each in self._numbers()
         ]  # fmt: skip
@@ -131,23 +155,34 @@ class Board:
         return numbers
 
 
+def _colour(row: BoardRow) -> str:
+    return _BLUE if row.is_solution else _GREEN if row.is_yours else _GREY
+
+
 def board() -> Board:
     """Every operation that has an exercise or has run: whose code, how often, how long. Yours come first.
 
     The time of an operation does not contain that of other operations that it calls, so the times add up.
     """
     by_operation = {e.becomes.operation: e.name for e in exercises().values() if e.becomes is not None}
+    known = exercises()
+
+    def is_solution(name: str) -> bool:
+        exercise = by_operation.get(name, "")
+        return exercise in KEPT and KEPT[exercise] is known[exercise]._solution
+
     names = [*by_operation, *(name for name in CALLS if name not in by_operation)]
     rows = [
         BoardRow(
             operation=name,
             exercise=by_operation.get(name, ""),
-            is_yours=name in FUNCTIONS,
+            is_yours=name in FUNCTIONS and not is_solution(name),
+            is_solution=is_solution(name),
             calls=CALLS.get(name, Calls()),
         )
         for name in names
     ]
-    return Board(sorted(rows, key=lambda row: not row.is_yours))
+    return Board(sorted(rows, key=lambda row: (not row.is_yours, not row.is_solution)))
 
 
 def check_becomes() -> None:

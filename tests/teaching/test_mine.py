@@ -1,5 +1,7 @@
 """The backend ``mine``: accepted functions run in the library, are counted, and are named when they fail."""
 
+import linecache
+
 import pytest
 import torch
 
@@ -273,3 +275,41 @@ def test_a_room_mapped_with_the_learners_code_is_as_good_as_the_references():
         if each.exercise and each.operation not in parts:
             assert each.calls.own > 0, each.operation
             assert each.calls.reference == 0, each.operation
+
+
+NOTEBOOK = """
+import torch
+from gsfusion_nb.teaching import check
+
+SIGN = 1.0
+
+def direction(x):
+    return SIGN * torch.sign(x)
+
+step = direction
+
+def l1_gradient(rgb, target):
+    return step(rgb - target) / rgb.numel()
+"""
+
+
+def test_an_accepted_function_is_there_in_the_next_chapter(monkeypatch):
+    lines = NOTEBOOK.splitlines(keepends=True)
+    monkeypatch.setitem(linecache.cache, "<cell>", (len(NOTEBOOK), None, lines, "<cell>"))
+    namespace = {"__name__": "__main__"}
+    exec(compile(NOTEBOOK, "<cell>", "exec"), namespace)
+    assert check.l1_gradient(namespace["l1_gradient"])
+    mine.forget()
+    assert not mine.kept()
+    mine.load()
+    assert list(mine.kept()) == ["l1_gradient"]
+    with use_backend("mine"):
+        assert l1_vjp(*PICTURES).sum() == 1
+    assert row("l1_vjp").whose == "yours"
+
+
+def test_the_solutions_can_stand_in_and_the_board_says_so():
+    mine.load(missing="solution")
+    assert set(mine.kept()) == set(exercises())
+    assert row("blend").whose == "solution"
+    assert "blend" not in mine.board().yours
