@@ -21,7 +21,7 @@ _HANDED_OUT = ".handed_out.json"
 """In the learner's folder: name of a notebook -> SHA-256 of the edition handed out last."""
 _SOLUTION = "BEGIN SOLUTION"
 _CHECK = re.compile(r"^check\.(?P<name>\w+)\((?P=name)\)$", re.MULTILINE)
-_CAME = re.compile(r"\bcame\(")
+_PREDICT, _CAME = (re.compile(rf"\b{word}\(\s*\"(\w+)\"") for word in ("predict", "came"))
 _WHOSE = re.compile(r"^\w+: (your code is used\.|the reference's is used: )")
 
 _NOTE = (
@@ -54,20 +54,22 @@ def learner_copy(notebook: dict[str, Any]) -> dict[str, Any]:
     """A copy of the notebook (as read from JSON) without solutions, with the stored outputs as what to expect.
 
     What would show the learner's own answer stands as "what you should see" (a verdict) or goes (whose code was used).
-    The outputs of a cell that tells what came of a prediction are folded.
+    The outputs between a prediction and what came of it are folded.
 
     Raises:
         ValueError: a marker of a solution without its partner; the message names the cell.
     """
     solved = [_is_solved(cell) for cell in notebook["cells"]]
-    marked = copy.deepcopy(notebook)
+    marked, unknown = copy.deepcopy(notebook), set()
     for cell, is_solved in zip(marked["cells"], solved, strict=True):
         if cell["cell_type"] == "code":
             cell["outputs"] = [
                 _expected(output) if is_solved else output for output in cell["outputs"] if not _says_whose(output)
             ]
-            if _CAME.search("".join(cell["source"])):  # JupyterLab unfolds them when the cell runs
+            if unknown:  # JupyterLab unfolds them when the cell runs
                 cell["metadata"] = cell["metadata"] | {"collapsed": True, "jupyter": {"outputs_hidden": True}}
+            source = "".join(cell["source"])
+            unknown = (unknown | set(_PREDICT.findall(source))) - set(_CAME.findall(source))
     learner = without_solutions(marked, outputs=True)
     learner["cells"].insert(1, {"cell_type": "markdown", "id": "what-to-expect", "metadata": {}, "source": [_NOTE]})
     return learner

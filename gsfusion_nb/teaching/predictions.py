@@ -44,7 +44,7 @@ class Prediction:
             raise ValueError(f"prediction {self.name}: expected one of {self.choices}, got {value!r}")
         if not self.choices and (isinstance(value, str) or not math.isfinite(value)):
             raise ValueError(f"prediction {self.name}: expected a number, got {value!r}")
-        _note(self.name, question=self.question, answer=value, unit=self.unit, when=now())
+        _note(self.name, question=self.question, choices=self.choices, answer=value, unit=self.unit, when=now())
         return self.state
 
     @property
@@ -154,6 +154,9 @@ def came(name: str, value: Answer, *, right: Answer | None = None) -> Outcome:
         words = "" if verdict else f"Right was: {_shown(right, unit)}."
     elif isinstance(answer, (int, float)) and isinstance(value, (int, float)):
         verdict, words = _compared(float(answer), float(value))
+        choices = [c for c in entry.get("choices", ()) if isinstance(c, (int, float)) and c > 0]
+        if choices and value > 0:
+            verdict = answer == min(choices, key=lambda c: abs(math.log(c / value)))
     return Outcome(predicted=_yours(entry), came=_shown(value, unit), right=verdict, words=words)
 
 

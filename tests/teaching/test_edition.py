@@ -45,6 +45,12 @@ def test_a_learner_sees_what_to_expect_and_no_answer():
     assert [cell["execution_count"] for cell in (unwritten, checked, used)] == [None] * 3
 
 
+def test_what_comes_of_a_prediction_is_folded():
+    cells = [code('predict(\n    "x", "?")'), code("2 + 2", shown("4")), code('came("x", 4)', shown("4")), code("1")]
+    folded = [cell["metadata"].get("collapsed") for cell in learner_copy(notebook(*cells))["cells"][2:]]
+    assert folded == [None, True, True, None]
+
+
 @pytest.mark.parametrize("path", sorted(NOTEBOOKS.glob("*.ipynb")), ids=lambda p: p.stem)
 def test_every_chapter_has_its_pictures_and_no_solution(path):
     stored = json.loads(path.read_text(encoding="utf-8"))

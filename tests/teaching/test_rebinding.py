@@ -81,7 +81,8 @@ def rebindings(sources):
 
 def test_the_search_finds_what_breaks():
     assert rebindings(["x = 1", "print(x)", "x = 2"]) == ["x: bound in [0, 2], read in [1]"]
-    assert rebindings(["x = 1", "def f():\n    return x", "for x in (1, 2): pass"]) == ["x: bound in [0, 2], read in [1]"]
+    function = "def f():\n    return x"
+    assert rebindings(["x = 1", function, "for x in (1, 2): pass"]) == ["x: bound in [0, 2], read in [1]"]
     assert rebindings(["x = 1\nprint(x)", "x = 2\nprint([x for _ in 'a'])", "def g(x):\n    return x"]) == []
     assert rebindings(["def f(): ...", "### BEGIN SOLUTION\ndef f(): return 1\n### END SOLUTION", "f()"]) == []
 
