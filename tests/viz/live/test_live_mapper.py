@@ -166,7 +166,7 @@ def test_the_panels_are_drawn_rarely(make_run, monkeypatch, tick_s, interval_s):
     monkeypatch.setattr(live_mapper, "time", SimpleNamespace(monotonic=lambda: tick_s * next(ticks)))
     mapper, times = LiveMapper(make_run(n=60)), []
     mapper.images["render"].observe(lambda _: times.append(tick_s * (next(ticks) - 1)), names="value")
-    mapper.run_sync()
+    mapper.player.run_sync()
     gaps = [b - a for a, b in itertools.pairwise(times[:-1])]  # the last picture comes at once
     assert len(gaps) >= 3
     assert min(gaps) > 0.999 * interval_s
