@@ -134,14 +134,15 @@ def predict(
     return asked
 
 
-def came(name: str, value: Answer, *, right: Answer | None = None) -> Outcome:
+def came(name: str, value: Any, *, right: Answer | None = None) -> Outcome:
     """What came, beside what was predicted. Of choices that are numbers the nearest one in ratio was right.
 
     Args:
         name: Of the prediction.
-        value: What came, a number or a sentence without its full stop.
+        value: What came, a number (of any type with ``float()``) or a sentence without its full stop.
         right: The choice that was right, if that does not follow from ``value``.
     """
+    value = value if isinstance(value, (str, int, float)) else float(value)
     entry = _entry(name)
     unit, answer = str(entry.get("unit", "")), entry.get("answer")
     if "answer" in entry:
