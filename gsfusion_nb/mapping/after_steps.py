@@ -13,7 +13,7 @@ from ..gaussians import Edit, GaussianModel, SurfelModel
 from ..optim import Keyframe
 from ..render import Footprints, footprints
 from ..seeding import ChangedInputError, MapRule, SeedContext, StepStats, check_memory, copy_memory, rule_name
-from ..seeding.step_stats import add_up
+from ..seeding.step_stats import add_up, check_needs
 from ..seeding.unchanged_inputs import Versions
 from ..types import Camera, Frame
 from .rule_in_use import RuleInUse
@@ -28,6 +28,13 @@ class WatchedStep:
     """Of all rows of the map."""
     v_uv: Float[Tensor, "N 2"] | None
     """To be filled by ``render_vjp``, one row for each Gaussian that it is given."""
+    v_uv_abs: Float[Tensor, "N 2"] | None
+    """Likewise."""
+
+    @property
+    def outputs(self) -> dict[str, Tensor | None]:
+        """What ``render_vjp`` is asked to fill, by the name of its argument."""
+        return {"v_uv": self.v_uv, "v_uv_abs": self.v_uv_abs}
 
 
 class AfterSteps:
@@ -40,7 +47,8 @@ class AfterSteps:
     def __init__(self, rule: RuleInUse):
         made = rule.map_rule
         self._rule, self._name = made, rule_name(rule.rule)
-        self._needs: frozenset[str] = frozenset() if made is None else made.needs
+        self._needs: frozenset[str] = frozenset() if made is None else made.statistics()
+        check_needs(self._needs, f"seeding rule {self._name!r}: statistics()")
         self.edits = made is not None and type(made).after_step is not MapRule.after_step
         """Whether the rule may edit the map after a step."""
         self.is_used = self.edits or bool(self._needs)
@@ -70,15 +78,16 @@ class AfterSteps:
         """
         if not self.is_used:
             return None
-        gradients = "image_gradients" in self._needs
-        seen = footprints(model.params, camera, T_WC) if gradients or "visibility" in self._needs else None
+        seen = footprints(model.params, camera, T_WC) if self._needs - {"render"} else None
         n = len(model) if n_rows is None else n_rows
-        return WatchedStep(footprints=seen, v_uv=torch.zeros(n, 2, device=model.device) if gradients else None)
+        asked = [name in self._needs for name in ("image_gradients", "abs_image_gradients")]
+        v_uv, v_uv_abs = (torch.zeros(n, 2, device=model.device) if wanted else None for wanted in asked)
+        return WatchedStep(footprints=seen, v_uv=v_uv, v_uv_abs=v_uv_abs)
 
     def add_up(
         self, model: GaussianModel, step: WatchedStep, camera: Camera, rows: Int[Tensor, " R"] | None = None
     ) -> WatchedStep:
-        """Count a step and add it to the statistics of each row; returns it with ``v_uv`` for all rows of the map.
+        """Count a step and add it to the statistics of each row; returns it with gradients for all rows of the map.
 
         Args:
             model: The map.
@@ -90,11 +99,11 @@ class AfterSteps:
         seen = step.footprints
         if seen is None:
             return step
-        if rows is not None and step.v_uv is not None:
-            every = step.v_uv.new_zeros(len(model), 2)
-            every[rows] = step.v_uv
-            step = dataclasses.replace(step, v_uv=every)
-        add_up(model, seen.visible, step.v_uv, camera)
+        if rows is not None:
+            step = dataclasses.replace(
+                step, v_uv=_spread(step.v_uv, rows, len(model)), v_uv_abs=_spread(step.v_uv_abs, rows, len(model))
+            )
+        add_up(model, seen.visible, step.v_uv, camera, step.v_uv_abs)
         return step
 
     def surfel_step(
@@ -102,7 +111,7 @@ class AfterSteps:
     ) -> tuple[Float[Tensor, ""], WatchedStep | None]:
         """A step of an optimiser that works on copies of rows: its loss, and what was collected of it."""
         watched = self.watch(model, view.camera, view.T_WC, len(optimiser.drawn))
-        loss = optimiser.step(view, None if watched is None else watched.v_uv).total
+        loss = optimiser.step(view, {} if watched is None else watched.outputs).total
         if watched is not None:
             watched = self.add_up(model, watched, view.camera, optimiser.drawn)
         return loss, watched
@@ -160,6 +169,7 @@ class AfterSteps:
             visible=None if seen is None else seen.visible,
             radius_px=None if seen is None else seen.radius_px,
             v_uv=step.v_uv,
+            v_uv_abs=step.v_uv_abs,
         )
 
     def _edit(self, mapper: Any, ctx: SeedContext, stats: StepStats) -> None:
@@ -178,6 +188,11 @@ class AfterSteps:
         except ValueError as error:
             raise ValueError(f"seeding rule {self._name!r} returned an impossible edit: {error}") from None
         mapper.rows_changed(before)
+
+
+def _spread(values: Float[Tensor, "R 2"] | None, rows: Int[Tensor, " R"], n: int) -> Float[Tensor, "N 2"] | None:
+    """Values of some rows, zero for the other rows of the ``n``."""
+    return None if values is None else values.new_zeros(n, 2).index_copy_(0, rows, values)
 
 
 def _as_frame(view: Frame | Keyframe) -> Frame:

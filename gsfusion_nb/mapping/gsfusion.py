@@ -234,7 +234,7 @@ class GSFusion(Mapper):
         if optim.depth_weight > 0 and view.depth_m is not None:
             loss = loss + optim.depth_weight * depth_l1(output.depth_m, view.depth_m)
             v_depth_m = depth_l1_vjp(output.depth_m, view.depth_m, optim.depth_weight)
-        gradients = render_vjp(saved, v_rgb, v_depth_m, v_uv=None if watched is None else watched.v_uv)
+        gradients = render_vjp(saved, v_rgb, v_depth_m, **({} if watched is None else watched.outputs))
         penalties = {"isotropy": optim.isotropy_weight, "scale": optim.scale_weight, "opacity": optim.opacity_weight}
         if any(penalties.values()):
             loss = loss + add_penalties_(gradients, self.gaussians.params, **penalties)

@@ -1,7 +1,9 @@
 """Optimising some rows of an RTG-SLAM map against RGB-D views; the others do not change (Peng et al. 2024, Eq. 7-8)."""
 
 import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import torch
@@ -113,12 +115,12 @@ class SurfelOptimiser:
         output, _ = render_forward(self.trained, camera, T_WC, with_indices=False)
         return output.alpha > 0
 
-    def step(self, view: TrainingView, v_uv: Float[Tensor, "R 2"] | None = None) -> RgbdLoss:
+    def step(self, view: TrainingView, outputs: Mapping[str, Tensor | None] = MappingProxyType({})) -> RgbdLoss:
         """One gradient step on one view. Returns the loss before it; the picture before it is ``picture`` then.
 
         Args:
             view: What to compare with.
-            v_uv: If given, filled with dL/d of the centres of the ``drawn`` rows in the image, as by ``render_vjp``.
+            outputs: ``v_uv`` and ``v_uv_abs`` of ``render_vjp``, to be filled for the ``drawn`` rows. [R, 2]
         """
         w, discs = self.config, self.discs
         output, saved = render_forward(
@@ -147,14 +149,14 @@ class SurfelOptimiser:
             behind_m=w.depth_behind_m,
         )
         if discs.depth == "disc":
-            g = render_vjp(saved, loss.v_rgb, rows=self._is_trained, v_uv=v_uv)
+            g = render_vjp(saved, loss.v_rgb, rows=self._is_trained, **outputs)
             v_xyz, v_quat = disc_depth_vjp(
                 self.params, view.camera, view.T_WC, hit, loss.v_depth_m, rows=self._is_trained, **options
             )
             g = dataclasses.replace(g, xyz_W=g.xyz_W + v_xyz, quat=g.quat + v_quat)
         else:  # of D / A: v_D = v / A,  v_A = -v D / A^2
             v_D = loss.v_depth_m / output.alpha.clamp_min(1e-6)
-            g = render_vjp(saved, loss.v_rgb, v_D, -v_D * depth_m, rows=self._is_trained, v_uv=v_uv)
+            g = render_vjp(saved, loss.v_rgb, v_D, -v_D * depth_m, rows=self._is_trained, **outputs)
         self._add_regulariser(g)
         self.steps_seen += (g.sh[: self.n, 0] != 0).any(dim=1)
         self.adam.step(g)

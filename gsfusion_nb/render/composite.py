@@ -10,8 +10,13 @@ For the k-th Gaussian of a pixel, nearest first, with (dx, dy) = pixel centre - 
 
     dL/dc_k     = w_k v_C
     dL/dalpha_k = T_k (c_k . v_C) - S_k / (1 - alpha_k),   S_k = sum_{j>k} w_j (c_j . v_C)
+    dL/du_k     = sum_pixels alpha_k dL/dalpha_k (A dx + B dy),  dL/dv_k = sum_pixels alpha_k dL/dalpha_k (B dx + C dy)
 
-Source: Kerbl et al. 2023, Eq. 3-4 and section 6 (0.99, 1/255, 1e-4); RTG-SLAM Eq. 1-3; GSFusion Eq. 3 and 11.
+Where the pixels of a Gaussian pull it to opposite sides, the terms of the last sums cancel. The sums of their absolute
+values, ``uv_abs``, do not cancel: sum_pixels |alpha_k dL/dalpha_k (A dx + B dy)|, and the same for v.
+
+Source: Kerbl et al. 2023, Eq. 3-4 and section 6 (0.99, 1/255, 1e-4); RTG-SLAM Eq. 1-3; GSFusion Eq. 3 and 11;
+``uv_abs``: Ye et al. 2024 (AbsGS).
 
 Arrays are [K, P]: the K Gaussians of a tile, nearest first, at its P pixels.
 """
@@ -72,6 +77,8 @@ class CompositeGradient:
     opacity: Float[Tensor, " N"]
     rgb: Float[Tensor, "N 3"]
     depth_m: Float[Tensor, " N"]
+    uv_abs: Float[Tensor, "N 2"] | None = None
+    """The sum over pixels of the absolute values of dL/du and dL/dv. ``None`` if not asked for."""
 
 
 def check_composite(
@@ -109,7 +116,9 @@ def check_image_gradients(camera: Camera, v_rgb: Any, v_depth_m: Any, v_alpha: A
             check_operand(name, value, size, device=device)
 
 
-def check_composite_vjp(saved: Any, v_rgb: Any, v_depth_m: Any = None, v_alpha: Any = None) -> None:
+def check_composite_vjp(
+    saved: Any, v_rgb: Any, v_depth_m: Any = None, v_alpha: Any = None, *, with_uv_abs: bool = False
+) -> None:
     """Raise ``ValueError`` for arguments that ``composite_vjp`` refuses."""
     if not issubclass(type(saved), Record) or not hasattr(saved, "tiles"):
         raise ValueError(f"saved: the record that composite returns was expected, got {type(saved).__name__}")
@@ -173,6 +182,8 @@ def composite_vjp(
     v_rgb: Float[Tensor, "H W 3"],
     v_depth_m: Float[Tensor, "H W"] | None = None,
     v_alpha: Float[Tensor, "H W"] | None = None,
+    *,
+    with_uv_abs: bool = False,
 ) -> CompositeGradient:
     """Gradient of ``composite`` with respect to everything that it blends (equations at the top of this file).
 
@@ -182,11 +193,13 @@ def composite_vjp(
     Args:
         saved: ``CompositeOutput.saved``.
         v_rgb, v_depth_m, v_alpha: dL/d of the images; ``None`` is zero. Pixels that were not drawn are ignored.
+        with_uv_abs: Also sum up the absolute values of the pixels' dL/du and dL/dv.
     """
     uv, conic, opacity, c = saved.uv, saved.conic, saved.opacity, saved.c
     v_depth_m, v_alpha = (torch.zeros_like(v_rgb[..., 0]) if v is None else v for v in (v_depth_m, v_alpha))
     v_image = torch.cat([v_rgb, v_depth_m[..., None], v_alpha[..., None]], dim=-1)
     v_uv, v_conic, v_opacity, v_c = (torch.zeros_like(value) for value in (uv, conic, opacity, c))
+    v_uv_abs = torch.zeros_like(uv) if with_uv_abs else None
     for tile in range(saved.tiles.tiles_x * saved.tiles.tiles_y):
         k, (y, x) = saved.tiles.gaussians_of(tile), saved.tiles.pixels_of(tile, saved.camera)
         dx, dy = _offsets(uv[k], x, y)
@@ -197,7 +210,11 @@ def composite_vjp(
         v_uv[k] += v_uv_k
         v_conic[k] += v_conic_k
         v_opacity[k] += v_opacity_k
-    return CompositeGradient(uv=v_uv, conic=v_conic, opacity=v_opacity, rgb=v_c[:, :3], depth_m=v_c[:, 3])
+        if v_uv_abs is not None:
+            v_uv_abs[k] += absolute_uv_vjp(dx, dy, conic[k], alpha, v_alpha_k)
+    return CompositeGradient(
+        uv=v_uv, conic=v_conic, opacity=v_opacity, rgb=v_c[:, :3], depth_m=v_c[:, 3], uv_abs=v_uv_abs
+    )
 
 
 def _offsets(uv: Tensor, x: Tensor, y: Tensor) -> tuple[Float[Tensor, "K P"], Float[Tensor, "K P"]]:
@@ -237,6 +254,20 @@ def splat_alpha_vjp(
     v_uv = -torch.stack([v_sigma * (A * dx + B * dy), v_sigma * (B * dx + C * dy)], dim=1).sum(2)
     v_conic = torch.stack([v_sigma * dx * dx / 2, v_sigma * dx * dy, v_sigma * dy * dy / 2], dim=1).sum(2)
     return v_uv, v_conic, v_opacity
+
+
+def absolute_uv_vjp(
+    dx: Float[Tensor, "K P"],
+    dy: Float[Tensor, "K P"],
+    conic: Float[Tensor, "K 3"],
+    alpha: Float[Tensor, "K P"],
+    v_alpha: Float[Tensor, "K P"],
+) -> Float[Tensor, "K 2"]:
+    """As ``v_uv`` of ``splat_alpha_vjp``, but the sum of the absolute values of the pixels' dL/du and dL/dv."""
+    g = v_alpha * alpha
+    A, B, C = conic[:, :, None].unbind(1)
+    v_uv_p = torch.stack([g * (A * dx + B * dy), g * (B * dx + C * dy)], dim=1)
+    return v_uv_p.abs().sum(2)
 
 
 @piece

@@ -64,7 +64,14 @@ def check_render(
 
 
 def check_render_vjp(
-    saved: Any, v_rgb: Any, v_depth_m: Any = None, v_alpha: Any = None, *, rows: Any = None, v_uv: Any = None
+    saved: Any,
+    v_rgb: Any,
+    v_depth_m: Any = None,
+    v_alpha: Any = None,
+    *,
+    rows: Any = None,
+    v_uv: Any = None,
+    v_uv_abs: Any = None,
 ) -> None:
     """Raise ``ValueError`` for arguments that ``render_vjp`` refuses."""
     if not issubclass(type(saved), Record) or not hasattr(saved, "params"):
@@ -73,10 +80,12 @@ def check_render_vjp(
     check_image_gradients(camera, v_rgb, v_depth_m, v_alpha, params.xyz_W.device)
     if rows is not None:
         check_operand("rows", rows, (len(params),), dtypes=MASK, device=params.xyz_W.device)
-    if v_uv is not None:
-        check_operand("v_uv", v_uv, (len(params), 2), dtypes=(params.xyz_W.dtype,), device=params.xyz_W.device)
-        if not v_uv.is_contiguous() and 0 in v_uv.stride() and v_uv.numel() > 1:
-            raise ValueError(f"v_uv is written to and must not be an expanded view, got strides {v_uv.stride()}")
+    for name, out in (("v_uv", v_uv), ("v_uv_abs", v_uv_abs)):
+        if out is None:
+            continue
+        check_operand(name, out, (len(params), 2), dtypes=(params.xyz_W.dtype,), device=params.xyz_W.device)
+        if not out.is_contiguous() and 0 in out.stride() and out.numel() > 1:
+            raise ValueError(f"{name} is written to and must not be an expanded view, got strides {out.stride()}")
 
 
 @op("rasterize", check_render)
@@ -140,6 +149,7 @@ def render_vjp(
     *,
     rows: Bool[Tensor, " N"] | None = None,
     v_uv: Float[Tensor, "N 2"] | None = None,
+    v_uv_abs: Float[Tensor, "N 2"] | None = None,
 ) -> GaussianParams:
     """dL/d of every parameter from dL/d of the images: the vjp of each stage, last stage first.
 
@@ -149,17 +159,19 @@ def render_vjp(
         rows: Compute gradients only where this is true; the other Gaussians are frozen, which takes less time. [N]
         v_uv: If given, it is filled with dL/d of the centres in the image, per pixel, their size and shape in the image
             held fixed; densification decides by it (Kerbl et al. 2023, section 5.2). Zero as the other gradients are.
+        v_uv_abs: If given, it is filled with the same sum over the pixels, but of absolute values: pixels that pull a
+            Gaussian to opposite sides do not cancel (Ye et al. 2024, AbsGS). Zero as the other gradients are.
 
     Returns:
         Gradients, in the shape of the parameters; zero for a Gaussian that is not seen or is frozen.
 
     Raises:
-        ValueError: ``rows`` is not boolean or not of the length of the parameters; ``v_uv`` is not [N, 2] of the
-            parameters' type.
+        ValueError: ``rows`` is not boolean or not of the length of the parameters; ``v_uv`` or ``v_uv_abs`` is not
+            [N, 2] of the parameters' type.
     """
     params = saved.params
     with torch.no_grad():
-        v = composite_vjp(saved.composite, v_rgb, v_depth_m, v_alpha)
+        v = composite_vjp(saved.composite, v_rgb, v_depth_m, v_alpha, with_uv_abs=v_uv_abs is not None)
         v_sh, v_xyz_W = sh_to_rgb_vjp(params.sh, params.xyz_W, saved.T_WC[:3, 3], v.rgb)
         g = project_gaussians_vjp(params, saved.camera, saved.T_WC, v.uv, v.conic, v.depth_m, v.opacity)
     gradient = {
@@ -172,8 +184,9 @@ def render_vjp(
     frozen = ~saved.drawn if rows is None else ~(saved.drawn & rows)
     for value in gradient.values():
         value[frozen] = 0.0
-    if v_uv is not None:
-        v_uv.copy_(v.uv).masked_fill_(frozen[:, None], 0.0)
+    for out, value in ((v_uv, v.uv), (v_uv_abs, v.uv_abs)):
+        if out is not None:
+            out.copy_(value).masked_fill_(frozen[:, None], 0.0)
     return GaussianParams(**gradient)
 
 

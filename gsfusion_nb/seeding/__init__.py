@@ -38,6 +38,7 @@ from .rule_signature import is_map_rule as is_map_rule
 from .rule_signature import rule_name as rule_name
 from .spacing import sized_by_neighbours as sized_by_neighbours
 from .step_stats import StepStats as StepStats
+from .step_stats import abs_image_gradient as abs_image_gradient
 from .step_stats import image_gradient as image_gradient
 from .step_stats import restart_statistics as restart_statistics
 from .step_stats import times_visible as times_visible

@@ -87,7 +87,8 @@ class MapRule(ABC):
     """In which frames ``seeds`` is called."""
     needs: ClassVar[frozenset[str]] = frozenset()
     """Statistics of the optimisation that the mapper collects only if a rule asks for them: "visibility",
-    "image_gradients", "render" (``StepStats``)."""
+    "image_gradients", "abs_image_gradients", "render" (``StepStats``). Where they depend on the rule's options,
+    override ``statistics``."""
     overrides: ClassVar[Mapping[str, Any]] = MappingProxyType({})
     """Settings of the system that the rule brings, by name: ``{"optim__lr_xyz": 1e-4}``. The mapper applies them when
     it is made, so they are among the settings that are stored and shown. They replace defaults and the values of the
@@ -97,6 +98,10 @@ class MapRule(ABC):
     @abstractmethod
     def seeds(self, ctx: SeedContext, memory: dict[str, Any]) -> Seeds:
         """The Gaussians that are created from one frame; ``memory`` is ``ctx.memory``."""
+
+    def statistics(self) -> frozenset[str]:
+        """What is collected for this rule with its options: words that ``needs`` may have; ``needs`` by default."""
+        return self.needs
 
     def after_step(self, ctx: SeedContext, stats: StepStats, memory: dict[str, Any]) -> Edit | None:
         """Changes of the map after a gradient step; None for none. A rule need not have this method.

@@ -9,7 +9,7 @@ from torch import Tensor
 from ..constants import SH_C0
 from ..geometry import quaternion
 from ..types import GaussianParams
-from .step_stats import image_gradient, times_visible
+from .step_stats import abs_image_gradient, image_gradient, times_visible
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -43,6 +43,9 @@ class MapView:
     image_gradient: Float[Tensor, " N"] | None = None
     """Mean length of dL/d of its centre in the image over these steps, in units of half the image; None unless a rule
     that is a class asks for it: needs "image_gradients"."""
+    abs_image_gradient: Float[Tensor, " N"] | None = None
+    """The same with the sum of the absolute values over the pixels (``StepStats.v_uv_abs``); None unless a rule that is
+    a class asks for it: needs "abs_image_gradients"."""
 
     @property
     def normal_W(self) -> Float[Tensor, "N 3"]:
@@ -82,4 +85,5 @@ def view_map(gaussians: Any, frame_index: int) -> MapView:
         age_steps=None if birth_step is None else gaussians.step_count - birth_step,
         times_visible=times_visible(gaussians) if hasattr(gaussians, "memory") else None,
         image_gradient=image_gradient(gaussians) if hasattr(gaussians, "memory") else None,
+        abs_image_gradient=abs_image_gradient(gaussians) if hasattr(gaussians, "memory") else None,
     )

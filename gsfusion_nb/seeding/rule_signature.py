@@ -10,7 +10,7 @@ from typing import Any, TypeGuard
 from ..errors import shown
 from ..types import Seeds
 from .map_rule import MapRule, When
-from .step_stats import NEEDS
+from .step_stats import check_needs
 
 SeedingRule = Callable[..., Seeds] | type[MapRule]
 """A function ``(ctx, *, option=default, ...) -> Seeds``, or a subclass of ``MapRule``."""
@@ -115,8 +115,7 @@ def _check_class(rule: type, wanted: str) -> None:
     for attribute, (kind, meaning) in kinds.items():
         if not isinstance(value := getattr(rule, attribute), kind):
             raise TypeError(f"{wanted}; its {attribute} must be {meaning}, got {shown(value)}")
-    if unknown := sorted(rule.needs - NEEDS.keys(), key=str):
-        raise TypeError(f"{wanted}; its needs must be among {', '.join(NEEDS)}, got {shown(unknown)}")
+    check_needs(rule.needs, f"{wanted}; its needs")
 
 
 def _signature(rule: SeedingRule) -> inspect.Signature:

@@ -7,14 +7,22 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from ..errors import shown
 from ..types import Camera
 
 NEEDS = {
     "visibility": "``visible`` and ``radius_px``, and how often each Gaussian was visible",
     "image_gradients": "``v_uv``, and the mean length of it for each Gaussian",
+    "abs_image_gradients": "``v_uv_abs``, and the mean length of it for each Gaussian",
     "render": "``rgb``",
 }
-"""What ``MapRule.needs`` may name, and what is then collected; "image_gradients" includes "visibility"."""
+"""What ``MapRule.needs`` may name, and what is then collected; both kinds of gradients include "visibility"."""
+
+
+def check_needs(needs: frozenset[str], what: str) -> None:
+    """Raise ``TypeError`` for names that ``NEEDS`` does not have; ``what`` begins the sentence."""
+    if unknown := sorted(needs - NEEDS.keys(), key=str):
+        raise TypeError(f"{what} must be among {', '.join(NEEDS)}, got {shown(unknown)}")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -52,18 +60,30 @@ class StepStats:
     visible; with "visibility"."""
     v_uv: Float[Tensor, "N 2"] | None = None
     """dL/d of its centre in the picture, per pixel, with "image_gradients"; 0 where it was not optimised."""
+    v_uv_abs: Float[Tensor, "N 2"] | None = None
+    """The same, but the sum of the absolute values of what each pixel contributes to dL/du and dL/dv (Ye et al. 2024,
+    AbsGS), with "abs_image_gradients"."""
 
 
-VISIBLE, GRADIENT = "times_visible", "image_gradient"
-"""Names of the numbers that are summed up for each row: steps in which it was visible, and lengths of its ``v_uv``."""
+VISIBLE, GRADIENT, ABS_GRADIENT = "times_visible", "image_gradient", "abs_image_gradient"
+"""Names of the numbers that are summed up for each row: steps in which it was visible, and lengths of its ``v_uv`` and
+of its ``v_uv_abs``."""
 
 
-def add_up(gaussians: Any, visible: Bool[Tensor, " N"], v_uv: Float[Tensor, "N 2"] | None, camera: Camera) -> None:
-    """Add a step to the statistics of each row of a map, which ``times_visible`` and ``image_gradient`` read."""
+def add_up(
+    gaussians: Any,
+    visible: Bool[Tensor, " N"],
+    v_uv: Float[Tensor, "N 2"] | None,
+    camera: Camera,
+    v_uv_abs: Float[Tensor, "N 2"] | None = None,
+) -> None:
+    """Add a step to the statistics of each row of a map, which ``times_visible``, ``image_gradient`` and
+    ``abs_image_gradient`` read."""
     gaussians.row_memory(VISIBLE).add_(visible)
-    if v_uv is not None:
-        length = (v_uv * v_uv.new_tensor([camera.width / 2, camera.height / 2])).norm(dim=1)
-        gaussians.row_memory(GRADIENT).add_(torch.where(visible, length, 0.0))
+    for name, gradient in ((GRADIENT, v_uv), (ABS_GRADIENT, v_uv_abs)):
+        if gradient is not None:
+            length = (gradient * gradient.new_tensor([camera.width / 2, camera.height / 2])).norm(dim=1)
+            gaussians.row_memory(name).add_(torch.where(visible, length, 0.0))
 
 
 def times_visible(gaussians: Any) -> Float[Tensor, " N"] | None:
@@ -82,12 +102,26 @@ def image_gradient(gaussians: Any) -> Float[Tensor, " N"] | None:
 
     Source: Kerbl et al. 2023, section 5.2.
     """
-    total = gaussians.memory.get(GRADIENT)
-    return None if total is None else total / gaussians.memory[VISIBLE].clamp_min(1)
+    return _mean_over_steps(gaussians, GRADIENT)
+
+
+def abs_image_gradient(gaussians: Any) -> Float[Tensor, " N"] | None:
+    """Mean length of ``StepStats.v_uv_abs`` over the steps in which each Gaussian was visible; None if not collected.
+
+    The unit of length in the image is that of ``image_gradient``, as in gsplat with ``absgrad=True``.
+
+    Source: Ye et al. 2024 (AbsGS).
+    """
+    return _mean_over_steps(gaussians, ABS_GRADIENT)
 
 
 def restart_statistics(gaussians: Any) -> None:
     """Forget what was summed up so far."""
-    for name in (VISIBLE, GRADIENT):
+    for name in (VISIBLE, GRADIENT, ABS_GRADIENT):
         if name in gaussians.memory:
             gaussians.memory[name].zero_()
+
+
+def _mean_over_steps(gaussians: Any, name: str) -> Float[Tensor, " N"] | None:
+    total = gaussians.memory.get(name)
+    return None if total is None else total / gaussians.memory[VISIBLE].clamp_min(1)

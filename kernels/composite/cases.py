@@ -52,6 +52,6 @@ def _run(
     tiles = tile_intersections(s, frame.camera, pixels=pixels)
     options = {"with_indices": with_indices, "opaque_alpha": opaque_alpha}
     out = composite(s.uv, s.conic, s.opacity, rgb, s.depth_m, tiles, frame.camera, **options)
-    gradient = composite_vjp(out.saved, *v)
+    gradient = composite_vjp(out.saved, *v, with_uv_abs=True)
     images = {name: image for name, image in vars(out).items() if isinstance(image, Tensor)}
     return images | {f"v_{name}": value for name, value in vars(gradient).items()}

@@ -227,9 +227,27 @@ __device__ __forceinline__ Pixel pixel_of(const Seen& image, long long at, bool 
     return p;
 }
 
+// Adds to two neighbouring floats the sums over the warp of |dL/du| and |dL/dv|, with g = alpha dL/dalpha (v).
+__device__ __forceinline__ void add_absolute(
+    const Entry& e, float dx, const float* dy, const float* v, int lane, float* to) {
+    const float A_dx = -2.0f / LOG2_E * e.a * dx, B = -1.0f / LOG2_E * e.b, C = -2.0f / LOG2_E * e.c;
+    float own[2] = {};
+#pragma unroll
+    for (int i = 0; i < 2; i++) {
+        own[0] += fabsf(v[i] * fmaf(B, dy[i], A_dx));
+        own[1] += fabsf(v[i] * fmaf(C, dy[i], B * dx));
+    }
+    float sum = exchange(lane & 16 ? own[1] : own[0], lane & 16 ? own[0] : own[1], 16);
+#pragma unroll
+    for (int distance = 8; distance; distance /= 2) sum = exchange(sum, sum, distance);
+    if (lane % 16 == 0) atomicAdd(to + lane / 16, sum);
+}
+
 // sums [N, SPLAT_FLOATS], to which the sums of every Gaussian are added (splat.cuh); of the rows in trained, null: all.
-extern "C" __global__ void __launch_bounds__(128) composite_backward(
-    Work work, Seen image, const unsigned char* trained, float* sums) {
+// abs_sums [N, 2], likewise, if ABSOLUTE: sums over the pixels of |dL/du| and |dL/dv|.
+template <bool ABSOLUTE>
+__device__ __forceinline__ void backward(
+    const Work& work, const Seen& image, const unsigned char* trained, float* sums, float* abs_sums) {
     __shared__ Entry entries[THREADS];
     Square s = square_of(work);
     const float x = (float)s.x + 0.5f, y[2] = {(float)s.y[0] + 0.5f, (float)s.y[1] + 0.5f};
@@ -275,7 +293,18 @@ extern "C" __global__ void __launch_bounds__(128) composite_backward(
                 int which;
                 const float sum = warp_sums(own, s.lane, &which);
                 if (which >= 0) atomicAdd(sums + SPLAT_FLOATS * (long long)e.row + which, sum);
+                if (ABSOLUTE) add_absolute(e, dx, dy, v, s.lane, abs_sums + 2 * (long long)e.row);
             }
         }
     }
+}
+
+extern "C" __global__ void __launch_bounds__(128) composite_backward(
+    Work work, Seen image, const unsigned char* trained, float* sums) {
+    backward<false>(work, image, trained, sums, nullptr);
+}
+
+extern "C" __global__ void __launch_bounds__(128) composite_backward_abs(
+    Work work, Seen image, const unsigned char* trained, float* sums, float* abs_sums) {
+    backward<true>(work, image, trained, sums, abs_sums);
 }

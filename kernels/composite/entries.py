@@ -77,6 +77,18 @@ def entries_vjp(entries: Entries, v_poly: Float[Tensor, "I_plus_1 6"], opacity: 
     return total
 
 
+def centre_slopes(
+    entries: Entries, entry: Int[Tensor, " M"], functions: Float[Tensor, "6 P"]
+) -> tuple[Float[Tensor, "M P"], Float[Tensor, "M P"]]:
+    """d(ln alpha)/du = A dx + B dy and d(ln alpha)/dv = B dx + C dy of some entries at the pixels of their tiles.
+
+    They are the derivatives of the polynomials by x and y, with the opposite sign.
+    """
+    _, q_x, q_y, q_xx, q_xy, q_yy = entries.poly.index_select(0, entry).T
+    along_u, along_v = torch.stack([q_x, 2 * q_xx, q_xy]), torch.stack([q_y, q_xy, 2 * q_yy])
+    return -along_u.T @ functions[:3], -along_v.T @ functions[:3]
+
+
 def pixel_functions(tiles: TileLists, like: Tensor) -> Float[Tensor, "6 P"]:
     """1, x, y, x^2, x y, y^2 at the pixel centres of a tile, row by row."""
     i = torch.arange(tiles.tile_px, device=like.device, dtype=like.dtype) + 0.5 - tiles.tile_px / 2

@@ -19,7 +19,7 @@ from gsfusion_nb.render.tiles import TileLists
 from gsfusion_nb.types import Camera
 
 from .chunks import NO_HIT, Chunk, Scratch, cut_into_chunks, image_to_tiles, tiles_to_image
-from .entries import CONIC, OPACITY, UV, Entries, entries_vjp, list_entries, pixel_functions
+from .entries import CONIC, OPACITY, UV, Entries, centre_slopes, entries_vjp, list_entries, pixel_functions
 
 _RGB, _DEPTH, _ALPHA = slice(0, 3), 3, 4
 _CHANNELS = 5
@@ -102,6 +102,8 @@ def composite_vjp(
     v_rgb: Float[Tensor, "H W 3"],
     v_depth_m: Float[Tensor, "H W"] | None = None,
     v_alpha: Float[Tensor, "H W"] | None = None,
+    *,
+    with_uv_abs: bool = False,
 ) -> CompositeGradient:
     """See ``gsfusion_nb.render.composite_vjp``."""
     tiles, entries, P = saved.tiles, saved.entries, saved.tiles.tile_px**2
@@ -114,6 +116,7 @@ def composite_vjp(
     some_clamped = bool((saved.opacity > ALPHA_MAX).any())
     S_behind = v_C.new_zeros(len(v_C), P)
     v_poly, v_channels = torch.zeros_like(entries.poly), torch.zeros_like(saved.channels)
+    v_uv_abs = v_C.new_zeros(len(saved.opacity), 2) if with_uv_abs else None
     for chunk in reversed(saved.chunks):
         K, n = chunk.entry.shape
         alpha = _alpha(chunk, entries, functions, scratch)
@@ -132,6 +135,8 @@ def composite_vjp(
         if some_clamped:
             v_ln_alpha.masked_fill_(alpha >= ALPHA_MAX, 0.0)
         v_poly.index_copy_(0, chunk.entry.flatten(), v_ln_alpha.view(-1, P) @ functions.T)
+        if v_uv_abs is not None:
+            _add_absolute(v_uv_abs, chunk, entries, v_ln_alpha.view(-1, P), functions)
 
     v_ellipse = entries_vjp(entries, v_poly, saved.opacity)
     return CompositeGradient(
@@ -140,6 +145,7 @@ def composite_vjp(
         opacity=v_ellipse[:, OPACITY],
         rgb=v_channels[:, _RGB],
         depth_m=v_channels[:, _DEPTH],
+        uv_abs=v_uv_abs,
     )
 
 
@@ -181,6 +187,13 @@ def _behind(w_cv: Tensor, S_last: Tensor, S: Tensor) -> Tensor:
     for k in range(len(S) - 1, 0, -1):
         torch.add(S_k[k], w_cv_k[k], out=S_k[k - 1])
     return S
+
+
+def _add_absolute(v_uv_abs: Tensor, chunk: Chunk, entries: Entries, v_ln_alpha: Tensor, functions: Tensor) -> None:
+    """Add sum_pixels |dL/d(ln alpha) d(ln alpha)/d(u, v)| of a chunk to its Gaussians. v_ln_alpha: [K n, P]"""
+    slopes = centre_slopes(entries, chunk.entry.flatten(), functions)
+    v_entry = torch.stack([slope.mul_(v_ln_alpha).abs_().sum(1) for slope in slopes], dim=1)
+    v_uv_abs.index_add_(0, _rows_of(chunk, entries), v_entry)
 
 
 def _rows_of(chunk: Chunk, entries: Entries) -> Tensor:

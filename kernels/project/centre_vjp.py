@@ -25,3 +25,17 @@ def centre_vjp(splats, start, trained, pair_sums, v_uv):
         s = splats[i]
         v_uv[i, 0] = s[CONIC_A] * g_x + s[CONIC_B] * g_y
         v_uv[i, 1] = s[CONIC_B] * g_x + s[CONIC_C] * g_y
+
+
+@njit(cache=True, error_model="numpy")
+def row_sums(start, trained, abs_sums, v_uv_abs):
+    """Write the sum of |dL/d(u, v)| over the pixels to every row of ``v_uv_abs`` [N, 2]; ``abs_sums``: over those of
+    each tile, from ``composite_backward``."""
+    all_trained = trained.shape[0] == 0
+    for i in range(v_uv_abs.shape[0]):
+        u, v = np.float32(0.0), np.float32(0.0)
+        if all_trained or trained[i]:
+            for slot in range(start[i], start[i + 1]):
+                u += abs_sums[slot, 0]
+                v += abs_sums[slot, 1]
+        v_uv_abs[i, 0], v_uv_abs[i, 1] = u, v

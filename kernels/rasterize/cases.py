@@ -57,7 +57,7 @@ def _run(
     **options,
 ) -> dict[str, Tensor]:
     """``gradients``: how many of colour, depth and alpha have one. ``broken``: some rows must not be drawn.
-    ``with_centres``: also the gradient of the centres in the image."""
+    ``with_centres``: also the gradient of the centres in the image, and the sum of its absolute values."""
     params, frame = make_params(degree, device, dtype, n), make_frame(device)
     if broken:
         break_rows(params)
@@ -67,11 +67,12 @@ def _run(
     pixels[: HEIGHT // 2, : WIDTH // 2] = False  # and whole tiles without any
     pixels, rows = pixels.to(device), (torch.rand(n, generator=g) < 0.5).to(device)
     out, saved = render_forward(params, frame.camera, frame.T_WC, pixels=pixels if masked else None, **options)
-    v_uv = torch.full((n, 2), torch.nan, dtype=dtype, device=device) if with_centres else None
-    gradient = render_vjp(saved, *v[:gradients], rows=rows if some_rows else None, v_uv=v_uv)
+    names = ("v_uv", "v_uv_abs") if with_centres else ()
+    centres = {name: torch.full((n, 2), torch.nan, dtype=dtype, device=device) for name in names}
+    gradient = render_vjp(saved, *v[:gradients], rows=rows if some_rows else None, **centres)
     results = {name: image for name, image in vars(out).items() if image is not None}
     results |= {f"v_{name}": value for name, value in vars(gradient).items()}
-    return results if v_uv is None else results | {"v_uv": v_uv}
+    return results | centres
 
 
 def break_rows(params: GaussianParams) -> int:

@@ -122,6 +122,7 @@ def render_vjp(
     *,
     rows: Tensor | None = None,
     v_uv: Tensor | None = None,
+    v_uv_abs: Tensor | None = None,
 ) -> GaussianParams:
     """See ``gsfusion_nb.render.render_vjp``.
 
@@ -134,7 +135,12 @@ def render_vjp(
     trained = _as_bytes(rows)
     sums = torch.zeros(len(saved.splats), SPLAT, dtype=torch.float32, device=device)
     kernel, tiles = "composite:composite_backward", saved.lists.n_tiles
-    launch("render_vjp", kernel, tiles, _BLOCK, _work(saved), seen, trained, sums)
+    if v_uv_abs is None:
+        launch("render_vjp", kernel, tiles, _BLOCK, _work(saved), seen, trained, sums)
+    else:
+        abs_sums = torch.zeros(len(saved.splats), 2, dtype=torch.float32, device=device)
+        launch("render_vjp", f"{kernel}_abs", tiles, _BLOCK, _work(saved), seen, trained, sums, abs_sums)
+        v_uv_abs.copy_(abs_sums)
     if v_uv is not None:
         _centre_vjp(saved, sums, rows, v_uv)
     return project_rows_vjp(saved.params, saved.camera, saved.T_WC, saved.splats, saved.depth, sums, trained)

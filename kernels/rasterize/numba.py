@@ -19,10 +19,11 @@ from gsfusion_nb.types import Camera, GaussianParams, RenderOutput
 
 from ..binning.host import check_pairs
 from ..binning.numba import depth_order, list_tiles, sort_pairs, tile_windows
-from ..composite.layout import TILE, Image, IndexImages, PairLists
-from ..composite.numba import composite_backward, composite_forward
+from ..composite.layout import TILE, Image, IndexImages, PairLists, Wanted
+from ..composite.numba import composite_forward
 from ..composite.sums import PAIR_SUMS
-from ..project.centre_vjp import centre_vjp
+from ..composite.vjp import composite_backward
+from ..project.centre_vjp import centre_vjp, row_sums
 from ..project.layout import Params, pack_camera
 from ..project.numba import CHUNK, NOTED_PER_CHUNK, project_rows
 from ..project.splat import SPLAT
@@ -98,6 +99,7 @@ def render_vjp(
     *,
     rows: Tensor | None = None,
     v_uv: Tensor | None = None,
+    v_uv_abs: Tensor | None = None,
 ) -> GaussianParams:
     """See ``gsfusion_nb.render.render_vjp``."""
     trained = _ALL_ROWS
@@ -106,15 +108,21 @@ def render_vjp(
     arrays = Params(*(t.detach().contiguous().numpy() for t in _tensors(saved.params)))
     out = [torch.empty_like(t, memory_format=torch.contiguous_format) for t in _tensors(saved.params)]
     v_image = (_NO_IMAGE if v is None else v.contiguous().float().numpy() for v in (v_rgb, v_depth_m, v_alpha))
+    wanted, n_pairs = Wanted(pixels=saved.pixels, rows=trained), len(saved.lists.ids)
     with launching():
-        pair_sums = scratch("pair_sums", len(saved.lists.ids) * PAIR_SUMS).reshape(-1, PAIR_SUMS)
-        composite_backward(saved.splats, saved.lists, saved.pixels, trained, saved.image, Image(*v_image), pair_sums)
+        pair_sums = scratch("pair_sums", n_pairs * PAIR_SUMS).reshape(-1, PAIR_SUMS)
+        abs_sums = None if v_uv_abs is None else scratch("abs_sums", n_pairs * 2).reshape(-1, 2)
+        composite_backward(saved.splats, saved.lists, wanted, saved.image, Image(*v_image), pair_sums, abs_sums)
         results = Params(*(t.numpy() for t in out))
         project_rows_vjp(arrays, saved.lens, saved.splats, saved.start, trained, pair_sums, results)
         if v_uv is not None:
             packed = v_uv.contiguous()
             centre_vjp(saved.splats, saved.start, trained, pair_sums, packed.numpy())
             v_uv.copy_(packed)
+        if v_uv_abs is not None:
+            packed = v_uv_abs.contiguous()
+            row_sums(saved.start, trained, abs_sums, packed.numpy())
+            v_uv_abs.copy_(packed)
     names = ("xyz_W", "log_scale", "quat", "opacity_logit", "sh")
     return GaussianParams(**dict(zip(names, out, strict=True)))
 

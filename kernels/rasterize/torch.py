@@ -30,7 +30,9 @@ def render_vjp(
     *,
     rows: Tensor | None = None,
     v_uv: Tensor | None = None,
+    v_uv_abs: Tensor | None = None,
 ) -> GaussianParams:
     """See ``gsfusion_nb.render.render_vjp``."""
     with use_backend("torch"):
-        return load("render_vjp", "reference")(saved, v_rgb, v_depth_m, v_alpha, rows=rows, v_uv=v_uv)
+        reference = load("render_vjp", "reference")
+        return reference(saved, v_rgb, v_depth_m, v_alpha, rows=rows, v_uv=v_uv, v_uv_abs=v_uv_abs)

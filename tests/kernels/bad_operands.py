@@ -38,6 +38,9 @@ from gsfusion_nb.tsdf import (
 )
 from gsfusion_nb.types import Camera, GaussianParams
 
+CENTRES = ("v_uv", "v_uv_abs")
+"""Operands of ``render_vjp`` that it fills, if they are given."""
+
 SHAPES: dict[str, Callable[[Tensor], Any]] = {
     "one row short": lambda x: x[:-1],
     "one row long": lambda x: torch.cat([x, x[:1]]),
@@ -78,6 +81,7 @@ def operations() -> dict[str, tuple[Callable, dict[str, Any]]]:
     picture, saved = render_forward(**view, opaque_alpha=0.5)
     disc = view | {"hit_index": picture.hit_index}
     v = {"v_rgb": torch.ones(*size, 3), "v_depth_m": torch.ones(size), "v_alpha": torch.ones(size)}
+    centres = {name: torch.zeros(len(params), 2) for name in CENTRES}
     p = project_gaussians(params, camera, T_WC)
     splats = {"uv": p.uv, "conic": p.conic, "opacity": p.opacity, "rgb": params.xyz_W.abs(), "depth_m": p.depth_m}
     volume = TsdfVolume(TsdfConfig(voxel_size_m=0.05))
@@ -112,7 +116,7 @@ def operations() -> dict[str, tuple[Callable, dict[str, Any]]]:
 
     return {
         "render_forward": (lambda **o: render_forward(**o)[0], view | {"pixels": mask, "opaque_alpha": 0.5}),
-        "render_vjp": (render_vjp, {"saved": saved, **v, "rows": rows, "v_uv": torch.zeros(len(params), 2)}),
+        "render_vjp": (render_vjp, {"saved": saved, **v, "rows": rows, **centres}),
         "footprints": (footprints, view),
         "tile_intersections": (tile_intersections, {"projection": p, "camera": camera, "pixels": mask, "tile_px": 8}),
         "composite": (lambda **o: composite(**o).rgb, splats | {"tiles": tiles, "camera": camera}),
@@ -152,7 +156,7 @@ def mutations(name: str, value: Any) -> Iterator[tuple[str, Callable[[], Any]]]:
     """What may be wrong with one operand: a name, and a function that makes it wrong."""
     if isinstance(value, Tensor):
         for what, change in (SHAPES | VALUES.get(name, {})).items():
-            if not (what == "nothing" and name in ("pixels", "rows", "v_depth_m", "v_alpha", "steps", "v_uv")):
+            if not (what == "nothing" and name in ("pixels", "rows", "v_depth_m", "v_alpha", "steps", *CENTRES)):
                 yield what, lambda change=change: change(value)
     elif isinstance(value, Camera):
         yield "a larger image", lambda: dataclasses.replace(value, width=value.width + 1)

@@ -12,7 +12,16 @@ from gsfusion_nb.config import gsfusion, replace, rtg_slam
 from gsfusion_nb.data.room import room
 from gsfusion_nb.mapping import FrameUndone, make_mapper
 from gsfusion_nb.render import footprints
-from gsfusion_nb.seeding import Edit, MapRule, SeedContext, StepStats, image_gradient, restart_statistics, times_visible
+from gsfusion_nb.seeding import (
+    Edit,
+    MapRule,
+    SeedContext,
+    StepStats,
+    abs_image_gradient,
+    image_gradient,
+    restart_statistics,
+    times_visible,
+)
 
 SYSTEMS = ["gsfusion", "rtg_slam"]
 
@@ -143,7 +152,10 @@ def test_a_rule_without_after_step_changes_nothing_and_collects_nothing(system, 
     assert not mappers[0].gaussians.memory
 
 
-@pytest.mark.parametrize("needs", [(), ("visibility",), ("image_gradients",), ("visibility", "render")])
+@pytest.mark.parametrize(
+    "needs",
+    [(), ("visibility",), ("image_gradients",), ("abs_image_gradients", "image_gradients"), ("visibility", "render")],
+)
 @pytest.mark.parametrize("system", SYSTEMS)
 def test_what_a_rule_is_told_and_that_asking_changes_nothing(system, needs, frames, same):
     told: list[Any] = []
@@ -180,6 +192,7 @@ def test_what_a_rule_is_told_and_that_asking_changes_nothing(system, needs, fram
             == bool({*needs} & {"visibility", "image_gradients"})
         )
         assert (stats.v_uv is not None) == ("image_gradients" in needs)
+        assert (stats.v_uv_abs is not None) == ("abs_image_gradients" in needs)
         assert (stats.rgb is not None) == ("render" in needs)
         if stats.visible is not None:
             assert stats.visible.shape == stats.radius_px.shape == (n,)
@@ -189,6 +202,10 @@ def test_what_a_rule_is_told_and_that_asking_changes_nothing(system, needs, fram
             assert stats.v_uv.shape == (n, 2)
             assert stats.v_uv.any()
             assert stats.visible is None or not stats.v_uv[~stats.visible].any()
+        if stats.v_uv is not None and stats.v_uv_abs is not None:
+            assert (stats.v_uv_abs >= 0.999 * stats.v_uv.abs()).all()
+            assert torch.equal(stats.v_uv_abs.any(dim=1), stats.v_uv.any(dim=1))
+            assert stats.v_uv_abs.sum() > 1.2 * stats.v_uv.abs().sum()
     if "render" in needs:
         first = told[0]
         error = (first.rgb - first.target).abs().mean()
@@ -201,7 +218,7 @@ def test_statistics_of_each_row_are_sums_over_the_steps(frames):
 
     @dataclass(frozen=True, kw_only=True)
     class listening(Base):
-        needs: ClassVar[frozenset[str]] = frozenset({"image_gradients"})
+        needs: ClassVar[frozenset[str]] = frozenset({"image_gradients", "abs_image_gradients"})
 
         def after_step(self, ctx, stats, memory):
             told.append(stats)
@@ -213,13 +230,16 @@ def test_statistics_of_each_row_are_sums_over_the_steps(frames):
     length = torch.stack([(s.v_uv * half).norm(dim=1) for s in told]).sum(0) / times.clamp_min(1)
     assert torch.equal(model.memory["times_visible"], times)
     torch.testing.assert_close(image_gradient(model), length)
+    abs_length = torch.stack([(s.v_uv_abs * half).norm(dim=1) for s in told]).sum(0) / times.clamp_min(1)
+    torch.testing.assert_close(abs_image_gradient(model), abs_length)
     context = mapper.seed_context(frames[1])
     assert torch.equal(context.map.times_visible, times)
     torch.testing.assert_close(context.map.image_gradient, length)
+    torch.testing.assert_close(context.map.abs_image_gradient, abs_length)
     seen = footprints(model.params, frames[0].camera, frames[0].T_WC)
     assert float((seen.visible == told[-1].visible).float().mean()) > 0.95
     restart_statistics(model)
-    assert not any(model.memory[name].any() for name in ("times_visible", "image_gradient"))
+    assert not any(model.memory[name].any() for name in ("times_visible", "image_gradient", "abs_image_gradient"))
 
 
 def test_an_error_in_the_passes_leaves_the_step_and_no_part_of_the_edit(frames, same):
@@ -273,9 +293,22 @@ def test_what_needs_may_name_is_said_when_a_rule_is_made(frames):
         needs: ClassVar[frozenset[str]] = frozenset({"gradients"})
 
     with pytest.raises(
-        TypeError, match=r"its needs must be among visibility, image_gradients, render, got \['gradients'\]"
+        TypeError,
+        match=r"its needs must be among visibility, image_gradients, abs_image_gradients, render, got \['gradients'\]",
     ):
         make_mapper(settings("gsfusion"), seeding=asks_much)
+
+    @dataclass(frozen=True, kw_only=True)
+    class asks_much_by_its_options(Base):
+        much: bool = True
+
+        def statistics(self):
+            return frozenset({"gradients"}) if self.much else self.needs
+
+    with pytest.raises(
+        TypeError, match=r"'asks_much_by_its_options': statistics\(\) must be among visibility, .*, got"
+    ):
+        make_mapper(settings("gsfusion"), seeding=asks_much_by_its_options)
 
 
 def stop_in(monkeypatch: pytest.MonkeyPatch, mapper: Any, at: int, act: Any) -> None:

@@ -3,6 +3,7 @@ import dataclasses
 import pytest
 import torch
 
+from gsfusion_nb.backends import use_backend
 from gsfusion_nb.render import Projection, composite, composite_vjp, project_gaussians, tile_intersections
 from gsfusion_nb.types import Camera
 
@@ -176,6 +177,29 @@ def test_gradient_is_the_autograd_of_the_forward(scene, generator, kind):
         torch.testing.assert_close(
             getattr(found, name), e, atol=1e-9, rtol=1e-9, msg=lambda m, name=name: f"{name}: {m}"
         )
+
+
+@pytest.mark.parametrize("backend", ["reference", "torch"])
+def test_absolute_gradients_of_the_centres_by_autograd_of_each_pixel(scene, generator, backend):
+    """With alphas cut at 0.99, pixels that stop early, and a Gaussian whose pixels pull it to opposite sides."""
+    projection, rgb = screen(scene, generator, 12, opacity=(0.7, 0.9999), scale=0.5)
+    camera = Camera(width=9, height=7, fx=1.0, fy=1.0, cx=1.0, cy=1.0)
+    near = dataclasses.replace(projection, uv=projection.uv * 0.35)
+    leaves = [x.detach().clone().requires_grad_() for x in splats(near, rgb)]
+    lists = tile_intersections(near, camera, tile_px=4)
+    v = torch.randn(7, 9, 5, generator=generator, dtype=torch.float64)
+    with use_backend("reference"):
+        image = composite(*leaves, lists, camera)
+    loss = (torch.cat([image.rgb, image.depth_m[..., None], image.alpha[..., None]], dim=-1) * v).sum(-1)
+    by_pixel = [torch.autograd.grad(pixel, leaves[0], retain_graph=True)[0] for pixel in loss.flatten()]
+    with torch.no_grad(), use_backend(backend):
+        saved = composite(*(x.detach() for x in leaves), lists, camera).saved
+        found = composite_vjp(saved, v[..., :3], v[..., 3], v[..., 4], with_uv_abs=True)
+        assert composite_vjp(saved, v[..., :3]).uv_abs is None
+    expected = torch.stack(by_pixel).abs().sum(0)
+    torch.testing.assert_close(found.uv_abs, expected, atol=1e-12, rtol=1e-9)
+    torch.testing.assert_close(found.uv, torch.stack(by_pixel).sum(0), atol=1e-12, rtol=1e-9)
+    assert (expected > 10 * found.uv.abs()).any()
 
 
 def test_vjp_by_finite_differences(scene, generator):

@@ -1,4 +1,5 @@
 import dataclasses
+from itertools import product
 
 import pytest
 import torch
@@ -69,6 +70,29 @@ def test_centres_in_the_image_by_moving_the_principal_point(scene, generator):
     assert torch.equal(some, torch.where(rows_[:, None], v_uv, 0.0))
 
 
+def test_absolute_gradients_of_centres_are_those_of_the_single_pixels(scene, generator):
+    """And to ask for them changes no other gradient."""
+    params, v = scene.random_map(generator, 20, degree=1), cotangents(generator, scene.camera)
+    rows_ = torch.arange(20) % 3 > 0
+    _, saved = render_forward(params, scene.camera, scene.pose)
+    total, v_uv, v_uv_abs = torch.zeros(20, 2, dtype=torch.float64), *torch.empty(2, 20, 2, dtype=torch.float64)
+    for y, x in product(range(4, 9), range(10, 15)):
+        one = [torch.zeros_like(image) for image in v]
+        for single, image in zip(one, v, strict=True):
+            single[y, x] = image[y, x]
+        render_vjp(saved, *one, rows=rows_, v_uv=v_uv)
+        total += v_uv.abs()
+    inside = torch.zeros(scene.camera.height, scene.camera.width, dtype=torch.float64)
+    inside[4:9, 10:15] = 1.0
+    v = v[0] * inside[..., None], v[1] * inside, v[2] * inside
+    asked = render_vjp(saved, *v, rows=rows_, v_uv_abs=v_uv_abs)
+    torch.testing.assert_close(v_uv_abs, total, atol=1e-12, rtol=1e-9)
+    assert total[rows_].any()
+    assert not v_uv_abs[~rows_].any()
+    for name, g, e in zip(scene.columns, columns(asked), columns(render_vjp(saved, *v, rows=rows_)), strict=True):
+        assert torch.equal(g, e), name
+
+
 def test_a_wrong_place_for_the_gradient_of_the_centres_is_named(scene, generator):
     params, v = scene.random_map(generator, 4), cotangents(generator, scene.camera)
     _, saved = render_forward(params, scene.camera, scene.pose)
@@ -79,6 +103,8 @@ def test_a_wrong_place_for_the_gradient_of_the_centres_is_named(scene, generator
     ):
         with pytest.raises(ValueError, match=message):
             render_vjp(saved, *v, v_uv=bad)
+        with pytest.raises(ValueError, match=message.replace("v_uv", "v_uv_abs")):
+            render_vjp(saved, *v, v_uv_abs=bad)
 
 
 @pytest.mark.parametrize(("degree", "n"), [(0, 5), (3, 2)])

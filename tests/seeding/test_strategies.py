@@ -11,7 +11,7 @@ from gsfusion_nb.config import gsfusion
 from gsfusion_nb.data.room import room
 from gsfusion_nb.gaussians import GaussianModel
 from gsfusion_nb.mapping import GSFusion
-from gsfusion_nb.seeding import SeedContext, StepStats, restart_statistics
+from gsfusion_nb.seeding import SeedContext, StepStats, abs_image_gradient, image_gradient, restart_statistics
 from gsfusion_nb.seeding.rules import default_strategy, mcmc
 from gsfusion_nb.seeding.step_stats import add_up
 from gsfusion_nb.types import Seeds
@@ -69,23 +69,26 @@ def refined(rule: Any, model: GaussianModel, frame: Any, step: int, generator: t
     return rule.after_step(ctx, told(frame, step, **more), {"step": step - 2})
 
 
-def test_small_ones_are_copied_large_ones_split_faint_ones_removed(model, frame, generator):
+@pytest.mark.parametrize("absgrad", [False, True])
+def test_small_ones_are_copied_large_ones_split_faint_ones_removed(model, frame, generator, absgrad):
     seen(model, frame, generator)
+    decides, other = ("image_gradient", "abs_image_gradient")[:: -1 if absgrad else 1]
+    model.row_memory(other).fill_(1.0)
     p = model.params
     p.log_scale.fill_(math.log(0.005))
     p.opacity_logit.fill_(0.0)
     p.log_scale[1] = math.log(0.02)
     p.log_scale[2] = math.log(0.5)
     p.opacity_logit[3] = -6.0
-    model.memory["image_gradient"].zero_()
-    model.memory["image_gradient"][:3] = 4 * 3e-4
-    rule = default_strategy(scene_scale_m=1.0, reset_every=600)
+    model.row_memory(decides).zero_()[:3] = 4 * 3e-4
+    rule = default_strategy(scene_scale_m=1.0, reset_every=600, absgrad=absgrad)
+    assert rule.statistics() == {f"{decides}s"}
     edit = refined(rule, model, frame, 701, generator)
     assert edit is not None
     assert edit.clone.nonzero()[:, 0].tolist() == [0]
     assert edit.split.nonzero()[:, 0].tolist() == [1]  # the halves of row 2 would still be too large
     assert (~edit.keep).nonzero()[:, 0].tolist() == [2, 3]
-    assert not model.memory["image_gradient"].any()
+    assert not model.memory[decides].any()
     assert edit.reset_opacity is None
 
 
@@ -165,6 +168,24 @@ def test_grows_and_prunes_the_same_rows_as_gsplat(gsplat, model, frame, generato
     assert_same(model, params, n_drawn=2 * int(edit.split.sum()))
 
 
+@pytest.mark.parametrize("absgrad", [False, True])
+def test_gradients_are_summed_up_as_in_gsplat(gsplat, model, frame, generator, absgrad):
+    strategy = gsplat.DefaultStrategy(absgrad=absgrad)
+    state, (params, _) = strategy.initialize_state(), theirs(model)
+    for _ in range(3):
+        visible = torch.rand(N, generator=generator) < 0.7
+        v_uv = 1e-4 * torch.randn(N, 2, generator=generator)
+        v_uv_abs = v_uv.abs() * (1 + torch.rand(N, 2, generator=generator))
+        add_up(model, visible, v_uv, frame.camera, v_uv_abs)
+        means2d: Any = torch.zeros(1, N, 2, requires_grad=True)
+        means2d.grad, means2d.absgrad = v_uv[None].clone(), v_uv_abs[None].clone()
+        size = {"width": frame.camera.width, "height": frame.camera.height, "n_cameras": 1}
+        radii = (visible[:, None] * torch.tensor([2, 3]))[None]
+        strategy._update_state(params, state, size | {"means2d": means2d, "radii": radii, "gaussian_ids": None})
+    found = abs_image_gradient(model) if absgrad else image_gradient(model)
+    torch.testing.assert_close(found, state["grad2d"] / state["count"].clamp_min(1))
+
+
 def test_moves_and_adds_the_same_rows_as_gsplat(gsplat, model, frame, monkeypatch):
     import gsplat.strategy.ops as ops  # pyright: ignore[reportMissingImports]
 
@@ -240,6 +261,10 @@ def test_motion_is_large_only_for_transparent_ones_and_has_the_shape_of_the_gaus
     ("rule", "options"),
     [
         (default_strategy, {"refine_start_iter": 3, "refine_every": 4, "reset_every": 16, "grow_grad2d": 1e-5}),
+        (
+            default_strategy,
+            {"refine_start_iter": 3, "refine_every": 4, "reset_every": 16, "grow_grad2d": 8e-5, "absgrad": True},
+        ),
         (mcmc, {"refine_start_iter": 3, "refine_every": 4, "cap_max": 300, "min_opacity": 0.05}),
     ],
 )
@@ -254,4 +279,7 @@ def test_they_run_online_and_in_the_passes(rule, options):
     losses = [step.loss for step in mapper.global_optimise(2)]
     assert all(math.isfinite(loss) for loss in losses)
     assert mapper.gaussians.count_not_finite() == 0
+    if rule is default_strategy:
+        kept = {"times_visible", "abs_image_gradient" if "absgrad" in options else "image_gradient"}
+        assert mapper.gaussians.memory.keys() == kept
     assert mapper.config.optim.opacity_weight == (0.01 if rule is mcmc else 0.0)

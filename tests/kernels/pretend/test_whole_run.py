@@ -154,9 +154,9 @@ def test_rtg_slam_waits_for_the_number_of_pairs_only(gpu, monkeypatch):
     waits = []
     step = SurfelOptimiser.step
 
-    def counted(self, view, v_uv=None):
+    def counted(self, view, outputs):
         before = gpu.n_waits
-        loss = step(self, view, v_uv)
+        loss = step(self, view, outputs)
         waits.append(gpu.n_waits - before)
         return loss
 
