@@ -149,3 +149,26 @@ def test_python_compiles_and_its_imports_work(page):
         compile(block, page.name, "exec")
         imports: list[ast.stmt] = [n for n in ast.walk(ast.parse(block)) if isinstance(n, ast.Import | ast.ImportFrom)]
         exec(compile(ast.Module(body=imports, type_ignores=[]), page.name, "exec"), {})
+
+
+MATHEMATICS = blocks(ROOT / "docs/mathematics.md", "python")
+
+
+@pytest.mark.parametrize("block", MATHEMATICS, ids=["motions", "gaussians", "gradients"])
+def test_what_the_mathematics_says_is_so(block):
+    assert "assert" in block
+    exec(compile(block, "mathematics.md", "exec"), {})
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_every_picture_says_what_it_shows(page):
+    for alt in re.findall(r"!\[([^\]]*)\]\(", text(page)):
+        assert len(alt.split()) >= 4, f"{page.name}: the alternative text {alt!r} says too little"
+
+
+def test_the_pages_of_abbreviations_and_letters_are_complete():
+    page = text(ROOT / "docs/notation.md")
+    rows = [line for line in page.splitlines() if line.startswith("| $")]
+    assert all(len(row.replace("\\|", "").split("|")) == 6 for row in rows)
+    for short in ("TSDF", "PSNR", "SSIM", "ICP", "SLAM", "RGB-D", "SH", "VJP", "EWA", "ATE", "ORB", "FPS"):
+        assert re.search(rf"^\| [^|]*\b{re.escape(short)}\b[^|]*\|", page, re.MULTILINE), f"no row for {short}"

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from ..drawing.html import fill
+from .attempt import plain
 from .place import place_of
 from .verdict import Verdict
 
@@ -70,7 +71,7 @@ def yours_with_reference(exercise: str, function: Callable[..., Any], reference:
         nonlocal failed
         if not failed:
             try:
-                return function(*args, **kwargs)
+                return plain(function(*args, **kwargs))
             except Exception as e:
                 failed = True
                 place = place_of(e, function)

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from ..backends import use_backend
+from .attempt import plain
 from .place import definition_of, place_of
 
 
@@ -79,7 +80,7 @@ class Yours:
     def _called(self, args: Sequence[Any]) -> Any:
         try:
             with use_backend("reference"):
-                return self.function(*args)
+                return plain(self.function(*args))
         except Exception as e:
             reason = f"{type(e).__name__}: {str(e).splitlines()[0]}" if str(e) else type(e).__name__
             self.fail(f"raised {reason}", tuple(args), cause=e)

@@ -9,8 +9,10 @@ ENGINE = ("splats/rows", "projection", "splats/colour", "splats/raster", "splats
 """Modules of the splat viewer's worker, in the order of their imports; without a page, so that node runs them too."""
 SPLAT_PAGE = ("camera", "splats/webgl", "splats/worker", "splats/panel", "mouse", "splats/time", "splats/widget")
 """The modules of the splat viewer's page."""
-MESH_PAGE = ("projection", "camera", "mouse", "meshes/raster", "meshes/widget")
-"""The modules of the mesh viewer; its camera moves as in the splat viewer."""
+FINE = ("meshes/raster", "meshes/fine")
+"""Modules of the mesh viewer's worker; without a page, so that node runs them too."""
+MESH_PAGE = ("projection", "camera", "mouse", "meshes/widget")
+"""The modules of the mesh viewer's page; its camera moves as in the splat viewer."""
 
 _IMPORT = re.compile(r'^import .* from "[./\w]+\.js";\n', re.MULTILINE)
 _EXPORT = re.compile(r"^export (?!default)", re.MULTILINE)
@@ -44,5 +46,8 @@ def splat_front_end() -> str:
 
 @functools.cache
 def mesh_front_end() -> str:
-    """The mesh viewer's module."""
-    return f"const MESH_HTML = {json.dumps(source('meshes/viewer.html'))};\n{joined(MESH_PAGE)}"
+    """The mesh viewer's module. It holds the painter twice: as code for the page, and as text to make a worker from."""
+    fine = joined(FINE)
+    texts = {"FINE_SOURCE": fine, "MESH_HTML": source("meshes/viewer.html")}
+    constants = "\n".join(f"const {name} = {json.dumps(text)};" for name, text in texts.items())
+    return f"{fine}\n{constants}\n{joined(MESH_PAGE)}"

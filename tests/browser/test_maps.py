@@ -55,12 +55,17 @@ def mesh_pixels(page):
     return np.asarray(cv2.imdecode(png, cv2.IMREAD_COLOR))[..., ::-1].astype(int)
 
 
+def kind(page):
+    return page.locator(".gsnb-mesh-scene").get_attribute("data-picture")
+
+
 def settled(page):
+    """The fine picture, when the camera is at rest."""
     last = mesh_pixels(page)
-    for _ in range(60):
+    for _ in range(100):
         time.sleep(0.3)
         now = mesh_pixels(page)
-        if (now == last).all():
+        if (now == last).all() and kind(page) == "fine":
             return now
         last = now
     raise AssertionError("the picture does not come to rest")
@@ -82,6 +87,9 @@ def test_a_mesh_is_turned_offline(lab, page):
     page.mouse.move(x, y)
     page.mouse.down()
     page.mouse.move(x + 120, y + 20, steps=12)
+    for _ in range(10):  # the button is down and nothing moves: longer than a fine picture would wait and take
+        time.sleep(0.1)
+        assert kind(page) == "coarse"
     page.mouse.up()
     turned = settled(page)
     assert np.abs(turned - before).mean() > 5

@@ -1,4 +1,5 @@
-// Mouse, touch and keys to movements of the camera. `view` has camera, focal, moved(), reset() and pick(x, y).
+// Mouse, touch and keys to movements of the camera. `view` has camera, focal, moved(), reset() and pick(x, y);
+// if it has grabbed(down), that is told when the first button or finger goes down and when the last one goes up.
 
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 const ZOOMS = { "+": 0.9, "=": 0.9, "-": 1.1 };
@@ -8,7 +9,10 @@ export function listenTo(scene, view) {
   let travel = 0;
   scene.addEventListener("pointerdown", (e) => {
     scene.setPointerCapture(e.pointerId);
-    if (!held.size) travel = 0;
+    if (!held.size) {
+      travel = 0;
+      view.grabbed?.(true);
+    }
     held.set(e.pointerId, [e.clientX, e.clientY]);
   });
   scene.addEventListener("pointermove", (e) => {
@@ -22,6 +26,7 @@ export function listenTo(scene, view) {
   });
   const release = (e) => {
     if (!held.delete(e.pointerId) || held.size) return;
+    view.grabbed?.(false);
     scene.focus({ preventScroll: true }); // must come last: the notebook takes the focus when the button is pressed
     if (e.type === "pointerup" && travel < 4) view.pick(...place(e, scene));
   };

@@ -13,7 +13,7 @@ import torch
 from gsfusion_nb.types import Camera, Mesh
 from gsfusion_nb.viz import orbit_camera, show_mesh
 from gsfusion_nb.viz.display import WIDGET_MIME
-from gsfusion_nb.viz.front_end import joined, mesh_front_end
+from gsfusion_nb.viz.front_end import FINE, joined, mesh_front_end
 from gsfusion_nb.viz.meshes import opengl as gl
 from gsfusion_nb.viz.meshes.decimation import decimated
 from gsfusion_nb.viz.meshes.painter import BACKGROUND, draw_mesh
@@ -153,8 +153,9 @@ const { xyz, faces, rgb, pose, intrinsics, size, shape, background } = JSON.pars
 const painter = new MeshPainter(Float32Array.from(xyz), Int32Array.from(faces), Uint8Array.from(rgb));
 const view = viewOf(pose, intrinsics, ...size);
 painter.draw(viewOf(pose, intrinsics, ...size, 0.5), shape, background);
-const { pixels } = painter.draw(view, shape, background);
-const [middle, corner] = [80.5, 0].map((x) => painter.depthAt(x, 0.75 * x, size[0]));
+const picture = painter.draw(view, shape, background);
+const { pixels } = picture;
+const [middle, corner] = [80.5, 0].map((x) => MeshPainter.depthAt(picture, x, 0.75 * x));
 console.log(JSON.stringify({ pixels: [...pixels], middle, corner }));
 """
 
@@ -201,6 +202,41 @@ def test_depth_and_behind_in_the_browser(node, tmp_path):
     image, answer = drawn_by_the_browser(node, tmp_path, sheet(3), FROM_BELOW, "colour")
     assert (image == BACKGROUND).all()
     assert answer["middle"] is None
+
+
+_FINE = """
+const n = 200, corners = Array.from({ length: n * n }, (_, i) => [i % n, Math.floor(i / n)]);
+const xyz = Float32Array.from(corners.flatMap(([x, y]) => [x / n - 0.5, y / n - 0.5, 2]));
+const squares = corners.filter(([x, y]) => x < n - 1 && y < n - 1).map(([x, y]) => y * n + x);
+const faces = Int32Array.from(squares.flatMap((i) => [i, i + n, i + 1, i + 1, i + n, i + n + 1]));
+const mesh = [xyz, faces, new Uint8Array(xyz.length).fill(200)];
+const view = viewOf([1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1], [900, 900, 640, 480], 1280, 960);
+const seen = [];
+let turns = 0; // of everything else that the page does
+const tick = setInterval(() => (turns += 1));
+const fine = new FineDrawing((picture) => {
+  seen.push([picture.id, picture.pixels.length, picture.nearness.length, turns > 2]);
+  if (picture.id !== 5) return;
+  clearInterval(tick);
+  console.log(JSON.stringify(seen));
+});
+fine.handle({ id: 1, view, shape: false, background: [0, 0, 0] }); // no mesh yet
+fine.handle({ mesh, id: 2 });
+fine.handle({ id: 3, view, shape: false, background: [0, 0, 0] });
+setTimeout(() => {
+  fine.handle({ id: 4 }); // the camera moves
+  setTimeout(() => fine.handle({ id: 5, view, shape: true, background: [0, 0, 0] }), 20);
+});
+"""
+
+
+def test_a_fine_picture_gives_way_while_it_is_drawn(node, tmp_path):
+    (tmp_path / "fine.mjs").write_text(joined(("projection", *FINE)) + _FINE)
+    done = subprocess.run([node, tmp_path / "fine.mjs"], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout) == [
+        [5, 4 * 1280 * 960, 1280 * 960, True]
+    ]  # the third was given up, other work ran meanwhile
 
 
 def test_the_module_is_valid_and_loads_nothing(node, tmp_path):

@@ -1,6 +1,7 @@
 // Triangles to pixels with a z-buffer: the picture of painter.py, with colours interpolated over each triangle.
 const NEAR_M = 0.05;
 const GREY = 217; // 0.85
+const STEP = 2000; // triangles between two pauses of drawing()
 
 export class MeshPainter {
   /** xyz [3 V] metres, faces [3 F], rgb [3 V] bytes. */
@@ -15,6 +16,12 @@ export class MeshPainter {
    * shape: grey instead of the colours; background: three bytes.
    */
   draw(view, shape, background) {
+    for (const _ of this.drawing(view, shape, background));
+    return { pixels: this.pixels, nearness: this.nearness, width: view.width, height: view.height };
+  }
+
+  /** The same with a pause after every few triangles; the picture is in `pixels` and `nearness` at the end. */
+  *drawing(view, shape, background) {
     const { width, height } = view;
     if (this.nearness?.length !== width * height) {
       this.nearness = new Float32Array(width * height); // 1 / z: linear in the picture, unlike z
@@ -26,6 +33,7 @@ export class MeshPainter {
     this.project(view);
     const { faces, at: { x, y, z } } = this;
     for (let f = 0; f < faces.length; f += 3) {
+      if (f % (3 * STEP) === 0) yield;
       const i = faces[f], j = faces[f + 1], k = faces[f + 2];
       if (!(z[i] > NEAR_M && z[j] > NEAR_M && z[k] > NEAR_M)) continue;
       const ax = x[j] - x[i], ay = y[j] - y[i], az = z[j] - z[i];
@@ -37,13 +45,12 @@ export class MeshPainter {
       const cosine = facing / Math.sqrt((nx * nx + ny * ny + nz * nz) * (mx * mx + my * my + mz * mz));
       this.fill(i, j, k, shape ? 0.2 + 0.8 * cosine : 0.7 + 0.3 * cosine, shape, width, height);
     }
-    return { pixels: this.pixels, width, height };
   }
 
-  /** z-depth of the surface at a point of the last picture, metres; null if there is none. */
-  depthAt(column, row, width) {
-    const nearness = this.nearness?.[Math.floor(row) * width + Math.floor(column)];
-    return nearness > 0 ? 1 / nearness : null;
+  /** z-depth of the surface at a point of a picture, metres; null if there is none. */
+  static depthAt({ nearness, width }, column, row) {
+    const here = nearness[Math.floor(row) * width + Math.floor(column)];
+    return here > 0 ? 1 / here : null;
   }
 
   project({ R, t, fx, fy, cx, cy }) {

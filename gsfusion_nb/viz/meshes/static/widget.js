@@ -1,10 +1,12 @@
-// The widget: the mesh is sent once; pictures are coarse while the camera moves and fine when it stops.
+// The widget: the mesh is sent once. Pictures are coarse while the camera moves or a button is down, and drawn here; when it
+// stops, a fine one comes from fine.js, and a movement before that ends its drawing.
 import { viewOf } from "../../static/projection.js";
 import { OrbitCamera } from "../../static/camera.js";
 import { listenTo } from "../../static/mouse.js";
+import { startFine } from "./fine.js";
 import { MeshPainter } from "./raster.js";
 
-const STILL_MS = 160; // ms without a movement after which a fine picture is drawn
+const STILL_MS = 160; // ms without a movement, and with no button down, after which a fine picture is drawn
 const GOAL_MS = 30; // target time of one picture while moving, ms
 const FINE = 2; // pixels of the fine picture per canvas pixel, along each axis
 
@@ -14,6 +16,7 @@ class MeshView {
     for (const name of ["width", "height", "intrinsics"]) this[name] = model.get(name);
     this.focal = this.intrinsics[0] / this.width;
     this.quality = 1;
+    this.wish = 0; // number of the last fine picture asked for
     el.innerHTML = MESH_HTML;
     this.scene = el.querySelector(".gsnb-mesh-scene");
     this.canvas = el.querySelector("canvas");
@@ -29,18 +32,22 @@ class MeshView {
     ];
     for (const [event, act] of this.listeners) model.on(event, act);
     listenTo(this.scene, this);
+    this.fine = startFine(FINE_SOURCE, (picture) => this.show(picture), () => this.mesh);
     model.send({ kind: "ready" });
   }
 
   close() {
     for (const [event, act] of this.listeners) this.model.off(event, act);
     clearTimeout(this.still);
+    this.fine.close();
   }
 
   receive(message, buffers) {
     if (message.kind !== "mesh") return;
     const [xyz, faces, rgb] = buffers.map((b) => b.buffer.slice(b.byteOffset, b.byteOffset + b.byteLength));
-    this.painter = new MeshPainter(new Float32Array(xyz), new Int32Array(faces), new Uint8Array(rgb));
+    this.mesh = [new Float32Array(xyz), new Int32Array(faces), new Uint8Array(rgb)];
+    this.painter = new MeshPainter(...this.mesh);
+    this.fine.post({ mesh: this.mesh });
     this.words.textContent = "";
     this.request();
   }
@@ -53,22 +60,44 @@ class MeshView {
     });
   }
 
+  /** A coarse picture now; a fine one is asked for when nothing moves. */
   paint() {
     const began = performance.now();
-    const scale = this.moving ? this.quality : FINE;
+    this.put(this.painter.draw(...this.seen(this.quality)), "coarse");
+    const ms = performance.now() - began;
+    if (ms > GOAL_MS) this.quality = Math.max(0.25, this.quality * 0.85);
+    else if (ms < 0.6 * GOAL_MS) this.quality = Math.min(1, this.quality * 1.08);
+    if (!this.moving && !this.down) this.refine();
+  }
+
+  /** What a painter needs for the present view, at `scale` pixels per canvas pixel. */
+  seen(scale) {
     const view = viewOf(this.camera.pose(), this.intrinsics, this.width, this.height, scale);
-    const shape = this.model.get("shading") === "shape";
-    const { pixels, width, height } = this.painter.draw(view, shape, this.model.get("background"));
+    return [view, this.model.get("shading") === "shape", this.model.get("background")];
+  }
+
+  refine() {
+    const [view, shape, background] = this.seen(FINE);
+    this.asked = performance.now();
+    this.fine.post({ id: ++this.wish, view, shape, background });
+  }
+
+  /** A fine picture has arrived. */
+  show(picture) {
+    if (picture.id !== this.wish || this.moving || this.down) return;
+    this.put(picture, "fine");
+    this.report(performance.now() - this.asked);
+  }
+
+  put(picture, kind) {
+    this.scene.dataset.picture = kind;
+    const { pixels, width, height } = (this.shown = picture);
     const paper = Object.assign((this.paper ??= document.createElement("canvas")), { width, height });
     paper.getContext("2d").putImageData(new ImageData(pixels, width, height), 0, 0);
     this.canvas.getContext("2d").drawImage(paper, 0, 0, this.width, this.height);
-    const ms = performance.now() - began;
-    if (!this.moving) this.report(ms);
-    else if (ms > GOAL_MS) this.quality = Math.max(0.25, this.quality * 0.85);
-    else if (ms < 0.6 * GOAL_MS) this.quality = Math.min(1, this.quality * 1.08);
   }
 
-  /** Measurements of the last movement, for tests. */
+  /** Measurements of the last fine picture, for tests. */
   report(ms) {
     this.pictures = (this.pictures ?? 0) + 1;
     this.save({ stats: { ms, quality: this.quality, pictures: this.pictures } });
@@ -81,13 +110,26 @@ class MeshView {
 
   moved() {
     this.moving = true;
+    this.wait();
+    this.request();
+  }
+
+  /** A button or finger went down, or the last one went up. */
+  grabbed(down) {
+    this.down = down;
+    this.wait();
+  }
+
+  /** No fine picture for now; one when the camera has rested and no button is down. */
+  wait() {
+    this.fine.post({ id: ++this.wish });
     clearTimeout(this.still);
     this.still = setTimeout(() => {
-      this.moving = false;
       this.save({ pose: this.camera.pose() });
-      this.request();
+      if (this.down || !this.painter) return;
+      this.moving = false;
+      this.refine();
     }, STILL_MS);
-    this.request();
   }
 
   /** Python, or another view of the same widget, has moved the camera. */
@@ -113,9 +155,9 @@ class MeshView {
 
   /** Set by a double click, after the pick: the camera then turns around the point under the pointer. */
   set aiming(_) {
-    if (!this.painter) return;
+    if (!this.shown) return;
     const [x, y] = this.pointed;
-    const depth = this.painter.depthAt(x * this.paper.width, y * this.paper.height, this.paper.width);
+    const depth = MeshPainter.depthAt(this.shown, x * this.shown.width, y * this.shown.height);
     if (depth) this.camera.aim(x * this.width, y * this.height, depth, this.intrinsics);
   }
 }
