@@ -6,12 +6,16 @@ import numpy as np
 import pytest
 
 from gsfusion_nb.bench import BenchOptions, panels
+from gsfusion_nb.data.room import room
+
+SMALL_ROOM = room(n_frames=60, width=80, height=60)
 
 
 @pytest.fixture
 def small(monkeypatch):
     for name, count in (("ORBIT_GAUSSIANS", 300), ("MICROSCOPE_GAUSSIANS", 300), ("GRADIENT_GAUSSIANS", 100)):
         monkeypatch.setattr(panels, name, count)
+    monkeypatch.setattr(panels, "_room", lambda: SMALL_ROOM)
 
 
 @pytest.mark.parametrize("title", panels.PANELS)

@@ -107,8 +107,8 @@ def test_backends_give_the_same_quality(split, config):
     for backend in ("reference", "auto"):
         mapper = GSFusion(config)
         with use_backend(backend):
-            for frame in split.mapping:
-                mapper.step(frame)
+            for i in range(4):
+                mapper.step(split.mapping[i])
         quality[backend] = held_out_psnr(mapper, split)
     assert quality["auto"] == pytest.approx(quality["reference"], abs=0.05)
 

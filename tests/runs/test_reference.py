@@ -10,7 +10,7 @@ from gsfusion_nb.backends import use_backend
 from gsfusion_nb.config import gsfusion, rtg_slam
 from gsfusion_nb.runs import run_mapping
 
-ROOM: dict[str, Any] = {"n_frames": 120, "width": 80, "height": 60}
+ROOM: dict[str, Any] = {"n_frames": 120, "width": 64, "height": 48}
 FOUR_FRAMES: dict[str, Any] = {"data__stop": 4, "data__hold_out_offset": 2, "data__hold_out_every": 4}
 CONFIGS = {
     "gsfusion": gsfusion(
@@ -18,7 +18,10 @@ CONFIGS = {
         tsdf__voxel_size_m=0.05,
         seeding__quadtree_threshold=0.01,
         keyframe_min_seeds=20,
-        optim__global_iterations=2,
+        optim__keyframe_iterations=4,
+        optim__frame_iterations=2,
+        optim__random_keyframe_iterations=1,
+        optim__global_iterations=1,
         sh_degree=1,
         **FOUR_FRAMES,
     ),

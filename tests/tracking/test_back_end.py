@@ -52,9 +52,14 @@ def odometry(true, generator, *, share=0.005, degrees=0.2, bias_deg=0.0):
 
 def drive(back_end, frames, steps, start):
     """The front end's part, each frame a keyframe: poses as tracked, as they drift alone, and the corrections."""
-    tracked, drifted, corrections = [start.double()], [start.double()], []
-    back_end.add(frames[0], tracked[0])
-    for frame, step in zip(frames[1:], steps, strict=True):
+    back_end.add(frames[0], start.double())
+    return drive_on(back_end, frames[1:], steps, (start.double()[None], start.double()[None], []))
+
+
+def drive_on(back_end, frames, steps, before):
+    """``drive`` with more frames, after what it gave ``before``."""
+    tracked, drifted, corrections = list(before[0]), list(before[1]), list(before[2])
+    for frame, step in zip(frames, steps, strict=True):
         T_WC = tracked[-1] @ step
         drifted.append(drifted[-1] @ step)
         correction = back_end.add(frame, T_WC)
@@ -65,13 +70,23 @@ def drive(back_end, frames, steps, start):
     return torch.stack(tracked), torch.stack(drifted), corrections
 
 
-def test_a_drifting_walk_around_the_room_closes(circle, generator):
+@pytest.fixture(scope="module")
+def walked(circle, tmp_path_factory):
+    """A drifting walk along all of the circle, with what ``drive`` gave, and a store of the back end's state before
+    the last four keyframes; not to be changed."""
     true = torch.stack([f.T_WC for f in circle])
-    back_end = BackEnd(BackEndConfig(), CAMERA)
-    steps = odometry(true, generator, bias_deg=0.2)
-    tracked, drifted, corrections = drive(back_end, circle, steps, true[0])
+    back_end, store = BackEnd(BackEndConfig(), CAMERA), CheckpointStore(tmp_path_factory.mktemp("walked"))
+    steps = odometry(true, torch.Generator().manual_seed(0), bias_deg=0.2)
+    before = drive(back_end, circle[:32], steps[:31], true[0])
+    store.save(back_end.state_dict())
+    after = drive_on(back_end, circle[32:], steps[31:], before)
+    return back_end, store, steps, after, back_end.finish()
+
+
+def test_a_drifting_walk_around_the_room_closes(circle, walked):
+    true = torch.stack([f.T_WC for f in circle])
+    back_end, _, _, (tracked, drifted, corrections), last = walked
     index = torch.tensor([f.index for f in circle])
-    last = back_end.finish()
     assert last is not None
     assert last.error_after <= last.error_before
     final = back_end.correct_trajectory(index, tracked)
@@ -132,18 +147,14 @@ def test_frames_between_keyframes_move_with_them(circle, generator):
     assert ate_rmse(final[1::2], true[1::2]) < 1.5 * ate_rmse(final[::2], true[::2]) + 0.002
 
 
-def test_state_goes_on_where_it_was(circle, generator, tmp_path):
-    true = torch.stack([f.T_WC for f in circle])
-    steps = odometry(true, generator, bias_deg=0.2)
-    one = BackEnd(BackEndConfig(), CAMERA)
-    tracked, _, _ = drive(one, circle[:32], steps[:31], true[0])
-    CheckpointStore(tmp_path).save(one.state_dict())
-    two = BackEnd.from_state_dict(BackEndConfig(), CAMERA, CheckpointStore(tmp_path).load().state)
-    for back_end in (one, two):
-        back_end.add(circle[32], tracked[-1] @ steps[31])
-        back_end.finish()
+def test_state_goes_on_where_it_was(circle, walked):
+    one, store, steps, (tracked, drifted, corrections), _ = walked
+    two = BackEnd.from_state_dict(BackEndConfig(), CAMERA, store.load().state)
+    again, _, _ = drive_on(two, circle[32:], steps[31:], (tracked[:32], drifted[:32], corrections))
+    two.finish()
+    torch.testing.assert_close(again, tracked, atol=1e-9, rtol=0)
     torch.testing.assert_close(one.T_WC, two.T_WC, atol=1e-9, rtol=0)
-    index = torch.tensor([f.index for f in circle[:32]])
+    index = torch.tensor([f.index for f in circle])
     torch.testing.assert_close(
         one.correct_trajectory(index, tracked), two.correct_trajectory(index, tracked), atol=1e-9, rtol=0
     )

@@ -27,7 +27,7 @@ from gsfusion_nb.viz.panels.icp import (
 @pytest.fixture(scope="module")
 def pair():
     """Two views of the room, a little apart."""
-    room = RoomSequence(n_frames=480, width=80, height=60, cache=False)
+    room = RoomSequence(n_frames=480, width=80, height=60)
     return room[40], room[42]
 
 
