@@ -75,7 +75,8 @@ class Comparison:
             return f"{self.a} and {self.b}: nothing can be said about noise from {have}; use at least three seeds"
         if self.verdict == "equal":
             return f"{self.a} and {self.b} have the same {column.heading} in all {pairs}"
-        low, high = (column.text(end) for end in self.interval)
+        ends = self.interval if self.mean >= 0 else (-self.interval[1], -self.interval[0])
+        low, high = map(column.text, ends)  # around the size, which has no sign
         size = column.text(abs(self.mean))
         evidence = f"95 % interval {low} to {high}{unit}; {pairs}; paired t test: {p_text(self.p_t)}"
         if self.verdict == "noise":

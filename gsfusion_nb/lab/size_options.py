@@ -53,8 +53,9 @@ def size_option(spec: RunSpec, rule: SeedingRule) -> SizeOption:
     name = dotted(spec.size_option) or (known.name if known else "")
     if not name:
         raise ValueError(
-            f"the rule {rule_name(rule)} has no size option to reach a number of Gaussians with: name one "
-            f'(size_option), or "{THIN}" to keep a random share of its seeds'
+            f"the rule {rule_name(rule)} has no size option: name the option that changes its number of Gaussians as "
+            f'size_option (its options: {", ".join(rule_options(rule)) or "none"}), or "{THIN}", which keeps a random '
+            f"share of its seeds"
         )
     if known is not None and name == known.name and spec.size_range is None:
         return known

@@ -1,6 +1,7 @@
 """Paired tests: by hand, against scipy, and what they say with too little data."""
 
 import math
+import re
 from typing import Any
 
 import numpy as np
@@ -82,6 +83,8 @@ def test_a_clear_difference_a_small_one_and_none(made_run):
     assert clear.mean == pytest.approx(-np.mean([1.0, 0.9, 1.0, 0.9, 1.1, 1.0]))
     assert str(clear).startswith("a is better than b by 0.98 dB PSNR, which is more than noise (95 % interval")
     assert "6 pairs of runs on 2 scenes" in str(clear)
+    assert str(clear) == str(compare(a + b, "a", "b"))
+    assert re.search(r"95 % interval 0\.\d\d to 1\.\d\d dB", str(clear))
     assert compare(a + c, "a", "c").verdict == "noise"
     assert "within noise" in str(compare(a + c, "a", "c"))
     same = runs(made_run, "d", [25.0, 25.1, 24.9])
