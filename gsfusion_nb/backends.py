@@ -32,6 +32,7 @@ import torch
 
 from . import own_code
 from .checks import check_name
+from .observing import observed
 from .types import GaussianParams
 
 log = logging.getLogger(__name__)
@@ -105,6 +106,7 @@ def op(folder: str, check: Callable[..., None] | None = None) -> Callable[[Calla
         _OPS[name] = reference
         _FOLDERS[name] = f"{_KERNELS}.{folder}"
 
+        @observed
         @functools.wraps(reference)
         def dispatch(*args, **kwargs):
             if check is not None:

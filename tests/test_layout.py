@@ -20,6 +20,7 @@ FLOORS = {
             "checks",
             "plausible",
             "operands",
+            "observing",
             "errors",
             "files",
             "foreign",

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from ..geometry import quaternion
 from ..geometry.spherical_harmonics import rgb_to_sh_dc
+from ..observing import observed
 from .edit import STORED, Edit
 
 SPLIT_SHRINKS = 1.6
@@ -48,6 +49,7 @@ def shared(
     return share.clamp(min_opacity, one).to(opacity), torch.where((n > 1)[:, None], scale, scale_m)
 
 
+@observed
 def apply_edit(model: Any, edit: Edit, generator: torch.Generator, frame_index: int = 0) -> Int[Tensor, " M"]:
     """Change the rows of ``model`` as its method ``edit`` says (``GaussianModel``)."""
     before = len(model)

@@ -11,6 +11,7 @@ from ..checks import check_saved, check_shape, check_whole
 from ..constants import SH_C0
 from ..geometry import quaternion
 from ..geometry.spherical_harmonics import rgb_to_sh_dc
+from ..observing import observed
 from ..types import GaussianParams, Seeds
 from .apply_edit import apply_edit
 from .edit import Edit, check_rate
@@ -103,6 +104,7 @@ class GaussianModel(GrowingRows):
         """Size of the map in the standard PLY layout: 62 float32 per Gaussian."""
         return 62 * 4 * len(self)
 
+    @observed
     def append(self, seeds: Seeds, frame_index: int = 0) -> None:
         """Add rows for ``seeds``; their moments start at zero (GSFusion III-B.2).
 
@@ -191,7 +193,8 @@ class GaussianModel(GrowingRows):
 
     def state_dict(self) -> dict[str, Any]:
         """Everything needed to continue later, as tensors and numbers."""
-        return {"sh_degree": self.sh_degree, "step_count": self.step_count, "rows": self.snapshot()}
+        rows = {name: column for name, column in self.snapshot().items() if not name.startswith("trace.")}
+        return {"sh_degree": self.sh_degree, "step_count": self.step_count, "rows": rows}
 
     @classmethod
     def from_state_dict(cls, state: dict[str, Any], device: torch.device | str = "cpu") -> "GaussianModel":

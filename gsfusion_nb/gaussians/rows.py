@@ -20,7 +20,7 @@ class GrowingRows:
     used.
     """
 
-    _OPTIONAL: ClassVar[dict[str, float]] = {"rate.": 1.0, "memory.": 0.0}
+    _OPTIONAL: ClassVar[dict[str, float]] = {"rate.": 1.0, "memory.": 0.0, "trace.": 0.0}
     """Prefix of the names of optional columns, one float per row -> value of rows for which it was not set."""
 
     device: torch.device
@@ -61,6 +61,15 @@ class GrowingRows:
     def row_memory(self, name: str) -> Float[Tensor, " N"]:
         """A number for each row, 0 at first, which is removed, copied and saved together with its row; a view."""
         return self._use(f"memory.{name}")[: self._count]
+
+    def trace_ids(self) -> Float[Tensor, " N"]:
+        """A number for each row that an observer gives it, 0 at first; a view. It is removed and copied together with
+        its row, and not saved."""
+        return self._use("trace.id")[: self._count]
+
+    def end_trace(self) -> None:
+        """Remove the column of ``trace_ids``."""
+        self._columns.pop("trace.id", None)
 
     def clear_memory(self, rows: Int[Tensor, " M"] | slice) -> None:
         """Set all numbers of ``row_memory`` of these rows to zero."""

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from ..config import StateConfig
 from ..geometry import project, se3, sum_rows
+from ..observing import observed
 from ..types import Camera
 from .surfels import STABLE, UNSTABLE, SurfelModel
 
@@ -69,6 +70,7 @@ def count_views(model: SurfelModel, camera: Camera, T_WC: Float[Tensor, "4 4"]) 
     model.frames_in_view.add_((xyz_C[:, 2] > 0) & (u > 0) & (u < camera.width) & (v > 0) & (v < camera.height))
 
 
+@observed
 def change_states(model: SurfelModel, config: StateConfig) -> Transitions:
     """Unstable -> stable by confidence, stable -> unstable by errors, and removal of bad rows.
 

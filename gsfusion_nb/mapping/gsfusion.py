@@ -9,6 +9,7 @@ from torch import Tensor
 from ..config import GSFusionConfig, gsfusion, gsfusion_fidelity
 from ..errors import BadFrameError
 from ..gaussians import GaussianModel
+from ..observing import observed
 from ..optim import Keyframe, adam_step, add_penalties_, depth_l1, depth_l1_vjp, dssim_vjp, l1_mse_vjp
 from ..render import render_forward, render_vjp
 from ..seeding import Cells, SeedContext, SeedingRule, rule_name
@@ -213,6 +214,7 @@ class GSFusion(Mapper):
         """One step on the i-th keyframe after the scan."""
         return self._optimise_view(self.keyframes[i], ssim_weight=self.config.optim.ssim_weight)[0]
 
+    @observed
     def _optimise_view(
         self, view: Frame | Keyframe, ssim_weight: float = 0.0
     ) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:

@@ -105,6 +105,8 @@ class Mapper(AsksRule, SavesState, ABC):
         self.localiser = Localiser(self.config.tracking)
         self.passes = KeyframePasses()
         self.guard = FrameGuard()
+        self.watch: Callable[[int | None], contextlib.AbstractContextManager[None]] = lambda _: contextlib.nullcontext()
+        """Context around each frame (with its index) and each step after the scan (with None), for an observer."""
         self.n_frames = 0
         """Number of frames mapped so far."""
         self.notes: list[str] = []
@@ -175,7 +177,11 @@ class Mapper(AsksRule, SavesState, ABC):
         passes = self.n_passes if passes is None else passes
         if not self.passes.begun:
             self._follow(self.localiser.finish())
-        yield from self.passes.run(passes, len(self.keyframes), self.random.passes, self._global_step)
+        yield from self.passes.run(passes, len(self.keyframes), self.random.passes, self._watched_global_step)
+
+    def _watched_global_step(self, i: int) -> Float[Tensor, ""]:
+        with self.watch(None):
+            return self._global_step(i)
 
     @contextlib.contextmanager
     def one_frame(self, frame: Frame) -> Iterator[None]:
@@ -186,7 +192,7 @@ class Mapper(AsksRule, SavesState, ABC):
         restored; if the second part fails before ``changes_stay`` and ``changes_begin`` was given ``_undo()``, so is
         the map.
         """
-        with self.guard.one_frame(frame.index):
+        with self.watch(frame.index), self.guard.one_frame(frame.index):
             random_numbers, memory = self.random.state_dict(), copy_memory(self.memory)
             try:
                 yield

@@ -13,6 +13,7 @@ from torch import Tensor
 from ..checks import check_saved
 from ..config import DiscConfig, WindowConfig
 from ..gaussians import SurfelModel
+from ..observing import observed
 from ..optim import Keyframe, RgbdLoss, RowAdam, rgbd_l1_vjp
 from ..render import blended_depth_m, disc_depth, disc_depth_vjp, render_forward, render_vjp
 from ..types import Camera, Frame, GaussianParams
@@ -29,6 +30,8 @@ class TrainingView:
     camera: Camera
     T_WC: Float[Tensor, "4 4"]
     pixels: Bool[Tensor, "H W"]
+    index: int = -1
+    """Number of its frame; -1 if not known."""
 
     @staticmethod
     def of(source: Frame | Keyframe, pixels: Bool[Tensor, "H W"] | None = None) -> "TrainingView":
@@ -42,6 +45,7 @@ class TrainingView:
             camera=source.camera,
             T_WC=source.T_WC,
             pixels=everywhere if pixels is None else pixels,
+            index=source.index,
         )
 
 
@@ -115,6 +119,7 @@ class SurfelOptimiser:
         output, _ = render_forward(self.trained, camera, T_WC, with_indices=False)
         return output.alpha > 0
 
+    @observed
     def step(self, view: TrainingView, outputs: Mapping[str, Tensor | None] = MappingProxyType({})) -> RgbdLoss:
         """One gradient step on one view. Returns the loss before it; the picture before it is ``picture`` then.
 

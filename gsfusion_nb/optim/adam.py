@@ -10,6 +10,7 @@ from ..backends import op
 from ..checks import check_number
 from ..config import OptimConfig
 from ..gaussians import GaussianModel
+from ..observing import observed
 from ..operands import INTEGERS, check_gaussians, check_operand
 from ..types import GaussianParams
 from .row_rates import at_row_rates
@@ -199,6 +200,7 @@ def adam_update_map(
         adam_update(p, g, m, v, steps, lr=lr, beta1=beta1, beta2=beta2, eps=eps)
 
 
+@observed
 def adam_step(model: GaussianModel, gradients: GaussianParams, config: OptimConfig) -> None:
     """Update every parameter of the map once, each group at its own constant learning rate.
 

@@ -4,9 +4,11 @@ from jaxtyping import Int
 from torch import Tensor
 
 from ..geometry import quaternion
+from ..observing import observed
 from ..types import GaussianParams
 
 
+@observed
 def fuse_with_history(
     before: GaussianParams,
     after: GaussianParams,

@@ -9,6 +9,7 @@ from jaxtyping import Int
 from torch import Tensor
 
 from ..checks import check_saved, check_whole
+from ..observing import observed
 from ..types import GaussianParams
 from .adam import adam_update
 from .row_rates import at_row_rates
@@ -39,6 +40,7 @@ class RowAdam:
         } | {"sh": sh_rates.expand(-1, 3)}
         self._moments = {name: [torch.zeros_like(getattr(params, name)) for _ in range(2)] for name in self._rates}
 
+    @observed
     def step(self, gradients: GaussianParams) -> None:
         """Update once. Rows of ``gradients`` beyond those of ``params`` are ignored."""
         self.steps += 1

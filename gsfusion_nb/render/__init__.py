@@ -10,6 +10,8 @@ from .disc import disc_depth_vjp as disc_depth_vjp
 from .footprints import Footprints as Footprints
 from .footprints import footprints as footprints
 from .in_view import rows_in_view as rows_in_view
+from .on_screen import ScreenGaussians as ScreenGaussians
+from .on_screen import TileBlend as TileBlend
 from .project import Projection as Projection
 from .project import ProjectionGradient as ProjectionGradient
 from .project import project_gaussians as project_gaussians

@@ -158,7 +158,7 @@ def composite(
         k, (y, x) = tiles.gaussians_of(tile), tiles.pixels_of(tile, camera)
         if len(k) == 0:
             continue
-        dx, dy = _offsets(uv[k], x, y)
+        dx, dy = pixel_offsets(uv[k], x, y)
         alpha = splat_alpha(dx, dy, conic[k], opacity[k])
         w, C[y, x] = blend(alpha, c[k])
         first[y, x] = _nearest(w > 0, k)
@@ -202,7 +202,7 @@ def composite_vjp(
     v_uv_abs = torch.zeros_like(uv) if with_uv_abs else None
     for tile in range(saved.tiles.tiles_x * saved.tiles.tiles_y):
         k, (y, x) = saved.tiles.gaussians_of(tile), saved.tiles.pixels_of(tile, saved.camera)
-        dx, dy = _offsets(uv[k], x, y)
+        dx, dy = pixel_offsets(uv[k], x, y)
         alpha = splat_alpha(dx, dy, conic[k], opacity[k])
         v_alpha_k, v_c_k = blend_vjp(alpha, c[k], v_image[y, x])
         v_uv_k, v_conic_k, v_opacity_k = splat_alpha_vjp(dx, dy, conic[k], opacity[k], alpha, v_alpha_k)
@@ -217,7 +217,7 @@ def composite_vjp(
     )
 
 
-def _offsets(uv: Tensor, x: Tensor, y: Tensor) -> tuple[Float[Tensor, "K P"], Float[Tensor, "K P"]]:
+def pixel_offsets(uv: Tensor, x: Tensor, y: Tensor) -> tuple[Float[Tensor, "K P"], Float[Tensor, "K P"]]:
     """dx and dy, pixel centre - (u, v), of K Gaussians at the pixels in columns ``x`` and rows ``y``."""
     return x + 0.5 - uv[:, :1], y + 0.5 - uv[:, 1:]
 

@@ -14,6 +14,7 @@ from ..geometry.spherical_harmonics import sh_to_rgb, sh_to_rgb_vjp
 from ..operands import MASK, check_gaussians, check_operand, check_view
 from ..types import Camera, GaussianParams, RenderOutput
 from .composite import check_image_gradients, composite, composite_vjp
+from .on_screen import ScreenGaussians
 from .project import project_gaussians, project_gaussians_vjp
 from .tiles import tile_intersections
 
@@ -28,6 +29,8 @@ class RenderSaved(Record):
     drawn: Bool[Tensor, " N"]
     """Rows that may be in the picture."""
     composite: Record
+    screen: ScreenGaussians
+    """What was blended."""
 
 
 def render(params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RenderOutput:
@@ -137,7 +140,17 @@ def render_forward(
         dominant_index=image.dominant_index,
         hit_index=image.hit_index,
     )
-    return output, RenderSaved(params=params, camera=camera, T_WC=T_WC, drawn=drawn, composite=image.saved)
+    screen = ScreenGaussians(
+        uv=projection.uv,
+        conic=projection.conic,
+        opacity=projection.opacity,
+        rgb=rgb,
+        depth_m=projection.depth_m,
+        tiles=tiles,
+    )
+    return output, RenderSaved(
+        params=params, camera=camera, T_WC=T_WC, drawn=drawn, composite=image.saved, screen=screen
+    )
 
 
 @op("rasterize", check_render_vjp)

@@ -16,6 +16,7 @@ from jaxtyping import Int
 from torch import Tensor
 
 from ..checks import check_finite, check_name, check_shape
+from ..observing import observed
 from ..plausible import MAX_DISTANCE_M
 from ..types import Seeds
 from .context import SeedContext
@@ -93,6 +94,7 @@ def rule_choices(rule: str | SeedingRule) -> dict[str, tuple[str, ...]]:
     return {name: typing.get_args(p.annotation) for name, p in options.items() if isinstance(p.default, str)}
 
 
+@observed
 def apply_rule(
     rule: str | SeedingRule, ctx: SeedContext, options: Mapping[str, Option] | None = None, one_per_voxel: bool = False
 ) -> Seeds:

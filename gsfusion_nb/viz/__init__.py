@@ -57,6 +57,7 @@ if TYPE_CHECKING:
     from .panels.stage_bars import sped_up as sped_up
     from .panels.stage_bars import stage_bars as stage_bars
     from .panels.stage_bars import stage_means as stage_means
+    from .panels.trace import TracePanel as TracePanel
     from .panels.tsdf_fill import tsdf_fill_panel as tsdf_fill_panel
     from .panels.tsdf_slice import distance_colours as distance_colours
     from .panels.tsdf_slice import slice_picture as slice_picture
@@ -71,6 +72,7 @@ _LAZY = {
     "OrbitView": ".live.orbit",
     "PixelMicroscope": ".microscopes.pixel_microscope",
     "Player": ".live.player",
+    "TracePanel": ".panels.trace",
     "SplatViewer": ".splats.viewer",
     "LiveLoop": ".live.live_loop",
     "disc_adding_panel": ".panels.discs",

@@ -11,12 +11,13 @@ import torch
 from torch import Tensor
 
 from gsfusion_nb.backends import Record
+from gsfusion_nb.render.on_screen import ScreenGaussians
 from gsfusion_nb.types import Camera, GaussianParams, RenderOutput
 
 from ..binning.cuda import TileLists, list_tiles
 from ..composite.sums import SUM_GX, SUM_GY
 from ..project.cuda import project_rows, project_rows_vjp
-from ..project.splat import CONIC_A, CONIC_B, CONIC_C, SPLAT
+from ..project.splat import CONIC_A, CONIC_B, CONIC_C, DEPTH, LN_OPACITY, RED, SPLAT, U
 from ..runtime.cuda.launch import device_of, launch
 from ..runtime.gpu import check_dtype, packed
 from .host import blank
@@ -41,6 +42,19 @@ class CudaPicture(Record):
     """Colour, depth, alpha."""
     pixels: Tensor | None
     """uint8, those to be drawn; ``None`` for all."""
+
+    @property
+    def screen(self) -> ScreenGaussians:
+        """What was blended."""
+        s = self.splats
+        return ScreenGaussians(
+            uv=s[:, U : U + 2],
+            conic=s[:, CONIC_A : CONIC_A + 3],
+            opacity=s[:, LN_OPACITY].exp(),
+            rgb=s[:, RED : RED + 3],
+            depth_m=s[:, DEPTH],
+            tiles=self.lists,
+        )
 
 
 class Work(NamedTuple):

@@ -15,6 +15,8 @@ from torch import Tensor
 
 from gsfusion_nb.backends import Record
 from gsfusion_nb.geometry import se3
+from gsfusion_nb.render.on_screen import ScreenGaussians
+from gsfusion_nb.render.tiles import TileLists
 from gsfusion_nb.types import Camera, GaussianParams, RenderOutput
 
 from ..binning.host import check_pairs
@@ -26,7 +28,7 @@ from ..composite.vjp import composite_backward
 from ..project.centre_vjp import centre_vjp, row_sums
 from ..project.layout import Params, pack_camera
 from ..project.numba import CHUNK, NOTED_PER_CHUNK, project_rows
-from ..project.splat import SPLAT
+from ..project.splat import CONIC_A, DEPTH, LN_OPACITY, RED, SPLAT, U
 from ..project.vjp import project_rows_vjp
 from ..runtime.numba.launch import launching, scratch
 from .host import blank
@@ -51,6 +53,27 @@ class NumbaSaved(Record):
     lists: PairLists
     image: Image
     pixels: np.ndarray
+
+    @property
+    def screen(self) -> ScreenGaussians:
+        """What was blended."""
+        splats, camera = torch.from_numpy(self.splats), self.camera
+        tiles = TileLists(
+            gaussian=torch.from_numpy(self.lists.ids),
+            offset=torch.from_numpy(self.lists.offset),
+            tile_px=TILE,
+            tiles_x=-(-camera.width // TILE),
+            tiles_y=-(-camera.height // TILE),
+            pixels=torch.from_numpy(self.pixels) if self.pixels.size else None,
+        )
+        return ScreenGaussians(
+            uv=splats[:, U : U + 2],
+            conic=splats[:, CONIC_A : CONIC_A + 3],
+            opacity=splats[:, LN_OPACITY].exp(),
+            rgb=splats[:, RED : RED + 3],
+            depth_m=splats[:, DEPTH],
+            tiles=tiles,
+        )
 
 
 def render_forward(

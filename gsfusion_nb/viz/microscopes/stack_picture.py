@@ -110,8 +110,15 @@ def lens_picture(
 
 
 def outlines(splats: Splats, rows: Int[Tensor, " K"], points: int = 48) -> Float[np.ndarray, "K points 2"]:
-    """The one-standard-deviation ellipses of some rows as polygons, pixels: u + L (cos t, sin t) with L L^T = cov."""
-    A, B, C = splats.projection.conic[rows].double().unbind(-1)
+    """The one-standard-deviation ellipses of some rows as polygons, pixels."""
+    return ellipse_outlines(splats.projection.uv[rows], splats.projection.conic[rows], points)
+
+
+def ellipse_outlines(
+    uv: Float[Tensor, "K 2"], conic: Float[Tensor, "K 3"], points: int = 48
+) -> Float[np.ndarray, "K points 2"]:
+    """Ellipses of one standard deviation as polygons, pixels: u + L (cos t, sin t) with L L^T = cov = conic^-1."""
+    A, B, C = conic.double().unbind(-1)
     det = A * C - B * B
     uu, uv, vv = C / det, -B / det, A / det
     l11 = uu.sqrt()
@@ -120,7 +127,7 @@ def outlines(splats: Splats, rows: Int[Tensor, " K"], points: int = 48) -> Float
     t = torch.linspace(0, 2 * torch.pi, points + 1, dtype=torch.float64)[:-1]
     cos, sin = t.cos(), t.sin()
     ring = torch.stack([l11[:, None] * cos, l21[:, None] * cos + l22[:, None] * sin], -1)
-    return (splats.projection.uv[rows].double()[:, None] + ring).numpy()
+    return (uv.double()[:, None] + ring).numpy()
 
 
 def with_cross(image: AnyImage, u: int, v: int, height: int) -> Picture:

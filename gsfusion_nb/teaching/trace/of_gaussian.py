@@ -1,0 +1,328 @@
+"""One Gaussian through the steps of a mapper."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from ...gaussians import GaussianModel, change_states
+from ...optim import adam_update, fuse_with_history
+from .identity import Birth, Event
+from .moment import Marks, Moment, box, common, copied, numbers, table, where
+from .records import PastRecord, Record, SeedingRecord, StateRecord, StepRecord
+
+PARAMETERS = ("xyz_W", "log_scale", "quat", "opacity_logit", "sh")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TilePlace:
+    """Where a Gaussian is in the list of a tile, and what it does at the tile's pixels."""
+
+    tile: tuple[int, int]
+    """Column and row of the tile."""
+    place: int
+    """0: the nearest."""
+    length: int
+    """Gaussians in the list."""
+    pixels: Int[Tensor, "P 2"]
+    """(column, row) of the pixels with w above 0."""
+    alpha: Float[Tensor, " P"]
+    transmittance: Float[Tensor, " P"]
+    weight: Float[Tensor, " P"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class AdamRow:
+    """One parameter of one Gaussian in one step of Adam; shapes as in the map: xyz_W [3], sh [K, 3], ..."""
+
+    before: Tensor
+    gradient: Tensor
+    """dL/d of the parameter."""
+    m: tuple[Tensor, Tensor]
+    """Running mean of the gradient, before and after."""
+    v: tuple[Tensor, Tensor]
+    """Running mean of its square, before and after."""
+    after: Tensor
+    lr: float | Tensor
+    """Learning rate, in units of the parameter."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GaussianStep(Moment):
+    """A Gaussian in one optimisation step."""
+
+    code: ClassVar = (adam_update, "param.copy_(param - lr * m_hat / (v_hat.sqrt() + eps))")
+
+    stage: str
+    """"frame", "keyframe" or "passes"."""
+    view_index: int
+    """The frame whose picture was compared."""
+    row: int
+    """In the map."""
+    loss: float
+    """Of the view, before the step."""
+    drawn: bool
+    """Whether it is in the list of a tile; if not, the projection is not known."""
+    uv: Float[Tensor, " 2"]
+    """Centre, pixels."""
+    conic: Float[Tensor, " 3"]
+    """A, B, C, 1/px^2."""
+    depth_m: float
+    opacity: float
+    rgb: Float[Tensor, " 3"]
+    """Colour seen from the camera."""
+    tiles: tuple[TilePlace, ...]
+    adam: dict[str, AdamRow]
+    """Parameter -> its step; empty if the row was not optimised. Parameters that cannot change are missing."""
+    t: int | None
+    """Step number of the bias correction; ``None``: no correction."""
+
+    @property
+    def title(self) -> str:
+        """What happened, in a few words."""
+        return f"{super().title}, step {self.serial} on the view of frame {self.view_index} ({self.stage})"
+
+    @property
+    def n_pixels(self) -> int:
+        """Pixels that it colours."""
+        return sum(len(tile.weight) for tile in self.tiles)
+
+    @property
+    def weight(self) -> float:
+        """Sum of its weights over the picture: how many pixels it makes alone."""
+        return sum((float(tile.weight.sum()) for tile in self.tiles), 0.0)
+
+    def lines(self) -> list[tuple[str, str]]:
+        """Names and values, rounded for reading."""
+        out = [("row", str(self.row)), ("loss of the view", f"{self.loss:.5f}")]
+        if self.drawn:
+            out += [("centre u, v px", numbers(self.uv)), ("depth m", f"{self.depth_m:.4f}")]
+            out += [("conic 1/px²", numbers(self.conic)), ("opacity", f"{self.opacity:.4f}")]
+            out += [("colour", numbers(self.rgb, 3))]
+        for tile in self.tiles:
+            best = int(tile.weight.argmax()) if len(tile.weight) else None
+            words = f"place {tile.place + 1} of {tile.length}, {len(tile.weight)} pixels"
+            if best is not None:
+                u, v = tile.pixels[best].tolist()
+                words += (
+                    f"; most at ({u}, {v}): α {tile.alpha[best]:.4f} × T {tile.transmittance[best]:.4f} = "
+                    f"w {tile.weight[best]:.4f}"
+                )
+            out.append((f"tile ({tile.tile[0]}, {tile.tile[1]})", words))
+        out += [("sum of weights", f"{self.weight:.4f} over {self.n_pixels} pixels")]
+        for name, a in self.adam.items():
+            dc = slice(0, 3) if name == "sh" else slice(None)
+            parts = [x.flatten()[dc] for x in (a.gradient, a.m[1], a.v[1], a.before, a.after)]
+            label = "sh 0" if name == "sh" else name
+            out += [
+                (f"{label}: dL/d", numbers(parts[0])),
+                ("   m, v after", f"{numbers(parts[1])} | {numbers(parts[2])}"),
+            ]
+            out += [("   before → after", f"{numbers(parts[3], 6)} → {numbers(parts[4], 6)}")]
+        return out if self.adam else [*out, ("Adam", "not optimised in this step")]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GaussianSeeded(Moment):
+    """A Gaussian when it was seeded."""
+
+    code: ClassVar = (GaussianModel, 'new["xyz_W"][start:stop] = seeds.xyz_W')
+
+    birth: Birth
+
+    @property
+    def title(self) -> str:
+        """What happened, in a few words."""
+        return f"{super().title}, born: {self.birth.cause}"
+
+    def lines(self) -> list[tuple[str, str]]:
+        """Names and values, rounded for reading."""
+        return [("number", str(self.birth.id)), ("birth", str(self.birth)), ("tag", str(self.birth.tag))]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GaussianStates(Moment):
+    """A disc of RTG-SLAM when states were managed."""
+
+    code: ClassVar = (change_states, "ready = ~stable & (model.confidence > config.stable_confidence)")
+
+    row: int
+    before: dict[str, float]
+    """state (1: stable), confidence, colour_errors, depth_errors, frames_in_view."""
+    after: dict[str, float] | None
+    """``None``: the Gaussian was removed."""
+
+    @property
+    def title(self) -> str:
+        """What happened, in a few words."""
+        return f"{super().title}, states"
+
+    def lines(self) -> list[tuple[str, str]]:
+        """Names and values, rounded for reading."""
+        gone = "removed" if self.after is None else ""
+        return [("row", str(self.row))] + [
+            (name, f"{value:g} → {gone or format(self.after[name], 'g')}")  # pyright: ignore[reportOptionalSubscript]
+            for name, value in self.before.items()
+        ]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GaussianPast(Moment):
+    """A disc of RTG-SLAM when the values of a window were fused with those before it (Eq. 9)."""
+
+    code: ClassVar = (fuse_with_history, "w = (confidence_before / confidence_after.clamp_min(1))")
+
+    confidence: tuple[int, int]
+    """eta before and after the window."""
+    before: dict[str, Tensor]
+    optimised: dict[str, Tensor]
+    fused: dict[str, Tensor]
+
+    @property
+    def title(self) -> str:
+        """What happened, in a few words."""
+        return f"{super().title}, fused with the past"
+
+    def lines(self) -> list[tuple[str, str]]:
+        """Names and values, rounded for reading."""
+        out = [("confidence", f"{self.confidence[0]} → {self.confidence[1]}")]
+        for name in ("xyz_W", "log_scale"):
+            parts = (self.before[name], self.optimised[name], self.fused[name])
+            out += [
+                (f"{name}: {k}", numbers(p, 6)) for k, p in zip(("before", "optimised", "fused"), parts, strict=True)
+            ]
+        return out
+
+
+def gaussian_moment(record: Record, i: int) -> Moment | None:
+    """What a record says about Gaussian number ``i``; ``None`` if nothing."""
+    if isinstance(record, StepRecord):
+        return _step(record, i)
+    if isinstance(record, StateRecord):
+        r = where(record.ids, i)
+        if r is None:
+            return None
+        after, now = where(record.ids_after, i), record.after
+        return GaussianStates(
+            **common(record), row=r, before={name: float(c[r]) for name, c in record.before.items()},
+            after=None if after is None else {name: float(c[after]) for name, c in now.items()},
+        )  # fmt: skip
+    if isinstance(record, PastRecord) and (r := where(record.ids, i)) is not None:
+        eta = (int(record.confidence_before[r]), int(record.confidence_after[r]))
+        parts = [copied(values, r) for values in (record.before, record.optimised, record.fused)]
+        return GaussianPast(**common(record), confidence=eta, before=parts[0], optimised=parts[1], fused=parts[2])
+    return None
+
+
+def seeded(record: SeedingRecord | None, birth: Birth) -> GaussianSeeded:
+    """The moment of a birth; with the picture, if its record is still held."""
+    marks = Marks(
+        pixel=None if birth.uv is None else (int(birth.uv[0]), int(birth.uv[1])),
+        cell=None if birth.cell is None else birth.cell[:4],
+    )
+    frame = None if record is None else record.frame
+    return GaussianSeeded(
+        serial=-1 if record is None else record.serial, frame_index=birth.frame_index, birth=birth, marks=marks,
+        camera=None if frame is None else frame.camera, image=None if frame is None else frame.colour,
+    )  # fmt: skip
+
+
+def _step(record: StepRecord, i: int) -> GaussianStep | None:
+    r = where(record.ids, i)
+    if r is None:
+        return None
+    s, camera = record.screen, record.camera
+    lists = s.tiles_with(r)
+    places = tuple(_place(record, r, tile, place) for tile, place in lists)
+    A, B, C = s.conic[r].tolist()
+    u, v = s.uv[r].tolist()
+    size = s.tiles
+    marks = Marks(
+        ellipse=(u, v, A, B, C), tiles=tuple(box(tile, size.tile_px, size.tiles_x, camera) for tile, _ in lists)
+    )
+    return GaussianStep(
+        **common(record), camera=camera, image=record.rgb, marks=marks if lists else Marks(),
+        stage=record.stage, view_index=record.view_index, row=r if record.rows is None else int(record.rows[r]),
+        loss=float(record.loss), drawn=bool(lists), uv=s.uv[r].cpu().clone(), conic=s.conic[r].cpu().clone(),
+        depth_m=float(s.depth_m[r]), opacity=float(s.opacity[r]), rgb=s.rgb[r].cpu().clone(), tiles=places,
+        adam=_adam(record, r), t=_t_of(record.t, r),
+    )  # fmt: skip
+
+
+def _t_of(t: int | Tensor | None, r: int) -> int | None:
+    if isinstance(t, Tensor):
+        return int(t[r]) if r < len(t) else None
+    return t
+
+
+def _adam(record: StepRecord, r: int) -> dict[str, AdamRow]:
+    out = {}
+    for name, column in record.adam.items():
+        if r < len(column.before):
+            c = copied(vars(column), r)
+            rate = record.rates[name]
+            out[name] = AdamRow(
+                before=c["before"], gradient=c["gradient"], m=(c["m_before"], c["m_after"]),
+                v=(c["v_before"], c["v_after"]), after=c["after"],
+                lr=rate.cpu().clone() if isinstance(rate, Tensor) else rate,
+            )  # fmt: skip
+    return out
+
+
+def _place(record: StepRecord, r: int, tile: int, place: int) -> TilePlace:
+    s = record.screen
+    x, y = s.pixels_of(tile, record.camera)
+    blend = s.blend(tile, x, y)
+    alpha, T, w = blend.alpha[place], blend.transmittance[place], blend.weight[place]
+    coloured = w > 0
+    return TilePlace(
+        tile=(tile % s.tiles.tiles_x, tile // s.tiles.tiles_x), place=place, length=len(blend.gaussian),
+        pixels=torch.stack([x[coloured], y[coloured]], dim=1).cpu(), alpha=alpha[coloured].cpu().clone(),
+        transmittance=T[coloured].cpu().clone(), weight=w[coloured].cpu().clone(),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GaussianTrace:
+    """Everything that is known of one Gaussian, in order. ``print(t)`` shows a table, ``print(t.steps[0])`` a step."""
+
+    id: int
+    """Number of the Gaussian, from its birth to its end."""
+    row: int | None
+    """Its row now; ``None`` if it has left the map."""
+    birth: Birth
+    moments: tuple[Moment, ...]
+    events: tuple[Event, ...]
+    n_dropped: int
+    """Operations of the whole trace that are no longer held; what they did is known only to those who asked before."""
+
+    @property
+    def steps(self) -> tuple[GaussianStep, ...]:
+        """Its optimisation steps."""
+        return tuple(m for m in self.moments if isinstance(m, GaussianStep))
+
+    def __len__(self) -> int:
+        return len(self.moments)
+
+    def __str__(self) -> str:
+        now = "no longer in the map" if self.row is None else f"row {self.row} now"
+        out = [f"Gaussian {self.id}, {now}", f"  born: {self.birth}"]
+        out += [f"  {event.of(self.id)}" for event in self.events]
+        heads = ("step", "frame", "view", "stage", "row", "depth m", "pixels", "Σw", "|dL/dxyz|", "moved mm", "opacity")
+        rows = [_row_of(step) for step in self.steps]
+        if self.n_dropped:
+            out.append(f"  {self.n_dropped} operations are no longer held: give the trace more memory, or ask earlier")
+        return "\n".join([*out, table(heads, rows)] if rows else [*out, "  no optimisation step is held"])
+
+
+def _row_of(s: GaussianStep) -> list[str]:
+    moved, gradient, opacity = "", "", f"{s.opacity:.3f}" if s.drawn else ""
+    if "xyz_W" in s.adam:
+        a = s.adam["xyz_W"]
+        moved, gradient = f"{1e3 * float((a.after - a.before).norm()):.3f}", f"{float(a.gradient.norm()):.2e}"
+    frame = "-" if s.frame_index is None else str(s.frame_index)
+    depth = f"{s.depth_m:.3f}" if s.drawn else "not drawn"
+    return [str(s.serial), frame, str(s.view_index), s.stage, str(s.row), depth, str(s.n_pixels), f"{s.weight:.3f}",
+            gradient, moved, opacity]  # fmt: skip
