@@ -52,8 +52,9 @@ def _called_by(function: Callable[..., Any], seen: set[Any]) -> Iterator[Callabl
     names = code.co_names if code is not None else ()
     for name in names:
         other = getattr(function, "__globals__", {}).get(name)
-        private = isinstance(other, types.FunctionType) and name.startswith("_")
-        if private and other.__module__ == function.__module__ and other not in seen:
+        if not isinstance(other, types.FunctionType) or other in seen:
+            continue
+        if name.startswith("_") and other.__module__ == function.__module__:
             seen.add(other)
             yield from _called_by(other, seen)
             yield other

@@ -45,7 +45,7 @@ def _up() -> str:
     """The way from the notebook's folder to the package's."""
     try:
         return Path(os.path.relpath(_ROOT.parent)).as_posix()
-    except ValueError:  # another drive of Windows: no link can lead there
+    except (ValueError, OSError):  # another drive of Windows, or a folder that is gone: no link can lead there
         return _ROOT.parent.as_uri()
 
 
