@@ -7,7 +7,7 @@ from gsfusion_nb.runs import outputs
 
 SMALL = "--data.width 80 --data.height 60 --data.stop 6 --data.hold-out-every 3 --data.hold-out-offset 1"
 FAST = (
-    "--tsdf.voxel-size-m 0.04 --optim.global-iterations 1 --sh-degree 0 "
+    "--tsdf.voxel-size-m 0.04 --optim.global-iterations 1 --optim.keyframe-iterations 2 --sh-degree 0 "
     "--seeding.quadtree-threshold 0.01 --keyframe-min-seeds 20"
 )
 
