@@ -120,10 +120,10 @@ def ellipse_outlines(
     """Ellipses of one standard deviation as polygons, pixels: u + L (cos t, sin t) with L L^T = cov = conic^-1."""
     A, B, C = conic.double().unbind(-1)
     det = A * C - B * B
-    uu, uv, vv = C / det, -B / det, A / det
-    l11 = uu.sqrt()
-    l21 = uv / l11
-    l22 = (vv - l21 * l21).clamp_min(0).sqrt()
+    cov_uu, cov_uv, cov_vv = C / det, -B / det, A / det
+    l11 = cov_uu.sqrt()
+    l21 = cov_uv / l11
+    l22 = (cov_vv - l21 * l21).clamp_min(0).sqrt()
     t = torch.linspace(0, 2 * torch.pi, points + 1, dtype=torch.float64)[:-1]
     cos, sin = t.cos(), t.sin()
     ring = torch.stack([l11[:, None] * cos, l21[:, None] * cos + l22[:, None] * sin], -1)
