@@ -31,6 +31,7 @@ SIZE_OPTIONS: dict[str, SizeOption] = {
     "gsfusion": SizeOption(name="seeding.quadtree_threshold", low=1e-6, high=100.0, only_seeding=True),
     "uniform": SizeOption(name="fraction", low=1e-5, high=1.0, only_seeding=True),
     "edge_discs": SizeOption(name="spacing_px", low=1.0, high=200.0, only_seeding=True),
+    "edge_strokes": SizeOption(name="spacing_px", low=1.0, high=200.0, only_seeding=True),
     "monogs": SizeOption(name="density", low=1e-4, high=128.0, only_seeding=True),
     "monogs_like": SizeOption(name="density", low=1e-4, high=128.0),
     "photo_slam": SizeOption(name="corners", low=1, high=100_000, only_seeding=True),

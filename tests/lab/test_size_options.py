@@ -1,10 +1,13 @@
 """Every rule has an option that decides its number of Gaussians, or is known to have none."""
 
 import pytest
+import torch
 
 from gsfusion_nb.lab import RunSpec
+from gsfusion_nb.lab.rule_variants import thinned
 from gsfusion_nb.lab.size_options import SIZE_OPTIONS, size_option, start_value, with_size
-from gsfusion_nb.seeding import is_built_in, registered
+from gsfusion_nb.seeding import SeedContext, apply_rule, is_built_in, registered
+from gsfusion_nb.types import Camera, Frame
 
 WITHOUT = {"dense"}
 
@@ -23,3 +26,15 @@ def test_the_option_exists_and_its_usual_value_is_in_range(name):
     assert start_value(smaller, rule, option) < start
     assert smaller.label == spec.label
     smaller.config()
+
+
+@pytest.mark.parametrize("name", ["edge_discs", "edge_strokes"])
+def test_a_share_of_a_function_and_of_a_class_is_drawn(name):
+    camera = Camera(width=64, height=48, fx=50.0, fy=50.0, cx=32.0, cy=24.0)
+    frame = Frame(
+        index=0, timestamp_s=0.0, rgb=torch.rand(48, 64, 3), depth_m=torch.full((48, 64), 2.0), camera=camera,
+        T_WC=torch.eye(4),
+    )  # fmt: skip
+    some = thinned(registered()[name], 0.25)
+    every, quarter = (len(apply_rule(r, SeedContext(frame), {"coverage": False})) for r in (name, some))
+    assert quarter == round(every / 4) > 10

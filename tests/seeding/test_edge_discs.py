@@ -1,11 +1,14 @@
 """The rule edge_discs: where its Gaussians are, and how they lie along an edge of the picture."""
 
+import dataclasses
 import math
 
 import pytest
 import torch
 
+from gsfusion_nb.config import gsfusion, replace
 from gsfusion_nb.geometry import quaternion, se3
+from gsfusion_nb.mapping import make_mapper
 from gsfusion_nb.seeding import SeedContext, apply_rule, check_rule
 from gsfusion_nb.seeding.image_features import structure_directions
 from gsfusion_nb.seeding.rules.edge_discs import hexagonal_grid, odd, quat_along
@@ -90,3 +93,14 @@ def test_it_keeps_the_contract_and_refuses_nonsense():
         apply_rule("edge_discs", SeedContext(wall(0)), {"spacing_px": 0.5})
     with pytest.raises(ValueError, match="stretch must be at least 1"):
         apply_rule("edge_discs", SeedContext(wall(0)), {"stretch": 0.0})
+
+
+def test_strokes_are_these_discs_with_faster_sizes_and_directions():
+    ctx = SeedContext(wall(30))
+    strokes = apply_rule("edge_strokes", ctx, {"spacing_px": 5.0, "coverage": False})
+    discs = apply_rule("edge_discs", ctx, {"spacing_px": 5.0, "coverage": False})
+    assert len(strokes) > 0
+    assert all(torch.equal(getattr(strokes, f.name), getattr(discs, f.name)) for f in dataclasses.fields(discs))
+    optim = make_mapper(replace(gsfusion(), seeding__rule="edge_strokes")).config.optim
+    assert (optim.lr_log_scale, optim.lr_quat, optim.lr_xyz) == (4e-3, 4e-3, gsfusion().optim.lr_xyz)
+    check_rule("edge_strokes")

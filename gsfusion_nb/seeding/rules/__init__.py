@@ -4,6 +4,7 @@ from .cg_slam import cg_slam as cg_slam
 from .default_strategy import default_strategy as default_strategy
 from .dense import dense as dense
 from .edge_discs import edge_discs as edge_discs
+from .edge_strokes import edge_strokes as edge_strokes
 from .gaus_slam import gaus_slam as gaus_slam
 from .gaussian_slam import gaussian_slam as gaussian_slam
 from .gps_slam import gps_slam as gps_slam

@@ -46,7 +46,7 @@ def edge_discs(
         required_weight: Observation count that the voxel must have, as in the rule ``gsfusion``.
         coverage: False skips the voxel test; then every frame is seeded everywhere.
 
-    Source: ours; docs/seeding_lab.md has the comparison with the published rules.
+    Source: ours; docs/seeding_results.md has the comparison with the published rules.
     """
     if spacing_px < 1:
         raise ValueError(f"edge_discs: spacing_px must be at least 1, got {spacing_px}")

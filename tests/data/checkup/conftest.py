@@ -282,8 +282,8 @@ BREAKAGES = {
     "frozen": Breakage("frames 10 and 11 repeat frame 9", _freeze, {"frozen frames"}, {"skip": (10, 11)}),
 }
 
+ROOM_SIZES = {"room": (320, 240), "small room": (160, 120)}
 SOURCES = {
-    "room": 0,
     "redkitchen250": 200,
     "livingroom1_clean211": 100,
     "redkitchen_mini48": 0,
@@ -296,7 +296,7 @@ def write_clean(source: str, root: Path, folder: Path | None) -> Recording:
     for kind in ("rgb", "depth"):
         (root / kind).mkdir(parents=True)
     if folder is None:
-        return _write_room(root)
+        return _write_room(root, *ROOM_SIZES[source])
     first = SOURCES[source]
     for kind in ("rgb", "depth"):
         for i, f in enumerate(sorted((folder / kind).iterdir())[first : first + N_FRAMES]):
@@ -307,10 +307,10 @@ def write_clean(source: str, root: Path, folder: Path | None) -> Recording:
     return recording
 
 
-def _write_room(root: Path) -> Recording:
+def _write_room(root: Path, width: int, height: int) -> Recording:
     from gsfusion_nb.data.room import room
 
-    sequence = room(n_frames=200, width=320, height=240)
+    sequence = room(n_frames=200, width=width, height=height)
     for i in range(N_FRAMES):
         frame = sequence[i]
         cv2.imwrite(str(root / f"rgb/{i:06d}.jpg"), frame.rgb_u8.numpy()[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 95])
@@ -341,7 +341,7 @@ def broken(tmp_path, clean_recordings, request):
     """``broken(source, breakage)`` is a copy broken so, and the clean one's intrinsics."""
 
     def get(source: str, breakage: str) -> tuple[Recording, dict]:
-        folder = None if source == "room" else request.getfixturevalue("shared_sequence")(source)
+        folder = None if source in ROOM_SIZES else request.getfixturevalue("shared_sequence")(source)
         clean = clean_recordings(source, folder)
         root = tmp_path / "scan"
         shutil.copytree(clean.root, root)

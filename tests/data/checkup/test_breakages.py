@@ -61,11 +61,11 @@ def examine(broken, breakages, table, source, name):
 
 @pytest.mark.parametrize("name", FAST)
 def test_the_room(broken, breakages, table, name):
-    examine(broken, breakages, table, "room", name)
+    examine(broken, breakages, table, "small room", name)
 
 
 @pytest.mark.ci
-@pytest.mark.parametrize("name", IN_CI)
+@pytest.mark.parametrize("name", [*FAST, *IN_CI])
 def test_the_room_in_more_ways(broken, breakages, table, name):
     examine(broken, breakages, table, "room", name)
 

@@ -56,7 +56,7 @@ def test_what_nothing_makes_rigid(poses):
 
 
 def test_times(tmp_path, broken):
-    recording, _ = broken("room", "clean")
+    recording, _ = broken("small room", "clean")
     sequence = folder(recording.root)
     assert time_stamps(sequence)[0].verdict == "ok"
     times = list(sequence.timestamps_s)

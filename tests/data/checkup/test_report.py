@@ -86,7 +86,7 @@ def test_a_sequence_in_memory_is_left_alone():
 
 
 def test_few_or_damaged_frames(broken):
-    recording, _ = broken("room", "clean")
+    recording, _ = broken("small room", "clean")
     with pytest.raises(SequenceError, match="is not a folder"):
         check_recording(recording.root / "nowhere")
     files = sorted((recording.root / "depth").iterdir())
