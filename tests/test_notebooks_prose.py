@@ -1,5 +1,6 @@
 """What the notebooks' text says about results holds for the stored outputs; times add up."""
 
+import ast
 import json
 import re
 from pathlib import Path
@@ -136,3 +137,16 @@ def test_abbreviations_are_spelled_where_they_are_first_used(path):
         if first:
             until_there = text[: first.end() + 160]
             assert re.search(long, until_there, re.IGNORECASE), f"{path.name} does not say what {short} is: {first}"
+
+
+@EACH
+def test_every_picture_says_what_it_shows(path):
+    """``show`` takes its words from the labels or from alt, ``show_figure`` from the figure; ``Image`` has none."""
+    for cell in notebook(path)["cells"]:
+        if cell["cell_type"] != "code":
+            continue
+        for call in ast.walk(ast.parse("".join(cell["source"]))):
+            if isinstance(call, ast.Call) and isinstance(call.func, ast.Name):
+                assert call.func.id != "Image", f"{path.name}, cell {cell['id']}: use show or show_figure"
+                said = len(call.args) > 1 or "alt" in [keyword.arg for keyword in call.keywords]
+                assert call.func.id != "show" or said, f"{path.name}, cell {cell['id']}: give show labels or alt"

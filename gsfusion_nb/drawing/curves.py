@@ -24,6 +24,9 @@ PAPER = "#fffffe"
 PALETTE = ("#3d85c6", "#e08a2e", "#3a9d6a", "#d1495b", "#8e6bbf", "#8a8f98", "#2aa5a0", "#b8860b")
 """Colours of medium lightness, visible on white and on black."""
 
+_BETWEEN = "#76808d"
+"""Text on an unknown ground; its contrast is about 4 to white and 5 to a dark page."""
+
 _THEMED = {INK: "var(--ink)", MUTED: "var(--muted)", GRID: "var(--line)", PAPER: "var(--card)"}
 
 
@@ -103,10 +106,30 @@ def figure_svg(figure: "Figure", name: str) -> str:
 
 
 def figure_png(figure) -> bytes:
-    """PNG bytes of a matplotlib figure, for an image widget."""
+    """PNG bytes of a matplotlib figure on a transparent ground, with text that is readable on white and on black."""
+    from matplotlib.colors import to_hex
+    from matplotlib.lines import Line2D
+    from matplotlib.text import Text
+
+    for text in figure.findobj(Text):
+        if to_hex(text.get_color()) in (INK, MUTED, "#000000"):
+            text.set_color(_BETWEEN)
+    for line in figure.findobj(Line2D):
+        if to_hex(line.get_color()) == GRID:
+            line.set(color=_BETWEEN, alpha=0.35)
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png")
+    figure.savefig(buffer, format="png", transparent=True)
     return buffer.getvalue()
+
+
+def figure_words(figure: "Figure") -> str:
+    """What a graph shows, in one sentence: its axes and the names of its curves."""
+    parts = []
+    for axes in figure.axes:
+        names = [name for name in axes.get_legend_handles_labels()[1] if name]
+        curves = f": {', '.join(names)}" if names else ""
+        parts.append(f"{axes.get_ylabel() or 'values'} over {axes.get_xlabel() or 'positions'}{curves}")
+    return f"Graph of {'; '.join(parts)}"
 
 
 def figure_picture(figure: "Figure") -> Picture:

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from ..drawing.pictures import to_uint8 as to_uint8
     from ..drawing.side_by_side import side_by_side as side_by_side
     from .display import show as show
+    from .display import show_figure as show_figure
     from .display import static_views as static_views
     from .live.live_loop import LiveLoop as LiveLoop
     from .live.live_mapper import LiveMapper as LiveMapper
@@ -117,6 +118,7 @@ _LAZY = {
     "rule_picture": ".panels.seeding_rule",
     "sh_ball_panel": ".microscopes.gaussian_panels",
     "show": ".display",
+    "show_figure": ".display",
     "show_mesh": ".meshes.show",
     "side_by_side": "..drawing.side_by_side",
     "single_level_config": ".panels.icp",

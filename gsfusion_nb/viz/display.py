@@ -4,11 +4,13 @@ import os
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from ..drawing.curves import figure_png, figure_words
 from ..drawing.pictures import AnyImage, encode_jpeg, to_uint8
 from ..drawing.side_by_side import side_by_side
 
 if TYPE_CHECKING:
     from IPython.display import Image
+    from matplotlib.figure import Figure
 
 WIDGET_MIME = "application/vnd.jupyter.widget-view+json"
 
@@ -23,7 +25,7 @@ def static_views() -> bool:
 
 
 def show(
-    images: AnyImage | Sequence[AnyImage], labels: str | Sequence[str] = (), *, scale: float | int = 1.0
+    images: AnyImage | Sequence[AnyImage], labels: str | Sequence[str] = (), *, scale: float | int = 1.0, alt: str = ""
 ) -> "Image":
     """One image, or several in a row with a label above each, as the output of a notebook cell.
 
@@ -31,6 +33,7 @@ def show(
         images: RGB, 0..1 or bytes. [H, W, 3]
         labels: One per image, or none.
         scale: Size on screen, screen pixels per image pixel.
+        alt: What it shows, for screen readers and for pages made from the notebook; by default the labels.
     """
     import cv2
     from IPython.display import Image
@@ -42,7 +45,22 @@ def show(
         row = [cv2.resize(to_uint8(i), None, fx=scale, fy=scale, interpolation=how) for i in row]
         scale = 1
     picture = side_by_side(row, captions) if captions or len(row) > 1 else to_uint8(row[0])
-    return Image(data=encode_jpeg(picture), format="jpeg", width=round(picture.shape[1] * scale))
+    words = alt or "; ".join(captions) or "picture"
+    return Image(data=encode_jpeg(picture), format="jpeg", width=round(picture.shape[1] * scale), alt=words)
+
+
+def show_figure(figure: "Figure", *, width: int = 520, alt: str = "") -> "Image":
+    """A graph as the output of a notebook cell, readable on a light and on a dark page.
+
+    Args:
+        figure: A matplotlib figure; its ground becomes transparent.
+        width: On screen, pixels.
+        alt: What it shows, for screen readers and for pages made from the notebook; by default the names of its axes
+            and curves.
+    """
+    from IPython.display import Image
+
+    return Image(data=figure_png(figure), format="png", width=width, alt=alt or figure_words(figure))
 
 
 def with_picture(bundle: Any, picture: AnyImage, text: str) -> dict[str, Any]:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from gsfusion_nb.drawing.side_by_side import LABEL_PX
-from gsfusion_nb.viz import show
+from gsfusion_nb.viz import curve_figure, show, show_figure
 
 
 def shown(image):
@@ -26,3 +26,14 @@ def test_one_picture_without_a_label_is_enlarged_by_the_browser():
     image = show(np.full((40, 60, 3), 128, np.uint8), scale=1.5)
     assert shown(image).shape == (40, 60, 3)
     assert image.width == 90
+
+
+def test_pictures_have_words_for_those_who_do_not_see_them():
+    picture = np.full((40, 60, 3), 128, np.uint8)
+    assert show([picture, picture], ["left", "right"]).alt == "left; right"
+    assert show(picture, alt="grey").alt == "grey"
+    graph = show_figure(curve_figure([0, 1], {"a": [1.0, 2.0]}, x_label="frame", y_label="PSNR, dB"), width=480)
+    assert graph.alt == "Graph of PSNR, dB over frame: a"
+    _, metadata = graph._repr_mimebundle_()
+    assert metadata["image/png"]["alt"] == graph.alt
+    assert graph.width == 480
