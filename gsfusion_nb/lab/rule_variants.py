@@ -1,6 +1,7 @@
 """A seeding rule thinned to a random share of its seeds."""
 
 import functools
+from dataclasses import dataclass
 from typing import Any, cast
 
 import torch
@@ -14,6 +15,7 @@ def thinned(rule: SeedingRule, share: float) -> SeedingRule:
     if is_map_rule(rule):
         base: Any = rule
 
+        @dataclass(frozen=True, kw_only=True)
         class Thinned(base):
             def seeds(self, ctx, memory):
                 return _draw(super().seeds(ctx, memory), share, ctx.generator)

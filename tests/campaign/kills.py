@@ -67,22 +67,14 @@ class Figures:
 
 
 def settings(system: str, poses: str) -> Any:
-    """Small settings of a system: nine frames with few gradient steps, and two passes."""
+    """Small settings of a system: nine frames and two passes."""
     from gsfusion_nb.config import gsfusion, rtg_slam
 
     shared = {"data__stop": 12, "data__hold_out_every": 4, "data__hold_out_offset": 2, "tracking__poses": poses}
     if system == "gsfusion":
         small = {"tsdf__voxel_size_m": 0.04, "tsdf__truncation_voxels": 4.0, "seeding__quadtree_threshold": 0.01}
-        steps = {
-            "keyframe_iterations": 2,
-            "frame_iterations": 1,
-            "random_keyframe_iterations": 1,
-            "global_iterations": 2,
-        }
-        small |= {f"optim__{name}": n for name, n in steps.items()}
-        return gsfusion("replica", sh_degree=1, keyframe_min_seeds=20, **small, **shared)
-    steps = {"window__iterations": 8, "keyframes__iterations": 4, "final__passes": 2}
-    return rtg_slam("room", data__width=0, data__height=0, **steps, **shared)
+        return gsfusion("replica", sh_degree=1, keyframe_min_seeds=20, optim__global_iterations=2, **small, **shared)
+    return rtg_slam("room", data__width=0, data__height=0, final__passes=2, **shared)
 
 
 def child(variant: tuple[str, str], folder: Path, *, every: int = EVERY_FRAMES, kill: KillPoint | None = None) -> int:

@@ -12,7 +12,6 @@ from gsfusion_nb.runs import MappingRun, mapping_run, run_mapping
 from gsfusion_nb.types import Frame
 
 DATA = DataConfig(width=160, height=120, hold_out_every=0)
-FEW_STEPS = {"optim__keyframe_iterations": 2, "optim__frame_iterations": 1, "optim__random_keyframe_iterations": 1}
 
 
 class Stream:
@@ -45,7 +44,7 @@ def room():
 
 def config(system):
     if system == "gsfusion":
-        return gsfusion("room", data=vars(DATA), tracking__poses="tracked", tsdf__voxel_size_m=0.03, **FEW_STEPS)
+        return gsfusion("room", data=vars(DATA), tracking__poses="tracked", tsdf__voxel_size_m=0.03)
     return rtg_slam("room", data=vars(DATA), tracking__poses="tracked", window__iterations=8, keyframes__iterations=4)
 
 
