@@ -181,10 +181,13 @@ class LiveTable:
                 done = f"{len(group.runs)} of {n} runs" if len(group.runs) < n else ""
                 states[group.label] = f"{done}, {lost} failed" if lost else done
             self.widget_table.show(self.table(), states)
+            seeds: dict[tuple[str, str], list[int]] = {}
+            for label, scene, budget, seed, reason in failures(self.results):
+                if (scene, budget) == place:
+                    seeds.setdefault((label, reason), []).append(seed)
             lines = [
-                f"{label}, seed {seed}: {reason}"
-                for label, scene, budget, seed, reason in failures(self.results)
-                if (scene, budget) == place
+                f"{label}, seed{'s' * (len(of) > 1)} {', '.join(map(str, of))}: {reason}"
+                for (label, reason), of in seeds.items()
             ]
             self.failed.value = "<br>".join(html.escape(line) for line in lines)
 

@@ -98,6 +98,15 @@ def test_another_table_stops_this_one_and_finds_its_results(live, specs, cache, 
     assert [r.map_hash for r in again.results] == [r.map_hash for r in live.results[:2]]
 
 
+def test_a_reason_is_said_once_for_all_seeds(spec, tmp_path, cache):
+    own = Budget(steps="own")
+    made = [spec("dense", options={"stride": -1}, seed=seed, budget=own) for seed in (0, 1)]
+    live = LiveTable(made, ResultStore(tmp_path, cache))
+    live.run_sync()
+    assert live.failed.value.startswith("dense stride=-1, seeds 0, 1: ")
+    assert "<br>" not in live.failed.value
+
+
 def test_step_does_one_run(live):
     live.step()
     wait_for(lambda: live.player.state == "paused")
