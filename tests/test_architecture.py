@@ -223,6 +223,32 @@ def toy_exercise(attempt: Attempt) -> None:
     close(attempt.on("3")(3), 6, "the result is twice the number", on="3")
 '''
 
+OWN_EXERCISE = '''
+"""Exercises for a test, whose function runs in the library."""
+
+from .becomes import Becomes
+from .exercise import Attempt, Wrong, close, exercise
+
+
+@exercise(chapter=11, difficulty=1, minutes=1, solution=lambda x: x + x, hints=("Add it to itself.",),
+          wrong=(Wrong(lambda x: x, says="twice"),), becomes=Becomes("toy_piece", lambda yours, x: yours(x)))
+def toy_own(attempt: Attempt) -> None:
+    """Twice a number."""
+    close(attempt.on("3")(3), 6, "the result is twice the number", on="3")
+'''
+
+PIECE = '''
+"""A piece of an operation for a test."""
+
+from ..backends import piece
+
+
+@piece
+def toy_piece(x):
+    """Twice a number."""
+    return x + x
+'''
+
 NOTEBOOK = '{"cells": [], "metadata": {}, "nbformat": 4, "nbformat_minor": 5}\n'
 WHOLE = {
     "a seeding rule": {
@@ -250,6 +276,10 @@ WHOLE = {
         "gsfusion_nb/teaching/toy_chapter.py": CHAPTER,
         "notebooks/11_toy_chapter.ipynb": NOTEBOOK,
         "README.md": (("| `10_backends_and_speed`", "| `11_toy_chapter` | a toy | nothing | 1 min |\n"),),
+    },
+    "an exercise whose function runs in the library": {
+        "gsfusion_nb/teaching/toy_own.py": OWN_EXERCISE,
+        "gsfusion_nb/optim/toy_piece.py": PIECE,
     },
     "a setting": {
         "gsfusion_nb/config/parts.py": (
@@ -296,6 +326,16 @@ assert run.metrics["psnr_mapped_db"] > 0 and (run.folder / "gaussians.ply").is_f
 assert (run.folder / "report.html").is_file() and (run.folder / "mesh.ply").is_file()
 
 assert check.toy_exercise(lambda x: 2 * x) and not check.toy_exercise(lambda x: x)
+
+from gsfusion_nb.optim.toy_piece import toy_piece
+from gsfusion_nb.teaching import mine as own
+
+calls = []
+assert check.toy_own(lambda x: calls.append(x) or 2 * x)
+calls.clear()
+with backends.use_backend("mine"):
+    assert toy_piece(4) == 8 and calls == [4]
+assert toy_piece(4) == 8 and calls == [4] and "toy_piece" in own.board().yours
 
 from gsfusion_nb import gsfusion
 assert gsfusion("room", tsdf__toy_m=0.3).tsdf.toy_m == 0.3
