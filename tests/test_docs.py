@@ -16,7 +16,7 @@ from gsfusion_nb.config import gsfusion, to_dict
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
-COMMANDS = ("demo", "convert", "check", "map", "live", "eval", "lab", "sweep", "study", "bench", "doctor")
+COMMANDS = ("demo", "convert", "check", "map", "live", "eval", "lab", "sweep", "study", "bench", "doctor", "course")
 OTHER_PROGRAMS = ("--torch-backend", "--pdb", "--allow-root", "--no-install-recommends")
 
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)

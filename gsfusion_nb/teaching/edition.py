@@ -15,7 +15,7 @@ from typing import Any, Literal
 from ..errors import SequenceError
 from ..files import write_file
 from ..strict_json import read_object
-from .student import without_solutions
+from .without_solutions import without_solutions
 
 _HANDED_OUT = ".handed_out.json"
 """In the learner's folder: name of a notebook -> SHA-256 of the edition handed out last."""

@@ -71,6 +71,7 @@ _MACHINERY = {
     "student",
     "verdict",
     "whose",
+    "without_solutions",
     "yours",
 }
 

@@ -7,40 +7,16 @@ copy has no outputs, because they would show what the reader is asked to predict
 """
 
 import argparse
-import copy
 import json
 import logging
 import shutil
 from pathlib import Path
-from typing import Any
 
 from ..strict_json import read_object
+from .edition import hand_out
+from .without_solutions import without_solutions
 
 log = logging.getLogger(__name__)
-
-_BEGIN = ("### BEGIN SOLUTION", "<!-- BEGIN SOLUTION -->")
-_END = ("### END SOLUTION", "<!-- END SOLUTION -->")
-
-
-def without_solutions(notebook: dict[str, Any], *, outputs: bool = False) -> dict[str, Any]:
-    """A copy of the notebook (as read from JSON) without solutions and, unless they are wanted, ``outputs``.
-
-    Raises:
-        ValueError: a marker without its partner; the message names the cell.
-    """
-    student = copy.deepcopy(notebook)
-    kept = []
-    for number, cell in enumerate(student["cells"]):
-        lines = _lines(cell["source"])
-        left = _outside(lines, number)
-        if cell["cell_type"] == "code":
-            cell |= {"outputs": cell["outputs"] if outputs else [], "execution_count": None}
-        if len(left) < len(lines) and not "".join(left).strip():
-            continue
-        cell["source"] = [*left[:-1], left[-1].rstrip("\n")] if left else []
-        kept.append(cell)
-    student["cells"] = kept
-    return student
 
 
 def copy_course(source: Path, target: Path, *, solutions: bool = False) -> list[Path]:
@@ -76,29 +52,6 @@ def copy_course(source: Path, target: Path, *, solutions: bool = False) -> list[
     return written
 
 
-def _lines(source: str | list[str]) -> list[str]:
-    return (source if isinstance(source, str) else "".join(source)).splitlines(keepends=True)
-
-
-def _outside(lines: list[str], number: int) -> list[str]:
-    """Lines that belong to no solution."""
-    left, inside = [], False
-    for line in lines:
-        if line.strip() in _BEGIN:
-            if inside:
-                raise ValueError(f"cell {number} has BEGIN SOLUTION inside a solution")
-            inside = True
-        elif line.strip() in _END:
-            if not inside:
-                raise ValueError(f"cell {number} has END SOLUTION without BEGIN SOLUTION")
-            inside = False
-        elif not inside:
-            left.append(line)
-    if inside:
-        raise ValueError(f"cell {number} has BEGIN SOLUTION without END SOLUTION")
-    return left
-
-
 def main(arguments: list[str] | None = None) -> None:
     """The command line."""
     parser = argparse.ArgumentParser(description="Copy the course's notebooks, without solutions or with them.")
@@ -112,8 +65,6 @@ def main(arguments: list[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     try:
         if options.learner:
-            from .edition import hand_out
-
             lines = [str(done) for done in hand_out(options.source, options.target) if done.state != "unchanged"]
         else:
             lines = [f"wrote {p}" for p in copy_course(options.source, options.target, solutions=options.teacher)]

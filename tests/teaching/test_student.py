@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from gsfusion_nb.teaching.student import copy_course, main, without_solutions
+from gsfusion_nb.teaching.student import copy_course, main
+from gsfusion_nb.teaching.without_solutions import without_solutions
 
 NOTEBOOKS = sorted((Path(__file__).resolve().parents[2] / "notebooks").glob("*.ipynb"))
 
