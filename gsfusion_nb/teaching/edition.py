@@ -14,6 +14,7 @@ from typing import Any, Literal
 
 from ..errors import SequenceError
 from ..files import write_file
+from ..foreign import read_bytes
 from ..strict_json import read_object
 from .without_solutions import without_solutions
 
@@ -106,14 +107,14 @@ def _place(path: Path, content: bytes, handed_out: str) -> HandedOut:
     if not path.exists():
         write_file(path, content)
         return HandedOut(path, "new")
-    if _hash(content) == handed_out or path.read_bytes() == content:
+    if _hash(content) == handed_out or _bytes(path) == content:
         return HandedOut(path, "unchanged")
-    if _hash(path.read_bytes()) == handed_out:
+    if _hash(_bytes(path)) == handed_out:
         write_file(path, content)
         return HandedOut(path, "renewed")
     number = 2
     while (beside := path.with_name(f"{path.stem}.edition{number}{path.suffix}")).exists():
-        if beside.read_bytes() == content:
+        if _bytes(beside) == content:
             return HandedOut(beside, "unchanged")
         number += 1
     write_file(beside, content)
@@ -147,6 +148,10 @@ def _expected(output: dict[str, Any]) -> dict[str, Any]:
 
 def _says_whose(output: dict[str, Any]) -> bool:
     return _WHOSE.match("".join(output.get("data", {}).get("text/plain", ""))) is not None
+
+
+def _bytes(path: Path) -> bytes:
+    return read_bytes(path, "a notebook")
 
 
 def _hash(content: bytes) -> str:

@@ -8,7 +8,7 @@ import pytest
 from gsfusion_nb.bench import BenchOptions, panels
 from gsfusion_nb.data.room import room
 
-SMALL_ROOM = room(n_frames=60, width=80, height=60)
+SMALL_ROOM = room(n_frames=60, width=160, height=120)
 
 
 @pytest.fixture

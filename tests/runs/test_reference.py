@@ -10,7 +10,7 @@ from gsfusion_nb.backends import use_backend
 from gsfusion_nb.config import gsfusion, rtg_slam
 from gsfusion_nb.runs import run_mapping
 
-ROOM: dict[str, Any] = {"n_frames": 120, "width": 64, "height": 48}
+ROOM: dict[str, Any] = {"n_frames": 120, "width": 80, "height": 60}
 FOUR_FRAMES: dict[str, Any] = {"data__stop": 4, "data__hold_out_offset": 2, "data__hold_out_every": 4}
 CONFIGS = {
     "gsfusion": gsfusion(
