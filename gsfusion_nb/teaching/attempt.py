@@ -71,7 +71,8 @@ def plain(value: Any) -> Any:
     if isinstance(value, Iterator):
         return [plain(v) for v in value]
     if type(value) in (tuple, list):
-        return type(value)(plain(v) for v in value)
+        parts = [plain(v) for v in value]
+        return tuple(parts) if type(value) is tuple else parts
     return value
 
 

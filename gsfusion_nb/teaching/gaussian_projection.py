@@ -252,8 +252,8 @@ def project_gaussian_vjp(attempt: Attempt) -> None:
         got = unpack(attempt.on(on)(_CAMERA, turned, xyz_W, needle, tilted, *v), names, on=on)
         leaves = [x.clone().requires_grad_() for x in (xyz_W, needle, tilted)]
         outputs = _project(_CAMERA, turned, *leaves)
-        loss = sum((a * b).sum() for a, b in zip(outputs, v, strict=True))
-        right = torch.autograd.grad(loss, leaves, allow_unused=True)  # pyright: ignore[reportArgumentType]
+        loss = torch.stack([(a * b).sum() for a, b in zip(outputs, v, strict=True)]).sum()
+        right = torch.autograd.grad(loss, leaves, allow_unused=True)
         return got, tuple(torch.zeros_like(x) if r is None else r for x, r in zip(leaves, right, strict=True))
 
     on = "only the centre counts: dL/dconic = 0"

@@ -12,9 +12,10 @@ from torch import Tensor
 
 from gsfusion_nb.backends import Record
 from gsfusion_nb.render.on_screen import ScreenGaussians
+from gsfusion_nb.render.tiles import TileLists as PlainLists
 from gsfusion_nb.types import Camera, GaussianParams, RenderOutput
 
-from ..binning.cuda import TileLists, list_tiles
+from ..binning.cuda import TILE, TileLists, list_tiles
 from ..composite.sums import SUM_GX, SUM_GY
 from ..project.cuda import project_rows, project_rows_vjp
 from ..project.splat import CONIC_A, CONIC_B, CONIC_C, DEPTH, LN_OPACITY, RED, SPLAT, U
@@ -46,14 +47,22 @@ class CudaPicture(Record):
     @property
     def screen(self) -> ScreenGaussians:
         """What was blended."""
-        s = self.splats
+        s, pixels = self.splats, self.pixels
+        shape = (self.camera.height, self.camera.width)
         return ScreenGaussians(
             uv=s[:, U : U + 2],
             conic=s[:, CONIC_A : CONIC_A + 3],
             opacity=s[:, LN_OPACITY].exp(),
             rgb=s[:, RED : RED + 3],
             depth_m=s[:, DEPTH],
-            tiles=self.lists,
+            tiles=PlainLists(
+                gaussian=self.lists.ids,
+                offset=self.lists.offset,
+                tile_px=TILE,
+                tiles_x=self.lists.tiles_x,
+                tiles_y=self.lists.n_tiles // self.lists.tiles_x,
+                pixels=None if pixels is None else pixels.reshape(shape).bool(),
+            ),
         )
 
 

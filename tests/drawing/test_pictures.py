@@ -143,6 +143,7 @@ def test_curve_figure_has_labels_a_legend_and_no_pyplot():
     assert curves.figure_words(figure) == words
     assert curves.figure_picture(figure).shape == (300, 520, 3)
     png = cv2.imdecode(np.frombuffer(curves.figure_png(figure), np.uint8), cv2.IMREAD_UNCHANGED)
+    assert png is not None
     assert png.shape == (300, 520, 4)
     assert (png[..., 3] == 0).mean() > 0.8  # no ground of its own
     ink = png[png[..., 3] == 255][:, :3].astype(int)

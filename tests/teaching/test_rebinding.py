@@ -55,7 +55,7 @@ class Cell(ast.NodeVisitor):
     def visit_ListComp(self, node):
         self.read |= free(node) - self.bound
 
-    visit_SetComp = visit_DictComp = visit_GeneratorExp = visit_ListComp
+    visit_SetComp = visit_DictComp = visit_GeneratorExp = visit_ListComp  # pyright: ignore[reportAssignmentType]
 
 
 def free(scope):

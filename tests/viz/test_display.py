@@ -1,5 +1,7 @@
 """``show``: the size on screen, and labels that stay legible."""
 
+from typing import Any
+
 import cv2
 import numpy as np
 import pytest
@@ -34,6 +36,6 @@ def test_pictures_have_words_for_those_who_do_not_see_them():
     assert show(picture, alt="grey").alt == "grey"
     graph = show_figure(curve_figure([0, 1], {"a": [1.0, 2.0]}, x_label="frame", y_label="PSNR, dB"), width=480)
     assert graph.alt == "Graph of PSNR, dB over frame: a"
-    _, metadata = graph._repr_mimebundle_()
-    assert metadata["image/png"]["alt"] == graph.alt
+    bundle: Any = graph._repr_mimebundle_()
+    assert bundle[1]["image/png"]["alt"] == graph.alt
     assert graph.width == 480

@@ -175,8 +175,8 @@ class Recorder:
             return
         at = step.pop("view_index")
         stage = "passes" if self.frame_index is None else "frame" if at == self.frame_index else "keyframe"
-        step = {"hit_index": None, "disc_depth_m": None} | step
-        self._add(StepRecord(stage=stage, view_index=at, loss=loss, **step))
+        seen: dict[str, Any] = {"hit_index": None, "disc_depth_m": None} | step
+        self._add(StepRecord(stage=stage, view_index=at, loss=loss, **seen))
 
     def _render_forward(self, f: Call, args: tuple, kwargs: dict) -> Any:
         output, saved = f(*args, **kwargs)

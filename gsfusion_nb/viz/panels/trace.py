@@ -119,7 +119,7 @@ class TracePanel:
     @property
     def follows(self) -> str:
         """What a click follows: "pixel", "Gaussian" or "voxel"."""
-        return self.choice.value
+        return str(self.choice.value)
 
     @follows.setter
     def follows(self, follows: str) -> None:
