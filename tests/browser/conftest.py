@@ -92,14 +92,14 @@ class Lab:
         return json.loads(self.run(page, f"import json; print(json.dumps({expression}))"))
 
     def chapter(
-        self, name: str, until: str, *, without: str = "\0", changes: Mapping[str, str] | None = None
+        self, name: str, until: str, *, without: tuple[str, ...] = (), changes: Mapping[str, str] | None = None
     ) -> list[str]:
         """The student's code cells of a chapter in its quick version, up to the one that contains ``until``.
 
         Args:
             name: File in ``notebooks``.
             until: Words of the last cell.
-            without: Cells with these words are left out.
+            without: Cells with one of these words are left out.
             changes: Pieces of the cells -> what stands there instead.
         """
         chosen = []
@@ -107,7 +107,7 @@ class Lab:
             source = "".join(cell["source"])
             for old, new in {_FULL: "SMOKE = True", **(changes or {})}.items():
                 source = source.replace(old, new)
-            if cell["cell_type"] == "code" and "BEGIN SOLUTION" not in source and without not in source:
+            if cell["cell_type"] == "code" and not any(words in source for words in ("BEGIN SOLUTION", *without)):
                 chosen.append(source)
                 if until in source:
                     return chosen

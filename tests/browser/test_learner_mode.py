@@ -12,7 +12,7 @@ from gsfusion_nb.teaching.source_lines import source_lines
 course_progress(0)
 """,
     'predict("browser_seeds", "How many Gaussians will the first frame give?", [300, 3000, 30000])',
-    """
+    """\
 def psnr(rendered, photo):
     noise = (rendered - photo).square().mean()
     return noise.decibels()
@@ -47,7 +47,7 @@ def page(project_lab):
 def test_the_notebook_says_whose_code_is_used_and_names_the_line(project_lab, page):
     said = page.locator(".gsnb-whose").first
     assert "the reference's is used: yours fails" in said.inner_text()
-    assert "line 4 of cell 3, `return noise.decibels()`" in said.inner_text()
+    assert "line 3 of cell 3, `return noise.decibels()`" in said.inner_text()
     project_lab.screenshot(page.locator(".jp-Cell").nth(2), "whose_code")
     assert "This chapter: 0 of 3 exercises solved" in page.locator(".gsnb-course").inner_text()
 

@@ -47,7 +47,7 @@ def test_the_panel_follows_a_pixel_a_gaussian_and_a_voxel(lab):
     page.keyboard.press("ArrowRight")
     lab.wait_for(lambda: lab.value(page, "hasattr(panel.story, 'ijk')"), "a voxel")
     page.evaluate("window.jupyterapp.commands.execute('apputils:change-theme', {theme: 'JupyterLab Dark'})")
-    page.wait_for_selector("body[data-jp-theme-light=false]")
+    page.wait_for_selector("body[data-jp-theme-light=false]", state="attached")
     lab.screenshot(root, "trace_voxel_dark")
     lab.run(page, "viewer = SplatViewer(mapper, width=96, height=72); panel.follow_picks(viewer); viewer.picked = 7")
     assert lab.value(page, "panel.story.row") == 7
