@@ -155,14 +155,15 @@ class TracePanel:
         self.choice.layout.width = "220px"
         self.choice.add_class("gsnb-trace-follows")
         self.back, self.next = (
-            w.Button(description=name, icon=icon, layout=w.Layout(width="88px"), tooltip=f"{name} moment")
+            w.Button(description=name, icon=icon, layout=w.Layout(width="104px"), tooltip=f"{name} moment")
             for name, icon in (("Previous", "step-backward"), ("Next", "step-forward"))
         )
         self.back.add_class("gsnb-trace-previous")
         self.next.add_class("gsnb-trace-next")
         self.back.on_click(lambda _: self.go_to(self.slider.value - 1))
         self.next.on_click(lambda _: self.go_to(self.slider.value + 1))
-        self.numbers = w.HTML(layout=w.Layout(width="500px"))
+        beside = w.Layout(flex="1 1 320px", min_width="300px", max_height="460px", overflow="auto")
+        self.numbers = w.HTML(layout=beside)
         self.numbers.add_class("gsnb-trace-numbers")
         buttons = w.HBox([self.back, self.next, self.choice])
         left = w.VBox([self.clicks, self.slider, buttons], layout=w.Layout(width=f"{WIDTH_PX + 12}px"))
