@@ -4,7 +4,7 @@ from dataclasses import asdict, dataclass
 
 from ..drawing.html import fill
 from .exercise import exercises
-from .progress import CourseFileError, course_file, read_section
+from .progress import CourseFileError, Entries, course_file, read_section
 
 TITLES = {
     0: "Quickstart",
@@ -107,7 +107,23 @@ def read_course(chapter: int | None = None) -> Course:
     Raises:
         CourseFileError: the file is damaged or newer.
     """
-    noted = read_section("exercises")
+    made = sum("answer" in entry for entry in read_section("predictions").values())
+    path = course_file()
+    return Course(
+        chapters=_chapters(read_section("exercises")), predictions=made, file=str(path) if path else "", chapter=chapter
+    )
+
+
+def course_progress(chapter: int) -> Course:
+    """What a notebook shows at its top; a file that cannot be read is said in one line."""
+    try:
+        return read_course(chapter)
+    except CourseFileError as e:
+        return Course(chapters=_chapters({}), predictions=0, file="", problem=str(e))
+
+
+def _chapters(noted: Entries) -> tuple[Chapter, ...]:
+    """Every chapter, with what is noted about its exercises."""
     chapters = []
     every = exercises().values()
     for number in sorted({e.chapter for e in every}):
@@ -123,24 +139,4 @@ def read_course(chapter: int | None = None) -> Course:
                 minutes_left=sum(e.minutes for e in left),
             )
         )
-    made = sum("answer" in entry for entry in read_section("predictions").values())
-    path = course_file()
-    return Course(chapters=tuple(chapters), predictions=made, file=str(path) if path else "", chapter=chapter)
-
-
-def course_progress(chapter: int) -> Course:
-    """What a notebook shows at its top; a file that cannot be read is said in one line."""
-    try:
-        return read_course(chapter)
-    except CourseFileError as e:
-        return Course(chapters=_untouched(), predictions=0, file="", problem=str(e))
-
-
-def _untouched() -> tuple[Chapter, ...]:
-    every = exercises().values()
-    numbers = sorted({e.chapter for e in every})
-    return tuple(
-        Chapter(number=n, title=TITLES.get(n, ""), solved=0, total=sum(e.chapter == n for e in every),
-                open_exercises=(), minutes_left=0)
-        for n in numbers
-    )  # fmt: skip
+    return tuple(chapters)
