@@ -22,19 +22,17 @@ class SizeOption:
     """Smallest value that is tried."""
     high: float | int
     """Largest value that is tried."""
-    only_seeding: bool = False
-    """The number of Gaussians does not depend on their optimisation, so it can be counted without any."""
 
 
 SHARE = SizeOption(name="share", low=1e-5, high=1.0)
 SIZE_OPTIONS: dict[str, SizeOption] = {
-    "gsfusion": SizeOption(name="seeding.quadtree_threshold", low=1e-6, high=100.0, only_seeding=True),
-    "uniform": SizeOption(name="fraction", low=1e-5, high=1.0, only_seeding=True),
-    "edge_discs": SizeOption(name="spacing_px", low=1.0, high=200.0, only_seeding=True),
-    "edge_strokes": SizeOption(name="spacing_px", low=1.0, high=200.0, only_seeding=True),
-    "monogs": SizeOption(name="density", low=1e-4, high=128.0, only_seeding=True),
+    "gsfusion": SizeOption(name="seeding.quadtree_threshold", low=1e-6, high=100.0),
+    "uniform": SizeOption(name="fraction", low=1e-5, high=1.0),
+    "edge_discs": SizeOption(name="spacing_px", low=1.0, high=200.0),
+    "edge_strokes": SizeOption(name="spacing_px", low=1.0, high=200.0),
+    "monogs": SizeOption(name="density", low=1e-4, high=128.0),
     "monogs_like": SizeOption(name="density", low=1e-4, high=128.0),
-    "photo_slam": SizeOption(name="corners", low=1, high=100_000, only_seeding=True),
+    "photo_slam": SizeOption(name="corners", low=1, high=100_000),
     "gs_icp": SizeOption(name="density", low=1e-3, high=100.0),
     "on_the_fly_nvs": SizeOption(name="density", low=1e-4, high=1e4),
     **dict.fromkeys(("default_strategy", "mcmc"), SHARE),

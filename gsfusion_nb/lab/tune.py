@@ -1,7 +1,7 @@
 """Reaching a budget: scratch runs that find the option of a rule, or the steps per frame. They are never scored."""
 
 import dataclasses
-from collections.abc import Generator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -9,6 +9,7 @@ from ..config import SystemConfig
 from ..seeding import rule_name
 from .find_value import NotReachedError, Search
 from .map_scene import Entry, Mapped, budgeted, map_scene
+from .rule_variants import observed
 from .schedule import steps_per_frame, with_steps_per_frame, without_steps
 from .size_options import SizeOption, size_option, start_value, with_size
 from .spec import RunSpec
@@ -89,24 +90,31 @@ def apply_size(entry: Entry, tuned: Mapping[str, Any]) -> Entry:
 
 
 def _tune_size(entry: Entry, config: SystemConfig) -> Generator[None, None, dict[str, Any]]:
-    """First without gradient steps, which is fast; then, unless the rule never looks at the map, with all of them."""
+    """First without gradient steps, which is fast; then, if they can change the number of Gaussians, with all of them.
+
+    They cannot if the rule never read the Gaussians of the map and does not edit it.
+    """
     spec, rule = entry.spec, entry.found_rule()
     option = size_option(spec, rule)
     start, target = start_value(spec, rule, option), spec.budget.gaussians
     assert target is not None
     whole = isinstance(start, int)
-    stages = (False,) if option.only_seeding or without_steps(config) == config else (False, True)
+    tolerance, used = spec.budget.tolerance / 2, set()
+    entry = dataclasses.replace(entry, rule=observed(rule, used))
     value, runs = float(start), 0
-    for with_steps in stages:
+    for settings in (without_steps, None):
         search = Search(
-            target=target, start=value, low=option.low, high=option.high, whole=whole,
-            tolerance=spec.budget.tolerance / 2 * (1 if with_steps == stages[-1] else 4),
+            target=target, start=value, low=option.low, high=option.high, whole=whole, tolerance=tolerance,
             accepted=spec.budget.tolerance,
         )  # fmt: skip
         while (tried := search.next_value()) is not None:
-            mapped = yield from _scratch_run(entry, option, int(tried) if whole else tried, with_steps)
+            mapped = yield from _scratch_run(entry, option, int(tried) if whole else tried, settings)
             search.tell(tried, len(mapped.run.mapper.gaussians))
+            if settings is without_steps and _steps_matter(config, used):
+                search.tolerance = 4 * tolerance  # a start for the search with all steps
         value, runs = search.best, runs + len(search.counts)
+        if not _steps_matter(config, used):
+            break
     try:
         value = search.found()
     except NotReachedError as e:
@@ -120,12 +128,17 @@ def _tune_size(entry: Entry, config: SystemConfig) -> Generator[None, None, dict
     }  # fmt: skip
 
 
+def _steps_matter(config: SystemConfig, used: set[str]) -> bool:
+    """Whether gradient steps can change how many Gaussians a rule makes that used these parts of the map."""
+    return bool(used) and without_steps(config) != config
+
+
 def _scratch_run(
-    entry: Entry, option: SizeOption, value: float | int, with_steps: bool
+    entry: Entry, option: SizeOption, value: float | int, settings: Callable[[SystemConfig], SystemConfig] | None
 ) -> Generator[None, None, Mapped]:
     changed = dataclasses.replace(entry, spec=with_size(entry.spec, option, value))
     config = budgeted(changed.spec)
-    return (yield from _quiet(changed, config if with_steps else without_steps(config)))
+    return (yield from _quiet(changed, settings(config) if settings else config))
 
 
 def _tune_seconds(entry: Entry, config: SystemConfig) -> Generator[None, None, dict[str, Any]]:

@@ -1,12 +1,15 @@
 """Every rule has an option that decides its number of Gaussians, or is known to have none."""
 
+from dataclasses import dataclass
+
 import pytest
 import torch
 
-from gsfusion_nb.lab import RunSpec
+from gsfusion_nb.lab import Budget, Entrant, RunSpec, tune
+from gsfusion_nb.lab.map_scene import finished, map_scene
 from gsfusion_nb.lab.rule_variants import thinned
 from gsfusion_nb.lab.size_options import SIZE_OPTIONS, size_option, start_value, with_size
-from gsfusion_nb.seeding import SeedContext, apply_rule, is_built_in, registered
+from gsfusion_nb.seeding import MapRule, SeedContext, apply_rule, is_built_in, registered
 from gsfusion_nb.types import Camera, Frame
 
 WITHOUT = {"dense"}
@@ -38,3 +41,45 @@ def test_a_share_of_a_function_and_of_a_class_is_drawn(name):
     some = thinned(registered()[name], 0.25)
     every, quarter = (len(apply_rule(r, SeedContext(frame), {"coverage": False})) for r in (name, some))
     assert quarter == round(every / 4) > 10
+
+
+def reads_nothing(ctx, *, spacing_px: int = 8):
+    return ctx.seeds_at(ctx.pixels()[::spacing_px], 2.0)
+
+
+def reads_the_map(ctx, *, spacing_px: int = 8):
+    seeds = ctx.seeds_at(ctx.pixels()[::spacing_px], 2.0)
+    return seeds[~ctx.occupied(seeds.xyz_W, 0.01)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class edits_the_map(MapRule):
+    spacing_px: int = 8
+
+    def seeds(self, ctx, memory):
+        return ctx.seeds_at(ctx.pixels()[:: self.spacing_px], 2.0)
+
+    def after_step(self, ctx, stats, memory):
+        return None
+
+
+@pytest.mark.parametrize(
+    ("rule", "with_steps"), [(reads_nothing, False), (reads_the_map, True), (edits_the_map, True)]
+)  # fmt: skip
+def test_only_rules_that_use_the_map_are_tuned_with_gradient_steps(rule, with_steps, monkeypatch):
+    steps = []
+
+    def recorded(entry, config, **options):
+        steps.append(config.optim.frame_iterations > 0)
+        return map_scene(entry, config, **options)
+
+    monkeypatch.setattr(tune, "map_scene", recorded)
+    run = Entrant(rule, size_option="spacing_px").entry(
+        data="room", reader={"n_frames": 2}, budget=Budget(gaussians=150, tolerance=0.2),
+        settings={"data.width": 48, "data.height": 36, "tsdf.voxel_size_m": 0.05, "optim.global_iterations": 0},
+    )  # fmt: skip
+    found = finished(tune.tune(run))
+    assert not steps[0]
+    assert any(steps) == with_steps
+    assert found["n_runs"] == len(steps)
+    assert found["n_gaussians"] == pytest.approx(150, rel=0.2)
