@@ -36,6 +36,18 @@ def hat(omega: Float[Tensor, "*B 3"]) -> Float[Tensor, "*B 3 3"]:
     return torch.stack([o, -z, y, z, o, -x, -y, x, o], dim=-1).reshape(*omega.shape[:-1], 3, 3)
 
 
+def adjoint(T: Float[Tensor, "*B 4 4"]) -> Float[Tensor, "*B 6 6"]:
+    """Ad(T) = [[R, hat(t) R], [0, R]]: T exp(xi) = exp(Ad(T) xi) T, translation first. Differentiable: yes."""
+    R, t = T[..., :3, :3], T[..., :3, 3]
+    return torch.cat([torch.cat([R, hat(t) @ R], dim=-1), torch.cat([torch.zeros_like(R), R], dim=-1)], dim=-2)
+
+
+def small_adjoint(xi: Float[Tensor, "*B 6"]) -> Float[Tensor, "*B 6 6"]:
+    """ad(xi) = [[hat(omega), hat(rho)], [0, hat(omega)]], with matrix exponential Ad(exp(xi)). Differentiable: yes."""
+    rho, omega = hat(xi[..., :3]), hat(xi[..., 3:])
+    return torch.cat([torch.cat([omega, rho], dim=-1), torch.cat([torch.zeros_like(rho), omega], dim=-1)], dim=-2)
+
+
 def exp(xi: Float[Tensor, "*B 6"]) -> Float[Tensor, "*B 4 4"]:
     """Exponential map of a twist (translation part first, then rotation, radians). Differentiable: yes.
 

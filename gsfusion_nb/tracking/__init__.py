@@ -5,6 +5,9 @@ from .back_end import moved_enough as moved_enough
 from .correction import Correction as Correction
 from .features import Features as Features
 from .features import extract_features as extract_features
+from .gauss_newton_poses import optimise_poses_plain as optimise_poses_plain
+from .gauss_newton_poses import pose_graph_step as pose_graph_step
+from .gauss_newton_poses import relative_pose_error as relative_pose_error
 from .icp import IcpIteration as IcpIteration
 from .icp import IcpResult as IcpResult
 from .icp import align as align
@@ -15,6 +18,9 @@ from .normal_equations import associate as associate
 from .normal_equations import depth_weight as depth_weight
 from .normal_equations import icp_system as icp_system
 from .normal_equations import point_to_plane as point_to_plane
+from .pose_graph import Edge as Edge
+from .pose_graph import odometry_information as odometry_information
+from .pose_graph import optimise_poses as optimise_poses
 from .pyramid import DepthLevel as DepthLevel
 from .pyramid import depth_pyramid as depth_pyramid
 from .surface import Surface as Surface
