@@ -8,18 +8,21 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from ...drawing.pictures import Picture, encode_jpeg
+from ...drawing.pictures import Picture
 from ...evaluation import expected_depth_m
 from ...gaussians import GaussianModel
 from ...mapping import Mapper
 from ...render import render
 from ...types import Camera, GaussianParams
 from ..display import with_picture
+from ..panels.click_image import ClickImage, Stroke
 from ..splats.map_picture import SHOWS, draw_gaussians
 from ..viewpoint import Vector, Viewpoint, extent, viewpoint_of, world_up
 
 _FOCAL_PER_WIDTH = 0.7
 """Focal length / image width of the viewer's camera if the map has no cameras: a 71 degree wide view."""
+TURN_DEG = 200.0
+"""A drag across the whole picture turns the camera by this angle."""
 _LABELLED = {"first-seen frame": "birth_frame", "quadtree level": "tag"}
 
 
@@ -49,6 +52,9 @@ def orbit_view(
 class OrbitView:
     """What ``orbit_view`` returns. ``widget`` is the ipywidgets box, ``picture()`` what it shows now.
 
+    Drag the picture, or use the arrow keys on it, to turn the camera; with the shift key, up and down move it nearer
+    and away. The sliders do the same.
+
     ``set(azimuth_deg=..., elevation_deg=..., distance_m=..., cut_m=..., show=...)`` moves the sliders from Python, to
     whole degrees and steps of 5 cm.
     """
@@ -76,6 +82,7 @@ class OrbitView:
         self._home = self._above if start is None else viewpoint_of(start, self._depth_ahead(start), self.up_W)
         self._target_W = self._home.target_W
         self._quiet = False
+        self._stroke, self._grabbed = 0, dict[str, float]()
         self._build()
         self._redraw()
 
@@ -157,8 +164,10 @@ class OrbitView:
             slider.add_class(f"gsnb-orbit-{name}")
         for control in (*self.sliders.values(), self.show):
             control.observe(self._changed, names="value")
-        self.image = w.Image(format="jpeg", layout=w.Layout(width=f"{self.camera.width}px", max_width="100%"))
+        width, height = self.camera.width, self.camera.height
+        self.image = ClickImage(width, height, width=width, touch="stroke")
         self.image.add_class("gsnb-orbit-image")
+        self.image.on_stroke(self._dragged)
         self.caption = w.HTML()
         controls = [w.HBox(list(self.buttons.values())), *self.sliders.values(), self.show, self.caption]
         panel = w.VBox(controls, layout=w.Layout(margin="0 0 0 12px"))
@@ -195,8 +204,29 @@ class OrbitView:
         if not self._quiet:
             self._redraw()
 
+    def _dragged(self, stroke: Stroke) -> None:
+        if stroke.number != self._stroke:
+            self._stroke, self._grabbed = stroke.number, {name: s.value for name, s in self.sliders.items()}
+        held, (du, dv) = self._grabbed, stroke.moved
+        if stroke.shift:
+            self.set(distance_m=max(held["distance"], 0.05) * math.exp(dv / (0.3 * self.camera.height)))
+            return
+        turn = TURN_DEG / self.camera.width
+        if held["distance"] < 0.05:  # the camera stands on the point that it would circle: look around
+            turn *= -0.4
+        elevation = self.sliders["elevation"]
+        self.set(
+            azimuth_deg=_wrapped(held["azimuth"] - turn * du),
+            elevation_deg=min(max(held["elevation"] + turn * dv, elevation.min), elevation.max),
+        )
+
     def _redraw(self) -> None:
-        self.image.value = encode_jpeg(self.picture())
+        self.image.show(self.picture())
+        s = self.sliders
+        self.image.alt = (
+            f"{len(self._params()):,} Gaussians, {self.show.value}, seen from azimuth {s['azimuth'].value:.0f} and "
+            f"elevation {s['elevation'].value:.0f} degrees at {s['distance'].value:.2f} m; drag to turn"
+        )
         self.caption.value = f"{len(self._params()):,} Gaussians"
 
     def _params(self) -> GaussianParams:

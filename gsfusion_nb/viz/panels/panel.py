@@ -1,7 +1,11 @@
-"""A panel for a notebook: controls beside one picture that a plain function makes from their values."""
+"""A panel for a notebook: controls beside one picture that a plain function makes from their values.
+
+The picture can be touched: a function turns a drag over it into new values of the controls.
+"""
 
 import html
 import math
+import re
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -9,8 +13,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ...drawing.pictures import Picture, encode_jpeg, encode_png
+from ...drawing.pictures import Picture
 from ..display import with_picture
+from .click_image import ClickImage, Stroke
 
 Number = float | int
 
@@ -51,6 +56,8 @@ class Switch:
 Control = Slider | Choice | Switch
 Drawn = tuple[Picture, str]
 """A picture and a line of text under the controls."""
+Touch = Callable[[Stroke, dict[str, Any]], Mapping[str, Any]]
+"""A drag in pixels of the picture, and the controls' values when it began -> the values that change."""
 
 
 class Panel:
@@ -66,7 +73,9 @@ class Panel:
         name: Part of the CSS classes: ``gsnb-NAME`` for the panel, ``gsnb-NAME-image``, ``gsnb-NAME-text``, and one
             for every control.
         kind: "jpeg" for photographs, "png" for drawings.
-        text: Shown where neither widgets nor pictures can be shown.
+        text: What the panel is; shown where neither widgets nor pictures can be shown, and with the line of text under
+            the controls the picture's description for screen readers.
+        touch: What a drag over the picture changes; the sliders move along. Without it the picture is only looked at.
     """
 
     def __init__(
@@ -78,11 +87,13 @@ class Panel:
         name: str = "panel",
         kind: Literal["jpeg", "png"] = "jpeg",
         text: str = "Panel",
+        touch: Touch | None = None,
     ):
         self.draw = draw
         self.name, self.kind, self.text = name, kind, text
         self.lock = threading.RLock()
         self._quiet = False
+        self._touch, self._stroke, self._grabbed = touch, 0, dict[str, Any]()
         self._picture: Picture = np.full((1, 1, 3), 255, np.uint8)
         self._build(controls, dict(buttons or {}))
         self.redraw()
@@ -106,6 +117,12 @@ class Panel:
         self.redraw()
         return self
 
+    def drag(self, start: tuple[float, float], *way: tuple[float, float], shift: bool = False) -> "Panel":
+        """Drag the picture from a point over others, (u, v) in pixels of ``picture()``; with only a start, a click."""
+        for now in (start, *way):
+            self._touched(Stroke(number=self._stroke + (now is start), start=start, now=now, shift=shift))
+        return self
+
     def press(self, label: str) -> "Panel":
         """Press a button."""
         if label not in self.buttons:
@@ -125,8 +142,10 @@ class Panel:
             except Exception as e:  # a traceback in a callback is seen nowhere
                 self.caption.value = f'<span style="color:#b3261e">{html.escape(f"{type(e).__name__}: {e}")}</span>'
                 return
-            self.image.value = encode_jpeg(self._picture) if self.kind == "jpeg" else encode_png(self._picture, 3)
-            self.image.layout.width = f"{self._picture.shape[1]}px"
+            height, width = self._picture.shape[:2]
+            self.image.size, self.image.width = (width, height), width
+            self.image.alt = f"{self.text}: {_spoken(words)}"
+            self.image.show(self._picture)
             self.caption.value = words
 
     def _repr_mimebundle_(self, **kwargs: Any) -> dict[str, Any]:
@@ -144,8 +163,9 @@ class Panel:
         for label, button in self.buttons.items():
             button.add_class(f"gsnb-{self.name}-{label.lower().replace(' ', '-')}")
             button.on_click(lambda _, act=buttons[label]: self._pressed(act))
-        self.image = w.Image(format=self.kind, layout=w.Layout(max_width="100%"))
+        self.image = ClickImage(1, 1, format=self.kind, alt=self.text, touch="stroke" if self._touch else "")
         self.image.add_class(f"gsnb-{self.name}-image")
+        self.image.on_stroke(self._touched)
         self.caption = w.HTML()
         self.caption.add_class(f"gsnb-{self.name}-text")
         row = w.HBox(list(self.buttons.values()), layout=w.Layout(flex_flow="row wrap"))
@@ -157,10 +177,30 @@ class Panel:
         if not self._quiet:
             self.redraw()
 
+    def _touched(self, stroke: Stroke) -> None:
+        with self.lock:
+            if stroke.number != self._stroke:
+                self._stroke, self._grabbed = stroke.number, self.values
+            if self._touch is not None:
+                self.set(**{k: _on_step(self.controls[k], x) for k, x in self._touch(stroke, self._grabbed).items()})
+
     def _pressed(self, act: Callable[[], Any]) -> None:
         with self.lock:
             act()
             self.redraw()
+
+
+def _on_step(control: Any, value: Any) -> Any:
+    """The nearest value that a slider can show."""
+    if not isinstance(value, Number) or isinstance(value, bool) or not hasattr(control, "step"):
+        return value
+    nearest = control.min + round((value - control.min) / control.step) * control.step
+    return type(control.value)(round(min(max(nearest, control.min), control.max), 6))
+
+
+def _spoken(words: str) -> str:
+    """HTML as plain text."""
+    return " ".join(html.unescape(re.sub(r"<[^>]+>", " ", words)).split())
 
 
 def _widget(control: Control) -> Any:

@@ -1,14 +1,19 @@
 """One RGB-D frame as a point cloud, seen by a camera at another pose."""
 
+import math
+from typing import Any
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from ...drawing.pictures import Picture, colour_depth, depth_range_m, to_uint8
-from ...drawing.side_by_side import side_by_side
+from ...drawing.side_by_side import LABEL_PX, side_by_side
 from ...geometry import backproject, depth_to_normals, pixel_grid, project, se3
 from ...types import Camera, Frame
-from .panel import Choice, Drawn, Panel, Slider
+from .click_image import Stroke
+from .handles import draw_cross
+from .panel import Choice, Drawn, Number, Panel, Slider
 
 POINT_COLOURS = ("colour", "depth", "normals")
 """What can colour the points."""
@@ -98,28 +103,69 @@ def moved_pose(
 
 
 def point_panel(frame: Frame) -> Panel:
-    """Sliders that move a camera away from where ``frame`` was taken; the points stay where they are."""
+    """A pixel of ``frame`` as numbers, and a camera that moves away from where the frame was taken.
 
+    Click a pixel of the frame at the left: its depth, its point, and where that point is in the other view. Drag the
+    view at the right to turn the camera; with the shift key, to move it. Or use the sliders.
+    """
+    width, height = frame.camera.width, frame.camera.height
     near_m, far_m = depth_range_m(frame.depth_m)
     legend = {
         "depth": f"<br>depth in the frame: blue {near_m:.1f} m, red {far_m:.1f} m",
         "normals": "<br>x, y, z of the normal in the camera frame as red, green, blue",
     }
 
-    def draw(*, right_m: float, forward_m: float, turn_deg: float, show: str, point_px: int) -> Drawn:
+    def draw(*, u: int, v: int, right_m: float, forward_m: float, turn_deg: float, show: str, point_px: int) -> Drawn:
         T_WC = moved_pose(frame.T_WC, (right_m, 0.0, forward_m), turn_deg)
         picture = point_view(frame, T_WC, show=show, point_px=point_px)
         empty = float((picture == 0).all(-1).mean())
-        pair = side_by_side([point_colours(frame, show), picture], ["the frame", "its points from the new pose"])
+        place, about = pixel_story(frame, T_WC, u, v)
+        left = draw_cross(point_colours(frame, show), (u + 0.5, v + 0.5))
+        right = picture if place is None else draw_cross(picture, place)
+        pair = side_by_side([left, right], ["the frame: click a pixel", "its points from the new pose: drag"])
         x, y, z = T_WC[:3, 3].tolist()
-        words = f"camera at ({x:.2f}, {y:.2f}, {z:.2f}) m; no point on {empty:.0%} of the pixels"
+        words = f"{about}<br>camera at ({x:.2f}, {y:.2f}, {z:.2f}) m; no point on {empty:.0%} of the pixels"
         return pair, words + legend.get(show, "")
 
+    def touch(stroke: Stroke, values: dict[str, Any]) -> dict[str, Number]:
+        if stroke.start[0] < width:
+            return {"u": math.floor(stroke.now[0]), "v": math.floor(stroke.now[1] - LABEL_PX)}
+        du, dv = stroke.moved
+        if stroke.shift:
+            return {
+                "right_m": values["right_m"] - du * near_m / frame.camera.fx,
+                "forward_m": values["forward_m"] - dv / 100,
+            }
+        return {"turn_deg": values["turn_deg"] - math.degrees(du / frame.camera.fx)}
+
     controls = {
+        "u": Slider(value=width // 2, low=0, high=width - 1, step=1, label="pixel column u"),
+        "v": Slider(value=height // 2, low=0, high=height - 1, step=1, label="pixel row v"),
         "right_m": Slider(value=0.0, low=-1.0, high=1.0, step=0.02, label="right, m"),
         "forward_m": Slider(value=0.0, low=-1.0, high=1.0, step=0.02, label="forward, m"),
         "turn_deg": Slider(value=0.0, low=-90, high=90, step=1.0, label="turn right, °", readout=".0f"),
         "show": Choice(value="colour", options=POINT_COLOURS, label="show"),
         "point_px": Slider(value=1, low=1, high=4, step=1, label="point size, px"),
     }
-    return Panel(draw, controls, name="points", text="point panel")
+    return Panel(draw, controls, name="points", text="A frame and its points from another pose", touch=touch)
+
+
+def pixel_story(frame: Frame, T_new: Float[Tensor, "4 4"], u: int, v: int) -> tuple[tuple[float, float] | None, str]:
+    """A pixel's depth, its point in the frame of the camera (GSFusion Eq. 10) and of the world, and where another
+    camera at ``T_new`` sees that point (Eq. 4); ``None`` where it does not. The text is HTML."""
+    depth_m = float(frame.depth_m[v, u])
+    head = f"pixel ({u}, {v}), centre ({u + 0.5:g}, {v + 0.5:g}): "
+    if depth_m <= 0:
+        return None, head + "<b>no depth</b>, so no point"
+    uv = torch.tensor([[u + 0.5, v + 0.5]])
+    xyz_C = backproject(frame.camera, uv, torch.tensor([depth_m]))
+    xyz_W = se3.apply(frame.T_WC, xyz_C)
+    seen = se3.apply(se3.inverse(T_new), xyz_W)
+    c, w = (", ".join(f"{x:.3f}" for x in p[0].tolist()) for p in (xyz_C, xyz_W))
+    words = f"{head}z = <b>{depth_m:.3f} m</b><br>x<sub>C</sub> = ({c}) m, x<sub>W</sub> = ({w}) m<br>"
+    if float(seen[0, 2]) <= 0:
+        return None, words + "behind the moved camera"
+    place = project(frame.camera, seen)[0].tolist()
+    inside = 0 <= place[0] < frame.camera.width and 0 <= place[1] < frame.camera.height
+    at = f"in the moved camera at ({place[0]:.1f}, {place[1]:.1f}), z = {float(seen[0, 2]):.3f} m"
+    return (place[0], place[1]) if inside else None, words + (at if inside else at + ": outside its picture")

@@ -11,14 +11,28 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ...drawing.pictures import Picture, to_uint8
-from ...drawing.side_by_side import side_by_side
+from ...drawing.side_by_side import LABEL_PX, side_by_side
 from ...tsdf import TsdfVolume, integrate, raycast
 from ...types import Camera, Frame
+from .click_image import Stroke
+from .handles import Point, draw_handles, nearest_handle
 from .panel import Choice, Drawn, Panel, Slider, Switch
-from .tsdf_slice import QUANTITIES, draw_camera, slice_legend, slice_picture
+from .tsdf_slice import (
+    LEGEND_PX,
+    QUANTITIES,
+    X_M,
+    Y_M,
+    draw_camera,
+    slice_legend,
+    slice_picture,
+    slice_pixel,
+    slice_place,
+)
 
 DepthSensor = Callable[[Float[Tensor, "4 4"]], Frame]
 """Takes a frame at a camera-to-world pose."""
+ARM_M = 0.9
+"""Distance from the camera in the slice to the handle that turns it, metres."""
 
 
 def level_pose(
@@ -41,22 +55,6 @@ def level_pose(
     return T.float()
 
 
-def fill_picture(
-    volume: TsdfVolume,
-    camera: Camera,
-    T_WC: Float[Tensor, "4 4"],
-    *,
-    height_m: float | int = 1.0,
-    quantity: str = "distance",
-) -> Picture:
-    """A horizontal slice of the volume with the camera on it, beside what the camera sees of the volume.
-
-    The view is shaded by a lamp at the camera; black where no surface has been measured yet.
-    """
-    flat = slice_picture(volume, height_m=height_m, quantity=quantity)
-    return _joined(flat, shape_picture(volume, camera, T_WC), camera, T_WC, height_m, quantity)
-
-
 def shape_picture(volume: TsdfVolume, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> Picture:
     """The surface in the volume under a lamp at the camera; black where none has been measured."""
     surface = raycast(volume, camera, T_WC)
@@ -67,15 +65,54 @@ def shape_picture(volume: TsdfVolume, camera: Camera, T_WC: Float[Tensor, "4 4"]
 def _joined(
     flat: Picture, view: Picture, camera: Camera, T_WC: Tensor, height_m: float | int, quantity: str
 ) -> Picture:
-    left = np.concatenate([draw_camera(flat, camera, T_WC), slice_legend(quantity, flat.shape[1])])
+    x, y = T_WC[:2, 3].tolist()
+    seen = draw_handles(draw_camera(flat, camera, T_WC), camera_handles(x, y, heading_of(T_WC)))
+    left = np.concatenate([seen, slice_legend(quantity, flat.shape[1])])
     title = f"{quantity}, slice at z = {height_m:.2f} m"
     return side_by_side([left, view], [title, "the map, seen from the camera"])
+
+
+def heading_of(T_WC: Float[Tensor, "4 4"]) -> float:
+    """Where a camera looks, counter-clockwise from the world's x axis, degrees."""
+    return math.degrees(math.atan2(float(T_WC[1, 2]), float(T_WC[0, 2])))
+
+
+def camera_handles(x_m: float, y_m: float, heading_deg: float) -> dict[str, Point]:
+    """In a slice, pixels: the handle that moves the camera, and the one in front of it that turns it."""
+    h = math.radians(heading_deg)
+    ahead = (x_m + ARM_M * math.cos(h), y_m + ARM_M * math.sin(h))
+    return {"place": slice_pixel(x_m, y_m), "heading": slice_pixel(*ahead)}
+
+
+def touch_camera(stroke: Stroke, values: dict[str, Any], camera: Camera) -> dict[str, float]:
+    """What a drag over the panel's picture changes: a handle in the slice, or the direction of view in the view."""
+    du, dv = stroke.moved
+    width, height = slice_pixel(X_M[1], Y_M[0])
+    if stroke.start[0] >= width:  # the scene in the view, which is as high as slice and legend, follows the pointer
+        turn = math.degrees(camera.height / (height + LEGEND_PX) / camera.fx)
+        heading = wrapped_deg(values["heading_deg"] + du * turn)
+        return {"heading_deg": heading, "tilt_deg": values["tilt_deg"] + dv * turn}
+    handles = camera_handles(values["x_m"], values["y_m"], values["heading_deg"])
+    held = nearest_handle(handles, (stroke.start[0], stroke.start[1] - LABEL_PX))
+    if held is None:
+        return {}
+    x, y = slice_place(handles[held][0] + du, handles[held][1] + dv)
+    if held == "place":
+        return {"x_m": x, "y_m": y}
+    return {"heading_deg": math.degrees(math.atan2(y - values["y_m"], x - values["x_m"]))}
+
+
+def wrapped_deg(angle_deg: float) -> float:
+    """The same angle in -180..180 degrees."""
+    return (angle_deg + 180.0) % 360.0 - 180.0
 
 
 def tsdf_fill_panel(
     volume: TsdfVolume, camera: Camera, sensor: DepthSensor, *, start: tuple[float, float, float] = (0.0, 0.0, 0.0)
 ) -> Panel:
     """Move a camera, press *measure*, and see the volume fill. Moving alone does not change the map.
+
+    Drag the camera in the slice, the handle in front of it to turn it, or the view to look around; or use the sliders.
 
     Args:
         volume: Filled in place; *forget* empties it.
@@ -124,8 +161,12 @@ def tsdf_fill_panel(
         )
         return picture, text
 
+    def touch(stroke: Stroke, values: dict[str, Any]) -> dict[str, float]:
+        return touch_camera(stroke, values, camera)
+
     buttons = {"measure": measure, "forget": forget}
-    panel = Panel(draw, _controls(*start), buttons=buttons, name="fill", kind="png", text="fill panel")
+    text = "A slice of a TSDF volume with the camera in it, and what the camera sees of the map"
+    panel = Panel(draw, _controls(*start), buttons=buttons, name="fill", kind="png", text=text, touch=touch)
     return panel
 
 

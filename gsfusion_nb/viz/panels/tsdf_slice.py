@@ -13,11 +13,14 @@ from ...types import Camera
 
 QUANTITIES = ("distance", "weight", "colour")
 """What a slice can show."""
+X_M, Y_M, PX_PER_M = (-2.6, 2.6), (-2.1, 2.1), 60
+"""Usual extent of a slice, metres, and its scale, pixels per metre."""
 
 _BEHIND, _ZERO, _FREE = (178, 34, 52), (255, 255, 255), (44, 98, 168)
 _UNSEEN = (58, 78)
 """Grey levels of the stripes where no voxel was observed."""
-_LEGEND_PX = 30
+LEGEND_PX = 30
+"""Height of the colour bar below a slice."""
 _CAMERA = (255, 140, 0)
 
 
@@ -25,9 +28,9 @@ def slice_picture(
     volume: TsdfVolume,
     *,
     height_m: float | int = 1.0,
-    x_m: tuple[float, float] = (-2.6, 2.6),
-    y_m: tuple[float, float] = (-2.1, 2.1),
-    px_per_m: float | int = 60,
+    x_m: tuple[float, float] = X_M,
+    y_m: tuple[float, float] = Y_M,
+    px_per_m: float | int = PX_PER_M,
     quantity: str = "distance",
     max_weight: float | int = 20,
 ) -> Picture:
@@ -80,9 +83,9 @@ def draw_camera(
     camera: Camera,
     T_WC: Float[Tensor, "4 4"],
     *,
-    x_m: tuple[float, float] = (-2.6, 2.6),
-    y_m: tuple[float, float] = (-2.1, 2.1),
-    px_per_m: float | int = 60,
+    x_m: tuple[float, float] = X_M,
+    y_m: tuple[float, float] = Y_M,
+    px_per_m: float | int = PX_PER_M,
     reach_m: float | int = 1.2,
 ) -> Picture:
     """A copy of a slice with the camera on it: a dot, and the left and the right edge of what it sees."""
@@ -100,9 +103,19 @@ def draw_camera(
     return image
 
 
+def slice_pixel(x_m: float | int, y_m: float | int) -> tuple[float, float]:
+    """(u, v) of a point of the world in a slice of the usual extent and scale, pixels."""
+    return (x_m - X_M[0]) * PX_PER_M, (Y_M[1] - y_m) * PX_PER_M
+
+
+def slice_place(u: float | int, v: float | int) -> tuple[float, float]:
+    """The world's (x, y), metres, at a pixel of such a slice."""
+    return X_M[0] + u / PX_PER_M, Y_M[1] - v / PX_PER_M
+
+
 def slice_legend(quantity: str, width: int, *, max_weight: float | int = 20) -> Picture:
     """The colour bar of a slice, on white, ``width`` pixels wide."""
-    image = np.full((_LEGEND_PX, width, 3), 255, np.uint8)
+    image = np.full((LEGEND_PX, width, 3), 255, np.uint8)
     left, right = 74, width - 74
     ramp = np.linspace(-1, 1, max(right - left, 2), dtype=np.float32)[None].repeat(10, 0)
     words = ("behind -1", "free +1")

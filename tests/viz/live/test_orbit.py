@@ -34,6 +34,19 @@ def test_sliders_move_the_camera_and_the_picture(view):
     assert (shown(view).max(-1) > 60).sum() < (front.max(-1) > 60).sum() / 2
 
 
+def test_dragging_the_picture_turns_the_camera(view):
+    view.set(azimuth_deg=-90, elevation_deg=0, distance_m=2.0)
+    view.image.stroke = [1, 0, 80.0, 60.0, 96.0, 68.0]
+    assert (view.sliders["azimuth"].value, view.sliders["elevation"].value) == (-110, 10)
+    assert float(view.pose()[0, 3]) < -0.5  # the camera went left and up, so that the scene follows the pointer
+    assert float(view.pose()[2, 3]) > 0.2
+    assert "azimuth -110" in view.image.alt
+    view.image.stroke = [2, 1, 80.0, 60.0, 80.0, 96.0]
+    assert view.sliders["distance"].value == pytest.approx(2 * np.e, abs=0.03)
+    view.look_from("inside").image.stroke = [3, 0, 80.0, 60.0, 96.0, 60.0]
+    assert view.sliders["azimuth"].value == 98  # standing at the target, it looks around
+
+
 def test_show_and_cut(view):
     view.set(azimuth_deg=0, elevation_deg=0, distance_m=2.0)
     assert shown(view)[60, 80].argmax() == 1

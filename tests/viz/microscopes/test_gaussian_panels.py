@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import torch
 
-from gsfusion_nb.constants import SH_C0
+from gsfusion_nb.constants import SCREEN_BLUR_PX2, SH_C0
 from gsfusion_nb.geometry import quaternion
 from gsfusion_nb.render import project_gaussians, tile_intersections
 from gsfusion_nb.types import Camera
-from gsfusion_nb.viz.microscopes.gaussian_panels import one_gaussian_panel, sh_ball_panel
+from gsfusion_nb.viz.microscopes.gaussian_panels import gaussian_handles, one_gaussian_panel, sh_ball_panel
 from gsfusion_nb.viz.microscopes.one_gaussian import (
     ORANGE,
     WHITE,
@@ -123,3 +123,35 @@ def test_the_click_image_keeps_its_pixel_inside():
     image.pixel = (3, 4)
     image.pixel = (300, -4)
     assert heard == [(3, 4), (19, 0)]
+
+
+def test_the_gaussian_is_dragged_by_its_middle_and_by_the_ends_of_its_axes():
+    panel = one_gaussian_panel(CAMERA, zoom=6).set(x_m=0.1, z_m=1.5, long_m=0.3, turn_deg=30, lean_deg=20)
+    splat = projection_picture(_row_of(panel.values), CAMERA)[1].projection
+    handles = gaussian_handles(panel.values, CAMERA, 6)
+    assert handles["middle"] == pytest.approx((6 * splat.uv[0]).tolist(), abs=1e-3)
+    A, B, C = splat.conic[0].tolist()
+    cov = torch.tensor([[A, B], [B, C]]).double().inverse() - SCREEN_BLUR_PX2 * torch.eye(2)
+    ends = [(np.array(handles[k]) - handles["middle"]) / 6 for k in ("long", "thick")]
+    thin = cov - torch.tensor(sum(np.outer(e, e) for e in ends))  # only the thin third axis is left
+    assert float(thin.abs().max()) < 1.0
+    panel.drag(handles["middle"], (handles["middle"][0] + 6 * 52 * 0.2 / 1.5, handles["middle"][1]))
+    assert panel.values["x_m"] == pytest.approx(0.3)
+    u, v = gaussian_handles(panel.values, CAMERA, 6)["long"]
+    panel.drag((u, v), (u + 12, v + 40))
+    after = gaussian_handles(panel.values, CAMERA, 6)["long"]
+    assert after == pytest.approx((u + 12, v + 40), abs=3.5)  # the handle stays under the pointer, up to a slider step
+    thick = panel.values["thick_m"]
+    (u, v), (mid_u, mid_v) = (gaussian_handles(panel.values, CAMERA, 6)[k] for k in ("thick", "middle"))
+    panel.drag((u, v), (2 * u - mid_u, 2 * v - mid_v))
+    assert panel.values["thick_m"] == pytest.approx(2 * thick, abs=0.003)
+    panel.drag((5.0, 5.0), (5.0, -95.0), shift=True)
+    assert panel.values["z_m"] == pytest.approx(2.9)  # 1.5 exp(100 / 150)
+    panel.set(lean_deg=90).drag(gaussian_handles(panel.values, CAMERA, 6)["long"], (100.0, 100.0))
+    assert panel.values["lean_deg"] == 90  # an axis along the viewing ray cannot be pulled
+
+
+def _row_of(values):
+    xyz = torch.tensor([values["x_m"], values["y_m"], values["z_m"]])
+    scale = torch.tensor([values["long_m"], values["thick_m"], 0.02])
+    return gaussian_row(xyz, scale, orientation_from_angles(values["turn_deg"], values["lean_deg"]))

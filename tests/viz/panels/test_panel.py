@@ -48,7 +48,7 @@ def test_a_control_redraws_picture_and_text(panel):
     panel.controls["word"].value = "gray"
     assert (panel.picture() == 248).all()
     assert panel.caption.value == "gray 7"
-    assert panel.image.layout.width == "6px"
+    assert (panel.image.width, panel.image.touch) == (6, "")
 
 
 def test_set_redraws_once_and_knows_its_names(panel):
@@ -98,3 +98,39 @@ def test_stored_and_live_outputs(panel, monkeypatch):
     assert {WIDGET_MIME, "image/jpeg", "text/plain"} <= set(panel._repr_mimebundle_())
     monkeypatch.setenv("GSNB_VIEW", "static")
     assert WIDGET_MIME not in panel._repr_mimebundle_()
+
+
+def test_a_drag_moves_sliders_from_where_they_were_when_it_began():
+    def touch(stroke, values):
+        du, dv = stroke.moved
+        return {"level": values["level"] + du, "flip": dv > 0}
+
+    def draw(*, level, flip):
+        return np.full((4, 6, 3), level, np.uint8), f"<b>grey</b>&nbsp;{level}, {flip}"
+
+    controls = {
+        "level": Slider(value=10, low=0, high=40, step=2, label="level"),
+        "flip": Switch(value=False, label="f"),
+    }
+    panel = Panel(draw, controls, touch=touch, text="A grey")
+    assert panel.image.touch == "stroke"
+    assert panel.image.alt == "A grey: grey 10, False"
+    panel.drag((1.0, 1.0), (4.0, 1.0), (5.2, 2.0))
+    assert panel.values == {"level": 14, "flip": True}  # from 10 by 4.2, to the slider's next step
+    panel.drag((0.0, 0.0), (90.0, 0.0))
+    assert panel.values == {"level": 40, "flip": False}  # the end of the slider
+    assert panel.image.alt == "A grey: grey 40, False"
+
+
+def test_only_the_newest_state_of_a_drag_is_needed():
+    panel = Panel(
+        lambda *, x: (np.full((4, 6, 3), int(x), np.uint8), ""),
+        {"x": Slider(value=0.0, low=0.0, high=9.0, step=0.5, label="x")},
+        touch=lambda stroke, values: {"x": values["x"] + stroke.moved[0]},
+    )  # fmt: skip
+    panel.image.stroke = [1, 0, 2.0, 0.0, 3.0, 0.0]  # what the browser sends; the positions between are skipped
+    panel.image.stroke = [1, 0, 2.0, 0.0, 6.0, 0.0]
+    assert panel.values == {"x": 4.0}
+    panel.image.stroke = [2, 1, 0.0, 0.0, 1.0, 0.0]
+    assert panel.values == {"x": 5.0}
+    assert panel.image.last_stroke.shift

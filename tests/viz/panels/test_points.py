@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import torch
 
-from gsfusion_nb.geometry import se3
+from gsfusion_nb.geometry import backproject, se3
 from gsfusion_nb.types import Camera, Frame
 from gsfusion_nb.viz import point_panel
-from gsfusion_nb.viz.panels.points import moved_pose, normal_colours, point_view
+from gsfusion_nb.viz.panels.points import moved_pose, normal_colours, pixel_story, point_view
 
 CAMERA = Camera(width=64, height=48, fx=50.0, fy=50.0, cx=32.0, cy=24.0)
 
@@ -78,3 +78,19 @@ def test_the_panel_turns_the_camera_and_says_what_is_shown(frame):
     assert "no point on" in panel.caption.value
     for show, words in (("depth", " m, red "), ("normals", "x, y, z"), ("colour", "no point on")):
         assert words in panel.set(show=show).caption.value
+
+
+def test_a_click_on_the_frame_lifts_its_pixel(frame):
+    panel = point_panel(frame)
+    W, H = frame.camera.width, frame.camera.height
+    panel.drag((20.4, 26 + 30.7))
+    assert (panel.values["u"], panel.values["v"]) == (20, 30)
+    xyz = backproject(frame.camera, torch.tensor([[20.5, 30.5]]), frame.depth_m[30, 20].view(1))[0]
+    assert "pixel (20, 30)" in panel.caption.value
+    assert ", ".join(f"{x:.3f}" for x in xyz.tolist()) in panel.caption.value
+    panel.drag((W + 6 + 10, 26 + 9), (W + 6 + 10 - frame.camera.fx * np.radians(8), 26 + 9))
+    assert panel.values["turn_deg"] == 8  # the picture follows the pointer: to the left, when the camera turns right
+    assert pixel_story(frame, moved_pose(frame.T_WC, (0.0, 0.0, 0.0), 170.0), W // 2, H // 2)[0] is None
+    place, words = pixel_story(frame, frame.T_WC, W // 2, H // 2)
+    assert place == pytest.approx((W // 2 + 0.5, H // 2 + 0.5), abs=1e-3)
+    assert "no depth" not in words

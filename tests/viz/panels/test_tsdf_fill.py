@@ -4,11 +4,13 @@ import pytest
 import torch
 
 from gsfusion_nb.config import TsdfConfig
+from gsfusion_nb.drawing.side_by_side import LABEL_PX
 from gsfusion_nb.tsdf import TsdfVolume, integrate
 from gsfusion_nb.types import Camera, Frame
 from gsfusion_nb.viz import tsdf_fill_panel
 from gsfusion_nb.viz.panels import tsdf_fill as filling
-from gsfusion_nb.viz.panels.tsdf_fill import level_pose
+from gsfusion_nb.viz.panels.tsdf_fill import camera_handles, heading_of, level_pose
+from gsfusion_nb.viz.panels.tsdf_slice import slice_pixel
 
 CAMERA = Camera(width=320, height=240, fx=208.0, fy=208.0, cx=160.0, cy=120.0)
 SMALL = CAMERA.resized(160, 120)
@@ -88,3 +90,22 @@ def test_it_notices_when_the_volume_is_filled_elsewhere():
     integrate(volume, look(level_pose(0.0, 0.0, 1.3, 0.0)))
     panel.redraw()
     assert blue(panel.picture()) > 200
+
+
+def test_the_camera_is_dragged_in_the_slice_and_turned_by_its_handle(panel):
+    panel.set(x_m=0.5, y_m=0.0, heading_deg=0.0)
+    at = camera_handles(0.5, 0.0, 0.0)
+    u, v = at["place"][0], at["place"][1] + LABEL_PX
+    panel.drag((u, v), (u + 10, v), (u - 30, v - 60))
+    assert (panel.values["x_m"], panel.values["y_m"]) == (0.0, 1.0)  # 60 pixels are a metre, y is up
+    u, v = camera_handles(0.0, 1.0, 0.0)["heading"]
+    panel.drag((u, v + LABEL_PX), (slice_pixel(0.0, 1.6)[0], slice_pixel(0.0, 1.6)[1] + LABEL_PX))
+    assert panel.values["heading_deg"] == 90
+    assert panel.values["x_m"] == 0.0
+    assert heading_of(level_pose(0.0, 0.0, 1.3, 90.0, 20.0)) == pytest.approx(90.0)
+    before = panel.values
+    panel.drag((5.0, 250.0), (50.0, 250.0))  # far from both handles
+    assert panel.values == before
+    panel.drag((400.0, 100.0), (420.0, 110.0))
+    assert panel.values["heading_deg"] > 90
+    assert panel.values["tilt_deg"] > 0

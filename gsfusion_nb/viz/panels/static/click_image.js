@@ -1,54 +1,116 @@
-// A picture that reports which of its pixels was clicked, dragged over, or reached with the arrow keys.
-function render({ model, el }) {
-  const image = document.createElement("img");
-  image.className = "gsnb-click-image";
-  image.draggable = false;
-  image.tabIndex = 0;
-  image.style.cssText = "display:block;max-width:100%;cursor:crosshair;touch-action:none;image-rendering:pixelated";
-  let url = "";
-  const draw = () => {
-    const data = model.get("value");
-    URL.revokeObjectURL(url);
-    url = URL.createObjectURL(new Blob([data], { type: `image/${model.get("format")}` }));
-    image.src = url;
+// A picture. With touch "pixel" it reports the pixel that was clicked, dragged over, or reached with the arrow keys; with
+// "stroke" a drag: where it began and where the pointer is. Of several positions that Python has not read, the newest counts.
+const STEPS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
+const KEY_PX = 4; // an arrow key drags by this many pixels of the picture
+const REST_MS = 800; // arrow keys within this time are one stroke
+
+class Picture {
+  constructor(model, el) {
+    this.model = model;
+    this.image = document.createElement("img");
+    this.image.className = "gsnb-click-image";
+    this.image.draggable = false;
+    this.url = "";
+    this.listeners = ["value", "width", "alt", "touch"].map((name) => [`change:${name}`, () => this.draw()]);
+    for (const [event, act] of this.listeners) model.on(event, act);
+    this.image.addEventListener("pointerdown", (event) => this.down(event));
+    this.image.addEventListener("pointermove", (event) => this.move(event));
+    this.image.addEventListener("keydown", (event) => this.key(event));
+    this.draw();
+    el.appendChild(this.image);
+  }
+
+  close() {
+    for (const [event, act] of this.listeners) this.model.off(event, act);
+    URL.revokeObjectURL(this.url);
+  }
+
+  get touch() {
+    return this.model.get("touch");
+  }
+
+  draw() {
+    const { image, model } = this;
+    const value = model.get("value");
+    if (value !== this.shown) {
+      URL.revokeObjectURL(this.url);
+      this.url = URL.createObjectURL(new Blob([value], { type: `image/${model.get("format")}` }));
+      image.src = this.url;
+      this.shown = value;
+    }
     image.width = model.get("width");
     image.alt = model.get("alt");
-  };
-  const choose = (u, v) => {
-    const [columns, rows] = model.get("size");
-    const pixel = [Math.min(Math.max(u, 0), columns - 1), Math.min(Math.max(v, 0), rows - 1)];
-    const before = model.get("pixel");
-    if (before[0] === pixel[0] && before[1] === pixel[1]) return;
-    model.set("pixel", pixel);
-    model.save_changes();
-  };
-  const point = (event) => {
-    const box = image.getBoundingClientRect();
-    const [columns, rows] = model.get("size");
-    const u = ((event.clientX - box.left) / box.width) * columns;
-    const v = ((event.clientY - box.top) / box.height) * rows;
-    choose(Math.floor(u), Math.floor(v));
-  };
-  image.addEventListener("pointerdown", (event) => {
-    image.focus({ preventScroll: true });
-    image.setPointerCapture(event.pointerId);
-    point(event);
-  });
-  image.addEventListener("pointermove", (event) => {
-    if (event.buttons & 1) point(event);
-  });
-  const moves = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
-  image.addEventListener("keydown", (event) => {
-    const move = moves[event.key];
-    if (!move) return;
+    image.dataset.touch = this.touch;
+    if (this.touch) image.tabIndex = 0;
+    else image.removeAttribute("tabindex");
+  }
+
+  /** Where an event is, in pixels of the picture, with fractions. */
+  place(event) {
+    const box = this.image.getBoundingClientRect();
+    const [columns, rows] = this.model.get("size");
+    return [((event.clientX - box.left) / box.width) * columns, ((event.clientY - box.top) / box.height) * rows];
+  }
+
+  down(event) {
+    if (!this.touch || event.button > 0) return;
+    this.image.focus({ preventScroll: true });
+    this.image.setPointerCapture(event.pointerId);
+    this.held = event.pointerId;
+    if (this.touch === "pixel") this.choose(...this.place(event));
+    else this.begin(this.place(event), event.shiftKey);
+  }
+
+  move(event) {
+    if (!this.touch || this.held !== event.pointerId || !(event.buttons & 1)) return;
+    if (this.touch === "pixel") this.choose(...this.place(event));
+    else this.drag(this.place(event));
+  }
+
+  key(event) {
+    const step = STEPS[event.key];
+    if (!this.touch || !step) return;
     event.preventDefault();
     event.stopPropagation();
-    const [u, v] = model.get("pixel");
-    choose(u + move[0], v + move[1]);
-  });
-  for (const name of ["value", "width", "alt"]) model.on(`change:${name}`, draw);
-  draw();
-  el.appendChild(image);
-  return () => URL.revokeObjectURL(url);
+    if (this.touch === "pixel") {
+      const [u, v] = this.model.get("pixel");
+      this.choose(u + step[0], v + step[1]);
+      return;
+    }
+    const [columns, rows] = this.model.get("size");
+    const from = this.at ?? [columns / 2, rows / 2];
+    if (!this.keys || performance.now() - this.keys > REST_MS) this.begin(from, event.shiftKey);
+    this.drag([this.at[0] + KEY_PX * step[0], this.at[1] + KEY_PX * step[1]]);
+    this.keys = performance.now();
+  }
+
+  choose(u, v) {
+    const size = this.model.get("size");
+    const pixel = [u, v].map((x, k) => Math.min(Math.max(Math.floor(x), 0), size[k] - 1));
+    if (this.model.get("pixel").every((x, k) => x === pixel[k])) return;
+    this.save({ pixel });
+  }
+
+  begin(place, shift) {
+    this.keys = 0;
+    this.start = [this.model.get("stroke")[0] + 1, Number(shift), ...place];
+    this.drag(place);
+  }
+
+  drag(place) {
+    this.at = place;
+    this.save({ stroke: [...this.start, ...place] });
+  }
+
+  save(values) {
+    this.model.set(values);
+    this.model.save_changes();
+  }
 }
-export default { render };
+
+export default {
+  render({ model, el }) {
+    const picture = new Picture(model, el);
+    return () => picture.close();
+  },
+};
