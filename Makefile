@@ -1,4 +1,4 @@
-# make demo | make test | make campaign | make lab | make student | make teacher: each first sets up the virtual environment .venv, which all of them share. Only Python >= 3.11 and make are needed.
+# make demo | make test | make campaign | make lab | make student | make teacher | make quiz | make slides: each first sets up the virtual environment .venv, which all of them share. Only Python >= 3.11 and make are needed.
 PYTHON ?= python3
 VENV ?= .venv
 # Where pip should look for PyTorch, if not at the default: see docs/install.md.
@@ -10,7 +10,7 @@ COURSE ?= course
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.setup-done
 
-.PHONY: setup demo test campaign lint format lab student teacher clean
+.PHONY: setup demo test campaign lint format lab student teacher quiz slides clean
 
 setup: $(STAMP)
 
@@ -56,6 +56,15 @@ student: setup
 
 teacher: setup
 	$(BIN)/python -m gsfusion_nb.teaching.student notebooks runs/teacher --teacher
+
+# The bank of questions and the tables of the syllabus, for lecturers: docs/teaching/quiz.md.
+quiz: setup
+	$(BIN)/python -m gsfusion_nb.teaching.kit.quiz_files notebooks docs/teaching/quiz runs/quiz
+	$(BIN)/python -m gsfusion_nb.teaching.kit.syllabus notebooks docs/teaching/syllabus.md
+
+# The decks of slides as HTML, in runs/slides; needs Node: docs/teaching/slides.md.
+slides: setup
+	$(BIN)/python -m gsfusion_nb.teaching.kit.slides docs/teaching/slides notebooks runs/slides
 
 clean:
 	rm -rf $(VENV) build *.egg-info

@@ -15,7 +15,8 @@ from gsfusion_nb import cli
 from gsfusion_nb.config import gsfusion, to_dict
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *(ROOT / "docs/teaching").glob("*.md")])
+LINKED = [*PAGES, *sorted((ROOT / "docs/teaching/quiz").glob("*.md"))]
 COMMANDS = ("demo", "convert", "check", "map", "live", "eval", "lab", "sweep", "study", "bench", "doctor", "course")
 OTHER_PROGRAMS = ("--torch-backend", "--pdb", "--allow-root", "--no-install-recommends")
 
@@ -86,7 +87,7 @@ def test_the_readme_is_short():
     assert len(text(ROOT / "README.md").splitlines()) < 150
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+@pytest.mark.parametrize("page", LINKED, ids=lambda p: p.name)
 def test_links_and_images_lead_somewhere(page):
     for target in LINK.findall(BLOCK.sub("", text(page))):
         if "://" in target:
@@ -99,9 +100,21 @@ def test_links_and_images_lead_somewhere(page):
 
 def test_every_page_is_in_the_index():
     index = text(ROOT / "docs/index.md")
-    for page in PAGES:
-        link = f"../{page.name}" if page.parent == ROOT else page.name
-        assert page.name in ("index.md", "README.md") or f"({link})" in index, f"{page.name} is not in docs/index.md"
+    teaching = text(ROOT / "docs/teaching/index.md")
+    quiz = text(ROOT / "docs/teaching/quiz.md")
+    assert "(teaching/index.md)" in index
+    for page in LINKED:
+        if page.parent.name == "quiz":
+            assert f"(quiz/{page.name})" in quiz, f"{page.name} is not in docs/teaching/quiz.md"
+        elif page.parent.name == "teaching":
+            assert page.name == "index.md" or f"({page.name})" in teaching, (
+                f"{page.name} is not in docs/teaching/index.md"
+            )
+        else:
+            link = f"../{page.name}" if page.parent == ROOT else page.name
+            assert page.name in ("index.md", "README.md") or f"({link})" in index, (
+                f"{page.name} is not in docs/index.md"
+            )
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)

@@ -64,6 +64,7 @@ _MACHINERY = {
     "edition",
     "exercise",
     "holds",
+    "kit",
     "mine",
     "place",
     "predictions",
