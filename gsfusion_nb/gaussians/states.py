@@ -3,14 +3,18 @@
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from ..backends import piece
 from ..config import StateConfig
 from ..geometry import project, se3, sum_rows
 from ..observing import observed
 from ..types import Camera
 from .surfels import STABLE, UNSTABLE, SurfelModel
+
+STAYS, BECOMES_STABLE, BECOMES_UNSTABLE, DELETED = 0, 1, 2, 3
+"""What happens to a row at the end of a frame."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,13 +84,20 @@ def change_states(model: SurfelModel, config: StateConfig) -> Transitions:
     r_i > max_radius_factor mean(r)  removed, stable or not (released code; not in the paper)
     """
     stable = model.is_stable
-    ready = ~stable & (model.confidence > config.stable_confidence)
+    age = model.frames_in_view if config.age == "in_view" else model.step_count - model.birth_step
+    errors = model.depth_errors
+    if config.on_error == "release":
+        errors = errors.maximum(model.colour_errors)
+    happens = next_states(
+        stable, model.confidence, errors, age,
+        stable_confidence=config.stable_confidence, error_count=config.error_count,
+        unstable_frames=config.unstable_frames,
+    )  # fmt: skip
+    ready, wrong, expired = (happens == what for what in (BECOMES_STABLE, BECOMES_UNSTABLE, DELETED))
     model.state[ready] = STABLE
     for counter in (model.colour_errors, model.depth_errors):
         counter[ready] = 0
 
-    wrong_depth = stable & (model.depth_errors > config.error_count)
-    wrong = wrong_depth | (stable & (model.colour_errors > config.error_count))
     gone = torch.zeros_like(stable)
     if config.on_error == "release":
         model.state[wrong] = UNSTABLE
@@ -96,10 +107,8 @@ def change_states(model: SurfelModel, config: StateConfig) -> Transitions:
         model.colour_errors[wrong] = 0
         model.depth_errors[wrong] = 0
     else:
-        wrong = gone = wrong_depth
+        gone = wrong
 
-    age = model.frames_in_view if config.age == "in_view" else model.step_count - model.birth_step
-    expired = ~model.is_stable & (age > config.unstable_frames)
     oversized = torch.zeros_like(expired)
     if config.max_radius_factor is not None and len(model):
         radius = model.radius_m
@@ -112,3 +121,32 @@ def change_states(model: SurfelModel, config: StateConfig) -> Transitions:
     if n_gone:
         model.keep(~gone)
     return Transitions(stabilised=stabilised, released=released, expired=n_expired, oversized=n_oversized)
+
+
+@piece
+def next_states(
+    stable: Bool[Tensor, " N"],
+    confidence: Int[Tensor, " N"],
+    errors: Int[Tensor, " N"],
+    age: Int[Tensor, " N"],
+    *,
+    stable_confidence: float,
+    error_count: int,
+    unstable_frames: int,
+) -> Int[Tensor, " N"]:
+    """What happens to every row at the end of a frame: STAYS, BECOMES_STABLE, BECOMES_UNSTABLE or DELETED.
+
+    Args:
+        stable: State of every row.
+        confidence: eta: optimisation steps that changed its colour.
+        errors: e: frames in which it was wrong since it became stable.
+        age: Frames since it was added or last became unstable.
+        stable_confidence, error_count, unstable_frames: delta_eta, delta_e, delta_t, all to be exceeded.
+
+    Source: Peng et al. 2024, section 3.2, "State management".
+    """
+    happens = torch.full_like(age, STAYS)
+    happens[~stable & (age > unstable_frames)] = DELETED
+    happens[~stable & (confidence > stable_confidence)] = BECOMES_STABLE
+    happens[stable & (errors > error_count)] = BECOMES_UNSTABLE
+    return happens

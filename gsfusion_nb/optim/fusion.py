@@ -1,8 +1,9 @@
 """Confidence-weighted fusion with the values before a window, so that earlier views are not forgotten (Eq. 9)."""
 
-from jaxtyping import Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
+from ..backends import piece
 from ..geometry import quaternion
 from ..observing import observed
 from ..types import GaussianParams
@@ -31,12 +32,38 @@ def fuse_with_history(
     Source: Peng et al. 2024, Eq. 9, whose w_curr is 1 - w. (The released code uses the weight of the first row for all
     parameters except centre and quaternion.)
     """
-    w = (confidence_before / confidence_after.clamp_min(1)).clamp(max=history_max_weight).to(after.xyz_W)
-    w_1, w_2 = w[:, None], w[:, None, None]
+    w = _weight_of_history(confidence_before, confidence_after, history_max_weight).to(after.xyz_W)
+
+    def fused(name: str) -> Tensor:
+        rows = [getattr(params, name).flatten(1) for params in (before, after)]
+        mixed = fuse(*rows, confidence_before, confidence_after, history_max_weight=history_max_weight)
+        return mixed.view_as(getattr(after, name))
+
     return GaussianParams(
-        xyz_W=w_1 * before.xyz_W + (1 - w_1) * after.xyz_W,  # RTG-SLAM Eq. 9, for each parameter
-        log_scale=w_1 * before.log_scale + (1 - w_1) * after.log_scale,
+        xyz_W=fused("xyz_W"),
+        log_scale=fused("log_scale"),
         quat=quaternion.slerp(after.quat, before.quat, w),
         opacity_logit=after.opacity_logit,
-        sh=w_2 * before.sh + (1 - w_2) * after.sh,
+        sh=fused("sh"),
     )
+
+
+@piece
+def fuse(
+    before: Float[Tensor, "N K"],
+    after: Float[Tensor, "N K"],
+    confidence_before: Int[Tensor, " N"],
+    confidence_after: Int[Tensor, " N"],
+    *,
+    history_max_weight: float = 1.0,
+) -> Float[Tensor, "N K"]:
+    """Values after a window, fused with those before it; arguments as for ``fuse_with_history``.
+
+    Differentiable: yes, through torch. Source: Peng et al. 2024, Eq. 9.
+    """
+    w = _weight_of_history(confidence_before, confidence_after, history_max_weight).to(after)[:, None]
+    return w * before + (1 - w) * after  # RTG-SLAM Eq. 9
+
+
+def _weight_of_history(before: Int[Tensor, " N"], after: Int[Tensor, " N"], largest: float) -> Float[Tensor, " N"]:
+    return (before / after.clamp_min(1)).clamp(max=largest)

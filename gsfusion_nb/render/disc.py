@@ -20,7 +20,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from ..backends import op
+from ..backends import op, piece
 from ..checks import check_positive
 from ..constants import DISC_MAX_OFFSET, DISC_MIN_COSINE
 from ..geometry import pixel_grid, quaternion, rays, se3
@@ -146,6 +146,30 @@ def disc_depth_vjp(
     return v_xyz_W, v_quat
 
 
+@piece
+def disc_hit(
+    r: Float[Tensor, "M 3"], p: Float[Tensor, "M 3"], n: Float[Tensor, "M 3"], min_cosine: float
+) -> Float[Tensor, " M"]:
+    """z-depth at which rays meet the planes of discs, or that of the disc's centre where a ray is too flat.
+
+    Args:
+        r: Rays with r_z = 1, camera frame. [M, 3]
+        p, n: Centre, metres, and unit normal of the disc of each ray, camera frame. [M, 3]
+        min_cosine: Smallest cosine of the angle between ray and normal.
+
+    Source: Peng et al. 2024, Eq. 4-5.
+    """
+    steep = _is_steep(r, n, min_cosine)
+    rn = torch.where(steep, (r * n).sum(-1), 1.0)
+    theta = (p * n).sum(-1) / rn  # RTG-SLAM Eq. 4; the point theta r has depth theta, for r_z = 1
+    return torch.where(steep, theta, p[:, 2])  # RTG-SLAM Eq. 5
+
+
+def _is_steep(r: Float[Tensor, "M 3"], n: Float[Tensor, "M 3"], min_cosine: float) -> Bool[Tensor, " M"]:
+    """Whether the angle between ray and normal is small enough for the plane to be used (the condition of Eq. 5)."""
+    return (r * n).sum(-1).abs() >= min_cosine * r.norm(dim=-1)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Meeting:
     """The M pixels that hit a disc, in the camera frame, where the R_g of RTG-SLAM is the identity and t_g is zero."""
@@ -180,13 +204,11 @@ def _meet(
     r = rays(camera, pixel_grid(camera, device=row.device, dtype=T_WC.dtype))[hit_index >= 0]
     p, n = se3.apply(T_CW, params.xyz_W)[row], se3.rotate(T_CW, n_W)[row]
 
-    rn = (r * n).sum(-1)
-    on_plane = rn.abs() >= min_cosine * r.norm(dim=-1)
-    rn = torch.where(on_plane, rn, 1.0)
-    theta = (p * n).sum(-1) / rn  # RTG-SLAM Eq. 4; the point theta r has depth theta, for r_z = 1
-    on_plane = on_plane & (theta > 0)
+    z, on_plane = disc_hit(r, p, n, min_cosine), _is_steep(r, n, min_cosine)
+    rn = torch.where(on_plane, (r * n).sum(-1), 1.0)
+    on_plane = on_plane & (z > 0)
     if max_offset is not None:
         largest_scale = params.log_scale.amax(dim=1).exp()
-        on_plane = on_plane & ((theta - p[:, 2]).abs() <= max_offset * largest_scale[row])
-    z = torch.where(on_plane, theta, p[:, 2])  # RTG-SLAM Eq. 5
+        on_plane = on_plane & ((z - p[:, 2]).abs() <= max_offset * largest_scale[row])
+    z = torch.where(on_plane, z, p[:, 2])
     return _Meeting(R_WC=T_WC[:3, :3], e=e, row=row, r=r, p=p, n=n, rn=rn[:, None], z=z, on_plane=on_plane)

@@ -1,13 +1,17 @@
 """Exercises of chapter 7: discs, states, and fusion with the past (RTG-SLAM)."""
 
+import math
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from .exercise import Attempt, Wrong, close, exercise, holds, unpack
+from ..gaussians import states
+from .exercise import Attempt, Becomes, Wrong, Yours, close, exercise, holds, unpack
 
 MIN_COSINE = 0.5
+MIN_TRANSMITTANCE, DEPTH_ERROR_M, COLOUR_ERROR = 0.5, 0.1, 0.1
+STABLE_CONFIDENCE, ERROR_COUNT, UNSTABLE_FRAMES = 100, 10, 120
 
 
 def _disc_hit(r: Tensor, p: Tensor, n: Tensor) -> Tensor:
@@ -35,8 +39,17 @@ def _range(r: Tensor, p: Tensor, n: Tensor) -> Tensor:
     return p.norm() if rn.abs() < MIN_COSINE * r.norm() else ((p @ n) / rn * r).norm()
 
 
+def _as_disc_hit(yours: Yours, r: Tensor, p: Tensor, n: Tensor, min_cosine: float) -> Any:
+    """Yours for each ray, with the limit of the exercise; the reference for other limits."""
+    if min_cosine != MIN_COSINE:
+        return NotImplemented
+    rays = list(zip(*(rows.clone().unbind() for rows in (r, p, n)), strict=True))
+    depths = yours.many(rays, [{"the depth": p.new_zeros(())}] * len(rays))
+    return torch.stack(depths) if depths else p[:, 2].clone()
+
+
 @exercise(
-    chapter=7, difficulty=2, minutes=10, solution=_disc_hit,
+    chapter=7, difficulty=2, minutes=10, solution=_disc_hit, becomes=Becomes("disc_hit", _as_disc_hit),
     hints=(
         "The points of the plane satisfy (x - p) . n = 0. Put x = theta r and solve for theta: that is Eq. 4.",
         "The depth is the z of theta r. With r = (.., .., 1) it is theta itself, but r may come normalised.",
@@ -99,8 +112,18 @@ def _both_needed(T: Tensor, D_map: Tensor, D: Tensor, C_map: Tensor, C: Tensor) 
     return surface, (D > 0) & ~surface & ((C_map - C).abs().mean(-1) > 0.1)
 
 
+def _as_adding_masks(
+    yours: Yours, T: Tensor, D_map: Tensor, D: Tensor, C_map: Tensor, C: Tensor, *limits: float
+) -> Any:
+    """Yours, with the limits of the exercise; the reference for others."""
+    if limits != (MIN_TRANSMITTANCE, DEPTH_ERROR_M, COLOUR_ERROR):
+        return NotImplemented
+    mask = torch.zeros_like(D, dtype=torch.bool)
+    return yours(T, D_map, D, C_map, C, gives={"M_s": mask, "M_c": mask})
+
+
 @exercise(
-    chapter=7, difficulty=2, minutes=8, solution=_adding_masks,
+    chapter=7, difficulty=2, minutes=8, solution=_adding_masks, becomes=Becomes("adding_masks", _as_adding_masks),
     hints=(
         "M_s is a union: new area OR wrong depth. Both sides of a depth error count.",
         "M_c takes what is wrong in colour and NOT already in M_s: & ~surface.",
@@ -170,8 +193,46 @@ def _any_errors(stable: bool, eta: int, errors: int, age: int) -> str:
     return BECOMES_UNSTABLE if errors > 10 else _next_state(stable, eta, errors, age)
 
 
+_CODES = {
+    STAYS: states.STAYS,
+    BECOMES_STABLE: states.BECOMES_STABLE,
+    BECOMES_UNSTABLE: states.BECOMES_UNSTABLE,
+    DELETED: states.DELETED,
+}
+
+
+def _as_next_states(
+    yours: Yours,
+    stable: Tensor,
+    confidence: Tensor,
+    errors: Tensor,
+    age: Tensor,
+    *,
+    stable_confidence: float,
+    error_count: int,
+    unstable_frames: int,
+) -> Any:
+    """Yours for each row. Counts are given as shares of their limits, rounded up: half of delta_eta is 50 of 100."""
+    if min(stable_confidence, error_count, unstable_frames) <= 0:
+        return NotImplemented
+    happens = torch.zeros_like(age)
+    rows = zip(stable.tolist(), confidence.tolist(), errors.tolist(), age.tolist(), strict=True)
+    for k, (is_stable, eta, e, frames) in enumerate(rows):
+        given = (
+            is_stable,
+            math.ceil(eta * STABLE_CONFIDENCE / stable_confidence),
+            math.ceil(e * ERROR_COUNT / error_count),
+            math.ceil(frames * UNSTABLE_FRAMES / unstable_frames),
+        )
+        word = yours(*given)
+        if not isinstance(word, str) or word not in _CODES:
+            yours.fail(f"returned {word!r}, which is none of {', '.join(map(repr, _CODES))}", given)
+        happens[k] = _CODES[word]
+    return happens
+
+
 @exercise(
-    chapter=7, difficulty=2, minutes=8, solution=_next_state,
+    chapter=7, difficulty=2, minutes=8, solution=_next_state, becomes=Becomes("next_states", _as_next_states),
     hints=(
         "Two cases, stable or not. Only a stable Gaussian has errors that matter, only an unstable one an age.",
         "An unstable one is asked first whether it has been optimised enough (eta > 100), then whether it is too old.",
@@ -225,8 +286,27 @@ def _unguarded(before: Tensor, after: Tensor, eta_before: Tensor, eta_after: Ten
     return before + w[:, None] * (after - before)
 
 
+def _as_fuse(
+    yours: Yours,
+    before: Tensor,
+    after: Tensor,
+    eta_before: Tensor,
+    eta_after: Tensor,
+    *,
+    history_max_weight: float = 1.0,
+) -> Any:
+    """Yours for the rows that a step has changed; the others keep what the window made of them, as in the library.
+    The reference, where the weight of the past has a limit (released code)."""
+    if history_max_weight != 1:
+        return NotImplemented
+    rows, fused = eta_after > 0, after.clone()
+    given = (before[rows], after[rows], eta_before[rows], eta_after[rows])
+    fused[rows] = yours(*given, gives={"the fused values": given[1]})
+    return fused
+
+
 @exercise(
-    chapter=7, difficulty=3, minutes=8, solution=_fuse,
+    chapter=7, difficulty=3, minutes=8, solution=_fuse, becomes=Becomes("fuse", _as_fuse),
     hints=(
         "eta_after already contains eta_before: a window with 20 steps raises it from 30 to 50.",
         "w_curr = (eta_after - eta_before) / eta_after is the share of the steps that this window made.",

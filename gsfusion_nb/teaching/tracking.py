@@ -1,10 +1,14 @@
 """Exercises of chapter 8: ICP, prediction of the next pose, and the correction after a loop closure."""
 
+from typing import Any
+
 import torch
 from torch import Tensor
 
 from ..geometry import se3
-from .exercise import Attempt, Wrong, close, exercise, holds, unpack
+from ..tracking.normal_equations import IcpSystem
+from ..tracking.solve import Step
+from .exercise import Attempt, Becomes, Wrong, Yours, close, exercise, holds, unpack
 
 
 def _residual_and_jacobian(p: Tensor, q: Tensor, n: Tensor) -> tuple[Tensor, Tensor]:
@@ -27,8 +31,14 @@ def _rotation_first(p: Tensor, q: Tensor, n: Tensor) -> tuple[Tensor, Tensor]:
     return ((p - q) * n).sum(-1), torch.cat([torch.linalg.cross(p, n), n], -1)
 
 
+def _as_point_to_plane(yours: Yours, p: Tensor, q: Tensor, n: Tensor) -> tuple[Tensor, Tensor]:
+    """Yours for all correspondences."""
+    return yours(p, q, n, gives={"r": p.new_zeros(len(p)), "J": p.new_zeros(len(p), 6)})
+
+
 @exercise(
     chapter=8, difficulty=3, minutes=12, solution=_residual_and_jacobian,
+    becomes=Becomes("point_to_plane", _as_point_to_plane),
     hints=(
         "The residual is a signed number: how far p is from the plane through q, along n.",
         "A small motion moves p by rho + omega x p. The dot product of this with n is n.rho + n.(omega x p).",
@@ -94,8 +104,21 @@ def _not_rigid(T_WC: Tensor, r: Tensor, J: Tensor) -> Tensor:
     return step @ T_WC
 
 
+def _as_next_pose(yours: Yours, T: Tensor, system: IcpSystem, step: Step) -> Any:
+    """Yours with six rows r, J that have the sums J^T J and J^T r of all pixels: J = L^T and r = L^-1 b for H = L L^T.
+
+    Where the scene leaves a direction open, the reference takes the step.
+    """
+    H, b = system.H.cpu(), system.b.cpu()
+    L, failed = torch.linalg.cholesky_ex(H)
+    if step.degenerate or failed:
+        return NotImplemented
+    r = torch.linalg.solve_triangular(L, b[:, None], upper=False)[:, 0]
+    return yours(T, r, L.T, gives={"the pose": T})
+
+
 @exercise(
-    chapter=8, difficulty=3, minutes=12, solution=_gauss_newton,
+    chapter=8, difficulty=3, minutes=12, solution=_gauss_newton, becomes=Becomes("next_pose", _as_next_pose),
     hints=(
         "Minimise |r + J xi|^2: set the derivative to zero, J^T J xi = -J^T r.",
         "torch.linalg.solve(J.T @ J, -J.T @ r). Then turn the twist into a motion with se3.exp(xi).",
@@ -168,8 +191,15 @@ def _world_motion(T_before: Tensor, T_last: Tensor) -> Tensor:
     return out
 
 
+def _as_constant_velocity(yours: Yours, T_before: Tensor, T_last: Tensor, ratio: float = 1.0) -> Tensor:
+    """The motion from the last pose to that of yours, in proportion to time where frames are not evenly spaced."""
+    ahead = yours(T_before, T_last, gives={"the pose": T_last})
+    return ahead if ratio == 1 else T_last @ se3.exp(ratio * se3.log(se3.inverse(T_last) @ ahead))
+
+
 @exercise(
     chapter=8, difficulty=2, minutes=6, solution=_predict,
+    becomes=Becomes("constant_velocity", _as_constant_velocity),
     hints=(
         "The motion between the two frames, in the camera's own axes: inverse(T_before) @ T_last.",
         "Do the same motion once more, from where the camera is now, in its own axes: on the right.",

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from jaxtyping import Float
 from torch import Tensor
 
+from ..backends import piece
 from ..config import TrackingConfig
 from ..geometry import depth_to_points, se3, sum_rows
 from ..types import Camera
@@ -117,7 +118,7 @@ def align(
                 break
             step = _step(system, T_WC, centre, points, config)
             history.append(_record(level, T_WC, system, step))
-            T_WC = _moved(T_WC, step.xi, centre)
+            T_WC = _moved(T_WC, system, step, centre)
             if step.length_m < CONVERGED_M * level.factor:
                 break
     system = icp_system(levels[-1], T_WC.to(device), surface, **gates)
@@ -150,9 +151,23 @@ def _step(system: IcpSystem, T_WC: Tensor, centre: Tensor, points: Extent, confi
     return solve_step(system, extent, damping=config.damping, min_eigenvalue=config.min_eigenvalue)
 
 
-def _moved(T_WC: Tensor, xi: Tensor, centre: Tensor) -> Tensor:
-    """The pose after a twist about the centre of the surface's camera, in world axes: T_g,k = exp(xi) of Eq. 10."""
-    return se3.translate(se3.exp(xi) @ se3.translate(T_WC, -centre), centre)
+def _moved(T_WC: Tensor, system: IcpSystem, step: Step, centre: Tensor) -> Tensor:
+    """The pose after a step about the centre of the surface's camera, in world axes: T_g,k = exp(xi) of Eq. 10."""
+    return se3.translate(next_pose(se3.translate(T_WC, -centre), system, step), centre)
+
+
+@piece
+def next_pose(T: Float[Tensor, "4 4"], system: IcpSystem, step: Step) -> Float[Tensor, "4 4"]:
+    """The pose after a Gauss-Newton step, T <- exp(xi) T.
+
+    Args:
+        T: Pose before it, relative to the point about which the twist turns, float64.
+        system: Normal equations H, b at that pose.
+        step: Their solution.
+
+    Differentiable: no. Source: Peng et al. 2024, Eq. 10.
+    """
+    return se3.exp(step.xi) @ T
 
 
 def _record(level: DepthLevel, T_WC: Tensor, system: IcpSystem, step: Step) -> IcpIteration:

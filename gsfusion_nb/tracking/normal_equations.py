@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from ..backends import op
+from ..backends import op, piece
 from ..checks import check_number, check_positive
 from ..geometry import depth_to_points, project, se3
 from ..operands import check_operand, check_view
@@ -57,6 +57,7 @@ class Correspondences:
     """Whether both also agree within the limits of distance and angle."""
 
 
+@piece
 def point_to_plane(
     xyz: Float[Tensor, "N 3"], surface_xyz: Float[Tensor, "N 3"], surface_normal: Float[Tensor, "N 3"]
 ) -> tuple[Float[Tensor, " N"], Float[Tensor, "N 6"]]:

@@ -9,6 +9,7 @@ from typing import Any
 from jaxtyping import Float
 from torch import Tensor
 
+from ..backends import piece
 from ..checks import check_number, check_pose, check_saved, check_whole
 from ..config import TrackingConfig
 from ..geometry import se3
@@ -152,7 +153,7 @@ class Tracker:
             return self._last.T_WC
         taken, ahead = self._last.timestamp_s - self._before.timestamp_s, timestamp_s - self._last.timestamp_s
         ratio = min(ahead / taken, MAX_TIME_RATIO) if taken > 0 and ahead > 0 else 1.0
-        return self._last.T_WC @ se3.exp(ratio * se3.log(se3.inverse(self._before.T_WC) @ self._last.T_WC))
+        return constant_velocity(self._before.T_WC, self._last.T_WC, ratio)
 
     def state_dict(self) -> dict[str, Any]:
         """Everything needed to continue later from exactly this state, as tensors and plain values."""
@@ -239,6 +240,21 @@ class Tracker:
         self.n_lost += 1
         self.lost_in_a_row += 1
         return TrackingLostError(reason)
+
+
+@piece
+def constant_velocity(
+    T_before: Float[Tensor, "4 4"], T_last: Float[Tensor, "4 4"], ratio: float = 1.0
+) -> Float[Tensor, "4 4"]:
+    """The pose after the last motion has gone on, in the camera's own axes.
+
+    Args:
+        T_before, T_last: Camera-to-world poses of the last two frames.
+        ratio: Time ahead as a share of the time between these frames.
+
+    Differentiable: yes.
+    """
+    return T_last @ se3.exp(ratio * se3.log(se3.inverse(T_before) @ T_last))
 
 
 def _widened(config: TrackingConfig) -> TrackingConfig:

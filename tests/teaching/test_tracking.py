@@ -9,8 +9,9 @@ from gsfusion_nb.tracking import Tracker, point_to_plane
 SOLUTIONS = {name: e._solution for name, e in exercises().items() if e.chapter == 8}
 
 
-def test_chapter_8_has_four():
-    assert set(SOLUTIONS) == {"point_to_plane", "gauss_newton", "predict", "spread_correction"}
+def test_chapter_8_has_six():
+    steps = {"point_to_plane", "gauss_newton", "predict", "spread_correction", "relative_error", "graph_step"}
+    assert set(SOLUTIONS) == steps
 
 
 def test_residual_and_jacobian_are_the_librarys(generator):

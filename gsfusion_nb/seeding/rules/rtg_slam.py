@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from ...backends import piece
 from ...geometry import backproject, pixel_grid, quaternion, se3
 from ...render import SurfaceView
 from ...types import Seeds
@@ -102,17 +103,45 @@ def wrong_pixels(
 ) -> dict[int, Bool[Tensor, "H W"]]:
     """Pixels by kind, no pixel in two (Eq. 6).
 
-    A pixel that hits no disc has rendered depth -1 in the paper and so is wrong in depth; otherwise it has no depth
+    A pixel that hits no disc has no rendered depth and so is wrong in depth in the paper; otherwise it has no depth
     error, as in the released code.
     """
-    new = usable & (view.transmittance > min_transmittance)  # RTG-SLAM Eq. 6: M_s is new or depth, M_c is colour
-    off = (view.depth_m - ctx.frame.depth_m).abs() > depth_error_m
-    hit = view.depth_m > 0
-    depth = usable & ~new & (off | ~hit if fidelity == "paper" else off & hit)
-    colour = usable & ~new & ~depth & ((view.rgb - ctx.frame.rgb).abs().mean(dim=-1) > colour_error)
+    depth_m = ctx.frame.depth_m
+    seen_m = view.depth_m if fidelity == "paper" else torch.where(view.depth_m > 0, view.depth_m, depth_m)
+    limits = (min_transmittance, depth_error_m, colour_error)
+    surface, colour = adding_masks(view.transmittance, seen_m, depth_m, view.rgb, ctx.frame.rgb, *limits)
+    surface, colour, unseen = usable & surface, usable & colour, view.transmittance > min_transmittance
+    new, depth = surface & unseen, surface & ~unseen
     if fidelity == "code":
         return {NEW_AREA: new, DEPTH_ERROR: depth | colour}
     return {NEW_AREA: new, DEPTH_ERROR: depth, COLOUR_ERROR: colour}
+
+
+@piece
+def adding_masks(
+    transmittance: Float[Tensor, "H W"],
+    seen_m: Float[Tensor, "H W"],
+    depth_m: Float[Tensor, "H W"],
+    seen_rgb: Float[Tensor, "H W 3"],
+    rgb: Float[Tensor, "H W 3"],
+    min_transmittance: float,
+    depth_error_m: float,
+    colour_error: float,
+) -> tuple[Bool[Tensor, "H W"], Bool[Tensor, "H W"]]:
+    """The masks M_s, where the surface is new or wrong, and M_c, where only the colour is wrong (Eq. 6).
+
+    Args:
+        transmittance, seen_m, seen_rgb: What the camera sees of the map: T^, depth D^ in metres, colour C^.
+        depth_m, rgb: Measured depth D, metres, 0 where missing, and colour C.
+        min_transmittance, depth_error_m, colour_error: delta_T, delta_d, delta_c, all to be exceeded.
+
+    Source: Peng et al. 2024, Eq. 6.
+    """
+    known, unseen = depth_m > 0, transmittance > min_transmittance
+    wrong_depth = (seen_m - depth_m).abs() > depth_error_m
+    surface = known & (unseen | wrong_depth)  # RTG-SLAM Eq. 6
+    colour = known & ~surface & ((seen_rgb - rgb).abs().mean(dim=-1) > colour_error)
+    return surface, colour
 
 
 def draw_share(mask: Bool[Tensor, "H W"], share: float, generator: torch.Generator) -> Int[Tensor, " M"]:
