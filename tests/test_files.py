@@ -117,10 +117,14 @@ def test_content_is_flushed_before_the_rename_and_the_name_after_it(tmp_path, mo
     assert order == ["x", "deep", "work", "rename", tmp_path.name]
 
 
-STOP_AT = """
-import os, signal
+# The module alone is loaded: importing the package takes seconds, and loads what has no part in this.
+STOP_AT = f"""
+import importlib.util, os, signal
 from pathlib import Path
-from gsfusion_nb import files
+
+spec = importlib.util.spec_from_file_location("files", {files.__file__!r})
+files = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(files)
 
 def kill_before(name):
     setattr(files.os, name, lambda *_: os.kill(os.getpid(), signal.SIGKILL))
