@@ -1,18 +1,26 @@
 """Rendered images and textures of the room, stored in the cache folder for later runs."""
 
+import contextlib
 import functools
 import io
 import logging
+import os
+import time
 import zipfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 from numpy import ndarray
 
-from ...files import atomic_file
+from ...files import atomic_file, try_lock
 from ...foreign import read_bytes
 
 log = logging.getLogger(__name__)
+
+WAIT_S = 120.0
+"""A process that holds a lock longer than this has probably been stopped; the others then do its work, too."""
+_POLL_S = 0.1
 
 
 def store(path: Path, **arrays: ndarray) -> None:
@@ -53,6 +61,23 @@ def load(path: Path) -> dict[str, ndarray] | None:
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, cv2.error) as e:
         log.warning("%s is damaged and will be made again: %s", path, e)
         return None
+
+
+@contextlib.contextmanager
+def one_process_at_a_time(path: Path) -> Iterator[None]:
+    """Hold a lock beside ``path``: of several processes that need the same file one makes it, and the others wait.
+
+    Without a folder that can be written to there is no lock, because nothing can be stored for the others.
+    """
+    with contextlib.ExitStack() as closing:
+        with contextlib.suppress(OSError):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            handle = os.open(path.with_suffix(".lock"), os.O_RDWR | os.O_CREAT, 0o644)
+            closing.callback(os.close, handle)
+            until = time.monotonic() + WAIT_S
+            while not try_lock(handle) and time.monotonic() < until:
+                time.sleep(_POLL_S)
+        yield
 
 
 @functools.cache

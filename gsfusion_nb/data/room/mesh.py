@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -11,7 +12,7 @@ from ...checks import check_positive
 from ...files import cache_folder
 from ...types import Mesh
 from .atlas import LEVELS, level_offsets
-from .cache import load, store
+from .cache import load, one_process_at_a_time, store
 from .interior import SHELL_SOLIDS, furnishing
 from .scene import Scene, load_scene, version
 from .sdf import signed_distance
@@ -41,16 +42,21 @@ def room_mesh(resolution_m: float = 0.02, *, seed: int = 0, cache: bool = True) 
     check_positive("resolution_m", resolution_m)
     key = hashlib.sha256(f"mesh {version()} {seed} {float(resolution_m)!r}".encode()).hexdigest()[:16]
     path = cache_folder() / "room" / f"mesh-{key}.npz"
-    arrays = load(path) if cache else None
-    if arrays is None:
-        arrays = _made(resolution_m, seed, cache)
-        if cache:
-            store(path, **arrays)
+    arrays = (load(path) or _stored(path, resolution_m, seed)) if cache else _made(resolution_m, seed, cache)
     return Mesh(
         vertices_W=torch.from_numpy(arrays["xyz"]),
         faces=torch.from_numpy(arrays["faces"].astype(np.int64)),
         rgb=torch.from_numpy(arrays["rgb"]),
     )
+
+
+def _stored(path: Path, resolution_m: float, seed: int) -> dict[str, ndarray]:
+    """What ``_made`` gives, stored; of several processes one makes it."""
+    with one_process_at_a_time(path):
+        if (arrays := load(path)) is None:
+            arrays = _made(resolution_m, seed, True)
+            store(path, **arrays)
+    return arrays
 
 
 def _made(resolution_m: float, seed: int, cache: bool) -> dict[str, ndarray]:

@@ -12,7 +12,7 @@ from numpy import ndarray
 
 from ...files import cache_folder
 from . import atlas as atlas_
-from .cache import load, store
+from .cache import load, one_process_at_a_time, store
 from .interior import SHELL_SOLIDS, interior
 from .lighting import DistanceGrid, irradiance
 from .patches import CurvedPatch, FlatPatches, compile_patches
@@ -91,18 +91,33 @@ def _lay_out(solids: Sequence[Solid], charts: Sequence[Chart]) -> atlas_.AtlasLa
 
 
 def _baked(solids, charts, layout: atlas_.AtlasLayout, seed: int, cache: bool) -> ndarray:
+    """The lit level-0 picture, from the cache where it is there; of several processes one computes it."""
+    if not cache:
+        return _painted(solids, charts, layout, seed)
     key = hashlib.sha256(f"atlas {version()} {seed}".encode()).hexdigest()[:16]
     path: Path = cache_folder() / "room" / f"atlas-{key}.npz"
-    if cache and (found := load(path)) is not None and found["atlas"].shape == (layout.height, atlas_.WIDTH, 3):
-        return found["atlas"]
-    log.info("computing textures and lighting of the room; takes a few seconds, only once")
+    if (found := _stored(path, layout)) is not None:
+        return found
+    with one_process_at_a_time(path):
+        if (found := _stored(path, layout)) is not None:
+            return found
+        log.info("computing textures and lighting of the room; takes a few seconds, only once")
+        level0 = _painted(solids, charts, layout, seed)
+        store(path, atlas=level0)
+    return level0
+
+
+def _stored(path: Path, layout: atlas_.AtlasLayout) -> ndarray | None:
+    found = load(path)
+    return found["atlas"] if found is not None and found["atlas"].shape == (layout.height, atlas_.WIDTH, 3) else None
+
+
+def _painted(solids, charts, layout: atlas_.AtlasLayout, seed: int) -> ndarray:
     level0 = np.zeros((layout.height, atlas_.WIDTH, 3), np.uint8)
     light = _light_maps(solids, charts)
     for k, chart in enumerate(charts):
         picture = _picture(chart.paint, int(layout.w[k]), int(layout.h[k]), layout.texel_m[k], [seed, 2, k])
         atlas_.paste(level0, layout, k, _lit(picture, chart.paint, light[k]), chart.face in ("side", "skin"))
-    if cache:
-        store(path, atlas=level0)
     return level0
 
 
