@@ -157,7 +157,7 @@ def small_room():
     return room(n_frames=120, width=80, height=60)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def config():
     """Coarse settings for small pictures."""
     return gsfusion("replica", **SMALL, data__stop=12)

@@ -13,7 +13,7 @@ FAST = (
 
 
 def test_map_then_eval_then_repeat_from_its_config(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(outputs, "SURFACE_SAMPLES", 20_000)
+    monkeypatch.setattr(outputs, "SURFACE_SAMPLES", 4_000)
     out = tmp_path / "run"
     assert main(["map", "room", *SMALL.split(), *FAST.split(), "--out", str(out)]) == 0
     text = capsys.readouterr().out

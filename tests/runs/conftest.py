@@ -1,12 +1,19 @@
 import pytest
 
-from gsfusion_nb.runs import outputs
+from gsfusion_nb.runs import FinishedRun, outputs, run_mapping
 
 
 @pytest.fixture(autouse=True)
 def _few_samples_of_surfaces(monkeypatch):
-    """A tenth is enough for surfaces whose error is centimetres."""
-    monkeypatch.setattr(outputs, "SURFACE_SAMPLES", 20_000)
+    """A few thousand are enough for surfaces whose error is centimetres."""
+    monkeypatch.setattr(outputs, "SURFACE_SAMPLES", 4_000)
+
+
+@pytest.fixture(scope="session")
+def whole_run(config, tmp_path_factory) -> FinishedRun:
+    """A run of ``config`` on the frames of ``small_room``, without scores; nothing stopped it. Not to be changed."""
+    folder = tmp_path_factory.mktemp("whole") / "run"
+    return run_mapping("room", config, folder=folder, evaluate=False, n_frames=120, width=80, height=60)
 
 
 @pytest.fixture

@@ -51,11 +51,9 @@ def test_checkpoints_that_do_not_fit_do_not_end_the_run(tmp_path, small_room, co
     assert (run.folder / "gaussians.ply").exists()
 
 
-def test_maps_that_fit_are_kept_and_the_run_goes_on_when_there_is_room(tmp_path, config, monkeypatch):
+def test_maps_that_fit_are_kept_and_the_run_goes_on_when_there_is_room(tmp_path, config, monkeypatch, whole_run):
     from gsfusion_nb.runs import outputs
 
-    options: dict[str, Any] = {"n_frames": 120, "width": 80, "height": 60}
-    whole = run_mapping("room", config, folder=tmp_path / "whole", evaluate=False, **options)
     every = CheckpointEvery(seconds=0, frames=3)
     write_gaussians = outputs.write_gaussian_ply
 
@@ -64,13 +62,13 @@ def test_maps_that_fit_are_kept_and_the_run_goes_on_when_there_is_room(tmp_path,
 
     monkeypatch.setattr(outputs, "write_gaussian_ply", full)
     with pytest.raises(DiskFullError, match=r"gaussians\.ply cannot be written: the disk is full") as failure:
-        run_mapping("room", config, folder=tmp_path / "out", evaluate=False, checkpoints=every, **options)
+        run_mapping("room", config, folder=tmp_path / "out", evaluate=False, checkpoints=every, **SMALL)
     monkeypatch.setattr(outputs, "write_gaussian_ply", write_gaussians)
     assert "gsfusion-nb map --resume" in " ".join(failure.value.__notes__)
     assert (tmp_path / "out" / "mesh.ply").exists()
     assert (tmp_path / "out" / "trajectory.txt").exists()
     resumed = resume_mapping(tmp_path / "out", evaluate=False)
-    assert resumed.run.hashes == whole.run.hashes
+    assert resumed.run.hashes == whole_run.run.hashes
     assert resumed.run.warnings == []
 
 
@@ -87,7 +85,7 @@ def small_disk(tmp_path):
     subprocess.run(["umount", "-l", str(place)], check=True)
 
 
-def test_a_disk_that_is_really_full(small_disk, small_room, config, caplog):
+def test_a_disk_that_is_really_full(small_disk, config, caplog, whole_run):
     """The run goes to its end, what fits is kept, and with room again the maps are those of any other disk."""
     every = CheckpointEvery(seconds=0, frames=3)
     filler = small_disk / "filler"
@@ -102,9 +100,8 @@ def test_a_disk_that_is_really_full(small_disk, small_room, config, caplog):
     assert {"config.json", "status.json"} <= kept
     assert not any(".partial" in name for name in kept)
     filler.unlink()
-    whole = run_mapping("room", config, folder=small_disk.parent / "whole", evaluate=False, **SMALL)
     again = run_mapping("room", config, folder=small_disk / "again", evaluate=False, **SMALL)
-    assert again.run.hashes == whole.run.hashes
+    assert again.run.hashes == whole_run.run.hashes
 
 
 def test_little_space_is_said_at_the_start(tmp_path, small_room, config, monkeypatch):

@@ -76,14 +76,13 @@ def test_a_run_leaves_all_files_and_the_numbers_agree(tmp_path, config, run_file
     assert again["psnr_mapped_db"] == run.metrics["psnr_mapped_db"]
 
 
-def test_maps_lie_where_the_surfaces_are(tmp_path, config, run_files):
+def test_maps_lie_where_the_surfaces_are(whole_run, run_files):
     from gsfusion_nb.data.room import room_sdf
 
-    run = run_mapping("room", config, folder=tmp_path / "out", evaluate=False, **ROOM)
-    mesh = run.mapper.mesh()
+    mesh = whole_run.mapper.mesh()
     assert room_sdf(mesh.vertices_W).abs().median() < 0.01
-    assert room_sdf(run.mapper.gaussians.params.xyz_W).abs().median() < 0.02
-    assert {p.name for p in run.folder.iterdir()} == run_files - {"report.html"}
+    assert room_sdf(whole_run.mapper.gaussians.params.xyz_W).abs().median() < 0.02
+    assert {p.name for p in whole_run.folder.iterdir()} == run_files - {"report.html"}
 
 
 def test_a_bad_frame_in_the_middle_is_skipped_and_named(tmp_path, small_room, config):
@@ -103,8 +102,7 @@ def test_a_recording_that_breaks_off_keeps_what_was_mapped(tmp_path, small_room,
     assert len(read_gaussian_ply(run.folder / "gaussians.ply")) == len(run.mapper.gaussians) > 0
 
 
-def test_ctrl_c_saves_everything_and_the_run_can_go_on(tmp_path, small_room, config, monkeypatch, run_files):
-    whole = run_mapping("room", config, folder=tmp_path / "whole", evaluate=False, **ROOM)
+def test_ctrl_c_saves_everything_and_the_run_can_go_on(tmp_path, small_room, config, monkeypatch, run_files, whole_run):
     open_small(monkeypatch, Interrupting(small_room, {5}))
     stopped = run_mapping("room", config, folder=tmp_path / "out", **ROOM)
     assert stopped.run.status == "interrupted"
@@ -116,8 +114,9 @@ def test_ctrl_c_saves_everything_and_the_run_can_go_on(tmp_path, small_room, con
     assert resumed.run.status == "complete"
     assert not (stopped.folder / "checkpoint").exists()
     assert len(resumed.run.steps) == 9
+    ours, expected = resumed.mapper.gaussians.params, whole_run.mapper.gaussians.params
     for name in ("xyz_W", "sh"):
-        assert torch.equal(getattr(resumed.mapper.gaussians.params, name), getattr(whole.mapper.gaussians.params, name))
+        assert torch.equal(getattr(ours, name), getattr(expected, name))
 
 
 def open_small(monkeypatch, sequence):
@@ -127,9 +126,8 @@ def open_small(monkeypatch, sequence):
         monkeypatch.setattr(module, "open_sequence", lambda path_or_name, data, **_: apply_options(sequence, data))
 
 
-def test_a_pass_cut_short_goes_on_where_it_was(tmp_path, small_room, config, monkeypatch):
+def test_a_pass_cut_short_goes_on_where_it_was(tmp_path, small_room, config, monkeypatch, whole_run):
     open_small(monkeypatch, small_room)
-    whole = run_mapping("room", config, folder=tmp_path / "whole", evaluate=False)
     step, calls = GSFusion._optimise_view, []
 
     def interrupting(self, view, ssim_weight=0.0):
@@ -145,7 +143,7 @@ def test_a_pass_cut_short_goes_on_where_it_was(tmp_path, small_room, config, mon
     assert 0 < len(stopped.mapper.passes.queue) < len(stopped.mapper.keyframes)
     resumed = resume_mapping(stopped.folder)
     assert not any("interrupted" in w for w in resumed.run.warnings)
-    assert torch.equal(resumed.mapper.gaussians.params.sh, whole.mapper.gaussians.params.sh)
+    assert torch.equal(resumed.mapper.gaussians.params.sh, whole_run.mapper.gaussians.params.sh)
     assert len(resumed.run.global_losses) == 2
     for key in ("psnr_held_out_online_db", "psnr_mapped_online_db"):
         assert resumed.metrics[key] == stopped.metrics[key]

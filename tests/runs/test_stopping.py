@@ -29,8 +29,9 @@ def metrics_of(folder) -> dict:
     return json.loads((folder / "metrics.json").read_text())
 
 
-def test_a_stop_while_scoring_leaves_a_report_and_the_run_can_be_scored_again(tmp_path, small, config, monkeypatch):
-    whole = run_mapping("room", config, folder=tmp_path / "whole", evaluate=False)
+def test_a_stop_while_scoring_leaves_a_report_and_the_run_can_be_scored_again(
+    tmp_path, small, config, monkeypatch, whole_run
+):
     score_mesh = outputs.score_mesh
 
     def stopped(run, mesh):
@@ -49,7 +50,7 @@ def test_a_stop_while_scoring_leaves_a_report_and_the_run_can_be_scored_again(tm
     again = resume_mapping(run.folder)
     assert (again.run.status, again.run.warnings) == ("complete", [])
     assert "mesh_accuracy_m" in metrics_of(run.folder)["metrics"]
-    assert again.run.hashes == whole.run.hashes == run.run.hashes
+    assert again.run.hashes == whole_run.run.hashes == run.run.hashes
     assert not (run.folder / "checkpoint").exists()
 
 
