@@ -150,3 +150,16 @@ def test_every_picture_says_what_it_shows(path):
                 assert call.func.id != "Image", f"{path.name}, cell {cell['id']}: use show or show_figure"
                 said = len(call.args) > 1 or "alt" in [keyword.arg for keyword in call.keywords]
                 assert call.func.id != "show" or said, f"{path.name}, cell {cell['id']}: give show labels or alt"
+
+
+@EACH
+def test_every_stored_picture_has_words(path):
+    """A widget's picture too: screen readers of the stored chapter get them from the output's metadata."""
+    for cell in notebook(path)["cells"]:
+        for output in cell.get("outputs", []):
+            for kind in {"image/png", "image/jpeg"} & set(output.get("data", {})):
+                said = output.get("metadata", {}).get(kind, {}).get("alt", "")
+                assert len(said) > 5, f"{path.name}, cell {cell['id']}: a picture without words"
+            tags = re.findall(r"<(?:img|svg)[^>]*>", "".join(output.get("data", {}).get("text/html", "")))
+            for tag in tags:
+                assert re.search(r'(alt|aria-label)="[^"]+|aria-hidden', tag), f"{path.name}, {cell['id']}: {tag[:80]}"

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from .ground import CARD, CARD_INK
 from .pictures import AnyImage, Picture, to_uint8
 
 LABEL_PX = 26
@@ -16,7 +17,7 @@ def side_by_side(images: Sequence[AnyImage], labels: Sequence[str] = (), *, gap:
     Args:
         images: At least one image, 0..1 or bytes; others are scaled to the first one's height.
         labels: One per image, or none.
-        gap: White space between images, pixels.
+        gap: Space between images, pixels.
     """
     import cv2
 
@@ -34,18 +35,18 @@ def side_by_side(images: Sequence[AnyImage], labels: Sequence[str] = (), *, gap:
         if labels:
             picture = np.concatenate([_label(labels[i], picture.shape[1]), picture])
         if i:
-            columns.append(np.full((picture.shape[0], gap, 3), 255, np.uint8))
+            columns.append(np.full((picture.shape[0], gap, 3), CARD, np.uint8))
         columns.append(picture)
     return np.concatenate(columns, axis=1)
 
 
 def _label(text: str, width: int) -> np.ndarray:
-    """A white strip with dark text, made smaller until it fits."""
+    """A dark strip with light text, made smaller until it fits: readable on a light and on a dark page."""
     import cv2
 
-    strip = np.full((LABEL_PX, width, 3), 255, np.uint8)
+    strip = np.full((LABEL_PX, width, 3), CARD, np.uint8)
     font, size = cv2.FONT_HERSHEY_SIMPLEX, 0.5
     (text_width, _), _ = cv2.getTextSize(text, font, size, 1)
     size *= min(1.0, (width - 8) / max(text_width, 1))
-    cv2.putText(strip, text, (4, LABEL_PX - 9), font, size, (28, 36, 48), 1, cv2.LINE_AA)
+    cv2.putText(strip, text, (4, LABEL_PX - 9), font, size, CARD_INK, 1, cv2.LINE_AA)
     return strip

@@ -6,15 +6,18 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from .curves import PALETTE
+from .ground import BETWEEN
 from .pictures import Picture
 
-_INK, _FAINT = (92, 102, 117), (223, 228, 234)
+_FAINT = (223, 228, 234)
 
 
 def small_curves(
     series: Mapping[str, Sequence[float | int]], *, n_x: int, width: int = 320, height: int = 110, scale: int = 2
 ) -> Picture:
     """One small graph per series, in a row: its title and newest value above, the range of its values at the left.
+
+    The ground is white, for ``encode_drawing`` or ``on_card``.
 
     Args:
         series: Title -> values so far, one per step; NaN leaves a gap.
@@ -46,10 +49,10 @@ def _graph(
     def text(words: str, x: int, y: int, size: float, ink: tuple[int, ...]) -> None:
         cv2.putText(image, words, (x, y), cv2.FONT_HERSHEY_SIMPLEX, size * s, ink, s, cv2.LINE_AA)
 
-    text(f"{title}  {number(known[-1])}" if known else title, left, top - 9 * s, 0.42, _INK)
+    text(f"{title}  {number(known[-1])}" if known else title, left, top - 9 * s, 0.42, BETWEEN)
     if known:
-        text(number(high), 4 * s, top + 5 * s, 0.38, _INK)
-        text(number(low), 4 * s, bottom + 3 * s, 0.38, _INK)
+        text(number(high), 4 * s, top + 5 * s, 0.38, BETWEEN)
+        text(number(low), 4 * s, bottom + 3 * s, 0.38, BETWEEN)
     x = np.linspace(left, right, max(n_x, len(values), 2))[: len(values)]
     y = bottom - (np.array(values, float) - low) / (high - low) * (bottom - top)
     for run in _runs(np.isfinite(y)):

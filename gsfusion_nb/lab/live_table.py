@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from ..drawing.curves import figure_picture
+from ..drawing.curves import figure_picture, figure_words
 from ..drawing.html import fill
 from ..drawing.pictures import Picture, data_uri
-from ..viz.display import with_picture
+from ..viz.display import Bundle, with_picture
 from ..viz.live.player import Player
 from ..viz.live.player_buttons import player_buttons
 from .live_runs import LiveRuns
@@ -139,14 +139,16 @@ class LiveTable:
     def __repr__(self) -> str:
         return f"LiveTable({len(self.results)} of {self._runs.n_runs} runs)"
 
-    def _repr_mimebundle_(self, **kwargs: Any) -> dict[str, Any]:
+    def _repr_mimebundle_(self, **kwargs: Any) -> Bundle:
         self._show_table()
         self._write_status()
-        picture = self.picture()
-        data = with_picture(self.widget._repr_mimebundle_(**kwargs), picture, repr(self))
+        figure = self.figure()
+        picture = figure_picture(figure)
+        alt = figure_words(figure)
+        data, words = with_picture(self.widget._repr_mimebundle_(**kwargs), picture, repr(self), alt=alt)
         values = {"tables": all_tables(self.results), "failures": failures(self.results)}
         data["text/html"] = fill("live_table.html", **values, picture=data_uri(picture, "png"))
-        return data
+        return data, words
 
     @property
     def _place(self) -> tuple[str, str]:

@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     from IPython.display import Image
     from matplotlib.figure import Figure
 
+Bundle = tuple[dict[str, Any], dict[str, Any]]
+"""What a notebook stores of an output, by MIME type, and words about it."""
 WIDGET_MIME = "application/vnd.jupyter.widget-view+json"
 
 
@@ -63,10 +65,16 @@ def show_figure(figure: "Figure", *, width: int = 520, alt: str = "") -> "Image"
     return Image(data=figure_png(figure), format="png", width=width, alt=alt or figure_words(figure))
 
 
-def with_picture(bundle: Any, picture: AnyImage, text: str) -> dict[str, Any]:
-    """A widget's mime bundle with a picture beside it, for readers of the stored notebook.
+def with_picture(bundle: Any, picture: AnyImage, text: str, *, alt: str = "") -> Bundle:
+    """A widget's mime bundle with a picture beside it, for readers of the stored notebook; and its metadata.
 
     A live notebook shows the widget, a code host the picture. With ``static_views()`` only the picture is kept.
+
+    Args:
+        bundle: The widget's own.
+        picture: What it shows now.
+        text: For readers without pictures.
+        alt: The picture's description for screen readers; by default ``text``.
     """
     import base64
 
@@ -75,4 +83,4 @@ def with_picture(bundle: Any, picture: AnyImage, text: str) -> dict[str, Any]:
         data.pop(WIDGET_MIME, None)
     data["image/jpeg"] = base64.b64encode(encode_jpeg(picture)).decode("ascii")
     data["text/plain"] = text
-    return data
+    return data, {"image/jpeg": {"alt": alt or text}}

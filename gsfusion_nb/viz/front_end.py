@@ -7,11 +7,20 @@ from importlib.resources import files
 
 ENGINE = ("splats/rows", "projection", "splats/colour", "splats/raster", "splats/engine")
 """Modules of the splat viewer's worker, in the order of their imports; without a page, so that node runs them too."""
-SPLAT_PAGE = ("camera", "splats/webgl", "splats/worker", "splats/panel", "mouse", "splats/time", "splats/widget")
+SPLAT_PAGE = (
+    "lost",
+    "camera",
+    "splats/webgl",
+    "splats/worker",
+    "splats/panel",
+    "mouse",
+    "splats/time",
+    "splats/widget",
+)
 """The modules of the splat viewer's page."""
 FINE = ("meshes/raster", "meshes/fine")
 """Modules of the mesh viewer's worker; without a page, so that node runs them too."""
-MESH_PAGE = ("projection", "camera", "mouse", "meshes/widget")
+MESH_PAGE = ("lost", "projection", "camera", "mouse", "meshes/widget")
 """The modules of the mesh viewer's page; its camera moves as in the splat viewer."""
 
 _IMPORT = re.compile(r'^import .* from "[./\w]+\.js";\n', re.MULTILINE)

@@ -10,6 +10,7 @@ import torch
 from jaxtyping import TypeCheckError
 
 from gsfusion_nb.drawing import curves, pictures
+from gsfusion_nb.drawing.ground import CARD
 from gsfusion_nb.drawing.side_by_side import LABEL_PX, side_by_side
 
 
@@ -101,7 +102,8 @@ def test_side_by_side_fits_heights_and_labels():
     assert row.shape == (40 + LABEL_PX, 50 + 6 + 60, 3)
     assert row.dtype == np.uint8
     assert side_by_side([a]).shape == (40, 50, 3)
-    assert (row[:LABEL_PX] < 128).any()
+    assert (row[:LABEL_PX] > 200).any()  # light words
+    assert (row[0, 0] == CARD).all()
     with pytest.raises(ValueError, match="at least one image"):
         side_by_side([])
     with pytest.raises(ValueError, match="one label per image, got 1 labels for 2"):

@@ -126,7 +126,7 @@ def test_the_menus_choose_scene_and_budget(spec, tmp_path, cache):
 def test_a_stored_notebook_has_table_and_picture(live, monkeypatch):
     live.run_sync()
     monkeypatch.setenv("GSNB_VIEW", "static")
-    bundle = live._repr_mimebundle_()
+    bundle = live._repr_mimebundle_()[0]
     assert WIDGET_MIME not in bundle
     assert "quadtree</th>" in bundle["text/html"]
     assert "stride=-1, wall, own size, own steps, seed 0 failed:" in bundle["text/html"]

@@ -7,9 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from ...drawing.pictures import Picture, encode_jpeg, encode_png
+from ...drawing.ground import encode_drawing, on_card
+from ...drawing.pictures import Picture, encode_jpeg
 from ...drawing.small_curves import small_curves
-from ..display import with_picture
+from ..display import Bundle, with_picture
+from ..lost import LostNotice
+from ..panels.click_image import ClickImage
 from .player import Player
 from .player_buttons import player_buttons
 from .scrubber import Scrubber
@@ -63,14 +66,16 @@ class LiveLoop:
         import cv2
 
         with self.lock:
-            picture, curves = self._picture(), self._graphs()
+            picture, curves = self._picture(), on_card(self._graphs())
         size = (picture.shape[1], round(curves.shape[0] * picture.shape[1] / curves.shape[1]))
         return np.concatenate([picture, np.asarray(cv2.resize(curves, size, interpolation=cv2.INTER_AREA), np.uint8)])
 
-    def _repr_mimebundle_(self, **kwargs: Any) -> dict[str, Any]:
+    def _repr_mimebundle_(self, **kwargs: Any) -> Bundle:
         self._draw()
+        words = f"LiveLoop({self.player.n_steps} steps)"
+        bundle = self.widget._repr_mimebundle_(**kwargs)
         return with_picture(
-            self.widget._repr_mimebundle_(**kwargs), self.picture(), f"LiveLoop({self.player.n_steps} steps)"
+            bundle, self.picture(), words, alt=f"the picture of step {self.player.n_steps}; {self.graphs.alt}"
         )
 
     def _on_step(self, _result: Any) -> None:
@@ -95,7 +100,7 @@ class LiveLoop:
             if self.player.error is None:
                 self._keep()
                 self.scrubber.show_newest()
-                self.graphs.value = encode_png(self._graphs(), 3)
+                self.graphs.value = encode_drawing(self._graphs())
             self._write_status()
         ended = time.monotonic()
         self._next_draw_s = max(began + MIN_INTERVAL_S, ended + 2 * (ended - began))  # a third of the time at most
@@ -123,9 +128,10 @@ class LiveLoop:
         self.scrubber = Scrubber(self._show_kept, what="step", css_class="gsnb-live-loop-step-back")
         self.status = w.HTML()
         self.status.add_class("gsnb-live-loop-status")
-        wide = w.Layout(width=f"{self._width}px", max_width="100%")
-        self.image, self.graphs = w.Image(format="jpeg", layout=wide), w.Image(format="png", layout=wide)
+        self.image = ClickImage(1, 1, width=self._width, alt="the picture of this step", touch="")
+        titles = ", ".join(self._series)
+        self.graphs = ClickImage(1, 1, width=self._width, format="png", alt=f"curves: {titles}", touch="")
         self.image.add_class("gsnb-live-loop-image")
-        controls = w.HBox([*self.buttons.values(), self.scrubber.widget])
-        self.widget = w.VBox([controls, self.status, self.image, self.graphs])
+        controls = w.HBox([*self.buttons.values(), self.scrubber.widget], layout=w.Layout(flex_flow="row wrap"))
+        self.widget = w.VBox([controls, self.status, self.image, self.graphs, LostNotice()])
         self.widget.add_class("gsnb-live-loop")

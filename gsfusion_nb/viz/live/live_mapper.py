@@ -13,12 +13,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...data import SequenceError
-from ...drawing.pictures import Picture, encode_jpeg, encode_png
+from ...drawing.ground import CARD, encode_drawing, on_card
+from ...drawing.pictures import Picture, encode_jpeg
 from ...drawing.small_curves import small_curves
 from ...mapping import StepReport
 from ...runs import MappingRun
 from ...types import Frame
-from ..display import with_picture
+from ..display import Bundle, with_picture
+from ..lost import LostNotice
+from ..panels.click_image import ClickImage
 from .player import Player
 from .player_buttons import player_buttons
 from .scrubber import Scrubber
@@ -132,19 +135,21 @@ class LiveMapper:
     def picture(self) -> Picture:
         """The panels and curves in one picture, as a stored notebook shows them."""
         if self.panels is None:
-            return self._curves(self._width, scale=1)
+            return on_card(self._curves(self._width, scale=1))
         small = next(iter(self.panels.pictures.values())).shape[1]
         mosaic = self.panels.mosaic(max(1, round(self._panel_width / small)))
-        curves = self._curves(mosaic.shape[1], scale=1)
-        strip = np.full((curves.shape[0], mosaic.shape[1], 3), 255, np.uint8)
+        curves = on_card(self._curves(mosaic.shape[1], scale=1))
+        strip = np.full((curves.shape[0], mosaic.shape[1], 3), CARD, np.uint8)
         strip[:, : curves.shape[1]] = curves
         return np.concatenate([mosaic, strip])
 
-    def _repr_mimebundle_(self, **kwargs: Any) -> dict[str, Any]:
+    def _repr_mimebundle_(self, **kwargs: Any) -> Bundle:
         with self.lock:
             self._draw()
             self._write_status()
-            return with_picture(self.widget._repr_mimebundle_(**kwargs), self.picture(), f"LiveMapper({self.run!r})")
+            bundle, words = self.widget._repr_mimebundle_(**kwargs), f"LiveMapper({self.run!r})"
+            alt = "; ".join([image.alt for image in self.images.values()] + [self.curves.alt])
+            return with_picture(bundle, self.picture(), words, alt=alt)
 
     def _on_step(self, report: StepReport) -> None:
         self._undrawn = report
@@ -169,7 +174,7 @@ class LiveMapper:
             return
         self._undrawn = None
         self.scrubber.show_newest()
-        self.curves.value = encode_png(self._curves(self._width), 3)
+        self.curves.value = encode_drawing(self._curves(self._width))
         if self.viewer is not None:
             self.viewer.update(self.run.mapper)
         ended = time.monotonic()
@@ -221,18 +226,21 @@ class LiveMapper:
         self.status = w.HTML()
         self.status.add_class("gsnb-live-status")
         self.error = w.HTML()
-        fixed = w.Layout(width=f"{panel_width}px")
-        self.images = {name: w.Image(format="jpeg", layout=fixed) for name in captions}
+        self.images = {
+            name: ClickImage(1, 1, width=panel_width, alt=caption, touch="") for name, caption in captions.items()
+        }
         for name, image in self.images.items():
             image.add_class(f"gsnb-live-{name}")
         cells = [w.VBox([w.HTML(html.escape(captions[name])), image]) for name, image in self.images.items()]
         wide = columns_for(len(cells))
-        rows = [w.HBox(cells[i : i + wide]) for i in range(0, len(cells), wide)]
-        self.curves = w.Image(
-            format="png", value=encode_png(self._curves(self._width), 3), layout=w.Layout(width=f"{self._width}px")
-        )
-        controls = w.HBox([*self.buttons.values(), self.progress])
-        self.widget = w.VBox([controls, self.status, self.error, self.scrubber.widget, *rows, self.curves])
+        wrapped = w.Layout(flex_flow="row wrap")
+        rows = [w.HBox(cells[i : i + wide], layout=wrapped) for i in range(0, len(cells), wide)]
+        titles = f"curves over the frames: {', '.join(self.run.mapper.curves)}"
+        self.curves = ClickImage(1, 1, width=self._width, format="png", alt=titles, touch="")
+        self.curves.value = encode_drawing(self._curves(self._width))
+        controls = w.HBox([*self.buttons.values(), self.progress], layout=wrapped)
+        parts = [controls, self.status, self.error, self.scrubber.widget, *rows, self.curves, LostNotice()]
+        self.widget = w.VBox(parts)
         self.widget.add_class("gsnb-live")
 
     def _write_status(self) -> None:

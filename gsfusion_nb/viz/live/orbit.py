@@ -14,8 +14,9 @@ from ...gaussians import GaussianModel
 from ...mapping import Mapper
 from ...render import render
 from ...types import Camera, GaussianParams
-from ..display import with_picture
+from ..display import Bundle, with_picture
 from ..panels.click_image import ClickImage, Stroke
+from ..panels.panel import beside
 from ..splats.map_picture import SHOWS, draw_gaussians
 from ..viewpoint import Vector, Viewpoint, extent, viewpoint_of, world_up
 
@@ -143,10 +144,11 @@ class OrbitView:
             cut_m=cut_m,
         )
 
-    def _repr_mimebundle_(self, **kwargs: Any) -> dict[str, Any]:
+    def _repr_mimebundle_(self, **kwargs: Any) -> Bundle:
         self._redraw()
         bundle = self.widget._repr_mimebundle_(**kwargs)
-        return with_picture(bundle, self.picture(), f"OrbitView({len(self._params()):,} Gaussians)")
+        text = f"OrbitView({len(self._params()):,} Gaussians)"
+        return with_picture(bundle, self.picture(), text, alt=self.image.alt)
 
     def _build(self) -> None:
         import ipywidgets as w
@@ -155,9 +157,9 @@ class OrbitView:
         self.places = self._make_places()
         shows = [s for s in SHOWS if s not in _LABELLED or self._labels(_LABELLED[s]) is not None]
         self.show = w.Dropdown(
-            options=shows, description="show", style={"description_width": "92px"}, layout=w.Layout(width="330px")
+            options=shows, description="show", style={"description_width": "92px"}, layout=w.Layout(width="300px")
         )
-        self.buttons = {name: w.Button(description=name, layout=w.Layout(width="100px")) for name in self.places}
+        self.buttons = {name: w.Button(description=name, layout=w.Layout(width="96px")) for name in self.places}
         for name, button in self.buttons.items():
             button.on_click(lambda _, name=name: self.look_from(name))
         for name, slider in self.sliders.items():
@@ -169,9 +171,8 @@ class OrbitView:
         self.image.add_class("gsnb-orbit-image")
         self.image.on_stroke(self._dragged)
         self.caption = w.HTML()
-        controls = [w.HBox(list(self.buttons.values())), *self.sliders.values(), self.show, self.caption]
-        panel = w.VBox(controls, layout=w.Layout(margin="0 0 0 12px"))
-        self.widget = w.HBox([self.image, panel], layout=w.Layout(flex_flow="row wrap", align_items="flex-start"))
+        controls = [*self.sliders.values(), self.show]
+        self.widget = beside(self.image, controls, list(self.buttons.values()), self.caption)
         self.widget.add_class("gsnb-orbit")
 
     def _make_sliders(self) -> dict[str, Any]:
@@ -189,7 +190,7 @@ class OrbitView:
             name: w.FloatSlider(
                 value=_on_step(value, step), min=low, max=high, step=step, description=label, tooltip=tip,
                 readout_format=".0f" if step == 1 else ".2f", style={"description_width": "92px"},
-                layout=w.Layout(width="330px"), continuous_update=True,
+                layout=w.Layout(width="300px"), continuous_update=True,
             )
             for name, (label, value, low, high, step, tip) in rows.items()
         }  # fmt: skip

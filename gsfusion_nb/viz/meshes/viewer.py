@@ -98,11 +98,12 @@ class MeshViewer(anywidget.AnyWidget):
             "image/jpeg": base64.b64encode(encode_jpeg(self.picture())).decode("ascii"),
             "text/plain": repr(self),
         }
+        words = {"image/jpeg": {"alt": f"A mesh of {len(self.mesh.faces):,} triangles"}}
         if static_views():
-            return stored
+            return stored, words
         live: Any = super()._repr_mimebundle_(**kwargs)
         data, metadata = live if isinstance(live, tuple) else (live or {}, {})
-        return {**data, **stored}, metadata
+        return {**data, **stored}, {**metadata, **words}
 
     def _heard(self, _widget: Any, content: Any, _buffers: Any) -> None:
         """The front end has opened: send the mesh."""

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from ...drawing.ground import CARD_INK
 from ...drawing.pictures import Picture
 from ...types import Camera
 from ..panels.click_image import Stroke
@@ -112,7 +113,7 @@ def _with_axes(ball: Picture) -> Picture:
     """Small x and y arrows in the corner; z points into the picture."""
     import cv2
 
-    picture, ink = ball.copy(), (28, 36, 48)
+    picture, ink = ball.copy(), CARD_INK
     o = (10, 10)
     for end, name, at in (((38, 10), "x", (42, 15)), ((10, 38), "y", (6, 54))):
         cv2.arrowedLine(picture, o, end, ink, 1, cv2.LINE_AA, tipLength=0.25)

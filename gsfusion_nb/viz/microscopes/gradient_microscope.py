@@ -10,12 +10,13 @@ from torch import Tensor
 
 from ...checks import check_name
 from ...drawing.html import html_table
-from ...drawing.pictures import Picture, encode_jpeg, encode_png, to_uint8
+from ...drawing.pictures import Picture, to_uint8
 from ...drawing.side_by_side import side_by_side
 from ...optim import dssim_vjp, l1_vjp
 from ...render import composite, composite_vjp, tile_intersections
 from ...types import Camera, GaussianParams
-from ..display import with_picture
+from ..display import Bundle, with_picture
+from ..lost import LostNotice
 from ..panels.click_image import ClickImage
 from .gradient_picture import gaussian_gradient_picture, pixel_gradient_picture
 from .pixel_gradient import GaussianGradient, PixelGradient, gaussian_gradient, pixel_gradient, pixel_gradient_table
@@ -116,9 +117,11 @@ class GradientMicroscope:
         pair = [with_cross(self.image, self._u, self._v, PICTURE_PX), resize_to_height(self.target, PICTURE_PX)]
         return side_by_side([*pair, self.lens()], LABELS)
 
-    def _repr_mimebundle_(self, **kwargs: Any) -> dict[str, Any]:
+    def _repr_mimebundle_(self, **kwargs: Any) -> Bundle:
         words = f"GradientMicroscope(pixel ({self._u}, {self._v}), a click picks a {self._pick})"
-        return with_picture(self.widget._repr_mimebundle_(**kwargs), self.picture(), words)
+        return with_picture(
+            self.widget._repr_mimebundle_(**kwargs), self.picture(), words, alt=f"{self.clicks.alt}; {self.arrows.alt}"
+        )
 
     def _read(self, params: GaussianParams, camera: Camera, T_WC: Tensor) -> None:
         """Render, and compute the gradient with respect to the projected Gaussians."""
@@ -154,8 +157,9 @@ class GradientMicroscope:
         self.clicks.add_class("gsnb-gradient-image")
         self.clicks.pixel = (self._u, self._v)
         self.clicks.observe(self._clicked, "pixel")
-        photo = w.Image(format="jpeg", value=encode_jpeg(self.target), layout=w.Layout(width=f"{wide}px"))
-        self.arrows = w.Image(format="png", layout=w.Layout(width=f"{PICTURE_PX}px", height=f"{PICTURE_PX}px"))
+        photo = ClickImage(camera.width, camera.height, width=wide, alt="the photograph that is the target", touch="")
+        photo.show(self.target)
+        self.arrows = ClickImage(PICTURE_PX, PICTURE_PX, width=PICTURE_PX, format="png", touch="")
         self.arrows.add_class("gsnb-gradient-arrows")
         self.choice = w.ToggleButtons(options=list(PICKS), description="a click picks", style={"button_width": "90px"})
         self.choice.observe(self._chosen, "value")
@@ -166,7 +170,7 @@ class GradientMicroscope:
             for label, image in zip(LABELS, (self.clicks, photo, self.arrows), strict=True)
         ]
         row = w.Layout(flex_flow="row wrap", grid_gap="8px")
-        self.widget = w.VBox([self.choice, w.HBox(panels, layout=row), self.numbers])
+        self.widget = w.VBox([self.choice, w.HBox(panels, layout=row), self.numbers, LostNotice()])
         self.widget.add_class("gsnb-gradient")
 
     def _clicked(self, _change: Any) -> None:
@@ -186,6 +190,8 @@ class GradientMicroscope:
 
     def _redraw(self) -> None:
         self.clicks.show(with_cross(self.image, self._u, self._v, PICTURE_PX))
-        self.arrows.value = encode_png(self.lens(), 1)
+        self.arrows.show(self.lens())
+        what = f"Gaussian {self.row}" if self._pick == "Gaussian" else f"the Gaussians of pixel ({self._u}, {self._v})"
+        self.arrows.alt = f"direction of descent for {what}, as arrows; the table has the numbers"
         unit = f"numbers are multiples of 1/{self.target.numel():,}: L1 gives ±1 per pixel and channel"
         self.numbers.value = f"pixel ({self._u}, {self._v}); {unit}<br>{self.table()}"

@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ...drawing.ground import CARD, CARD_INK
 from ...drawing.pictures import Picture, to_uint8
 from ...geometry import project, quaternion
 from ...geometry.spherical_harmonics import rgb_to_sh_dc, sh_basis
@@ -102,7 +103,7 @@ def sh_ball(sh: Float[Tensor, "K 3"], size: int = 160) -> Picture:
     n, inside = _ball_normals(size)
     degree = round(sh.shape[0] ** 0.5) - 1
     colour = (sh_basis(-n, degree) @ sh + 0.5).clamp(0, 1)
-    image = torch.ones(size * size, 3)
+    image = (torch.tensor(CARD) / 255).repeat(size * size, 1)
     image[inside] = colour
     return to_uint8(image.view(size, size, 3))
 
@@ -113,19 +114,19 @@ def basis_atlas(size: int = 104) -> Picture:
 
     n, inside = _ball_normals(size)
     Y = sh_basis(-n, 3)
-    atlas = np.full((4 * size, 7 * size, 3), 255, np.uint8)
+    atlas = np.full((4 * size, 7 * size, 3), CARD, np.uint8)
     for k in range(16):
         degree = math.isqrt(k)
         column = 3 - degree + k - degree * degree
         value = (Y[:, k] / 0.9).clamp(-1, 1)[:, None]
         red, blue = torch.tensor([0.82, 0.1, 0.1]), torch.tensor([0.1, 0.3, 0.85])
         colour = 1 - value.abs() * (1 - torch.where(value > 0, red, blue))
-        tile = torch.ones(size * size, 3)
+        tile = (torch.tensor(CARD) / 255).repeat(size * size, 1)
         tile[inside] = colour
         y, x = degree * size, column * size
         atlas[y : y + size, x : x + size] = to_uint8(tile.view(size, size, 3))
         cv2.circle(atlas, (x + size // 2, y + size // 2), round(0.44 * size), (150, 156, 166), 1, cv2.LINE_AA)
-        cv2.putText(atlas, f"Y{k}", (x + 3, y + 13), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (28, 36, 48), 1, cv2.LINE_AA)
+        cv2.putText(atlas, f"Y{k}", (x + 3, y + 13), cv2.FONT_HERSHEY_SIMPLEX, 0.4, CARD_INK, 1, cv2.LINE_AA)
     return atlas
 
 

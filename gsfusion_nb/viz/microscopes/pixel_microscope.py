@@ -7,10 +7,12 @@ import numpy as np
 from jaxtyping import Float
 from torch import Tensor
 
-from ...drawing.pictures import Picture, encode_png, to_uint8
+from ...drawing.ground import CARD
+from ...drawing.pictures import Picture, to_uint8
 from ...render import render
 from ...types import Camera, GaussianParams
-from ..display import with_picture
+from ..display import Bundle, with_picture
+from ..lost import LostNotice
 from ..panels.click_image import ClickImage
 from .pixel_stack import PixelStack, pixel_stack, project_splats, stack_table
 from .stack_picture import lens_picture, stack_picture, with_cross
@@ -68,14 +70,19 @@ class PixelMicroscope:
 
         lens, graph = self.pictures()
         image = with_cross(self.image, self.stack.u, self.stack.v, PICTURE_PX)
-        top = np.concatenate([image, np.full((PICTURE_PX, 8, 3), 255, np.uint8), lens], 1)
+        top = np.concatenate([image, np.full((PICTURE_PX, 8, 3), CARD, np.uint8), lens], 1)
         graph = cv2.resize(
             graph, (top.shape[1], round(graph.shape[0] * top.shape[1] / graph.shape[1])), interpolation=cv2.INTER_AREA
         )
-        return np.concatenate([top, np.full((8, top.shape[1], 3), 255, np.uint8), graph])
+        return np.concatenate([top, np.full((8, top.shape[1], 3), CARD, np.uint8), graph])
 
-    def _repr_mimebundle_(self, **kwargs: Any) -> dict[str, Any]:
-        return with_picture(self.widget._repr_mimebundle_(**kwargs), self.picture(), repr(self.stack))
+    def _repr_mimebundle_(self, **kwargs: Any) -> Bundle:
+        return with_picture(
+            self.widget._repr_mimebundle_(**kwargs),
+            self.picture(),
+            repr(self.stack),
+            alt=f"{self.lens.alt}; below, {self.graph.alt}",
+        )
 
     def _build(self, u: int, v: int) -> None:
         import ipywidgets as w
@@ -86,15 +93,15 @@ class PixelMicroscope:
         self.clicks.add_class("gsnb-microscope-image")
         self.clicks.pixel = (u, v)
         self.clicks.observe(self._clicked, "pixel")
-        self.lens = w.Image(format="png", layout=w.Layout(width=f"{PICTURE_PX}px", height=f"{PICTURE_PX}px"))
+        self.lens = ClickImage(PICTURE_PX, PICTURE_PX, width=PICTURE_PX, format="png", touch="")
         self.lens.add_class("gsnb-microscope-lens")
-        self.graph = w.Image(format="png", layout=w.Layout(width="560px", height="240px"))
+        self.graph = ClickImage(560, 240, width=560, format="png", touch="")
         self.graph.add_class("gsnb-microscope-graph")
         self.caption, self.table = w.HTML(), w.HTML()
         self.table.add_class("gsnb-microscope-table")
         row = w.Layout(flex_flow="row wrap", grid_gap="8px", align_items="flex-start")
         self.widget = w.VBox([
-            w.HBox([self.clicks, self.lens], layout=row), self.caption, self.graph, self.table,
+            w.HBox([self.clicks, self.lens], layout=row), self.caption, self.graph, self.table, LostNotice(),
         ])  # fmt: skip
         self.widget.add_class("gsnb-microscope")
 
@@ -112,7 +119,11 @@ class PixelMicroscope:
         s = self.stack
         self.clicks.show(with_cross(self.image, s.u, s.v, PICTURE_PX))
         lens, graph = self.pictures()
-        self.lens.value, self.graph.value = encode_png(lens, 1), encode_png(graph, 1)
+        self.lens.show(lens)
+        self.graph.show(graph)
+        self.clicks.alt = f"the rendered map; click a pixel; now ({s.u}, {s.v})"
+        self.lens.alt = f"pixel ({s.u}, {s.v}) and its neighbours, enlarged, with the ellipses of its Gaussians"
+        self.graph.alt = f"alpha, weight and light left for each of the {len(s)} Gaussians; the table has the numbers"
         self.table.value = stack_table(s)
         rendered = " ".join(f"{x / 255:.3f}" for x in self.image[s.v, s.u])
         summed = " ".join(f"{float(x):.3f}" for x in s.colour)

@@ -7,11 +7,12 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from ...drawing.ground import CARD, CARD_INK
 from ...drawing.pictures import AnyImage, Picture, to_uint8
 from .pixel_stack import PixelStack, Splats
 
-INK, FAINT, LIGHT = (28, 36, 48), (223, 228, 234), (209, 73, 91)
-"""Colour of text, grid lines and the curve of the transmittance."""
+INK, FAINT, LIGHT = (28, 36, 48), (84, 92, 104), (229, 98, 115)
+"""Colour of lines in pictures, of grid lines on the card, and of the curve of the transmittance."""
 CROSS = (255, 210, 0)
 """Colour of the mark at the chosen pixel."""
 
@@ -30,17 +31,17 @@ def stack_picture(stack: PixelStack, *, width: int = 420, height: int = 240, sca
     import cv2
 
     s = scale
-    image = np.full((height * s, width * s, 3), 255, np.uint8)
+    image = np.full((height * s, width * s, 3), CARD, np.uint8)
     left, right, top, bottom = 40 * s, (width - 12) * s, 24 * s, (height - 66) * s
     for value in (0.0, 0.5, 1.0):
         y = round(bottom + value * (top - bottom))
         cv2.line(image, (left, y), (right, y), FAINT, s)
-        write(image, f"{value:g}", 10 * s, y + 4 * s, s)
+        write(image, f"{value:g}", 10 * s, y + 4 * s, s, ink=CARD_INK)
     strip = slice((height - 40) * s, (height - 24) * s)
-    write(image, "red: light left T   pale: alpha   full: weight w = alpha T", left, 14 * s, s)
-    write(image, "sum", 10 * s, strip.stop - 4 * s, s)
+    write(image, "red: light left T   pale: alpha   full: weight w = alpha T", left, 14 * s, s, ink=CARD_INK)
+    write(image, "sum", 10 * s, strip.stop - 4 * s, s, ink=CARD_INK)
     caption = "nearest Gaussian first, to the farthest; below: the colour summed up so far"
-    write(image, caption, left, (height - 8) * s, s)
+    write(image, caption, left, (height - 8) * s, s, ink=CARD_INK)
     edges = np.linspace(left, right, max(len(stack), 1) + 1).round().astype(int)
     _bars(image, stack, edges, (top, bottom), s)
     colours = to_uint8(stack.contribution.cumsum(0).clamp(0, 1)[None])[0]
@@ -62,7 +63,7 @@ def _bars(image: Picture, stack: PixelStack, edges: np.ndarray, span: tuple[int,
     full = to_uint8(stack.rgb[None])[0].astype(float)
     for k, colour in enumerate(full):
         x0, x1 = int(edges[k]), max(int(edges[k + 1]) - gap, int(edges[k]) + 1)
-        for value, fill in ((stack.alpha[k], 0.35 * colour + 0.65 * 255), (stack.weight[k], colour)):
+        for value, fill in ((stack.alpha[k], 0.35 * colour + 0.65 * np.array(CARD)), (stack.weight[k], colour)):
             y = round(bottom + float(value) * (top - bottom))
             cv2.rectangle(image, (x0, y), (x1, bottom), tuple(int(c) for c in fill), -1)
             cv2.rectangle(image, (x0, y), (x1, bottom), (150, 156, 166), 1)

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from ...drawing.ground import CARD, CARD_INK
 from ...drawing.pictures import AnyImage, Picture, to_uint8
 from ...render import TileLists
 
@@ -29,10 +30,10 @@ def tile_picture(image: AnyImage, tiles: TileLists, *, scale: int = 2, strength:
     step = tiles.tile_px * scale
     mixed[::step] = mixed[::step] // 2
     mixed[:, ::step] = mixed[:, ::step] // 2
-    bar = np.full((26, mixed.shape[1], 3), 255, np.uint8)
+    bar = np.full((26, mixed.shape[1], 3), CARD, np.uint8)
     ramp = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[None], cv2.COLORMAP_VIRIDIS)[..., ::-1]
     bar[7:19, 20:160] = np.asarray(cv2.resize(np.ascontiguousarray(ramp), (140, 12)), np.uint8)
-    ink, font = (28, 36, 48), cv2.FONT_HERSHEY_SIMPLEX
+    ink, font = CARD_INK, cv2.FONT_HERSHEY_SIMPLEX
     cv2.putText(bar, "0", (6, 18), font, 0.42, ink, 1, cv2.LINE_AA)
     cv2.putText(
         bar,

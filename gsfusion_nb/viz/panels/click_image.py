@@ -23,15 +23,15 @@ class Stroke:
 
     number: int
     """Increases with each drag."""
-    start: tuple[float, float]
+    start: tuple[float | int, float | int]
     """(u, v) where the button was pressed, pixels of the image."""
-    now: tuple[float, float]
+    now: tuple[float | int, float | int]
     """(u, v) of the pointer."""
     shift: bool = False
     """Whether the shift key was held at the start."""
 
     @property
-    def moved(self) -> tuple[float, float]:
+    def moved(self) -> tuple[float | int, float | int]:
         """(du, dv) since the start, pixels of the image."""
         return self.now[0] - self.start[0], self.now[1] - self.start[1]
 

@@ -9,6 +9,7 @@ from markupsafe import Markup
 from torch import Tensor
 
 from ...config import DiscConfig
+from ...drawing.ground import on_card
 from ...drawing.html import html_table
 from ...drawing.pictures import Picture, colour_depth, error_map, to_uint8
 from ...drawing.side_by_side import side_by_side
@@ -109,7 +110,7 @@ def disc_scene_picture(scene: DiscScene) -> Picture:
     images = [to_uint8(scene.rgb), *(colour_depth(d, 0.5, far) for d in (scene.disc_m, scene.blended_m))]
     images = [i.repeat(3, 0).repeat(3, 1) for i in images]
     top = side_by_side(images, ["render", "disc depth (Eq. 5)", f"blended; blue 0.5 m, red {far:.1f} m"])
-    plan = disc_scene_plan(scene, top.shape[1])
+    plan = on_card(disc_scene_plan(scene, top.shape[1]))
     return np.concatenate([top, plan])
 
 

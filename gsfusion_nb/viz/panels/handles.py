@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 from ...drawing.pictures import Picture
 
-Point = tuple[float, float]
+Point = tuple[float | int, float | int]
 REACH_PX = 26.0
 """A drag that begins farther than this from all handles grabs none, pixels."""
 

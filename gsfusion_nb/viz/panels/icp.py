@@ -11,6 +11,7 @@ from torch import Tensor
 
 from ...config import TrackingConfig
 from ...drawing.curves import PALETTE
+from ...drawing.ground import CARD, on_card
 from ...drawing.pictures import Picture, to_uint8
 from ...drawing.side_by_side import side_by_side
 from ...drawing.small_curves import small_curves
@@ -106,8 +107,8 @@ def icp_picture(frame: Frame, surface: Surface, result: IcpResult, step: int, co
         "position error, cm": [100 * e[0] for e in errors],
         "angle error, deg": [e[1] for e in errors],
     }
-    curves = small_curves(series, n_x=sum(config.iterations) + 1, width=top.shape[1] // 3, scale=1)
-    strip = np.full((curves.shape[0], top.shape[1], 3), 255, np.uint8)
+    curves = on_card(small_curves(series, n_x=sum(config.iterations) + 1, width=top.shape[1] // 3, scale=1))
+    strip = np.full((curves.shape[0], top.shape[1], 3), CARD, np.uint8)
     strip[:, : curves.shape[1]] = curves
     return np.concatenate([top, strip])
 
@@ -190,7 +191,7 @@ def basin_picture(
         write(image, f"{sideways_m[j] * 100:+.0f} cm", left + j * cell - 8, R * cell + 16, 1, 0.4)
     share = float((errors_m < SUCCESS_M).mean())
     write(image, f"{share:.0%} of the starts converge", left, R * cell + 34, 1, 0.42)
-    return image
+    return on_card(image)
 
 
 def path_picture(
@@ -232,4 +233,4 @@ def path_picture(
         y = height + 24 * k + 16
         cv2.line(image, (10, y - 4), (40, y - 4), ink, 3, cv2.LINE_AA)
         write(image, name, 48, y, 1, 0.45)
-    return image
+    return on_card(image)

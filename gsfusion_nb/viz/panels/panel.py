@@ -14,7 +14,8 @@ from typing import Any, Literal
 import numpy as np
 
 from ...drawing.pictures import Picture
-from ..display import with_picture
+from ..display import Bundle, with_picture
+from ..lost import LostNotice
 from .click_image import ClickImage, Stroke
 
 Number = float | int
@@ -117,7 +118,7 @@ class Panel:
         self.redraw()
         return self
 
-    def drag(self, start: tuple[float, float], *way: tuple[float, float], shift: bool = False) -> "Panel":
+    def drag(self, start: tuple[Number, Number], *way: tuple[Number, Number], shift: bool = False) -> "Panel":
         """Drag the picture from a point over others, (u, v) in pixels of ``picture()``; with only a start, a click."""
         for now in (start, *way):
             self._touched(Stroke(number=self._stroke + (now is start), start=start, now=now, shift=shift))
@@ -148,9 +149,9 @@ class Panel:
             self.image.show(self._picture)
             self.caption.value = words
 
-    def _repr_mimebundle_(self, **kwargs: Any) -> dict[str, Any]:
+    def _repr_mimebundle_(self, **kwargs: Any) -> Bundle:
         self.redraw()
-        return with_picture(self.widget._repr_mimebundle_(**kwargs), self._picture, self.text)
+        return with_picture(self.widget._repr_mimebundle_(**kwargs), self._picture, self.text, alt=self.image.alt)
 
     def _build(self, controls: Mapping[str, Control], buttons: dict[str, Callable[[], Any]]) -> None:
         import ipywidgets as w
@@ -168,9 +169,7 @@ class Panel:
         self.image.on_stroke(self._touched)
         self.caption = w.HTML()
         self.caption.add_class(f"gsnb-{self.name}-text")
-        row = w.HBox(list(self.buttons.values()), layout=w.Layout(flex_flow="row wrap"))
-        side = w.VBox([*self.controls.values(), row, self.caption], layout=w.Layout(margin="0 0 0 12px", width="350px"))
-        self.widget = w.HBox([self.image, side], layout=w.Layout(flex_flow="row wrap", align_items="flex-start"))
+        self.widget = beside(self.image, list(self.controls.values()), list(self.buttons.values()), self.caption)
         self.widget.add_class(f"gsnb-{self.name}")
 
     def _changed(self, _change: Any) -> None:
@@ -190,6 +189,17 @@ class Panel:
             self.redraw()
 
 
+def beside(picture: Any, controls: Sequence[Any], buttons: Sequence[Any], words: Any) -> Any:
+    """A picture with its controls beside it, or below it in columns where the page is too narrow."""
+    import ipywidgets as w
+
+    wrapped = w.Layout(flex_flow="row wrap")
+    parts = [w.HBox(list(controls), layout=wrapped), w.HBox(list(buttons), layout=wrapped), words, LostNotice()]
+    side = w.VBox(parts, layout=w.Layout(flex="1 1 310px", min_width="310px"))
+    row = w.Layout(flex_flow="row wrap", align_items="flex-start", grid_gap="8px")
+    return w.HBox([picture, side], layout=row)
+
+
 def _on_step(control: Any, value: Any) -> Any:
     """The nearest value that a slider can show."""
     if not isinstance(value, Number) or isinstance(value, bool) or not hasattr(control, "step"):
@@ -206,7 +216,7 @@ def _spoken(words: str) -> str:
 def _widget(control: Control) -> Any:
     import ipywidgets as w
 
-    place = {"style": {"description_width": "110px"}, "layout": w.Layout(width="340px")}
+    place = {"style": {"description_width": "110px"}, "layout": w.Layout(width="300px")}
     if isinstance(control, Choice):
         return w.Dropdown(options=list(control.options), value=control.value, description=control.label, **place)
     if isinstance(control, Switch):

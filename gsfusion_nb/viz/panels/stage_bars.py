@@ -5,10 +5,11 @@ from collections.abc import Mapping
 import numpy as np
 
 from ...drawing.curves import PALETTE
+from ...drawing.ground import CARD, CARD_INK
 from ...drawing.pictures import Picture
 from .panel import Drawn, Panel, Slider
 
-_INK, _FAINT = (28, 36, 48), (223, 228, 234)
+_FAINT = (84, 92, 104)
 _LEFT, _RIGHT, _BAR = 92, 14, 44
 
 
@@ -38,11 +39,11 @@ def stage_bars(runs: Mapping[str, Mapping[str, float]], *, width: int = 720) -> 
         raise ValueError("stage_bars needs at least one run, got none")
     stages = list(dict.fromkeys(stage for run in runs.values() for stage in run))
     longest = max(sum(run.values()) for run in runs.values()) or 1.0
-    image = np.full((len(runs) * (_BAR + 26) + 34, width, 3), 255, np.uint8)
+    image = np.full((len(runs) * (_BAR + 26) + 34, width, 3), CARD, np.uint8)
     scale = (width - _LEFT - _RIGHT - 160) / longest
     for row, (label, run) in enumerate(runs.items()):
         y, x = row * (_BAR + 26) + 8, float(_LEFT)
-        _text(image, label, 6, y + 28, _INK)
+        _text(image, label, 6, y + 28, CARD_INK)
         for stage in stages:
             long = run.get(stage, 0.0) * scale
             box = (round(x), y), (max(round(x + long) - 1, round(x)), y + _BAR)
@@ -52,12 +53,12 @@ def stage_bars(runs: Mapping[str, Mapping[str, float]], *, width: int = 720) -> 
             x += long
         total = sum(run.values())
         rate = f"{_short(1e3 * total)} ms, {_short(1 / total)} frames/s" if total else ""
-        _text(image, rate, round(x) + 6, y + 28, _INK)
+        _text(image, rate, round(x) + 6, y + 28, CARD_INK)
     x = _LEFT
     for k, stage in enumerate(stages):
         y = image.shape[0] - 24
         cv2.rectangle(image, (x, y), (x + 12, y + 12), _colour(k), -1)
-        _text(image, stage, x + 17, y + 11, _INK)
+        _text(image, stage, x + 17, y + 11, CARD_INK)
         x += 34 + 9 * len(stage)
     return image
 

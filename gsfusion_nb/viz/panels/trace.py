@@ -10,7 +10,8 @@ from markupsafe import Markup
 from ...checks import check_name
 from ...drawing.html import html_table
 from ...drawing.pictures import Picture, to_uint8
-from ..display import with_picture
+from ..display import Bundle, with_picture
+from ..lost import LostNotice
 from ..microscopes.stack_picture import CROSS, ellipse_outlines, write
 from .click_image import ClickImage
 
@@ -130,9 +131,9 @@ class TracePanel:
     def _moment(self) -> Any:
         return self.story.moments[self.slider.value]
 
-    def _repr_mimebundle_(self, **kwargs: Any) -> dict[str, Any]:
+    def _repr_mimebundle_(self, **kwargs: Any) -> Bundle:
         text = f"{self._name}, moment {self.slider.value + 1} of {len(self.story.moments)}\n{self._moment}"
-        return with_picture(self.widget._repr_mimebundle_(**kwargs), self.picture(), text)
+        return with_picture(self.widget._repr_mimebundle_(**kwargs), self.picture(), text, alt=self.clicks.alt)
 
     def _build(self) -> None:
         import ipywidgets as w
@@ -165,8 +166,8 @@ class TracePanel:
         beside = w.Layout(flex="1 1 320px", min_width="300px", max_height="460px", overflow="auto")
         self.numbers = w.HTML(layout=beside)
         self.numbers.add_class("gsnb-trace-numbers")
-        buttons = w.HBox([self.back, self.next, self.choice])
-        left = w.VBox([self.clicks, self.slider, buttons], layout=w.Layout(width=f"{WIDTH_PX + 12}px"))
+        buttons = w.HBox([self.back, self.next, self.choice], layout=w.Layout(flex_flow="row wrap"))
+        left = w.VBox([self.clicks, self.slider, buttons, LostNotice()], layout=w.Layout(width=f"{WIDTH_PX + 12}px"))
         row = w.Layout(flex_flow="row wrap", align_items="flex-start", grid_gap="12px")
         self.widget = w.HBox([left, self.numbers], layout=row)
         self.widget.add_class("gsnb-trace")

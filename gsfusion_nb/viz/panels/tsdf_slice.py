@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ...drawing.ground import CARD, CARD_INK
 from ...drawing.pictures import Picture, colour_stops, to_uint8
 from ...tsdf import TsdfVolume
 from ...types import Camera
@@ -114,8 +115,8 @@ def slice_place(u: float | int, v: float | int) -> tuple[float, float]:
 
 
 def slice_legend(quantity: str, width: int, *, max_weight: float | int = 20) -> Picture:
-    """The colour bar of a slice, on white, ``width`` pixels wide."""
-    image = np.full((LEGEND_PX, width, 3), 255, np.uint8)
+    """The colour bar of a slice, ``width`` pixels wide."""
+    image = np.full((LEGEND_PX, width, 3), CARD, np.uint8)
     left, right = 74, width - 74
     ramp = np.linspace(-1, 1, max(right - left, 2), dtype=np.float32)[None].repeat(10, 0)
     words = ("behind -1", "free +1")
@@ -135,7 +136,7 @@ def _write(image: Picture, words: Sequence[str], x: tuple[int, int]) -> None:
     import cv2
 
     for text, at in zip(words, x, strict=True):
-        cv2.putText(image, text, (at, 17), cv2.FONT_HERSHEY_SIMPLEX, 0.36, (60, 66, 76), 1, cv2.LINE_AA)
+        cv2.putText(image, text, (at, 17), cv2.FONT_HERSHEY_SIMPLEX, 0.36, CARD_INK, 1, cv2.LINE_AA)
 
 
 def _weight_colours(W: np.ndarray, max_weight: float | int) -> Picture:

@@ -61,8 +61,9 @@ class SplatViewer(anywidget.AnyWidget):
     """Look at a Gaussian map from every side; the last line of a cell shows it.
 
     Drag to orbit, shift-drag to pan, ctrl-drag to look around, wheel (after a click) to zoom, R to reset, click to
-    pick: ``viewer.picked`` is the row's number, ``viewer.picked_row()`` its values, ``viewer.observe(f, "picked")``
-    calls ``f`` at each pick. With ``static_views()`` only a picture by the library's renderer is shown.
+    pick: the row's numbers appear in the viewer, ``viewer.picked`` is its number, ``viewer.picked_row()`` its values,
+    ``viewer.observe(f, "picked")`` calls ``f`` at each pick. The viewer is as wide as the cell, at most twice its
+    canvas. With ``static_views()`` only a picture by the library's renderer is shown.
 
     Args:
         source: A mapper (which also knows its cameras), a model, or bare parameters.
@@ -101,6 +102,7 @@ class SplatViewer(anywidget.AnyWidget):
     background = _synced(t.Unicode("#000000"))
     born_until = _synced(t.Float(None, allow_none=True))
     picked = _synced(t.Int(None, allow_none=True))
+    record = _synced(t.List(t.List(t.Unicode())))
     renderer = _synced(t.Enum(("auto", "software", "webgl"), "auto"))
     renderer_used = _synced(t.Unicode(""))
     gpu = _synced(t.Unicode(""))
@@ -141,6 +143,7 @@ class SplatViewer(anywidget.AnyWidget):
             colour_by=colour_by,
         )  # fmt: skip
         self._describe()
+        self.observe(lambda _change: self._show_record(), "picked")
         self.on_msg(self._heard)
 
     @property
@@ -184,6 +187,11 @@ class SplatViewer(anywidget.AnyWidget):
                 return None
             return gaussian_record(self._params, self._columns, self.picked)
 
+    def _show_record(self) -> None:
+        """Names and values of the picked row, which the browser shows in the picture."""
+        row = self.picked_row()
+        self.record = [] if row is None else [list(line) for line in row.lines()]
+
     def picture(self) -> Picture:
         """What the viewer shows, drawn by the library's renderer (in point mode: as ellipses)."""
         with self._lock:
@@ -210,12 +218,14 @@ class SplatViewer(anywidget.AnyWidget):
             "image/png": base64.b64encode(encode_png(self.picture(), 9)).decode("ascii"),
             "text/plain": repr(self),
         }
+        shown = "in their colours" if self.colour_by == "rgb" else f"coloured by {self.colour_by}"
+        words = {"image/png": {"alt": f"A map of {len(self._params):,} Gaussians, {shown}"}}
         if static_views():
-            return picture
+            return picture, words
         self._displayed = True
         live: Any = super()._repr_mimebundle_(**kwargs)
         data, metadata = live if isinstance(live, tuple) else (live or {}, {})
-        return {**data, **picture}, metadata
+        return {**data, **picture}, {**metadata, **words}
 
     @t.validate("background")
     def _check_background(self, proposal: Any) -> str:
@@ -259,6 +269,7 @@ class SplatViewer(anywidget.AnyWidget):
             self._describe()
             self._last_sent_s = time.monotonic()
             self._send_rows(records)
+            self._show_record()
 
     def _refresh_late(self) -> None:
         """Called in the timer's thread, where errors would not be shown."""

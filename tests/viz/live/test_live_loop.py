@@ -80,4 +80,4 @@ def test_the_stored_picture_has_the_curves_below(monkeypatch):
     _, loop = make_loop()
     loop.run_sync()
     assert loop.picture().shape[0] > 40
-    assert set(loop._repr_mimebundle_()) == {"image/jpeg", "text/plain"}
+    assert set(loop._repr_mimebundle_()[0]) == {"image/jpeg", "text/plain"}

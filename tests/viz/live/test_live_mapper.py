@@ -207,7 +207,7 @@ def test_stored_output_holds_the_picture(make_run, monkeypatch):
     monkeypatch.setenv("GSNB_VIEW", "static")
     live = LiveMapper(make_run())
     live.run_sync(1)
-    bundle = live._repr_mimebundle_()
+    bundle = live._repr_mimebundle_()[0]
     assert WIDGET_MIME not in bundle
     assert len(bundle["image/jpeg"]) > 1000
 

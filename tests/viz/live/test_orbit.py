@@ -104,10 +104,10 @@ def test_a_mapper_starts_at_its_first_keyframe(make_run):
 def test_stored_and_live_outputs(view, monkeypatch):
     for name in ("GSNB_VIEW", "GSNB_SMOKE"):
         monkeypatch.delenv(name, raising=False)
-    bundle = view._repr_mimebundle_()
+    bundle = view._repr_mimebundle_()[0]
     assert {WIDGET_MIME, "image/jpeg", "text/plain"} <= set(bundle)
     monkeypatch.setenv("GSNB_VIEW", "static")
-    assert WIDGET_MIME not in view._repr_mimebundle_()
+    assert WIDGET_MIME not in view._repr_mimebundle_()[0]
 
 
 def test_a_moved_slider_renders_once(view, monkeypatch):

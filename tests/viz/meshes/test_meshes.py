@@ -121,7 +121,7 @@ def test_the_live_view_needs_no_vtk_and_keeps_a_picture(watched, monkeypatch):
     assert np.abs(image.astype(int) - viewer.picture()[..., ::-1]).mean() < 3
     assert len(str(data)) < 40_000  # the mesh is not in it
     monkeypatch.setenv("GSNB_VIEW", "static")
-    assert WIDGET_MIME not in viewer._repr_mimebundle_()
+    assert WIDGET_MIME not in viewer._repr_mimebundle_()[0]
 
 
 def test_the_mesh_travels_when_a_view_opens(watched):

@@ -175,7 +175,7 @@ def test_nothing_at_the_pixel(generator):
 
 def test_the_stored_output_is_a_picture(generator, monkeypatch):
     monkeypatch.setenv("GSNB_VIEW", "static")
-    assert set(microscope(generator)._repr_mimebundle_()) == {"image/jpeg", "text/plain"}
+    assert set(microscope(generator)._repr_mimebundle_()[0]) == {"image/jpeg", "text/plain"}
 
 
 @pytest.mark.parametrize("pick", ["pixel", "Gaussian"])

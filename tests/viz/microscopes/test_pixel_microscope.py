@@ -63,7 +63,7 @@ def test_from_python_it_is_the_function(params):
 
 def test_the_stored_output_is_a_picture(params, monkeypatch):
     monkeypatch.setenv("GSNB_VIEW", "static")
-    bundle = PixelMicroscope(params, CAMERA, EYE)._repr_mimebundle_()
+    bundle = PixelMicroscope(params, CAMERA, EYE)._repr_mimebundle_()[0]
     assert set(bundle) == {"image/jpeg", "text/plain"}
     assert "PixelStack" in bundle["text/plain"]
 

@@ -95,9 +95,9 @@ def test_a_logarithmic_slider_has_its_ends():
 def test_stored_and_live_outputs(panel, monkeypatch):
     for name in ("GSNB_VIEW", "GSNB_SMOKE"):
         monkeypatch.delenv(name, raising=False)
-    assert {WIDGET_MIME, "image/jpeg", "text/plain"} <= set(panel._repr_mimebundle_())
+    assert {WIDGET_MIME, "image/jpeg", "text/plain"} <= set(panel._repr_mimebundle_()[0])
     monkeypatch.setenv("GSNB_VIEW", "static")
-    assert WIDGET_MIME not in panel._repr_mimebundle_()
+    assert WIDGET_MIME not in panel._repr_mimebundle_()[0]
 
 
 def test_a_drag_moves_sliders_from_where_they_were_when_it_began():

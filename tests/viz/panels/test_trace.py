@@ -45,7 +45,7 @@ def test_a_panel_shows_every_moment_and_follows_clicks(panel):
     panel.clicks.pixel = (10, 11)
     assert len(panel.story.ijk) == 3
     assert abs(panel.story.moments[0].z_m - 2.0) < 0.1
-    text = panel._repr_mimebundle_()["text/plain"]
+    text = panel._repr_mimebundle_()[0]["text/plain"]
     assert "voxel" in text
 
 

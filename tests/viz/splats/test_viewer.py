@@ -230,7 +230,7 @@ def test_stored_and_live_outputs(viewer, monkeypatch):
     live, _ = viewer._repr_mimebundle_()
     assert {WIDGET_MIME, "image/png", "text/plain"} <= set(live)
     monkeypatch.setenv("GSNB_VIEW", "static")
-    stored = viewer._repr_mimebundle_()
+    stored, _ = viewer._repr_mimebundle_()
     assert set(stored) == {"image/png", "text/plain"}
     png = np.frombuffer(base64.b64decode(stored["image/png"]), np.uint8)
     picture = np.asarray(cv2.imdecode(png, cv2.IMREAD_COLOR))[..., ::-1]

@@ -2,6 +2,7 @@
 // stops, a fine one comes from fine.js, and a movement before that ends its drawing.
 import { viewOf } from "../../static/projection.js";
 import { OrbitCamera } from "../../static/camera.js";
+import { whenLost } from "../../static/lost.js";
 import { listenTo } from "../../static/mouse.js";
 import { startFine } from "./fine.js";
 import { MeshPainter } from "./raster.js";
@@ -33,11 +34,13 @@ class MeshView {
     for (const [event, act] of this.listeners) model.on(event, act);
     listenTo(this.scene, this);
     this.fine = startFine(FINE_SOURCE, (picture) => this.show(picture), () => this.mesh);
+    this.forget = whenLost(model, el, (words) => (this.words.textContent = words));
     model.send({ kind: "ready" });
   }
 
   close() {
     for (const [event, act] of this.listeners) this.model.off(event, act);
+    this.forget();
     clearTimeout(this.still);
     this.fine.close();
   }

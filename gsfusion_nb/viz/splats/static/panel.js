@@ -57,6 +57,12 @@ export function showLegend(node, { by, names, low, high, palette: hex }, title, 
   }
 }
 
+/** Names and values of the picked Gaussian. */
+export function showRecord(node, lines) {
+  const cell = (text) => Object.assign(document.createElement("span"), { textContent: text });
+  node.replaceChildren(...lines.flatMap((line) => line.map(cell)));
+}
+
 /** The outline of the picked Gaussian: where its value is exp(-2) of that at its centre. */
 export function drawMark(canvas, mark, scale) {
   const ctx = canvas.getContext("2d");

@@ -3,13 +3,15 @@ import { viewOf } from "../../static/projection.js";
 import { OrbitCamera } from "../../static/camera.js";
 import { GpuPainter, gpuName, imitatesGpu } from "./webgl.js";
 import { startEngine } from "./worker.js";
-import { buildPanel, drawMark, showLegend } from "./panel.js";
+import { buildPanel, drawMark, showLegend, showRecord } from "./panel.js";
+import { whenLost } from "../../static/lost.js";
 import { listenTo } from "../../static/mouse.js";
 import { TimeLine } from "./time.js";
 
 const STILL_MS = 160; // ms without a movement after which a fine picture is drawn
 const GOAL_MS = 40; // target time of one picture while moving, ms
 const PATIENCE_MS = 10000;
+const WIDEST = 2; // screen pixels per canvas pixel, at most: the viewer is as wide as the cell
 const REDRAWN_BY = ["colour_by", "size", "opacity", "points", "background", "picked", "columns", "notice"];
 
 class SplatView {
@@ -22,7 +24,7 @@ class SplatView {
     const { nodes, listeners } = buildPanel(model);
     this.nodes = nodes;
     for (const layer of [nodes.software, nodes.gpu, nodes.marks]) Object.assign(layer, { width: this.width, height: this.height });
-    nodes.root.style.width = `${this.width}px`;
+    nodes.root.style.maxWidth = `${WIDEST * this.width}px`;
     nodes.scene.style.aspectRatio = `${this.width} / ${this.height}`;
     nodes.reset.onclick = () => this.reset();
     el.append(nodes.root);
@@ -34,21 +36,25 @@ class SplatView {
       ["msg:custom", (message, buffers) => this.rows(message, buffers)],
       ["change:pose", () => this.follow()],
       ["change:renderer", () => this.chooseRenderer()],
+      ["change:record", () => showRecord(nodes.record, model.get("record"))],
       ...REDRAWN_BY.map((trait) => [`change:${trait}`, () => this.request()]),
       ...listeners,
       ...this.time.listeners,
     ];
     for (const [event, act] of this.listeners) model.on(event, act);
     listenTo(nodes.scene, this);
+    showRecord(nodes.record, model.get("record"));
     this.chooseRenderer();
     this.say("waiting for the map ...");
     const late = "No answer from Python: it is busy, or the kernel was restarted. Run the cell again.";
     this.patience = setTimeout(() => this.n ?? this.say(late), PATIENCE_MS);
+    this.forget = whenLost(model, el, (words) => this.say(words));
     ready();
   }
 
   close() {
     for (const [event, act] of this.listeners) this.model.off(event, act);
+    this.forget();
     clearTimeout(this.patience);
     clearTimeout(this.still);
     clearInterval(this.time.timer);
