@@ -12,6 +12,7 @@ from .footprints import footprints as footprints
 from .in_view import rows_in_view as rows_in_view
 from .on_screen import ScreenGaussians as ScreenGaussians
 from .on_screen import TileBlend as TileBlend
+from .on_screen import blend_rows as blend_rows
 from .pose import pose_vjp as pose_vjp
 from .project import Projection as Projection
 from .project import ProjectionGradient as ProjectionGradient

@@ -11,6 +11,19 @@ from .composite import blend_weights, pixel_offsets, splat_alpha
 from .tiles import TileLists
 
 
+def blend_rows(
+    uv: Float[Tensor, "K 2"],
+    conic: Float[Tensor, "K 3"],
+    opacity: Float[Tensor, " K"],
+    x: Int[Tensor, " P"],
+    y: Int[Tensor, " P"],
+) -> tuple[Float[Tensor, "K P"], Float[Tensor, "K P"], Float[Tensor, "K P"]]:
+    """alpha, T and w of K Gaussians, nearest first, at the pixels in columns ``x`` and rows ``y``, by the formulas of
+    ``composite``; w is 0 from where a pixel stops. Differentiable: no."""
+    alpha = splat_alpha(*pixel_offsets(uv, x, y), conic, opacity)
+    return alpha, *blend_weights(alpha)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TileBlend:
     """The list of one tile at some of its pixels: K Gaussians, nearest first, at P pixels."""
@@ -50,8 +63,7 @@ class ScreenGaussians:
         if not len(k):
             none = self.uv.new_zeros(0, len(x))
             return TileBlend(gaussian=k, alpha=none, transmittance=none, weight=none)
-        alpha = splat_alpha(*pixel_offsets(self.uv[k], x, y), self.conic[k], self.opacity[k])
-        T, w = blend_weights(alpha)
+        alpha, T, w = blend_rows(self.uv[k], self.conic[k], self.opacity[k], x, y)
         return TileBlend(gaussian=k, alpha=alpha, transmittance=T, weight=w)
 
     def pixels_of(self, tile: int, camera: Camera) -> tuple[Int[Tensor, " P"], Int[Tensor, " P"]]:

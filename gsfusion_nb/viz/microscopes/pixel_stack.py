@@ -1,8 +1,8 @@
 """Which Gaussians made a pixel: the blending of a few pixels, evaluated one Gaussian at a time.
 
 The renderer does not record which Gaussians contributed to a pixel. Here every Gaussian is evaluated at the chosen
-pixels. This needs no tiles, and so it also checks the renderer independently. The rules are those of
-``render.composite``.
+pixels, with the formulas of ``render.composite`` but without the lists of the tiles: a Gaussian that is missing in a
+list is seen here.
 """
 
 from dataclasses import dataclass
@@ -12,10 +12,9 @@ from jaxtyping import Float, Int
 from markupsafe import Markup
 from torch import Tensor
 
-from ...constants import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
 from ...drawing.html import html_table
 from ...geometry.spherical_harmonics import sh_to_rgb
-from ...render import Projection, project_gaussians
+from ...render import Projection, blend_rows, project_gaussians
 from ...types import Camera, GaussianParams
 
 TABLE_ROWS = 14
@@ -76,20 +75,15 @@ def blend_at(splats: Splats, uv: Float[Tensor, "P 2"]) -> Blend:
     near = p.visible & (p.uv >= low).all(1) & (p.uv <= high).all(1)
     row = near.nonzero().squeeze(1)
     row = row[p.depth_m[row].argsort(stable=True)]
-    offset = uv[:, None] - p.uv[row]
-    dx, dy = offset.unbind(-1)
-    A, B, C = p.conic[row].unbind(-1)
-    sigma = 0.5 * (A * dx * dx + C * dy * dy) + B * dx * dy
-    alpha = (p.opacity[row] * torch.exp(-sigma)).clamp(max=ALPHA_MAX)
-    alpha = torch.where(alpha >= ALPHA_MIN, alpha, 0.0)
-    after = (1.0 - alpha).cumprod(1)
-    alpha = torch.where(after >= TRANSMITTANCE_MIN, alpha, 0.0)  # stops before T falls below the limit
+    x, y = uv.floor().long().unbind(-1)
+    alpha, _, weight = blend_rows(p.uv[row], p.conic[row], p.opacity[row], x, y)
+    alpha = torch.where(weight > 0, alpha, 0.0).T
     one = alpha.new_ones(len(uv), 1)
     T = torch.cat([one, (1.0 - alpha).cumprod(1)], dim=1)
     used = (alpha > 0).any(0)
     return Blend(
         row=row[used],
-        offset_px=offset[:, used],
+        offset_px=(uv[:, None] - p.uv[row])[:, used],
         alpha=alpha[:, used],
         transmittance=torch.cat([T[:, :-1][:, used], T[:, -1:]], dim=1),
     )
