@@ -1,4 +1,4 @@
-"""The command ``gsfusion-nb``: demo, convert, check, map, live, eval, lab, sweep, study, bench, course, doctor."""
+"""The command ``gsfusion-nb`` and what its first word means: demo, convert, check, map, live, and so on."""
 
 import logging
 import sys
@@ -34,6 +34,9 @@ _USAGE = """gsfusion-nb: online RGB-D mapping with TSDF fusion and 3D Gaussian s
   gsfusion-nb bench [GROUP]        measure the speed of operations, mapping and
                                    panels, compared with other programs
   gsfusion-nb course               show how far you are in the notebooks
+  gsfusion-nb course export        the chapters as assignments for nbgrader or Otter
+  gsfusion-nb grade SUBMISSIONS    mark the notebooks of a class, each in a process
+                                   of its own
   gsfusion-nb doctor               show what is installed, what works, and what to
                                    do where something does not
   gsfusion-nb doctor --warm        compile the fast kernels now, not on first use
@@ -118,6 +121,7 @@ def main(arguments: list[str] | None = None) -> int:
         "sweep": _sweep,
         "study": _study,
         "course": _course,
+        "grade": _grade,
         "doctor": _doctor,
     }
     if not arguments or arguments[0] in ("-h", "--help"):
@@ -231,6 +235,12 @@ def _course(arguments: list[str]) -> int:
     from . import course
 
     return course.run(arguments)
+
+
+def _grade(arguments: list[str]) -> int:
+    from . import grade
+
+    return grade.run(arguments)
 
 
 def _doctor(arguments: list[str]) -> int:

@@ -1,7 +1,9 @@
 """A student's function under test, and the statements a checker makes about what it returns."""
 
+import contextlib
 import copy
 from collections.abc import Callable, Iterator, Sequence
+from contextvars import ContextVar
 from typing import Any
 
 import numpy as np
@@ -9,6 +11,25 @@ import torch
 from torch import Tensor
 
 from .place import place_of
+
+_seen: ContextVar[list[str] | None] = ContextVar("_seen", default=None)
+
+
+@contextlib.contextmanager
+def watching_properties() -> Iterator[list[str]]:
+    """Inside the block the list gets every property that a judge asks for, in order."""
+    seen: list[str] = []
+    token = _seen.set(seen)
+    try:
+        yield seen
+    finally:
+        _seen.reset(token)
+
+
+def _note(prop: str) -> None:
+    seen = _seen.get()
+    if seen is not None:
+        seen.append(prop)
 
 
 class Failed(Exception):
@@ -49,6 +70,8 @@ class Attempt:
             result = plain(self.function(*given, **named))
         except NotImplementedError:
             raise NotWritten from None
+        except Failed as e:  # it runs in another process, which says what happened
+            raise Failed(e.prop, on, e.detail) from None
         except Exception as e:
             place = place_of(e, self.function)
             raised = f"it raised {type(e).__name__}{f' in {place}' if place else ''}"
@@ -78,6 +101,7 @@ def plain(value: Any) -> Any:
 
 def holds(condition: Any, prop: str, *, on: str, detail: str) -> None:
     """``prop`` fails, with ``detail``, unless ``condition`` is true."""
+    _note(prop)
     if not bool(condition):
         raise Failed(prop, on, detail)
 
@@ -93,6 +117,7 @@ def close(got: Any, expected: Any, prop: str, *, on: str, tolerance: float = 1e-
         tolerance: Largest deviation.
         why: What a deviation usually means; ends the message.
     """
+    _note(prop)
     right, mine = as_tensor(expected), _numbers(got, prop, on)
     if mine.shape != right.shape:
         raise Failed(prop, on, f"the shape is {list(mine.shape)}, expected {list(right.shape)}")

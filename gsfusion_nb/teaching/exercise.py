@@ -63,16 +63,19 @@ _MACHINERY = {
     "course",
     "edition",
     "exercise",
+    "grading",
     "holds",
     "kit",
     "mine",
     "place",
     "predictions",
     "progress",
+    "sandbox",
     "solution",
     "student",
     "trace",
     "verdict",
+    "wall",
     "whose",
     "without_solutions",
     "yours",
@@ -124,10 +127,19 @@ class Exercise:
         if not callable(function):
             detail = f"got a {type(function).__name__}"
             return Verdict(exercise=self.name, state="failed", prop="it is a function", detail=detail, hints_left=left)
-        attempt = Attempt(function)
+        verdict = self.verdict_on(Attempt(function), self.judge)
+        if verdict:
+            remember(self.name, self.becomes, function)
+            with forgiving():
+                carry(self.name, function)
+        return verdict
+
+    def verdict_on(self, attempt: Attempt, judge: Callable[[Attempt], None]) -> Verdict:
+        """What ``judge`` says; nothing is kept or noted."""
+        left = len(self.hints) - self.hints_given
         try:
             with judging():
-                self.judge(attempt)
+                judge(attempt)
         except NotWritten:
             detail = "the function returns nothing so far"
             return Verdict(exercise=self.name, state="not written", detail=detail, hints_left=left)
@@ -139,9 +151,6 @@ class Exercise:
             detail = f"it returned {describe([attempt.returned])}, with which the checker could not go on ({said})"
             on = attempt.words
             return Verdict(exercise=self.name, state="failed", prop=prop, on=on, detail=detail, hints_left=left)
-        remember(self.name, self.becomes, function)
-        with forgiving():
-            carry(self.name, function)
         return Verdict(exercise=self.name, state="passed")
 
     def hint(self, number: int | None = None) -> Hint:

@@ -1,15 +1,13 @@
 """Exercises of chapter 9: rules that keep the contract, and Pareto fronts."""
 
-from types import SimpleNamespace
-
 import torch
 from torch import Tensor
 
-from ..config import SeedingConfig, TsdfConfig
 from ..geometry import pixel_grid
 from ..seeding import SeedContext, SeedingRule, check_contexts, check_rule
-from ..types import Camera, Frame, GaussianParams, Seeds
+from ..types import Seeds
 from .exercise import Attempt, Failed, Wrong, close, exercise, holds
+from .wall import wall_context
 
 
 def _raster(ctx: SeedContext, *, step_px: int = 8) -> Seeds:
@@ -193,37 +191,6 @@ def pareto_rules(attempt: Attempt) -> None:
     )
 
 
-def wall_context(covered: str = "nothing") -> SeedContext:
-    """A chequered wall 2 m away, seen by 64 x 48 pixels; "quarter": opaque Gaussians on its upper left quarter."""
-    camera = Camera(width=64, height=48, fx=60.0, fy=60.0, cx=32.0, cy=24.0)
-    j, i = torch.meshgrid(torch.arange(48), torch.arange(64), indexing="ij")
-    grey = (((i // 4) + (j // 4)) % 2).float() * 0.8 + 0.1
-    frame = Frame(
-        index=0, timestamp_s=0.0, rgb=grey[..., None].expand(-1, -1, 3).contiguous(),
-        depth_m=torch.full((48, 64), 2.0), camera=camera, T_WC=torch.eye(4),
-    )  # fmt: skip
-    x, y = torch.meshgrid(torch.linspace(-1.2, -0.1, 12), torch.linspace(-0.9, -0.1, 9), indexing="xy")
-    xyz = torch.stack([x, y, torch.full_like(x, 2.0)], dim=-1).reshape(-1, 3)
-    if covered == "nothing":
-        xyz = xyz[:0]
-    n = len(xyz)
-    params = GaussianParams(
-        xyz_W=xyz, log_scale=torch.full((n, 3), 0.06).log(), quat=torch.tensor([1.0, 0, 0, 0]).expand(n, 4).clone(),
-        opacity_logit=torch.full((n,), 4.0), sh=torch.zeros(n, 1, 3),
-    )  # fmt: skip
-    config = SeedingConfig(quadtree_contrast="std", quadtree_threshold=0.05)
-    return SeedContext(frame, _FreshVolume(), SimpleNamespace(params=params), config=config)
-
-
-class _FreshVolume:
-    """Every voxel was observed once."""
-
-    config = TsdfConfig(voxel_size_m=0.02)
-
-    def sample_nearest(self, xyz_W: Tensor) -> SimpleNamespace:
-        return SimpleNamespace(D=torch.zeros(len(xyz_W)), W=torch.ones(len(xyz_W)))
-
-
 def _contract(rule: SeedingRule) -> None:
     """``check_rule`` as a property of the exercise."""
     on = f"the {len(check_contexts())} scenes of check_rule"
@@ -231,6 +198,8 @@ def _contract(rule: SeedingRule) -> None:
         check_rule(rule)
     except (AssertionError, TypeError, ValueError) as e:
         raise Failed("it keeps the contract of a rule", on, str(e)) from None
+    except Failed:
+        raise
     except Exception as e:
         raise Failed("it runs", on, f"it raised {type(e).__name__}: {e}") from e
 

@@ -1,0 +1,201 @@
+"""The mark of one exercise of one submission: its judge, then hidden inputs from the seed of the class."""
+
+import math
+import zlib
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ...backends import use_backend
+from ..attempt import Attempt, as_rows, close, holds, watching_properties
+from ..exercise import Exercise, exercises
+from ..verdict import Verdict
+from ..wall import wall_context
+from .draws import DRAWS, whole
+from .isolated import Sandbox
+from .points import Points
+from .submission import Code, choose
+
+HIDDEN = "it agrees with the reference on hidden inputs"
+_CALLS = 5
+"""Hidden inputs of an exercise."""
+_CELLS = ("quadtree_leaves",)
+"""Exercises that return cells, in any order."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mark:
+    """One line of the table of marks."""
+
+    student: str
+    exercise: str
+    points: float
+    most: float
+    prop: str = ""
+    """The property that failed; empty for a right answer."""
+    message: str = ""
+    """What was returned and what was expected, or why nothing could be judged."""
+
+
+def mark_student(
+    student: str, codes: list[Code], names: list[str], points: Points, seed: int, sandbox: Sandbox
+) -> list[Mark]:
+    """The marks of one student.
+
+    Args:
+        student: Whose they are.
+        codes: The student's files.
+        names: Exercises to be marked, in the order of the course.
+        points: The most points of each.
+        seed: Of the hidden inputs.
+        sandbox: Where the functions run.
+    """
+    accepted: set[str] = set()
+    marks = []
+    for name in names:
+        exercise = exercises()[name]
+        most = points.of(exercise)
+        code = choose(codes, name, exercise.chapter)
+        if code is None:
+            problems = [c.problem for c in codes if c.problem]
+            message = problems[0] if problems else f"there is no function {name}"
+            marks.append(
+                Mark(student=student, exercise=name, points=0.0, most=most, prop="it is submitted", message=message)
+            )
+            continue
+        with sandbox.function(name, code.cells, frozenset(accepted)) as function:
+            verdict = verdict_on(exercise, function, seed)
+        if verdict:
+            accepted.add(name)
+        marks.append(_mark(student, exercise, verdict, most))
+    return marks
+
+
+def _mark(student: str, exercise: Exercise, verdict: Verdict, most: float) -> Mark:
+    if verdict:
+        return Mark(student=student, exercise=exercise.name, points=most, most=most)
+    on = f"input: {verdict.on}; " if verdict.on else ""
+    prop = "it is written" if verdict.state == "not written" else verdict.prop
+    message = f"{on}{verdict.detail}"
+    return Mark(student=student, exercise=exercise.name, points=0.0, most=most, prop=prop, message=message)
+
+
+def verdict_on(exercise: Exercise, function: Any, seed: int) -> Verdict:
+    """The verdict of the exercise's judge and, if that is good, on hidden inputs. Nothing is kept or noted."""
+
+    def judge(attempt: Attempt) -> None:
+        exercise.judge(attempt)
+        judge_hidden(exercise, attempt, seed)
+
+    state = torch.get_rng_state()
+    try:
+        with use_backend("reference"):
+            return exercise.verdict_on(Attempt(function), judge)
+    finally:
+        torch.set_rng_state(state)
+
+
+def judge_hidden(exercise: Exercise, attempt: Attempt, seed: int) -> None:
+    """Compare with the reference on inputs that the seed draws; an exercise in which answers may differ has its own.
+
+    Raises:
+        Failed: they differ.
+    """
+    generator = torch.Generator().manual_seed(zlib.crc32(f"{seed} {exercise.name}".encode()))
+    if exercise.name in _OWN:
+        _OWN[exercise.name](exercise, attempt, generator)
+        return
+    draw = DRAWS.get(exercise.name)
+    for _ in range(_CALLS if draw else 0):
+        args = draw(generator)  # pyright: ignore[reportOptionalCall]
+        expected = exercise._solution(*_copies(args))
+        got = attempt.on("hidden numbers")(*args)
+        _agrees(got, expected, HIDDEN, cells=exercise.name in _CELLS)
+
+
+def properties(exercise: Exercise) -> list[str]:
+    """What the judge of an exercise asks, in its order, as found by judging the solution."""
+    with watching_properties() as seen, use_backend("reference"):
+        exercise.judge(Attempt(exercise._solution))
+    return list(dict.fromkeys([*seen, HIDDEN]))
+
+
+def _copies(args: tuple[Any, ...]) -> list[Any]:
+    return [a.clone() if isinstance(a, Tensor) else a.copy() if isinstance(a, np.ndarray) else a for a in args]
+
+
+def _agrees(got: Any, expected: Any, prop: str, *, cells: bool = False) -> None:
+    on = "hidden numbers"
+    if cells:
+        got, expected = ({tuple(map(int, cell)) for cell in as_rows(value)} for value in (got, expected))
+        holds(got == expected, prop, on=on, detail=f"it returned {len(got)} cells, expected {len(expected)}")
+    elif isinstance(expected, str):
+        holds(got == expected, prop, on=on, detail=f"got {got!r}, expected {expected!r}")
+    elif isinstance(expected, tuple) and not all(isinstance(part, (int, float)) for part in expected):
+        holds(
+            isinstance(got, (tuple, list)) and len(got) == len(expected),
+            prop,
+            on=on,
+            detail=f"expected {len(expected)} results",
+        )
+        for mine, right in zip(got, expected, strict=True):
+            close(mine, right, prop, on=on, tolerance=1e-4)
+    else:
+        close(got, expected, prop, on=on, tolerance=1e-4)
+
+
+def _draw_keyframes(exercise: Exercise, attempt: Attempt, g: torch.Generator) -> None:
+    for _ in range(_CALLS):
+        n, count = whole(g, 1, 12), whole(g, 1, 12)
+        got = torch.as_tensor(attempt.on("hidden numbers")(n, count, g)).reshape(-1).tolist()
+        right = len(got) == len(set(got)) == min(n, count) and all(0 <= i < n for i in got)
+        holds(right, HIDDEN, on="hidden numbers", detail=f"{count} out of {n}: got {got}")
+
+
+def _budget_cells(exercise: Exercise, attempt: Attempt, g: torch.Generator) -> None:
+    for _ in range(2):
+        image = torch.randint(0, 256, (whole(g, 12, 24), whole(g, 12, 24), 3), generator=g, dtype=torch.uint8)
+        image[:, : whole(g, 3, 8)] //= 32
+        n = whole(g, 10, 40)
+        scores = []
+        for cells in (attempt.on("a hidden image")(image, n), exercise._solution(image.clone(), n)):
+            rows = [tuple(map(int, cell)) for cell in as_rows(cells)]
+            covered = torch.zeros(image.shape[:2], dtype=torch.int64)
+            for x, y, w, h in rows:
+                covered[y : y + h, x : x + w] += 1
+            whole_image = bool((covered == 1).all()) and len(rows) <= n
+            parts = [image[y : y + h, x : x + w].double().flatten(0, 1) for x, y, w, h in rows if w > 0 and h > 0]
+            error = sum(float(((p - p.mean(0)) ** 2).sum()) for p in parts)
+            scores.append(error if whole_image else math.inf)
+        detail = f"{n} cells: a squared error of {scores[0]:.4g} is left, the reference's {scores[1]:.4g}"
+        holds(scores[0] <= 1.02 * scores[1] + 1e-6, HIDDEN, on="a hidden image", detail=detail)
+
+
+def _rule(exercise: Exercise, attempt: Attempt, g: torch.Generator) -> None:
+    raster = exercise.name == "raster_rule"
+    for _ in range(2):
+        option: dict[str, Any] = {"step_px": whole(g, 5, 13)} if raster else {"max_alpha": whole(g, 20, 80) / 100}
+        ctx = wall_context(covered="nothing" if raster else "quarter")
+        on = f"a wall, {next(iter(option))} = {next(iter(option.values()))}"
+        got, expected = _rows(attempt.on(on)(ctx, **option)), _rows(exercise._solution(ctx, **option))
+        holds(len(got) == len(expected), HIDDEN, on=on, detail=f"{len(got)} seeds, expected {len(expected)}")
+        close(got, expected, HIDDEN, on=on, tolerance=1e-4)
+
+
+def _rows(seeds: Any) -> Tensor:
+    """Position and size of seeds, in one order."""
+    rows = torch.cat([seeds.xyz_W, seeds.scale_m], dim=1).double()
+    return torch.tensor(sorted((rows * 1e5).round().tolist()), dtype=torch.float64).reshape(-1, 6) / 1e5
+
+
+def _map_frame(exercise: Exercise, attempt: Attempt, g: torch.Generator) -> None:
+    """Its judge compares whole mappers; what is left to hide are the numbers of the settings."""
+
+
+_OWN = {
+    "draw_keyframes": _draw_keyframes, "budget_cells": _budget_cells, "raster_rule": _rule, "silhouette_rule": _rule,
+    "map_frame": _map_frame,
+}  # fmt: skip

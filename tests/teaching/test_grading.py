@@ -1,0 +1,201 @@
+"""Marks for a class: what may be sent from a sandbox, what a submission needs, who gets which mark."""
+
+import csv
+import json
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from gsfusion_nb.teaching.exercise import Attempt, exercises
+from gsfusion_nb.teaching.grading.clean import package_folder, readable_paths, write_clean_copy
+from gsfusion_nb.teaching.grading.draws import DRAWS
+from gsfusion_nb.teaching.grading.isolated import Limits
+from gsfusion_nb.teaching.grading.marking import _OWN, HIDDEN, Mark, judge_hidden, properties
+from gsfusion_nb.teaching.grading.marks import Grading, as_csv, exercises_of, grade, rubric_page
+from gsfusion_nb.teaching.grading.points import Points, read_points
+from gsfusion_nb.teaching.grading.submission import find_submissions, read_code
+from gsfusion_nb.teaching.sandbox.codec import CodecError, Foreign, decode, encode
+from gsfusion_nb.teaching.sandbox.needed import Cell, NoFunction, needed
+from gsfusion_nb.types import Seeds
+
+SUBMISSIONS = Path(__file__).parent / "submissions"
+
+EXPECTED = {
+    #                block_of, morton_code, running_average, signed_distance, zero_crossing
+    "right": (1, 3, 2, 2, 2),
+    "partly_right": (1, 0, 2, 2, 0),
+    "wrong_sign": (0, 0, 0, 0, 0),
+    "wrong_table": (0, 0, 0, 0, 0),
+    "endless": (1, 0, 2, 0, 2),
+    "out_of_memory": (1, 0, 0, 0, 2),
+    "cheat_reads": (0, 0, 0, 0, 0),
+    "cheat_patches": (0, 0, 0, 0, 0),
+    "cheat_forges": (0, 0, 0, 0, 0),
+    "raises": (0, 0, 0, 0, 2),
+}
+
+
+@pytest.mark.ci
+def test_ten_submissions_get_the_marks_that_they_deserve():
+    submissions = find_submissions([SUBMISSIONS])
+    names = exercises_of((2,), (), submissions)
+    limits = Limits(seconds=10, memory_mb=512)
+    marks = grade(submissions, Grading(names=names, points=Points(), limits=limits, seed=3))
+    got = {name: tuple(int(m.points) for m in marks if m.student == name) for name in EXPECTED}
+    assert got == EXPECTED
+    said = {(m.student, m.exercise): f"{m.prop}; {m.message}" for m in marks}
+    for student, exercise, words in (
+        ("endless", "signed_distance", "had not ended after 10 s"),
+        ("out_of_memory", "signed_distance", "needed more than 512 MB"),
+        ("cheat_reads", "signed_distance", "No module named 'gsfusion_nb.teaching.tsdf'"),
+        ("cheat_forges", "morton_code", "may not start or end processes"),
+        ("cheat_forges", "signed_distance", "ended without an answer"),
+        ("cheat_patches", "block_of", "changed"),
+        ("wrong_table", "zero_crossing", HIDDEN),
+        ("raises", "running_average", "ZeroDivisionError in line 11 of raises.py, `return 1 / 0`"),
+        ("raises", "block_of", "line 3 of raises.py"),
+    ):
+        assert words in said[student, exercise], (student, exercise)
+
+
+def test_every_exercise_has_hidden_inputs_on_which_its_solution_passes():
+    known = exercises()
+    assert set(DRAWS) | set(_OWN) == set(known)
+    slow = {"raster_rule", "silhouette_rule", "map_frame", "budget_cells"}
+    for name in set(known) - slow:
+        judge_hidden(known[name], Attempt(known[name]._solution), seed=1)
+
+
+def test_hidden_inputs_depend_on_the_seed_alone():
+    seen = []
+    for seed in (1, 1, 2):
+        asked = []
+
+        def solved(xyz_W, voxel_size_m, asked=asked):
+            asked.append(xyz_W)
+            return exercises()["block_of"]._solution(xyz_W, voxel_size_m)
+
+        judge_hidden(exercises()["block_of"], Attempt(solved), seed)
+        seen.append(torch.stack(asked))
+    assert torch.equal(seen[0], seen[1])
+    assert not torch.equal(seen[0], seen[2])
+
+
+def test_values_come_back_from_a_sandbox_as_they_were():
+    seeds = Seeds.isotropic(torch.rand(2, 3), torch.rand(2, 3), torch.rand(2))
+    value = (None, True, -3, float("nan"), "ä", [torch.arange(6).reshape(2, 3)], {"a": np.float32([1, 2])}, {1}, seeds)
+    back = decode(encode(value))
+    assert repr(back[:5]) == repr(value[:5])
+    assert torch.equal(back[5][0], value[5][0])
+    assert back[6]["a"].dtype == np.float32
+    assert back[7] == {1}
+    assert torch.equal(back[8].xyz_W, seeds.xyz_W)
+    assert back[8].tag.dtype == torch.int32
+    assert type(decode(encode(object()))).__name__ == "object"
+    assert isinstance(decode(encode(lambda: 0)), Foreign)
+
+
+def test_a_forged_message_is_refused():
+    for head in (
+        '["T","float64",[1000000],0]',
+        '["T","float64",[-1],0]',
+        '["A","object",[1],0]',
+        '{"a":1}',
+        "[",
+        '["x"]',
+    ):
+        with pytest.raises(CodecError):
+            decode(struct.pack(">I", len(head)) + head.encode())
+    with pytest.raises(CodecError):
+        decode(b"\x00")
+    deep = json.loads("[" * 40 + "]" * 40)
+    with pytest.raises(CodecError, match="inside each other"):
+        encode(deep)
+
+
+def test_only_what_a_function_needs_runs():
+    cells = [
+        Cell("cell 1", "import torch\nSCALE = 2\nn = run_for_an_hour()\n%matplotlib inline\n!ls"),
+        Cell("cell 2", "def half(x):\n    return x / SCALE\n\ndef f(x):\n    return 'the first'"),
+        Cell("cell 3", "def f(n):\n    y = [half(i) for i in n]\n    return torch.tensor(y)"),
+        Cell("cell 4", "SCALE = 4\nraise ValueError"),
+        Cell("cell 5", "this is no Python: def g(x)"),
+    ]
+    lines = [(s.cell.label, s.node.lineno) for s in needed(cells, "f")]
+    assert lines == [("cell 1", 1), ("cell 2", 1), ("cell 3", 1), ("cell 4", 1)]
+    with pytest.raises(NoFunction, match="cell 5 has a syntax error in line 1"):
+        needed(cells, "g")
+    with pytest.raises(NoFunction, match="there is no function h"):
+        needed(cells, "h")
+
+
+def test_what_is_no_submission_is_said(tmp_path):
+    (tmp_path / "julia.ipynb").write_text('{"cells": [], "metadata": {"kernelspec": {"language": "julia"}}}')
+    (tmp_path / "broken.ipynb").write_text('{"cells": [')
+    (tmp_path / "other.ipynb").write_text('{"worksheets": []}')
+    (tmp_path / "latin.py").write_bytes(b"# \xe9")
+    (tmp_path / "link.py").symlink_to(SUBMISSIONS / "right.py")
+    problems = {file.name: read_code(file).problem for file in tmp_path.iterdir()}
+    for name, words in (
+        ("julia.ipynb", "kernel is for julia"), ("broken.ipynb", "cannot be read"), ("other.ipynb", "no list of cells"),
+        ("latin.py", "not text in UTF-8"), ("link.py", "is a link"),
+    ):  # fmt: skip
+        assert words in problems[name]
+    with pytest.raises(ValueError, match="there is nothing at"):
+        find_submissions([tmp_path / "absent"])
+
+
+def test_whose_a_file_is(tmp_path):
+    for path in ("submitted/ann/ch2/02_tsdf_fusion.ipynb", "submitted/bob/ch2/02_tsdf_fusion.ipynb"):
+        (tmp_path / path).parent.mkdir(parents=True)
+        (tmp_path / path).write_text("{}")
+    assert [s.student for s in find_submissions([tmp_path])] == ["ann", "bob"]
+    assert [s.student for s in find_submissions([tmp_path / "submitted"])] == ["ann", "bob"]
+    assert [s.student for s in find_submissions([SUBMISSIONS / "right.py"])] == ["right"]
+
+
+def test_no_cell_of_the_table_is_a_formula():
+    names = ("=1+1", "+1", "-1", "@sum", "\t=1", " =1", "a\nb", 'he said "x", twice')
+    marks = [Mark(student=n, exercise="psnr", points=1.5, most=2.0, message=n) for n in names]
+    rows = list(csv.reader(as_csv(marks).splitlines()))
+    assert rows[0] == ["student", "exercise", "points", "max", "failed property", "message"]
+    assert len(rows) == 1 + len(names)
+    assert all(not row[i].lstrip().startswith(("=", "+", "-", "@")) for row in rows[1:] for i in (0, 5))
+    assert rows[1][2:4] == ["1.5", "2"]
+
+
+def test_points_from_a_table(tmp_path):
+    table = tmp_path / "points.toml"
+    table.write_text("[difficulty]\n1 = 4\n[exercise]\npsnr = 2.5\n")
+    points = read_points(table)
+    assert [points.of(exercises()[name]) for name in ("exam_frames", "psnr", "adam")] == [4, 2.5, 3]
+    for text, words in (
+        ("[exercise]\npsrn = 1", "no exercise 'psrn'"),
+        ("[difficulty]\n1 = -1", "from 0 on"),
+        ("x", "points"),
+    ):
+        table.write_text(text)
+        with pytest.raises(ValueError, match=words):
+            read_points(table)
+
+
+def test_the_rubric_names_points_and_properties():
+    page = rubric_page(("psnr", "block_of"), Points())
+    assert "one mean over the whole picture" in page
+    assert "3 points in all" in page
+    assert properties(exercises()["block_of"])[-1] == HIDDEN
+
+
+def test_the_clean_copy_has_no_solutions(tmp_path):
+    write_clean_copy(tmp_path)
+    teaching = tmp_path / "gsfusion_nb" / "teaching"
+    assert sorted(p.name for p in teaching.iterdir()) == ["__init__.py", "attempt.py", "place.py", "sandbox", "wall.py"]
+    assert not list(tmp_path.rglob("tsdf.pyc"))
+    assert (tmp_path / "gsfusion_nb" / "kernels" / "__init__.py").exists()
+    readable, _ = readable_paths(tmp_path)
+    real = package_folder() / "teaching" / "tsdf.py"
+    assert real.exists()
+    assert not any(Path(p) in real.parents for p in readable)
