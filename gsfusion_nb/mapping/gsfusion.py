@@ -6,6 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ..backends import piece, runs_learners_code
 from ..config import GSFusionConfig, gsfusion, gsfusion_fidelity
 from ..errors import BadFrameError
 from ..gaussians import GaussianModel
@@ -87,14 +88,15 @@ class GSFusion(Mapper):
                 context = self._context(frame, volume=preview, near_m=self.config.tsdf.near_m)
                 seeds = self.propose_seeds(context)  # III-B.2, Eq. 10
             clock.split("seeding", "quadtree", context.quadtree_seconds)
-            self.guard.changes_begin(self._undo() if self.after_steps.edits else None)
+            can_fail = bool(self.after_steps.edits) or runs_learners_code()
+            self.guard.changes_begin(self._undo() if can_fail else None)
             self.gaussians.append(seeds, frame.index)
             known, steps_before = self.is_next_keyframe(frame), self.gaussians.step_count
-            is_keyframe = len(seeds) > self.config.keyframe_min_seeds if known is None else known  # III-B.3
+            is_keyframe, n_steps, n_revisits = self._plan(len(seeds), known)  # III-B.3
             if is_keyframe or self.config.keep_all_frames:
                 self.keyframes.append(frame, with_depth=self.config.optim.depth_weight > 0)
             with clock("optimise"):
-                losses, psnrs = self._optimise_online(context, is_keyframe)  # Eq. 12
+                losses, psnrs = self._optimise_online(context, n_steps, n_revisits)  # Eq. 12
             self.guard.changes_stay()
             with clock("tsdf"):
                 self.volume.allocate_missing(missing)
@@ -193,14 +195,24 @@ class GSFusion(Mapper):
         except ValueError as e:
             raise BadFrameError(f"frame {frame.index} cannot be mapped: {e}") from None
 
-    def _optimise_online(self, context: SeedContext, is_keyframe: bool) -> tuple[list[float], list[float]]:
-        """m steps on a keyframe; n on another frame, then some on random keyframes to avoid forgetting (III-B.3)."""
+    def _plan(self, n_seeds: int, known: bool | None) -> tuple[bool, int, int]:
+        """``plan_frame`` by the settings; where it is known whether the frame is a keyframe, its seeds do not count."""
+        optim, least = self.config.optim, self.config.keyframe_min_seeds
+        return plan_frame(
+            n_seeds if known is None else known * (least + 1),
+            len(self.keyframes) + self.config.keep_all_frames,
+            optim.keyframe_iterations,
+            optim.frame_iterations,
+            optim.random_keyframe_iterations,
+            least,
+        )
+
+    def _optimise_online(self, context: SeedContext, n: int, n_revisits: int) -> tuple[list[float], list[float]]:
+        """``n`` steps on the frame, then some on random keyframes to avoid forgetting (III-B.3)."""
         optim = self.config.optim
         if len(self.gaussians) == 0:
             return [], []
-        n = optim.keyframe_iterations if is_keyframe else optim.frame_iterations
-        n_earlier = 0 if is_keyframe else optim.random_keyframe_iterations
-        earlier = self.keyframes.draw(n_earlier, self.random.keyframes)
+        earlier = self.keyframes.draw(n_revisits, self.random.keyframes)
         self.after_steps.frame_begins(context, n + len(earlier))
         steps = [self._optimise_view(context.frame, optim.online_ssim_weight) for _ in range(n)]
         for keyframe in earlier:
@@ -245,3 +257,21 @@ class GSFusion(Mapper):
             watched = self.after_steps.add_up(self.gaussians, watched, view.camera)
             self.after_steps(self, watched, view, loss, output.rgb)
         return loss, pixels.mse
+
+
+@piece
+def plan_frame(
+    n_seeds: int, n_keyframes: int, keyframe_steps: int, frame_steps: int, revisits: int, min_seeds: int
+) -> tuple[bool, int, int]:
+    """Whether a frame is a keyframe, its gradient steps, and how many random keyframes are revisited (III-B.3).
+
+    Args:
+        n_seeds: New Gaussians of the frame.
+        n_keyframes: Keyframes that can be revisited.
+        keyframe_steps, frame_steps: Steps on a keyframe, m; on another frame, n.
+        revisits: Largest number of revisits, after a frame that is not a keyframe.
+        min_seeds: A keyframe has more new Gaussians than this.
+    """
+    if n_seeds > min_seeds:
+        return True, keyframe_steps, 0
+    return False, frame_steps, min(revisits, n_keyframes)

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
+from ..backends import piece
 from ..checks import SAVED_RIGIDITY_ERROR, check_pose, check_saved, check_whole
 from ..plausible import check_camera
 from ..types import Camera, Frame, rgb_of_bytes
@@ -88,8 +89,7 @@ class KeyframeList:
         """Up to ``count`` different keyframes at random (GSFusion III-B.3: the first of the shuffled list)."""
         if count == 0 or not self._items:
             return []
-        order = torch.randperm(len(self._items), generator=generator)[:count]
-        return [self._items[i] for i in order.tolist()]
+        return [self._items[i] for i in draw_keyframes(len(self._items), count, generator).tolist()]
 
     def state_dict(self) -> list[dict[str, Any]]:
         """Plain values of every keyframe."""
@@ -111,6 +111,12 @@ class KeyframeList:
 
     def _keep(self, keyframe: Keyframe) -> None:
         self._items.append(keyframe if self.device is None else keyframe.to(self.device))
+
+
+@piece
+def draw_keyframes(n_keyframes: int, count: int, generator: torch.Generator) -> Int[Tensor, " M"]:
+    """Numbers of up to ``count`` different keyframes at random, all with the same chance (GSFusion III-B.3)."""
+    return torch.randperm(n_keyframes, generator=generator)[:count]
 
 
 def _check_saved_keyframe(name: str, keyframe: Keyframe) -> None:

@@ -17,7 +17,7 @@ from ..types import Camera, Frame, GaussianParams, RenderOutput, Seeds
 from .image_features import ImageFeatures
 from .map_view import MapView, view_map
 from .point_queries import PointQueries
-from .quadtree import Cells, quadtree
+from .quadtree import Cells, cell_gaussians, quadtree
 
 
 @runtime_checkable
@@ -144,7 +144,11 @@ class SeedContext(ImageFeatures, PointQueries):
             overrides: as for ``quadtree_cells``.
         """
         leaves = self.quadtree_cells(**overrides)
-        return self.seeds_at(leaves.centre_uv, leaves.half_diagonal_px, tag=leaves.level)
+        kept, pixel = self._measured(leaves.centre_uv, self.frame.depth_m)
+        leaves, depth_m = leaves[kept], self.frame.depth_m
+        xyz_W, scale_m = cell_gaussians(self.camera, leaves, depth_m, self.frame.T_WC)
+        rgb = self.frame.rgb.flatten(0, 1)[pixel]
+        return Seeds.isotropic(xyz_W, rgb, scale_m, opacity=0.5, tag=leaves.level)
 
     def seeds_at(
         self,
@@ -170,12 +174,9 @@ class SeedContext(ImageFeatures, PointQueries):
         Returns:
             At most N seeds, in the order of ``uv``.
         """
-        i, j = uv.floor().long().unbind(-1)
-        column, row = i.clamp(0, self.camera.width - 1), j.clamp(0, self.camera.height - 1)
-        pixel = torch.add(column, row, alpha=self.camera.width)
-        depths = (self.frame.depth_m if depth_m is None else depth_m).flatten()[pixel]
-        kept = ((i == column) & (j == row) & self._is_used(depths)).nonzero()[:, 0]
-        uv, pixel, z = uv[kept], pixel[kept], depths[kept]
+        depth_m = self.frame.depth_m if depth_m is None else depth_m
+        kept, pixel = self._measured(uv, depth_m)
+        uv, z = uv[kept], depth_m.flatten()[pixel]
         size = radius_px[kept] if isinstance(radius_px, Tensor) else radius_px
         xyz_W = se3.apply(self.frame.T_WC, backproject(self.camera, uv.to(z.dtype), z))  # GSFusion Eq. 10
         return Seeds.isotropic(
@@ -185,6 +186,16 @@ class SeedContext(ImageFeatures, PointQueries):
             opacity=opacity,
             tag=None if tag is None else tag[kept],
         )
+
+    def _measured(
+        self, uv: Float[Tensor, "N 2"], depth_m: Float[Tensor, "H W"]
+    ) -> tuple[Int[Tensor, " M"], Int[Tensor, " M"]]:
+        """Which image positions have depth, and the number of the pixel around each of these."""
+        i, j = uv.floor().long().unbind(-1)
+        column, row = i.clamp(0, self.camera.width - 1), j.clamp(0, self.camera.height - 1)
+        pixel = torch.add(column, row, alpha=self.camera.width)
+        kept = ((i == column) & (j == row) & self._is_used(depth_m.flatten()[pixel])).nonzero()[:, 0]
+        return kept, pixel[kept]
 
     def pixels(self, where: Bool[Tensor, "H W"] | None = None) -> Float[Tensor, "N 2"]:
         """Centres of the pixels that have depth, row by row; of those only the ones in the mask, if given. [N, 2]"""

@@ -10,7 +10,9 @@ from torch import Tensor
 from ..backends import op, piece
 from ..checks import check_number
 from ..constants import LUMA_WEIGHTS, QUADTREE_NORMALISER
+from ..geometry import backproject, se3
 from ..operands import check_operand
+from ..types import Camera
 
 Cell = tuple[int, int, int, int]
 """First column, first row, width, height, pixels."""
@@ -138,3 +140,24 @@ def cut(x0: int, y0: int, width: int, height: int) -> list[Cell]:
         (x0 + w, y0, width - w, h),
         (x0 + w, y0 + h, width - w, height - h),
     ]
+
+
+@piece
+def cell_gaussians(
+    camera: Camera, cells: Cells, depth_m: Float[Tensor, "H W"], T_WC: Float[Tensor, "4 4"]
+) -> tuple[Float[Tensor, "L 3"], Float[Tensor, " L"]]:
+    """Position and standard deviation of the Gaussian of each cell, whose middle must lie on a pixel with depth.
+
+    The middle (u, v) is lifted with the depth z of the pixel that contains it, to T_WC (z K^-1 (u, v, 1)); the standard
+    deviation is z r / fx, with r half the diagonal.
+
+    Returns:
+        xyz_W [L, 3] and scale_m [L], metres, world frame.
+
+    Source: GSFusion section III-B.2, Eq. 10.
+    """
+    uv = cells.centre_uv
+    i, j = uv.floor().long().unbind(-1)
+    z = depth_m[j, i]
+    xyz_W = se3.apply(T_WC, backproject(camera, uv.to(z.dtype), z))  # GSFusion Eq. 10
+    return xyz_W, z * cells.half_diagonal_px / camera.fx

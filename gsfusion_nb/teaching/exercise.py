@@ -30,7 +30,8 @@ does not hold; put the property that explains most mistakes first. Tests run eve
 pass, on every wrong answer, which must fail and say ``says``, and on an unwritten body.
 
 A function that passes is kept (``teaching.mine``). ``becomes=Becomes("lift", adapter)`` says which operation of the
-library it replaces under the backend ``mine``; ``adapter(yours, *arguments of the operation)`` calls it.
+library it replaces under the backend ``mine``; ``adapter(yours, *arguments of the operation)`` calls it. An exercise
+without ``becomes`` says in ``stands_alone`` why its function runs nowhere in the library.
 """
 
 import importlib
@@ -106,6 +107,8 @@ class Exercise:
     _solution: Callable[..., Any]
     wrong: tuple[Wrong, ...]
     becomes: Becomes | None = None
+    stands_alone: str = ""
+    """Why the function becomes nothing in the library; a sentence."""
     hints_given: int = 0
     tries: int = 0
     """Functions of this exercise's name that were judged in this process; unwritten ones do not count."""
@@ -207,6 +210,7 @@ def exercise(
     solution: Callable[..., Any],
     wrong: Sequence[Wrong],
     becomes: Becomes | None = None,
+    stands_alone: str = "",
 ) -> Callable[[Callable[[Attempt], None]], Exercise]:
     """Register the decorated judge as the exercise of its name; the first line of its docstring is the title.
 
@@ -227,6 +231,7 @@ def exercise(
         _EXERCISES[name] = Exercise(
             name=name, title=title[0], chapter=chapter, difficulty=difficulty, minutes=minutes,
             hints=tuple(hints), judge=judge, _solution=solution, wrong=tuple(wrong), becomes=becomes,
+            stands_alone=stands_alone,
         )  # fmt: skip
         return _EXERCISES[name]
 

@@ -8,7 +8,7 @@ from ..mapping import GSFusion
 from ..optim import Keyframe
 from ..tsdf import integrate
 from ..types import Camera, Frame
-from .exercise import Attempt, Failed, Wrong, close, exercise, holds, unpack
+from .exercise import Attempt, Becomes, Failed, Wrong, Yours, close, exercise, holds, unpack
 
 
 def _frame_rate(seconds: list[float]) -> float:
@@ -25,6 +25,7 @@ def _rate_of_the_last(seconds: list[float]) -> float:
 
 @exercise(
     chapter=6, difficulty=1, minutes=4, solution=_frame_rate,
+    stands_alone="It describes a run after it has ended.",
     hints=(
         "Three frames in 0.7 s: how many frames is that in one second?",
         "Frames divided by time. Do not average rates: quick frames would count more than the time they took.",
@@ -65,8 +66,17 @@ def _plan_with_replacement(n_seeds, n_keyframes, m, n, r, min_seeds):
     return is_keyframe, m if is_keyframe else n, 0 if is_keyframe else r
 
 
+def _as_plan_frame(yours: Yours, *numbers: int) -> tuple[bool, int, int]:
+    """Yours with the mapper's settings."""
+    plan = yours(*numbers)
+    if not isinstance(plan, (tuple, list)) or len(plan) != 3 or any(int(k) < 0 for k in plan):
+        yours.fail(f"must return is_keyframe, steps, revisits; it returned {plan!r}", numbers)
+    return bool(plan[0]), int(plan[1]), int(plan[2])
+
+
 @exercise(
     chapter=6, difficulty=2, minutes=8, solution=_plan_frame,
+    becomes=Becomes("plan_frame", _as_plan_frame),
     hints=(
         "Keyframe or not is decided by the number of new Gaussians alone: 'greater than a certain threshold'.",
         "A keyframe gets m steps and no others. Any other frame gets n, and then r on random keyframes.",
@@ -119,8 +129,19 @@ def _draw_from_the_global_generator(n_keyframes: int, count: int, generator: tor
     return torch.randperm(n_keyframes)[:count]
 
 
+def _as_draw_keyframes(yours: Yours, n_keyframes: int, count: int, generator: torch.Generator) -> Tensor:
+    """Yours, with the mapper's generator. Another way to shuffle draws other keyframes than the reference."""
+    given = (n_keyframes, count, generator)
+    drawn = torch.as_tensor(yours(*given)).long().reshape(-1)
+    right = len(drawn) == min(count, n_keyframes) == len(drawn.unique())
+    if not right or (len(drawn) and not 0 <= int(drawn.min()) <= int(drawn.max()) < n_keyframes):
+        yours.fail(f"must return {min(count, n_keyframes)} different numbers; it returned {drawn.tolist()}", given)
+    return drawn
+
+
 @exercise(
     chapter=6, difficulty=2, minutes=6, solution=_draw_keyframes,
+    becomes=Becomes("draw_keyframes", _as_draw_keyframes),
     hints=(
         "The paper: 'the first (m-n) keyframes after shuffling'. Which torch function shuffles 0..n-1?",
         "torch.randperm takes the generator; a slice also works for lists that are too short.",
@@ -226,6 +247,10 @@ def _map_forgetting(mapper: GSFusion, frame: Frame, optimise) -> int:
 
 @exercise(
     chapter=6, difficulty=4, minutes=20, solution=_map_frame,
+    stands_alone=(
+        "The library's step must be able to undo a frame that fails, so its order cannot be replaced. The "
+        "chapter maps with yours beside it."
+    ),
     hints=(
         "Four parts in this order: integrate(mapper.volume, frame); seeds = mapper.propose_seeds("
         "mapper.seed_context(frame)); mapper.gaussians.append(seeds, frame.index); optimise(frame).",

@@ -14,7 +14,7 @@ An exercise says which operation, or which piece of one, its function becomes (`
 operations without a kept function the plain reference runs.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -45,17 +45,18 @@ def keep(exercise: str, function: Callable[..., Any]) -> None:
     remember(exercise, known[exercise].becomes, function)
 
 
-def load(*, missing: Literal["reference", "solution"] = "reference") -> None:
+def load(*, missing: Literal["reference", "solution"] = "reference", chapters: Collection[int] | None = None) -> None:
     """Use the functions that were accepted in earlier chapters, too, from the course file.
 
     Args:
+        chapters: Only exercises of these chapters; those of others run as they are kept now. Default: all.
         missing: What runs for an exercise without an accepted function: the reference, or the course's solution, which
             the board shows as such.
 
     Raises:
         CourseFileError: the file is damaged, or a newer version of the program wrote it.
     """
-    known = exercises()
+    known = {name: e for name, e in exercises().items() if chapters is None or e.chapter in chapters}
     for name, function in carried().items():
         if name in known and name not in KEPT:
             keep(name, function)
@@ -159,19 +160,27 @@ def _colour(row: BoardRow) -> str:
     return _BLUE if row.is_solution else _GREEN if row.is_yours else _GREY
 
 
-def board() -> Board:
+def board(chapters: Collection[int] | None = None) -> Board:
     """Every operation that has an exercise or has run: whose code, how often, how long. Yours come first.
 
     The time of an operation does not contain that of other operations that it calls, so the times add up.
+
+    Args:
+        chapters: Of operations that have not run, only those with an exercise in these chapters. Default: all.
     """
-    by_operation = {e.becomes.operation: e.name for e in exercises().values() if e.becomes is not None}
     known = exercises()
+    by_operation = {e.becomes.operation: e.name for e in known.values() if e.becomes is not None}
 
     def is_solution(name: str) -> bool:
         exercise = by_operation.get(name, "")
         return exercise in KEPT and KEPT[exercise] is known[exercise]._solution
 
-    names = [*by_operation, *(name for name in CALLS if name not in by_operation)]
+    shown = {
+        name
+        for name, exercise in by_operation.items()
+        if name in CALLS or chapters is None or known[exercise].chapter in chapters
+    }
+    names = [*(name for name in by_operation if name in shown), *(name for name in CALLS if name not in by_operation)]
     rows = [
         BoardRow(
             operation=name,

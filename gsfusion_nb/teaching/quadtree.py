@@ -243,8 +243,25 @@ def _gaussian_of_one_size(camera: Camera, cell: Cell, depth_m: Tensor, T_WC: Ten
     return _gaussian(camera, cell, depth_m, T_WC)[0], math.hypot(cell[2] / 2, cell[3] / 2) / camera.fx
 
 
+def _as_cell_gaussians(
+    yours: Yours, camera: Camera, cells: Cells, depth_m: Tensor, T_WC: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Yours for every cell, with one copy of the depth image for all."""
+    rows = zip(*(c.tolist() for c in (cells.x0, cells.y0, cells.width, cells.height)), strict=True)
+    copy, like = depth_m.clone(), {"xyz_W": T_WC.new_zeros(3), "scale_m": depth_m.new_zeros(())}
+    calls = [(camera, cell, copy, T_WC.clone()) for cell in rows]
+    results = yours.many(calls, [like] * len(calls))
+    if not torch.equal(copy.nan_to_num(), depth_m.nan_to_num()):
+        yours.fail("changed the depth image that was passed in; the next cells need it as it was", calls[0])
+    if not results:
+        return T_WC.new_zeros(0, 3), depth_m.new_zeros(0)
+    xyz_W, scale_m = (torch.stack(column) for column in zip(*results, strict=True))
+    return xyz_W, scale_m
+
+
 @exercise(
     chapter=3, difficulty=3, minutes=12, solution=_gaussian,
+    becomes=Becomes("cell_gaussians", _as_cell_gaussians),
     hints=(
         "The middle of the cell, in continuous pixels, is (x0 + w / 2, y0 + h / 2).",
         "Depth z: that of the pixel which contains the middle. Lift the middle with it (chapter 1), then apply T_WC.",

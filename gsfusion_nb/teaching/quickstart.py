@@ -1,12 +1,13 @@
 """Exercises of the quickstart: which cells get a Gaussian, what PSNR measures, and which frames are held out."""
 
 import math
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from ..data import open_sequence
-from .exercise import Attempt, Wrong, close, exercise, holds
+from .exercise import Attempt, Becomes, Wrong, Yours, close, exercise, holds
 
 
 def _first_seen(weight: Tensor, depth_m: Tensor) -> Tensor:
@@ -25,8 +26,16 @@ def _depth_or_not(weight: Tensor, depth_m: Tensor) -> Tensor:
     return weight == 1
 
 
+def _as_first_seen(yours: Yours, weight: Tensor, required_weight: float) -> Any:
+    """Yours for the cells that have depth; the reference, where another weight is asked for."""
+    if required_weight != 1:
+        return NotImplemented
+    return yours(weight, torch.ones_like(weight), gives={"true or false": weight > 0})
+
+
 @exercise(
     chapter=0, difficulty=1, minutes=5, solution=_first_seen,
+    becomes=Becomes("first_seen", _as_first_seen),
     hints=(
         "Fusion comes before seeding. A voxel that this frame was the first to see has been averaged once.",
         "A cell whose middle has no depth has no point in space, so no Gaussian can be placed.",
@@ -74,6 +83,10 @@ def _negative(rendered: Tensor, photo: Tensor) -> Tensor:
 
 @exercise(
     chapter=0, difficulty=2, minutes=8, solution=_psnr,
+    stands_alone=(
+        "It scores a finished picture. The chapters score your maps with the library's PSNR, so that the "
+        "ruler is the same for all."
+    ),
     hints=(
         "Peak signal to noise: the peak is 1 here. Noise is the mean of the squared differences.",
         "10 log10(peak^2 / MSE). With peak 1 that is -10 log10(MSE).",
@@ -126,6 +139,10 @@ def _all_others(n: int, every: int, offset: int) -> list[int]:
 
 @exercise(
     chapter=0, difficulty=1, minutes=5, solution=_exam,
+    stands_alone=(
+        "It chooses the frames that a map is scored on, before anything is mapped; the reader of the "
+        "recording does that."
+    ),
     hints=(
         "print(sequence.held_out.positions) shows them.",
         "range(start, stop, step) counts in steps; or ask every i for its remainder, i % every.",

@@ -39,6 +39,7 @@ def _raster_positional(ctx: SeedContext, step_px: int = 8) -> Seeds:
 
 @exercise(
     chapter=9, difficulty=2, minutes=10, solution=_raster,
+    stands_alone="It is a seeding rule of its own: a mapper takes it with seeding=, on every backend.",
     hints=(
         "pixel_grid(ctx.camera) has all pixel centres, [H, W, 2]; slice it with [start::step_px, start::step_px].",
         "ctx.seeds_at(uv, radius_px) does the rest: depth, back-projection, colour, size. uv is [N, 2].",
@@ -96,6 +97,7 @@ def _where_swapped(ctx: SeedContext, *, max_alpha: float = 0.5) -> Seeds:
 
 @exercise(
     chapter=9, difficulty=3, minutes=15, solution=_where_empty,
+    stands_alone="It is a seeding rule of its own: a mapper takes it with seeding=, on every backend.",
     hints=(
         "ctx.cells() proposes a seed for each quadtree leaf with depth. ctx.render().alpha [H, W] says how opaque the "
         "map is at each pixel.",
@@ -155,6 +157,7 @@ def _pareto_against_itself(n_gaussians: Tensor, psnr_db: Tensor) -> Tensor:
 
 @exercise(
     chapter=9, difficulty=2, minutes=8, solution=_pareto,
+    stands_alone="It compares finished runs.",
     hints=(
         "Rule a beats rule b if it has no more Gaussians, no less PSNR, and is better in at least one of the two.",
         "n[:, None] <= n compares every rule with every rule: row a, column b.",

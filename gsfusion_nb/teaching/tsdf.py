@@ -175,8 +175,15 @@ def _voxel_of(xyz_W: Tensor, voxel_size_m: float) -> Tensor:
     return (xyz_W / voxel_size_m).floor().long()
 
 
+def _as_block_of(yours: Yours, ijk: Tensor) -> Tensor:
+    """Yours for the centres of voxels, in a grid whose voxels are 1 m."""
+    voxels = ijk.reshape(-1, 3)
+    return yours(voxels.double() + 0.5, 1.0, gives={"the blocks": voxels}).view_as(ijk)
+
+
 @exercise(
     chapter=2, difficulty=1, minutes=5, solution=_block_of,
+    becomes=Becomes("block_of", _as_block_of),
     hints=(
         "A block spans 8 voxels along each axis: its edge is 8 voxel sizes.",
         "Which whole number should -0.1 give? Compare int(-0.1) with math.floor(-0.1).",
@@ -213,8 +220,24 @@ def _morton_z_first(x: int, y: int, z: int) -> int:
     return _morton(z, y, x)
 
 
+def _as_interleave(yours: Yours, coords: Tensor) -> Tensor:
+    """The library's coordinates have 21 bits. Yours interleaves ten at a time: 30 bits of the code."""
+    one = torch.zeros((), dtype=torch.int64)
+    known: dict[tuple[int, ...], int] = {}
+
+    def ten_bits(*xyz: int) -> int:
+        if xyz not in known:
+            known[xyz] = int(yours(*xyz, gives={"the code": one}))
+        return known[xyz]
+
+    rows = (coords.long() + morton.OFFSET).tolist()
+    codes = [sum(ten_bits(*(c >> shift & 1023 for c in row)) << 3 * shift for shift in (0, 10, 20)) for row in rows]
+    return torch.tensor(codes, dtype=torch.int64, device=coords.device)
+
+
 @exercise(
     chapter=2, difficulty=3, minutes=15, solution=_morton,
+    becomes=Becomes("interleave", _as_interleave),
     hints=(
         "Bit i of x is (x >> i) & 1. Where must it go?",
         "Bit i of x becomes bit 3 i, of y bit 3 i + 1, of z bit 3 i + 2; collect them with |.",
@@ -267,8 +290,14 @@ def _by_magnitude(p0: Tensor, p1: Tensor, D0: Tensor, D1: Tensor) -> Tensor:
     return p0 + t[:, None] * (p1 - p0)
 
 
+def _as_zero_crossing(yours: Yours, p0: Tensor, p1: Tensor, D0: Tensor, D1: Tensor) -> Tensor:
+    """Yours for every edge that marching cubes cuts. The unit of the points is a voxel."""
+    return yours(p0, p1, D0, D1, gives={"the points": p0})
+
+
 @exercise(
     chapter=2, difficulty=2, minutes=8, solution=_zero_crossing,
+    becomes=Becomes("zero_crossing", _as_zero_crossing),
     hints=(
         "On a straight line D(t) = D0 + t (D1 - D0). For which t is it zero?",
         "t = D0 / (D0 - D1): between 0 and 1, because the signs differ.",

@@ -12,6 +12,10 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Any, Literal
 
+import numpy as np
+import torch
+from torch import Tensor
+
 from ..drawing.html import fill
 from .attempt import plain
 from .place import place_of
@@ -62,7 +66,8 @@ def tell(whose: WhoseCode) -> None:
 def yours_with_reference(exercise: str, function: Callable[..., Any], reference: Callable[..., Any]) -> Any:
     """``function``, until a call raises: then the sentence names the line, and ``reference`` answers from there on.
 
-    An interrupt is not caught.
+    Tensors and arrays that a failing call has changed are as before when ``reference`` gets them. An interrupt is not
+    caught.
     """
     failed = False
 
@@ -70,16 +75,38 @@ def yours_with_reference(exercise: str, function: Callable[..., Any], reference:
     def call(*args: Any, **kwargs: Any) -> Any:
         nonlocal failed
         if not failed:
+            inputs = [value for value in (*args, *kwargs.values()) if isinstance(value, (Tensor, np.ndarray))]
+            before = [_copy(value) for value in inputs]
             try:
                 return plain(function(*args, **kwargs))
             except Exception as e:
                 failed = True
                 place = place_of(e, function)
                 why = f"yours raised {type(e).__name__}{f' in {place}' if place else ''}: {e}"
+                changed = [_restored(value, copy) for value, copy in zip(inputs, before, strict=True)]
+                if any(changed):
+                    why += " (it had changed its inputs before, which is taken back)"
                 tell(WhoseCode(exercise=exercise, state="fails", why=why))
         return reference(*args, **kwargs)
 
     return call
+
+
+def _copy(value: Tensor | np.ndarray) -> Tensor | np.ndarray:
+    return value.detach().clone() if isinstance(value, Tensor) else value.copy()
+
+
+def _restored(value: Any, before: Any) -> bool:
+    """Give ``value`` its earlier content; whether it had changed."""
+    if isinstance(value, Tensor):
+        changed = value.shape != before.shape or not torch.equal(value.nan_to_num(), before.nan_to_num())
+        if changed:
+            value.data = before
+        return changed
+    changed = not np.array_equal(value, before, equal_nan=value.dtype.kind in "fc")
+    if changed:
+        value[...] = before
+    return changed
 
 
 def reference_only(exercise: str, reference: Callable[..., Any]) -> Any:

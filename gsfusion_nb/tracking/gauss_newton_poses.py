@@ -106,12 +106,13 @@ def optimise_poses_plain(T_WC: Float[Tensor, "K 4 4"], edges: list[Edge], *, ite
     if len(T_WC) < 2 or not edges:
         return Optimised(T_WC=T_WC, error_before=0.0, error_after=0.0)
     graph = _Graph(edges)
-    before = graph.robust_error(T_WC)
+    before = graph.robust_error(graph.errors(T_WC)[0])
     found = _descend(graph, T_WC, iterations, robust=True)
     if any(e.kind == "loop" for e in edges):
-        other = _descend(graph, _descend(graph, T_WC, iterations, robust=False), iterations, robust=True)
-        found = min(found, other, key=graph.robust_error)
-    return Optimised(T_WC=found, error_before=before, error_after=graph.robust_error(found))
+        closed, _ = _descend(graph, T_WC, iterations, robust=False)
+        other = _descend(graph, closed, iterations, robust=True)
+        found = min(found, other, key=lambda descent: descent[1])
+    return Optimised(T_WC=found[0], error_before=before, error_after=found[1])
 
 
 class _Graph:
@@ -128,9 +129,9 @@ class _Graph:
         """Error and derivatives of every edge."""
         return relative_pose_error(T_WC[self.i], T_WC[self.j], self.T_ij)
 
-    def robust_error(self, T_WC: Tensor, robust: bool = True) -> float:
+    def robust_error(self, e: Tensor, robust: bool = True) -> float:
         """Half the sum of rho(d), d the length of an edge's error in standard deviations."""
-        d = self._deviations(self.errors(T_WC)[0])
+        d = self._deviations(e)
         huber = torch.where(d <= TRACK_HUBER, d**2, TRACK_HUBER * (2 * d - TRACK_HUBER))
         cauchy = LOOP_CAUCHY**2 * torch.log1p((d / LOOP_CAUCHY) ** 2)
         return float(torch.where(self.is_loop & robust, cauchy, huber).sum()) / 2
@@ -146,21 +147,22 @@ class _Graph:
         return torch.einsum("ea,eab,eb->e", e, self.information, e).clamp_min(0).sqrt()
 
 
-def _descend(graph: _Graph, T_WC: Tensor, iterations: int, *, robust: bool) -> Tensor:
-    """Gauss-Newton steps with robust weights, which are computed again before each step."""
-    error = graph.robust_error(T_WC, robust)
+def _descend(graph: _Graph, T_WC: Tensor, iterations: int, *, robust: bool) -> tuple[Tensor, float]:
+    """Poses and error after Gauss-Newton steps with robust weights, which are computed again before each step."""
+    e, J_i, J_j = graph.errors(T_WC)
+    error = graph.robust_error(e, robust)
     for _ in range(iterations):
-        e, J_i, J_j = graph.errors(T_WC)
         proposed = pose_graph_step(T_WC, graph.i, graph.j, e, J_i, J_j, graph.weighted(e, robust))
         xi, share = se3.log(se3.inverse(T_WC) @ proposed), 1.0
-        after = graph.robust_error(proposed, robust)
-        while after > error and share > 0.5**HALVINGS:
+        there = graph.errors(proposed)
+        while graph.robust_error(there[0], robust) > error and share > 0.5**HALVINGS:
             share /= 2
             proposed = T_WC @ se3.exp(share * xi)
-            after = graph.robust_error(proposed, robust)
-        if after > error:
+            there = graph.errors(proposed)
+        fell = error - graph.robust_error(there[0], robust)
+        if fell < 0:
             break
-        T_WC, fell, error = proposed, error - after, after
+        T_WC, (e, J_i, J_j), error = proposed, there, error - fell
         if fell <= CONVERGED * error:
             break
-    return T_WC
+    return T_WC, error

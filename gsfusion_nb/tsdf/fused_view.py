@@ -13,7 +13,7 @@ from ..types import Camera, Frame
 from .integrate import check_fuse, corners_in_view, fuse_frame_, fuse_voxels
 from .octree import NewBlocks
 from .raycast import RaycastOutput, raycast
-from .volume import TsdfSample, TsdfVolume
+from .volume import TsdfSample, TsdfVolume, block_of
 
 
 class FusedView:
@@ -81,7 +81,7 @@ def sample_fused_voxels(
     T_CW = se3.inverse(frame.T_WC.double())
     before = volume.sample_nearest(xyz_W)
     ijk = volume.voxel_index(xyz_W)
-    block = ijk >> 3
+    block = block_of(ijk)
     in_view = corners_in_view(volume.corners_of(block), volume.config, frame.camera, T_CW)
     changes = ((volume.index.find(block) >= 0) | missing.contains(block)) & in_view
     after, _ = fuse_voxels(before, se3.apply(T_CW, volume.centres_of(ijk)), frame, volume.config)

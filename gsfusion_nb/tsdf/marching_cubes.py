@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from ..backends import op
+from ..backends import op, piece
 from ..checks import check_number
 from ..constants import VOXELS_PER_BLOCK
 from ..types import Mesh
@@ -86,6 +86,19 @@ def _vertices(volume: TsdfVolume, edges: Int[Tensor, " V"]) -> tuple[Float[Tenso
     ijk = volume.voxel_at(first)
     second = volume.find_voxels(ijk + along)
     D0, D1 = volume.D.view(-1)[first], volume.D.view(-1)[second]
+    centre = ijk.double() + 0.5
+    xyz_W = zero_crossing(centre, centre + along, D0, D1) * volume.config.voxel_size_m
     t = (D0 / (D0 - D1))[:, None]
-    xyz_W = (ijk + 0.5 + along * t.double()) * volume.config.voxel_size_m
     return xyz_W.to(D0.dtype), torch.lerp(volume.voxel_rgb(first), volume.voxel_rgb(second), t)
+
+
+@piece
+def zero_crossing(
+    p0: Float[Tensor, "V 3"], p1: Float[Tensor, "V 3"], D0: Float[Tensor, " V"], D1: Float[Tensor, " V"]
+) -> Float[Tensor, "V 3"]:
+    """The point of each edge where D, linear between its ends p0 and p1 of different sign, is zero.
+
+    Source: Lorensen & Cline 1987, section 4.
+    """
+    t = (D0 / (D0 - D1))[:, None].to(p0)
+    return p0 + t * (p1 - p0)

@@ -6,6 +6,7 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
+from ..backends import piece
 from ..checks import check_shape
 
 BITS = 21
@@ -53,6 +54,7 @@ def check_range(low: int, high: int) -> None:
         raise ValueError(f"block coordinates must lie in [{-OFFSET}, {OFFSET}), got {low} to {high}")
 
 
+@piece
 def interleave(coords: Int[Tensor, "N 3"]) -> Int[Tensor, " N"]:
     """``encode`` without the check, for which the host would have to wait for a GPU."""
     spread, first_bit, place = _tables(coords.device)

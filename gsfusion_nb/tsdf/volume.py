@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from ..backends import op
+from ..backends import op, piece
 from ..checks import check_saved, check_shape
 from ..config import TsdfConfig, from_dict, to_dict
 from ..constants import BLOCK_VOXELS, VOXELS_PER_BLOCK
@@ -138,7 +138,7 @@ class TsdfVolume:
 
     def find_voxels(self, ijk: Int[Tensor, "*N 3"]) -> Int[Tensor, "*N"]:
         """Position of each voxel in the flattened pool (row * 512 + number in the block), -1 if not allocated. int64"""
-        row = self.index.find((ijk >> 3).reshape(-1, 3)).view(ijk.shape[:-1])
+        row = self.index.find(block_of(ijk).reshape(-1, 3)).view(ijk.shape[:-1])
         x, y, z = (ijk & 7).unbind(-1)
         return torch.where(row < 0, -1, row * VOXELS_PER_BLOCK + 64 * x + 8 * y + z)
 
@@ -280,6 +280,12 @@ def check_sample(volume: Any, xyz_W: Any) -> None:
     """Raise ``ValueError`` for arguments that ``sample_voxels`` refuses."""
     check_volume(volume)
     check_operand("xyz_W", xyz_W, ("N", 3), device=volume.D.device)
+
+
+@piece
+def block_of(ijk: Int[Tensor, "*N 3"]) -> Int[Tensor, "*N 3"]:
+    """The block that contains each voxel: floor(ijk / 8). A shift by three bits rounds down below zero, too."""
+    return ijk >> 3
 
 
 @op("sample", check_sample)

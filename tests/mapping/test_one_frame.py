@@ -146,10 +146,10 @@ def test_ctrl_c_while_the_map_changes_waits_until_the_frame_is_counted(small_roo
     run = MappingRun(apply_options(small_room, config.data), GSFusion(config))
     step = GSFusion._optimise_online
 
-    def pressed(self, context, is_keyframe):
+    def pressed(self, context, *plan):
         if self.n_frames == 2:
             signal.raise_signal(signal.SIGINT)
-        return step(self, context, is_keyframe)
+        return step(self, context, *plan)
 
     monkeypatch.setattr(GSFusion, "_optimise_online", pressed)
     with pytest.raises(KeyboardInterrupt):

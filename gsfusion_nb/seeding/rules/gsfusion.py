@@ -1,5 +1,9 @@
 """GSFusion's rule: quadtree leaves in voxels that are seen for the first time."""
 
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from ...backends import piece
 from ...types import Seeds
 from ..context import SeedContext
 from ..rule import seeding_rule
@@ -27,4 +31,10 @@ def gsfusion(ctx: SeedContext, *, required_weight: float = 1.0, coverage: bool =
     Source: GSFusion section III-B.2, Eq. 10.
     """
     seeds = ctx.cells()
-    return seeds[ctx.voxel_weight(seeds.xyz_W) == required_weight] if coverage else seeds
+    return seeds[first_seen(ctx.voxel_weight(seeds.xyz_W), required_weight)] if coverage else seeds
+
+
+@piece
+def first_seen(weight: Float[Tensor, " N"], required_weight: float) -> Bool[Tensor, " N"]:
+    """Which of the leaves with depth get a Gaussian, by the weight of the voxel around the middle of each."""
+    return weight == required_weight
