@@ -77,10 +77,16 @@ def parse(options: type[O], prog: str, arguments: list[str], *, data: str = "") 
     """
     preset = "replica"
     if data and ROOM in arguments and not _value_of(arguments, "--preset"):
-        plain = [a for a in arguments if a not in ("-h", "--help")]
-        first = parse_options(with_settings(options, _start(plain, preset)), prog=prog, arguments=plain)
-        preset = ROOM if getattr(first, data) == ROOM else preset
+        preset = ROOM if _mapped(options, prog, arguments, data) == ROOM else preset
     return parse_options(with_settings(options, _start(arguments, preset)), prog=prog, arguments=arguments)
+
+
+def _mapped(options: type[SettingsOptions], prog: str, arguments: list[str], data: str) -> str:
+    """The data to map: the first argument, or the value that belongs to no option, which only parsing finds."""
+    if not arguments[0].startswith("-"):
+        return arguments[0]
+    plain = [a for a in arguments if a not in ("-h", "--help")]
+    return getattr(parse_options(with_settings(options, _start(plain, "replica")), prog=prog, arguments=plain), data)
 
 
 def named_values(texts: tuple[str, ...]) -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """Running the variants of a study: each a run of its own, complete ones kept, failures said."""
 
+import functools
 import json
 from typing import Any
 
@@ -47,19 +48,22 @@ def test_the_table_has_a_row_per_variant(tmp_path, monkeypatch, capsys):
     assert "RTG-SLAM, tracked: broke" in capsys.readouterr().out
 
 
+@functools.cache
+def settings_of(name: str, variant: str) -> Any:
+    """Settings of a variant of a study on the first nine frames of the room."""
+    arguments = [*STUDIES[name].variants[variant], "--data.stop", "9"]
+    return parse(MapOptions, "map", ["room", *arguments], data="data").settings()
+
+
 @pytest.mark.parametrize(("name", "variant"), [(name, v) for name, study in STUDIES.items() for v in study.variants])
 def test_the_options_of_every_variant_are_understood(name, variant):
-    arguments = [*STUDIES[name].variants[variant], "--data.stop", "9"]
-    assert parse(MapOptions, "map", ["room", *arguments], data="data").settings().data.stop == 9
+    assert settings_of(name, variant).data.stop == 9
 
 
 @pytest.mark.parametrize("name", ["gsfusion-settings", "rtg-slam-settings"])
 def test_each_variant_of_a_study_of_settings_changes_one(name):
     """As its label says: the group and the name of the field, or an option of the rule."""
-    configs = {
-        label: parse(MapOptions, "map", ["room", *variant], data="data").settings()
-        for label, variant in STUDIES[name].variants.items()
-    }
+    configs = {label: settings_of(name, label) for label in STUDIES[name].variants}
     base = to_dict(configs.pop("measured"))
     for label, config in configs.items():
         group, _, field = label.split()[0].rpartition(".")
