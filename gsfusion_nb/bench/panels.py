@@ -48,7 +48,7 @@ def _rows(title: str, make: Callable[[], dict[str, Move]], moves: int) -> Iterat
 
 @functools.lru_cache(1)
 def _room() -> Sequence:
-    """A few frames of the built-in room, 320x240."""
+    """A few frames of the built-in room, 640x480."""
     return open_sequence("room", n_frames=60).mapping
 
 
@@ -138,11 +138,11 @@ def _sh_ball() -> dict[str, Move]:
 
 
 PANELS: dict[str, Callable[[], dict[str, Move]]] = {
-    "quadtree 320x240": _quadtree,
-    "points of a frame 320x240": _points,
+    "quadtree 640x480": _quadtree,
+    "points of a frame 640x480": _points,
     "filling a volume 320x240": _filling,
-    "seeding rule 320x240": _rule,
-    "live mapping 320x240": _live,
+    "seeding rule 640x480": _rule,
+    "live mapping 640x480": _live,
     "orbit, 20k SH3 320x240": _orbit,
     "pixel, 5k 320x240": _pixel_microscope,
     "gradients, 800 160x120": _gradient_microscope,
