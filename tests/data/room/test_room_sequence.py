@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from gsfusion_nb.data.room import kinect_depth, render_room, room, room_mesh, room_sdf
+from gsfusion_nb.data.room.scene import load_scene
 from gsfusion_nb.data.room.sensor import DISPARITY_STEP_PX, FOCAL_BASELINE_PX_M
 from gsfusion_nb.data.sequence import Sequence
 from gsfusion_nb.files import cache_folder
@@ -15,6 +16,12 @@ from gsfusion_nb.geometry import depth_to_points, project, se3
 from gsfusion_nb.types import Camera, Frame
 
 SMALL: dict[str, Any] = {"width": 80, "height": 60}
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _textures():
+    """The textures, from the cache of the session; a test with a cache of its own would paint them again."""
+    load_scene(0)
 
 
 def test_interface():
