@@ -4,6 +4,8 @@ from .adam import ColumnRates as ColumnRates
 from .adam import adam_step as adam_step
 from .adam import adam_update as adam_update
 from .adam import adam_update_map as adam_update_map
+from .fit_pose import PoseFit as PoseFit
+from .fit_pose import fit_pose as fit_pose
 from .fusion import fuse_with_history as fuse_with_history
 from .keyframes import Keyframe as Keyframe
 from .keyframes import KeyframeList as KeyframeList

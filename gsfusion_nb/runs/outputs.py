@@ -54,7 +54,10 @@ SURFACE_SAMPLES = 200_000
 
 def score(run: MappingRun, suffix: str = "", *, with_lpips: bool = False) -> dict[str, Any]:
     """PSNR, SSIM, LPIPS and depth error of the current map on mapped and held-out views."""
-    return score_in_map(run.mapper.render, scored_views(run), run.sequence, suffix, with_lpips=with_lpips)
+    mapper = run.mapper
+    align_to = mapper.gaussians.params if mapper.config.data.align_held_out and not suffix else None
+    views = scored_views(run)
+    return score_in_map(mapper.render, views, run.sequence, suffix, with_lpips=with_lpips, align_to=align_to)
 
 
 def write_maps(run: MappingRun, folder: Path) -> Mesh:

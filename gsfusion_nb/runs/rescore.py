@@ -81,7 +81,8 @@ def rescore(
     def see(camera: Camera, T_WC: Tensor) -> RenderOutput:
         return system.render_gaussians(params, camera, T_WC.to(place), config)
 
-    scores = metrics_as_json(score_in_map(see, views, sequence, with_lpips=with_lpips))
+    align_to = params if config.data.align_held_out else None
+    scores = metrics_as_json(score_in_map(see, views, sequence, with_lpips=with_lpips, align_to=align_to))
     stored = document["metrics"]
     if not with_lpips:
         scores = {name: value for name, value in scores.items() if not (name.startswith("lpips") and name in stored)}

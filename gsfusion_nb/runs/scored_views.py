@@ -13,8 +13,9 @@ from ..checks import SAVED_RIGIDITY_ERROR, check_pose, check_whole
 from ..data import SequenceView
 from ..evaluation import score_views
 from ..foreign import reason_of
+from ..optim import fit_pose
 from ..strict_json import read_object
-from ..types import Camera, Frame, RenderOutput
+from ..types import Camera, Frame, GaussianParams, RenderOutput
 from .mapping_run import MappingRun
 from .posed_frames import frames_at, poses_in_map
 
@@ -66,6 +67,7 @@ def score_in_map(
     suffix: str = "",
     *,
     with_lpips: bool = False,
+    align_to: GaussianParams | None = None,
 ) -> dict[str, Any]:
     """PSNR, SSIM, LPIPS and depth error of each group of views, under the names of metrics.json.
 
@@ -75,13 +77,24 @@ def score_in_map(
         sequence: The sequence that holds their images.
         suffix: Appended to the name of the group.
         with_lpips: Also compute LPIPS.
+        align_to: If given, the held-out views are scored once more, as the group held_out_aligned, each at the pose
+            that fits its picture to these Gaussians best (``fit_pose``).
     """
     metrics: dict[str, Any] = {}
-    for name, group in views.items():
-        scores = score_views(render, group.frames(sequence), with_lpips=with_lpips)
+    groups = {name: group.frames(sequence) for name, group in views.items()}
+    if align_to is not None:
+        groups["held_out_aligned"] = _aligned(views["held_out"].frames(sequence), align_to)
+    for name, frames in groups.items():
+        scores = score_views(render, frames, with_lpips=with_lpips)
         metrics |= scores.as_metrics(name + suffix)
         metrics[f"n_views_{name}{suffix}"] = len(scores)
     return metrics
+
+
+def _aligned(frames: Iterator[Frame], params: GaussianParams) -> Iterator[Frame]:
+    for frame in frames:
+        fit = fit_pose(params, frame.camera, frame.rgb.to(params.xyz_W.device), frame.T_WC)
+        yield dataclasses.replace(frame, T_WC=fit.T_WC.to(frame.T_WC))
 
 
 def views_as_json(views: dict[str, ScoredViews]) -> dict[str, Any]:

@@ -14,7 +14,13 @@ DATA: dict[str, Any] = {"data__stop": 8, "data__hold_out_every": 4, "data__hold_
 ROOM: dict[str, Any] = {"n_frames": 480, "width": 80, "height": 60}
 SETTINGS = {
     "gsfusion": gsfusion(
-        "online", **DATA, tsdf__voxel_size_m=0.04, tsdf__truncation_voxels=4.0, sh_degree=1, keyframe_min_seeds=20
+        "online",
+        **DATA,
+        data__align_held_out=True,
+        tsdf__voxel_size_m=0.04,
+        tsdf__truncation_voxels=4.0,
+        sh_degree=1,
+        keyframe_min_seeds=20,
     ),
     "rtg_slam": rtg_slam("room", data__width=0, data__height=0, **DATA),
 }
@@ -54,6 +60,9 @@ def test_scoring_again_gives_the_same_numbers(system, poses, scored_run, caplog)
     own = {name: value for name, value in json.loads(before)["metrics"].items() if name.startswith(SCORES)}
     assert own["n_views_held_out"] == 2
     assert own["n_views_mapped"] == 6
+    aligned = system == "gsfusion"
+    assert own.get("n_views_held_out_aligned", 0) == (2 if aligned else 0)
+    assert not aligned or own["psnr_held_out_aligned_db"] >= own["psnr_held_out_db"]
     again = rescore(folder)
     assert {name: again[name] for name in own} == own
     assert (folder / "metrics.json").read_text() == before

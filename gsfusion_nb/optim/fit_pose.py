@@ -1,0 +1,83 @@
+"""The pose of one view from its picture: the Gaussians stay, the camera moves until its picture fits."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ..checks import check_whole
+from ..geometry import se3
+from ..render import pose_vjp, render_forward, render_vjp
+from ..types import Camera, GaussianParams
+
+EVALUATIONS = 20
+"""Pictures drawn, one for each trial pose; a line search that has begun may add a few."""
+UNIT = 0.01
+"""Metres and radians: the motions that are sought are about this large, so numbers in this unit are about 1."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PoseFit:
+    """The fitted pose of a view."""
+
+    T_WC: Float[Tensor, "4 4"]
+    """Camera-to-world pose with the smallest error of all that were tried, the given one included."""
+    mse_before: float
+    """Mean squared error of the picture at the given pose, colours 0..1."""
+    mse_after: float
+    """At ``T_WC``; at most ``mse_before``."""
+
+
+def fit_pose(
+    params: GaussianParams,
+    camera: Camera,
+    rgb: Float[Tensor, "H W 3"],
+    T_WC: Float[Tensor, "4 4"],
+    *,
+    evaluations: int = EVALUATIONS,
+) -> PoseFit:
+    """Move a camera until the map's picture fits the one that was taken: the mean squared error, by L-BFGS on a twist.
+
+    It corrects poses that are wrong by some millimetres and tenths of a degree, as a tracker's are. It finds no view
+    whose pose is unknown: the picture must nearly fit, because a Gaussian's gradient reaches only as far as it does.
+
+    Args:
+        params: The map.
+        camera: Of the view.
+        rgb: The picture that was taken, 0..1. [H, W, 3]
+        T_WC: Its pose so far.
+        evaluations: Pictures drawn with their gradients before the search ends; a few more end a line search.
+
+    Raises:
+        ValueError: ``evaluations`` is no whole number of at least 1.
+
+    Differentiable: no. Source: MonoGS and SplaTAM (Matsuki et al. 2024, Keetha et al. 2024) track by minimising such an
+    error over the pose, with Adam; L-BFGS needs fewer pictures.
+    """
+    check_whole("evaluations", evaluations, 1)
+    T_start = T_WC.to(params.xyz_W)
+    x = T_start.new_zeros(6, requires_grad=True)
+    tried: list[tuple[float, Tensor]] = []
+
+    def error() -> float:
+        T_WC = T_start @ se3.exp(UNIT * x)
+        here = T_WC.detach()
+        output, saved = render_forward(params, camera, here, with_indices=False)
+        difference = output.rgb - rgb
+        mse = float(difference.square().mean())
+        tried.append((mse, here))
+        v_xi = pose_vjp(params, render_vjp(saved, 2 * difference / difference.numel()), here)
+        with torch.enable_grad():
+            moved = se3.log(se3.inverse(here) @ T_WC)  # zero: its derivative leads from the twist at ``here`` to x
+        (gradient,) = torch.autograd.grad(moved, x, v_xi)
+        scale = max(tried[0][0], 1e-12)
+        x.grad = gradient / scale
+        return mse / scale
+
+    solver = torch.optim.LBFGS(
+        [x], max_iter=evaluations, max_eval=evaluations, tolerance_change=1e-4, line_search_fn="strong_wolfe"
+    )
+    solver.step(error)
+    mse, best = min(tried, key=lambda trial: trial[0])
+    return PoseFit(T_WC=best, mse_before=tried[0][0], mse_after=mse)
