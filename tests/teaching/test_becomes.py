@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from gsfusion_nb import own_code
+from gsfusion_nb import GSFusion, gsfusion, own_code
 from gsfusion_nb.backends import replaceable, use_backend
 from gsfusion_nb.mapping.gsfusion import plan_frame
 from gsfusion_nb.optim.keyframes import draw_keyframes
@@ -15,7 +15,7 @@ from gsfusion_nb.teaching.whose import yours_with_reference
 from gsfusion_nb.tsdf.marching_cubes import zero_crossing
 from gsfusion_nb.tsdf.morton import OFFSET, interleave
 from gsfusion_nb.tsdf.volume import block_of
-from gsfusion_nb.types import Camera
+from gsfusion_nb.types import Camera, Frame
 
 RUNS_AS = {
     "first_seen": "first_seen",
@@ -135,3 +135,26 @@ def test_inputs_that_a_failing_function_changed_are_as_before(capsys):
     assert works(cell, 7) == check.contrast._solution(before, 7)
     assert torch.equal(cell, before)
     assert "it had changed its inputs before, which is taken back" in capsys.readouterr().out
+
+
+def test_a_frame_in_which_the_learners_function_fails_is_taken_back():
+    camera = Camera(width=16, height=12, fx=14.0, fy=14.0, cx=8.0, cy=6.0)
+    rgb = torch.rand(12, 16, 3, generator=torch.Generator().manual_seed(3))
+    frame = Frame(index=0, timestamp_s=0.0, rgb=rgb, depth_m=torch.full((12, 16), 2.0), camera=camera,
+                  T_WC=torch.eye(4))  # fmt: skip
+    config = gsfusion("online", sh_degree=0, tsdf__voxel_size_m=0.2, seeding__quadtree_contrast="std",
+                      optim__keyframe_iterations=2)  # fmt: skip
+    mapper, calls = GSFusion(config), []
+
+    def l1_gradient(rgb, target):
+        calls.append(1)
+        if len(calls) == 2:
+            raise ValueError("the second step")
+        return torch.sign(rgb - target) / rgb.numel()
+
+    mine.keep("l1_gradient", l1_gradient)
+    with use_backend("mine"):
+        with pytest.raises(LearnerError, match=r"your l1_gradient .* raised ValueError: the second step"):
+            mapper.step(frame)
+        assert (len(mapper.gaussians), len(mapper.keyframes), mapper.volume.n_blocks) == (0, 0, 0)
+        assert mapper.step(frame).n_seeds == len(mapper.gaussians) > 0
