@@ -85,7 +85,7 @@ def claims_of(notebook: dict[str, Any]) -> list[Claim]:
 
 def failures(notebook: dict[str, Any]) -> list[str]:
     """A sentence for everything that the text says and the stored outputs do not show; empty if all holds."""
-    shown = {cell["id"]: _shown(cell) for cell in notebook["cells"] if cell["cell_type"] == "code"}
+    shown = shown_by(notebook)
     wrong = []
     for claim in claims_of(notebook):
         try:
@@ -142,8 +142,22 @@ def _value(node: ast.expr, numbers: dict[str, float]) -> Any:
     raise ValueError(f"{ast.unparse(node)!r} is not allowed in a comparison")
 
 
+def shown_by(notebook: dict[str, Any]) -> dict[str, str]:
+    """The text that each code cell shows, by the cell's id."""
+    return {cell["id"]: _shown(cell) for cell in notebook["cells"] if cell["cell_type"] == "code"}
+
+
 def _read(cell_id: str, quote: str, shown: dict[str, str]) -> dict[str, float]:
     """The numbers that a quotation names."""
+    return {name: float(text.replace(",", "")) for name, text in quoted(cell_id, quote, shown).items()}
+
+
+def quoted(cell_id: str, quote: str, shown: dict[str, str]) -> dict[str, str]:
+    """The numbers that a quotation names, as they are printed.
+
+    Raises:
+        ValueError: no such cell, or the text is not there exactly once.
+    """
     if cell_id not in shown:
         raise ValueError(f"there is no code cell {cell_id!r}")
     names, pattern = [], ""
@@ -157,7 +171,7 @@ def _read(cell_id: str, quote: str, shown: dict[str, str]) -> dict[str, float]:
     if len(matches) != 1:
         raise ValueError(f"{quote!r} is {len(matches)} times in what cell {cell_id} shows, once was expected")
     found = zip(names, matches[0].groups(), strict=True)
-    return {name: float(number.replace(",", "")) for name, number in found if name}
+    return {name: number for name, number in found if name}
 
 
 def _shown(cell: dict[str, Any]) -> str:
