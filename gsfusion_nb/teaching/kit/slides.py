@@ -1,11 +1,11 @@
 """The decks of slides: Markdown whose pictures and numbers come from the stored outputs of the notebooks.
 
-``python -m gsfusion_nb.teaching.kit.slides SLIDES NOTEBOOKS OUT`` writes ``OUT/week_N.html``, by the program Marp, which
-``npx`` fetches once from the npm registry (``--marp`` names another command). In a deck
+``python -m gsfusion_nb.teaching.kit.slides SLIDES NOTEBOOKS OUT`` writes ``OUT/week_N.html`` with the program Marp,
+which ``npx`` fetches once from the npm registry (``--marp`` names another command). In a deck
 
-- ``![words](cell:02/057b416a)`` is the picture that cell ``057b416a`` of chapter 2 shows, the first if there are several;
-- ``{{02/057b416a: 4 x voxel {share}%}}`` is the number that stands for ``{share}`` in what the cell prints
-  (the notation of ``teaching/holds.py``).
+- ``![words](cell:02/057b416a)`` is the picture that cell ``057b416a`` of chapter 2 shows (the first one);
+- ``{{02/057b416a: 4 x voxel {a}%}}`` is the number that stands for ``{a}`` in what the cell prints (the notation of
+  ``teaching/holds.py``), and ``{{docs/quality: ... {a} ...}}`` one of the page ``docs/quality.md``.
 
 So a deck shows what the notebooks show, and building it fails if a cell or a number is gone.
 """
@@ -28,7 +28,7 @@ log = logging.getLogger(__name__)
 
 MARP = "npx --yes @marp-team/marp-cli@4"
 _PICTURE = re.compile(r"\(cell:(\d\d)/([\w-]+)\)")
-_NUMBER = re.compile(r"\{\{(\d\d)/([\w-]+): (.+?)\}\}(?!\})")
+_NUMBER = re.compile(r"\{\{(\d\d|docs)/([\w-]+): (.+?)\}\}(?!\})")
 _LOADS = re.compile(r"""(?:\bsrc=|<link[^>]+href=|@import\s*|url\()\s*["']?(https?:)?//[^"')\s>]+""", re.IGNORECASE)
 
 
@@ -66,8 +66,12 @@ class Chapters:
         raise ValueError(f"cell {cell} of chapter {chapter} shows no picture")
 
     def number(self, chapter: str, cell: str, quote: str) -> str:
-        """The one number that a quotation names, as the cell prints it."""
-        found = quoted(cell, quote, shown_by(self.notebook(chapter)))
+        """The one number that a quotation names, as the cell of a chapter, or the page ``cell`` of ``docs``, has it."""
+        if chapter == "docs":
+            shown = {cell: (self.folder.parent / "docs" / f"{cell}.md").read_text(encoding="utf-8")}
+        else:
+            shown = shown_by(self.notebook(chapter))
+        found = quoted(cell, quote, shown)
         if len(found) != 1:
             raise ValueError(f"{quote!r} must name one number")
         return next(iter(found.values()))
