@@ -24,7 +24,7 @@ PAPER = "#fffffe"
 PALETTE = ("#3d85c6", "#e08a2e", "#3a9d6a", "#d1495b", "#8e6bbf", "#8a8f98", "#2aa5a0", "#b8860b")
 """Colours of medium lightness, visible on white and on black."""
 
-_BETWEEN = "#76808d"
+BETWEEN = "#76808d"
 """Text on an unknown ground; its contrast is about 4 to white and 5 to a dark page."""
 
 _THEMED = {INK: "var(--ink)", MUTED: "var(--muted)", GRID: "var(--line)", PAPER: "var(--card)"}
@@ -113,10 +113,10 @@ def figure_png(figure) -> bytes:
 
     for text in figure.findobj(Text):
         if to_hex(text.get_color()) in (INK, MUTED, "#000000"):
-            text.set_color(_BETWEEN)
+            text.set_color(BETWEEN)
     for line in figure.findobj(Line2D):
         if to_hex(line.get_color()) == GRID:
-            line.set(color=_BETWEEN, alpha=0.35)
+            line.set(color=BETWEEN, alpha=0.35)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", transparent=True)
     return buffer.getvalue()

@@ -1,0 +1,265 @@
+"""Steppers through the blending of one pixel: front to back, and its gradient back to front."""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ...constants import TILE_PX
+from ...drawing.curves import BETWEEN, PALETTE
+from ...render import TileLists, composite, composite_vjp
+from ...render.composite import pixel_offsets, splat_alpha
+from ...types import Camera, GaussianParams
+from ..microscopes.pixel_stack import check_pixel, project_splats
+from .recording import Line, Recording, record
+from .stepper import Step, Stepper, style, text_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+WATCH = {
+    composite: {
+        "composite": ("alpha", "w", "C[y, x]"),
+        "splat_alpha": ("dx", "dy", "sigma", "alpha", "opacity"),
+        "blend_weights": ("alpha", "T_behind", "T", "torch.where(T_behind >= TRANSMITTANCE_MIN, alpha * T, 0.0)"),
+        "blend": ("w", "c"),
+        "composite_vjp": ("v_c", "v_uv", "v_opacity", "v_alpha_k"),
+        "blend_vjp": ("T", "w", "c_dot_v", "S", "moves", "v_alpha_k", "w @ v_C", "alpha", "c", "v_C"),
+        "splat_alpha_vjp": ("v_opacity", "v_sigma", "v_uv"),
+    }
+}
+WEIGHTS = "torch.where(T_behind >= TRANSMITTANCE_MIN, alpha * T, 0.0)"
+_BEHIND_THE_STOP = 3
+"""Gaussians behind the place where blending stops that are still shown."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class PixelRun:
+    """``composite`` of one pixel, and which rows of the map it blended, nearest first."""
+
+    recording: Recording
+    row: Tensor
+    rgb: Float[Tensor, "K 3"]
+
+
+def record_pixel(
+    params: GaussianParams,
+    camera: Camera,
+    T_WC: Float[Tensor, "4 4"],
+    pixel: tuple[int, int],
+    v_rgb: Float[Tensor, "3"] | None = None,
+) -> PixelRun:
+    """``composite`` of an image that is this one pixel, and then ``composite_vjp`` if ``v_rgb`` is given: a recording.
+
+    Raises:
+        ValueError: the pixel is outside the image, or no Gaussian reaches it.
+    """
+    check_pixel(camera, *pixel)
+    splats = project_splats(params, camera, T_WC)
+    p = splats.projection
+    uv = p.uv - p.uv.new_tensor(pixel)
+    rows = p.visible.nonzero().squeeze(1)
+    dx, dy = pixel_offsets(uv[rows], torch.zeros(1), torch.zeros(1))
+    alpha = splat_alpha(dx, dy, p.conic[rows], p.opacity[rows])[:, 0]
+    rows = rows[alpha > 0]
+    rows = rows[p.depth_m[rows].argsort(stable=True)]
+    if not len(rows):
+        raise ValueError(f"no Gaussian reaches pixel {pixel}")
+    one = dataclasses.replace(camera, width=1, height=1, cx=camera.cx - pixel[0], cy=camera.cy - pixel[1])
+    lists = TileLists(gaussian=rows, offset=torch.tensor([0, len(rows)]), tile_px=TILE_PX, tiles_x=1, tiles_y=1)
+
+    def run() -> Any:
+        output = composite(uv, p.conic, p.opacity, splats.rgb, p.depth_m, lists, one)
+        return output, None if v_rgb is None else composite_vjp(output.saved, v_rgb.view(1, 1, 3))
+
+    return PixelRun(recording=record(run, WATCH), row=rows, rgb=splats.rgb[rows])
+
+
+def compositing_stepper(
+    params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"], pixel: tuple[int, int]
+) -> Stepper:
+    """Press Next through the Gaussians of one pixel, nearest first: alpha, the light that is left, weight and colour.
+
+    Bars: alpha pale, weight in the Gaussian's colour; red steps: T; the square: the colour so far.
+
+    Args:
+        params: Gaussians.
+        camera, T_WC: As for ``render``.
+        pixel: Column and row.
+
+    Raises:
+        ValueError: the pixel is outside the image, or no Gaussian reaches it.
+    """
+    run = record_pixel(params, camera, T_WC, pixel)
+    lines = run.recording
+    alphas, behinds = (
+        lines.at("return torch.where(alpha >= ALPHA_MIN")[0],
+        lines.at("T_behind = (1 - alpha).cumprod")[0],
+    )
+    weights, end = lines.at("torch.where(T_behind >=")[0], lines.at("C[y, x] = blend")[0]
+    sigma, alpha = (alphas[name][:, 0] if name == "sigma" else alphas["return"][:, 0] for name in ("sigma", "alpha"))
+    T, behind, w = weights["T"][:, 0], behinds["T_behind"][:, 0], weights[WEIGHTS][:, 0]
+    K = _shown(w)
+    steps, colour = [], torch.zeros(3)
+    for k in range(K):
+        scene = {"k": k, "alpha": alpha[: k + 1], "w": w[:k], "T": T[:k], "colour": colour}
+        who = f"Gaussian {k + 1} of {len(w)}, row {int(run.row[k])}"
+        offset = f"({float(alphas['dx'][k]):.2f}, {float(alphas['dy'][k]):.2f}) px"
+        numbers = [("(dx, dy)", offset), ("opacity", text_of(alphas["opacity"][k])), ("sigma", text_of(sigma[k]))]
+        steps.append(_step(alphas, f"{who}: alpha at this pixel.", [*numbers, ("alpha", text_of(alpha[k]))], scene))
+        numbers = [("T, light in front of it", text_of(T[k])), ("1 − alpha", text_of(1 - alpha[k]))]
+        scene = scene | {"T": T[: k + 1]}
+        passes = f"{100 * float(behind[k]):.3g} % of the light is left behind Gaussian {k + 1}."
+        steps.append(_step(behinds, passes, [*numbers, ("T behind it", text_of(behind[k]))], scene))
+        colour = colour + w[k] * run.rgb[k]
+        scene = scene | {"w": w[: k + 1], "colour": colour}
+        title = f"Its weight is alpha T = {float(w[k]):.4f}."
+        if not w[k]:
+            title = "T behind it would be below 1e-4: the pixel is finished, and the weight is 0 from here on."
+        numbers = [("w", text_of(w[k])), ("c", text_of(run.rgb[k], 3)), ("colour so far", text_of(colour, 3))]
+        steps.append(_step(weights, title, numbers, scene))
+    C = end["C[y, x]"][0]
+    numbers = [("C, colour", text_of(C[:3])), ("depth", f"{float(C[3]):.4f} m"), ("sum of the weights", text_of(C[4]))]
+    steps.append(_step(end, f"The pixel is the sum of w c over its {len(w)} Gaussians.", numbers, steps[-1].scene))
+    bars = _Bars(alpha[:K], run.rgb[:K], ("w, alpha, T", "alpha, weight, and T (red)"))
+    return Stepper(
+        steps, lambda figure: _forward_picture(figure, bars), name="compositing",
+        label=f"Compositing of pixel {pixel}", stills=(2, min(8, len(steps) - 1), len(steps) - 1),
+    )  # fmt: skip
+
+
+def compositing_gradient_stepper(
+    params: GaussianParams,
+    camera: Camera,
+    T_WC: Float[Tensor, "4 4"],
+    pixel: tuple[int, int],
+    v_rgb: Float[Tensor, "3"],
+) -> Stepper:
+    """Press Next through the Gaussians of one pixel, farthest first: S, dL/dalpha, and what follows from it.
+
+    Above: the weights, with the Gaussian in question framed; below: dL/dalpha of each.
+
+    Args:
+        params, camera, T_WC, pixel: As for ``compositing_stepper``.
+        v_rgb: dL/dC, the gradient of the loss with respect to the pixel's colour. [3]
+
+    Raises:
+        ValueError: the pixel is outside the image, or no Gaussian reaches it.
+    """
+    run = record_pixel(params, camera, T_WC, pixel, v_rgb)
+    lines = run.recording
+    dot, sums = lines.at("c_dot_v = c @ v_C.T")[0], lines.at("S = _sum_behind")[0]
+    slope, colours = lines.at("v_alpha_k = torch.where(moves")[0], lines.at("return v_alpha_k, w @ v_C")[0]
+    opacities, centres = lines.at("v_opacity = (v_alpha * alpha)")[0], lines.at("v_uv = -torch.stack")[0]
+    T, w, c_dot_v, S, v_alpha = (slope[name][:, 0] for name in ("T", "w", "c_dot_v", "S", "v_alpha_k"))
+    K = _shown(w)
+    steps: list[Step] = []
+    for k in reversed(range(K)):
+        seen = torch.full((K,), torch.nan)
+        seen[k + 1 :] = v_alpha[k + 1 : K]
+        scene = {"k": k, "v_alpha": seen, "S": float(S[k])}
+        who = f"Gaussian {k + 1} of {len(w)}"
+        numbers = [("c . v_C", text_of(c_dot_v[k])), ("w", text_of(w[k])), ("T", text_of(T[k]))]
+        title = f"{who}: how much its colour and the loss agree."
+        steps.append(_step(dot, title, numbers, scene))
+        numbers = [("S, sum over those behind", text_of(S[k]))]
+        behind = "there are none" if k == len(w) - 1 else "what this one hides"
+        steps.append(_step(sums, f"S sums w (c . v_C) over the Gaussians behind it: {behind}.", numbers, scene))
+        scene = scene | {"v_alpha": torch.where(torch.arange(K) == k, v_alpha[:K], seen)}
+        numbers = [
+            ("T (c . v_C)", text_of(T[k] * c_dot_v[k])), ("S / (1 − alpha)", text_of(S[k] / (1 - slope["alpha"][k, 0]))),
+            ("dL/dalpha", text_of(v_alpha[k])),
+        ]  # fmt: skip
+        steps.append(_step(slope, _direction(float(v_alpha[k])), numbers, scene))
+        numbers = [
+            ("dL/dc = w v_C", text_of(colours["w @ v_C"][k, :3])), ("dL/dopacity", text_of(opacities["v_opacity"][k])),
+            ("dL/d(u, v)", text_of(centres["v_uv"][k])),
+        ]  # fmt: skip
+        title = "From dL/dalpha follow the gradients of its opacity and position; from w that of its colour."
+        steps.append(_step(opacities, title, numbers, scene))
+    bars = _Bars(w[:K], run.rgb[:K], ("weight", f"weights; dL/dC = {text_of(v_rgb, 3)}"))
+    most = float(v_alpha[:K].abs().max())
+    return Stepper(
+        steps, lambda figure: _backward_picture(figure, bars, most), name="compositing-gradient",
+        label=f"Gradient of pixel {pixel}", stills=(2, min(10, len(steps) - 1), len(steps) - 1),
+    )  # fmt: skip
+
+
+def _shown(w: Tensor) -> int:
+    """How many Gaussians have steps: those with a weight, and a few behind the place where blending stops."""
+    used = int((w > 0).nonzero().max()) + 1 if bool((w > 0).any()) else 0
+    return min(len(w), used + _BEHIND_THE_STOP)
+
+
+def _direction(v_alpha: float) -> str:
+    if v_alpha == 0:
+        return "dL/dalpha is 0: this Gaussian is not blended, or its alpha is at the limit of 0.99."
+    return f"dL/dalpha is {'positive: less' if v_alpha > 0 else 'negative: more'} of this Gaussian lowers the loss."
+
+
+def _step(line: Line, title: str, numbers: Sequence[Sequence[str]], scene: dict[str, Any]) -> Step:
+    return Step(line=line, title=title, numbers=numbers, scene=scene)
+
+
+class _Bars:
+    """Bars over the Gaussians of a pixel, nearest first."""
+
+    def __init__(self, height: Tensor, rgb: Tensor, words: tuple[str, str]):
+        self.height, self.rgb, self.words = height.numpy(), rgb.clamp(0, 1).numpy(), words
+        self.k = np.arange(1, len(self.height) + 1)
+
+    def on(self, axes: Any, **how: Any) -> Any:
+        axes.set_xlim(0.3, len(self.k) + 0.7)
+        axes.locator_params(axis="x", integer=True)
+        return axes.bar(self.k, self.height, color=self.rgb, edgecolor=BETWEEN, linewidth=0.6, **how)
+
+
+def _forward_picture(figure: "Figure", bars: _Bars) -> Callable[[Step], None]:
+    axes, corner = figure.add_axes((0.11, 0.13, 0.70, 0.79)), figure.add_axes((0.84, 0.13, 0.13, 0.17))
+    style(axes, x="Gaussian, nearest first", y=bars.words[0], title=bars.words[1])
+    style(corner, title="colour")
+    corner.set_xticks([])
+    corner.set_yticks([])
+    axes.set_ylim(0, 1.05)
+    pale, full = bars.on(axes, width=0.8, alpha=0.35, animated=True), bars.on(axes, width=0.5, animated=True)
+    (light,) = axes.plot([], [], ".-", drawstyle="steps-mid", color=PALETTE[3], linewidth=1.8, animated=True)
+    (now,) = axes.plot([], [], "v", color=PALETTE[3], markersize=7, clip_on=False, animated=True)
+    swatch = corner.imshow(np.zeros((1, 1, 3)), aspect="auto", animated=True)
+
+    def update(step: Step) -> None:
+        scene = step.scene
+        for k, (a, b) in enumerate(zip(pale, full, strict=True)):
+            a.set_height(float(scene["alpha"][k]) if k < len(scene["alpha"]) else 0)
+            b.set_height(float(scene["w"][k]) if k < len(scene["w"]) else 0)
+        light.set_data(bars.k[: len(scene["T"])], scene["T"].numpy())
+        now.set_data([scene["k"] + 1], [1.03])
+        swatch.set_data(scene["colour"].clamp(0, 1).numpy().reshape(1, 1, 3))
+
+    return update
+
+
+def _backward_picture(figure: "Figure", bars: _Bars, most: float) -> Callable[[Step], None]:
+    above, below = figure.add_axes((0.15, 0.60, 0.82, 0.32)), figure.add_axes((0.15, 0.13, 0.82, 0.38))
+    style(above, y=bars.words[0], title=bars.words[1])
+    style(below, x="Gaussian, nearest first", y="dL/dalpha")
+    bars.on(above, width=0.7)
+    above.set_ylim(0, 1.15 * float(bars.height.max()) or 1)
+    below.axhline(0, color=BETWEEN, linewidth=0.8)
+    below.set_ylim(-1.15 * most or -1, 1.15 * most or 1)
+    slopes = bars.on(below, width=0.7, animated=True)
+    marks = [
+        axes.plot([], [], "v", color=PALETTE[3], markersize=7, clip_on=False, animated=True)[0]
+        for axes in (above, below)
+    ]
+
+    def update(step: Step) -> None:
+        for bar, value in zip(slopes, step.scene["v_alpha"].nan_to_num().tolist(), strict=True):
+            bar.set_height(value)
+        for mark, axes in zip(marks, (above, below), strict=True):
+            mark.set_data([step.scene["k"] + 1], [axes.get_ylim()[1]])
+
+    return update
