@@ -64,6 +64,15 @@ if TYPE_CHECKING:
     from .panels.tsdf_slice import slice_picture as slice_picture
     from .splats.map_picture import draw_gaussians as draw_gaussians
     from .splats.viewer import SplatViewer as SplatViewer
+    from .steppers.adam import adam_stepper as adam_stepper
+    from .steppers.compositing import compositing_stepper as compositing_stepper
+    from .steppers.compositing_gradient import compositing_gradient_stepper as compositing_gradient_stepper
+    from .steppers.icp import icp_stepper as icp_stepper
+    from .steppers.marching_cubes import marching_cubes_stepper as marching_cubes_stepper
+    from .steppers.pose_graph import pose_graph_stepper as pose_graph_stepper
+    from .steppers.quadtree import quadtree_stepper as quadtree_stepper
+    from .steppers.raycast import raycast_stepper as raycast_stepper
+    from .steppers.stepper import Stepper as Stepper
     from .summaries import html_summary as html_summary
     from .viewpoint import orbit_camera as orbit_camera
 
@@ -71,6 +80,7 @@ _LAZY = {
     "GradientMicroscope": ".microscopes.gradient_microscope",
     "LiveMapper": ".live.live_mapper",
     "OrbitView": ".live.orbit",
+    "Stepper": ".steppers.stepper",
     "PixelMicroscope": ".microscopes.pixel_microscope",
     "Player": ".live.player",
     "TracePanel": ".panels.trace",
@@ -127,6 +137,14 @@ _LAZY = {
     "stage_means": ".panels.stage_bars",
     "disc_scene_picture": ".panels.discs",
     "static_views": ".display",
+    "adam_stepper": ".steppers.adam",
+    "compositing_gradient_stepper": ".steppers.compositing_gradient",
+    "compositing_stepper": ".steppers.compositing",
+    "icp_stepper": ".steppers.icp",
+    "marching_cubes_stepper": ".steppers.marching_cubes",
+    "pose_graph_stepper": ".steppers.pose_graph",
+    "quadtree_stepper": ".steppers.quadtree",
+    "raycast_stepper": ".steppers.raycast",
     "tile_picture": ".microscopes.tile_picture",
     "to_uint8": "..drawing.pictures",
     "orientation_from_angles": ".microscopes.one_gaussian",

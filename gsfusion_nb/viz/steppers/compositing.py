@@ -1,7 +1,7 @@
-"""Steppers through the blending of one pixel: front to back, and its gradient back to front."""
+"""A stepper through the blending of one pixel, front to back: alpha, the light that is left, weight, colour so far."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,8 +15,8 @@ from ...render import TileLists, composite, composite_vjp
 from ...render.composite import pixel_offsets, splat_alpha
 from ...types import Camera, GaussianParams
 from ..microscopes.pixel_stack import check_pixel, project_splats
-from .recording import Line, Recording, record
-from .stepper import Step, Stepper, style, text_of
+from .recording import Recording, record
+from .stepper import Step, Stepper, step_of, style, text_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -103,109 +103,42 @@ def compositing_stepper(
     weights, end = lines.at("torch.where(T_behind >=")[0], lines.at("C[y, x] = blend")[0]
     sigma, alpha = (alphas[name][:, 0] if name == "sigma" else alphas["return"][:, 0] for name in ("sigma", "alpha"))
     T, behind, w = weights["T"][:, 0], behinds["T_behind"][:, 0], weights[WEIGHTS][:, 0]
-    K = _shown(w)
+    K = shown(w)
     steps, colour = [], torch.zeros(3)
     for k in range(K):
         scene = {"k": k, "alpha": alpha[: k + 1], "w": w[:k], "T": T[:k], "colour": colour}
         who = f"Gaussian {k + 1} of {len(w)}, row {int(run.row[k])}"
         offset = f"({float(alphas['dx'][k]):.2f}, {float(alphas['dy'][k]):.2f}) px"
         numbers = [("(dx, dy)", offset), ("opacity", text_of(alphas["opacity"][k])), ("sigma", text_of(sigma[k]))]
-        steps.append(_step(alphas, f"{who}: alpha at this pixel.", [*numbers, ("alpha", text_of(alpha[k]))], scene))
+        steps.append(step_of(alphas, f"{who}: alpha at this pixel.", [*numbers, ("alpha", text_of(alpha[k]))], scene))
         numbers = [("T, light in front of it", text_of(T[k])), ("1 − alpha", text_of(1 - alpha[k]))]
         scene = scene | {"T": T[: k + 1]}
         passes = f"{100 * float(behind[k]):.3g} % of the light is left behind Gaussian {k + 1}."
-        steps.append(_step(behinds, passes, [*numbers, ("T behind it", text_of(behind[k]))], scene))
+        steps.append(step_of(behinds, passes, [*numbers, ("T behind it", text_of(behind[k]))], scene))
         colour = colour + w[k] * run.rgb[k]
         scene = scene | {"w": w[: k + 1], "colour": colour}
         title = f"Its weight is alpha T = {float(w[k]):.4f}."
         if not w[k]:
             title = "T behind it would be below 1e-4: the pixel is finished, and the weight is 0 from here on."
         numbers = [("w", text_of(w[k])), ("c", text_of(run.rgb[k], 3)), ("colour so far", text_of(colour, 3))]
-        steps.append(_step(weights, title, numbers, scene))
+        steps.append(step_of(weights, title, numbers, scene))
     C = end["C[y, x]"][0]
     numbers = [("C, colour", text_of(C[:3])), ("depth", f"{float(C[3]):.4f} m"), ("sum of the weights", text_of(C[4]))]
-    steps.append(_step(end, f"The pixel is the sum of w c over its {len(w)} Gaussians.", numbers, steps[-1].scene))
-    bars = _Bars(alpha[:K], run.rgb[:K], ("w, alpha, T", "alpha, weight, and T (red)"))
+    steps.append(step_of(end, f"The pixel is the sum of w c over its {len(w)} Gaussians.", numbers, steps[-1].scene))
+    bars = Bars(alpha[:K], run.rgb[:K], ("w, alpha, T", "alpha, weight, and T (red)"))
     return Stepper(
         steps, lambda figure: _forward_picture(figure, bars), name="compositing",
         label=f"Compositing of pixel {pixel}", stills=(2, min(8, len(steps) - 1), len(steps) - 1),
     )  # fmt: skip
 
 
-def compositing_gradient_stepper(
-    params: GaussianParams,
-    camera: Camera,
-    T_WC: Float[Tensor, "4 4"],
-    pixel: tuple[int, int],
-    v_rgb: Float[Tensor, "3"],
-) -> Stepper:
-    """Press Next through the Gaussians of one pixel, farthest first: S, dL/dalpha, and what follows from it.
-
-    Above: the weights, with the Gaussian in question framed; below: dL/dalpha of each.
-
-    Args:
-        params, camera, T_WC, pixel: As for ``compositing_stepper``.
-        v_rgb: dL/dC, the gradient of the loss with respect to the pixel's colour. [3]
-
-    Raises:
-        ValueError: the pixel is outside the image, or no Gaussian reaches it.
-    """
-    run = record_pixel(params, camera, T_WC, pixel, v_rgb)
-    lines = run.recording
-    dot, sums = lines.at("c_dot_v = c @ v_C.T")[0], lines.at("S = _sum_behind")[0]
-    slope, colours = lines.at("v_alpha_k = torch.where(moves")[0], lines.at("return v_alpha_k, w @ v_C")[0]
-    opacities, centres = lines.at("v_opacity = (v_alpha * alpha)")[0], lines.at("v_uv = -torch.stack")[0]
-    T, w, c_dot_v, S, v_alpha = (slope[name][:, 0] for name in ("T", "w", "c_dot_v", "S", "v_alpha_k"))
-    K = _shown(w)
-    steps: list[Step] = []
-    for k in reversed(range(K)):
-        seen = torch.full((K,), torch.nan)
-        seen[k + 1 :] = v_alpha[k + 1 : K]
-        scene = {"k": k, "v_alpha": seen, "S": float(S[k])}
-        who = f"Gaussian {k + 1} of {len(w)}"
-        numbers = [("c . v_C", text_of(c_dot_v[k])), ("w", text_of(w[k])), ("T", text_of(T[k]))]
-        title = f"{who}: how much its colour and the loss agree."
-        steps.append(_step(dot, title, numbers, scene))
-        numbers = [("S, sum over those behind", text_of(S[k]))]
-        behind = "there are none" if k == len(w) - 1 else "what this one hides"
-        steps.append(_step(sums, f"S sums w (c . v_C) over the Gaussians behind it: {behind}.", numbers, scene))
-        scene = scene | {"v_alpha": torch.where(torch.arange(K) == k, v_alpha[:K], seen)}
-        numbers = [
-            ("T (c . v_C)", text_of(T[k] * c_dot_v[k])), ("S / (1 − alpha)", text_of(S[k] / (1 - slope["alpha"][k, 0]))),
-            ("dL/dalpha", text_of(v_alpha[k])),
-        ]  # fmt: skip
-        steps.append(_step(slope, _direction(float(v_alpha[k])), numbers, scene))
-        numbers = [
-            ("dL/dc = w v_C", text_of(colours["w @ v_C"][k, :3])), ("dL/dopacity", text_of(opacities["v_opacity"][k])),
-            ("dL/d(u, v)", text_of(centres["v_uv"][k])),
-        ]  # fmt: skip
-        title = "From dL/dalpha follow the gradients of its opacity and position; from w that of its colour."
-        steps.append(_step(opacities, title, numbers, scene))
-    bars = _Bars(w[:K], run.rgb[:K], ("weight", f"weights; dL/dC = {text_of(v_rgb, 3)}"))
-    most = float(v_alpha[:K].abs().max())
-    return Stepper(
-        steps, lambda figure: _backward_picture(figure, bars, most), name="compositing-gradient",
-        label=f"Gradient of pixel {pixel}", stills=(2, min(10, len(steps) - 1), len(steps) - 1),
-    )  # fmt: skip
-
-
-def _shown(w: Tensor) -> int:
+def shown(w: Tensor) -> int:
     """How many Gaussians have steps: those with a weight, and a few behind the place where blending stops."""
     used = int((w > 0).nonzero().max()) + 1 if bool((w > 0).any()) else 0
     return min(len(w), used + _BEHIND_THE_STOP)
 
 
-def _direction(v_alpha: float) -> str:
-    if v_alpha == 0:
-        return "dL/dalpha is 0: this Gaussian is not blended, or its alpha is at the limit of 0.99."
-    return f"dL/dalpha is {'positive: less' if v_alpha > 0 else 'negative: more'} of this Gaussian lowers the loss."
-
-
-def _step(line: Line, title: str, numbers: Sequence[Sequence[str]], scene: dict[str, Any]) -> Step:
-    return Step(line=line, title=title, numbers=numbers, scene=scene)
-
-
-class _Bars:
+class Bars:
     """Bars over the Gaussians of a pixel, nearest first."""
 
     def __init__(self, height: Tensor, rgb: Tensor, words: tuple[str, str]):
@@ -218,7 +151,7 @@ class _Bars:
         return axes.bar(self.k, self.height, color=self.rgb, edgecolor=BETWEEN, linewidth=0.6, **how)
 
 
-def _forward_picture(figure: "Figure", bars: _Bars) -> Callable[[Step], None]:
+def _forward_picture(figure: "Figure", bars: Bars) -> Callable[[Step], None]:
     axes, corner = figure.add_axes((0.11, 0.13, 0.70, 0.79)), figure.add_axes((0.84, 0.13, 0.13, 0.17))
     style(axes, x="Gaussian, nearest first", y=bars.words[0], title=bars.words[1])
     style(corner, title="colour")
@@ -238,28 +171,5 @@ def _forward_picture(figure: "Figure", bars: _Bars) -> Callable[[Step], None]:
         light.set_data(bars.k[: len(scene["T"])], scene["T"].numpy())
         now.set_data([scene["k"] + 1], [1.03])
         swatch.set_data(scene["colour"].clamp(0, 1).numpy().reshape(1, 1, 3))
-
-    return update
-
-
-def _backward_picture(figure: "Figure", bars: _Bars, most: float) -> Callable[[Step], None]:
-    above, below = figure.add_axes((0.15, 0.60, 0.82, 0.32)), figure.add_axes((0.15, 0.13, 0.82, 0.38))
-    style(above, y=bars.words[0], title=bars.words[1])
-    style(below, x="Gaussian, nearest first", y="dL/dalpha")
-    bars.on(above, width=0.7)
-    above.set_ylim(0, 1.15 * float(bars.height.max()) or 1)
-    below.axhline(0, color=BETWEEN, linewidth=0.8)
-    below.set_ylim(-1.15 * most or -1, 1.15 * most or 1)
-    slopes = bars.on(below, width=0.7, animated=True)
-    marks = [
-        axes.plot([], [], "v", color=PALETTE[3], markersize=7, clip_on=False, animated=True)[0]
-        for axes in (above, below)
-    ]
-
-    def update(step: Step) -> None:
-        for bar, value in zip(slopes, step.scene["v_alpha"].nan_to_num().tolist(), strict=True):
-            bar.set_height(value)
-        for mark, axes in zip(marks, (above, below), strict=True):
-            mark.set_data([step.scene["k"] + 1], [axes.get_ylim()[1]])
 
     return update

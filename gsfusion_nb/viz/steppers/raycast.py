@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -14,8 +14,8 @@ from ...geometry import rays, se3
 from ...tsdf import TsdfVolume, raycast
 from ...types import Camera
 from ..panels.tsdf_slice import distance_colours
-from .recording import Line, Recording, record
-from .stepper import Step, Stepper, moving, style, text_of
+from .recording import Recording, record
+from .stepper import Step, Stepper, moving, step_of, style, text_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -72,16 +72,12 @@ def raycast_stepper(volume: TsdfVolume, camera: Camera, T_WC: Float[Tensor, "4 4
     depth_m = float(end["depth_m"])
     found = f"the surface is at z = {depth_m:.4f} m" if depth_m else "this ray meets no surface"
     numbers = [("depth z", f"{depth_m:.5f} m"), ("normal", text_of(end["normal_W"][0], 3))]
-    steps.append(_step(end, f"The result of this pixel: {found}.", numbers, steps[-1].scene))
+    steps.append(step_of(end, f"The result of this pixel: {found}.", numbers, steps[-1].scene))
     plane = _Plane(volume, one, T_WC, max(float(s.scene["z"]) for s in steps) + 0.25)
     return Stepper(
         steps, lambda figure: _picture(figure, plane, steps), name="raycast", label=f"Raycast of pixel {pixel}",
         stills=(min(6, len(steps) - 1), max(len(steps) - 6, 0), len(steps) - 1),
     )  # fmt: skip
-
-
-def _step(line: Line, title: str, numbers: Any, scene: dict[str, Any]) -> Step:
-    return Step(line=line, title=title, numbers=numbers, scene=scene)
 
 
 def _march(recording: Recording) -> list[Step]:
@@ -105,17 +101,17 @@ def _march(recording: Recording) -> list[Step]:
             what = "its block is allocated, but this voxel was never observed"
         elif bool(look["close"]):
             what += ", interpolated because the surface is near"
-        steps.append(_step(sample, f"Sample {len(z_met)}: {what}.", numbers, scene))
+        steps.append(step_of(sample, f"Sample {len(z_met)}: {what}.", numbers, scene))
         D_before = text_of(float(turn["D_before"]))
         if bool(turn["enters"]) or bool(turn["leaves"]):
             where = "from + to −: a surface" if bool(turn["enters"]) else "from − to +: the back of a surface"
             signs = [("D before", D_before), ("D", text_of(D))]
-            steps.append(_step(turn, f"D changes {where} is between these two samples.", signs, scene))
+            steps.append(step_of(turn, f"D changes {where} is between these two samples.", signs, scene))
             break
         step, at = float(advance["step"]), scene | {"next": z + float(advance["step"])}
         how = "0.7 of the stored distance, at least one voxel" if known else "to where the ray leaves this block"
         ahead = [("step", f"{step:.4f} m"), ("next z", f"{z + step:.4f} m"), ("D before", D_before)]
-        steps.append(_step(advance, f"No sign change. Advance by {100 * step:.1f} cm: {how}.", ahead, at))
+        steps.append(step_of(advance, f"No sign change. Advance by {100 * step:.1f} cm: {how}.", ahead, at))
     return steps
 
 
@@ -133,7 +129,7 @@ def _interpolate(recording: Recording) -> list[Step]:
         if k:
             how = f"Refinement {k}: the interpolated D at the last guess replaces the end that has the same sign"
             names.append(("D at the last guess", text_of(float(line["D"]))))
-        steps.append(_step(line, f"{how}.", [*names, ("z", f"{scene['z']:.5f} m")], scene))
+        steps.append(step_of(line, f"{how}.", [*names, ("z", f"{scene['z']:.5f} m")], scene))
     return steps
 
 

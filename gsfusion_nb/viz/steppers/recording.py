@@ -144,7 +144,7 @@ class _Recorder:
                 first=first,
                 last=last,
                 values=values,
-            )  # fmt: skip
+            )
         )
 
 

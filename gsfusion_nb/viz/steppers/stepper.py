@@ -42,6 +42,11 @@ class Step:
     """What the drawing needs."""
 
 
+def step_of(line: Line, title: str, numbers: Sequence[Sequence[str]], scene: Any, heads: Sequence[str] = ()) -> Step:
+    """A ``Step``."""
+    return Step(line=line, title=title, numbers=numbers, heads=heads, scene=scene)
+
+
 Build = Callable[["Figure"], Callable[[Step], bool | None]]
 """Makes the artists of a picture once, and returns the function that changes them to those of a step.
 

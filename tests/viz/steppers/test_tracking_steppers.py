@@ -1,0 +1,70 @@
+"""One iteration of ICP and one step on a pose graph: the recorded numbers are those of the operation."""
+
+import dataclasses
+import math
+
+import pytest
+import torch
+
+from gsfusion_nb.backends import use_backend
+from gsfusion_nb.config import TrackingConfig
+from gsfusion_nb.geometry import se3
+from gsfusion_nb.tracking import icp
+from gsfusion_nb.tracking.gauss_newton_poses import optimise_poses_plain
+from gsfusion_nb.tracking.pose_graph import Edge, odometry_information
+from gsfusion_nb.viz import displaced_pose, frame_surface, icp_stepper, pose_graph_stepper
+
+
+def test_icp_ends_with_the_pose_of_one_iteration(sequence, press):
+    known, frame = sequence[0], sequence[1]
+    surface, start = frame_surface(known), displaced_pose(frame.T_WC, 0.03, 0.0)
+    stepper = icp_stepper(frame.depth_m, frame.camera, surface, start, factor=2, pixels=2)
+    steps = press(stepper)
+    once = dataclasses.replace(TrackingConfig(), pyramid=(2,), iterations=(1,))
+    with use_backend("reference"):
+        result = icp(frame.depth_m, frame.camera, surface, start, once)
+    moved = stepper.steps[stepper.find("The pose is moved")].line["T_WC"]
+    torch.testing.assert_close(moved, result.T_WC)
+    assert steps[-1][1]["rms after"] == f"{1000 * result.rms_m:.2f} mm, {result.n_inliers} pairs"
+    row = stepper.steps[stepper.find("Only the distance")].scene
+    r_mm = 1000 * float((row["p"] - row["q"]) @ row["n"])
+    assert steps[stepper.find("Only the distance")][1]["r = (p − q) . n"] == f"{r_mm:.2f} mm"
+    far = displaced_pose(frame.T_WC, 50.0, 0.0)
+    with pytest.raises(ValueError, match="gates"):
+        icp_stepper(frame.depth_m, frame.camera, surface, far, factor=2)
+
+
+@pytest.fixture
+def loop():
+    """Five poses around a square and the first corner again, with a bend in the odometry that the loop contradicts."""
+    turn = torch.tensor([1.0, 0, 0, 0, 0, math.pi / 2], dtype=torch.float64)
+    step, bend = se3.exp(turn), se3.exp(torch.tensor([0.04, 0.02, 0, 0, 0, 0.05], dtype=torch.float64))
+    poses, edges = [torch.eye(4).double()], []
+    for k in range(4):
+        T_ij = step @ bend
+        edges.append(Edge(i=k, j=k + 1, T_ij=T_ij, information=odometry_information(3.0, 0.05), kind="odometry"))
+        poses.append(poses[-1] @ T_ij)
+    T_loop = se3.inverse(poses[0]) @ torch.linalg.matrix_power(step, 4)
+    edges.append(Edge(i=0, j=4, T_ij=T_loop, information=odometry_information(1.0, 0.02), kind="loop"))
+    return torch.stack(poses), edges
+
+
+def test_pose_graph_ends_with_the_poses_of_one_step(loop, press):
+    T_WC, edges = loop
+    stepper = pose_graph_stepper(T_WC, edges)
+    steps = press(stepper)
+    moved = stepper.steps[-1].scene["T_WC"]
+    torch.testing.assert_close(moved[0], T_WC[0])
+    without_loops = [dataclasses.replace(e, kind="odometry") for e in edges]
+    once = optimise_poses_plain(T_WC, without_loops, iterations=1)
+    alone = pose_graph_stepper(T_WC, without_loops)
+    torch.testing.assert_close(alone.steps[-1].scene["T_WC"], once.T_WC)
+    assert float(dict(alone.steps[-1].numbers)["error after"]) == pytest.approx(once.error_after, rel=1e-3)
+    H = stepper.steps[stepper.find("Solve H xi")].scene["H"] > 0
+    joined = torch.eye(5, dtype=torch.bool)
+    for e in edges:
+        joined[e.i, e.j] = joined[e.j, e.i] = True
+    assert (joined == H).all()
+    assert float(steps[-1][1]["error after"]) < float(steps[-1][1]["error before"])
+    with pytest.raises(ValueError, match="two poses"):
+        pose_graph_stepper(T_WC, [])
