@@ -36,9 +36,7 @@ def test_the_trace_function_of_before_is_back_also_after_an_error():
 
 def test_a_statement_over_several_lines_is_one(tmp_path):
     file = tmp_path / "a.py"
-    file.write_text(
-        "def f(a):\n    while (\n        a\n    ):\n        b = [\n            a,\n        ]\n    return b\n"
-    )
-    assert [statement(str(file), n) for n in range(1, 9)] == [
-        (1, 1), (2, 4), (2, 4), (2, 4), (5, 7), (5, 7), (5, 7), (8, 8),
-    ]  # fmt: skip
+    text = "def f(a):\n    while (\n        a\n    ):\n        b = [\n            a,\n        ]\n    return b\n"
+    file.write_text(text)
+    spans = [statement(str(file), n) for n in range(1, 9)]
+    assert spans == [(1, 1), *[(2, 4)] * 3, *[(5, 7)] * 3, (8, 8)]
