@@ -1,4 +1,4 @@
-"""What the steppers of these tests step through: a volume, a small map, two frames."""
+"""What the steppers of these tests step through: a frame of a wavy wall, and the volume that it was fused into."""
 
 import itertools
 
@@ -7,21 +7,26 @@ import torch
 
 from gsfusion_nb.backends import use_backend
 from gsfusion_nb.config import TsdfConfig
-from gsfusion_nb.data.room import RoomSequence
 from gsfusion_nb.tsdf import TsdfVolume, integrate
+from gsfusion_nb.types import Camera, Frame
 
 
 @pytest.fixture(scope="session")
-def sequence():
-    return RoomSequence(n_frames=120, width=48, height=36)
+def frame():
+    """A wavy wall about 1.3 m away, striped in its middle."""
+    camera = Camera(width=48, height=36, fx=40.0, fy=40.0, cx=24.0, cy=18.0)
+    v, u = torch.meshgrid(torch.arange(36.0), torch.arange(48.0), indexing="ij")
+    depth_m = 1.2 + 0.12 * torch.sin(u / 7) * torch.cos(v / 5) + 0.004 * u
+    stripes = torch.where((u - 24).abs() < 9, (u.long() // 3 % 2).float(), 0.5)
+    rgb = torch.stack([stripes, 0.5 + 0 * u, v / 36], dim=2)
+    return Frame(index=0, timestamp_s=0.0, rgb=rgb, depth_m=depth_m, camera=camera, T_WC=torch.eye(4))
 
 
 @pytest.fixture(scope="session")
-def volume(sequence):
-    volume = TsdfVolume(TsdfConfig(voxel_size_m=0.06, truncation_voxels=4.0))
+def volume(frame):
+    volume = TsdfVolume(TsdfConfig(voxel_size_m=0.05, truncation_voxels=4.0))
     with use_backend("reference"):
-        for i in (0, 1):
-            integrate(volume, sequence[i])
+        integrate(volume, frame)
     return volume
 
 

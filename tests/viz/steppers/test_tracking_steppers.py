@@ -15,9 +15,8 @@ from gsfusion_nb.tracking.pose_graph import Edge, odometry_information
 from gsfusion_nb.viz import displaced_pose, frame_surface, icp_stepper, pose_graph_stepper
 
 
-def test_icp_ends_with_the_pose_of_one_iteration(sequence, press):
-    known, frame = sequence[0], sequence[1]
-    surface, start = frame_surface(known), displaced_pose(frame.T_WC, 0.03, 0.0)
+def test_icp_ends_with_the_pose_of_one_iteration(frame, press):
+    surface, start = frame_surface(frame), displaced_pose(frame.T_WC, 0.03, 0.0)
     stepper = icp_stepper(frame.depth_m, frame.camera, surface, start, factor=2, pixels=2)
     steps = press(stepper)
     once = dataclasses.replace(TrackingConfig(), pyramid=(2,), iterations=(1,))
