@@ -1,4 +1,7 @@
-"""Cases of the notebook panels: time from moving a control to the new picture."""
+"""Cases of the notebook panels: time from moving a control, or dragging the picture, to the new picture.
+
+What the browser adds, about 30 ms, is measured by ``tests/browser/test_touch.py``.
+"""
 
 import functools
 from collections.abc import Callable, Iterator
@@ -10,7 +13,17 @@ from ..data import Sequence, open_sequence
 from ..mapping import GSFusion
 from ..tsdf import TsdfVolume
 from ..types import Camera, Frame
-from ..viz import GradientMicroscope, PixelMicroscope, orbit_view, point_panel, quadtree_panel, tsdf_fill_panel
+from ..viz import (
+    GradientMicroscope,
+    PixelMicroscope,
+    amdahl_panel,
+    frame_surface,
+    icp_panel,
+    orbit_view,
+    point_panel,
+    quadtree_panel,
+    tsdf_fill_panel,
+)
 from ..viz.live.step_panels import live_panels
 from ..viz.microscopes.gaussian_panels import one_gaussian_panel, sh_ball_panel
 from ..viz.panels.discs import disc_panel
@@ -59,7 +72,9 @@ def _quadtree() -> dict[str, Move]:
 
 def _points() -> dict[str, Move]:
     panels = {show: point_panel(_room()[0]).set(show=show) for show in POINT_COLOURS}
-    return {show: lambda i, p=panel: p.set(turn_deg=4.0 * i - 20) for show, panel in panels.items()}
+    moves = {show: lambda i, p=panel: p.set(turn_deg=4.0 * i - 20) for show, panel in panels.items()}
+    touched = panels[POINT_COLOURS[0]]
+    return {**moves, "click a pixel": lambda i: touched.drag((20.0 + 20 * i, 60.0 + 10 * i))}
 
 
 def _filling() -> dict[str, Move]:
@@ -77,6 +92,7 @@ def _filling() -> dict[str, Move]:
     return {
         "heading": lambda i: panel.set(heading_deg=10.0 * i - 100),
         "height of the slice": lambda i: panel.set(height_m=1.0 + 0.05 * i),
+        "drag the view": lambda i: panel.drag((500.0, 100.0), (500.0 + 12 * (i % 2 + 1), 100.0)),
     }
 
 
@@ -102,7 +118,11 @@ def _mapper() -> GSFusion:
 def _orbit() -> dict[str, Move]:
     scene = random_scene(ORBIT_GAUSSIANS, CAMERA.width, CAMERA.height, sh_degree=3)
     view = orbit_view(scene.params, size=(CAMERA.width, CAMERA.height))
-    return {"azimuth": lambda i: view.set(azimuth_deg=12.0 * i - 100)}
+
+    def drag(i: int) -> None:
+        view.image.stroke = [1.0, 0.0, 100.0, 100.0, 100.0 + 10 * (i + 1), 100.0]
+
+    return {"azimuth": lambda i: view.set(azimuth_deg=12.0 * i - 100), "drag the map": drag}
 
 
 def _pixel_microscope() -> dict[str, Move]:
@@ -129,12 +149,30 @@ def _disc_scene() -> dict[str, Move]:
 
 def _one_gaussian() -> dict[str, Move]:
     panel = one_gaussian_panel(Camera(width=80, height=60, fx=52.0, fy=52.0, cx=40.0, cy=30.0))
-    return {"turn": lambda i: panel.set(turn_deg=5 * i)}
+    return {
+        "turn": lambda i: panel.set(turn_deg=5 * i),
+        "drag the middle": lambda i: panel.set(x_m=0.0).drag((240.0, 180.0), (250.0 + 5 * i, 180.0)),
+    }
 
 
 def _sh_ball() -> dict[str, Move]:
     panel = sh_ball_panel()
     return {"red": lambda i: panel.set(red=0.1 * i)}
+
+
+def _icp() -> dict[str, Move]:
+    """Another step of a known alignment, and an alignment from another start."""
+    frame = _room()[2]
+    panel = icp_panel(frame, frame_surface(_room()[0]))
+    return {
+        "step": lambda i: panel.set(step=1 + i),
+        "another start": lambda i: panel.set(sideways_cm=2 * i),
+    }
+
+
+def _amdahl() -> dict[str, Move]:
+    panel = amdahl_panel({"seed": 0.1, "optimise": 0.3})
+    return {"optimise": lambda i: panel.set(optimise=1.0 + 0.5 * i)}
 
 
 PANELS: dict[str, Callable[[], dict[str, Move]]] = {
@@ -149,5 +187,7 @@ PANELS: dict[str, Callable[[], dict[str, Move]]] = {
     "disc depth": _disc_scene,
     "one Gaussian": _one_gaussian,
     "colour ball": _sh_ball,
+    "ICP 320x240": _icp,
+    "Amdahl": _amdahl,
 }
 """Name in the table -> function that makes the panel and returns the moves, one per row."""

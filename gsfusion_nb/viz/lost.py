@@ -11,7 +11,10 @@ _CSS = """
 
 
 class LostNotice(anywidget.AnyWidget):
-    """Empty while the kernel lives; after a restart or a shutdown it tells to run the cell again."""
+    """Empty while the kernel lives; after a restart or a shutdown it tells to run the cell again.
+
+    It also gives the sliders beside it their labels as names for screen readers, which ipywidgets does not.
+    """
 
     _esm = joined(("lost", "notice"))
     _css = _CSS

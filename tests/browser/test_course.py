@@ -52,13 +52,13 @@ def test_the_chapter_runs_to_its_end_with_live_widgets(lab, page):
     assert "Error displaying widget" not in page.content()
     for picture in page.locator(".jp-OutputArea-output img").all():
         assert picture.evaluate("image => image.naturalWidth") > 0
-    assert page.locator("img.gsnb-quadtree-image").count() == 1
+    assert page.locator(".gsnb-quadtree-image img").count() == 1
     assert page.locator(".gsnb-verdict").count() >= 3  # one below each exercise
     assert lab.errors == []
 
 
 def test_dragging_the_threshold_changes_picture_and_count(lab, page):
-    picture, handle = page.locator("img.gsnb-quadtree-image"), page.locator(".gsnb-quadtree-threshold .noUi-handle")
+    picture, handle = page.locator(".gsnb-quadtree-image img"), page.locator(".gsnb-quadtree-threshold .noUi-handle")
     picture.scroll_into_view_if_needed()
     before, cells = lab.screenshot(picture, "quadtree_before"), count(page)
     assert before.std() > 20

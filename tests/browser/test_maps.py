@@ -119,7 +119,7 @@ def test_a_mesh_is_turned_offline(lab, page):
     ("panel", "slider"), [("orbit", "azimuth"), ("points", "turn_deg"), ("fill", "heading_deg"), ("fill", "height_m")]
 )
 def test_sliders_redraw(lab, page, panel, slider):
-    image = page.locator(f"img.gsnb-{panel}-image").first
+    image = page.locator(f".gsnb-{panel}-image img").first
     if panel == "fill":
         page.locator(".gsnb-fill-measure").click()
         lab.wait_for(lambda: int(page.locator(".gsnb-fill-frames").inner_text()) > 0, "the measurement")

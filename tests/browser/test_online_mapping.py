@@ -53,7 +53,7 @@ def page(lab):
 
 
 def source(page, selector):
-    return page.locator(selector).first.get_attribute("src")
+    return page.locator(f"{selector} img").first.get_attribute("src")
 
 
 def test_start_pause_step_and_stop_online_mapping(lab, page):

@@ -12,7 +12,7 @@ LONG_RUN = {"live.run_sync(24)": "live.run_sync(2)", "LIVE_FRAMES = 7 if": "LIVE
 
 def changes(lab, page, panel, slider, steps):
     """A slider is dragged; whether the picture's pixels changed."""
-    image = page.locator(f".gsnb-{panel}-image").first
+    image = page.locator(f".gsnb-{panel}-image img").first
     before = image.get_attribute("src")
     lab.move_slider(page.locator(f".gsnb-{panel}-{slider}").first, steps)
     lab.wait_for(lambda: image.get_attribute("src") != before, f"a new picture of {panel}")
@@ -47,7 +47,7 @@ def test_rtg_slam_is_mapped_live_and_stops_when_asked(lab, discs):
     live = discs.locator(".gsnb-live").first
     status = live.locator(".gsnb-live-status")
     lab.wait_for(lambda: "2 of" in status.inner_text(), "the first two frames")
-    states = live.locator(".gsnb-live-states").first
+    states = live.locator(".gsnb-live-states img").first
     before = states.get_attribute("src")
     live.locator(".gsnb-live-start").first.click()
     lab.wait_for(lambda: int(re.findall(r"(\d+) of", status.inner_text())[0]) >= 16, "sixteen frames", 120)

@@ -35,7 +35,7 @@ def backward(lab):
 
 
 def test_a_click_shows_the_stack_of_that_pixel(lab, forward):
-    image, lens = forward.locator(".gsnb-microscope-image img"), forward.locator("img.gsnb-microscope-lens")
+    image, lens = forward.locator(".gsnb-microscope-image img"), forward.locator(".gsnb-microscope-lens img")
     before = lab.screenshot(lens, "microscope_lens_before")
     assert before.std() > 10
     click(forward, image, 0.25 + 0.5 / 320, 0.75 + 0.5 / 240)
@@ -66,7 +66,7 @@ def test_dragging_follows_the_mouse(lab, forward):
 
 
 def test_the_sliders_move_the_gaussian(lab, forward):
-    picture = forward.locator("img.gsnb-one-gaussian-image")
+    picture = forward.locator(".gsnb-one-gaussian-image img")
     before = lab.screenshot(picture, "one_gaussian_before")
     lab.move_slider(forward.locator(".gsnb-one-gaussian-z_m"), 10)
     lab.wait_for(lambda: forward.locator(".gsnb-one-gaussian-z_m .widget-readout").inner_text() == "2.5", "the slider")
@@ -92,7 +92,7 @@ def test_the_fit_starts_pauses_steps_and_stops(lab, backward):
         button.scroll_into_view_if_needed()
         button.click()
 
-    picture = backward.locator("img.gsnb-live-loop-image")
+    picture = backward.locator(".gsnb-live-loop-image img")
     before = lab.screenshot(picture, "fit_before")
     press("start")
     lab.wait_for(lambda: steps() > 25, "the fit to run")
@@ -110,7 +110,7 @@ def test_the_fit_starts_pauses_steps_and_stops(lab, backward):
 
 
 def test_the_gradient_microscope_follows_click_and_switch(lab, backward):
-    image, arrows = backward.locator(".gsnb-gradient-image img"), backward.locator("img.gsnb-gradient-arrows")
+    image, arrows = backward.locator(".gsnb-gradient-image img"), backward.locator(".gsnb-gradient-arrows img")
     first = lab.screenshot(arrows, "gradient_pixel_before")
     click(backward, image, 0.5 + 0.5 / 160, 0.25 + 0.5 / 120)
     lab.wait_for(lambda: lab.run(backward, "print(gradients.of_pixel.stack.u)") == "80", "the click to arrive")

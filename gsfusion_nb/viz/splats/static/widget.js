@@ -11,6 +11,7 @@ import { TimeLine } from "./time.js";
 const STILL_MS = 160; // ms without a movement after which a fine picture is drawn
 const GOAL_MS = 40; // target time of one picture while moving, ms
 const PATIENCE_MS = 10000;
+const TRIES = 3;
 const WIDEST = 2; // screen pixels per canvas pixel, at most: the viewer is as wide as the cell
 const REDRAWN_BY = ["colour_by", "size", "opacity", "points", "background", "picked", "columns", "notice"];
 
@@ -47,7 +48,12 @@ class SplatView {
     this.chooseRenderer();
     this.say("waiting for the map ...");
     const late = "No answer from Python: it is busy, or the kernel was restarted. Run the cell again.";
-    this.patience = setTimeout(() => this.n ?? this.say(late), PATIENCE_MS);
+    let tries = 0;
+    this.patience = setInterval(() => {
+      if (this.n !== null || ++tries > TRIES) return clearInterval(this.patience);
+      this.say(late);
+      ready(); // the first message may have been lost while the kernel was busy
+    }, PATIENCE_MS);
     this.forget = whenLost(model, el, (words) => this.say(words));
     ready();
   }
@@ -55,7 +61,7 @@ class SplatView {
   close() {
     for (const [event, act] of this.listeners) this.model.off(event, act);
     this.forget();
-    clearTimeout(this.patience);
+    clearInterval(this.patience);
     clearTimeout(this.still);
     clearInterval(this.time.timer);
     this.engine.close();

@@ -1,0 +1,42 @@
+"""What a live view says after a reload of the page and after a restart of the kernel; what screen readers are told."""
+
+import pytest
+
+pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning")]
+
+CELLS = [
+    """
+import torch
+torch.set_num_threads(1)
+from gsfusion_nb.bench.scene import random_scene
+from gsfusion_nb.types import Camera, Mesh
+from gsfusion_nb.viz import SplatViewer, one_gaussian_panel, show_mesh
+xyz, faces = torch.rand(60, 3), torch.arange(60).view(20, 3)
+""",
+    "viewer = SplatViewer(random_scene(400, 160, 120).params, width=160, height=120)\nviewer",
+    "panel = one_gaussian_panel(Camera(width=80, height=60, fx=52.0, fy=52.0, cx=40.0, cy=30.0))\npanel",
+    "show_mesh(Mesh(vertices_W=xyz, faces=faces, rgb=xyz), size=(160, 120))",
+]
+IDLE = "window.jupyterapp?.shell.currentWidget?.sessionContext?.session?.kernel?.status === 'idle'"
+SENTENCE = "Run this cell again."
+
+
+def test_views_work_after_a_reload_and_say_what_to_do_after_a_restart(lab):
+    page = lab.open(CELLS)
+    sliders = page.locator(".gsnb-one-gaussian .noUi-handle")
+    sliders.first.wait_for(timeout=60_000)
+    lab.wait_for(lambda: all(sliders.nth(k).get_attribute("aria-label") for k in range(7)), "the names of the sliders")
+    page.evaluate("window.jupyterapp.commands.execute('docmanager:save')")
+    lab.wait_for(lambda: page.evaluate("!window.jupyterapp.shell.currentWidget.context.model.dirty"), "the file")
+    page.reload()
+    lab.wait_for(lambda: page.evaluate(IDLE), "the kernel after the reload")
+    page.locator(".gsnb-one-gaussian-image img").wait_for(timeout=60_000)
+    lab.move_slider(page.locator(".gsnb-one-gaussian-z_m"), 2)
+    lab.wait_for(lambda: lab.value(page, "panel.values['z_m']") == 1.7, "the slider after the reload")
+    page.evaluate("window.jupyterapp.shell.currentWidget.sessionContext.session.kernel.restart()")
+    for name in (".gsnb-one-gaussian .gsnb-lost", ".gsnb-splat-message", ".gsnb-mesh-words"):
+        place = page.locator(name).first
+        lab.wait_for(lambda place=place: SENTENCE in place.inner_text(), f"the sentence in {name}")
+    lab.screenshot(page.locator(".gsnb-one-gaussian").first, "lost_kernel")
+    assert lab.errors == []
+    page.close()
