@@ -1,6 +1,8 @@
 """The room as a sequence: interface, cache, noise, paths, coverage, mesh."""
 
 import importlib
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -11,7 +13,7 @@ from gsfusion_nb.data.room import kinect_depth, render_room, room, room_mesh, ro
 from gsfusion_nb.data.room.scene import load_scene
 from gsfusion_nb.data.room.sensor import DISPARITY_STEP_PX, FOCAL_BASELINE_PX_M
 from gsfusion_nb.data.sequence import Sequence
-from gsfusion_nb.files import cache_folder
+from gsfusion_nb.files import cache_folder, try_lock
 from gsfusion_nb.geometry import depth_to_points, project, se3
 from gsfusion_nb.types import Camera, Frame
 
@@ -91,6 +93,41 @@ def test_cache_gives_the_same_mesh_and_recovers_from_damage(monkeypatch, tmp_pat
         assert np.array_equal(mesh.rgb, rgb)
     room_mesh(0.4, cache=False)
     assert len(made) == 4
+
+
+def test_of_several_processes_one_makes_the_mesh_and_the_others_wait_for_it(monkeypatch, tmp_path):
+    """Threads stand for them: each opens the lock's file for itself. A holder that was stopped is not waited for."""
+    monkeypatch.setenv("GSFUSION_CACHE", str(tmp_path))
+    module, cache = (importlib.import_module(f"gsfusion_nb.data.room.{name}") for name in ("mesh", "cache"))
+    monkeypatch.setattr(cache, "_POLL_S", 0.01)
+    corners = np.eye(3, dtype=np.float32)
+    making, go_on, made = threading.Event(), threading.Event(), []
+
+    def slow(*of):
+        made.append(of)
+        making.set()
+        assert go_on.wait(20)
+        return {"xyz": corners, "faces": np.arange(3, dtype=np.int32)[None], "rgb": corners}
+
+    monkeypatch.setattr(module, "_made", slow)
+    with ThreadPoolExecutor(2) as pool:
+        first = pool.submit(room_mesh, 0.4)
+        assert making.wait(20)
+        second = pool.submit(room_mesh, 0.4)
+        with pytest.raises(TimeoutError):
+            second.result(timeout=0.1)
+        go_on.set()
+        assert torch.equal(first.result(20).vertices_W, second.result(20).vertices_W)
+    assert len(made) == 1
+
+    monkeypatch.setattr(cache, "WAIT_S", 0.05)
+    (stored,) = (cache_folder() / "room").glob("mesh-*.npz")
+    stored.unlink()
+    with stored.with_suffix(".lock").open("r+b") as held:
+        assert try_lock(held.fileno())
+        room_mesh(0.4)
+    assert len(made) == 2
+    assert stored.exists()
 
 
 def test_unwritable_cache_is_no_error(monkeypatch, tmp_path):
