@@ -2,6 +2,7 @@
 
 import contextlib
 import copy
+import functools
 from collections.abc import Callable, Iterator, Sequence
 from contextvars import ContextVar
 from typing import Any
@@ -10,6 +11,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ..types import Camera
+from .guard import Broken, Guard, settled
 from .place import place_of
 
 _seen: ContextVar[list[str] | None] = ContextVar("_seen", default=None)
@@ -45,14 +48,14 @@ class NotWritten(Exception):
 
 
 class Attempt:
-    """Calls the student's function on copies of tensors; if it raises or changes its inputs, that is a ``Failed``.
+    """Calls the student's function on copies of its arguments; if it raises or changes them, that is a ``Failed``.
 
     ``on`` describes the input of a call in words: those given by ``attempt.on("...")`` before it, or made from it.
     NumPy arrays come back as tensors, NumPy numbers as Python's, and what a generator yields as a list.
     """
 
-    def __init__(self, function: Callable[..., Any]):
-        self.function = function
+    def __init__(self, function: Callable[..., Any], guard: Guard | None = None):
+        self.function, self.guard = function, guard
         self.words = ""
         self.returned: Any = None
         """What the last call returned."""
@@ -63,14 +66,37 @@ class Attempt:
         return self
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
-        given = [a.clone() if isinstance(a, Tensor) else a for a in args]
-        named = {k: a.clone() if isinstance(a, Tensor) else a for k, a in kwargs.items()}
+        given, named = [_copied(a) for a in args], {k: _copied(a) for k, a in kwargs.items()}
         on = self.words or describe([*args, *kwargs.values()])
+        self.returned = self._run(self.function, given, named, on)
+        for before, after in zip([*args, *kwargs.values()], [*given, *named.values()], strict=True):
+            if not _same(before, after):
+                names = {Tensor: "a tensor", np.ndarray: "an array", Camera: "the camera"}
+                what = names.get(type(before), f"a {type(before).__name__}")
+                detail = f"{what} that was passed in has changed; work on a copy"
+                raise Failed("it does not change its inputs", on, detail)
+        return self.returned
+
+    def each(self, calls: Sequence[tuple]) -> list[Any]:
+        """The results for many tuples of arguments, in one go."""
+        function = self.function
+
+        @functools.wraps(function)
+        def in_turn() -> list[Any]:
+            return [function(*args) for args in calls]
+
+        results = self._run(in_turn, (), {}, self.words)
+        self.returned = results[-1]
+        if any(result is None or result is Ellipsis for result in results):
+            raise NotWritten
+        return results
+
+    def _run(self, function: Callable[..., Any], args: Sequence[Any], kwargs: dict[str, Any], on: str) -> Any:
         try:
-            result = plain(self.function(*given, **named))
+            result = self._guarded(function, args, kwargs)
         except NotImplementedError:
             raise NotWritten from None
-        except Failed as e:  # it runs in another process, which says what happened
+        except (Broken, Failed) as e:  # Failed: it runs in another process, which says what happened
             raise Failed(e.prop, on, e.detail) from None
         except Exception as e:
             place = place_of(e, self.function)
@@ -78,11 +104,38 @@ class Attempt:
             raise Failed("it runs", on, f"{raised}: {str(e).splitlines()[0] if str(e) else ''}") from e
         if result is None or result is Ellipsis:
             raise NotWritten
-        for before, after in zip([*args, *kwargs.values()], [*given, *named.values()], strict=True):
-            if isinstance(before, Tensor) and not torch.equal(before.nan_to_num(), after.nan_to_num()):
-                raise Failed("it does not change its inputs", on, "a tensor that was passed in has changed")
-        self.returned = result
-        return copy.copy(result)
+        return result
+
+    def _guarded(self, function: Callable[..., Any], args: Sequence[Any], kwargs: dict[str, Any]) -> Any:
+        if self.guard is None:
+            return settled(function(*args, **kwargs))
+        return self.guard.run(function, args, kwargs)
+
+    @property
+    def watched(self) -> Callable[..., Any]:
+        """The function with its signature, for a check that calls it itself."""
+
+        @functools.wraps(self.function)
+        def call(*args: Any, **kwargs: Any) -> Any:
+            return self._guarded(self.function, args, kwargs)
+
+        return call
+
+
+def _copied(value: Any) -> Any:
+    """A copy of an argument, for those kinds that a learner's function could change."""
+    if isinstance(value, Tensor):
+        return value.clone()
+    return copy.deepcopy(value) if isinstance(value, (np.ndarray, list, dict, Camera)) else value
+
+
+def _same(before: Any, after: Any) -> bool:
+    """Whether an argument is as it was."""
+    if isinstance(before, Tensor):
+        return before.shape == after.shape and torch.equal(before.nan_to_num(), after.nan_to_num())
+    if isinstance(before, np.ndarray):
+        return np.array_equal(before, after, equal_nan=True)
+    return before == after if isinstance(before, (list, dict, Camera)) else True
 
 
 def plain(value: Any) -> Any:

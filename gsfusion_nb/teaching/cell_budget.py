@@ -103,9 +103,14 @@ def budget_cells(attempt: Attempt) -> None:
     got, best = (sum(error(*c) for c in some) for some in (cells, _budget_cells(image, 40)))
     holds(got <= 1.02 * best, "the cell with the largest sum of errors is split next", on=on,
           detail=f"the remaining squared error is {got / best:.2f} times as large as it could be")  # fmt: skip
+    on = "a strip of 8 x 1 pixels, and 7 cells"
+    strip = torch.arange(0, 240, 10, dtype=torch.uint8).reshape(1, 8, 3)
+    detail = "a cell lower than 2 pixels is a leaf, whatever its error"
+    cells = _cells(attempt.on(on)(strip, 7), 8, 1, on, detail)
+    holds(len(cells) == 1, "a cell narrower or lower than 2 pixels is not split", on=on, detail=f"{len(cells)} cells")
 
 
-def _cells(value: object, width: int, height: int, on: str) -> list[Leaf]:
+def _cells(value: object, width: int, height: int, on: str, why: str = "") -> list[Leaf]:
     """The student's cells, which must tile the image."""
     try:
         cells = [(int(x), int(y), int(w), int(h)) for x, y, w, h in value]  # pyright: ignore
@@ -115,7 +120,7 @@ def _cells(value: object, width: int, height: int, on: str) -> list[Leaf]:
     for x, y, w, h in cells:
         hits[y : y + h, x : x + w] += 1
     holds((hits == 1).all() and all(w > 0 and h > 0 for *_, w, h in cells), "the cells tile the image", on=on,
-          detail=f"{int((hits != 1).sum())} pixels are in no cell or in several")  # fmt: skip
+          detail=f"{int((hits != 1).sum())} pixels are in no cell or in several{why and f': {why}'}")  # fmt: skip
     return cells
 
 

@@ -34,12 +34,17 @@ library it replaces under the backend ``mine``; ``adapter(yours, *arguments of t
 without ``becomes`` says in ``stands_alone`` why its function runs nowhere in the library.
 """
 
+import contextlib
 import importlib
 import pkgutil
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import torch
+
+from ..backends import plain_function, use_backend
 from .attempt import Attempt as Attempt
 from .attempt import Failed as Failed
 from .attempt import NotWritten, describe
@@ -49,8 +54,10 @@ from .attempt import unpack as unpack
 from .becomes import Becomes as Becomes
 from .becomes import remember
 from .carried import carry
+from .guard import LIBRARY_LIMIT_S as LIBRARY_LIMIT_S
+from .guard import LIMIT_S, Guard
 from .progress import count, forgiving, note, now, read_section
-from .solution import NotYet, Solution, source_of
+from .solution import NotYet, Solution, source_of, without_source
 from .verdict import Hint, Verdict
 from .whose import judging, reference_only, tell, whose_code, yours_with_reference
 from .yours import Yours as Yours
@@ -65,6 +72,7 @@ _MACHINERY = {
     "edition",
     "exercise",
     "grading",
+    "guard",
     "holds",
     "kit",
     "mine",
@@ -83,6 +91,12 @@ _MACHINERY = {
 }
 
 _EXERCISES: dict[str, "Exercise"] = {}
+
+AUTOGRAD = (torch.autograd.grad, torch.autograd.backward)
+"""What does an exercise whose gradient is to be written by hand."""
+
+_PATIENCE_S = 0.5
+"""How long an accepted function waits while the checker is checked with further wrong answers."""
 
 
 @dataclass(frozen=True)
@@ -109,6 +123,8 @@ class Exercise:
     becomes: Becomes | None = None
     stands_alone: str = ""
     """Why the function becomes nothing in the library; a sentence."""
+    ready_made: tuple[Callable[..., Any], ...] = ()
+    limit_s: float = LIMIT_S
     hints_given: int = 0
     tries: int = 0
     """Functions of this exercise's name that were judged in this process; unwritten ones do not count."""
@@ -126,23 +142,36 @@ class Exercise:
         return verdict
 
     def _judged(self, function: Any) -> Verdict:
-        left = len(self.hints) - self.hints_given
-        if not callable(function):
-            detail = f"got a {type(function).__name__}"
-            return Verdict(exercise=self.name, state="failed", prop="it is a function", detail=detail, hints_left=left)
-        verdict = self.verdict_on(Attempt(function), self.judge)
+        verdict = self.verdict(function)
         if verdict:
             remember(self.name, self.becomes, function)
             with forgiving():
                 carry(self.name, function)
         return verdict
 
+    def verdict(self, function: Any) -> Verdict:
+        """The verdict on ``function``, which is neither counted nor kept."""
+        left = len(self.hints) - self.hints_given
+        if not callable(function):
+            detail = f"got a {type(function).__name__}"
+            return Verdict(exercise=self.name, state="failed", prop="it is a function", detail=detail, hints_left=left)
+
+        def judged(attempt: Attempt) -> None:
+            self.judge(attempt)
+            self._check_the_checker()
+
+        with use_backend("reference") if self.becomes else contextlib.nullcontext():
+            return self.verdict_on(Attempt(function, self._guard()), judged)
+
     def verdict_on(self, attempt: Attempt, judge: Callable[[Attempt], None]) -> Verdict:
         """What ``judge`` says; nothing is kept or noted."""
+        with judging(self.name):
+            return self._said(attempt, judge)
+
+    def _said(self, attempt: Attempt, judge: Callable[[Attempt], None]) -> Verdict:
         left = len(self.hints) - self.hints_given
         try:
-            with judging():
-                judge(attempt)
+            judge(attempt)
         except NotWritten:
             detail = "the function returns nothing so far"
             return Verdict(exercise=self.name, state="not written", detail=detail, hints_left=left)
@@ -155,6 +184,27 @@ class Exercise:
             on = attempt.words
             return Verdict(exercise=self.name, state="failed", prop=prop, on=on, detail=detail, hints_left=left)
         return Verdict(exercise=self.name, state="passed")
+
+    def _guard(self) -> Guard:
+        """What the function may not call: the course's solution, and what does this exercise already."""
+        guard = Guard(limit_s=self.limit_s)
+        guard.refuse([self._solution], "which is the course's solution; write your own")
+        own = [plain_function(self.becomes.operation)] if self.becomes else []
+        guard.refuse([*own, *self.ready_made], "which does what this exercise asks for; write it out")
+        return guard
+
+    def _check_the_checker(self) -> None:
+        """Raise ``Failed`` if the judge does not refuse wrong answers any more: something it needs was replaced."""
+        until = time.monotonic() + _PATIENCE_S
+        for wrong in self.wrong:
+            try:
+                self.judge(Attempt(wrong.function))
+            except Exception:
+                if time.monotonic() > until:
+                    return
+                continue
+            detail = f"it accepts {wrong.function.__name__}, which is wrong. Something that it needs was replaced in "
+            raise Failed("the checker works", "its own wrong answers", f"{detail}this kernel: restart it")
 
     def hint(self, number: int | None = None) -> Hint:
         """The next hint, or hint ``number`` (from 1); after the last one, the last one again."""
@@ -188,7 +238,7 @@ class Exercise:
         verdict = self._judged(function)
         tell(whose_code(verdict))
         if plain:
-            return function if verdict else self._solution
+            return function if verdict else without_source(self._solution)
         if verdict:
             return yours_with_reference(self.name, function, self._solution)
         return reference_only(self.name, self._solution)
@@ -211,8 +261,21 @@ def exercise(
     wrong: Sequence[Wrong],
     becomes: Becomes | None = None,
     stands_alone: str = "",
+    ready_made: Sequence[Callable[..., Any]] = (),
+    limit_s: float = LIMIT_S,
 ) -> Callable[[Callable[[Attempt], None]], Exercise]:
     """Register the decorated judge as the exercise of its name; the first line of its docstring is the title.
+
+    Args:
+        chapter: Number of the chapter.
+        difficulty: 1 to 5.
+        minutes: What it takes, as the course estimates it.
+        hints: In the order in which they are given.
+        solution: A right answer, which the judge accepts.
+        wrong: Plausible wrong answers, which the judge refuses.
+        becomes: What the function becomes in the library. A function that calls this operation is refused.
+        ready_made: Other functions that do the exercise; one that calls them is refused.
+        limit_s: How long one call may take.
 
     Raises:
         ValueError: unknown difficulty, no hint, no wrong answer, no title, or a name that another module uses.
@@ -232,6 +295,7 @@ def exercise(
             name=name, title=title[0], chapter=chapter, difficulty=difficulty, minutes=minutes,
             hints=tuple(hints), judge=judge, _solution=solution, wrong=tuple(wrong), becomes=becomes,
             stands_alone=stands_alone,
+            ready_made=tuple(ready_made), limit_s=limit_s,
         )  # fmt: skip
         return _EXERCISES[name]
 

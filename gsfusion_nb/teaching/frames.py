@@ -2,10 +2,11 @@
 
 import math
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from ..geometry import depth_to_points, se3
+from ..geometry import backproject, depth_to_points, project, se3
 from ..types import Camera
 from .exercise import Attempt, Wrong, close, exercise, holds, unpack
 
@@ -37,7 +38,7 @@ def _project_to_whole_pixels(camera: Camera, xyz_C: Tensor) -> Tensor:
 
 
 @exercise(
-    chapter=1, difficulty=1, minutes=5, solution=_project,
+    chapter=1, difficulty=1, minutes=5, solution=_project, ready_made=(project,),
     stands_alone=(
         "Every room of the library projects points. Your project_gaussian (chapter 4) contains the same "
         "equation, and that runs."
@@ -89,7 +90,7 @@ def _lift_with_one_focal_length(camera: Camera, uv: Tensor, depth_m: Tensor) -> 
 
 
 @exercise(
-    chapter=1, difficulty=2, minutes=5, solution=_lift,
+    chapter=1, difficulty=2, minutes=5, solution=_lift, ready_made=(backproject,),
     stands_alone=(
         "Every room of the library lifts pixels. Your cell_to_gaussian (chapter 3) contains the same "
         "equation, and that runs."
@@ -109,7 +110,13 @@ def lift_pixels(attempt: Attempt) -> None:
     uv, depth = torch.tensor([[7.5, 5.5]]), torch.tensor([2.0])
     point = attempt.on(on)(_CAMERA, uv, depth)
     close(_last(point), [2.0], "the depth is z, not the distance to the camera", on=on)
-    close(point, [[0.7, 1.0, 2.0]], "x is divided by fx and y by fy: fx and fy may differ", on=on)
+    for where, pixel, expected, prop in (
+        ("the pixel at the principal point", [4.0, 3.0], [0.0, 0.0, 2.0], "it is straight ahead: x and y are 0"),
+        ("a pixel to the right of it", [7.5, 3.0], [0.7, 0.0, 2.0], "x = (u - cx) / fx, times the depth"),
+        ("a pixel below it", [4.0, 5.5], [0.0, 1.0, 2.0], "y = (v - cy) / fy, times the depth: fx and fy may differ"),
+    ):
+        on = f"{where}, at depth 2 m"
+        close(attempt.on(on)(_CAMERA, torch.tensor([pixel]), depth), [expected], prop, on=on)
     on = "many pixels, lifted and projected again"
     generator = torch.Generator().manual_seed(0)
     uv = torch.rand(50, 2, generator=generator) * torch.tensor([8.0, 6.0])
@@ -142,6 +149,7 @@ def _invert_by_transposing(T: Tensor) -> Tensor:
         "Every room of the library inverts poses, also many at once. Your later functions contain the same "
         "equation, and those run."
     ),
+    ready_made=(se3.inverse, torch.linalg.inv, torch.inverse, torch.linalg.solve, np.linalg.inv),
     hints=(
         "x_W = R x_C + t. Solve for x_C; R^-1 = R^T.",
         "x_C = R^T (x_W - t) = R^T x_W - R^T t: the translation is turned too.",
@@ -162,6 +170,7 @@ def invert_pose(attempt: Attempt) -> None:
     T_CW = torch.as_tensor(attempt.on(on)(T))
     close(T_CW.shape, [4, 4], "the result is a 4 x 4 matrix", on=on)
     close(T_CW[3], [0.0, 0.0, 0.0, 1.0], "the last row of a pose is 0 0 0 1", on=on)
+    close(T_CW[:3, :3], T[:3, :3].T, "the transpose undoes the rotation", on=on)
     centre = T_CW @ torch.tensor([1.0, 2.0, 3.0, 1.0])
     close(centre[:3], [0.0, 0.0, 0.0], "the camera's centre lands at the origin of the camera's frame", on=on)
     on = "a pose in general position"
@@ -215,6 +224,10 @@ def normals_of_points(attempt: Attempt) -> None:
     floor = depth_to_points(camera, camera.fy / (uv[..., 1] - camera.cy))
     up = torch.tensor([0.0, -1.0, 0.0]).expand(4, 6, 3)
     close(attempt.on(on)(floor), up, "the floor's normal points up, to negative y", on=on, tolerance=1e-4)
+    on = "a curved surface"
+    bowl = depth_to_points(_CAMERA, 2 - 0.3 * (uv[..., 0] - 3) ** 2 / 16 - 0.2 * (uv[..., 1] - 2) ** 2 / 9)
+    prop = "central differences: from the left to the right neighbour, and from the upper to the lower one"
+    close(attempt.on(on)(bowl), _normals(bowl), prop, on=on, tolerance=1e-4)
 
 
 def _halve(fx: float, fy: float, cx: float, cy: float) -> tuple[float, float, float, float]:
@@ -250,7 +263,8 @@ def halve_intrinsics(attempt: Attempt) -> None:
     names = ("fx", "fy", "cx", "cy")
     fx, fy, cx, cy = unpack(attempt.on(on)(600.0, 600.0, 319.5, 239.5), names, on=on)
     close([fx, fy], [300.0, 300.0], "half the pixels over the same angle of view: half the focal length", on=on)
-    why = f"a shift of {abs(float(cx) - 159.5):.2f} px of the small image"
+    shift = max(abs(float(cx) - 159.5), abs(float(cy) - 119.5))
+    why = f"a shift of {shift:.2f} px of the small image"
     close([cx, cy], [159.5, 119.5], "the middle of the image stays the middle", on=on, why=why)
     on = "a point off the axis, projected at both sizes"
     half = unpack(attempt.on(on)(525.0, 520.0, 310.2, 251.7), names, on=on)

@@ -7,7 +7,7 @@ from ..constants import ALPHA_MIN, FARTHEST_PX, FRUSTUM_CLAMP, NEAR_PLANE_M, SCR
 from ..geometry import quaternion, se3
 from ..render.project import Projection, ProjectionGradient
 from ..types import Camera, GaussianParams
-from .exercise import Attempt, Becomes, Wrong, Yours, close, exercise, unpack
+from .exercise import AUTOGRAD, Attempt, Becomes, Wrong, Yours, close, exercise, unpack
 
 Ellipse = tuple[Tensor, Tensor, Tensor]
 
@@ -155,6 +155,10 @@ def project_gaussian(attempt: Attempt) -> None:
     expected = _project(_CAMERA, eye, aside, needle, tilted)
     close(conic, expected[1], "far outside the picture, J is that of 1.3 times the half angle of view", on=on)
     close(ask(on, eye, aside, needle, tilted)[0], expected[0], "only J is limited, not the centre", on=on)
+    on = "a needle far above the picture, y/z = -1.9"
+    above = torch.tensor([0.2, -2.5, 1.3], dtype=f64)
+    expected = _project(_CAMERA, eye, above, needle, tilted)
+    close(ask(on, eye, above, needle, tilted)[1], expected[1], "y/z is limited in J, too: 1.3 height / (2 fy)", on=on)
 
 
 def _project_vjp(camera, T_CW, xyz_W, log_scale, quat, v_uv, v_conic, v_depth_m) -> Ellipse:
@@ -219,7 +223,7 @@ def _as_project_gaussians_vjp(
 
 
 @exercise(
-    chapter=5, difficulty=5, minutes=40, solution=_project_vjp,
+    chapter=5, difficulty=5, minutes=40, solution=_project_vjp, ready_made=AUTOGRAD,
     becomes=Becomes("project_gaussians_vjp", _as_project_gaussians_vjp),
     hints=(
         "Compute J, B = W R S, M = J B and Q forwards first, as in chapter 4. Then go through the table backwards.",
@@ -256,9 +260,12 @@ def project_gaussian_vjp(attempt: Attempt) -> None:
         right = torch.autograd.grad(loss, leaves, allow_unused=True)
         return got, tuple(torch.zeros_like(x) if r is None else r for x, r in zip(leaves, right, strict=True))
 
-    on = "only the centre counts: dL/dconic = 0"
-    got, right = both(on, ahead, v_uv, 0 * v_conic, v_depth_m)
+    on = "only the centre counts: dL/dconic = 0, dL/ddepth = 0"
+    got, right = both(on, ahead, v_uv, 0 * v_conic, 0 * v_depth_m)
     close(got[0], right[0], "the gradient of the centre goes back to the world: W^T v_xyz_C", on=on)
+    on = "only the depth counts: dL/duv = 0, dL/dconic = 0"
+    got, right = both(on, ahead, 0 * v_uv, 0 * v_conic, v_depth_m)
+    close(got[0], right[0], "v_depth_m belongs to z", on=on)
     on = "only the shape counts: dL/duv = 0, dL/ddepth = 0"
     got, right = both(on, ahead, 0 * v_uv, v_conic, 0 * v_depth_m)
     close(got[1], right[1], "v_log_scale agrees with autograd", on=on)
@@ -268,3 +275,7 @@ def project_gaussian_vjp(attempt: Attempt) -> None:
     aside = se3.apply(se3.inverse(turned), torch.tensor([2.5, 0.2, 1.0], dtype=f64))
     got, right = both(on, aside, v_uv, v_conic, v_depth_m)
     close(got[0], right[0], "where x/z is limited in J, x has no gradient through J", on=on)
+    on = "a Gaussian far above the picture, 1.3 m ahead"
+    above = se3.apply(se3.inverse(turned), torch.tensor([0.2, -2.5, 1.3], dtype=f64))
+    got, right = both(on, above, v_uv, v_conic, v_depth_m)
+    close(got[0], right[0], "where y/z is limited in J, y has no gradient through J", on=on)

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from ..constants import ALPHA_MAX
 from ..render.composite import blend_weights
-from .exercise import Attempt, Becomes, Wrong, Yours, close, exercise, unpack
+from .exercise import AUTOGRAD, Attempt, Becomes, Wrong, Yours, close, exercise, unpack
 from .gradient_check import central_difference
 
 Loss = Callable[[Tensor], Tensor]
@@ -38,7 +38,7 @@ def _moves_x(loss: Loss, x: Tensor, h: float) -> Tensor:
 
 
 @exercise(
-    chapter=5, difficulty=1, minutes=5, solution=_slope,
+    chapter=5, difficulty=1, minutes=5, solution=_slope, ready_made=AUTOGRAD,
     stands_alone="It checks gradients. The mapper never differentiates numerically.",
     hints=(
         "For each i: move x[i] up by h, then down by h, and compare the two losses.",
@@ -93,7 +93,8 @@ def _as_l1_vjp(yours: Yours, rgb: Tensor, target: Tensor, v_loss: float = 1.0) -
 
 
 @exercise(
-    chapter=5, difficulty=1, minutes=4, solution=_l1_gradient, becomes=Becomes("l1_vjp", _as_l1_vjp),
+    chapter=5, difficulty=1, minutes=4, solution=_l1_gradient, ready_made=AUTOGRAD,
+    becomes=Becomes("l1_vjp", _as_l1_vjp),
     hints=(
         "The derivative of |x| is its sign.",
         "The loss is a mean over H x W x 3 values: each has the factor 1 / (H W 3).",
@@ -149,7 +150,7 @@ def _wrong_sign(xyz_C: Tensor, fx: float, fy: float, v_uv: Tensor) -> Tensor:
 
 
 @exercise(
-    chapter=5, difficulty=2, minutes=8, solution=_pinhole_vjp,
+    chapter=5, difficulty=2, minutes=8, solution=_pinhole_vjp, ready_made=AUTOGRAD,
     stands_alone=(
         "It is a part of project_gaussian_vjp, which becomes the gradient of the library's projection as a "
         "whole."
@@ -171,7 +172,12 @@ def pinhole_vjp(attempt: Attempt) -> None:
     ahead, aside = torch.tensor([0.0, 0.0, 2.0], dtype=f64), torch.tensor([1.0, -0.5, 2.0], dtype=f64)
     on = "a point 2 m straight ahead, dL/du = 1, fx = 100"
     got = attempt.on(on)(ahead, 100.0, 80.0, torch.tensor([1.0, 0.0], dtype=f64))
-    close(got, [50.0, 0.0, 0.0], "x moves u by fx / z", on=on)
+    got = torch.as_tensor(got)
+    close(got[:2], [50.0, 0.0], "x moves u by fx / z", on=on)
+    close(got[2], 0.0, "straight ahead, moving along z changes nothing: x is 0", on=on)
+    on = "the same point, dL/dv = 1, fy = 80"
+    got = attempt.on(on)(ahead, 100.0, 80.0, torch.tensor([0.0, 1.0], dtype=f64))
+    close(got, [0.0, 40.0, 0.0], "y moves v by fy / z", on=on)
     on = "a point at (1, -0.5, 2), dL/du = dL/dv = 1"
     got = attempt.on(on)(aside, 100.0, 80.0, torch.tensor([1.0, 1.0], dtype=f64))
     why = "a point farther away projects nearer to the middle: -fx x / z^2"
@@ -198,7 +204,7 @@ def _one_side(Q: Tensor, v_Q: Tensor) -> Tensor:
 
 
 @exercise(
-    chapter=5, difficulty=3, minutes=12, solution=_inverse_vjp,
+    chapter=5, difficulty=3, minutes=12, solution=_inverse_vjp, ready_made=AUTOGRAD,
     stands_alone=(
         "It is a part of project_gaussian_vjp, which becomes the gradient of the library's projection as a "
         "whole."
@@ -226,6 +232,11 @@ def inverse_vjp(attempt: Attempt) -> None:
     on = "a tilted ellipse"
     expected = _inverse_vjp(cov.inverse(), v_Q)
     close(attempt.on(on)(cov.inverse(), v_Q), expected, "the matrix acts from both sides: -Q^T v_Q Q^T", on=on)
+    on = "the same ellipse, and a v_Q that is not symmetric"
+    v_Q = torch.tensor([[1.0, 0.7], [-0.4, -2.0]], dtype=f64)
+    expected = _inverse_vjp(cov.inverse(), v_Q)
+    why = "entry (i, j) of v_Q belongs to entry (i, j) of Q"
+    close(attempt.on(on)(cov.inverse(), v_Q), expected, "v_Q is not transposed: -Q^T v_Q Q^T", on=on, why=why)
 
 
 def _blend(alpha: Tensor, rgb: Tensor) -> Tensor:
@@ -272,7 +283,8 @@ def _as_blend_vjp(yours: Yours, alpha: Tensor, c: Tensor, v_C: Tensor) -> Any:
 
 
 @exercise(
-    chapter=5, difficulty=4, minutes=25, solution=_blend_vjp, becomes=Becomes("blend_vjp", _as_blend_vjp),
+    chapter=5, difficulty=4, minutes=25, solution=_blend_vjp, ready_made=AUTOGRAD,
+    becomes=Becomes("blend_vjp", _as_blend_vjp),
     hints=(
         "C = sum_k w_k c_k is linear in the colours: dL/dc_k = w_k v_C, with w_k = alpha_k T_k.",
         "alpha_k brightens its own term, T_k c_k, and darkens all terms behind: each has the factor (1 - alpha_k).",

@@ -8,7 +8,7 @@ from ..mapping import GSFusion
 from ..optim import Keyframe
 from ..tsdf import integrate
 from ..types import Camera, Frame
-from .exercise import Attempt, Becomes, Failed, Wrong, Yours, close, exercise, holds, unpack
+from .exercise import Attempt, Becomes, Failed, LIBRARY_LIMIT_S, Wrong, Yours, close, exercise, holds, unpack
 
 
 def _frame_rate(seconds: list[float]) -> float:
@@ -42,6 +42,8 @@ def frame_rate(attempt: Attempt) -> None:
     on = "one frame of 0.01 s and one of 0.99 s"
     why = "The mean of 1/t would be 50.5, but only two frames were mapped in that second"
     close(attempt.on(on)([0.01, 0.99]), 2.0, "frames divided by the time they took", on=on, why=why)
+    on = "three frames of 0.1, 0.2 and 0.4 s"
+    close(attempt.on(on)([0.1, 0.2, 0.4]), 3 / 0.7, "frames divided by the time they took", on=on)
 
 
 def _plan_frame(n_seeds: int, n_keyframes: int, m: int, n: int, r: int, min_seeds: int) -> tuple[bool, int, int]:
@@ -107,6 +109,10 @@ def plan_frame(attempt: Attempt) -> None:
     on = "exactly 50 new Gaussians"
     key, *_ = plan(on, 50, 7, 5, 3, 2, 50)
     holds(not key, "a keyframe adds more new Gaussians than the threshold", on=on, detail="50 is not more than 50")
+    on = "120 new Gaussians, threshold 200, m = 6, n = 2, r = 1"
+    key, steps, revisits = plan(on, 120, 7, 6, 2, 1, 200)
+    prop = "the threshold is min_seeds, and the steps are m, n and r, not the paper's numbers"
+    holds((bool(key), steps, revisits) == (False, 2, 1), prop, on=on, detail=f"got {key!r}, {steps}, {revisits}")
     on = "10 new Gaussians, one keyframe so far"
     close(plan(on, 10, 1, 5, 3, 2, 50)[2], 1, "revisits go to different keyframes", on=on)
     on = "10 new Gaussians, no keyframe yet"
@@ -155,18 +161,18 @@ def _as_draw_keyframes(yours: Yours, n_keyframes: int, count: int, generator: to
 def draw_keyframes(attempt: Attempt) -> None:
     """Indices of random keyframes to revisit."""
 
-    def draw(on: str, n: int, count: int, seed: int) -> list[int]:
-        drawn = attempt.on(on)(n, count, torch.Generator().manual_seed(seed))
-        return [int(i) for i in torch.as_tensor(drawn).reshape(-1).tolist()]
+    def draw(on: str, n: int, count: int, seeds: int = 1) -> list[list[int]]:
+        drawn = attempt.on(on).each([(n, count, torch.Generator().manual_seed(seed)) for seed in range(seeds)])
+        return [[int(i) for i in torch.as_tensor(each).reshape(-1).tolist()] for each in drawn]
 
     on = "2 out of 5, drawn 400 times"
-    draws = [draw(on, 5, 2, seed) for seed in range(400)]
+    draws = draw(on, 5, 2, 400)
     holds(all(len(d) == 2 and min(d) >= 0 and max(d) < 5 for d in draws), "as many indices as requested, in 0..n-1",
           on=on, detail=f"one draw was {next((d for d in draws if len(d) != 2 or max(d) > 4), draws[0])}")  # fmt: skip
     holds(all(len(set(d)) == 2 for d in draws), "no keyframe twice in one draw", on=on,
           detail=f"one draw was {next((d for d in draws if len(set(d)) < 2), [])}")  # fmt: skip
     torch_state = torch.get_rng_state()
-    again = [draw(on, 5, 2, seed) for seed in range(20)]
+    again = draw(on, 5, 2, 20)
     same = torch.equal(torch_state, torch.get_rng_state()) and again == draws[:20]
     holds(same, "random numbers come only from the generator that is passed in", on=on,
           detail="the same seed gave another draw, or torch's global generator has moved")  # fmt: skip
@@ -174,9 +180,9 @@ def draw_keyframes(attempt: Attempt) -> None:
     holds((share - 0.2).abs().max() < 0.06, "every keyframe has the same chance", on=on,
           detail=f"shares of the five: {[round(float(s), 2) for s in share]}, expected 0.2 each")  # fmt: skip
     on = "4 out of 3"
-    close(sorted(draw(on, 3, 4, 0)), [0, 1, 2], "from a short list, all of it", on=on)
+    close(sorted(draw(on, 3, 4)[0]), [0, 1, 2], "from a short list, all of it", on=on)
     on = "2 out of none"
-    close(len(draw(on, 0, 2, 0)), 0, "from an empty list, nothing", on=on)
+    close(len(draw(on, 0, 2)[0]), 0, "from an empty list, nothing", on=on)
 
 
 class Log:
@@ -246,7 +252,7 @@ def _map_forgetting(mapper: GSFusion, frame: Frame, optimise) -> int:
 
 
 @exercise(
-    chapter=6, difficulty=4, minutes=20, solution=_map_frame,
+    chapter=6, difficulty=4, minutes=20, solution=_map_frame, limit_s=LIBRARY_LIMIT_S,
     stands_alone=(
         "The library's step must be able to undo a frame that fails, so its order cannot be replaced. The "
         "chapter maps with yours beside it."
@@ -272,8 +278,8 @@ def map_frame(attempt: Attempt) -> None:
     theirs, ours = _small_mapper(), _small_mapper()
     log = Log(theirs)
     first = _wall(0)
-    got = attempt.on(on)(theirs, first, log)
     expected = _map_frame(ours, first, lambda view: None)
+    got = attempt.on(on)(theirs, first, log)
     holds(theirs.volume.n_blocks > 0, "the frame is fused into the TSDF", on=on, detail="the volume is still empty")
     close(len(theirs.gaussians), expected, "the frame is fused into the TSDF before the rule runs, and the "
           "seeds are appended to the map", on=on, why="Before, every voxel has weight 0")  # fmt: skip

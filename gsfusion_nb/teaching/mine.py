@@ -26,6 +26,7 @@ from ..own_code import CALLS, FUNCTIONS, Calls
 from .becomes import KEPT, remember
 from .carried import carried
 from .exercise import exercises
+from .whose import tell, whose_code
 from .yours import LearnerError as LearnerError
 
 _GREEN, _GREY, _BLUE = "#1a7f37", "#6e7781", "#0969da"
@@ -48,6 +49,8 @@ def keep(exercise: str, function: Callable[..., Any]) -> None:
 def load(*, missing: Literal["reference", "solution"] = "reference", chapters: Collection[int] | None = None) -> None:
     """Use the functions that were accepted in earlier chapters, too, from the course file.
 
+    They are checked again, because the file can be edited; one that fails is named, and not used.
+
     Args:
         chapters: Only exercises of these chapters; those of others run as they are kept now. Default: all.
         missing: What runs for an exercise without an accepted function: the reference, or the course's solution, which
@@ -59,7 +62,11 @@ def load(*, missing: Literal["reference", "solution"] = "reference", chapters: C
     known = {name: e for name, e in exercises().items() if chapters is None or e.chapter in chapters}
     for name, function in carried().items():
         if name in known and name not in KEPT:
-            keep(name, function)
+            verdict = known[name].verdict(function)
+            if verdict:
+                keep(name, function)
+            else:
+                tell(whose_code(verdict))
     for name, exercise in known.items():
         if missing == "solution" and name not in KEPT:
             keep(name, exercise._solution)

@@ -1,10 +1,12 @@
 """How opaque a Gaussian is at a pixel, and the gradient of it: exercises of chapters 4 and 5."""
 
+import math
+
 import torch
 from torch import Tensor
 
 from ..constants import ALPHA_MAX, ALPHA_MIN
-from .exercise import Attempt, Becomes, Wrong, Yours, close, exercise, holds, unpack
+from .exercise import AUTOGRAD, Attempt, Becomes, Wrong, Yours, close, exercise, holds, unpack
 
 
 def _sigma(dx: Tensor, dy: Tensor, conic: Tensor) -> Tensor:
@@ -71,6 +73,10 @@ def splat_alpha(attempt: Attempt) -> None:
     got = attempt.on(on)(zero + 1, zero + 1, torch.tensor([0.3, 0.2, 0.4]), torch.tensor(0.6))
     expected = 0.6 * torch.exp(torch.tensor([-0.55]))
     close(got, expected, "B dx dy is not halved: it stands twice in the product of the matrix", on=on)
+    on = "2 px right and 1 px up of the same Gaussian"
+    got = attempt.on(on)(zero + 2, zero - 1, torch.tensor([0.3, 0.2, 0.4]), torch.tensor(0.6))
+    expected = 0.6 * torch.exp(torch.tensor([-0.4]))
+    close(got, expected, "A belongs to dx, C to dy, and B dx dy may be negative", on=on)
     on = "the centre of a Gaussian of opacity 0.999"
     got = attempt.on(on)(zero, zero, round_one, torch.tensor(0.999))
     close(got, [0.99], "it is never more than 0.99, so that some light is left", on=on)
@@ -134,7 +140,7 @@ def _as_splat_alpha_vjp(
 
 
 @exercise(
-    chapter=5, difficulty=3, minutes=15, solution=_splat_alpha_vjp,
+    chapter=5, difficulty=3, minutes=15, solution=_splat_alpha_vjp, ready_made=AUTOGRAD,
     becomes=Becomes("splat_alpha_vjp", _as_splat_alpha_vjp),
     hints=(
         "alpha = o exp(-sigma): dalpha/do = exp(-sigma), and dalpha/dsigma = -alpha. So v_sigma = -alpha v_alpha.",
@@ -171,6 +177,10 @@ def splat_alpha_vjp(attempt: Attempt) -> None:
     got = unpack(attempt.on(on)(dx, 0 * dx, conic, torch.tensor(0.999, dtype=f64), torch.ones(2, dtype=f64)), names,
                  on=on)  # fmt: skip
     capped = "where alpha is capped or cut, nothing moves it"
+    close(torch.cat([torch.as_tensor(v, dtype=f64).reshape(-1) for v in got]), [0.0] * 6, capped, on=on)
+    on = "a pixel where the bell is 1/300"
+    far = torch.full((1,), 8 * math.log(300 * 0.5), dtype=f64).sqrt()
+    got = unpack(attempt.on(on)(far, 0 * far, conic, o, 100 * one), names, on=on)
     close(torch.cat([torch.as_tensor(v, dtype=f64).reshape(-1) for v in got]), [0.0] * 6, capped, on=on)
     on = "forty random pixels around a tilted Gaussian"
     generator = torch.Generator().manual_seed(6)

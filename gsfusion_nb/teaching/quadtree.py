@@ -7,14 +7,16 @@ from torch import Tensor
 
 from ..constants import LUMA_WEIGHTS, QUADTREE_NORMALISER
 from ..geometry import se3
-from ..seeding.quadtree import Cell, Cells, cut, luma_variance, quadtree
+from ..seeding.quadtree import Cell, Cells, cut, quadtree
 from ..types import Camera
 from .attempt import as_rows
 from .exercise import Attempt, Becomes, Wrong, Yours, close, exercise, holds, unpack
 
 
 def _contrast(cell_rgb: Tensor, image_pixels: int) -> float:
-    return luma_variance(cell_rgb) * image_pixels / QUADTREE_NORMALISER
+    variance = cell_rgb.double().flatten(0, 1).var(dim=0, correction=0)
+    V = 0.2989 * variance[0] + 0.5870 * variance[1] + 0.1140 * variance[2]
+    return float(V) * image_pixels / 9e7
 
 
 def _contrast_of_grey(cell_rgb: Tensor, image_pixels: int) -> float:
@@ -66,7 +68,7 @@ def contrast(attempt: Attempt) -> None:
     right = (0.2989 * 127.5**2 + 0.5870 * 65.0**2) / 1000
     got = float(attempt.on(on)(mixed, 90_000))
     prop = "different colours of the same brightness have contrast, too"
-    holds(got > 0.1 * right, prop, on=on, detail=f"got {got:.4g}, expected {right:.4g}")
+    holds(got > 1e-4 * right, prop, on=on, detail=f"got {got:.4g}, expected {right:.4g}")
     on = "the same cell in images of 90,000 and 180,000 pixels"
     twice = float(attempt.on(on)(mixed, 180_000)) / got
     prop = "it is a variance, not its root, times the pixels of the whole image: twice the pixels, twice the contrast"
@@ -78,6 +80,20 @@ def contrast(attempt: Attempt) -> None:
     close(attempt.on(on)(red, 90_000), 0.2989 * 100 / 1000, prop, on=on, tolerance=1e-4)
     on = "the cell half red, half green"
     close(attempt.on(on)(mixed, 90_000), right, "green weighs 0.5870, blue 0.1140", on=on, tolerance=1e-4)
+    on = "a cell of 5 x 7 random pixels, image of 90,000 pixels"
+    noise = torch.randint(0, 256, (7, 5, 3), generator=torch.Generator().manual_seed(3), dtype=torch.uint8)
+    prop = "V = 0.2989 var(R) + 0.5870 var(G) + 0.1140 var(B) over all pixels of the cell"
+    close(attempt.on(on)(noise, 90_000), _contrast(noise, 90_000), prop, on=on, tolerance=1e-4)
+
+
+def _split(x0: int, y0: int, width: int, height: int) -> list[Cell]:
+    w, h = width // 2, height // 2
+    return [
+        (x0, y0, w, h),
+        (x0, y0 + h, w, height - h),
+        (x0 + w, y0, width - w, h),
+        (x0 + w, y0 + h, width - w, height - h),
+    ]
 
 
 def _split_all_floor(x0: int, y0: int, width: int, height: int) -> list[Cell]:
@@ -95,7 +111,7 @@ def _as_cut(yours: Yours, x0: int, y0: int, width: int, height: int) -> list[Cel
 
 
 @exercise(
-    chapter=3, difficulty=1, minutes=5, solution=cut, becomes=Becomes("cut", _as_cut),
+    chapter=3, difficulty=1, minutes=5, solution=_split, becomes=Becomes("cut", _as_cut),
     hints=(
         "The left and the upper part get the floor of the half.",
         "The right part gets what is left: width - width // 2.",
@@ -108,7 +124,7 @@ def _as_cut(yours: Yours, x0: int, y0: int, width: int, height: int) -> list[Cel
 def split_cell(attempt: Attempt) -> None:
     """Split a cell into four."""
     names = ("four cells: top left", "bottom left", "top right", "bottom right")
-    for cell in ((0, 0, 8, 4), (3, 2, 6, 4), (10, 20, 7, 5)):
+    for cell in ((0, 0, 8, 4), (3, 2, 6, 4), (10, 20, 7, 5), (1, 4, 9, 15)):
         on = f"the cell (x0, y0, width, height) = {cell}"
         parts = unpack(as_rows(attempt.on(on)(*cell)), names, on=on)
         covered = torch.zeros(64, 64, dtype=torch.int64)
@@ -125,8 +141,19 @@ def split_cell(attempt: Attempt) -> None:
 
 
 def _leaves(rgb_u8: Tensor, threshold: float, min_cell_px: int) -> list[Cell]:
-    cells = quadtree(rgb_u8, threshold=threshold, min_cell_px=min_cell_px)
-    return list(zip(*(c.tolist() for c in (cells.x0, cells.y0, cells.width, cells.height)), strict=True))
+    H, W = rgb_u8.shape[:2]
+    leaves = []
+
+    def visit(x0: int, y0: int, w: int, h: int) -> None:
+        large = w // 2 > min_cell_px and h // 2 > min_cell_px
+        if large and _contrast(rgb_u8[y0 : y0 + h, x0 : x0 + w], H * W) > threshold:
+            for part in _split(x0, y0, w, h):
+                visit(*part)
+        else:
+            leaves.append((x0, y0, w, h))
+
+    visit(0, 0, W, H)
+    return leaves
 
 
 def _leaves_by_full_size(rgb_u8: Tensor, threshold: float, min_cell_px: int) -> list[Cell]:
@@ -202,12 +229,19 @@ def quadtree_leaves(attempt: Attempt) -> None:
     small = [c for c in cells if min(c[2], c[3]) < 6]
     prop = "half sizes stay above min_cell_px = 5"
     holds(not small, prop, on=on, detail=f"there is a leaf of {small[0][2:] if small else ''} pixels")
-    on = "an image half grey, half noise"
-    for threshold, least in ((0.001, 1), (0.5, 1), (0.001, 2)):
-        expected = set(_leaves(half, threshold, least))
-        got = _as_cells(attempt.on(on)(half, threshold, least), on)
+    wide, tall = "an image half grey, half noise", "the same image, turned by 90 degrees"
+    above = "a cell is split where its contrast is above the threshold, and its four parts are those of split_cell"
+    whole = "image_pixels is that of the whole image at every level"
+    limit = "both halves of a cell stay above min_cell_px, the width and the height"
+    asked = ((wide, 0.001, 1, above), (wide, 0.5, 1, above), (wide, 0.012, 1, whole), (wide, 0.001, 2, limit),
+             (tall, 0.001, 1, above), (tall, 0.001, 3, limit))  # fmt: skip
+    for on, threshold, least, prop in asked:
+        image = half if on == wide else half.transpose(0, 1).contiguous()
+        cells = quadtree(image, threshold=threshold, min_cell_px=least)
+        expected = set(zip(*(c.tolist() for c in (cells.x0, cells.y0, cells.width, cells.height)), strict=True))
+        got = _as_cells(attempt.on(on)(image, threshold, least), on)
         detail = f"threshold {threshold}, min_cell_px {least}: {len(got)} leaves, expected {len(expected)}"
-        holds(got == expected, "the leaves agree with gsfusion_nb.seeding.quadtree", on=on, detail=detail)
+        holds(got == expected, prop, on=on, detail=detail)
 
 
 def _as_cells(value: object, on: str) -> set[Cell]:
@@ -276,7 +310,7 @@ def _as_cell_gaussians(
 )  # fmt: skip
 def cell_to_gaussian(attempt: Attempt) -> None:
     """Position and size of a cell's Gaussian (Eq. 10 and the size below it)."""
-    camera = Camera(width=40, height=30, fx=20.0, fy=20.0, cx=20.0, cy=15.0)
+    camera = Camera(width=40, height=30, fx=20.0, fy=25.0, cx=20.0, cy=15.0)
     names = ("xyz_W", "scale_m")
     on = "the cell (18, 11, 4, 8) around the image centre, depth 2 m, identity pose"
     flat = torch.full((30, 40), 2.0)
@@ -294,11 +328,6 @@ def cell_to_gaussian(attempt: Attempt) -> None:
     cell = (5, 7, 7, 5)
     expected = _gaussian(camera, cell, slanted, T)
     xyz, scale = unpack(attempt.on(on)(camera, cell, slanted, T), names, on=on)
-    close(
-        xyz,
-        expected[0],
-        "the position is in the world frame, with the depth of the middle pixel",
-        on=on,
-        tolerance=1e-4,
-    )
+    prop = "the position is in the world frame, with the depth of the middle pixel, fx for x and fy for y"
+    close(xyz, expected[0], prop, on=on, tolerance=1e-4)
     close(scale, expected[1], "the size uses the depth of the middle pixel", on=on, tolerance=1e-4)

@@ -6,6 +6,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from .. import evaluation
 from ..data import open_sequence
 from .exercise import Attempt, Becomes, Wrong, Yours, close, exercise, holds
 
@@ -50,7 +51,7 @@ def first_seen(attempt: Attempt) -> None:
     """Which cells get a Gaussian: true or false for each, from its voxel's weight and its depth."""
     depth_m = torch.tensor([1.0, 1.0, 1.0])
     on = "weights 1, 2 and 7, all with depth"
-    why = "Fusion comes first: the weight is already 1 when this frame is the first"
+    why = "Fusion comes first: the weight is already 1 when this frame is the first. All three have depth"
     got = attempt.on(on)(torch.tensor([1.0, 2.0, 7.0]), depth_m)
     close(torch.as_tensor(got).double(), [1, 0, 0], "a place is new where the weight is 1", on=on, why=why)
     on = "weight 0: a point outside the volume"
@@ -82,7 +83,7 @@ def _negative(rendered: Tensor, photo: Tensor) -> Tensor:
 
 
 @exercise(
-    chapter=0, difficulty=2, minutes=8, solution=_psnr,
+    chapter=0, difficulty=2, minutes=8, solution=_psnr, ready_made=(evaluation.psnr,),
     stands_alone=(
         "It scores a finished picture. The chapters score your maps with the library's PSNR, so that the "
         "ruler is the same for all."
@@ -105,10 +106,14 @@ def psnr(attempt: Attempt) -> None:
     photo = torch.rand(6, 8, 3, generator=generator, dtype=torch.float64)
     on = "a picture that is too bright by 0.1 everywhere"
     got = torch.as_tensor(attempt.on(on)(photo + 0.1, photo)).double()
+    summed = 20 - 10 * math.log10(photo.numel())
+    detail = f"got {float(got.mean()):.1f} dB, which is that of the sum"
+    holds(abs(float(got.mean()) - summed) > 1e-3, "it is a mean over all values, not a sum", on=on, detail=detail)
     holds(
         float(got.mean()) > 0, "more is better, and 0 dB is very bad", on=on, detail=f"got {float(got.mean()):.1f} dB"
     )
-    close(got, 20.0, "the squared differences count: 0.1 off is 20 dB", on=on)
+    why = "-10 log10(0.1^2) = 20"
+    close(got, 20.0, "the squared differences count: 0.1 off is 20 dB", on=on, why=why)
     half = photo.clone()
     half[:3] += 0.1
     on = "a picture of which one half is right and one half 0.1 too bright"
@@ -177,3 +182,5 @@ def exam_frames(attempt: Attempt) -> None:
     close(len(chosen(on, 3, 8, 4)), 0, "a short walk has no held-out frame", on=on)
     on = "11 frames, every 5th, offset 2"
     close(chosen(on, 11, 5, 2), [2, 7], "counted from the offset", on=on)
+    on = "9 frames, every 4th, offset 0"
+    close(chosen(on, 9, 4, 0), [0, 4, 8], "frame 0 counts, too: with offset 0 it is the first", on=on)

@@ -83,6 +83,18 @@ def disc_hit(attempt: Attempt) -> None:
     close(attempt.on(on)(ray, ahead, torch.tensor([0.9848, 0.0, -0.1736])), 2.0, prop, on=on)
     on = "a disc turned 80 degrees, to the other side"
     close(attempt.on(on)(torch.tensor([0.0, 0.1, 1.0]), ahead, flat), 2.0, prop, on=on)
+    on = "a disc to the right of the axis, turned by 80 degrees"
+    edge_on = torch.tensor([0.9848, 0.0, 0.1736])
+    got = attempt.on(on)(torch.tensor([0.2, 0.0, 1.0]), torch.tensor([0.8, 0.0, 2.0]), edge_on)
+    close(got, 2.0, "beyond 60 degrees the depth of the centre is used: its z, not its distance", on=on)
+    side, straight = torch.tensor([0.2, 0.0, 2.0]), torch.tensor([0.0, 0.0, 1.0])
+    for degrees, expected in ((57, 2.0 + 0.2 * math.tan(math.radians(57))), (63, 2.0)):
+        tilt = math.radians(degrees)
+        for length in (0.3, 1.0, 3.0):
+            on = f"a disc beside the axis turned by {degrees} degrees, ray (0, 0, {length:g})"
+            got = attempt.on(on)(length * straight, side, torch.tensor([math.sin(tilt), 0.0, math.cos(tilt)]))
+            limit = "the plane counts up to 60 degrees between ray and normal, whatever the ray's length"
+            close(got, expected, limit, on=on, tolerance=1e-4, why="|r.n| / |r| is the cosine; compare it with 0.5")
 
 
 def _adding_masks(T: Tensor, D_map: Tensor, D: Tensor, C_map: Tensor, C: Tensor) -> tuple[Tensor, Tensor]:
@@ -161,6 +173,16 @@ def adding_masks(attempt: Attempt) -> None:
     surface, colour = ask(on, [0.0, 0.0, 0.0, 0.0, 0.9], [2.0, 2.0, 2.2, 1.8, 2.5], [2.0] * 5, other)
     holds(not (surface & colour).any(), "no pixel is in both", on=on, detail=f"M_c is {colour.tolist()}")
     close(colour, [[0, 1, 0, 0, 0]], "M_c = wrong in colour only", on=on)
+    on = "transmittance 0.45 and 0.55, depth 8 cm and 12 cm off, a surface 40 cm from the camera that nothing covers"
+    surface, colour = ask(on, [0.45, 0.55, 0.0, 0.0, 0.9], [2.0, 2.0, 2.08, 2.12, 0.0], [2.0, 2.0, 2.0, 2.0, 0.4], grey)
+    close(surface[:, :4], [[0, 1, 0, 1]], "the limits are 0.5 for T and 10 cm for the depth", on=on)
+    detail = "the fifth pixel is missing: D is the measured depth, D_map that of the map"
+    holds(surface[0, 4], "what is measured counts, near or far, where the map has nothing", on=on, detail=detail)
+    on = "colours that are off by 0.08 and 0.12 on average, and by 0.24 in one channel of three"
+    nearly = grey.clone()
+    nearly[0, 1], nearly[0, 2], nearly[0, 3, 0] = grey[0, 1] + 0.08, grey[0, 2] - 0.12, 0.74
+    _, colour = ask(on, [0.0] * 5, [2.0] * 5, [2.0] * 5, nearly)
+    close(colour, [[0, 0, 1, 0, 0]], "the colour error is the mean of the three channels, and its limit is 0.1", on=on)
     on = "the same without any measured depth"
     surface, colour = ask(on, [0.9] * 5, [0.0] * 5, [0.0] * 5, other)
     holds(not (surface | colour).any(), "no disc where nothing was measured", on=on, detail="need D > 0 in both masks")
@@ -250,6 +272,7 @@ def next_state(attempt: Attempt) -> None:
     cases = (
         ((False, 101, 0, 5), BECOMES_STABLE, "optimised more than 100 times, it is stable"),
         ((False, 100, 0, 5), STAYS, "exactly 100 is not more than 100"),
+        ((False, 3, 0, 120), STAYS, "exactly 120 frames are not more than 120"),
         ((False, 3, 0, 121), DELETED, "unstable for more than 120 frames: it is deleted"),
         ((False, 101, 0, 121), BECOMES_STABLE, "enough optimisation counts, even at the last moment"),
         ((False, 3, 11, 5), STAYS, "errors of an unstable one do not count"),
@@ -335,6 +358,9 @@ def fuse(attempt: Attempt) -> None:
     on = "eta 0 before and after"
     got = attempt.on(on)(before, before, torch.tensor([0]), torch.tensor([0]))
     close(got, before, "a Gaussian never seen does not change", on=on, why="do not divide by zero")
+    on = "eta 0 before and 1 after"
+    got = attempt.on(on)(before, after, torch.tensor([0]), torch.tensor([1]))
+    close(got, after, "one step is enough to take the values from the window", on=on, why="eta_after is 1: w_curr = 1")
     on = "two rows at once"
     both = [torch.cat([x, x]) for x in (before, after)]
     got = attempt.on(on)(*both, torch.tensor([0, 30]), torch.tensor([20, 40]))

@@ -3,11 +3,7 @@
 import torch
 from torch import Tensor
 
-from ..geometry import pixel_grid
-from ..seeding import SeedContext, SeedingRule, check_contexts, check_rule
-from ..types import Seeds
-from .exercise import Attempt, Failed, Wrong, close, exercise, holds
-from .wall import wall_context
+from .exercise import SeedingConfig, TsdfConfig, pixel_grid
 
 
 def _raster(ctx: SeedContext, *, step_px: int = 8) -> Seeds:
@@ -38,7 +34,7 @@ def _raster_positional(ctx: SeedContext, step_px: int = 8) -> Seeds:
 
 
 @exercise(
-    chapter=9, difficulty=2, minutes=10, solution=_raster,
+    chapter=9, difficulty=2, minutes=10, solution=_raster, limit_s=LIBRARY_LIMIT_S,
     stands_alone="It is a seeding rule of its own: a mapper takes it with seeding=, on every backend.",
     hints=(
         "pixel_grid(ctx.camera) has all pixel centres, [H, W, 2]; slice it with [start::step_px, start::step_px].",
@@ -56,13 +52,32 @@ def raster_rule(attempt: Attempt) -> None:
     """A rule that seeds on a regular raster of pixels."""
     on = "a wall 2 m away, 64 x 48, every 8 pixels"
     ctx = wall_context()
+    check_rule(_raster)
     seeds = _seeds(attempt.on(on)(ctx), on)
-    _contract(attempt.function)
+    _contract(attempt.watched)
     close(len(seeds), 48, "one seed for every step_px x step_px pixels", on=on)
     close(seeds.scale_m[:, 0], torch.full((48,), 2.0 * 4 / 60), "a seed is as large as its square: half the side",
           on=on, why="In metres that is z x radius_px / fx")  # fmt: skip
+    _one_in_the_middle_of_each(seeds, ctx, 8, on)
     on = "the same, every 16 pixels"
-    close(len(_seeds(attempt.on(on)(ctx, step_px=16), on)), 12, "the option step_px sets the distance", on=on)
+    seeds = _seeds(attempt.on(on)(ctx, step_px=16), on)
+    close(len(seeds), 12, "the option step_px sets the distance", on=on)
+    close(seeds.scale_m[:, 0], torch.full((12,), 2.0 * 8 / 60), "the size grows with step_px", on=on)
+    _one_in_the_middle_of_each(seeds, ctx, 16, on)
+
+
+def _one_in_the_middle_of_each(seeds: Seeds, ctx: SeedContext, step_px: int, on: str) -> None:
+    """Each square of the raster has its seed within a pixel of its middle, with the colour of a pixel there."""
+    u, v = project(ctx.camera, se3.apply(se3.inverse(ctx.frame.T_WC), seeds.xyz_W)).unbind(-1)
+    square = (v / step_px).floor() * (ctx.camera.width // step_px) + (u / step_px).floor()
+    prop = "the seeds stand on a regular raster: one in the middle of each square"
+    hit = len(square.unique())
+    holds(hit == len(seeds), prop, on=on, detail=f"{len(seeds)} seeds stand in {hit} different squares")
+    off = torch.stack([u, v]).remainder(step_px) - step_px / 2
+    worst = float(off.abs().max())
+    holds(worst <= 1.01, prop, on=on, detail=f"a seed is {worst:.1f} pixels beside the middle of its square")
+    photo = ctx.frame.rgb[v.long(), u.long()]
+    close(seeds.rgb, photo, "a seed has the colour of the pixel below it", on=on, tolerance=1e-4)
 
 
 def _where_empty(ctx: SeedContext, *, max_alpha: float = 0.5) -> Seeds:
@@ -96,7 +111,7 @@ def _where_swapped(ctx: SeedContext, *, max_alpha: float = 0.5) -> Seeds:
 
 
 @exercise(
-    chapter=9, difficulty=3, minutes=15, solution=_where_empty,
+    chapter=9, difficulty=3, minutes=15, solution=_where_empty, limit_s=LIBRARY_LIMIT_S,
     stands_alone="It is a seeding rule of its own: a mapper takes it with seeding=, on every backend.",
     hints=(
         "ctx.cells() proposes a seed for each quadtree leaf with depth. ctx.render().alpha [H, W] says how opaque the "
@@ -115,6 +130,7 @@ def silhouette_rule(attempt: Attempt) -> None:
     on = "a wall, and an empty map"
     ctx = wall_context(covered="nothing")
     all_cells = ctx.cells()
+    check_rule(_where_empty)
     close(len(_seeds(attempt.on(on)(ctx), on)), len(all_cells), "with an empty map every cell is seeded", on=on)
     on = "a wall whose upper left quarter has opaque Gaussians"
     ctx = wall_context(covered="quarter")
@@ -126,7 +142,13 @@ def silhouette_rule(attempt: Attempt) -> None:
     close(len(got), len(outside), prop, on=on)
     holds(not inside.any(), "where the map is opaque already, nothing is seeded", on=on,
           detail=f"{int(inside.sum())} seeds lie in the covered quarter")  # fmt: skip
-    _contract(attempt.function)
+    for max_alpha in (0.02, 0.9, 1.1):
+        limited = f"{on}, max_alpha = {max_alpha}"
+        got, expected = (len(_seeds(rule(ctx, max_alpha=max_alpha), limited))
+                         for rule in (attempt.on(limited), _where_empty))  # fmt: skip
+        prop = "max_alpha is the limit: cells with a smaller alpha are seeded"
+        holds(got == expected, prop, on=limited, detail=f"{got} seeds, expected {expected}")
+    _contract(attempt.watched)
 
 
 def _pareto(n_gaussians: Tensor, psnr_db: Tensor) -> Tensor:
@@ -185,6 +207,9 @@ def pareto_rules(attempt: Attempt) -> None:
     on = "3,000 with 22 dB and 6,000 with 22 dB"
     got = front(on, [3000.0, 6000.0], [22.0, 22.0])
     holds(got == [True, False], "of two equally good pictures the smaller map wins", on=on, detail=f"got {got}")
+    on = "two maps of 3,000, with 22 and 25 dB"
+    got = front(on, [3000.0, 3000.0], [22.0, 25.0])
+    holds(got == [False, True], "of two equally large maps the better picture wins", on=on, detail=f"got {got}")
     on = "two rules with the same numbers"
     holds(
         front(on, [3.0, 3.0], [22.0, 22.0]) == [True, True],

@@ -139,10 +139,9 @@ def composite_pixel(attempt: Attempt) -> None:
     red, green = [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]
     on = "one red Gaussian of alpha 0.5"
     colour, left = unpack(attempt.on(on)(torch.tensor([0.5]), torch.tensor([red])), names, on=on)
-    holds(
-        float(torch.as_tensor(colour)[0]) < 0.99, "what is not covered stays black", on=on,
-        detail="the colour is not divided by the sum of the weights",
-    )  # fmt: skip
+    red_is = float(torch.as_tensor(colour)[0])
+    detail = f"red is {red_is:.3g}, expected 0.5: alpha 0.5 covers one half, and nothing is divided by the weights"
+    holds(red_is < 0.99, "what is not covered stays black", on=on, detail=detail)
     why = "T in front of a Gaussian does not contain its own alpha"
     close(colour, [0.5, 0.0, 0.0], "nothing is in front of the first one", on=on, why=why)
     close(left, 0.5, "half of the light is left", on=on)
@@ -262,6 +261,7 @@ def tiles_touched(attempt: Attempt) -> None:
         "a splat inside one tile is in that tile",
         half_open,
     )
+    ask("u 31, v 39, extent 1", 31, 39, 1, 64, 48, "a coordinate belongs to the tile below it: floor, not round")
     ask("u 16, v 24, extent 5", 16, 24, 5, 64, 48, "a splat across a border is on both sides")
     ask("u 2, v 3, extent 10", 2, 3, 10, 64, 48, "tiles outside the picture do not exist", "clamp the ranges")
     ask("u 62, v 46, extent 10", 62, 46, 10, 64, 48, "tiles outside the picture do not exist", "clamp the ranges")
@@ -275,9 +275,12 @@ def tiles_touched(attempt: Attempt) -> None:
         "the last tile may reach beyond the picture's border",
         "ceil, not floor",
     )
-    on = "u -30, v 20, extent 5: left of the picture"
-    x0, x1, _, _ = unpack(attempt.on(on)(-30.0, 20.0, 5.0, 64, 48, 8), names, on=on)
-    holds(x1 <= x0, "a splat outside the picture touches no tile", on=on, detail=f"got columns {x0} to {x1}")
+    for on, u in (("u -30, v 20, extent 5: left of the picture", -30.0), ("u 100, v 20: right of it", 100.0)):
+        x0, x1, *_ = box = unpack(attempt.on(on)(u, 20.0, 5.0, 64, 48, 8), names, on=on)
+        holds(x1 <= x0, "a splat outside the picture touches no tile", on=on, detail=f"got columns {x0} to {x1}")
+        inside = min(box) >= 0 and max(x0, x1) <= 8
+        detail = f"got columns {x0} to {x1}, and there are 8: clamp both ends to 0 .. 8"
+        holds(inside, "tiles outside the picture do not exist, not even as an empty range", on=on, detail=detail)
 
 
 def _view_colour(sh: Tensor, xyz_W: Tensor, centre_W: Tensor) -> Tensor:
@@ -342,17 +345,24 @@ def view_colour(attempt: Attempt) -> None:
     sh = torch.zeros(4, 3)
     sh[2] = 0.5
     expected = [0.5 + 0.5 * _C1] * 3
-    close(
-        attempt.on(on)(sh, ahead, origin),
-        expected,
-        "d goes from the camera to the Gaussian",
-        on=on,
-        why="d = (x - o) / |x - o|",
-    )
+    got = torch.as_tensor(attempt.on(on)(sh, ahead, origin)).double()
+    detail = f"got {float(got.min()):.3g}, and 0.744 is expected: d = (x - o) / |x - o|"
+    holds(float(got.min()) > 0.499, "d goes from the camera to the Gaussian", on=on, detail=detail)
+    close(got, expected, "sh[2] belongs to Y_2 = 0.4886 z", on=on)
+    on = "the same, camera and Gaussian moved by (1, 2, -3)"
+    step = torch.tensor([1.0, 2.0, -3.0])
+    prop = "only the way from the camera to the Gaussian counts, not the place in the world"
+    close(attempt.on(on)(sh, ahead + step, step), expected, prop, on=on, why="d = (x - o) / |x - o|")
+    on = "only sh[0] = 1"
+    constant = torch.zeros(4, 3)
+    constant[0] = 1.0
+    close(attempt.on(on)(constant, ahead, origin), [0.5 + SH_C0] * 3, "sh[0] counts Y_0 = 0.2821", on=on)
     on = "the same, 4 m along z"
     close(attempt.on(on)(sh, 4 * ahead, origin), expected, "only the direction counts", on=on, why="normalise d")
     on = "the same Gaussian, sh[2] = -2"
     close(attempt.on(on)(-4 * sh, ahead, origin), [0.0] * 3, "no colour is below 0", on=on)
+    on = "the same Gaussian, sh[2] = 2"
+    close(attempt.on(on)(4 * sh, ahead, origin), [0.5 + 2 * _C1] * 3, "a colour may be above 1", on=on)
     generator = torch.Generator().manual_seed(5)
     sh, xyz, centre = (0.4 * torch.randn(n, 3, generator=generator) for n in (4, 1, 1))
     on = "random coefficients and positions"

@@ -5,6 +5,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from .. import tracking
 from ..geometry import se3
 from ..tracking.normal_equations import IcpSystem
 from ..tracking.solve import Step
@@ -39,6 +40,7 @@ def _as_point_to_plane(yours: Yours, p: Tensor, q: Tensor, n: Tensor) -> tuple[T
 @exercise(
     chapter=8, difficulty=3, minutes=12, solution=_residual_and_jacobian,
     becomes=Becomes("point_to_plane", _as_point_to_plane),
+    ready_made=(tracking.point_to_plane,),
     hints=(
         "The residual is a signed number: how far p is from the plane through q, along n.",
         "A small motion moves p by rho + omega x p. The dot product of this with n is n.rho + n.(omega x p).",
@@ -58,6 +60,9 @@ def point_to_plane(attempt: Attempt) -> None:
     on = "a point 3 cm above the plane and 20 cm beside its partner"
     r, J = unpack(attempt.on(on)(torch.tensor([[0.2, 0.0, 0.03]]), torch.zeros(1, 3), up), names, on=on)
     why = "only the part along n counts: (p - q) . n"
+    turned = torch.as_tensor(r).numel() == 1 and abs(float(torch.as_tensor(r)) + 0.03) < 1e-5
+    prop = "r is positive on the side to which n points: (p - q) . n"
+    holds(not turned, prop, on=on, detail="got -0.03, expected 0.03")
     close(r, [0.03], "sliding along the surface costs nothing", on=on, why=why)
     holds(tuple(getattr(J, "shape", ())) == (1, 6), "J has six columns for each point", on=on, detail="expected [N, 6]")
     close(torch.as_tensor(J)[:, :3], up, "the translation comes first", on=on, why="dr/drho = n")
@@ -228,6 +233,13 @@ def predict(attempt: Attempt) -> None:
     R = got[:3, :3]
     close(R @ R.T, torch.eye(3), "the result is a rigid motion", on=on, tolerance=1e-6)
     close(got, curve @ curve @ curve, "a motion along a curve continues along the curve", on=on, tolerance=1e-6)
+    on = "the same motion, from a camera that has turned and moved before"
+    start = se3.exp(torch.tensor([0.4, -0.3, 0.2, 0.5, -0.2, 0.7], dtype=torch.float64))
+    got = attempt.on(on)(start @ curve, start @ curve @ curve)
+    prop = "the motion continues in the camera's own axes, wherever the camera is"
+    close(
+        got, start @ curve @ curve @ curve, prop, on=on, tolerance=1e-6, why="inverse(T_before) @ T_last, on the right"
+    )
 
 
 def _spread(poses: Tensor, T_loop: Tensor) -> Tensor:
@@ -296,3 +308,11 @@ def spread_correction(attempt: Attempt) -> None:
     close(R @ R.transpose(1, 2), eye, "every pose stays rigid", on=on, tolerance=1e-6, why="exp(share * log(change))")
     half = float(se3.rotation_angle(R[2]))
     close(half, 0.6, "halfway along the path it is half the turn", on=on, tolerance=1e-6)
+    on = "seven poses along a curve, and a loop that turns and moves the last one"
+    curve = se3.exp(
+        torch.linspace(0, 1, 7, dtype=torch.float64)[:, None] * torch.tensor([1.0, 0, 2, 0.3, 0.9, 0]).double()
+    )
+    loop = se3.exp(torch.tensor([0.1, 0.0, -0.1, 0.2, 0.0, 0.1], dtype=torch.float64)) @ curve[-1]
+    prop = "each pose is moved by its share of the change, in the world's axes"
+    why = "change = T_loop @ inverse(poses[-1]), and exp(share * log(change)) is on the left of each pose"
+    close(attempt.on(on)(curve, loop), _spread(curve, loop), prop, on=on, tolerance=1e-6, why=why)

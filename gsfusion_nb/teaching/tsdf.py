@@ -89,6 +89,12 @@ def signed_distance(attempt: Attempt) -> None:
     on = "a pixel whose depth is 0, voxel at 5 cm"
     d, observed = ask(on, 0.0, [0.05])
     holds(not observed.any(), "depth 0 means missing: nothing is observed", on=on, detail="observed is true")
+    on = "a surface at 40 cm and voxels at 20, 35, 45 and 80 cm, truncation 25 cm"
+    z, depth = torch.tensor([0.2, 0.35, 0.45, 0.8]), torch.full((4,), 0.4)
+    d, observed = (torch.as_tensor(part) for part in unpack(attempt.on(on)(depth, z, 0.25), names, on=on))
+    prop = "a near surface is observed like any other, and the band is as wide as truncation_m says"
+    close(observed.double(), [1, 1, 1, 0], prop, on=on)
+    close(d.double()[:3], [0.8, 0.2, -0.2], "d is in units of truncation_m", on=on)
 
 
 def _running_average(D: Tensor, W: Tensor, d: Tensor, max_weight: float) -> tuple[Tensor, Tensor]:
@@ -146,17 +152,17 @@ def running_average(attempt: Attempt) -> None:
     for d in (0.2, 0.4, 0.6):
         D, W = (torch.as_tensor(a) for a in unpack(attempt.on(on)(D, W, torch.tensor([d]), 100.0), names, on=on))
     close(D, [0.4], "every observation counts the same: D is their mean", on=on)
-    on = "W = 4 with max_weight = 4, D = 0, observation 1"
-    D, W = unpack(attempt.on(on)(torch.zeros(1), torch.full((1,), 4.0), torch.ones(1), 4.0), names, on=on)
+    on = "W = 4 with max_weight = 4, D = 0.2, observation 1"
+    D, W = unpack(attempt.on(on)(torch.full((1,), 0.2), torch.full((1,), 4.0), torch.ones(1), 4.0), names, on=on)
     close(W, [4.0], "W stops at max_weight", on=on)
-    close(D, [0.25], "at max_weight a new observation still moves D, by 1 / max_weight", on=on)
+    close(D, [0.4], "at max_weight a new observation still moves D: it counts 1 / max_weight", on=on)
     on = "64 random voxels"
     g = torch.Generator().manual_seed(1)
     D, W = torch.rand(64, generator=g), torch.randint(0, 12, (64,), generator=g).float()
     d = torch.rand(64, generator=g) * 2 - 1
     expected = tsdf_update(D, W, d * 0.1, truncation_m=0.1, max_weight=10.0)
     D, W = unpack(attempt.on(on)(D, W, d, 10.0), names, on=on)
-    close(D, expected[0], "D agrees with gsfusion_nb.tsdf.tsdf_update", on=on)
+    close(D, expected[0], "D = (D (W - 1) + d) / W with the new W, as in gsfusion_nb.tsdf.tsdf_update", on=on)
 
 
 def _block_of(xyz_W: Tensor, voxel_size_m: float) -> Tensor:
@@ -203,6 +209,12 @@ def block_of(attempt: Attempt) -> None:
     block = attempt.on(on)(torch.tensor([[-0.10, 0.10, -0.50]]), 0.05)
     close(block, [[-1, 0, -2]], "below zero too, a block reaches upwards from its lower corner", on=on,
           why="Rounding towards zero merges the two blocks beside the origin")  # fmt: skip
+    on = "(0.39, 0.41, 2.37) and (-3.00, 0.02, 0.79) m with voxels of 5 cm"
+    block = attempt.on(on)(torch.tensor([[0.39, 0.41, 2.37], [-3.0, 0.02, 0.79]]), 0.05)
+    close(block, [[0, 1, 5], [-8, 0, 1]], "a block has 8 voxels along each axis: its edge is 40 cm here", on=on)
+    on = "(0.39, 0.41, 2.37) m with voxels of 2 cm"
+    block = attempt.on(on)(torch.tensor([[0.39, 0.41, 2.37]]), 0.02)
+    close(block, [[2, 2, 14]], "the edge of a block grows with voxel_size_m", on=on)
 
 
 def _morton(x: int, y: int, z: int) -> int:
@@ -236,7 +248,7 @@ def _as_interleave(yours: Yours, coords: Tensor) -> Tensor:
 
 
 @exercise(
-    chapter=2, difficulty=3, minutes=15, solution=_morton,
+    chapter=2, difficulty=3, minutes=15, solution=_morton, ready_made=(morton.encode,),
     becomes=Becomes("interleave", _as_interleave),
     hints=(
         "Bit i of x is (x >> i) & 1. Where must it go?",
@@ -322,3 +334,8 @@ def zero_crossing(attempt: Attempt) -> None:
     close(ask(on, 0.1, -0.4), [[0.02, 0.0, 0.0]], prop, on=on)
     on = "D = -0.3 and +0.1"
     close(ask(on, -0.3, 0.1), [[0.075, 0.0, 0.0]], "it makes no difference which end is negative", on=on)
+    on = "two edges, neither at the origin: along y from (1, 2, 3) and along z from (-1, 0.5, 2)"
+    starts, ends = torch.tensor([[1.0, 2, 3], [-1, 0.5, 2]]), torch.tensor([[1.0, 2.1, 3], [-1, 0.5, 2.1]])
+    got = attempt.on(on)(starts, ends, torch.tensor([0.6, -0.1]), torch.tensor([-0.2, 0.3]))
+    prop = "every edge has its own crossing, counted from its own start p0"
+    close(got, [[1.0, 2.075, 3.0], [-1.0, 0.5, 2.025]], prop, on=on)

@@ -8,7 +8,6 @@ import functools
 import inspect
 import sys
 from collections.abc import Callable, Iterator
-from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -23,7 +22,8 @@ from .verdict import Verdict
 
 _COLOURS = {"yours": "#1a7f37", "not yet yours": "#6e7781", "fails": "#c62828"}
 
-_judging: ContextVar[bool] = ContextVar("_judging", default=False)
+_judged: set[str] = set()
+"""The exercise whose function is judged; in the whole process, because a function may start threads of its own."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,10 +110,10 @@ def _restored(value: Any, before: Any) -> bool:
 
 
 def reference_only(exercise: str, reference: Callable[..., Any]) -> Any:
-    """``reference``, which refuses to answer while a function is judged: it cannot be handed in."""
+    """``reference``, which refuses to answer while its exercise is judged: it cannot be handed in."""
 
     def call(*args: Any, **kwargs: Any) -> Any:
-        if _judging.get():
+        if exercise in _judged:
             raise RuntimeError(f"the reference's {exercise} is for the rest of the chapter; write your own")
         return reference(*args, **kwargs)
 
@@ -123,10 +123,16 @@ def reference_only(exercise: str, reference: Callable[..., Any]) -> Any:
 
 
 @contextlib.contextmanager
-def judging() -> Iterator[None]:
-    """Inside the block a learner's function is judged."""
-    token = _judging.set(True)
+def judging(exercise: str) -> Iterator[None]:
+    """Inside the block a learner's function is judged.
+
+    Raises:
+        RuntimeError: another one is judged at this moment, because this one calls a checker.
+    """
+    if _judged:
+        raise RuntimeError("a function that is judged cannot ask a checker")
+    _judged.add(exercise)
     try:
         yield
     finally:
-        _judging.reset(token)
+        _judged.clear()

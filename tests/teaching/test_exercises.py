@@ -1,8 +1,11 @@
 """Every exercise of the course: its solution passes, its wrong answers fail and say why, an unwritten body is grey."""
 
+import inspect
+
 import pytest
 
-from gsfusion_nb.teaching import check, exercises
+from gsfusion_nb.teaching import exercises
+from gsfusion_nb.teaching.attempt import Attempt
 from gsfusion_nb.teaching.solution import Solution, source_of
 
 ALL = exercises()
@@ -10,9 +13,13 @@ WRONG = [(e, w) for e in ALL.values() for w in e.wrong]
 
 
 @pytest.mark.parametrize("name", ALL)
-def test_the_solution_passes(name):
-    verdict = check.__getattr__(name)(ALL[name]._solution)
-    assert verdict, repr(verdict)
+def test_the_solution_is_right_as_it_is_shown_and_cannot_be_handed_in(name):
+    exercise = ALL[name]
+    namespace = dict(inspect.unwrap(exercise._solution).__globals__)
+    exec(compile(source_of(name, exercise._solution), "<shown>", "exec"), namespace)
+    exercise.judge(Attempt(namespace[name]))
+    for handed_in in (exercise._solution, lambda *args, **kwargs: exercise._solution(*args, **kwargs)):
+        assert "it is your own code" in repr(exercise(handed_in))
 
 
 @pytest.mark.parametrize(("exercise", "wrong"), WRONG, ids=[f"{e.name}-{w.function.__name__}" for e, w in WRONG])
@@ -28,7 +35,10 @@ def test_an_unwritten_body_is_neither_right_nor_wrong(name):
     def unwritten(*args, **kwargs): ...
 
     assert ALL[name](unwritten).state == "not written"
-    assert ALL[name].working(unwritten, plain=True) is ALL[name]._solution
+    stand_in = ALL[name].working(unwritten, plain=True)
+    assert stand_in.__code__.co_code == inspect.unwrap(ALL[name]._solution).__code__.co_code
+    with pytest.raises(OSError, match="could not get source"):
+        inspect.getsource(stand_in)
     assert f"def {name}(" in repr(Solution(name, source_of(name, ALL[name]._solution)))
 
 

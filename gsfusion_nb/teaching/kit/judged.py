@@ -33,7 +33,7 @@ def judge_thoroughly(exercise: Exercise, function: Callable[..., Any]) -> Judged
         ValueError: no property fails, so the function is no wrong answer.
     """
     found = Judged()
-    with _collecting(inspect.unwrap(exercise.judge).__globals__, found), judging():
+    with _collecting(inspect.unwrap(exercise.judge).__globals__, found), judging(exercise.name):
         try:
             exercise.judge(Attempt(function))
         except Failed as e:

@@ -1,0 +1,93 @@
+"""A learner's path: chapters 2 to 6 of the unsolved edition in JupyterLab, every exercise typed into its cell.
+
+The functions of chapters 2 to 5 reach chapter 6 through the course file, and map a room there. Measured: see the
+docstring of the test.
+"""
+
+import json
+import re
+import time
+from pathlib import Path
+
+import pytest
+
+from gsfusion_nb.teaching import exercises
+from gsfusion_nb.teaching.edition import learner_copy
+
+pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning")]
+
+NOTEBOOKS = Path(__file__).resolve().parents[2] / "notebooks"
+CHAPTERS = (2, 3, 4, 5, 6)
+QUICK = 'SMOKE = os.environ.get("GSNB_SMOKE", "0") == "1"'
+SOLUTION = re.compile(r"### BEGIN SOLUTION\n(.*?)\s*### END SOLUTION", re.DOTALL)
+
+CELL = """words => {
+    const notebook = window.jupyterapp.shell.currentWidget.content;
+    notebook.activeCellIndex = notebook.widgets.findIndex(w => w.model.sharedModel.getSource().includes(words));
+    notebook.activeCell.node.scrollIntoView();
+    return notebook.activeCellIndex;
+}"""
+SOURCE = "i => window.jupyterapp.shell.currentWidget.content.widgets[i].model.sharedModel.getSource()"
+
+
+def chapter(number):
+    """The solutions of a chapter by exercise, and its unsolved edition in its quick version."""
+    import nbformat
+
+    path = next(NOTEBOOKS.glob(f"{number:02}_*.ipynb"))
+    notebook = json.loads(path.read_text(encoding="utf-8"))
+    solutions = {}
+    for cell in notebook["cells"]:
+        found = SOLUTION.search("".join(cell["source"])) if cell["cell_type"] == "code" else None
+        for name in re.findall(r"^def (\w+)\(", found[1], re.MULTILINE) if found else ():
+            if name in exercises():
+                solutions[name] = found[1]
+    assert set(solutions) == {e.name for e in exercises().values() if e.chapter == number}
+    edition = json.dumps(learner_copy(notebook))
+    assert not any(json.dumps(source)[1:-1] in edition for source in solutions.values())
+    quick = edition.replace(json.dumps(QUICK)[1:-1], "import torch; torch.set_num_threads(1); SMOKE = True")
+    assert quick != edition
+    return solutions, nbformat.reads(quick, as_version=4)
+
+
+def type_into(page, name, source):
+    """Click into the cell of an exercise, select what is there, and type."""
+    index = page.evaluate(CELL, f"def {name}(")
+    editor = page.locator(".jp-Notebook > .jp-WindowedPanel-outer .jp-Cell, .jp-Notebook .jp-Cell").nth(index)
+    editor.locator(".cm-content").first.click()
+    page.keyboard.press("Control+a")
+    page.keyboard.insert_text(source)
+    assert page.evaluate(SOURCE, index) == source
+
+
+@pytest.mark.parametrize("number", CHAPTERS)
+def test_every_exercise_is_solved_by_typing(lab, number):
+    solutions, notebook = chapter(number)
+    began = time.monotonic()
+    page = lab.open_notebook(
+        notebook, typing=lambda page: [type_into(page, *item) for item in solutions.items()], timeout_s=1200
+    )
+    for name in solutions:
+        verdict = page.locator(".gsnb-verdict.gsnb-passed", has_text=f"{name}: all checks pass")
+        lab.wait_for(lambda verdict=verdict: verdict.count() > 0, f"the verdict on {name}")
+    assert page.locator(".gsnb-verdict.gsnb-failed").count() == 0
+    print(f"chapter {number}: {len(solutions)} exercises, {time.monotonic() - began:.0f} s")
+    if number == CHAPTERS[-1]:
+        the_room_is_mapped_with_mine(lab, page)
+    assert lab.errors == []
+    page.close()
+
+
+def the_room_is_mapped_with_mine(lab, page):
+    """PSNR of both maps and the board, as the page shows them."""
+    scores = dict(re.findall(r"(the library|your code) +\d+ Gaussians, ([\d.]+) dB", page.locator(".jp-Notebook").inner_text()))
+    assert abs(float(scores["your code"]) - float(scores["the library"])) < 0.1, scores
+    board = page.locator(".jp-OutputArea-output", has_text="operations that have an exercise run your code").last
+    text = board.inner_text()
+    wanted = {e.becomes.operation for e in exercises().values() if e.becomes is not None and e.chapter in CHAPTERS}
+    rows = {row.split()[1]: row for row in text.splitlines() if row.startswith("●")}
+    assert wanted <= set(rows), wanted - set(rows)
+    for operation in wanted:
+        assert "yours" in rows[operation], rows[operation]
+        assert "reference" not in rows[operation], rows[operation]
+    lab.screenshot(board, "06_board_mine")

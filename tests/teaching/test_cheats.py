@@ -1,0 +1,254 @@
+"""Cheats inside the notebook's process: a checker refuses them in a sentence, and nothing escapes or stays changed."""
+
+import gc
+import inspect
+import itertools
+import sys
+import threading
+import time
+import unittest.mock
+
+import numpy as np
+import pytest
+import torch
+
+from gsfusion_nb.backends import use_backend
+from gsfusion_nb.geometry import se3
+from gsfusion_nb.optim import l1_vjp
+from gsfusion_nb.teaching import check, exercises, gradients, guard, mine, progress, tsdf
+from gsfusion_nb.tsdf import morton
+
+ALL = exercises()
+
+
+def says(name, function, words):
+    """The verdict is red, and its sentence contains ``words``."""
+    verdict = ALL[name](function)
+    assert verdict.state == "failed", repr(verdict)
+    assert words in repr(verdict), repr(verdict)
+    assert verdict.detail
+
+
+def block_of(xyz_W, voxel_size_m):
+    return (xyz_W / (8 * voxel_size_m)).floor().long()
+
+
+def in_a_thread(function, *args):
+    found = []
+    thread = threading.Thread(target=lambda: found.append(function(*args)))
+    thread.start()
+    thread.join()
+    return found[0]
+
+
+def through_the_frames(xyz_W, voxel_size_m):
+    """Looks for the right answer among the variables of whoever called, without calling anything."""
+    try:
+        raise ValueError
+    except ValueError as e:
+        frame = e.__traceback__.tb_frame
+    while frame is not None:
+        for value in frame.f_locals.values():
+            if getattr(value, "_solution", None) is not None:
+                return value._solution(xyz_W, voxel_size_m)
+        frame = frame.f_back
+    raise LookupError("nothing to see")
+
+
+HANDED_IN = "it is your own code"
+
+
+@pytest.mark.parametrize(
+    ("name", "function", "words"),
+    [
+        pytest.param("block_of", tsdf._block_of, HANDED_IN, id="the solution, imported"),
+        pytest.param("block_of", lambda x, s: tsdf._block_of(x, s), "the course's solution", id="a function around it"),
+        pytest.param("block_of", lambda x, s: in_a_thread(tsdf._block_of, x, s), HANDED_IN, id="in a thread"),
+        pytest.param("l1_gradient", lambda a, b: l1_vjp(a, b), "does what this exercise asks", id="the operation"),
+        pytest.param("l1_gradient", lambda a, b: l1_vjp.reference(a, b), HANDED_IN, id="its reference"),
+        pytest.param("morton_code", lambda *c: int(morton.encode(torch.tensor([c]))) - 7, HANDED_IN, id="the library"),
+        pytest.param("invert_pose", lambda T: torch.linalg.inv(T), "it calls linalg_inv", id="a ready-made inverse"),
+        pytest.param("invert_pose", lambda T: T.inverse(), "it calls inverse", id="as a method"),
+        pytest.param("invert_pose", lambda T: se3.inverse(T), HANDED_IN, id="the library's inverse"),
+        pytest.param("block_of", through_the_frames, "nothing to see", id="the callers' variables"),
+        pytest.param("block_of", lambda x, s: sys._getframe(1).f_locals, "code that called it", id="sys._getframe"),
+        pytest.param("block_of", lambda x, s: inspect.stack()[1], "code that called it", id="inspect.stack"),
+        pytest.param("block_of", lambda x, s: gc.get_objects(), "searches the memory", id="gc.get_objects"),
+        pytest.param("block_of", lambda x, s: sys.setprofile(None), "switches off", id="sys.setprofile"),
+        pytest.param("block_of", lambda x, s: check.block_of(block_of), "cannot ask a checker", id="the checker"),
+        pytest.param("block_of", unittest.mock.MagicMock(), "it returned a MagicMock", id="a mock"),
+        pytest.param("block_of", lambda x, s: sys.exit(0), "exit() or SystemExit; use return", id="exit"),
+        pytest.param("block_of", lambda x, s: exec("raise KeyboardInterrupt"), "raised Keyboard", id="interrupt"),
+        pytest.param("block_of", lambda x, s: exec("raise GeneratorExit"), "raised GeneratorExit", id="GeneratorExit"),
+        pytest.param("block_of", lambda x, s: itertools.count(), "more than 1,000,000 numbers", id="without end"),
+        pytest.param("block_of", lambda x, s: torch.zeros(1).expand(10**12), "more than 10,000,000", id="enormous"),
+        pytest.param("block_of", lambda x, s: np.broadcast_to(1.0, 10**12), "more than 10,000,000", id="array"),
+        pytest.param("block_of", lambda x, s: torch.full((len(x), 3), torch.nan), "NaN", id="NaN"),
+        pytest.param("block_of", lambda x, s: x.mul_(0).long(), "does not change its inputs", id="input changed"),
+        pytest.param("project_points", lambda c, x: object.__setattr__(c, "fx", 0.0) or x[:, :2], "the camera that was",
+                     id="camera changed"),
+    ],
+)  # fmt: skip
+def test_a_cheat_is_refused_in_a_sentence(name, function, words):
+    says(name, function, words)
+
+
+class AlwaysEqual(str):
+    def __eq__(self, other):
+        return True
+
+    __hash__ = str.__hash__
+
+
+class Yes:
+    def __eq__(self, other):
+        return True
+
+    def __bool__(self):
+        return True
+
+    def __float__(self):
+        return 0.0
+
+
+class Agrees(torch.Tensor):
+    """Answers each question about itself with what is asked for."""
+
+    @classmethod
+    def __torch_function__(cls, function, types, args=(), kwargs=None):
+        return torch.zeros(1, 3)
+
+
+class Five(float):
+    def __float__(self):
+        return 5.0
+
+    def __sub__(self, other):
+        return 0.0
+
+
+def test_an_answer_that_is_equal_to_everything_is_not_right():
+    says("next_state", lambda *a: AlwaysEqual("anything"), "got 'anything', expected 'becomes stable'")
+    says("next_state", lambda *a: Yes(), "it returned a Yes; expected tensors, arrays, numbers")
+    says("plan_frame", lambda *a: (Yes(), Yes(), Yes()), "it returned a Yes")
+    says("block_of", lambda x, s: torch.full((1, 3), 7).as_subclass(Agrees), "got 7 at [0, 0], expected 0")
+    says("attainable_gflops", lambda *a: Five(7.0), "got 7, expected 5")
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_nan_is_never_right(name):
+    solution = inspect.unwrap(ALL[name]._solution)
+
+    def spoiled(value):
+        if isinstance(value, tuple):
+            return tuple(map(spoiled, value))
+        return value * torch.nan if isinstance(value, (float, torch.Tensor)) else float("nan")
+
+    assert ALL[name](lambda *a, **k: spoiled(solution(*a, **k))).state == "failed"
+
+
+def test_a_gradient_by_autograd_is_not_written_by_hand():
+    def by_autograd(rgb, target):
+        rgb = rgb.clone().requires_grad_()
+        (rgb - target).abs().mean().backward()
+        return rgb.grad
+
+    says("l1_gradient", by_autograd, "it calls backward, which does what this exercise asks for; write it out")
+
+
+def endless(xyz_W, voxel_size_m):
+    while True:
+        try:
+            while True:
+                pass
+        except:  # noqa: E722
+            if len(COUNTED) > 2:
+                raise
+            COUNTED.append(1)
+
+
+COUNTED = []
+
+
+def test_a_loop_without_end_is_left(monkeypatch):
+    monkeypatch.setattr(guard, "_CROWDED", 1)
+    for function in (endless, lambda x, s: time.sleep(0.9)):
+        impatient = guard.Guard(limit_s=0.3)
+        began = time.monotonic()
+        with pytest.raises(guard.Broken, match=r"it ran for more than 0\.3 s"):
+            impatient.run(function, (torch.zeros(1, 3), 0.1), {})
+        assert time.monotonic() - began < 30
+    assert not [thread for thread in threading.enumerate() if thread.name == "learner"]
+
+
+def test_recursion_without_end_is_the_students_error():
+    def deeper(xyz_W, voxel_size_m):
+        return deeper(xyz_W, voxel_size_m)
+
+    says("block_of", deeper, "it raised RecursionError in line")
+
+
+def test_answers_remembered_by_input_come_from_no_earlier_run():
+    """A table of the inputs that the checker showed before holds only what the function itself returned."""
+    seen = {}
+
+    def remembers(xyz_W, voxel_size_m):
+        return seen.setdefault((tuple(xyz_W.flatten().tolist()), voxel_size_m), torch.zeros_like(xyz_W).long())
+
+    for _ in range(3):
+        says("block_of", remembers, "the point is in the block that contains it")
+    seen[next(iter(seen))].fill_(9)  # the checker keeps copies
+    says("block_of", remembers, "got 9")
+
+
+@pytest.mark.parametrize(
+    ("module", "what", "stand_in"),
+    [
+        (tsdf, "close", lambda *a, **k: None),
+        (gradients, "close", lambda *a, **k: None),
+        (torch, "isfinite", lambda x: torch.zeros(())),
+        (tsdf.block_of, "judge", lambda attempt: None),
+    ],
+)
+def test_a_checker_that_was_replaced_says_so(monkeypatch, module, what, stand_in):
+    monkeypatch.setattr(module, what, stand_in)
+    names = {gradients: "inverse_vjp"}
+    verdict = ALL[names.get(module, "block_of")](lambda x, s: torch.zeros_like(x))
+    assert verdict.state == "failed"
+
+
+def test_the_first_replaced_checker_names_the_way_out(monkeypatch):
+    monkeypatch.setattr(tsdf, "close", lambda *a, **k: None)
+    says("block_of", lambda x, s: x, "Something that it needs was replaced in this kernel: restart it")
+
+
+def test_random_numbers_and_settings_are_left_as_they_are():
+    def sets_the_type(xyz_W, voxel_size_m):
+        torch.set_default_dtype(torch.float64)
+        return block_of(xyz_W, voxel_size_m)
+
+    says("block_of", sets_the_type, "it changed torch's default type of numbers")
+    assert torch.get_default_dtype() == torch.float32
+    assert check.block_of(lambda x, s: (torch.manual_seed(1), block_of(x, s))[1])
+
+
+def test_the_stand_in_cannot_be_handed_in(capsys):
+    for plain in (False, True):
+        ours = ALL["average_loop"].working(lambda *a: None, plain=plain)
+        says("average_loop", ours, "write your own")
+        says("average_loop", lambda *a, ours=ours: ours(*a), "write your own")
+        assert ours(np.zeros(1), np.zeros(1), np.zeros(1), 4.0)[1] == 1
+    with pytest.raises(OSError, match="could not get source"):
+        inspect.getsource(ours)
+
+
+def test_progress_written_by_hand_keeps_no_function(monkeypatch, tmp_path):
+    monkeypatch.setenv("GSNB_COURSE_FILE", str(tmp_path / "course.json"))
+    mine.forget()
+    wrong = "def l1_gradient(rgb, target):\n    return rgb\n"
+    progress.note("exercises", "l1_gradient", tries=1, passed=progress.now())
+    progress.note("functions", "l1_gradient", function="l1_gradient", source=wrong, kept=progress.now())
+    mine.load()
+    assert "l1_gradient" not in mine.kept()
+    with use_backend("mine"):
+        l1_vjp(torch.ones(2, 2, 3), torch.zeros(2, 2, 3))
