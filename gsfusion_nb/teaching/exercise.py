@@ -35,6 +35,7 @@ without ``becomes`` says in ``stands_alone`` why its function runs nowhere in th
 """
 
 import contextlib
+import functools
 import importlib
 import pkgutil
 import time
@@ -185,10 +186,14 @@ class Exercise:
             return Verdict(exercise=self.name, state="failed", prop=prop, on=on, detail=detail, hints_left=left)
         return Verdict(exercise=self.name, state="passed")
 
+    @functools.cached_property
+    def _stand_in(self) -> Callable[..., Any]:
+        return without_source(self._solution)
+
     def _guard(self) -> Guard:
         """What the function may not call: the course's solution, and what does this exercise already."""
         guard = Guard(limit_s=self.limit_s)
-        guard.refuse([self._solution], "which is the course's solution; write your own")
+        guard.refuse([self._solution, self._stand_in], "which is the course's solution; write your own")
         own = [plain_function(self.becomes.operation)] if self.becomes else []
         guard.refuse([*own, *self.ready_made], "which does what this exercise asks for; write it out")
         return guard
@@ -238,7 +243,7 @@ class Exercise:
         verdict = self._judged(function)
         tell(whose_code(verdict))
         if plain:
-            return function if verdict else without_source(self._solution)
+            return function if verdict else self._stand_in
         if verdict:
             return yours_with_reference(self.name, function, self._solution)
         return reference_only(self.name, self._solution)

@@ -30,7 +30,7 @@ LIBRARY_LIMIT_S = 60.0
 """The same for a function that runs stages of the library. Its judge runs them first, so that they are compiled."""
 LARGEST = 10_000_000
 """Most numbers that a function may return."""
-_LONGEST = 1_000_000
+_LONGEST = 100_000
 """Most elements of a list that a function may return."""
 _PATIENCE_S = 1.0
 """How long a function that is told to stop may take to do so."""

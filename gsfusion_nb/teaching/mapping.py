@@ -8,7 +8,7 @@ from ..mapping import GSFusion
 from ..optim import Keyframe
 from ..tsdf import integrate
 from ..types import Camera, Frame
-from .exercise import Attempt, Becomes, Failed, LIBRARY_LIMIT_S, Wrong, Yours, close, exercise, holds, unpack
+from .exercise import LIBRARY_LIMIT_S, Attempt, Becomes, Failed, Wrong, Yours, close, exercise, holds, unpack
 
 
 def _frame_rate(seconds: list[float]) -> float:

@@ -65,7 +65,7 @@ HANDED_IN = "it is your own code"
         pytest.param("block_of", lambda x, s: tsdf._block_of(x, s), "the course's solution", id="a function around it"),
         pytest.param("block_of", lambda x, s: in_a_thread(tsdf._block_of, x, s), HANDED_IN, id="in a thread"),
         pytest.param("l1_gradient", lambda a, b: l1_vjp(a, b), "does what this exercise asks", id="the operation"),
-        pytest.param("l1_gradient", lambda a, b: l1_vjp.reference(a, b), HANDED_IN, id="its reference"),
+        pytest.param("l1_gradient", lambda a, b: inspect.unwrap(l1_vjp)(a, b), HANDED_IN, id="its reference"),
         pytest.param("morton_code", lambda *c: int(morton.encode(torch.tensor([c]))) - 7, HANDED_IN, id="the library"),
         pytest.param("invert_pose", lambda T: torch.linalg.inv(T), "it calls linalg_inv", id="a ready-made inverse"),
         pytest.param("invert_pose", lambda T: T.inverse(), "it calls inverse", id="as a method"),
@@ -76,11 +76,10 @@ HANDED_IN = "it is your own code"
         pytest.param("block_of", lambda x, s: gc.get_objects(), "searches the memory", id="gc.get_objects"),
         pytest.param("block_of", lambda x, s: sys.setprofile(None), "switches off", id="sys.setprofile"),
         pytest.param("block_of", lambda x, s: check.block_of(block_of), "cannot ask a checker", id="the checker"),
-        pytest.param("block_of", unittest.mock.MagicMock(), "it returned a MagicMock", id="a mock"),
+        pytest.param("block_of", unittest.mock.MagicMock(), "expected [1, 3]", id="a mock"),
         pytest.param("block_of", lambda x, s: sys.exit(0), "exit() or SystemExit; use return", id="exit"),
         pytest.param("block_of", lambda x, s: exec("raise KeyboardInterrupt"), "raised Keyboard", id="interrupt"),
         pytest.param("block_of", lambda x, s: exec("raise GeneratorExit"), "raised GeneratorExit", id="GeneratorExit"),
-        pytest.param("block_of", lambda x, s: itertools.count(), "more than 1,000,000 numbers", id="without end"),
         pytest.param("block_of", lambda x, s: torch.zeros(1).expand(10**12), "more than 10,000,000", id="enormous"),
         pytest.param("block_of", lambda x, s: np.broadcast_to(1.0, 10**12), "more than 10,000,000", id="array"),
         pytest.param("block_of", lambda x, s: torch.full((len(x), 3), torch.nan), "NaN", id="NaN"),
@@ -89,8 +88,14 @@ HANDED_IN = "it is your own code"
                      id="camera changed"),
     ],
 )  # fmt: skip
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
 def test_a_cheat_is_refused_in_a_sentence(name, function, words):
     says(name, function, words)
+
+
+def test_a_list_without_end_is_refused(monkeypatch):
+    monkeypatch.setattr(guard, "_LONGEST", 500)
+    says("block_of", lambda x, s: itertools.count(), "it returned more than 500 numbers")
 
 
 class AlwaysEqual(str):
