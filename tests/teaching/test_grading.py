@@ -192,7 +192,14 @@ def test_the_rubric_names_points_and_properties():
 def test_the_clean_copy_has_no_solutions(tmp_path):
     write_clean_copy(tmp_path)
     teaching = tmp_path / "gsfusion_nb" / "teaching"
-    assert sorted(p.name for p in teaching.iterdir()) == ["__init__.py", "attempt.py", "place.py", "sandbox", "wall.py"]
+    assert sorted(p.name for p in teaching.iterdir()) == [
+        "__init__.py",
+        "attempt.py",
+        "guard.py",
+        "place.py",
+        "sandbox",
+        "wall.py",
+    ]
     assert not list(tmp_path.rglob("tsdf.pyc"))
     assert (tmp_path / "gsfusion_nb" / "kernels" / "__init__.py").exists()
     readable, _ = readable_paths(tmp_path)
