@@ -80,7 +80,9 @@ def test_every_exercise_is_solved_by_typing(lab, number):
 
 def the_room_is_mapped_with_mine(lab, page):
     """PSNR of both maps and the board, as the page shows them."""
-    scores = dict(re.findall(r"(the library|your code) +\d+ Gaussians, ([\d.]+) dB", page.locator(".jp-Notebook").inner_text()))
+    scores = dict(
+        re.findall(r"(the library|your code) +\d+ Gaussians, ([\d.]+) dB", page.locator(".jp-Notebook").inner_text())
+    )
     assert abs(float(scores["your code"]) - float(scores["the library"])) < 0.1, scores
     board = page.locator(".jp-OutputArea-output", has_text="operations that have an exercise run your code").last
     text = board.inner_text()
