@@ -6,7 +6,6 @@ docstring of the test.
 
 import json
 import re
-import time
 from pathlib import Path
 
 import pytest
@@ -63,7 +62,6 @@ def type_into(page, name, source):
 @pytest.mark.parametrize("number", CHAPTERS)
 def test_every_exercise_is_solved_by_typing(lab, number):
     solutions, notebook = chapter(number)
-    began = time.monotonic()
     page = lab.open_notebook(
         notebook, typing=lambda page: [type_into(page, *item) for item in solutions.items()], timeout_s=1200
     )
@@ -71,7 +69,6 @@ def test_every_exercise_is_solved_by_typing(lab, number):
         verdict = page.locator(".gsnb-verdict.gsnb-passed", has_text=f"{name}: all checks pass")
         lab.wait_for(lambda verdict=verdict: verdict.count() > 0, f"the verdict on {name}")
     assert page.locator(".gsnb-verdict.gsnb-failed").count() == 0
-    print(f"chapter {number}: {len(solutions)} exercises, {time.monotonic() - began:.0f} s")
     if number == CHAPTERS[-1]:
         the_room_is_mapped_with_mine(lab, page)
     assert lab.errors == []

@@ -42,7 +42,7 @@ EXPECTED = {
 def test_ten_submissions_get_the_marks_that_they_deserve():
     submissions = find_submissions([SUBMISSIONS])
     names = exercises_of((2,), (), submissions)
-    limits = Limits(seconds=10, memory_mb=512)
+    limits = Limits(seconds=10.0, memory_mb=512)
     marks = grade(submissions, Grading(names=names, points=Points(), limits=limits, seed=3))
     got = {name: tuple(int(m.points) for m in marks if m.student == name) for name in EXPECTED}
     assert got == EXPECTED
