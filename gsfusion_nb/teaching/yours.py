@@ -53,11 +53,7 @@ class Yours:
         """
         copies = [value.clone() if isinstance(value, Tensor) else value for value in args]
         results = self._checked(self._called(copies), gives, args)
-        for name, value in zip(gives or (), results if len(gives or ()) > 1 else (results,), strict=False):
-            if not value.isfinite().all():
-                bad = (~value.isfinite()).nonzero()
-                at = f", the first at {bad[0].tolist()}" if value.ndim else ""
-                self.fail(f"returned {len(bad)} NaN or infinite values for {name} [{_shape(value)}]{at}", args)
+        self._check_finite(results, gives or {}, args)
         return results
 
     def many(self, calls: Sequence[tuple], gives: Sequence[Mapping[str, Tensor]]) -> list[Any]:
@@ -73,9 +69,16 @@ class Yours:
             value.reshape(-1) for result in results for value in (result if isinstance(result, tuple) else [result])
         ]
         if values and not torch.cat(values).isfinite().all():
-            for args, like in zip(calls, gives, strict=True):
-                self(*args, gives=like)  # the call that gave NaN says so
+            for result, args, like in zip(results, calls, gives, strict=True):
+                self._check_finite(result, like, args)
         return results
+
+    def _check_finite(self, results: Any, gives: Mapping[str, Tensor], args: tuple) -> None:
+        for name, value in zip(gives, results if len(gives) > 1 else (results,), strict=False):
+            if not value.isfinite().all():
+                bad = (~value.isfinite()).nonzero()
+                at = f", the first at {bad[0].tolist()}" if value.ndim else ""
+                self.fail(f"returned {len(bad)} NaN or infinite values for {name} [{_shape(value)}]{at}", args)
 
     def _called(self, args: Sequence[Any]) -> Any:
         try:

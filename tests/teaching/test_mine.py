@@ -271,8 +271,10 @@ def test_a_room_mapped_with_the_learners_code_is_as_good_as_the_references():
     assert scores[0] == pytest.approx(scores[1], abs=0.1)
     torch.testing.assert_close(meshes[0].vertices_W, meshes[1].vertices_W, rtol=0, atol=1e-5)
     parts = {"luma_variance", "cut"}  # inside yours they are called by yours
-    for each in mine.board().rows:
-        if each.exercise and each.operation not in parts:
+    later = {name for name, exercise in exercises().items() if exercise.chapter > 6}
+    rows = [each for each in mine.board().rows if each.exercise and each.exercise not in later]
+    for each in rows:
+        if each.operation not in parts | {"draw_keyframes"}:  # called after a frame that is no keyframe
             assert each.calls.own > 0, each.operation
             assert each.calls.reference == 0, each.operation
 

