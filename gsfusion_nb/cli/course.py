@@ -1,8 +1,12 @@
-"""``gsfusion-nb course``: how far you are in the notebooks."""
+"""``gsfusion-nb course``: how far you are in the notebooks; ``gsfusion-nb course export``: assignments for a class."""
 
 import json
 import sys
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
 
 from ..config.option_help import parse_options
 
@@ -19,8 +23,47 @@ class CourseOptions:
     """With --reset: do not ask."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class ExportOptions:
+    """Write the solved chapters as assignments for nbgrader or Otter-Grader: points, solution cells, hidden tests."""
+
+    to: Literal["nbgrader", "otter"]
+    """nbgrader: a course folder, for nbgrader generate_assignment. otter: notebooks for otter assign."""
+    out: Path
+    """New or empty folder."""
+    chapters: Annotated[tuple[int, ...], tyro.conf.Positional] = ()
+    """Numbers of chapters. Default: all."""
+    notebooks: Path = Path("notebooks")
+    """Folder of the solved chapters."""
+    points: Path | None = None
+    """TOML file with points: [difficulty] 1 = 2.0, or [exercise] psnr = 4."""
+    seed: int = -1
+    """Of the hidden inputs. Default: a new one."""
+
+
+def export(arguments: list[str]) -> int:
+    """The command ``gsfusion-nb course export``."""
+    from ..teaching.grading.export import export_course
+    from ..teaching.grading.marks import new_seed
+    from ..teaching.grading.points import Points, read_points
+
+    options = parse_options(ExportOptions, prog="gsfusion-nb course export", arguments=arguments)
+    found = sorted(options.notebooks.glob("[0-9][0-9]_*.ipynb"))
+    chosen = [p for p in found if not options.chapters or int(p.name[:2]) in options.chapters]
+    missing = set(options.chapters) - {int(p.name[:2]) for p in chosen}
+    if missing or not chosen:
+        raise ValueError(f"there is no chapter {min(missing) if missing else ''} in {options.notebooks}")
+    points = read_points(options.points) if options.points else Points()
+    seed = options.seed if options.seed >= 0 else new_seed()
+    for path in export_course(chosen, options.out, options.to, points=points, seed=seed):
+        print(f"wrote {path}")
+    return 0
+
+
 def run(arguments: list[str]) -> int:
     """The command. Exit status: 0 done, 1 not confirmed."""
+    if arguments[:1] == ["export"]:
+        return export(arguments[1:])
     from ..teaching import progress
     from ..teaching.course import read_course
 

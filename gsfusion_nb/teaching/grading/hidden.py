@@ -1,0 +1,60 @@
+"""The hidden test in an exported notebook, and the marks that the plug-ins of nbgrader and Otter put in its place.
+
+A test in the notebook's own kernel cannot be safe from what the notebook does to that kernel. So the plug-ins never run
+a submission in a kernel; the function here is for those who run an exported notebook without them.
+"""
+
+import atexit
+import functools
+from collections.abc import Sequence
+from typing import Any
+
+from ..exercise import exercises
+from ..sandbox.needed import Cell
+from ..verdict import Verdict
+from .isolated import Limits, Sandbox
+from .marking import verdict_on
+
+
+@functools.cache
+def _sandbox(limits: Limits) -> Sandbox:
+    """One sandbox for the whole program."""
+    sandbox = Sandbox(limits).__enter__()
+    atexit.register(sandbox.__exit__)
+    return sandbox
+
+
+def marked(names: Sequence[str], cells: Sequence[Cell], seed: int, limits: Limits) -> dict[str, Verdict]:
+    """The verdicts on the functions in the cells of one submission, in the sandbox."""
+    verdicts: dict[str, Verdict] = {}
+    for name in names:
+        accepted = frozenset(n for n, verdict in verdicts.items() if verdict)
+        with _sandbox(limits).function(name, cells, accepted) as function:
+            verdicts[name] = verdict_on(exercises()[name], function, seed)
+    return verdicts
+
+
+def why(verdict: Verdict) -> tuple[str, str]:
+    """The property that failed, and what was returned and expected."""
+    if verdict.state == "not written":
+        return "it is written", verdict.detail
+    return verdict.prop, f"input: {verdict.on}; {verdict.detail}" if verdict.on else verdict.detail
+
+
+def hidden_test(name: str, function: Any, history: Sequence[str], *, seed: int) -> bool:
+    """Judge ``name`` as it was written in the cells run so far, in a process of its own.
+
+    Args:
+        name: Exercise.
+        function: The student's; it must exist, and is not called here.
+        history: ``In`` of the notebook.
+        seed: Of the hidden inputs.
+
+    Raises:
+        AssertionError: a property does not hold.
+    """
+    cells = [Cell(f"cell [{i}]", source) for i, source in enumerate(history)]
+    verdict = marked([name], cells, seed, Limits())[name]
+    if not verdict:
+        raise AssertionError(": ".join(why(verdict)))
+    return True
