@@ -15,6 +15,7 @@ from ..tsdf import TsdfVolume
 from ..types import Camera, Frame
 from ..viz import (
     GradientMicroscope,
+    OrbitView,
     PixelMicroscope,
     amdahl_panel,
     frame_surface,
@@ -119,8 +120,9 @@ def _orbit() -> dict[str, Move]:
     scene = random_scene(ORBIT_GAUSSIANS, CAMERA.width, CAMERA.height, sh_degree=3)
     view = orbit_view(scene.params, size=(CAMERA.width, CAMERA.height))
 
-    def drag(i: int) -> None:
+    def drag(i: int) -> OrbitView:
         view.image.stroke = [1.0, 0.0, 100.0, 100.0, 100.0 + 10 * (i + 1), 100.0]
+        return view
 
     return {"azimuth": lambda i: view.set(azimuth_deg=12.0 * i - 100), "drag the map": drag}
 
@@ -187,7 +189,7 @@ PANELS: dict[str, Callable[[], dict[str, Move]]] = {
     "disc depth": _disc_scene,
     "one Gaussian": _one_gaussian,
     "colour ball": _sh_ball,
-    "ICP 320x240": _icp,
+    "ICP 640x480": _icp,
     "Amdahl": _amdahl,
 }
 """Name in the table -> function that makes the panel and returns the moves, one per row."""

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import TypeCheckError
 
 from gsfusion_nb.drawing import curves, pictures
-from gsfusion_nb.drawing.ground import CARD
+from gsfusion_nb.drawing.ground import BETWEEN, CARD, CARD_INK, encode_drawing, on_card
 from gsfusion_nb.drawing.side_by_side import LABEL_PX, side_by_side
 
 
@@ -158,3 +158,19 @@ def test_stacked_areas_add_up():
     figure = curves.curve_figure([0, 1], {"a": [1.0, 2.0], "b": [3.0, 4.0]}, x_label="x", y_label="y", stacked=True)
     top = figure.axes[0].collections[1].get_paths()[0].vertices
     assert np.asarray(top)[:, 1].max() == 6.0
+
+
+def test_a_drawing_gets_a_transparent_ground_or_the_card():
+    drawing = np.full((4, 4, 3), 255, np.uint8)
+    drawing[0], drawing[1] = BETWEEN, (61, 133, 198)
+    drawing[2] = np.round((np.array(BETWEEN) + 255.0) / 2)  # half of a smoothed line
+    rgba = cv2.imdecode(np.frombuffer(encode_drawing(drawing), np.uint8), cv2.IMREAD_UNCHANGED)[..., [2, 1, 0, 3]]
+    assert rgba[:, 0, 3].tolist() == [255, 255, 128, 0]
+    assert rgba[0, 0, :3].tolist() == list(BETWEEN)
+    opacity = rgba[..., 3:] / 255
+    on_white = opacity * rgba[..., :3] + (1 - opacity) * 255
+    assert np.abs(on_white - drawing).max() <= 2  # the same as before on a white page
+    card = on_card(drawing)
+    assert card[:, 0].tolist()[3] == list(CARD)
+    assert card[0, 0].tolist() == list(CARD_INK)
+    assert card[1, 0].tolist() == [61, 133, 198]

@@ -82,8 +82,9 @@ def overlay_picture(frame: Frame, surface: Surface, T_WC: Float[Tensor, "4 4"]) 
     xyz_W = se3.apply(T_WC.float(), depth_to_points(frame.camera, frame.depth_m)[known])
     xyz_S = se3.apply(se3.inverse(surface.T_WC.float()), xyz_W)
     rgb = to_uint8(frame.colour)[known.numpy()]
-    order = xyz_S[:, 2].argsort(descending=True)  # the nearest is written last
-    xyz_S, rgb = xyz_S[order], rgb[order.numpy()]
+    depth_mm = (1000 * xyz_S[:, 2]).clamp(0, 65535).numpy().astype(np.uint16)  # sorted by counting, not comparing
+    order = np.argsort(depth_mm, kind="stable")[::-1].copy()  # the nearest is written last
+    xyz_S, rgb = xyz_S[torch.from_numpy(order)], rgb[order]
     uv = project(surface.camera, xyz_S)
     H, W = base.shape[:2]
     u, v = uv.floor().nan_to_num(-1).clamp(-1, 1e6).long().unbind(-1)

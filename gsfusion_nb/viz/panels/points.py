@@ -1,5 +1,6 @@
 """One RGB-D frame as a point cloud, seen by a camera at another pose."""
 
+import functools
 import math
 from typing import Any
 
@@ -43,8 +44,12 @@ def point_view(
     Raises:
         ValueError: unknown ``show``.
     """
-    target = camera or frame.camera
-    colours = torch.from_numpy(point_colours(frame, show)).view(-1, 3)
+    return _seen(frame, T_WC, camera or frame.camera, point_colours(frame, show), point_px)
+
+
+def _seen(frame: Frame, T_WC: Float[Tensor, "4 4"], target: Camera, colour: Picture, point_px: int) -> Picture:
+    """``point_view`` with the colours of the frame's pixels."""
+    colours = torch.from_numpy(colour).view(-1, 3)
     xyz_C = backproject(frame.camera, pixel_grid(frame.camera), frame.depth_m).view(-1, 3)
     T_new_old = se3.inverse(T_WC.double()) @ frame.T_WC.double()
     xyz = se3.apply(T_new_old.float(), xyz_C)
@@ -110,6 +115,7 @@ def point_panel(frame: Frame) -> Panel:
     """
     width, height = frame.camera.width, frame.camera.height
     near_m, far_m = depth_range_m(frame.depth_m)
+    colours = functools.cache(lambda show: point_colours(frame, show))
     legend = {
         "depth": f"<br>depth in the frame: blue {near_m:.1f} m, red {far_m:.1f} m",
         "normals": "<br>x, y, z of the normal in the camera frame as red, green, blue",
@@ -117,10 +123,10 @@ def point_panel(frame: Frame) -> Panel:
 
     def draw(*, u: int, v: int, right_m: float, forward_m: float, turn_deg: float, show: str, point_px: int) -> Drawn:
         T_WC = moved_pose(frame.T_WC, (right_m, 0.0, forward_m), turn_deg)
-        picture = point_view(frame, T_WC, show=show, point_px=point_px)
-        empty = float((picture == 0).all(-1).mean())
+        picture = _seen(frame, T_WC, frame.camera, colours(show), point_px)
+        empty = 1 - float(((picture[..., 0] | picture[..., 1] | picture[..., 2]) > 0).mean())
         place, about = pixel_story(frame, T_WC, u, v)
-        left = draw_cross(point_colours(frame, show), (u + 0.5, v + 0.5))
+        left = draw_cross(colours(show), (u + 0.5, v + 0.5))
         right = picture if place is None else draw_cross(picture, place)
         pair = side_by_side([left, right], ["the frame: click a pixel", "its points from the new pose: drag"])
         x, y, z = T_WC[:3, 3].tolist()
