@@ -155,14 +155,15 @@ def _descend(graph: _Graph, T_WC: Tensor, iterations: int, *, robust: bool) -> t
         proposed = pose_graph_step(T_WC, graph.i, graph.j, e, J_i, J_j, graph.weighted(e, robust))
         xi, share = se3.log(se3.inverse(T_WC) @ proposed), 1.0
         there = graph.errors(proposed)
-        while graph.robust_error(there[0], robust) > error and share > 0.5**HALVINGS:
+        after = graph.robust_error(there[0], robust)
+        while after > error and share > 0.5**HALVINGS:
             share /= 2
             proposed = T_WC @ se3.exp(share * xi)
             there = graph.errors(proposed)
-        fell = error - graph.robust_error(there[0], robust)
-        if fell < 0:
+            after = graph.robust_error(there[0], robust)
+        if after > error:
             break
-        T_WC, (e, J_i, J_j), error = proposed, there, error - fell
+        T_WC, (e, J_i, J_j), fell, error = proposed, there, error - after, after
         if fell <= CONVERGED * error:
             break
     return T_WC, error

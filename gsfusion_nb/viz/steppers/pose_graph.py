@@ -63,7 +63,7 @@ def _first(recording: Recording, part: str) -> Line:
 
 
 def _start(recording: Recording) -> dict[str, Any]:
-    T_WC = _first(recording, "error = graph.robust_error(T_WC, robust)")["T_WC"]
+    T_WC = _first(recording, "error = graph.robust_error(e, robust)")["T_WC"]
     return {"T_WC": T_WC, "edge": None, "H": None}
 
 
@@ -124,8 +124,8 @@ def _system(recording: Recording, edges: list[Edge]) -> list[Step]:
 
 def _update(recording: Recording) -> list[Step]:
     solve, move = _first(recording, "xi = torch.linalg.solve"), _first(recording, "return torch.cat([T_WC[:1]")
-    before = _first(recording, "error = graph.robust_error(T_WC, robust)")
-    after = _first(recording, "after = graph.robust_error(proposed, robust)")
+    before = _first(recording, "error = graph.robust_error(e, robust)")
+    after = _first(recording, "after = graph.robust_error(there[0], robust)")
     H = [line for line in recording.at("H.index_put_(") if line.call == 0][-1]["H"].flatten(2).norm(dim=2)
     scene = _start(recording) | {"H": H}
     rows = [(str(k), text_of(100 * xi[:3], 3), text_of(_DEGREES * xi[3:], 3)) for k, xi in enumerate(solve["xi"], 1)]
