@@ -247,7 +247,7 @@ def tiles_touched(attempt: Attempt) -> None:
     names = ("x0", "x1", "y0", "y1")
 
     def ask(on: str, u: Number, v: Number, extent: Number, width: int, height: int, prop: str, why: str = "") -> None:
-        got = unpack(attempt.on(on)(u, v, extent, width, height, 8), names, on=on)
+        got = unpack(_as_list(attempt.on(on)(u, v, extent, width, height, 8)), names, on=on)
         close(got, _tiles_touched(u, v, extent, width, height, 8), prop, on=on, why=why)
 
     half_open = "the ranges are half open: the end is one past the last tile"
@@ -276,11 +276,16 @@ def tiles_touched(attempt: Attempt) -> None:
         "ceil, not floor",
     )
     for on, u in (("u -30, v 20, extent 5: left of the picture", -30.0), ("u 100, v 20: right of it", 100.0)):
-        x0, x1, *_ = box = unpack(attempt.on(on)(u, 20.0, 5.0, 64, 48, 8), names, on=on)
+        x0, x1, *_ = box = unpack(_as_list(attempt.on(on)(u, 20.0, 5.0, 64, 48, 8)), names, on=on)
         holds(x1 <= x0, "a splat outside the picture touches no tile", on=on, detail=f"got columns {x0} to {x1}")
         inside = min(box) >= 0 and max(x0, x1) <= 8
         detail = f"got columns {x0} to {x1}, and there are 8: clamp both ends to 0 .. 8"
         holds(inside, "tiles outside the picture do not exist, not even as an empty range", on=on, detail=detail)
+
+
+def _as_list(value: Any) -> Any:
+    """An array of four numbers as a list."""
+    return value.tolist() if isinstance(value, Tensor) else value
 
 
 def _view_colour(sh: Tensor, xyz_W: Tensor, centre_W: Tensor) -> Tensor:

@@ -57,8 +57,16 @@ class Lab:
         notebook.metadata["kernelspec"] = {"name": "python3", "display_name": "Python 3", "language": "python"}
         return self.open_notebook(notebook, timeout_s=timeout_s)
 
-    def open_notebook(self, notebook: Any, *, timeout_s: float = 180) -> Any:
-        """A page with a notebook, all of its cells run without an error."""
+    def open_notebook(
+        self, notebook: Any, *, timeout_s: float = 180, before: Callable[[Any], object] | None = None
+    ) -> Any:
+        """A page with a notebook, all of its cells run without an error.
+
+        Args:
+            notebook: As nbformat reads it.
+            timeout_s: For all cells together.
+            before: What is done with the page before the cells run.
+        """
         import nbformat  # it loads jsonschema: three seconds, in processes that only collect these tests, too
 
         name = f"{uuid.uuid4().hex[:8]}.ipynb"
@@ -68,6 +76,8 @@ class Lab:
         page.on("request", lambda r: self._note(r.url))
         page.goto(f"http://127.0.0.1:{self.port}/lab/tree/{self.under}{name}?reset&token={self.token}")
         wait(page, _IDLE, timeout_s, "the kernel to be idle")
+        if before is not None:
+            before(page)
         page.evaluate("window.jupyterapp.commands.execute('notebook:run-all-cells')")
         wait(page, f"{_DONE} && {_IDLE} || failed", timeout_s, "all cells to have run")
         wrong = page.evaluate(f"(() => {{ {_PRELUDE} return failed; }})()")

@@ -1,7 +1,6 @@
 """A learner's path: chapters 2 to 6 of the unsolved edition in JupyterLab, every exercise typed into its cell.
 
-The functions of chapters 2 to 5 reach chapter 6 through the course file, and map a room there. Measured: see the
-docstring of the test.
+The functions of chapters 2 to 5 reach chapter 6 through the course file, and map a room there.
 """
 
 import json
@@ -52,7 +51,7 @@ def chapter(number):
 def type_into(page, name, source):
     """Click into the cell of an exercise, select what is there, and type."""
     index = page.evaluate(CELL, f"def {name}(")
-    editor = page.locator(".jp-Notebook > .jp-WindowedPanel-outer .jp-Cell, .jp-Notebook .jp-Cell").nth(index)
+    editor = page.locator(".jp-Notebook .jp-Cell").nth(index)
     editor.locator(".cm-content").first.click()
     page.keyboard.press("Control+a")
     page.keyboard.insert_text(source)
@@ -63,7 +62,7 @@ def type_into(page, name, source):
 def test_every_exercise_is_solved_by_typing(lab, number):
     solutions, notebook = chapter(number)
     page = lab.open_notebook(
-        notebook, typing=lambda page: [type_into(page, *item) for item in solutions.items()], timeout_s=1200
+        notebook, before=lambda page: [type_into(page, *item) for item in solutions.items()], timeout_s=1200
     )
     for name in solutions:
         verdict = page.locator(".gsnb-verdict.gsnb-passed", has_text=f"{name}: all checks pass")
