@@ -86,9 +86,9 @@ def _vertices(volume: TsdfVolume, edges: Int[Tensor, " V"]) -> tuple[Float[Tenso
     ijk = volume.voxel_at(first)
     second = volume.find_voxels(ijk + along)
     D0, D1 = volume.D.view(-1)[first], volume.D.view(-1)[second]
+    t = (D0 / (D0 - D1))[:, None]
     centre = ijk.double() + 0.5
     xyz_W = zero_crossing(centre, centre + along, D0, D1) * volume.config.voxel_size_m
-    t = (D0 / (D0 - D1))[:, None]
     return xyz_W.to(D0.dtype), torch.lerp(volume.voxel_rgb(first), volume.voxel_rgb(second), t)
 
 

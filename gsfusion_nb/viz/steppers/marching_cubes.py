@@ -139,7 +139,7 @@ def _of_cell(recording: Recording, row: int, k: int, scene: dict[str, Any], cell
 
 def _of_vertices(recording: Recording, start: Voxel, voxel_m: float, scene: dict[str, Any]) -> list[Step]:
     joined, crossing = recording.at("edges, faces = triangles.unique")[0], recording.at("t = (D0 / (D0 - D1))")[0]
-    placed = recording.at("xyz_W = (ijk + 0.5")[0]
+    placed = recording.at("xyz_W = zero_crossing(")[0]
     faces, n = joined["faces"], len(joined["edges"])
     ends = 3 * len(faces)
     numbers = [("triangles", str(len(faces))), ("their corners", str(ends)), ("different edges", str(n))]
