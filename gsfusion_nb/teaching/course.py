@@ -18,6 +18,7 @@ TITLES = {
     8: "Tracking",
     9: "A seeding rule of your own",
     10: "Backends and speed",
+    11: "A real recording",
 }
 
 

@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from .panels.quadtree import cell_means as cell_means
     from .panels.quadtree import quadtree_panel as quadtree_panel
     from .panels.quadtree import quadtree_picture as quadtree_picture
+    from .panels.repair import repair_panel as repair_panel
     from .panels.seeding_rule import rule_context as rule_context
     from .panels.seeding_rule import rule_panel as rule_panel
     from .panels.seeding_rule import rule_picture as rule_picture
@@ -122,6 +123,7 @@ _LAZY = {
     "project_splats": ".microscopes.pixel_stack",
     "quadtree_panel": ".panels.quadtree",
     "quadtree_picture": ".panels.quadtree",
+    "repair_panel": ".panels.repair",
     "residual_picture": ".panels.icp",
     "rule_context": ".panels.seeding_rule",
     "rule_panel": ".panels.seeding_rule",

@@ -27,7 +27,7 @@ def test_progress_by_chapter(course_file, capsys):
     values = json.loads(capsys.readouterr().out)
     assert (values["solved"], values["predictions"], values["file"]) == (1, 1, str(course_file))
     assert "psnr" not in values["chapters"][0]["open_exercises"]
-    assert len(values["chapters"]) == 11
+    assert len(values["chapters"]) == 12
 
 
 def test_reset_asks_and_keeps_the_file(course_file, capsys, monkeypatch):

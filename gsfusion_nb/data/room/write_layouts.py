@@ -21,6 +21,7 @@ from ..readers.seven_scenes import DEPTH_SCALE as SEVEN_SCENES_DEPTH_SCALE
 from ..readers.tum import DEPTH_SCALE as TUM_DEPTH_SCALE
 from ..readers.tum import LENSES
 from ..recorded.poses import write_pose_lines
+from .image_files import write_depth, write_rgb
 from .sequence import RoomSequence, render_room
 
 ROOM_DEPTH_SCALE = 10_000.0
@@ -64,8 +65,8 @@ def write_folder(folder: Path, walk: Walk, progress: ReportProgress) -> Sequence
     sequence = walk.sequence
     for i in range(walk.n_frames):
         frame = sequence[i]
-        _write_rgb(folder / f"rgb/{i:06d}.png", frame.rgb_u8.numpy())
-        _write_depth(folder / f"depth/{i:06d}.png", frame.depth_m.numpy(), ROOM_DEPTH_SCALE)
+        write_rgb(folder / f"rgb/{i:06d}.png", frame.rgb_u8.numpy())
+        write_depth(folder / f"depth/{i:06d}.png", frame.depth_m.numpy(), ROOM_DEPTH_SCALE)
         progress(i + 1, walk.n_frames)
     write_pose_lines(folder / "poses.txt", walk.poses())
     write_intrinsics(folder / "intrinsics.json", sequence.camera, depth_scale=ROOM_DEPTH_SCALE)
@@ -83,8 +84,8 @@ def write_replica(folder: Path, walk: Walk, progress: ReportProgress) -> Sequenc
     camera, poses = walk.sequence.camera, walk.poses()
     for i, T_WC in enumerate(poses):
         rgb, depth_m = walk.render(camera, T_WC)
-        _write_rgb(folder / f"results/frame{i:06d}.jpg", rgb)
-        _write_depth(folder / f"results/depth{i:06d}.png", depth_m, REPLICA_DEPTH_SCALE)
+        write_rgb(folder / f"results/frame{i:06d}.jpg", rgb)
+        write_depth(folder / f"results/depth{i:06d}.png", depth_m, REPLICA_DEPTH_SCALE)
         progress(i + 1, len(poses))
     write_pose_lines(folder / "traj.txt", poses)
     numbers = {"w": camera.width, "h": camera.height, "fx": camera.fx, "fy": camera.fy}
@@ -101,8 +102,8 @@ def write_tum(folder: Path, walk: Walk, progress: ReportProgress) -> SequenceOnD
     rows = torch.cat([poses[:, :3, 3], quats], dim=1).tolist()
     for i, (stamp, T_WC) in enumerate(zip(stamps, poses, strict=True)):
         rgb, depth_m = walk.render(camera, T_WC)
-        _write_rgb(folder / f"rgb/{stamp}.png", rgb)
-        _write_depth(folder / f"depth/{stamp}.png", depth_m, TUM_DEPTH_SCALE)
+        write_rgb(folder / f"rgb/{stamp}.png", rgb)
+        write_depth(folder / f"depth/{stamp}.png", depth_m, TUM_DEPTH_SCALE)
         progress(i + 1, len(poses))
     lists = {kind: [f"{stamp} {kind}/{stamp}.png" for stamp in stamps] for kind in ("rgb", "depth")}
     lists["groundtruth"] = [
@@ -121,8 +122,8 @@ def write_seven_scenes(folder: Path, walk: Walk, progress: ReportProgress) -> Se
         _, depth_m = walk.render(DEPTH_CAMERA, T_WC)
         wide, _ = walk.render(lens.wide, T_WC @ T_DEPTH_COLOUR)
         stem = f"seq-01/frame-{i:06d}"
-        _write_rgb(folder / f"{stem}.color.png", lens(wide))
-        _write_depth(folder / f"{stem}.depth.png", depth_m, SEVEN_SCENES_DEPTH_SCALE)
+        write_rgb(folder / f"{stem}.color.png", lens(wide))
+        write_depth(folder / f"{stem}.depth.png", depth_m, SEVEN_SCENES_DEPTH_SCALE)
         lines = ["\t ".join(f"{value: .9e}" for value in row) for row in T_WC.tolist()]
         (folder / f"{stem}.pose.txt").write_text("\n".join([*lines, ""]), encoding="utf-8")
         progress(i + 1, len(poses))
@@ -136,8 +137,8 @@ def write_scannetpp(folder: Path, walk: Walk, progress: ReportProgress) -> Seque
     frames = {}
     for i, (name, T_WC) in enumerate(zip(names, poses, strict=True)):
         rgb, depth_m = walk.render(camera, T_WC)
-        _write_rgb(folder / f"dslr/undistorted_images_2/{name}", rgb)
-        _write_depth(folder / f"dslr/undistorted_depths_2/{Path(name).stem}.png", depth_m, SCANNETPP_DEPTH_SCALE)
+        write_rgb(folder / f"dslr/undistorted_images_2/{name}", rgb)
+        write_depth(folder / f"dslr/undistorted_depths_2/{Path(name).stem}.png", depth_m, SCANNETPP_DEPTH_SCALE)
         matrix = T_WC @ torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
         frames[name] = {"file_path": name, "transform_matrix": matrix.tolist(), "is_bad": False}
         progress(i + 1, len(poses))
@@ -182,20 +183,3 @@ class _DistortedView:
         import cv2
 
         return cv2.remap(wide, self._u, self._v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-
-
-def _write_rgb(path: Path, rgb: np.ndarray) -> None:
-    import cv2
-
-    path.parent.mkdir(parents=True, exist_ok=True)
-    jpeg = path.suffix.lower() == ".jpg"
-    whole_colour = [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
-    options = [cv2.IMWRITE_JPEG_QUALITY, 97, *whole_colour] if jpeg else [cv2.IMWRITE_PNG_COMPRESSION, 3]
-    path.write_bytes(cv2.imencode(".jpg" if jpeg else ".png", rgb[..., ::-1], options)[1].tobytes())
-
-
-def _write_depth(path: Path, depth_m: np.ndarray, scale: float) -> None:
-    import cv2
-
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(cv2.imencode(".png", np.rint(depth_m * scale).astype(np.uint16))[1].tobytes())

@@ -1,0 +1,117 @@
+"""The built-in room as somebody's own recording: TUM-style files with the mistakes of real ones.
+
+hand_held/
+  rgb.txt  depth.txt  groundtruth.txt      lists with time stamps, as of the TUM RGB-D benchmark
+  rgb/<timestamp>.jpg  depth/<timestamp>.png
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ...geometry import quaternion
+from ...types import Camera
+from .image_files import write_depth, write_rgb
+from .sequence import RoomSequence
+
+FIRST_S = 1305031102.0
+"""Time of the first image."""
+
+POSES_PER_IMAGE = 4
+"""Poses are measured this many times as often as images."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class HandHeld:
+    """A short hand-held recording of the room, and what is wrong with it. The usual values have every mistake."""
+
+    n_images: int = 40
+    width: int = 160
+    height: int = 120
+    fps: float = 10.0
+    """Images per second."""
+    images_per_walk: int = 400
+    """Images of which the whole walk through the room would have; fewer: faster motion."""
+    noise: str = "kinect"
+    """Errors of the depth camera: "kinect" or "none"."""
+    depth_units: float = 1000.0
+    """Stored value of one metre. The TUM layout means 5000."""
+    pose_delay_s: float = 0.15
+    """The clock of the poses is this late: an image belongs to the pose with a time stamp that is later by this."""
+    colour_shift_px: tuple[float, float] = (5.0, -3.0)
+    """Colour is not registered to depth: its content lies this far to the right and down."""
+    dark_after: float = 0.7
+    """From this part of the recording on, the exposure is shorter by ``dark_stops``; 1: never."""
+    dark_stops: float = 0.9
+    blurred: tuple[int, ...] = (17, 30)
+    """Images in which the hand shook during the exposure."""
+    seed: int = 0
+
+    @property
+    def sequence(self) -> RoomSequence:
+        """The room without the mistakes, seen at the time of every pose; image k is frame ``POSES_PER_IMAGE * k``."""
+        n = POSES_PER_IMAGE * self.images_per_walk
+        return RoomSequence(n_frames=n, width=self.width, height=self.height, noise=self.noise, seed=self.seed)
+
+    @property
+    def camera(self) -> Camera:
+        """The true intrinsics, which such a recording does not store."""
+        return self.sequence.camera
+
+
+def write_hand_held(folder: str | Path, recording: HandHeld | None = None) -> Path:
+    """Write a hand-held recording of the built-in room; returns its folder.
+
+    Args:
+        folder: New folder.
+        recording: Length, size and mistakes.
+
+    Raises:
+        FileExistsError: the folder exists. ValueError: more images than the walk has.
+    """
+    made, root = recording or HandHeld(), Path(folder)
+    if not 2 <= made.n_images <= made.images_per_walk:
+        raise ValueError(f"n_images must be between 2 and {made.images_per_walk}, got {made.n_images}")
+    root.mkdir(parents=True)
+    sequence = made.sequence
+    lists: dict[str, list[str]] = {"rgb": [], "depth": [], "groundtruth": []}
+    for k in range(made.n_images):
+        frame = sequence[POSES_PER_IMAGE * k]
+        rgb_s = f"{FIRST_S + k / made.fps:.6f}"
+        depth_s = f"{FIRST_S + k / made.fps + 0.004:.6f}"  # the depth camera answers a little later
+        write_rgb(root / f"rgb/{rgb_s}.jpg", _photographed(frame.rgb_u8.numpy(), k, made))
+        write_depth(root / f"depth/{depth_s}.png", frame.depth_m.numpy(), made.depth_units)
+        lists["rgb"].append(f"{rgb_s} rgb/{rgb_s}.jpg")
+        lists["depth"].append(f"{depth_s} depth/{depth_s}.png")
+    lists["groundtruth"] = _pose_lines(sequence, made)
+    for name, lines in lists.items():
+        (root / f"{name}.txt").write_text("\n".join(["# a hand-held recording", *lines, ""]), encoding="utf-8")
+    return root
+
+
+def _pose_lines(sequence: RoomSequence, made: HandHeld) -> list[str]:
+    """Lines "timestamp tx ty tz qx qy qz qw", from before the first image to after the last one."""
+    step_s = 1 / (POSES_PER_IMAGE * made.fps)
+    n = min(len(sequence), POSES_PER_IMAGE * (made.n_images + 4))
+    lines = []
+    for i in range(n):
+        T_WC = sequence.pose(i).double()
+        row = [*T_WC[:3, 3].tolist(), *quaternion.from_matrix(T_WC[:3, :3])[[1, 2, 3, 0]].tolist()]
+        stamp = FIRST_S + 0.004 + i * step_s + made.pose_delay_s
+        lines.append(f"{stamp:.6f} " + " ".join(f"{value:.9f}" for value in row))
+    return lines
+
+
+def _photographed(rgb: np.ndarray, k: int, made: HandHeld) -> np.ndarray:
+    """The colour image with blur, exposure and shift of this recording."""
+    import cv2
+
+    image = rgb
+    if k in made.blurred:
+        image = cv2.blur(image, (max(9, made.width // 12), 1))
+    if k >= made.dark_after * made.n_images:
+        linear = (image / 255.0) ** 2.2 * 2.0**-made.dark_stops
+        image = np.rint(linear ** (1 / 2.2) * 255).astype(np.uint8)
+    move = np.array([[1.0, 0.0, made.colour_shift_px[0]], [0.0, 1.0, made.colour_shift_px[1]]])
+    return cv2.warpAffine(image, move, (made.width, made.height), borderMode=cv2.BORDER_REPLICATE)

@@ -1,0 +1,244 @@
+"""Exercises of chapter 11: the unit of depth from two frames, the delay of the poses, bad poses against bad points."""
+
+import torch
+from torch import Tensor
+
+from ..geometry import se3
+from .exercise import Attempt, Wrong, close, exercise, holds
+
+
+def _depth_factor(a: Tensor, b: Tensor, R: Tensor, t: Tensor) -> Tensor:
+    moved = b - a @ R.T
+    return (t @ t) / (moved.mean(0) @ t)
+
+
+def _units_per_metre(a: Tensor, b: Tensor, R: Tensor, t: Tensor) -> Tensor:
+    return 1 / _depth_factor(a, b, R, t)
+
+
+def _turn_ignored(a: Tensor, b: Tensor, R: Tensor, t: Tensor) -> Tensor:
+    return (t @ t) / ((b - a).mean(0) @ t)
+
+
+def _turned_back(a: Tensor, b: Tensor, R: Tensor, t: Tensor) -> Tensor:
+    return (t @ t) / ((b - a @ R).mean(0) @ t)
+
+
+def _lengths(a: Tensor, b: Tensor, R: Tensor, t: Tensor) -> Tensor:
+    return t.norm() / (b - a @ R.T).norm(dim=1).mean()
+
+
+def _noisy_side(a: Tensor, b: Tensor, R: Tensor, t: Tensor) -> Tensor:
+    moved = b - a @ R.T
+    return (moved @ t).sum() / moved.square().sum()
+
+
+@exercise(
+    chapter=11, difficulty=3, minutes=12, solution=_depth_factor,
+    hints=(
+        "In metres the same point is s a in the first camera and s b in the second: R (s a) + t = s b.",
+        "So s (b - R a) = t for every point: the turn is taken out, what is left is the motion in stored units.",
+        "The points are noisy and t is not, so average the noisy side: the mean of b - R a is t / s. What counts of it "
+        "is the part along t.",
+    ),
+    wrong=(
+        Wrong(_units_per_metre, says="metres for one stored unit"),
+        Wrong(_turn_ignored, says="the turn of the camera is taken out"),
+        Wrong(_turned_back, says="the turn of the camera is taken out"),
+        Wrong(_lengths, says="noise does not make it smaller"),
+        Wrong(_noisy_side, says="noise does not make it smaller"),
+    ),
+)  # fmt: skip
+def depth_factor(attempt: Attempt) -> None:
+    """What a stored unit of depth is in metres, from two frames with poses."""
+    generator = torch.Generator().manual_seed(11)
+    aside = torch.tensor([0.2, 0.0, 0.0], dtype=torch.float64)
+    a_m = torch.rand(40, 3, generator=generator, dtype=torch.float64) + torch.tensor([-0.5, -0.5, 2.0]).double()
+    eye = torch.eye(3, dtype=torch.float64)
+    on = "depth in millimetres, the points 20 cm to the right in the second camera"
+    got = attempt.on(on)(1000 * a_m, 1000 * (a_m + aside), eye, aside)
+    close(got, 0.001, "metres for one stored unit", on=on, tolerance=1e-6, why="a millimetre is 0.001 m")
+    R = se3.exp(torch.tensor([0.0, 0.0, 0.0, 0.05, 0.3, -0.1], dtype=torch.float64))[:3, :3]
+    t = torch.tensor([0.1, -0.05, 0.2], dtype=torch.float64)
+    on = "a camera that also turns, depth too small by 5"
+    got = attempt.on(on)(a_m / 5, (a_m @ R.T + t) / 5, R, t)
+    close(got, 5.0, "the turn of the camera is taken out", on=on, tolerance=1e-6, why="b is compared with R a")
+    many = torch.rand(4000, 3, generator=generator, dtype=torch.float64) + torch.tensor([-0.5, -0.5, 2.0]).double()
+    noise = 0.1 * torch.randn(2, 4000, 3, generator=generator, dtype=torch.float64)
+    on = "4,000 points with a noise of 10 cm"
+    got = attempt.on(on)((many + noise[0]) / 5, (many @ R.T + t + noise[1]) / 5, R, t)
+    close(got, 5.0, "noise does not make it smaller", on=on, tolerance=0.25, why="average b - R a before you divide")
+
+
+def _pose_shift(image_motion: Tensor, pose_motion: Tensor, reach: int) -> int:
+    def likeness(k: int) -> float:
+        n = len(image_motion)
+        x, y = image_motion[max(0, -k) : n - max(0, k)], pose_motion[max(0, k) : n - max(0, -k)]
+        x, y = x - x.mean(), y - y.mean()
+        return float((x * y).sum() / (x.norm() * y.norm()))
+
+    return max(range(-reach, reach + 1), key=likeness)
+
+
+def _other_sign(image_motion: Tensor, pose_motion: Tensor, reach: int) -> int:
+    return -_pose_shift(image_motion, pose_motion, reach)
+
+
+def _least_difference(image_motion: Tensor, pose_motion: Tensor, reach: int) -> int:
+    def difference(k: int) -> float:
+        n = len(image_motion)
+        x, y = image_motion[max(0, -k) : n - max(0, k)], pose_motion[max(0, k) : n - max(0, -k)]
+        return float((x - y).square().mean())
+
+    return min(range(-reach, reach + 1), key=difference)
+
+
+def _sum_of_products(image_motion: Tensor, pose_motion: Tensor, reach: int) -> int:
+    def products(k: int) -> float:
+        n = len(image_motion)
+        return float((image_motion[max(0, -k) : n - max(0, k)] * pose_motion[max(0, k) : n - max(0, -k)]).sum())
+
+    return max(range(-reach, reach + 1), key=products)
+
+
+def _rolled(image_motion: Tensor, pose_motion: Tensor, reach: int) -> int:
+    x = image_motion - image_motion.mean()
+    return max(range(-reach, reach + 1), key=lambda k: float((x * (pose_motion - pose_motion.mean()).roll(-k)).sum()))
+
+
+def _only_forwards(image_motion: Tensor, pose_motion: Tensor, reach: int) -> int:
+    return max(0, _pose_shift(image_motion, pose_motion, reach))
+
+
+@exercise(
+    chapter=11, difficulty=3, minutes=15, solution=_pose_shift,
+    hints=(
+        "Try every k from -reach to reach. Image i belongs to pose i + k, so for k > 0 compare image_motion[: n - k] "
+        "with pose_motion[k:].",
+        "Pixels and radians cannot be subtracted. Compare the shapes of the curves: subtract the mean of each part, "
+        "multiply, sum, and divide by both lengths (the correlation).",
+        "Cut both curves to the part in which they overlap: roll() would bring the end to the beginning.",
+    ),
+    wrong=(
+        Wrong(_other_sign, says="image i belongs to pose i + k"),
+        Wrong(_only_forwards, says="the poses may be early, too"),
+        Wrong(_least_difference, says="pixels and radians are different units"),
+        Wrong(_sum_of_products, says="a longer overlap is not more alike"),
+        Wrong(_rolled, says="the end does not follow the beginning"),
+    ),
+)  # fmt: skip
+def pose_shift(attempt: Attempt) -> None:
+    """By how many frames the poses are late, from how fast the images and the poses move."""
+
+    def ask(on: str, image_motion: Tensor, pose_motion: Tensor, k: int, prop: str) -> None:
+        got = attempt.on(on)(image_motion, pose_motion, 3)
+        holds(isinstance(got, (int, float, Tensor)), "it returns a number", on=on, detail=f"got {got!r}")
+        holds(float(got) == k, prop, on=on, detail=f"got {float(got):g}, expected {k}")
+
+    generator = torch.Generator().manual_seed(5)
+    curve = torch.rand(46, generator=generator, dtype=torch.float64)
+    early = curve[3:43]
+    ask("the same curve twice", early, early.clone(), 0, "nothing is shifted")
+    ask("poses two frames late", early, curve[1:41], 2, "image i belongs to pose i + k")
+    ask("poses three frames early", early, curve[6:46], -3, "the poses may be early, too")
+    on = "images in pixels, poses in radians, poses two frames late"
+    ask(on, 30 * early + 2, 0.1 * curve[1:41], 2, "pixels and radians are different units")
+    on = "a camera that never stops, poses two frames late"
+    ask(on, early + 3, curve[1:41] + 3, 2, "a longer overlap is not more alike")
+    still = 0.1 * curve[:14]
+    still[-3:] = torch.tensor([5.0, 9.0, 4.0], dtype=torch.float64)
+    on = "twelve frames with a jerk at the end, which the poses, two frames late, have not seen yet"
+    ask(on, still[2:14], still[0:12], 2, "the end does not follow the beginning")
+    rising = curve + torch.linspace(0, 4, 46, dtype=torch.float64).square()
+    on = "motion that grows towards the end, poses one frame late"
+    ask(on, rising[3:43], rising[2:42], 1, "a part with more motion is not more alike")
+
+
+def _tell_apart(a: Tensor, b: Tensor, T_ba: Tensor, noise_m: float) -> str:
+    def rms_m(R: Tensor, t: Tensor) -> float:
+        return float((a @ R.T + t - b).square().sum(1).mean().sqrt())
+
+    if rms_m(T_ba[:3, :3], T_ba[:3, 3]) < 3 * noise_m:
+        return "fits"
+    from_mean_a, from_mean_b = a - a.mean(0), b - b.mean(0)
+    U, _, Vt = torch.linalg.svd(from_mean_a.T @ from_mean_b)
+    no_mirror = torch.ones(3).to(a)
+    no_mirror[2] = torch.sign(torch.linalg.det(Vt.T @ U.T))
+    R = Vt.T @ torch.diag(no_mirror) @ U.T
+    return "poses" if rms_m(R, b.mean(0) - R @ a.mean(0)) < 3 * noise_m else "points"
+
+
+def _always_poses(a: Tensor, b: Tensor, T_ba: Tensor, noise_m: float) -> str:
+    rms = (a @ T_ba[:3, :3].T + T_ba[:3, 3] - b).square().sum(1).mean().sqrt()
+    return "fits" if rms < 3 * noise_m else "poses"
+
+
+def _no_turn(a: Tensor, b: Tensor, T_ba: Tensor, noise_m: float) -> str:
+    first = _always_poses(a, b, T_ba, noise_m)
+    moved = a @ T_ba[:3, :3].T
+    left = (moved - moved.mean(0) - b + b.mean(0)).square().sum(1).mean().sqrt()
+    return first if first == "fits" or left < 3 * noise_m else "points"
+
+
+def _any_matrix(a: Tensor, b: Tensor, T_ba: Tensor, noise_m: float) -> str:
+    ones = torch.ones(len(a), 1).to(a)
+    left = torch.cat([a, ones], 1) @ torch.linalg.lstsq(torch.cat([a, ones], 1), b).solution - b
+    first = _always_poses(a, b, T_ba, noise_m)
+    return first if first == "fits" or left.square().sum(1).mean().sqrt() < 3 * noise_m else "points"
+
+
+def _with_mirrors(a: Tensor, b: Tensor, T_ba: Tensor, noise_m: float) -> str:
+    U, _, Vt = torch.linalg.svd((a - a.mean(0)).T @ (b - b.mean(0)))
+    R = Vt.T @ U.T
+    left = ((a - a.mean(0)) @ R.T - b + b.mean(0)).square().sum(1).mean().sqrt()
+    first = _always_poses(a, b, T_ba, noise_m)
+    return first if first == "fits" or left < 3 * noise_m else "points"
+
+
+def _no_noise(a: Tensor, b: Tensor, T_ba: Tensor, noise_m: float) -> str:
+    return _tell_apart(a, b, T_ba, 1e-6)
+
+
+@exercise(
+    chapter=11, difficulty=4, minutes=20, solution=_tell_apart,
+    hints=(
+        "First the given pose: the root of the mean squared distance between R a + t and b. Below 3 noise_m it fits.",
+        "Otherwise look for the rigid motion that fits best. Its R comes from the singular values of (a - mean a)^T "
+        "(b - mean b) = U S V^T: R = V U^T (Kabsch 1976). Then t = mean b - R mean a.",
+        "If that fits, only the pose was wrong. If even the best motion does not, the points are wrong: focal length, "
+        "principal point, kind of depth. Where det(V U^T) is -1, turn the sign of the last column of V: a mirror is no "
+        "motion.",
+    ),
+    wrong=(
+        Wrong(_always_poses, says="no motion repairs a wrong focal length"),
+        Wrong(_no_turn, says="the best motion may also turn"),
+        Wrong(_any_matrix, says="no motion repairs a wrong focal length"),
+        Wrong(_with_mirrors, says="a mirror image is no motion"),
+        Wrong(_no_noise, says="noise is not a mistake"),
+    ),
+)  # fmt: skip
+def tell_apart(attempt: Attempt) -> None:
+    """Are the poses wrong, or the points themselves?"""
+    generator = torch.Generator().manual_seed(7)
+    a = torch.rand(300, 3, generator=generator, dtype=torch.float64) * torch.tensor([3.0, 2.0, 2.0]).double()
+    a = a + torch.tensor([-1.5, -1.0, 1.0]).double()
+    true = se3.exp(torch.tensor([0.3, -0.1, 0.2, 0.1, 0.5, 0.0], dtype=torch.float64))
+    noise = 0.005 * torch.randn(2, 300, 3, generator=generator, dtype=torch.float64)
+    b = se3.apply(true, a)
+    wide = torch.tensor([1.2, 1.2, 1.0], dtype=torch.float64)  # x and y of points lifted with fx, fy too small
+    mirror = torch.tensor([-1.0, 1.0, 1.0], dtype=torch.float64)
+    aside = true.clone()
+    aside[0, 3] += 0.1
+    turned = se3.exp(torch.tensor([0.0, 0.0, 0.0, 0.0, 0.1, 0.0], dtype=torch.float64)) @ true
+    cases = (
+        ("the true pose, noise of 5 mm", a, b, true, "fits", "noise is not a mistake"),
+        ("a pose 10 cm beside the true one", a, b, aside, "poses", "a shifted pose is the pose's mistake"),
+        ("a pose turned by 6 degrees", a, b, turned, "poses", "the best motion may also turn"),
+        ("both frames with a focal length 17 % too short", wide * a, wide * b, true, "points",
+         "no motion repairs a wrong focal length"),
+        ("the second image mirrored", a, mirror * b, true, "points", "a mirror image is no motion"),
+    )  # fmt: skip
+    for on, first, second, T_ba, expected, prop in cases:
+        got = attempt.on(on)(first + noise[0], second + noise[1], T_ba, 0.005)
+        holds(got in ("fits", "poses", "points"), "it returns one of the three words", on=on, detail=f"got {got!r}")
+        holds(got == expected, prop, on=on, detail=f"got {got!r}, expected {expected!r}")
