@@ -13,7 +13,7 @@ def _depth_factor(a: Tensor, b: Tensor, R: Tensor, t: Tensor) -> Tensor:
 
 
 def _units_per_metre(a: Tensor, b: Tensor, R: Tensor, t: Tensor) -> Tensor:
-    return 1 / _depth_factor(a, b, R, t)
+    return ((b - a @ R.T).mean(0) @ t) / (t @ t)
 
 
 def _turn_ignored(a: Tensor, b: Tensor, R: Tensor, t: Tensor) -> Tensor:
@@ -80,8 +80,14 @@ def _pose_shift(image_motion: Tensor, pose_motion: Tensor, reach: int) -> int:
     return max(range(-reach, reach + 1), key=likeness)
 
 
+def _alike(x: Tensor, y: Tensor, k: int) -> float:
+    n = len(x)
+    pair = torch.stack([x[max(0, -k) : n - max(0, k)], y[max(0, k) : n - max(0, -k)]])
+    return float(torch.corrcoef(pair)[0, 1])
+
+
 def _other_sign(image_motion: Tensor, pose_motion: Tensor, reach: int) -> int:
-    return -_pose_shift(image_motion, pose_motion, reach)
+    return -max(range(-reach, reach + 1), key=lambda k: _alike(image_motion, pose_motion, k))
 
 
 def _least_difference(image_motion: Tensor, pose_motion: Tensor, reach: int) -> int:
@@ -107,7 +113,7 @@ def _rolled(image_motion: Tensor, pose_motion: Tensor, reach: int) -> int:
 
 
 def _only_forwards(image_motion: Tensor, pose_motion: Tensor, reach: int) -> int:
-    return max(0, _pose_shift(image_motion, pose_motion, reach))
+    return max(range(reach + 1), key=lambda k: _alike(image_motion, pose_motion, k))
 
 
 @exercise(
@@ -196,7 +202,7 @@ def _with_mirrors(a: Tensor, b: Tensor, T_ba: Tensor, noise_m: float) -> str:
 
 
 def _no_noise(a: Tensor, b: Tensor, T_ba: Tensor, noise_m: float) -> str:
-    return _tell_apart(a, b, T_ba, 1e-6)
+    return "fits" if torch.allclose(se3.apply(T_ba, a), b, atol=1e-6) else "points"
 
 
 @exercise(
