@@ -95,6 +95,6 @@ def _backward_picture(figure: "Figure", bars: Bars, most: float) -> Callable[[St
         for bar, value in zip(slopes, step.scene["v_alpha"].nan_to_num().tolist(), strict=True):
             bar.set_height(value)
         for mark, axes in zip(marks, (above, below), strict=True):
-            mark.set_data([step.scene["k"] + 1], [axes.get_ylim()[1]])
+            mark.set_data([step.scene["k"] + 1], [0.92 * axes.get_ylim()[1]])
 
     return update
