@@ -40,6 +40,7 @@ STAND_ALONE = {
     "covariance_2d", "inverse_vjp", "pinhole_vjp", "slope", "frame_rate", "map_frame", "spread_correction",
     "budget_cells", "pareto_rules", "raster_rule", "silhouette_rule",
     "adam_traffic", "attainable_gflops", "average_loop", "overall_speedup",
+    "depth_factor", "pose_shift", "tell_apart",
 }  # fmt: skip
 """Exercises whose function runs nowhere in the library; each says why in ``stands_alone``."""
 
