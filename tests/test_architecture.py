@@ -216,7 +216,7 @@ CHAPTER = '''
 from .exercise import Attempt, Wrong, close, exercise
 
 
-@exercise(chapter=11, difficulty=1, minutes=1, solution=lambda x: x + x, hints=("Add it to itself.",),
+@exercise(chapter=12, difficulty=1, minutes=1, solution=lambda x: x + x, hints=("Add it to itself.",),
           wrong=(Wrong(lambda x: x, says="twice"),))
 def toy_exercise(attempt: Attempt) -> None:
     """Twice a number."""
@@ -230,7 +230,7 @@ from .becomes import Becomes
 from .exercise import Attempt, Wrong, close, exercise
 
 
-@exercise(chapter=11, difficulty=1, minutes=1, solution=lambda x: x + x, hints=("Add it to itself.",),
+@exercise(chapter=12, difficulty=1, minutes=1, solution=lambda x: x + x, hints=("Add it to itself.",),
           wrong=(Wrong(lambda x: x, says="twice"),), becomes=Becomes("toy_piece", lambda yours, x: yours(x)))
 def toy_own(attempt: Attempt) -> None:
     """Twice a number."""
@@ -274,8 +274,8 @@ WHOLE = {
     },
     "a chapter": {
         "gsfusion_nb/teaching/toy_chapter.py": CHAPTER,
-        "notebooks/11_toy_chapter.ipynb": NOTEBOOK,
-        "README.md": (("| `10_backends_and_speed`", "| `11_toy_chapter` | a toy | nothing | 1 min |\n"),),
+        "notebooks/12_toy_chapter.ipynb": NOTEBOOK,
+        "README.md": (("| `10_backends_and_speed`", "| `12_toy_chapter` | a toy | nothing | 1 min |\n"),),
     },
     "an exercise whose function runs in the library": {
         "gsfusion_nb/teaching/toy_own.py": OWN_EXERCISE,
