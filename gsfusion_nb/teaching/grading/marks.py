@@ -4,6 +4,7 @@ import csv
 import io
 import os
 import secrets
+import tempfile
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -88,7 +89,9 @@ def grade(
     left = list(range(len(submissions)))
     n_jobs = min(jobs or min(usable_cores(), 8), len(submissions))
     environment = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", "GSFUSION_BACKEND": "reference"}
-    with WorkerPool(_grade_one, n_jobs, environment) as pool:
+    folder = tempfile.TemporaryDirectory(prefix="gsnb-class-", ignore_cleanup_errors=True)
+    environment["TMPDIR"] = folder.name  # the sandboxes of ended workers go with it
+    with folder, WorkerPool(_grade_one, n_jobs, environment) as pool:
         while left or pool.running:
             while left and pool.has_room:
                 i = left.pop(0)
