@@ -204,7 +204,8 @@ def _settled_number(value: Any) -> Any:
 
 
 def _parts(value: Any) -> Any:
-    for kind in (list, tuple, set, frozenset):
+    collections: tuple[Any, ...] = (list, tuple, set, frozenset)
+    for kind in collections:
         if isinstance(value, kind):
             _not_too_many(kind.__len__(value), _LONGEST)
             return kind(settled(part) for part in kind.__iter__(value))
@@ -215,7 +216,7 @@ def _parts(value: Any) -> Any:
         _not_too_many(len(found), _LONGEST)
         return found
     module = type(value).__module__
-    if module.startswith(f"{__package__.partition('.')[0]}."):
+    if module.startswith(f"{__name__.partition('.')[0]}."):
         return value
     kinds = "tensors, arrays, numbers, texts, lists, tuples"
     raise Broken("it returns plain values", f"it returned a {type(value).__name__}; expected {kinds}")
