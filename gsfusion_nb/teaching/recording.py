@@ -138,8 +138,8 @@ def _only_forwards(image_motion: Tensor, pose_motion: Tensor, reach: int) -> int
 def pose_shift(attempt: Attempt) -> None:
     """By how many frames the poses are late, from how fast the images and the poses move."""
 
-    def ask(on: str, image_motion: Tensor, pose_motion: Tensor, k: int, prop: str) -> None:
-        got = attempt.on(on)(image_motion, pose_motion, 3)
+    def ask(on: str, image_motion: Tensor, pose_motion: Tensor, k: int, prop: str, reach: int = 3) -> None:
+        got = attempt.on(on)(image_motion, pose_motion, reach)
         holds(isinstance(got, (int, float, Tensor)), "it returns a number", on=on, detail=f"got {got!r}")
         holds(float(got) == k, prop, on=on, detail=f"got {float(got):g}, expected {k}")
 
@@ -149,6 +149,9 @@ def pose_shift(attempt: Attempt) -> None:
     ask("the same curve twice", early, early.clone(), 0, "nothing is shifted")
     ask("poses two frames late", early, curve[1:41], 2, "image i belongs to pose i + k")
     ask("poses three frames early", early, curve[6:46], -3, "the poses may be early, too")
+    ask("poses three frames late", early, curve[0:40], 3, "a shift of reach frames is found, to both sides")
+    on = "poses five frames late, reach 6"
+    ask(on, curve[6:46], curve[1:41], 5, "shifts of up to reach frames are tried", reach=6)
     on = "images in pixels, poses in radians, poses two frames late"
     ask(on, 30 * early + 2, 0.1 * curve[1:41], 2, "pixels and radians are different units")
     on = "a camera that never stops, poses two frames late"
@@ -251,3 +254,8 @@ def tell_apart(attempt: Attempt) -> None:
         got = attempt.on(on)(first + noise[0], second + noise[1], T_ba, 0.005)
         holds(got in ("fits", "poses", "points"), "it returns one of the three words", on=on, detail=f"got {got!r}")
         holds(got == expected, prop, on=on, detail=f"got {got!r}, expected {expected!r}")
+    on = "noise of 5 cm, and a pose 1 m beside the true one"
+    aside[0, 3] += 0.9
+    got = attempt.on(on)(a + 10 * noise[0], b + 10 * noise[1], aside, 0.05)
+    prop = "what counts as small is a multiple of noise_m, for the given pose and for the best one"
+    holds(got == "poses", prop, on=on, detail=f"got {got!r}, expected 'poses'")
