@@ -115,8 +115,8 @@ def _steps(recording: Recording, rows: int, adam_steps: Count) -> list[Step]:
         if line.text.startswith("if start < self._most"):
             what = "A new row" if line["start"] else "The map starts with these rows"
             title = f"{what}: the values come from the seeds, and the moments m and v are 0."
-            rows = [("rows", f"{line['start']} to {line['stop'] - 1}")]
-            steps.append(Step(line=line, title=title, numbers=rows, scene=scene))
+            added = [("rows", f"{line['start']} to {line['stop'] - 1}")]
+            steps.append(Step(line=line, title=title, numbers=added, scene=scene))
         elif line.text.startswith(counting):
             t = "none: no correction" if line["steps"] is None else text_of(line["steps"])
             numbers = [("step of the map", str(line["t"])), ("t of each row", t)]
@@ -161,7 +161,7 @@ def _shown(line: Line, start: torch.Tensor) -> tuple[str, tuple[str, ...], list[
 
 
 def _picture(
-    figure: "Figure", steps: Sequence[Step], others: dict[Count, list[float]], before: int
+    figure: "Figure", steps: Sequence[Step], others: dict[str, list[float]], before: int
 ) -> Callable[[Step], None]:
     above, below = figure.add_axes((0.12, 0.57, 0.86, 0.36)), figure.add_axes((0.12, 0.12, 0.86, 0.36))
     style(above, y="lr", title="length of each step, in learning rates (orange: the new row)")
