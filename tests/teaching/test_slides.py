@@ -34,7 +34,9 @@ def test_a_deck_has_predictions_a_demonstration_and_questions(deck):
     assert sum("_class: predict" in part for part in parts) >= 1
     demo = [part for part in parts if "_class: demo" in part]
     assert len(demo) == 1
-    chapter, cell = re.search(r"\*\*Chapter (\d+), cell `([\w-]+)`\*\*", demo[0]).groups()
+    named = re.search(r"\*\*Chapter (\d+), cell `([\w-]+)`\*\*", demo[0])
+    assert named
+    chapter, cell = named.groups()
     assert f"cell:{int(chapter):02}/{cell}" in demo[0]
     for question in re.findall(r"`(\w+)-(\d+)`", "\n".join(parts)):
         assert int(question[1]) <= len(exercises()[question[0]].wrong)

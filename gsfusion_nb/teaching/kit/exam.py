@@ -66,14 +66,14 @@ def write(letter: str, path: Path) -> None:
     """Write a recording: ``rgb`` [N, H, W, 3] uint8, ``depth_m`` [N, H, W], ``T_WC`` [N, 4, 4], ``intrinsics`` [4]."""
     frames = list(frames_of(letter))
     camera = frames[0].camera
-    arrays = {
-        "rgb": torch.stack([frame.rgb_u8 for frame in frames]).numpy(),
-        "depth_m": torch.stack([frame.depth_m for frame in frames]).numpy(),
-        "T_WC": torch.stack([frame.T_WC for frame in frames]).numpy(),
-        "intrinsics": np.array([camera.fx, camera.fy, camera.cx, camera.cy]),
-    }
     with atomic_file(path) as temporary:
-        np.savez_compressed(temporary, **arrays)
+        np.savez_compressed(
+            temporary,
+            rgb=torch.stack([frame.rgb_u8 for frame in frames]).numpy(),
+            depth_m=torch.stack([frame.depth_m for frame in frames]).numpy(),
+            T_WC=torch.stack([frame.T_WC for frame in frames]).numpy(),
+            intrinsics=np.array([camera.fx, camera.fy, camera.cx, camera.cy]),
+        )
 
 
 def read(path: Path) -> list[Frame]:

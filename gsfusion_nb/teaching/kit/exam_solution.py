@@ -71,7 +71,9 @@ def held_out_psnr_db(frames: list[Frame]) -> tuple[float, int]:
     for k, frame in enumerate(frames):
         if k % 4 != 2:
             mapper.step(frame)
-    return score_views(mapper.render, frames[2::4]).psnr, len(mapper.gaussians)
+    psnr_db = score_views(mapper.render, frames[2::4]).psnr
+    assert isinstance(psnr_db, float)
+    return psnr_db, len(mapper.gaussians)
 
 
 def blended_depth(alpha: Tensor, z: Tensor) -> Tensor:

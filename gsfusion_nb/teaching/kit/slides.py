@@ -66,9 +66,15 @@ class Chapters:
         raise ValueError(f"cell {cell} of chapter {chapter} shows no picture")
 
     def number(self, chapter: str, cell: str, quote: str) -> str:
-        """The one number that a quotation names, as the cell of a chapter, or the page ``cell`` of ``docs``, has it."""
+        """The one number that a quotation names, as the cell of a chapter has it.
+
+        With ``docs`` as chapter: as the page ``cell`` has it, in the first of its sections with the words before the
+        number.
+        """
         if chapter == "docs":
-            shown = {cell: (self.folder.parent / "docs" / f"{cell}.md").read_text(encoding="utf-8")}
+            sections = (self.folder.parent / "docs" / f"{cell}.md").read_text(encoding="utf-8").split("\n## ")
+            words = quote.partition("{")[0].strip()
+            shown = {cell: next((section for section in sections if words in section), "")}
         else:
             shown = shown_by(self.notebook(chapter))
         found = quoted(cell, quote, shown)
