@@ -340,6 +340,28 @@ def _pareto_rules(g: torch.Generator) -> tuple[Any, ...]:
     return torch.randint(1, 9, (12,), generator=g) * 1000.0, torch.randint(40, 50, (12,), generator=g) / 2
 
 
+@drawn("pose_shift")
+def _pose_shift(g: torch.Generator) -> tuple[Any, ...]:
+    curve, k = numbers(g, 0, 1, 46, dtype=F64), whole(g, -3, 3)
+    return 30 * curve[3:43], curve[3 - k : 43 - k].clone(), 3
+
+
+@drawn("tell_apart")
+def _tell_apart(g: torch.Generator) -> tuple[Any, ...]:
+    a, T_ba, kind = numbers(g, -1, 1, 200, 3, dtype=F64), pose(g), whole(g, 0, 2)
+    b = se3.apply(T_ba, a) + 0.005 * normal(g, 200, 3)
+    wide = torch.tensor([1.3, 1.3, 1.0], dtype=F64)
+    told = T_ba if kind != 1 else se3.exp(torch.tensor([0.3, 0.0, 0.0, 0.0, 0.2, 0.0], dtype=F64)) @ T_ba
+    return (a * wide, b * wide, told, 0.005) if kind == 2 else (a, b, told, 0.005)
+
+
+@drawn("depth_factor")
+def _depth_factor(g: torch.Generator) -> tuple[Any, ...]:
+    a_m, T = numbers(g, -1, 1, 50, 3, dtype=F64), pose(g)
+    factor = number(g, 0.5, 5)
+    return a_m / factor, se3.apply(T, a_m) / factor, T[:3, :3], T[:3, 3]
+
+
 @drawn("overall_speedup")
 def _overall_speedup(g: torch.Generator) -> tuple[Any, ...]:
     names = ("tsdf", "quadtree", "seeding", "optimise")
