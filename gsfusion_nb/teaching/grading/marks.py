@@ -8,6 +8,7 @@ import tempfile
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from ...drawing.html import fill
 from ...files import write_file
@@ -149,7 +150,7 @@ def write_marks(path: Path, marks: Iterable[Mark]) -> None:
 def rubric_page(names: Sequence[str], points: Points) -> str:
     """HTML: the points of each exercise and the properties that an answer must have."""
     every = exercises()
-    chapters: dict[int, list[dict[str, object]]] = {}
+    chapters: dict[int, list[Any]] = {}
     for name in names:
         exercise = every[name]
         about = {"name": name, "title": exercise.title, "minutes": exercise.minutes}

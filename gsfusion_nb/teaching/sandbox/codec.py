@@ -116,9 +116,9 @@ def _value(tree: Any, data: memoryview, depth: int) -> Any:
         return tree
     letter, *rest = tree
     if letter == "T":
-        return torch.from_numpy(_array(*rest, data))
+        return torch.from_numpy(_array(rest, data))
     if letter == "A":
-        return _array(*rest, data)
+        return _array(rest, data)
     if letter == "?":
         name = "".join(c for c in str(rest[0])[:40] if c.isalnum() or c == "_")
         return type(name if name.isidentifier() else "object", (Foreign,), {})()
@@ -130,7 +130,8 @@ def _value(tree: Any, data: memoryview, depth: int) -> Any:
     return {"t": tuple, "l": list, "s": set}[letter](values)
 
 
-def _array(name: str, shape: list[int], start: int, data: memoryview) -> np.ndarray:
+def _array(about: list[Any], data: memoryview) -> np.ndarray:
+    name, shape, start = about
     if name not in _DTYPES and name not in ("uint16", "uint32", "uint64"):
         raise CodecError(f"an array of {name!r}")
     if not all(type(n) is int and n >= 0 for n in [*shape, start]):

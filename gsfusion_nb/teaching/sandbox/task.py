@@ -27,7 +27,7 @@ from .needed import Cell, NoFunction, needed
 _LARGEST_REQUEST = 1 << 30
 _LONGEST = 300
 """Characters of a message."""
-_TEACHING = __package__.rpartition(".")[0]
+_TEACHING = __name__.rsplit(".", 2)[0]
 
 
 class Line:
