@@ -20,8 +20,6 @@ from ...mapping import StepReport
 from ...runs import MappingRun
 from ...types import Frame
 from ..display import Bundle, with_picture
-from ..lost import LostNotice
-from ..panels.click_image import ClickImage
 from .player import Player
 from .player_buttons import player_buttons
 from .scrubber import Scrubber
@@ -216,6 +214,9 @@ class LiveMapper:
 
     def _build(self, panel_width: int) -> None:
         import ipywidgets as w
+
+        from ..lost import LostNotice
+        from ..panels.click_image import ClickImage
 
         self._panel_width = panel_width
         captions = captions_of(self.run.mapper)

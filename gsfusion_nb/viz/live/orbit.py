@@ -2,7 +2,7 @@
 
 import contextlib
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from jaxtyping import Float, Int
@@ -15,10 +15,11 @@ from ...mapping import Mapper
 from ...render import render
 from ...types import Camera, GaussianParams
 from ..display import Bundle, with_picture
-from ..panels.click_image import ClickImage, Stroke
-from ..panels.panel import beside
 from ..splats.map_picture import SHOWS, draw_gaussians
 from ..viewpoint import Vector, Viewpoint, extent, viewpoint_of, world_up
+
+if TYPE_CHECKING:
+    from ..panels.click_image import Stroke
 
 _FOCAL_PER_WIDTH = 0.7
 """Focal length / image width of the viewer's camera if the map has no cameras: a 71 degree wide view."""
@@ -153,6 +154,9 @@ class OrbitView:
     def _build(self) -> None:
         import ipywidgets as w
 
+        from ..panels.click_image import ClickImage
+        from ..panels.panel import beside
+
         self.sliders = self._make_sliders()
         self.places = self._make_places()
         shows = [s for s in SHOWS if s not in _LABELLED or self._labels(_LABELLED[s]) is not None]
@@ -205,7 +209,7 @@ class OrbitView:
         if not self._quiet:
             self._redraw()
 
-    def _dragged(self, stroke: Stroke) -> None:
+    def _dragged(self, stroke: "Stroke") -> None:
         if stroke.number != self._stroke:
             self._stroke, self._grabbed = stroke.number, {name: s.value for name, s in self.sliders.items()}
         held, (du, dv) = self._grabbed, stroke.moved
