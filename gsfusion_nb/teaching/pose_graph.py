@@ -106,8 +106,8 @@ def _differences(T_i: Tensor, T_j: Tensor, T_ij: Tensor, moved: int, step: float
     for k in range(6):
         xi = torch.zeros(6, dtype=F64)
         xi[k] = step
-        ends = [[T_i @ se3.exp(s * xi), T_j] if moved == 0 else [T_i, T_j @ se3.exp(s * xi)] for s in (1.0, -1.0)]
-        ahead, back = (_relative_error(*both, T_ij)[0] for both in ends)
+        ends = [(T_i @ se3.exp(s * xi), T_j) if moved == 0 else (T_i, T_j @ se3.exp(s * xi)) for s in (1.0, -1.0)]
+        ahead, back = (_relative_error(a, b, T_ij)[0] for a, b in ends)
         columns.append((ahead - back) / (2 * step))
     return torch.stack(columns, dim=1)
 

@@ -36,8 +36,9 @@ def chapter(number):
     notebook = json.loads(path.read_text(encoding="utf-8"))
     solutions = {}
     for cell in notebook["cells"]:
-        found = SOLUTION.search("".join(cell["source"])) if cell["cell_type"] == "code" else None
-        for name in re.findall(r"^def (\w+)\(", found[1], re.MULTILINE) if found else ():
+        if cell["cell_type"] != "code" or not (found := SOLUTION.search("".join(cell["source"]))):
+            continue
+        for name in re.findall(r"^def (\w+)\(", found[1], re.MULTILINE):
             if name in exercises():
                 solutions[name] = found[1]
     assert set(solutions) == {e.name for e in exercises().values() if e.chapter == number}

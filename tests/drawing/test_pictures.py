@@ -164,7 +164,9 @@ def test_a_drawing_gets_a_transparent_ground_or_the_card():
     drawing = np.full((4, 4, 3), 255, np.uint8)
     drawing[0], drawing[1] = BETWEEN, (61, 133, 198)
     drawing[2] = np.round((np.array(BETWEEN) + 255.0) / 2)  # half of a smoothed line
-    rgba = cv2.imdecode(np.frombuffer(encode_drawing(drawing), np.uint8), cv2.IMREAD_UNCHANGED)[..., [2, 1, 0, 3]]
+    bgra = cv2.imdecode(np.frombuffer(encode_drawing(drawing), np.uint8), cv2.IMREAD_UNCHANGED)
+    assert bgra is not None
+    rgba = bgra[..., [2, 1, 0, 3]]
     assert rgba[:, 0, 3].tolist() == [255, 255, 128, 0]
     assert rgba[0, 0, :3].tolist() == list(BETWEEN)
     opacity = rgba[..., 3:] / 255

@@ -15,7 +15,7 @@ def images_vjp(generator, camera):
 
 
 def weighted(images, v):
-    return sum((image * weight).sum() for image, weight in zip(images, v, strict=True))
+    return torch.stack([(image * weight).sum() for image, weight in zip(images, v, strict=True)]).sum()
 
 
 def found(params, scene, v):

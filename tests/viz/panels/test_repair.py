@@ -10,7 +10,7 @@ from gsfusion_nb.viz import repair_panel
 
 
 def agreeing(panel) -> int:
-    return int(re.search(r"<b>(\d+)%</b>", panel.caption.value)[1])
+    return int(re.findall(r"<b>(\d+)%</b>", panel.caption.value)[0])
 
 
 def test_the_true_repair_is_the_best(tmp_path):

@@ -48,6 +48,7 @@ def test_a_stored_notebook_keeps_some_steps_as_one_picture(stepper, monkeypatch)
     data, metadata = stepper._repr_mimebundle_()
     assert WIDGET_MIME not in data
     png = cv2.imdecode(np.frombuffer(base64.b64decode(data["image/png"]), np.uint8), cv2.IMREAD_UNCHANGED)
+    assert png is not None
     assert png.shape[2] == 4
     assert (png[..., 3] == 0).mean() > 0.3
     shown = metadata["image/png"]

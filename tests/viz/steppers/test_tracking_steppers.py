@@ -58,7 +58,9 @@ def test_pose_graph_ends_with_the_poses_of_one_step(loop, press):
     once = optimise_poses_plain(T_WC, without_loops, iterations=1)
     alone = pose_graph_stepper(T_WC, without_loops)
     torch.testing.assert_close(alone.steps[-1].scene["T_WC"], once.T_WC)
-    assert float(dict(alone.steps[-1].numbers)["error after"]) == pytest.approx(once.error_after, rel=1e-3)
+    assert float({row[0]: row[1] for row in alone.steps[-1].numbers}["error after"]) == pytest.approx(
+        once.error_after, rel=1e-3
+    )
     H = stepper.steps[stepper.find("Solve H xi")].scene["H"] > 0
     joined = torch.eye(5, dtype=torch.bool)
     for e in edges:

@@ -60,7 +60,7 @@ def test_quadtree_ends_with_the_leaves_of_the_operation(frame, press, contrast):
     assert list(stepper.steps[-1].scene["leaves"]) == expected
     looked = [step for step in stepper.steps if step.title.endswith("above the threshold.")]
     for step in looked:
-        numbers = dict(step.numbers)
+        numbers = {row[0]: row[1] for row in step.numbers}
         above = float(numbers["contrast"]) > float(numbers["threshold"])
         assert above == (numbers["split"] == "yes")
     assert len(looked) > 3
