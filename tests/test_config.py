@@ -71,7 +71,7 @@ def test_json_round_trip(preset):
 
 
 def test_unknown_names_are_refused_with_the_known_ones():
-    with pytest.raises(ValueError, match=r"tsdf\.: unknown keys \['voxel_sise_m'\]; known: .*'voxel_size_m'"):
+    with pytest.raises(ValueError, match=r"tsdf: unknown keys \['voxel_sise_m'\]; known: .*'voxel_size_m'"):
         gsfusion("replica", tsdf__voxel_sise_m=0.1)
     with pytest.raises(ValueError, match="config: unknown keys"):
         replace(GSFusionConfig(), sh=1)

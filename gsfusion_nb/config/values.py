@@ -57,7 +57,7 @@ def _merge(config: Any, values: dict[str, Any], path: str) -> Any:
     known = {f.name for f in dataclasses.fields(config)}
     unknown = sorted(set(values) - known)
     if unknown:
-        raise ValueError(f"{path or 'config'}: unknown keys {unknown}; known: {sorted(known)}")
+        raise ValueError(f"{path.rstrip('.') or 'config'}: unknown keys {unknown}; known: {sorted(known)}")
     changed = {}
     for name, value in values.items():
         old = getattr(config, name)

@@ -9,6 +9,7 @@ from ..data import OpenedSequence, sequence_fingerprint
 from ..mapping import get_system, system_of
 from ..seeding import SeedingRule
 from ..seeding.rule_file import find_rule
+from .check_run import check_run
 from .entrant import Entrant
 from .map_scene import Entry
 from .setting_names import changed_settings
@@ -39,9 +40,11 @@ def entries_of(
             ``config``.
 
     Raises:
-        KeyError: unknown rule. TypeError: a rule with a wrong signature, or both ``config`` and ``settings``.
-        ValueError: no rule, two rules with the same label, or a file that cannot be read. FileNotFoundError: no such
-            file.
+        KeyError: unknown rule, system or preset. TypeError: a rule with a wrong signature, an option that it does not
+            have or of a wrong type, or both ``config`` and ``settings``.
+        ValueError: no rule, two rules with the same label, a file that cannot be read, a setting that does not exist,
+            an invalid value, or a rule without an option to tune where the budget asks for it. FileNotFoundError: no
+            such file.
     """
     entrants = [rule if isinstance(rule, Entrant) else Entrant(rule) for rule in rules]
     names = [entrant.name for entrant in entrants]
@@ -53,10 +56,13 @@ def entries_of(
         find_rule(entrant.rule)
     own = _fields_of_config(config) if config is not None else {}
     places = [_fields_of_scene(scene) for scene in scenes]
-    return [
+    entries = [
         entrant.entry(budget=budget, seed=seed, **place, **own, **shared)
         for budget, place, entrant, seed in itertools.product(budgets, places, entrants, seeds)
     ]
+    for entry in entries:
+        check_run(entry.spec, entry.found_rule())
+    return entries
 
 
 def _fields_of_scene(scene: str | OpenedSequence) -> dict[str, Any]:

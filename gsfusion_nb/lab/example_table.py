@@ -51,7 +51,7 @@ size_option = "thin"   # the option that is tuned; "thin" keeps a random share o
 label = "dense, thinned"
 
 # [[rules]]
-# rule = "my_rules.py:near_only"    # a rule from a file beside this one
-# size_option = "share"
-# size_range = [0.001, 1.0]
+# rule = "my_rules.py:grid"    # a rule from a file beside this one
+# size_option = "spacing_px"   # its option that decides how many Gaussians it makes
+# size_range = [1, 100]
 """

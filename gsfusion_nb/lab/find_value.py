@@ -133,4 +133,7 @@ class Search:
 
     def _nearest(self) -> str:
         nearest = sorted(self.counts, key=self.error)[:2]
+        if len(nearest) == 2 and len(set(self.counts.values())) == 1:
+            a, b = nearest
+            return f"this changes nothing: {a:g} and {b:g} both give {self.counts[a]:,.6g}"
         return " and ".join(f"{v:g} gives {self.counts[v]:,.6g}" for v in nearest)

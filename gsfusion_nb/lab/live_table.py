@@ -20,6 +20,7 @@ from .live_runs import LiveRuns
 from .map_scene import Entry
 from .outputs import all_tables, write_outputs
 from .pareto import ParetoPoints, pareto_figure
+from .records import write_records
 from .result import RunResult
 from .result_table import ResultTable, failures, scene_table
 from .scene_plots import scene_points
@@ -50,7 +51,8 @@ class LiveTable:
             they pause between two runs.
         dask: As for ``executors.executor``.
 
-    ``results`` are those so far. ``write()`` writes tables, figures and the page into ``folder``.
+    ``results`` are those so far. ``write()`` writes runs.csv, provenance.json, tables, figures and the page into
+    ``folder``.
     """
 
     def __init__(
@@ -133,11 +135,21 @@ class LiveTable:
         return figure_picture(self.figure())
 
     def write(self, folder: str | Path | None = None) -> list[Path]:
-        """``write_outputs`` of the results so far; into the folder of the results if none is given."""
-        return write_outputs(folder or self.store.folder, self.results)
+        """Write what ``gsfusion-nb lab`` writes about the results so far: ``write_records`` and ``write_outputs``.
+
+        Args:
+            folder: Where the files go; into the folder of the results if None.
+
+        Returns:
+            The files written.
+        """
+        place = Path(folder or self.store.folder)
+        return [*write_records(place, self.results), *write_outputs(place, self.results)]
 
     def __repr__(self) -> str:
-        return f"LiveTable({len(self.results)} of {self._runs.n_runs} runs)"
+        reasons = [reason for *_, reason in failures(self.results)]
+        failed = f", {len(reasons)} failed: {reasons[0]}" if reasons else ""
+        return f"LiveTable({len(self.results)} of {self._runs.n_runs} runs{failed})"
 
     def _repr_mimebundle_(self, **kwargs: Any) -> Bundle:
         self._show_table()

@@ -12,9 +12,11 @@ from ..config import SystemConfig
 from ..data import OpenedSequence, open_sequence
 from ..mapping import Mapper, StepReport, make_mapper
 from ..memory import PeakMemory
+from ..observing import observing
 from ..runs import MappingRun
 from ..seeding import SeedingRule, get_rule
 from ..seeding.rule_file import rule_of_source
+from .out_of_view import OutOfView
 from .rule_variants import thinned
 from .schedule import dotted, fixed_schedule
 from .setting_names import flat_settings, with_settings
@@ -99,10 +101,11 @@ def map_scene(
     with memory if with_memory else contextlib.nullcontext():
         mapper, notes = _mapper(entry, config)
         run, cpu_s, n_steps = MappingRun(sequence, mapper), [], 0
-        frames = run.online()
+        frames, unseen = run.online(), OutOfView()
         while True:
             began = time.process_time()
-            report = next(frames, None)
+            with observing(unseen):
+                report = next(frames, None)
             if report is None:
                 break
             cpu_s.append(time.process_time() - began)
@@ -114,6 +117,7 @@ def map_scene(
     empty = sum(report.n_gaussians == 0 for report in run.steps)
     if empty:
         notes.append(f"after {empty} of {len(run.steps)} frames the map was empty, so no gradient steps were taken")
+    notes += unseen.note()
     return Mapped(run=run, n_steps=n_steps, cpu_s=cpu_s, peak_mb=memory.peak_mb, notes=notes)
 
 

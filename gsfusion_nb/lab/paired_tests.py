@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -47,6 +47,8 @@ class Comparison:
     """Two-sided p value of Wilcoxon's signed-rank test; with n pairs it cannot be below 2 / 2^n."""
     verdict: Verdict
     """Which rule is better, or that this cannot be said."""
+    failed: dict[str, str] = field(default_factory=dict)
+    """Rule without any completed run -> why its first run failed."""
 
     @property
     def n(self) -> int:
@@ -70,6 +72,9 @@ class Comparison:
         column = COLUMNS[self.metric]
         unit = f" {column.unit}" if column.unit else ""
         pairs = f"{self.n} pairs of runs on {_count(len(self.differences), 'scene')}"
+        if self.failed:
+            reasons = "; ".join(f"all runs of {label} failed: {reason}" for label, reason in self.failed.items())
+            return f"{self.a} and {self.b}: nothing can be said about noise, because {reasons}"
         if self.verdict == "unknown":
             have = f"{_count(self.n, 'pair')} of runs with one seed" if self.n else "no pair of completed runs"
             return f"{self.a} and {self.b}: nothing can be said about noise from {have}; use at least three seeds"
@@ -114,17 +119,18 @@ def compare(
     Raises:
         KeyError: a label without any run, or an unknown metric.
     """
-    column, values = COLUMNS[metric], {a: {}, b: {}}
-    seen = set()
-    for result in results:
-        spec = result.spec
-        seen.add(spec.label)
-        value = result.metrics.get(metric, math.nan)
-        if spec.label in values and budget in (None, str(spec.budget)) and math.isfinite(value):
-            values[spec.label][spec.scene, spec.seed, str(spec.budget)] = value
+    column, results = COLUMNS[metric], list(results)
+    seen = {result.spec.label for result in results}
     for label in (a, b):
         if label not in seen:
-            raise KeyError(f"no runs of {label!r}; there are: {', '.join(sorted(seen))}")
+            known = f"there are: {', '.join(sorted(seen))}" if seen else "there are none"
+            raise KeyError(f"no runs of {label!r}; {known}")
+    chosen = [r for r in results if r.spec.label in (a, b) and budget in (None, str(r.spec.budget))]
+    values: dict[str, dict[tuple[str, int, str], float]] = {a: {}, b: {}}
+    for result in chosen:
+        spec, value = result.spec, result.metrics.get(metric, math.nan)
+        if math.isfinite(value):
+            values[spec.label][spec.scene, spec.seed, str(spec.budget)] = value
     differences: dict[str, list[float]] = {}
     seeds = set()
     for place, value in values[a].items():
@@ -144,7 +150,18 @@ def compare(
     return Comparison(
         a=a, b=b, metric=metric, differences=differences, mean=mean, interval=interval, bootstrap=bootstrap_interval(d),
         p_t=p, p_signed_rank=signed_rank_p(d), verdict=verdict,
+        failed=_all_failed(chosen, (a, b)),
     )  # fmt: skip
+
+
+def _all_failed(results: "Sequence[RunResult]", labels: Iterable[str]) -> dict[str, str]:
+    """Label -> reason of its first run, of the labels whose runs all failed."""
+    found = {}
+    for label in labels:
+        own = [r for r in results if r.spec.label == label]
+        if own and all(r.status == "failed" for r in own):
+            found[label] = own[0].reason
+    return found
 
 
 def paired_t(differences: Float[np.ndarray, "N"]) -> tuple[tuple[float, float], float]:

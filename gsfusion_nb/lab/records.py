@@ -17,16 +17,21 @@ from .run_key import package_fingerprint
 from .setting_names import flat_settings
 
 
-def write_records(folder: Path, results: Sequence[RunResult], *, text: str = "") -> None:
-    """Write both files, each completely or not at all.
+def write_records(folder: Path, results: Sequence[RunResult], *, text: str = "") -> list[Path]:
+    """Write ``runs.csv`` and ``provenance.json``, each completely or not at all.
 
     Args:
         folder: The output folder.
         results: The runs so far.
         text: The file that described them.
+
+    Returns:
+        The files written.
     """
-    write_file(folder / "runs.csv", as_csv(results))
-    write_file(folder / "provenance.json", json.dumps(provenance(results, text), indent=1))
+    texts = {"runs.csv": as_csv(results), "provenance.json": json.dumps(provenance(results, text), indent=1)}
+    for name, content in texts.items():
+        write_file(folder / name, content)
+    return [folder / name for name in texts]
 
 
 def as_csv(results: Sequence[RunResult]) -> str:

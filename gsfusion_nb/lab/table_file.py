@@ -11,10 +11,10 @@ from typing import Any
 from ..errors import SequenceError, shown
 from ..foreign import read_text
 from ..mapping import SYSTEMS
-from ..seeding import check_options
+from ..seeding import SeedingRule
 from ..seeding.rule_file import is_rule_file, read_rule_file
+from .check_run import RULE_CHECKS, check_size_range
 from .map_scene import Entry
-from .size_options import THIN, SizeOption, start_value
 from .spec import Budget, RunSpec, label_of
 
 _TOP = {"seeds": (int, list), "system": (str,), "preset": (str,), "device": (str,), "settings": (dict,),
@@ -85,9 +85,10 @@ class _Reader:
         """The comparison, or all its mistakes."""
         self._settings("settings", 0, self.top.get("settings", {}))
         seeds = self._seeds(self.top.get("seeds", 1))
-        rules = [self._rule(i, v) for i, v in self._tables("rules", _RULE, "rule")]
-        scenes = [self._scene(i, v) for i, v in self._tables("scenes", _SCENE, "data")]
         budgets = [self._budget(i, v) for i, v in self._tables("budgets", _BUDGET, "")] or [Budget()]
+        tuned = next((budget for budget in budgets if budget.gaussians is not None), budgets[0])
+        rules = [self._rule(i, v, tuned) for i, v in self._tables("rules", _RULE, "rule")]
+        scenes = [self._scene(i, v) for i, v in self._tables("scenes", _SCENE, "data")]
         self._raise()
         self._unique("rules", [rule["label"] for rule in rules])
         self._unique("scenes", [scene["scene"] for scene in scenes])
@@ -108,8 +109,8 @@ class _Reader:
             self._wrong("", 0, "seeds", f"expected a number of seeds, or a list of whole numbers, got {shown(given)}")
         return seeds
 
-    def _rule(self, i: int, values: dict[str, Any]) -> dict[str, Any]:
-        """A rule as parts of a spec."""
+    def _rule(self, i: int, values: dict[str, Any], budget: Budget) -> dict[str, Any]:
+        """A rule as parts of a spec, checked for a budget."""
         parts: dict[str, Any] = {"settings": {}, "label": ""} | values
         parts["settings"] = self._settings("rules", i, parts["settings"])
         label = parts["label"] or label_of(parts["rule"].rpartition(":")[2], parts.get("options", {}))
@@ -121,23 +122,29 @@ class _Reader:
         except (ValueError, KeyError, TypeError, OSError) as e:
             self._wrong("rules", i, "rule", _text(e))
             return parts | {"label": label}
-        try:
-            check_options(rule, parts.get("options", {}))
-            option = parts.get("size_option", "")
-            if option and option != THIN:
-                spec = RunSpec(**self.shared, **{k: v for k, v in parts.items() if k != "size_range"})
-                start_value(spec, rule, SizeOption(name=option, low=0, high=1))
-        except (TypeError, ValueError) as e:
-            self._wrong("rules", i, "size_option" if isinstance(e, ValueError) else "options", str(e))
         if "size_range" in parts:
             parts["size_range"] = self._size_range(i, parts["size_range"])
+        together = _dotted(self.top.get("settings", {})) | parts["settings"]
+        if not self._refused(together):
+            spec = RunSpec(**self.shared | parts | {"settings": together, "budget": budget})
+            self._check_rule(i, spec, rule)
         return parts | {"label": label}
 
+    def _check_rule(self, i: int, spec: RunSpec, rule: SeedingRule) -> None:
+        for key, check in RULE_CHECKS.items():
+            try:
+                check(spec, rule)
+            except (TypeError, ValueError) as e:
+                self._wrong("rules", i, key, str(e))
+                return
+
     def _size_range(self, i: int, given: list) -> tuple[float | int, float | int] | None:
-        if len(given) == 2 and all(isinstance(v, (int, float)) for v in given) and 0 < given[0] < given[1]:
-            return given[0], given[1]
-        self._wrong("rules", i, "size_range", f"expected [smallest, largest], both above 0, got {shown(given)}")
-        return None
+        try:
+            check_size_range(given)
+        except ValueError as e:
+            self._wrong("rules", i, "size_range", str(e))
+            return None
+        return given[0], given[1]
 
     def _scene(self, i: int, values: dict[str, Any]) -> dict[str, Any]:
         """A scene as parts of a spec."""

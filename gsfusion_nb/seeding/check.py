@@ -81,7 +81,7 @@ def check_rule(rule: str | SeedingRule, contexts: dict[str, SeedContext] | None 
         "nothing kept from one frame to the next, except in ctx.memory",
         "seeds lie in front of the camera",
         "no depth, no seeds",
-        f"every option is taken: {', '.join(rule_options(function)) or '(it has none)'}",
+        f"every option is accepted: {', '.join(rule_options(function)) or '(it has none)'}",
     )
     return RuleCheck(name, passed, counts)
 

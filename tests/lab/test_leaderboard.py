@@ -139,10 +139,9 @@ def test_ctrl_c_ends_it_between_frames(sequence):
     assert [r.name for r in board.rows] == ["uniform"]
 
 
-def test_an_option_that_a_rule_does_not_have_fails_that_rule_only(sequence):
-    board = compare_rules([Entrant("uniform", {"fration": 0.2}), "uniform"], sequence, CONFIG, **QUIET)
-    assert "has no options ['fration']" in board.failed["uniform fration=0.2"]
-    assert [r.name for r in board.rows] == ["uniform"]
+def test_an_option_that_a_rule_does_not_have_is_refused_before_anything_runs(sequence):
+    with pytest.raises(TypeError, match=r"has no options \['fration'\]"):
+        compare_rules(["uniform", Entrant("uniform", {"fration": 0.2})], sequence, CONFIG)
 
 
 def test_a_rule_that_fails_does_not_spoil_the_others(sequence):

@@ -58,7 +58,7 @@ def test_rows_appear_as_runs_end(live):
     assert "dense stride=-1, seed 0: " in live.failed.value
     assert "<b>finished</b>" in live.status.value
     assert [head["name"] for head in live.widget_table.content["heads"]][:2] == ["rule", "PSNR held out, dB"]
-    assert repr(live) == "LiveTable(4 of 4 runs)"
+    assert repr(live).startswith("LiveTable(4 of 4 runs, 1 failed: TypeError: seeding rule 'dense' has no options")
 
 
 def test_a_click_on_a_row_shows_its_pictures(live):
@@ -131,7 +131,7 @@ def test_a_stored_notebook_has_table_and_picture(live, monkeypatch):
     assert "quadtree</th>" in bundle["text/html"]
     assert "stride=-1, wall, own size, own steps, seed 0 failed:" in bundle["text/html"]
     assert bundle["image/jpeg"]
-    assert bundle["text/plain"] == "LiveTable(4 of 4 runs)"
+    assert bundle["text/plain"] == repr(live)
 
 
 def test_interrupting_the_kernel_keeps_what_is_done(specs, tmp_path, cache, monkeypatch):
@@ -149,8 +149,10 @@ def test_the_results_so_far_are_written_beside_them(live, tmp_path, monkeypatch)
     calls = []
     monkeypatch.setattr(live_table, "write_outputs", lambda *arguments: calls.append(arguments) or [])
     live.run_sync(1)
-    live.write()
+    written = live.write()
     assert calls == [(tmp_path, live.results)]
+    assert written == [tmp_path / "runs.csv", tmp_path / "provenance.json"]
+    assert (tmp_path / "runs.csv").read_text().count("\n") == 2
 
 
 def test_all_combinations():
@@ -171,6 +173,26 @@ def test_all_combinations():
         entries_of(["uniform", "uniform"])
     with pytest.raises(KeyError, match="unifrom"):
         entries_of(["unifrom"])
+
+
+def takes_numbers(ctx, *, step=7, scale=1.0):
+    return ctx.seeds_at(ctx.pixels()[::step], 1.0)
+
+
+@pytest.mark.parametrize(
+    ("entrant", "shared", "message"),
+    [
+        (Entrant(takes_numbers, {"stepp": 3}), {}, "has no options ['stepp']; known: ['scale', 'step']"),
+        (Entrant(takes_numbers), {}, "the rule takes_numbers has no size option: name the option that changes"),
+        (Entrant(takes_numbers, size_option="stepp"), {}, "takes_numbers has no option 'stepp' to tune; known: step"),
+        (Entrant(takes_numbers, size_option="step", size_range=(9, 2)), {}, "both above 0, got [9, 2]"),
+        (Entrant("uniform"), {"settings": {"data.widht": 3}}, "data: unknown keys ['widht']; known: "),
+    ],
+)
+def test_mistakes_in_a_notebook_are_found_before_anything_runs(entrant, shared, message):
+    with pytest.raises((ValueError, TypeError)) as error:
+        entries_of([entrant], budgets=[Budget(steps="own"), Budget(gaussians=150)], **shared)
+    assert message in str(error.value)
 
 
 def test_settings_and_open_frames_of_a_notebook(specs, tmp_path, cache):

@@ -1,10 +1,12 @@
 """One run of the lab: equal steps for every rule, budgets that are reached, failures as rows, equal numbers."""
 
+import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import pytest
+import torch
 
 from gsfusion_nb.lab import Budget
 from gsfusion_nb.lab.map_scene import Entry, Mapped
@@ -32,6 +34,14 @@ class brings_settings(MapRule):
 
     def seeds(self, ctx, memory):
         return ctx.seeds_at(ctx.pixels()[::9], 1.0)
+
+
+def forgets_the_pose(ctx):
+    seeds = ctx.seeds_at(ctx.pixels()[::9], 1.0)
+    xyz_W = seeds.xyz_W.clone()
+    xyz_W[:, 2] -= 2 * (torch.arange(len(xyz_W)) < 3)  # behind the camera
+    xyz_W[3, 0] += 50.0  # beside it
+    return dataclasses.replace(seeds, xyz_W=xyz_W)
 
 
 def nothing(ctx):
@@ -62,6 +72,12 @@ def test_a_rule_without_seeds_has_fewer_steps_and_says_so(spec):
     result = run_entry(Entry(spec=spec("nothing", rule_hash="x"), rule=nothing))
     assert (result.status, result.metrics["n_steps"], result.metrics["n_gaussians"]) == ("done", 2, 0)
     assert result.notes == ["after 5 of 5 frames the map was empty, so no gradient steps were taken"]
+
+
+def test_seeds_out_of_view_are_noted(spec):
+    result = run_entry(Entry(spec=spec("forgets_the_pose", rule_hash="x"), rule=forgets_the_pose))
+    assert result.status == "done"
+    assert result.notes == ["20 of 960 seeds lay outside the view of the camera, 15 of them behind it"]
 
 
 def test_what_a_result_holds(spec, tmp_path):

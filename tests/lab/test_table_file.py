@@ -69,6 +69,7 @@ def test_all_combinations_in_order(table):
         ("fraction = 0.1", 'fraction = "a"', "line 8: rules[0].options: seeding rule 'uniform': option"),
         ("mine.py:some", "mine.py:other", "line 10: rules[1].rule: mine.py has no seeding rule 'other'; it"),
         ("mine.py:some", "yours.py:some", "line 10: rules[1].rule: "),
+        ('size_option = "step"', "", "line 9: rules[1].size_option: the rule some has no size option: name the option"),
         ('"step"', '"stepp"', "line 11: rules[1].size_option: the rule some has no option 'stepp' to tune; known"),
         ("[1, 90]", "[50, 1]", "line 12: rules[1].size_range: expected [smallest, largest], both above 0, got [50, 1]"),
         ("/wall", "/well", "line 14: scenes[0].data: "),

@@ -107,6 +107,16 @@ def test_with_one_seed_nothing_can_be_said(made_run):
     assert "nothing can be said about noise" in str(comparison)
     with pytest.raises(KeyError, match="no runs of 'z'; there are: a, b"):
         compare(one, "a", "z")
+    with pytest.raises(KeyError, match="no runs of 'z'; there are none"):
+        compare([], "z", "a")
+
+
+def test_a_rule_without_a_completed_run_has_its_reason(made_run):
+    a = runs(made_run, "a", [25.0, 25.1, 24.9])
+    b = [made_run("b", failed="no memory"), made_run("b", failed="no disk", seed=1)]
+    text = "a and b: nothing can be said about noise, because all runs of b failed: no memory"
+    assert str(compare(a + b, "a", "b")) == text
+    assert "use at least three seeds" in str(compare([*a, *b, made_run("b", seed=2)], "a", "b"))
 
 
 def test_pairs_have_scene_seed_and_budget_in_common(made_run):
@@ -115,7 +125,8 @@ def test_pairs_have_scene_seed_and_budget_in_common(made_run):
     b = [*runs(made_run, "b", [24.0, 23.0], budget=small), made_run("b", failed="no memory", budget=large)]
     assert compare(a + b, "a", "b").differences == {"room": [1.0, 2.0]}
     assert compare(a + b, "a", "b", budget=str(large)).n == 0
-    assert "no pair" in str(compare(a + b, "a", "b", budget=str(large)))
+    assert "all runs of b failed: no memory" in str(compare(a + b, "a", "b", budget=str(large)))
+    assert "no pair" in str(compare([a[0], b[1]], "a", "b"))
 
 
 def test_the_better_direction_is_that_of_the_metric(made_run):
