@@ -34,7 +34,7 @@ class GradeOptions:
     """Of the hidden inputs, the same for the whole class. Default: a new one, which is printed. Repeating a grading
     with its seed gives the same marks."""
     seconds: float = 30.0
-    """Time for each function. More: slow machines and slow answers, and endless ones are waited for longer."""
+    """Processor time for each function. More: slow answers pass, and endless ones are waited for longer."""
     memory_mb: int = 1024
     """Memory for each function, beyond what Python and torch take."""
     jobs: int = 0

@@ -42,13 +42,13 @@ EXPECTED = {
 def test_ten_submissions_get_the_marks_that_they_deserve():
     submissions = find_submissions([SUBMISSIONS])
     names = exercises_of((2,), (), submissions)
-    limits = Limits(seconds=10.0, memory_mb=512)
+    limits = Limits(seconds=2.0, memory_mb=512)
     marks = grade(submissions, Grading(names=names, points=Points(), limits=limits, seed=3))
     got = {name: tuple(int(m.points) for m in marks if m.student == name) for name in EXPECTED}
     assert got == EXPECTED
     said = {(m.student, m.exercise): f"{m.prop}; {m.message}" for m in marks}
     for student, exercise, words in (
-        ("endless", "signed_distance", "had not ended after 10 s"),
+        ("endless", "signed_distance", "had not ended after"),
         ("out_of_memory", "signed_distance", "needed more than 512 MB"),
         ("cheat_reads", "signed_distance", "No module named 'gsfusion_nb.teaching.tsdf'"),
         ("cheat_forges", "morton_code", "may not start or end processes"),

@@ -43,7 +43,7 @@ c.Autograde.autograde_preprocessors = [
     MarkInSandbox, IgnorePattern, LimitOutput, SaveAutoGrades, AssignLatePenalties, CheckCellMetadata,
 ]
 c.MarkInSandbox.seed = {seed}  # of the hidden inputs
-c.MarkInSandbox.seconds = 30.0  # for each function
+c.MarkInSandbox.seconds = 30.0  # of processor time, for each function
 c.MarkInSandbox.memory_mb = 1024
 '''
 

@@ -1,8 +1,10 @@
 """A submission's function, called in a sandbox: what it returns comes back as values, what it does stays there."""
 
 import contextlib
+import functools
 import inspect
 import json
+import math
 import os
 import pickle
 import signal
@@ -53,9 +55,19 @@ class Limits:
     """Of one exercise of one submission."""
 
     seconds: float = 30.0
-    """For its function, all calls together."""
+    """Processor time for its function, all calls together, so that a busy machine changes no mark."""
     memory_mb: int = 1024
     """Beyond what Python, torch and this package take."""
+
+    @property
+    def cpu_s(self) -> int:
+        """``seconds`` as the system limits them."""
+        return max(1, math.ceil(self.seconds))
+
+    @property
+    def wall_s(self) -> float:
+        """How long an answer is waited for, which ends a function that sleeps."""
+        return 30.0 + 4.0 * self.seconds
 
 
 class Sandbox:
@@ -85,7 +97,7 @@ class Sandbox:
         readable, listed = readable_paths(tree)
         settings = {
             "readable": readable, "listed": listed, "memory_bytes": self.limits.memory_mb << 20,
-            "cpu_s": int(self.limits.seconds) + 10,
+            "cpu_s": self.limits.cpu_s,
         }  # fmt: skip
         self._control, theirs = socket.socketpair()
         start = _START.format(path=import_path(tree), fd=theirs.fileno(), settings=json.dumps(settings))
@@ -127,15 +139,20 @@ class Sandbox:
         socket.send_fds(self._control, [b"f"], [theirs.fileno()])
         theirs.close()
         process = int.from_bytes(self._control.recv(8), "big")
+        stop = functools.cache(lambda: self._stop(process))
         try:
-            yield Remote(ours, name, cells, accepted, self.limits)
+            yield Remote(ours, name, cells, accepted, self.limits, stop)
         finally:
             ours.close()
-            for end, target in ((os.killpg, process), (os.kill, process)):
-                with contextlib.suppress(ProcessLookupError, PermissionError):
-                    end(target, signal.SIGKILL)
-            self._control.sendall(b"w")
-            self._control.recv(1)
+            stop()
+
+    def _stop(self, process: int) -> int:
+        """End a process, and return the signal that ended it, 0 for none."""
+        for end in (os.killpg, os.kill):
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                end(process, signal.SIGKILL)
+        self._control.sendall(b"w")
+        return self._control.recv(1)[0]
 
 
 def check_possible() -> None:
@@ -148,12 +165,15 @@ def check_possible() -> None:
 
 
 class Remote:
-    """A submission's function in a sandbox."""
+    """A submission's function in a sandbox. ``stop`` ends its process and returns the signal that did."""
 
-    def __init__(self, to: socket.socket, name: str, cells: Sequence[Cell], accepted: frozenset[str], limits: Limits):
+    def __init__(
+        self, to: socket.socket, name: str, cells: Sequence[Cell], accepted: frozenset[str], limits: Limits,
+        stop: Callable[[], int],
+    ):  # fmt: skip
         self.__name__ = name
-        self._to, self._cells, self._accepted, self._limits = to, cells, accepted, limits
-        self._left_s = limits.seconds
+        self._to, self._cells, self._accepted, self._limits, self._stop = to, cells, accepted, limits, stop
+        self._left_s = limits.wall_s
         self._begun = False
 
     @property
@@ -234,7 +254,7 @@ class Remote:
         try:
             message = decode(receive(self._to, until=began + self._left_s))
         except TooSlow:
-            raise Failed(WITHIN, "", f"it had not ended after {self._limits.seconds:g} s, and was stopped") from None
+            raise Failed(WITHIN, "", f"it had not ended after {self._limits.wall_s:g} s, and was stopped") from None
         except TooLarge:
             raise Failed(ENDED, "", f"it returned more than {LARGEST_BYTES >> 20} MB") from None
         except ChannelClosed:
@@ -248,6 +268,9 @@ class Remote:
         return list(message)
 
     def _ended(self) -> Any:
+        if self._stop() == signal.SIGXCPU:
+            seconds = self._limits.cpu_s
+            raise Failed(WITHIN, "", f"it had not ended after {seconds} s of processor time, and was stopped")
         raise Failed(ENDED, "", "its process ended without an answer: it crashed, left Python, or used too much memory")
 
     def _fail(self, kind: Any, rest: list[Any]) -> Any:

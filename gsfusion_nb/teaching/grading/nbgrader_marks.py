@@ -19,7 +19,7 @@ class MarkInSandbox(NbGraderPreprocessor):
     """Gives each test cell of an exported chapter the output that its mark follows from; runs nothing in a kernel."""
 
     seed = Integer(0, help="of the hidden inputs").tag(config=True)
-    seconds = Float(30.0, help="for each function").tag(config=True)
+    seconds = Float(30.0, help="of processor time, for each function").tag(config=True)
     memory_mb = Integer(1024, help="for each function").tag(config=True)
 
     def preprocess(self, nb: NotebookNode, resources: Any) -> tuple[NotebookNode, Any]:

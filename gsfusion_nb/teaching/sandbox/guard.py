@@ -23,12 +23,13 @@ _READS = ("open", "os.listdir", "os.scandir")
 
 
 def limit(memory_bytes: int, cpu_s: int) -> None:
-    """Limits of this process: memory beyond what it has now, processor time, no files, no core dump."""
+    """Limits of this process: memory beyond what it has now, processor time (SIGXCPU ends it), no files, no core
+    dump."""
     pages = int(Path("/proc/self/statm").read_text().split()[0]) if sys.platform.startswith("linux") else 0
     most = pages * resource.getpagesize() + memory_bytes
     for kind, value in (("AS", most), ("CPU", cpu_s), ("CORE", 0), ("FSIZE", 0)):
         with contextlib.suppress(ValueError, OSError):  # macOS does not limit the address space
-            resource.setrlimit(getattr(resource, f"RLIMIT_{kind}"), (value, value))
+            resource.setrlimit(getattr(resource, f"RLIMIT_{kind}"), (value, value + (kind == "CPU")))
 
 
 def refuse(readable: list[str]) -> None:

@@ -26,7 +26,7 @@ def main(control_fd: int, settings_json: str) -> None:
 
     Args:
         control_fd: A socket: gets ``b"f"`` with a task's socket and answers with a process; gets ``b"w"`` and answers
-            when that process has ended.
+            when that process has ended, with the signal that ended it, or 0.
         settings_json: ``readable``, ``listed`` (paths), ``memory_bytes`` and ``cpu_s``.
     """
     settings = json.loads(settings_json)
@@ -46,8 +46,8 @@ def main(control_fd: int, settings_json: str) -> None:
         if not word:
             return
         if word == b"w":
-            os.waitpid(running, 0)
-            control.sendall(b"e")
+            _, status = os.waitpid(running, 0)
+            control.sendall(bytes([os.WTERMSIG(status) if os.WIFSIGNALED(status) else 0]))
             continue
         running = os.fork()
         if running == 0:
