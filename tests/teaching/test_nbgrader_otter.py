@@ -18,17 +18,24 @@ ROOT = Path(__file__).resolve().parents[2]
 SUBMISSIONS = Path(__file__).parent / "submissions"
 CHAPTER = "02_tsdf_fusion"
 MARKS = {
-    "right": 10, "partly_right": 5, "wrong_sign": 0, "wrong_table": 0, "endless": 5, "out_of_memory": 3,
+    "right": 4, "partly_right": 2, "wrong_sign": 0, "wrong_table": 0, "endless": 2, "out_of_memory": 2,
     "cheat_reads": 0, "cheat_patches": 0, "cheat_forges": 0, "raises": 2,
 }  # fmt: skip
-NAMES = ("signed_distance", "running_average", "block_of", "morton_code", "zero_crossing")
+MOST = 4
+NAMES = ("signed_distance", "zero_crossing")
 
 
 def exported(tmp_path: Path, kind: str) -> Path:
+    """The two exercises of the chapter on which the ten differ, as an assignment."""
     target = tmp_path / kind
-    export_course([ROOT / "notebooks" / f"{CHAPTER}.ipynb"], target, kind, points=Points(), seed=3)
+    notebook = json.loads((ROOT / "notebooks" / f"{CHAPTER}.ipynb").read_text())
+    of_both = re.compile(rf"^(def|check\.)\s*({'|'.join(NAMES)})\(", re.MULTILINE)
+    notebook["cells"] = [c for c in notebook["cells"] if of_both.search("".join(c["source"]))]
+    chapter = tmp_path / f"{CHAPTER}.ipynb"
+    chapter.write_text(json.dumps(notebook))
+    export_course([chapter], target, kind, points=Points(), seed=3)
     for file in [*target.glob("*.py"), *target.rglob("*.ipynb")]:  # an endless loop is stopped sooner
-        text = file.read_text().replace("seconds = 30.0", "seconds = 8.0").replace("seconds: 30.0", "seconds: 8.0")
+        text = file.read_text().replace("seconds = 30.0", "seconds = 2.0").replace("seconds: 30.0", "seconds: 2.0")
         file.write_text(text)
     return target
 
@@ -70,15 +77,23 @@ def test_nbgrader_gives_ten_submissions_their_marks(tmp_path):
         path = course / "submitted" / name / CHAPTER / f"{CHAPTER}.ipynb"
         path.parent.mkdir(parents=True)
         path.write_text(handed_in(released, SUBMISSIONS / f"{name}.py"))
-    run("nbgrader", "autograde", CHAPTER, cwd=course)
-    run("nbgrader", "generate_feedback", CHAPTER, cwd=course)
-    run("nbgrader", "export", "--to", str(tmp_path / "grades.csv"), cwd=course)
+    (course / "marked.py").write_text(_MARK_AND_TELL_ONE)
+    run("marked", CHAPTER, cwd=course)
     with Gradebook(f"sqlite:///{course / 'gradebook.db'}") as book:
         got = {s.student.id: (s.score, s.max_score) for s in book.assignment_submissions(CHAPTER)}
-    assert got == {name: (points, 10) for name, points in MARKS.items()}
+    assert got == {name: (points, MOST) for name, points in MARKS.items()}
     feedback = (course / "feedback" / "endless" / CHAPTER / f"{CHAPTER}.html").read_text()
-    assert "had not ended after 8 s" in feedback
-    assert (tmp_path / "grades.csv").read_text().count("\n") == 11
+    assert "had not ended after" in feedback
+
+
+_MARK_AND_TELL_ONE = """
+import sys
+from nbgrader.apps import AutogradeApp, GenerateFeedbackApp
+
+for app, options in ((AutogradeApp(), []), (GenerateFeedbackApp(), ["--student", "endless"])):
+    app.initialize([sys.argv[1], *options])  # both in one process, which takes seconds to start
+    app.start()
+"""
 
 
 @pytest.mark.ci
@@ -98,7 +113,7 @@ def test_otter_gives_ten_submissions_their_marks(tmp_path):
     (tmp_path / "all.py").write_text(_GRADE_ALL)
     run("all", str(package), *MARKS, cwd=tmp_path)
     got = json.loads((tmp_path / "scores.json").read_text())
-    assert got == {name: [points, 10] for name, points in MARKS.items()}
+    assert got == {name: [points, MOST] for name, points in MARKS.items()}
 
 
 _GRADE_ALL = """
