@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 import zipfile
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -110,21 +111,21 @@ def test_otter_gives_ten_submissions_their_marks(tmp_path):
         assert {f"tests/{name}.py" for name in NAMES} <= set(inside.namelist())
     for name in MARKS:
         (tmp_path / f"{name}.ipynb").write_text(handed_in(released, SUBMISSIONS / f"{name}.py"))
-    (tmp_path / "all.py").write_text(_GRADE_ALL)
-    run("all", str(package), *MARKS, cwd=tmp_path)
-    got = json.loads((tmp_path / "scores.json").read_text())
+    (tmp_path / "graded.py").write_text(_GRADE)
+    halves = list(MARKS)[::2], list(MARKS)[1::2]  # at the same time: Otter starts a kernel for each submission
+    with ThreadPoolExecutor() as pool:
+        list(pool.map(lambda half: run("graded", str(package), *half, cwd=tmp_path), halves))
+    got = {name: json.loads((tmp_path / f"{name}.json").read_text()) for name in MARKS}
     assert got == {name: [points, MOST] for name, points in MARKS.items()}
 
 
-_GRADE_ALL = """
+_GRADE = """
 import json, sys
 from otter.api import grade_submission
 
-scores = {}
 for name in sys.argv[2:]:
     results = grade_submission(f"{name}.ipynb", sys.argv[1], quiet=True)
-    scores[name] = [results.total, results.possible]
-open("scores.json", "w").write(json.dumps(scores))
+    open(f"{name}.json", "w").write(json.dumps([results.total, results.possible]))
 """
 
 
