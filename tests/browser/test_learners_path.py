@@ -49,9 +49,11 @@ def chapter(number):
     return solutions, nbformat.reads(quick, as_version=4)
 
 
-def type_into(page, name, source):
-    """Click into the cell of an exercise, select what is there, and type."""
+def type_into(page, name, solution):
+    """Click into the cell of an exercise, select what is there, and type; what stands before the function stays."""
     index = page.evaluate(CELL, f"def {name}(")
+    before = page.evaluate(SOURCE, index).partition(f"def {name}(")[0]
+    source = solution if solution.startswith(before) else before + solution
     editor = page.locator(".jp-Notebook .jp-Cell").nth(index)
     editor.locator(".cm-content").first.click()
     page.keyboard.press("Control+a")
