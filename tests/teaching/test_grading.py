@@ -86,7 +86,17 @@ def test_hidden_inputs_depend_on_the_seed_alone():
 
 def test_values_come_back_from_a_sandbox_as_they_were():
     seeds = Seeds.isotropic(torch.rand(2, 3), torch.rand(2, 3), torch.rand(2))
-    value = (None, True, -3, float("nan"), "ä", [torch.arange(6).reshape(2, 3)], {"a": np.float32([1, 2])}, {1}, seeds)
+    value = (
+        None,
+        True,
+        -3,
+        float("nan"),
+        "ä",
+        [torch.arange(6).reshape(2, 3)],
+        {"a": np.array([1, 2], np.float32)},
+        {1},
+        seeds,
+    )
     back = decode(encode(value))
     assert repr(back[:5]) == repr(value[:5])
     assert torch.equal(back[5][0], value[5][0])

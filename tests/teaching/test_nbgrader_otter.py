@@ -26,7 +26,7 @@ MOST = 4
 NAMES = ("signed_distance", "zero_crossing")
 
 
-def exported(tmp_path: Path, kind: str) -> Path:
+def exported(tmp_path: Path, kind: Target) -> Path:
     """The two exercises of the chapter on which the ten differ, as an assignment."""
     target = tmp_path / kind
     notebook = json.loads((ROOT / "notebooks" / f"{CHAPTER}.ipynb").read_text())
