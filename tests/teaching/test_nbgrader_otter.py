@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from gsfusion_nb.teaching.grading.export import assignment_cells, export_course
+from gsfusion_nb.teaching.grading.export import Target, assignment_cells, export_course
 from gsfusion_nb.teaching.grading.points import Points
 
 ROOT = Path(__file__).resolve().parents[2]
