@@ -5,6 +5,7 @@
 
 import gc
 import os
+import re
 import signal
 from pathlib import Path
 
@@ -69,6 +70,22 @@ def pytest_terminal_summary(terminalreporter, config):
     for (backend, operation, name), (absolute, relative, flips) in sorted(table.items()):
         line = f"  {backend:6} {operation:16} {name:16} {absolute:9.1e} {relative:9.1e} {flips:6d}"
         terminalreporter.write_line(line)
+
+
+@pytest.fixture(scope="session")
+def solutions_in():
+    """``solutions_in(notebook)``: exercise -> source of its solution in a solved notebook, as read from JSON."""
+    from gsfusion_nb.teaching import exercises
+
+    between = re.compile(r"### BEGIN SOLUTION\n(.*?)### END SOLUTION", re.DOTALL)
+
+    def found(notebook):
+        sources = ["".join(cell["source"]) for cell in notebook["cells"] if cell["cell_type"] == "code"]
+        written = [solution for source in sources for solution in between.findall(source)]
+        names = [(name, each) for each in written for name in re.findall(r"^def (\w+)\(", each, re.MULTILINE)]
+        return {name: each for name, each in names if name in exercises()}
+
+    return found
 
 
 @pytest.fixture(autouse=True)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from . import ground
 from .pictures import Picture
 
 if TYPE_CHECKING:
@@ -24,8 +25,8 @@ PAPER = "#fffffe"
 PALETTE = ("#3d85c6", "#e08a2e", "#3a9d6a", "#d1495b", "#8e6bbf", "#8a8f98", "#2aa5a0", "#b8860b")
 """Colours of medium lightness, visible on white and on black."""
 
-BETWEEN = "#76808d"
-"""Text on an unknown ground; its contrast is about 4 to white and 5 to a dark page."""
+BETWEEN = "#{:02x}{:02x}{:02x}".format(*ground.BETWEEN)
+"""``ground.BETWEEN`` as matplotlib and pages write it."""
 
 _THEMED = {INK: "var(--ink)", MUTED: "var(--muted)", GRID: "var(--line)", PAPER: "var(--card)"}
 

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from .pictures import Picture
+from .pictures import Picture, encode_rgba
 
 CARD, CARD_INK = (43, 48, 57), (233, 237, 242)
 """Ground and text of pictures in a row; the same on every page."""
@@ -18,14 +18,8 @@ def encode_drawing(drawing: Picture) -> bytes:
 
     Ink no darker than ``BETWEEN`` stays readable on a dark page.
     """
-    import cv2
-
     ink, opacity = _ink_and_opacity(drawing)
-    rgba = np.concatenate([ink[..., ::-1], 255 * opacity], axis=-1)
-    done, encoded = cv2.imencode(".png", (rgba + 0.5).astype(np.uint8), [cv2.IMWRITE_PNG_COMPRESSION, 1])
-    if not done:
-        raise ValueError(f"OpenCV could not encode a drawing of shape {list(drawing.shape)}")
-    return encoded.tobytes()
+    return encode_rgba((np.concatenate([ink, 255 * opacity], axis=-1) + 0.5).astype(np.uint8))
 
 
 def on_card(drawing: Picture) -> Picture:

@@ -136,14 +136,21 @@ def encode_jpeg(image: ImageLike, quality: int = 88) -> bytes:
     """JPEG bytes of an RGB picture: for photographs (640x480 in about 2 ms)."""
     import cv2
 
-    return _encode(image, ".jpg", [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return _encode(to_uint8(image)[..., ::-1], ".jpg", [cv2.IMWRITE_JPEG_QUALITY, quality])
 
 
 def encode_png(image: ImageLike, compression: int = 6) -> bytes:
     """PNG bytes of an RGB picture: for drawings, where JPEG would blur the lines."""
     import cv2
 
-    return _encode(image, ".png", [cv2.IMWRITE_PNG_COMPRESSION, compression])
+    return _encode(to_uint8(image)[..., ::-1], ".png", [cv2.IMWRITE_PNG_COMPRESSION, compression])
+
+
+def encode_rgba(rgba: UInt8[np.ndarray, "H W 4"]) -> bytes:
+    """PNG bytes of a picture with its opacity, written fast: for what is sent to a browser while it changes."""
+    import cv2
+
+    return _encode(cv2.cvtColor(rgba, cv2.COLOR_RGBA2BGRA), ".png", [cv2.IMWRITE_PNG_COMPRESSION, 1])
 
 
 def data_uri(image: ImageLike, kind: Literal["jpeg", "png"] = "jpeg") -> str:
@@ -158,12 +165,13 @@ def colour_stops(name: str, n: int = 12) -> list[str]:
     return ["#{:02x}{:02x}{:02x}".format(*table[round(i * 255 / (n - 1))]) for i in range(n)]
 
 
-def _encode(image: ImageLike, suffix: str, options: list[int]) -> bytes:
+def _encode(pixels: np.ndarray, suffix: str, options: list[int]) -> bytes:
+    """Bytes of a file from pixels in OpenCV's order, blue first."""
     import cv2
 
-    done, encoded = cv2.imencode(suffix, to_uint8(image)[..., ::-1], options)
+    done, encoded = cv2.imencode(suffix, pixels, options)
     if not done:
-        raise ValueError(f"OpenCV could not encode a picture of shape {list(image.shape)} as {suffix}")
+        raise ValueError(f"OpenCV could not encode a picture of shape {list(pixels.shape)} as {suffix}")
     return encoded.tobytes()
 
 

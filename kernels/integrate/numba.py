@@ -149,6 +149,22 @@ def _average_floats(C, at, step, rgb, pixel, observed):
     store(C, blue_at, load(C, blue_at) + step * (gather(rgb, blue, observed, zero) - load(C, blue_at)))
 
 
+@njit(inline="always")
+def _corner(coords, row, side, T_CW, K):
+    """A block's corner in the camera frame, times K: (u z, v z, z), each in all lanes."""
+    x, y, z = coords[row, 0] * side, coords[row, 1] * side, coords[row, 2] * side
+    X = T_CW[0, 0] * x + T_CW[0, 1] * y + T_CW[0, 2] * z + T_CW[0, 3]
+    Y = T_CW[1, 0] * x + T_CW[1, 1] * y + T_CW[1, 2] * z + T_CW[1, 3]
+    Z = T_CW[2, 0] * x + T_CW[2, 1] * y + T_CW[2, 2] * z + T_CW[2, 3]
+    return splat(f32(K[0, 0] * X + K[0, 2] * Z)), splat(f32(K[1, 1] * Y + K[1, 2] * Z)), splat(f32(Z))
+
+
+@njit(inline="always")
+def _ray_per_depth(slope_u, slope_v):
+    """Length of the viewing ray for each metre of depth."""
+    return sqrt(splat(_ONE) + slope_u * slope_u + slope_v * slope_v)
+
+
 @njit(parallel=True, cache=True, error_model="numpy")
 def _fuse(rows, voxels, image, size, view, limits, method, updated):
     """Update the voxels of the blocks ``rows``; ``updated`` [tasks] takes the numbers of voxels observed.
@@ -174,12 +190,7 @@ def _fuse(rows, voxels, image, size, view, limits, method, updated):
         for r in range(task, len(rows), n_tasks):
             row = rows[r]
             ahead = rows[min(r + n_tasks, len(rows) - 1)] * VOXELS_PER_BLOCK
-            x, y, z = coords[row, 0] * side, coords[row, 1] * side, coords[row, 2] * side
-            X = T_CW[0, 0] * x + T_CW[0, 1] * y + T_CW[0, 2] * z + T_CW[0, 3]
-            Y = T_CW[1, 0] * x + T_CW[1, 1] * y + T_CW[1, 2] * z + T_CW[1, 3]
-            Zc = T_CW[2, 0] * x + T_CW[2, 1] * y + T_CW[2, 2] * z + T_CW[2, 3]
-            corner_u, corner_v = splat(f32(K[0, 0] * X + K[0, 2] * Zc)), splat(f32(K[1, 1] * Y + K[1, 2] * Zc))
-            corner_z = splat(f32(Zc))
+            corner_u, corner_v, corner_z = _corner(coords, row, side, T_CW, K)
             for o in range(0, VOXELS_PER_BLOCK, 16):
                 prefetch(W, ahead + o)
                 prefetch(D, ahead + o)
@@ -192,19 +203,18 @@ def _fuse(rows, voxels, image, size, view, limits, method, updated):
                     continue
                 pixel = truncate(select(inside, v, one)) * stride + truncate(select(inside, u, one)) - first_pixel
                 measured, colour = gather_pairs(packed, pixel, inside, missing)
-                sdf = measured - away
+                sdf = measured - away  # GSFusion Eq. 6
                 if along_ray:
-                    slope_u, slope_v = times(u - cx, fx), times(v - cy, fy)
-                    sdf = sdf * sqrt(one + slope_u * slope_u + slope_v * slope_v)
+                    sdf = sdf * _ray_per_depth(times(u - cx, fx), times(v - cy, fy))
                 observed = sdf > behind
                 if not any_lane(observed):
                     continue
                 count += count_lanes(observed)
                 at = row * VOXELS_PER_BLOCK + o
                 W_old, D_old = load(W, at), load(D, at)
-                W_new = select(observed, minimum(W_old + one, most), W_old)
+                W_new = select(observed, minimum(W_old + one, most), W_old)  # Eq. 8
                 step = select(observed, one / W_new, zero)
-                d = maximum(minimum(times(sdf, inv_truncation), one), zero - one)
+                d = maximum(minimum(times(sdf, inv_truncation), one), zero - one)  # Eq. 7
                 store(W, at, W_new)
                 if average == _MEAN:
                     store(D, at, D_old + select(observed, step * (d - D_old), zero))

@@ -17,7 +17,6 @@ pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationW
 NOTEBOOKS = Path(__file__).resolve().parents[2] / "notebooks"
 CHAPTERS = (2, 3, 4, 5, 6)
 QUICK = 'SMOKE = os.environ.get("GSNB_SMOKE", "0") == "1"'
-SOLUTION = re.compile(r"### BEGIN SOLUTION\n(.*?)\s*### END SOLUTION", re.DOTALL)
 
 CELL = """words => {
     const notebook = window.jupyterapp.shell.currentWidget.content;
@@ -28,19 +27,13 @@ CELL = """words => {
 SOURCE = "i => window.jupyterapp.shell.currentWidget.content.widgets[i].model.sharedModel.getSource()"
 
 
-def chapter(number):
+def chapter(number, solutions_in):
     """The solutions of a chapter by exercise, and its unsolved edition in its quick version."""
     import nbformat
 
     path = next(NOTEBOOKS.glob(f"{number:02}_*.ipynb"))
     notebook = json.loads(path.read_text(encoding="utf-8"))
-    solutions = {}
-    for cell in notebook["cells"]:
-        if cell["cell_type"] != "code" or not (found := SOLUTION.search("".join(cell["source"]))):
-            continue
-        for name in re.findall(r"^def (\w+)\(", found[1], re.MULTILINE):
-            if name in exercises():
-                solutions[name] = found[1]
+    solutions = {name: source.rstrip() for name, source in solutions_in(notebook).items()}
     assert set(solutions) == {e.name for e in exercises().values() if e.chapter == number}
     edition = json.dumps(learner_copy(notebook))
     assert not any(json.dumps(source)[1:-1] in edition for source in solutions.values())
@@ -62,8 +55,8 @@ def type_into(page, name, solution):
 
 
 @pytest.mark.parametrize("number", CHAPTERS)
-def test_every_exercise_is_solved_by_typing(lab, number):
-    solutions, notebook = chapter(number)
+def test_every_exercise_is_solved_by_typing(lab, number, solutions_in):
+    solutions, notebook = chapter(number, solutions_in)
     page = lab.open_notebook(
         notebook, before=lambda page: [type_into(page, *item) for item in solutions.items()], timeout_s=1200
     )

@@ -3,12 +3,10 @@
 ``slips.json``: exercise -> [what stands in the notebook's solution, what the student wrote, the property that fails].
 """
 
-import functools
 import heapq
 import inspect
 import json
 import math
-import re
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +21,6 @@ from gsfusion_nb.teaching.rtg_slam import BECOMES_STABLE, BECOMES_UNSTABLE, DELE
 ALL = exercises()
 SLIPS = json.loads(Path(__file__).with_name("slips.json").read_text(encoding="utf-8"))
 NOTEBOOKS = Path(__file__).resolve().parents[2] / "notebooks"
-SOLUTION = re.compile(r"### BEGIN SOLUTION\n(.*)### END SOLUTION", re.DOTALL)
 OF_THE_NOTEBOOK = {
     "contrast_of": ALL["contrast"]._solution, "part_of": ALL["split_cell"]._solution, "quaternion": quaternion,
     "STABLE": BECOMES_STABLE, "UNSTABLE": BECOMES_UNSTABLE, "DELETED": DELETED, "STAYS": STAYS,
@@ -31,17 +28,11 @@ OF_THE_NOTEBOOK = {
 }  # fmt: skip
 
 
-@functools.cache
-def solution_cells():
+@pytest.fixture(scope="module")
+def solutions(solutions_in):
     """Exercise -> source of its solution in the notebook."""
-    cells = {}
-    for path in sorted(NOTEBOOKS.glob("*.ipynb")):
-        for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
-            if cell["cell_type"] != "code" or not (found := SOLUTION.search("".join(cell["source"]))):
-                continue
-            for name in re.findall(r"^def (\w+)\(", found[1], re.MULTILINE):
-                cells.setdefault(name, found[1])
-    return cells
+    notebooks = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(NOTEBOOKS.glob("*.ipynb"))]
+    return {name: source for notebook in notebooks for name, source in solutions_in(notebook).items()}
 
 
 def written(name, source):
@@ -52,15 +43,15 @@ def written(name, source):
 
 
 @pytest.mark.parametrize("name", ALL)
-def test_the_notebooks_solution_passes(name):
-    verdict = ALL[name](written(name, solution_cells()[name]))
+def test_the_notebooks_solution_passes(name, solutions):
+    verdict = ALL[name](written(name, solutions[name]))
     assert verdict, repr(verdict)
 
 
 @pytest.mark.parametrize("name", SLIPS)
 @pytest.mark.filterwarnings("ignore")
-def test_a_slip_is_refused_with_its_reason(name):
-    solution = solution_cells()[name]
+def test_a_slip_is_refused_with_its_reason(name, solutions):
+    solution = solutions[name]
     for right, wrong, says in SLIPS[name]:
         assert right in solution, f"{right!r} is not in the solution any more"
         with pytest.raises(Failed) as e:

@@ -16,6 +16,7 @@ from markupsafe import Markup
 
 from ...drawing.curves import BETWEEN
 from ...drawing.html import html_table
+from ...drawing.pictures import encode_rgba
 from ..display import WIDGET_MIME, static_views
 from .recording import Line, file_lines
 
@@ -165,7 +166,7 @@ class Stepper(anywidget.AnyWidget):
     def _show(self) -> None:
         with self._lock, self.hold_sync():
             now = self.steps[self.step]
-            self.png = _png(self._drawn(now))
+            self.png = encode_rgba(self._drawn(now))
             self.alt = f"{self.label}, step {self.step + 1} of {self.count}: {now.title}"
             self.title = str(Markup("{}").format(now.title))
             self.code = code_html(now.line)
@@ -271,12 +272,3 @@ def _palette_png(rgba: np.ndarray) -> bytes:
     buffer = io.BytesIO()
     Image.fromarray(rgba).quantize(128, method=Image.Quantize.FASTOCTREE).save(buffer, "PNG", optimize=True)
     return buffer.getvalue()
-
-
-def _png(rgba: np.ndarray) -> bytes:
-    import cv2
-
-    done, encoded = cv2.imencode(".png", cv2.cvtColor(rgba, cv2.COLOR_RGBA2BGRA), [cv2.IMWRITE_PNG_COMPRESSION, 1])
-    if not done:
-        raise ValueError(f"OpenCV could not encode a picture of shape {list(rgba.shape)}")
-    return encoded.tobytes()
