@@ -6,6 +6,7 @@ axes (OpenGL: y up, z backward). Intrinsics are column-major ``K``, or fx fy cx 
 the corner of the image.
 """
 
+import ctypes
 import re
 import struct
 import zipfile
@@ -123,10 +124,27 @@ def lzfse_unpacked(data: bytes, source: str, at_most: int = 4 * MAX_PIXELS) -> b
     if size > at_most or blocks > 2 + size // _LEAST_BLOCK_BYTES:
         raise BadFrameError(f"{source} claims {size} bytes in {blocks} blocks; expected at most {at_most} bytes")
     with parsing(source, "an LZFSE stream", BadFrameError):
-        content = liblzfse.decompress(data)
+        content = _unpacked(liblzfse, data, size)
     if len(content) != size:
-        raise BadFrameError(f"{source} is damaged: LZFSE unpacks {len(content)} of {size} bytes")
+        more = "more than the" if len(content) > size else f"{len(content)} of"
+        raise BadFrameError(f"{source} is damaged: LZFSE unpacks {more} {size} bytes")
     return content
+
+
+def _unpacked(liblzfse: Any, data: bytes, size: int) -> bytes:
+    """At most ``size`` + 1 bytes of the content, whatever the blocks hold.
+
+    The package's own ``decompress`` has no limit, so the decoder inside it is called. Where it cannot be reached (the
+    library exports no names, as on Windows), ``decompress`` is: blocks that lie may then unpack to 24 MB each.
+    """
+    try:
+        decode = ctypes.CDLL(liblzfse.__file__).lzfse_decode_buffer
+    except (AttributeError, OSError):
+        return liblzfse.decompress(data)
+    decode.restype = ctypes.c_size_t
+    room = ctypes.create_string_buffer(size + 1)
+    n = decode(room, ctypes.c_size_t(size + 1), data, ctypes.c_size_t(len(data)), None)
+    return room.raw[:n]
 
 
 def _claimed_size(data: bytes, source: str) -> tuple[int, int]:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from gsfusion_nb.data import SequenceError
+from gsfusion_nb.data import BadFrameError, SequenceError
 from gsfusion_nb.data.convert import ConvertOptions, convert, detect_format
 from gsfusion_nb.data.convert.formats.record3d import lzfse_unpacked
 from gsfusion_nb.data.readers import folder
@@ -127,6 +127,17 @@ def test_lzfse_with_the_library(tmp_path, takes):
     assert lzfse_unpacked(liblzfse.compress(data), "x") == data
     convert(write_r3d(tmp_path / "a.r3d", members(takes, liblzfse.compress)), tmp_path / "out")
     check(tmp_path / "out", takes, [(0, 0), (1, 1)])
+
+
+@pytest.mark.parametrize("claimed", [100, 4_999])
+def test_lzfse_that_holds_more_than_it_claims_is_refused(claimed):
+    liblzfse = pytest.importorskip("liblzfse")
+    packed = bytearray(liblzfse.compress(bytes(5_000)))
+    assert packed[:4] in (b"bvx2", b"bvxn")
+    assert lzfse_unpacked(bytes(packed), "x") == bytes(5_000)
+    packed[4:8] = struct.pack("<I", claimed)
+    with pytest.raises(BadFrameError, match=f"x is damaged: LZFSE unpacks more than the {claimed} bytes"):
+        lzfse_unpacked(bytes(packed), "x")
 
 
 def test_lzfse_without_the_library(tmp_path, takes, monkeypatch):
