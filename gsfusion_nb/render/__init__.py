@@ -13,6 +13,10 @@ from .in_view import rows_in_view as rows_in_view
 from .on_screen import ScreenGaussians as ScreenGaussians
 from .on_screen import TileBlend as TileBlend
 from .on_screen import blend_rows as blend_rows
+from .over_base import Base as Base
+from .over_base import OverBaseOutput as OverBaseOutput
+from .over_base import render_over_base as render_over_base
+from .over_base import render_over_base_vjp as render_over_base_vjp
 from .pose import pose_vjp as pose_vjp
 from .project import Projection as Projection
 from .project import ProjectionGradient as ProjectionGradient

@@ -18,7 +18,17 @@ from torch import Tensor
 from gsfusion_nb.backends import Record, offered, use_backend
 from gsfusion_nb.config import TsdfConfig
 from gsfusion_nb.optim import ColumnRates, adam_update, adam_update_map, dssim_vjp, l1_mse_vjp, rgbd_l1_vjp
-from gsfusion_nb.render import disc_depth, disc_depth_vjp, footprints, project_gaussians, render_forward, render_vjp
+from gsfusion_nb.render import (
+    Base,
+    disc_depth,
+    disc_depth_vjp,
+    footprints,
+    project_gaussians,
+    render_forward,
+    render_over_base,
+    render_over_base_vjp,
+    render_vjp,
+)
 from gsfusion_nb.render.composite import composite, composite_vjp
 from gsfusion_nb.render.tiles import tile_intersections
 from gsfusion_nb.seeding import quadtree
@@ -82,6 +92,8 @@ def operations() -> dict[str, tuple[Callable, dict[str, Any]]]:
     disc = view | {"hit_index": picture.hit_index}
     v = {"v_rgb": torch.ones(*size, 3), "v_depth_m": torch.ones(size), "v_alpha": torch.ones(size)}
     centres = {name: torch.zeros(len(params), 2) for name in CENTRES}
+    base = Base(rgb=frame.rgb, depth_m=frame.depth_m + 0.5, weight=torch.ones(size))
+    over = render_over_base(params, camera, T_WC, base, behind_m=0.1)[1]
     p = project_gaussians(params, camera, T_WC)
     splats = {"uv": p.uv, "conic": p.conic, "opacity": p.opacity, "rgb": params.xyz_W.abs(), "depth_m": p.depth_m}
     volume = TsdfVolume(TsdfConfig(voxel_size_m=0.05))
@@ -117,6 +129,8 @@ def operations() -> dict[str, tuple[Callable, dict[str, Any]]]:
     return {
         "render_forward": (lambda **o: render_forward(**o)[0], view | {"pixels": mask, "opaque_alpha": 0.5}),
         "render_vjp": (render_vjp, {"saved": saved, **v, "rows": rows, **centres}),
+        "render_over_base": (lambda **o: render_over_base(**o, behind_m=0.1)[0], view | {"base": base}),
+        "render_over_base_vjp": (render_over_base_vjp, {"saved": over, "v_rgb": v["v_rgb"], "rows": rows, **centres}),
         "footprints": (footprints, view),
         "tile_intersections": (tile_intersections, {"projection": p, "camera": camera, "pixels": mask, "tile_px": 8}),
         "composite": (lambda **o: composite(**o).rgb, splats | {"tiles": tiles, "camera": camera}),

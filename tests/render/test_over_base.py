@@ -1,0 +1,192 @@
+"""Gaussians over a base, blended without order: values in closed form, the gradient three ways, any order."""
+
+import dataclasses
+import math
+
+import pytest
+import torch
+
+from gsfusion_nb.backends import use_backend
+from gsfusion_nb.constants import SH_C0
+from gsfusion_nb.geometry.spherical_harmonics import rgb_to_sh_dc
+from gsfusion_nb.render import Base, render_over_base, render_over_base_vjp
+from gsfusion_nb.render.composite import pixel_offsets, splat_alpha, splat_alpha_vjp
+from gsfusion_nb.render.over_base import blend_with_base, blend_with_base_vjp
+from gsfusion_nb.types import Camera, GaussianParams
+
+BEHIND_M = 0.1
+
+
+def f64(*values):
+    return torch.tensor(values, dtype=torch.float64)
+
+
+def picture(camera, generator, depth_m=2.0):
+    """A base with a hole, in which half of the pixels have no weight."""
+    size = (camera.height, camera.width)
+    rgb, depth = torch.rand(*size, 3, generator=generator, dtype=torch.float64), torch.full(size, depth_m).double()
+    weight = torch.ones_like(depth)
+    depth[:4, :6], weight[:4, :3] = 0.0, 0.0
+    return Base(rgb=rgb, depth_m=depth, weight=weight)
+
+
+def columns(params):
+    return [getattr(params, f.name) for f in dataclasses.fields(GaussianParams)]
+
+
+def test_one_pixel_with_four_gaussians_and_its_gradient_in_numbers():
+    """C_s = (.2, .4, .6), D_s = 2, I = (.5, .35, .1), L = mean |C - I|; the fourth Gaussian is 0.2 m behind."""
+    uv, z = f64([10.9, 7.2], [9.0, 8.5], [11.5, 7.0], [10.5, 7.5]), f64(1.95, 2.05, 2.099, 2.2)
+    conic, o = f64([0.5, 0.1, 0.8], [0.2, -0.05, 0.3], [1, 0, 1], [0.4, 0, 0.4]), f64(0.5, 0.8, 0.9, 0.95)
+    c = f64([0.9, 0.1, 0.1], [0.2, 0.8, 0.3], [0.4, 0.4, 1.2], [1, 1, 1])
+    dx, dy = pixel_offsets(uv, torch.tensor([10]), torch.tensor([7]))
+    alpha = splat_alpha(dx, dy, conic, o)
+    w = torch.where(z[:, None] > 2.0 + BEHIND_M, 0.0, alpha)
+    assert w[:, 0].tolist() == pytest.approx([0.469002500, 0.510102521, 0.481735286, 0], abs=1e-9)
+    b, target = f64(1.0), f64([0.5, 0.35, 0.1])
+    C, W = blend_with_base(w, c, f64([0.2, 0.4, 0.6]), b)
+    assert float(W) == pytest.approx(1.460840307, abs=1e-9)
+    assert C[0].tolist() == pytest.approx([0.372562521, 0.425739280, 0.559976747], abs=1e-9)
+    v_w, v_c = blend_with_base_vjp(w, c, C, b, (C - target).sign() / 3)
+    assert v_c[:, 1].tolist() == pytest.approx([0.063528774, 0.069095980, 0.065253494, 0], abs=1e-9)
+    v_uv, v_conic, v_o = splat_alpha_vjp(dx, dy, conic, o, alpha, torch.where(w > 0, v_w, 0.0))
+    assert v_o.tolist() == pytest.approx([-0.166846063, 0.024774925, 0.042548649, 0], abs=1e-9)
+    assert v_uv[:3].flatten().tolist() == pytest.approx(
+        [0.014181915, -0.016684606, 0.006936979, -0.007432477, -0.038293784, 0.019146892], abs=1e-9
+    )
+    assert v_conic[1].tolist() == pytest.approx([-0.022297432, 0.029729910, -0.009909970], abs=1e-9)
+
+    # the same pixel as a hole, where nothing is hidden: black with weight 1, or no weight
+    black = f64([0.0, 0.0, 0.0])
+    C, W = blend_with_base(alpha, c, black, f64(1.0))
+    assert float(W) == pytest.approx(2.410840307, abs=1e-9)
+    assert C[0].tolist() == pytest.approx([0.488682178, 0.468411370, 0.506623938], abs=1e-9)
+    C, _ = blend_with_base(alpha, c, black, f64(0.0))
+    assert C[0].tolist() == pytest.approx([0.691384188, 0.662705189, 0.716768068], abs=1e-9)
+
+
+def test_three_gaussians_in_a_small_picture_and_every_gradient_in_numbers():
+    camera = Camera(width=16, height=12, fx=20.0, fy=21.0, cx=8.0, cy=6.0)
+    cos, sin = math.cos(math.radians(10)), math.sin(math.radians(10))
+    T_CW = f64([cos, 0, sin, 0.05], [0, 1, 0, -0.02], [-sin, 0, cos, 0.1], [0, 0, 0, 1])
+    y, x = torch.meshgrid(torch.arange(12).double(), torch.arange(16).double(), indexing="ij")
+    depth_m = 2 + 0.02 * (x - 8)
+    rgb = torch.stack([0.3 + 0.02 * x, 0.5 + 0.01 * y, torch.full_like(x, 0.4)], dim=-1)
+    depth_m[:3, :4], rgb[:3, :4] = 0.0, 0.0
+    base = Base(rgb=rgb, depth_m=depth_m, weight=torch.ones_like(depth_m))
+    target = torch.stack([torch.full_like(x, 0.503), 0.307 + 0.03 * y, 0.211 + 0.02 * x], dim=-1)
+    params = GaussianParams(
+        xyz_W=f64([0.10, -0.05, 2.0], [-0.2, 0.1, 1.8], [0.15, 0.05, 2.05]),
+        log_scale=f64([0.12, 0.08, 0.02], [0.1, 0.15, 0.03], [0.2, 0.1, 0.05]).log(),
+        quat=f64([1, 0.2, -0.1, 0.3], [0.9, -0.3, 0.2, 0.1], [1, 0, 0, 0]),
+        opacity_logit=f64(0, 1, -0.5),
+        sh=rgb_to_sh_dc(f64([0.9, 0.2, 0.1], [0.1, 0.7, 0.4], [0.3, 0.3, 0.9]))[:, None],
+    )
+    out, saved = render_over_base(params, camera, T_CW.inverse(), base, behind_m=BEHIND_M)
+    assert float(out.weight.sum()) == pytest.approx(16.249486960, abs=1e-7)
+    assert out.rgb[6, 8].tolist() == pytest.approx([0.367692344, 0.590253845, 0.408757275], abs=2e-9)
+    assert out.rgb[1, 1].tolist() == [0, 0, 0]
+    assert float((out.rgb - target).abs().mean()) == pytest.approx(0.100033292, abs=1e-9)
+    g = render_over_base_vjp(saved, (out.rgb - target).sign() / target.numel())
+    expected = {
+        "xyz_W": f64(
+            [0.012060468, -0.002572406, -0.001234682],
+            [-0.005346846, 0.001432013, -0.003219389],
+            [-0.007886354, 0.006113254, 0.002678328],
+        ),
+        "log_scale": f64(
+            [7.397916e-4, 8.457774e-5, 6.758476e-6],
+            [2.199783e-3, 2.760182e-3, 1.664395e-4],
+            [-9.431995e-4, -3.582789e-3, -6.643019e-7],
+        ),
+        "quat": f64(
+            [-1.106347e-4, -5.556893e-4, 5.597179e-4, 9.258146e-4],
+            [2.026776e-3, 4.119803e-3, -2.724597e-3, -4.323783e-4],
+            [0, 9.027493e-5, -1.619190e-4, -7.370364e-4],
+        ),
+        "opacity_logit": f64(7.537970e-4, 8.594780e-4, -1.602534e-3),
+    }
+    for name, values in expected.items():
+        torch.testing.assert_close(getattr(g, name), values, atol=2e-9, rtol=0, msg=lambda m, n=name: f"{n}: {m}")
+    v_colour = (g.sh[:, 0] / SH_C0).flatten().tolist()
+    assert v_colour[:3] == pytest.approx([0.003187185, 0.001282770, -0.003294591], abs=1e-9)
+
+
+@pytest.mark.parametrize(("degree", "n"), [(0, 5), (3, 2)])
+def test_every_parameter_by_finite_differences(scene, generator, degree, n):
+    params = scene.random_map(generator, n, degree=degree, scale=0.3)
+    camera = Camera(width=9, height=7, fx=10.0, fy=10.0, cx=4.4, cy=3.6)
+    base = picture(camera, generator)
+
+    def pass_of(values):
+        rows = GaussianParams(**dict(zip(scene.columns, values, strict=True)))
+        return render_over_base(rows, camera, scene.pose, base, behind_m=BEHIND_M)
+
+    scene.finite_difference_check(
+        lambda *x: (pass_of(x)[0].rgb,),
+        lambda x, v_rgb: tuple(columns(render_over_base_vjp(pass_of(x)[1], v_rgb))),
+        columns(params),
+        generator,
+    )
+
+
+def test_the_gradient_is_that_of_autograd_on_the_formula(scene, generator):
+    """The formula once more, over all pixels and Gaussians at once, with torch's own derivative."""
+    from gsfusion_nb.geometry.spherical_harmonics import sh_to_rgb
+    from gsfusion_nb.render import project_gaussians
+
+    params, camera = scene.random_map(generator, 30, degree=1, opacity=(0.3, 0.999)), scene.camera
+    base = picture(camera, generator)
+    leaves = GaussianParams(**{n: getattr(params, n).clone().requires_grad_() for n in scene.columns})
+    p, c = project_gaussians(leaves, camera, scene.pose), sh_to_rgb(leaves.sh, leaves.xyz_W, scene.pose[:3, 3])
+    y, x = (at.flatten() for at in torch.meshgrid(torch.arange(19), torch.arange(27), indexing="ij"))
+    alpha = splat_alpha(*pixel_offsets(p.uv, x, y), p.conic, p.opacity)
+    D = base.depth_m.flatten()
+    w = alpha * ~((D > 0) & (p.depth_m.detach()[:, None] > D + BEHIND_M))
+    total = base.weight.flatten() + w.sum(0)
+    C = (base.weight.flatten()[:, None] * base.rgb.flatten(0, 1) + w.T @ c) / total.clamp_min(1e-300)[:, None]
+    v_rgb = torch.randn(19, 27, 3, generator=generator, dtype=torch.float64)
+    expected = torch.autograd.grad((C * v_rgb.flatten(0, 1)).sum(), columns(leaves))
+    out, saved = render_over_base(params, camera, scene.pose, base, behind_m=BEHIND_M)
+    torch.testing.assert_close(out.rgb.flatten(0, 1), C.detach())
+    for name, g, e in zip(scene.columns, columns(render_over_base_vjp(saved, v_rgb)), expected, strict=True):
+        torch.testing.assert_close(g, e, atol=1e-9, rtol=1e-8, msg=lambda m, name=name: f"{name}: {m}")
+
+
+@pytest.mark.parametrize("backend", ["reference", "numba"])
+def test_the_order_of_the_gaussians_does_not_matter(scene, generator, backend):
+    """Nor does the number of threads: then the results are the same bit for bit."""
+    params = scene.random_map(generator, 200, dtype=torch.float32)
+    base = picture(scene.camera, generator)
+    base = Base(**{name: image.float() for name, image in vars(base).items()})
+    pose, order = scene.pose.float(), torch.randperm(200, generator=generator)
+    v_rgb = torch.randn(19, 27, 3, generator=generator)
+
+    def results(rows):
+        out, saved = render_over_base(rows, scene.camera, pose, base, behind_m=BEHIND_M)
+        return [out.rgb, out.weight, out.depth_m], columns(render_over_base_vjp(saved, v_rgb))
+
+    with use_backend(backend):
+        (images, gradients), (shuffled, moved) = results(params), results(params[order])
+        torch.set_num_threads(2)
+        again = results(params)
+    for a, b in zip(images, shuffled, strict=True):
+        torch.testing.assert_close(a, b, atol=2e-6, rtol=2e-6)
+    for a, b in zip(gradients, moved, strict=True):
+        torch.testing.assert_close(a[order], b, atol=2e-5, rtol=2e-5)
+    for a, b in zip(images + gradients, again[0] + again[1], strict=True):
+        assert torch.equal(a, b)
+
+
+def test_what_it_refuses(scene, generator):
+    params, base = scene.random_map(generator, 3), picture(scene.camera, generator)
+    for name, bad, message in (
+        ("rgb", base.rgb[1:], r"base.rgb must be \[19, 27, 3\], got \[18, 27, 3\]"),
+        ("depth_m", base.depth_m.float(), "base.depth_m must be torch.float64"),
+    ):
+        wrong = object.__new__(Base)  # as after -O: shapes are not checked when it is made
+        wrong.__dict__.update(vars(base) | {name: bad})
+        with pytest.raises(ValueError, match=message):
+            render_over_base(params, scene.camera, scene.pose, wrong, behind_m=BEHIND_M)
+    with pytest.raises(ValueError, match="behind_m must be"):
+        render_over_base(params, scene.camera, scene.pose, base, behind_m=-1.0)
