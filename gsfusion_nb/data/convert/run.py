@@ -13,6 +13,7 @@ import numpy as np
 from ...progress import ProgressDisplay
 from ...types import Camera
 from ..lens.camera_model import CameraModel
+from ..recorded.stamps import Stamps, judge_stamps
 from ..sequence import BadFrameError, SequenceError
 from .detect import FORMATS, detect_format
 from .frame_poses import FramePoses
@@ -116,6 +117,11 @@ def convert(
         raise
 
 
+def _time_note(stamps: Stamps) -> list[str]:
+    why = stamps.why_not
+    return [f"the recorded times are not times: {why}; no times or frame rate are written"] if why else []
+
+
 class _Conversion:
     """One pass over the frames of a recording."""
 
@@ -148,7 +154,10 @@ class _Conversion:
                 f"{self._recording.name}: no frame can be used ({told or 'it has none'}){hint}; expected at least one"
             )
         times = [r.time_s for r in kept if r.time_s is not None]
-        steps = [b - a for a, b in itertools.pairwise(times) if b > a]
+        stamps = judge_stamps(times, unit="s")
+        if stamps.times_s is None:
+            self._staging.forget_times()
+        steps = [b - a for a, b in itertools.pairwise(stamps.times_s or []) if b > a]
         report = ConvertReport(
             out=self._staging.out,
             format=format,
@@ -159,7 +168,7 @@ class _Conversion:
             camera=self._rectifier.camera,
             depth_scale=self.depth_scale,
             has_poses=not self._poses.none,
-            notes=(*self._recording.notes, *self._poses.notes, *self._far_note()),
+            notes=(*self._recording.notes, *self._poses.notes, *self._far_note(), *_time_note(stamps)),
         )
         settings: dict[str, Any] = {"depth_scale": self.depth_scale}
         if steps:

@@ -122,6 +122,10 @@ class Staging:
         (self.sequence / "depth" / f"{name}.png").write_bytes(packed_depth)
         self._append(dataclasses.replace(row, files=(suffix, len(data), len(packed_depth))))
 
+    def forget_times(self) -> None:
+        """Write no times: those of the recording are not times."""
+        self.rows = [dataclasses.replace(row, time_s=None) for row in self.rows]
+
     def finish(self, camera: Camera, settings: dict[str, Any], report: dict[str, Any]) -> None:
         """Write intrinsics, poses, times and the report, and move everything to its final place."""
         intrinsics = {

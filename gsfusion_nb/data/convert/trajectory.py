@@ -13,11 +13,10 @@ from ...errors import shown
 from ...foreign import read_text
 from ...geometry import se3
 from ..recorded.poses import interpolate_rows, matrices
+from ..recorded.stamps import PER_SECOND
+from ..recorded.stamps import time_unit as find_time_unit
 from ..sequence import SequenceError
 
-_UNIT_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-_LARGEST_STEP = {"s": 5.0, "ms": 5e3, "us": 5e5, "ns": float("inf")}
-"""A median step above this belongs to the next finer unit: 5 s, 5 s, and 0.5 s, since 5e5 ns are 2 kHz."""
 _TUM = [0, 1, 2, 3, 4, 5, 6, 7]
 _EUROC = [0, 1, 2, 3, 5, 6, 7, 4]
 """Columns of time, position and quaternion xyzw."""
@@ -65,11 +64,11 @@ def read_trajectory(
             time, or a quaternion whose length is not 1.
     """
     table, notes = _checked(_table(path), path)
-    unit = _time_unit(table[:, 0]) if time_unit == "auto" else time_unit
+    unit = find_time_unit(table[:, 0].tolist()) if time_unit == "auto" else time_unit
     notes.append(f"{path}: {len(table)} poses, times read as {unit}")
     return Trajectory(
         path=str(path),
-        stamps_s=(table[:, 0] * _UNIT_S[unit]).contiguous(),
+        stamps_s=(table[:, 0] / PER_SECOND[unit]).contiguous(),
         rows=table[:, 1:],
         T_body_cam=torch.eye(4, dtype=torch.float64) if T_body_cam is None else T_body_cam,
         max_gap_s=max_gap_s,
@@ -140,14 +139,6 @@ def _columns_of_header(line: str) -> list[int] | None:
     patterns = [*(rf"(t|p|p_.*_|){a}" for a in "xyz"), *(rf"q(_|_.*_|){a}" for a in "xyzw")]
     found = [next((i for i, n in enumerate(names) if re.fullmatch(p, n)), None) for p in patterns]
     return None if None in found else [0, *(i for i in found if i is not None)]
-
-
-def _time_unit(stamps: Float[Tensor, " N"]) -> str:
-    """Unit in which times since 1970 fall between 2001 and 2286, or in which the median step is that of a camera."""
-    last = float(stamps[-1].abs())
-    step = float((stamps[1:] - stamps[:-1]).median()) if len(stamps) > 1 else 0.0
-    since_1970 = next((unit for unit, s in _UNIT_S.items() if 1e9 <= last * s < 1e10), None)
-    return since_1970 or next(unit for unit, most in _LARGEST_STEP.items() if step <= most)
 
 
 def camera_in_body(T_cam_body: str, T_body_cam: str) -> Float[Tensor, "4 4"] | None:

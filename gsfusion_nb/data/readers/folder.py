@@ -30,7 +30,7 @@ from typing import Any
 from ...errors import shown
 from ...strict_json import read_object
 from ..recorded.camera_json import camera, number, numbers
-from ..recorded.find_files import images_in, pair_by_stem, require
+from ..recorded.find_files import given_name, images_in, pair_by_stem, require
 from ..recorded.layout import Layout
 from ..recorded.pose_lines import poses_of_images
 from ..recorded.poses import no_poses
@@ -66,13 +66,14 @@ def folder(path: str | Path, *, poses: bool = True) -> RecordedSequence:
     depth_files = pair_by_stem(rgb_files, images_in(root / "depth", (".png", ".tif", ".tiff", ".pgm")))
     poses_file = root / "poses.txt"
     T_WC = poses_of_images(poses_file, rgb_files, values.get("first_image")) if poses else no_poses(len(rgb_files))
-    times = times_of_images(root / TIMES, rgb_files)
+    times, no_times = times_of_images(root / TIMES, rgb_files)
     return RecordedSequence(
-        name=root.resolve().name,
+        name=given_name(root),
         camera=camera(values, CAMERA_KEYS, root / "intrinsics.json", shift=0.5 - values.get("pixel_centre", 0.0)),
         rgb_files=rgb_files,
         depth_files=depth_files,
         timestamps_s=times or [i / values.get("fps", 30.0) for i in range(len(rgb_files))],
+        no_times="" if "fps" in values else no_times,
         poses=T_WC,
         pose_sources=[f"{poses_file} pose {i}" for i in range(len(T_WC))],
         has_poses=poses,

@@ -12,7 +12,7 @@ from pathlib import Path
 from ...strict_json import read_object
 from ...types import Camera
 from ..recorded.camera_json import camera, numbers
-from ..recorded.find_files import images_in, require
+from ..recorded.find_files import given_name, images_in, require
 from ..recorded.layout import Layout
 from ..recorded.poses import read_pose_lines
 from ..recorded.recorded_sequence import RecordedSequence
@@ -59,7 +59,7 @@ def replica(path: str | Path) -> RecordedSequence:
         )
     scene_camera, depth_scale = _calibration(root)
     return RecordedSequence(
-        name=root.resolve().name,
+        name=given_name(root),
         camera=scene_camera,
         rgb_files=[frames[n] for n in order],
         depth_files=[depths[n] for n in order],

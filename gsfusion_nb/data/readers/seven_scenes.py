@@ -18,7 +18,7 @@ import torch
 from ...types import Camera
 from ..lens.camera_model import CameraModel
 from ..lens.register import Registration
-from ..recorded.find_files import require
+from ..recorded.find_files import given_name, require
 from ..recorded.layout import Layout
 from ..recorded.poses import read_rows
 from ..recorded.recorded_sequence import RecordedSequence
@@ -86,10 +86,11 @@ def seven_scenes(path: str | Path, *, register: bool = False) -> RecordedSequenc
     registration = Registration.of(DEPTH_CAMERA, COLOUR_LENS, T_DEPTH_COLOUR) if register else None
     if registration is None:
         log.warning(
-            "%s: colour is not registered to depth in 7-Scenes (10 to 20 pixels off); register=True aligns it", root
+            "%s: colour is not registered to depth in 7-Scenes (10 to 20 pixels off); --reader register=true aligns it",
+            root,
         )
     return RecordedSequence(
-        name=root.resolve().name,
+        name=given_name(root),
         camera=DEPTH_CAMERA if registration is None else registration.colour.camera,
         rgb_files=[colour[n] for n in order],
         depth_files=[files["depth"][n] for n in order],

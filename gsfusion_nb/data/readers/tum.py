@@ -20,10 +20,11 @@ from ...types import Camera
 from ..lens.camera_model import CameraModel
 from ..lens.undistort import Undistorter
 from ..recorded.associate import associate
-from ..recorded.find_files import require
+from ..recorded.find_files import given_name, natural_order, own_names, require
 from ..recorded.layout import Layout
 from ..recorded.poses import interpolate_rows, matrices, no_poses, read_stamped_poses, read_words
 from ..recorded.recorded_sequence import RecordedSequence
+from ..recorded.stamps import judge_stamps
 from ..sequence import SequenceError
 
 log = logging.getLogger(__name__)
@@ -94,7 +95,7 @@ def tum(
         unpaired, unposed = len(depth_files) - len(pairs), len(pairs) - len(posed)
         log.warning("%s: dropped %d depth images without colour and %d without pose", root.name, unpaired, unposed)
     return RecordedSequence(
-        name=root.resolve().name,
+        name=given_name(root),
         camera=lens.camera if undistorter is None else undistorter.camera,
         rgb_files=[rgb_files[c] for _, _, c, _ in posed],
         depth_files=[depth_files[d] for _, d, _, _ in posed],
@@ -112,15 +113,21 @@ def _lens(root: Path, camera: str | Camera) -> CameraModel:
         return CameraModel(camera)
     name = camera
     if camera == "auto":
-        folder_name = root.resolve().name
-        name = next((n for n in LENSES if n in folder_name or n.replace("freiburg", "fr") in folder_name), "")
+        name = benchmark_camera(root)
         if not name:
             raise SequenceError(
-                f"{root}: the folder's name holds none of {', '.join(LENSES)}; pass camera= one of them"
+                f"{root}: the folder's name holds none of {', '.join(LENSES)}; if it is the benchmark's, give one with "
+                f"--reader camera=freiburg1; a recording of another camera: gsfusion-nb convert {root} OUT"
             )
     if name not in LENSES:
         raise SequenceError(f"{root}: no TUM camera {shown(name)}; known: {', '.join(LENSES)}")
     return LENSES[name]
+
+
+def benchmark_camera(folder: Path) -> str:
+    """Which of ``LENSES`` the name of a folder holds, also in short (fr1); a link's own name counts. Empty if none."""
+    names = own_names(folder)
+    return next((n for f in names for n in LENSES if n in f or n.replace("freiburg", "fr") in f), "")
 
 
 def _stream(path: Path) -> tuple[list[float], list[Path]]:
@@ -140,6 +147,12 @@ def _stream(path: Path) -> tuple[list[float], list[Path]]:
     if len(set(stamps)) != len(stamps):
         twice = next(t for t, n in Counter(stamps).items() if n > 1)
         log.warning("%s lists the time %.6f s more than once; each image is used at most once", path, twice)
+    judged = judge_stamps(stamps, names=[natural_order(f) for f in files], unit="s")
+    if judged.times_s is None:
+        raise SequenceError(
+            f"{path}: the numbers are not times in seconds: {judged.why_not}; gsfusion-nb convert {path.parent} OUT "
+            "takes the frames in the order of the list"
+        )
     return stamps, files
 
 

@@ -51,6 +51,8 @@ class RecordedSequence:
     """Applied to every pair of images (undistortion, registration)."""
     fit_sizes: bool = False
     """Resize colour images of another size than the camera's instead of refusing them."""
+    no_times: str = ""
+    """Why the recording has no times; ``timestamps_s`` then only count the frames."""
     has_poses: bool = True
     """False: the recording has no poses; every pose is the identity, and the mapper must track."""
     novel: frozenset[int] = field(default_factory=frozenset)

@@ -11,7 +11,7 @@ from typing import Any
 from ...types import Frame
 from ..readers.folder import CAMERA_KEYS, read_intrinsics
 from ..recorded.camera_json import camera
-from ..recorded.find_files import natural_order
+from ..recorded.find_files import given_name, natural_order
 from ..recorded.poses import no_poses
 from ..recorded.recorded_sequence import RecordedSequence
 from ..sequence import BadFrameError, SequenceError, SequenceNotFoundError
@@ -84,7 +84,7 @@ class GrowingFolder(LiveSource):
             raise SequenceNotFoundError(
                 f"{self.root} is not a folder; expected one in which a recording is being written"
             )
-        self.name, self.has_poses = self.root.resolve().name, poses
+        self.name, self.has_poses = given_name(self.root), poses
         self._poll_s, self._idle_s, self._patience_s = poll_s, idle_s, patience_s
         self._stop_file = self.root / stop_file
         self._stopping = threading.Event()
