@@ -47,8 +47,8 @@ class ConvertOptions:
     depth: str = ""
     """Folder of the depth images if they are not part of the recording; same names as the colour images."""
     depth_scale: float = 0.0
-    """Stored depth value of one metre. 0: that of the format, or 1000 (millimetres) if it has none; of TUM-style folders
-    it is inferred from names, depths and poses, or asked for."""
+    """Stored depth value of one metre. 0: that of the format, or 1000 (millimetres) if it has none; TUM-style folders:
+    inferred from names, depths and poses, or asked for."""
     depth_along: Literal["auto", "z", "ray"] = "auto"
     """Whether depth is measured along the optical axis ("z") or along the ray of each pixel ("ray"); "auto": as usual
     in the format."""
