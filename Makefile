@@ -1,4 +1,4 @@
-# make demo | make test | make campaign | make lab | make student | make teacher | make quiz | make slides: each first sets up the virtual environment .venv, which all of them share. Only Python >= 3.11 and make are needed.
+# make demo | make test | make campaign | make lab | make student | make teacher | make quiz | make slides | make book: each first sets up the virtual environment .venv, which all of them share. Only Python >= 3.11 and make are needed.
 PYTHON ?= python3
 VENV ?= .venv
 # Where pip should look for PyTorch, if not at the default: see docs/install.md.
@@ -10,7 +10,7 @@ COURSE ?= course
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.setup-done
 
-.PHONY: setup demo test campaign lint format lab student teacher quiz slides clean
+.PHONY: setup demo test campaign lint format lab student teacher quiz slides book clean
 
 setup: $(STAMP)
 
@@ -65,6 +65,13 @@ quiz: setup
 # The decks of slides as HTML, in runs/slides; needs Node: docs/teaching/slides.md.
 slides: setup
 	$(BIN)/python -m gsfusion_nb.teaching.kit.slides docs/teaching/slides notebooks runs/slides
+
+# The notebooks and the documentation as a web site in runs/book: docs/book.md. Needs the network only when the extra
+# "book" is not installed yet. REPOSITORY=https://github.com/OWNER/NAME adds links to Binder and Colab.
+REPOSITORY ?=
+book: setup
+	@$(BIN)/python -m gsfusion_nb.book --installed || $(BIN)/python -m pip install --quiet --editable ".[book]"
+	$(BIN)/python -m gsfusion_nb.book runs/book $(if $(REPOSITORY),--repository "$(REPOSITORY)")
 
 clean:
 	rm -rf $(VENV) build *.egg-info

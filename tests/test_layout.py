@@ -37,7 +37,7 @@ FLOORS = {
     "runs": 6,
     **dict.fromkeys(("viz", "teaching", "warm"), 7),
     **dict.fromkeys(("doctor", "bench", "lab"), 8),
-    "studies": 9,
+    **dict.fromkeys(("studies", "book"), 9),
     "cli": 10,
     "__main__": 11,
 }

@@ -1,0 +1,35 @@
+"""``python -m gsfusion_nb.book runs/book`` builds the web book; see docs/book.md."""
+
+import argparse
+import logging
+import sys
+from pathlib import Path
+
+from .build import build, missing
+from .settings import read_settings
+
+_ROOT = Path(__file__).resolve().parents[2]
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Build the book; 1 if it could not be built, or a link leads nowhere."""
+    parser = argparse.ArgumentParser(prog="python -m gsfusion_nb.book", description="Builds the web book.")
+    parser.add_argument("out", type=Path, nargs="?", default=Path("runs/book"), help="folder of the site; replaced")
+    parser.add_argument("--installed", action="store_true", help="only say whether the extra 'book' is installed")
+    parser.add_argument("--repository", default="", help="address of the repository, for links to Binder and Colab")
+    options = parser.parse_args(arguments)
+    logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
+    if options.installed:
+        return 1 if missing() else 0
+    try:
+        wrong = build(_ROOT, options.out, read_settings(_ROOT / "docs/book/book.toml", options.repository))
+    except (RuntimeError, ValueError, OSError) as e:
+        logging.error("%s", e)
+        return 1
+    for sentence in wrong:
+        logging.error("%s", sentence)
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
