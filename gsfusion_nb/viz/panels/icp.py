@@ -3,6 +3,8 @@
 import dataclasses
 import itertools
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -16,14 +18,16 @@ from ...drawing.pictures import Picture, to_uint8
 from ...drawing.side_by_side import side_by_side
 from ...drawing.small_curves import small_curves
 from ...geometry import depth_to_normals, depth_to_points, project, se3
-from ...tracking import IcpResult, Surface, associate, depth_pyramid, icp, point_to_plane
-from ...types import Frame
+from ...tracking import DepthLevel, IcpResult, Surface, associate, depth_pyramid, icp, point_to_plane
+from ...types import Camera, Frame
 from ..microscopes.stack_picture import resize_to_height, write
 from .panel import Drawn, Number, Panel, Slider, Switch
 from .tsdf_slice import distance_colours
 
 RESIDUAL_M = 0.03
 """Point-to-plane distance at the end of the colour scale."""
+ROWS = 270
+"""Height of the two pictures of the panel, pixels."""
 _REJECTED, _OUTSIDE = (70, 74, 82), (24, 24, 28)
 SUCCESS_M, SUCCESS_DEG = 0.02, 1.0
 """An alignment that ends closer than this to the true pose has succeeded."""
@@ -63,7 +67,14 @@ def residual_picture(frame: Frame, surface: Surface, T_WC: Float[Tensor, "4 4"],
 
     Grey pixels fall on the surface but are rejected by distance or angle; dark ones do not fall on it.
     """
-    level = depth_pyramid(frame.depth_m, frame.camera, config.pyramid[-1:])[0]
+    return _level_residuals(_finest_level(frame, config), surface, T_WC, config)
+
+
+def _finest_level(frame: Frame, config: TrackingConfig) -> DepthLevel:
+    return depth_pyramid(frame.depth_m, frame.camera, config.pyramid[-1:])[0]
+
+
+def _level_residuals(level: DepthLevel, surface: Surface, T_WC: Tensor, config: TrackingConfig) -> Picture:
     found = associate(
         level, T_WC, surface,
         max_distance_m=config.max_distance_m, min_cosine=float(np.cos(np.radians(config.max_angle_deg))),
@@ -94,14 +105,54 @@ def overlay_picture(frame: Frame, surface: Surface, T_WC: Float[Tensor, "4 4"]) 
     return ((base.astype(np.uint16) + warped) // 2).astype(np.uint8)
 
 
-def icp_picture(frame: Frame, surface: Surface, result: IcpResult, step: int, config: TrackingConfig) -> Picture:
+@dataclass(frozen=True, kw_only=True)
+class _Alignment:
+    """What the pictures of an alignment are made of, prepared once."""
+
+    frame: Frame
+    """With about as many rows as the picture."""
+    surface: Surface
+    overlaid: Surface
+    """With about as many rows as the picture."""
+    finest: DepthLevel
+    config: TrackingConfig
+
+
+def _prepare(frame: Frame, surface: Surface, config: TrackingConfig) -> _Alignment:
+    return _Alignment(
+        frame=_thinned(frame, max(round(frame.camera.height / ROWS), 1)),
+        surface=surface,
+        overlaid=_thinned(surface, max(round(surface.camera.height / ROWS), 1)),
+        finest=_finest_level(frame, config),
+        config=config,
+    )
+
+
+Seen = TypeVar("Seen", Frame, Surface)
+
+
+def _thinned(seen: Seen, every: int) -> Seen:
+    """Every ``every``-th pixel of each row and column."""
+    camera = seen.camera
+    rows, columns = (len(range(0, n, every)) for n in (camera.height, camera.width))
+    cx, cy = ((c - 0.5) / every + 0.5 for c in (camera.cx, camera.cy))
+    small = Camera(width=columns, height=rows, fx=camera.fx / every, fy=camera.fy / every, cx=cx, cy=cy)
+    images = {
+        name: value[::every, ::every]
+        for name in ("colour", "rgb", "depth_m", "normal_W")
+        if name in {f.name for f in dataclasses.fields(seen)} and (value := getattr(seen, name)) is not None
+    }
+    return dataclasses.replace(seen, camera=small, **images)
+
+
+def _icp_picture(shown: _Alignment, result: IcpResult, step: int) -> Picture:
     """What ICP sees before its step number ``step``, and the curves of the whole alignment up to there."""
     poses = [h.T_WC for h in result.history] + [result.T_WC]
-    T_WC = poses[min(step, len(poses) - 1)]
-    parts = [overlay_picture(frame, surface, T_WC), residual_picture(frame, surface, T_WC, config)]
-    parts = [resize_to_height(p, 270) for p in parts]
+    T_WC, config = poses[min(step, len(poses) - 1)], shown.config
+    residuals = _level_residuals(shown.finest, shown.surface, T_WC, config)
+    parts = [resize_to_height(p, ROWS) for p in (overlay_picture(shown.frame, shown.overlaid, T_WC), residuals)]
     top = side_by_side(parts, ["surface and frame, mixed", "residual: red behind, blue in front, 3 cm"])
-    errors = [pose_error(T, frame.T_WC) for T in poses[: step + 1]]
+    errors = [pose_error(T, shown.frame.T_WC) for T in poses[: step + 1]]
     rms = [h.rms_m for h in result.history] + [result.rms_m]
     series = {
         "rms residual, mm": [1000 * r for r in rms[: step + 1]],
@@ -123,14 +174,18 @@ def icp_panel(frame: Frame, surface: Surface, config: TrackingConfig | None = No
         config: Pyramid levels and limits of correspondences; the defaults if left out.
     """
     settings = config or TrackingConfig()
+    shown = {
+        pyramid: _prepare(frame, surface, settings if pyramid else single_level_config(settings))
+        for pyramid in (True, False)
+    }
     kept: dict[tuple[Number, Number, bool], IcpResult] = {}
 
     def draw(*, step: int, sideways_cm: Number, turn_deg: Number, pyramid: bool) -> Drawn:
-        used, key = settings if pyramid else single_level_config(settings), (sideways_cm, turn_deg, pyramid)
+        key = (sideways_cm, turn_deg, pyramid)
         if key not in kept:
             kept.clear()
             start = displaced_pose(frame.T_WC, sideways_cm / 100, turn_deg)
-            kept[key] = icp(frame.depth_m, frame.camera, surface, start, used)
+            kept[key] = icp(frame.depth_m, frame.camera, surface, start, shown[pyramid].config)
         result = kept[key]
         n = len(result.history)
         off_m, off_deg = pose_error(result.T_WC, frame.T_WC)
@@ -144,7 +199,7 @@ def icp_panel(frame: Frame, surface: Surface, config: TrackingConfig | None = No
         verdict = (
             f"<b>{'converged' if well else 'not converged'}</b>: final error {off_m * 100:.1f} cm and {off_deg:.2f}°"
         )
-        return icp_picture(frame, surface, result, min(step, n), used), f"{words}<br>{verdict}"
+        return _icp_picture(shown[pyramid], result, min(step, n)), f"{words}<br>{verdict}"
 
     controls = {
         "step": Slider(value=0, low=0, high=sum(settings.iterations), step=1, label="step"),

@@ -1,10 +1,11 @@
 """A panel about the quadtree of a picture: threshold, smallest cell, the cells, and the number of Gaussians."""
 
+from collections.abc import Sequence
 from typing import Any, Literal
 
 import numpy as np
 import torch
-from jaxtyping import UInt8
+from jaxtyping import Int, UInt8
 from torch import Tensor
 
 from ...drawing.html import html_table
@@ -74,16 +75,29 @@ def _owner(cells: Cells, height: int, width: int) -> Tensor:
 
 
 def _discs(photo: Picture, cells: Cells) -> Picture:
+    centre, radius = cells.centre_uv.numpy(), cells.half_diagonal_px.numpy()
+    corner = np.floor(centre).astype(int)
+    colour = photo[tuple(corner.T[::-1])]
+    kinds, kind = np.unique(np.column_stack([-radius, centre - corner]), axis=0, return_inverse=True)
+    flat = np.zeros_like(photo).reshape(-1, 3)
+    for k, (minus_radius, *within) in enumerate(kinds):  # the largest first
+        chosen = np.flatnonzero(kind == k)
+        pixels = corner[chosen, None] + _disc_pixels(-minus_radius, within)
+        inside = ((pixels >= 0) & (pixels < photo.shape[1::-1])).all(-1)
+        x, y = pixels[inside].T
+        flat[y * photo.shape[1] + x] = np.broadcast_to(colour[chosen, None], (*pixels.shape[:2], 3))[inside]
+    return flat.reshape(photo.shape)
+
+
+def _disc_pixels(radius: float, within: Sequence[float]) -> Int[np.ndarray, "K 2"]:
+    """Pixels (x, y) of a disc, relative to the pixel in which its centre lies ``within`` (0..1, from the corner)."""
     import cv2
 
-    image = np.zeros_like(photo)
-    centre, radius = cells.centre_uv.numpy(), cells.half_diagonal_px.numpy()
-    colour = photo[tuple(np.floor(centre).astype(int).T[::-1])]
-    for i in np.argsort(-radius, kind="stable"):
-        x, y = (round(16 * (float(c) - 0.5)) for c in centre[i])  # OpenCV's pixel centres are whole numbers
-        ink = tuple(int(c) for c in colour[i])
-        cv2.circle(image, (x, y), round(16 * float(radius[i])), ink, -1, cv2.LINE_8, 4)
-    return image
+    half = int(np.ceil(radius)) + 1
+    stamp = np.zeros((2 * half + 1, 2 * half + 1), np.uint8)
+    x, y = (round(16 * (half + float(c) - 0.5)) for c in within)  # OpenCV's pixel centres are whole numbers
+    cv2.circle(stamp, (x, y), round(16 * float(radius)), 1, -1, cv2.LINE_8, 4)
+    return np.argwhere(stamp)[:, ::-1] - half
 
 
 def quadtree_panel(rgb: AnyImage, *, threshold: float | int = 0.1, min_cell_px: int = 1, scale: int = 1) -> Panel:
