@@ -134,6 +134,7 @@ _GSFUSION: dict[str, dict[str, Any]] = {
 
 _AS_PUBLISHED: dict[str, Any] = {
     "tsdf": {"outlier_guard": False},
+    "seeding": {"without_depth": "skip"},
     "optim": {"adam_steps": "shared"},
     "data": {"hold_out_every": 0, "scored_views": 0},
 }

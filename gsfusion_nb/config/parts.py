@@ -77,6 +77,10 @@ class SeedingConfig:
     """A voxel holds at most one Gaussian: of the new ones that share a voxel the largest is created, and none where the
     map has one already (GSFusion's paper, section IV-C.1; the released code does not check this). On: fewer Gaussians
     close to the camera."""
+    without_depth: Literal["skip", "sides"] = "sides"
+    """What the rule gsfusion does with quadtree cells whose middle has no depth: "skip", as published: they get no
+    Gaussian; "sides": where the map shows nothing yet, they get one at the depth of the measured pixels to their left,
+    right, above and below. For windows, gloss and sensors with holes; without holes both are the same."""
     options: dict[str, int | float | str | bool] = field(default_factory=dict)
     """Keyword arguments of the rule, by name; on the command line: --rule-options name=value."""
     own_settings: tuple[str, ...] = ()

@@ -51,6 +51,7 @@ STUDIES: dict[str, Study] = {
         "GSFusion: the settings in which paper, released code and our defaults differ, changed one at a time",
         {
             "measured": (),
+            "seeding.without_depth skip (both)": ("--seeding.without-depth", "skip"),
             "optim.adam_steps shared (both)": ("--optim.adam-steps", "shared"),
             "optim.adam_steps per_row": ("--optim.adam-steps", "per_row"),
             "optim.ssim_weight 0 (paper)": ("--optim.ssim-weight", "0"),

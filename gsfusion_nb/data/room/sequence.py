@@ -9,14 +9,16 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
-from ...checks import check_pose
+from ...checks import check_number, check_pose
 from ...files import cache_folder
+from ...geometry import backproject, pixel_grid, se3
 from ...types import Camera, Frame, Mesh
 from . import raycast, shade
 from .cache import load, store
+from .imperfect import disturbed_poses, exposed, exposure_gains, without_depth
 from .mesh import room_mesh
 from .scene import load_scene, version
 from .sensor import kinect_depth
@@ -27,6 +29,9 @@ _FOCAL_PER_WIDTH = 0.65
 
 _DEPTH_UNIT_M = 1e-4
 """Stored depth counts tenths of a millimetre in uint16, up to 6.55 m: the farthest z-depth in the room is 6.41 m."""
+
+_IMPERFECT = {"exposure_stops": 3, "pose_error_m": 0.2, "pose_error_deg": 10, "pose_delay_s": 5, "holes": 1}
+"""Options that add the mistakes of a recording, and their largest values. They come after the cache."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -52,8 +57,18 @@ class RoomSequence:
     view_dependent: bool = False
     """Add soft highlights on glossy objects; without them the colour of a point does not depend on the direction of
     view."""
+    exposure_stops: float = 0.0
+    """Auto exposure: the brightness wanders by this many stops (standard deviation), white balance by a fifth."""
+    pose_error_m: float = 0.0
+    """The poses that are given wander about the true ones by this much in each direction (standard deviation)."""
+    pose_error_deg: float = 0.0
+    """The same for their rotation about each axis."""
+    pose_delay_s: float = 0.0
+    """Poses and images are not of the same time: an image comes with the pose that the camera has this much later."""
+    holes: float = 0.0
+    """Share of the room's surface that never gives depth, 0 to 1, in pieces of up to 40 cm."""
     seed: int = 0
-    """Seed of the scene, the hand's tremor and the noise."""
+    """Seed of the scene, the hand's tremor and everything random."""
     cache: bool = True
     """Store rendered frames on disk."""
 
@@ -65,6 +80,8 @@ class RoomSequence:
         for name, known in (("trajectory", tuple(TRAJECTORIES)), ("noise", ("none", "kinect"))):
             if getattr(self, name) not in known:
                 raise ValueError(f"room: {name} must be one of {', '.join(known)}, got {getattr(self, name)!r}")
+        for name, most in _IMPERFECT.items():
+            check_number(f"room: {name}", getattr(self, name), 0, most)
 
     @property
     def name(self) -> str:
@@ -78,7 +95,11 @@ class RoomSequence:
         return Camera(width=self.width, height=self.height, fx=focal, fy=focal, cx=self.width / 2, cy=self.height / 2)
 
     def pose(self, i: int) -> Float[Tensor, "4 4"]:
-        """Camera-to-world pose of frame ``i``, without rendering it."""
+        """Camera-to-world pose of frame ``i`` as it is given, without rendering it."""
+        return torch.from_numpy(self._given_poses[self._index(i)]).float()
+
+    def true_pose(self, i: int) -> Float[Tensor, "4 4"]:
+        """Camera-to-world pose that frame ``i`` was taken at: ``pose(i)`` without its error and delay."""
         return torch.from_numpy(self._walk[0][self._index(i)]).float()
 
     def mesh(self) -> Mesh:
@@ -101,12 +122,17 @@ class RoomSequence:
             if self.cache:
                 store(self._path(i), **images)
         depth_m = torch.from_numpy(images["depth"].astype(np.float32) * np.float32(_DEPTH_UNIT_M))
+        rgb, lost = images["rgb"], self._without_depth(depth_m, i)
         if self.noise == "kinect":
             depth_m = kinect_depth(depth_m, self.camera, rng=np.random.default_rng([self.seed, 3, i]))
+        if lost is not None:
+            depth_m[lost] = 0.0
+        if self.exposure_stops:
+            rgb = exposed(rgb, exposure_gains(self.times_s, self.exposure_stops, self.seed)[i])
         return Frame(
             index=i,
             timestamp_s=float(self.times_s[i]),
-            rgb=torch.from_numpy(images["rgb"]),
+            rgb=torch.from_numpy(rgb),
             depth_m=depth_m,
             camera=self.camera,
             T_WC=self.pose(i),
@@ -117,9 +143,25 @@ class RoomSequence:
         return walk(self.trajectory, self.n_frames, self.seed)
 
     @functools.cached_property
+    def _given_poses(self) -> np.ndarray:
+        poses, times_s = self._walk
+        if self.pose_delay_s:
+            poses = walk(self.trajectory, self.n_frames, self.seed, delay_s=self.pose_delay_s)[0]
+        if self.pose_error_m or self.pose_error_deg:
+            poses = disturbed_poses(poses, times_s, self.pose_error_m, self.pose_error_deg, self.seed)
+        return poses
+
+    def _without_depth(self, depth_m: Float[Tensor, "H W"], i: int) -> Bool[Tensor, "H W"] | None:
+        if not self.holes:
+            return None
+        xyz_W = se3.apply(self.true_pose(i), backproject(self.camera, pixel_grid(self.camera), depth_m))
+        return torch.from_numpy(without_depth(xyz_W.numpy(), self.holes, self.seed))
+
+    @functools.cached_property
     def _folder(self) -> Path:
         poses = hashlib.sha256(self._walk[0].round(6).tobytes()).hexdigest()  # another walk needs other images
         options = dataclasses.asdict(self) | {"noise": "", "cache": "", "version": version(), "walk": poses}
+        options = {name: value for name, value in options.items() if name not in _IMPERFECT}
         key = hashlib.sha256(json.dumps(options, sort_keys=True).encode()).hexdigest()[:16]
         return cache_folder() / "room" / f"{self.name}-{self.width}x{self.height}-{key}"
 

@@ -70,16 +70,17 @@ _NOVEL = [
 TRAJECTORIES = {"mapping": _MAPPING, "novel": _NOVEL}
 
 
-def walk(trajectory: str, n_frames: int, seed: int) -> tuple[ndarray, ndarray]:
+def walk(trajectory: str, n_frames: int, seed: int, *, delay_s: float = 0.0) -> tuple[ndarray, ndarray]:
     """Poses and times of a walk whose length in seconds does not depend on ``n_frames``.
 
     Args:
         trajectory: "mapping" (the whole room) or "novel" (another path, for views that were never mapped).
         n_frames: Number of frames, spread evenly over the walk.
         seed: Seed of the hand's tremor.
+        delay_s: The poses are those of this much later; the camera rests at the end of the walk.
 
     Returns:
-        ``T_WC`` [n, 4, 4] float64 and timestamps [n], seconds.
+        ``T_WC`` [n, 4, 4] float64 and timestamps [n] without the delay, seconds.
     """
     from scipy.interpolate import PchipInterpolator
 
@@ -90,10 +91,11 @@ def walk(trajectory: str, n_frames: int, seed: int) -> tuple[ndarray, ndarray]:
     fine = np.linspace(0.0, knots[-1], 60 * len(knots))
     arrival = _pace(path(fine))
     times = np.linspace(0.0, arrival[-1], n_frames)
-    eye, target = np.split(path(np.interp(times, arrival, fine)), 2, axis=1)
+    at = times + delay_s
+    eye, target = np.split(path(np.interp(at, arrival, fine)), 2, axis=1)
     rng = np.random.default_rng([seed, 4])
-    eye += _tremor(times, 0.008, rng)
-    target += _tremor(times, 0.02, rng)
+    eye += _tremor(at, 0.008, rng)
+    target += _tremor(at, 0.02, rng)
     return np.stack([look_at(e, t) for e, t in zip(eye, target, strict=True)]), times
 
 

@@ -7,6 +7,7 @@ from ...backends import piece
 from ...types import Seeds
 from ..context import SeedContext
 from ..rule import seeding_rule
+from ..without_depth import cells_without_depth
 
 
 @seeding_rule
@@ -23,6 +24,9 @@ def gsfusion(ctx: SeedContext, *, required_weight: float = 1.0, coverage: bool =
     - several leaves of one frame may share a voxel.
     The last two cannot happen with ``one_per_voxel`` in the seeding settings.
 
+    With ``without_depth = "sides"`` in the seeding settings there is also one Gaussian per leaf whose middle has no
+    depth, where the map shows nothing; it has no voxel and no test (``cells_without_depth``).
+
     Args:
         ctx: Frame and volume.
         required_weight: Observation count that the voxel must have.
@@ -31,7 +35,8 @@ def gsfusion(ctx: SeedContext, *, required_weight: float = 1.0, coverage: bool =
     Source: GSFusion section III-B.2, Eq. 10.
     """
     seeds = ctx.cells()
-    return seeds[first_seen(ctx.voxel_weight(seeds.xyz_W), required_weight)] if coverage else seeds
+    seeds = seeds[first_seen(ctx.voxel_weight(seeds.xyz_W), required_weight)] if coverage else seeds
+    return Seeds.cat([seeds, cells_without_depth(ctx)]) if ctx.config.without_depth == "sides" else seeds
 
 
 @piece
