@@ -26,6 +26,8 @@ _USAGE = """gsfusion-nb: online RGB-D mapping with TSDF fusion and 3D Gaussian s
   gsfusion-nb live SOURCE          map a camera, or a folder while it is written;
                                    SOURCE: folder, realsense or kinect
   gsfusion-nb eval RUN             score a finished run again
+  gsfusion-nb export RUN OUT       the maps for other programs, right side up: a .glb
+                                   or .ply file, or a folder with all of them
   gsfusion-nb lab TABLE            compare seeding rules: rules x scenes x seeds x
                                    budgets, from a file (--new FILE writes one)
   gsfusion-nb sweep DATA --grid X  compare values of settings, or repeat a table
@@ -116,6 +118,7 @@ def main(arguments: list[str] | None = None) -> int:
         "map": _map,
         "live": _live,
         "eval": _eval,
+        "export": _export,
         "bench": _bench,
         "lab": _lab,
         "sweep": _sweep,
@@ -200,6 +203,12 @@ def _eval(arguments: list[str]) -> int:
         )
     print_metrics(metrics)
     return 0
+
+
+def _export(arguments: list[str]) -> int:
+    from . import export
+
+    return export.run(arguments)
 
 
 def _bench(arguments: list[str]) -> int:

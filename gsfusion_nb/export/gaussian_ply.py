@@ -5,6 +5,7 @@ Binary little endian, 62 float32 properties, 248 bytes per Gaussian, before acti
 of red, then 15 of green, then 15 of blue; opacity is a logit, scales are logarithms, the quaternion is wxyz.
 """
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +13,14 @@ import torch
 
 from ..files import atomic_file
 from ..foreign import parsing
+from ..geometry.spherical_harmonics import rgb_to_sh_dc
 from ..types import GaussianParams
+from .compressed_ply import decompressed, is_compressed
 from .ply_header import check_ply_header, check_ply_rows
 
 _REST = 45
+_RGB = ("red", "green", "blue")
+_DISC_LOG_M = math.log(1e-6)
 NAMES = (
     *("x", "y", "z", "nx", "ny", "nz"),
     *(f"f_dc_{i}" for i in range(3)),
@@ -62,6 +67,10 @@ def write_gaussian_ply(path: str | Path, params: GaussianParams) -> None:
 def read_gaussian_ply(path: str | Path) -> GaussianParams:
     """Read a Gaussian map written by this or another program; 0, 9, 24 or 45 ``f_rest`` properties give degree 0 to 3.
 
+    The order of the properties, their types and the byte order do not matter; what is not needed is skipped. A file of
+    2D Gaussian splatting has no ``scale_2``: its discs get a thickness of a micrometre. Colours given as ``red green
+    blue`` 0..255 instead of ``f_dc`` are accepted, and so are compressed PLY files (``compressed_ply``).
+
     Raises:
         FileNotFoundError: The file does not exist. ValueError: The file is not a PLY file of Gaussians, is truncated,
             or contains NaN; the message names the missing part or the first such row.
@@ -72,11 +81,18 @@ def read_gaussian_ply(path: str | Path) -> GaussianParams:
         ply = _read(path)
     if "vertex" not in ply:
         raise ValueError(f"{path} has no element 'vertex'; expected a PLY file of Gaussians")
+    if is_compressed(ply):
+        with parsing(path, what):
+            return decompressed(path, ply)
     data = ply["vertex"].data
     present = set(data.dtype.names or ())
     n_rest = sum(name.startswith("f_rest_") for name in present)
     rest_names = tuple(f"f_rest_{i}" for i in range(n_rest))
-    lacking = [n for n in (*NAMES[:3], *NAMES[6:9], *rest_names, *NAMES[-8:]) if n not in present]
+    has_rgb = not present.intersection(NAMES[6:9]) and present.issuperset(_RGB)
+    colour_names = _RGB if has_rgb else NAMES[6:9]
+    flat = "scale_2" not in present
+    shape_names = [n for n in NAMES[-8:] if not (flat and n == "scale_2" and "scale_1" in present)]
+    lacking = [n for n in (*NAMES[:3], *colour_names, *rest_names, *shape_names) if n not in present]
     if lacking:
         raise ValueError(f"{path} has no properties {', '.join(lacking)}; expected a PLY file of Gaussians")
     if n_rest not in (0, 9, 24, 45):
@@ -91,12 +107,16 @@ def read_gaussian_ply(path: str | Path) -> GaussianParams:
         return torch.from_numpy(out)
 
     rest = columns(*rest_names).reshape(len(data), 3, n_rest // 3).transpose(1, 2)
+    scale = columns("scale_0", "scale_1") if flat else columns("scale_0", "scale_1", "scale_2")
+    scale = torch.cat([scale, torch.full_like(scale[:, :1], _DISC_LOG_M)], dim=1) if flat else scale
+    dc = columns(*colour_names)
+    dc = rgb_to_sh_dc(dc / 255) if has_rgb else dc
     return GaussianParams(
         xyz_W=columns("x", "y", "z"),
-        log_scale=columns("scale_0", "scale_1", "scale_2"),
+        log_scale=scale,
         quat=columns("rot_0", "rot_1", "rot_2", "rot_3"),
         opacity_logit=columns("opacity")[:, 0],
-        sh=torch.cat([columns("f_dc_0", "f_dc_1", "f_dc_2")[:, None], rest], dim=1),
+        sh=torch.cat([dc[:, None], rest], dim=1),
     )
 
 

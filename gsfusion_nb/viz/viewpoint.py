@@ -1,4 +1,4 @@
-"""Where to look from: a camera that circles a point, the world's up, and a good place to start."""
+"""Where to look from: a camera that circles a point, and a good place to start."""
 
 import math
 from collections.abc import Sequence
@@ -9,9 +9,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 Vector = Float[Tensor, "3"] | Sequence[float | int]
-
-_SNAP_DEG = 15.0
-"""An estimated up direction within this angle of a world axis is replaced by that axis, degrees."""
 
 
 def orbit_camera(
@@ -80,25 +77,6 @@ def viewpoint_of(T_WC: Float[Tensor, "4 4"], distance_m: float | int, up_W: Vect
     azimuth = math.degrees(math.atan2(float(-forward @ e2), float(-forward @ e1)))
     x, y, z = target.tolist()
     return Viewpoint(target_W=(x, y, z), azimuth_deg=azimuth, elevation_deg=elevation, distance_m=distance_m)
-
-
-def world_up(poses: Sequence[Float[Tensor, "4 4"]]) -> Float[Tensor, "3"]:
-    """The up direction of the scene: the mean of the cameras' -y axes.
-
-    Within 15 degrees of a world axis it is that axis; without poses it is z.
-    """
-    if not len(poses):
-        return torch.tensor([0.0, 0.0, 1.0])
-    mean = -torch.stack([T.detach().cpu().float()[:3, 1] for T in poses]).mean(0)
-    if float(mean.norm()) < 1e-6:
-        return torch.tensor([0.0, 0.0, 1.0])
-    up = mean / mean.norm()
-    axis = int(up.abs().argmax())
-    if float(up[axis].abs()) >= math.cos(math.radians(_SNAP_DEG)):
-        snapped = torch.zeros(3)
-        snapped[axis] = float(up[axis].sign())
-        return snapped
-    return up
 
 
 def extent(xyz_W: Float[Tensor, "N 3"]) -> tuple[Float[Tensor, "3"], float]:

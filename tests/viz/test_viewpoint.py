@@ -7,8 +7,9 @@ import torch
 
 from gsfusion_nb.checks import check_pose
 from gsfusion_nb.geometry import camera, se3
+from gsfusion_nb.geometry.upright import world_up
 from gsfusion_nb.types import Camera
-from gsfusion_nb.viz.viewpoint import extent, orbit_camera, viewpoint_of, world_up
+from gsfusion_nb.viz.viewpoint import extent, orbit_camera, viewpoint_of
 
 CAMERA = Camera(width=320, height=240, fx=200.0, fy=200.0, cx=160.0, cy=120.0)
 

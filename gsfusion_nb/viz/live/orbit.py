@@ -11,12 +11,13 @@ from torch import Tensor
 from ...drawing.pictures import Picture
 from ...evaluation import expected_depth_m
 from ...gaussians import GaussianModel
+from ...geometry.upright import world_up
 from ...mapping import Mapper
 from ...render import render
 from ...types import Camera, GaussianParams
 from ..display import Bundle, with_picture
 from ..splats.map_picture import SHOWS, draw_gaussians
-from ..viewpoint import Vector, Viewpoint, extent, viewpoint_of, world_up
+from ..viewpoint import Vector, Viewpoint, extent, viewpoint_of
 
 if TYPE_CHECKING:
     from ..panels.click_image import Stroke

@@ -22,10 +22,11 @@ from torch import Tensor
 from ...checks import check_name, check_pose
 from ...constants import ALPHA_MAX, ALPHA_MIN, FRUSTUM_CLAMP, NEAR_PLANE_M, SCREEN_BLUR_PX2, TRANSMITTANCE_MIN
 from ...drawing.pictures import Picture, encode_png
+from ...geometry.upright import world_up
 from ...types import Camera, GaussianParams
 from ..display import static_views
 from ..front_end import source, splat_front_end
-from ..viewpoint import Vector, world_up
+from ..viewpoint import Vector
 from .columns import Column, columns_of, stacked
 from .packed_rows import finite_rows, layout_for, pack_rows, packet_between
 from .record import GaussianRecord, gaussian_record

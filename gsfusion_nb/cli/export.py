@@ -1,0 +1,100 @@
+"""``gsfusion-nb export``: the maps of a run, or a file of Gaussians, for other programs, right side up."""
+
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import torch
+import tyro
+
+from ..config.option_help import parse_options
+from ..types import GaussianParams, Mesh
+
+_AS_IN_FILES = "-y"
+"""Up in files of Gaussians that come without a trajectory: most trainers start from the first camera."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportOptions:
+    """Write the maps of a run, or a file of Gaussians, for other programs, right side up.
+
+    A .glb file holds Gaussians and mesh in one frame, y up; a .ply file holds the Gaussians, -y up; a folder gets
+    gaussians.ply and mesh.ply in one frame, -y up, and map.glb."""
+
+    source: Annotated[Path, tyro.conf.Positional]
+    """Folder of a run, or a file of Gaussians: .ply, .glb, .splat, .spz or .sog."""
+    out: Annotated[Path, tyro.conf.Positional]
+    """File to write, .glb or .ply, or a folder."""
+    up: str = "auto"
+    """Direction of the map that points up: +x, -x, +y, -y, +z, -z, or three numbers such as 0.1,0,1. Default: the mean
+    of the cameras' up directions in the run's trajectory; without a trajectory -y."""
+    upright: bool = True
+    """Turn .ply files so that -y is up, as viewers of splats expect. A .glb file is always upright."""
+    mesh: bool = True
+    """Put the mesh of a run into a .glb file."""
+
+
+def run(arguments: list[str]) -> int:
+    """The command. Exit status 0: the files are written."""
+    from ..export import write_gaussian_ply, write_map_glb, write_mesh_ply
+    from ..gaussians.moved import moved
+    from ..geometry.upright import turn_to_minus_y_up
+
+    options = parse_options(ExportOptions, prog="gsfusion-nb export", arguments=arguments)
+    gaussians, mesh = _read(options.source)
+    up, how = _up(options)
+    print(f"Up is {_named(up)} in the map: {how}.")
+    R = turn_to_minus_y_up(up) if options.upright else torch.eye(3).double()
+    suffix, written = options.out.suffix.lower(), []
+    if suffix == ".glb" or not suffix:
+        written.append(options.out if suffix else options.out / "map.glb")
+        write_map_glb(written[0], gaussians, mesh if options.mesh else None, up=up)
+    if suffix == ".ply" or not suffix:
+        written.append(options.out if suffix else options.out / "gaussians.ply")
+        write_gaussian_ply(written[-1], moved(gaussians, R) if options.upright else gaussians)
+    if not suffix and mesh is not None:
+        written.append(options.out / "mesh.ply")
+        turned = (mesh.vertices_W.double() @ R.T).float()
+        write_mesh_ply(written[-1], dataclasses.replace(mesh, vertices_W=turned))
+    if not written:
+        raise ValueError(f"{options.out} must end in .glb or .ply, or be a folder")
+    for path in written:
+        frame = "+y up" if path.suffix == ".glb" else "-y up" if options.upright else "in the frame of the map"
+        print(f"wrote {path} ({path.stat().st_size / 1e6:.2f} MB, {frame})")
+    return 0
+
+
+def _read(source: Path) -> tuple[GaussianParams, Mesh | None]:
+    """The Gaussians, and the mesh where there is one."""
+    from ..export import read_gaussians, read_map_glb, read_mesh_ply
+
+    if source.is_dir():
+        mesh = source / "mesh.ply"
+        return read_gaussians(source / "gaussians.ply"), read_mesh_ply(mesh) if mesh.is_file() else None
+    return read_map_glb(source) if source.suffix.lower() == ".glb" else (read_gaussians(source), None)
+
+
+def _up(options: ExportOptions) -> tuple[torch.Tensor, str]:
+    """The up direction, and how it was found."""
+    from ..export import read_trajectory_tum, up_of_map_glb
+    from ..geometry.upright import up_vector, world_up
+
+    if options.up != "auto":
+        given = options.up
+        numbers = given.split(",")
+        return up_vector(tuple(map(float, numbers)) if len(numbers) == 3 else given), "as --up says"
+    trajectory = options.source / "trajectory.txt"
+    if options.source.is_dir() and trajectory.is_file():
+        _, poses = read_trajectory_tum(trajectory)
+        return world_up(list(poses)), f"the mean of the up directions of {len(poses)} cameras, {trajectory.name}"
+    if options.source.suffix.lower() == ".glb":
+        return up_of_map_glb(options.source), "a .glb file has y up"
+    return up_vector(_AS_IN_FILES), "files of Gaussians have -y up, and there is no trajectory; --up changes it"
+
+
+def _named(up: torch.Tensor) -> str:
+    from ..geometry.upright import UP_AXES, up_vector
+
+    axis = next((name for name in UP_AXES if torch.equal(up_vector(name), up.double())), None)
+    return axis or "({:.2f}, {:.2f}, {:.2f})".format(*up.tolist())

@@ -1,0 +1,67 @@
+"""``gsfusion-nb export``: right side up, from a run's folder and from a file."""
+
+import pytest
+import torch
+
+from gsfusion_nb.cli import main
+from gsfusion_nb.export import (
+    read_gaussian_ply,
+    read_map_glb,
+    read_mesh_ply,
+    write_gaussian_ply,
+    write_mesh_ply,
+    write_trajectory_tum,
+)
+from gsfusion_nb.types import GaussianParams, Mesh
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A run with z up: a Gaussian and a corner one metre above the floor."""
+    one = GaussianParams(
+        xyz_W=torch.tensor([[0.0, 2.0, 1.0]]), log_scale=torch.zeros(1, 3), quat=torch.tensor([[1.0, 0, 0, 0]]),
+        opacity_logit=torch.zeros(1), sh=torch.zeros(1, 16, 3),
+    )  # fmt: skip
+    corners = torch.tensor([[0.0, 2.0, 1.0], [1, 0, 0], [0, 1, 0]])
+    level = torch.tensor([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # looks along y, its -y is z
+    write_gaussian_ply(tmp_path / "run/gaussians.ply", one)
+    mesh = Mesh(vertices_W=corners, faces=torch.tensor([[0, 1, 2]], dtype=torch.int32), rgb=torch.full((3, 3), 0.5))
+    write_mesh_ply(tmp_path / "run/mesh.ply", mesh)
+    write_trajectory_tum(tmp_path / "run/trajectory.txt", [0.0, 1.0], torch.stack([level, level]))
+    return tmp_path / "run"
+
+
+def test_a_folder_has_all_files_in_one_frame(folder, tmp_path, capsys):
+    assert main(["export", str(folder), str(tmp_path / "out")]) == 0
+    said = capsys.readouterr().out
+    assert "Up is +z in the map: the mean of the up directions of 2 cameras, trajectory.txt." in said
+    gaussians, mesh = read_gaussian_ply(tmp_path / "out/gaussians.ply"), read_mesh_ply(tmp_path / "out/mesh.ply")
+    assert gaussians.xyz_W.tolist() == [[0, -1, 2]]  # one metre above the floor: y = -1
+    assert mesh.vertices_W[0].tolist() == [0, -1, 2]
+    both = read_map_glb(tmp_path / "out/map.glb")
+    assert both[0].xyz_W.tolist() == [[0, 2, 1]]
+    assert both[1].vertices_W[0].tolist() == [0, 2, 1]
+
+
+def test_from_file_to_file(folder, tmp_path, capsys):
+    first, second = tmp_path / "a.glb", tmp_path / "b.ply"
+    assert main(["export", str(folder / "gaussians.ply"), str(first), "--up", "+z"]) == 0
+    assert main(["export", str(first), str(second)]) == 0
+    assert "Up is +z in the map: a .glb file has y up." in capsys.readouterr().out
+    assert torch.allclose(read_gaussian_ply(second).xyz_W, torch.tensor([[0.0, -1, 2]]))
+    assert main(["export", str(first), str(second), "--no-upright"]) == 0
+    assert read_gaussian_ply(second).xyz_W.tolist() == [[0, 2, 1]]
+
+
+@pytest.mark.parametrize(
+    ("out", "more", "sentence"),
+    [
+        ("map.obj", [], "must end in .glb or .ply, or be a folder"),
+        ("map.glb", ["--up", "z"], "no up axis 'z'; known: +x, +y, +z, -x, -y, -z"),
+        ("map.glb", ["--up", "0,0,0"], "direction of three numbers"),
+    ],
+)
+def test_mistakes_are_answered_with_a_sentence(folder, tmp_path, capsys, out, more, sentence):
+    assert main(["export", str(folder), str(tmp_path / out), *more]) == 1
+    assert sentence in capsys.readouterr().err
+    assert not (tmp_path / out).exists()
