@@ -35,6 +35,9 @@ class MapOptions(SettingsOptions):
     reader: tuple[str, ...] = ()
     """Options of the layout's reader, name=value: register=true (7-Scenes), undistort=false (TUM), poses=false (folder,
     TUM), n_frames=480 (room)."""
+    from_gaussians: str = ""
+    """File of Gaussians that the map begins with (.ply, .glb, .splat, .spz, .sog), in metres, in the world frame of the
+    recording's poses; they are optimised with the new ones. GSFusion only."""
     resume: str = ""
     """Folder of an interrupted run to continue; no other option is needed."""
     evaluate: bool = True
@@ -81,6 +84,7 @@ def run(arguments: list[str]) -> int:
             device=options.device,
             evaluate=options.evaluate,
             checkpoints=every,
+            from_gaussians=options.from_gaussians or None,
             **reader,
         )
     return print_result(finished)

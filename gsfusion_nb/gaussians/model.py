@@ -104,6 +104,31 @@ class GaussianModel(GrowingRows):
         """Size of the map in the standard PLY layout: 62 float32 per Gaussian."""
         return 62 * 4 * len(self)
 
+    def extend(self, params: GaussianParams, frame_index: int = -1) -> None:
+        """Add rows that were optimised elsewhere, with zero moments; colours are cut or padded to the map's SH degree.
+
+        Args:
+            params: The rows, in the frame of the map.
+            frame_index: Stored as ``birth_frame``; -1 means before the first frame.
+
+        Raises:
+            ValueError: a number is NaN or infinite. The map is unchanged.
+        """
+        bad = {name: int((~column.isfinite()).sum()) for name, column in vars(params).items()}
+        if any(bad.values()):
+            raise ValueError(f"Gaussians to begin with must be finite, got NaN or infinities: {bad}")
+        start, stop = self._count, self._count + len(params)
+        self._reserve(stop)
+        for name in (*PARAMETERS[:-1], *self._moment_names()):
+            self._columns[name][start:stop] = getattr(params, name) if name in PARAMETERS else 0.0
+        K = min(params.sh.shape[1], (self.sh_degree + 1) ** 2)
+        self._columns["sh"][start:stop] = 0.0
+        self._columns["sh"][start:stop, :K] = params.sh[:, :K]
+        for name, value in (("birth_frame", frame_index), ("birth_step", self.step_count), ("tag", 0)):
+            self._columns[name][start:stop] = value
+        self._fill_optional(slice(start, stop))
+        self._in_use(stop)
+
     @observed
     def append(self, seeds: Seeds, frame_index: int = 0) -> None:
         """Add rows for ``seeds``; their moments start at zero (GSFusion III-B.2).

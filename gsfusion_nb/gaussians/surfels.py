@@ -5,7 +5,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from ..geometry import quaternion
-from ..types import Seeds
+from ..types import GaussianParams, Seeds
 from .model import GaussianModel
 
 OPAQUE = 0.99
@@ -83,6 +83,17 @@ class SurfelModel(GaussianModel):
     def anchor(self) -> dict[str, Tensor]:
         """Centre, log-scale and quaternion when added; the regulariser keeps transparent rows close to them (Eq. 8)."""
         return {name: self._columns[f"anchor.{name}"][: len(self)] for name in _ANCHOR}
+
+    def extend(self, params: GaussianParams, frame_index: int = -1) -> None:
+        """Refused: the opacity of a disc is one of two constants, and its thinnest axis is a normal.
+
+        Raises:
+            ValueError: always.
+        """
+        raise ValueError(
+            "RTG-SLAM cannot begin with Gaussians of another program, because its own are discs with one of "
+            "two opacities; use --system gsfusion"
+        )
 
     def append(self, seeds: Seeds, frame_index: int = 0) -> None:
         """Add rows: unstable, confidence 0, no errors."""

@@ -161,6 +161,26 @@ class Mapper(AsksRule, SavesState, ABC):
         """
         return render(params, camera, T_WC)
 
+    def begin_with(self, params: GaussianParams, name: str = "another map") -> None:
+        """Put Gaussians that were optimised elsewhere into the map before the first frame; they are optimised further.
+
+        They must be in the world frame of the poses, in metres. The volume stays empty: the surface comes from the
+        frames. A seeding rule sees them like its own.
+
+        Args:
+            params: The Gaussians.
+            name: Of the file, for the notes of the run.
+
+        Raises:
+            ValueError: a frame was mapped before, a number is not finite, or the system cannot use them.
+        """
+        if self.n_frames:
+            raise ValueError(
+                f"a map can only begin with other Gaussians before its first frame; {self.n_frames} are mapped"
+            )
+        self.gaussians.extend(params)
+        self.notes.append(f"the map began with {len(params):,} Gaussians of {name}")
+
     def render(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RenderOutput:
         """The Gaussian map seen by a camera."""
         return self.render_gaussians(self.gaussians.params, camera, T_WC.to(self.device), self.config)

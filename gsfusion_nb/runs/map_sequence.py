@@ -11,6 +11,7 @@ import torch
 from ..config import SystemConfig, to_dict
 from ..data import Sequence, SequenceError, apply_options, open_sequence
 from ..data.checkup.quick_check import check_sequence
+from ..export import read_gaussians
 from ..files import DiskFullError
 from ..mapping import get_system, make_mapper
 from ..progress import ProgressDisplay
@@ -44,6 +45,7 @@ def run_mapping(
     device: torch.device | str = "cpu",
     evaluate: bool = True,
     checkpoints: CheckpointEvery | None = None,
+    from_gaussians: Path | str | None = None,
     **reader_options: Any,
 ) -> "FinishedRun":
     """Map a sequence online, optimise over its keyframes, score it and write everything to a folder.
@@ -58,6 +60,7 @@ def run_mapping(
         evaluate: Score mapped and held-out views and write the report; the maps are always written.
         checkpoints: How often to save a checkpoint, so that the run can be resumed if it is killed; every 30 s by
             default.
+        from_gaussians: File of Gaussians (``read_gaussians``) that the map begins with, in the frame of the poses.
         reader_options: For ``open_sequence``: ``format``, ``split``, options of the reader.
 
     Returns:
@@ -72,7 +75,11 @@ def run_mapping(
         sequence = open_sequence(**source, data=settings.data)
     else:
         source, sequence = {}, apply_options(data, settings.data)
-    run = MappingRun(sequence, make_mapper(settings, seeding=seeding, device=device), source=source)
+    mapper = make_mapper(settings, seeding=seeding, device=device)
+    if from_gaussians is not None:
+        mapper.begin_with(read_gaussians(from_gaussians), Path(from_gaussians).name)
+    run = MappingRun(sequence, mapper, source=source)
+    run.warnings += mapper.notes
     with RunFolder(new_folder(sequence.name, folder)) as place:
         if source and str(data) != "room" and has_poses(sequence):
             run.warnings += _doubts(sequence.mapping)

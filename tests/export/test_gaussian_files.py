@@ -24,7 +24,7 @@ ROUNDING = {
     "packed.compressed.ply": (3e-3, 3e-3, 6e-3, 2e-3, 0.01, 0.03),
     "splats.glb": (1e-6, 1e-6, 1e-6, 1e-6, 1e-6, 1e-6),
 }
-"""How far each number may be from the source, because the format rounds it: to bytes, or in SPZ a coefficient to 4 bits."""
+"""How far each number may be from the source, because the format rounds it; SPZ has 4 bits for a coefficient."""
 
 
 def in_order_of(read: GaussianParams, source: GaussianParams) -> GaussianParams:

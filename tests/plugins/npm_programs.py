@@ -34,7 +34,7 @@ def splat_transform(*arguments: str | Path) -> str:
     """Run splat-transform; returns what it printed."""
     folder = npm_folder("@playcanvas/splat-transform")
     command = ["node", folder / "@playcanvas/splat-transform/bin/cli.mjs", *arguments, "-w", "-g", "cpu"]
-    done = subprocess.run(list(map(str, command)), capture_output=True, text=True, timeout=600)
+    done = subprocess.run(list(map(str, command)), capture_output=True, text=True, timeout=3600)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 

@@ -1,0 +1,42 @@
+"""A map that begins with Gaussians of a file: they are seen, optimised, and named in the notes of the run."""
+
+import dataclasses
+
+import pytest
+import torch
+
+from gsfusion_nb import run_mapping
+from gsfusion_nb.config import rtg_slam
+from gsfusion_nb.export import read_gaussians, write_map_glb
+from gsfusion_nb.types import GaussianParams
+
+
+def test_the_map_goes_on_where_the_file_ends(whole_run, config, tmp_path):
+    began = read_gaussians(whole_run.folder / "gaussians.ply")
+    write_map_glb(tmp_path / "map.glb", began, up="+z")
+    config = dataclasses.replace(config, data=dataclasses.replace(config.data, stop=4))
+    options = {"evaluate": False, "n_frames": 120, "width": 80, "height": 60}
+    run = run_mapping("room", config, folder=tmp_path / "on", from_gaussians=tmp_path / "map.glb", **options)
+    first, rows = run.run.steps[0], run.mapper.gaussians
+    assert first.psnr_before_db > whole_run.run.steps[0].psnr_before_db + 3
+    assert f"the map began with {len(began):,} Gaussians of map.glb" in run.run.warnings
+    assert (rows.birth_frame[: len(began)] == -1).all()
+    assert len(rows) == len(began) + sum(step.n_seeds for step in run.run.steps)
+    assert not torch.equal(rows.params.sh[: len(began)], began.sh[:, : rows.params.sh.shape[1]])  # optimised
+
+
+def test_what_cannot_begin_a_map(config, tmp_path):
+    bad = GaussianParams(
+        xyz_W=torch.full((2, 3), float("nan")), log_scale=torch.zeros(2, 3), quat=torch.zeros(2, 4),
+        opacity_logit=torch.zeros(2), sh=torch.zeros(2, 1, 3),
+    )  # fmt: skip
+    from gsfusion_nb.mapping import make_mapper
+
+    mapper = make_mapper(config)
+    with pytest.raises(ValueError, match="Gaussians to begin with must be finite"):
+        mapper.begin_with(bad)
+    assert len(mapper.gaussians) == 0
+    with pytest.raises(ValueError, match="RTG-SLAM cannot begin with Gaussians of another program"):
+        make_mapper(rtg_slam("replica")).begin_with(bad)
+    with pytest.raises(FileNotFoundError, match=r"none\.ply does not exist; expected a file of Gaussians"):
+        run_mapping("room", config, folder=tmp_path / "run", from_gaussians=tmp_path / "none.ply", n_frames=120)
