@@ -17,8 +17,8 @@ from gsfusion_nb.config import gsfusion, to_dict
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *(ROOT / "docs/teaching").glob("*.md")])
 LINKED = [*PAGES, *sorted((ROOT / "docs/teaching/quiz").glob("*.md"))]
-COMMANDS = ("demo", "convert", "check", "map", "live", "eval", "export", "lab", "sweep", "study", "bench", "doctor", "course",
-            "grade")  # fmt: skip
+COMMANDS = ("demo", "convert", "check", "map", "live", "eval", "export", "lab", "sweep", "study", "bench", "doctor",
+            "course", "grade")  # fmt: skip
 OTHER_PROGRAMS = ("--pdf", "--torch-backend", "--pdb", "--allow-root", "--no-install-recommends")
 
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
