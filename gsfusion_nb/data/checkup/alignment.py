@@ -58,7 +58,7 @@ def fit_colour(sample: Sample) -> ColourFit | None:
     options = [(*_scaled_peak(edges, transforms), "none", 0)]
     for name, flip in (("x", np.s_[:, ::-1]), ("y", np.s_[::-1]), ("xy", np.s_[::-1, ::-1])):
         surface = _surface(edges, _transforms([g[flip] for g in plain]))
-        options.append((*_top(surface), 1.0, name, 0))
+        options.append((*peak_of(surface), 1.0, name, 0))
     (score, peak, shift, scale, mirror, frames) = max(options, key=lambda o: o[0] * (1 if o[4] == "none" else 0.7))
     near, at_near = _near(spatial)
     if mirror == "none" and score < _BETTER * near:  # within the noise: keep as read
@@ -160,6 +160,11 @@ def _anchors(sample: Sample) -> list[FrameFacts]:
     )
 
 
+def shift_surface(edges: list[np.ndarray], contrast: list[np.ndarray]) -> np.ndarray:
+    """Mean contrast of the colour images on the depth edges for every shift, above that of all pixels. [2R+1, 2R+1]"""
+    return _surface(edges, _transforms(contrast))
+
+
 def _transforms(contrast: list[np.ndarray]) -> list[np.ndarray]:
     """Fourier transforms of the contrast images without their mean, padded for the shifts."""
     return [np.fft.rfft2(G - G.mean(), _size(G.shape)) for G in contrast]
@@ -180,7 +185,7 @@ def _surface(edges: list[np.ndarray], transforms: list[np.ndarray]) -> np.ndarra
     return np.roll(total, (R, R), (0, 1))[: 2 * R + 1, : 2 * R + 1] / max(sum(float(E.sum()) for E in edges), 1.0)
 
 
-def _top(surface: np.ndarray) -> tuple[float, float, tuple[float, float]]:
+def peak_of(surface: np.ndarray) -> tuple[float, float, tuple[float, float]]:
     """Height, height in standard deviations, and position of the highest peak, to fractions of a pixel by parabolas."""
     j, i = np.unravel_index(int(surface.argmax()), surface.shape)
     peak = float((surface[j, i] - surface.mean()) / (surface.std() + 1e-9))
@@ -214,7 +219,7 @@ def _scaled_peak(
     """The best peak over scales of the colour image, in two rounds."""
 
     def at(scale: float) -> tuple[float, float, tuple[float, float], float]:
-        return (*_top(_surface([_scaled(E, scale) for E in edges], transforms)), scale)
+        return (*peak_of(_surface([_scaled(E, scale) for E in edges], transforms)), scale)
 
     best = max((at(s) for s in _SCALES), key=lambda t: t[0])
     for step in (0.02, 0.01, 0.005):

@@ -1,5 +1,7 @@
 """The check-up of a recording: read frames, examine each property, try the alternatives, combine the repairs."""
 
+import itertools
+import statistics
 import time
 from collections import abc
 from dataclasses import dataclass, replace
@@ -13,6 +15,7 @@ from ..recorded.recorded_sequence import RecordedSequence
 from ..sequence import Sequence
 from . import judge_colour, judge_fit, judge_frames, judge_intrinsics
 from .alignment import fit_colour, in_order
+from .colour_motion import colour_motion, image_speeds, moving_together
 from .conventions import pairs_of
 from .depth_values import DepthCode, clear_codes, code_finding, find_codes, missing_finding
 from .explain import Alternative, Explanation, explain, repair_fields
@@ -20,9 +23,11 @@ from .file_checks import examine_files
 from .findings import Finding, flags_of
 from .frame_to_frame import OverFrames, gains, measure_over_frames
 from .geometry_fit import CalibrationCorrection, FitData, agreeing, median_error
-from .pictures import pictures_of, top_view
+from .pictures import pictures_of, same_frames, top_view
+from .repeated import same_images
 from .report import CheckupReport
 from .sample import Sample, read_sample
+from .without_poses import pose_finding, unit_finding
 
 
 def check_recording(
@@ -65,13 +70,21 @@ def check_recording(
     findings.insert(0, _readable_finding(sample, given.repair))
     if not pairs:
         return CheckupReport(**common, findings=findings, data=given)
-    found = _examine(sample, pairs, base, hint)
+    if not getattr(base, "has_poses", True):
+        alone, more = _examine_without_poses(sample, sequence, base, hint)
+        shown = pictures_of(sequence, sequence, pairs, changed=False, posed=False) if pictures else {}
+        findings, seconds = [*findings, *alone], time.perf_counter() - started
+        reader = hint if any(f.repair == _reader_flags(hint) for f in alone) else {}
+        return CheckupReport(
+            **common, findings=findings, data=_together(given, more), reader=reader, pictures=shown, seconds=seconds
+        )
+    found = _examine(sample, pairs, sequence, base, hint)
     mended = _together(given, found.data)
     changed = found.data != DataConfig()
     again = apply_options(base, mended)
     e = found.explanation
     if changed:
-        e = replace(e, after=_measured_again(again, pairs, e.after))
+        e = replace(e, after=_measured_again(again, same_frames(sequence, again, pairs), e.after))
         e = replace(e, rows=[replace(e.after, what="with all repairs", flags=flags_of(mended)), *e.rows])
     findings.append(judge_fit.agreement_finding(e, found.usual_error))
     return CheckupReport(
@@ -81,7 +94,7 @@ def check_recording(
         reader=hint if any(f.repair == _reader_flags(hint) for f in found.findings) else {},
         rows=e.rows,
         over=found.over,
-        pictures=pictures_of(sequence, again, pairs, changed) if pictures else {},
+        pictures=pictures_of(sequence, again, pairs, changed=changed) if pictures else {},
         top_view=top_view(sample, e.interpretation) if pictures else "",
         seconds=time.perf_counter() - started,
     )
@@ -97,7 +110,9 @@ class _Found:
     usual_error: float
 
 
-def _examine(sample: Sample, pairs: abc.Sequence[tuple[int, int]], base: Sequence, hint: dict[str, Any]) -> _Found:
+def _examine(
+    sample: Sample, pairs: abc.Sequence[tuple[int, int]], sequence: Sequence, base: Sequence, hint: dict[str, Any]
+) -> _Found:
     """All findings that come from the frames read."""
     codes = find_codes(sample.frames)
     clear_codes(sample.frames, codes)
@@ -105,11 +120,9 @@ def _examine(sample: Sample, pairs: abc.Sequence[tuple[int, int]], base: Sequenc
     correction = e.corrected.correction
     fields = repair_fields(correction, sample.camera, e.interpretation)
     over = measure_over_frames(sample, e.interpretation, correction)
-    colour, colour_findings = judge_colour.registration_findings(fit_colour(sample), sample.camera, in_order(sample))
-    if hint and colour_findings[0].verdict != "ok":
-        colour, colour_findings[0] = RepairConfig(), replace(colour_findings[0], repair=_reader_flags(hint))
+    colour, colour_findings = _colour(sample, base, hint)
     limits = _limits(codes, fields.get("depth_factor", e.interpretation.depth_factor))
-    frame_findings, skip, piece = _frame_findings(sample, over)
+    frame_findings, skip, piece = _frame_findings(sample, sequence, over)
     close = [(a, b) for a, b in pairs if b - a > 1] or list(pairs)
     data = replace(
         limits, start=piece.start, stop=piece.stop, repair=combined(replace(e.interpretation, **fields), colour)
@@ -135,10 +148,57 @@ def _examine(sample: Sample, pairs: abc.Sequence[tuple[int, int]], base: Sequenc
     )
 
 
-def _frame_findings(sample: Sample, over: OverFrames) -> tuple[list[Finding], tuple[int, ...], DataConfig]:
+def _examine_without_poses(
+    sample: Sample, sequence: Sequence, base: Sequence, hint: dict[str, Any]
+) -> tuple[list[Finding], DataConfig]:
+    """Findings on the images alone, and the repairs they ask for."""
+    codes = find_codes(sample.frames)
+    clear_codes(sample.frames, codes)
+    limits, unit = _limits(codes, 1.0), unit_finding(sample, base)
+    over = measure_over_frames(sample, RepairConfig(), CalibrationCorrection(), posed=False)
+    colour, colour_findings = _colour(sample, base, hint)
+    blurred, frozen = judge_frames.blurred_frames(over), same_images(sequence, sample, over)
+    skip = tuple(sorted({*blurred, *frozen}))
+    factor = unit.numbers["factor"]
+    findings = [
+        missing_finding(sample.frames),
+        code_finding(codes, base.depth_scale if isinstance(base, RecordedSequence) else None, flags_of(limits)),
+        unit,
+        *colour_findings,
+        judge_frames.sharpness_finding(over, blurred, RepairConfig(skip=tuple(blurred)).flags),
+        judge_frames.frozen_finding(over, frozen, RepairConfig(skip=tuple(frozen)).flags, posed=False),
+        pose_finding(),
+    ]
+    return findings, replace(limits, repair=replace(colour, depth_factor=factor, skip=skip))
+
+
+def _colour(sample: Sample, base: Sequence, hint: dict[str, Any]) -> tuple[RepairConfig, list[Finding]]:
+    """Findings on colour beside depth; the reader's own registration is a better repair than a shift."""
+    speed = image_speeds(sample)
+    times = [] if getattr(base, "no_times", "") else list(getattr(base, "timestamps_s", ()))
+    evidence = judge_colour.ColourEvidence(
+        fit=fit_colour(sample),
+        motion=colour_motion(sample, speed),
+        order=in_order(sample),
+        together=moving_together(sample, speed),
+        step_s=statistics.median(b - a for a, b in itertools.pairwise(times)) if len(times) > 1 else 0.0,
+    )
+    repair, findings = judge_colour.registration_findings(evidence, sample.camera)
+    if hint and findings[0].verdict in ("doubtful", "wrong"):
+        return RepairConfig(), [replace(findings[0], repair=_reader_flags(hint)), *findings[1:]]
+    return repair, findings
+
+
+def _frame_findings(
+    sample: Sample, sequence: Sequence, over: OverFrames
+) -> tuple[list[Finding], tuple[int, ...], DataConfig]:
     """Findings on jumps, blur and frozen images, with the frames to leave out and the range to keep."""
     alone, cuts = judge_frames.find_jumps(over)
-    blurred, frozen = judge_frames.blurred_frames(over), judge_frames.frozen_frames(over)
+    moved = set(judge_frames.frozen_frames(over))
+    blurred, frozen = (
+        judge_frames.blurred_frames(over),
+        {n: w for n, w in same_images(sequence, sample, over).items() if n in moved},
+    )
     piece = DataConfig()
     if cuts:
         start, stop = judge_frames.longest_piece(cuts, 1 + max(int(over.number.max()), sample.length - 1))
@@ -220,8 +280,8 @@ def _limits(codes: abc.Sequence[DepthCode], factor: float) -> DataConfig:
 
 
 def _measured_again(sequence: Sequence, pairs: abc.Sequence[tuple[int, int]], claimed: Alternative) -> Alternative:
-    """The same alternative with the values measured on the repaired recording."""
-    places = sorted({p for pair in pairs for p in pair if p < len(sequence)})
+    """The same alternative with the values measured on the repaired recording, at positions in it."""
+    places = sorted({p for pair in pairs for p in pair})
     sample = read_sample(sequence, at=places)
     there = sample.by_place
     kept = [(a, b) for a, b in pairs if a in there and b in there and b - a > 1]

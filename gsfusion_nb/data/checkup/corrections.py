@@ -105,15 +105,8 @@ def correct(data: FitData, *, rounds: int = 3, hurdle: float = 1.0) -> AdoptedCo
 
 
 def fit_all(data: FitData, start: CalibrationCorrection) -> list[FittedCorrection]:
-    """The best correction of every kind from ``start``.
-
-    Differences are cut at three times their median (between 0.2 and 6 per cent of the depth).
-    """
-    tolerance = min(max(3 * median_error(data, start), 0.002), 0.06)
-
-    def f(c: CalibrationCorrection) -> float:
-        return cost(data, c, tolerance)
-
+    """The best correction of every kind from ``start``."""
+    f = cost_of(data, start)
     before = max(f(start), 1e-6)
     fitted = []
     for name, kind in KINDS.items():
@@ -122,7 +115,7 @@ def fit_all(data: FitData, start: CalibrationCorrection) -> list[FittedCorrectio
         elif name == "intrinsics size":
             tried = [_resized(data, start, k) for k in _SIZES]
         else:
-            best, spread = _search(f, start, kind, data.thinning * data.camera.width / 640)
+            best, spread = search(f, start, kind, data.thinning * data.camera.width / 640)
             tried = [best]
         if name in ("depth kind", "intrinsics size"):
             best, spread = min(tried, key=f), math.nan
@@ -141,7 +134,13 @@ def _resized(data: FitData, c: CalibrationCorrection, k: float) -> CalibrationCo
     )
 
 
-def _search(
+def cost_of(data: FitData, start: CalibrationCorrection) -> Callable[[CalibrationCorrection], float]:
+    """The cost of a correction; differences are cut at three times their median at ``start`` (0.2 to 6 per cent)."""
+    tolerance = min(max(3 * median_error(data, start), 0.002), 0.06)
+    return lambda c: cost(data, c, tolerance)
+
+
+def search(
     f: Callable[[CalibrationCorrection], float], start: CalibrationCorrection, kind: CorrectionKind, pixels: float
 ) -> tuple[CalibrationCorrection, float]:
     """Minimum of the cost over the fields of ``kind``, one after another, in narrowing rounds; and its width."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 from ...config import RepairConfig
 from ...types import Camera
+from .confirm import confirmed
 from .conventions import DEPTH_FACTORS, PRICE, ScoredInterpretation, best_interpretation
 from .corrections import KINDS, AdoptedCorrections, FittedCorrection, correct
 from .geometry_fit import CalibrationCorrection, FitData, agreeing
@@ -47,6 +48,10 @@ class Explanation:
     """Everything tried, best first."""
     data: FitData
     """Data of the pairs under ``interpretation``."""
+    tried: list[ScoredInterpretation]
+    """The interpretations that were compared, best first."""
+    unconfirmed: abc.Mapping[str, abc.Sequence[float]]
+    """Corrections that parts of the recording contradict: kind, and what each part gave."""
 
 
 def explain(sample: Sample, pairs: abc.Sequence[tuple[int, int]]) -> Explanation:
@@ -67,6 +72,9 @@ def explain(sample: Sample, pairs: abc.Sequence[tuple[int, int]]) -> Explanation
         worth = share - PRICE * (len(t.repair.changes) + 2 * len(corrected.adopted))
         followed.append((worth, t.repair, corrected, data, share, median_m))
     _, interpretation, corrected, data, share, median_m = max(followed, key=lambda f: f[0])
+    corrected, unconfirmed = confirmed(corrected, sample, far, interpretation)
+    if unconfirmed:
+        share, median_m = agreeing(data, corrected.correction)
     start = FitData.of(sample, far, RepairConfig())
     before = Alternative(what="as read", flags="", **_numbers(start, CalibrationCorrection()))
     units = with_units(interpretation, sample)
@@ -79,6 +87,8 @@ def explain(sample: Sample, pairs: abc.Sequence[tuple[int, int]]) -> Explanation
         before=before,
         after=after,
         data=data,
+        tried=tried,
+        unconfirmed=unconfirmed,
         rows=_table(sample, far, tried, corrected.last, data, interpretation, before),
     )
 

@@ -30,6 +30,8 @@ def examine_files(source: RecordedSequence, given: RepairConfig) -> tuple[Repair
     repair, size = image_size(source)
     if given.fit_sizes:
         repair, size = RepairConfig(), replace(size, verdict="ok", repair="")
+    if not source.has_poses:
+        return repair, [size, *time_stamps(source)]
     matrices, poses = pose_matrices(raw_matrices(source.poses, given))
     return replace(repair, **matrices.changes), [size, poses, *time_stamps(source)]  # pyright: ignore[reportArgumentType]
 
@@ -105,6 +107,8 @@ def pose_matrices(stored: Float[Tensor, "N 4 4"]) -> tuple[RepairConfig, Finding
 
 def time_stamps(source: RecordedSequence) -> list[Finding]:
     """Finding: do times and file numbers increase without gaps?"""
+    if source.no_times:
+        return [_without_times(source)]
     times = source.timestamps_s
     steps = [b - a for a, b in itertools.pairwise(times)]
     if not steps:
@@ -148,6 +152,22 @@ def time_stamps(source: RecordedSequence) -> list[Finding]:
     return [
         Finding(name="time stamps", verdict="ok", numbers=numbers, sentence=f"Times increase without gaps, {rate}.")
     ]
+
+
+def _without_times(source: RecordedSequence) -> Finding:
+    """Finding for a recording whose frames have an order, but no times."""
+    missing = _numbers_left_out(source)
+    text = f"There are no times: {source.no_times}. Frames are taken in the order of their names"
+    unknown = "the frame rate and gaps in time cannot be known"
+    if missing:
+        return Finding(
+            name="time stamps",
+            verdict="doubtful",
+            numbers={"numbers_left_out": float(missing)},
+            repair="nothing if there are no pose jumps; otherwise map the pieces separately: --data.start, --data.stop",
+            sentence=f"{text}; {missing} numbers are missing in the file names, and {unknown}.",
+        )
+    return Finding(name="time stamps", verdict="unknown", sentence=f"{text}; {unknown}.")
 
 
 def _stored_sizes(source: RecordedSequence) -> tuple[tuple[int, int] | None, tuple[int, int] | None]:

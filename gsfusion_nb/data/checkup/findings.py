@@ -6,8 +6,9 @@ from typing import Literal
 
 from ...config import DataConfig, RepairConfig
 
-Verdict = Literal["ok", "doubtful", "wrong"]
-RANK: dict[Verdict, int] = {"ok": 0, "doubtful": 1, "wrong": 2}
+Verdict = Literal["ok", "unknown", "doubtful", "wrong"]
+RANK: dict[Verdict, int] = {"ok": 0, "unknown": 1, "doubtful": 2, "wrong": 3}
+"""What cannot be known from the recording is no trouble, but it is not in order either: it is "unknown"."""
 
 
 @dataclass(frozen=True, kw_only=True)

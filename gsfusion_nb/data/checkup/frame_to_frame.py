@@ -41,8 +41,13 @@ class OverFrames:
     same_depth: Bool[np.ndarray, " F"]
 
 
-def measure_over_frames(sample: Sample, interpretation: RepairConfig, correction: CalibrationCorrection) -> OverFrames:
-    """Compare every frame with the next under the adopted interpretation and correction."""
+def measure_over_frames(
+    sample: Sample, interpretation: RepairConfig, correction: CalibrationCorrection, *, posed: bool = True
+) -> OverFrames:
+    """Compare every frame with the next under the adopted interpretation and correction.
+
+    Without poses (``posed`` False) only the images are compared; what needs poses is NaN.
+    """
     frames, there = sample.frames, sample.by_place
     n = len(frames)
     out = {name: np.full(n, np.nan) for name in ("error", "turned_deg", "moved_m", "gain_stops", "flow_px")}
@@ -52,6 +57,12 @@ def measure_over_frames(sample: Sample, interpretation: RepairConfig, correction
     for k in range(0, len(with_next), _PART):
         part = with_next[k : k + _PART]
         pairs = [(frames[i].place, frames[i].place + 1) for i in part]
+        for i in part:
+            a, b = frames[i], there[frames[i].place + 1]
+            same_colour[i] = a.grey.shape == b.grey.shape and int(np.abs(a.grey.astype(np.int16) - b.grey).max()) <= 1
+            same_depth[i] = bool(torch.equal(a.depth_m, b.depth_m))
+        if not posed:
+            continue
         data = FitData.of(sample, pairs, interpretation)
         reprojected = reproject(data, correction)
         shift = (reprojected.uv_b - data.uv_a).norm(dim=-1) * data.thinning
@@ -61,8 +72,6 @@ def measure_over_frames(sample: Sample, interpretation: RepairConfig, correction
             T = se3.inverse(poses[b.place]) @ poses[a.place]
             out["turned_deg"][i] = float(se3.rotation_angle(T[:3, :3]).rad2deg())
             out["moved_m"][i] = float(T[:3, 3].norm())
-            same_colour[i] = a.grey.shape == b.grey.shape and int(np.abs(a.grey.astype(np.int16) - b.grey).max()) <= 1
-            same_depth[i] = bool(torch.equal(a.depth_m, b.depth_m))
             if int(known.sum()) < 50:
                 continue
             r = reprojected.residual[j].abs()

@@ -1,11 +1,12 @@
 """Findings on the position of the colour images relative to the depth images, in space and in time."""
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from ...config import RepairConfig
 from ...types import Camera
 from .alignment import ColourFit
+from .colour_motion import ColourMotion
 from .findings import Finding
 
 SHIFT_LIMITS = ((3.0, 1.2), (5.0, 2.0))
@@ -22,24 +23,43 @@ _UNRELATED_PEAK, _UNRELATED_SCORE = 5.0, 0.4
 registered ones 6 to 10 and 0.9 to 1.4."""
 
 
-def registration_findings(
-    fit: ColourFit | None, camera: Camera, order: float | None
-) -> tuple[RepairConfig, list[Finding]]:
-    """Findings on the position of colour relative to depth, in space and in time.
+_LAG_SEEN_PX = 1.5
+"""A time offset is reported if it moves the edges by this much at the fastest motion, pixels of 640, ..."""
+_LAG_SURE, _SHIFT_SURE = 3.0, 3.0
+"""... and if it is this many times its standard error; likewise a shift."""
+_VAGUE_LAG = 0.25
+"""Standard error from which on a time offset cannot be known, frames."""
+_FEW_WINDOWS = 6
+_TOGETHER = 0.5
+"""Correlation of the motion of colour and depth images from which on they belong together."""
 
-    Args:
-        fit: Result of ``fit_colour``.
-        camera: Camera of the full images.
-        order: Result of ``in_order``.
-    """
-    mixed = order is not None and order < _IN_ORDER
+
+@dataclass(frozen=True, kw_only=True)
+class ColourEvidence:
+    """What was measured of the colour images beside the depth images."""
+
+    fit: ColourFit | None
+    motion: ColourMotion | None
+    order: float | None
+    """Result of ``in_order``."""
+    together: float | None
+    """Result of ``moving_together``."""
+    step_s: float
+    """Time between frames, seconds; 0 where it is unknown."""
+
+
+def registration_findings(evidence: ColourEvidence, camera: Camera) -> tuple[RepairConfig, list[Finding]]:
+    """Findings on the position of colour relative to depth, in space and in time; ``camera`` is that of the images."""
+    fit, order = evidence.fit, evidence.order
+    belongs = evidence.together is not None and evidence.together > _TOGETHER
+    mixed = order is not None and order < _IN_ORDER and not belongs
     if fit is None and mixed:
         return RepairConfig(), [_mixed_up({"in_order": order or 0.0})]
     if fit is None:
-        text = "Too few depth edges to compare with colour."
+        text = "Cannot be known from these frames: too few depth edges to compare with colour."
         return RepairConfig(), [
-            Finding(name="registration", verdict="ok", sentence=text),
-            Finding(name="colour time", verdict="ok", sentence=text),
+            Finding(name="registration", verdict="unknown", sentence=text),
+            Finding(name="colour time", verdict="unknown", sentence=text),
         ]
     numbers = {
         "shift_x_px": fit.shift_px[0],
@@ -49,36 +69,104 @@ def registration_findings(
         "contrast_as_read": fit.score_as_read,
         "peak": fit.peak,
     }
-    if mixed or (fit.score < _UNRELATED_SCORE and fit.peak < _UNRELATED_PEAK):
+    if mixed:
         return RepairConfig(), [_mixed_up(numbers)]
-    shift = math.hypot(*fit.shift_px)
-    together = f"Colour edges lie on depth edges within {shift:.1f} pixels."
-    unclear = "The edges of colour and depth are too few or too similar to compare."
-    space = Finding(
-        name="registration", verdict="ok", numbers=numbers, sentence=together if fit.peak >= _CLEAR_PEAK else unclear
-    )
-    repair, time = _time_finding(fit)
+    if fit.score < _UNRELATED_SCORE and fit.peak < _UNRELATED_PEAK and evidence.motion is None:
+        return RepairConfig(), [_not_registered(numbers) if belongs else _mixed_up(numbers)]
     if fit.shift_frames:
-        return repair, [space, time]
+        repair, time = _whole_frames(fit)
+        return repair, [_placed(fit.peak >= _CLEAR_PEAK, fit.shift_px, numbers), time]
+    time = _part_of_a_frame(evidence, camera)
+    repair, space = _space_finding(evidence, camera, numbers)
+    return repair, [space, time]
+
+
+def _placed(clear: bool, shift_px: tuple[float, float], numbers: dict[str, float]) -> Finding:
+    """The finding where nothing is wrong, or nothing can be seen."""
+    if not clear:
+        text = "Cannot be known from these frames: the edges of colour and depth are too few or too similar to compare."
+        return Finding(name="registration", verdict="unknown", numbers=numbers, sentence=text)
+    text = f"Colour edges lie on depth edges within {math.hypot(*shift_px):.1f} pixels."
+    return Finding(name="registration", verdict="ok", numbers=numbers, sentence=text)
+
+
+def _space_finding(evidence: ColourEvidence, camera: Camera, numbers: dict[str, float]) -> tuple[RepairConfig, Finding]:
+    """Is colour shifted, scaled or mirrored, whatever its time?"""
+    fit, motion = evidence.fit, evidence.motion
+    assert fit is not None
     doubtful, wrong_from = (max(limit * camera.width / 640, pixels * fit.pixel) for limit, pixels in SHIFT_LIMITS)
     zoomed = abs(fit.scale - 1) > SCALE_DOUBTFUL
-    if fit.peak < _CLEAR_PEAK or (fit.mirror == "none" and shift < doubtful and not zoomed):
-        return RepairConfig(), [space, time]
+    clear = fit.peak >= _CLEAR_PEAK
+    if motion is not None and fit.mirror == "none" and not zoomed and _lag_is_seen(motion, camera):
+        fit, clear = replace(fit, shift_px=motion.shift_px), True  # the time offset smears the peak of all frames
+    shift = math.hypot(*fit.shift_px)
+    space = _placed(clear, fit.shift_px, numbers)
+    if not clear or (fit.mirror == "none" and shift < doubtful and not zoomed):
+        return RepairConfig(), space
+    if fit.mirror == "none" and not zoomed and _may_be_time(motion, shift, camera):
+        text = (
+            f"Cannot be known from these frames: colour edges lie {shift:.1f} pixels beside depth edges, but in so few "
+            "kinds of motion a shift and a time offset look alike."
+        )
+        return RepairConfig(), replace(space, verdict="unknown", sentence=text)
     repair, text = _registration_repair(fit, shift >= doubtful)
     wrong = fit.mirror != "none" or shift >= wrong_from or zoomed
     verdict = "wrong" if wrong else "doubtful"
-    return repair, [replace(space, verdict=verdict, sentence=text, repair=repair.flags), time]
+    return repair, replace(space, verdict=verdict, sentence=text, repair=repair.flags)
 
 
-def _time_finding(fit: ColourFit) -> tuple[RepairConfig, Finding]:
-    """Were colour and depth taken at the same time?"""
-    if not fit.shift_frames:
-        return RepairConfig(), Finding(
-            name="colour time",
-            verdict="ok",
-            numbers={"shift_frames": 0.0},
-            sentence="Colour and depth were taken at the same time.",
+def _may_be_time(motion: ColourMotion | None, shift_px: float, camera: Camera) -> bool:
+    """Whether a time offset of less than a frame could be what looks like a shift."""
+    if motion is None or motion.speed_px < shift_px:
+        return False
+    moved = abs(motion.lag_frames) * motion.speed_px if _lag_is_seen(motion, camera) else 0.0
+    return (
+        not motion.separable
+        or motion.windows < _FEW_WINDOWS
+        or shift_px < max(2 * moved, _SHIFT_SURE * motion.shift_error_px)
+    )
+
+
+def _lag_is_seen(motion: ColourMotion, camera: Camera) -> bool:
+    far = abs(motion.lag_frames) * motion.speed_px > _LAG_SEEN_PX * camera.width / 640
+    return motion.separable and far and abs(motion.lag_frames) > _LAG_SURE * motion.lag_error_frames
+
+
+def _part_of_a_frame(evidence: ColourEvidence, camera: Camera) -> Finding:
+    """Were colour and depth taken at the same time, to a part of a frame?"""
+    motion, step_s = evidence.motion, evidence.step_s
+    if motion is None or not motion.separable or motion.lag_error_frames > _VAGUE_LAG:
+        text = (
+            "Colour and depth belong to the same frame; a smaller time offset cannot be known: too few kinds of motion."
         )
+        return Finding(name="colour time", verdict="unknown", numbers={"shift_frames": 0.0}, sentence=text)
+    numbers = {
+        "shift_frames": 0.0,
+        "lag_frames": motion.lag_frames,
+        "lag_error_frames": motion.lag_error_frames,
+        "speed_px": motion.speed_px,
+    }
+    known = f"{abs(motion.lag_frames):.2f} ± {motion.lag_error_frames:.2f} frames"
+    if not _lag_is_seen(motion, camera):
+        error = abs(motion.lag_frames) + 2 * motion.lag_error_frames
+        text = f"Colour and depth were taken at the same time, within {error:.2f} frames."
+        return Finding(name="colour time", verdict="ok", numbers=numbers, sentence=text)
+    known += f" ({1000 * abs(motion.lag_frames) * step_s:.0f} ms)" if step_s else ""
+    side = "later" if motion.lag_frames > 0 else "earlier"
+    return Finding(
+        name="colour time",
+        verdict="doubtful",
+        numbers=numbers,
+        repair="no option repairs a part of a frame; turn the camera more slowly when recording",
+        sentence=(
+            f"Colour was taken {known} {side} than depth: over {motion.windows} windows its edges move against those "
+            f"of depth with the speed of the image, up to {abs(motion.lag_frames) * motion.speed_px:.1f} pixels."
+        ),
+    )
+
+
+def _whole_frames(fit: ColourFit) -> tuple[RepairConfig, Finding]:
+    """The colour image of another frame fits better."""
     repair = RepairConfig(rgb_shift_frames=fit.shift_frames)
     side = "later" if fit.shift_frames > 0 else "earlier"
     return repair, Finding(
@@ -97,6 +185,19 @@ def _mixed_up(numbers: dict[str, float]) -> Finding:
         numbers=numbers,
         repair="pair every depth image with the colour image of its time (names, order, association)",
         sentence="The colour images do not belong to the depth images: their order or their edges do not fit.",
+    )
+
+
+def _not_registered(numbers: dict[str, float]) -> Finding:
+    return Finding(
+        name="registration",
+        verdict="wrong",
+        numbers=numbers,
+        repair="register colour to depth with the cameras' calibration, or record with the driver's alignment on",
+        sentence=(
+            "Colour is not registered to depth: both show the same motion, so they belong together, but no shift, "
+            "scale or mirroring brings their edges together. The images are those of two cameras."
+        ),
     )
 
 

@@ -1,6 +1,7 @@
 """Findings on scale and poses, from the best explanation."""
 
 import math
+from dataclasses import replace
 
 from ...config import RepairConfig
 from ...config.repair import NAMED_AXES
@@ -10,6 +11,10 @@ from .explain import Explanation, repair_fields
 from .findings import Finding, Verdict
 
 _HARDLY = 1 / 3
+_VAGUE_SCALE, _VAGUE_FRAMES = 0.2, 1.0
+"""Uncertainties from which on a scale and a time offset cannot be known."""
+_SAME = 0.01
+"""Another interpretation that scores at most this much lower explains the frames as well."""
 _TYPICAL_ERROR = 0.02
 
 
@@ -57,6 +62,13 @@ def scale_finding(e: Explanation, camera: Camera) -> Finding:
         f"± {100 * fitted.uncertainty:.1f} %" if fitted and math.isfinite(fitted.uncertainty) else "not known precisely"
     )
     if repair == RepairConfig():
+        vague = "depth scale" in e.unconfirmed or (fitted is not None and fitted.uncertainty > _VAGUE_SCALE)
+        if vague:
+            text = (
+                "Whether depth and positions have the same unit cannot be known from these frames: the camera hardly "
+                f"moves, or parts of the recording disagree ({known})."
+            )
+            return Finding(name="depth scale", verdict="unknown", numbers={"factor": 1.0}, sentence=text)
         return Finding(
             name="depth scale",
             verdict="ok",
@@ -88,11 +100,15 @@ def kind_finding(e: Explanation) -> Finding:
             numbers={"cost_ratio": e.corrected.cost_ratio("depth kind")},
             sentence="Depth is the distance along each pixel's ray, not along the optical axis.",
         )
+    ratio = e.corrected.cost_ratio("depth kind")
+    same = abs(ratio - 1) < _SAME
     return Finding(
         name="depth kind",
-        verdict="ok",
-        numbers={"cost_ratio_if_ray": e.corrected.cost_ratio("depth kind")},
-        sentence="Depth is measured along the optical axis.",
+        verdict="unknown" if same else "ok",
+        numbers={"cost_ratio_if_ray": ratio},
+        sentence="Whether depth is measured along the optical axis cannot be known from these frames."
+        if same
+        else "Depth is measured along the optical axis.",
     )
 
 
@@ -108,7 +124,8 @@ def convention_findings(e: Explanation) -> list[Finding]:
     named = f"{r.axes} ({NAMED_AXES[r.axes]})" if r.axes in NAMED_AXES else r.axes
     mirrored = " and mirror the world" if _mirrors(r) else ""
     order = "The quaternions are stored {} but were read in the other order."
-    return [
+    score = next((t.score for t in e.tried if _is_same(t.poses, r)), 0.0)
+    findings = [
         _convention(
             "pose direction", r.poses != "camera_to_world", words[r.poses], RepairConfig(poses=r.poses), numbers
         ),
@@ -127,6 +144,25 @@ def convention_findings(e: Explanation) -> list[Finding]:
             numbers,
         ),
     ]
+    return [
+        _open(f) if f.verdict == "ok" and _another_fits(e, r, name, score) else f
+        for f, name in zip(findings, ("poses", "axes", "quaternions"), strict=True)
+    ]
+
+
+def _is_same(a: RepairConfig, b: RepairConfig) -> bool:
+    return (a.poses, a.axes, a.quaternions) == (b.poses, b.axes, b.quaternions)
+
+
+def _another_fits(e: Explanation, r: RepairConfig, name: str, score: float) -> bool:
+    """Whether an interpretation that differs in this field explains the frames as well."""
+    return any(getattr(t.poses, name) != getattr(r, name) and t.score > score - _SAME for t in e.tried)
+
+
+def _open(f: Finding) -> Finding:
+    """The finding, as one that these frames cannot decide."""
+    text = "Cannot be known from these frames: they agree as well under another convention; more motion would tell."
+    return replace(f, verdict="unknown", sentence=text)
 
 
 def time_finding(e: Explanation, camera: Camera) -> Finding:
@@ -134,6 +170,15 @@ def time_finding(e: Explanation, camera: Camera) -> Finding:
     shift = e.corrected.correction.shift_frames
     fitted = e.corrected.last_fit("pose time")
     known = fitted.uncertainty if fitted else math.nan
+    if "pose time" in e.unconfirmed or (not shift and known > _VAGUE_FRAMES):
+        given = ", ".join(f"{v:.1f}" for v in e.unconfirmed.get("pose time", ()))
+        text = f"parts of the recording give {given} frames" if given else f"± {known:.1f} frames"
+        return Finding(
+            name="pose time",
+            verdict="unknown",
+            numbers={"shift_frames": 0.0},
+            sentence=f"Whether poses and depth have the same time cannot be known from these frames ({text}).",
+        )
     if not shift:
         sure = f" (± {known:.2f} frames)" if math.isfinite(known) else ""
         return Finding(

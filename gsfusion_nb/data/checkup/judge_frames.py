@@ -142,19 +142,29 @@ def sharpness_finding(over: OverFrames, blurred: abc.Sequence[int], repair: str)
     )
 
 
-def frozen_finding(over: OverFrames, frozen: abc.Sequence[int], repair: str) -> Finding:
-    """Finding: are images repeated while the camera moves?"""
+def frozen_finding(over: OverFrames, frozen: abc.Mapping[int, str], repair: str, *, posed: bool = True) -> Finding:
+    """Finding: are images repeated while the camera moves?
+
+    Args:
+        over: Measurements from frame to frame.
+        frozen: Frames that repeat the one before, compared pixel by pixel, and what they repeat.
+        repair: Options that leave them out.
+        posed: Whether there are poses, which say that the camera moved.
+    """
     numbers = {"frozen": float(len(frozen)), "repeated": float((over.same_colour | over.same_depth).sum())}
     if not frozen:
-        return Finding(
-            name="frozen frames", verdict="ok", numbers=numbers, sentence="No image is repeated while the poses move."
-        )
+        text = "No image is repeated while the poses move." if posed else "No image repeats the one before."
+        return Finding(name="frozen frames", verdict="ok", numbers=numbers, sentence=text)
+    kinds = {kind: [n for n in frozen if frozen[n] == kind] for kind in ("both", "colour", "depth")}
+    images = {"both": "colour and depth", "colour": "only colour", "depth": "only depth"}
+    which = "; ".join(f"{images[kind]} of frame {_list(those)}" for kind, those in kinds.items() if those)
+    moved = "although the pose changed" if posed else "(whether the camera moved cannot be known without poses)"
     return Finding(
         name="frozen frames",
-        verdict="wrong",
+        verdict="wrong" if posed else "doubtful",
         numbers=numbers,
         repair=repair,
-        sentence=f"The image of the previous frame is repeated although the pose changed: frame {_list(frozen)}.",
+        sentence=f"The image of the previous frame is repeated pixel by pixel {moved}: {which}.",
     )
 
 

@@ -8,6 +8,10 @@ from .corrections import CLEAR
 from .explain import Explanation, repair_fields
 from .findings import Finding
 
+_VAGUE_FOCAL, _VAGUE_CENTRE = 0.1, 8.0
+"""Uncertainties, a share and 640ths of the image width, from which on the intrinsics cannot be known."""
+_IMITATED = "; what the motion does to the images (a time offset, a rolling shutter) can look the same"
+
 
 def intrinsics_findings(e: Explanation, camera: Camera) -> list[Finding]:
     """Findings on focal lengths, principal point and pixel centres."""
@@ -26,6 +30,12 @@ def _focal(e: Explanation, camera: Camera, focal: dict, centre: dict) -> Finding
     numbers = {"fx": camera.fx, "fy": camera.fy, **{f"{k}_measured": v for k, v in focal.items()}}
     if not focal:
         fitted = e.corrected.last_fit("focal length")
+        doubts = e.unconfirmed.get("focal length", e.unconfirmed.get("fx / fy"))
+        if doubts or (fitted and fitted.uncertainty > _VAGUE_FOCAL):
+            parts = ", ".join(f"{100 * math.expm1(v):+.1f} %" for v in doubts or ())
+            why = f"parts of the recording ask for {parts}{_IMITATED}" if doubts else "too little motion"
+            text = f"Whether the focal lengths fit cannot be known from these frames: {why}."
+            return Finding(name="focal length", verdict="unknown", numbers=numbers, sentence=text)
         known = f", ± {100 * fitted.uncertainty:.1f} %" if fitted and math.isfinite(fitted.uncertainty) else ""
         return Finding(
             name="focal length",
@@ -59,6 +69,12 @@ def _centre(e: Explanation, camera: Camera, centre: dict) -> Finding:
     numbers = {"cx": camera.cx, "cy": camera.cy, **{f"{k}_measured": v for k, v in centre.items()}}
     if not centre:
         fitted = e.corrected.last_fit("principal point")
+        doubts = e.unconfirmed.get("principal point")
+        if doubts or (fitted and fitted.uncertainty > _VAGUE_CENTRE * camera.width / 640):
+            parts = ", ".join(f"{v:+.0f}" for v in doubts or ())
+            why = f"parts of the recording ask for {parts} pixels{_IMITATED}" if doubts else "too little motion"
+            text = f"Whether the principal point fits cannot be known from these frames: {why}."
+            return Finding(name="principal point", verdict="unknown", numbers=numbers, sentence=text)
         known = f", ± {fitted.uncertainty:.1f} pixels" if fitted and math.isfinite(fitted.uncertainty) else ""
         return Finding(
             name="principal point",
@@ -98,7 +114,7 @@ def _pixel_centre(e: Explanation, fields: dict) -> Finding:
     if not known < 0.4:
         return Finding(
             name="pixel centres",
-            verdict="ok",
+            verdict="unknown",
             numbers={"known_to_px": known},
             sentence="Half a pixel makes no measurable difference in these frames.",
         )

@@ -25,24 +25,45 @@ _GAP = 8
 _ARROWS = 24
 
 
+def same_frames(as_read: Sequence, repaired: Sequence, pairs: abc.Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Pairs of positions in ``as_read`` as positions of the same frames in ``repaired``; pairs that it lacks are left
+    out."""
+    before, after = (getattr(s, "positions", range(len(s))) for s in (as_read, repaired))
+    place = {number: i for i, number in enumerate(after)}
+    return [(place[before[a]], place[before[b]]) for a, b in pairs if before[a] in place and before[b] in place]
+
+
 def pictures_of(
-    as_read: Sequence, repaired: Sequence, pairs: abc.Sequence[tuple[int, int]], changed: bool
+    as_read: Sequence,
+    repaired: Sequence,
+    pairs: abc.Sequence[tuple[int, int]],
+    *,
+    changed: bool,
+    posed: bool = True,
 ) -> dict[str, Picture]:
-    """Depth errors and edges of a pair in the middle of the recording, as read and, if it was changed, repaired."""
+    """Depth errors and edges of a pair in the middle of the recording, as read and, if it was changed, repaired.
+
+    Args:
+        as_read, repaired: The recording before and after its repair; the second may have fewer frames.
+        pairs: Positions of the frames compared, in the first.
+        changed: Whether there is a repair.
+        posed: Whether there are poses; without them only edges are drawn.
+    """
     wanted = sorted(pairs, key=lambda p: (abs(p[1] - p[0] - _GAP), abs(p[0] - len(as_read) // 2)))
     found: dict[str, Picture] = {}
     for label, sequence in (("as read", as_read), ("repaired", repaired)):
         if label == "repaired" and not changed:
             break
-        for a, b in wanted[:4]:
+        for a, b in wanted[:4] if label == "as read" else same_frames(as_read, repaired, wanted)[:4]:
             try:
                 first, second = sequence[a], sequence[b]
             except BadFrameError:
                 continue
-            found[f"Depth of frame {a} in frame {b}, {label}: difference to the depth measured there"] = depth_error(
-                first, second
-            )
-            found[f"Frame {b}, {label}: depth edges (green) on colour"] = edge_overlay(second)
+            i, j = first.index, second.index
+            if posed:
+                title = f"Depth of frame {i} in frame {j}, {label}: difference to the depth measured there"
+                found[title] = depth_error(first, second)
+            found[f"Frame {j}, {label}: depth edges (green) on colour"] = edge_overlay(second)
             break
     return found
 

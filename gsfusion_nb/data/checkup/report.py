@@ -15,7 +15,7 @@ from .findings import RANK, Finding, Verdict, flags_of
 from .frame_to_frame import OverFrames
 from .graphs import graphs
 
-_MARKS: dict[Verdict, str] = {"ok": "ok", "doubtful": "??", "wrong": "NO"}
+_MARKS: dict[Verdict, str] = {"ok": "ok", "unknown": "--", "doubtful": "??", "wrong": "NO"}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -53,13 +53,19 @@ class CheckupReport:
 
     @property
     def ok(self) -> bool:
-        """Whether nothing is wrong or doubtful."""
-        return self.verdict == "ok"
+        """Whether nothing is wrong or doubtful; some properties may be unknown."""
+        return self.verdict in ("ok", "unknown")
 
     @property
     def trouble(self) -> list[Finding]:
-        """The findings that are not ok, the worst first."""
-        return sorted((f for f in self.findings if f.verdict != "ok"), key=lambda f: -RANK[f.verdict])
+        """The findings that are wrong or doubtful, the worst first."""
+        found = [f for f in self.findings if f.verdict in ("wrong", "doubtful")]
+        return sorted(found, key=lambda f: -RANK[f.verdict])
+
+    @property
+    def unknown(self) -> list[Finding]:
+        """What these frames cannot show."""
+        return [f for f in self.findings if f.verdict == "unknown"]
 
     @property
     def flags(self) -> str:
@@ -72,6 +78,8 @@ class CheckupReport:
         """The result in one sentence."""
         wrong, doubtful = (sum(f.verdict == v for f in self.findings) for v in ("wrong", "doubtful"))
         read = f"{self.frames_read} of {self.length} frames read"
+        if self.unknown:
+            read = f"{len(self.unknown)} cannot be known from it, {read}"
         if not wrong and not doubtful:
             return f"{self.name} is in order: {len(self.findings)} properties checked, {read}."
         return f"{self.name}: {wrong} wrong, {doubtful} doubtful of {len(self.findings)} properties checked, {read}."

@@ -58,6 +58,10 @@ def test_what_nothing_makes_rigid(poses):
 def test_times(tmp_path, broken):
     recording, _ = broken("small room", "clean")
     sequence = folder(recording.root)
+    unknown = time_stamps(sequence)[0]
+    assert unknown.verdict == "unknown"
+    assert "There are no times: there is no times.txt" in unknown.sentence
+    sequence = dataclasses.replace(sequence, no_times="")
     assert time_stamps(sequence)[0].verdict == "ok"
     times = list(sequence.timestamps_s)
     gap = dataclasses.replace(sequence, timestamps_s=times[:10] + [t + 1 for t in times[10:]])

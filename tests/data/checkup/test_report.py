@@ -1,6 +1,7 @@
 """What a check-up gives: findings by name, text, a page, a notebook's view; the command."""
 
 import json
+import re
 from typing import Any
 
 import pytest
@@ -74,6 +75,54 @@ def test_mistakes_of_the_command(capsys, tmp_path):
     (tmp_path / "scan").mkdir()
     assert main(["check", str(tmp_path / "scan"), "--reader", "register"]) == 1
     assert "expected an option as name=value, got 'register'" in capsys.readouterr().err
+
+
+def test_pictures_of_a_repair_that_leaves_frames_out(broken):
+    """Positions in the repaired recording are not those in the recording as read."""
+    recording, _ = broken("small room", "path is interrupted")
+    report = check_recording(recording.root)
+    assert report.data.stop == 20
+    repaired = [title for title in report.pictures if "repaired" in title]
+    assert len(repaired) == 2
+    assert all(int(number) < 20 for title in repaired for number in re.findall(r"rame (\d+)", title))
+
+
+def test_without_poses_no_poses_are_judged(broken):
+    recording, _ = broken("small room", "clean")
+    (recording.root / "poses.txt").unlink()
+    report = check_recording(recording.root, poses=False)
+    assert report.ok
+    assert report["poses"].verdict == report["depth scale"].verdict == report["time stamps"].verdict == "unknown"
+    named = {f.name for f in report.findings}
+    assert not named & {
+        "pose time",
+        "pose direction",
+        "pose matrices",
+        "focal length",
+        "agreement",
+        "pose jumps",
+        "exposure",
+    }
+    assert "frames per second" not in str(report)
+    assert "cannot be known from it" in report.summary
+    assert report._repr_html_().count('<td class="v unknown">') == 3
+    assert all("depth edges" in title for title in report.pictures)
+    recording.write(depth_scale=recording.intrinsics["depth_scale"] * 10)
+    found = check_recording(recording.root, poses=False, pictures=False)["depth scale"]
+    assert found.verdict == "doubtful"
+    assert found.repair == "--data.repair.depth-factor 10"
+
+
+def test_frozen_frames_are_verified_pixel_by_pixel(broken):
+    recording, _ = broken("small room", "frozen")
+    assert (
+        "pixel by pixel although the pose changed: colour and depth of frame 10, 11"
+        in check_recording(recording.root, pictures=False)["frozen frames"].sentence
+    )
+    recording.change_images("depth", lambda i, d: d[i] + (d[i] > 0).astype(d[i].dtype) * i)  # noise of a live sensor
+    report = check_recording(recording.root, pictures=False)
+    assert "only colour of frame 10, 11" in report["frozen frames"].sentence
+    assert set(report.data.repair.skip) == {10, 11}
 
 
 @pytest.mark.ci
