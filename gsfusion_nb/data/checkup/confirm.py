@@ -16,7 +16,7 @@ from .sample import WINDOW, Sample
 _PARTS = 3
 _LEAST_PAIRS = 3
 _INTRINSICS = ("focal length", "fx / fy", "principal point")
-"""What a time offset leaves behind can look like these; in a single window that cannot be told apart."""
+"""What a time offset leaves behind can look like these; in less than a window that cannot be told apart."""
 _AGREE = 0.6
 """A part confirms a correction if its own differs by at most this share of it, or by its own uncertainty."""
 
@@ -39,7 +39,7 @@ def confirmed(
     cuts = [round(k * len(ordered) / _PARTS) for k in range(_PARTS + 1)]
     parts = [ordered[a:b] for a, b in itertools.pairwise(cuts) if b - a >= _LEAST_PAIRS]
     doubts: dict[str, list[float]] = {}
-    brief = len(sample.frames) < 2 * WINDOW and corrected.adopted_fit("pose time") is not None
+    brief = len(sample.frames) < WINDOW and corrected.adopted_fit("pose time") is not None
     for fitted in corrected.adopted:
         kind = KINDS[fitted.kind]
         if kind.width and len(parts) > 1:
