@@ -184,3 +184,31 @@ def config():
 def split(small_room, config):
     """The walk, parted into frames to map and frames held out."""
     return apply_options(small_room, config.data)
+
+
+@pytest.fixture(scope="session")
+def recorded_views():
+    """Small live views of the web book, one of each kind: a panel with two sliders, a stepper, a map, a mesh."""
+    from gsfusion_nb.book.views.record import record
+    from gsfusion_nb.types import Camera, GaussianParams, Mesh
+    from gsfusion_nb.viz import SplatViewer, adam_stepper, amdahl_panel, orbit_camera
+    from gsfusion_nb.viz.meshes.viewer import MeshViewer
+
+    panel = amdahl_panel({"fuse": 0.01, "optimise": 0.03}, width=360).set(fuse=10.0)
+    camera = Camera(width=160, height=120, fx=120.0, fy=120.0, cx=80.0, cy=60.0)
+    T_WC = orbit_camera((0.2, 0.2, 0.0), 30, 40, 1.5)
+    xyz = torch.tensor([[0.0, 0.0, 0.0], [0.4, 0.0, 0.0], [0.0, 0.4, 0.0]])
+    params = GaussianParams(
+        xyz_W=xyz, log_scale=torch.full((3, 3), -2.0), quat=torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(3, 1),
+        opacity_logit=torch.full((3,), 3.0), sh=torch.eye(3)[:, None],
+    )  # fmt: skip
+    faces = torch.tensor([[0, 1, 2], [2, 1, 0]])
+    mesh = MeshViewer(
+        Mesh(vertices_W=xyz, faces=faces, rgb=torch.eye(3)), camera, T_WC, pivot_m=1.5, up_W=xyz.new_tensor([0, 0, 1.0])
+    )
+    return {
+        "panel": record(panel, [["fuse:5", "optimise:3"]]),
+        "stepper": record(adam_stepper(before=1, after=1)),
+        "splat": record(SplatViewer(params, camera=camera, T_WC=T_WC)),
+        "mesh": record(mesh),
+    }

@@ -4,6 +4,7 @@ import inspect
 import os
 import sys
 from pathlib import Path
+from typing import Any
 
 sys.path.insert(0, os.environ["GSNB_BOOK_PACKAGE"])
 
@@ -40,8 +41,8 @@ html_show_search_summary = False  # it reads other pages, which a page opened fr
 html_permalinks_icon = "#"
 html_static_path = [os.environ["GSNB_BOOK_STATIC"]]
 html_extra_path = [os.environ["GSNB_BOOK_EXTRA"]]
-html_css_files = ["book.css", "stepper.css"]
-html_js_files = [("book.js", {"defer": "defer"})]
+html_css_files = ["book.css", "views.css"]
+html_js_files = [("book.js", {"defer": "defer"}), ("views.js", {"defer": "defer"})]
 templates_path = ["templates"]
 pygments_style = "default"
 pygments_dark_style = "github-dark"
@@ -49,13 +50,14 @@ pygments_dark_style = "github-dark"
 
 def linkcode_resolve(domain, info):
     """Where the book shows the source of a name, seen from a page of the reference."""
-    thing = sys.modules.get(info["module"])
+    thing: Any = sys.modules.get(info["module"])
     try:
         for part in info["fullname"].split("."):
             thing = getattr(thing, part)
-        thing = inspect.unwrap(thing)
-        path = Path(inspect.getsourcefile(thing)).resolve().relative_to(Path(sys.path[0]).resolve())
-        return f"../source/{path.as_posix()}.html#L-{inspect.getsourcelines(thing)[1]}"
+        path = (
+            Path(str(inspect.getsourcefile(inspect.unwrap(thing)))).resolve().relative_to(Path(sys.path[0]).resolve())
+        )
+        return f"../source/{path.as_posix()}.html#L-{inspect.getsourcelines(inspect.unwrap(thing))[1]}"
     except (AttributeError, OSError, TypeError, ValueError):
         return None
 

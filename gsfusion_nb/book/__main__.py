@@ -16,13 +16,17 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m gsfusion_nb.book", description="Builds the web book.")
     parser.add_argument("out", type=Path, nargs="?", default=Path("runs/book"), help="folder of the site; replaced")
     parser.add_argument("--installed", action="store_true", help="only say whether the extra 'book' is installed")
+    words = "chapters whose live views are recorded, such as 03,08; all by default, '' for none"
+    parser.add_argument("--views", default=None, help=words)
     parser.add_argument("--repository", default="", help="address of the repository, for links to Binder and Colab")
     options = parser.parse_args(arguments)
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
     if options.installed:
         return 1 if missing() else 0
     try:
-        wrong = build(_ROOT, options.out, read_settings(_ROOT / "docs/book/book.toml", options.repository))
+        settings = read_settings(_ROOT / "docs/book/book.toml", options.repository)
+        views = None if options.views is None else [name for name in options.views.split(",") if name]
+        wrong = build(_ROOT, options.out, settings, views=views)
     except (RuntimeError, ValueError, OSError) as e:
         logging.error("%s", e)
         return 1

@@ -7,16 +7,19 @@ import subprocess
 import sys
 import time
 import zipfile
+from collections.abc import Collection
 from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
 
 from ..files import atomic_file
-from .assemble import ARCHIVE, Assembly, Views
+from .assemble import ARCHIVE, Assembly
 from .check_links import broken_links
 from .places import places_of
 from .settings import Settings
 from .source_pages import source_css, write_source_pages
+from .views.all_chapters import put_views, record_all, view_html
+from .views.scripts import front_ends, style_sheet
 
 log = logging.getLogger(__name__)
 
@@ -29,28 +32,32 @@ def missing() -> list[str]:
     return [name for name in NEEDED if find_spec(name) is None]
 
 
-def build(root: Path, out: Path, settings: Settings, *, views: Views = lambda _page, _cell: None) -> list[str]:
+def build(root: Path, out: Path, settings: Settings, *, views: Collection[str] | None = None) -> list[str]:
     """Build the book.
 
     Args:
         root: The project.
         out: The site; replaced. Work is kept in the folder ``.OUT_work`` beside it.
         settings: Of the book.
-        views: HTML of recorded views.
+        views: Chapters whose live views are recorded ("03"), all by default; the others have their stored pictures.
 
     Returns:
         A sentence for each link that leads nowhere.
 
     Raises:
-        RuntimeError: the extra is not installed, or Sphinx failed.
+        RuntimeError: the extra is not installed, a view could not be recorded, or Sphinx failed.
     """
     if lacking := missing():
         raise RuntimeError(f"the book needs {', '.join(lacking)}; install them with: pip install 'gsfusion-nb[book]'")
     began = time.monotonic()
     work = out.parent / f".{out.name}_work"
     places = places_of(root)
+    chapters = [root / path for path in sorted(places.files) if path.endswith(".ipynb") and places.is_page(path)]
+    recorded = [path for path in chapters if views is None or path.name[:2] in views]
+    listed = record_all(recorded, root / "docs/book/views.toml", work / "views")
     pages, extra, static = work / "pages", work / "extra", work / "static"
-    Assembly(places, settings, pages, extra, views).write()
+    Assembly(places, settings, pages, extra, lambda page, cell: view_html(listed, page, cell)).write()
+    put_views(listed, work / "views", extra)
     _write_static(static)
     _sphinx(root, pages, extra, static, work / "doctrees", out, settings)
     ours = {path for path in places.files if path.startswith(("gsfusion_nb/", "kernels/")) and places.is_shown(path)}
@@ -69,8 +76,9 @@ def _write_static(folder: Path) -> None:
     folder.mkdir(parents=True)
     for file in files("gsfusion_nb.book").joinpath("static").iterdir():
         (folder / file.name).write_bytes(file.read_bytes())
-    stepper = files("gsfusion_nb.viz").joinpath("steppers/static/stepper.css")
-    (folder / "stepper.css").write_bytes(stepper.read_bytes())
+    (folder / "views.css").write_text(style_sheet(), encoding="utf-8")
+    for name, text in front_ends().items():
+        (folder / name).write_text(text, encoding="utf-8")
     (folder / "source.css").write_text(source_css() + (folder / "source.css").read_text())
     mathjax = Path(str(files("mathjax").joinpath("static/mathjax/es5")))
     for name in _MATHJAX:

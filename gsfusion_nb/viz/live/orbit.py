@@ -21,6 +21,7 @@ from ..viewpoint import Vector, Viewpoint, extent, viewpoint_of
 
 if TYPE_CHECKING:
     from ..panels.click_image import Stroke
+    from ..splats.viewer import SplatViewer
 
 _FOCAL_PER_WIDTH = 0.7
 """Focal length / image width of the viewer's camera if the map has no cameras: a 71 degree wide view."""
@@ -107,6 +108,12 @@ class OrbitView:
             labels = self._labels(_LABELLED[show]) if show in _LABELLED else None
             cut_m = self.sliders["cut"].value
             return draw_gaussians(self._params(), self.camera, self.pose(), show, labels=labels, cut_m=cut_m)
+
+    def splats(self) -> "SplatViewer":
+        """A splat viewer of the same map, from the same place."""
+        from ..splats.viewer import SplatViewer
+
+        return SplatViewer(self._source, camera=self.camera, T_WC=self.pose(), up_W=self.up_W, lock=self._lock)
 
     def set(
         self,

@@ -1,0 +1,128 @@
+"""Records the views of one chapter: ``python -m gsfusion_nb.book.views.record NOTEBOOK VIEWS.toml OUT``.
+
+The cells that a view needs are run as the notebook runs them, in this process, and the value of the view's own cell is
+recorded. For each view: ``OUT/CELL.view.js``, its pictures in ``OUT/CELL/``, and an entry of ``OUT/views.json``.
+"""
+
+import argparse
+import ast
+import contextlib
+import io
+import json
+import os
+import shutil
+import sys
+import tempfile
+import time
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from ...strict_json import read_object
+from .needed import needed_cells
+from .recorded import Recorded
+
+
+def wanted_views(path: Path, chapter: str) -> dict[str, dict[str, Any]]:
+    """Id of a cell -> how its view is recorded, for one chapter ("03")."""
+    return tomllib.loads(path.read_text(encoding="utf-8")).get(f"chapter_{chapter}", {})
+
+
+def cells_to_run(notebook: Mapping[str, Any], wanted: Mapping[str, Mapping[str, Any]]) -> list[tuple[str, str]]:
+    """Id and source of every cell that must run, in their order, changed as the views ask."""
+    cells = notebook["cells"]
+    needed = {name for cell, how in wanted.items() for name in needed_cells(cells, cell, how.get("also", ()))}
+    changes = {old: new for how in wanted.values() for old, new in how.get("change", {}).items()}
+    found = []
+    for cell in cells:
+        if cell["id"] in needed and cell["cell_type"] == "code":
+            source = "".join(cell["source"])
+            for old, new in changes.items():
+                source = source.replace(old, new)
+            found.append((cell["id"], source))
+    return found
+
+
+def record(view: Any, grids: Sequence[Sequence[str]] = ()) -> Recorded:
+    """Record whatever a cell shows.
+
+    Raises:
+        TypeError: there is no recorder for it.
+    """
+    from ...viz.live.live_loop import LiveLoop
+    from ...viz.live.live_mapper import LiveMapper
+    from ...viz.live.orbit import OrbitView
+    from ...viz.meshes.viewer import MeshViewer
+    from ...viz.panels.panel import Panel
+    from ...viz.panels.trace import TracePanel
+    from ...viz.splats.viewer import SplatViewer
+    from ...viz.steppers.stepper import Stepper
+    from . import panels, steppers, viewers
+
+    if isinstance(view, Panel):
+        return panels.record_panel(view, grids)
+    recorders: dict[type, Any] = {
+        Stepper: steppers.record_stepper, LiveMapper: steppers.record_live_mapper,
+        LiveLoop: steppers.record_live_loop, TracePanel: steppers.record_trace, SplatViewer: viewers.record_splats,
+        MeshViewer: viewers.record_mesh, OrbitView: viewers.record_orbit,
+    }  # fmt: skip
+    for kind, act in recorders.items():
+        if isinstance(view, kind):
+            return act(view)
+    raise TypeError(
+        f"there is no recorder for {type(view).__name__}; known: Panel, {', '.join(k.__name__ for k in recorders)}"
+    )
+
+
+def run(cells: Sequence[tuple[str, str]], names: dict[str, Any], targets: Mapping[str, Any]) -> dict[str, Recorded]:
+    """Run cells one after the other, and record the values of some of them as soon as they are there."""
+    found = {}
+    for cell, source in cells:
+        tree = ast.parse(source)
+        last = tree.body.pop() if tree.body and isinstance(tree.body[-1], ast.Expr) else None
+        exec(compile(tree, cell, "exec"), names)
+        value = eval(compile(ast.Expression(last.value), cell, "eval"), names) if isinstance(last, ast.Expr) else None
+        if cell in targets:
+            found[cell] = record(value, targets[cell].get("grids", ()))
+    return found
+
+
+def write(found: Mapping[str, Recorded], out: Path) -> None:
+    """Write the views of a chapter into an empty folder."""
+    shutil.rmtree(out, ignore_errors=True)
+    out.mkdir(parents=True)
+    listed = {}
+    for cell, view in found.items():
+        script = view.script(cell)
+        (out / f"{cell}.view.js").write_bytes(script)
+        for name, picture in view.pictures.items():
+            (out / cell).mkdir(exist_ok=True)
+            (out / cell / name).write_bytes(picture)
+        listed[cell] = {"kind": view.kind, "words": view.words, "bytes": len(script)}
+    (out / "views.json").write_text(json.dumps(listed, indent=1), encoding="utf-8")
+
+
+def main() -> int:
+    """Record one chapter."""
+    parser = argparse.ArgumentParser(description="Records the live views of a chapter.")
+    parser.add_argument("notebook", type=Path)
+    parser.add_argument("views", type=Path)
+    parser.add_argument("out", type=Path)
+    options = parser.parse_args()
+    wanted = wanted_views(options.views, options.notebook.name[:2])
+    cells = cells_to_run(read_object(options.notebook, "a notebook"), wanted)
+    out, began = options.out.resolve(), time.monotonic()
+    with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
+        os.environ["GSNB_COURSE_FILE"] = f"{folder}/course.json"
+        os.environ.pop("GSNB_VIEW", None)
+        os.chdir(folder)
+        found = run(cells, {"__name__": "__main__"}, wanted)
+        os.chdir(out.parent)
+    write(found, out)
+    sys.stderr.write(f"{options.notebook.name}: {len(found)} views, {time.monotonic() - began:.0f} s\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

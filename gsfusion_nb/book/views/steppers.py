@@ -1,0 +1,101 @@
+"""Views that are a sequence: steppers, live runs that went to their end, traces."""
+
+import base64
+from typing import Any
+
+import cv2
+import numpy as np
+
+from ...viz.live.live_loop import LiveLoop
+from ...viz.live.live_mapper import LiveMapper
+from ...viz.panels.trace import TracePanel
+from ...viz.steppers.stepper import Stepper
+from .panels import record_grids
+from .recorded import Recorded, webp
+
+MOST_FRAMES = 60
+"""Of a live run; a longer one is recorded with gaps."""
+
+
+def record_stepper(stepper: Stepper) -> Recorded:
+    """Every step, shown by the stepper's own script."""
+    steps = []
+    for k in range(stepper.count):
+        stepper.go_to(k)
+        picture = base64.b64encode(webp(stepper.picture(), 60)).decode("ascii")
+        steps.append([picture, stepper.alt, stepper.title, stepper.code, stepper.numbers])
+    stepper.restart()
+    data = {"steps": steps, "name": stepper.name, "label": stepper.label, "width": stepper.width}
+    words = f"All {len(steps)} steps, recorded: press Next and Back, or the arrow keys."
+    return Recorded(kind="stepper", data=data, words=words)
+
+
+def record_live_mapper(live: LiveMapper) -> Recorded:
+    """The pictures of every frame that was mapped; frames that are left are mapped first."""
+    live.run_sync()
+    entries = [entry for entry in live.scrubber.entries if entry[0]]
+    entries = _some(entries)
+    captions = [image.alt for image in live.images.values()]
+
+    def at(chosen: Any) -> tuple[np.ndarray, str, str]:
+        k = chosen.get("frame", 0)
+        mapped, pictures = entries[k]
+        live._show_kept((mapped, pictures))
+        row = [_decoded(picture) for picture in pictures.values()]
+        height = min(picture.shape[0] for picture in row)
+        row = [cv2.resize(p, (round(p.shape[1] * height / p.shape[0]), height)) for p in row]
+        return np.concatenate(row, 1), live.status.value, f"after {mapped} frames, from left: {'; '.join(captions)}"
+
+    words = [str(mapped) for mapped, _ in entries]
+    last = len(entries) - 1
+    control = {"name": "frame", "label": "frames mapped", "words": words, "start": last, "kind": "slider"}
+    recorded = record_grids(at, [control], [["frame"]])
+    recorded.data["label"] = f"A live run; from left: {'; '.join(captions)}"
+    recorded.words = "The whole run, recorded: the slider goes through its frames."
+    return recorded
+
+
+def record_live_loop(loop: LiveLoop) -> Recorded:
+    """The picture of the steps that a loop kept; steps that are left are done first."""
+    loop.run_sync()
+    entries = _some(loop.scrubber.entries)
+
+    def at(chosen: Any) -> tuple[np.ndarray, str, str]:
+        step, picture = entries[chosen["step"]]
+        return _decoded(picture), f"step {step}", f"the picture of step {step}"
+
+    words = [str(step) for step, _ in entries]
+    control = {"name": "step", "label": "step", "words": words, "start": len(entries) - 1, "kind": "slider"}
+    recorded = record_grids(at, [control], [["step"]])
+    recorded.data["label"] = "A computation, step by step"
+    recorded.words = "Recorded: the slider goes through the steps."
+    return recorded
+
+
+def record_trace(panel: TracePanel) -> Recorded:
+    """Every moment of the story that a trace panel shows."""
+    moments = range(len(panel.story.moments))
+    chosen_moments = _some(list(moments))
+    start = panel.slider.value
+
+    def at(chosen: Any) -> tuple[np.ndarray, str, str]:
+        panel.go_to(chosen_moments[chosen["moment"]])
+        return panel.picture(), panel.numbers.value, panel.clicks.alt
+
+    words = [str(k + 1) for k in chosen_moments]
+    nearest = min(range(len(words)), key=lambda k: abs(chosen_moments[k] - start))
+    control = {"name": "moment", "label": "moment", "words": words, "start": nearest, "kind": "slider"}
+    recorded = record_grids(at, [control], [["moment"]], drawing=True)
+    recorded.data["label"] = "A trace: what happened, in order"
+    recorded.words = "Recorded: the slider goes through what happened. In the notebook a click follows something else."
+    return recorded
+
+
+def _some(entries: list[Any]) -> list[Any]:
+    every = np.linspace(0, len(entries) - 1, min(len(entries), MOST_FRAMES)).round().astype(int)
+    return [entries[k] for k in every]
+
+
+def _decoded(picture: bytes) -> np.ndarray:
+    blue_first = np.asarray(cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR))
+    return np.ascontiguousarray(blue_first[..., ::-1])
