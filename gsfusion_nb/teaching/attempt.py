@@ -43,6 +43,10 @@ class Failed(Exception):
         self.prop, self.on, self.detail = prop, on, detail
 
 
+class NotCallable(Failed):
+    """There is no function that an input could be given to: ``on`` stays empty."""
+
+
 class NotWritten(Exception):
     """The function returned nothing: its body is still ``...``."""
 
@@ -96,6 +100,8 @@ class Attempt:
             result = self._guarded(function, args, kwargs)
         except NotImplementedError:
             raise NotWritten from None
+        except NotCallable:
+            raise
         except (Broken, Failed) as e:  # Failed: it runs in another process, which says what happened
             raise Failed(e.prop, on, e.detail) from None
         except Exception as e:
@@ -159,7 +165,9 @@ def holds(condition: Any, prop: str, *, on: str, detail: str) -> None:
         raise Failed(prop, on, detail)
 
 
-def close(got: Any, expected: Any, prop: str, *, on: str, tolerance: float = 1e-5, why: str = "") -> None:
+def close(
+    got: Any, expected: Any, prop: str, *, on: str, tolerance: float = 1e-5, why: str = "", names: Sequence[str] = ()
+) -> None:
     """``prop`` fails unless ``got`` has the shape and, within ``tolerance`` x max(1, size), the values of ``expected``.
 
     Args:
@@ -169,6 +177,7 @@ def close(got: Any, expected: Any, prop: str, *, on: str, tolerance: float = 1e-
         on: The input, in words.
         tolerance: Largest deviation.
         why: What a deviation usually means; ends the message.
+        names: Of the values, where ``got`` is a list that the judge made from parts of an answer.
     """
     _note(prop)
     right, mine = as_tensor(expected), _numbers(got, prop, on)
@@ -179,9 +188,9 @@ def close(got: Any, expected: Any, prop: str, *, on: str, tolerance: float = 1e-
     off = (mine - right).nan_to_num().abs() - tolerance * right.nan_to_num().abs().clamp(min=1.0)
     if off.numel() and float(off.max()) > 0:
         at = int(off.argmax())
-        place = f" at {_position(at, right.shape)}" if right.ndim else ""
+        place = f" for {names[at]}" if names else f" at {_position(at, right.shape)}" if right.ndim else ""
         detail = f"got {_short(mine.reshape(-1)[at])}{place}, expected {_short(right.reshape(-1)[at])}"
-        raise Failed(prop, on, f"{detail}. {why}" if why else detail)
+        raise Failed(prop, on, f"{detail}{': ' if why[0].islower() else '. '}{why}" if why else detail)
 
 
 def unpack(value: Any, names: Sequence[str], *, on: str) -> tuple[Any, ...]:
@@ -234,4 +243,5 @@ def _position(flat: int, shape: torch.Size) -> str:
 
 
 def _short(value: Tensor) -> str:
-    return f"{float(value):.5g}"
+    number = float(value) + 0.0  # no -0
+    return f"{number:.0f}" if number.is_integer() and abs(number) < 1e12 else f"{number:.5g}"

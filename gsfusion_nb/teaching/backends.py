@@ -132,7 +132,8 @@ def adam_traffic(attempt: Attempt) -> None:
     on = "one number"
     moved, intensity = unpack(attempt.on(on)(1), names, on=on)
     holds(float(moved) != 7, "a float32 has 4 bytes", on=on, detail="7 is how many numbers move, not how many bytes")
-    close(moved, 28, "four arrays are read, three are written: writing moves bytes, too", on=on)
+    prop = "four arrays are read, three are written: writing moves bytes, too"
+    close([moved], [28], prop, on=on, names=names[:1])
     close(intensity, 12 / 28, "intensity is flop per byte", on=on, tolerance=1e-3)
     on = "59 numbers for each of 10,000 Gaussians"
     moved, intensity = unpack(attempt.on(on)(590_000), names, on=on)

@@ -111,7 +111,12 @@ def lift_pixels(attempt: Attempt) -> None:
     point = attempt.on(on)(_CAMERA, uv, depth)
     close(_last(point), [2.0], "the depth is z, not the distance to the camera", on=on)
     for where, pixel, expected, prop in (
-        ("the pixel at the principal point", [4.0, 3.0], [0.0, 0.0, 2.0], "it is straight ahead: x and y are 0"),
+        (
+            "the pixel at the principal point",
+            [4.0, 3.0],
+            [0.0, 0.0, 2.0],
+            "the principal point is straight ahead: x and y are 0",
+        ),
         ("a pixel to the right of it", [7.5, 3.0], [0.7, 0.0, 2.0], "x = (u - cx) / fx, times the depth"),
         ("a pixel below it", [4.0, 5.5], [0.0, 1.0, 2.0], "y = (v - cy) / fy, times the depth: fx and fy may differ"),
     ):
@@ -262,10 +267,11 @@ def halve_intrinsics(attempt: Attempt) -> None:
     on = "640 x 480 with fx = fy = 600, centre (319.5, 239.5)"
     names = ("fx", "fy", "cx", "cy")
     fx, fy, cx, cy = unpack(attempt.on(on)(600.0, 600.0, 319.5, 239.5), names, on=on)
-    close([fx, fy], [300.0, 300.0], "half the pixels over the same angle of view: half the focal length", on=on)
+    prop = "half the pixels over the same angle of view: half the focal length"
+    close([fx, fy], [300.0, 300.0], prop, on=on, names=names[:2])
     shift = max(abs(float(cx) - 159.5), abs(float(cy) - 119.5))
     why = f"a shift of {shift:.2f} px of the small image"
-    close([cx, cy], [159.5, 119.5], "the middle of the image stays the middle", on=on, why=why)
+    close([cx, cy], [159.5, 119.5], "the middle of the image stays the middle", on=on, why=why, names=names[2:])
     on = "a point off the axis, projected at both sizes"
     half = unpack(attempt.on(on)(525.0, 520.0, 310.2, 251.7), names, on=on)
     x, y = 0.3, -0.2

@@ -162,8 +162,8 @@ def _wrong_sign(xyz_C: Tensor, fx: float, fy: float, v_uv: Tensor) -> Tensor:
     ),
     wrong=(
         Wrong(_forwards, says="x moves u by fx / z"),
-        Wrong(_depth_ignored, says="z moves u and v"),
-        Wrong(_wrong_sign, says="z moves u and v"),
+        Wrong(_depth_ignored, says="moving away moves u and v towards the middle: -fx x / z^2"),
+        Wrong(_wrong_sign, says="moving away moves u and v towards the middle: -fx x / z^2"),
     ),
 )  # fmt: skip
 def pinhole_vjp(attempt: Attempt) -> None:
@@ -180,8 +180,8 @@ def pinhole_vjp(attempt: Attempt) -> None:
     close(got, [0.0, 40.0, 0.0], "y moves v by fy / z", on=on)
     on = "a point at (1, -0.5, 2), dL/du = dL/dv = 1"
     got = attempt.on(on)(aside, 100.0, 80.0, torch.tensor([1.0, 1.0], dtype=f64))
-    why = "a point farther away projects nearer to the middle: -fx x / z^2"
-    close(got, [50.0, 40.0, -25.0 + 10.0], "z moves u and v", on=on, why=why)
+    why = "u = fx x / z, differentiated by z"
+    close(got, [50.0, 40.0, -25.0 + 10.0], "moving away moves u and v towards the middle: -fx x / z^2", on=on, why=why)
     on = "another point"
     xyz, v = torch.tensor([-0.7, 0.3, 1.3], dtype=f64), torch.tensor([0.4, -1.7], dtype=f64)
     close(attempt.on(on)(xyz, 90.0, 110.0, v), _pinhole_vjp(xyz, 90.0, 110.0, v), "v_xyz = J^T v_uv", on=on)
@@ -292,8 +292,8 @@ def _as_blend_vjp(yours: Yours, alpha: Tensor, c: Tensor, v_C: Tensor) -> Any:
         "S_k, the sum over j > k of w_j (c_j . v_C), is a reversed cumsum minus the term of k.",
     ),
     wrong=(
-        Wrong(_shadow_forgotten, says="what stands behind gets darker"),
-        Wrong(_shadow_not_divided, says="what stands behind gets darker"),
+        Wrong(_shadow_forgotten, says="what stands behind gets darker: -S / (1 - alpha)"),
+        Wrong(_shadow_not_divided, says="what stands behind gets darker: -S / (1 - alpha)"),
         Wrong(_alpha_for_weight, says="a colour counts with its weight"),
     ),
 )  # fmt: skip
@@ -310,7 +310,7 @@ def blend_vjp(attempt: Attempt) -> None:
     on = "the same, dL/dC = (0, 1, 0)"
     v_alpha, _ = unpack(attempt.on(on)(alpha, rgb, torch.tensor([0.0, 1.0, 0.0], dtype=f64)), names, on=on)
     why = "the red one takes light from the green one: -S / (1 - alpha) = -0.4 / 0.5"
-    close(v_alpha, [-0.8, 0.5], "what stands behind gets darker", on=on, why=why)
+    close(v_alpha, [-0.8, 0.5], "what stands behind gets darker: -S / (1 - alpha)", on=on, why=why)
     on = "nine random Gaussians"
     generator = torch.Generator().manual_seed(2)
     alpha = 0.9 * torch.rand(9, generator=generator, dtype=f64)

@@ -87,7 +87,7 @@ def _as_plan_frame(yours: Yours, *numbers: int) -> tuple[bool, int, int]:
     wrong=(
         Wrong(_plan_with_at_least, says="more new Gaussians than"),
         Wrong(_plan_revisiting_always, says="at a keyframe no other frames are revisited"),
-        Wrong(_plan_with_replacement, says="different keyframes"),
+        Wrong(_plan_with_replacement, says="never more revisits than keyframes"),
     ),
 )  # fmt: skip
 def plan_frame(attempt: Attempt) -> None:
@@ -114,9 +114,14 @@ def plan_frame(attempt: Attempt) -> None:
     prop = "the threshold is min_seeds, and the steps are m, n and r, not the paper's numbers"
     holds((bool(key), steps, revisits) == (False, 2, 1), prop, on=on, detail=f"got {key!r}, {steps}, {revisits}")
     on = "10 new Gaussians, one keyframe so far"
-    close(plan(on, 10, 1, 5, 3, 2, 50)[2], 1, "revisits go to different keyframes", on=on)
+    close(
+        plan(on, 10, 1, 5, 3, 2, 50)[2],
+        1,
+        "there are never more revisits than keyframes: each goes to another one",
+        on=on,
+    )
     on = "10 new Gaussians, no keyframe yet"
-    close(plan(on, 10, 0, 5, 3, 2, 50)[2], 0, "revisits go to different keyframes, of which there are none", on=on)
+    close(plan(on, 10, 0, 5, 3, 2, 50)[2], 0, "without keyframes there are no revisits", on=on)
 
 
 def _draw_keyframes(n_keyframes: int, count: int, generator: torch.Generator) -> Tensor:

@@ -150,7 +150,7 @@ def _as_splat_alpha_vjp(
     ),
     wrong=(
         Wrong(_towards_the_pixel_reversed, says="more alpha to the right of it pulls the centre to the right"),
-        Wrong(_opacity_times_alpha, says="opacity counts with the bell"),
+        Wrong(_opacity_times_alpha, says="v_opacity = v_alpha exp(-sigma)"),
         Wrong(_of_one_pixel, says="all pixels add up"),
         Wrong(_through_the_cap, says="capped or cut"),
         Wrong(_conic_halved, says="v_conic agrees with autograd"),
@@ -168,7 +168,7 @@ def splat_alpha_vjp(attempt: Attempt) -> None:
     close(torch.as_tensor(v_uv).sign(), [-1.0, 0.0], "more alpha to the right of it pulls the centre to the right",
           on=on, why=why)  # fmt: skip
     close(v_uv, [-0.25 * 0.5 * bell, 0.0], "v_uv = alpha v_alpha (A dx + B dy, B dx + C dy)", on=on)
-    close(v_opacity, -bell, "the opacity counts with the bell, exp(-sigma)", on=on)
+    close(v_opacity, -bell, "v_opacity = v_alpha exp(-sigma)", on=on)
     on = "the same pixel twice"
     v_uv, *_ = unpack(attempt.on(on)(one.repeat(2), 0 * one.repeat(2), conic, o, -one.repeat(2)), names, on=on)
     close(v_uv, [-0.25 * bell, 0.0], "all pixels add up", on=on)

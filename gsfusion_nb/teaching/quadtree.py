@@ -315,7 +315,12 @@ def cell_to_gaussian(attempt: Attempt) -> None:
     on = "the cell (18, 11, 4, 8) around the image centre, depth 2 m, identity pose"
     flat = torch.full((30, 40), 2.0)
     xyz, scale = unpack(attempt.on(on)(camera, (18, 11, 4, 8), flat, torch.eye(4)), names, on=on)
-    close(xyz, [0.0, 0.0, 2.0], "the Gaussian is on the ray through the middle of the cell", on=on)
+    close(
+        xyz,
+        [0.0, 0.0, 2.0],
+        "seen from the world's origin, the Gaussian is on the ray through the middle of the cell",
+        on=on,
+    )
     far = "the same cell on walls at 2 m and at 4 m"
     _, scale_far = unpack(attempt.on(far)(camera, (18, 11, 4, 8), 2 * flat, torch.eye(4)), names, on=far)
     prop = "on a wall twice as far the same cell is twice as large in metres"

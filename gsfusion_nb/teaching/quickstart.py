@@ -43,7 +43,7 @@ def _as_first_seen(yours: Yours, weight: Tensor, required_weight: float) -> Any:
     ),
     wrong=(
         Wrong(_never_seen, says="Fusion comes first"),
-        Wrong(_up_to_one, says="a voxel that is not in the map"),
+        Wrong(_up_to_one, says="weight 0, outside the map"),
         Wrong(_depth_or_not, says="no depth, no Gaussian"),
     ),
 )  # fmt: skip
@@ -53,10 +53,10 @@ def first_seen(attempt: Attempt) -> None:
     on = "weights 1, 2 and 7, all with depth"
     why = "Fusion comes first: the weight is already 1 when this frame is the first. All three have depth"
     got = attempt.on(on)(torch.tensor([1.0, 2.0, 7.0]), depth_m)
-    close(torch.as_tensor(got).double(), [1, 0, 0], "a place is new where the weight is 1", on=on, why=why)
+    close(torch.as_tensor(got).double(), [1, 0, 0], "weight 1 gives a Gaussian, a larger weight none", on=on, why=why)
     on = "weight 0: a point outside the volume"
     got = attempt.on(on)(torch.tensor([0.0, 1.0]), depth_m[:2])
-    close(torch.as_tensor(got).double(), [0, 1], "a voxel that is not in the map is not observed", on=on)
+    close(torch.as_tensor(got).double(), [0, 1], "weight 0, outside the map, gives no Gaussian", on=on)
     on = "weight 1, depth 0"
     got = attempt.on(on)(torch.tensor([1.0, 1.0]), torch.tensor([0.0, 2.0]))
     close(torch.as_tensor(got).double(), [0, 1], "no depth, no Gaussian", on=on)
@@ -94,7 +94,7 @@ def _negative(rendered: Tensor, photo: Tensor) -> Tensor:
         "Take the mean over all pixels and channels first, then one logarithm.",
     ),
     wrong=(
-        Wrong(_psnr_of_the_mean_error, says="the squared differences"),
+        Wrong(_psnr_of_the_mean_error, says="off by 0.1 everywhere is 20 dB"),
         Wrong(_twice_the_log_of_the_mean_error, says="squared before they are averaged"),
         Wrong(_mean_of_pixels, says="one mean over the whole picture"),
         Wrong(_negative, says="more is better"),
@@ -113,7 +113,7 @@ def psnr(attempt: Attempt) -> None:
         float(got.mean()) > 0, "more is better, and 0 dB is very bad", on=on, detail=f"got {float(got.mean()):.1f} dB"
     )
     why = "-10 log10(0.1^2) = 20"
-    close(got, 20.0, "the squared differences count: 0.1 off is 20 dB", on=on, why=why)
+    close(got, 20.0, "off by 0.1 everywhere is 20 dB: the differences are squared", on=on, why=why)
     half = photo.clone()
     half[:3] += 0.1
     on = "a picture of which one half is right and one half 0.1 too bright"
@@ -183,4 +183,4 @@ def exam_frames(attempt: Attempt) -> None:
     on = "11 frames, every 5th, offset 2"
     close(chosen(on, 11, 5, 2), [2, 7], "counted from the offset", on=on)
     on = "9 frames, every 4th, offset 0"
-    close(chosen(on, 9, 4, 0), [0, 4, 8], "frame 0 counts, too: with offset 0 it is the first", on=on)
+    close(chosen(on, 9, 4, 0), [0, 4, 8], "with offset 0, frame 0 is the first held-out frame", on=on)

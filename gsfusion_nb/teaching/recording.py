@@ -146,7 +146,7 @@ def pose_shift(attempt: Attempt) -> None:
     generator = torch.Generator().manual_seed(5)
     curve = torch.rand(46, generator=generator, dtype=torch.float64)
     early = curve[3:43]
-    ask("the same curve twice", early, early.clone(), 0, "nothing is shifted")
+    ask("the same curve twice", early, early.clone(), 0, "where nothing is shifted the answer is 0")
     ask("poses two frames late", early, curve[1:41], 2, "image i belongs to pose i + k")
     ask("poses three frames early", early, curve[6:46], -3, "the poses may be early, too")
     ask("poses three frames late", early, curve[0:40], 3, "a shift of reach frames is found, to both sides")

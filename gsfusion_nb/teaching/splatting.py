@@ -144,7 +144,7 @@ def composite_pixel(attempt: Attempt) -> None:
     holds(red_is < 0.99, "what is not covered stays black", on=on, detail=detail)
     why = "T in front of a Gaussian does not contain its own alpha"
     close(colour, [0.5, 0.0, 0.0], "nothing is in front of the first one", on=on, why=why)
-    close(left, 0.5, "half of the light is left", on=on)
+    close(left, 0.5, "behind alpha 0.5 half of the light is left", on=on)
     on = "red alpha 0.8 in front of green alpha 0.5"
     colour, left = unpack(attempt.on(on)(torch.tensor([0.8, 0.5]), torch.tensor([red, green])), names, on=on)
     red_and_green = torch.as_tensor(colour)[:2].double() - torch.tensor([0.8, 0.5], dtype=torch.float64)

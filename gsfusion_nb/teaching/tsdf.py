@@ -196,15 +196,15 @@ def _as_block_of(yours: Yours, ijk: Tensor) -> Tensor:
     ),
     wrong=(
         Wrong(_block_of_truncated, says="below zero"),
-        Wrong(_block_of_rounded, says="contains"),
-        Wrong(_voxel_of, says="8 voxels"),
+        Wrong(_block_of_rounded, says="above zero, block k"),
+        Wrong(_voxel_of, says="to 8 (k + 1) voxels"),
     ),
 )  # fmt: skip
 def block_of(attempt: Attempt) -> None:
     """The voxel block that contains a point."""
     on = "(0.30, 0.05, 0.85) m with voxels of 5 cm"
     block = attempt.on(on)(torch.tensor([[0.30, 0.05, 0.85]]), 0.05)
-    close(block, [[0, 0, 2]], "a block is 8 voxels wide, and the point is in the block that contains it", on=on)
+    close(block, [[0, 0, 2]], "above zero, block k reaches from 8 k to 8 (k + 1) voxels", on=on)
     on = "(-0.10, 0.10, -0.50) m with voxels of 5 cm"
     block = attempt.on(on)(torch.tensor([[-0.10, 0.10, -0.50]]), 0.05)
     close(block, [[-1, 0, -2]], "below zero too, a block reaches upwards from its lower corner", on=on,
@@ -255,7 +255,7 @@ def _as_interleave(yours: Yours, coords: Tensor) -> Tensor:
         "Bit i of x becomes bit 3 i, of y bit 3 i + 1, of z bit 3 i + 2; collect them with |.",
     ),
     wrong=(
-        Wrong(_morton_one_after_the_other, says="bits alternate"),
+        Wrong(_morton_one_after_the_other, says="then y: bit 0 of y is bit 1 of the code"),
         Wrong(_morton_z_first, says="x comes first"),
     ),
 )  # fmt: skip
@@ -268,7 +268,7 @@ def morton_code(attempt: Attempt) -> None:
         ((2, 0, 0), 8, "the bits alternate: bit 1 of x is bit 3 of the code"),
     ):
         on = f"block {coords}"
-        close(attempt.on(on)(*coords), expected, _turns(prop), on=on)
+        close(attempt.on(on)(*coords), expected, prop, on=on)
     g = torch.Generator().manual_seed(0)
     for coords in torch.randint(0, 1024, (20, 3), generator=g).tolist():
         on = f"block {tuple(coords)}"
@@ -278,10 +278,6 @@ def morton_code(attempt: Attempt) -> None:
         origin = int(morton.encode(torch.zeros(1, 3, dtype=torch.int64)))
         library = int(morton.encode(torch.tensor([coords]))) - origin
         close(code, library, "it agrees with gsfusion_nb.tsdf.morton.encode, minus the code of the origin", on=on)
-
-
-def _turns(prop: str) -> str:
-    return prop if "alternate" in prop else f"{prop} (the bits alternate)"
 
 
 def _zero_crossing(p0: Tensor, p1: Tensor, D0: Tensor, D1: Tensor) -> Tensor:

@@ -64,6 +64,13 @@ def test_a_verdict_is_green_red_or_grey(twice):
     assert twice(3).prop == "it is a function"
 
 
+def test_a_message_says_which_value_and_writes_whole_numbers_out():
+    with pytest.raises(Failed, match=r"got 3 for cy, expected 4: half as far$"):
+        close([1.0, 3.0], [1.0, 4.0], "it is", on="1", why="half as far", names=("cx", "cy"))
+    with pytest.raises(Failed, match=r"got 0 at \[0\], expected 21340172$"):
+        close([-0.0], [21340172], "it is", on="1")
+
+
 def test_text_from_a_student_cannot_break_the_page(twice):
     def crash(x):
         raise ValueError("<script>")

@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 import torch
 
+from gsfusion_nb.teaching.attempt import NotCallable
 from gsfusion_nb.teaching.exercise import Attempt, exercises
 from gsfusion_nb.teaching.grading.clean import package_folder, readable_paths, write_clean_copy
 from gsfusion_nb.teaching.grading.draws import DRAWS
+from gsfusion_nb.teaching.grading.hidden import sentence
 from gsfusion_nb.teaching.grading.isolated import Limits
-from gsfusion_nb.teaching.grading.marking import _OWN, HIDDEN, Mark, judge_hidden, properties
+from gsfusion_nb.teaching.grading.marking import _OWN, HIDDEN, Mark, judge_hidden, properties, verdict_on, why
 from gsfusion_nb.teaching.grading.marks import Grading, as_csv, exercises_of, grade, rubric_page
 from gsfusion_nb.teaching.grading.points import Points, read_points
 from gsfusion_nb.teaching.grading.submission import find_submissions, read_code
@@ -59,6 +61,19 @@ def test_ten_submissions_get_the_marks_that_they_deserve():
         ("raises", "block_of", "line 3 of raises.py"),
     ):
         assert words in said[student, exercise], (student, exercise)
+
+
+def test_a_message_names_an_input_only_if_the_function_got_one():
+    def undefined(*args):
+        raise NotCallable("it is defined", "", "02.py has a syntax error in line 6")
+
+    verdict = verdict_on(exercises()["block_of"], undefined, seed=1)
+    assert why(verdict) == ("it is defined", "02.py has a syntax error in line 6")
+    verdict = verdict_on(exercises()["block_of"], lambda xyz_W, voxel_size_m: torch.zeros(1, 3), seed=1)
+    assert sentence(verdict) == (
+        "not true yet: “above zero, block k reaches from 8 k to 8 (k + 1) voxels”; "
+        "input: (0.30, 0.05, 0.85) m with voxels of 5 cm; got 0 at [0, 2], expected 2"
+    )
 
 
 def test_every_exercise_has_hidden_inputs_on_which_its_solution_passes():

@@ -10,6 +10,7 @@ import pytest
 from gsfusion_nb.teaching import check, exercises
 from gsfusion_nb.teaching.attempt import close, holds
 from gsfusion_nb.teaching.kit import judged, quiz, quiz_files
+from gsfusion_nb.teaching.kit.quiz_reading import ALSO_TRUE, NOT_OFFERED, NUMBERED
 from gsfusion_nb.teaching.kit.snippet import snippet
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -41,6 +42,35 @@ def test_the_stored_pages_are_those_of_today():
         assert (PAGES / name).read_text(encoding="utf-8") == text, f"{name} is out of date{RENEW}"
 
 
+def test_what_a_reader_found_is_in_the_stored_pages():
+    """Statements that hold on the checker's inputs only are no options; of those that fit everything there is one."""
+    pages = "".join(path.read_text(encoding="utf-8") for path in sorted(PAGES.glob("chapter_*.md")))
+    parts = re.split(r"^\*\*([a-z_0-9]+-\d+)\*\*$", pages, flags=re.M)
+    options = {
+        name: [o.replace("\\", "") for o in re.findall(r"^- [ABCD]\. (.*)$", text.split("\n## ")[0], re.M)]
+        for name, text in zip(parts[1::2], parts[2::2], strict=True)
+    }
+    judges = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "gsfusion_nb/teaching").glob("*.py"))
+    assert set(NOT_OFFERED) | set(ALSO_TRUE) | NUMBERED <= set(options)
+    for name, statements in NOT_OFFERED.items():
+        assert not set(statements) & set(options[name]), name
+        assert all(statement.split(" ", 1)[1] in judges for statement in statements), (
+            f"{name}: no judge says this any more"
+        )
+    for name, found in options.items():
+        assert len(set(found)) == 4, name
+        assert sum(option in quiz._ALWAYS for option in found) <= 1, (
+            f"{name}: the right option is the only one of its kind"
+        )
+
+
+def test_a_number_is_asked_for_where_it_can_be_found():
+    q = quiz.question(exercises()["halve_intrinsics"], 1, "")
+    assert q.prompt.endswith("What does this function return for cy?")
+    assert q.options[q.answer] == "119.75"
+    assert "119.5" in q.options, "what a right function returns is the most tempting of the other options"
+
+
 def test_the_right_option_is_what_the_checker_says(questions):
     for q in questions:
         verdict = check.__getattr__(q.exercise)(exercises()[q.exercise].wrong[0].function)
@@ -57,9 +87,11 @@ def test_a_judge_goes_on_after_the_first_failure():
         holds(value > 0, "it is positive", on="1", detail="no")
         close(attempt.on("5")(5), 5, "it keeps five", on="5")
         holds(value > 7, "it is large", on="1", detail="no")
+        holds(attempt.on("7")(7) > 0, "it is positive", on="7", detail="only the sign is asked for")
 
     before = judge.__globals__["close"]
-    found = judged.judge_thoroughly(replace(exercises()["psnr"], judge=judge), lambda x: x)
+    exercise = replace(exercises()["psnr"], judge=judge, _solution=lambda x: {1: 2, 5: 5, 7: 70}[x])
+    found = judged.judge_thoroughly(exercise, lambda x: x)
     assert [e.prop for e in found.broken] == ["it adds one", "it is large"]
     assert (found.held, found.right_on) == (["it is positive", "it keeps five"], ["5"])
     assert judge.__globals__["close"] is before

@@ -13,7 +13,7 @@ from ..exercise import exercises
 from ..sandbox.needed import Cell
 from ..verdict import Verdict
 from .isolated import Limits, Sandbox
-from .marking import verdict_on
+from .marking import verdict_on, why
 
 
 @functools.cache
@@ -34,11 +34,10 @@ def marked(names: Sequence[str], cells: Sequence[Cell], seed: int, limits: Limit
     return verdicts
 
 
-def why(verdict: Verdict) -> tuple[str, str]:
-    """The property that failed, and what was returned and expected."""
-    if verdict.state == "not written":
-        return "it is written", verdict.detail
-    return verdict.prop, f"input: {verdict.on}; {verdict.detail}" if verdict.on else verdict.detail
+def sentence(verdict: Verdict) -> str:
+    """What a student reads about an answer that is not right."""
+    prop, message = why(verdict)
+    return f"not true yet: “{prop}”; {message}"
 
 
 def hidden_test(name: str, function: Any, history: Sequence[str], *, seed: int) -> bool:
@@ -56,5 +55,5 @@ def hidden_test(name: str, function: Any, history: Sequence[str], *, seed: int) 
     cells = [Cell(f"cell [{i}]", source) for i, source in enumerate(history)]
     verdict = marked([name], cells, seed, Limits())[name]
     if not verdict:
-        raise AssertionError(": ".join(why(verdict)))
+        raise AssertionError(sentence(verdict))
     return True

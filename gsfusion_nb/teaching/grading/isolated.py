@@ -7,6 +7,7 @@ import json
 import math
 import os
 import pickle
+import re
 import signal
 import socket
 import subprocess
@@ -25,7 +26,7 @@ from torch import Tensor
 
 from ...mapping import GSFusion
 from ...optim import Keyframe
-from ..attempt import Failed, NotWritten
+from ..attempt import Failed, NotCallable, NotWritten
 from ..exercise import exercises
 from ..sandbox.channel import ChannelClosed, TooLarge, TooSlow, receive, send
 from ..sandbox.codec import LARGEST_BYTES, CodecError, decode
@@ -42,6 +43,10 @@ _START_S = 300.0
 """How long a sandbox may take to be ready."""
 WITHIN = "it stays within the limits of time and memory"
 ENDED = "it returns an answer"
+_WAITS = "does it sleep, or wait for something?"
+_LOOPS = "is there a loop that does not end, or a much too slow one?"
+_COURSE = "The course's own modules are not there when a submission is marked: write the function yourself"
+_NO_COURSE = re.compile(r"No module named 'gsfusion_nb\.teaching\b")
 LENT = {"quadtree_leaves": ("contrast", "split_cell")}
 """Exercise -> others whose reference may stand in for the student's that failed, as it does in the notebook."""
 
@@ -222,7 +227,7 @@ class Remote:
                 (self._parameters,) = _parts(rest, 1)
                 return
             else:
-                self._fail(kind, rest)
+                self._fail_without_input(kind, rest)
 
     def _asked(self, function: Callable[..., Any] | None, inner: Any) -> tuple[str, Any]:
         """The answer to a call of a function that was an argument."""
@@ -254,7 +259,9 @@ class Remote:
         try:
             message = decode(receive(self._to, until=began + self._left_s))
         except TooSlow:
-            raise Failed(WITHIN, "", f"it had not ended after {self._limits.wall_s:g} s, and was stopped") from None
+            raise Failed(
+                WITHIN, "", f"it had not ended after {self._limits.wall_s:g} s, and was stopped: {_WAITS}"
+            ) from None
         except TooLarge:
             raise Failed(ENDED, "", f"it returned more than {LARGEST_BYTES >> 20} MB") from None
         except ChannelClosed:
@@ -270,18 +277,24 @@ class Remote:
     def _ended(self) -> Any:
         if self._stop() == signal.SIGXCPU:
             seconds = self._limits.cpu_s
-            raise Failed(WITHIN, "", f"it had not ended after {seconds} s of processor time, and was stopped")
+            raise Failed(WITHIN, "", f"it had not ended after {seconds} s of processor time, and was stopped: {_LOOPS}")
         raise Failed(ENDED, "", "its process ended without an answer: it crashed, left Python, or used too much memory")
+
+    def _fail_without_input(self, kind: Any, rest: list[Any]) -> Any:
+        try:
+            self._fail(kind, rest)
+        except Failed as e:
+            raise NotCallable(e.prop, "", e.detail) from None
 
     def _fail(self, kind: Any, rest: list[Any]) -> Any:
         words = [_printable(word) for word in rest if isinstance(word, str)]
         out_of_memory = any(word is True for word in rest)
         if out_of_memory:
-            raise Failed(WITHIN, "", f"it needed more than {self._limits.memory_mb} MB")
+            raise Failed(WITHIN, "", f"it needed more than {self._limits.memory_mb} MB: is a tensor far too large?")
         if kind == "problem" and len(words) == 2:
             raise Failed(words[0], "", words[1])
         if kind == "raised" and words:
-            raise Failed("it runs", "", words[0])
+            raise Failed("it runs", "", f"{words[0]}. {_COURSE}" if _NO_COURSE.search(words[0]) else words[0])
         raise Failed(ENDED, "", "the process sent something else than an answer")
 
 

@@ -19,7 +19,9 @@ from .isolated import Sandbox
 from .points import Points
 from .submission import Code, choose
 
-HIDDEN = "it agrees with the reference on hidden inputs"
+HIDDEN = "it is right for inputs that the notebook does not show, too"
+_ON = "one that the notebook does not show"
+_WHY = "The checks of the notebook pass: look for a special case, or for a number that should be an argument"
 _CALLS = 5
 """Hidden inputs of an exercise."""
 _CELLS = ("quadtree_leaves",)
@@ -61,7 +63,8 @@ def mark_student(
         code = choose(codes, name, exercise.chapter)
         if code is None:
             problems = [c.problem for c in codes if c.problem]
-            message = problems[0] if problems else f"there is no function {name}"
+            files = ", ".join(c.file.name for c in codes)
+            message = problems[0] if problems else f"there is no function {name} in {files or 'the submission'}"
             marks.append(
                 Mark(student=student, exercise=name, points=0.0, most=most, prop="it is submitted", message=message)
             )
@@ -77,10 +80,15 @@ def mark_student(
 def _mark(student: str, exercise: Exercise, verdict: Verdict, most: float) -> Mark:
     if verdict:
         return Mark(student=student, exercise=exercise.name, points=most, most=most)
-    on = f"input: {verdict.on}; " if verdict.on else ""
-    prop = "it is written" if verdict.state == "not written" else verdict.prop
-    message = f"{on}{verdict.detail}"
+    prop, message = why(verdict)
     return Mark(student=student, exercise=exercise.name, points=0.0, most=most, prop=prop, message=message)
+
+
+def why(verdict: Verdict) -> tuple[str, str]:
+    """The property that failed, and what was returned and expected."""
+    if verdict.state == "not written":
+        return "it is written", f"{verdict.detail}: write its body, with a return at the end"
+    return verdict.prop, f"input: {verdict.on}; {verdict.detail}" if verdict.on else verdict.detail
 
 
 def verdict_on(exercise: Exercise, function: Any, seed: int) -> Verdict:
@@ -112,7 +120,7 @@ def judge_hidden(exercise: Exercise, attempt: Attempt, seed: int) -> None:
     for _ in range(_CALLS if draw else 0):
         args = draw(generator)  # pyright: ignore[reportOptionalCall]
         expected = exercise._solution(*_copies(args))
-        got = attempt.on("hidden numbers")(*args)
+        got = attempt.on(_ON)(*args)
         _agrees(got, expected, HIDDEN, cells=exercise.name in _CELLS)
 
 
@@ -128,7 +136,7 @@ def _copies(args: tuple[Any, ...]) -> list[Any]:
 
 
 def _agrees(got: Any, expected: Any, prop: str, *, cells: bool = False) -> None:
-    on = "hidden numbers"
+    on = _ON
     if cells:
         got, expected = ({tuple(map(int, cell)) for cell in as_rows(value)} for value in (got, expected))
         holds(got == expected, prop, on=on, detail=f"it returned {len(got)} cells, expected {len(expected)}")
@@ -142,17 +150,17 @@ def _agrees(got: Any, expected: Any, prop: str, *, cells: bool = False) -> None:
             detail=f"expected {len(expected)} results",
         )
         for mine, right in zip(got, expected, strict=True):
-            close(mine, right, prop, on=on, tolerance=1e-4)
+            close(mine, right, prop, on=on, tolerance=1e-4, why=_WHY)
     else:
-        close(got, expected, prop, on=on, tolerance=1e-4)
+        close(got, expected, prop, on=on, tolerance=1e-4, why=_WHY)
 
 
 def _draw_keyframes(exercise: Exercise, attempt: Attempt, g: torch.Generator) -> None:
     for _ in range(_CALLS):
         n, count = whole(g, 1, 12), whole(g, 1, 12)
-        got = torch.as_tensor(attempt.on("hidden numbers")(n, count, g)).reshape(-1).tolist()
+        got = torch.as_tensor(attempt.on(_ON)(n, count, g)).reshape(-1).tolist()
         right = len(got) == len(set(got)) == min(n, count) and all(0 <= i < n for i in got)
-        holds(right, HIDDEN, on="hidden numbers", detail=f"{count} out of {n}: got {got}")
+        holds(right, HIDDEN, on=_ON, detail=f"{count} out of {n}: got {got}")
 
 
 def _budget_cells(exercise: Exercise, attempt: Attempt, g: torch.Generator) -> None:

@@ -9,8 +9,9 @@ from traitlets import Float, Integer
 
 from ..exercise import exercises
 from ..sandbox.needed import Cell
-from .hidden import marked, why
+from .hidden import marked
 from .isolated import Limits
+from .marking import why
 
 _PREFIX = "test-"
 

@@ -7,7 +7,7 @@ from nbformat.v4 import new_notebook
 from otter.plugins import AbstractOtterPlugin
 
 from ..exercise import exercises
-from .hidden import marked, why
+from .hidden import marked, sentence
 from .isolated import Limits
 from .submission import read_code
 
@@ -27,7 +27,7 @@ class MarkInSandbox(AbstractOtterPlugin):
         limits = Limits(seconds=float(settings["seconds"]), memory_mb=int(settings["memory_mb"]))
         for name, verdict in marked(names, code.cells, int(settings["seed"]), limits).items():
             question = results.results[name]
-            message = code.problem or ": ".join(why(verdict))
+            message = code.problem or sentence(verdict)
             for case in question.test_case_results:
                 case.passed, case.message = bool(verdict), None if verdict else message
             question.update_score(question.possible if verdict else 0)

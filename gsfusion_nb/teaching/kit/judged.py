@@ -6,10 +6,16 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
-from ..attempt import Attempt, Failed, NotWritten
+import numpy as np
+import torch
+
+from ...types import Camera
+from ..attempt import Attempt, Failed, NotWritten, plain
 from ..exercise import Exercise
 from ..whose import judging
 
+_PURE = (torch.Tensor, np.ndarray, Camera, int, float, list, dict)
+"""Arguments that a second call finds as the first one did."""
 _STATEMENTS = ("close", "holds")
 """With these a judge states a property. What fails in another way ends the judgement."""
 
@@ -23,7 +29,7 @@ class Judged:
     held: list[str] = field(default_factory=list)
     """Properties that were tested and never failed."""
     right_on: list[str] = field(default_factory=list)
-    """Inputs, in words, for which every tested property holds."""
+    """Inputs, in words, for which it returns what the solution returns."""
 
 
 def judge_thoroughly(exercise: Exercise, function: Callable[..., Any]) -> Judged:
@@ -33,9 +39,10 @@ def judge_thoroughly(exercise: Exercise, function: Callable[..., Any]) -> Judged
         ValueError: no property fails, so the function is no wrong answer.
     """
     found = Judged()
+    attempt = _Compared(function, exercise._solution)
     with _collecting(inspect.unwrap(exercise.judge).__globals__, found), judging(exercise.name):
         try:
-            exercise.judge(Attempt(function))
+            exercise.judge(attempt)
         except Failed as e:
             found.broken.append(e)
         except NotWritten:
@@ -48,8 +55,41 @@ def judge_thoroughly(exercise: Exercise, function: Callable[..., Any]) -> Judged
     props = {e.prop for e in found.broken}
     found.held = [prop for prop in dict.fromkeys(found.held) if prop not in props]
     wrong_on = {e.on for e in found.broken}
-    found.right_on = [on for on in dict.fromkeys(found.right_on) if on not in wrong_on]
+    found.right_on = [on for on, right in attempt.right.items() if right and on not in wrong_on]
     return found
+
+
+class _Compared(Attempt):
+    """An attempt that also notes for which inputs the solution returns the same."""
+
+    def __init__(self, function: Callable[..., Any], solution: Callable[..., Any]):
+        super().__init__(function)
+        self.solution = solution
+        self.right: dict[str, bool] = {}
+        """Input, in words -> whether all calls with it returned what the solution returns."""
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        on = self.words
+        returned = super().__call__(*args, **kwargs)
+        pure = all(isinstance(a, _PURE) for a in (*args, *kwargs.values()))
+        same = pure and _same(returned, Attempt(self.solution)(*args, **kwargs))
+        self.right[on] = same and self.right.get(on, True)
+        return returned
+
+
+def _same(got: Any, expected: Any) -> bool:
+    """Whether two answers are equal, to a rounding."""
+    got, expected = plain(got), plain(expected)
+    if isinstance(expected, (list, tuple)):
+        return (
+            isinstance(got, (list, tuple))
+            and len(got) == len(expected)
+            and all(_same(a, b) for a, b in zip(got, expected, strict=True))
+        )
+    if isinstance(expected, torch.Tensor | int | float) and isinstance(got, torch.Tensor | int | float):
+        a, b = (torch.as_tensor(value).detach().double() for value in (got, expected))
+        return a.shape == b.shape and torch.allclose(a, b, rtol=1e-5, atol=1e-7, equal_nan=True)
+    return type(got) is type(expected) and got == expected
 
 
 @contextmanager
@@ -65,7 +105,6 @@ def _collecting(module: dict[str, Any], found: Judged) -> Iterator[None]:
                 found.broken.append(e)
             else:
                 found.held.append(prop)
-                found.right_on.append(kwargs["on"])
 
         return noted
 

@@ -1,9 +1,10 @@
 """A bank of multiple-choice questions, one for every wrong answer that a checker is tested with.
 
 Most questions show the function and four statements about it. One of them is not true: the first property that fails.
-The other three are true: the checker has tested them on the same function, and they hold. Where the checker states too
-little for that, the question asks which number the function returns. Either way there is one right option, and it is
-what the checker found.
+The other three are true: the checker has tested them on the same function, and they hold. A property can hold on all
+inputs of the checker and yet not be true of the function; those that a reader found are left out (``quiz_reading``).
+Where the checker states too little, statements of that reader stand beside, or the question asks which number the
+function returns. Either way there is one right option, and it is what the checker found.
 """
 
 import random
@@ -15,12 +16,12 @@ from ...strict_json import read_object
 from ..attempt import Failed
 from ..exercise import Exercise, exercises
 from .judged import Judged, judge_thoroughly
+from .quiz_reading import ALSO_TRUE, COUNTED, NOT_OFFERED, NUMBERED
 from .snippet import snippet
 
 _ALWAYS = (
     "it runs without an error on the checker's inputs",
-    "it does not change the tensors that it gets",
-    "it returns a result for every input of the checker",
+    "it does not change its inputs",
     "it can be called with the arguments that the exercise names",
 )
 """True of every wrong answer that is not refused for just this."""
@@ -31,7 +32,7 @@ _REFUSED_FOR = {
 
 
 _STATEMENT = "Which of these statements is **not** true of this function?"
-_NUMBER = re.compile(r"^got (\S+?)( at \[[\d, ]+\])?, expected (\S+?)(?:\. |$)")
+_NUMBER = re.compile(r"^got (\S+?)( (?:at \[[\d, ]+\]|for \w+))?, expected (\S+?)(?:[.:] |$)")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,8 +79,8 @@ def question(exercise: Exercise, number: int, task: str) -> Question:
     first = judged.broken[0]
     name = f"{exercise.name}-{number}"
     prompt, right, others = _STATEMENT, first.prop, _true_statements(judged, name)
-    if sum(other in _ALWAYS for other in others) > 1:
-        prompt, right, others = _about_a_number(first) or (prompt, right, others)
+    if name in NUMBERED:
+        prompt, right, others = _about_a_number(first, COUNTED.get(exercise.name, ""))
     options = [right, *others]
     random.Random(name).shuffle(options)
     return Question(
@@ -90,25 +91,32 @@ def question(exercise: Exercise, number: int, task: str) -> Question:
 
 
 def _true_statements(judged: Judged, name: str) -> list[str]:
-    """Three statements that hold: the checker's own first, then inputs on which it is right, then what always holds."""
+    """Three statements that hold: the checker's own, a reader's, inputs on which it is right, what always holds."""
     refused = {_REFUSED_FOR[e.prop] for e in judged.broken if e.prop in _REFUSED_FOR}
-    own = list(judged.held)
+    own = [prop for prop in judged.held if prop not in NOT_OFFERED.get(name, ())]
     random.Random(name).shuffle(own)
-    right = [f"its result is right for this input: {on}" for on in judged.right_on]
-    return [*own, *right, *(s for s in _ALWAYS if s not in refused)][:3]
+    inputs = (on for on in judged.right_on if not on.startswith("the same"))  # "the same" as what, out of its place?
+    right = [f"its result is right for this input: {on}" for on in inputs]
+    return [*own, *ALSO_TRUE.get(name, ()), *right, *(s for s in _ALWAYS if s not in refused)][:3]
 
 
-def _about_a_number(failed: Failed) -> tuple[str, str, list[str]] | None:
-    """Prompt, right option and three others about the number that came back; None if that says too little."""
+def _about_a_number(failed: Failed, counted: str) -> tuple[str, str, list[str]]:
+    """Prompt, right option and three others about the number that came back.
+
+    What a right function returns is among the others, for those who do not see the mistake.
+    """
     match = _NUMBER.match(failed.detail)
-    if match is None or {match[1], match[3]} <= {"0", "1"}:
-        return None
-    got, place, expected = match[1], match[2] or "", match[3]
-    value = float(got)
-    near = [float(expected), -value, value / 2, 2 * value, value + float(expected)]
+    assert match is not None, f"this is no question about a number: {failed.detail}"
+    place, value, right = match[2] or "", float(match[1]), float(match[3])
+    near = [right, 2 * value, value / 2, value - right, value + right, 2 * right, right / 2]
+    if counted:
+        near = [n for n in near if n >= 0]
+    if value.is_integer() and right.is_integer():
+        near = [n for n in near if n.is_integer()]
     others = [text for text in dict.fromkeys(f"{n + 0.0:.5g}" for n in near) if text != f"{value:.5g}"][:3]
-    prompt = f"Input: {failed.on}. A right function returns {expected}{place}. What does this one return there?"
-    return (prompt, f"{value:.5g}", others) if len(others) == 3 else None
+    what = f"How many {counted} does" if counted else "What does"
+    prompt = f"Input: {failed.on}. {what} this function return{place}?"
+    return prompt, f"{value:.5g}", others
 
 
 def tasks_of(notebooks: Path) -> dict[str, str]:

@@ -32,7 +32,8 @@ def chapter_page(chapter: int, questions: list[Question]) -> str:
         f"# Quiz, chapter {chapter}: {TITLES.get(chapter, '')}",
         "",
         f"{len(questions)} questions. Each shows a function that somebody might hand in; none of them is right. "
-        "`correct_...` stands for a right function of that name. The answers: [answers](answers.md).",
+        "`correct_...` stands for a right function of that name; names that are not explained are those of the "
+        "chapter. The answers: [answers](answers.md).",
     ]
     for exercise, own in groupby(questions, key=lambda q: q.exercise):
         group = list(own)
@@ -107,7 +108,7 @@ def text2qti(chapter: int, questions: list[Question]) -> str:
 
 
 def _feedback(q: Question) -> str:
-    return f"Not true: {q.prop}. Input: {q.on}. {q.detail[:1].upper()}{q.detail[1:]}"
+    return f"What does not hold: {q.prop}. Input: {q.on}. {q.detail[:1].upper()}{q.detail[1:]}"
 
 
 def _html(q: Question) -> str:
@@ -169,5 +170,6 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    logging.basicConfig(format="%(message)s")  # other modules say only what goes wrong
+    log.setLevel(logging.INFO)
     main()

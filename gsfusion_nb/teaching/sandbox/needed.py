@@ -53,7 +53,9 @@ def needed(cells: Sequence[Cell], name: str) -> list[Statement]:
     if not any(name in s.binds for s in statements):
         for cell, error in broken:
             if re.search(rf"\b{re.escape(name)}\b", cell.source):
-                raise NoFunction(f"{cell.label} has a syntax error in line {error.lineno}: {error.msg}")
+                raise NoFunction(
+                    f"{cell.label} has a syntax error in line {error.lineno}, so nothing in it can run: {error.msg}"
+                )
         raise NoFunction(f"there is no function {name}")
     kept: dict[int, Statement] = {}
     names = [(name, len(statements))]
