@@ -1,4 +1,4 @@
-# make demo | make test | make campaign | make lab | make student | make teacher | make quiz | make slides | make book: each first sets up the virtual environment .venv, which all of them share. Only Python >= 3.11 and make are needed.
+# make demo | make lab | make test | make campaign | make student | make teacher | make quiz | make slides | make book | make wheel: each first sets up the virtual environment .venv, which all of them share. Only Python >= 3.11 and make are needed. What only tests and development need is installed by make dev, which make test, lint, format and campaign do first.
 PYTHON ?= python3
 VENV ?= .venv
 # Where pip should look for PyTorch, if not at the default: see docs/install.md.
@@ -9,38 +9,45 @@ LAB ?=
 COURSE ?= course
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.setup-done
+DEV_STAMP := $(VENV)/.dev-done
 
-.PHONY: setup demo test campaign lint format lab student teacher quiz slides book clean
+.PHONY: setup dev demo test campaign lint format lab student teacher quiz slides book wheel clean
 
 setup: $(STAMP)
 
 $(STAMP): pyproject.toml
 	@$(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(None if v >= (3, 11) else f"gsfusion_nb needs Python >= 3.11, found {v[0]}.{v[1]}: run  make PYTHON=/path/to/python3.11 ...")'
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	@echo "Installing into $(VENV) (about 3 minutes, 3.1 GB) ..."
-	@$(BIN)/python -m pip install --quiet --upgrade pip
-	@$(BIN)/python -m pip install --quiet "torch>=2.6,<2.14" $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX))
-	@$(BIN)/python -m pip install --quiet --editable ".[dev]"
+	@echo "Installing what the demo and the course need into $(VENV) (about 2 minutes, SIZE_HERE) ..."
+	@$(BIN)/python -m pip install --quiet --no-compile "torch>=2.6,<2.14" $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX))
+	@$(BIN)/python -m pip install --quiet --no-compile --editable .
 	-@$(BIN)/gsfusion-nb doctor --warm
 	@touch $(STAMP)
+
+dev: $(DEV_STAMP)
+
+$(DEV_STAMP): $(STAMP) pyproject.toml
+	@echo "Installing what tests and development need into $(VENV) ..."
+	@$(BIN)/python -m pip install --quiet --no-compile --editable ".[dev]"
+	@touch $(DEV_STAMP)
 
 demo: setup
 	$(BIN)/gsfusion-nb demo
 
-test: setup
+test: dev
 	$(BIN)/python -m pytest -n auto --dist worksteal
 
 # Runs that are killed and resumed, and damaged files: see docs/trust.md. About two hours.
-campaign: setup
+campaign: dev
 	$(BIN)/python tests/campaign/kills.py --kills 300
 	$(BIN)/python tests/campaign/fuzz.py --inputs 20000
 
-lint: setup
+lint: dev
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/pyright
 
-format: setup
+format: dev
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
@@ -73,5 +80,11 @@ book: setup
 	@$(BIN)/python -m gsfusion_nb.book --installed || $(BIN)/python -m pip install --quiet --editable ".[book]"
 	$(BIN)/python -m gsfusion_nb.book runs/book $(if $(REPOSITORY),--repository "$(REPOSITORY)")
 
+# A wheel in dist/, which needs neither this folder nor a compiler: pip install dist/gsfusion_nb-*.whl
+wheel:
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir dist .
+	@ls -l dist/*.whl
+
 clean:
-	rm -rf $(VENV) build *.egg-info
+	rm -rf $(VENV) build dist *.egg-info

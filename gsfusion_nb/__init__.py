@@ -13,7 +13,7 @@ from .types import Frame as Frame
 from .types import RenderOutput as RenderOutput
 from .types import Seeds as Seeds
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _LAZY = {
     "GSFusion": "gsfusion_nb.mapping",

@@ -14,6 +14,19 @@ from ..last_resort import is_foreseen, unforeseen
 from .result import print_metrics, print_result
 from .settings import named_values
 
+_FIRST = """gsfusion-nb: online RGB-D mapping with TSDF fusion and 3D Gaussian splatting
+
+What to do first:
+
+  gsfusion-nb doctor               is everything in order on this machine?
+  gsfusion-nb demo                 map the built-in room: a report with pictures, in
+                                   about a minute, and once a minute for compiling
+  gsfusion-nb course DIR --open    copy the twelve notebooks of the course to a new
+                                   folder DIR and open the first one in JupyterLab
+
+All commands: gsfusion-nb --help
+"""
+
 _USAGE = """gsfusion-nb: online RGB-D mapping with TSDF fusion and 3D Gaussian splatting
 
   gsfusion-nb demo                 map the built-in room (about a minute)
@@ -35,6 +48,7 @@ _USAGE = """gsfusion-nb: online RGB-D mapping with TSDF fusion and 3D Gaussian s
   gsfusion-nb study NAME DATA      run one of the papers' comparisons
   gsfusion-nb bench [GROUP]        measure the speed of operations, mapping and
                                    panels, compared with other programs
+  gsfusion-nb course DIR           copy the notebooks of the course to a folder
   gsfusion-nb course               show how far you are in the notebooks
   gsfusion-nb course export        the chapters as assignments for nbgrader or Otter
   gsfusion-nb grade SUBMISSIONS    mark the notebooks of a class, each in a process
@@ -128,7 +142,7 @@ def main(arguments: list[str] | None = None) -> int:
         "doctor": _doctor,
     }
     if not arguments or arguments[0] in ("-h", "--help"):
-        print(_USAGE)
+        print(_USAGE if arguments else _FIRST)
         return 0
     name, *rest = arguments
     if name not in commands:

@@ -1,6 +1,8 @@
-"""``gsfusion-nb course``: how far you are in the notebooks; ``gsfusion-nb course export``: assignments for a class."""
+"""``gsfusion-nb course DIR``: the notebooks to work in; without a folder: how far you are; ``export``: assignments."""
 
 import json
+import shlex
+import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +15,13 @@ from ..config.option_help import parse_options
 
 @dataclass(frozen=True, kw_only=True)
 class CourseOptions:
-    """Show how far you are in the course: exercises solved and predictions made, by chapter."""
+    """Copy the notebooks of the course into a folder, or show how far you are in them, by chapter."""
+
+    folder: Annotated[Path | None, tyro.conf.Positional] = None
+    """Where to write the notebooks, without solutions. What you have changed there is kept; a newer edition of such a
+    notebook is written beside it."""
+    open: bool = False
+    """Then open the first one in JupyterLab."""
 
     json: bool = False
     """Print JSON."""
@@ -75,9 +83,26 @@ def run(arguments: list[str]) -> int:
         kept = progress.reset()
         print(f"The course starts again. Your progress so far is kept in {kept}" if kept else "There was no progress.")
         return 0
+    if options.folder is not None:
+        return _copy(options.folder, options.open)
     course = read_course()
     print(json.dumps(course.as_json(), indent=1) if options.json else course.as_table())
     return 0
+
+
+def _copy(folder: Path, open_it: bool) -> int:
+    """Write the notebooks and say how to open them, or open them."""
+    from ..teaching.course_files import FIRST, copy_for_learner
+
+    done = copy_for_learner(folder)
+    for notebook in done:
+        if notebook.state != "unchanged":
+            print(notebook)
+    first = str(folder / FIRST)
+    if not open_it:
+        print(f"{len(done)} notebooks are in {folder}. To open the first one: jupyter lab {shlex.quote(first)}")
+        return 0
+    return subprocess.call([sys.executable, "-m", "jupyter", "lab", first])
 
 
 def _confirmed() -> bool:

@@ -1,12 +1,18 @@
-"""``gsfusion-nb course``: progress by chapter, as JSON, and from the start again."""
+"""``gsfusion-nb course``: the notebooks in a folder; progress by chapter, as JSON, and from the start again."""
 
 import io
 import json
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
 
 import pytest
 
 from gsfusion_nb.cli import main
 from gsfusion_nb.teaching import progress
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture
@@ -50,3 +56,45 @@ def test_a_damaged_file_is_said(course_file, capsys):
     course_file.write_text("[")
     assert main(["course"]) == 1
     assert "It was left as it is. Rename it, or run  gsfusion-nb course --reset" in capsys.readouterr().err
+
+
+def test_the_notebooks_in_a_folder(tmp_path, capsys):
+    folder = tmp_path / "my course"
+    assert main(["course", str(folder)]) == 0
+    said = capsys.readouterr().out
+    assert f"12 notebooks are in {folder}. To open the first one: jupyter lab '{folder}/00_quickstart.ipynb'" in said
+    first = folder / "00_quickstart.ipynb"
+    assert "BEGIN SOLUTION" not in first.read_text()
+    first.write_text(first.read_text() + " ")
+    mine = first.read_bytes()
+    assert main(["course", str(folder)]) == 0
+    assert first.read_bytes() == mine  # what was changed is kept
+    assert main(["course", str(first)]) == 1
+    assert "is a file; expected a folder for the notebooks" in capsys.readouterr().err
+
+
+@pytest.mark.ci
+def test_the_wheel_holds_the_notebooks_and_the_licence(tmp_path):
+    pytest.importorskip("setuptools", minversion="77", reason="setuptools >= 77 is not installed")
+    source = tmp_path / "source"  # setuptools leaves a folder build
+    source.mkdir()
+    for name in ("pyproject.toml", "README.md", "LICENSE", "gsfusion_nb", "kernels", "notebooks"):
+        (source / name).symlink_to(ROOT / name)
+    command = [
+        sys.executable,
+        "-m",
+        "pip",
+        "wheel",
+        "--no-deps",
+        "--no-build-isolation",
+        "-w",
+        str(tmp_path),
+        str(source),
+    ]
+    subprocess.run(command, check=True, capture_output=True)
+    (wheel,) = tmp_path.glob("*.whl")
+    names = zipfile.ZipFile(wheel).namelist()
+    assert wheel.name.endswith("-py3-none-any.whl")  # nothing to compile
+    assert sum(name.startswith("gsfusion_nb/notebooks/") for name in names) == 12
+    assert any(name.endswith("/licenses/LICENSE") for name in names)
+    assert "gsfusion_nb/kernels/project/numba.py" in names

@@ -1,6 +1,7 @@
 """Whether VTK can draw on this machine, found out without risking the kernel."""
 
 import functools
+import importlib.util
 import os
 import subprocess
 import sys
@@ -18,6 +19,8 @@ def can_draw() -> tuple[bool, str]:
     On a machine with neither libgl1 nor libegl1 creating one ends the process with a segmentation fault that no ``try``
     catches, so it is tried once in a process of its own. The environment variable GSNB_VTK=ok or none skips the trial.
     """
+    if importlib.util.find_spec("pyvista") is None:
+        return False, "pyvista is not installed (the extra vtk)"
     prepare()
     forced = os.environ.get("GSNB_VTK")
     if forced in ("ok", "none"):

@@ -1,0 +1,31 @@
+"""Where the notebooks of the installed version are, and a learner's copies of them in any folder."""
+
+from pathlib import Path
+
+from .edition import HandedOut, hand_out
+
+FIRST = "00_quickstart.ipynb"
+
+
+def notebooks_folder() -> Path:
+    """The folder of the solved notebooks: in an installed package, or in a clone.
+
+    Raises:
+        FileNotFoundError: this installation has none.
+    """
+    package = Path(__file__).resolve().parents[1]
+    for folder in (package / "notebooks", package.parent / "notebooks"):
+        if (folder / FIRST).is_file():
+            return folder
+    raise FileNotFoundError(f"{package} holds no notebooks; expected {FIRST} in its folder notebooks: install it again")
+
+
+def copy_for_learner(target: Path) -> list[HandedOut]:
+    """The learner's edition of the installed notebooks in the folder ``target``; what was changed there is kept.
+
+    Raises:
+        NotADirectoryError: ``target`` is a file. FileNotFoundError: this installation has no notebooks.
+    """
+    if target.exists() and not target.is_dir():
+        raise NotADirectoryError(f"{target} is a file; expected a folder for the notebooks")
+    return hand_out(notebooks_folder(), target)
