@@ -1,7 +1,7 @@
 """``gsfusion-nb map``: map a sequence, or continue a run that was interrupted."""
 
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
@@ -9,6 +9,9 @@ from ..backends import use_backend
 from ..seeding.rule_file import is_rule_file
 from .result import print_result
 from .settings import SettingsOptions, named_values, parse
+
+if TYPE_CHECKING:
+    from ..viz.rerun_file import RerunFile
 
 _WITH_RESUME = (
     "--resume", "--seeding.rule", "--device", "--evaluate", "--no-evaluate", "--backend", "--checkpoint-every-s",
@@ -38,6 +41,8 @@ class MapOptions(SettingsOptions):
     from_gaussians: str = ""
     """File of Gaussians that the map begins with (.ply, .glb, .splat, .spz, .sog), in metres, in the world frame of the
     recording's poses; they are optimised with the new ones. GSFusion only."""
+    rerun: str = ""
+    """Also write a file for the Rerun viewer, FILE.rrd: frames, poses, the growing maps, scores (the extra "rerun")."""
     resume: str = ""
     """Folder of an interrupted run to continue; no other option is needed."""
     evaluate: bool = True
@@ -77,6 +82,7 @@ def run(arguments: list[str]) -> int:
         reader |= named_values(options.reader)
         if options.split:
             reader["split"] = options.split
+        watch = _rerun_file(options.rerun) if options.rerun else None
         finished = run_mapping(
             options.data,
             options.settings(),
@@ -85,9 +91,16 @@ def run(arguments: list[str]) -> int:
             evaluate=options.evaluate,
             checkpoints=every,
             from_gaussians=options.from_gaussians or None,
+            watch=watch,
             **reader,
         )
     return print_result(finished)
+
+
+def _rerun_file(path: str) -> "RerunFile":
+    from ..viz.rerun_file import RerunFile
+
+    return RerunFile(path)
 
 
 def _refuse_more(options: MapOptions, arguments: list[str]) -> None:

@@ -22,7 +22,7 @@ from . import outputs
 from .autosave import Autosave, CheckpointEvery
 from .disk_need import warn_of_little_space
 from .empty_map import why_empty
-from .mapping_run import MappingRun
+from .mapping_run import MappingRun, RunWatcher
 from .memory import describe_full
 from .posed_frames import has_poses
 from .resume import load_run
@@ -46,6 +46,7 @@ def run_mapping(
     evaluate: bool = True,
     checkpoints: CheckpointEvery | None = None,
     from_gaussians: Path | str | None = None,
+    watch: RunWatcher | None = None,
     **reader_options: Any,
 ) -> "FinishedRun":
     """Map a sequence online, optimise over its keyframes, score it and write everything to a folder.
@@ -61,6 +62,7 @@ def run_mapping(
         checkpoints: How often to save a checkpoint, so that the run can be resumed if it is killed; every 30 s by
             default.
         from_gaussians: File of Gaussians (``read_gaussians``) that the map begins with, in the frame of the poses.
+        watch: Sees every mapped frame and the finished maps, such as ``viz.rerun_file.RerunFile``.
         reader_options: For ``open_sequence``: ``format``, ``split``, options of the reader.
 
     Returns:
@@ -80,6 +82,7 @@ def run_mapping(
         mapper.begin_with(read_gaussians(from_gaussians), Path(from_gaussians).name)
     run = MappingRun(sequence, mapper, source=source)
     run.warnings += mapper.notes
+    run.watchers += [watch] if watch is not None else []
     with RunFolder(new_folder(sequence.name, folder)) as place:
         if source and str(data) != "room" and has_poses(sequence):
             run.warnings += _doubts(sequence.mapping)
@@ -182,6 +185,8 @@ def drive(
             outputs.write_page(run, folder, metrics)
         if run.status != "interrupted" or not run.resumable:
             run.remove_checkpoints(folder)
+        for watcher in run.watchers:
+            watcher.finished(run.mapper, mesh, metrics)
     _say(run, place, run.status)
     return FinishedRun(run, folder, metrics)
 

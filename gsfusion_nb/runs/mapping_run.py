@@ -16,7 +16,7 @@ from ..data.stream import read_ahead
 from ..errors import shown
 from ..export import CheckpointStore, Saved
 from ..mapping import DelayedInterrupt, FrameUndone, GlobalStep, Mapper, StepReport, system_of
-from ..types import Frame
+from ..types import Frame, Mesh
 from .posed_frames import has_poses
 from .random_state import random_state
 from .run_folder import CHECKPOINTS
@@ -38,6 +38,19 @@ class Frames(Protocol):
 
     def close(self) -> None:
         """Stop: no more frames will be read."""
+        ...
+
+
+@runtime_checkable
+class RunWatcher(Protocol):
+    """Sees what a run maps, such as a file for another program; it changes nothing."""
+
+    def frame_mapped(self, mapper: Any, frame: Frame, report: StepReport) -> None:
+        """Called after each mapped frame, when the state is complete."""
+        ...
+
+    def finished(self, mapper: Any, mesh: Mesh, metrics: dict[str, Any]) -> None:
+        """Called once, when the maps are written and scored."""
         ...
 
 
@@ -93,6 +106,7 @@ class MappingRun:
         """Whether the optimisation after the scan is finished."""
         self.after_step: Callable[[], None] = lambda: None
         """Called after every frame and every step of the optimisation, when the state is complete."""
+        self.watchers: list[RunWatcher] = []
         self._stores: dict[Path, CheckpointStore] = {}
         self.status = "running"
         """"running", "complete", "interrupted" (by the user) or "stopped" (the data ended with an error)."""
@@ -137,6 +151,8 @@ class MappingRun:
                     break
                 for sentence in self.mapper.step_warnings(frame, report):
                     self._warn(sentence)
+                for watcher in self.watchers:
+                    watcher.frame_mapped(self.mapper, frame, report)
                 self.after_step()
                 yield report
         finally:
