@@ -17,8 +17,10 @@ __version__ = "0.2.0"
 
 _LAZY = {
     "GSFusion": "gsfusion_nb.mapping",
+    "GPSSLAM": "gsfusion_nb.mapping",
     "RTGSLAM": "gsfusion_nb.mapping",
     "gsfusion": "gsfusion_nb.config",
+    "gps_slam": "gsfusion_nb.config",
     "rtg_slam": "gsfusion_nb.config",
     "run_mapping": "gsfusion_nb.runs",
     "map_stream": "gsfusion_nb.runs",

@@ -1,5 +1,13 @@
 """Settings of a run: frozen dataclasses with the unit in the name, and presets named after papers and data sets."""
 
+from .gps_slam import BaseConfig as BaseConfig
+from .gps_slam import GpsSlamConfig as GpsSlamConfig
+from .gps_slam import PassesConfig as PassesConfig
+from .gps_slam import ResidualConfig as ResidualConfig
+from .gps_slam import ScheduleConfig as ScheduleConfig
+from .gps_slam import ViewsConfig as ViewsConfig
+from .gps_slam import gps_slam as gps_slam
+from .gps_slam import gps_slam_fidelity as gps_slam_fidelity
 from .gsfusion import GSFusionConfig as GSFusionConfig
 from .gsfusion import OptimConfig as OptimConfig
 from .gsfusion import gsfusion as gsfusion

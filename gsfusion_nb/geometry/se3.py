@@ -78,6 +78,13 @@ def rotation_angle(R: Float[Tensor, "*B 3 3"]) -> Float[Tensor, "*B"]:
     return torch.atan2(skew.norm(dim=-1), trace - 1)
 
 
+def motion(T_a: Float[Tensor, "4 4"], T_b: Float[Tensor, "4 4"]) -> tuple[float, float]:
+    """How far apart two camera poses are: the angle in degrees, and the distance of their centres in metres."""
+    T_a, T_b = (T.detach().cpu().double() for T in (T_a, T_b))
+    turned = rotation_angle(T_a[:3, :3].T @ T_b[:3, :3]).rad2deg()
+    return float(turned), float((T_a[:3, 3] - T_b[:3, 3]).norm())
+
+
 def log(T: Float[Tensor, "*B 4 4"]) -> Float[Tensor, "*B 6"]:
     """Twist whose exponential is ``T``: translation part first, then rotation, radians, by an angle of at most pi.
 

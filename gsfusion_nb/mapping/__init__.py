@@ -1,5 +1,6 @@
 """The mapping systems, one frame step each."""
 
+from .gps_slam import GPSSLAM as GPSSLAM
 from .gsfusion import GSFusion as GSFusion
 from .map_view import MapPart as MapPart
 from .mapper import Mapper as Mapper

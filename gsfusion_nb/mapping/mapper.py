@@ -78,6 +78,8 @@ class Mapper(AsksRule, SavesState, ABC):
     """Title -> value after a step, plotted while mapping."""
     asks_rule: ClassVar[bool] = True
     """Whether new Gaussians come from the seeding rule; the report then names it."""
+    needs_volume_to_render: ClassVar[bool] = False
+    """Whether the picture needs more than the Gaussians, so that it cannot be made from a PLY file of them."""
     memory_savers: ClassVar[tuple[str, ...]] = ()
     """Settings, besides smaller images, that reduce the memory of the map; named in the message when memory is full."""
 

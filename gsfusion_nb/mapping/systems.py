@@ -7,6 +7,7 @@ import torch
 from ..checks import check_name
 from ..config import SystemConfig
 from ..seeding import SeedingRule
+from .gps_slam import GPSSLAM
 from .gsfusion import GSFusion
 from .mapper import Mapper
 from .rtg_slam import RTGSLAM
@@ -14,6 +15,7 @@ from .rtg_slam import RTGSLAM
 SYSTEMS: dict[str, type[Mapper]] = {
     "gsfusion": GSFusion,
     "rtg_slam": RTGSLAM,
+    "gps_slam": GPSSLAM,
 }
 
 

@@ -1,5 +1,7 @@
 """The Gaussian renderer: project, tile lists, composite; every stage beside its explicit gradient."""
 
+from .base_image import BaseView as BaseView
+from .base_image import base_view as base_view
 from .composite import CompositeGradient as CompositeGradient
 from .composite import CompositeOutput as CompositeOutput
 from .composite import composite as composite

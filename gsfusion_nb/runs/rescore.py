@@ -60,6 +60,11 @@ def rescore(
         source = dict(settings["source"])
         system = get_system(settings.get("system", "gsfusion"))
         config = from_dict(system.config_type, settings["config"])
+    if system.needs_volume_to_render:
+        raise ValueError(
+            f"{folder} is a run of {system.title}, whose pictures need its TSDF besides gaussians.ply, and a folder "
+            "does not hold it: the scores in metrics.json are those of the whole map"
+        )
     if data is not None:
         source["path_or_name"] = data
     if "path_or_name" not in source:

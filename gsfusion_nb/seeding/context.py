@@ -11,7 +11,7 @@ from torch import Tensor
 
 from ..config import DiscConfig, SeedingConfig, TsdfConfig
 from ..geometry import backproject, depth_to_normals, pixel_grid, se3
-from ..render import SurfaceView, render, view_surface
+from ..render import BaseView, OverBaseOutput, SurfaceView, render, render_over_base, view_surface
 from ..tsdf import RaycastOutput, TsdfVolume, raycast
 from ..types import Camera, Frame, GaussianParams, RenderOutput, Seeds
 from .image_features import ImageFeatures
@@ -66,6 +66,9 @@ class SeedContext(ImageFeatures, PointQueries):
     past_T_WC: tuple[Float[Tensor, "4 4"], ...] = ()
     """Camera-to-world poses of the frames mapped before this one, oldest first, on the CPU, corrected where a loop was
     closed."""
+    below: BaseView | None = None
+    """The surface as the frame's camera sees it, before this frame is fused, in a mapper whose picture is the surface
+    with Gaussians over it (GPS-SLAM); else None."""
     _cache: dict = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self):
@@ -235,13 +238,33 @@ class SeedContext(ImageFeatures, PointQueries):
         return self._once("map", lambda: view_map(self.gaussians, self.frame.index))
 
     def render(self) -> RenderOutput:
-        """What the frame's camera sees of the current map."""
+        """What the frame's camera sees of the current map; in a mapper that blends Gaussians over the surface, of
+        both: alpha is then 1 where there is a surface, and no pixel has an index."""
         params = self._need_gaussians("render()")
 
         def draw() -> RenderOutput:
-            return render(params, self.camera, self.frame.T_WC)
+            return render(params, self.camera, self.frame.T_WC) if self.below is None else self._both(self.below)
 
         return self._once("render", draw)
+
+    def over_base(self) -> OverBaseOutput:
+        """The picture of the current map over the surface ``below``, and the sum of the Gaussians' weights."""
+        if self.below is None:
+            raise ValueError("over_base() needs a mapper whose picture is a surface with Gaussians over it (gps_slam)")
+        params, below = self._need_gaussians("over_base()"), self.below
+
+        def draw() -> OverBaseOutput:
+            view = self.camera, self.frame.T_WC
+            return render_over_base(params, *view, below.base, behind_m=below.behind_m)[0]
+
+        return self._once("over_base", draw)
+
+    def _both(self, below: BaseView) -> RenderOutput:
+        both = self.over_base()
+        alpha = torch.where(below.base.depth_m > 0, 1.0, both.weight.clamp(max=1.0))
+        return RenderOutput(
+            rgb=both.rgb, depth_m=alpha * both.depth_m, alpha=alpha, first_index=None, dominant_index=None
+        )
 
     def surface(self, rows: Int[Tensor, " M"] | None = None) -> SurfaceView:
         """What the frame's camera sees of the current map with its Gaussians as discs: transmittance, depth of the

@@ -51,8 +51,7 @@ LOOP_MAX_SIGMA = 5.0
 
 def moved_enough(last: Float[Tensor, "4 4"], T_WC: Float[Tensor, "4 4"], config: BackEndConfig) -> bool:
     """Whether the camera has turned or moved far enough since the pose ``last`` for a new keyframe."""
-    step = se3.inverse(last.detach().cpu().double()) @ T_WC.detach().cpu().double()
-    turned_deg, moved_m = float(se3.rotation_angle(step[:3, :3]).rad2deg()), float(step[:3, 3].norm())
+    turned_deg, moved_m = se3.motion(last, T_WC)
     return turned_deg > config.keyframe_rotation_deg or moved_m > config.keyframe_translation_m
 
 

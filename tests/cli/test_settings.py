@@ -9,7 +9,7 @@ from gsfusion_nb.cli import main
 from gsfusion_nb.cli.live import FolderOptions
 from gsfusion_nb.cli.map import MapOptions
 from gsfusion_nb.cli.settings import parse
-from gsfusion_nb.config import gsfusion, replace, rtg_slam, to_dict
+from gsfusion_nb.config import gps_slam, gsfusion, replace, rtg_slam, to_dict
 
 PARTS = [["room"], ["--device", "cpu"], ["--sh-degree", "1"], ["--reader", "n_frames=9"], ["--no-evaluate"]]
 """A list of values, such as that of --reader, ends with the next option, so the scene must not follow it."""
@@ -40,6 +40,7 @@ def test_the_order_of_options_does_not_matter(parts):
         (["room", "--fidelity", "paper"], gsfusion("room", "paper")),
         (["--fidelity=code", "recording", "--seed", "4"], gsfusion("replica", "code", seed=4)),
         (["--system", "rtg_slam", "room"], rtg_slam("room")),
+        (["--system", "gps_slam", "room", "--fidelity", "code"], gps_slam("room", "code")),
         (["room", "--system=rtg_slam", "--fidelity", "paper"], rtg_slam("room", "paper")),
         (["recording", "--fidelity=code", "--preset", "tum", "--system", "rtg_slam"], rtg_slam("tum", "code")),
         (["room", "--rule-options", "fraction=0.1"], gsfusion("room", seeding__options={"fraction": 0.1})),
@@ -57,7 +58,7 @@ def test_settings_of_an_earlier_run_are_a_start(tmp_path):
     assert options.settings() == replace(earlier, seed=3)
 
 
-@pytest.mark.parametrize(("system", "preset"), [("gsfusion", gsfusion), ("rtg_slam", rtg_slam)])
+@pytest.mark.parametrize(("system", "preset"), [("gsfusion", gsfusion), ("rtg_slam", rtg_slam), ("gps_slam", gps_slam)])
 def test_a_live_folder_takes_the_same_options(system, preset):
     arguments = ["--tracking.poses", "tracked", "scan", "--sh-degree", "0", "--system", system]
     options = parse(FolderOptions, "live folder", arguments)
@@ -68,7 +69,7 @@ def test_a_live_folder_takes_the_same_options(system, preset):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["room", "--system", "rtgslam"], "no system 'rtgslam'; known: gsfusion, rtg_slam"),
+        (["room", "--system", "rtgslam"], "no system 'rtgslam'; known: gps_slam, gsfusion, rtg_slam"),
         (["room", "--preset", "repilca"], "no preset 'repilca'; known:"),
         (["room", "--system", "rtg_slam", "--fidelity", "papre"], "has no --fidelity papre; known: measured, paper"),
         (["room", "--fidelity", "printed"], "GSFusion has no --fidelity printed; known: measured, paper, code"),

@@ -61,7 +61,7 @@ def test_all_combinations_in_order(table):
         ("seeds = [0, 3]", "seeds = [0, -3]", "line 1: seeds: expected a number of seeds, or a list"),
         ("seeds = [0, 3]", 'seeds = "three"', "line 1: seeds: expected a whole number or a list, got 'three'"),
         ("seeds =", "sedes =", "line 1: sedes: no such key; known: seeds, system"),
-        ("seeds =", 'system = "slam"\nseeds =', "line 1: system: expected one of gsfusion, rtg_slam, got 'slam'"),
+        ("seeds =", 'system = "slam"\nseeds =', "line 1: system: expected one of gsfusion, rtg_slam, gps_slam, got"),
         ("hold_out_every", "hold_out_evry", "line 3: settings[0].data.hold_out_evry: data"),
         ("voxel-size-m = 0.08", "voxel-size-m = 80", "line 5: settings[0].tsdf.voxel_size_m: tsdf.voxel_size_m"),
         ('rule = "uniform"', 'rule = "unifrom"', "line 7: rules[0].rule: no seeding rule 'unifrom'; known: "),

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import pytest
 import torch
 
-from gsfusion_nb.config import gsfusion, replace, rtg_slam
+from gsfusion_nb.config import gps_slam, gsfusion, replace, rtg_slam
 from gsfusion_nb.data.room import room
 from gsfusion_nb.mapping import FrameUndone, make_mapper
 from gsfusion_nb.render import footprints
@@ -23,7 +23,7 @@ from gsfusion_nb.seeding import (
     times_visible,
 )
 
-SYSTEMS = ["gsfusion", "rtg_slam"]
+SYSTEMS = ["gsfusion", "rtg_slam", "gps_slam"]
 
 
 @pytest.fixture(scope="module")
@@ -37,6 +37,10 @@ def settings(system: str, **more: Any) -> Any:
         optim = {"optim__frame_iterations": 2, "optim__keyframe_iterations": 3, "optim__random_keyframe_iterations": 1}
         tsdf = {"tsdf__voxel_size_m": 0.08, "tsdf__truncation_voxels": 3.0}
         return gsfusion("replica", sh_degree=1, keyframe_every=2, **optim, **tsdf, **more)
+    if system == "gps_slam":
+        schedule = {"every_frames": 2, "window_every": 2, "iterations": 6}
+        tsdf = {"voxel_size_m": 0.08, "truncation_voxels": 3.0}
+        return gps_slam("replica", sh_degree=1, schedule=schedule, tsdf=tsdf, **more)
     small = {"window__every_frames": 2, "window__iterations": 4, "keyframes__iterations": 3, "sh_degree": 1}
     return replace(rtg_slam("room", data__width=0, data__height=0), **small, **more)
 

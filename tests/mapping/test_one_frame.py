@@ -8,16 +8,16 @@ from typing import Any
 import pytest
 import torch
 
-from gsfusion_nb.config import replace, rtg_slam
+from gsfusion_nb.config import gps_slam, replace, rtg_slam
 from gsfusion_nb.data import apply_options
-from gsfusion_nb.mapping import RTGSLAM, GSFusion, HalfMappedError, make_mapper
+from gsfusion_nb.mapping import GPSSLAM, RTGSLAM, GSFusion, HalfMappedError, make_mapper
 from gsfusion_nb.mapping.one_frame import DelayedInterrupt
 from gsfusion_nb.runs import MappingRun
 from gsfusion_nb.seeding import SeedContext
 from gsfusion_nb.tsdf import FusedView, TsdfVolume
 from gsfusion_nb.types import Seeds
 
-SYSTEMS = ["gsfusion", "rtg_slam"]
+SYSTEMS = ["gsfusion", "rtg_slam", "gps_slam"]
 POSES = ["given", "tracked"]
 
 
@@ -42,7 +42,11 @@ def settings(system, config, poses="given"):
     if system == "gsfusion":
         return replace(config, tracking__poses=poses, tracking__back_end__enabled=False)
     data = {"width": 0, "height": 0, "hold_out_every": 0, "stop": 8}
-    return rtg_slam("room", data=data, tracking={"poses": poses, "back_end": {"enabled": False}})
+    tracking = {"poses": poses, "back_end": {"enabled": False}}
+    if system == "gps_slam":
+        schedule = {"every_frames": 2, "window_every": 2, "iterations": 4}
+        return gps_slam("room", data=data, tracking=tracking, schedule=schedule, tsdf__voxel_size_m=0.04)
+    return rtg_slam("room", data=data, tracking=tracking)
 
 
 def maps_of(mapper) -> dict[str, Any]:
@@ -128,7 +132,7 @@ def test_a_second_thread_is_refused(small_room, config):
 
 @pytest.mark.parametrize("system", SYSTEMS)
 def test_a_map_with_half_a_frame_takes_no_more(system, small_room, config, monkeypatch):
-    mapper: Any = {"gsfusion": GSFusion, "rtg_slam": RTGSLAM}[system](settings(system, config))
+    mapper: Any = {"gsfusion": GSFusion, "rtg_slam": RTGSLAM, "gps_slam": GPSSLAM}[system](settings(system, config))
     mapper.step(small_room[0])
 
     def full(*_):

@@ -2,12 +2,17 @@
 
 import pytest
 
-from gsfusion_nb.config import GSFusionConfig, RtgSlamConfig, gsfusion, rtg_slam
-from gsfusion_nb.mapping import RTGSLAM, SYSTEMS, GSFusion, get_system, make_mapper, system_of
+from gsfusion_nb.config import GpsSlamConfig, GSFusionConfig, RtgSlamConfig, gps_slam, gsfusion, rtg_slam
+from gsfusion_nb.mapping import GPSSLAM, RTGSLAM, SYSTEMS, GSFusion, get_system, make_mapper, system_of
 
 
 @pytest.mark.parametrize(
-    ("name", "config", "mapper"), [("gsfusion", GSFusionConfig, GSFusion), ("rtg_slam", RtgSlamConfig, RTGSLAM)]
+    ("name", "config", "mapper"),
+    [
+        ("gsfusion", GSFusionConfig, GSFusion),
+        ("rtg_slam", RtgSlamConfig, RTGSLAM),
+        ("gps_slam", GpsSlamConfig, GPSSLAM),
+    ],
 )
 def test_settings_mapper_and_name_belong_together(name, config, mapper):
     system = get_system(name)
@@ -21,11 +26,11 @@ def test_settings_mapper_and_name_belong_together(name, config, mapper):
 
 
 def test_a_rule_is_handed_on():
-    for config in (gsfusion("room"), rtg_slam("room")):
+    for config in (gsfusion("room"), rtg_slam("room"), gps_slam("room")):
         assert make_mapper(config, seeding="dense").rule.__name__ == "dense"
 
 
 def test_unknown_system_lists_the_known():
-    with pytest.raises(KeyError, match=r"no system 'rtgslam'; known: gsfusion, .*rtg_slam"):
+    with pytest.raises(KeyError, match=r"no system 'rtgslam'; known: gps_slam, gsfusion, .*rtg_slam"):
         get_system("rtgslam")
-    assert set(SYSTEMS) >= {"gsfusion", "rtg_slam"}
+    assert set(SYSTEMS) >= {"gsfusion", "rtg_slam", "gps_slam"}

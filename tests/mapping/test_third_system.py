@@ -116,7 +116,7 @@ from gsfusion_nb.viz import LiveMapper, orbit_view
 
 out = Path(sys.argv[1])
 assert Path(gsfusion_nb.__file__).is_relative_to(out), gsfusion_nb.__file__
-assert list(SYSTEMS) == ["gsfusion", "rtg_slam", "toy"]
+assert list(SYSTEMS) == ["gsfusion", "rtg_slam", "toy", "gps_slam"]
 
 # the command line: map, its settings, its report, and scoring again
 options = "--data.stop 6 --data.hold-out-every 3 --data.hold-out-offset 1 --size-m 0.1 --system toy".split()

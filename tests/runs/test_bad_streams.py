@@ -5,7 +5,7 @@ import dataclasses
 import pytest
 import torch
 
-from gsfusion_nb.config import DataConfig, gsfusion, rtg_slam
+from gsfusion_nb.config import DataConfig, gps_slam, gsfusion, rtg_slam
 from gsfusion_nb.data import BadFrameError, SequenceError, open_sequence
 from gsfusion_nb.mapping import make_mapper
 from gsfusion_nb.runs import MappingRun, mapping_run, run_mapping
@@ -45,6 +45,8 @@ def room():
 def config(system):
     if system == "gsfusion":
         return gsfusion("room", data=vars(DATA), tracking__poses="tracked", tsdf__voxel_size_m=0.03)
+    if system == "gps_slam":
+        return gps_slam("room", data=vars(DATA), tracking__poses="tracked", tsdf__voxel_size_m=0.03)
     return rtg_slam("room", data=vars(DATA), tracking__poses="tracked", window__iterations=8, keyframes__iterations=4)
 
 
@@ -75,7 +77,7 @@ def black(frame):
     return dataclasses.replace(frame, rgb=torch.zeros_like(frame.rgb))
 
 
-@pytest.mark.parametrize("system", ["gsfusion", "rtg_slam"])
+@pytest.mark.parametrize("system", ["gsfusion", "rtg_slam", "gps_slam"])
 def test_frames_that_cannot_be_used_are_named_and_the_path_goes_on(room, system):
     frames = [*room[:8], without_depth(room[8]), black(room[9]), BadFrameError("frame 10 is torn"), *room[11:20]]
     run = mapped(frames, system)
@@ -87,7 +89,7 @@ def test_frames_that_cannot_be_used_are_named_and_the_path_goes_on(room, system)
     assert max(errors_m(run, frames)) < 0.02
 
 
-@pytest.mark.parametrize("system", ["gsfusion", "rtg_slam"])
+@pytest.mark.parametrize("system", ["gsfusion", "rtg_slam", "gps_slam"])
 def test_a_frozen_camera_stands_still(room, system):
     frames = room[:6] + [room[5]] * 6 + room[6:14]
     run = mapped(frames, system)
@@ -95,7 +97,7 @@ def test_a_frozen_camera_stands_still(room, system):
     assert max(errors_m(run, frames)) < 0.02
 
 
-@pytest.mark.parametrize("system", ["gsfusion", "rtg_slam"])
+@pytest.mark.parametrize("system", ["gsfusion", "rtg_slam", "gps_slam"])
 def test_a_jump_loses_the_camera_until_it_returns(room, system):
     away = [room[-10 + i] for i in range(6)]  # another corner of the room, never mapped
     frames = room[:14] + away + room[10:20]
@@ -108,7 +110,7 @@ def test_a_jump_loses_the_camera_until_it_returns(room, system):
     assert max(errors_m(run, frames)) < 0.03
 
 
-@pytest.mark.parametrize("system", ["gsfusion", "rtg_slam"])
+@pytest.mark.parametrize("system", ["gsfusion", "rtg_slam", "gps_slam"])
 def test_lost_for_good_ends_with_everything_saved(room, system, tmp_path, monkeypatch):
     monkeypatch.setattr(mapping_run, "MAX_BAD_FRAMES_IN_A_ROW", 4)
     frames = room[:10] + [room[-10 + i] for i in range(9)]
@@ -120,7 +122,7 @@ def test_lost_for_good_ends_with_everything_saved(room, system, tmp_path, monkey
     assert len((tmp_path / "run" / "trajectory.txt").read_text().strip().splitlines()) >= 10
 
 
-@pytest.mark.parametrize("system", ["gsfusion", "rtg_slam"])
+@pytest.mark.parametrize("system", ["gsfusion", "rtg_slam", "gps_slam"])
 def test_a_stream_without_any_usable_frame_says_why(room, system):
     with pytest.raises(SequenceError, match=r"none of the 3 frames could be mapped.*depth"):
         mapped([without_depth(f) for f in room[:3]], system)

@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 import torch
 
-from gsfusion_nb.config import gsfusion, replace, rtg_slam
+from gsfusion_nb.config import gps_slam, gsfusion, replace, rtg_slam
 from gsfusion_nb.data import BadFrameError, SequenceError, apply_options
 from gsfusion_nb.export import read_gaussian_ply, read_mesh_ply, read_trajectory_tum
-from gsfusion_nb.mapping import RTGSLAM, GSFusion
+from gsfusion_nb.mapping import GPSSLAM, RTGSLAM, GSFusion
 from gsfusion_nb.runs import rescore, resume_mapping, run_mapping
 from gsfusion_nb.seeding import SeedContext
 from gsfusion_nb.types import Seeds
@@ -166,10 +166,10 @@ def test_a_rule_that_fails_in_the_middle_loses_nothing(tmp_path, small_room, con
     assert "my rule is broken" in document["warnings"][-1]
 
 
-@pytest.mark.parametrize("system", ["gsfusion", "rtg_slam"])
+@pytest.mark.parametrize("system", ["gsfusion", "rtg_slam", "gps_slam"])
 def test_a_full_memory_ends_the_run_with_everything_saved(system, tmp_path, small_room, monkeypatch):
     """The mesh does not fit any more either: GSFusion's is made on the processor, RTG-SLAM's is left out."""
-    mapper = {"gsfusion": GSFusion, "rtg_slam": RTGSLAM}[system]
+    mapper = {"gsfusion": GSFusion, "rtg_slam": RTGSLAM, "gps_slam": GPSSLAM}[system]
     step = mapper.step
 
     def full(self, *args):
@@ -181,14 +181,16 @@ def test_a_full_memory_ends_the_run_with_everything_saved(system, tmp_path, smal
     monkeypatch.setattr(mapper, "step", fails_later)
     monkeypatch.setattr(mapper, "mesh", full)
     data = {"width": 0, "height": 0, "hold_out_every": 0}
-    config = {"gsfusion": gsfusion, "rtg_slam": rtg_slam}[system]("room", data=data)
+    config = {"gsfusion": gsfusion, "rtg_slam": rtg_slam, "gps_slam": gps_slam}[system]("room", data=data)
     with pytest.raises(MemoryError) as failure:
         run_mapping(small_room, config, folder=tmp_path / "out")
     message = str(failure.value)
     knobs = ["the memory of cpu is full", "Gaussians (", "keyframes (", "data.width", "keyframes_on = 'cpu'"]
-    own = ["voxel blocks (", "tsdf.voxel_size_m", "quadtree_threshold"] if system == "gsfusion" else ["share"]
+    voxels = ["voxel blocks (", "tsdf.voxel_size_m"]
+    own = {"gsfusion": [*voxels, "quadtree_threshold"], "rtg_slam": ["share"], "gps_slam": voxels}[system]
     assert all(part in message for part in [*knobs, *own, "The 4 frames mapped before are saved in"]), message
-    assert len(read_gaussian_ply(tmp_path / "out" / "gaussians.ply")) > 0
+    # GPS-SLAM makes its first Gaussians in the eleventh frame
+    assert (len(read_gaussian_ply(tmp_path / "out" / "gaussians.ply")) > 0) == (system != "gps_slam")
     assert (tmp_path / "out" / "trajectory.txt").read_text().count("\n") >= 3
     assert (b"element face 0" in (tmp_path / "out" / "mesh.ply").read_bytes()) == (system == "rtg_slam")
     assert json.loads((tmp_path / "out" / "metrics.json").read_text())["status"] == "failed"

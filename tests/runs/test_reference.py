@@ -1,4 +1,4 @@
-"""The plain code alone runs both systems, from the first frame to the report."""
+"""The plain code alone runs all systems, from the first frame to the report."""
 
 import json
 from typing import Any
@@ -7,7 +7,7 @@ import pytest
 
 from gsfusion_nb import backends
 from gsfusion_nb.backends import use_backend
-from gsfusion_nb.config import gsfusion, rtg_slam
+from gsfusion_nb.config import gps_slam, gsfusion, rtg_slam
 from gsfusion_nb.runs import run_mapping
 
 ROOM: dict[str, Any] = {"n_frames": 120, "width": 80, "height": 60}
@@ -28,7 +28,11 @@ CONFIGS = {
     "rtg_slam": rtg_slam(
         "replica", window__every_frames=2, window__iterations=3, keyframes__iterations=3, final__passes=1, **FOUR_FRAMES
     ),
-}
+    "gps_slam": gps_slam(
+        "replica", tsdf__voxel_size_m=0.05, seeding__rule="uniform", seeding__options={}, schedule__every_frames=2,
+        schedule__window_every=2, schedule__iterations=4, final__passes=1, **FOUR_FRAMES,
+    ),
+}  # fmt: skip
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import numba
 import pytest
 import torch
 
-from gsfusion_nb.config import replace, rtg_slam
+from gsfusion_nb.config import gps_slam, replace, rtg_slam
 from gsfusion_nb.data import open_sequence
 from gsfusion_nb.mapping import make_mapper
 from gsfusion_nb.runs import MappingRun
@@ -17,6 +17,7 @@ ROOM: dict[str, Any] = {"n_frames": 120, "width": 80, "height": 60}
 FEW_STEPS = {
     "gsfusion": {"optim__keyframe_iterations": 3, "optim__frame_iterations": 2, "optim__random_keyframe_iterations": 1},
     "rtg_slam": {"window__iterations": 8, "keyframes__iterations": 4},
+    "gps_slam": {"schedule__every_frames": 2, "schedule__window_every": 2, "schedule__iterations": 6},
 }
 
 
@@ -37,11 +38,15 @@ def mapped(config, folder, threads: int) -> dict[str, str]:
 
 @pytest.mark.parametrize("threads", [(1, 3), pytest.param((1, 2, 4), marks=pytest.mark.ci)], ids=str)
 @pytest.mark.parametrize("poses", ["given", "tracked"])
-@pytest.mark.parametrize("system", ["gsfusion", "rtg_slam"])
+@pytest.mark.parametrize("system", ["gsfusion", "rtg_slam", "gps_slam"])
 def test_threads_do_not_change_the_maps(tmp_path, config, system, poses, threads):
     small = {"tracking__poses": poses, "data__stop": 7, "data__hold_out_every": 0, **FEW_STEPS[system]}
     if system == "gsfusion":
         settings = replace(config, optim__global_iterations=1, **small)
+    elif system == "gps_slam":
+        rule = {"seeding__rule": "uniform", "seeding__options": {}}
+        size = {"data__width": 0, "data__height": 0, "tsdf__voxel_size_m": 0.04}
+        settings = gps_slam("room", final__passes=1, **rule, **size, **small)
     else:
         settings = rtg_slam("room", data__width=0, data__height=0, final__passes=1, **small)
     before = torch.get_num_threads(), numba.get_num_threads()

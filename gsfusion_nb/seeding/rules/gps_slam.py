@@ -1,13 +1,14 @@
 """GPS-SLAM's rule: discs on the surface of the TSDF where the colour is wrong."""
 
+import dataclasses
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
-from ...geometry import pixel_grid
+from ...geometry import depth_to_normals, pixel_grid, se3
 from ...types import Seeds
 from ..context import SeedContext
 from ..discs import as_discs
@@ -24,15 +25,25 @@ THICKNESS = 0.1
 class gps_slam(MapRule):
     """GPS-SLAM: every 10 frames, discs on the TSDF's surface for a quarter of the pixels whose colour is wrong.
 
-    A random 25 % of the pixels whose mean colour error is above 0.05 and where the TSDF has a surface nearer than 5 m.
-    Discs on that surface, along its normal, as large as the root mean square distance to their 3 nearest neighbours
-    among the new ones, but at most 1 cm; 0.1 of that thick.
+    A random 25 % of the pixels whose mean colour error is above 0.05, where the TSDF has a surface nearer than 5 m and
+    the weights of the Gaussians there add up to less than 5. Discs on that surface, along its normal, as large as the
+    root mean square distance to their 3 nearest neighbours among the new ones, but at most 1 cm; 0.1 of that thick.
+
+    In the system gps_slam the error is that of its picture, the TSDF's colour and the Gaussians over it. In the other
+    systems opacities do not sum to more than 1, so the test of the weights is left out, and ``base`` says what the
+    error is measured against.
 
     Args:
         colour_error: Mean over R, G, B of |C^ - C| (0..1) above which a pixel is a candidate. Release: 0.05.
         share: Share of the candidates that is drawn at random, 0..1. Release: 0.25.
+        max_weight: Only in the system gps_slam: no discs where the weights add up to this or more. Larger: more
+            Gaussians. Release 5, next paper 3; 1 needs the fewest.
+        in_holes: Only in the system gps_slam: also seed where the TSDF has no surface, at the measured depth, or
+            without one at the depth around the hole. The release does not.
+        opacity: Opacity of the discs. Release: 0.5.
         max_radius_m: Largest standard deviation, metres. Release: 0.01, at 1200 x 680 pixels; at 320 x 240 most discs
             would be larger.
+        max_radius_px: A disc may also be this many pixels large, if that is more. Release: 0.
         base: What the error is measured against. "map": the picture of the Gaussians alone, since a mapper here draws
             nothing else; "tsdf": with the TSDF's colour where the Gaussians do not cover, as the release, whose picture
             is made of both.
@@ -40,15 +51,18 @@ class gps_slam(MapRule):
             in the same group's later system), which needs no TSDF.
         only_with_depth: Leave out pixels without measured depth. The release seeds them where the TSDF has a surface.
 
-    Left out: the test that the sum of weights is below 5, because here opacities do not sum to more than 1; removal of
-    discs that are small (3 mm), large (10 cm) or transparent (0.005), and blending without order. Gaussian normals come
-    from the TSDF's gradient, in the release from differences of raycast points.
+    Left out: removal of discs that are small (3 mm), large (10 cm) or transparent (0.005), which the system does.
+    Gaussian normals come from the TSDF's gradient, in the release from differences of raycast points.
     Source: Peng et al. 2025 (GPS-SLAM) and its released code.
     """
 
     colour_error: float = 0.05
     share: float = 0.25
+    max_weight: float = 5.0
+    in_holes: bool = False
+    opacity: float = 0.5
     max_radius_m: float = 0.01
+    max_radius_px: float = 0.0
     base: Literal["map", "tsdf"] = "map"
     surface: Literal["tsdf", "depth"] = "tsdf"
     only_with_depth: bool = True
@@ -57,17 +71,36 @@ class gps_slam(MapRule):
 
     def seeds(self, ctx: SeedContext, memory: dict[str, Any]) -> Seeds:
         """The discs of one mapped frame."""
-        found = ctx.raycast() if self.surface == "tsdf" else None
-        depth_m, normal_W = (ctx.frame.depth_m, ctx.normals_W()) if found is None else (found.depth_m, found.normal_W)
-        chosen = (depth_m >= (ctx.near_m or 0.0)) & (depth_m > 0) & (depth_m < MAX_DEPTH_M)
-        chosen &= self._error(ctx) > self.colour_error
-        if self.only_with_depth:
+        depth_m, normal_W, chosen = self._surface(ctx)
+        chosen = chosen & (depth_m >= (ctx.near_m or 0.0)) & (depth_m > 0) & (depth_m < MAX_DEPTH_M)
+        if self.only_with_depth and not self.in_holes:
             chosen &= ctx.has_depth()
         uv = pixel_grid(ctx.camera, device=depth_m.device)[chosen]
         drawn = ctx.draw(len(uv), int(self.share * len(uv)))
-        seeds = ctx.seeds_at(uv[drawn], 1.0, depth_m=depth_m)
-        seeds = sized_by_neighbours(ctx, seeds, max_m=self.max_radius_m)
+        seeds = ctx.seeds_at(uv[drawn], 1.0, depth_m=depth_m, opacity=self.opacity)
+        most_m = (seeds.scale_m[:, 0] * self.max_radius_px).clamp(min=self.max_radius_m)  # 1 px before it is sized
+        seeds = sized_by_neighbours(ctx, seeds)
+        seeds = dataclasses.replace(seeds, scale_m=torch.minimum(seeds.scale_m, most_m[:, None]))
         return as_discs(ctx, seeds, normal_W[chosen][drawn], THICKNESS)
+
+    def _surface(self, ctx: SeedContext) -> tuple[Float[Tensor, "H W"], Float[Tensor, "H W 3"], Bool[Tensor, "H W"]]:
+        """Depth and normals of the surface that discs lie on, and the candidates."""
+        if ctx.below is None:
+            found = ctx.raycast() if self.surface == "tsdf" else None
+            depth_m, normal_W = (
+                (ctx.frame.depth_m, ctx.normals_W()) if found is None else (found.depth_m, found.normal_W)
+            )
+            return depth_m, normal_W, self._error(ctx) > self.colour_error
+        picture, below = ctx.over_base(), ctx.below
+        error = (picture.rgb - ctx.frame.rgb).abs().mean(dim=-1)
+        chosen = (error > self.colour_error) & (picture.weight < self.max_weight)
+        depth_m = ctx.frame.depth_m if self.surface == "depth" else below.base.depth_m
+        if self.in_holes and bool((below.base.depth_m > 0).any()):  # not while there is no surface at all
+            there = torch.where(ctx.has_depth(), ctx.frame.depth_m, below.depth_everywhere_m)
+            depth_m = torch.where(depth_m > 0, depth_m, there)
+        else:
+            chosen &= below.base.depth_m > 0
+        return depth_m, se3.rotate(ctx.frame.T_WC, depth_to_normals(ctx.camera, depth_m)), chosen
 
     def _error(self, ctx: SeedContext) -> Float[Tensor, "H W"]:
         """Mean absolute colour error of the picture that exists before this frame's discs."""

@@ -2,8 +2,10 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from torch import Tensor
 
 from ...drawing.pictures import Picture, depth_error_map, error_map, paint_cells, to_uint8
 from ...drawing.side_by_side import side_by_side
@@ -41,6 +43,19 @@ def _depth_error(step: MappedFrame) -> Picture:
     return depth_error_map(expected_depth_m(step.output), step.frame.depth_m, limit_m=_DEPTH_ERROR_M)
 
 
+def _base(step: MappedFrame) -> Picture:
+    return to_uint8(_below(step))
+
+
+def _residual(step: MappedFrame) -> Picture:
+    return to_uint8(0.5 + (step.output.rgb - _below(step)))
+
+
+def _below(step: MappedFrame) -> Tensor:
+    mapper: Any = step.mapper
+    return mapper.below(step.frame.camera, step.frame.T_WC).base.rgb
+
+
 def _new_gaussians(step: MappedFrame) -> Picture:
     return _with_new_gaussians(step.photo.copy(), step)
 
@@ -69,6 +84,8 @@ PANELS: dict[str, StepPanel] = {
     "render": StepPanel("Gaussian map, rendered", lambda step: step.rendered),
     "error": StepPanel("|render − photograph|, bright from 0.25", lambda step: error_map(step.rendered, step.photo)),
     "depth_error": StepPanel("|rendered depth − depth|, bright from 10 cm", _depth_error),
+    "base": StepPanel("the coloured TSDF alone, holes filled", _base),
+    "residual": StepPanel("what the Gaussians add: grey is nothing", _residual),
     "new_gaussians": StepPanel("new Gaussians in red", _new_gaussians),
     "quadtree_seeds": StepPanel("quadtree cells, new Gaussians in red", _quadtree_seeds),
     "seed_causes": StepPanel("added for: green area, red depth, blue colour", _seed_causes),

@@ -1,0 +1,164 @@
+"""The views that GPS-SLAM optimises, each with the picture of the surface below its Gaussians."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ..checks import check_saved
+from ..config import BaseConfig, ScheduleConfig
+from ..optim import Keyframe, KeyframeList
+from ..render import BaseView, base_view
+from ..tsdf import TsdfVolume, raycast
+from ..types import Camera
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BasedView:
+    """A view to optimise, and what its camera saw of the surface when it was last looked at."""
+
+    keyframe: Keyframe
+    seen_rgb: Float[Tensor, "h w 3"]
+    """Raycast colours, from which ``below`` was made."""
+    seen_depth_m: Float[Tensor, "h w"]
+    below: BaseView
+
+    @staticmethod
+    def of(keyframe: Keyframe, rgb: Tensor, depth_m: Tensor, config: BaseConfig) -> "BasedView":
+        """A view whose camera sees these colours and depths of the surface."""
+        camera = keyframe.camera
+        below = base_view(rgb, depth_m, (camera.height, camera.width), config.holes, config.behind_m)
+        return BasedView(keyframe=keyframe, seen_rgb=rgb, seen_depth_m=depth_m, below=below)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Plain values."""
+        state = vars(self.keyframe) | {"camera": vars(self.keyframe.camera)}
+        return {"keyframe": state, "seen_rgb": self.seen_rgb, "seen_depth_m": self.seen_depth_m}
+
+
+def look_at(volume: TsdfVolume, keyframe: Keyframe, config: BaseConfig, *, full: bool = False) -> BasedView:
+    """The view with what its camera sees of the volume now.
+
+    Args:
+        volume: The surface.
+        keyframe: The view.
+        config: Size of the raycast, and what to do about holes.
+        full: Cast a ray for every pixel, whatever ``config.resolution`` says.
+    """
+    camera = keyframe.camera if full else small(keyframe.camera, config)
+    seen = raycast(volume, camera, keyframe.T_WC)
+    return BasedView.of(keyframe, seen.rgb, seen.depth_m, config)
+
+
+def small(camera: Camera, config: BaseConfig) -> Camera:
+    """The camera that rays are cast for while mapping; of odd sizes, the small picture covers a pixel more."""
+    if config.resolution == "full":
+        return camera
+    width, height = (camera.width + 1) // 2, (camera.height + 1) // 2
+    return replace(camera.resized(2 * width, 2 * height), **_lens(camera)).resized(width, height)
+
+
+def _lens(camera: Camera) -> dict[str, float]:
+    return {name: getattr(camera, name) for name in ("fx", "fy", "cx", "cy")}
+
+
+class ViewRound:
+    """The views of a round: the latest frames and some random keyframes, which take turns.
+
+    A view that is looked at again takes the place of the oldest of its kind. Steps draw from all views without
+    replacement; when all had their turn, a new order is drawn.
+    """
+
+    def __init__(self, config: ScheduleConfig):
+        self.config = config
+        self.window: list[BasedView] = []
+        """The latest frames, oldest first."""
+        self.recalled: list[BasedView] = []
+        """Random keyframes, in the order in which they were looked at."""
+        self._turns: list[int] = []
+
+    def __len__(self) -> int:
+        return len(self.window) + len(self.recalled)
+
+    def add_frame(self, view: BasedView) -> None:
+        """The newest frame takes the place of the oldest."""
+        self.window = [*self.window, view][-self.config.window :]
+
+    def recall(self, keyframes: KeyframeList, look: Callable[[Keyframe], BasedView], generator: Any, n: int) -> None:
+        """Look at ``n`` random keyframes."""
+        for keyframe in keyframes.draw(min(n, self.config.keyframes), generator):
+            self.recalled = [*self.recalled, look(keyframe)][-self.config.keyframes :]
+
+    def look_again(self, look: Callable[[Keyframe], BasedView]) -> None:
+        """Look at the frames of the window again."""
+        self.window = [look(view.keyframe) for view in self.window]
+
+    def recalls_in(self, n_frames: int) -> int:
+        """Keyframes to look at in the frame before which ``n_frames`` were mapped."""
+        return self._share(self.config.recalled, n_frames)
+
+    def steps_in(self, n_frames: int) -> int:
+        """Gradient steps in the frame before which ``n_frames`` were mapped."""
+        return self._share(self.config.iterations, n_frames)
+
+    def _share(self, in_round: int, n_frames: int) -> int:
+        """The part of what is done in a round that belongs to a frame."""
+        every, place = self.config.every_frames, n_frames % self.config.every_frames
+        if not self.config.spread:
+            return in_round if n_frames and place == 0 else 0
+        return in_round * (place + 1) // every - in_round * place // every
+
+    def next_view(self, generator: torch.Generator) -> BasedView:
+        """The view whose turn it is; there must be one."""
+        while True:
+            if not self._turns:
+                self._turns = torch.randperm(self.config.window + self.config.keyframes, generator=generator).tolist()
+            kind, place = self.window, self._turns.pop(0)
+            if place >= self.config.window:
+                kind, place = self.recalled, place - self.config.window
+            if place < len(kind):
+                return kind[place]
+
+    def forget(self) -> None:
+        """Leave out all views, because their poses have changed."""
+        self.window, self.recalled = [], []
+
+    def snapshot(self) -> "ViewRound":
+        """The same views and turns."""
+        copy = ViewRound(self.config)
+        copy.window, copy.recalled, copy._turns = self.window, self.recalled, list(self._turns)
+        return copy
+
+    def constant_tensors(self) -> list[Tensor]:
+        """Those in ``state_dict``: none of them changes."""
+        views = [*self.window, *self.recalled]
+        return [x for view in views for x in (view.keyframe.rgb_u8, view.seen_rgb, view.seen_depth_m)]
+
+    def state_dict(self) -> dict[str, Any]:
+        """Views and turns."""
+        views = {"window": self.window, "recalled": self.recalled}
+        return {name: [v.state_dict() for v in kind] for name, kind in views.items()} | {"turns": list(self._turns)}
+
+    def load_state_dict(self, state: dict[str, Any], base: BaseConfig, device: torch.device) -> None:
+        """Restore what ``state_dict`` saved. Raises ``ValueError`` for views that contradict themselves."""
+        for name in ("window", "recalled"):
+            saved = state[name]
+            keyframes = KeyframeList.from_state_dict([view["keyframe"] for view in saved], device)
+            views = [_restored(*pair, base) for pair in zip(keyframes, saved, strict=True)]
+            setattr(self, name, views)
+        n = self.config.window + self.config.keyframes
+        if sorted(set(state["turns"])) != sorted(state["turns"]) or not set(state["turns"]) <= set(range(n)):
+            raise ValueError(f"turns of the views must be different numbers below {n}, got {state['turns']}")
+        self._turns = list(state["turns"])
+
+
+def _restored(keyframe: Keyframe, state: dict[str, Any], base: BaseConfig) -> BasedView:
+    camera = small(keyframe.camera, base)
+    size = (camera.height, camera.width)
+    check_saved("seen_rgb of a view", state["seen_rgb"], (*size, 3))
+    check_saved("seen_depth_m of a view", state["seen_depth_m"], size)
+    seen = (state[name].to(keyframe.rgb_u8.device) for name in ("seen_rgb", "seen_depth_m"))
+    return BasedView.of(keyframe, *seen, base)

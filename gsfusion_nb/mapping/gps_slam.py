@@ -1,0 +1,269 @@
+"""GPS-SLAM (Peng et al. 2025): a coloured TSDF, and Gaussians for what its colours cannot show, frame by frame."""
+
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ..backends import runs_learners_code
+from ..config import GpsSlamConfig, gps_slam, gps_slam_fidelity
+from ..gaussians import GaussianModel
+from ..geometry import se3
+from ..observing import observed
+from ..optim import Keyframe, adam_step, dssim_vjp, l1_mse_vjp
+from ..render import BaseView, base_view, render_over_base, render_over_base_vjp
+from ..seeding import SeedContext, SeedingRule
+from ..tracking import Correction, Surface
+from ..tsdf import FusedView, fuse_frame_, raycast
+from ..types import Camera, Frame, RenderOutput, Seeds
+from .based_views import BasedView, ViewRound, look_at, small
+from .frame_checks import check_frame
+from .step_report import StageClock, StepReport, psnr_from_mse
+from .tsdf_mapping import TsdfMapping
+
+KEPT_BASES_BYTES = 256 << 20
+"""Memory for the surfaces that the passes after the scan have seen; the others are looked at anew in each pass."""
+
+
+class GPSSLAM(TsdfMapping):
+    """GPS-SLAM: its two maps are ``volume`` (TSDF) and ``gaussians``, which are drawn over the TSDF's picture.
+
+    Settings: ``gsfusion_nb.config.gps_slam``.
+    """
+
+    title = "GPS-SLAM"
+    config_type = GpsSlamConfig
+    preset = staticmethod(gps_slam)
+    fidelities = ("measured", "paper", "code")
+    fidelity_of = staticmethod(gps_slam_fidelity)
+    panels = ("input", "render", "error", "base", "residual", "new_gaussians")
+    memory_savers = ("a larger views.every_frames", "larger voxels (tsdf.voxel_size_m)")
+    needs_volume_to_render: ClassVar = True
+
+    config: GpsSlamConfig
+    gaussians: GaussianModel
+
+    def __init__(
+        self,
+        config: GpsSlamConfig | None = None,
+        *,
+        seeding: "str | SeedingRule | None" = None,
+        device: torch.device | str = "cpu",
+    ):
+        """Raises ``ValueError`` for ``data.align_held_out``, which moves the camera by the Gaussians alone."""
+        super().__init__(config, seeding=seeding, device=device)
+        if self.config.data.align_held_out:
+            raise ValueError("data.align_held_out is for maps of Gaussians alone; leave it off for gps_slam")
+        self.views = ViewRound(self.config.schedule)
+        self._kept_bases: dict[int, BasedView] = {}
+
+    def step(self, frame: Frame) -> StepReport:
+        """Map one frame, all of it or nothing.
+
+        Here the frame is fused last, because that cannot be undone; what the rule and the optimisation see of the
+        surface is without it. The first frame is therefore only fused, unless the rule needs no surface.
+
+        Raises:
+            BadFrameError: the frame cannot be used. The maps are unchanged.
+            MemoryError: no room for the new voxel blocks. The maps are unchanged.
+            RuntimeError: another thread is in a step, or an earlier frame was only half mapped.
+        """
+        with self.one_frame(frame):
+            frame, clock = check_frame(frame, self.device), StageClock()
+            with clock("tracking"):
+                frame = self.localiser.locate(frame, self._tracking_surface)
+            with clock("tsdf"):
+                missing = self._make_room(frame)
+            is_keyframe = self.is_next_keyframe(frame)
+            seeds_now = self.rule_in_use.when.is_due(self.n_frames, is_keyframe)
+            in_window = self.n_frames % self.config.schedule.window_every == 0
+            with clock("base"):
+                now = self._look(as_keyframe(frame)) if seeds_now or in_window or self.after_steps.edits else None
+            with clock("seeding"):
+                preview = FusedView(self.volume, frame, missing)
+                below = None if now is None else now.below
+                context = self._context(frame, volume=preview, near_m=self.config.tsdf.near_m, below=below)
+                seeds = self.propose_seeds(context)
+            can_fail = self.after_steps.edits or runs_learners_code() or self.views.steps_in(self.n_frames) > 0
+            self.guard.changes_begin(self._undo() if can_fail else None)
+            if seeds_now:
+                self._prune()
+            self.gaussians.append(seeds, frame.index)
+            if is_keyframe:
+                self.keyframes.append(frame)
+            with clock("base"):
+                self._renew_views(now, in_window=in_window)
+            with clock("optimise"):
+                losses, psnrs = self._optimise(context)
+            self.guard.changes_stay()
+            with clock("tsdf"):
+                self.volume.allocate_missing(missing)
+                fuse_frame_(self.volume, frame)
+            with clock("tracking"):
+                self._follow(self.localiser.record(frame))
+            self.n_frames += 1
+        return StepReport(
+            frame_index=frame.index,
+            n_seeds=len(seeds),
+            n_gaussians=len(self.gaussians),
+            n_blocks=self.volume.n_blocks,
+            n_steps=len(losses),
+            is_keyframe=is_keyframe,
+            losses=tuple(losses),
+            psnr_before_db=psnrs[0] if psnrs else 0.0,
+            psnr_after_db=psnrs[-1] if psnrs else 0.0,
+            tracking=self.localiser.report,
+            seconds=clock.seconds,
+        )
+
+    def seed_context(self, frame: Frame) -> SeedContext:
+        """What a seeding rule sees of this frame, after it was fused into the TSDF."""
+        below = self._look(as_keyframe(frame.to(self.device))).below
+        return self._context(frame, volume=self.volume, near_m=self.config.tsdf.near_m, below=below)
+
+    def propose_seeds(self, context: SeedContext, **checks: Any) -> Seeds:
+        """Ask the seeding rule for new Gaussians; there are none in a frame in which it is not due."""
+        return super().propose_seeds(context, one_per_voxel=self.config.seeding.one_per_voxel, **checks)
+
+    def is_next_keyframe(self, frame: Frame) -> bool:
+        """Whether the camera has turned or moved far enough since the last keyframe, or it is time for one."""
+        views = self.config.views
+        if not len(self.keyframes) or (views.every_frames and self.n_frames % views.every_frames == 0):
+            return True
+        turned_deg, moved_m = se3.motion(self.keyframes[len(self.keyframes) - 1].T_WC, frame.T_WC)
+        return turned_deg > views.rotation_deg or moved_m > views.translation_m
+
+    def below(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> BaseView:
+        """What a camera sees of the surface below the Gaussians, one ray for each pixel."""
+        seen = raycast(self.volume, camera, T_WC.to(self.device))
+        size = (camera.height, camera.width)
+        return base_view(seen.rgb, seen.depth_m, size, self.config.base.holes, self.config.base.behind_m)
+
+    def render(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RenderOutput:
+        """Surface and Gaussians seen by a camera; alpha is 1 where there is a surface, and depth is the surface's."""
+        below = self.below(camera, T_WC)
+        out, _ = render_over_base(
+            self.gaussians.params, camera, T_WC.to(self.device), below.base, behind_m=below.behind_m
+        )
+        alpha = torch.where(below.base.depth_m > 0, 1.0, out.weight.clamp(max=1.0))
+        return RenderOutput(
+            rgb=out.rgb,
+            depth_m=alpha * out.depth_m,
+            alpha=alpha,
+            first_index=None,
+            dominant_index=None,
+            surface_depth_m=below.base.depth_m,
+        )
+
+    @property
+    def n_passes(self) -> int:
+        """Number of passes of the final optimisation in the settings."""
+        return self.config.final.passes
+
+    def constant_tensors(self) -> list[Tensor]:
+        """Images of keyframes and of the views."""
+        return [*super().constant_tensors(), *self.views.constant_tensors()]
+
+    def state_dict(self) -> dict[str, Any]:
+        """The state of any mapper, the TSDF, and the views that are optimised."""
+        return super().state_dict() | {"views": self.views.state_dict()}
+
+    def _load(self, state: dict[str, Any]) -> None:
+        super()._load(state)
+        self.views.load_state_dict(state["views"], self.config.base, self.device)
+
+    def _undo(self) -> Callable[[], None]:
+        undo, views = super()._undo(), self.views.snapshot()
+
+        def undo_all() -> None:
+            undo()
+            self.views = views.snapshot()
+
+        return undo_all
+
+    def _follow(self, correction: Correction | None) -> None:
+        """After a loop closure the views are at other poses."""
+        super()._follow(correction)
+        if correction is not None:
+            self.views.forget()
+
+    def _tracking_surface(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> Surface:
+        if self.config.tracking.target != "hybrid":  # which compares it with the frame, pixel by pixel
+            camera = small(camera, self.config.base)
+        seen = raycast(self.volume, camera, T_WC)
+        return Surface(depth_m=seen.depth_m, normal_W=seen.normal_W, camera=camera, T_WC=T_WC, rgb=seen.rgb)
+
+    def _look(self, keyframe: Keyframe) -> BasedView:
+        return look_at(self.volume, keyframe.to(self.device), self.config.base)
+
+    def _renew_views(self, now: BasedView | None, *, in_window: bool) -> None:
+        """Look again at the views whose turn it is; ``now``: this frame, which becomes one of them if ``in_window``."""
+        self._kept_bases = {}
+        views = self.views
+        if in_window and now is not None and bool((now.seen_depth_m > 0).any()):
+            views.add_frame(now)
+        if not self.config.schedule.spread and views.steps_in(self.n_frames):
+            views.look_again(self._look)
+        views.recall(self.keyframes, self._look, self.random.keyframes, views.recalls_in(self.n_frames))
+
+    def _prune(self) -> None:
+        """Remove Gaussians that have become too small, too large or transparent; a NaN counts as such."""
+        limits, params = self.config.residual, self.gaussians.params
+        radius_m = params.log_scale.amax(dim=1).exp()
+        kept = (radius_m >= limits.min_radius_m) & (radius_m <= limits.max_radius_m)
+        kept &= params.opacity_logit.sigmoid() >= limits.min_opacity
+        if not bool(kept.all()):
+            self.gaussians.keep(kept)
+        if limits.restart_adam:
+            for moments in (self.gaussians.exp_avg, self.gaussians.exp_avg_sq):
+                for column in vars(moments).values():
+                    column.zero_()
+            self.gaussians.birth_step.fill_(self.gaussians.step_count)
+
+    def _optimise(self, context: SeedContext) -> tuple[list[float], list[float]]:
+        """The steps of this frame, each on one of the views. Returns their losses and PSNRs."""
+        n = self.views.steps_in(self.n_frames) if len(self.views) and len(self.gaussians) else 0
+        self.after_steps.frame_begins(context, n)
+        steps = [self._optimise_view(self.views.next_view(self.random.keyframes)) for _ in range(n)]
+        if not steps:
+            return [], []
+        losses, errors = torch.stack([torch.stack(step) for step in steps], dim=1).tolist()
+        return losses, [psnr_from_mse(mse) for mse in errors]
+
+    def _global_step(self, i: int) -> Float[Tensor, ""]:
+        """One step on the i-th keyframe after the scan."""
+        view = self._kept_bases.get(i)
+        if view is None:
+            view = look_at(self.volume, self.keyframes[i].to(self.device), self.config.base, full=True)
+            size = sum(x.nbytes for x in (*vars(view.below.base).values(), view.seen_rgb, view.seen_depth_m))
+            if (len(self._kept_bases) + 1) * size <= KEPT_BASES_BYTES:
+                self._kept_bases[i] = view
+        return self._optimise_view(view, self.config.final.ssim_weight)[0]
+
+    @observed
+    def _optimise_view(self, view: BasedView, ssim_weight: float = 0.0) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
+        """One gradient step on one view. Returns loss and MSE before it; the surface is held fixed."""
+        self.guard.may_stop()
+        keyframe, below, params = view.keyframe, view.below, self.gaussians.params
+        camera, T_WC, target = keyframe.camera, keyframe.T_WC, keyframe.rgb
+        watched = self.after_steps.watch(self.gaussians, camera, T_WC)
+        output, saved = render_over_base(params, camera, T_WC, below.base, behind_m=below.behind_m)
+        pixels = l1_mse_vjp(output.rgb, target)
+        loss, v_rgb = pixels.value, pixels.v_rgb
+        if ssim_weight > 0:
+            structural, v_structural = dssim_vjp(output.rgb, target)
+            loss = (1 - ssim_weight) * loss + ssim_weight * structural
+            v_rgb = (1 - ssim_weight) * v_rgb + ssim_weight * v_structural
+        gradients = render_over_base_vjp(saved, v_rgb, **({} if watched is None else watched.outputs))
+        adam_step(self.gaussians, gradients, self.config.residual.adam)
+        if watched is not None:
+            watched = self.after_steps.add_up(self.gaussians, watched, camera)
+            self.after_steps(self, watched, keyframe, loss, output.rgb)
+        return loss, pixels.mse
+
+
+def as_keyframe(frame: Frame) -> Keyframe:
+    """The view of a frame."""
+    return Keyframe(index=frame.index, rgb_u8=frame.rgb_u8, camera=frame.camera, T_WC=frame.T_WC)

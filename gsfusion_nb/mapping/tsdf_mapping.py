@@ -1,0 +1,83 @@
+"""What mappers with a TSDF have in common: the volume, its surface and mesh, and what is saved of it."""
+
+from typing import Any
+
+from jaxtyping import Float
+from torch import Tensor
+
+from ..errors import BadFrameError
+from ..tsdf import NewBlocks, RaycastOutput, TsdfVolume, extract_mesh, new_band_blocks, raycast
+from ..types import Camera, Frame, Mesh
+from .map_view import MapPart
+from .mapper import Mapper
+from .step_report import StepReport
+
+
+class TsdfMapping(Mapper):
+    """A mapper with a TSDF, ``volume``, by the settings ``config.tsdf``; arguments as for ``Mapper``."""
+
+    def __init__(self, *args: Any, **options: Any):
+        super().__init__(*args, **options)
+        self.volume = TsdfVolume(self.config.tsdf, device=self.device)
+
+    def __repr__(self) -> str:
+        return (
+            f"{type(self).__name__}({self.n_frames} frames, {len(self.gaussians):,} Gaussians, "
+            f"{len(self.keyframes)} keyframes, {self.volume.n_blocks:,} voxel blocks, "
+            f"rule {self.config.seeding.rule!r}{self.rule_in_use.memory_note})"
+        )
+
+    def surface(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RaycastOutput:
+        """Depth, normals and colours of the TSDF map's surface seen by a camera."""
+        return raycast(self.volume, camera, T_WC.to(self.device))
+
+    def mesh(self) -> Mesh:
+        """Surface of the TSDF map."""
+        return extract_mesh(self.volume)
+
+    def counts(self) -> dict[str, int]:
+        """Number of voxel blocks of the TSDF."""
+        return {"n_blocks": self.volume.n_blocks}
+
+    def maps(self) -> dict[str, dict[str, Tensor]]:
+        """Gaussians, and the TSDF with its blocks in Morton order."""
+        volume, rows = self.volume, self.volume.index.rows
+        columns = {"block_coords": volume.block_coords, "D": volume.D, "W": volume.W, "rgb": volume.rgb_planes}
+        return super().maps() | {"tsdf": {name: column[rows] for name, column in columns.items()}}
+
+    def parts(self) -> list[MapPart]:
+        """Gaussians, keyframes and voxel blocks."""
+        blocks = MapPart(name="voxel blocks", count=self.volume.n_blocks, size_bytes=self.volume.memory_bytes)
+        return [*super().parts(), blocks]
+
+    def mesh_on_cpu(self) -> Mesh:
+        """The mesh, computed from a copy of the TSDF in CPU memory."""
+        return extract_mesh(self.volume.to("cpu"))
+
+    def step_warnings(self, frame: Frame, report: StepReport) -> list[str]:
+        """In addition: a warning if no depth of the first frame is in the range that is fused."""
+        warnings = super().step_warnings(frame, report)
+        if self.n_frames > 1 or report.n_blocks:
+            return warnings
+        tsdf, known = self.config.tsdf, frame.depth_m[frame.depth_m > 0]
+        median = f"its median is {float(known.median()):.4g} m" if len(known) else "it has none at all"
+        return [
+            *warnings,
+            f"frame {frame.index} has no depth between tsdf.near_m {tsdf.near_m:g} and tsdf.far_m {tsdf.far_m:g} m "
+            f"({median}), so nothing was mapped from it; check the depth scale",
+        ]
+
+    def state_dict(self) -> dict[str, Any]:
+        """The state of any mapper, and the TSDF."""
+        return super().state_dict() | {"volume": self.volume.state_dict()}
+
+    def _load(self, state: dict[str, Any]) -> None:
+        super()._load(state)
+        self.volume.load_state_dict(state["volume"])
+
+    def _make_room(self, frame: Frame) -> NewBlocks:
+        """Make room for the blocks that the frame needs. Returns those that do not exist yet."""
+        try:
+            return self.volume.reserve(new_band_blocks(self.volume, frame))
+        except ValueError as e:
+            raise BadFrameError(f"frame {frame.index} cannot be mapped: {e}") from None

@@ -1,0 +1,118 @@
+"""``base_view`` in one pass over the pixels: fill what is unknown through a pyramid, then enlarge."""
+
+import numpy as np
+import torch
+from numba import int64, njit, prange
+from torch import Tensor
+
+from gsfusion_nb.render.base_image import SAME_SURFACE, BaseView
+from gsfusion_nb.render.base_image import base_view as reference
+from gsfusion_nb.render.over_base import Base
+
+from ..runtime.numba.launch import launching
+
+f32 = np.float32
+_ZERO, _HALF, _ONE, _THREE, _NINE = f32(0.0), f32(0.5), f32(1.0), f32(3.0), f32(9.0)
+_SAME = f32(SAME_SURFACE)
+
+_DEPTH = 3
+"""Channel of the depth, behind the colours."""
+
+
+def base_view(rgb: Tensor, depth_m: Tensor, size: tuple[int, int], holes: str, behind_m: float) -> BaseView:
+    """See ``gsfusion_nb.render.base_view``."""
+    if rgb.dtype != torch.float32:
+        return reference.reference(rgb, depth_m, size, holes, behind_m)
+    image = np.concatenate([rgb.numpy(), depth_m.numpy()[..., None]], axis=2)
+    known = image[..., _DEPTH] > 0
+    out = [torch.empty(*size, *n) for n in ((3,), (), (), ())]
+    with launching():
+        if not known.all():
+            _fill(image, known)
+        arrays = tuple(x.numpy() for x in out)
+        _write(image, known, depth_m.shape == size, holes == "filled", holes == "gaussians", arrays)
+    colour, depth, weight, everywhere = out
+    return BaseView(
+        base=Base(rgb=colour, depth_m=depth, weight=weight), depth_everywhere_m=everywhere, behind_m=behind_m
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def _fill(image, known):
+    """Fill ``image`` in place where it is not known; see ``base_image.fill``."""
+    height, width = known.shape
+    if max(height, width) == 1:
+        image[:] = _ZERO
+        return
+    h, w = (height + 1) // 2, (width + 1) // 2
+    small, there = np.zeros((h, w, 4), np.float32), np.zeros((h, w), np.bool_)
+    complete = True
+    for i in range(h):
+        for j in range(w):
+            n = _ZERO
+            for y in range(2 * i, min(2 * i + 2, height)):
+                for x in range(2 * j, min(2 * j + 2, width)):
+                    if known[y, x]:
+                        n += _ONE
+                        for c in range(4):
+                            small[i, j, c] += image[y, x, c]
+            there[i, j] = n > _ZERO
+            complete = complete and there[i, j]
+            for c in range(4):
+                small[i, j, c] /= max(n, _ONE)
+    if not complete:
+        _fill(small, there)
+    down, across = f32(h) / f32(height), f32(w) / f32(width)
+    for y in range(height):
+        for x in range(width):
+            if not known[y, x]:
+                v = max((f32(y) + _HALF) * down - _HALF, _ZERO)
+                u = max((f32(x) + _HALF) * across - _HALF, _ZERO)
+                i, j = min(int(v), h - 1), min(int(u), w - 1)
+                k, m = min(i + 1, h - 1), min(j + 1, w - 1)
+                b, a = v - f32(i), u - f32(j)
+                for c in range(4):
+                    above = small[i, j, c] * (_ONE - a) + small[i, m, c] * a
+                    under = small[k, j, c] * (_ONE - a) + small[k, m, c] * a
+                    image[y, x, c] = above * (_ONE - b) + under * b
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
+def _write(image, known, same_size, filled, weightless, out):
+    """Fill the four pictures from the filled one, of the same size or of half of it."""
+    colour, depth, weight, everywhere = out
+    height, width = depth.shape
+    for row in prange(height):
+        y = int64(row)
+        value = np.empty(4, np.float32)
+        for x in range(width):
+            i, j = (y, x) if same_size else (y // 2, x // 2)
+            if same_size:
+                value[:] = image[y, x]
+            else:
+                _mean_around(image, known, y, x, value)
+            there = known[i, j]
+            everywhere[y, x] = value[_DEPTH]
+            depth[y, x] = value[_DEPTH] if there else _ZERO
+            weight[y, x] = _ONE if there or not weightless else _ZERO
+            for c in range(3):
+                colour[y, x, c] = value[c] if there or filled else _ZERO
+
+
+@njit(cache=True, error_model="numpy")
+def _mean_around(image, known, y, x, value):
+    """The value of a large pixel: see ``base_image.enlarge``."""
+    h, w = known.shape
+    i, j = y // 2, x // 2
+    up, side = min(max(i + 2 * (y % 2) - 1, 0), h - 1), min(max(j + 2 * (x % 2) - 1, 0), w - 1)
+    z, total = image[i, j, _DEPTH], _NINE
+    for c in range(4):
+        value[c] = _NINE * image[i, j, c]
+    for k in range(3):
+        a, b, share = (up, j, _THREE) if k == 0 else (i, side, _THREE) if k == 1 else (up, side, _ONE)
+        if abs(image[a, b, _DEPTH] - z) < _SAME * z and known[a, b] == known[i, j]:
+            total += share
+            for c in range(4):
+                value[c] += share * image[a, b, c]
+    for c in range(4):
+        value[c] /= total

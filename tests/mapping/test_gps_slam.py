@@ -1,0 +1,162 @@
+"""GPS-SLAM: its presets, rounds, holes, and that Gaussians over a surface are better than the surface alone."""
+
+import dataclasses
+import json
+from typing import Any
+
+import pytest
+import torch
+
+from gsfusion_nb.config import (
+    BaseConfig,
+    GpsSlamConfig,
+    ScheduleConfig,
+    from_dict,
+    gps_slam,
+    gps_slam_fidelity,
+    to_dict,
+)
+from gsfusion_nb.data import open_sequence
+from gsfusion_nb.geometry import se3
+from gsfusion_nb.mapping import GPSSLAM, make_mapper
+from gsfusion_nb.mapping.based_views import ViewRound, small
+from gsfusion_nb.render import base_view
+from gsfusion_nb.render.base_image import enlarge, fill
+from gsfusion_nb.runs import MappingRun, rescore, run_mapping
+from gsfusion_nb.runs.outputs import score
+from gsfusion_nb.types import Camera
+
+ROOM: dict[str, Any] = {"path_or_name": "room", "n_frames": 240, "width": 64, "height": 48}
+SMALL: dict[str, Any] = {"data__width": 0, "data__height": 0, "tsdf__voxel_size_m": 0.04, "final__passes": 1}
+
+
+def mapped(n: int, **changes: Any) -> MappingRun:
+    config = gps_slam("room", **{"data__stop": n, "data__hold_out_every": 8, **SMALL, **changes})
+    run = MappingRun(open_sequence(**ROOM, data=config.data), make_mapper(config), source=ROOM)
+    list(run.online())
+    return run
+
+
+@pytest.fixture(scope="module")
+def run() -> MappingRun:
+    """At 64x48 there are few pixels, so more of them are seeded than usual."""
+    return mapped(30, seeding__options={"colour_error": 0.03, "share": 0.25, "max_weight": 1.0, "in_holes": True})
+
+
+@pytest.mark.parametrize("fidelity", ["measured", "paper", "code"])
+def test_presets_survive_json_and_name_their_fidelity(fidelity):
+    for preset in ("room", "replica"):
+        config = gps_slam(preset, fidelity, seed=3)
+        assert from_dict(GpsSlamConfig, json.loads(json.dumps(to_dict(config)))) == config
+        assert gps_slam_fidelity(config) == fidelity
+    assert gps_slam_fidelity(gps_slam("room", fidelity, base__behind_m=0.07)).endswith("behind_m 0.07")
+
+
+def test_the_released_numbers():
+    c = gps_slam("replica", "code")
+    assert (c.tsdf.voxel_size_m, c.tsdf.truncation_m, c.tsdf.max_weight) == (0.005, pytest.approx(0.02), 100)
+    assert (c.base.holes, c.base.resolution, c.base.behind_m) == ("black", "full", 0.1)
+    s, r = c.schedule, c.residual
+    assert (s.every_frames, s.iterations, s.window, s.window_every, s.keyframes, s.recalled) == (10, 20, 2, 5, 7, 7)
+    assert (r.lr_xyz, r.lr_log_scale, r.lr_quat, r.lr_opacity_logit) == (1.6e-4, 5e-3, 1e-3, 5e-2)
+    assert (r.lr_sh_dc, r.lr_sh_rest, r.min_radius_m, r.max_radius_m) == (2.5e-3, 5e-4, 0.003, 0.1)
+    assert (c.views.rotation_deg, c.views.translation_m, c.final.passes, c.sh_degree) == (30, 0.3, 0, 3)
+
+
+def test_a_round_has_its_steps_however_they_are_spread():
+    for every, steps in ((10, 20), (7, 20), (10, 3), (1, 5)):
+        even = ViewRound(ScheduleConfig(every_frames=every, iterations=steps))
+        per_frame = [even.steps_in(n) for n in range(3 * every)]
+        assert sum(per_frame) == 3 * steps
+        assert max(per_frame) - min(per_frame) <= 1
+        burst = ViewRound(ScheduleConfig(every_frames=every, iterations=steps, spread=False))
+        assert [burst.steps_in(n) for n in range(2 * every + 1)].count(steps) == (2 if every > 1 else 2 * every)
+        assert burst.steps_in(0) == 0
+
+
+def test_the_passes_improve_the_map_beyond_the_surface(run):
+    before, mapper = score(run), run.mapper
+    list(mapper.global_optimise(20))
+    after = score(run)
+    for name in ("psnr_held_out_db", "psnr_mapped_db"):
+        assert after[name] > before[name] + 0.3
+    frame = run.sequence.mapping[12]
+    both, below = mapper.render(frame.camera, frame.T_WC), mapper.below(frame.camera, frame.T_WC).base
+    error, base_error = (float((x - frame.rgb).square().mean()) for x in (both.rgb, below.rgb))
+    assert len(mapper.gaussians) > 50
+    assert error < 0.95 * base_error
+    assert torch.equal(both.surface_depth_m, below.depth_m)
+
+
+def test_the_released_rules_run_and_their_bursts_come_every_ten_frames():
+    run = mapped(30, fidelity="code", data__hold_out_every=0, tsdf__voxel_size_m=0.04, sh_degree=1)
+    steps = [report.n_steps for report in run.steps]
+    assert [i for i, n in enumerate(steps) if n] == [10, 20]
+    assert {steps[10], steps[20]} == {20}
+    assert all(not report.n_seeds for i, report in enumerate(run.steps) if i not in (10, 20))
+
+
+def test_a_keyframe_is_more_than_30_cm_or_30_degrees_away(run):
+    mapper = GPSSLAM(gps_slam("room", "code", data__width=0, data__height=0))
+    frame = run.sequence.mapping[0]
+    mapper.keyframes.append(frame)
+    for moved, expected in (([0.299, 0, 0, 0, 0, 0], False), ([0, 0.301, 0, 0, 0, 0], True), ([0] * 5 + [0.53], True)):
+        T_WC = frame.T_WC @ se3.exp(torch.tensor(moved, dtype=torch.float32))
+        assert mapper.is_next_keyframe(dataclasses.replace(frame, T_WC=T_WC)) == expected
+
+
+def test_holes_are_filled_black_or_without_weight():
+    rgb, depth_m = torch.full((8, 12, 3), 0.6), torch.full((8, 12), 2.0)
+    rgb[2:5, 3:7], depth_m[2:5, 3:7] = 0.0, 0.0
+    hole = depth_m == 0
+    views = {holes: base_view(rgb, depth_m, (8, 12), holes, 0.1) for holes in ("filled", "black", "gaussians")}
+    assert all(torch.equal(view.base.depth_m, depth_m) for view in views.values())
+    torch.testing.assert_close(views["filled"].base.rgb, torch.full((8, 12, 3), 0.6))
+    torch.testing.assert_close(views["black"].depth_everywhere_m, torch.full((8, 12), 2.0))
+    assert not views["black"].base.rgb[hole].any()
+    assert not views["gaussians"].base.weight[hole].any()
+    assert views["black"].base.weight.all()
+    assert views["gaussians"].base.weight[~hole].all()
+    nothing = base_view(torch.zeros(8, 12, 3), torch.zeros(8, 12), (8, 12), "filled", 0.1)
+    assert not nothing.base.rgb.any()
+
+
+def test_filling_continues_a_ramp_and_keeps_what_is_known(generator):
+    known = torch.rand(21, 34, generator=generator) > 0.4
+    ramp = torch.linspace(0, 1, 34).expand(21, 34)[..., None]
+    filled = fill(ramp, known)
+    assert torch.equal(filled[known], ramp[known])
+    assert float((filled - ramp).abs().max()) < 0.15
+
+
+def test_a_picture_is_enlarged_without_mixing_two_surfaces():
+    x = torch.arange(10.0)
+    image = torch.stack([x.expand(6, 10), torch.where(x < 5, 1.0, 3.0).expand(6, 10)], dim=-1)
+    large, known = enlarge(image, torch.ones(6, 10, dtype=torch.bool), (11, 19))
+    assert large.shape == (11, 19, 2)
+    assert bool(known.all())
+    assert set(large[..., 1].unique().tolist()) == {1.0, 3.0}
+    row = large[5, :, 0]
+    torch.testing.assert_close(row[1:9], torch.arange(8) / 2 + 0.25)  # a ramp stays a ramp
+    assert row[9] == 4.0  # and ends where the surface does
+
+
+def test_rays_of_the_small_picture_lie_between_those_of_the_large_one():
+    camera = Camera(width=33, height=24, fx=30.0, fy=31.0, cx=16.2, cy=12.4)
+    half = small(camera, BaseConfig())
+    assert (half.width, half.height) == (17, 12)
+    for name, f, c, i in (("x", half.fx, half.cx, 5), ("y", half.fy, half.cy, 7)):
+        F, C = (camera.fx, camera.cx) if name == "x" else (camera.fy, camera.cy)
+        assert (i + 0.5 - c) / f == pytest.approx((2 * i + 1 - C) / F)
+    assert small(camera, BaseConfig(resolution="full")) is camera
+
+
+def test_an_aligned_score_and_a_score_from_files_are_refused_with_a_reason(tmp_path):
+    with pytest.raises(ValueError, match="align_held_out is for maps of Gaussians alone"):
+        GPSSLAM(gps_slam("room", data__align_held_out=True))
+    config = gps_slam("room", data__stop=4, data__hold_out_every=0, **SMALL)
+    source = {name: value for name, value in ROOM.items() if name != "path_or_name"}
+    run_mapping("room", config, folder=tmp_path / "run", **source)
+    assert "GPS-SLAM on room" in (tmp_path / "run" / "report.html").read_text()
+    with pytest.raises(ValueError, match="whose pictures need its TSDF"):
+        rescore(tmp_path / "run")
