@@ -15,10 +15,10 @@ from ..observing import observed
 from ..optim import Keyframe, adam_step, dssim_vjp, l1_mse_vjp
 from ..render import BaseView, base_view, render_over_base, render_over_base_vjp
 from ..seeding import SeedContext, SeedingRule
-from ..tracking import Correction, Surface
+from ..tracking import Correction, tsdf_surface
 from ..tsdf import FusedView, fuse_frame_, raycast
 from ..types import Camera, Frame, RenderOutput, Seeds
-from .based_views import BasedView, ViewRound, look_at, small
+from .based_views import BasedView, ViewRound, look_at
 from .frame_checks import check_frame
 from .step_report import StageClock, StepReport, psnr_from_mse
 from .tsdf_mapping import TsdfMapping
@@ -73,7 +73,7 @@ class GPSSLAM(TsdfMapping):
         with self.one_frame(frame):
             frame, clock = check_frame(frame, self.device), StageClock()
             with clock("tracking"):
-                frame = self.localiser.locate(frame, self._tracking_surface)
+                frame = self.localiser.locate(frame, tsdf_surface(self.volume))
             with clock("tsdf"):
                 missing = self._make_room(frame)
             is_keyframe = self.is_next_keyframe(frame)
@@ -188,12 +188,6 @@ class GPSSLAM(TsdfMapping):
         super()._follow(correction)
         if correction is not None:
             self.views.forget()
-
-    def _tracking_surface(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> Surface:
-        if self.config.tracking.target != "hybrid":  # which compares it with the frame, pixel by pixel
-            camera = small(camera, self.config.base)
-        seen = raycast(self.volume, camera, T_WC)
-        return Surface(depth_m=seen.depth_m, normal_W=seen.normal_W, camera=camera, T_WC=T_WC, rgb=seen.rgb)
 
     def _look(self, keyframe: Keyframe) -> BasedView:
         return look_at(self.volume, keyframe.to(self.device), self.config.base)
