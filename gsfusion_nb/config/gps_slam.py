@@ -24,7 +24,7 @@ class BaseConfig:
     """Pixels where the TSDF has no surface. "filled": with the colours around them; "black": black with full weight, as
     released, which stays dark; "gaussians": no weight, so that only Gaussians count there."""
     resolution: Literal["full", "half"] = "half"
-    """Size of the TSDF's picture while mapping: as large as the image, or half as wide and high and then enlarged
+    """Size of the TSDF's picture for seeds and gradient steps: as large as the image, or half as wide and high and then enlarged
     ("half"), which takes a quarter of the time. What is scored and shown is always full."""
     behind_m: float = 0.1
     """A Gaussian whose centre is farther than this behind the surface is hidden, metres. Larger: Gaussians of hidden
