@@ -24,8 +24,8 @@ class BaseConfig:
     """Pixels where the TSDF has no surface. "filled": with the colours around them; "black": black with full weight, as
     released, which stays dark; "gaussians": no weight, so that only Gaussians count there."""
     resolution: Literal["full", "half"] = "half"
-    """Size of the TSDF's picture for seeds and gradient steps: as large as the image, or half as wide and high and then enlarged
-    ("half"), which takes a quarter of the time. What is scored and shown is always full."""
+    """Size of the TSDF's picture for seeds and gradient steps: as large as the image, or half as wide and high and then
+    enlarged ("half"), which takes 0.4 of the time. What tracks, is scored or shown is always full."""
     behind_m: float = 0.1
     """A Gaussian whose centre is farther than this behind the surface is hidden, metres. Larger: Gaussians of hidden
     surfaces shine through; smaller: noise of the surface hides Gaussians that belong to it. Code 0.1, paper the
