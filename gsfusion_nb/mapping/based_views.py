@@ -147,7 +147,7 @@ class ViewRound:
         for name in ("window", "recalled"):
             saved = state[name]
             keyframes = KeyframeList.from_state_dict([view["keyframe"] for view in saved], device)
-            views = [_restored(*pair, base) for pair in zip(keyframes, saved, strict=True)]
+            views = [_restored(keyframe, view, base) for keyframe, view in zip(keyframes, saved, strict=True)]
             setattr(self, name, views)
         n = self.config.window + self.config.keyframes
         if sorted(set(state["turns"])) != sorted(state["turns"]) or not set(state["turns"]) <= set(range(n)):
