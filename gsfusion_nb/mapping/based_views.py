@@ -160,5 +160,5 @@ def _restored(keyframe: Keyframe, state: dict[str, Any], base: BaseConfig) -> Ba
     size = (camera.height, camera.width)
     check_saved("seen_rgb of a view", state["seen_rgb"], (*size, 3))
     check_saved("seen_depth_m of a view", state["seen_depth_m"], size)
-    seen = (state[name].to(keyframe.rgb_u8.device) for name in ("seen_rgb", "seen_depth_m"))
-    return BasedView.of(keyframe, *seen, base)
+    rgb, depth_m = (state[name].to(keyframe.rgb_u8.device) for name in ("seen_rgb", "seen_depth_m"))
+    return BasedView.of(keyframe, rgb, depth_m, base)
