@@ -74,6 +74,13 @@ def _without_object(app, name, obj, options, bases):
     bases[:] = [base for base in bases if base is not object]
 
 
+def _levels(app, pagename, templatename, context, doctree):
+    """The theme's captions of lists of pages are headings without a level, which screen readers need."""
+    if tree := context.get("furo_navigation_tree"):
+        context["furo_navigation_tree"] = tree.replace('role="heading"', 'role="heading" aria-level="2"')
+
+
 def setup(app):
+    app.connect("html-page-context", _levels, priority=900)
     app.connect("autodoc-process-bases", _without_object)
     app.connect("autodoc-process-docstring", _plain_bars, priority=400)

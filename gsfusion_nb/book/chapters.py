@@ -48,7 +48,7 @@ class Chapter:
         self.number = int(stem.partition("_")[0])
         self.files = Files(folder=f"{stem}_files")
         self._equations = count(1)
-        self._asked = ""
+        self._asked, self._came = "", False
 
     def markdown(self) -> str:
         """The page in Markdown; its pictures are then in ``files``."""
@@ -58,6 +58,8 @@ class Chapter:
         return f"{title}\n\n{raw(self.bar) if self.bar else ''}\n\n{rest}\n"
 
     def _text(self, cell: Mapping[str, Any]) -> str:
+        if self._came:  # the outputs between what came and the next text wait for the prediction, too
+            self._asked, self._came = "", False
         text = in_the_book("".join(cell["source"]), self.page, self.places)
         return numbered(text, str(self.number), lambda: next(self._equations))
 
@@ -68,7 +70,7 @@ class Chapter:
         call = _last_call(source)
         if call is not None and _called(call) == "predict" and len(call.args) > 1:
             asked = _question(call)
-            self._asked = asked.name
+            self._asked, self._came = asked.name, False
             return raw(question_html(asked))
         if _SOLUTION.search(source):
             code = _SOLUTION.sub("", source).strip()
@@ -77,7 +79,7 @@ class Chapter:
         shown = self._outputs(cell)
         asked = self._asked
         if call is not None and _called(call) == "came":
-            self._asked = ""
+            self._came = True
             right = _right(call)
             return raw(f'<div class="gsnb-came" data-prediction="{asked}" data-right="{right}">{"".join(shown)}</div>')
         later = f' data-prediction="{asked}"' if asked and shown else ""

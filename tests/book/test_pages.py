@@ -42,6 +42,9 @@ def chapter(places) -> Chapter:
         code("ask", 'predict("n", "How many?", [1, 10], unit="px")'),
         code("run", "print(9)", {"output_type": "stream", "name": "stdout", "text": ["9 < 10\n", "\n", "end\n"]}),
         code("came", 'came("n", 9)', shown("text/html", "<div class='gsnb-outcome'><b>It came: 9.</b></div>")),
+        code("spoils", "print(8)", {"output_type": "stream", "name": "stdout", "text": "8"}),
+        {"cell_type": "markdown", "id": "t2", "source": "Next.", "metadata": {}},
+        code("free", "print(7)", {"output_type": "stream", "name": "stdout", "text": "7"}),
         code("empty", 'def psnr(rendered, photo):\n    """In dB."""\n    ...'),
         code("solved", "### BEGIN SOLUTION\ndef psnr(a, b):\n    return 1\n\n\n### END SOLUTION"),
         code("picture", "show(x)", shown("image/png", png, alt='a "black" picture', width=12)),
@@ -69,7 +72,7 @@ def test_a_chapter_has_text_numbers_hints_solution_and_pictures(chapter):
 
 def test_what_came_waits_for_the_prediction(chapter):
     page = chapter.markdown()
-    assert page.count('data-prediction="n"') == 3  # the question, the output in between, what came
+    assert page.count('data-prediction="n"') == 4  # the question, what came, the outputs before and after it
     assert '<input type="radio" name="n" value="10"> 10 px' in page
     assert page.index("See what came") < page.index("9 &lt; 10") < page.index("It came: 9.")
 

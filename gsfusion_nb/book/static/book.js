@@ -81,3 +81,4 @@ function addCopyButton(block) {
 document.querySelectorAll(".gsnb-question").forEach(prepareQuestion);
 document.querySelectorAll(".gsnb-quiz").forEach(prepareQuiz);
 document.querySelectorAll("article .highlight").forEach(addCopyButton);
+for (const block of document.querySelectorAll("article pre")) if (block.scrollWidth > block.clientWidth) block.tabIndex = 0;

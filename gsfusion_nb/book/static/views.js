@@ -132,7 +132,7 @@
       const box = document.createElement("fieldset");
       const legend = document.createElement("legend");
       legend.textContent = grid.controls.map((name) => this.control(name).label).join(" and ");
-      box.append(legend);
+      if (grid.controls.length > 1) box.append(legend);
       for (const name of grid.controls) box.append(this.row(grid, this.control(name)));
       return box;
     }
@@ -209,6 +209,7 @@
         await load(`${root}front_${kind}.js`);
         stage.replaceChildren();
         window.gsnbFrontEnds[kind].render({ model: models[kind](known), el: stage });
+        for (const code of stage.querySelectorAll(".gsnb-stepper-code")) code.tabIndex = 0; // it scrolls
       }
       view.dataset.state = "live";
     } catch (error) {

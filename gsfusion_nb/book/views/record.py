@@ -85,6 +85,7 @@ def run(cells: Sequence[tuple[str, str]], names: dict[str, Any], targets: Mappin
         value = eval(compile(ast.Expression(last.value), cell, "eval"), names) if isinstance(last, ast.Expr) else None
         if cell in targets:
             found[cell] = record(value, targets[cell].get("grids", ()))
+            found[cell].words += f" {targets[cell]['note']}" if "note" in targets[cell] else ""
     return found
 
 

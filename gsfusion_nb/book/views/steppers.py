@@ -41,16 +41,14 @@ def record_live_mapper(live: LiveMapper) -> Recorded:
         k = chosen.get("frame", 0)
         mapped, pictures = entries[k]
         live._show_kept((mapped, pictures))
-        row = [_decoded(picture) for picture in pictures.values()]
-        height = min(picture.shape[0] for picture in row)
-        row = [cv2.resize(p, (round(p.shape[1] * height / p.shape[0]), height)) for p in row]
-        return np.concatenate(row, 1), live.status.value, f"after {mapped} frames, from left: {'; '.join(captions)}"
+        picture = _mosaic([_decoded(picture) for picture in pictures.values()])
+        return picture, live.status.value, f"after {mapped} frames, row by row: {'; '.join(captions)}"
 
     words = [str(mapped) for mapped, _ in entries]
-    last = len(entries) - 1
+    last = next((k for k, (mapped, _) in enumerate(entries) if mapped == live._shown), len(entries) - 1)
     control = {"name": "frame", "label": "frames mapped", "words": words, "start": last, "kind": "slider"}
     recorded = record_grids(at, [control], [["frame"]])
-    recorded.data["label"] = f"A live run; from left: {'; '.join(captions)}"
+    recorded.data["label"] = f"A live run; row by row: {'; '.join(captions)}"
     recorded.words = "The whole run, recorded: the slider goes through its frames."
     return recorded
 
@@ -89,6 +87,14 @@ def record_trace(panel: TracePanel) -> Recorded:
     recorded.data["label"] = "A trace: what happened, in order"
     recorded.words = "Recorded: the slider goes through what happened. In the notebook a click follows something else."
     return recorded
+
+
+def _mosaic(pictures: list[np.ndarray]) -> np.ndarray:
+    """Pictures of one size in rows of two."""
+    height, width = pictures[0].shape[:2]
+    same = [np.asarray(cv2.resize(picture, (width, height))) for picture in pictures]
+    same += [np.full_like(same[0], 255)] * (len(same) % 2)
+    return np.concatenate([np.concatenate(same[k : k + 2], 1) for k in range(0, len(same), 2)])
 
 
 def _some(entries: list[Any]) -> list[Any]:
