@@ -33,6 +33,7 @@ napoleon_google_docstring = True
 napoleon_numpy_docstring = False
 
 html_theme = "furo"
+html_favicon = "icon.svg"
 html_show_sphinx = False
 html_show_copyright = False
 html_show_sourcelink = False

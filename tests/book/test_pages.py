@@ -1,6 +1,9 @@
 """The pieces of the web book on small inputs: pages of chapters, quiz, settings, the link checker."""
 
 import base64
+import os
+import re
+import subprocess
 from pathlib import Path
 
 import cv2
@@ -131,3 +134,13 @@ def test_the_link_checker_finds_what_is_wrong(tmp_path):
         "index.html leads to no.png: no such file",
         "s.css loads https://fonts.example.org/f.css from another server",
     ]
+
+
+def test_binder_installs_what_make_installs():
+    script = ROOT / ".binder/postBuild"
+    assert subprocess.run(["bash", "-n", str(script)]).returncode == 0
+    assert os.access(script, os.X_OK)
+    wanted = re.search(r'"(torch[^"]+)"', (ROOT / "Makefile").read_text())
+    assert wanted is not None
+    assert f'"{wanted[1]}"' in script.read_text()
+    assert "gsfusion-nb doctor --warm" in script.read_text()
