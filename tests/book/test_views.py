@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gsfusion_nb.book.views.all_chapters import put_views, view_html
+from gsfusion_nb.book.views.all_chapters import put_views, record_all, view_html
 from gsfusion_nb.book.views.needed import needed_cells
 from gsfusion_nb.book.views.panels import record_panel
 from gsfusion_nb.book.views.record import cells_to_run, record, run, wanted_views, write
@@ -97,3 +97,25 @@ def test_the_viewers_scripts_are_no_modules():
     for name, text in front_ends().items():
         assert "\nexport " not in text, name
         assert "\nimport " not in text, name
+
+
+@pytest.mark.ci
+def test_a_chapter_is_recorded_by_a_process_of_its_own_and_once(tmp_path):
+    cells = [
+        {
+            **code("made", "from gsfusion_nb.viz import amdahl_panel\npanel = amdahl_panel({'fuse': 1.0})"),
+            "outputs": [],
+        },
+        {**code("shown", "panel"), "outputs": []},
+    ]
+    notebook, views = tmp_path / "03_x.ipynb", tmp_path / "views.toml"
+    notebook.write_text(json.dumps({"cells": cells}))
+    views.write_text('[chapter_03.shown]\ngrids = [["fuse:3"]]\n')
+    out = tmp_path / "new" / "views"
+    listed = record_all([notebook], views, out)
+    assert listed["03_x.ipynb"]["shown"]["kind"] == "panel"
+    assert len(list((out / "03_x/shown").glob("*.webp"))) == 3
+    mark = out / "03_x/shown.view.js"
+    before = mark.stat().st_mtime_ns
+    assert record_all([notebook], views, out) == listed
+    assert mark.stat().st_mtime_ns == before

@@ -113,13 +113,13 @@ def main() -> int:
     options = parser.parse_args()
     wanted = wanted_views(options.views, options.notebook.name[:2])
     cells = cells_to_run(read_object(options.notebook, "a notebook"), wanted)
-    out, began = options.out.resolve(), time.monotonic()
+    out, here, began = options.out.resolve(), Path.cwd(), time.monotonic()
     with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
         os.environ["GSNB_COURSE_FILE"] = f"{folder}/course.json"
         os.environ.pop("GSNB_VIEW", None)
         os.chdir(folder)
         found = run(cells, {"__name__": "__main__"}, wanted)
-        os.chdir(out.parent)
+        os.chdir(here)
     write(found, out)
     sys.stderr.write(f"{options.notebook.name}: {len(found)} views, {time.monotonic() - began:.0f} s\n")
     return 0
