@@ -20,10 +20,14 @@ def numbers(table: str) -> dict[str, list[int]]:
 
 
 def test_the_weeks_are_those_of_the_exercises():
-    assert syllabus.weeks_table() in PAGE.read_text(encoding="utf-8"), "run  make quiz"
+    assert syllabus.weeks_table(ROOT / "notebooks") in PAGE.read_text(encoding="utf-8"), "run  make quiz"
     every = exercises()
     for week in syllabus.WEEKS:
         assert all(every[name].chapter in week.chapters for name in week.lab)
+        minutes = sum(every[name].minutes for name in week.lab)
+        assert 1.5 * minutes <= syllabus.LAB_MINUTES, (
+            f"the exercises of the lab of week {week.number} do not fit into it"
+        )
 
 
 def test_the_times_are_those_of_the_notebooks():

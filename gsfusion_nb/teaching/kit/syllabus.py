@@ -15,6 +15,8 @@ from ..exercise import Exercise, exercises
 
 WORDS_PER_MINUTE = 200
 """A usual reading speed for technical text in a second language."""
+LAB_MINUTES = 90
+"""Of the supervised lab of a week."""
 _MARKER = re.compile(r"(<!-- begin (\w+): written by make quiz -->\n).*?(<!-- end \2 -->)", re.DOTALL)
 
 
@@ -64,23 +66,26 @@ def stated_minutes(notebook: Path) -> int:
     return int(found[1])
 
 
-def weeks_table() -> str:
-    """Chapters and exercises of each week, with the minutes that the exercises state."""
-    lines = ["| week | chapters | in the lab | minutes | homework | minutes |", "|---|---|---|---:|---|---:|"]
+def weeks_table(notebooks: Path) -> str:
+    """Chapters and exercises of each week, with the minutes that the exercises and the chapters state."""
+    lines = ["| week | chapters | in the lab | minutes | homework | minutes | at home in all |"]
+    lines.append("|---|---|---|---:|---|---:|---:|")
     every = exercises()
+    says = {int(path.name[:2]): stated_minutes(path) for path in sorted(notebooks.glob("[0-9][0-9]_*.ipynb"))}
     for week in WEEKS:
         own = [e for e in every.values() if e.chapter in week.chapters]
         lab = [every[name] for name in week.lab]
         home = [e for e in own if e.name not in week.lab]
         chapters = ", ".join(f"{n} {TITLES[n]}" for n in week.chapters)
         row = [f"{week.number}. {week.title}", chapters, _names(lab), _sum(lab), _names(home), _sum(home)]
+        row.append(str(sum(says[n] for n in week.chapters) - LAB_MINUTES))
         lines.append("| " + " | ".join(row) + " |")
     taken = {n for week in WEEKS for n in week.chapters}
     rest = [e for e in every.values() if e.chapter not in taken]
     for chapter in sorted({e.chapter for e in rest}):
         own = [e for e in rest if e.chapter == chapter]
         title = TITLES.get(chapter, f"Chapter {chapter}")
-        lines.append(f"| own choice | {chapter} {title} | | | {_names(own)} | {_sum(own)} |")
+        lines.append(f"| own choice | {chapter} {title} | | | {_names(own)} | {_sum(own)} | {says[chapter]} |")
     return "\n".join(lines) + "\n"
 
 
@@ -109,7 +114,7 @@ def renewed(page: str, notebooks: Path) -> str:
     Raises:
         ValueError: the page has no markers, or one of an unknown table.
     """
-    tables = {"weeks": weeks_table(), "times": times_table(notebooks)}
+    tables = {"weeks": weeks_table(notebooks), "times": times_table(notebooks)}
     names = [match[2] for match in _MARKER.finditer(page)]
     if sorted(names) != sorted(tables):
         raise ValueError(f"the page must have the markers of the tables {', '.join(tables)}, it has {names}")
