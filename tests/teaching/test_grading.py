@@ -180,6 +180,18 @@ def test_whose_a_file_is(tmp_path):
     assert [s.student for s in find_submissions([tmp_path])] == ["ann", "bob"]
     assert [s.student for s in find_submissions([tmp_path / "submitted"])] == ["ann", "bob"]
     assert [s.student for s in find_submissions([SUBMISSIONS / "right.py"])] == ["right"]
+    chapters = sorted((tmp_path / "submitted").glob("*/ch2"))
+    for folder, name in zip(chapters, ("cleo", "dan"), strict=True):
+        folder.rename(tmp_path / name)
+    assert [s.student for s in find_submissions([tmp_path / "cleo", tmp_path / "dan"])] == ["cleo", "dan"]
+
+
+def test_the_files_of_two_students_are_not_taken_for_those_of_one(tmp_path):
+    for name in ("ann", "bob"):
+        (tmp_path / name / "ch2").mkdir(parents=True)
+        (tmp_path / name / "ch2" / "answers.py").write_text("")
+    with pytest.raises(ValueError, match=r"ch2/answers.py is in .*ann and in .*bob: name the folder"):
+        find_submissions([tmp_path / "ann", tmp_path / "bob"])
 
 
 def test_no_cell_of_the_table_is_a_formula():

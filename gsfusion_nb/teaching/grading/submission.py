@@ -1,5 +1,6 @@
 """Submissions on disk: whose they are, and the code in them."""
 
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +11,7 @@ from ...foreign import read_bytes
 from ...strict_json import read_object
 from ..sandbox.needed import Cell
 
+_OF_CHAPTER = re.compile(r"\d\d[_.]")
 LARGEST_BYTES = 64 << 20
 """Of a submitted file."""
 
@@ -35,12 +37,15 @@ def find_submissions(paths: Sequence[Path]) -> list[Submission]:
     """The submissions in files and folders, by student.
 
     A file is a submission of the student whom its name says. In a folder, files belong to the student whom their
-    sub-folder names, or, without one, their own name; in nbgrader's tree that is the folder under ``submitted``.
+    sub-folder names, or, without one, their own name; in nbgrader's tree that is the folder under ``submitted``. A file
+    with the name of a chapter (``02_tsdf_fusion.ipynb``) names nobody: it belongs to whom its folder names.
 
     Raises:
-        ValueError: there is nothing at a path, or no notebook and no .py file in it.
+        ValueError: there is nothing at a path, or no notebook and no .py file in it; or files of several students
+            would be taken for those of one.
     """
     files: dict[str, list[Path]] = {}
+    seen: dict[tuple[str, ...], Path] = {}
     for path in paths:
         if not path.exists():
             raise ValueError(f"there is nothing at {path}")
@@ -50,8 +55,16 @@ def find_submissions(paths: Sequence[Path]) -> list[Submission]:
         root = path / "submitted" if (path / "submitted").is_dir() else path
         for file in found:
             inner = file.relative_to(root).parts if path.is_dir() and file.is_relative_to(root) else (file.name,)
-            files.setdefault(inner[0] if len(inner) > 1 else file.stem, []).append(file)
+            if len(inner) > 1 and seen.setdefault(inner, path) != path:
+                inside = "/".join(inner)
+                raise ValueError(f"{inside} is in {seen[inner]} and in {path}: name the folder that holds both of them")
+            files.setdefault(inner[0] if len(inner) > 1 else _named_by(file), []).append(file)
     return [Submission(student=student, files=tuple(sorted(files[student]))) for student in sorted(files)]
+
+
+def _named_by(file: Path) -> str:
+    """Whose a file is that lies in no student's sub-folder."""
+    return file.resolve().parent.name if _OF_CHAPTER.match(file.name) else file.stem
 
 
 def _files_in(folder: Path) -> list[Path]:
