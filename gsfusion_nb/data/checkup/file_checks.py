@@ -149,9 +149,12 @@ def time_stamps(source: RecordedSequence) -> list[Finding]:
             )
         ]
     rate = f"{1 / usual:.3g} frames per second" if usual > 0 else "one time for all"
-    return [
-        Finding(name="time stamps", verdict="ok", numbers=numbers, sentence=f"Times increase without gaps, {rate}.")
-    ]
+    apart = (
+        f"; colour and depth have times {1000 * source.stamps_apart_s:.1f} ms apart" if source.stamps_apart_s else ""
+    )
+    text = f"Times increase without gaps, {rate}{apart}."
+    numbers["stamps_apart_s"] = source.stamps_apart_s
+    return [Finding(name="time stamps", verdict="ok", numbers=numbers, sentence=text)]
 
 
 def _without_times(source: RecordedSequence) -> Finding:

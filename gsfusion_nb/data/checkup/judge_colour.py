@@ -179,26 +179,18 @@ def _whole_frames(fit: ColourFit) -> tuple[RepairConfig, Finding]:
 
 
 def _mixed_up(numbers: dict[str, float]) -> Finding:
-    return Finding(
-        name="registration",
-        verdict="wrong",
-        numbers=numbers,
-        repair="pair every depth image with the colour image of its time (names, order, association)",
-        sentence="The colour images do not belong to the depth images: their order or their edges do not fit.",
-    )
+    repair = "pair every depth image with the colour image of its time (names, order, association)"
+    text = "The colour images do not belong to the depth images: their order or their edges do not fit."
+    return Finding(name="registration", verdict="wrong", numbers=numbers, repair=repair, sentence=text)
 
 
 def _not_registered(numbers: dict[str, float]) -> Finding:
-    return Finding(
-        name="registration",
-        verdict="wrong",
-        numbers=numbers,
-        repair="register colour to depth with the cameras' calibration, or record with the driver's alignment on",
-        sentence=(
-            "Colour is not registered to depth: both show the same motion, so they belong together, but no shift, "
-            "scale or mirroring brings their edges together. The images are those of two cameras."
-        ),
+    repair = "register colour to depth with the cameras' calibration, or record with the driver's alignment on"
+    text = (
+        "Colour is not registered to depth: both show the same motion, so they belong together, but no shift, scale or "
+        "mirroring brings their edges together. The images are those of two cameras."
     )
+    return Finding(name="registration", verdict="wrong", numbers=numbers, repair=repair, sentence=text)
 
 
 def _registration_repair(fit: ColourFit, shifted: bool) -> tuple[RepairConfig, str]:

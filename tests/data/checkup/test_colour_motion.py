@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from gsfusion_nb.data.checkup.alignment import ColourFit, fit_colour
 from gsfusion_nb.data.checkup.colour_motion import colour_motion, image_speeds, line_through, moving_together
 from gsfusion_nb.data.checkup.judge_colour import ColourEvidence, registration_findings
 from gsfusion_nb.data.checkup.sample import read_sample
@@ -73,8 +74,6 @@ def samples():
 
 
 def judged(sample, motion):
-    from gsfusion_nb.data.checkup.alignment import fit_colour
-
     evidence = ColourEvidence(fit=fit_colour(sample), motion=motion, order=None, together=1.0, step_s=0.1)
     repair, findings = registration_findings(evidence, sample.camera)
     return repair, *findings
@@ -130,3 +129,19 @@ def test_colour_moves_with_depth_unless_it_is_of_other_frames(samples):
     share = moving_together(mixed, image_speeds(mixed))
     assert share is not None
     assert abs(share) < 0.5
+
+
+@pytest.mark.parametrize(
+    ("together", "said"), [(0.95, "is not registered to depth"), (0.1, "do not belong to the depth")]
+)
+def test_two_cameras_are_not_other_frames(together, said):
+    """No shift fits: whether colour moves with depth tells a second camera from wrongly paired images."""
+    fit = ColourFit(
+        shift_px=(0.0, 0.0), scale=1.0, mirror="none", shift_frames=0, score=0.1, score_as_read=0.05, peak=3.0,
+        edges=500, pixel=1.0,
+    )  # fmt: skip
+    evidence = ColourEvidence(fit=fit, motion=None, order=None, together=together, step_s=0.0)
+    repair, (finding,) = registration_findings(evidence, CAMERA)
+    assert finding.verdict == "wrong"
+    assert said in finding.sentence
+    assert not repair.changes

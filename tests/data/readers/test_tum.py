@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from gsfusion_nb.data import SequenceError, SequenceNotFoundError, open_sequence
+from gsfusion_nb.data.checkup.file_checks import time_stamps
 from gsfusion_nb.data.checkup.quick_check import depth_agreement
 from gsfusion_nb.data.lens.camera_model import CameraModel
 from gsfusion_nb.data.lens.undistort import Undistorter
@@ -48,6 +49,8 @@ def test_reads_what_was_written(tmp_path, box):
     seq = tum(write(tmp_path / "scan", box), camera=box.camera)
     assert len(seq) == 4
     assert seq.camera == box.camera
+    assert seq.stamps_apart_s == pytest.approx(0.012, abs=1e-5)
+    assert "30 frames per second; colour and depth have times 12.0 ms apart." in time_stamps(seq)[0].sentence
     for i, frame in enumerate(seq):
         t = 0.1 + i / 30
         assert frame.timestamp_s == pytest.approx(T0 + t, abs=1e-5)  # the depth image's time
