@@ -4,7 +4,7 @@ import functools
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from ..checks import check_name, check_number
+from ..checks import check_name, check_number, check_positive
 from .fidelity import fidelity_of
 from .parts import TsdfConfig
 from .system import SystemConfig
@@ -59,6 +59,15 @@ class OptimConfig:
     online_ssim_weight: float = 0.0
     """Weight of D-SSIM in the steps while scanning, 0 to 1; L1 has the rest. Larger: as for ssim_weight, and slower
     steps. 0 as published; SplaTAM has 0.2."""
+    refine_poses: bool = False
+    """In the passes after the scan, each keyframe also moves towards the pose at which the map fits its picture; the
+    frames between follow. On: sharper pictures where the poses of the data are some tenths of a degree off; the given
+    poses then fit the map less well. The TSDF keeps the given poses."""
+    pose_sigma_m: float = 0.02
+    """Standard deviation of the given positions, metres: how far refine_poses may move them. Larger: the picture counts
+    more, the given pose less. Usual: 0.005 to 0.05."""
+    pose_sigma_deg: float = 1.0
+    """Standard deviation of the given rotations about each axis, degrees. Usual: 0.2 to 2."""
     depth_weight: float = 0.0
     """Weight of the mean depth error in metres, over the pixels with measured depth, in all steps. The rendered depth
     is not divided by alpha, so the loss also closes holes. Larger: closer to the measured depth, noise included. 0 as
@@ -86,6 +95,8 @@ class OptimConfig:
                 raise ValueError(f"optim.{name} must be >= 0, got {getattr(self, name)}")
         for name in ("ssim_weight", "online_ssim_weight"):
             check_number(f"optim.{name}", getattr(self, name), 0, 1)
+        for name in ("pose_sigma_m", "pose_sigma_deg"):
+            check_positive(f"optim.{name}", getattr(self, name))
         for name in ("depth_weight", "isotropy_weight", "scale_weight", "opacity_weight"):
             check_number(f"optim.{name}", getattr(self, name), 0, 1e6)
 

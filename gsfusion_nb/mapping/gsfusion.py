@@ -20,6 +20,7 @@ from ..types import Camera, Frame, Mesh, Seeds
 from .frame_checks import check_frame
 from .map_view import MapPart
 from .mapper import Mapper
+from .pose_refinement import PoseRefinement
 from .step_report import StageClock, StepReport, psnr_from_mse
 
 
@@ -56,6 +57,7 @@ class GSFusion(Mapper):
                 "frame becomes a keyframe by its seeds; set keyframe_every, such as 5"
             )
         self.volume = TsdfVolume(self.config.tsdf, device=self.device)
+        self.refinement = PoseRefinement(self.config.optim, self.localiser)
 
     def __repr__(self) -> str:
         return (
@@ -224,15 +226,20 @@ class GSFusion(Mapper):
 
     def _global_step(self, i: int) -> Float[Tensor, ""]:
         """One step on the i-th keyframe after the scan."""
-        return self._optimise_view(self.keyframes[i], ssim_weight=self.config.optim.ssim_weight)[0]
+        moves = self.refinement.enabled
+        loss = self._optimise_view(self.keyframes[i], self.config.optim.ssim_weight, moves=moves)[0]
+        if moves and not self.passes.queue:
+            self.refinement.end_pass(self.keyframes, self.gaussians)
+        return loss
 
     @observed
     def _optimise_view(
-        self, view: Frame | Keyframe, ssim_weight: float = 0.0
+        self, view: Frame | Keyframe, ssim_weight: float = 0.0, moves: bool = False
     ) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
         """One gradient step on one view. Returns loss and MSE before it. As published, the loss is only L1 online.
 
-        Both stay on the device, because waiting for them after every step would leave a GPU idle.
+        With ``moves`` a keyframe's pose is refined, too. Both stay on the device, because waiting for them after every
+        step would leave a GPU idle.
         """
         self.guard.may_stop()
         view, optim = view.to(self.device), self.config.optim
@@ -253,6 +260,8 @@ class GSFusion(Mapper):
         if any(penalties.values()):
             loss = loss + add_penalties_(gradients, self.gaussians.params, **penalties)
         adam_step(self.gaussians, gradients, optim)
+        if moves and isinstance(view, Keyframe):
+            self.refinement.move(self.keyframes, view, output, target)
         if watched is not None:
             watched = self.after_steps.add_up(self.gaussians, watched, view.camera)
             self.after_steps(self, watched, view, loss, output.rgb)

@@ -1,16 +1,18 @@
 """The pose of each frame, given by the data or tracked against the map; the trajectory and its corrections."""
 
 import dataclasses
+from collections.abc import Iterable
 from typing import Any
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from ..checks import SAVED_RIGIDITY_ERROR, check_pose, check_saved, check_shape, check_whole
 from ..config import TrackingConfig
 from ..errors import BadFrameError
 from ..gaussians import GaussianModel
+from ..geometry import se3
 from ..optim import KeyframeList
 from ..tracking import (
     BackEnd,
@@ -39,8 +41,10 @@ class Localiser:
         self.config = config
         self.poses: list[Float[Tensor, "4 4"]] = []
         """Camera-to-world pose of every mapped frame, on the CPU; corrected when a loop closes."""
+        self.given: list[Float[Tensor, "4 4"]] = []
+        """The same poses before pictures refined them; the same tensors where none did."""
         self.frame_indices: list[int] = []
-        self._block = torch.zeros(_BLOCK, 4, 4)
+        self._block, self._n_kept = torch.zeros(_BLOCK, 4, 4), 0
         self.report: dict[str, Any] = {}
         """How the last frame was tracked: status, rms_m, inlier_share. Empty for given poses."""
         self._tracker = Tracker(config)
@@ -54,6 +58,38 @@ class Localiser:
     def is_tracking(self) -> bool:
         """Whether poses are estimated."""
         return self.config.poses == "tracked"
+
+    @property
+    def is_refined(self) -> bool:
+        """Whether pictures have moved a pose away from the given one (``optim.refine_poses``)."""
+        return any(pose is not given for pose, given in zip(self.poses, self.given, strict=True))
+
+    def refine(self, row: int, T_WC: Float[Tensor, "4 4"]) -> None:
+        """Give the mapped frame with this number another pose; ``given`` keeps the one before."""
+        if self.poses[row] is self.given[row]:
+            self.poses[row] = self._kept(self.given[row])
+        self.poses[row].copy_(T_WC)
+
+    def follow(self, rows: list[int]) -> None:
+        """Refine the frames between those with the numbers ``rows``, which were refined: each by what they were."""
+        indices = torch.tensor([self.frame_indices[row] for row in rows])
+        moved = self._twists(rows)
+        for row in set(range(len(self.poses))) - set(rows):
+            xi = between(indices, moved, self.frame_indices[row])
+            self.refine(row, (self.given[row].double() @ se3.exp(xi)).float())
+
+    def refined(self, index: int, T_WC: Float[Tensor, "4 4"]) -> Float[Tensor, "4 4"]:
+        """The given pose of any frame of the source, moved as the mapped frames before and after it were refined."""
+        if not self.is_refined:
+            return T_WC
+        moved = self._twists(range(len(self.poses)))
+        xi = between(torch.tensor(self.frame_indices), moved, index)
+        return (T_WC.double() @ se3.exp(xi)).to(T_WC)
+
+    def _twists(self, rows: Iterable[int]) -> Float[Tensor, "R 6"]:
+        """How far some frames were refined, each in its camera's frame."""
+        given, poses = (torch.stack([p[row] for row in rows]).double() for p in (self.given, self.poses))
+        return se3.log(se3.inverse(given) @ poses)
 
     @property
     def camera(self) -> Camera | None:
@@ -88,6 +124,7 @@ class Localiser:
         """Add a mapped frame to the trajectory. If it closed a loop, returns the correction (applied to ``poses``)."""
         self._found = None
         self.poses.append(self._kept(frame.T_WC_cpu))
+        self.given.append(self.poses[-1])
         self.frame_indices.append(frame.index)
         if not self.is_tracking:
             return None
@@ -109,9 +146,10 @@ class Localiser:
         A small tensor of its own per frame, between the large ones of the frames, would prevent the allocator from
         reusing the frames' memory: measured, 50 to 220 kB lost per frame of 160x120.
         """
-        n = len(self.poses) % _BLOCK
+        n = self._n_kept % _BLOCK
         if n == 0:
             self._block = torch.zeros(_BLOCK, 4, 4)
+        self._n_kept += 1
         return self._block[n].copy_(T_WC)
 
     def _remember(self, frame: Frame) -> None:
@@ -137,6 +175,7 @@ class Localiser:
             return None
         moves = correction.transform_of(torch.tensor(self.frame_indices)).float()
         self.poses = [T @ pose for T, pose in zip(moves, self.poses, strict=True)]
+        self.given = [T @ pose for T, pose in zip(moves, self.given, strict=True)]
         self._tracker.correct(moves[-1])
         return correction
 
@@ -144,6 +183,7 @@ class Localiser:
         """Everything needed to continue."""
         return {
             "poses": torch.stack(self.poses) if self.poses else torch.zeros(0, 4, 4),
+            "given": torch.stack(self.given) if self.is_refined else None,
             "frame_indices": torch.tensor(self.frame_indices, dtype=torch.int64),
             "tracker": self._tracker.state_dict(),
             "camera": None if self.camera is None else vars(self.camera),
@@ -159,13 +199,17 @@ class Localiser:
         """
         settings = self.config.back_end
         check_shape("frame_indices", state["frame_indices"], ("N",))
-        self.poses, self.frame_indices = [], state["frame_indices"].tolist()
+        self.poses, self.given, self.frame_indices = [], [], state["frame_indices"].tolist()
         for index in self.frame_indices:
             check_whole("a frame's index", index, 0)
         check_saved("poses", state["poses"], (len(self.frame_indices), 4, 4))
         for index, T_WC in zip(self.frame_indices, state["poses"].cpu(), strict=True):
             check_pose(f"pose of frame {index}", T_WC, SAVED_RIGIDITY_ERROR)
             self.poses.append(self._kept(T_WC))
+        self.given = list(self.poses)
+        if state.get("given") is not None:
+            check_saved("given", state["given"], (len(self.frame_indices), 4, 4))
+            self.given = [self._kept(T_WC) for T_WC in state["given"].cpu()]
         self._tracker = Tracker.from_state_dict(self.config, state["tracker"])
         if state["back_end"] is not None:
             self._back_end = BackEnd.from_state_dict(settings, Camera(**state["camera"]), state["back_end"])
@@ -174,6 +218,16 @@ class Localiser:
                 Camera(**state["camera"]), count=settings.features, levels=settings.levels
             )
             self._database.load_state(state["database"])
+
+
+def between(indices: Int[Tensor, " R"], values: Float[Tensor, "R 6"], index: int) -> Float[Tensor, " 6"]:
+    """Values at increasing numbers of frames, interpolated for another frame; outside of them the first or last."""
+    after = int(torch.searchsorted(indices, index).clamp(1, max(len(indices) - 1, 1)))
+    if len(indices) == 1:
+        return values[0]
+    first, last = int(indices[after - 1]), int(indices[after])
+    share = min(max((index - first) / max(last - first, 1), 0.0), 1.0)
+    return (1 - share) * values[after - 1] + share * values[after]
 
 
 def move_map(correction: Correction, gaussians: GaussianModel, keyframes: KeyframeList) -> None:

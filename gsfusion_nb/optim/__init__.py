@@ -4,6 +4,10 @@ from .adam import ColumnRates as ColumnRates
 from .adam import adam_step as adam_step
 from .adam import adam_update as adam_update
 from .adam import adam_update_map as adam_update_map
+from .align_view import PoseSystem as PoseSystem
+from .align_view import flow_of_motion as flow_of_motion
+from .align_view import pose_step as pose_step
+from .align_view import pose_system as pose_system
 from .fit_pose import PoseFit as PoseFit
 from .fit_pose import fit_pose as fit_pose
 from .fusion import fuse_with_history as fuse_with_history

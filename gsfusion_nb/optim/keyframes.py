@@ -85,6 +85,11 @@ class KeyframeList:
             dataclasses.replace(k, T_WC=T_k.to(k.T_WC) @ k.T_WC) for k, T_k in zip(self._items, T, strict=True)
         ]
 
+    def set_pose(self, index: int, T_WC: Float[Tensor, "4 4"]) -> None:
+        """Give the keyframe of the frame with this index another pose."""
+        at = next(i for i, k in enumerate(self._items) if k.index == index)
+        self._items[at] = dataclasses.replace(self._items[at], T_WC=T_WC.to(self._items[at].T_WC))
+
     def draw(self, count: int, generator: torch.Generator) -> list[Keyframe]:
         """Up to ``count`` different keyframes at random (GSFusion III-B.3: the first of the shuffled list)."""
         if count == 0 or not self._items:

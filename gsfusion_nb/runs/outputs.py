@@ -42,6 +42,7 @@ FILES = {
     "gaussians.ply": "Gaussian map, standard 3DGS layout: SuperSplat, antimatter15/splat, Blender and Unity plug-ins",
     "mesh.ply": "TSDF surface with vertex colours: MeshLab, Blender, CloudCompare",
     "trajectory.txt": "poses, TUM format: evo_traj tum trajectory.txt",
+    "trajectory_given.txt": "the poses before they were refined, if they were",
     "config.json": "all settings: gsfusion-nb map --from-config config.json repeats the run",
     "metrics.json": "all metrics, and one row per frame",
     "rule.py": "source of the seeding rule, if it is not part of the package",
@@ -117,6 +118,9 @@ def write_rule(run: MappingRun, folder: Path) -> None:
 def _write_trajectory(run: MappingRun, folder: Path) -> None:
     if run.poses:
         write_trajectory_tum(folder / "trajectory.txt", run.timestamps_s, torch.stack(run.poses))
+    localiser = run.mapper.localiser
+    if localiser.is_refined:
+        write_trajectory_tum(folder / "trajectory_given.txt", run.timestamps_s, torch.stack(localiser.given))
 
 
 def write_numbers(run: MappingRun, folder: Path, metrics: dict[str, Any]) -> None:

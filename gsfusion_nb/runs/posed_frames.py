@@ -31,12 +31,14 @@ def readable_frames(view: SequenceView) -> Iterator[Frame]:
 def poses_in_map(view: SequenceView, localiser: Localiser, mapping: SequenceView) -> list[Float[Tensor, "4 4"] | None]:
     """The camera-to-world pose in the map of each frame of a view, or ``None``; no images are read.
 
-    With given poses these are the poses of the data. With tracked poses a mapped frame has its tracked pose, and any
+    With given poses these are the poses of the data, and of mapped frames those that pictures refined
+    (``optim.refine_poses``). With tracked poses a mapped frame has its tracked pose, and any
     other frame is placed relative to the nearest mapped frame n with the poses of the data:
     T_WC = T_WC(n) T_data(n)^-1 T_data. If the data has no poses, only mapped frames have a pose in the map.
     """
     if not localiser.is_tracking or not localiser.poses:
-        return [_data_pose(view, i) for i in range(len(view))]
+        mapped_at = dict(zip(localiser.frame_indices, localiser.poses, strict=True))
+        return [mapped_at.get(index, _data_pose(view, i)) for i, index in enumerate(view.positions)]
     mapped = torch.tensor(localiser.frame_indices)
     position = {index: i for i, index in enumerate(mapping.positions)}
     poses = []

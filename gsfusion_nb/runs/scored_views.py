@@ -44,7 +44,11 @@ class ScoredViews:
 
 
 def scored_views(run: MappingRun) -> dict[str, ScoredViews]:
-    """The held-out and mapped views of a run that are scored, with their current poses in the map."""
+    """The held-out and mapped views of a run that are scored, with their current poses in the map.
+
+    Where pictures refined the mapped poses, the held-out views are there a second time, as the group held_out_between,
+    each moved as the mapped views before and after it were; their own pictures are not used.
+    """
     localiser, mapping = run.mapper.localiser, run.sequence.mapping
     mapped = run.mapped_views(run.mapper.config.data.scored_views)
     refused = set(mapped.positions) - set(localiser.frame_indices)  # read, but not mapped
@@ -57,6 +61,10 @@ def scored_views(run: MappingRun) -> dict[str, ScoredViews]:
             if T_WC is not None
         ]
         found[name] = ScoredViews([position for position, _ in posed], [T_WC for _, T_WC in posed])
+    if localiser.is_refined:
+        held_out = found["held_out"]
+        moved = [localiser.refined(*view) for view in zip(held_out.positions, held_out.poses, strict=True)]
+        found["held_out_between"] = ScoredViews(held_out.positions, moved)
     return found
 
 

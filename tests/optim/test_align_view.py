@@ -1,0 +1,89 @@
+"""The normal equations of a view's pose: exact flow, curvature that finds the minimum, a prior that holds."""
+
+import dataclasses
+
+import pytest
+import torch
+
+from gsfusion_nb.geometry import backproject, pixel_grid, project, se3
+from gsfusion_nb.optim import flow_of_motion, pose_step, pose_system
+from gsfusion_nb.optim.align_view import PIXELS_PER_OBSERVATION, SHOWN_ALPHA, SMALL_RESIDUAL
+from gsfusion_nb.render import pose_vjp, render, render_forward, render_vjp
+from gsfusion_nb.types import Camera, GaussianParams
+
+CAMERA = Camera(width=64, height=48, fx=55.0, fy=58.0, cx=31.0, cy=25.0)
+LOOSE = torch.tensor([1.0] * 6, dtype=torch.float64)
+
+
+@pytest.fixture(scope="module")
+def scene(request):
+    """A few hundred smooth Gaussians on a slanted wall, float64, and a pose of the camera before it."""
+    g = torch.Generator().manual_seed(1)
+    n = 500
+    uniform = torch.rand(n, 3, generator=g, dtype=torch.float64)
+    xyz = torch.stack([3 * uniform[:, 0] - 1.5, 2.4 * uniform[:, 1] - 1.2, 2 + 0.4 * uniform[:, 0]], dim=1)
+    quat = torch.zeros(n, 4, dtype=torch.float64)
+    quat[:, 0] = 1.0
+    params = GaussianParams(
+        xyz_W=xyz,
+        log_scale=torch.full((n, 3), 0.12, dtype=torch.float64).log(),
+        quat=quat,
+        opacity_logit=torch.full((n,), 1.0, dtype=torch.float64),
+        sh=torch.randn(n, 1, 3, generator=g, dtype=torch.float64),
+    )
+    return params, torch.eye(4, dtype=torch.float64)
+
+
+def test_flow_is_the_derivative_of_the_projection():
+    depth_m = 1 + torch.rand(48, 64, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    along_u, along_v = flow_of_motion(depth_m, CAMERA)
+    X = backproject(CAMERA, pixel_grid(CAMERA, dtype=torch.float64), depth_m)
+    for v, u in ((3, 5), (40, 60)):
+
+        def seen(xi, X=X[v, u]):
+            return -project(CAMERA, se3.apply(se3.exp(-xi), X[None]))[0]
+
+        J = torch.autograd.functional.jacobian(seen, torch.zeros(6, dtype=torch.float64))
+        torch.testing.assert_close(torch.stack([along_u[v, u], along_v[v, u]]), J)
+
+
+def test_the_system_agrees_with_the_exact_gradient(scene):
+    """The sum over pixels of weight, flow and residual is dL/dxi where the picture is smooth."""
+    params, T_WC = scene
+    target = render(
+        params, CAMERA, T_WC @ se3.exp(torch.tensor([0.01, -0.008, 0.02, 0.004, 0.006, -0.01]).double())
+    ).rgb
+    output, saved = render_forward(params, CAMERA, T_WC)
+    system = pose_system(output, target, CAMERA)
+    r = output.rgb - target
+    w = (output.alpha >= SHOWN_ALPHA)[..., None] / r.abs().clamp_min(SMALL_RESIDUAL)
+    unit = 1 / (3 * PIXELS_PER_OBSERVATION * system.error.clamp_min(SMALL_RESIDUAL))
+    exact = pose_vjp(params, render_vjp(saved, unit * w * r), T_WC)
+    assert torch.nn.functional.cosine_similarity(system.g, exact, dim=0) > 0.98
+    assert 0.8 < float(system.g.norm() / exact.norm()) < 1.25
+
+
+def test_a_few_steps_find_the_pose(scene):
+    params, T_true = scene
+    target = render(params, CAMERA, T_true).rgb
+    T_WC = T_start = T_true @ se3.exp(torch.tensor([0.02, -0.02, 0.02, 0.01, 0.01, -0.02]).double())
+    systems = []
+    for _ in range(6):
+        systems.append(pose_system(render(params, CAMERA, T_WC), target, CAMERA))
+        T_WC = pose_step(systems[-1], T_WC, T_WC, LOOSE)
+    assert systems[-1].error < 0.02 * systems[0].error
+    off = [se3.log(se3.inverse(T_true) @ T).norm() for T in (T_start, T_WC)]
+    assert off[1] < 0.05 * off[0]
+
+
+def test_a_tight_prior_holds_and_an_empty_picture_returns_to_it(scene):
+    params, T_true = scene
+    target = render(params, CAMERA, T_true).rgb
+    given = T_true @ se3.exp(torch.tensor([0.02, 0, 0, 0, 0.01, 0]).double())
+    tight = pose_step(pose_system(render(params, CAMERA, given), target, CAMERA), given, given, 1e-5 * LOOSE)
+    assert (tight - given).abs().max() < 2e-5
+    nothing = dataclasses.replace(render(params, CAMERA, T_true), alpha=torch.zeros(48, 64).double())
+    system = pose_system(nothing, target, CAMERA)
+    assert system.share == 0
+    back = pose_step(system, T_true, given, LOOSE)
+    torch.testing.assert_close(back, given)
