@@ -68,6 +68,10 @@ class OptimConfig:
     more, the given pose less. Usual: 0.005 to 0.05."""
     pose_sigma_deg: float = 1.0
     """Standard deviation of the given rotations about each axis, degrees. Usual: 0.2 to 2."""
+    fit_exposure: bool = False
+    """In the passes after the scan, compare each keyframe with the map's picture times three factors, one a colour,
+    that are fitted to it, with a mean of 1 over all keyframes. On: the map has the mean brightness and white balance of
+    a camera that changes them; without such changes it costs a little sharpness."""
     depth_weight: float = 0.0
     """Weight of the mean depth error in metres, over the pixels with measured depth, in all steps. The rendered depth
     is not divided by alpha, so the loss also closes holes. Larger: closer to the measured depth, noise included. 0 as

@@ -40,6 +40,7 @@ def _image_metrics(suffix: str) -> dict[str, Metric]:
 METRIC_GROUPS: dict[str, dict[str, Metric]] = {
     "Novel views (held out)": _image_metrics("held_out"),
     "Novel views, each pose fitted to the map": _image_metrics("held_out_aligned"),
+    "Novel views, pose and exposure fitted to the map": _image_metrics("held_out_fitted"),
     "Novel views, each placed as the refined views before and after it": _image_metrics("held_out_between"),
     "Mapped views": _image_metrics("mapped"),
     "Before the global optimisation": {

@@ -1,5 +1,6 @@
 """GSFusion (Wei & Leutenegger 2024): TSDF fusion and Gaussian splatting, one frame at a time, in the paper's order."""
 
+import dataclasses
 from typing import Any
 
 import torch
@@ -11,12 +12,23 @@ from ..config import GSFusionConfig, gsfusion, gsfusion_fidelity
 from ..errors import BadFrameError
 from ..gaussians import GaussianModel
 from ..observing import observed
-from ..optim import Keyframe, adam_step, add_penalties_, depth_l1, depth_l1_vjp, dssim_vjp, l1_mse_vjp
+from ..optim import (
+    Keyframe,
+    adam_step,
+    add_penalties_,
+    depth_l1,
+    depth_l1_vjp,
+    dssim_vjp,
+    exposed,
+    exposed_vjp,
+    l1_mse_vjp,
+)
 from ..render import render_forward, render_vjp
 from ..seeding import Cells, SeedContext, SeedingRule, rule_name
 from ..tracking import tsdf_surface
 from ..tsdf import FusedView, NewBlocks, RaycastOutput, TsdfVolume, extract_mesh, fuse_frame_, new_band_blocks, raycast
 from ..types import Camera, Frame, Mesh, Seeds
+from .exposure_fit import ExposureFit
 from .frame_checks import check_frame
 from .map_view import MapPart
 from .mapper import Mapper
@@ -58,6 +70,7 @@ class GSFusion(Mapper):
             )
         self.volume = TsdfVolume(self.config.tsdf, device=self.device)
         self.refinement = PoseRefinement(self.config.optim, self.localiser)
+        self.exposures = ExposureFit(self.config.optim)
 
     def __repr__(self) -> str:
         return (
@@ -226,32 +239,40 @@ class GSFusion(Mapper):
 
     def _global_step(self, i: int) -> Float[Tensor, ""]:
         """One step on the i-th keyframe after the scan."""
-        moves = self.refinement.enabled
-        loss = self._optimise_view(self.keyframes[i], self.config.optim.ssim_weight, moves=moves)[0]
-        if moves and not self.passes.queue:
-            self.refinement.end_pass(self.keyframes, self.gaussians)
+        loss = self._optimise_view(self.keyframes[i], self.config.optim.ssim_weight, fits=True)[0]
+        if not self.passes.queue:
+            if self.refinement.enabled:
+                self.refinement.end_pass(self.keyframes, self.gaussians)
+            self.exposures.end_pass(self.keyframes)
         return loss
 
     @observed
     def _optimise_view(
-        self, view: Frame | Keyframe, ssim_weight: float = 0.0, moves: bool = False
+        self, view: Frame | Keyframe, ssim_weight: float = 0.0, fits: bool = False
     ) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
         """One gradient step on one view. Returns loss and MSE before it. As published, the loss is only L1 online.
 
-        With ``moves`` a keyframe's pose is refined, too. Both stay on the device, because waiting for them after every
-        step would leave a GPU idle.
+        With ``fits`` the view is a keyframe whose pose and exposure are fitted, too, where the settings say so. Both
+        results stay on the device, because waiting for them after every step would leave a GPU idle.
         """
         self.guard.may_stop()
         view, optim = view.to(self.device), self.config.optim
         target = view.rgb
         watched = self.after_steps.watch(self.gaussians, view.camera, view.T_WC)
         output, saved = render_forward(self.gaussians.params, view.camera, view.T_WC, with_indices=False)
-        pixels = l1_mse_vjp(output.rgb, target)
+        keyframe = view if fits and isinstance(view, Keyframe) else None
+        exposure, rgb = None, output.rgb
+        if keyframe is not None and self.exposures.enabled:
+            exposure = self.exposures.visit(self.keyframes, keyframe, output, target)
+            rgb = exposed(output.rgb, exposure)
+        pixels = l1_mse_vjp(rgb, target)
         loss, v_rgb, v_depth_m = pixels.value, pixels.v_rgb, None
         if ssim_weight > 0:
-            structural, v_structural = dssim_vjp(output.rgb, target)
+            structural, v_structural = dssim_vjp(rgb, target)
             loss = (1 - ssim_weight) * loss + ssim_weight * structural
             v_rgb = (1 - ssim_weight) * v_rgb + ssim_weight * v_structural
+        if exposure is not None:
+            v_rgb = exposed_vjp(output.rgb, exposure, v_rgb)[0]
         if optim.depth_weight > 0 and view.depth_m is not None:
             loss = loss + optim.depth_weight * depth_l1(output.depth_m, view.depth_m)
             v_depth_m = depth_l1_vjp(output.depth_m, view.depth_m, optim.depth_weight)
@@ -260,8 +281,8 @@ class GSFusion(Mapper):
         if any(penalties.values()):
             loss = loss + add_penalties_(gradients, self.gaussians.params, **penalties)
         adam_step(self.gaussians, gradients, optim)
-        if moves and isinstance(view, Keyframe):
-            self.refinement.move(self.keyframes, view, output, target)
+        if keyframe is not None and self.refinement.enabled:
+            self.refinement.move(self.keyframes, keyframe, dataclasses.replace(output, rgb=rgb), target)
         if watched is not None:
             watched = self.after_steps.add_up(self.gaussians, watched, view.camera)
             self.after_steps(self, watched, view, loss, output.rgb)

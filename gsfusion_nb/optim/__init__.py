@@ -8,6 +8,9 @@ from .align_view import PoseSystem as PoseSystem
 from .align_view import flow_of_motion as flow_of_motion
 from .align_view import pose_step as pose_step
 from .align_view import pose_system as pose_system
+from .exposure import exposed as exposed
+from .exposure import exposed_vjp as exposed_vjp
+from .exposure import fit_gain as fit_gain
 from .fit_pose import PoseFit as PoseFit
 from .fit_pose import fit_pose as fit_pose
 from .fusion import fuse_with_history as fuse_with_history

@@ -25,6 +25,8 @@ class Keyframe:
     T_WC: Float[Tensor, "4 4"]
     depth_m: Float[Tensor, "H W"] | None = None
     """z-depth, metres; None if the mapper has no depth loss."""
+    gain: Float[Tensor, " 3"] | None = None
+    """Exposure: the factor of each colour between the map's picture and this one; None is 1."""
 
     @property
     def rgb(self) -> Float[Tensor, "H W 3"]:
@@ -87,8 +89,16 @@ class KeyframeList:
 
     def set_pose(self, index: int, T_WC: Float[Tensor, "4 4"]) -> None:
         """Give the keyframe of the frame with this index another pose."""
-        at = next(i for i, k in enumerate(self._items) if k.index == index)
+        at = self._place(index)
         self._items[at] = dataclasses.replace(self._items[at], T_WC=T_WC.to(self._items[at].T_WC))
+
+    def set_gain(self, index: int, gain: Float[Tensor, " 3"]) -> None:
+        """Give the keyframe of the frame with this index another exposure."""
+        at = self._place(index)
+        self._items[at] = dataclasses.replace(self._items[at], gain=gain.to(self._items[at].T_WC.device))
+
+    def _place(self, index: int) -> int:
+        return next(i for i, k in enumerate(self._items) if k.index == index)
 
     def draw(self, count: int, generator: torch.Generator) -> list[Keyframe]:
         """Up to ``count`` different keyframes at random (GSFusion III-B.3: the first of the shuffled list)."""
@@ -131,5 +141,7 @@ def _check_saved_keyframe(name: str, keyframe: Keyframe) -> None:
     check_saved(f"T_WC of {name}", keyframe.T_WC, (4, 4))
     check_pose(f"T_WC of {name}", keyframe.T_WC, SAVED_RIGIDITY_ERROR)
     check_saved(f"rgb_u8 of {name}", keyframe.rgb_u8, (camera.height, camera.width, 3), torch.uint8)
+    if keyframe.gain is not None:
+        check_saved(f"gain of {name}", keyframe.gain, (3,))
     if keyframe.depth_m is not None:
         check_saved(f"depth_m of {name}", keyframe.depth_m, (camera.height, camera.width))

@@ -13,7 +13,9 @@ from ..checks import SAVED_RIGIDITY_ERROR, check_pose, check_whole
 from ..data import SequenceView
 from ..evaluation import score_views
 from ..foreign import reason_of
-from ..optim import fit_pose
+from ..optim import exposed, fit_gain, fit_pose
+from ..optim.exposure import SHOWN_ALPHA
+from ..render import render as render_gaussians
 from ..strict_json import read_object
 from ..types import Camera, Frame, GaussianParams, RenderOutput
 from .mapping_run import MappingRun
@@ -86,23 +88,46 @@ def score_in_map(
         suffix: Appended to the name of the group.
         with_lpips: Also compute LPIPS.
         align_to: If given, the held-out views are scored once more, as the group held_out_aligned, each at the pose
-            that fits its picture to these Gaussians best (``fit_pose``).
+            that fits its picture to these Gaussians best (``fit_pose``), and as the group held_out_fitted with its
+            brightness and white balance fitted, too (``fit_gain``).
     """
     metrics: dict[str, Any] = {}
-    groups = {name: group.frames(sequence) for name, group in views.items()}
+    groups = {name: (render, group) for name, group in views.items()}
     if align_to is not None:
-        groups["held_out_aligned"] = _aligned(views["held_out"].frames(sequence), align_to)
-    for name, frames in groups.items():
-        scores = score_views(render, frames, with_lpips=with_lpips)
+        aligned, gains = _aligned(views["held_out"].frames(sequence), align_to)
+        groups["held_out_aligned"] = render, aligned
+        groups["held_out_fitted"] = _with_exposures(render, gains), aligned
+    for name, (draw, group) in groups.items():
+        scores = score_views(draw, group.frames(sequence), with_lpips=with_lpips)
         metrics |= scores.as_metrics(name + suffix)
         metrics[f"n_views_{name}{suffix}"] = len(scores)
     return metrics
 
 
-def _aligned(frames: Iterator[Frame], params: GaussianParams) -> Iterator[Frame]:
+def _aligned(frames: Iterator[Frame], params: GaussianParams) -> tuple[ScoredViews, list[Tensor]]:
+    """The views at the poses that fit their pictures to the map best, and their exposures there."""
+    views, gains = ScoredViews([], []), []
     for frame in frames:
-        fit = fit_pose(params, frame.camera, frame.rgb.to(params.xyz_W.device), frame.T_WC)
-        yield dataclasses.replace(frame, T_WC=fit.T_WC.to(frame.T_WC))
+        rgb = frame.rgb.to(params.xyz_W.device)
+        T_WC = fit_pose(params, frame.camera, rgb, frame.T_WC).T_WC
+        shown = render_gaussians(params, frame.camera, T_WC)
+        views.positions.append(frame.index)
+        views.poses.append(T_WC.to(frame.T_WC))
+        gains.append(fit_gain(shown.rgb, rgb, shown.alpha >= SHOWN_ALPHA))
+    return views, gains
+
+
+def _with_exposures(
+    draw: Callable[[Camera, Tensor], RenderOutput], gains: list[Tensor]
+) -> Callable[[Camera, Tensor], RenderOutput]:
+    """A renderer that shows one view after the other, each with its exposure."""
+    remaining = iter(gains)
+
+    def shown(camera: Camera, T_WC: Tensor) -> RenderOutput:
+        output = draw(camera, T_WC)
+        return dataclasses.replace(output, rgb=exposed(output.rgb, next(remaining).to(output.rgb)))
+
+    return shown
 
 
 def views_as_json(views: dict[str, ScoredViews]) -> dict[str, Any]:

@@ -63,6 +63,8 @@ def test_scoring_again_gives_the_same_numbers(system, poses, scored_run, caplog)
     aligned = system == "gsfusion"
     assert own.get("n_views_held_out_aligned", 0) == (2 if aligned else 0)
     assert not aligned or own["psnr_held_out_aligned_db"] >= own["psnr_held_out_db"]
+    assert own.get("n_views_held_out_fitted", 0) == (2 if aligned else 0)
+    assert not aligned or own["psnr_held_out_fitted_db"] >= own["psnr_held_out_aligned_db"] - 0.05
     again = rescore(folder)
     assert {name: again[name] for name in own} == own
     assert (folder / "metrics.json").read_text() == before

@@ -1,0 +1,49 @@
+"""Brightness and white balance of a view: one factor per colour channel between the map's picture and the photograph.
+
+A camera with auto exposure shows the same wall brighter in one picture than in the next. An exposure multiplies the
+light; after the camera's gamma curve it multiplies the colours, too, (g L)^(1/2.2) = g^(1/2.2) L^(1/2.2), until they
+are white. So three factors a view are nearly all there is to know, and too few to hide an error of the map.
+"""
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+PRIOR_PIXELS = 10.0
+"""The prior at factor 1 counts as so many grey pixels."""
+SHOWN_ALPHA = 0.5
+"""The map shows a pixel if its accumulated opacity is at least this."""
+WHITE = 0.98
+"""Brighter pixels of the photograph may be cut off and do not count."""
+
+
+def exposed(rgb: Float[Tensor, "H W 3"], gain: Float[Tensor, " 3"]) -> Float[Tensor, "H W 3"]:
+    """The map's picture as a camera with this exposure takes it. Differentiable: ``exposed_vjp``."""
+    return rgb * gain
+
+
+def exposed_vjp(
+    rgb: Float[Tensor, "H W 3"], gain: Float[Tensor, " 3"], v_exposed: Float[Tensor, "H W 3"]
+) -> tuple[Float[Tensor, "H W 3"], Float[Tensor, " 3"]]:
+    """dL/drgb = gain v and dL/dgain = the sum over the pixels of rgb v."""
+    return gain * v_exposed, (rgb * v_exposed).sum((0, 1))
+
+
+def fit_gain(
+    rgb: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"], shown: Bool[Tensor, "H W"]
+) -> Float[Tensor, " 3"]:
+    """The factors with which the map's picture r fits the photograph t best: least squares, with a weak prior at 1.
+
+        g = (sum r t + p / 4) / (sum r^2 + p / 4)     over the pixels that the map shows and that are not white
+
+    Args:
+        rgb: The map's picture.
+        target: The photograph, 0..1.
+        shown: Pixels that the map covers.
+
+    Differentiable: no.
+    """
+    used = (shown & (target.amax(-1) < WHITE))[..., None]
+    r, t = torch.where(used, rgb.clamp(0, 1), 0.0), torch.where(used, target, 0.0)
+    prior = PRIOR_PIXELS / 4
+    return ((r * t).sum((0, 1)) + prior) / ((r * r).sum((0, 1)) + prior)
