@@ -62,7 +62,7 @@ class Localiser:
     @property
     def is_refined(self) -> bool:
         """Whether pictures have moved a pose away from the given one (``optim.refine_poses``)."""
-        return any(pose is not given for pose, given in zip(self.poses, self.given, strict=True))
+        return any(pose is not given for pose, given in zip(self.poses, self.given, strict=False))
 
     def refine(self, row: int, T_WC: Float[Tensor, "4 4"]) -> None:
         """Give the mapped frame with this number another pose; ``given`` keeps the one before."""

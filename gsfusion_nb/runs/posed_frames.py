@@ -37,7 +37,8 @@ def poses_in_map(view: SequenceView, localiser: Localiser, mapping: SequenceView
     T_WC = T_WC(n) T_data(n)^-1 T_data. If the data has no poses, only mapped frames have a pose in the map.
     """
     if not localiser.is_tracking or not localiser.poses:
-        mapped_at = dict(zip(localiser.frame_indices, localiser.poses, strict=True))
+        refined = zip(localiser.frame_indices, localiser.poses, strict=True) if localiser.is_refined else ()
+        mapped_at = dict(refined)
         return [mapped_at.get(index, _data_pose(view, i)) for i, index in enumerate(view.positions)]
     mapped = torch.tensor(localiser.frame_indices)
     position = {index: i for i, index in enumerate(mapping.positions)}
