@@ -11,13 +11,12 @@ from pathlib import Path
 from . import __version__, backends
 
 PACKAGES = (
-    "torch", "numpy", "numba", "opencv-python-headless", "kornia", "matplotlib", "jupyterlab",
+    "torch", "numpy", "numba", "opencv-python-headless", "kornia", "pyvista", "matplotlib", "jupyterlab",
     "ipykernel", "ipywidgets", "jupyterlab-widgets", "anywidget", "plyfile", "scipy", "tyro",
 )  # fmt: skip
 
 OPTIONAL = {
     "triton": "some of the kernels for GPUs: pip install 'gsfusion-nb[gpu]'",
-    "pyvista": "pictures of meshes drawn by VTK, which are smoother: pip install 'gsfusion-nb[vtk]'",
     "gtsam": "RTG-SLAM back end: pip install 'gsfusion-nb[slam]'",
     "rerun-sdk": "recordings for the Rerun viewer: pip install 'gsfusion-nb[rerun]'",
     "lpips": "LPIPS metric: pip install 'gsfusion-nb[lpips]'",
