@@ -22,7 +22,7 @@ MUTED = "#5c6675"
 GRID = "#dfe4ea"
 PAPER = "#fffffe"
 """White, behind names and around points; the colour of a card in a page."""
-PALETTE = ("#3d85c6", "#e08a2e", "#3a9d6a", "#d1495b", "#8e6bbf", "#8a8f98", "#2aa5a0", "#b8860b")
+PALETTE = ("#3d85c6", "#e08a2e", "#6a9e1f", "#d1495b", "#8e6bbf", "#8a8f98", "#2aa5a0", "#b8860b")
 """Colours of medium lightness, visible on white and on black."""
 
 BETWEEN = "#{:02x}{:02x}{:02x}".format(*ground.BETWEEN)

@@ -242,7 +242,7 @@ _COLOURS = {"reference": "#3d85c6", "torch": "#c98a1b", "numba": "#d1495b", "tri
 
 
 def _kernels(axes, points: list[KernelPoint], backend: str) -> None:
-    colour = _COLOURS.get(backend, "#3a9d6a")
+    colour = _COLOURS.get(backend, "#6a9e1f")
     inside = "none" if backend == "reference" else colour
     x, y = [p.intensity for p in points], [p.gflops for p in points]
     axes.scatter(x, y, s=60, edgecolors=colour, facecolors=inside, linewidths=1.6, label=backend, zorder=3)
