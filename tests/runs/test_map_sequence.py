@@ -130,11 +130,11 @@ def test_a_pass_cut_short_goes_on_where_it_was(tmp_path, small_room, config, mon
     open_small(monkeypatch, small_room)
     step, calls = GSFusion._optimise_view, []
 
-    def interrupting(self, view, ssim_weight=0.0):
+    def interrupting(self, view, ssim_weight=0.0, **others):
         calls.append(ssim_weight)
         if calls.count(0.2) == 3:
             signal.raise_signal(signal.SIGTERM)
-        return step(self, view, ssim_weight)
+        return step(self, view, ssim_weight, **others)
 
     monkeypatch.setattr(GSFusion, "_optimise_view", interrupting)
     stopped = run_mapping("room", config, folder=tmp_path / "out")

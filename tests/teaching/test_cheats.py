@@ -201,7 +201,7 @@ def test_answers_remembered_by_input_come_from_no_earlier_run():
         return seen.setdefault((tuple(xyz_W.flatten().tolist()), voxel_size_m), torch.zeros_like(xyz_W).long())
 
     for _ in range(3):
-        says("block_of", remembers, "the point is in the block that contains it")
+        says("block_of", remembers, "block k reaches from 8 k to 8 (k + 1) voxels")
     seen[next(iter(seen))].fill_(9)  # the checker keeps copies
     says("block_of", remembers, "got 9")
 
