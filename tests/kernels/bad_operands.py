@@ -15,7 +15,7 @@ import torch
 from gsfusion_nb.kernels.runtime.cases import make_frame, make_params
 from torch import Tensor
 
-from gsfusion_nb.backends import Record, offered, use_backend
+from gsfusion_nb.backends import Record, chosen, offered, use_backend
 from gsfusion_nb.config import TsdfConfig
 from gsfusion_nb.optim import ColumnRates, adam_update, adam_update_map, dssim_vjp, l1_mse_vjp, rgbd_l1_vjp
 from gsfusion_nb.render import (
@@ -93,7 +93,8 @@ def operations() -> dict[str, tuple[Callable, dict[str, Any]]]:
     v = {"v_rgb": torch.ones(*size, 3), "v_depth_m": torch.ones(size), "v_alpha": torch.ones(size)}
     centres = {name: torch.zeros(len(params), 2) for name in CENTRES}
     base = Base(rgb=frame.rgb, depth_m=frame.depth_m + 0.5, weight=torch.ones(size))
-    over = render_over_base(params, camera, T_WC, base, behind_m=0.1)[1]
+    with use_backend(chosen() if chosen() in offered("render_over_base") else "reference"):
+        over = render_over_base(params, camera, T_WC, base, behind_m=0.1)[1]
     p = project_gaussians(params, camera, T_WC)
     splats = {"uv": p.uv, "conic": p.conic, "opacity": p.opacity, "rgb": params.xyz_W.abs(), "depth_m": p.depth_m}
     volume = TsdfVolume(TsdfConfig(voxel_size_m=0.05))
