@@ -17,7 +17,7 @@ from ..render import BaseView, base_view, render_over_base, render_over_base_vjp
 from ..seeding import SeedContext, SeedingRule
 from ..tracking import Correction, tsdf_surface
 from ..tsdf import FusedView, fuse_frame_, raycast
-from ..types import Camera, Frame, RenderOutput, Seeds
+from ..types import Camera, Frame, RenderOutput
 from .based_views import BasedView, ViewRound, look_at
 from .frame_checks import check_frame
 from .step_report import StageClock, StepReport, psnr_from_mse
@@ -122,10 +122,6 @@ class GPSSLAM(TsdfMapping):
         """What a seeding rule sees of this frame, after it was fused into the TSDF."""
         below = self._look(as_keyframe(frame.to(self.device))).below
         return self._context(frame, volume=self.volume, near_m=self.config.tsdf.near_m, below=below)
-
-    def propose_seeds(self, context: SeedContext, **checks: Any) -> Seeds:
-        """Ask the seeding rule for new Gaussians; there are none in a frame in which it is not due."""
-        return super().propose_seeds(context, one_per_voxel=self.config.seeding.one_per_voxel, **checks)
 
     def is_next_keyframe(self, frame: Frame) -> bool:
         """Whether the camera has turned or moved far enough since the last keyframe, or it is time for one."""

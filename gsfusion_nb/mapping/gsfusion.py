@@ -1,7 +1,6 @@
 """GSFusion (Wei & Leutenegger 2024): TSDF fusion and Gaussian splatting, one frame at a time, in the paper's order."""
 
 import dataclasses
-from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -9,7 +8,6 @@ from torch import Tensor
 
 from ..backends import piece, runs_learners_code
 from ..config import GSFusionConfig, gsfusion, gsfusion_fidelity
-from ..errors import BadFrameError
 from ..gaussians import GaussianModel
 from ..observing import observed
 from ..optim import (
@@ -26,17 +24,16 @@ from ..optim import (
 from ..render import render_forward, render_vjp
 from ..seeding import Cells, SeedContext, SeedingRule, rule_name
 from ..tracking import tsdf_surface
-from ..tsdf import FusedView, NewBlocks, RaycastOutput, TsdfVolume, extract_mesh, fuse_frame_, new_band_blocks, raycast
-from ..types import Camera, Frame, Mesh, Seeds
+from ..tsdf import FusedView, fuse_frame_
+from ..types import Frame
 from .exposure_fit import ExposureFit
 from .frame_checks import check_frame
-from .map_view import MapPart
-from .mapper import Mapper
 from .pose_refinement import PoseRefinement
 from .step_report import StageClock, StepReport, psnr_from_mse
+from .tsdf_mapping import TsdfMapping
 
 
-class GSFusion(Mapper):
+class GSFusion(TsdfMapping):
     """GSFusion: its two maps are ``volume`` (TSDF) and ``gaussians``.
 
     GSFusion as published takes the poses as given; ``config.tracking.poses = "tracked"`` aligns each frame to the TSDF
@@ -68,15 +65,8 @@ class GSFusion(Mapper):
                 f"the seeding rule {rule_name(self.rule)!r} is asked in keyframes only, and with keyframe_every = 0 a "
                 "frame becomes a keyframe by its seeds; set keyframe_every, such as 5"
             )
-        self.volume = TsdfVolume(self.config.tsdf, device=self.device)
         self.refinement = PoseRefinement(self.config.optim, self.localiser)
         self.exposures = ExposureFit(self.config.optim)
-
-    def __repr__(self) -> str:
-        return (
-            f"GSFusion({self.n_frames} frames, {len(self.gaussians):,} Gaussians, {len(self.keyframes)} keyframes, "
-            f"{self.volume.n_blocks:,} voxel blocks, rule {self.config.seeding.rule!r}{self.rule_in_use.memory_note})"
-        )
 
     def step(self, frame: Frame) -> StepReport:
         """Map one frame (paper Fig. 2, section III-B), all of it or nothing.
@@ -137,22 +127,10 @@ class GSFusion(Mapper):
         """What a seeding rule sees of this frame, after it was fused into the TSDF."""
         return self._context(frame, volume=self.volume, near_m=self.config.tsdf.near_m)
 
-    def propose_seeds(self, context: SeedContext, **checks: Any) -> Seeds:
-        """Ask the seeding rule for new Gaussians; there are none in a frame in which it is not due."""
-        return super().propose_seeds(context, one_per_voxel=self.config.seeding.one_per_voxel, **checks)
-
     def is_next_keyframe(self, frame: Frame) -> bool | None:
         """Whether this frame, mapped next, becomes a keyframe; None if that depends on the number of its seeds."""
         every = self.config.keyframe_every
         return self.n_frames % every == 0 if every else None
-
-    def surface(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RaycastOutput:
-        """Depth, normals and colours of the TSDF map's surface seen by a camera."""
-        return raycast(self.volume, camera, T_WC.to(self.device))
-
-    def mesh(self) -> Mesh:
-        """Surface of the TSDF map."""
-        return extract_mesh(self.volume)
 
     @property
     def n_passes(self) -> int:
@@ -162,53 +140,6 @@ class GSFusion(Mapper):
     def quadtree_cells(self, frame: Frame) -> Cells:
         """The quadtree of the frame's image (section III-B.1)."""
         return self.seed_context(frame).quadtree_cells()
-
-    def counts(self) -> dict[str, int]:
-        """Number of voxel blocks of the TSDF."""
-        return {"n_blocks": self.volume.n_blocks}
-
-    def maps(self) -> dict[str, dict[str, Tensor]]:
-        """Gaussians, and the TSDF with its blocks in Morton order."""
-        volume, rows = self.volume, self.volume.index.rows
-        columns = {"block_coords": volume.block_coords, "D": volume.D, "W": volume.W, "rgb": volume.rgb_planes}
-        return super().maps() | {"tsdf": {name: column[rows] for name, column in columns.items()}}
-
-    def parts(self) -> list[MapPart]:
-        """Gaussians, keyframes and voxel blocks."""
-        blocks = MapPart(name="voxel blocks", count=self.volume.n_blocks, size_bytes=self.volume.memory_bytes)
-        return [*super().parts(), blocks]
-
-    def mesh_on_cpu(self) -> Mesh:
-        """The mesh, computed from a copy of the TSDF in CPU memory."""
-        return extract_mesh(self.volume.to("cpu"))
-
-    def step_warnings(self, frame: Frame, report: StepReport) -> list[str]:
-        """In addition: a warning if no depth of the first frame is in the range that is fused."""
-        warnings = super().step_warnings(frame, report)
-        if self.n_frames > 1 or report.n_blocks:
-            return warnings
-        tsdf, known = self.config.tsdf, frame.depth_m[frame.depth_m > 0]
-        median = f"its median is {float(known.median()):.4g} m" if len(known) else "it has none at all"
-        return [
-            *warnings,
-            f"frame {frame.index} has no depth between tsdf.near_m {tsdf.near_m:g} and tsdf.far_m {tsdf.far_m:g} m "
-            f"({median}), so nothing was mapped from it; check the depth scale",
-        ]
-
-    def state_dict(self) -> dict[str, Any]:
-        """The state of any mapper, and the TSDF."""
-        return super().state_dict() | {"volume": self.volume.state_dict()}
-
-    def _load(self, state: dict[str, Any]) -> None:
-        super()._load(state)
-        self.volume.load_state_dict(state["volume"])
-
-    def _make_room(self, frame: Frame) -> NewBlocks:
-        """Make room for the blocks that the frame needs. Returns those that do not exist yet."""
-        try:
-            return self.volume.reserve(new_band_blocks(self.volume, frame))
-        except ValueError as e:
-            raise BadFrameError(f"frame {frame.index} cannot be mapped: {e}") from None
 
     def _plan(self, n_seeds: int, known: bool | None) -> tuple[bool, int, int]:
         """``plan_frame`` by the settings; where it is known whether the frame is a keyframe, its seeds do not count."""

@@ -6,8 +6,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..errors import BadFrameError
+from ..seeding import SeedContext
 from ..tsdf import NewBlocks, RaycastOutput, TsdfVolume, extract_mesh, new_band_blocks, raycast
-from ..types import Camera, Frame, Mesh
+from ..types import Camera, Frame, Mesh, Seeds
 from .map_view import MapPart
 from .mapper import Mapper
 from .step_report import StepReport
@@ -26,6 +27,10 @@ class TsdfMapping(Mapper):
             f"{len(self.keyframes)} keyframes, {self.volume.n_blocks:,} voxel blocks, "
             f"rule {self.config.seeding.rule!r}{self.rule_in_use.memory_note})"
         )
+
+    def propose_seeds(self, context: SeedContext, **checks: Any) -> Seeds:
+        """Ask the seeding rule for new Gaussians; there are none in a frame in which it is not due."""
+        return super().propose_seeds(context, one_per_voxel=self.config.seeding.one_per_voxel, **checks)
 
     def surface(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RaycastOutput:
         """Depth, normals and colours of the TSDF map's surface seen by a camera."""
