@@ -174,16 +174,23 @@ def wait(page: Any, condition: str, timeout_s: float, what: str) -> None:
 
 
 @pytest.fixture(scope="session")
-def lab(tmp_path_factory):
-    """A ``Lab``; the test is skipped, with the reason, where its parts are missing."""
+def launch():
+    """``launch(options)`` starts Chromium; a process has one playwright. Skips the test where either is missing."""
     playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    pytest.importorskip("jupyterlab", reason="jupyterlab is not installed")
     chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if chromium is None:
         pytest.skip("no chromium here (Debian: apt-get install chromium)")
+    with playwright.sync_playwright() as p:
+        yield lambda options: p.chromium.launch(executable_path=chromium, args=options)
+
+
+@pytest.fixture(scope="session")
+def lab(launch, tmp_path_factory):
+    """A ``Lab``; the test is skipped, with the reason, where its parts are missing."""
+    pytest.importorskip("jupyterlab", reason="jupyterlab is not installed")
     home = tmp_path_factory.mktemp("lab")
-    with _server(home) as (port, token), playwright.sync_playwright() as p:
-        browser = p.chromium.launch(executable_path=chromium, args=_CHROMIUM_OPTIONS)
+    with _server(home) as (port, token):
+        browser = launch(_CHROMIUM_OPTIONS)
         yield Lab(browser, home / "work", port, token)
         browser.close()
 

@@ -7,7 +7,6 @@ prints the PSNR; pictures go to $GSNB_SCREENSHOTS.
 import json
 import math
 import os
-import shutil
 import subprocess
 from pathlib import Path
 from urllib.parse import quote
@@ -86,15 +85,10 @@ def written(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def browser():
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    if chromium is None:
-        pytest.skip("no chromium here (Debian: apt-get install chromium)")
-    with playwright.sync_playwright() as p:
-        browser = p.chromium.launch(executable_path=chromium, args=_GL)
-        yield browser
-        browser.close()
+def browser(launch):
+    browser = launch(_GL)
+    yield browser
+    browser.close()
 
 
 def say(sentence: str) -> None:
