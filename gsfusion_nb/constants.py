@@ -40,6 +40,9 @@ TILE_PX = 8
 """Edge of a screen tile, pixels. The picture does not depend on it. For the torch backend 8 is fastest: 16 evaluates
 twice as many (pixel, Gaussian) pairs, 4 makes 2.5 times as many list entries."""
 
+SHOWN_ALPHA = 0.5
+"""The map shows a pixel if its accumulated opacity is at least this."""
+
 GROWTH = {"cpu": 2.0, "cuda": 1.25}
 """A map that is full grows by this factor. Untouched memory is free on a CPU; on a GPU it is taken from the rest."""
 

@@ -35,8 +35,7 @@ class BasedView:
 
     def state_dict(self) -> dict[str, Any]:
         """Plain values."""
-        state = vars(self.keyframe) | {"camera": vars(self.keyframe.camera)}
-        return {"keyframe": state, "seen_rgb": self.seen_rgb, "seen_depth_m": self.seen_depth_m}
+        return {"keyframe": self.keyframe.state_dict(), "seen_rgb": self.seen_rgb, "seen_depth_m": self.seen_depth_m}
 
 
 def look_at(volume: TsdfVolume, keyframe: Keyframe, config: BaseConfig, *, full: bool = False) -> BasedView:

@@ -5,8 +5,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..config import OptimConfig
+from ..constants import SHOWN_ALPHA
 from ..optim import Keyframe, KeyframeList, fit_gain
-from ..optim.exposure import SHOWN_ALPHA
 from ..types import RenderOutput
 
 

@@ -80,7 +80,7 @@ class GPSSLAM(TsdfMapping):
             seeds_now = self.rule_in_use.when.is_due(self.n_frames, is_keyframe)
             in_window = self.n_frames % self.config.schedule.window_every == 0
             with clock("base"):
-                now = self._look(as_keyframe(frame)) if seeds_now or in_window or self.after_steps.edits else None
+                now = self._look(Keyframe.of(frame)) if seeds_now or in_window or self.after_steps.edits else None
             with clock("seeding"):
                 preview = FusedView(self.volume, frame, missing)
                 below = None if now is None else now.below
@@ -120,7 +120,7 @@ class GPSSLAM(TsdfMapping):
 
     def seed_context(self, frame: Frame) -> SeedContext:
         """What a seeding rule sees of this frame, after it was fused into the TSDF."""
-        below = self._look(as_keyframe(frame.to(self.device))).below
+        below = self._look(Keyframe.of(frame.to(self.device))).below
         return self._context(frame, volume=self.volume, near_m=self.config.tsdf.near_m, below=below)
 
     def is_next_keyframe(self, frame: Frame) -> bool:
@@ -143,15 +143,7 @@ class GPSSLAM(TsdfMapping):
         out, _ = render_over_base(
             self.gaussians.params, camera, T_WC.to(self.device), below.base, behind_m=below.behind_m
         )
-        alpha = torch.where(below.base.depth_m > 0, 1.0, out.weight.clamp(max=1.0))
-        return RenderOutput(
-            rgb=out.rgb,
-            depth_m=alpha * out.depth_m,
-            alpha=alpha,
-            first_index=None,
-            dominant_index=None,
-            surface_depth_m=below.base.depth_m,
-        )
+        return out.as_render_output(below.base)
 
     @property
     def n_passes(self) -> int:
@@ -252,8 +244,3 @@ class GPSSLAM(TsdfMapping):
             watched = self.after_steps.add_up(self.gaussians, watched, camera)
             self.after_steps(self, watched, keyframe, loss, output.rgb)
         return loss, pixels.mse
-
-
-def as_keyframe(frame: Frame) -> Keyframe:
-    """The view of a frame."""
-    return Keyframe(index=frame.index, rgb_u8=frame.rgb_u8, camera=frame.camera, T_WC=frame.T_WC)

@@ -20,11 +20,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ..constants import SHOWN_ALPHA
 from ..geometry import se3
 from ..types import Camera, RenderOutput
 
-SHOWN_ALPHA = 0.5
-"""Only pixels count whose accumulated opacity is at least this."""
 SMALL_RESIDUAL = 0.02
 """The weights are those of the mean absolute error, 1 / |r|, but not larger than for this difference of colours."""
 EVERY = 2

@@ -11,8 +11,6 @@ from torch import Tensor
 
 PRIOR_PIXELS = 10.0
 """The prior at factor 1 counts as so many grey pixels."""
-SHOWN_ALPHA = 0.5
-"""The map shows a pixel if its accumulated opacity is at least this."""
 WHITE = 0.98
 """Brighter pixels of the photograph may be cut off and do not count."""
 

@@ -28,10 +28,25 @@ class Keyframe:
     gain: Float[Tensor, " 3"] | None = None
     """Exposure: the factor of each colour between the map's picture and this one; None is 1."""
 
+    @classmethod
+    def of(cls, frame: Frame, *, with_depth: bool = False) -> "Keyframe":
+        """The view of a frame, with its depth if ``with_depth``."""
+        return cls(
+            index=frame.index,
+            rgb_u8=frame.rgb_u8,
+            camera=frame.camera,
+            T_WC=frame.T_WC,
+            depth_m=frame.depth_m if with_depth else None,
+        )
+
     @property
     def rgb(self) -> Float[Tensor, "H W 3"]:
         """Colour, 0..1."""
         return rgb_of_bytes(self.rgb_u8)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Plain values."""
+        return vars(self) | {"camera": vars(self.camera)}
 
     def to(self, device: torch.device | str) -> "Keyframe":
         """The same keyframe with its tensors on ``device``; the keyframe itself if they are."""
@@ -68,14 +83,7 @@ class KeyframeList:
 
     def append(self, frame: Frame, *, with_depth: bool = False) -> None:
         """Add ``frame`` as a keyframe, with its depth if ``with_depth``."""
-        keyframe = Keyframe(
-            index=frame.index,
-            rgb_u8=frame.rgb_u8,
-            camera=frame.camera,
-            T_WC=frame.T_WC,
-            depth_m=frame.depth_m if with_depth else None,
-        )
-        self._keep(keyframe)
+        self._keep(Keyframe.of(frame, with_depth=with_depth))
 
     def cut(self, count: int) -> None:
         """Keep only the first ``count`` keyframes."""
@@ -108,7 +116,7 @@ class KeyframeList:
 
     def state_dict(self) -> list[dict[str, Any]]:
         """Plain values of every keyframe."""
-        return [vars(k) | {"camera": vars(k.camera)} for k in self._items]
+        return [k.state_dict() for k in self._items]
 
     @classmethod
     def from_state_dict(cls, state: list[dict[str, Any]], device: torch.device | str | None = None) -> "KeyframeList":

@@ -33,7 +33,7 @@ from ..checks import check_number
 from ..constants import ALPHA_MAX
 from ..geometry.spherical_harmonics import sh_to_rgb, sh_to_rgb_vjp
 from ..operands import MASK, check_gaussians, check_operand, check_view
-from ..types import Camera, GaussianParams
+from ..types import Camera, GaussianParams, RenderOutput
 from .composite import absolute_uv_vjp, pixel_offsets, splat_alpha, splat_alpha_vjp
 from .on_screen import ScreenGaussians
 from .project import project_gaussians, project_gaussians_vjp
@@ -62,6 +62,18 @@ class OverBaseOutput:
     """(D_s + sum w_i z_i) / (1 + W); without the surface where there is none; 0 where there is nothing at all."""
     weight: Float[Tensor, "H W"]
     """W, the sum of the Gaussians' weights; may exceed 1."""
+
+    def as_render_output(self, base: Base) -> RenderOutput:
+        """The picture as mappers show it: alpha is 1 where ``base`` has a surface, else W, at most 1; no indices."""
+        alpha = torch.where(base.depth_m > 0, 1.0, self.weight.clamp(max=1.0))
+        return RenderOutput(
+            rgb=self.rgb,
+            depth_m=alpha * self.depth_m,
+            alpha=alpha,
+            first_index=None,
+            dominant_index=None,
+            surface_depth_m=base.depth_m,
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -10,11 +10,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..checks import SAVED_RIGIDITY_ERROR, check_pose, check_whole
+from ..constants import SHOWN_ALPHA
 from ..data import SequenceView
 from ..evaluation import score_views
 from ..foreign import reason_of
 from ..optim import exposed, fit_gain, fit_pose
-from ..optim.exposure import SHOWN_ALPHA
 from ..render import render as render_gaussians
 from ..strict_json import read_object
 from ..types import Camera, Frame, GaussianParams, RenderOutput

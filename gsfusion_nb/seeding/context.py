@@ -243,7 +243,9 @@ class SeedContext(ImageFeatures, PointQueries):
         params = self._need_gaussians("render()")
 
         def draw() -> RenderOutput:
-            return render(params, self.camera, self.frame.T_WC) if self.below is None else self._both(self.below)
+            if self.below is not None:
+                return self.over_base().as_render_output(self.below.base)
+            return render(params, self.camera, self.frame.T_WC)
 
         return self._once("render", draw)
 
@@ -258,13 +260,6 @@ class SeedContext(ImageFeatures, PointQueries):
             return render_over_base(params, *view, below.base, behind_m=below.behind_m)[0]
 
         return self._once("over_base", draw)
-
-    def _both(self, below: BaseView) -> RenderOutput:
-        both = self.over_base()
-        alpha = torch.where(below.base.depth_m > 0, 1.0, both.weight.clamp(max=1.0))
-        return RenderOutput(
-            rgb=both.rgb, depth_m=alpha * both.depth_m, alpha=alpha, first_index=None, dominant_index=None
-        )
 
     def surface(self, rows: Int[Tensor, " M"] | None = None) -> SurfaceView:
         """What the frame's camera sees of the current map with its Gaussians as discs: transmittance, depth of the

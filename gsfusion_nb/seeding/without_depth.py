@@ -8,12 +8,10 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from ..constants import SHOWN_ALPHA
 from ..types import Seeds
 from .context import SeedContext
 from .quadtree import cell_gaussians
-
-SHOWN_ALPHA = 0.5
-"""The map shows a pixel if its accumulated opacity is at least this."""
 
 LEAST_HALF_PX = 2
 """Cells are not cut to less than this half width: at a guessed depth the finest detail is not worth its Gaussians. On
@@ -37,6 +35,8 @@ def cells_without_depth(ctx: SeedContext) -> Seeds:
     chosen = depth_m[j, i] <= 0
     if ctx.has_map and chosen.any():
         chosen &= ctx.render().alpha[j, i] < SHOWN_ALPHA
+    if not chosen.any():
+        return Seeds.empty(depth_m)
     leaves, i, j = leaves[chosen], i[chosen], j[chosen]
     filled = depth_from_sides(depth_m, known)
     placed = filled[j, i] > 0

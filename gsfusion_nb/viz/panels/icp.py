@@ -52,9 +52,8 @@ def displaced_pose(T_WC: Float[Tensor, "4 4"], sideways_m: float | int, turn_deg
 
 def pose_error(T_WC: Float[Tensor, "4 4"], T_true: Float[Tensor, "4 4"]) -> tuple[float, float]:
     """Distance of the camera centres, metres, and angle between the axes, degrees."""
-    T, true = T_WC.double(), T_true.double()
-    angle = se3.rotation_angle(T[:3, :3].T @ true[:3, :3])
-    return float((T[:3, 3] - true[:3, 3]).norm()), float(angle.rad2deg())
+    turned_deg, moved_m = se3.motion(T_WC, T_true)
+    return moved_m, turned_deg
 
 
 def single_level_config(config: TrackingConfig) -> TrackingConfig:
