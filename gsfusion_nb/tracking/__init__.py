@@ -8,6 +8,7 @@ from .features import extract_features as extract_features
 from .gauss_newton_poses import optimise_poses_plain as optimise_poses_plain
 from .gauss_newton_poses import pose_graph_step as pose_graph_step
 from .gauss_newton_poses import relative_pose_error as relative_pose_error
+from .icp import ExtraRows as ExtraRows
 from .icp import IcpIteration as IcpIteration
 from .icp import IcpResult as IcpResult
 from .icp import align as align

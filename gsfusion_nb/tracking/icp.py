@@ -1,8 +1,11 @@
 """Frame-to-model ICP: the pose at which a depth frame fits a surface best (Peng et al. 2024, Eq. 10)."""
 
+import dataclasses
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -14,6 +17,11 @@ from .normal_equations import IcpSystem, depth_weight, icp_system
 from .pyramid import DepthLevel, depth_pyramid
 from .solve import Extent, Step, solve_step
 from .surface import Surface
+
+ExtraRows = Callable[[Tensor], tuple[Tensor, Tensor]]
+"""Further rows of the least squares, such as landmarks: given a pose ``T_WC`` [4, 4], returns the sums of w J^T J
+[6, 6] and w J^T r [6], float64 on the CPU, for a twist in world axes about the world's origin, ``T_WC <- exp(xi) T_WC``
+(translation first). r in metres; weight 1 is that of a pixel of depth nearer than ``even_to_m``."""
 
 CONVERGED_M = 1e-5
 """ICP ends on the finest level when a step moves the surface by less than this, metres; on coarser levels the limit is
@@ -94,9 +102,16 @@ def icp(
 
 
 def align(
-    levels: list[DepthLevel], surface: Surface, T_WC_start: Float[Tensor, "4 4"], config: TrackingConfig
+    levels: list[DepthLevel],
+    surface: Surface,
+    T_WC_start: Float[Tensor, "4 4"],
+    config: TrackingConfig,
+    extra: ExtraRows | None = None,
 ) -> IcpResult:
-    """``icp`` of a frame whose pyramid was made before. Levels are used in the order given."""
+    """``icp`` of a frame whose pyramid was made before. Levels are used in the order given.
+
+    ``extra`` joins every step. Distances and counts of the result are those of depth alone.
+    """
     gates = {
         "max_distance_m": config.max_distance_m,
         "min_cosine": math.cos(math.radians(config.max_angle_deg)),
@@ -116,13 +131,13 @@ def align(
             system = icp_system(level, T_WC.to(device), surface, **coarse)
             if system.n_inliers < 6:
                 break
-            step = _step(system, T_WC, centre, points, config)
+            step = _step(_joined(system, T_WC, centre, extra), T_WC, centre, points, config)
             history.append(_record(level, T_WC, system, step))
             T_WC = _moved(T_WC, system, step, centre)
             if step.length_m < CONVERGED_M * level.factor:
                 break
     system = icp_system(levels[-1], T_WC.to(device), surface, **gates)
-    last = _step(system, T_WC, centre, points, config)
+    last = _step(_joined(system, T_WC, centre, extra), T_WC, centre, points, config)
     return IcpResult(
         T_WC=T_WC,
         rms_m=system.rms_m,
@@ -144,6 +159,16 @@ def _extent(level: DepthLevel, even_to_m: float | None) -> Extent:
     middle = sum_rows(share[:, None] * points)
     spread = float(sum_rows(share * (points - middle).square().sum(1)).sqrt())
     return Extent(centre=middle.double().cpu(), spread_m=max(spread, 1e-3))
+
+
+def _joined(system: IcpSystem, T_WC: Tensor, centre: Tensor, extra: ExtraRows | None) -> IcpSystem:
+    """The system with further rows; their twist about the world's origin becomes one about ``centre``."""
+    if extra is None:
+        return system
+    H, b = extra(T_WC)
+    about = torch.eye(6, dtype=torch.float64)
+    about[:3, 3:] = se3.hat(centre)  # exp(xi) about c moves a point p by rho + w x (p - c)
+    return dataclasses.replace(system, H=system.H.cpu() + about.T @ H @ about, b=system.b.cpu() + about.T @ b)
 
 
 def _step(system: IcpSystem, T_WC: Tensor, centre: Tensor, points: Extent, config: TrackingConfig) -> Step:

@@ -15,7 +15,7 @@ from ..config import TrackingConfig
 from ..geometry import se3
 from ..types import Camera, Frame
 from .fit_checks import why_no_fit, why_not_alike, why_too_far
-from .icp import IcpResult, align
+from .icp import ExtraRows, IcpResult, align
 from .pyramid import DepthLevel, depth_pyramid
 from .saved_state import check_saved_pose
 from .surface import Surface, SurfaceSource, hybrid_surface, smooth_normals
@@ -89,7 +89,13 @@ class Tracker:
     def standing(self, standing: tuple[Any, ...]) -> None:
         self._last, self._before, self.lost_in_a_row, self._last_depth_m = standing
 
-    def track(self, frame: Frame, surface: SurfaceSource, relocalise: Relocaliser = lambda frame: []) -> TrackingReport:
+    def track(
+        self,
+        frame: Frame,
+        surface: SurfaceSource,
+        relocalise: Relocaliser = lambda frame: [],
+        extra: ExtraRows | None = None,
+    ) -> TrackingReport:
         """Pose of the next frame. That of the first frame is taken from the data.
 
         ICP starts from the predicted pose. If that fails, it starts again from the predicted pose with smoothed
@@ -100,6 +106,7 @@ class Tracker:
             frame: Its ``T_WC`` is used only if it is the first.
             surface: Renders the model; may be called several times.
             relocalise: Called for poses by appearance when ICP has failed from all other starts.
+            extra: Further rows for ICP, such as landmarks that the frame sees.
 
         Raises:
             TrackingLostError: no start led to a pose that fits. Only the counts of lost frames change, so the next
@@ -116,7 +123,7 @@ class Tracker:
             return TrackingReport(status="first", T_WC=frame.T_WC, seconds=seconds)
         failures: list[str] = []
         for start in self._starts(frame, relocalise):
-            result = self._attempt(frame, levels, surface, start, seconds)
+            result = self._attempt(frame, levels, surface, start, seconds, extra)
             strict = bool(failures) or self.lost_in_a_row > 0
             problem = why_no_fit(result, self.config, strict=strict)
             if not problem and not start.anywhere:
@@ -208,6 +215,7 @@ class Tracker:
         source: SurfaceSource,
         start: "_Start",
         seconds: dict[str, float],
+        extra: ExtraRows | None,
     ) -> IcpResult:
         T_WC = start.T_WC
         if start.wide:
@@ -220,7 +228,7 @@ class Tracker:
             if start.smooth:
                 surface = smooth_normals(surface)
         with _Clock(seconds, "icp"):
-            return align(levels, surface, T_WC, self.config)
+            return align(levels, surface, T_WC, self.config, extra)
 
     def _surface(self, camera: Camera, T_WC: Tensor, source: SurfaceSource, *, may_mix: bool) -> Surface:
         depth_m = self._last_depth_m

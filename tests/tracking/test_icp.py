@@ -9,7 +9,7 @@ from gsfusion_nb.backends import use_backend
 from gsfusion_nb.config import TrackingConfig
 from gsfusion_nb.data.room import room
 from gsfusion_nb.geometry import depth_to_normals, se3
-from gsfusion_nb.tracking import Surface, icp
+from gsfusion_nb.tracking import Surface, align, depth_pyramid, icp
 
 EXACT = TrackingConfig(even_to_m=None, pyramid=(4, 2, 1), iterations=(10, 10, 10))
 
@@ -146,3 +146,26 @@ def test_levels_that_do_not_divide_the_size(plane_scene, generator, assert_pose,
     config = TrackingConfig(even_to_m=None, pyramid=factors, iterations=(12,) * len(factors))
     start = perturbation(generator, 0.03, 3.0)
     assert_pose(icp(frame.depth_m, frame.camera, scene(frame.camera, T_WC), start, config).T_WC, T_WC, 2e-3, 0.1)
+
+
+def test_further_rows_decide_what_depth_leaves_open(plane_scene):
+    """A wall seen from far from the world's origin; two points of known place give the motion along it and the roll."""
+    away = se3.exp(torch.tensor([40.0, -30.0, 20.0, 0.3, -1.2, 0.4]).double())
+    planes, T_WC = plane_scene("wall"), torch.eye(4).double()
+    frame, seen = planes.frame(T_WC), planes(planes.frame(T_WC).camera, T_WC)
+    surface = dataclasses.replace(seen, normal_W=se3.rotate(away.float(), seen.normal_W), T_WC=away)
+    known_C = torch.tensor([[0.5, 0.3, 2.0], [-0.6, 0.1, 2.0]]).double()
+
+    def points(T):
+        J, r = [], (se3.apply(T, known_C) - se3.apply(away, known_C)).reshape(-1)
+        for p in se3.apply(T, known_C):
+            J.append(torch.cat([torch.eye(3).double(), -se3.hat(p)], dim=1))
+        J = torch.cat(J)
+        return 1000 * J.T @ J, 1000 * J.T @ r
+
+    start = away @ se3.exp(torch.tensor([0.02, 0.03, -0.04, 0.01, 0.01, 0.05]).double())
+    levels = depth_pyramid(frame.depth_m, frame.camera, EXACT.pyramid)
+    alone, joined = (align(levels, surface, start, EXACT, rows) for rows in (None, points))
+    assert (alone.degenerate, joined.degenerate) == (3, 0)
+    torch.testing.assert_close(joined.T_WC, away, atol=1e-4, rtol=0)
+    assert float((alone.T_WC - away)[:3, 3].norm()) > 0.02
