@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import torch
 
 from . import backends
-from .config import SeedingConfig, TsdfConfig, gsfusion, rtg_slam
-from .mapping import RTGSLAM, GSFusion
+from .config import SeedingConfig, TsdfConfig, gps_slam, gsfusion, rtg_slam
+from .mapping import GPSSLAM, RTGSLAM, GSFusion
 from .processes import run_in_processes, usable_cores
 from .types import Camera, Frame
 
@@ -103,7 +103,7 @@ def _as_a_worker() -> Iterator[list[str]]:
 
 
 def warm_up_cases(device: str = "cpu") -> Iterator[WarmUpCase]:
-    """One for each case of an operation's folder, and the two mappers at the end."""
+    """One for each case of an operation's folder, and the mappers of the systems at the end."""
     for case in backends.cases():
         if torch.float32 in case.dtypes:
             run = _once(case.run, torch.device(device), torch.float32)
@@ -111,6 +111,7 @@ def warm_up_cases(device: str = "cpu") -> Iterator[WarmUpCase]:
     frame, grey = (_frame(device, whole_numbers=n) for n in (True, False))
     yield WarmUpCase("whole mapper: GSFusion", backends.operations(), _once(_map, frame, grey, device))
     yield WarmUpCase("whole mapper: RTG-SLAM", backends.operations(), _once(_slam, frame, grey, device))
+    yield WarmUpCase("whole mapper: GPS-SLAM", backends.operations(), _once(_over_tsdf, frame, grey, device))
 
 
 def _once(function: Callable, *args, **kwargs) -> Callable[[], object]:
@@ -137,6 +138,16 @@ def _slam(frame: Frame, grey: Frame, device: str) -> None:
     config = rtg_slam("replica", tracking__poses="tracked", window__iterations=2, final__passes=1)
     mapper = RTGSLAM(config, device=device)
     for index in range(config.window.every_frames):
+        mapper.step(dataclasses.replace((frame, grey)[index % 2], index=index, timestamp_s=float(index)))
+    for _ in mapper.global_optimise():
+        pass
+    mapper.render(frame.camera, frame.T_WC)
+
+
+def _over_tsdf(frame: Frame, grey: Frame, device: str) -> None:
+    config = gps_slam("replica", tsdf__voxel_size_m=0.05, schedule__every_frames=2, final__passes=1)
+    mapper = GPSSLAM(config, device=device)
+    for index in range(3):
         mapper.step(dataclasses.replace((frame, grey)[index % 2], index=index, timestamp_s=float(index)))
     for _ in mapper.global_optimise():
         pass

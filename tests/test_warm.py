@@ -38,7 +38,7 @@ def test_the_mapper_needs_nothing_that_the_cases_left_out():
     pytest.importorskip("numba")
     cases = list(warm.warm_up_cases())
     mappers = [e for e in cases if e.name.startswith("whole mapper")]
-    assert len(mappers) == 2
+    assert len(mappers) == 3
     for case in cases:
         if case not in mappers:
             case.run()

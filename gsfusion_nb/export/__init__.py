@@ -13,3 +13,5 @@ from .mesh_ply import read_mesh_ply as read_mesh_ply
 from .mesh_ply import write_mesh_ply as write_mesh_ply
 from .trajectory import read_trajectory_tum as read_trajectory_tum
 from .trajectory import write_trajectory_tum as write_trajectory_tum
+from .tsdf_file import read_tsdf as read_tsdf
+from .tsdf_file import write_tsdf as write_tsdf

@@ -13,13 +13,14 @@ from ..gaussians import GaussianModel
 from ..geometry import se3
 from ..observing import observed
 from ..optim import Keyframe, adam_step, dssim_vjp, l1_mse_vjp
-from ..render import BaseView, base_view, render_over_base, render_over_base_vjp
+from ..render import BaseView, render_over_base, render_over_base_vjp
 from ..seeding import SeedContext, SeedingRule
 from ..tracking import Correction, tsdf_surface
-from ..tsdf import FusedView, fuse_frame_, raycast
+from ..tsdf import FusedView, fuse_frame_
 from ..types import Camera, Frame, RenderOutput
 from .based_views import BasedView, ViewRound, look_at
 from .frame_checks import check_frame
+from .over_surface import OverSurface, StoredWithSurface
 from .step_report import StageClock, StepReport, psnr_from_mse
 from .tsdf_mapping import TsdfMapping
 
@@ -27,7 +28,7 @@ KEPT_BASES_BYTES = 256 << 20
 """Memory for the surfaces that the passes after the scan have seen; the others are looked at anew in each pass."""
 
 
-class GPSSLAM(TsdfMapping):
+class GPSSLAM(StoredWithSurface, TsdfMapping):
     """GPS-SLAM: its two maps are ``volume`` (TSDF) and ``gaussians``, which are drawn over the TSDF's picture.
 
     Settings: ``gsfusion_nb.config.gps_slam``.
@@ -52,10 +53,7 @@ class GPSSLAM(TsdfMapping):
         seeding: "str | SeedingRule | None" = None,
         device: torch.device | str = "cpu",
     ):
-        """Raises ``ValueError`` for ``data.align_held_out``, which moves the camera by the Gaussians alone."""
         super().__init__(config, seeding=seeding, device=device)
-        if self.config.data.align_held_out:
-            raise ValueError("data.align_held_out is for maps of Gaussians alone; leave it off for gps_slam")
         self.views = ViewRound(self.config.schedule)
         self._kept_bases: dict[int, BasedView] = {}
 
@@ -133,17 +131,15 @@ class GPSSLAM(TsdfMapping):
 
     def below(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> BaseView:
         """What a camera sees of the surface below the Gaussians, one ray for each pixel."""
-        seen = raycast(self.volume, camera, T_WC.to(self.device))
-        size = (camera.height, camera.width)
-        return base_view(seen.rgb, seen.depth_m, size, self.config.base.holes, self.config.base.behind_m)
+        return self._over_surface.below(camera, T_WC)
 
     def render(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RenderOutput:
         """Surface and Gaussians seen by a camera; alpha is 1 where there is a surface, and depth is the surface's."""
-        below = self.below(camera, T_WC)
-        out, _ = render_over_base(
-            self.gaussians.params, camera, T_WC.to(self.device), below.base, behind_m=below.behind_m
-        )
-        return out.as_render_output(below.base)
+        return self._over_surface.render(camera, T_WC)
+
+    @property
+    def _over_surface(self) -> OverSurface:
+        return OverSurface(volume=self.volume, params=self.gaussians.params, config=self.config.base)
 
     @property
     def n_passes(self) -> int:

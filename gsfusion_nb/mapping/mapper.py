@@ -32,9 +32,10 @@ from .rule_in_use import RuleInUse
 from .rule_settings import settings_with_rule
 from .saved_state import SavesState
 from .step_report import GlobalStep, StepReport
+from .stored_map import StoredMap
 
 
-class Mapper(AsksRule, SavesState, ABC):
+class Mapper(AsksRule, SavesState, StoredMap, ABC):
     """A mapping system: give it frames with ``step``; the map is ``gaussians``, and what the subclass adds.
 
     Args:
@@ -79,7 +80,8 @@ class Mapper(AsksRule, SavesState, ABC):
     asks_rule: ClassVar[bool] = True
     """Whether new Gaussians come from the seeding rule; the report then names it."""
     needs_volume_to_render: ClassVar[bool] = False
-    """Whether the picture needs more than the Gaussians, so that it cannot be made from a PLY file of them."""
+    """Whether the picture needs more than the Gaussians: then ``gaussians.ply`` alone does not show the map
+    (``StoredMap``)."""
     memory_savers: ClassVar[tuple[str, ...]] = ()
     """Settings, besides smaller images, that reduce the memory of the map; named in the message when memory is full."""
 

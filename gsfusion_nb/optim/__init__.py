@@ -13,6 +13,7 @@ from .exposure import exposed_vjp as exposed_vjp
 from .exposure import fit_gain as fit_gain
 from .fit_pose import PoseFit as PoseFit
 from .fit_pose import fit_pose as fit_pose
+from .fit_pose_by_flow import fit_pose_by_flow as fit_pose_by_flow
 from .fusion import fuse_with_history as fuse_with_history
 from .keyframes import Keyframe as Keyframe
 from .keyframes import KeyframeList as KeyframeList

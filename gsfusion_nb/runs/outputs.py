@@ -41,6 +41,7 @@ from .scored_views import VIEWS, score_in_map, scored_views, views_as_json
 FILES = {
     "gaussians.ply": "Gaussian map, standard 3DGS layout: SuperSplat, antimatter15/splat, Blender and Unity plug-ins",
     "mesh.ply": "TSDF surface with vertex colours: MeshLab, Blender, CloudCompare",
+    "tsdf.npz": "the coloured TSDF that GPS-SLAM draws its Gaussians over; gaussians.ply alone shows them over black",
     "trajectory.txt": "poses, TUM format: evo_traj tum trajectory.txt",
     "trajectory_given.txt": "the poses before they were refined, if they were",
     "config.json": "all settings: gsfusion-nb map --from-config config.json repeats the run",
@@ -55,10 +56,11 @@ SURFACE_SAMPLES = 200_000
 
 def score(run: MappingRun, suffix: str = "", *, with_lpips: bool = False) -> dict[str, Any]:
     """PSNR, SSIM, LPIPS and depth error of the current map on mapped and held-out views."""
-    mapper = run.mapper
-    align_to = mapper.gaussians.params if mapper.config.data.align_held_out and not suffix else None
-    views = scored_views(run)
-    return score_in_map(mapper.render, views, run.sequence, suffix, with_lpips=with_lpips, align_to=align_to)
+    mapper, params = run.mapper, run.mapper.gaussians.params
+    draw = mapper.drawn_as_stored()
+    wanted = mapper.config.data.align_held_out and not suffix
+    align = (lambda frame: mapper.aligned_pose(draw, params, frame)) if wanted else None
+    return score_in_map(draw, scored_views(run), run.sequence, suffix, with_lpips=with_lpips, align=align)
 
 
 def write_maps(run: MappingRun, folder: Path) -> Mesh:
@@ -91,6 +93,7 @@ def write_maps(run: MappingRun, folder: Path) -> Mesh:
         lambda: write_json(folder / VIEWS, views_as_json(scored_views(run))),
         lambda: _write_trajectory(run, folder),
         lambda: write_gaussian_ply(folder / "gaussians.ply", run.mapper.gaussians.params),
+        lambda: run.mapper.write_besides(folder),
         lambda: write_mesh_ply(folder / "mesh.ply", mesh),
     ]
     problems: list[DiskFullError] = []

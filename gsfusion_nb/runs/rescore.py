@@ -1,4 +1,4 @@
-"""Score the Gaussian map in a run's folder again, only from its files, exactly as the run did."""
+"""Score the map in a run's folder again, only from its files, exactly as the run did."""
 
 import dataclasses
 import logging
@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor
 
 from .. import __version__
 from ..config import DataConfig, from_dict
@@ -18,7 +17,7 @@ from ..export import read_gaussian_ply
 from ..foreign import parsing
 from ..mapping.systems import get_system
 from ..strict_json import read_json
-from ..types import Camera, GaussianParams, RenderOutput
+from ..types import GaussianParams
 from .outputs import write_json
 from .scored_views import read_views, score_in_map
 
@@ -34,11 +33,12 @@ def rescore(
     with_lpips: bool = False,
     device: torch.device | str | None = None,
 ) -> dict[str, Any]:
-    """Render gaussians.ply of a finished run from the views in views.json, and update the scores in metrics.json.
+    """Render the map of a finished run from the views in views.json, and update the scores in metrics.json.
 
-    The system renders as in the run, at the poses in views.json. On the same device and backend the scores are equal
-    to the run's, bit for bit. If some differ, the log and the warnings in metrics.json list them, and the old file is
-    kept as metrics-before-eval.json. A warning also says if the data has other frames, poses or pixels than in the run.
+    The system renders as in the run, from gaussians.ply (GPS-SLAM: and tsdf.npz), at the poses in views.json. On the
+    same device and backend the scores are equal to the run's, bit for bit. If some differ, the log and the warnings in
+    metrics.json list them, and the old file is kept as metrics-before-eval.json. A warning also says if the data has
+    other frames, poses or pixels than in the run.
 
     Args:
         folder: Folder of the run.
@@ -50,7 +50,7 @@ def rescore(
         All metrics of the run.
 
     Raises:
-        FileNotFoundError: The folder has no config.json, metrics.json, views.json or gaussians.ply.
+        FileNotFoundError: The folder has no config.json, metrics.json, views.json or gaussians.ply (or tsdf.npz).
         ValueError: One of them is damaged, or the sequence of the run is not on disk.
     """
     folder = Path(folder)
@@ -60,11 +60,6 @@ def rescore(
         source = dict(settings["source"])
         system = get_system(settings.get("system", "gsfusion"))
         config = from_dict(system.config_type, settings["config"])
-    if system.needs_volume_to_render:
-        raise ValueError(
-            f"{folder} is a run of {system.title}, whose pictures need its TSDF besides gaussians.ply, and a folder "
-            "does not hold it: the scores in metrics.json are those of the whole map"
-        )
     if data is not None:
         source["path_or_name"] = data
     if "path_or_name" not in source:
@@ -83,11 +78,9 @@ def rescore(
     place = torch.device(device) if device else _device_of(settings.get("device", "cpu"), folder / "config.json")
     params = _of_degree(read_gaussian_ply(folder / "gaussians.ply"), config.sh_degree, place)
 
-    def see(camera: Camera, T_WC: Tensor) -> RenderOutput:
-        return system.render_gaussians(params, camera, T_WC.to(place), config)
-
-    align_to = params if config.data.align_held_out else None
-    scores = metrics_as_json(score_in_map(see, views, sequence, with_lpips=with_lpips, align_to=align_to))
+    draw = system.drawn_from(folder, params, config)
+    align = (lambda frame: system.aligned_pose(draw, params, frame)) if config.data.align_held_out else None
+    scores = metrics_as_json(score_in_map(draw, views, sequence, with_lpips=with_lpips, align=align))
     stored = document["metrics"]
     if not with_lpips:
         scores = {name: value for name, value in scores.items() if not (name.startswith("lpips") and name in stored)}

@@ -14,10 +14,9 @@ from ..constants import SHOWN_ALPHA
 from ..data import SequenceView
 from ..evaluation import score_views
 from ..foreign import reason_of
-from ..optim import exposed, fit_gain, fit_pose
-from ..render import render as render_gaussians
+from ..optim import exposed, fit_gain
 from ..strict_json import read_object
-from ..types import Camera, Frame, GaussianParams, RenderOutput
+from ..types import Camera, Frame, RenderOutput
 from .mapping_run import MappingRun
 from .posed_frames import frames_at, poses_in_map
 
@@ -77,7 +76,7 @@ def score_in_map(
     suffix: str = "",
     *,
     with_lpips: bool = False,
-    align_to: GaussianParams | None = None,
+    align: Callable[[Frame], Tensor] | None = None,
 ) -> dict[str, Any]:
     """PSNR, SSIM, LPIPS and depth error of each group of views, under the names of metrics.json.
 
@@ -87,14 +86,14 @@ def score_in_map(
         sequence: The sequence that holds their images.
         suffix: Appended to the name of the group.
         with_lpips: Also compute LPIPS.
-        align_to: If given, the held-out views are scored once more, as the group held_out_aligned, each at the pose
-            that fits its picture to these Gaussians best (``fit_pose``), and as the group held_out_fitted with its
-            brightness and white balance fitted, too (``fit_gain``).
+        align: If given, the held-out views are scored once more, as the group held_out_aligned, each at the pose that
+            it returns, at which the map fits the picture best (``StoredMap.aligned_pose``), and as the group
+            held_out_fitted with brightness and white balance fitted, too (``fit_gain``).
     """
     metrics: dict[str, Any] = {}
     groups = {name: (render, group) for name, group in views.items()}
-    if align_to is not None:
-        aligned, gains = _aligned(views["held_out"].frames(sequence), align_to)
+    if align is not None:
+        aligned, gains = _aligned(views["held_out"].frames(sequence), render, align)
         groups["held_out_aligned"] = render, aligned
         groups["held_out_fitted"] = _with_exposures(render, gains), aligned
     for name, (draw, group) in groups.items():
@@ -104,16 +103,17 @@ def score_in_map(
     return metrics
 
 
-def _aligned(frames: Iterator[Frame], params: GaussianParams) -> tuple[ScoredViews, list[Tensor]]:
+def _aligned(
+    frames: Iterator[Frame], draw: Callable[[Camera, Tensor], RenderOutput], align: Callable[[Frame], Tensor]
+) -> tuple[ScoredViews, list[Tensor]]:
     """The views at the poses that fit their pictures to the map best, and their exposures there."""
     views, gains = ScoredViews([], []), []
     for frame in frames:
-        rgb = frame.rgb.to(params.xyz_W.device)
-        T_WC = fit_pose(params, frame.camera, rgb, frame.T_WC).T_WC
-        shown = render_gaussians(params, frame.camera, T_WC)
+        T_WC = align(frame)
+        shown = draw(frame.camera, T_WC)
         views.positions.append(frame.index)
         views.poses.append(T_WC.to(frame.T_WC))
-        gains.append(fit_gain(shown.rgb, rgb, shown.alpha >= SHOWN_ALPHA))
+        gains.append(fit_gain(shown.rgb, frame.rgb.to(shown.rgb.device), shown.alpha >= SHOWN_ALPHA))
     return views, gains
 
 

@@ -30,7 +30,7 @@ os.environ.setdefault("NUMBA_NUM_THREADS", "1")
 
 ROOM: dict[str, Any] = {"n_frames": 120, "width": 80, "height": 60}
 EVERY_FRAMES = 2
-VARIANTS = [(system, poses) for system in ("gsfusion", "rtg_slam") for poses in ("given", "tracked")]
+VARIANTS = [(system, poses) for system in ("gsfusion", "rtg_slam", "gps_slam") for poses in ("given", "tracked")]
 
 
 @dataclass(frozen=True)
@@ -68,12 +68,15 @@ class Figures:
 
 def settings(system: str, poses: str) -> Any:
     """Small settings of a system: nine frames and two passes."""
-    from gsfusion_nb.config import gsfusion, rtg_slam
+    from gsfusion_nb.config import gps_slam, gsfusion, rtg_slam
 
     shared = {"data__stop": 12, "data__hold_out_every": 4, "data__hold_out_offset": 2, "tracking__poses": poses}
     if system == "gsfusion":
         small = {"tsdf__voxel_size_m": 0.04, "tsdf__truncation_voxels": 4.0, "seeding__quadtree_threshold": 0.01}
         return gsfusion("replica", sh_degree=1, keyframe_min_seeds=20, optim__global_iterations=2, **small, **shared)
+    if system == "gps_slam":
+        small = {"tsdf__voxel_size_m": 0.04, "schedule__every_frames": 4}
+        return gps_slam("room", data__width=0, data__height=0, final__passes=2, **small, **shared)
     return rtg_slam("room", data__width=0, data__height=0, final__passes=2, **shared)
 
 

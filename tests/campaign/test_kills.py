@@ -24,5 +24,5 @@ def test_a_run_killed_at_a_few_moments_ends_with_the_same_maps():
 
 
 @pytest.mark.slow
-def test_many_kills_of_both_systems():
+def test_many_kills_of_all_systems():
     assert "different or failed: 0" in run("--kills", "40")

@@ -20,9 +20,10 @@ from gsfusion_nb.data import open_sequence
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.mapping import GPSSLAM, make_mapper
 from gsfusion_nb.mapping.based_views import ViewRound, small
+from gsfusion_nb.optim import fit_pose_by_flow
 from gsfusion_nb.render import base_view
 from gsfusion_nb.render.base_image import enlarge, fill
-from gsfusion_nb.runs import MappingRun, rescore, run_mapping
+from gsfusion_nb.runs import MappingRun
 from gsfusion_nb.runs.outputs import score
 from gsfusion_nb.types import Camera
 
@@ -151,12 +152,17 @@ def test_rays_of_the_small_picture_lie_between_those_of_the_large_one():
     assert small(camera, BaseConfig(resolution="full")) is camera
 
 
-def test_an_aligned_score_and_a_score_from_files_are_refused_with_a_reason(tmp_path):
-    with pytest.raises(ValueError, match="align_held_out is for maps of Gaussians alone"):
-        GPSSLAM(gps_slam("room", data__align_held_out=True))
-    config = gps_slam("room", data__stop=4, data__hold_out_every=0, **SMALL)
-    source = {name: value for name, value in ROOM.items() if name != "path_or_name"}
-    run_mapping("room", config, folder=tmp_path / "run", **source)
-    assert "GPS-SLAM on room" in (tmp_path / "run" / "report.html").read_text()
-    with pytest.raises(ValueError, match="whose pictures need its TSDF"):
-        rescore(tmp_path / "run")
+def test_a_disturbed_pose_is_found_again_though_the_surface_has_no_gradient(run):
+    mapper, frame = run.mapper, run.sequence.mapping[12]
+    picture = mapper.render(frame.camera, frame.T_WC).rgb
+    for axis in (0, 1, 5):
+        xi = torch.zeros(6)
+        xi[axis] = 0.01
+        fit = fit_pose_by_flow(mapper.render, frame.camera, picture, frame.T_WC @ se3.exp(xi))
+        assert fit.mse_after < 0.1 * fit.mse_before
+        turned, moved = se3.log(se3.inverse(frame.T_WC) @ fit.T_WC).split(3)[::-1]
+        assert float((turned**2).sum() + (moved**2).sum()) < float((xi**2).sum())
+    still = fit_pose_by_flow(mapper.render, frame.camera, picture, frame.T_WC)
+    assert torch.equal(still.T_WC, frame.T_WC)
+    with pytest.raises(ValueError, match="steps"):
+        fit_pose_by_flow(mapper.render, frame.camera, picture, frame.T_WC, steps=0)

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from gsfusion_nb.config import gsfusion, replace, rtg_slam
+from gsfusion_nb.config import gps_slam, gsfusion, replace, rtg_slam
 from gsfusion_nb.runs import rescore, run_mapping
 
 DATA: dict[str, Any] = {"data__stop": 8, "data__hold_out_every": 4, "data__hold_out_offset": 2}
@@ -23,6 +23,9 @@ SETTINGS = {
         keyframe_min_seeds=20,
     ),
     "rtg_slam": rtg_slam("room", data__width=0, data__height=0, **DATA),
+    "gps_slam": gps_slam(
+        "room", data__width=0, data__height=0, **DATA, data__align_held_out=True, tsdf__voxel_size_m=0.04
+    ),
 }
 SCORES = ("psnr_", "ssim_", "depth_l1_", "n_views_")
 
@@ -52,15 +55,20 @@ def scored_run(mapped_once, tmp_path, tmp_path_factory):
     return copied
 
 
-@pytest.mark.parametrize("poses", ["given", "tracked"])
-@pytest.mark.parametrize("system", ["gsfusion", "rtg_slam"])
+@pytest.mark.parametrize(
+    ("system", "poses"),
+    [
+        *((system, poses) for system in ("gsfusion", "rtg_slam") for poses in ("given", "tracked")),
+        ("gps_slam", "given"),
+    ],
+)
 def test_scoring_again_gives_the_same_numbers(system, poses, scored_run, caplog):
     folder, _ = scored_run(system, poses)
     before = (folder / "metrics.json").read_text()
     own = {name: value for name, value in json.loads(before)["metrics"].items() if name.startswith(SCORES)}
     assert own["n_views_held_out"] == 2
     assert own["n_views_mapped"] == 6
-    aligned = system == "gsfusion"
+    aligned = system != "rtg_slam"
     assert own.get("n_views_held_out_aligned", 0) == (2 if aligned else 0)
     assert not aligned or own["psnr_held_out_aligned_db"] >= own["psnr_held_out_db"]
     assert own.get("n_views_held_out_fitted", 0) == (2 if aligned else 0)

@@ -1,0 +1,83 @@
+"""tsdf.npz: a volume comes back as it was rounded, compact, and a file that is not in order is refused."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from gsfusion_nb.config import TsdfConfig
+from gsfusion_nb.export import read_tsdf, write_tsdf
+from gsfusion_nb.export.tsdf_file import as_stored
+from gsfusion_nb.tsdf import TsdfVolume, integrate, raycast
+from gsfusion_nb.types import Camera, Frame
+
+CONFIG = TsdfConfig(voxel_size_m=0.05, truncation_voxels=4.0)
+CAMERA = Camera(width=64, height=48, fx=50.0, fy=50.0, cx=32.0, cy=24.0)
+
+
+@pytest.fixture(scope="module")
+def volume() -> TsdfVolume:
+    """A slanted wall, seen twice."""
+    v, u = torch.meshgrid(torch.arange(48.0), torch.arange(64.0), indexing="ij")
+    rgb = torch.stack([u / 64, v / 48, (u + v) % 7 / 7], dim=-1)
+    wall = TsdfVolume(CONFIG)
+    for index in range(2):
+        depth_m = 1.5 + 0.004 * u + 0.001 * index
+        integrate(
+            wall,
+            Frame(index=index, timestamp_s=0.0, rgb=rgb, depth_m=depth_m, camera=CAMERA, T_WC=torch.eye(4)),
+        )
+    return wall
+
+
+def test_a_volume_comes_back_as_it_was_rounded_and_its_picture_hardly_changes(volume, tmp_path):
+    path = tmp_path / "tsdf.npz"
+    write_tsdf(path, volume)
+    back, rounded = read_tsdf(path, CONFIG), as_stored(volume)
+    for name in ("D", "W", "rgb_planes", "block_coords"):
+        assert torch.equal(getattr(back, name), getattr(rounded, name)), name
+    observed = volume.W > 0
+    assert torch.equal(back.W, volume.W)
+    assert float((back.D - volume.D)[observed].abs().max()) <= 0.5 / 32767
+    assert float((back.rgb - volume.rgb)[observed].abs().max()) <= 0.501 / 255
+    before, after = raycast(volume, CAMERA, torch.eye(4)), raycast(back, CAMERA, torch.eye(4))
+    assert torch.equal(before.depth_m > 0, after.depth_m > 0)
+    assert float((before.rgb - after.rgb).abs().max()) < 0.01
+    assert path.stat().st_size < 8 * int(observed.sum())
+
+
+def test_an_empty_volume_is_stored(tmp_path):
+    write_tsdf(tmp_path / "tsdf.npz", TsdfVolume(CONFIG))
+    assert read_tsdf(tmp_path / "tsdf.npz", CONFIG).n_blocks == 0
+
+
+def _cut(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-200])
+
+
+def _changed(path: Path, **columns: np.ndarray) -> None:
+    with np.load(path) as archive:
+        stored = dict(archive)
+    np.savez_compressed(path, **(stored | columns))
+
+
+@pytest.mark.parametrize(
+    ("damage", "says"),
+    [
+        (_cut, "not readable as the TSDF of a run"),
+        (lambda path: path.unlink(), "does not exist; expected the TSDF of a run"),
+        (lambda path: path.write_text("voxels"), "not readable as the TSDF of a run"),
+        (lambda path: _changed(path, voxel_size_m=np.float64(0.01)), "but the settings of the run say 0.05"),
+        (lambda path: _changed(path, D=np.zeros(3, np.int16)), "D must be <i2"),
+        (lambda path: _changed(path, rgb=np.zeros((3, 1 << 22), np.uint8)), "expected at most"),
+        (lambda path: _changed(path, W=np.load(path)["W"] * np.float16("nan")), "W"),
+        (lambda path: _changed(path, block_coords=np.load(path)["block_coords"] * 0), "every block once"),
+    ],
+)
+def test_a_file_that_is_not_in_order_is_refused(damage, says, volume, tmp_path):
+    path = tmp_path / "tsdf.npz"
+    write_tsdf(path, volume)
+    damage(path)
+    with pytest.raises((ValueError, FileNotFoundError), match=says):
+        read_tsdf(path, CONFIG)
