@@ -1,8 +1,12 @@
-"""How far a learner is: exercises solved and predictions made, by chapter."""
+"""How far a learner is: exercises solved, predictions made and time worked, by chapter."""
 
+import shutil
+import textwrap
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 
 from ..drawing.html import fill
+from . import clock
 from .exercise import exercises
 from .progress import CourseFileError, Entries, course_file, read_section
 
@@ -21,6 +25,10 @@ TITLES = {
     11: "A real recording",
 }
 
+MINUTES = {0: 60, 1: 95, 2: 135, 3: 105, 4: 185, 5: 210, 6: 120, 7: 110, 8: 170, 9: 135, 10: 75, 11: 105}
+"""Of each chapter, for somebody to whom the subject is new: an estimate, ``kit/estimates.py`` rounded to five minutes.
+The notebooks, the README and the syllabus say the same; tests compare them."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Chapter:
@@ -33,10 +41,30 @@ class Chapter:
     open_exercises: tuple[str, ...]
     minutes_left: int
     """For the exercises that are open, as the course estimates it."""
+    minutes: int
+    """For all of the chapter, as the course estimates it."""
+    minutes_worked: int
+    """So far, by the learner's own clock; 0 if it is off."""
 
-    def __str__(self) -> str:
-        rest = f", next: {self.open_exercises[0]}" if 0 < self.solved < self.total else ""
-        return f"{self.number:2}  {self.title:28}{'#' * self.solved:<7} {self.solved} of {self.total} exercises{rest}"
+    @property
+    def line(self) -> str:
+        """Exercises and time in one line."""
+        solved = f"{'#' * self.solved:<9}{self._exercises}"
+        return f"{self.number:2}  {self.title:28}{solved} {self.minutes_worked:4} {self._of}"
+
+    def wrapped(self, width: int) -> list[str]:
+        """The same in lines of at most ``width`` characters."""
+        rest = f"{self._exercises}, {self.minutes_worked} {self._of}"
+        title = textwrap.wrap(f"{self.number:2}  {self.title}", width, subsequent_indent="    ", drop_whitespace=False)
+        return [*title, *textwrap.wrap(rest, width, initial_indent="    ", subsequent_indent="    ")]
+
+    @property
+    def _exercises(self) -> str:
+        return f"{self.solved} of {self.total} exercises"
+
+    @property
+    def _of(self) -> str:
+        return f"of {self.minutes:3} min"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,11 +117,30 @@ class Course:
     def _repr_html_(self) -> str:
         return fill("course.html", course=self)
 
-    def as_table(self) -> str:
-        """All chapters, one a line."""
-        minutes = sum(chapter.minutes_left for chapter in self.chapters)
-        last = f"{self.done} of {self.total} exercises, {self.predictions} predictions; about {minutes / 60:.0f} h left"
-        return "\n".join([*map(str, self.chapters), "", last, *([f"kept in {self.file}"] if self.file else [])])
+    def as_table(self, width: int | None = None) -> str:
+        """All chapters, one a line if the terminal is wide enough.
+
+        Args:
+            width: Characters of a line; default: what the terminal has. Less than 20 count as 20.
+        """
+        width = max(shutil.get_terminal_size().columns if width is None else width, 20)
+        narrow = any(len(chapter.line) > width for chapter in self.chapters)
+        lines = [line for chapter in self.chapters for line in (chapter.wrapped(width) if narrow else [chapter.line])]
+        kept = [f"kept in {self.file}"] if self.file else []  # a path stays whole, so that it can be copied
+        return "\n".join([*lines, "", *(line for words in self._last for line in textwrap.wrap(words, width)), *kept])
+
+    @property
+    def _last(self) -> list[str]:
+        left = sum(chapter.minutes_left for chapter in self.chapters) / 60
+        worked = sum(chapter.minutes_worked for chapter in self.chapters) / 60
+        of = sum(chapter.minutes for chapter in self.chapters) / 60
+        made = f"{self.predictions} prediction{'' if self.predictions == 1 else 's'}"
+        begun = [chapter.open_exercises[0] for chapter in self.chapters if 0 < chapter.solved < chapter.total]
+        return [
+            f"{self.done} of {self.total} exercises, {made}; about {left:.0f} h of exercises are open",
+            f"worked {worked:.1f} of about {of:.0f} h, text and panels included",
+            *([f"next: {', '.join(begun)}"] if begun else []),
+        ]
 
     def as_json(self) -> dict[str, object]:
         """For programs."""
@@ -110,21 +157,21 @@ def read_course(chapter: int | None = None) -> Course:
     """
     made = sum("answer" in entry for entry in read_section("predictions").values())
     path = course_file()
-    return Course(
-        chapters=_chapters(read_section("exercises")), predictions=made, file=str(path) if path else "", chapter=chapter
-    )
+    chapters = _chapters(read_section("exercises"), read_section(clock.SECTION))
+    return Course(chapters=chapters, predictions=made, file=str(path) if path else "", chapter=chapter)
 
 
 def course_progress(chapter: int) -> Course:
-    """What a notebook shows at its top; a file that cannot be read is said in one line."""
+    """What a notebook shows at its top; a file that cannot be read is said in one line. Starts the learner's clock."""
+    clock.start(chapter, exercises())
     try:
         return read_course(chapter)
     except CourseFileError as e:
-        return Course(chapters=_chapters({}), predictions=0, file="", problem=str(e))
+        return Course(chapters=_chapters({}, {}), predictions=0, file="", problem=str(e))
 
 
-def _chapters(noted: Entries) -> tuple[Chapter, ...]:
-    """Every chapter, with what is noted about its exercises."""
+def _chapters(noted: Entries, times: Mapping[str, dict[str, object]]) -> tuple[Chapter, ...]:
+    """Every chapter, with what is noted about its exercises and its time."""
     chapters = []
     every = exercises().values()
     for number in sorted({e.chapter for e in every}):
@@ -138,6 +185,8 @@ def _chapters(noted: Entries) -> tuple[Chapter, ...]:
                 total=len(own),
                 open_exercises=tuple(e.name for e in left),
                 minutes_left=sum(e.minutes for e in left),
+                minutes=MINUTES.get(number, 0),
+                minutes_worked=round(clock.working_s(times.get(f"chapter {number}", {})) / 60),
             )
         )
     return tuple(chapters)

@@ -58,6 +58,7 @@ from .attempt import unpack as unpack
 from .becomes import Becomes as Becomes
 from .becomes import remember
 from .carried import carry
+from .clock import start as start_clock
 from .guard import LIBRARY_LIMIT_S as LIBRARY_LIMIT_S
 from .guard import LIMIT_S, Guard
 from .progress import count, forgiving, note, now, read_section
@@ -72,6 +73,7 @@ _MACHINERY = {
     "attempt",
     "becomes",
     "carried",
+    "clock",
     "course",
     "edition",
     "exercise",
@@ -135,14 +137,16 @@ class Exercise:
 
     def __call__(self, function: Any) -> Verdict:
         """The verdict on ``function``: passed, failed (which property, on what input), or not written."""
+        start_clock(self.chapter, _EXERCISES)
         verdict = self._judged(function)
         own = getattr(function, "__name__", "") in (self.name, "<lambda>")
         if verdict or (verdict.state == "failed" and own):
             self.tries += 1
             with forgiving():
                 count("exercises", self.name, "tries")
-                if verdict and "passed" not in read_section("exercises")[self.name]:
-                    note("exercises", self.name, passed=now())
+                noted = read_section("exercises")[self.name]
+                if verdict and "passed" not in noted:
+                    note("exercises", self.name, passed=now(), passed_at_try=noted["tries"])
         return verdict
 
     def _judged(self, function: Any) -> Verdict:
@@ -225,13 +229,14 @@ class Exercise:
 
     def solution(self) -> Solution | NotYet:
         """Source code of a solution; before the first try, a sentence that says what to do."""
-        tried = self.tries > 0
+        noted: dict[str, Any] = {}
         with forgiving():
-            tried = tried or read_section("exercises").get(self.name, {}).get("tries", 0) > 0
-        if not tried:
+            noted = read_section("exercises").get(self.name, {})
+        if not (self.tries or noted.get("tries", 0)):
             return NotYet(self.name, len(self.hints) - self.hints_given)
-        with forgiving():
-            note("exercises", self.name, solution_shown=now())
+        if "solution_shown" not in noted:  # the first time counts
+            with forgiving():
+                note("exercises", self.name, solution_shown=now())
         return Solution(self.name, source_of(self.name, self._solution))
 
     def working(self, function: Any, *, plain: bool = False) -> Callable[..., Any]:

@@ -90,7 +90,7 @@ def _lift_with_one_focal_length(camera: Camera, uv: Tensor, depth_m: Tensor) -> 
 
 
 @exercise(
-    chapter=1, difficulty=2, minutes=5, solution=_lift, ready_made=(backproject,),
+    chapter=1, difficulty=2, minutes=8, solution=_lift, ready_made=(backproject,),
     stands_alone=(
         "Every room of the library lifts pixels. Your cell_to_gaussian (chapter 3) contains the same "
         "equation, and that runs."

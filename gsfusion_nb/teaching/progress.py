@@ -4,7 +4,8 @@ The file holds objects by section and name::
 
     {"format": 1,
      "exercises": {"psnr": {"tries": 2, "passed": "2026-11-22T20:15:00", "hints": 1}},
-     "predictions": {"first_seeds": {"question": "...", "answer": 3000, "came": 3812}}}
+     "predictions": {"first_seeds": {"question": "...", "answer": 3000, "came": 3812}},
+     "times": {"psnr": {"seconds": 640.5}}}
 
 Sections of other modules are kept as they are. The environment variable ``GSNB_COURSE_FILE`` names another file. A
 notebook that is executed to be stored (``GSNB_VIEW=static``) keeps no file: what it notes ends with the kernel.
@@ -69,18 +70,26 @@ def note(section: str, name: str, **values: Any) -> None:
     Raises:
         CourseFileError: the file is damaged, newer, locked by another program, or cannot be written. It is unchanged.
     """
-    with _locked():
-        course = _read()
-        course.setdefault(section, {}).setdefault(name, {}).update(values)
-        _write(course)
+    with changing(section) as entries:
+        entries.setdefault(name, {}).update(values)
 
 
 def count(section: str, name: str, key: str) -> None:
     """Add one to the number ``key`` of the entry ``name``. Raises as ``note``."""
+    with changing(section) as entries:
+        entry = entries.setdefault(name, {})
+        entry[key] = int(entry.get(key, 0)) + 1
+
+
+@contextlib.contextmanager
+def changing(section: str) -> Iterator[Entries]:
+    """The entries of a section, to be changed inside the block; no other notebook writes meanwhile. Raises as ``note``.
+
+    After an exception inside the block the file is unchanged.
+    """
     with _locked():
         course = _read()
-        entry = course.setdefault(section, {}).setdefault(name, {})
-        entry[key] = int(entry.get(key, 0)) + 1
+        yield course.setdefault(section, {})
         _write(course)
 
 
@@ -112,6 +121,26 @@ def forgiving() -> Iterator[None]:
             sys.stdout.write(f"Your progress is not kept: {e}\n")
 
 
+def read_file(path: Path) -> dict[str, Any]:
+    """All sections of a course file.
+
+    Raises:
+        CourseFileError: the file is no course file, damaged, or a newer version of the program wrote it.
+    """
+    try:
+        course = read_object(path, "the progress of a learner")
+    except (SequenceError, OSError) as e:
+        raise CourseFileError(f"{path} cannot be read ({e})") from None
+    found = course.get("format")
+    if not isinstance(found, int) or found > FORMAT:
+        raise CourseFileError(
+            f"{path} has format {found!r}, this version reads {FORMAT}: a newer version wrote it, or it is another file"
+        )
+    if not all(_is_section(value) for key, value in course.items() if key != "format"):
+        raise CourseFileError(f"{path} is damaged: a section must hold objects by name")
+    return course
+
+
 def _read() -> dict[str, Any]:
     path = course_file()
     if path is None:
@@ -119,19 +148,9 @@ def _read() -> dict[str, Any]:
     if not path.exists():
         return {"format": FORMAT}
     try:
-        course = read_object(path, "the progress of a learner")
-    except (SequenceError, OSError) as e:
-        raise CourseFileError(
-            f"{path} cannot be read ({e}). It was left as it is. Rename it, or run  gsfusion-nb course --reset"
-        ) from None
-    found = course.get("format")
-    if not isinstance(found, int) or found > FORMAT:
-        raise CourseFileError(
-            f"{path} has format {found!r}, this version reads {FORMAT}: a newer version wrote it. It was left as it is"
-        )
-    if not all(_is_section(value) for key, value in course.items() if key != "format"):
-        raise CourseFileError(f"{path} is damaged: a section must hold objects by name. It was left as it is")
-    return course
+        return read_file(path)
+    except CourseFileError as e:
+        raise CourseFileError(f"{e}. It was left as it is. Rename it, or run  gsfusion-nb course --reset") from None
 
 
 def _is_section(value: Any) -> bool:

@@ -55,10 +55,11 @@ def without_source(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _called_by(function: Callable[..., Any], seen: set[Any]) -> Iterator[Callable[..., Any]]:
-    code = getattr(function, "__code__", None)
+    plain = inspect.unwrap(function)
+    code = getattr(plain, "__code__", None)
     names = code.co_names if code is not None else ()
     for name in names:
-        other = getattr(function, "__globals__", {}).get(name)
+        other = getattr(plain, "__globals__", {}).get(name)
         if not isinstance(other, types.FunctionType) or other in seen:
             continue
         if name.startswith("_") and other.__module__ == function.__module__:

@@ -11,6 +11,7 @@ import pytest
 
 from gsfusion_nb.cli import main
 from gsfusion_nb.teaching import progress
+from gsfusion_nb.teaching.course import read_course
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -27,13 +28,22 @@ def test_progress_by_chapter(course_file, capsys):
     assert main(["course"]) == 0
     shown = capsys.readouterr().out
     assert " 0  Quickstart" in shown
-    assert "1 of 3 exercises, next: " in shown
-    assert "1 predictions; about" in shown
+    assert "1 of 3 exercises    0 of  60 min" in shown
+    assert "1 of 56 exercises, 1 prediction; about" in shown
+    assert "next: exam_frames\n" in shown
     assert main(["course", "--json"]) == 0
     values = json.loads(capsys.readouterr().out)
     assert (values["solved"], values["predictions"], values["file"]) == (1, 1, str(course_file))
     assert "psnr" not in values["chapters"][0]["open_exercises"]
     assert len(values["chapters"]) == 12
+
+
+def test_a_narrow_terminal(course_file):
+    for width in (24, 40, 80):
+        *lines, kept = read_course().as_table(width).splitlines()
+        assert max(map(len, lines)) <= width
+        assert kept == f"kept in {course_file}"
+    assert len(lines) == 12 + 1 + 3
 
 
 def test_reset_asks_and_keeps_the_file(course_file, capsys, monkeypatch):
