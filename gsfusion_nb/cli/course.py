@@ -199,10 +199,15 @@ def _copy(folder: Path, open_it: bool) -> int:
             print(notebook)
     first = str(folder / FIRST)
     if not open_it:
-        quoted = subprocess.list2cmdline([first]) if sys.platform == "win32" else shlex.quote(first)
-        print(f"{len(done)} notebooks are in {folder}. To open the first one: jupyter lab {quoted}")
+        word = quoted(first, windows=sys.platform == "win32")
+        print(f"{len(done)} notebooks are in {folder}. To open the first one: jupyter lab {word}")
         return 0
     return subprocess.call([sys.executable, "-m", "jupyter", "lab", first])
+
+
+def quoted(path: str, *, windows: bool) -> str:
+    """A path as one word of a command line; Windows knows double quotes only."""
+    return subprocess.list2cmdline([path]) if windows else shlex.quote(path)
 
 
 def _confirmed() -> bool:

@@ -133,17 +133,19 @@ def acted(source: str = "") -> None:
 def add(times: Entries, at: float, names: Iterable[str]) -> None:
     """Add the time from the last action to ``at`` to the entries ``names``, unless it is too long."""
     clock = times.setdefault(CLOCK, {})
-    last, clock["last"] = clock.get("last"), round(at, 1)
-    if not _is_number(last) or not 0 < at - last <= LONGEST_S:
+    last: Any = clock.get("last")
+    clock["last"] = round(at, 1)
+    gap = at - last if _is_number(last) else 0.0
+    if not 0 < gap <= LONGEST_S:
         return
     for name in names:
         entry = times.setdefault(name, {})
-        if at - last <= SHORT_S:
+        if gap <= SHORT_S:
             before = entry.get("seconds", 0.0)
-            entry["seconds"] = round((before if _is_number(before) else 0.0) + at - last, 1)
+            entry["seconds"] = round((before if _is_number(before) else 0.0) + gap, 1)
         else:
             gaps = entry.get("gaps_s")
-            entry["gaps_s"] = [*(gaps if isinstance(gaps, list) else []), round(at - last)]
+            entry["gaps_s"] = [*(gaps if isinstance(gaps, list) else []), round(gap)]
 
 
 def working_s(entry: dict[str, Any], pause_s: float = PAUSE_S) -> float:

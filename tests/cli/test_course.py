@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from gsfusion_nb.cli import main
+from gsfusion_nb.cli.course import quoted
 from gsfusion_nb.teaching import progress
 from gsfusion_nb.teaching.course import read_course
 
@@ -44,6 +45,11 @@ def test_a_narrow_terminal(course_file):
         assert max(map(len, lines)) <= width
         assert kept == f"kept in {course_file}"
     assert len(lines) == 12 + 1 + 3
+
+
+def test_a_path_is_one_word_on_every_system():
+    assert quoted(r"C:\Users\me\my course\00.ipynb", windows=True) == r'"C:\Users\me\my course\00.ipynb"'
+    assert quoted("/home/me/my course/00.ipynb", windows=False) == "'/home/me/my course/00.ipynb'"
 
 
 def test_reset_asks_and_keeps_the_file(course_file, capsys, monkeypatch):

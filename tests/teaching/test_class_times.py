@@ -70,7 +70,7 @@ def test_the_command_writes_table_and_syllabus(folder, capsys):
     assert "`psnr` | 5 |" in text
     assert "## Week by week" in text
     assert "exercise,psnr,0,5,1,16.0,20.0,24.0,3" in table.read_text()
-    assert main(["course", "times", str(folder / "robot.json")]) == 0
+    assert main(["course", "times", str(folder / "robot*.json")]) == 0  # Windows does not expand it
     assert "1 ROBOT, no learner" in capsys.readouterr().out
     assert main(["course", "times", str(folder / "robot.json"), "--syllabus", str(page)]) == 1
     assert page.read_text() == text

@@ -87,7 +87,7 @@ def read_learners(paths: Iterable[Path]) -> tuple[list[Learner], list[str]]:
         FileNotFoundError: no such file or folder.
     """
     found: list[Path] = []
-    for path in paths:
+    for path in [each for given in paths for each in _matching(given)]:
         if not path.exists():
             raise FileNotFoundError(f"{path} does not exist; expected course files, or a folder of them")
         found += sorted(p for p in path.rglob("*.json") if p.is_file()) if path.is_dir() else [path]
@@ -109,6 +109,13 @@ def read_learners(paths: Iterable[Path]) -> tuple[list[Learner], list[str]]:
             learners.append(Learner(str(path), course["exercises"], course.get(SECTION, {})))
         seen.setdefault(content, path)
     return learners, problems
+
+
+def _matching(path: Path) -> list[Path]:
+    """The path itself; or what it matches, as ``class\\*.json``, which the shell of Windows leaves as it is."""
+    if path.exists() or not any(sign in path.name for sign in "*?"):
+        return [path]
+    return sorted(path.parent.glob(path.name)) or [path]
 
 
 def shared(exercise_notes: Entries, times: Entries) -> dict[str, Any]:
