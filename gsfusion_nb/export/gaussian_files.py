@@ -26,7 +26,7 @@ def read_gaussians(path: str | Path) -> GaussianParams:
     """Read a map of Gaussians that this or another program wrote, in the frame of the file.
 
     ``.ply`` (3D Gaussian splatting of any degree, 2D Gaussian splatting, compressed PLY of SuperSplat), ``.glb``
-    (``KHR_gaussian_splatting``), ``.splat``, ``.spz`` (versions 2 and 3), ``.sog`` (version 2).
+    (``KHR_gaussian_splatting``), ``.splat``, ``.spz`` (versions 2 to 4), ``.sog`` (version 2).
 
     Raises:
         FileNotFoundError: no such file. ValueError: another kind of file, or a damaged one; the message says what.

@@ -20,6 +20,7 @@ from ..seeding.rule_file import file_source
 from ..types import Mesh
 from . import outputs
 from .autosave import Autosave, CheckpointEvery
+from .begun_with import doubts_about_frame
 from .disk_need import warn_of_little_space
 from .empty_map import why_empty
 from .mapping_run import MappingRun, RunWatcher
@@ -82,6 +83,8 @@ def run_mapping(
         mapper.begin_with(read_gaussians(from_gaussians), Path(from_gaussians).name)
     run = MappingRun(sequence, mapper, source=source)
     run.warnings += mapper.notes
+    if from_gaussians is not None and settings.tracking.poses == "given":
+        run.warnings += doubts_about_frame(mapper, sequence.mapping, Path(from_gaussians).name)
     run.watchers += [watch] if watch is not None else []
     with RunFolder(new_folder(sequence.name, folder)) as place:
         if source and str(data) != "room" and has_poses(sequence):
@@ -96,6 +99,7 @@ def resume_mapping(
     device: torch.device | str = "cpu",
     evaluate: bool = True,
     checkpoints: CheckpointEvery | None = None,
+    watch: RunWatcher | None = None,
 ) -> "FinishedRun":
     """Continue a run that was interrupted or killed, in the same folder; arguments as for ``run_mapping``.
 
@@ -109,6 +113,7 @@ def resume_mapping(
     with RunFolder(folder) as place:
         run = load_run(folder, seeding=seeding, device=device)
         run.warnings = [w for w in run.warnings if not w.startswith(_TRANSIENT)]
+        run.watchers += [watch] if watch is not None else []
         if place.taken_over:
             log.warning(place.taken_over)
         return drive(run, place, evaluate, every=checkpoints)

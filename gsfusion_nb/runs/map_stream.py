@@ -12,7 +12,7 @@ from ..progress import ProgressDisplay
 from ..types import Frame
 from .autosave import CheckpointEvery
 from .map_sequence import FinishedRun, drive
-from .mapping_run import MappingRun
+from .mapping_run import MappingRun, RunWatcher
 from .run_folder import RunFolder, new_folder
 from .stop_request import StopRequest
 from .stream_run import StreamRun
@@ -28,6 +28,7 @@ def map_stream(
     evaluate: bool = True,
     on_stop: Literal["save", "finish"] = "save",
     checkpoints: CheckpointEvery | None = None,
+    watch: RunWatcher | None = None,
 ) -> FinishedRun:
     """Map frames as they arrive, optimise over the keyframes after the last, score, and write everything to a folder.
 
@@ -47,6 +48,7 @@ def map_stream(
         on_stop: What Ctrl-C does: "save" ends the run; "finish" ends only the stream, and the optimisation and the
             report follow as usual, unless Ctrl-C is pressed again.
         checkpoints: How often to save a checkpoint; every 30 s by default.
+        watch: Sees every mapped frame and the finished maps, as for ``run_mapping``.
 
     Returns:
         The run with its folder and numbers; ``n_frames_received`` and ``n_frames_dropped`` are among them.
@@ -64,6 +66,7 @@ def map_stream(
 
     with RunFolder(new_folder(getattr(frames, "name", "stream"), folder)) as place:
         run = StreamRun(frames, mapper, policy=policy, queue_frames=queue_frames)
+        run.watchers += [watch] if watch is not None else []
         return drive(run, place, evaluate, map_frames, every=checkpoints)
 
 

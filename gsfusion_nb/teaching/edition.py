@@ -8,6 +8,7 @@ import copy
 import hashlib
 import json
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -16,6 +17,7 @@ from ..errors import SequenceError
 from ..files import write_file
 from ..foreign import read_bytes
 from ..strict_json import read_object
+from .course_pages import with_links_to_pages
 from .without_solutions import without_solutions
 
 _HANDED_OUT = ".handed_out.json"
@@ -76,8 +78,17 @@ def learner_copy(notebook: dict[str, Any]) -> dict[str, Any]:
     return learner
 
 
-def hand_out(source: Path, target: Path) -> list[HandedOut]:
+def hand_out(source: Path, target: Path, pages: Mapping[str, bytes] | None = None) -> list[HandedOut]:
     """Write the learner's edition of the notebooks of a folder into the folder ``target``, which may hold earlier work.
+
+    Args:
+        source: The solved notebooks.
+        target: Where the copies go.
+        pages: Pages of the documentation (``course_pages.pages``) to write beside them, which links then lead to. By
+            default none: ``target`` is a folder of the project.
+
+    Returns:
+        The notebooks.
 
     Raises:
         ValueError: no notebook in ``source``, ``target`` is ``source``, or unbalanced markers.
@@ -95,10 +106,15 @@ def hand_out(source: Path, target: Path) -> list[HandedOut]:
             notebook = learner_copy(read_object(path, "a notebook"))
         except ValueError as e:
             raise ValueError(f"{path}: {e}") from None
-        content = (json.dumps(notebook, indent=1, ensure_ascii=False) + "\n").encode()
+        text = json.dumps(notebook, indent=1, ensure_ascii=False) + "\n"
+        content = (text if pages is None else with_links_to_pages(text)).encode()
         done.append(_place(target / path.name, content, handed_out.get(path.name, "")))
         handed_out[path.name] = _hash(content)
         write_file(target / _HANDED_OUT, json.dumps(handed_out, indent=1) + "\n")
+    for name, content in (pages or {}).items():
+        _place(target / name, content, handed_out.get(name, ""))
+        handed_out[name] = _hash(content)
+    write_file(target / _HANDED_OUT, json.dumps(handed_out, indent=1) + "\n")
     return done
 
 

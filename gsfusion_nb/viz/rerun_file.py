@@ -44,7 +44,7 @@ class RerunFile:
             raise ValueError(f"{path} must end in .rrd, which the Rerun viewer opens")
         self.path.parent.mkdir(parents=True, exist_ok=True)
         self.maps_every = maps_every
-        self._rr, self._n = rerun, 0
+        self._rr = rerun
         self._centres: list[list[float]] = []
         self._to = rerun.RecordingStream("gsfusion_nb")
         self._to.save(self.path)
@@ -52,11 +52,11 @@ class RerunFile:
     def frame_mapped(self, mapper: Mapper, frame: Frame, report: StepReport) -> None:
         """Write the frame, its pose and its scores; every ``maps_every`` frames also the maps."""
         rr, T_WC = self._rr, mapper.localiser.poses[-1]
-        if not self._n:
+        if not self._centres:  # of a run that is continued, the path so far
+            self._centres = [pose[:3, 3].tolist() for pose in mapper.localiser.poses[:-1]]
             up = tuple(world_up([T_WC]).int().tolist())
             self._to.log("world", getattr(rr.ViewCoordinates, _UP.get(up, "RIGHT_HAND_Z_UP")), static=True)
-        self._n += 1
-        self._to.set_time("frame", sequence=self._n)
+        self._to.set_time("frame", sequence=mapper.n_frames)
         self._to.set_time("recorded", duration=frame.timestamp_s)
         self._camera(frame.camera, T_WC.cpu().double().numpy())
         self._to.log(
@@ -67,12 +67,12 @@ class RerunFile:
         self._to.log("world/camera/depth", rr.DepthImage(depth, meter=_DEPTH_STEPS_PER_M))
         for name, value in _scores(report).items():
             self._to.log(f"scores/{name}", rr.Scalars(value))
-        if self._n % self.maps_every == 0:
+        if mapper.n_frames % self.maps_every == 0:
             self._maps(mapper, mapper.mesh())
 
     def finished(self, mapper: Mapper, mesh: Mesh, metrics: dict[str, Any]) -> None:
         """Write the final maps and scores, and close the file."""
-        self._to.set_time("frame", sequence=self._n + 1)
+        self._to.set_time("frame", sequence=mapper.n_frames + 1)
         self._maps(mapper, mesh)
         for name, value in metrics.items():
             if name.startswith(("psnr_", "ssim_", "mesh_", "ate_")) and isinstance(value, int | float):

@@ -2,19 +2,22 @@
 
 import base64
 import json
+import subprocess
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+import torch
 
 from gsfusion_nb.book.views.all_chapters import put_views, record_all, view_html
 from gsfusion_nb.book.views.needed import needed_cells
 from gsfusion_nb.book.views.panels import record_panel
-from gsfusion_nb.book.views.record import cells_to_run, record, run, wanted_views, write
+from gsfusion_nb.book.views.record import cells_to_run, kernel_views, record, run, wanted_views, write
 from gsfusion_nb.book.views.scripts import front_ends
 from gsfusion_nb.strict_json import read_object
-from gsfusion_nb.viz import amdahl_panel
+from gsfusion_nb.types import Camera, GaussianParams
+from gsfusion_nb.viz import PixelMicroscope, amdahl_panel
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -54,7 +57,7 @@ def test_cells_run_in_their_order_and_the_value_of_a_view_is_recorded():
     cells = [("a", "from gsfusion_nb.viz import amdahl_panel\ns = {'fuse': 1.0}"), ("b", "amdahl_panel(s)")]
     found = run(cells, {}, {"b": {"grids": [["fuse:3"]]}})
     assert [len(view.pictures) for view in found.values()] == [3]
-    with pytest.raises(TypeError, match="no recorder for int; known: Panel, Stepper"):
+    with pytest.raises(TypeError, match="no recorder for int; known: Panel, GradientMicroscope"):
         record(3)
 
 
@@ -80,6 +83,84 @@ def test_viewers_carry_their_data(recorded_views):
     assert len(base64.b64decode(splat.data["buffers"][0])) == 3 * splat.data["head"]["stride"]
     assert splat.data["traits"]["width"] == 160
     assert [len(base64.b64decode(text)) for text in mesh.data["buffers"]] == [36, 24, 9]
+
+
+def test_every_live_view_of_a_chapter_is_recorded_or_says_that_it_needs_a_kernel():
+    views = ROOT / "docs/book/views.toml"
+    for notebook in sorted((ROOT / "notebooks").glob("*.ipynb")):
+        known = {*wanted_views(views, notebook.name[:2]), *kernel_views(views, notebook.name[:2])}
+        for cell in read_object(notebook, "a notebook")["cells"]:
+            for data in [output.get("data", {}) for output in cell.get("outputs", ())]:
+                picture_only = "".join(data.get("text/plain", "")).startswith("<IPython.core.display.Image")
+                if not picture_only and {"image/jpeg", "image/png"} & set(data):
+                    assert cell["id"] in known, f"{notebook.name}, cell {cell['id']}: {data['text/plain']}"
+
+
+def test_a_view_that_needs_a_kernel_says_so(tmp_path):
+    (tmp_path / "views.toml").write_text('[chapter_03.x]\nkernel = "It computes."\n')
+    notebook = tmp_path / "03_x.ipynb"
+    notebook.write_text("{}")
+    listed = record_all([notebook], tmp_path / "views.toml", tmp_path / "out")
+    assert "<b>Needs a kernel.</b> It computes." in (view_html(listed, "notebooks/03_x.ipynb", "x") or "")
+    put_views(listed, tmp_path / "out", tmp_path / "site")
+    assert not (tmp_path / "site").exists()
+
+
+def test_the_page_blends_a_pixel_as_the_renderer_does(node, tmp_path):
+    generator = torch.Generator().manual_seed(3)
+    n = 60
+    rand = lambda *size: torch.rand(*size, generator=generator)  # noqa: E731
+    params = GaussianParams(
+        xyz_W=torch.cat([rand(n, 2) - 0.5, 1 + rand(n, 1)], 1), log_scale=-3 + rand(n, 3), quat=rand(n, 4) - 0.5,
+        opacity_logit=4 * rand(n) - 1, sh=rand(n, 4, 3),
+    )  # fmt: skip
+    camera = Camera(width=40, height=30, fx=30.0, fy=30.0, cx=20.0, cy=15.0)
+    microscope = PixelMicroscope(params, camera, torch.eye(4))
+    data = record(microscope).data
+    pixels = [(0, 0), (20, 15), (13, 22), (39, 29)]
+    script = """
+        const values = new Float32Array(Uint8Array.from(Buffer.from(DATA, "base64")).buffer);
+        const found = PIXELS.map(([u, v]) => stackAt(splatsOf(values), u, v));
+        console.log(JSON.stringify(found));
+    """.replace("DATA", json.dumps(data["splats"])).replace("PIXELS", json.dumps(pixels))
+    module = tmp_path / "run.mjs"
+    module.write_text((ROOT / "gsfusion_nb/book/static/pixel_stack.js").read_text() + script)
+    found = json.loads(subprocess.run([node, module], capture_output=True, text=True, check=True).stdout)
+    for (u, v), page in zip(pixels, found, strict=True):
+        stack = microscope.look_at(u, v)
+        assert [one["row"] for one in page["stack"]] == stack.row.tolist()
+        for name, values in (("weight", stack.weight), ("light", stack.transmittance), ("depth", stack.depth_m)):
+            np.testing.assert_allclose([one[name] for one in page["stack"]], values, atol=1e-5)
+        np.testing.assert_allclose(page["colour"], stack.colour, atol=1e-5)
+        assert page["light"] == pytest.approx(stack.light_left, abs=1e-5)
+    assert max(len(page["stack"]) for page in found) > 5
+
+
+def test_the_gradient_microscope_is_recorded_for_both_picks(recorded_views):
+    view = recorded_views["gradients"]
+    assert len(view.pictures) == 2 * 3 * 3
+    places, controls = view.data["click"]["places"], view.data["controls"][1:]
+    assert [place[control["start"]] for place, control in zip(places, controls, strict=True)] == [80, 60]
+    of_pixel, of_gaussian = (view.data["grids"][0]["alts"][k] for k in (4, 9 + 4))
+    assert "now" not in of_pixel
+    assert "Gaussians of pixel (80, 60)" in of_pixel
+    assert "for Gaussian" in of_gaussian
+
+
+def test_a_trace_tells_the_stories_of_pixels_gaussians_and_voxels(recorded_views):
+    view = recorded_views["trace"]
+    stories, follows = view.data["stories"], view.data["follows"]
+    assert stories[0]["name"] == "pixel (20, 15)"
+    assert set(follows) == {"pixel", "Gaussian", "voxel"}
+    for kind, clicks in follows.items():
+        assert clicks, kind
+        for _u, _v, story in clicks:
+            assert stories[story]["name"].startswith(kind)
+    for story in stories:
+        serials = [moment[0] for moment in story["moments"]]
+        assert serials == sorted(serials)
+        assert len(serials) <= story["count"]
+    assert {moment[1] for story in stories for moment in story["moments"]} == set(view.pictures)
 
 
 def test_the_files_of_a_view_are_where_its_page_looks(recorded_views, tmp_path):

@@ -244,3 +244,47 @@ def _wait_for_server(url: str, output: Path) -> None:
             return
         time.sleep(0.2)
     pytest.fail(f"JupyterLab did not start in 90 s:\n{output.read_text()[-2000:]}")
+
+
+@pytest.fixture(scope="session")
+def book_site(tmp_path_factory) -> Path:
+    """The web book: that of $GSNB_BOOK, or one that is built without recorded views."""
+    from gsfusion_nb.book.build import build
+    from gsfusion_nb.book.settings import Settings
+
+    if ready := os.environ.get("GSNB_BOOK"):
+        return Path(ready).resolve()
+    out = tmp_path_factory.mktemp("book") / "site"
+    assert build(_PROJECT, out, Settings(), views=()) == []
+    return out
+
+
+@pytest.fixture(scope="session")
+def views_page(tmp_path_factory, recorded_views) -> Path:
+    """Folder of ``views.html``, a page with a view of each kind, as a chapter has them."""
+    from gsfusion_nb.book.views.record import write
+    from gsfusion_nb.book.views.recorded import placeholder
+    from gsfusion_nb.book.views.scripts import front_ends, style_sheet
+
+    folder = tmp_path_factory.mktemp("views")
+    static = _PROJECT / "gsfusion_nb/book/static"
+    scripts = {**front_ends(), "views.css": style_sheet(), "views.js": (static / "views.js").read_text()}
+    for name, text in scripts.items():
+        (folder / name).write_text(text)
+    parts = []
+    for name, view in recorded_views.items():
+        write({name: view}, folder / "x" / name)
+        listed = json.loads((folder / "x" / name / "views.json").read_text())
+        parts.append(placeholder(listed[name], f"x/{name}", name))
+    head = '<meta charset=utf-8><title>Views</title><link rel="stylesheet" href="views.css">'
+    body = f'<main><h1>Views</h1>{"".join(parts)}</main><script defer src="views.js"></script>'
+    (folder / "views.html").write_text(f'<!doctype html><html lang="en"><head>{head}</head><body>{body}</body></html>')
+    return folder
+
+
+@pytest.fixture(scope="session")
+def book_browser(launch):
+    """A browser for pages that are files."""
+    browser = launch(["--no-sandbox", "--disable-gpu"])
+    yield browser
+    browser.close()

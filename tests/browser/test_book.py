@@ -1,19 +1,16 @@
 """The web book in a real browser, opened as a folder of files: every chapter, and everything that reacts.
 
-The book is built for these tests, or taken from $GSNB_BOOK.
+The book is built for these tests, or taken from $GSNB_BOOK. axe-core looks for what keeps people out who do not see the
+page or use no mouse; it comes from npm: ``npm install --prefix DIR axe-core``, then GSNB_NPM=DIR.
 """
 
-import json
-import os
+import re
 from pathlib import Path
 
+import npm_programs
 import pytest
 
-from gsfusion_nb.book.build import build, missing
-from gsfusion_nb.book.settings import Settings
-from gsfusion_nb.book.views.record import write
-from gsfusion_nb.book.views.recorded import placeholder
-from gsfusion_nb.book.views.scripts import front_ends, style_sheet
+from gsfusion_nb.book.build import missing
 
 pytestmark = [
     pytest.mark.slow,
@@ -22,57 +19,23 @@ pytestmark = [
 
 ROOT = Path(__file__).resolve().parents[2]
 CHAPTERS = [path.stem for path in sorted((ROOT / "notebooks").glob("*.ipynb"))]
-
-
-@pytest.fixture(scope="module")
-def site(tmp_path_factory) -> Path:
-    if ready := os.environ.get("GSNB_BOOK"):
-        return Path(ready).resolve()
-    out = tmp_path_factory.mktemp("book") / "site"
-    assert build(ROOT, out, Settings(), views=()) == []
-    return out
-
-
-@pytest.fixture(scope="module")
-def views_page(tmp_path_factory, recorded_views) -> Path:
-    """A page with a view of each kind, as a chapter has them."""
-    folder = tmp_path_factory.mktemp("views")
-    scripts = {**front_ends(), "views.css": style_sheet(), "views.js": source("views.js")}
-    for name, text in scripts.items():
-        (folder / name).write_text(text)
-    parts = []
-    for name, view in recorded_views.items():
-        write({name: view}, folder / "x" / name)
-        listed = json.loads((folder / "x" / name / "views.json").read_text())
-        parts.append(placeholder(listed[name], f"x/{name}", name))
-    head = '<link rel="stylesheet" href="views.css"><script defer src="views.js"></script>'
-    (folder / "views.html").write_text(f"<!doctype html><meta charset=utf-8>{head}{''.join(parts)}")
-    return folder
-
-
-@pytest.fixture(scope="module")
-def browser(launch):
-    browser = launch(["--no-sandbox", "--disable-gpu"])
-    yield browser
-    browser.close()
-
-
-def source(name: str) -> str:
-    return (ROOT / "gsfusion_nb/book/static" / name).read_text()
-
-
+PAGES = (
+    "index", "notebooks/00_quickstart", "notebooks/03_quadtree_decomposition", "notebooks/04_splatting_forward",
+    "notebooks/09_write_your_own_seeding_rule", "docs/teaching/quiz/chapter_00", "docs/equations", "docs/outputs",
+)  # fmt: skip
+GRAVE = ("serious", "critical")
 _LEFT = "net::ERR_ABORTED"
 """The page was left while it was still loading a file."""
 
 
 @pytest.fixture
-def open_file(browser):
+def open_file(book_browser):
     """Opens a page of the book; the test fails if a page wrote an error or asked for something elsewhere."""
     wrong: list[str] = []
     pages = []
 
     def open_page(file: Path, **options):
-        page = browser.new_page(**options)
+        page = book_browser.new_page(**options)
         pages.append(page)
         page.on("console", lambda m: wrong.append(m.text) if m.type == "error" else None)
         page.on("pageerror", lambda e: wrong.append(str(e)))
@@ -88,8 +51,8 @@ def open_file(browser):
 
 
 @pytest.fixture
-def opened(open_file, site):
-    return lambda name, **options: open_file(site / f"{name}.html", **options)
+def opened(open_file, book_site):
+    return lambda name, **options: open_file(book_site / f"{name}.html", **options)
 
 
 def live(page, name):
@@ -125,6 +88,74 @@ def test_a_recorded_stepper_goes_on_and_back(open_file, views_page):
     view.locator(".gsnb-stepper").focus()
     page.keyboard.press("ArrowLeft")
     assert title.inner_text() == first
+
+
+def test_the_pixel_microscope_blends_in_the_page(open_file, views_page):
+    page = open_file(views_page / "views.html")
+    view = live(page, "pixels")
+    image, caption = view.locator("img"), view.locator(".gsnb-pixels-caption")
+    page.wait_for_function("c => c.textContent.includes('Gaussians')", arg=caption.element_handle())
+    assert "pixel (80, 60)" in caption.inner_text()
+    image.focus()
+    page.keyboard.press("ArrowRight")
+    assert "pixel (81, 60)" in caption.inner_text()
+    box = image.bounding_box()
+    page.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
+    words = caption.inner_text()
+    summed, seen = (
+        [float(x) for x in re.search(rf"{name} ([\d. ]+)", words)[1].split()] for name in ("=", r"\(8 bit\)")
+    )
+    assert len(summed) == len(seen) == 3
+    assert max(abs(a - b) for a, b in zip(summed, seen, strict=True)) <= 0.003  # half of a step of 8 bits, and rounding
+    rows = view.locator("tbody tr").count() - 1
+    assert rows > 0
+    assert f"{rows} Gaussian" in words
+    assert view.locator(".gsnb-pixels-weight").count() == rows
+
+
+def test_the_gradient_microscope_goes_to_the_nearest_recorded_pixel(open_file, views_page):
+    page = open_file(views_page / "views.html")
+    view = live(page, "gradients")
+    image = view.locator("img")
+    page.wait_for_function("i => i.complete && i.naturalWidth > 0", arg=image.element_handle())
+    assert "now (80, 60)" not in image.get_attribute("alt")
+    box = image.bounding_box()
+    page.mouse.click(box["x"] + 5, box["y"] + box["height"] - 5)  # the lower left corner of the first picture
+    assert "pixel (27, 100)" in view.locator(".gsnb-recorded-words").inner_text()
+    view.get_by_label("a click picks").select_option("1")
+    assert "Gaussian" in view.locator(".gsnb-recorded-words").inner_text()
+
+
+def test_a_recorded_trace_follows_clicks(open_file, views_page):
+    page = open_file(views_page / "views.html")
+    view = live(page, "trace")
+    image, story = view.locator("img"), view.get_by_label("follow", exact=True)
+    page.wait_for_function("i => i.complete && i.naturalWidth > 0", arg=image.element_handle())
+    assert story.locator("option:checked").inner_text() == "pixel (20, 15)"
+    first = image.get_attribute("src")
+    view.get_by_role("button", name="Next").click()
+    assert image.get_attribute("src") != first
+    assert "2 /" in view.locator("output").inner_text()
+    view.get_by_label("a click follows").select_option("Gaussian")
+    image.click()
+    assert story.locator("option:checked").inner_text().startswith("Gaussian")
+    page.wait_for_function("i => i.complete && i.naturalWidth > 0", arg=image.element_handle())
+
+
+def test_a_table_of_results_is_sorted_by_a_heading(open_file, tmp_path):
+    (tmp_path / "book.js").write_text((ROOT / "gsfusion_nb/book/static/book.js").read_text())
+    cells = "".join(
+        f"<tr><th>{name}</th><td>{value}</td></tr>" for name, value in (("a", "9.5"), ("b", "1,200"), ("c", "30"))
+    )
+    table = f"<table class=gsnb-lab-stored><tr><th>rule</th><th>Gaussians</th></tr>{cells}</table>"
+    (tmp_path / "t.html").write_text(f"<!doctype html>{table}<script defer src=book.js></script>")
+    page = open_file(tmp_path / "t.html")
+    names = lambda: page.locator("tr th:first-child").all_inner_texts()[1:]  # noqa: E731
+    page.get_by_role("button", name="Gaussians").click()
+    assert names() == ["b", "c", "a"]
+    page.get_by_role("button", name="Gaussians").click()
+    assert names() == ["a", "c", "b"]
+    assert page.locator("th[aria-sort]").get_attribute("aria-sort") == "ascending"
 
 
 @pytest.mark.parametrize("kind", ["splat", "mesh"])
@@ -219,3 +250,41 @@ def test_the_search_finds_a_word(opened):
     page.goto(page.url + "?q=quadtree")
     page.wait_for_selector("ul.search li a")
     assert page.locator("ul.search li").count() > 3
+
+
+def faults(page) -> list[str]:
+    """What axe-core finds grave on a page: rule, element, what is wrong."""
+    axe: Path = npm_programs.npm_folder("axe-core") / "axe-core" / "axe.min.js"
+    page.add_script_tag(path=axe)
+    found = page.evaluate("axe.run(document, { resultTypes: ['violations'] })")
+    grave = [violation for violation in found["violations"] if violation["impact"] in GRAVE]
+    assert len(found["passes"]) > 10  # it looked
+    return [f"{v['id']}: {node['html'][:120]} {node['failureSummary']}" for v in grave for node in v["nodes"][:3]]
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_nothing_grave_on_the_pages(book_site, book_browser, scheme):
+    npm_programs.npm_folder("axe-core")
+    wrong = {}
+    for name in PAGES:
+        page = book_browser.new_page(color_scheme=scheme)
+        page.goto(f"file://{book_site / name}.html")
+        page.wait_for_load_state("load")
+        for view in page.locator(".gsnb-view[data-src]").all()[:3]:
+            view.scroll_into_view_if_needed()
+        if found := faults(page):
+            wrong[name] = found
+        page.close()
+    assert wrong == {}
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_nothing_grave_in_the_recorded_views(views_page, book_browser, scheme):
+    page = book_browser.new_page(color_scheme=scheme)
+    page.goto(f"file://{views_page / 'views.html'}")
+    views = page.locator(".gsnb-view").all()
+    for view in views:
+        view.scroll_into_view_if_needed()
+        page.wait_for_function("v => v.dataset.state === 'live'", arg=view.element_handle())
+    assert len(views) > 5
+    assert faults(page) == []

@@ -2,6 +2,7 @@
 
 import io
 import json
+import re
 import subprocess
 import sys
 import zipfile
@@ -87,6 +88,25 @@ def test_the_notebooks_in_a_folder(tmp_path, capsys):
     assert first.read_bytes() == mine  # what was changed is kept
     assert main(["course", str(first)]) == 1
     assert "is a file; expected a folder for the notebooks" in capsys.readouterr().err
+    assert dead_links(folder) == []
+    assert "documentation/seeding_lab.md" in (folder / "09_write_your_own_seeding_rule.ipynb").read_text()
+
+
+def dead_links(folder: Path) -> list[str]:
+    """Links of notebooks and pages in a folder that lead to no file."""
+    texts: list[tuple[Path, str]] = [(path, path.read_text()) for path in folder.rglob("*.md")]
+    for path in folder.glob("*.ipynb"):
+        for cell in json.loads(path.read_text())["cells"]:
+            outputs = [output.get("data", {}).get("text/html", "") for output in cell.get("outputs", ())]
+            texts += [
+                (path, "".join(text)) for text in (*outputs, *([cell["source"]] * (cell["cell_type"] == "markdown")))
+            ]
+    found = [
+        (path, link) for path, text in texts for link in re.findall(r'\]\(([^)\s#]+)|(?:href|src)="([^"#]+)', text)
+    ]
+    assert len(found) > 50
+    relative = [(path, "".join(link)) for path, link in found if not re.match(r"https?:|data:|mailto:", "".join(link))]
+    return [f"{path.name}: {link}" for path, link in relative if not (path.parent / link).exists()]
 
 
 @pytest.mark.ci
@@ -94,7 +114,7 @@ def test_the_wheel_holds_the_notebooks_and_the_licence(tmp_path):
     pytest.importorskip("setuptools", minversion="77", reason="setuptools >= 77 is not installed")
     source = tmp_path / "source"  # setuptools leaves a folder build
     source.mkdir()
-    for name in ("pyproject.toml", "README.md", "LICENSE", "gsfusion_nb", "kernels", "notebooks"):
+    for name in ("pyproject.toml", "README.md", "LICENSE", "gsfusion_nb", "kernels", "notebooks", "docs"):
         (source / name).symlink_to(ROOT / name)
     command = [
         sys.executable,
@@ -112,5 +132,6 @@ def test_the_wheel_holds_the_notebooks_and_the_licence(tmp_path):
     names = zipfile.ZipFile(wheel).namelist()
     assert wheel.name.endswith("-py3-none-any.whl")  # nothing to compile
     assert sum(name.startswith("gsfusion_nb/notebooks/") for name in names) == 12
+    assert "gsfusion_nb/docs/seeding_lab.md" in names  # what the notebooks link to
     assert any(name.endswith("/licenses/LICENSE") for name in names)
     assert "gsfusion_nb/kernels/project/numba.py" in names

@@ -1,4 +1,7 @@
 import json
+import os
+import subprocess
+import sys
 
 import pytest
 
@@ -100,3 +103,15 @@ def test_help_names_the_commands(capsys):
 def test_doctor_warm_compiles_ahead(capsys):
     assert main(["doctor", "--warm"]) == 0
     assert "compiled" in capsys.readouterr().out
+
+
+@pytest.mark.skipif(os.name == "nt", reason="needs a POSIX pipe")
+@pytest.mark.parametrize("arguments", [["--help"], ["course", "--json"]])
+def test_a_reader_that_has_enough_ends_the_command_quietly(arguments, tmp_path):
+    read, write = os.pipe()
+    os.close(read)
+    command = [sys.executable, "-m", "gsfusion_nb", *arguments]
+    environment = {**os.environ, "GSNB_COURSE_FILE": str(tmp_path / "course.json")}
+    done = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, text=True, env=environment)
+    os.close(write)
+    assert (done.returncode, done.stderr) == (141, "")

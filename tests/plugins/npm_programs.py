@@ -16,7 +16,8 @@ from pathlib import Path
 import pytest
 
 INSTALL = (
-    "npm install --prefix DIR playcanvas @babylonjs/core @babylonjs/loaders gltf-validator @playcanvas/splat-transform"
+    "npm install --prefix DIR axe-core playcanvas @babylonjs/core @babylonjs/loaders gltf-validator "
+    "@playcanvas/splat-transform"
 )
 PAGES = Path(__file__).parents[1] / "browser" / "engines"
 

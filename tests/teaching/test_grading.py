@@ -11,10 +11,11 @@ import torch
 
 from gsfusion_nb.teaching.attempt import NotCallable
 from gsfusion_nb.teaching.exercise import Attempt, exercises
+from gsfusion_nb.teaching.grading import clean
 from gsfusion_nb.teaching.grading.clean import package_folder, readable_paths, write_clean_copy
 from gsfusion_nb.teaching.grading.draws import DRAWS
 from gsfusion_nb.teaching.grading.hidden import sentence
-from gsfusion_nb.teaching.grading.isolated import Limits
+from gsfusion_nb.teaching.grading.limits import Limits
 from gsfusion_nb.teaching.grading.marking import _OWN, HIDDEN, Mark, judge_hidden, properties, verdict_on, why
 from gsfusion_nb.teaching.grading.marks import Grading, as_csv, exercises_of, grade, rubric_page
 from gsfusion_nb.teaching.grading.points import Points, read_points
@@ -226,6 +227,20 @@ def test_the_rubric_names_points_and_properties():
     assert properties(exercises()["block_of"])[-1] == HIDDEN
 
 
+def test_the_clean_copy_of_a_wheel_has_no_solved_notebooks(tmp_path, monkeypatch):
+    package = tmp_path / "installed"
+    (package / "teaching").mkdir(parents=True)
+    for name in clean._HARMLESS:
+        (package / "teaching" / name).symlink_to(package_folder() / "teaching" / name)
+    for folder in ("kernels", "notebooks"):
+        (package / folder).mkdir()
+    (package / "notebooks" / "00_quickstart.ipynb").write_text("{}")
+    monkeypatch.setattr(clean, "package_folder", lambda: package)
+    write_clean_copy(tmp_path / "copy")
+    assert (tmp_path / "copy/gsfusion_nb/teaching/sandbox/serve.py").exists()
+    assert not list((tmp_path / "copy").rglob("*.ipynb"))
+
+
 def test_the_clean_copy_has_no_solutions(tmp_path):
     write_clean_copy(tmp_path)
     teaching = tmp_path / "gsfusion_nb" / "teaching"
@@ -240,6 +255,7 @@ def test_the_clean_copy_has_no_solutions(tmp_path):
     assert not list(tmp_path.rglob("tsdf.pyc"))
     assert (tmp_path / "gsfusion_nb" / "kernels" / "__init__.py").exists()
     readable, _ = readable_paths(tmp_path)
+    assert not list(tmp_path.rglob("*.ipynb"))
     real = package_folder() / "teaching" / "tsdf.py"
     assert real.exists()
     assert not any(Path(p) in real.parents for p in readable)

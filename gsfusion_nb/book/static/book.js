@@ -78,7 +78,30 @@ function addCopyButton(block) {
   block.append(button);
 }
 
+/** A click on a heading of a table of results sorts its rows, the other way round at the next click. */
+function addSorting(table) {
+  const [heads, ...rows] = table.querySelectorAll("tr");
+  const value = (row, k) => {
+    const text = row.cells[k].textContent, number = parseFloat(text.replace(/,/g, ""));
+    return Number.isNaN(number) ? text : number;
+  };
+  [...heads.cells].forEach((head, k) => {
+    const button = Object.assign(document.createElement("button"), { type: "button", className: "gsnb-sort", textContent: head.textContent });
+    head.replaceChildren(button);
+    button.addEventListener("click", () => {
+      const order = head.getAttribute("aria-sort") === "descending" ? "ascending" : "descending";
+      for (const other of heads.cells) other.removeAttribute("aria-sort");
+      head.setAttribute("aria-sort", order);
+      const sign = order === "ascending" ? 1 : -1;
+      const compare = (a, b) => (a < b ? -sign : a > b ? sign : 0);
+      rows.sort((a, b) => compare(value(a, k), value(b, k)));
+      heads.after(...rows);
+    });
+  });
+}
+
 document.querySelectorAll(".gsnb-question").forEach(prepareQuestion);
+document.querySelectorAll("table.gsnb-lab-stored").forEach(addSorting);
 document.querySelectorAll(".gsnb-quiz").forEach(prepareQuiz);
 document.querySelectorAll("article .highlight").forEach(addCopyButton);
 for (const block of document.querySelectorAll("article pre")) if (block.scrollWidth > block.clientWidth) block.tabIndex = 0;

@@ -100,7 +100,7 @@
     });
   }
 
-  const models = { stepper, mesh, splat };
+  const models = { stepper, mesh, splat, pixels: (data) => data, trace: (data, files) => ({ ...data, files }) };
 
   /** A recorded panel: controls beside a picture; each position has its own file. */
   class RecordedPanel {
@@ -110,7 +110,9 @@
       this.start = { ...this.at };
       this.grid = data.grids[0];
       this.image = Object.assign(document.createElement("img"), { className: "gsnb-recorded-image", alt: "" });
-      this.words = Object.assign(document.createElement("div"), { className: "gsnb-recorded-words" });
+      this.words = Object.assign(document.createElement("div"), { className: "gsnb-recorded-words", tabIndex: 0 }); // it scrolls
+      this.words.setAttribute("role", "group");
+      this.words.setAttribute("aria-label", "words on the picture");
       this.words.setAttribute("aria-live", "polite");
       this.inputs = {};
       const side = document.createElement("div");
@@ -125,6 +127,26 @@
       whole.setAttribute("aria-label", data.label ?? "recorded panel");
       whole.append(this.image, side);
       stage.replaceChildren(whole);
+      if (data.click) {
+        this.image.dataset.touch = "pixel";
+        this.image.addEventListener("click", (event) => this.clicked(event));
+      }
+      this.show();
+    }
+
+    /** A click on a picture in the recorded one: the position that is next to it. */
+    clicked(event) {
+      const { controls, places, area: [left, top, right, bottom], size } = this.data.click;
+      const box = this.image.getBoundingClientRect();
+      const at = [
+        (((event.clientX - box.left) / box.width - left) / (right - left)) * size[0],
+        (((event.clientY - box.top) / box.height - top) / (bottom - top)) * size[1],
+      ];
+      if (at.some((x, k) => x < 0 || x >= size[k])) return;
+      controls.forEach((name, axis) => {
+        const away = places[axis].map((place) => Math.abs(place + 0.5 - at[axis]));
+        this.at[name] = away.indexOf(Math.min(...away));
+      });
       this.show();
     }
 
@@ -208,7 +230,7 @@
       else {
         await load(`${root}front_${kind}.js`);
         stage.replaceChildren();
-        window.gsnbFrontEnds[kind].render({ model: models[kind](known), el: stage });
+        window.gsnbFrontEnds[kind].render({ model: models[kind](known, files), el: stage });
         for (const code of stage.querySelectorAll(".gsnb-stepper-code")) code.tabIndex = 0; // it scrolls
       }
       view.dataset.state = "live";

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from ...strict_json import read_object
-from .record import cells_to_run, wanted_views
-from .recorded import placeholder
+from .record import cells_to_run, kernel_views, wanted_views
+from .recorded import needs_kernel, placeholder
 
 log = logging.getLogger(__name__)
 
@@ -39,15 +39,16 @@ def record_all(notebooks: Iterable[Path], views: Path, out: Path, *, jobs: int =
     def one(notebook: Path) -> tuple[str, dict[str, Any]]:
         folder = out / notebook.stem
         wanted = wanted_views(views, notebook.name[:2])
+        still = {cell: {"kernel": why} for cell, why in kernel_views(views, notebook.name[:2]).items()}
         if not wanted:
-            return notebook.name, {}
+            return notebook.name, still
         asked = json.dumps([package, wanted, cells_to_run(read_object(notebook, "a notebook"), wanted)])
         key = hashlib.sha256(asked.encode()).hexdigest()
         mark = folder / "key"
         if not mark.exists() or mark.read_text() != key:
             _record(notebook, views, folder)
             mark.write_text(key)
-        return notebook.name, json.loads((folder / "views.json").read_text(encoding="utf-8"))
+        return notebook.name, {**json.loads((folder / "views.json").read_text(encoding="utf-8")), **still}
 
     with ThreadPoolExecutor(jobs) as pool:
         return dict(pool.map(one, notebooks))
@@ -78,7 +79,7 @@ def put_views(listed: Listed, recorded: Path, extra: Path) -> None:
     """Link or copy the files of the views to where the pages look for them."""
     for notebook, cells in listed.items():
         stem = Path(notebook).stem
-        for source in (recorded / stem).rglob("*") if cells else ():
+        for source in (recorded / stem).rglob("*") if any("kind" in cell for cell in cells.values()) else ():
             if source.is_file() and source.name not in ("key", "views.json"):
                 target = extra / "notebooks" / f"{stem}_files" / source.relative_to(recorded / stem)
                 target.parent.mkdir(parents=True, exist_ok=True)
@@ -86,7 +87,11 @@ def put_views(listed: Listed, recorded: Path, extra: Path) -> None:
 
 
 def view_html(listed: Listed, page: str, cell: str) -> str | None:
-    """HTML of a view that was recorded, for ``Chapter``."""
+    """HTML of a view that was recorded, or needs a kernel, for ``Chapter``."""
     notebook = page.rpartition("/")[2]
     found = listed.get(notebook, {}).get(cell)
-    return None if found is None else placeholder(found, f"{Path(notebook).stem}_files", cell)
+    if found is None:
+        return None
+    return (
+        needs_kernel(found["kernel"]) if "kernel" in found else placeholder(found, f"{Path(notebook).stem}_files", cell)
+    )

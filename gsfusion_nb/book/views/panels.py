@@ -94,6 +94,14 @@ def record_grids(
     return Recorded(kind="panel", data={"controls": list(controls), "grids": made}, words=words, pictures=pictures)
 
 
+def counts_of(grids: Sequence[Sequence[str]], names: Sequence[str]) -> list[int]:
+    """Numbers of positions of some controls, given as "u:9"."""
+    given = {name: int(count) for grid in grids for name, _, count in [one.partition(":") for one in grid]}
+    if sorted(given) != sorted(names):
+        raise ValueError(f"expected a grid over {', '.join(names)}, each with a number as in u:9, got {sorted(given)}")
+    return [given[name] for name in names]
+
+
 def _positions(control: Any, count: int) -> list[Any]:
     """Values of a control: all words of a choice, evenly spread ones of a slider, the present one among them."""
     if not hasattr(control, "step"):

@@ -26,6 +26,15 @@ from .recorded import Recorded
 
 def wanted_views(path: Path, chapter: str) -> dict[str, dict[str, Any]]:
     """Id of a cell -> how its view is recorded, for one chapter ("03")."""
+    return {cell: how for cell, how in _listed(path, chapter).items() if "kernel" not in how}
+
+
+def kernel_views(path: Path, chapter: str) -> dict[str, str]:
+    """Id of a cell -> why its view needs a kernel, for one chapter."""
+    return {cell: how["kernel"] for cell, how in _listed(path, chapter).items() if "kernel" in how}
+
+
+def _listed(path: Path, chapter: str) -> dict[str, dict[str, Any]]:
     return tomllib.loads(path.read_text(encoding="utf-8")).get(f"chapter_{chapter}", {})
 
 
@@ -54,25 +63,30 @@ def record(view: Any, grids: Sequence[Sequence[str]] = ()) -> Recorded:
     from ...viz.live.live_mapper import LiveMapper
     from ...viz.live.orbit import OrbitView
     from ...viz.meshes.viewer import MeshViewer
+    from ...viz.microscopes.gradient_microscope import GradientMicroscope
+    from ...viz.microscopes.pixel_microscope import PixelMicroscope
     from ...viz.panels.panel import Panel
     from ...viz.panels.trace import TracePanel
     from ...viz.splats.viewer import SplatViewer
     from ...viz.steppers.stepper import Stepper
-    from . import panels, steppers, viewers
+    from . import microscopes, panels, steppers, traces, viewers
 
-    if isinstance(view, Panel):
-        return panels.record_panel(view, grids)
+    with_grids: dict[type, Any] = {
+        Panel: panels.record_panel, GradientMicroscope: microscopes.record_gradients, TracePanel: traces.record_trace,
+    }  # fmt: skip
     recorders: dict[type, Any] = {
         Stepper: steppers.record_stepper, LiveMapper: steppers.record_live_mapper,
-        LiveLoop: steppers.record_live_loop, TracePanel: steppers.record_trace, SplatViewer: viewers.record_splats,
-        MeshViewer: viewers.record_mesh, OrbitView: viewers.record_orbit,
+        LiveLoop: steppers.record_live_loop, SplatViewer: viewers.record_splats, MeshViewer: viewers.record_mesh,
+        OrbitView: viewers.record_orbit, PixelMicroscope: microscopes.record_microscope,
     }  # fmt: skip
+    for kind, act in with_grids.items():
+        if isinstance(view, kind):
+            return act(view, grids)
     for kind, act in recorders.items():
         if isinstance(view, kind):
             return act(view)
-    raise TypeError(
-        f"there is no recorder for {type(view).__name__}; known: Panel, {', '.join(k.__name__ for k in recorders)}"
-    )
+    known = ", ".join(kind.__name__ for kind in (*with_grids, *recorders))
+    raise TypeError(f"there is no recorder for {type(view).__name__}; known: {known}")
 
 
 def run(cells: Sequence[tuple[str, str]], names: dict[str, Any], targets: Mapping[str, Any]) -> dict[str, Recorded]:

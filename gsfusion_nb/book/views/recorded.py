@@ -17,7 +17,7 @@ class Recorded:
     """One view of a chapter."""
 
     kind: str
-    """Which script shows it: "panel", "stepper", "splat" or "mesh"."""
+    """Which script shows it: "panel", "stepper", "splat", "mesh", "pixels" or "trace"."""
     data: dict[str, Any]
     """What the script needs, as JSON."""
     words: str
@@ -44,6 +44,11 @@ def placeholder(recorded: Mapping[str, Any], folder: str, cell: str) -> str:
         f'<p class="gsnb-view-words"><b>Live.</b> {escape(recorded["words"])}</p>'
         f'<div class="gsnb-view-stage"><!-- picture --></div></div>'
     )
+
+
+def needs_kernel(words: str) -> str:
+    """HTML of a view that is not recorded: why it shows only a picture."""
+    return f'<p class="gsnb-view-words"><b>Needs a kernel.</b> {escape(words)}</p><!-- picture -->'
 
 
 def webp(picture: np.ndarray, quality: int = 72) -> bytes:

@@ -1,13 +1,22 @@
 """The scripts of the viewers, as scripts that a page loads from a folder: there, modules cannot be loaded."""
 
+import re
 from importlib.resources import files
 
 from ...viz.front_end import mesh_front_end, source, splat_front_end
 
+_EXPORT = re.compile(r"^export (?!default)", re.MULTILINE)
+
 
 def front_ends() -> dict[str, str]:
     """File name -> text of each viewer's script; each gives its ``render`` to ``gsnbFrontEnds``."""
-    texts = {"splat": splat_front_end(), "mesh": mesh_front_end(), "stepper": source("steppers/stepper.js")}
+    texts = {
+        "splat": splat_front_end(),
+        "mesh": mesh_front_end(),
+        "stepper": source("steppers/stepper.js"),
+        "pixels": _EXPORT.sub("", _own("pixel_stack.js")) + _own("pixels.js"),
+        "trace": _own("trace.js"),
+    }
     return {f"front_{kind}.js": _classic(kind, text) for kind, text in texts.items()}
 
 
@@ -20,5 +29,9 @@ def _classic(kind: str, text: str) -> str:
 
 def style_sheet() -> str:
     """The viewers' styles."""
-    own = files("gsfusion_nb.book").joinpath("static/views.css").read_text(encoding="utf-8")
-    return "\n".join([*(source(f"{name}.css") for name in ("splats/viewer", "meshes/viewer", "steppers/stepper")), own])
+    theirs = ("splats/viewer", "meshes/viewer", "steppers/stepper", "panels/click_image")
+    return "\n".join([*(source(f"{name}.css") for name in theirs), _own("views.css")])
+
+
+def _own(name: str) -> str:
+    return files("gsfusion_nb.book").joinpath("static", name).read_text(encoding="utf-8")

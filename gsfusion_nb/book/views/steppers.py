@@ -1,4 +1,4 @@
-"""Views that are a sequence: steppers, live runs that went to their end, traces."""
+"""Views that are a sequence: steppers, and live runs that went to their end."""
 
 import base64
 from typing import Any
@@ -8,10 +8,10 @@ import numpy as np
 
 from ...viz.live.live_loop import LiveLoop
 from ...viz.live.live_mapper import LiveMapper
-from ...viz.panels.trace import TracePanel
 from ...viz.steppers.stepper import Stepper
 from .panels import record_grids
 from .recorded import Recorded, webp
+from .some import some
 
 MOST_FRAMES = 60
 """Of a live run; a longer one is recorded with gaps."""
@@ -34,7 +34,7 @@ def record_live_mapper(live: LiveMapper) -> Recorded:
     """The pictures of every frame that was mapped; frames that are left are mapped first."""
     live.run_sync()
     entries = [entry for entry in live.scrubber.entries if entry[0]]
-    entries = _some(entries)
+    entries = some(entries, MOST_FRAMES)
     captions = [image.alt for image in live.images.values()]
 
     def at(chosen: Any) -> tuple[np.ndarray, str, str]:
@@ -56,7 +56,7 @@ def record_live_mapper(live: LiveMapper) -> Recorded:
 def record_live_loop(loop: LiveLoop) -> Recorded:
     """The picture of the steps that a loop kept; steps that are left are done first."""
     loop.run_sync()
-    entries = _some(loop.scrubber.entries)
+    entries = some(loop.scrubber.entries, MOST_FRAMES)
 
     def at(chosen: Any) -> tuple[np.ndarray, str, str]:
         step, picture = entries[chosen["step"]]
@@ -70,36 +70,12 @@ def record_live_loop(loop: LiveLoop) -> Recorded:
     return recorded
 
 
-def record_trace(panel: TracePanel) -> Recorded:
-    """Every moment of the story that a trace panel shows."""
-    moments = range(len(panel.story.moments))
-    chosen_moments = _some(list(moments))
-    start = panel.slider.value
-
-    def at(chosen: Any) -> tuple[np.ndarray, str, str]:
-        panel.go_to(chosen_moments[chosen["moment"]])
-        return panel.picture(), panel.numbers.value, panel.clicks.alt
-
-    words = [str(k + 1) for k in chosen_moments]
-    nearest = min(range(len(words)), key=lambda k: abs(chosen_moments[k] - start))
-    control = {"name": "moment", "label": "moment", "words": words, "start": nearest, "kind": "slider"}
-    recorded = record_grids(at, [control], [["moment"]], drawing=True)
-    recorded.data["label"] = "A trace: what happened, in order"
-    recorded.words = "Recorded: the slider goes through what happened. In the notebook a click follows something else."
-    return recorded
-
-
 def _mosaic(pictures: list[np.ndarray]) -> np.ndarray:
     """Pictures of one size in rows of two."""
     height, width = pictures[0].shape[:2]
     same = [np.asarray(cv2.resize(picture, (width, height))) for picture in pictures]
     same += [np.full_like(same[0], 255)] * (len(same) % 2)
     return np.concatenate([np.concatenate(same[k : k + 2], 1) for k in range(0, len(same), 2)])
-
-
-def _some(entries: list[Any]) -> list[Any]:
-    every = np.linspace(0, len(entries) - 1, min(len(entries), MOST_FRAMES)).round().astype(int)
-    return [entries[k] for k in every]
 
 
 def _decoded(picture: bytes) -> np.ndarray:

@@ -18,9 +18,12 @@ _SYSTEM = (
 
 
 def write_clean_copy(folder: Path) -> None:
-    """Copy the package into ``folder``, with ``sandbox/stand_in.py`` in place of ``gsfusion_nb.teaching``."""
+    """Copy the package into ``folder``, with ``sandbox/stand_in.py`` in place of ``gsfusion_nb.teaching``.
+
+    The solved notebooks, which a wheel puts into the package, are left out.
+    """
     package = package_folder()
-    leave_out = shutil.ignore_patterns("*.nbi", "*.nbc", "teaching")
+    leave_out = shutil.ignore_patterns("*.nbi", "*.nbc", "teaching", "notebooks", "docs")
     copy = folder / "gsfusion_nb"
     shutil.copytree(package, copy, ignore=leave_out)
     if not (copy / "kernels").exists():

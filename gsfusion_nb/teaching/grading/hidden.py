@@ -12,7 +12,8 @@ from typing import Any
 from ..exercise import exercises
 from ..sandbox.needed import Cell
 from ..verdict import Verdict
-from .isolated import Limits, Sandbox
+from .isolated import Sandbox
+from .limits import Limits
 from .marking import verdict_on, why
 
 

@@ -15,7 +15,8 @@ from ...files import write_file
 from ...processes import Died, WorkerPool, usable_cores
 from ..course import TITLES
 from ..exercise import DIFFICULTIES, exercises
-from .isolated import Limits, Sandbox, check_possible
+from .isolated import Sandbox, check_possible
+from .limits import Limits
 from .marking import Mark, mark_student, properties
 from .points import Points
 from .submission import Submission, defines, read_code

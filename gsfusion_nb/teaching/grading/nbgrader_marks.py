@@ -10,7 +10,7 @@ from traitlets import Float, Integer
 from ..exercise import exercises
 from ..sandbox.needed import Cell
 from .hidden import marked
-from .isolated import Limits
+from .limits import Limits
 from .marking import why
 
 _PREFIX = "test-"

@@ -14,7 +14,7 @@ from typing import Any
 
 import torch
 
-from . import guard, landlock
+from . import confinement, landlock
 from .task import run_task
 
 _READY = ("gsfusion_nb.seeding", "gsfusion_nb.mapping", "gsfusion_nb.tracking", "gsfusion_nb.teaching.wall")
@@ -62,8 +62,8 @@ def main(control_fd: int, settings_json: str) -> None:
 
 def _become_sandbox(ruleset: int, settings: dict[str, Any]) -> None:
     os.setsid()
-    guard.limit(settings["memory_bytes"], settings["cpu_s"])
+    confinement.limit(settings["memory_bytes"], settings["cpu_s"])
     if ruleset >= 0:
         landlock.restrict(ruleset)
         os.close(ruleset)
-    guard.refuse(settings["readable"])
+    confinement.refuse(settings["readable"])

@@ -94,11 +94,15 @@ class TracePanel:
             name = f"Gaussian {story.id}"
         if not story.moments:
             raise ValueError(f"nothing is recorded of {name}: map a frame while the trace is open")
+        return self.show_story(story, name, self.slider.value)
+
+    def show_story(self, story: Story, name: str, k: int) -> Story:
+        """Show moment ``k`` of a story that the trace told before, and its name; the last one for larger numbers."""
         with self._lock:
-            self.story, self._name = story, name
+            self.story, self.name = story, name
             self._quiet = True
             self.slider.max = len(story.moments) - 1
-            self.slider.value = min(self.slider.value, self.slider.max)
+            self.slider.value = min(k, self.slider.max)
             self._quiet = False
             self._redraw()
         return story
@@ -127,12 +131,35 @@ class TracePanel:
         check_name("follows", follows, FOLLOWS)
         self.choice.value = follows
 
+    def follow(self, u: int, v: int) -> None:
+        """Follow what a click on a pixel of the present picture follows.
+
+        Raises:
+            ValueError: nothing is recorded there.
+        """
+        serial = self._moment.serial
+        if self.follows == "voxel":
+            fused = [m for m in self.trace.pixel(u, v).moments if getattr(m, "voxels", ())]
+            if not fused:
+                raise ValueError(f"no depth was fused at pixel ({u}, {v})")
+            now = min(fused, key=lambda m: abs(m.serial - serial))
+            self.look_at(voxel=min(now.voxels, key=lambda x: abs(x.z_m - now.depth_m)).ijk)
+        elif self.follows == "Gaussian":
+            steps = [m for m in self.trace.pixel(u, v).steps if len(m.ids)]
+            if not steps:
+                raise ValueError(f"no Gaussian colours pixel ({u}, {v})")
+            now = min(steps, key=lambda m: abs(m.serial - serial))
+            self.look_at(id=int(now.ids[now.weight.argmax()]))
+        else:
+            self.look_at(pixel=(u, v))
+        self._go_near(serial)
+
     @property
     def _moment(self) -> Any:
         return self.story.moments[self.slider.value]
 
     def _repr_mimebundle_(self, **kwargs: Any) -> Bundle:
-        text = f"{self._name}, moment {self.slider.value + 1} of {len(self.story.moments)}\n{self._moment}"
+        text = f"{self.name}, moment {self.slider.value + 1} of {len(self.story.moments)}\n{self._moment}"
         return with_picture(self.widget._repr_mimebundle_(**kwargs), self.picture(), text, alt=self.clicks.alt)
 
     def _build(self) -> None:
@@ -183,27 +210,9 @@ class TracePanel:
         u, v = self.clicks.pixel
         with self._lock:
             try:
-                self._follow(u, v)
+                self.follow(u, v)
             except (ValueError, IndexError) as error:
                 self.numbers.value = str(Markup("<b>{}</b>").format(str(error)))
-
-    def _follow(self, u: int, v: int) -> None:
-        serial = self._moment.serial
-        if self.follows == "voxel":
-            fused = [m for m in self.trace.pixel(u, v).moments if getattr(m, "voxels", ())]
-            if not fused:
-                raise ValueError(f"no depth was fused at pixel ({u}, {v})")
-            now = min(fused, key=lambda m: abs(m.serial - serial))
-            self.look_at(voxel=min(now.voxels, key=lambda x: abs(x.z_m - now.depth_m)).ijk)
-        elif self.follows == "Gaussian":
-            steps = [m for m in self.trace.pixel(u, v).steps if len(m.ids)]
-            if not steps:
-                raise ValueError(f"no Gaussian colours pixel ({u}, {v})")
-            now = min(steps, key=lambda m: abs(m.serial - serial))
-            self.look_at(id=int(now.ids[now.weight.argmax()]))
-        else:
-            self.look_at(pixel=(u, v))
-        self._go_near(serial)
 
     def _go_near(self, serial: int) -> None:
         """Show the moment of the story that is next to an operation."""
@@ -227,11 +236,11 @@ class TracePanel:
                 self.clicks.pixel = moment.marks.pixel
             self._quiet = False
         self.clicks.show(self.picture())
-        self.clicks.alt = f"{self._name}: {moment.title}; click a pixel to follow it"
+        self.clicks.alt = f"{self.name}: {moment.title}; click a pixel to follow it"
         self.back.disabled, self.next.disabled = self.slider.value == 0, self.slider.value == self.slider.max
         place, code = moment.source_line()
         head = Markup("<b>{}</b>, {} of {}: {}").format(
-            self._name, self.slider.value + 1, len(self.story.moments), moment.title
+            self.name, self.slider.value + 1, len(self.story.moments), moment.title
         )
         table = Markup(html_table(moment.lines(), style="font-size:12px", cell_style="text-align:left;padding:1px 6px"))
         line = Markup('<div style="font-size:12px;overflow-wrap:anywhere">{}: <code>{}</code></div>').format(

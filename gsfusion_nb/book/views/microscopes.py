@@ -1,0 +1,98 @@
+"""The microscopes: of a pixel, computed in the page; of its gradient, recorded over a grid of pixels."""
+
+import base64
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import torch
+
+from ...drawing.pictures import Picture, encode_png
+from ...viz.microscopes.gradient_microscope import PICKS, PICTURE_PX, GradientMicroscope
+from ...viz.microscopes.pixel_microscope import PICTURE_PX as SHOWN_PX
+from ...viz.microscopes.pixel_microscope import PixelMicroscope
+from ...viz.microscopes.pixel_stack import Splats
+from .panels import counts_of, record_grids
+from .recorded import Recorded
+
+PIXELS = (("u:9", "v:7"),)
+"""Pixels of the gradient microscope that are recorded, columns and rows."""
+
+
+def record_microscope(microscope: PixelMicroscope) -> Recorded:
+    """Every pixel: the page gets the Gaussians on the screen and blends them itself."""
+    camera = microscope.splats.camera
+    values = splat_rows(microscope.splats)
+    data = {
+        "splats": base64.b64encode(values.tobytes()).decode("ascii"),
+        "picture": base64.b64encode(encode_png(microscope.image, 9)).decode("ascii"),
+        "width": camera.width,
+        "height": camera.height,
+        "shown": round(camera.width * SHOWN_PX / camera.height),
+        "pixel": [microscope.stack.u, microscope.stack.v],
+    }
+    words = f"Click or drag on the picture: this page blends the {len(values):,} Gaussians in view itself."
+    return Recorded(kind="pixels", data=data, words=words)
+
+
+def splat_rows(splats: Splats) -> np.ndarray:
+    """What ``pixel_stack.js`` reads: the Gaussians whose box reaches into the picture, nearest first, float32. [N, 11]
+
+    Columns: u, v, the conic's A, B, C, opacity, depth in metres, red, green, blue, row in the map.
+    """
+    p, camera = splats.projection, splats.camera
+    size = p.uv.new_tensor([camera.width, camera.height])
+    inside = p.visible & ((p.uv + p.extent_px >= 0) & (p.uv - p.extent_px <= size)).all(1)
+    row = inside.nonzero().squeeze(1)
+    row = row[p.depth_m[row].argsort(stable=True)]
+    if len(row) and int(row.max()) >= 2**24:
+        raise ValueError(f"row {int(row.max())} of the map is not exact in 32 bits; record a map below 16 million rows")
+    one = [p.opacity[row, None], p.depth_m[row, None], splats.rgb[row], row[:, None].to(p.uv)]
+    return torch.cat([p.uv[row], p.conic[row], *one], 1).detach().cpu().float().numpy()
+
+
+def record_gradients(microscope: GradientMicroscope, grids: Sequence[Sequence[str]] = ()) -> Recorded:
+    """Some pixels, with both picks; a click goes to the nearest of them."""
+    camera = microscope.splats.camera
+    across, down = counts_of(grids or PIXELS, ("u", "v"))
+    u, v = (microscope.of_pixel.stack.u, microscope.of_pixel.stack.v)
+    places = {"u": _spread(camera.width, across, u), "v": _spread(camera.height, down, v)}
+    picked = microscope.pick
+
+    def at(chosen: Mapping[str, int]) -> tuple[Picture, str, str]:
+        microscope.look_at(places["u"][chosen["u"]], places["v"][chosen["v"]])
+        microscope.pick = PICKS[chosen["pick"]]
+        return microscope.picture(), microscope.numbers.value, f"{microscope.clicks.alt}; {microscope.arrows.alt}"
+
+    controls = [
+        {"name": "pick", "label": "a click picks", "words": list(PICKS), "start": PICKS.index(picked), "kind": "choice"}
+    ]
+    for name, label, start in (("u", "column", u), ("v", "row", v)):
+        words = [str(place) for place in places[name]]
+        controls.append(
+            {"name": name, "label": label, "words": words, "start": words.index(str(start)), "kind": "slider"}
+        )
+    recorded = record_grids(at, controls, [["pick", "u", "v"]], drawing=True)
+    microscope.look_at(u, v).pick = picked
+    height, width = microscope.picture().shape[:2]
+    first = round(camera.width * PICTURE_PX / camera.height)
+    recorded.data |= {
+        "label": "The gradient microscope",
+        "width": width,
+        "click": {
+            "controls": ["u", "v"],
+            "places": [places["u"], places["v"]],
+            "area": [0, (height - PICTURE_PX) / height, first / width, 1],
+            "size": [camera.width, camera.height],
+        },
+    }
+    recorded.words = (
+        f"Recorded for {across} x {down} pixels: click the picture at the left, and the nearest of them is shown."
+    )
+    return recorded
+
+
+def _spread(length: int, count: int, present: int) -> list[int]:
+    """Places from end to end, evenly spread; the nearest one is moved to the present place."""
+    found = [round((k + 0.5) * length / count) for k in range(count)]
+    found[min(range(count), key=lambda k: abs(found[k] - present))] = present
+    return found
