@@ -41,7 +41,7 @@ METRIC_GROUPS: dict[str, dict[str, Metric]] = {
     "Novel views (held out)": _image_metrics("held_out"),
     "Novel views, each pose fitted to the map": _image_metrics("held_out_aligned"),
     "Novel views, pose and exposure fitted to the map": _image_metrics("held_out_fitted"),
-    "Novel views, each placed as the refined views before and after it": _image_metrics("held_out_between"),
+    "Novel views, each with pose and exposure of the views before and after it": _image_metrics("held_out_between"),
     "Mapped views": _image_metrics("mapped"),
     "Before the global optimisation": {
         "psnr_held_out_online_db": Metric("PSNR, held out", "dB", 2, 1.0, "Of the map at the end of the sequence."),

@@ -7,7 +7,7 @@ from typing import Literal
 from ..evaluation.metrics import METRICS
 
 Better = Literal["higher", "lower", "neither"]
-Views = Literal["held out", "mapped", ""]
+Views = Literal["held out", "between neighbours", "mapped", ""]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,8 +46,10 @@ class Column:
 
 
 def _image_columns(metric: str, heading: str, better: Better) -> Iterable[Column]:
-    both: tuple[tuple[str, Views], ...] = (("held_out", "held out"), ("mapped", "mapped"))
-    for views, word in both:
+    groups: tuple[tuple[str, Views], ...] = (
+        ("held_out", "held out"), ("held_out_between", "between neighbours"), ("mapped", "mapped"),
+    )  # fmt: skip
+    for views, word in groups:
         name = metric.format(views)
         known = METRICS[name]
         yield Column(

@@ -13,7 +13,7 @@ import numba
 
 from ..data import sequence_fingerprint
 from ..drawing.pictures import encode_png
-from ..evaluation import ImageScores, NotComputed, score_views
+from ..evaluation import ImageScores, NotComputed
 from ..evaluation.image import lpips_unavailable
 from ..files import write_file
 from ..mapping import StepReport
@@ -98,9 +98,10 @@ def run_steps(
 def _result(entry: Entry, mapped: Mapped, tuned: dict[str, Any], folder: Path | None, everything: bool) -> RunResult:
     run, views = mapped.run, scored_views(mapped.run)
     with_lpips = lpips_unavailable() is None
-    groups = ("held_out", "mapped") if everything else ("held_out",)
     scores = {
-        name: score_views(run.mapper.render, views[name].frames(run.sequence), with_lpips=with_lpips) for name in groups
+        name: group.scores(run.mapper.render, run.sequence, with_lpips=with_lpips)
+        for name, group in views.items()
+        if everything or name != "mapped"
     }
     numbers: dict[str, Any] = {}
     for name, group in scores.items():

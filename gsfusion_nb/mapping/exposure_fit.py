@@ -1,5 +1,7 @@
 """Exposures that are fitted in the passes after the scan, so that the map has the mean brightness of the pictures."""
 
+from collections.abc import Mapping
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -8,6 +10,7 @@ from ..config import OptimConfig
 from ..constants import SHOWN_ALPHA
 from ..optim import Keyframe, KeyframeList, fit_gain
 from ..types import RenderOutput
+from .localiser import between
 
 
 class ExposureFit:
@@ -31,3 +34,15 @@ class ExposureFit:
             mean = torch.stack(list(gains.values())).mean(0)
             for index, gain in gains.items():
                 keyframes.set_gain(index, (gain - mean).exp())
+
+
+def exposure_between(fitted: Mapping[int, Float[Tensor, " 3"]], index: int) -> Float[Tensor, " 3"]:
+    """The exposure of any frame of the source by those of the frames before and after it, interpolated in stops.
+
+    Args:
+        fitted: Number of a frame -> its exposure; at least one.
+        index: Number of the frame; its own picture is not used.
+    """
+    indices = sorted(fitted)
+    stops = torch.stack([fitted[i].double().log2().cpu() for i in indices])
+    return between(torch.tensor(indices), stops, index).exp2().float()

@@ -220,7 +220,7 @@ class Localiser:
             self._database.load_state(state["database"])
 
 
-def between(indices: Int[Tensor, " R"], values: Float[Tensor, "R 6"], index: int) -> Float[Tensor, " 6"]:
+def between(indices: Int[Tensor, " R"], values: Float[Tensor, "R D"], index: int) -> Float[Tensor, " D"]:
     """Values at increasing numbers of frames, interpolated for another frame; outside of them the first or last."""
     after = int(torch.searchsorted(indices, index).clamp(1, max(len(indices) - 1, 1)))
     if len(indices) == 1:

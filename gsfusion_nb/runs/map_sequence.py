@@ -8,8 +8,9 @@ from typing import Any
 
 import torch
 
-from ..config import SystemConfig, to_dict
-from ..data import Sequence, SequenceError, apply_options, open_sequence
+from ..config import SystemConfig, replace, to_dict
+from ..data import OpenedSequence, Sequence, SequenceError, apply_options, open_sequence
+from ..data.adjust.repair import RepairedSequence
 from ..data.checkup.quick_check import check_sequence
 from ..export import read_gaussians
 from ..files import DiskFullError
@@ -78,11 +79,12 @@ def run_mapping(
         sequence = open_sequence(**source, data=settings.data)
     else:
         source, sequence = {}, apply_options(data, settings.data)
+    settings, notes = _with_estimates(settings, sequence)
     mapper = make_mapper(settings, seeding=seeding, device=device)
     if from_gaussians is not None:
         mapper.begin_with(read_gaussians(from_gaussians), Path(from_gaussians).name)
     run = MappingRun(sequence, mapper, source=source)
-    run.warnings += mapper.notes
+    run.warnings += [*notes, *mapper.notes]
     if from_gaussians is not None and settings.tracking.poses == "given":
         run.warnings += doubts_about_frame(mapper, sequence.mapping, Path(from_gaussians).name)
     run.watchers += [watch] if watch is not None else []
@@ -124,6 +126,14 @@ def _settings(config: SystemConfig | str | None, system: str, *, is_room: bool) 
     if config is None or isinstance(config, str):
         return get_system(system).preset(config or ("room" if is_room else "replica"))
     return config
+
+
+def _with_estimates(settings: SystemConfig, sequence: OpenedSequence) -> tuple[SystemConfig, list[str]]:
+    """The settings with the numbers that were estimated when the sequence was opened, and sentences about them."""
+    source = sequence.source
+    if settings.data.repair.pose_offset_s != "estimate" or not isinstance(source, RepairedSequence):
+        return settings, []
+    return replace(settings, data__repair__pose_offset_s=source.repair.pose_offset_s), [source.note]
 
 
 def _doubts(sequence: Sequence) -> list[str]:

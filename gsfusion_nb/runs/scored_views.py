@@ -1,5 +1,6 @@
 """The views that a run is scored with, and their poses, stored in the run's folder so that it can be scored again."""
 
+import bisect
 import dataclasses
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -9,11 +10,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ..checks import SAVED_RIGIDITY_ERROR, check_pose, check_whole
+from ..checks import SAVED_RIGIDITY_ERROR, check_pose, check_saved, check_whole
 from ..constants import SHOWN_ALPHA
 from ..data import SequenceView
-from ..evaluation import score_views
+from ..evaluation import ImageScores, score_views
 from ..foreign import reason_of
+from ..mapping.exposure_fit import exposure_between
 from ..optim import exposed, fit_gain
 from ..strict_json import read_object
 from ..types import Camera, Frame, RenderOutput
@@ -22,15 +24,20 @@ from .posed_frames import frames_at, poses_in_map
 
 VIEWS = "views.json"
 
+Draw = Callable[[Camera, Float[Tensor, "4 4"]], RenderOutput]
+"""Renders the map for a camera and its camera-to-world pose."""
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ScoredViews:
-    """Some frames of a sequence and their poses in the map."""
+    """Some frames of a sequence, their poses in the map, and with which exposure the map is shown there."""
 
     positions: list[int]
     """Positions of the frames in the sequence."""
     poses: list[Float[Tensor, "4 4"]]
     """Camera-to-world in the map, float32."""
+    gains: dict[int, Float[Tensor, " 3"]] = dataclasses.field(default_factory=dict)
+    """Position -> factor of each colour between the map's picture and this view's; 1 for the others."""
 
     def frames(self, sequence: SequenceView) -> Iterator[Frame]:
         """The readable frames with their poses in the map; size and depth limits are those of ``sequence``."""
@@ -43,12 +50,28 @@ class ScoredViews:
         )
         yield from frames_at(view, list(self.poses))
 
+    def scores(self, draw: Draw, sequence: SequenceView, *, with_lpips: bool = False) -> ImageScores:
+        """``score_views`` of the readable frames; what ``draw`` renders is shown with the exposure of each view."""
+        at = [-1]
+
+        def frames() -> Iterator[Frame]:
+            for frame in self.frames(sequence):
+                at[0] = frame.index
+                yield frame
+
+        def shown(camera: Camera, T_WC: Tensor) -> RenderOutput:
+            output, gain = draw(camera, T_WC), self.gains.get(at[0])
+            return output if gain is None else dataclasses.replace(output, rgb=exposed(output.rgb, gain.to(output.rgb)))
+
+        return score_views(shown, frames(), with_lpips=with_lpips)
+
 
 def scored_views(run: MappingRun) -> dict[str, ScoredViews]:
     """The held-out and mapped views of a run that are scored, with their current poses in the map.
 
-    Where pictures refined the mapped poses, the held-out views are there a second time, as the group held_out_between,
-    each moved as the mapped views before and after it were; their own pictures are not used.
+    Where pictures refined the mapped poses or exposures, the held-out views are there a second time, as the group
+    held_out_between, each moved as the mapped views before and after it were, and with an exposure between theirs;
+    their own pictures are not used.
     """
     localiser, mapping = run.mapper.localiser, run.sequence.mapping
     mapped = run.mapped_views(run.mapper.config.data.scored_views)
@@ -62,15 +85,37 @@ def scored_views(run: MappingRun) -> dict[str, ScoredViews]:
             if T_WC is not None
         ]
         found[name] = ScoredViews([position for position, _ in posed], [T_WC for _, T_WC in posed])
-    if localiser.is_refined:
-        held_out = found["held_out"]
+    held_out = found["held_out"]
+    gains = _gains_between(run, held_out.positions)
+    if localiser.is_refined or gains:
         moved = [localiser.refined(*view) for view in zip(held_out.positions, held_out.poses, strict=True)]
-        found["held_out_between"] = ScoredViews(held_out.positions, moved)
+        found["held_out_between"] = ScoredViews(held_out.positions, moved, gains)
     return found
 
 
+def _gains_between(run: MappingRun, positions: list[int]) -> dict[int, Float[Tensor, " 3"]]:
+    """The exposure of each held-out view by those of the mapped views before and after it; empty without fitted ones.
+
+    Of a mapped view that is no keyframe it is fitted here, from its picture.
+    """
+    mapper, mapped = run.mapper, run.sequence.mapping
+    fitted = {k.index: k.gain for k in mapper.keyframes if k.gain is not None}
+    if not fitted:
+        return {}
+    poses = dict(zip(mapper.localiser.frame_indices, mapper.localiser.poses, strict=True))
+    indices = sorted(poses)
+    places = [bisect.bisect(indices, p) for p in positions]
+    around = {i for at in places for i in indices[max(at - 1, 0) : at + 1]} - fitted.keys()
+    wanted = [i for i in mapped.positions if i in around]
+    view = dataclasses.replace(mapped, positions=wanted)
+    for frame in frames_at(view, [poses[i] for i in wanted]):
+        shown = mapper.render(frame.camera, frame.T_WC)
+        fitted[frame.index] = fit_gain(shown.rgb, frame.rgb.to(shown.rgb), shown.alpha >= SHOWN_ALPHA)
+    return {p: exposure_between(fitted, p) for p in positions}
+
+
 def score_in_map(
-    render: Callable[[Camera, Tensor], RenderOutput],
+    render: Draw,
     views: dict[str, ScoredViews],
     sequence: SequenceView,
     suffix: str = "",
@@ -91,50 +136,36 @@ def score_in_map(
             held_out_fitted with brightness and white balance fitted, too (``fit_gain``).
     """
     metrics: dict[str, Any] = {}
-    groups = {name: (render, group) for name, group in views.items()}
+    groups = dict(views)
     if align is not None:
-        aligned, gains = _aligned(views["held_out"].frames(sequence), render, align)
-        groups["held_out_aligned"] = render, aligned
-        groups["held_out_fitted"] = _with_exposures(render, gains), aligned
-    for name, (draw, group) in groups.items():
-        scores = score_views(draw, group.frames(sequence), with_lpips=with_lpips)
+        fitted = _fitted(views["held_out"].frames(sequence), render, align)
+        groups["held_out_aligned"] = dataclasses.replace(fitted, gains={})
+        groups["held_out_fitted"] = fitted
+    for name, group in groups.items():
+        scores = group.scores(render, sequence, with_lpips=with_lpips)
         metrics |= scores.as_metrics(name + suffix)
         metrics[f"n_views_{name}{suffix}"] = len(scores)
     return metrics
 
 
-def _aligned(
-    frames: Iterator[Frame], draw: Callable[[Camera, Tensor], RenderOutput], align: Callable[[Frame], Tensor]
-) -> tuple[ScoredViews, list[Tensor]]:
+def _fitted(frames: Iterator[Frame], draw: Draw, align: Callable[[Frame], Tensor]) -> ScoredViews:
     """The views at the poses that fit their pictures to the map best, and their exposures there."""
-    views, gains = ScoredViews([], []), []
+    views = ScoredViews([], [])
     for frame in frames:
         T_WC = align(frame)
         shown = draw(frame.camera, T_WC)
         views.positions.append(frame.index)
         views.poses.append(T_WC.to(frame.T_WC))
-        gains.append(fit_gain(shown.rgb, frame.rgb.to(shown.rgb.device), shown.alpha >= SHOWN_ALPHA))
-    return views, gains
-
-
-def _with_exposures(
-    draw: Callable[[Camera, Tensor], RenderOutput], gains: list[Tensor]
-) -> Callable[[Camera, Tensor], RenderOutput]:
-    """A renderer that shows one view after the other, each with its exposure."""
-    remaining = iter(gains)
-
-    def shown(camera: Camera, T_WC: Tensor) -> RenderOutput:
-        output = draw(camera, T_WC)
-        return dataclasses.replace(output, rgb=exposed(output.rgb, next(remaining).to(output.rgb)))
-
-    return shown
+        views.gains[frame.index] = fit_gain(shown.rgb, frame.rgb.to(shown.rgb.device), shown.alpha >= SHOWN_ALPHA)
+    return views
 
 
 def views_as_json(views: dict[str, ScoredViews]) -> dict[str, Any]:
-    """The views as plain values for JSON; float32 poses are read back from them bit for bit."""
+    """The views as plain values for JSON; float32 poses and exposures are read back from them bit for bit."""
     return {
         name: [
             {"frame": position, "T_WC": T_WC.flatten().tolist()}
+            | ({"gain": group.gains[position].tolist()} if position in group.gains else {})
             for position, T_WC in zip(group.positions, group.poses, strict=True)
         ]
         for name, group in views.items()
@@ -168,4 +199,8 @@ def _read_group(group: list[dict[str, Any]]) -> ScoredViews:
         check_pose(f"T_WC of frame {view['frame']}", T_WC, SAVED_RIGIDITY_ERROR)
         views.positions.append(view["frame"])
         views.poses.append(T_WC)
+        if "gain" in view:
+            gain = torch.tensor(view["gain"], dtype=torch.float32)
+            check_saved(f"gain of frame {view['frame']}", gain, (3,))
+            views.gains[view["frame"]] = gain
     return views

@@ -8,6 +8,7 @@ import torch
 
 from gsfusion_nb import GSFusion, gsfusion
 from gsfusion_nb.data.room import room
+from gsfusion_nb.mapping.exposure_fit import exposure_between
 
 
 def mapped(frames, **optim):
@@ -55,3 +56,10 @@ def test_a_resumed_run_goes_on_bit_for_bit_and_without_the_setting_nothing_is_fi
     plain = mapped(frames[:2])
     next(plain.global_optimise())
     assert [k.gain for k in plain.keyframes] == [None, None]
+
+
+def test_a_view_between_two_has_an_exposure_between_theirs_in_stops():
+    first, last = torch.tensor([0.5, 1.0, 2.0]), torch.tensor([2.0, 1.0, 0.5])
+    torch.testing.assert_close(exposure_between({4: last, 2: first}, 3), torch.ones(3))
+    torch.testing.assert_close(exposure_between({4: last, 2: first}, 1), first)  # the first one's
+    torch.testing.assert_close(exposure_between({2: first}, 9), first)

@@ -80,6 +80,22 @@ def test_scoring_again_gives_the_same_numbers(system, poses, scored_run, caplog)
     assert not list(folder.glob("metrics-*"))
 
 
+def test_views_between_fitted_exposures_are_shown_with_theirs_and_scored_again_alike(tmp_path):
+    config = replace(SETTINGS["gsfusion"], keyframe_every=1, optim__fit_exposure=True, data__align_held_out=False)
+    config = replace(config, optim__global_iterations=3)
+    reader = {**ROOM, "exposure_stops": 1.0}
+    run = run_mapping("room", config, folder=tmp_path / "run", **reader)
+    assert run.metrics["n_views_held_out_between"] == 2
+    assert run.metrics["psnr_held_out_between_db"] > run.metrics["psnr_held_out_db"] + 1
+    own = {name: value for name, value in run.metrics.items() if name.startswith(SCORES)}
+    again = rescore(run.folder)
+    assert {name: again[name] for name in own} == own
+    path = run.folder / "views.json"
+    path.write_text(path.read_text().replace('"gain": [', '"gain": [1.0, '))
+    with pytest.raises(ValueError, match=r"views.json is damaged: gain of frame \d+ must"):
+        rescore(run.folder)
+
+
 @pytest.mark.parametrize(("scored", "n"), [(0, 6), (3, 3), (1, 1)])
 def test_as_many_mapped_views_are_scored_as_the_settings_say(scored, n, tmp_path):
     config = replace(SETTINGS["gsfusion"], data__scored_views=scored)

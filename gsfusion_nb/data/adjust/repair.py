@@ -1,6 +1,9 @@
 """A recording with the corrections of ``RepairConfig``; they can be applied to any sequence."""
 
+import contextlib
 import dataclasses
+import functools
+import logging
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,6 +19,9 @@ from ..recorded.images import read_depth
 from ..recorded.recorded_sequence import RecordedSequence
 from ..sequence import BadFrameError, Sequence, SequenceError, position
 from .pose_conventions import pose_between, raw_matrices, reread_poses
+from .pose_path import PosePath, times_of
+
+log = logging.getLogger(__name__)
 
 _RAW = ("matrices", "nearest_rotation", "fit_sizes")
 """Corrections without which no frame can be made: they need the numbers of the files."""
@@ -32,6 +38,8 @@ def repaired(source: Sequence, repair: RepairConfig) -> Sequence:
     changes = set(repair.changes) - {"skip"}
     if not changes:
         return source
+    if repair.pose_offset_s == "estimate":
+        return _with_estimated_offset(source, repair)
     raw = [name for name in _RAW if name in changes]
     if raw:
         if not isinstance(source, RecordedSequence):
@@ -50,6 +58,20 @@ def repaired_camera(camera: Camera, repair: RepairConfig) -> Camera:
     return dataclasses.replace(camera, cx=camera.cx + repair.pixel_shift, cy=camera.cy + repair.pixel_shift)
 
 
+def _with_estimated_offset(source: Sequence, repair: RepairConfig) -> "RepairedSequence":
+    """The other corrections, and the offset between poses and pictures that is then found, where it is sure."""
+    from ..checkup.pose_offset import estimate_pose_offset  # the check reads repaired sequences
+
+    others = dataclasses.replace(repair, pose_offset_s=0.0)
+    found = estimate_pose_offset(repaired(source, others))
+    log.info("%s: %s", source.name, found)
+    known = dataclasses.replace(others, pose_offset_s=found.offset_s if found.is_sure else 0.0)
+    mended = repaired(source, known)
+    if not isinstance(mended, RepairedSequence):
+        mended = RepairedSequence(source=source, repair=known, camera=source.camera)
+    return dataclasses.replace(mended, note=str(found))
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RepairedSequence:
     """Frames of a source with corrected depth, poses, intrinsics and colour (a ``Sequence``)."""
@@ -57,11 +79,18 @@ class RepairedSequence:
     source: Sequence
     repair: RepairConfig
     camera: Camera
+    note: str = ""
+    """What was estimated, as a sentence."""
 
     @property
     def name(self) -> str:
         """Name of the source."""
         return self.source.name
+
+    @property
+    def has_poses(self) -> bool:
+        """Whether the source came with poses."""
+        return getattr(self.source, "has_poses", True)
 
     @property
     def novel(self) -> frozenset[int]:
@@ -77,6 +106,8 @@ class RepairedSequence:
     def pose(self, i: int) -> Float[Tensor, "4 4"]:
         """Camera-to-world pose of frame ``i``. Raises ``BadFrameError`` if a shift in time leaves the frame without a
         pose."""
+        if self.repair.pose_offset_s:
+            return self._pose_at_its_time(position(i, len(self)))
         at = position(i, len(self)) + self.repair.pose_shift_frames
         first = math.floor(at)
         if not 0 <= at <= len(self) - 1:
@@ -96,6 +127,34 @@ class RepairedSequence:
         return dataclasses.replace(
             frame, rgb=self._colour(frame, i), depth_m=depth_m, camera=self.camera, T_WC=self.pose(i)
         )
+
+    def _pose_at_its_time(self, i: int) -> Float[Tensor, "4 4"]:
+        """The pose that the camera had when picture ``i`` was taken."""
+        assert isinstance(self.repair.pose_offset_s, float | int)
+        self._reread(i)  # a frame without a pose gets none
+        T = self._path.at(self.times_s[i : i + 1] + self.repair.pose_offset_s)[0]
+        if not bool(torch.isfinite(T).all()):
+            raise BadFrameError(
+                f"{self.name} frame {i} has no pose: repair.pose_offset_s {self.repair.pose_offset_s:g} s leads "
+                "farther than one frame from every other pose; expected a smaller offset"
+            )
+        return T.float()
+
+    @property
+    def times_s(self) -> Float[Tensor, " L"]:
+        """Times of the frames, seconds. Raises ``SequenceError`` where the recording has none."""
+        times_s = times_of(self.source)
+        if times_s is None:
+            raise SequenceError(f"{self.name} has no times, so repair.pose_offset_s must be 0")
+        return times_s
+
+    @functools.cached_property
+    def _path(self) -> PosePath:
+        poses = torch.full((len(self), 4, 4), torch.nan, dtype=torch.float64)
+        for i in range(len(self)):
+            with contextlib.suppress(BadFrameError):
+                poses[i] = reread_poses(self.source.pose(i).double()[None], self.repair)[0]
+        return PosePath(self.times_s, poses)
 
     def _reread(self, i: int) -> Float[Tensor, "4 4"]:
         return reread_poses(self.source.pose(i).double()[None], self.repair)[0].float()

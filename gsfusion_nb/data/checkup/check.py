@@ -221,6 +221,8 @@ def combined(first: RepairConfig, second: RepairConfig) -> RepairConfig:
         changes[name] = getattr(first, name) * getattr(second, name)
     for name in ("pose_shift_frames", "rgb_shift_frames", "pixel_shift", "rgb_shift_x_px", "rgb_shift_y_px"):
         changes[name] = getattr(first, name) + getattr(second, name)
+    if second.pose_offset_s and first.pose_offset_s:
+        raise ValueError("a time offset of the poses was set already")
     changes["skip"] = tuple(sorted({*first.skip, *second.skip}))
     return replace(first, **changes)  # pyright: ignore[reportArgumentType]
 

@@ -180,7 +180,7 @@ class RoomSequence:
 
     def _render(self, i: int) -> dict[str, np.ndarray]:
         rgb, depth_m = render_room(
-            self.camera, self.pose(i), view_dependent=self.view_dependent, seed=self.seed, cache=self.cache
+            self.camera, self.true_pose(i), view_dependent=self.view_dependent, seed=self.seed, cache=self.cache
         )
         return {
             "rgb": np.rint(rgb.numpy() * 255).astype(np.uint8),

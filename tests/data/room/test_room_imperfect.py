@@ -23,6 +23,8 @@ def test_poses_wander_about_the_truth_by_the_given_deviation():
     off = room(**SMALL, pose_error_m=0.01, pose_error_deg=0.5)
     assert torch.equal(off.true_pose(7), clean.pose(7))
     assert torch.equal(off[7].T_WC, off.pose(7))
+    pictures = [sequence._render(7)["rgb"] for sequence in (off, clean)]  # what the cache would store
+    assert (pictures[0] == pictures[1]).all()
     xi = twists(off)
     assert xi[:, :3].std().item() == pytest.approx(0.01, rel=0.2)
     assert xi[:, 3:].std().rad2deg().item() == pytest.approx(0.5, rel=0.2)

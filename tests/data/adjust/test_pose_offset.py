@@ -1,0 +1,72 @@
+"""Poses and pictures of different times: the path between the poses, and the offset that the pictures tell."""
+
+import dataclasses
+
+import pytest
+import torch
+
+from gsfusion_nb.config import DataConfig, RepairConfig, gsfusion
+from gsfusion_nb.data import SequenceError, apply_options, repaired
+from gsfusion_nb.data.adjust.pose_path import PosePath
+from gsfusion_nb.data.checkup.pose_offset import estimate_pose_offset
+from gsfusion_nb.data.room import room
+from gsfusion_nb.geometry import se3
+from gsfusion_nb.runs import run_mapping
+
+LATE = {"n_frames": 480, "width": 160, "height": 120, "pose_delay_s": 0.05}
+
+PART = DataConfig(start=150, stop=190, hold_out_every=0)
+
+
+@pytest.fixture(scope="module")
+def late():
+    """Forty frames of a walk whose poses are those of 50 ms later: the pictures are 50 ms early."""
+    return apply_options(room(**LATE), PART)
+
+
+def test_a_path_goes_through_its_poses_and_is_exact_for_even_motion():
+    times_s = torch.tensor([0.0, 0.1, 0.2, 0.35, 0.4, 5.0], dtype=torch.float64)
+    velocity = torch.tensor([0.3, -0.2, 0.1, 0.5, 0.4, -0.9], dtype=torch.float64)
+    poses = se3.exp(times_s[:, None] * velocity)
+    poses[2] = torch.nan
+    path = PosePath(times_s, poses)
+    between = torch.tensor([-0.05, 0.03, 0.1, 0.18, 0.38], dtype=torch.float64)
+    torch.testing.assert_close(path.at(between), se3.exp(between[:, None] * velocity))
+    torch.testing.assert_close(path.at(times_s[-1:] + 0.05), poses[-1:])  # nothing near says how it moves there
+    assert bool(path.at(torch.tensor([1.0], dtype=torch.float64)).isnan().all())
+
+
+def test_a_known_offset_brings_the_true_poses_back(late):
+    source = late.source
+    mended = repaired(source, RepairConfig(pose_offset_s=-0.05))
+    errors = {}
+    for name, sequence in (("given", source), ("mended", mended)):
+        motion = [se3.motion(sequence.pose(i), source.true_pose(i)) for i in range(40)]
+        errors[name] = [sum(x) / 40 for x in zip(*motion, strict=True)]
+    assert errors["mended"][0] < errors["given"][0] / 3
+    assert errors["mended"][1] < errors["given"][1] / 3
+    with pytest.raises(ValueError, match=r"pose_offset_s or repair.pose_shift_frames, not both"):
+        RepairConfig(pose_offset_s=0.01, pose_shift_frames=1.0)
+    with pytest.raises(ValueError, match=r"repair.pose_offset_s must be between -10 and 10, got 99"):
+        RepairConfig(pose_offset_s=99.0)
+
+
+def test_the_offset_is_found_from_the_pictures_and_stands_in_the_settings(late, tmp_path):
+    found = estimate_pose_offset(late)
+    assert found.is_sure
+    assert found.offset_s == pytest.approx(-0.05, abs=0.005)
+    exact = estimate_pose_offset(apply_options(room(**LATE | {"pose_delay_s": 0.0}), PART))
+    assert abs(exact.offset_s) < 0.003
+    config = gsfusion("online", data__stop=2, data__hold_out_every=0, data__repair__pose_offset_s="estimate")
+    run = run_mapping(dataclasses.replace(late), config, folder=tmp_path / "run", evaluate=False).run
+    assert run.mapper.config.data.repair.pose_offset_s == pytest.approx(found.offset_s)
+    assert "ms before their poses; poses follow" in run.warnings[0]
+
+
+def test_without_times_nothing_is_guessed(late):
+    class Timeless:
+        name, camera, has_poses = late.name, late.camera, True
+        __len__, __getitem__, pose = late.__len__, late.__getitem__, late.pose
+
+    with pytest.raises(SequenceError, match=r"has no times, so the offset .* set data.repair.pose_offset_s to 0"):
+        apply_options(Timeless(), DataConfig(repair=RepairConfig(pose_offset_s="estimate")))
