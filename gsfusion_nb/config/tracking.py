@@ -83,6 +83,10 @@ class TrackingConfig:
     inverse variance of a structured-light camera. Larger: far points count more; None: no weights (paper, code). Usual:
     0.5 to 3, or None for depth without noise. Absolute trajectory error (ATE) with weights and without: 1.9 and 6.1 cm
     on the noisy redkitchen250, 0.3 and 0.3 cm on the clean livingroom1_clean211, 0.6 and 0.2 cm on a clean room."""
+    brightness_m: float | None = 0.1
+    """How much brightness counts beside depth: a difference of 1 (black to white) counts as much as this distance,
+    metres. Depth alone slides along flat surfaces. Larger: pictures count more; None: depth alone (paper, code). Usual:
+    0.05 to 0.2."""
     damping: float = 1e-6
     """Damping of the normal equations, as a share of their trace (released code: 1e-4). Larger: smaller, safer steps,
     slower convergence. Usual: 0 to 1e-3."""
@@ -128,6 +132,8 @@ class TrackingConfig:
             check_positive(f"tracking.{name}", getattr(self, name))
         if self.even_to_m is not None:
             check_positive("tracking.even_to_m", self.even_to_m)
+        if self.brightness_m is not None:
+            check_positive("tracking.brightness_m", self.brightness_m)
         check_number("tracking.damping", self.damping, 0, 1)
         check_number("tracking.min_inliers", self.min_inliers, 0, 1)
         check_number("tracking.min_overlap_inliers", self.min_overlap_inliers, 0, 1)

@@ -113,6 +113,8 @@ class Localiser:
             raise BadFrameError(f"frame {frame.index} cannot be mapped: {e}") from None
         self._found = before
         self.report = {"status": found.status, "rms_m": found.rms_m, "inlier_share": found.inlier_share}
+        if found.doubt:
+            self.report["doubt"] = found.doubt
         return dataclasses.replace(frame, T_WC=found.T_WC.to(frame.T_WC))
 
     def take_back(self) -> None:

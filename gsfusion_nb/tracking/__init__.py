@@ -2,6 +2,13 @@
 
 from .back_end import BackEnd as BackEnd
 from .back_end import moved_enough as moved_enough
+from .brightness import BrightnessSystem as BrightnessSystem
+from .brightness import Picture as Picture
+from .brightness import Pictures as Pictures
+from .brightness import brightness_levels as brightness_levels
+from .brightness import brightness_rows as brightness_rows
+from .brightness import brightness_system as brightness_system
+from .brightness import picture_of as picture_of
 from .correction import Correction as Correction
 from .features import Features as Features
 from .features import extract_features as extract_features

@@ -1,18 +1,96 @@
 """Checks of the pose found by ICP. Each returns the reason to reject it, as the end of a sentence, or ""."""
 
+import math
+import statistics
+
+import torch
 from torch import Tensor
 
+from ..checks import check_saved
 from ..config import TrackingConfig
 from ..geometry import se3
 from ..types import Frame
 from .appearance import SAME_PLACE, correlation
+from .attempt import Attempt, Sight
+from .brightness import Pictures
 from .icp import IcpResult
+from .normal_equations import icp_system
 from .surface import Surface
 
 RECOVERED_SHARE = 0.3
 RECOVERED_OVERLAP_SHARE = 0.6
 """After a failed prediction a pose must fit this well, and in every direction of motion: one of several starts may fit
 by chance, and a wrong pose would damage the map permanently."""
+
+USUAL_FRAMES = 15
+"""A fit is compared with those of this many frames before it,"""
+LEAST_FRAMES = 5
+"""but not before there are this many."""
+UNUSUAL_RMS = 1.6
+UNUSUAL_SHARE = 0.6
+"""A fit is doubtful if its distances are this many times as large as usual, or if less than this share of the usual
+pixels fit."""
+
+COST_GATE_M = 0.03
+"""Larger distances from the model count as this much when two fits are compared, metres."""
+
+
+class UsualFit:
+    """How well the last frames fitted: a sudden change for the worse is often a wrong pose."""
+
+    def __init__(self, fits: list[tuple[float, float]] | None = None):
+        self.fits = fits or []
+        """rms_m and inlier_share of the last frames."""
+
+    def copy(self) -> "UsualFit":
+        """The same, unchanged by what is added later."""
+        return UsualFit(list(self.fits))
+
+    def add(self, result: IcpResult) -> None:
+        """Remember the fit of one more frame."""
+        self.fits = [*self.fits, (result.rms_m, result.inlier_share)][-USUAL_FRAMES:]
+
+    def why_unusual(self, result: IcpResult) -> str:
+        """The reason to doubt a fit that passed all limits, or ""."""
+        if len(self.fits) < LEAST_FRAMES:
+            return ""
+        rms_m, share = (statistics.median(values) for values in zip(*self.fits, strict=True))
+        if result.rms_m > UNUSUAL_RMS * rms_m:
+            return f"its points lie {result.rms_m * 1e3:.1f} mm from the model, usually {rms_m * 1e3:.1f} mm"
+        if result.inlier_share < UNUSUAL_SHARE * share:
+            return f"{result.inlier_share:.0%} of its pixels fit the model, usually {share:.0%}"
+        return ""
+
+    def state(self) -> Tensor:
+        """For a checkpoint."""
+        return torch.tensor(self.fits, dtype=torch.float64).view(-1, 2)
+
+    @classmethod
+    def of_state(cls, state: Tensor | None) -> "UsualFit":
+        """What ``state`` saved; empty from an older checkpoint."""
+        if state is None:
+            return cls()
+        check_saved("the fits of the tracker's last frames", state, ("N", 2), torch.float64)
+        return cls([(float(rms_m), float(share)) for rms_m, share in state])
+
+
+def cost(sight: Sight, result: IcpResult, against: Attempt, config: TrackingConfig) -> float:
+    """Mean square error of a pose of the frame against the surface of one attempt, metres squared.
+
+    Every usable pixel of the frame counts, those that fit nothing with ``COST_GATE_M``, so that poses can be compared.
+    """
+    level, surface = sight.levels[-1], against.surface
+    T_WC = result.T_WC.to(surface.depth_m.device)
+    gates = {"max_distance_m": COST_GATE_M, "min_cosine": math.cos(math.radians(config.max_angle_deg))}
+    system = icp_system(level, T_WC, surface, **gates)
+    missed = (result.n_pixels - system.n_inliers) * COST_GATE_M**2
+    error = (system.sum_squares_m2 + missed) / max(result.n_pixels, 1)
+    pictures = Pictures.of(sight.brightness, surface) if sight.brightness else None
+    if pictures is not None and config.brightness_m:
+        for _ in range(2):  # the second time with the exposure that the first has found
+            seen = pictures.system(level, T_WC, COST_GATE_M)
+        error += (config.brightness_m * seen.rms) ** 2
+    return error
 
 
 def why_no_fit(result: IcpResult, config: TrackingConfig, *, strict: bool) -> str:

@@ -13,6 +13,7 @@ from ..backends import piece
 from ..config import TrackingConfig
 from ..geometry import depth_to_points, se3, sum_rows
 from ..types import Camera
+from .brightness import Pictures
 from .normal_equations import IcpSystem, depth_weight, icp_system
 from .pyramid import DepthLevel, depth_pyramid
 from .solve import Extent, Step, solve_step
@@ -107,37 +108,33 @@ def align(
     T_WC_start: Float[Tensor, "4 4"],
     config: TrackingConfig,
     extra: ExtraRows | None = None,
+    pictures: Pictures | None = None,
 ) -> IcpResult:
     """``icp`` of a frame whose pyramid was made before. Levels are used in the order given.
 
-    ``extra`` joins every step. Distances and counts of the result are those of depth alone.
+    Brightness (``pictures``) and ``extra`` join every step. Distances and counts of the result are those of depth
+    alone.
     """
-    gates = {
-        "max_distance_m": config.max_distance_m,
-        "min_cosine": math.cos(math.radians(config.max_angle_deg)),
-        "even_to_m": config.even_to_m,
-    }
+    rows = _Rows(surface, config, extra, pictures)
     centre = surface.T_WC[:3, 3].double().cpu()
     T_WC = T_WC_start.double().cpu()
-    device = surface.depth_m.device
     points = _extent(levels[-1], config.even_to_m)
     history: list[IcpIteration] = []
     for level, iterations in zip(levels, config.iterations, strict=True):
         # 5 degrees move a point 2 m away by 17 cm, more than the limit of the finest level. A limit in proportion to
         # the factor would be too large: with it one frame of a noise-free room converged to a wrong pose.
         reach = (level.factor / levels[-1].factor) ** 0.5
-        coarse = gates | {"max_distance_m": reach * config.max_distance_m}
         for _ in range(iterations):
-            system = icp_system(level, T_WC.to(device), surface, **coarse)
+            system, joined = rows.at(level, T_WC, reach * config.max_distance_m)
             if system.n_inliers < 6:
                 break
-            step = _step(_joined(system, T_WC, centre, extra), T_WC, centre, points, config)
+            step = _step(joined, T_WC, centre, points, config)
             history.append(_record(level, T_WC, system, step))
-            T_WC = _moved(T_WC, system, step, centre)
+            T_WC = _moved(T_WC, joined, step, centre)
             if step.length_m < CONVERGED_M * level.factor:
                 break
-    system = icp_system(levels[-1], T_WC.to(device), surface, **gates)
-    last = _step(_joined(system, T_WC, centre, extra), T_WC, centre, points, config)
+    system, joined = rows.at(levels[-1], T_WC, config.max_distance_m)
+    last = _step(joined, T_WC, centre, points, config)
     return IcpResult(
         T_WC=T_WC,
         rms_m=system.rms_m,
@@ -150,6 +147,38 @@ def align(
     )
 
 
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """All rows of the least squares: depth, and those that join it."""
+
+    surface: Surface
+    config: TrackingConfig
+    extra: ExtraRows | None
+    pictures: Pictures | None
+
+    def at(self, level: DepthLevel, T_WC: Tensor, max_distance_m: float) -> tuple[IcpSystem, IcpSystem]:
+        """The system of depth alone at a pose, and that of all rows."""
+        config, there = self.config, T_WC.to(self.surface.depth_m.device)
+        min_cosine = math.cos(math.radians(config.max_angle_deg))
+        gates = {"max_distance_m": max_distance_m, "min_cosine": min_cosine, "even_to_m": config.even_to_m}
+        system = joined = icp_system(level, there, self.surface, **gates)
+        if self.pictures is not None and config.brightness_m:
+            H, b = self.pictures.system(level, there, max_distance_m).normal_equations()
+            joined = _sum(joined, config.brightness_m**2 * H, config.brightness_m**2 * b)
+        if self.extra is not None:
+            H, b = self.extra(T_WC)
+            about = torch.eye(6, dtype=torch.float64)
+            # exp(xi) about c moves a point p by rho + w x (p - c)
+            about[:3, 3:] = se3.hat(self.surface.T_WC[:3, 3].double().cpu())
+            joined = _sum(joined, about.T @ H @ about, about.T @ b)
+        return system, joined
+
+
+def _sum(system: IcpSystem, H: Tensor, b: Tensor) -> IcpSystem:
+    """The system with the sums of further rows."""
+    return dataclasses.replace(system, H=system.H.cpu() + H.cpu(), b=system.b.cpu() + b.cpu())
+
+
 def _extent(level: DepthLevel, even_to_m: float | None) -> Extent:
     """Weighted mean and spread of the points in the camera frame."""
     rows = level.depth_m > 0
@@ -159,16 +188,6 @@ def _extent(level: DepthLevel, even_to_m: float | None) -> Extent:
     middle = sum_rows(share[:, None] * points)
     spread = float(sum_rows(share * (points - middle).square().sum(1)).sqrt())
     return Extent(centre=middle.double().cpu(), spread_m=max(spread, 1e-3))
-
-
-def _joined(system: IcpSystem, T_WC: Tensor, centre: Tensor, extra: ExtraRows | None) -> IcpSystem:
-    """The system with further rows; their twist about the world's origin becomes one about ``centre``."""
-    if extra is None:
-        return system
-    H, b = extra(T_WC)
-    about = torch.eye(6, dtype=torch.float64)
-    about[:3, 3:] = se3.hat(centre)  # exp(xi) about c moves a point p by rho + w x (p - c)
-    return dataclasses.replace(system, H=system.H.cpu() + about.T @ H @ about, b=system.b.cpu() + about.T @ b)
 
 
 def _step(system: IcpSystem, T_WC: Tensor, centre: Tensor, points: Extent, config: TrackingConfig) -> Step:

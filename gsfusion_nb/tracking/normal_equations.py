@@ -12,7 +12,7 @@ from ..checks import check_number, check_positive
 from ..geometry import depth_to_points, project, se3
 from ..operands import check_operand, check_view
 from .pyramid import DepthLevel
-from .surface import Surface
+from .surface import Surface, about_the_surface
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -90,7 +90,7 @@ def associate(
     Differentiable: no. Source: Blais & Levine 1995; Newcombe et al. 2011.
     """
     dtype = level.depth_m.dtype
-    T, R_WS = about_the_surface(T_WC, surface, dtype)
+    T, R_WS = about_the_surface(T_WC, surface.T_WC, dtype)
     xyz = se3.apply(T, depth_to_points(level.camera, level.depth_m))
     xyz_S = xyz @ R_WS
     u, v = project(surface.camera, xyz_S).unbind(-1)
@@ -108,17 +108,6 @@ def associate(
     return Correspondences(
         xyz=xyz, surface_xyz=surface_xyz, surface_normal=surface_normal, overlap=overlap, inlier=inlier
     )
-
-
-def about_the_surface(
-    T_WC: Float[Tensor, "4 4"], surface: Surface, dtype: torch.dtype
-) -> tuple[Float[Tensor, "4 4"], Float[Tensor, "3 3"]]:
-    """The pose with its origin moved to the centre of the surface's camera, and the rotation R_WS of that camera.
-
-    The difference of the centres is taken in float64: both may be far from the world's origin.
-    """
-    T_WS = surface.T_WC.double().to(T_WC.device)
-    return se3.translate(T_WC.double(), -T_WS[:3, 3]).to(dtype), T_WS[:3, :3].to(dtype)
 
 
 def depth_weight(depth_m: Float[Tensor, "*N"], even_to_m: float | None) -> Float[Tensor, "*N"]:

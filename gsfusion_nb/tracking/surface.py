@@ -44,6 +44,17 @@ SurfaceSource = Callable[[Camera, Tensor], Surface]
 """Renders the model as a camera sees it from a pose ``T_WC`` [4, 4]."""
 
 
+def about_the_surface(
+    T_WC: Float[Tensor, "4 4"], T_WS: Float[Tensor, "4 4"], dtype: torch.dtype
+) -> tuple[Float[Tensor, "4 4"], Float[Tensor, "3 3"]]:
+    """The pose with its origin moved to the centre of the surface's camera, and the rotation R_WS of that camera.
+
+    The difference of the centres is taken in float64: both may be far from the world's origin.
+    """
+    T_WS = T_WS.double().to(T_WC.device)
+    return se3.translate(T_WC.double(), -T_WS[:3, 3]).to(dtype), T_WS[:3, :3].to(dtype)
+
+
 def tsdf_surface(volume: TsdfVolume) -> SurfaceSource:
     """The zero crossing of a TSDF as the model to track against (KinectFusion, Newcombe et al. 2011)."""
 
@@ -66,7 +77,7 @@ def smooth_normals(model: Surface) -> Surface:
     return dataclasses.replace(model, normal_W=normal_W)
 
 
-def hybrid_surface(model: Surface, depth_m: Float[Tensor, "H W"]) -> Surface:
+def hybrid_surface(model: Surface, depth_m: Float[Tensor, "H W"], rgb: Float[Tensor, "H W 3"] | None = None) -> Surface:
     """The model where it agrees with the last frame, and that frame's own depth elsewhere (released code).
 
     They agree where both have depth, the depths differ by at most 1 cm and the normals by at most 8 degrees. Normals
@@ -75,6 +86,7 @@ def hybrid_surface(model: Surface, depth_m: Float[Tensor, "H W"]) -> Surface:
     Args:
         model: Rendered from the pose of the last frame, with its camera.
         depth_m: z-depth of the last frame, metres. [H, W]
+        rgb: Its colours, 0..1. [H, W, 3]
     """
     own_W = se3.rotate(model.T_WC.to(depth_m), depth_to_normals(model.camera, depth_m))
     apart = (model.depth_m - depth_m).abs() > HYBRID_DEPTH_M
@@ -82,4 +94,4 @@ def hybrid_surface(model: Surface, depth_m: Float[Tensor, "H W"]) -> Surface:
     own = (depth_m > 0) & ((model.depth_m <= 0) | apart | turned)
     mixed_m = torch.where(own, depth_m, model.depth_m)
     normal_W = se3.rotate(model.T_WC.to(depth_m), depth_to_normals(model.camera, mixed_m))
-    return Surface(depth_m=mixed_m, normal_W=normal_W, camera=model.camera, T_WC=model.T_WC)
+    return Surface(depth_m=mixed_m, normal_W=normal_W, camera=model.camera, T_WC=model.T_WC, rgb=rgb)

@@ -1,7 +1,7 @@
 """Camera tracking in a growing map: predict the pose, align it, check the fit, and try other starts if it is bad."""
 
 import dataclasses
-import time
+import functools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -14,17 +14,12 @@ from ..checks import check_number, check_pose, check_saved, check_whole
 from ..config import TrackingConfig
 from ..geometry import se3
 from ..types import Camera, Frame
-from .fit_checks import why_no_fit, why_not_alike, why_too_far
-from .icp import ExtraRows, IcpResult, align
-from .pyramid import DepthLevel, depth_pyramid
+from .attempt import Attempt, Clocks, Sight, Start, attempt
+from .fit_checks import UsualFit, cost, why_no_fit, why_not_alike, why_too_far
+from .icp import ExtraRows
 from .saved_state import check_saved_pose
-from .surface import Surface, SurfaceSource, hybrid_surface, smooth_normals
+from .surface import Surface, SurfaceSource, hybrid_surface
 from .tracking_report import TrackingReport
-
-WIDE_DISTANCE = 3.0
-WIDE_ANGLE_DEG = 60.0
-"""ICP from a wide start allows this many times the distance and normals at up to this angle: on the coarse levels it
-finds a pose that the usual limits then refine."""
 
 MAX_TIME_RATIO = 4.0
 """The last motion is extrapolated for at most this many times its duration."""
@@ -46,20 +41,6 @@ class _TrackedPose:
     timestamp_s: float
 
 
-@dataclass(frozen=True, eq=False)
-class _Start:
-    """A starting pose of ICP."""
-
-    name: str
-    T_WC: Tensor
-    wide: bool = False
-    """Use wide limits of distance and angle first."""
-    smooth: bool = False
-    """Average the model's normals over their neighbours."""
-    anywhere: bool = False
-    """It may be far from the last pose."""
-
-
 class Tracker:
     """Frame-to-model tracking (Peng et al. 2024, section 3.2, "Camera tracking").
 
@@ -76,6 +57,8 @@ class Tracker:
         self._before: _TrackedPose | None = None
         """The frame before the last one, if both were tracked; the motion between them is the velocity."""
         self._last_depth_m: Tensor | None = None
+        self._last_rgb: Tensor | None = None
+        self._usual = UsualFit()
 
     def __repr__(self) -> str:
         return f"Tracker({'not started' if self._last is None else 'running'}, {self.n_lost} frames lost)"
@@ -83,11 +66,18 @@ class Tracker:
     @property
     def standing(self) -> tuple[Any, ...]:
         """The state of the path (last poses and last frame), opaque to others, so that a step can be undone."""
-        return self._last, self._before, self.lost_in_a_row, self._last_depth_m
+        return self._last, self._before, self.lost_in_a_row, self._last_depth_m, self._last_rgb, self._usual.copy()
 
     @standing.setter
     def standing(self, standing: tuple[Any, ...]) -> None:
-        self._last, self._before, self.lost_in_a_row, self._last_depth_m = standing
+        (
+            self._last,
+            self._before,
+            self.lost_in_a_row,
+            self._last_depth_m,
+            self._last_rgb,
+            self._usual,
+        ) = standing
 
     def track(
         self,
@@ -102,6 +92,9 @@ class Tracker:
         normals, from the last pose, from the last pose with wide limits, and from the poses of ``relocalise``. For each
         start the frame is aligned with the model as rendered from it, and the result is accepted if it fits.
 
+        A pose that fits, but much worse than those of the last frames, is accepted only if no other start leads to a
+        pose that fits better.
+
         Args:
             frame: Its ``T_WC`` is used only if it is the first.
             surface: Renders the model; may be called several times.
@@ -112,30 +105,52 @@ class Tracker:
             TrackingLostError: no start led to a pose that fits. Only the counts of lost frames change, so the next
                 frame is tried again.
         """
-        seconds = {"preprocess": 0.0, "render": 0.0, "icp": 0.0}
-        with _Clock(seconds, "preprocess"):
-            levels = depth_pyramid(frame.depth_m, frame.camera, self.config.pyramid)
-        if not any(bool((level.depth_m > 0).any()) for level in levels[-1:]):
+        clock = Clocks("preprocess", "render", "icp")
+        with clock("preprocess"):
+            sight = Sight.of(frame, self.config, extra)
+        if not sight.has_depth:
             raise self._lost(f"frame {frame.index} cannot be tracked: none of its pixels have usable depth")
         if self._last is None:
             check_pose(f"T_WC of frame {frame.index}", frame.T_WC)
             self._accept(frame, frame.T_WC.double().cpu(), moved=False)
-            return TrackingReport(status="first", T_WC=frame.T_WC, seconds=seconds)
+            return TrackingReport(status="first", T_WC=frame.T_WC, seconds=clock.seconds)
         failures: list[str] = []
-        for start in self._starts(frame, relocalise):
-            result = self._attempt(frame, levels, surface, start, seconds, extra)
-            strict = bool(failures) or self.lost_in_a_row > 0
-            problem = why_no_fit(result, self.config, strict=strict)
-            if not problem and not start.anywhere:
-                problem = why_too_far(self._last.T_WC, result.T_WC, self.config, frames=1 + self.lost_in_a_row)
-            if not problem and strict:
-                problem = why_not_alike(frame, surface(frame.camera, result.T_WC.float()))
-            if not problem:
-                moved = self.lost_in_a_row == 0 and not start.anywhere
-                self._accept(frame, result.T_WC, moved=moved)
-                return TrackingReport.of(result, frame, start.name, first_try=not failures, seconds=seconds)
-            failures.append(f"from {start.name} {problem}")
-        raise self._lost(f"frame {frame.index} cannot be tracked: {'; '.join(failures)}")
+        fits: list[Attempt] = []
+        mixed, doubt, first_try = self._target(surface), "", False
+        for start in self._starts(frame, relocalise, fits):
+            found = attempt(sight, surface, mixed, start, self.config, clock)
+            problem = self._problem(found, frame, surface, strict=bool(failures or fits) or self.lost_in_a_row > 0)
+            if problem:
+                failures.append(f"from {start.name} {problem}")
+                continue
+            fits.append(found)
+            if len(fits) == 1:
+                first_try = not failures
+                doubt = self._usual.why_unusual(found.result) if first_try else ""
+            if not doubt:
+                break
+        if not fits:
+            raise self._lost(f"frame {frame.index} cannot be tracked: {'; '.join(failures)}")
+        with clock("icp"):
+            best = min(fits, key=lambda fit: cost(sight, fit.result, fits[0], self.config)) if fits[1:] else fits[0]
+        moved = self.lost_in_a_row == 0 and not best.start.anywhere
+        self._usual.add(best.result)
+        self._accept(frame, best.result.T_WC, moved=moved)
+        first_try = first_try and best is fits[0]
+        return TrackingReport.of(
+            best.result, frame, best.start.name, first_try=first_try, seconds=clock.seconds, doubt=doubt
+        )
+
+    def _problem(self, found: Attempt, frame: Frame, surface: SurfaceSource, *, strict: bool) -> str:
+        """The reason to reject the pose that an attempt found, or "".  ``strict``: an earlier start has failed."""
+        assert self._last is not None
+        result = found.result
+        problem = why_no_fit(result, self.config, strict=strict)
+        if not problem and not found.start.anywhere:
+            problem = why_too_far(self._last.T_WC, result.T_WC, self.config, frames=1 + self.lost_in_a_row)
+        if not problem and strict:
+            problem = why_not_alike(frame, surface(frame.camera, result.T_WC.float()))
+        return problem
 
     def correct(self, T_change: Float[Tensor, "4 4"]) -> None:
         """Apply a correction by the back end to the last poses: every pose T becomes ``T_change @ T``."""
@@ -170,6 +185,8 @@ class Tracker:
             "last": self._last and dataclasses.asdict(self._last),
             "before": self._before and dataclasses.asdict(self._before),
             "last_depth_m": self._last_depth_m,
+            "last_rgb": self._last_rgb,
+            "usual_fit": self._usual.state(),
         }
 
     @classmethod
@@ -192,50 +209,39 @@ class Tracker:
         if state["last_depth_m"] is not None:
             check_saved("the tracker's last depth", state["last_depth_m"], ("H", "W"))
         tracker._last_depth_m = state["last_depth_m"]
+        if state.get("last_rgb") is not None:
+            check_saved("the tracker's last colours", state["last_rgb"], ("H", "W", 3))
+        tracker._last_rgb = state.get("last_rgb")
+        tracker._usual = UsualFit.of_state(state.get("usual_fit"))
         return tracker
 
-    def _starts(self, frame: Frame, relocalise: Relocaliser) -> Iterator["_Start"]:
-        """The starting poses of ICP, in order."""
+    def _starts(self, frame: Frame, relocalise: Relocaliser, fits: list[Attempt]) -> Iterator[Start]:
+        """The starting poses of ICP, in order; those by appearance only while ``fits`` is empty."""
         assert self._last is not None
         last = self._last.T_WC
         if self.lost_in_a_row == 0:
             predicted = self.predict(frame.timestamp_s)
-            yield _Start("the predicted pose", predicted)
-            yield _Start("the predicted pose with smooth normals", predicted, smooth=True)
+            yield Start("the predicted pose", predicted)
+            yield Start("the predicted pose with smooth normals", predicted, smooth=True)
         if self.lost_in_a_row > 0 or self._before is not None:
-            yield _Start("the last pose", last)
-        yield _Start("the last pose with wide limits", last, wide=True)
-        for n, T_WC in enumerate(relocalise(frame)):
-            yield _Start(f"place {n + 1}", T_WC.double().cpu(), wide=True, anywhere=True)
+            yield Start("the last pose", last)
+        yield Start("the last pose with wide limits", last, wide=True)
+        for n, T_WC in enumerate([] if fits else relocalise(frame)):
+            yield Start(f"place {n + 1}", T_WC.double().cpu(), wide=True, anywhere=True)
 
-    def _attempt(
-        self,
-        frame: Frame,
-        levels: list[DepthLevel],
-        source: SurfaceSource,
-        start: "_Start",
-        seconds: dict[str, float],
-        extra: ExtraRows | None,
-    ) -> IcpResult:
-        T_WC = start.T_WC
-        if start.wide:
-            with _Clock(seconds, "render"):
-                surface = source(frame.camera, T_WC.float())
-            with _Clock(seconds, "icp"):
-                T_WC = align(levels[:-1] or levels, surface, T_WC, _widened(self.config)).T_WC
-        with _Clock(seconds, "render"):
-            surface = self._surface(frame.camera, T_WC, source, may_mix=not start.wide)
-            if start.smooth:
-                surface = smooth_normals(surface)
-        with _Clock(seconds, "icp"):
-            return align(levels, surface, T_WC, self.config, extra)
+    def _target(self, source: SurfaceSource) -> SurfaceSource:
+        """What ICP aligns a frame with: the model, or the model mixed with the last frame, seen from that frame."""
+        depth_m, rgb, last = self._last_depth_m, self._last_rgb, self._last
+        if depth_m is None or last is None:
+            return source
 
-    def _surface(self, camera: Camera, T_WC: Tensor, source: SurfaceSource, *, may_mix: bool) -> Surface:
-        depth_m = self._last_depth_m
-        if may_mix and depth_m is not None and self._last is not None:
-            model = source(camera, self._last.T_WC.float())
-            return hybrid_surface(model, depth_m.to(model.depth_m.device))
-        return source(camera, T_WC.float())
+        @functools.cache
+        def seen(camera: Camera) -> Surface:
+            model = source(camera, last.T_WC.float())
+            device = model.depth_m.device
+            return hybrid_surface(model, depth_m.to(device), None if rgb is None else rgb.to(device))
+
+        return lambda camera, T_WC: seen(camera)
 
     def _accept(self, frame: Frame, T_WC: Tensor, *, moved: bool) -> None:
         self._before = self._last if moved else None
@@ -243,6 +249,7 @@ class Tracker:
         self.lost_in_a_row = 0
         if self.config.target == "hybrid":
             self._last_depth_m = frame.depth_m
+            self._last_rgb = frame.rgb if self.config.brightness_m else None
 
     def _lost(self, reason: str) -> TrackingLostError:
         self.n_lost += 1
@@ -263,27 +270,3 @@ def constant_velocity(
     Differentiable: yes.
     """
     return T_last @ se3.exp(ratio * se3.log(se3.inverse(T_before) @ T_last))
-
-
-def _widened(config: TrackingConfig) -> TrackingConfig:
-    coarse = config.pyramid[:-1] or config.pyramid
-    return dataclasses.replace(
-        config,
-        pyramid=coarse,
-        iterations=tuple(4 * n for n in config.iterations[: len(coarse)]),
-        max_distance_m=WIDE_DISTANCE * config.max_distance_m,
-        max_angle_deg=max(WIDE_ANGLE_DEG, config.max_angle_deg),
-    )
-
-
-class _Clock:
-    """Adds the time of a block to a sum."""
-
-    def __init__(self, seconds: dict[str, float], part: str):
-        self.seconds, self.part = seconds, part
-
-    def __enter__(self) -> None:
-        self.start = time.perf_counter()
-
-    def __exit__(self, *_: object) -> None:
-        self.seconds[self.part] += time.perf_counter() - self.start

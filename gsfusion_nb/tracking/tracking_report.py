@@ -21,6 +21,8 @@ class TrackingReport:
     """Camera-to-world pose, float32."""
     start: str = ""
     """Where the successful ICP started: "the predicted pose", "the last pose", ..."""
+    doubt: str = ""
+    """Why other starts were tried although the first led to a pose within the limits."""
     n_inliers: int = 0
     inlier_share: float = 0.0
     """Correspondences as a share of the pixels with usable depth."""
@@ -40,13 +42,21 @@ class TrackingReport:
 
     @classmethod
     def of(
-        cls, result: IcpResult, frame: Frame, start: str, *, first_try: bool, seconds: dict[str, float]
+        cls,
+        result: IcpResult,
+        frame: Frame,
+        start: str,
+        *,
+        first_try: bool,
+        seconds: dict[str, float],
+        doubt: str = "",
     ) -> "TrackingReport":
         """Report of a frame that ICP aligned from the start named ``start``."""
         return cls(
             status="recovered" if not first_try else "degenerate" if result.degenerate else "ok",
             T_WC=result.T_WC.to(frame.T_WC),
             start=start,
+            doubt=doubt,
             n_inliers=result.n_inliers,
             inlier_share=result.inlier_share,
             overlap_inlier_share=result.overlap_inlier_share,

@@ -68,10 +68,7 @@ def icp_system(
         options = {"max_distance_m": max_distance_m, "min_cosine": min_cosine, "even_to_m": even_to_m}
         return reference.reference(level, T_WC, surface, **options)
     depth, normal, surface_depth, surface_normal = (t.detach().contiguous().numpy() for t in images)
-    T_WS = surface.T_WC.detach().double().cpu().numpy()
-    T = T_WC.detach().double().cpu().numpy().copy()
-    T[:3, 3] -= T_WS[:3, 3]  # as ``about_the_surface``, in a tenth of its time
-    poses = Poses(T_WC=T.astype(np.float32), R_WS=T_WS[:3, :3].astype(np.float32))
+    poses = poses_of(T_WC, surface.T_WC)
     gates = Gates(
         max_square_m2=f32(max_distance_m) * f32(max_distance_m),
         min_cosine=f32(min_cosine),
@@ -83,8 +80,16 @@ def icp_system(
     return to_system(torch.from_numpy(sums.sum(0)))
 
 
+def poses_of(T_WC: Tensor, T_WS: Tensor) -> Poses:
+    """As ``about_the_surface``, in a tenth of its time."""
+    surface = T_WS.detach().double().cpu().numpy()
+    T = T_WC.detach().double().cpu().numpy().copy()
+    T[:3, 3] -= surface[:3, 3]
+    return Poses(T_WC=T.astype(np.float32), R_WS=surface[:3, :3].astype(np.float32))
+
+
 @njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
-def _dot(a, b, n):
+def dot(a, b, n):
     """float64 sum, in an order that lets the compiler use whole vectors."""
     total = 0.0
     for i in range(n):
@@ -162,9 +167,9 @@ def _sum_rows(frame, model, poses, lens, surface_lens, gates):
         sums[j, INLIERS] = n
         for a in range(6):
             for b in range(a, 6):
-                sums[j, H_ROWS[a] + b - a] = _dot(columns[a], columns[b], n)
+                sums[j, H_ROWS[a] + b - a] = dot(columns[a], columns[b], n)
         for a in range(6):
-            sums[j, B + a] = _dot(columns[a], columns[_RESIDUAL], n)
-        sums[j, SQUARES] = _dot(columns[_RESIDUAL], columns[_RESIDUAL], n)
-        sums[j, WEIGHTS] = _dot(columns[_WEIGHT], columns[_WEIGHT], n)
+            sums[j, B + a] = dot(columns[a], columns[_RESIDUAL], n)
+        sums[j, SQUARES] = dot(columns[_RESIDUAL], columns[_RESIDUAL], n)
+        sums[j, WEIGHTS] = dot(columns[_WEIGHT], columns[_WEIGHT], n)
     return sums

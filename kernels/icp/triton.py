@@ -13,10 +13,10 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from gsfusion_nb.tracking.normal_equations import IcpSystem, about_the_surface
+from gsfusion_nb.tracking.normal_equations import IcpSystem
 from gsfusion_nb.tracking.normal_equations import icp_system as reference
 from gsfusion_nb.tracking.pyramid import DepthLevel
-from gsfusion_nb.tracking.surface import Surface
+from gsfusion_nb.tracking.surface import Surface, about_the_surface
 
 from ..runtime.lens import lens_of
 from ..runtime.triton.launch import device_of, launch, parts
@@ -45,7 +45,7 @@ def icp_system(
         options = {"max_distance_m": max_distance_m, "min_cosine": min_cosine, "even_to_m": even_to_m}
         return reference.reference(level, T_WC, surface, **options)
     device = device_of("icp_system", **images)
-    T, R_WS = (pose.to(device) for pose in about_the_surface(T_WC.detach(), surface, torch.float32))
+    T, R_WS = (pose.to(device) for pose in about_the_surface(T_WC.detach(), surface.T_WC, torch.float32))
     depth, normal, surface_depth, surface_normal = (t.detach().contiguous() for t in images.values())
     total = level.depth_m.numel()
     sums = torch.empty(parts(total, _BLOCK), _N_SUMS.value, dtype=torch.float32, device=device)

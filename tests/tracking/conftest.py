@@ -12,6 +12,7 @@ CAMERA = Camera(width=160, height=120, fx=110.0, fy=110.0, cx=80.0, cy=60.0)
 PLANES = {
     "wall": [((0.0, 0.0, -1.0), 2.0)],
     "edge": [((0.6, 0.0, -0.8), 2.0), ((-0.6, 0.0, -0.8), 2.0)],
+    "corridor": [((1.0, 0.0, 0.0), 1.0), ((-1.0, 0.0, 0.0), 1.0), ((0.0, -1.0, 0.0), 1.2), ((0.0, 1.0, 0.0), 1.2)],
     "corner": [((0.6, 0.0, -0.8), 2.0), ((-0.6, 0.0, -0.8), 2.0), ((0.0, -0.8, -0.6), 1.2)],
 }
 """Unit normals towards the camera n and distances d: points with n . x + d = 0."""
@@ -20,8 +21,8 @@ PLANES = {
 class PlaneScene:
     """Renders planes as ``Surface`` (a ``SurfaceSource``), and frames of them."""
 
-    def __init__(self, name: str):
-        self.planes = PLANES[name]
+    def __init__(self, name: str, painted: bool = False):
+        self.planes, self.painted = PLANES[name], painted
         self.rendered: list[torch.Tensor] = []
 
     def __call__(self, camera: Camera, T_WC: torch.Tensor) -> Surface:
@@ -37,13 +38,21 @@ class PlaneScene:
             normal = n.where(nearer[..., None], normal)
         depth = depth.where(depth < 20, 0.0)
         normal = normal.where(depth[..., None] > 0, 0.0)
-        return Surface(depth_m=depth.float(), normal_W=normal.float(), camera=camera, T_WC=T_WC)
+        xyz_W = T_WC[:3, 3].double() + depth[..., None] * direction
+        rgb = self.paint(xyz_W).float() if self.painted else None
+        return Surface(depth_m=depth.float(), normal_W=normal.float(), camera=camera, T_WC=T_WC, rgb=rgb)
+
+    @staticmethod
+    def paint(xyz_W: torch.Tensor) -> torch.Tensor:
+        """Colours of the points: waves of 30 to 60 cm."""
+        waves = torch.tensor([[11.0, 3.0, -7.0], [-5.0, 13.0, 9.0], [17.0, -9.0, 4.0]], dtype=torch.float64)
+        return 0.4 + 0.3 * torch.sin(xyz_W @ waves.T)
 
     def frame(self, T_WC: torch.Tensor, index: int = 0, timestamp_s: float | None = None) -> Frame:
         """What a camera measures."""
-        depth_m = PlaneScene.__call__(self, CAMERA, T_WC).depth_m
+        seen = PlaneScene.__call__(self, CAMERA, T_WC)
+        depth_m, rgb = seen.depth_m, torch.zeros(*seen.depth_m.shape, 3) if seen.rgb is None else seen.rgb
         time = float(index) if timestamp_s is None else timestamp_s
-        rgb = torch.zeros(*depth_m.shape, 3)
         return Frame(
             index=index, timestamp_s=time, rgb=rgb, depth_m=depth_m, camera=CAMERA, T_WC=T_WC.to(torch.float32)
         )
@@ -51,7 +60,7 @@ class PlaneScene:
 
 @pytest.fixture
 def plane_scene():
-    """``plane_scene("wall" | "edge" | "corner")``."""
+    """``plane_scene("wall" | "edge" | "corner" | "corridor", painted=False)``."""
     return PlaneScene
 
 

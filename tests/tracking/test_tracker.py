@@ -220,3 +220,21 @@ def test_the_room_is_tracked_against_its_tsdf(noise, limit_m):
         truth.append(frame.T_WC)
     assert report.status == "ok"
     assert ate_rmse(torch.stack(estimate), torch.stack(truth), align=False) < limit_m
+
+
+def test_a_sudden_bad_fit_gives_way_to_a_better_one(plane_scene, assert_pose):
+    """The camera stops; with a single step on each level ICP does not come back from the wrong prediction."""
+    config = TrackingConfig(iterations=(1, 1, 1))
+    scene, fast = plane_scene("corner"), torch.tensor([0.08, 0.0, 0.03, 0.0, 0.06, 0.0]).double()
+    poses = [se3.exp(0.1 * fast * k) for k in range(7)]
+    tracker = Tracker(config)
+    track_all(tracker, scene, poses)
+    leap = se3.exp(0.6 * fast) @ se3.exp(-2 * fast)
+    state = tracker.state_dict()
+    state["before"] = {"T_WC": leap, "timestamp_s": state["before"]["timestamp_s"]}
+    tracker = Tracker.from_state_dict(config, state)
+    report = tracker.track(scene.frame(poses[-1], 7), scene)
+    assert "from the model, usually" in report.doubt
+    assert (report.status, report.start) == ("recovered", "the last pose")
+    assert_pose(report.T_WC, poses[-1], 1e-3, 0.1)
+    assert tracker.track(scene.frame(poses[-1], 8), scene).doubt == ""

@@ -1,0 +1,101 @@
+"""The brightness error that joins ICP: its derivative, its exposure, and what it finds where depth slides."""
+
+import dataclasses
+
+import pytest
+import torch
+
+from gsfusion_nb.backends import use_backend
+from gsfusion_nb.config import TrackingConfig
+from gsfusion_nb.geometry import project, se3
+from gsfusion_nb.tracking import (
+    BrightnessSystem,
+    Pictures,
+    Tracker,
+    align,
+    brightness_levels,
+    brightness_rows,
+    brightness_system,
+    depth_pyramid,
+    picture_of,
+)
+
+from .conftest import CAMERA
+
+EXACT = TrackingConfig(even_to_m=None, pyramid=(4, 2, 1), iterations=(10, 10, 10))
+NEARBY = torch.tensor([0.02, 0.03, -0.04, 0.01, 0.01, 0.02]).double()
+
+
+def test_the_derivative_is_that_of_a_linear_picture(generator):
+    R = se3.exp(torch.tensor([0, 0, 0, 0.3, -0.2, 0.1]).double())[:3, :3]
+    xyz_S = torch.rand(7, 3, generator=generator).double() + torch.tensor([0.0, 0.0, 1.0])
+    xyz, slope = xyz_S @ R.T, torch.tensor([0.03, -0.05]).double()
+
+    def brightness(xi):
+        return project(CAMERA, se3.apply(se3.exp(xi), xyz) @ R) @ slope
+
+    expected = torch.autograd.functional.jacobian(brightness, torch.zeros(6).double())
+    torch.testing.assert_close(brightness_rows(xyz, xyz_S, slope.expand(7, 2), CAMERA, R), expected)
+
+
+def test_the_best_exposure_is_put_in(generator):
+    m = torch.randn(40, 7, generator=generator).double()
+    J, r, w = m[:, :6], m[:, 6], torch.rand(40, generator=generator).double()
+    rows = torch.cat([m, torch.ones(40, 1).double()], dim=1)
+    H, b = BrightnessSystem(gram=rows.T @ (w[:, None] * rows), n=40).normal_equations()
+    with_exposure = torch.cat([J, -torch.ones(40, 1).double()], dim=1)
+    root = w.sqrt()[:, None]
+    expected = torch.linalg.lstsq(root * with_exposure, -root * r[:, None]).solution[:6, 0]
+    torch.testing.assert_close(torch.linalg.solve(H, -b), expected)
+
+
+@pytest.mark.parametrize("backend", ["reference", "auto"])
+def test_a_painted_wall_is_found_although_its_depth_slides(plane_scene, assert_pose, backend):
+    """In another exposure, too. Depth alone leaves the two translations along the wall and the roll to the start."""
+    scene, T_WC = plane_scene("wall", painted=True), se3.exp(torch.tensor([0.3, -0.2, 0.1, 0.05, 0.1, -0.05]).double())
+    frame = scene.frame(T_WC)
+    frame = dataclasses.replace(frame, rgb=frame.rgb + 0.1)
+    surface, levels = scene(CAMERA, se3.exp(0.5 * NEARBY) @ T_WC), depth_pyramid(frame.depth_m, CAMERA, EXACT.pyramid)
+    pictures = Pictures.of(brightness_levels(frame.rgb, EXACT.pyramid), surface)
+    with use_backend(backend):
+        found = align(levels, surface, se3.exp(NEARBY) @ T_WC, EXACT, pictures=pictures)
+        alone = align(levels, surface, se3.exp(NEARBY) @ T_WC, EXACT)
+    assert (alone.degenerate, found.degenerate) == (3, 0)
+    assert_pose(found.T_WC, T_WC, 1e-3, 0.03)
+    assert pictures.offset == pytest.approx(-0.1, abs=0.01)
+    assert float((alone.T_WC - T_WC)[:3, 3].norm()) > 0.02
+
+
+def test_pixels_without_a_known_neighbour_or_behind_the_surface_say_nothing(plane_scene):
+    scene, T_WC = plane_scene("wall", painted=True), torch.eye(4).double()
+    frame, surface = scene.frame(T_WC), scene(CAMERA, T_WC)
+    level = depth_pyramid(frame.depth_m, CAMERA, (1,))[0]
+    brightness = frame.rgb.mean(-1)
+
+    def n(surface, limit_m=0.05, level=level):
+        picture = picture_of(surface, surface.rgb, 1)
+        return brightness_system(level, brightness, T_WC, picture, max_distance_m=limit_m).n
+
+    hole = dataclasses.replace(surface, depth_m=surface.depth_m.clone())
+    hole.depth_m[50:60, 50:60] = 0.0
+    everything = n(surface)
+    edge = 2 * (CAMERA.width + CAMERA.height) - 4
+    assert everything == pytest.approx(CAMERA.width * CAMERA.height - edge, rel=0.01)
+    assert everything - n(hole) == pytest.approx(100 + 40, abs=3)
+    behind = dataclasses.replace(surface, depth_m=surface.depth_m - 0.1)
+    assert (n(behind), n(behind, 0.2)) == (0, everything)
+    grey = dataclasses.replace(surface, rgb=torch.full_like(surface.rgb, 0.5))
+    assert n(grey) == 0
+    assert Pictures.of({1: brightness}, dataclasses.replace(surface, rgb=None)) is None
+
+
+def test_a_turn_in_a_corridor_ends_before_a_bare_wall(plane_scene, assert_pose):
+    """Looking along it, depth does not show the way; before the wall it shows one translation. Pictures show all."""
+    turn = [se3.exp(torch.tensor([0.0, 0, 0, 0, 0.1309 * k, 0]).double()) for k in range(13)]
+    assert float(se3.rotation_angle(turn[-1][:3, :3]).rad2deg()) == pytest.approx(90, abs=0.1)
+    for painted, limit_m, limit_deg in ((False, 0.05, 2.0), (True, 0.01, 0.3)):
+        scene, tracker = plane_scene("corridor", painted=painted), Tracker()
+        reports = [tracker.track(scene.frame(T, i), scene) for i, T in enumerate(turn)]
+        assert tracker.n_lost == 0
+        assert (reports[-1].status == "degenerate") == (not painted)
+        assert_pose(reports[-1].T_WC, turn[-1], limit_m, limit_deg)
