@@ -26,10 +26,13 @@ USUAL_FRAMES = 15
 """A fit is compared with those of this many frames before it,"""
 LEAST_FRAMES = 5
 """but not before there are this many."""
-UNUSUAL_RMS = 1.6
+UNUSUAL_RMS = 2.0
 UNUSUAL_SHARE = 0.6
 """A fit is doubtful if its distances are this many times as large as usual, or if less than this share of the usual
 pixels fit."""
+
+CLEARLY_BETTER = 0.9
+"""Another pose is preferred to a doubtful one only if its cost is below this share of it."""
 
 COST_GATE_M = 0.03
 """Larger distances from the model count as this much when two fits are compared, metres."""
@@ -72,6 +75,16 @@ class UsualFit:
             return cls()
         check_saved("the fits of the tracker's last frames", state, ("N", 2), torch.float64)
         return cls([(float(rms_m), float(share)) for rms_m, share in state])
+
+
+def best_of(sight: Sight, fits: list[Attempt], config: TrackingConfig) -> Attempt:
+    """The first of several attempts, unless the cheapest of the others is clearly better."""
+    first, *others = fits
+    if not others:
+        return first
+    costs = [cost(sight, fit.result, first, config) for fit in fits]
+    least = min(costs[1:])
+    return others[costs.index(least, 1) - 1] if least < CLEARLY_BETTER * costs[0] else first
 
 
 def cost(sight: Sight, result: IcpResult, against: Attempt, config: TrackingConfig) -> float:

@@ -15,7 +15,7 @@ from ..config import TrackingConfig
 from ..geometry import se3
 from ..types import Camera, Frame
 from .attempt import Attempt, Clocks, Sight, Start, attempt
-from .fit_checks import UsualFit, cost, why_no_fit, why_not_alike, why_too_far
+from .fit_checks import UsualFit, best_of, why_no_fit, why_not_alike, why_too_far
 from .icp import ExtraRows
 from .saved_state import check_saved_pose
 from .surface import Surface, SurfaceSource, hybrid_surface
@@ -41,6 +41,15 @@ class _TrackedPose:
     timestamp_s: float
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _OwnFrame:
+    """An earlier frame that the model is mixed with: its pose (float64), depth and, if it is used, colours."""
+
+    T_WC: Tensor
+    depth_m: Tensor
+    rgb: Tensor | None
+
+
 class Tracker:
     """Frame-to-model tracking (Peng et al. 2024, section 3.2, "Camera tracking").
 
@@ -56,8 +65,8 @@ class Tracker:
         self._last: _TrackedPose | None = None
         self._before: _TrackedPose | None = None
         """The frame before the last one, if both were tracked; the motion between them is the velocity."""
-        self._last_depth_m: Tensor | None = None
-        self._last_rgb: Tensor | None = None
+        self._own: _OwnFrame | None = None
+        """The frame that a hybrid target is mixed with."""
         self._usual = UsualFit()
 
     def __repr__(self) -> str:
@@ -66,18 +75,11 @@ class Tracker:
     @property
     def standing(self) -> tuple[Any, ...]:
         """The state of the path (last poses and last frame), opaque to others, so that a step can be undone."""
-        return self._last, self._before, self.lost_in_a_row, self._last_depth_m, self._last_rgb, self._usual.copy()
+        return self._last, self._before, self.lost_in_a_row, self._own, self._usual.copy()
 
     @standing.setter
     def standing(self, standing: tuple[Any, ...]) -> None:
-        (
-            self._last,
-            self._before,
-            self.lost_in_a_row,
-            self._last_depth_m,
-            self._last_rgb,
-            self._usual,
-        ) = standing
+        self._last, self._before, self.lost_in_a_row, self._own, self._usual = standing
 
     def track(
         self,
@@ -132,7 +134,7 @@ class Tracker:
         if not fits:
             raise self._lost(f"frame {frame.index} cannot be tracked: {'; '.join(failures)}")
         with clock("icp"):
-            best = min(fits, key=lambda fit: cost(sight, fit.result, fits[0], self.config)) if fits[1:] else fits[0]
+            best = best_of(sight, fits, self.config)
         moved = self.lost_in_a_row == 0 and not best.start.anywhere
         self._usual.add(best.result)
         self._accept(frame, best.result.T_WC, moved=moved)
@@ -160,6 +162,7 @@ class Tracker:
             seen and _TrackedPose(T_WC=change @ seen.T_WC, timestamp_s=seen.timestamp_s)
             for seen in (self._last, self._before)
         )
+        self._own = self._own and dataclasses.replace(self._own, T_WC=change @ self._own.T_WC)
 
     def predict(self, timestamp_s: float) -> Float[Tensor, "4 4"]:
         """Predicted pose at a time: the last motion extrapolated in proportion to time, or the last pose. float64
@@ -184,8 +187,7 @@ class Tracker:
             "lost_in_a_row": self.lost_in_a_row,
             "last": self._last and dataclasses.asdict(self._last),
             "before": self._before and dataclasses.asdict(self._before),
-            "last_depth_m": self._last_depth_m,
-            "last_rgb": self._last_rgb,
+            "own": self._own and dataclasses.asdict(self._own),
             "usual_fit": self._usual.state(),
         }
 
@@ -206,12 +208,13 @@ class Tracker:
                 check_saved_pose(f"the tracker's {name} pose", pose.T_WC)
                 check_number(f"time of the tracker's {name} pose", pose.timestamp_s)
                 setattr(tracker, f"_{name}", pose)
-        if state["last_depth_m"] is not None:
-            check_saved("the tracker's last depth", state["last_depth_m"], ("H", "W"))
-        tracker._last_depth_m = state["last_depth_m"]
-        if state.get("last_rgb") is not None:
-            check_saved("the tracker's last colours", state["last_rgb"], ("H", "W", 3))
-        tracker._last_rgb = state.get("last_rgb")
+        if state["own"] is not None:
+            own = _OwnFrame(**state["own"])
+            check_saved_pose("the pose of the tracker's own frame", own.T_WC)
+            check_saved("the depth of the tracker's own frame", own.depth_m, ("H", "W"))
+            if own.rgb is not None:
+                check_saved("the colours of the tracker's own frame", own.rgb, (*own.depth_m.shape, 3))
+            tracker._own = own
         tracker._usual = UsualFit.of_state(state.get("usual_fit"))
         return tracker
 
@@ -231,15 +234,15 @@ class Tracker:
 
     def _target(self, source: SurfaceSource) -> SurfaceSource:
         """What ICP aligns a frame with: the model, or the model mixed with the last frame, seen from that frame."""
-        depth_m, rgb, last = self._last_depth_m, self._last_rgb, self._last
-        if depth_m is None or last is None:
+        own = self._own
+        if own is None:
             return source
 
         @functools.cache
         def seen(camera: Camera) -> Surface:
-            model = source(camera, last.T_WC.float())
+            model = source(camera, own.T_WC.float())
             device = model.depth_m.device
-            return hybrid_surface(model, depth_m.to(device), None if rgb is None else rgb.to(device))
+            return hybrid_surface(model, own.depth_m.to(device), None if own.rgb is None else own.rgb.to(device))
 
         return lambda camera, T_WC: seen(camera)
 
@@ -248,8 +251,8 @@ class Tracker:
         self._last = _TrackedPose(T_WC=T_WC, timestamp_s=frame.timestamp_s)
         self.lost_in_a_row = 0
         if self.config.target == "hybrid":
-            self._last_depth_m = frame.depth_m
-            self._last_rgb = frame.rgb if self.config.brightness_m else None
+            rgb = frame.rgb if self.config.brightness_m else None
+            self._own = _OwnFrame(T_WC=T_WC, depth_m=frame.depth_m, rgb=rgb)
 
     def _lost(self, reason: str) -> TrackingLostError:
         self.n_lost += 1

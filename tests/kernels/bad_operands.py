@@ -32,7 +32,7 @@ from gsfusion_nb.render import (
 from gsfusion_nb.render.composite import composite, composite_vjp
 from gsfusion_nb.render.tiles import tile_intersections
 from gsfusion_nb.seeding import quadtree
-from gsfusion_nb.tracking import icp_system
+from gsfusion_nb.tracking import brightness_system, icp_system, picture_of
 from gsfusion_nb.tracking.pyramid import depth_pyramid
 from gsfusion_nb.tracking.surface import Surface
 from gsfusion_nb.tsdf import (
@@ -112,6 +112,7 @@ def operations() -> dict[str, tuple[Callable, dict[str, Any]]]:
     moments = {"gradient": x, "exp_avg": x.clone(), "exp_avg_sq": x * x}
     adam = {"param": x.clone(), **moments, "steps": torch.ones(len(x), dtype=torch.int64), "lr": torch.ones(12)}
     gates = {"max_distance_m": 0.1, "min_cosine": 0.5}
+    bright = {"brightness": frame.rgb.mean(-1), "picture": picture_of(model, frame.rgb, 1), "max_distance_m": 0.1}
     decay = {"beta1": 0.9, "beta2": 0.999, "eps": 1e-8}
     squares = GaussianParams(**{name: column.square() for name, column in vars(params).items()})
     adam_map = {"params": params, "gradients": params, "exp_avg": params, "exp_avg_sq": squares}
@@ -144,6 +145,7 @@ def operations() -> dict[str, tuple[Callable, dict[str, Any]]]:
         "dssim_vjp": (dssim_vjp, pair),
         "rgbd_l1_vjp": (rgbd_l1_vjp, images | {"pixels": mask}),
         "icp_system": (icp_system, {"level": level, "T_WC": T_WC, "surface": model, **gates}),
+        "brightness_system": (brightness_system, {"level": level, "T_WC": T_WC, **bright}),
         "quadtree": (quadtree, {"rgb_u8": frame.rgb_u8, "threshold": 0.1, "min_cell_px": 1, "contrast": "std"}),
         "band_blocks": (band_blocks, {"volume": volume, "frame": frame}),
         "new_band_blocks": (lambda **values: new_band_blocks(**values).coords, {"volume": volume, "frame": frame}),

@@ -17,6 +17,8 @@ PLANES = {
 }
 """Unit normals towards the camera n and distances d: points with n . x + d = 0."""
 
+FAR_M = 6.0
+
 
 class PlaneScene:
     """Renders planes as ``Surface`` (a ``SurfaceSource``), and frames of them."""
@@ -36,7 +38,7 @@ class PlaneScene:
             nearer = (z > 0) & (z < depth)
             depth = z.where(nearer, depth)
             normal = n.where(nearer[..., None], normal)
-        depth = depth.where(depth < 20, 0.0)
+        depth = depth.where(depth < FAR_M, 0.0)
         normal = normal.where(depth[..., None] > 0, 0.0)
         xyz_W = T_WC[:3, 3].double() + depth[..., None] * direction
         rgb = self.paint(xyz_W).float() if self.painted else None
