@@ -100,7 +100,7 @@ def times(arguments: list[str]) -> int:
     rows = class_times.class_rows(people or robots, 60 * options.pause_minutes)
     print(class_times.as_text(rows))
     whose = f"{len(people)} learner{'' if len(people) == 1 else 's'}" if people else f"{len(robots)} ROBOT, no learner"
-    print(f"\n{whose}; a gap of more than {options.pause_minutes:g} minutes is a pause; estimates are for newcomers")
+    print(f"\n{whose}; a gap of more than {options.pause_minutes:g} minutes is a pause.")
     if options.csv is not None:
         class_times.write_csv(rows, options.csv)
         print(f"wrote {options.csv}")

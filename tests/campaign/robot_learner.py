@@ -52,18 +52,22 @@ class Robot:
         self.page, self.sources, self.last = page, sources, time.monotonic()
         self.watch: dict[str, float] = {}
 
-    def run(self, index, exercise=""):
-        """Run a cell; the time since the last one ended is that of the exercise."""
+    def run(self, index, exercise="", *, accepted=False):
+        """Run a cell. The time since the last one ended is that of the exercise, and so is that of the cell itself,
+        unless the checker accepts a function in it."""
         self.page.evaluate(_SELECT, index)
         self.page.evaluate(_FORGET, index)
         if exercise:
             self.watch[exercise] = self.watch.get(exercise, 0.0) + time.monotonic() - self.last
+        started = time.monotonic()
         self.page.evaluate("window.jupyterapp.commands.execute('notebook:run-cell')")
         until = time.monotonic() + 300
         while not self.page.evaluate(_RAN, index):
             if time.monotonic() > until:
                 raise TimeoutError(f"cell {index} did not end: {self.sources[index][:200]}")
             time.sleep(0.05)
+        if exercise and not accepted:
+            self.watch[exercise] += time.monotonic() - started
         self.last = time.monotonic()
 
     def type(self, index, text):
@@ -96,20 +100,20 @@ def play(robot, solutions):
             robot.type(index, first)
             robot.run(index, name)
         elif checked:
-            robot.run(index, checked[0])
+            robot.run(index, checked[0], accepted=not wrong)
             if wrong:
                 wrong = False
                 at = next(i for i in range(index) if f"def {checked[0]}(" in (robot.sources[i] or ""))
                 time.sleep(READING_S)
                 robot.type(at, solutions[checked[0]])
                 robot.run(at, checked[0])
-                robot.run(index, checked[0])
+                robot.run(index, checked[0], accepted=True)
         else:
             robot.run(index)
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description="A robot plays a learner; its watch checks the course's clock.")
     parser.add_argument("out", type=Path)
     out = parser.parse_args().out
     out.mkdir(parents=True, exist_ok=False)

@@ -59,6 +59,7 @@ def test_the_command_writes_table_and_syllabus(folder, capsys):
     assert main(["course", "times", str(folder), "--syllabus", str(page)]) == 0
     shown = capsys.readouterr()
     assert "5 learners; a gap of more than 10 minutes" in shown.out
+    assert max(map(len, shown.out.splitlines()[:-1])) <= 80
     assert "typed by a program" in shown.err
     assert "damaged.json" in shown.err
     assert "Nothing here is measured yet" in page.read_text()

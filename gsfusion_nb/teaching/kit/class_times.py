@@ -194,18 +194,18 @@ def as_csv(rows: Iterable[Row]) -> str:
 
 
 def as_text(rows: Iterable[Row]) -> str:
-    """The rows for a terminal."""
-    head = f"{'':30}{'n':>4}{'quartiles and median, min':>28}{'tries':>7}{'solution':>10}{'estimate':>10}"
+    """The rows for a terminal of 80 characters; minutes are quartiles and median."""
+    head = f"{'minutes':30}{'n':>4}{'lower':>7}{'median':>7}{'upper':>7}{'tries':>6}{'solution':>9}{'estimate':>9}"
     return "\n".join([head, *map(_line, rows)])
 
 
 def _line(row: Row) -> str:
     name = f"{row.chapter:2}  {row.name}" if row.kind == "chapter" else f"      {row.name}"
     quartiles = (row.lower_quartile_min, row.median_min, row.upper_quartile_min)
-    minutes = "  ".join(_shown(value, lambda v: f"{v:.1f}") for value in quartiles)
+    minutes = "".join(f"{_shown(value, lambda v: f'{v:.1f}'):>7}" for value in quartiles)
     tries = _shown(row.median_tries, lambda v: f"{v:g}")
     share = _shown(row.solution_share, lambda v: f"{100 * v:.0f} %")
-    return f"{name:30}{row.n:4}{minutes:>28}{tries:>7}{share:>10}{row.estimate_min:10}"
+    return f"{name:30}{row.n:4}{minutes}{tries:>6}{share:>9}{row.estimate_min:9}"
 
 
 def _shown(value: float | None, form: Callable[[float], str]) -> str:
