@@ -26,7 +26,7 @@ WITHIN_STEP_S = 0.01
 
 
 def cases(options: BenchOptions) -> Iterator[Case]:
-    """Both systems, for every image size."""
+    """All systems, for every image size."""
     for size in options.sizes:
         for system in SYSTEMS:
             run = functools.partial(_rows, options, size, system)

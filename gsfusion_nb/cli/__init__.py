@@ -22,7 +22,7 @@ What to do first:
   gsfusion-nb doctor               is everything in order on this machine?
   gsfusion-nb demo                 map the built-in room: a report with pictures, in
                                    about a minute, and once a minute for compiling
-  gsfusion-nb course DIR --open    copy the twelve notebooks of the course to a new
+  gsfusion-nb course DIR --open    copy the thirteen notebooks of the course to a new
                                    folder DIR and open the first one in JupyterLab
 
 All commands: gsfusion-nb --help

@@ -19,8 +19,8 @@ _AS_IN_FILES = "-y"
 class ExportOptions:
     """Write the maps of a run, or a file of Gaussians, for other programs, right side up.
 
-    A .glb file holds Gaussians and mesh in one frame, y up; a .ply file holds the Gaussians, -y up; a folder gets
-    gaussians.ply and mesh.ply in one frame, -y up, and map.glb."""
+    A .glb file holds Gaussians and mesh in one frame, y up; a .ply file holds the Gaussians, -y up (of GPS-SLAM with
+    its surface as discs); a folder gets gaussians.ply and mesh.ply in one frame, -y up, and map.glb."""
 
     source: Annotated[Path, tyro.conf.Positional]
     """Folder of a run, or a file of Gaussians: .ply, .glb, .splat, .spz or .sog."""
@@ -33,6 +33,10 @@ class ExportOptions:
     """Turn .ply files so that -y is up, as viewers of splats expect. A .glb file is always upright."""
     mesh: bool = True
     """Put the mesh of a run into a .glb file."""
+    bake_steps: int = 200
+    """A run of GPS-SLAM draws its Gaussians over a surface. In a .ply file the surface becomes discs, and all are
+    fitted to this many pictures of the map; 0: no fit, which is quick and less sharp; -1: no discs, the corrections
+    alone, which show little over black."""
 
 
 def run(arguments: list[str]) -> int:
@@ -43,6 +47,7 @@ def run(arguments: list[str]) -> int:
 
     options = parse_options(ExportOptions, prog="gsfusion-nb export", arguments=arguments)
     gaussians, mesh = _read(options.source)
+    standard = _standard(options, gaussians)
     up, how = _up(options)
     print(f"Up is {_named(up)} in the map: {how}.")
     R = turn_to_minus_y_up(up) if options.upright else torch.eye(3).double()
@@ -52,7 +57,7 @@ def run(arguments: list[str]) -> int:
         write_map_glb(written[0], gaussians, mesh if options.mesh else None, up=up)
     if suffix == ".ply" or not suffix:
         written.append(options.out if suffix else options.out / "gaussians.ply")
-        write_gaussian_ply(written[-1], moved(gaussians, R) if options.upright else gaussians)
+        write_gaussian_ply(written[-1], moved(standard, R) if options.upright else standard)
     if not suffix and mesh is not None:
         written.append(options.out / "mesh.ply")
         turned = (mesh.vertices_W.double() @ R.T).float()
@@ -73,6 +78,29 @@ def _read(source: Path) -> tuple[GaussianParams, Mesh | None]:
         mesh = source / "mesh.ply"
         return read_gaussians(source / "gaussians.ply"), read_mesh_ply(mesh) if mesh.is_file() else None
     return read_map_glb(source) if source.suffix.lower() == ".glb" else (read_gaussians(source), None)
+
+
+def _standard(options: ExportOptions, gaussians: GaussianParams) -> GaussianParams:
+    """The Gaussians for a .ply file: a surface that they are drawn over as discs, too."""
+    from ..config import from_dict
+    from ..export import read_trajectory_tum
+    from ..mapping.over_surface import TSDF
+    from ..mapping.systems import get_system
+    from ..strict_json import read_object
+
+    folder = options.source
+    if not (folder / TSDF).is_file() or options.bake_steps < 0 or options.out.suffix.lower() == ".glb":
+        return gaussians
+    settings = read_object(folder / "config.json", "the settings of a run")
+    system = get_system(settings["system"])
+    trajectory = folder / "trajectory.txt"
+    poses = read_trajectory_tum(trajectory)[1].float() if trajectory.is_file() else []
+    print(f"{folder.name} is drawn over its TSDF: making discs of it, and {options.bake_steps} steps to fit them ...")
+    config = from_dict(system.config_type, settings["config"])
+    gaussians = dataclasses.replace(gaussians, sh=gaussians.sh[:, : (config.sh_degree + 1) ** 2].contiguous())
+    standard = system.standard_from(folder, gaussians, config, list(poses), options.bake_steps)
+    print(f"{len(standard) - len(gaussians):,} discs for the surface, {len(gaussians):,} Gaussians in front of it")
+    return standard
 
 
 def _up(options: ExportOptions) -> tuple[torch.Tensor, str]:

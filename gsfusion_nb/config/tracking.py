@@ -1,4 +1,4 @@
-"""Settings of camera tracking and of its back end, for both systems."""
+"""Settings of camera tracking and of its back end, for all systems."""
 
 from dataclasses import dataclass, field
 from typing import Literal

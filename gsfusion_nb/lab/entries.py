@@ -35,7 +35,7 @@ def entries_of(
         scenes: Folders of recordings, "room", or open sequences.
         seeds: One run each.
         budgets: What each rule may spend.
-        config: Settings of all runs, of either system; its rule, the options of the rule and its seed are not used.
+        config: Settings of all runs, of any system; its rule, the options of the rule and its seed are not used.
         shared: Other fields of ``RunSpec``, for all runs: ``settings={"tsdf.voxel_size_m": 0.02}`` in place of
             ``config``.
 

@@ -59,7 +59,7 @@ def compare_rules(
         rules: Names, functions or ``Entrant``, which also carries options; no two of the same label.
         data: Name or folder of a sequence, or an open sequence; some of its views must be held out. Or several of them:
             then a row has the means over all.
-        config: Settings of all runs, of either system; only the rule and its options are replaced. By default those of
+        config: Settings of all runs, of any system; only the rule and its options are replaced. By default those of
             the room without global optimisation.
         budget: What every rule may spend. By default each rule has as many Gaussians as it makes, and as many gradient
             steps as follow from them; the table then says how much they differ.

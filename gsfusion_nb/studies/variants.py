@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 _RTG = ("--system", "rtg_slam")
+_GPS = ("--system", "gps_slam")
 _TRACKED = ("--tracking.poses", "tracked")
 
 
@@ -17,12 +18,14 @@ class Study:
 
 STUDIES: dict[str, Study] = {
     "systems": Study(
-        "Both systems, with given and with tracked poses",
+        "The three systems, with given and with tracked poses",
         {
             "GSFusion, given": (),
             "RTG-SLAM, given": _RTG,
+            "GPS-SLAM, given": _GPS,
             "GSFusion, tracked": _TRACKED,
             "RTG-SLAM, tracked": (*_RTG, *_TRACKED),
+            "GPS-SLAM, tracked": (*_GPS, *_TRACKED),
         },
     ),
     "transparent": Study(
@@ -40,10 +43,10 @@ STUDIES: dict[str, Study] = {
         },
     ),
     "fidelity": Study(
-        "Both systems as measured, as in their papers and as released, scored on the same held-out views",
+        "The three systems as measured, as in their papers and as released, scored on the same held-out views",
         {
             f"{title}, {name}": (*system, "--fidelity", name, "--data.hold-out-every", "8")
-            for title, system in (("GSFusion", ()), ("RTG-SLAM", _RTG))
+            for title, system in (("GSFusion", ()), ("RTG-SLAM", _RTG), ("GPS-SLAM", _GPS))
             for name in ("measured", "paper", "code")
         },
     ),

@@ -23,6 +23,7 @@ TITLES = {
     9: "A seeding rule of your own",
     10: "Backends and speed",
     11: "A real recording",
+    12: "GPS-SLAM",
 }
 
 MINUTES = {0: 60, 1: 95, 2: 135, 3: 105, 4: 185, 5: 210, 6: 120, 7: 110, 8: 170, 9: 135, 10: 75, 11: 105}

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from .microscopes.gaussian_panels import one_gaussian_panel as one_gaussian_panel
     from .microscopes.gaussian_panels import sh_ball_panel as sh_ball_panel
     from .microscopes.gradient_microscope import GradientMicroscope as GradientMicroscope
+    from .microscopes.mix_microscope import MixMicroscope as MixMicroscope
     from .microscopes.one_gaussian import basis_atlas as basis_atlas
     from .microscopes.one_gaussian import gaussian_row as gaussian_row
     from .microscopes.one_gaussian import orientation_from_angles as orientation_from_angles
@@ -59,6 +60,7 @@ if TYPE_CHECKING:
     from .panels.stage_bars import sped_up as sped_up
     from .panels.stage_bars import stage_bars as stage_bars
     from .panels.stage_bars import stage_means as stage_means
+    from .panels.surface import surface_panel as surface_panel
     from .panels.trace import TracePanel as TracePanel
     from .panels.tsdf_fill import tsdf_fill_panel as tsdf_fill_panel
     from .panels.tsdf_slice import distance_colours as distance_colours
@@ -82,9 +84,11 @@ _LAZY = {
     "LiveMapper": ".live.live_mapper",
     "OrbitView": ".live.orbit",
     "Stepper": ".steppers.stepper",
+    "MixMicroscope": ".microscopes.mix_microscope",
     "PixelMicroscope": ".microscopes.pixel_microscope",
     "Player": ".live.player",
     "TracePanel": ".panels.trace",
+    "surface_panel": ".panels.surface",
     "SplatViewer": ".splats.viewer",
     "LiveLoop": ".live.live_loop",
     "disc_adding_panel": ".panels.discs",

@@ -37,7 +37,7 @@ def test_progress_by_chapter(course_file, capsys):
     values = json.loads(capsys.readouterr().out)
     assert (values["solved"], values["predictions"], values["file"]) == (1, 1, str(course_file))
     assert "psnr" not in values["chapters"][0]["open_exercises"]
-    assert len(values["chapters"]) == 12
+    assert len(values["chapters"]) == 13
 
 
 def test_a_narrow_terminal(course_file):
@@ -45,7 +45,7 @@ def test_a_narrow_terminal(course_file):
         *lines, kept = read_course().as_table(width).splitlines()
         assert max(map(len, lines)) <= width
         assert kept == f"kept in {course_file}"
-    assert len(lines) == 12 + 1 + 3
+    assert len(lines) == 13 + 1 + 3
 
 
 def test_a_path_is_one_word_on_every_system():
@@ -131,7 +131,7 @@ def test_the_wheel_holds_the_notebooks_and_the_licence(tmp_path):
     (wheel,) = tmp_path.glob("*.whl")
     names = zipfile.ZipFile(wheel).namelist()
     assert wheel.name.endswith("-py3-none-any.whl")  # nothing to compile
-    assert sum(name.startswith("gsfusion_nb/notebooks/") for name in names) == 12
+    assert sum(name.startswith("gsfusion_nb/notebooks/") for name in names) == 13
     assert "gsfusion_nb/docs/seeding_lab.md" in names  # what the notebooks link to
     assert any(name.endswith("/licenses/LICENSE") for name in names)
     assert "gsfusion_nb/kernels/project/numba.py" in names

@@ -14,7 +14,7 @@ from ...types import Camera, GaussianParams
 from ..display import Bundle, with_picture
 from ..lost import LostNotice
 from ..panels.click_image import ClickImage
-from .pixel_stack import PixelStack, pixel_stack, project_splats, stack_table
+from .pixel_stack import Splats, pixel_stack, project_splats, stack_table
 from .stack_picture import lens_picture, stack_picture, with_cross
 
 PICTURE_PX = 300
@@ -42,15 +42,18 @@ class PixelMicroscope:
         *,
         pixel: tuple[int, int] | None = None,
     ):
-        self.splats = project_splats(params, camera, T_WC)
-        self.image = to_uint8(render(params, camera, T_WC).rgb)
+        self._open(project_splats(params, camera, T_WC), to_uint8(render(params, camera, T_WC).rgb), pixel)
+
+    def _open(self, splats: Splats, image: Picture, pixel: tuple[int, int] | None) -> None:
+        """Show this picture, and the pixel to start with."""
+        self.splats, self.image = splats, image
         self._lock = threading.RLock()  # callbacks may come from another thread than the cells
-        u, v = pixel or (camera.width // 2, camera.height // 2)
-        self.stack: PixelStack = pixel_stack(self.splats, u, v)
+        u, v = pixel or (splats.camera.width // 2, splats.camera.height // 2)
+        self.stack: Any = self._stack_at(u, v)
         self._build(u, v)
         self._redraw()
 
-    def look_at(self, u: int, v: int) -> PixelStack:
+    def look_at(self, u: int, v: int) -> Any:
         """Choose the pixel in column ``u`` and row ``v``. Returns its stack."""
         with self._lock:
             self._choose(u, v)
@@ -112,8 +115,22 @@ class PixelMicroscope:
                 self._choose(u, v)
 
     def _choose(self, u: int, v: int) -> None:
-        self.stack = pixel_stack(self.splats, u, v)
+        self.stack = self._stack_at(u, v)
         self._redraw()
+
+    def _stack_at(self, u: int, v: int) -> Any:
+        return pixel_stack(self.splats, u, v)
+
+    def _table(self) -> str:
+        return stack_table(self.stack)
+
+    def _graph_alt(self) -> str:
+        return f"alpha, weight and light left for each of the {len(self.stack)} Gaussians; the table has the numbers"
+
+    def _caption(self, rendered: str) -> str:
+        s = self.stack
+        summed = " ".join(f"{float(x):.3f}" for x in s.colour)
+        return f"pixel ({s.u}, {s.v}): <b>{len(s)} Gaussians</b>, sum of w c = {summed}; rendered (8 bit) {rendered}"
 
     def _redraw(self) -> None:
         s = self.stack
@@ -123,10 +140,6 @@ class PixelMicroscope:
         self.graph.show(graph)
         self.clicks.alt = f"the rendered map; click a pixel; now ({s.u}, {s.v})"
         self.lens.alt = f"pixel ({s.u}, {s.v}) and its neighbours, enlarged, with the ellipses of its Gaussians"
-        self.graph.alt = f"alpha, weight and light left for each of the {len(s)} Gaussians; the table has the numbers"
-        self.table.value = stack_table(s)
-        rendered = " ".join(f"{x / 255:.3f}" for x in self.image[s.v, s.u])
-        summed = " ".join(f"{float(x):.3f}" for x in s.colour)
-        self.caption.value = (
-            f"pixel ({s.u}, {s.v}): <b>{len(s)} Gaussians</b>, sum of w c = {summed}; rendered (8 bit) {rendered}"
-        )
+        self.graph.alt = self._graph_alt()
+        self.table.value = self._table()
+        self.caption.value = self._caption(" ".join(f"{x / 255:.3f}" for x in self.image[s.v, s.u]))

@@ -85,6 +85,13 @@ def columns_of(source: Any, n: int, extras: Mapping[str, Any]) -> list[Column]:
     return [dataclasses.replace(c, label=SURFEL_TAG) if c.name == "tag" else c for c in columns]
 
 
+def with_surface(columns: list[Column], n: int, total: int) -> list[Column]:
+    """The columns of ``n`` Gaussians continued with zeros to ``total`` rows, and one that is 1 in the rows behind."""
+    longer = [dataclasses.replace(c, values=np.pad(c.values, (0, total - n))) for c in columns]
+    behind = (np.arange(total) >= n).astype(np.float32)
+    return [*longer, Column(name="surface", label="surface or Gaussian", kind="number", values=behind)]
+
+
 def stacked(columns: list[Column], n: int) -> Float[np.ndarray, "N C"]:
     """The values side by side."""
     return np.stack([c.values for c in columns], axis=1) if columns else np.zeros((n, 0), np.float32)

@@ -27,7 +27,7 @@ from ...types import Camera, GaussianParams
 from ..display import static_views
 from ..front_end import source, splat_front_end
 from ..viewpoint import Vector
-from .columns import Column, columns_of, stacked
+from .columns import columns_of, stacked, with_surface
 from .packed_rows import finite_rows, layout_for, pack_rows, packet_between
 from .record import GaussianRecord, gaussian_record
 from .starting_view import starting_pose, viewing_camera
@@ -64,7 +64,8 @@ class SplatViewer(anywidget.AnyWidget):
     Drag to orbit, shift-drag to pan, ctrl-drag to look around, wheel (after a click) to zoom, R to reset, click to
     pick: the row's numbers appear in the viewer, ``viewer.picked`` is its number, ``viewer.picked_row()`` its values,
     ``viewer.observe(f, "picked")`` calls ``f`` at each pick. The viewer is as wide as the cell, at most twice its
-    canvas. With ``static_views()`` only a picture by the library's renderer is shown.
+    canvas. With ``static_views()`` only a picture by the library's renderer is shown. A map of GPS-SLAM is shown with
+    its surface as discs, in rows behind those of the map; colour by "surface" tells them apart.
 
     Args:
         source: A mapper (which also knows its cameras), a model, or bare parameters.
@@ -252,8 +253,11 @@ class SplatViewer(anywidget.AnyWidget):
         if not isinstance(params, GaussianParams):
             kind = type(self._source).__name__
             raise TypeError(f"SplatViewer needs a mapper, a GaussianModel or GaussianParams, got {kind}")
-        self._params = params
-        self._columns: list[Column] = columns_of(held, len(params), self._extras)
+        columns, n = columns_of(held, len(params), self._extras), len(params)
+        if getattr(self._source, "needs_volume_to_render", False):  # the surface as discs, behind the map's own rows
+            params = self._source.standard_gaussians()
+            columns = with_surface(columns, n, len(params))
+        self._params, self._columns = params, columns
 
     def _describe(self) -> None:
         """Send the front end the columns, and a warning if the map has invalid rows."""

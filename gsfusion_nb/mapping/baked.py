@@ -1,0 +1,132 @@
+"""A map of GPS-SLAM as plain Gaussians, for programs that sort them and know no surface below.
+
+The surface becomes opaque discs, one in each voxel that it crosses. A Gaussian of weight w over the surface's colour
+C_s gives (C_s + w c) / (1 + w), and one of opacity a in front of a disc gives a c + (1 - a) C_s: the same for
+
+    a = w / (1 + w)                                                                             (1)
+
+so its opacity o becomes o / (1 + o). This is exact where one Gaussian covers a pixel, and only at its centre: away from
+it (1) falls off more slowly than a Gaussian, and of several, sorted ones take light from each other. A Gaussian is
+blended with the surface also when it lies behind it; here it would be hidden, so each is moved in front of the discs.
+
+Discs of one colour are coarser than the TSDF, which interpolates between voxels. So colours, opacities and sizes are
+then fitted (``fitted``) to pictures of the map itself.
+"""
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from ..config import OptimConfig
+from ..gaussians import GaussianModel
+from ..geometry import quaternion
+from ..geometry.spherical_harmonics import rgb_to_sh_dc
+from ..optim import adam_step, l1_mse_vjp
+from ..render import render_forward, render_vjp
+from ..tsdf import TsdfVolume, extract_mesh
+from ..tsdf.trilinear import corner_gradients
+from ..types import Camera, GaussianParams, Mesh, RenderOutput
+
+DISC_VOXELS = 0.4
+"""Standard deviation of a disc, voxels: larger hides gaps between discs and blurs colours."""
+THIN_VOXELS = 0.05
+"""Standard deviation of a disc across the surface, voxels."""
+IN_FRONT_VOXELS = 1.0
+"""How far in front of the surface the Gaussians are, voxels: less, and discs beside them cover them in flat views."""
+WIDER = 1.1
+"""Factor on the size of the Gaussians, for the slower fall-off of (1)."""
+CAMERA = Camera(width=320, height=240, fx=280.0, fy=280.0, cx=160.0, cy=120.0)
+"""Of the pictures that discs are fitted to; which camera recorded the map does not matter."""
+_RATES = OptimConfig(lr_xyz=0.0, lr_quat=0.0, lr_sh_dc=0.02, lr_sh_rest=0.001, lr_log_scale=0.01, lr_opacity_logit=0.05)
+
+
+def baked(volume: TsdfVolume, params: GaussianParams, discs: GaussianParams | None = None) -> GaussianParams:
+    """Surface and Gaussians as Gaussians for a sorted renderer: first the Gaussians, in their order, then the discs.
+
+    Holes of the surface stay holes. ``discs`` are those of an earlier surface, to save the time of making new ones.
+    Differentiable: no.
+    """
+    discs = (
+        surface_discs(extract_mesh(volume), volume.config.voxel_size_m, params.sh.shape[1]) if discs is None else discs
+    )
+    over = in_front(volume, params)
+    return GaussianParams(**{name: torch.cat([rows, getattr(discs, name)]) for name, rows in vars(over).items()})
+
+
+def fitted(
+    gaussians: GaussianParams,
+    draw: Callable[[Camera, Tensor], RenderOutput],
+    poses: Sequence[Float[Tensor, "4 4"]],
+    steps: int,
+) -> GaussianParams:
+    """The Gaussians after gradient steps on pictures of the map; places and rotations stay.
+
+    Args:
+        gaussians: From ``baked``.
+        draw: Renders the map.
+        poses: Camera-to-world poses to see it from, at least one: those of the recording.
+        steps: Number of steps, each on one of the poses, in a random order that is always the same.
+    """
+    degree = math.isqrt(gaussians.sh.shape[1]) - 1
+    model = GaussianModel(degree, device=gaussians.xyz_W.device)
+    model.extend(gaussians)
+    generator, turns = torch.Generator().manual_seed(0), list[int]()
+    for _ in range(steps):
+        turns = turns or torch.randperm(len(poses), generator=generator).tolist()
+        T_WC = poses[turns.pop()].to(gaussians.xyz_W)
+        target = draw(CAMERA, T_WC).rgb.clamp(0, 1)
+        output, saved = render_forward(model.params, CAMERA, T_WC)
+        adam_step(model, render_vjp(saved, l1_mse_vjp(output.rgb, target).v_rgb), _RATES)
+    return model.params
+
+
+def surface_discs(mesh: Mesh, voxel_size_m: float, coefficients: int = 1) -> GaussianParams:
+    """An opaque disc in each voxel that holds vertices of the mesh, at their mean place and in their mean colour."""
+    xyz = mesh.vertices_W
+    _, voxel = torch.unique((xyz / voxel_size_m).floor().long(), dim=0, return_inverse=True)
+    n = int(voxel.max()) + 1 if len(voxel) else 0
+    mean = _means(torch.cat([xyz, mesh.rgb, vertex_normals(mesh)], dim=1), voxel, n)
+    centre, rgb, normal = mean[:, :3], mean[:, 3:6], torch.nn.functional.normalize(mean[:, 6:], dim=1)
+    sh = xyz.new_zeros(n, coefficients, 3)
+    sh[:, 0] = rgb_to_sh_dc(rgb)
+    size_m = voxel_size_m * torch.tensor([DISC_VOXELS, DISC_VOXELS, THIN_VOXELS]).to(xyz)
+    return GaussianParams(
+        xyz_W=centre,
+        log_scale=size_m.log().expand(n, 3).clone(),
+        quat=quaternion.shortest_arc(normal.new_tensor([0.0, 0.0, 1.0]).expand_as(normal), normal),
+        opacity_logit=xyz.new_full((n,), math.log(0.99 / 0.01)),
+        sh=sh,
+    )
+
+
+def in_front(volume: TsdfVolume, params: GaussianParams) -> GaussianParams:
+    """The Gaussians with the opacities of (1), moved along the surface's normal until they are in front of it."""
+    voxel_m, truncation_m = volume.config.voxel_size_m, volume.config.truncation_m
+    D, known = volume.interpolate(params.xyz_W)
+    at, f = volume.cell_corners(params.xyz_W[known])
+    gradient = (volume.D.view(-1)[at][..., None] * corner_gradients(f)).sum(1)
+    lacking_m = (IN_FRONT_VOXELS * voxel_m - D[known] * truncation_m).clamp(min=0)
+    xyz = params.xyz_W.clone()
+    xyz[known] += lacking_m[:, None] * torch.nn.functional.normalize(gradient, dim=1)
+    o = params.opacity_logit.sigmoid()
+    wide = params.log_scale + math.log(WIDER)
+    return dataclasses.replace(params, xyz_W=xyz, opacity_logit=(o / (1 + o)).logit(), log_scale=wide)
+
+
+def vertex_normals(mesh: Mesh) -> Float[Tensor, "V 3"]:
+    """Sum of the normals of the triangles around each vertex, weighted by their areas; not of unit length."""
+    a, b, c = mesh.vertices_W[mesh.faces.long()].unbind(1)
+    normal = torch.linalg.cross(b - a, c - a)
+    sums = torch.zeros_like(mesh.vertices_W)
+    for corner in mesh.faces.long().unbind(1):
+        sums.index_add_(0, corner, normal)
+    return sums
+
+
+def _means(rows: Float[Tensor, "V C"], group: Int[Tensor, " V"], n: int) -> Float[Tensor, "N C"]:
+    total = rows.new_zeros(n, rows.shape[1]).index_add_(0, group, rows)
+    return total / torch.bincount(group, minlength=n).clamp_min(1)[:, None]

@@ -1,0 +1,195 @@
+"""Exercises of chapter 12: Gaussians blended with a surface in any order, and the gradient (GPS-SLAM)."""
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from .exercise import AUTOGRAD, Attempt, Becomes, Wrong, Yours, close, exercise, holds, unpack
+
+F64 = torch.float64
+
+
+def _blend_over(w: Tensor, c: Tensor, C_s: Tensor) -> tuple[Tensor, Tensor]:
+    W = w.sum()
+    return (C_s + (w[:, None] * c).sum(0)) / (1 + W), W
+
+
+def _added(w: Tensor, c: Tensor, C_s: Tensor) -> tuple[Tensor, Tensor]:
+    return C_s + (w[:, None] * c).sum(0), w.sum()
+
+
+def _front_to_back(w: Tensor, c: Tensor, C_s: Tensor) -> tuple[Tensor, Tensor]:
+    C, T = torch.zeros_like(C_s), 1.0
+    for w_i, c_i in zip(w, c, strict=True):
+        C, T = C + T * w_i * c_i, T * (1 - w_i)
+    return C + T * C_s, w.sum()
+
+
+def _no_surface(w: Tensor, c: Tensor, C_s: Tensor) -> tuple[Tensor, Tensor]:
+    W = w.sum()
+    return (w[:, None] * c).sum(0) / W.clamp(min=1e-9), W
+
+
+def _only_the_rest(w: Tensor, c: Tensor, C_s: Tensor) -> tuple[Tensor, Tensor]:
+    W = w.sum().clamp(max=1)
+    return (1 - W) * C_s + (w[:, None] * c).sum(0), W
+
+
+def _capped(w: Tensor, c: Tensor, C_s: Tensor) -> tuple[Tensor, Tensor]:
+    W = w.sum()
+    return (C_s + (w[:, None] * c).sum(0)) / (1 + W), W.clamp(max=1)
+
+
+def _as_blend_with_base(yours: Yours, w: Tensor, c: Tensor, C_s: Tensor, b: Tensor) -> Any:
+    """Yours for each pixel; other weights of the surface than 1 are left to the reference."""
+    if not bool((b == 1).all()):
+        return NotImplemented
+    rows = [(column > 0).nonzero()[:, 0] for column in w.T]
+    calls = [(w[k, p], c[k], C_s[p].clone()) for p, k in enumerate(rows)]
+    gives = [{"the colour": C_s.new_zeros(3), "the sum of the weights": C_s.new_zeros(())}] * len(calls)
+    pixels = yours.many(calls, gives)
+    if not pixels:
+        return C_s.clone(), b.new_zeros(0)
+    return torch.stack([C for C, _ in pixels]), torch.stack([W for _, W in pixels])
+
+
+@exercise(
+    chapter=12, difficulty=2, minutes=8, solution=_blend_over, becomes=Becomes("blend_with_base", _as_blend_with_base),
+    hints=(
+        "It is a weighted mean: the sum of weight times colour, divided by the sum of the weights.",
+        "The surface is one more sample: its colour is C_s and its weight is 1.",
+        "w[:, None] * c has the weighted colours as rows. Sum over the rows: .sum(0). Return W without the 1.",
+    ),
+    wrong=(
+        Wrong(_added, says="a mean, not a sum"),
+        Wrong(_front_to_back, says="no order"),
+        Wrong(_no_surface, says="without Gaussians"),
+        Wrong(_only_the_rest, says="the surface keeps its weight"),
+        Wrong(_capped, says="W may be larger than 1"),
+    ),
+)  # fmt: skip
+def blend_over(attempt: Attempt) -> None:
+    """Blend the Gaussians of one pixel with the surface below them, in any order."""
+    names = ("colour", "sum of the weights")
+    grey, red, green = torch.full((3,), 0.4, dtype=F64), [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]
+    on = "no Gaussian over grey 0.4"
+    C, W = unpack(attempt.on(on)(torch.zeros(0, dtype=F64), torch.zeros(0, 3, dtype=F64), grey), names, on=on)
+    close(C, grey, "without Gaussians the pixel is the surface", on=on, why="the surface has the weight 1")
+    close(W, 0.0, "without Gaussians the pixel is the surface", on=on, why="W sums the Gaussians only")
+    on = "one Gaussian of weight 0.6, as grey as the surface, 0.4"
+    C, W = unpack(attempt.on(on)(torch.tensor([0.6], dtype=F64), grey[None], grey), names, on=on)
+    close(C, grey, "a mean, not a sum: equal colours stay as they are", on=on, why="divide by all weights, 1 + W")
+    on = "red and green, both of weight 0.5, over grey 0.4"
+    w, c = torch.tensor([0.5, 0.5], dtype=F64), torch.tensor([red, green], dtype=F64)
+    C, W = unpack(attempt.on(on)(w, c, grey), names, on=on)
+    r, g = (float(x) for x in torch.as_tensor(C)[:2])
+    prop, detail = "there is no order: equal weights count equally", f"red is {r:.3g} and green {g:.3g}"
+    holds(abs(r - g) < 1e-6, prop, on=on, detail=detail)
+    prop = "the surface keeps its weight 1, whatever lies over it"
+    close(C, [0.45, 0.45, 0.2], prop, on=on, why="(0.4 + 0.5) / 2 for red and green, 0.4 / 2 for blue")
+    close(W, 1.0, "W is the sum of the Gaussians' weights", on=on)
+    on = "five black Gaussians of weight 0.9 over grey 0.4"
+    C, W = unpack(attempt.on(on)(torch.full((5,), 0.9, dtype=F64), torch.zeros(5, 3, dtype=F64), grey), names, on=on)
+    prop = "W may be larger than 1"
+    close(C, grey / 5.5, prop, on=on, why="0.4 / (1 + 4.5)")
+    close(W, 4.5, prop, on=on)
+    on = "seven random Gaussians"
+    generator = torch.Generator().manual_seed(5)
+    w, c = torch.rand(7, generator=generator, dtype=F64), torch.rand(7, 3, generator=generator, dtype=F64)
+    C, W = unpack(attempt.on(on)(w, c, grey), names, on=on)
+    expected, total = _blend_over(w, c, grey)
+    close(C, expected, "C = (C_s + sum of w_i c_i) / (1 + W)", on=on)
+    close(W, total, "W is the sum of the Gaussians' weights", on=on)
+
+
+def _blend_over_vjp(w: Tensor, c: Tensor, C: Tensor, v_C: Tensor) -> tuple[Tensor, Tensor]:
+    q = v_C / (1 + w.sum())
+    return (c - C) @ q, w[:, None] * q
+
+
+def _not_divided(w: Tensor, c: Tensor, C: Tensor, v_C: Tensor) -> tuple[Tensor, Tensor]:
+    return (c - C) @ v_C, w[:, None] * v_C
+
+
+def _divisor_held_fixed(w: Tensor, c: Tensor, C: Tensor, v_C: Tensor) -> tuple[Tensor, Tensor]:
+    q = v_C / (1 + w.sum())
+    return c @ q, w[:, None] * q
+
+
+def _no_weight(w: Tensor, c: Tensor, C: Tensor, v_C: Tensor) -> tuple[Tensor, Tensor]:
+    q = v_C / (1 + w.sum())
+    return (c - C) @ q, q.expand(len(w), 3)
+
+
+def _per_channel(w: Tensor, c: Tensor, C: Tensor, v_C: Tensor) -> tuple[Tensor, Tensor]:
+    q = v_C / (1 + w.sum())
+    return ((c - C) * q).mean(1), w[:, None] * q
+
+
+def _downhill(w: Tensor, c: Tensor, C: Tensor, v_C: Tensor) -> tuple[Tensor, Tensor]:
+    q = v_C / (1 + w.sum())
+    return (C - c) @ q, w[:, None] * q
+
+
+def _as_blend_with_base_vjp(yours: Yours, w: Tensor, c: Tensor, C: Tensor, b: Tensor, v_C: Tensor) -> Any:
+    """Yours for each pixel whose colour has a gradient; other weights of the surface than 1 are left to the
+    reference."""
+    if not bool((b == 1).all()):
+        return NotImplemented
+    v_w, v_c = torch.zeros_like(w), torch.zeros_like(c)
+    rows = {p: (w[:, p] > 0).nonzero()[:, 0] for p in v_C.any(1).nonzero()[:, 0].tolist()}
+    calls = [(w[k, p], c[k], C[p].clone(), v_C[p].clone()) for p, k in rows.items()]
+    gives = [{"v_w": each_w, "v_c": each_c} for each_w, each_c, _, _ in calls]
+    for (p, k), (own_w, own_c) in zip(rows.items(), yours.many(calls, gives), strict=True):
+        v_w[k, p] = own_w
+        v_c[k] += own_c
+    return v_w, v_c
+
+
+@exercise(
+    chapter=12, difficulty=3, minutes=15, solution=_blend_over_vjp, ready_made=AUTOGRAD,
+    becomes=Becomes("blend_with_base_vjp", _as_blend_with_base_vjp),
+    hints=(
+        "C = S / (1 + W) with S = C_s + sum of w_i c_i. Write q = dL/dS = v_C / (1 + W): the rest is short.",
+        "c_i occurs in S only, with the factor w_i: dL/dc_i = w_i q.",
+        "w_i occurs in S, where it gives c_i . q, and in 1 + W: dC / d(1 + W) = -S / (1 + W)^2 = -C / (1 + W).",
+        "Together: dL/dw_i = q . (c_i - C), a sum over the three channels.",
+    ),
+    wrong=(
+        Wrong(_not_divided, says="q = v_C / (1 + W)"),
+        Wrong(_divisor_held_fixed, says="the divisor grows with w"),
+        Wrong(_no_weight, says="a colour counts with its weight"),
+        Wrong(_per_channel, says="all three channels"),
+        Wrong(_downhill, says="more weight pulls the pixel towards"),
+    ),
+)  # fmt: skip
+def blend_over_vjp(attempt: Attempt) -> None:
+    """Gradient of the blending with a surface: from dL/dC to dL/dw and dL/dc."""
+    names = ("v_w", "v_c")
+    on = "one white Gaussian of weight 1 over black, dL/dC = (1, 0, 0)"
+    w, c, C = torch.ones(1, dtype=F64), torch.ones(1, 3, dtype=F64), torch.full((3,), 0.5, dtype=F64)
+    v_w, v_c = unpack(attempt.on(on)(w, c, C, torch.tensor([1.0, 0.0, 0.0], dtype=F64)), names, on=on)
+    close(v_c, [[0.5, 0.0, 0.0]], "q = v_C / (1 + W)", on=on, why="1 / (1 + 1), times the weight 1")
+    prop = "more weight pulls the pixel towards the Gaussian's colour"
+    close(torch.as_tensor(v_w).sign(), [1.0], prop, on=on, why="white is brighter than the pixel")
+    on = "a Gaussian with exactly the colour of the pixel"
+    own = torch.tensor([0.2, 0.5, 0.7], dtype=F64)
+    v_w, _ = unpack(attempt.on(on)(w * 0.7, own[None].clone(), own, torch.ones(3, dtype=F64)), names, on=on)
+    prop = "the divisor grows with w, too: the pixel's own colour changes nothing"
+    close(v_w, [0.0], prop, on=on, why="c - C is 0")
+    on = "two Gaussians of weight 0.2 and 0.8, dL/dC = (1, 1, 1)"
+    w, c = torch.tensor([0.2, 0.8], dtype=F64), torch.tensor([[0.9, 0.1, 0.5], [0.3, 0.6, 0.0]], dtype=F64)
+    C = _blend_over(w, c, torch.full((3,), 0.4, dtype=F64))[0]
+    v_w, v_c = unpack(attempt.on(on)(w, c, C, torch.ones(3, dtype=F64)), names, on=on)
+    expected_w, expected_c = _blend_over_vjp(w, c, C, torch.ones(3, dtype=F64))
+    close(v_c, expected_c, "a colour counts with its weight", on=on, why="w_i q")
+    close(v_w, expected_w, "all three channels pull at a weight", on=on, why="sum over the channels of q (c_i - C)")
+    on = "nine random Gaussians"
+    generator = torch.Generator().manual_seed(8)
+    w, c, C_s, v_C = (torch.rand(*size, generator=generator, dtype=F64) for size in ((9,), (9, 3), (3,), (3,)))
+    C = _blend_over(w, c, C_s)[0]
+    v_w, v_c = unpack(attempt.on(on)(w, c, C, v_C - 0.5), names, on=on)
+    expected_w, expected_c = _blend_over_vjp(w, c, C, v_C - 0.5)
+    close(v_w, expected_w, "dL/dw_i = q . (c_i - C)", on=on)
+    close(v_c, expected_c, "dL/dc_i = w_i q", on=on)

@@ -1,0 +1,95 @@
+"""A GPS-SLAM map as standard Gaussians: its surface as discs, in the viewer, in exported files."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from gsfusion_nb.cli import main
+from gsfusion_nb.config import gps_slam
+from gsfusion_nb.evaluation import psnr
+from gsfusion_nb.export import read_gaussian_ply, read_map_glb
+from gsfusion_nb.mapping.baked import CAMERA, baked, fitted, surface_discs
+from gsfusion_nb.render import render
+from gsfusion_nb.runs import FinishedRun, run_mapping
+from gsfusion_nb.tsdf import extract_mesh
+from gsfusion_nb.types import Mesh
+from gsfusion_nb.viz import SplatViewer
+
+ROOM: dict[str, Any] = {"n_frames": 480, "width": 80, "height": 60}
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory) -> FinishedRun:
+    """Few pixels, so more of them are seeded than usual."""
+    config = gps_slam(
+        "room", data__width=0, data__height=0, data__stop=8, data__hold_out_every=0, tsdf__voxel_size_m=0.03,
+        final__passes=0, seeding__options={"colour_error": 0.03, "share": 0.25, "max_weight": 1.0, "in_holes": True},
+    )  # fmt: skip
+    return run_mapping("room", config, folder=tmp_path_factory.mktemp("baked") / "run", evaluate=False, **ROOM)
+
+
+def test_the_discs_show_the_surface_and_a_fit_shows_it_better(run):
+    mapper = run.run.mapper
+    poses = list(mapper.localiser.poses)
+    rows = mapper.standard_gaussians()
+    n = len(mapper.gaussians)
+    assert len(rows) > n > 20
+    wanted = mapper.render(CAMERA, poses[3]).rgb
+    seen = wanted.sum(-1) > 0
+
+    def db(params):
+        return psnr(render(params, CAMERA, poses[3]).rgb[seen], wanted[seen])
+
+    plain = db(rows)
+    assert plain > db(mapper.gaussians.params) + 5
+    better = fitted(rows, mapper.render, poses, 12)
+    assert db(better) > plain + 1
+    assert torch.equal(better.xyz_W, rows.xyz_W)
+
+
+def test_a_gaussian_in_front_of_an_opaque_surface_is_blended_alike(run):
+    """o / (1 + o) in front of C_s is (C_s + o c) / (1 + o)."""
+    mapper = run.run.mapper
+    o = mapper.gaussians.params.opacity_logit.sigmoid()
+    over = baked(mapper.volume, mapper.gaussians.params)[: len(o)]
+    torch.testing.assert_close(over.opacity_logit.sigmoid(), o / (1 + o))
+    D, known = mapper.volume.interpolate(over.xyz_W)
+    before, _ = mapper.volume.interpolate(mapper.gaussians.params.xyz_W)
+    assert float((D - before)[known].min()) > -0.05
+    assert float(D[known].median()) > 0.15
+
+
+def test_discs_lie_flat_on_the_mesh(run):
+    mesh = extract_mesh(run.run.mapper.volume)
+    discs = surface_discs(mesh, 0.03)
+    assert 0.2 * len(mesh.vertices_W) < len(discs) < len(mesh.vertices_W)
+    assert discs.log_scale[:, 2].max() < discs.log_scale[:, 0].min()
+    empty = Mesh(vertices_W=torch.zeros(0, 3), faces=torch.zeros(0, 3, dtype=torch.int32), rgb=torch.zeros(0, 3))
+    assert len(surface_discs(empty, 0.03)) == 0
+
+
+def test_a_file_of_a_run_holds_the_surface_unless_it_is_left_out(run, tmp_path: Path, capsys):
+    n = len(run.run.mapper.gaussians)
+    assert main(["export", str(run.folder), str(tmp_path / "both.ply"), "--bake-steps", "1"]) == 0
+    assert f"discs for the surface, {n:,} Gaussians in front of it" in capsys.readouterr().out
+    assert len(read_gaussian_ply(tmp_path / "both.ply")) > n
+    assert main(["export", str(run.folder), str(tmp_path / "bare.ply"), "--bake-steps", "-1"]) == 0
+    assert len(read_gaussian_ply(tmp_path / "bare.ply")) == n
+    assert main(["export", str(run.folder), str(tmp_path / "map.glb")]) == 0
+    gaussians, mesh = read_map_glb(tmp_path / "map.glb")
+    assert len(gaussians) == n
+    assert len(mesh.faces) > n
+
+
+def test_the_viewer_shows_the_surface_with_the_gaussians(run):
+    mapper = run.run.mapper
+    viewer = SplatViewer(mapper, width=80, height=60)
+    rows, columns = viewer.shown()
+    n = len(mapper.gaussians)
+    assert torch.equal(rows.sh[:n], mapper.gaussians.params.sh)
+    assert [c["name"] for c in viewer.columns][-1] == "surface"
+    assert columns[:n, -1].max() == 0
+    assert columns[n:, -1].min() == 1
+    assert viewer.picture().mean() > 40
