@@ -39,8 +39,8 @@ IN_FRONT_VOXELS = 1.0
 """How far in front of the surface the Gaussians are, voxels: less, and discs beside them cover them in flat views."""
 WIDER = 1.1
 """Factor on the size of the Gaussians, for the slower fall-off of (1)."""
-CAMERA = Camera(width=320, height=240, fx=280.0, fy=280.0, cx=160.0, cy=120.0)
-"""Of the pictures that discs are fitted to; which camera recorded the map does not matter."""
+CAMERA = Camera(width=320, height=240, fx=200.0, fy=200.0, cx=160.0, cy=120.0)
+"""Of the pictures that discs are fitted to, wide, so that it sees at least what the recording's camera saw."""
 _RATES = OptimConfig(lr_xyz=0.0, lr_quat=0.0, lr_sh_dc=0.02, lr_sh_rest=0.001, lr_log_scale=0.01, lr_opacity_logit=0.05)
 
 

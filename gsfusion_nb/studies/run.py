@@ -47,10 +47,10 @@ class StudyOptions:
     """
 
     name: Annotated[str, tyro.conf.Positional]
-    """What to compare: systems (GSFusion, RTG-SLAM, GPS-SLAM), transparent (with and without transparent Gaussians), states
-    (optimising unstable or all Gaussians), fidelity (as measured, paper or released code), gsfusion-settings and
-    rtg-slam-settings (one changed setting at a time), depth (disc or blended depth), tracking (variants of the
-    tracker), disc-depth (depth of single images), or roofline (kernels and the limits of this machine)."""
+    """What to compare: systems (all three), transparent (with and without transparent Gaussians), states (optimising
+    unstable or all Gaussians), fidelity (as measured, paper or released code), gsfusion-settings and rtg-slam-settings
+    (one changed setting at a time), depth (disc or blended depth), tracking (variants of the tracker), disc-depth
+    (depth of single images), or roofline (kernels and the limits of this machine)."""
     data: Annotated[str, tyro.conf.Positional] = "room"
     """Folder of a sequence, or "room" for the built-in scene."""
     out: str = ""

@@ -24,7 +24,7 @@ ROOM: dict[str, Any] = {"n_frames": 480, "width": 80, "height": 60}
 def run(tmp_path_factory) -> FinishedRun:
     """Few pixels, so more of them are seeded than usual."""
     config = gps_slam(
-        "room", data__width=0, data__height=0, data__stop=8, data__hold_out_every=0, tsdf__voxel_size_m=0.03,
+        "room", data__width=0, data__height=0, data__stop=14, data__hold_out_every=0, tsdf__voxel_size_m=0.03,
         final__passes=0, seeding__options={"colour_error": 0.03, "share": 0.25, "max_weight": 1.0, "in_holes": True},
     )  # fmt: skip
     return run_mapping("room", config, folder=tmp_path_factory.mktemp("baked") / "run", evaluate=False, **ROOM)

@@ -44,8 +44,8 @@ class PixelMix:
         return float(self.weight.sum())
 
     @property
-    def running(self) -> Float[Tensor, "K+1 3"]:
-        """The colour of the surface, then with the first Gaussian, and so on; the last is the pixel's."""
+    def running(self) -> Float[Tensor, "M 3"]:
+        """The colour of the surface, then with the first Gaussian, and so on to the pixel's. [K + 1, 3]"""
         one = torch.cat([self.weight.new_tensor([self.base_weight]), self.weight])
         colours = torch.cat([self.base_rgb[None], self.rgb])
         return (one[:, None] * colours).cumsum(0) / one.cumsum(0).clamp_min(1e-9)[:, None]
