@@ -6,7 +6,7 @@ EXAMPLE = """\
 # The same command again continues after Ctrl-C, and computes nothing twice.
 
 seeds = [0, 1, 2]      # or a number: seeds = 3 is the same
-system = "gsfusion"    # or "rtg_slam"
+system = "gsfusion"    # or "rtg_slam", "gps_slam"
 # preset = "room"      # settings published for a data set; default: room for the room, else replica
 
 [settings]             # of all runs; names as in gsfusion-nb map --help

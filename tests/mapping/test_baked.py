@@ -40,7 +40,7 @@ def test_the_discs_show_the_surface_and_a_fit_shows_it_better(run):
     seen = wanted.sum(-1) > 0
 
     def db(params):
-        return psnr(render(params, CAMERA, poses[3]).rgb[seen], wanted[seen])
+        return psnr(render(params, CAMERA, poses[3]).rgb[seen][None], wanted[seen][None])
 
     plain = db(rows)
     assert plain > db(mapper.gaussians.params) + 5
