@@ -33,7 +33,7 @@ class ExportOptions:
     """Turn .ply files so that -y is up, as viewers of splats expect. A .glb file is always upright."""
     mesh: bool = True
     """Put the mesh of a run into a .glb file."""
-    bake_steps: int = 60
+    bake_steps: int = 200
     """A run of GPS-SLAM draws its Gaussians over a surface. In a .ply file the surface becomes discs, and all are
     fitted to this many pictures of the map; 0: no fit, which is quick and less sharp; -1: no discs, the corrections
     alone, which show little over black."""
