@@ -213,7 +213,7 @@ class GaussianModel(GrowingRows):
 
     def count_not_finite(self) -> int:
         """Rows with a NaN or an infinity in a parameter, which are not drawn."""
-        rows = [column.reshape(self._count, -1).isfinite().all(dim=1) for column in vars(self.params).values()]
+        rows = [column[..., None].flatten(1).isfinite().all(dim=1) for column in vars(self.params).values()]
         return int((~torch.stack(rows).all(dim=0)).sum())
 
     def state_dict(self) -> dict[str, Any]:

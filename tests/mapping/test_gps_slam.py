@@ -166,3 +166,14 @@ def test_a_disturbed_pose_is_found_again_though_the_surface_has_no_gradient(run)
     assert torch.equal(still.T_WC, frame.T_WC)
     with pytest.raises(ValueError, match="steps"):
         fit_pose_by_flow(mapper.render, frame.camera, picture, frame.T_WC, steps=0)
+
+
+def test_a_run_that_has_no_gaussians_yet_goes_on_from_its_saved_state():
+    """The first come in the tenth frame; a run may be killed before."""
+    before = mapped(2)
+    again = GPSSLAM.from_state_dict(before.mapper.state_dict())
+    assert len(again.gaussians) == 0
+    assert torch.equal(again.volume.D, before.mapper.volume.D)
+    assert again.notes == []
+    frame = before.sequence.mapping[2]
+    assert again.step(frame).n_blocks == before.mapper.step(frame).n_blocks
