@@ -157,7 +157,10 @@ def _part_of_a_frame(evidence: ColourEvidence, camera: Camera) -> Finding:
         name="colour time",
         verdict="doubtful",
         numbers=numbers,
-        repair="no option repairs a part of a frame; turn the camera more slowly when recording",
+        repair=(
+            "no option moves depth by a part of a frame; --data.repair.pose-offset-s estimate gives poses the time of "
+            "the colour images; turn the camera more slowly when recording"
+        ),
         sentence=(
             f"Colour was taken {known} {side} than depth: over {motion.windows} windows its edges move against those "
             f"of depth with the speed of the image, up to {abs(motion.lag_frames) * motion.speed_px:.1f} pixels."
