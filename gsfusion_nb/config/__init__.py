@@ -27,6 +27,7 @@ from .rtg_slam import rtg_slam as rtg_slam
 from .rtg_slam import rtg_slam_fidelity as rtg_slam_fidelity
 from .system import SystemConfig as SystemConfig
 from .tracking import BackEndConfig as BackEndConfig
+from .tracking import LandmarkConfig as LandmarkConfig
 from .tracking import TrackingConfig as TrackingConfig
 from .values import from_dict as from_dict
 from .values import replace as replace

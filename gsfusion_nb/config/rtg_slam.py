@@ -252,7 +252,7 @@ _FIDELITY: dict[str, dict[str, Any]] = {
         "discs": {"max_offset": None},
         "window": {"depth_behind_m": None},
         "states": {"max_radius_factor": None},
-        "tracking": {"even_to_m": None, "brightness_m": None},
+        "tracking": {"even_to_m": None, "brightness_m": None, "landmarks": {"enabled": False}},
     },
     "code": {
         "seeding": {"options": {"fidelity": "code"}},
@@ -272,6 +272,7 @@ _FIDELITY: dict[str, dict[str, Any]] = {
             "max_angle_deg": 20.0,
             "even_to_m": None,
             "brightness_m": None,
+            "landmarks": {"enabled": False},
             "damping": 1e-4,
             "prior": "previous",
             "target": "hybrid",

@@ -60,6 +60,23 @@ class BackEndConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
+class LandmarkConfig:
+    """Landmarks that help ICP in every frame: corners (ORB) of earlier keyframes, found again in the frame."""
+
+    enabled: bool = True
+    """Search the landmarks of the local map in every frame. Their pose is ICP's first start, and their errors join
+    ICP's. The settings of the features are those of the back end, which need not be enabled."""
+    sigma_m: float = 0.02
+    """A landmark that is off by one standard deviation counts as much as a pixel of near depth that is off by this,
+    metres, where the pose from depth contradicts the landmarks beyond their noise; where it does not, they do not
+    count. Larger: texture counts more, depth less. Usual: 0.01 to 0.03."""
+
+    def __post_init__(self):
+        check_kinds("tracking.landmarks", self)
+        check_positive("tracking.landmarks.sigma_m", self.sigma_m)
+
+
+@dataclass(frozen=True, kw_only=True)
 class TrackingConfig:
     """Where the poses come from, and the frame-to-model ICP (iterative closest points; Peng et al. 2024, Eq. 10)."""
 
@@ -116,6 +133,7 @@ class TrackingConfig:
     """Tracking fails if the camera would have moved by more than this between two frames, metres. Usual: 0.1 to 1."""
     max_step_deg: float = 30.0
     """Likewise if it would have turned by more than this, degrees. Usual: 10 to 60."""
+    landmarks: LandmarkConfig = field(default_factory=LandmarkConfig)
     back_end: BackEndConfig = field(default_factory=BackEndConfig)
 
     def __post_init__(self):

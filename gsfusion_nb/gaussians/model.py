@@ -16,6 +16,7 @@ from ..types import GaussianParams, Seeds
 from .apply_edit import apply_edit
 from .edit import Edit, check_rate
 from .rows import GrowingRows
+from .turned_rows import turn_colours_, turn_moments_
 
 PARAMETERS = tuple(f.name for f in dataclasses.fields(GaussianParams))
 
@@ -204,12 +205,16 @@ class GaussianModel(GrowingRows):
                 self._columns[name][: self._count][rows] = 0.0
 
     def move(self, T: Float[Tensor, "N 4 4"]) -> None:
-        """Apply a rigid motion to centre and orientation of each row (a loop closure)."""
+        """Apply a rigid motion to each row (a loop closure): centre, orientation, colour, and Adam's moments."""
         for prefix in self._POSE_PREFIXES:
             xyz, quat = (self._columns[f"{prefix}{name}"][: self._count] for name in ("xyz_W", "quat"))
             turn = T.to(xyz)
             xyz.copy_((turn[:, :3, :3] @ xyz[:, :, None]).squeeze(2) + turn[:, :3, 3])
             quat.copy_(quaternion.multiply(quaternion.from_matrix(turn[:, :3, :3]), quaternion.normalise(quat)))
+        R = T[:, :3, :3].to(self.device)
+        turn_colours_(self.params.sh, R)
+        if self._MOMENTS:
+            turn_moments_(self.exp_avg, self.exp_avg_sq, R)
 
     def count_not_finite(self) -> int:
         """Rows with a NaN or an infinity in a parameter, which are not drawn."""

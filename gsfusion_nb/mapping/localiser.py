@@ -17,7 +17,9 @@ from ..optim import KeyframeList
 from ..tracking import (
     BackEnd,
     Correction,
-    KeyframeDatabase,
+    Features,
+    LandmarkMap,
+    Sighting,
     SurfaceSource,
     Tracker,
     TrackingLostError,
@@ -25,6 +27,10 @@ from ..tracking import (
     moved_enough,
 )
 from ..types import Camera, Frame
+
+OFF_M = 0.02
+OFF_DEG = 1.0
+"""ICP starts from the landmarks' pose where it differs by more than this from the predicted one."""
 
 _BLOCK = 1024
 """Number of poses that are stored in one tensor."""
@@ -51,8 +57,11 @@ class Localiser:
         self._found: Any = None
         """State of the tracker before the frame that it tracked last, until that frame is recorded."""
         self._back_end: BackEnd | None = None
-        self._database: KeyframeDatabase | None = None
-        """Keyframes by appearance, to relocalise when tracking is lost; used if there is no back end."""
+        self._map: LandmarkMap | None = None
+        """Keyframes and landmarks, for the front end and to relocalise when tracking is lost; the back end's, if there
+        is one."""
+        self._view: tuple[int, Features, Sighting | None] | None = None
+        """Index of the frame that was located last, its features, and the landmarks that it sees."""
 
     @property
     def is_tracking(self) -> bool:
@@ -94,8 +103,7 @@ class Localiser:
     @property
     def camera(self) -> Camera | None:
         """Camera of the keyframes used for relocalisation; None if there are none."""
-        known = self._back_end or self._database
-        return None if known is None else known.camera
+        return None if self._map is None else self._map.camera
 
     def locate(self, frame: Frame, surface: SurfaceSource) -> Frame:
         """The frame with its pose in the map.
@@ -106,9 +114,14 @@ class Localiser:
         self.report, self._found = {}, None
         if not self.is_tracking:
             return frame
-        before = self._tracker.standing
+        before, seen = self._tracker.standing, self._see(frame)
         try:
-            found = self._tracker.track(frame, surface, self._relocalise)
+            if seen is None:
+                found = self._tracker.track(frame, surface, self._relocalise)
+            else:
+                extra = seen.extra(self.config.landmarks.sigma_m)
+                guess = seen.T_WC if self._is_off(frame, seen) else None
+                found = self._tracker.track(frame, surface, self._relocalise, extra, guess)
         except TrackingLostError as e:
             raise BadFrameError(f"frame {frame.index} cannot be mapped: {e}") from None
         self._found = before
@@ -130,17 +143,32 @@ class Localiser:
         self.frame_indices.append(frame.index)
         if not self.is_tracking:
             return None
-        if self.config.back_end.enabled:
-            if self._back_end is None:
-                self._back_end = BackEnd(self.config.back_end, frame.camera)
-            return self._apply(self._back_end.add(frame, frame.T_WC)) if self._back_end.wants(frame.T_WC) else None
-        self._remember(frame)
-        return None
+        return self._remember(frame)
 
     def _relocalise(self, frame: Frame) -> list[Float[Tensor, "4 4"]]:
         """Possible poses of the frame by its appearance, the most likely first."""
-        known = self._back_end or self._database
-        return [] if known is None else known.relocalise(frame)
+        return [] if self._map is None else self._map.database.relocalise(frame)
+
+    def _see(self, frame: Frame) -> Sighting | None:
+        """Landmarks that the frame sees; None if they are not wanted, or too few."""
+        self._view = None
+        if self._map is None or not self.config.landmarks.enabled or frame.camera != self._map.camera:
+            return None
+        features = self._features(frame)
+        seen = self._map.see(features, self._tracker.predict(frame.timestamp_s))
+        self._view = frame.index, features, seen
+        return seen
+
+    def _is_off(self, frame: Frame, seen: Sighting) -> bool:
+        """Whether the landmarks say that the predicted pose is wrong; if not, it is the more exact start for ICP."""
+        turned_deg, moved_m = se3.motion(self._tracker.predict(frame.timestamp_s), seen.T_WC)
+        return moved_m > OFF_M or turned_deg > OFF_DEG
+
+    def _features(self, frame: Frame) -> Features:
+        if self._view is not None and self._view[0] == frame.index:
+            return self._view[1]
+        settings = self.config.back_end
+        return extract_features(frame, count=settings.features, levels=settings.levels)
 
     def _kept(self, T_WC: Float[Tensor, "4 4"]) -> Float[Tensor, "4 4"]:
         """A copy of the pose inside a larger tensor.
@@ -154,14 +182,26 @@ class Localiser:
         self._n_kept += 1
         return self._block[n].copy_(T_WC)
 
-    def _remember(self, frame: Frame) -> None:
-        """Add the frame to the database if the camera has moved enough."""
-        settings = self.config.back_end
-        if self._database is None:
-            self._database = KeyframeDatabase(frame.camera, count=settings.features, levels=settings.levels)
-        if not len(self._database) or moved_enough(self._database.T_WC[-1], frame.T_WC, settings):
-            features = extract_features(frame, count=settings.features, levels=settings.levels)
-            self._database.add(frame.index, frame.T_WC, features)
+    def _remember(self, frame: Frame) -> Correction | None:
+        """Make the frame a keyframe if the camera has moved enough; returns the back end's correction, if any."""
+        settings, T_WC = self.config.back_end, frame.T_WC_cpu
+        if self._map is None:
+            if settings.enabled:
+                self._back_end = BackEnd(settings, frame.camera)
+            self._map = self._own_map(frame.camera) if self._back_end is None else self._back_end.map
+        if self._view is not None and self._view[0] == frame.index and self._view[2] is not None:
+            self._map.count(self._view[2])
+        if len(self._map) and not moved_enough(self._map.database.T_WC[-1], T_WC, settings):
+            return None
+        features = self._features(frame)
+        if self._back_end is not None:
+            return self._apply(self._back_end.add(frame, frame.T_WC, features))
+        self._map.add(frame.index, T_WC, features)
+        return None
+
+    def _own_map(self, camera: Camera) -> LandmarkMap:
+        """For a front end without back end."""
+        return LandmarkMap(camera, count=self.config.back_end.features, levels=self.config.back_end.levels)
 
     def finish(self) -> Correction | None:
         """The last optimisation of the back end, over all keyframes and landmarks, after the scan.
@@ -190,7 +230,7 @@ class Localiser:
             "tracker": self._tracker.state_dict(),
             "camera": None if self.camera is None else vars(self.camera),
             "back_end": None if self._back_end is None else self._back_end.state_dict(),
-            "database": None if self._database is None else self._database.state_dict(),
+            "map": None if self._map is None or self._back_end is not None else self._map.state_dict(),
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -215,11 +255,10 @@ class Localiser:
         self._tracker = Tracker.from_state_dict(self.config, state["tracker"])
         if state["back_end"] is not None:
             self._back_end = BackEnd.from_state_dict(settings, Camera(**state["camera"]), state["back_end"])
-        if state["database"] is not None:
-            self._database = KeyframeDatabase(
-                Camera(**state["camera"]), count=settings.features, levels=settings.levels
-            )
-            self._database.load_state(state["database"])
+            self._map = self._back_end.map
+        if state["map"] is not None:
+            self._map = self._own_map(Camera(**state["camera"]))
+            self._map.load_state(state["map"])
 
 
 def between(indices: Int[Tensor, " R"], values: Float[Tensor, "R D"], index: int) -> Float[Tensor, " D"]:
@@ -233,10 +272,7 @@ def between(indices: Int[Tensor, " R"], values: Float[Tensor, "R D"], index: int
 
 
 def move_map(correction: Correction, gaussians: GaussianModel, keyframes: KeyframeList) -> None:
-    """Move Gaussians and keyframes with a corrected trajectory: each with the keyframes around its frame.
-
-    View-dependent colour is not rotated with them; a loop rotates the map by a few degrees at most.
-    """
+    """Move Gaussians and keyframes with a corrected trajectory: each with the keyframes around its frame."""
     gaussians.move(correction.transform_of(gaussians.birth_frame))
     if len(keyframes):
         keyframes.move(correction.transform_of(torch.tensor([k.index for k in keyframes])))

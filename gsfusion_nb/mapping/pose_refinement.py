@@ -46,7 +46,6 @@ class PoseRefinement:
         """Take the keyframes' mean motion back, from them and from the map; let the other frames follow.
 
         Where all keyframes move together by G, T_i = G T_i(given), the pictures do not change and nothing holds G.
-        View-dependent colour is not rotated: G is far below a degree.
         """
         poses, given = self._localiser.poses, self._localiser.given
         rows = sorted(self._localiser.frame_indices.index(k.index) for k in keyframes)

@@ -90,6 +90,7 @@ STUDIES: dict[str, Study] = {
         {
             "hybrid (released code)": (*_RTG, *_TRACKED),
             "model (paper)": (*_RTG, *_TRACKED, "--tracking.target", "model"),
+            "hybrid, without landmarks": (*_RTG, *_TRACKED, "--tracking.landmarks.no-enabled"),
             "hybrid, back end": (*_RTG, *_TRACKED, "--tracking.back-end.enabled"),
         },
     ),

@@ -21,6 +21,8 @@ from .icp import IcpResult as IcpResult
 from .icp import align as align
 from .icp import icp as icp
 from .keyframe_database import KeyframeDatabase as KeyframeDatabase
+from .landmark_map import LandmarkMap as LandmarkMap
+from .landmark_map import Sighting as Sighting
 from .normal_equations import IcpSystem as IcpSystem
 from .normal_equations import associate as associate
 from .normal_equations import depth_weight as depth_weight

@@ -15,29 +15,26 @@ from ..checks import check_pose
 from ..config import BackEndConfig
 from ..geometry import se3
 from ..types import Camera, Frame
+from .bundle_adjustment import Adjusted, adjust
 from .correction import Correction, blend
 from .features import Features, extract_features
-from .keyframe_database import KeyframeDatabase
-from .landmarks import SEARCH_SHARE, Landmarks
+from .landmark_map import LandmarkMap
 from .loop_finder import LoopFinder
-from .matching import PointPairs, RelativePose, is_inlier, refine_pose
+from .matching import PointPairs, RelativePose, refine_pose
 from .pose_graph import (
     Edge,
+    Optimised,
     edge_error,
     fit_odometry,
     odometry_information,
-    optimise_landmarks,
     optimise_poses,
     require_gtsam,
     with_floor,
 )
 from .saved_state import check_saved_back_end
 
-RECENT = 5
-"""A new keyframe searches the landmarks of this many keyframes before it."""
-
 TIED_TO = 3
-"""A new keyframe gets edges to this many recent keyframes, those with which it shares most landmarks."""
+"""A new keyframe gets edges to this many keyframes around it, those with which it shares most landmarks."""
 
 MIN_SHARED = 15
 """Smallest number of common landmarks for an edge between two keyframes."""
@@ -69,8 +66,9 @@ class BackEnd:
         """
         require_gtsam()
         self.config, self.camera = config, camera
-        self.database = KeyframeDatabase(camera, count=config.features, levels=config.levels)
-        self.landmarks = Landmarks(self.database)
+        self.map = LandmarkMap(camera, count=config.features, levels=config.levels)
+        """Keyframes and landmarks; the front end uses it, too."""
+        self.database, self.landmarks = self.map.database, self.map.landmarks
         self._finder = LoopFinder(config, self.database, self.landmarks)
         self.edges: list[Edge] = []
         self.loops: list[tuple[int, Tensor]] = []
@@ -93,12 +91,13 @@ class BackEnd:
             return True
         return moved_enough(self.database.T_WC[-1], T_WC, self.config)
 
-    def add(self, frame: Frame, T_WC: Float[Tensor, "4 4"]) -> Correction | None:
+    def add(self, frame: Frame, T_WC: Float[Tensor, "4 4"], features: Features | None = None) -> Correction | None:
         """Add a keyframe; if it closes a loop that the trajectory does not, optimise the poses.
 
         Args:
             frame: Colour and depth; its own pose is not used.
             T_WC: The front end's pose, in the world as corrected so far. [4, 4]
+            features: Those of the frame, if they were extracted before.
 
         Returns:
             The correction, or None if there is none.
@@ -108,16 +107,14 @@ class BackEnd:
         """
         self._check(frame, T_WC)
         T_WC = T_WC.detach().cpu().double()
-        features = extract_features(frame, count=self.config.features, levels=self.config.levels)
+        if features is None:
+            features = extract_features(frame, count=self.config.features, levels=self.config.levels)
         row = len(self)
-        recent = list(range(max(0, row - RECENT), row))
-        pairs = self._track(features, T_WC, recent)
-        self.database.add(frame.index, T_WC, features)
-        self.landmarks.add(features, pairs)
+        around = self.map.add(frame.index, T_WC, features)
         self._finder.add(frame.depth_m)
         self._as_added.append(T_WC)
         self._as_tracked.append(T_WC)
-        self._tie(row, recent)
+        self._tie(row, around)
         if not self._close_loops(row):
             return None
         correction = self._correct(landmarks=False)
@@ -162,32 +159,16 @@ class BackEnd:
                 f"keyframes must come in the order of their frames, got {frame.index} after {self.database.index[-1]}"
             )
 
-    def _track(self, features: Features, T_WC: Tensor, recent: list[int]) -> Tensor:
-        """Landmarks that are seen again: searched with the front end's pose, then with the pose that they agree on."""
-        pairs = torch.zeros((0, 2), dtype=torch.int64)
-        if not recent:
-            return pairs
-        T_WR = self.database.T_WC[recent[-1]]
-        pose = None
-        for share in (SEARCH_SHARE, SEARCH_SHARE / 4):
-            pairs = self.landmarks.find(features, T_WC, recent, share * self.camera.width)
-            points = self.landmarks.points(features, pairs, T_WR)
-            pose = refine_pose(self.camera, points, se3.inverse(T_WR) @ T_WC, pairs)
-            if pose is None:
-                return pairs[:0]
-            T_WC = T_WR @ pose.T_RQ
-        return pairs[is_inlier(self.camera, self.landmarks.points(features, pairs, T_WR), se3.inverse(T_WR) @ T_WC)]
-
-    def _tie(self, row: int, recent: list[int]) -> None:
+    def _tie(self, row: int, around: list[int]) -> None:
         """Add edges to the previous keyframe (odometry) and to those with most common landmarks."""
-        if not recent:
+        if not around:
             return
         T = self.database.T_WC
         information = odometry_information(self.config.odometry_sigma_deg, self.config.odometry_sigma_m)
         step = se3.inverse(T[row - 1]) @ T[row]
         self.edges.append(Edge(i=row - 1, j=row, T_ij=step, information=information, kind="odometry"))
-        shared = {r: self.landmarks.shared(row, r) for r in recent}
-        for r in sorted(recent, key=lambda r: -len(shared[r]))[:TIED_TO]:
+        shared = {r: self.landmarks.shared(row, r) for r in around}
+        for r in sorted(around, key=lambda r: -len(shared[r]))[:TIED_TO]:
             if len(shared[r]) < MIN_SHARED:
                 continue
             points = PointPairs.of(self.database.features[row], self.database.features[r], shared[r])
@@ -212,37 +193,43 @@ class BackEnd:
         return off
 
     def _correct(self, *, landmarks: bool) -> Correction:
-        """Optimise the poses with relative poses and then, with ``landmarks``, also with the landmarks."""
+        """Optimise the poses with relative poses and then, with ``landmarks``, also with the landmarks. Landmarks that
+        loops show to be the same become one."""
         old = self.T_WC
-        result = optimise_poses(old, fit_odometry(self.edges))
-        before, after = result.error_before, result.error_after
+        result: Optimised | Adjusted = optimise_poses(old, fit_odometry(self.edges))
+        self.map.move(result.T_WC)
+        self.landmarks.fuse(self._true_loops())
         if landmarks:
-            result = self._with_landmarks(result.T_WC)
-            before, after = result.error_before, result.error_after
-        self.database.move(result.T_WC)
+            result = self._with_landmarks()
+        self.map.collect()
         fresh, self._fresh_loops = self._fresh_loops, []
         return Correction(
             frame_index=torch.tensor(self.database.index),
             T_WC_old=old,
             T_WC_new=self.T_WC,
             loops=fresh,
-            error_before=before,
-            error_after=after,
+            error_before=result.error_before,
+            error_after=result.error_after,
         )
 
-    def _with_landmarks(self, T_WC: Tensor) -> Any:
-        loops = [e for e in self.edges if e.kind == "loop"]
-        true = [loop for loop, edge in zip(self.loops, loops, strict=True) if edge_error(edge, T_WC) < LOOP_MAX_SIGMA]
-        self.database.move(T_WC)
-        seen = self.landmarks.observations(true, per_keyframe=self.config.landmarks_per_keyframe)
+    def _true_loops(self) -> list[tuple[int, Tensor]]:
+        """The loops that the present poses agree with."""
+        loops, T_WC = [e for e in self.edges if e.kind == "loop"], self.T_WC
+        return [loop for loop, e in zip(self.loops, loops, strict=True) if edge_error(e, T_WC) < LOOP_MAX_SIGMA]
+
+    def _with_landmarks(self) -> Adjusted:
+        """Adjust all poses but the first, and the landmarks, which keep what was found."""
+        seen = self.landmarks.observations([], per_keyframe=self.config.landmarks_per_keyframe)
         odometry = [e for e in fit_odometry(self.edges) if e.kind == "odometry"]
-        return optimise_landmarks(self.camera, T_WC, seen, odometry)
+        found = adjust(self.camera, self.T_WC, seen, odometry, torch.arange(len(self)) == 0, iterations=20)
+        self.map.move(found.T_WC)
+        self.landmarks.refine(seen.name, found.xyz_W)
+        return found
 
     def state_dict(self) -> dict[str, Any]:
         """Everything except the settings: numbers, lists and tensors."""
         return {
-            "database": self.database.state_dict(),
-            "landmarks": self.landmarks.state_dict(),
+            "map": self.map.state_dict(),
             "edges": [dict(vars(e)) for e in self.edges],
             "loops": list(self.loops),
             "fresh_loops": list(self._fresh_loops),
@@ -259,8 +246,7 @@ class BackEnd:
             ValueError: Edges or loops between keyframes that do not exist, or poses that are not rigid transforms.
         """
         self = cls(config, camera)
-        self.database.load_state(state["database"])
-        self.landmarks.load_state(state["landmarks"])
+        self.map.load_state(state["map"])
         check_saved_back_end(state, [len(f) for f in self.database.features], len(self.landmarks))
         self.edges = [Edge(**e) for e in state["edges"]]
         self.loops = [(row, pairs) for row, pairs in state["loops"]]

@@ -105,7 +105,7 @@ def optimise_poses_plain(T_WC: Float[Tensor, "K 4 4"], edges: list[Edge], *, ite
     T_WC = T_WC.double()
     if len(T_WC) < 2 or not edges:
         return Optimised(T_WC=T_WC, error_before=0.0, error_after=0.0)
-    graph = _Graph(edges)
+    graph = EdgeTerms(edges)
     before = graph.robust_error(graph.errors(T_WC)[0])
     found = _descend(graph, T_WC, iterations, robust=True)
     if any(e.kind == "loop" for e in edges):
@@ -115,8 +115,8 @@ def optimise_poses_plain(T_WC: Float[Tensor, "K 4 4"], edges: list[Edge], *, ite
     return Optimised(T_WC=found[0], error_before=before, error_after=found[1])
 
 
-class _Graph:
-    """The edges as tensors."""
+class EdgeTerms:
+    """Edges as tensors: their errors, and how much each counts."""
 
     def __init__(self, edges: list[Edge]):
         self.i, self.j = (torch.tensor([getattr(e, end) for e in edges]) for end in ("i", "j"))
@@ -147,7 +147,7 @@ class _Graph:
         return torch.einsum("ea,eab,eb->e", e, self.information, e).clamp_min(0).sqrt()
 
 
-def _descend(graph: _Graph, T_WC: Tensor, iterations: int, *, robust: bool) -> tuple[Tensor, float]:
+def _descend(graph: EdgeTerms, T_WC: Tensor, iterations: int, *, robust: bool) -> tuple[Tensor, float]:
     """Poses and error after Gauss-Newton steps with robust weights, which are computed again before each step."""
     e, J_i, J_j = graph.errors(T_WC)
     error = graph.robust_error(e, robust)

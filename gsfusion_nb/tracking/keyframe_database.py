@@ -15,6 +15,7 @@ from numpy import ndarray
 from torch import Tensor
 
 from ..checks import check_pose, check_whole
+from ..geometry import se3
 from ..types import Camera, Frame
 from .features import Features, extract_features
 from .matching import RelativePose, relative_pose
@@ -123,6 +124,19 @@ class KeyframeDatabase:
             if pose is not None and len(pose.rows) >= self.min_inliers:
                 found.append((len(pose.rows), self.T_WC[row] @ pose.T_RQ))
         return [T_WC for _, T_WC in sorted(found, key=lambda f: -f[0])]
+
+    def nearest_view(self, T_WC: Float[Tensor, "4 4"], before: int | None = None) -> int:
+        """The keyframe, of the first ``before`` ones, with the nearest pose, where 0.5 m counts as much as 45 degrees.
+
+        Raises:
+            ValueError: there is none.
+        """
+        poses = self.T_WC[:before]
+        if not poses:
+            raise ValueError("the database must have a keyframe to compare with, got none")
+        step = se3.inverse(T_WC.detach().cpu().double()) @ torch.stack(poses)
+        distance = step[:, :3, 3].norm(dim=1) / 0.5 + torch.rad2deg(se3.rotation_angle(step[:, :3, :3])) / 45.0
+        return int(distance.argmin())
 
     def compare(self, features: Features, row: int) -> RelativePose | None:
         """Pose of the view relative to keyframe ``row``; None if too few matches agree."""

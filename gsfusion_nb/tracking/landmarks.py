@@ -9,15 +9,19 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 from torch import Tensor
 
-from ..geometry import project, se3
+from ..geometry import se3
 from .features import Features
 from .keyframe_database import KeyframeDatabase
-from .matching import MAX_HAMMING, RATIO, PointPairs
+from .matching import PointPairs
+from .projected_matching import found_near
 from .saved_state import check_saved_landmarks
 
-_BIT_COUNT = np.array([bin(byte).count("1") for byte in range(256)], np.uint8)
-
 NO_LANDMARK = -1
+
+CULL_VIEWS = 15
+CULL_SHARE = 0.05
+"""A landmark that at least this many frames should have seen, and less than this share of them found, is no longer
+searched for: it is hidden, moved, or does not look the same from elsewhere."""
 
 SEARCH_SHARE = 0.05
 """Radius of the first search for a landmark around its predicted pixel, as a share of the image width; the second
@@ -37,6 +41,8 @@ class Observations:
     sigma_px: Float[Tensor, " O"]
     xyz_W: Float[Tensor, "L 3"]
     """Position of every landmark of the table, world frame, metres."""
+    name: Int[Tensor, " L"]
+    """Its number among all landmarks."""
 
     def __len__(self) -> int:
         return self.keyframe.shape[0]
@@ -46,7 +52,8 @@ class Landmarks:
     """Tracks of features over the keyframes of ``database``.
 
     Every feature with depth that matches no known landmark becomes a new one. Its position is stored in the camera
-    frame of its first keyframe, so that it moves with a correction of that keyframe's pose.
+    frame of its first keyframe, so that it moves with a correction of that keyframe's pose. At first it is the one that
+    the keyframe measured; an adjustment improves it (``refine``).
     """
 
     def __init__(self, database: KeyframeDatabase):
@@ -54,6 +61,10 @@ class Landmarks:
         self.of_feature: list[ndarray] = []
         """Landmark of every feature of every keyframe; -1 for none. [M] each"""
         self._birth = np.zeros((0, 2), np.int32)
+        self._xyz_B = np.zeros((0, 3))
+        """Position in the camera frame of the first keyframe, metres. [L, 3]"""
+        self._views = np.zeros((0, 2), np.int32)
+        """Number of frames that should have seen the landmark, and of those that found it. [L, 2]"""
 
     def __len__(self) -> int:
         return len(self._birth)
@@ -69,25 +80,10 @@ class Landmarks:
         Returns:
             (feature row, landmark). [P, 2]
         """
-        from scipy.spatial import KDTree
-
-        nothing = torch.zeros((0, 2), dtype=torch.int64)
-        landmark, descriptors = self._seen_from(rows)
-        if len(landmark) == 0 or len(features) == 0:
-            return nothing
-        xyz_C = se3.apply(se3.inverse(T_WC.double()), self.positions(torch.from_numpy(landmark)))
-        ahead = (xyz_C[:, 2] > 0.1).numpy()
-        landmark, descriptors = landmark[ahead], descriptors[ahead]
-        uv = project(self.database.camera, xyz_C[torch.from_numpy(ahead)]).numpy()
-        near = KDTree(features.uv.numpy()).query_ball_point(uv, radius_px) if len(uv) else []
-        counts = np.array([len(n) for n in near], int)
-        if counts.sum() == 0:
-            return nothing
-        a = np.repeat(np.arange(len(landmark)), counts)
-        b = np.concatenate([np.array(n, int) for n in near if n])
-        distance = _BIT_COUNT[descriptors[a] ^ features.descriptors.numpy()[b]].sum(1, dtype=np.int32)
-        kept = _clear_and_mutual(a, b, distance)
-        return torch.from_numpy(np.stack([b[kept], landmark[a[kept]]], 1).astype(np.int64))
+        landmark, descriptors = self.seen_from(rows)
+        xyz_W = self.positions(torch.from_numpy(landmark)).numpy()
+        near = found_near(self.database.camera, xyz_W, descriptors, features, T_WC, radius_px)
+        return torch.from_numpy(np.stack([near[:, 0], landmark[near[:, 1]]], 1))
 
     def add(self, features: Features, pairs: Int[Tensor, "P 2"]) -> None:
         """Process the keyframe last added to ``database``: known landmarks by ``pairs``, new ones for the rest."""
@@ -98,16 +94,50 @@ class Landmarks:
         of_feature[new] = len(self) + np.arange(len(new))
         self.of_feature.append(of_feature)
         self._birth = np.concatenate([self._birth, np.stack([np.full_like(new, row), new], 1).astype(np.int32)])
+        self._xyz_B = np.concatenate([self._xyz_B, features.xyz_C.numpy()[new].astype(np.float64)])
+        self._views = np.concatenate([self._views, np.zeros((len(new), 2), np.int32)])
+
+    def count_views(self, expected: ndarray, found: ndarray) -> None:
+        """Count a frame that should have seen the landmarks ``expected`` and found ``found`` of them."""
+        self._views[expected, 0] += 1
+        self._views[found, 1] += 1
+
+    def is_good(self, landmark: ndarray) -> ndarray:
+        """Whether each landmark is worth a search: it has not been looked for in vain too often."""
+        expected, found = self._views[landmark].T
+        return (expected < CULL_VIEWS) | (found >= CULL_SHARE * expected)
+
+    def refine(self, landmark: Int[Tensor, " N"], xyz_W: Float[Tensor, "N 3"]) -> None:
+        """Replace the positions of some landmarks, world frame, with the keyframes' present poses. What is not finite
+        is left out."""
+        known = torch.isfinite(xyz_W).all(1).numpy()
+        number, at_W = landmark.numpy()[known], xyz_W.double().numpy()[known]
+        T = self._poses()[self._birth[number, 0]]
+        self._xyz_B[number] = np.einsum("nji,nj->ni", T[:, :3, :3], at_W - T[:, :3, 3])
+
+    def fuse(self, same: list[tuple[int, Tensor]]) -> None:
+        """Make one landmark, the oldest, of those that loops say are the same: (keyframe, pairs of feature and
+        landmark [I, 2]) each."""
+        if not same:
+            return
+        name = self._merged(same)
+        oldest = np.unique(name, return_index=True)[1].astype(np.int32)
+        for row, landmark in enumerate(self.of_feature):
+            now = np.where(landmark >= 0, oldest[name[landmark]], NO_LANDMARK)
+            kept = np.unique(now, return_index=True)[1]  # two features of one keyframe would be a wrong match
+            self.of_feature[row] = np.full_like(landmark, NO_LANDMARK)
+            self.of_feature[row][kept] = now[kept]
 
     def positions(self, landmark: Int[Tensor, " N"]) -> Float[Tensor, "N 3"]:
         """World positions, float64, metres."""
-        row, feature = self._birth[landmark.numpy()].T
-        out = np.zeros((len(row), 3))
-        for r in np.unique(row):
-            mine = row == r
-            xyz_C = self.database.features[r].xyz_C[torch.from_numpy(feature[mine].astype(np.int64))].double()
-            out[mine] = se3.apply(self.database.T_WC[r], xyz_C).numpy()
-        return torch.from_numpy(out)
+        number = landmark.numpy()
+        if len(number) == 0:
+            return torch.zeros((0, 3), dtype=torch.float64)
+        T = self._poses()[self._birth[number, 0]]
+        return torch.from_numpy(np.einsum("nij,nj->ni", T[:, :3, :3], self._xyz_B[number]) + T[:, :3, 3])
+
+    def _poses(self) -> ndarray:
+        return torch.stack(self.database.T_WC).numpy()
 
     def points(self, features: Features, pairs: Int[Tensor, "P 2"], T_WR: Float[Tensor, "4 4"]) -> PointPairs:
         """The ``pairs`` from ``find``: points in a reference camera frame R, pixels and depth of the features."""
@@ -127,7 +157,14 @@ class Landmarks:
         with_depth = self.database.features[row_b].has_depth.numpy()[at_b]
         return torch.from_numpy(np.stack([at_a[with_depth], at_b[with_depth]], 1).astype(np.int64))
 
-    def observations(self, same: list[tuple[int, Tensor]], *, per_keyframe: int, min_views: int = 2) -> Observations:
+    def observations(
+        self,
+        same: list[tuple[int, Tensor]],
+        *,
+        per_keyframe: int,
+        min_views: int = 2,
+        keyframes: list[int] | None = None,
+    ) -> Observations:
         """Observations of landmarks that at least ``min_views`` keyframes see, reduced to ``per_keyframe`` of each.
 
         Args:
@@ -135,14 +172,16 @@ class Landmarks:
                 landmark that the feature belonged to before.
             per_keyframe: About this many landmarks of each keyframe are used, those with the longest tracks.
             min_views: Landmarks with fewer observations are left out.
+            keyframes: Rows of the keyframes whose observations count; all by default.
         """
-        views = self.database.features
-        row = np.repeat(np.arange(len(views)), [len(f) for f in views])
-        landmark = np.concatenate([np.zeros(0, np.int64), *self.of_feature]).astype(np.int64)
+        rows = list(range(len(self.of_feature))) if keyframes is None else keyframes
+        views = [self.database.features[r] for r in rows]
+        row = np.repeat(np.array(rows, int), [len(f) for f in views])
+        landmark = np.concatenate([np.zeros(0, np.int64), *(self.of_feature[r] for r in rows)]).astype(np.int64)
         known = (landmark >= 0).nonzero()[0]
-        name = self._merged(same)[landmark[known]]
+        name = self._merged(same)[landmark[known]] if same else landmark[known]
         # One observation per keyframe and landmark; two would be a wrong match or a merged neighbour.
-        _, first = np.unique(name * (len(views) + 1) + row[known], return_index=True)
+        _, first = np.unique(name * (len(self.of_feature) + 1) + row[known], return_index=True)
         sighting, name = known[first], name[first]
         length = np.bincount(name, minlength=len(self))[name]
         order = np.lexsort((-length, row[sighting]))
@@ -163,11 +202,17 @@ class Landmarks:
             depth_m=xyz_C[:, 2],
             sigma_px=torch.cat([nothing[:, 0], *(f.sigma_px for f in views)])[at].double(),
             xyz_W=self.positions(torch.from_numpy(landmark[sighting[born]])),
+            name=torch.from_numpy(landmark[sighting[born]]),
         )
 
     def state_dict(self) -> dict[str, Any]:
         """What ``load_state`` needs, as tensors."""
-        return {"of_feature": [torch.from_numpy(f) for f in self.of_feature], "birth": torch.from_numpy(self._birth)}
+        return {
+            "of_feature": [torch.from_numpy(f) for f in self.of_feature],
+            "birth": torch.from_numpy(self._birth),
+            "xyz_B": torch.from_numpy(self._xyz_B),
+            "views": torch.from_numpy(self._views.copy()),
+        }
 
     def load_state(self, state: dict[str, Any]) -> None:
         """Replace the tracks by those of ``state_dict``; ``database`` must hold their keyframes.
@@ -178,8 +223,10 @@ class Landmarks:
         check_saved_landmarks(state, [len(features) for features in self.database.features])
         self.of_feature = [f.cpu().numpy() for f in state["of_feature"]]
         self._birth = state["birth"].cpu().numpy()
+        self._xyz_B = state["xyz_B"].cpu().numpy().copy()
+        self._views = state["views"].cpu().numpy().copy()
 
-    def _seen_from(self, rows: list[int]) -> tuple[ndarray, ndarray]:
+    def seen_from(self, rows: list[int]) -> tuple[ndarray, ndarray]:
         """Landmarks seen from the keyframes, each with the descriptor of its latest observation."""
         landmark = [np.zeros(0, np.int64)]
         descriptors = [np.zeros((0, 32), np.uint8)]
@@ -200,20 +247,3 @@ class Landmarks:
         joined = joined[(joined >= 0).all(1)]
         links = coo_matrix((np.ones(len(joined)), joined.T), shape=(len(self), len(self)))
         return connected_components(links, directed=False)[1].astype(np.int64)
-
-
-def _clear_and_mutual(a: ndarray, b: ndarray, distance: ndarray) -> ndarray:
-    """Which candidate pairs are mutually best, close enough, and clearly better than the second best match of a."""
-    order = np.lexsort((distance, a))
-    a_sorted, d_sorted = a[order], distance[order]
-    first = np.diff(a_sorted, prepend=-1) != 0
-    place = first.nonzero()[0]
-    after = np.minimum(place + 1, len(order) - 1)
-    has_second = (after > place) & (a_sorted[after] == a_sorted[place])
-    second = np.where(has_second, d_sorted[after], 257)
-    best_of_b = np.full(b.max() + 1, 257)
-    np.minimum.at(best_of_b, b, distance)
-    pair = order[place]
-    kept = (distance[pair] <= MAX_HAMMING) & (distance[pair] < RATIO * second) & (distance[pair] == best_of_b[b[pair]])
-    pair = pair[kept]
-    return pair[np.unique(b[pair], return_index=True)[1]]

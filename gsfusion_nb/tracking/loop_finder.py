@@ -47,14 +47,8 @@ class LoopFinder:
         if before < 0:
             return []
         rows = [r for r, _ in self.database.similar(self.database.features[row], CANDIDATES, exclude_after=before + 1)]
-        near = self._nearest_view(row, before + 1)
+        near = self.database.nearest_view(self.database.T_WC[row], before + 1)
         return rows if near in rows else [*rows, near]
-
-    def _nearest_view(self, row: int, before: int) -> int:
-        """The earlier keyframe with the nearest pose, where 0.5 m counts as much as 45 degrees."""
-        step = se3.inverse(self.database.T_WC[row]) @ torch.stack(self.database.T_WC[:before])
-        distance = step[:, :3, 3].norm(dim=1) / 0.5 + torch.rad2deg(se3.rotation_angle(step[:, :3, :3])) / 45.0
-        return int(distance.argmin())
 
     def _pose(self, row: int, earlier: int) -> RelativePose | None:
         """Pose of one keyframe relative to another: from their features, then from all landmarks around the other."""

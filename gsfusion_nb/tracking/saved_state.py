@@ -34,6 +34,8 @@ def check_saved_landmarks(state: dict[str, Any], n_features: list[int]) -> None:
     """
     birth = state["birth"]
     check_saved("birth of the landmarks", birth, ("L", 2), torch.int32)
+    check_saved("xyz_B of the landmarks", state["xyz_B"], (len(birth), 3), torch.float64)
+    check_saved("views of the landmarks", state["views"], (len(birth), 2), torch.int32)
     for n, landmarks in zip(n_features, state["of_feature"], strict=True):
         check_saved("landmarks of a keyframe", landmarks, (n,), torch.int32)
         if n and not -1 <= int(landmarks.min()) <= int(landmarks.max()) < len(birth):

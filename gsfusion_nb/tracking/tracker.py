@@ -87,12 +87,14 @@ class Tracker:
         surface: SurfaceSource,
         relocalise: Relocaliser = lambda frame: [],
         extra: ExtraRows | None = None,
+        guess: Float[Tensor, "4 4"] | None = None,
     ) -> TrackingReport:
         """Pose of the next frame. That of the first frame is taken from the data.
 
-        ICP starts from the predicted pose. If that fails, it starts again from the predicted pose with smoothed
-        normals, from the last pose, from the last pose with wide limits, and from the poses of ``relocalise``. For each
-        start the frame is aligned with the model as rendered from it, and the result is accepted if it fits.
+        ICP starts from ``guess``, if there is one, or from the predicted pose. If that fails, it starts again from the
+        predicted pose, also with smoothed normals, from the last pose, from the last pose with wide limits, and from
+        the poses of ``relocalise``. For each start the frame is aligned with the model as rendered from it, and the
+        result is accepted if it fits.
 
         A pose that fits, but much worse than those of the last frames, is accepted only if no other start leads to a
         pose that fits better.
@@ -102,6 +104,7 @@ class Tracker:
             surface: Renders the model; may be called several times.
             relocalise: Called for poses by appearance when ICP has failed from all other starts.
             extra: Further rows for ICP, such as landmarks that the frame sees.
+            guess: The pose that they give; ICP starts from it first.
 
         Raises:
             TrackingLostError: no start led to a pose that fits. Only the counts of lost frames change, so the next
@@ -119,7 +122,7 @@ class Tracker:
         failures: list[str] = []
         fits: list[Attempt] = []
         mixed, doubt, first_try = self._target(surface), "", False
-        for start in self._starts(frame, relocalise, fits):
+        for start in self._starts(frame, relocalise, fits, guess):
             found = attempt(sight, surface, mixed, start, self.config, clock)
             problem = self._problem(found, frame, surface, strict=bool(failures or fits) or self.lost_in_a_row > 0)
             if problem:
@@ -218,10 +221,14 @@ class Tracker:
         tracker._usual = UsualFit.of_state(state.get("usual_fit"))
         return tracker
 
-    def _starts(self, frame: Frame, relocalise: Relocaliser, fits: list[Attempt]) -> Iterator[Start]:
+    def _starts(
+        self, frame: Frame, relocalise: Relocaliser, fits: list[Attempt], guess: Tensor | None
+    ) -> Iterator[Start]:
         """The starting poses of ICP, in order; those by appearance only while ``fits`` is empty."""
         assert self._last is not None
         last = self._last.T_WC
+        if guess is not None:
+            yield Start("the landmarks", guess)
         if self.lost_in_a_row == 0:
             predicted = self.predict(frame.timestamp_s)
             yield Start("the predicted pose", predicted)

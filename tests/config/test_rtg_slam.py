@@ -63,6 +63,7 @@ def test_what_the_paper_says():
     assert (k.latest, k.random, k.rows, k.instead_of_window) == (1, 3, "all", False)
     assert c.final.passes == 10
     assert c.tracking.target == "model"
+    assert not c.tracking.landmarks.enabled
 
 
 def test_what_the_released_code_does():
@@ -86,6 +87,8 @@ def test_what_the_released_code_does():
     t = c.tracking
     assert (t.pyramid, t.iterations, t.max_distance_m, t.max_angle_deg) == ((4, 2, 1), (5, 5, 5), 0.1, 20.0)
     assert (t.damping, t.prior, t.target) == (1e-4, "previous", "hybrid")
+    assert not t.landmarks.enabled
+    assert rtg_slam("replica").tracking.landmarks.enabled
 
 
 @pytest.mark.parametrize(
@@ -147,6 +150,7 @@ def test_overrides_reach_nested_fields():
         ({"final__passes": -1}, r"final.passes must be between 0"),
         ({"tracking__iterations": (5, 5)}, "must have one entry per level, got"),
         ({"tracking__max_rms_m": 0.0}, r"tracking.max_rms_m must be > 0"),
+        ({"tracking__landmarks__sigma_m": 0.0}, r"tracking.landmarks.sigma_m must be > 0"),
         ({"tracking__back_end__features": 0}, r"tracking.back_end.features must be between 1"),
         ({"sh_degree": 4}, "sh_degree must be 0, 1, 2 or 3, got 4"),
     ],

@@ -1,5 +1,6 @@
 """Rows of the compact map: values at birth, derived surfel parameters, rigid motion, saving."""
 
+import copy
 import math
 
 import pytest
@@ -7,6 +8,7 @@ import torch
 
 from gsfusion_nb.gaussians import OPAQUE, STABLE, TRANSPARENT, UNSTABLE, GaussianModel, SurfelModel, state_counts
 from gsfusion_nb.geometry import quaternion, se3
+from gsfusion_nb.geometry.spherical_harmonics import sh_basis
 from gsfusion_nb.types import Seeds
 
 COUNTERS = ("state", "confidence", "colour_errors", "depth_errors")
@@ -139,6 +141,33 @@ def test_moving_rows_moves_points_and_axes(kind, generator):
     if kind is SurfelModel:
         torch.testing.assert_close(model.anchor["xyz_W"], model.params.xyz_W)
         torch.testing.assert_close(model.anchor["quat"], model.params.quat, atol=1e-6, rtol=1e-5)
+
+
+def test_colours_and_moments_turn_with_their_rows(generator):
+    """Two groups of rows turn by 40 degrees about two axes, the third stays: seen from directions that turn with them,
+    colours are the same, and so is what a gradient says about a motion that turns with them."""
+    model = GaussianModel(sh_degree=3)
+    model.append(discs(30, generator))
+    for moments in (model.params, model.exp_avg):
+        moments.sh.copy_(torch.randn(30, 16, 3, generator=generator))
+    for name in ("xyz_W", "quat"):
+        getattr(model.exp_avg, name).copy_(torch.randn(30, 3 + (name == "quat"), generator=generator))
+        getattr(model.exp_avg_sq, name).copy_(torch.rand(30, 3 + (name == "quat"), generator=generator))
+    T = torch.eye(4, dtype=torch.float64).repeat(30, 1, 1)
+    T[:10] = se3.exp(torch.tensor([0, 0, 0, 0.7, 0, 0], dtype=torch.float64))
+    T[10:20] = se3.exp(torch.tensor([1, 2, 3, 0, 0.4, 0.5], dtype=torch.float64))
+    R, dirs = T[:, :3, :3].float(), torch.nn.functional.normalize(torch.randn(30, 3, generator=generator), dim=1)
+    before, old = (copy.deepcopy(vars(x)) for x in (model.exp_avg, model.params))
+    square = model.exp_avg_sq.xyz_W.clone()
+    model.move(T)
+    turned = (R @ dirs[:, :, None])[:, :, 0]
+    for was, now in ((old["sh"], model.params.sh), (before["sh"], model.exp_avg.sh)):
+        seen = [(sh_basis(d, 3)[:, :, None] * sh).sum(1) for d, sh in ((dirs, was), (turned, now))]
+        torch.testing.assert_close(*seen, atol=1e-5, rtol=1e-4)
+    torch.testing.assert_close(model.exp_avg.xyz_W, (R @ before["xyz_W"][:, :, None])[:, :, 0])
+    torch.testing.assert_close(model.exp_avg.quat.norm(dim=1), before["quat"].norm(dim=1))
+    torch.testing.assert_close(model.exp_avg_sq.xyz_W.sum(1), square.sum(1))
+    assert torch.equal(model.params.sh[20:], old["sh"][20:])
 
 
 def test_a_moved_anchor_stays_where_it_was_beside_its_row(generator):

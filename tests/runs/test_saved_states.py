@@ -78,6 +78,7 @@ def filled(index, number):
 GAUSSIANS, KEYFRAME = ("mapper", "gaussians"), ("mapper", "keyframes", 0)
 VOLUME, PLACES = ("mapper", "volume"), ("mapper", "localiser")
 BACK_END = (*PLACES, "back_end")
+MAP = (*BACK_END, "map")
 DATA_SETTINGS = ("mapper", "config", "data")
 CHANGES = {
     "gsfusion": [
@@ -126,9 +127,11 @@ CHANGES = {
         (put(*BACK_END, "edges", 0, "kind", value="x"), "must be odometry, landmarks or loop, got 'x'"),
         (put(*BACK_END, "loops", value=[(77, torch.zeros(0, 2, dtype=torch.int64))]), "keyframe of a loop must be"),
         (put(*BACK_END, "thumbnails", value=[]), "thumbnails must be one for each of the"),
-        (put(*BACK_END, "landmarks", "birth", value=filled((0, 1), 10**6)), "first observation of a landmark must be"),
-        (put(*BACK_END, "landmarks", "of_feature", 0, value=filled(0, 10**6)), "landmarks of a keyframe must be"),
-        (put(*BACK_END, "database", "features", 0, "uv", value=lambda x: x[:-1]), r"descriptors of keyframe 0 must be"),
+        (put(*MAP, "landmarks", "birth", value=filled((0, 1), 10**6)), "first observation of a landmark must be"),
+        (put(*MAP, "landmarks", "of_feature", 0, value=filled(0, 10**6)), "landmarks of a keyframe must be"),
+        (put(*MAP, "database", "features", 0, "uv", value=lambda x: x[:-1]), r"descriptors of keyframe 0"),
+        (put(*MAP, "landmarks", "xyz_B", value=lambda x: x[:-1]), "xyz_B of the landmarks must be"),
+        (put(*MAP, "local", "keyframes", value=[99]), "keyframe of the local map must be"),
     ],
 }  # fmt: skip
 

@@ -8,6 +8,7 @@ from gsfusion_nb.geometry import project, se3
 from gsfusion_nb.tracking.features import Features, extract_features
 from gsfusion_nb.tracking.keyframe_database import KeyframeDatabase
 from gsfusion_nb.tracking.landmarks import Landmarks
+from gsfusion_nb.tracking.projected_matching import hamming
 from gsfusion_nb.types import Camera
 
 CAMERA = Camera(width=320, height=240, fx=208.0, fy=208.0, cx=160.0, cy=120.0)
@@ -131,6 +132,32 @@ def test_landmarks_move_with_the_keyframe_they_were_born_in(points):
     landmarks.database.move(torch.stack([moved(0.0), moved(0.1), moved(1.2)]))
     after = landmarks.positions(torch.tensor([3, 50]))
     torch.testing.assert_close(after - before, torch.tensor([[0.0, 0, 0], [1, 0, 0]], dtype=torch.float64))
+
+
+def test_refined_positions_move_with_their_keyframe(points):
+    landmarks = three_views(points)
+    better = points[0][:5] + 0.02
+    better[4] = float("nan")
+    landmarks.refine(torch.arange(40, 45), better)  # born in the last view
+    torch.testing.assert_close(landmarks.positions(torch.arange(40, 44)), better[:4])
+    torch.testing.assert_close(landmarks.positions(torch.tensor([44])), points[0][4:5], atol=1e-6, rtol=0)
+    landmarks.database.move(torch.stack([moved(0.0), moved(0.1), moved(1.2)]))
+    shift = torch.tensor([1.0, 0, 0], dtype=torch.float64)
+    torch.testing.assert_close(landmarks.positions(torch.arange(40, 44)), better[:4] + shift)
+
+
+def test_a_loop_makes_one_landmark_of_two(points):
+    """The older name stays, in every keyframe; a feature that would double it in its keyframe has none."""
+    landmarks = three_views(points)
+    landmarks.fuse([(2, torch.tensor([[0, 0], [1, 1], [2, 1]]))])
+    assert landmarks.of_feature[2][:4].tolist() == [0, 1, -1, 43]
+    assert landmarks.shared(2, 1).tolist() == [[0, 0], [1, 1]]
+    assert landmarks.of_feature[0].tolist() == list(range(40))
+
+
+def test_bits_are_counted(points):
+    a, b = (x.numpy() for x in (points[1][:20], points[1][20:]))
+    assert hamming(a, b).tolist() == [sum(bin(x ^ y).count("1") for x, y in zip(*r)) for r in zip(a, b)]  # noqa: B905
 
 
 def test_in_the_room_found_landmarks_are_the_same_points():

@@ -64,6 +64,21 @@ def test_prediction_carries_the_motion_on_in_proportion_to_time(plane_scene, ass
     assert_pose(still.predict(9.0), path(3)[2], 5e-4, 0.03)
 
 
+def test_the_landmarks_pose_is_tried_first(plane_scene, assert_pose):
+    """A jump that no prediction reaches; a wrong guess does no harm."""
+    jump = path(3)[2] @ se3.exp(torch.tensor([0.2, -0.15, 0.1, 0.2, 0.2, -0.1]).double())
+    scene, tracker = plane_scene("corner"), Tracker()
+    track_all(tracker, scene, path(3))
+    before = tracker.standing
+    report = tracker.track(scene.frame(jump, 3), scene, guess=jump)
+    assert (report.status, report.start) == ("ok", "the landmarks")
+    assert_pose(report.T_WC, jump, 5e-4, 0.03)
+    tracker.standing = before
+    report = tracker.track(scene.frame(path(4)[3], 3), scene, guess=se3.exp(5 * VELOCITY) @ jump)
+    assert (report.status, report.start) == ("recovered", "the predicted pose")
+    assert_pose(report.T_WC, path(4)[3], 5e-4, 0.03)
+
+
 def test_a_frozen_frame_does_not_move(plane_scene, assert_pose):
     reports = track_all(Tracker(), plane_scene("corner"), [*path(3), *[path(3)[2]] * 4])
     for report in reports[2:]:

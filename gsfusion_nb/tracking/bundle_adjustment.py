@@ -1,0 +1,196 @@
+"""Bundle adjustment: poses and landmarks that agree best with all observations, in numpy, without GTSAM.
+
+The unknowns are twists of the poses, T_k <- T_k exp(xi_k), and shifts of the landmarks. Their normal equations are
+
+    [ U    W ] [xi]     [b_p]
+    [ W^T  V ] [dx] = - [b_x],    V block-diagonal, one 3x3 block for each landmark.
+
+The landmarks are eliminated (Schur complement): (U - W V^-1 W^T) xi = -(b_p - W V^-1 b_x), a small system over the
+poses alone; then dx = -V^-1 (b_x + W^T xi). Errors get Cauchy weights; steps are damped (Levenberg-Marquardt).
+
+Source: Triggs et al. 2000 (Bundle adjustment: a modern synthesis).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from numpy import ndarray
+from torch import Tensor
+
+from ..geometry import se3
+from ..types import Camera
+from .features import DEPTH_SIGMA_PER_M
+from .gauss_newton_poses import EdgeTerms
+from .landmark_rows import CAUCHY, point_errors
+from .landmarks import Observations
+from .pose_graph import Edge
+
+FIRST_DAMPING = 1e-4
+"""Added to the diagonal of the normal equations, as a share of it; it falls with each step that helps."""
+
+CONVERGED = 1e-4
+"""The steps end when the error falls by less than this share of it."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Adjusted:
+    """Poses and landmarks after an adjustment."""
+
+    T_WC: Float[Tensor, "K 4 4"]
+    """float64; the fixed ones are unchanged."""
+    xyz_W: Float[Tensor, "L 3"]
+    """float64, metres."""
+    error_before: float
+    """Half the sum of robust squared errors in standard deviations, at the start ..."""
+    error_after: float
+    """... and at the end."""
+
+
+def adjust(
+    camera: Camera,
+    T_WC: Float[Tensor, "K 4 4"],
+    seen: Observations,
+    edges: list[Edge],
+    fixed: Bool[Tensor, " K"],
+    *,
+    iterations: int = 8,
+) -> Adjusted:
+    """Poses and landmark positions that agree best with the observations and with ``edges``.
+
+    The errors of an observation are those of its pixel and of its inverse depth (``point_errors``).
+
+    Args:
+        camera: Intrinsics of all keyframes.
+        T_WC: Camera-to-world poses to start from. [K, 4, 4]
+        seen: Observations, with the landmarks' starting positions.
+        edges: Further relative poses, such as those of the front end.
+        fixed: Poses that do not change; at least one. [K]
+        iterations: Largest number of steps.
+
+    Differentiable: no.
+    """
+    problem = _Problem(camera, seen, edges, fixed)
+    T_WC, xyz = T_WC.double(), seen.xyz_W.double().numpy()
+    before = error = problem.error(T_WC, xyz)
+    damping = FIRST_DAMPING
+    system = problem.system(T_WC, xyz)
+    for _ in range(iterations):
+        xi, dx = system.step(damping)
+        T_new, xyz_new = T_WC @ se3.exp(torch.from_numpy(xi)), xyz + dx
+        after = problem.error(T_new, xyz_new)
+        if not after < error:
+            damping *= 10
+            continue
+        T_WC, xyz, fell, error = T_new, xyz_new, error - after, after
+        if fell < CONVERGED * error:
+            break
+        damping /= 10
+        system = problem.system(T_WC, xyz)
+    return Adjusted(T_WC=T_WC, xyz_W=torch.from_numpy(xyz), error_before=before, error_after=error)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _System:
+    """The normal equations; W is given by the block of each observation."""
+
+    U: Float[ndarray, "K6 K6"]
+    V: Float[ndarray, "L 3 3"]
+    W: Float[ndarray, "O 6 3"]
+    b_p: Float[ndarray, "K 6"]
+    b_x: Float[ndarray, "L 3"]
+    keyframe: ndarray
+    landmark: ndarray
+    free: ndarray
+    """Rows of ``U`` that may change."""
+
+    def step(self, damping: float) -> tuple[Float[ndarray, "K 6"], Float[ndarray, "L 3"]]:
+        """Twists of the poses and shifts of the landmarks."""
+        from scipy.sparse import coo_matrix
+
+        K, L = len(self.b_p), len(self.V)
+        V = self.V * (1 + damping * np.eye(3)) + 1e-9 * np.eye(3)
+        V_inv = np.linalg.inv(V) if L else V
+        Y = self.W @ V_inv[self.landmark]  # the blocks of W V^-1
+        rows = (6 * self.keyframe[:, None] + np.arange(6))[:, :, None].repeat(3, 2).ravel()
+        columns = (3 * self.landmark[:, None] + np.arange(3))[:, None].repeat(6, 1).ravel()
+        both = [coo_matrix((block.ravel(), (rows, columns)), (6 * K, 3 * L)).tocsr() for block in (Y, self.W)]
+        S = self.U - (both[0] @ both[1].T).toarray()
+        S[np.diag_indices_from(S)] += damping * np.diag(self.U) + 1e-9
+        b = self.b_p.ravel() - both[0] @ self.b_x.ravel()
+        xi = np.zeros(6 * K)
+        if len(self.free):
+            xi[self.free] = -np.linalg.solve(S[np.ix_(self.free, self.free)], b[self.free])
+        dx = -(V_inv @ (self.b_x + (both[1].T @ xi).reshape(L, 3))[:, :, None])[:, :, 0]
+        return xi.reshape(K, 6), dx
+
+
+class _Problem:
+    """What is measured."""
+
+    def __init__(self, camera: Camera, seen: Observations, edges: list[Edge], fixed: Tensor):
+        self.camera = camera
+        self.keyframe, self.landmark = seen.keyframe.numpy(), seen.landmark.numpy()
+        self.uv, self.sigma_px = seen.uv.numpy(), seen.sigma_px.numpy()
+        z = seen.depth_m.numpy()
+        self.inverse = np.where(z > 0, 1 / np.maximum(z, 1e-6), 0.0)
+        self.sigma_inverse = np.sqrt(DEPTH_SIGMA_PER_M**2 + (self.sigma_px * self.inverse / camera.fx) ** 2)
+        self.free = (6 * (~fixed).nonzero().numpy() + np.arange(6)).ravel()
+        self.edges = EdgeTerms(edges) if edges else None
+
+    def error(self, T_WC: Tensor, xyz: ndarray) -> float:
+        """Half the sum of robust squared errors."""
+        e, _, _, _ = self._errors(T_WC, xyz)
+        total = 0.5 * CAUCHY**2 * float(np.log1p((e * e).sum(1) / CAUCHY**2).sum())
+        return total if self.edges is None else total + self.edges.robust_error(self.edges.errors(T_WC)[0])
+
+    def system(self, T_WC: Tensor, xyz: ndarray) -> _System:
+        """The normal equations with the weights of this state."""
+        e, by_y, y, R = self._errors(T_WC, xyz)
+        w = 1 / (1 + (e * e).sum(1) / CAUCHY**2)
+        J_p = np.concatenate([-by_y, by_y @ _hat(y)], 2)  # y <- exp(-xi) y
+        J_x = by_y @ R.transpose(0, 2, 1)
+        wJ_p, wJ_x = w[:, None, None] * J_p, w[:, None, None] * J_x
+        K, L = len(T_WC), len(xyz)
+        U, b_p = np.zeros((K, 6, 6)), np.zeros((K, 6))
+        V, b_x = np.zeros((L, 3, 3)), np.zeros((L, 3))
+        np.add.at(U, self.keyframe, wJ_p.transpose(0, 2, 1) @ J_p)
+        np.add.at(b_p, self.keyframe, (wJ_p * e[:, :, None]).sum(1))
+        np.add.at(V, self.landmark, wJ_x.transpose(0, 2, 1) @ J_x)
+        np.add.at(b_x, self.landmark, (wJ_x * e[:, :, None]).sum(1))
+        whole = np.zeros((K, K, 6, 6))
+        whole[np.arange(K), np.arange(K)] = U
+        self._add_edges(T_WC, whole, b_p)
+        return _System(
+            U=whole.transpose(0, 2, 1, 3).reshape(6 * K, 6 * K),
+            V=V,
+            W=wJ_p.transpose(0, 2, 1) @ J_x,
+            b_p=b_p,
+            b_x=b_x,
+            keyframe=self.keyframe,
+            landmark=self.landmark,
+            free=self.free,
+        )
+
+    def _errors(self, T_WC: Tensor, xyz: ndarray) -> tuple[ndarray, ndarray, ndarray, ndarray]:
+        T = T_WC.numpy()[self.keyframe]
+        R = T[:, :3, :3]
+        y = np.einsum("oji,oj->oi", R, xyz[self.landmark] - T[:, :3, 3])
+        return *point_errors(self.camera, y, self.uv, self.inverse, self.sigma_px, self.sigma_inverse), y, R
+
+    def _add_edges(self, T_WC: Tensor, U: ndarray, b_p: ndarray) -> None:
+        if self.edges is None:
+            return
+        e, *J = self.edges.errors(T_WC)
+        information = self.edges.weighted(e, True)
+        ends = (self.edges.i.numpy(), self.edges.j.numpy())
+        for a, J_a in zip(ends, J, strict=True):
+            weighted = J_a.mT @ information
+            np.add.at(b_p, a, (weighted @ e[:, :, None])[:, :, 0].numpy())
+            for c, J_c in zip(ends, J, strict=True):
+                np.add.at(U, (a, c), (weighted @ J_c).numpy())
+
+
+def _hat(y: ndarray) -> ndarray:
+    return se3.hat(torch.from_numpy(y)).numpy()

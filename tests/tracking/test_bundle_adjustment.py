@@ -1,0 +1,103 @@
+"""Bundle adjustment on simulated observations: exact data are a fixed point, noise is averaged, GTSAM agrees."""
+
+import dataclasses
+
+import pytest
+import torch
+
+from gsfusion_nb.geometry import project, se3
+from gsfusion_nb.tracking.bundle_adjustment import adjust
+from gsfusion_nb.tracking.landmarks import Observations
+from gsfusion_nb.tracking.pose_graph import Edge, odometry_information
+from gsfusion_nb.types import Camera
+
+CAMERA = Camera(width=320, height=240, fx=208.0, fy=210.0, cx=161.0, cy=119.0)
+HELD = torch.tensor([True] + [False] * 4)
+
+
+def off(T_WC, true):
+    steps = [se3.motion(a, b) for a, b in zip(true, T_WC, strict=True)]
+    return max(m for _, m in steps), max(d for d, _ in steps)
+
+
+@pytest.fixture
+def scene(generator):
+    """Five views along a path and 60 points; every view sees two of three points; a tenth of the depths are missing."""
+    points = torch.rand(60, 3, generator=generator, dtype=torch.float64) * 2 + torch.tensor([-1.0, -1.0, 2.0])
+    step = torch.tensor([0.1, 0.02, 0.03, 0.01, -0.04, 0.02], dtype=torch.float64)
+    T_WC = torch.stack([se3.exp(k * step) for k in range(5)])
+    keyframe, landmark = (x.flatten() for x in torch.meshgrid(torch.arange(5), torch.arange(60), indexing="ij"))
+    keyframe, landmark = keyframe[(keyframe + landmark) % 3 > 0], landmark[(keyframe + landmark) % 3 > 0]
+    xyz_C = torch.stack([se3.apply(se3.inverse(T_WC[k]), points[m]) for k, m in zip(keyframe, landmark, strict=True)])
+    seen = Observations(
+        keyframe=keyframe,
+        landmark=landmark,
+        uv=project(CAMERA, xyz_C),
+        depth_m=xyz_C[:, 2] * (torch.arange(len(xyz_C)) % 10 > 0),
+        sigma_px=torch.ones(len(xyz_C), dtype=torch.float64),
+        xyz_W=points,
+        name=torch.arange(60),
+    )
+    return T_WC, seen
+
+
+def disturbed(scene, generator):
+    T_WC, seen = scene
+    noise = 0.02 * torch.randn(5, 6, generator=generator, dtype=torch.float64)
+    noise[0] = 0
+    points = seen.xyz_W + 0.03 * torch.randn(60, 3, generator=generator, dtype=torch.float64)
+    return T_WC @ se3.exp(noise), dataclasses.replace(seen, xyz_W=points)
+
+
+def test_exact_observations_bring_poses_and_points_back(scene, generator):
+    T_WC, seen = scene
+    found = adjust(CAMERA, *disturbed(scene, generator), [], HELD, iterations=20)
+    assert max(off(found.T_WC, T_WC)) < 1e-4
+    torch.testing.assert_close(found.xyz_W, seen.xyz_W, atol=1e-4, rtol=0)
+    assert found.error_after < 1e-6 * found.error_before
+    again = adjust(CAMERA, T_WC, seen, [], HELD)
+    torch.testing.assert_close(again.T_WC, T_WC, atol=1e-9, rtol=0)
+
+
+def test_with_fixed_poses_only_points_move(scene, generator):
+    T_WC, seen = scene
+    _, start = disturbed(scene, generator)
+    found = adjust(CAMERA, T_WC, start, [], torch.ones(5, dtype=torch.bool), iterations=20)
+    assert torch.equal(found.T_WC, T_WC)
+    torch.testing.assert_close(found.xyz_W, seen.xyz_W, atol=1e-4, rtol=0)
+
+
+def test_wrong_matches_are_outweighed(scene, generator):
+    """A tenth of the pixels are anywhere: that costs less than half of the accuracy that there is without them."""
+    T_WC, _ = scene
+    start, seen = disturbed(scene, generator)
+    uv = seen.uv + 0.5 * torch.randn(len(seen), 2, generator=generator, dtype=torch.float64)
+    wrong = uv.clone()
+    wrong[::10] += 40 * torch.randn(len(uv[::10]), 2, generator=generator, dtype=torch.float64)
+    good, bad = (adjust(CAMERA, start, dataclasses.replace(seen, uv=x), [], HELD, iterations=20) for x in (uv, wrong))
+    assert off(good.T_WC, T_WC)[0] < 0.02
+    assert off(bad.T_WC, T_WC)[0] < 1.5 * off(good.T_WC, T_WC)[0]
+
+
+def test_relative_poses_hold_what_no_landmark_sees(scene, generator):
+    """The last view sees nothing: it keeps its place beside the view before."""
+    T_WC, _ = scene
+    start, seen = disturbed(scene, generator)
+    kept = seen.keyframe < 4
+    columns = {name: getattr(seen, name)[kept] for name in ("keyframe", "landmark", "uv", "depth_m", "sigma_px")}
+    edge = Edge(
+        i=3, j=4, T_ij=se3.inverse(T_WC[3]) @ T_WC[4], information=odometry_information(0.2, 0.01), kind="odometry"
+    )
+    found = adjust(CAMERA, start, dataclasses.replace(seen, **columns), [edge], HELD, iterations=20)
+    assert max(off(found.T_WC, T_WC)) < 1e-4
+
+
+def test_gtsam_finds_the_same(scene, generator):
+    """Its depths have slightly other weights, so the optimum is close, but not the same."""
+    pytest.importorskip("gtsam", reason="the extra 'slam' is not installed")
+    from gsfusion_nb.tracking.pose_graph import optimise_landmarks
+
+    start, seen = disturbed(scene, generator)
+    seen = dataclasses.replace(seen, uv=seen.uv + 0.3 * torch.randn(seen.uv.shape, generator=generator).double())
+    mine, theirs = adjust(CAMERA, start, seen, [], HELD, iterations=20), optimise_landmarks(CAMERA, start, seen, [])
+    assert max(off(mine.T_WC, theirs.T_WC)) < 0.05
