@@ -122,7 +122,7 @@ CHANGES = {
     "tracked": [
         (put(*PLACES, "tracker", "n_lost", value=-1), "n_lost must be >= 0"),
         (put(*PLACES, "tracker", "last", "T_WC", value=lambda x: x.float()), "last pose must be torch.float64"),
-        (put(*PLACES, "tracker", "last_depth_m", value=filled((0, 0), float("inf"))), "last depth must be finite"),
+        (put(*PLACES, "tracker", "own", "depth_m", value=filled((0, 0), float("inf"))), "own frame must be finite"),
         (put(*BACK_END, "edges", 0, "j", value=40), "keyframe of an edge must be between 0 and"),
         (put(*BACK_END, "edges", 0, "kind", value="x"), "must be odometry, landmarks or loop, got 'x'"),
         (put(*BACK_END, "loops", value=[(77, torch.zeros(0, 2, dtype=torch.int64))]), "keyframe of a loop must be"),
