@@ -16,7 +16,7 @@ from gsfusion_nb.mapping import RTGSLAM, GSFusion
 pytest.importorskip("gtsam", reason="the extra 'slam' is not installed")
 
 BACK_END = {"enabled": True, "loop_min_gap": 3, "keyframe_rotation_deg": 4.0, "correct_from_m": 0.0}
-TRACKING = {"poses": "tracked", "back_end": BACK_END}
+TRACKING = {"poses": "tracked", "landmarks": {"enabled": True}, "back_end": BACK_END}
 
 
 @pytest.fixture(scope="module")
