@@ -62,7 +62,7 @@ def test_the_file_holds_frames_poses_maps_and_scores(config, tmp_path):
     assert np.allclose(scales, run.mapper.gaussians.scale_m.numpy(), rtol=1e-6)
     meshes = values("/world/mesh", ":triangle_indices")
     assert 0 < len(meshes[0]) < len(meshes[-1])  # it grows
-    assert values("/world/camera", "frame") == list(range(1, n + 1))
+    assert sorted(set(values("/world/camera", "frame"))) == list(range(1, n + 1))
     again = RerunFile(tmp_path / "again.rrd")  # as of a run that is continued: numbers and path go on
     again.frame_mapped(run.mapper, run.run.sequence.mapping[n - 1], run.run.steps[-1])
     again.finished(run.mapper, run.mapper.mesh(), {})
