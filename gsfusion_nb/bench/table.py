@@ -7,7 +7,7 @@ from .rows import Row
 
 HEADINGS = {
     "raster": "raster: Gaussian rasteriser; note: PSNR to the picture of torch, smallest cosine of a gradient",
-    "tsdf": "tsdf: TSDF integration with colour (depth: without), truncation 4 voxels; note: frames/s",
+    "tsdf": "tsdf: integration with colour (depth: without), truncation 4 voxels; raycasts; note: frames/s",
     "map": "map: GSFusion, Replica settings, means over the frames; note: frames/s, number of Gaussians",
     "panels": "panels: from moving a control to the new picture; method: what is shown or moved",
     "latency": "latency: waiting times besides mapping",

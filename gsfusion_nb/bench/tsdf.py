@@ -8,7 +8,7 @@ from typing import Any
 from ..backends import use_backend
 from ..config import TsdfConfig
 from ..memory import PeakMemory
-from ..tsdf import TsdfVolume, integrate
+from ..tsdf import TsdfVolume, integrate, raycast
 from ..types import Frame
 from .frames import StoredFrames, case_name, stored_frames
 from .options import BenchOptions
@@ -21,6 +21,8 @@ from .timing import Lap, lap, summary
 VOXEL_SIZES_M = (0.02, 0.01)
 TRUNCATION_VOXELS = 4.0
 FAR_M = 5.0
+LOOK_EVERY = 4
+"""Frames from one raycast to the next."""
 
 MAKERS: dict[str, Callable[[FusionSettings, Frame], Fuser]] = {"open3d": Open3dGrid, "opencv": OpencvHash}
 
@@ -46,6 +48,13 @@ class OurVolume:
         with use_backend(self.backend):
             self.updated_voxels += integrate(self.volume, prepared).updated_voxels
 
+    def look_again(self, frames: StoredFrames) -> list[Lap]:
+        """Cast the rays of every fourth frame. Returns the time of each; the first call compiles and is left out."""
+        poses = [frames[i].T_WC for i in range(0, len(frames), LOOK_EVERY)]
+        with use_backend(self.backend):
+            raycast(self.volume, frames.camera, poses[0])
+            return [lap(lambda T_WC=T_WC: raycast(self.volume, frames.camera, T_WC), self.device) for T_WC in poses]
+
 
 def cases(options: BenchOptions) -> Iterator[Case]:
     """Other programs first, then our backends, for every image size and voxel size."""
@@ -62,11 +71,11 @@ def cases(options: BenchOptions) -> Iterator[Case]:
             for backend in our_backends(options, "band_blocks", "fuse_frame_"):
                 makers[backend] = lambda first, b=backend, s=settings: OurVolume(b, s)
             for method, make in makers.items():
-                run = functools.partial(_row, load, voxel_m, method, make)
-                yield Case(section="tsdf", title=f"{options.data} at {100 * voxel_m:g} cm", run=lambda run=run: [run()])
+                run = functools.partial(_rows, load, voxel_m, method, make)
+                yield Case(section="tsdf", title=f"{options.data} at {100 * voxel_m:g} cm", run=run)
 
 
-def _row(load: Callable[[], StoredFrames], voxel_m: float, method: str, make: Callable[[Frame], Fuser]) -> Row:
+def _rows(load: Callable[[], StoredFrames], voxel_m: float, method: str, make: Callable[[Frame], Fuser]) -> list[Row]:
     frames = load()
     first = make(frames[0])
     fuse_all(first, frames, 1)  # compiles and loads libraries
@@ -81,14 +90,13 @@ def _row(load: Callable[[], StoredFrames], voxel_m: float, method: str, make: Ca
     if isinstance(fuser, OurVolume):
         values |= {"blocks": fuser.volume.n_blocks, "updated_voxels_per_frame": fuser.updated_voxels / len(frames)}
     camera = frames.camera
-    return Row(
-        section="tsdf",
-        case=f"{case_name(frames.name, camera.width, camera.height)} {100 * voxel_m:g} cm",
-        method=method,
-        timing=timing,
-        note=f"{values['frames_per_second']:.0f}/s" + (", depth" if isinstance(fuser, OpencvHash) else ""),
-        values=values,
-    )
+    case = f"{case_name(frames.name, camera.width, camera.height)} {100 * voxel_m:g} cm"
+    note = f"{values['frames_per_second']:.0f}/s" + (", depth" if isinstance(fuser, OpencvHash) else "")
+    rows = [Row(section="tsdf", case=case, method=method, timing=timing, note=note, values=values)]
+    if isinstance(fuser, OurVolume):
+        seen = summary(fuser.look_again(frames))
+        rows.append(Row(section="tsdf", case=f"{case} / raycast", method=method, timing=seen))
+    return rows
 
 
 def fuse_all(fuser: Fuser, frames: StoredFrames, n: int) -> list[Lap]:

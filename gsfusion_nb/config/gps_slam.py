@@ -172,6 +172,7 @@ _GPS_SLAM: dict[str, dict[str, Any]] = {
 
 _MEASURED: dict[str, Any] = {
     "views": {"every_frames": 4},
+    "residual": {"lr_xyz": 5e-4, "lr_log_scale": 0.01},
     "seeding": {"options": {"colour_error": 0.08, "share": 0.15, "max_weight": 1.0, "in_holes": True}},
 }
 

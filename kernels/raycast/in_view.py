@@ -13,78 +13,92 @@ from gsfusion_nb.constants import VOXELS_PER_BLOCK
 from ..runtime.numba.simd import load, select, splat, store
 
 f32 = np.float32
-_ZERO, _ONE, _INFINITE = f32(0.0), f32(1.0), f32(np.inf)
-_NEAR = f32(0.01)
+_ZERO, _INFINITE = f32(0.0), f32(np.inf)
+_NEAR = 0.01
 
-TILE_PX = 16
-"""Edge of the picture tiles whose rays start together, pixels."""
+_BEFORE = 1e-3
+"""Rays start this far before the nearest block, in blocks: its wall is crossed in the way of all others."""
 
 NEAR_END, FAR_END = range(2)
 """Columns of the depths between which a tile's rays can meet a block."""
 
+_U0, _U1, _V0, _V1 = range(4)
+"""Columns of the tiles that a block covers: first and last of a row, first and last row. None if last < first."""
 
-@njit(cache=True, error_model="numpy")
-def depth_spans(coords, T_CW, side, lens, size):
-    """Depths between which the rays of each tile of pixels can meet a block. [rows, columns, 2]"""
-    height, width = size
-    ny, nx = (height + TILE_PX - 1) // TILE_PX, (width + TILE_PX - 1) // TILE_PX
-    spans = np.empty((ny, nx, 2), np.float32)
-    spans[:, :, NEAR_END] = np.inf
-    spans[:, :, FAR_END] = _ZERO
-    tile = f32(TILE_PX)
-    for b in range(coords.shape[0]):
-        low_z, high_z = f32(np.inf), f32(-np.inf)
-        low_u, high_u, low_v, high_v = f32(np.inf), f32(-np.inf), f32(np.inf), f32(-np.inf)
-        for c in range(8):
-            X, Y, Z = (
-                (coords[b, 0] + (c & 1)) * side,
-                (coords[b, 1] + (c >> 1 & 1)) * side,
-                (coords[b, 2] + (c >> 2)) * side,
-            )
-            x = f32(T_CW[0, 0] * X + T_CW[0, 1] * Y + T_CW[0, 2] * Z + T_CW[0, 3])
-            y = f32(T_CW[1, 0] * X + T_CW[1, 1] * Y + T_CW[1, 2] * Z + T_CW[1, 3])
-            z = f32(T_CW[2, 0] * X + T_CW[2, 1] * Y + T_CW[2, 2] * Z + T_CW[2, 3])
-            low_z, high_z = min(low_z, z), max(high_z, z)
-            safe = max(z, _NEAR)
-            u, v = (lens.fx * x / safe + lens.cx) / tile, (lens.fy * y / safe + lens.cy) / tile
-            low_u, high_u = min(low_u, u), max(high_u, u)
-            low_v, high_v = min(low_v, v), max(high_v, v)
-        if high_z <= _ZERO:
-            continue
-        u0, u1 = math.floor(max(low_u, -_ONE)), math.floor(min(high_u, f32(nx)))
-        v0, v1 = math.floor(max(low_v, -_ONE)), math.floor(min(high_v, f32(ny)))
-        if low_z <= _NEAR:  # it reaches behind the camera: taken to cover the whole picture
-            u0, u1, v0, v1 = 0, nx - 1, 0, ny - 1
-        for i in range(max(v0, 0), min(v1, ny - 1) + 1):
-            for j in range(max(u0, 0), min(u1, nx - 1) + 1):
-                spans[i, j, NEAR_END] = min(spans[i, j, NEAR_END], max(low_z, _ZERO))
-                spans[i, j, FAR_END] = max(spans[i, j, FAR_END], high_z)
-    return spans
+_CHUNK = 64
+"""Blocks of one parallel task."""
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
-def observed_field(coords, D, W, T_CW, lens, sizes, size, field):
-    """Set ``field`` to D where a voxel has been observed, else infinity, in the blocks that rays may look up.
+def look_up(blocks, T_CW, lens, sizes, size, tile_px, field, spans):
+    """Which blocks rays can meet, and where.
 
-    Those are the blocks whose bounding sphere, larger by the reach of an interpolation, meets the view.
+    Sets ``spans`` [rows, columns, 2] to the depths between which the rays of each tile of pixels can meet a block, and
+    ``field`` to D where a voxel has been observed, else infinity, in the blocks that rays may look up. Those are the
+    blocks whose bounding sphere, larger by the reach of an interpolation, meets the view.
     """
-    height, width = size
-    voxel, side = sizes.voxel, sizes.block
+    coords, D, W = blocks
     B = coords.shape[0]
-    fx, fy, cx, cy = lens.fx, lens.fy, lens.cx, lens.cy
-    radius = 0.5 * side * np.sqrt(3.0) + 2 * voxel
-    slope_u, slope_v = np.sqrt(fx * fx + max(cx, width - cx) ** 2), np.sqrt(fy * fy + max(cy, height - cy) ** 2)
-    chunk = 64
-    for task in prange((B + chunk - 1) // chunk):
+    ny, nx = spans.shape[0], spans.shape[1]
+    covers, depths = np.empty((B, 4), np.int32), np.empty((B, 2), np.float32)
+    radius = 0.5 * sizes.block * np.sqrt(3.0) + 2 * sizes.voxel
+    for task in prange((B + _CHUNK - 1) // _CHUNK):
         infinite, zero = splat(_INFINITE), splat(_ZERO)
-        for b in range(task * chunk, min(B, task * chunk + chunk)):
-            X, Y, Z = (coords[b, 0] + 0.5) * side, (coords[b, 1] + 0.5) * side, (coords[b, 2] + 0.5) * side
-            x = T_CW[0, 0] * X + T_CW[0, 1] * Y + T_CW[0, 2] * Z + T_CW[0, 3]
-            y = T_CW[1, 0] * X + T_CW[1, 1] * Y + T_CW[1, 2] * Z + T_CW[1, 3]
-            z = T_CW[2, 0] * X + T_CW[2, 1] * Y + T_CW[2, 2] * Z + T_CW[2, 3]
-            left, right = fx * x + cx * z, (width - cx) * z - fx * x
-            above, under = fy * y + cy * z, (height - cy) * z - fy * y
-            if z < -radius or min(left, right) < -radius * slope_u or min(above, under) < -radius * slope_v:
+        for b in range(task * _CHUNK, min(B, task * _CHUNK + _CHUNK)):
+            covers[b, _U0], covers[b, _U1] = 0, -1
+            if not _meets_view(coords[b], T_CW, lens, sizes.block, size, radius):
                 continue
+            _project(coords[b], T_CW, lens, sizes.block, tile_px, (ny, nx), covers[b], depths[b])
             for at in range(b * VOXELS_PER_BLOCK, (b + 1) * VOXELS_PER_BLOCK, 16):
                 store(field, at, select(load(W, at) > zero, load(D, at), infinite))
+    spans[:, :, NEAR_END], spans[:, :, FAR_END] = np.inf, _ZERO
+    for b in range(B):
+        if covers[b, _U1] < covers[b, _U0]:
+            continue
+        for i in range(covers[b, _V0], covers[b, _V1] + 1):
+            for j in range(covers[b, _U0], covers[b, _U1] + 1):
+                spans[i, j, NEAR_END] = min(spans[i, j, NEAR_END], depths[b, NEAR_END])
+                spans[i, j, FAR_END] = max(spans[i, j, FAR_END], depths[b, FAR_END])
+
+
+@njit(cache=True, error_model="numpy")
+def _meets_view(block, T_CW, lens, side, size, radius):
+    """Whether the sphere around a block's centre meets the view."""
+    height, width = size
+    fx, fy, cx, cy = lens.fx, lens.fy, lens.cx, lens.cy
+    X, Y, Z = (block[0] + 0.5) * side, (block[1] + 0.5) * side, (block[2] + 0.5) * side
+    z = T_CW[2, 0] * X + T_CW[2, 1] * Y + T_CW[2, 2] * Z + T_CW[2, 3]
+    if z < -radius:
+        return False
+    x = T_CW[0, 0] * X + T_CW[0, 1] * Y + T_CW[0, 2] * Z + T_CW[0, 3]
+    y = T_CW[1, 0] * X + T_CW[1, 1] * Y + T_CW[1, 2] * Z + T_CW[1, 3]
+    slope_u, slope_v = math.sqrt(fx * fx + max(cx, width - cx) ** 2), math.sqrt(fy * fy + max(cy, height - cy) ** 2)
+    aside = min(fx * x + cx * z, (width - cx) * z - fx * x)
+    above = min(fy * y + cy * z, (height - cy) * z - fy * y)
+    return aside >= -radius * slope_u and above >= -radius * slope_v
+
+
+@njit(cache=True, error_model="numpy")
+def _project(block, T_CW, lens, side, tile_px, tiles, cover, depth):
+    """The tiles that a block covers, and its depths."""
+    ny, nx = tiles
+    low_z, high_z = np.inf, -np.inf
+    low_u, high_u, low_v, high_v = np.inf, -np.inf, np.inf, -np.inf
+    for c in range(8):
+        X, Y, Z = (block[0] + (c & 1)) * side, (block[1] + (c >> 1 & 1)) * side, (block[2] + (c >> 2)) * side
+        x = T_CW[0, 0] * X + T_CW[0, 1] * Y + T_CW[0, 2] * Z + T_CW[0, 3]
+        y = T_CW[1, 0] * X + T_CW[1, 1] * Y + T_CW[1, 2] * Z + T_CW[1, 3]
+        z = T_CW[2, 0] * X + T_CW[2, 1] * Y + T_CW[2, 2] * Z + T_CW[2, 3]
+        low_z, high_z = min(low_z, z), max(high_z, z)
+        inv_z = 1.0 / (max(z, _NEAR) * tile_px)
+        u, v = lens.fx * x * inv_z + lens.cx / tile_px, lens.fy * y * inv_z + lens.cy / tile_px
+        low_u, high_u = min(low_u, u), max(high_u, u)
+        low_v, high_v = min(low_v, v), max(high_v, v)
+    if high_z <= 0.0:
+        return
+    depth[NEAR_END], depth[FAR_END] = max(low_z - _BEFORE * side, 0.0), high_z
+    if low_z <= _NEAR:  # it reaches behind the camera: taken to cover the whole picture
+        cover[_U0], cover[_U1], cover[_V0], cover[_V1] = 0, nx - 1, 0, ny - 1
+        return
+    cover[_U0], cover[_U1] = math.floor(min(max(low_u, 0.0), nx)), math.floor(min(max(high_u, -1.0), nx - 1.0))
+    cover[_V0], cover[_V1] = math.floor(min(max(low_v, 0.0), ny)), math.floor(min(max(high_v, -1.0), ny - 1.0))

@@ -6,7 +6,7 @@ import numpy as np
 
 
 class Rays(NamedTuple):
-    """x / z of every column and y / z of every row of pixels, and the pose [4, 4], float32."""
+    """x / z of every four columns and y / z of every four rows, for four by four pixels [N, 16]; the pose [4, 4]."""
 
     x: np.ndarray
     y: np.ndarray
@@ -19,3 +19,11 @@ class Sizes(NamedTuple):
     voxel: float | np.float32
     truncation: float | np.float32
     block: float | np.float32
+
+
+class Blocks(NamedTuple):
+    """The blocks [B, 3] and the values of their voxels, block after block."""
+
+    coords: np.ndarray
+    D: np.ndarray
+    W: np.ndarray

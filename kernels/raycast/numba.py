@@ -16,14 +16,15 @@ from gsfusion_nb.tsdf.volume import TsdfVolume
 from gsfusion_nb.types import Camera
 
 from ..runtime.block_table import BlockTable
+from ..runtime.gpu import parts
 from ..runtime.lens import lens_of
-from ..runtime.numba.launch import launching
+from ..runtime.numba.launch import launching, scratch
 from ..runtime.numba.simd import absolute, any_lane, either, floor, load, maximum, minimum, select, splat, sqrt, store
 from ..runtime.numba.simd_int import below, but_not, gather, gather_int, splat_int, truncate
 from ..runtime.slopes import ray_slopes
-from .in_view import FAR_END, NEAR_END, TILE_PX, depth_spans, observed_field
-from .layout import Rays, Sizes
-from .trilinear import blend, cells, interpolate
+from .in_view import FAR_END, NEAR_END, look_up
+from .layout import Blocks, Rays, Sizes
+from .trilinear import blend, cells, interpolate, leaves
 
 f32 = np.float32
 _ZERO, _HALF, _ONE = f32(0.0), f32(0.5), f32(1.0)
@@ -32,11 +33,12 @@ _SMALL = f32(1e-9)
 _INFINITE = f32(np.inf)
 _MARGIN = f32(0.01)
 
-_X, _Y, _STARTS, _DEPTH = range(4)
-_NORMAL, _RGB = 4, 7
-"""Rows of what sixteen rays bring along and bring back: slopes, whether there is anything to meet, then the results;
-normal and colour take three rows each."""
-_LANE_ROWS = 10
+TILE_PX = 8
+"""Edge of the picture tiles whose rays start together, pixels: a multiple of 4."""
+
+_DEPTH, _NORMAL, _RGB = 0, 1, 4
+"""Rows of what sixteen rays bring back; normal and colour take three rows each."""
+_LANE_ROWS = 7
 
 _BITS_OF_VOXEL = VOXELS_PER_BLOCK.bit_length() - 1
 """Of a voxel's place in the pool, those that number it within its block."""
@@ -50,7 +52,11 @@ def raycast(volume: TsdfVolume, camera: Camera, T_WC: Tensor) -> RaycastOutput:
     depth, normal, rgb = (torch.empty(camera.height, camera.width, *n) for n in ((), (3,), (3,)))
     x, y = ray_slopes(camera)
     pose = T_WC.detach().cpu()
-    rays = Rays(x=x.numpy(), y=y.numpy(), T_WC=pose.to(torch.float32).numpy())
+    rays = Rays(
+        x=_in_fours(x).tile(1, 4).numpy(),
+        y=_in_fours(y).repeat_interleave(4, 1).numpy(),
+        T_WC=pose.to(torch.float32).numpy(),
+    )
     lens, size = lens_of(camera, f32), (camera.height, camera.width)
     config = volume.config
     exact = Sizes(voxel=config.voxel_size_m, truncation=config.truncation_m, block=volume.block_size_m)
@@ -58,38 +64,49 @@ def raycast(volume: TsdfVolume, camera: Camera, T_WC: Tensor) -> RaycastOutput:
     rows, low, blocks = lookup
     table = BlockTable(rows=rows.numpy(), low=low.numpy().astype(np.int32), size=np.array(blocks, np.int32))
     D, W, colours = (t.view(-1).numpy() for t in (volume.D, volume.W, volume.rgb_planes))
-    coords, T_CW = volume.block_coords.numpy(), se3.inverse(pose.double()).numpy()
+    blocks = Blocks(coords=volume.block_coords.numpy(), D=D, W=W)
+    T_CW = se3.inverse(pose.double()).numpy()
+    spans = np.empty((parts(camera.height, TILE_PX), parts(camera.width, TILE_PX), 2), np.float32)
     with launching():
-        spans = depth_spans(coords, T_CW, exact.block, lens, size)
-        field = np.empty(D.size, np.float32)
-        observed_field(coords, D, W, T_CW, lens, exact, size, field)
-        _march(table, field, colours, rays, sizes, spans, depth.numpy(), normal.numpy(), rgb.numpy())
+        field = scratch("raycast", D.size)
+        look_up(blocks, T_CW, lens, exact, size, TILE_PX, field, spans)
+        _march(table, field, colours, rays, sizes, spans, TILE_PX, depth.numpy(), normal.numpy(), rgb.numpy())
     return RaycastOutput(depth_m=depth, normal_W=normal, rgb=rgb)
 
 
-@njit(cache=True, error_model="numpy")
-def _to_exit(p, d, side):
+def _in_fours(slopes: Tensor) -> Tensor:
+    """Four slopes a row; the last one again where the picture ends within a row."""
+    missing = -len(slopes) % 4
+    return torch.cat([slopes, slopes[-1:].expand(missing)]).view(-1, 4)
+
+
+@njit(inline="always")
+def _to_wall(p, forward, per_block, inv_side):
     """Depth to add to leave, along one axis, the blocks that hold sixteen points."""
-    inside = p / side
+    inside = p * inv_side
     done = inside - floor(inside)
-    ahead = select(d > splat(_ZERO), splat(_ONE) - done, done)
-    return ahead * side / maximum(absolute(d), splat(_SMALL))
+    return select(forward, splat(_ONE) - done, done) * per_block
 
 
 @njit(cache=True, error_model="numpy")
 def _crossing(table, field, origin, direction, sizes, span, alive):
-    """Depth of the first change from free to inside along sixteen rays, refined, and which of them have one."""
+    """Depths on either side of the first change from free to inside along sixteen rays, D there, and where it is."""
     rows, low, size = table.rows, table.low, table.size
     ox, oy, oz = origin
     dx, dy, dz = direction
-    zero, one, infinite = splat(_ZERO), splat(_ONE), splat(_INFINITE)
+    zero, one, infinite, small = splat(_ZERO), splat(_ONE), splat(_INFINITE), splat(_SMALL)
     voxel, truncation, side = splat(sizes.voxel), splat(sizes.truncation), splat(sizes.block)
+    inv_voxel, inv_side = one / voxel, one / side
     reach, close_by, margin = splat(_STEP) * truncation, splat(_CLOSE) * voxel, splat(_MARGIN) * voxel
     three, seven, nowhere = splat_int(int32(3)), splat_int(int32(7)), splat_int(int32(-1))
     eight, sixty_four, block = splat_int(int32(8)), splat_int(int32(64)), splat_int(int32(VOXELS_PER_BLOCK))
     nx, ny, nz = splat_int(int32(size[0])), splat_int(int32(size[1])), splat_int(int32(size[2]))
     lx, ly, lz = splat_int(low[0]), splat_int(low[1]), splat_int(low[2])
     per_m = one / sqrt(dx * dx + dy * dy + dz * dz)
+    per_x, per_y, per_z = (
+        side / maximum(absolute(dx), small), side / maximum(absolute(dy), small), side / maximum(absolute(dz), small)
+    )  # fmt: skip
+    to_x, to_y, to_z = dx > zero, dy > zero, dz > zero
     z_start, z_end = span
     z, z_end = splat(z_start), splat(z_end)
     found = but_not(alive, alive)
@@ -98,23 +115,29 @@ def _crossing(table, field, origin, direction, sizes, span, alive):
     z0, z1, D0, D1 = z, z, one, zero - one
     while any_lane(alive):
         px, py, pz = ox + dx * z, oy + dy * z, oz + dz * z
-        i, j, k = truncate(floor(px / voxel)), truncate(floor(py / voxel)), truncate(floor(pz / voxel))
+        i, j, k = truncate(floor(px * inv_voxel)), truncate(floor(py * inv_voxel)), truncate(floor(pz * inv_voxel))
         X, Y, Z = (i >> three) - lx, (j >> three) - ly, (k >> three) - lz
         row = gather_int(rows, (X * ny + Y) * nz + Z, alive & below(X, nx) & below(Y, ny) & below(Z, nz), nowhere)
         allocated = row >= splat_int(int32(0))
-        at = row * block + (i & seven) * sixty_four + (j & seven) * eight + (k & seven)
-        here = gather(field, at, allocated, infinite)
-        observed = here < infinite
-        close = observed & (absolute(here) * truncation < close_by)
-        if any_lane(close):
-            smooth, whole = interpolate(table, field, (px, py, pz), voxel, close)
-            here = select(whole, smooth, here)
-        free, inside = observed & (here >= zero), observed & (zero > here)
-        step = select(observed, maximum(reach * absolute(here), voxel), voxel) * per_m
+        here, step = infinite, voxel * per_m
+        if any_lane(allocated):
+            at = row * block + (i & seven) * sixty_four + (j & seven) * eight + (k & seven)
+            here = gather(field, at, allocated, infinite)
+            observed = here < infinite
+            close = observed & (absolute(here) * truncation < close_by)
+            if any_lane(close):
+                smooth, whole = interpolate(table, field, (px, py, pz), inv_voxel, close)
+                here = select(whole, smooth, here)
+            step = select(observed, maximum(reach * absolute(here), voxel), voxel) * per_m
         outside = but_not(alive, allocated)
         if any_lane(outside):
-            ahead = minimum(minimum(_to_exit(px, dx, side), _to_exit(py, dy, side)), _to_exit(pz, dz, side))
+            ahead = minimum(
+                minimum(_to_wall(px, to_x, per_x, inv_side), _to_wall(py, to_y, per_y, inv_side)),
+                _to_wall(pz, to_z, per_z, inv_side),
+            )
             step = select(outside, ahead + margin, step)
+        observed = here < infinite
+        free, inside = observed & (here >= zero), observed & (zero > here)
         crossing = inside & was_free
         found = either(found, crossing)
         z0, z1 = select(crossing, z_before, z0), select(crossing, z, z1)
@@ -124,58 +147,74 @@ def _crossing(table, field, origin, direction, sizes, span, alive):
         z_before, D_before = z, here
         was_free, was_inside = free & alive, inside & alive
         z = select(alive, ahead, z)
-    return _refined(table, field, origin, direction, voxel, (z0, z1, D0, D1), found), found
+    return (z0, z1, D0, D1), found
 
 
 @njit(inline="always")
+def _in_voxels(origin, direction, z, inv_voxel):
+    """Points of sixteen rays, in voxels, less a half."""
+    half = splat(_HALF)
+    return (
+        (origin[0] + direction[0] * z) * inv_voxel - half,
+        (origin[1] + direction[1] * z) * inv_voxel - half,
+        (origin[2] + direction[2] * z) * inv_voxel - half,
+    )
+
+
+@njit(cache=True, error_model="numpy")
 def _refined(table, field, origin, direction, voxel, bracket, found):
-    """Depth where D is zero on sixteen rays, between two depths on either side of the surface: the secant method."""
-    ox, oy, oz = origin
-    dx, dy, dz = direction
+    """Depth where D is zero on sixteen rays, between two depths on either side of the surface: the secant method.
+
+    And the voxels around the points there, as of ``cells``, with their places between them. The points move so little
+    that the voxels are seldom looked up again.
+    """
     z0, z1, D0, D1 = bracket
-    zero = splat(_ZERO)
+    zero, inv_voxel = splat(_ZERO), splat(_ONE) / voxel
     z = z0 + (z1 - z0) * (D0 / (D0 - D1))
-    if any_lane(found):
-        for _ in range(REFINEMENTS):
-            here, whole = interpolate(table, field, (ox + dx * z, oy + dy * z, oz + dz * z), voxel, found)
-            before, behind = whole & (here >= zero), whole & (zero > here)
-            z0, D0 = select(before, z, z0), select(before, here, D0)
-            z1, D1 = select(behind, z, z1), select(behind, here, D1)
-            z = z0 + (z1 - z0) * (D0 / (D0 - D1))
-    return z
+    px, py, pz = _in_voxels(origin, direction, z, inv_voxel)
+    v, at, whole, corner = cells(table, field, px, py, pz, found)
+    for _ in range(REFINEMENTS):
+        here = blend(v, (px - corner[0], py - corner[1], pz - corner[2]))
+        before, behind = whole & (here >= zero), whole & (zero > here)
+        z0, D0 = select(before, z, z0), select(before, here, D0)
+        z1, D1 = select(behind, z, z1), select(behind, here, D1)
+        z = z0 + (z1 - z0) * (D0 / (D0 - D1))
+        px, py, pz = _in_voxels(origin, direction, z, inv_voxel)
+        if leaves(corner, px, py, pz, found):
+            v, at, whole, corner = cells(table, field, px, py, pz, found)
+    return z, v, at, (px - corner[0], py - corner[1], pz - corner[2]), whole
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
-def _march(table, field, C, rays, sizes, spans, depth, normal, rgb):
+def _march(table, field, C, rays, sizes, spans, tile_px, depth, normal, rgb):
     """Fill the three pictures, four by four rays at a time; zero where no ray meets a surface observed on all sides."""
-    x, y, T = rays.x, rays.y, rays.T_WC
+    T = rays.T_WC
     height, width = depth.shape
     ny, nx = spans.shape[0], spans.shape[1]
-    for task in prange(ny * nx):
-        ti, tj = int64(task) // nx, int64(task) % nx
+    packets = tile_px // 4
+    for tile in prange(ny * nx):
+        ti, tj = int64(tile) // nx, int64(tile) % nx
         lanes = np.empty((_LANE_ROWS, 16), np.float32)
-        zero, half, voxel = splat(_ZERO), splat(_HALF), splat(sizes.voxel)
-        ox, oy, oz = splat(T[0, 3]), splat(T[1, 3]), splat(T[2, 3])
-        for part in range(TILE_PX * TILE_PX // 16):
-            v0 = ti * TILE_PX + part // (TILE_PX // 4) * 4
-            u0 = tj * TILE_PX + part % (TILE_PX // 4) * 4
+        origin = (splat(T[0, 3]), splat(T[1, 3]), splat(T[2, 3]))
+        span = (spans[ti, tj, NEAR_END], spans[ti, tj, FAR_END])
+        alive = splat(span[1]) > splat(span[0])
+        for part in range(packets * packets):
+            i, j = ti * packets + part // packets, tj * packets + part % packets
+            v0, u0 = 4 * i, 4 * j
             if v0 >= height or u0 >= width:
                 continue
-            for k in range(16):
-                v, u = v0 + k // 4, u0 + k % 4
-                lanes[_X, k], lanes[_Y, k] = x[min(u, width - 1)], y[min(v, height - 1)]
-                starts = v < height and u < width and spans[ti, tj, NEAR_END] < spans[ti, tj, FAR_END]
-                lanes[_STARTS, k] = _ONE if starts else _ZERO
-            sx, sy = load(lanes[_X], 0), load(lanes[_Y], 0)
+            sx, sy = load(rays.x[j], 0), load(rays.y[i], 0)
             dx = splat(T[0, 0]) * sx + splat(T[0, 1]) * sy + splat(T[0, 2])
             dy = splat(T[1, 0]) * sx + splat(T[1, 1]) * sy + splat(T[1, 2])
             dz = splat(T[2, 0]) * sx + splat(T[2, 1]) * sy + splat(T[2, 2])
-            alive = load(lanes[_STARTS], 0) > zero
-            span = (spans[ti, tj, NEAR_END], spans[ti, tj, FAR_END])
-            z, found = _crossing(table, field, (ox, oy, oz), (dx, dy, dz), sizes, span, alive)
-            px, py, pz = (ox + dx * z) / voxel - half, (oy + dy * z) / voxel - half, (oz + dz * z) / voxel - half
-            values, at, f, whole = cells(table, field, px, py, pz, found)
-            _surface_into(values, at, f, whole, z, C, lanes)
+            bracket, found = _crossing(table, field, origin, (dx, dy, dz), sizes, span, alive)
+            if any_lane(found):
+                z, values, at, f, whole = _refined(
+                    table, field, origin, (dx, dy, dz), splat(sizes.voxel), bracket, found
+                )
+                _surface_into(values, at, f, whole, z, C, lanes)
+            else:
+                lanes[:] = _ZERO
             for k in range(16):
                 v, u = v0 + k // 4, u0 + k % 4
                 if v < height and u < width:

@@ -8,11 +8,11 @@ from numba import int32, njit
 
 from gsfusion_nb.constants import VOXELS_PER_BLOCK
 
-from ..runtime.numba.simd import any_lane, either, floor, maximum, splat
+from ..runtime.numba.simd import absolute, any_lane, either, floor, maximum, splat
 from ..runtime.numba.simd_int import below, but_not, gather, gather_int, select_int, splat_int, truncate
 
 f32 = np.float32
-_HALF, _INFINITE = f32(0.5), f32(np.inf)
+_ZERO, _HALF, _INFINITE = f32(0.0), f32(0.5), f32(np.inf)
 
 
 @njit(cache=True, error_model="numpy")
@@ -29,12 +29,11 @@ def _corner(rows, field, cell, number, moved, inside, row, wanted):
 def cells(table, field, px, py, pz, wanted):
     """The eight voxels around sixteen points: their values (infinite where not observed) and positions.
 
-    Points are in voxels, less a half. Also returns where they lie in their cells, and which cells are observed whole.
+    Points are in voxels, less a half. Also returns which cells are observed whole, and the cells' lowest corners.
     """
     rows, low, size = table.rows, table.low, table.size
     one, seven, three, zero = splat_int(int32(1)), splat_int(int32(7)), splat_int(int32(3)), splat_int(int32(0))
     bx, by, bz = floor(px), floor(py), floor(pz)
-    fx, fy, fz = px - bx, py - by, pz - bz
     x, y, z = truncate(bx), truncate(by), truncate(bz)
     nx, ny, nz = splat_int(int32(size[0])), splat_int(int32(size[1])), splat_int(int32(size[2]))
     X0, Y0, Z0 = (x >> three) - splat_int(low[0]), (y >> three) - splat_int(low[1]), (z >> three) - splat_int(low[2])
@@ -61,7 +60,15 @@ def cells(table, field, px, py, pz, wanted):
     v7, a7 = _corner(rows, field, X1 + Y1 + Z1, x1 + y1 + z1, either(oxy, oz), jnx & jny & jnz, row, wanted)
     most = maximum(maximum(maximum(v0, v1), maximum(v2, v3)), maximum(maximum(v4, v5), maximum(v6, v7)))
     whole = wanted & (most < splat(_INFINITE))
-    return (v0, v1, v2, v3, v4, v5, v6, v7), (a0, a1, a2, a3, a4, a5, a6, a7), (fx, fy, fz), whole
+    return (v0, v1, v2, v3, v4, v5, v6, v7), (a0, a1, a2, a3, a4, a5, a6, a7), whole, (bx, by, bz)
+
+
+@njit(cache=True, error_model="numpy")
+def leaves(corner, px, py, pz, wanted):
+    """Whether any of sixteen points lies in another cell than the one with this lowest ``corner``."""
+    zero = splat(_ZERO)
+    away = absolute(floor(px) - corner[0]) + absolute(floor(py) - corner[1]) + absolute(floor(pz) - corner[2])
+    return any_lane(wanted & (away > zero))
 
 
 @njit(cache=True, error_model="numpy")
@@ -75,10 +82,9 @@ def blend(v, f):
 
 
 @njit(cache=True, error_model="numpy")
-def interpolate(table, field, point, voxel, wanted):
+def interpolate(table, field, point, inv_voxel, wanted):
     """Trilinear D at sixteen world points, and where all eight voxels around them have been observed."""
     half = splat(_HALF)
-    v, _, f, whole = cells(
-        table, field, point[0] / voxel - half, point[1] / voxel - half, point[2] / voxel - half, wanted
-    )
-    return blend(v, f), whole
+    px, py, pz = point[0] * inv_voxel - half, point[1] * inv_voxel - half, point[2] * inv_voxel - half
+    v, _, whole, corner = cells(table, field, px, py, pz, wanted)
+    return blend(v, (px - corner[0], py - corner[1], pz - corner[2])), whole

@@ -7,6 +7,7 @@ import torch
 
 from gsfusion_nb.backends import use_backend
 from gsfusion_nb.config import TsdfConfig
+from gsfusion_nb.geometry import se3
 from gsfusion_nb.tsdf import TsdfVolume, integrate, raycast
 
 pytest.importorskip("numba")
@@ -69,6 +70,46 @@ def test_unobserved_voxels_stop_nothing(mapped):
     volume.W[:, ::7] = 0.0
     for frame in frames:
         assert_same_picture(volume, frame.camera.resized(64, 48), frame.T_WC, share=1e-2)
+
+
+@pytest.mark.parametrize("tile_px", [4, 8, 12, 64])
+def test_no_size_of_tile_loses_a_surface(tile_px, mapped, monkeypatch):
+    """From random places in and around the room, blocks beside and behind the camera included."""
+    from gsfusion_nb.kernels.raycast import numba
+
+    monkeypatch.setattr(numba, "TILE_PX", tile_px)
+    volume, frames = mapped
+    camera = frames[0].camera.resized(45, 34)
+    generator = torch.Generator().manual_seed(tile_px)
+    for frame in frames:
+        moved = 0.4 * torch.randn(6, generator=generator)
+        T_WC = frame.T_WC @ se3.exp(moved)
+        ours, theirs = numba_raycast(volume, camera, T_WC), raycast.reference(volume, camera, T_WC)
+        lost, gained = (ours.depth_m == 0) & (theirs.depth_m > 0), (ours.depth_m > 0) & (theirs.depth_m == 0)
+        assert bool((theirs.depth_m > 0).any())
+        assert int(lost.sum()) + int(gained.sum()) <= 3, f"{int(lost.sum())} surfaces lost, {int(gained.sum())} gained"
+
+
+def test_walls_beside_the_camera_do_not_make_rays_start_at_it(mapped):
+    """Blocks that no ray can meet do not count: all rays start at the nearest block of their tile, or never."""
+    from gsfusion_nb.kernels.raycast.in_view import NEAR_END, look_up
+    from gsfusion_nb.kernels.raycast.layout import Blocks, Sizes
+    from gsfusion_nb.kernels.runtime.lens import lens_of
+
+    _, frames = mapped
+    beside = TsdfVolume(CONFIG)
+    beside.add_blocks(torch.tensor([[10, 0, 0], [-10, 0, 0], [0, -8, 0], [0, 0, 20], [0, 0, -3]]))
+    camera = frames[0].camera
+    lens, size = lens_of(camera), (camera.height, camera.width)
+    blocks = Blocks(coords=beside.block_coords.numpy(), D=beside.D.view(-1).numpy(), W=beside.W.view(-1).numpy())
+    sizes = Sizes(voxel=CONFIG.voxel_size_m, truncation=CONFIG.truncation_m, block=beside.block_size_m)
+    spans = torch.empty(15, 20, 2).numpy()
+    look_up(
+        blocks, torch.eye(4, dtype=torch.float64).numpy(), lens, sizes, size, 8, torch.empty(5 * 512).numpy(), spans
+    )
+    near = spans[..., NEAR_END]
+    assert near.min() == pytest.approx(20 * beside.block_size_m, rel=1e-3)
+    assert 0 < (near < float("inf")).sum() < 16
 
 
 def test_an_empty_volume_and_a_single_block(mapped):
