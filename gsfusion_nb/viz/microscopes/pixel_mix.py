@@ -11,7 +11,7 @@ from torch import Tensor
 from ...drawing.html import html_table
 from ...render import BaseView
 from ...render.composite import pixel_offsets, splat_alpha
-from .pixel_stack import CELL_STYLE, TABLE_ROWS, Splats, check_pixel, swatch
+from .pixel_stack import CELL_STYLE, TABLE_ROWS, Splats, check_pixel, rgb_text, swatch
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -109,15 +109,11 @@ def mix_table(mix: PixelMix, rows: int = TABLE_ROWS) -> str:
         rest = float(mix.weight[shown:].sum())
         lines.append(("", f"… {len(mix) - shown} more", "", f"{rest:.3f}", f"{rest * share:.0%}", "", ""))
     total = mix.base_weight + mix.total
-    mean = ("", "mean", "", f"{total:.3f}", "100%", swatch(mix.colour), _rgb_text(mix.colour))
+    mean = ("", "mean", "", f"{total:.3f}", "100%", swatch(mix.colour), rgb_text(mix.colour))
     lines.append(tuple(Markup("<b>{}</b>").format(x) for x in mean))
     heads = ("k", "row", "depth m", "weight", "share", "", "colour")
     return html_table(lines, heads=heads, name="gsnb-stack", style="font-size:12px", cell_style=CELL_STYLE)
 
 
 def _line(k: str, row: str, depth: str, weight: float, rgb: Tensor, share: float) -> tuple[str, ...]:
-    return k, row, depth, f"{weight:.3f}", f"{weight * share:.0%}", swatch(rgb), _rgb_text(rgb)
-
-
-def _rgb_text(rgb: Tensor) -> str:
-    return " ".join(f"{float(x):.3f}" for x in rgb)
+    return k, row, depth, f"{weight:.3f}", f"{weight * share:.0%}", swatch(rgb), rgb_text(rgb)

@@ -182,14 +182,14 @@ def stack_table(stack: PixelStack, rows: int = TABLE_ROWS) -> str:
     lines: list[tuple[str, ...]] = []
     for k in range(shown):
         numbers = (f"{x[k]:.3f}" for x in (stack.depth_m, stack.alpha, stack.transmittance, stack.weight))
-        lines.append((str(k), str(int(stack.row[k])), *numbers, swatch(stack.rgb[k]), _rgb_text(stack.contribution[k])))
+        lines.append((str(k), str(int(stack.row[k])), *numbers, swatch(stack.rgb[k]), rgb_text(stack.contribution[k])))
     if shown < len(stack):
         weight, contribution = stack.weight[shown:].sum(), stack.contribution[shown:].sum(0)
         more = f"… {len(stack) - shown} more"
-        lines.append(("", more, "", "", "", f"{weight:.3f}", "", _rgb_text(contribution)))
+        lines.append(("", more, "", "", "", f"{weight:.3f}", "", rgb_text(contribution)))
     total = (
         "", "sum", "", "", f"left {stack.light_left:.3f}", f"{stack.weight.sum():.3f}",
-        swatch(stack.colour), _rgb_text(stack.colour),
+        swatch(stack.colour), rgb_text(stack.colour),
     )  # fmt: skip
     lines.append(tuple(Markup("<b>{}</b>").format(x) for x in total))
     return html_table(lines, heads=(*heads, "w c"), name="gsnb-stack", style="font-size:12px", cell_style=CELL_STYLE)
@@ -202,5 +202,6 @@ def swatch(rgb: Float[Tensor, "3"]) -> Markup:
     return Markup('<span style="{}"></span>').format(style)
 
 
-def _rgb_text(rgb: Tensor) -> str:
+def rgb_text(rgb: Tensor) -> str:
+    """A colour as three numbers."""
     return " ".join(f"{float(x):.3f}" for x in rgb)
