@@ -175,5 +175,6 @@ def test_a_run_that_has_no_gaussians_yet_goes_on_from_its_saved_state():
     assert len(again.gaussians) == 0
     assert torch.equal(again.volume.D, before.mapper.volume.D)
     assert again.notes == []
-    frame = before.sequence.mapping[2]
+    last = before.sequence.mapping[1]
+    frame = dataclasses.replace(last, index=last.index + 1, timestamp_s=last.timestamp_s + 1)
     assert again.step(frame).n_blocks == before.mapper.step(frame).n_blocks
