@@ -100,6 +100,8 @@ function addSorting(table) {
   });
 }
 
+// Sphinx makes captions of lists of pages headings without a level.
+for (const caption of document.querySelectorAll("p.caption[role=heading]:not([aria-level])")) caption.setAttribute("aria-level", "2");
 document.querySelectorAll(".gsnb-question").forEach(prepareQuestion);
 document.querySelectorAll("table.gsnb-lab-stored").forEach(addSorting);
 document.querySelectorAll(".gsnb-quiz").forEach(prepareQuiz);
