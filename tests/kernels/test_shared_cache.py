@@ -13,9 +13,11 @@ pytestmark = pytest.mark.ci
 _KERNELS = """
 from numba import njit
 
+from .trial_numbers import START
+
 @njit(cache=True)
 def part(x):
-    s = x
+    s = x + START
     for i in range(10):
         s = s * x + i
     return s
@@ -28,11 +30,13 @@ def whole(x):
 _PROCESS = """
 import importlib.util, pathlib, sys, time
 import numba
+import gsfusion_nb.kernels
 from numba.core import event
 from gsfusion_nb.kernels.runtime import numba as _
 from gsfusion_nb.kernels.runtime.numba import shared_cache
 
 folder, types = pathlib.Path(sys.argv[1]), sys.argv[2:]
+gsfusion_nb.kernels.__path__.append(str(folder))
 spec = importlib.util.spec_from_file_location("gsfusion_nb.kernels.trial", folder / "trial.py")
 trial = sys.modules["gsfusion_nb.kernels.trial"] = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(trial)
@@ -55,6 +59,11 @@ for name in types:
         assert trial.whole(getattr(numba, name)(2)) == trial.whole.py_func(2)
 print(*(name for name in Count.names if name in ("part", "whole")), flush=True)
 """
+
+
+def write_trial(folder, start=0):
+    (folder / "trial.py").write_text(_KERNELS)
+    (folder / "trial_numbers.py").write_text(f"START = {start}\n")
 
 
 def run(folder, *types_of_each):
@@ -80,12 +89,21 @@ def run(folder, *types_of_each):
 
 
 def test_each_function_is_compiled_once_for_each_type(tmp_path):
-    (tmp_path / "trial.py").write_text(_KERNELS)
+    write_trial(tmp_path)
     compiled = run(tmp_path, ["int64", "float64"], ["float64", "float32"], ["float32", "int64"])
     assert sorted(itertools.chain(*compiled)) == ["part"] * 3 + ["whole"] * 3
     assert run(tmp_path, ["int64", "float64", "float32"]) == [[]]
 
 
 def test_a_function_that_cannot_be_compiled_holds_nobody_up(tmp_path):
-    (tmp_path / "trial.py").write_text(_KERNELS)
+    write_trial(tmp_path)
     assert run(tmp_path, ["str", "float64"])[0].count("whole") == 2
+
+
+def test_a_number_that_changes_in_another_file_is_compiled_in(tmp_path):
+    write_trial(tmp_path)
+    assert sorted(run(tmp_path, ["int64"])[0]) == ["part", "whole"]
+    numbers, before = tmp_path / "trial_numbers.py", (tmp_path / "trial_numbers.py").stat().st_mtime
+    os.utime(numbers, (before, before + 10))
+    assert sorted(run(tmp_path, ["int64"])[0]) == ["part", "whole"]
+    assert run(tmp_path, ["int64"]) == [[]]

@@ -4,11 +4,18 @@ Without it two processes would compile the same function side by side, and when 
 the same time, its index could lose one of the two, or name the other's machine code: numba chooses the name of a data
 file before it writes it. So a process that does not find a function in the cache holds a lock beside the function's
 index until it has saved it.
+
+A function is compiled again when its file has changed, as in numba, and also when a file has that it imports: numbers
+and functions of other files are compiled into it.
 """
 
+import ast
 import contextlib
+import functools
 import os
+import sys
 import time
+from importlib.util import resolve_name
 from pathlib import Path
 
 from numba.core import dispatcher, event
@@ -17,6 +24,7 @@ from numba.core.caching import FunctionCache
 from gsfusion_nb.files import try_lock
 
 _KERNELS = __name__.split(".runtime.")[0]
+_TOOLKIT = _KERNELS.split(".")[0]
 
 WAIT_S = 120.0
 """A process that holds a lock longer than this has probably been stopped: the function is then compiled here, too."""
@@ -26,11 +34,37 @@ _HELD: dict[Path, list[int]] = {}
 """Lock file -> open handles, the first of which has the lock; the others stand for nested calls of this process."""
 
 
+@functools.cache
+def imported_files(module: str) -> tuple[Path, ...]:
+    """The files of a module of kernels, of all kernels that it imports, and of what these import from plain modules."""
+    found, todo = set(), [module]
+    while todo:
+        name = todo.pop()
+        path = Path(getattr(sys.modules.get(name), "__file__", None) or "")
+        if not name.startswith(_TOOLKIT) or path.suffix != ".py" or path in found:
+            continue
+        found.add(path)
+        if name.startswith(_KERNELS):
+            for line in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if isinstance(line, ast.ImportFrom):
+                    dots = "." * line.level + (line.module or "")
+                    todo.append(resolve_name(dots, sys.modules[name].__package__))
+    return tuple(sorted(found))
+
+
+def newest(files: tuple[Path, ...]) -> float:
+    """When the last of some files was changed, seconds."""
+    return max((path.stat().st_mtime for path in files), default=0.0)
+
+
 class SharedCache(FunctionCache):
     """The cache of one function."""
 
     def load_overload(self, sig, target_context):
         """What is in the cache, or None, and then the lock is held until ``save_overload`` or ``release``."""
+        if self._py_func.__module__.startswith(_KERNELS):
+            stamp = self._impl.locator.get_source_stamp()
+            self._cache_file._source_stamp = (*stamp, newest(imported_files(self._py_func.__module__)))
         found = super().load_overload(sig, target_context)
         if found is None and self._py_func.__module__.startswith(_KERNELS):
             self._hold()
