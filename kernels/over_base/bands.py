@@ -45,7 +45,7 @@ class Blended(NamedTuple):
     weight: np.ndarray
 
 
-@njit(inline="always")
+@njit(inline="always", cache=True)
 def stride_of(width):
     """Length of a row of a plane."""
     return (width + 2 * LANES - 1) // LANES * LANES
