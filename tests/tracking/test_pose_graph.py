@@ -132,6 +132,7 @@ def sightings(true, generator, points=80, depth_share=0.7):
         depth_m=depth_m,
         sigma_px=torch.ones(len(uv), dtype=torch.float64),
         xyz_W=xyz_W + 0.02 * torch.randn(points, 3, generator=generator, dtype=torch.float64),
+        name=torch.arange(points),
     )
 
 

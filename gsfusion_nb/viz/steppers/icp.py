@@ -157,7 +157,7 @@ def _sums(recording: Recording) -> list[Step]:
     moved = scene | {"residual": _residuals(recording, 1)}
     steps.append(step_of(poses, "The pose is moved by exp(xi); all residuals change.", xi, moved, ("motion", "xi")))
     last = recording.at("return IcpResult(")[0]
-    before, after = recording.at("system = icp_system(level,")[0]["system"], last["system"]
+    before, after = recording.at("system, joined = rows.at(level,")[0]["system"], last["system"]
     rows = [
         ("rms before", f"{1000 * before.rms_m:.2f} mm, {before.n_inliers} pairs"),
         ("rms after", f"{1000 * after.rms_m:.2f} mm, {after.n_inliers} pairs"),
