@@ -215,9 +215,16 @@ def weights_in_front(
     """alpha and w of the Gaussians ``k`` at the pixels in columns ``x`` and rows ``y``."""
     dx, dy = pixel_offsets(screen.uv[k], x, y)
     alpha = splat_alpha(dx, dy, screen.conic[k], screen.opacity[k])
-    D_s = base.depth_m[y, x]
-    hidden = (D_s > 0) & (screen.depth_m[k][:, None] > D_s + behind_m)
-    return alpha, torch.where(hidden, 0.0, alpha)  # (1)
+    return alpha, not_behind(alpha, screen.depth_m[k], base.depth_m[y, x], behind_m)
+
+
+@piece
+def not_behind(
+    alpha: Float[Tensor, "K P"], z: Float[Tensor, " K"], D_s: Float[Tensor, " P"], behind_m: float
+) -> Float[Tensor, "K P"]:
+    """Weights of K Gaussians at depths ``z`` at P pixels with the surface at depths ``D_s``, 0 for no surface."""
+    hidden = (D_s > 0) & (z[:, None] > D_s + behind_m)
+    return torch.where(hidden, 0.0, alpha)  # (1)
 
 
 @piece

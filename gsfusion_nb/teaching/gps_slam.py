@@ -10,6 +10,85 @@ from .exercise import AUTOGRAD, Attempt, Becomes, Wrong, Yours, close, exercise,
 F64 = torch.float64
 
 
+def _weights_over(alpha: Tensor, z: Tensor, D_s: Tensor, eps: float) -> Tensor:
+    hidden = (D_s > 0) & (z > D_s + eps)
+    return torch.where(hidden, 0.0, alpha)
+
+
+def _never_hidden(alpha: Tensor, z: Tensor, D_s: Tensor, eps: float) -> Tensor:
+    return alpha
+
+
+def _no_tolerance(alpha: Tensor, z: Tensor, D_s: Tensor, eps: float) -> Tensor:
+    return torch.where((D_s > 0) & (z > D_s), 0.0, alpha)
+
+
+def _holes_hide(alpha: Tensor, z: Tensor, D_s: Tensor, eps: float) -> Tensor:
+    return torch.where(z > D_s + eps, 0.0, alpha)
+
+
+def _near_the_surface_only(alpha: Tensor, z: Tensor, D_s: Tensor, eps: float) -> Tensor:
+    return torch.where((D_s > 0) & ((z - D_s).abs() > eps), 0.0, alpha)
+
+
+def _seen_or_not(alpha: Tensor, z: Tensor, D_s: Tensor, eps: float) -> Tensor:
+    hidden = (D_s > 0) & (z > D_s + eps)
+    return torch.where(hidden, 0.0, torch.ones_like(alpha))
+
+
+def _as_not_behind(yours: Yours, alpha: Tensor, z: Tensor, D_s: Tensor, behind_m: float) -> Tensor:
+    """Yours for each pixel that a Gaussian reaches."""
+    w = torch.zeros_like(alpha)
+    rows = {p: (alpha[:, p] > 0).nonzero()[:, 0] for p in alpha.any(0).nonzero()[:, 0].tolist()}
+    calls = [(alpha[k, p], z[k], D_s[p].clone(), behind_m) for p, k in rows.items()]
+    gives = [{"the weights": each} for each, *_ in calls]
+    for (p, k), own in zip(rows.items(), yours.many(calls, gives), strict=True):
+        w[k, p] = own
+    return w
+
+
+@exercise(
+    chapter=12, difficulty=1, minutes=5, solution=_weights_over, becomes=Becomes("not_behind", _as_not_behind),
+    hints=(
+        "Start with alpha, and set to 0 what lies behind the surface: which z are too far?",
+        "z > D_s + eps is True for the Gaussians that are too far behind. Where D_s is 0 nothing is behind anything.",
+        "torch.where(hidden, 0.0, alpha) with hidden = (D_s > 0) & (z > D_s + eps).",
+    ),
+    wrong=(
+        Wrong(_never_hidden, says="hidden behind the surface"),
+        Wrong(_no_tolerance, says="up to eps behind the surface"),
+        Wrong(_holes_hide, says="without a surface nothing is hidden"),
+        Wrong(_near_the_surface_only, says="in front of the surface"),
+        Wrong(_seen_or_not, says="the weight is alpha"),
+    ),
+)  # fmt: skip
+def weights_over(attempt: Attempt) -> None:
+    """Weights of the Gaussians of one pixel: alpha, and 0 for what is hidden behind the surface."""
+    D_s, eps = torch.tensor(2.0, dtype=F64), 0.25
+
+    def ask(on: str, alpha: list[float], z: list[float], D_s: Tensor) -> Tensor:
+        return attempt.on(on)(torch.tensor(alpha, dtype=F64), torch.tensor(z, dtype=F64), D_s, eps)
+
+    on = "alpha 0.6 at 3 m, the surface at 2 m, eps 0.25 m"
+    close(ask(on, [0.6], [3.0], D_s), [0.0], "a Gaussian is hidden behind the surface", on=on, why="3 > 2 + 0.25")
+    on = "alpha 0.6 at 2.1 m and 0.3 at 2.25 m, the surface at 2 m, eps 0.25 m"
+    prop = "up to eps behind the surface a Gaussian still counts, and the weight is alpha"
+    close(ask(on, [0.6, 0.3], [2.1, 2.25], D_s), [0.6, 0.3], prop, on=on, why="hidden is z > D_s + eps only")
+    on = "alpha 0.6 at 0.5 m, the surface at 2 m, eps 0.25 m"
+    close(ask(on, [0.6], [0.5], D_s), [0.6], "in front of the surface nothing is hidden", on=on)
+    on = "alpha 0.6 at 3 m, no surface (D_s = 0), eps 0.25 m"
+    prop = "without a surface nothing is hidden"
+    close(ask(on, [0.6], [3.0], D_s * 0), [0.6], prop, on=on, why="D_s = 0 says that none is known")
+    on = "no Gaussian"
+    close(ask(on, [], [], D_s), torch.zeros(0), "no Gaussians have no weights", on=on)
+    on = "nine random Gaussians, the surface at 2 m, eps 0.25 m"
+    generator = torch.Generator().manual_seed(6)
+    alpha, z = (torch.rand(9, generator=generator, dtype=F64) for _ in range(2))
+    expected = _weights_over(alpha, 1.5 + 1.5 * z, D_s, eps)
+    w = attempt.on(on)(alpha, 1.5 + 1.5 * z, D_s, eps)
+    close(w, expected, "w_i is alpha_i, and 0 where z_i > D_s + eps", on=on)
+
+
 def _blend_over(w: Tensor, c: Tensor, C_s: Tensor) -> tuple[Tensor, Tensor]:
     W = w.sum()
     return (C_s + (w[:, None] * c).sum(0)) / (1 + W), W

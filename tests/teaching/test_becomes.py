@@ -31,6 +31,7 @@ RUNS_AS = {
     "adding_masks": "adding_masks", "disc_hit": "disc_hit", "fuse": "fuse", "next_state": "next_states",
     "gauss_newton": "next_pose", "graph_step": "pose_graph_step", "point_to_plane": "point_to_plane",
     "predict": "constant_velocity", "relative_error": "relative_pose_error",
+    "blend_over": "blend_with_base", "blend_over_vjp": "blend_with_base_vjp", "weights_over": "not_behind",
 }  # fmt: skip
 """Exercise -> operation or piece of the library that its function becomes under the backend ``mine``."""
 

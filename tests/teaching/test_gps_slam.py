@@ -9,6 +9,7 @@ from gsfusion_nb.render.over_base import (
     Base,
     blend_with_base,
     blend_with_base_vjp,
+    not_behind,
     render_over_base,
     render_over_base_vjp,
 )
@@ -53,10 +54,6 @@ def seen(params, weight):
     return output, render_over_base_vjp(saved, output.rgb - 0.5)
 
 
-def test_chapter_12_has_two():
-    assert {n for n, e in exercises().items() if e.chapter == 12} == {"blend_over", "blend_over_vjp"}
-
-
 @pytest.mark.parametrize(("weight", "own"), [(1.0, True), (0.0, False)])
 def test_pictures_and_gradients_are_made_by_the_learner(params, weight, own):
     """Where a hole has no weight, the exercise says nothing, and the reference draws."""
@@ -68,6 +65,7 @@ def test_pictures_and_gradients_are_made_by_the_learner(params, weight, own):
     torch.testing.assert_close(output.weight, expected.weight, rtol=1e-5, atol=1e-6)
     for name, value in vars(gradient).items():
         torch.testing.assert_close(getattr(by_you, name), value, rtol=1e-4, atol=1e-5)
+    assert own_code.CALLS["not_behind"].own > 0
     for operation in ("blend_with_base", "blend_with_base_vjp"):
         calls = own_code.CALLS[operation]
         assert (calls.own > 0) == own, operation
@@ -75,9 +73,11 @@ def test_pictures_and_gradients_are_made_by_the_learner(params, weight, own):
 
 
 def test_no_gaussians_and_no_pixels():
-    none, colours = torch.zeros(0, 4), torch.zeros(0, 3)
+    none, colours, depth_m = torch.zeros(0, 4), torch.zeros(0, 3), torch.full((4,), 2.0)
     C_s, b = torch.rand(4, 3, generator=torch.Generator().manual_seed(1)), torch.ones(4)
     with use_backend("mine"):
+        assert not_behind(none, b[:0], depth_m, 0.1).shape == (0, 4)
+        assert not_behind(torch.zeros(2, 0), b[:2], depth_m[:0], 0.1).shape == (2, 0)
         C, W = blend_with_base(none, colours, C_s, b)
         v_w, v_c = blend_with_base_vjp(none, colours, C, b, C_s)
         empty, _ = blend_with_base(none[:, :0], colours, C_s[:0], b[:0])

@@ -1,4 +1,4 @@
-"""Hidden inputs of the chapters on splatting and its gradients."""
+"""Hidden inputs of the chapters on splatting, its gradients, and blending with a surface."""
 
 from typing import Any
 
@@ -104,3 +104,24 @@ def _adam(g: torch.Generator) -> tuple[Any, ...]:
 def _splat_alpha_vjp(g: torch.Generator) -> tuple[Any, ...]:
     opacity = torch.tensor(number(g, 0.2, 0.95), dtype=F64)
     return 2 * normal(g, 30), 2 * normal(g, 30), _conic(g, F64), opacity, normal(g, 30)
+
+
+@drawn("weights_over")
+def _weights_over(g: torch.Generator) -> tuple[Any, ...]:
+    n, surface = whole(g, 1, 12), whole(g, 0, 3) > 0
+    D_s = numbers(g, 1.5, 2.5, dtype=F64) * surface
+    return numbers(g, 0, 0.99, n, dtype=F64), numbers(g, 1, 3, n, dtype=F64), D_s, number(g, 0.05, 0.4)
+
+
+@drawn("blend_over")
+def _blend_over(g: torch.Generator) -> tuple[Any, ...]:
+    n = whole(g, 0, 12)
+    return numbers(g, 0, 0.99, n, dtype=F64), numbers(g, 0, 1, n, 3, dtype=F64), numbers(g, 0, 1, 3, dtype=F64)
+
+
+@drawn("blend_over_vjp")
+def _blend_over_vjp(g: torch.Generator) -> tuple[Any, ...]:
+    n = whole(g, 1, 12)
+    w, c = numbers(g, 0, 0.99, n, dtype=F64), numbers(g, 0, 1, n, 3, dtype=F64)
+    C = (numbers(g, 0, 1, 3, dtype=F64) + w @ c) / (1 + w.sum())
+    return w, c, C, normal(g, 3)
