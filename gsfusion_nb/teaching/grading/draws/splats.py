@@ -109,7 +109,7 @@ def _splat_alpha_vjp(g: torch.Generator) -> tuple[Any, ...]:
 @drawn("weights_over")
 def _weights_over(g: torch.Generator) -> tuple[Any, ...]:
     n, surface = whole(g, 1, 12), whole(g, 0, 3) > 0
-    D_s = numbers(g, 1.5, 2.5, dtype=F64) * surface
+    D_s = numbers(g, 1.5, 2.5, 1, dtype=F64)[0] * surface
     return numbers(g, 0, 0.99, n, dtype=F64), numbers(g, 1, 3, n, dtype=F64), D_s, number(g, 0.05, 0.4)
 
 
