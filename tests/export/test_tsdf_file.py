@@ -1,6 +1,7 @@
 """tsdf.npz: a volume comes back as it was rounded, compact, and a file that is not in order is refused."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -56,9 +57,9 @@ def _cut(path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-200])
 
 
-def _changed(path: Path, **columns: np.ndarray) -> None:
+def _changed(path: Path, **columns: Any) -> None:
     with np.load(path) as archive:
-        stored = dict(archive)
+        stored: dict[str, Any] = dict(archive)
     np.savez_compressed(path, **(stored | columns))
 
 

@@ -46,7 +46,7 @@ def test_one_number_for_each_chapter():
         assert (row[5] + row[7], row[9]) == (row[8], MINUTES[n])
     sums = [sum(row[i] for name, row in stored.items() if name != "all") for i in range(10)]
     assert sums == stored["all"]
-    hours = int(re.search(r"about\s+(\d+) hours of work in all", readme)[1])
+    (hours,) = map(int, re.findall(r"about\s+(\d+) hours of work in all", readme))
     assert hours == round(sum(MINUTES.values()) / 60)
 
 

@@ -58,6 +58,7 @@ def test_a_painted_wall_is_found_although_its_depth_slides(plane_scene, assert_p
     frame = dataclasses.replace(frame, rgb=frame.rgb + 0.1)
     surface, levels = scene(CAMERA, se3.exp(0.5 * NEARBY) @ T_WC), depth_pyramid(frame.depth_m, CAMERA, EXACT.pyramid)
     pictures = Pictures.of(brightness_levels(frame.rgb, EXACT.pyramid), surface)
+    assert pictures is not None
     with use_backend(backend):
         found = align(levels, surface, se3.exp(NEARBY) @ T_WC, EXACT, pictures=pictures)
         alone = align(levels, surface, se3.exp(NEARBY) @ T_WC, EXACT)

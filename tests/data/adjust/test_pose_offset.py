@@ -1,6 +1,7 @@
 """Poses and pictures of different times: the path between the poses, and the offset that the pictures tell."""
 
 import dataclasses
+from typing import Any, cast
 
 import pytest
 import torch
@@ -13,7 +14,7 @@ from gsfusion_nb.data.room import room
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.runs import run_mapping
 
-LATE = {"n_frames": 480, "width": 160, "height": 120, "pose_delay_s": 0.05}
+LATE: dict[str, Any] = {"n_frames": 480, "width": 160, "height": 120, "pose_delay_s": 0.05}
 
 PART = DataConfig(start=150, stop=190, hold_out_every=0)
 
@@ -21,7 +22,7 @@ PART = DataConfig(start=150, stop=190, hold_out_every=0)
 @pytest.fixture(scope="module")
 def late():
     """Forty frames of a walk whose poses are those of 50 ms later: the pictures are 50 ms early."""
-    return apply_options(room(**LATE), PART)
+    return apply_options(cast(Any, room(**LATE)), PART)
 
 
 def test_a_path_goes_through_its_poses_and_is_exact_for_even_motion():
@@ -55,7 +56,7 @@ def test_the_offset_is_found_from_the_pictures_and_stands_in_the_settings(late, 
     found = estimate_pose_offset(late)
     assert found.is_sure
     assert found.offset_s == pytest.approx(-0.05, abs=0.005)
-    exact = estimate_pose_offset(apply_options(room(**LATE | {"pose_delay_s": 0.0}), PART))
+    exact = estimate_pose_offset(apply_options(cast(Any, room(**dict(LATE, pose_delay_s=0.0))), PART))
     assert abs(exact.offset_s) < 0.003
     config = gsfusion("online", data__stop=2, data__hold_out_every=0, data__repair__pose_offset_s="estimate")
     run = run_mapping(dataclasses.replace(late), config, folder=tmp_path / "run", evaluate=False).run
