@@ -18,6 +18,7 @@ from ..tracking import (
     BackEnd,
     Correction,
     Features,
+    KeyframeDatabase,
     LandmarkMap,
     Sighting,
     SurfaceSource,
@@ -58,8 +59,10 @@ class Localiser:
         """State of the tracker before the frame that it tracked last, until that frame is recorded."""
         self._back_end: BackEnd | None = None
         self._map: LandmarkMap | None = None
-        """Keyframes and landmarks, for the front end and to relocalise when tracking is lost; the back end's, if there
-        is one."""
+        """Keyframes and landmarks, where the front end or the back end uses landmarks; the back end's, if there is
+        one."""
+        self._database: KeyframeDatabase | None = None
+        """Keyframes by appearance, to relocalise when tracking is lost; the map's, if there is one."""
         self._view: tuple[int, Features, Sighting | None] | None = None
         """Index of the frame that was located last, its features, and the landmarks that it sees."""
 
@@ -103,7 +106,7 @@ class Localiser:
     @property
     def camera(self) -> Camera | None:
         """Camera of the keyframes used for relocalisation; None if there are none."""
-        return None if self._map is None else self._map.camera
+        return None if self._database is None else self._database.camera
 
     def locate(self, frame: Frame, surface: SurfaceSource) -> Frame:
         """The frame with its pose in the map.
@@ -147,7 +150,7 @@ class Localiser:
 
     def _relocalise(self, frame: Frame) -> list[Float[Tensor, "4 4"]]:
         """Possible poses of the frame by its appearance, the most likely first."""
-        return [] if self._map is None else self._map.database.relocalise(frame)
+        return [] if self._database is None else self._database.relocalise(frame)
 
     def _see(self, frame: Frame) -> Sighting | None:
         """Landmarks that the frame sees; None if they are not wanted, or too few."""
@@ -185,23 +188,30 @@ class Localiser:
     def _remember(self, frame: Frame) -> Correction | None:
         """Make the frame a keyframe if the camera has moved enough; returns the back end's correction, if any."""
         settings, T_WC = self.config.back_end, frame.T_WC_cpu
-        if self._map is None:
-            if settings.enabled:
-                self._back_end = BackEnd(settings, frame.camera)
-            self._map = self._own_map(frame.camera) if self._back_end is None else self._back_end.map
-        if self._view is not None and self._view[0] == frame.index and self._view[2] is not None:
-            self._map.count(self._view[2])
-        if len(self._map) and not moved_enough(self._map.database.T_WC[-1], T_WC, settings):
+        if self._database is None:
+            self._use(frame.camera, BackEnd(settings, frame.camera) if settings.enabled else None)
+        assert self._database is not None
+        index, _, seen = self._view or (None, None, None)
+        if self._map is not None and seen is not None and index == frame.index:
+            self._map.count(seen)
+        if len(self._database) and not moved_enough(self._database.T_WC[-1], T_WC, settings):
             return None
         features = self._features(frame)
         if self._back_end is not None:
             return self._apply(self._back_end.add(frame, frame.T_WC, features))
-        self._map.add(frame.index, T_WC, features)
+        known = self._database if self._map is None else self._map
+        known.add(frame.index, T_WC, features)
         return None
 
-    def _own_map(self, camera: Camera) -> LandmarkMap:
-        """For a front end without back end."""
-        return LandmarkMap(camera, count=self.config.back_end.features, levels=self.config.back_end.levels)
+    def _use(self, camera: Camera, back_end: BackEnd | None) -> None:
+        """Begin to remember keyframes: in the back end, in a map of landmarks, or only by their appearance."""
+        size = {"count": self.config.back_end.features, "levels": self.config.back_end.levels}
+        self._back_end = back_end
+        if back_end is not None:
+            self._map = back_end.map
+        elif self.config.landmarks.enabled:
+            self._map = LandmarkMap(camera, **size)
+        self._database = KeyframeDatabase(camera, **size) if self._map is None else self._map.database
 
     def finish(self) -> Correction | None:
         """The last optimisation of the back end, over all keyframes and landmarks, after the scan.
@@ -231,6 +241,7 @@ class Localiser:
             "camera": None if self.camera is None else vars(self.camera),
             "back_end": None if self._back_end is None else self._back_end.state_dict(),
             "map": None if self._map is None or self._back_end is not None else self._map.state_dict(),
+            "database": None if self._database is None or self._map is not None else self._database.state_dict(),
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -253,12 +264,12 @@ class Localiser:
             check_saved("given", state["given"], (len(self.frame_indices), 4, 4))
             self.given = [self._kept(T_WC) for T_WC in state["given"].cpu()]
         self._tracker = Tracker.from_state_dict(self.config, state["tracker"])
-        if state["back_end"] is not None:
-            self._back_end = BackEnd.from_state_dict(settings, Camera(**state["camera"]), state["back_end"])
-            self._map = self._back_end.map
-        if state["map"] is not None:
-            self._map = self._own_map(Camera(**state["camera"]))
-            self._map.load_state(state["map"])
+        if state["camera"] is not None:
+            camera, saved = Camera(**state["camera"]), state["back_end"]
+            self._use(camera, None if saved is None else BackEnd.from_state_dict(settings, camera, saved))
+        for name, part in (("map", self._map), ("database", self._database)):
+            if state[name] is not None and part is not None:
+                part.load_state(state[name])
 
 
 def between(indices: Int[Tensor, " R"], values: Float[Tensor, "R D"], index: int) -> Float[Tensor, " D"]:
