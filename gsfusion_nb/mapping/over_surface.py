@@ -55,6 +55,8 @@ class StoredWithSurface(StoredMap):
     gaussians: Any
     n_frames: int
     config: Any
+    _discs: tuple[int, GaussianParams | None] = (0, None)
+    """Number of frames when discs were made last, and these."""
 
     def write_besides(self, folder: Path) -> None:
         """Write the TSDF."""
@@ -79,7 +81,7 @@ class StoredWithSurface(StoredMap):
 
         While a map grows, the discs are made anew only when a tenth more frames were mapped.
         """
-        made, discs = getattr(self, "_discs", (0, None))
+        made, discs = self._discs
         n = len(self.gaussians)
         if self.n_frames > made + made // 10:
             made, discs = self.n_frames, None

@@ -16,6 +16,7 @@ from ..data import SequenceView
 from ..evaluation import ImageScores, score_views
 from ..foreign import reason_of
 from ..mapping.exposure_fit import exposure_between
+from ..mapping.stored_map import Draw
 from ..optim import exposed, fit_gain
 from ..strict_json import read_object
 from ..types import Camera, Frame, RenderOutput
@@ -23,9 +24,6 @@ from .mapping_run import MappingRun
 from .posed_frames import frames_at, poses_in_map
 
 VIEWS = "views.json"
-
-Draw = Callable[[Camera, Float[Tensor, "4 4"]], RenderOutput]
-"""Renders the map for a camera and its camera-to-world pose."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -219,7 +219,7 @@ class BackEnd:
 
     def _with_landmarks(self) -> Adjusted:
         """Adjust all poses but the first, and the landmarks, which keep what was found."""
-        seen = self.landmarks.observations([], per_keyframe=self.config.landmarks_per_keyframe)
+        seen = self.landmarks.observations(per_keyframe=self.config.landmarks_per_keyframe)
         odometry = [e for e in fit_odometry(self.edges) if e.kind == "odometry"]
         found = adjust(self.camera, self.T_WC, seen, odometry, torch.arange(len(self)) == 0, iterations=20)
         self.map.move(found.T_WC)

@@ -23,7 +23,7 @@ from ..geometry import se3
 from ..types import Camera
 from .features import DEPTH_SIGMA_PER_M
 from .gauss_newton_poses import EdgeTerms
-from .landmark_rows import CAUCHY, point_errors
+from .landmark_rows import inverse_or_zero, point_errors, robust_cost, robust_weight
 from .landmarks import Observations
 from .pose_graph import Edge
 
@@ -133,8 +133,7 @@ class _Problem:
         self.camera = camera
         self.keyframe, self.landmark = seen.keyframe.numpy(), seen.landmark.numpy()
         self.uv, self.sigma_px = seen.uv.numpy(), seen.sigma_px.numpy()
-        z = seen.depth_m.numpy()
-        self.inverse = np.where(z > 0, 1 / np.maximum(z, 1e-6), 0.0)
+        self.inverse = inverse_or_zero(seen.depth_m.numpy())
         self.sigma_inverse = np.sqrt(DEPTH_SIGMA_PER_M**2 + (self.sigma_px * self.inverse / camera.fx) ** 2)
         self.free = (6 * (~fixed).nonzero().numpy() + np.arange(6)).ravel()
         self.edges = EdgeTerms(edges) if edges else None
@@ -142,13 +141,13 @@ class _Problem:
     def error(self, T_WC: Tensor, xyz: ndarray) -> float:
         """Half the sum of robust squared errors."""
         e, _, _, _ = self._errors(T_WC, xyz)
-        total = 0.5 * CAUCHY**2 * float(np.log1p((e * e).sum(1) / CAUCHY**2).sum())
+        total = 0.5 * robust_cost(e)
         return total if self.edges is None else total + self.edges.robust_error(self.edges.errors(T_WC)[0])
 
     def system(self, T_WC: Tensor, xyz: ndarray) -> _System:
         """The normal equations with the weights of this state."""
         e, by_y, y, R = self._errors(T_WC, xyz)
-        w = 1 / (1 + (e * e).sum(1) / CAUCHY**2)
+        w = robust_weight(e)
         J_p = np.concatenate([-by_y, by_y @ _hat(y)], 2)  # y <- exp(-xi) y
         J_x = by_y @ R.transpose(0, 2, 1)
         wJ_p, wJ_x = w[:, None, None] * J_p, w[:, None, None] * J_x

@@ -11,15 +11,14 @@ from numpy import ndarray
 from torch import Tensor
 
 from ..checks import check_saved, check_whole
-from ..geometry import se3
 from ..types import Camera
 from .bundle_adjustment import adjust
 from .features import Features
 from .icp import ExtraRows
 from .keyframe_database import KeyframeDatabase
-from .landmark_rows import LandmarkRows, fit_pose
+from .landmark_rows import LandmarkRows, fit_pose, inverse_or_zero
 from .landmarks import SEARCH_SHARE, Landmarks
-from .projected_matching import found_near
+from .projected_matching import found_near, in_view
 
 LATEST = 3
 """The local map has the landmarks of this many keyframes, the last ones, ..."""
@@ -132,7 +131,7 @@ class LandmarkMap:
     def refine(self, keyframes: list[int]) -> None:
         """Move the landmarks that several of these keyframes see to where they agree best, with the poses as they
         are."""
-        seen = self.landmarks.observations([], per_keyframe=MOST_REFINED, keyframes=keyframes)
+        seen = self.landmarks.observations(per_keyframe=MOST_REFINED, keyframes=keyframes)
         if len(seen):
             held = torch.ones(len(self), dtype=torch.bool)
             found = adjust(self.camera, torch.stack(self.database.T_WC), seen, [], held, iterations=REFINING_STEPS)
@@ -205,17 +204,16 @@ class LandmarkMap:
             if int(agree.sum()) < max(LEAST_SEEN, LEAST_SHARE * len(pairs)):
                 return None
         pairs = np.stack([pairs[:, 0], local.landmark[pairs[:, 1]]], 1)
-        expected = local.landmark[self._in_view(T_WC, local)]
+        expected = local.landmark[in_view(self.camera, local.xyz_W, T_WC)[1]]
         return Sighting(T_WC=T_WC, rows=rows[agree], pairs=pairs[agree], expected=expected)
 
     def _rows(self, features: Features, pairs: ndarray, local: "_Local") -> LandmarkRows:
         seen = features[torch.from_numpy(pairs[:, 0])]
-        z = seen.xyz_C[:, 2].double().numpy()
         return LandmarkRows(
             camera=self.camera,
             xyz_W=local.xyz_W[pairs[:, 1]],
             uv=seen.uv.double().numpy(),
-            inverse_depth=np.where(z > 0, 1.0 / np.maximum(z, 1e-6), 0.0),
+            inverse_depth=inverse_or_zero(seen.xyz_C[:, 2].double().numpy()),
             sigma_px=seen.sigma_px.double().numpy() * 2**0.5,  # the landmark's own pixel had the same error
         )
 
@@ -223,12 +221,6 @@ class LandmarkMap:
         landmark, descriptors = self.landmarks.seen_from(keyframes)
         xyz_W = self.landmarks.positions(torch.from_numpy(landmark)).numpy()
         return _Local(keyframes=keyframes, landmark=landmark, xyz_W=xyz_W, descriptors=descriptors)
-
-    def _in_view(self, T_WC: Tensor, local: "_Local") -> ndarray:
-        c, xyz_C = self.camera, se3.apply(se3.inverse(T_WC), torch.from_numpy(local.xyz_W)).numpy()
-        z = np.maximum(xyz_C[:, 2], 1e-6)
-        u, v = c.fx * xyz_C[:, 0] / z + c.cx, c.fy * xyz_C[:, 1] / z + c.cy
-        return (xyz_C[:, 2] > 0.1) & (u >= 0) & (u < c.width) & (v >= 0) & (v < c.height)
 
     def state_dict(self) -> dict[str, Any]:
         """Keyframes and landmarks, as tensors and plain values."""

@@ -87,19 +87,33 @@ class LandmarkRows:
         g_x, g_y, g_z = (J[:, :, k] for k in range(3))
         for k, turn in enumerate((y * g_z - z * g_y, z * g_x - x * g_z, x * g_y - y * g_x)):
             J[:, :, 3 + k] = turn  # g . (omega x a) = omega . (a x g)
-        weight = 1.0 / (1.0 + (e * e).sum(1) / CAUCHY**2)
+        weight = robust_weight(e)
         rows, weighted = J.reshape(-1, 6), (weight[:, None, None] * J).reshape(-1, 6)
         return torch.from_numpy(weighted.T @ rows), torch.from_numpy(weighted.T @ e.reshape(-1))
 
     def cost(self, T_WC: Float[Tensor, "4 4"]) -> float:
         """Sum of the robust squared errors, c^2 ln(1 + |e|^2 / c^2) with c = 2.4, in standard deviations."""
-        e, _, _ = self.errors(T_WC)
-        return CAUCHY**2 * float(np.log1p((e * e).sum(1) / CAUCHY**2).sum())
+        return robust_cost(self.errors(T_WC)[0])
 
     def agree(self, T_WC: Float[Tensor, "4 4"]) -> Bool[ndarray, " P"]:
         """Which landmarks are in front of the camera and where the frame shows them, to 99 % of their errors."""
         e, _, y = self.errors(T_WC)
         return (y[:, 2] > NEAREST_M) & ((e * e).sum(1) < GATE_CHI2)
+
+
+def robust_cost(e: Float[ndarray, "P 3"]) -> float:
+    """Sum of c^2 ln(1 + |e|^2 / c^2) over the rows (Cauchy), c = 2.4 standard deviations."""
+    return CAUCHY**2 * float(np.log1p((e * e).sum(1) / CAUCHY**2).sum())
+
+
+def robust_weight(e: Float[ndarray, "P 3"]) -> Float[ndarray, " P"]:
+    """The weight of each row in a Gauss-Newton step of ``robust_cost``."""
+    return 1.0 / (1.0 + (e * e).sum(1) / CAUCHY**2)
+
+
+def inverse_or_zero(depth_m: ndarray) -> ndarray:
+    """1 / depth, 1/m; 0 where there is none."""
+    return np.where(depth_m > 0, 1.0 / np.maximum(depth_m, 1e-6), 0.0)
 
 
 def point_errors(

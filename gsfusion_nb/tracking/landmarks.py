@@ -159,7 +159,6 @@ class Landmarks:
 
     def observations(
         self,
-        same: list[tuple[int, Tensor]],
         *,
         per_keyframe: int,
         min_views: int = 2,
@@ -168,8 +167,6 @@ class Landmarks:
         """Observations of landmarks that at least ``min_views`` keyframes see, reduced to ``per_keyframe`` of each.
 
         Args:
-            same: Loops: (keyframe, pairs of feature and landmark [I, 2]). Each of these landmarks is merged with the
-                landmark that the feature belonged to before.
             per_keyframe: About this many landmarks of each keyframe are used, those with the longest tracks.
             min_views: Landmarks with fewer observations are left out.
             keyframes: Rows of the keyframes whose observations count; all by default.
@@ -179,8 +176,8 @@ class Landmarks:
         row = np.repeat(np.array(rows, int), [len(f) for f in views])
         landmark = np.concatenate([np.zeros(0, np.int64), *(self.of_feature[r] for r in rows)]).astype(np.int64)
         known = (landmark >= 0).nonzero()[0]
-        name = self._merged(same)[landmark[known]] if same else landmark[known]
-        # One observation per keyframe and landmark; two would be a wrong match or a merged neighbour.
+        name = landmark[known]
+        # One observation per keyframe and landmark; two would be a wrong match.
         _, first = np.unique(name * (len(self.of_feature) + 1) + row[known], return_index=True)
         sighting, name = known[first], name[first]
         length = np.bincount(name, minlength=len(self))[name]
@@ -201,8 +198,8 @@ class Landmarks:
             uv=torch.cat([nothing[:, :2], *(f.uv for f in views)])[at].double(),
             depth_m=xyz_C[:, 2],
             sigma_px=torch.cat([nothing[:, 0], *(f.sigma_px for f in views)])[at].double(),
-            xyz_W=self.positions(torch.from_numpy(landmark[sighting[born]])),
-            name=torch.from_numpy(landmark[sighting[born]]),
+            xyz_W=self.positions(torch.from_numpy(name[born])),
+            name=torch.from_numpy(name[born]),
         )
 
     def state_dict(self) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """Matching of known 3D points with the features of a view, near the pixels at which a pose predicts them."""
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 from torch import Tensor
 
@@ -11,6 +11,9 @@ from .matching import MAX_HAMMING, RATIO
 
 MOST_NEAR = 16
 """Of the features near a predicted pixel, this many are compared, the nearest."""
+
+NEAREST_M = 0.1
+"""Points nearer than this, or behind the camera, are not searched for."""
 
 _BIT_COUNT = np.array([bin(word).count("1") for word in range(1 << 16)], np.uint8)
 
@@ -36,12 +39,8 @@ def found_near(
     nothing = np.zeros((0, 2), np.int64)
     if len(xyz_W) == 0 or len(features) == 0:
         return nothing
-    T = T_WC.detach().cpu().double().numpy()
-    xyz_C = (xyz_W - T[:3, 3]) @ T[:3, :3]
-    z = np.maximum(xyz_C[:, 2], 1e-6)
-    uv = np.stack([camera.fx * xyz_C[:, 0] / z + camera.cx, camera.fy * xyz_C[:, 1] / z + camera.cy], 1)
-    size = np.array([camera.width, camera.height])
-    point = ((xyz_C[:, 2] > 0.1) & (np.abs(uv - size / 2) <= size / 2 + radius_px).all(1)).nonzero()[0]
+    uv, seen = in_view(camera, xyz_W, T_WC, radius_px)
+    point = seen.nonzero()[0]
     if len(point) == 0:
         return nothing
     k = min(MOST_NEAR, len(features))
@@ -53,6 +52,18 @@ def found_near(
     distance = hamming(descriptors[a], features.descriptors.numpy()[b])
     kept = _clear_and_mutual(a, b, distance)
     return np.stack([b[kept], a[kept]], 1).astype(np.int64)
+
+
+def in_view(
+    camera: Camera, xyz_W: ndarray, T_WC: Tensor, margin_px: float = 0.0
+) -> tuple[Float[ndarray, "N 2"], Bool[ndarray, " N"]]:
+    """Pixels of points, and which of them lie in the picture or at most ``margin_px`` beside it."""
+    T = T_WC.detach().cpu().double().numpy()
+    xyz_C = (xyz_W - T[:3, 3]) @ T[:3, :3]
+    z = np.maximum(xyz_C[:, 2], 1e-6)
+    uv = np.stack([camera.fx * xyz_C[:, 0] / z + camera.cx, camera.fy * xyz_C[:, 1] / z + camera.cy], 1)
+    size = np.array([camera.width, camera.height])
+    return uv, (xyz_C[:, 2] > NEAREST_M) & (np.abs(uv - size / 2) <= size / 2 + margin_px).all(1)
 
 
 def hamming(a: ndarray, b: ndarray) -> Int[ndarray, " N"]:

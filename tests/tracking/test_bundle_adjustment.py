@@ -95,7 +95,7 @@ def test_relative_poses_hold_what_no_landmark_sees(scene, generator):
 def test_gtsam_finds_the_same(scene, generator):
     """Its depths have slightly other weights, so the optimum is close, but not the same."""
     pytest.importorskip("gtsam", reason="the extra 'slam' is not installed")
-    from gsfusion_nb.tracking.pose_graph import optimise_landmarks
+    from gtsam_landmarks import optimise_landmarks
 
     start, seen = disturbed(scene, generator)
     seen = dataclasses.replace(seen, uv=seen.uv + 0.3 * torch.randn(seen.uv.shape, generator=generator).double())

@@ -82,7 +82,7 @@ def test_refined_landmarks_agree_better_with_all_views(sequence, views, known, m
     held = torch.ones(len(KEYFRAMES), dtype=torch.bool)
     errors = []
     for m in (first, known):
-        seen = m.landmarks.observations([], per_keyframe=1000)
+        seen = m.landmarks.observations(per_keyframe=1000)
         errors.append(adjust(m.camera, torch.stack(m.database.T_WC), seen, [], held, iterations=0).error_before)
     assert errors[1] < 0.8 * errors[0]
 

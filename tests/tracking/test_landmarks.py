@@ -96,11 +96,12 @@ def test_shared_landmarks(points):
 
 def test_observations_and_loops(points):
     landmarks = three_views(points)
-    table = landmarks.observations([], per_keyframe=100)
+    table = landmarks.observations(per_keyframe=100)
     assert len(table) == 80
     assert sorted(set(table.keyframe.tolist())) == [0, 1]
     loop = (2, torch.stack([torch.arange(10), torch.arange(10)], 1))
-    joined = landmarks.observations([loop], per_keyframe=100)
+    landmarks.fuse([loop])
+    joined = landmarks.observations(per_keyframe=100)
     assert len(joined) == 90
     assert int((joined.keyframe == 2).sum()) == 10
     assert len(joined.xyz_W) == 40
@@ -112,7 +113,9 @@ def test_observations_and_loops(points):
 
 def test_the_longest_tracks_are_kept(points):
     loop = (2, torch.stack([torch.arange(10), torch.arange(10)], 1))
-    table = three_views(points).observations([loop], per_keyframe=10)
+    landmarks = three_views(points)
+    landmarks.fuse([loop])
+    table = landmarks.observations(per_keyframe=10)
     assert len(table.xyz_W) == 10
     assert len(table) == 30
 
@@ -122,8 +125,8 @@ def test_nothing_to_observe():
         (moved(0.0), seen(moved(0.0), torch.zeros(0, 3).double(), torch.zeros((0, 32), dtype=torch.uint8)), NO_PAIRS)
     )
     assert len(empty) == 0
-    assert len(empty.observations([], per_keyframe=10)) == 0
-    assert len(Landmarks(KeyframeDatabase(CAMERA)).observations([], per_keyframe=10)) == 0
+    assert len(empty.observations(per_keyframe=10)) == 0
+    assert len(Landmarks(KeyframeDatabase(CAMERA)).observations(per_keyframe=10)) == 0
 
 
 def test_landmarks_move_with_the_keyframe_they_were_born_in(points):

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 import torch
+from gtsam_landmarks import optimise_landmarks
 
 from gsfusion_nb.geometry import project, se3
 from gsfusion_nb.tracking.landmarks import Observations
@@ -14,7 +15,6 @@ from gsfusion_nb.tracking.pose_graph import (
     edge_error,
     fit_odometry,
     odometry_information,
-    optimise_landmarks,
     optimise_poses,
     require_gtsam,
     with_floor,
