@@ -8,13 +8,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ...drawing.ground import CARD, CARD_INK
+from ...drawing.ground import CARD_INK
 from ...drawing.pictures import Picture, to_uint8
 from ...types import Camera
 from .pixel_microscope import OUTLINED, PICTURE_PX, PixelMicroscope
 from .pixel_mix import PixelMix, mix_table, pixel_mix
-from .pixel_stack import project_splats
-from .stack_picture import FAINT, lens_picture, write
+from .pixel_stack import project_splats, rgb_text
+from .stack_picture import empty_graph, lens_picture, write
 
 
 class MixMicroscope(PixelMicroscope):
@@ -58,11 +58,10 @@ class MixMicroscope(PixelMicroscope):
 
     def _caption(self, rendered: str) -> str:
         s = self.stack
-        mixed = " ".join(f"{float(x):.3f}" for x in s.colour)
         behind = f", {s.hidden} behind the surface" if s.hidden else ""
         return (
             f"pixel ({s.u}, {s.v}): <b>surface and {len(s)} Gaussians</b>{behind}, W = {s.total:.2f}, "
-            f"mean = {mixed}; rendered (8 bit) {rendered}"
+            f"mean = {rgb_text(s.colour)}; rendered (8 bit) {rendered}"
         )
 
 
@@ -75,12 +74,7 @@ def mix_picture(mix: PixelMix, *, width: int = 560, height: int = 260, scale: in
         scale: Picture pixels per screen pixel.
     """
     s = scale
-    image = np.full((height * s, width * s, 3), CARD, np.uint8)
-    left, right, top, bottom = 64 * s, (width - 12) * s, 24 * s, (height - 84) * s
-    for value in (0.0, 0.5, 1.0):
-        y = round(bottom + value * (top - bottom))
-        cv2.line(image, (left, y), (right, y), FAINT, s)
-        write(image, f"{value:g}", 10 * s, y + 4 * s, s, ink=CARD_INK)
+    image, (left, right, top, bottom) = empty_graph(width, height, s, left_px=64, below_px=84)
     write(image, "weight: the surface first, then the Gaussians, heaviest first", left, 14 * s, s, ink=CARD_INK)
     edges = np.linspace(left, right, len(mix) + 2).round().astype(int)
     weights = [mix.base_weight, *mix.weight.tolist()]

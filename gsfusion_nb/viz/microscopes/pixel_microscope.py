@@ -14,7 +14,7 @@ from ...types import Camera, GaussianParams
 from ..display import Bundle, with_picture
 from ..lost import LostNotice
 from ..panels.click_image import ClickImage
-from .pixel_stack import Splats, pixel_stack, project_splats, stack_table
+from .pixel_stack import Splats, pixel_stack, project_splats, rgb_text, stack_table
 from .stack_picture import lens_picture, stack_picture, with_cross
 
 PICTURE_PX = 300
@@ -129,7 +129,7 @@ class PixelMicroscope:
 
     def _caption(self, rendered: str) -> str:
         s = self.stack
-        summed = " ".join(f"{float(x):.3f}" for x in s.colour)
+        summed = rgb_text(s.colour)
         return f"pixel ({s.u}, {s.v}): <b>{len(s)} Gaussians</b>, sum of w c = {summed}; rendered (8 bit) {rendered}"
 
     def _redraw(self) -> None:

@@ -11,6 +11,7 @@ from torch import Tensor
 from ...drawing.html import html_table
 from ...render import BaseView
 from ...render.composite import pixel_offsets, splat_alpha
+from ...render.over_base import not_behind
 from .pixel_stack import CELL_STYLE, TABLE_ROWS, Splats, check_pixel, rgb_text, swatch
 
 
@@ -85,9 +86,9 @@ def pixel_mix(splats: Splats, below: BaseView, u: int, v: int) -> PixelMix:
     dx, dy = pixel_offsets(p.uv[row], torch.tensor([u]), torch.tensor([v]))
     alpha = splat_alpha(dx, dy, p.conic[row], p.opacity[row])[:, 0]
     row, alpha = row[alpha > 0], alpha[alpha > 0]
-    surface_m = float(base.depth_m[v, u])
-    hidden = (p.depth_m[row] > surface_m + below.behind_m) & (surface_m > 0)
-    row, w = row[~hidden], alpha[~hidden]
+    w = not_behind(alpha[:, None], p.depth_m[row], base.depth_m[v, u][None], below.behind_m)[:, 0]
+    hidden = w == 0
+    row, w = row[~hidden], w[~hidden]
     order = w.argsort(descending=True, stable=True)
     row, w = row[order], w[order]
     return PixelMix(

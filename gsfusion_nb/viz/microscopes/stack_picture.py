@@ -31,12 +31,7 @@ def stack_picture(stack: PixelStack, *, width: int = 420, height: int = 240, sca
     import cv2
 
     s = scale
-    image = np.full((height * s, width * s, 3), CARD, np.uint8)
-    left, right, top, bottom = 40 * s, (width - 12) * s, 24 * s, (height - 66) * s
-    for value in (0.0, 0.5, 1.0):
-        y = round(bottom + value * (top - bottom))
-        cv2.line(image, (left, y), (right, y), FAINT, s)
-        write(image, f"{value:g}", 10 * s, y + 4 * s, s, ink=CARD_INK)
+    image, (left, right, top, bottom) = empty_graph(width, height, s, left_px=40, below_px=66)
     strip = slice((height - 40) * s, (height - 24) * s)
     write(image, "red: light left T   pale: alpha   full: weight w = alpha T", left, 14 * s, s, ink=CARD_INK)
     write(image, "sum", 10 * s, strip.stop - 4 * s, s, ink=CARD_INK)
@@ -53,6 +48,28 @@ def stack_picture(stack: PixelStack, *, width: int = 420, height: int = 240, sca
     corners = [steps[0], *(c for a, b in pairwise(steps) for c in ((b[0], a[1]), b)), (right, y[-1])]
     cv2.polylines(image, [np.array(corners, np.int32)], False, LIGHT, s, cv2.LINE_AA)
     return image
+
+
+def empty_graph(
+    width: int, height: int, scale: int, *, left_px: int, below_px: int
+) -> tuple[Picture, tuple[int, int, int, int]]:
+    """A card with lines at 0, 0.5 and 1, and where they are: left, right, top (1) and bottom (0), picture pixels.
+
+    Args:
+        width, height: Size on screen, pixels.
+        scale: Picture pixels per screen pixel.
+        left_px, below_px: Room at the left of the lines and below them, screen pixels.
+    """
+    import cv2
+
+    s = scale
+    image = np.full((height * s, width * s, 3), CARD, np.uint8)
+    left, right, top, bottom = left_px * s, (width - 12) * s, 24 * s, (height - below_px) * s
+    for value in (0.0, 0.5, 1.0):
+        y = round(bottom + value * (top - bottom))
+        cv2.line(image, (left, y), (right, y), FAINT, s)
+        write(image, f"{value:g}", 10 * s, y + 4 * s, s, ink=CARD_INK)
+    return image, (left, right, top, bottom)
 
 
 def _bars(image: Picture, stack: PixelStack, edges: np.ndarray, span: tuple[int, int], gap: int) -> None:
