@@ -13,6 +13,7 @@ from .image import depth_l1_m as depth_l1_m
 from .image import expected_depth_m as expected_depth_m
 from .image import lpips as lpips
 from .image import psnr as psnr
+from .image import score_view as score_view
 from .image import score_views as score_views
 from .image import ssim as ssim
 from .metrics import format_metric as format_metric

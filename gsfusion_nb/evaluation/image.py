@@ -214,6 +214,20 @@ class ImageScores:
         return sum(known) / len(known)
 
 
+def score_view(view: RenderOutput, frame: Frame, *, with_lpips: bool = False, quantise: bool = True) -> ViewScores:
+    """Compare the map's picture of one view with the frame; arguments and scores are those of ``score_views``."""
+    frame = frame.to(view.rgb.device)
+    l1_m, share = depth_l1_m(expected_depth_m(view), frame.depth_m)
+    return ViewScores(
+        index=frame.index,
+        psnr=psnr(view.rgb, frame.rgb, quantise=quantise),
+        ssim=ssim(view.rgb, frame.rgb, quantise=quantise) if min(frame.rgb.shape[:2]) >= 6 else math.nan,
+        lpips=lpips(view.rgb, frame.rgb, quantise=quantise) if with_lpips else NotComputed("not requested"),
+        depth_l1_m=l1_m,
+        depth_share=share,
+    )
+
+
 def score_views(
     render_fn: RenderFn, frames: Iterable[Frame], *, with_lpips: bool = False, quantise: bool = True
 ) -> ImageScores:
@@ -228,21 +242,9 @@ def score_views(
     Returns:
         One row per frame. Depth is compared where the opacity of the map is at least 0.5.
     """
-    skipped = NotComputed("not requested")
     rows = []
     for frame in frames:
         with torch.no_grad():
             view = render_fn(frame.camera, frame.T_WC)
-        frame = frame.to(view.rgb.device)
-        l1_m, share = depth_l1_m(expected_depth_m(view), frame.depth_m)
-        rows.append(
-            ViewScores(
-                index=frame.index,
-                psnr=psnr(view.rgb, frame.rgb, quantise=quantise),
-                ssim=ssim(view.rgb, frame.rgb, quantise=quantise) if min(frame.rgb.shape[:2]) >= 6 else math.nan,
-                lpips=lpips(view.rgb, frame.rgb, quantise=quantise) if with_lpips else skipped,
-                depth_l1_m=l1_m,
-                depth_share=share,
-            )
-        )
+        rows.append(score_view(view, frame, with_lpips=with_lpips, quantise=quantise))
     return ImageScores(rows=tuple(rows))

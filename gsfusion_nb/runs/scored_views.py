@@ -13,13 +13,13 @@ from torch import Tensor
 from ..checks import SAVED_RIGIDITY_ERROR, check_pose, check_saved, check_whole
 from ..constants import SHOWN_ALPHA
 from ..data import SequenceView
-from ..evaluation import ImageScores, score_views
+from ..evaluation import ImageScores, score_view
 from ..foreign import reason_of
 from ..mapping.exposure_fit import exposure_between
 from ..mapping.stored_map import Draw
 from ..optim import exposed, fit_gain
 from ..strict_json import read_object
-from ..types import Camera, Frame, RenderOutput
+from ..types import Frame, RenderOutput
 from .mapping_run import MappingRun
 from .posed_frames import frames_at, poses_in_map
 
@@ -49,19 +49,18 @@ class ScoredViews:
         yield from frames_at(view, list(self.poses))
 
     def scores(self, draw: Draw, sequence: SequenceView, *, with_lpips: bool = False) -> ImageScores:
-        """``score_views`` of the readable frames; what ``draw`` renders is shown with the exposure of each view."""
-        at = [-1]
+        """The scores of the readable frames; what ``draw`` renders is shown with the exposure of each view."""
+        return ImageScores(
+            rows=tuple(
+                score_view(self._shown(draw, frame), frame, with_lpips=with_lpips) for frame in self.frames(sequence)
+            )
+        )
 
-        def frames() -> Iterator[Frame]:
-            for frame in self.frames(sequence):
-                at[0] = frame.index
-                yield frame
-
-        def shown(camera: Camera, T_WC: Tensor) -> RenderOutput:
-            output, gain = draw(camera, T_WC), self.gains.get(at[0])
-            return output if gain is None else dataclasses.replace(output, rgb=exposed(output.rgb, gain.to(output.rgb)))
-
-        return score_views(shown, frames(), with_lpips=with_lpips)
+    def _shown(self, draw: Draw, frame: Frame) -> RenderOutput:
+        with torch.no_grad():
+            output = draw(frame.camera, frame.T_WC)
+        gain = self.gains.get(frame.index)
+        return output if gain is None else dataclasses.replace(output, rgb=exposed(output.rgb, gain.to(output.rgb)))
 
 
 def scored_views(run: MappingRun) -> dict[str, ScoredViews]:
