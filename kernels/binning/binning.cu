@@ -12,7 +12,7 @@ struct Grid {
     int width, height, tiles_x;
 };
 
-// The (splat, tile) pairs to be written. order: rows by depth; end: of each of them in that order, one past its last
+// The (splat, tile) pairs to be written. order: of rows; end: of each of them in that order, one past its last
 // pair; count: by row; active: of each tile, whether it is wanted, or null for all. Of the two arrays of tiles the one
 // that is wide enough is not null.
 struct Pairs {

@@ -1,4 +1,4 @@
-"""Lists of the splats that touch each tile, nearest first: ``binning.cu`` and torch's radix sorts.
+"""Lists of the splats that touch each tile, nearest first or in any order: ``binning.cu`` and torch's radix sorts.
 
 Splats are sorted by depth once, the (splat, tile) pairs are listed in that order, and a stable sort by tile number
 keeps it: two sorts with short keys. The number of pairs is the only value the host waits for.
@@ -33,10 +33,10 @@ class Grid(NamedTuple):
 
 
 class Pairs(NamedTuple):
-    """The (splat, tile) pairs that the kernel is to write, splat after splat in the order of depth."""
+    """The (splat, tile) pairs that the kernel is to write, splat after splat in their order."""
 
     order: Tensor
-    """int64 [N]: the splats, nearest first."""
+    """int64 [N]: the splats in the order of each list."""
     end: Tensor
     """int64 [N]: in that order, one past each splat's last pair."""
     count: Tensor
@@ -64,8 +64,12 @@ class TileLists:
     n_tiles: int
 
 
-def list_tiles(splats: Tensor, depth: Tensor, camera: Camera, pixels: Tensor | None) -> TileLists:
+def list_tiles(
+    splats: Tensor, depth: Tensor, camera: Camera, pixels: Tensor | None, *, by_depth: bool = True
+) -> TileLists:
     """Lists of all splats with a finite depth; empty in tiles without any of ``pixels``.
+
+    by_depth: nearest first; otherwise in the order of the map, which saves a sort.
 
     Raises:
         ValueError: there are more pairs than an int32 can number.
@@ -77,7 +81,7 @@ def list_tiles(splats: Tensor, depth: Tensor, camera: Camera, pixels: Tensor | N
     count = torch.empty(N, dtype=torch.int32, device=device)
     blocks = parts(N, _BLOCK)
     launch("render_forward", "binning:count_tiles", blocks, _BLOCK, splats, depth, before, count, N, grid)
-    order = torch.sort(depth, stable=True).indices
+    order = torch.sort(depth, stable=True).indices if by_depth else torch.arange(N, device=device)
     end = count.index_select(0, order).cumsum(0)  # int64
     total = int(end[-1]) if N else 0
     check_pairs(total)

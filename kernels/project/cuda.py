@@ -7,10 +7,11 @@ from torch import Tensor
 
 from gsfusion_nb.types import Camera, GaussianParams
 
+from ..composite.sums import SUM_GX, SUM_GY
 from ..runtime.cuda.launch import launch
 from ..runtime.gpu import packed, parts
 from .lens import projection_lens
-from .splat import SPLAT
+from .splat import CONIC_A, CONIC_B, CONIC_C, SPLAT
 
 _BLOCK = 128
 _FIELDS = {"xyz": "xyz_W", "log_scale": "log_scale", "quat": "quat", "logit": "opacity_logit", "sh": "sh"}
@@ -67,6 +68,14 @@ def project_rows_vjp(
         Params(**arrays, pose=T_WC), projection_lens(camera), splats, depth, sums, trained, Gradients(**out), N,
     )  # fmt: skip
     return GaussianParams(**{field: out[name] for name, field in _FIELDS.items()})
+
+
+def centre_vjp(splats: Tensor, depth: Tensor, sums: Tensor, rows: Tensor | None, v_uv: Tensor) -> None:
+    """Write dL/d of the centres in the image, from the sums of ``composite.cu``; zero for rows that are not drawn."""
+    A, B, C = (splats[:, column] for column in (CONIC_A, CONIC_B, CONIC_C))
+    g_x, g_y = sums[:, SUM_GX], sums[:, SUM_GY]
+    drawn = depth.isfinite() if rows is None else depth.isfinite() & rows
+    v_uv.copy_(torch.where(drawn[:, None], torch.stack([A * g_x + B * g_y, B * g_x + C * g_y], dim=1), 0.0))
 
 
 def _arrays(params: GaussianParams) -> dict[str, Tensor]:

@@ -16,11 +16,11 @@ from gsfusion_nb.render.tiles import TileLists as PlainLists
 from gsfusion_nb.types import Camera, GaussianParams, RenderOutput
 
 from ..binning.cuda import TILE, TileLists, list_tiles
-from ..composite.sums import SUM_GX, SUM_GY
-from ..project.cuda import project_rows, project_rows_vjp
-from ..project.splat import CONIC_A, CONIC_B, CONIC_C, DEPTH, LN_OPACITY, RED, SPLAT, U
+from ..composite.work import Work
+from ..project.cuda import centre_vjp, project_rows, project_rows_vjp
+from ..project.splat import CONIC_A, DEPTH, LN_OPACITY, RED, SPLAT, U
 from ..runtime.cuda.launch import device_of, launch
-from ..runtime.gpu import check_dtype, packed
+from ..runtime.gpu import as_bytes, check_dtype, packed
 from .host import blank
 
 _BLOCK = 128
@@ -64,18 +64,6 @@ class CudaPicture(Record):
                 pixels=None if pixels is None else pixels.reshape(shape).bool(),
             ),
         )
-
-
-class Work(NamedTuple):
-    """What is to be composited, in which pixels (``None``: all)."""
-
-    splats: Tensor
-    ids: Tensor
-    offset: Tensor
-    pixels: Tensor | None
-    width: int
-    height: int
-    tiles_x: int
 
 
 class Images(NamedTuple):
@@ -128,7 +116,7 @@ def render_forward(
         depth=depth,
         lists=list_tiles(splats, depth, camera, pixels),
         image=(out.rgb, out.depth_m, out.alpha),
-        pixels=_as_bytes(pixels),
+        pixels=as_bytes(pixels),
     )
     images = Images(*picture.image, first=out.first_index, dominant=out.dominant_index, hit=out.hit_index)
     kernel = f"composite:composite_{int(with_indices)}{int(with_hits)}"
@@ -155,7 +143,7 @@ def render_vjp(
     gradients = {"v_rgb": v_rgb, "v_depth": v_depth_m, "v_alpha": v_alpha}
     device = device_of("render_vjp", picture=saved.splats, rows=rows, **gradients)
     seen = Seen(*saved.image, **{name: None if v is None else packed(v.float()) for name, v in gradients.items()})
-    trained = _as_bytes(rows)
+    trained = as_bytes(rows)
     sums = torch.zeros(len(saved.splats), SPLAT, dtype=torch.float32, device=device)
     kernel, tiles = "composite:composite_backward", saved.lists.n_tiles
     if v_uv_abs is None:
@@ -165,31 +153,9 @@ def render_vjp(
         launch("render_vjp", f"{kernel}_abs", tiles, _BLOCK, _work(saved), seen, trained, sums, abs_sums)
         v_uv_abs.copy_(abs_sums)
     if v_uv is not None:
-        _centre_vjp(saved, sums, rows, v_uv)
+        centre_vjp(saved.splats, saved.depth, sums, rows, v_uv)
     return project_rows_vjp(saved.params, saved.camera, saved.T_WC, saved.splats, saved.depth, sums, trained)
 
 
-def _centre_vjp(picture: CudaPicture, sums: Tensor, rows: Tensor | None, v_uv: Tensor) -> None:
-    """dL/d of the centres in the image, from the sums of ``composite.cu``; zero for rows that are not drawn."""
-    A, B, C = (picture.splats[:, column] for column in (CONIC_A, CONIC_B, CONIC_C))
-    g_x, g_y = sums[:, SUM_GX], sums[:, SUM_GY]
-    drawn = picture.depth.isfinite() if rows is None else picture.depth.isfinite() & rows
-    v_uv.copy_(torch.where(drawn[:, None], torch.stack([A * g_x + B * g_y, B * g_x + C * g_y], dim=1), 0.0))
-
-
 def _work(picture: CudaPicture) -> Work:
-    lists, camera = picture.lists, picture.camera
-    return Work(
-        splats=picture.splats,
-        ids=lists.ids,
-        offset=lists.offset,
-        pixels=picture.pixels,
-        width=camera.width,
-        height=camera.height,
-        tiles_x=lists.tiles_x,
-    )
-
-
-def _as_bytes(mask: Tensor | None) -> Tensor | None:
-    """A boolean mask as uint8, which kernels read; ``None`` stays."""
-    return None if mask is None else packed(mask).view(torch.uint8)
+    return Work.of(picture.splats, picture.lists, picture.camera, picture.pixels)

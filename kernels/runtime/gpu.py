@@ -30,6 +30,11 @@ def packed(tensor: Tensor) -> Tensor:
     return tensor if tensor.data_ptr() % _ALIGNMENT == 0 else tensor.clone()
 
 
+def as_bytes(mask: Tensor | None) -> Tensor | None:
+    """A boolean mask as uint8, which kernels read; ``None`` stays."""
+    return None if mask is None else packed(mask).view(torch.uint8)
+
+
 def parts(count: int, size: int) -> int:
     """Blocks of threads, or programs, needed for ``count`` items, ``size`` in each."""
     return -(-count // size)

@@ -1,4 +1,4 @@
-"""Both systems, from the first frame to the report, on a device that is not the processor."""
+"""All systems, from the first frame to the report, on a device that is not the processor."""
 
 import functools
 import gc
@@ -8,10 +8,10 @@ import pytest
 import torch
 
 from gsfusion_nb import backends
-from gsfusion_nb.config import DataConfig, OptimConfig, gsfusion, rtg_slam
+from gsfusion_nb.config import DataConfig, OptimConfig, gps_slam, gsfusion, rtg_slam
 from gsfusion_nb.data import open_sequence
 from gsfusion_nb.gaussians import GaussianModel
-from gsfusion_nb.mapping import RTGSLAM, GSFusion, make_mapper
+from gsfusion_nb.mapping import GPSSLAM, RTGSLAM, GSFusion, make_mapper
 from gsfusion_nb.mapping.surfel_optimiser import SurfelOptimiser
 from gsfusion_nb.optim import adam_step
 from gsfusion_nb.runs import MappingRun, outputs, run_mapping
@@ -51,7 +51,22 @@ def rtg_slam_settings(**changes):
     )
 
 
-@pytest.mark.parametrize("settings", [gsfusion_settings, rtg_slam_settings])
+def gps_slam_settings(**changes):
+    """Long enough for the first seeds, before the eleventh mapped frame."""
+    return gps_slam(
+        "room",
+        data=DATA | {"stop": 32},
+        tsdf__voxel_size_m=0.08,
+        schedule={"iterations": 4, "keyframes": 2},
+        final__passes=1,
+        **changes,
+    )
+
+
+ALL_SETTINGS = [gsfusion_settings, rtg_slam_settings, gps_slam_settings]
+
+
+@pytest.mark.parametrize("settings", ALL_SETTINGS)
 def test_a_run_gives_what_it_gives_on_the_processor(settings, gpu, tmp_path, monkeypatch):
     monkeypatch.setattr(outputs, "score_mesh", lambda *_: {})  # of the mesh on the processor, and slow
     there, here = (run_mapping("room", settings(), folder=tmp_path / d, device=d) for d in ("cuda", "cpu"))
@@ -170,7 +185,7 @@ def test_rtg_slam_waits_for_the_number_of_pairs_only(gpu, monkeypatch):
     assert set(waits) == {1}, gpu.waits.most_common()
 
 
-@pytest.mark.parametrize("settings", [gsfusion_settings, rtg_slam_settings])
+@pytest.mark.parametrize("settings", ALL_SETTINGS)
 def test_a_run_is_resumed_on_the_device(settings, gpu, tmp_path):
     mapper = make_mapper(settings(), device="cuda")
     run = MappingRun(open_sequence("room", data=settings().data), mapper, source={"path_or_name": "room"})
@@ -190,7 +205,10 @@ def on_the_device() -> int:
     return sum(t.inner.nbytes for t in gc.get_objects() if type(t).__name__ == "OnGpu")
 
 
-@pytest.mark.parametrize(("system", "settings"), [(GSFusion, gsfusion_settings), (RTGSLAM, rtg_slam_settings)])
+@pytest.mark.parametrize(
+    ("system", "settings"),
+    [(GSFusion, gsfusion_settings), (RTGSLAM, rtg_slam_settings), (GPSSLAM, gps_slam_settings)],
+)
 def test_nothing_stays_on_the_device(system, settings, gpu):
     """When the mapper goes, so do its maps, frames and keyframes: what is left are constants of a few hundred bytes."""
     before = on_the_device()  # open widgets of other tests hold their maps

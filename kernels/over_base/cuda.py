@@ -1,0 +1,131 @@
+"""``render_over_base`` and its gradient in CUDA, offered for CUDA tensors: ``over_base.cu``.
+
+Project and colour every row, list its tiles in any order, and sum up. float64 goes to the reference. Gradients are
+added up by atomics, in an order that changes from run to run: they repeat to rounding, not bit for bit.
+"""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from gsfusion_nb.backends import Record
+from gsfusion_nb.render.over_base import Base, OverBaseOutput
+from gsfusion_nb.types import Camera, GaussianParams
+
+from ..binning.cuda import TileLists, list_tiles
+from ..composite.work import Work
+from ..project.cuda import centre_vjp, project_rows, project_rows_vjp
+from ..project.splat import SPLAT
+from ..runtime.cuda.launch import device_of, launch
+from ..runtime.gpu import as_bytes, check_dtype, packed
+
+_BLOCK = 128
+
+
+class Surface(NamedTuple):
+    """The base, and how far behind it Gaussians are drawn, metres."""
+
+    rgb: Tensor
+    depth: Tensor
+    weight: Tensor
+    behind: float
+
+
+class Blended(NamedTuple):
+    """What is to be written."""
+
+    rgb: Tensor
+    depth: Tensor
+    weight: Tensor
+
+
+class Seen(NamedTuple):
+    """A picture and dL/d of its colour."""
+
+    rgb: Tensor
+    weight: Tensor
+    v_rgb: Tensor
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CudaOverBase(Record):
+    """What the backward pass needs of the forward one."""
+
+    backend = "cuda"
+    params: GaussianParams
+    camera: Camera
+    base: Base
+    behind_m: float
+    T_WC: Tensor
+    splats: Tensor
+    depth: Tensor
+    """Of the splats, infinite for those that are not drawn."""
+    lists: TileLists
+    surface: Surface
+    image: Blended
+
+    @property
+    def work(self) -> Work:
+        """What the kernels are given of the Gaussians."""
+        return Work.of(self.splats, self.lists, self.camera, pixels=None)
+
+
+def render_over_base(
+    params: GaussianParams, camera: Camera, T_WC: Tensor, base: Base, *, behind_m: float
+) -> tuple[OverBaseOutput, Any]:
+    """See ``gsfusion_nb.render.render_over_base``. The pose may be on any device.
+
+    Raises:
+        ValueError: tensors on several devices or of several types.
+    """
+    name = "render_over_base"
+    device = device_of(name, **vars(params), **vars(base))
+    check_dtype(name, torch.float32, **vars(params), **vars(base))
+    pose = packed(T_WC.to(device, torch.float32))
+    splats, depth = project_rows(params, camera, pose)
+    image = Blended(*(torch.empty_like(packed(x)) for x in (base.rgb, base.depth_m, base.weight)))
+    saved = CudaOverBase(
+        params=params,
+        camera=camera,
+        base=base,
+        behind_m=behind_m,
+        T_WC=pose,
+        splats=splats,
+        depth=depth,
+        lists=list_tiles(splats, depth, camera, None, by_depth=False),
+        surface=Surface(packed(base.rgb), packed(base.depth_m), packed(base.weight), float(behind_m)),
+        image=image,
+    )
+    launch(name, "over_base:over_base_forward", saved.lists.n_tiles, _BLOCK, saved.work, saved.surface, image)
+    return OverBaseOutput(rgb=image.rgb, depth_m=image.depth, weight=image.weight), saved
+
+
+def render_over_base_vjp(
+    saved: Any,
+    v_rgb: Tensor,
+    *,
+    rows: Tensor | None = None,
+    v_uv: Tensor | None = None,
+    v_uv_abs: Tensor | None = None,
+) -> GaussianParams:
+    """See ``gsfusion_nb.render.render_over_base_vjp``.
+
+    Raises:
+        ValueError: tensors on several devices.
+    """
+    name, kernel, tiles = "render_over_base_vjp", "over_base:over_base_backward", saved.lists.n_tiles
+    device = device_of(name, picture=saved.splats, rows=rows, v_rgb=v_rgb)
+    seen = Seen(rgb=saved.image.rgb, weight=saved.image.weight, v_rgb=packed(v_rgb.float()))
+    trained = as_bytes(rows)
+    sums = torch.zeros(len(saved.splats), SPLAT, dtype=torch.float32, device=device)
+    if v_uv_abs is None:
+        launch(name, kernel, tiles, _BLOCK, saved.work, saved.surface, seen, trained, sums)
+    else:
+        abs_sums = torch.zeros(len(saved.splats), 2, dtype=torch.float32, device=device)
+        launch(name, f"{kernel}_abs", tiles, _BLOCK, saved.work, saved.surface, seen, trained, sums, abs_sums)
+        v_uv_abs.copy_(abs_sums)
+    if v_uv is not None:
+        centre_vjp(saved.splats, saved.depth, sums, rows, v_uv)
+    return project_rows_vjp(saved.params, saved.camera, saved.T_WC, saved.splats, saved.depth, sums, trained)

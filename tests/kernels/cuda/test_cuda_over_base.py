@@ -1,0 +1,83 @@
+"""Blending over a base in CUDA: lists longer than a block brings at a time, clamped alphas, known numbers."""
+
+import math
+
+import pytest
+import torch
+
+from gsfusion_nb.backends import use_backend
+from gsfusion_nb.geometry.spherical_harmonics import rgb_to_sh_dc
+from gsfusion_nb.render import Base, render_over_base, render_over_base_vjp
+from gsfusion_nb.types import Camera, GaussianParams
+
+BEHIND_M = 0.1
+
+
+def drawn(params, camera, pose, base, v_rgb):
+    """The picture, the gradient and the record."""
+    out, saved = render_over_base(params, camera, pose, base, behind_m=BEHIND_M)
+    return out, render_over_base_vjp(saved, v_rgb), saved
+
+
+def test_long_lists_and_clamped_alphas(make_scene, make_camera, pose, to, compare):
+    """More Gaussians in a tile than a block brings at a time; half of them clamped at 0.99, some behind the surface."""
+    camera, p = make_camera(48, 33), make_scene(800, 1, scale_m=0.12)
+    logit = torch.where(p.opacity_logit > 0, 9.0, p.opacity_logit)
+    params = GaussianParams(**{**vars(p), "opacity_logit": logit})
+    g = torch.Generator().manual_seed(2)
+    depth_m = 1.0 + 2.0 * torch.rand(33, 48, generator=g)
+    depth_m[:9, :20] = 0.0
+    base = Base(rgb=torch.rand(33, 48, 3, generator=g), depth_m=depth_m, weight=torch.rand(33, 48, generator=g).round())
+    v_rgb = torch.randn(33, 48, 3, generator=g)
+    with use_backend("reference"):
+        expected, gradient, _ = drawn(params, camera, pose, base, v_rgb)
+    with use_backend("cuda"):
+        found, ours, saved = drawn(to(params), camera, to(pose), to(base), to(v_rgb))
+    assert int(saved.lists.offset.diff().max()) > 128
+    assert float(expected.weight.max()) > 3
+    for name, image in vars(found).items():
+        compare("over base", name, image, getattr(expected, name), 1e-5, share=2e-3)
+    for name, value in vars(ours).items():
+        compare("over base", f"v_{name}", value, getattr(gradient, name), 2e-5, share=2e-3)
+
+
+def test_the_order_of_the_gaussians_does_not_matter(make_scene, make_camera, pose, to, compare):
+    camera, params = make_camera(40, 24), make_scene(300, 0, scale_m=0.12)
+    order = torch.randperm(300, generator=torch.Generator().manual_seed(3))
+    moved = GaussianParams(**{name: column[order] for name, column in vars(params).items()})
+    size = (24, 40)
+    base = Base(rgb=torch.full((*size, 3), 0.5), depth_m=torch.full(size, 2.5), weight=torch.ones(size))
+    v_rgb = torch.ones(*size, 3)
+    with use_backend("cuda"):
+        (a, v_a, _), (b, v_b, _) = (drawn(to(p), camera, to(pose), to(base), to(v_rgb)) for p in (params, moved))
+    compare("order", "rgb", a.rgb, b.rgb.cpu(), 2e-6)
+    for name, value in vars(v_a).items():
+        compare("order", f"v_{name}", value.cpu()[order], getattr(v_b, name).cpu(), 2e-5)
+
+
+def test_three_gaussians_in_numbers(to):
+    """The picture of tests/render/test_over_base.py, whose numbers were derived by hand, in float32."""
+    camera = Camera(width=16, height=12, fx=20.0, fy=21.0, cx=8.0, cy=6.0)
+    cos, sin = math.cos(math.radians(10)), math.sin(math.radians(10))
+    T_CW = torch.tensor([[cos, 0, sin, 0.05], [0, 1, 0, -0.02], [-sin, 0, cos, 0.1], [0, 0, 0, 1]])
+    y, x = torch.meshgrid(torch.arange(12.0), torch.arange(16.0), indexing="ij")
+    depth_m = 2 + 0.02 * (x - 8)
+    rgb = torch.stack([0.3 + 0.02 * x, 0.5 + 0.01 * y, torch.full_like(x, 0.4)], dim=-1)
+    depth_m[:3, :4], rgb[:3, :4] = 0.0, 0.0
+    base = Base(rgb=rgb, depth_m=depth_m, weight=torch.ones_like(depth_m))
+    target = torch.stack([torch.full_like(x, 0.503), 0.307 + 0.03 * y, 0.211 + 0.02 * x], dim=-1)
+    params = GaussianParams(
+        xyz_W=torch.tensor([[0.10, -0.05, 2.0], [-0.2, 0.1, 1.8], [0.15, 0.05, 2.05]]),
+        log_scale=torch.tensor([[0.12, 0.08, 0.02], [0.1, 0.15, 0.03], [0.2, 0.1, 0.05]]).log(),
+        quat=torch.tensor([[1, 0.2, -0.1, 0.3], [0.9, -0.3, 0.2, 0.1], [1, 0, 0, 0]]),
+        opacity_logit=torch.tensor([0, 1, -0.5]),
+        sh=rgb_to_sh_dc(torch.tensor([[0.9, 0.2, 0.1], [0.1, 0.7, 0.4], [0.3, 0.3, 0.9]]))[:, None],
+    )
+    with use_backend("cuda"):
+        out, saved = render_over_base(to(params), camera, to(T_CW.inverse()), to(base), behind_m=BEHIND_M)
+        v = render_over_base_vjp(saved, (out.rgb - to(target)).sign() / target.numel())
+    assert float(out.weight.sum()) == pytest.approx(16.249486960, rel=1e-5)
+    assert out.rgb[6, 8].tolist() == pytest.approx([0.367692344, 0.590253845, 0.408757275], abs=1e-6)
+    assert float((out.rgb.cpu() - target).abs().mean()) == pytest.approx(0.100033292, abs=1e-6)
+    assert v.xyz_W[1].tolist() == pytest.approx([-0.005346846, 0.001432013, -0.003219389], abs=2e-7)
+    assert v.opacity_logit.tolist() == pytest.approx([7.537970e-4, 8.594780e-4, -1.602534e-3], abs=2e-8)
