@@ -69,6 +69,7 @@ _ALL = (
     *_image_columns("depth_l1_{}_m", "Depth error", "lower"),
     Column(metric="mesh_accuracy_m", heading="Mesh accuracy", unit="cm", scale=100.0, better="lower"),
     Column(metric="mesh_completion_m", heading="Mesh completion", unit="cm", scale=100.0, better="lower"),
+    Column(metric="ate_rmse_m", heading="ATE RMSE", unit="cm", scale=100.0, better="lower"),
     _cost("n_gaussians", "Gaussians"),
     _cost("n_keyframes", "Keyframes", better="neither"),
     _cost("n_steps", "Gradient steps", better="neither"),

@@ -19,7 +19,7 @@ from ..files import write_file
 from ..mapping import StepReport
 from ..runs import MappingRun
 from ..runs.map_hashes import hash_of, map_hashes
-from ..runs.outputs import environment, score_mesh
+from ..runs.outputs import environment, score_mesh, score_trajectory
 from ..runs.scored_views import ScoredViews, scored_views
 from ..seeding import rule_source
 from .map_scene import Entry, Mapped, finished, map_scene
@@ -108,7 +108,7 @@ def _result(entry: Entry, mapped: Mapped, tuned: dict[str, Any], folder: Path | 
         numbers |= group.as_metrics(name)
     if everything:
         numbers |= _mesh_numbers(run)
-    numbers |= _costs(mapped)
+    numbers |= score_trajectory(run) | _costs(mapped)
     return RunResult(
         spec=entry.spec,
         status="done",

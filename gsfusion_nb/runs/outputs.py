@@ -192,14 +192,18 @@ def _tracking_rates(run: MappingRun) -> dict[str, float]:
 
 
 def score_trajectory(run: MappingRun) -> dict[str, Any]:
-    """Absolute trajectory error of tracked poses against the poses of the data; empty if there are none to compare."""
+    """Absolute trajectory error of tracked or refined poses against the true ones, where the data knows them, else the
+    data's own; empty if no pose moved, or there are none to compare."""
     localiser = run.mapper.localiser
-    truth = ground_truth_poses(localiser, run.sequence.mapping) if localiser.is_tracking else None
+    moved = localiser.is_tracking or localiser.is_refined
+    truth = ground_truth_poses(localiser, run.sequence.mapping) if moved else None
     if truth is None or len(localiser.poses) < 3:
         return {}
+    scores = trajectory_scores(torch.stack(localiser.poses), truth)
+    if not localiser.is_tracking:
+        return scores
     status = [s.tracking.get("status") for s in run.steps]
-    counts = {"n_recovered": status.count("recovered"), "n_degenerate": status.count("degenerate")}
-    return trajectory_scores(torch.stack(localiser.poses), truth) | counts
+    return scores | {"n_recovered": status.count("recovered"), "n_degenerate": status.count("degenerate")}
 
 
 def score_mesh(run: MappingRun, mesh: Mesh, *, seed: int | None = None, n_samples: int | None = None) -> dict[str, Any]:

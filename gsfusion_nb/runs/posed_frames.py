@@ -8,6 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..data import SequenceView
+from ..data.adjust.repair import RepairedSequence
 from ..errors import SequenceError
 from ..geometry import se3
 from ..mapping.localiser import Localiser
@@ -79,7 +80,12 @@ def _data_pose(view: SequenceView, i: int) -> Float[Tensor, "4 4"] | None:
 
 
 def ground_truth_poses(localiser: Localiser, mapping: SequenceView) -> Float[Tensor, "N 4 4"] | None:
-    """The data's poses of the mapped frames, or ``None`` if one is missing."""
+    """The true poses of the mapped frames where the source knows them (``true_pose``), otherwise those of the data;
+    ``None`` if one is missing."""
+    source = mapping.source.source if isinstance(mapping.source, RepairedSequence) else mapping.source
+    true_pose = getattr(source, "true_pose", None)
+    if true_pose is not None:
+        return torch.stack([true_pose(index) for index in localiser.frame_indices])
     position = {index: i for i, index in enumerate(mapping.positions)}
     if not has_poses(mapping) or not position.keys() >= set(localiser.frame_indices):
         return None

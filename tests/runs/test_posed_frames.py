@@ -2,17 +2,26 @@
 
 import dataclasses
 import json
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 import torch
 
-from gsfusion_nb.config import DataConfig, TrackingConfig, gsfusion
-from gsfusion_nb.data import BadFrameError, SequenceError, SequenceNotFoundError, apply_options, open_sequence
+from gsfusion_nb.config import DataConfig, RepairConfig, TrackingConfig, gsfusion
+from gsfusion_nb.data import (
+    BadFrameError,
+    SequenceError,
+    SequenceNotFoundError,
+    apply_options,
+    open_sequence,
+    repaired,
+)
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.mapping.localiser import Localiser
-from gsfusion_nb.runs import run_mapping
+from gsfusion_nb.runs import MappingRun, run_mapping
+from gsfusion_nb.runs.outputs import score_trajectory
 from gsfusion_nb.runs.posed_frames import frames_in_map, ground_truth_poses, readable_frames
 from gsfusion_nb.types import Camera, Frame
 
@@ -91,6 +100,29 @@ def test_ground_truth_poses_of_the_mapped_frames(views):
     truth = ground_truth_poses(found, views.mapping)
     assert truth is not None
     assert torch.equal(truth, torch.stack([Path().pose(i) for i in (0, 3, 9)]))
+
+
+def test_the_true_poses_count_more_than_those_of_the_data(views):
+    class Wrong(Path):
+        def pose(self, i: int) -> torch.Tensor:
+            return MOTION @ Path().pose(i)
+
+        true_pose = Path.pose
+
+    for source in (Wrong(), repaired(Wrong(), RepairConfig(depth_factor=2.0))):
+        truth = ground_truth_poses(localiser("given", {0: MOTION}), dataclasses.replace(views.mapping, source=source))
+        assert truth is not None
+        assert torch.equal(truth[0], Path().pose(0))
+
+
+def test_only_poses_that_moved_have_a_trajectory_error(views):
+    found = localiser("given", {i: MOTION @ Path().pose(i) for i in (0, 1, 3, 5)})
+    found.given = list(found.poses)
+    run = object.__new__(MappingRun)
+    run.mapper, run.sequence, run.steps = SimpleNamespace(localiser=found), views, []
+    assert score_trajectory(run) == {}
+    found.refine(2, MOTION @ Path().pose(3) @ se3.exp(torch.tensor([0.0, 0.04, 0.0, 0.0, 0.0, 0.0])))
+    assert score_trajectory(run)["ate_mean_m"] == pytest.approx(0.01, abs=0.008)
 
 
 def test_no_ground_truth_where_one_is_missing(views):

@@ -137,7 +137,9 @@ def _examine(
         *judge_intrinsics.intrinsics_findings(e, sample.camera),
         *colour_findings,
         *frame_findings,
-        judge_frames.exposure_finding(over, gains(sample, close, e.data, correction)),
+        judge_frames.exposure_finding(over, gains(sample, close, e.data, correction))
+        if judge_colour.OF_OTHER_FRAMES not in colour_findings[0].numbers
+        else judge_frames.exposure_unknown(),
     ]
     return _Found(
         findings=findings,

@@ -16,6 +16,8 @@ SCALE_DOUBTFUL = 0.015
 """Registered recordings measure 0 to 0.005."""
 _CLEAR_PEAK = 5.0
 """Smallest peak, in standard deviations, that counts as a shift; real ones have 6 and more."""
+OF_OTHER_FRAMES = "of_other_frames"
+"""Among the numbers of the registration's finding where colour and depth images of different frames were paired."""
 _IN_ORDER = 0.5
 """Share of frames whose most similar colour image is a neighbour in time: 0.99 to 1 in order, 0 shuffled."""
 _UNRELATED_PEAK, _UNRELATED_SCORE = 5.0, 0.4
@@ -23,8 +25,9 @@ _UNRELATED_PEAK, _UNRELATED_SCORE = 5.0, 0.4
 registered ones 6 to 10 and 0.9 to 1.4."""
 
 
-_LAG_SEEN_PX = 1.5
-"""A time offset is reported if it moves the edges by this much at the fastest motion, pixels of 640, ..."""
+_LAG_SEEN = (1.5, 1.2)
+"""A time offset is reported if it moves the edges by this much at the fastest motion, in 640ths of the image width and
+in compared pixels (the larger counts: edges cannot be placed better; clean recordings measure up to 1), ..."""
 _LAG_SURE, _SHIFT_SURE = 3.0, 3.0
 """... and if it is this many times its standard error; likewise a shift."""
 _VAGUE_LAG = 0.25
@@ -76,9 +79,11 @@ def registration_findings(evidence: ColourEvidence, camera: Camera) -> tuple[Rep
     if fit.shift_frames:
         repair, time = _whole_frames(fit)
         return repair, [_placed(fit.peak >= _CLEAR_PEAK, fit.shift_px, numbers), time]
-    time = _part_of_a_frame(evidence, camera)
     repair, space = _space_finding(evidence, camera, numbers)
-    return repair, [space, time]
+    if repair.rgb_mirror != "none" or repair.rgb_scale != 1:
+        text = "Cannot be known before the colour image lies on the depth image: its edges move with their place in it."
+        return repair, [space, Finding(name="colour time", verdict="unknown", sentence=text)]
+    return repair, [space, _part_of_a_frame(evidence, camera)]
 
 
 def _placed(clear: bool, shift_px: tuple[float, float], numbers: dict[str, float]) -> Finding:
@@ -97,13 +102,13 @@ def _space_finding(evidence: ColourEvidence, camera: Camera, numbers: dict[str, 
     doubtful, wrong_from = (max(limit * camera.width / 640, pixels * fit.pixel) for limit, pixels in SHIFT_LIMITS)
     zoomed = abs(fit.scale - 1) > SCALE_DOUBTFUL
     clear = fit.peak >= _CLEAR_PEAK
-    if motion is not None and fit.mirror == "none" and not zoomed and _lag_is_seen(motion, camera):
+    if motion is not None and fit.mirror == "none" and not zoomed and _lag_is_seen(motion, fit, camera):
         fit, clear = replace(fit, shift_px=motion.shift_px), True  # the time offset smears the peak of all frames
     shift = math.hypot(*fit.shift_px)
     space = _placed(clear, fit.shift_px, numbers)
     if not clear or (fit.mirror == "none" and shift < doubtful and not zoomed):
         return RepairConfig(), space
-    if fit.mirror == "none" and not zoomed and _may_be_time(motion, shift, camera):
+    if fit.mirror == "none" and not zoomed and _may_be_time(motion, fit, shift, camera):
         text = (
             f"Cannot be known from these frames: colour edges lie {shift:.1f} pixels beside depth edges, but in so few "
             "kinds of motion a shift and a time offset look alike."
@@ -115,11 +120,11 @@ def _space_finding(evidence: ColourEvidence, camera: Camera, numbers: dict[str, 
     return repair, replace(space, verdict=verdict, sentence=text, repair=repair.flags)
 
 
-def _may_be_time(motion: ColourMotion | None, shift_px: float, camera: Camera) -> bool:
+def _may_be_time(motion: ColourMotion | None, fit: ColourFit, shift_px: float, camera: Camera) -> bool:
     """Whether a time offset of less than a frame could be what looks like a shift."""
     if motion is None or motion.speed_px < shift_px:
         return False
-    moved = abs(motion.lag_frames) * motion.speed_px if _lag_is_seen(motion, camera) else 0.0
+    moved = abs(motion.lag_frames) * motion.speed_px if _lag_is_seen(motion, fit, camera) else 0.0
     return (
         not motion.separable
         or motion.windows < _FEW_WINDOWS
@@ -127,15 +132,15 @@ def _may_be_time(motion: ColourMotion | None, shift_px: float, camera: Camera) -
     )
 
 
-def _lag_is_seen(motion: ColourMotion, camera: Camera) -> bool:
-    far = abs(motion.lag_frames) * motion.speed_px > _LAG_SEEN_PX * camera.width / 640
+def _lag_is_seen(motion: ColourMotion, fit: ColourFit, camera: Camera) -> bool:
+    far = abs(motion.lag_frames) * motion.speed_px > max(_LAG_SEEN[0] * camera.width / 640, _LAG_SEEN[1] * fit.pixel)
     return motion.separable and far and abs(motion.lag_frames) > _LAG_SURE * motion.lag_error_frames
 
 
 def _part_of_a_frame(evidence: ColourEvidence, camera: Camera) -> Finding:
     """Were colour and depth taken at the same time, to a part of a frame?"""
-    motion, step_s = evidence.motion, evidence.step_s
-    if motion is None or not motion.separable or motion.lag_error_frames > _VAGUE_LAG:
+    fit, motion, step_s = evidence.fit, evidence.motion, evidence.step_s
+    if fit is None or motion is None or not motion.separable or motion.lag_error_frames > _VAGUE_LAG:
         text = (
             "Colour and depth belong to the same frame; a smaller time offset cannot be known: too few kinds of motion."
         )
@@ -147,7 +152,7 @@ def _part_of_a_frame(evidence: ColourEvidence, camera: Camera) -> Finding:
         "speed_px": motion.speed_px,
     }
     known = f"{abs(motion.lag_frames):.2f} ± {motion.lag_error_frames:.2f} frames"
-    if not _lag_is_seen(motion, camera):
+    if not _lag_is_seen(motion, fit, camera):
         error = abs(motion.lag_frames) + 2 * motion.lag_error_frames
         text = f"Colour and depth were taken at the same time, within {error:.2f} frames."
         return Finding(name="colour time", verdict="ok", numbers=numbers, sentence=text)
@@ -184,6 +189,7 @@ def _whole_frames(fit: ColourFit) -> tuple[RepairConfig, Finding]:
 def _mixed_up(numbers: dict[str, float]) -> Finding:
     repair = "pair every depth image with the colour image of its time (names, order, association)"
     text = "The colour images do not belong to the depth images: their order or their edges do not fit."
+    numbers = numbers | {OF_OTHER_FRAMES: 1.0}
     return Finding(name="registration", verdict="wrong", numbers=numbers, repair=repair, sentence=text)
 
 

@@ -111,6 +111,12 @@ def exposure_finding(over: OverFrames, far_gains: np.ndarray) -> Finding:
     )
 
 
+def exposure_unknown() -> Finding:
+    """The finding where the colour images are those of other frames, so no point can be found again in two of them."""
+    text = "Cannot be known before each colour image is paired with its depth image."
+    return Finding(name="exposure", verdict="unknown", sentence=text)
+
+
 def blurred_frames(over: OverFrames) -> list[int]:
     """Frames that are much less sharp than their neighbours."""
     return [int(p) for p, s in zip(over.number, over.sharpness, strict=True) if s < _BLURRED]

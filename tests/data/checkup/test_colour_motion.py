@@ -8,8 +8,14 @@ import pytest
 import torch
 
 from gsfusion_nb.data.checkup.alignment import ColourFit, fit_colour
-from gsfusion_nb.data.checkup.colour_motion import colour_motion, image_speeds, line_through, moving_together
-from gsfusion_nb.data.checkup.judge_colour import ColourEvidence, registration_findings
+from gsfusion_nb.data.checkup.colour_motion import (
+    ColourMotion,
+    colour_motion,
+    image_speeds,
+    line_through,
+    moving_together,
+)
+from gsfusion_nb.data.checkup.judge_colour import OF_OTHER_FRAMES, ColourEvidence, registration_findings
 from gsfusion_nb.data.checkup.sample import read_sample
 from gsfusion_nb.types import Camera, Frame
 
@@ -119,6 +125,32 @@ def test_in_one_kind_of_motion_they_cannot_be_told_apart(samples):
     assert not repair.changes
 
 
+def fitted(**changes):
+    values = {"shift_px": (0.0, 0.0), "scale": 1.0, "mirror": "none", "shift_frames": 0, "score": 1.0}
+    values |= {"score_as_read": 1.0, "peak": 8.0, "edges": 500, "pixel": 1.0}
+    return ColourFit(**(values | changes))
+
+
+@pytest.mark.parametrize(
+    ("fit", "moved_px", "verdict"),
+    [
+        ({}, 0.9, "ok"),  # less than edges can be placed
+        ({}, 4.0, "doubtful"),
+        ({"scale": 0.91}, 4.0, "unknown"),  # edges lie beside those of depth by their place, whatever the time
+        ({"mirror": "x"}, 4.0, "unknown"),
+    ],
+)
+def test_a_time_offset_is_only_named_where_edges_show_it(fit, moved_px, verdict):
+    motion = ColourMotion(
+        shift_px=(0.0, 0.0), shift_error_px=0.1, lag_frames=moved_px / 20, lag_error_frames=0.005, speed_px=20.0,
+        windows=12, separable=True,
+    )  # fmt: skip
+    evidence = ColourEvidence(fit=fitted(**fit), motion=motion, order=None, together=1.0, step_s=0.1)
+    _, (_, time) = registration_findings(evidence, CAMERA)
+    assert time.name == "colour time"
+    assert time.verdict == verdict
+
+
 def test_colour_moves_with_depth_unless_it_is_of_other_frames(samples):
     sample, _ = samples["late"]
     assert (moving_together(sample, image_speeds(sample)) or 0.0) > 0.8
@@ -136,12 +168,10 @@ def test_colour_moves_with_depth_unless_it_is_of_other_frames(samples):
 )
 def test_two_cameras_are_not_other_frames(together, said):
     """No shift fits: whether colour moves with depth tells a second camera from wrongly paired images."""
-    fit = ColourFit(
-        shift_px=(0.0, 0.0), scale=1.0, mirror="none", shift_frames=0, score=0.1, score_as_read=0.05, peak=3.0,
-        edges=500, pixel=1.0,
-    )  # fmt: skip
+    fit = fitted(score=0.1, score_as_read=0.05, peak=3.0)
     evidence = ColourEvidence(fit=fit, motion=None, order=None, together=together, step_s=0.0)
     repair, (finding,) = registration_findings(evidence, CAMERA)
     assert finding.verdict == "wrong"
     assert said in finding.sentence
+    assert (OF_OTHER_FRAMES in finding.numbers) == ("do not belong" in said)  # then exposure is not judged
     assert not repair.changes
