@@ -196,6 +196,7 @@ def recorded_views():
     from gsfusion_nb.types import Camera, GaussianParams, Mesh
     from gsfusion_nb.viz import (
         GradientMicroscope,
+        MixMicroscope,
         PixelMicroscope,
         SplatViewer,
         adam_stepper,
@@ -222,9 +223,31 @@ def recorded_views():
         "splat": record(SplatViewer(params, camera=camera, T_WC=T_WC)),
         "mesh": record(mesh),
         "pixels": record(PixelMicroscope(params, camera, T_WC)),
+        "mix": record(MixMicroscope(over_a_surface(params), camera, T_WC)),
         "gradients": record(GradientMicroscope(params, camera, T_WC, torch.full((120, 160, 3), 0.5)), [["u:3", "v:3"]]),
         "trace": record(traced_panel(), [["u:1", "v:1"]]),
     }
+
+
+def over_a_surface(params):
+    """What a microscope of GPS-SLAM asks of its mapper, for a surface of one colour with a hole at the left."""
+    from types import SimpleNamespace
+
+    from gsfusion_nb.render import Base, BaseView
+    from gsfusion_nb.render.over_base import render_over_base
+
+    def below(camera, T_WC):
+        depth_m = torch.full((camera.height, camera.width), 1.5)
+        depth_m[:, : camera.width // 4] = 0.0
+        weight = torch.where(depth_m > 0, 1.0, 0.2)
+        base = Base(rgb=torch.full((*depth_m.shape, 3), 0.25), depth_m=depth_m, weight=weight)
+        return BaseView(base=base, depth_everywhere_m=depth_m, behind_m=0.05)
+
+    def render(camera, T_WC):
+        seen = below(camera, T_WC)
+        return render_over_base(params, camera, T_WC, seen.base, behind_m=seen.behind_m)[0]
+
+    return SimpleNamespace(gaussians=SimpleNamespace(params=params), below=below, render=render)
 
 
 def traced_panel():

@@ -17,9 +17,15 @@ from gsfusion_nb.book.views.record import cells_to_run, kernel_views, record, ru
 from gsfusion_nb.book.views.scripts import front_ends
 from gsfusion_nb.strict_json import read_object
 from gsfusion_nb.types import Camera, GaussianParams
-from gsfusion_nb.viz import PixelMicroscope, amdahl_panel
+from gsfusion_nb.viz import MixMicroscope, PixelMicroscope, amdahl_panel
+
+from ..conftest import over_a_surface
 
 ROOT = Path(__file__).resolve().parents[2]
+
+
+CAMERA = Camera(width=40, height=30, fx=30.0, fy=30.0, cx=20.0, cy=15.0)
+PIXELS = [(0, 0), (20, 15), (13, 22), (39, 29)]
 
 
 def code(name: str, source: str) -> dict:
@@ -107,26 +113,9 @@ def test_a_view_that_needs_a_kernel_says_so(tmp_path):
 
 
 def test_the_page_blends_a_pixel_as_the_renderer_does(node, tmp_path):
-    generator = torch.Generator().manual_seed(3)
-    n = 60
-    rand = lambda *size: torch.rand(*size, generator=generator)  # noqa: E731
-    params = GaussianParams(
-        xyz_W=torch.cat([rand(n, 2) - 0.5, 1 + rand(n, 1)], 1), log_scale=-3 + rand(n, 3), quat=rand(n, 4) - 0.5,
-        opacity_logit=4 * rand(n) - 1, sh=rand(n, 4, 3),
-    )  # fmt: skip
-    camera = Camera(width=40, height=30, fx=30.0, fy=30.0, cx=20.0, cy=15.0)
-    microscope = PixelMicroscope(params, camera, torch.eye(4))
-    data = record(microscope).data
-    pixels = [(0, 0), (20, 15), (13, 22), (39, 29)]
-    script = """
-        const values = new Float32Array(Uint8Array.from(Buffer.from(DATA, "base64")).buffer);
-        const found = PIXELS.map(([u, v]) => stackAt(splatsOf(values), u, v));
-        console.log(JSON.stringify(found));
-    """.replace("DATA", json.dumps(data["splats"])).replace("PIXELS", json.dumps(pixels))
-    module = tmp_path / "run.mjs"
-    module.write_text((ROOT / "gsfusion_nb/book/static/pixel_stack.js").read_text() + script)
-    found = json.loads(subprocess.run([node, module], capture_output=True, text=True, check=True).stdout)
-    for (u, v), page in zip(pixels, found, strict=True):
+    microscope = PixelMicroscope(cloud(), CAMERA, torch.eye(4))
+    found = in_node(node, tmp_path, record(microscope).data, "stackAt(splats, u, v)")
+    for (u, v), page in zip(PIXELS, found, strict=True):
         stack = microscope.look_at(u, v)
         assert [one["row"] for one in page["stack"]] == stack.row.tolist()
         for name, values in (("weight", stack.weight), ("light", stack.transmittance), ("depth", stack.depth_m)):
@@ -134,6 +123,54 @@ def test_the_page_blends_a_pixel_as_the_renderer_does(node, tmp_path):
         np.testing.assert_allclose(page["colour"], stack.colour, atol=1e-5)
         assert page["light"] == pytest.approx(stack.light_left, abs=1e-5)
     assert max(len(page["stack"]) for page in found) > 5
+
+
+def test_the_page_mixes_a_pixel_as_gps_slam_does(node, tmp_path):
+    microscope = MixMicroscope(over_a_surface(cloud()), CAMERA, torch.eye(4))
+    data = record(microscope).data
+    call = "mixAt(splats, { values: floats(data.below), width: data.width, behind: data.behind }, u, v)"
+    found = in_node(node, tmp_path, data, call)
+    mixes = [microscope.look_at(u, v) for u, v in PIXELS]
+    for mix, page in zip(mixes, found, strict=True):
+        assert [one["row"] for one in page["stack"]] == mix.row.tolist()
+        np.testing.assert_allclose([one["weight"] for one in page["stack"]], mix.weight, atol=1e-5)
+        np.testing.assert_allclose(page["colour"], mix.colour, atol=1e-5)
+        assert page["hidden"] == mix.hidden
+        assert page["surface"]["weight"] == pytest.approx(mix.base_weight)
+    assert max(mix.hidden for mix in mixes) > 2
+    assert max(len(mix) for mix in mixes) > 5
+    assert {mix.base_weight for mix in mixes} > {1.0}
+    order = in_node(node, tmp_path, data, "shuffled([0, 1, 2, 3, 4, 5, 6, 7], u + 1000 * v)")
+    assert all(sorted(one) == list(range(8)) for one in order)
+    assert len({tuple(one) for one in order}) == len(PIXELS)
+
+
+def cloud() -> GaussianParams:
+    """Sixty Gaussians in front of the camera."""
+    generator = torch.Generator().manual_seed(3)
+    n = 60
+    rand = lambda *size: torch.rand(*size, generator=generator)  # noqa: E731
+    return GaussianParams(
+        xyz_W=torch.cat([rand(n, 2) - 0.5, 1 + rand(n, 1)], 1), log_scale=-3 + rand(n, 3), quat=rand(n, 4) - 0.5,
+        opacity_logit=4 * rand(n) - 1, sh=rand(n, 4, 3),
+    )  # fmt: skip
+
+
+def in_node(node, folder: Path, data: dict, call: str) -> list:
+    """The values of an expression of the page's scripts at every pixel, without a page."""
+    script = (
+        """
+        const data = DATA, floats = (text) => new Float32Array(Uint8Array.from(Buffer.from(text, "base64")).buffer);
+        const splats = splatsOf(floats(data.splats));
+        console.log(JSON.stringify(PIXELS.map(([u, v]) => CALL)));
+    """.replace("DATA", json.dumps(data))
+        .replace("PIXELS", json.dumps(PIXELS))
+        .replace("CALL", call)
+    )
+    scripts = [ROOT / "gsfusion_nb/book/static" / name for name in ("pixel_stack.js", "pixel_mix.js")]
+    (folder / "run.mjs").write_text("".join(path.read_text() for path in scripts) + script)
+    done = subprocess.run([node, folder / "run.mjs"], capture_output=True, text=True, check=True)
+    return json.loads(done.stdout)
 
 
 def test_the_gradient_microscope_is_recorded_for_both_picks(recorded_views):

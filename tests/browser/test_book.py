@@ -114,6 +114,24 @@ def test_the_pixel_microscope_blends_in_the_page(open_file, views_page):
     assert view.locator(".gsnb-pixels-weight").count() == rows
 
 
+def test_the_mix_of_a_pixel_is_computed_in_the_page(open_file, views_page):
+    page = open_file(views_page / "views.html")
+    view = live(page, "mix")
+    caption = view.locator(".gsnb-pixels-caption")
+    page.wait_for_function("c => c.textContent.includes('surface and')", arg=caption.element_handle())
+    assert "pixel (80, 60): surface and" in caption.inner_text()
+    mean, seen = (
+        [float(x) for x in re.findall(rf"{name} ([\d. ]+)", caption.inner_text())[0].split()]
+        for name in ("=", r"\(8 bit\)")
+    )
+    assert max(abs(a - b) for a, b in zip(mean[-3:], seen, strict=True)) <= 0.003
+    bars = view.locator(".gsnb-pixels-weight").count()
+    assert bars == view.locator("tbody tr").count() - 1  # the last line is the mean
+    ends = view.locator(".gsnb-pixels-graph rect:not(.gsnb-pixels-weight)")
+    assert ends.count() == 2 * bars
+    assert ends.nth(bars - 1).get_attribute("fill") == ends.nth(2 * bars - 1).get_attribute("fill")
+
+
 def test_the_gradient_microscope_goes_to_the_nearest_recorded_pixel(open_file, views_page):
     page = open_file(views_page / "views.html")
     view = live(page, "gradients")

@@ -12,6 +12,7 @@ variable TORCH_INDEX is passed on.
 import argparse
 import json
 import os
+import resource
 import subprocess
 import sys
 import tempfile
@@ -89,9 +90,23 @@ def empty(folder: Path, python: str) -> None:
     programs = environment(folder / "env", python)
     none = {"CC": "/bin/false", "CXX": "/bin/false"}
     run([programs / "python", "-m", "pip", "install", "--quiet", "--only-binary", ":all:", built], folder, **none)
+    said = run([programs / "gsfusion-nb"], folder, **none)
+    if "gsfusion-nb course" not in said:
+        sys.exit(f"gsfusion-nb without arguments does not name the course:\n{said}")
     run([programs / "gsfusion-nb", "doctor"], folder, **none)
     run([programs / "gsfusion-nb", "course", folder / "course"], folder, **none)
+    copied = {notebook.name for notebook in folder.joinpath("course").rglob("*.ipynb")}
+    if missing := {notebook.name for notebook in CHAPTERS} - copied:
+        sys.exit(f"gsfusion-nb course did not copy {', '.join(sorted(missing))}")
     run([programs / "gsfusion-nb", "demo", "--frames", "12", "--out", folder / "demo"], folder, **none)
+    if not (folder / "demo" / "report.html").exists():
+        sys.exit("gsfusion-nb demo wrote no report.html")
+
+
+def cpu_seconds() -> float:
+    """Time of processors that the programs started here have used, seconds."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def main() -> None:
@@ -102,10 +117,13 @@ def main() -> None:
     parser.add_argument("--python", default=sys.executable)
     options = parser.parse_args()
     for kind in options.kinds:
-        began = time.monotonic()
+        began, cpu = time.monotonic(), cpu_seconds()
         with tempfile.TemporaryDirectory(prefix="gsnb-fresh-") as folder:
+            os.environ["GSFUSION_CACHE"] = f"{folder}/cache"
             kinds[kind](Path(folder), options.python)
-        sys.stdout.write(f"{kind}: done in {time.monotonic() - began:.0f} s\n")
+            size = sum(path.lstat().st_size for path in Path(folder, "env").rglob("*") if not path.is_dir())
+        took = f"{time.monotonic() - began:.0f} s, {cpu_seconds() - cpu:.0f} s of processors"
+        sys.stdout.write(f"{kind}: done in {took}; the environment has {size / 1e6:.0f} MB\n")
 
 
 if __name__ == "__main__":

@@ -13,16 +13,20 @@ export function splat({ values }, k) {
   return { u, v, A, B, C, opacity, depth, rgb: [r, g, b], row };
 }
 
+/** Alpha of Gaussian `k` at the centre of a pixel. */
+function alphaAt({ values }, k, u, v) {
+  const at = k * COLUMNS;
+  const dx = u + 0.5 - values[at], dy = v + 0.5 - values[at + 1];
+  const sigma = (values[at + 2] * dx * dx + values[at + 4] * dy * dy) / 2 + values[at + 3] * dx * dy;
+  return Math.min(values[at + 5] * Math.exp(-sigma), ALPHA_MAX);
+}
+
 /** The stack of the pixel in column `u` and row `v`: every Gaussian with a weight, and the light that is left behind all. */
 export function stackAt(splats, u, v) {
-  const { values, count } = splats;
   const stack = [], colour = [0, 0, 0];
   let light = 1; // T
-  for (let k = 0; k < count; k++) {
-    const at = k * COLUMNS;
-    const dx = u + 0.5 - values[at], dy = v + 0.5 - values[at + 1];
-    const sigma = (values[at + 2] * dx * dx + values[at + 4] * dy * dy) / 2 + values[at + 3] * dx * dy;
-    const alpha = Math.min(values[at + 5] * Math.exp(-sigma), ALPHA_MAX);
+  for (let k = 0; k < splats.count; k++) {
+    const alpha = alphaAt(splats, k, u, v);
     if (!(alpha >= ALPHA_MIN)) continue;
     if (light * (1 - alpha) < LIGHT_MIN) break; // blending stops before the Gaussian behind which no light would be left
     const weight = alpha * light;

@@ -1,4 +1,4 @@
-"""The microscopes: of a pixel, computed in the page; of its gradient, recorded over a grid of pixels."""
+"""The microscopes: of a pixel and of its mix, computed in the page; of its gradient, recorded over a grid of pixels."""
 
 import base64
 from collections.abc import Mapping, Sequence
@@ -8,6 +8,7 @@ import torch
 
 from ...drawing.pictures import Picture, encode_png
 from ...viz.microscopes.gradient_microscope import PICKS, PICTURE_PX, GradientMicroscope
+from ...viz.microscopes.mix_microscope import MixMicroscope
 from ...viz.microscopes.pixel_microscope import PICTURE_PX as SHOWN_PX
 from ...viz.microscopes.pixel_microscope import PixelMicroscope
 from ...viz.microscopes.pixel_stack import Splats
@@ -32,6 +33,19 @@ def record_microscope(microscope: PixelMicroscope) -> Recorded:
     }
     words = f"Click or drag on the picture: this page blends the {len(values):,} Gaussians in view itself."
     return Recorded(kind="pixels", data=data, words=words)
+
+
+def record_mix(microscope: MixMicroscope) -> Recorded:
+    """Every pixel: the page gets the surface, too, and mixes itself."""
+    recorded = record_microscope(microscope)
+    base = microscope.below.base
+    below = torch.cat([base.rgb, base.depth_m[..., None], base.weight[..., None]], 2).cpu().float().numpy()
+    recorded.data |= {
+        "below": base64.b64encode(below.tobytes()).decode("ascii"),
+        "behind": microscope.below.behind_m,
+    }
+    recorded.words = "Click or drag on the picture: this page mixes the surface and the Gaussians of the pixel itself."
+    return recorded
 
 
 def splat_rows(splats: Splats) -> np.ndarray:

@@ -64,6 +64,7 @@ def record(view: Any, grids: Sequence[Sequence[str]] = ()) -> Recorded:
     from ...viz.live.orbit import OrbitView
     from ...viz.meshes.viewer import MeshViewer
     from ...viz.microscopes.gradient_microscope import GradientMicroscope
+    from ...viz.microscopes.mix_microscope import MixMicroscope
     from ...viz.microscopes.pixel_microscope import PixelMicroscope
     from ...viz.panels.panel import Panel
     from ...viz.panels.trace import TracePanel
@@ -77,7 +78,8 @@ def record(view: Any, grids: Sequence[Sequence[str]] = ()) -> Recorded:
     recorders: dict[type, Any] = {
         Stepper: steppers.record_stepper, LiveMapper: steppers.record_live_mapper,
         LiveLoop: steppers.record_live_loop, SplatViewer: viewers.record_splats, MeshViewer: viewers.record_mesh,
-        OrbitView: viewers.record_orbit, PixelMicroscope: microscopes.record_microscope,
+        OrbitView: viewers.record_orbit, MixMicroscope: microscopes.record_mix,
+        PixelMicroscope: microscopes.record_microscope,
     }  # fmt: skip
     for kind, act in with_grids.items():
         if isinstance(view, kind):

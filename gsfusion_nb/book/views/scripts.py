@@ -5,6 +5,7 @@ from importlib.resources import files
 
 from ...viz.front_end import mesh_front_end, source, splat_front_end
 
+_PIXELS = ("pixel_stack.js", "pixel_mix.js", "microscope.js", "mix_microscope.js")
 _EXPORT = re.compile(r"^export (?!default)", re.MULTILINE)
 
 
@@ -14,7 +15,7 @@ def front_ends() -> dict[str, str]:
         "splat": splat_front_end(),
         "mesh": mesh_front_end(),
         "stepper": source("steppers/stepper.js"),
-        "pixels": _EXPORT.sub("", _own("pixel_stack.js")) + _own("pixels.js"),
+        "pixels": _EXPORT.sub("", "".join(map(_own, _PIXELS))),
         "trace": _own("trace.js"),
     }
     return {f"front_{kind}.js": _classic(kind, text) for kind, text in texts.items()}

@@ -2,8 +2,13 @@
 // graph and as a table. The numbers are computed in the page from the Gaussians on the screen (pixel_stack.js).
 const OUTLINED = 12, TABLE_ROWS = 14, RADIUS = 12, LENS = 300;
 
+const floats = (text) => new Float32Array(Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer);
 const three = (x) => x.toFixed(3);
 const css = (rgb) => `rgb(${rgb.map((c) => Math.round(255 * Math.min(Math.max(c, 0), 1))).join(" ")})`;
+
+const rgbWords = (rgb) => rgb.map(three).join(" ");
+const swatch = (rgb) => make("span", { class: "gsnb-pixels-swatch", style: `background:${css(rgb)}` });
+const weightOf = (stack) => stack.reduce((sum, one) => sum + one.weight, 0);
 
 function make(name, attributes = {}, ...children) {
   const space = /^(svg|path|rect|polyline|text|g|line)$/.test(name) ? "http://www.w3.org/2000/svg" : "http://www.w3.org/1999/xhtml";
@@ -13,10 +18,48 @@ function make(name, attributes = {}, ...children) {
   return element;
 }
 
+/** A graph with lines at 0, 0.5 and 1, a place for each bar, and strips of colours below. */
+class Graph {
+  constructor(svg, { left, below, bars }) {
+    Object.assign(this, { svg, left, right: 548, top: 24, bottom: 240 - below });
+    this.step = (this.right - left) / Math.max(bars, 1);
+    svg.setAttribute("viewBox", "0 0 560 240");
+    svg.replaceChildren();
+    for (const value of [0, 0.5, 1]) {
+      this.add("line", { x1: left, x2: this.right, y1: this.y(value), y2: this.y(value), class: "gsnb-pixels-grid" });
+      this.text(8, this.y(value) + 4, value);
+    }
+  }
+
+  x(k) {
+    return this.left + k * this.step;
+  }
+
+  y(value) {
+    return this.bottom + value * (this.top - this.bottom);
+  }
+
+  add(name, attributes, ...children) {
+    this.svg.append(make(name, attributes, ...children));
+  }
+
+  text(x, y, words) {
+    this.add("text", { x, y }, words);
+  }
+
+  bar(k, value, rgb, kind = "gsnb-pixels-weight") {
+    const y = this.y(Math.min(value, 1)), width = Math.max(this.step - 1, 1);
+    this.add("rect", { x: this.x(k), width, y, height: this.bottom - y, fill: css(rgb), class: kind });
+  }
+
+  strip(k, y, rgb) {
+    this.add("rect", { x: this.x(k), width: this.step, y, height: 16, fill: css(rgb) });
+  }
+}
+
 class Microscope {
   constructor({ splats, picture, width, height, pixel, shown }, el) {
-    const bytes = Uint8Array.from(atob(splats), (c) => c.charCodeAt(0));
-    Object.assign(this, { splats: splatsOf(new Float32Array(bytes.buffer)), width, height });
+    Object.assign(this, { splats: splatsOf(floats(splats)), width, height });
     this.image = make("img", { src: `data:image/png;base64,${picture}`, width: shown, tabindex: 0, class: "gsnb-click-image" });
     this.image.dataset.touch = "pixel";
     this.cross = make("path", { d: "M-13 0H-5M5 0H13M0 -13V-5M0 5V13", class: "gsnb-pixels-cross" });
@@ -24,7 +67,7 @@ class Microscope {
     this.lens = make("canvas", { width: LENS, height: LENS, role: "img" });
     this.rings = make("svg", { class: "gsnb-pixels-over", viewBox: `0 0 ${2 * RADIUS + 1} ${2 * RADIUS + 1}`, "aria-hidden": "true" });
     this.caption = make("p", { class: "gsnb-pixels-caption", role: "status" });
-    this.graph = make("svg", { class: "gsnb-pixels-graph", viewBox: "0 0 560 240", role: "img" });
+    this.graph = make("svg", { class: "gsnb-pixels-graph", role: "img" });
     this.table = make("div", { class: "gsnb-pixels-table", tabindex: 0, role: "group", "aria-label": "the numbers of the graph" });
     const box = (...parts) => make("div", { class: "gsnb-pixels-box" }, ...parts);
     const row = make("div", { class: "gsnb-pixels-row" }, box(this.image, over), box(this.lens, this.rings));
@@ -55,11 +98,15 @@ class Microscope {
 
   lookAt(u, v) {
     this.at = [u, v].map((x, k) => Math.min(Math.max(Math.floor(x), 0), [this.width, this.height][k] - 1));
-    this.found = stackAt(this.splats, ...this.at);
+    this.found = this.find(...this.at);
     this.mark();
     this.drawLens();
     this.drawGraph();
     this.write();
+  }
+
+  find(u, v) {
+    return stackAt(this.splats, u, v);
   }
 
   mark() {
@@ -85,56 +132,54 @@ class Microscope {
   }
 
   drawGraph() {
-    const { stack, light } = this.found, left = 40, right = 548, top = 24, bottom = 174;
-    const step = (right - left) / Math.max(stack.length, 1), y = (value) => bottom + value * (top - bottom);
-    const text = (x, at, words) => make("text", { x, y: at }, words);
-    const parts = [text(left, 14, "red: light left T   pale: α   full: weight w = α T"), text(8, 212, "sum")];
-    for (const value of [0, 0.5, 1]) {
-      parts.push(make("line", { x1: left, x2: right, y1: y(value), y2: y(value), class: "gsnb-pixels-grid" }), text(8, y(value) + 4, value));
-    }
+    const { stack, light } = this.found, graph = new Graph(this.graph, { left: 40, below: 66, bars: stack.length });
+    graph.text(graph.left, 14, "red: light left T   pale: α   full: weight w = α T");
+    graph.text(8, 212, "sum");
     const sum = [0, 0, 0], steps = [];
     stack.forEach(({ alpha, weight, rgb, light: before }, k) => {
-      const x = left + k * step, width = Math.max(step - 1, 1);
-      parts.push(make("rect", { x, width, y: y(alpha), height: bottom - y(alpha), fill: css(rgb), class: "gsnb-pixels-alpha" }));
-      parts.push(make("rect", { x, width, y: y(weight), height: bottom - y(weight), fill: css(rgb), class: "gsnb-pixels-weight" }));
+      graph.bar(k, alpha, rgb, "gsnb-pixels-alpha");
+      graph.bar(k, weight, rgb);
       rgb.forEach((c, i) => (sum[i] += weight * c));
-      parts.push(make("rect", { x, width: step, y: 200, height: 16, fill: css(sum) }));
-      steps.push(`${x},${y(before)} ${x + step},${y(before)}`);
+      graph.strip(k, 200, sum);
+      steps.push(`${graph.x(k)},${graph.y(before)} ${graph.x(k + 1)},${graph.y(before)}`);
     });
-    steps.push(`${right},${y(light)}`);
-    parts.push(make("polyline", { points: steps.join(" "), class: "gsnb-pixels-light" }));
-    parts.push(text(left, 234, "nearest Gaussian first, to the farthest; below: the colour summed up so far"));
-    this.graph.replaceChildren(...parts);
+    steps.push(`${graph.right},${graph.y(light)}`);
+    graph.add("polyline", { points: steps.join(" "), class: "gsnb-pixels-light" });
+    graph.text(graph.left, 234, "nearest Gaussian first, to the farthest; below: the colour summed up so far");
   }
 
   write() {
-    const { u, v, stack, colour, light } = this.found;
-    const where = `pixel (${u}, ${v})`;
-    this.image.alt = `the rendered map; click a pixel, or use the arrow keys; now (${u}, ${v})`;
+    const where = `pixel (${this.found.u}, ${this.found.v})`;
+    this.image.alt = `the rendered map; click a pixel, or use the arrow keys; now (${this.found.u}, ${this.found.v})`;
     this.lens.setAttribute("aria-label", `${where} and its neighbours, enlarged, with the ellipses of its Gaussians`);
-    this.graph.setAttribute("aria-label", `alpha, weight and light left for each of the ${stack.length} Gaussians; the table has the numbers`);
-    const seen = this.seen.map((c) => three(c / 255)).join(" ");
-    this.caption.replaceChildren(`${where}: `, make("b", {}, `${stack.length} Gaussians`), `, sum of w c = ${colour.map(three).join(" ")}; rendered (8 bit) ${seen}`);
-    const swatch = (rgb) => make("span", { class: "gsnb-pixels-swatch", style: `background:${css(rgb)}` });
+    this.graph.setAttribute("aria-label", `${this.graphWords()}; the table has the numbers`);
+    this.caption.replaceChildren(`${where}: `, ...this.words(), `; rendered (8 bit) ${this.seen.map((c) => three(c / 255)).join(" ")}`);
+    const { heads, lines } = this.rows(this.found);
     const line = (cells) => make("tr", {}, ...cells.map((cell) => make("td", {}, cell)));
-    const lines = stack.slice(0, TABLE_ROWS).map((one, k) => line([
+    const head = make("tr", {}, ...heads.map((words) => make("th", { scope: "col" }, words)));
+    this.table.replaceChildren(make("table", {}, make("thead", {}, head), make("tbody", {}, ...lines.map(line))));
+  }
+
+  graphWords() {
+    return `alpha, weight and light left for each of the ${this.found.stack.length} Gaussians`;
+  }
+
+  words() {
+    const { stack, colour } = this.found;
+    return [make("b", {}, `${stack.length} Gaussians`), `, sum of w c = ${rgbWords(colour)}`];
+  }
+
+  rows({ stack, colour, light }) {
+    const lines = stack.slice(0, TABLE_ROWS).map((one, k) => [
       k, one.row, three(one.depth), three(one.alpha), three(one.light), three(one.weight), swatch(one.rgb),
-      one.rgb.map((c) => three(one.weight * c)).join(" "),
-    ]));
+      rgbWords(one.rgb.map((c) => one.weight * c)),
+    ]);
     const more = stack.slice(TABLE_ROWS);
     if (more.length) {
-      const rest = [0, 1, 2].map((i) => three(more.reduce((sum, one) => sum + one.weight * one.rgb[i], 0)));
-      lines.push(line(["", `… ${more.length} more`, "", "", "", three(more.reduce((sum, one) => sum + one.weight, 0)), "", rest.join(" ")]));
+      const rest = [0, 1, 2].map((i) => more.reduce((sum, one) => sum + one.weight * one.rgb[i], 0));
+      lines.push(["", `… ${more.length} more`, "", "", "", three(weightOf(more)), "", rgbWords(rest)]);
     }
-    const weights = stack.reduce((sum, one) => sum + one.weight, 0);
-    lines.push(line(["", "sum", "", "", `left ${three(light)}`, three(weights), swatch(colour), colour.map(three).join(" ")]));
-    const heads = ["k", "row", "depth m", "α", "T", "w = α T", "c", "w c"].map((head) => make("th", { scope: "col" }, head));
-    this.table.replaceChildren(make("table", {}, make("thead", {}, make("tr", {}, ...heads)), make("tbody", {}, ...lines)));
+    lines.push(["", "sum", "", "", `left ${three(light)}`, three(weightOf(stack)), swatch(colour), rgbWords(colour)]);
+    return { heads: ["k", "row", "depth m", "α", "T", "w = α T", "c", "w c"], lines };
   }
 }
-
-export default {
-  render({ model, el }) {
-    new Microscope(model, el);
-  },
-};
