@@ -83,6 +83,7 @@ book: setup
 # A wheel in dist/, which needs neither this folder nor a compiler: pip install dist/gsfusion_nb-*.whl
 wheel:
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	@rm -rf build # setuptools would put files of earlier builds into the wheel
 	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir dist .
 	@ls -l dist/*.whl
 

@@ -13,6 +13,7 @@ import argparse
 import json
 import os
 import resource
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -41,6 +42,7 @@ def environment(folder: Path, python: str) -> Path:
 
 def wheel(folder: Path) -> Path:
     """The wheel of this tree."""
+    shutil.rmtree(ROOT / "build", ignore_errors=True)  # setuptools would put its files into the wheel
     run([sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--wheel-dir", folder, ROOT], folder)
     return next(folder.glob("*.whl"))
 
