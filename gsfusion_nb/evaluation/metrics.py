@@ -46,6 +46,8 @@ METRIC_GROUPS: dict[str, dict[str, Metric]] = {
     "Before the global optimisation": {
         "psnr_held_out_online_db": Metric("PSNR, held out", "dB", 2, 1.0, "Of the map at the end of the sequence."),
         "psnr_mapped_online_db": Metric("PSNR, mapped", "dB", 2, 1.0, "Of the map at the end of the sequence."),
+        "ssim_held_out_online": Metric("SSIM, held out", "", 3, 1.0, "Of the map at the end of the sequence."),
+        "ssim_mapped_online": Metric("SSIM, mapped", "", 3, 1.0, "Of the map at the end of the sequence."),
     },
     "Maps": {
         "n_gaussians": Metric("Gaussians", "", 0),

@@ -19,9 +19,12 @@ from . import disc_depth, roofline
 from .variants import STUDIES
 
 COLUMNS = {
-    "psnr_held_out_online_db": "PSNR online",
-    "psnr_held_out_db": "PSNR held out",
+    "psnr_mapped_online_db": "PSNR mapped, online",
+    "psnr_held_out_online_db": "PSNR held out, online",
+    "ssim_held_out_online": "SSIM held out, online",
     "psnr_mapped_db": "PSNR mapped",
+    "psnr_held_out_db": "PSNR held out",
+    "ssim_held_out": "SSIM held out",
     "depth_l1_held_out_m": "depth error",
     "n_gaussians": "Gaussians",
     "n_keyframes": "keyframes",
@@ -58,6 +61,8 @@ class StudyOptions:
     options: str = ""
     """Options of gsfusion-nb map that are used for every variant, in quotes and after an equals sign:
     --options="--data.width 320 --data.height 240"."""
+    only: str = ""
+    """Only the variants whose name contains this text, in capital or small letters: --only given. Default: all."""
     views: int = 20
     """Only for disc-depth: number of views to fit."""
     device: str = "cpu"
@@ -74,9 +79,12 @@ def main(options: StudyOptions) -> int:
     if options.name == "roofline":
         return roofline.main(options.device, folder)
     study = STUDIES[options.name]
+    variants = {label: v for label, v in study.variants.items() if options.only.lower() in label.lower()}
+    if not variants:
+        raise ValueError(f"--only: no variant's name contains {options.only!r}; there are {', '.join(study.variants)}")
     print(f"{study.question}, on {options.data}")
     results = {}
-    for label, variant in study.variants.items():
+    for label, variant in variants.items():
         arguments = [*variant, *options.options.split()]
         place = folder / f"{_slug(label)}-{variant_key(options.data, arguments)[:12]}"
         done = f"reused from {place}" if _is_complete(place) else "done"

@@ -48,6 +48,16 @@ def test_the_table_has_a_row_per_variant(tmp_path, monkeypatch, capsys):
     assert "RTG-SLAM, tracked: broke" in capsys.readouterr().out
 
 
+def test_only_the_variants_whose_name_has_the_text_are_run(tmp_path, monkeypatch):
+    monkeypatch.setattr(study_run, "run_variant", lambda data, folder, arguments: {"n_gaussians": 1})
+    assert main(StudyOptions(name="systems", out=str(tmp_path), only="GIVEN")) == 0
+    assert list(json.loads((tmp_path / "table.json").read_text())) == [
+        "GSFusion, given", "RTG-SLAM, given", "GPS-SLAM, given"
+    ]  # fmt: skip
+    with pytest.raises(ValueError, match="'taken'; there are GSFusion, given"):
+        main(StudyOptions(name="systems", out=str(tmp_path), only="taken"))
+
+
 @functools.cache
 def settings_of(name: str, variant: str) -> Any:
     """Settings of a variant of a study on the first nine frames of the room."""
