@@ -9,8 +9,8 @@ from collections import abc
 from dataclasses import replace
 
 from ...config import RepairConfig
-from .corrections import KINDS, AdoptedCorrections, cost_of, search
-from .geometry_fit import FitData
+from .corrections import KINDS, AdoptedCorrections, CorrectionKind, cost_of, search
+from .geometry_fit import CalibrationCorrection, FitData
 from .sample import WINDOW, Sample
 
 _PARTS = 3
@@ -39,33 +39,42 @@ def confirmed(
     cuts = [round(k * len(ordered) / _PARTS) for k in range(_PARTS + 1)]
     parts = [ordered[a:b] for a, b in itertools.pairwise(cuts) if b - a >= _LEAST_PAIRS]
     doubts: dict[str, list[float]] = {}
+    kept, taken_back, before = [], {}, CalibrationCorrection()
     brief = len(sample.frames) < WINDOW and corrected.adopted_fit("pose time") is not None
     for fitted in corrected.adopted:
         kind = KINDS[fitted.kind]
+        added = {x: float(getattr(fitted.correction, x) - getattr(before, x)) for x in kind.fields}
+        before, sure, values = fitted.correction, True, []
         if kind.width and len(parts) > 1:
-            values, certain = _of_parts(corrected, fitted.kind, [FitData.of(sample, part, repair) for part in parts])
-            if not certain or (brief and fitted.kind in _INTRINSICS):
-                doubts[fitted.kind] = values
-    kept = [f for f in corrected.adopted if f.kind not in doubts]
-    if not doubts:
-        return corrected, {}
-    none = {field: 0.0 for kind in doubts for field in KINDS[kind].fields}
-    if any(f.kind == "intrinsics size" for f in kept):  # has the same fields
-        none = {field: value for field, value in none.items() if field not in KINDS["intrinsics size"].fields}
-    adopted = [replace(f, correction=replace(f.correction, **none)) for f in kept]
-    return AdoptedCorrections(adopted=adopted, last=corrected.last), doubts
+            values, sure = _of_parts(corrected, kind, added, [FitData.of(sample, part, repair) for part in parts])
+        if sure and not (values and brief and fitted.kind in _INTRINSICS):
+            kept.append(replace(fitted, correction=_without(fitted.correction, taken_back)))
+            continue
+        doubts[fitted.kind] = values
+        taken_back |= {x: taken_back.get(x, 0.0) + value for x, value in added.items()}
+    return AdoptedCorrections(adopted=kept, last=corrected.last), doubts
 
 
-def _of_parts(corrected: AdoptedCorrections, name: str, parts: list[FitData]) -> tuple[list[float], bool]:
-    """The value that each part gives, and whether at least two of them know it and none contradicts."""
-    kind, whole = KINDS[name], corrected.correction
-    field = max(kind.fields, key=lambda x: abs(getattr(whole, x)))
-    wanted = getattr(whole, field)
+def _without(c: CalibrationCorrection, added: abc.Mapping[str, float]) -> CalibrationCorrection:
+    """``c`` without a part of it: another correction may have changed the same fields."""
+    return replace(c, **{field: getattr(c, field) - value for field, value in added.items()})
+
+
+def _of_parts(
+    corrected: AdoptedCorrections, kind: CorrectionKind, added: abc.Mapping[str, float], parts: list[FitData]
+) -> tuple[list[float], bool]:
+    """What each part adds to the other corrections, and whether at least two know it and none contradicts."""
+    whole = corrected.correction
+    start = _without(whole, added)
+    field = max(added, key=lambda x: abs(added[x]))
+    wanted = added[field]
     values, knowing, agreeing = [], 0, True
     for data in parts:
-        start = replace(whole, **dict.fromkeys(kind.fields, 0.0))
-        best, spread = search(cost_of(data, whole), start, kind, data.thinning * data.camera.width / 640)
-        values.append(float(getattr(best, field)))
+        cost = cost_of(data, whole)
+        best, spread = search(cost, start, kind, data.thinning * data.camera.width / 640)
+        if cost(whole) < cost(best):  # the search ended in another valley
+            best = whole
+        values.append(float(getattr(best, field) - getattr(start, field)))
         knowing += spread < abs(wanted)
         agreeing &= abs(values[-1] - wanted) <= max(_AGREE * abs(wanted), spread)
     return values, agreeing and knowing >= 2
