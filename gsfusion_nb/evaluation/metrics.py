@@ -37,18 +37,23 @@ def _image_metrics(suffix: str) -> dict[str, Metric]:
     }
 
 
+_AT_THE_END = "Of the map at the end of the sequence."
+ONLINE = {
+    "psnr_held_out_online_db": Metric("PSNR, held out", "dB", 2, 1.0, _AT_THE_END),
+    "psnr_mapped_online_db": Metric("PSNR, mapped", "dB", 2, 1.0, _AT_THE_END),
+    "ssim_held_out_online": Metric("SSIM, held out", "", 3, 1.0, _AT_THE_END),
+    "ssim_mapped_online": Metric("SSIM, mapped", "", 3, 1.0, _AT_THE_END),
+    "depth_l1_held_out_online_m": Metric("Depth error, held out", "cm", 2, 100.0, _AT_THE_END),
+}
+"""What is kept of the scores before the passes after the scan."""
+
 METRIC_GROUPS: dict[str, dict[str, Metric]] = {
     "Novel views (held out)": _image_metrics("held_out"),
     "Novel views, each pose fitted to the map": _image_metrics("held_out_aligned"),
     "Novel views, pose and exposure fitted to the map": _image_metrics("held_out_fitted"),
     "Novel views, each with pose and exposure of the views before and after it": _image_metrics("held_out_between"),
     "Mapped views": _image_metrics("mapped"),
-    "Before the global optimisation": {
-        "psnr_held_out_online_db": Metric("PSNR, held out", "dB", 2, 1.0, "Of the map at the end of the sequence."),
-        "psnr_mapped_online_db": Metric("PSNR, mapped", "dB", 2, 1.0, "Of the map at the end of the sequence."),
-        "ssim_held_out_online": Metric("SSIM, held out", "", 3, 1.0, "Of the map at the end of the sequence."),
-        "ssim_mapped_online": Metric("SSIM, mapped", "", 3, 1.0, "Of the map at the end of the sequence."),
-    },
+    "Before the global optimisation": ONLINE,
     "Maps": {
         "n_gaussians": Metric("Gaussians", "", 0),
         "model_size_mb": Metric("Model size", "MB", 1, 1.0, "Size of gaussians.ply; 1 MB is a million bytes."),

@@ -12,6 +12,7 @@ from ..config import SystemConfig, replace, to_dict
 from ..data import OpenedSequence, Sequence, SequenceError, apply_options, open_sequence
 from ..data.adjust.repair import RepairedSequence
 from ..data.checkup.quick_check import check_sequence
+from ..evaluation import ONLINE
 from ..export import read_gaussians
 from ..files import DiskFullError
 from ..mapping import get_system, make_mapper
@@ -215,8 +216,7 @@ def _work(
     if evaluate and not (stop or run.mapper.passes.begun or run.is_optimised) and run.mapper.n_passes:
         with stop.ending_at_once():
             online = outputs.score(run, "_online")
-            names = ("psnr_held_out_online_db", "psnr_mapped_online_db")
-            run.online_scores = {k: online[k] for k in names if isinstance(online[k], float)}
+            run.online_scores = {k: online[k] for k in ONLINE if isinstance(online[k], float)}
     if run.status == "running" and not (stop or run.is_optimised):
         _with_progress_of_passes(run, stop)
     if stop:

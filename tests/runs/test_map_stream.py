@@ -76,7 +76,8 @@ def test_a_stream_gives_the_same_maps_as_the_sequence(tmp_path, small_room, conf
     for name in ("xyz_W", "sh", "opacity_logit"):
         torch.testing.assert_close(getattr(ours, name), getattr(theirs, name))
     assert {p.name for p in stream.folder.iterdir()} == run_files
-    for name in ("psnr_held_out_db", "psnr_mapped_db", "psnr_held_out_online_db", "n_frames", "n_views_held_out"):
+    names = ("psnr_held_out_db", "psnr_mapped_db", "ssim_held_out_online", "n_frames", "n_views_held_out")
+    for name in names:
         assert stream.metrics[name] == pytest.approx(whole.metrics[name], abs=1e-6)
     assert stream.run.timestamps_s == whole.run.timestamps_s
     document = saved(stream.folder)
