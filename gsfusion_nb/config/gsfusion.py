@@ -148,7 +148,7 @@ _GSFUSION: dict[str, dict[str, Any]] = {
 
 
 _AS_PUBLISHED: dict[str, Any] = {
-    "tsdf": {"outlier_guard": False},
+    "tsdf": {"outlier_guard": False, "colour_band_voxels": 0.0, "colour_by_distance": False},
     "seeding": {"without_depth": "skip"},
     "optim": {"adam_steps": "shared"},
     "data": {"hold_out_every": 0, "scored_views": 0},

@@ -34,6 +34,14 @@ class TsdfConfig:
     where a new one counts a little more than all before together, so the surface follows the last frames and their
     noise; "int16": the mean in whole numbers of 1/32767 truncation distances, rounded towards zero, as the released
     code."""
+    colour_band_voxels: float = 1.5
+    """A voxel takes its colour from pixels whose surface is within this distance of its centre, voxels; the weight
+    falls from 1 at the surface to 0 there. Larger: blurs colours, because voxels in front of and behind a surface see
+    other places at an angle; smaller: fewer observations, more noise. 0: from all pixels that observe it, with equal
+    weights, as GSFusion. Usual: 1 to 2."""
+    colour_by_distance: bool = True
+    """A colour seen from the distance z counts 1 / z^2, as many times as its pixels are finer. Off: all distances count
+    the same."""
     outlier_guard: bool = True
     """Create no voxels for isolated depth pixels, those that differ strongly in depth from all their neighbours. Turn
     it off only for depth without noise."""
@@ -44,11 +52,17 @@ class TsdfConfig:
         check_number("tsdf.max_weight", self.max_weight, 1)
         check_number("tsdf.voxel_size_m", self.voxel_size_m, 0.001, 1.0)
         check_number("tsdf.truncation_voxels", self.truncation_voxels, 1, 64)
+        check_number("tsdf.colour_band_voxels", self.colour_band_voxels, 0, 64)
         check_number("tsdf.far_m", self.far_m, 0, 1000)
         check_number("tsdf.near_m", self.near_m)
         check_kinds("tsdf", self)
         if not 0 <= self.near_m < self.far_m:
             raise ValueError(f"tsdf.near_m must be >= 0 and below far_m, got near {self.near_m} and far {self.far_m}")
+
+    @property
+    def weighs_colours(self) -> bool:
+        """Whether colours have weights of their own, other than the observation count."""
+        return self.colour_by_distance or self.colour_band_voxels > 0
 
     @property
     def truncation_m(self) -> float:

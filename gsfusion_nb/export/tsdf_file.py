@@ -91,6 +91,7 @@ def read_tsdf(path: str | Path, config: TsdfConfig, device: torch.device | str =
 def as_stored(volume: TsdfVolume) -> TsdfVolume:
     """A copy of the volume with the values that ``read_tsdf`` will give back, bit for bit."""
     state, observed = volume.state_dict(), volume.W > 0
+    state.pop("W_rgb", None)  # the file has none: pictures do not need them
     state["D"] = torch.where(observed, _levels(volume.D, D_LEVELS) / D_LEVELS, 1.0)
     state["W"] = torch.where(observed, _half(volume.W).float(), 0.0)
     state["rgb"] = torch.where(observed[:, None], _levels(volume.rgb_planes, RGB_LEVELS) / RGB_LEVELS, 0.0)

@@ -10,27 +10,34 @@ from ..constants import GROWTH, VOXELS_PER_BLOCK
 from ..memory import available_memory
 
 BYTES_PER_BLOCK = VOXELS_PER_BLOCK * (4 + 4 + 12) + 12
-"""Distance, weight and colour of every voxel as float32, and three int32 coordinates. Colour is float32 because a
+"""Distance, weight and colour of every voxel as float32, and three int32 coordinates; ``W_RGB_BYTES`` more where
+colours have weights of their own. Colour is float32 because a
 running mean at weight 100 changes by a hundredth of the difference: float16 would stop 6 grey levels away from the
 mean and 8 bits 50 levels away. Integers with more bits would save memory, but converting them takes too long."""
+
+W_RGB_BYTES = VOXELS_PER_BLOCK * 4
 
 _FIRST_CAPACITY = 1024
 
 
 class BlockPool:
-    """The tensors behind a volume, with spare rows at the end. New rows are filled when they are handed out."""
+    """The tensors behind a volume, with spare rows at the end. New rows are filled when they are handed out.
 
-    def __init__(self, capacity: int, device: torch.device):
+    Without ``weighs_colours`` there is no weight of the colours, ``W_rgb``.
+    """
+
+    def __init__(self, capacity: int, device: torch.device, *, weighs_colours: bool):
         self.capacity = capacity
         self.D = torch.empty(capacity, VOXELS_PER_BLOCK, device=device)
         self.W = torch.empty(capacity, VOXELS_PER_BLOCK, device=device)
         self.rgb = torch.empty(capacity, 3, VOXELS_PER_BLOCK, device=device)
+        self.W_rgb = torch.empty(capacity, VOXELS_PER_BLOCK, device=device) if weighs_colours else None
         self.coords = torch.empty(capacity, 3, dtype=torch.int32, device=device)
 
     @property
     def memory_bytes(self) -> int:
         """Memory of all rows, bytes (spare rows take no memory before they are first written to)."""
-        return self.capacity * BYTES_PER_BLOCK
+        return estimate_memory(self.capacity, weighs_colours=self.W_rgb is not None)
 
     def hand_out(self, first: int, coords: Int[Tensor, "M 3"]) -> None:
         """Fill the rows from ``first`` on as those of blocks that were never observed."""
@@ -38,6 +45,8 @@ class BlockPool:
         self.D[rows] = 1.0
         self.W[rows] = 0.0
         self.rgb[rows] = 0.0
+        if self.W_rgb is not None:
+            self.W_rgb[rows] = 0.0
         self.coords[rows] = coords
 
     def with_room_for(self, n_blocks: int, *, limit_bytes: int | None, voxel_size_m: float) -> "BlockPool":
@@ -56,24 +65,26 @@ class BlockPool:
         device = self.D.device
         free = available_memory(device)
         for capacity in (max(n_blocks, int(GROWTH[device.type] * self.capacity), _FIRST_CAPACITY), n_blocks):
-            size = estimate_memory(capacity)
+            size = estimate_memory(capacity, weighs_colours=self.W_rgb is not None)
             if (limit_bytes is None or size <= limit_bytes) and (free is None or size <= free):
                 with contextlib.suppress(RuntimeError, MemoryError):  # torch may get less than is free
                     return self._grown(capacity)
         allowed = [f"only {x / 1e6:.0f} MB may be used" for x in (limit_bytes, free) if x is not None and x < size]
+        needed = estimate_memory(n_blocks, weighs_colours=self.W_rgb is not None)
         raise MemoryError(
-            f"the TSDF volume needs {estimate_memory(n_blocks) / 1e6:.0f} MB for {n_blocks} blocks of 8^3 voxels of "
+            f"the TSDF volume needs {needed / 1e6:.0f} MB for {n_blocks} blocks of 8^3 voxels of "
             f"{voxel_size_m} m, but {min(allowed, default='the system grants less')}; "
             "use larger voxels (tsdf.voxel_size_m) or a smaller tsdf.far_m, or check the depth unit"
         )
 
     def _grown(self, capacity: int) -> "BlockPool":
-        pool = BlockPool(capacity, self.D.device)
-        for name in ("D", "W", "rgb", "coords"):
-            getattr(pool, name)[: self.capacity] = getattr(self, name)
+        pool = BlockPool(capacity, self.D.device, weighs_colours=self.W_rgb is not None)
+        for name in ("D", "W", "rgb", "W_rgb", "coords"):
+            if getattr(self, name) is not None:
+                getattr(pool, name)[: self.capacity] = getattr(self, name)
         return pool
 
 
-def estimate_memory(n_blocks: int) -> int:
-    """Memory of a volume of ``n_blocks`` blocks, bytes."""
-    return n_blocks * BYTES_PER_BLOCK
+def estimate_memory(n_blocks: int, *, weighs_colours: bool) -> int:
+    """Memory of a volume of ``n_blocks`` blocks, bytes; more where colours have weights of their own."""
+    return n_blocks * (BYTES_PER_BLOCK + (W_RGB_BYTES if weighs_colours else 0))

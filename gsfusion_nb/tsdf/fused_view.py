@@ -89,4 +89,5 @@ def sample_fused_voxels(
         D=after.D.where(changes, before.D),
         W=after.W.where(changes, before.W),
         rgb=after.rgb.where(changes[:, None], before.rgb),
+        W_rgb=after.W_rgb.where(changes, before.W_rgb),
     )

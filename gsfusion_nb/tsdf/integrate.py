@@ -19,6 +19,15 @@ from .volume import TsdfSample, TsdfVolume, check_volume
 INT16_ONE = 32767.0
 """D = 1 in the 16-bit integers of the released code."""
 
+LEAST_COLOUR_WEIGHT = 1e-3
+"""Of a colour, also one from outside the band, as long as the voxel has had little."""
+
+LITTLE_COLOUR = 0.0495
+"""A voxel whose weight of colour is below this has had little: less than fifty colours from outside the band."""
+
+NEAREST_COLOUR_M = 0.1
+"""Colours seen from nearer count as from here."""
+
 BLOCKS_AT_A_TIME = 256
 """Limits the memory for intermediate results, independent of the size of the map."""
 
@@ -73,6 +82,32 @@ def tsdf_update(
         D_k = (D * (W_k - 1.0) + d) / W_k  # Eq. 9, the new value with weight 1
     in_band = sdf_m > -truncation_m
     return D_k.where(in_band, D), W_k.where(in_band, W)
+
+
+def colour_weight(
+    sdf_m: Float[Tensor, "*V"], z_m: Float[Tensor, "*V"], W_rgb: Float[Tensor, "*V"], config: TsdfConfig
+) -> Float[Tensor, "*V"]:
+    """How much a colour counts in the mean of a voxel; 0: not at all.
+
+    The weight is 1 at the surface and falls to 0 at the border of the band, because there the pixel shows another place
+    than the voxel if it is seen at an angle. It falls with the square of the distance, as the number of pixels that see
+    the voxel does. A voxel that has had little colour takes any, if only with the least weight: raycasts interpolate
+    between voxels of which some are outside every band.
+
+    Args:
+        sdf_m: Signed distance of the voxel, metres. [V]
+        z_m: Depth of the voxel, metres; positive. [V]
+        W_rgb: Weight of its colour before. [V]
+        config: Which of the two weights are used, and how wide the band is.
+
+    Differentiable: no (the map is state, not a parameter).
+    """
+    w = torch.ones_like(W_rgb)
+    if config.colour_by_distance:
+        w = z_m.to(w).clamp(min=NEAREST_COLOUR_M) ** -2
+    if config.colour_band_voxels > 0:
+        w = w * (1.0 - sdf_m.to(w).abs() / (config.colour_band_voxels * config.voxel_size_m)).clamp(min=0.0)
+    return torch.where(W_rgb < LITTLE_COLOUR, w.clamp(min=LEAST_COLOUR_WEIGHT), w)
 
 
 def integrate(volume: TsdfVolume, frame: Frame) -> IntegrateReport:
@@ -132,9 +167,9 @@ def corners_in_view(
 
 def _fuse_blocks(volume: TsdfVolume, rows: Int[Tensor, " B"], frame: Frame, T_CW: Float[Tensor, "4 4"]) -> int:
     """Update the voxels of some blocks from a frame, in place; returns how many were observed."""
-    before = TsdfSample(D=volume.D[rows], W=volume.W[rows], rgb=volume.rgb[rows])
+    before = TsdfSample(D=volume.D[rows], W=volume.W[rows], rgb=volume.rgb[rows], W_rgb=volume.W_rgb[rows])
     after, observed = fuse_voxels(before, se3.apply(T_CW, volume.voxel_centres(rows)), frame, volume.config)
-    volume.D[rows], volume.W[rows], volume.rgb[rows] = after.D, after.W, after.rgb
+    volume.D[rows], volume.W[rows], volume.rgb[rows], volume.W_rgb[rows] = after.D, after.W, after.rgb, after.W_rgb
     return int(observed.sum())
 
 
@@ -184,6 +219,10 @@ def fuse_voxels(
     band = {"truncation_m": config.truncation_m, "max_weight": config.max_weight, "average": config.average}
     D_k, W_k = tsdf_update(before.D, before.W, sdf_m, **band)
     observed = sdf_m > -config.truncation_m
-    w_k = W_k[..., None]
-    rgb_k = (before.rgb * (w_k - 1.0) + frame.rgb[v, u]) / w_k  # the mean; the paper does not define colour
-    return TsdfSample(D=D_k, W=W_k, rgb=rgb_k.where(observed[..., None], before.rgb)), observed
+    W_rgb, step = W_k, 1.0 / W_k  # the mean; the paper does not define colour
+    if config.weighs_colours:
+        w = colour_weight(sdf_m, z, before.W_rgb, config).where(observed, 0.0)
+        W_rgb = (before.W_rgb + w).clamp(max=config.max_weight)
+        step = (w / W_rgb.clamp(min=LEAST_COLOUR_WEIGHT)).clamp(max=1.0)
+    rgb_k = before.rgb + step[..., None] * (frame.rgb[v, u] - before.rgb)
+    return TsdfSample(D=D_k, W=W_k, rgb=rgb_k.where(observed[..., None], before.rgb), W_rgb=W_rgb), observed

@@ -31,6 +31,8 @@ class TsdfSample:
     """Observation count."""
     rgb: Float[Tensor, "*N 3"]
     """Mean colour, 0..1."""
+    W_rgb: Float[Tensor, "*N"]
+    """Weight of the colour; ``W`` where colours have no weights of their own."""
 
 
 class TsdfVolume:
@@ -53,7 +55,7 @@ class TsdfVolume:
         self.device = torch.device(device)
         self.memory_limit_bytes = memory_limit_bytes
         self.index = BlockIndex(device)
-        self._pool = BlockPool(0, self.device)
+        self._pool = self._empty_pool()
 
     @property
     def n_blocks(self) -> int:
@@ -79,6 +81,11 @@ class TsdfVolume:
     def rgb_planes(self) -> Float[Tensor, "B 3 512"]:
         """The colours as they are stored, one plane per channel: integration is 6 times faster on whole planes."""
         return self._pool.rgb[: self.n_blocks]
+
+    @property
+    def W_rgb(self) -> Float[Tensor, "B 512"]:
+        """Weight of the colour of every voxel; ``W`` where colours have no weights of their own. A view."""
+        return self.W if self._pool.W_rgb is None else self._pool.W_rgb[: self.n_blocks]
 
     @property
     def block_coords(self) -> Int[Tensor, "B 3"]:
@@ -234,20 +241,28 @@ class TsdfVolume:
         if config != self.config:
             raise ValueError(f"the saved map was made with {config}, this volume has {self.config}")
         _check_saved_blocks(state)
-        self._take({name: state[name] for name in ("D", "W", "rgb", "block_coords")})
+        self._take(
+            {name: state[name] for name in ("D", "W", "rgb", "block_coords")} | {"W_rgb": _colour_weights(state)}
+        )
 
     def _take(self, tensors: dict[str, Tensor]) -> None:
         """Replace the blocks by those of ``_tensors``, which may be on another device, whose memory may be full."""
         coords = tensors["block_coords"].to(self.device)
-        n, self._pool = coords.shape[0], BlockPool(0, self.device)
+        n, self._pool = coords.shape[0], self._empty_pool()
         self._reserve(n)
         self.index = BlockIndex.of_blocks(coords)
         pool = self._pool
         for target, name in ((pool.D, "D"), (pool.W, "W"), (pool.rgb, "rgb"), (pool.coords, "block_coords")):
             target[:n] = tensors[name].to(self.device)
+        if pool.W_rgb is not None:
+            pool.W_rgb[:n] = tensors["W_rgb"].to(self.device)
 
     def _tensors(self) -> dict[str, Tensor]:
-        return {"D": self.D, "W": self.W, "rgb": self.rgb_planes, "block_coords": self.block_coords}
+        weights = {"W_rgb": self.W_rgb} if self.config.weighs_colours else {}
+        return {"D": self.D, "W": self.W, "rgb": self.rgb_planes, "block_coords": self.block_coords} | weights
+
+    def _empty_pool(self) -> BlockPool:
+        return BlockPool(0, self.device, weighs_colours=self.config.weighs_colours)
 
     def _reserve(self, n_blocks: int) -> None:
         limit, voxel_size_m = self.memory_limit_bytes, self.config.voxel_size_m
@@ -264,10 +279,17 @@ def _check_saved_blocks(state: dict[str, Any]) -> None:
         ("rgb", (n, 3, VOXELS_PER_BLOCK)),
     ):
         check_saved(name, state[name], shape)
+    check_saved("W_rgb", _colour_weights(state), (n, VOXELS_PER_BLOCK))
     if len(encode(coords).unique()) != n:
         raise ValueError("block_coords must contain every block once")
-    if n and float(state["W"].min()) < 0:
-        raise ValueError(f"W must be at least 0 in every voxel, got {float(state['W'].min()):g}")
+    for name, weights in (("W", state["W"]), ("W_rgb", _colour_weights(state))):
+        if n and float(weights.min()) < 0:
+            raise ValueError(f"{name} must be at least 0 in every voxel, got {float(weights.min()):g}")
+
+
+def _colour_weights(state: dict[str, Any]) -> Tensor:
+    """Of a saved map; files without them have the observation counts."""
+    return state.get("W_rgb", state["W"])
 
 
 def check_volume(volume: Any) -> None:
@@ -294,5 +316,7 @@ def sample_voxels(volume: TsdfVolume, xyz_W: Float[Tensor, "N 3"]) -> TsdfSample
     at = volume.find_voxels(volume.voxel_index(xyz_W))
     known, at = at >= 0, at[at >= 0]
     D, W, rgb = xyz_W.new_ones(len(known)), xyz_W.new_zeros(len(known)), xyz_W.new_zeros(len(known), 3)
+    W_rgb = torch.zeros_like(W)
     D[known], W[known], rgb[known] = volume.D.view(-1)[at], volume.W.view(-1)[at], volume.voxel_rgb(at)
-    return TsdfSample(D=D, W=W, rgb=rgb)
+    W_rgb[known] = volume.W_rgb.view(-1)[at]
+    return TsdfSample(D=D, W=W, rgb=rgb, W_rgb=W_rgb)

@@ -30,6 +30,10 @@ def cases() -> Iterator[Case]:
     for average, flips in (("eq9", _FLIPS), ("int16", 2e-2)):  # a last bit decides between two whole numbers
         frames = [wall(shift_m=x) for x in (0.0, 0.03, 0.01)]
         yield _case(f"average {average}", frames, flips=flips, average=average)
+    for band, by_distance in ((0.0, False), (0.0, True), (0.5, False)):
+        frames = [wall(shift_m=x) for x in (0.0, 0.03, 0.01)]
+        name = f"band of colours {band:g}{', by distance' if by_distance else ''}"
+        yield _case(name, frames, colour_band_voxels=band, colour_by_distance=by_distance)
     frame = wall()
     yield _case("nothing measured", [frame, dataclasses.replace(frame, depth_m=torch.zeros_like(frame.depth_m))])
     yield _case("a camera inside the map", [_moved(frame, z=1.4)])
@@ -57,7 +61,7 @@ def make_map(frames: list[Frame], device: torch.device, **config) -> TsdfVolume:
 def _case(name: str, frames: list[Frame], flips: float = _FLIPS, **config) -> Case:
     def run(device: torch.device, dtype: torch.dtype) -> dict[str, Tensor]:
         volume = make_map(frames, device, **config)
-        return {"D": volume.D, "W": volume.W, "rgb": volume.rgb_planes}
+        return {"D": volume.D, "W": volume.W, "rgb": volume.rgb_planes, "W_rgb": volume.W_rgb}
 
     return Case(name=name, operations=("fuse_frame_",), run=run, dtypes=(torch.float32,), flips=flips)
 

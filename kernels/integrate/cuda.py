@@ -45,14 +45,16 @@ class Frame(NamedTuple):
 
 class Band(NamedTuple):
     """The largest depth of a block in view, and the smallest depth that is used; around it, metres; the largest weight;
-    whether distances are along the ray."""
+    the band of colours; whether distances are along the ray, and whether weights of colours fall with the distance."""
 
     far: float
     near: float
     truncation: float
     inv_truncation: float
     max_weight: float
+    inv_colour_band: float
     ray: bool
+    by_distance: bool
 
 
 class Voxels(NamedTuple):
@@ -61,6 +63,7 @@ class Voxels(NamedTuple):
     D: Tensor
     W: Tensor
     planes: Tensor
+    W_rgb: Tensor
 
 
 def fuse_frame_(volume: TsdfVolume, frame: types.Frame) -> int:
@@ -77,7 +80,7 @@ def fuse_frame_(volume: TsdfVolume, frame: types.Frame) -> int:
     coords, (view, images, band) = volume.block_coords, view_of(volume, frame)
     blocks = parts(n, _BLOCK)
     launch("fuse_frame_", "integrate:visible_blocks", blocks, _BLOCK, view, coords, n, band.far, rows, count)
-    voxels = Voxels(D=volume.D, W=volume.W, planes=volume.rgb_planes)
+    voxels = Voxels(D=volume.D, W=volume.W, planes=volume.rgb_planes, W_rgb=volume.W_rgb)
     blocks = min(n, _RESIDENT)
     launch("fuse_frame_", "integrate:fuse_blocks", blocks, _BLOCK, view, coords, images, band, voxels, rows, count)
     return int(count[_OBSERVED])
@@ -99,6 +102,8 @@ def view_of(volume: TsdfVolume, frame: types.Frame) -> tuple[View, Frame, Band]:
         truncation=config.truncation_m,
         inv_truncation=1.0 / config.truncation_m,
         max_weight=config.max_weight,
+        inv_colour_band=1.0 / (config.colour_band_voxels * config.voxel_size_m) if config.colour_band_voxels else 0.0,
         ray=config.sdf == "ray",
+        by_distance=config.colour_by_distance,
     )
     return view, Frame(depth=packed(frame.depth_m), rgb=packed(frame.rgb)), band

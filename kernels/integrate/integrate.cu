@@ -3,8 +3,9 @@
 // Layout: 128 threads a voxel block, four neighbours along z a thread, so that distance, weight and the three planes of
 // colour move 16 bytes at a time. Blocks of threads stay and take one voxel block after another from the list, whose
 // length the host never asks for; a thread's four voxels have the same offsets in every block and keep them in
-// registers. What limits it: memory, 40 bytes a voxel that is observed; blocks that are hidden or free of depth are
-// projected, and cost the reading of depth alone. Rounding is the reference's.
+// registers. What limits it: memory, 16 bytes a voxel that is observed, 8 for the weight of its colour and 24 for colour
+// where that counts; blocks that are hidden or free of depth are projected, and cost the reading of depth alone.
+// Rounding is the reference's.
 #include "voxel.cuh"
 
 constexpr int VOXELS = 512;
@@ -36,7 +37,7 @@ extern "C" __global__ void __launch_bounds__(128) visible_blocks(
 }
 
 struct Voxels {
-    float4 *D, *W, *planes;
+    float4 *D, *W, *planes, *W_rgb;
 };
 
 extern "C" __global__ void __launch_bounds__(128) fuse_blocks(
@@ -53,12 +54,13 @@ extern "C" __global__ void __launch_bounds__(128) fuse_blocks(
         double p[3];
         corner_of_row(g, coords, block, p);
         const float3 corner = homogeneous(g, p);
-        float sdf[4];
+        float sdf[4], z[4];
         long long pixel[4];
         bool observed[4], any = false;
 #pragma unroll
         for (int k = 0; k < 4; k++) {
             const float U = corner.x + offset[k].x, V = corner.y + offset[k].y, Z = corner.z + offset[k].z;
+            z[k] = Z;
             sdf[k] = distance(view, frame, lens, band, U, V, Z, &pixel[k]);
             observed[k] = sdf[k] > -band.truncation;
             any = any || observed[k];
@@ -71,6 +73,19 @@ extern "C" __global__ void __launch_bounds__(128) fuse_blocks(
 #pragma unroll
         for (int k = 0; k < 4; k++) step[k] = observed[k] ? observe(band, sdf[k], d[k], w[k]) : 0.0f;
         voxels.D[at] = d4, voxels.W[at] = w4;
+        if (weighs_colours(band)) {
+            float4 weights = voxels.W_rgb[at];
+            float* weight = &weights.x;
+            any = false;
+#pragma unroll
+            for (int k = 0; k < 4; k++) {
+                step[k] = observed[k] ? observe_colour(band, sdf[k], z[k], weight[k]) : 0.0f;
+                observed[k] = step[k] > 0.0f;
+                any = any || observed[k];
+            }
+            if (!any) continue;
+            voxels.W_rgb[at] = weights;
+        }
 #pragma unroll
         for (int channel = 0; channel < 3; channel++) {
             const long long place = ((long long)block * 3 + channel) * (VOXELS / 4) + threadIdx.x;

@@ -19,13 +19,18 @@ class Limits(NamedTuple):
     truncation: float
     voxel_size: float
     max_weight: float
+    colour_band: float
+    """Half width of the band in which colours count, metres; 0: all do."""
 
 
 class Method(NamedTuple):
-    """Whether distances are along the ray, and how they are averaged, a number of ``numba._AVERAGES``."""
+    """Whether distances are along the ray, how they are averaged, a number of ``numba._AVERAGES``, and whether colours
+    have weights of their own, and they fall with the distance."""
 
     along_ray: bool
     average: int
+    weighs_colours: bool
+    colour_by_distance: bool
 
 
 class Voxels(NamedTuple):
@@ -35,6 +40,7 @@ class Voxels(NamedTuple):
     D: np.ndarray
     W: np.ndarray
     rgb: np.ndarray
+    W_rgb: np.ndarray
 
 
 class Image(NamedTuple):

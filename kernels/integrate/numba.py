@@ -13,13 +13,13 @@ from numba import int32, njit, prange
 
 from gsfusion_nb.constants import BLOCK_VOXELS, VOXELS_PER_BLOCK
 from gsfusion_nb.geometry import se3
-from gsfusion_nb.tsdf.integrate import INT16_ONE
+from gsfusion_nb.tsdf.integrate import INT16_ONE, LEAST_COLOUR_WEIGHT, LITTLE_COLOUR, NEAREST_COLOUR_M
 from gsfusion_nb.tsdf.integrate import fuse_frame_ as reference
 from gsfusion_nb.tsdf.volume import TsdfVolume
 from gsfusion_nb.types import Frame
 
 from ..runtime.numba.launch import launching
-from ..runtime.numba.simd import any_lane, load, maximum, minimum, select, splat, sqrt, store, times
+from ..runtime.numba.simd import absolute, any_lane, load, maximum, minimum, select, splat, sqrt, store, times
 from ..runtime.numba.simd_int import (
     count_lanes,
     first_byte,
@@ -39,6 +39,7 @@ f32 = np.float32
 _EPS = f32(1e-4)
 _ZERO, _ONE = f32(0.0), f32(1.0)
 _GREY_LEVELS = f32(255.0)
+_LEAST, _LITTLE, _MOST_BY_DISTANCE = f32(LEAST_COLOUR_WEIGHT), f32(LITTLE_COLOUR), f32(NEAREST_COLOUR_M**-2)
 _MEAN, _EQ9, _INT16 = range(3)
 _AVERAGES = {"mean": _MEAN, "eq9": _EQ9, "int16": _INT16}
 _INT16_ONE, _INT16_ULP = f32(INT16_ONE), f32(1.0 / INT16_ONE)
@@ -71,10 +72,16 @@ def fuse_frame_(volume: TsdfVolume, frame: Frame) -> int:
         truncation=float(config.truncation_m),
         voxel_size=float(config.voxel_size_m),
         max_weight=float(config.max_weight),
+        colour_band=float(config.colour_band_voxels * config.voxel_size_m),
     )
-    method = Method(along_ray=config.sdf == "ray", average=_AVERAGES[config.average])
-    D, W, colours = (t.view(-1).numpy() for t in (volume.D, volume.W, volume.rgb_planes))
-    voxels = Voxels(coords=volume.block_coords.numpy(), D=D, W=W, rgb=colours)
+    method = Method(
+        along_ray=config.sdf == "ray",
+        average=_AVERAGES[config.average],
+        weighs_colours=config.weighs_colours,
+        colour_by_distance=config.colour_by_distance,
+    )
+    D, W, colours, W_rgb = (t.view(-1).numpy() for t in (volume.D, volume.W, volume.rgb_planes, volume.W_rgb))
+    voxels = Voxels(coords=volume.block_coords.numpy(), D=D, W=W, rgb=colours, W_rgb=W_rgb)
     with launching():
         packed, pyramid = packed_image(depth, in_bytes, config.near_m)
         seen = np.zeros(volume.n_blocks, np.uint8)
@@ -150,6 +157,16 @@ def _average_floats(C, at, step, rgb, pixel, observed):
 
 
 @njit(inline="always")
+def _colour_weight(sdf, inv_z, W_rgb, inv_band, by_distance):
+    """See ``gsfusion_nb.tsdf.integrate.colour_weight``; ``inv_band``: 0 for no band."""
+    w = splat(_ONE)
+    if by_distance:
+        w = minimum(inv_z * inv_z, splat(_MOST_BY_DISTANCE))
+    w = w * maximum(splat(_ONE) - absolute(sdf) * inv_band, splat(_ZERO))
+    return select(splat(_LITTLE) > W_rgb, maximum(w, splat(_LEAST)), w)
+
+
+@njit(inline="always")
 def _corner(coords, row, side, T_CW, K):
     """A block's corner in the camera frame, times K: (u z, v z, z), each in all lanes."""
     x, y, z = coords[row, 0] * side, coords[row, 1] * side, coords[row, 2] * side
@@ -171,10 +188,12 @@ def _fuse(rows, voxels, image, size, view, limits, method, updated):
 
     A task takes every n-th block, so that tasks cost about the same wherever the hidden blocks are.
     """
-    coords, D, W, C = voxels.coords, voxels.D, voxels.W, voxels.rgb
+    coords, D, W, C, W_rgb = voxels.coords, voxels.D, voxels.W, voxels.rgb, voxels.W_rgb
     T_CW, K = view.T_CW, view.K
     packed, rgb = image.packed, image.rgb
     along_ray, average = method.along_ray, method.average
+    weighs_colours, by_distance = method.weighs_colours, method.colour_by_distance
+    inv_band_width = f32(1.0 / limits.colour_band) if limits.colour_band > 0.0 else _ZERO
     offset = _offsets(T_CW, K, limits.voxel_size)
     height, width = size
     n_tasks = updated.shape[0]
@@ -184,7 +203,7 @@ def _fuse(rows, voxels, image, size, view, limits, method, updated):
         end_u, end_v = splat(f32(width + 1)), splat(f32(height + 1))
         stride, first_pixel = splat_int(np.int32(width)), splat_int(np.int32(width + 1))
         behind, inv_truncation = splat(f32(-truncation)), splat(f32(1.0 / truncation))
-        most = splat(f32(max_weight))
+        most, least, inv_band = splat(f32(max_weight)), splat(_LEAST), splat(inv_band_width)
         fx, fy, cx, cy = splat(f32(1.0 / K[0, 0])), splat(f32(1.0 / K[1, 1])), splat(f32(K[0, 2])), splat(f32(K[1, 2]))
         count = 0
         for r in range(task, len(rows), n_tasks):
@@ -220,6 +239,15 @@ def _fuse(rows, voxels, image, size, view, limits, method, updated):
                     store(D, at, D_old + select(observed, step * (d - D_old), zero))
                 else:
                     store(D, at, select(observed, _as_published(D_old, d, W_old, W_new, average), D_old))
+                if weighs_colours:
+                    W_old = load(W_rgb, at)
+                    w = select(observed, _colour_weight(sdf, inv_z, W_old, inv_band, by_distance), zero)
+                    counts = w > zero
+                    if not any_lane(counts):
+                        continue
+                    W_new = minimum(W_old + w, most)
+                    step = select(counts, minimum(w / maximum(W_new, least), one), zero)
+                    store(W_rgb, at, W_new)
                 for c in range(3):
                     prefetch(C, 3 * ahead + c * VOXELS_PER_BLOCK + o)
                 colour_at = row * 3 * VOXELS_PER_BLOCK + o

@@ -5,6 +5,7 @@
 
 constexpr float EPS_M = 1e-4f;
 constexpr float MISSING = -1e9f;
+constexpr float LEAST_COLOUR_WEIGHT = 1e-3f, LITTLE_COLOUR = 0.0495f, NEAREST_COLOUR_M = 0.1f;  // as in the reference
 
 struct Lens {
     float fx, fy, cx, cy;
@@ -18,10 +19,11 @@ struct View {
 };
 
 // The largest depth of a block in view; the smallest depth that is used, half the width of the band around it, the
-// largest weight; ray: whether distances are along the ray.
+// largest weight; one over half the width of the band in which colours count, 0 for none; ray: whether distances are
+// along the ray; by_distance: whether the weights of colours fall with the distance.
 struct Band {
-    float far, near, truncation, inv_truncation, max_weight;
-    int ray;
+    float far, near, truncation, inv_truncation, max_weight, inv_colour_band;
+    int ray, by_distance;
 };
 
 struct Frame {
@@ -110,8 +112,21 @@ __device__ __forceinline__ float distance(
     return sdf * sqrtf(x * x + y * y + 1.0f);
 }
 
-// Adds an observation to the distance and the weight of a voxel; the part of the way that its colour goes to the new
-// one, as the distance has.
+// Whether colours have weights of their own, other than the observation count.
+__device__ __forceinline__ bool weighs_colours(const Band& band) { return band.by_distance || band.inv_colour_band > 0.0f; }
+
+// Adds an observation at depth z to the weight of a voxel's colour; the part of the way that it goes to the new one.
+__device__ __forceinline__ float observe_colour(const Band& band, float sdf, float z, float& weight) {
+    float w = 1.0f;
+    if (band.by_distance) w = 1.0f / fmaxf(z * z, NEAREST_COLOUR_M * NEAREST_COLOUR_M);
+    w *= fmaxf(1.0f - fabsf(sdf) * band.inv_colour_band, 0.0f);
+    if (weight < LITTLE_COLOUR) w = fmaxf(w, LEAST_COLOUR_WEIGHT);
+    weight = fminf(weight + w, band.max_weight);
+    return fminf(w / fmaxf(weight, LEAST_COLOUR_WEIGHT), 1.0f);
+}
+
+// Adds an observation to the distance and the weight of a voxel; the part of the way that the distance goes, and its
+// colour, unless colours have weights.
 __device__ __forceinline__ float observe(const Band& band, float sdf, float& d, float& w) {
     const float next = fminf(w + 1.0f, band.max_weight);
     const float value = fminf(fmaxf(sdf * band.inv_truncation, -1.0f), 1.0f);

@@ -91,7 +91,7 @@ def raycast(volume: TsdfVolume, camera: Camera, T_WC: Tensor) -> RaycastOutput:
     n, coords = volume.n_blocks, volume.block_coords
     launch("raycast", "raycast:block_spans", parts(n * _WARP, _BLOCK), _BLOCK, coords, n, lens, sizes, spans)
     table = Table(rows=rows, low=volume.index.table_low, size=size)
-    pool = Pool(D=volume.D, W=volume.W, planes=volume.rgb_planes)
+    pool = Pool(D=volume.D, W=volume.W, planes=volume.rgb_planes, W_rgb=volume.W_rgb)
     blocks = parts(W, _WIDE) * parts(H, _HIGH)
     launch("raycast", "raycast:raycast", blocks, _BLOCK, table, pool, lens, sizes, spans, out)
     return RaycastOutput(depth_m=out.depth, normal_W=out.normal, rgb=out.rgb)

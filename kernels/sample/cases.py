@@ -63,4 +63,4 @@ def _fused(name: str, xyz_W: Tensor, *, empty: bool = False, nothing_new: bool =
 
 
 def _columns(sample: TsdfSample) -> dict[str, Tensor]:
-    return {"D": sample.D, "W": sample.W, "rgb": sample.rgb}
+    return {"D": sample.D, "W": sample.W, "rgb": sample.rgb, "W_rgb": sample.W_rgb}

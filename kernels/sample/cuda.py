@@ -40,6 +40,7 @@ class Pool(NamedTuple):
     D: Tensor
     W: Tensor
     planes: Tensor
+    W_rgb: Tensor
 
 
 class NewBlocks(NamedTuple):
@@ -55,6 +56,7 @@ class Sample(NamedTuple):
     D: Tensor
     W: Tensor
     rgb: Tensor
+    W_rgb: Tensor
 
 
 def sample_voxels(volume: TsdfVolume, xyz_W: Tensor) -> TsdfSample:
@@ -91,10 +93,10 @@ def _ask(volume: TsdfVolume, xyz_W: Tensor) -> tuple[Points, Table, Pool, Sample
     """What both kernels are given, and where they write."""
     n, lookup = len(xyz_W), volume.index.table
     rows, _, size = lookup or (None, None, (0, 0, 0))
-    D, W, rgb = (torch.empty(n, *k, dtype=torch.float32, device=xyz_W.device) for k in ((), (), (3,)))
+    D, W, rgb, W_rgb = (torch.empty(n, *k, dtype=torch.float32, device=xyz_W.device) for k in ((), (), (3,), ()))
     return (
         Points(xyz=packed(xyz_W), count=n),
         Table(rows=rows, low=volume.index.table_low, size=size),
-        Pool(D=volume.D, W=volume.W, planes=volume.rgb_planes),
-        Sample(D=D, W=W, rgb=rgb),
+        Pool(D=volume.D, W=volume.W, planes=volume.rgb_planes, W_rgb=volume.W_rgb),
+        Sample(D=D, W=W, rgb=rgb, W_rgb=W_rgb),
     )

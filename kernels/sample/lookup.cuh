@@ -10,8 +10,9 @@ struct Table {
     int low[3], size[3];
 };
 
+// Of the voxels; W_rgb: weights of the colours, those of the distances if they have none of their own.
 struct Pool {
-    const float *D, *W, *planes;
+    const float *D, *W, *planes, *W_rgb;
 };
 
 __device__ __forceinline__ int row_of(const Table& table, const int* block) {

@@ -22,11 +22,12 @@ _FARTHEST = f32(1 << 24)
 
 
 class Voxels(NamedTuple):
-    """Values of the blocks in the pool: D [B, 512], W [B, 512], planes of colour [B, 3, 512]."""
+    """Values of the blocks in the pool: D, W and W_rgb [B, 512], planes of colour [B, 3, 512]."""
 
     D: np.ndarray
     W: np.ndarray
     rgb: np.ndarray
+    W_rgb: np.ndarray
 
 
 def sample_voxels(volume: TsdfVolume, xyz_W: Tensor) -> TsdfSample:
@@ -36,14 +37,15 @@ def sample_voxels(volume: TsdfVolume, xyz_W: Tensor) -> TsdfSample:
         with use_backend("reference"):
             return reference(volume, xyz_W)
     n = xyz_W.shape[0]
-    D, W, rgb = torch.empty(n), torch.empty(n), torch.empty(n, 3)
+    D, W, rgb, W_rgb = torch.empty(n), torch.empty(n), torch.empty(n, 3), torch.empty(n)
     rows, low, size = lookup
     table = BlockTable(rows=rows.numpy(), low=low.numpy().astype(np.int64), size=np.array(size, np.int64))
-    voxels = Voxels(D=volume.D.numpy(), W=volume.W.numpy(), rgb=volume.rgb_planes.numpy())
+    voxels = Voxels(D=volume.D.numpy(), W=volume.W.numpy(), rgb=volume.rgb_planes.numpy(), W_rgb=volume.W_rgb.numpy())
+    out = Voxels(D=D.numpy(), W=W.numpy(), rgb=rgb.numpy(), W_rgb=W_rgb.numpy())
     points = xyz_W.detach().contiguous().numpy()
     with launching():
-        _sample(table, voxels, points, f32(volume.config.voxel_size_m), D.numpy(), W.numpy(), rgb.numpy())
-    return TsdfSample(D=D, W=W, rgb=rgb)
+        _sample(table, voxels, points, f32(volume.config.voxel_size_m), out)
+    return TsdfSample(D=D, W=W, rgb=rgb, W_rgb=W_rgb)
 
 
 def sample_fused_voxels(volume: TsdfVolume, frame: Frame, missing: NewBlocks, xyz_W: Tensor) -> TsdfSample:
@@ -52,14 +54,15 @@ def sample_fused_voxels(volume: TsdfVolume, frame: Frame, missing: NewBlocks, xy
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
-def _sample(table, voxels, points, voxel_size, D, W, rgb):
+def _sample(table, voxels, points, voxel_size, out):
     """The values at the points; where no block is allocated D is 1, W 0 and the colour black."""
     rows, low, size = table.rows, table.low, table.size
-    field_D, field_W, field_rgb = voxels.D, voxels.W, voxels.rgb
+    field_D, field_W, field_rgb, field_W_rgb = voxels.D, voxels.W, voxels.rgb, voxels.W_rgb
+    D, W, rgb, W_rgb = out.D, out.W, out.rgb, out.W_rgb
     N, chunk = points.shape[0], 1024
     for part in prange((N + chunk - 1) // chunk):
         for i in range(part * chunk, min(N, part * chunk + chunk)):
-            D[i], W[i], rgb[i, 0], rgb[i, 1], rgb[i, 2] = f32(1), f32(0), f32(0), f32(0), f32(0)
+            D[i], W[i], W_rgb[i], rgb[i, 0], rgb[i, 1], rgb[i, 2] = f32(1), f32(0), f32(0), f32(0), f32(0), f32(0)
             x, y, z = points[i, 0] / voxel_size, points[i, 1] / voxel_size, points[i, 2] / voxel_size
             if not (abs(x) < _FARTHEST and abs(y) < _FARTHEST and abs(z) < _FARTHEST):
                 continue
@@ -71,6 +74,6 @@ def _sample(table, voxels, points, voxel_size, D, W, rgb):
             if row < 0:
                 continue
             at = 64 * (vx & 7) + 8 * (vy & 7) + (vz & 7)
-            D[i], W[i] = field_D[row, at], field_W[row, at]
+            D[i], W[i], W_rgb[i] = field_D[row, at], field_W[row, at], field_W_rgb[row, at]
             for c in range(3):
                 rgb[i, c] = field_rgb[row, c, at]

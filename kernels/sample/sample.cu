@@ -22,11 +22,11 @@ struct NewBlocks {
 };
 
 struct Sample {
-    float *D, *W, *rgb;
+    float *D, *W, *rgb, *W_rgb;
 };
 
 struct Voxel {
-    float D, W, rgb[3];
+    float D, W, rgb[3], W_rgb;
 };
 
 __device__ __forceinline__ bool will_be(const NewBlocks& fresh, const int* block) {
@@ -62,15 +62,15 @@ __device__ __forceinline__ bool voxel_of(const Points& points, int i, float size
 
 // What a voxel holds; 1, 0 and black where its block is not allocated.
 __device__ __forceinline__ Voxel read(const Pool& pool, int row, const int* voxel) {
-    if (row < 0) return {1.0f, 0.0f, {0.0f, 0.0f, 0.0f}};
+    if (row < 0) return {1.0f, 0.0f, {0.0f, 0.0f, 0.0f}, 0.0f};
     const int number = number_of(voxel);
     const long long at = (long long)row * VOXELS + number;
     const float* plane = pool.planes + (long long)row * (3 * VOXELS) + number;
-    return {pool.D[at], pool.W[at], {plane[0], plane[VOXELS], plane[2 * VOXELS]}};
+    return {pool.D[at], pool.W[at], {plane[0], plane[VOXELS], plane[2 * VOXELS]}, pool.W_rgb[at]};
 }
 
 __device__ __forceinline__ void write(const Sample& out, int i, const Voxel& v) {
-    out.D[i] = v.D, out.W[i] = v.W;
+    out.D[i] = v.D, out.W[i] = v.W, out.W_rgb[i] = v.W_rgb;
 #pragma unroll
     for (int channel = 0; channel < 3; channel++) out.rgb[3ll * i + channel] = v.rgb[channel];
 }
@@ -87,7 +87,11 @@ __device__ __forceinline__ void fuse(
     long long pixel;
     const float sdf = distance(view, frame, lens_of(g), band, U, V, Z, &pixel);
     if (!(sdf > -band.truncation)) return;
-    const float step = observe(band, sdf, v.D, v.W);
+    float step = observe(band, sdf, v.D, v.W);
+    if (weighs_colours(band))
+        step = observe_colour(band, sdf, Z, v.W_rgb);
+    else
+        v.W_rgb = v.W;
 #pragma unroll
     for (int channel = 0; channel < 3; channel++)
         v.rgb[channel] += step * (frame.rgb[3 * pixel + channel] - v.rgb[channel]);

@@ -12,7 +12,8 @@ from gsfusion_nb.tsdf.integrate import fuse_frame_
 
 pytest.importorskip("numba")
 
-CONFIG = TsdfConfig(voxel_size_m=0.02, truncation_voxels=4.0, max_weight=3.0)
+PLAIN = {"colour_band_voxels": 0.0, "colour_by_distance": False}
+CONFIG = TsdfConfig(voxel_size_m=0.02, truncation_voxels=4.0, max_weight=3.0, **PLAIN)
 
 
 def both(config, frames):
@@ -51,6 +52,22 @@ def test_same_voxels(width, height, eight_bit, sdf, make_frames):
         assert a.new_blocks == b.new_blocks
         assert abs(a.updated_voxels - b.updated_voxels) <= 1e-4 * a.updated_voxels
     assert width < 100 or float(volumes[1].W.max()) == 3.0
+
+
+@pytest.mark.parametrize(("band", "by_distance"), [(1.5, True), (1.5, False), (0.0, True)])
+@pytest.mark.parametrize("eight_bit", [True, False])
+def test_weighted_colours(eight_bit, band, by_distance, make_frames):
+    """A distance that is off by its rounding changes a weight by at most that part of the band."""
+    frames, rounding = make_frames(160, 120, n=5, eight_bit=eight_bit), 1e-5
+    config = dataclasses.replace(CONFIG, colour_band_voxels=band, colour_by_distance=by_distance, max_weight=100.0)
+    (a, b), _ = both(config, frames)
+    off = (a.W_rgb - b.W_rgb).abs() > len(frames) * rounding
+    moved = (a.rgb_planes - b.rgb_planes).abs().amax(1) * a.W_rgb.clamp(max=1.0)
+    off |= moved > len(frames) * rounding
+    assert float(off.double().mean()) < 2e-5
+    plain, _ = both(CONFIG, frames)
+    assert float((plain[1].rgb_planes - b.rgb_planes).abs().amax(1)[b.W > 1].mean()) > 1e-3
+    assert torch.equal(a.W > 0, a.W_rgb > 0)
 
 
 @pytest.mark.parametrize("average", ["eq9", "int16"])

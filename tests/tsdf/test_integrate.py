@@ -6,6 +6,7 @@ import torch
 from gsfusion_nb.config import TsdfConfig
 from gsfusion_nb.data.room import room_sdf
 from gsfusion_nb.tsdf import TsdfVolume, integrate, tsdf_update
+from gsfusion_nb.tsdf.integrate import colour_weight
 from gsfusion_nb.types import Camera
 
 CONFIG = TsdfConfig(voxel_size_m=0.02, truncation_voxels=4.0)
@@ -226,9 +227,50 @@ def test_a_camera_inside_the_map_skips_what_is_beside_it(camera, make_frame, fil
     assert bool(torch.isfinite(volume.D).all())
 
 
+def test_weights_of_colours_by_hand():
+    """A band of 1.5 voxels of 2 cm: half of the weight 1.5 cm from the surface, none beyond 3 cm."""
+    sdf, z = torch.tensor([0.0, 0.015, -0.015, 0.04, 0.04, 0.0]), torch.tensor([2.0, 2.0, 1.0, 1.0, 1.0, 0.05])
+    had = torch.tensor([1.0, 1.0, 1.0, 1.0, 0.0, 1.0])
+    weights = {"colour_band_voxels": 1.5, "colour_by_distance": True}
+    w = colour_weight(sdf, z, had, dataclasses.replace(CONFIG, **weights))
+    torch.testing.assert_close(w, torch.tensor([0.25, 0.125, 0.5, 0.0, 1e-3, 100.0]))
+    w = colour_weight(sdf, z, had, dataclasses.replace(CONFIG, **weights | {"colour_by_distance": False}))
+    torch.testing.assert_close(w, torch.tensor([1.0, 0.5, 0.5, 0.0, 1e-3, 1.0]))
+    w = colour_weight(sdf, z, had, dataclasses.replace(CONFIG, **weights | {"colour_band_voxels": 0.0}))
+    torch.testing.assert_close(w, torch.tensor([0.25, 0.25, 1.0, 1.0, 1.0, 100.0]))
+
+
+def test_a_near_colour_counts_more_and_one_behind_the_surface_not(camera, make_frame):
+    """Black from 1 m, then white from 2 m: a fifth of white. A voxel 3 cm behind, of which nothing nearer is seen, has
+    the mean of both."""
+    volume, camera = TsdfVolume(dataclasses.replace(CONFIG, sdf="z")), camera.resized(16, 12)
+    back = torch.eye(4)
+    back[2, 3] = -1.0
+    integrate(volume, make_frame(torch.full((12, 16), 1.01), camera, rgb=torch.zeros(12, 16, 3)))
+    integrate(volume, make_frame(torch.full((12, 16), 2.01), camera, back, rgb=torch.ones(12, 16, 3)))
+    at = volume.sample_nearest(torch.tensor([[0.001, 0.001, 1.011], [0.001, 0.001, 1.051]]))
+    assert at.W.tolist() == [2.0, 2.0]
+    near, far = 1.01**-2, 2.01**-2
+    torch.testing.assert_close(at.rgb[:, 0], torch.tensor([far / (near + far), 0.5]), atol=1e-4, rtol=0)
+    torch.testing.assert_close(at.W_rgb, torch.tensor([near + far, 2e-3]), atol=1e-4, rtol=0)
+
+
+def test_a_map_saved_without_weights_of_colours_goes_on(camera, make_frame):
+    """As an earlier version wrote it: each colour then counts as often as its voxel was observed."""
+    volume = TsdfVolume(CONFIG)
+    integrate(volume, make_frame(torch.full((120, 160), 1.0), camera))
+    state = volume.state_dict()
+    assert not torch.equal(state.pop("W_rgb"), volume.W)
+    again = TsdfVolume(CONFIG)
+    again.load_state_dict(state)
+    assert torch.equal(again.W_rgb, volume.W)
+    assert torch.equal(again.rgb_planes, volume.rgb_planes)
+
+
 def test_colour_mean_does_not_stall(camera, make_frame):
     """Two grey levels at weight 100, where 8 bits would not move at all: 0.99^50 of the difference is left."""
-    volume, camera = TsdfVolume(dataclasses.replace(CONFIG, sdf="z")), camera.resized(16, 12)
+    plain = dataclasses.replace(CONFIG, sdf="z", colour_band_voxels=0.0, colour_by_distance=False)
+    volume, camera = TsdfVolume(plain), camera.resized(16, 12)
     depth = torch.full((12, 16), 1.0)
     integrate(volume, make_frame(depth, camera, rgb=torch.zeros(12, 16, 3)))
     volume.W[volume.W > 0] = 100.0

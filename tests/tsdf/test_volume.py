@@ -29,7 +29,9 @@ def test_values_survive_growth(generator):
     for i in range(6):
         volume.add_blocks(torch.randint(-40, 40, (900, 3), generator=generator) + 100 * i)
     assert volume.n_blocks > 4000
-    assert volume.memory_bytes < 2 * estimate_memory(volume.n_blocks) + estimate_memory(1024)
+    assert volume.memory_bytes < 2 * estimate_memory(volume.n_blocks, weighs_colours=True) + estimate_memory(
+        1024, weighs_colours=True
+    )
     row = volume.index.find(torch.tensor([[7, 7, 7]]))
     assert bool((volume.D[row] == 0.25).all())
     assert bool((volume.W[row] == 3).all())
@@ -37,7 +39,7 @@ def test_values_survive_growth(generator):
 
 
 def test_refuses_to_outgrow_memory():
-    volume = TsdfVolume(CONFIG, memory_limit_bytes=estimate_memory(10))
+    volume = TsdfVolume(CONFIG, memory_limit_bytes=estimate_memory(10, weighs_colours=True))
     volume.add_blocks(torch.tensor([[i, 0, 0] for i in range(10)]))
     with pytest.raises(MemoryError, match=r"needs 0 MB for 11 blocks .* use larger voxels"):
         volume.add_blocks(torch.tensor([[0, 1, 0]]))

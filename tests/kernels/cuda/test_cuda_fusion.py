@@ -10,7 +10,9 @@ from gsfusion_nb.config import TsdfConfig
 from gsfusion_nb.tsdf import TsdfVolume, band_blocks
 from gsfusion_nb.tsdf.integrate import fuse_frame_
 
-CONFIG = TsdfConfig(voxel_size_m=0.02, truncation_voxels=4.0, max_weight=3.0)
+CONFIG = TsdfConfig(
+    voxel_size_m=0.02, truncation_voxels=4.0, max_weight=3.0, colour_band_voxels=0.0, colour_by_distance=False
+)
 
 
 @pytest.fixture
@@ -112,6 +114,18 @@ def test_same_voxels(width, height, sdf, make_frames, fuse_both, assert_same_vox
     for theirs, ours in zip(*updated, strict=True):
         assert abs(theirs - ours) <= 1e-4 * theirs
     assert width < 64 or float(volumes[1].W.max()) == 3.0
+
+
+@pytest.mark.parametrize(("band", "by_distance"), [(1.5, True), (1.5, False), (0.0, True)])
+def test_weighted_colours(band, by_distance, make_frames, fuse_both, compare):
+    """A distance that is off by its rounding changes a weight by at most that part of the band."""
+    frames, rounding = make_frames(64, 47, n=4, eight_bit=False), 1e-5
+    config = dataclasses.replace(CONFIG, colour_band_voxels=band, colour_by_distance=by_distance, max_weight=100.0)
+    (a, b), _ = fuse_both(config, frames)
+    compare("fuse_frame_", "W_rgb", b.W_rgb, a.W_rgb, len(frames) * rounding, share=1e-4)
+    certain = a.W_rgb.clamp(max=1.0)[:, None]
+    moved = len(frames) * rounding
+    compare("fuse_frame_", "weighted rgb", b.rgb_planes.cpu() * certain, a.rgb_planes * certain, moved, share=1e-4)
 
 
 @pytest.mark.parametrize("shift", [-3.0, 640.0])

@@ -101,7 +101,7 @@ def test_arguments_that_do_not_fit_are_refused():
 def test_a_wrong_group_would_be_found():
     declared = structs_of(source_of(FOLDER / "integrate" / "voxel.cuh"))
     assert declared["Band"][0] == ("far", ctypes.c_float)
-    assert declared["Band"][-1] == ("ray", ctypes.c_int)
+    assert declared["Band"][-1] == ("by_distance", ctypes.c_int)
     assert [kind for _, kind in declared["View"][:2]] == [ctypes.c_void_p, ctypes.c_double]
     (R, origin, _) = structs_of(source_of(FOLDER / "allocate" / "allocate.cu"))["View"]
     assert ctypes.sizeof(R[1]) == 36
