@@ -54,6 +54,10 @@ class ResidualConfig:
     """Learning rate of the rotations (quaternion components)."""
     lr_opacity_logit: float = 5e-2
     """Learning rate of the opacities, before the sigmoid."""
+    loss: Literal["l1", "l2"] = "l1"
+    """What a step makes smaller: the mean absolute ("l1", as released) or squared ("l2") difference of the colours.
+    With "l2" a place that looks different in every picture, because poses or depth are noisy, becomes their mean, which
+    is smoother and has a higher PSNR; with "l1" their median."""
     restart_adam: bool = False
     """Forget Adam's moments whenever new Gaussians are asked for (released: new optimiser for each burst). On: sizes of
     steps are exactly the learning rates at first, and colours learn more slowly."""
@@ -74,7 +78,7 @@ class ResidualConfig:
         check_number("residual.max_radius_m", self.max_radius_m, self.min_radius_m, 1e6)
         check_number("residual.min_opacity", self.min_opacity, 0, 0.5)
 
-    @property
+    @functools.cached_property
     def adam(self) -> OptimConfig:
         """The learning rates as Adam takes them."""
         rates = {name: value for name, value in vars(self).items() if name.startswith("lr_")}
@@ -98,18 +102,23 @@ class ScheduleConfig:
     slower. Usual: 1 to 4."""
     window_every: int = 5
     """Distance between the frames of the window, mapped frames. Usual: 2 to 10."""
-    keyframes: int = 7
-    """How many random keyframes are among the views. Larger: less forgetting. Without any, places that the camera has
-    left become worse than the TSDF alone. Usual: 2 to 10."""
+    keyframes: int = 24
+    """How many keyframes are among the views, at most. Larger: less forgetting, but the pictures of the surface below
+    them are older, and each takes 2 MB at 320 x 240. Without any, places that the camera has left become worse than the
+    TSDF alone. Released: 7. Usual: 7 to 32."""
     recalled: int = 4
-    """How many of these keyframes are replaced by others in a round; the TSDF is looked at once for each. Larger: more
-    of the map is revisited, slower. Released: all of them. Usual: 2 to keyframes."""
+    """At how many keyframes the TSDF is looked at in a round, each drawn at random. One that is not among the views
+    takes the place of the one that was looked at longest ago. Larger: newer surfaces below the Gaussians, slower.
+    Released: 7. Usual: 2 to 8."""
+    recalled_new: int = 2
+    """How many of these are instead the newest keyframe that was not looked at yet, if there is one. Larger: places
+    that the camera sees now are optimised sooner, old ones are seen again later. Released: 0. Usual: 0 to recalled."""
 
     def __post_init__(self):
         check_kinds("schedule", self)
         for name in ("every_frames", "window", "window_every"):
             check_number(f"schedule.{name}", getattr(self, name), 1, 10_000)
-        for name in ("iterations", "keyframes", "recalled"):
+        for name in ("iterations", "keyframes", "recalled", "recalled_new"):
             check_number(f"schedule.{name}", getattr(self, name), 0, 10_000)
 
 
@@ -137,7 +146,7 @@ class ViewsConfig:
 class PassesConfig:
     """Optimisation over all keyframes after the scan; the released system has none."""
 
-    passes: int = 5
+    passes: int = 10
     """Steps per keyframe. Larger: better pictures, longer wait. Usual: 0 to 20."""
     ssim_weight: float = 0.0
     """Weight of the structural loss D-SSIM in these passes, 0 to 1; the colour difference L1 has the rest. Larger:
@@ -171,9 +180,9 @@ _GPS_SLAM: dict[str, dict[str, Any]] = {
 }
 
 _MEASURED: dict[str, Any] = {
-    "views": {"every_frames": 4},
-    "residual": {"lr_xyz": 5e-4, "lr_log_scale": 0.01},
-    "seeding": {"options": {"colour_error": 0.08, "share": 0.15, "max_weight": 1.0, "in_holes": True}},
+    "views": {"every_frames": 2},
+    "residual": {"lr_xyz": 5e-4, "lr_log_scale": 0.01, "loss": "l2"},
+    "seeding": {"options": {"colour_error": 0.08, "share": 0.15, "most": 0.01, "max_weight": 1.0, "in_holes": True}},
 }
 
 _RELEASED: dict[str, Any] = {
@@ -181,7 +190,7 @@ _RELEASED: dict[str, Any] = {
     "tsdf": {"voxel_size_m": 0.005, "near_m": 0.2, "far_m": 10.0, "sdf": "z", "outlier_guard": False},
     "base": {"holes": "black", "resolution": "full"},
     "residual": {"lr_sh_dc": 2.5e-3, "lr_sh_rest": 5e-4, "restart_adam": True, "min_radius_m": 0.003},
-    "schedule": {"spread": False, "recalled": 7},
+    "schedule": {"spread": False, "keyframes": 7, "recalled": 7, "recalled_new": 0},
     "final": {"passes": 0},
     "sh_degree": 3,
 }

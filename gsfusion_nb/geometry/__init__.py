@@ -8,4 +8,5 @@ from .camera import pixel_grid as pixel_grid
 from .camera import project as project
 from .camera import rays as rays
 from .normals import depth_to_normals as depth_to_normals
+from .normals import normals_at as normals_at
 from .sums import sum_rows as sum_rows

@@ -1,11 +1,13 @@
 """Surface normals of a depth image."""
 
+from collections.abc import Sequence
+
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from ..types import Camera
-from .camera import depth_to_points
+from .camera import backproject, depth_to_points
 
 
 def depth_to_normals(
@@ -21,14 +23,40 @@ def depth_to_normals(
     normal = torch.zeros_like(P)
     if min(depth_m.shape) < 3:
         return normal
-    d = depth_m[1:-1, 1:-1]
     neighbours = (depth_m[1:-1, 2:], depth_m[1:-1, :-2], depth_m[2:, 1:-1], depth_m[:-2, 1:-1])
+    known = _on_one_surface(depth_m[1:-1, 1:-1], neighbours, max_jump)
+    n = _towards_camera(P[1:-1, 2:] - P[1:-1, :-2], P[2:, 1:-1] - P[:-2, 1:-1])
+    normal[1:-1, 1:-1] = n * known[..., None]
+    return normal
+
+
+def normals_at(
+    camera: Camera,
+    depth_m: Float[Tensor, "H W"],
+    row: Int[Tensor, " N"],
+    column: Int[Tensor, " N"],
+    *,
+    max_jump: float = 0.05,
+) -> Float[Tensor, "N 3"]:
+    """``depth_to_normals`` of some pixels only: faster than all of them, and equal to rounding."""
+    H, W = depth_m.shape
+    inside = (row > 0) & (row < H - 1) & (column > 0) & (column < W - 1)
+    depths, points = [], []
+    for down, right in ((0, 1), (0, -1), (1, 0), (-1, 0)):
+        y, x = (row + down).clamp(0, H - 1), (column + right).clamp(0, W - 1)
+        depths.append(depth_m[y, x])
+        points.append(backproject(camera, torch.stack([x, y], dim=-1) + 0.5, depths[-1]))
+    known = inside & _on_one_surface(depth_m[row, column], depths, max_jump)
+    return _towards_camera(points[0] - points[1], points[2] - points[3]) * known[:, None]
+
+
+def _on_one_surface(d: Float[Tensor, "*N"], neighbours: Sequence[Tensor], max_jump: float) -> Bool[Tensor, "*N"]:
     known = d > 0
     for n in neighbours:
         known = known & (n > 0) & ((n - d).abs() <= max_jump * d)
-    dx = P[1:-1, 2:] - P[1:-1, :-2]
-    dy = P[2:, 1:-1] - P[:-2, 1:-1]
+    return known
+
+
+def _towards_camera(dx: Float[Tensor, "*N 3"], dy: Float[Tensor, "*N 3"]) -> Float[Tensor, "*N 3"]:
     n = torch.linalg.cross(dy, dx)  # y down, x right: in this order the normal points towards the camera
-    n = n / n.norm(dim=-1, keepdim=True).clamp_min(1e-12)
-    normal[1:-1, 1:-1] = n * known[..., None]
-    return normal
+    return n / n.norm(dim=-1, keepdim=True).clamp_min(1e-12)

@@ -15,6 +15,12 @@ from ..render import BaseView, base_view
 from ..tsdf import TsdfVolume, raycast
 from ..types import Camera
 
+WINDOW_TURNS = 2 / 7
+"""Turns of the latest frames for each turn of a keyframe, as with the 2 frames and 7 keyframes of the release."""
+
+LOOK_STEPS, SEEDING_STEPS = 1.5, 2.0
+"""Gradient steps that take as long as a look at the TSDF, and as seeding; measured at 320 x 240."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BasedView:
@@ -67,8 +73,8 @@ def _lens(camera: Camera) -> dict[str, float]:
 class ViewRound:
     """The views of a round: the latest frames and some random keyframes, which take turns.
 
-    A view that is looked at again takes the place of the oldest of its kind. Steps draw from all views without
-    replacement; when all had their turn, a new order is drawn.
+    A keyframe that is looked at takes its own place, or that of the one that was looked at longest ago when there are
+    enough. Steps draw from all views without replacement; when all had their turn, a new order is drawn.
     """
 
     def __init__(self, config: ScheduleConfig):
@@ -78,6 +84,7 @@ class ViewRound:
         self.recalled: list[BasedView] = []
         """Random keyframes, in the order in which they were looked at."""
         self._turns: list[int] = []
+        self._steps = _even_steps(config)
 
     def __len__(self) -> int:
         return len(self.window) + len(self.recalled)
@@ -86,10 +93,19 @@ class ViewRound:
         """The newest frame takes the place of the oldest."""
         self.window = [*self.window, view][-self.config.window :]
 
-    def recall(self, keyframes: KeyframeList, look: Callable[[Keyframe], BasedView], generator: Any, n: int) -> None:
-        """Look at ``n`` random keyframes."""
-        for keyframe in keyframes.draw(min(n, self.config.keyframes), generator):
-            self.recalled = [*self.recalled, look(keyframe)][-self.config.keyframes :]
+    def recall(
+        self, keyframes: KeyframeList, look: Callable[[Keyframe], BasedView], generator: Any, n: int, n_new: int
+    ) -> None:
+        """Look at ``n`` keyframes, of which up to ``n_new`` were never looked at, the newest but one; others at random.
+
+        The newest is not looked at: the surface is one frame older than it, so half of its picture may be missing.
+        """
+        new = [keyframes[len(keyframes) - 2]] if n_new and len(keyframes) > 1 else []
+        looked_at = max((view.keyframe.index for view in self.recalled), default=-1)
+        new = [keyframe for keyframe in new if keyframe.index > looked_at][: self.config.keyframes]
+        for keyframe in [*new, *keyframes.draw(min(n, self.config.keyframes) - len(new), generator)]:
+            others = [view for view in self.recalled if view.keyframe.index != keyframe.index]
+            self.recalled = [*others, look(keyframe)][-self.config.keyframes :]
 
     def look_again(self, look: Callable[[Keyframe], BasedView]) -> None:
         """Look at the frames of the window again."""
@@ -99,25 +115,40 @@ class ViewRound:
         """Keyframes to look at in the frame before which ``n_frames`` were mapped."""
         return self._share(self.config.recalled, n_frames)
 
+    def new_in(self, n_frames: int) -> int:
+        """How many of these were never looked at before, if there are such."""
+        return min(self._share(self.config.recalled_new, n_frames), self.recalls_in(n_frames))
+
     def steps_in(self, n_frames: int) -> int:
-        """Gradient steps in the frame before which ``n_frames`` were mapped."""
-        return self._share(self.config.iterations, n_frames)
+        """Gradient steps in the frame before which ``n_frames`` were mapped; fewer where other work is done."""
+        if not self.config.spread:
+            return self._share(self.config.iterations, n_frames)
+        return self._steps[n_frames % self.config.every_frames]
 
     def _share(self, in_round: int, n_frames: int) -> int:
         """The part of what is done in a round that belongs to a frame."""
-        every, place = self.config.every_frames, n_frames % self.config.every_frames
+        place = n_frames % self.config.every_frames
         if not self.config.spread:
             return in_round if n_frames and place == 0 else 0
-        return in_round * (place + 1) // every - in_round * place // every
+        return _share(in_round, place, self.config.every_frames)
+
+    @property
+    def _turns_of_window(self) -> int:
+        """Turns of the frames of the window among those of all keyframes: of each at least one."""
+        window, keyframes = self.config.window, self.config.keyframes
+        return window * max(1, round(WINDOW_TURNS * keyframes / window))
 
     def next_view(self, generator: torch.Generator) -> BasedView:
         """The view whose turn it is; there must be one."""
         while True:
             if not self._turns:
-                self._turns = torch.randperm(self.config.window + self.config.keyframes, generator=generator).tolist()
-            kind, place = self.window, self._turns.pop(0)
-            if place >= self.config.window:
-                kind, place = self.recalled, place - self.config.window
+                self._turns = torch.randperm(
+                    self._turns_of_window + self.config.keyframes, generator=generator
+                ).tolist()
+            turn = self._turns.pop(0)
+            kind, place = self.window, turn % self.config.window
+            if turn >= self._turns_of_window:
+                kind, place = self.recalled, turn - self._turns_of_window
             if place < len(kind):
                 return kind[place]
 
@@ -148,10 +179,32 @@ class ViewRound:
             keyframes = KeyframeList.from_state_dict([view["keyframe"] for view in saved], device)
             views = [_restored(keyframe, view, base) for keyframe, view in zip(keyframes, saved, strict=True)]
             setattr(self, name, views)
-        n = self.config.window + self.config.keyframes
+        n = self._turns_of_window + self.config.keyframes
         if sorted(set(state["turns"])) != sorted(state["turns"]) or not set(state["turns"]) <= set(range(n)):
             raise ValueError(f"turns of the views must be different numbers below {n}, got {state['turns']}")
         self._turns = list(state["turns"])
+
+
+def _share(in_round: int, place: int, every: int) -> int:
+    """What the frame at ``place`` does of what is spread evenly over the ``every`` frames of a round."""
+    return in_round * (place + 1) // every - in_round * place // every
+
+
+def _even_steps(config: ScheduleConfig) -> list[int]:
+    """Steps of each frame of a round: each step is given to the frame with the least work.
+
+    The first frame also seeds. The TSDF is looked at there, at the frames of the window and at recalled keyframes.
+    """
+    every = config.every_frames
+    looks = [(place % config.window_every == 0) + _share(config.recalled, place, every) for place in range(every)]
+    work = [LOOK_STEPS * n for n in looks]
+    work[0] += SEEDING_STEPS
+    steps = [0] * every
+    for _ in range(config.iterations):
+        place = work.index(min(work))
+        work[place] += 1
+        steps[place] += 1
+    return steps
 
 
 def _restored(keyframe: Keyframe, state: dict[str, Any], base: BaseConfig) -> BasedView:

@@ -12,7 +12,7 @@ from ..config import GpsSlamConfig, gps_slam, gps_slam_fidelity
 from ..gaussians import GaussianModel
 from ..geometry import se3
 from ..observing import observed
-from ..optim import Keyframe, adam_step, dssim_vjp, l1_mse_vjp
+from ..optim import Keyframe, adam_step, dssim_vjp, l1_mse_vjp, mse_vjp
 from ..render import BaseView, render_over_base, render_over_base_vjp
 from ..seeding import SeedContext, SeedingRule
 from ..tracking import Correction, tsdf_surface
@@ -184,7 +184,8 @@ class GPSSLAM(StoredWithSurface, TsdfMapping):
             views.add_frame(now)
         if not self.config.schedule.spread and views.steps_in(self.n_frames):
             views.look_again(self._look)
-        views.recall(self.keyframes, self._look, self.random.keyframes, views.recalls_in(self.n_frames))
+        n, n_new = views.recalls_in(self.n_frames), views.new_in(self.n_frames)
+        views.recall(self.keyframes, self._look, self.random.keyframes, n, n_new)
 
     def _prune(self) -> None:
         """Remove Gaussians that have become too small, too large or transparent; a NaN counts as such."""
@@ -230,6 +231,8 @@ class GPSSLAM(StoredWithSurface, TsdfMapping):
         output, saved = render_over_base(params, camera, T_WC, below.base, behind_m=below.behind_m)
         pixels = l1_mse_vjp(output.rgb, target)
         loss, v_rgb = pixels.value, pixels.v_rgb
+        if self.config.residual.loss == "l2":
+            loss, v_rgb = pixels.mse, mse_vjp(output.rgb, target)
         if ssim_weight > 0:
             structural, v_structural = dssim_vjp(output.rgb, target)
             loss = (1 - ssim_weight) * loss + ssim_weight * structural

@@ -25,6 +25,7 @@ from .losses import dssim_vjp as dssim_vjp
 from .losses import l1 as l1
 from .losses import l1_mse_vjp as l1_mse_vjp
 from .losses import l1_vjp as l1_vjp
+from .losses import mse_vjp as mse_vjp
 from .map_penalties import add_penalties_ as add_penalties_
 from .rgbd_loss import RgbdLoss as RgbdLoss
 from .rgbd_loss import rgbd_l1_vjp as rgbd_l1_vjp

@@ -54,6 +54,11 @@ def l1_mse_vjp(rgb: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"]) -> L
     return L1Loss(value=l1(rgb, target), mse=mse, v_rgb=l1_vjp(rgb, target))
 
 
+def mse_vjp(rgb: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"]) -> Float[Tensor, "H W 3"]:
+    """Gradient of the mean squared difference over pixels and channels: 2 (rgb - target) / (number of values)."""
+    return (rgb - target) * (2 / rgb.numel())
+
+
 def depth_l1(depth_m: Float[Tensor, "H W"], target_m: Float[Tensor, "H W"]) -> Float[Tensor, ""]:
     """Mean |D^ - D| over the pixels with measured depth (target above 0), metres; 0 without any.
 

@@ -16,7 +16,8 @@ from ..lab.run_key import arguments_with_files, folder_fingerprint, run_key
 from ..runs.run_folder import CHECKPOINTS
 from ..strict_json import read_object
 from . import disc_depth, roofline
-from .variants import STUDIES
+from .rate import draw_rates
+from .variants import RATE, STUDIES
 
 COLUMNS = {
     "psnr_mapped_online_db": "PSNR mapped, online",
@@ -52,8 +53,9 @@ class StudyOptions:
     name: Annotated[str, tyro.conf.Positional]
     """What to compare: systems (all three), transparent (with and without transparent Gaussians), states (optimising
     unstable or all Gaussians), fidelity (as measured, paper or released code), gsfusion-settings and rtg-slam-settings
-    (one changed setting at a time), depth (disc or blended depth), tracking (variants of the tracker), disc-depth
-    (depth of single images), or roofline (kernels and the limits of this machine)."""
+    (one changed setting at a time), depth (disc or blended depth), tracking (variants of the tracker), rate (GPS-SLAM's
+    frames per second against its PSNR, with a picture), disc-depth (depth of single images), or roofline (kernels and
+    the limits of this machine)."""
     data: Annotated[str, tyro.conf.Positional] = "room"
     """Folder of a sequence, or "room" for the built-in scene."""
     out: str = ""
@@ -93,6 +95,8 @@ def main(options: StudyOptions) -> int:
     text = as_markdown(results)
     (folder / "table.md").write_text(f"{study.question}, on {Path(options.data).name}\n\n{text}\n", encoding="utf-8")
     (folder / "table.json").write_text(json.dumps(results, indent=1), encoding="utf-8")
+    if options.name == RATE:
+        draw_rates(results, folder / "rate.png")
     print(f"\n{text}\n\nFiles in {folder}")
     return 1 if any("error" in r for r in results.values()) else 0
 

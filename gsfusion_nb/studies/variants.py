@@ -16,6 +16,11 @@ class Study:
     """Label -> options."""
 
 
+RATE = "rate"
+"""Name of the study that is also drawn: held-out PSNR over the time per frame."""
+
+_GPS_ONLINE = (*_GPS, "--final.passes", "0")
+
 STUDIES: dict[str, Study] = {
     "systems": Study(
         "The three systems, with given and with tracked poses",
@@ -84,6 +89,22 @@ STUDIES: dict[str, Study] = {
     "depth": Study(
         "RTG-SLAM online with disc depth or blended depth",
         {"disc depth": _RTG, "blended depth": (*_RTG, "--discs.depth", "blended")},
+    ),
+    RATE: Study(
+        "Rate against held-out PSNR while mapping, without passes: GPS-SLAM with one changed setting beside GSFusion",
+        {
+            "GSFusion": ("--optim.global-iterations", "0"),
+            "GPS-SLAM": _GPS_ONLINE,
+            "10 steps": (*_GPS_ONLINE, "--schedule.iterations", "10"),
+            "30 steps": (*_GPS_ONLINE, "--schedule.iterations", "30"),
+            "40 steps": (*_GPS_ONLINE, "--schedule.iterations", "40"),
+            "most 0.005": (*_GPS_ONLINE, "--rule-options", "most=0.005"),
+            "most 0.04": (*_GPS_ONLINE, "--rule-options", "most=0.04"),
+            "2 looks": (*_GPS_ONLINE, "--schedule.recalled", "2", "--schedule.recalled-new", "1"),
+            "full looks": (*_GPS_ONLINE, "--base.resolution", "full"),
+            "voxels 2 cm": (*_GPS_ONLINE, "--tsdf.voxel-size-m", "0.02"),
+            "voxels 0.7 cm": (*_GPS_ONLINE, "--tsdf.voxel-size-m", "0.007"),
+        },
     ),
     "tracking": Study(
         "RTG-SLAM's tracker: the surface it aligns to, and the back end",

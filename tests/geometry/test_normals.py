@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from gsfusion_nb.geometry import depth_to_normals, rays
+from gsfusion_nb.geometry import depth_to_normals, normals_at, rays
 from gsfusion_nb.geometry.camera import pixel_grid
 from gsfusion_nb.types import Camera
 
@@ -37,3 +37,13 @@ def test_missing_depth_and_edges_give_none():
 def test_image_too_small():
     camera = Camera(width=2, height=9, fx=1.0, fy=1.0, cx=1.0, cy=1.0)
     assert (depth_to_normals(camera, torch.ones(9, 2)) == 0).all()
+
+
+def test_normals_of_some_pixels_are_those_of_the_picture(generator):
+    depth = 1 + 0.03 * torch.rand(CAMERA.height, CAMERA.width, generator=generator)
+    depth[3:6, 4:9], depth[:, 12:] = 0.0, 2.0
+    row, column = (torch.arange(n) for n in depth.shape)
+    row, column = (x.reshape(-1) for x in torch.meshgrid(row, column, indexing="ij"))
+    found = normals_at(CAMERA, depth, row, column).view(*depth.shape, 3)
+    torch.testing.assert_close(found, depth_to_normals(CAMERA, depth))
+    assert bool(found.any())

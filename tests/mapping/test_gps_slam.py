@@ -19,8 +19,8 @@ from gsfusion_nb.config import (
 from gsfusion_nb.data import open_sequence
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.mapping import GPSSLAM, make_mapper
-from gsfusion_nb.mapping.based_views import ViewRound, small
-from gsfusion_nb.optim import fit_pose_by_flow
+from gsfusion_nb.mapping.based_views import LOOK_STEPS, SEEDING_STEPS, BasedView, ViewRound, small
+from gsfusion_nb.optim import Keyframe, fit_pose_by_flow
 from gsfusion_nb.render import base_view
 from gsfusion_nb.render.base_image import enlarge, fill
 from gsfusion_nb.runs import MappingRun
@@ -67,12 +67,42 @@ def test_the_released_numbers():
 def test_a_round_has_its_steps_however_they_are_spread():
     for every, steps in ((10, 20), (7, 20), (10, 3), (1, 5)):
         even = ViewRound(ScheduleConfig(every_frames=every, iterations=steps))
-        per_frame = [even.steps_in(n) for n in range(3 * every)]
-        assert sum(per_frame) == 3 * steps
-        assert max(per_frame) - min(per_frame) <= 1
+        assert sum(even.steps_in(n) for n in range(3 * every)) == 3 * steps
         burst = ViewRound(ScheduleConfig(every_frames=every, iterations=steps, spread=False))
         assert [burst.steps_in(n) for n in range(2 * every + 1)].count(steps) == (2 if every > 1 else 2 * every)
         assert burst.steps_in(0) == 0
+
+
+def test_frames_with_other_work_take_fewer_steps():
+    config = ScheduleConfig(every_frames=10, window_every=5, iterations=20, recalled=4)
+    views = ViewRound(config)
+    looks = [(n % 5 == 0) + views.recalls_in(n) for n in range(10)]
+    work = [views.steps_in(n) + LOOK_STEPS * looks[n] + SEEDING_STEPS * (n == 0) for n in range(10)]
+    assert sum(looks) == 6
+    assert max(work) - min(work) <= LOOK_STEPS
+    assert max(work) < 4.5  # 20 steps, 6 looks and the seeding in one frame would be 31
+
+
+def test_new_keyframes_are_looked_at_first_and_the_oldest_look_makes_room(run):
+    keyframes, generator = run.mapper.keyframes, torch.Generator().manual_seed(0)
+    looked: list[int] = []
+
+    def look(keyframe: Keyframe) -> BasedView:
+        looked.append(keyframe.index)
+        seen = torch.zeros(48, 64)
+        return BasedView.of(keyframe, seen[..., None].expand(-1, -1, 3), seen, BaseConfig())
+
+    views = ViewRound(ScheduleConfig(keyframes=3, recalled=2, recalled_new=1))
+    views.recall(keyframes, look, generator, 1, 1)
+    assert looked == [keyframes[len(keyframes) - 2].index]  # the newest one's surface is not complete yet
+    for _ in range(12):
+        views.recall(keyframes, look, generator, 1, 1)
+    shown = [view.keyframe.index for view in views.recalled]
+    assert len(set(shown)) == 3
+    last: list[int] = []
+    for index in reversed(looked):
+        last += [index] if index not in last else []
+    assert shown == last[2::-1]
 
 
 def test_the_passes_improve_the_map_beyond_the_surface(run):

@@ -4,7 +4,7 @@ import kornia
 import pytest
 import torch
 
-from gsfusion_nb.optim import dssim, dssim_vjp, l1, l1_vjp
+from gsfusion_nb.optim import dssim, dssim_vjp, l1, l1_vjp, mse_vjp
 from gsfusion_nb.optim.losses import _ssim_factors, window_mean
 
 
@@ -26,9 +26,10 @@ def test_vjps_match_finite_differences(size, generator):
     x, y = pair(height, width, generator)
     fast = height * width > 50  # along a random direction only, instead of one value after another
     torch.autograd.gradcheck(lambda a: dssim(a, y), x.clone().requires_grad_(True), fast_mode=fast)
-    for value, v in ((lambda a: l1(a, y), l1_vjp(x, y)), (lambda a: dssim(a, y), dssim_vjp(x, y)[1])):
+    cases = [(l1, l1_vjp(x, y)), (dssim, dssim_vjp(x, y)[1]), (torch.nn.functional.mse_loss, mse_vjp(x, y))]
+    for value, v in cases:
         a = x.clone().requires_grad_(True)
-        (expected,) = torch.autograd.grad(value(a), a)
+        (expected,) = torch.autograd.grad(value(a, y), a)
         torch.testing.assert_close(v, expected)
 
 

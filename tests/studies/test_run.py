@@ -12,6 +12,7 @@ from gsfusion_nb.config import to_dict
 from gsfusion_nb.lab import run_key as run_key_module
 from gsfusion_nb.studies import STUDIES, StudyOptions, main
 from gsfusion_nb.studies import run as study_run
+from gsfusion_nb.studies.rate import draw_rates
 from gsfusion_nb.studies.run import as_markdown, run_variant
 
 FAST = (
@@ -83,6 +84,13 @@ def test_each_variant_of_a_study_of_settings_changes_one(name):
         ]  # fmt: skip
         assert {g for g, _ in changed} == {group or "seeding"}
         assert all(f.startswith(field) or (field == "share" and f == "options") for _, f in changed), label
+
+
+def test_rates_are_drawn_without_the_variants_that_failed(tmp_path):
+    metrics = {"fps_total": 12.5, "psnr_held_out_db": 25.0}
+    faster = {"fps_total": 30.0, "psnr_held_out_db": 24.0}
+    draw_rates({"a": metrics, "b": {"error": "broke"}, "c": faster}, tmp_path / "rate.png")
+    assert (tmp_path / "rate.png").stat().st_size > 5000
 
 
 def test_columns_that_nobody_has_are_left_out():

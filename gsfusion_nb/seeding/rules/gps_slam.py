@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from ...geometry import depth_to_normals, pixel_grid, se3
+from ...geometry import normals_at, se3
 from ...types import Seeds
 from ..context import SeedContext
 from ..discs import as_discs
@@ -36,6 +36,8 @@ class gps_slam(MapRule):
     Args:
         colour_error: Mean over R, G, B of |C^ - C| (0..1) above which a pixel is a candidate. Release: 0.05.
         share: Share of the candidates that is drawn at random, 0..1. Release: 0.25.
+        most: At most this share of the image's pixels is drawn, 0..1. Smaller: where poses or depth are noisy, so that
+            colours are wrong nearly everywhere, Gaussians stay as few as elsewhere. Release: no limit.
         max_weight: Only in the system gps_slam: no discs where the weights add up to this or more. Larger: more
             Gaussians. Release 5, next paper 3; 1 needs the fewest.
         in_holes: Only in the system gps_slam: also seed where the TSDF has no surface, at the measured depth, or
@@ -58,6 +60,7 @@ class gps_slam(MapRule):
 
     colour_error: float = 0.05
     share: float = 0.25
+    most: float = 1.0
     max_weight: float = 5.0
     in_holes: bool = False
     opacity: float = 0.5
@@ -71,26 +74,35 @@ class gps_slam(MapRule):
 
     def seeds(self, ctx: SeedContext, memory: dict[str, Any]) -> Seeds:
         """The discs of one mapped frame."""
-        depth_m, normal_W, chosen = self._surface(ctx)
+        depth_m, chosen, normal_W = self._surface(ctx)
         chosen = chosen & (depth_m >= (ctx.near_m or 0.0)) & (depth_m > 0) & (depth_m < MAX_DEPTH_M)
         if self.only_with_depth and not self.in_holes:
             chosen &= ctx.has_depth()
-        uv = pixel_grid(ctx.camera, device=depth_m.device)[chosen]
-        drawn = ctx.draw(len(uv), int(self.share * len(uv)))
-        seeds = ctx.seeds_at(uv[drawn], 1.0, depth_m=depth_m, opacity=self.opacity)
+        row, column = chosen.nonzero(as_tuple=True)
+        drawn = ctx.draw(len(row), int(min(self.share * len(row), self.most * chosen.numel())))
+        row, column = row[drawn], column[drawn]
+        uv = torch.stack([column, row], dim=-1) + 0.5
+        seeds = ctx.seeds_at(uv, 1.0, depth_m=depth_m, opacity=self.opacity)
         most_m = (seeds.scale_m[:, 0] * self.max_radius_px).clamp(min=self.max_radius_m)  # 1 px before it is sized
         seeds = sized_by_neighbours(ctx, seeds)
         seeds = dataclasses.replace(seeds, scale_m=torch.minimum(seeds.scale_m, most_m[:, None]))
-        return as_discs(ctx, seeds, normal_W[chosen][drawn], THICKNESS)
+        if normal_W is None:
+            normals = se3.rotate(ctx.frame.T_WC, normals_at(ctx.camera, depth_m, row, column))
+        else:
+            normals = normal_W[row, column]
+        return as_discs(ctx, seeds, normals, THICKNESS)
 
-    def _surface(self, ctx: SeedContext) -> tuple[Float[Tensor, "H W"], Float[Tensor, "H W 3"], Bool[Tensor, "H W"]]:
-        """Depth and normals of the surface that discs lie on, and the candidates."""
+    def _surface(
+        self, ctx: SeedContext
+    ) -> tuple[Float[Tensor, "H W"], Bool[Tensor, "H W"], Float[Tensor, "H W 3"] | None]:
+        """Depth of the surface that discs lie on, the candidates, and the surface's normals; None: those of its
+        depth."""
         if ctx.below is None:
             found = ctx.raycast() if self.surface == "tsdf" else None
             depth_m, normal_W = (
                 (ctx.frame.depth_m, ctx.normals_W()) if found is None else (found.depth_m, found.normal_W)
             )
-            return depth_m, normal_W, self._error(ctx) > self.colour_error
+            return depth_m, self._error(ctx) > self.colour_error, normal_W
         picture, below = ctx.over_base(), ctx.below
         error = (picture.rgb - ctx.frame.rgb).abs().mean(dim=-1)
         chosen = (error > self.colour_error) & (picture.weight < self.max_weight)
@@ -100,7 +112,7 @@ class gps_slam(MapRule):
             depth_m = torch.where(depth_m > 0, depth_m, there)
         else:
             chosen &= below.base.depth_m > 0
-        return depth_m, se3.rotate(ctx.frame.T_WC, depth_to_normals(ctx.camera, depth_m)), chosen
+        return depth_m, chosen, None
 
     def _error(self, ctx: SeedContext) -> Float[Tensor, "H W"]:
         """Mean absolute colour error of the picture that exists before this frame's discs."""
