@@ -214,13 +214,8 @@ class Localiser:
         self._database = KeyframeDatabase(camera, **size) if self._map is None else self._map.database
 
     def finish(self) -> Correction | None:
-        """The last optimisation of the back end, over all keyframes and landmarks, after the scan.
-
-        Without a loop the tracked path is kept, because landmarks alone would rather make a precise path worse.
-        """
-        if self._back_end is None or not self._back_end.loops:
-            return None
-        return self._apply(self._back_end.finish())
+        """The last optimisation of the back end, over all keyframes and landmarks, after the scan."""
+        return None if self._back_end is None else self._apply(self._back_end.finish())
 
     def _apply(self, correction: Correction | None) -> Correction | None:
         if correction is None:

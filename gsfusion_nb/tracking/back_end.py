@@ -5,6 +5,7 @@ maintained ... used for graph optimization". Here it runs in turn with the front
 features (OpenCV) and a factor graph (GTSAM).
 """
 
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -41,6 +42,10 @@ MIN_SHARED = 15
 
 LANDMARK_FLOOR = (0.05, 0.002)
 """Smallest standard deviation of a relative pose from features, degrees and metres."""
+
+LANDMARK_SHARE = 0.25
+"""The last adjustment counts the squared errors of landmarks as this share of what they would be worth if they were
+independent; a corner is found beside its place in the same way by many views."""
 
 LOOP_MAX_SIGMA = 5.0
 """A loop with a larger error after the optimisation, in standard deviations, is false: its matches are not used."""
@@ -110,11 +115,11 @@ class BackEnd:
         if features is None:
             features = extract_features(frame, count=self.config.features, levels=self.config.levels)
         row = len(self)
-        around = self.map.add(frame.index, T_WC, features)
+        around, seen = self.map.add(frame.index, T_WC, features)
         self._finder.add(frame.depth_m)
         self._as_added.append(T_WC)
         self._as_tracked.append(T_WC)
-        self._tie(row, around)
+        self._tie(row, around, T_WC if seen is None else seen.T_WC)
         if not self._close_loops(row):
             return None
         correction = self._correct(landmarks=False)
@@ -159,8 +164,9 @@ class BackEnd:
                 f"keyframes must come in the order of their frames, got {frame.index} after {self.database.index[-1]}"
             )
 
-    def _tie(self, row: int, around: list[int]) -> None:
-        """Add edges to the previous keyframe (odometry) and to those with most common landmarks."""
+    def _tie(self, row: int, around: list[int], T_seen: Tensor) -> None:
+        """Add edges to the previous keyframe (odometry) and to those with most common landmarks, which give the
+        keyframe the pose ``T_seen``."""
         if not around:
             return
         T = self.database.T_WC
@@ -172,7 +178,7 @@ class BackEnd:
             if len(shared[r]) < MIN_SHARED:
                 continue
             points = PointPairs.of(self.database.features[row], self.database.features[r], shared[r])
-            pose = refine_pose(self.camera, points, se3.inverse(T[r]) @ T[row], shared[r])
+            pose = refine_pose(self.camera, points, se3.inverse(T[r]) @ T_seen, shared[r])
             if pose is not None and len(pose.rows) >= MIN_SHARED:
                 self.edges.append(self._edge(r, row, pose, "landmarks"))
 
@@ -220,7 +226,8 @@ class BackEnd:
     def _with_landmarks(self) -> Adjusted:
         """Adjust all poses but the first, and the landmarks, which keep what was found."""
         seen = self.landmarks.observations(per_keyframe=self.config.landmarks_per_keyframe)
-        odometry = [e for e in fit_odometry(self.edges) if e.kind == "odometry"]
+        steps = [e for e in fit_odometry(self.edges) if e.kind == "odometry"]
+        odometry = [replace(e, information=e.information / LANDMARK_SHARE) for e in steps]
         found = adjust(self.camera, self.T_WC, seen, odometry, torch.arange(len(self)) == 0, iterations=20)
         self.map.move(found.T_WC)
         self.landmarks.refine(seen.name, found.xyz_W)

@@ -116,17 +116,20 @@ class LandmarkMap:
     def __len__(self) -> int:
         return len(self.database)
 
-    def add(self, index: int, T_WC: Float[Tensor, "4 4"], features: Features) -> list[int]:
-        """Add a keyframe: landmarks that are seen again, and new ones. Returns the earlier keyframes that it may share
-        landmarks with."""
+    def add(self, index: int, T_WC: Float[Tensor, "4 4"], features: Features) -> tuple[list[int], Sighting | None]:
+        """Add a keyframe: landmarks that are seen again, and new ones.
+
+        Returns:
+            The earlier keyframes that it may share landmarks with, and the landmarks that it sees again.
+        """
         around = self.around(T_WC)
-        seen = self.find(features, T_WC, self._seen_from(around))
+        seen = self._sighting(features, T_WC, self._seen_from(around)) if around else None
         pairs = np.zeros((0, 2), np.int64) if seen is None else seen.pairs
         self.database.add(index, T_WC, features)
         self.landmarks.add(features, torch.from_numpy(pairs))
         self.refine([*around, len(self) - 1])
         self.collect()
-        return around
+        return around, seen
 
     def refine(self, keyframes: list[int]) -> None:
         """Move the landmarks that several of these keyframes see to where they agree best, with the poses as they
@@ -155,10 +158,13 @@ class LandmarkMap:
         """
         if self._local is None or not len(features):
             return None
-        seen = self.find(features, T_WC, self._local) or self.find(features, T_WC, self._local, SEARCHES)
+        return self._sighting(features, T_WC, self._local)
+
+    def _sighting(self, features: Features, T_WC: Tensor, local: "_Local") -> Sighting | None:
+        seen = self.find(features, T_WC, local) or self.find(features, T_WC, local, SEARCHES)
         if seen is None:
             pose = self.database.compare(features, len(self) - 1)
-            seen = pose and self.find(features, self.database.T_WC[-1] @ pose.T_RQ, self._local)
+            seen = pose and self.find(features, self.database.T_WC[-1] @ pose.T_RQ, local)
         return seen
 
     def count(self, seen: Sighting) -> None:

@@ -111,6 +111,19 @@ def test_evo_agrees(circle, generator):
     assert ate_rmse(estimate, true) == pytest.approx(ape.get_statistic(metrics.StatisticsType.rmse), rel=1e-6)
 
 
+def test_a_slip_of_the_front_end_is_mended(circle, generator):
+    """Landmarks are found again although the front end's pose is 25 cm off, and outweigh it, however precise its other
+    steps are."""
+    true = torch.stack([f.T_WC for f in circle[:16]])
+    steps = odometry(true, generator, share=0.001, degrees=0.02)
+    steps[8] = steps[8] @ se3.exp(torch.tensor([0.25, 0, 0, 0, 0, 0], dtype=torch.float64))
+    back_end = BackEnd(BackEndConfig(), CAMERA)
+    _, slipped, _ = drive(back_end, circle[:16], steps, true[0])
+    back_end.finish()
+    assert ate_rmse(slipped, true.double()) > 0.1
+    assert ate_rmse(back_end.T_WC, true.double()) < 0.01
+
+
 @pytest.mark.ci
 def test_exact_poses_stay_exact(circle):
     """The landmarks' errors must not spoil a front end that makes none."""

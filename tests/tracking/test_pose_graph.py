@@ -11,6 +11,7 @@ from gtsam_landmarks import optimise_landmarks
 from gsfusion_nb.geometry import project, se3
 from gsfusion_nb.tracking.landmarks import Observations
 from gsfusion_nb.tracking.pose_graph import (
+    HELD_BY_MAP,
     Edge,
     edge_error,
     fit_odometry,
@@ -111,10 +112,24 @@ def test_the_precision_of_odometry_is_found(generator, sigma_deg, sigma_m):
     for k in range(1, 400):
         noise = torch.randn(6, generator=generator, dtype=torch.float64) * torch.tensor([0.003] * 3 + [0.1 / 57.3] * 3)
         both.append(edge(k - 1, k, se3.inverse(true[k - 1]) @ true[k] @ se3.exp(noise), seen, "landmarks"))
-    sigma = fit_odometry(both)[0].information.diagonal() ** -0.5
+    sigma = (fit_odometry(both)[0].information.diagonal() / HELD_BY_MAP) ** -0.5
     torch.testing.assert_close(sigma[:3] * 57.3, torch.full((3,), sigma_deg, dtype=torch.float64), rtol=0.15, atol=0)
     torch.testing.assert_close(sigma[3:], torch.full((3,), sigma_m, dtype=torch.float64), rtol=0.15, atol=0)
     assert fit_odometry(edges) == edges  # nothing to compare with
+
+
+def test_a_slip_keeps_what_was_given(generator):
+    true, _, edges = ring(40, generator, 0.1, 0.001)
+    given = odometry_information(0.5, 0.02)
+    edges = [dataclasses.replace(e, information=given) for e in edges]
+    slip = torch.tensor([0.05, 0, 0, 0, 0, 0], dtype=torch.float64)
+    edges[20] = dataclasses.replace(edges[20], T_ij=edges[20].T_ij @ se3.exp(slip))
+    seen = odometry_information(0.1, 0.003)
+    steps = [se3.inverse(true[k]) @ true[k + 1] for k in range(39)]
+    both = [*edges, *(edge(k, k + 1, T, seen, "landmarks") for k, T in enumerate(steps))]
+    firm = [float(e.information[5, 5] / given[5, 5]) for e in fit_odometry(both)[:39]]
+    assert firm[20] == 1
+    assert min(firm[:20] + firm[21:]) > 10
 
 
 def sightings(true, generator, points=80, depth_share=0.7):
