@@ -100,7 +100,7 @@ class GPSSLAM(StoredWithSurface, TsdfMapping):
                 self.volume.allocate_missing(missing)
                 fuse_frame_(self.volume, frame)
             with clock("tracking"):
-                self._follow(self.localiser.record(frame))
+                self._record(frame)
             self.n_frames += 1
         return StepReport(
             frame_index=frame.index,

@@ -107,7 +107,7 @@ class GSFusion(TsdfMapping):
                 self.volume.allocate_missing(missing)
                 fuse_frame_(self.volume, frame)  # III-B.1, Eq. 6-9
             with clock("tracking"):
-                self._follow(self.localiser.record(frame))
+                self._record(frame)
             self.n_frames += 1
         return StepReport(
             frame_index=frame.index,

@@ -117,13 +117,12 @@ class Localiser:
         self.report, self._found = {}, None
         if not self.is_tracking:
             return frame
-        before, seen = self._tracker.standing, self._see(frame)
+        before, (seen, guess) = self._tracker.standing, self._see(frame)
         try:
             if seen is None:
                 found = self._tracker.track(frame, surface, self._relocalise)
             else:
                 extra = seen.extra(self.config.landmarks.sigma_m)
-                guess = seen.T_WC if self._is_off(frame, seen) else None
                 found = self._tracker.track(frame, surface, self._relocalise, extra, guess)
         except TrackingLostError as e:
             raise BadFrameError(f"frame {frame.index} cannot be mapped: {e}") from None
@@ -152,20 +151,19 @@ class Localiser:
         """Possible poses of the frame by its appearance, the most likely first."""
         return [] if self._database is None else self._database.relocalise(frame)
 
-    def _see(self, frame: Frame) -> Sighting | None:
-        """Landmarks that the frame sees; None if they are not wanted, or too few."""
+    def _see(self, frame: Frame) -> tuple[Sighting | None, Float[Tensor, "4 4"] | None]:
+        """Landmarks that the frame sees, None if they are not wanted, or too few; and their pose, if the predicted one
+        is wrong. If it is not, it is the more exact start for ICP."""
         self._view = None
         if self._map is None or not self.config.landmarks.enabled or frame.camera != self._map.camera:
-            return None
-        features = self._features(frame)
-        seen = self._map.see(features, self._tracker.predict(frame.timestamp_s))
+            return None, None
+        features, predicted = self._features(frame), self._tracker.predict(frame.timestamp_s)
+        seen = self._map.see(features, predicted)
         self._view = frame.index, features, seen
-        return seen
-
-    def _is_off(self, frame: Frame, seen: Sighting) -> bool:
-        """Whether the landmarks say that the predicted pose is wrong; if not, it is the more exact start for ICP."""
-        turned_deg, moved_m = se3.motion(self._tracker.predict(frame.timestamp_s), seen.T_WC)
-        return moved_m > OFF_M or turned_deg > OFF_DEG
+        if seen is None:
+            return None, None
+        turned_deg, moved_m = se3.motion(predicted, seen.T_WC)
+        return seen, seen.T_WC if moved_m > OFF_M or turned_deg > OFF_DEG else None
 
     def _features(self, frame: Frame) -> Features:
         if self._view is not None and self._view[0] == frame.index:

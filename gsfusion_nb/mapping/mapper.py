@@ -283,6 +283,10 @@ class Mapper(AsksRule, SavesState, StoredMap, ABC):
             return [f"frame {frame.index}: tracking was lost and has recovered"]
         return []
 
+    def _record(self, frame: Frame) -> None:
+        """Add a mapped frame to the trajectory, and follow the correction if it closes a loop."""
+        self._follow(self.localiser.record(frame))
+
     def _follow(self, correction: Correction | None) -> None:
         """After a loop closure, move Gaussians and keyframes with the trajectory, if the settings say so."""
         if correction is not None and self.config.tracking.back_end.on_correction == "move":

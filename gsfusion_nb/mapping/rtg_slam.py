@@ -18,6 +18,7 @@ from ..seeding import SeedContext, SeedingRule
 from ..tracking import Correction, Surface
 from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput
 from .frame_checks import check_frame
+from .fused_frames import vars_of
 from .mapper import Mapper
 from .rendered_mesh import mesh_of_views
 from .step_report import StageClock, StepReport, psnr_from_mse
@@ -93,7 +94,7 @@ class RTGSLAM(SurfelMapping):
                 after, transitions = self._manage_states(frame)
             self.guard.changes_stay()
             with clock("tracking"):
-                self._follow(self.localiser.record(frame))
+                self._record(frame)
             self.camera = frame.camera
             self.n_frames += 1
             self.gaussians.step_count = self.n_frames
@@ -149,7 +150,7 @@ class RTGSLAM(SurfelMapping):
         """The state of any mapper, the window, and the optimiser of the final passes."""
         return super().state_dict() | {
             "camera": None if self.camera is None else vars(self.camera),
-            "window": [_frame_state(f) for f in self.window],
+            "window": [vars_of(f) for f in self.window],
             "final": None if self._final is None else self._final.state_dict(),
         }
 
@@ -202,8 +203,3 @@ class RTGSLAM(SurfelMapping):
 
 def _psnr(rgb: Float[Tensor, "H W 3"], frame: Frame) -> float:
     return psnr_from_mse(float((rgb.clamp(0, 1) - frame.rgb).square().mean()))
-
-
-def _frame_state(frame: Frame) -> dict[str, Any]:
-    """Plain values of a frame."""
-    return {f.name: getattr(frame, f.name) for f in dataclasses.fields(frame)} | {"camera": vars(frame.camera)}

@@ -7,8 +7,10 @@ from torch import Tensor
 
 from ..errors import BadFrameError
 from ..seeding import SeedContext
+from ..tracking import Correction
 from ..tsdf import NewBlocks, RaycastOutput, TsdfVolume, extract_mesh, new_band_blocks, raycast
 from ..types import Camera, Frame, Mesh, Seeds
+from .fused_frames import MOVED_VOXELS, FusedFrames
 from .map_view import MapPart
 from .mapper import Mapper
 from .step_report import StepReport
@@ -20,6 +22,8 @@ class TsdfMapping(Mapper):
     def __init__(self, *args: Any, **options: Any):
         super().__init__(*args, **options)
         self.volume = TsdfVolume(self.config.tsdf, device=self.device)
+        self.fused = FusedFrames()
+        """The frames in ``volume``, if a loop may move them; empty without the back end."""
 
     def __repr__(self) -> str:
         return (
@@ -53,7 +57,8 @@ class TsdfMapping(Mapper):
     def parts(self) -> list[MapPart]:
         """Gaussians, keyframes and voxel blocks."""
         blocks = MapPart(name="voxel blocks", count=self.volume.n_blocks, size_bytes=self.volume.memory_bytes)
-        return [*super().parts(), blocks]
+        kept = MapPart(name="frames kept for loops", count=len(self.fused), size_bytes=self.fused.size_bytes)
+        return [*super().parts(), blocks, *([kept] if len(self.fused) else [])]
 
     def mesh_on_cpu(self) -> Mesh:
         """The mesh, computed from a copy of the TSDF in CPU memory."""
@@ -72,13 +77,42 @@ class TsdfMapping(Mapper):
             f"({median}), so nothing was mapped from it; check the depth scale",
         ]
 
+    def constant_tensors(self) -> list[Tensor]:
+        """Images of keyframes and of the frames in the TSDF."""
+        return [*super().constant_tensors(), *self.fused.images()]
+
     def state_dict(self) -> dict[str, Any]:
-        """The state of any mapper, and the TSDF."""
-        return super().state_dict() | {"volume": self.volume.state_dict()}
+        """The state of any mapper, and the TSDF with the frames that a loop may move."""
+        return super().state_dict() | {"volume": self.volume.state_dict(), "fused": self.fused.state_dict()}
 
     def _load(self, state: dict[str, Any]) -> None:
         super()._load(state)
         self.volume.load_state_dict(state["volume"])
+        self.fused.load_state(state.get("fused", []))
+        if len(self.fused) not in (0, self.n_frames):
+            raise ValueError(f"{self.n_frames} frames must be kept for loops, or none, got {len(self.fused)}")
+
+    def _record(self, frame: Frame) -> None:
+        """Keep the frame, which was fused, if a loop may move it."""
+        tracking = self.config.tracking
+        if tracking.poses == "tracked" and tracking.back_end.enabled and tracking.back_end.on_correction == "move":
+            self.fused.add(frame)
+        super()._record(frame)
+
+    def _follow(self, correction: Correction | None) -> None:
+        """After a loop closure that moved a frame by more than half a voxel, the TSDF is made again."""
+        super()._follow(correction)
+        if correction is None or not len(self.fused):
+            return
+        poses = self.localiser.poses
+        if self.fused.moved_m(poses) <= MOVED_VOXELS * self.volume.config.voxel_size_m:
+            return
+        try:
+            self.volume = self.fused.fused_again(self.volume, poses)
+        except (MemoryError, ValueError) as e:
+            self.notes.append(
+                f"the TSDF stays as it was before the loop at frame {int(correction.frame_index[-1])}: {e}"
+            )
 
     def _make_room(self, frame: Frame) -> NewBlocks:
         """Make room for the blocks that the frame needs. Returns those that do not exist yet."""

@@ -1,0 +1,101 @@
+"""The frames of a TSDF, kept so that it can be made again when the back end has moved them."""
+
+import dataclasses
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ..checks import check_number, check_whole
+from ..tsdf import TsdfVolume, integrate
+from ..types import Camera, Frame
+from .frame_checks import check_frame
+
+MOVED_VOXELS = 0.5
+"""The volume is made again when a frame's surface has moved by more than this many voxels."""
+
+
+class FusedFrames:
+    """Frames with the poses at which they were fused, in CPU memory, in the order of the trajectory.
+
+    A frame that has moved is not taken out of the volume again: all frames are fused into a new one. That is exact also
+    where the observation count has reached its limit, and after a loop most frames have moved. On the kitchen at
+    320x240 it takes 8.7 ms of processor time for each frame; taking out and putting in, 12 for each that moved.
+    """
+
+    def __init__(self) -> None:
+        self.frames: list[Frame] = []
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    @property
+    def size_bytes(self) -> int:
+        """Memory of the images, bytes."""
+        return sum(image.nbytes for image in self.images())
+
+    def images(self) -> list[Tensor]:
+        """All images, which never change."""
+        return [image for f in self.frames for image in (f.colour, f.depth_m)]
+
+    def add(self, frame: Frame) -> None:
+        """Keep a frame that is fused with its present pose."""
+        self.frames.append(dataclasses.replace(frame.to("cpu")))  # a new one, without colours as floats
+
+    def moved_m(self, poses: list[Float[Tensor, "4 4"]]) -> float:
+        """How far a frame's camera, or the point at its median depth in the middle of the view, would move at most.
+
+        Args:
+            poses: New camera-to-world poses, one for each frame.
+
+        Returns:
+            The largest of these distances, metres.
+        """
+        if not self.frames:
+            return 0.0
+        z = torch.tensor([_median_depth_m(f) for f in self.frames]).double()[:, None]
+        change = torch.stack(poses).cpu().double() - torch.stack([f.T_WC for f in self.frames]).double()
+        of_camera, of_axis = change[:, :3, 3], change[:, :3, 2]
+        return float(torch.stack([of_camera, of_camera + z * of_axis]).norm(dim=-1).max())
+
+    def fused_again(self, volume: TsdfVolume, poses: list[Float[Tensor, "4 4"]]) -> TsdfVolume:
+        """A new volume like ``volume`` with all frames at new poses, which they keep.
+
+        Raises:
+            ValueError: a frame would be too far away for the voxel index. MemoryError: no room for the blocks. Nothing
+                has changed.
+        """
+        fresh = TsdfVolume(volume.config, volume.device, memory_limit_bytes=volume.memory_limit_bytes)
+        moved = [dataclasses.replace(f, T_WC=T) for f, T in zip(self.frames, torch.stack(poses).cpu(), strict=True)]
+        for frame in moved:
+            integrate(fresh, dataclasses.replace(frame.to(volume.device)))
+        self.frames = moved
+        return fresh
+
+    def state_dict(self) -> list[dict[str, Any]]:
+        """Plain values of every frame."""
+        return [vars_of(f) for f in self.frames]
+
+    def load_state(self, state: list[dict[str, Any]]) -> None:
+        """Replace the frames by those of ``state_dict``.
+
+        Raises:
+            ValueError: a frame that cannot be mapped.
+        """
+        self.frames = []
+        for f in state:
+            check_whole("index of a frame", f["index"], 0)
+            check_number(f"time of frame {f['index']}", f["timestamp_s"])
+            self.frames.append(check_frame(Frame(**{**f, "camera": Camera(**f["camera"])}), torch.device("cpu")))
+
+
+def vars_of(frame: Frame) -> dict[str, Any]:
+    """Plain values of a frame, from which it can be made again."""
+    return {f.name: getattr(frame, f.name) for f in dataclasses.fields(frame)} | {"camera": vars(frame.camera)}
+
+
+def _median_depth_m(frame: Frame) -> float:
+    some = frame.depth_m[::4, ::4]
+    known = some[some > 0]
+    return float(known.median()) if len(known) else 0.0

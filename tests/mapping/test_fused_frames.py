@@ -1,0 +1,87 @@
+"""After a loop the TSDF is that of the corrected poses, as if they had been known from the start."""
+
+import pytest
+import torch
+
+from gsfusion_nb.config import gsfusion
+from gsfusion_nb.data.room import room
+from gsfusion_nb.geometry import se3
+from gsfusion_nb.mapping import GSFusion
+from gsfusion_nb.tracking import Correction
+from gsfusion_nb.tsdf import TsdfVolume, integrate
+from gsfusion_nb.types import Frame
+
+pytest.importorskip("gtsam", reason="the extra 'slam' is not installed")
+
+TRACKING = {"poses": "tracked", "back_end": {"enabled": True}}
+VOXEL_M = 0.04
+
+
+@pytest.fixture(scope="module")
+def frames():
+    sequence = room(n_frames=240, width=80, height=60)
+    return [sequence[i] for i in range(3)]
+
+
+def mapped(frames, tracking=TRACKING):
+    mapper = GSFusion(gsfusion("room", tracking=tracking, tsdf__voxel_size_m=VOXEL_M))
+    for frame in frames:
+        mapper.step(frame)
+    return mapper
+
+
+def correct(mapper, shift_m):
+    """A loop that moves the last frame sideways, the frame before it half as far, and the first one not at all."""
+    old = torch.stack([mapper.localiser.poses[0], mapper.localiser.poses[-1]]).double()
+    new = torch.stack([old[0], se3.translate(old[1], torch.tensor([shift_m, 0, 0], dtype=torch.float64))])
+    ends = torch.tensor([mapper.localiser.frame_indices[i] for i in (0, -1)])
+    found = Correction(frame_index=ends, T_WC_old=old, T_WC_new=new, loops=[], error_before=1.0, error_after=0.0)
+    mapper._follow(mapper.localiser._apply(found))
+
+
+def assert_fused_at(mapper, frames, poses):
+    expected = TsdfVolume(mapper.config.tsdf)
+    for f, T_WC in zip(frames, poses, strict=True):
+        integrate(expected, Frame(**{**vars_of(f), "T_WC": T_WC}))
+    rows, columns = expected.index.rows, mapper.maps()["tsdf"]
+    assert torch.equal(columns["block_coords"], expected.block_coords[rows])
+    torch.testing.assert_close(columns["D"], expected.D[rows])
+    torch.testing.assert_close(columns["W"], expected.W[rows])
+    torch.testing.assert_close(columns["rgb"], expected.rgb_planes[rows])
+
+
+def vars_of(frame):
+    return {name: getattr(frame, name) for name in ("index", "timestamp_s", "colour", "depth_m", "camera", "T_WC")}
+
+
+def test_the_volume_is_that_of_the_corrected_poses(frames):
+    mapper = mapped(frames)
+    tracked = list(mapper.localiser.poses)
+    correct(mapper, 0.3 * VOXEL_M)
+    assert_fused_at(mapper, frames, tracked)  # less than half a voxel
+    correct(mapper, 2 * VOXEL_M)
+    assert_fused_at(mapper, frames, mapper.localiser.poses)
+    moved_m = [float((a - b)[:3, 3].norm()) for a, b in zip(mapper.localiser.poses, tracked, strict=True)]
+    assert moved_m == pytest.approx([0, 1.15 * VOXEL_M, 2.3 * VOXEL_M], abs=1e-5)
+
+
+def test_a_state_goes_on_with_its_frames(frames):
+    mapper = mapped(frames)
+    again = GSFusion.from_state_dict(mapper.state_dict())
+    for m in (mapper, again):
+        correct(m, 2 * VOXEL_M)
+    assert_fused_at(again, frames, mapper.localiser.poses)
+
+
+def test_without_room_for_it_the_old_volume_stays(frames):
+    mapper = mapped(frames)
+    mapper.volume.memory_limit_bytes = 1
+    volume = mapper.volume
+    correct(mapper, 2 * VOXEL_M)
+    assert mapper.volume is volume
+    assert mapper.notes[-1].startswith("the TSDF stays as it was before the loop at frame 2: ")
+
+
+@pytest.mark.parametrize("back_end", [{"enabled": False}, {"enabled": True, "on_correction": "leave"}])
+def test_no_frame_is_kept_that_no_loop_may_move(frames, back_end):
+    assert len(mapped(frames[:1], {"poses": "tracked", "back_end": back_end}).fused) == 0
