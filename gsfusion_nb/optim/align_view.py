@@ -26,8 +26,8 @@ from ..types import Camera, RenderOutput
 
 SMALL_RESIDUAL = 0.02
 """The weights are those of the mean absolute error, 1 / |r|, but not larger than for this difference of colours."""
-EVERY = 2
-"""Every second pixel of every second row is used: a quarter of the time, and the same information nearly."""
+ACROSS = 80
+"""About so many pixels of a row are used, at most every second one: neighbours say nearly the same."""
 PIXELS_PER_OBSERVATION = 100.0
 """Neighbouring pixels err together: so many count as one independent observation."""
 
@@ -57,14 +57,15 @@ def pose_system(output: RenderOutput, target: Float[Tensor, "H W 3"], camera: Ca
 
     Differentiable: no.
     """
-    some = (slice(None, None, EVERY), slice(None, None, EVERY))
+    every = max(2, camera.width // ACROSS)
+    some = (slice(None, None, every), slice(None, None, every))
     r, alpha = (output.rgb - target)[some], output.alpha[some]
     shown = alpha >= SHOWN_ALPHA
-    gx, gy = (g[some] for g in image_gradient((output.rgb + target) / 2))
+    gx, gy = image_gradient((output.rgb + target) / 2, every)
     w = shown[..., None] / r.abs().clamp_min(SMALL_RESIDUAL)
     n = shown.sum().clamp_min(1)
     error = (r.abs() * shown[..., None]).sum() / (3 * n)
-    along_u, along_v = flow_of_motion(output.depth_m[some] / alpha.clamp_min(1e-6), camera, EVERY)
+    along_u, along_v = flow_of_motion(output.depth_m[some] / alpha.clamp_min(1e-6), camera, every)
     a, b = along_u.view(-1, 6), along_v.view(-1, 6)
 
     def summed(x: Tensor) -> Tensor:
@@ -73,7 +74,7 @@ def pose_system(output: RenderOutput, target: Float[Tensor, "H W 3"], camera: Ca
     H_uv = a.T @ (summed(w * gx * gy) * b)
     H = a.T @ (summed(w * gx * gx) * a) + b.T @ (summed(w * gy * gy) * b) + H_uv + H_uv.T
     g = (a.T @ summed(w * gx * r) + b.T @ summed(w * gy * r))[:, 0]
-    unit = EVERY**2 / (error.clamp_min(SMALL_RESIDUAL) * 3 * PIXELS_PER_OBSERVATION)
+    unit = every**2 / (error.clamp_min(SMALL_RESIDUAL) * 3 * PIXELS_PER_OBSERVATION)
     return PoseSystem(H=unit * H, g=unit * g, error=error, share=shown.float().mean())
 
 
@@ -92,12 +93,15 @@ def flow_of_motion(
     return camera.fx * along_u, camera.fy * along_v
 
 
-def image_gradient(rgb: Float[Tensor, "H W 3"]) -> tuple[Float[Tensor, "H W 3"], Float[Tensor, "H W 3"]]:
-    """Central differences along u and v, per pixel; 0 at the border."""
-    gx, gy = torch.zeros_like(rgb), torch.zeros_like(rgb)
-    gx[:, 1:-1] = (rgb[:, 2:] - rgb[:, :-2]) / 2
-    gy[1:-1] = (rgb[2:] - rgb[:-2]) / 2
-    return gx, gy
+def image_gradient(
+    rgb: Float[Tensor, "H W 3"], every: int = 1
+) -> tuple[Float[Tensor, "h w 3"], Float[Tensor, "h w 3"]]:
+    """Central differences along u and v, per pixel; 0 at the border. Of every n-th pixel of every n-th row."""
+    rows, columns = rgb[::every], rgb[:, ::every]
+    gx, gy = torch.zeros_like(rows), torch.zeros_like(columns)
+    gx[:, 1:-1] = (rows[:, 2:] - rows[:, :-2]) / 2
+    gy[1:-1] = (columns[2:] - columns[:-2]) / 2
+    return gx[:, ::every], gy[::every]
 
 
 def pose_step(
