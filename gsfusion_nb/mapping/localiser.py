@@ -219,8 +219,9 @@ class Localiser:
         if correction is None:
             return None
         moves = correction.transform_of(torch.tensor(self.frame_indices)).float()
-        self.poses = [T @ pose for T, pose in zip(moves, self.poses, strict=True)]
-        self.given = [T @ pose for T, pose in zip(moves, self.given, strict=True)]
+        old, self.poses = self.poses, [T @ pose for T, pose in zip(moves, self.poses, strict=True)]
+        pairs = zip(moves, self.poses, old, self.given, strict=True)
+        self.given = [new if given is pose else T @ given for T, new, pose, given in pairs]
         self._tracker.correct(moves[-1])
         return correction
 
