@@ -187,7 +187,15 @@ _MEASURED: dict[str, Any] = {
 
 _RELEASED: dict[str, Any] = {
     "seeding": {"options": {}},
-    "tsdf": {"voxel_size_m": 0.005, "near_m": 0.2, "far_m": 10.0, "sdf": "z", "outlier_guard": False},
+    "tsdf": {
+        "voxel_size_m": 0.005,
+        "near_m": 0.2,
+        "far_m": 10.0,
+        "sdf": "z",
+        "outlier_guard": False,
+        "colour_band_voxels": 1.0,
+        "colour_by_distance": False,
+    },
     "base": {"holes": "black", "resolution": "full"},
     "residual": {"lr_sh_dc": 2.5e-3, "lr_sh_rest": 5e-4, "restart_adam": True, "min_radius_m": 0.003},
     "schedule": {"spread": False, "keyframes": 7, "recalled": 7, "recalled_new": 0},
