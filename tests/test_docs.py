@@ -19,7 +19,7 @@ PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *(ROOT / "doc
 LINKED = [*PAGES, *sorted((ROOT / "docs/teaching/quiz").glob("*.md"))]
 COMMANDS = ("demo", "convert", "check", "map", "live", "eval", "export", "lab", "sweep", "study", "bench", "doctor",
             "course", "grade")  # fmt: skip
-OTHER_PROGRAMS = ("--pdf", "--torch-backend", "--pdb", "--allow-root", "--no-install-recommends")
+OTHER_PROGRAMS = ("--pdf", "--torch-backend", "--pdb", "--allow-root", "--no-install-recommends", "--no-compile")
 
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 INLINE = re.compile(r"`([^`\n]+)`")
