@@ -16,7 +16,7 @@ from ...mapping import Mapper
 from ...render import render
 from ...types import Camera, GaussianParams
 from ..display import Bundle, with_picture
-from ..splats.map_picture import SHOWS, draw_gaussians
+from ..splats.map_picture import SHOWS, draw_gaussians, draw_view
 from ..viewpoint import Vector, Viewpoint, extent, viewpoint_of
 
 if TYPE_CHECKING:
@@ -79,7 +79,8 @@ class OrbitView:
         self.camera = _camera(camera or (keyframes[0].camera if keyframes else None), size)
         self.up_W = torch.as_tensor(world_up([k.T_WC for k in keyframes]) if up_W is None else up_W).float()
         start = keyframes[0].T_WC if T_WC is None and keyframes else T_WC
-        centre_W, self._radius_m = extent(self._params().xyz_W)
+        over = self._draws_surface()
+        centre_W, self._radius_m = extent((over.standard_gaussians() if over else self._params()).xyz_W)
         x, y, z = centre_W.tolist()
         far = 0.9 * self._radius_m / self._half_view()
         self._above = Viewpoint(target_W=(x, y, z), azimuth_deg=-60.0, elevation_deg=74.0, distance_m=far)
@@ -102,12 +103,19 @@ class OrbitView:
         return view.pose(self.up_W)
 
     def picture(self) -> Picture:
-        """What the camera sees of the map as it is now."""
+        """What the camera sees of the map as it is now.
+
+        Of a map that draws over its surface, a picture with something cut away shows the surface as discs.
+        """
         with self._lock:
             show: Any = self.show.value
             labels = self._labels(_LABELLED[show]) if show in _LABELLED else None
-            cut_m = self.sliders["cut"].value
-            return draw_gaussians(self._params(), self.camera, self.pose(), show, labels=labels, cut_m=cut_m)
+            cut_m, params, over = self.sliders["cut"].value, self._params(), self._draws_surface()
+            if over is not None and labels is None:
+                if cut_m == 0:
+                    return draw_view(over.render(self.camera, self.pose()), show)
+                params = over.standard_gaussians()
+            return draw_gaussians(params, self.camera, self.pose(), show, labels=labels, cut_m=cut_m)
 
     def splats(self) -> "SplatViewer":
         """A splat viewer of the same map, from the same place."""
@@ -248,6 +256,10 @@ class OrbitView:
     def _model(self) -> Any:
         return self._source.gaussians if isinstance(self._source, Mapper) else self._source
 
+    def _draws_surface(self) -> Mapper | None:
+        """The mapper, if its pictures are more than its Gaussians."""
+        return self._source if isinstance(self._source, Mapper) and self._source.needs_volume_to_render else None
+
     def _labels(self, column: str) -> Int[Tensor, " N"] | None:
         model = self._model()
         if isinstance(model, GaussianParams) or (column == "tag" and model.TAG_MEANING != "quadtree level"):
@@ -260,7 +272,9 @@ class OrbitView:
 
     def _depth_ahead(self, T_WC: Float[Tensor, "4 4"]) -> float:
         """Median depth of the map in a view, metres: the distance of the point to orbit around."""
-        depth_m = expected_depth_m(render(self._params(), self.camera, T_WC))
+        over = self._draws_surface()
+        view = over.render(self.camera, T_WC) if over else render(self._params(), self.camera, T_WC)
+        depth_m = expected_depth_m(view)
         seen = depth_m[depth_m > 0]
         return float(seen.median()) if len(seen) else self._radius_m
 

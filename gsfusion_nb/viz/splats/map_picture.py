@@ -14,7 +14,7 @@ from ...drawing.pictures import Picture, colour_depth, colour_stops, depth_range
 from ...evaluation import expected_depth_m
 from ...geometry.spherical_harmonics import rgb_to_sh_dc
 from ...render import render
-from ...types import Camera, GaussianParams
+from ...types import Camera, GaussianParams, RenderOutput
 
 Show = Literal["colour", "depth", "opacity", "first-seen frame", "quadtree level"]
 SHOWS: tuple[str, ...] = get_args(Show)
@@ -59,17 +59,23 @@ def draw_gaussians(
         z = (params.xyz_W - T_WC[:3, 3].to(params.xyz_W)) @ T_WC[:3, 2].to(params.xyz_W)
         params = params[z > cut_m]
     view = render(params, camera, T_WC)
+    if by_label:
+        word = "frame" if show == "first-seen frame" else "level"
+        return _with_scale(to_uint8(view.rgb), _table("viridis"), f"{word} {low}", str(high))
+    return draw_view(view, show)
+
+
+def draw_view(view: RenderOutput, show: Show = "colour") -> Picture:
+    """A rendered view as an 8-bit picture of its colour, depth or opacity, as ``draw_gaussians`` shows them."""
+    check_name("show", show, SHOWS[:3])
     if show == "colour":
         return to_uint8(view.rgb)
     if show == "opacity":
         grey = to_uint8(view.alpha[..., None].expand(-1, -1, 3))
         return _with_scale(grey, np.repeat(np.arange(256, dtype=np.uint8)[:, None], 3, 1), "0", "1")
-    if show == "depth":
-        depth = expected_depth_m(view)
-        near, far = depth_range_m(depth)
-        return _with_scale(colour_depth(depth, near, far), _table("turbo"), f"{near:.1f} m", f"{far:.1f} m")
-    word = "frame" if show == "first-seen frame" else "level"
-    return _with_scale(to_uint8(view.rgb), _table("viridis"), f"{word} {low}", str(high))
+    depth = expected_depth_m(view)
+    near, far = depth_range_m(depth)
+    return _with_scale(colour_depth(depth, near, far), _table("turbo"), f"{near:.1f} m", f"{far:.1f} m")
 
 
 def _painted(params: GaussianParams, labels: Tensor, low: int, high: int) -> GaussianParams:

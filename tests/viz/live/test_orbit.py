@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 import torch
 
-from gsfusion_nb.config import rtg_slam
+from gsfusion_nb.config import gps_slam, rtg_slam
+from gsfusion_nb.drawing.pictures import to_uint8
 from gsfusion_nb.gaussians import GaussianModel
-from gsfusion_nb.mapping import RTGSLAM
+from gsfusion_nb.mapping import RTGSLAM, make_mapper
 from gsfusion_nb.types import Seeds
 from gsfusion_nb.viz import orbit_view
 from gsfusion_nb.viz.display import WIDGET_MIME
@@ -137,3 +138,18 @@ def test_a_map_of_discs_has_no_levels(model):
     view = orbit_view(mapper, size=(160, 120))
     assert view.show.options == ("colour", "depth", "opacity", "first-seen frame")
     assert shown(view.set(azimuth_deg=-90, elevation_deg=0, distance_m=2.0)).max() > 150
+
+
+def test_a_map_over_a_surface_is_shown_with_its_surface(small_room):
+    mapper = make_mapper(gps_slam("room", data__width=80, data__height=60, tsdf__voxel_size_m=0.05))
+    for frame in list(small_room)[:2]:
+        mapper.step(frame)
+    view = orbit_view(mapper, size=(80, 60))
+    assert not len(mapper.gaussians)  # all that there is to see is the surface
+    drawn = to_uint8(mapper.render(view.camera, view.pose()).rgb)
+    assert drawn.max() > 60
+    assert np.array_equal(view.picture(), drawn)
+    view.set(cut_m=0.5)
+    assert view.picture().max() > 60  # as discs
+    view.set(cut_m=0.0, show="first-seen frame")
+    assert view.picture().shape == (60, 80, 3)
