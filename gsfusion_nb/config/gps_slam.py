@@ -149,7 +149,7 @@ class PassesConfig:
     passes: int = 10
     """Steps per keyframe. Larger: better pictures, longer wait. Usual: 0 to 20."""
     ssim_weight: float = 0.0
-    """Weight of the structural loss D-SSIM in these passes, 0 to 1; the colour difference L1 has the rest. Larger:
+    """Weight of the structural loss D-SSIM in these passes, 0 to 1; residual.loss has the rest. Larger:
     sharper structure, less exact colours. Usual: 0 to 0.2."""
 
     def __post_init__(self):

@@ -11,9 +11,9 @@ from ..memory import available_memory
 
 BYTES_PER_BLOCK = VOXELS_PER_BLOCK * (4 + 4 + 12) + 12
 """Distance, weight and colour of every voxel as float32, and three int32 coordinates; ``W_RGB_BYTES`` more where
-colours have weights of their own. Colour is float32 because a
-running mean at weight 100 changes by a hundredth of the difference: float16 would stop 6 grey levels away from the
-mean and 8 bits 50 levels away. Integers with more bits would save memory, but converting them takes too long."""
+colours have weights of their own. Colour is float32 because a running mean at weight 100 changes by a hundredth of the
+difference: float16 would stop 6 grey levels away from the mean and 8 bits 50 levels away. Integers with more bits
+would save memory, but converting them takes too long."""
 
 W_RGB_BYTES = VOXELS_PER_BLOCK * 4
 

@@ -1,14 +1,13 @@
 """Gaussians over a base, blended without order: values in closed form, the gradient three ways, any order."""
 
 import dataclasses
-import math
 
 import pytest
 import torch
+from three_gaussians import three_gaussians
 
 from gsfusion_nb.backends import use_backend
 from gsfusion_nb.constants import SH_C0
-from gsfusion_nb.geometry.spherical_harmonics import rgb_to_sh_dc
 from gsfusion_nb.render import Base, render_over_base, render_over_base_vjp
 from gsfusion_nb.render.composite import pixel_offsets, splat_alpha, splat_alpha_vjp
 from gsfusion_nb.render.over_base import blend_with_base, blend_with_base_vjp
@@ -66,23 +65,8 @@ def test_one_pixel_with_four_gaussians_and_its_gradient_in_numbers():
 
 
 def test_three_gaussians_in_a_small_picture_and_every_gradient_in_numbers():
-    camera = Camera(width=16, height=12, fx=20.0, fy=21.0, cx=8.0, cy=6.0)
-    cos, sin = math.cos(math.radians(10)), math.sin(math.radians(10))
-    T_CW = f64([cos, 0, sin, 0.05], [0, 1, 0, -0.02], [-sin, 0, cos, 0.1], [0, 0, 0, 1])
-    y, x = torch.meshgrid(torch.arange(12).double(), torch.arange(16).double(), indexing="ij")
-    depth_m = 2 + 0.02 * (x - 8)
-    rgb = torch.stack([0.3 + 0.02 * x, 0.5 + 0.01 * y, torch.full_like(x, 0.4)], dim=-1)
-    depth_m[:3, :4], rgb[:3, :4] = 0.0, 0.0
-    base = Base(rgb=rgb, depth_m=depth_m, weight=torch.ones_like(depth_m))
-    target = torch.stack([torch.full_like(x, 0.503), 0.307 + 0.03 * y, 0.211 + 0.02 * x], dim=-1)
-    params = GaussianParams(
-        xyz_W=f64([0.10, -0.05, 2.0], [-0.2, 0.1, 1.8], [0.15, 0.05, 2.05]),
-        log_scale=f64([0.12, 0.08, 0.02], [0.1, 0.15, 0.03], [0.2, 0.1, 0.05]).log(),
-        quat=f64([1, 0.2, -0.1, 0.3], [0.9, -0.3, 0.2, 0.1], [1, 0, 0, 0]),
-        opacity_logit=f64(0, 1, -0.5),
-        sh=rgb_to_sh_dc(f64([0.9, 0.2, 0.1], [0.1, 0.7, 0.4], [0.3, 0.3, 0.9]))[:, None],
-    )
-    out, saved = render_over_base(params, camera, T_CW.inverse(), base, behind_m=BEHIND_M)
+    params, camera, T_WC, base, target = three_gaussians(torch.float64)
+    out, saved = render_over_base(params, camera, T_WC, base, behind_m=BEHIND_M)
     assert float(out.weight.sum()) == pytest.approx(16.249486960, abs=1e-7)
     assert out.rgb[6, 8].tolist() == pytest.approx([0.367692344, 0.590253845, 0.408757275], abs=2e-9)
     assert out.rgb[1, 1].tolist() == [0, 0, 0]

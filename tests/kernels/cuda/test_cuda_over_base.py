@@ -1,14 +1,12 @@
 """Blending over a base in CUDA: lists longer than a block brings at a time, clamped alphas, known numbers."""
 
-import math
-
 import pytest
 import torch
+from three_gaussians import three_gaussians
 
 from gsfusion_nb.backends import use_backend
-from gsfusion_nb.geometry.spherical_harmonics import rgb_to_sh_dc
 from gsfusion_nb.render import Base, render_over_base, render_over_base_vjp
-from gsfusion_nb.types import Camera, GaussianParams
+from gsfusion_nb.types import GaussianParams
 
 BEHIND_M = 0.1
 
@@ -57,24 +55,9 @@ def test_the_order_of_the_gaussians_does_not_matter(make_scene, make_camera, pos
 
 def test_three_gaussians_in_numbers(to):
     """The picture of tests/render/test_over_base.py, whose numbers were derived by hand, in float32."""
-    camera = Camera(width=16, height=12, fx=20.0, fy=21.0, cx=8.0, cy=6.0)
-    cos, sin = math.cos(math.radians(10)), math.sin(math.radians(10))
-    T_CW = torch.tensor([[cos, 0, sin, 0.05], [0, 1, 0, -0.02], [-sin, 0, cos, 0.1], [0, 0, 0, 1]])
-    y, x = torch.meshgrid(torch.arange(12.0), torch.arange(16.0), indexing="ij")
-    depth_m = 2 + 0.02 * (x - 8)
-    rgb = torch.stack([0.3 + 0.02 * x, 0.5 + 0.01 * y, torch.full_like(x, 0.4)], dim=-1)
-    depth_m[:3, :4], rgb[:3, :4] = 0.0, 0.0
-    base = Base(rgb=rgb, depth_m=depth_m, weight=torch.ones_like(depth_m))
-    target = torch.stack([torch.full_like(x, 0.503), 0.307 + 0.03 * y, 0.211 + 0.02 * x], dim=-1)
-    params = GaussianParams(
-        xyz_W=torch.tensor([[0.10, -0.05, 2.0], [-0.2, 0.1, 1.8], [0.15, 0.05, 2.05]]),
-        log_scale=torch.tensor([[0.12, 0.08, 0.02], [0.1, 0.15, 0.03], [0.2, 0.1, 0.05]]).log(),
-        quat=torch.tensor([[1, 0.2, -0.1, 0.3], [0.9, -0.3, 0.2, 0.1], [1, 0, 0, 0]]),
-        opacity_logit=torch.tensor([0, 1, -0.5]),
-        sh=rgb_to_sh_dc(torch.tensor([[0.9, 0.2, 0.1], [0.1, 0.7, 0.4], [0.3, 0.3, 0.9]]))[:, None],
-    )
+    params, camera, T_WC, base, target = three_gaussians(torch.float32)
     with use_backend("cuda"):
-        out, saved = render_over_base(to(params), camera, to(T_CW.inverse()), to(base), behind_m=BEHIND_M)
+        out, saved = render_over_base(to(params), camera, to(T_WC), to(base), behind_m=BEHIND_M)
         v = render_over_base_vjp(saved, (out.rgb - to(target)).sign() / target.numel())
     assert float(out.weight.sum()) == pytest.approx(16.249486960, rel=1e-5)
     assert out.rgb[6, 8].tolist() == pytest.approx([0.367692344, 0.590253845, 0.408757275], abs=1e-6)
