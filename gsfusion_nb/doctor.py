@@ -11,11 +11,12 @@ from pathlib import Path
 from . import __version__, backends
 
 PACKAGES = (
-    "torch", "numpy", "numba", "opencv-python-headless", "kornia", "pyvista", "matplotlib", "jupyterlab",
+    "torch", "numpy", "numba", "opencv-python-headless", "kornia", "matplotlib", "jupyterlab",
     "ipykernel", "ipywidgets", "jupyterlab-widgets", "anywidget", "plyfile", "scipy", "tyro",
 )  # fmt: skip
 
 OPTIONAL = {
+    "pyvista": "smoother still pictures of meshes: pip install 'gsfusion-nb[pyvista]'",
     "triton": "some of the kernels for GPUs: pip install 'gsfusion-nb[gpu]'",
     "gtsam": "RTG-SLAM back end: pip install 'gsfusion-nb[slam]'",
     "rerun-sdk": "recordings for the Rerun viewer: pip install 'gsfusion-nb[rerun]'",

@@ -20,7 +20,7 @@ def can_draw() -> tuple[bool, str]:
     catches, so it is tried once in a process of its own. The environment variable GSNB_VTK=ok or none skips the trial.
     """
     if importlib.util.find_spec("pyvista") is None:
-        return False, "pyvista is not installed: pip install pyvista"
+        return False, "pyvista is not installed: pip install 'gsfusion-nb[pyvista]'"
     prepare()
     forced = os.environ.get("GSNB_VTK")
     if forced in ("ok", "none"):

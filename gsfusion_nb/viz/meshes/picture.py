@@ -1,4 +1,4 @@
-"""A mesh as a picture, drawn by pyvista; where VTK cannot draw, triangles painted by OpenCV."""
+"""A mesh as a picture, drawn by pyvista; where it is not installed or VTK cannot draw, triangles painted by OpenCV."""
 
 import math
 from typing import Any, Literal
