@@ -1,4 +1,4 @@
-"""A mesh as a picture, drawn by pyvista; where it is not installed or VTK cannot draw, triangles painted by OpenCV."""
+"""A mesh as a picture, drawn by pyvista; where it is not installed or VTK cannot draw, by our own depth buffer."""
 
 import math
 from typing import Any, Literal
@@ -11,13 +11,10 @@ from ...drawing.pictures import Picture, to_uint8
 from ...types import Camera, Mesh
 from ..viewpoint import extent
 from . import opengl
-from .decimation import decimated
 from .painter import BACKGROUND, draw_mesh
 
 _VIEW_ANGLE_DEG = 30.0
 """Vertical angle of view."""
-_MOST_PAINTED = 150_000
-"""At most this many triangles are painted where VTK cannot draw."""
 
 
 def mesh_picture(
@@ -36,7 +33,7 @@ def mesh_picture(
         size: Width and height, pixels.
     """
     if not opengl.can_draw()[0]:
-        return draw_mesh(decimated(mesh, _MOST_PAINTED), mesh_camera(size), T_WC, shading=shading)
+        return draw_mesh(mesh, mesh_camera(size), T_WC, shading=shading)
     plotter = _plotter(mesh, T_WC, shading, size)
     try:
         return np.ascontiguousarray(plotter.screenshot(return_img=True))
@@ -55,7 +52,7 @@ def _plotter(mesh: Mesh, T_WC: Tensor, shading: str, size: tuple[int, int]) -> A
     plotter.set_background([c / 255 for c in BACKGROUND])  # pyright: ignore[reportArgumentType]
     if shading == "colour":
         surface["rgb"] = to_uint8(mesh.rgb[None])[0]
-        plotter.add_mesh(surface, scalars="rgb", rgb=True, ambient=0.8, diffuse=0.25, culling="back")
+        plotter.add_mesh(surface, scalars="rgb", rgb=True, ambient=0.7, diffuse=0.3, culling="back")
     else:
         plotter.add_mesh(surface, color="#e6e6e6", ambient=0.2, diffuse=0.8, smooth_shading=False, culling="back")
     T = T_WC.detach().cpu().double().numpy()

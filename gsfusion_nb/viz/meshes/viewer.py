@@ -15,11 +15,7 @@ from ...drawing.pictures import Picture, encode_jpeg, to_uint8
 from ...types import Camera, Mesh
 from ..display import static_views
 from ..front_end import mesh_front_end, source
-from .decimation import decimated
 from .painter import BACKGROUND, draw_mesh
-
-_STORED_TRIANGLES = 40_000
-"""Most triangles in the picture that a stored notebook keeps; painting them takes about half a second."""
 
 
 def _synced(trait: t.TraitType) -> Any:
@@ -87,8 +83,7 @@ class MeshViewer(anywidget.AnyWidget):
 
     def picture(self) -> Picture:
         """What the viewer shows, painted in Python."""
-        small = decimated(self.mesh, _STORED_TRIANGLES)
-        return draw_mesh(small, self.camera, self.T_WC, shading=self.shading)
+        return draw_mesh(self.mesh, self.camera, self.T_WC, shading=self.shading)
 
     def __repr__(self) -> str:
         return f"MeshViewer({len(self.mesh.faces):,} triangles, {self.width}x{self.height})"

@@ -69,6 +69,24 @@ def test_shape_shading_ignores_colour_and_nothing_is_painted_of_an_empty_mesh():
     assert (draw_mesh(none, CAMERA, FROM_ABOVE) == BACKGROUND).all()
 
 
+def test_colours_are_straight_on_the_surface_and_not_in_the_picture():
+    """A floor 1 m below the camera, black at 2 m and white at 8 m, is a third white at 4 m: 50 rows down."""
+    xyz = torch.tensor([[-1.0, 1, 2], [1, 1, 2], [1, 1, 8], [-1, 1, 8]])
+    rgb = torch.tensor([0.0, 0, 1, 1])[:, None].expand(-1, 3)
+    strip = Mesh(vertices_W=xyz, faces=torch.tensor([[0, 1, 2], [0, 2, 3]]), rgb=rgb)
+    camera = Camera(width=9, height=101, fx=200.0, fy=200.0, cx=4.5, cy=0.5)
+    grey = draw_mesh(strip, camera, torch.eye(4))[50, 4] / 255
+    assert grey == pytest.approx(1 / 3 * (0.7 + 0.3 * 0.2), abs=0.01)  # the lamp's cosine at a middle 5 m away
+
+
+def test_corners_that_are_no_numbers_take_only_their_triangles_away():
+    mesh = sheet(21)
+    mesh.vertices_W[0] = float("nan")
+    mesh.vertices_W[-1, 0] = float("inf")
+    image, whole = draw_mesh(mesh, CAMERA, FROM_ABOVE), draw_mesh(sheet(21), CAMERA, FROM_ABOVE)
+    assert 0 < (image != whole).any(-1).mean() < 0.005
+
+
 def test_reduction_keeps_extent_area_colours_and_sides():
     mesh = sheet(101)
     small = decimated(mesh, 2_000)
@@ -188,7 +206,7 @@ def test_the_browser_draws_what_python_paints(node, tmp_path, shading):
     T = orbit_camera((0, 0, 0), -60, 50, 2.0)
     image, answer = drawn_by_the_browser(node, tmp_path, both, T, shading)
     painted = draw_mesh(both, CAMERA, T, shading=shading)
-    assert (np.abs(image.astype(int) - painted).max(-1) < 12).mean() > 0.97  # the rest are edges
+    assert (np.abs(image.astype(int) - painted).max(-1) < 3).mean() > 0.999
     assert painted.std() > 20
     assert answer["corner"] is None
     assert 1.5 < answer["middle"] < 1.9  # the upper square
@@ -254,8 +272,8 @@ def test_vtk_and_the_painter_agree():
     mesh = sheet(41)
     T = orbit_camera((0, 0, 0), -60, 50, 2.0)
     vtk, painted = mesh_picture(mesh, T, size=(160, 120)), draw_mesh(mesh, CAMERA, T)
-    same = np.abs(vtk.astype(int) - painted).max(-1) < 60
-    assert same.mean() > 0.97
+    same = np.abs(vtk.astype(int) - painted).max(-1) < 15  # VTK smooths edges, and its lamp shines along the axis
+    assert same.mean() > 0.975
     assert (vtk == BACKGROUND).all(-1).mean() == pytest.approx((painted == BACKGROUND).all(-1).mean(), abs=0.02)
 
 
