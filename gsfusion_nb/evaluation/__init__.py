@@ -16,6 +16,7 @@ from .image import psnr as psnr
 from .image import score_view as score_view
 from .image import score_views as score_views
 from .image import ssim as ssim
+from .mesh_colour import mesh_psnr as mesh_psnr
 from .metrics import ONLINE as ONLINE
 from .metrics import format_metric as format_metric
 from .metrics import frame_rates as frame_rates

@@ -87,6 +87,11 @@ METRIC_GROUPS: dict[str, dict[str, Metric]] = {
         ),
         "n_frames_unusable": Metric("Frames unusable", "", 0),
     },
+    "Mesh against held-out views": {
+        "mesh_psnr_held_out_db": Metric(
+            "PSNR", "dB", 2, 1.0, "Colours of the vertices and of the pixels that show them, mean of the views."
+        ),
+    },
     "Mesh against ground truth": {
         "mesh_accuracy_m": Metric("Accuracy", "cm", 2, 100.0, "Mean distance from our mesh to the true surface."),
         "mesh_completion_m": Metric("Completion", "cm", 2, 100.0, "Mean distance from the true surface to our mesh."),

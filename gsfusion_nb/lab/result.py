@@ -31,8 +31,8 @@ class RunResult:
     metrics: Mapping[str, float] = field(default_factory=dict)
     """Numbers by their names in metrics.json; a number that could not be computed is absent. psnr_mapped_db,
     psnr_held_out_db, ssim_mapped, ssim_held_out, lpips_mapped, lpips_held_out, depth_l1_mapped_m, depth_l1_held_out_m,
-    mesh_accuracy_m, mesh_completion_m, disc_accuracy_m, disc_completion_m (and their ratios), n_gaussians,
-    n_keyframes, n_steps (gradient steps), n_frames, ms_per_frame and
+    mesh_accuracy_m, mesh_completion_m, disc_accuracy_m, disc_completion_m (and their ratios), mesh_psnr_held_out_db,
+    n_gaussians, n_keyframes, n_steps (gradient steps), n_frames, ms_per_frame and
     cpu_ms_per_frame (of mapping, mean over all frames but the first), seeding_ms (of that the rule), seconds_total
     (mapping with all its optimisation, without scoring), seconds_global (of that after the scan), model_size_mb,
     peak_memory_mb (growth while mapping)."""

@@ -168,10 +168,11 @@ class GPSSLAM(StoredWithSurface, TsdfMapping):
         return undo_all
 
     def _follow(self, correction: Correction | None) -> None:
-        """After a loop closure the views are at other poses."""
+        """After a loop closure the views are at other poses, and the surface is another one."""
         super()._follow(correction)
         if correction is not None:
             self.views.forget()
+            self.forget_discs()
 
     def _look(self, keyframe: Keyframe) -> BasedView:
         return look_at(self.volume, keyframe.to(self.device), self.config.base)

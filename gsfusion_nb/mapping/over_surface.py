@@ -76,6 +76,10 @@ class StoredWithSurface(StoredMap):
         """The pose at which the whole picture fits the frame best; the surface moves in it, too."""
         return fit_pose_by_flow(draw, frame.camera, frame.rgb.to(params.xyz_W.device), frame.T_WC).T_WC
 
+    def forget_discs(self) -> None:
+        """Make discs anew next time, because the surface was made anew."""
+        self._discs = (0, None)
+
     def standard_gaussians(self) -> GaussianParams:
         """The Gaussians in front of the surface, then the surface as discs.
 

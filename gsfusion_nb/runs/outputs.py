@@ -19,6 +19,7 @@ from ..evaluation import (
     cull_unseen,
     disc_scores,
     frame_rates,
+    mesh_psnr,
     mesh_scores,
     metrics_as_json,
     trajectory_scores,
@@ -52,6 +53,9 @@ FILES = {
 
 SURFACE_SAMPLES = 200_000
 """Number of points sampled on each of the two surfaces that are compared."""
+
+MESH_VIEWS = 50
+"""At most this many held-out views are compared with the mesh, spread evenly."""
 
 
 def score(run: MappingRun, suffix: str = "", *, with_lpips: bool = False) -> dict[str, Any]:
@@ -207,7 +211,8 @@ def score_trajectory(run: MappingRun) -> dict[str, Any]:
 
 
 def score_mesh(run: MappingRun, mesh: Mesh, *, seed: int | None = None, n_samples: int | None = None) -> dict[str, Any]:
-    """Accuracy and completion of the mesh, and of RTG-SLAM's discs, if ``source.mesh()`` gives the true surface.
+    """PSNR of the mesh's vertices at held-out views, at most ``MESH_VIEWS`` of them; and if ``source.mesh()`` gives the
+    true surface, accuracy and completion of the mesh and of RTG-SLAM's discs.
 
     Only the part of the true surface that the mapped frames saw is compared.
 
@@ -217,14 +222,20 @@ def score_mesh(run: MappingRun, mesh: Mesh, *, seed: int | None = None, n_sample
         seed: Of the points that are drawn on the surfaces; the seed of the run by default.
         n_samples: Number of points drawn on each surface; ``SURFACE_SAMPLES`` by default.
     """
-    truth = getattr(run.sequence.source, "mesh", None)
-    if truth is None or not len(mesh.faces):
+    if not len(mesh.faces):
         return {}
+    held_out = scored_views(run)["held_out"].spread(MESH_VIEWS)
+    metrics: dict[str, Any] = {}
+    if len(held_out.positions):
+        metrics["mesh_psnr_held_out_db"] = mesh_psnr(mesh, held_out.frames(run.sequence))
+    truth = getattr(run.sequence.source, "mesh", None)
+    if truth is None:
+        return metrics
     n_samples = n_samples or SURFACE_SAMPLES
     seen = cull_unseen(truth(), readable_frames(run.mapped_views(50)))
     generator = torch.Generator().manual_seed(run.mapper.config.seed if seed is None else seed)
     scores = mesh_scores(mesh, seen, generator=generator, n_samples=n_samples)
-    metrics = {"mesh_accuracy_m": scores} if isinstance(scores, NotComputed) else scores.as_metrics()
+    metrics |= {"mesh_accuracy_m": scores} if isinstance(scores, NotComputed) else scores.as_metrics()
     if run.mapper.gaussians_are_discs:
         discs = run.mapper.gaussians.params
         scores = disc_scores(discs, seen, generator=generator, n_samples=n_samples)

@@ -37,6 +37,12 @@ class ScoredViews:
     gains: dict[int, Float[Tensor, " 3"]] = dataclasses.field(default_factory=dict)
     """Position -> factor of each colour between the map's picture and this view's; 1 for the others."""
 
+    def spread(self, limit: int) -> "ScoredViews":
+        """At most ``limit`` of the views, evenly spread."""
+        n = len(self.positions)
+        picks = torch.linspace(0, n - 1, min(limit, n)).round().long().tolist()
+        return ScoredViews([self.positions[i] for i in picks], [self.poses[i] for i in picks], self.gains)
+
     def frames(self, sequence: SequenceView) -> Iterator[Frame]:
         """The readable frames with their poses in the map; size and depth limits are those of ``sequence``."""
         view = SequenceView(

@@ -34,6 +34,7 @@ COLUMNS = {
     "fps_total": "frames/s",
     "fps_mapping": "mapping, frames/s",
     "fps_tracking": "tracking, frames/s",
+    "mesh_psnr_held_out_db": "mesh, PSNR held out",
     "mesh_accuracy_m": "accuracy",
     "mesh_completion_m": "completion",
     "mesh_completion_ratio": "completion < 3 cm",
@@ -54,8 +55,8 @@ class StudyOptions:
     """What to compare: systems (all three), transparent (with and without transparent Gaussians), states (optimising
     unstable or all Gaussians), fidelity (as measured, paper or released code), gsfusion-settings and rtg-slam-settings
     (one changed setting at a time), depth (disc or blended depth), tracking (variants of the tracker), rate (GPS-SLAM's
-    frames per second against its PSNR, with a picture), disc-depth (depth of single images), or roofline (kernels and
-    the limits of this machine)."""
+    frames per second against its PSNR, with a picture), colours (weights of the TSDF's colours, without Gaussians),
+    disc-depth (depth of single images), or roofline (kernels and the limits of this machine)."""
     data: Annotated[str, tyro.conf.Positional] = "room"
     """Folder of a sequence, or "room" for the built-in scene."""
     out: str = ""

@@ -20,6 +20,7 @@ RATE = "rate"
 """Name of the study that is also drawn: held-out PSNR over the time per frame."""
 
 _GPS_ONLINE = (*_GPS, "--final.passes", "0")
+_SURFACE = (*_GPS_ONLINE, "--rule-options", "share=0")
 
 STUDIES: dict[str, Study] = {
     "systems": Study(
@@ -104,6 +105,16 @@ STUDIES: dict[str, Study] = {
             "full looks": (*_GPS_ONLINE, "--base.resolution", "full"),
             "voxels 2 cm": (*_GPS_ONLINE, "--tsdf.voxel-size-m", "0.02"),
             "voxels 0.7 cm": (*_GPS_ONLINE, "--tsdf.voxel-size-m", "0.007"),
+        },
+    ),
+    "colours": Study(
+        "The TSDF's picture and its mesh, without Gaussians, by how its colours are weighted",
+        {
+            "band of 1.5 voxels and 1/z^2": _SURFACE,
+            "band of 1.5 voxels": (*_SURFACE, "--tsdf.no-colour-by-distance"),
+            "band of 2 voxels": (*_SURFACE, "--tsdf.no-colour-by-distance", "--tsdf.colour-band-voxels", "2"),
+            "1/z^2": (*_SURFACE, "--tsdf.colour-band-voxels", "0"),
+            "equal weights": (*_SURFACE, "--tsdf.no-colour-by-distance", "--tsdf.colour-band-voxels", "0"),
         },
     ),
     "tracking": Study(

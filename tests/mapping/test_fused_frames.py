@@ -3,10 +3,10 @@
 import pytest
 import torch
 
-from gsfusion_nb.config import gsfusion
+from gsfusion_nb.config import gps_slam, gsfusion
 from gsfusion_nb.data.room import room
 from gsfusion_nb.geometry import se3
-from gsfusion_nb.mapping import GSFusion
+from gsfusion_nb.mapping import GPSSLAM, GSFusion
 from gsfusion_nb.tracking import Correction
 from gsfusion_nb.tsdf import TsdfVolume, integrate
 from gsfusion_nb.types import Frame
@@ -86,3 +86,23 @@ def test_without_room_for_it_the_old_volume_stays(frames):
 @pytest.mark.parametrize("back_end", [{"enabled": False}, {"enabled": True, "on_correction": "leave"}])
 def test_no_frame_is_kept_that_no_loop_may_move(frames, back_end):
     assert len(mapped(frames[:1], {"poses": "tracked", "back_end": back_end}).fused) == 0
+
+
+def test_gps_slam_looks_at_the_new_volume_from_the_corrected_poses(frames):
+    mapper = GPSSLAM(gps_slam("room", tracking=TRACKING, tsdf__voxel_size_m=VOXEL_M, views__every_frames=1))
+    for frame in frames:
+        mapper.step(frame)
+    old_discs = mapper.standard_gaussians().xyz_W
+    assert len(mapper.views) > 0
+    correct(mapper, 2 * VOXEL_M)
+    poses = mapper.localiser.poses
+    assert_fused_at(mapper, frames, poses)
+    assert len(mapper.views) == 0  # what they saw was the old volume
+    discs = mapper.standard_gaussians().xyz_W
+    assert discs.shape != old_discs.shape or not torch.allclose(discs, old_discs)
+    for frame, T_WC in zip(frames, poses, strict=True):
+        assert torch.equal(next(k for k in mapper.keyframes if k.index == frame.index).T_WC, T_WC)
+    expected = mapper.surface(frames[2].camera, poses[2])
+    _ = list(mapper.global_optimise(1))
+    seen = mapper.below(frames[2].camera, poses[2])
+    torch.testing.assert_close(seen.base.depth_m, expected.depth_m)

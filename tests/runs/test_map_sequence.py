@@ -66,6 +66,7 @@ def test_a_run_leaves_all_files_and_the_numbers_agree(tmp_path, config, run_file
     assert metrics["metrics"]["psnr_held_out_db"] == run.metrics["psnr_held_out_db"] > 14
     assert metrics["metrics"]["psnr_held_out_db"] > metrics["metrics"]["psnr_held_out_online_db"]
     assert metrics["metrics"]["mesh_accuracy_m"] < 0.04  # a voxel
+    assert metrics["metrics"]["mesh_psnr_held_out_db"] > 12
     assert "not requested" in metrics["metrics"]["lpips_held_out"]["not_computed"]
     page = (run.folder / "report.html").read_text()
     assert not re.search(r"(src|href)=\"?https?:", page)
