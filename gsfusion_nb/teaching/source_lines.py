@@ -38,7 +38,7 @@ class SourceLines:
             )
             for what, code, path, number in self.rows
         ]
-        return html_table(rows, style="font-size:12px", cell_style="text-align:left")
+        return html_table(rows, heads=("what", "line", "where"), style="font-size:12px", cell_style="text-align:left")
 
 
 def _up() -> str:

@@ -121,7 +121,9 @@ def _layout() -> Any:
     beside = rrb.Vertical(rrb.Horizontal(colour, depth), psnr, rrb.Tabs(counts, seconds))
     whole = rrb.Horizontal(maps, beside, column_shares=[3, 2])
     return rrb.Blueprint(
-        whole, rrb.TimePanel(timeline="frame", state="collapsed", play_state="following"), rrb.SelectionPanel(state="collapsed")
+        whole,
+        rrb.TimePanel(timeline="frame", state="collapsed", play_state="following"),
+        rrb.SelectionPanel(state="collapsed"),
     )
 
 

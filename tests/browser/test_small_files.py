@@ -21,8 +21,9 @@ from gsfusion_nb.types import Camera, GaussianParams
 
 pytestmark = pytest.mark.slow
 KINDS = {
-    "SPZ": ("small.spz", ["--spz-version", "3"]), "SOG": ("small.sog", []),
-    "compressed PLY": ("small.compressed.ply", []), "SPZ, degree 0": ("flat.spz", ["-H", "0", "--spz-version", "3"]),
+    "SPZ 3": ("small.spz", ["--spz-version", "3"]), "SPZ 4": ("small4.spz", ["--spz-version", "4"]),
+    "SOG": ("small.sog", []), "compressed PLY": ("small.compressed.ply", []),
+    "SPZ, degree 0": ("flat.spz", ["-H", "0", "--spz-version", "3"]),
 }  # fmt: skip
 LEAST_DB = 40.0
 """Between the pictures before and after; of the small test map."""
