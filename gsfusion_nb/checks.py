@@ -27,6 +27,18 @@ def check_shape(name: str, value: object, expected: tuple[int | str, ...]) -> No
         raise ValueError(f"{name} must be [{wanted}], got {list(got)}")
 
 
+def check_array(name: str, value: object, expected: tuple[int | str, ...], dtype: type[np.generic]) -> None:
+    """Raise ``ValueError`` unless ``value`` is a NumPy array of this shape and type; a string stands for any length."""
+    if not isinstance(value, np.ndarray):
+        raise ValueError(f"{name} must be a numpy.ndarray, got {type(value).__name__}")
+    if value.dtype != dtype:
+        raise ValueError(f"{name} must be {np.dtype(dtype)}, got {value.dtype}; convert it with .astype()")
+    got = value.shape
+    if len(got) != len(expected) or any(isinstance(e, int) and e != g for e, g in zip(expected, got, strict=True)):
+        wanted = ", ".join(str(e) for e in expected)
+        raise ValueError(f"{name} must be [{wanted}], got {list(got)}")
+
+
 def check_mask(name: str, value: Tensor, expected: tuple[int | str, ...]) -> None:
     """Raise ``ValueError`` unless ``value`` is boolean and has the expected shape."""
     check_shape(name, value, expected)

@@ -14,6 +14,13 @@ def inverse(T: Float[Tensor, "*B 4 4"]) -> Float[Tensor, "*B 4 4"]:
     return torch.cat([torch.cat([R_inv, t_inv], dim=-1), T[..., 3:, :]], dim=-2)
 
 
+def rigid(T: Float[Tensor, "*B 4 4"]) -> Float[Tensor, "*B 4 4"]:
+    """The transform with the rotation nearest to that of ``T``, which products of rounded transforms have moved away
+    from. Differentiable: no."""
+    U, _, Vh = torch.linalg.svd(T[..., :3, :3])
+    return torch.cat([torch.cat([U @ Vh, T[..., :3, 3:]], dim=-1), T[..., 3:, :]], dim=-2)
+
+
 def apply(T: Float[Tensor, "4 4"], xyz: Float[Tensor, "*N 3"]) -> Float[Tensor, "*N 3"]:
     """Points in the target frame of ``T``. Differentiable: yes."""
     return xyz @ T[:3, :3].T + T[:3, 3]

@@ -111,7 +111,7 @@ class BackEnd:
             ValueError: an index that does not increase, another camera, a pose that is not rigid.
         """
         self._check(frame, T_WC)
-        T_WC = T_WC.detach().cpu().double()
+        T_WC = se3.rigid(T_WC.detach().cpu().double())
         if features is None:
             features = extract_features(frame, count=self.config.features, levels=self.config.levels)
         row = len(self)

@@ -12,6 +12,7 @@ Source: Triggs et al. 2000 (Bundle adjustment: a modern synthesis).
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -112,6 +113,8 @@ class _System:
         K, L = len(self.b_p), len(self.V)
         V = self.V * (1 + damping * np.eye(3)) + 1e-9 * np.eye(3)
         V_inv = np.linalg.inv(V) if L else V
+        if not len(self.free):
+            return np.zeros((K, 6)), -(V_inv @ self.b_x[:, :, None])[:, :, 0]
         Y = self.W @ V_inv[self.landmark]  # the blocks of W V^-1
         rows = (6 * self.keyframe[:, None] + np.arange(6))[:, :, None].repeat(3, 2).ravel()
         columns = (3 * self.landmark[:, None] + np.arange(3))[:, None].repeat(6, 1).ravel()
@@ -120,8 +123,7 @@ class _System:
         S[np.diag_indices_from(S)] += damping * np.diag(self.U) + 1e-9
         b = self.b_p.ravel() - both[0] @ self.b_x.ravel()
         xi = np.zeros(6 * K)
-        if len(self.free):
-            xi[self.free] = -np.linalg.solve(S[np.ix_(self.free, self.free)], b[self.free])
+        xi[self.free] = -np.linalg.solve(S[np.ix_(self.free, self.free)], b[self.free])
         dx = -(V_inv @ (self.b_x + (both[1].T @ xi).reshape(L, 3))[:, :, None])[:, :, 0]
         return xi.reshape(K, 6), dx
 
@@ -132,6 +134,8 @@ class _Problem:
     def __init__(self, camera: Camera, seen: Observations, edges: list[Edge], fixed: Tensor):
         self.camera = camera
         self.keyframe, self.landmark = seen.keyframe.numpy(), seen.landmark.numpy()
+        self.of_keyframe = _members(self.keyframe, len(fixed))
+        self.of_landmark = _members(self.landmark, len(seen.xyz_W))
         self.uv, self.sigma_px = seen.uv.numpy(), seen.sigma_px.numpy()
         self.inverse = inverse_or_zero(seen.depth_m.numpy())
         self.sigma_inverse = np.sqrt(DEPTH_SIGMA_PER_M**2 + (self.sigma_px * self.inverse / camera.fx) ** 2)
@@ -151,13 +155,11 @@ class _Problem:
         J_p = np.concatenate([-by_y, by_y @ _hat(y)], 2)  # y <- exp(-xi) y
         J_x = by_y @ R.transpose(0, 2, 1)
         wJ_p, wJ_x = w[:, None, None] * J_p, w[:, None, None] * J_x
-        K, L = len(T_WC), len(xyz)
-        U, b_p = np.zeros((K, 6, 6)), np.zeros((K, 6))
-        V, b_x = np.zeros((L, 3, 3)), np.zeros((L, 3))
-        np.add.at(U, self.keyframe, wJ_p.transpose(0, 2, 1) @ J_p)
-        np.add.at(b_p, self.keyframe, (wJ_p * e[:, :, None]).sum(1))
-        np.add.at(V, self.landmark, wJ_x.transpose(0, 2, 1) @ J_x)
-        np.add.at(b_x, self.landmark, (wJ_x * e[:, :, None]).sum(1))
+        K = len(T_WC)
+        U = _added(self.of_keyframe, wJ_p.transpose(0, 2, 1) @ J_p)
+        b_p = _added(self.of_keyframe, (wJ_p * e[:, :, None]).sum(1))
+        V = _added(self.of_landmark, wJ_x.transpose(0, 2, 1) @ J_x)
+        b_x = _added(self.of_landmark, (wJ_x * e[:, :, None]).sum(1))
         whole = np.zeros((K, K, 6, 6))
         whole[np.arange(K), np.arange(K)] = U
         self._add_edges(T_WC, whole, b_p)
@@ -189,6 +191,18 @@ class _Problem:
             np.add.at(b_p, a, (weighted @ e[:, :, None])[:, :, 0].numpy())
             for c, J_c in zip(ends, J, strict=True):
                 np.add.at(U, (a, c), (weighted @ J_c).numpy())
+
+
+def _members(group: ndarray, n: int) -> Any:
+    """A sparse matrix [n, O] that adds up the rows of each of ``n`` groups, in their order."""
+    from scipy.sparse import csr_matrix
+
+    return csr_matrix((np.ones(len(group)), (group, np.arange(len(group)))), (n, len(group)))
+
+
+def _added(members: Any, values: Float[ndarray, "O *S"]) -> Float[ndarray, "N *S"]:
+    """The sum of ``values`` over each group."""
+    return (members @ values.reshape(len(values), -1)).reshape(-1, *values.shape[1:])
 
 
 def _hat(y: ndarray) -> ndarray:

@@ -16,7 +16,7 @@ from .bundle_adjustment import adjust
 from .features import Features
 from .icp import ExtraRows
 from .keyframe_database import KeyframeDatabase
-from .landmark_rows import LandmarkRows, fit_pose, inverse_or_zero
+from .landmark_rows import LandmarkRows, inverse_or_zero, landmark_pose, landmark_sums
 from .landmarks import SEARCH_SHARE, Landmarks
 from .projected_matching import found_near, in_view
 
@@ -73,12 +73,12 @@ class Sighting:
             sigma_m: With the factor 1, one standard deviation counts as much as a pixel of near depth that is off by
                 this.
         """
-        least = self.rows.cost(self.T_WC)
+        least = landmark_sums(self.rows, self.T_WC).cost
 
         def sums(T_WC: Tensor) -> tuple[Tensor, Tensor]:
-            H, b = self.rows.system(T_WC, torch.zeros(3))
-            share = 1 - ALLOWED / max(self.rows.cost(T_WC) - least, ALLOWED)
-            return share * sigma_m**2 * H, share * sigma_m**2 * b
+            there = landmark_sums(self.rows, T_WC)
+            share = sigma_m**2 * (1 - ALLOWED / max(there.cost - least, ALLOWED))
+            return share * there.H, share * there.b
 
         return sums
 
@@ -205,7 +205,7 @@ class LandmarkMap:
             if len(pairs) < LEAST_SEEN:
                 return None
             rows = self._rows(features, pairs, local)
-            T_WC = fit_pose(rows, T_WC)
+            T_WC = landmark_pose(rows, T_WC)
             agree = rows.agree(T_WC)
             if int(agree.sum()) < max(LEAST_SEEN, LEAST_SHARE * len(pairs)):
                 return None
@@ -214,13 +214,14 @@ class LandmarkMap:
         return Sighting(T_WC=T_WC, rows=rows[agree], pairs=pairs[agree], expected=expected)
 
     def _rows(self, features: Features, pairs: ndarray, local: "_Local") -> LandmarkRows:
-        seen = features[torch.from_numpy(pairs[:, 0])]
+        seen = pairs[:, 0]
         return LandmarkRows(
             camera=self.camera,
             xyz_W=local.xyz_W[pairs[:, 1]],
-            uv=seen.uv.double().numpy(),
-            inverse_depth=inverse_or_zero(seen.xyz_C[:, 2].double().numpy()),
-            sigma_px=seen.sigma_px.double().numpy() * 2**0.5,  # the landmark's own pixel had the same error
+            uv=features.uv.numpy()[seen].astype(np.float64),
+            inverse_depth=inverse_or_zero(features.xyz_C.numpy()[seen, 2].astype(np.float64)),
+            # the landmark's own pixel had the same error
+            sigma_px=features.sigma_px.numpy()[seen].astype(np.float64) * 2**0.5,
         )
 
     def _seen_from(self, keyframes: list[int]) -> "_Local":

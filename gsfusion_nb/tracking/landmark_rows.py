@@ -7,6 +7,7 @@ of the pixel are (the stereo keypoints of ORB-SLAM2, Mur-Artal & Tardos 2017).
 
 import dataclasses
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -14,7 +15,10 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 from torch import Tensor
 
+from ..backends import op
+from ..checks import check_array
 from ..geometry import se3
+from ..operands import check_camera, check_operand
 from ..types import Camera
 from .features import DEPTH_SIGMA_PER_M
 
@@ -29,7 +33,11 @@ NEAREST_M = 0.05
 
 ROUNDS = 8
 CONVERGED = 1e-5
-"""``fit_pose`` takes at most this many Gauss-Newton steps, and ends after one smaller than this, metres and radians."""
+"""``landmark_pose`` takes at most this many Gauss-Newton steps, and ends after one smaller than this, metres and
+radians."""
+
+DAMPING = 1e-9
+"""Added to the diagonal of the normal equations of ``landmark_pose``, as a share of their trace."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -68,37 +76,84 @@ class LandmarkRows:
         s_d = np.sqrt(2 * DEPTH_SIGMA_PER_M**2 + (self.sigma_px * self.inverse_depth / self.camera.fx) ** 2)
         return *point_errors(self.camera, y, self.uv, self.inverse_depth, self.sigma_px, s_d), y
 
-    def system(
-        self, T_WC: Float[Tensor, "4 4"], centre: Float[Tensor, " 3"]
-    ) -> tuple[Float[Tensor, "6 6"], Float[Tensor, " 6"]]:
-        """sum w J^T J and sum w J^T e for a twist about ``centre`` along the world's axes, translation first; float64.
-
-        It moves the camera as ICP's does, T_WC <- shift(o) exp(xi) shift(-o) T_WC, so a landmark moves in the camera by
-        dy = -R^T (rho + omega x (x - o)). Cauchy weights w = 1 / (1 + |e|^2 / 2.4^2) reduce what wrong matches do.
-
-        Differentiable: no.
-        """
-        e, by_y, _ = self.errors(T_WC)
-        R = T_WC[:3, :3].double().numpy()
-        J = np.empty((len(self), 3, 6))
-        J[:, :, :3] = -(by_y @ R.T)
-        arm = self.xyz_W - centre.double().numpy()
-        x, y, z = arm.T[:, :, None]
-        g_x, g_y, g_z = (J[:, :, k] for k in range(3))
-        for k, turn in enumerate((y * g_z - z * g_y, z * g_x - x * g_z, x * g_y - y * g_x)):
-            J[:, :, 3 + k] = turn  # g . (omega x a) = omega . (a x g)
-        weight = robust_weight(e)
-        rows, weighted = J.reshape(-1, 6), (weight[:, None, None] * J).reshape(-1, 6)
-        return torch.from_numpy(weighted.T @ rows), torch.from_numpy(weighted.T @ e.reshape(-1))
-
-    def cost(self, T_WC: Float[Tensor, "4 4"]) -> float:
-        """Sum of the robust squared errors, c^2 ln(1 + |e|^2 / c^2) with c = 2.4, in standard deviations."""
-        return robust_cost(self.errors(T_WC)[0])
-
     def agree(self, T_WC: Float[Tensor, "4 4"]) -> Bool[ndarray, " P"]:
         """Which landmarks are in front of the camera and where the frame shows them, to 99 % of their errors."""
         e, _, y = self.errors(T_WC)
         return (y[:, 2] > NEAREST_M) & ((e * e).sum(1) < GATE_CHI2)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LandmarkSums:
+    """Sums over the rows at a pose, float64."""
+
+    H: Float[Tensor, "6 6"]
+    """sum w J^T J."""
+    b: Float[Tensor, " 6"]
+    """sum w J^T e."""
+    cost: float
+    """Sum of the robust squared errors, ``robust_cost``."""
+
+
+def check_rows(rows: Any, T_WC: Any, centre: Any = None) -> None:
+    """Raise ``ValueError`` for arguments that ``landmark_sums`` and ``landmark_pose`` refuse."""
+    if not isinstance(rows, LandmarkRows):
+        raise ValueError(f"rows must be LandmarkRows, got {type(rows).__name__}")
+    check_camera(rows.camera)
+    n, f64 = len(rows.uv), np.float64
+    for name, shape in (("xyz_W", (n, 3)), ("uv", (n, 2)), ("inverse_depth", (n,)), ("sigma_px", (n,))):
+        check_array(name, getattr(rows, name), shape, f64)
+    check_operand("T_WC", T_WC, (4, 4))
+    if centre is not None:
+        check_operand("centre", centre, (3,))
+
+
+@op("landmarks", check_rows)
+def landmark_sums(
+    rows: LandmarkRows, T_WC: Float[Tensor, "4 4"], centre: Float[Tensor, " 3"] | None = None
+) -> LandmarkSums:
+    """Sums of the errors at a pose, for a twist about ``centre`` along the world's axes, translation first.
+
+    It moves the camera as ICP's does, T_WC <- shift(o) exp(xi) shift(-o) T_WC, so a landmark moves in the camera by
+    dy = -R^T (rho + omega x (x - o)). Cauchy weights w = 1 / (1 + |e|^2 / 2.4^2) reduce what wrong matches do.
+
+    Args:
+        rows: The landmarks.
+        T_WC: Camera-to-world pose.
+        centre: The point o, metres; by default the world's origin.
+
+    Differentiable: no.
+    """
+    e, by_y, _ = rows.errors(T_WC)
+    R = T_WC[:3, :3].double().numpy()
+    J = np.empty((len(rows), 3, 6))
+    J[:, :, :3] = -(by_y @ R.T)
+    arm = rows.xyz_W if centre is None else rows.xyz_W - centre.double().numpy()
+    x, y, z = arm.T[:, :, None]
+    g_x, g_y, g_z = (J[:, :, k] for k in range(3))
+    for k, turn in enumerate((y * g_z - z * g_y, z * g_x - x * g_z, x * g_y - y * g_x)):
+        J[:, :, 3 + k] = turn  # g . (omega x a) = omega . (a x g)
+    flat, weighted = J.reshape(-1, 6), (robust_weight(e)[:, None, None] * J).reshape(-1, 6)
+    return LandmarkSums(
+        H=torch.from_numpy(weighted.T @ flat), b=torch.from_numpy(weighted.T @ e.reshape(-1)), cost=robust_cost(e)
+    )
+
+
+@op("landmarks", check_rows)
+def landmark_pose(rows: LandmarkRows, T_WC: Float[Tensor, "4 4"]) -> Float[Tensor, "4 4"]:
+    """The pose at which the landmarks fit best, by Gauss-Newton from ``T_WC``; float64.
+
+    Differentiable: no.
+    """
+    T_WC = T_WC.double().cpu()
+    for _ in range(ROUNDS):
+        centre = T_WC[:3, 3]
+        sums = landmark_sums(rows, T_WC, centre)
+        damping = DAMPING * sums.H.trace().clamp_min(1e-12)
+        xi = -torch.linalg.solve(sums.H + damping * torch.eye(6, dtype=torch.float64), sums.b)
+        T_WC = se3.translate(se3.exp(xi) @ se3.translate(T_WC, -centre), centre)
+        if float(xi.abs().max()) < CONVERGED:
+            break
+    return T_WC
 
 
 def robust_cost(e: Float[ndarray, "P 3"]) -> float:
@@ -138,19 +193,3 @@ def point_errors(
     J[:, 1, 1], J[:, 1, 2] = w * c.fy * d, -w * v * d
     J[:, 2, 2] = -w_d * d * d
     return e, J
-
-
-def fit_pose(rows: LandmarkRows, T_WC: Float[Tensor, "4 4"]) -> Float[Tensor, "4 4"]:
-    """The pose at which the landmarks fit best, by Gauss-Newton from ``T_WC``; float64.
-
-    Differentiable: no.
-    """
-    T_WC = T_WC.double().cpu()
-    for _ in range(ROUNDS):
-        centre = T_WC[:3, 3]
-        H, b = rows.system(T_WC, centre)
-        xi = -torch.linalg.solve(H + 1e-9 * H.trace().clamp_min(1e-12) * torch.eye(6, dtype=H.dtype), b)
-        T_WC = se3.translate(se3.exp(xi) @ se3.translate(T_WC, -centre), centre)
-        if float(xi.abs().max()) < CONVERGED:
-            break
-    return T_WC

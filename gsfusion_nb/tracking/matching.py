@@ -1,6 +1,7 @@
 """Matching features of two images, and the relative pose that follows from them."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -8,9 +9,11 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 from torch import Tensor
 
+from ..backends import op
 from ..geometry import se3
+from ..operands import check_operand, check_view
 from ..types import Camera
-from .features import Features, depth_sigma
+from .features import Features, check_features, depth_sigma
 
 MAX_HAMMING = 64
 """Descriptors that differ in more of their 256 bits are not the same point."""
@@ -33,8 +36,22 @@ GATE_CHI2 = 9.21
 GATE_DEPTH = 3.0
 """A point agrees if its depth error, in standard deviations, is also less than this."""
 
-_CAUCHY = 2.4
+CAUCHY = 2.4
 """Larger errors, in standard deviations, get less weight (95 % efficiency for Gaussian errors)."""
+
+ROUNDS = 10
+CONVERGED = 1e-7
+"""``fit_pairs`` takes at most this many Gauss-Newton steps, and ends after one smaller than this, metres and
+radians."""
+
+DAMPING = 1e-9
+"""Added to the diagonal of its normal equations."""
+
+NEAREST_M = 0.05
+"""Points nearer than this, or behind the camera, give no error."""
+
+LEAST_DEPTH_SIGMA_M = 1e-4
+"""Smallest standard deviation of a depth error, metres."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -77,11 +94,23 @@ class RelativePose:
     """Number of matches before the geometric test."""
 
 
+def check_both(query: Any, reference: Any) -> None:
+    """Raise ``ValueError`` for arguments that ``match_features`` refuses."""
+    for name, features in (("query", query), ("reference", reference)):
+        check_features(name, features)
+
+
+@op("matching", check_both)
 def match_features(query: Features, reference: Features) -> Int[Tensor, "P 2"]:
     """Pairs of rows that are each other's nearest descriptor and clearly nearer than the second nearest.
 
+    Args:
+        query, reference: Two views; with fewer than two features in one of them nothing matches.
+
     Returns:
         (query row, reference row), in the order of the query. [P, 2]
+
+    Differentiable: no.
     """
     nothing = torch.zeros((0, 2), dtype=torch.int64)
     if len(query) < 2 or len(reference) < 2:
@@ -128,11 +157,7 @@ def relative_pose(camera: Camera, query: Features, reference: Features) -> Relat
 def refine_pose(
     camera: Camera, pairs: PointPairs, T_RQ: Float[Tensor, "4 4"], rows: Int[Tensor, "P 2"]
 ) -> RelativePose | None:
-    """Least squares over pixel and depth errors with Cauchy weights; None if fewer than ``MIN_PAIRS`` agree.
-
-    With y = T_RQ^-1 x the point in the query camera, the errors in standard deviations are the two of its pixel and
-    (y_z - z) / sigma_z, sigma_z^2 = (1.6e-3 y_z^2)^2 + (1.6e-3 x_z^2)^2 + (sigma_px y_z / f)^2; the last
-    term is the depth error that an error of the pixel causes on a surface at 45 degrees.
+    """The pose of ``fit_pairs``; None if fewer than ``MIN_PAIRS`` agree with it.
 
     Args:
         camera: Intrinsics of the query view.
@@ -143,20 +168,56 @@ def refine_pose(
     Returns:
         Pose, information matrix and the matches that agree.
     """
-    T = T_RQ.double()
-    H = torch.eye(6, dtype=torch.float64)
-    for _ in range(10):
-        error, J = pose_errors(camera, pairs, T)
-        weight = 1.0 / (1.0 + (error / _CAUCHY).square())
-        H = torch.einsum("pe,pei,pej->ij", weight, J, J) + 1e-9 * torch.eye(6, dtype=torch.float64)
-        step = torch.linalg.solve(H, -torch.einsum("pe,pei,pe->i", weight, J, error))
-        T = T @ se3.exp(torch.cat([step[3:], step[:3]]))
-        if float(step.abs().max()) < 1e-7:
-            break
+    T, H = fit_pairs(camera, pairs, T_RQ)
     agrees = is_inlier(camera, pairs, T)
     if int(agrees.sum()) < MIN_PAIRS or not bool(torch.isfinite(T).all()):
         return None
     return RelativePose(T_RQ=T, information=H, rows=rows[agrees], n_matches=len(rows))
+
+
+def check_pairs(camera: Any, pairs: Any, T_RQ: Any) -> None:
+    """Raise ``ValueError`` for arguments that ``fit_pairs`` refuses."""
+    cpu = torch.device("cpu")
+    check_view(camera, T_RQ, cpu)
+    if not isinstance(pairs, PointPairs):
+        raise ValueError(f"pairs must be PointPairs, got {type(pairs).__name__}")
+    check_operand("uv", pairs.uv, ("P", 2), dtypes=(torch.float64,), device=cpu)
+    n = len(pairs.uv)
+    for name, shape in (("xyz_R", (n, 3)), ("depth_m", (n,)), ("sigma_px", (n,))):
+        check_operand(name, getattr(pairs, name), shape, dtypes=(torch.float64,), device=cpu)
+
+
+@op("relative_pose", check_pairs)
+def fit_pairs(
+    camera: Camera, pairs: PointPairs, T_RQ: Float[Tensor, "4 4"]
+) -> tuple[Float[Tensor, "4 4"], Float[Tensor, "6 6"]]:
+    """Least squares over pixel and depth errors with Cauchy weights, by Gauss-Newton from ``T_RQ``.
+
+    With y = T_RQ^-1 x the point in the query camera, the errors in standard deviations are the two of its pixel and
+    (y_z - z) / sigma_z, sigma_z^2 = (1.6e-3 y_z^2)^2 + (1.6e-3 x_z^2)^2 + (sigma_px y_z / f)^2; the
+    last term is the depth error that an error of the pixel causes on a surface at 45 degrees.
+
+    Args:
+        camera: Intrinsics of the query view.
+        pairs: Points and their pixels.
+        T_RQ: Starting pose, query camera to reference camera. [4, 4]
+
+    Returns:
+        Pose, and the normal equations' matrix of the last step: its information, see ``RelativePose``. float64
+
+    Differentiable: no.
+    """
+    T, eye = T_RQ.double(), torch.eye(6, dtype=torch.float64)
+    H = eye
+    for _ in range(ROUNDS):
+        error, J = pose_errors(camera, pairs, T)
+        weight = 1.0 / (1.0 + (error / CAUCHY).square())
+        H = torch.einsum("pe,pei,pej->ij", weight, J, J) + DAMPING * eye
+        step = torch.linalg.solve(H, -torch.einsum("pe,pei,pe->i", weight, J, error))
+        T = T @ se3.exp(torch.cat([step[3:], step[:3]]))
+        if float(step.abs().max()) < CONVERGED:
+            break
+    return T, H
 
 
 def pose_errors(
@@ -171,7 +232,7 @@ def pose_errors(
         Errors [P, 3] and Jacobian [P, 3, 6].
     """
     y = se3.apply(se3.inverse(T_RQ), pairs.xyz_R)
-    ahead = y[:, 2] > 0.05
+    ahead = y[:, 2] > NEAREST_M
     z = torch.where(ahead, y[:, 2], torch.ones_like(y[:, 2]))
     zero = torch.zeros_like(z)
     du = torch.stack([camera.fx / z, zero, -camera.fx * y[:, 0] / z**2], 1)
@@ -191,14 +252,14 @@ def pose_errors(
 def is_inlier(camera: Camera, pairs: PointPairs, T_RQ: Float[Tensor, "4 4"]) -> Tensor:
     """Which rows agree with the pose: in front, pixels within 99 %, depth (where known) within 3 sigma. [P]"""
     error, _ = pose_errors(camera, pairs, T_RQ)
-    ahead = se3.apply(se3.inverse(T_RQ), pairs.xyz_R)[:, 2] > 0.05
+    ahead = se3.apply(se3.inverse(T_RQ), pairs.xyz_R)[:, 2] > NEAREST_M
     return ahead & (error[:, :2].square().sum(1) < GATE_CHI2) & (error[:, 2].abs() < GATE_DEPTH)
 
 
 def _depth_sigma(camera: Camera, pairs: PointPairs) -> Tensor:
     measured, known = depth_sigma(pairs.depth_m), depth_sigma(pairs.xyz_R[:, 2])
     slope = pairs.sigma_px * pairs.depth_m / camera.fx
-    return (measured.square() + known.square() + slope.square()).sqrt().clamp_min(1e-4)
+    return (measured.square() + known.square() + slope.square()).sqrt().clamp_min(LEAST_DEPTH_SIGMA_M)
 
 
 def _ransac(camera: Camera, pairs: PointPairs) -> Float[Tensor, "4 4"] | None:

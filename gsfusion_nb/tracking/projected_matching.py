@@ -1,16 +1,19 @@
 """Matching of known 3D points with the features of a view, near the pixels at which a pose predicts them."""
 
+from typing import Any
+
 import numpy as np
+import torch
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 from torch import Tensor
 
+from ..backends import op
+from ..checks import check_array, check_positive
+from ..operands import check_view
 from ..types import Camera
-from .features import Features
+from .features import DESCRIPTOR_BYTES, Features, check_features
 from .matching import MAX_HAMMING, RATIO
-
-MOST_NEAR = 16
-"""Of the features near a predicted pixel, this many are compared, the nearest."""
 
 NEAREST_M = 0.1
 """Points nearer than this, or behind the camera, are not searched for."""
@@ -18,6 +21,16 @@ NEAREST_M = 0.1
 _BIT_COUNT = np.array([bin(word).count("1") for word in range(1 << 16)], np.uint8)
 
 
+def check_found_near(camera: Any, xyz_W: Any, descriptors: Any, features: Any, T_WC: Any, radius_px: float) -> None:
+    """Raise ``ValueError`` for arguments that ``found_near`` refuses."""
+    check_view(camera, T_WC, torch.device("cpu"))
+    check_array("xyz_W", xyz_W, ("N", 3), np.float64)
+    check_array("descriptors", descriptors, (len(xyz_W), DESCRIPTOR_BYTES), np.uint8)
+    check_features("features", features)
+    check_positive("radius_px", radius_px)
+
+
+@op("matching", check_found_near)
 def found_near(
     camera: Camera, xyz_W: ndarray, descriptors: ndarray, features: Features, T_WC: Tensor, radius_px: float
 ) -> Int[ndarray, "P 2"]:
@@ -32,26 +45,21 @@ def found_near(
         radius_px: Largest distance from the predicted pixel.
 
     Returns:
-        (feature row, point row). [P, 2]
+        (feature row, point row), in the order of the features. [P, 2]
+
+    Differentiable: no.
     """
     from scipy.spatial import KDTree
 
-    nothing = np.zeros((0, 2), np.int64)
-    if len(xyz_W) == 0 or len(features) == 0:
-        return nothing
     uv, seen = in_view(camera, xyz_W, T_WC, radius_px)
     point = seen.nonzero()[0]
-    if len(point) == 0:
-        return nothing
-    k = min(MOST_NEAR, len(features))
-    near = KDTree(features.uv.numpy()).query(uv[point], k=k, distance_upper_bound=radius_px)[1].reshape(-1, k)
-    at, place = (near < len(features)).nonzero()
-    if len(at) == 0:
-        return nothing
-    a, b = point[at], near[at, place]
+    if len(point) == 0 or len(features) == 0:
+        return np.zeros((0, 2), np.int64)
+    near = KDTree(uv[point]).sparse_distance_matrix(KDTree(features.uv.numpy()), radius_px, output_type="ndarray")
+    a, b = point[near["i"]], near["j"].astype(np.int64)
     distance = hamming(descriptors[a], features.descriptors.numpy()[b])
     kept = _clear_and_mutual(a, b, distance)
-    return np.stack([b[kept], a[kept]], 1).astype(np.int64)
+    return np.stack([b[kept], a[kept]], 1)
 
 
 def in_view(
@@ -82,7 +90,7 @@ def _clear_and_mutual(a: ndarray, b: ndarray, distance: ndarray) -> ndarray:
     after = np.minimum(place + 1, len(order) - 1)
     has_second = (after > place) & (a_sorted[after] == a_sorted[place])
     second = np.where(has_second, d_sorted[after], 257)
-    best_of_b = np.full(b.max() + 1, 257)
+    best_of_b = np.full(b.max(initial=0) + 1, 257)
     np.minimum.at(best_of_b, b, distance)
     pair = order[place]
     kept = (distance[pair] <= MAX_HAMMING) & (distance[pair] < RATIO * second) & (distance[pair] == best_of_b[b[pair]])

@@ -141,7 +141,7 @@ class Tracker:
         moved = self.lost_in_a_row == 0 and not best.start.anywhere
         self._usual.add(best.result)
         self._accept(frame, best.result.T_WC, moved=moved)
-        first_try = first_try and best is fits[0]
+        first_try = best.start.smooth or (first_try and best is fits[0])
         return TrackingReport.of(
             best.result, frame, best.start.name, first_try=first_try, seconds=clock.seconds, doubt=doubt
         )
@@ -158,14 +158,18 @@ class Tracker:
         return problem
 
     def correct(self, T_change: Float[Tensor, "4 4"]) -> None:
-        """Apply a correction by the back end to the last poses: every pose T becomes ``T_change @ T``."""
+        """Apply a correction by the back end to the last poses: every pose T becomes ``T_change @ T``.
+
+        The products are made rigid: a correction is T_new T_old^-1, so what is not rigid in the last pose is in the
+        next correction, too, and would more than double each time.
+        """
         check_pose("T_change", T_change)
         change = T_change.double().cpu()
         self._last, self._before = (
-            seen and _TrackedPose(T_WC=change @ seen.T_WC, timestamp_s=seen.timestamp_s)
+            seen and _TrackedPose(T_WC=se3.rigid(change @ seen.T_WC), timestamp_s=seen.timestamp_s)
             for seen in (self._last, self._before)
         )
-        self._own = self._own and dataclasses.replace(self._own, T_WC=change @ self._own.T_WC)
+        self._own = self._own and dataclasses.replace(self._own, T_WC=se3.rigid(change @ self._own.T_WC))
 
     def predict(self, timestamp_s: float) -> Float[Tensor, "4 4"]:
         """Predicted pose at a time: the last motion extrapolated in proportion to time, or the last pose. float64

@@ -16,7 +16,8 @@ class TrackingReport:
 
     status: Literal["first", "ok", "degenerate", "recovered"]
     """"first": pose from the data; "degenerate": some directions of motion, which the scene does not determine, are
-    predicted; "recovered": ICP failed from the predicted pose but not from another start."""
+    predicted; "recovered": ICP failed from the predicted pose, also with smoothed normals, but not from another
+    start."""
     T_WC: Float[Tensor, "4 4"]
     """Camera-to-world pose, float32."""
     start: str = ""

@@ -25,6 +25,16 @@ def test_identity():
     torch.testing.assert_close(se3.inverse(torch.eye(4)), torch.eye(4))
 
 
+def test_a_rounded_transform_is_made_rigid(generator):
+    T = se3.exp(twist(generator, (5,), 1.0))
+    off = T.clone()
+    off[..., :3, :3] += 1e-3 * torch.randn(5, 3, 3, generator=generator, dtype=torch.float64)
+    R = se3.rigid(off)[..., :3, :3]
+    torch.testing.assert_close(R @ R.mT, torch.eye(3, dtype=torch.float64).expand(5, 3, 3))
+    assert float((R - T[..., :3, :3]).abs().max()) < 5e-3
+    torch.testing.assert_close(se3.rigid(T), T)
+
+
 def test_quarter_turn_by_hand():
     T = se3.exp(torch.tensor([0.0, 0, 0, 0, 0, math.pi / 2]))
     torch.testing.assert_close(se3.apply(T, torch.tensor([[1.0, 2, 3]])), torch.tensor([[-2.0, 1, 3]]))

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from gsfusion_nb.geometry import project, se3
-from gsfusion_nb.tracking.landmark_rows import CAUCHY, LandmarkRows, fit_pose
+from gsfusion_nb.tracking.landmark_rows import CAUCHY, LandmarkRows, landmark_pose, landmark_sums
 from gsfusion_nb.types import Camera
 
 CAMERA = Camera(width=320, height=240, fx=208.0, fy=210.0, cx=161.0, cy=119.0)
@@ -36,11 +36,11 @@ def test_the_gradient_is_that_of_the_robust_errors(rows):
         e, _, _ = rows.errors(moved)
         return float((CAUCHY**2 * np.log1p((e * e).sum(1) / CAUCHY**2)).sum())
 
-    H, b = rows.system(T_WC, centre)
+    sums = landmark_sums(rows, T_WC, centre)
     steps = 1e-6 * torch.eye(6, dtype=torch.float64)
     slope = torch.tensor([(cost(s) - cost(-s)) / 2e-6 for s in steps], dtype=torch.float64)
-    torch.testing.assert_close(2 * b, slope, rtol=1e-5, atol=1e-3)
-    assert float(torch.linalg.eigvalsh(H)[0]) > 0
+    torch.testing.assert_close(2 * sums.b, slope, rtol=1e-5, atol=1e-3)
+    assert float(torch.linalg.eigvalsh(sums.H)[0]) > 0
 
 
 def test_the_pose_survives_wrong_matches(rows, generator, assert_pose):
@@ -50,7 +50,7 @@ def test_the_pose_survives_wrong_matches(rows, generator, assert_pose):
     spoiled = LandmarkRows(
         camera=CAMERA, xyz_W=rows.xyz_W, uv=uv, inverse_depth=rows.inverse_depth, sigma_px=rows.sigma_px
     )
-    found = fit_pose(spoiled, start)
+    found = landmark_pose(spoiled, start)
     assert_pose(found, T_TRUE, 4e-3, 0.2)
     assert spoiled.agree(found)[12:].all()
     assert spoiled.agree(found)[:12].mean() < 0.3
@@ -58,7 +58,8 @@ def test_the_pose_survives_wrong_matches(rows, generator, assert_pose):
 
 def test_points_behind_the_camera_give_nothing(rows):
     away = T_TRUE @ se3.exp(torch.tensor([0, 0, 10.0, 0, 0, 0], dtype=torch.float64))
-    H, b = rows.system(away, torch.zeros(3))
-    assert not H.any()
-    assert not b.any()
+    sums = landmark_sums(rows, away)
+    assert not sums.H.any()
+    assert not sums.b.any()
+    assert sums.cost == 0
     assert not rows.agree(away).any()

@@ -1,11 +1,23 @@
 """Matching and relative poses: by hand, by finite differences, from exact geometry."""
 
+import copy
+
 import pytest
 import torch
 
 from gsfusion_nb.geometry import project, se3
 from gsfusion_nb.tracking.features import Features
-from gsfusion_nb.tracking.matching import PointPairs, is_inlier, match_features, pose_errors, refine_pose, relative_pose
+from gsfusion_nb.tracking.landmark_rows import LandmarkRows, landmark_pose
+from gsfusion_nb.tracking.matching import (
+    PointPairs,
+    fit_pairs,
+    is_inlier,
+    match_features,
+    pose_errors,
+    refine_pose,
+    relative_pose,
+)
+from gsfusion_nb.tracking.projected_matching import found_near
 from gsfusion_nb.types import Camera
 
 CAMERA = Camera(width=320, height=240, fx=208.0, fy=210.0, cx=160.0, cy=121.0)
@@ -154,3 +166,30 @@ def test_equal_depths_are_asked_for(generator, T_RQ):
         xyz_R=xyz_R, uv=project(CAMERA, xyz_Q), depth_m=depth_m, sigma_px=torch.ones(30, dtype=torch.float64)
     )
     assert is_inlier(CAMERA, pairs, T_RQ).logical_not().nonzero().flatten().tolist() == [5]
+
+
+def with_column(table, **columns):
+    """A copy that the type checks of these tests have not seen."""
+    table = copy.copy(table)
+    for name, column in columns.items():
+        object.__setattr__(table, name, column)
+    return table
+
+
+def test_columns_that_do_not_fit_together_are_refused(generator, T_RQ):
+    """Kernels would read beyond the end of a column that is too short."""
+    view = features(random_descriptors(8, generator))
+    short = with_column(view, uv=view.uv[:7])
+    with pytest.raises(ValueError, match=r"match_features: descriptors of reference must be \[7, 32\], got \[8, 32\]"):
+        match_features(view, short)
+    xyz_W, words = torch.rand(8, 3).double().numpy(), view.descriptors.numpy()
+    with pytest.raises(ValueError, match=r"found_near: descriptors must be \[8, 32\], got \[7, 32\]"):
+        found_near(CAMERA, xyz_W, words[:7], view, T_RQ, 5.0)
+    with pytest.raises(ValueError, match=r"found_near: xyz_W must be float64, got float32"):
+        found_near(CAMERA, xyz_W.astype("float32"), words, view, T_RQ, 5.0)
+    pairs = PointPairs.of(view, view, torch.arange(8)[:, None].expand(8, 2))
+    with pytest.raises(ValueError, match=r"fit_pairs: sigma_px must be \[8\], got \[6\]"):
+        fit_pairs(CAMERA, with_column(pairs, sigma_px=pairs.sigma_px[:6]), T_RQ)
+    rows = LandmarkRows(camera=CAMERA, xyz_W=xyz_W, uv=xyz_W[:, :2], inverse_depth=xyz_W[:, 0], sigma_px=xyz_W[:, 0])
+    with pytest.raises(ValueError, match=r"landmark_pose: xyz_W must be \[8, 3\], got \[5, 3\]"):
+        landmark_pose(with_column(rows, xyz_W=xyz_W[:5]), T_RQ)

@@ -194,6 +194,18 @@ def test_correct_moves_the_end_of_the_path(plane_scene, assert_pose):
         tracker.correct(2 * torch.eye(4))
 
 
+def test_many_corrections_leave_the_path_rigid(plane_scene):
+    """Each is made of the last pose, as the back end makes it; without care the rounding of the first would be 1 % in
+    the twentieth."""
+    tracker = Tracker()
+    track_all(tracker, plane_scene("corner"), path(3))
+    for k in range(25):
+        last = tracker.predict(2.0)
+        tracker.correct((se3.exp(0.1 * k * VELOCITY) @ se3.inverse(last)).float())
+    R = tracker.predict(2.0)[:3, :3]
+    assert float((R @ R.T - torch.eye(3)).abs().max()) < 1e-6
+
+
 @pytest.mark.parametrize("target", ["model", "hybrid"])
 def test_state_round_trip_goes_on_the_same(plane_scene, target):
     scene, config = plane_scene("corner"), TrackingConfig(target=target)
@@ -237,6 +249,17 @@ def test_the_room_is_tracked_against_its_tsdf(noise, limit_m):
         truth.append(frame.T_WC)
     assert report.status == "ok"
     assert ate_rmse(torch.stack(estimate), torch.stack(truth), align=False) < limit_m
+
+
+def test_noise_in_the_first_frames_surface_is_no_loss(assert_pose):
+    """The surface of one noisy frame is rough: with its own normals hardly a third of the points fit."""
+    frames = open_sequence("room", n_frames=480, noise="kinect", width=320, height=240).mapping
+    volume, tracker = TsdfVolume(TsdfConfig(voxel_size_m=0.01)), Tracker()
+    tracker.track(frames[0], tsdf_surface(volume))
+    integrate(volume, frames[0])
+    report = tracker.track(frames[1], tsdf_surface(volume))
+    assert (report.status, report.start) == ("ok", "the predicted pose with smooth normals")
+    assert_pose(report.T_WC, frames[1].T_WC, 0.003, 0.1)
 
 
 def test_a_suddenly_worse_fit_is_doubted_and_not_lost(plane_scene, assert_pose):

@@ -1,0 +1,1 @@
+"""Least squares of landmarks for the pose of a camera."""

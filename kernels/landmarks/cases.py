@@ -1,0 +1,49 @@
+"""Cases of ``landmark_sums`` and ``landmark_pose``: landmarks in front of and behind the camera, with and without
+depth, some of them wrong, and none."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gsfusion_nb.geometry import project, se3
+from gsfusion_nb.tracking.landmark_rows import LandmarkRows, landmark_pose, landmark_sums
+
+from ..runtime.cases import Case, make_frame
+
+_ROUNDING = 1e-9
+
+
+def cases() -> Iterator[Case]:
+    """Few and many landmarks, and none."""
+    for n in (0, 4, 300):
+
+        def run(device: torch.device, dtype: torch.dtype, n: int = n) -> dict[str, Tensor]:
+            return _results(n)
+
+        operations = ("landmark_sums", "landmark_pose")
+        yield Case(name=f"{n} landmarks", operations=operations, run=run, dtypes=(torch.float32,), tolerance=_ROUNDING)
+
+
+def _results(n: int) -> dict[str, Tensor]:
+    g, camera = torch.Generator().manual_seed(n), make_frame().camera
+    xyz_C = torch.rand(n, 3, generator=g, dtype=torch.float64) * 2 + torch.tensor([-1.0, -1.0, 1.0])
+    uv = project(camera, xyz_C) + 0.5 * torch.randn(n, 2, generator=g, dtype=torch.float64)
+    uv[: n // 4] += 20.0
+    xyz_C[n - n // 10 :] *= -1  # behind the camera
+    inverse = torch.where(torch.arange(n) % 3 > 0, 1 / xyz_C[:, 2].abs(), 0.0)
+    T_WC = se3.exp(torch.tensor([0.4, -0.3, 0.2, 0.3, -0.8, 0.2]).double())
+    rows = LandmarkRows(
+        camera=camera,
+        xyz_W=se3.apply(T_WC, xyz_C).numpy(),
+        uv=uv.numpy(),
+        inverse_depth=inverse.numpy(),
+        sigma_px=1.0 + np.arange(n) % 3,
+    )
+    start = T_WC @ se3.exp(torch.tensor([0.02, 0.01, -0.02, 0.02, -0.01, 0.015]).double())
+    results = {"pose": landmark_pose(rows, start)}
+    for name, centre in (("origin", None), ("centre", torch.tensor([0.3, -0.2, 1.0]))):
+        sums = landmark_sums(rows, start, centre)
+        results |= {f"{name} {key}": torch.as_tensor(value) for key, value in vars(sums).items()}
+    return results

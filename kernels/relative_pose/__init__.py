@@ -1,0 +1,1 @@
+"""Least squares of matched points for the relative pose of two views."""

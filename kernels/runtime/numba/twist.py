@@ -1,0 +1,52 @@
+"""A Gauss-Newton step of a pose: six equations, and the motion that their solution is."""
+
+import numpy as np
+from numba import njit
+
+SMALL = 1e-4
+"""Below this square of the angle the series are used, as in ``gsfusion_nb.geometry.se3.exp``."""
+
+
+@njit(cache=True, error_model="numpy")
+def solve_into(H, b, x):
+    """Write the solution of H x = b to ``x``: Cholesky, H symmetric and positive definite; H is overwritten."""
+    n = b.shape[0]
+    for i in range(n):
+        for j in range(i + 1):
+            total = H[i, j]
+            for k in range(j):
+                total -= H[i, k] * H[j, k]
+            H[i, j] = np.sqrt(total) if i == j else total / H[j, j]
+        total = b[i]
+        for k in range(i):
+            total -= H[i, k] * x[k]
+        x[i] = total / H[i, i]
+    for i in range(n - 1, -1, -1):
+        total = x[i]
+        for k in range(i + 1, n):
+            total -= H[k, i] * x[k]
+        x[i] = total / H[i, i]
+
+
+@njit(cache=True, error_model="numpy")
+def turn_about_camera(T, xi):
+    """Replace the pose T [3, 4] by that after a twist about its camera along the world's axes, translation first."""
+    a, b, c = xi[3], xi[4], xi[5]
+    t2 = a * a + b * b + c * c
+    if t2 < SMALL:
+        A, B, C = 1.0 - t2 / 6.0 + t2 * t2 / 120.0, 0.5 - t2 / 24.0 + t2 * t2 / 720.0, 1.0 / 6.0 - t2 / 120.0
+        C += t2 * t2 / 5040.0
+    else:
+        t = np.sqrt(t2)
+        A, B, C = np.sin(t) / t, (1.0 - np.cos(t)) / t2, (t - np.sin(t)) / (t2 * t)
+    for k in range(3):  # R v = v + A w x v + B w x (w x v)
+        x, y, z = T[0, k], T[1, k], T[2, k]
+        p, q, r = b * z - c * y, c * x - a * z, a * y - b * x
+        T[0, k] = x + A * p + B * (b * r - c * q)
+        T[1, k] = y + A * q + B * (c * p - a * r)
+        T[2, k] = z + A * r + B * (a * q - b * p)
+    x, y, z = xi[0], xi[1], xi[2]
+    p, q, r = b * z - c * y, c * x - a * z, a * y - b * x
+    T[0, 3] += x + B * p + C * (b * r - c * q)
+    T[1, 3] += y + B * q + C * (c * p - a * r)
+    T[2, 3] += z + B * r + C * (a * q - b * p)
