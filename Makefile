@@ -1,4 +1,4 @@
-# make demo | make lab | make test | make campaign | make student | make teacher | make quiz | make slides | make book | make wheel: each first sets up the virtual environment .venv, which all of them share. Only Python >= 3.11 and make are needed. What only tests and development need is installed by make dev, which make test, lint, format and campaign do first.
+# make demo | make lab | make test | make campaign | make chapters | make student | make teacher | make quiz | make slides | make book | make wheel: each first sets up the virtual environment .venv, which all of them share. Only Python >= 3.11 and make are needed. What only tests and development need is installed by make dev, which make test, lint, format and campaign do first.
 PYTHON ?= python3
 VENV ?= .venv
 # Where pip should look for PyTorch, if not at the default: see docs/install.md.
@@ -11,7 +11,10 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.setup-done
 DEV_STAMP := $(VENV)/.dev-done
 
-.PHONY: setup dev demo test campaign lint format lab student teacher quiz slides book wheel clean
+# Each process would compile all sources again; the tests start many.
+unexport PYTHONDONTWRITEBYTECODE
+
+.PHONY: setup dev demo test campaign chapters lint format lab student teacher quiz slides book wheel clean
 
 setup: $(STAMP)
 
@@ -41,6 +44,20 @@ test: dev
 campaign: dev
 	$(BIN)/python tests/campaign/kills.py --kills 300
 	$(BIN)/python tests/campaign/fuzz.py --inputs 20000
+
+# The stored chapters, executed again in place: all of them, or make chapters CHAPTERS="09 12". Kernels are compiled
+# before, and chapter 10, which measures times, comes last. What the chapters write in notebooks/runs is removed.
+CHAPTERS ?= $(sort $(basename $(notdir $(wildcard notebooks/*.ipynb))))
+chapters: dev
+	$(BIN)/gsfusion-nb doctor --warm
+	@set -e; course=$$(mktemp -d); trap 'rm -rf "$$course" notebooks/runs' EXIT; \
+	for chapter in $(filter-out 10%,$(CHAPTERS)) $(filter 10%,$(CHAPTERS)); do \
+	  rm -rf "$$course"/* notebooks/runs; \
+	  GSNB_VIEW=static GSNB_COURSE_FILE="$$course/course.json" $(BIN)/jupyter nbconvert --to notebook --execute --inplace \
+	    --ExecutePreprocessor.store_widget_state=False --ExecutePreprocessor.record_timing=False \
+	    --ExecutePreprocessor.timeout=900 notebooks/$$chapter*.ipynb; \
+	done
+	$(BIN)/python -m gsfusion_nb.teaching.holds notebooks/*.ipynb
 
 lint: dev
 	$(BIN)/ruff format --check .

@@ -73,9 +73,7 @@ def test_there_are_notebooks():
 
 @EACH
 def test_stored_executed_from_top_to_bottom_without_errors(path):
-    """In notebooks/, ``GSNB_VIEW=static jupyter nbconvert --to notebook --execute --inplace
-    --ExecutePreprocessor.store_widget_state=False --ExecutePreprocessor.record_timing=False NAME.ipynb`` makes it so.
-    """
+    """``make chapters CHAPTERS="09 12"`` makes it so."""
     code = [cell for cell in cells(path) if cell["cell_type"] == "code" and joined(cell["source"]).strip()]
     assert [cell["execution_count"] for cell in code] == list(range(1, len(code) + 1))
     assert [output["ename"] for output in outputs(path) if output["output_type"] == "error"] == []
