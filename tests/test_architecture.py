@@ -362,9 +362,9 @@ def matches(named: str, file: str) -> bool:
 def copy(tmp_path_factory) -> Path:
     """A copy of the package with all examples added."""
     root = tmp_path_factory.mktemp("copy")
-    without_caches = shutil.ignore_patterns("__pycache__", ".ipynb_checkpoints")
-    shutil.copytree(ROOT / "gsfusion_nb", root / "gsfusion_nb", ignore=without_caches)
-    shutil.copytree(ROOT / "kernels", root / "gsfusion_nb/kernels", ignore=without_caches)
+    without_kernels = shutil.ignore_patterns("*.nbc", "*.nbi", "*.lock", ".ipynb_checkpoints")  # compiled sources stay
+    shutil.copytree(ROOT / "gsfusion_nb", root / "gsfusion_nb", ignore=without_kernels)
+    shutil.copytree(ROOT / "kernels", root / "gsfusion_nb/kernels", ignore=without_kernels)
     (root / "kernels").symlink_to(root / "gsfusion_nb/kernels")
     (root / "notebooks").mkdir()
     for name in ("pyproject.toml", "README.md"):
@@ -471,7 +471,7 @@ def test_each_gradient_is_where_the_index_says(file, function, pieces):
 
 
 def test_the_examples_work(copy):
-    environment = os.environ | {"PYTHONPATH": str(copy), "GSFUSION_BACKEND": "torch", "PYTHONDONTWRITEBYTECODE": "1"}
+    environment = os.environ | {"PYTHONPATH": str(copy), "GSFUSION_BACKEND": "torch"}
     done = subprocess.run(
         [sys.executable, "-c", USE], cwd=copy, env=environment, capture_output=True, text=True, timeout=300
     )

@@ -1,8 +1,9 @@
 """Every operation with operands that it must not take; a program of its own, because a mistake may end the process.
 
-    python -P bad_operands.py BACKEND
+    python -P bad_operands.py BACKEND...
 
-prints, as JSON, what each case gave: the sentence of its ``ValueError``, numbers, or what else happened.
+prints, as JSON, what each case gave for each backend: the sentence of its ``ValueError``, numbers, or what else
+happened.
 """
 
 import dataclasses
@@ -221,21 +222,21 @@ def floats(result: Any) -> Iterator[Tensor]:
         yield from floats(list(vars(result).values()))
 
 
-def main(backend: str) -> None:
-    """Print the outcome of every case."""
-    outcomes: dict[str, Any] = {}
+def outcomes(backend: str) -> dict[str, Any]:
+    """The outcome of every case."""
+    found: dict[str, Any] = {}
     torch.manual_seed(0)
     with use_backend(backend):
         for operation, (function, good) in operations().items():
             if backend == "cuda" and backend not in offered(operation):
                 continue
-            outcomes[f"{operation}: as it should be"] = outcome(lambda f=function, o=good: f(**o))
+            found[f"{operation}: as it should be"] = outcome(lambda f=function, o=good: f(**o))
             for name, value in good.items():
                 for what, change in mutations(name, value):
                     case = f"{operation}: {name}, {what}"
-                    outcomes[case] = outcome(lambda f=function, o=good, n=name, c=change: f(**(o | {n: c()})))
-    json.dump(outcomes, sys.stdout)
+                    found[case] = outcome(lambda f=function, o=good, n=name, c=change: f(**(o | {n: c()})))
+    return found
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    json.dump({backend: outcomes(backend) for backend in sys.argv[1:]}, sys.stdout)

@@ -21,22 +21,28 @@ from gsfusion_nb.types import GaussianParams, Seeds
 SCRIPT = Path(__file__).with_name("bad_operands.py")
 
 
-def outcomes(backend: str, **environment: str) -> dict[str, str | list[list[float]]]:
+def outcomes(*backends: str, **environment: str) -> dict[str, dict[str, str | list[list[float]]]]:
     """What ``bad_operands.py`` printed; the process must have lived to the end."""
     done = subprocess.run(
-        [sys.executable, "-P", "-W", "ignore", str(SCRIPT), backend],
+        [sys.executable, "-P", "-W", "ignore", str(SCRIPT), *backends],
         env={**os.environ, **environment},
         capture_output=True,
         text=True,
         timeout=600,
     )
-    assert done.returncode == 0, f"{backend} ended with {done.returncode}: {done.stderr[-3000:]}"
+    assert done.returncode == 0, f"{backends} ended with {done.returncode}: {done.stderr[-3000:]}"
     return json.loads(done.stdout)
 
 
 @pytest.fixture(scope="module")
-def expected():
-    return outcomes("reference")
+def on_the_processor():
+    """Backend -> its outcomes, of one process for all: starting takes as long as the cases of one."""
+    return outcomes("reference", "torch", "numba")
+
+
+@pytest.fixture(scope="module")
+def expected(on_the_processor):
+    return on_the_processor["reference"]
 
 
 def differences(found: dict, expected: dict, share: float = 1e-3) -> list[str]:
@@ -104,15 +110,15 @@ def test_the_sentences(expected, case, sentence):
 
 
 @pytest.mark.parametrize("backend", ["torch", "numba"])
-def test_same_on_every_backend(backend, expected):
-    found = outcomes(backend)
+def test_same_on_every_backend(backend, expected, on_the_processor):
+    found = on_the_processor[backend]
     assert len(found) == len(expected)
     assert not differences(found, expected)
 
 
 @pytest.mark.ci
 def test_same_from_the_cuda_kernels_on_the_processor(emulator_library, expected):
-    found = outcomes("cuda", GSFUSION_CUDA_EMULATOR=str(emulator_library))
+    found = outcomes("cuda", GSFUSION_CUDA_EMULATOR=str(emulator_library))["cuda"]
     assert len(found) > 200
     assert not differences(found, expected)
 

@@ -24,9 +24,9 @@ QUICK = {"window__iterations": 8, "keyframes__iterations": 4, "sh_degree": 1, "s
 
 @pytest.fixture(scope="session")
 def walk() -> list[Frame]:
-    """Thirty frames of 160 x 120, as in a video."""
+    """Twenty frames of 160 x 120, as in a video."""
     scene = room(n_frames=240, width=160, height=120)
-    return [scene[i] for i in range(30)]
+    return [scene[i] for i in range(20)]
 
 
 @pytest.fixture(scope="session")
@@ -96,8 +96,8 @@ def test_the_surface_is_where_the_walls_are(mapped, walk):
 def test_what_a_step_reports(mapped):
     mapper, reports = mapped
     config = mapper.config
-    assert [r.frame_index for r in reports] == list(range(30))
-    due = [i == 0 or (i + 1) % config.window.every_frames == 0 for i in range(30)]
+    assert [r.frame_index for r in reports] == list(range(20))
+    due = [i == 0 or (i + 1) % config.window.every_frames == 0 for i in range(20)]
     assert [bool(r.losses) for r in reports] == due
     assert {len(r.losses) for r in reports if r.losses} == {config.window.iterations}
     total = 0
@@ -113,9 +113,9 @@ def test_what_a_step_reports(mapped):
     assert len(mapper.gaussians) == total
     assert sum(r.is_keyframe for r in reports) == len(mapper.keyframes) > 1
     assert reports[0].is_keyframe
-    assert mapper.n_frames == mapper.gaussians.step_count == 30
+    assert mapper.n_frames == mapper.gaussians.step_count == 20
     assert len(mapper.window) == config.window.frames
-    assert [f.index for f in mapper.window][-1] == 29
+    assert [f.index for f in mapper.window][-1] == 19
 
 
 def test_opacity_is_fixed_for_life(mapped):

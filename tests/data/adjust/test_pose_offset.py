@@ -14,7 +14,7 @@ from gsfusion_nb.data.room import room
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.runs import run_mapping
 
-LATE: dict[str, Any] = {"n_frames": 480, "width": 160, "height": 120, "pose_delay_s": 0.05}
+LATE: dict[str, Any] = {"n_frames": 480, "width": 96, "height": 72, "pose_delay_s": 0.05}
 
 PART = DataConfig(start=150, stop=190, hold_out_every=0)
 

@@ -164,7 +164,7 @@ def test_the_panels_are_drawn_rarely(make_run, monkeypatch, tick_s, interval_s):
     tick whenever it is read, once in every step and twice in every drawing, the observer's reading included."""
     ticks = itertools.count()
     monkeypatch.setattr(live_mapper, "time", SimpleNamespace(monotonic=lambda: tick_s * next(ticks)))
-    mapper, times = LiveMapper(make_run(n=60)), []
+    mapper, times = LiveMapper(make_run(n=45)), []
     mapper.images["render"].observe(lambda _: times.append(tick_s * (next(ticks) - 1)), names="value")
     mapper.player.run_sync()
     gaps = [b - a for a, b in itertools.pairwise(times[:-1])]  # the last picture comes at once
