@@ -146,8 +146,8 @@ class ViewsConfig:
 class PassesConfig:
     """Optimisation over all keyframes after the scan; the released system has none."""
 
-    passes: int = 10
-    """Steps per keyframe. Larger: better pictures, longer wait. Usual: 0 to 20."""
+    passes: int = 20
+    """Steps per keyframe. Larger: better pictures, longer wait. Usual: 0 to 40."""
     ssim_weight: float = 0.0
     """Weight of the structural loss D-SSIM in these passes, 0 to 1; residual.loss has the rest. Larger:
     sharper structure, less exact colours. Usual: 0 to 0.2."""

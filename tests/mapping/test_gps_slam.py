@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 from typing import Any
 
 import pytest
@@ -125,6 +126,12 @@ def test_the_released_rules_run_and_their_bursts_come_every_ten_frames():
     assert [i for i, n in enumerate(steps) if n] == [10, 20]
     assert {steps[10], steps[20]} == {20}
     assert all(not report.n_seeds for i, report in enumerate(run.steps) if i not in (10, 20))
+
+
+def test_a_frame_without_steps_leaves_a_gap_in_the_curve_of_psnr(run):
+    curve = [GPSSLAM.curves["PSNR of the frame, dB"](report) for report in run.steps]
+    assert [math.isnan(x) for x in curve] == [report.n_steps == 0 for report in run.steps]
+    assert {report.n_steps == 0 for report in run.steps} == {True, False}
 
 
 def test_a_keyframe_is_more_than_30_cm_or_30_degrees_away(run):

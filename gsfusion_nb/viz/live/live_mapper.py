@@ -264,7 +264,7 @@ class LiveMapper:
                 words += [
                     f"{back}frame {last.frame_index}{' (keyframe)' if last.is_keyframe else ''}",
                     f"{last.n_seeds:,} new Gaussians",
-                    f"PSNR {last.psnr_before_db:.1f} → {last.psnr_after_db:.1f} dB",
+                    f"PSNR {last.psnr_before_db:.1f} → {last.psnr_after_db:.1f} dB" if last.psnr_after_db else "",
                     f"{len(recent) / seconds:.1f} frames/s" if seconds > 0 else "",
                 ]
             self.status.value = " · ".join(word for word in words if word)
