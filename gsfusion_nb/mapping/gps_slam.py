@@ -12,7 +12,7 @@ from ..config import GpsSlamConfig, gps_slam, gps_slam_fidelity
 from ..gaussians import GaussianModel
 from ..geometry import se3
 from ..observing import observed
-from ..optim import Keyframe, adam_step, dssim_vjp, l1_mse_vjp, mse_vjp
+from ..optim import Keyframe, adam_step, dssim_vjp, l1_mse_vjp, l2_mse_vjp
 from ..render import BaseView, render_over_base, render_over_base_vjp
 from ..seeding import SeedContext, SeedingRule
 from ..tracking import Correction, tsdf_surface
@@ -230,10 +230,9 @@ class GPSSLAM(StoredWithSurface, TsdfMapping):
         camera, T_WC, target = keyframe.camera, keyframe.T_WC, keyframe.rgb
         watched = self.after_steps.watch(self.gaussians, camera, T_WC)
         output, saved = render_over_base(params, camera, T_WC, below.base, behind_m=below.behind_m)
-        pixels = l1_mse_vjp(output.rgb, target)
+        of_pixels = l2_mse_vjp if self.config.residual.loss == "l2" else l1_mse_vjp
+        pixels = of_pixels(output.rgb, target)
         loss, v_rgb = pixels.value, pixels.v_rgb
-        if self.config.residual.loss == "l2":
-            loss, v_rgb = pixels.mse, mse_vjp(output.rgb, target)
         if ssim_weight > 0:
             structural, v_structural = dssim_vjp(output.rgb, target)
             loss = (1 - ssim_weight) * loss + ssim_weight * structural

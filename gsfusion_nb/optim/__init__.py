@@ -17,7 +17,7 @@ from .fit_pose_by_flow import fit_pose_by_flow as fit_pose_by_flow
 from .fusion import fuse_with_history as fuse_with_history
 from .keyframes import Keyframe as Keyframe
 from .keyframes import KeyframeList as KeyframeList
-from .losses import L1Loss as L1Loss
+from .losses import PictureLoss as PictureLoss
 from .losses import depth_l1 as depth_l1
 from .losses import depth_l1_vjp as depth_l1_vjp
 from .losses import dssim as dssim
@@ -25,6 +25,7 @@ from .losses import dssim_vjp as dssim_vjp
 from .losses import l1 as l1
 from .losses import l1_mse_vjp as l1_mse_vjp
 from .losses import l1_vjp as l1_vjp
+from .losses import l2_mse_vjp as l2_mse_vjp
 from .losses import mse_vjp as mse_vjp
 from .map_penalties import add_penalties_ as add_penalties_
 from .rgbd_loss import RgbdLoss as RgbdLoss

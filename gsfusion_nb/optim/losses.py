@@ -31,14 +31,15 @@ def l1_vjp(rgb: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"], v_loss: 
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class L1Loss:
-    """``l1`` of one view, its gradient, and the MSE of its PSNR. All are tensors, so the host does not wait."""
+class PictureLoss:
+    """Loss of one view, its gradient, and the MSE of its PSNR. All are tensors, so the host does not wait."""
 
     value: Float[Tensor, ""]
-    """Mean absolute difference."""
+    """Mean absolute or squared difference; the picture is not clamped."""
     mse: Float[Tensor, ""]
     """Mean squared difference of the picture clamped to 0..1, as it is shown."""
     v_rgb: Float[Tensor, "H W 3"]
+    """Gradient of ``value``."""
 
 
 def check_pictures(rgb: Any, target: Any, v_loss: float = 1.0) -> None:
@@ -48,10 +49,21 @@ def check_pictures(rgb: Any, target: Any, v_loss: float = 1.0) -> None:
 
 
 @op("l1_loss", check_pictures)
-def l1_mse_vjp(rgb: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"]) -> L1Loss:
+def l1_mse_vjp(rgb: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"]) -> PictureLoss:
     """What an optimisation step needs from a picture: ``l1``, ``l1_vjp`` and the MSE for its PSNR."""
     mse = (rgb.clamp(0, 1) - target).square().mean()
-    return L1Loss(value=l1(rgb, target), mse=mse, v_rgb=l1_vjp(rgb, target))
+    return PictureLoss(value=l1(rgb, target), mse=mse, v_rgb=l1_vjp(rgb, target))
+
+
+@op("l1_loss", check_pictures)
+def l2_mse_vjp(rgb: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"]) -> PictureLoss:
+    """As ``l1_mse_vjp``, of the mean squared difference.
+
+    Its value is of the picture as it is, the MSE for the PSNR of the picture as shown: colours beyond 0..1 that the
+    gradient pulls back count in the value only.
+    """
+    mse = (rgb.clamp(0, 1) - target).square().mean()
+    return PictureLoss(value=(rgb - target).square().mean(), mse=mse, v_rgb=mse_vjp(rgb, target))
 
 
 def mse_vjp(rgb: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"]) -> Float[Tensor, "H W 3"]:

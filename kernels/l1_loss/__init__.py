@@ -1,1 +1,1 @@
-"""L1 loss of a picture with its gradient."""
+"""Mean absolute and squared difference of a picture, with the gradient."""

@@ -1,19 +1,19 @@
-"""Cases of ``l1_mse_vjp``: colours beyond 0..1, and some that are equal."""
+"""Cases of ``l1_mse_vjp`` and ``l2_mse_vjp``: colours beyond 0..1, and some that are equal."""
 
 from collections.abc import Iterator
 
 import torch
 from torch import Tensor
 
-from gsfusion_nb.optim import l1_mse_vjp
+from gsfusion_nb.optim import l1_mse_vjp, l2_mse_vjp
 
 from ..runtime.cases import Case
 
 
 def cases() -> Iterator[Case]:
     """One for each layout of the picture."""
-    yield Case(name="rows of pixels", operations=("l1_mse_vjp",), run=_run)
-    yield Case(name="planes of channels", operations=("l1_mse_vjp",), run=_run_on_planes)
+    yield Case(name="rows of pixels", operations=("l1_mse_vjp", "l2_mse_vjp"), run=_run)
+    yield Case(name="planes of channels", operations=("l1_mse_vjp", "l2_mse_vjp"), run=_run_on_planes)
 
 
 def _run(device: torch.device, dtype: torch.dtype, planes: bool = False) -> dict[str, Tensor]:
@@ -24,8 +24,9 @@ def _run(device: torch.device, dtype: torch.dtype, planes: bool = False) -> dict
         target = torch.rand(height, width, 3, generator=g)
         rgb[-1, -1] = target[-1, -1]
         rgb = rgb.permute(2, 0, 1).contiguous().permute(1, 2, 0) if planes else rgb
-        loss = l1_mse_vjp(rgb.to(device, dtype), target.to(device, dtype))
-        results |= {f"{name} {height}x{width}": value for name, value in vars(loss).items()}
+        for loss in (l1_mse_vjp, l2_mse_vjp):
+            found = loss(rgb.to(device, dtype), target.to(device, dtype))
+            results |= {f"{loss.__name__}, {name} {height}x{width}": value for name, value in vars(found).items()}
     return results
 
 

@@ -1,4 +1,4 @@
-"""L1 loss, its gradient and the squared error of the picture as shown: ``l1_loss.cu``. The host waits for nothing."""
+"""A loss of the picture, its gradient and the squared error as shown: ``l1_loss.cu``. The host waits for nothing."""
 
 import torch
 from torch import Tensor
@@ -12,17 +12,31 @@ _BLOCK, _PER_THREAD = 256, 16
 """As in ``l1_loss.cu``."""
 
 
-def l1_mse_vjp(rgb: Tensor, target: Tensor) -> reference.L1Loss:
+def l1_mse_vjp(rgb: Tensor, target: Tensor) -> reference.PictureLoss:
     """See ``gsfusion_nb.optim.l1_mse_vjp``."""
-    total = rgb.numel()
-    if rgb.dtype != torch.float32 or target.dtype != torch.float32 or not 0 < total < 1 << 31:
+    if not _fits(rgb, target):
         return reference.l1_mse_vjp.reference(rgb, target)
-    device = device_of("l1_mse_vjp", rgb=rgb, target=target)
+    return _loss("l1_mse_vjp", "l1_loss:l1_pass", rgb, target, 1.0 / rgb.numel())
+
+
+def l2_mse_vjp(rgb: Tensor, target: Tensor) -> reference.PictureLoss:
+    """See ``gsfusion_nb.optim.l2_mse_vjp``."""
+    if not _fits(rgb, target):
+        return reference.l2_mse_vjp.reference(rgb, target)
+    return _loss("l2_mse_vjp", "l1_loss:l2_pass", rgb, target, 2.0 / rgb.numel())
+
+
+def _fits(rgb: Tensor, target: Tensor) -> bool:
+    return rgb.dtype == torch.float32 and target.dtype == torch.float32 and 0 < rgb.numel() < 1 << 31
+
+
+def _loss(name: str, kernel: str, rgb: Tensor, target: Tensor, scale: float) -> reference.PictureLoss:
+    total, device = rgb.numel(), device_of(name, rgb=rgb, target=target)
     blocks = parts(total, _BLOCK * _PER_THREAD)
     v_rgb = torch.empty(rgb.shape, dtype=torch.float32, device=device)
     partial = torch.empty(blocks, 2, dtype=torch.float64, device=device)
     means = torch.empty(2, dtype=torch.float32, device=device)
     images = packed(rgb), packed(target), v_rgb
-    launch("l1_mse_vjp", "l1_loss:l1_pass", blocks, _BLOCK, *images, partial, total, 1.0 / total)
-    launch("l1_mse_vjp", "l1_loss:l1_means", 1, _BLOCK, partial, means, blocks, total)
-    return reference.L1Loss(value=means[0], mse=means[1], v_rgb=v_rgb)
+    launch(name, kernel, blocks, _BLOCK, *images, partial, total, scale)
+    launch(name, "l1_loss:l1_means", 1, _BLOCK, partial, means, blocks, total)
+    return reference.PictureLoss(value=means[0], mse=means[1], v_rgb=v_rgb)

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from gsfusion_nb.backends import Record, chosen, offered, use_backend
 from gsfusion_nb.config import TsdfConfig
-from gsfusion_nb.optim import ColumnRates, adam_update, adam_update_map, dssim_vjp, l1_mse_vjp, rgbd_l1_vjp
+from gsfusion_nb.optim import ColumnRates, adam_update, adam_update_map, dssim_vjp, l1_mse_vjp, l2_mse_vjp, rgbd_l1_vjp
 from gsfusion_nb.render import (
     Base,
     disc_depth,
@@ -143,6 +143,7 @@ def operations() -> dict[str, tuple[Callable, dict[str, Any]]]:
         "adam_update": (update, adam),
         "adam_update_map": (update_map, adam_map),
         "l1_mse_vjp": (l1_mse_vjp, pair),
+        "l2_mse_vjp": (l2_mse_vjp, pair),
         "dssim_vjp": (dssim_vjp, pair),
         "rgbd_l1_vjp": (rgbd_l1_vjp, images | {"pixels": mask}),
         "icp_system": (icp_system, {"level": level, "T_WC": T_WC, "surface": model, **gates}),

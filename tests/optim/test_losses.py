@@ -4,7 +4,7 @@ import kornia
 import pytest
 import torch
 
-from gsfusion_nb.optim import dssim, dssim_vjp, l1, l1_vjp, mse_vjp
+from gsfusion_nb.optim import dssim, dssim_vjp, l1, l1_vjp, l2_mse_vjp, mse_vjp
 from gsfusion_nb.optim.losses import _ssim_factors, window_mean
 
 
@@ -18,6 +18,14 @@ def test_l1_by_hand():
     target = torch.tensor([[[0.5, 0.5, 0.25]]])
     assert l1(rgb, target).item() == pytest.approx(1.25 / 3)
     assert l1_vjp(rgb, target).tolist() == [[[pytest.approx(-1 / 3), 0.0, pytest.approx(1 / 3)]]]
+
+
+def test_squared_loss_belongs_to_its_gradient_where_the_picture_leaves_its_range():
+    rgb, target = torch.tensor([[[1.5, 0.5, -0.5]]]), torch.tensor([[[1.0, 0.25, 0.0]]])
+    loss = l2_mse_vjp(rgb, target)
+    assert loss.value.item() == pytest.approx((0.25 + 0.0625 + 0.25) / 3)
+    assert loss.mse.item() == pytest.approx(0.0625 / 3)
+    assert loss.v_rgb.tolist() == [[[pytest.approx(1 / 3), pytest.approx(0.5 / 3), pytest.approx(-1 / 3)]]]
 
 
 @pytest.mark.parametrize("size", [(1, 1), (5, 4), (17, 13)])
