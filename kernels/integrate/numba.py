@@ -182,6 +182,42 @@ def _ray_per_depth(slope_u, slope_v):
     return sqrt(splat(_ONE) + slope_u * slope_u + slope_v * slope_v)
 
 
+@njit(inline="always")
+def _place(corner, offset, o, end_u, end_v):
+    """Where sixteen voxels of a block are seen: which are in the picture, 1 / z, z, and (u, v) plus a pixel."""
+    one = splat(_ONE)
+    away = corner[2] + load(offset, _Z + o)
+    inv_z = one / away
+    u, v = times(corner[0] + load(offset, _U + o), inv_z), times(corner[1] + load(offset, _V + o), inv_z)
+    inside = (u >= one) & (u < end_u) & (v >= one) & (v < end_v) & (away >= splat(_EPS))
+    return inside, inv_z, away, u, v
+
+
+@njit(inline="always")
+def _update(D, W, at, sdf, observed, inv_truncation, most, average):
+    """The running average of sixteen voxels, Eq. 7 to 9. Returns the share of the new value."""
+    zero, one = splat(_ZERO), splat(_ONE)
+    W_old, D_old = load(W, at), load(D, at)
+    W_new = select(observed, minimum(W_old + one, most), W_old)  # Eq. 8
+    step = select(observed, one / W_new, zero)
+    d = maximum(minimum(times(sdf, inv_truncation), one), zero - one)  # Eq. 7
+    store(W, at, W_new)
+    if average == _MEAN:
+        store(D, at, D_old + select(observed, step * (d - D_old), zero))
+    else:
+        store(D, at, select(observed, _as_published(D_old, d, W_old, W_new, average), D_old))
+    return step
+
+
+@njit(inline="always")
+def _update_colour_weight(W_rgb, at, w, most):
+    """Add the weights ``w`` to those of sixteen colours. Returns the share of the new colours."""
+    W_old = load(W_rgb, at)
+    W_new = minimum(W_old + w, most)
+    store(W_rgb, at, W_new)
+    return select(w > splat(_ZERO), minimum(w / maximum(W_new, splat(_LEAST)), splat(_ONE)), splat(_ZERO))
+
+
 @njit(parallel=True, cache=True, error_model="numpy")
 def _fuse(rows, voxels, image, size, view, limits, method, updated):
     """Update the voxels of the blocks ``rows``; ``updated`` [tasks] takes the numbers of voxels observed.
@@ -199,25 +235,21 @@ def _fuse(rows, voxels, image, size, view, limits, method, updated):
     n_tasks = updated.shape[0]
     side, truncation, max_weight = BLOCK_VOXELS * limits.voxel_size, limits.truncation, limits.max_weight
     for task in prange(n_tasks):
-        zero, one, eps, missing = splat(_ZERO), splat(_ONE), splat(_EPS), splat(MISSING)
+        zero, one, missing = splat(_ZERO), splat(_ONE), splat(MISSING)
         end_u, end_v = splat(f32(width + 1)), splat(f32(height + 1))
         stride, first_pixel = splat_int(np.int32(width)), splat_int(np.int32(width + 1))
         behind, inv_truncation = splat(f32(-truncation)), splat(f32(1.0 / truncation))
-        most, least, inv_band = splat(f32(max_weight)), splat(_LEAST), splat(inv_band_width)
+        most, inv_band = splat(f32(max_weight)), splat(inv_band_width)
         fx, fy, cx, cy = splat(f32(1.0 / K[0, 0])), splat(f32(1.0 / K[1, 1])), splat(f32(K[0, 2])), splat(f32(K[1, 2]))
         count = 0
         for r in range(task, len(rows), n_tasks):
             row = rows[r]
             ahead = rows[min(r + n_tasks, len(rows) - 1)] * VOXELS_PER_BLOCK
-            corner_u, corner_v, corner_z = _corner(coords, row, side, T_CW, K)
+            corner = _corner(coords, row, side, T_CW, K)
             for o in range(0, VOXELS_PER_BLOCK, 16):
                 prefetch(W, ahead + o)
                 prefetch(D, ahead + o)
-                away = corner_z + load(offset, _Z + o)
-                inv_z = one / away
-                u = times(corner_u + load(offset, _U + o), inv_z)
-                v = times(corner_v + load(offset, _V + o), inv_z)
-                inside = (u >= one) & (u < end_u) & (v >= one) & (v < end_v) & (away >= eps)
+                inside, inv_z, away, u, v = _place(corner, offset, o, end_u, end_v)
                 if not any_lane(inside):
                     continue
                 pixel = truncate(select(inside, v, one)) * stride + truncate(select(inside, u, one)) - first_pixel
@@ -230,24 +262,12 @@ def _fuse(rows, voxels, image, size, view, limits, method, updated):
                     continue
                 count += count_lanes(observed)
                 at = row * VOXELS_PER_BLOCK + o
-                W_old, D_old = load(W, at), load(D, at)
-                W_new = select(observed, minimum(W_old + one, most), W_old)  # Eq. 8
-                step = select(observed, one / W_new, zero)
-                d = maximum(minimum(times(sdf, inv_truncation), one), zero - one)  # Eq. 7
-                store(W, at, W_new)
-                if average == _MEAN:
-                    store(D, at, D_old + select(observed, step * (d - D_old), zero))
-                else:
-                    store(D, at, select(observed, _as_published(D_old, d, W_old, W_new, average), D_old))
+                step = _update(D, W, at, sdf, observed, inv_truncation, most, average)
                 if weighs_colours:
-                    W_old = load(W_rgb, at)
-                    w = select(observed, _colour_weight(sdf, inv_z, W_old, inv_band, by_distance), zero)
-                    counts = w > zero
-                    if not any_lane(counts):
+                    w = select(observed, _colour_weight(sdf, inv_z, load(W_rgb, at), inv_band, by_distance), zero)
+                    if not any_lane(w > zero):
                         continue
-                    W_new = minimum(W_old + w, most)
-                    step = select(counts, minimum(w / maximum(W_new, least), one), zero)
-                    store(W_rgb, at, W_new)
+                    step = _update_colour_weight(W_rgb, at, w, most)
                 for c in range(3):
                     prefetch(C, 3 * ahead + c * VOXELS_PER_BLOCK + o)
                 colour_at = row * 3 * VOXELS_PER_BLOCK + o
