@@ -11,7 +11,7 @@ from gsfusion_nb.mapping import make_mapper
 from gsfusion_nb.runs import MappingRun, mapping_run, run_mapping
 from gsfusion_nb.types import Frame
 
-DATA = DataConfig(width=160, height=120, hold_out_every=0)
+DATA = DataConfig(width=112, height=84, hold_out_every=0)
 
 
 class Stream:

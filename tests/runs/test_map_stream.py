@@ -278,7 +278,7 @@ def test_without_poses_the_settings_must_ask_to_track(frames, config):
 def test_a_tracked_stream(tmp_path, config, has_poses):
     from gsfusion_nb.data.room import room
 
-    walk = room(n_frames=960, width=160, height=120)
+    walk = room(n_frames=960, width=112, height=84)
     source = Source(walk[i] for i in range(14))
     source.has_poses = has_poses
     tracked = replace(config, tracking__poses="tracked", tsdf__voxel_size_m=0.03)
