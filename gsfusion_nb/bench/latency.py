@@ -1,12 +1,15 @@
-"""Waiting times besides mapping: the import, the check of a recording, the search for similar keyframes."""
+"""Waiting times besides mapping: the import, the check of a recording, the landmarks of a frame, the search for similar
+keyframes."""
 
 import functools
 import subprocess
 import sys
 from collections.abc import Iterator
 
+from ..config import BackEndConfig, LandmarkConfig
 from ..data import open_sequence
 from ..data.checkup import check_recording
+from ..tracking import LandmarkMap, moved_enough
 from ..tracking.features import extract_features
 from ..tracking.keyframe_database import KeyframeDatabase
 from .frames import case_name, open_frames
@@ -25,6 +28,9 @@ def cases(options: BenchOptions) -> Iterator[Case]:
     for size in options.sizes:
         run = functools.partial(_check, options, size)
         yield Case(section="latency", title=f"check of {options.data}", run=lambda run=run: [run()])
+    for size in options.sizes:
+        run = functools.partial(_landmarks, options, size)
+        yield Case(section="latency", title=f"landmarks of {options.data}", run=run)
     yield Case(section="latency", title="most similar views", run=lambda: [_query(options)])
 
 
@@ -52,6 +58,33 @@ def _check(options: BenchOptions, size: tuple[int, int]) -> Row:
     timing = summary([lap(lambda: check_recording(frames))])
     case = case_name(frames.name, frames.camera.width, frames.camera.height)
     return Row(section="latency", case=case, method="check", timing=timing, note=f"{len(frames)} frames")
+
+
+def _landmarks(options: BenchOptions, size: tuple[int, int]) -> Iterator[Row]:
+    """What landmarks cost in the last frame, with keyframes at the poses of the data before it."""
+    frames, settings = open_frames(options, size), BackEndConfig()
+    extract = functools.partial(extract_features, count=settings.features, levels=settings.levels)
+    for _ in range(2):  # the first time kernels may be compiled
+        known, laps = LandmarkMap(frames.camera), []
+        for frame in (frames[i] for i in range(len(frames) - 1)):
+            if not len(known) or moved_enough(known.database.T_WC[-1], frame.T_WC, settings):
+                features = extract(frame)
+                laps.append(lap(functools.partial(known.add, frame.index, frame.T_WC, features)))
+    last = frames[len(frames) - 1]
+    features = extract(last)
+    seen = known.see(features, last.T_WC)
+    rows = None if seen is None else seen.extra(LandmarkConfig().sigma_m)
+    timings = {
+        "features of a frame": measure(lambda: extract(last), budget_s=options.budget_s),
+        "landmarks that it sees": measure(lambda: known.see(features, last.T_WC), budget_s=options.budget_s),
+        "a step of ICP": None if rows is None else measure(lambda: rows(last.T_WC), budget_s=options.budget_s),
+        "a new keyframe": summary(laps[1:] or laps),  # the first one has no landmarks to find
+    }
+    case = case_name(frames.name, frames.camera.width, frames.camera.height)
+    n = 0 if seen is None else len(seen.rows)
+    for part, timing in timings.items():
+        if timing is not None:
+            yield Row(section="latency", case=case, method=part, timing=timing, note=f"{n} landmarks")
 
 
 def _query(options: BenchOptions) -> Row:

@@ -22,8 +22,8 @@ class BenchOptions:
 
     what: Annotated[str, tyro.conf.Positional] = "all"
     """What to time: raster (rasteriser), tsdf (TSDF integration), map (whole mapper), panels (notebook panels),
-    latency (import, recording check, search for similar keyframes), checkpoints (time and size of one, and time from
-    SIGTERM until it is saved) or all."""
+    latency (import, recording check, landmarks, search for similar keyframes), checkpoints (time and size of one, and
+    time from SIGTERM until it is saved) or all."""
     data: str = "room"
     """Folder of the sequence used by tsdf, map, latency and checkpoints, or "room" for the built-in scene."""
     size: tuple[str, ...] = ()

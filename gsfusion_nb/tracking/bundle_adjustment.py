@@ -93,14 +93,29 @@ def adjust(
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _System:
-    """The normal equations; W is given by the block of each observation."""
+class _Points:
+    """The normal equations of the landmarks alone, where all poses are fixed."""
+
+    V: Float[ndarray, "L 3 3"]
+    b_x: Float[ndarray, "L 3"]
+    n_poses: int
+
+    def V_inv(self, damping: float) -> Float[ndarray, "L 3 3"]:
+        """The inverse of each block, damped."""
+        return np.linalg.inv(self.V * (1 + damping * np.eye(3)) + 1e-9 * np.eye(3)) if len(self.V) else self.V
+
+    def step(self, damping: float) -> tuple[Float[ndarray, "K 6"], Float[ndarray, "L 3"]]:
+        """Twists of the poses, which are 0, and shifts of the landmarks."""
+        return np.zeros((self.n_poses, 6)), -(self.V_inv(damping) @ self.b_x[:, :, None])[:, :, 0]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _System(_Points):
+    """All normal equations; W is given by the block of each observation."""
 
     U: Float[ndarray, "K6 K6"]
-    V: Float[ndarray, "L 3 3"]
     W: Float[ndarray, "O 6 3"]
     b_p: Float[ndarray, "K 6"]
-    b_x: Float[ndarray, "L 3"]
     keyframe: ndarray
     landmark: ndarray
     free: ndarray
@@ -111,10 +126,7 @@ class _System:
         from scipy.sparse import coo_matrix
 
         K, L = len(self.b_p), len(self.V)
-        V = self.V * (1 + damping * np.eye(3)) + 1e-9 * np.eye(3)
-        V_inv = np.linalg.inv(V) if L else V
-        if not len(self.free):
-            return np.zeros((K, 6)), -(V_inv @ self.b_x[:, :, None])[:, :, 0]
+        V_inv = self.V_inv(damping)
         Y = self.W @ V_inv[self.landmark]  # the blocks of W V^-1
         rows = (6 * self.keyframe[:, None] + np.arange(6))[:, :, None].repeat(3, 2).ravel()
         columns = (3 * self.landmark[:, None] + np.arange(3))[:, None].repeat(6, 1).ravel()
@@ -148,20 +160,21 @@ class _Problem:
         total = 0.5 * robust_cost(e)
         return total if self.edges is None else total + self.edges.robust_error(self.edges.errors(T_WC)[0])
 
-    def system(self, T_WC: Tensor, xyz: ndarray) -> _System:
+    def system(self, T_WC: Tensor, xyz: ndarray) -> _Points:
         """The normal equations with the weights of this state."""
         e, by_y, y, R = self._errors(T_WC, xyz)
-        w = robust_weight(e)
-        J_p = np.concatenate([-by_y, by_y @ _hat(y)], 2)  # y <- exp(-xi) y
+        w, K = robust_weight(e), len(T_WC)
         J_x = by_y @ R.transpose(0, 2, 1)
-        wJ_p, wJ_x = w[:, None, None] * J_p, w[:, None, None] * J_x
-        K = len(T_WC)
-        U = _added(self.of_keyframe, wJ_p.transpose(0, 2, 1) @ J_p)
-        b_p = _added(self.of_keyframe, (wJ_p * e[:, :, None]).sum(1))
+        wJ_x = w[:, None, None] * J_x
         V = _added(self.of_landmark, wJ_x.transpose(0, 2, 1) @ J_x)
         b_x = _added(self.of_landmark, (wJ_x * e[:, :, None]).sum(1))
+        if not len(self.free):
+            return _Points(V=V, b_x=b_x, n_poses=K)
+        J_p = np.concatenate([-by_y, by_y @ _hat(y)], 2)  # y <- exp(-xi) y
+        wJ_p = w[:, None, None] * J_p
+        b_p = _added(self.of_keyframe, (wJ_p * e[:, :, None]).sum(1))
         whole = np.zeros((K, K, 6, 6))
-        whole[np.arange(K), np.arange(K)] = U
+        whole[np.arange(K), np.arange(K)] = _added(self.of_keyframe, wJ_p.transpose(0, 2, 1) @ J_p)
         self._add_edges(T_WC, whole, b_p)
         return _System(
             U=whole.transpose(0, 2, 1, 3).reshape(6 * K, 6 * K),
@@ -169,6 +182,7 @@ class _Problem:
             W=wJ_p.transpose(0, 2, 1) @ J_x,
             b_p=b_p,
             b_x=b_x,
+            n_poses=K,
             keyframe=self.keyframe,
             landmark=self.landmark,
             free=self.free,

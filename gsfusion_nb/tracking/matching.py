@@ -223,7 +223,7 @@ def fit_pairs(
 def pose_errors(
     camera: Camera, pairs: PointPairs, T_RQ: Float[Tensor, "4 4"]
 ) -> tuple[Float[Tensor, "P 3"], Float[Tensor, "P 3 6"]]:
-    """Pixel and depth errors in standard deviations (see ``refine_pose``), and their derivative.
+    """Pixel and depth errors in standard deviations (see ``fit_pairs``), and their derivative.
 
     The derivative is with respect to xi in T_RQ exp(xi), rotation first: y = T_RQ^-1 x moves by
     dy = [y]x dw - dv. Rows behind the camera, and depth errors without a depth, are zero.
@@ -231,19 +231,11 @@ def pose_errors(
     Returns:
         Errors [P, 3] and Jacobian [P, 3, 6].
     """
-    y = se3.apply(se3.inverse(T_RQ), pairs.xyz_R)
-    ahead = y[:, 2] > NEAREST_M
-    z = torch.where(ahead, y[:, 2], torch.ones_like(y[:, 2]))
-    zero = torch.zeros_like(z)
+    error, scale, y, _ = _errors(camera, pairs, T_RQ)
+    z, zero = y[:, 2], torch.zeros_like(y[:, 2])
     du = torch.stack([camera.fx / z, zero, -camera.fx * y[:, 0] / z**2], 1)
     dv = torch.stack([zero, camera.fy / z, -camera.fy * y[:, 1] / z**2], 1)
     dz = torch.stack([zero, zero, torch.ones_like(z)], 1)
-    u = camera.fx * y[:, 0] / z + camera.cx - pairs.uv[:, 0]
-    v = camera.fy * y[:, 1] / z + camera.cy - pairs.uv[:, 1]
-    known = pairs.depth_m > 0
-    scale = torch.stack([1 / pairs.sigma_px, 1 / pairs.sigma_px, known / _depth_sigma(camera, pairs)], 1)
-    scale = scale * ahead[:, None]
-    error = torch.stack([u, v, z - pairs.depth_m], 1) * scale
     by_y = torch.stack([du, dv, dz], 1) * scale[..., None]
     dy = torch.cat([se3.hat(y), -torch.eye(3, dtype=y.dtype).expand(len(y), 3, 3)], 2)
     return error, by_y @ dy
@@ -251,9 +243,22 @@ def pose_errors(
 
 def is_inlier(camera: Camera, pairs: PointPairs, T_RQ: Float[Tensor, "4 4"]) -> Tensor:
     """Which rows agree with the pose: in front, pixels within 99 %, depth (where known) within 3 sigma. [P]"""
-    error, _ = pose_errors(camera, pairs, T_RQ)
-    ahead = se3.apply(se3.inverse(T_RQ), pairs.xyz_R)[:, 2] > NEAREST_M
+    error, _, _, ahead = _errors(camera, pairs, T_RQ)
     return ahead & (error[:, :2].square().sum(1) < GATE_CHI2) & (error[:, 2].abs() < GATE_DEPTH)
+
+
+def _errors(camera: Camera, pairs: PointPairs, T_RQ: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Errors [P, 3], the factor that scales each, the points in the query camera, (0, 0, 1) in place of those
+    behind it [P, 3], and which are in front [P]."""
+    y = se3.apply(se3.inverse(T_RQ), pairs.xyz_R)
+    ahead = y[:, 2] > NEAREST_M
+    y = torch.where(ahead[:, None], y, y.new_tensor([0.0, 0.0, 1.0]))
+    known = pairs.depth_m > 0
+    scale = torch.stack([1 / pairs.sigma_px, 1 / pairs.sigma_px, known / _depth_sigma(camera, pairs)], 1)
+    scale = scale * ahead[:, None]
+    u = camera.fx * y[:, 0] / y[:, 2] + camera.cx - pairs.uv[:, 0]
+    v = camera.fy * y[:, 1] / y[:, 2] + camera.cy - pairs.uv[:, 1]
+    return torch.stack([u, v, y[:, 2] - pairs.depth_m], 1) * scale, scale, y, ahead
 
 
 def _depth_sigma(camera: Camera, pairs: PointPairs) -> Tensor:
