@@ -28,37 +28,56 @@ _U0, _U1, _V0, _V1 = range(4)
 _CHUNK = 64
 """Blocks of one parallel task."""
 
+FEW_RAYS = 12
+"""Rays for each block in view below which its voxels are not copied. Where all is in the cache, marking a block takes
+as long as about so many rays take to ask for W as well; fresh memory for the copy of a growing map takes longer."""
+
 
 @njit(parallel=True, cache=True, error_model="numpy")
-def look_up(blocks, T_CW, lens, sizes, size, tile_px, field, spans):
+def look_up(blocks, T_CW, lens, sizes, size, tile_px, marked, spans):
     """Which blocks rays can meet, and where.
 
     Sets ``spans`` [rows, columns, 2] to the depths between which the rays of each tile of pixels can meet a block, and
-    ``field`` to D where a voxel has been observed, else infinity, in the blocks that rays may look up. Those are the
-    blocks whose bounding sphere, larger by the reach of an interpolation, meets the view.
+    ``marked`` to D where a voxel has been observed, else infinity, in the blocks that rays may look up. Those are the
+    blocks whose bounding sphere, larger by the reach of an interpolation, meets the view. Returns whether ``marked``
+    has been set: it is left as it was where there are so few rays that the copy would take longer than they do.
     """
     coords, D, W = blocks
     B = coords.shape[0]
     ny, nx = spans.shape[0], spans.shape[1]
-    covers, depths = np.empty((B, 4), np.int32), np.empty((B, 2), np.float32)
+    covers, depths, met = np.empty((B, 4), np.int32), np.empty((B, 2), np.float32), np.empty(B, np.bool_)
     radius = 0.5 * sizes.block * np.sqrt(3.0) + 2 * sizes.voxel
     for task in prange((B + _CHUNK - 1) // _CHUNK):
-        infinite, zero = splat(_INFINITE), splat(_ZERO)
         for b in range(task * _CHUNK, min(B, task * _CHUNK + _CHUNK)):
             covers[b, _U0], covers[b, _U1] = 0, -1
-            if not _meets_view(coords[b], T_CW, lens, sizes.block, size, radius):
-                continue
-            _project(coords[b], T_CW, lens, sizes.block, tile_px, (ny, nx), covers[b], depths[b])
-            for at in range(b * VOXELS_PER_BLOCK, (b + 1) * VOXELS_PER_BLOCK, 16):
-                store(field, at, select(load(W, at) > zero, load(D, at), infinite))
+            met[b] = _meets_view(coords[b], T_CW, lens, sizes.block, size, radius)
+            if met[b]:
+                _project(coords[b], T_CW, lens, sizes.block, tile_px, (ny, nx), covers[b], depths[b])
     spans[:, :, NEAR_END], spans[:, :, FAR_END] = np.inf, _ZERO
+    in_view = 0
     for b in range(B):
+        in_view += met[b]
         if covers[b, _U1] < covers[b, _U0]:
             continue
         for i in range(covers[b, _V0], covers[b, _V1] + 1):
             for j in range(covers[b, _U0], covers[b, _U1] + 1):
                 spans[i, j, NEAR_END] = min(spans[i, j, NEAR_END], depths[b, NEAR_END])
                 spans[i, j, FAR_END] = max(spans[i, j, FAR_END], depths[b, FAR_END])
+    many = size[0] * size[1] >= FEW_RAYS * in_view
+    if many:
+        for task in prange((B + _CHUNK - 1) // _CHUNK):
+            for b in range(task * _CHUNK, min(B, task * _CHUNK + _CHUNK)):
+                if met[b]:
+                    _mark(D, W, b, marked)
+    return many
+
+
+@njit(cache=True, error_model="numpy")
+def _mark(D, W, block, marked):
+    """D of a block's voxels, infinite where they have not been observed."""
+    infinite, zero = splat(_INFINITE), splat(_ZERO)
+    for at in range(block * VOXELS_PER_BLOCK, (block + 1) * VOXELS_PER_BLOCK, 16):
+        store(marked, at, select(load(W, at) > zero, load(D, at), infinite))
 
 
 @njit(cache=True, error_model="numpy")

@@ -22,6 +22,7 @@ from ..runtime.numba.launch import launching, scratch
 from ..runtime.numba.simd import absolute, any_lane, either, floor, load, maximum, minimum, select, splat, sqrt, store
 from ..runtime.numba.simd_int import below, but_not, gather, gather_int, splat_int, truncate
 from ..runtime.slopes import ray_slopes
+from .field import Marked, Unmarked, values
 from .in_view import FAR_END, NEAR_END, look_up
 from .layout import Blocks, Rays, Sizes
 from .trilinear import blend, cells, interpolate, leaves
@@ -68,8 +69,9 @@ def raycast(volume: TsdfVolume, camera: Camera, T_WC: Tensor) -> RaycastOutput:
     T_CW = se3.inverse(pose.double()).numpy()
     spans = np.empty((parts(camera.height, TILE_PX), parts(camera.width, TILE_PX), 2), np.float32)
     with launching():
-        field = scratch("raycast", D.size)
-        look_up(blocks, T_CW, lens, exact, size, TILE_PX, field, spans)
+        copy = scratch("raycast", D.size)
+        copied = look_up(blocks, T_CW, lens, exact, size, TILE_PX, copy, spans)
+        field = Marked(copy) if copied else Unmarked(D, W)
         _march(table, field, colours, rays, sizes, spans, TILE_PX, depth.numpy(), normal.numpy(), rgb.numpy())
     return RaycastOutput(depth_m=depth, normal_W=normal, rgb=rgb)
 
@@ -122,7 +124,7 @@ def _crossing(table, field, origin, direction, sizes, span, alive):
         here, step = infinite, voxel * per_m
         if any_lane(allocated):
             at = row * block + (i & seven) * sixty_four + (j & seven) * eight + (k & seven)
-            here = gather(field, at, allocated, infinite)
+            here = values(field, at, allocated)
             observed = here < infinite
             close = observed & (absolute(here) * truncation < close_by)
             if any_lane(close):

@@ -9,7 +9,8 @@ from numba import int32, njit
 from gsfusion_nb.constants import VOXELS_PER_BLOCK
 
 from ..runtime.numba.simd import absolute, any_lane, either, floor, maximum, splat
-from ..runtime.numba.simd_int import below, but_not, gather, gather_int, select_int, splat_int, truncate
+from ..runtime.numba.simd_int import below, but_not, gather_int, select_int, splat_int, truncate
+from .field import values
 
 f32 = np.float32
 _ZERO, _HALF, _INFINITE = f32(0.0), f32(0.5), f32(np.inf)
@@ -22,7 +23,7 @@ def _corner(rows, field, cell, number, moved, inside, row, wanted):
         nowhere = splat_int(int32(-1))
         row = select_int(moved, gather_int(rows, cell, moved & inside, nowhere), row)
     at = row * splat_int(int32(VOXELS_PER_BLOCK)) + number
-    return gather(field, at, wanted & (row >= splat_int(int32(0))), splat(_INFINITE)), at
+    return values(field, at, wanted & (row >= splat_int(int32(0)))), at
 
 
 @njit(cache=True, error_model="numpy")

@@ -72,6 +72,20 @@ def test_unobserved_voxels_stop_nothing(mapped):
         assert_same_picture(volume, frame.camera.resized(64, 48), frame.T_WC, share=1e-2)
 
 
+@pytest.mark.parametrize(("width", "copied"), [(200, True), (40, False)])
+def test_many_rays_and_few_stop_at_observed_voxels_only(width, copied, mapped, monkeypatch):
+    """Many look D up in a copy that has been marked before, few in the map itself."""
+    from gsfusion_nb.kernels.raycast import numba
+
+    volume, frames = mapped
+    volume.W[:, ::7] = 0.0
+    look_up, ways = numba.look_up, []
+    monkeypatch.setattr(numba, "look_up", lambda *args: ways.append(look_up(*args)) or ways[-1])
+    camera = frames[0].camera.resized(width, width * 3 // 4)
+    assert_same_picture(volume, camera, frames[0].T_WC, share=1e-2)
+    assert ways == [copied]
+
+
 @pytest.mark.parametrize("tile_px", [4, 8, 12, 64])
 def test_no_size_of_tile_loses_a_surface(tile_px, mapped, monkeypatch):
     """From random places in and around the room, blocks beside and behind the camera included."""
