@@ -11,6 +11,7 @@ poses alone; then dx = -V^-1 (b_x + W^T xi). Errors get Cauchy weights; steps ar
 Source: Triggs et al. 2000 (Bundle adjustment: a modern synthesis).
 """
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -216,7 +217,8 @@ def _members(group: ndarray, n: int) -> Any:
 
 def _added(members: Any, values: Float[ndarray, "O *S"]) -> Float[ndarray, "N *S"]:
     """The sum of ``values`` over each group."""
-    return (members @ values.reshape(len(values), -1)).reshape(-1, *values.shape[1:])
+    flat = values.reshape(len(values), math.prod(values.shape[1:]))  # -1 has no meaning where there are no rows
+    return (members @ flat).reshape(members.shape[0], *values.shape[1:])
 
 
 def _hat(y: ndarray) -> ndarray:

@@ -98,8 +98,8 @@ def test_columns_that_nobody_has_are_left_out():
 
 
 def test_unknown_study_is_refused(tmp_path):
-    with pytest.raises(KeyError, match="no study 'colours'"):
-        main(StudyOptions(name="colours", out=str(tmp_path)))
+    with pytest.raises(KeyError, match="no study 'weather'"):
+        main(StudyOptions(name="weather", out=str(tmp_path)))
 
 
 def test_results_of_other_data_or_options_are_never_reused(tmp_path, monkeypatch, capsys):

@@ -92,6 +92,19 @@ def test_relative_poses_hold_what_no_landmark_sees(scene, generator):
     assert max(off(found.T_WC, T_WC)) < 1e-4
 
 
+def test_without_any_landmark_the_edges_decide(scene):
+    """A back end whose keyframes show nothing twice has poses and edges alone."""
+    T_WC, seen = scene
+    none = Observations(**{name: column[:0] for name, column in vars(seen).items()})
+    near = odometry_information(0.2, 0.01)
+    edges = [
+        Edge(i=k, j=k + 1, T_ij=se3.inverse(T_WC[k]) @ T_WC[k + 1], information=near, kind="odometry") for k in range(4)
+    ]
+    start = T_WC.clone()
+    start[4, :3, 3] += 0.1
+    assert max(off(adjust(CAMERA, start, none, edges, HELD, iterations=20).T_WC, T_WC)) < 1e-4
+
+
 def test_gtsam_finds_the_same(scene, generator):
     """Its depths have slightly other weights, so the optimum is close, but not the same."""
     pytest.importorskip("gtsam", reason="the extra 'slam' is not installed")
