@@ -19,12 +19,7 @@ def check_shape(name: str, value: object, expected: tuple[int | str, ...]) -> No
     """
     if not isinstance(value, Tensor):
         raise ValueError(f"{name} must be a torch.Tensor, got {type(value).__name__}")
-    got = tuple(value.shape)
-    if got == expected:
-        return
-    if len(got) != len(expected) or any(isinstance(e, int) and e != g for e, g in zip(expected, got, strict=False)):
-        wanted = ", ".join(str(e) for e in expected)
-        raise ValueError(f"{name} must be [{wanted}], got {list(got)}")
+    _check_size(name, tuple(value.shape), expected)
 
 
 def check_array(name: str, value: object, expected: tuple[int | str, ...], dtype: type[np.generic]) -> None:
@@ -33,7 +28,12 @@ def check_array(name: str, value: object, expected: tuple[int | str, ...], dtype
         raise ValueError(f"{name} must be a numpy.ndarray, got {type(value).__name__}")
     if value.dtype != dtype:
         raise ValueError(f"{name} must be {np.dtype(dtype)}, got {value.dtype}; convert it with .astype()")
-    got = value.shape
+    _check_size(name, value.shape, expected)
+
+
+def _check_size(name: str, got: tuple[int, ...], expected: tuple[int | str, ...]) -> None:
+    if got == expected:
+        return
     if len(got) != len(expected) or any(isinstance(e, int) and e != g for e, g in zip(expected, got, strict=True)):
         wanted = ", ".join(str(e) for e in expected)
         raise ValueError(f"{name} must be [{wanted}], got {list(got)}")

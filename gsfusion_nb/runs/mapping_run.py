@@ -189,9 +189,7 @@ class MappingRun:
     def mapped_views(self, limit: int) -> SequenceView:
         """At most ``limit`` of the frames mapped so far, evenly spread; 0 means all."""
         mapped, n = self.sequence.mapping, self.next_position
-        few = limit and n > limit
-        picks = [round(i * (n - 1) / max(limit - 1, 1)) for i in range(limit)] if few else range(n)
-        return dataclasses.replace(mapped, positions=[mapped.positions[i] for i in picks])
+        return dataclasses.replace(mapped, positions=[mapped.positions[i] for i in evenly(n, limit)])
 
     def extra_metrics(self) -> dict[str, Any]:
         """Metrics that only this kind of run has."""
@@ -308,6 +306,13 @@ class MappingRun:
     def _warn(self, sentence: str) -> None:
         self.warnings.append(sentence)
         log.warning(sentence)
+
+
+def evenly(n: int, limit: int) -> list[int]:
+    """At most ``limit`` of the numbers 0..n-1, evenly spread from the first to the last; 0 means all."""
+    if not limit or n <= limit:
+        return list(range(n))
+    return [round(i * (n - 1) / max(limit - 1, 1)) for i in range(limit)]
 
 
 def _is_on_disk(view: SequenceView) -> bool:

@@ -20,7 +20,7 @@ from ..mapping.stored_map import Draw
 from ..optim import exposed, fit_gain
 from ..strict_json import read_object
 from ..types import Frame, RenderOutput
-from .mapping_run import MappingRun
+from .mapping_run import MappingRun, evenly
 from .posed_frames import frames_at, poses_in_map
 
 VIEWS = "views.json"
@@ -39,8 +39,7 @@ class ScoredViews:
 
     def spread(self, limit: int) -> "ScoredViews":
         """At most ``limit`` of the views, evenly spread."""
-        n = len(self.positions)
-        picks = torch.linspace(0, n - 1, min(limit, n)).round().long().tolist()
+        picks = evenly(len(self.positions), limit)
         return ScoredViews([self.positions[i] for i in picks], [self.poses[i] for i in picks], self.gains)
 
     def frames(self, sequence: SequenceView) -> Iterator[Frame]:

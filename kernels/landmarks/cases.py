@@ -7,10 +7,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gsfusion_nb.geometry import project, se3
+from gsfusion_nb.geometry import se3
 from gsfusion_nb.tracking.landmark_rows import LandmarkRows, landmark_pose, landmark_sums
 
-from ..runtime.cases import Case, make_frame
+from ..runtime.cases import Case, make_sighted_points
 
 _ROUNDING = 1e-9
 
@@ -27,11 +27,7 @@ def cases() -> Iterator[Case]:
 
 
 def _results(n: int) -> dict[str, Tensor]:
-    g, camera = torch.Generator().manual_seed(n), make_frame().camera
-    xyz_C = torch.rand(n, 3, generator=g, dtype=torch.float64) * 2 + torch.tensor([-1.0, -1.0, 1.0])
-    uv = project(camera, xyz_C) + 0.5 * torch.randn(n, 2, generator=g, dtype=torch.float64)
-    uv[: n // 4] += 20.0
-    xyz_C[n - n // 10 :] *= -1  # behind the camera
+    camera, xyz_C, uv = make_sighted_points(n)
     inverse = torch.where(torch.arange(n) % 3 > 0, 1 / xyz_C[:, 2].abs(), 0.0)
     T_WC = se3.exp(torch.tensor([0.4, -0.3, 0.2, 0.3, -0.8, 0.2]).double())
     rows = LandmarkRows(

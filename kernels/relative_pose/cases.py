@@ -5,10 +5,10 @@ from collections.abc import Iterator
 import torch
 from torch import Tensor
 
-from gsfusion_nb.geometry import project, se3
+from gsfusion_nb.geometry import se3
 from gsfusion_nb.tracking.matching import PointPairs, fit_pairs
 
-from ..runtime.cases import Case, make_frame
+from ..runtime.cases import Case, make_sighted_points
 
 _ROUNDING = 1e-9
 
@@ -24,11 +24,7 @@ def cases() -> Iterator[Case]:
 
 
 def _results(n: int) -> dict[str, Tensor]:
-    g, camera = torch.Generator().manual_seed(n), make_frame().camera
-    xyz_Q = torch.rand(n, 3, generator=g, dtype=torch.float64) * 2 + torch.tensor([-1.0, -1.0, 1.0])
-    uv = project(camera, xyz_Q) + 0.5 * torch.randn(n, 2, generator=g, dtype=torch.float64)
-    uv[: n // 4] += 20.0
-    xyz_Q[n - n // 10 :] *= -1  # behind the camera
+    camera, xyz_Q, uv = make_sighted_points(n)
     T_RQ = se3.exp(torch.tensor([0.2, -0.1, 0.1, 0.1, -0.3, 0.2]).double())
     depth_m = torch.where(torch.arange(n) % 3 > 0, xyz_Q[:, 2].abs() * 1.005, 0.0)
     sigma_px = 1.0 + torch.arange(n).double() % 3

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from gsfusion_nb.geometry import project
 from gsfusion_nb.types import Camera, Frame, GaussianParams
 
 WIDTH, HEIGHT = 64, 48
@@ -62,3 +63,16 @@ def make_params(
         sh=0.4 * torch.randn(n, (sh_degree + 1) ** 2, 3, generator=g),
     )
     return GaussianParams(**{name: value.to(device, dtype) for name, value in vars(params).items()})
+
+
+def make_sighted_points(n: int) -> tuple[Camera, Tensor, Tensor]:
+    """The camera of ``make_frame``, ``n`` points [n, 3] and where it sees them, with noise [n, 2]; float64.
+
+    A quarter is seen 20 pixels off, and a tenth lies behind the camera.
+    """
+    g, camera = torch.Generator().manual_seed(n), make_frame().camera
+    xyz_C = torch.rand(n, 3, generator=g, dtype=torch.float64) * 2 + torch.tensor([-1.0, -1.0, 1.0])
+    uv = project(camera, xyz_C) + 0.5 * torch.randn(n, 2, generator=g, dtype=torch.float64)
+    uv[: n // 4] += 20.0
+    xyz_C[n - n // 10 :] *= -1
+    return camera, xyz_C, uv

@@ -96,7 +96,7 @@ def test_views_between_fitted_exposures_are_shown_with_theirs_and_scored_again_a
         rescore(run.folder)
 
 
-@pytest.mark.parametrize(("scored", "n"), [(3, 3), (1, 1)])
+@pytest.mark.parametrize(("scored", "n"), [(0, 6), (3, 3), (1, 1)])
 def test_as_many_mapped_views_are_scored_as_the_settings_say(scored, n, tmp_path):
     config = replace(SETTINGS["gsfusion"], data__scored_views=scored)
     run = run_mapping("room", config, folder=tmp_path / "run", **ROOM)

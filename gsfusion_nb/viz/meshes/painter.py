@@ -31,7 +31,7 @@ def draw_mesh(
     those with a corner within 5 cm of the camera's plane or that is no number are left out, too.
 
     Args:
-        mesh: Any mesh; a million triangles take a few seconds, fewer the smaller they are in the picture.
+        mesh: Any mesh; a million triangles take one to two seconds.
         camera: Intrinsics and size.
         T_WC: Camera-to-world pose.
         shading: "colour": vertex colours under a soft lamp at the camera; "shape": the lamp alone, on grey.
