@@ -122,7 +122,13 @@ def _opencv_twins() -> EnvironmentCheck:
 def _torch() -> list[EnvironmentCheck]:
     import torch
 
-    threads = EnvironmentCheck("torch threads", True, f"{torch.get_num_threads()} for computing")
+    from .kernels.runtime.numba import launch
+
+    layer, n = launch.threads_from(), torch.get_num_threads()
+    threads = EnvironmentCheck(
+        "threads", layer == "tbb", f"{n} for computing; those of the numba kernels are from {layer}",
+        "a map takes up to 1.6 times as long without: pip install tbb", needed=False,
+    )  # fmt: skip
     cuda = torch.cuda.is_available()
     text = torch.cuda.get_device_name(0) if cuda else "none; everything runs on the CPU"
     return [threads, EnvironmentCheck("CUDA device", cuda, text, needed=False)]

@@ -1,6 +1,9 @@
 """Launching compiled kernels: one at a time, with as many threads as torch uses."""
 
 import contextlib
+import ctypes
+import importlib
+import importlib.metadata
 import threading
 from collections.abc import Iterator
 
@@ -11,9 +14,36 @@ import torch
 # Numba makes its settings at run time:
 # pyright: reportAttributeAccessIssue=false
 
+_TBB = ("libtbb.so.12", "tbb12.dll")
+"""The library of oneTBB on Linux and on Windows."""
+
+
+def _load_tbb() -> None:
+    """Load oneTBB from its wheel, which puts it where the system does not look; without a wheel nothing happens."""
+    with contextlib.suppress(importlib.metadata.PackageNotFoundError, OSError):
+        for file in importlib.metadata.files("tbb") or ():
+            if file.name in _TBB:
+                ctypes.CDLL(str(file.locate()))
+
+
+# Threads of oneTBB start a task after 20 microseconds; those of numba's own workqueue, which are all woken for
+# each task, after 150 (a virtual machine with two cores; a frame of a map has dozens of tasks). The idle threads of
+# both sleep. OpenMP's spin, and with another program on the cores a map then takes ten times as long.
 if numba.config.THREADING_LAYER == "default":
-    numba.config.THREADING_LAYER = "workqueue"
-"""Its idle threads sleep. OpenMP's spin, and with another program on the cores a map then takes ten times as long."""
+    _load_tbb()
+    numba.config.THREADING_LAYER_PRIORITY = ["tbb", "workqueue", "omp"]
+
+
+def threads_from() -> str:
+    """Whose threads the kernels run on, of those that numba knows: "tbb", "omp" or "workqueue"."""
+    if numba.config.THREADING_LAYER != "default":
+        return numba.config.THREADING_LAYER
+    try:
+        importlib.import_module("numba.np.ufunc.tbbpool")
+    except ImportError:
+        return "workqueue"
+    return "tbb"
+
 
 _LOCK = threading.RLock()
 
