@@ -28,6 +28,9 @@ _U0, _U1, _V0, _V1 = range(4)
 _CHUNK = 64
 """Blocks of one parallel task."""
 
+CHUNKS_AT_ONCE = 16
+"""Such tasks that a thread takes together. Blocks in view were mostly made together, so halves of all are not even."""
+
 FEW_RAYS = 12
 """Rays for each block in view below which its voxels are not copied. Where all is in the cache, marking a block takes
 as long as about so many rays take to ask for W as well; fresh memory for the copy of a growing map takes longer."""

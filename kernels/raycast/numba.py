@@ -5,7 +5,7 @@
 
 import numpy as np
 import torch
-from numba import int32, int64, njit, prange
+from numba import int32, int64, njit, parallel_chunksize, prange
 from torch import Tensor
 
 from gsfusion_nb.constants import VOXELS_PER_BLOCK
@@ -23,7 +23,7 @@ from ..runtime.numba.simd import absolute, any_lane, either, floor, load, maximu
 from ..runtime.numba.simd_int import below, but_not, gather, gather_int, splat_int, truncate
 from ..runtime.slopes import ray_slopes
 from .field import Marked, Unmarked, values
-from .in_view import FAR_END, NEAR_END, look_up
+from .in_view import CHUNKS_AT_ONCE, FAR_END, NEAR_END, look_up
 from .layout import Blocks, Rays, Sizes
 from .trilinear import blend, cells, interpolate, leaves
 
@@ -70,9 +70,11 @@ def raycast(volume: TsdfVolume, camera: Camera, T_WC: Tensor) -> RaycastOutput:
     spans = np.empty((parts(camera.height, TILE_PX), parts(camera.width, TILE_PX), 2), np.float32)
     with launching():
         copy = scratch("raycast", D.size)
-        copied = look_up(blocks, T_CW, lens, exact, size, TILE_PX, copy, spans)
+        with parallel_chunksize(CHUNKS_AT_ONCE):
+            copied = look_up(blocks, T_CW, lens, exact, size, TILE_PX, copy, spans)
         field = Marked(copy) if copied else Unmarked(D, W)
-        _march(table, field, colours, rays, sizes, spans, TILE_PX, depth.numpy(), normal.numpy(), rgb.numpy())
+        with parallel_chunksize(spans.shape[1]):  # a row of tiles: neighbours meet the same voxels
+            _march(table, field, colours, rays, sizes, spans, TILE_PX, depth.numpy(), normal.numpy(), rgb.numpy())
     return RaycastOutput(depth_m=depth, normal_W=normal, rgb=rgb)
 
 
@@ -103,6 +105,7 @@ def _crossing(table, field, origin, direction, sizes, span, alive):
     three, seven, nowhere = splat_int(int32(3)), splat_int(int32(7)), splat_int(int32(-1))
     eight, sixty_four, block = splat_int(int32(8)), splat_int(int32(64)), splat_int(int32(VOXELS_PER_BLOCK))
     nx, ny, nz = splat_int(int32(size[0])), splat_int(int32(size[1])), splat_int(int32(size[2]))
+    ny_nz = splat_int(int32(size[1] * size[2]))
     lx, ly, lz = splat_int(low[0]), splat_int(low[1]), splat_int(low[2])
     per_m = one / sqrt(dx * dx + dy * dy + dz * dz)
     per_x, per_y, per_z = (
@@ -119,7 +122,7 @@ def _crossing(table, field, origin, direction, sizes, span, alive):
         px, py, pz = ox + dx * z, oy + dy * z, oz + dz * z
         i, j, k = truncate(floor(px * inv_voxel)), truncate(floor(py * inv_voxel)), truncate(floor(pz * inv_voxel))
         X, Y, Z = (i >> three) - lx, (j >> three) - ly, (k >> three) - lz
-        row = gather_int(rows, (X * ny + Y) * nz + Z, alive & below(X, nx) & below(Y, ny) & below(Z, nz), nowhere)
+        row = gather_int(rows, X * ny_nz + Y * nz + Z, alive & below(X, nx) & below(Y, ny) & below(Z, nz), nowhere)
         allocated = row >= splat_int(int32(0))
         here, step = infinite, voxel * per_m
         if any_lane(allocated):
