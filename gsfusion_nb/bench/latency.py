@@ -1,14 +1,18 @@
-"""Waiting times besides mapping: the import, the check of a recording, the landmarks of a frame, the search for similar
-keyframes."""
+"""Waiting times besides mapping: the import, the start of a kernel, the check of a recording, the landmarks of a frame,
+the search for similar keyframes."""
 
 import functools
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
+
+import numpy as np
 
 from ..config import BackEndConfig, LandmarkConfig
 from ..data import open_sequence
 from ..data.checkup import check_recording
+from ..kernels.runtime.numba.launch import launching, start_threads, threads_from
 from ..tracking import LandmarkMap, moved_enough
 from ..tracking.features import extract_features
 from ..tracking.keyframe_database import KeyframeDatabase
@@ -25,6 +29,7 @@ VIEWS = 20
 def cases(options: BenchOptions) -> Iterator[Case]:
     """The import compared with that of torch alone; the check of a recording for every image size; one search."""
     yield Case(section="latency", title="import", run=functools.partial(_imports, 1 if options.quick else 5))
+    yield Case(section="latency", title="start of a kernel", run=lambda: [_start()])
     for size in options.sizes:
         run = functools.partial(_check, options, size)
         yield Case(section="latency", title=f"check of {options.data}", run=lambda run=run: [run()])
@@ -49,6 +54,16 @@ def _import_lap(module: str) -> Lap:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     wall_s, cpu_s = map(float, done.stdout.split())
     return Lap(wall_s, cpu_s)
+
+
+def _start(starts: int = 200) -> Row:
+    """A numba kernel that does nothing, a millisecond after the one before, as within a frame of a map."""
+    done, laps = np.zeros(64, np.uint8), []
+    with launching():
+        for _ in range(starts):
+            time.sleep(1e-3)
+            laps.append(lap(lambda: start_threads(done)))
+    return Row(section="latency", case="start of a kernel", method=f"numba on {threads_from()}", timing=summary(laps))
 
 
 def _check(options: BenchOptions, size: tuple[int, int]) -> Row:
