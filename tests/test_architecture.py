@@ -192,7 +192,7 @@ class ToySystem(Mapper):
         self.localiser.record(frame)
         self.n_frames += 1
         return StepReport(frame_index=frame.index, n_seeds=len(seeds), n_gaussians=len(self.gaussians),
-                          is_keyframe=True, losses=losses, psnr_before_db=0.0, psnr_after_db=0.0, seconds=clock.seconds)
+                          is_keyframe=True, losses=losses, seconds=clock.seconds)
 
     def surface(self, camera, T_WC):
         return raycast(self.volume, camera, T_WC)

@@ -1,5 +1,6 @@
 """GPS-SLAM (Peng et al. 2025): a coloured TSDF, and Gaussians for what its colours cannot show, frame by frame."""
 
+import math
 from collections.abc import Callable
 from typing import Any, ClassVar
 
@@ -110,8 +111,8 @@ class GPSSLAM(StoredWithSurface, TsdfMapping):
             n_steps=len(losses),
             is_keyframe=is_keyframe,
             losses=tuple(losses),
-            psnr_before_db=psnrs[0] if psnrs else 0.0,
-            psnr_after_db=psnrs[-1] if psnrs else 0.0,
+            psnr_before_db=psnrs[0] if psnrs else math.nan,
+            psnr_after_db=psnrs[-1] if psnrs else math.nan,
             tracking=self.localiser.report,
             seconds=clock.seconds,
         )

@@ -1,6 +1,7 @@
 """GSFusion (Wei & Leutenegger 2024): TSDF fusion and Gaussian splatting, one frame at a time, in the paper's order."""
 
 import dataclasses
+import math
 
 import torch
 from jaxtyping import Float
@@ -117,8 +118,8 @@ class GSFusion(TsdfMapping):
             n_steps=self.gaussians.step_count - steps_before,
             is_keyframe=is_keyframe,
             losses=tuple(losses),
-            psnr_before_db=psnrs[0] if psnrs else 0.0,
-            psnr_after_db=psnrs[-1] if psnrs else 0.0,
+            psnr_before_db=psnrs[0] if psnrs else math.nan,
+            psnr_after_db=psnrs[-1] if psnrs else math.nan,
             tracking=self.localiser.report,
             seconds=clock.seconds,
         )

@@ -5,7 +5,6 @@ A system is one subclass of ``Mapper`` in this folder, its settings in ``gsfusio
 """
 
 import contextlib
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from typing import Any, ClassVar
@@ -74,7 +73,7 @@ class Mapper(AsksRule, SavesState, StoredMap, ABC):
     panels: ClassVar[tuple[str, ...]] = ("input", "render", "error", "new_gaussians")
     """Pictures of one step to show while mapping, by name; ``gsfusion_nb.viz.live.step_panels.PANELS`` draws them."""
     curves: ClassVar[dict[str, Callable[[StepReport], float | int]]] = {
-        "PSNR of the frame, dB": lambda report: report.psnr_after_db or math.nan,
+        "PSNR of the frame, dB": lambda report: report.psnr_after_db,
         "Gaussians": lambda report: report.n_gaussians,
     }
     """Title -> value after a step, plotted while mapping; NaN leaves a gap."""

@@ -1,6 +1,7 @@
 """RTG-SLAM (Peng et al. 2024): compact Gaussians, optimised while unstable, frame by frame in the paper's order."""
 
 import dataclasses
+import math
 from collections import deque
 from typing import Any, ClassVar
 
@@ -75,7 +76,7 @@ class RTGSLAM(SurfelMapping):
                 frame = self.localiser.locate(frame, self._tracking_surface)  # Eq. 10
             with clock("seeding"):
                 context = self.seed_context(frame)
-                before = _psnr(context.surface().rgb, frame) if len(self.gaussians) else 0.0
+                before = _psnr(context.surface().rgb, frame) if len(self.gaussians) else math.nan
                 seeds = self.propose_seeds(context)  # Eq. 6
             is_keyframe = self.is_next_keyframe(frame)
             window_is_due, keyframes_are_due = self._window_is_due(is_keyframe), is_keyframe and self.n_frames > 0

@@ -23,11 +23,11 @@ class StepReport:
     is_keyframe: bool
     losses: tuple[float, ...]
     """Loss before each optimisation step on this frame."""
-    psnr_before_db: float
-    """PSNR of this view before its optimisation, dB; 0 if not measured. Each system decides whether its new Gaussians
+    psnr_before_db: float = math.nan
+    """PSNR of this view before its optimisation, dB; NaN if not measured. Each system decides whether its new Gaussians
     are drawn for it (GSFusion draws them, RTG-SLAM does not)."""
-    psnr_after_db: float
-    """PSNR of this view after its optimisation, dB; 0 if not measured. A system may take the last value that needs no
+    psnr_after_db: float = math.nan
+    """PSNR of this view after its optimisation, dB; NaN if not measured. A system may take the last value that needs no
     extra rendering (GSFusion: just before the last optimisation step; RTG-SLAM renders at the end of the step)."""
     n_steps: int = 0
     """Number of gradient steps in this frame, on any view."""
@@ -45,6 +45,12 @@ class StepReport:
     def total_seconds(self) -> float:
         """Wall time of the whole step."""
         return sum(self.seconds.values())
+
+    @property
+    def in_words(self) -> str:
+        """For a line of progress: the PSNR, if it was measured, and the number of Gaussians."""
+        psnr = "" if math.isnan(self.psnr_after_db) else f"PSNR {self.psnr_after_db:.1f} dB, "
+        return f"{psnr}{self.n_gaussians:,} Gaussians"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

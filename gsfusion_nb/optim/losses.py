@@ -48,14 +48,14 @@ def check_pictures(rgb: Any, target: Any, v_loss: float = 1.0) -> None:
     check_number("v_loss", v_loss)
 
 
-@op("l1_loss", check_pictures)
+@op("picture_loss", check_pictures)
 def l1_mse_vjp(rgb: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"]) -> PictureLoss:
     """What an optimisation step needs from a picture: ``l1``, ``l1_vjp`` and the MSE for its PSNR."""
     mse = (rgb.clamp(0, 1) - target).square().mean()
     return PictureLoss(value=l1(rgb, target), mse=mse, v_rgb=l1_vjp(rgb, target))
 
 
-@op("l1_loss", check_pictures)
+@op("picture_loss", check_pictures)
 def l2_mse_vjp(rgb: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"]) -> PictureLoss:
     """As ``l1_mse_vjp``, of the mean squared difference.
 

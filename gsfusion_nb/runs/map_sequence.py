@@ -312,8 +312,7 @@ def _with_progress(run: MappingRun, stop: StopRequest) -> None:
         for n, report in enumerate(run.online(), start=1):
             seconds += report.total_seconds
             rate = f"{n / seconds:.1f} frames/s, " if seconds > 0 else ""  # a system may not time its stages
-            note = f"{rate}PSNR {report.psnr_after_db:.1f} dB, {report.n_gaussians:,} Gaussians"
-            progress.show(run.next_position, note=note)
+            progress.show(run.next_position, note=f"{rate}{report.in_words}")
             if stop:
                 return
 

@@ -78,10 +78,7 @@ def _with_progress(run: MappingRun, stop: StopRequest) -> None:
         for n, report in enumerate(reports, start=1):
             seconds += report.total_seconds
             dropped = run.extra_metrics()["n_frames_dropped"]
-            note = (
-                f"{n / max(seconds, 1e-9):.1f} frames/s, PSNR {report.psnr_after_db:.1f} dB, "
-                f"{report.n_gaussians:,} Gaussians, {dropped} frames dropped"
-            )
+            note = f"{n / max(seconds, 1e-9):.1f} frames/s, {report.in_words}, {dropped} frames dropped"
             progress.show(n, note=note)
             if stop:
                 return

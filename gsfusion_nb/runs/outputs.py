@@ -312,8 +312,8 @@ def _frame_row(s: StepReport) -> FrameRow:
         n_gaussians=s.n_gaussians,
         n_seeds=s.n_seeds,
         keyframe=s.is_keyframe,
-        psnr_before=s.psnr_before_db or math.nan,
-        psnr=s.psnr_after_db or math.nan,
+        psnr_before=s.psnr_before_db,
+        psnr=s.psnr_after_db,
         losses=s.losses,
         stage_seconds=s.seconds,
     )

@@ -4,6 +4,7 @@ Needs the extra ``rerun``. The viewer opens the file: ``rerun FILE.rrd``. Times:
 ``recorded`` is the recording's own time.
 """
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -128,13 +129,15 @@ def _layout() -> Any:
 
 
 def _scores(report: StepReport) -> dict[str, float]:
-    return {
+    """Those of a frame; without those that were not measured, which leaves a gap in their curve."""
+    scores = {
         "psnr_before_db": report.psnr_before_db,
         "psnr_after_db": report.psnr_after_db,
         "gaussians": float(report.n_gaussians),
         "seeds": float(report.n_seeds),
         "seconds": report.total_seconds,
     }
+    return {name: value for name, value in scores.items() if not math.isnan(value)}
 
 
 def _splats(rr: Any, params: GaussianParams) -> Any:

@@ -131,6 +131,7 @@ def test_the_released_rules_run_and_their_bursts_come_every_ten_frames():
 def test_a_frame_without_steps_leaves_a_gap_in_the_curve_of_psnr(run):
     curve = [GPSSLAM.curves["PSNR of the frame, dB"](report) for report in run.steps]
     assert [math.isnan(x) for x in curve] == [report.n_steps == 0 for report in run.steps]
+    assert [report.in_words.startswith("PSNR ") for report in run.steps] == [report.n_steps > 0 for report in run.steps]
     assert {report.n_steps == 0 for report in run.steps} == {True, False}
 
 

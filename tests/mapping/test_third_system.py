@@ -78,7 +78,7 @@ class Toy(Mapper):
         self.n_frames += 1
         return StepReport(
             frame_index=frame.index, n_seeds=len(seeds), n_gaussians=len(self.gaussians), is_keyframe=True, losses=(),
-            psnr_before_db=0.0, psnr_after_db=0.0, tracking=self.localiser.report, seconds=clock.seconds,
+            tracking=self.localiser.report, seconds=clock.seconds,
         )
 
     def surface(self, camera, T_WC):

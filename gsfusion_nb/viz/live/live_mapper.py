@@ -3,6 +3,7 @@
 import dataclasses
 import html
 import logging
+import math
 import threading
 import time
 import traceback
@@ -264,7 +265,9 @@ class LiveMapper:
                 words += [
                     f"{back}frame {last.frame_index}{' (keyframe)' if last.is_keyframe else ''}",
                     f"{last.n_seeds:,} new Gaussians",
-                    f"PSNR {last.psnr_before_db:.1f} → {last.psnr_after_db:.1f} dB" if last.psnr_after_db else "",
+                    ""
+                    if math.isnan(last.psnr_before_db + last.psnr_after_db)
+                    else f"PSNR {last.psnr_before_db:.1f} → {last.psnr_after_db:.1f} dB",
                     f"{len(recent) / seconds:.1f} frames/s" if seconds > 0 else "",
                 ]
             self.status.value = " · ".join(word for word in words if word)

@@ -52,7 +52,7 @@ extern "C" __global__ void __launch_bounds__(256) l2_pass(
 }
 
 // means: of both, over the whole picture.
-extern "C" __global__ void __launch_bounds__(256) l1_means(const double* partial, float* means, int blocks, int total) {
+extern "C" __global__ void __launch_bounds__(256) mean_errors(const double* partial, float* means, int blocks, int total) {
     Errors own = {0.0, 0.0};
     for (int b = threadIdx.x; b < blocks; b += BLOCK) own.value += partial[2 * b], own.square += partial[2 * b + 1];
     const Errors sum = sum_of_block(own);

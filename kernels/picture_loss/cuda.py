@@ -1,4 +1,4 @@
-"""A loss of the picture, its gradient and the squared error as shown: ``l1_loss.cu``. The host waits for nothing."""
+"""A loss of the picture, its gradient and the squared error as shown (``picture_loss.cu``). The host does not wait."""
 
 import torch
 from torch import Tensor
@@ -9,21 +9,21 @@ from ..runtime.cuda.launch import device_of, launch
 from ..runtime.gpu import packed, parts
 
 _BLOCK, _PER_THREAD = 256, 16
-"""As in ``l1_loss.cu``."""
+"""As in ``picture_loss.cu``."""
 
 
 def l1_mse_vjp(rgb: Tensor, target: Tensor) -> reference.PictureLoss:
     """See ``gsfusion_nb.optim.l1_mse_vjp``."""
     if not _fits(rgb, target):
         return reference.l1_mse_vjp.reference(rgb, target)
-    return _loss("l1_mse_vjp", "l1_loss:l1_pass", rgb, target, 1.0 / rgb.numel())
+    return _loss("l1_mse_vjp", "picture_loss:l1_pass", rgb, target, 1.0 / rgb.numel())
 
 
 def l2_mse_vjp(rgb: Tensor, target: Tensor) -> reference.PictureLoss:
     """See ``gsfusion_nb.optim.l2_mse_vjp``."""
     if not _fits(rgb, target):
         return reference.l2_mse_vjp.reference(rgb, target)
-    return _loss("l2_mse_vjp", "l1_loss:l2_pass", rgb, target, 2.0 / rgb.numel())
+    return _loss("l2_mse_vjp", "picture_loss:l2_pass", rgb, target, 2.0 / rgb.numel())
 
 
 def _fits(rgb: Tensor, target: Tensor) -> bool:
@@ -38,5 +38,5 @@ def _loss(name: str, kernel: str, rgb: Tensor, target: Tensor, scale: float) -> 
     means = torch.empty(2, dtype=torch.float32, device=device)
     images = packed(rgb), packed(target), v_rgb
     launch(name, kernel, blocks, _BLOCK, *images, partial, total, scale)
-    launch(name, "l1_loss:l1_means", 1, _BLOCK, partial, means, blocks, total)
+    launch(name, "picture_loss:mean_errors", 1, _BLOCK, partial, means, blocks, total)
     return reference.PictureLoss(value=means[0], mse=means[1], v_rgb=v_rgb)
