@@ -1,0 +1,65 @@
+"""Whose threads the kernels run on, and that the map does not depend on it."""
+
+import importlib.metadata
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from gsfusion_nb.kernels.runtime.numba import launch
+
+HAS_TBB = any(d.metadata["Name"] == "tbb" for d in importlib.metadata.distributions())
+
+PROGRAM = """
+import hashlib, torch
+torch.set_num_threads(2)
+import numba
+from gsfusion_nb import GSFusion, gsfusion, open_sequence
+from gsfusion_nb.kernels.runtime.numba.launch import threads_from
+
+frames = open_sequence("room", n_frames=40, width=64, height=48)
+mapper = GSFusion(gsfusion("room"))
+for i in range(3):
+    mapper.step(frames[i])
+bits = hashlib.sha256()
+for values in (mapper.gaussians.params.xyz_W, mapper.volume.D, mapper.surface(frames.camera, frames[1].T_WC).depth_m):
+    bits.update(values.contiguous().numpy().tobytes())
+print(threads_from(), numba.threading_layer(), bits.hexdigest())
+"""
+
+
+def _run(**environment: str) -> list[str]:
+    environment = {**os.environ, "OMP_NUM_THREADS": "2", **environment}
+    done = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, env=environment)
+    assert done.returncode == 0, done.stderr[-2000:]
+    return done.stdout.split()
+
+
+@pytest.mark.skipif(not HAS_TBB, reason="tbb is not installed: it has no wheel for this machine")
+def test_maps_of_both_kinds_of_threads_have_the_same_bits():
+    ours, used, bits = _run()
+    assert ours == used == "tbb"
+    plain = _run(NUMBA_THREADING_LAYER="workqueue")
+    assert plain == ["workqueue", "workqueue", bits]
+
+
+class _Broken:
+    name = launch._TBB[0]
+
+    def locate(self) -> Path:
+        return Path("no such folder") / self.name
+
+
+@pytest.mark.parametrize("files", [None, [], [_Broken()]], ids=["no list of files", "no library", "cannot be loaded"])
+def test_without_the_library_there_is_no_error(monkeypatch, files):
+    monkeypatch.setattr(importlib.metadata, "files", lambda name: files)
+    launch._load_tbb()
+
+
+def test_without_the_package_there_is_no_error(monkeypatch):
+    def missing(name):
+        raise importlib.metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr(importlib.metadata, "files", missing)
+    launch._load_tbb()
