@@ -259,6 +259,12 @@ def look_again() -> None:
         cached.cache_clear()
 
 
+def kernel_threads() -> tuple[str, Callable[[], None]]:
+    """Whose threads the numba kernels run on ("tbb", "workqueue" or "omp"), and a kernel without work, to time."""
+    launch = importlib.import_module(f"{_KERNELS}.runtime.numba.launch")
+    return launch.threads_from(), launch.start_threads
+
+
 def report() -> list[tuple[str, str, str]]:
     """Rows (operation, backend, "ok" or the reason it cannot run)."""
     return [(name, b, _problem(name, b) or "ok") for name in sorted(_OPS) for b in ("reference", *offered(name))]

@@ -122,9 +122,7 @@ def _opencv_twins() -> EnvironmentCheck:
 def _torch() -> list[EnvironmentCheck]:
     import torch
 
-    from .kernels.runtime.numba import launch
-
-    layer, n = launch.threads_from(), torch.get_num_threads()
+    (layer, _), n = backends.kernel_threads(), torch.get_num_threads()
     threads = EnvironmentCheck(
         "threads", layer == "tbb", f"{n} for computing; those of the numba kernels are from {layer}",
         "a map takes up to 1.6 times as long without: pip install tbb", needed=False,

@@ -7,12 +7,10 @@ import sys
 import time
 from collections.abc import Iterator
 
-import numpy as np
-
+from ..backends import kernel_threads
 from ..config import BackEndConfig, LandmarkConfig
 from ..data import open_sequence
 from ..data.checkup import check_recording
-from ..kernels.runtime.numba.launch import launching, start_threads, threads_from
 from ..tracking import LandmarkMap, moved_enough
 from ..tracking.features import extract_features
 from ..tracking.keyframe_database import KeyframeDatabase
@@ -58,12 +56,11 @@ def _import_lap(module: str) -> Lap:
 
 def _start(starts: int = 200) -> Row:
     """A numba kernel that does nothing, a millisecond after the one before, as within a frame of a map."""
-    done, laps = np.zeros(64, np.uint8), []
-    with launching():
-        for _ in range(starts):
-            time.sleep(1e-3)
-            laps.append(lap(lambda: start_threads(done)))
-    return Row(section="latency", case="start of a kernel", method=f"numba on {threads_from()}", timing=summary(laps))
+    (threads, start), laps = kernel_threads(), []
+    for _ in range(starts):
+        time.sleep(1e-3)
+        laps.append(lap(start))
+    return Row(section="latency", case="start of a kernel", method=f"numba on {threads}", timing=summary(laps))
 
 
 def _check(options: BenchOptions, size: tuple[int, int]) -> Row:

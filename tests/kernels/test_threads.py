@@ -16,7 +16,7 @@ import hashlib, torch
 torch.set_num_threads(2)
 import numba
 from gsfusion_nb import GSFusion, gsfusion, open_sequence
-from gsfusion_nb.kernels.runtime.numba.launch import threads_from
+from gsfusion_nb.backends import kernel_threads
 
 frames = open_sequence("room", n_frames=40, width=64, height=48)
 mapper = GSFusion(gsfusion("room"))
@@ -25,7 +25,7 @@ for i in range(3):
 bits = hashlib.sha256()
 for values in (mapper.gaussians.params.xyz_W, mapper.volume.D, mapper.surface(frames.camera, frames[1].T_WC).depth_m):
     bits.update(values.contiguous().numpy().tobytes())
-print(threads_from(), numba.threading_layer(), bits.hexdigest())
+print(kernel_threads()[0], numba.threading_layer(), bits.hexdigest())
 """
 
 

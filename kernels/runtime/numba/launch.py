@@ -72,7 +72,12 @@ def launching() -> Iterator[None]:
 
 
 @njit(parallel=True, cache=True)
-def start_threads(done):
-    """A kernel that does next to nothing, to measure what starting one costs: sets all of ``done`` to one."""
+def _set_all(done):
     for i in prange(len(done)):
         done[i] = 1
+
+
+def start_threads() -> None:
+    """Run a kernel that does next to nothing, to measure what starting one costs."""
+    with launching():
+        _set_all(np.zeros(64, np.uint8))
