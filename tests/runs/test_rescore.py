@@ -76,7 +76,7 @@ def test_scoring_again_gives_the_same_numbers(system, poses, scored_run, caplog)
     again = rescore(folder)
     assert {name: again[name] for name in own} == own
     assert (folder / "metrics.json").read_text() == before
-    assert "these scores differ" not in caplog.text
+    assert [r.getMessage() for r in caplog.records if not r.name.endswith(".announce")] == []  # that kernels compile
     assert not list(folder.glob("metrics-*"))
 
 
