@@ -1,4 +1,4 @@
-# make demo | make lab | make test | make campaign | make chapters | make student | make teacher | make quiz | make slides | make book | make wheel: each first sets up the virtual environment .venv, which all of them share. Only Python >= 3.11 and make are needed. What only tests and development need is installed by make dev, which make test, lint, format and campaign do first.
+# make demo | make lab | make test | make campaign | make measured | make chapters | make student | make teacher | make quiz | make slides | make book | make wheel: each first sets up the virtual environment .venv, which all of them share. Only Python >= 3.11 and make are needed. What only tests and development need is installed by make dev, which make test, lint, format and campaign do first.
 PYTHON ?= python3
 VENV ?= .venv
 # Where pip should look for PyTorch, if not at the default: see docs/install.md.
@@ -14,14 +14,14 @@ DEV_STAMP := $(VENV)/.dev-done
 # Each process would compile all sources again; the tests start many.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup dev demo test campaign chapters lint format lab student teacher quiz slides book wheel clean
+.PHONY: setup dev demo test campaign measured chapters lint format lab student teacher quiz slides book wheel clean
 
 setup: $(STAMP)
 
 $(STAMP): pyproject.toml
 	@$(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(None if v >= (3, 11) else f"gsfusion_nb needs Python >= 3.11, found {v[0]}.{v[1]}: run  make PYTHON=/path/to/python3.11 ...")'
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	@echo "Installing what the demo and the course need into $(VENV) (about 2 minutes, 1.6 GB) ..."
+	@echo "Installing what the demo and the course need into $(VENV) (about 2 minutes, 2.2 GB) ..."
 	@$(BIN)/python -m pip install --quiet --no-compile "torch>=2.6,<2.14" $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX))
 	@$(BIN)/python -m pip install --quiet --no-compile --editable .
 	-@$(BIN)/gsfusion-nb doctor --warm
@@ -44,6 +44,14 @@ test: dev
 campaign: dev
 	$(BIN)/python tests/campaign/kills.py --kills 300
 	$(BIN)/python tests/campaign/fuzz.py --inputs 20000
+
+# The tables in docs/ whose numbers are older than the code that they depend on, and the commands that measure them again.
+# make measured RENEW="tracking-accuracy ..." RECORDINGS=PATH/TO runs these commands in the folder of the recordings and
+# fills the pages: docs/measured/index.md.
+RENEW ?=
+RECORDINGS ?= .
+measured: dev
+	$(BIN)/python tools/measured.py $(if $(RENEW),--renew $(RENEW) --recordings "$(RECORDINGS)")
 
 # The stored chapters, executed again in place: all of them, or make chapters CHAPTERS="09 12". Kernels are compiled
 # before, and chapter 10, which measures times, comes last. What the chapters write in notebooks/runs is removed.
@@ -81,10 +89,9 @@ student: setup
 teacher: setup
 	$(BIN)/python -m gsfusion_nb.teaching.student notebooks runs/teacher --teacher
 
-# The bank of questions and the tables of the syllabus, for lecturers: docs/teaching/quiz.md.
+# The bank of questions, for lecturers: docs/teaching/quiz.md.
 quiz: setup
 	$(BIN)/python -m gsfusion_nb.teaching.kit.quiz_files notebooks docs/teaching/quiz runs/quiz
-	$(BIN)/python -m gsfusion_nb.teaching.kit.syllabus notebooks docs/teaching/syllabus.md
 
 # The decks of slides as HTML, in runs/slides; needs Node: docs/teaching/slides.md.
 slides: setup

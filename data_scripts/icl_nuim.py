@@ -13,9 +13,9 @@ from pathlib import Path
 
 import torch
 
-from gsfusion_nb.data import SequenceError
+from gsfusion_nb.data import SequenceError, fetch
 from gsfusion_nb.data.convert.formats.open3d_log import read_trajectory_file
-from gsfusion_nb.data.fetch import Item, Plan, SequenceOnDisk, command, fetch_data_set
+from gsfusion_nb.data.fetch import Item, Plan, SequenceOnDisk
 from gsfusion_nb.data.recorded.find_files import images_in
 from gsfusion_nb.data.recorded.pose_lines import image_number
 from gsfusion_nb.data.recorded.poses import write_pose_lines
@@ -44,7 +44,7 @@ MD5 = {
 """Published in Open3D's data module."""
 SEQUENCES = ("livingroom1", "livingroom2", "office1", "office2")
 COLOUR_BYTES, DEPTH_BYTES, CLOUD_BYTES, POSES_BYTES = 400_000_000, 500_000_000, 100_000_000, 600_000
-"""Estimated; the server is asked for the sizes before the download starts."""
+"""Estimated."""
 PRIMESENSE = {"width": 640, "height": 480, "fx": 525.0, "fy": 525.0, "cx": 319.5, "cy": 239.5, "pixel_centre": 0.0}
 
 
@@ -97,18 +97,18 @@ def plan(sequence: str, depth: str = "clean", checksums: dict[str, str] = MD5) -
 
 def main(arguments: list[str] | None = None) -> int:
     """Fetch the sequences named on the command line."""
-    parser = command.parser(__doc__ or "")
+    parser = fetch.parser(__doc__ or "")
     parser.add_argument("sequence", nargs="+", choices=SEQUENCES, help="which sequences")
     parser.add_argument(
         "--depth", choices=("clean", "simulated"), default="clean", help="exact depth, or depth with sensor errors"
     )
     options = parser.parse_args(arguments)
 
-    def fetch() -> None:
+    def work() -> None:
         for name in options.sequence:
-            fetch_data_set(plan(name, options.depth), command.fetch_options(options))
+            fetch.fetch_data_set(plan(name, options.depth), fetch.fetch_options(options))
 
-    return command.run(Path(__file__).name, fetch)
+    return fetch.run(Path(__file__).name, work)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,8 @@ import re
 import sys
 from pathlib import Path
 
-from gsfusion_nb.data.fetch import Item, Plan, SequenceOnDisk, command, fetch_data_set
+from gsfusion_nb.data import fetch
+from gsfusion_nb.data.fetch import Item, Plan, SequenceOnDisk
 
 HOST = "https://cvg-data.inf.ethz.ch/nice-slam"
 SCENES = ("office0", "office1", "office2", "office3", "office4", "room0", "room1", "room2")
@@ -51,21 +52,21 @@ def plan(scene: str) -> Plan:
 
 def main(arguments: list[str] | None = None) -> int:
     """Fetch the scenes named on the command line."""
-    parser = command.parser(__doc__ or "")
+    parser = fetch.parser(__doc__ or "")
     parser.add_argument("scene", nargs="+", choices=(*SCENES, "all"), help="which scenes")
     options = parser.parse_args(arguments)
     wanted = SCENES if "all" in options.scene else tuple(dict.fromkeys(options.scene))
 
-    def fetch() -> None:
-        fetch_options = command.fetch_options(options)
+    def work() -> None:
+        fetch_options = fetch.fetch_options(options)
         for i, scene in enumerate(wanted):
             more = i + 1 < len(wanted)
-            fetch_data_set(
+            fetch.fetch_data_set(
                 plan(scene), dataclasses.replace(fetch_options, keep_archives=fetch_options.keep_archives or more)
             )
             fetch_options = dataclasses.replace(fetch_options, yes=True)  # the user agrees once, for the whole archive
 
-    return command.run(Path(__file__).name, fetch)
+    return fetch.run(Path(__file__).name, work)
 
 
 if __name__ == "__main__":

@@ -10,10 +10,8 @@ The images of folder, replica and scannetpp have the size --width x --height; th
 import sys
 from pathlib import Path
 
-from gsfusion_nb.data.fetch import command
-from gsfusion_nb.data.fetch.disk import require_space, size_text
-from gsfusion_nb.data.fetch.plan import duration_text
-from gsfusion_nb.data.fetch.work_folder import only_one, unfinished_folder
+from gsfusion_nb.data import fetch
+from gsfusion_nb.data.fetch import FetchOptions, duration_text, size_text
 from gsfusion_nb.data.room import room_mesh
 from gsfusion_nb.data.room.write_layouts import WRITERS, Walk
 from gsfusion_nb.export import write_mesh_ply
@@ -22,29 +20,29 @@ BYTES_PER_FRAME, BYTES_OF_MESH = 500_000, 9_000_000
 SECONDS_PER_FRAME, SECONDS_OF_MESH = 0.25, 10.0
 
 
-def write(layout: str, walk: Walk, fetch_options: command.FetchOptions) -> None:
+def write(layout: str, walk: Walk, options: FetchOptions) -> None:
     """Write one layout."""
     name, writer = WRITERS[layout]
-    target = fetch_options.out / name
+    target = options.out / name
     size = BYTES_OF_MESH + walk.n_frames * BYTES_PER_FRAME
     seconds = SECONDS_OF_MESH + walk.n_frames * SECONDS_PER_FRAME
-    fetch_options.say(
+    fetch.say(
         f"The built-in room in the layout {layout}: {walk.n_frames} frames\n"
         f"  to       {target} (about {size_text(size)})\n"
         f"  time     about {duration_text(seconds)}\n  licence  Apache-2.0, as the package"
     )
-    require_space(fetch_options.out, size, name)
-    with only_one(fetch_options.out), unfinished_folder(target, fetch_options.out) as folder:
-        with command.counting("frame") as progress:
+    fetch.require_space(options.out, size, name)
+    with fetch.new_folder(target, options.out) as folder:
+        with fetch.counting("frame") as progress:
             sequence = writer(folder, walk, progress)
         write_mesh_ply(folder / "mesh.ply", room_mesh(0.03, seed=walk.seed))
         proof = sequence.prove(folder)
-    fetch_options.say(f"{proof}\n  {sequence.command(target)}")
+    fetch.say(f"{proof}\n  {sequence.command(target)}")
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Write the layouts named on the command line."""
-    parser = command.parser(__doc__ or "", downloads=False)
+    parser = fetch.parser(__doc__ or "", downloads=False)
     parser.add_argument("layout", nargs="+", choices=(*WRITERS, "all"), help="which layouts")
     parser.add_argument("--frames", type=int, default=200, help="frames of the walk (default: 200)")
     parser.add_argument("--width", type=int, default=640, help="width of the images, pixels (default: 640)")
@@ -54,9 +52,9 @@ def main(arguments: list[str] | None = None) -> int:
     def work() -> None:
         walk = Walk(n_frames=options.frames, width=options.width, height=options.height)
         for layout in WRITERS if "all" in options.layout else dict.fromkeys(options.layout):
-            write(layout, walk, command.fetch_options(options))
+            write(layout, walk, fetch.fetch_options(options))
 
-    return command.run(Path(__file__).name, work)
+    return fetch.run(Path(__file__).name, work)
 
 
 if __name__ == "__main__":

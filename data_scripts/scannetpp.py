@@ -9,11 +9,9 @@ display. An interrupted run continues with the next picture.
 import sys
 from pathlib import Path
 
+from gsfusion_nb.data import fetch
 from gsfusion_nb.data.convert.scannetpp_scene import MESH, listed_pictures, prepare_scene
-from gsfusion_nb.data.fetch import FetchError, SequenceOnDisk, command
-from gsfusion_nb.data.fetch.disk import require_space, size_text
-from gsfusion_nb.data.fetch.plan import agree, duration_text
-from gsfusion_nb.data.fetch.work_folder import only_one, unfinished_folder
+from gsfusion_nb.data.fetch import FetchError, FetchOptions, SequenceOnDisk, duration_text, size_text
 from gsfusion_nb.export import read_mesh_ply
 
 BYTES_PER_PICTURE = 800_000
@@ -32,35 +30,35 @@ def describe(scene: Path, target: Path, n_pictures: int) -> str:
     )
 
 
-def prepare(scene: Path, fetch_options: command.FetchOptions) -> None:
+def prepare(scene: Path, options: FetchOptions) -> None:
     """Prepare one scene."""
     scene = scene.expanduser().resolve()
-    target = fetch_options.out / "scannetpp" / scene.name
+    target = options.out / "scannetpp" / scene.name
     if not target.exists():
         if not (scene / MESH).is_file():
             raise FetchError(f"{scene / MESH} does not exist; expected the folder of a ScanNet++ scene with its scan")
         names = listed_pictures(scene)
-        fetch_options.say(describe(scene, target, len(names)))
-        require_space(fetch_options.out, len(names) * BYTES_PER_PICTURE, scene.name)
-        agree(yes=fetch_options.yes, ask=fetch_options.ask)
-        with only_one(fetch_options.out), unfinished_folder(target, fetch_options.out, resume=True) as folder:
-            with command.counting("picture") as progress:
+        fetch.say(describe(scene, target, len(names)))
+        fetch.require_space(options.out, len(names) * BYTES_PER_PICTURE, scene.name)
+        fetch.agree(options)
+        with fetch.new_folder(target, options.out, resume=True) as folder:
+            with fetch.counting("picture") as progress:
                 prepare_scene(scene, read_mesh_ply(scene / MESH), folder, progress=progress)
             SEQUENCE.prove(folder)
-    fetch_options.say(f"{SEQUENCE.prove(target)}\n  {SEQUENCE.command(target)}")
+    fetch.say(f"{SEQUENCE.prove(target)}\n  {SEQUENCE.command(target)}")
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Prepare the scenes named on the command line."""
-    parser = command.parser(__doc__ or "", downloads=False)
+    parser = fetch.parser(__doc__ or "", downloads=False)
     parser.add_argument("scene", nargs="+", type=Path, help="folders of scenes in your copy")
     options = parser.parse_args(arguments)
 
     def work() -> None:
         for scene in options.scene:
-            prepare(scene, command.fetch_options(options))
+            prepare(scene, fetch.fetch_options(options))
 
-    return command.run(Path(__file__).name, work)
+    return fetch.run(Path(__file__).name, work)
 
 
 if __name__ == "__main__":

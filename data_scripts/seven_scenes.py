@@ -10,7 +10,8 @@ import re
 import sys
 from pathlib import Path
 
-from gsfusion_nb.data.fetch import ArchiveError, Item, Limits, Plan, SequenceOnDisk, command, fetch_data_set, unpack
+from gsfusion_nb.data import fetch
+from gsfusion_nb.data.fetch import ArchiveError, Item, Plan, SequenceOnDisk
 
 HOST = "https://download.microsoft.com/download/2/8/5/28564B23-0828-408F-8631-23B1EFF1DAC8"
 FRAMES = {
@@ -24,7 +25,7 @@ FRAMES = {
 }
 """Scenes, and the number of frames in all their sequences."""
 BYTES_PER_FRAME = 550_000
-"""Estimated; the server is asked for the size before the download starts."""
+"""Estimated."""
 
 
 def unpack_sequences(folder: Path) -> None:
@@ -36,7 +37,7 @@ def unpack_sequences(folder: Path) -> None:
             name = path.removeprefix(inner)
             return inner + name if re.fullmatch(r"frame-\d+\.(color\.(png|jpg)|depth\.png|pose\.txt)", name) else None
 
-        unpack(archive, folder, choose=choose, limits=Limits(max_bytes=4_000_000_000))
+        fetch.unpack(archive, folder, choose=choose, max_bytes=4_000_000_000)
         archive.unlink()
     if not sequences(folder):
         raise ArchiveError(f"{folder.name}: the archive holds no seq-01.zip or similar; expected the scene's sequences")
@@ -71,15 +72,15 @@ def plan(scene: str) -> Plan:
 
 def main(arguments: list[str] | None = None) -> int:
     """Fetch the scenes named on the command line."""
-    parser = command.parser(__doc__ or "")
+    parser = fetch.parser(__doc__ or "")
     parser.add_argument("scene", nargs="+", choices=sorted(FRAMES), help="which scenes")
     options = parser.parse_args(arguments)
 
-    def fetch() -> None:
+    def work() -> None:
         for scene in options.scene:
-            fetch_data_set(plan(scene), command.fetch_options(options))
+            fetch.fetch_data_set(plan(scene), fetch.fetch_options(options))
 
-    return command.run(Path(__file__).name, fetch)
+    return fetch.run(Path(__file__).name, work)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,8 @@ python data_scripts/tum.py fr1_desk --out data
 import sys
 from pathlib import Path
 
-from gsfusion_nb.data.fetch import Item, Plan, SequenceOnDisk, command, fetch_data_set
+from gsfusion_nb.data import fetch
+from gsfusion_nb.data.fetch import Item, Plan, SequenceOnDisk
 
 HOST = "https://cvg.cit.tum.de/rgbd/dataset"
 SIZES_GB = {
@@ -50,15 +51,15 @@ def plan(name: str) -> Plan:
 
 def main(arguments: list[str] | None = None) -> int:
     """Fetch the sequences named on the command line."""
-    parser = command.parser(__doc__ or "")
+    parser = fetch.parser(__doc__ or "")
     parser.add_argument("sequence", nargs="+", choices=sorted(SIZES_GB), help="which sequences")
     options = parser.parse_args(arguments)
 
-    def fetch() -> None:
+    def work() -> None:
         for name in options.sequence:
-            fetch_data_set(plan(name), command.fetch_options(options))
+            fetch.fetch_data_set(plan(name), fetch.fetch_options(options))
 
-    return command.run(Path(__file__).name, fetch)
+    return fetch.run(Path(__file__).name, work)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """Input checks whose errors are sentences: what was expected, what came."""
 
 import math
+import sys
 
 import numpy as np
 import torch
@@ -94,8 +95,8 @@ def check_number(name: str, value: object, low: float | int = -math.inf, high: f
     """Raise ``ValueError`` unless ``value`` is a finite number from ``low`` to ``high``."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise ValueError(f"{name} must be a number, got {shown(value)}")
-    if not math.isfinite(value):
-        raise ValueError(f"{name} must be finite, got {value}")
+    if not abs(value) <= sys.float_info.max:  # a whole number may be larger than any float
+        raise ValueError(f"{name} must be finite, got {shown(value)}")
     if not low <= value <= high:
         raise ValueError(f"{name} must be between {low:g} and {high:g}, got {value}")
 

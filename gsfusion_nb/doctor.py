@@ -12,11 +12,10 @@ from . import __version__, backends
 
 PACKAGES = (
     "torch", "numpy", "numba", "opencv-python-headless", "kornia", "matplotlib", "jupyterlab",
-    "ipykernel", "ipywidgets", "jupyterlab-widgets", "anywidget", "plyfile", "scipy", "tyro",
+    "ipykernel", "ipywidgets", "jupyterlab-widgets", "anywidget", "plyfile", "pyvista", "scipy", "tyro",
 )  # fmt: skip
 
 OPTIONAL = {
-    "pyvista": "smoother still pictures of meshes: pip install 'gsfusion-nb[pyvista]'",
     "triton": "some of the kernels for GPUs: pip install 'gsfusion-nb[gpu]'",
     "gtsam": "RTG-SLAM back end: pip install 'gsfusion-nb[slam]'",
     "rerun-sdk": "recordings for the Rerun viewer: pip install 'gsfusion-nb[rerun]'",
@@ -142,10 +141,10 @@ def _backends() -> list[EnvironmentCheck]:
 
 
 def _drawing() -> EnvironmentCheck:
-    from .viz.meshes import opengl as gl
+    from .viz.meshes.picture import can_draw
 
-    ok, why = gl.can_draw()
-    remedy = "until this works, meshes are drawn by slower code without VTK"
+    ok, why = can_draw()
+    remedy = "until this works, notebooks and reports have no pictures of meshes"
     return EnvironmentCheck("VTK drawing", ok, why, remedy, needed=False)
 
 

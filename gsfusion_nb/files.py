@@ -2,7 +2,7 @@
 
 A complete file is written under a temporary name in the same folder, flushed to disk and renamed, which every file
 system does in one step. So a reader finds the old content or the new one, also after a crash or a power failure. A
-killed program may leave a temporary file, which is never read.
+killed program may leave a temporary file, which is never read (``remove_partial``).
 """
 
 import contextlib
@@ -63,6 +63,13 @@ def atomic_file(path: str | Path, *, size_bytes: int = 0) -> Iterator[Path]:
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+def remove_partial(folder: Path) -> None:
+    """Remove the temporary files that a killed program left in ``folder``; nobody else may be writing there."""
+    for path in folder.glob(".*.partial*"):
+        if re.fullmatch(r"\..+\.[0-9a-f]{8}\.partial(\.\w+)?", path.name):
+            path.unlink(missing_ok=True)
 
 
 def check_space(path: Path, size_bytes: int) -> None:
@@ -196,3 +203,13 @@ def _flush_folder(folder: Path) -> None:
     """Flush the names in a folder, where the system can: Windows and some network disks cannot."""
     with contextlib.suppress(OSError):
         _flush(folder)
+
+
+_FORMULAS = ("=", "+", "-", "@", "\t", "\r")
+"""First characters that make a spreadsheet compute a cell."""
+
+
+def plain_cell(text: str) -> str:
+    """Text on one line that a spreadsheet shows and does not compute."""
+    line = "".join(c if c.isprintable() else " " for c in text)
+    return f"'{line}" if line.lstrip().startswith(_FORMULAS) or text.startswith(_FORMULAS) else line

@@ -11,6 +11,7 @@ import stat
 import zipfile
 import zlib
 from collections.abc import Iterator
+from contextvars import ContextVar
 from io import BufferedReader
 from pathlib import Path
 from typing import BinaryIO
@@ -21,6 +22,7 @@ TEXT_BYTES = 256_000_000
 """Of a text file: the poses of a million frames."""
 IMAGE_BYTES = 256_000_000
 """Of an encoded image."""
+_noted: ContextVar[list[Path] | None] = ContextVar("noted", default=None)
 
 
 def is_file(path: Path) -> bool:
@@ -29,6 +31,19 @@ def is_file(path: Path) -> bool:
         return path.is_file()
     except OSError:
         return False
+
+
+@contextlib.contextmanager
+def noting_files() -> Iterator[list[Path]]:
+    """A block in which every file that is opened by this module is added to the list that it gives."""
+    noted, outer = [], _noted.get()
+    token = _noted.set(noted)
+    try:
+        yield noted
+    finally:
+        _noted.reset(token)
+        if outer is not None:
+            outer += noted
 
 
 def open_regular(path: str | Path, what: str) -> BufferedReader:
@@ -52,6 +67,9 @@ def open_regular(path: str | Path, what: str) -> BufferedReader:
         os.close(handle)
         kind = "a folder" if stat.S_ISDIR(mode) else "a pipe or device"
         raise SequenceError(f"{path} is {kind}, not a plain file; expected {what}")
+    noted = _noted.get()
+    if noted is not None:
+        noted.append(Path(path))
     return os.fdopen(handle, "rb")
 
 

@@ -38,8 +38,16 @@ def unforeseen(error: BaseException, command: str, arguments: list[str]) -> str:
         command: The command as it was typed, without its arguments, such as ``gsfusion-nb map``.
         arguments: The arguments.
     """
+    from .memory import memory_is_full
+
     log = _write_log(error, command, arguments)
     lines = str(error).strip().splitlines()
+    if memory_is_full(error):
+        said = f" ({lines[0][:160]})" if lines else ""
+        return (
+            f"the memory is full{said}, {_concerned(error, arguments)}; use smaller or fewer images, close other "
+            "programs, or raise the limit of memory (ulimit -v)"
+        )
     reason = f"{type(error).__name__}{f' ({lines[0][:160]})' if lines else ''}"
     where = f"the traceback is in {log}" if log else "the traceback could not be written to a file"
     return f"ended by an unexpected error, {reason}, {_concerned(error, arguments)}; {where}"

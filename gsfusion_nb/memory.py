@@ -70,3 +70,13 @@ def _return_free_memory() -> None:
     """Return freed memory to the system; otherwise work that reuses it would seem to need none."""
     with contextlib.suppress(OSError, AttributeError):  # only glibc has it
         ctypes.CDLL("libc.so.6").malloc_trim(0)
+
+
+def memory_is_full(error: BaseException) -> bool:
+    """Whether an error says, in the words of Python, torch, OpenCV or C++, that there is no more memory."""
+    if isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError":
+        return True
+    text = str(error)
+    return any(
+        words in text for words in ("can't allocate memory", "bad_alloc", "Insufficient memory", "Cannot allocate")
+    )

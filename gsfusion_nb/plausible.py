@@ -17,12 +17,26 @@ CENTRE_SIDES = (-1.0, 2.0)
 """Place of the principal point in units of the image's side; 0 and 1 are the image's edges."""
 MAX_DISTANCE_M = 10_000.0
 """Distance of anything from the origin, metres: farther out float32 cannot hold a millimetre."""
+FAR_DEPTH_M = 30.0
+"""A frame whose median depth is beyond this is doubtful: depth cameras measure up to 10 m."""
 DEPTH_SCALE = (1.0, 1_000_000.0)
 """Stored depth value of one metre: from metres to micrometres."""
+
+LATEST_S = 1e11
+"""Time of a frame, seconds; the seconds since 1970 are 1.8e9."""
+LEAST_SIDE_PX = 2
+"""Side of an image, pixels: gradients and the points between pixels need neighbours."""
+FARTHEST = 1e7
+"""Distance and size of a Gaussian of another program, in its units: farther out float32 cannot hold one of them."""
 
 
 def check_camera(source: str, camera: Camera) -> None:
     """Raise ``ValueError`` for an impossible camera; the sentence begins with ``source``."""
+    if min(camera.width, camera.height) < LEAST_SIDE_PX:
+        raise ValueError(
+            f"{source}: images must have at least {LEAST_SIDE_PX} x {LEAST_SIDE_PX} pixels, got {camera.width} x "
+            f"{camera.height}"
+        )
     for axis, focal, centre, side in (
         ("x", camera.fx, camera.cx, camera.width),
         ("y", camera.fy, camera.cy, camera.height),

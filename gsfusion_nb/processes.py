@@ -66,11 +66,16 @@ class WorkerPool:
         with contextlib.suppress(OSError):  # it has died, which ``wait`` notices
             connection.send(arguments)
 
-    def wait(self) -> list[tuple[int, Any]]:
-        """Wait for the next jobs to end. Returns number and result of each: None if the job raised, ``Died`` (the
-        class) if its process ended."""
+    def end(self, number: int) -> None:
+        """End the process of a job that is running; ``wait`` returns it as ``Died``."""
+        for connection in [c for c, running in self._running.items() if running == number]:
+            self._processes[connection].kill()
+
+    def wait(self, most_s: float | None = None) -> list[tuple[int, Any]]:
+        """Wait for the next jobs to end, or for this long. Returns number and result of each: None if the job raised,
+        ``Died`` (the class) if its process ended."""
         ended = []
-        for connection in wait(list(self._running)):
+        for connection in wait(list(self._running), most_s):
             assert isinstance(connection, Connection)
             number = self._running.pop(connection)
             try:

@@ -37,11 +37,17 @@ def read_json(path: str | Path, what: str, *, at_most: int = TEXT_BYTES) -> Any:
     return parse_json(read_text(path, what, at_most=at_most), str(path), what)
 
 
-def read_object(path: str | Path, what: str, *, at_most: int = TEXT_BYTES) -> dict[str, Any]:
-    """``read_json`` of a file that must hold an object."""
+def read_object(
+    path: str | Path, what: str, *, at_most: int = TEXT_BYTES, objects: tuple[str, ...] = ()
+) -> dict[str, Any]:
+    """``read_json`` of a file that must hold an object, and in it an object at each of the keys ``objects``."""
     values = read_json(path, what, at_most=at_most)
     if not isinstance(values, dict):
         raise SequenceError(f"{path} must hold a JSON object ({what}), got a {type(values).__name__}")
+    for key in objects:
+        if not isinstance(values.get(key), dict):
+            got = f"a {type(values[key]).__name__}" if key in values else "none"
+            raise SequenceError(f"{path} must hold an object at the key {key} ({what}), got {got}")
     return values
 
 

@@ -2,10 +2,12 @@
 
 import dataclasses
 import functools
+from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
 import torch
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Float, Int, Shaped, UInt8
 from torch import Tensor
 
 from .checks import check_number, check_positive, check_shape
@@ -86,6 +88,9 @@ class Frame:
     camera: Camera
     T_WC: Float[Tensor, "4 4"]
     """Camera-to-world pose, OpenCV axes, metres."""
+    extra: Mapping[str, Shaped[Tensor, "H W *C"]]
+    """Further images of this frame by name, such as labels of a segmentation (whole numbers) or uncertainties (floats,
+    finite). They are resized with the frame, and reach seeding rules; keyframes and checkpoints do not keep them."""
 
     def __init__(
         self,
@@ -97,6 +102,7 @@ class Frame:
         T_WC: Tensor,
         rgb: Tensor | None = None,
         colour: Tensor | None = None,
+        extra: "Mapping[str, Tensor | np.ndarray] | None" = None,
     ):
         colour = colour if rgb is None else rgb  # dataclasses.replace(frame, rgb=...) gives both
         size = (camera.height, camera.width)
@@ -107,8 +113,9 @@ class Frame:
                 wanted = " or ".join(str(t).removeprefix("torch.") for t in types)
                 raise ValueError(f"{name} of frame {index} must be a {wanted} torch.Tensor, got {kind}")
             check_shape(name, value, shape)
+        found = _checked_extra(index, extra or {}, size)
         for field, value in zip(
-            dataclasses.fields(self), (index, timestamp_s, colour, depth_m, camera, T_WC), strict=True
+            dataclasses.fields(self), (index, timestamp_s, colour, depth_m, camera, T_WC, found), strict=True
         ):
             object.__setattr__(self, field.name, value)
 
@@ -140,11 +147,38 @@ class Frame:
         To a GPU they are copied without waiting for it, except from pinned memory, which its owner may write to next.
         """
         moved = {name: _moved(getattr(self, name), torch.device(device)) for name in ("colour", "depth_m", "T_WC")}
-        if all(value is getattr(self, name) for name, value in moved.items()):
+        extra = {name: _moved(value, torch.device(device)) for name, value in self.extra.items()}
+        same = [value is getattr(self, name) for name, value in moved.items()]
+        if all([*same, *(value is self.extra[name] for name, value in extra.items())]):
             return self
-        frame = dataclasses.replace(self, **moved)
+        frame = dataclasses.replace(self, **moved, extra=Extras(extra))
         frame.__dict__["T_WC_cpu"] = self.T_WC_cpu
         return frame
+
+
+class Extras(dict[str, Tensor]):
+    """``Frame.extra``: an image that is not there is an error that lists those that are."""
+
+    def __missing__(self, name: str) -> Tensor:
+        raise KeyError(f"this frame has no extra image {name!r}; it has: {', '.join(self) or 'none'}")
+
+
+def _checked_extra(index: int, extra: "Mapping[str, Tensor | np.ndarray]", size: tuple[int, int]) -> Extras:
+    if isinstance(extra, Extras):
+        if any(value.shape[:2] != size for value in extra.values()):
+            shapes = {name: list(value.shape) for name, value in extra.items()}
+            raise ValueError(f"extra of frame {index} must be [{size[0]}, {size[1]}, ...], got {shapes}")
+        return extra
+    found = Extras()
+    for name, value in extra.items():
+        image = torch.from_numpy(np.ascontiguousarray(value)) if isinstance(value, np.ndarray) else value
+        if not isinstance(image, Tensor) or image.shape[:2] != size:
+            got = list(image.shape) if isinstance(image, Tensor) else type(image).__name__
+            raise ValueError(f"extra {name!r} of frame {index} must be an image [{size[0]}, {size[1]}, ...], got {got}")
+        if image.is_floating_point() and not bool(image.isfinite().all()):
+            raise ValueError(f"extra {name!r} of frame {index} must be finite, got NaN or infinity; give 0 or a mask")
+        found[name] = image
+    return found
 
 
 def _moved(tensor: Tensor, device: torch.device) -> Tensor:

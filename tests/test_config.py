@@ -75,7 +75,7 @@ def test_unknown_names_are_refused_with_the_known_ones():
         gsfusion("replica", tsdf__voxel_sise_m=0.1)
     with pytest.raises(ValueError, match="config: unknown keys"):
         replace(GSFusionConfig(), sh=1)
-    with pytest.raises(KeyError, match="no preset 'repilca'; known: online, replica"):
+    with pytest.raises(KeyError, match="no preset 'repilca'; known: azure, online, replica"):
         gsfusion("repilca")
 
 

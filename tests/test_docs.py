@@ -15,11 +15,21 @@ from gsfusion_nb import cli
 from gsfusion_nb.config import gsfusion, to_dict
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *(ROOT / "docs/teaching").glob("*.md")])
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *(ROOT / "docs/teaching").glob("*.md"),
+                *(ROOT / "docs/measured").glob("*.md")])  # fmt: skip
 LINKED = [*PAGES, *sorted((ROOT / "docs/teaching/quiz").glob("*.md"))]
 COMMANDS = ("demo", "convert", "check", "map", "live", "eval", "export", "lab", "sweep", "study", "bench", "doctor",
             "course", "grade")  # fmt: skip
-OTHER_PROGRAMS = ("--pdf", "--torch-backend", "--pdb", "--allow-root", "--no-install-recommends", "--no-compile")
+OTHER_PROGRAMS = (
+    "--pdf",
+    "--torch-backend",
+    "--pdb",
+    "--allow-root",
+    "--no-install-recommends",
+    "--no-compile",
+    "--kills",
+    "--variants",
+)
 
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 INLINE = re.compile(r"`([^`\n]+)`")
@@ -89,7 +99,7 @@ def known_options() -> set[str]:
     calls = [(name,) for name in COMMANDS] + systems
     calls += [("course", "times"), ("course", "export")]
     calls += [("live", source) for source in ("folder", "realsense", "kinect")]
-    scripts = "".join(p.read_text() for p in (ROOT / "gsfusion_nb/data/fetch").glob("*.py"))
+    scripts = (ROOT / "gsfusion_nb/data/fetch.py").read_text()
     return set(re.findall(r"--[\w][\w.\-]*", "".join(help_of(*call) for call in calls) + scripts)) | set(OTHER_PROGRAMS)
 
 
@@ -112,10 +122,16 @@ def test_every_page_is_in_the_index():
     index = text(ROOT / "docs/index.md")
     teaching = text(ROOT / "docs/teaching/index.md")
     quiz = text(ROOT / "docs/teaching/quiz.md")
+    measured = text(ROOT / "docs/measured/index.md")
     assert "(teaching/index.md)" in index
+    assert "(measured/index.md)" in index
     for page in LINKED:
         if page.parent.name == "quiz":
             assert f"(quiz/{page.name})" in quiz, f"{page.name} is not in docs/teaching/quiz.md"
+        elif page.parent == ROOT / "docs/measured":
+            assert page.name == "index.md" or f"({page.name})" in measured, (
+                f"{page.name} is not in docs/measured/index.md"
+            )
         elif page.parent.name == "teaching":
             assert page.name == "index.md" or f"({page.name})" in teaching, (
                 f"{page.name} is not in docs/teaching/index.md"

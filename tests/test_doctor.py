@@ -3,14 +3,14 @@ import subprocess
 import pytest
 
 from gsfusion_nb import doctor
-from gsfusion_nb.viz.meshes import opengl as gl
+from gsfusion_nb.viz.meshes.picture import can_draw
 
 
 @pytest.fixture(autouse=True)
 def _fresh_probe():
-    gl.can_draw.cache_clear()
+    can_draw.cache_clear()
     yield
-    gl.can_draw.cache_clear()
+    can_draw.cache_clear()
 
 
 def test_everything_needed_is_found_here(capsys, monkeypatch):
@@ -45,5 +45,5 @@ def test_drawing_is_tried_in_a_process_of_its_own(returncode, stderr, ok, why, m
     monkeypatch.delenv("GSNB_VTK", raising=False)
     done = subprocess.CompletedProcess([], returncode, "", stderr)
     monkeypatch.setattr(subprocess, "run", lambda *a, **k: done)
-    assert gl.can_draw()[0] is ok
-    assert why in gl.can_draw()[1]
+    assert can_draw()[0] is ok
+    assert why in can_draw()[1]

@@ -1,6 +1,6 @@
 """Messages: one line, and never longer than a reader's patience."""
 
-from gsfusion_nb.data.fetch.errors import ArchiveError
+from gsfusion_nb.data.fetch import ArchiveError
 from gsfusion_nb.errors import BadFrameError, SequenceError, SequenceNotFoundError, shown
 
 

@@ -91,6 +91,14 @@ def test_imports_point_down():
     assert [sentence for path in MODULES for sentence in upward_imports(path)] == []
 
 
+def test_the_check_of_a_recording_is_below_nothing_that_maps():
+    """Opening and mapping a recording need no checker: what they share lies in ``data/adjust``."""
+    who = [p for p in MODULES if p.parts[-2] in ("adjust", "runs")]
+    found = [p for p in who for node in imports_of(p) if "checkup" in (getattr(node, "module", "") or "")]
+    assert len(who) > 20
+    assert found == []
+
+
 def test_an_import_that_points_up_is_found(monkeypatch):
     monkeypatch.setitem(FLOORS, "runs", 2)
     path = PACKAGE / "runs" / "map_sequence.py"

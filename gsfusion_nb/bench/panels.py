@@ -26,7 +26,7 @@ from ..viz import (
     tsdf_fill_panel,
 )
 from ..viz.live.step_panels import live_panels
-from ..viz.microscopes.gaussian_panels import one_gaussian_panel, sh_ball_panel
+from ..viz.microscopes.one_gaussian import one_gaussian_panel, sh_ball_panel
 from ..viz.panels.discs import disc_panel
 from ..viz.panels.points import POINT_COLOURS
 from ..viz.panels.quadtree import SHOWS as QUADTREE_SHOWS

@@ -5,8 +5,8 @@ import logging
 import sys
 from pathlib import Path
 
+from .assemble import read_settings
 from .build import build, missing
-from .settings import read_settings
 
 _ROOT = Path(__file__).resolve().parents[2]
 

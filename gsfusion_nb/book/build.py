@@ -2,24 +2,141 @@
 
 import logging
 import os
+import posixpath
+import re
 import shutil
 import subprocess
 import sys
 import time
+import urllib.parse
 import zipfile
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
+from html import escape
+from html.parser import HTMLParser
 from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
 
 from ..files import atomic_file
-from .assemble import ARCHIVE, Assembly
-from .check_links import broken_links
-from .places import places_of
-from .settings import Settings
-from .source_pages import source_css, write_source_pages
-from .views.all_chapters import put_views, record_all, view_html
-from .views.scripts import front_ends, style_sheet
+from .assemble import ARCHIVE, Assembly, Settings
+from .places import Places, places_of
+from .views.record import put_views, record_all, view_html
+from .views.recorded import front_ends, style_sheet
+
+_ELSEWHERE = re.compile(r"^(?:[a-z][a-z0-9+.-]*:|//)", re.IGNORECASE)
+_LOADING = {("script", "src"), ("img", "src"), ("link", "href"), ("iframe", "src"), ("source", "src"), ("video", "src")}
+_CSS_URL = re.compile(r"""url\(\s*["']?((?:https?:)?//[^"')\s]+)|@import\s+["']((?:https?:)?//[^"']+)""")
+
+
+class _Page(HTMLParser):
+    """Targets and places of one page."""
+
+    def __init__(self) -> None:
+        super().__init__(convert_charrefs=True)
+        self.places: set[str] = set()
+        self.targets: list[str] = []
+        self.loaded: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag == "link" and not {"stylesheet", "icon", "preload", "script"} & set(
+            (dict(attrs).get("rel") or "").split()
+        ):
+            return
+        for name, value in attrs:
+            if not value:
+                continue
+            if name == "id" or (name == "name" and tag == "a"):
+                self.places.add(value)
+            elif name in ("href", "src") or (name == "data-src" and not value.startswith("data:")):
+                elsewhere = bool(_ELSEWHERE.match(value))
+                if not elsewhere:
+                    self.targets.append(value)
+                elif (tag, name) in _LOADING and not value.startswith("data:"):
+                    self.loaded.append(value)
+
+
+def read_page(path: Path) -> _Page:
+    """Targets and places of a page."""
+    page = _Page()
+    page.feed(path.read_text(encoding="utf-8"))
+    return page
+
+
+def broken_links(site: Path) -> list[str]:
+    """A sentence for each target inside the site that does not exist, and for each file that comes from elsewhere."""
+    site = site.resolve()
+    pages = {path: read_page(path) for path in sorted(site.rglob("*.html"))}
+    wrong = []
+    for path, page in pages.items():
+        name = path.relative_to(site).as_posix()
+        wrong += [f"{name} loads {address} from another server" for address in page.loaded]
+        for target in sorted(set(page.targets)):
+            address, _, place = target.partition("#")
+            file = (path.parent / urllib.parse.unquote(address.partition("?")[0])).resolve() if address else path
+            file = file / "index.html" if file.is_dir() else file
+            if not file.is_file():
+                wrong.append(f"{name} leads to {target}: no such file")
+            elif site not in file.parents:
+                wrong.append(f"{name} leads to {target}, outside the site")
+            elif place and file in pages and urllib.parse.unquote(place) not in pages[file].places:
+                wrong.append(f"{name} leads to {target}: the page has no such place")
+    for sheet in sorted(site.rglob("*.css")):
+        for found in _CSS_URL.findall(sheet.read_text(encoding="utf-8")):
+            wrong.append(f"{sheet.relative_to(site).as_posix()} loads {''.join(found)} from another server")
+    return wrong
+
+
+_PAGE = """<!doctype html>
+<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{path}</title><link rel="stylesheet" href="{up}_static/source.css">
+<script>document.documentElement.dataset.theme = localStorage.getItem("theme") || "auto";</script></head>
+<body><header><a href="{up}index.html">The book</a> <h1>{path}</h1>{elsewhere}</header>
+<main tabindex="0">{code}</main></body></html>
+"""
+
+
+def write_source_pages(places: Places, paths: Iterable[str], out: Path, repository: str) -> int:
+    """Write ``out/source/PATH.html`` for each path; how many.
+
+    Args:
+        places: The project.
+        paths: Of the files.
+        out: Root of the site.
+        repository: Address of the files in a repository, ending in "/", or "".
+    """
+    from pygments import highlight
+    from pygments.formatters import HtmlFormatter
+    from pygments.lexers import TextLexer, get_lexer_for_filename
+    from pygments.util import ClassNotFound
+
+    written = 0
+    for path in sorted(paths):
+        text = (places.root / path).read_text(encoding="utf-8")
+        try:
+            lexer = get_lexer_for_filename(path)
+        except ClassNotFound:
+            lexer = TextLexer()
+        look = HtmlFormatter(linenos="inline", linespans="L", anchorlinenos=False, wrapcode=True)
+        page = f"source/{path}.html"
+        up = os.path.relpath(".", posixpath.dirname(page)).replace(os.sep, "/") + "/"
+        there = f' <a href="{escape(repository + path)}">in the repository</a>' if repository else ""
+        file = out / page
+        file.parent.mkdir(parents=True, exist_ok=True)
+        code = highlight(text, lexer, look)
+        file.write_text(_PAGE.format(path=escape(path), up=up, elsewhere=there, code=code), encoding="utf-8")
+        written += 1
+    return written
+
+
+def source_css() -> str:
+    """Colours of the code on a light and on a dark page."""
+    from pygments.formatters import HtmlFormatter
+
+    light = HtmlFormatter(style="default").get_style_defs("main")
+    dark = HtmlFormatter(style="github-dark").get_style_defs('[data-theme="dark"] main')
+    night = HtmlFormatter(style="github-dark").get_style_defs('[data-theme="auto"] main')
+    return f"{light}\n{dark}\n@media (prefers-color-scheme: dark) {{\n{night}\n}}\n"
+
 
 log = logging.getLogger(__name__)
 

@@ -9,7 +9,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 _SHOWN = {".py", ".js", ".css", ".html", ".toml", ".cu", ".cuh", ".h", ".vert", ".frag", ".mjs", ".md", ".yml", ""}
-_PAGES = re.compile(r"(README|ARCHITECTURE|CONTRIBUTING)\.md|docs/(teaching/(quiz/)?)?[^/]+\.md|notebooks/[^/]+\.ipynb")
+_PAGES = re.compile(
+    r"(README|ARCHITECTURE|CONTRIBUTING)\.md|docs/(measured/|teaching/(quiz/)?)?[^/]+\.md|notebooks/[^/]+\.ipynb"
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

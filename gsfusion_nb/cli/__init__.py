@@ -35,6 +35,7 @@ _USAGE = """gsfusion-nb: online RGB-D mapping with TSDF fusion and 3D Gaussian s
                                    to files that can be mapped
   gsfusion-nb check DATA           find errors in a recording, and the options that
                                    repair them
+  gsfusion-nb offset DATA          estimate the time between its pictures and poses
   gsfusion-nb map DATA [options]   map a sequence
   gsfusion-nb map --resume RUN     continue an interrupted run
   gsfusion-nb live SOURCE          map a camera, or a folder while it is written;
@@ -63,18 +64,13 @@ Options of a command, with their defaults: gsfusion-nb map --help
 
 
 @dataclass(frozen=True, kw_only=True)
-class CheckOptions:
-    """Examine a recording: units, conventions, intrinsics, registration, times, images.
+class OffsetOptions:
+    """Estimate how much later than its pose each picture was taken, from the frames that would be mapped.
 
-    Reports errors and the options of gsfusion-nb map that repair them; the same options can be given here to test
-    them. Writes an HTML page."""
+    Prints the offset with its error, and the option of gsfusion-nb map that uses it. Nothing is changed."""
 
     path: Annotated[str, tyro.conf.Positional]
     """Folder of a sequence, or "room" for the built-in scene."""
-    out: str = ""
-    """Name of the HTML file. Default: check-<name>.html."""
-    frames: int = 250
-    """Approximate number of frames to read; a longer recording is read in windows of 31 consecutive frames."""
     format: str = "auto"
     """Layout of the data: auto (recognised by its files) or the name of a file in gsfusion_nb/data/readers, such as tum
     or replica."""
@@ -82,6 +78,19 @@ class CheckOptions:
     """Options of the layout's reader, name=value: register=true (7-Scenes), undistort=false (TUM), poses=false (folder,
     TUM), n_frames=480 (room)."""
     data: DataConfig = field(default_factory=DataConfig)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckOptions(OffsetOptions):
+    """Examine a recording: units, conventions, intrinsics, registration, times, images.
+
+    Reports errors and the options of gsfusion-nb map that repair them; the same options can be given here to test
+    them. Writes an HTML page."""
+
+    out: str = ""
+    """Name of the HTML file. Default: check-<name>.html."""
+    frames: int = 250
+    """Approximate number of frames to read; a longer recording is read in windows of 31 consecutive frames."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,8 +132,8 @@ class DoctorOptions:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command line. Exit status: 0 done, 1 an error (its message is printed), 130 interrupted, 141 nobody reads
-    the output any more."""
+    """Run the command line. Exit status: 0 done, 1 an error (its message is printed), 3 a map that ends before its
+    recording (``print_result``), 130 interrupted, 141 nobody reads the output any more."""
     try:
         status = _main(sys.argv[1:] if arguments is None else arguments)
         sys.stdout.flush()
@@ -142,6 +151,7 @@ def _main(arguments: list[str]) -> int:
         "demo": _demo,
         "convert": _convert,
         "check": _check,
+        "offset": _offset,
         "map": _map,
         "live": _live,
         "eval": _eval,
@@ -203,13 +213,24 @@ def _check(arguments: list[str]) -> int:
     from ..data.checkup import check_recording
 
     options = parse_options(CheckOptions, prog="gsfusion-nb check", arguments=arguments)
-    reader: dict[str, Any] = {"format": options.format} if options.format != "auto" else {}
-    reader |= named_values(options.reader)
-    report = check_recording(options.path, data=options.data, frames=options.frames, **reader)
+    report = check_recording(options.path, data=options.data, frames=options.frames, **_reader(options))
     print(report)
     page = report.write(options.out or f"check-{report.name}.html")
     print(f"Pictures and curves: {page}")
     return 1 if report.verdict == "wrong" else 0
+
+
+def _offset(arguments: list[str]) -> int:
+    from ..data import open_sequence
+    from ..data.checkup.pose_offset import estimate_pose_offset
+
+    options = parse_options(OffsetOptions, prog="gsfusion-nb offset", arguments=arguments)
+    print(estimate_pose_offset(open_sequence(options.path, data=options.data, **_reader(options))))
+    return 0
+
+
+def _reader(options: OffsetOptions) -> dict[str, Any]:
+    return ({"format": options.format} if options.format != "auto" else {}) | named_values(options.reader)
 
 
 def _demo(arguments: list[str]) -> int:

@@ -84,6 +84,7 @@ def _standard(options: ExportOptions, gaussians: GaussianParams) -> GaussianPara
     """The Gaussians for a .ply file: a surface that they are drawn over as discs, too."""
     from ..config import from_dict
     from ..export import read_trajectory_tum
+    from ..foreign import parsing
     from ..mapping.over_surface import TSDF
     from ..mapping.systems import get_system
     from ..strict_json import read_object
@@ -91,12 +92,13 @@ def _standard(options: ExportOptions, gaussians: GaussianParams) -> GaussianPara
     folder = options.source
     if not (folder / TSDF).is_file() or options.bake_steps < 0 or options.out.suffix.lower() == ".glb":
         return gaussians
-    settings = read_object(folder / "config.json", "the settings of a run")
-    system = get_system(settings["system"])
+    settings = read_object(folder / "config.json", "the settings of a run", objects=("config",))
+    system = get_system(settings.get("system", "gsfusion"))
     trajectory = folder / "trajectory.txt"
     poses = read_trajectory_tum(trajectory)[1].float() if trajectory.is_file() else []
     print(f"{folder.name} is drawn over its TSDF: making discs of it, and {options.bake_steps} steps to fit them ...")
-    config = from_dict(system.config_type, settings["config"])
+    with parsing(folder / "config.json", "the settings of a run"):
+        config = from_dict(system.config_type, settings["config"])
     gaussians = dataclasses.replace(gaussians, sh=gaussians.sh[:, : (config.sh_degree + 1) ** 2].contiguous())
     standard = system.standard_from(folder, gaussians, config, list(poses), options.bake_steps)
     print(f"{len(standard) - len(gaussians):,} discs for the surface, {len(gaussians):,} Gaussians in front of it")

@@ -44,11 +44,11 @@ class GradeOptions:
 def run(arguments: list[str]) -> int:
     """The command. Exit status 0: the table is written, whatever the marks."""
     from ..files import write_file
-    from ..teaching.grading.limits import Limits
+    from ..teaching.grading.isolated import unprotected
     from ..teaching.grading.marks import Grading, exercises_of, grade, new_seed, rubric_page, write_marks
     from ..teaching.grading.points import Points, read_points
+    from ..teaching.grading.remote import Limits
     from ..teaching.grading.submission import find_submissions
-    from ..teaching.sandbox import landlock
 
     options = parse_options(GradeOptions, prog="gsfusion-nb grade", arguments=arguments)
     if options.seconds <= 0 or options.memory_mb <= 0:
@@ -67,10 +67,8 @@ def run(arguments: list[str]) -> int:
     print(
         f"{len(submissions)} students, {len(names)} exercises, seed {seed} (--seed {seed} gives the same inputs again)"
     )
-    if not landlock.version():
-        print(
-            "Files are guarded by Python's audit hook only: this system has no Landlock. See docs/teaching/grading.md"
-        )
+    if unprotected():
+        print(f"Take care: {unprotected()}")
     grading = Grading(
         names=names, points=points, seed=seed, limits=Limits(seconds=options.seconds, memory_mb=options.memory_mb)
     )

@@ -7,17 +7,24 @@ if TYPE_CHECKING:
 
 
 def print_result(run: "FinishedRun") -> int:
-    """Print a run's numbers, notes and files. Returns the exit status: 0, or 130 if the run was interrupted."""
+    """Print a run's numbers, notes and files.
+
+    Returns:
+        The exit status: 0; 130 if the run was interrupted; 3 if it ended before the recording, because tracking was
+        lost and not found again, or too many frames in a row could not be used.
+    """
     print_metrics(run.metrics)
     for warning in run.run.warnings:
         print(f"note: {warning}")
     print(f"Files in {run.folder}:")
     for path in sorted(run.folder.iterdir()):
         print(f"  {path.name:<16} {path.stat().st_size / 1e6:8.2f} MB")
-    interrupted = run.run.status == "interrupted"
+    interrupted, lost = run.run.status == "interrupted", run.run.mapper.localiser.frames_lost
+    if lost and not interrupted:
+        print(f"Tracking was lost and not found again: the last {lost} frames are not in the map.")
     if interrupted and run.run.resumable:
         print(f"To continue: gsfusion-nb map --resume {run.folder}")
-    return 130 if interrupted else 0
+    return 130 if interrupted else 3 if lost or run.run.status == "stopped" else 0
 
 
 def print_metrics(metrics: dict[str, Any]) -> None:

@@ -145,6 +145,10 @@ def _read_settings(path: Path, rule: str | None) -> SystemConfig:
         own_rule = config.seeding.rule
     except (KeyError, TypeError, AttributeError, ValueError, OverflowError) as e:
         raise ValueError(f"{path} is not the config.json of a run: {reason_of(e)}") from None
+    given = document.get("training")
+    if given and isinstance(given, dict):
+        named = ", ".join(f"{kind} {shown(name)}" for kind, name in given.items())
+        raise ValueError(f"{path} is of a run with its own {named}; repeat it in Python, run_mapping(..., loss=...)")
     name = document.get("rule", own_rule)
     if rule is None and document.get("rule_from_file") and (path.parent / "rule.py").is_file():
         return replace(config, seeding__rule=f"{path.parent / 'rule.py'}:{name}")

@@ -1,5 +1,6 @@
 """Settings of a run: frozen dataclasses with the unit in the name, and presets named after papers and data sets."""
 
+from .gps_slam import GPS_SLAM_DIFFERS as GPS_SLAM_DIFFERS
 from .gps_slam import BaseConfig as BaseConfig
 from .gps_slam import GpsSlamConfig as GpsSlamConfig
 from .gps_slam import PassesConfig as PassesConfig

@@ -142,6 +142,7 @@ _GSFUSION: dict[str, dict[str, Any]] = {
             "global_iterations": 20,
         },
     },
+    "azure": {},
     "room": {"data": {"width": 320, "height": 240}},
     "online": {"optim": {"global_iterations": 0}},
 }
@@ -166,7 +167,8 @@ _FIDELITY: dict[str, list[dict[str, Any]]] = {
 
 def gsfusion(preset: str = "replica", fidelity: str = "measured", **overrides: Any) -> GSFusionConfig:
     """Settings of GSFusion as published for a data set: "replica", "scannetpp", "tum"; "room" for the built-in scene;
-    "online" is "replica" without the optimisation after the scan.
+    "azure" is "replica", because none are published for it; "online" is "replica" without the optimisation after the
+    scan.
 
     Args:
         preset: Name of the preset.
@@ -197,5 +199,5 @@ def _settings_by_fidelity() -> dict[str, list[GSFusionConfig]]:
 
 
 def presets() -> list[str]:
-    """Names that ``gsfusion`` takes."""
+    """Names of the presets, the same for every system."""
     return list(_GSFUSION)

@@ -1,6 +1,7 @@
 """Settings that several systems share: the volumetric map, seeding, the data."""
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Literal
 
 from ..checks import check_number, check_positive
@@ -95,7 +96,11 @@ class SeedingConfig:
     """What the rule gsfusion does with quadtree cells whose middle has no depth: "skip", as published: they get no
     Gaussian; "sides": where the map shows nothing yet, they get one at the depth of the measured pixels to their left,
     right, above and below. For windows, gloss and sensors with holes; without holes both are the same."""
-    options: dict[str, int | float | str | bool] = field(default_factory=dict)
+    source_stride: int = 0
+    """Frames of a recording at 30 Hz from one mapped frame to the next: rules that are asked every n frames
+    (``seeding.every``), and a rule's own interval of keyframes, count these. 0: data.stride. Set it for a recording
+    that was thinned before. Larger: such rules are asked in more of the mapped frames."""
+    options: dict[str, int | float | str | bool | Path] = field(default_factory=dict)
     """Keyword arguments of the rule, by name; on the command line: --rule-options name=value."""
     own_settings: tuple[str, ...] = ()
     """Settings that keep their value although the rule brings another one: names, such as optim.lr_xyz, groups, such as
@@ -103,8 +108,12 @@ class SeedingConfig:
 
     def __post_init__(self):
         check_kinds("seeding", self)
+        if any(isinstance(value, Path) for value in self.options.values()):
+            plain = {name: str(value) if isinstance(value, Path) else value for name, value in self.options.items()}
+            object.__setattr__(self, "options", plain)
         if not all(isinstance(name, str) for name in self.own_settings):
             raise ValueError(f"seeding.own_settings must hold names of settings, got {self.own_settings}")
+        check_number("seeding.source_stride", self.source_stride, 0)
         check_positive("seeding.quadtree_threshold", self.quadtree_threshold)
         if self.quadtree_min_cell_px < 1:
             raise ValueError(f"seeding.quadtree_min_cell_px must be >= 1, got {self.quadtree_min_cell_px}")

@@ -22,7 +22,8 @@ AXES = tuple("-".join(words) for kinds in itertools.permutations(_DIRECTIONS) fo
 
 @dataclass(frozen=True, kw_only=True)
 class RepairConfig:
-    """Corrections applied while a recording is read; ``gsfusion-nb check`` finds them. The defaults change nothing."""
+    """Corrections applied while a recording is read; ``gsfusion-nb check DATA`` finds them. The defaults change
+    nothing."""
 
     depth_factor: float = 1.0
     """Depth is multiplied by this: 0.2 if 5000 units are a metre and 1000 were assumed."""
@@ -44,9 +45,9 @@ class RepairConfig:
     """Positions of the poses are multiplied by this: 0.001 if they are in millimetres."""
     pose_shift_frames: float = 0.0
     """Frame i gets the pose recorded for frame i + this, interpolated between frames if it is not a whole number."""
-    pose_offset_s: float | Literal["estimate"] = 0.0
+    pose_offset_s: float = 0.0
     """Every picture was taken this much later than its pose, seconds; it gets the pose of its time, interpolated.
-    "estimate" finds it from the pictures before mapping; the report then has the number. Usual: within 0.03."""
+    gsfusion-nb offset DATA estimates it. Usual: within 0.03."""
     rgb_shift_frames: int = 0
     """Frame i gets the colour image of frame i + this."""
     fit_sizes: bool = False
@@ -82,8 +83,7 @@ class RepairConfig:
             check_number(f"repair.{name}", getattr(self, name), 0, 1e5)
         for name in ("pixel_shift", "rgb_shift_x_px", "rgb_shift_y_px", "pose_shift_frames", "rgb_shift_frames"):
             check_number(f"repair.{name}", getattr(self, name), -1e4, 1e4)
-        if self.pose_offset_s != "estimate":
-            check_number("repair.pose_offset_s", self.pose_offset_s, -10, 10)
+        check_number("repair.pose_offset_s", self.pose_offset_s, -10, 10)
         if self.pose_offset_s and self.pose_shift_frames:
             raise ValueError(
                 "set repair.pose_offset_s or repair.pose_shift_frames, not both: each moves the poses in time"

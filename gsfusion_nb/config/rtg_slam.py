@@ -237,6 +237,7 @@ _RTG_SLAM: dict[str, dict[str, Any]] = {
         "data": {"depth_max_m": 2.5},
     },
     "room": {"data": {"width": 320, "height": 240}},
+    "online": {"final": {"passes": 0}},
 }
 
 _FIDELITY: dict[str, dict[str, Any]] = {
@@ -292,7 +293,7 @@ _CODE_ON: dict[str, dict[str, Any]] = {
 
 def rtg_slam(preset: str = "replica", fidelity: str = "measured", **overrides: Any) -> RtgSlamConfig:
     """Settings of RTG-SLAM as published for a data set: "replica", "tum", "scannetpp", "azure"; "room" for the
-    built-in scene.
+    built-in scene; "online" is "replica" without the passes after the scan.
 
     Args:
         preset: Data set whose published numbers to take.

@@ -24,6 +24,11 @@ class SystemConfig:
     seed: int = 0
     """Seed of all random numbers. The same seed on the same machine gives the same map."""
 
+    @property
+    def source_stride(self) -> int:
+        """Frames of the recording from one mapped frame to the next."""
+        return self.seeding.source_stride or self.data.stride
+
     def __post_init__(self):
         if self.sh_degree not in (0, 1, 2, 3):
             raise ValueError(f"sh_degree must be 0, 1, 2 or 3, got {self.sh_degree}")

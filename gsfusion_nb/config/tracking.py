@@ -66,8 +66,8 @@ class LandmarkConfig:
     enabled: bool = False
     """Search the landmarks of the local map in every frame. Where their pose is far from the predicted one, ICP starts
     from it, and their errors join ICP's. The settings of the features are those of the back end, which need not be
-    enabled. On by default for RTG-SLAM, whose model is less exact than a TSDF. ATE without and with it on all of
-    redkitchen250: 3.2 and 1.6 cm for RTG-SLAM, 0.76 and 0.98 cm for GSFusion."""
+    enabled. On by default for RTG-SLAM, whose model is less exact than a TSDF: docs/tracking.md has the errors
+    of both systems without and with it."""
     sigma_m: float = 0.02
     """A landmark that is off by one standard deviation counts as much as a pixel of near depth that is off by this,
     metres, where the pose from depth contradicts the landmarks beyond their noise; where it does not, they do not
@@ -84,6 +84,10 @@ class TrackingConfig:
 
     poses: Literal["given", "tracked"] = "given"
     """"given": poses of the data; "tracked": poses are estimated, and only the first frame's comes from the data."""
+    pose_jumps: Literal["skip", "map"] = "skip"
+    """What happens to a frame whose given pose is farther from the last one than a camera moves: more than 2 m a frame
+    and 20 m/s by the time stamps, or 120 degrees a frame and 1500 degrees/s. "skip": it is not mapped, and the run says
+    so; frames that go on from there are mapped. "map": it is mapped, and the run says so."""
     pyramid: tuple[int, ...] = (8, 4, 2)
     """Reduction of the image on each level, coarse to fine (code: 4, 2, 1). Larger first numbers: tolerates faster
     motion. A last level of 1 takes twice the time and gave no better poses, worse ones with noisy depth."""
@@ -105,8 +109,7 @@ class TrackingConfig:
     brightness_m: float | None = 0.1
     """How much brightness counts beside depth: a difference of 1 (black to white) counts as much as this distance,
     metres. Depth alone slides along flat surfaces. Larger: pictures count more; None: depth alone (paper, code). Usual:
-    0.05 to 0.2. ATE of GSFusion with depth alone and with brightness: 1.6 and 0.8 cm on redkitchen250, 0.3 and 0.2 cm
-    on livingroom1_clean211."""
+    0.05 to 0.2. docs/tracking.md has the errors of both."""
     damping: float = 1e-6
     """Damping of the normal equations, as a share of their trace (released code: 1e-4). Larger: smaller, safer steps,
     slower convergence. Usual: 0 to 1e-3."""

@@ -1,5 +1,6 @@
 """Opening a sequence by path or name, whatever its layout."""
 
+import dataclasses
 import importlib
 import pkgutil
 from pathlib import Path
@@ -7,10 +8,12 @@ from typing import Any
 
 from ..checks import check_name
 from ..config import DataConfig
+from ..foreign import noting_files
 from . import readers
-from .adjust.select import OpenedSequence, apply_options
+from .adjust.select import ExtraOf, OpenedSequence, apply_options
 from .recorded.find_files import missing
 from .recorded.layout import Layout
+from .recorded.recorded_sequence import RecordedSequence
 from .sequence import SequenceError, SequenceNotFoundError
 
 
@@ -20,12 +23,18 @@ def known_layouts() -> dict[str, Layout]:
     return {name: importlib.import_module(f"{readers.__name__}.{name}").LAYOUT for name in names}
 
 
+_CONVERT = (
+    ". A ROS bag and recordings of other programs are converted to a folder first: gsfusion-nb convert SOURCE FOLDER"
+)
+
+
 def open_sequence(
     path_or_name: str | Path,
     *,
     format: str = "auto",
     data: DataConfig | None = None,
     split: str | None = None,
+    extra: ExtraOf | None = None,
     **options: Any,
 ) -> OpenedSequence:
     """Open a sequence: the frames to map are ``.mapping``, those held out for evaluation are ``.held_out``.
@@ -36,6 +45,8 @@ def open_sequence(
         data: Size, range, depth limits, held-out frames.
         split: "train" or "test" of a data set that publishes such lists (ScanNet++); None maps the training frames and
             holds the test frames out.
+        extra: A function from a frame, at its recorded size, to further images of it by name: labels, uncertainties, or
+            anything [H, W, ...]. They become ``frame.extra``, are resized with the frame, and reach seeding rules.
         options: Keyword arguments of the layout's reader, such as ``undistort`` of ``tum`` or ``register`` of
             ``seven_scenes``.
 
@@ -56,11 +67,12 @@ def open_sequence(
         if data is not None and data.width and data.height:  # rendered at the wanted size, not resized to it
             options = {"width": data.width, "height": data.height, **options}
         source: Any = room(**options)
-        return apply_options(source, data)
+        return apply_options(source, data, extra)
     path = Path(path_or_name).expanduser()
     if not path.is_dir():
         raise SequenceNotFoundError(
             f"{path} is not a folder; expected one that holds a sequence, or the name of a built-in: room"
+            + (_CONVERT if path.exists() else "")
         )
     name = detect_layout(path) if format == "auto" else format
     layout = known_layouts()[name]
@@ -70,7 +82,11 @@ def open_sequence(
                 f"{path}: the {name!r} layout has no split {split!r}; use data.hold_out_every to hold frames out"
             )
         options = {"split": split, **options}
-    return apply_options(layout.read(path, **options), data)
+    with noting_files() as read_from:
+        recording = layout.read(path, **options)
+    if isinstance(recording, RecordedSequence):
+        recording = dataclasses.replace(recording, read_from=tuple(dict.fromkeys(read_from)))
+    return apply_options(recording, data, extra)
 
 
 def layouts() -> list[str]:
@@ -92,4 +108,4 @@ def detect_layout(path: str | Path) -> str:
             return name
     nearest = sorted(known, key=lambda name: len(lacking[name]) / len(known[name].looks_for))
     described = "; ".join(f"{n}: {', '.join(known[n].looks_for)} (missing {', '.join(lacking[n])})" for n in nearest)
-    raise SequenceError(f"{path} fits no known layout; looked for {described}")
+    raise SequenceError(f"{path} fits no known layout; looked for {described}{_CONVERT}")

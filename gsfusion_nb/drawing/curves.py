@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from . import ground
+from . import pictures
 from .pictures import Picture
 
 if TYPE_CHECKING:
@@ -25,8 +25,8 @@ PAPER = "#fffffe"
 PALETTE = ("#3d85c6", "#e08a2e", "#6a9e1f", "#d1495b", "#8e6bbf", "#8a8f98", "#2aa5a0", "#b8860b")
 """Colours of medium lightness, visible on white and on black."""
 
-BETWEEN = "#{:02x}{:02x}{:02x}".format(*ground.BETWEEN)
-"""``ground.BETWEEN`` as matplotlib and pages write it."""
+BETWEEN = "#{:02x}{:02x}{:02x}".format(*pictures.BETWEEN)
+"""``pictures.BETWEEN`` as matplotlib and pages write it."""
 
 _THEMED = {INK: "var(--ink)", MUTED: "var(--muted)", GRID: "var(--line)", PAPER: "var(--card)"}
 

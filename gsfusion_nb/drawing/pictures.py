@@ -4,6 +4,7 @@ Every function takes tensors or numpy arrays and returns a new uint8 RGB array; 
 """
 
 import base64
+from collections.abc import Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -195,3 +196,83 @@ def _colours(name: str) -> np.ndarray:
 
     ramp = np.arange(256, dtype=np.uint8)[:, None]
     return np.ascontiguousarray(cv2.applyColorMap(ramp, getattr(cv2, f"COLORMAP_{name.upper()}"))[:, 0, ::-1])
+
+
+LABEL_PX = 26
+"""Height of the strip with the labels."""
+
+
+def side_by_side(images: Sequence[AnyImage], labels: Sequence[str] = (), *, gap: int = 6) -> Picture:
+    """Images in a row at the height of the first, with a label strip above if there are labels.
+
+    Args:
+        images: At least one image, 0..1 or bytes; others are scaled to the first one's height.
+        labels: One per image, or none.
+        gap: Space between images, pixels.
+    """
+    import cv2
+
+    if not images:
+        raise ValueError("side_by_side needs at least one image, got none")
+    if labels and len(labels) != len(images):
+        raise ValueError(f"side_by_side needs one label per image, got {len(labels)} labels for {len(images)} images")
+    height = images[0].shape[0]
+    columns = []
+    for i, image in enumerate(images):
+        picture = to_uint8(image)
+        if picture.shape[0] != height:
+            width = max(1, round(picture.shape[1] * height / picture.shape[0]))
+            picture = cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA)
+        if labels:
+            picture = np.concatenate([_label(labels[i], picture.shape[1]), picture])
+        if i:
+            columns.append(np.full((picture.shape[0], gap, 3), CARD, np.uint8))
+        columns.append(picture)
+    return np.concatenate(columns, axis=1)
+
+
+def _label(text: str, width: int) -> np.ndarray:
+    """A dark strip with light text, made smaller until it fits: readable on a light and on a dark page."""
+    import cv2
+
+    strip = np.full((LABEL_PX, width, 3), CARD, np.uint8)
+    font, size = cv2.FONT_HERSHEY_SIMPLEX, 0.5
+    (text_width, _), _ = cv2.getTextSize(text, font, size, 1)
+    size *= min(1.0, (width - 8) / max(text_width, 1))
+    cv2.putText(strip, text, (4, LABEL_PX - 9), font, size, CARD_INK, 1, cv2.LINE_AA)
+    return strip
+
+
+CARD, CARD_INK = (43, 48, 57), (233, 237, 242)
+"""Ground and text of pictures in a row; the same on every page."""
+BETWEEN = (118, 128, 141)
+"""Text and lines on an unknown ground; the contrast is about 4 to white and 5 to a dark page."""
+_GREY = 40.0
+"""Inks whose channels differ by less than this are text and lines; others are the colours of curves and bars."""
+
+
+def encode_drawing(drawing: Picture) -> bytes:
+    """PNG bytes of a drawing on white, where the ground becomes transparent; it looks the same on a white page.
+
+    Ink no darker than ``BETWEEN`` stays readable on a dark page.
+    """
+    ink, opacity = _ink_and_opacity(drawing)
+    return encode_rgba((np.concatenate([ink, 255 * opacity], axis=-1) + 0.5).astype(np.uint8))
+
+
+def on_card(drawing: Picture) -> Picture:
+    """A drawing on white, with the card as its ground, light text and lines, and the colours that it had."""
+    ink, opacity = _ink_and_opacity(drawing)
+    r, g, b = (ink[..., k, None] for k in range(3))  # much faster than reducing an axis of three
+    grey = np.maximum(np.maximum(r, g), b) - np.minimum(np.minimum(r, g), b) < _GREY
+    ink = np.where(grey, np.array(CARD_INK, np.float32), ink)
+    return (opacity * ink + (1 - opacity) * np.array(CARD, np.float32) + 0.5).astype(np.uint8)
+
+
+def _ink_and_opacity(drawing: Picture) -> tuple[Float[np.ndarray, "H W 3"], Float[np.ndarray, "H W 1"]]:
+    """For each pixel p: p = opacity ink + (1 - opacity) white; opaque from the lightness of ``BETWEEN`` on."""
+    p = drawing.astype(np.float32)
+    darkest = np.minimum(np.minimum(p[..., 0, None], p[..., 1, None]), p[..., 2, None])
+    opacity = np.clip((255 - darkest) / (255 - BETWEEN[0]), 0, 1)
+    ink = 255 - (255 - p) / np.maximum(opacity, 1e-3)
+    return ink.clip(0, 255), opacity

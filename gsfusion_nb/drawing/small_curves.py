@@ -6,8 +6,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from .curves import PALETTE
-from .ground import BETWEEN
-from .pictures import Picture
+from .pictures import BETWEEN, Picture
 
 _FAINT = (223, 228, 234)
 

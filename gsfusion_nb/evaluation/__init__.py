@@ -1,10 +1,13 @@
 """Scores of a map: images, geometry and trajectory."""
 
-from .discs import disc_scores as disc_scores
-from .discs import sample_discs as sample_discs
 from .geometry import GeometryScores as GeometryScores
+from .geometry import OwnMeshDistance as OwnMeshDistance
+from .geometry import centres_to_own_mesh as centres_to_own_mesh
 from .geometry import cull_unseen as cull_unseen
+from .geometry import disc_scores as disc_scores
+from .geometry import mesh_psnr as mesh_psnr
 from .geometry import mesh_scores as mesh_scores
+from .geometry import sample_discs as sample_discs
 from .geometry import sample_surface as sample_surface
 from .geometry import seen_by as seen_by
 from .image import ImageScores as ImageScores
@@ -12,16 +15,17 @@ from .image import ViewScores as ViewScores
 from .image import depth_l1_m as depth_l1_m
 from .image import expected_depth_m as expected_depth_m
 from .image import lpips as lpips
+from .image import lpips_as_released as lpips_as_released
 from .image import psnr as psnr
 from .image import score_view as score_view
 from .image import score_views as score_views
 from .image import ssim as ssim
-from .mesh_colour import mesh_psnr as mesh_psnr
+from .image import ssim_as_released as ssim_as_released
 from .metrics import ONLINE as ONLINE
+from .metrics import NotComputed as NotComputed
 from .metrics import format_metric as format_metric
 from .metrics import frame_rates as frame_rates
 from .metrics import metrics_as_json as metrics_as_json
-from .not_computed import NotComputed as NotComputed
 from .trajectory import align_umeyama as align_umeyama
 from .trajectory import ate_rmse as ate_rmse
 from .trajectory import rpe as rpe

@@ -1,4 +1,4 @@
-"""Distance between a mesh and the true surface: accuracy, completion, and the shares within a threshold.
+"""Scores of a surface: a mesh or a map of discs against the truth, a mesh's colours, centres against the own mesh.
 
 No ICP alignment is applied: a map made from given poses is in the world frame of its ground truth, and aligning it
 would hide a systematic shift. Distances are stored in metres and printed in centimetres.
@@ -14,13 +14,18 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from ..checks import check_finite, check_positive, check_shape
-from ..geometry import project, se3
-from ..types import Frame, Mesh
-from .not_computed import NotComputed
+from ..geometry import project, quaternion, se3
+from ..types import Frame, GaussianParams, Mesh
+from .image import psnr
+from .metrics import NotComputed
 
 NEIGHBOURS = 8
 """Number of nearby points whose triangles are tested for the nearest surface point; 8 covers the triangles around a
 typical vertex."""
+SAMPLES_PER_M2 = 10_000
+"""One point per cm^2, as GSFusion's released evaluation draws on the mesh."""
+NEAR_M = 0.02
+"""A view shows a vertex if its measured depth there differs by less than this, metres."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,8 +84,7 @@ def sample_surface(mesh: Mesh, n: int, generator: torch.Generator) -> SurfaceSam
     Differentiable: no.
     """
     corners = _corners(mesh)
-    area = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).norm(dim=1) / 2
-    upto = area.cumsum(0)
+    upto = _areas(corners).cumsum(0)
     if len(upto) == 0 or not upto[-1] > 0:
         raise ValueError(f"a mesh to sample must have area, got {len(upto)} faces of total area 0")
     draw = torch.rand(n, 3, generator=generator, dtype=torch.float64, device=generator.device).to(upto.device)
@@ -131,14 +135,138 @@ def mesh_scores(
             return NotComputed("no point of the reference surface was observed")
     to_truth = _distance(ours.xyz_W, reference, truth, distance)
     to_ours = _distance(wanted, mesh, ours, distance)
-    return GeometryScores(
-        accuracy_m=float(to_truth.mean()),
-        completion_m=float(to_ours.mean()),
-        precision=float((to_truth < threshold_m).double().mean()),
-        completion_ratio=float((to_ours < threshold_m).double().mean()),
-        threshold_m=threshold_m,
-        distance=distance,
-    )
+    return _scores(to_truth, to_ours, threshold_m, distance)
+
+
+def sample_discs(params: GaussianParams, n: int, generator: torch.Generator) -> Float[Tensor, "n 3"]:
+    """``n`` points spread evenly over the opaque discs, each with a radius of one standard deviation.
+
+    A disc is drawn with probability a b / sum, its two largest standard deviations; inside it sqrt(u) makes the
+    radius uniform over the area. Source: Peng et al. 2024, section 3.1 (the surfel's extent); the released evaluation
+    takes the same number of points on every disc instead.
+    """
+    solid = params[params.opacity_logit > 0]
+    if not len(solid):
+        return params.xyz_W.new_zeros(0, 3).double()
+    scale, axis = solid.log_scale.double().exp().sort(dim=1, descending=True)
+    upto = (scale[:, 0] * scale[:, 1]).cumsum(0)
+    draw = torch.rand(n, 3, generator=generator, dtype=torch.float64, device=generator.device).to(upto.device)
+    row = torch.searchsorted(upto, draw[:, 0] * upto[-1], right=True).clamp(max=len(upto) - 1)
+    r, angle = draw[:, 1].sqrt(), 2 * torch.pi * draw[:, 2]
+    R = quaternion.to_matrix(solid.quat.double())[row]
+    a, b = (R.gather(2, axis[row, k, None, None].expand(-1, 3, 1)).squeeze(2) for k in (0, 1))
+    along_a, along_b = scale[row, 0] * r * angle.cos(), scale[row, 1] * r * angle.sin()
+    return solid.xyz_W.double()[row] + along_a[:, None] * a + along_b[:, None] * b
+
+
+def disc_scores(
+    params: GaussianParams,
+    reference: Mesh,
+    *,
+    generator: torch.Generator,
+    threshold_m: float = 0.03,
+    n_samples: int = 200_000,
+) -> GeometryScores | NotComputed:
+    """Accuracy and completion of the opaque discs against ``reference``, from samples of both.
+
+    Args:
+        params: The map.
+        reference: The true surface, already reduced to the part that was seen (``cull_unseen``).
+        generator: Draws the samples.
+        threshold_m: Threshold of the shares, metres.
+        n_samples: Number of points on each of the two surfaces.
+
+    Differentiable: no.
+    """
+    ours = sample_discs(params, n_samples, generator)
+    if not len(ours):
+        return NotComputed("the map has no opaque Gaussian")
+    truth = sample_surface(reference, n_samples, generator).xyz_W
+    return _scores(_to_nearest(ours, truth), _to_nearest(truth, ours), threshold_m, "samples")
+
+
+@dataclass(frozen=True, kw_only=True)
+class OwnMeshDistance:
+    """Distance of Gaussian centres from samples of the mesh of the same run."""
+
+    mean_m: float
+    """Mean distance, metres ("L1 SCD" of the released evaluation)."""
+    mean_square_m2: float
+    """Mean squared distance, square metres ("L2 SCD")."""
+
+    def as_metrics(self) -> dict[str, float]:
+        """The numbers with the names of the metrics table."""
+        return {"centres_to_own_mesh_m": self.mean_m, "centres_to_own_mesh_m2": self.mean_square_m2}
+
+
+def centres_to_own_mesh(
+    params: GaussianParams, mesh: Mesh, *, generator: torch.Generator
+) -> OwnMeshDistance | NotComputed:
+    """How far the Gaussian centres are from the run's own mesh, as GSFusion's released evaluation measures it.
+
+    One way only, from every centre (also of transparent Gaussians) to the nearest of the points drawn on the mesh, one
+    per cm^2. It says how well the two maps of a run agree, not how accurate either is: a mesh in the wrong place with
+    Gaussians on it scores well. Accuracy against a true surface is ``mesh_scores``. Even for centres exactly on the
+    mesh it is about half the sample spacing of 1 cm.
+
+    Args:
+        params: The map.
+        mesh: The mesh of the same run.
+        generator: Draws the samples.
+
+    Returns:
+        The distances, or the reason why there are none.
+
+    Differentiable: no. Source: GSFusion's released evaluation (``eval_pcd.py``).
+    """
+    if not len(params):
+        return NotComputed("the map has no Gaussian")
+    if lost := int((~params.xyz_W.isfinite().all(1)).sum()):
+        return NotComputed(f"the centres of {lost} Gaussians are not finite")
+    n = int(_areas(_corners(mesh)).sum() * SAMPLES_PER_M2)
+    if n == 0:
+        return NotComputed("the run's mesh is smaller than 1 cm^2")
+    distance = _to_nearest(params.xyz_W.double(), sample_surface(mesh, n, generator).xyz_W)
+    return OwnMeshDistance(mean_m=float(distance.mean()), mean_square_m2=float(distance.square().mean()))
+
+
+def mesh_psnr(mesh: Mesh, frames: Iterable[Frame], *, near_m: float = NEAR_M) -> float | NotComputed:
+    """PSNR between the vertices of a mesh and the pixels that show them, dB, mean of the views.
+
+    A vertex is compared with the pixel that contains its projection, if the depth there is that of the vertex. What the
+    triangles show between the vertices is not compared, nor what the mesh does not cover.
+
+    Args:
+        mesh: The mesh; its colours are clamped to 0..1 and rounded to 8 bits, as in ``mesh.ply``.
+        frames: The views, with poses in the frame of the mesh; one pass.
+        near_m: Largest difference between the depth of the vertex and of the pixel, metres.
+
+    Returns:
+        Decibels, or the reason why there are none. Views that show no vertex do not count.
+
+    Differentiable: no.
+    """
+    scores = []
+    for frame in frames:
+        shown, pixels = _pairs(mesh, frame.to(mesh.vertices_W.device), near_m)
+        if len(shown):
+            scores.append(psnr(shown[None], pixels[None]))
+    if not scores:
+        return NotComputed("no view shows a vertex of the mesh")
+    return math.fsum(scores) / len(scores)
+
+
+def _pairs(mesh: Mesh, frame: Frame, near_m: float) -> tuple[Float[Tensor, "N 3"], Float[Tensor, "N 3"]]:
+    """Colours of the vertices that the frame shows, and of their pixels."""
+    xyz_C = se3.apply(se3.inverse(frame.T_WC.to(mesh.vertices_W)), mesh.vertices_W)
+    rows = (xyz_C[:, 2] > 1e-6).nonzero()[:, 0]
+    uv = project(frame.camera, xyz_C[rows])
+    size = torch.tensor([frame.camera.width, frame.camera.height], device=uv.device)
+    inside = ((uv >= 0) & (uv < size)).all(dim=1)
+    rows, (column, row) = rows[inside], uv[inside].long().unbind(1)
+    depth_m = frame.depth_m[row, column]
+    seen = (depth_m > 0) & ((depth_m - xyz_C[rows, 2]).abs() < near_m)
+    return mesh.rgb[rows[seen]], frame.rgb[row[seen], column[seen]]
 
 
 def seen_by(
@@ -215,12 +343,34 @@ def _corners(mesh: Mesh) -> Tensor:
     return mesh.vertices_W.double()[mesh.faces.long()]
 
 
+def _areas(corners: Float[Tensor, "F 3 3"]) -> Float[Tensor, " F"]:
+    return torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).norm(dim=1) / 2
+
+
+def _to_nearest(xyz: Float[Tensor, "N 3"], points: Float[Tensor, "M 3"]) -> Float[Tensor, " N"]:
+    """Distance from each point to the nearest of ``points``, on the CPU."""
+    from scipy.spatial import KDTree
+
+    return torch.from_numpy(KDTree(points.cpu().numpy()).query(xyz.cpu().numpy())[0])
+
+
+def _scores(to_truth: Tensor, to_ours: Tensor, threshold_m: float, distance: str) -> GeometryScores:
+    return GeometryScores(
+        accuracy_m=float(to_truth.mean()),
+        completion_m=float(to_ours.mean()),
+        precision=float((to_truth < threshold_m).double().mean()),
+        completion_ratio=float((to_ours < threshold_m).double().mean()),
+        threshold_m=threshold_m,
+        distance=distance,
+    )
+
+
 def _distance(xyz: Tensor, mesh: Mesh, samples: SurfaceSamples, kind: str) -> Tensor:
     """Distance of each point to ``mesh``, found through its ``samples``."""
     from scipy.spatial import KDTree
 
     if kind == "samples":
-        return torch.from_numpy(KDTree(samples.xyz_W.cpu().numpy()).query(xyz.cpu().numpy())[0])
+        return _to_nearest(xyz, samples.xyz_W)
     corners = _corners(mesh).cpu()
     # samples represent large triangles, centroids those too small to have a sample
     points = torch.cat([samples.xyz_W.cpu(), corners.mean(1)])

@@ -15,8 +15,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..checks import check_shape
+from ..geometry import sum_rows
 from ..types import Camera, Frame, RenderOutput
-from .not_computed import NotComputed
+from .metrics import NotComputed
+
+BORDER_PX = 5
+"""Half of SSIM's window of 11 pixels, rounded down: nearer to the border the window is cut."""
 
 RenderFn = Callable[[Camera, Tensor], RenderOutput]
 """Renders a map for a camera at pose T_WC. It does not receive the frame, so its pixels cannot influence the result."""
@@ -33,6 +37,11 @@ def _prepared(rgb: Tensor, reference: Tensor, quantise: bool) -> tuple[Tensor, T
     return grid(rgb), grid(reference)
 
 
+def _mean(values: Tensor) -> float:
+    """The mean in double precision, the same with any number of threads."""
+    return float(sum_rows(values.double().flatten()) / values.numel())
+
+
 def psnr(rgb: Float[Tensor, "H W 3"], reference: Float[Tensor, "H W 3"], *, quantise: bool = True) -> float:
     """Peak signal-to-noise ratio, dB:  -10 log10 mean((a - b)^2), data range 1.
 
@@ -47,15 +56,15 @@ def psnr(rgb: Float[Tensor, "H W 3"], reference: Float[Tensor, "H W 3"], *, quan
     Differentiable: no. Source: the protocol of GSFusion's evaluation (torchmetrics, data range 1, 8-bit images).
     """
     a, b = _prepared(rgb, reference, quantise)
-    mse = float((a.double() - b.double()).square().mean())
+    mse = _mean((a.double() - b.double()).square())
     return math.inf if mse == 0 else -10.0 * math.log10(mse)
 
 
 def ssim(rgb: Float[Tensor, "H W 3"], reference: Float[Tensor, "H W 3"], *, quantise: bool = True) -> float:
     """Structural similarity: mean over pixels and channels of the map with an 11x11 Gaussian window, sigma 1.5.
 
-    C1 = 0.01^2, C2 = 0.03^2, reflected borders, population variances; the whole map is averaged. torchmetrics from
-    1.5.2 on gives the same number; its versions up to 1.4 leave out a border of 5 pixels and differ in the third digit.
+    C1 = 0.01^2, C2 = 0.03^2, reflected borders, population variances; the whole map is averaged, as torchmetrics does
+    from 1.5.2 on.
 
     Args:
         rgb: Image, 0..1 (clamped); at least 6 pixels on each side. [H, W, 3]
@@ -67,13 +76,34 @@ def ssim(rgb: Float[Tensor, "H W 3"], reference: Float[Tensor, "H W 3"], *, quan
 
     Differentiable: no. Source: Wang et al. 2004.
     """
+    return _mean(_ssim_map(rgb, reference, quantise))
+
+
+def ssim_as_released(rgb: Float[Tensor, "H W 3"], reference: Float[Tensor, "H W 3"], *, quantise: bool = True) -> float:
+    """SSIM as in GSFusion's published tables: ``ssim`` without a border of 5 pixels, where the window is cut.
+
+    torchmetrics up to 1.4 and scikit-image leave this border out, and the evaluation released with GSFusion uses
+    torchmetrics of that time (its requirements name no version). It differs from ``ssim`` in the third digit. Use it
+    only beside published numbers. Arguments and result are those of ``ssim``; the images have at least 11 pixels on
+    each side.
+
+    Differentiable: no. Source: GSFusion's released evaluation.
+    """
+    return _mean(_without_border(_ssim_map(rgb, reference, quantise, BORDER_PX + 6)))
+
+
+def _ssim_map(rgb: Tensor, reference: Tensor, quantise: bool, smallest: int = 6) -> Float[Tensor, "1 3 H W"]:
     a, b = _prepared(rgb, reference, quantise)
-    if min(a.shape[:2]) < 6:
-        raise ValueError(f"rgb must be at least 6 pixels high and wide for an 11x11 window, got {list(a.shape)}")
+    if min(a.shape[:2]) < smallest:
+        raise ValueError(f"rgb must be at least {smallest} pixels high and wide for an 11x11 window, got {[*a.shape]}")
     from kornia.metrics import ssim as ssim_map
 
     a, b = (image.permute(2, 0, 1)[None] for image in (a, b))
-    return float(ssim_map(a, b, window_size=11, max_val=1.0, eps=0.0).mean())
+    return ssim_map(a, b, window_size=11, max_val=1.0, eps=0.0)
+
+
+def _without_border(image: Tensor) -> Tensor:
+    return image[..., BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX]
 
 
 def lpips(
@@ -81,8 +111,7 @@ def lpips(
 ) -> float | NotComputed:
     """Learned perceptual distance with AlexNet features; 0 for equal images, lower is better.
 
-    Images are given to the network as RGB in -1..1, as it was trained. GSFusion's published values were computed from
-    BGR images in 0..1, so they are not comparable with these or other published values.
+    Images are given to the network as RGB in -1..1, as it was trained.
 
     Returns:
         The distance, or the reason why there is none: the optional package ``lpips`` or AlexNet's weights are missing.
@@ -91,10 +120,29 @@ def lpips(
     Differentiable: no. Source: Zhang et al. 2018, linear weights of release 0.1.
     """
     a, b = _prepared(rgb, reference, quantise)
+    return _network_distance(a * 2 - 1, b * 2 - 1)
+
+
+def lpips_as_released(
+    rgb: Float[Tensor, "H W 3"], reference: Float[Tensor, "H W 3"], *, quantise: bool = True
+) -> float | NotComputed:
+    """LPIPS as in GSFusion's published tables: the same network, given BGR in 0..1 instead of RGB in -1..1.
+
+    The released evaluation reads images with OpenCV, which gives BGR, and leaves them in 0..1, where the network
+    expects -1..1. Its numbers cannot be compared with LPIPS of other papers, nor with ``lpips``. Use it only beside
+    published numbers. Arguments and result are those of ``lpips``.
+
+    Differentiable: no. Source: GSFusion's released evaluation.
+    """
+    a, b = _prepared(rgb, reference, quantise)
+    return _network_distance(a.flip(-1), b.flip(-1))
+
+
+def _network_distance(a: Float[Tensor, "H W 3"], b: Float[Tensor, "H W 3"]) -> float | NotComputed:
     network = _lpips_network()
     if isinstance(network, NotComputed):
         return network
-    a, b = (image.permute(2, 0, 1)[None].float().cpu() * 2 - 1 for image in (a, b))
+    a, b = (image.permute(2, 0, 1)[None].float().cpu() for image in (a, b))
     with torch.no_grad():
         return float(network(a, b))
 
@@ -135,7 +183,7 @@ def depth_l1_m(depth_m: Float[Tensor, "H W"], reference_m: Float[Tensor, "H W"])
     both = (depth_m > 0) & (reference_m > 0)
     share = float(both.double().mean()) if both.numel() else 0.0
     error = (depth_m[both].double() - reference_m[both].double()).abs()
-    return (float(error.mean()) if len(error) else math.nan), share
+    return (_mean(error) if len(error) else math.nan), share
 
 
 def expected_depth_m(view: RenderOutput, *, alpha_min: float = 0.5) -> Float[Tensor, "H W"]:
@@ -158,6 +206,9 @@ class ViewScores:
     ssim: float
     """NaN for images with a side of less than 6 pixels, which are too small for its window."""
     lpips: float | NotComputed
+    ssim_as_released: float
+    """NaN for images with a side of less than 11 pixels."""
+    lpips_as_released: float | NotComputed
     depth_l1_m: float
     """Metres; NaN if no pixel has both depths."""
     depth_share: float
@@ -189,6 +240,16 @@ class ImageScores:
         return self._mean("lpips")
 
     @property
+    def ssim_as_released(self) -> float | NotComputed:
+        """Mean of ``evaluation.ssim_as_released``."""
+        return self._mean("ssim_as_released")
+
+    @property
+    def lpips_as_released(self) -> float | NotComputed:
+        """Mean of ``evaluation.lpips_as_released``."""
+        return self._mean("lpips_as_released")
+
+    @property
     def depth_l1_m(self) -> float | NotComputed:
         """Mean of the per-image depth error, metres; views without common depth do not count."""
         return self._mean("depth_l1_m")
@@ -199,6 +260,8 @@ class ImageScores:
             f"psnr_{suffix}_db": self.psnr,
             f"ssim_{suffix}": self.ssim,
             f"lpips_{suffix}": self.lpips,
+            f"ssim_as_released_{suffix}": self.ssim_as_released,
+            f"lpips_as_released_{suffix}": self.lpips_as_released,
             f"depth_l1_{suffix}_m": self.depth_l1_m,
         }
 
@@ -209,20 +272,25 @@ class ImageScores:
             return missing[0]
         known = [v for v in values if not math.isnan(v)]
         if not known:
-            reasons = {"depth_l1_m": "no view has both depths", "ssim": "the images are too small for its window"}
-            return NotComputed(reasons.get(name, "no number") if values else "no view to score")
+            reason = "no view has both depths" if name == "depth_l1_m" else "the images are too small for its window"
+            return NotComputed(reason if values else "no view to score")
         return sum(known) / len(known)
 
 
 def score_view(view: RenderOutput, frame: Frame, *, with_lpips: bool = False, quantise: bool = True) -> ViewScores:
     """Compare the map's picture of one view with the frame; arguments and scores are those of ``score_views``."""
     frame = frame.to(view.rgb.device)
+    images, side = (view.rgb, frame.rgb), min(frame.rgb.shape[:2])
     l1_m, share = depth_l1_m(expected_depth_m(view), frame.depth_m)
+    similarity = _ssim_map(*images, quantise) if side >= 6 else torch.full((1, 3, 1, 1), math.nan)
+    not_requested = NotComputed("not requested")
     return ViewScores(
         index=frame.index,
-        psnr=psnr(view.rgb, frame.rgb, quantise=quantise),
-        ssim=ssim(view.rgb, frame.rgb, quantise=quantise) if min(frame.rgb.shape[:2]) >= 6 else math.nan,
-        lpips=lpips(view.rgb, frame.rgb, quantise=quantise) if with_lpips else NotComputed("not requested"),
+        psnr=psnr(*images, quantise=quantise),
+        ssim=_mean(similarity),
+        lpips=lpips(*images, quantise=quantise) if with_lpips else not_requested,
+        ssim_as_released=_mean(_without_border(similarity)) if side > 2 * BORDER_PX else math.nan,
+        lpips_as_released=lpips_as_released(*images, quantise=quantise) if with_lpips else not_requested,
         depth_l1_m=l1_m,
         depth_share=share,
     )
@@ -236,7 +304,7 @@ def score_views(
     Args:
         render_fn: ``(camera, T_WC) -> RenderOutput``.
         frames: The views to score, in any order; only one is held in memory at a time.
-        with_lpips: Also compute LPIPS (about 0.1 s per view on a CPU).
+        with_lpips: Also compute LPIPS, both ways (about 0.2 s per view on a CPU).
         quantise: Round images to 8 bits first.
 
     Returns:

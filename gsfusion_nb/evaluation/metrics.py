@@ -5,9 +5,22 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from .not_computed import NotComputed
-
 NBSP = "\u00a0"
+
+
+@dataclass(frozen=True)
+class NotComputed:
+    """Used in place of a number. In JSON it is ``{"not_computed": reason}``."""
+
+    reason: str
+    """The reason, without a full stop."""
+
+    def __str__(self) -> str:
+        return f"not computed: {self.reason}"
+
+    def as_json(self) -> dict[str, str]:
+        """The form in metrics.json."""
+        return {"not_computed": self.reason}
 
 
 @dataclass(frozen=True)
@@ -30,6 +43,12 @@ def _image_metrics(suffix: str) -> dict[str, Metric]:
         ),
         f"ssim_{suffix}": Metric("SSIM", "", 3, 1.0, "Structural similarity, 11x11 Gaussian window. 1 is perfect."),
         f"lpips_{suffix}": Metric("LPIPS", "", 3, 1.0, "Learned perceptual distance, AlexNet. Lower is better."),
+        f"ssim_as_released_{suffix}": Metric(
+            "SSIM as GSFusion's evaluation", "", 3, 1.0, "Without a border of 5 pixels. Only for published tables."
+        ),
+        f"lpips_as_released_{suffix}": Metric(
+            "LPIPS as GSFusion's evaluation", "", 3, 1.0, "From BGR in 0..1. Only for published tables."
+        ),
         f"depth_l1_{suffix}_m": Metric(
             "Depth error", "cm", 2, 100.0, "Mean |rendered - measured depth| where both exist."
         ),
@@ -65,6 +84,8 @@ METRIC_GROUPS: dict[str, dict[str, Metric]] = {
         "n_frames": Metric("Frames mapped", "", 0),
         "n_blocks": Metric("Voxel blocks", "", 0),
         "n_triangles": Metric("Mesh triangles", "", 0),
+        "loss": Metric("Loss, instead of the system's own"),
+        "optimiser": Metric("Optimiser, instead of Adam"),
     },
     "Speed and memory": {
         "fps_total": Metric(
@@ -101,6 +122,12 @@ METRIC_GROUPS: dict[str, dict[str, Metric]] = {
         ),
         "mesh_f_score": Metric("F-score", "", 3, 1.0, "Harmonic mean of precision and completion ratio."),
         "mesh_threshold_m": Metric("Threshold", "cm", 1, 100.0),
+    },
+    "Gaussian centres against the run's own mesh, as GSFusion's evaluation": {
+        "centres_to_own_mesh_m": Metric(
+            "Mean distance", "cm", 2, 100.0, "To samples of our own mesh: agreement of the two maps, not accuracy."
+        ),
+        "centres_to_own_mesh_m2": Metric("Mean squared distance", "cm²", 2, 1e4),
     },
     "Discs against ground truth": {
         "disc_accuracy_m": Metric(

@@ -28,7 +28,7 @@ from ..memory import available_memory
 from .packed_state import Packing, bytes_of, tensor_of, unpack
 
 FORMAT = "gsfusion_nb checkpoint"
-VERSION = 4
+VERSION = 5
 PIECE_BYTES = 1 << 18
 
 Piece = tuple[str, str, int, int]

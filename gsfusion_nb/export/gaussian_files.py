@@ -1,10 +1,12 @@
 """Reading Gaussians from any of the files in which programs exchange them; the kind is told by the first bytes."""
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 
 from ..errors import SequenceError
 from ..foreign import open_regular
+from ..plausible import FARTHEST
 from ..types import GaussianParams
 from .gaussian_ply import read_gaussian_ply
 from .map_glb import read_map_glb
@@ -34,9 +36,24 @@ def read_gaussians(path: str | Path) -> GaussianParams:
     path = Path(path)
     with open_regular(path, WHAT) as file:
         head = file.read(4)
-    for beginning, read in _BEGINNINGS.items():
-        if head.startswith(beginning):
-            return read(path)
-    if path.suffix.lower() == ".splat":  # has no mark of its own
-        return read_splat(path)
-    raise SequenceError(f"{path} begins with {head!r}; expected {WHAT}")
+    read = next((read for beginning, read in _BEGINNINGS.items() if head.startswith(beginning)), None)
+    if read is None and path.suffix.lower() == ".splat":  # has no mark of its own
+        read = read_splat
+    if read is None:
+        raise SequenceError(f"{path} begins with {head!r}; expected {WHAT}")
+    return _plausible(path, read(path))
+
+
+def _plausible(path: Path, gaussians: GaussianParams) -> GaussianParams:
+    """Raise ``SequenceError`` for Gaussians that no map has: too far away, too large, or without a rotation."""
+    for what, bad in (
+        (f"a place beyond {FARTHEST:g}", (gaussians.xyz_W.abs() > FARTHEST).any(dim=1)),
+        (f"a size above {FARTHEST:g}", (gaussians.log_scale > math.log(FARTHEST)).any(dim=1)),
+        ("a rotation whose quaternion is zero", (gaussians.quat == 0).all(dim=1)),
+    ):
+        if bad.any():
+            raise SequenceError(
+                f"{path} has {what} in {int(bad.sum())} rows of Gaussians, the first is row {int(bad.int().argmax())}; "
+                f"it is damaged, or another kind; expected {WHAT}"
+            )
+    return gaussians

@@ -38,16 +38,11 @@ def read_splat(path: str | Path) -> GaussianParams:
     if len(rows) and not bool((rows["scale"] >= 0).all()):
         raise SequenceError(f"{path} has negative sizes; expected a .splat file of Gaussians")
     rgba = rows["rgba"] / 255.0
-    quat = rows["quat"] / 127.5 - 1.0
+    quat = (rows["quat"].astype(np.float64) - 128.0) / 128.0
     return params_of(
-        rows["xyz"], np.log(np.maximum(rows["scale"].astype(np.float64), _LEAST_M)), _unit(quat), rgba[:, 3],
+        rows["xyz"].copy(), np.log(np.maximum(rows["scale"].astype(np.float64), _LEAST_M)), quat, rgba[:, 3],
         sh_of_rgb(rgba[:, :3])[:, None],
     )  # fmt: skip
 
 
 _NAMES = ("x", "y", "z", "scale x", "scale y", "scale z")
-
-
-def _unit(quat: np.ndarray) -> np.ndarray:
-    length = np.linalg.norm(quat, axis=1, keepdims=True)
-    return np.where(length > 0, quat / np.maximum(length, 1e-12), np.array([1.0, 0, 0, 0]))

@@ -4,24 +4,24 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from .entrant import Entrant as Entrant
+    from .entries import Entrant as Entrant
     from .entries import entries_of as entries_of
-    from .fill_leaderboard import compare_rules as compare_rules
+    from .leaderboard import compare_rules as compare_rules
     from .live_table import LiveTable as LiveTable
     from .one_run import run_spec as run_spec
-    from .paired_tests import compare as compare
     from .result import RunResult as RunResult
     from .spec import Budget as Budget
     from .spec import RunSpec as RunSpec
+    from .statistics import compare as compare
 
 _LAZY = {
     "Budget": ".spec",
-    "Entrant": ".entrant",
+    "Entrant": ".entries",
     "LiveTable": ".live_table",
     "RunResult": ".result",
     "RunSpec": ".spec",
-    "compare": ".paired_tests",
-    "compare_rules": ".fill_leaderboard",
+    "compare": ".statistics",
+    "compare_rules": ".leaderboard",
     "entries_of": ".entries",
     "run_spec": ".one_run",
 }

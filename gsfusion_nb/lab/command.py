@@ -1,7 +1,10 @@
 """``gsfusion-nb lab``: a comparison from a file, with all its outputs in a folder."""
 
+import dataclasses
+import statistics
+import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -10,16 +13,26 @@ import tyro
 
 from ..backends import from_environment, use_backend
 from ..files import write_file
-from .example_table import EXAMPLE
-from .executors import executor
-from .map_scene import Entry
+from ..runs.run_folder import RunFolder
+from .columns import FIRST_METRIC
+from .executors import RUN_LIMIT_S, NoWorkerError, executor
+from .map_scene import Entry, budgeted, map_scene
 from .outputs import write_outputs
 from .records import write_records
 from .result import RunResult
 from .run_all import run_all
-from .spec import RunSpec
+from .spec import RunSpec, data_seen_once
+from .statistics import group_runs
 from .store import ResultStore
-from .table_file import read_table
+from .table_file import EXAMPLE, Table, read_table
+from .tune import is_tuned
+
+RENEW_S = 30.0
+"""Seconds between two writings of the tables while runs are done."""
+TUNED_RUNS = 4.0
+"""Work of a run whose size is tuned, in runs."""
+WHOLE_RUN = 2.0
+"""Time of a run in that of its mapping: passes after the scan, and scores."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,19 +46,26 @@ class WhereOptions:
     dask: str = ""
     """Address of the scheduler of a Dask cluster, such as tcp://host:8786, or "local" for one of --jobs workers on this
     machine. The workers must find the data under the same paths. Needs the extra "cluster"."""
+    run_limit_min: float = RUN_LIMIT_S / 60
+    """A run that takes longer fails, and its process is ended, minutes. Only with --jobs above 1, or with --dask."""
     backend: str = field(default_factory=from_environment)
     """auto, reference, torch, numba, triton or cuda. Default: the environment variable GSFUSION_BACKEND, else auto."""
+    cache: bool = True
+    """Use results of earlier commands from the shared cache, whatever their --out, and add new ones to it. Rows that
+    were copied say so in runs.csv (copied_from)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LabOptions(WhereOptions):
     """Compare seeding rules: rules x scenes x seeds x budgets, as a file says.
 
-    Writes runs.csv, table.md, table.tex, pareto.pdf, provenance.json and a page. After Ctrl-C the same command
+    Writes runs.csv, table.md, table.tex, table.json, provenance.json and a page. After Ctrl-C the same command
     continues; no run is computed twice, also in later commands."""
 
     table: Annotated[str, tyro.conf.Positional] = ""
     """The file that describes the comparison (TOML)."""
+    skip_missing: bool = False
+    """Leave out the scenes whose folder is not there; they are named at the beginning and in the outputs."""
     new: str = ""
     """Write a commented example to this file, and do nothing else."""
 
@@ -61,38 +81,139 @@ def main(options: LabOptions) -> int:
     if not options.table:
         raise ValueError("expected the file of a comparison: gsfusion-nb lab table.toml (--new table.toml writes one)")
     with use_backend(options.backend):
-        table = read_table(options.table)
+        table = read_table(options.table, skip_missing=options.skip_missing)
         print(table)
         folder = Path(options.out or f"runs/{Path(options.table).stem}").expanduser()
-        return run_and_write(table.specs, folder, options, text=table.text)
+        return run_and_write(table.specs, folder, options, table=table)
 
 
-def run_and_write(specs: Sequence[RunSpec], folder: Path, options: WhereOptions, *, text: str = "") -> int:
-    """Run all ``specs``, print each result as it comes, and write the outputs. Returns the exit status."""
+def run_and_write(specs: Sequence[RunSpec], folder: Path, options: WhereOptions, *, table: Table | None = None) -> int:
+    """Run all ``specs``, print each result as it comes, and write the outputs. Returns the exit status.
+
+    Tables are written anew while it runs, at most every ``RENEW_S`` seconds; page and figure at the end.
+
+    Raises:
+        FileExistsError: another command is writing to ``folder``.
+    """
+    store = ResultStore(folder, shared=options.cache)
+    with RunFolder(folder), data_seen_once():
+        return _run_and_write(specs, store, options, table)
+
+
+def _run_and_write(specs: Sequence[RunSpec], store: ResultStore, options: WhereOptions, table: Table | None) -> int:
     results: dict[int, RunResult] = {}
-    began, interrupted = time.perf_counter(), False
-    store = ResultStore(folder)
+    began, interrupted, lost, renewed_s = time.perf_counter(), False, "", time.perf_counter()
+    folder, text = store.folder, table.text if table else ""
+    work = _Work(specs, store)
+    print(work.estimate(options.jobs))
     try:
-        with executor(options.jobs, options.dask) as where:
+        with executor(options.jobs, options.dask, 60 * options.run_limit_min) as where:
             for i, result in run_all([Entry(spec=spec) for spec in specs], store, where):
                 results[i] = result
-                print(f"[{len(results):3d}/{len(specs)}] {describe(result)}", flush=True)
+                left = work.left(i, time.perf_counter() - began)
+                print(f"[{len(results):3d}/{len(specs)}] {describe(result)}{left}", flush=True)
                 write_records(folder, in_order(results), text=text)
+                if len(results) < len(specs) and time.perf_counter() - renewed_s > RENEW_S:
+                    write_outputs(folder, in_order(results), table, pictures=False)
+                    renewed_s = time.perf_counter()
+                if line := work.finished(i, results):
+                    print(line, flush=True)
     except KeyboardInterrupt:
         interrupted = True
+    except NoWorkerError as e:
+        lost = f"error: {e}"
     done = in_order(results)
     if done:
         write_records(folder, done, text=text)
-        write_outputs(folder, done)
+        write_outputs(folder, done, table)
         print(f"\n{(folder / 'table.md').read_text(encoding='utf-8')}")
     failed = sum(result.status == "failed" for result in done)
+    copied = sum(bool(result.copied_from) for result in done)
+    if copied:
+        print(f"{copied} results were copied from {store.cache}; --no-cache computes them")
     print(
         f"{len(done)} of {len(specs)} runs in {time.perf_counter() - began:.0f} s, {failed} failed; files in {folder}"
     )
     if interrupted:
         print("Interrupted: the same command continues.")
         return 130
-    return 1 if failed else 0
+    if lost:
+        print(lost, file=sys.stderr)
+    return 1 if failed or lost else 0
+
+
+class _Work:
+    """How much work the runs are: mapped pixels, several times as many where a budget is tuned."""
+
+    def __init__(self, specs: Sequence[RunSpec], store: ResultStore):
+        self._specs = specs
+        self._frames = {}
+        self._left: dict[int, float] = {}
+        for i, spec in enumerate(specs):
+            if store.find(spec) is None:
+                self._left[i] = self._of(spec)
+        self._all = sum(self._left.values())
+
+    def _of(self, spec: RunSpec) -> float:
+        place = (spec.scene, str(spec.settings))
+        if place not in self._frames:
+            try:
+                frames = Entry(spec=spec).opened()
+                self._frames[place] = len(frames.mapping) * frames.camera.width * frames.camera.height
+            except Exception:  # the run will say why it failed
+                self._frames[place] = 1
+        return self._frames[place] * (TUNED_RUNS if is_tuned(spec) else 1)
+
+    def estimate(self, jobs: int) -> str:
+        """How long it will take, from the first frames of the first run with a simple rule."""
+        known = len(self._specs) - len(self._left)
+        words = f"{known} of {len(self._specs)} runs are known already" if known else f"{len(self._specs)} runs to do"
+        if not self._left:
+            return words
+        first = self._specs[next(iter(self._left))]
+        entry = Entry(spec=dataclasses.replace(first, rule="uniform", options={}, rule_source="", rule_hash=""))
+        try:
+            seconds = seconds_per_frame(entry)
+            camera = entry.opened().camera
+        except Exception as e:  # the run will say it again, with its rule
+            return f"{words}; the time could not be estimated: {e}"
+        minutes = WHOLE_RUN * seconds * self._all / (camera.width * camera.height) / max(jobs, 1) / 60
+        span = f"about {_minutes(minutes / 2)} to {_minutes(2 * minutes)}"
+        return f"{words}; {span} on this machine, with --jobs {max(jobs, 1)}"
+
+    def left(self, i: int, elapsed_s: float) -> str:
+        """How long the rest will take, judged by what is done."""
+        self._left.pop(i, None)
+        left = sum(self._left.values())
+        if not self._left or left >= self._all:
+            return ""
+        return f"; about {_minutes(elapsed_s * left / (self._all - left) / 60)} left"
+
+    def finished(self, i: int, results: Mapping[int, RunResult]) -> str:
+        """The rules on a scene, best first, when its last run at a budget is done."""
+        spec = self._specs[i]
+        own = [k for k, s in enumerate(self._specs) if (s.scene, s.budget) == (spec.scene, spec.budget)]
+        if not all(k in results for k in own) or len({s.scene for s in self._specs}) < 2:
+            return ""
+        found = sorted(group_runs(results[k] for k in own), key=lambda g: -g.summary(FIRST_METRIC).mean)
+        rows = [f"{g.label} {g.summary(FIRST_METRIC).mean:.2f}" for g in found if g.runs]
+        return f"{spec.scene}, {spec.budget}, is done: {', '.join(rows)} dB"
+
+
+def seconds_per_frame(entry: Entry, n_frames: int = 4) -> float:
+    """Wall time of one mapped frame, mean over the first ``n_frames`` after a warm-up, seconds."""
+    steps, times = map_scene(entry, budgeted(entry.spec), with_memory=False), []
+    began = time.perf_counter()
+    for _ in range(n_frames + 1):
+        if next(steps, None) is None:
+            break
+        times.append(time.perf_counter() - began)
+        began = time.perf_counter()
+    return statistics.fmean(times[1:] or times or [0.0])
+
+
+def _minutes(value: float) -> str:
+    return f"{60 * value:.0f} s" if value < 1.5 else f"{value:.0f} min" if value < 90 else f"{value / 60:.1f} h"
 
 
 def describe(result: RunResult) -> str:
@@ -102,7 +223,8 @@ def describe(result: RunResult) -> str:
     if result.status == "failed":
         return f"{name}: failed: {result.reason}"
     psnr = f"{numbers['psnr_held_out_db']:.2f} dB held out, " if "psnr_held_out_db" in numbers else ""
-    return f"{name}: {psnr}{numbers['n_gaussians']:,.0f} Gaussians, {numbers['n_steps']:,.0f} steps"
+    copied = ", copied from the shared cache" if result.copied_from else ""
+    return f"{name}: {psnr}{numbers['n_gaussians']:,.0f} Gaussians, {numbers['n_steps']:,.0f} steps{copied}"
 
 
 def in_order(results: dict[int, RunResult]) -> list[RunResult]:

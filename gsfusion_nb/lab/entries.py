@@ -1,19 +1,103 @@
-"""All combinations of rules, scenes, seeds and budgets, as runs of the lab."""
+"""What takes part in a comparison: rules with options and labels, combined with scenes, seeds and budgets."""
 
+import contextlib
+import hashlib
 import itertools
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 from ..config import SystemConfig
 from ..data import OpenedSequence, sequence_fingerprint
+from ..errors import SequenceError, shown
 from ..mapping import get_system, system_of
-from ..seeding import SeedingRule
-from ..seeding.rule_file import find_rule
-from .check_run import check_run
-from .entrant import Entrant
+from ..seeding import Option, SeedingRule, check_options, rule_name
+from ..seeding.rule_file import find_rule, is_rule_file, read_rule_file
 from .map_scene import Entry
-from .setting_names import changed_settings
-from .spec import Budget
+from .schedule import changed_settings
+from .spec import Budget, RunSpec, identity_of, label_of
+from .tune import size_option, start_value
+
+
+@dataclass(frozen=True)
+class Entrant:
+    """A rule with options and a label: ``Entrant("uniform", {"fraction": 0.1}, "uniform 10 %")``."""
+
+    rule: str | SeedingRule
+    """Name of a registered rule, "FILE.py:name", or the rule itself."""
+    options: Mapping[str, Option] = field(default_factory=dict)
+    """Keyword arguments for it."""
+    label: str = ""
+    """Name in the table; made from rule and options if empty."""
+    size_option: str = ""
+    """Option that is tuned to reach a number of Gaussians; the rule's own if empty. "thin" keeps a random share of the
+    seeds."""
+    size_range: tuple[float | int, float | int] | None = None
+    """Smallest and largest value of ``size_option``."""
+
+    @property
+    def name(self) -> str:
+        """Name in the table."""
+        return self.label or label_of(rule_name(self.rule).rpartition(":")[2], self.options)
+
+    def entry(self, *, sequence: OpenedSequence | None = None, **fields: Any) -> Entry:
+        """A run of this rule.
+
+        Args:
+            sequence: The frames, if they are open already.
+            fields: The other fields of ``RunSpec``.
+
+        Raises:
+            ValueError: the file of the rule cannot be read. FileNotFoundError: it does not exist, or a file that an
+                option names. KeyError, TypeError: no such rule, or an option that it does not have.
+        """
+        rule = self.rule
+        source = read_rule_file(rule)[0] if isinstance(rule, str) and is_rule_file(rule) else ""
+        found = find_rule(rule)
+        check_options(found, self.options)
+        spec = RunSpec(
+            rule=rule if isinstance(rule, str) else rule_name(rule), label=self.name, options=self.options,
+            size_option=self.size_option, size_range=self.size_range,
+            rule_source=source, **identity_of(found, self.options), **fields,
+        )  # fmt: skip
+        return Entry(spec=spec, rule=None if isinstance(rule, str) else rule, sequence=sequence)
+
+
+def check_run(spec: RunSpec, rule: SeedingRule) -> None:
+    """Check all of a run but its data.
+
+    Raises:
+        KeyError: unknown system or preset. TypeError: an option that the rule does not have, or of a wrong type.
+        ValueError: a setting that does not exist, an invalid value, or no option that can be tuned.
+    """
+    spec.config()
+    if spec.size_range is not None:
+        check_size_range(spec.size_range)
+    for check in RULE_CHECKS.values():
+        check(spec, rule)
+
+
+def check_size_range(given: Sequence[Any]) -> None:
+    """Raise ``ValueError`` unless these are two numbers above 0, the smaller one first."""
+    numbers = all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in given)
+    if not (numbers and len(given) == 2 and 0 < given[0] < given[1]):
+        raise ValueError(f"expected [smallest, largest], both above 0, got {shown(list(given))}")
+
+
+def _check_options(spec: RunSpec, rule: SeedingRule) -> None:
+    check_options(rule, spec.options)
+
+
+def _check_size_option(spec: RunSpec, rule: SeedingRule) -> None:
+    if spec.size_option or spec.budget.gaussians is not None:
+        start_value(spec, rule, size_option(spec, rule))
+
+
+RULE_CHECKS: Mapping[str, Callable[[RunSpec, SeedingRule], None]] = {
+    "options": _check_options,
+    "size_option": _check_size_option,
+}
+"""Key of a rule in the file of a comparison -> its check; each takes settings that are valid."""
 
 
 def entries_of(
@@ -68,7 +152,22 @@ def entries_of(
 def _fields_of_scene(scene: str | OpenedSequence) -> dict[str, Any]:
     if isinstance(scene, str):
         return {"scene": scene}
-    return {"sequence": scene, "scene": scene.name, "data_hash": sequence_fingerprint(scene)}
+    return {"sequence": scene, "scene": scene.name, "data_hash": sequence_fingerprint(scene) + _extra_hash(scene)}
+
+
+def _extra_hash(scene: OpenedSequence) -> str:
+    """A hash of ``frame.extra`` of all frames that are mapped; empty where the first has none and nothing gives any."""
+    digest, found = hashlib.blake2b(digest_size=16), False
+    for i in range(len(scene.mapping)):
+        with contextlib.suppress(SequenceError):
+            frame = scene.mapping[i]
+            for name, image in sorted(frame.extra.items()):
+                found = True
+                digest.update(f"{frame.index} {name} {image.dtype} {tuple(image.shape)}".encode())
+                digest.update(image.cpu().contiguous().numpy().tobytes())
+            if not found and scene.mapping.extra is None:
+                return ""
+    return digest.hexdigest() if found else ""
 
 
 def _fields_of_config(config: SystemConfig) -> dict[str, Any]:

@@ -1,34 +1,73 @@
 """A comparison in a notebook: a table that fills while the runs are done, with buttons, and the pictures of a row."""
 
+import functools
 import html
+import math
 import threading
 import time
 import weakref
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+import anywidget
 import numpy as np
+import traitlets as t
 
 from ..drawing.curves import figure_picture, figure_words
-from ..drawing.html import fill
+from ..drawing.page import fill
 from ..drawing.pictures import Picture, data_uri
 from ..viz.display import Bundle, with_picture
-from ..viz.live.player import Player
-from ..viz.live.player_buttons import player_buttons
+from ..viz.live.player import Player, player_buttons
 from .live_runs import LiveRuns
 from .map_scene import Entry
 from .outputs import all_tables, write_outputs
-from .pareto import ParetoPoints, pareto_figure
+from .page import views_of
+from .pareto import ParetoPoints, pareto_figure, scene_points
 from .records import write_records
 from .result import RunResult
-from .result_table import ResultTable, failures, scene_table
-from .scene_plots import scene_points
 from .spec import RunSpec
 from .statistics import Group, group_runs
 from .store import ResultStore
-from .table_widget import TableWidget
-from .view_pictures import views_of
+from .tables import Cell, ResultTable, failures, scene_table
+
+
+@functools.cache
+def _front_end() -> str:
+    return fill("table_widget.js")
+
+
+class TableWidget(anywidget.AnyWidget):
+    """Shows a ``ResultTable``; a click on a heading sorts, a click on a row sets ``selected`` to its label
+    or, the second time, to ""."""
+
+    _esm = _front_end()
+
+    content: Any = t.Dict({"title": "", "heads": [], "rows": []}).tag(sync=True)
+    selected: Any = t.Unicode("").tag(sync=True)
+
+    def show(self, table: ResultTable, states: Mapping[str, str]) -> None:
+        """Show another table.
+
+        Args:
+            table: The table; its order is that of the rows until a heading is clicked.
+            states: Label -> short text beside it, such as "2 of 3 runs".
+        """
+        heads = [{"name": "rule", "better": "neither"}]
+        heads += [{"name": column.name, "better": column.better} for column in table.columns]
+        rows = [
+            {"label": row.label, "state": states.get(row.label, ""), "cells": [_plain(cell) for cell in row.cells]}
+            for row in table.rows
+        ]
+        content = {"title": table.title, "heads": heads, "rows": rows}
+        if content != self.content:
+            self.content = content
+
+
+def _plain(cell: Cell) -> dict[str, Any]:
+    value = None if not math.isfinite(cell.value) else cell.value
+    return {"mean": cell.mean, "sd": cell.sd, "place": cell.place, "value": value}
+
 
 MIN_INTERVAL_S = 0.1
 """The line with the state is written at most ten times a second."""
@@ -125,10 +164,12 @@ class LiveTable:
         return scene_table(groups, title=title)
 
     def figure(self) -> Any:
-        """The Pareto plot of the scene and budget that are shown."""
+        """The Pareto plot of the scene and budget shown: quality over size, or where the budget gives every rule
+        the same size, over the time per frame."""
         groups = self._shown()
         nothing = ParetoPoints(names=[], cost=np.zeros(0), quality=np.zeros(0))
-        return pareto_figure(scene_points(groups, "n_gaussians") if groups else nothing)
+        cost = "ms_per_frame" if any(group.fixes_cost for group in groups) else "n_gaussians"
+        return pareto_figure(scene_points(groups, cost) if groups else nothing)
 
     def picture(self) -> Picture:
         """The Pareto plot as an image."""

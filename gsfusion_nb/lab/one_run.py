@@ -9,21 +9,20 @@ from collections.abc import Callable, Generator, Mapping
 from pathlib import Path
 from typing import Any
 
-import numba
-
 from ..data import sequence_fingerprint
 from ..drawing.pictures import encode_png
+from ..errors import SequenceError
 from ..evaluation import ImageScores, NotComputed
 from ..evaluation.image import lpips_unavailable
 from ..files import write_file
 from ..mapping import StepReport
 from ..runs import MappingRun
-from ..runs.map_hashes import hash_of, map_hashes
-from ..runs.outputs import environment, score_mesh, score_trajectory
+from ..runs.outputs import environment, map_hashes, score_mesh, score_trajectory
 from ..runs.scored_views import ScoredViews, scored_views
 from ..seeding import rule_source
 from .map_scene import Entry, Mapped, finished, map_scene
 from .result import RunResult
+from .run_key import LIBRARIES
 from .spec import Budget, RunSpec
 from .tune import reach_budget, tune
 
@@ -34,7 +33,7 @@ SURFACE_SAMPLES = 50_000
 MOST_MESHES = 100
 OnStep = Callable[[StepReport | None], None]
 _scored_meshes: dict[str, dict[str, Any]] = {}
-"""Hash of a mesh and of the frames -> its scores."""
+"""Hashes of the maps that a mesh follows from and of the frames -> its scores."""
 
 
 def run_spec(spec: RunSpec, folder: Path | None = None) -> RunResult:
@@ -97,6 +96,12 @@ def run_steps(
 
 def _result(entry: Entry, mapped: Mapped, tuned: dict[str, Any], folder: Path | None, everything: bool) -> RunResult:
     run, views = mapped.run, scored_views(mapped.run)
+    content = entry.spec.content if entry.sequence is not None else sequence_fingerprint(run.sequence)
+    if content != entry.spec.content:
+        raise SequenceError(
+            f"the files of {entry.spec.data} are not those for which this comparison was made: they changed, or this "
+            "machine has others; start the comparison again"
+        )
     with_lpips = lpips_unavailable() is None
     scores = {
         name: group.scores(run.mapper.render, run.sequence, with_lpips=with_lpips)
@@ -106,8 +111,9 @@ def _result(entry: Entry, mapped: Mapped, tuned: dict[str, Any], folder: Path | 
     numbers: dict[str, Any] = {}
     for name, group in scores.items():
         numbers |= group.as_metrics(name)
+    hashes = map_hashes(run)
     if everything:
-        numbers |= _mesh_numbers(run)
+        numbers |= _mesh_numbers(run, hashes, content)
     numbers |= score_trajectory(run) | _costs(mapped)
     return RunResult(
         spec=entry.spec,
@@ -116,20 +122,22 @@ def _result(entry: Entry, mapped: Mapped, tuned: dict[str, Any], folder: Path | 
         per_view={f"psnr_{name}_db": _per_view(group) for name, group in scores.items()},
         tuned=tuned,
         notes=mapped.notes,
-        map_hash=hashlib.sha256(json.dumps(map_hashes(run), sort_keys=True).encode()).hexdigest(),
-        data_hash=entry.spec.data_hash or sequence_fingerprint(run.sequence),
+        map_hash=hashlib.sha256(json.dumps(hashes, sort_keys=True).encode()).hexdigest(),
+        data_hash=content,
         rule_source=entry.spec.rule_source or rule_source(entry.found_rule()),
         versions=versions(),
-        pictures=_pictures(entry, mapped, views["held_out"], folder) if folder is not None else {},
+        pictures=_pictures(entry, mapped, views["held_out"], folder, content) if folder is not None else {},
     )
 
 
-def _mesh_numbers(run: MappingRun) -> dict[str, Any]:
-    """Accuracy and completion of the mesh, and of discs. Runs with equal TSDFs have equal meshes, scored once."""
-    mesh = run.mapper.mesh()
-    key = f"{hash_of(vars(mesh))} {sequence_fingerprint(run.sequence)}"
+def _mesh_numbers(run: MappingRun, hashes: Mapping[str, str], content: str) -> dict[str, Any]:
+    """Accuracy and completion of the mesh, and of discs. Runs with equal TSDFs have equal meshes, made and scored once;
+    where Gaussians are discs, or there is no TSDF, the Gaussians must be equal too."""
+    names = set(hashes) - ({"gaussians"} if "tsdf" in hashes and not run.mapper.gaussians_are_discs else set())
+    parts = [*sorted(f"{name} {hashes[name]}" for name in names), content]
+    key = " ".join([*parts, repr(getattr(run.mapper.config, "tsdf", ""))])
     if key not in _scored_meshes:
-        scores = score_mesh(run, mesh, seed=0, n_samples=SURFACE_SAMPLES)
+        scores = score_mesh(run, run.mapper.mesh(), seed=0, n_samples=SURFACE_SAMPLES)
         if len(_scored_meshes) >= MOST_MESHES:
             _scored_meshes.clear()
         _scored_meshes[key] = scores
@@ -176,22 +184,21 @@ def _costs(mapped: Mapped) -> dict[str, Any]:
 
 def versions() -> dict[str, str]:
     """Versions of the programs that decide the numbers, and the kind of machine."""
-    return environment() | {"numba": numba.__version__, "processor": platform.processor() or platform.machine()}
+    return environment() | LIBRARIES | {"processor": platform.processor() or platform.machine()}
 
 
-def _pictures(entry: Entry, mapped: Mapped, views: ScoredViews, folder: Path) -> dict[str, str]:
+def _pictures(entry: Entry, mapped: Mapped, views: ScoredViews, folder: Path, content: str) -> dict[str, str]:
     """Save some held-out views as rendered and as recorded. Returns name -> file, relative to ``folder``."""
     run, n = mapped.run, len(views.positions)
     picks = sorted({round(i * (n - 1) / (MOST_PICTURES - 1)) for i in range(MOST_PICTURES)}) if n else []
     few = dataclasses.replace(
         views, positions=[views.positions[i] for i in picks], poses=[views.poses[i] for i in picks]
     )
-    scene = sequence_fingerprint(run.sequence)[:12]
     found = {}
     for frame in few.frames(run.sequence):
         rendered = run.mapper.render(frame.camera, frame.T_WC).rgb.clamp(0, 1).cpu()
         found[f"held_out {frame.index}"] = f"pictures/{entry.spec.key[:12]}-{frame.index}.png"
-        found[f"truth {frame.index}"] = f"pictures/truth-{scene}-{frame.index}.png"
+        found[f"truth {frame.index}"] = f"pictures/truth-{content[:12]}-{frame.index}.png"
         write_file(folder / found[f"held_out {frame.index}"], encode_png(rendered))
         write_file(folder / found[f"truth {frame.index}"], encode_png(frame.rgb))
     return found

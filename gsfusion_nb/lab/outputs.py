@@ -1,72 +1,145 @@
-"""The files that the lab writes about its runs: tables, Pareto figures, and the page."""
+"""The files that the lab writes about its runs: tables, their numbers for other programs, Pareto figures, the page."""
 
+import datetime
+import json
+import math
+import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..files import atomic_file, write_file
-from .best_rule import against_the_best, comparison_sentence
+from .columns import COLUMNS
 from .page import page_html
+from .pareto import figure_of
 from .result import RunResult
-from .result_table import ResultTable, failures, rank_table, scene_table
-from .scene_plots import figure_of
-from .statistics import by_budget, group_runs
-from .table_text import as_markdown, latex_file
+from .run_key import package_fingerprint
+from .statistics import Group, Summary, against_reference, by_budget, group_runs, standings, summarise
+from .table_file import Table
+from .tables import ResultTable, as_markdown, failures, latex_file, scene_table, scenes_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+_PARETO = ("pareto.pdf", "pareto.png")
 
-def write_outputs(folder: Path | str, results: Iterable[RunResult]) -> list[Path]:
-    """Write ``table.md``, ``table.tex``, ``pareto.pdf``, ``pareto.png`` and ``page.html`` about these runs.
+
+def write_outputs(
+    folder: Path | str, results: Iterable[RunResult], table: Table | None = None, *, pictures: bool = True
+) -> list[Path]:
+    """Write ``table.md``, ``table.tex``, ``table.json``, ``page.html``, and the Pareto figure as PDF and PNG, which is
+    left out where every budget fixes size or time.
 
     Existing files are replaced, each completely or not at all; so it can be called again after every run.
 
     Args:
         folder: Where the files go; the names in ``RunResult.pictures`` are looked up there.
         results: All runs, also those that failed. The order of the rules, scenes and budgets is kept.
+        table: The file that described them, for its reference, what rules were tuned on, and the scenes left out.
+        pictures: Write page and figure, too, which takes seconds with many runs.
 
     Returns:
         The files written.
     """
-    folder, results = Path(folder), list(results)
-    tables = all_tables(results)
+    folder, results, table = Path(folder), list(results), table or Table()
+    tables = all_tables(results, table)
     texts = {
-        "table.md": markdown_file(results, tables),
+        "table.md": markdown_file(results, tables, table),
         "table.tex": latex_file(tables),
-        "page.html": page_html(folder, results),
+        "table.json": json.dumps(as_json(results, table), indent=1, allow_nan=False),
     }
+    if pictures:
+        texts["page.html"] = page_html(folder, results, table)
     for name, text in texts.items():
         write_file(folder / name, text)
-    figure = figure_of(results)
-    save_figure(figure, folder / "pareto.pdf")
-    save_figure(figure, folder / "pareto.png")
-    return [folder / name for name in (*texts, "pareto.pdf", "pareto.png")]
+    figures = _PARETO if pictures and not all(group.fixes_cost for group in group_runs(results)) else ()
+    for name in _PARETO:
+        (folder / name).unlink(missing_ok=True) if name not in figures else save_figure(
+            figure_of(results), folder / name
+        )
+    return [folder / name for name in (*texts, *figures)]
 
 
-def all_tables(results: Iterable[RunResult]) -> list[ResultTable]:
-    """For each budget: a table of each scene, and the ranks over the scenes if there are several."""
-    tables = []
+def all_tables(results: Iterable[RunResult], table: Table | None = None) -> list[ResultTable]:
+    """For each budget: the rules with the scenes as columns, if there are several, and a table of each scene."""
+    results, table, tables = list(results), table or Table(), []
     for of_budget in by_budget(group_runs(results)):
         scenes = list(dict.fromkeys(group.scene for group in of_budget))
+        if len(scenes) > 1:
+            budget = of_budget[0].budget
+            tables.append(scenes_table(results, budget, reference=table.reference, tuned_on=table.tuned_on))
         tables += [scene_table([g for g in of_budget if g.scene == scene]) for scene in scenes]
-        tables += [rank_table(of_budget)] if len(scenes) > 1 else []
     return tables
 
 
-def markdown_file(results: Sequence[RunResult], tables: Iterable[ResultTable]) -> str:
-    """All tables, the comparisons with the best rule, and the runs that failed."""
+def markdown_file(results: Sequence[RunResult], tables: Iterable[ResultTable], table: Table) -> str:
+    """All tables, the comparisons with the reference, the scenes that were left out, and the runs that failed."""
     parts = ["# Results", *map(as_markdown, tables)]
     for budget in dict.fromkeys(str(r.spec.budget) for r in results):
-        pairs = against_the_best(results, budget)
-        if pairs:
-            lines = [f"- {comparison_sentence(c, p, len(pairs))}" for c, p in pairs]
-            parts.append("\n".join([f"### More than noise? {budget}", "", *lines]))
+        if tests := against_reference(results, budget, table.reference):
+            parts.append("\n".join([f"### More than noise? {budget}", "", *(f"- {test}" for test in tests)]))
+    if table.skipped:
+        parts.append("\n".join(["### Scenes that were left out", "", *(f"- {line}" for line in table.skipped)]))
     lost = failures(results)
     if lost:
         lines = [f"- {label}, {scene}, {budget}, seed {seed}: {reason}" for label, scene, budget, seed, reason in lost]
         parts.append("\n".join(["### Runs that failed", "", *lines]))
     return "\n\n".join(parts) + "\n"
+
+
+def as_json(results: Sequence[RunResult], table: Table) -> dict[str, Any]:
+    """The numbers of the tables in their stored units, without rounding, as plain values.
+
+    ``budgets`` has an entry for each budget, and its ``rows`` one for each rule, in the order of the table:
+    ``metrics`` has for each number the mean over the scenes, their standard deviation and number, ``scenes`` the mean,
+    standard deviation and number of the seeds on each scene, ``test`` the comparison with the reference.
+    """
+    done = [r for r in results if r.status == "done"]
+    return {
+        "command": sys.argv,
+        "written": datetime.datetime.now().astimezone().isoformat(timespec="seconds"),
+        "package": package_fingerprint(),
+        "versions": [dict(v) for v in {tuple(sorted(r.versions.items())) for r in done}],
+        "seeds": sorted({r.spec.seed for r in results}),
+        "table": table.text,
+        "tuned_on": dict(table.tuned_on),
+        "skipped": list(table.skipped),
+        "budgets": [_budget_json(results, groups, table) for groups in by_budget(group_runs(results))],
+    }
+
+
+def _budget_json(results: Sequence[RunResult], groups: Sequence[Group], table: Table) -> dict[str, Any]:
+    budget, scenes = groups[0].budget, list(dict.fromkeys(g.scene for g in groups))
+    tests = against_reference(results, budget, table.reference)
+    against = {test.b: test for test in tests}
+    rows = []
+    for standing in standings(groups):
+        own = {g.scene: g for g in groups if g.label == standing.label}
+        means = {m: [s.mean for g in own.values() if (s := g.summary(m)).n] for m in COLUMNS}
+        test = against.get(standing.label)
+        rows.append({
+            "rule": standing.label,
+            "rank": _number(standing.rank),
+            "metrics": {m: _summary(summarise(of)) for m, of in means.items() if of},
+            "scenes": {
+                scene: {m: _summary(s) for m in COLUMNS if (s := group.summary(m)).n} for scene, group in own.items()
+            },
+            "failed": {scene: group.failed[0].reason for scene, group in own.items() if group.failed},
+            "test": None if test is None else {
+                "difference": _number(test.mean), "interval": [_number(v) for v in test.interval],
+                "p": _number(test.p_t), "p_corrected": _number(test.corrected),
+                "p_signed_rank": _number(test.p_signed_rank), "n": len(test.units), "verdict": test.verdict,
+            },
+        })  # fmt: skip
+    return {"budget": budget, "scenes": scenes, "reference": tests[0].a if tests else "", "rows": rows}
+
+
+def _summary(summary: Summary) -> dict[str, Any]:
+    return {"mean": _number(summary.mean), "sd": _number(summary.sd), "n": summary.n}
+
+
+def _number(value: float) -> float | None:
+    return value if math.isfinite(value) else None
 
 
 def save_figure(figure: "Figure", path: Path) -> None:

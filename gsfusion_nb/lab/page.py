@@ -2,24 +2,70 @@
 
 import dataclasses
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from ..data import BadFrameError
+from ..data.recorded.images import decode_rgb, read_image_bytes
 from ..drawing.curves import figure_svg
-from ..drawing.html import fill
-from ..drawing.page import ColourBar, PageGraph
-from ..drawing.pictures import ERROR_COLOURS, ERROR_LIMIT, Picture, data_uri, fit_width
+from ..drawing.page import ColourBar, PageGraph, fill
+from ..drawing.pictures import ERROR_COLOURS, ERROR_LIMIT, Picture, data_uri, error_map, fit_width
 from ..evaluation.metrics import format_value
-from .best_rule import against_the_best
 from .columns import COLUMNS, FIRST_METRIC
-from .paired_tests import SIGNIFICANCE, Comparison, compare, p_text
-from .pareto import pareto_figure
+from .pareto import costs_of, pareto_figure, scene_points
 from .result import RunResult
-from .result_table import failures, rank_table, scene_table
-from .scene_plots import costs_of, scene_points
-from .statistics import Group, by_budget, group_runs
-from .view_pictures import views_of
+from .statistics import Group, against_reference, by_budget, compare, corrected, group_runs, p_text
+from .table_file import Table
+from .tables import failures, scene_table, scenes_table
+
+_RENDER = re.compile(r"held_out (\S+)")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ViewPictures:
+    """One held-out view of a run."""
+
+    name: str
+    """Number of the frame, as in the names of the pictures."""
+    truth: Picture
+    """As recorded."""
+    render: Picture
+    """As rendered from the map."""
+
+    @property
+    def error(self) -> Picture:
+        """Mean absolute error over the channels as colour (``drawing.pictures.error_map``)."""
+        return error_map(self.render, self.truth)
+
+
+def views_of(result: RunResult, folder: Path) -> Iterator[ViewPictures]:
+    """The views of a run whose two pictures can be read, in the order of ``result.pictures``.
+
+    Args:
+        result: A run.
+        folder: Where the file names of ``result.pictures`` are looked up.
+    """
+    for name, file in result.pictures.items():
+        match = _RENDER.fullmatch(name)
+        truth_file = result.pictures.get(f"truth {match[1]}") if match else None
+        if match is None or truth_file is None:
+            continue
+        try:
+            render, truth = _read(folder / file), _read(folder / truth_file)
+        except BadFrameError:  # removed since, or damaged: the other views are still worth showing
+            continue
+        if render.shape == truth.shape:
+            yield ViewPictures(name=match[1], truth=truth, render=render)
+
+
+def _read(path: Path) -> Picture:
+    return np.ascontiguousarray(decode_rgb(read_image_bytes(path, "colour"), path))
+
 
 PICTURE_WIDTH = 640
 """Largest width of a stored picture, pixels: a page of a hundred rules, scenes and budgets has about 15 MB."""
@@ -44,14 +90,15 @@ class Pictures:
         return self._numbers[uri]
 
 
-def page_html(folder: Path | str, results: Iterable[RunResult]) -> str:
+def page_html(folder: Path | str, results: Iterable[RunResult], table: Table | None = None) -> str:
     """The page as HTML text; it loads nothing and works from a file.
 
     Args:
         folder: Where the file names of ``RunResult.pictures`` are looked up.
         results: All runs, also those that failed.
+        table: As for ``write_outputs``.
     """
-    results, pictures = list(results), Pictures()
+    results, pictures, table = list(results), Pictures(), table or Table()
     groups = group_runs(results)
     shots = [_shots(group, Path(folder), pictures) for group in groups]
     data = {"pictures": pictures.uris, "shots": shots, "sentences": _pair_sentences(results)}
@@ -62,9 +109,9 @@ def page_html(folder: Path | str, results: Iterable[RunResult]) -> str:
         scenes=list(dict.fromkeys(g.scene for g in groups)),
         budgets=list(dict.fromkeys(g.budget for g in groups)),
         labels=list(dict.fromkeys(g.label for g in groups)),
-        tables=_tables(groups),
-        graphs=_graphs(groups),
-        noise=_noise(results),
+        tables=_tables(results, groups, table),
+        graphs=_graphs([group for group in groups if not group.fixes_cost]),
+        noise=_noise(results, table.reference),
         failures=failures(results),
         provenance=provenance(results),
         error_bar=ColourBar(colours=ERROR_COLOURS, low="no error", high=f"{ERROR_LIMIT:.0%} or more"),
@@ -104,8 +151,8 @@ def _subtitle(results: Sequence[RunResult], groups: Sequence[Group]) -> str:
     return " · ".join(f"{n} {noun}{'s' if n != 1 else ''}" for noun, n in counts.items())
 
 
-def _tables(groups: Sequence[Group]) -> list[dict[str, Any]]:
-    """A table for each budget and scene; the ranks over all scenes have the scene ""."""
+def _tables(results: Sequence[RunResult], groups: Sequence[Group], about: Table) -> list[dict[str, Any]]:
+    """A table for each budget and scene; the one over all scenes has the scene ""."""
     tables = []
     for of_budget in by_budget(groups):
         budget, scenes = of_budget[0].budget, list(dict.fromkeys(g.scene for g in of_budget))
@@ -113,7 +160,8 @@ def _tables(groups: Sequence[Group]) -> list[dict[str, Any]]:
             table = scene_table([g for g in of_budget if g.scene == scene])
             tables.append({"budget": budget, "scene": scene, "table": table})
         if len(scenes) > 1:
-            tables.append({"budget": budget, "scene": "", "table": rank_table(of_budget)})
+            table = scenes_table(results, budget, reference=about.reference, tuned_on=about.tuned_on)
+            tables.append({"budget": budget, "scene": "", "table": table})
     return tables
 
 
@@ -147,46 +195,40 @@ def _shots(group: Group, folder: Path, pictures: Pictures) -> dict[str, Any]:
 
 
 def _pair_sentences(results: Sequence[RunResult]) -> list[tuple[str, str, str, str]]:
-    """Budget, two rules, and what the paired test says about them over all scenes."""
+    """Budget, two rules, and what the test says about them, corrected for all pairs of rules."""
     found = []
     for budget in dict.fromkeys(str(r.spec.budget) for r in results):
         labels = dict.fromkeys(r.spec.label for r in results if str(r.spec.budget) == budget)
-        for a, b in itertools.combinations(labels, 2):
-            found.append((budget, a, b, str(compare(results, a, b, budget=budget))))
+        pairs = [compare(results, a, b, budget=budget) for a, b in itertools.combinations(labels, 2)]
+        found += [(budget, c.a, c.b, str(c)) for c in corrected(pairs)]
     return found
 
 
-def _noise(results: Sequence[RunResult]) -> list[dict[str, Any]]:
-    """A table for each budget: the best rule and each other one."""
+def _noise(results: Sequence[RunResult], reference: str) -> list[dict[str, Any]]:
+    """A table for each budget: the reference and each other rule."""
     column, found = COLUMNS[FIRST_METRIC], []
     for budget in dict.fromkeys(str(r.spec.budget) for r in results):
-        pairs = against_the_best(results, budget)
+        tests = against_reference(results, budget, reference)
         rows = [
             (
                 c.b, column.text(c.mean), f"{column.text(c.interval[0])} to {column.text(c.interval[1])}",
-                _bare(c.p_t), _bare(p), f"{c.n}", _verdict(c, p),
+                _bare(c.p_t), _bare(c.corrected), f"{len(c.units)}", _VERDICTS[c.verdict],
             )
-            for c, p in pairs
+            for c in tests
         ]  # fmt: skip
         if rows:
-            found.append({"budget": budget, "best": pairs[0][0].a, "rows": rows})
+            found.append({"budget": budget, "best": tests[0].a, "rows": rows})
     return found
+
+
+_VERDICTS = {
+    "unknown": "cannot be said", "equal": "equal everywhere", "noise": "within noise", "a": "more than noise",
+    "b": "more than noise",
+}  # fmt: skip
 
 
 def _bare(p: float) -> str:
     return p_text(p).removeprefix("p ").removeprefix("= ")
-
-
-def _verdict(comparison: Comparison, corrected: float) -> str:
-    """A few words on what the test says."""
-    if comparison.verdict == "unknown":
-        return "cannot be said"
-    if comparison.verdict == "equal":
-        return "equal in all pairs"
-    of_a, of_b = comparison.opposite_scenes
-    if of_a:
-        return f"depends on the scene: better on {', '.join(of_a)}, worse on {', '.join(of_b)}"
-    return "more than noise" if corrected < SIGNIFICANCE else "within noise"
 
 
 def _tuning(tuned: Mapping[str, Any]) -> str:

@@ -1,4 +1,4 @@
-"""The Pareto front of cost and quality, and its figure."""
+"""The Pareto front of cost and quality, and its figure; for the lab one plot for each scene and cost."""
 
 import itertools
 import math
@@ -14,6 +14,15 @@ from ..drawing.curves import GRID, INK, MUTED, PAPER
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+from collections.abc import Iterable
+
+from .columns import COLUMNS, FIRST_METRIC
+from .result import RunResult
+from .statistics import Group, group_runs
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 
 Box = tuple[float, float, float, float]
 """Left, bottom, right, top, pixels."""
@@ -234,3 +243,47 @@ def _scale_of_costs(axes: "Axes", cost: np.ndarray) -> None:
     axes.xaxis.set_major_locator(LogLocator(base=10, subs=(1.0, 2.0, 5.0)))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v / 1000:g}k" if v >= 1000 else f"{v:g}"))
     axes.xaxis.set_minor_formatter(NullFormatter())
+
+
+COSTS = {
+    "n_gaussians": "Gaussians (fewer is better)",
+    "ms_per_frame": "time per frame, ms (less is better)",
+    "n_steps": "gradient steps (fewer is better)",
+}
+"""Costs of the Pareto figure and their labels."""
+
+
+def costs_of(groups: Sequence[Group]) -> list[str]:
+    """The costs that are plotted: gradient steps only where the rules took different numbers of them; none where the
+    budget gave all rules the same size or time."""
+    steps = {group.summary("n_steps").mean for group in groups if group.summary("n_steps").n}
+    costs = [cost for cost in COSTS if cost != "n_steps" or len(steps) > 1]
+    return [] if groups and all(group.fixes_cost for group in groups) else costs
+
+
+def scene_points(groups: Sequence[Group], cost: str, quality: str = FIRST_METRIC) -> ParetoPoints:
+    """The rules of one scene as points with error bars; groups without a number are left out."""
+    found = [(g, g.summary(cost), g.summary(quality)) for g in groups]
+    found = [(g, c, q) for g, c, q in found if c.n and np.isfinite(q.mean) and c.mean > 0]
+    column = COLUMNS[quality]
+    return ParetoPoints(
+        names=[g.label for g, _, _ in found],
+        cost=np.array([c.mean for _, c, _ in found]),
+        quality=np.array([q.mean for _, _, q in found]) * column.scale,
+        cost_sd=np.array([c.sd for _, c, _ in found]),
+        quality_sd=np.array([q.sd for _, _, q in found]) * column.scale,
+        title=groups[0].scene,
+        cost_label=COSTS.get(cost, COLUMNS[cost].name),
+        quality_label=column.name,
+    )
+
+
+def figure_of(results: Iterable[RunResult]) -> "Figure":
+    """Held-out PSNR over each cost on each scene, of budgets that leave the cost to the rules; error bars: standard
+    deviation over seeds."""
+    groups = [group for group in group_runs(results) if not group.fixes_cost]
+    costs = costs_of(groups)
+    scenes = [[g for g in groups if g.scene == scene] for scene in dict.fromkeys(g.scene for g in groups)]
+    plots = [scene_points(of_scene, cost) for of_scene in scenes for cost in costs]
+    nothing = ParetoPoints(names=[], cost=np.zeros(0), quality=np.zeros(0))
+    return pareto_figure(*(plots or [nothing]), columns=len(costs))

@@ -10,11 +10,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ..files import write_file
+from ..files import plain_cell, write_file
 from .map_scene import budgeted
 from .result import RunResult
 from .run_key import package_fingerprint
-from .setting_names import flat_settings
+from .schedule import flat_settings
 
 
 def write_records(folder: Path, results: Sequence[RunResult], *, text: str = "") -> list[Path]:
@@ -43,9 +43,15 @@ def as_csv(results: Sequence[RunResult]) -> str:
     text = io.StringIO()
     writer = csv.DictWriter(text, [c for group in groups for c in order[group]], lineterminator="\n")
     writer.writeheader()
-    writer.writerows({name: json.dumps(v) if isinstance(v, (dict, list, tuple)) else v for name, v in row.items()}
-                     for row in rows)  # fmt: skip
+    writer.writerows({name: _cell(value) for name, value in row.items()} for row in rows)
     return text.getvalue()
+
+
+def _cell(value: Any) -> Any:
+    """Collections as JSON, text without formulas, numbers as they are."""
+    if isinstance(value, (dict, list, tuple)):
+        return json.dumps(value)
+    return plain_cell(value) if isinstance(value, str) else value
 
 
 def provenance(results: Sequence[RunResult], text: str = "") -> dict[str, Any]:
@@ -73,6 +79,7 @@ def _row(result: RunResult) -> dict[str, Any]:
         "reader": dict(spec.reader), "seed": spec.seed, "system": spec.system, "steps": spec.budget.steps,
         "budget_gaussians": spec.budget.gaussians, "budget_seconds": spec.budget.seconds,
         "budget_tolerance": spec.budget.tolerance, "status": result.status, "reason": result.reason,
+        "copied_from": result.copied_from,
         "notes": "; ".join(result.notes), "key": result.key, "map_hash": result.map_hash, "data_hash": result.data_hash,
     }  # fmt: skip
     return {

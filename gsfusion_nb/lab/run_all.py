@@ -9,6 +9,8 @@ from ..seeding import SeedingRule, is_built_in, registered
 from .executors import Executor, InProcess
 from .map_scene import Entry
 from .result import RunResult
+from .run_key import run_key
+from .spec import data_seen_once
 from .store import ResultStore, tuning_key
 from .tasks import Answer, Task
 from .tune import is_tuned
@@ -19,8 +21,8 @@ def run_all(
 ) -> Generator[tuple[int, RunResult], None, None]:
     """Run all ``entries``; yields position and result of each when it is there, each result written to ``store``.
 
-    Results in ``store`` are reused, runs with equal keys are done once, and runs that differ only in their seed are
-    tuned once. When the caller stops, everything that was yielded is kept.
+    The data are looked at anew. Results in ``store`` are reused, runs with equal keys are done once, and runs that
+    differ only in their seed are tuned once. When the caller stops, everything that was yielded is kept.
 
     Args:
         entries: The runs.
@@ -28,16 +30,20 @@ def run_all(
         executor: Where the runs are done; in this process by default.
         pictures: Make pictures of some held-out views.
     """
+    entries = [dataclasses.replace(entry, spec=dataclasses.replace(entry.spec)) for entry in entries]
     positions: dict[str, list[int]] = {}
-    for i, entry in enumerate(entries):
-        found = store.find(entry.spec)
-        if found is not None:
-            yield i, found
-        else:
-            positions.setdefault(entry.spec.key, []).append(i)
-    left = {same[0]: same for same in positions.values()}
+    known: dict[int, RunResult] = {}
     plan = _Plan(entries, store, executor or InProcess(), pictures)
-    plan.begin(list(left))
+    with data_seen_once():
+        for i, entry in enumerate(entries):
+            found = store.find(entry.spec)
+            if found is not None:
+                known[i] = found
+            else:
+                positions.setdefault(entry.spec.key, []).append(i)
+        left = {same[0]: same for same in positions.values()}
+        plan.begin(list(left))
+    yield from known.items()
     while left:
         for i, result in plan.next():
             store.keep(result)
@@ -83,7 +89,7 @@ class _Plan:
         self._executor.put(
             number,
             Task(kind=kind, spec=entry.spec, backend=chosen(), rule=_own_rule(entry), sequence=entry.sequence,
-                 tuned=tuned, with_pictures=self._pictures),
+                 tuned=tuned, with_pictures=self._pictures, program=run_key()),
         )  # fmt: skip
 
     def _result(self, i: int, answer: Answer) -> RunResult:

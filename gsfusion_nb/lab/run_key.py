@@ -4,39 +4,33 @@ import functools
 import hashlib
 import importlib.util
 import json
-import os
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from .. import __version__
+import cv2
+import numba
+import numpy as np
+import torch
 
-_ENDS_BYTES = 4096
-"""Number of bytes that are read at the beginning and at the end of each file of a recording."""
+from .. import __version__
+from ..data import file_hashes
+
 _CODE = {".py", ".cu", ".cuh"}
+LIBRARIES = {"torch": torch.__version__, "numba": numba.__version__, "numpy": np.__version__, "opencv": cv2.__version__}
+"""The libraries that compute the numbers of a run, and their versions."""
 
 
 def run_key(**parts: Any) -> str:
-    """A key of ``parts`` (plain values), the version and the source of this package: 32 hexadecimal digits.
+    """A key of ``parts`` (plain values), of this package's version and source, and of ``LIBRARIES``: 32 hexadecimal
+    digits.
 
     Two runs with the same key give the same map on one machine. A change in the data, the settings, a rule, an option,
-    the seed or the program gives another key.
+    the seed, the program or its libraries gives another key.
     """
-    parts |= {"version": __version__, "package": package_fingerprint()}
+    parts |= {"version": __version__, "package": package_fingerprint(), "libraries": LIBRARIES}
     text = json.dumps(parts, sort_keys=True, default=str)
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
-
-
-def folder_fingerprint(path: str | Path) -> str:
-    """A hash of the files in a folder: names, sizes, first and last bytes. If it is not a folder, its name in words."""
-    root, digest = Path(path).expanduser(), hashlib.blake2b(digest_size=16)
-    if not root.is_dir():
-        return f"not a folder: {path}"
-    for folder, folders, names in os.walk(root):
-        folders.sort()
-        for name in sorted(names):
-            _add_file(digest, Path(folder) / name, (Path(folder) / name).relative_to(root))
-    return digest.hexdigest()
 
 
 @functools.cache
@@ -58,8 +52,7 @@ def arguments_with_files(arguments: Iterable[str]) -> list[Any]:
         if ".py:" in path.name:  # a seeding rule in a file
             path = path.with_name(path.name.partition(":")[0])
         if path.is_file():
-            with path.open("rb") as file:
-                found.append(hashlib.file_digest(file, "blake2b").hexdigest()[:32])
+            found += file_hashes([path]).values()
     return found
 
 
@@ -68,17 +61,3 @@ def _source_folders() -> list[Path]:
     kernels = importlib.util.find_spec(f"{package}.kernels")
     places = kernels.submodule_search_locations if kernels is not None else None
     return [Path(__file__).resolve().parents[1], *(Path(place) for place in places or ())]
-
-
-def _add_file(digest: Any, file: Path, name: Path) -> None:
-    try:
-        if not file.is_file():
-            return
-        size = file.stat().st_size
-        with file.open("rb") as opened:
-            digest.update(f"{name}\0{size}\0".encode() + opened.read(_ENDS_BYTES))
-            if size > _ENDS_BYTES:
-                opened.seek(max(_ENDS_BYTES, size - _ENDS_BYTES))
-                digest.update(opened.read(_ENDS_BYTES))
-    except OSError:
-        digest.update(f"{name}\0unreadable".encode())

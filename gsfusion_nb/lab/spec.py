@@ -1,23 +1,25 @@
 """What one run of the lab is: a rule with options, a scene, a seed, a budget and settings, as plain values."""
 
+import contextlib
 import dataclasses
 import functools
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextvars import ContextVar
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Literal
 
 from ..backends import MINE, BackendUnavailable, chosen
 from ..checks import check_name, check_number, check_positive
 from ..config import to_dict
 from ..config.values import check_kinds
+from ..data import OpenedSequence, open_sequence, sequence_fingerprint
 from ..errors import shown
 from ..mapping import get_system
-from ..seeding import is_built_in, registered, rule_fingerprint
-from .run_key import folder_fingerprint, run_key
-from .setting_names import with_settings
-
-Option = bool | int | float | str
+from ..seeding import Option, SeedingRule, is_built_in, registered, rule_files, rule_fingerprint
+from .run_key import run_key
+from .schedule import with_settings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,13 +90,17 @@ class RunSpec:
     rule_source: str = ""
     """Source of the file that the rule comes from; empty for a rule of this package."""
     rule_hash: str = ""
-    """``rule_fingerprint`` of a rule that was defined in this process, such as in a notebook; otherwise empty."""
+    """``rule_fingerprint`` of a rule that is not of this package, with its helper modules; otherwise empty."""
+    rule_files: Mapping[str, str] | None = None
+    """Option of the rule -> hash of the file or folder that it names; found when the key is asked for if None."""
     data_hash: str = ""
     """``sequence_fingerprint`` of a sequence that was opened by the caller; otherwise empty."""
     device: str = "cpu"
     """Device of the maps."""
 
     def __post_init__(self):
+        plain = {name: str(value) if isinstance(value, Path) else value for name, value in self.options.items()}
+        object.__setattr__(self, "options", plain)
         object.__setattr__(self, "label", self.label or label_of(self.rule_name, self.options))
         object.__setattr__(self, "data", self.data or self.scene)
         object.__setattr__(self, "preset", self.preset or ("room" if self.data == "room" else "replica"))
@@ -120,6 +126,32 @@ class RunSpec:
         rule = {"seeding.rule": self.rule_name, "seeding.options": dict(self.options), "seed": self.seed}
         return with_settings(base, given | rule | {"seeding.own_settings": own})
 
+    def opened(self) -> OpenedSequence:
+        """The frames.
+
+        Raises:
+            SequenceError: they cannot be read.
+        """
+        reader: dict[str, Any] = dict(self.reader)
+        return open_sequence(self.data, data=self.config().data, **reader)
+
+    @functools.cached_property
+    def content(self) -> str:
+        """``sequence_fingerprint`` of the frames when this was first asked for; or why they cannot be opened."""
+        if self.data_hash:
+            return self.data_hash
+        seen = _seen.get()
+        asked = json.dumps([self.data, dict(self.reader), to_dict(self.config())["data"]], sort_keys=True)
+        if seen is not None and asked in seen:
+            return seen[asked]
+        try:
+            found = sequence_fingerprint(self.opened())
+        except Exception as e:  # a reader of other people may raise anything; the run fails with it
+            found = f"{type(e).__name__}: {e}"
+        if seen is not None:
+            seen[asked] = found
+        return found
+
     @functools.cached_property
     def key(self) -> str:
         """``run_key`` of data, settings, rule, options, seed, budget and program: equal keys mean equal results.
@@ -135,11 +167,10 @@ class RunSpec:
         parts = self.to_json()
         for name in ("label", "scene", "data", "rule", "preset", "settings"):  # names, and what the settings say
             parts.pop(name)
-        content = self.data_hash or _content(self.data)
         known = registered().get(self.rule)
         if known is not None and not is_built_in(known):  # registered in this process, such as in a notebook
-            parts["rule_hash"] = rule_fingerprint(known)
-        return run_key(**parts, config=to_dict(self.config()), content=content, backend=chosen())
+            parts |= identity_of(known, self.options)
+        return run_key(**parts, config=to_dict(self.config()), content=self.content, backend=chosen())
 
     def to_json(self) -> dict[str, Any]:
         """The run as plain values."""
@@ -165,11 +196,30 @@ class RunSpec:
         )
 
 
+def identity_of(rule: SeedingRule, options: Mapping[str, Any]) -> dict[str, Any]:
+    """The fields ``rule_hash`` and ``rule_files`` of a run with this rule.
+
+    Raises:
+        FileNotFoundError: an option names a file that does not exist.
+    """
+    if is_built_in(rule):
+        return {}
+    return {"rule_hash": rule_fingerprint(rule), "rule_files": rule_files(rule, options)}
+
+
 def label_of(rule: str, options: Mapping[str, Option]) -> str:
     """Name of a rule with options in tables: "uniform fraction=0.1"."""
     return " ".join([rule, *(f"{k}={v:g}" if isinstance(v, float) else f"{k}={v}" for k, v in options.items())])
 
 
-@functools.lru_cache(maxsize=64)
-def _content(data: str) -> str:
-    return folder_fingerprint(data)
+_seen: ContextVar[dict[str, str] | None] = ContextVar("seen", default=None)
+
+
+@contextlib.contextmanager
+def data_seen_once() -> Iterator[None]:
+    """A block in which the same data are looked at only once for all runs; nothing should change them meanwhile."""
+    token = _seen.set({})
+    try:
+        yield
+    finally:
+        _seen.reset(token)

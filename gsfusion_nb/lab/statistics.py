@@ -1,21 +1,28 @@
-"""What several runs say together: mean and spread over seeds, and ranks over scenes."""
+"""What several runs say together: means and spreads, ranks, and paired tests whose units are the scenes."""
 
 import math
+import warnings
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from jaxtyping import Float
 
-from .columns import COLUMNS, FIRST_METRIC
+from .columns import COLUMNS, FIRST_METRIC, Column
 
 if TYPE_CHECKING:
     from .result import RunResult
 
+Verdict = Literal["a", "b", "noise", "equal", "unknown"]
+
+SIGNIFICANCE = 0.05
+"""A difference with a smaller p value is called more than noise."""
+
 
 @dataclass(frozen=True)
 class Summary:
-    """Mean and spread of one number over the runs of a group."""
+    """Mean and spread of one number over the runs of a group, or over scenes."""
 
     mean: float
     """NaN without a value."""
@@ -45,9 +52,19 @@ class Group:
     """Runs that were completed."""
     failed: "tuple[RunResult, ...]" = ()
 
+    @property
+    def fixes_cost(self) -> bool:
+        """Whether the budget gives every rule the same size or time, so that these are left-overs of the tuning."""
+        budgets = [run.spec.budget for run in (*self.runs, *self.failed)]
+        return any(b.gaussians is not None or b.seconds is not None for b in budgets)
+
+    def values(self, metric: str) -> list[float]:
+        """The number in each completed run that has it."""
+        return [v for run in self.runs if not math.isnan(v := run.metrics.get(metric, math.nan))]
+
     def summary(self, metric: str) -> Summary:
         """Over the completed runs; a run without this number does not count."""
-        return summarise(run.metrics.get(metric, math.nan) for run in self.runs)
+        return summarise(self.values(metric))
 
 
 def group_runs(results: "Iterable[RunResult]") -> list[Group]:
@@ -69,19 +86,25 @@ def by_budget(groups: Sequence[Group]) -> list[list[Group]]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ranks:
-    """The places of one rule."""
+class Standing:
+    """One rule over all scenes of a comparison, at one budget."""
 
-    by_scene: dict[str, float]
+    label: str
+    ranks: dict[str, float]
     """Scene -> rank by the mean over seeds, 1 is best; ties share the mean of their ranks."""
-    mean: float
-    """Mean over the scenes; NaN if the rule has no result on one of them."""
+    over_scenes: Summary
+    """Of the means of the scenes. NaN if the rule has no result on one of them."""
+
+    @property
+    def rank(self) -> float:
+        """Mean rank over the scenes; NaN if the rule has no result on one of them."""
+        return math.nan if math.isnan(self.over_scenes.mean) else float(np.mean(list(self.ranks.values())))
 
 
-def rank_rules(groups: Sequence[Group], *, metric: str = FIRST_METRIC) -> dict[str, Ranks]:
-    """Ranks of the rules of one budget on each scene, and their mean over the scenes; best mean rank first.
+def standings(groups: Sequence[Group], *, metric: str = FIRST_METRIC) -> list[Standing]:
+    """The rules of one budget, best mean over the scenes first; those without a result on some scene come last.
 
-    Means that are equal in the digits of the tables are ties.
+    Means that are equal in the digits of the tables share a rank.
 
     Raises:
         ValueError: groups of several budgets, or a metric without a better direction.
@@ -93,16 +116,221 @@ def rank_rules(groups: Sequence[Group], *, metric: str = FIRST_METRIC) -> dict[s
         raise ValueError(f"rules cannot be ranked by {metric}: neither direction is better")
     if len({group.budget for group in groups}) > 1:
         raise ValueError("ranks compare rules at one budget; give the groups of one budget")
-    scenes = list(dict.fromkeys(group.scene for group in groups))
+    scenes, sign = list(dict.fromkeys(group.scene for group in groups)), -1.0 if column.better == "higher" else 1.0
+    means: dict[str, dict[str, float]] = {group.label: {} for group in groups}
     ranks: dict[str, dict[str, float]] = {group.label: {} for group in groups}
+    for group in groups:
+        if (summary := group.summary(metric)).n:
+            means[group.label][group.scene] = summary.mean
     for scene in scenes:
-        means = {g.label: g.summary(metric).mean for g in groups if g.scene == scene}
-        means = {label: column.shown(mean) for label, mean in means.items() if not math.isnan(mean)}
-        sign = -1.0 if column.better == "higher" else 1.0
-        for label, rank in zip(means, rankdata([sign * m for m in means.values()]).tolist(), strict=True):
+        here = {label: column.shown(of[scene]) for label, of in means.items() if scene in of}
+        for label, rank in zip(here, rankdata([sign * m for m in here.values()]).tolist(), strict=True):
             ranks[label][scene] = float(rank)
-    found = {
-        label: Ranks(by_scene=by, mean=sum(by.values()) / len(by) if len(by) == len(scenes) else math.nan)
-        for label, by in ranks.items()
-    }
-    return dict(sorted(found.items(), key=lambda item: (math.isnan(item[1].mean), item[1].mean)))
+    nothing = Summary(math.nan, math.nan, 0)
+    found = [
+        Standing(
+            label=label, ranks=ranks[label], over_scenes=summarise(of.values()) if len(of) == len(scenes) else nothing
+        )
+        for label, of in means.items()
+    ]
+    return sorted(found, key=lambda s: (math.isnan(s.over_scenes.mean), sign * s.over_scenes.mean, -len(s.ranks)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Comparison:
+    """The paired comparison of two rules, "a" and "b"; differences are a - b.
+
+    ``str`` says it in words. All numbers are in the unit of the metric.
+    """
+
+    a: str
+    b: str
+    metric: str
+    differences: dict[str, list[float]]
+    """Scene -> difference of each pair of runs with the same seed and budget."""
+    mean: float
+    """Mean over the units; NaN without a pair."""
+    interval: tuple[float, float]
+    """95 % confidence interval of the mean difference by Student's t; NaN with fewer than two units."""
+    p_t: float
+    """Two-sided p value of the paired t test."""
+    p_signed_rank: float
+    """Two-sided p value of Wilcoxon's signed-rank test; with n units it cannot be below 2 / 2^n."""
+    corrected: float = math.nan
+    """``p_t`` corrected for several comparisons; NaN if there is one."""
+    n_tests: int = 1
+    """Number of comparisons that it is corrected for."""
+    failed: dict[str, str] = field(default_factory=dict)
+    """Rule without any completed run -> why its first run failed."""
+
+    @property
+    def units(self) -> list[float]:
+        """What is tested: a difference for each scene, the mean over its seeds; on one scene, one for each seed."""
+        return _units(self.differences)
+
+    @property
+    def verdict(self) -> Verdict:
+        """Which rule is better, or that this cannot be said. ``corrected`` decides where it is known."""
+        better = COLUMNS[self.metric].better
+        if len(self.units) < 2:
+            return "unknown"
+        if not any(self.units):
+            return "equal"
+        p = self.p_t if math.isnan(self.corrected) else self.corrected
+        if p >= SIGNIFICANCE or math.isnan(p) or better == "neither":
+            return "noise"
+        return "a" if (self.mean > 0) == (better == "higher") else "b"
+
+    def __str__(self) -> str:
+        column, scenes, n = COLUMNS[self.metric], list(self.differences), len(self.units)
+        unit = f" {column.unit}" if column.unit else ""
+        if self.failed:
+            reasons = "; ".join(f"all runs of {label} failed: {reason}" for label, reason in self.failed.items())
+            return f"{self.a} and {self.b}: nothing can be said about noise, because {reasons}"
+        if self.verdict == "unknown":
+            have = "one run of each" if n else "no pair of completed runs"
+            return f"{self.a} and {self.b}: nothing can be said about noise from {have}; use several scenes"
+        here, units = ("", f"{n} scenes") if len(scenes) > 1 else (f" on {scenes[0]}", f"{n} seeds")
+        if self.verdict == "equal":
+            return f"{self.a} and {self.b} have the same {column.heading}{here} in all {units}"
+        low, high = map(column.text, self.interval if self.mean >= 0 else (-self.interval[1], -self.interval[0]))
+        same_sign = sum(np.sign(d) == np.sign(self.mean) for d in self.units)
+        evidence = (
+            f"95 % interval {low} to {high}{unit}; same sign in {same_sign} of {units}; t test {p_text(self.p_t)}"
+        )
+        if self.n_tests > 1:
+            evidence += f", corrected for {self.n_tests} comparisons: {p_text(self.corrected)}"
+        size = f"{column.text(abs(self.mean))}{unit} {column.heading}"
+        end = f"({evidence})" + ("" if len(scenes) > 1 else "; seeds are random draws, and one scene is only one")
+        if self.verdict == "noise":
+            return f"{self.a} and {self.b} differ by {size}{here}, which is within noise {end}"
+        winner, loser = (self.a, self.b) if self.verdict == "a" else (self.b, self.a)
+        return f"{winner} is better than {loser} by {size}{here}, which is more than noise {end}"
+
+
+def compare(
+    results: "Iterable[RunResult]", a: str, b: str, *, budget: str | None = None, metric: str = FIRST_METRIC
+) -> Comparison:
+    """Is the difference between two rules more than noise?
+
+    Each run of rule ``a`` is paired with the run of rule ``b`` that has the same scene, seed and budget. The pairs of a
+    scene give one difference, their mean, because seeds change only random draws and share everything else. Student's
+    t test and Wilcoxon's signed-rank test (scipy) then have one unit for each scene: they ask whether other scenes of
+    this kind would show the same. On a single scene the seeds are the units, and the answer is about its draws only.
+
+    Args:
+        results: Runs of the lab; failed runs are left out, together with their partners.
+        a, b: Labels of the two rules.
+        budget: Only runs with this budget (its text); all by default.
+        metric: Name of the number, one of ``COLUMNS``.
+
+    Raises:
+        KeyError: a label without any run, or an unknown metric.
+    """
+    COLUMNS[metric]
+    results = list(results)
+    seen = {result.spec.label for result in results}
+    for label in (a, b):
+        if label not in seen:
+            known = f"there are: {', '.join(sorted(seen))}" if seen else "there are none"
+            raise KeyError(f"no runs of {label!r}; {known}")
+    chosen = [r for r in results if r.spec.label in (a, b) and budget in (None, str(r.spec.budget))]
+    values: dict[str, dict[tuple[str, int, str], float]] = {a: {}, b: {}}
+    for result in chosen:
+        spec, value = result.spec, result.metrics.get(metric, math.nan)
+        if math.isfinite(value):
+            values[spec.label][spec.scene, spec.seed, str(spec.budget)] = value
+    differences: dict[str, list[float]] = {}
+    for place, value in values[a].items():
+        if place in values[b]:
+            differences.setdefault(place[0], []).append(value - values[b][place])
+    d = np.array(_units(differences), float)
+    interval, p_t, p_signed_rank = paired_tests(d)
+    own = {label: [r for r in chosen if r.spec.label == label] for label in (a, b)}
+    return Comparison(
+        a=a, b=b, metric=metric, differences=differences, mean=float(d.mean()) if len(d) else math.nan,
+        interval=interval, p_t=p_t, p_signed_rank=p_signed_rank,
+        failed={x: runs[0].reason for x, runs in own.items() if runs and all(r.status == "failed" for r in runs)},
+    )  # fmt: skip
+
+
+def against_reference(results: "Sequence[RunResult]", budget: str, reference: str = "") -> list[Comparison]:
+    """The reference against each other rule at one budget, with p values corrected by Holm's method; empty without it.
+
+    Args:
+        results: All runs.
+        budget: Text of the budget.
+        reference: Label of a rule; by default the first of ``standings``, the best.
+    """
+    groups = [g for g in group_runs(results) if g.budget == budget]
+    labels = [s.label for s in standings(groups) if s.ranks]
+    reference = reference or next(iter(labels), "")
+    if reference not in labels:
+        return []
+    return corrected([compare(results, reference, other, budget=budget) for other in labels if other != reference])
+
+
+def corrected(comparisons: Sequence[Comparison]) -> list[Comparison]:
+    """The comparisons with p values corrected by Holm's method for their number."""
+    p_values = holm([c.p_t for c in comparisons])
+    n_tests = sum(not math.isnan(p) for p in p_values)
+    return [replace(c, corrected=p, n_tests=n_tests) for c, p in zip(comparisons, p_values, strict=True)]
+
+
+def paired_tests(differences: Float[np.ndarray, "N"]) -> tuple[tuple[float, float], float, float]:
+    """95 % interval of the mean by Student's t, p of the t test, and p of Wilcoxon's signed-rank test, all of scipy.
+
+    NaN with fewer than two differences. If all differences are the same, the interval is that value, and p of the
+    t test is 0, or 1 if the value is zero.
+    """
+    from scipy import stats
+
+    if len(differences) < 2:
+        return (math.nan, math.nan), math.nan, math.nan
+    if not differences.any():
+        return (0.0, 0.0), 1.0, 1.0
+    with warnings.catch_warnings(action="ignore", category=RuntimeWarning):  # about differences that are all the same
+        t: Any = stats.ttest_1samp(differences, 0.0)
+        interval: Any = t.confidence_interval(0.95)
+        signed: Any = stats.wilcoxon(differences)
+    return (float(interval.low), float(interval.high)), float(t.pvalue), float(signed.pvalue)
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """p values corrected for the number of tests by the step-down method of Holm (1979), in the order given.
+
+    A NaN is a test that could not be made: it stays NaN and is not counted.
+    """
+    known = [i for i in np.argsort(p_values, kind="stable") if not math.isnan(p_values[i])]
+    corrected, largest = [math.nan] * len(p_values), 0.0
+    for position, i in enumerate(known):
+        largest = max(largest, min(1.0, (len(known) - position) * p_values[i]))
+        corrected[i] = largest
+    return corrected
+
+
+def draws_differ(a: Sequence[float], b: Sequence[float], column: Column) -> bool:
+    """Whether two rules differ on one scene by more than their random draws explain: Welch's t test over the seeds.
+
+    Never with fewer than two seeds, or if the means are equal in the digits shown.
+    """
+    from scipy import stats
+
+    if min(len(a), len(b)) < 2 or column.shown(float(np.mean(a))) == column.shown(float(np.mean(b))):
+        return False
+    if np.ptp(a) == np.ptp(b) == 0:
+        return True
+    with warnings.catch_warnings(action="ignore", category=RuntimeWarning):
+        test: Any = stats.ttest_ind(a, b, equal_var=False)
+    return bool(test.pvalue < SIGNIFICANCE)
+
+
+def p_text(p: float) -> str:
+    """A p value as text: "p = 0.032", "p < 0.001"."""
+    return "p unknown" if math.isnan(p) else "p < 0.001" if p < 0.001 else f"p = {p:.3f}"
+
+
+def _units(differences: dict[str, list[float]]) -> list[float]:
+    if len(differences) == 1:
+        return list(next(iter(differences.values())))
+    return [float(np.mean(of_scene)) for of_scene in differences.values()]

@@ -57,7 +57,7 @@ def main(options: SweepOptions) -> int:
         print(f"{len(specs)} runs on {options.data}")
         status = run_and_write(specs, folder, options)
         if options.table and status != 130:
-            known = ResultStore(folder)
+            known = ResultStore(folder, shared=options.cache)
             text = beside_paper(options.table, [r for spec in specs if (r := known.find(spec)) is not None])
             (folder / "beside-paper.txt").write_text(f"{text}\n", encoding="utf-8")
             print(f"\n{text}")

@@ -4,7 +4,7 @@ import re
 import tomllib
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -13,14 +13,14 @@ from ..foreign import read_text
 from ..mapping import SYSTEMS
 from ..seeding import SeedingRule
 from ..seeding.rule_file import is_rule_file, read_rule_file
-from .check_run import RULE_CHECKS, check_size_range
+from .entries import RULE_CHECKS, check_size_range
 from .map_scene import Entry
-from .spec import Budget, RunSpec, label_of
+from .spec import Budget, RunSpec, identity_of, label_of
 
-_TOP = {"seeds": (int, list), "system": (str,), "preset": (str,), "device": (str,), "settings": (dict,),
-        "rules": (list,), "scenes": (list,), "budgets": (list,)}  # fmt: skip
+_TOP = {"seeds": (int, list), "reference": (str,), "system": (str,), "preset": (str,), "device": (str,),
+        "settings": (dict,), "rules": (list,), "scenes": (list,), "budgets": (list,)}  # fmt: skip
 _RULE = {"rule": (str,), "label": (str,), "options": (dict,), "size_option": (str,), "size_range": (list,),
-         "settings": (dict,)}  # fmt: skip
+         "tuned_on": (str,), "settings": (dict,)}  # fmt: skip
 _SCENE = {"data": (str,), "label": (str,), "reader": (dict,), "settings": (dict,), "preset": (str,)}
 _BUDGET = {"steps": (str,), "gaussians": (int,), "seconds": (int, float), "tolerance": (int, float)}
 _WORDS = {int: "a whole number", float: "a number", str: "a text", list: "a list", dict: "a table"}
@@ -34,10 +34,16 @@ class TableError(ValueError):
 class Table:
     """A comparison that can be run."""
 
-    specs: list[RunSpec]
+    specs: list[RunSpec] = field(default_factory=list)
     """Its runs: by scene, budget, rule and seed."""
-    text: str
+    text: str = ""
     """The file."""
+    reference: str = ""
+    """Label of the rule that all others are tested against; the best one if empty."""
+    tuned_on: Mapping[str, str] = field(default_factory=dict)
+    """Label of a rule -> the scenes that its values were chosen on, in words."""
+    skipped: tuple[str, ...] = ()
+    """Scenes that were left out because their data is not there, with the folder."""
 
     def __str__(self) -> str:
         counts = {
@@ -45,11 +51,15 @@ class Table:
             "seed": len({s.seed for s in self.specs}), "budget": len({s.budget for s in self.specs}),
         }  # fmt: skip
         words = " x ".join(f"{n} {name}{'s' if n > 1 else ''}" for name, n in counts.items())
-        return f"{len(self.specs)} runs: {words}"
+        return "\n".join([f"{len(self.specs)} runs: {words}", *(f"left out: {line}" for line in self.skipped)])
 
 
-def read_table(path: str | Path) -> Table:
+def read_table(path: str | Path, *, skip_missing: bool = False) -> Table:
     """Read and check the file of a comparison.
+
+    Args:
+        path: The file.
+        skip_missing: Leave out the scenes whose folder does not exist; otherwise they are mistakes.
 
     Raises:
         TableError: mistakes, each with its line, what was expected and what came. FileNotFoundError: no such file.
@@ -62,14 +72,15 @@ def read_table(path: str | Path) -> Table:
         values = tomllib.loads(text)
     except tomllib.TOMLDecodeError as e:
         raise TableError(f"{path}: not a TOML file: {e}") from None
-    return _Reader(path, text, values).table()
+    return _Reader(path, text, values, skip_missing).table()
 
 
 class _Reader:
     """Reads one file, and collects its mistakes."""
 
-    def __init__(self, path: Path, text: str, values: dict[str, Any]):
-        self.path, self.text = path, text
+    def __init__(self, path: Path, text: str, values: dict[str, Any], skip_missing: bool):
+        self.path, self.text, self.skip_missing = path, text, skip_missing
+        self.skipped: list[str] = []
         self.lines = _lines_of(text)
         self.problems: list[str] = []
         self.top = self._checked("", 0, values, _TOP)
@@ -88,7 +99,17 @@ class _Reader:
         budgets = [self._budget(i, v) for i, v in self._tables("budgets", _BUDGET, "")] or [Budget()]
         tuned = next((budget for budget in budgets if budget.gaussians is not None), budgets[0])
         rules = [self._rule(i, v, tuned) for i, v in self._tables("rules", _RULE, "rule")]
+        tuned_on = {rule["label"]: words for rule in rules if (words := rule.pop("tuned_on", ""))}
+        reference = self.top.get("reference", "")
+        if reference and reference not in (labels := [rule["label"] for rule in rules]):
+            self._wrong(
+                "", 0, "reference", f"expected the label of a rule ({', '.join(labels)}), got {shown(reference)}"
+            )
         scenes = [self._scene(i, v) for i, v in self._tables("scenes", _SCENE, "data")]
+        if self.skip_missing:
+            scenes = [scene for scene in scenes if not self._is_missing(scene)]
+            if not scenes:
+                self.problems.append(f"{self.path}: no scene is left: {'; '.join(self.skipped)}")
         self._raise()
         self._unique("rules", [rule["label"] for rule in rules])
         self._unique("scenes", [scene["scene"] for scene in scenes])
@@ -101,7 +122,15 @@ class _Reader:
                     specs += [RunSpec(**parts, seed=seed) for seed in seeds]
         self._open_scenes({spec.scene: spec for spec in reversed(specs)}, [scene["scene"] for scene in scenes])
         self._raise()
-        return Table(specs=specs, text=self.text)
+        return Table(
+            specs=specs, text=self.text, reference=reference, tuned_on=tuned_on, skipped=tuple(self.skipped)
+        )  # fmt: skip
+
+    def _is_missing(self, scene: Mapping[str, Any]) -> bool:
+        missing = scene["data"] != "room" and not Path(scene["data"]).is_dir()
+        if missing:
+            self.skipped.append(f"{scene['scene']}: there is no folder {scene['data']}")
+        return missing
 
     def _seeds(self, given: int | list) -> list[int]:
         seeds = list(range(given)) if isinstance(given, int) else given
@@ -111,6 +140,7 @@ class _Reader:
 
     def _rule(self, i: int, values: dict[str, Any], budget: Budget) -> dict[str, Any]:
         """A rule as parts of a spec, checked for a budget."""
+        words = {"tuned_on": values.pop("tuned_on")} if "tuned_on" in values else {}
         parts: dict[str, Any] = {"settings": {}, "label": ""} | values
         parts["settings"] = self._settings("rules", i, parts["settings"])
         label = parts["label"] or label_of(parts["rule"].rpartition(":")[2], parts.get("options", {}))
@@ -121,14 +151,18 @@ class _Reader:
             rule = Entry(spec=RunSpec(rule=parts["rule"], rule_source=parts.get("rule_source", ""))).found_rule()
         except (ValueError, KeyError, TypeError, OSError) as e:
             self._wrong("rules", i, "rule", _text(e))
-            return parts | {"label": label}
+            return parts | {"label": label} | words
         if "size_range" in parts:
             parts["size_range"] = self._size_range(i, parts["size_range"])
         together = _dotted(self.top.get("settings", {})) | parts["settings"]
         if not self._refused(together):
             spec = RunSpec(**self.shared | parts | {"settings": together, "budget": budget})
             self._check_rule(i, spec, rule)
-        return parts | {"label": label}
+        try:
+            parts |= identity_of(rule, parts.get("options", {}))
+        except (TypeError, OSError) as e:
+            self._wrong("rules", i, "options", str(e))
+        return parts | {"label": label} | words
 
     def _check_rule(self, i: int, spec: RunSpec, rule: SeedingRule) -> None:
         for key, check in RULE_CHECKS.items():
@@ -282,3 +316,68 @@ def _dotted(values: Mapping[str, Any], path: str = "") -> dict[str, Any]:
 
 def _text(error: Exception) -> str:
     return str(error.args[0]) if isinstance(error, KeyError) and error.args else str(error)
+
+
+EXAMPLE = """\
+# A comparison of seeding rules: every rule, on every scene, with every seed, at every budget.
+#   gsfusion-nb lab THIS_FILE --jobs 2
+# The same command again continues after Ctrl-C, and computes nothing twice.
+
+seeds = [0, 1]         # or a number: seeds = 2 is the same. They change only random draws
+# reference = "uniform"  # the label that all others are tested against; default: the best rule
+system = "gsfusion"    # or "rtg_slam", "gps_slam"
+# preset = "room"      # settings published for a data set; default: room for the room, else replica
+
+[settings]             # of all runs; names as in gsfusion-nb map --help
+"data.width" = 160
+"data.height" = 120
+"tsdf.voxel_size_m" = 0.02
+"sh_degree" = 0
+"seeding.quadtree_contrast" = "std"
+"optim.global_iterations" = 3
+
+[[scenes]]
+data = "room"          # the built-in room, or the folder of a recording
+label = "room"         # its name in the tables
+reader = { n_frames = 60 }
+
+[[scenes]]
+data = "room"
+label = "another room"
+reader = { n_frames = 60, seed = 1, noise = "kinect" }
+
+# A difference is tested over the scenes: use many, of many places.
+# [[scenes]]
+# data = "my_recording"  # a folder beside this file
+# settings = { "data.stop" = 200, "data.stride" = 5 }
+# If the folder has every fourth frame of a camera with 30 Hz already: "seeding.source_stride" = 20
+
+[[budgets]]            # leave out all budgets for: equal steps, as many Gaussians as each rule makes
+gaussians = 2000       # one option of each rule is tuned until its map has this many
+tolerance = 0.05       # within 5 per cent
+steps = "equal"        # the same gradient steps for every rule; "own": they follow from the rule's seeds
+# seconds = 10         # or: equal wall time
+
+[[rules]]
+rule = "gsfusion"
+
+[[rules]]
+rule = "uniform"
+# tuned_on = "room"    # the scenes that the values of a rule were chosen on: it is said under the table
+
+[[rules]]
+rule = "rtg_slam"
+label = "RTG-SLAM's"
+options = { transparent = false }
+
+[[rules]]
+rule = "dense"
+size_option = "thin"   # the option that is tuned; "thin" keeps a random share of the seeds
+label = "dense, thinned"
+
+# [[rules]]
+# rule = "my_rules.py:grid"    # a rule from a file beside this one
+# size_option = "spacing_px"   # its option that decides how many Gaussians it makes
+# size_range = [1, 100]
+"""
+"""A commented example of the file that describes a comparison."""

@@ -14,6 +14,7 @@ from ..seeding import SeedingRule, rule_name
 from .map_scene import Entry, finished
 from .one_run import OnStep, run_entry
 from .result import RunResult
+from .run_key import run_key
 from .spec import RunSpec
 from .tune import tune, tuning_spec
 
@@ -37,6 +38,8 @@ class Task:
     """Result of the tuning, for a run."""
     with_pictures: bool = True
     """Whether pictures of some held-out views are made."""
+    program: str = ""
+    """``run_key()`` where the comparison was started; empty asks for nothing."""
 
     def packed(self) -> "Task":
         """The task as it is sent to another process.
@@ -72,6 +75,10 @@ def do_task(task: Task, on_step: OnStep = lambda report: None) -> Answer:
     """
     with _ONE_AT_A_TIME, use_backend(task.backend):
         try:
+            if task.program not in ("", run_key()):
+                raise ValueError(
+                    "this process has another version of gsfusion_nb, or of a library, than the comparison"
+                )
             rule = pickle.loads(task.rule) if isinstance(task.rule, bytes) else task.rule
             entry = Entry(spec=task.spec, rule=rule, sequence=task.sequence)
             return _tune(entry, on_step) if task.kind == "tune" else _run(entry, task, on_step)

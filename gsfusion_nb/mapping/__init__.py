@@ -14,3 +14,5 @@ from .systems import SYSTEMS as SYSTEMS
 from .systems import get_system as get_system
 from .systems import make_mapper as make_mapper
 from .systems import system_of as system_of
+from .training import LossFunction as LossFunction
+from .training import Training as Training

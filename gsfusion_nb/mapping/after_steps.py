@@ -10,14 +10,14 @@ from torch import Tensor
 
 from ..errors import shown
 from ..gaussians import Edit, GaussianModel, SurfelModel
-from ..optim import Keyframe
+from ..optim import Keyframe, TrainingView
 from ..render import Footprints, footprints
 from ..seeding import ChangedInputError, MapRule, SeedContext, StepStats, check_memory, copy_memory, rule_name
+from ..seeding.apply import Versions
 from ..seeding.step_stats import add_up, check_needs
-from ..seeding.unchanged_inputs import Versions
 from ..types import Camera, Frame
 from .rule_in_use import RuleInUse
-from .surfel_optimiser import SurfelOptimiser, TrainingView
+from .surfel_optimiser import SurfelOptimiser
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -46,7 +46,7 @@ class AfterSteps:
 
     def __init__(self, rule: RuleInUse):
         made = rule.map_rule
-        self._rule, self._name = made, rule_name(rule.rule)
+        self._rule, self._name, self._running = made, rule_name(rule.rule), rule.running
         self._needs: frozenset[str] = frozenset() if made is None else made.statistics()
         check_needs(self._needs, f"seeding rule {self._name!r}: statistics()")
         self.edits = made is not None and type(made).after_step is not MapRule.after_step
@@ -175,7 +175,8 @@ class AfterSteps:
     def _edit(self, mapper: Any, ctx: SeedContext, stats: StepStats) -> None:
         assert self._rule is not None
         versions = Versions(ctx)
-        edit = self._rule.after_step(ctx, stats, ctx.memory)
+        with self._running():
+            edit = self._rule.after_step(ctx, stats, ctx.memory)
         check_memory(self._name, ctx.memory)
         if changed := versions.changed():
             raise ChangedInputError(self._name, changed)

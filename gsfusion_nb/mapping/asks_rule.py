@@ -43,7 +43,7 @@ class AsksRule:
             generator=self.random.rule,
             config=self.config.seeding,
             memory=self.memory,
-            starts_submap=self.rule_in_use.when.starts_submap(self.n_frames),
+            starts_submap=self.rule_in_use.when.starts_submap(self.n_frames, stride=self.config.source_stride),
             keyframes=tuple(self.keyframes),
             past_T_WC=tuple(self.localiser.poses),
             **more,
@@ -63,9 +63,10 @@ class AsksRule:
                 f"the seeding rule {rule_name(self.rule)!r} is asked in keyframes only, but {self.title} chooses its "
                 "keyframes after the seeding"
             )
-        if not when.is_due(self.n_frames, is_keyframe):
+        if not when.is_due(self.n_frames, is_keyframe, stride=self.config.source_stride):
             return Seeds.empty(context.frame.depth_m)
-        return apply_rule(self.rule, context, self.config.seeding.options, **checks)
+        with self.rule_in_use.running():
+            return apply_rule(self.rule, context, self.config.seeding.options, **checks)
 
     def is_next_keyframe(self, frame: Frame) -> bool | None:
         """Whether this frame, mapped next, becomes a keyframe; None if that depends on its seeds."""

@@ -8,6 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..checks import check_number, check_whole
+from ..geometry import backproject
 from ..tsdf import TsdfVolume, integrate
 from ..types import Camera, Frame
 from .frame_checks import check_frame
@@ -41,10 +42,13 @@ class FusedFrames:
 
     def add(self, frame: Frame) -> None:
         """Keep a frame that is fused with its present pose."""
-        self.frames.append(dataclasses.replace(frame.to("cpu")))  # a new one, without colours as floats
+        bare = dataclasses.replace(frame, extra={})  # a new one, without colours as floats
+        self.frames.append(bare.to("cpu"))
 
     def moved_m(self, poses: list[Float[Tensor, "4 4"]]) -> float:
-        """How far a frame's camera, or the point at its median depth in the middle of the view, would move at most.
+        """How far a frame's camera, or a point at its median depth in a corner of its view, would move at most.
+
+        The corners move also where a camera turns about its viewing axis, which leaves the middle of the view in place.
 
         Args:
             poses: New camera-to-world poses, one for each frame.
@@ -54,10 +58,9 @@ class FusedFrames:
         """
         if not self.frames:
             return 0.0
-        z = torch.tensor([_median_depth_m(f) for f in self.frames]).double()[:, None]
         change = torch.stack(poses).cpu().double() - torch.stack([f.T_WC for f in self.frames]).double()
-        of_camera, of_axis = change[:, :3, 3], change[:, :3, 2]
-        return float(torch.stack([of_camera, of_camera + z * of_axis]).norm(dim=-1).max())
+        xyz_C = torch.stack([_camera_and_corners(f) for f in self.frames])
+        return float((xyz_C @ change[:, :3, :3].mT + change[:, None, :3, 3]).norm(dim=-1).max())
 
     def fused_again(self, volume: TsdfVolume, poses: list[Float[Tensor, "4 4"]]) -> TsdfVolume:
         """A new volume like ``volume`` with all frames at new poses, which they keep.
@@ -92,10 +95,14 @@ class FusedFrames:
 
 def vars_of(frame: Frame) -> dict[str, Any]:
     """Plain values of a frame, from which it can be made again."""
-    return {f.name: getattr(frame, f.name) for f in dataclasses.fields(frame)} | {"camera": vars(frame.camera)}
+    parts = {f.name: getattr(frame, f.name) for f in dataclasses.fields(frame)}
+    return parts | {"camera": vars(frame.camera), "extra": dict(frame.extra)}
 
 
-def _median_depth_m(frame: Frame) -> float:
-    some = frame.depth_m[::4, ::4]
+def _camera_and_corners(frame: Frame) -> Float[Tensor, "5 3"]:
+    """The camera's centre and the corners of its view at the median depth, in the camera's frame, float64."""
+    some, camera = frame.depth_m[::4, ::4], frame.camera
     known = some[some > 0]
-    return float(known.median()) if len(known) else 0.0
+    z = known.median().double() if len(known) else torch.zeros((), dtype=torch.float64)
+    corners = torch.tensor([(u, v) for u in (0, camera.width) for v in (0, camera.height)], dtype=torch.float64)
+    return torch.cat([torch.zeros(1, 3, dtype=torch.float64), backproject(camera, corners, z.expand(4))])

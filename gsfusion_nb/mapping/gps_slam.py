@@ -9,13 +9,13 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..backends import runs_learners_code
-from ..config import GpsSlamConfig, gps_slam, gps_slam_fidelity
+from ..config import GPS_SLAM_DIFFERS, GpsSlamConfig, gps_slam, gps_slam_fidelity
 from ..gaussians import GaussianModel
 from ..geometry import se3
 from ..observing import observed
 from ..optim import Keyframe, adam_step, dssim_vjp, l1_mse_vjp, l2_mse_vjp
 from ..render import BaseView, render_over_base, render_over_base_vjp
-from ..seeding import SeedContext, SeedingRule
+from ..seeding import SeedContext
 from ..tracking import Correction, tsdf_surface
 from ..tsdf import FusedView, fuse_frame_
 from ..types import Camera, Frame, RenderOutput
@@ -47,16 +47,12 @@ class GPSSLAM(StoredWithSurface, TsdfMapping):
     config: GpsSlamConfig
     gaussians: GaussianModel
 
-    def __init__(
-        self,
-        config: GpsSlamConfig | None = None,
-        *,
-        seeding: "str | SeedingRule | None" = None,
-        device: torch.device | str = "cpu",
-    ):
-        super().__init__(config, seeding=seeding, device=device)
+    def __init__(self, *args: Any, **options: Any):
+        super().__init__(*args, **options)
         self.views = ViewRound(self.config.schedule)
         self._kept_bases: dict[int, BasedView] = {}
+        followed = gps_slam_fidelity(self.config).partition(",")[0]
+        self.notes += [GPS_SLAM_DIFFERS[followed]] if followed in GPS_SLAM_DIFFERS else []
 
     def step(self, frame: Frame) -> StepReport:
         """Map one frame, all of it or nothing.
@@ -76,26 +72,36 @@ class GPSSLAM(StoredWithSurface, TsdfMapping):
             with clock("tsdf"):
                 missing = self._make_room(frame)
             is_keyframe = self.is_next_keyframe(frame)
-            seeds_now = self.rule_in_use.when.is_due(self.n_frames, is_keyframe)
+            when, stride = self.rule_in_use.when, self.config.source_stride
+            seeds_now = when.is_due(self.n_frames, is_keyframe, stride=stride)
             in_window = self.n_frames % self.config.schedule.window_every == 0
             with clock("base"):
-                now = self._look(Keyframe.of(frame)) if seeds_now or in_window or self.after_steps.edits else None
+                now = self._look(self._kept(frame)) if seeds_now or in_window or self.after_steps.edits else None
             with clock("seeding"):
                 preview = FusedView(self.volume, frame, missing)
                 below = None if now is None else now.below
                 context = self._context(frame, volume=preview, near_m=self.config.tsdf.near_m, below=below)
                 seeds = self.propose_seeds(context)
-            can_fail = self.after_steps.edits or runs_learners_code() or self.views.steps_in(self.n_frames) > 0
+            can_fail = (
+                self.after_steps.edits
+                or self.training.names
+                or runs_learners_code()
+                or self.views.steps_in(self.n_frames) > 0
+            )
             self.guard.changes_begin(self._undo() if can_fail else None)
-            if seeds_now:
+            if seeds_now and self.config.schedule.spread:
                 self._prune()
+            if seeds_now and self.config.residual.restart_adam:
+                self._restart_adam()
             self.gaussians.append(seeds, frame.index)
             if is_keyframe:
-                self.keyframes.append(frame)
+                self.keyframes.append(frame, with_depth=self.training.loss is not None)
             with clock("base"):
                 self._renew_views(now, in_window=in_window)
             with clock("optimise"):
                 losses, psnrs = self._optimise(context)
+            if losses and not self.config.schedule.spread:
+                self._prune()
             self.guard.changes_stay()
             with clock("tsdf"):
                 self.volume.allocate_missing(missing)
@@ -175,6 +181,9 @@ class GPSSLAM(StoredWithSurface, TsdfMapping):
             self.views.forget()
             self.forget_discs()
 
+    def _kept(self, frame: Frame) -> Keyframe:
+        return Keyframe.of(frame, with_depth=self.training.loss is not None)
+
     def _look(self, keyframe: Keyframe) -> BasedView:
         return look_at(self.volume, keyframe.to(self.device), self.config.base)
 
@@ -197,11 +206,13 @@ class GPSSLAM(StoredWithSurface, TsdfMapping):
         kept &= params.opacity_logit.sigmoid() >= limits.min_opacity
         if not bool(kept.all()):
             self.gaussians.keep(kept)
-        if limits.restart_adam:
-            for moments in (self.gaussians.exp_avg, self.gaussians.exp_avg_sq):
-                for column in vars(moments).values():
-                    column.zero_()
-            self.gaussians.birth_step.fill_(self.gaussians.step_count)
+
+    def _restart_adam(self) -> None:
+        """Forget all moments and the number of steps."""
+        for moments in (self.gaussians.exp_avg, self.gaussians.exp_avg_sq):
+            for column in vars(moments).values():
+                column.zero_()
+        self.gaussians.birth_step.fill_(self.gaussians.step_count)
 
     def _optimise(self, context: SeedContext) -> tuple[list[float], list[float]]:
         """The steps of this frame, each on one of the views. Returns their losses and PSNRs."""
@@ -214,14 +225,17 @@ class GPSSLAM(StoredWithSurface, TsdfMapping):
         return losses, [psnr_from_mse(mse) for mse in errors]
 
     def _global_step(self, i: int) -> Float[Tensor, ""]:
-        """One step on the i-th keyframe after the scan."""
+        """One step on the i-th keyframe after the scan; each pass ends as a burst does, with the removal of rows."""
         view = self._kept_bases.get(i)
         if view is None:
             view = look_at(self.volume, self.keyframes[i].to(self.device), self.config.base, full=True)
             size = sum(x.nbytes for x in (*vars(view.below.base).values(), view.seen_rgb, view.seen_depth_m))
             if (len(self._kept_bases) + 1) * size <= KEPT_BASES_BYTES:
                 self._kept_bases[i] = view
-        return self._optimise_view(view, self.config.final.ssim_weight)[0]
+        loss = self._optimise_view(view, self.config.final.ssim_weight)[0]
+        if not self.passes.queue:
+            self._prune()
+        return loss
 
     @observed
     def _optimise_view(self, view: BasedView, ssim_weight: float = 0.0) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
@@ -234,12 +248,15 @@ class GPSSLAM(StoredWithSurface, TsdfMapping):
         of_pixels = l2_mse_vjp if self.config.residual.loss == "l2" else l1_mse_vjp
         pixels = of_pixels(output.rgb, target)
         loss, v_rgb = pixels.value, pixels.v_rgb
-        if ssim_weight > 0:
+        if self.training.loss is not None:
+            given = self.training.view_loss(output.as_render_output(below.base), keyframe, with_depth=False)
+            loss, v_rgb = given.value, given.v_rgb
+        elif ssim_weight > 0:
             structural, v_structural = dssim_vjp(output.rgb, target)
             loss = (1 - ssim_weight) * loss + ssim_weight * structural
             v_rgb = (1 - ssim_weight) * v_rgb + ssim_weight * v_structural
         gradients = render_over_base_vjp(saved, v_rgb, **({} if watched is None else watched.outputs))
-        adam_step(self.gaussians, gradients, self.config.residual.adam)
+        adam_step(self.gaussians, gradients, self.config.residual.adam, self.training.optimiser)
         if watched is not None:
             watched = self.after_steps.add_up(self.gaussians, watched, camera)
             self.after_steps(self, watched, keyframe, loss, output.rgb)

@@ -13,6 +13,8 @@ from ..gaussians import GaussianModel
 from ..observing import observed
 from ..optim import (
     Keyframe,
+    UpdateFunction,
+    ViewLoss,
     adam_step,
     add_penalties_,
     depth_l1,
@@ -26,11 +28,12 @@ from ..render import render_forward, render_vjp
 from ..seeding import Cells, SeedContext, SeedingRule, rule_name
 from ..tracking import tsdf_surface
 from ..tsdf import FusedView, fuse_frame_
-from ..types import Frame
+from ..types import Frame, RenderOutput
 from .exposure_fit import ExposureFit
 from .frame_checks import check_frame
 from .pose_refinement import PoseRefinement
 from .step_report import StageClock, StepReport, psnr_from_mse
+from .training import LossFunction
 from .tsdf_mapping import TsdfMapping
 
 
@@ -58,9 +61,11 @@ class GSFusion(TsdfMapping):
         *,
         seeding: "str | SeedingRule | None" = None,
         device: torch.device | str = "cpu",
+        loss: LossFunction | None = None,
+        optimiser: UpdateFunction | None = None,
     ):
         """Raises ``ValueError`` for a rule that is asked in keyframes only, without ``keyframe_every``."""
-        super().__init__(config, seeding=seeding, device=device)
+        super().__init__(config, seeding=seeding, device=device, loss=loss, optimiser=optimiser)
         if self.rule_in_use.when.only_keyframes and not self.config.keyframe_every:
             raise ValueError(
                 f"the seeding rule {rule_name(self.rule)!r} is asked in keyframes only, and with keyframe_every = 0 a "
@@ -94,13 +99,14 @@ class GSFusion(TsdfMapping):
                 context = self._context(frame, volume=preview, near_m=self.config.tsdf.near_m)
                 seeds = self.propose_seeds(context)  # III-B.2, Eq. 10
             clock.split("seeding", "quadtree", context.quadtree_seconds)
-            can_fail = bool(self.after_steps.edits) or runs_learners_code()
+            can_fail = bool(self.after_steps.edits or self.training.names) or runs_learners_code()
             self.guard.changes_begin(self._undo() if can_fail else None)
             self.gaussians.append(seeds, frame.index)
             known, steps_before = self.is_next_keyframe(frame), self.gaussians.step_count
             is_keyframe, n_steps, n_revisits = self._plan(len(seeds), known)  # III-B.3
             if is_keyframe or self.config.keep_all_frames:
-                self.keyframes.append(frame, with_depth=self.config.optim.depth_weight > 0)
+                with_depth = self.config.optim.depth_weight > 0 or self.training.loss is not None
+                self.keyframes.append(frame, with_depth=with_depth)
             with clock("optimise"):
                 losses, psnrs = self._optimise_online(context, n_steps, n_revisits)  # Eq. 12
             self.guard.changes_stay()
@@ -197,28 +203,38 @@ class GSFusion(TsdfMapping):
         if keyframe is not None and self.exposures.enabled:
             exposure = self.exposures.visit(self.keyframes, keyframe, output, target)
             rgb = exposed(output.rgb, exposure)
-        pixels = l1_mse_vjp(rgb, target)
-        loss, v_rgb, v_depth_m = pixels.value, pixels.v_rgb, None
-        if ssim_weight > 0:
-            structural, v_structural = dssim_vjp(rgb, target)
-            loss = (1 - ssim_weight) * loss + ssim_weight * structural
-            v_rgb = (1 - ssim_weight) * v_rgb + ssim_weight * v_structural
+        found, mse = self._loss(dataclasses.replace(output, rgb=rgb), view, ssim_weight)
+        loss, v_rgb = found.value, found.v_rgb
         if exposure is not None:
             v_rgb = exposed_vjp(output.rgb, exposure, v_rgb)[0]
-        if optim.depth_weight > 0 and view.depth_m is not None:
-            loss = loss + optim.depth_weight * depth_l1(output.depth_m, view.depth_m)
-            v_depth_m = depth_l1_vjp(output.depth_m, view.depth_m, optim.depth_weight)
-        gradients = render_vjp(saved, v_rgb, v_depth_m, **({} if watched is None else watched.outputs))
+        gradients = render_vjp(saved, v_rgb, found.v_depth_m, **({} if watched is None else watched.outputs))
         penalties = {"isotropy": optim.isotropy_weight, "scale": optim.scale_weight, "opacity": optim.opacity_weight}
         if any(penalties.values()):
             loss = loss + add_penalties_(gradients, self.gaussians.params, **penalties)
-        adam_step(self.gaussians, gradients, optim)
+        adam_step(self.gaussians, gradients, optim, self.training.optimiser)
         if keyframe is not None and self.refinement.enabled:
             self.refinement.move(self.keyframes, keyframe, dataclasses.replace(output, rgb=rgb), target)
         if watched is not None:
             watched = self.after_steps.add_up(self.gaussians, watched, view.camera)
             self.after_steps(self, watched, view, loss, output.rgb)
-        return loss, pixels.mse
+        return loss, mse
+
+    def _loss(
+        self, rendered: RenderOutput, view: Frame | Keyframe, ssim_weight: float
+    ) -> tuple[ViewLoss, Float[Tensor, ""]]:
+        """L1 (Eq. 12), with D-SSIM and depth where the settings say so, or the given loss; and the MSE."""
+        pixels, optim = l1_mse_vjp(rendered.rgb, view.rgb), self.config.optim
+        if self.training.loss is not None:
+            return self.training.view_loss(rendered, view), pixels.mse
+        loss, v_rgb, v_depth_m = pixels.value, pixels.v_rgb, None
+        if ssim_weight > 0:
+            structural, v_structural = dssim_vjp(rendered.rgb, view.rgb)
+            loss = (1 - ssim_weight) * loss + ssim_weight * structural
+            v_rgb = (1 - ssim_weight) * v_rgb + ssim_weight * v_structural
+        if optim.depth_weight > 0 and view.depth_m is not None:
+            loss = loss + optim.depth_weight * depth_l1(rendered.depth_m, view.depth_m)
+            v_depth_m = depth_l1_vjp(rendered.depth_m, view.depth_m, optim.depth_weight)
+        return ViewLoss(value=loss, v_rgb=v_rgb, v_depth_m=v_depth_m), pixels.mse
 
 
 @piece

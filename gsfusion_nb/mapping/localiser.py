@@ -2,13 +2,14 @@
 
 import dataclasses
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import Any
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from ..checks import SAVED_RIGIDITY_ERROR, check_pose, check_saved, check_shape, check_whole
+from ..checks import SAVED_RIGIDITY_ERROR, check_number, check_pose, check_saved, check_shape, check_whole
 from ..config import TrackingConfig
 from ..errors import BadFrameError
 from ..gaussians import GaussianModel
@@ -33,8 +34,46 @@ OFF_M = 0.02
 OFF_DEG = 1.0
 """ICP starts from the landmarks' pose where it differs by more than this from the predicted one."""
 
+FASTEST_M_S, FASTEST_DEG_S = 20.0, 1500.0
+"""No camera in a hand, on a robot or on a slow car moves or turns faster; recordings of rooms have up to 2 m/s and 110
+degrees/s."""
+FARTHEST_STEP_M, FARTHEST_STEP_DEG = 2.0, 120.0
+"""Up to this for each frame between them two poses are no jump at any speed: time stamps may be missing or wrong."""
+
 _BLOCK = 1024
 """Number of poses that are stored in one tensor."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Stand:
+    """Where a frame was taken, and when."""
+
+    index: int
+    timestamp_s: float
+    T_WC: Float[Tensor, "4 4"]
+
+    @staticmethod
+    def of_state(state: dict[str, Any]) -> "_Stand":
+        """What ``vars`` gave. Raises ``ValueError`` for values of another kind."""
+        stand = _Stand(**state)
+        check_whole("a frame's index", stand.index, 0)
+        check_number(f"time of frame {stand.index}", stand.timestamp_s)
+        check_pose(f"pose of frame {stand.index}", stand.T_WC, SAVED_RIGIDITY_ERROR)
+        return stand
+
+    def jump_from(self, other: "_Stand") -> str:
+        """How far this is from ``other``, in words, if no camera moves so fast; else empty."""
+        turned_deg, moved_m = (float(x) for x in se3.motion(other.T_WC, self.T_WC))
+        seconds, frames = max(self.timestamp_s - other.timestamp_s, 0.0), max(abs(self.index - other.index), 1)
+        most_m = max(FARTHEST_STEP_M * frames, FASTEST_M_S * seconds)
+        most_deg = max(FARTHEST_STEP_DEG * frames, FASTEST_DEG_S * seconds)
+        if moved_m <= most_m and turned_deg <= most_deg:
+            return ""
+        return (
+            f"its pose is {moved_m:.3g} m and {turned_deg:.0f} degrees from that of frame {other.index}, "
+            f"{seconds:.3g} s before; a camera moves at most {most_m:.3g} m"
+            + (f" and turns at most {most_deg:.0f} degrees" if most_deg < 180 else "")
+        )
 
 
 class Localiser:
@@ -54,6 +93,11 @@ class Localiser:
         self._block, self._n_kept = torch.zeros(_BLOCK, 4, 4), 0
         self.report: dict[str, Any] = {}
         """How the last frame was tracked: status, rms_m, inlier_share. Empty for given poses."""
+        self.jump = ""
+        """How far the pose of the last frame is from those before, if no camera moves so fast; else empty."""
+        self._mapped: _Stand | None = None
+        self._refused: _Stand | None = None
+        """Given pose of the last frame, if it was refused because it jumps: the next one may go on from there."""
         self._tracker = Tracker(config)
         self._found: Any = None
         """State of the tracker before the frame that it tracked last, until that frame is recorded."""
@@ -70,6 +114,11 @@ class Localiser:
     def is_tracking(self) -> bool:
         """Whether poses are estimated."""
         return self.config.poses == "tracked"
+
+    @property
+    def frames_lost(self) -> int:
+        """Number of frames in a row that could not be tracked, up to the last one; 0 if that one was."""
+        return self._tracker.lost_in_a_row
 
     @property
     def is_refined(self) -> bool:
@@ -112,10 +161,12 @@ class Localiser:
         """The frame with its pose in the map.
 
         Raises:
-            BadFrameError: tracking is lost and could not recover with this frame.
+            BadFrameError: tracking is lost and could not recover with this frame; or the given pose is a jump that no
+                camera makes, both from the last mapped frame and from a frame just refused.
         """
         self.report, self._found = {}, None
         if not self.is_tracking:
+            self._check_jump(frame)
             return frame
         before, (seen, guess) = self._tracker.standing, self._see(frame)
         try:
@@ -132,6 +183,16 @@ class Localiser:
             self.report["doubt"] = found.doubt
         return dataclasses.replace(frame, T_WC=found.T_WC.to(frame.T_WC))
 
+    def _check_jump(self, frame: Frame) -> None:
+        stand = _Stand(index=frame.index, timestamp_s=frame.timestamp_s, T_WC=frame.T_WC_cpu)
+        self.jump = "" if self._mapped is None else stand.jump_from(self._mapped)
+        if self.jump and self.config.pose_jumps == "skip" and (not self._refused or stand.jump_from(self._refused)):
+            self._refused = stand
+            raise BadFrameError(
+                f"frame {frame.index} cannot be mapped: {self.jump}. Frames that go on from there are mapped. If the "
+                "pose is right: --tracking.pose-jumps map"
+            )
+
     def take_back(self) -> None:
         """Undo the last ``locate``, because its frame was not mapped."""
         if self._found is not None:
@@ -144,6 +205,8 @@ class Localiser:
         self.given.append(self.poses[-1])
         self.frame_indices.append(frame.index)
         if not self.is_tracking:
+            self._mapped = _Stand(index=frame.index, timestamp_s=frame.timestamp_s, T_WC=self.poses[-1].clone())
+            self._refused = None
             return None
         return self._remember(frame)
 
@@ -231,6 +294,7 @@ class Localiser:
             "poses": torch.stack(self.poses) if self.poses else torch.zeros(0, 4, 4),
             "given": torch.stack(self.given) if self.is_refined else None,
             "frame_indices": torch.tensor(self.frame_indices, dtype=torch.int64),
+            "stands": [None if s is None else vars(s) for s in (self._mapped, self._refused)],
             "tracker": self._tracker.state_dict(),
             "camera": None if self.camera is None else vars(self.camera),
             "back_end": None if self._back_end is None else self._back_end.state_dict(),
@@ -257,6 +321,7 @@ class Localiser:
         if state.get("given") is not None:
             check_saved("given", state["given"], (len(self.frame_indices), 4, 4))
             self.given = [self._kept(T_WC) for T_WC in state["given"].cpu()]
+        self._mapped, self._refused = (s and _Stand.of_state(s) for s in state.get("stands", (None, None)))
         self._tracker = Tracker.from_state_dict(self.config, state["tracker"])
         if state["camera"] is not None:
             camera, saved = Camera(**state["camera"]), state["back_end"]

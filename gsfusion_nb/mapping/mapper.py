@@ -15,9 +15,10 @@ from torch import Tensor
 
 from ..config import SystemConfig
 from ..gaussians import GaussianModel
-from ..optim import KeyframeList
+from ..optim import KeyframeList, UpdateFunction
+from ..plausible import FAR_DEPTH_M
 from ..render import render
-from ..seeding import Cells, ChangedInputError, SeedingRule, copy_memory, rule_name
+from ..seeding import Cells, ChangedInputError, SeedingRule, copy_memory, move_memory, rule_name
 from ..seeding.rule_file import find_rule
 from ..tracking import Correction
 from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput
@@ -33,6 +34,7 @@ from .rule_settings import settings_with_rule
 from .saved_state import SavesState
 from .step_report import GlobalStep, StepReport
 from .stored_map import StoredMap
+from .training import LossFunction, Training
 
 
 class Mapper(AsksRule, SavesState, StoredMap, ABC):
@@ -46,9 +48,12 @@ class Mapper(AsksRule, SavesState, StoredMap, ABC):
             (``MapRule.overrides``) replace the usual values in ``config``, not the user's own (``rule_settings``).
             ``self.config`` has the settings in use.
         device: Device of the map.
+        loss, optimiser: Given instead of the system's own loss and Adam (``Training``, ``LossFunction``,
+            ``UpdateFunction``; docs/api.md has an example). Results name them.
 
     Raises:
-        TypeError: neither rule has all of the options, or the value of an option is of the wrong type.
+        TypeError: neither rule has all of the options, or the value of an option is of the wrong type; ``loss`` or
+            ``optimiser`` is no function.
         ValueError: the rule brings a setting that the system does not have.
 
     A subclass defines ``title``, ``config_type``, ``preset``, ``n_passes``, ``step``, ``surface``, ``mesh`` and
@@ -96,7 +101,10 @@ class Mapper(AsksRule, SavesState, StoredMap, ABC):
         *,
         seeding: "str | SeedingRule | None" = None,
         device: torch.device | str = "cpu",
+        loss: LossFunction | None = None,
+        optimiser: UpdateFunction | None = None,
     ):
+        self.training = Training(loss, optimiser)
         config = config or self.config_type()
         self.rule = find_rule(seeding if seeding is not None else config.seeding.rule)
         self.config = settings_with_rule(config, self.rule, type(self))
@@ -111,6 +119,7 @@ class Mapper(AsksRule, SavesState, StoredMap, ABC):
         self.guard = FrameGuard()
         self.watch: Callable[[int | None], contextlib.AbstractContextManager[None]] = lambda _: contextlib.nullcontext()
         """Context around each frame (with its index) and each step after the scan (with None), for an observer."""
+        self._told_far = False
         self.n_frames = 0
         """Number of frames mapped so far."""
         self.notes: list[str] = []
@@ -279,15 +288,28 @@ class Mapper(AsksRule, SavesState, StoredMap, ABC):
 
     def step_warnings(self, frame: Frame, report: StepReport) -> list[str]:
         """Warnings for the user about the step that gave ``report``, as sentences."""
+        warnings, depth_m = [], frame.depth_m[::8, ::8]
         if report.tracking.get("status") == "recovered":
-            return [f"frame {frame.index}: tracking was lost and has recovered"]
-        return []
+            warnings.append(f"frame {frame.index}: tracking was lost and has recovered")
+        if self.localiser.jump:
+            warnings.append(f"frame {frame.index} was mapped although {self.localiser.jump}")
+        median_m = float(depth_m[depth_m > 0].median()) if bool((depth_m > 0).any()) else 0.0
+        if median_m > FAR_DEPTH_M and not self._told_far:
+            self._told_far = True
+            warnings.append(
+                f"frame {frame.index}, and perhaps later ones, was mapped with a median depth of {median_m:.4g} m, "
+                "which no depth camera measures: is it a code for missing depth, or the wrong depth scale? "
+                f"--data.depth-max-m {FAR_DEPTH_M:g} leaves it out"
+            )
+        return warnings
 
     def _record(self, frame: Frame) -> None:
         """Add a mapped frame to the trajectory, and follow the correction if it closes a loop."""
         self._follow(self.localiser.record(frame))
 
     def _follow(self, correction: Correction | None) -> None:
-        """After a loop closure, move Gaussians and keyframes with the trajectory, if the settings say so."""
+        """After a loop closure, move Gaussians, keyframes and what the rule remembers of the world with the trajectory,
+        if the settings say so."""
         if correction is not None and self.config.tracking.back_end.on_correction == "move":
             move_map(correction, self.gaussians, self.keyframes)
+            move_memory(self.memory, correction.transform_of)

@@ -15,7 +15,7 @@ from ..config import RtgSlamConfig, rtg_slam, rtg_slam_fidelity
 from ..gaussians import SurfelModel, Transitions, change_states, count_errors, count_views, state_counts
 from ..geometry import se3
 from ..render import SurfaceView, render_forward, surface_depth_m, view_surface
-from ..seeding import SeedContext, SeedingRule
+from ..seeding import SeedContext
 from ..tracking import Correction, Surface
 from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput
 from .frame_checks import check_frame
@@ -48,14 +48,8 @@ class RTGSLAM(SurfelMapping):
     config: RtgSlamConfig
     gaussians: SurfelModel
 
-    def __init__(
-        self,
-        config: RtgSlamConfig | None = None,
-        *,
-        seeding: "str | SeedingRule | None" = None,
-        device: torch.device | str = "cpu",
-    ):
-        super().__init__(config, seeding=seeding, device=device)
+    def __init__(self, *args: Any, **options: Any):
+        super().__init__(*args, **options)
         self.camera: Camera | None = None
 
     def __repr__(self) -> str:
@@ -80,7 +74,7 @@ class RTGSLAM(SurfelMapping):
                 seeds = self.propose_seeds(context)  # Eq. 6
             is_keyframe = self.is_next_keyframe(frame)
             window_is_due, keyframes_are_due = self._window_is_due(is_keyframe), is_keyframe and self.n_frames > 0
-            is_lesson = runs_learners_code()
+            is_lesson = runs_learners_code() or bool(self.training.names)
             self.guard.changes_begin(self._undo() if window_is_due or keyframes_are_due or is_lesson else None)
             self.gaussians.append(seeds, frame.index)
             self._begin(context, is_keyframe, window_is_due, keyframes_are_due)

@@ -1,5 +1,6 @@
 """The seeding rule of a mapper: with its options, when it is asked, its memory, and what a checkpoint saves of it."""
 
+import contextlib
 from collections.abc import Iterator
 from typing import Any
 
@@ -8,14 +9,17 @@ from torch import Tensor
 from ..errors import SequenceError, shown
 from ..seeding import (
     EVERY_FRAME,
+    DeclaredFiles,
     MapRule,
     SeedingRule,
     When,
     check_memory,
-    check_options,
     copy_memory,
     describe_memory,
     is_map_rule,
+    option_paths,
+    option_values,
+    read_code,
     registered,
     rule_fingerprint,
     rule_name,
@@ -41,14 +45,31 @@ class RuleInUse:
 
     def __init__(self, rule: SeedingRule, options: dict[str, Any]):
         self.rule = rule
-        check_options(rule, options)
-        self.map_rule: MapRule | None = rule(**options) if is_map_rule(rule) else None
+        values: Any = option_values(rule, options)
+        self.map_rule: MapRule | None = rule(**values) if is_map_rule(rule) else None
         """The rule with its options, if it is a class."""
         self.when: When = self.map_rule.when if self.map_rule else EVERY_FRAME
         """In which frames it is asked for seeds."""
         self.memory: dict[str, Any] = {}
         """What it keeps from one frame to the next; always the same dict."""
-        self._fingerprint = rule_fingerprint(rule)
+        read = read_code(rule)
+        self._fingerprint = read.hash.hexdigest()
+        self._paths = [*option_paths(rule, options).values(), *read.paths]
+        self._files: DeclaredFiles | None = None
+        for kept in read.caches:  # of an earlier mapper; files may have changed since
+            kept.cache_clear()
+
+    def refuse_other_files(self) -> None:
+        """From now on the rule may only open files that its options name, or a ``Path`` in its code."""
+        self._files = DeclaredFiles(rule_name(self.rule), self._paths)
+
+    def running(self) -> contextlib.AbstractContextManager[None]:
+        """Context around a call of the rule.
+
+        Raises:
+            UndeclaredFileError: it opens a file that ``refuse_other_files`` forbids.
+        """
+        return contextlib.nullcontext() if self._files is None else self._files.only()
 
     @property
     def memory_note(self) -> str:

@@ -102,6 +102,8 @@ def _brought(config: SystemConfig, rule: SeedingRule) -> dict[str, Any]:
     overrides = rule.overrides if is_map_rule(rule) else {}
     brought = {name.replace("__", "."): value for name, value in overrides.items()}
     brought = {name: value for name, value in brought.items() if name not in ONLY_IF_THERE or hasattr(config, name)}
+    if isinstance(every := brought.get("keyframe_every"), int) and every > 0:  # of the recording, not of mapped frames
+        brought["keyframe_every"] = max(1, round(every / config.source_stride))
     for name in brought:
         who = f"the seeding rule {rule_name(rule)!r} brings the setting {shown(name)}"
         if any(name == taken or name.startswith(f"{taken}.") for taken in NOT_FOR_RULES):

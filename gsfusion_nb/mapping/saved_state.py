@@ -9,7 +9,7 @@ from ..checks import check_whole
 from ..config import SystemConfig, from_dict, to_dict
 from ..errors import shown
 from ..gaussians import GaussianModel
-from ..optim import KeyframeList
+from ..optim import KeyframeList, UpdateFunction
 from ..seeding import SeedingRule, rule_name
 from ..seeding.rule_file import find_rule
 from .after_steps import AfterSteps
@@ -18,6 +18,7 @@ from .localiser import Localiser
 from .random_streams import RandomStreams
 from .rule_in_use import RuleInUse, check_known
 from .rule_settings import settings_of_run
+from .training import LossFunction, Training
 
 M = TypeVar("M", bound="SavesState")
 
@@ -35,6 +36,7 @@ class SavesState:
     device: torch.device
     rule: SeedingRule
     rule_in_use: RuleInUse
+    training: Training
     after_steps: AfterSteps
     keyframes: KeyframeList
     random: RandomStreams
@@ -53,6 +55,7 @@ class SavesState:
         return {
             "config": to_dict(self.config),
             "rule": self.rule_in_use.state_dict(),
+            "training": self.training.state_dict(),
             "n_frames": self.n_frames,
             "steps_taken": self.after_steps.taken,
             "passes": self.passes.state_dict(),
@@ -69,18 +72,24 @@ class SavesState:
         *,
         seeding: "str | SeedingRule | None" = None,
         device: torch.device | str = "cpu",
+        loss: LossFunction | None = None,
+        optimiser: UpdateFunction | None = None,
     ) -> M:
-        """The mapper that was saved with ``state_dict``; a rule that is not registered by name must be given again.
+        """The mapper that was saved with ``state_dict``; a rule that is not registered by name must be given again, and
+        so must a loss and an optimiser.
 
         Raises:
-            SequenceError: the rule is neither given nor registered by its name, or it had a state that was not saved.
+            SequenceError: the rule is neither given nor registered by its name, the loss or optimiser is not given, or
+                one of them had a state that was not saved.
         """
         config = from_dict(cls.config_type, state["config"])
         if seeding is None:
             check_known(state["rule"])
         rule = find_rule(seeding if seeding is not None else state["rule"]["name"])
         settings = settings_of_run(config, rule, cls)
-        mapper = cls(settings, seeding=rule, device=device)  # pyright: ignore[reportCallIssue]
+        given: dict[str, Any] = {name: f for name, f in (("loss", loss), ("optimiser", optimiser)) if f is not None}
+        mapper = cls(settings, seeding=rule, device=device, **given)  # pyright: ignore[reportCallIssue]
+        mapper.notes += mapper.training.notes_on(state.get("training", {}))
         mapper.rule_in_use.load_state_dict(state["rule"])
         if mapper.rule_in_use.differs(state["rule"]):
             mapper.notes.append(

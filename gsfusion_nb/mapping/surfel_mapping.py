@@ -11,13 +11,13 @@ from torch import Tensor
 
 from ..config import RtgSlamConfig
 from ..gaussians import STABLE, SurfelModel
-from ..optim import Keyframe, fuse_with_history
+from ..optim import Keyframe, TrainingView, fuse_with_history
 from ..render import rows_in_view
 from ..seeding import SeedContext
 from ..types import Frame, GaussianParams
 from .after_steps import WatchedStep
 from .mapper import Mapper
-from .surfel_optimiser import SurfelOptimiser, TrainingView
+from .surfel_optimiser import SurfelOptimiser
 
 MASKED_BELOW = 0.8
 """If more of the rows in view are unstable, they touch nearly all pixels; finding these then saves no time."""
@@ -60,7 +60,7 @@ class SurfelMapping(Mapper):
         seen = self._seen(self.window)
         if not (trained & seen).any():
             return []
-        optimiser = SurfelOptimiser(model, trained, config, self.config.discs, seen=seen)
+        optimiser = SurfelOptimiser(model, trained, config, self.config.discs, seen=seen, training=self.training)
         before = GaussianParams(**{name: value.clone() for name, value in vars(optimiser.trained).items()})
         masked = config.only_unstable and optimiser.n < MASKED_BELOW * int(seen.sum())
         touched = [optimiser.touched(f.camera, f.T_WC) if masked else None for f in self.window]
@@ -100,6 +100,7 @@ class SurfelMapping(Mapper):
             seen=seen,
             lr_factor=config.lr_factor,
             move_centres=False,
+            training=self.training,
         )
         views = [TrainingView.of(keyframe, self._worst_pixels(keyframe)) for keyframe in chosen]
         _, last = self._take_steps(optimiser, views, config.iterations)
@@ -171,6 +172,7 @@ class SurfelMapping(Mapper):
             self.config.discs,
             lr_factor=config.lr_factor,
             move_centres=False,
+            training=self.training,
             weight_depth=config.weight_depth,
         )
 

@@ -1,8 +1,8 @@
 """Optimising some rows of an RTG-SLAM map against RGB-D views; the others do not change (Peng et al. 2024, Eq. 7-8)."""
 
 import dataclasses
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
@@ -14,39 +14,12 @@ from ..checks import check_saved
 from ..config import DiscConfig, WindowConfig
 from ..gaussians import SurfelModel
 from ..observing import observed
-from ..optim import Keyframe, RgbdLoss, RowAdam, rgbd_l1_vjp
+from ..optim import RgbdLoss, RowAdam, TrainingView, rgbd_l1_vjp
 from ..render import blended_depth_m, disc_depth, disc_depth_vjp, render_forward, render_vjp
-from ..types import Camera, Frame, GaussianParams
+from ..types import Camera, GaussianParams, RenderOutput
+from .training import Training
 
 _GEOMETRY = ("xyz_W", "log_scale", "quat")
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TrainingView:
-    """An RGB-D image to optimise against, and the pixels of it that are used."""
-
-    rgb: Float[Tensor, "H W 3"]
-    depth_m: Float[Tensor, "H W"]
-    camera: Camera
-    T_WC: Float[Tensor, "4 4"]
-    pixels: Bool[Tensor, "H W"]
-    index: int = -1
-    """Number of its frame; -1 if not known."""
-
-    @staticmethod
-    def of(source: Frame | Keyframe, pixels: Bool[Tensor, "H W"] | None = None) -> "TrainingView":
-        """The view of a frame or keyframe; all pixels by default."""
-        depth_m = source.depth_m
-        assert depth_m is not None
-        everywhere = torch.ones_like(depth_m, dtype=torch.bool)
-        return TrainingView(
-            rgb=source.rgb,
-            depth_m=depth_m,
-            camera=source.camera,
-            T_WC=source.T_WC,
-            pixels=everywhere if pixels is None else pixels,
-            index=source.index,
-        )
 
 
 class SurfelOptimiser:
@@ -65,6 +38,7 @@ class SurfelOptimiser:
         lr_factor: Multiplies all learning rates.
         move_centres: False: the centres do not move.
         weight_depth: Weight of the depth loss, instead of that of ``window``.
+        training: Loss and optimiser, if they are given from outside.
     """
 
     def __init__(
@@ -79,7 +53,9 @@ class SurfelOptimiser:
         lr_factor: float = 1.0,
         move_centres: bool = True,
         weight_depth: float | None = None,
+        training: Training | None = None,
     ):
+        self.training = training or Training()
         self.config = window if weight_depth is None else dataclasses.replace(window, weight_depth=weight_depth)
         self.discs = discs
         self._model = model
@@ -105,7 +81,8 @@ class SurfelOptimiser:
             "sh_dc": w.lr_sh_dc * lr_factor,
             "sh_rest": w.lr_sh_rest * lr_factor,
         }
-        self.adam = RowAdam(self.trained, rates, {name: f[self.rows] for name, f in model.rates.items()})
+        factors = {name: f[self.rows] for name, f in model.rates.items()}
+        self.adam = RowAdam(self.trained, rates, factors, update=self.training.optimiser)
         self.picture: Tensor | None = None
         """The picture [H, W, 3] before the last step."""
         self._is_trained = torch.arange(len(self.params), device=trained.device) < self.n
@@ -127,7 +104,7 @@ class SurfelOptimiser:
             view: What to compare with.
             outputs: ``v_uv`` and ``v_uv_abs`` of ``render_vjp``, to be filled for the ``drawn`` rows. [R, 2]
         """
-        w, discs = self.config, self.discs
+        discs = self.discs
         output, saved = render_forward(
             self.params,
             view.camera,
@@ -143,16 +120,7 @@ class SurfelOptimiser:
             depth_m = disc_depth(self.params, view.camera, view.T_WC, hit, **options).depth_m
         else:
             depth_m = blended_depth_m(output)
-        loss = rgbd_l1_vjp(
-            output.rgb,
-            depth_m,
-            view.rgb,
-            view.depth_m,
-            view.pixels,
-            weight_colour=w.weight_colour,
-            weight_depth=w.weight_depth,
-            behind_m=w.depth_behind_m,
-        )
+        loss = self._loss(dataclasses.replace(output, depth_m=depth_m), view)
         if discs.depth == "disc":
             g = render_vjp(saved, loss.v_rgb, rows=self._is_trained, **outputs)
             v_xyz, v_quat = disc_depth_vjp(
@@ -167,6 +135,23 @@ class SurfelOptimiser:
         self.adam.step(g)
         self.picture = output.rgb
         return loss
+
+    def _loss(self, rendered: RenderOutput, view: TrainingView) -> RgbdLoss:
+        if self.training.loss is not None:
+            found, unknown = self.training.view_loss(rendered, view), rendered.depth_m.new_tensor(math.nan)
+            v_depth_m = torch.zeros_like(rendered.depth_m) if found.v_depth_m is None else found.v_depth_m
+            return RgbdLoss(colour=unknown, depth_m=unknown, total=found.value, v_rgb=found.v_rgb, v_depth_m=v_depth_m)
+        w = self.config
+        return rgbd_l1_vjp(
+            rendered.rgb,
+            rendered.depth_m,
+            view.rgb,
+            view.depth_m,
+            view.pixels,
+            weight_colour=w.weight_colour,
+            weight_depth=w.weight_depth,
+            behind_m=w.depth_behind_m,
+        )
 
     def write_back(self, params: GaussianParams | None = None) -> None:
         """Copy the trained rows, or ``params`` instead of them, to the map."""

@@ -6,11 +6,13 @@ import torch
 
 from ..checks import check_name
 from ..config import SystemConfig
+from ..optim import UpdateFunction
 from ..seeding import SeedingRule
 from .gps_slam import GPSSLAM
 from .gsfusion import GSFusion
 from .mapper import Mapper
 from .rtg_slam import RTGSLAM
+from .training import LossFunction
 
 SYSTEMS: dict[str, type[Mapper]] = {
     "gsfusion": GSFusion,
@@ -38,7 +40,13 @@ def system_of(config: SystemConfig) -> str:
 
 
 def make_mapper(
-    config: SystemConfig, *, seeding: "str | SeedingRule | None" = None, device: torch.device | str = "cpu"
+    config: SystemConfig,
+    *,
+    seeding: "str | SeedingRule | None" = None,
+    device: torch.device | str = "cpu",
+    loss: LossFunction | None = None,
+    optimiser: UpdateFunction | None = None,
 ) -> Any:
     """A new mapper of the system that ``config`` belongs to; arguments as for ``Mapper``."""
-    return SYSTEMS[system_of(config)](config, seeding=seeding, device=device)
+    given: dict[str, Any] = {name: f for name, f in (("loss", loss), ("optimiser", optimiser)) if f is not None}
+    return SYSTEMS[system_of(config)](config, seeding=seeding, device=device, **given)

@@ -71,6 +71,8 @@ class TsdfMapping(Mapper):
             return warnings
         tsdf, known = self.config.tsdf, frame.depth_m[frame.depth_m > 0]
         median = f"its median is {float(known.median()):.4g} m" if len(known) else "it has none at all"
+        if ((known >= tsdf.near_m) & (known <= tsdf.far_m)).any():
+            return [*warnings, f"nothing was mapped from the depth of frame {frame.index} ({median})"]
         return [
             *warnings,
             f"frame {frame.index} has no depth between tsdf.near_m {tsdf.near_m:g} and tsdf.far_m {tsdf.far_m:g} m "

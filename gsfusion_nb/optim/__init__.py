@@ -1,6 +1,8 @@
 """Losses, the optimiser of a growing map, keyframes."""
 
 from .adam import ColumnRates as ColumnRates
+from .adam import RowAdam as RowAdam
+from .adam import UpdateFunction as UpdateFunction
 from .adam import adam_step as adam_step
 from .adam import adam_update as adam_update
 from .adam import adam_update_map as adam_update_map
@@ -17,7 +19,9 @@ from .fit_pose_by_flow import fit_pose_by_flow as fit_pose_by_flow
 from .fusion import fuse_with_history as fuse_with_history
 from .keyframes import Keyframe as Keyframe
 from .keyframes import KeyframeList as KeyframeList
+from .keyframes import TrainingView as TrainingView
 from .losses import PictureLoss as PictureLoss
+from .losses import ViewLoss as ViewLoss
 from .losses import depth_l1 as depth_l1
 from .losses import depth_l1_vjp as depth_l1_vjp
 from .losses import dssim as dssim
@@ -30,4 +34,3 @@ from .losses import mse_vjp as mse_vjp
 from .map_penalties import add_penalties_ as add_penalties_
 from .rgbd_loss import RgbdLoss as RgbdLoss
 from .rgbd_loss import rgbd_l1_vjp as rgbd_l1_vjp
-from .row_adam import RowAdam as RowAdam

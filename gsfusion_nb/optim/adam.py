@@ -1,66 +1,60 @@
-"""Adam on a map that grows while it is optimised."""
+"""Adam on a map that grows while it is optimised (``adam_step``), and on a fixed set of its rows (``RowAdam``)."""
 
-import math
+import contextlib
+from collections.abc import Callable, Iterator, Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
+import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
 from ..backends import op
-from ..checks import check_number
+from ..checks import check_number, check_saved, check_whole
 from ..config import OptimConfig
 from ..gaussians import GaussianModel
 from ..observing import observed
-from ..operands import INTEGERS, check_gaussians, check_operand
+from ..operands import INTEGERS, check_gaussians, check_operand, check_written
 from ..types import GaussianParams
-from .row_rates import at_row_rates
+
+BETA1, BETA2, EPS = 0.9, 0.999, 1e-15
+"""Of ``RowAdam``: the values of the released code of RTG-SLAM, which are those of 3D Gaussian splatting."""
+
+UpdateFunction = Callable[..., None]
+"""``update(param, gradient, m, v, steps, *, lr)``: an optimiser that is given to a mapper in place of Adam.
+
+It changes one column of the map in place: ``param`` [N, ...], and ``m`` and ``v`` of the same shape. These two are its
+memory: they begin at zero, follow each row when rows are added and removed, and are saved in checkpoints. ``steps`` [N]
+counts the steps of each row, this one included. ``lr`` is the learning rate of the settings, a number or a tensor that
+fits a row."""
 
 
 def check_adam(
-    param: Any,
-    gradient: Any,
-    exp_avg: Any,
-    exp_avg_sq: Any,
-    steps: Any,
-    *,
-    lr: Any,
-    beta1: float,
-    beta2: float,
-    eps: float,
+    param: Any, gradient: Any, exp_avg: Any, exp_avg_sq: Any, steps: Any, *, lr: Any, **decay: float
 ) -> None:
     """Raise ``ValueError`` for arguments that ``adam_update`` refuses."""
     check_operand("param", param, ("N", *("W",) * (getattr(param, "ndim", 1) - 1)))
     for name, value in {"gradient": gradient, "exp_avg": exp_avg, "exp_avg_sq": exp_avg_sq}.items():
         check_operand(name, value, tuple(param.shape), dtypes=(param.dtype,), device=param.device)
-    for name, value in {"param": param, "exp_avg": exp_avg, "exp_avg_sq": exp_avg_sq}.items():
-        _check_writable(name, value)
-    _check_steps(steps, param)
-    if not isinstance(lr, Tensor):
-        check_number("lr", lr)
-    else:
-        row = tuple(param.shape[1:])
+    check_written(param=param, exp_avg=exp_avg, exp_avg_sq=exp_avg_sq)
+    if isinstance(lr, Tensor):
         check_operand("lr", lr, tuple(lr.shape), device=None if lr.device.type == "cpu" else param.device)
+        row = tuple(param.shape[1:])
         if lr.ndim > len(row) or any(a not in (1, b) for a, b in zip(lr.shape[::-1], row[::-1], strict=False)):
             raise ValueError(f"lr must be one number or fit a row {list(row)}, got {list(lr.shape)}")
-    _check_decay(beta1, beta2, eps)
+    else:
+        check_number("lr", lr)
+    _check_steps_and_decay(steps, param, decay)
 
 
-def _check_writable(name: str, value: Tensor) -> None:
-    if not value.is_contiguous() and 0 in value.stride() and value.numel() > 1:
-        raise ValueError(f"{name} is written to and must not be an expanded view, got strides {value.stride()}")
-
-
-def _check_steps(steps: Any, param: Tensor) -> None:
+def _check_steps_and_decay(steps: Any, param: Tensor, decay: Mapping[str, float]) -> None:
     if isinstance(steps, Tensor):
         check_operand("steps", steps, (len(param),), dtypes=INTEGERS, device=param.device)
     elif steps is not None:
         check_number("steps", steps, 1)
-
-
-def _check_decay(beta1: float, beta2: float, eps: float) -> None:
-    check_number("beta1", beta1, 0.0, 1.0)
-    check_number("beta2", beta2, 0.0, 1.0)
-    check_number("eps", eps, 0.0)
+    check_number("eps", decay["eps"], 0.0)
+    for name in ("beta1", "beta2"):
+        check_number(name, decay[name], 0.0, 1.0)
 
 
 @op("adam", check_adam)
@@ -98,15 +92,18 @@ def adam_update(
     """
     m = beta1 * exp_avg + (1 - beta1) * gradient
     v = beta2 * exp_avg_sq + (1 - beta2) * gradient**2
-    if isinstance(steps, Tensor):  # float64, because 1 - b2^t loses its digits in float32
-        t = steps.double().reshape(-1, *[1] * (param.ndim - 1))
-        m_hat, v_hat = m / (1 - beta1**t).to(m), v / (1 - beta2**t).to(v)
-    else:
-        t = math.inf if steps is None else steps
-        m_hat, v_hat = m / (1 - beta1**t), v / (1 - beta2**t)
+    m_hat, v_hat = m / _bias(beta1, steps, m), v / _bias(beta2, steps, v)
     param.copy_(param - lr * m_hat / (v_hat.sqrt() + eps))
     exp_avg.copy_(m)
     exp_avg_sq.copy_(v)
+
+
+def _bias(beta: float, steps: int | Tensor | None, moment: Tensor) -> float | Tensor:
+    """1 - beta^t: the share of its weights that a moment has which began at 0; 1 without a correction."""
+    if not isinstance(steps, Tensor):
+        return 1.0 if steps is None else 1 - beta**steps
+    t = steps.double().reshape(-1, *[1] * (moment.ndim - 1))  # float64: 1 - b2^t would lose its digits in float32
+    return (1 - beta**t).to(moment)
 
 
 class ColumnRates(NamedTuple):
@@ -135,16 +132,7 @@ class ColumnRates(NamedTuple):
 
 
 def check_adam_map(
-    params: Any,
-    gradients: Any,
-    exp_avg: Any,
-    exp_avg_sq: Any,
-    steps: Any,
-    *,
-    rates: Any,
-    beta1: float,
-    beta2: float,
-    eps: float,
+    params: Any, gradients: Any, exp_avg: Any, exp_avg_sq: Any, steps: Any, *, rates: Any, **decay: float
 ) -> None:
     """Raise ``ValueError`` for arguments that ``adam_update_map`` refuses."""
     check_gaussians(params)
@@ -156,15 +144,12 @@ def check_adam_map(
         except ValueError as e:
             raise ValueError(f"{name}.{e}") from None
     for name, rows in {"params": params, "exp_avg": exp_avg, "exp_avg_sq": exp_avg_sq}.items():
-        for column, value in vars(rows).items():
-            if not value.is_contiguous():
-                _check_writable(f"{name}.{column}", value)
-    _check_steps(steps, params.xyz_W)
+        check_written(**{f"{name}.{column}": value for column, value in vars(rows).items()})
     if not isinstance(rates, ColumnRates):
         raise ValueError(f"rates must be ColumnRates, got {type(rates).__name__}")
-    for name, rate in zip(ColumnRates._fields, rates, strict=True):
+    for name, rate in rates._asdict().items():
         check_number(f"rates.{name}", rate)
-    _check_decay(beta1, beta2, eps)
+    _check_steps_and_decay(steps, params.xyz_W, decay)
 
 
 @op("adam", check_adam_map)
@@ -201,7 +186,9 @@ def adam_update_map(
 
 
 @observed
-def adam_step(model: GaussianModel, gradients: GaussianParams, config: OptimConfig) -> None:
+def adam_step(
+    model: GaussianModel, gradients: GaussianParams, config: OptimConfig, update: UpdateFunction | None = None
+) -> None:
     """Update every parameter of the map once, each group at its own constant learning rate.
 
     The bias correction multiplies a step by sqrt(1 - b2^t) / (1 - b1^t). ``config.adam_steps`` says what t is:
@@ -214,6 +201,15 @@ def adam_step(model: GaussianModel, gradients: GaussianParams, config: OptimConf
       short run all Gaussians learn more slowly; at the 16,000 steps of a Replica sequence there is no difference left.
 
     Where the map has factors of learning rates (``model.rates``), each row takes its own part of the step.
+
+    Args:
+        model: The map, changed in place.
+        gradients: dL/d of its parameters.
+        config: Learning rates and decays.
+        update: Takes the step of each column instead of ``adam_update``.
+
+    Raises:
+        ValueError: ``update`` made a parameter NaN or infinite that was finite.
     """
     t = model.step_count + 1
     steps: int | Tensor | None = {"none": None, "shared": t}.get(config.adam_steps)
@@ -227,9 +223,115 @@ def adam_step(model: GaussianModel, gradients: GaussianParams, config: OptimConf
         sh_dc=config.lr_sh_dc,
         sh_rest=config.lr_sh_rest,
     )
-    moments, decay = (model.exp_avg, model.exp_avg_sq), (config.beta1, config.beta2)
+    m, v = model.exp_avg, model.exp_avg_sq
     with at_row_rates(model.params, model.rates):
-        adam_update_map(
-            model.params, gradients, *moments, steps, rates=rates, beta1=decay[0], beta2=decay[1], eps=config.eps
-        )
+        if update is None:
+            decay = {"beta1": config.beta1, "beta2": config.beta2, "eps": config.eps}
+            adam_update_map(model.params, gradients, m, v, steps, rates=rates, **decay)
+        else:
+            ages = t - model.birth_step
+            for name, lr in rates.by_column(model.params.sh).items():
+                p, g, m_, v_ = (getattr(rows, name) for rows in (model.params, gradients, m, v))
+                take_step(update, name, p, g, m_, v_, ages, lr)
     model.step_count = t
+
+
+def take_step(
+    update: UpdateFunction, name: str, param: Tensor, gradient: Tensor, m: Tensor, v: Tensor, ages: Tensor, lr: Any
+) -> None:
+    """One step of an optimiser from outside on the column ``name``; arguments as for ``UpdateFunction``.
+
+    Raises:
+        ValueError: a value is no longer finite that was before.
+    """
+    finite = param.isfinite()
+    update(param, gradient, m, v, ages, lr=lr)
+    if lost := int((finite & ~param.isfinite()).sum()):
+        raise ValueError(f"the optimiser made {lost} values of {name} NaN or infinite; try smaller learning rates")
+
+
+@contextlib.contextmanager
+def at_row_rates(params: GaussianParams, factors: Mapping[str, Float[Tensor, " N"]]) -> Iterator[None]:
+    """Context in which one step of Adam is taken, which then moves each row by ``factors`` times as far.
+
+    The step of Adam is its learning rate times a direction that does not depend on it, so a factor of the step is the
+    same factor of the learning rate. With factor 0 the row keeps its values bit for bit, with 1 it takes the step bit
+    for bit. Adam's moments change as usual, also those of frozen rows.
+
+    Args:
+        params: What the step changes in place.
+        factors: Parameter -> factor of each row, at least 0; a parameter that is missing takes its whole step.
+    """
+    before = {name: getattr(params, name).clone() for name in factors}
+    yield
+    for name, start in before.items():
+        value = getattr(params, name)
+        factor = factors[name].reshape(-1, *[1] * (value.ndim - 1)).to(value)
+        value.copy_(torch.where(factor == 0, start, torch.lerp(start, value, factor)))
+
+
+class RowAdam:
+    """Moments that start at zero, bias correction by the number of steps taken, one constant rate per group.
+
+    Args:
+        params: Parameters to update, in place.
+        rates: Learning rate of each group: xyz_W, log_scale, quat, sh_dc, sh_rest. Groups with rate 0 do not change;
+            opacity never changes (Peng et al. 2024: lr_alpha = 0).
+        factors: Parameter -> factor of its rate for each row [N]; those that are missing are 1.
+        update: Takes the step of each group instead of ``adam_update``.
+    """
+
+    def __init__(
+        self,
+        params: GaussianParams,
+        rates: Mapping[str, float],
+        factors: Mapping[str, Tensor] = MappingProxyType({}),
+        update: UpdateFunction | None = None,
+    ):
+        self.params, self._update = params, update
+        self._factors = factors
+        self.steps = 0
+        sh_rates = params.sh.new_full((params.sh.shape[1], 1), rates["sh_rest"])
+        sh_rates[0] = rates["sh_dc"]
+        self._rates: dict[str, Any] = {
+            name: rates[name] for name in ("xyz_W", "log_scale", "quat") if rates[name] > 0
+        } | {"sh": sh_rates.expand(-1, 3)}
+        self._moments = {name: [torch.zeros_like(getattr(params, name)) for _ in range(2)] for name in self._rates}
+
+    @observed
+    def step(self, gradients: GaussianParams) -> None:
+        """Update once. Rows of ``gradients`` beyond those of ``params`` are ignored."""
+        self.steps += 1
+        n = len(self.params)
+        with at_row_rates(self.params, self._factors):
+            for name, lr in self._rates.items():
+                m, v = self._moments[name]
+                param, gradient = getattr(self.params, name), getattr(gradients, name)[:n]
+                if self._update is None:
+                    adam_update(param, gradient, m, v, self.steps, lr=lr, beta1=BETA1, beta2=BETA2, eps=EPS)
+                else:
+                    ages = torch.full((n,), self.steps, device=param.device)
+                    take_step(self._update, name, param, gradient, m, v, ages, lr)
+
+    def take_over(self, earlier: "RowAdam", before: Int[Tensor, " N"]) -> None:
+        """Continue with the moments and the step count of other rows; ``before`` is the row there of each, or -1."""
+        self.steps, known = earlier.steps, before >= 0
+        for name, moments in self._moments.items():
+            for mine, theirs in zip(moments, earlier._moments[name], strict=True):
+                mine[known] = theirs[before[known]]
+
+    def state_dict(self) -> dict[str, Any]:
+        """Moments and step count."""
+        moments = {name: [moment.clone() for moment in pair] for name, pair in self._moments.items()}
+        return {"steps": self.steps, "moments": moments}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore what ``state_dict`` saved. Raises ``ValueError`` for moments of parameters of another shape."""
+        check_whole("steps", state["steps"], 0)
+        self.steps = state["steps"]
+        if set(state["moments"]) != set(self._moments):
+            raise ValueError(f"moments must be of {sorted(self._moments)}, got {sorted(state['moments'])}")
+        for name, moments in state["moments"].items():
+            for mine, saved in zip(self._moments[name], moments, strict=True):
+                check_saved(f"moment of {name}", saved, tuple(mine.shape), mine.dtype, finite=False)
+                mine.copy_(saved)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
 from ..backends import piece
@@ -54,6 +54,38 @@ class Keyframe:
         if all(value is getattr(self, name) for name, value in moved.items()):
             return self
         return dataclasses.replace(self, **moved)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TrainingView:
+    """An RGB-D image to optimise against, and the pixels of it that are used."""
+
+    rgb: Float[Tensor, "H W 3"]
+    """Colour, 0..1."""
+    depth_m: Float[Tensor, "H W"]
+    """z-depth, metres; 0 where missing."""
+    camera: Camera
+    T_WC: Float[Tensor, "4 4"]
+    pixels: Bool[Tensor, "H W"]
+    """Those that count."""
+    index: int = -1
+    """Number of its frame; -1 if not known."""
+
+    @staticmethod
+    def of(source: Frame | Keyframe, pixels: Bool[Tensor, "H W"] | None = None) -> "TrainingView":
+        """The view of a frame or keyframe; all pixels by default."""
+        depth_m = source.depth_m
+        if depth_m is None:
+            depth_m = torch.zeros(source.rgb.shape[:2], device=source.rgb.device)
+        everywhere = torch.ones_like(depth_m, dtype=torch.bool)
+        return TrainingView(
+            rgb=source.rgb,
+            depth_m=depth_m,
+            camera=source.camera,
+            T_WC=source.T_WC,
+            pixels=everywhere if pixels is None else pixels,
+            index=source.index,
+        )
 
 
 class KeyframeList:

@@ -42,6 +42,23 @@ class PictureLoss:
     """Gradient of ``value``."""
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ViewLoss:
+    """What a loss that is given to a mapper returns for one view."""
+
+    value: Float[Tensor, ""]
+    v_rgb: Float[Tensor, "H W 3"]
+    """dL/d of the rendered colours."""
+    v_depth_m: Float[Tensor, "H W"] | None = None
+    """dL/d of the rendered depth, 1/metres; None is zero."""
+
+    def detached(self, like: Tensor) -> "ViewLoss":
+        """Without an autograd graph, in the type and on the device of ``like``."""
+        value, v_rgb = self.value.detach().to(like), self.v_rgb.detach().to(like)
+        v_depth_m = None if self.v_depth_m is None else self.v_depth_m.detach().to(like)
+        return ViewLoss(value=value, v_rgb=v_rgb, v_depth_m=v_depth_m)
+
+
 def check_pictures(rgb: Any, target: Any, v_loss: float = 1.0) -> None:
     """Raise ``ValueError`` unless both images have the same size, type and device."""
     check_images(rgb=rgb, target=target)

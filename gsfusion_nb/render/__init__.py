@@ -19,6 +19,7 @@ from .over_base import Base as Base
 from .over_base import OverBaseOutput as OverBaseOutput
 from .over_base import render_over_base as render_over_base
 from .over_base import render_over_base_vjp as render_over_base_vjp
+from .pose import pose_matrix_vjp as pose_matrix_vjp
 from .pose import pose_vjp as pose_vjp
 from .project import Projection as Projection
 from .project import ProjectionGradient as ProjectionGradient

@@ -32,7 +32,7 @@ from ..backends import Record, op, piece
 from ..checks import check_number
 from ..constants import ALPHA_MAX
 from ..geometry.spherical_harmonics import sh_to_rgb, sh_to_rgb_vjp
-from ..operands import MASK, check_gaussians, check_operand, check_view
+from ..operands import MASK, check_gaussians, check_operand, check_view, check_written
 from ..types import Camera, GaussianParams, RenderOutput
 from .composite import absolute_uv_vjp, pixel_offsets, splat_alpha, splat_alpha_vjp
 from .on_screen import ScreenGaussians
@@ -114,8 +114,7 @@ def check_over_base_vjp(saved: Any, v_rgb: Any, *, rows: Any = None, v_uv: Any =
         if out is None:
             continue
         check_operand(name, out, (len(like), 2), dtypes=(like.dtype,), device=like.device)
-        if not out.is_contiguous() and 0 in out.stride() and out.numel() > 1:
-            raise ValueError(f"{name} is written to and must not be an expanded view, got strides {out.stride()}")
+        check_written(**{name: out})
 
 
 @op("over_base", check_over_base)

@@ -15,6 +15,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..constants import SH_C0
+from ..geometry import se3
 from ..geometry.spherical_harmonics import sh_to_rgb_vjp
 from ..types import GaussianParams
 
@@ -46,3 +47,22 @@ def pose_vjp(params: GaussianParams, v_params: GaussianParams, T_WC: Float[Tenso
     v_w, v_v = v_params.quat[:, :1], v_params.quat[:, 1:]
     v_omega_W = v_omega_W - 0.5 * (w * v_v - v_w * v + torch.linalg.cross(v, v_v)).sum(0)
     return torch.cat([v_rho_W @ R_WC, v_omega_W @ R_WC])
+
+
+def pose_matrix_vjp(
+    params: GaussianParams, v_params: GaussianParams, T_WC: Float[Tensor, "4 4"]
+) -> Float[Tensor, "4 4"]:
+    """dL/dT_WC along rigid motions; arguments as for ``pose_vjp``, whose g = (g_rho, g_omega) it puts into a matrix.
+
+        v_T = [R hat(g_omega) / 2,  R g_rho;  0, 0],      so that  <v_T, T hat(xi)> = g . xi  for every twist xi
+
+    A 4x4 matrix has 16 numbers and a pose 6 degrees of freedom. Of all matrices with this property it is the one of
+    least norm: it has no part that would bend the rotation. Chained with any function that gives a rigid ``T_WC`` it
+    is the exact gradient. The tests compare it with finite differences along rigid motions.
+    """
+    v_rho, v_omega = pose_vjp(params, v_params, T_WC).to(T_WC).split(3)
+    R = T_WC[:3, :3]
+    v_T = torch.zeros_like(T_WC)
+    v_T[:3, :3] = R @ se3.hat(v_omega) / 2
+    v_T[:3, 3] = R @ v_rho
+    return v_T

@@ -11,10 +11,11 @@ from torch import Tensor
 from ..backends import Record, op
 from ..checks import check_positive
 from ..geometry.spherical_harmonics import sh_to_rgb, sh_to_rgb_vjp
-from ..operands import MASK, check_gaussians, check_operand, check_view
+from ..operands import MASK, check_gaussians, check_operand, check_view, check_written
 from ..types import Camera, GaussianParams, RenderOutput
 from .composite import check_image_gradients, composite, composite_vjp
 from .on_screen import ScreenGaussians
+from .pose import pose_matrix_vjp
 from .project import project_gaussians, project_gaussians_vjp
 from .tiles import tile_intersections
 
@@ -87,8 +88,7 @@ def check_render_vjp(
         if out is None:
             continue
         check_operand(name, out, (len(params), 2), dtypes=(params.xyz_W.dtype,), device=params.xyz_W.device)
-        if not out.is_contiguous() and 0 in out.stride() and out.numel() > 1:
-            raise ValueError(f"{name} is written to and must not be an expanded view, got strides {out.stride()}")
+        check_written(**{name: out})
 
 
 @op("rasterize", check_render)
@@ -204,23 +204,35 @@ def render_vjp(
 
 
 class Render(torch.autograd.Function):
-    """Binds ``render_forward`` and ``render_vjp`` to autograd; no arithmetic here."""
+    """Binds ``render_forward``, ``render_vjp`` and ``pose_matrix_vjp`` to autograd; no arithmetic here."""
 
     @staticmethod
     def forward(ctx, camera, T_WC, xyz_W, log_scale, quat, opacity_logit, sh):
-        params = GaussianParams(xyz_W=xyz_W, log_scale=log_scale, quat=quat, opacity_logit=opacity_logit, sh=sh)
-        out, ctx.record = render_forward(params, camera, T_WC)
+        ctx.params = GaussianParams(xyz_W=xyz_W, log_scale=log_scale, quat=quat, opacity_logit=opacity_logit, sh=sh)
+        out, ctx.record = render_forward(ctx.params, camera, T_WC)
+        ctx.T_WC = T_WC
         ctx.mark_non_differentiable(out.first_index, out.dominant_index)
         return out.rgb, out.depth_m, out.alpha, out.first_index, out.dominant_index
 
     @staticmethod
     def backward(ctx, *v):
+        if torch.is_grad_enabled():
+            raise RuntimeError("render_autograd has first derivatives only; expected a backward without create_graph")
         g = render_vjp(ctx.record, *v[:3])
-        return None, None, g.xyz_W, g.log_scale, g.quat, g.opacity_logit, g.sh
+        v_T_WC = pose_matrix_vjp(ctx.params, g, ctx.T_WC) if ctx.needs_input_grad[1] else None
+        return None, v_T_WC, g.xyz_W, g.log_scale, g.quat, g.opacity_logit, g.sh
 
 
 def render_autograd(params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RenderOutput:
-    """``render`` for ``loss.backward()``. Differentiable: yes, in every parameter, not in the pose."""
+    """``render`` for ``loss.backward()``, with the same arguments.
+
+    Differentiable: once, in every parameter and in the pose. The gradient of ``T_WC`` is that of ``pose_matrix_vjp``:
+    it is exact for every way to compute a rigid ``T_WC``, such as ``T_0 @ se3.exp(xi)`` or ``se3.inverse(T_CW)``. A
+    matrix that is itself a leaf has to be moved along it as a rigid motion.
+
+    Raises:
+        RuntimeError: in a backward with ``create_graph``: there are no second derivatives.
+    """
     rgb, depth_m, alpha, first_index, dominant_index = Render.apply(
         camera, T_WC, params.xyz_W, params.log_scale, params.quat, params.opacity_logit, params.sh
     )  # pyright: ignore[reportGeneralTypeIssues]

@@ -1,15 +1,15 @@
 """Runs of a mapper over a sequence or a stream: the loop over the frames, timing, checkpoints, files and scores."""
 
-from .autosave import CheckpointEvery as CheckpointEvery
+from .checkpoint import CheckpointEvery as CheckpointEvery
 from .map_sequence import FinishedRun as FinishedRun
 from .map_sequence import resume_mapping as resume_mapping
 from .map_sequence import run_mapping as run_mapping
 from .map_stream import map_stream as map_stream
 from .mapped_contexts import mapped_contexts as mapped_contexts
 from .mapping_run import MappingRun as MappingRun
-from .report_data import FrameRow as FrameRow
-from .report_data import ReportData as ReportData
-from .report_data import ReportView as ReportView
-from .report_page import write_report as write_report
+from .report import FrameRow as FrameRow
+from .report import ReportData as ReportData
+from .report import ReportView as ReportView
+from .report import write_report as write_report
 from .rescore import rescore as rescore
 from .stream_run import StreamRun as StreamRun

@@ -8,28 +8,26 @@ from typing import Any
 
 import torch
 
-from ..config import SystemConfig, replace, to_dict
-from ..data import OpenedSequence, Sequence, SequenceError, apply_options, open_sequence
-from ..data.adjust.repair import RepairedSequence
-from ..data.checkup.quick_check import check_sequence
+from ..config import SystemConfig, to_dict
+from ..data import Sequence, SequenceError, apply_options, open_sequence
+from ..data.adjust.depth_agreement import check_sequence
 from ..evaluation import ONLINE
 from ..export import read_gaussians
 from ..files import DiskFullError
-from ..mapping import get_system, make_mapper
+from ..mapping import LossFunction, get_system, make_mapper
+from ..memory import memory_is_full
+from ..optim import UpdateFunction
 from ..progress import ProgressDisplay
 from ..seeding import SeedingRule
 from ..seeding.rule_file import file_source
 from ..types import Mesh
 from . import outputs
-from .autosave import Autosave, CheckpointEvery
-from .begun_with import doubts_about_frame
-from .disk_need import warn_of_little_space
-from .empty_map import why_empty
+from .checkpoint import NOT_SAVED, Autosave, CheckpointEvery
 from .mapping_run import MappingRun, RunWatcher
-from .memory import describe_full
 from .posed_frames import has_poses
 from .resume import load_run
 from .run_folder import RunFolder, new_folder
+from .run_warnings import describe_full, doubts_about_frame, warn_of_little_space, why_empty
 from .stop_request import StopRequest
 
 log = logging.getLogger(__name__)
@@ -50,6 +48,8 @@ def run_mapping(
     checkpoints: CheckpointEvery | None = None,
     from_gaussians: Path | str | None = None,
     watch: RunWatcher | None = None,
+    loss: LossFunction | None = None,
+    optimiser: UpdateFunction | None = None,
     **reader_options: Any,
 ) -> "FinishedRun":
     """Map a sequence online, optimise over its keyframes, score it and write everything to a folder.
@@ -66,6 +66,7 @@ def run_mapping(
             default.
         from_gaussians: File of Gaussians (``read_gaussians``) that the map begins with, in the frame of the poses.
         watch: Sees every mapped frame and the finished maps, such as ``viz.rerun_file.RerunFile``.
+        loss, optimiser: Instead of the system's own loss and Adam (``Mapper``); metrics.json and config.json name them.
         reader_options: For ``open_sequence``: ``format``, ``split``, options of the reader.
 
     Returns:
@@ -80,12 +81,10 @@ def run_mapping(
         sequence = open_sequence(**source, data=settings.data)
     else:
         source, sequence = {}, apply_options(data, settings.data)
-    settings, notes = _with_estimates(settings, sequence)
-    mapper = make_mapper(settings, seeding=seeding, device=device)
+    mapper = make_mapper(settings, seeding=seeding, device=device, loss=loss, optimiser=optimiser)
     if from_gaussians is not None:
         mapper.begin_with(read_gaussians(from_gaussians), Path(from_gaussians).name)
     run = MappingRun(sequence, mapper, source=source)
-    run.warnings += [*notes, *mapper.notes]
     if from_gaussians is not None and settings.tracking.poses == "given":
         run.warnings += doubts_about_frame(mapper, sequence.mapping, Path(from_gaussians).name)
     run.watchers += [watch] if watch is not None else []
@@ -103,18 +102,28 @@ def resume_mapping(
     evaluate: bool = True,
     checkpoints: CheckpointEvery | None = None,
     watch: RunWatcher | None = None,
+    loss: LossFunction | None = None,
+    optimiser: UpdateFunction | None = None,
+    changed_data: bool = False,
 ) -> "FinishedRun":
-    """Continue a run that was interrupted or killed, in the same folder; arguments as for ``run_mapping``.
+    """Continue a run that was interrupted or killed, in the same folder; other arguments as for ``run_mapping``.
 
     The final maps are equal, bit for bit, to those of a run without interruption.
 
+    Args:
+        folder: Of the run.
+        changed_data: Go on with files that are not those that the run began with; a warning of the run says so.
+
     Raises:
         FileNotFoundError: The folder holds no checkpoint. FileExistsError: The run is still running.
+        SequenceError: Files of the recording were changed, added or deleted since the run began; the first are named.
     """
     if not Path(folder).is_dir():
         raise FileNotFoundError(f"{folder} does not exist; expected the folder of an interrupted run")
     with RunFolder(folder) as place:
-        run = load_run(folder, seeding=seeding, device=device)
+        run = load_run(
+            folder, seeding=seeding, device=device, changed_data=changed_data, loss=loss, optimiser=optimiser
+        )
         run.warnings = [w for w in run.warnings if not w.startswith(_TRANSIENT)]
         run.watchers += [watch] if watch is not None else []
         if place.taken_over:
@@ -127,14 +136,6 @@ def _settings(config: SystemConfig | str | None, system: str, *, is_room: bool) 
     if config is None or isinstance(config, str):
         return get_system(system).preset(config or ("room" if is_room else "replica"))
     return config
-
-
-def _with_estimates(settings: SystemConfig, sequence: OpenedSequence) -> tuple[SystemConfig, list[str]]:
-    """The settings with the numbers that were estimated when the sequence was opened, and sentences about them."""
-    source = sequence.source
-    if settings.data.repair.pose_offset_s != "estimate" or not isinstance(source, RepairedSequence):
-        return settings, []
-    return replace(settings, data__repair__pose_offset_s=source.repair.pose_offset_s), [source.note]
 
 
 def _doubts(sequence: Sequence) -> list[str]:
@@ -188,8 +189,10 @@ def drive(
     with stop.listening():
         try:
             _work(run, stop, evaluate, map_frames or _with_progress)
-            if run.status == "interrupted" and run.resumable:
-                _checkpoint(run, place, stop)
+            if stop:
+                scores = ", and the scores are computed (Ctrl-C once more leaves them out)" if evaluate else ""
+                log.warning("interrupted: the maps are being written%s", scores)
+            _checkpoint_before_files(run, place, stop)
             mesh = _save(run, folder, stop)
         except BaseException as e:
             _rescue(run, place, stop, e)
@@ -197,12 +200,12 @@ def drive(
         metrics: dict[str, Any] = outputs.map_metrics(run, mesh) | run.online_scores
         if evaluate:
             _score(run, place, stop, mesh, metrics)
-            outputs.write_numbers(run, folder, metrics)
             outputs.write_page(run, folder, metrics)
-        if run.status != "interrupted" or not run.resumable:
-            run.remove_checkpoints(folder)
         for watcher in run.watchers:
             watcher.finished(run.mapper, mesh, metrics)
+        outputs.write_numbers(run, folder, metrics)  # after all other files: its status says that they are there
+        if run.status != "interrupted" or not run.resumable:
+            run.remove_checkpoints(folder)
     _say(run, place, run.status)
     return FinishedRun(run, folder, metrics)
 
@@ -251,6 +254,7 @@ def _score(run: MappingRun, place: RunFolder, stop: StopRequest, mesh: Mesh, met
         metrics |= outputs.score(run)
         metrics |= outputs.score_trajectory(run)
         metrics |= outputs.score_mesh(run, mesh)
+        metrics |= outputs.score_centres(run, mesh)
     if stop and not already:
         run.status = "interrupted"
         run.warnings.append("interrupted while the views were scored; the maps are complete")
@@ -272,12 +276,16 @@ def _rescue(run: MappingRun, place: RunFolder, stop: StopRequest, error: BaseExc
             attempt()
         except DiskFullError as e:
             notes += [str(e)] if str(e) != str(error) else []
+        except Exception as e:
+            if not memory_is_full(e):
+                raise
+            notes.append("There is too little memory to write all files.")
     if run.steps:
         saved = "saved" if not notes else "saved as far as the disk has space"
         notes.insert(0, f"The {len(run.steps)} frames mapped before are {saved} in {place.path}.")
     if run.resumable and run.has_checkpoint(place.path):
         notes.append(f"To continue from the last checkpoint: gsfusion-nb map --resume {place.path}")
-    if isinstance(error, torch.OutOfMemoryError):
+    if memory_is_full(error):
         raise MemoryError(" ".join([f"{describe_full(run.mapper)}.", *notes])) from error
     for note in notes:
         error.add_note(note)
@@ -291,6 +299,16 @@ def _checkpoint(run: MappingRun, place: RunFolder, stop: StopRequest) -> None:
             _say(run, place, "running")
 
 
+def _checkpoint_before_files(run: MappingRun, place: RunFolder, stop: StopRequest) -> None:
+    """Save a checkpoint before the maps are written, so that a run that is killed then is not lost."""
+    try:
+        _checkpoint(run, place, stop)
+    except DiskFullError as e:
+        if run.status == "interrupted":
+            raise
+        log.warning(NOT_SAVED, e)
+
+
 def _say(run: MappingRun, place: RunFolder, state: str) -> None:
     config, mapper = to_dict(run.mapper.config), run.mapper
     progress = {"frames": len(run.steps), "of": len(run.sequence.mapping), "passes": mapper.passes.done}
@@ -302,7 +320,8 @@ def _save(run: MappingRun, folder: Path, stop: StopRequest) -> Mesh:
     """Write the maps and the numbers."""
     with stop.held_back():
         mesh = outputs.write_maps(run, folder)
-        outputs.write_numbers(run, folder, outputs.map_metrics(run, mesh) | run.online_scores)
+        status = "running" if run.status == "complete" else run.status  # not scored yet
+        outputs.write_numbers(run, folder, outputs.map_metrics(run, mesh) | run.online_scores, status)
         return mesh
 
 

@@ -10,7 +10,7 @@ from ..data.stream import Policy
 from ..mapping import Mapper
 from ..progress import ProgressDisplay
 from ..types import Frame
-from .autosave import CheckpointEvery
+from .checkpoint import CheckpointEvery
 from .map_sequence import FinishedRun, drive
 from .mapping_run import MappingRun, RunWatcher
 from .run_folder import RunFolder, new_folder

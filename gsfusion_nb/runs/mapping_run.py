@@ -11,16 +11,15 @@ import torch
 from torch import Tensor
 
 from ..checks import check_number, check_saved, check_whole
-from ..data import OpenedSequence, RecordedSequence, SequenceError, SequenceView
+from ..data import OpenedSequence, RecordedSequence, SequenceError, SequenceView, data_files
 from ..data.stream import read_ahead
 from ..errors import shown
 from ..export import CheckpointStore, Saved
 from ..mapping import DelayedInterrupt, FrameUndone, GlobalStep, Mapper, StepReport, system_of
 from ..types import Frame, Mesh
+from .checkpoint import StepLog, packed, random_state
 from .posed_frames import has_poses
-from .random_state import random_state
 from .run_folder import CHECKPOINTS
-from .step_log import StepLog
 
 log = logging.getLogger(__name__)
 
@@ -87,6 +86,9 @@ class MappingRun:
             raise SequenceError(f"{sequence.name} has no poses; set tracking.poses = 'tracked' to track the camera")
         self.sequence = sequence
         self.source = source or {}
+        self.data_files = data_files(sequence) if source else {}
+        """Path -> hash of the content of every file of the recording that the run reads, when it began."""
+        self._data_files = packed(self.data_files)
         self.steps: list[StepReport] = []
         self._step_log = StepLog()
         self.global_losses: list[float] = []
@@ -98,6 +100,8 @@ class MappingRun:
         self.hashes: dict[str, str] = {}
         """SHA-256 of each written map."""
         self.warnings: list[str] = []
+        for note in self.mapper.notes:
+            self._warn(note)
         self.next_position = 0
         self.bad_in_a_row = 0
         """Number of unusable frames directly before ``next_position``."""
@@ -224,7 +228,7 @@ class MappingRun:
 
     def constant_tensors(self) -> list[Tensor]:
         """Tensors of the state that never change."""
-        return [*self.mapper.constant_tensors(), *self._step_log.blocks]
+        return [*self.mapper.constant_tensors(), self._data_files, *self._step_log.blocks]
 
     def stream(self) -> dict[str, Any]:
         """Description of a source that cannot be opened again, if the run can be finished without it; else empty."""
@@ -246,6 +250,7 @@ class MappingRun:
     def state_dict(self) -> dict[str, Any]:
         """The state of the run without its mapper, as tensors and plain values."""
         return {
+            "data_files": self._data_files,
             "steps": self._step_log.state_dict(self.steps),
             "global_losses": list(self.global_losses),
             "pass_losses": torch.stack(self._pass_losses) if self._pass_losses else torch.zeros(0),

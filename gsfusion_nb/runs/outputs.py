@@ -1,21 +1,24 @@
 """The files a run writes: maps, trajectory, settings, metrics and a report, each file written atomically."""
 
 import dataclasses
+import hashlib
 import json
 import math
 import platform
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from .. import __version__
 from ..config import to_dict
 from ..data import sequence_fingerprint
 from ..evaluation import (
     NotComputed,
+    centres_to_own_mesh,
     cull_unseen,
     disc_scores,
     frame_rates,
@@ -26,17 +29,15 @@ from ..evaluation import (
 )
 from ..export import write_gaussian_ply, write_mesh_ply, write_trajectory_tum
 from ..files import DiskFullError, write_file
+from ..mapping import Mapper
 from ..mapping.step_report import StepReport
 from ..seeding import is_built_in, rule_name, rule_source
 from ..seeding.rule_file import file_source
 from ..types import Mesh
-from .map_hashes import map_hashes
 from .mapping_run import MappingRun
-from .memory import mesh_when_full
 from .posed_frames import frames_in_map, ground_truth_poses, readable_frames
-from .report_data import FrameRow, ReportData, ReportView
-from .report_page import write_report
-from .run_folder import RULE
+from .report import FrameRow, ReportData, ReportView, write_report
+from .run_folder import METRICS, RULE
 from .scored_views import VIEWS, score_in_map, scored_views, views_as_json
 
 FILES = {
@@ -76,7 +77,7 @@ def write_maps(run: MappingRun, folder: Path) -> Mesh:
     try:
         mesh = run.mapper.mesh()
     except torch.OutOfMemoryError as e:
-        mesh = mesh_when_full(run.mapper)
+        mesh = _mesh_when_full(run.mapper)
         where = "extracted on the CPU" if len(mesh.faces) else "not extracted"
         run.warnings.append(f"the mesh was {where}, because GPU memory was full: {str(e).splitlines()[0]}")
     run.hashes = map_hashes(run, mesh)
@@ -84,11 +85,12 @@ def write_maps(run: MappingRun, folder: Path) -> Mesh:
         "gsfusion_nb": __version__,
         "system": run.system,
         "source": run.source,
-        "data_fingerprint": sequence_fingerprint(run.sequence) if run.source else "",
+        "data_content": sequence_fingerprint(run.sequence) if run.source else "",
         "device": str(run.mapper.device),
         "rule": rule_name(run.mapper.rule),
         "rule_from_file": bool(file_source(run.mapper.rule)),
         "fidelity": run.mapper.fidelity_of(run.mapper.config),
+        "training": run.mapper.training.names,
         "config": to_dict(run.mapper.config),
     }
     writers: list[Callable[[], None]] = [
@@ -111,6 +113,38 @@ def write_maps(run: MappingRun, folder: Path) -> Mesh:
     return mesh
 
 
+def map_hashes(run: MappingRun, mesh: Mesh | None = None) -> dict[str, str]:
+    """SHA-256 of each map of a run, by name: "gaussians", "trajectory", "tsdf" if the system has one, and "mesh" if it
+    is given; it follows from the others."""
+    trajectory = {
+        "frame_index": torch.tensor(run.mapper.localiser.frame_indices, dtype=torch.int64),
+        "T_WC": torch.stack(run.mapper.localiser.poses) if run.mapper.localiser.poses else torch.zeros(0, 4, 4),
+    }
+    maps = run.mapper.maps() | {"trajectory": trajectory} | ({} if mesh is None else {"mesh": vars(mesh)})
+    return {name: hash_of(tensors) for name, tensors in maps.items()}
+
+
+def hash_of(tensors: Mapping[str, Tensor]) -> str:
+    """SHA-256 of named tensors, sorted by name. Of each tensor the name, type and shape are hashed as text, then its
+    numbers, row by row, in little-endian byte order."""
+    digest = hashlib.sha256()
+    for name, tensor in sorted(tensors.items()):
+        values = tensor.detach().cpu().contiguous().numpy()
+        values = values.astype(values.dtype.newbyteorder("<"), copy=False)
+        digest.update(f"{name} {values.dtype.name} {list(values.shape)}\n".encode())
+        digest.update(values.reshape(-1).view("uint8").data)
+    return digest.hexdigest()
+
+
+def _mesh_when_full(mapper: Mapper) -> Mesh:
+    """The mesh, extracted on the CPU; empty if the system cannot do that."""
+    if mapper.device.type == "cuda":
+        torch.cuda.empty_cache()
+    return mapper.mesh_on_cpu() or Mesh(
+        vertices_W=torch.zeros(0, 3), faces=torch.zeros(0, 3, dtype=torch.int64), rgb=torch.zeros(0, 3)
+    )
+
+
 def write_rule(run: MappingRun, folder: Path) -> None:
     """Write the source of a seeding rule that is not part of the package; it is needed to repeat the run.
 
@@ -130,17 +164,19 @@ def _write_trajectory(run: MappingRun, folder: Path) -> None:
         write_trajectory_tum(folder / "trajectory_given.txt", run.timestamps_s, torch.stack(localiser.given))
 
 
-def write_numbers(run: MappingRun, folder: Path, metrics: dict[str, Any]) -> None:
-    """Write metrics.json: status, warnings, a hash of each map, the metrics, and a row per frame."""
+def write_numbers(run: MappingRun, folder: Path, metrics: dict[str, Any], status: str = "") -> None:
+    """Write metrics.json: status (by default that of the run), warnings, a hash of each map, the metrics, and a row per
+    frame.
+    """
     rows = [vars(s) | {"losses": list(s.losses), "total_seconds": s.total_seconds} for s in run.steps]
     document = {
-        "status": run.status,
+        "status": status or run.status,
         "warnings": run.warnings,
         "sha256": run.hashes,
         "metrics": metrics_as_json(metrics),
         "frames": rows,
     }
-    write_json(folder / "metrics.json", document)
+    write_json(folder / METRICS, document)
 
 
 def write_page(run: MappingRun, folder: Path, metrics: dict[str, Any]) -> Path:
@@ -149,6 +185,7 @@ def write_page(run: MappingRun, folder: Path, metrics: dict[str, Any]) -> Path:
     about = [
         f"{len(run.steps)} frames",
         f"SH degree {config.sh_degree}",
+        *(f"{kind} {name}" for kind, name in run.mapper.training.names.items()),
         *([f"rule {rule_name(run.mapper.rule)}{run.mapper.rule_in_use.memory_note}"] if run.mapper.asks_rule else []),
     ]
     data = ReportData(
@@ -176,6 +213,7 @@ def map_metrics(run: MappingRun, mesh: Mesh) -> dict[str, Any]:
         "n_keyframes": sum(s.is_keyframe for s in run.steps),
         "n_frames": len(run.steps),
         **run.mapper.counts(),
+        **run.mapper.training.names,
         "n_triangles": len(mesh.faces),
         **frame_rates(seconds),
         **_tracking_rates(run),
@@ -241,6 +279,16 @@ def score_mesh(run: MappingRun, mesh: Mesh, *, seed: int | None = None, n_sample
         scores = disc_scores(discs, seen, generator=generator, n_samples=n_samples)
         metrics |= {"disc_accuracy_m": scores} if isinstance(scores, NotComputed) else scores.as_metrics("disc")
     return metrics
+
+
+def score_centres(run: MappingRun, mesh: Mesh) -> dict[str, Any]:
+    """Distance of the Gaussian centres from the run's own mesh; empty for discs, which the mesh is made from."""
+    mapper = run.mapper
+    if mapper.gaussians_are_discs:
+        return {}
+    generator = torch.Generator().manual_seed(mapper.config.seed)
+    distance = centres_to_own_mesh(mapper.gaussians.params, mesh, generator=generator)
+    return {"centres_to_own_mesh_m": distance} if isinstance(distance, NotComputed) else distance.as_metrics()
 
 
 def peak_memory_mb(device: torch.device) -> float | NotComputed:

@@ -16,14 +16,13 @@ from ..evaluation import metrics_as_json
 from ..export import read_gaussian_ply
 from ..foreign import parsing
 from ..mapping.systems import get_system
-from ..strict_json import read_json
+from ..strict_json import read_object
 from ..types import GaussianParams
 from .outputs import write_json
+from .run_folder import METRICS
 from .scored_views import read_views, score_in_map
 
 log = logging.getLogger(__name__)
-
-METRICS = "metrics.json"
 
 
 def rescore(
@@ -38,7 +37,7 @@ def rescore(
     The system renders as in the run, from gaussians.ply (GPS-SLAM: and tsdf.npz), at the poses in views.json. On the
     same device and backend the scores are equal to the run's, bit for bit. If some differ, the log and the warnings in
     metrics.json list them, and the old file is kept as metrics-before-eval.json. A warning also says if the data has
-    other frames, poses or pixels than in the run.
+    other frames, poses or images than in the run.
 
     Args:
         folder: Folder of the run.
@@ -54,8 +53,8 @@ def rescore(
         ValueError: One of them is damaged, or the sequence of the run is not on disk.
     """
     folder = Path(folder)
-    settings = _read_json(folder / "config.json", ("source", "config"))
-    document = _read_json(folder / METRICS, ("metrics", "frames"))
+    settings = read_object(folder / "config.json", "the settings of a run", objects=("source", "config"))
+    document = read_object(folder / METRICS, "the numbers of a run", objects=("metrics",))
     with parsing(folder / "config.json", "the settings of a run"):
         source = dict(settings["source"])
         system = get_system(settings.get("system", "gsfusion"))
@@ -68,12 +67,12 @@ def rescore(
         )
     views = read_views(folder)
     sequence = _sequence_of(folder, source, config.data)
-    known = settings.get("data_fingerprint")
+    known = settings.get("data_content")
     if known and known != sequence_fingerprint(sequence):
         _warn(
             document,
-            f"{source['path_or_name']} does not hold the data that this run was mapped from (or another version of a "
-            "library decodes them differently): the scores compare the map with other images",
+            f"{source['path_or_name']} does not hold the data that this run was mapped from: the scores "
+            "compare the map with other images",
         )
     place = torch.device(device) if device else _device_of(settings.get("device", "cpu"), folder / "config.json")
     params = _of_degree(read_gaussian_ply(folder / "gaussians.ply"), config.sh_degree, place)
@@ -109,8 +108,9 @@ def _sequence_of(folder: Path, source: dict[str, Any], data: DataConfig) -> Open
 def _warn(document: dict[str, Any], sentence: str) -> None:
     """Log a warning, and write it, once, among those of metrics.json."""
     log.warning(sentence)
-    if sentence not in document.get("warnings", []):
-        document["warnings"] = [*document.get("warnings", []), sentence]
+    before = document.get("warnings")
+    if not isinstance(before, list) or sentence not in before:
+        document["warnings"] = [*(before if isinstance(before, list) else []), sentence]
 
 
 def _device_of(stored: object, path: Path) -> torch.device:
@@ -147,12 +147,3 @@ def _free_name(folder: Path) -> Path:
     while (path := folder / f"metrics-before-eval{'' if n == 1 else f'-{n}'}.json").exists():
         n += 1
     return path
-
-
-def _read_json(path: Path, keys: tuple[str, ...]) -> dict[str, Any]:
-    """The document in ``path``, which must have ``keys``."""
-    document = read_json(path, "a file in the folder of a finished run")
-    lacking = [key for key in keys if not isinstance(document, dict) or key not in document]
-    if lacking:
-        raise ValueError(f"{path} is not from a run: expected the keys {', '.join(keys)}, missing {', '.join(lacking)}")
-    return document

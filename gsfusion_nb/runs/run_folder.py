@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from .. import __version__
-from ..files import try_lock, write_file
-from ..strict_json import read_json
+from ..files import remove_partial, try_lock, write_file
+from ..strict_json import read_json, read_object
 
 STATUS = "status.json"
 LOCK = ".lock"
+METRICS = "metrics.json"
 RULE = "rule.py"
 """Source of the seeding rule, if it is not part of this package."""
 CHECKPOINTS = "checkpoint"
@@ -44,6 +45,8 @@ class RunFolder:
         status = read_status(self.path)
         if not self._lock() and not _is_dead(status):
             raise FileExistsError(f"{self.path} is in use: {_who(status)} is writing to it; wait until it has ended")
+        for folder in (self.path, self.path / CHECKPOINTS):
+            remove_partial(folder)
         if status.get("state") == "running":
             self.taken_over = f"{_who(status)} was interrupted; its run continues from the last checkpoint"
         return self
@@ -107,17 +110,18 @@ def _refuse(path: Path) -> None:
     """
     if (path / STATUS).is_file():
         with RunFolder(path):  # raises, with the process, if another run is writing to it
-            if _holds_nothing(path):
-                for file in [*(path / CHECKPOINTS).glob("*"), path / STATUS, path / RULE, *path.glob(".*.partial*")]:
+            if holds_nothing(path):
+                for file in [*(path / CHECKPOINTS).glob("*"), path / STATUS, path / RULE]:
                     file.unlink(missing_ok=True)
                 return
-    hint = f"; to continue the run in it: gsfusion-nb map --resume {path}" if (path / CHECKPOINTS).is_dir() else ""
+    resumable = any((path / CHECKPOINTS).glob("*.json"))
+    hint = f"; to continue the run in it: gsfusion-nb map --resume {path}" if resumable else ""
     raise FileExistsError(f"{path} must be a new or empty folder, so that no earlier run is overwritten{hint}")
 
 
-def _holds_nothing(path: Path) -> bool:
+def holds_nothing(path: Path) -> bool:
     """Whether the folder holds only what a run writes before its first checkpoint."""
-    names = {p.name for p in path.iterdir() if not (p.name.startswith(".") and ".partial" in p.name)}
+    names = {p.name for p in path.iterdir()}
     return names <= {STATUS, LOCK, RULE, CHECKPOINTS} and not any((path / CHECKPOINTS).glob("*.json"))
 
 
@@ -128,6 +132,16 @@ def read_status(folder: Path) -> dict[str, Any]:
     except (OSError, ValueError):
         return {}
     return status if isinstance(status, dict) else {}
+
+
+def is_complete(folder: Path) -> bool:
+    """Whether the run in ``folder`` is complete: scored, and all files written, of which metrics.json is the last.
+
+    Raises:
+        ValueError: metrics.json is damaged.
+    """
+    path = folder / METRICS
+    return path.is_file() and read_object(path, "the numbers of a run").get("status") == "complete"
 
 
 def _this_process() -> dict[str, Any]:

@@ -15,8 +15,7 @@ from ..render import BaseView, OverBaseOutput, SurfaceView, render, render_over_
 from ..tsdf import RaycastOutput, TsdfVolume, raycast
 from ..types import Camera, Frame, GaussianParams, RenderOutput, Seeds
 from .image_features import ImageFeatures
-from .map_view import MapView, view_map
-from .point_queries import PointQueries
+from .points import MapView, PointQueries, view_map
 from .quadtree import Cells, cell_gaussians, quadtree
 
 

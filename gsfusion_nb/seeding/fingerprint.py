@@ -1,24 +1,33 @@
-"""Source code of a seeding rule, and a hash of its code and of the values that it stores."""
+"""Source code of a seeding rule; a hash of its code, of the values that it stores, and of the files that it names."""
 
 import ast
+import contextlib
 import dataclasses
 import dis
 import functools
 import hashlib
+import importlib
+import importlib.util
 import inspect
 import linecache
+import os
+import sys
+import sysconfig
 import textwrap
 import types
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
-from .rule_signature import SeedingRule
+from .rule import SeedingRule, option_paths, rule_name
 
 _OWN = __name__.partition(".")[0]
 _PLAIN = (type(None), bool, int, float, complex, str, bytes)
+_INSTALLED = {Path(sysconfig.get_path(name)) for name in ("stdlib", "platstdlib", "purelib", "platlib")}
+_PACKAGES = {"site-packages", "dist-packages"}
 
 
 def is_built_in(rule: SeedingRule) -> bool:
@@ -52,22 +61,98 @@ def rule_fingerprint(rule: SeedingRule) -> str:
     """A hash of the rule's code, defaults, closure, attributes, and the values and functions that its code names.
 
     It changes when the rule is edited, and when the rule stores something from one call to the next; of a class it
-    covers the base classes, too. For a callable object with ``state_dict`` only the class is hashed, because its state
-    is saved with the map. Of what other packages define only the names are hashed.
+    covers the base classes, too. Helper modules that are not installed packages are followed in the same way, as they
+    are loaded here. Of a network (``torch.nn.Module``) the values are hashed, and of a ``Path`` the files. What a
+    function with ``functools.cache`` has kept is not hashed. For a callable object with ``state_dict`` only the class
+    is hashed, because its state is saved with the map. Of what installed packages define only the names are hashed.
     """
-    feed = _Feed()
-    is_object = not isinstance(rule, type) and not inspect.isroutine(rule)
-    feed.value(type(rule) if is_object and hasattr(rule, "state_dict") else rule)
-    return feed.hash.hexdigest()
+    return read_code(rule).hash.hexdigest()
 
 
-class _Feed:
+def read_code(code: Any) -> "CodeReader":
+    """A hash of a rule or of another function, with the files and caches that its code names."""
+    reader = CodeReader()
+    is_object = not isinstance(code, type) and not inspect.isroutine(code)
+    reader.value(type(code) if is_object and hasattr(code, "state_dict") else code)
+    return reader
+
+
+def rule_files(rule: SeedingRule, options: Mapping[str, Any]) -> dict[str, str]:
+    """Option name -> hash of the file or folder, for the options of a rule that are paths, defaults included.
+
+    Raises:
+        FileNotFoundError: a path that does not exist.
+    """
+    paths = option_paths(rule, options)
+    for name, path in paths.items():
+        if not path.exists():
+            raise FileNotFoundError(
+                f"seeding rule {rule_name(rule)!r}: its option {name!r} names {path}, which does not exist here "
+                f"(from {Path.cwd()}); expected the file or folder that the rule reads"
+            )
+    return {name: path_hash(path) for name, path in paths.items()}
+
+
+def path_hash(path: Path) -> str:
+    """A hash of the content of a file, or of all files in a folder with their names, links followed."""
+    if path.is_file():
+        return _file_hash(path)
+    digest = hashlib.blake2b(digest_size=16)
+    for folder, folders, names in os.walk(path, followlinks=True):
+        folders.sort()
+        for file in (Path(folder, name) for name in sorted(names)):
+            if file.is_file():
+                digest.update(f"{file.relative_to(path)}\0{_file_hash(file)}\0".encode())
+    return digest.hexdigest()
+
+
+def _file_hash(path: Path) -> str:
+    stat = path.stat()
+    return _content_hash(str(path.resolve()), stat.st_size, stat.st_mtime_ns, stat.st_ctime_ns, stat.st_ino)
+
+
+@functools.lru_cache(maxsize=100_000)
+def _content_hash(path: str, *_when: int) -> str:
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "blake2b").hexdigest()[:32]
+
+
+def is_installed(file: str | Path) -> bool:
+    """Whether a file belongs to Python or to an installed package, rather than to somebody's own code."""
+    path = Path(file)
+    return bool(_PACKAGES.intersection(path.parts)) or any(path.is_relative_to(folder) for folder in _INSTALLED)
+
+
+@functools.lru_cache(maxsize=4096)
+def _is_foreign(module: str) -> bool:
+    """Whether a module is this package's, Python's or an installed one; of these only names are hashed."""
+    if module == "__main__":  # a notebook, or a script
+        return False
+    if module.partition(".")[0] in (_OWN, *sys.stdlib_module_names) or not module:
+        return True
+    found = sys.modules.get(module)
+    file = getattr(found, "__file__", None)
+    if found is None:
+        try:
+            spec = importlib.util.find_spec(module.partition(".")[0])
+        except (ImportError, ValueError):
+            return True
+        if spec is None:  # made by ``exec``, as a notebook's cells are
+            return False
+        file = spec.origin or next(iter(spec.submodule_search_locations or ()), None)
+    return file is not None and is_installed(file)
+
+
+class CodeReader:
     """Puts values into a hash, each with its type, each object once."""
 
     def __init__(self):
         self.hash = hashlib.blake2b(digest_size=16)
+        self.paths: list[Path] = []
+        """Files and folders that the code names by a ``Path``; their content is in the hash."""
+        self.caches: list[Any] = []
+        """Functions with ``functools.cache`` or ``lru_cache``."""
         self._seen: dict[int, Any] = {}
-        self._module = ""
 
     def value(self, x: Any) -> None:
         """Any value; of an unknown kind of value only its type."""
@@ -80,6 +165,8 @@ class _Feed:
         self._seen[id(x)] = x  # kept, so that its id is not given to another
         if isinstance(x, (torch.Tensor, np.ndarray)):
             self._array(x)
+        elif isinstance(x, Path):
+            self._path(x)
         elif isinstance(x, Mapping):
             for key in sorted(x, key=repr):
                 self.value(key)
@@ -103,23 +190,32 @@ class _Feed:
             self.value((x.__self__, x.__func__))
         elif isinstance(x, types.FunctionType):
             self._function(inspect.unwrap(x))
+        elif hasattr(x, "cache_clear") and isinstance(getattr(x, "__wrapped__", None), types.FunctionType):
+            self.caches.append(x)
+            self.value(x.__wrapped__)
         elif isinstance(x, type):
             self._text(f"{x.__module__}.{x.__qualname__}")
-            if self._is_near(x.__module__):
+            if not _is_foreign(x.__module__):
                 for base in x.__bases__:
                     self.value(base)
                 for name, member in sorted(vars(x).items()):
-                    if not name.startswith("__") or name in ("__call__", "__post_init__"):
+                    if not name.startswith("__") or name in ("__call__", "__init__", "__post_init__"):
                         self.value(member)
+        elif isinstance(x, staticmethod | classmethod):
+            self.value(x.__func__)
+        elif isinstance(x, property):
+            self.value((x.fget, x.fset))
+        elif isinstance(x, torch.nn.Module):
+            self.value(([type(part) for part in x.modules()], x.training, str(x), dict(x.state_dict())))
         elif dataclasses.is_dataclass(x) and type(x).__module__.startswith(f"{_OWN}."):  # such as when a rule is due
             self.value([getattr(x, field.name) for field in dataclasses.fields(x)])
-        elif self._is_near(type(x).__module__) and hasattr(x, "__dict__"):
+        elif not _is_foreign(type(x).__module__) and hasattr(x, "__dict__"):
             self.value(type(x))
             self.value(vars(x))
 
     def _function(self, f: types.FunctionType) -> None:
         self._text(f"{f.__module__}.{f.__qualname__}")
-        if not self._is_near(f.__module__):
+        if _is_foreign(f.__module__ or ""):
             return
         self._code(f.__code__)
         self.value((f.__defaults__, f.__kwdefaults__))
@@ -129,11 +225,33 @@ class _Feed:
             except ValueError:  # not assigned yet
                 self._text("empty cell")
         self.value({k: v for k, v in vars(f).items() if k != "__wrapped__"})
-        for name in sorted(_names(f.__code__)):
+        parts = list(_parts(f.__code__))
+        attributes = {name for part in parts for name in part.co_names}
+        for name in sorted(_names(parts, "LOAD_GLOBAL", "STORE_GLOBAL", "LOAD_NAME")):
             found = f.__globals__.get(name)
-            if not isinstance(found, types.ModuleType):
-                self._text(name)
+            self._text(name)
+            if isinstance(found, types.ModuleType):
+                self._module(found, attributes)
+            else:
                 self.value(found)
+        for name in sorted(_names(parts, "IMPORT_NAME")):
+            if not _is_foreign(name):
+                with contextlib.suppress(ImportError):  # the rule will notice
+                    self._module(importlib.import_module(name), attributes)
+
+    def _module(self, module: types.ModuleType, names: set[str]) -> None:
+        """What code can reach of a helper module by these names; of an installed one nothing."""
+        if _is_foreign(module.__name__):
+            return
+        self._text(module.__name__)
+        for name in sorted(names & vars(module).keys()):
+            found = getattr(module, name)
+            self._text(name)
+            if not isinstance(found, types.ModuleType):
+                self.value(found)
+            elif id(found) not in self._seen:
+                self._seen[id(found)] = found
+                self._module(found, names)
 
     def _code(self, code: types.CodeType) -> None:
         self.hash.update(code.co_code)
@@ -144,12 +262,10 @@ class _Feed:
             else:
                 self.value(constant)
 
-    def _is_near(self, module: str | None) -> bool:
-        """Whether the module is the one in which the rule is written; of others only names are hashed."""
-        module = module or ""
-        if not self._module and not module.startswith(f"{_OWN}.") and module.split(".")[0] not in ("torch", "numpy"):
-            self._module = module
-        return module == self._module
+    def _path(self, path: Path) -> None:
+        if path != Path():
+            self.paths.append(path)
+            self._text(path_hash(path) if path.exists() else f"no file {path}")
 
     def _array(self, x: Any) -> None:
         array = x.detach().cpu().contiguous().view(-1).view(torch.uint8).numpy() if isinstance(x, torch.Tensor) else x
@@ -160,7 +276,14 @@ class _Feed:
         self.hash.update(text.encode() + b"\0")
 
 
-def _names(code: types.CodeType) -> set[str]:
-    """Names that a function and the functions inside it look up globally."""
-    own = {i.argval for i in dis.get_instructions(code) if i.opname in ("LOAD_GLOBAL", "STORE_GLOBAL", "LOAD_NAME")}
-    return own.union(*(_names(c) for c in code.co_consts if isinstance(c, types.CodeType)))
+def _parts(code: types.CodeType) -> Iterator[types.CodeType]:
+    """The code of a function and of the functions inside it."""
+    yield code
+    for constant in code.co_consts:
+        if isinstance(constant, types.CodeType):
+            yield from _parts(constant)
+
+
+def _names(parts: list[types.CodeType], *operations: str) -> set[str]:
+    """Names that these operations have in code."""
+    return {i.argval for part in parts for i in dis.get_instructions(part) if i.opname in operations}

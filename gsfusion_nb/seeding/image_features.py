@@ -56,17 +56,23 @@ class ImageFeatures:
         """
         return self._once(("edge direction", window_px), lambda: structure_directions(self.grey(), window_px))
 
-    def edges(self, low: float = 100.0, high: float = 200.0, dilate_px: int = 1) -> Bool[Tensor, "H W"]:
+    def edges(
+        self, low: float = 100.0, high: float = 200.0, dilate_px: int = 1, *, euclidean: bool = False
+    ) -> Bool[Tensor, "H W"]:
         """Pixels on edges (Canny 1986, as in OpenCV).
 
         Args:
             low, high: Thresholds of the hysteresis, for the gradient of grey levels 0..255.
             dilate_px: Edges are made this many pixels wide; 1 leaves them as they are.
+            euclidean: The gradient's length is the root of gx^2 + gy^2 (OpenCV's L2gradient); else |gx| + |gy|, which
+                is larger, so more edges pass the thresholds.
 
         Returns:
             A mask. [H, W]
         """
-        return self._once(("edges", low, high, dilate_px), lambda: canny(self.frame, low, high, dilate_px))
+        return self._once(
+            ("edges", low, high, dilate_px, euclidean), lambda: canny(self.frame, low, high, dilate_px, euclidean)
+        )
 
     def corners(self, count: int = 1000, method: Literal["orb", "shi_tomasi"] = "orb") -> Float[Tensor, "K 2"]:
         """Positions of the strongest corners, continuous pixel coordinates, at centres of pixels; none in an image with
@@ -140,6 +146,14 @@ def absolute_laplacian(rgb: Float[Tensor, "H W 3"]) -> Float[Tensor, "H W"]:
     return functional.conv2d(padded, kernel[None, None]).abs().sum(dim=(0, 1))
 
 
+def halved(rgb: Float[Tensor, "H W 3"]) -> Float[Tensor, "H W 3"]:
+    """The picture at half the size (means of 2 x 2 pixels), enlarged again (bilinear): without its finest detail."""
+    H, W, _ = rgb.shape
+    channels = rgb.permute(2, 0, 1)[None]
+    small = functional.interpolate(channels, size=(-(-H // 2), -(-W // 2)), mode="area")
+    return functional.interpolate(small, size=(H, W), mode="bilinear")[0].permute(1, 2, 0)
+
+
 def disc_blur(image: Float[Tensor, "H W"], radius_px: float) -> Float[Tensor, "H W"]:
     """Mean over the pixels whose centre is within ``radius_px``; outside the picture its border is repeated."""
     reach = int(radius_px)
@@ -149,11 +163,11 @@ def disc_blur(image: Float[Tensor, "H W"], radius_px: float) -> Float[Tensor, "H
     return functional.conv2d(padded, (disc / disc.sum())[None, None])[0, 0]
 
 
-def canny(frame: Frame, low: float, high: float, dilate_px: int) -> Bool[Tensor, "H W"]:
+def canny(frame: Frame, low: float, high: float, dilate_px: int, euclidean: bool = False) -> Bool[Tensor, "H W"]:
     """OpenCV's Canny edges of the frame's grey image, widened. On the frame's device; differentiable: no."""
     import cv2
 
-    edges = cv2.Canny(_grey_levels(frame), low, high)
+    edges = cv2.Canny(_grey_levels(frame), low, high, L2gradient=euclidean)
     if dilate_px > 1:
         edges = cv2.dilate(edges, np.ones((dilate_px, dilate_px), np.uint8))
     return torch.from_numpy(edges > 0).to(frame.depth_m.device)

@@ -18,10 +18,11 @@ class When:
     """In which mapped frames a rule is asked: ``EVERY_FRAME``, ``KEYFRAMES``, ``every(n)`` or ``submaps(n)``."""
 
     frames: int = 1
-    """The rule is asked in the first of this many mapped frames; counted from the start of the submap, if there are
-    submaps."""
+    """The rule is asked in the first mapped frame of this many frames of the recording; counted from the start of the
+    submap, if there are submaps. Where only every sixth frame is mapped, a rule for every 30 frames is asked in every
+    fifth of them (``seeding.source_stride``)."""
     submap_frames: int = 0
-    """Number of mapped frames in a submap; 0: the whole map is one."""
+    """Number of frames of the recording in a submap; 0: the whole map is one."""
     only_keyframes: bool = False
     """Only frames that become keyframes."""
 
@@ -29,19 +30,26 @@ class When:
         check_whole("frames between two calls of a rule", self.frames, 1)
         check_whole("frames of a submap", self.submap_frames, 0)
 
-    def is_due(self, n_mapped: int, is_keyframe: bool | None) -> bool:
+    def is_due(self, n_mapped: int, is_keyframe: bool | None, *, stride: int = 1) -> bool:
         """Whether the rule is asked.
 
         Args:
             n_mapped: Number of frames that were mapped before this one.
             is_keyframe: Whether this frame becomes a keyframe; None if that depends on its seeds.
+            stride: Number of frames of the recording from one mapped frame to the next.
         """
-        within = n_mapped % self.submap_frames if self.submap_frames else n_mapped
-        return within % self.frames == 0 and (is_keyframe is True or not self.only_keyframes)
+        return self._within(n_mapped, stride) % self.frames < stride and (
+            is_keyframe is True or not self.only_keyframes
+        )
 
-    def starts_submap(self, n_mapped: int) -> bool:
-        """Whether the frame after ``n_mapped`` others is the first of a submap."""
-        return (n_mapped % self.submap_frames if self.submap_frames else n_mapped) == 0
+    def starts_submap(self, n_mapped: int, *, stride: int = 1) -> bool:
+        """Whether the frame after ``n_mapped`` others is the first of a submap; ``stride`` as for ``is_due``."""
+        return self._within(n_mapped, stride) < stride
+
+    def _within(self, n_mapped: int, stride: int) -> int:
+        """Position in the recording, counted from the first frame of the submap."""
+        position = n_mapped * stride
+        return position % self.submap_frames if self.submap_frames else position
 
 
 EVERY_FRAME = When()
@@ -51,12 +59,12 @@ KEYFRAMES = When(only_keyframes=True)
 
 
 def every(n: int, *, submap_frames: int = 0) -> When:
-    """The rule is asked in the first of each ``n`` mapped frames, counted anew in each submap of ``submap_frames``."""
+    """The rule is asked once in ``n`` frames of the recording, counted anew in each submap of ``submap_frames``."""
     return When(frames=n, submap_frames=submap_frames)
 
 
 def submaps(n: int) -> When:
-    """The rule is asked in the first of each ``n`` mapped frames, where a submap starts."""
+    """The rule is asked once in each ``n`` frames of the recording, where a submap starts."""
     return When(frames=n, submap_frames=n)
 
 
@@ -65,7 +73,7 @@ class MapRule(ABC):
     """Base of seeding rules that are classes. Use a function where it is enough: it is shorter.
 
     A rule is a frozen dataclass. It is registered by the name of its class, and its fields are its options: numbers,
-    True/False, or a word of a ``Literal["...", ...]``, each with a default. ::
+    True/False, a word of a ``Literal["...", ...]``, a text, or the ``Path`` of a file, each with a default. ::
 
         @seeding_rule
         @dataclass(frozen=True, kw_only=True)
@@ -80,7 +88,9 @@ class MapRule(ABC):
 
     A rule keeps what it must remember in ``memory``, one dict for each mapper with words as keys: tensors, numbers,
     True/False, words, None, and lists, tuples and dicts of these. It is saved in checkpoints. If a frame cannot be
-    mapped, the memory is restored to what it was before that frame.
+    mapped, the memory is restored to what it was before that frame. A loop closure moves what it says of the world
+    (``move_memory``): the values of a dict with the names ``xyz_W`` [N, 3], ``normal_W`` [N, 3] and ``T_WC`` [N, 4, 4],
+    each row with the frame of that number in ``frame_index`` [N] in the same dict.
     """
 
     when: ClassVar[When] = EVERY_FRAME
@@ -93,7 +103,8 @@ class MapRule(ABC):
     """Settings of the system that the rule brings, by name: ``{"optim__lr_xyz": 1e-4}``. The mapper applies them when
     it is made, so they are among the settings that are stored and shown. They replace defaults and the values of the
     presets "room" and "replica". Any other value stays, because the user has chosen it, and so does every setting that
-    ``seeding.own_settings`` names. A setting that the system does not have is an error, except ``keyframe_every``."""
+    ``seeding.own_settings`` names. A setting that the system does not have is an error, except ``keyframe_every``,
+    which counts frames of the recording here: it is divided by the stride."""
 
     @abstractmethod
     def seeds(self, ctx: SeedContext, memory: dict[str, Any]) -> Seeds:

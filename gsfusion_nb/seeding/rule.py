@@ -6,37 +6,39 @@ only from ``ctx.generator``.
 """
 
 import contextlib
-import math
+import dataclasses
+import inspect
 import typing
+import weakref
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, TypeVar, cast
+from pathlib import Path
+from typing import Any, TypeGuard, TypeVar
 
-import torch
-from jaxtyping import Int
-from torch import Tensor
-
-from ..checks import check_finite, check_name, check_shape
-from ..observing import observed
-from ..plausible import MAX_DISTANCE_M
+from ..checks import check_name
+from ..errors import shown
 from ..types import Seeds
-from .context import SeedContext
-from .map_rule import MapRule
-from .memory import check_memory
-from .rule_signature import Option, SeedingRule, check_options, is_map_rule, options_of, rule_name
-from .unchanged_inputs import ChangedInputError, Versions
+from .map_rule import MapRule, When
+from .step_stats import check_needs
 
+SeedingRule = Callable[..., Seeds] | type[MapRule]
+"""A function ``(ctx, *, option=default, ...) -> Seeds``, or a subclass of ``MapRule``."""
+Option = bool | int | float | str | Path
+"""A number, True or False, a text, or the path of a file or folder that the rule reads."""
+
+_KNOWN_OPTIONS: weakref.WeakKeyDictionary[Any, dict[str, inspect.Parameter]] = weakref.WeakKeyDictionary()
+"""Rule -> its options, since reading a signature takes longer than many a step of a rule."""
 F = TypeVar("F", bound=SeedingRule)
 
 _RULES: dict[str, SeedingRule] = {}
-_COLUMNS = {"xyz_W": ("N", 3), "rgb": ("N", 3), "scale_m": ("N", 3), "quat": ("N", 4), "opacity": ("N",), "tag": ("N",)}
 
 
 def seeding_rule(rule: F) -> F:
     """Register ``rule`` under its own name and return it unchanged; a rule of that name is replaced.
 
     Raises:
-        TypeError: the signature is not ``(ctx, *, name=default, ...)`` with defaults that are numbers, True/False, or a
-            word of a ``Literal["...", ...]``; or the class is not as ``MapRule`` says.
+        TypeError: the signature is not ``(ctx, *, name=default, ...)`` with defaults that are numbers, True/False, a
+            word of a ``Literal["...", ...]``, a text annotated ``str``, or a ``Path``; or the class is not as
+            ``MapRule`` says.
     """
     if not callable(rule):
         raise TypeError(f"@seeding_rule decorates a function, got {type(rule).__name__}; write it without parentheses")
@@ -89,129 +91,136 @@ def rule_options(rule: str | SeedingRule) -> dict[str, Option]:
 
 
 def rule_choices(rule: str | SeedingRule) -> dict[str, tuple[str, ...]]:
-    """Option name -> allowed words, for the options that are a word; drop-down lists are made from it."""
-    options = options_of(get_rule(rule))
-    return {name: typing.get_args(p.annotation) for name, p in options.items() if isinstance(p.default, str)}
+    """Option name -> allowed words, for the options that are one of these; drop-down lists are made from it."""
+    found = {name: typing.get_args(p.annotation) for name, p in options_of(get_rule(rule)).items()}
+    return {name: words for name, words in found.items() if words and all(isinstance(word, str) for word in words)}
 
 
-@observed
-def apply_rule(
-    rule: str | SeedingRule, ctx: SeedContext, options: Mapping[str, Option] | None = None, one_per_voxel: bool = False
-) -> Seeds:
-    """Run a rule on one frame and check what it returns.
-
-    Args:
-        rule: Name, function or class.
-        ctx: What the rule may look at, and its memory.
-        options: Values of the rule's options, in place of its defaults.
-        one_per_voxel: Afterwards keep at most one seed per voxel, and none in voxels that hold a Gaussian.
-
-    Returns:
-        The new Gaussians, on the frame's device.
+def option_values(rule: SeedingRule, given: Mapping[str, Any]) -> dict[str, Option]:
+    """The options as the rule is called with them: those that are paths as ``Path``, which settings hold as text.
 
     Raises:
-        KeyError: no such rule. TypeError: unknown option, wrong type of option or of result, or something in the
-            rule's memory that cannot be saved.
-        ValueError: a column of wrong shape, NaN, scale <= 0, opacity outside (0, 1), colour outside 0..1, or an
-            implausibly large position or scale. ChangedInputError: the rule changed the frame or the map in place.
+        TypeError: as ``check_options``.
     """
-    found = get_rule(rule)
-    options = dict(options or {})
-    check_options(found, options)
-    versions = Versions(ctx)
-    if is_map_rule(found):
-        seeds = found(**options).seeds(ctx, ctx.memory)
-    else:
-        seeds = cast(Callable[..., Seeds], found)(ctx, **options)
-    check_memory(rule_name(rule), ctx.memory)
-    if changed := versions.changed():
-        raise ChangedInputError(rule_name(rule), changed)
+    check_options(rule, given)
+    known = options_of(rule)
+    return {
+        name: Path(value).expanduser() if isinstance(known[name].default, Path) else value
+        for name, value in given.items()
+    }
+
+
+def option_paths(rule: SeedingRule, given: Mapping[str, Any]) -> dict[str, Path]:
+    """Option name -> path, for the options that are paths; an empty one is no file, and is left out."""
+    values = rule_options(rule) | option_values(rule, given)
+    return {name: value for name, value in values.items() if isinstance(value, Path) and value != Path()}
+
+
+def rule_name(rule: str | SeedingRule) -> str:
+    """Name of a rule in messages and reports."""
+    return rule if isinstance(rule, str) else getattr(rule, "__name__", type(rule).__name__)
+
+
+def is_map_rule(rule: SeedingRule) -> TypeGuard[type[MapRule]]:
+    """Whether the rule is a class."""
+    return isinstance(rule, type) and issubclass(rule, MapRule)
+
+
+def options_of(rule: SeedingRule) -> dict[str, inspect.Parameter]:
+    """The options of a rule by name.
+
+    Raises:
+        TypeError: the rule is not written as ``seeding_rule`` asks.
+    """
     try:
-        _check_seeds(seeds, ctx)
-    except (TypeError, ValueError) as error:
-        raise type(error)(f"seeding rule {rule_name(rule)!r} returned invalid seeds: {error}") from None
-    if not one_per_voxel:
-        return seeds
-    taken = None if ctx.gaussians is None else ctx.voxel_index(ctx.gaussians.params.xyz_W)
-    return keep_one_per_voxel(seeds, ctx.voxel_index(seeds.xyz_W), taken)
+        options = _KNOWN_OPTIONS.get(rule)
+    except TypeError:  # an object that cannot be a key
+        return _read_options(rule)
+    if options is None:
+        options = _KNOWN_OPTIONS[rule] = _read_options(rule)
+    return options
 
 
-def keep_one_per_voxel(seeds: Seeds, voxel: Int[Tensor, "N 3"], taken: Int[Tensor, "M 3"] | None = None) -> Seeds:
-    """Of the seeds that share a voxel, keep the one with the largest standard deviation; of equal ones the first.
-
-    The largest one best covers the area of the seeds that are dropped. GSFusion IV-C.1 says that a voxel contains at
-    most one Gaussian, but not which one.
-
-    Args:
-        seeds: Proposed Gaussians, N rows.
-        voxel: Integer voxel coordinates of each. [N, 3]
-        taken: Voxels that hold a Gaussian of the map; no seed in them is kept. [M, 3]
-
-    Returns:
-        The seeds that are kept, in their order.
-    """
-    if taken is not None and len(taken) and len(seeds):
-        _, group = torch.unique(torch.cat([voxel, taken]), dim=0, return_inverse=True)
-        free = ~torch.isin(group[: len(seeds)], group[len(seeds) :])
-        seeds, voxel = seeds[free], voxel[free]
-    if len(seeds) == 0:
-        return seeds
-    size = seeds.scale_m.amax(dim=-1)
-    order = size.argsort(descending=True, stable=True)
-    _, group = torch.unique(voxel[order], dim=0, return_inverse=True)
-    rank = torch.arange(len(seeds), device=group.device)
-    best = torch.full_like(rank, len(seeds)).scatter_reduce_(0, group, rank, "amin")
-    return seeds[order[best[best < len(seeds)]].sort().values]
+def check_options(rule: SeedingRule, options: Mapping[str, Any]) -> None:
+    """Raise ``TypeError`` for an option that the rule does not have, or a value of another type than its default's."""
+    known = options_of(rule)
+    unknown = sorted(set(options) - set(known))
+    if unknown:
+        raise TypeError(f"seeding rule {rule_name(rule)!r} has no options {shown(unknown)}; known: {sorted(known)}")
+    for name, value in options.items():
+        default = known[name].default
+        if words := isinstance(default, str) and typing.get_args(known[name].annotation):
+            fits, wanted = value in words, words
+        elif isinstance(default, Path):
+            fits, wanted = isinstance(value, str | Path), "the path of a file or folder"
+        elif isinstance(default, str):
+            fits, wanted = isinstance(value, str), "a text"
+        elif isinstance(default, bool):
+            fits, wanted = isinstance(value, bool), "True or False"
+        else:
+            fits, wanted = isinstance(value, int | float) and not isinstance(value, bool), "a number"
+        if not fits:
+            raise TypeError(f"seeding rule {rule_name(rule)!r}: option {name!r} must be {wanted}, got {shown(value)}")
 
 
-def _is_plausible(seeds: Seeds) -> bool:
-    """Whether all values are finite and within the limits of ``_check_seeds``. A GPU is waited for once."""
-    columns = [getattr(seeds, name) for name in _COLUMNS if name != "tag"]
-    extremes = [extreme for column in (*columns, seeds.quat.norm(dim=-1)) for extreme in torch.aminmax(column)]
-    values = torch.stack(extremes).tolist()  # those of a NaN are NaN
-    xyz, rgb, scale_m, _, opacity, length = zip(values[::2], values[1::2], strict=True)
-    return (
-        all(map(math.isfinite, values))
-        and max(-xyz[0], xyz[1]) <= MAX_DISTANCE_M
-        and 0 <= rgb[0] <= rgb[1] <= 1
-        and 0 < scale_m[0] <= scale_m[1] < MAX_DISTANCE_M
-        and 0 < opacity[0] <= opacity[1] < 1
-        and length[0] > 1e-6
-    )
+def _read_options(rule: SeedingRule) -> dict[str, inspect.Parameter]:
+    name = rule_name(rule)
+    if isinstance(rule, type):
+        wanted = (
+            f"a seeding rule that is a class is written  @dataclass(frozen=True, kw_only=True) class {name}(MapRule)"
+        )
+        _check_class(rule, wanted)
+        parameters = list(_signature(rule).parameters.values())
+    else:
+        wanted = f"a seeding rule is written  def {name}(ctx, *, number=default, ...) -> Seeds"
+        parameters = list(_signature(rule).parameters.values())
+        positional = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+        if not parameters or parameters.pop(0).kind not in positional:
+            raise TypeError(f"{wanted}; this one does not take the context as its first argument")
+    for parameter in parameters:
+        _check_option(parameter, wanted)
+    return {p.name: p for p in parameters}
 
 
-def _check_seeds(seeds: Any, ctx: SeedContext) -> None:
-    if not isinstance(seeds, Seeds):
-        hint = " (is there a return?)" if seeds is None else ""
-        raise TypeError(f"expected Seeds, got {type(seeds).__name__}{hint}")
-    n = len(seeds)
-    for name, shape in _COLUMNS.items():
-        column = getattr(seeds, name)
-        check_shape(name, column, (n, *shape[1:]))
-        if column.device != ctx.frame.depth_m.device:
-            raise ValueError(f"{name} must be on the frame's device {ctx.frame.depth_m.device}, got {column.device}")
-        if name != "tag" and not column.is_floating_point():
-            raise ValueError(f"{name} must be floating point, got {column.dtype}")
-    if n == 0 or _is_plausible(seeds):
-        return
-    length = seeds.quat.norm(dim=-1)
-    far = f"{MAX_DISTANCE_M:,.0f} m"
-    limits = (
-        (f"xyz_W must be within {far} of the origin", seeds.xyz_W, seeds.xyz_W.abs() <= MAX_DISTANCE_M),
-        (f"scale_m must be below {far}", seeds.scale_m, seeds.scale_m < MAX_DISTANCE_M),
-        ("scale_m must be > 0", seeds.scale_m, seeds.scale_m > 0),
-        ("opacity must lie strictly between 0 and 1", seeds.opacity, (seeds.opacity > 0) & (seeds.opacity < 1)),
-        ("rgb must lie in 0..1", seeds.rgb, (seeds.rgb >= 0) & (seeds.rgb <= 1)),
-        ("quat must not be zero", length, length > 1e-6),
-    )
-    for name in _COLUMNS:
-        if name != "tag":
-            check_finite(name, getattr(seeds, name))
-    for rule, values, ok in limits:
-        if not ok.all():
-            bad = values[~ok]
-            row = int((~ok).nonzero()[0, 0])
-            raise ValueError(
-                f"{rule}, got {len(bad)} other values, from {float(bad.min()):g} to {float(bad.max()):g}, the first of "
-                f"them in row {row}"
-            )
+def _check_option(p: inspect.Parameter, wanted: str) -> None:
+    if p.kind is not inspect.Parameter.KEYWORD_ONLY:
+        raise TypeError(f"{wanted}; {str(p)!r} must be keyword-only: put it after a bare *, with a default")
+    if p.default is inspect.Parameter.empty:
+        raise TypeError(f"{wanted}; option {p.name!r} has no default, which sliders and check_rule need")
+    if not isinstance(p.default, Option):
+        raise TypeError(
+            f"{wanted}; the default of option {p.name!r} must be a number, True/False, a text or a Path, got "
+            f"{p.default!r}"
+        )
+    if isinstance(p.default, str) and p.annotation is not str and p.default not in typing.get_args(p.annotation):
+        raise TypeError(
+            f"{wanted}; option {p.name!r} is a text, so annotate it: {p.name}: str for any, Path for a file, or the "
+            f'allowed words: {p.name}: Literal["{p.default}", ...] = "{p.default}"'
+        )
+
+
+def _check_class(rule: type, wanted: str) -> None:
+    """Raise ``TypeError`` unless the class can be used as a rule."""
+    if not issubclass(rule, MapRule):
+        raise TypeError(f"{wanted}; this one does not derive from gsfusion_nb.seeding.MapRule")
+    if "__dataclass_fields__" not in vars(rule):
+        raise TypeError(f"{wanted}; this one is not a dataclass: put @dataclass(...) directly above the class")
+    if not all(f.kw_only for f in dataclasses.fields(rule)):
+        raise TypeError(f"{wanted}; this one was made without kw_only=True")
+    if inspect.isabstract(rule):
+        raise TypeError(f"{wanted}; this one lacks {', '.join(sorted(rule.__abstractmethods__))}(self, ctx, memory)")
+    if len(inspect.signature(rule.seeds).parameters) != 3:
+        raise TypeError(f"{wanted}; its method must be  def seeds(self, ctx, memory) -> Seeds")
+    kinds = {"when": (When, "EVERY_FRAME, KEYFRAMES, every(n) or submaps(n)"),
+             "needs": (frozenset, "a frozenset of words"), "overrides": (Mapping, "values by name")}  # fmt: skip
+    for attribute, (kind, meaning) in kinds.items():
+        if not isinstance(value := getattr(rule, attribute), kind):
+            raise TypeError(f"{wanted}; its {attribute} must be {meaning}, got {shown(value)}")
+    check_needs(rule.needs, f"{wanted}; its needs")
+
+
+def _signature(rule: SeedingRule) -> inspect.Signature:
+    try:
+        return inspect.signature(rule, eval_str=True)
+    except (NameError, AttributeError, SyntaxError):  # an annotation written as text that cannot be evaluated here
+        return inspect.signature(rule)

@@ -10,8 +10,7 @@ from typing import Any, cast
 
 from ..errors import shown
 from ..foreign import read_text
-from .rule import get_rule, keep_registered, registered
-from .rule_signature import SeedingRule, rule_name
+from .rule import SeedingRule, get_rule, keep_registered, registered, rule_name
 
 MOST_BYTES = 1_000_000
 
@@ -50,7 +49,7 @@ def rule_of_source(source: str, name: str, file: str = "rule.py") -> SeedingRule
     """The rule ``name`` of a file's source. The rules that it registers are not registered outside of it.
 
     Args:
-        source: The whole file. It may import what is installed, but not other files beside it.
+        source: The whole file. It may import installed packages and modules on Python's path.
         name: The function or class.
         file: Name of the file for messages.
 

@@ -1,5 +1,6 @@
 """Running a study: every variant is a separate run in its own process; then one table with the results."""
 
+import argparse
 import json
 import subprocess
 import sys
@@ -11,9 +12,12 @@ import tyro
 
 from ..backends import from_environment
 from ..checks import check_name
+from ..data import open_sequence, sequence_fingerprint
 from ..evaluation import format_metric
-from ..lab.run_key import arguments_with_files, folder_fingerprint, run_key
-from ..runs.run_folder import CHECKPOINTS
+from ..export import CheckpointStore
+from ..lab.grid import parse_axis
+from ..lab.run_key import arguments_with_files, run_key
+from ..runs.run_folder import CHECKPOINTS, METRICS, is_complete
 from ..strict_json import read_object
 from . import disc_depth, roofline
 from .rate import draw_rates
@@ -70,6 +74,8 @@ class StudyOptions:
     """Only for disc-depth: number of views to fit."""
     device: str = "cpu"
     """Only for roofline: the device to measure, cpu or cuda."""
+    cache: bool = True
+    """Use variants that are complete in OUT from before. --no-cache runs all again, in new folders."""
 
 
 def main(options: StudyOptions) -> int:
@@ -90,7 +96,8 @@ def main(options: StudyOptions) -> int:
     for label, variant in variants.items():
         arguments = [*variant, *options.options.split()]
         place = folder / f"{_slug(label)}-{variant_key(options.data, arguments)[:12]}"
-        done = f"reused from {place}" if _is_complete(place) else "done"
+        place = place if options.cache else _free(place)
+        done = f"reused from {place}" if is_complete(place) else "done"
         results[label] = run_variant(options.data, place, arguments)
         print(f"  {label}: {results[label].get('error', done)}", flush=True)
     text = as_markdown(results)
@@ -103,8 +110,19 @@ def main(options: StudyOptions) -> int:
 
 
 def variant_key(data: str, arguments: list[str]) -> str:
-    """Key of a run of ``gsfusion-nb map``, made from its data, its arguments, the backend and the program."""
-    return run_key(data=folder_fingerprint(data), arguments=arguments_with_files(arguments), backend=from_environment())
+    """Key of a run of ``gsfusion-nb map``, made from the content of every file of its data, its arguments, the backend
+    and the program."""
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)  # of what decides which files are read
+    parser.add_argument("--format", default="auto")
+    parser.add_argument("--split")
+    parser.add_argument("--reader", nargs="*", default=[])
+    given, _ = parser.parse_known_args(arguments)
+    try:
+        reader = {name: values[0] for name, values in map(parse_axis, given.reader)}
+        content = sequence_fingerprint(open_sequence(data, format=given.format, split=given.split, **reader))
+    except (KeyError, TypeError, ValueError, OSError) as e:  # the run fails with it and says so
+        content = f"{type(e).__name__}: {e}"
+    return run_key(data=content, arguments=arguments_with_files(arguments), backend=from_environment())
 
 
 def run_variant(data: str, folder: Path, arguments: list[str]) -> dict[str, Any]:
@@ -112,16 +130,15 @@ def run_variant(data: str, folder: Path, arguments: list[str]) -> dict[str, Any]
 
     ``folder`` must belong to this variant only: see ``variant_key``.
     """
-    if not _is_complete(folder):
+    if not is_complete(folder):
         command = [sys.executable, "-m", "gsfusion_nb", "map", data, "--out", str(folder), *arguments]
-        resumable = (folder / CHECKPOINTS).is_dir()
-        if resumable:
+        if CheckpointStore(folder / CHECKPOINTS).exists:
             command = [sys.executable, "-m", "gsfusion_nb", "map", "--resume", str(folder)]
         done = subprocess.run(command, capture_output=True, text=True)
-        if not _is_complete(folder):
+        if not is_complete(folder):
             lines = (done.stderr or done.stdout).strip().splitlines()
             return {"error": lines[-1] if lines else f"ended with status {done.returncode}"}
-    return read_object(folder / "metrics.json", "the numbers of a run")["metrics"]
+    return read_object(folder / METRICS, "the numbers of a run", objects=("metrics",))["metrics"]
 
 
 def as_markdown(results: dict[str, dict[str, Any]]) -> str:
@@ -134,9 +151,12 @@ def as_markdown(results: dict[str, dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
-def _is_complete(folder: Path) -> bool:
-    path = folder / "metrics.json"
-    return path.is_file() and read_object(path, "the numbers of a run").get("status") == "complete"
+def _free(place: Path) -> Path:
+    """A folder that does not exist yet, named after ``place``."""
+    n = 1
+    while (free := place if n == 1 else place.with_name(f"{place.name}-{n}")).exists():
+        n += 1
+    return free
 
 
 def _slug(label: str) -> str:

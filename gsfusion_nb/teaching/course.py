@@ -1,12 +1,10 @@
-"""How far a learner is: exercises solved, predictions made and time worked, by chapter."""
+"""How far a learner is: exercises solved and predictions made, by chapter."""
 
 import shutil
 import textwrap
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 
-from ..drawing.html import fill
-from . import clock
+from ..drawing.page import fill
 from .exercise import exercises
 from .progress import CourseFileError, Entries, course_file, read_section
 
@@ -27,7 +25,7 @@ TITLES = {
 }
 
 MINUTES = {0: 60, 1: 95, 2: 135, 3: 105, 4: 185, 5: 210, 6: 120, 7: 110, 8: 170, 9: 135, 10: 75, 11: 115, 12: 80}
-"""Of each chapter, for somebody to whom the subject is new: an estimate, ``kit/estimates.py`` rounded to five minutes.
+"""Of each chapter, for somebody to whom the subject is new: an estimate of the authors, not timed.
 The notebooks, the README and the syllabus say the same; tests compare them."""
 
 
@@ -44,18 +42,16 @@ class Chapter:
     """For the exercises that are open, as the course estimates it."""
     minutes: int
     """For all of the chapter, as the course estimates it."""
-    minutes_worked: int
-    """So far, by the learner's own clock; 0 if it is off."""
 
     @property
     def line(self) -> str:
         """Exercises and time in one line."""
         solved = f"{'#' * self.solved:<9}{self._exercises}"
-        return f"{self.number:2}  {self.title:28}{solved} {self.minutes_worked:4} {self._of}"
+        return f"{self.number:2}  {self.title:28}{solved} {self._of}"
 
     def wrapped(self, width: int) -> list[str]:
         """The same in lines of at most ``width`` characters."""
-        rest = f"{self._exercises}, {self.minutes_worked} {self._of}"
+        rest = f"{self._exercises}, {self._of}"
         title = textwrap.wrap(f"{self.number:2}  {self.title}", width, subsequent_indent="    ", drop_whitespace=False)
         return [*title, *textwrap.wrap(rest, width, initial_indent="    ", subsequent_indent="    ")]
 
@@ -65,7 +61,7 @@ class Chapter:
 
     @property
     def _of(self) -> str:
-        return f"of {self.minutes:3} min"
+        return f"{self.minutes:3} min"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,13 +129,12 @@ class Course:
     @property
     def _last(self) -> list[str]:
         left = sum(chapter.minutes_left for chapter in self.chapters) / 60
-        worked = sum(chapter.minutes_worked for chapter in self.chapters) / 60
         of = sum(chapter.minutes for chapter in self.chapters) / 60
         made = f"{self.predictions} prediction{'' if self.predictions == 1 else 's'}"
         begun = [chapter.open_exercises[0] for chapter in self.chapters if 0 < chapter.solved < chapter.total]
         return [
             f"{self.done} of {self.total} exercises, {made}; about {left:.0f} h of exercises are open",
-            f"worked {worked:.1f} of about {of:.0f} h, text and panels included",
+            f"about {of:.0f} h in all, text and panels included",
             *([f"next: {', '.join(begun)}"] if begun else []),
         ]
 
@@ -158,21 +153,20 @@ def read_course(chapter: int | None = None) -> Course:
     """
     made = sum("answer" in entry for entry in read_section("predictions").values())
     path = course_file()
-    chapters = _chapters(read_section("exercises"), read_section(clock.SECTION))
+    chapters = _chapters(read_section("exercises"))
     return Course(chapters=chapters, predictions=made, file=str(path) if path else "", chapter=chapter)
 
 
 def course_progress(chapter: int) -> Course:
-    """What a notebook shows at its top; a file that cannot be read is said in one line. Starts the learner's clock."""
-    clock.start(chapter, exercises())
+    """What a notebook shows at its top; a file that cannot be read is said in one line."""
     try:
         return read_course(chapter)
     except CourseFileError as e:
-        return Course(chapters=_chapters({}, {}), predictions=0, file="", problem=str(e))
+        return Course(chapters=_chapters({}), predictions=0, file="", problem=str(e))
 
 
-def _chapters(noted: Entries, times: Mapping[str, dict[str, object]]) -> tuple[Chapter, ...]:
-    """Every chapter, with what is noted about its exercises and its time."""
+def _chapters(noted: Entries) -> tuple[Chapter, ...]:
+    """Every chapter, with what is noted about its exercises."""
     chapters = []
     every = exercises().values()
     for number in sorted({e.chapter for e in every}):
@@ -187,7 +181,6 @@ def _chapters(noted: Entries, times: Mapping[str, dict[str, object]]) -> tuple[C
                 open_exercises=tuple(e.name for e in left),
                 minutes_left=sum(e.minutes for e in left),
                 minutes=MINUTES.get(number, 0),
-                minutes_worked=round(clock.working_s(times.get(f"chapter {number}", {})) / 60),
             )
         )
     return tuple(chapters)

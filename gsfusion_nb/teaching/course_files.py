@@ -21,12 +21,6 @@ def notebooks_folder() -> Path:
     raise FileNotFoundError(f"{package} holds no notebooks; expected {FIRST} in its folder notebooks: install it again")
 
 
-def syllabus_page() -> Path | None:
-    """The page of the syllabus in a clone; an installed package has none."""
-    page = Path(__file__).resolve().parents[2] / "docs" / "teaching" / "syllabus.md"
-    return page if page.is_file() else None
-
-
 def copy_for_learner(target: Path) -> list[HandedOut]:
     """The learner's edition of the installed notebooks in the folder ``target``; what was changed there is kept.
 

@@ -41,7 +41,6 @@ import contextlib
 import functools
 import importlib
 import pkgutil
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -58,7 +57,6 @@ from .attempt import unpack as unpack
 from .becomes import Becomes as Becomes
 from .becomes import remember
 from .carried import carry
-from .clock import start as start_clock
 from .guard import LIBRARY_LIMIT_S as LIBRARY_LIMIT_S
 from .guard import LIMIT_S, Guard
 from .progress import count, forgiving, note, now, read_section
@@ -73,7 +71,6 @@ _MACHINERY = {
     "attempt",
     "becomes",
     "carried",
-    "clock",
     "course",
     "edition",
     "exercise",
@@ -100,9 +97,6 @@ _EXERCISES: dict[str, "Exercise"] = {}
 
 AUTOGRAD = (torch.autograd.grad, torch.autograd.backward)
 """What does an exercise whose gradient is to be written by hand."""
-
-_PATIENCE_S = 0.5
-"""How long an accepted function waits while the checker is checked with further wrong answers."""
 
 
 @dataclass(frozen=True)
@@ -137,7 +131,6 @@ class Exercise:
 
     def __call__(self, function: Any) -> Verdict:
         """The verdict on ``function``: passed, failed (which property, on what input), or not written."""
-        start_clock(self.chapter, _EXERCISES)
         verdict = self._judged(function)
         own = getattr(function, "__name__", "") in (self.name, "<lambda>")
         if verdict or (verdict.state == "failed" and own):
@@ -164,12 +157,8 @@ class Exercise:
             detail = f"got a {type(function).__name__}"
             return Verdict(exercise=self.name, state="failed", prop="it is a function", detail=detail, hints_left=left)
 
-        def judged(attempt: Attempt) -> None:
-            self.judge(attempt)
-            self._check_the_checker()
-
         with use_backend("reference") if self.becomes else contextlib.nullcontext():
-            return self.verdict_on(Attempt(function, self._guard()), judged)
+            return self.verdict_on(Attempt(function, self._guard()), self.judge)
 
     def verdict_on(self, attempt: Attempt, judge: Callable[[Attempt], None]) -> Verdict:
         """What ``judge`` says; nothing is kept or noted."""
@@ -204,19 +193,6 @@ class Exercise:
         own = [plain_function(self.becomes.operation)] if self.becomes else []
         guard.refuse([*own, *self.ready_made], "which does what this exercise asks for; write it out")
         return guard
-
-    def _check_the_checker(self) -> None:
-        """Raise ``Failed`` if the judge does not refuse wrong answers any more: something it needs was replaced."""
-        until = time.monotonic() + _PATIENCE_S
-        for wrong in self.wrong:
-            try:
-                self.judge(Attempt(wrong.function))
-            except Exception:
-                if time.monotonic() > until:
-                    return
-                continue
-            detail = f"it accepts {wrong.function.__name__}, which is wrong. Something that it needs was replaced in "
-            raise Failed("the checker works", "its own wrong answers", f"{detail}this kernel: restart it")
 
     def hint(self, number: int | None = None) -> Hint:
         """The next hint, or hint ``number`` (from 1); after the last one, the last one again."""

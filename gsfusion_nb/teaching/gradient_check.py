@@ -7,7 +7,7 @@ import torch
 from markupsafe import Markup
 from torch import Tensor
 
-from ..drawing.html import html_table
+from ..drawing.page import html_table
 
 TOLERANCE = 1e-5
 """Largest difference that counts as agreement in float64, as a share of the largest number."""

@@ -1,8 +1,8 @@
-"""A learner's function while it is judged: a time limit, functions it may not call, nothing of the checker in sight.
+"""A learner's function while it is judged: a time limit, functions that it may not call, plain values as results.
 
-The function runs in a thread of its own: the frames of the checker, which know the right answer, are not among its
-callers, and a loop without end can be left. A profile function of that thread sees every call. This keeps an honest
-learner from fooling themselves; marks are given in processes of their own, where no solution can be imported.
+The function runs in a thread of its own, so that a loop without end can be left. A profile function of that thread sees
+every call. This keeps an honest learner from fooling themselves. Marks are given in processes of their own, where no
+solution can be imported.
 """
 
 import contextvars
@@ -34,15 +34,6 @@ _LONGEST = 100_000
 """Most elements of a list that a function may return."""
 _PATIENCE_S = 1.0
 """How long a function that is told to stop may take to do so."""
-
-_C_TRICKS = {
-    **dict.fromkeys(("_getframe", "_current_frames"), "it looks at the code that called it"),
-    **dict.fromkeys(("setprofile", "settrace"), "it switches off what watches it"),
-    **dict.fromkeys(("get_objects", "get_referrers", "get_referents"), "it searches the memory for the answer"),
-}
-_TRICKS = {
-    id(function.__code__): "it looks at the code that called it" for function in (inspect.currentframe, inspect.stack)
-}
 
 
 class Refused(BaseException):
@@ -87,11 +78,10 @@ class Guard:
             Exception: what the function raised.
         """
         outcome = _Outcome()
-        own_file = getattr(getattr(inspect.unwrap(function), "__code__", None), "co_filename", "")
 
         def call() -> None:
-            threading.setprofile(lambda *event: self._watch(own_file, *event))
-            sys.setprofile(lambda *event: self._watch(own_file, *event))
+            threading.setprofile(self._watch)
+            sys.setprofile(self._watch)
             try:
                 outcome.result = settled(function(*args, **kwargs))
             except BaseException as e:
@@ -135,17 +125,12 @@ class Guard:
         """A busy machine makes a function slow, so the limit is one of processor time; one that sleeps ends later."""
         return wall_s < self.limit_s or (processor_s < self.limit_s and wall_s < _CROWDED * self.limit_s)
 
-    def _watch(self, own_file: str, frame: types.FrameType, event: str, arg: Any) -> None:
+    def _watch(self, frame: types.FrameType, event: str, arg: Any) -> None:
         """The profile function: notes a refused call and ends the learner's function."""
         if event == "call":
             means = self.refused.get(id(frame.f_code))
-            if means is None and frame.f_back is not None and frame.f_back.f_code.co_filename == own_file:
-                means = _TRICKS.get(id(frame.f_code))
         elif event == "c_call":
-            name = getattr(arg, "__name__", "")
-            means = self.refused_names.get(name)
-            if means is None and frame.f_code.co_filename == own_file:
-                means = _C_TRICKS.get(name)
+            means = self.refused_names.get(getattr(arg, "__name__", ""))
         else:
             return
         if means is not None:

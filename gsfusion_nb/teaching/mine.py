@@ -21,7 +21,7 @@ from typing import Any, Literal
 from markupsafe import Markup
 
 from ..backends import replaceable
-from ..drawing.html import html_table
+from ..drawing.page import html_table
 from ..own_code import CALLS, FUNCTIONS, Calls
 from .becomes import KEPT, remember
 from .carried import carried

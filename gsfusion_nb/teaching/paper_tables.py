@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from markupsafe import Markup
 
-from ..drawing.html import html_table
+from ..drawing.page import html_table
 
 Row = Mapping[str, float | int]
 

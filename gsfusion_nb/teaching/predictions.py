@@ -15,8 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ..drawing.html import fill
-from .clock import acted
+from ..drawing.page import fill
 from .progress import Entries, forgiving, note, now, read_section
 
 Answer = str | float | int
@@ -45,7 +44,6 @@ class Prediction:
             raise ValueError(f"prediction {self.name}: expected one of {self.choices}, got {value!r}")
         if not self.choices and (isinstance(value, str) or not math.isfinite(value)):
             raise ValueError(f"prediction {self.name}: expected a number, got {value!r}")
-        acted()
         _note(self.name, question=self.question, choices=self.choices, answer=value, unit=self.unit, when=now())
         return self.state
 

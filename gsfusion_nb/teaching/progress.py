@@ -4,8 +4,7 @@ The file holds objects by section and name::
 
     {"format": 1,
      "exercises": {"psnr": {"tries": 2, "passed": "2026-11-22T20:15:00", "hints": 1}},
-     "predictions": {"first_seeds": {"question": "...", "answer": 3000, "came": 3812}},
-     "times": {"psnr": {"seconds": 640.5}}}
+     "predictions": {"first_seeds": {"question": "...", "answer": 3000, "came": 3812}}}
 
 Sections of other modules are kept as they are. The environment variable ``GSNB_COURSE_FILE`` names another file. A
 notebook that is executed to be stored (``GSNB_VIEW=static``) keeps no file: what it notes ends with the kernel.

@@ -14,7 +14,7 @@ from markupsafe import Markup
 
 import gsfusion_nb
 
-from ..drawing.html import html_table
+from ..drawing.page import html_table
 
 _ROOT = Path(gsfusion_nb.__file__).resolve().parent
 

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from ..drawing.html import fill
+from ..drawing.page import fill
 
 _COLOURS = {"passed": "#1a7f37", "failed": "#c62828", "not written": "#6e7781"}
 _SIGNS = {"passed": "✓", "failed": "✗", "not written": "…"}

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..drawing.html import fill
+from ..drawing.page import fill
 from .attempt import plain
 from .place import place_of
 from .verdict import Verdict

@@ -4,9 +4,15 @@ import os
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from ..drawing.curves import figure_png, figure_words
-from ..drawing.pictures import AnyImage, encode_jpeg, to_uint8
-from ..drawing.side_by_side import side_by_side
+from ..drawing.curves import curve_figure as curve_figure
+from ..drawing.curves import figure_png as figure_png
+from ..drawing.curves import figure_words
+from ..drawing.pictures import AnyImage, encode_jpeg
+from ..drawing.pictures import colour_depth as colour_depth
+from ..drawing.pictures import error_map as error_map
+from ..drawing.pictures import paint_cells as paint_cells
+from ..drawing.pictures import side_by_side as side_by_side
+from ..drawing.pictures import to_uint8 as to_uint8
 
 if TYPE_CHECKING:
     from IPython.display import Image

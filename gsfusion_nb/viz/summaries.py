@@ -6,9 +6,17 @@ import numpy as np
 import torch
 from markupsafe import Markup
 
-from ..drawing.html import fill
-from ..drawing.pictures import Picture, colour_depth, data_uri, depth_range_m, fit_width, paint_cells, to_uint8
-from ..drawing.side_by_side import side_by_side
+from ..drawing.page import fill
+from ..drawing.pictures import (
+    Picture,
+    colour_depth,
+    data_uri,
+    depth_range_m,
+    fit_width,
+    paint_cells,
+    side_by_side,
+    to_uint8,
+)
 from ..gaussians import GaussianModel
 from ..runs import FinishedRun, MappingRun
 from ..runs.posed_frames import frames_in_map
@@ -16,8 +24,7 @@ from ..seeding import Cells
 from ..tsdf import TsdfVolume
 from ..types import Frame
 from .panels.tsdf_slice import slice_picture
-from .splats.starting_view import starting_pose, viewing_camera
-from .splats.viewer_picture import splat_picture
+from .splats.viewer_picture import splat_picture, starting_pose, viewing_camera
 
 WIDTH_PX = 240
 """Width of one picture."""

@@ -10,13 +10,11 @@ import cv2
 import numpy as np
 import pytest
 
+from gsfusion_nb.book.assemble import Settings, opening_bar, read_settings, with_answers
+from gsfusion_nb.book.build import broken_links
 from gsfusion_nb.book.chapters import Chapter
-from gsfusion_nb.book.check_links import broken_links
-from gsfusion_nb.book.launch import opening_bar
 from gsfusion_nb.book.pages import in_the_book
 from gsfusion_nb.book.places import Places, places_of
-from gsfusion_nb.book.quiz import with_answers
-from gsfusion_nb.book.settings import Settings, read_settings
 
 ROOT = Path(__file__).resolve().parents[2]
 

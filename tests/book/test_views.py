@@ -10,11 +10,19 @@ import numpy as np
 import pytest
 import torch
 
-from gsfusion_nb.book.views.all_chapters import put_views, record_all, view_html
-from gsfusion_nb.book.views.needed import needed_cells
 from gsfusion_nb.book.views.panels import record_panel
-from gsfusion_nb.book.views.record import cells_to_run, kernel_views, record, run, wanted_views, write
-from gsfusion_nb.book.views.scripts import front_ends
+from gsfusion_nb.book.views.record import (
+    cells_to_run,
+    kernel_views,
+    put_views,
+    record,
+    record_all,
+    run,
+    view_html,
+    wanted_views,
+    write,
+)
+from gsfusion_nb.book.views.recorded import front_ends, needed_cells
 from gsfusion_nb.strict_json import read_object
 from gsfusion_nb.types import Camera, GaussianParams
 from gsfusion_nb.viz import MixMicroscope, PixelMicroscope, amdahl_panel

@@ -249,8 +249,8 @@ def _wait_for_server(url: str, output: Path) -> None:
 @pytest.fixture(scope="session")
 def book_site(tmp_path_factory) -> Path:
     """The web book: that of $GSNB_BOOK, or one that is built without recorded views."""
+    from gsfusion_nb.book.assemble import Settings
     from gsfusion_nb.book.build import build
-    from gsfusion_nb.book.settings import Settings
 
     if ready := os.environ.get("GSNB_BOOK"):
         return Path(ready).resolve()
@@ -263,8 +263,7 @@ def book_site(tmp_path_factory) -> Path:
 def views_page(tmp_path_factory, recorded_views) -> Path:
     """Folder of ``views.html``, a page with a view of each kind, as a chapter has them."""
     from gsfusion_nb.book.views.record import write
-    from gsfusion_nb.book.views.recorded import placeholder
-    from gsfusion_nb.book.views.scripts import front_ends, style_sheet
+    from gsfusion_nb.book.views.recorded import front_ends, placeholder, style_sheet
 
     folder = tmp_path_factory.mktemp("views")
     static = _PROJECT / "gsfusion_nb/book/static"

@@ -233,10 +233,8 @@ def _single_files(root: Path, takes) -> list[Seed]:
     lines += ["property list uchar int vertex_indices", "end_header", "0 0 0", "1 0 0", "0 1 0", "3 0 1 2", ""]
     (at / "text.ply").write_text("\n".join(lines))
     _archives(at, takes)
-    (at / "fetched.json").write_text(json.dumps([{"url": "u", "size": 1, "sha256": "0", "date": "d"}]))
     targets |= {"run.txt": "run_trajectory", "g.ply": "gaussians", "m.ply": "mesh", "text.ply": "mesh"}
     targets |= {"a.zip": "archive", "a.tar.gz": "archive", "a.tar": "archive"}
-    targets |= {"fetched.json": "download_log"}
     seeds = []
     for name, target in targets.items():
         folder = root / f"file_{name.replace('.', '_')}"

@@ -55,6 +55,8 @@ class Figures:
     identical: int = 0
     before_first: int = 0
     """Killed before there was a checkpoint; the run was begun anew."""
+    while_writing: int = 0
+    """Killed while the maps were written."""
     lost_steps: int = 0
     """The most steps that had to be done again, per kill."""
     failures: list[str] = field(default_factory=list)
@@ -64,6 +66,7 @@ class Figures:
         lines = [
             f"kills: {sum(self.kills.values())} ({kinds})",
             f"runs killed before their first checkpoint, begun anew: {self.before_first}",
+            f"killed while the maps were written: {self.while_writing}",
             f"most steps done again after a kill: {self.lost_steps} (a checkpoint every {EVERY_FRAMES})",
             f"resumed maps identical: {self.identical}; different or failed: {len(self.failures)}",
         ]
@@ -106,6 +109,7 @@ def _run(variant: tuple[str, str], folder: Path, every: int, kill: KillPoint | N
     import torch
 
     from gsfusion_nb.runs import CheckpointEvery, mapping_run, resume_mapping, run_mapping
+    from gsfusion_nb.runs.run_folder import is_complete
 
     torch.set_num_threads(1)
     operations = Operations(folder, kill)
@@ -119,13 +123,15 @@ def _run(variant: tuple[str, str], folder: Path, every: int, kill: KillPoint | N
 
     mapping_run.MappingRun.__setattr__ = watched  # pyright: ignore[reportAttributeAccessIssue]
     checkpoints = CheckpointEvery(seconds=0, frames=every)
-    if has_checkpoint(folder):
-        run = resume_mapping(folder, evaluate=False, checkpoints=checkpoints)
-    else:
-        shutil.rmtree(folder, ignore_errors=True)
+    if is_complete(folder):  # killed after its last file
+        hashes = json.loads((folder / "metrics.json").read_text())["sha256"]
+    elif has_checkpoint(folder):
+        hashes = resume_mapping(folder, evaluate=False, checkpoints=checkpoints).run.hashes
+    else:  # into the same folder, which refuses whatever is worth keeping
         folder.with_suffix(".steps").unlink(missing_ok=True)
         run = run_mapping("room", settings(*variant), folder=folder, evaluate=False, checkpoints=checkpoints, **ROOM)
-    result = {"sha256": run.run.hashes, "operations": operations.n, "steps": steps[0]}
+        hashes = run.run.hashes
+    result = {"sha256": hashes, "operations": operations.n, "steps": steps[0]}
     folder.with_suffix(".result").write_text(json.dumps(result))
 
 
@@ -218,6 +224,11 @@ def has_checkpoint(folder: Path) -> bool:
     return any(re.fullmatch(r"\d{6}\.json", path.name) for path in folder.glob("checkpoint/*"))
 
 
+def _says_complete(folder: Path) -> bool:
+    path = folder / "metrics.json"
+    return path.exists() and json.loads(path.read_text())["status"] == "complete"
+
+
 def finish(pid: int, seconds: float | None = None) -> bool:
     """Wait for a process, or kill it after ``seconds``; whether it was killed."""
     if seconds is not None:
@@ -248,13 +259,18 @@ def kill_and_resume(
             break
         n_killed += 1
         figures.kills[kill.kind] += 1
-        figures.before_first += not has_checkpoint(folder)
+        figures.before_first += not has_checkpoint(folder) and not (folder / "metrics.json").exists()
+        written = (folder / "config.json").exists() and n_killed == 1
+        figures.while_writing += written and not _says_complete(folder)
     try:
         result = whole(variant, folder)
     except RuntimeError as e:
         figures.failures.append(f"{variant} {kills}: {e}")
         return
-    if result["sha256"] == expected:
+    left = [path.name for path in folder.rglob("*.partial*")]
+    if left or not _says_complete(folder):
+        figures.failures.append(f"{variant} {kills}: left {left}, complete: {_says_complete(folder)}")
+    elif result["sha256"] == expected:
         figures.identical += 1
         again = folder.with_suffix(".steps").stat().st_size - n_steps
         figures.lost_steps = max(figures.lost_steps, -(-again // max(1, n_killed)))
@@ -281,7 +297,8 @@ def campaign(n_kills: int, seed: int, variants: list[tuple[str, str]], folder: P
         whole_run, kills = results[variant], []
         for _ in range(draw.choice((1, 1, 2))):
             kind = draw.choice(("before", "after", "within", "step", "time"))
-            operation[variant] = operation[variant] % whole_run["operations"] + 1
+            apart = max(1, whole_run["operations"] * len(variants) // n_kills)  # few kills are spread over the run
+            operation[variant] = (operation[variant] + apart - 1) % whole_run["operations"] + 1
             at = {"step": draw.randint(1, whole_run["steps"]), "time": draw.uniform(0.2, 1.0) * whole_run["seconds"]}
             kills.append(KillPoint(kind, at.get(kind, operation[variant])))
         kill_and_resume(variant, folder / f"run-{n}", kills, whole_run, figures)

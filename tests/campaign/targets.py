@@ -195,26 +195,20 @@ def rescore(path: Path) -> None:
 
 
 def archive(path: Path) -> None:
-    from gsfusion_nb.data.fetch import Limits, unpack
+    from gsfusion_nb.data.fetch import unpack
 
     folder = path.parent / "unpacked-by-the-campaign"
-    unpack(path, folder, limits=Limits(max_bytes=100_000_000))
+    unpack(path, folder, max_bytes=100_000_000)
     inside = {p.resolve() for p in folder.rglob("*")}
     _need(all(p.is_relative_to(folder.resolve()) for p in inside), "a member outside of the folder")
     shutil.rmtree(folder)
 
 
-def download_log(path: Path) -> None:
-    from gsfusion_nb.data.fetch.download_log import read_download_log
-
-    read_download_log(path.parent)
-
-
 TARGETS: dict[str, Callable[[Path], None]] = {
     f.__name__: f for f in (sequence, growing, convert, trajectory, run_trajectory, intrinsics, matrix, gaussians, mesh)
-} | {f.__name__: f for f in (resume, settings, rescore, archive, download_log)}
-CORRECTED = ("download_log", "growing", "resume")
-"""Targets that continue without a damaged file: a list of downloads starts again, a folder may still grow."""
+} | {f.__name__: f for f in (resume, settings, rescore, archive)}
+CORRECTED = ("growing", "resume")
+"""Targets that continue without a damaged file: a folder may still grow."""
 
 
 def strict_json_fault(path: Path) -> str:

@@ -30,7 +30,7 @@ def test_progress_by_chapter(course_file, capsys):
     assert main(["course"]) == 0
     shown = capsys.readouterr().out
     assert " 0  Quickstart" in shown
-    assert "1 of 3 exercises    0 of  60 min" in shown
+    assert "1 of 3 exercises  60 min" in shown
     assert "1 of 59 exercises, 1 prediction; about" in shown
     assert "next: exam_frames\n" in shown
     assert main(["course", "--json"]) == 0

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from gsfusion_nb import cli
-from gsfusion_nb.data.fetch import command
+from gsfusion_nb.data import fetch
 
 
 def broken(arguments):
@@ -53,6 +53,6 @@ def test_sentences_stay_as_they_are(tmp_path, capsys):
 
 def test_data_scripts_too(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    assert command.run("tum.py", lambda: [][3]) == 1
+    assert fetch.run("tum.py", lambda: [][3]) == 1
     assert "tum.py: ended by an unexpected error, IndexError" in capsys.readouterr().err
     assert len(list(tmp_path.glob("*.log"))) == 1

@@ -121,7 +121,7 @@ def test_overrides_reach_nested_fields():
     assert c.mesh.voxel_size_m == 0.05
     with pytest.raises(ValueError, match=r"window: unknown keys \['iteration'\]; known: .*'iterations'"):
         rtg_slam("tum", window__iteration=20)
-    with pytest.raises(KeyError, match="no preset 'repilca'; known: azure, replica"):
+    with pytest.raises(KeyError, match="no preset 'repilca'; known: azure, online, replica"):
         rtg_slam("repilca")
     with pytest.raises(KeyError, match="no fidelity 'papre'; known: code, measured, paper"):
         rtg_slam("room", "papre")

@@ -1,8 +1,15 @@
-"""The scripts as modules, the misbehaving server and the box room of the other tests, and no way to a real host."""
+"""The scripts as modules, a server on this machine, the box room of the other tests, and no way to a real host."""
 
+import http.server
 import importlib.util
+import io
 import socket
+import stat
 import sys
+import tarfile
+import threading
+import time
+import zipfile
 from pathlib import Path
 from types import ModuleType
 
@@ -22,8 +29,80 @@ def load(path: Path) -> ModuleType:
     return module
 
 
-_hostile = load(TESTS / "data/fetch/conftest.py")
-site, archives = _hostile.site, _hostile.archives
+class Site:
+    """A web server: its files, how many of the next requests break off in the middle, and what it was asked."""
+
+    def __init__(self):
+        self.files: dict[str, bytes] = {}
+        self.broken = 0
+        self.seen: list[str] = []
+        self.address = ""
+
+
+class Handler(http.server.BaseHTTPRequestHandler):
+    site: Site
+
+    def log_message(self, format, *args):
+        pass
+
+    def do_GET(self):
+        self.site.seen.append(self.path)
+        content = self.site.files.get(self.path)
+        if content is None:
+            self.send_error(404)
+            return
+        self.send_response(200)
+        self.send_header("Content-Length", str(len(content)))
+        self.end_headers()
+        self.wfile.write(content if not self.site.broken else content[: len(content) // 2])
+        self.site.broken = max(0, self.site.broken - 1)
+
+
+@pytest.fixture
+def site(monkeypatch):
+    monkeypatch.setenv("no_proxy", "*")
+    site = Site()
+    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), type("Bound", (Handler,), {"site": site}))
+    site.address = f"http://127.0.0.1:{server.server_address[1]}"
+    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True)
+    thread.start()
+    yield site
+    server.shutdown()
+    server.server_close()
+    thread.join(5)
+
+
+class Archives:
+    """Makes small archives, good and bad."""
+
+    def zip(self, files: dict[str, bytes], *, links: tuple[str, ...] = ()) -> bytes:
+        out = io.BytesIO()
+        with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as zipped:
+            for name, content in files.items():
+                info = zipfile.ZipInfo(name)
+                info.filename = name  # as it is: the constructor cleans it
+                info.external_attr = ((stat.S_IFLNK if name in links else stat.S_IFREG) | 0o644) << 16
+                info.compress_type = zipfile.ZIP_DEFLATED
+                zipped.writestr(info, content)
+        return out.getvalue()
+
+    def tgz(self, files: dict[str, bytes], *, links: tuple[str, ...] = ()) -> bytes:
+        out = io.BytesIO()
+        with tarfile.open(fileobj=out, mode="w:gz") as tar:
+            for name, content in files.items():
+                info = tarfile.TarInfo(name)
+                if name in links:
+                    info.type, info.linkname, content = tarfile.SYMTYPE, "/etc/passwd", b""
+                info.size = len(content)
+                tar.addfile(info, io.BytesIO(content))
+        return out.getvalue()
+
+
+@pytest.fixture
+def archives() -> Archives:
+    return Archives()
+
+
 box = load(TESTS / "data/conftest.py").box
 
 
@@ -38,18 +117,13 @@ def _no_real_host(monkeypatch):
 
     monkeypatch.setattr(socket, "getaddrinfo", only_here)
     monkeypatch.setattr(sys, "stdin", None)
+    monkeypatch.setattr(time, "sleep", lambda seconds: None)
 
 
 @pytest.fixture
 def script():
     """``script("tum")`` is data_scripts/tum.py as a module."""
     return lambda name: load(SCRIPTS / f"{name}.py")
-
-
-@pytest.fixture
-def hostile():
-    """Faults of the server."""
-    return _hostile
 
 
 @pytest.fixture

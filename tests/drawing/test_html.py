@@ -4,7 +4,7 @@ import pytest
 from jinja2 import UndefinedError
 from markupsafe import Markup
 
-from gsfusion_nb.drawing.html import fill, html_table
+from gsfusion_nb.drawing.page import fill, html_table
 
 
 def test_texts_are_escaped_and_markup_is_not():

@@ -10,8 +10,7 @@ import torch
 from jaxtyping import TypeCheckError
 
 from gsfusion_nb.drawing import curves, pictures
-from gsfusion_nb.drawing.ground import BETWEEN, CARD, CARD_INK, encode_drawing, on_card
-from gsfusion_nb.drawing.side_by_side import LABEL_PX, side_by_side
+from gsfusion_nb.drawing.pictures import BETWEEN, CARD, CARD_INK, LABEL_PX, encode_drawing, on_card, side_by_side
 
 
 def decoded(data):

@@ -5,9 +5,17 @@ import math
 import pytest
 import torch
 
-from gsfusion_nb.evaluation import NotComputed, cull_unseen, mesh_scores, sample_surface, seen_by
+from gsfusion_nb.evaluation import (
+    NotComputed,
+    OwnMeshDistance,
+    centres_to_own_mesh,
+    cull_unseen,
+    mesh_scores,
+    sample_surface,
+    seen_by,
+)
 from gsfusion_nb.evaluation.geometry import point_triangle_distance
-from gsfusion_nb.types import Camera, Frame, Mesh
+from gsfusion_nb.types import Camera, Frame, GaussianParams, Mesh
 
 
 def mesh_of(vertices, faces):
@@ -31,6 +39,13 @@ def sphere(radius, rings=60, segments=120):
 
 def square(x=0.0, y=0.0, z=0.0, size=1.0):
     return mesh_of([[x, y, z], [x + size, y, z], [x + size, y + size, z], [x, y + size, z]], [[0, 1, 2], [0, 2, 3]])
+
+
+def gaussians_at(xyz):
+    n = len(xyz)
+    return GaussianParams(
+        xyz_W=xyz, log_scale=xyz, quat=xyz.new_ones(n, 4), opacity_logit=xyz.new_zeros(n), sh=xyz.new_zeros(n, 1, 3)
+    )
 
 
 def joined(*meshes):
@@ -204,3 +219,31 @@ def test_culling_keeps_the_front_wall_and_renumbers():
     assert len(kept.vertices_W) == len(kept.rgb) == 4
     nothing = cull_unseen(mesh, [front_frame(torch.zeros(30, 40))])
     assert len(nothing.faces) == len(nothing.vertices_W) == 0
+
+
+def test_centres_against_the_own_mesh_in_closed_form(generator):
+    """Far above a wall: its height. On the wall: nearest of random points of density 1 per cm^2, whose mean distance is
+    1 / (2 sqrt(density)) = 0.5 cm and whose mean square is 1 / (pi density)."""
+    wall = square()
+    xy = 0.2 + 0.6 * torch.rand(4000, 2, generator=generator, dtype=torch.float64)
+    on = torch.cat([xy, torch.zeros(4000, 1, dtype=torch.float64)], dim=1)
+    found = centres_to_own_mesh(gaussians_at(on + torch.tensor([0, 0, 2.0])), wall, generator=generator)
+    assert isinstance(found, OwnMeshDistance)
+    assert found.mean_m == pytest.approx(2.0, abs=1e-4)
+    assert found.mean_square_m2 == pytest.approx(4.0, abs=4e-4)
+    found = centres_to_own_mesh(gaussians_at(on), wall, generator=generator)
+    assert isinstance(found, OwnMeshDistance)
+    assert found.mean_m == pytest.approx(0.005, rel=0.05)
+    assert found.mean_square_m2 == pytest.approx(1e-4 / math.pi, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("xyz", "size_m", "word"),
+    [([], 1.0, "no Gaussian"), ([[0, 0, math.nan]], 1.0, "1 Gaussians"), ([[0.0, 0, 0]], 0.005, "1 cm^2")],
+)
+def test_without_centres_or_mesh_the_own_distance_says_why(generator, xyz, size_m, word):
+    wall = square(size=size_m)
+    points = torch.tensor(xyz, dtype=torch.float64).reshape(-1, 3)
+    found = centres_to_own_mesh(gaussians_at(points), wall, generator=generator)
+    assert isinstance(found, NotComputed)
+    assert word in found.reason

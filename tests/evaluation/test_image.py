@@ -13,10 +13,12 @@ from gsfusion_nb.evaluation import (
     depth_l1_m,
     expected_depth_m,
     lpips,
+    lpips_as_released,
     metrics_as_json,
     psnr,
     score_views,
     ssim,
+    ssim_as_released,
 )
 from gsfusion_nb.evaluation import image as image_module
 from gsfusion_nb.types import Camera, Frame, RenderOutput
@@ -96,6 +98,55 @@ def test_metrics_refuse_images_of_different_shape_or_too_small():
         ssim(torch.zeros(5, 9, 3), torch.zeros(5, 9, 3))
 
 
+def patterned(height=24, width=31):
+    y, x = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
+    a = torch.stack([(7 * x + 3 * y) % 256, (x * y) % 256, (11 * x + y * y) % 256], -1)
+    b = torch.stack([(7 * x + 5 * y) % 256, (x * y + 9) % 256, (13 * x + y * y) % 256], -1)
+    return a.double() / 255, b.double() / 255
+
+
+def test_ssim_as_released_is_that_of_torchmetrics_1_4():
+    """torchmetrics 1.4.0, whose authors cut the border, and scikit-image 0.26.0 agree on these images:
+
+    structural_similarity_index_measure(chw(a), chw(b), data_range=1.0)
+    structural_similarity(a.numpy(), b.numpy(), channel_axis=2, gaussian_weights=True, sigma=1.5,
+                          use_sample_covariance=False, data_range=1.0)
+    """
+    a, b = patterned()
+    assert ssim_as_released(a, b, quantise=False) == pytest.approx(0.68686813212366, abs=1e-12)
+    assert ssim(a, b, quantise=False) == pytest.approx(0.6793310, abs=1e-6)
+
+
+def test_ssim_as_released_does_not_see_the_border(generator):
+    """A pixel of the border counts only in windows that reach it, and those are around pixels nearer than 6."""
+    a, b = patterned()
+    inner = ssim_as_released(a, b)
+    assert ssim_as_released(a[5:-5, 5:-5], b[5:-5, 5:-5]) != inner
+    with pytest.raises(ValueError, match="at least 11 pixels"):
+        ssim_as_released(torch.zeros(10, 30, 3), torch.zeros(10, 30, 3))
+
+
+class Network(torch.nn.Module):
+    """Stands for AlexNet with LPIPS's weights: notes what it is given."""
+
+    def forward(self, a, b):
+        self.seen = a, b
+        return (a - b).abs().mean()
+
+
+def test_each_lpips_gives_the_network_its_own_images(monkeypatch):
+    network = Network()
+    monkeypatch.setattr(image_module, "_lpips_network", lambda: network)
+    rgb, other = torch.zeros(8, 9, 3), torch.full((8, 9, 3), 1.0)
+    rgb[..., 0] = 51 / 255  # red
+    lpips(rgb, other)
+    assert network.seen[0].shape == (1, 3, 8, 9)
+    torch.testing.assert_close(network.seen[0][0, :, 0, 0], torch.tensor([-0.6, -1.0, -1.0]))
+    assert (network.seen[1] == 1).all()
+    assert lpips_as_released(rgb, other) == pytest.approx((0.8 + 1 + 1) / 3)
+    torch.testing.assert_close(network.seen[0][0, :, 0, 0], torch.tensor([0.0, 0.0, 0.2]))
+
+
 @pytest.fixture
 def no_cached_network():
     image_module._lpips_network.cache_clear()
@@ -107,6 +158,7 @@ def test_lpips_without_its_package_says_so(monkeypatch, no_cached_network):
     monkeypatch.setitem(sys.modules, "lpips", None)
     result = lpips(torch.zeros(8, 8, 3), torch.zeros(8, 8, 3))
     assert isinstance(result, NotComputed)
+    assert lpips_as_released(torch.zeros(8, 8, 3), torch.zeros(8, 8, 3)) == result
     assert str(result).startswith("not computed: package 'lpips' is not installed")
 
 
@@ -172,6 +224,7 @@ def test_score_views_reads_frames_one_by_one(generator):
     assert isinstance(scores.lpips, NotComputed)
     assert set(scores.as_metrics("held_out")) == {
         "psnr_held_out_db", "ssim_held_out", "lpips_held_out", "depth_l1_held_out_m",
+        "ssim_as_released_held_out", "lpips_as_released_held_out",
     }  # fmt: skip
 
 
@@ -187,3 +240,16 @@ def test_depth_mean_skips_views_without_common_depth(generator):
     scores = score_views(lambda camera, T_WC: view_of(rgb, torch.full((24, 31), 1.5)), frames)
     assert scores.depth_l1_m == pytest.approx(0.5)
     assert scores.psnr == math.inf
+
+
+def test_scores_do_not_depend_on_the_number_of_threads():
+    generator, threads = torch.Generator().manual_seed(0), torch.get_num_threads()
+    rgb, other = (torch.rand(240, 320, 3, generator=generator) for _ in range(2))
+    found = []
+    try:
+        for n in (1, 2, 3, 4):
+            torch.set_num_threads(n)
+            found.append((ssim(rgb, other), psnr(rgb, other)))
+    finally:
+        torch.set_num_threads(threads)
+    assert len(set(found)) == 1

@@ -161,5 +161,5 @@ def test_another_version_is_refused(tmp_path, version):
     document = json.loads(path.read_text().partition("\n")[2]) | {"version": version}
     text = json.dumps(document)
     path.write_text(f"{hashlib.sha256(text.encode()).hexdigest()}\n{text}")
-    with pytest.raises(ValueError, match=f"expected a gsfusion_nb checkpoint of version 4, got version {version}: map"):
+    with pytest.raises(ValueError, match=f"expected a gsfusion_nb checkpoint of version 5, got version {version}: map"):
         CheckpointStore(tmp_path).load()

@@ -2,7 +2,7 @@
 
 import pytest
 
-from gsfusion_nb.lab.find_value import NotReachedError, Search
+from gsfusion_nb.lab.tune import NotReachedError, Search
 
 
 def found(count, start, target, low=1e-6, high=100.0, tolerance=0.02, whole=False):

@@ -10,10 +10,8 @@ from gsfusion_nb.config import gsfusion, replace
 from gsfusion_nb.data import open_sequence
 from gsfusion_nb.drawing.curves import figure_picture
 from gsfusion_nb.lab import Budget
-from gsfusion_nb.lab.entrant import Entrant
-from gsfusion_nb.lab.entries import entries_of
-from gsfusion_nb.lab.fill_leaderboard import compare_rules
-from gsfusion_nb.lab.leaderboard import Leaderboard, LeaderboardRow
+from gsfusion_nb.lab.entries import Entrant, entries_of
+from gsfusion_nb.lab.leaderboard import Leaderboard, LeaderboardRow, compare_rules
 from gsfusion_nb.mapping import GSFusion
 
 CONFIG = gsfusion(

@@ -5,8 +5,7 @@ import time
 import pytest
 
 from gsfusion_nb.lab import Budget, live_table
-from gsfusion_nb.lab.entrant import Entrant
-from gsfusion_nb.lab.entries import entries_of
+from gsfusion_nb.lab.entries import Entrant, entries_of
 from gsfusion_nb.lab.live_runs import LiveRuns
 from gsfusion_nb.lab.live_table import LiveTable
 from gsfusion_nb.lab.map_scene import Entry

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import pytest
 import torch
 
-from gsfusion_nb.lab import Budget
+from gsfusion_nb.lab import Budget, RunSpec
 from gsfusion_nb.lab.map_scene import Entry, Mapped
 from gsfusion_nb.lab.one_run import run_entry, run_spec
 from gsfusion_nb.lab.result import MEASURED
@@ -159,3 +159,24 @@ def test_a_run_that_fails_is_a_row_with_its_reason(spec, changes, reason):
 def test_a_rule_that_raises_fails_its_run(spec):
     result = run_entry(Entry(spec=spec("faulty", rule_hash=rule_fingerprint(faulty)), rule=faulty))
     assert (result.status, result.reason) == ("failed", "IndexError: 7 is out of range")
+
+
+@pytest.mark.parametrize(("n_frames", "asked"), [(40, "5 of 5"), (4000, "1 of 5")])
+def test_intervals_of_rules_are_those_of_a_recording(n_frames, asked):
+    """The room is a walk of 49 s; five of 40 frames are 38 frames of a camera apart, five of 4,000 a third of one."""
+    settings = {"data.width": 32, "data.height": 24, "data.stop": 6, "tsdf.voxel_size_m": 0.1, "sh_degree": 0,
+                "optim.global_iterations": 0}  # fmt: skip
+    run = RunSpec(rule="cg_slam", reader={"n_frames": n_frames, "width": 64, "height": 48}, settings=settings)
+    assert any(f"asked every 30 frames of the recording, here in {asked}" in note for note in run_spec(run).notes)
+
+
+FIVE = "asked every 5 frames of the recording, here in 5 of 5 mapped frames"
+
+
+@pytest.mark.parametrize(("steps", "notes"), [("equal", [FIVE]), ("own", [])])
+def test_in_the_equal_schedule_a_rule_for_keyframes_has_those_of_its_release(spec, steps, notes):
+    run = spec("gs_slam", {"seeding.source_stride": 6}, budget=Budget(steps=steps))
+    result = run_spec(run)
+    assert result.status == "done"
+    assert [n for n in result.notes if n.startswith("asked")] == notes
+    assert result.metrics["n_keyframes"] == (2 if steps == "equal" else 5)

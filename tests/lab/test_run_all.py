@@ -2,17 +2,23 @@
 
 import dataclasses
 import os
+import shutil
+from typing import Any
 
+import cv2
 import pytest
 
-from gsfusion_nb.lab import Budget, RunResult, executors
+from gsfusion_nb.lab import Budget, RunResult, executors, run_key
+from gsfusion_nb.lab.command import WhereOptions, run_and_write
 from gsfusion_nb.lab.executors import InProcess, InProcesses, executor, threads_of_each
 from gsfusion_nb.lab.map_scene import Entry
+from gsfusion_nb.lab.records import as_csv
 from gsfusion_nb.lab.result import MEASURED
 from gsfusion_nb.lab.run_all import run_all
 from gsfusion_nb.lab.store import ResultStore
 from gsfusion_nb.lab.tasks import Task, do_task
 from gsfusion_nb.processes import WorkerPool
+from gsfusion_nb.runs.run_folder import RunFolder
 
 DIES_ONCE = """
 import os, pathlib
@@ -35,8 +41,8 @@ def entries(spec):
 
 
 def numbers(result: RunResult) -> dict:
-    """Everything but times."""
-    values = dataclasses.asdict(result)
+    """Everything but times and where it was found."""
+    values: dict[str, Any] = dataclasses.asdict(result) | {"copied_from": ""}
     values["metrics"] = {k: v for k, v in values["metrics"].items() if k not in MEASURED}
     return values
 
@@ -71,6 +77,13 @@ def test_runs_are_done_once(entries, tmp_path):
     assert again.done == []
     assert numbers(reused[1]) == numbers(results[1])
     assert reused[2].spec.label == "another name"
+    assert {result.copied_from for result in reused.values()} == {str(tmp_path / "cache")}
+    assert "copied_from" in as_csv(list(reused.values())).partition("\n")[0]
+    assert dict(run_all(entries[:1], other))[0].copied_from == str(tmp_path / "cache")  # also from its own folder
+    own = ResultStore(tmp_path / "c", tmp_path / "cache", shared=False)
+    assert dict(run_all(entries[2:3], own, again))[0].copied_from == ""
+    assert again.done == ["run"]
+    again.done.clear()
     assert all((tmp_path / "b" / name).is_file() for name in reused[2].pictures.values())
     edited = [Entry(spec=dataclasses.replace(entries[1].spec, seed=2))]
     assert dict(run_all(edited, other, again))[0].status == "done"
@@ -94,6 +107,58 @@ def test_a_damaged_result_is_computed_again(entries, tmp_path, caplog):
         (tmp_path / folder / "results" / f"{first.key}.json").write_text('{"spec": 3')
     assert numbers(dict(run_all(entries[2:3], store))[0]) == numbers(first)
     assert "is not used" in caplog.text
+
+
+def test_other_data_are_seen_by_runs_that_were_made_before(spec, scene, tmp_path):
+    """One bit in the middle of an image behind a link: another key, and no result of the old data."""
+    shutil.copytree(scene, tmp_path / "wall")
+    (tmp_path / "link").symlink_to(tmp_path / "wall", target_is_directory=True)
+    runs = [Entry(spec=spec(data=str(tmp_path / "link")))]
+    store = ResultStore(tmp_path / "a", tmp_path / "cache")
+    first = dict(run_all(runs, store))[0]
+    image = tmp_path / "wall" / "depth" / "000004.png"
+    depth = cv2.imread(str(image), cv2.IMREAD_UNCHANGED)
+    assert depth is not None
+    depth[18, 24] += 1
+    cv2.imwrite(str(image), depth)
+    second = dict(run_all(runs, store))[0]
+    assert second.key != first.key
+    assert second.map_hash != first.map_hash
+    assert second.copied_from == ""
+
+
+def test_data_or_programs_that_differ_where_a_run_is_done_fail_it(spec, scene, tmp_path, monkeypatch):
+    shutil.copytree(scene, tmp_path / "wall")
+    task = Task(kind="run", spec=spec(data=str(tmp_path / "wall")), backend="auto", with_pictures=False)
+    assert len(task.spec.key) == 32
+    shutil.copyfile(tmp_path / "wall/rgb/000001.png", tmp_path / "wall/rgb/000003.png")
+    result = do_task(task).result
+    assert result is not None
+    assert result.status == "failed"
+    assert str(tmp_path / "wall") in result.reason
+    assert "another version" in do_task(dataclasses.replace(task, program="of another machine")).reason
+
+
+def test_the_key_has_the_versions_of_the_libraries(monkeypatch):
+    before = run_key.run_key()
+    for name in ("torch", "numba", "numpy", "opencv"):
+        with monkeypatch.context() as patch:
+            patch.setitem(run_key.LIBRARIES, name, "0.1")
+            assert run_key.run_key() != before
+
+
+def test_two_commands_in_one_folder_and_two_on_one_cache(spec, tmp_path, monkeypatch, capsys):
+    """The second of two in one folder is refused; two on one cache at the same time give the same results."""
+    options = WhereOptions(out=str(tmp_path / "a"))
+    with RunFolder(tmp_path / "a"), pytest.raises(FileExistsError, match="is in use"):
+        run_and_write([spec()], tmp_path / "a", options)
+    monkeypatch.setenv("GSFUSION_CACHE", str(tmp_path / "cache"))
+    one, two = (run_all([Entry(spec=spec()), Entry(spec=spec(seed=1))], ResultStore(tmp_path / n)) for n in "bc")
+    found = [next(one), next(two), next(one), next(two)]
+    assert [result.status for _, result in found] == ["done"] * 4
+    assert len({result.map_hash for i, result in found if i == 0}) == 1
+    assert run_and_write([spec()], tmp_path / "d", options) == 0
+    assert "1 results were copied from" in capsys.readouterr().out
 
 
 @pytest.mark.ci

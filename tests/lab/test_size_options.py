@@ -6,9 +6,8 @@ import pytest
 import torch
 
 from gsfusion_nb.lab import Budget, Entrant, RunSpec, tune
-from gsfusion_nb.lab.map_scene import finished, map_scene
-from gsfusion_nb.lab.rule_variants import thinned
-from gsfusion_nb.lab.size_options import SIZE_OPTIONS, size_option, start_value, with_size
+from gsfusion_nb.lab.map_scene import finished, map_scene, thinned
+from gsfusion_nb.lab.tune import SIZE_OPTIONS, size_option, start_value, with_size
 from gsfusion_nb.seeding import MapRule, SeedContext, apply_rule, is_built_in, registered
 from gsfusion_nb.types import Camera, Frame
 
@@ -83,3 +82,26 @@ def test_only_rules_that_use_the_map_are_tuned_with_gradient_steps(rule, with_st
     assert any(steps) == with_steps
     assert found["n_runs"] == len(steps)
     assert found["n_gaussians"] == pytest.approx(150, rel=0.2)
+
+
+def test_a_run_with_far_too_many_gaussians_is_given_up(monkeypatch):
+    n_frames = []
+
+    def recorded(entry, config, **options):
+        n_frames.append(0)
+        for report in map_scene(entry, config, **options):
+            n_frames[-1] += 1
+            yield report
+
+    def ten_at_least(ctx, *, spacing_px: int = 8):
+        return ctx.seeds_at(ctx.pixels()[:: min(spacing_px, 10)], 2.0)
+
+    monkeypatch.setattr(tune, "map_scene", recorded)
+    run = Entrant(ten_at_least, size_option="spacing_px").entry(
+        data="room", reader={"n_frames": 8}, budget=Budget(gaussians=15),
+        settings={"data.width": 48, "data.height": 36, "tsdf.voxel_size_m": 0.05, "optim.global_iterations": 0},
+    )  # fmt: skip
+    with pytest.raises(tune.NotReachedError, match="ten_at_least does not reach 15 Gaussians"):
+        finished(tune.tune(run))
+    assert len(n_frames) < 8
+    assert max(n_frames) == 1  # given up in the first of seven frames

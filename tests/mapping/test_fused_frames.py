@@ -1,5 +1,8 @@
 """After a loop the TSDF is that of the corrected poses, as if they had been known from the start."""
 
+from dataclasses import dataclass
+from typing import Any
+
 import pytest
 import torch
 
@@ -7,6 +10,7 @@ from gsfusion_nb.config import gps_slam, gsfusion
 from gsfusion_nb.data.room import room
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.mapping import GPSSLAM, GSFusion
+from gsfusion_nb.seeding import MapRule, SeedContext, Seeds, copy_memory
 from gsfusion_nb.tracking import Correction
 from gsfusion_nb.tsdf import TsdfVolume, integrate
 from gsfusion_nb.types import Frame
@@ -66,6 +70,19 @@ def test_the_volume_is_that_of_the_corrected_poses(frames):
     assert moved_m == pytest.approx([0, 1.15 * VOXEL_M, 2.3 * VOXEL_M], abs=1e-5)
 
 
+def test_a_camera_that_turned_about_its_viewing_axis_has_moved(frames):
+    """Neither its centre nor the middle of its view moves, but a corner moves by the angle times its distance."""
+    mapper = mapped(frames)
+    last, roll = mapper.localiser.poses[-1].double(), torch.zeros(6, dtype=torch.float64)
+    roll[5] = 0.1
+    old = torch.stack([mapper.localiser.poses[0].double(), last])
+    rolled = torch.stack([old[0], last @ se3.exp(roll)])
+    ends = torch.tensor([mapper.localiser.frame_indices[i] for i in (0, -1)])
+    found = Correction(frame_index=ends, T_WC_old=old, T_WC_new=rolled, loops=[], error_before=1.0, error_after=0.0)
+    mapper._follow(mapper.localiser._apply(found))
+    assert_fused_at(mapper, frames, mapper.localiser.poses)
+
+
 def test_a_state_goes_on_with_its_frames(frames):
     mapper = mapped(frames)
     again = GSFusion.from_state_dict(mapper.state_dict())
@@ -86,6 +103,47 @@ def test_without_room_for_it_the_old_volume_stays(frames):
 @pytest.mark.parametrize("back_end", [{"enabled": False}, {"enabled": True, "on_correction": "leave"}])
 def test_no_frame_is_kept_that_no_loop_may_move(frames, back_end):
     assert len(mapped(frames[:1], {"poses": "tracked", "back_end": back_end}).fused) == 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Remembering(MapRule):
+    """The quadtree's cells, of which it remembers every place, and the poses."""
+
+    def seeds(self, ctx: SeedContext, memory: dict[str, Any]) -> Seeds:
+        """All cells."""
+        seeds = ctx.cells()
+        frame = torch.full((len(seeds),), ctx.frame.index)
+        toward = (ctx.frame.T_WC[:3, 3] - seeds.xyz_W) / 2
+        poses, indices = ctx.frame.T_WC[None], frame[:1]
+        if memory:
+            (old,) = memory["seen"]
+            frame, poses = torch.cat([old["frame_index"], frame]), torch.cat([memory["T_WC"], poses])
+            indices = torch.cat([memory["frame_index"], indices])
+            toward = torch.cat([old["normal_W"], toward])
+        xyz_W = seeds.xyz_W if not memory else torch.cat([old["xyz_W"], seeds.xyz_W])
+        memory["seen"] = [{"xyz_W": xyz_W, "normal_W": toward, "frame_index": frame}]
+        memory.update(T_WC=poses, frame_index=indices)
+        return seeds
+
+
+@pytest.mark.parametrize("moves", [True, False])
+def test_what_a_rule_remembers_of_the_world_moves_with_the_gaussians(frames, moves):
+    tracking = TRACKING | {"back_end": {"enabled": True, "on_correction": "move" if moves else "leave"}}
+    config = gsfusion("room", tracking=tracking, tsdf__voxel_size_m=VOXEL_M, optim__lr_xyz=0.0)
+    mapper = GSFusion(config, seeding=Remembering)
+    for frame in frames:
+        mapper.step(frame)
+    (seen,) = mapper.memory["seen"]
+    before = copy_memory(mapper.memory)
+    torch.testing.assert_close(seen["xyz_W"], mapper.gaussians.params.xyz_W)
+    correct(mapper, 2 * VOXEL_M)
+    (seen,) = mapper.memory["seen"]
+    torch.testing.assert_close(seen["xyz_W"], mapper.gaussians.params.xyz_W)
+    assert torch.equal(seen["xyz_W"], before["seen"][0]["xyz_W"]) != moves
+    if moves:
+        poses = torch.stack(mapper.localiser.poses)
+        torch.testing.assert_close(mapper.memory["T_WC"], poses)
+        torch.testing.assert_close(seen["xyz_W"] + 2 * seen["normal_W"], poses[seen["frame_index"], :3, 3])
 
 
 def test_gps_slam_looks_at_the_new_volume_from_the_corrected_poses(frames):

@@ -63,6 +63,7 @@ def test_the_released_numbers():
     assert (r.lr_xyz, r.lr_log_scale, r.lr_quat, r.lr_opacity_logit) == (1.6e-4, 5e-3, 1e-3, 5e-2)
     assert (r.lr_sh_dc, r.lr_sh_rest, r.min_radius_m, r.max_radius_m) == (2.5e-3, 5e-4, 0.003, 0.1)
     assert (c.views.rotation_deg, c.views.translation_m, c.final.passes, c.sh_degree) == (30, 0.3, 0, 3)
+    assert (c.tsdf.average, c.seeding.options["only_with_depth"]) == ("int16", False)
 
 
 def test_a_round_has_its_steps_however_they_are_spread():
@@ -120,12 +121,28 @@ def test_the_passes_improve_the_map_beyond_the_surface(run):
     assert torch.equal(both.surface_depth_m, below.depth_m)
 
 
+def test_each_pass_ends_with_the_removal_of_small_large_and_transparent_rows(run):
+    """With the published limits few rows are beyond them; with narrow ones many become so in the passes."""
+    narrow = mapped(30, seeding__options=dict(run.mapper.config.seeding.options), residual__max_radius_m=0.012)
+    mapper, limits = narrow.mapper, narrow.mapper.config.residual
+    n_before = len(mapper.gaussians)
+    list(mapper.global_optimise(3))
+    params = mapper.gaussians.params
+    radius_m = params.log_scale.amax(dim=1).exp()
+    assert 0 < len(mapper.gaussians) < n_before
+    assert float(radius_m.max()) <= limits.max_radius_m
+    assert float(radius_m.min()) >= limits.min_radius_m
+    assert float(params.opacity_logit.sigmoid().min()) >= limits.min_opacity
+
+
 def test_the_released_rules_run_and_their_bursts_come_every_ten_frames():
     run = mapped(30, fidelity="code", data__hold_out_every=0, tsdf__voxel_size_m=0.04, sh_degree=1)
     steps = [report.n_steps for report in run.steps]
     assert [i for i, n in enumerate(steps) if n] == [10, 20]
     assert {steps[10], steps[20]} == {20}
     assert all(not report.n_seeds for i, report in enumerate(run.steps) if i not in (10, 20))
+    assert "released code" in run.warnings[0]  # what it does not follow
+    assert float(run.mapper.gaussians.params.log_scale.amax(dim=1).exp().min()) >= 0.003  # a burst ends with removal
 
 
 def test_a_frame_without_steps_leaves_a_gap_in_the_curve_of_psnr(run):

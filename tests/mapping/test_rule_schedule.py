@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from gsfusion_nb.config import RtgSlamConfig, replace, rtg_slam
-from gsfusion_nb.mapping import RTGSLAM, GSFusion, make_mapper
+from gsfusion_nb.mapping import RTGSLAM, GSFusion, get_system, make_mapper
 from gsfusion_nb.mapping.random_streams import RandomStreams
 from gsfusion_nb.seeding import KEYFRAMES, MapRule, SeedContext, Seeds, When, every, submaps
 
@@ -176,3 +176,13 @@ def test_a_frame_that_fails_leaves_the_memory_as_it_was(frames, config):
     assert mapper.memory is memory
     assert memory["calls"] == 1
     assert torch.equal(memory["voxels"], voxels)
+
+
+@pytest.mark.parametrize("stride", [{"data__stride": 4}, {"seeding__source_stride": 4}])
+@pytest.mark.parametrize("system", ["gsfusion", "rtg_slam", "gps_slam"])
+def test_every_system_counts_frames_of_the_recording(system, stride, frames):
+    config = get_system(system).preset("room", data__width=0, data__height=0, **stride)
+    mapper = make_mapper(config, seeding=rule_due(every(8)))
+    for frame in frames[:3]:
+        mapper.step(frame)
+    assert mapper.memory["asked"] == [frames[0].index, frames[2].index]

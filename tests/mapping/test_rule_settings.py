@@ -112,3 +112,13 @@ def test_a_run_continues_with_its_own_settings(split, config):
     assert edited.config.optim == made.config.optim
     assert edited.config.seeding.own_settings == ("optim.lr_quat",)
     assert len(edited.notes) == 1
+
+
+@pytest.mark.parametrize(("stride", "used"), [(1, 5), (2, 2), (6, 1)])
+def test_a_rules_own_interval_of_keyframes_counts_frames_of_the_recording(stride, used):
+    rule = bringing(keyframe_every=5)
+    found = settings_with_rule(gsfusion("room", data__stride=stride), rule)
+    assert found.keyframe_every == used
+    assert settings_with_rule(found, rule) == found
+    given = settings_with_rule(gsfusion("room", data__stride=stride, keyframe_every=3), rule)
+    assert given.keyframe_every == 3  # the user's own counts mapped frames

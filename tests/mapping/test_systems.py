@@ -1,8 +1,14 @@
 """Systems by name."""
 
+import dataclasses
+
 import pytest
+import torch
 
 from gsfusion_nb.config import GpsSlamConfig, GSFusionConfig, RtgSlamConfig, gps_slam, gsfusion, rtg_slam
+from gsfusion_nb.config.gsfusion import presets
+from gsfusion_nb.data.room import room
+from gsfusion_nb.errors import BadFrameError
 from gsfusion_nb.mapping import GPSSLAM, RTGSLAM, SYSTEMS, GSFusion, get_system, make_mapper, system_of
 
 
@@ -34,3 +40,76 @@ def test_unknown_system_lists_the_known():
     with pytest.raises(KeyError, match=r"no system 'rtgslam'; known: gps_slam, gsfusion, .*rtg_slam"):
         get_system("rtgslam")
     assert set(SYSTEMS) >= {"gsfusion", "rtg_slam", "gps_slam"}
+
+
+@pytest.mark.parametrize("system", SYSTEMS)
+@pytest.mark.parametrize("preset", presets())
+def test_every_system_has_every_preset(system, preset):
+    for fidelity in SYSTEMS[system].fidelities:
+        config = SYSTEMS[system].preset(preset, fidelity)
+        assert SYSTEMS[system].fidelity_of(config) == fidelity
+
+
+def placed(frame, index, right_m):
+    """``frame`` as the one with another number, a tenth of a second a frame, from a pose to the right of its own."""
+    T_WC = frame.T_WC.clone()
+    T_WC[0, 3] += right_m
+    return dataclasses.replace(frame, index=index, timestamp_s=0.1 * index, T_WC=T_WC)
+
+
+def small(system, **changes):
+    volume = {} if system == "rtg_slam" else {"tsdf__voxel_size_m": 0.05}
+    return make_mapper(SYSTEMS[system].preset("room", **volume, **changes))
+
+
+@pytest.fixture(scope="module")
+def view():
+    return room(n_frames=240, width=64, height=48)[0]
+
+
+@pytest.mark.parametrize("system", SYSTEMS)
+def test_a_jump_that_no_camera_makes_is_not_mapped(system, view):
+    mapper = small(system)
+    mapper.step(placed(view, 0, 0.0))
+    with pytest.raises(BadFrameError, match=r"frame 1 .* 1e\+03 m .* --tracking.pose-jumps map"):
+        mapper.step(placed(view, 1, 1000.0))
+    mapper.step(placed(view, 2, 0.01))
+    assert mapper.localiser.frame_indices == [0, 2]
+    asked = small(system, tracking__pose_jumps="map")
+    for index, right_m in enumerate((0.0, 1000.0)):
+        frame = placed(view, index, right_m)
+        report = asked.step(frame)
+    assert any("although its pose is 1e+03 m" in warning for warning in asked.step_warnings(frame, report))
+
+
+def test_after_a_jump_the_frames_that_go_on_are_mapped_also_after_a_pause(view):
+    mapper = small("gsfusion")
+    mapper.step(placed(view, 0, 1000.0))  # the first pose is the wrong one
+    with pytest.raises(BadFrameError):
+        mapper.step(placed(view, 1, 0.0))
+    mapper = GSFusion.from_state_dict(mapper.state_dict())
+    for index in (2, 3):
+        mapper.step(placed(view, index, 0.0))
+    assert mapper.localiser.frame_indices == [0, 2, 3]
+
+
+@pytest.mark.parametrize(("seconds", "right_m", "jumps"), [(0.1, 1.9, False), (0.1, 2.1, True), (1.0, 19.0, False)])
+def test_a_jump_is_measured_in_frames_and_in_seconds(view, seconds, right_m, jumps):
+    mapper = small("gsfusion")
+    mapper.step(placed(view, 0, 0.0))
+    later = dataclasses.replace(placed(view, 1, right_m), timestamp_s=seconds)
+    if jumps:
+        with pytest.raises(BadFrameError, match="frame 1"):
+            mapper.step(later)
+    else:
+        mapper.step(later)
+
+
+@pytest.mark.parametrize("system", SYSTEMS)
+def test_a_depth_of_65_metres_everywhere_is_doubted_once(system, view):
+    mapper, told = small(system), []
+    for index in range(2):
+        frame = dataclasses.replace(placed(view, index, 0.0), depth_m=torch.full_like(view.depth_m, 65.535))
+        told += [w for w in mapper.step_warnings(frame, mapper.step(frame)) if "--data.depth-max-m" in w]
+    assert len(told) == 1
+    assert "65.5" in told[0]

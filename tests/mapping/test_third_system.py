@@ -111,7 +111,7 @@ from gsfusion_nb.cli import main
 from gsfusion_nb.data import open_sequence
 from gsfusion_nb.mapping import SYSTEMS, get_system, make_mapper, system_of
 from gsfusion_nb.runs import MappingRun, resume_mapping
-from gsfusion_nb.runs.memory import describe_full
+from gsfusion_nb.runs.run_warnings import describe_full
 from gsfusion_nb.viz import LiveMapper, orbit_view
 
 out = Path(sys.argv[1])

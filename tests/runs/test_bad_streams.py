@@ -5,6 +5,7 @@ import dataclasses
 import pytest
 import torch
 
+from gsfusion_nb.cli.result import print_result
 from gsfusion_nb.config import DataConfig, gps_slam, gsfusion, rtg_slam
 from gsfusion_nb.data import BadFrameError, SequenceError, open_sequence
 from gsfusion_nb.mapping import make_mapper
@@ -116,6 +117,7 @@ def test_lost_for_good_ends_with_everything_saved(room, system, tmp_path, monkey
     frames = room[:10] + [room[-10 + i] for i in range(9)]
     done = run_mapping(Stream(frames), config(system), folder=tmp_path / "run", evaluate=False)
     assert done.run.status == "stopped"
+    assert print_result(done) == 3
     assert done.metrics["n_frames"] == 10
     for name in ("gaussians.ply", "trajectory.txt", "metrics.json"):
         assert (tmp_path / "run" / name).stat().st_size > 0

@@ -8,7 +8,7 @@ import torch
 from gsfusion_nb import run_mapping
 from gsfusion_nb.config import rtg_slam
 from gsfusion_nb.export import read_gaussians, write_map_glb
-from gsfusion_nb.runs.begun_with import doubts_about_frame
+from gsfusion_nb.runs.run_warnings import doubts_about_frame
 from gsfusion_nb.types import GaussianParams
 
 

@@ -105,9 +105,9 @@ def test_a_disk_that_is_really_full(small_disk, config, caplog, whole_run):
 
 
 def test_little_space_is_said_at_the_start(tmp_path, small_room, config, monkeypatch):
-    from gsfusion_nb.runs import disk_need
+    from gsfusion_nb.runs import run_warnings
 
-    monkeypatch.setattr(disk_need, "free_space", lambda folder: 1_000_000)
+    monkeypatch.setattr(run_warnings, "free_space", lambda folder: 1_000_000)
     run = run_mapping(small_room, config, folder=tmp_path / "out", evaluate=False)
     assert "only 1 MB are free in" in run.run.warnings[0]
     assert "may need about" in run.run.warnings[0]

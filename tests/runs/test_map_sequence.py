@@ -218,7 +218,7 @@ class Odd(Damaged):
 
 def test_depth_out_of_range_is_named(tmp_path, small_room, config):
     run = run_mapping(Odd(small_room, set(), 1000.0), config, folder=tmp_path / "out", evaluate=False)
-    assert "no depth between tsdf.near_m 0.4 and tsdf.far_m 6 m (its median is" in run.run.warnings[0]
+    assert any("no depth between tsdf.near_m 0.4 and tsdf.far_m 6 m (its median is" in w for w in run.run.warnings)
 
 
 def test_a_camera_too_far_away_is_skipped_by_both_systems(tmp_path, small_room, config):
@@ -274,7 +274,7 @@ def test_damaged_files_of_a_run_are_named(tmp_path):
     with pytest.raises(ValueError, match=r"000001\.json cannot be used"):
         resume_mapping(tmp_path)
     (tmp_path / "config.json").write_text("{}")
-    with pytest.raises(ValueError, match=r"config.json is not from a run: expected the keys source, config"):
+    with pytest.raises(ValueError, match=r"config.json must hold an object at the key source"):
         rescore(tmp_path)
 
 
@@ -282,7 +282,7 @@ def test_an_earlier_run_is_never_overwritten(tmp_path, config):
     (tmp_path / "keep.txt").write_text("precious")
     with pytest.raises(FileExistsError, match="must be a new or empty folder"):
         run_mapping("room", config, folder=tmp_path, **ROOM)
-    with pytest.raises(FileNotFoundError, match="holds no checkpoint: the run completed, or was killed"):
+    with pytest.raises(FileNotFoundError, match="holds no checkpoint"):
         resume_mapping(tmp_path)
 
 

@@ -13,7 +13,7 @@ from gsfusion_nb.data.stream import LiveSource
 from gsfusion_nb.export import read_gaussian_ply, read_trajectory_tum
 from gsfusion_nb.mapping import GSFusion, make_mapper
 from gsfusion_nb.runs import StreamRun, map_stream, run_mapping
-from gsfusion_nb.runs.kept_frames import KeptFrames
+from gsfusion_nb.runs.stream_run import KeptFrames
 from gsfusion_nb.types import Frame
 
 

@@ -144,7 +144,7 @@ def test_other_data_than_the_run_s_are_named(scored_run, caplog):
     folder, _ = scored_run("gsfusion", "given")
     path = folder / "config.json"
     settings = json.loads(path.read_text())
-    assert len(settings["data_fingerprint"]) == 32
+    assert len(settings["data_content"]) == 32
     settings["source"]["n_frames"] = 240
     path.write_text(json.dumps(settings))
     for _ in range(2):

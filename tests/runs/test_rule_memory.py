@@ -13,7 +13,7 @@ from gsfusion_nb.config import gsfusion, to_dict
 from gsfusion_nb.data import open_sequence
 from gsfusion_nb.mapping import make_mapper
 from gsfusion_nb.runs import MappingRun, outputs, rescore, run_mapping
-from gsfusion_nb.runs.map_hashes import hash_of
+from gsfusion_nb.runs.outputs import hash_of
 from gsfusion_nb.runs.resume import load_run
 from gsfusion_nb.seeding import MapRule, SeedContext, Seeds, When, every
 

@@ -10,7 +10,7 @@ from gsfusion_nb.config import gps_slam, replace, rtg_slam
 from gsfusion_nb.data import open_sequence
 from gsfusion_nb.mapping import make_mapper
 from gsfusion_nb.runs import MappingRun
-from gsfusion_nb.runs.map_hashes import hash_of, map_hashes
+from gsfusion_nb.runs.outputs import hash_of, map_hashes
 from gsfusion_nb.runs.resume import load_run
 
 ROOM: dict[str, Any] = {"n_frames": 120, "width": 80, "height": 60}

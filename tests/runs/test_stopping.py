@@ -2,6 +2,7 @@
 
 import importlib
 import json
+import os
 import signal
 from typing import Any
 
@@ -12,8 +13,9 @@ from gsfusion_nb.config import gsfusion, rtg_slam
 from gsfusion_nb.data import apply_options
 from gsfusion_nb.mapping import GSFusion, make_mapper
 from gsfusion_nb.mapping.one_frame import FrameGuard
-from gsfusion_nb.runs import CheckpointEvery, StreamRun, outputs, resume_mapping, run_mapping
-from gsfusion_nb.runs.autosave import Autosave
+from gsfusion_nb.runs import CheckpointEvery, StreamRun, map_sequence, outputs, resume_mapping, run_mapping
+from gsfusion_nb.runs.checkpoint import Autosave
+from gsfusion_nb.runs.run_folder import is_complete
 
 
 @pytest.fixture
@@ -52,6 +54,62 @@ def test_a_stop_while_scoring_leaves_a_report_and_the_run_can_be_scored_again(
     assert "mesh_accuracy_m" in metrics_of(run.folder)["metrics"]
     assert again.run.hashes == whole_run.run.hashes == run.run.hashes
     assert not (run.folder / "checkpoint").exists()
+
+
+def test_killed_while_the_maps_are_written_or_scored_a_run_goes_on(tmp_path, small, config, monkeypatch, whole_run):
+    """Also before its first checkpoint by time; metrics.json says "complete" only when nothing is left to do."""
+
+    class Killed(BaseException):
+        pass
+
+    def killed(*_, **__):
+        raise Killed
+
+    at = {"write_gaussian_ply": lambda: run_mapping("room", config, folder=tmp_path / "out")}
+    at |= dict.fromkeys(("score_mesh", "write_page"), lambda: resume_mapping(tmp_path / "out"))
+    for name, go_on in at.items():
+        with monkeypatch.context() as patch:
+            patch.setattr(outputs, name, killed)
+            patch.setattr(map_sequence, "_rescue", lambda *_: None)
+            with pytest.raises(Killed):
+                go_on()
+        assert not is_complete(tmp_path / "out")
+        (tmp_path / "out" / f".mesh.0011223{len(name) % 10}.partial.ply").touch()
+        with pytest.raises(FileExistsError, match="--resume"):
+            run_mapping("room", config, folder=tmp_path / "out")
+    again = resume_mapping(tmp_path / "out")
+    assert again.run.hashes == whole_run.run.hashes
+    assert is_complete(again.folder)
+    assert "mesh_accuracy_m" in metrics_of(again.folder)["metrics"]
+    assert not list(again.folder.glob(".*"))
+    with pytest.raises(FileNotFoundError, match="nothing to continue"):
+        resume_mapping(again.folder)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork and users")
+def test_a_folder_that_may_not_be_written_is_named_before_anything_is_mapped(tmp_path, small, config):
+    """As another user, because root may write everywhere."""
+    (tmp_path / "closed").mkdir()
+    (tmp_path / "closed").chmod(0o555)
+    for parent in (tmp_path, *list(tmp_path.parents)[:2]):
+        parent.chmod(0o755)
+    read, write = os.pipe()
+    pid = os.fork()
+    if not pid:
+        try:
+            if os.getuid() == 0:
+                os.setgid(65534)
+                os.setuid(65534)
+            run_mapping("room", config, folder=tmp_path / "closed" / "out")
+        except BaseException as e:
+            os.write(write, f"{type(e).__name__} {e}".encode())
+        os._exit(0)
+    os.close(write)
+    os.waitpid(pid, 0)
+    with os.fdopen(read) as said:
+        text = said.read()
+    assert text.startswith("PermissionError")
+    assert str(tmp_path / "closed" / "out") in text
 
 
 @pytest.mark.parametrize("at_frame", [0, 3])

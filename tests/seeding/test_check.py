@@ -11,10 +11,10 @@ import torch
 
 from gsfusion_nb.gaussians import GaussianModel
 from gsfusion_nb.runs import mapped_contexts
-from gsfusion_nb.seeding import MapRule, SeedContext, Seeds, check_contexts, check_rule, registered
+from gsfusion_nb.seeding import Edit, MapRule, SeedContext, Seeds, check_contexts, check_rule, registered
 from gsfusion_nb.tsdf import TsdfVolume
 
-SEED_WHAT_IS_MAPPED = ("gs_icp", "gs_slam", "hf_slam", "monogs", "monogs_like", "photo_slam", "vings")
+SEED_WHAT_IS_MAPPED = ("gs_icp", "gs_slam", "hf_slam", "monogs", "monogs_like", "photo_slam", "vg_mapping", "vings")
 """Rules that look for errors where the map is, or do not look at it at all."""
 
 
@@ -277,3 +277,47 @@ def test_mapped_contexts_are_copies_of_a_real_map():
         assert torch.equal(second[name].gaussians.params.xyz_W, before)
         assert other.D.abs().max() > 0
     assert (first["seen"].render().alpha > 0.5).float().mean() > 0.1
+
+
+def editing(edit):
+    """A class whose ``after_step`` is ``edit(ctx, stats, memory)``."""
+
+    @dataclass(frozen=True, kw_only=True)
+    class edits(MapRule):
+        """Every cell."""
+
+        needs: ClassVar[frozenset[str]] = frozenset({"image_gradients", "render"})
+
+        def seeds(self, ctx, memory):
+            return ctx.cells()
+
+        def after_step(self, ctx, stats, memory):
+            return edit(ctx, stats, memory)
+
+    return edits
+
+
+def test_after_step_is_called_with_what_the_rule_asks_for(capsys):
+    def seen(ctx, stats, memory):
+        assert stats.v_uv.shape[0] == len(ctx.map) == len(stats.visible)
+        assert stats.rgb.ndim == 3
+        print(stats.step, stats.stage)  # noqa: T201  (a list would be a memory of the rule)
+        return Edit(keep=ctx.map.opacity > 0.3)
+
+    check_rule(editing(seen))
+    assert set(capsys.readouterr().out.split("\n")) - {""} == {"1 online", "600 online", "3000 passes"}
+
+
+@pytest.mark.parametrize(
+    ("edit", "error", "says"),
+    [
+        (lambda ctx, stats, memory: ctx.map, TypeError, "after_step"),
+        (lambda ctx, stats, memory: Edit(clone=torch.tensor([len(ctx.map)])), AssertionError, "not possible"),
+        (lambda ctx, stats, memory: (ctx.gaussians.params.xyz_W.add_(1), None)[1], AssertionError, "xyz_W"),
+        (lambda ctx, stats, memory: memory.update(file=open), TypeError, "memory"),
+        (lambda ctx, stats, memory: Edit(keep=torch.rand(len(ctx.map)) > 0.5), AssertionError, "different edits"),
+    ],
+)
+def test_a_wrong_after_step_is_found(edit, error, says):
+    with pytest.raises(error, match=says):
+        check_rule(editing(edit))

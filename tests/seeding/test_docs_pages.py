@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from gsfusion_nb.lab.size_options import SIZE_OPTIONS, THIN
+from gsfusion_nb.lab.tune import SIZE_OPTIONS, THIN
 from gsfusion_nb.seeding import MapView, SeedContext, is_built_in, registered, rule_options
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -40,7 +40,7 @@ def test_the_table_names_the_option_that_sets_the_number(name):
     assert row is not None
     option = SIZE_OPTIONS[name].name.split(".")[-1] if name in SIZE_OPTIONS else THIN
     assert f"`{option}`" in row[0].split(" | ")[-1]
-    assert option in rule_options(name) or name in ("gsfusion", "dense")
+    assert option in rule_options(name) or name in ("gsfusion", "vg_mapping", "dense")
 
 
 @pytest.mark.parametrize("name", RULES)

@@ -1,4 +1,4 @@
-"""splatam_like and monogs_like: what they remove and add after steps, and the settings that they bring."""
+"""Rules that edit the map: what they remove and add after steps, and the settings that they bring."""
 
 import dataclasses
 from typing import Any
@@ -10,7 +10,7 @@ from gsfusion_nb.config import gsfusion
 from gsfusion_nb.gaussians import GaussianModel
 from gsfusion_nb.mapping import GSFusion
 from gsfusion_nb.seeding import SeedContext, Seeds, StepStats, apply_rule
-from gsfusion_nb.seeding.rules import monogs_like, splatam_like
+from gsfusion_nb.seeding.rules import cone_gs, game, monogs_like, splatam_like, vg_mapping
 from gsfusion_nb.seeding.step_stats import add_up
 from gsfusion_nb.types import Camera, Frame
 
@@ -143,3 +143,42 @@ def test_a_map_is_made_with_the_settings_of_the_rule(rule, small_walk):
         assert "scene_radius_m" in mapper.memory
     else:
         assert reports[1].n_gaussians not in (0, seeded)  # some were cloned, split or removed after 6 steps
+
+
+def placed(opacity: list[float], z: list[float]) -> GaussianModel:
+    """Large Gaussians in the middle of the view, at these depths."""
+    model = GaussianModel(sh_degree=0)
+    xyz_W = torch.tensor([[0.0, 0.0, depth] for depth in z])
+    seeds = Seeds.isotropic(xyz_W, torch.full_like(xyz_W, 0.9), torch.full((len(z),), 2.0))
+    model.append(dataclasses.replace(seeds, opacity=torch.tensor(opacity)))
+    return model
+
+
+@pytest.mark.parametrize(("step", "kept"), [(100, [False, True]), (101, None)])
+def test_cone_gs_removes_transparent_ones_every_hundred_steps(frame, step, kept):
+    ctx = SeedContext(frame, gaussians=placed([0.005, 0.006], [3.0, 3.0]))
+    edit = cone_gs().after_step(ctx, stats_of(frame, step=step), {})
+    assert (None if edit is None or edit.keep is None else edit.keep.tolist()) == kept
+
+
+@pytest.mark.parametrize(
+    ("values", "prunes"), [({}, True), ({"step_in_frame": 2}, False), ({"stage": "passes"}, False)]
+)
+def test_vg_mapping_removes_what_the_frame_sees_through(frame, values, prunes):
+    ctx = SeedContext(frame, gaussians=placed([0.5] * 4, [2.98, 2.99, 3.1, 1.0]))  # the wall is 3 m away
+    edit = vg_mapping().after_step(ctx, stats_of(frame, **values), {})
+    assert (edit is not None) == prunes
+    if edit is not None and edit.keep is not None:
+        assert edit.keep.tolist() == [False, True, True, False]
+
+
+@pytest.mark.parametrize(
+    ("step", "rgb", "kept"),
+    [(60, 0.1, [False, True, False]), (60, 0.9, [True, True, False]), (31, 0.1, [True, True, False]), (30, 0.1, None)],
+)
+def test_game_removes_stale_and_transparent_ones(frame, step, rgb, kept):
+    """The first is 10 cm in front of the wall, where the picture shows it in another colour; or in its own."""
+    frame = dataclasses.replace(frame, colour=torch.full((6, 8, 3), rgb))
+    ctx = SeedContext(frame, gaussians=placed([0.98, 0.98, 0.09], [2.9, 2.96, 3.0]))
+    edit = game().after_step(ctx, stats_of(frame, step_in_frame=step), {})
+    assert (None if edit is None or edit.keep is None else edit.keep.tolist()) == kept

@@ -241,3 +241,33 @@ def test_the_fingerprint_of_a_class_sees_options_checks_and_when():
     assert rule_fingerprint(run_cell()) == first
     changed = [rule_fingerprint(run_cell(**change)) for change in ({"n": 2}, {"when": 2}, {"least": -1})]
     assert len({first, *changed}) == 4
+
+
+@pytest.mark.parametrize(
+    "memory",
+    [
+        {"xyz_W": torch.zeros(3, 3)},
+        {"at": {"xyz_W": torch.zeros(3, 3), "frame_index": torch.zeros(2, dtype=torch.int64)}},
+        {"T_WC": torch.eye(4), "frame_index": torch.zeros(1, dtype=torch.int64)},
+        {"normal_W": torch.zeros(1, 3), "frame_index": 0},
+    ],
+)
+def test_values_in_world_coordinates_need_the_frame_of_each_row(memory):
+    with pytest.raises(TypeError, match=r"'Walker'.*frame_index"):
+        check_memory("Walker", memory)
+
+
+@pytest.mark.parametrize(
+    ("when", "stride", "due", "starts"),
+    [
+        (every(30), 6, [0, 5, 10], [0]),
+        (every(30), 7, [0, 5, 9], [0]),  # frames 0, 35 and 63: the first at or after 0, 30 and 60
+        (every(5), 6, list(range(11)), [0]),
+        (every(30), 42, list(range(11)), [0]),
+        (submaps(50), 6, [0, 9], [0, 9]),  # frame 54 is the first after 50
+        (every(30, submap_frames=50), 10, [0, 3, 5, 8, 10], [0, 5, 10]),
+    ],
+)
+def test_intervals_count_frames_of_the_recording(when, stride, due, starts):
+    assert [n for n in range(11) if when.is_due(n, None, stride=stride)] == due
+    assert [n for n in range(11) if when.starts_submap(n, stride=stride)] == starts

@@ -10,10 +10,13 @@ from typing import Any
 import pytest
 import torch
 
-from gsfusion_nb.config import TsdfConfig
+from gsfusion_nb.config import SeedingConfig, TsdfConfig
 from gsfusion_nb.gaussians import GaussianModel
 from gsfusion_nb.geometry import quaternion
 from gsfusion_nb.seeding import SeedContext, Seeds, apply_rule
+from gsfusion_nb.seeding.image_features import halved
+from gsfusion_nb.seeding.rules.hf_slam import alpha_behind
+from gsfusion_nb.seeding.sampling import in_front
 from gsfusion_nb.tsdf import RaycastOutput
 from gsfusion_nb.types import Camera, Frame, RenderOutput
 
@@ -118,17 +121,16 @@ def half_wrong() -> SeedContext:
         ("mm3dgs", {}, 768 + 20),
         ("mm3dgs", {"method": "splatam"}, 768 + 12),
         ("gaus_slam", {}, 768 + 40 + 12),
-        ("gaus_slam", {"max_points": 100}, 100),
         ("gaus_slam", {"share": 0.5}, (768 + 40 + 12) // 2),
         ("gaussian_slam", {"share": 0.5}, (768 + 40 + 12) // 2),
         ("vtgaussian", {}, 768 + 12),
-        ("vtgaussian", {"detail": -1.0}, 4 * (768 + 12)),
         ("cg_slam", {}, 768),
         ("cg_slam", {"share": 0.25}, 192),
         ("gs_slam", {}, 768 + 20),
         ("gs_slam", {"depth_error": 1.5, "share": 0.5}, 384),
-        ("hf_slam", {}, 768 + 20),
-        ("hf_slam", {"relative_depth_error": 0.6}, 768),
+        ("hf_slam", {"as_released": False}, 768 + 20),
+        ("hf_slam", {"as_released": False, "relative_depth_error": 0.6}, 768),
+        ("game", {"share": 1.0}, 768 + 40 + 12),  # over white, 0.55 of the grey is too bright
     ],
 )
 def test_pixels_that_the_map_does_not_show_rightly(rule, options, count):
@@ -173,7 +175,7 @@ def test_hf_slam_looks_at_colours_and_at_depth_relative_to_the_distance():
     far = some(70) & ~red
     depth = with_values(2.0, (some(110) & ~some(70), 2.19), (far, 2.21))  # 10 % are the limit
     ctx = staged(wall(rgb=torch.full((H, W, 3), 0.05)), depth_m=depth, rgb=rgb)
-    assert torch.equal(pixels_of(ctx, apply_rule("hf_slam", ctx)), red | far)
+    assert torch.equal(pixels_of(ctx, apply_rule("hf_slam", ctx, {"as_released": False})), red | far)
 
 
 @pytest.mark.parametrize(("preset", "one_in", "point_size"), [("replica", 64, 0.05), ("tum", 128, 0.02)])
@@ -360,31 +362,95 @@ def test_vings_counts_the_wrong_pixels_and_draws_from_all():
     assert begin.opacity.unique().tolist() == pytest.approx([0.1])
 
 
+def test_hf_slam_sums_opacities_behind_each_gaussian():
+    """Two Gaussians over the whole view, of opacity a: a (1 - a) + a (1 - a)^2 in place of a + (1 - a) a."""
+    model = GaussianModel(sh_degree=0)
+    centres = torch.tensor([[0.0, 0.0, 2.0], [0.0, 0.0, 3.0]])
+    model.append(Seeds.isotropic(centres, torch.full_like(centres, 0.5), torch.full((2,), 1e3), opacity=0.6))
+    ctx = SeedContext(wall(), gaussians=model)
+    torch.testing.assert_close(ctx.render().alpha, torch.full((H, W), 0.84), atol=1e-4, rtol=0)
+    torch.testing.assert_close(alpha_behind(ctx), torch.full((H, W), 0.24 + 0.096), atol=1e-4, rtol=0)
+    assert len(apply_rule("hf_slam", ctx)) == N  # 0.336 is below 0.5
+
+
+def test_gaus_slam_divides_the_depth_by_the_opacity():
+    """Half of the view is covered by 0.7 at 2 m, so D^ is 1.4 m; 30 pixels are 1 m too far away."""
+    far = some(30)
+    alpha = with_values(1.0, (some(N // 2, "right"), 0.7))
+    ctx = staged(alpha=alpha, depth_m=alpha * with_values(2.0, (far, 3.0)))
+    assert torch.equal(pixels_of(ctx, apply_rule("gaus_slam", ctx)), far)
+    near = staged(wall(depth_m=torch.full((H, W), 1.5)), alpha=0.7, depth_m=0.7 * 2.0)
+    assert len(apply_rule("gaus_slam", near, {"median_factor": 0.5})) == N  # 1.4 m, undivided, is in front of 1.5 m
+    assert len(apply_rule("splatam", near, {"median_factor": 0.5})) == 0
+
+
+def test_two_dgs_slam_sizes_before_the_voxel_filter():
+    ctx = first()
+    free = apply_rule("two_dgs_slam", staged(xyz_W=ctx.seeds_at(ctx.pixels()[::2], 1.0).xyz_W), {"share": 1.0})
+    assert 0 < len(free) < N
+    torch.testing.assert_close(free.scale_m[:, 0].median().item(), 2.0 / F, atol=1e-6, rtol=0)
+
+
+def stripes() -> Frame:
+    """A wall with black and white stripes of eight pixels."""
+    white = (torch.arange(W) // 8 % 2).float()
+    return wall(rgb=white[None, :, None].expand(H, W, 3).contiguous())
+
+
 def test_on_the_fly_nvs_seeds_detail_that_the_picture_lacks():
-    row, column = torch.meshgrid(torch.arange(H), torch.arange(W), indexing="ij")
-    chequers = ((row + column) % 2).float()[..., None].expand(H, W, 3).contiguous()
-    fine = wall(rgb=chequers)
-    seeds = apply_rule("on_the_fly_nvs", first(fine))
-    assert len(seeds) == N  # P = 2 everywhere
-    torch.testing.assert_close(seeds.scale_m, torch.full((N, 3), 2.0 / F))  # 1 / sqrt(2) is below one pixel
-    few = apply_rule("on_the_fly_nvs", first(fine), {"density": 0.05})
-    assert len(few) == pytest.approx(N * 0.1, rel=0.2)
-    torch.testing.assert_close(few.scale_m[0, 0].item(), 10**0.5 * 2.0 / F, atol=1e-5, rtol=0)
+    fine = stripes()
+    everything = {"density": 1e3}  # P above 1 near every edge of the stripes
+    seeds = apply_rule("on_the_fly_nvs", first(fine), everything)
+    column = pixels_of(first(fine), seeds).all(dim=0)
+    assert column[3:61].all()  # the outer stripes have one edge
     assert len(apply_rule("on_the_fly_nvs", first())) == 0  # a plain wall
-    assert len(apply_rule("on_the_fly_nvs", staged(fine, rgb=chequers, depth_m=3.0))) == 0  # nothing is lacking
-    assert len(apply_rule("on_the_fly_nvs", staged(fine, rgb=0.5, depth_m=2.0))) == 0  # D >= D^
-    assert len(apply_rule("on_the_fly_nvs", staged(fine, rgb=0.5, depth_m=2.0), {"drop_hidden": False})) == N
-    assert len(apply_rule("on_the_fly_nvs", staged(fine, rgb=0.5, depth_m=2.1))) == N
+    assert len(apply_rule("on_the_fly_nvs", staged(fine, rgb=halved(fine.rgb)), everything)) == 0  # nothing is lacking
+    assert len(apply_rule("on_the_fly_nvs", staged(fine, rgb=0.5), everything)) == len(seeds)
 
 
-def test_vtgaussian_is_finer_where_the_colour_varies():
-    rgb = torch.zeros(H, W, 3)
-    rgb[:, W // 2 :] = 1.0
-    seeds = apply_rule("vtgaussian", first(wall(rgb=rgb)))
-    assert len(seeds) == N - 2 * H + 4 * 2 * H
-    sizes, counts = seeds.scale_m[:, 0].unique(return_counts=True)
-    assert sizes.tolist() == pytest.approx([1.0 / F, 2.0 / F])
-    assert counts.tolist() == [8 * H, N - 2 * H]
+@pytest.mark.parametrize(("z", "opacity", "hidden"), [(1.9, 0.98, True), (2.1, 0.98, False), (1.5, 0.5, False)])
+def test_on_the_fly_nvs_drops_what_the_map_hides(z, opacity, hidden):
+    """A Gaussian over the whole view at z: hidden is 2 m >= z / opacity."""
+    model = GaussianModel(sh_degree=0)
+    centre = torch.tensor([[0.0, 0.0, z]])
+    model.append(Seeds.isotropic(centre, torch.full_like(centre, 0.5), torch.full((1,), 1e3), opacity=opacity))
+    ctx = SeedContext(stripes(), gaussians=model)
+    assert (len(apply_rule("on_the_fly_nvs", ctx)) == 0) == hidden
+    assert len(apply_rule("on_the_fly_nvs", ctx, {"drop_hidden": False})) > 0
+
+
+def test_cone_gs_draws_pixels_by_their_colour_error():
+    red = some(100)
+    rgb = torch.full((H, W, 3), 0.5)
+    rgb[red] = 0.9
+    ctx = staged(rgb=rgb)
+    seeds = apply_rule("cone_gs", ctx, {"share": 2.0})
+    assert len(seeds) == 80  # 2 x 100 x 0.4
+    assert not (pixels_of(ctx, seeds) & ~red).any()
+    assert len(apply_rule("cone_gs", ctx, {"share": 2.0, "max_points": 11})) == 10  # there is one Gaussian
+
+
+def test_vg_mapping_seeds_what_is_new_or_looks_different():
+    fine = stripes()
+    seen = SimpleNamespace(config=TsdfConfig(), sample_nearest=lambda xyz: SimpleNamespace(W=xyz[:, 0] * 0 + 5))
+    new = SimpleNamespace(
+        config=TsdfConfig(), sample_nearest=lambda xyz: SimpleNamespace(W=(xyz[:, 0] < 0).float() * 4)
+    )
+    settings = SeedingConfig(quadtree_contrast="std", quadtree_threshold=0.05)
+    count = len(first(fine, config=settings).cells())
+    assert len(apply_rule("vg_mapping", staged(fine, rgb=fine.rgb, volume=seen, config=settings))) == 0
+    half = apply_rule("vg_mapping", staged(fine, rgb=fine.rgb, volume=new, config=settings))
+    assert 0 < len(half) < count
+    assert bool((half.xyz_W[:, 0] >= 0).all())
+    assert len(apply_rule("vg_mapping", staged(fine, rgb=1 - fine.rgb, volume=seen, config=settings))) > count // 2
+
+
+def test_in_front_is_what_the_camera_sees_through():
+    centres = torch.tensor([[0.0, 0, 1.0], [0, 0, 1.99], [0, 0, 2.5], [0, 0, -1.0], [9, 0, 1.0], [0.5, 0, 1.0]])
+    ctx = staged(xyz_W=centres)
+    assert in_front(ctx, 0.015).tolist() == [True, False, False, False, False, True]
+    assert in_front(ctx, 0.015, some(N // 2)).tolist() == [False] * 6
+    assert in_front(ctx, 0.005).tolist() == [True, True, False, False, False, True]
 
 
 @pytest.mark.parametrize(("rule", "options"), [("gaus_slam", {}), ("gaus_slam", {"share": 0.5}), ("two_dgs_slam", {})])

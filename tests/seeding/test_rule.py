@@ -99,7 +99,7 @@ def free_word(ctx, *, where="near"):
         (positional, "'depth_m=1.0' must be keyword-only: put it after a bare"),
         (no_default, "option 'depth_m' has no default"),
         (any_keyword, "must be keyword-only"),
-        (listed, r"default of option 'sizes' must be a number, True/False or a word, got \(1, 2\)"),
+        (listed, r"default of option 'sizes' must be a number, True/False, a text or a Path, got \(1, 2\)"),
         (free_word, r'where: Literal\["near", ...\] = "near"'),
         (lambda ctx: some_seeds(), "'<lambda>' is not a name: use def"),
     ],

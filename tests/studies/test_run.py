@@ -2,6 +2,7 @@
 
 import functools
 import json
+import shutil
 from typing import Any
 
 import pytest
@@ -102,12 +103,12 @@ def test_unknown_study_is_refused(tmp_path):
         main(StudyOptions(name="weather", out=str(tmp_path)))
 
 
-def test_results_of_other_data_or_options_are_never_reused(tmp_path, monkeypatch, capsys):
+def test_results_of_other_data_or_options_are_never_reused(tmp_path, monkeypatch, capsys, scene):
     """The folder of a run is named by a key of its content; what is complete there is reused, and said to be."""
     made = []
 
     def fake(data, folder, arguments):
-        if not study_run._is_complete(folder):
+        if not study_run.is_complete(folder):
             made.append(folder)
             folder.mkdir(parents=True)
             (folder / "metrics.json").write_text(json.dumps({"status": "complete", "metrics": {}}))
@@ -115,8 +116,7 @@ def test_results_of_other_data_or_options_are_never_reused(tmp_path, monkeypatch
 
     monkeypatch.setattr(study_run, "run_variant", fake)
     scan = tmp_path / "scan"
-    (scan / "rgb").mkdir(parents=True)
-    (scan / "rgb" / "0.jpg").write_bytes(b"first")
+    shutil.copytree(scene, scan)
     settings = tmp_path / "config.json"
     settings.write_text("{}")
 
@@ -131,12 +131,14 @@ def test_results_of_other_data_or_options_are_never_reused(tmp_path, monkeypatch
     assert study() == 0
     text = capsys.readouterr().out
     assert all(f"reused from {folder}" in text for folder in made)
-    (scan / "rgb" / "0.jpg").write_bytes(b"other")  # the same name and size
+    poses = (scan / "poses.txt").read_text()
+    (scan / "poses.txt").write_text(poses.replace("5", "6", 1))  # the same name and size
     assert study() == 2
     assert study(options="--seed 1") == 2
     assert study(options=f"--from-config {settings}") == 2
     settings.write_text('{"sh_degree": 0}')
     assert study(options=f"--from-config {settings}") == 2
     assert study(options=f"--from-config {settings}") == 0
+    assert study(options=f"--from-config {settings}", cache=False) == 2
     monkeypatch.setattr(run_key_module, "package_fingerprint", lambda: "edited")
     assert study() == 2

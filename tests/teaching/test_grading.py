@@ -1,7 +1,9 @@
 """Marks for a class: what may be sent from a sandbox, what a submission needs, who gets which mark."""
 
+import contextlib
 import csv
 import json
+import os
 import struct
 from pathlib import Path
 
@@ -9,22 +11,23 @@ import numpy as np
 import pytest
 import torch
 
-from gsfusion_nb.teaching.attempt import NotCallable
+from gsfusion_nb.teaching.attempt import Failed, NotCallable
 from gsfusion_nb.teaching.exercise import Attempt, exercises
-from gsfusion_nb.teaching.grading import clean
-from gsfusion_nb.teaching.grading.clean import package_folder, readable_paths, write_clean_copy
+from gsfusion_nb.teaching.grading import isolated
 from gsfusion_nb.teaching.grading.draws import DRAWS
 from gsfusion_nb.teaching.grading.hidden import sentence
-from gsfusion_nb.teaching.grading.limits import Limits
+from gsfusion_nb.teaching.grading.isolated import Sandbox, unprotected, why_no_bubblewrap, write_clean_copy
 from gsfusion_nb.teaching.grading.marking import _OWN, HIDDEN, Mark, judge_hidden, properties, verdict_on, why
 from gsfusion_nb.teaching.grading.marks import Grading, as_csv, exercises_of, grade, rubric_page
 from gsfusion_nb.teaching.grading.points import Points, read_points
+from gsfusion_nb.teaching.grading.remote import Limits
 from gsfusion_nb.teaching.grading.submission import find_submissions, read_code
-from gsfusion_nb.teaching.sandbox.codec import CodecError, Foreign, decode, encode
+from gsfusion_nb.teaching.sandbox.messages import CodecError, Foreign, decode, encode
 from gsfusion_nb.teaching.sandbox.needed import Cell, NoFunction, needed
 from gsfusion_nb.types import Seeds
 
 SUBMISSIONS = Path(__file__).parent / "submissions"
+LIMITS = Limits(seconds=5.0, memory_mb=512)
 
 EXPECTED = {
     #                block_of, morton_code, running_average, signed_distance, zero_crossing
@@ -54,7 +57,6 @@ def test_ten_submissions_get_the_marks_that_they_deserve():
         ("endless", "signed_distance", "had not ended after"),
         ("out_of_memory", "signed_distance", "needed more than 512 MB"),
         ("cheat_reads", "signed_distance", "No module named 'gsfusion_nb.teaching.tsdf'"),
-        ("cheat_forges", "morton_code", "may not start or end processes"),
         ("cheat_forges", "signed_distance", "ended without an answer"),
         ("cheat_patches", "block_of", "changed"),
         ("wrong_table", "zero_crossing", HIDDEN),
@@ -227,35 +229,142 @@ def test_the_rubric_names_points_and_properties():
     assert properties(exercises()["block_of"])[-1] == HIDDEN
 
 
-def test_the_clean_copy_of_a_wheel_has_no_solved_notebooks(tmp_path, monkeypatch):
-    package = tmp_path / "installed"
-    (package / "teaching").mkdir(parents=True)
-    for name in clean._HARMLESS:
-        (package / "teaching" / name).symlink_to(package_folder() / "teaching" / name)
+def test_the_clean_copy_has_no_solutions_and_no_notebooks(tmp_path, monkeypatch):
+    real = isolated._package_folder()
+    wheel = tmp_path / "installed"
+    (wheel / "teaching").mkdir(parents=True)
+    for inner in ("teaching/sandbox", "teaching/wall.py", "teaching/tsdf.py"):
+        (wheel / inner).symlink_to(real / inner)
     for folder in ("kernels", "notebooks"):
-        (package / folder).mkdir()
-    (package / "notebooks" / "00_quickstart.ipynb").write_text("{}")
-    monkeypatch.setattr(clean, "package_folder", lambda: package)
+        (wheel / folder).mkdir()
+    (wheel / "notebooks" / "00_quickstart.ipynb").write_text("{}")
+    monkeypatch.setattr(isolated, "_package_folder", lambda: wheel)
     write_clean_copy(tmp_path / "copy")
-    assert (tmp_path / "copy/gsfusion_nb/teaching/sandbox/serve.py").exists()
+    teaching = tmp_path / "copy" / "gsfusion_nb" / "teaching"
+    assert sorted(p.name for p in teaching.iterdir()) == ["__init__.py", "sandbox", "wall.py"]
     assert not list((tmp_path / "copy").rglob("*.ipynb"))
 
 
-def test_the_clean_copy_has_no_solutions(tmp_path):
-    write_clean_copy(tmp_path)
-    teaching = tmp_path / "gsfusion_nb" / "teaching"
-    assert sorted(p.name for p in teaching.iterdir()) == [
-        "__init__.py",
-        "attempt.py",
-        "guard.py",
-        "place.py",
-        "sandbox",
-        "wall.py",
-    ]
-    assert not list(tmp_path.rglob("tsdf.pyc"))
-    assert (tmp_path / "gsfusion_nb" / "kernels" / "__init__.py").exists()
-    readable, _ = readable_paths(tmp_path)
-    assert not list(tmp_path.rglob("*.ipynb"))
-    real = package_folder() / "teaching" / "tsdf.py"
-    assert real.exists()
-    assert not any(Path(p) in real.parents for p in readable)
+def called(source, *args, limits=LIMITS):
+    """What the function ``f`` of a submission returns in a sandbox."""
+    with Sandbox(limits) as sandbox, sandbox.function("f", [Cell("cell 1", source)]) as function:
+        return function(*args)
+
+
+def test_numba_works_where_submissions_run():
+    source = """
+import numba, numpy as np, torch
+@numba.njit
+def total(x):
+    return x.sum()
+def f(x):
+    return total(x.numpy())
+"""
+    assert called(source, torch.arange(4.0)) == 6.0
+
+
+def test_each_function_is_limited():
+    source = """
+import resource, os
+def f():
+    return [resource.getrlimit(getattr(resource, "RLIMIT_" + kind))[0] for kind in ("CPU", "AS", "NPROC", "FSIZE")]
+"""
+    cpu_s, memory, tasks, file = called(source)
+    assert cpu_s == 5
+    assert 512 << 20 < memory < 64 << 30
+    assert 64 < tasks < 1 << 20
+    assert file == 64 << 20
+
+
+ESCAPES = {
+    "a group of its own": """
+import subprocess
+def start(command):
+    return subprocess.Popen(command, process_group=0, close_fds=False).pid  # _posixsubprocess.fork_exec
+""",
+    "multiprocessing": """
+import multiprocessing, os, time
+def start(command):
+    process = multiprocessing.get_context("spawn").Process(target=os.execv, args=(command[0], command))
+    process.start()
+    return process.pid
+""",
+    "ld-linux": """
+import glob, subprocess
+def start(command):
+    loader = sorted(glob.glob("/lib64/ld-linux*") + glob.glob("/lib/ld-linux*"))[0]
+    return subprocess.Popen([loader, *command], start_new_session=True).pid
+""",
+}
+F = """
+import time
+def f(mark):
+    pid = start(["/usr/bin/sleep", mark])
+    for _ in range(600):
+        if mark in open(f"/proc/{pid}/cmdline").read():
+            return pid
+        time.sleep(0.05)
+"""
+
+
+def processes_with(mark):
+    """Numbers of the processes on this machine that have ``mark`` in their command line."""
+    found = []
+    for file in Path("/proc").glob("[0-9]*/cmdline"):
+        with contextlib.suppress(OSError):
+            found += [int(file.parent.name)] if mark in file.read_text(errors="replace") else []
+    return found
+
+
+needs_bubblewrap = pytest.mark.skipif(bool(why_no_bubblewrap()), reason=why_no_bubblewrap())
+
+
+@needs_bubblewrap
+@pytest.mark.parametrize("way", ESCAPES)
+def test_what_a_submission_starts_ends_with_its_grading(way):
+    mark = str(10**8 + list(ESCAPES).index(way) + os.getpid())
+    with Sandbox(LIMITS) as sandbox, sandbox.function("f", [Cell("cell 1", ESCAPES[way] + F)]) as function:
+        assert function(mark) is not None
+        assert processes_with(mark)
+    assert not processes_with(mark)
+
+
+@needs_bubblewrap
+def test_behind_bubblewrap_nothing_of_the_grader_can_be_seen_or_changed(tmp_path):
+    source = """
+import os, socket
+def f(paths):
+    seen = [path for path in paths if os.path.exists(path)]
+    try:
+        open(os.path.join(os.path.dirname(os.__file__), "mark.txt"), "w")
+        seen.append("written")
+    except OSError:
+        pass
+    return seen, len(socket.if_nameindex())
+"""
+    real = isolated._package_folder()
+    hidden = [real / "teaching" / "tsdf.py", real.parent / "notebooks", tmp_path, Path.home() / ".bashrc"]
+    assert called(source, [*map(str, hidden), os.__file__]) == ([os.__file__], 1)
+
+
+def test_without_bubblewrap_grading_goes_on_and_says_what_is_open(monkeypatch):
+    isolated.why_no_bubblewrap.cache_clear()
+    monkeypatch.setattr(isolated.shutil, "which", lambda name: None)
+    try:
+        assert "bubblewrap (bwrap) is not installed" in unprotected()
+        assert called("def f(x):\n    return x + 1", 1) == 2
+        with pytest.raises(Failed, match="processor time"):
+            called("def f():\n    while True: pass", limits=Limits(seconds=1.0, memory_mb=512))
+    finally:
+        isolated.why_no_bubblewrap.cache_clear()
+
+
+def test_a_function_that_ends_its_process_leaves_the_next_one_alone():
+    with Sandbox(LIMITS) as sandbox:
+        with (
+            sandbox.function("f", [Cell("cell 1", "import os\ndef f(): os._exit(0)")]) as function,
+            pytest.raises(Failed),
+        ):
+            function()
+        with sandbox.function("f", [Cell("cell 1", "def f(): return 5")]) as function:
+            assert function() == 5

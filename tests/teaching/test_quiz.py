@@ -9,9 +9,8 @@ import pytest
 
 from gsfusion_nb.teaching import check, exercises
 from gsfusion_nb.teaching.attempt import close, holds
-from gsfusion_nb.teaching.kit import judged, quiz, quiz_files
-from gsfusion_nb.teaching.kit.quiz_reading import ALSO_TRUE, NOT_OFFERED, NUMBERED
-from gsfusion_nb.teaching.kit.snippet import snippet
+from gsfusion_nb.teaching.kit import quiz, quiz_files
+from gsfusion_nb.teaching.kit.quiz import ALSO_TRUE, NOT_OFFERED, NUMBERED, snippet
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = ROOT / "docs/teaching/quiz"
@@ -91,12 +90,12 @@ def test_a_judge_goes_on_after_the_first_failure():
 
     before = judge.__globals__["close"]
     exercise = replace(exercises()["psnr"], judge=judge, _solution=lambda x: {1: 2, 5: 5, 7: 70}[x])
-    found = judged.judge_thoroughly(exercise, lambda x: x)
+    found = quiz.judge_thoroughly(exercise, lambda x: x)
     assert [e.prop for e in found.broken] == ["it adds one", "it is large"]
     assert (found.held, found.right_on) == (["it is positive", "it keeps five"], ["5"])
     assert judge.__globals__["close"] is before
     with pytest.raises(ValueError, match="passes"):
-        judged.judge_thoroughly(exercises()["psnr"], exercises()["psnr"]._solution)
+        quiz.judge_thoroughly(exercises()["psnr"], exercises()["psnr"]._solution)
 
 
 def test_the_code_does_not_give_the_answer_away():

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gsfusion_nb.drawing.side_by_side import LABEL_PX
+from gsfusion_nb.drawing.pictures import LABEL_PX
 from gsfusion_nb.viz import curve_figure, show, show_figure
 
 

@@ -10,7 +10,7 @@ def test_viz_is_light_and_complete():
         "heavy = [m for m in ('ipywidgets', 'pyvista', 'matplotlib', 'cv2', 'IPython') if m in sys.modules]; "
         "from gsfusion_nb.viz import LiveMapper, Player, draw_gaussians, orbit_camera, orbit_view, show, show_mesh; "
         "late = [m for m in ('ipywidgets', 'pyvista', 'matplotlib') if m in sys.modules]; "
-        "missing = [n for n in v._LAZY if not callable(getattr(v, n))]; "
+        "missing = [n for n in v.__all__ if not callable(getattr(v, n))]; "
         "print(heavy, late, missing)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

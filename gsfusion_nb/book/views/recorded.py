@@ -1,12 +1,17 @@
 """A recorded view: what its script in the page needs, and the pictures beside it."""
 
+import ast
 import json
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
+from importlib.resources import files
 from typing import Any
 
 import numpy as np
+
+from ...viz.front_end import mesh_front_end, source, splat_front_end
 
 WIDEST_PX = 760
 """Pictures are made narrower than this."""
@@ -61,3 +66,94 @@ def webp(picture: np.ndarray, quality: int = 72) -> bytes:
         picture = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA))
     code = cv2.COLOR_RGB2BGR if picture.shape[2] == 3 else cv2.COLOR_RGBA2BGRA
     return cv2.imencode(".webp", cv2.cvtColor(picture, code), [cv2.IMWRITE_WEBP_QUALITY, quality])[1].tobytes()
+
+
+def needed_cells(cells: Sequence[Mapping[str, Any]], target: str, also: Sequence[str] = ()) -> list[str]:
+    """Ids of the code cells to run, in their order, the target last.
+
+    A name is taken from the last cell above that binds it. A cell that only changes a value (``live.run_sync()``) binds
+    nothing: name it in ``also``.
+
+    Args:
+        cells: Of the notebook.
+        target: Id of the cell.
+        also: Ids of other cells that must run.
+
+    Raises:
+        ValueError: there is no such cell.
+    """
+    code = [cell for cell in cells if cell["cell_type"] == "code"]
+    place = {cell["id"]: k for k, cell in enumerate(code)}
+    if missing := [name for name in (target, *also) if name not in place]:
+        raise ValueError(f"there is no code cell {', '.join(missing)}")
+    names = [_names("".join(cell["source"])) for cell in code]
+    wanted: set[int] = set()
+
+    def want(k: int) -> None:
+        if k in wanted:
+            return
+        wanted.add(k)
+        for name in names[k][1]:
+            binding = next((j for j in range(k - 1, -1, -1) if name in names[j][0]), None)
+            if binding is not None:
+                want(binding)
+
+    for name in (target, *also):
+        want(place[name])
+    return [code[k]["id"] for k in sorted(wanted) if k <= place[target]]
+
+
+def _names(source: str) -> tuple[set[str], set[str]]:
+    """Names that a cell binds at its top level, and all that it reads."""
+    tree = ast.parse(source)
+    bound: set[str] = set()
+    for node in tree.body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            bound.add(node.name)
+            continue
+        for part in ast.walk(node):
+            if isinstance(part, ast.Name) and isinstance(part.ctx, ast.Store):
+                bound.add(part.id)
+            elif isinstance(part, ast.alias):
+                bound.add(part.asname or part.name.partition(".")[0])
+    read = {n.id for n in ast.walk(tree) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Load)}
+    return bound, read
+
+
+_PIXELS = ("pixel_stack.js", "pixel_mix.js", "microscope.js", "mix_microscope.js")
+_EXPORT = re.compile(r"^export (?!default)", re.MULTILINE)
+
+
+def front_ends() -> dict[str, str]:
+    """File name -> text of each viewer's script; each gives its ``render`` to ``gsnbFrontEnds``."""
+    texts = {
+        "splat": splat_front_end(),
+        "mesh": mesh_front_end(),
+        "stepper": source("steppers/stepper.js"),
+        "pixels": _EXPORT.sub("", "".join(map(_own, _PIXELS))),
+        "trace": _own("trace.js"),
+    }
+    return {f"front_{kind}.js": _classic(kind, text) for kind, text in texts.items()}
+
+
+def _classic(kind: str, text: str) -> str:
+    head, mark, tail = text.rpartition("export default ")
+    if not mark:
+        raise ValueError(f"the script of the {kind} viewer has no default export")
+    return f'(() => {{\n"use strict";\n{head}(window.gsnbFrontEnds ??= {{}}).{kind} = {tail}\n}})();\n'
+
+
+def style_sheet() -> str:
+    """The viewers' styles."""
+    theirs = ("splats/viewer", "meshes/viewer", "steppers/stepper", "panels/click_image")
+    return "\n".join([*(source(f"{name}.css") for name in theirs), _own("views.css")])
+
+
+def _own(name: str) -> str:
+    return files("gsfusion_nb.book").joinpath("static", name).read_text(encoding="utf-8")
+
+
+def some(entries: Sequence[Any], most: int) -> list[Any]:
+    """At most so many entries, the first and the last among them."""
+    every = np.linspace(0, len(entries) - 1, min(len(entries), most)).round().astype(int)
+    return [entries[k] for k in every]

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...drawing.pictures import to_uint8
 from ...viz.live.orbit import OrbitView
-from ...viz.meshes.decimation import decimated
+from ...viz.meshes.picture import decimated
 from ...viz.meshes.viewer import MeshViewer
 from ...viz.splats.packed_rows import RowLayout, pack_rows
 from ...viz.splats.viewer import SplatViewer

@@ -3,7 +3,6 @@
 import contextlib
 import dataclasses
 import functools
-import logging
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -21,8 +20,6 @@ from ..sequence import BadFrameError, Sequence, SequenceError, position
 from .pose_conventions import pose_between, raw_matrices, reread_poses
 from .pose_path import PosePath, times_of
 
-log = logging.getLogger(__name__)
-
 _RAW = ("matrices", "nearest_rotation", "fit_sizes")
 """Corrections without which no frame can be made: they need the numbers of the files."""
 
@@ -38,8 +35,6 @@ def repaired(source: Sequence, repair: RepairConfig) -> Sequence:
     changes = set(repair.changes) - {"skip"}
     if not changes:
         return source
-    if repair.pose_offset_s == "estimate":
-        return _with_estimated_offset(source, repair)
     raw = [name for name in _RAW if name in changes]
     if raw:
         if not isinstance(source, RecordedSequence):
@@ -58,20 +53,6 @@ def repaired_camera(camera: Camera, repair: RepairConfig) -> Camera:
     return dataclasses.replace(camera, cx=camera.cx + repair.pixel_shift, cy=camera.cy + repair.pixel_shift)
 
 
-def _with_estimated_offset(source: Sequence, repair: RepairConfig) -> "RepairedSequence":
-    """The other corrections, and the offset between poses and pictures that is then found, where it is sure."""
-    from ..checkup.pose_offset import estimate_pose_offset  # the check reads repaired sequences
-
-    others = dataclasses.replace(repair, pose_offset_s=0.0)
-    found = estimate_pose_offset(repaired(source, others))
-    log.info("%s: %s", source.name, found)
-    known = dataclasses.replace(others, pose_offset_s=found.offset_s if found.is_sure else 0.0)
-    mended = repaired(source, known)
-    if not isinstance(mended, RepairedSequence):
-        mended = RepairedSequence(source=source, repair=known, camera=source.camera)
-    return dataclasses.replace(mended, note=str(found))
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RepairedSequence:
     """Frames of a source with corrected depth, poses, intrinsics and colour (a ``Sequence``)."""
@@ -79,8 +60,6 @@ class RepairedSequence:
     source: Sequence
     repair: RepairConfig
     camera: Camera
-    note: str = ""
-    """What was estimated, as a sentence."""
 
     @property
     def name(self) -> str:
@@ -130,7 +109,6 @@ class RepairedSequence:
 
     def _pose_at_its_time(self, i: int) -> Float[Tensor, "4 4"]:
         """The pose that the camera had when picture ``i`` was taken."""
-        assert isinstance(self.repair.pose_offset_s, float | int)
         self._reread(i)  # a frame without a pose gets none
         T = self._path.at(self.times_s[i : i + 1] + self.repair.pose_offset_s)[0]
         if not bool(torch.isfinite(T).all()):

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int, Shaped
+from jaxtyping import Int, Shaped
 from torch import Tensor
 
 from ...types import Camera, Frame
@@ -15,7 +15,8 @@ def resize_frame(frame: Frame, camera: Camera) -> Frame:
 
     Colour is averaged over the area that a new pixel covers (interpolated linearly when enlarging). Depth is taken from
     the nearest source pixel and never interpolated, because a mean across a depth edge is a point on neither surface.
-    An 8-bit image stays 8-bit, with rounding.
+    An 8-bit image stays 8-bit, with rounding. Of ``frame.extra``, floats are averaged as colour is; whole numbers and
+    True/False (labels) come from the nearest source pixel, as depth does.
 
     Differentiable: no.
     """
@@ -24,7 +25,8 @@ def resize_frame(frame: Frame, camera: Camera) -> Frame:
     return dataclasses.replace(
         frame,
         rgb=_resize_rgb(frame.colour, camera.width, camera.height),
-        depth_m=_resize_depth(frame.depth_m, camera.width, camera.height),
+        depth_m=_resize_nearest(frame.depth_m, camera.width, camera.height),
+        extra={name: _resize_extra(image, camera.width, camera.height) for name, image in frame.extra.items()},
         camera=camera,
     )
 
@@ -40,7 +42,7 @@ def nearest_source(size: int, source_size: int) -> Int[Tensor, " S"]:
 
 
 def resize_colour(rgb: np.ndarray, width: int, height: int) -> np.ndarray:
-    """Colour averaged over the area that a new pixel covers, or interpolated linearly when enlarged. [h, w, 3]"""
+    """Colour averaged over the area that a new pixel covers, or interpolated linearly when enlarged. [h, w, ...]"""
     import cv2
 
     if rgb.shape[1::-1] == (width, height):
@@ -53,7 +55,16 @@ def _resize_rgb(rgb: Shaped[Tensor, "H W 3"], width: int, height: int) -> Shaped
     return torch.from_numpy(resize_colour(rgb.cpu().numpy(), width, height)).to(rgb.device)
 
 
-def _resize_depth(depth_m: Float[Tensor, "H W"], width: int, height: int) -> Float[Tensor, "h w"]:
-    rows = nearest_source(height, depth_m.shape[0]).to(depth_m.device)
-    columns = nearest_source(width, depth_m.shape[1]).to(depth_m.device)
-    return depth_m[rows][:, columns]
+def _resize_nearest(image: Shaped[Tensor, "H W *C"], width: int, height: int) -> Shaped[Tensor, "h w *C"]:
+    rows = nearest_source(height, image.shape[0]).to(image.device)
+    columns = nearest_source(width, image.shape[1]).to(image.device)
+    return image[rows][:, columns]
+
+
+def _resize_extra(image: Shaped[Tensor, "H W *C"], width: int, height: int) -> Shaped[Tensor, "h w *C"]:
+    if not image.is_floating_point():
+        return _resize_nearest(image, width, height)
+    flat = image.cpu().float().flatten(2) if image.ndim > 2 else image.cpu().float()[..., None]
+    planes = [resize_colour(plane.contiguous().numpy(), width, height) for plane in flat.unbind(2)]
+    resized = torch.stack([torch.from_numpy(plane) for plane in planes], dim=2)
+    return resized.reshape(height, width, *image.shape[2:]).to(image)

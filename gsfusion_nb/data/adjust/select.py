@@ -1,8 +1,9 @@
 """Part of a sequence, with the options of ``DataConfig`` applied: size, range, depth limits, held-out frames."""
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -13,6 +14,9 @@ from ...types import Camera, Frame
 from ..sequence import BadFrameError, Sequence, SequenceError, position
 from .repair import repaired
 from .resize import resize_frame
+
+ExtraOf = Callable[[Frame], Mapping[str, Any]]
+"""A function from a frame to further images of it by name, tensors or numpy arrays [H, W, ...] (``Frame.extra``)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -27,6 +31,8 @@ class SequenceView:
     depth_min_m: float = 0.0
     depth_max_m: float = 0.0
     """0 means no limit."""
+    extra: ExtraOf | None = None
+    """Gives further images of each frame, at the size of the source."""
 
     @property
     def name(self) -> str:
@@ -49,6 +55,8 @@ class SequenceView:
 
     def __getitem__(self, i: int) -> Frame:
         frame = self.source[self.positions[position(i, len(self))]]
+        if self.extra is not None:
+            frame = dataclasses.replace(frame, extra={**frame.extra, **self.extra(frame)})
         return within_depth(resize_frame(frame, self.camera), self.depth_min_m, self.depth_max_m, name=self.name)
 
 
@@ -65,7 +73,7 @@ class OpenedSequence(SequenceView):
         return f"{super().__repr__()[:-1]}: {len(self.mapping)} to map, {len(self.held_out)} held out)"
 
 
-def apply_options(source: Sequence, data: DataConfig | None = None) -> OpenedSequence:
+def apply_options(source: Sequence, data: DataConfig | None = None, extra: ExtraOf | None = None) -> OpenedSequence:
     """Select, resize and split the frames of any sequence.
 
     Of the frames ``start, start + stride, ...`` below ``stop``, the one at position i is held out when
@@ -75,6 +83,8 @@ def apply_options(source: Sequence, data: DataConfig | None = None) -> OpenedSeq
 
     The corrections of ``data.repair`` are applied first; the frames that they skip keep their numbers and are neither
     counted nor held out.
+
+    ``extra`` gives further images of each frame: ``open_sequence``.
 
     Raises:
         SequenceError: no frames, a start beyond the end, or nothing left to map.
@@ -106,6 +116,7 @@ def apply_options(source: Sequence, data: DataConfig | None = None) -> OpenedSeq
             camera=camera,
             depth_min_m=data.depth_min_m,
             depth_max_m=data.depth_max_m,
+            extra=extra,
         )
 
     everything = view(chosen + novel)

@@ -13,9 +13,8 @@ from torch import Tensor
 
 from ...config import RepairConfig
 from ...config.repair import AXES, NAMED_AXES
+from ..adjust.depth_agreement import DepthConsistency, DepthPair, depth_consistency, depth_pair, relative_under
 from ..adjust.pose_conventions import axis_matrix
-from .quick_check import relative_under
-from .reprojection import DepthConsistency, DepthPair, depth_consistency, depth_pair
 from .sample import Sample
 
 GAPS = (1, 2, 4, 8, 16, 30)

@@ -11,8 +11,8 @@ from torch import Tensor
 
 from ...config import RepairConfig
 from ...types import Camera
+from ..adjust.depth_agreement import AGREES, relative_poses
 from ..adjust.pose_conventions import pose_between, reread_poses
-from .reprojection import AGREES, relative_poses
 from .sample import Sample
 
 PosesAtShift = Callable[[float], Float[Tensor, "F 4 4"]]

@@ -163,8 +163,8 @@ def _part_of_a_frame(evidence: ColourEvidence, camera: Camera) -> Finding:
         verdict="doubtful",
         numbers=numbers,
         repair=(
-            "no option moves depth by a part of a frame; --data.repair.pose-offset-s estimate gives poses the time of "
-            "the colour images; turn the camera more slowly when recording"
+            "no option moves depth by a part of a frame; gsfusion-nb offset finds the number that gives poses the time "
+            "of the colour images; turn the camera more slowly when recording"
         ),
         sentence=(
             f"Colour was taken {known} {side} than depth: over {motion.windows} windows its edges move against those "

@@ -12,11 +12,11 @@ from ...config import RepairConfig
 from ...drawing.curves import MUTED, PALETTE, curve_figure, figure_svg
 from ...drawing.pictures import Picture, depth_error_map, fit_width, to_uint8
 from ...types import Frame
+from ..adjust.depth_agreement import relative_poses, thinned
 from ..adjust.pose_conventions import reread_poses
 from ..lens.register import warp_depth
 from ..sequence import BadFrameError, Sequence
 from .alignment import depth_edges
-from .reprojection import relative_poses, thinned
 from .sample import Sample
 
 EDGE_COLOUR = (0, 255, 160)

@@ -12,7 +12,9 @@ Its error comes from the scatter between stretches of the recording. Where the c
 denominator is not surely different from zero, and delta cannot be known.
 """
 
+import itertools
 import math
+from collections import abc
 from dataclasses import dataclass
 
 import torch
@@ -22,10 +24,11 @@ from torch import Tensor
 from ...errors import SequenceError
 from ...geometry import se3
 from ...types import Camera
+from ..adjust.depth_agreement import relative_poses
 from ..adjust.pose_path import PosePath, times_of
 from ..sequence import Sequence
-from .reprojection import relative_poses
 from .sample import FrameFacts, Sample, read_sample
+from .sample import places as places_to_read
 
 FRAMES = 124
 """Frames that are read: four windows."""
@@ -72,44 +75,58 @@ class PoseOffset:
 
     def __str__(self) -> str:
         if self.pairs < _FEWEST_PAIRS:
-            return f"a time offset of the poses cannot be known from {self.pairs} pairs of frames; none is applied"
+            return f"a time offset of the poses cannot be known from {self.pairs} pairs of frames"
         if not math.isfinite(self.error_s):
             return (
                 "a time offset of the poses cannot be known from this recording: the camera turns too evenly or too "
-                "little, or its poses scatter too much; none is applied"
+                "little, or its poses scatter too much"
             )
         known = f"{1000 * abs(self.offset_s):.1f} ± {1000 * self.error_s:.1f} ms"
         if not self.is_sure:
-            return f"poses and pictures have the same time as far as can be known ({known}); no offset is applied"
-        return f"pictures were taken {known} {'after' if self.offset_s > 0 else 'before'} their poses; poses follow"
+            return f"poses and pictures have the same time as far as can be known ({known})"
+        return (
+            f"pictures were taken {known} {'after' if self.offset_s > 0 else 'before'} their poses: "
+            f"--data.repair.pose-offset-s {self.offset_s:.4f}"
+        )
 
 
 def estimate_pose_offset(sequence: Sequence, *, frames: int = FRAMES) -> PoseOffset:
     """Estimate how much later than their poses the pictures of a sequence were taken.
 
     Args:
-        sequence: With poses, times and depth.
+        sequence: With poses, times and depth. Of an opened one only the frames to map are read: neither those held out,
+            nor those beyond its range.
         frames: About how many are read, in windows of consecutive ones.
 
     Raises:
         SequenceError: The sequence has no times or no poses.
     """
+    sequence = getattr(sequence, "mapping", sequence)
     times = times_of(sequence)
-    if times is None or not getattr(sequence, "has_poses", True):
+    if times is None or not getattr(getattr(sequence, "source", sequence), "has_poses", True):
         raise SequenceError(
             f"{sequence.name} has no {'times' if times is None else 'poses'}, so the offset between poses and pictures "
-            "cannot be estimated; set data.repair.pose_offset_s to 0"
+            "cannot be estimated"
         )
-    sample = read_sample(sequence, frames=frames)
-    path, there = PosePath(times, sample.stored_poses), sample.by_place
-    pairs = [(f, there[f.place + gap]) for gap in _GAPS for f in sample.frames if f.place + gap in there]
-    if len(pairs) < _FEWEST_PAIRS:
-        return PoseOffset(offset_s=0.0, error_s=float("inf"), pairs=len(pairs))
-    places = torch.tensor([[frame.place for frame in pair] for pair in pairs])
-    T_ba = relative_poses(*(path.at(times[places[:, k]]) for k in (0, 1)))
+    turns = _in_turn(getattr(sequence, "positions", range(len(sequence))))
+    wanted = set(places_to_read(turns[-1] + 1, frames))
+    sample = read_sample(sequence, at=[place for place, turn in enumerate(turns) if turn in wanted])
+    path, there = PosePath(times, sample.stored_poses), {turns[f.place]: f for f in sample.frames}
+    at_turn = times.new_full((turns[-1] + 1,), torch.nan).index_copy(0, torch.tensor(turns), times)
+    places = torch.tensor([(turn, turn + gap) for gap in _GAPS for turn in there if turn + gap in there])
+    if len(places) < _FEWEST_PAIRS:
+        return PoseOffset(offset_s=0.0, error_s=float("inf"), pairs=len(places))
+    pairs = [(there[a], there[b]) for a, b in places.tolist()]
+    T_ba = relative_poses(*(path.at(at_turn[places[:, k]]) for k in (0, 1)))
     for blur in _BLUR:
         T_ba = aligned(sample, pairs, T_ba, blur)
-    return offset_of_turns(path, times, places, T_ba)
+    return offset_of_turns(path, at_turn, places, T_ba)
+
+
+def _in_turn(positions: abc.Sequence[int]) -> list[int]:
+    """Numbers of frames from 0 on, counted in the step between them; a number is left out where a frame is."""
+    step = math.gcd(*(b - a for a, b in itertools.pairwise(positions))) or 1
+    return [(p - positions[0]) // step for p in positions]
 
 
 def offset_of_turns(
@@ -119,7 +136,7 @@ def offset_of_turns(
 
     Args:
         path: Of the poses.
-        times: Of the frames, seconds.
+        times: Of the frames, seconds; NaN for frames that are not read.
         places: First and second frame of each pair.
         T_ba: The motion from the first to the second, from the pictures; float64.
     """
@@ -143,7 +160,7 @@ def _turning(
     times: Float[Tensor, " L"], places: Int[Tensor, "P 2"], T_ba: Float[Tensor, "P 4 4"]
 ) -> Float[Tensor, "P 3"]:
     """By how much the turn of each pair changes in a second, from the pairs before and after it; NaN without these."""
-    apart = max(1, round(_APART_S / float(times.diff().median())))
+    apart = max(1, round(_APART_S / float(times.diff().nanmedian())))
     there = {pair: i for i, pair in enumerate(map(tuple, places.tolist()))}
     turns, Z = _turns(T_ba), torch.full((len(places), 3), torch.nan, dtype=torch.float64)
     for (a, b), i in there.items():

@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from ...config import DataConfig
-from ...drawing.html import fill
-from ...drawing.page import page_picture
+from ...drawing.page import fill, page_picture
 from ...drawing.pictures import Picture
 from ...files import write_file
 from .explain import Alternative

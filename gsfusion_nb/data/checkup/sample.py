@@ -9,8 +9,8 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from ...types import Camera, Frame
+from ..adjust.depth_agreement import thinned
 from ..sequence import BadFrameError, Sequence
-from .reprojection import thinned
 
 WINDOW = 31
 """Number of consecutive frames per window, if a sequence is too long to be read completely."""

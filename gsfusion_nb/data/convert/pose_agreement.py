@@ -10,7 +10,7 @@ from torch import Tensor
 
 from ...geometry import se3
 from ...types import Camera
-from ..checkup.reprojection import depth_consistency, depth_pair, relative_poses
+from ..adjust.depth_agreement import depth_consistency, depth_pair, relative_poses
 from ..sequence import BadFrameError
 from .image_files import read_depth_file
 

@@ -27,7 +27,7 @@ from ...files import write_file
 from ...foreign import read_bytes
 from ...strict_json import read_object
 from ...types import Camera, Mesh
-from ..fetch.errors import FetchError
+from ..fetch import FetchError
 from ..lens.camera_model import CameraModel, pixel_map
 from ..readers.scannetpp import frame_matrices
 from ..recorded.camera_json import camera as read_camera

@@ -1,7 +1,7 @@
 """The plain layout for your own data: ``rgb/``, ``depth/``, ``poses.txt``, ``intrinsics.json``.
 
     my_scan/
-      rgb/000000.jpg ...        8-bit colour, JPEG or PNG
+      rgb/000000.jpg ...        8-bit colour, JPEG or PNG, used as stored: a turn that EXIF asks for is not made
       depth/000000.png ...      16-bit, one channel, registered to the colour image; 0 = missing; same names as in rgb/
       poses.txt                 one line per image in order: 16 row-major numbers of the camera-to-world matrix, or the
                                 name of the image and these

@@ -43,6 +43,8 @@ def missing(root: Path, names: tuple[str, ...]) -> list[str]:
 
 def images_in(folder: Path, suffixes: tuple[str, ...] = (".jpg", ".jpeg", ".png")) -> list[Path]:
     """Images of a folder in natural order (2 before 10); hidden files are skipped. At least one, or an error."""
+    if not folder.is_dir():
+        raise SequenceNotFoundError(f"{folder} is not a folder; expected one with images")
     found = [p for p in folder.iterdir() if p.suffix.lower() in suffixes and not p.name.startswith(".")]
     if not found:
         raise SequenceError(f"{folder} holds no images; expected files ending in {', '.join(suffixes)}")

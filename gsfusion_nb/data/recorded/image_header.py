@@ -120,19 +120,30 @@ def _exr_text(data: bytes, at: int) -> tuple[bytes, bytes, int]:
     return data[at:middle], data[middle + 1 : end], end + 1
 
 
+def is_to_be_turned(data: bytes) -> bool:
+    """Whether a JPEG says (EXIF, tag 274) that viewers are to show it turned or mirrored."""
+    at = data.find(b"Exif\0\0", 0, 1 << 16) if data[:2] == b"\xff\xd8" else -1
+    return at >= 0 and _tiff_tags(data[at + 6 : at + (1 << 16)], (274,)).get(274, 1) in range(2, 9)
+
+
 def _tiff(data: bytes) -> tuple[int, int] | None:
-    """Tags 256 and 257 of the first directory (TIFF 6.0, section 2; version 43 has 8-byte places)."""
+    size = _tiff_tags(data, (256, 257))
+    return (size[256], size[257]) if len(size) == 2 else None
+
+
+def _tiff_tags(data: bytes, tags: tuple[int, ...]) -> dict[int, int]:
+    """Numbers in the first directory (TIFF 6.0, section 2; version 43 has 8-byte places), as far as it has them."""
     order, big = ("<" if data[:2] == b"II" else ">"), data[2:4] in (b"+\0", b"\0+")
+    found: dict[int, int] = {}
     place, count, entry, value_at = ("Q", "Q", 20, 12) if big else ("I", "H", 12, 8)
     try:
         (at,) = struct.unpack_from(order + place, data, 8 if big else 4)
         (n,) = struct.unpack_from(order + count, data, at)
         at += struct.calcsize(order + count)
-        size = {}
         for i in range(min(n, 1000)):
             tag, kind = struct.unpack_from(order + "HH", data, at + i * entry)
-            if tag in (256, 257) and kind in _TIFF_TYPES:
-                (size[tag],) = struct.unpack_from(order + _TIFF_TYPES[kind], data, at + i * entry + value_at)
-        return (size[256], size[257]) if len(size) == 2 else None
+            if tag in tags and kind in _TIFF_TYPES:
+                (found[tag],) = struct.unpack_from(order + _TIFF_TYPES[kind], data, at + i * entry + value_at)
     except struct.error:
-        return None
+        return {}
+    return found

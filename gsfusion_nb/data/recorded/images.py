@@ -1,12 +1,16 @@
 """Decoding one colour or depth image, with errors that name the file. OpenCV is imported on first use."""
 
+import functools
+import logging
 from pathlib import Path
 
 import numpy as np
 
 from ...foreign import IMAGE_BYTES, parsing, read_bytes
 from ..sequence import BadFrameError, SequenceError, SequenceNotFoundError
-from .image_header import EXR_MAGIC, exr_parts, image_size, png_is_cut
+from .image_header import EXR_MAGIC, exr_parts, image_size, is_to_be_turned, png_is_cut
+
+log = logging.getLogger(__name__)
 
 MAX_PIXELS = 40_000_000
 """More than any camera has; a small file can claim, and a decoder would allocate, a thousand times as many."""
@@ -27,7 +31,19 @@ def read_rgb(path: Path) -> np.ndarray:
     Raises:
         BadFrameError: the file is missing, truncated or not an image.
     """
-    return decode_rgb(read_image_bytes(path, "colour"), path)
+    data = read_image_bytes(path, "colour")
+    if is_to_be_turned(data):
+        _tell_of_turned(path.parent)
+    return decode_rgb(data, path)
+
+
+@functools.cache
+def _tell_of_turned(folder: Path) -> None:
+    """Say once for a folder what is done with images that viewers show turned."""
+    log.warning(
+        "%s: images say (EXIF orientation) that they are to be shown turned; they are used as stored, as depth images "
+        "and intrinsics are. If those belong to the turned images, turn the files first", folder
+    )  # fmt: skip
 
 
 def decode_rgb(data: bytes, source: Path | str) -> np.ndarray:

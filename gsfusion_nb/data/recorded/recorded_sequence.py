@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ...plausible import check_camera, check_depth_scale
+from ...plausible import LATEST_S, check_camera, check_depth_scale
 from ...types import Camera, Frame
 from ..adjust.resize import resize_colour
 from ..sequence import BadFrameError, SequenceError, position
@@ -59,6 +59,8 @@ class RecordedSequence:
     """False: the recording has no poses; every pose is the identity, and the mapper must track."""
     novel: frozenset[int] = field(default_factory=frozenset)
     """Frames that the data set publishes as test views: never mapped."""
+    read_from: tuple[Path, ...] = ()
+    """Every file that was read to open the recording: poses, intrinsics, lists. ``open_sequence`` notes them."""
 
     def __post_init__(self):
         try:
@@ -66,6 +68,12 @@ class RecordedSequence:
             check_depth_scale(self.name, self.depth_scale)
         except ValueError as e:
             raise SequenceError(str(e)) from None
+        wrong = next((i for i, t in enumerate(self.timestamps_s) if not abs(t) <= LATEST_S), None)
+        if wrong is not None:
+            raise SequenceError(
+                f"{self.name}: the time of {self.rgb_files[wrong].name} must be within {LATEST_S:g} s of zero, got "
+                f"{self.timestamps_s[wrong]:g} s; check the times, or the frames per second (fps)"
+            )
 
     def __len__(self) -> int:
         return len(self.rgb_files)

@@ -111,6 +111,11 @@ class RoomSequence:
         """Time of every frame, seconds. [n_frames]"""
         return self._walk[1]
 
+    @property
+    def content(self) -> str:
+        """A text that decides all frames: every option, and the version of the scene."""
+        return repr(dataclasses.asdict(self) | {"cache": "", "version": version()})
+
     def __len__(self) -> int:
         return self.n_frames
 

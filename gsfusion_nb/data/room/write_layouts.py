@@ -12,7 +12,7 @@ from torch import Tensor
 
 from ...geometry import quaternion
 from ...types import Camera
-from ..fetch.sequence_on_disk import SequenceOnDisk
+from ..fetch import SequenceOnDisk
 from ..lens.camera_model import CameraModel
 from ..readers.replica import DEPTH_SCALE as REPLICA_DEPTH_SCALE
 from ..readers.scannetpp import DEPTH_SCALE as SCANNETPP_DEPTH_SCALE

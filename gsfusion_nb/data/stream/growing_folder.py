@@ -119,11 +119,19 @@ class GrowingFolder(LiveSource):
                     self._leave(head)
                     raise BadFrameError(f"{reason}; the frame is left out")
             elif self._ending:
+                self._tell_lone_depth()
                 break
             self._round()
         if not self._values and not self._stopping.is_set():
             read_intrinsics(self.root / "intrinsics.json")  # raises an error that describes the damage
         raise StopIteration
+
+    def _tell_lone_depth(self) -> None:
+        """Raise ``BadFrameError`` for the next depth image without a colour image, which was deleted or never came."""
+        for path in sorted(self._files("depth"), key=natural_order):
+            if path.stem not in self._known:
+                self._known.add(path.stem)
+                raise BadFrameError(f"{self.root / 'rgb'} has no image {path.stem} for {path}; the frame is left out")
 
     def stop(self) -> None:
         """End the iteration immediately."""
@@ -194,6 +202,8 @@ class GrowingFolder(LiveSource):
         waiting, depth = self._waiting[stem], self._depth.get(stem)
         if depth is None:
             return f"{self.root / 'depth'} has no image {stem} for {waiting.rgb}"
+        if waiting.sizes[0] < 0:
+            return f"{waiting.rgb} was deleted"
         if not waiting.settled:
             return f"{waiting.rgb} or {depth} is empty or still being written"
         for path in (waiting.rgb, depth):

@@ -1,10 +1,12 @@
 """One file per rule; importing a file registers its rule."""
 
 from .cg_slam import cg_slam as cg_slam
+from .cone_gs import cone_gs as cone_gs
 from .default_strategy import default_strategy as default_strategy
 from .dense import dense as dense
 from .edge_discs import edge_discs as edge_discs
 from .edge_strokes import edge_strokes as edge_strokes
+from .game import game as game
 from .gaus_slam import gaus_slam as gaus_slam
 from .gaussian_slam import gaussian_slam as gaussian_slam
 from .gps_slam import gps_slam as gps_slam
@@ -23,5 +25,6 @@ from .splatam import splatam as splatam
 from .splatam_like import splatam_like as splatam_like
 from .two_dgs_slam import two_dgs_slam as two_dgs_slam
 from .uniform import uniform as uniform
+from .vg_mapping import vg_mapping as vg_mapping
 from .vings import vings as vings
 from .vtgaussian import vtgaussian as vtgaussian

@@ -1,7 +1,7 @@
 """Densification and pruning of 3DGS, as gsplat's DefaultStrategy does them."""
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import torch
 from jaxtyping import Bool, Float
@@ -10,11 +10,13 @@ from torch import Tensor
 from ...gaussians import SPLIT_SHRINKS, Edit
 from ...types import Seeds
 from ..context import SeedContext
-from ..footprint import one_pixel_seeds
 from ..map_rule import MapRule
 from ..rule import seeding_rule
+from ..sampling import one_pixel_seeds, unmapped_pixels
 from ..step_stats import StepStats, abs_image_gradient, image_gradient, restart_statistics
-from ..unmapped import unmapped_pixels
+from .edge_discs import edge_discs
+from .gsfusion import gsfusion
+from .uniform import uniform
 
 RADIUS = "largest_radius"
 """Name of the largest radius of each row in an image so far, as a share of the image's longer side."""
@@ -34,6 +36,8 @@ class default_strategy(MapRule):
 
     Args:
         share: Share of the pixels not yet covered that is seeded, 0..1; their Gaussians are as large as their share.
+        seeds_by: Whose seeds: "unmapped": as just said; or those of the rule "uniform", "edge_discs" (both as dense as
+            ``share`` says) or "gsfusion" (as dense as the setting ``seeding.quadtree_threshold`` says).
         scene_scale_m: Extent of the scene, metres, the unit of the sizes in 3D. 0: 1.1 times the largest distance of a
             camera from their mean, at least 1 m (gsplat's trainer, without the minimum).
         prune_opa: Gaussians with a smaller opacity are removed.
@@ -62,6 +66,7 @@ class default_strategy(MapRule):
     """
 
     share: float = 0.05
+    seeds_by: Literal["unmapped", "uniform", "gsfusion", "edge_discs"] = "unmapped"
     scene_scale_m: float = 0.0
     prune_opa: float = 0.005
     grow_grad2d: float = 0.0002
@@ -85,8 +90,8 @@ class default_strategy(MapRule):
         return frozenset({"abs_image_gradients"}) if self.absgrad else self.needs
 
     def seeds(self, ctx: SeedContext, memory: dict[str, Any]) -> Seeds:
-        """A share of the pixels that the map does not cover."""
-        return one_pixel_seeds(ctx, unmapped_pixels(ctx, 0.5, torch.inf), share=self.share)
+        """A share of the pixels that the map does not cover, or the seeds of another rule."""
+        return strategy_seeds(ctx, self.seeds_by, self.share)
 
     def after_step(self, ctx: SeedContext, stats: StepStats, memory: dict[str, Any]) -> Edit | None:
         """Refine or reset, where it is time."""
@@ -142,3 +147,14 @@ class default_strategy(MapRule):
             return self.scene_scale_m
         places = torch.stack([T[:3, 3] for T in (*ctx.past_T_WC, ctx.frame.T_WC_cpu)])
         return max(1.0, 1.1 * float((places - places.mean(dim=0)).norm(dim=1).max()))
+
+
+def strategy_seeds(ctx: SeedContext, seeds_by: str, share: float) -> Seeds:
+    """The seeds from which a strategy starts: ``seeds_by`` and ``share`` as for ``default_strategy``."""
+    if seeds_by == "uniform":
+        return uniform(ctx, fraction=share)
+    if seeds_by == "gsfusion":
+        return gsfusion(ctx)
+    if seeds_by == "edge_discs":  # a hexagonal grid of spacing s has 1 / (s^2 sqrt(3) / 2) points per pixel
+        return edge_discs(ctx, spacing_px=max((share * 3**0.5 / 2) ** -0.5, 1.0))
+    return one_pixel_seeds(ctx, unmapped_pixels(ctx, 0.5, torch.inf), share=share)

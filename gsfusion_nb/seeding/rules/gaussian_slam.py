@@ -1,6 +1,5 @@
 """Gaussian-SLAM's rule: a dense start of each submap, then every fifth frame what the map does not cover."""
 
-import dataclasses
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
@@ -11,8 +10,7 @@ from ...types import Seeds
 from ..context import SeedContext
 from ..map_rule import MapRule, When, every
 from ..rule import seeding_rule
-from ..spacing import sized_by_neighbours
-from ..unmapped import unmapped_pixels
+from ..sampling import pushed_back, sized_by_neighbours, unmapped_pixels
 
 GRADIENT_POINTS = 50_000
 PUSH_BACK = 1.005
@@ -46,7 +44,8 @@ class gaussian_slam(MapRule):
     """Gaussian-SLAM: a dense start of each submap, then every fifth frame what the map does not cover.
 
     Where a submap starts, every 50 mapped frames: the union of random pixels, of 50,000 pixels drawn in proportion to
-    the image gradient, and of all edges (Canny 100/200, dilated 2 x 2). In every fifth frame between: the pixels where
+    the image gradient, and of all edges (Canny 100/200 of the Euclidean gradient, dilated 2 x 2). In every fifth frame
+    between: the pixels where
 
         A < 0.6   or   ( D^ > D  and  |D^ - D| > 40 median |D^ - D| )
 
@@ -87,7 +86,7 @@ class gaussian_slam(MapRule):
             chosen, limit = unmapped_pixels(ctx, self.min_alpha, self.median_factor), preset.frame_points
         uv = ctx.pixels(chosen)
         count = round(self.share * min(len(uv), limit or len(uv)))
-        seeds = _pushed_back(ctx, ctx.seeds_at(uv[ctx.draw(len(uv), count)], 1.0))
+        seeds = pushed_back(ctx, ctx.seeds_at(uv[ctx.draw(len(uv), count)], 1.0), PUSH_BACK)
         if ctx.has_map:
             distance = ctx.nearest(seeds.xyz_W, 1, "map").distance_m[:, 0]
             seeds = seeds[distance.square() >= preset.min_square_m2]
@@ -99,13 +98,8 @@ class gaussian_slam(MapRule):
 def _start_of_submap(ctx: SeedContext, points: int) -> Bool[Tensor, "H W"]:
     """Random pixels, pixels on strong gradients, and edges."""
     known = ctx.has_depth().flatten()
-    chosen = ctx.edges(100.0, 200.0, 2).flatten() & known
+    chosen = ctx.edges(100.0, 200.0, 2, euclidean=True).flatten() & known
     candidate = known.nonzero()[:, 0]
     chosen[candidate[ctx.draw(len(candidate), points)]] = True
     chosen[ctx.draw_weighted(ctx.gradient().flatten() * known, GRADIENT_POINTS)] = True
     return chosen.view(ctx.camera.height, ctx.camera.width)
-
-
-def _pushed_back(ctx: SeedContext, seeds: Seeds) -> Seeds:
-    eye = ctx.frame.T_WC[:3, 3]
-    return dataclasses.replace(seeds, xyz_W=eye + PUSH_BACK * (seeds.xyz_W - eye))

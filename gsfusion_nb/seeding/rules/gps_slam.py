@@ -11,10 +11,9 @@ from torch import Tensor
 from ...geometry import normals_at, se3
 from ...types import Seeds
 from ..context import SeedContext
-from ..discs import as_discs
 from ..map_rule import MapRule, When, every
 from ..rule import seeding_rule
-from ..spacing import sized_by_neighbours
+from ..sampling import as_discs, sized_by_neighbours
 
 MAX_DEPTH_M = 5.0
 THICKNESS = 0.1
@@ -53,8 +52,9 @@ class gps_slam(MapRule):
             in the same group's later system), which needs no TSDF.
         only_with_depth: Leave out pixels without measured depth. The release seeds them where the TSDF has a surface.
 
-    Left out: removal of discs that are small (3 mm), large (10 cm) or transparent (0.005), which the system does.
-    Gaussian normals come from the TSDF's gradient, in the release from differences of raycast points.
+    Left out: removal of discs that are small (3 mm), large (10 cm) or transparent (0.005), which the system does. In
+    the system gps_slam normals come from differences of the surface's points, as in the release, but of those beside
+    the pixel instead of Sobel's 3x3; in the other systems from the TSDF's gradient, with ``surface`` "tsdf".
     Source: Peng et al. 2025 (GPS-SLAM) and its released code.
     """
 

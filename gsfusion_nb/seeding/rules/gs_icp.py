@@ -11,7 +11,7 @@ from ...types import Seeds
 from ..context import SeedContext
 from ..map_rule import EVERY_FRAME, MapRule, When
 from ..rule import seeding_rule
-from ..spacing import MIN_SPACING_M
+from ..sampling import MIN_SPACING_M
 
 PRESETS = {"replica": (10, 5e-4, 0.7), "tum": (5, 1e-3, 0.81)}
 """Distance of the grid's pixels; distance up to which a point overlaps with the map; share of them in a keyframe."""

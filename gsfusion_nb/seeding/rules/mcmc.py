@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import torch
 from jaxtyping import Float, Int
@@ -12,11 +12,10 @@ from ...gaussians import Edit, shared
 from ...geometry import quaternion
 from ...types import Seeds
 from ..context import SeedContext
-from ..footprint import one_pixel_seeds
 from ..map_rule import MapRule
 from ..rule import seeding_rule
 from ..step_stats import StepStats
-from ..unmapped import unmapped_pixels
+from .default_strategy import strategy_seeds
 
 
 @seeding_rule
@@ -34,6 +33,7 @@ class mcmc(MapRule):
 
     Args:
         share: Share of the pixels not yet covered that is seeded, 0..1; their Gaussians are as large as their share.
+        seeds_by: Whose seeds, as for ``default_strategy``.
         cap_max: Largest number of Gaussians.
         noise_lr: Size of the random motion, in learning rates.
         lr_xyz: Learning rate of the centres, to which the random motion is proportional; that of the settings.
@@ -49,6 +49,7 @@ class mcmc(MapRule):
     """
 
     share: float = 0.05
+    seeds_by: Literal["unmapped", "uniform", "gsfusion", "edge_discs"] = "unmapped"
     cap_max: int = 1_000_000
     noise_lr: float = 5e5
     lr_xyz: float = 1.6e-4
@@ -61,7 +62,7 @@ class mcmc(MapRule):
 
     def seeds(self, ctx: SeedContext, memory: dict[str, Any]) -> Seeds:
         """A share of the pixels that the map does not cover, as far as there is room."""
-        seeds = one_pixel_seeds(ctx, unmapped_pixels(ctx, 0.5, torch.inf), share=self.share)
+        seeds = strategy_seeds(ctx, self.seeds_by, self.share)
         return seeds[: max(0, self.cap_max - len(ctx.map))] if ctx.has_map else seeds[: self.cap_max]
 
     def after_step(self, ctx: SeedContext, stats: StepStats, memory: dict[str, Any]) -> Edit | None:

@@ -4,9 +4,8 @@ from typing import Literal
 
 from ...types import Seeds
 from ..context import SeedContext
-from ..footprint import one_pixel_seeds
 from ..rule import seeding_rule
-from ..unmapped import unmapped_pixels
+from ..sampling import one_pixel_seeds, unmapped_pixels
 
 
 @seeding_rule
@@ -31,7 +30,7 @@ def mm3dgs(
         median_of: The median over "all" pixels counts missing depth as an error of 0, as in the release.
 
     Left out because the optimiser does it: 3DGS's densification and pruning every 50 steps. D^ is the blended depth
-    that is not divided by A; whether MM3DGS's renderer divides it was not checked.
+    that is not divided by A, as in the release.
     Source: the released code of MM3DGS.
     """
     own = method == "own"

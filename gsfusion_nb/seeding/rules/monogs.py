@@ -8,7 +8,7 @@ from ...types import Seeds
 from ..context import SeedContext
 from ..map_rule import KEYFRAMES, MapRule, When
 from ..rule import seeding_rule
-from ..spacing import sized_by_neighbours
+from ..sampling import sized_by_neighbours
 
 PRESETS = {"replica": (1 / 64, 0.05), "tum": (1 / 128, 0.01)}
 """Share of a keyframe's pixels; point size."""

@@ -44,8 +44,8 @@ class monogs_like(MapRule):
     The weight of the isotropy loss is 10. Here every 5th mapped frame is a keyframe, with 30 steps on each frame (on
     others than keyframes 20, and up to 10 on earlier keyframes), so that 150 steps fall on a keyframe; these numbers
     are chosen here. "Not visible" is judged by the view of that step; a radius reaches to where alpha is 1/255. Left
-    out: the window of covisible keyframes, its loss on depth, whose weight was not available, pruning by covisibility,
-    which takes effect only without depth, and 26,000 steps of colour refinement after the scan.
+    out: the window of covisible keyframes, its loss on depth (0.05, beside 0.95 of the colour), pruning by
+    covisibility, which takes effect only without depth, and 26,000 steps of colour refinement after the scan.
     Source: Matsuki et al. 2024 (MonoGS) and its released code; Kerbl et al. 2023 (3DGS), section 5.2.
     """
 

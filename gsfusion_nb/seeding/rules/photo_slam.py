@@ -8,7 +8,7 @@ from ...types import Seeds
 from ..context import SeedContext
 from ..map_rule import KEYFRAMES, MapRule, When
 from ..rule import seeding_rule
-from ..spacing import sized_by_neighbours
+from ..sampling import sized_by_neighbours
 
 
 @seeding_rule

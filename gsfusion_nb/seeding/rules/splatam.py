@@ -4,9 +4,8 @@ from typing import Literal
 
 from ...types import Seeds
 from ..context import SeedContext
-from ..footprint import one_pixel_seeds
 from ..rule import seeding_rule
-from ..unmapped import unmapped_pixels
+from ..sampling import one_pixel_seeds, unmapped_pixels
 
 
 @seeding_rule

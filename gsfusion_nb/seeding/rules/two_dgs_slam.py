@@ -8,10 +8,9 @@ import torch
 
 from ...types import Seeds
 from ..context import SeedContext
-from ..discs import as_discs
 from ..map_rule import KEYFRAMES, MapRule, When
 from ..rule import seeding_rule
-from ..spacing import sized_by_neighbours
+from ..sampling import as_discs, sized_by_neighbours
 
 OPACITY = 0.999
 MIN_DEPTH_M, MAX_DEPTH_M = 0.1, 10.0
@@ -25,7 +24,7 @@ class two_dgs_slam(MapRule):
 
     A random 10 % of the pixels with depth (0.1 to 10 m), of those the ones in voxels of 5 cm that hold no Gaussian of
     the map. Discs along the normals of the depth image, as large as the root mean square distance to their 3 nearest
-    neighbours among the new ones, but at most 3 times the mean of these.
+    neighbours among all drawn points, also those in occupied voxels, but at most 3 times the mean of these.
 
     Args:
         share: Share of the pixels that is drawn at random, 0..1. Release: 0.1.
@@ -61,5 +60,5 @@ class two_dgs_slam(MapRule):
         free = ~ctx.occupied(seeds.xyz_W, self.voxel_size_m)
         if self.one_per_voxel:
             free &= ctx.first_in_voxel(seeds.xyz_W, self.voxel_size_m)
-        seeds = sized_by_neighbours(ctx, seeds[free], max_of_mean=MAX_OF_MEAN)
+        seeds = sized_by_neighbours(ctx, seeds, max_of_mean=MAX_OF_MEAN)[free]  # sized before the voxel filter
         return as_discs(ctx, seeds, ctx.values_at(ctx.normals_W(), uv[free]), self.thickness)

@@ -7,10 +7,8 @@ import torch
 from ...geometry import quaternion
 from ...types import Seeds
 from ..context import SeedContext
-from ..discs import thin
 from ..rule import seeding_rule
-from ..spacing import sized_by_neighbours
-from ..unmapped import unmapped_pixels
+from ..sampling import sized_by_neighbours, thin, unmapped_pixels
 
 
 @seeding_rule
@@ -30,8 +28,8 @@ def vings(
 
         A <= 0.98   or   |D^ - D| > 10 median |D^ - D|   or   sum over R, G, B of |C^ - C| > 0.1
 
-    Their size is twice the root mean square distance to the 3 nearest new ones, their opacity 0.8, in the first frame
-    0.1.
+    Their size is the root mean square distance to the 3 nearest new ones, the same on both axes of the disc, their
+    opacity 0.8, in the first frame 0.1.
 
     Args:
         ctx: Frame and Gaussian map.
@@ -46,8 +44,8 @@ def vings(
             there are. False draws them from the chosen pixels.
 
     Left out because the optimiser does it: pruning by size in the image, and training only unstable Gaussians with
-    large errors. VINGS estimates depth; here it is measured. Whether the map's Gaussians count as neighbours, and
-    whether its renderer divides the depth by A, was not checked: here they do not, and it does not.
+    large errors. VINGS estimates depth; here it is measured. Whether its renderer divides the depth by A was not
+    checked: here it is not divided.
     Source: the released code of VINGS-Mono.
     """
     chosen = known = ctx.has_depth()
@@ -59,7 +57,7 @@ def vings(
     count = round(share * int(chosen.sum()))
     uv = ctx.pixels(known if as_released else chosen)
     uv = uv[ctx.draw(len(uv), count)]
-    balls = sized_by_neighbours(ctx, ctx.seeds_at(uv, 1.0, opacity=0.8 if ctx.has_map else 0.1), factor=2.0)
+    balls = sized_by_neighbours(ctx, ctx.seeds_at(uv, 1.0, opacity=0.8 if ctx.has_map else 0.1))
     generator = ctx.generator
     quat = torch.randn(len(balls), 4, generator=generator, device=generator.device).to(balls.quat)
     return dataclasses.replace(balls, quat=quaternion.normalise(quat), scale_m=thin(balls.scale_m, thickness))

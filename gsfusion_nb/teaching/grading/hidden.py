@@ -4,34 +4,37 @@ A test in the notebook's own kernel cannot be safe from what the notebook does t
 a submission in a kernel; the function here is for those who run an exported notebook without them.
 """
 
-import atexit
 import functools
+import logging
 from collections.abc import Sequence
 from typing import Any
 
 from ..exercise import exercises
 from ..sandbox.needed import Cell
 from ..verdict import Verdict
-from .isolated import Sandbox
-from .limits import Limits
+from .isolated import Sandbox, unprotected
 from .marking import verdict_on, why
+from .remote import Limits
+
+log = logging.getLogger(__name__)
 
 
 @functools.cache
-def _sandbox(limits: Limits) -> Sandbox:
-    """One sandbox for the whole program."""
-    sandbox = Sandbox(limits).__enter__()
-    atexit.register(sandbox.__exit__)
-    return sandbox
+def _warn() -> None:
+    """Say once what is not guarded here."""
+    if unprotected():
+        log.warning(unprotected())
 
 
 def marked(names: Sequence[str], cells: Sequence[Cell], seed: int, limits: Limits) -> dict[str, Verdict]:
     """The verdicts on the functions in the cells of one submission, in the sandbox."""
+    _warn()
     verdicts: dict[str, Verdict] = {}
-    for name in names:
-        accepted = frozenset(n for n, verdict in verdicts.items() if verdict)
-        with _sandbox(limits).function(name, cells, accepted) as function:
-            verdicts[name] = verdict_on(exercises()[name], function, seed)
+    with Sandbox(limits) as sandbox:
+        for name in names:
+            accepted = frozenset(n for n, verdict in verdicts.items() if verdict)
+            with sandbox.function(name, cells, accepted) as function:
+                verdicts[name] = verdict_on(exercises()[name], function, seed)
     return verdicts
 
 

@@ -1,93 +1,83 @@
-"""The sandbox: submissions run in processes of their own; what they return comes back as values, what they do stays."""
+"""The sandbox: a student's functions run behind bubblewrap, in an installation without the solutions.
+
+bubblewrap (``bwrap``) gives them a file system that can only be read, without the notebooks, the real package and the
+home folder; no network; and a numbering of processes of their own, so that all that they start ends with the sandbox.
+"""
 
 import contextlib
 import functools
 import json
 import os
+import select
+import shutil
 import signal
+import site
 import socket
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+import time
+from collections.abc import Iterator, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 
+from ..sandbox.messages import decode, receive
 from ..sandbox.needed import Cell
-from .clean import import_path, readable_paths, write_clean_copy
-from .limits import Limits
-from .remote import Remote
+from .remote import Limits, Remote
 
 _START = """
 import sys
 sys.path[:] = {path!r}
-from gsfusion_nb.teaching.sandbox import serve
-serve.main({fd}, {settings!r})
+from gsfusion_nb.teaching.sandbox import task
+task.main({fd}, {memory_bytes}, {cpu_s})
 """
 _START_S = 300.0
 """How long a sandbox may take to be ready."""
+_ENDS_S = 10.0
+"""How long killed processes may take to end."""
+_SYSTEM = ("/usr", "/lib", "/lib64", "/etc/ld.so.cache", "/sys/devices/system/cpu")
+_TEMPORARY_BYTES = str(256 << 20)
+"""Of each folder in which a submission may write; they are in memory, and end with the sandbox."""
 
 
 class NoSandbox(RuntimeError):
-    """No sandbox can be started on this system; the message says what is missing."""
+    """No submission can be run on this system; the message says what is missing."""
 
 
 class Sandbox:
-    """Runs submissions in processes of their own, one at a time, in an installation without the solutions.
+    """Runs the functions of one student, each in a process of its own, one at a time, without the solutions.
 
-    A context manager; its temporary folder and all processes are gone at its end.
+    A context manager. Behind bubblewrap all processes end with it; ``unprotected`` says what holds without.
 
     Args:
-        limits: Of each task.
+        limits: Of each function.
 
     Raises:
-        NoSandbox: the system has no ``fork`` or no resource limits.
+        NoSandbox: the system has no ``fork`` or no resource limits, or Python does not start.
     """
 
     def __init__(self, limits: Limits):
         check_possible()
         self.limits = limits
-        self.landlock = 0
-        """Version of Landlock that guards the files; 0 if only Python's audit hook does."""
-        self._folder = tempfile.TemporaryDirectory(prefix="gsnb-grade-")
+        self._process: subprocess.Popen[bytes] | None = None
+        self._first = -1
 
     def __enter__(self) -> "Sandbox":
-        tree = Path(self._folder.name).resolve() / "clean"
-        empty = tree.with_name("empty")
-        empty.mkdir()
-        write_clean_copy(tree)
-        readable, listed = readable_paths(tree)
-        settings = {
-            "readable": readable, "listed": listed, "memory_bytes": self.limits.memory_mb << 20,
-            "cpu_s": self.limits.cpu_s,
-        }  # fmt: skip
-        self._control, theirs = socket.socketpair()
-        start = _START.format(path=import_path(tree), fd=theirs.fileno(), settings=json.dumps(settings))
-        environment = {"PATH": os.defpath, "HOME": str(empty), "OMP_NUM_THREADS": "1", "MPLBACKEND": "agg"}
-        environment |= {"GSFUSION_BACKEND": "reference", "NUMBA_NUM_THREADS": "1", "PYTHONHASHSEED": "0"}
-        self._errors = (tree.parent / "errors.txt").open("wb")
-        self._process = subprocess.Popen(
-            [sys.executable, "-I", "-S", "-X", "utf8", "-c", start], pass_fds=[theirs.fileno()], env=environment,
-            cwd=empty, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=self._errors,
-        )  # fmt: skip
-        theirs.close()
-        self._control.settimeout(_START_S)
-        ready = self._control.recv(1)
-        if not ready:
-            said = Path(self._errors.name).read_text(errors="replace").strip().splitlines()
-            self.__exit__()
-            raise NoSandbox(f"the sandbox does not start: {said[-1] if said else 'it ended'}")
-        self.landlock = ready[0]
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._control.close()
-        self._process.kill()
-        self._process.wait()
-        self._errors.close()
-        self._folder.cleanup()
+        if self._process is not None:
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.killpg(self._process.pid, signal.SIGKILL)
+            self._process.wait()
+            self._ours.close()
+            if self._first >= 0:  # the first of the namespace: it ends when all others in it have ended
+                select.select([self._first], [], [], _ENDS_S)
+                os.close(self._first)
+            self._process = None
 
     @contextlib.contextmanager
-    def function(self, name: str, cells: Sequence[Cell], accepted: frozenset[str] = frozenset()):
+    def function(self, name: str, cells: Sequence[Cell], accepted: frozenset[str] = frozenset()) -> Iterator[Remote]:
         """The function ``name`` of a submission, to be called like one of this process.
 
         Args:
@@ -96,30 +86,126 @@ class Sandbox:
         Yields:
             A ``Remote``, which raises ``Failed`` and ``NotWritten`` for what the submission does.
         """
-        ours, theirs = socket.socketpair()
-        socket.send_fds(self._control, [b"f"], [theirs.fileno()])
-        theirs.close()
-        process = int.from_bytes(self._control.recv(8), "big")
-        stop = functools.cache(lambda: self._stop(process))
+        if self._process is None:
+            self._start()
+        remote = Remote(self._ours, name, cells, accepted, self.limits)
         try:
-            yield Remote(ours, name, cells, accepted, self.limits, stop)
+            yield remote
         finally:
-            ours.close()
-            stop()
+            if not remote.end():
+                self.__exit__()  # the next function gets a new one
 
-    def _stop(self, process: int) -> int:
-        """End a process, and return the signal that ended it, 0 for none."""
-        for end in (os.killpg, os.kill):
-            with contextlib.suppress(ProcessLookupError, PermissionError):
-                end(process, signal.SIGKILL)
-        self._control.sendall(b"w")
-        return self._control.recv(1)[0]
+    def _start(self) -> None:
+        self._ours, theirs = socket.socketpair()
+        tree = Path(_clean_copy().name).resolve()
+        start = _START.format(
+            path=_import_path(tree), fd=theirs.fileno(), memory_bytes=self.limits.memory_mb << 20,
+            cpu_s=self.limits.cpu_s,
+        )  # fmt: skip
+        plain = bool(why_no_bubblewrap())
+        folder = str(tree / "work") if plain else "/tmp"
+        environment = {"PATH": os.defpath, "HOME": folder, "OMP_NUM_THREADS": "1", "MPLBACKEND": "agg"}
+        environment |= {"GSFUSION_BACKEND": "reference", "NUMBA_NUM_THREADS": "1", "PYTHONHASHSEED": "0"}
+        about, info = os.pipe()
+        command = [sys.executable, "-I", "-S", "-X", "utf8", "-c", start]
+        with tempfile.TemporaryFile() as errors, open(about) as said_first:
+            self._process = subprocess.Popen(
+                command if plain else [*_behind_bubblewrap(tree, "--info-fd", str(info)), *command],
+                pass_fds=[theirs.fileno(), info], env=environment, cwd=tree / "work", start_new_session=True,
+                stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=errors,
+            )  # fmt: skip
+            theirs.close()
+            os.close(info)
+            try:
+                self._first = -1 if plain else os.pidfd_open(json.load(said_first)["child-pid"])
+                decode(receive(self._ours, until=time.monotonic() + _START_S))
+            except (ValueError, OSError):  # no message, or none that can be read
+                self.__exit__()
+                errors.seek(0)
+                said = errors.read().decode(errors="replace").strip().splitlines()
+                raise NoSandbox(f"the sandbox does not start: {said[-1] if said else 'it ended'}") from None
 
 
 def check_possible() -> None:
     """Raise ``NoSandbox`` on a system without ``fork`` or resource limits."""
-    if not (hasattr(os, "fork") and hasattr(socket, "send_fds")):
+    if not hasattr(os, "fork"):
         raise NoSandbox(
             "grading needs fork and the limits of the module `resource`, which this system does not have; "
             "use Linux, macOS, or the Windows Subsystem for Linux"
         )
+
+
+@functools.cache
+def why_no_bubblewrap() -> str:
+    """Why submissions do not run behind bubblewrap here; empty if they do."""
+    if shutil.which("bwrap") is None:
+        return "bubblewrap (bwrap) is not installed"
+    command = [*_behind_bubblewrap(Path(_clean_copy().name).resolve()), sys.executable, "-I", "-S", "-c", ""]
+    tried = subprocess.run(command, capture_output=True, text=True)
+    return f"bubblewrap does not work here ({tried.stderr.strip()[-200:]})" if tried.returncode else ""
+
+
+def unprotected() -> str:
+    """What is not guarded on this system, in sentences for who grades; empty behind bubblewrap."""
+    why = why_no_bubblewrap()
+    return why and (
+        f"{why}: each function runs in a process with limits of time and memory, but it may read and change the files "
+        "of your account (also the solutions), use the network, and leave processes behind. Install bubblewrap (on "
+        "Debian and Ubuntu: apt-get install bubblewrap), or grade in a container. See docs/teaching/grading.md"
+    )
+
+
+def _behind_bubblewrap(tree: Path, *options: str) -> list[str]:
+    """The command before that of Python: system, Python and packages can be read, the real package is hidden."""
+    python = [sys.base_prefix, sys.prefix, *_import_path(tree)[1:]]
+    shown = [option for path in dict.fromkeys([*_SYSTEM, *python]) for option in ("--ro-bind-try", path, path)]
+    empty = [option for path in ("/tmp", "/dev/shm") for option in ("--size", _TEMPORARY_BYTES, "--tmpfs", path)]
+    return [
+        "bwrap", "--unshare-pid", "--unshare-net", "--unshare-ipc", "--unshare-uts", "--die-with-parent",
+        "--cap-drop", "ALL", *shown, "--tmpfs", str(_package_folder()), "--proc", "/proc", "--dev", "/dev", *empty,
+        "--ro-bind", str(tree), str(tree), "--chdir", "/tmp", *options, "--",
+    ]  # fmt: skip
+
+
+@functools.cache
+def _clean_copy() -> tempfile.TemporaryDirectory:
+    """A folder with an installation without the solutions, kept while this program runs."""
+    folder = tempfile.TemporaryDirectory(prefix="gsnb-grade-", ignore_cleanup_errors=True)
+    write_clean_copy(Path(folder.name))
+    (Path(folder.name) / "work").mkdir()
+    return folder
+
+
+def write_clean_copy(folder: Path) -> None:
+    """Copy the package into ``folder``, with ``sandbox/stand_in.py`` in place of ``gsfusion_nb.teaching``.
+
+    The solved notebooks, which a wheel puts into the package, are left out.
+    """
+    package = _package_folder()
+    leave_out = shutil.ignore_patterns("*.nbi", "*.nbc", "__pycache__", "teaching", "notebooks", "docs")
+    copy = folder / "gsfusion_nb"
+    shutil.copytree(package, copy, ignore=leave_out)
+    if not (copy / "kernels").exists():
+        kernels = find_spec("gsfusion_nb.kernels")
+        assert kernels is not None
+        assert kernels.origin is not None
+        shutil.copytree(Path(kernels.origin).resolve().parent, copy / "kernels", ignore=leave_out)
+    shutil.copytree(package / "teaching" / "sandbox", copy / "teaching" / "sandbox", ignore=leave_out)
+    shutil.copy2(package / "teaching" / "wall.py", copy / "teaching" / "wall.py")
+    shutil.copy2(package / "teaching" / "sandbox" / "stand_in.py", copy / "teaching" / "__init__.py")
+
+
+def _import_path(folder: Path) -> list[str]:
+    """``sys.path`` of the sandbox: the clean copy, then Python's own folders and those of installed packages."""
+    own = (*site.getsitepackages(), site.getusersitepackages())
+    names = ("site-packages", "dist-packages", "lib-dynload")
+    kept = [p for p in sys.path if p in own or Path(p).name in names or Path(p).name.startswith("python3")]
+    return [str(folder), *kept]
+
+
+def _package_folder() -> Path:
+    """Where the package is installed."""
+    spec = find_spec("gsfusion_nb")
+    assert spec is not None
+    assert spec.origin is not None
+    return Path(spec.origin).resolve().parent

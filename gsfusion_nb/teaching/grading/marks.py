@@ -10,21 +10,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ...drawing.html import fill
-from ...files import write_file
+from ...drawing.page import fill
+from ...files import plain_cell, write_file
 from ...processes import Died, WorkerPool, usable_cores
 from ..course import TITLES
 from ..exercise import DIFFICULTIES, exercises
 from .isolated import Sandbox, check_possible
-from .limits import Limits
 from .marking import Mark, mark_student, properties
 from .points import Points
+from .remote import Limits
 from .submission import Submission, defines, read_code
 
 COLUMNS = ("student", "exercise", "points", "max", "failed property", "message")
-_FORMULAS = ("=", "+", "-", "@", "\t", "\r")
-"""First characters that make a spreadsheet compute a cell."""
-_sandbox: Sandbox | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,7 +89,7 @@ def grade(
     n_jobs = min(jobs or min(usable_cores(), 8), len(submissions))
     environment = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", "GSFUSION_BACKEND": "reference"}
     folder = tempfile.TemporaryDirectory(prefix="gsnb-class-", ignore_cleanup_errors=True)
-    environment["TMPDIR"] = folder.name  # the sandboxes of ended workers go with it
+    environment["TMPDIR"] = folder.name  # the clean copies of ended workers go with it
     with folder, WorkerPool(_grade_one, n_jobs, environment) as pool:
         while left or pool.running:
             while left and pool.has_room:
@@ -107,12 +104,10 @@ def grade(
 
 
 def _grade_one(submission: Submission, grading: Grading) -> list[Mark]:
-    """In a worker process, which keeps one sandbox for all its students."""
-    global _sandbox
-    if _sandbox is None:
-        _sandbox = Sandbox(grading.limits).__enter__()
+    """In a worker process."""
     codes = [read_code(file) for file in submission.files]
-    return mark_student(submission.student, codes, list(grading.names), grading.points, grading.seed, _sandbox)
+    with Sandbox(grading.limits) as sandbox:
+        return mark_student(submission.student, codes, list(grading.names), grading.points, grading.seed, sandbox)
 
 
 def _not_graded(submission: Submission, grading: Grading, died: bool) -> list[Mark]:
@@ -131,15 +126,15 @@ def as_csv(marks: Iterable[Mark]) -> str:
     table.writerow(COLUMNS)
     for m in marks:
         table.writerow(
-            [*map(_cell, (m.student, m.exercise)), f"{m.points:g}", f"{m.most:g}", _cell(m.prop), _cell(m.message)]
+            [
+                *map(plain_cell, (m.student, m.exercise)),
+                f"{m.points:g}",
+                f"{m.most:g}",
+                plain_cell(m.prop),
+                plain_cell(m.message),
+            ]
         )
     return text.getvalue()
-
-
-def _cell(text: str) -> str:
-    """Text on one line that a spreadsheet shows and does not compute."""
-    line = "".join(c if c.isprintable() else " " for c in text)
-    return f"'{line}" if line.lstrip().startswith(_FORMULAS) or line.startswith(_FORMULAS) else line
 
 
 def write_marks(path: Path, marks: Iterable[Mark]) -> None:

@@ -10,8 +10,8 @@ from traitlets import Float, Integer
 from ..exercise import exercises
 from ..sandbox.needed import Cell
 from .hidden import marked
-from .limits import Limits
 from .marking import why
+from .remote import Limits
 
 _PREFIX = "test-"
 

@@ -8,7 +8,7 @@ from otter.plugins import AbstractOtterPlugin
 
 from ..exercise import exercises
 from .hidden import marked, sentence
-from .limits import Limits
+from .remote import Limits
 from .submission import read_code
 
 

@@ -1,14 +1,16 @@
 """A submission's function in a sandbox, called like one of this process: values go there and back."""
 
 import inspect
+import math
 import pickle
 import re
 import signal
 import socket
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import torch
@@ -18,10 +20,8 @@ from ...mapping import GSFusion
 from ...optim import Keyframe
 from ..attempt import Failed, NotCallable, NotWritten
 from ..exercise import exercises
-from ..sandbox.channel import ChannelClosed, TooLarge, TooSlow, receive, send
-from ..sandbox.codec import LARGEST_BYTES, CodecError, decode
+from ..sandbox.messages import LARGEST_BYTES, ChannelClosed, CodecError, TooLarge, TooSlow, decode, receive, send
 from ..sandbox.needed import Cell
-from .limits import Limits
 
 WITHIN = "it stays within the limits of time and memory"
 ENDED = "it returns an answer"
@@ -29,21 +29,43 @@ _WAITS = "does it sleep, or wait for something?"
 _LOOPS = "is there a loop that does not end, or a much too slow one?"
 _COURSE = "The course's own modules are not there when a submission is marked: write the function yourself"
 _NO_COURSE = re.compile(r"No module named 'gsfusion_nb\.teaching\b")
+_CRASHED = "its process ended without an answer: it crashed, left Python, or used too much memory"
+_ENDS_S = 10.0
+"""How long a function's process may take to end after its last call."""
 LENT = {"quadtree_leaves": ("contrast", "split_cell")}
 """Exercise -> others whose reference may stand in for the student's that failed, as it does in the notebook."""
 
 
-class Remote:
-    """A submission's function in a sandbox. ``stop`` ends its process and returns the signal that did."""
+@dataclass(frozen=True, kw_only=True)
+class Limits:
+    """Of one exercise of one submission."""
 
-    def __init__(
-        self, to: socket.socket, name: str, cells: Sequence[Cell], accepted: frozenset[str], limits: Limits,
-        stop: Callable[[], int],
-    ):  # fmt: skip
-        self.__name__ = name
-        self._to, self._cells, self._accepted, self._limits, self._stop = to, cells, accepted, limits, stop
+    seconds: float = 30.0
+    """Processor time for its function, all calls together, so that a busy machine changes no mark."""
+    memory_mb: int = 1024
+    """Beyond what Python, torch and this package take."""
+
+    @property
+    def cpu_s(self) -> int:
+        """``seconds`` as the system limits them."""
+        return max(1, math.ceil(self.seconds))
+
+    @property
+    def wall_s(self) -> float:
+        """How long an answer is waited for, which ends a function that sleeps."""
+        return 30.0 + 4.0 * self.seconds
+
+
+class Remote:
+    """A submission's function in a sandbox at the other end of the socket ``to``."""
+
+    def __init__(self, to: socket.socket, name: str, cells: Sequence[Cell], accepted: frozenset[str], limits: Limits):
+        self.__name__ = self.__qualname__ = name
+        self._to, self._cells, self._accepted, self._limits = to, cells, accepted, limits
         self._left_s = limits.wall_s
         self._begun = False
+        self._lost: Failed | None = None
+        self._signal: Any = None
 
     @property
     def __signature__(self) -> inspect.Signature:
@@ -78,6 +100,8 @@ class Remote:
                 self._fail(kind, rest)
 
     def _begin(self) -> None:
+        if self._lost:
+            raise self._lost
         if self._begun:
             return
         self._begun = True
@@ -111,38 +135,53 @@ class Remote:
         except Exception as e:
             return "refused", f"{type(e).__name__}: {e}"
 
+    def end(self) -> bool:
+        """No more calls; whether the function's process ended as it should."""
+        if not self._begun or self._lost:
+            return not self._lost
+        self._left_s = _ENDS_S
+        try:
+            self._say(("done",))
+            while True:
+                self._hear()
+        except Failed:
+            return self._signal == 0
+
     def _say(self, message: Any) -> None:
         self._to.settimeout(max(self._left_s, 0.1))
         try:
             send(self._to, pickle.dumps(message))
         except (ChannelClosed, TooSlow):
-            self._ended()
+            self._lose(ENDED, _CRASHED)
 
     def _hear(self) -> list[Any]:
         began = time.monotonic()
         try:
             message = decode(receive(self._to, until=began + self._left_s))
         except TooSlow:
-            raise Failed(
-                WITHIN, "", f"it had not ended after {self._limits.wall_s:g} s, and was stopped: {_WAITS}"
-            ) from None
+            self._lose(WITHIN, f"it had not ended after {self._limits.wall_s:g} s, and was stopped: {_WAITS}")
         except TooLarge:
-            raise Failed(ENDED, "", f"it returned more than {LARGEST_BYTES >> 20} MB") from None
+            self._lose(ENDED, f"it returned more than {LARGEST_BYTES >> 20} MB")
         except ChannelClosed:
-            self._ended()
+            self._lose(ENDED, _CRASHED)
         except CodecError as e:
-            raise Failed(ENDED, "", f"the process sent {e}") from None
+            self._lose(ENDED, f"the process sent {e}")
         finally:
             self._left_s -= time.monotonic() - began
         if not isinstance(message, tuple) or not message:
-            raise Failed(ENDED, "", "the process sent something else than an answer")
+            self._lose(ENDED, "the process sent something else than an answer")
+        if message[0] == "ended":
+            self._signal = message[-1]
+            if self._signal == signal.SIGXCPU:
+                seconds = self._limits.cpu_s
+                self._lose(WITHIN, f"it had not ended after {seconds} s of processor time, and was stopped: {_LOOPS}")
+            self._lose(ENDED, _CRASHED)
         return list(message)
 
-    def _ended(self) -> Any:
-        if self._stop() == signal.SIGXCPU:
-            seconds = self._limits.cpu_s
-            raise Failed(WITHIN, "", f"it had not ended after {seconds} s of processor time, and was stopped: {_LOOPS}")
-        raise Failed(ENDED, "", "its process ended without an answer: it crashed, left Python, or used too much memory")
+    def _lose(self, prop: str, detail: str) -> NoReturn:
+        """There is no process any more that could be called, or none that can be believed."""
+        self._lost = Failed(prop, "", detail)
+        raise self._lost from None
 
     def _fail_without_input(self, kind: Any, rest: list[Any]) -> Any:
         try:

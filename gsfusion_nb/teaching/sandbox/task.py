@@ -1,14 +1,22 @@
-"""One task in the sandbox: run what a function of a submission needs, then call the function as often as asked."""
+"""The sandbox's program: for each task it runs what a function of a submission needs, and calls it as often as asked.
+
+``grading/isolated.py`` starts it with an installation without solutions, once for each student.
+"""
 
 import ast
 import builtins
+import contextlib
+import importlib
 import inspect
 import linecache
+import os
 import pickle
+import resource
 import socket
 import sys
 import types
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,15 +27,18 @@ from ...backends import use_backend
 from ...mapping import GSFusion
 from ...optim import Keyframe
 from ...types import Frame
-from ..attempt import plain
-from .channel import ChannelClosed, receive, send
-from .codec import CodecError, encode
+from .messages import ChannelClosed, CodecError, encode, receive, send
 from .needed import Cell, NoFunction, needed
 
 _LARGEST_REQUEST = 1 << 30
 _LONGEST = 300
 """Characters of a message."""
 _TEACHING = __name__.rsplit(".", 2)[0]
+_READY = ("gsfusion_nb.seeding", "gsfusion_nb.tracking", "gsfusion_nb.teaching.wall")
+"""Imported before the first task, so that a task begins at once."""
+_LARGEST_FILE = 64 << 20
+_MORE_TASKS = 64
+"""Processes and threads that a submission may have beside those that are there."""
 
 
 class Line:
@@ -57,21 +68,66 @@ class Line:
         return value
 
 
-def run_task(to: socket.socket) -> None:
-    """Serve one function of one submission until the grader closes the connection."""
+def main(fd: int, memory_bytes: int, cpu_s: int) -> None:
+    """Serve the functions of one student, each in a process of its own, until the socket ``fd`` is closed.
+
+    After each it says ``ended`` and the signal that ended the process, or 0.
+    """
+    to = socket.socket(fileno=fd)
     line = Line(to)
+    torch.set_num_threads(1)
+    for name in _READY:
+        importlib.import_module(name)
+    line.say("started")
+    with contextlib.suppress(ChannelClosed):
+        while True:
+            task = line.hear()
+            if task == ("done",):  # for a function whose process had ended
+                continue
+            process = os.fork()
+            if process == 0:
+                _limit(memory_bytes, cpu_s)
+                _serve(line, task)
+                os._exit(0)
+            _, status = os.waitpid(process, 0)
+            line.say("ended", os.WTERMSIG(status) if os.WIFSIGNALED(status) else 0)
+
+
+def _limit(memory_bytes: int, cpu_s: int) -> None:
+    """Limits of this process and of each that it starts: memory beyond what it has now, processor time (SIGXCPU ends
+    it), the size of files; and how many processes and threads its user may have, which no system asks of root."""
+    limits = {"CPU": (cpu_s, cpu_s + 1), "CORE": (0, 0), "FSIZE": (_LARGEST_FILE, _LARGEST_FILE)}
+    if sys.platform.startswith("linux"):
+        pages = int(Path("/proc/self/statm").read_text().split()[0])
+        most = pages * resource.getpagesize() + memory_bytes
+        tasks = sum(_threads(Path(folder)) for folder in Path("/proc").glob("[0-9]*")) + _MORE_TASKS
+        limits |= {"AS": (most, most), "NPROC": (tasks, tasks)}
+    for kind, values in limits.items():
+        with contextlib.suppress(ValueError, OSError):  # one that is lower already
+            resource.setrlimit(getattr(resource, f"RLIMIT_{kind}"), values)
+
+
+def _threads(process: Path) -> int:
+    """Threads of a process of this user; 0 for others and those that have ended."""
     try:
-        task = line.hear()
+        return len(list((process / "task").iterdir())) if process.stat().st_uid == os.getuid() else 0
+    except OSError:
+        return 0
+
+
+def _serve(line: Line, task: dict[str, Any]) -> None:
+    """Serve one function until the grader has no more calls."""
+    with contextlib.suppress(ChannelClosed):
         cells = [Cell(label, source) for label, source in task["cells"]]
         function = _defined(line, cells, task["name"], frozenset(task["accepted"]))
         if function is None:
             return
         line.say("ready", _parameters(function))
         while True:
-            _, args, kwargs = line.hear()
-            _call(line, function, args, kwargs, cells)
-    except ChannelClosed:
-        return
+            kind, *rest = line.hear()
+            if kind == "done":
+                return
+            _call(line, function, rest[0], rest[1], cells)
 
 
 def _defined(line: Line, cells: list[Cell], name: str, accepted: frozenset[str]) -> Callable[..., Any] | None:
@@ -124,7 +180,7 @@ def _call(line: Line, function: Callable[..., Any], args: list[Any], kwargs: dic
         given = [_received(line, value, args, mappers) for value in args]
         before = [_copy(value) for value in given]
         with use_backend("reference"):
-            result = plain(function(*given, **kwargs))
+            result = function(*given, **kwargs)
         changed = [[i, v] for i, (v, old) in enumerate(zip(given, before, strict=True)) if _differs(v, old)]
         line.say("returned", result, changed, _states(given, mappers))
     except CodecError as e:

@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from ...render import composite
-from ...seeding.rule import apply_rule
+from ...seeding import apply_rule
 from ...tsdf import tsdf_update
 from .identity import origin_of
 from .moment import Marks, Moment, box, common, numbers, pixel_index, table

@@ -7,15 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from ...drawing.ground import encode_drawing, on_card
-from ...drawing.pictures import Picture, encode_jpeg
+from ...drawing.pictures import Picture, encode_drawing, encode_jpeg, on_card
 from ...drawing.small_curves import small_curves
 from ..display import Bundle, with_picture
 from ..lost import LostNotice
 from ..panels.click_image import ClickImage
-from .player import Player
-from .player_buttons import player_buttons
-from .scrubber import Scrubber
+from .player import Player, Scrubber, player_buttons
 
 MIN_INTERVAL_S = 0.1
 """The picture is redrawn at most ten times a second."""

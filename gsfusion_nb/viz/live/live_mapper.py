@@ -14,16 +14,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...data import SequenceError
-from ...drawing.ground import CARD, encode_drawing, on_card
-from ...drawing.pictures import Picture, encode_jpeg
+from ...drawing.pictures import CARD, Picture, encode_drawing, encode_jpeg, on_card
 from ...drawing.small_curves import small_curves
 from ...mapping import StepReport
 from ...runs import MappingRun
 from ...types import Frame
 from ..display import Bundle, with_picture
-from .player import Player
-from .player_buttons import player_buttons
-from .scrubber import Scrubber
+from .player import Player, Scrubber, player_buttons
 from .step_panels import LivePanels, captions_of, columns_for, live_panels
 
 if TYPE_CHECKING:

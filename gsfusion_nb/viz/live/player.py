@@ -209,3 +209,121 @@ class Player:
                 self._on_rest()
             except Exception:  # the first error is the one to show
                 log.exception("the error could not be shown")
+
+
+_ICONS = {"Start": "play", "Pause": "pause", "Step": "step-forward", "Stop": "stop"}
+
+
+def player_buttons(commands: Any, css_prefix: str, player: Player) -> dict[str, Any]:
+    """The four buttons, by their labels; each is enabled only while it does something.
+
+    Args:
+        commands: Has the methods ``start``, ``pause``, ``step`` and ``stop``.
+        css_prefix: The button "Start" has the CSS class ``{css_prefix}-start``, and so on.
+        player: What the commands control; its ``on_state`` is taken.
+    """
+    import ipywidgets as w
+
+    buttons = {}
+    for name, icon in _ICONS.items():
+        act: Callable[[], None] = getattr(commands, name.lower())
+        buttons[name] = w.Button(description=name, icon=icon, layout=w.Layout(width="88px"))
+        buttons[name].add_class(f"{css_prefix}-{name.lower()}")
+        buttons[name].on_click(lambda _, act=act: act())
+    writing = threading.RLock()
+
+    def enable() -> None:
+        with writing:  # two threads change the state: who writes last has read last
+            for name, useful in useful_buttons(player).items():
+                buttons[name].disabled = not useful
+
+    player.on_state = enable
+    enable()
+    return buttons
+
+
+def useful_buttons(player: Player) -> dict[str, bool]:
+    """Which buttons do something in the state of now."""
+    over = player.state == "finished"
+    return {
+        "Start": not over and not player.keeps_running,
+        "Pause": not over and player.keeps_running,
+        "Step": not over and not player.keeps_running,
+        "Stop": not over and (player.keeps_running or player.state in ("running", "paused")),
+    }
+
+
+MOST_ENTRIES = 400
+"""Then every second one is dropped: a long run keeps its beginning, only with larger gaps."""
+
+
+class Scrubber:
+    """Keeps what was shown of each step; ``widget`` is the slider. At its right end it follows the newest step.
+
+    Args:
+        show: Called with an entry that is to be shown, from the thread of a step or of the slider.
+        what: The slider's label.
+        css_class: The slider's CSS class.
+    """
+
+    def __init__(self, show: Callable[[Any], None], *, what: str, css_class: str):
+        import ipywidgets as w
+
+        self._show = show
+        self._entries: list[Any] = []
+        self._stride, self._seen, self._following, self._moving = 1, 0, True, False
+        self.widget = w.IntSlider(
+            min=0, max=0, value=0, description=what, disabled=True, readout=False, layout=w.Layout(width="420px")
+        )
+        self.widget.add_class(css_class)
+        self.widget.observe(self._moved, names="value")
+
+    @property
+    def following(self) -> bool:
+        """Whether the newest step is shown; false while the slider is at an earlier one."""
+        return self._following
+
+    @property
+    def entries(self) -> list[Any]:
+        """What is kept, oldest first."""
+        return list(self._entries)
+
+    def add(self, entry: Any) -> None:
+        """Keep an entry; nothing is shown until ``show_newest``."""
+        if self._seen % self._stride == 0 or not self._entries:
+            self._entries.append(entry)
+        else:
+            self._entries[-1] = entry
+        self._seen += 1
+        if len(self._entries) > MOST_ENTRIES:
+            self._entries = [*self._entries[:-1][::2], self._entries[-1]]
+            self._stride *= 2
+
+    def show_newest(self) -> None:
+        """Show the newest entry, unless somebody looks at an earlier one."""
+        if not self._entries:
+            return
+        last = len(self._entries) - 1
+        self._moving = True
+        try:
+            self.widget.max, self.widget.disabled = last, last == 0
+            if self._following:
+                self.widget.value = last
+        finally:
+            self._moving = False
+        if self._following:
+            self._show(self._entries[last])
+
+    def go_to(self, position: int) -> None:
+        """Show the entry at ``position``; negative ones count from the newest."""
+        self.show_newest()
+        last = len(self._entries) - 1
+        if last >= 0:
+            self.widget.value = min(max(position + (last + 1 if position < 0 else 0), 0), last)
+
+    def _moved(self, change: Any) -> None:
+        if self._moving or not self._entries:
+            return
+        position = min(change["new"], len(self._entries) - 1)
+        self._following = position == len(self._entries) - 1
+        self._show(self._entries[position])

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
-from ...drawing.pictures import Picture, depth_error_map, error_map, paint_cells, to_uint8
-from ...drawing.side_by_side import side_by_side
+from ...drawing.pictures import Picture, depth_error_map, error_map, paint_cells, side_by_side, to_uint8
 from ...evaluation import expected_depth_m
 from ...mapping import Mapper
 from ...types import Frame, RenderOutput

@@ -1,71 +1,82 @@
-"""A mesh as a picture, drawn by pyvista; where it is not installed or VTK cannot draw, by our own depth buffer."""
+"""A mesh as a picture, drawn by pyvista; and with fewer triangles, for views that draw without VTK."""
 
+import functools
 import math
+import os
+import subprocess
+import sys
 from typing import Any, Literal
 
 import numpy as np
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ...checks import check_pose
 from ...drawing.pictures import Picture, to_uint8
 from ...types import Camera, Mesh
 from ..viewpoint import extent
-from . import opengl
-from .painter import BACKGROUND, draw_mesh
 
+BACKGROUND = (245, 246, 248)
 _VIEW_ANGLE_DEG = 30.0
 """Vertical angle of view."""
+_TRIALS = 8
+"""Cell sizes that ``decimated`` tries."""
+_PROBE = (
+    "import pyvista as pv; p = pv.Plotter(off_screen=True, window_size=(16, 16)); "
+    "p.add_mesh(pv.Sphere()); assert p.screenshot(return_img=True).shape[:2] == (16, 16)"
+)
 
 
 def mesh_picture(
-    mesh: Mesh,
-    T_WC: Float[Tensor, "4 4"],
-    *,
-    shading: Literal["colour", "shape"] = "colour",
-    size: tuple[int, int] = (640, 480),
+    mesh: Mesh, camera: Camera, T_WC: Float[Tensor, "4 4"], *, shading: Literal["colour", "shape"] = "colour"
 ) -> Picture:
-    """The mesh seen from a pose, by a camera with a vertical angle of view of 30 degrees.
+    """The mesh seen by a camera; faces seen from behind are left out, so that one can look into a closed room.
 
     Args:
-        mesh: With at least one triangle.
+        mesh: Any mesh; one without triangles gives the background.
+        camera: Its size and its vertical angle of view count; the principal point is taken as the middle.
         T_WC: Camera-to-world pose.
         shading: "colour" shows the vertex colours, "shape" a grey surface under a lamp.
-        size: Width and height, pixels.
+
+    Raises:
+        RuntimeError: VTK cannot draw on this machine; the message says what to install.
     """
-    if not opengl.can_draw()[0]:
-        return draw_mesh(mesh, mesh_camera(size), T_WC, shading=shading)
-    plotter = _plotter(mesh, T_WC, shading, size)
+    check_pose("T_WC", T_WC)
+    able, why = can_draw()
+    if not able:
+        raise RuntimeError(f"no picture of a mesh: {why}")
+    plotter = _plotter(mesh, camera, T_WC, shading)
     try:
         return np.ascontiguousarray(plotter.screenshot(return_img=True))
     finally:
         plotter.close()
 
 
-def _plotter(mesh: Mesh, T_WC: Tensor, shading: str, size: tuple[int, int]) -> Any:
-    opengl.prepare()
+def _plotter(mesh: Mesh, camera: Camera, T_WC: Tensor, shading: str) -> Any:
     import pyvista as pv
 
-    faces = mesh.faces.cpu().numpy()
-    surface = pv.PolyData.from_regular_faces(mesh.vertices_W.cpu().numpy(), faces)
-    plotter = pv.Plotter(off_screen=True, window_size=list(size), lighting="none")
+    plotter = pv.Plotter(off_screen=True, window_size=[camera.width, camera.height], lighting="none")
     plotter.add_light(pv.Light(light_type="headlight"))
     plotter.set_background([c / 255 for c in BACKGROUND])  # pyright: ignore[reportArgumentType]
-    if shading == "colour":
-        surface["rgb"] = to_uint8(mesh.rgb[None])[0]
-        plotter.add_mesh(surface, scalars="rgb", rgb=True, ambient=0.7, diffuse=0.3, culling="back")
-    else:
-        plotter.add_mesh(surface, color="#e6e6e6", ambient=0.2, diffuse=0.8, smooth_shading=False, culling="back")
+    if len(mesh.faces):
+        surface = pv.PolyData.from_regular_faces(mesh.vertices_W.cpu().numpy(), mesh.faces.cpu().numpy())
+        if shading == "colour":
+            surface["rgb"] = to_uint8(mesh.rgb[None])[0]
+            plotter.add_mesh(surface, scalars="rgb", rgb=True, ambient=0.7, diffuse=0.3, culling="back")
+        else:
+            plotter.add_mesh(surface, color="#e6e6e6", ambient=0.2, diffuse=0.8, smooth_shading=False, culling="back")
     T = T_WC.detach().cpu().double().numpy()
     plotter.camera.position = T[:3, 3]
     plotter.camera.focal_point = T[:3, 3] + T[:3, 2] * gaze_m(mesh, T_WC)
     plotter.camera.up = -T[:3, 1]
-    plotter.camera.view_angle = _VIEW_ANGLE_DEG
+    plotter.camera.view_angle = math.degrees(2 * math.atan(0.5 * camera.height / camera.fy))
     plotter.reset_camera_clipping_range()
     return plotter
 
 
 def mesh_camera(size: tuple[int, int]) -> Camera:
-    """The camera of ``mesh_picture``, with which the widget also starts."""
+    """A camera with a vertical angle of view of 30 degrees, for a picture of ``size`` (width, height)."""
     width, height = size
     focal = 0.5 * height / math.tan(math.radians(_VIEW_ANGLE_DEG / 2))
     return Camera(width=width, height=height, fx=focal, fy=focal, cx=width / 2, cy=height / 2)
@@ -76,3 +87,78 @@ def gaze_m(mesh: Mesh, T_WC: Tensor) -> float:
     centre_W, radius_m = extent(mesh.vertices_W)
     ahead = float((centre_W - T_WC[:3, 3].cpu()) @ T_WC[:3, 2].cpu())
     return max(ahead, 0.3 * radius_m)
+
+
+@functools.cache
+def can_draw() -> tuple[bool, str]:
+    """Whether a pyvista ``Plotter`` works on this machine, and the reason if not.
+
+    On a machine with neither libgl1 nor libegl1 creating one ends the process with a segmentation fault that no ``try``
+    catches, so it is tried once in a process of its own. The environment variable GSNB_VTK=ok or none skips the trial.
+    """
+    headless = not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+    if sys.platform == "linux" and headless:  # rather than search for an X server
+        os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
+    forced = os.environ.get("GSNB_VTK")
+    if forced in ("ok", "none"):
+        return forced == "ok", f"GSNB_VTK={forced}"
+    try:
+        done = subprocess.run([sys.executable, "-c", _PROBE], capture_output=True, text=True, timeout=60)
+    except subprocess.TimeoutExpired:
+        return False, "VTK took over 60 s for a trial picture of 16x16 pixels"
+    if done.returncode == 0:
+        return True, "ok"
+    if done.returncode < 0:
+        return False, (
+            f"VTK ended with signal {-done.returncode}; on Debian or Ubuntu: "
+            "apt-get install -y --no-install-recommends libgl1 libegl1"
+        )
+    return False, (done.stderr.strip().splitlines() or ["unknown error"])[-1]
+
+
+def decimated(mesh: Mesh, max_triangles: int) -> Mesh:
+    """The mesh with at most ``max_triangles``, by vertex clustering (Rossignac & Borrel 1993).
+
+    The cell size follows from the surface's area and is widened until the count fits. Position and colour of a cluster
+    are the means of its vertices. Evenly sized triangles keep colours better than fewer triangles on flat walls would.
+
+    Args:
+        mesh: Any mesh; returned as it is when small enough.
+        max_triangles: Limit, >= 1.
+    """
+    if max_triangles < 1:
+        raise ValueError(f"max_triangles must be >= 1, got {max_triangles}")
+    if len(mesh.faces) <= max_triangles:
+        return mesh
+    corners = mesh.vertices_W[mesh.faces]
+    area_m2 = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).norm(dim=1).sum() / 2
+    cell_m = float((2 * area_m2 / max_triangles).sqrt().clamp_min(1e-9))  # a grid of squares has two triangles in each
+    for _ in range(_TRIALS):
+        smaller = _clustered(mesh, cell_m)
+        if len(smaller.faces) <= max_triangles:
+            return smaller
+        cell_m *= 1.05 * (len(smaller.faces) / max_triangles) ** 0.5
+    return smaller if len(smaller.faces) <= max_triangles else _first(smaller, max_triangles)
+
+
+def _clustered(mesh: Mesh, cell_m: float) -> Mesh:
+    low = mesh.vertices_W.amin(0)
+    key = ((mesh.vertices_W - low) / cell_m).floor().to(torch.int64)
+    span = key.amax(0) + 1
+    _, cluster = torch.unique((key[:, 0] * span[1] + key[:, 1]) * span[2] + key[:, 2], return_inverse=True)
+    n = int(cluster.max()) + 1
+    count = torch.bincount(cluster, minlength=n)[:, None]
+
+    def mean(values: Float[Tensor, "V 3"]) -> Float[Tensor, "N 3"]:
+        return values.new_zeros(n, 3).index_add_(0, cluster, values) / count
+
+    faces = cluster[mesh.faces]
+    a, b, c = faces.unbind(1)
+    faces = faces[(a != b) & (b != c) & (c != a)]
+    first = faces.argmin(1, keepdim=True)
+    turned = faces.gather(1, (first + torch.arange(3, device=faces.device)) % 3)  # same triangle, same row
+    return Mesh(vertices_W=mean(mesh.vertices_W), faces=torch.unique(turned, dim=0), rgb=mean(mesh.rgb))
+
+
+def _first(mesh: Mesh, count: int) -> Mesh:
+    return Mesh(vertices_W=mesh.vertices_W, faces=mesh.faces[:count], rgb=mesh.rgb)

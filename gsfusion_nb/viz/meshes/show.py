@@ -1,4 +1,8 @@
-"""A mesh in a notebook: a widget that is turned with the mouse, or a picture in notebooks that are stored."""
+"""A mesh in a notebook: a widget that is turned with the mouse, or a picture in notebooks that are stored.
+
+pyvista draws the pictures, but not the widget: its interactive views need OpenGL, in the kernel or in the browser, and
+a running kernel or a page of several megabytes. The widget needs neither a graphics card nor a download.
+"""
 
 from typing import Any, Literal
 
@@ -10,8 +14,7 @@ from ...checks import check_name
 from ...types import Mesh
 from ..display import show, static_views
 from ..viewpoint import Vector, Viewpoint, extent
-from .decimation import decimated
-from .picture import gaze_m, mesh_camera, mesh_picture
+from .picture import decimated, gaze_m, mesh_camera, mesh_picture
 
 
 def show_mesh(
@@ -37,17 +40,17 @@ def show_mesh(
         size: Width and height, pixels.
 
     Raises:
-        ValueError: the mesh has no triangles. KeyError: no such backend.
+        ValueError: the mesh has no triangles. KeyError: no such backend. RuntimeError: a picture, and VTK cannot draw.
     """
     check_name("backend", backend, ("auto", "live", "static"))
     if not len(mesh.faces):
         raise ValueError("the mesh has no triangles: nothing was mapped, or no surface was seen closely enough")
     pose = _from_above(mesh, up_W, size) if T_WC is None else T_WC
     if backend == "static" or (backend == "auto" and static_views()):
-        return show(mesh_picture(mesh, pose, shading=shading, size=size))
+        return show(mesh_picture(mesh, mesh_camera(size), pose, shading=shading))
+    small, up = decimated(mesh, max_triangles), torch.as_tensor(up_W).float()
     from .viewer import MeshViewer
 
-    small, up = decimated(mesh, max_triangles), torch.as_tensor(up_W).float()
     return MeshViewer(small, mesh_camera(size), pose, pivot_m=gaze_m(mesh, pose), up_W=up, shading=shading)
 
 

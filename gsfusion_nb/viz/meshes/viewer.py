@@ -1,6 +1,5 @@
 """A mesh in a notebook cell, turned with the mouse; the browser draws it without a graphics card or any download."""
 
-import base64
 from typing import Any, Literal
 
 import anywidget
@@ -11,11 +10,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ...checks import check_pose
-from ...drawing.pictures import Picture, encode_jpeg, to_uint8
+from ...drawing.pictures import Picture, to_uint8
 from ...types import Camera, Mesh
-from ..display import static_views
+from ..display import with_picture
 from ..front_end import mesh_front_end, source
-from .painter import BACKGROUND, draw_mesh
+from .picture import BACKGROUND, can_draw, mesh_picture
 
 
 def _synced(trait: t.TraitType) -> Any:
@@ -82,23 +81,18 @@ class MeshViewer(anywidget.AnyWidget):
         self.pose = T_WC.flatten().tolist()
 
     def picture(self) -> Picture:
-        """What the viewer shows, painted in Python."""
-        return draw_mesh(self.mesh, self.camera, self.T_WC, shading=self.shading)
+        """What the viewer shows, drawn in Python. Raises as ``mesh_picture``."""
+        return mesh_picture(self.mesh, self.camera, self.T_WC, shading=self.shading)
 
     def __repr__(self) -> str:
         return f"MeshViewer({len(self.mesh.faces):,} triangles, {self.width}x{self.height})"
 
     def _repr_mimebundle_(self, **kwargs: Any) -> Any:
-        stored = {
-            "image/jpeg": base64.b64encode(encode_jpeg(self.picture())).decode("ascii"),
-            "text/plain": repr(self),
-        }
-        words = {"image/jpeg": {"alt": f"A mesh of {len(self.mesh.faces):,} triangles"}}
-        if static_views():
-            return stored, words
         live: Any = super()._repr_mimebundle_(**kwargs)
-        data, metadata = live if isinstance(live, tuple) else (live or {}, {})
-        return {**data, **stored}, {**metadata, **words}
+        bundle = live[0] if isinstance(live, tuple) else live
+        if not can_draw()[0]:
+            return {**(bundle or {}), "text/plain": f"{self!r}, without a picture: {can_draw()[1]}"}, {}
+        return with_picture(bundle, self.picture(), repr(self), alt=f"A mesh of {len(self.mesh.faces):,} triangles")
 
     def _heard(self, _widget: Any, content: Any, _buffers: Any) -> None:
         """The front end has opened: send the mesh."""

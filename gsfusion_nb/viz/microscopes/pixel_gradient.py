@@ -14,7 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ...constants import ALPHA_MAX
-from ...drawing.html import html_table
+from ...drawing.page import html_table
 from .pixel_stack import CELL_STYLE, Blend, PixelStack, Splats, blend_at, blend_pixel, stack_of, swatch
 
 FIELD_WORK = 150_000

@@ -7,8 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from torch import Tensor
 
-from ...drawing.ground import CARD
-from ...drawing.pictures import Picture, to_uint8
+from ...drawing.pictures import CARD, Picture, to_uint8
 from ...render import render
 from ...types import Camera, GaussianParams
 from ..display import Bundle, with_picture

@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from markupsafe import Markup
 from torch import Tensor
 
-from ...drawing.html import html_table
+from ...drawing.page import html_table
 from ...geometry.spherical_harmonics import sh_to_rgb
 from ...render import Projection, blend_rows, project_gaussians
 from ...types import Camera, GaussianParams

@@ -7,8 +7,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from ...drawing.ground import CARD, CARD_INK
-from ...drawing.pictures import AnyImage, Picture, to_uint8
+from ...drawing.pictures import CARD, CARD_INK, AnyImage, Picture, to_uint8
 from .pixel_stack import PixelStack, Splats
 
 INK, FAINT, LIGHT = (28, 36, 48), (84, 92, 104), (229, 98, 115)

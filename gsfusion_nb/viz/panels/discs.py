@@ -9,10 +9,8 @@ from markupsafe import Markup
 from torch import Tensor
 
 from ...config import DiscConfig
-from ...drawing.ground import on_card
-from ...drawing.html import html_table
-from ...drawing.pictures import Picture, colour_depth, error_map, to_uint8
-from ...drawing.side_by_side import side_by_side
+from ...drawing.page import html_table
+from ...drawing.pictures import Picture, colour_depth, error_map, on_card, side_by_side, to_uint8
 from ...gaussians.surfels import OPAQUE
 from ...geometry import quaternion
 from ...geometry.spherical_harmonics import rgb_to_sh_dc

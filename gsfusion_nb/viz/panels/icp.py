@@ -13,9 +13,7 @@ from torch import Tensor
 
 from ...config import TrackingConfig
 from ...drawing.curves import PALETTE
-from ...drawing.ground import CARD, on_card
-from ...drawing.pictures import Picture, to_uint8
-from ...drawing.side_by_side import side_by_side
+from ...drawing.pictures import CARD, Picture, on_card, side_by_side, to_uint8
 from ...drawing.small_curves import small_curves
 from ...geometry import depth_to_normals, depth_to_points, project, se3
 from ...tracking import DepthLevel, IcpResult, Surface, associate, depth_pyramid, icp, point_to_plane

@@ -8,8 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ...drawing.pictures import Picture, colour_depth, depth_range_m, to_uint8
-from ...drawing.side_by_side import LABEL_PX, side_by_side
+from ...drawing.pictures import LABEL_PX, Picture, colour_depth, depth_range_m, side_by_side, to_uint8
 from ...geometry import backproject, depth_to_normals, pixel_grid, project, se3
 from ...types import Camera, Frame
 from .click_image import Stroke

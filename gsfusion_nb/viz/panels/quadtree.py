@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Int, UInt8
 from torch import Tensor
 
-from ...drawing.html import html_table
+from ...drawing.page import html_table
 from ...drawing.pictures import AnyImage, Picture, paint_cells, to_uint8
 from ...seeding import Cells, quadtree
 from .panel import Choice, Drawn, Panel, Slider

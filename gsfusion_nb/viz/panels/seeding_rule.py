@@ -31,6 +31,7 @@ def rule_controls(
 
     A bool becomes a check box, a word a menu of the allowed words, an int a slider up to 4 times its default, a
     positive float a slider from 1/20 to 20 times its default, any other float a slider from default - 1 to default + 1.
+    Paths and free texts have no control and keep their defaults.
 
     Args:
         rule: Name or function.
@@ -44,7 +45,11 @@ def rule_controls(
     unknown = sorted(set(ranges) - set(options))
     if unknown:
         raise KeyError(f"rule {rule_name(rule)!r} has no options {unknown}; known: {sorted(options)}")
-    return {name: _control(name, default, words.get(name, ()), ranges.get(name)) for name, default in options.items()}
+    return {
+        name: _control(name, default, words.get(name, ()), ranges.get(name))
+        for name, default in options.items()
+        if name in words or isinstance(default, bool | int | float)
+    }
 
 
 def _control(name: str, default: Any, words: Sequence[str], limits: tuple[float | int, float | int] | None) -> Control:

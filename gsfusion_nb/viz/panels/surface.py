@@ -2,8 +2,7 @@
 
 from collections.abc import Mapping
 
-from ...drawing.pictures import AnyImage, error_map, to_uint8
-from ...drawing.side_by_side import side_by_side
+from ...drawing.pictures import AnyImage, error_map, side_by_side, to_uint8
 from .panel import Choice, Drawn, Panel
 
 

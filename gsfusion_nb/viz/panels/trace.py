@@ -8,7 +8,7 @@ import torch
 from markupsafe import Markup
 
 from ...checks import check_name
-from ...drawing.html import html_table
+from ...drawing.page import html_table
 from ...drawing.pictures import Picture, to_uint8
 from ..display import Bundle, with_picture
 from ..lost import LostNotice

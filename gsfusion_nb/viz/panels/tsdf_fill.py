@@ -10,8 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ...drawing.pictures import Picture, to_uint8
-from ...drawing.side_by_side import LABEL_PX, side_by_side
+from ...drawing.pictures import LABEL_PX, Picture, side_by_side, to_uint8
 from ...tsdf import TsdfVolume, integrate, raycast
 from ...types import Camera, Frame
 from .click_image import Stroke

@@ -7,8 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ...drawing.ground import CARD, CARD_INK
-from ...drawing.pictures import Picture, colour_stops, to_uint8
+from ...drawing.pictures import CARD, CARD_INK, Picture, colour_stops, to_uint8
 from ...tsdf import TsdfVolume
 from ...types import Camera
 

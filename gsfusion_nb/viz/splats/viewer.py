@@ -29,9 +29,15 @@ from ..front_end import source, splat_front_end
 from ..viewpoint import Vector
 from .columns import columns_of, stacked, with_surface
 from .packed_rows import finite_rows, layout_for, pack_rows, packet_between
-from .record import GaussianRecord, gaussian_record
-from .starting_view import starting_pose, viewing_camera
-from .viewer_picture import PALETTES, palette_stops, splat_picture
+from .viewer_picture import (
+    PALETTES,
+    GaussianRecord,
+    gaussian_record,
+    palette_stops,
+    splat_picture,
+    starting_pose,
+    viewing_camera,
+)
 
 log = logging.getLogger(__name__)
 

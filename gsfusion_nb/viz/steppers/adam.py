@@ -1,6 +1,7 @@
 """A stepper through Adam on a map that grows: moments, bias correction, and the step that each row takes."""
 
 import dataclasses
+import math
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Literal
 
@@ -23,7 +24,7 @@ COUNTS: tuple[Count, ...] = ("per_row", "shared", "none")
 WATCH = {
     adam_update: {
         "adam_step": ("t", "steps", "model.birth_step"),
-        "adam_update": ("param", "gradient", "exp_avg", "exp_avg_sq", "m", "v", "t", "m_hat", "v_hat", "lr"),
+        "adam_update": ("param", "gradient", "exp_avg", "exp_avg_sq", "m", "v", "steps", "m_hat", "v_hat", "lr"),
     },
     GaussianModel: {"append": ("start", "stop")},
 }
@@ -149,7 +150,12 @@ def _shown(line: Line, start: torch.Tensor) -> tuple[str, tuple[str, ...], list[
             column("gradient"), column("exp_avg_sq"), column("v"),
         ]  # fmt: skip
     if line.text.startswith("m_hat, v_hat"):
-        t = line["t"] if isinstance(line["t"], torch.Tensor) else [line["t"]] * len(start)
+        counted = line["steps"]
+        t = (
+            counted.double()
+            if isinstance(counted, torch.Tensor)
+            else [math.inf if counted is None else counted] * len(start)
+        )
         title = "Bias correction: m and v started at 0, so they are divided by 1 − b^t."
         return title, ("t", "m hat", "v hat"), [[text_of(x) for x in t], column("m_hat"), column("v_hat")]
     if line.text.startswith("param.copy_"):

@@ -15,7 +15,7 @@ import traitlets as t
 from markupsafe import Markup
 
 from ...drawing.curves import BETWEEN
-from ...drawing.html import html_table
+from ...drawing.page import html_table
 from ...drawing.pictures import encode_rgba
 from ..display import WIDGET_MIME, static_views
 from .recording import Line, file_lines

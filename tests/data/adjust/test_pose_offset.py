@@ -1,18 +1,16 @@
 """Poses and pictures of different times: the path between the poses, and the offset that the pictures tell."""
 
-import dataclasses
 from typing import Any, cast
 
 import pytest
 import torch
 
-from gsfusion_nb.config import DataConfig, RepairConfig, gsfusion
+from gsfusion_nb.config import DataConfig, RepairConfig
 from gsfusion_nb.data import SequenceError, apply_options, repaired
 from gsfusion_nb.data.adjust.pose_path import PosePath
 from gsfusion_nb.data.checkup.pose_offset import estimate_pose_offset, offset_of_turns
 from gsfusion_nb.data.room import room
 from gsfusion_nb.geometry import se3
-from gsfusion_nb.runs import run_mapping
 
 LATE: dict[str, Any] = {"n_frames": 480, "width": 96, "height": 72, "pose_delay_s": 0.05}
 
@@ -52,16 +50,41 @@ def test_a_known_offset_brings_the_true_poses_back(late):
         RepairConfig(pose_offset_s=99.0)
 
 
-def test_the_offset_is_found_from_the_pictures_and_stands_in_the_settings(late, tmp_path):
+def test_the_offset_is_found_from_the_pictures(late):
     found = estimate_pose_offset(late)
     assert found.is_sure
     assert found.offset_s == pytest.approx(-0.05, abs=0.005)
     exact = estimate_pose_offset(apply_options(cast(Any, room(**dict(LATE, pose_delay_s=0.0))), PART))
     assert abs(exact.offset_s) < 0.003
-    config = gsfusion("online", data__stop=2, data__hold_out_every=0, data__repair__pose_offset_s="estimate")
-    run = run_mapping(dataclasses.replace(late), config, folder=tmp_path / "run", evaluate=False).run
-    assert run.mapper.config.data.repair.pose_offset_s == pytest.approx(found.offset_s)
-    assert "ms before their poses; poses follow" in run.warnings[0]
+
+
+class Telling:
+    """A sequence that remembers which frames and poses were read."""
+
+    def __init__(self, source):
+        self.source, self.read = source, set()
+        self.name, self.camera, self.times_s = source.name, source.camera, source.times_s
+
+    def __len__(self):
+        return len(self.source)
+
+    def pose(self, i):
+        self.read.add(i)
+        return self.source.pose(i)
+
+    def __getitem__(self, i):
+        self.read.add(i)
+        return self.source[i]
+
+
+def test_only_mapped_frames_speak():
+    source = Telling(room(**LATE))
+    opened = apply_options(cast(Any, source), DataConfig(start=150, stop=206, hold_out_every=8, hold_out_offset=4))
+    assert source.read == set()  # nothing is estimated when a sequence is opened
+    found = estimate_pose_offset(opened)
+    assert source.read == set(opened.mapping.positions)
+    assert found.is_sure
+    assert found.offset_s == pytest.approx(-0.05, abs=0.01)
 
 
 def estimates(*, turn_deg, period_s, pose_deg, recordings=12):
@@ -122,5 +145,5 @@ def test_without_times_nothing_is_guessed(late):
         name, camera, has_poses = late.name, late.camera, True
         __len__, __getitem__, pose = late.__len__, late.__getitem__, late.pose
 
-    with pytest.raises(SequenceError, match=r"has no times, so the offset .* set data.repair.pose_offset_s to 0"):
-        apply_options(Timeless(), DataConfig(repair=RepairConfig(pose_offset_s="estimate")))
+    with pytest.raises(SequenceError, match="no times"):
+        estimate_pose_offset(Timeless())

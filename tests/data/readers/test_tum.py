@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from gsfusion_nb.data import SequenceError, SequenceNotFoundError, open_sequence
+from gsfusion_nb.data.adjust.depth_agreement import depth_agreement
 from gsfusion_nb.data.checkup.file_checks import time_stamps
-from gsfusion_nb.data.checkup.quick_check import depth_agreement
 from gsfusion_nb.data.lens.camera_model import CameraModel
 from gsfusion_nb.data.lens.undistort import Undistorter
 from gsfusion_nb.data.readers import tum

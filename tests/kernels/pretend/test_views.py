@@ -9,7 +9,7 @@ from gsfusion_nb.data import open_sequence
 from gsfusion_nb.mapping import RTGSLAM, GSFusion, make_mapper
 from gsfusion_nb.runs import MappingRun
 from gsfusion_nb.viz import LiveMapper, OrbitView, SplatViewer, draw_gaussians, show_mesh
-from gsfusion_nb.viz.panels.keyframe_strip import keyframe_strip
+from gsfusion_nb.viz.panels.stage_bars import keyframe_strip
 from gsfusion_nb.viz.splats.surfel_pictures import cause_picture, state_picture
 from gsfusion_nb.viz.summaries import html_summary
 

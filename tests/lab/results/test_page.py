@@ -7,8 +7,7 @@ from html.parser import HTMLParser
 import cv2
 import pytest
 
-from gsfusion_nb.lab.page import Pictures, page_html, provenance
-from gsfusion_nb.lab.view_pictures import views_of
+from gsfusion_nb.lab.page import Pictures, page_html, provenance, views_of
 
 
 class Elements(HTMLParser):

@@ -1,11 +1,11 @@
 """A slider back through what was shown."""
 
-from gsfusion_nb.viz.live import scrubber
-from gsfusion_nb.viz.live.scrubber import Scrubber
+from gsfusion_nb.viz.live import player
+from gsfusion_nb.viz.live.player import Scrubber
 
 
 def test_a_long_run_keeps_its_beginning_and_its_end(monkeypatch):
-    monkeypatch.setattr(scrubber, "MOST_ENTRIES", 10)
+    monkeypatch.setattr(player, "MOST_ENTRIES", 10)
     shown = []
     slider = Scrubber(shown.append, what="step", css_class="x")
     slider.show_newest()

@@ -1,9 +1,8 @@
-"""Mesh views: painted by hand, decimated, drawn by VTK where it can draw, and by the browser as by hand."""
+"""Mesh views: drawn by VTK, decimated, and by the browser as by VTK."""
 
 import base64
 import json
 import subprocess
-import sys
 
 import cv2
 import numpy as np
@@ -14,10 +13,8 @@ from gsfusion_nb.types import Camera, Mesh
 from gsfusion_nb.viz import orbit_camera, show_mesh
 from gsfusion_nb.viz.display import WIDGET_MIME
 from gsfusion_nb.viz.front_end import FINE, joined, mesh_front_end
-from gsfusion_nb.viz.meshes import opengl as gl
-from gsfusion_nb.viz.meshes.decimation import decimated
-from gsfusion_nb.viz.meshes.painter import BACKGROUND, draw_mesh
-from gsfusion_nb.viz.meshes.picture import mesh_picture
+from gsfusion_nb.viz.meshes import picture, viewer
+from gsfusion_nb.viz.meshes.picture import BACKGROUND, can_draw, decimated, mesh_picture
 from gsfusion_nb.viz.meshes.viewer import MeshViewer
 
 CAMERA = Camera(width=160, height=120, fx=223.923, fy=223.923, cx=80.0, cy=60.0)
@@ -39,52 +36,31 @@ FROM_ABOVE = orbit_camera((0, 0, 0), -90, 90, 2.0)  # +y up in the picture, +x r
 FROM_BELOW = orbit_camera((0, 0, 0), -90, -90, 2.0)
 
 
-def test_painted_square_by_hand():
-    image = draw_mesh(sheet(21), CAMERA, FROM_ABOVE)
-    inside = np.nonzero((image != BACKGROUND).any(-1))
-    assert (inside[0].min(), inside[0].max()) == pytest.approx((60 - 56, 60 + 56), abs=1.5)
-    assert (inside[1].min(), inside[1].max()) == pytest.approx((80 - 56, 80 + 56), abs=1.5)
+@pytest.fixture
+def vtk():
+    """Skips where VTK cannot draw."""
+    able, reason = can_draw()
+    if not able:
+        pytest.skip(reason)
+
+
+def inside(image):
+    """First and last row, then first and last column, of what is not background."""
+    rows, columns = np.nonzero((image != BACKGROUND).any(-1))
+    return [rows.min(), rows.max(), columns.min(), columns.max()]
+
+
+def test_a_square_lies_where_the_camera_sees_it(vtk):
+    """1 m wide, 2 m away, 223.9 px of focal length: 112 px, whichever way the camera's picture is cut."""
+    image = mesh_picture(sheet(21), CAMERA, FROM_ABOVE)
+    assert inside(image) == pytest.approx([60 - 56, 60 + 56, 80 - 56, 80 + 56], abs=1.5)
     assert image[60, 60].argmax() == 0
     assert image[60, 100].argmax() == 2
-
-
-def test_faces_seen_from_behind_are_left_out():
-    assert (draw_mesh(sheet(3), CAMERA, FROM_BELOW) == BACKGROUND).all()
-
-
-def test_nearer_triangles_cover_farther_ones_in_any_order():
-    low, high = sheet(5, ((1.0, 0, 0), (1.0, 0, 0))), sheet(5, ((0, 1.0, 0), (0, 1.0, 0)))
-    lifted = high.vertices_W + torch.tensor([0.0, 0, 0.3])
-    for first, second in ((low.vertices_W, lifted), (lifted, low.vertices_W)):
-        rgb = torch.cat([low.rgb, high.rgb] if first is low.vertices_W else [high.rgb, low.rgb])
-        both = Mesh(vertices_W=torch.cat([first, second]), faces=torch.cat([low.faces, low.faces + 25]), rgb=rgb)
-        assert draw_mesh(both, CAMERA, FROM_ABOVE)[60, 80].argmax() == 1
-
-
-def test_shape_shading_ignores_colour_and_nothing_is_painted_of_an_empty_mesh():
-    image = draw_mesh(sheet(3), CAMERA, FROM_ABOVE, shading="shape")
-    assert np.abs(image[60, 60].astype(int) - image[60, 100]).max() < 6
-    assert image[60, 60].max() == image[60, 60].min()
+    assert (mesh_picture(sheet(3), CAMERA, FROM_BELOW) == BACKGROUND).all()  # seen from behind
+    grey = mesh_picture(sheet(3), CAMERA, FROM_ABOVE, shading="shape")[60]
+    assert np.ptp(grey[[60, 100]].astype(int)) < 6
     none = Mesh(vertices_W=torch.zeros(0, 3), faces=torch.zeros(0, 3, dtype=torch.int64), rgb=torch.zeros(0, 3))
-    assert (draw_mesh(none, CAMERA, FROM_ABOVE) == BACKGROUND).all()
-
-
-def test_colours_are_straight_on_the_surface_and_not_in_the_picture():
-    """A floor 1 m below the camera, black at 2 m and white at 8 m, is a third white at 4 m: 50 rows down."""
-    xyz = torch.tensor([[-1.0, 1, 2], [1, 1, 2], [1, 1, 8], [-1, 1, 8]])
-    rgb = torch.tensor([0.0, 0, 1, 1])[:, None].expand(-1, 3)
-    strip = Mesh(vertices_W=xyz, faces=torch.tensor([[0, 1, 2], [0, 2, 3]]), rgb=rgb)
-    camera = Camera(width=9, height=101, fx=200.0, fy=200.0, cx=4.5, cy=0.5)
-    grey = draw_mesh(strip, camera, torch.eye(4))[50, 4] / 255
-    assert grey == pytest.approx(1 / 3 * (0.7 + 0.3 * 0.2), abs=0.01)  # the lamp's cosine at a middle 5 m away
-
-
-def test_corners_that_are_no_numbers_take_only_their_triangles_away():
-    mesh = sheet(21)
-    mesh.vertices_W[0] = float("nan")
-    mesh.vertices_W[-1, 0] = float("inf")
-    image, whole = draw_mesh(mesh, CAMERA, FROM_ABOVE), draw_mesh(sheet(21), CAMERA, FROM_ABOVE)
-    assert 0 < (image != whole).any(-1).mean() < 0.005
+    assert (mesh_picture(none, CAMERA, FROM_ABOVE) == BACKGROUND).all()
 
 
 def test_reduction_keeps_extent_area_colours_and_sides():
@@ -106,16 +82,14 @@ def test_reduction_keeps_extent_area_colours_and_sides():
         decimated(mesh, 0)
 
 
-def test_without_vtk_the_static_view_is_painted(monkeypatch):
-    monkeypatch.setenv("GSNB_VTK", "none")
-    gl.can_draw.cache_clear()
-    try:
-        loaded = "pyvista" in sys.modules
-        output = show_mesh(sheet(11), backend="static", size=(160, 120))
-        assert output.data[:2] == b"\xff\xd8"  # a JPEG
-        assert ("pyvista" in sys.modules) == loaded
-    finally:
-        gl.can_draw.cache_clear()
+def test_without_vtk_a_picture_is_refused_and_the_live_view_is_there(watched, monkeypatch):
+    for module in (picture, viewer):
+        monkeypatch.setattr(module, "can_draw", lambda: (False, "apt-get install libgl1"))
+    with pytest.raises(RuntimeError, match="libgl1"):
+        show_mesh(sheet(11), backend="static", size=(160, 120))
+    data, _ = show_mesh(sheet(11))._repr_mimebundle_()
+    assert WIDGET_MIME in data
+    assert "libgl1" in data["text/plain"]
 
 
 @pytest.fixture
@@ -125,8 +99,7 @@ def watched(monkeypatch):
         monkeypatch.delenv(name, raising=False)
 
 
-def test_the_live_view_needs_no_vtk_and_keeps_a_picture(watched, monkeypatch):
-    monkeypatch.setattr(gl, "can_draw", lambda: pytest.fail("VTK was tried"))
+def test_the_live_view_keeps_a_picture(watched, monkeypatch, vtk):
     viewer = show_mesh(sheet(101), max_triangles=500, size=(160, 120), shading="shape", up_W=[0, 0, 2])
     assert isinstance(viewer, MeshViewer)
     assert len(viewer.mesh.faces) <= 500
@@ -196,7 +169,7 @@ def drawn_by_the_browser(node, folder, mesh, T_WC, shading):
 
 
 @pytest.mark.parametrize("shading", ["colour", "shape"])
-def test_the_browser_draws_what_python_paints(node, tmp_path, shading):
+def test_the_browser_draws_what_vtk_draws(node, tmp_path, shading, vtk):
     """Two squares, one 0.3 m above a part of the other, seen at an angle: order, lamp and colours."""
     low, high = sheet(41), sheet(41, ((0, 1.0, 0), (1.0, 1.0, 0)))
     both = Mesh(
@@ -205,9 +178,12 @@ def test_the_browser_draws_what_python_paints(node, tmp_path, shading):
     )  # fmt: skip
     T = orbit_camera((0, 0, 0), -60, 50, 2.0)
     image, answer = drawn_by_the_browser(node, tmp_path, both, T, shading)
-    painted = draw_mesh(both, CAMERA, T, shading=shading)
-    assert (np.abs(image.astype(int) - painted).max(-1) < 3).mean() > 0.999
-    assert painted.std() > 20
+    drawn = mesh_picture(both, CAMERA, T, shading=shading)
+    # VTK smooths edges, and its lamp shines along the axis: up to 1 - cos(18 deg) of the light less at the corners
+    same = np.abs(image.astype(int) - drawn).max(-1) < (15 if shading == "colour" else 30)
+    assert same.mean() > 0.97
+    assert inside(image) == pytest.approx(inside(drawn), abs=1)
+    assert drawn.std() > 20
     assert answer["corner"] is None
     assert 1.5 < answer["middle"] < 1.9  # the upper square
 
@@ -215,8 +191,7 @@ def test_the_browser_draws_what_python_paints(node, tmp_path, shading):
 def test_depth_and_behind_in_the_browser(node, tmp_path):
     image, answer = drawn_by_the_browser(node, tmp_path, sheet(3), FROM_ABOVE, "colour")
     assert answer["middle"] == pytest.approx(2.0, abs=1e-5)
-    inside = np.nonzero((image != BACKGROUND).any(-1))
-    assert (inside[0].min(), inside[0].max()) == pytest.approx((60 - 56, 59 + 56), abs=0.5)
+    assert inside(image)[:2] == pytest.approx([60 - 56, 59 + 56], abs=0.5)
     image, answer = drawn_by_the_browser(node, tmp_path, sheet(3), FROM_BELOW, "colour")
     assert (image == BACKGROUND).all()
     assert answer["middle"] is None
@@ -230,12 +205,9 @@ const faces = Int32Array.from(squares.flatMap((i) => [i, i + n, i + 1, i + 1, i 
 const mesh = [xyz, faces, new Uint8Array(xyz.length).fill(200)];
 const view = viewOf([1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1], [900, 900, 640, 480], 1280, 960);
 const seen = [];
-let turns = 0; // of everything else that the page does
-const tick = setInterval(() => (turns += 1));
 const fine = new FineDrawing((picture) => {
-  seen.push([picture.id, picture.pixels.length, picture.nearness.length, turns > 2]);
+  seen.push([picture.id, picture.pixels.length, picture.nearness.length]);
   if (picture.id !== 5) return;
-  clearInterval(tick);
   console.log(JSON.stringify(seen));
 });
 fine.handle({ id: 1, view, shape: false, background: [0, 0, 0] }); // no mesh yet
@@ -252,9 +224,7 @@ def test_a_fine_picture_gives_way_while_it_is_drawn(node, tmp_path):
     (tmp_path / "fine.mjs").write_text(joined(("projection", *FINE)) + _FINE)
     done = subprocess.run([node, tmp_path / "fine.mjs"], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout) == [
-        [5, 4 * 1280 * 960, 1280 * 960, True]
-    ]  # the third was given up, other work ran meanwhile
+    assert json.loads(done.stdout) == [[5, 4 * 1280 * 960, 1280 * 960]]  # the third was given up
 
 
 def test_the_module_is_valid_and_loads_nothing(node, tmp_path):
@@ -263,18 +233,6 @@ def test_the_module_is_valid_and_loads_nothing(node, tmp_path):
     assert done.returncode == 0, done.stderr
     for foreign in ("http://", "https://", "import(", "importScripts", "\nimport ", "fetch("):
         assert foreign not in mesh_front_end()
-
-
-def test_vtk_and_the_painter_agree():
-    able, reason = gl.can_draw()
-    if not able:
-        pytest.skip(reason)
-    mesh = sheet(41)
-    T = orbit_camera((0, 0, 0), -60, 50, 2.0)
-    vtk, painted = mesh_picture(mesh, T, size=(160, 120)), draw_mesh(mesh, CAMERA, T)
-    same = np.abs(vtk.astype(int) - painted).max(-1) < 15  # VTK smooths edges, and its lamp shines along the axis
-    assert same.mean() > 0.975
-    assert (vtk == BACKGROUND).all(-1).mean() == pytest.approx((painted == BACKGROUND).all(-1).mean(), abs=0.02)
 
 
 def test_an_empty_mesh_is_refused_with_a_reason():

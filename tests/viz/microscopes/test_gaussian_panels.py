@@ -5,22 +5,24 @@ import pytest
 import torch
 
 from gsfusion_nb.constants import SCREEN_BLUR_PX2, SH_C0
-from gsfusion_nb.drawing.ground import CARD
+from gsfusion_nb.drawing.pictures import CARD
 from gsfusion_nb.geometry import quaternion
 from gsfusion_nb.render import project_gaussians, tile_intersections
 from gsfusion_nb.types import Camera
-from gsfusion_nb.viz.microscopes.gaussian_panels import gaussian_handles, one_gaussian_panel, sh_ball_panel
 from gsfusion_nb.viz.microscopes.one_gaussian import (
     ORANGE,
     WHITE,
     basis_atlas,
+    gaussian_handles,
     gaussian_row,
+    one_gaussian_panel,
     orientation_from_angles,
     projection_caption,
     projection_picture,
     sh_ball,
+    sh_ball_panel,
+    tile_picture,
 )
-from gsfusion_nb.viz.microscopes.tile_picture import tile_picture
 from gsfusion_nb.viz.panels.click_image import ClickImage
 
 CAMERA = Camera(width=80, height=60, fx=52.0, fy=52.0, cx=40.0, cy=30.0)

@@ -9,7 +9,12 @@ from gsfusion_nb.render import composite, composite_vjp, tile_intersections
 from gsfusion_nb.types import Camera, GaussianParams
 from gsfusion_nb.viz import GradientMicroscope
 from gsfusion_nb.viz.microscopes import gradient_microscope
-from gsfusion_nb.viz.microscopes.gradient_picture import LESS, MORE, gaussian_gradient_picture, pixel_gradient_picture
+from gsfusion_nb.viz.microscopes.gradient_microscope import (
+    LESS,
+    MORE,
+    gaussian_gradient_picture,
+    pixel_gradient_picture,
+)
 from gsfusion_nb.viz.microscopes.pixel_gradient import gaussian_gradient, pixel_gradient, pixel_gradient_table
 from gsfusion_nb.viz.microscopes.pixel_stack import project_splats
 

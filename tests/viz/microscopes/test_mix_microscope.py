@@ -9,7 +9,7 @@ from gsfusion_nb.render import BaseView, render_over_base
 from gsfusion_nb.render.over_base import Base
 from gsfusion_nb.types import Camera, GaussianParams
 from gsfusion_nb.viz import MixMicroscope, surface_panel
-from gsfusion_nb.viz.microscopes.pixel_mix import mix_table
+from gsfusion_nb.viz.microscopes.mix_microscope import mix_table
 
 CAMERA = Camera(width=80, height=60, fx=60.0, fy=60.0, cx=40.0, cy=30.0)
 EYE = torch.eye(4)

@@ -4,7 +4,7 @@ import torch
 
 from gsfusion_nb.optim import Keyframe
 from gsfusion_nb.types import Camera
-from gsfusion_nb.viz.panels.keyframe_strip import keyframe_strip
+from gsfusion_nb.viz.panels.stage_bars import keyframe_strip
 
 CAMERA = Camera(width=128, height=96, fx=120.0, fy=120.0, cx=64.0, cy=48.0)
 

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from gsfusion_nb.config import TsdfConfig
-from gsfusion_nb.drawing.side_by_side import LABEL_PX
+from gsfusion_nb.drawing.pictures import LABEL_PX
 from gsfusion_nb.tsdf import TsdfVolume, integrate
 from gsfusion_nb.types import Camera, Frame
 from gsfusion_nb.viz import tsdf_fill_panel

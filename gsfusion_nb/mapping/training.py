@@ -1,0 +1,135 @@
+"""The loss and the optimiser of a mapper, where they are given from outside instead of the system's own."""
+
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from ..checks import check_finite, check_shape
+from ..errors import SequenceError, shown
+from ..optim import TrainingView, UpdateFunction, ViewLoss
+from ..seeding import rule_fingerprint, rule_name
+from ..types import Frame, RenderOutput
+
+LossFunction = Callable[[RenderOutput, TrainingView], ViewLoss]
+"""``loss(rendered, view)``: the value for one view, and its gradient with respect to the rendered images.
+
+``rendered`` has ``rgb``, ``alpha`` and ``depth_m``. The depth is the one that the system's own loss would use: blended
+in GSFusion, of the discs in RTG-SLAM, of surface and Gaussians in GPS-SLAM, where it has no gradient. In RTG-SLAM only
+``view.pixels`` are drawn and count."""
+
+
+class Training:
+    """What a mapper optimises with. Without arguments it is the system's own loss and Adam.
+
+    Both functions must depend on their arguments only: what they store is not part of a checkpoint.
+
+    Args:
+        loss: Replaces all terms about the picture and its depth. Penalties on Gaussians in the settings stay.
+        optimiser: Replaces ``adam_update``; learning rates, and factors of rows, stay those of the settings.
+
+    Raises:
+        TypeError: one of them is not a function, or the optimiser returns something.
+        ValueError: the optimiser does not change its parameter in place, or makes it NaN.
+    """
+
+    def __init__(self, loss: LossFunction | None = None, optimiser: UpdateFunction | None = None):
+        self.loss, self.optimiser = loss, optimiser
+        self._given: dict[str, Any] = {
+            name: f for name, f in (("loss", loss), ("optimiser", optimiser)) if f is not None
+        }
+        for name, f in self._given.items():
+            if isinstance(f, type) or not callable(f):
+                raise TypeError(f"{name} must be a function, got {shown(f)}")
+        if optimiser is not None:
+            _try_out(optimiser)
+        self._fingerprints = {name: rule_fingerprint(f) for name, f in self._given.items()}
+
+    @property
+    def names(self) -> dict[str, str]:
+        """The names of what was given, for metrics.json, config.json and the report; empty for the defaults."""
+        return {name: rule_name(f) for name, f in self._given.items()}
+
+    def view_loss(self, rendered: RenderOutput, source: "Frame | Any", *, with_depth: bool = True) -> ViewLoss:
+        """The given loss of one view.
+
+        Args:
+            rendered: The picture, without gradient.
+            source: The frame, keyframe or ``TrainingView``.
+            with_depth: Whether the system has a gradient of its depth.
+
+        Raises:
+            TypeError: the result is not a ``ViewLoss``.
+            ValueError: the gradient is of another shape, not finite, or of a depth that has none.
+        """
+        assert self.loss is not None
+        view = source if isinstance(source, TrainingView) else TrainingView.of(source)
+        found, name = self.loss(rendered, view), f"loss {_name(self.loss)!r}"
+        if not isinstance(found, ViewLoss):
+            raise TypeError(f"{name} must return a ViewLoss (gsfusion_nb.optim), got {shown(found)}")
+        check_shape(f"value of the {name}", found.value, ())
+        for column, like in (("v_rgb", rendered.rgb), ("v_depth_m", rendered.depth_m)):
+            gradient = getattr(found, column)
+            if gradient is not None:
+                check_shape(f"{column} of the {name}", gradient, tuple(like.shape))
+                check_finite(f"{column} of the {name}", gradient)
+        if found.v_depth_m is not None and not with_depth:
+            raise ValueError(f"{name} returned v_depth_m, but this system's depth has no gradient; leave it out")
+        return found.detached(rendered.rgb)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Name and fingerprint of each, and whether it has stored something since."""
+        return {
+            name: {
+                "name": rule_name(f),
+                "fingerprint": self._fingerprints[name],
+                "changed": rule_fingerprint(f) != self._fingerprints[name],
+            }
+            for name, f in self._given.items()
+        }
+
+    def notes_on(self, state: dict[str, Any]) -> list[str]:
+        """Sentences about a difference from the training of a checkpoint.
+
+        Raises:
+            SequenceError: the checkpoint was made with a function that is not given now, or that stored something.
+        """
+        notes = []
+        for kind in ("loss", "optimiser"):
+            saved, now = state.get(kind), self._fingerprints.get(kind)
+            if saved is not None and now is None:
+                raise SequenceError(
+                    f"this run has its own {kind}, {shown(saved['name'])}, which is not in the checkpoint: continue it "
+                    f"in Python with resume_mapping(folder, {kind}=<the function>)"
+                )
+            if saved is not None and saved["changed"]:
+                raise SequenceError(
+                    f"the {kind} {shown(saved['name'])} of this run stored something from one step to the next that is "
+                    "not in the checkpoint, so the run cannot continue to the same map"
+                )
+            if now != (None if saved is None else saved["fingerprint"]):
+                was = "the system's own" if saved is None else shown(saved["name"])
+                notes.append(f"the run continued with another {kind}: {self.names[kind]!r} instead of {was}")
+        return notes
+
+
+def _name(f: Any) -> str:
+    return rule_name(f)
+
+
+def _try_out(optimiser: UpdateFunction) -> None:
+    """Take one step, late enough that a warm-up is over, on two rows with gradient 1."""
+    name = f"optimiser {_name(optimiser)!r}"
+    param, m, v = torch.zeros(2, 3), torch.zeros(2, 3), torch.zeros(2, 3)
+    returned: Any = optimiser(param, torch.ones(2, 3), m, v, torch.full((2,), 1000), lr=0.1)
+    if returned is not None:
+        raise TypeError(f"{name} must change param in place and return nothing, got {shown(returned)}")
+    if not _all_finite(param, m, v):
+        raise ValueError(f"{name} makes NaN or infinity from a gradient of 1")
+    if not param.any():
+        raise ValueError(f"{name} must change param in place (param -= ..., not param = param - ...)")
+
+
+def _all_finite(*values: Tensor) -> bool:
+    return all(bool(value.isfinite().all()) for value in values)

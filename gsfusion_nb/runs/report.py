@@ -1,0 +1,311 @@
+"""The report of a run as one HTML file with numbers, pictures, graphs and settings; it loads no other files."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from jaxtyping import Float
+from torch import Tensor
+
+from ..drawing import pictures
+from ..drawing.page import PICTURE_WIDTH, ColourBar, PageGraph, PagePicture, fill, page_graph, page_picture
+from ..drawing.pictures import AnyImage
+from ..evaluation.image import expected_depth_m, psnr, ssim
+from ..evaluation.metrics import METRIC_GROUPS, METRICS, NBSP, format_metric, format_value, reason_missing
+from ..files import write_file
+from ..types import Frame, RenderOutput
+
+HEADLINE = (
+    ("psnr_held_out_db", "PSNR, held out", "ssim_held_out", "SSIM {}"),
+    ("psnr_mapped_db", "PSNR, mapped", "ssim_mapped", "SSIM {}"),
+    ("n_gaussians", "Gaussians", "model_size_mb", "{}"),
+    ("n_keyframes", "Keyframes", "n_frames", "of {} frames"),
+    ("fps_total", "Frames / total time", "fps_mean_inverse", "mean 1/dt: {}"),
+    ("peak_memory_mb", "Peak memory", "seconds_total", "whole run: {}"),
+)
+"""Per box: metric shown large, its label, metric in the line below, and the text of that line."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameRow:
+    """Numbers of one mapped frame."""
+
+    index: int
+    """Frame number in the source sequence."""
+    seconds: float
+    """Time of the whole step, seconds."""
+    n_gaussians: int
+    """Number of Gaussians in the map after the step."""
+    n_seeds: int
+    """New Gaussians of this step."""
+    keyframe: bool
+    psnr_before: float = float("nan")
+    """PSNR of this view before the step's optimisation, dB; NaN if not measured."""
+    psnr: float = float("nan")
+    """PSNR of this view after it, dB."""
+    losses: tuple[float, ...] = ()
+    """Loss at each optimisation step."""
+    stage_seconds: Mapping[str, float] = field(default_factory=dict)
+    """Stage name -> seconds, in the order of the step."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ReportView:
+    """One view: input image and render."""
+
+    name: str
+    """For example "Frame 60"."""
+    held_out: bool
+    """True if the view was never mapped."""
+    rgb: Float[Tensor, "H W 3"]
+    render: Float[Tensor, "H W 3"]
+    depth_m: Float[Tensor, "H W"] | None = None
+    """Measured depth, metres."""
+    render_depth_m: Float[Tensor, "H W"] | None = None
+    """Rendered depth, metres, 0 where the map covers nothing."""
+    cells: Any = None
+    """Quadtree cells of this frame (``x0, y0, width, height, level``), or None."""
+    psnr: float = float("nan")
+    """dB."""
+    ssim: float = float("nan")
+
+    @staticmethod
+    def of(frame: Frame, view: RenderOutput, *, held_out: bool, cells: Any = None) -> "ReportView":
+        """A frame and the render of its view, with their scores."""
+        view = view.to(frame.rgb.device)
+        return ReportView(
+            name=f"Frame {frame.index}",
+            held_out=held_out,
+            rgb=frame.rgb,
+            render=view.rgb,
+            depth_m=frame.depth_m,
+            render_depth_m=expected_depth_m(view),
+            cells=cells,
+            psnr=psnr(view.rgb, frame.rgb),
+            ssim=ssim(view.rgb, frame.rgb) if min(frame.rgb.shape[:2]) >= 6 else float("nan"),
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ReportData:
+    """Everything the report shows. Only the title is required; parts that are not given are not shown."""
+
+    title: str
+    subtitle: str = ""
+    """One line: data set, preset, date."""
+    metrics: Mapping[str, Any] = field(default_factory=dict)
+    """Name -> number or ``NotComputed``; the known names, labels and units are in ``metrics.METRIC_GROUPS``."""
+    config: Mapping[str, Any] = field(default_factory=dict)
+    """Settings as nested dictionaries, as from ``dataclasses.asdict``."""
+    frames: Sequence[FrameRow] = ()
+    global_losses: Sequence[float | int] = ()
+    """Mean loss of each pass of the global optimisation."""
+    views: Sequence[ReportView] = ()
+    mesh_pictures: Mapping[str, AnyImage] = field(default_factory=dict)
+    """Caption -> picture of the mesh."""
+    warnings: Sequence[str] = ()
+    """Sentences shown at the top, for example why a run ended early."""
+    environment: Mapping[str, Any] = field(default_factory=dict)
+    """Versions, threads, device."""
+    files: Mapping[str, str] = field(default_factory=dict)
+    """File name -> what it contains and which programs open it."""
+
+
+def write_report(path: Path | str, run: ReportData) -> Path:
+    """Write ``run`` as one HTML file, atomically: a reader sees the old file or the new one, never a partial one.
+
+    Returns:
+        The path written.
+    """
+    path = Path(path)
+    write_file(path, report_html(run))
+    return path
+
+
+def report_html(run: ReportData) -> str:
+    """The page as HTML text."""
+    return fill(
+        "report.html",
+        title=run.title,
+        subtitle=run.subtitle,
+        warnings=run.warnings,
+        headline=_headline(run.metrics),
+        views=_views(run.views),
+        quadtrees=_quadtrees(run.views),
+        graphs=_graphs(run.frames, run.global_losses),
+        stages=_stages(run.frames),
+        meshes=[page_picture(image, name) for name, image in run.mesh_pictures.items()],
+        groups=_metric_groups(run.metrics),
+        files=run.files,
+        config=_settings(run.config),
+        environment=_settings(run.environment),
+        frame_rows=[_frame_cells(row) for row in run.frames],
+    )
+
+
+def _headline(metrics: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The main numbers, shown at the top."""
+    boxes = []
+    for name, label, second, line in HEADLINE if metrics else ():
+        value, more = metrics.get(name), ""
+        if reason_missing(metrics.get(second)) is None:
+            more = line.format(format_metric(second, metrics[second]))
+        missing = reason_missing(value) is not None
+        text = format_metric(name, value)
+        number, _, unit = (text, "", "") if missing else text.partition(NBSP)
+        boxes.append({"label": label, "number": number, "unit": unit, "is_missing": missing, "more": more})
+    return boxes
+
+
+def _views(panels: Sequence[ReportView]) -> list[dict[str, Any]]:
+    """Input, render and error of each view, and the same for depth; held-out views come first."""
+    shown = []
+    for panel in sorted(panels, key=lambda panel: not panel.held_out):
+        scores = [] if math.isnan(panel.psnr) else [f"PSNR {panel.psnr:.2f}{NBSP}dB"]
+        scores += [] if math.isnan(panel.ssim) else [f"SSIM {panel.ssim:.3f}"]
+        picked = [*_colour_pictures(panel), *_depth_pictures(panel)]
+        shown.append({"name": panel.name, "held_out": panel.held_out, "scores": scores, "pictures": picked})
+    return shown
+
+
+def _colour_pictures(panel: ReportView) -> list[PagePicture]:
+    limit = pictures.ERROR_LIMIT
+    error = pictures.error_map(panel.render, panel.rgb)
+    bar = ColourBar(colours=pictures.ERROR_COLOURS, low="0", high=f"{limit:g} or more, of 1")
+    return [
+        page_picture(panel.rgb, "Input", alt=f"{panel.name}, input"),
+        page_picture(panel.render, "Render", alt=f"{panel.name}, render"),
+        page_picture(error, "|Render − input|, mean of channels", alt=f"{panel.name}, error", bar=bar),
+    ]
+
+
+def _depth_pictures(panel: ReportView) -> list[PagePicture]:
+    pair = {"Depth, measured": panel.depth_m, "Depth, rendered": panel.render_depth_m}
+    known = {caption: depth for caption, depth in pair.items() if depth is not None}
+    if not known:
+        return []
+    near, far = pictures.depth_range_m(*known.values())
+    bar = ColourBar(colours=pictures.DEPTH_COLOURS, low=f"{near:.2f}{NBSP}m", high=f"{far:.2f}{NBSP}m")
+    shown = []
+    for caption, depth in known.items():
+        image = pictures.colour_depth(depth, near, far)
+        shown.append(page_picture(image, f"{caption} (striped: missing)", alt=f"{panel.name}, {caption}", bar=bar))
+    if panel.depth_m is not None and panel.render_depth_m is not None:
+        error = pictures.depth_error_map(panel.render_depth_m, panel.depth_m)
+        limit = f"{pictures.DEPTH_ERROR_LIMIT_M * 100:g}{NBSP}cm or more"
+        bar = ColourBar(colours=pictures.ERROR_COLOURS, low="0", high=limit)
+        shown.append(page_picture(error, "|Rendered − measured depth|", alt=f"{panel.name}, depth error", bar=bar))
+    return shown
+
+
+def _quadtrees(panels: Sequence[ReportView]) -> list[PagePicture]:
+    """The input of each view that has quadtree cells, with the cells drawn over it."""
+    shown = []
+    for panel in sorted(panels, key=lambda panel: not panel.held_out):
+        if panel.cells is None:
+            continue
+        scale = max(1, round(PICTURE_WIDTH / panel.rgb.shape[1]))
+        painted = pictures.paint_cells(panel.rgb, panel.cells, scale=scale)
+        caption = f"{panel.name}, {len(panel.cells.level):,} cells: one Gaussian may be seeded in each"
+        bar = ColourBar(colours=pictures.LEVEL_COLOURS, low="coarse", high="fine")
+        shown.append(page_picture(painted, caption, alt=f"{panel.name}, quadtree", bar=bar))
+    return shown
+
+
+def _graphs(frames: Sequence[FrameRow], global_losses: Sequence[float | int]) -> list[PageGraph]:
+    """Time by stage, size of the map, PSNR and loss over the frames, and the loss of the global optimisation."""
+    x = [row.index for row in frames]
+    marks = {"marks": [row.index for row in frames if row.keyframe], "marks_label": "keyframe"}
+    shown = []
+    if frames:
+        times = _stages_ms(frames)
+        shown.append(page_graph("Time per frame", x, times, x_label="frame", y_label="time, ms", stacked=True))
+        gaussians = {"Gaussians": [row.n_gaussians for row in frames]}
+        shown.append(page_graph("Size of the map", x, gaussians, x_label="frame", y_label="Gaussians", **marks))
+    psnr = {"before the step": [r.psnr_before for r in frames], "after the step": [r.psnr for r in frames]}
+    psnr = {label: values for label, values in psnr.items() if not all(map(math.isnan, values))}
+    if psnr:
+        shown.append(page_graph("PSNR of the current view", x, psnr, x_label="frame", y_label="PSNR, dB", **marks))
+    if any(row.losses for row in frames):
+        ends = {
+            "first step": [row.losses[0] if row.losses else math.nan for row in frames],
+            "last step": [row.losses[-1] if row.losses else math.nan for row in frames],
+        }
+        shown.append(page_graph("Loss at a frame's first and last step", x, ends, x_label="frame", y_label="loss"))
+    if global_losses:
+        passes = list(range(1, len(global_losses) + 1))
+        loss = {"mean loss": list(global_losses)}
+        label = "pass over the keyframes"
+        shown.append(page_graph("Global optimisation", passes, loss, x_label=label, y_label="loss"))
+    return shown
+
+
+def _stages(frames: Sequence[FrameRow]) -> list[dict[str, str]]:
+    """Time of each stage: per frame, in total, and as a share."""
+    if not frames or not _stage_names(frames):
+        return []
+    times = {name: sum(ms) for name, ms in _stages_ms(frames).items()}
+    whole = sum(times.values()) or 1.0
+    return [
+        {
+            "name": name,
+            "per_frame": f"{ms / len(frames):,.1f}{NBSP}ms",
+            "total": f"{ms / 1e3:,.2f}{NBSP}s",
+            "share": f"{ms / whole:.0%}",
+        }
+        for name, ms in times.items()
+    ]
+
+
+def _stage_names(frames: Sequence[FrameRow]) -> list[str]:
+    return list(dict.fromkeys(name for row in frames for name in row.stage_seconds))
+
+
+def _stages_ms(frames: Sequence[FrameRow]) -> dict[str, list[float]]:
+    """Stage -> milliseconds per frame; time outside all stages is "other", so the sum is the time of the whole step."""
+    times = {n: [1e3 * row.stage_seconds.get(n, 0.0) for row in frames] for n in _stage_names(frames)}
+    rest = [max(0.0, 1e3 * (row.seconds - sum(row.stage_seconds.values()))) for row in frames]
+    if not times:
+        return {"whole step": rest}
+    return {**times, "other": rest} if sum(rest) > 0.005 * sum(1e3 * row.seconds for row in frames) else times
+
+
+def _metric_groups(metrics: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """All metrics in groups, each with its meaning; metrics with unknown names come last."""
+    known = {
+        group: [_metric_line(METRICS[n].label, METRICS[n].meaning, n, metrics[n]) for n in names if n in metrics]
+        for group, names in METRIC_GROUPS.items()
+    }
+    known["Other"] = [_metric_line(name, "", name, value) for name, value in metrics.items() if name not in METRICS]
+    return [{"title": group, "lines": lines} for group, lines in known.items() if lines]
+
+
+def _metric_line(label: str, meaning: str, name: str, value: Any) -> dict[str, Any]:
+    missing = reason_missing(value) is not None
+    return {"label": label, "meaning": meaning, "text": format_metric(name, value), "is_missing": missing}
+
+
+def _settings(values: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
+    """Settings as dotted names and short texts."""
+    rows = []
+    for name, value in values.items():
+        if isinstance(value, Mapping) and value:
+            rows += _settings(value, f"{prefix}{name}.")
+        else:
+            rows.append((prefix + name, format_value("none" if value in ({}, None, "") else value)))
+    return rows
+
+
+def _frame_cells(row: FrameRow) -> tuple[str, ...]:
+    """One row of the table of frames."""
+
+    def number(value: float, digits: int) -> str:
+        return "–" if math.isnan(value) else f"{value:.{digits}f}"
+
+    return (
+        f"{row.index}", "●" if row.keyframe else "", f"{1e3 * row.seconds:,.0f}", f"{row.n_seeds:,}",
+        f"{row.n_gaussians:,}", number(row.psnr_before, 2), number(row.psnr, 2),
+        number(row.losses[-1] if row.losses else math.nan, 4),
+    )  # fmt: skip

@@ -1,0 +1,296 @@
+"""Points, in bulk: nearest neighbours, occupied voxels, outliers, random draws, and what a rule may ask of them."""
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from ..constants import SH_C0
+from ..geometry import quaternion
+from ..types import Frame, GaussianParams
+from .step_stats import abs_image_gradient, image_gradient, times_visible
+
+_DISTANCES = 1 << 25
+"""Number of distances computed at a time."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Neighbours:
+    """The nearest neighbours of M points, nearest first, never the point itself."""
+
+    distance_m: Float[Tensor, "M K"]
+    """Distance, metres; infinite where there are fewer than K neighbours."""
+    row: Int[Tensor, "M K"]
+    """Rows of the neighbours, -1 where there is none."""
+
+    @property
+    def spacing_m(self) -> Float[Tensor, " M"]:
+        """Root mean square of the distances that exist, metres; NaN without any. The square root of what 3DGS calls the
+        mean squared distance to the 3 nearest neighbours (simple-knn)."""
+        exists = self.distance_m.isfinite()
+        return (self.distance_m.where(exists, 0.0).square().sum(dim=1) / exists.sum(dim=1)).sqrt()
+
+
+def k_nearest(
+    xyz_W: Float[Tensor, "M 3"], others_W: Float[Tensor, "N 3"], k: int
+) -> tuple[Float[Tensor, "M K"], Int[Tensor, "M K"]]:
+    """Distance to the ``k`` nearest of ``others_W`` and their rows, nearest first; if there are fewer,
+    infinite and row N. On the device of the points; differentiable: no."""
+    M, N = len(xyz_W), len(others_W)
+    if M == 0 or N == 0:
+        return xyz_W.new_full((M, k), torch.inf), torch.full((M, k), N, dtype=torch.int64, device=xyz_W.device)
+    if xyz_W.device.type == "cpu":
+        from scipy.spatial import KDTree
+
+        distance, row = KDTree(others_W.numpy()).query(xyz_W.numpy(), k=k)
+        return torch.from_numpy(distance).view(M, k).to(xyz_W), torch.from_numpy(row).view(M, k)
+    return by_all_distances(xyz_W, others_W, k)
+
+
+def nearest_of(xyz_W: Float[Tensor, "M 3"], others_W: Float[Tensor, "N 3"], k: int) -> Neighbours:
+    """The ``k`` nearest of ``others_W`` for each point. Differentiable: no."""
+    distance, row = k_nearest(xyz_W, others_W, k)
+    return Neighbours(distance_m=distance, row=row.masked_fill(row == len(others_W), -1))
+
+
+def nearest_others(xyz_W: Float[Tensor, "M 3"], more_W: Float[Tensor, "N 3"], k: int) -> Neighbours:
+    """The ``k`` nearest neighbours of each point among the other points and ``more_W``.
+
+    A point at the same place as another one has it as a neighbour at distance 0. Differentiable: no.
+    """
+    M = len(xyz_W)
+    everything = torch.cat([xyz_W, more_W])
+    distance, row = k_nearest(xyz_W, everything, k + 1)
+    other = row != torch.arange(M, device=row.device)[:, None]
+    other[other.all(dim=1), -1] = False  # a duplicate hid the point itself: leave out the farthest
+    kept = other.byte().sort(dim=1, descending=True, stable=True).indices[:, :k]
+    row = row.gather(1, kept)
+    return Neighbours(distance_m=distance.gather(1, kept), row=row.masked_fill(row == len(everything), -1))
+
+
+def outliers(xyz_W: Float[Tensor, "M 3"], neighbours: int = 40, std_ratio: float = 2.0) -> Bool[Tensor, " M"]:
+    """Points whose mean distance to their neighbours exceeds that of all points by ``std_ratio`` standard deviations.
+
+    The statistical outlier filter of point cloud libraries (Rusu et al. 2008). With fewer points, all others are the
+    neighbours of each. Differentiable: no.
+    """
+    k = min(neighbours, len(xyz_W) - 1)
+    if k < 1:
+        return torch.zeros(len(xyz_W), dtype=torch.bool, device=xyz_W.device)
+    mean = nearest_others(xyz_W, xyz_W[:0], k).distance_m.mean(dim=1)
+    return mean > mean.mean() + std_ratio * mean.std()
+
+
+def by_all_distances(
+    xyz_W: Float[Tensor, "M 3"], others_W: Float[Tensor, "N 3"], k: int
+) -> tuple[Float[Tensor, "M K"], Int[Tensor, "M K"]]:
+    """``k_nearest`` for thousands of points among tens of thousands, without leaving the device."""
+    N = len(others_W)
+    missing = (0, max(k - N, 0))
+    found = []
+    for some in xyz_W.split(max(_DISTANCES // N, 1)):
+        distance = torch.cdist(some, others_W, compute_mode="donot_use_mm_for_euclid_dist")
+        nearest, row = distance.topk(min(k, N), largest=False)
+        pad = torch.nn.functional.pad
+        found.append((pad(nearest, missing, value=torch.inf), pad(row, missing, value=N)))
+    distances, rows = zip(*found, strict=True)
+    return torch.cat(distances), torch.cat(rows)
+
+
+_BITS = 21
+"""Bits of a voxel coordinate in a key; one that needs more is cut to the last of these."""
+
+
+def voxel_keys(xyz_W: Float[Tensor, "N 3"], voxel_size_m: float) -> Int[Tensor, " N"]:
+    """One whole number for the voxel floor(xyz / voxel size) that contains each point. Two voxels have the same number
+    only if they are 2^21 voxels apart."""
+    x, y, z = ((xyz_W / voxel_size_m).floor().long() & ((1 << _BITS) - 1)).unbind(dim=1)
+    return (x << 2 * _BITS) | (y << _BITS) | z
+
+
+def first_in_voxel(xyz_W: Float[Tensor, "N 3"], voxel_size_m: float) -> Bool[Tensor, " N"]:
+    """True for the first point of each voxel."""
+    keys, group = voxel_keys(xyz_W, voxel_size_m).unique(return_inverse=True)
+    row = torch.arange(len(xyz_W), device=xyz_W.device)
+    first = torch.full_like(keys, len(xyz_W)).scatter_reduce_(0, group, row, "amin")
+    return first[group] == row
+
+
+def draw(n: int, count: int, generator: torch.Generator) -> Int[Tensor, " K"]:
+    """``count`` of the numbers 0 .. n - 1, all equally likely, in increasing order; all if there are fewer."""
+    order = torch.randperm(n, generator=generator, device=generator.device)
+    return order[: max(count, 0)].sort().values
+
+
+def draw_weighted(weight: Float[Tensor, " N"], count: int, generator: torch.Generator) -> Int[Tensor, " K"]:
+    """``count`` of the rows, drawn one after another with probabilities in proportion to the weights of those that are
+    left, in increasing order; a row of weight 0 is never drawn, so there may be fewer.
+
+    The ``count`` smallest of E_i / w_i with E_i exponentially distributed have this distribution (Efraimidis and
+    Spirakis 2006).
+    """
+    uniform = torch.rand(len(weight), generator=generator, device=generator.device).to(weight.device)
+    key = -torch.log1p(-uniform) / weight
+    key = torch.where(weight > 0, key, torch.inf)
+    count = min(max(count, 0), int((weight > 0).sum()))
+    return key.argsort(stable=True)[:count].sort().values
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MapView:
+    """The Gaussians that exist before this frame, one row each."""
+
+    xyz_W: Float[Tensor, "N 3"]
+    """Centre, world frame, metres."""
+    scale_m: Float[Tensor, "N 3"]
+    """Standard deviation along the Gaussian's own axes, metres."""
+    radius_m: Float[Tensor, " N"]
+    """Mean of the two largest standard deviations (RTG-SLAM's radius of a disc), metres."""
+    opacity: Float[Tensor, " N"]
+    """Peak opacity."""
+    quat: Float[Tensor, "N 4"]
+    """Orientation, wxyz, not normalised."""
+    sh: Float[Tensor, "N K 3"]
+    """Spherical-harmonic coefficients of the colour, K = (degree + 1)^2; coefficient 0 is the constant one."""
+    tag: Int[Tensor, " N"] | None = None
+    """Label that the seeding rule gave each Gaussian; None if the map does not keep it."""
+    state: Int[Tensor, " N"] | None = None
+    """Stable (1) or unstable (0); None if the map does not distinguish them."""
+    age_frames: Int[Tensor, " N"] | None = None
+    """Index of this frame minus that of the frame that seeded each Gaussian; both count the frames of the source, also
+    those that are not mapped. None if the map does not keep it."""
+    age_steps: Int[Tensor, " N"] | None = None
+    """Steps of the map (``SeedContext.step_count``) since each Gaussian was added. None if the map does not keep it."""
+    times_visible: Float[Tensor, " N"] | None = None
+    """Gradient steps in which each Gaussian was visible; None unless a rule that is a class asks for it: needs
+    "visibility"."""
+    image_gradient: Float[Tensor, " N"] | None = None
+    """Mean length of dL/d of its centre in the image over these steps, in units of half the image; None unless a rule
+    that is a class asks for it: needs "image_gradients"."""
+    abs_image_gradient: Float[Tensor, " N"] | None = None
+    """The same with the sum of the absolute values over the pixels (``StepStats.v_uv_abs``); None unless a rule that is
+    a class asks for it: needs "abs_image_gradients"."""
+
+    @property
+    def normal_W(self) -> Float[Tensor, "N 3"]:
+        """Unit vector along the smallest standard deviation, world frame; its sign is arbitrary."""
+        R = quaternion.to_matrix(self.quat)
+        return R.gather(2, self.scale_m.argmin(dim=1)[:, None, None].expand(-1, 3, 1)).squeeze(2)
+
+    @property
+    def rgb(self) -> Float[Tensor, "N 3"]:
+        """View-independent part of the colour, 0..1."""
+        return (self.sh[:, 0] * SH_C0 + 0.5).clamp(0, 1)
+
+    def __len__(self) -> int:
+        return self.xyz_W.shape[0]
+
+
+def view_map(gaussians: Any, frame_index: int) -> MapView:
+    """The view of a map for the frame with this index.
+
+    Args:
+        gaussians: An object whose ``params`` is a GaussianParams; a GaussianModel has the other columns as well.
+        frame_index: Index of the current frame, for the ages.
+    """
+    params: GaussianParams = gaussians.params
+    scale_m = params.log_scale.exp()
+    birth_frame, birth_step = (getattr(gaussians, name, None) for name in ("birth_frame", "birth_step"))
+    return MapView(
+        xyz_W=params.xyz_W,
+        scale_m=scale_m,
+        radius_m=scale_m.sort(dim=-1).values[:, 1:].mean(dim=-1),
+        opacity=params.opacity_logit.sigmoid(),
+        quat=params.quat,
+        sh=params.sh,
+        tag=getattr(gaussians, "tag", None),
+        state=getattr(gaussians, "state", None),
+        age_frames=None if birth_frame is None else frame_index - birth_frame,
+        age_steps=None if birth_step is None else gaussians.step_count - birth_step,
+        times_visible=times_visible(gaussians) if hasattr(gaussians, "memory") else None,
+        image_gradient=image_gradient(gaussians) if hasattr(gaussians, "memory") else None,
+        abs_image_gradient=abs_image_gradient(gaussians) if hasattr(gaussians, "memory") else None,
+    )
+
+
+class PointQueries:
+    """The part of ``SeedContext`` that answers questions about points."""
+
+    frame: Frame
+    gaussians: Any
+    generator: torch.Generator
+
+    @property
+    def map(self) -> MapView:
+        """The Gaussians that exist before this frame."""
+        raise NotImplementedError
+
+    @property
+    def has_map(self) -> bool:
+        """Whether the map has any Gaussian; False also without a map."""
+        return self.gaussians is not None and len(self.gaussians.params) > 0
+
+    def nearest(
+        self, xyz_W: Float[Tensor, "M 3"], k: int = 3, among: Literal["new", "map", "new and map"] = "new"
+    ) -> Neighbours:
+        """The ``k`` nearest neighbours of each point; ``nearest(xyz_W).spacing_m`` is the usual size of a new Gaussian.
+
+        Args:
+            xyz_W: New points, world frame, metres. [M, 3]
+            k: Number of neighbours.
+            among: "new": the other new points; "map": the Gaussians of the map; "new and map": both.
+
+        Returns:
+            ``distance_m`` and ``row``, [M, k]. Rows count the new points first, then the map's, with "map" only the
+            map's.
+        """
+        existing = self.map.xyz_W if among != "new" and self.has_map else xyz_W[:0]
+        return nearest_of(xyz_W, existing, k) if among == "map" else nearest_others(xyz_W, existing, k)
+
+    def occupied(self, xyz_W: Float[Tensor, "M 3"], voxel_size_m: float) -> Bool[Tensor, " M"]:
+        """Whether the voxel that contains each point holds the centre of a Gaussian of the map. [M]
+
+        The voxels are those of a grid at the world's origin and are independent of the TSDF. Keeping only points in
+        voxels that are not occupied, and of those the ones of ``first_in_voxel``, gives one Gaussian a voxel in the
+        whole map, as long as the optimisation does not move them into another voxel.
+
+        Args:
+            xyz_W: Points, world frame, metres. [M, 3]
+            voxel_size_m: Edge length of a voxel, metres.
+        """
+        held = self.map.xyz_W if self.has_map else xyz_W[:0]
+        return torch.isin(voxel_keys(xyz_W, voxel_size_m), voxel_keys(held, voxel_size_m))
+
+    def first_in_voxel(self, xyz_W: Float[Tensor, "M 3"], voxel_size_m: float) -> Bool[Tensor, " M"]:
+        """True for the first of the points in each voxel. [M]"""
+        return first_in_voxel(xyz_W, voxel_size_m)
+
+    def outliers(self, xyz_W: Float[Tensor, "M 3"], k: int = 40, std_ratio: float = 2.0) -> Bool[Tensor, " M"]:
+        """Points whose mean distance to their ``k`` nearest others exceeds the mean of all points by ``std_ratio``
+        standard deviations (the statistical outlier filter, Rusu et al. 2008). [M]"""
+        return outliers(xyz_W, k, std_ratio)
+
+    def draw(self, n: int, count: int) -> Int[Tensor, " K"]:
+        """``count`` of the numbers 0 .. n - 1 at random, without replacement, in increasing order; all if there are
+        fewer. On the frame's device. [K]"""
+        return draw(n, count, self.generator).to(self.frame.depth_m.device)
+
+    def draw_weighted(self, weight: Float[Tensor, " N"], count: int) -> Int[Tensor, " K"]:
+        """``count`` rows at random, without replacement, with probabilities in proportion to ``weight`` (>= 0), in
+        increasing order; rows of weight 0 are never drawn. [K]"""
+        return draw_weighted(weight, count, self.generator)
+
+    def quat_from_normals(self, normal: Float[Tensor, "M 3"]) -> Float[Tensor, "M 4"]:
+        """Unit quaternions, wxyz, that turn the z axis to the normals by the smaller angle; a disc is then thin along
+        z. A normal need not have unit length; a zero one gives the identity. [M, 4]"""
+        return quat_from_normals(normal)
+
+
+def quat_from_normals(normal: Float[Tensor, "M 3"]) -> Float[Tensor, "M 4"]:
+    """The rotation from the z axis to each normal; the identity where the normal is zero."""
+    length = normal.norm(dim=1, keepdim=True)
+    z = torch.zeros_like(normal)
+    z[:, 2] = 1.0
+    return quaternion.shortest_arc(z, torch.where(length > 0, normal / length, z))

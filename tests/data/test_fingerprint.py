@@ -1,0 +1,126 @@
+"""Any change in what a run reads changes the fingerprint, also in the middle of a file and behind a link."""
+
+import os
+import shutil
+
+import pytest
+
+from gsfusion_nb.config import DataConfig
+from gsfusion_nb.data import apply_options, data_files, file_hashes, fingerprint, open_sequence, sequence_fingerprint
+from gsfusion_nb.data.room import room
+from gsfusion_nb.data.room.write_layouts import WRITERS, Walk
+from gsfusion_nb.foreign import noting_files
+
+
+@pytest.fixture
+def wall(scene, tmp_path):
+    """A copy of the small scene in which ``depth`` is a link to a folder elsewhere."""
+    shutil.copytree(scene, tmp_path / "wall")
+    (tmp_path / "wall" / "depth").rename(tmp_path / "elsewhere")
+    (tmp_path / "wall" / "depth").symlink_to(tmp_path / "elsewhere", target_is_directory=True)
+    return tmp_path / "wall"
+
+
+def fingerprint_of(folder) -> str:
+    return sequence_fingerprint(open_sequence(folder, data=DataConfig(stop=6, hold_out_every=3, hold_out_offset=2)))
+
+
+def flip(path, at: int) -> None:
+    """Change one byte and keep size and times."""
+    before = path.stat()
+    content = bytearray(path.read_bytes())
+    content[at] ^= 1
+    path.write_bytes(content)
+    os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
+
+
+@pytest.mark.parametrize(
+    "name", ["depth/000001.png", "rgb/000002.png", "poses.txt", "intrinsics.json"]
+)  # frame 2 is held out
+def test_one_bit_of_a_file_that_is_read(wall, name):
+    before = fingerprint_of(wall)
+    assert fingerprint_of(wall) == before
+    at = (wall / name).read_text().index(".5") + 1 if name == "poses.txt" else (wall / name).stat().st_size // 2
+    if name == "intrinsics.json":
+        (wall / name).write_text((wall / name).read_text() + "\n")
+    else:
+        flip(wall / name, at)
+    assert fingerprint_of(wall) != before
+
+
+def test_what_is_not_read_does_not_matter(wall):
+    before = fingerprint_of(wall)
+    flip(wall / "rgb/000006.png", 100)  # beyond data.stop
+    (wall / "notes.txt").write_text("a sunny day")
+    assert fingerprint_of(wall) == before
+    shutil.copytree(wall, wall.parent / "moved")
+    assert fingerprint_of(wall.parent / "moved") == before
+
+
+def test_a_file_is_hashed_once_until_it_changes(wall, monkeypatch):
+    hashed, plain = [], fingerprint._hash
+    monkeypatch.setattr(fingerprint, "_hash", lambda path: hashed.append(path) or plain(path))
+    file, link = wall / "rgb/000000.png", wall / "link.png"
+    link.symlink_to(file)
+    first = file_hashes([file, link])
+    assert len(set(first.values())) == 1
+    assert len(hashed) == 2
+    file_hashes([file])
+    assert len(hashed) == 3  # changed less than two seconds ago: a second change might have the same time
+    monkeypatch.setattr(fingerprint, "_SETTLED_NS", -(10**18))
+    assert file_hashes([file]) == file_hashes([file]) == {str(file): first[str(file)]}
+    assert len(hashed) == 4
+    flip(file, 50)
+    assert file_hashes([file, wall / "none"]).values() != first.values()
+    assert len(hashed) == 5
+    assert file_hashes([wall / "none", wall]) == dict.fromkeys([str(wall / "none"), str(wall)], fingerprint.UNREADABLE)
+
+
+def test_a_damaged_cache_of_hashes_costs_only_time(wall, monkeypatch, tmp_path):
+    monkeypatch.setenv("GSFUSION_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(fingerprint, "_SETTLED_NS", -(10**18))
+    before = fingerprint_of(wall)
+    for content in ("[]", "{", '{"000000.png": 3, "000001.png": {"a": 1}}'):
+        for file in (tmp_path / "cache" / "hashes").iterdir():
+            file.write_text(content)
+        assert fingerprint_of(wall) == before
+
+
+@pytest.mark.parametrize("layout", WRITERS)
+def test_every_file_that_a_reader_opens_is_noted(tmp_path, layout):
+    """Also those beside or above the folder, such as the camera of all scenes of Replica."""
+    name, write = WRITERS[layout]
+    written = write(tmp_path / name, Walk(n_frames=3, width=32, height=24), lambda done, total: None)
+    with noting_files() as opened:
+        sequence = open_sequence(tmp_path / name / written.path, format=layout, **written.reader)
+        for frame in (*sequence.mapping, *sequence.held_out):
+            assert frame.index < 3
+    assert len(sequence) == 3
+    assert {os.path.abspath(path) for path in opened} == data_files(sequence).keys()
+
+
+def test_of_a_sequence_in_memory_every_pixel_counts():
+    frames = room(n_frames=5, width=32, height=24)
+    kept = [frames[i] for i in range(5)]
+
+    class Listed:
+        name, camera = "listed", frames.camera
+
+        def __len__(self):
+            return 5
+
+        def __getitem__(self, i):
+            return kept[i]
+
+        def pose(self, i):
+            return kept[i].T_WC
+
+    before = sequence_fingerprint(apply_options(Listed()))
+    kept[1].depth_m[7, 7] += 0.001
+    assert sequence_fingerprint(apply_options(Listed())) != before
+
+
+def test_every_option_of_the_room_counts():
+    options = [{}, {"seed": 1}, {"noise": "kinect"}, {"holes": 0.1}, {"exposure_stops": 0.5}, {"view_dependent": True}]
+    found = {sequence_fingerprint(open_sequence("room", n_frames=3, width=32, height=24, **o)) for o in options}
+    assert len(found) == len(options)

@@ -1,0 +1,164 @@
+"""Every number in a table of the docs comes from a file that a command wrote, and the files fit their recipes."""
+
+import importlib.util
+import json
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+_spec = importlib.util.spec_from_file_location("measured", ROOT / "tools/measured.py")
+assert _spec is not None
+assert _spec.loader is not None
+measured = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(measured)
+
+RECIPE = """\
+[groups]
+code = ["code.py", "room"]
+[walls]
+about = "Walls"
+depends = ["code"]
+columns = ["", "PSNR", "ATE, cm"]
+rows = [["one", "a"], ["both", "b"]]
+cells = ["{@; psnr_db:.1f}", "{@; ate_m*100:.2f}"]
+texts = { best = "{b; seed=1; psnr_db:.2f} dB" }
+[walls.runs]
+a = "gsfusion-nb map wall"
+b = ["gsfusion-nb map wall --seed 0", "gsfusion-nb map wall --seed 1"]
+"""
+VALUES = {
+    "a": [{"psnr_db": 20.25, "ate_m": 0.01}],
+    "b": [{"psnr_db": 20.0, "ate_m": 0.02, "seed": 0}, {"psnr_db": 22.0, "ate_m": 0.02, "seed": 1}],
+}
+
+
+@pytest.fixture
+def project(tmp_path):
+    """A repository with one recipe, its numbers of the first commit, and a page with stale places."""
+    (tmp_path / "docs/measured").mkdir(parents=True)
+    (tmp_path / "docs/measured/recipes.toml").write_text(RECIPE)
+    (tmp_path / "code.py").write_text("1\n")
+    (tmp_path / "README.md").write_text("Best: <!-- text: walls best -->?<!-- end -->.\n")
+    (tmp_path / "docs/a.md").write_text("<!-- table: walls --><!-- end -->\n<!-- commands: walls -->\n<!-- end -->\n")
+    commit(tmp_path)
+    recipe = measured.read_recipes(tmp_path)["walls"]
+    numbers = {"commands": recipe["commands"], **measured.made(recipe, VALUES), "date": "2026-01-01"}
+    numbers |= {"commit": measured.git("rev-parse", "HEAD", root=tmp_path).strip(), "machine": {"cpu": "a computer"}}
+    numbers["state"] = measured.state(recipe["depends"], measured.tree("HEAD", tmp_path))
+    (tmp_path / "docs/measured/walls.json").write_text(json.dumps(numbers))
+    return tmp_path
+
+
+def commit(folder):
+    for line in ("init -q", "add -A", "-c user.name=a -c user.email=a@b.c commit -q -m x"):
+        subprocess.run(["git", *line.split()], cwd=folder, check=True)
+
+
+def test_pages_are_filled_from_the_file(project):
+    assert [p.name for p in measured.fill(project, write=True)] == ["README.md", "a.md"]
+    page = (project / "docs/a.md").read_text()
+    assert "| one | 20.2 | 1.00 |\n| both | 21.0 ± 1.4 | 2.00 ± 0.00 |\n<!-- end -->" in page
+    assert "gsfusion-nb map wall --seed 1\n```\n" in page
+    assert "Best: <!-- text: walls best -->22.00 dB<!-- end -->." in (project / "README.md").read_text()
+    assert measured.fill(project, write=False) == []
+    (project / "docs/a.md").write_text(page.replace("20.2", "20.3"))  # by hand
+    assert [p.name for p in measured.fill(project, write=False)] == ["a.md"]
+
+
+def test_a_table_is_old_when_what_it_depends_on_has_another_content(project, capsys):
+    def old():
+        return measured.list_old(measured.read_recipes(project), project)
+
+    assert old() == []
+    (project / "other.py").write_text("1\n")
+    (project / "code.py").rename(project / "room")  # moved, not changed
+    commit(project)
+    assert old() == []
+    (project / "room").write_text("2\n")
+    commit(project)
+    assert old() == ["walls"]
+    out = capsys.readouterr().out
+    assert "2 commits since 2026-01-01" in out
+    assert 'make measured RENEW="walls"' in out
+    (project / "room").write_text("1\n")
+    commit(project)
+    assert old() == []
+    (project / "docs/measured/recipes.toml").write_text(RECIPE.replace("--seed 1", "--seed 2"))
+    assert old() == ["walls"]
+    (project / "docs/measured/walls.json").unlink()
+    assert old() == ["walls"]
+    assert "never measured" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "names"),
+    [
+        ("about =", "abuot =", "abuot"),
+        ("{@; psnr_db:.1f}", "{@; psnr:.1f}", "psnr_db"),
+        ("{@; psnr_db:.1f}", "{c; psnr_db:.1f}", "'c'"),
+        ("seed=1", "seed=5", "seed=5"),
+        ('["one", "a"]', '["one", "a", "b", "c"]', "one"),
+        ("[walls]", "[walls", "recipes.toml"),
+    ],
+)
+def test_a_wrong_recipe_is_named(project, old, new, names):
+    (project / "docs/measured/recipes.toml").write_text(RECIPE.replace(old, new))
+    with pytest.raises(measured.MeasuredError, match=re.escape(names)):
+        measured.made(measured.read_recipes(project)["walls"], VALUES)
+
+
+def test_a_page_names_numbers_that_exist(project):
+    (project / "README.md").write_text("PSNR: <!-- text: walls worst -->?<!-- end -->")
+    with pytest.raises(measured.MeasuredError, match="worst"):
+        measured.fill(project, write=False)
+    (project / "README.md").write_text("PSNR:\n<!-- text: walls best -->?<!-- end -->")
+    with pytest.raises(measured.MeasuredError, match="walls best"):
+        measured.fill(project, write=False)
+    (project / "README.md").write_text("<!-- table: doors -->\n<!-- end -->")
+    with pytest.raises(measured.MeasuredError, match="doors"):
+        measured.fill(project, write=False)
+
+
+def test_records_of_nested_tables():
+    found = measured.leaves({"disc": {"500": {"error": 1.0}}, "blended": {"500": {"error": 2.0}}})
+    assert found == [{"label": "disc/500", "error": 1.0}, {"label": "blended/500", "error": 2.0}]
+
+
+def test_a_table_of_the_lab_has_a_row_for_each_rule_with_means_over_scenes():
+    def rule(name, psnr, test):
+        scenes = {scene: {"psnr_db": {"mean": p}} for scene, p in zip("ab", psnr, strict=True)}
+        return {"rule": name, "rank": 1.0, "scenes": scenes, "test": test}
+
+    rows = [rule("uniform", (20.0, 22.0), None), rule("dense", (21.0, 21.0), {"p": 0.5})]
+    records = measured.of_the_lab({"budgets": [{"budget": "8,000", "rows": rows}]})
+    cells = ["{@; psnr_db:.1f}", "{@; budget=8,000; scene=a; psnr_db:.1f}", "{@; p?:.2f}"]
+    recipe = {"columns": ["rule", "PSNR", "a", "p"], "rows": "lab", "cells": cells}
+    assert measured.made(recipe, {"lab": records})["rows"] == [
+        ["`uniform`", "21.0 ± 1.4", "20.0", ""], ["`dense`", "21.0 ± 0.0", "21.0", "0.50"]
+    ]  # fmt: skip
+
+
+# ---- The pages of this project ---------------------------------------------------------------------------------------
+
+RECIPES = measured.read_recipes()
+
+
+def test_no_number_was_edited_by_hand():
+    assert [p.name for p in measured.fill(write=False)] == []
+
+
+@pytest.mark.parametrize("name", RECIPES)
+def test_a_recipe_depends_on_files_that_exist(name):
+    for path in RECIPES[name]["depends"]:
+        assert any(ROOT.glob(path)), f"{name} depends on {path}, which does not exist"
+
+
+@pytest.mark.parametrize("name", sorted(p.stem for p in (ROOT / measured.MEASURED).glob("*.json")))
+def test_a_file_of_numbers_has_a_recipe_and_whole_rows(name):
+    assert name in RECIPES
+    numbers = measured.read_numbers(name)
+    assert {"commit", "date", "machine", "state", "commands"} <= set(numbers)
+    assert all(len(row) == len(numbers["columns"]) for row in numbers["rows"])

@@ -1,0 +1,336 @@
+"""Numbers in the docs: measured by commands, kept in ``docs/measured/*.json``, filled into the pages from there.
+
+    python tools/measured.py                  # list the tables that are older than what they depend on
+    python tools/measured.py --renew NAME     # run a table's commands, write its JSON file, fill the pages
+    python tools/measured.py --fill           # fill the pages from the JSON files
+
+``docs/measured/index.md`` explains the recipes and the markers in the pages.
+"""
+
+import argparse
+import csv
+import datetime
+import fnmatch
+import hashlib
+import json
+import os
+import re
+import shlex
+import statistics
+import subprocess
+import sys
+import tempfile
+import tomllib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+MEASURED = "docs/measured"
+NEEDED = {"about", "depends", "columns", "rows", "runs"}
+KEYS = NEEDED | {"cells", "texts", "minutes", "quiet"}
+MARKER = re.compile(r"(?<!`)<!-- (table|commands|text): ([\w-]+)(?: ([\w-]+))? -->(.*?)<!-- end -->", re.DOTALL)
+NUMBER = re.compile(r"-?\d+(\.\d*)?(e[-+]?\d+)?")
+Record = dict[str, Any]
+
+
+class MeasuredError(ValueError):
+    """A recipe, a file of numbers or a page that cannot be used; the message says what was expected."""
+
+
+def read_recipes(root: Path = ROOT) -> dict[str, dict[str, Any]]:
+    """Recipes by name, with the paths of their groups in ``depends`` and a list of command lines for each run."""
+    path = root / MEASURED / "recipes.toml"
+    try:
+        recipes = tomllib.loads(path.read_text(encoding="utf-8"))
+    except tomllib.TOMLDecodeError as error:
+        raise MeasuredError(f"{path}: not a TOML file: {error}") from None
+    groups = recipes.pop("groups", {})
+    for name, recipe in recipes.items():
+        if not NEEDED <= set(recipe) <= KEYS:
+            raise MeasuredError(
+                f"{name}: expected {sorted(NEEDED)}, perhaps {sorted(KEYS - NEEDED)}; got {list(recipe)}"
+            )
+        recipe["depends"] = sorted({path for item in recipe["depends"] for path in groups.get(item, [item])})
+        recipe["runs"] = {run: [lines] if isinstance(lines, str) else lines for run, lines in recipe["runs"].items()}
+        recipe["commands"] = list(dict.fromkeys(line for lines in recipe["runs"].values() for line in lines))
+    return recipes
+
+
+def read_numbers(name: str, root: Path = ROOT) -> dict[str, Any]:
+    """The file of numbers of a table."""
+    path = root / MEASURED / f"{name}.json"
+    if not path.is_file():
+        raise MeasuredError(f'{path.name} is missing; it is written by  make measured RENEW="{name}"')
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+# ---- Filling the pages -----------------------------------------------------------------------------------------------
+
+
+def filled(page: str, numbers: Callable[[str], Mapping[str, Any]]) -> str:
+    """The text of a page with every marked place made again; ``numbers`` gives the numbers of a name."""
+
+    def place(match: re.Match[str]) -> str:
+        kind, name, key, _ = match.groups()
+        found = numbers(name)
+        if kind == "text":
+            if match.string[: match.start()].endswith("\n"):
+                raise MeasuredError(
+                    f"{name} {key}: no line may begin with a text, because Markdown would read it as HTML"
+                )
+            if key not in found["texts"]:
+                raise MeasuredError(f"{name}.json: no text {key!r}; it has {sorted(found['texts'])}")
+            return f"<!-- text: {name} {key} -->{found['texts'][key]}<!-- end -->"
+        lines = ["```", *found["commands"], "```"]
+        if kind == "table":
+            rows = [found["columns"], ["---"] + ["---:"] * (len(found["columns"]) - 1), *found["rows"]]
+            lines = [re.sub(" +", " ", f"| {' | '.join(row)} |") for row in rows]
+        return "\n".join([f"<!-- {kind}: {name} -->", *lines, "<!-- end -->"])
+
+    return MARKER.sub(place, page)
+
+
+def pages(root: Path = ROOT) -> list[Path]:
+    """README and all pages of the docs."""
+    return [root / "README.md", *sorted((root / "docs").rglob("*.md"))]
+
+
+def fill(root: Path = ROOT, *, write: bool) -> list[Path]:
+    """Fill all pages from the files of numbers; returns those that differed."""
+    changed = []
+    for page in pages(root):
+        text = page.read_text(encoding="utf-8")
+        new = filled(text, lambda name: read_numbers(name, root))
+        if new != text:
+            changed.append(page)
+            if write:
+                page.write_text(new, encoding="utf-8")
+    return changed
+
+
+# ---- Which are old ---------------------------------------------------------------------------------------------------
+
+
+def git(*arguments: str, root: Path = ROOT) -> str:
+    """The output of git; empty if it fails, such as for a commit that is not here."""
+    done = subprocess.run(["git", *arguments], cwd=root, capture_output=True, text=True)
+    return done.stdout if done.returncode == 0 else ""
+
+
+def tree(commit: str, root: Path = ROOT) -> dict[str, str]:
+    """Path -> hash of the content, for every file of a commit; empty if the commit is not here."""
+    lines = git("ls-tree", "-r", commit, root=root).splitlines()
+    return {path: head.split()[2] for head, path in (line.split("\t", 1) for line in lines)}
+
+
+def named(depends: list[str], files: Mapping[str, str]) -> list[str]:
+    """The files that a list of files, folders and patterns names."""
+    patterns = [*depends, *(f"{d}/*" for d in depends)]
+    return [f for f in files if any(fnmatch.fnmatch(f, p) for p in patterns)]
+
+
+def state(depends: list[str], files: Mapping[str, str]) -> str:
+    """A hash of what the files of ``depends`` contain, whatever their names are."""
+    contents = sorted(files[path] for path in named(depends, files))
+    return hashlib.sha256("\n".join(contents).encode()).hexdigest()[:16]
+
+
+def age(recipe: Mapping[str, Any], numbers: Mapping[str, Any], files: Mapping[str, str], root: Path = ROOT) -> str:
+    """Why the numbers are old; empty if they are not."""
+    if any(numbers[key] != recipe[key] for key in ("commands", "columns")):
+        return "the recipe has changed"
+    if numbers["state"] == state(recipe["depends"], files):
+        return ""
+    since = git("log", "--oneline", f"{numbers['commit']}..HEAD", "--", *recipe["depends"], root=root).splitlines()
+    return f"{len(since)} commits" if since else "changes"
+
+
+def list_old(recipes: Mapping[str, dict[str, Any]], root: Path = ROOT) -> list[str]:
+    """Print which tables are old, and what renews them; returns their names."""
+    files, old = tree("HEAD", root), []
+    texts = {str(page.relative_to(root)): page.read_text(encoding="utf-8") for page in pages(root)}
+    for name, recipe in recipes.items():
+        why = "never measured"
+        if (root / MEASURED / f"{name}.json").is_file():
+            numbers = read_numbers(name, root)
+            if why := age(recipe, numbers, files, root):
+                why += f" since {numbers['date']}, commit {numbers['commit'][:9]}, {numbers['machine']['cpu']}"
+        if why:
+            old.append(name)
+            where = [page for page, text in texts.items() if re.search(rf"<!-- \w+: {name} ", text)]
+            print(f"{name}: {recipe['about']} ({', '.join(where) or 'on no page'})\n  {why}")
+            quiet = ", without other load" if recipe.get("quiet") else ""
+            print(f'  make measured RENEW="{name}"    # about {recipe.get("minutes", "?")} minutes of one core{quiet}')
+            print("".join(f"    {line}\n" for line in recipe["commands"]))
+    print(f"{len(old)} of {len(recipes)} tables are older than what they depend on.")
+    return old
+
+
+# ---- Measuring -------------------------------------------------------------------------------------------------------
+
+
+def records_of(command: str, recordings: Path, written: Path | None = None) -> list[Record]:
+    """Run one command line in the folder of the recordings; what it wrote, as flat records.
+
+    With ``written``, the folder of an earlier call of the same command, nothing runs.
+    """
+    program, what, *rest = shlex.split(command)
+    if program not in ("gsfusion-nb", "python"):
+        raise MeasuredError(f"expected a command of gsfusion-nb or python, got {command!r}")
+    with tempfile.TemporaryDirectory() as folder:
+        out, bench = written or Path(folder) / "out", Path(folder) / "bench.json"
+        call = [sys.executable, "-m", "gsfusion_nb", what, *rest]
+        call += ["--json", str(bench)] if what == "bench" else ["--out", str(out)]
+        if program == "python":
+            call = [sys.executable, what, *rest]
+        if written is None:
+            call = [str(ROOT / part) if part.startswith("docs/") else part for part in call]
+            done = subprocess.run(call, cwd=recordings, stdout=subprocess.PIPE, text=True)
+            if done.returncode != 0:
+                raise MeasuredError(f"ended with status {done.returncode} in {recordings}: {command}")
+            if program == "python":
+                return leaves(json.loads(done.stdout.strip().splitlines()[-1]))
+        if what == "sweep":
+            rows = csv.DictReader((out / "runs.csv").read_text(encoding="utf-8").splitlines())
+            return [
+                {k.removeprefix("metric."): float(t) if NUMBER.fullmatch(t) else t for k, t in r.items()} for r in rows
+            ]
+        if what == "bench":
+            rows = json.loads(bench.read_text(encoding="utf-8"))["rows"]
+            return [row | row.pop("values") | (row.pop("timing") or {}) for row in rows]
+        path = out / ("metrics.json" if what in ("map", "demo") else "table.json")
+        found = json.loads(path.read_text(encoding="utf-8"))
+        return of_the_lab(found) if what == "lab" else leaves(found.get("metrics", found))
+
+
+def leaves(table: Any, label: str = "") -> list[Record]:
+    """The records in nested dictionaries and lists; ``label`` is made of the keys above, with / between."""
+    if isinstance(table, list):
+        return [record for row in table for record in leaves(row, label)]
+    if table and all(isinstance(value, dict) for value in table.values()):
+        return [r for key, value in table.items() for r in leaves(value, f"{label}/{key}" if label else key)]
+    return [{"label": label} | table]
+
+
+def of_the_lab(table: Mapping[str, Any]) -> list[Record]:
+    """A record of each rule and budget with its rank and test, and one for each of its scenes with the means there."""
+    found = []
+    for budget in table["budgets"]:
+        for row in budget["rows"]:
+            key = {"label": row["rule"], "budget": budget["budget"]}
+            found.append(key | {"rank": row["rank"]} | (row["test"] or {}))
+            for scene, metrics in row["scenes"].items():
+                found.append(key | {"scene": scene} | {name: of["mean"] for name, of in metrics.items()})
+    return found
+
+
+def cell(template: str, values: Mapping[str, list[Record]]) -> str:
+    """A cell with its places filled: ``{run; field}`` or ``{run; label; key=value; field*100:.2f}``."""
+    return re.sub(r"\{([^{}]+)\}", lambda match: _place(match[1], values), template)
+
+
+def _place(inside: str, values: Mapping[str, list[Record]]) -> str:
+    from gsfusion_nb.evaluation.metrics import METRICS
+
+    run, *filters, field = (part.strip() for part in inside.split(";"))
+    if run not in values:
+        raise MeasuredError(f"{{{inside}}}: no run {run!r}; there are {list(values)}")
+    field, _, spec = field.partition(":")
+    field, _, scale = field.partition("*")
+    field, may_miss = field.removesuffix("?"), field.endswith("?")
+    wanted = [tuple(f.split("=", 1)) if "=" in f else ("label", f) for f in filters]
+    found = [r[field] for r in values[run] if field in r and all(str(r.get(key)) == value for key, value in wanted)]
+    if may_miss and all(number is None for number in found):
+        return ""
+    if not found or not all(isinstance(number, int | float) for number in found):
+        raise MeasuredError(f"{{{inside}}}: expected numbers, got {found}; fields: {sorted(values[run][0])}")
+    metric = METRICS.get(field)
+    factor = float(scale) if scale else metric.scale if metric else 1.0
+    spec = spec or (f",.{metric.digits}f" if metric else ".4g")
+    spread = f" ± {statistics.stdev(found) * factor:{spec}}" if len(found) > 1 else ""
+    return f"{statistics.fmean(found) * factor:{spec}}{spread}"
+
+
+def made(recipe: Mapping[str, Any], values: Mapping[str, list[Record]]) -> dict[str, Any]:
+    """Columns, rows and texts of a table from the records of its runs."""
+    rows, cells = recipe["rows"], recipe.get("cells")
+    if isinstance(rows, str):  # a run: a row for each of its labels
+        rows = [[f"`{label}`", f"{rows}; {label}"] for label in dict.fromkeys(r["label"] for r in values[rows])]
+    if cells:  # each row is a heading and what stands for @ in the cells
+        rows = [[row[0], *(text.replace("@", row[-1]) for text in cells)] if len(row) == 2 else row for row in rows]
+    if wrong := [row for row in rows if len(row) != len(recipe["columns"])]:
+        raise MeasuredError(f"expected rows of {len(recipe['columns'])} cells, or a heading and a key; got {wrong[0]}")
+    texts = {key: cell(text, values) for key, text in recipe.get("texts", {}).items()}
+    return {
+        "columns": recipe["columns"],
+        "rows": [[cell(text, values) for text in row] for row in rows],
+        "texts": texts,
+    }
+
+
+def renew(name: str, recipe: Mapping[str, Any], recordings: Path, done: dict[str, list[Record]]) -> None:
+    """Run the commands of a table and write its numbers. ``done`` has the records of commands that have run already."""
+    from gsfusion_nb.bench.machine import describe
+
+    if changed := git("status", "--porcelain", "--", *recipe["depends"]).strip():
+        raise MeasuredError(f"commit first what the numbers depend on:\n{changed}")
+    before = state(recipe["depends"], tree("HEAD"))
+    for line in recipe["commands"]:
+        if line not in done:
+            print(f"{name}: {line}", flush=True)
+            done[line] = records_of(line, recordings)
+    if state(recipe["depends"], tree("HEAD")) != before:
+        raise MeasuredError("what the numbers depend on has changed while they were measured")
+    values = {run: [r for line in lines for r in done[line]] for run, lines in recipe["runs"].items()}
+    machine = describe(int(os.environ.get("NUMBA_NUM_THREADS", os.cpu_count() or 1)))
+    numbers = {key: recipe[key] for key in ("about", "commands", "depends")} | made(recipe, values)
+    numbers |= {"state": before, "commit": git("rev-parse", "HEAD").strip()}
+    numbers |= {"date": datetime.date.today().isoformat(), "versions": machine["versions"]}
+    numbers["machine"] = {"cpu": machine["processor"], "cores": machine["cores"], "threads": machine["threads"]}
+    kept = (int, float, str)  # but not the settings of a sweep and empty cells
+    numbers["values"] = {
+        run: [{k: v for k, v in r.items() if isinstance(v, kept) and v != "" and "setting." not in k} for r in records]
+        for run, records in values.items()
+    }
+    text = json.dumps(numbers, indent=1, ensure_ascii=False) + "\n"
+    (ROOT / MEASURED / f"{name}.json").write_text(text, encoding="utf-8")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """List, renew or fill. Returns the exit status."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--renew", nargs="+", metavar="NAME", default=[], help="tables to measure again")
+    parser.add_argument("--recordings", type=Path, default=ROOT, help="folder in which commands find the recordings")
+    parser.add_argument("--read", type=Path, metavar="FOLDER", help="take what the command has written here already")
+    parser.add_argument("--fill", action="store_true", help="fill the pages from the files of numbers")
+    options, failed = parser.parse_args(arguments), 0
+    try:
+        recipes = read_recipes()
+        if unknown := [name for name in options.renew if name not in recipes]:
+            raise MeasuredError(f"no recipe {', '.join(unknown)}; there are {', '.join(recipes)}")
+        if not options.renew and not options.fill:
+            list_old(recipes)
+            return 0
+        done: dict[str, list[Record]] = {}
+        if options.read:
+            lines = [line for name in options.renew for line in recipes[name]["commands"]]
+            if len(set(lines)) != 1:
+                raise MeasuredError(f"--read: expected tables of one command, got {len(set(lines))}")
+            done[lines[0]] = records_of(lines[0], options.recordings, options.read)
+        for name in options.renew:
+            try:
+                renew(name, recipes[name], options.recordings.resolve(), done)
+            except (MeasuredError, OSError) as error:
+                failed += 1
+                print(f"{name}: not renewed: {error}", file=sys.stderr)
+        for page in fill(write=True):
+            print(f"filled {page.relative_to(ROOT)}")
+    except (MeasuredError, OSError) as error:
+        print(error, file=sys.stderr)
+        return 2
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
