@@ -198,6 +198,8 @@ def test_depth_and_behind_in_the_browser(node, tmp_path):
 
 
 _FINE = """
+let clock_ms = 0;
+globalThis.performance = { now: () => (clock_ms += 100) }; // so each slice is one step of the drawing, on any machine
 const n = 200, corners = Array.from({ length: n * n }, (_, i) => [i % n, Math.floor(i / n)]);
 const xyz = Float32Array.from(corners.flatMap(([x, y]) => [x / n - 0.5, y / n - 0.5, 2]));
 const squares = corners.filter(([x, y]) => x < n - 1 && y < n - 1).map(([x, y]) => y * n + x);
