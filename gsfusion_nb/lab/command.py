@@ -147,7 +147,7 @@ class _Work:
 
     def __init__(self, specs: Sequence[RunSpec], store: ResultStore):
         self._specs = specs
-        self._frames = {}
+        self._frames: dict[tuple[str, str], float] = {}
         self._left: dict[int, float] = {}
         for i, spec in enumerate(specs):
             if store.find(spec) is None:
@@ -159,9 +159,9 @@ class _Work:
         if place not in self._frames:
             try:
                 frames = Entry(spec=spec).opened()
-                self._frames[place] = len(frames.mapping) * frames.camera.width * frames.camera.height
+                self._frames[place] = float(len(frames.mapping)) * frames.camera.width * frames.camera.height
             except Exception:  # the run will say why it failed
-                self._frames[place] = 1
+                self._frames[place] = 1.0
         return self._frames[place] * (TUNED_RUNS if is_tuned(spec) else 1)
 
     def estimate(self, jobs: int) -> str:
