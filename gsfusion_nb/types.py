@@ -4,6 +4,7 @@ import dataclasses
 import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -118,6 +119,20 @@ class Frame:
             dataclasses.fields(self), (index, timestamp_s, colour, depth_m, camera, T_WC, found), strict=True
         ):
             object.__setattr__(self, field.name, value)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Plain values and tensors, from which ``of_state`` makes the frame again."""
+        parts = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        return parts | {"camera": vars(self.camera), "extra": dict(self.extra)}
+
+    @staticmethod
+    def of_state(state: dict[str, Any]) -> "Frame":
+        """The frame of which ``state_dict`` gave the values.
+
+        Raises:
+            ValueError: a value of the wrong type or shape.
+        """
+        return Frame(**{**state, "camera": Camera(**state["camera"])})
 
     @property
     def is_8_bit(self) -> bool:

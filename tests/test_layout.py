@@ -24,6 +24,7 @@ FLOORS = {
             "files",
             "foreign",
             "last_resort",
+            "hashes",
             "strict_json",
         ),
         0,

@@ -2,6 +2,7 @@
 
 import dataclasses
 import typing
+from collections.abc import Mapping
 from typing import Any, TypeVar
 
 from ..errors import shown
@@ -11,14 +12,19 @@ C = TypeVar("C")
 
 def replace(config: C, **overrides: Any) -> C:
     """A copy of ``config`` with some fields changed; nested ones take a double underscore: ``tsdf__voxel_size_m``."""
+    return _merge(config, nested(overrides, "__"), "")
+
+
+def nested(values: Mapping[str, Any], separator: str) -> dict[str, Any]:
+    """Values by flat names, such as ``tsdf.voxel_size_m``, as dictionaries in dictionaries."""
     tree: dict[str, Any] = {}
-    for name, value in overrides.items():
+    for name, value in values.items():
         node = tree
-        *groups, leaf = name.split("__")
+        *groups, leaf = name.split(separator)
         for group in groups:
             node = node.setdefault(group, {})
         node[leaf] = value
-    return _merge(config, tree, "")
+    return tree
 
 
 def from_dict(cls: type[C], values: dict[str, Any], *, start: C | None = None) -> C:

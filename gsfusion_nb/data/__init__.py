@@ -10,7 +10,6 @@ from .adjust.select import OpenedSequence as OpenedSequence
 from .adjust.select import SequenceView as SequenceView
 from .adjust.select import apply_options as apply_options
 from .fingerprint import data_files as data_files
-from .fingerprint import file_hashes as file_hashes
 from .fingerprint import sequence_fingerprint as sequence_fingerprint
 from .open import detect_layout as detect_layout
 from .open import layouts as layouts

@@ -87,11 +87,19 @@ def sample_surface(mesh: Mesh, n: int, generator: torch.Generator) -> SurfaceSam
     upto = _areas(corners).cumsum(0)
     if len(upto) == 0 or not upto[-1] > 0:
         raise ValueError(f"a mesh to sample must have area, got {len(upto)} faces of total area 0")
-    draw = torch.rand(n, 3, generator=generator, dtype=torch.float64, device=generator.device).to(upto.device)
-    face = torch.searchsorted(upto, draw[:, 0] * upto[-1], right=True).clamp(max=len(upto) - 1)
+    face, draw = _drawn_by_area(upto, n, generator)
     r, s = draw[:, 1:2].sqrt(), draw[:, 2:3]
     a, b, c = corners[face].unbind(1)
     return SurfaceSamples(xyz_W=(1 - r) * a + r * ((1 - s) * b + s * c), face=face)
+
+
+def _drawn_by_area(
+    upto: Float[Tensor, " N"], n: int, generator: torch.Generator
+) -> tuple[Int[Tensor, " n"], Float[Tensor, "n 3"]]:
+    """``n`` rows drawn in proportion to their areas, of which ``upto`` are the running sums, and the numbers in 0..1
+    that were drawn for each: the first chose the row, the other two are free."""
+    draw = torch.rand(n, 3, generator=generator, dtype=torch.float64, device=generator.device).to(upto.device)
+    return torch.searchsorted(upto, draw[:, 0] * upto[-1], right=True).clamp(max=len(upto) - 1), draw
 
 
 def mesh_scores(
@@ -150,8 +158,7 @@ def sample_discs(params: GaussianParams, n: int, generator: torch.Generator) -> 
         return params.xyz_W.new_zeros(0, 3).double()
     scale, axis = solid.log_scale.double().exp().sort(dim=1, descending=True)
     upto = (scale[:, 0] * scale[:, 1]).cumsum(0)
-    draw = torch.rand(n, 3, generator=generator, dtype=torch.float64, device=generator.device).to(upto.device)
-    row = torch.searchsorted(upto, draw[:, 0] * upto[-1], right=True).clamp(max=len(upto) - 1)
+    row, draw = _drawn_by_area(upto, n, generator)
     r, angle = draw[:, 1].sqrt(), 2 * torch.pi * draw[:, 2]
     R = quaternion.to_matrix(solid.quat.double())[row]
     a, b = (R.gather(2, axis[row, k, None, None].expand(-1, 3, 1)).squeeze(2) for k in (0, 1))

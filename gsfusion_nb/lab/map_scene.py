@@ -200,7 +200,7 @@ def map_scene(
     Args:
         entry: The run.
         config: Settings.
-        with_memory: Measure the memory, which takes a third of a second.
+        with_memory: Measure the growth of memory.
 
     Raises:
         Exception: whatever the rule or the data raises.

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from .. import __version__
-from ..data import file_hashes
+from ..hashes import file_hashes
 
 _CODE = {".py", ".cu", ".cuh"}
 LIBRARIES = {"torch": torch.__version__, "numba": numba.__version__, "numpy": np.__version__, "opencv": cv2.__version__}

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any, TypeVar
 
 from ..config import SystemConfig, from_dict
+from ..config.values import nested
 
 C = TypeVar("C")
 
@@ -21,13 +22,7 @@ def with_settings(config: C, values: Mapping[str, Any]) -> C:
     Raises:
         ValueError: no such setting, or an invalid value.
     """
-    tree: dict[str, Any] = {}
-    for name, value in values.items():
-        *groups, leaf = name.replace("-", "_").split(".")
-        node = tree
-        for group in groups:
-            node = node.setdefault(group, {})
-        node[leaf] = value
+    tree = nested({name.replace("-", "_"): value for name, value in values.items()}, ".")
     _whole_as_float(config, tree)
     return from_dict(type(config), tree, start=config)
 

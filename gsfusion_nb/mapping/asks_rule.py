@@ -63,10 +63,14 @@ class AsksRule:
                 f"the seeding rule {rule_name(self.rule)!r} is asked in keyframes only, but {self.title} chooses its "
                 "keyframes after the seeding"
             )
-        if not when.is_due(self.n_frames, is_keyframe, stride=self.config.source_stride):
+        if not self.rule_is_due(is_keyframe):
             return Seeds.empty(context.frame.depth_m)
         with self.rule_in_use.running():
             return apply_rule(self.rule, context, self.config.seeding.options, **checks)
+
+    def rule_is_due(self, is_keyframe: bool | None) -> bool:
+        """Whether the rule is asked in the frame that is mapped next (``MapRule.when``)."""
+        return self.rule_in_use.when.is_due(self.n_frames, is_keyframe, stride=self.config.source_stride)
 
     def is_next_keyframe(self, frame: Frame) -> bool | None:
         """Whether this frame, mapped next, becomes a keyframe; None if that depends on its seeds."""

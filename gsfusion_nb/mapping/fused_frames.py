@@ -10,7 +10,7 @@ from torch import Tensor
 from ..checks import check_number, check_whole
 from ..geometry import backproject
 from ..tsdf import TsdfVolume, integrate
-from ..types import Camera, Frame
+from ..types import Frame
 from .frame_checks import check_frame
 
 MOVED_VOXELS = 0.5
@@ -78,7 +78,7 @@ class FusedFrames:
 
     def state_dict(self) -> list[dict[str, Any]]:
         """Plain values of every frame."""
-        return [vars_of(f) for f in self.frames]
+        return [frame.state_dict() for frame in self.frames]
 
     def load_state(self, state: list[dict[str, Any]]) -> None:
         """Replace the frames by those of ``state_dict``.
@@ -90,13 +90,7 @@ class FusedFrames:
         for f in state:
             check_whole("index of a frame", f["index"], 0)
             check_number(f"time of frame {f['index']}", f["timestamp_s"])
-            self.frames.append(check_frame(Frame(**{**f, "camera": Camera(**f["camera"])}), torch.device("cpu")))
-
-
-def vars_of(frame: Frame) -> dict[str, Any]:
-    """Plain values of a frame, from which it can be made again."""
-    parts = {f.name: getattr(frame, f.name) for f in dataclasses.fields(frame)}
-    return parts | {"camera": vars(frame.camera), "extra": dict(frame.extra)}
+            self.frames.append(check_frame(Frame.of_state(f), torch.device("cpu")))
 
 
 def _camera_and_corners(frame: Frame) -> Float[Tensor, "5 3"]:

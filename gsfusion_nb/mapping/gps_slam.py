@@ -72,8 +72,7 @@ class GPSSLAM(StoredWithSurface, TsdfMapping):
             with clock("tsdf"):
                 missing = self._make_room(frame)
             is_keyframe = self.is_next_keyframe(frame)
-            when, stride = self.rule_in_use.when, self.config.source_stride
-            seeds_now = when.is_due(self.n_frames, is_keyframe, stride=stride)
+            seeds_now = self.rule_is_due(is_keyframe)
             in_window = self.n_frames % self.config.schedule.window_every == 0
             with clock("base"):
                 now = self._look(self._kept(frame)) if seeds_now or in_window or self.after_steps.edits else None

@@ -19,7 +19,6 @@ from ..seeding import SeedContext
 from ..tracking import Correction, Surface
 from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput
 from .frame_checks import check_frame
-from .fused_frames import vars_of
 from .mapper import Mapper
 from .rendered_mesh import mesh_of_views
 from .step_report import StageClock, StepReport, psnr_from_mse
@@ -145,7 +144,7 @@ class RTGSLAM(SurfelMapping):
         """The state of any mapper, the window, and the optimiser of the final passes."""
         return super().state_dict() | {
             "camera": None if self.camera is None else vars(self.camera),
-            "window": [vars_of(f) for f in self.window],
+            "window": [frame.state_dict() for frame in self.window],
             "final": None if self._final is None else self._final.state_dict(),
         }
 
@@ -155,8 +154,7 @@ class RTGSLAM(SurfelMapping):
         for f in state["window"]:
             check_whole("index of a frame", f["index"], 0)
             check_number(f"time of frame {f['index']}", f["timestamp_s"])
-            frame = Frame(**{**f, "camera": Camera(**f["camera"])})
-            self.window.append(check_frame(frame, self.device, needs_depth=True))
+            self.window.append(check_frame(Frame.of_state(f), self.device, needs_depth=True))
         if state["final"] is not None:
             self._final = self._final_optimiser()
             self._final.load_state_dict(state["final"])

@@ -18,7 +18,7 @@ from .localiser import Localiser
 from .random_streams import RandomStreams
 from .rule_in_use import RuleInUse, check_known
 from .rule_settings import settings_of_run
-from .training import LossFunction, Training
+from .training import LossFunction, Training, given_functions
 
 M = TypeVar("M", bound="SavesState")
 
@@ -87,7 +87,7 @@ class SavesState:
             check_known(state["rule"])
         rule = find_rule(seeding if seeding is not None else state["rule"]["name"])
         settings = settings_of_run(config, rule, cls)
-        given: dict[str, Any] = {name: f for name, f in (("loss", loss), ("optimiser", optimiser)) if f is not None}
+        given = given_functions(loss, optimiser)
         mapper = cls(settings, seeding=rule, device=device, **given)  # pyright: ignore[reportCallIssue]
         mapper.notes += mapper.training.notes_on(state.get("training", {}))
         mapper.rule_in_use.load_state_dict(state["rule"])

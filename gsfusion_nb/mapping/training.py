@@ -20,6 +20,11 @@ in GSFusion, of the discs in RTG-SLAM, of surface and Gaussians in GPS-SLAM, whe
 ``view.pixels`` are drawn and count."""
 
 
+def given_functions(loss: LossFunction | None, optimiser: UpdateFunction | None) -> dict[str, Any]:
+    """Those of the two that are given, by name; a system that does not know them is not asked to take them."""
+    return {name: f for name, f in (("loss", loss), ("optimiser", optimiser)) if f is not None}
+
+
 class Training:
     """What a mapper optimises with. Without arguments it is the system's own loss and Adam.
 
@@ -36,14 +41,12 @@ class Training:
 
     def __init__(self, loss: LossFunction | None = None, optimiser: UpdateFunction | None = None):
         self.loss, self.optimiser = loss, optimiser
-        self._given: dict[str, Any] = {
-            name: f for name, f in (("loss", loss), ("optimiser", optimiser)) if f is not None
-        }
+        self._given = given_functions(loss, optimiser)
         for name, f in self._given.items():
             if isinstance(f, type) or not callable(f):
                 raise TypeError(f"{name} must be a function, got {shown(f)}")
         if optimiser is not None:
-            _try_out(optimiser)
+            _try_out(optimiser, self.names["optimiser"])
         self._fingerprints = {name: rule_fingerprint(f) for name, f in self._given.items()}
 
     @property
@@ -65,7 +68,7 @@ class Training:
         """
         assert self.loss is not None
         view = source if isinstance(source, TrainingView) else TrainingView.of(source)
-        found, name = self.loss(rendered, view), f"loss {_name(self.loss)!r}"
+        found, name = self.loss(rendered, view), f"loss {self.names['loss']!r}"
         if not isinstance(found, ViewLoss):
             raise TypeError(f"{name} must return a ViewLoss (gsfusion_nb.optim), got {shown(found)}")
         check_shape(f"value of the {name}", found.value, ())
@@ -114,13 +117,9 @@ class Training:
         return notes
 
 
-def _name(f: Any) -> str:
-    return rule_name(f)
-
-
-def _try_out(optimiser: UpdateFunction) -> None:
+def _try_out(optimiser: UpdateFunction, name: str) -> None:
     """Take one step, late enough that a warm-up is over, on two rows with gradient 1."""
-    name = f"optimiser {_name(optimiser)!r}"
+    name = f"optimiser {name!r}"
     param, m, v = torch.zeros(2, 3), torch.zeros(2, 3), torch.zeros(2, 3)
     returned: Any = optimiser(param, torch.ones(2, 3), m, v, torch.full((2,), 1000), lr=0.1)
     if returned is not None:

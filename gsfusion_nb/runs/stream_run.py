@@ -1,7 +1,6 @@
 """One run over frames that arrive over time, of which only a few are kept."""
 
 import bisect
-import dataclasses
 from array import array
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
@@ -291,13 +290,8 @@ class _EvenSample:
         self._n += 1
 
     def state_dict(self) -> dict[str, Any]:
-        return {"items": [_frame_state(frame) for frame in self.items], "step": self._step, "n": self._n}
+        return {"items": [frame.state_dict() for frame in self.items], "step": self._step, "n": self._n}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        self.items = [Frame(**{**f, "camera": Camera(**f["camera"])}) for f in state["items"]]
+        self.items = [Frame.of_state(values) for values in state["items"]]
         self._step, self._n = state["step"], state["n"]
-
-
-def _frame_state(frame: Frame) -> dict[str, Any]:
-    parts = {f.name: getattr(frame, f.name) for f in dataclasses.fields(frame)}
-    return parts | {"camera": vars(frame.camera), "extra": dict(frame.extra)}

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from ..hashes import UNREADABLE, file_hashes
 from .rule import SeedingRule, option_paths, rule_name
 
 _OWN = __name__.partition(".")[0]
@@ -94,27 +95,21 @@ def rule_files(rule: SeedingRule, options: Mapping[str, Any]) -> dict[str, str]:
 
 
 def path_hash(path: Path) -> str:
-    """A hash of the content of a file, or of all files in a folder with their names, links followed."""
-    if path.is_file():
-        return _file_hash(path)
-    digest = hashlib.blake2b(digest_size=16)
-    for folder, folders, names in os.walk(path, followlinks=True):
-        folders.sort()
-        for file in (Path(folder, name) for name in sorted(names)):
-            if file.is_file():
-                digest.update(f"{file.relative_to(path)}\0{_file_hash(file)}\0".encode())
+    """A hash of the content of a file, or of all files in a folder with their names, links followed.
+
+    Raises:
+        OSError: a file cannot be read.
+    """
+    digest, files = hashlib.blake2b(digest_size=16), [path]
+    if path.is_dir():
+        walked = os.walk(path, followlinks=True)
+        files = sorted(f for folder, _, names in walked for f in (Path(folder, name) for name in names) if f.is_file())
+    hashes = file_hashes(files)
+    for file in files:
+        if (found := hashes[os.path.abspath(file)]) == UNREADABLE:
+            raise OSError(f"{file} cannot be read; expected a file that the seeding rule reads")
+        digest.update(f"{file.relative_to(path)}\0{found}\0".encode())
     return digest.hexdigest()
-
-
-def _file_hash(path: Path) -> str:
-    stat = path.stat()
-    return _content_hash(str(path.resolve()), stat.st_size, stat.st_mtime_ns, stat.st_ctime_ns, stat.st_ino)
-
-
-@functools.lru_cache(maxsize=100_000)
-def _content_hash(path: str, *_when: int) -> str:
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "blake2b").hexdigest()[:32]
 
 
 def is_installed(file: str | Path) -> bool:

@@ -5,11 +5,13 @@ import shutil
 
 import pytest
 
+from gsfusion_nb import hashes
 from gsfusion_nb.config import DataConfig
-from gsfusion_nb.data import apply_options, data_files, file_hashes, fingerprint, open_sequence, sequence_fingerprint
+from gsfusion_nb.data import apply_options, data_files, open_sequence, sequence_fingerprint
 from gsfusion_nb.data.room import room
 from gsfusion_nb.data.room.write_layouts import WRITERS, Walk
 from gsfusion_nb.foreign import noting_files
+from gsfusion_nb.hashes import file_hashes
 
 
 @pytest.fixture
@@ -58,8 +60,8 @@ def test_what_is_not_read_does_not_matter(wall):
 
 
 def test_a_file_is_hashed_once_until_it_changes(wall, monkeypatch):
-    hashed, plain = [], fingerprint._hash
-    monkeypatch.setattr(fingerprint, "_hash", lambda path: hashed.append(path) or plain(path))
+    hashed, plain = [], hashes._hash
+    monkeypatch.setattr(hashes, "_hash", lambda path: hashed.append(path) or plain(path))
     file, link = wall / "rgb/000000.png", wall / "link.png"
     link.symlink_to(file)
     first = file_hashes([file, link])
@@ -67,18 +69,18 @@ def test_a_file_is_hashed_once_until_it_changes(wall, monkeypatch):
     assert len(hashed) == 2
     file_hashes([file])
     assert len(hashed) == 3  # changed less than two seconds ago: a second change might have the same time
-    monkeypatch.setattr(fingerprint, "_SETTLED_NS", -(10**18))
+    monkeypatch.setattr(hashes, "_SETTLED_NS", -(10**18))
     assert file_hashes([file]) == file_hashes([file]) == {str(file): first[str(file)]}
     assert len(hashed) == 4
     flip(file, 50)
     assert file_hashes([file, wall / "none"]).values() != first.values()
     assert len(hashed) == 5
-    assert file_hashes([wall / "none", wall]) == dict.fromkeys([str(wall / "none"), str(wall)], fingerprint.UNREADABLE)
+    assert file_hashes([wall / "none", wall]) == dict.fromkeys([str(wall / "none"), str(wall)], hashes.UNREADABLE)
 
 
 def test_a_damaged_cache_of_hashes_costs_only_time(wall, monkeypatch, tmp_path):
     monkeypatch.setenv("GSFUSION_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(fingerprint, "_SETTLED_NS", -(10**18))
+    monkeypatch.setattr(hashes, "_SETTLED_NS", -(10**18))
     before = fingerprint_of(wall)
     for content in ("[]", "{", '{"000000.png": 3, "000001.png": {"a": 1}}'):
         for file in (tmp_path / "cache" / "hashes").iterdir():

@@ -38,7 +38,7 @@ class game(MapRule):
             every second one: 0.5.
 
     Left out: masks of objects from a segmentation network, by which the release also removes the rest of an object, and
-    ignores stale parts of keyframes. Every 5th mapped frame is a keyframe unless the settings say otherwise; the
+    ignores stale parts of keyframes. Every 5th recorded frame is a keyframe unless the settings say otherwise; the
     release's numbers were read in a port of its code to the CPU.
     Source: Yugay et al. 2026 (GaME, arXiv 2506.06909) and its released code.
     """

@@ -30,7 +30,7 @@ class gs_slam(MapRule):
         opacity: The publication presets one value, which was not available; 0.5 is chosen here.
 
     Left out because the optimiser does it: a Gaussian in front of the measured depth by more than gamma gets eta times
-    its opacity; splitting and cloning. Every 5th mapped frame is a keyframe unless the settings say otherwise.
+    its opacity; splitting and cloning. Every 5th recorded frame is a keyframe unless the settings say otherwise.
     Source: Yan et al. 2024 (GS-SLAM); there is no released code.
     """
 

@@ -41,7 +41,7 @@ class monogs_like(MapRule):
         max_radius_px: Largest radius in a picture, pixels. Release: 20.
         reset_every: Number of steps between resets of the opacity; 0: never. Release: 2001.
 
-    The weight of the isotropy loss is 10. Here every 5th mapped frame is a keyframe, with 30 steps on each frame (on
+    The weight of the isotropy loss is 10. Here every 5th recorded frame is a keyframe, with 30 steps on each frame (on
     others than keyframes 20, and up to 10 on earlier keyframes), so that 150 steps fall on a keyframe; these numbers
     are chosen here. "Not visible" is judged by the view of that step; a radius reaches to where alpha is 1/255. Left
     out: the window of covisible keyframes, its loss on depth (0.05, beside 0.95 of the colour), pruning by

@@ -47,7 +47,7 @@ class on_the_fly_nvs(MapRule):
     The release has no depth camera: depth comes from multi-view stereo, and points of low confidence are dropped. The
     sum is not divided by A, so that where the map is transparent its surface counts as farther. Left out: coarse
     Gaussians that cover 10 or more new points are removed; pruning (opacity below 0.05, or larger than half the image).
-    Every 5th mapped frame is a keyframe unless the settings say otherwise.
+    Every 5th recorded frame is a keyframe unless the settings say otherwise.
     Source: Meuleman et al. 2025 and the released code.
     """
 

@@ -26,7 +26,7 @@ class photo_slam(MapRule):
 
     Left out: the map points of ORB-SLAM3, which the release seeds as well; the delay of 10 keyframes until new points
     are added; 3DGS's densification and the training on an image pyramid, which belong to the optimiser. The corners
-    here are not spread over the image as ORB-SLAM3 spreads them. Every 5th mapped frame is a keyframe unless the
+    here are not spread over the image as ORB-SLAM3 spreads them. Every 5th recorded frame is a keyframe unless the
     settings say otherwise.
     Source: Huang et al. 2024 (Photo-SLAM) and its released code ("inactive geometry densification").
     """

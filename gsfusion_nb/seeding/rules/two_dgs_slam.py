@@ -37,7 +37,7 @@ class two_dgs_slam(MapRule):
             sigmoid(0.999) = 0.73. False: 0.999.
 
     Depth below ``ctx.near_m`` counts as missing here. Left out because the optimiser does it: pruning by contribution,
-    splitting and cloning where errors are large. Every 5th mapped frame is a keyframe unless the settings say
+    splitting and cloning where errors are large. Every 5th recorded frame is a keyframe unless the settings say
     otherwise.
     Source: the released code of 2DGS-SLAM (PRBonn).
     """
