@@ -105,7 +105,10 @@ def test_sorting_choosing_and_menus_by_keyboard(open_page):
         "rule",
         "room, dB",
         "kitchen, dB",
+        "Mean, dB",
         "Mean rank",
+        "Reference minus rule, dB",
+        "p",
     ]
 
 
