@@ -23,6 +23,7 @@ from typing import IO, Any
 
 from ..errors import as_sentence, shown
 from ..files import atomic_folder, try_lock, write_file
+from ..foreign import open_regular
 from ..last_resort import is_foreseen, unforeseen
 from ..progress import ProgressDisplay
 from .open import open_sequence
@@ -299,18 +300,20 @@ def unpack(archive: Path, folder: Path, *, choose: Choose = lambda name: name, m
 
 def _members(archive: Path) -> Iterator[tuple[str, IO[bytes]]]:
     """Path and content of each regular file; links and devices are left out."""
-    if zipfile.is_zipfile(archive):
-        with zipfile.ZipFile(archive) as zipped:
-            for info in zipped.infolist():
-                if not info.is_dir() and stat.S_IFMT(info.external_attr >> 16) in (0, stat.S_IFREG):
-                    with zipped.open(info) as source:
-                        yield info.filename, source
-        return
-    with tarfile.open(archive, "r|*") as tar:
-        for member in tar:
-            source = tar.extractfile(member) if member.isreg() else None
-            if source is not None:
-                yield member.name, source
+    with open_regular(archive, "an archive") as opened:
+        if zipfile.is_zipfile(opened):
+            with zipfile.ZipFile(opened) as zipped:
+                for info in zipped.infolist():
+                    if not info.is_dir() and stat.S_IFMT(info.external_attr >> 16) in (0, stat.S_IFREG):
+                        with zipped.open(info) as source:
+                            yield info.filename, source
+            return
+        opened.seek(0)
+        with tarfile.open(fileobj=opened, mode="r|*") as tar:
+            for member in tar:
+                source = tar.extractfile(member) if member.isreg() else None
+                if source is not None:
+                    yield member.name, source
 
 
 def _write_source(plan: Plan, files: list[tuple[Item, Path]], options: FetchOptions, folder: Path) -> None:
