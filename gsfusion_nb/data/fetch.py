@@ -35,6 +35,12 @@ SOURCE = "source.json"
 """In each data set: the files that it was made from, and its licence."""
 MARGIN_BYTES = 200_000_000
 """Space that must stay free for other users of the disk."""
+LONGEST_HEADER_BYTES = 1 << 20
+"""Limit for a header of a tar archive: tarfile holds it in memory, and a small gzipped file can have gigabytes."""
+_IN_MEMORY = (
+    tarfile.GNUTYPE_LONGNAME, tarfile.GNUTYPE_LONGLINK, tarfile.XHDTYPE, tarfile.XGLTYPE, tarfile.SOLARIS_XHDTYPE
+)  # fmt: skip
+"""Kinds of tar headers with long names and other text."""
 ATTEMPTS = 5
 """Downloads of a file before one gives up."""
 TIMEOUT_S = 60.0
@@ -298,6 +304,17 @@ def unpack(archive: Path, folder: Path, *, choose: Choose = lambda name: name, m
     return count
 
 
+class _Member(tarfile.TarInfo):
+    """A header of a tar archive; one that holds a long name, which tarfile reads into memory, is limited."""
+
+    @classmethod
+    def frombuf(cls, buf: bytes | bytearray, encoding: str, errors: str) -> "_Member":
+        found = super().frombuf(buf, encoding, errors)
+        if found.type in _IN_MEMORY and found.size > LONGEST_HEADER_BYTES:
+            raise ArchiveError(f"the archive holds a header of {size_text(found.size)}; it may be a decompression bomb")
+        return found
+
+
 def _members(archive: Path) -> Iterator[tuple[str, IO[bytes]]]:
     """Path and content of each regular file; links and devices are left out."""
     with open_regular(archive, "an archive") as opened:
@@ -309,7 +326,7 @@ def _members(archive: Path) -> Iterator[tuple[str, IO[bytes]]]:
                             yield info.filename, source
             return
         opened.seek(0)
-        with tarfile.open(fileobj=opened, mode="r|*") as tar:
+        with tarfile.open(fileobj=opened, mode="r|*", tarinfo=_Member) as tar:
             for member in tar:
                 source = tar.extractfile(member) if member.isreg() else None
                 if source is not None:

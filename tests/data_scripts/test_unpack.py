@@ -1,5 +1,8 @@
 """Unpacking archives, also such as mean harm."""
 
+import io
+import tarfile
+
 import pytest
 
 from gsfusion_nb.data.fetch import ArchiveError, unpack
@@ -59,3 +62,13 @@ def test_a_device_in_the_place_of_an_archive_is_refused_at_once(tmp_path):
     (tmp_path / "a.tar.gz").symlink_to("/dev/zero")
     with pytest.raises(ArchiveError, match="device"):
         unpack(tmp_path / "a.tar.gz", tmp_path / "new", max_bytes=1000)
+
+
+@pytest.mark.parametrize("kind", [tarfile.GNUTYPE_LONGNAME, tarfile.XHDTYPE])
+def test_a_header_that_would_fill_the_memory_is_refused(tmp_path, kind):
+    with tarfile.open(tmp_path / "a.tgz", "w:gz") as tar:
+        header = tarfile.TarInfo("long")
+        header.type, header.size = kind, 2_000_000
+        tar.addfile(header, io.BytesIO(b"a" * header.size))
+    with pytest.raises(ArchiveError, match="decompression bomb"):
+        unpack(tmp_path / "a.tgz", tmp_path / "new", max_bytes=1000)
