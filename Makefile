@@ -65,7 +65,7 @@ chapters: dev
 	    --ExecutePreprocessor.store_widget_state=False --ExecutePreprocessor.record_timing=False \
 	    --ExecutePreprocessor.timeout=900 notebooks/$$chapter*.ipynb; \
 	done
-	$(BIN)/python -m gsfusion_nb.teaching.holds notebooks/*.ipynb
+	$(BIN)/python -m gsfusion_nb.course.holds notebooks/*.ipynb
 
 lint: dev
 	$(BIN)/ruff format --check .
@@ -79,23 +79,23 @@ format: dev
 # The learner's copies, without solutions, in a folder of the project where changes are kept. Links to source files
 # need the project as the root of the server.
 lab: setup
-	@$(BIN)/python -m gsfusion_nb.teaching.student notebooks $(COURSE) --learner
+	@$(BIN)/python -m gsfusion_nb.course.student notebooks $(COURSE) --learner
 	$(BIN)/jupyter lab --ServerApp.root_dir="$(CURDIR)" --LabApp.default_url=/lab/tree/$(COURSE)/00_quickstart.ipynb $(LAB)
 
 # Copies of the notebooks to hand out, without solutions and outputs; and the solved ones.
 student: setup
-	$(BIN)/python -m gsfusion_nb.teaching.student notebooks runs/student
+	$(BIN)/python -m gsfusion_nb.course.student notebooks runs/student
 
 teacher: setup
-	$(BIN)/python -m gsfusion_nb.teaching.student notebooks runs/teacher --teacher
+	$(BIN)/python -m gsfusion_nb.course.student notebooks runs/teacher --teacher
 
 # The bank of questions, for lecturers: docs/teaching/quiz.md.
 quiz: setup
-	$(BIN)/python -m gsfusion_nb.teaching.kit.quiz_files notebooks docs/teaching/quiz runs/quiz
+	$(BIN)/python -m gsfusion_nb.course.kit.quiz_files notebooks docs/teaching/quiz runs/quiz
 
 # The decks of slides as HTML, in runs/slides; needs Node: docs/teaching/slides.md.
 slides: setup
-	$(BIN)/python -m gsfusion_nb.teaching.kit.slides docs/teaching/slides notebooks runs/slides
+	$(BIN)/python -m gsfusion_nb.course.kit.slides docs/teaching/slides notebooks runs/slides
 
 # The notebooks and the documentation as a web site in runs/book: docs/book.md. Needs the network only when the extra
 # "book" is not installed yet. REPOSITORY=https://github.com/OWNER/NAME adds links to Binder and Colab.

@@ -11,8 +11,8 @@ import re
 import sys
 from pathlib import Path
 
-from gsfusion_nb.data import fetch
-from gsfusion_nb.data.fetch import Item, Plan, SequenceOnDisk
+from gsfusion_nb.recordings import fetch
+from gsfusion_nb.recordings.fetch import Item, Plan, SequenceOnDisk
 
 HOST = "https://cvg-data.inf.ethz.ch/nice-slam"
 SCENES = ("office0", "office1", "office2", "office3", "office4", "room0", "room1", "room2")

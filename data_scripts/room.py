@@ -10,11 +10,11 @@ The images of folder, replica and scannetpp have the size --width x --height; th
 import sys
 from pathlib import Path
 
-from gsfusion_nb.data import fetch
-from gsfusion_nb.data.fetch import FetchOptions, duration_text, size_text
 from gsfusion_nb.data.room import room_mesh
-from gsfusion_nb.data.room.write_layouts import WRITERS, Walk
 from gsfusion_nb.export import write_mesh_ply
+from gsfusion_nb.recordings import fetch
+from gsfusion_nb.recordings.fetch import FetchOptions, duration_text, size_text
+from gsfusion_nb.recordings.room_layouts import WRITERS, Walk
 
 BYTES_PER_FRAME, BYTES_OF_MESH = 500_000, 9_000_000
 SECONDS_PER_FRAME, SECONDS_OF_MESH = 0.25, 10.0

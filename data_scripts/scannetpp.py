@@ -9,10 +9,10 @@ display. An interrupted run continues with the next picture.
 import sys
 from pathlib import Path
 
-from gsfusion_nb.data import fetch
-from gsfusion_nb.data.convert.scannetpp_scene import MESH, listed_pictures, prepare_scene
-from gsfusion_nb.data.fetch import FetchError, FetchOptions, SequenceOnDisk, duration_text, size_text
 from gsfusion_nb.export import read_mesh_ply
+from gsfusion_nb.recordings import fetch
+from gsfusion_nb.recordings.convert.scannetpp_scene import MESH, listed_pictures, prepare_scene
+from gsfusion_nb.recordings.fetch import FetchError, FetchOptions, SequenceOnDisk, duration_text, size_text
 
 BYTES_PER_PICTURE = 800_000
 SECONDS_PER_PICTURE = 3.0

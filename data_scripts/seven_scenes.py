@@ -10,8 +10,8 @@ import re
 import sys
 from pathlib import Path
 
-from gsfusion_nb.data import fetch
-from gsfusion_nb.data.fetch import ArchiveError, Item, Plan, SequenceOnDisk
+from gsfusion_nb.recordings import fetch
+from gsfusion_nb.recordings.fetch import ArchiveError, Item, Plan, SequenceOnDisk
 
 HOST = "https://download.microsoft.com/download/2/8/5/28564B23-0828-408F-8631-23B1EFF1DAC8"
 FRAMES = {

@@ -6,8 +6,8 @@ python data_scripts/tum.py fr1_desk --out data
 import sys
 from pathlib import Path
 
-from gsfusion_nb.data import fetch
-from gsfusion_nb.data.fetch import Item, Plan, SequenceOnDisk
+from gsfusion_nb.recordings import fetch
+from gsfusion_nb.recordings.fetch import Item, Plan, SequenceOnDisk
 
 HOST = "https://cvg.cit.tum.de/rgbd/dataset"
 SIZES_GB = {

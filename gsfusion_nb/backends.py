@@ -8,9 +8,12 @@ The backend ``torch`` is vectorised PyTorch: it runs on any device and in float6
 times as fast as the reference. ``numba`` (CPU), ``triton`` and ``cuda`` (NVIDIA GPUs) are compiled, for float32;
 operations on Gaussians in float64 run on torch instead.
 
-``mine`` is the reference with the functions of a learner in it (``own_code``). They replace whole operations, or the
+``mine`` is the reference with the functions of a learner in it (``FUNCTIONS``). They replace whole operations, or the
 parts of an operation that are declared with ``@piece``. It exists only in a Python session that has imported
-``gsfusion_nb.teaching.mine``.
+``gsfusion_nb.course.mine``.
+
+An observer sees the calls of marked functions (``observed``, ``observing``). Nothing is watched by default; a marked
+function then costs one look at a variable.
 """
 
 import contextlib
@@ -22,17 +25,18 @@ import logging
 import os
 import re
 import sys
+import threading
+import time
 from collections.abc import Callable, Iterable, Iterator
 from contextvars import ContextVar
+from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 
-from . import own_code
 from .checks import check_name
-from .observing import observed
 from .types import GaussianParams
 
 log = logging.getLogger(__name__)
@@ -150,7 +154,7 @@ def piece(reference: Callable) -> Callable:
     @functools.wraps(reference)
     def dispatch(*args, **kwargs):
         if _choice.get() == MINE:
-            return own_code.run(name, reference, args, kwargs)
+            return _run_counted(name, reference, args, kwargs)
         return reference(*args, **kwargs)
 
     return dispatch
@@ -320,15 +324,15 @@ def _select(name: str, args: tuple, kwargs: dict) -> Callable:
 
 
 def _run_mine(name: str, *args, **kwargs) -> Any:
-    return own_code.run(name, _OPS[name], args, kwargs)
+    return _run_counted(name, _OPS[name], args, kwargs)
 
 
 def _check_course() -> None:
     """Raise ``BackendUnavailable`` unless this Python session can have functions of a learner."""
-    if f"{__package__}.teaching.mine" not in sys.modules:
+    if f"{__package__}.course.mine" not in sys.modules:
         raise BackendUnavailable(
             f"backend {MINE!r} runs functions that a learner wrote in a notebook of the course, and this program has "
-            "none; use it in a notebook, after `from gsfusion_nb.teaching import mine`"
+            "none; use it in a notebook, after `from gsfusion_nb.course import mine`"
         )
 
 
@@ -369,3 +373,75 @@ def _log_once(level: int, name: str, message: str) -> None:
     if (name, message) not in _logged:
         _logged.add((name, message))
         log.log(level, message)
+
+
+@dataclass
+class Calls:
+    """How one operation, or one piece of an operation, ran under the backend ``mine``."""
+
+    own: int = 0
+    """Calls that the learner's function answered."""
+    reference: int = 0
+    """Calls that the plain reference answered."""
+    seconds: float = 0.0
+    """Wall time of all calls, without the time of other operations that they called."""
+
+
+FUNCTIONS: dict[str, Callable[..., Any]] = {}
+"""Operation or piece -> the learner's function, with the arguments of the operation. A function that returns
+``NotImplemented`` leaves this call to the reference."""
+
+CALLS: dict[str, Calls] = {}
+"""Operation or piece -> its calls since the counts were last cleared."""
+
+_thread = threading.local()
+
+
+def _run_counted(name: str, reference: Callable[..., Any], args: tuple, kwargs: dict[str, Any]) -> Any:
+    """Call the learner's function for ``name``, or ``reference``, and count the call."""
+    inside = _thread.__dict__.setdefault("seconds_of_called", [])
+    inside.append(0.0)
+    began, is_own = time.perf_counter(), False
+    try:
+        own = FUNCTIONS.get(name)
+        result = NotImplemented if own is None else own(*args, **kwargs)
+        is_own = result is not NotImplemented
+        return result if is_own else reference(*args, **kwargs)
+    finally:
+        took, of_called = time.perf_counter() - began, inside.pop()
+        if inside:
+            inside[-1] += took
+        calls = CALLS.setdefault(name, Calls())
+        calls.own += is_own
+        calls.reference += not is_own
+        calls.seconds += took - of_called
+
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+Observer = Callable[[str, Callable[..., Any], tuple[Any, ...], dict[str, Any]], Any]
+"""``observer(name, f, args, kwargs)`` must return ``f(*args, **kwargs)``; it may look at arguments and result before
+and after, and must not change them."""
+
+_observer: ContextVar[Observer | None] = ContextVar("gsfusion_observer", default=None)
+
+
+def observed(f: F) -> F:
+    """Mark a function or method, so that an observer sees its calls under its qualified name, such as "Adam.step"."""
+
+    @functools.wraps(f)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        observer = _observer.get()
+        return f(*args, **kwargs) if observer is None else observer(f.__qualname__, f, args, kwargs)
+
+    return call  # pyright: ignore[reportReturnType]
+
+
+@contextlib.contextmanager
+def observing(observer: Observer | None) -> Iterator[None]:
+    """Context in which ``observer`` sees the calls of marked functions in this thread; ``None``: nobody does."""
+    token = _observer.set(observer)
+    try:
+        yield
+    finally:
+        _observer.reset(token)

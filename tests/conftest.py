@@ -20,9 +20,9 @@ from gsfusion_nb.config import gsfusion
 from gsfusion_nb.data import apply_options
 from gsfusion_nb.data.recorded.poses import write_pose_lines
 from gsfusion_nb.data.room import room
-from gsfusion_nb.data.room.write_layouts import write_intrinsics
-from gsfusion_nb.processes import usable_cores
+from gsfusion_nb.recordings.room_layouts import write_intrinsics
 from gsfusion_nb.types import Camera
+from gsfusion_nb.work import usable_cores
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 WIDTH, HEIGHT, DEPTH_M, STEP_PX = 48, 36, 1.5, 6
@@ -89,7 +89,7 @@ def pytest_terminal_summary(terminalreporter, config):
 @pytest.fixture(scope="session")
 def solutions_in():
     """``solutions_in(notebook)``: exercise -> source of its solution in a solved notebook, as read from JSON."""
-    from gsfusion_nb.teaching import exercises
+    from gsfusion_nb.course import exercises
 
     between = re.compile(r"### BEGIN SOLUTION\n(.*?)### END SOLUTION", re.DOTALL)
 
@@ -265,7 +265,7 @@ def over_a_surface(params):
 def traced_panel():
     """A panel of the trace of one small frame."""
     from gsfusion_nb import GSFusion, gsfusion, open_sequence
-    from gsfusion_nb.teaching.trace import tracing
+    from gsfusion_nb.course.trace import tracing
     from gsfusion_nb.viz import TracePanel
 
     settings = gsfusion("room", data__width=40, data__height=30, tsdf__voxel_size_m=0.1)

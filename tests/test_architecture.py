@@ -261,7 +261,6 @@ WHOLE = {
         "gsfusion_nb/optim/__init__.py": ("+", "from .toy_operation import toy_operation as toy_operation\n"),
         "kernels/toy_operation/__init__.py": '"""Twice a number."""\n',
         "kernels/toy_operation/cases.py": CASES,
-        "pyproject.toml": (('  "gsfusion_nb.mapping",', '  "gsfusion_nb.kernels.toy_operation",\n'),),
     },
     "a backend of an operation": {"kernels/toy_operation/torch.py": BACKEND},
     "a system": {
@@ -273,12 +272,12 @@ WHOLE = {
         ),
     },
     "a chapter": {
-        "gsfusion_nb/teaching/toy_chapter.py": CHAPTER,
+        "gsfusion_nb/course/toy_chapter.py": CHAPTER,
         "notebooks/12_toy_chapter.ipynb": NOTEBOOK,
         "README.md": (("| `10_backends_and_speed`", "| `12_toy_chapter` | a toy | nothing | 1 min |\n"),),
     },
     "an exercise whose function runs in the library": {
-        "gsfusion_nb/teaching/toy_own.py": OWN_EXERCISE,
+        "gsfusion_nb/course/toy_own.py": OWN_EXERCISE,
         "gsfusion_nb/optim/toy_piece.py": PIECE,
     },
     "a setting": {
@@ -302,7 +301,7 @@ from gsfusion_nb import backends, cli, open_sequence, run_mapping
 from gsfusion_nb.config.toy_system import toy_system
 from gsfusion_nb.optim import toy_operation
 from gsfusion_nb.seeding import check_rule
-from gsfusion_nb.teaching import check
+from gsfusion_nb.course import check
 
 check_rule("toy_rule")
 
@@ -328,7 +327,7 @@ assert (run.folder / "report.html").is_file() and (run.folder / "mesh.ply").is_f
 assert check.toy_exercise(lambda x: 2 * x) and not check.toy_exercise(lambda x: x)
 
 from gsfusion_nb.optim.toy_piece import toy_piece
-from gsfusion_nb.teaching import mine as own
+from gsfusion_nb.course import mine as own
 
 calls = []
 assert check.toy_own(lambda x: calls.append(x) or 2 * x)

@@ -99,7 +99,7 @@ def known_options() -> set[str]:
     calls = [(name,) for name in COMMANDS] + systems
     calls += [("course", "times"), ("course", "export")]
     calls += [("live", source) for source in ("folder", "realsense", "kinect")]
-    scripts = (ROOT / "gsfusion_nb/data/fetch.py").read_text()
+    scripts = (ROOT / "gsfusion_nb/recordings/fetch.py").read_text()
     return set(re.findall(r"--[\w][\w.\-]*", "".join(help_of(*call) for call in calls) + scripts)) | set(OTHER_PROGRAMS)
 
 

@@ -1,7 +1,7 @@
 """Messages: one line, and never longer than a reader's patience."""
 
-from gsfusion_nb.data.fetch import ArchiveError
 from gsfusion_nb.errors import BadFrameError, SequenceError, SequenceNotFoundError, shown
+from gsfusion_nb.recordings.fetch import ArchiveError
 
 
 def test_values_of_others_are_shown_short():

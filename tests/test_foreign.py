@@ -14,8 +14,18 @@ import pytest
 from gsfusion_nb.data.recorded.image_header import exr_parts, image_size, png_is_cut
 from gsfusion_nb.data.recorded.images import check_image_size, decode_rgb
 from gsfusion_nb.errors import BadFrameError, SequenceError, SequenceNotFoundError
-from gsfusion_nb.foreign import inflate, open_archive, open_regular, parsing, read_bytes, read_member, read_text
-from gsfusion_nb.strict_json import parse_json, read_json, read_object
+from gsfusion_nb.foreign import (
+    inflate,
+    open_archive,
+    open_regular,
+    parse_json,
+    parsing,
+    read_bytes,
+    read_json,
+    read_member,
+    read_object,
+    read_text,
+)
 
 PACKAGE = Path(__file__).resolve().parents[1] / "gsfusion_nb"
 BY_HAND = {"read_text", "read_bytes", "imread", "imdecode", "loadtxt", "genfromtxt", "fromfile", "memmap"}
@@ -25,34 +35,32 @@ OF_MODULE = {
 }
 ALLOWED = {
     "foreign.py": "the place",
-    "strict_json.py": "the place",
-    "files.py": "flushes what was just written",
-    "hashes.py": "bytes that only go into a hash",
+    "files.py": "what it has just written, and bytes that only go into a hash",
     "backends.py": "source files of this package",
-    "teaching/source_lines.py": "source files of this package",
+    "course/source_lines.py": "source files of this package",
     "viz/front_end.py": "files of this package",
     "viz/panels/click_image.py": "files of this package",
-    "memory.py": "/proc/meminfo and /proc/self/status",
-    "bench/machine.py": "/proc/cpuinfo",
+    "work.py": "/proc/meminfo and /proc/self/status",
+    "compare/bench/machine.py": "/proc/cpuinfo",
     "cli/reader_gone.py": "the null device",
-    "teaching/course_pages.py": "pages of this project",
-    "lab/command.py": "a table it has just written",
-    "lab/map_scene.py": "plain values of its own",
-    "lab/spec.py": "plain values of its own",
-    "lab/tasks.py": "a picture it has just drawn",
-    "lab/run_key.py": "source files of this package, and bytes that only go into a hash",
+    "course/course_pages.py": "pages of this project",
+    "compare/command.py": "a table it has just written",
+    "compare/map_scene.py": "plain values of its own",
+    "compare/spec.py": "plain values of its own",
+    "compare/tasks.py": "a picture it has just drawn",
+    "compare/run_key.py": "source files of this package, and bytes that only go into a hash",
     "data/recorded/images.py": "decodes after the header was looked at",
     "data/room/cache.py": "pictures of its own, from bytes of a limited size",
-    "data/convert/image_files.py": "an array whose header was looked at, from bytes of a limited size",
-    "lab/store.py": "a picture it has just drawn",
-    "data/fetch.py": "downloads, a lock of its own, and unpacking into a new folder within a limit",
-    "data/convert/formats/ros_unpacking.py": "everything but the reading of bytes, which it bounds",
-    "teaching/progress.py": "a lock of its own",
-    "teaching/grading/isolated.py": "the sandbox's own words, in a file of limited size",
-    "teaching/kit/exam.py": "a recording that it wrote, without pickle",
-    "teaching/kit/slides.py": "decks of this project, and pages that it has just built",
-    "teaching/sandbox/messages.py": "a message of limited size; whatever a forged one raises is caught",
-    "teaching/sandbox/task.py": "/proc/self/statm",
+    "recordings/convert/image_files.py": "an array whose header was looked at, from bytes of a limited size",
+    "compare/store.py": "a picture it has just drawn",
+    "recordings/fetch.py": "downloads, a lock of its own, and unpacking into a new folder within a limit",
+    "recordings/convert/formats/ros_unpacking.py": "everything but the reading of bytes, which it bounds",
+    "course/progress.py": "a lock of its own",
+    "course/grading/isolated.py": "the sandbox's own words, in a file of limited size",
+    "course/kit/exam.py": "a recording that it wrote, without pickle",
+    "course/kit/slides.py": "decks of this project, and pages that it has just built",
+    "course/sandbox/messages.py": "a message of limited size; whatever a forged one raises is caught",
+    "course/sandbox/task.py": "/proc/self/statm",
     "viz/steppers/recording.py": "source files of this package",
     "export/sog_file.py": "a picture of limited size, whose header is looked at before its pixels",
     "export/checkpoint_store.py": "JSON whose checksum is right",
@@ -91,7 +99,7 @@ def test_no_file_of_others_is_opened_by_hand():
         name = path.relative_to(PACKAGE).as_posix()
         if name not in ALLOWED and not name.startswith(OF_THIS_PROJECT) and (calls := opened_by_hand(path)):
             found[name] = calls
-    assert found == {}, "read through gsfusion_nb/foreign.py or strict_json.py"
+    assert found == {}, "read through gsfusion_nb/foreign.py"
     assert [name for name in ALLOWED if not opened_by_hand(PACKAGE / name)] == [], "no longer needed"
 
 

@@ -8,10 +8,10 @@ import pytest
 import torch
 
 from gsfusion_nb.data import SequenceError, open_sequence
-from gsfusion_nb.data.convert.recording import RecordedFrame, Recording, RgbdImages
 from gsfusion_nb.data.lens.camera_model import CameraModel
 from gsfusion_nb.data.recorded.poses import checked_pose
-from gsfusion_nb.plausible import check_camera, check_depth_scale, is_near
+from gsfusion_nb.operands import check_depth_scale, check_plausible_camera, is_near
+from gsfusion_nb.recordings.convert.recording import RecordedFrame, Recording, RgbdImages
 from gsfusion_nb.types import Camera
 
 VGA = Camera(width=640, height=480, fx=525.0, fy=525.0, cx=320.0, cy=240.0)
@@ -33,7 +33,7 @@ def no_images() -> RgbdImages:
 def test_cameras_that_cannot_be(change, sentence, tmp_path):
     camera = dataclasses.replace(VGA, **change)
     with pytest.raises(ValueError, match=f"here: {sentence}"):
-        check_camera("here", camera)
+        check_plausible_camera("here", camera)
     with pytest.raises(SequenceError, match=f"shot 3: colour camera: {sentence}"):
         RecordedFrame(source="shot 3", time_s=None, model=CameraModel(camera), load=no_images)
     with pytest.raises(SequenceError, match=f"shot 3: depth camera: {sentence}"):
@@ -67,7 +67,7 @@ def test_depth_scales_that_cannot_be(scale, sentence, tmp_path):
 
 def test_usual_cameras_and_scales_pass():
     for camera in (VGA, VGA.resized(80, 480), Camera(width=4, height=3, fx=2.0, fy=2.0, cx=-1.0, cy=3.0)):
-        check_camera("here", camera)
+        check_plausible_camera("here", camera)
     for scale in (1.0, 100.0, 1000.0, 5000.0, 6553.5):
         check_depth_scale("here", scale)
 

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from gsfusion_nb.processes import _next, run_in_processes, usable_cores
+from gsfusion_nb.work import _next, run_in_processes, usable_cores
 
 
 def test_every_job_gives_its_result_or_none():
@@ -24,7 +24,7 @@ def test_processes_that_end_leave_none_and_are_replaced():
 
 _KILLED_WITH_A_JOB_RUNNING = """
 import os, signal, threading, time
-from gsfusion_nb.processes import WorkerPool
+from gsfusion_nb.work import WorkerPool
 
 if __name__ == "__main__":
     pool = WorkerPool(time.sleep, 1)

@@ -4,7 +4,7 @@ import io
 
 import pytest
 
-from gsfusion_nb.progress import ProgressDisplay
+from gsfusion_nb.work import ProgressDisplay
 
 
 class Clock:

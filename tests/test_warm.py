@@ -5,7 +5,8 @@ import sys
 import pytest
 import torch
 
-from gsfusion_nb import backends, doctor, warm
+from gsfusion_nb import backends, doctor
+from gsfusion_nb import doctor as warm
 
 
 @pytest.fixture

@@ -18,7 +18,7 @@ from types import ModuleType
 from urllib.parse import quote
 
 from ..files import atomic_file
-from ..strict_json import read_object
+from ..foreign import read_object
 from .chapters import Chapter
 from .pages import in_the_book, raw
 from .places import Places
@@ -141,7 +141,7 @@ def with_answers(questions: str, answers: str) -> str:
 
 ROOMS = (
     "types", "config", "geometry", "tsdf", "gaussians", "render", "seeding", "optim", "tracking", "export",
-    "evaluation", "mapping", "data", "runs", "viz", "teaching", "lab", "backends", "own_code", "observing",
+    "evaluation", "mapping", "data", "recordings", "runs", "viz", "course", "compare", "backends",
 )  # fmt: skip
 """Rooms whose names a reader uses, in the order of the floors; the other rooms serve these."""
 

@@ -9,7 +9,7 @@ from html import escape
 from itertools import count
 from typing import Any
 
-from ..teaching.exercise import exercises
+from ..course.exercise import exercises
 from .pages import in_the_book, numbered, raw
 from .places import Places
 

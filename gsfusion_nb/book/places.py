@@ -34,7 +34,7 @@ class Places:
 
     def is_shown(self, path: str) -> bool:
         """Whether a file has a page with its source."""
-        return path in self.files and Path(path).suffix in _SHOWN and not path.startswith("tests/teaching/submissions")
+        return path in self.files and Path(path).suffix in _SHOWN and not path.startswith("tests/course/submissions")
 
     def source_url(self, path: str, *, seen_from: str, line: int = 0) -> str:
         """Address of the source page of a file, relative to the page ``seen_from``."""

@@ -10,7 +10,7 @@ import tyro
 from ..backends import BackendUnavailable, from_environment, use_backend
 from ..config import DataConfig, gsfusion
 from ..config.option_help import parse_options
-from ..last_resort import is_foreseen, unforeseen
+from ..errors import is_foreseen, unforeseen
 from . import reader_gone
 from .result import print_metrics, print_result
 from .settings import named_values
@@ -203,14 +203,14 @@ def _live(arguments: list[str]) -> int:
 
 
 def _convert(arguments: list[str]) -> int:
-    from ..data.convert import command
+    from ..recordings.convert import command
 
     print(command.run(arguments))
     return 0
 
 
 def _check(arguments: list[str]) -> int:
-    from ..data.checkup import check_recording
+    from ..recordings.checkup import check_recording
 
     options = parse_options(CheckOptions, prog="gsfusion-nb check", arguments=arguments)
     report = check_recording(options.path, data=options.data, frames=options.frames, **_reader(options))
@@ -222,7 +222,7 @@ def _check(arguments: list[str]) -> int:
 
 def _offset(arguments: list[str]) -> int:
     from ..data import open_sequence
-    from ..data.checkup.pose_offset import estimate_pose_offset
+    from ..recordings.checkup.pose_offset import estimate_pose_offset
 
     options = parse_options(OffsetOptions, prog="gsfusion-nb offset", arguments=arguments)
     print(estimate_pose_offset(open_sequence(options.path, data=options.data, **_reader(options))))
@@ -262,32 +262,32 @@ def _export(arguments: list[str]) -> int:
 
 
 def _bench(arguments: list[str]) -> int:
-    from .. import bench
+    from ..compare import bench
 
     return bench.main(parse_options(bench.BenchOptions, prog="gsfusion-nb bench", arguments=arguments))
 
 
 def _lab(arguments: list[str]) -> int:
-    from ..lab import command
+    from ..compare import command
 
     return command.main(parse_options(command.LabOptions, prog="gsfusion-nb lab", arguments=arguments))
 
 
 def _sweep(arguments: list[str]) -> int:
-    from ..lab import sweep
+    from ..compare import sweep
 
     options = parse_options(sweep.SweepOptions, prog="gsfusion-nb sweep", arguments=arguments)
     if options.table == "rtg-fig-7":
-        from .. import studies
+        from ..compare import study
 
-        return studies.main(studies.StudyOptions(name="disc-depth", data=options.data, out=options.out))
+        return study.main(study.StudyOptions(name="disc-depth", data=options.data, out=options.out))
     return sweep.main(options)
 
 
 def _study(arguments: list[str]) -> int:
-    from .. import studies
+    from ..compare import study
 
-    return studies.main(parse_options(studies.StudyOptions, prog="gsfusion-nb study", arguments=arguments))
+    return study.main(parse_options(study.StudyOptions, prog="gsfusion-nb study", arguments=arguments))
 
 
 def _course(arguments: list[str]) -> int:

@@ -57,9 +57,9 @@ class ExportOptions:
 
 def export(arguments: list[str]) -> int:
     """The command ``gsfusion-nb course export``."""
-    from ..teaching.grading.export import export_course
-    from ..teaching.grading.marks import new_seed
-    from ..teaching.grading.points import Points, read_points
+    from ..course.grading.export import export_course
+    from ..course.grading.marks import new_seed
+    from ..course.grading.points import Points, read_points
 
     options = parse_options(ExportOptions, prog="gsfusion-nb course export", arguments=arguments)
     found = sorted(options.notebooks.glob("[0-9][0-9]_*.ipynb"))
@@ -78,7 +78,7 @@ def run(arguments: list[str]) -> int:
     """The command. Exit status: 0 done, 1 not confirmed."""
     if arguments[:1] == ["export"]:
         return export(arguments[1:])
-    from ..teaching.course import read_course
+    from ..course.course import read_course
 
     options = parse_options(CourseOptions, prog="gsfusion-nb course", arguments=arguments)
     if options.reset:
@@ -92,7 +92,7 @@ def run(arguments: list[str]) -> int:
 
 def _reset(yes: bool) -> int:
     """Start again."""
-    from ..teaching.progress import reset
+    from ..course.progress import reset
 
     if not (yes or _confirmed()):
         print("Nothing was changed.")
@@ -104,7 +104,7 @@ def _reset(yes: bool) -> int:
 
 def _copy(folder: Path, open_it: bool) -> int:
     """Write the notebooks and say how to open them, or open them."""
-    from ..teaching.course_files import FIRST, copy_for_learner
+    from ..course.course_files import FIRST, copy_for_learner
 
     done = copy_for_learner(folder)
     for notebook in done:

@@ -84,10 +84,9 @@ def _standard(options: ExportOptions, gaussians: GaussianParams) -> GaussianPara
     """The Gaussians for a .ply file: a surface that they are drawn over as discs, too."""
     from ..config import from_dict
     from ..export import read_trajectory_tum
-    from ..foreign import parsing
+    from ..foreign import parsing, read_object
     from ..mapping.over_surface import TSDF
     from ..mapping.systems import get_system
-    from ..strict_json import read_object
 
     folder = options.source
     if not (folder / TSDF).is_file() or options.bake_steps < 0 or options.out.suffix.lower() == ".glb":

@@ -43,12 +43,12 @@ class GradeOptions:
 
 def run(arguments: list[str]) -> int:
     """The command. Exit status 0: the table is written, whatever the marks."""
+    from ..course.grading.isolated import unprotected
+    from ..course.grading.marks import Grading, exercises_of, grade, new_seed, rubric_page, write_marks
+    from ..course.grading.points import Points, read_points
+    from ..course.grading.remote import Limits
+    from ..course.grading.submission import find_submissions
     from ..files import write_file
-    from ..teaching.grading.isolated import unprotected
-    from ..teaching.grading.marks import Grading, exercises_of, grade, new_seed, rubric_page, write_marks
-    from ..teaching.grading.points import Points, read_points
-    from ..teaching.grading.remote import Limits
-    from ..teaching.grading.submission import find_submissions
 
     options = parse_options(GradeOptions, prog="gsfusion-nb grade", arguments=arguments)
     if options.seconds <= 0 or options.memory_mb <= 0:

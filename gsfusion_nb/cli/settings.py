@@ -14,8 +14,7 @@ from ..backends import from_environment
 from ..config import SystemConfig, from_dict, replace
 from ..config.option_help import parse_options
 from ..errors import SequenceError, shown
-from ..foreign import reason_of
-from ..strict_json import parse_json, read_object
+from ..foreign import parse_json, read_object, reason_of
 
 O = TypeVar("O", bound="SettingsOptions")  # noqa: E741
 ROOM = "room"

@@ -5,7 +5,7 @@ from typing import Any
 
 import torch
 
-from ..hashes import file_hashes
+from ..files import file_hashes
 from .adjust.repair import RepairedSequence
 from .adjust.select import OpenedSequence, SequenceView
 from .recorded.recorded_sequence import RecordedSequence

@@ -24,7 +24,7 @@ from ..checks import check_whole
 from ..errors import shown
 from ..files import atomic_file, write_file
 from ..foreign import open_regular, read_exactly, read_text, reason_of
-from ..memory import available_memory
+from ..work import available_memory
 from .packed_state import Packing, bytes_of, tensor_of, unpack
 
 FORMAT = "gsfusion_nb checkpoint"

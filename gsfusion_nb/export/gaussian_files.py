@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ..errors import SequenceError
 from ..foreign import open_regular
-from ..plausible import FARTHEST
+from ..operands import FARTHEST
 from ..types import GaussianParams
 from .gaussian_ply import read_gaussian_ply
 from .map_glb import read_map_glb

@@ -9,8 +9,7 @@ import numpy as np
 
 from ..errors import SequenceError, shown
 from ..files import atomic_file
-from ..foreign import open_regular, parsing, read_exactly
-from ..strict_json import parse_json
+from ..foreign import open_regular, parse_json, parsing, read_exactly
 
 WHAT = "a glTF file (.glb)"
 _TYPES: dict[int, np.dtype] = {

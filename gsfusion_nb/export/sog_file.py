@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import SequenceError, shown
-from ..foreign import open_archive, parsing, read_member
-from ..strict_json import parse_json
+from ..foreign import open_archive, parse_json, parsing, read_member
 from ..types import GaussianParams
 from .packed_values import params_of, quaternion_of_three
 

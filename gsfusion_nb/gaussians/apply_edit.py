@@ -7,9 +7,9 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from ..backends import observed
 from ..geometry import quaternion
 from ..geometry.spherical_harmonics import rgb_to_sh_dc
-from ..observing import observed
 from .edit import STORED, Edit
 
 SPLIT_SHRINKS = 1.6

@@ -7,11 +7,11 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from ..backends import observed
 from ..checks import check_saved, check_shape, check_whole
 from ..constants import SH_C0
 from ..geometry import quaternion
 from ..geometry.spherical_harmonics import rgb_to_sh_dc
-from ..observing import observed
 from ..types import GaussianParams, Seeds
 from .apply_edit import apply_edit
 from .edit import Edit, check_rate

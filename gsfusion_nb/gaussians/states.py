@@ -6,10 +6,9 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from ..backends import piece
+from ..backends import observed, piece
 from ..config import StateConfig
 from ..geometry import project, se3, sum_rows
-from ..observing import observed
 from ..types import Camera
 from .surfels import STABLE, UNSTABLE, SurfelModel
 

@@ -6,7 +6,7 @@ import torch
 
 from ..checks import check_colours, check_finite, check_pose
 from ..errors import BadFrameError
-from ..plausible import check_camera, check_place
+from ..operands import check_place, check_plausible_camera
 from ..types import Frame
 
 BLACK = 2.5 / 255
@@ -22,13 +22,13 @@ def check_frame(frame: Frame, device: torch.device | None = None, *, needs_depth
         needs_depth: Refuse a frame without any depth.
 
     Raises:
-        BadFrameError: the pose is not rigid or too far away, the camera is impossible (``gsfusion_nb.plausible``), an
+        BadFrameError: the pose is not rigid or too far away, the camera is impossible (``gsfusion_nb.operands``), an
             image holds a NaN or colours outside 0..1, the picture is black, or it has no depth with ``needs_depth``.
     """
     try:
         check_pose(f"T_WC of frame {frame.index}", frame.T_WC_cpu)
         check_place(f"T_WC of frame {frame.index}", frame.T_WC_cpu)
-        check_camera("its camera", frame.camera)
+        check_plausible_camera("its camera", frame.camera)
         frame = frame if device is None else frame.to(device)
         _check_images(frame, needs_depth)
     except ValueError as e:

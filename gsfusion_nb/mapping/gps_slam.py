@@ -8,11 +8,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ..backends import runs_learners_code
+from ..backends import observed, runs_learners_code
 from ..config import GPS_SLAM_DIFFERS, GpsSlamConfig, gps_slam, gps_slam_fidelity
 from ..gaussians import GaussianModel
 from ..geometry import se3
-from ..observing import observed
 from ..optim import Keyframe, adam_step, dssim_vjp, l1_mse_vjp, l2_mse_vjp
 from ..render import BaseView, render_over_base, render_over_base_vjp
 from ..seeding import SeedContext

@@ -7,10 +7,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ..backends import piece, runs_learners_code
+from ..backends import observed, piece, runs_learners_code
 from ..config import GSFusionConfig, gsfusion, gsfusion_fidelity
 from ..gaussians import GaussianModel
-from ..observing import observed
 from ..optim import (
     Keyframe,
     UpdateFunction,

@@ -15,8 +15,8 @@ from torch import Tensor
 
 from ..config import SystemConfig
 from ..gaussians import GaussianModel
+from ..operands import FAR_DEPTH_M
 from ..optim import KeyframeList, UpdateFunction
-from ..plausible import FAR_DEPTH_M
 from ..render import render
 from ..seeding import Cells, ChangedInputError, SeedingRule, copy_memory, move_memory, rule_name
 from ..seeding.rule_file import find_rule

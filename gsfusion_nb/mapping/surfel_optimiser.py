@@ -10,10 +10,10 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from ..backends import observed
 from ..checks import check_saved
 from ..config import DiscConfig, WindowConfig
 from ..gaussians import SurfelModel
-from ..observing import observed
 from ..optim import RgbdLoss, RowAdam, TrainingView, rgbd_l1_vjp
 from ..render import blended_depth_m, disc_depth, disc_depth_vjp, render_forward, render_vjp
 from ..types import Camera, GaussianParams, RenderOutput

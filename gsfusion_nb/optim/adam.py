@@ -9,11 +9,10 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from ..backends import op
+from ..backends import observed, op
 from ..checks import check_number, check_saved, check_whole
 from ..config import OptimConfig
 from ..gaussians import GaussianModel
-from ..observing import observed
 from ..operands import INTEGERS, check_gaussians, check_operand, check_written
 from ..types import GaussianParams
 

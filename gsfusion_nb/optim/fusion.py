@@ -3,9 +3,8 @@
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from ..backends import piece
+from ..backends import observed, piece
 from ..geometry import quaternion
-from ..observing import observed
 from ..types import GaussianParams
 
 

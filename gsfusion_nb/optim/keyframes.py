@@ -11,7 +11,7 @@ from torch import Tensor
 
 from ..backends import piece
 from ..checks import SAVED_RIGIDITY_ERROR, check_pose, check_saved, check_whole
-from ..plausible import check_camera
+from ..operands import check_plausible_camera
 from ..types import Camera, Frame, rgb_of_bytes
 
 
@@ -176,7 +176,7 @@ def draw_keyframes(n_keyframes: int, count: int, generator: torch.Generator) -> 
 
 def _check_saved_keyframe(name: str, keyframe: Keyframe) -> None:
     camera = keyframe.camera
-    check_camera(name, camera)
+    check_plausible_camera(name, camera)
     check_whole(f"index of {name}", keyframe.index, 0)
     check_saved(f"T_WC of {name}", keyframe.T_WC, (4, 4))
     check_pose(f"T_WC of {name}", keyframe.T_WC, SAVED_RIGIDITY_ERROR)

@@ -15,12 +15,11 @@ from ..evaluation import ONLINE
 from ..export import read_gaussians
 from ..files import DiskFullError
 from ..mapping import LossFunction, get_system, make_mapper
-from ..memory import memory_is_full
 from ..optim import UpdateFunction
-from ..progress import ProgressDisplay
 from ..seeding import SeedingRule
 from ..seeding.rule_file import file_source
 from ..types import Mesh
+from ..work import ProgressDisplay, memory_is_full
 from . import outputs
 from .checkpoint import NOT_SAVED, Autosave, CheckpointEvery
 from .mapping_run import MappingRun, RunWatcher

@@ -8,8 +8,8 @@ from typing import Literal
 from ..data import Sequence
 from ..data.stream import Policy
 from ..mapping import Mapper
-from ..progress import ProgressDisplay
 from ..types import Frame
+from ..work import ProgressDisplay
 from .checkpoint import CheckpointEvery
 from .map_sequence import FinishedRun, drive
 from .mapping_run import MappingRun, RunWatcher

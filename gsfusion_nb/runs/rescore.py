@@ -14,9 +14,8 @@ from ..data import OpenedSequence, open_sequence, sequence_fingerprint
 from ..errors import SequenceError, SequenceNotFoundError, shown
 from ..evaluation import metrics_as_json
 from ..export import read_gaussian_ply
-from ..foreign import parsing
+from ..foreign import parsing, read_object
 from ..mapping.systems import get_system
-from ..strict_json import read_object
 from ..types import GaussianParams
 from .outputs import write_json
 from .run_folder import METRICS

@@ -8,8 +8,8 @@ import torch
 from ..data import open_sequence
 from ..errors import SequenceError
 from ..export import CheckpointStore
+from ..files import UNREADABLE, file_hashes
 from ..foreign import read_text, reason_of
-from ..hashes import UNREADABLE, file_hashes
 from ..mapping import get_system
 from ..seeding import SeedingRule
 from ..seeding.rule_file import MOST_BYTES, is_rule_file, read_rule_file, rule_of_source

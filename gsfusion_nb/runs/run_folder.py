@@ -10,7 +10,7 @@ from typing import Any
 
 from .. import __version__
 from ..files import remove_partial, try_lock, write_file
-from ..strict_json import read_json, read_object
+from ..foreign import read_json, read_object
 
 STATUS = "status.json"
 LOCK = ".lock"

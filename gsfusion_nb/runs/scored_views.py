@@ -14,11 +14,10 @@ from ..checks import SAVED_RIGIDITY_ERROR, check_pose, check_saved, check_whole
 from ..constants import SHOWN_ALPHA
 from ..data import SequenceView
 from ..evaluation import ImageScores, score_view
-from ..foreign import reason_of
+from ..foreign import read_object, reason_of
 from ..mapping.exposure_fit import exposure_between
 from ..mapping.stored_map import Draw
 from ..optim import exposed, fit_gain
-from ..strict_json import read_object
 from ..types import Frame, RenderOutput
 from .mapping_run import MappingRun, evenly
 from .posed_frames import frames_at, poses_in_map

@@ -9,9 +9,9 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
+from ..backends import observed
 from ..checks import check_finite, check_shape
-from ..observing import observed
-from ..plausible import MAX_DISTANCE_M
+from ..operands import MAX_DISTANCE_M
 from ..types import Seeds, rgb_of_bytes
 from .context import SeedContext
 from .memory import check_memory

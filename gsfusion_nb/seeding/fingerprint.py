@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from ..hashes import UNREADABLE, file_hashes
+from ..files import UNREADABLE, file_hashes
 from .rule import SeedingRule, option_paths, rule_name
 
 _OWN = __name__.partition(".")[0]

@@ -7,7 +7,7 @@ from jaxtyping import Int
 from torch import Tensor
 
 from ..constants import GROWTH, VOXELS_PER_BLOCK
-from ..memory import available_memory
+from ..work import available_memory
 
 BYTES_PER_BLOCK = VOXELS_PER_BLOCK * (4 + 4 + 12) + 12
 """Distance, weight and colour of every voxel as float32, and three int32 coordinates; ``W_RGB_BYTES`` more where

@@ -23,7 +23,7 @@ from gsfusion_nb.book.views.record import (
     write,
 )
 from gsfusion_nb.book.views.recorded import front_ends, needed_cells
-from gsfusion_nb.strict_json import read_object
+from gsfusion_nb.foreign import read_object
 from gsfusion_nb.types import Camera, GaussianParams
 from gsfusion_nb.viz import MixMicroscope, PixelMicroscope, amdahl_panel
 

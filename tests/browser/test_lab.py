@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from gsfusion_nb.lab import Budget, RunResult, RunSpec
-from gsfusion_nb.lab.page import page_html
+from gsfusion_nb.compare import Budget, RunResult, RunSpec
+from gsfusion_nb.compare.page import page_html
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning")]
 
@@ -16,9 +16,9 @@ PSNR = {"quadtree": 24.8, "uniform": 24.4, "with a <long> name & more": 22.0}
 LIVE = """
 import torch
 torch.set_num_threads(1)
-from gsfusion_nb.lab import Budget
-from gsfusion_nb.lab.entries import entries_of
-from gsfusion_nb.lab.live_table import LiveTable
+from gsfusion_nb.compare import Budget
+from gsfusion_nb.compare.entries import entries_of
+from gsfusion_nb.compare.live_table import LiveTable
 settings = {"data.width": 64, "data.height": 48, "data.stop": 12, "data.hold_out_every": 5, "tsdf.voxel_size_m": 0.05,
             "sh_degree": 0, "optim.global_iterations": 0, "seeding.quadtree_contrast": "std",
             "seeding.quadtree_threshold": 0.05}

@@ -7,8 +7,8 @@ pytestmark = pytest.mark.slow
 CELLS = [
     """
 from gsfusion_nb.geometry import project
-from gsfusion_nb.teaching import came, check, course_progress, predict
-from gsfusion_nb.teaching.source_lines import source_lines
+from gsfusion_nb.course import came, check, course_progress, predict
+from gsfusion_nb.course.source_lines import source_lines
 course_progress(0)
 """,
     'predict("browser_seeds", "How many Gaussians will the first frame give?", [300, 3000, 30000])',

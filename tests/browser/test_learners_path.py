@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from gsfusion_nb.teaching import exercises
-from gsfusion_nb.teaching.edition import learner_copy
+from gsfusion_nb.course import exercises
+from gsfusion_nb.course.edition import learner_copy
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning")]
 

@@ -8,7 +8,7 @@ CELLS = [
     """
 import torch
 torch.set_num_threads(1)
-from gsfusion_nb.bench.scene import random_scene
+from gsfusion_nb.compare.bench.scene import random_scene
 from gsfusion_nb.types import Camera, Mesh
 from gsfusion_nb.viz import SplatViewer, one_gaussian_panel, show_mesh
 xyz, faces = torch.rand(60, 3), torch.arange(60).view(20, 3)

@@ -79,7 +79,7 @@ def test_icp_sliders_step_through_an_alignment(lab, tracking):
 
 
 def test_a_checker_turns_from_red_to_green(lab, tracking):
-    setup = "from gsfusion_nb.teaching import check, exercises\ne = exercises()['gauss_newton']\n"
+    setup = "from gsfusion_nb.course import check, exercises\ne = exercises()['gauss_newton']\n"
     assert "failed" in lab.run(tracking, setup + "print(check.gauss_newton(e.wrong[0].function).state)")
     right = "lambda T_WC, r, J: se3.exp(torch.linalg.solve(J.T @ J, -J.T @ r)) @ T_WC"
     setup += "import torch\nfrom gsfusion_nb.geometry import se3\n"

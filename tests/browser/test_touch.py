@@ -15,7 +15,7 @@ MOVES = 15
 SCENES = """
 import torch
 torch.set_num_threads(1)
-from gsfusion_nb.bench.scene import random_scene
+from gsfusion_nb.compare.bench.scene import random_scene
 from gsfusion_nb.config import TsdfConfig
 from gsfusion_nb.data.room import RoomSequence, render_room
 from gsfusion_nb.tsdf import TsdfVolume

@@ -8,7 +8,7 @@ MAP = """
 import torch
 torch.set_num_threads(1)
 from gsfusion_nb import GSFusion, gsfusion, open_sequence
-from gsfusion_nb.teaching.trace import Trace
+from gsfusion_nb.course.trace import Trace
 from gsfusion_nb.viz import SplatViewer, TracePanel
 config = gsfusion("room", data__width=96, data__height=72, tsdf__voxel_size_m=0.04)
 sequence = open_sequence("room", data=config.data, n_frames=16)

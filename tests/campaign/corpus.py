@@ -59,7 +59,7 @@ def make_takes(n: int = 4):
     poses[:, :3, :3] = quaternion.to_matrix(quaternion.from_matrix(poses[:, :3, :3]))
     views = [box.render(T, camera) for T in poses]
     rgb, depth_m = [v[0] for v in views], [v[1].astype(np.float32) for v in views]
-    return of_tests("data/convert/conftest.py").Takes(camera, rgb, depth_m, poses, [1.7e9 + 0.2 * i for i in range(n)])
+    return of_tests("recordings/convert/conftest.py").Takes(camera, rgb, depth_m, poses, [1.7e9 + 0.2 * i for i in range(n)])
 
 
 def build(root: Path) -> list[Seed]:
@@ -123,14 +123,14 @@ def _formats(root: Path, takes) -> list[Seed]:
     c = takes.camera
     K = f"{c.fx} {c.fy} {c.cx - 0.5} {c.cy - 0.5}"
     seeds = [Seed("tum_style", "convert", _write_tum(root / "tum_style", takes, K))]
-    colmap = of_tests("data/convert/formats/test_colmap.py")
+    colmap = of_tests("recordings/convert/formats/test_colmap.py")
     for suffix in (".txt", ".bin"):
         made = colmap.write_colmap(root / f"colmap{suffix[1:]}", takes, suffix)
         seeds.append(Seed(made.name, "convert", made))
-    scannet = of_tests("data/convert/formats/test_scannet.py")
+    scannet = of_tests("recordings/convert/formats/test_scannet.py")
     seeds.append(Seed("sens", "convert", scannet.write_sens(root / "sens/a.sens", takes).parent, "a.sens"))
     seeds.append(Seed("scannet", "convert", scannet.write_exported(root / "scannet", takes)))
-    record3d = of_tests("data/convert/formats/test_record3d.py")
+    record3d = of_tests("recordings/convert/formats/test_record3d.py")
     (root / "r3d").mkdir()
     seeds.append(
         Seed("r3d", "convert", record3d.write_r3d(root / "r3d/a.r3d", record3d.members(takes)).parent, "a.r3d")
@@ -143,7 +143,7 @@ def _formats(root: Path, takes) -> list[Seed]:
 
 
 def _bags(root: Path, takes) -> list[Seed]:
-    ros = of_tests("data/convert/formats/test_ros_bag.py")
+    ros = of_tests("recordings/convert/formats/test_ros_bag.py")
     (root / "bag1").mkdir()
     ros.write_bag(root / "bag1/a.bag", takes, 1)
     ros.write_bag(root / "bag2", takes, 2, poses="pose", colour="jpeg")
@@ -324,12 +324,12 @@ def bombs(root: Path) -> list[Seed]:
     """Small files that ask for more than a gigabyte, and trees of pipes and devices."""
     takes = make_takes()
     zeros = _deflated(BOMB_BYTES)
-    sens = of_tests("data/convert/formats/test_scannet.py").write_sens(root / "bomb_sens/a.sens", takes).read_bytes()
+    sens = of_tests("recordings/convert/formats/test_scannet.py").write_sens(root / "bomb_sens/a.sens", takes).read_bytes()
     head, colour = sens[: 12 + 8 + 256 + 8 + 28], takes.jpeg(0)
     frame = struct.pack("<16f4Q", *takes.T_WC[0].flatten(), 1, 1, len(colour), len(zeros)) + colour + zeros
     (root / "bomb_sens/a.sens").write_bytes(head + frame)
     (root / "bomb_r3d").mkdir()
-    files = of_tests("data/convert/formats/test_record3d.py").members(takes)
+    files = of_tests("recordings/convert/formats/test_record3d.py").members(takes)
     with zipfile.ZipFile(root / "bomb_r3d/a.r3d", "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         for name, data in files.items():
             with archive.open(name, "w") as member:

@@ -13,7 +13,7 @@ from typing import Any
 import torch
 
 from gsfusion_nb.data import BadFrameError, SequenceError, open_sequence
-from gsfusion_nb.last_resort import is_foreseen
+from gsfusion_nb.errors import is_foreseen
 
 
 class SilentAcceptance(Exception):
@@ -92,8 +92,8 @@ def growing(path: Path) -> None:
 
 
 def convert(path: Path) -> None:
-    from gsfusion_nb.data import convert as converters
     from gsfusion_nb.data.readers import folder
+    from gsfusion_nb.recordings import convert as converters
 
     out = path.parent / "converted-by-the-campaign"
     if out.is_relative_to(path) or out.exists():
@@ -107,7 +107,7 @@ def convert(path: Path) -> None:
 
 
 def trajectory(path: Path) -> None:
-    from gsfusion_nb.data.convert import read_trajectory
+    from gsfusion_nb.recordings.convert import read_trajectory
 
     made = read_trajectory(path)
     _check_times(made.stamps_s.tolist(), " ".join(made.notes))
@@ -123,7 +123,7 @@ def run_trajectory(path: Path) -> None:
 
 
 def intrinsics(path: Path) -> None:
-    from gsfusion_nb.data.convert.intrinsics import read_intrinsics
+    from gsfusion_nb.recordings.convert.intrinsics import read_intrinsics
 
     model = read_intrinsics(str(path), (24, 18))
     values = [*map(float, vars(model.camera).values()), *model.distortion]
@@ -131,7 +131,7 @@ def intrinsics(path: Path) -> None:
 
 
 def matrix(path: Path) -> None:
-    from gsfusion_nb.data.convert.trajectory import read_matrix
+    from gsfusion_nb.recordings.convert.trajectory import read_matrix
 
     _need(bool(torch.isfinite(read_matrix(path)).all()), "a matrix is not finite")
 
@@ -195,7 +195,7 @@ def rescore(path: Path) -> None:
 
 
 def archive(path: Path) -> None:
-    from gsfusion_nb.data.fetch import unpack
+    from gsfusion_nb.recordings.fetch import unpack
 
     folder = path.parent / "unpacked-by-the-campaign"
     unpack(path, folder, max_bytes=100_000_000)

@@ -12,8 +12,8 @@ import pytest
 
 from gsfusion_nb.cli import main
 from gsfusion_nb.cli.course import quoted
-from gsfusion_nb.teaching import progress
-from gsfusion_nb.teaching.course import read_course
+from gsfusion_nb.course import progress
+from gsfusion_nb.course.course import read_course
 
 ROOT = Path(__file__).resolve().parents[2]
 

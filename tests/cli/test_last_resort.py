@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from gsfusion_nb import cli
-from gsfusion_nb.data import fetch
+from gsfusion_nb.recordings import fetch
 
 
 def broken(arguments):

@@ -5,13 +5,13 @@ import shutil
 
 import pytest
 
-from gsfusion_nb import hashes
+from gsfusion_nb import files as hashes
 from gsfusion_nb.config import DataConfig
 from gsfusion_nb.data import apply_options, data_files, open_sequence, sequence_fingerprint
 from gsfusion_nb.data.room import room
-from gsfusion_nb.data.room.write_layouts import WRITERS, Walk
+from gsfusion_nb.files import file_hashes
 from gsfusion_nb.foreign import noting_files
-from gsfusion_nb.hashes import file_hashes
+from gsfusion_nb.recordings.room_layouts import WRITERS, Walk
 
 
 @pytest.fixture

@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from gsfusion_nb import backends, warm
+from gsfusion_nb import backends
+from gsfusion_nb import doctor as warm
 from gsfusion_nb.backends import BackendUnavailable, use_backend
 
 EMULATES = [b for b, variable in backends._EMULATED_BY.items() if os.environ.get(variable)]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from gsfusion_nb.lab.tune import SIZE_OPTIONS, THIN
+from gsfusion_nb.compare.tune import SIZE_OPTIONS, THIN
 from gsfusion_nb.seeding import MapView, SeedContext, is_built_in, registered, rule_options
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"

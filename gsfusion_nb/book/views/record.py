@@ -24,7 +24,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from ...strict_json import read_object
+from ...foreign import read_object
 from .recorded import Recorded, needed_cells, needs_kernel, placeholder
 
 

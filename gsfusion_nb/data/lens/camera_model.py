@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...plausible import check_camera
+from ...operands import check_plausible_camera
 from ...types import Camera
 from ..sequence import SequenceError
 
@@ -65,7 +65,7 @@ class CameraModel:
         fx, fy, cx, cy = (float(K_new[i]) for i in ((0, 0), (1, 1), (0, 2), (1, 2)))
         try:
             camera = Camera(width=size[0], height=size[1], fx=fx, fy=fy, cx=cx + 0.5, cy=cy + 0.5)
-            check_camera("the camera without it", camera)
+            check_plausible_camera("the camera without it", camera)
             return camera
         except ValueError as e:
             numbers = " ".join(f"{value:g}" for value in self.distortion)

@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import Any
 
 from ...errors import shown
-from ...strict_json import read_object
+from ...foreign import read_object
 from ..recorded.camera_json import camera, number, numbers
 from ..recorded.find_files import given_name, images_in, pair_by_stem, require
 from ..recorded.layout import Layout

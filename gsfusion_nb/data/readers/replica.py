@@ -9,7 +9,7 @@ cam_params.json                                      beside traj.txt or in the f
 import re
 from pathlib import Path
 
-from ...strict_json import read_object
+from ...foreign import read_object
 from ...types import Camera
 from ..recorded.camera_json import camera, numbers
 from ..recorded.find_files import given_name, images_in, require

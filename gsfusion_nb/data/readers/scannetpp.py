@@ -17,7 +17,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ...strict_json import read_object
+from ...foreign import read_object
 from ...types import Camera
 from ..recorded.camera_json import camera, table
 from ..recorded.find_files import require

@@ -9,7 +9,7 @@ from torch import Tensor
 from ...checks import check_pose
 from ...foreign import read_text
 from ...geometry import quaternion
-from ...plausible import check_place
+from ...operands import check_place
 from ..sequence import BadFrameError, SequenceError
 
 MAX_RIGIDITY_ERROR = 1e-3

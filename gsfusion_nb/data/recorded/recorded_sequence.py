@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ...plausible import LATEST_S, check_camera, check_depth_scale
+from ...operands import LATEST_S, check_depth_scale, check_plausible_camera
 from ...types import Camera, Frame
 from ..adjust.resize import resize_colour
 from ..sequence import BadFrameError, SequenceError, position
@@ -28,7 +28,7 @@ class RecordedSequence:
     raises ``BadFrameError``; the other frames stay readable.
 
     Raises:
-        SequenceError: an impossible camera or depth scale (``gsfusion_nb.plausible``).
+        SequenceError: an impossible camera or depth scale (``gsfusion_nb.operands``).
     """
 
     name: str
@@ -64,7 +64,7 @@ class RecordedSequence:
 
     def __post_init__(self):
         try:
-            check_camera(f"{self.name}: camera", self.camera)
+            check_plausible_camera(f"{self.name}: camera", self.camera)
             check_depth_scale(self.name, self.depth_scale)
         except ValueError as e:
             raise SequenceError(str(e)) from None

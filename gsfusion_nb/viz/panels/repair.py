@@ -6,9 +6,9 @@ from ...checks import check_whole
 from ...config import RepairConfig
 from ...data.adjust.depth_agreement import depth_agreement
 from ...data.adjust.repair import repaired
-from ...data.checkup.pictures import depth_error, edge_overlay
 from ...data.sequence import Sequence
 from ...drawing.pictures import side_by_side
+from ...recordings.checkup.pictures import depth_error, edge_overlay
 from ..microscopes.stack_picture import resize_to_height
 from .panel import Drawn, Number, Panel, Slider
 

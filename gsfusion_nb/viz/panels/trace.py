@@ -34,7 +34,7 @@ class Story(Protocol):
 
 @runtime_checkable
 class Tracer(Protocol):
-    """What the panel asks: ``gsfusion_nb.teaching.trace.Trace``."""
+    """What the panel asks: ``gsfusion_nb.course.trace.Trace``."""
 
     def pixel(self, u: int, v: int) -> Any: ...
     def voxel(self, x: int, y: int, z: int) -> Any: ...

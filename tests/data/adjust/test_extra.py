@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
+from gsfusion_nb.compare.entries import entries_of
 from gsfusion_nb.config import DataConfig
 from gsfusion_nb.data.adjust.select import apply_options
-from gsfusion_nb.lab.entries import entries_of
 from gsfusion_nb.seeding import ChangedInputError, SeedContext, apply_rule, check_rule
 from gsfusion_nb.types import Camera, Frame
 

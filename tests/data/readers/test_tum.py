@@ -8,13 +8,13 @@ import torch
 
 from gsfusion_nb.data import SequenceError, SequenceNotFoundError, open_sequence
 from gsfusion_nb.data.adjust.depth_agreement import depth_agreement
-from gsfusion_nb.data.checkup.file_checks import time_stamps
 from gsfusion_nb.data.lens.camera_model import CameraModel
 from gsfusion_nb.data.lens.undistort import Undistorter
 from gsfusion_nb.data.readers import tum
 from gsfusion_nb.data.readers.tum import LENSES
 from gsfusion_nb.data.recorded.poses import interpolate_rows
 from gsfusion_nb.geometry import quaternion
+from gsfusion_nb.recordings.checkup.file_checks import time_stamps
 from gsfusion_nb.types import Camera
 
 T0 = 1305031102.0

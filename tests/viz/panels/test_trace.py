@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from gsfusion_nb.teaching.trace import Trace
+from gsfusion_nb.course.trace import Trace
 from gsfusion_nb.viz import SplatViewer, TracePanel
 from gsfusion_nb.viz.microscopes.stack_picture import ellipse_outlines
 

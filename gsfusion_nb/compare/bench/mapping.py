@@ -1,0 +1,74 @@
+"""Cases of the whole mapper: time per frame, split into stages."""
+
+import functools
+import time
+from collections.abc import Iterator
+
+from ...backends import use_backend
+from ...config import gsfusion
+from ...mapping import GSFusion
+from ...work import PeakMemory
+from .frames import case_name, open_frames, render_in_advance
+from .options import BenchOptions
+from .raster import DEVICES, our_backends
+from .rows import Case, Row
+from .timing import Timing
+
+STAGES = {
+    "read": "read", "tsdf": "TSDF", "quadtree": "quadtree", "seeding": "seeding", "optimise": "optimisation",
+}  # fmt: skip
+"""Stage of the step's report -> its name in the table."""
+
+
+def cases(options: BenchOptions) -> Iterator[Case]:
+    """The torch backend, then the fastest backend of each operation, on the CPU and on a GPU, for every image size."""
+    backends = our_backends(options, "render_forward", "render_vjp")
+    methods = [(b, b, "cpu") for b in ("reference", "torch") if b in backends]
+    methods += [(f"auto ({b})", "auto", DEVICES[b]) for b in ("numba", "cuda") if b in backends]
+    for size in options.sizes:
+        for method, backend, device in methods:
+            run = functools.partial(_rows, options, size, method, backend, device)
+            yield Case(section="map", title=f"{options.data}, {method}", run=run)
+
+
+def _rows(options: BenchOptions, size: tuple[int, int], method: str, backend: str, device: str) -> list[Row]:
+    """On a GPU the time of a stage ends when its work is queued; the time of the whole step includes its execution."""
+    frames = open_frames(options, size)
+    config = gsfusion("online")
+    with use_backend(backend):
+        GSFusion(config, device=device).step(frames[0])  # compiles, and renders the first image of the room
+        render_in_advance(options, size)
+        with PeakMemory(device) as memory:
+            mapper = GSFusion(config, device=device)
+            seconds = dict.fromkeys(STAGES, 0.0)
+            cpu_s, psnr = 0.0, []
+            for i in range(len(frames)):
+                start = time.perf_counter()
+                frame = frames[i]
+                seconds["read"] += time.perf_counter() - start
+                cpu = time.process_time()
+                report = mapper.step(frame)
+                cpu_s += time.process_time() - cpu
+                for stage, took in report.seconds.items():
+                    seconds[stage] = seconds.get(stage, 0.0) + took
+                psnr.append(report.psnr_after_db)
+    n = len(frames)
+    step_s = sum(took for stage, took in seconds.items() if stage != "read")
+    values = {
+        "frames": n,
+        "frames_per_second": n / step_s,
+        "frames_per_second_with_reading": n / (step_s + seconds["read"]),
+        "n_gaussians": len(mapper.gaussians),
+        "n_blocks": mapper.volume.n_blocks,
+        "mean_psnr_of_current_view_db": sum(psnr) / n,
+        "sh_degree": config.sh_degree,
+    }
+    case = case_name(frames.name, frames.camera.width, frames.camera.height)
+    total = Timing(wall_ms=1e3 * step_s / n, cpu_ms=1e3 * cpu_s / n, runs=n, peak_mb=memory.peak_mb)
+    note = f"{n / step_s:.1f}/s, {len(mapper.gaussians) / 1e3:.1f}k"
+    rows = [Row(section="map", case=case, method=method, timing=total, note=note, values=values)]
+    for stage, name in STAGES.items():
+        each = Timing(wall_ms=1e3 * seconds[stage] / n, cpu_ms=0.0, runs=n, peak_mb=None)
+        share = "not counted" if stage == "read" else f"{100 * seconds[stage] / step_s:.0f} %"
+        rows.append(Row(section="map", case=f"{case} / {name}", method=method, timing=each, note=share))
+    return rows

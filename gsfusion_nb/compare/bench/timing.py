@@ -1,0 +1,113 @@
+"""Timing: wall and CPU time as medians over several runs, and the additional memory."""
+
+import contextlib
+import os
+import statistics
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import torch
+
+from ...work import PeakMemory
+
+LEAST_RUNS = 3
+MOST_RUNS = 30
+LONG_RUN_S = 4.0
+"""A run longer than this is timed only once, seconds."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Timing:
+    """Medians over the runs."""
+
+    wall_ms: float
+    cpu_ms: float
+    """Sum over all threads of the process."""
+    runs: int
+    peak_mb: float | None
+    """Growth of the resident set during one run; None if the system does not report it."""
+    device_ms: float | None = None
+    """Time between two events of a GPU's queue; None on a CPU."""
+
+
+@dataclass(frozen=True)
+class Lap:
+    """Times of one run."""
+
+    wall_s: float
+    cpu_s: float
+    device_s: float | None = None
+
+
+def lap(work: Callable[[], object], device: str = "cpu") -> Lap:
+    """Time one run of ``work``; on a GPU until its queue is empty, with the time on the GPU too."""
+    _wait(device)
+    events = [torch.cuda.Event(enable_timing=True) for _ in range(2)] if device == "cuda" else []
+    wall, cpu = time.perf_counter(), time.process_time()
+    if events:
+        events[0].record()
+    work()
+    if events:
+        events[1].record()
+    _wait(device)
+    wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+    return Lap(wall, cpu, 1e-3 * events[0].elapsed_time(events[1]) if events else None)
+
+
+def measure(
+    work: Callable[[], object], *, budget_s: float = 1.0, least_runs: int = LEAST_RUNS, device: str = "cpu"
+) -> Timing:
+    """Repeat ``work`` for about ``budget_s`` and take medians.
+
+    An untimed first run compiles and fills caches; the first timed run also measures memory. Work that takes longer
+    than ``LONG_RUN_S`` is timed only once.
+
+    Args:
+        work: Function to time; its result is discarded.
+        budget_s: Time after which no further run is started, seconds.
+        least_runs: Minimum number of runs, unless one takes longer than ``LONG_RUN_S``.
+        device: "cpu" or "cuda".
+    """
+    warm = lap(work, device)
+    start = time.perf_counter()
+    with PeakMemory(device) as memory:
+        laps = [lap(work, device)]
+    if warm.wall_s < LONG_RUN_S:
+        while len(laps) < least_runs or (time.perf_counter() - start < budget_s and len(laps) < MOST_RUNS):
+            laps.append(lap(work, device))
+    return summary(laps, memory.peak_mb)
+
+
+def summary(laps: list[Lap], peak_mb: float | None = None) -> Timing:
+    """Medians of ``laps``."""
+    device_s = [x.device_s for x in laps if x.device_s is not None]
+    return Timing(
+        wall_ms=1e3 * statistics.median(x.wall_s for x in laps),
+        cpu_ms=1e3 * statistics.median(x.cpu_s for x in laps),
+        runs=len(laps),
+        peak_mb=peak_mb,
+        device_ms=1e3 * statistics.median(device_s) if device_s else None,
+    )
+
+
+@contextlib.contextmanager
+def threads(count: int) -> Iterator[None]:
+    """Set the number of threads of torch, of the numba kernels (which use torch's number) and of libraries loaded
+    later."""
+    before, environment = torch.get_num_threads(), os.environ.get("OMP_NUM_THREADS")
+    torch.set_num_threads(count)
+    os.environ["OMP_NUM_THREADS"] = str(count)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+        if environment is None:
+            del os.environ["OMP_NUM_THREADS"]
+        else:
+            os.environ["OMP_NUM_THREADS"] = environment
+
+
+def _wait(device: str) -> None:
+    if device == "cuda":
+        torch.cuda.synchronize()

@@ -1,0 +1,169 @@
+"""Fit single RGB-D images with few Gaussians: disc depth compared with blended depth (Peng et al. 2024, Fig. 7)."""
+
+import dataclasses
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+
+from ..checks import check_name
+from ..config import rtg_slam
+from ..constants import OPAQUE_ALPHA
+from ..data import open_sequence
+from ..gaussians import SurfelModel
+from ..mapping.surfel_optimiser import SurfelOptimiser, TrainingView
+from ..render import view_surface
+from ..seeding import SeedContext, apply_rule
+from ..types import Frame
+from ..work import ProgressDisplay
+
+COUNTS = (500, 1000, 2000, 4000, 8000)
+STEPS = 150
+METHODS = {
+    "disc": "discs, disc depth (Eq. 5)",
+    "blended": "discs, blended depth",
+    "round": "round Gaussians, blended depth",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitRow:
+    """Result of one fit of one image."""
+
+    method: str
+    """Key of ``METHODS``."""
+    frame_index: int
+    n_gaussians: int
+    depth_l1_m: float
+    """Mean |rendered - measured depth| over the pixels with both."""
+    depth_median_m: float
+    """Median |rendered - measured depth| over the same pixels."""
+    within_1cm: float
+    """Share of the measured pixels whose rendered depth is within 1 cm."""
+    covered: float
+    """Share of the measured pixels that have rendered depth."""
+    psnr_db: float
+
+
+def fit_image(frame: Frame, n: int, method: str, *, steps: int = STEPS, seed: int = 0) -> FitRow:
+    """Draw ``n`` pixels at random, seed a Gaussian at each, and optimise them on colour and depth of this one image.
+
+    Args:
+        frame: The image.
+        n: Number of Gaussians, at most the number of pixels with depth and normal.
+        method: "disc", "blended" or "round".
+        steps: Optimisation steps.
+        seed: Seed of the draw; with the same seed every method gets the same pixels.
+    """
+    check_name("method", method, METHODS)
+    settings = rtg_slam("replica")
+    depth = "disc" if method == "disc" else "blended"
+    discs = dataclasses.replace(
+        settings.discs, opaque_alpha=OPAQUE_ALPHA, depth=depth
+    )  # the paper's surfel, to 1 sigma
+    context = SeedContext(frame, generator=torch.Generator().manual_seed(seed), discs=discs)
+    usable = int((context.has_depth() & (context.normals() != 0).any(dim=-1)).sum())
+    options = {"share": min(1.0, n / max(usable, 1))}
+    seeds = apply_rule("rtg_slam", context, options)
+    if method == "round":
+        seeds = dataclasses.replace(seeds, scale_m=seeds.scale_m[:, :1].expand(-1, 3).clone())
+    model = SurfelModel(sh_degree=0)
+    model.append(seeds)
+    optimiser = SurfelOptimiser(model, torch.ones(len(model), dtype=torch.bool), settings.window, discs)
+    view = TrainingView.of(frame)
+    for _ in range(steps):
+        optimiser.step(view)
+    optimiser.write_back()
+    seen = view_surface(model.params, frame.camera, frame.T_WC, discs)
+    known = frame.depth_m > 0
+    both = known & (seen.depth_m > 0)
+    error = (seen.depth_m - frame.depth_m)[both].abs()
+    mse = float((seen.rgb.clamp(0, 1) - frame.rgb).square().mean())
+    return FitRow(
+        method=method,
+        frame_index=frame.index,
+        n_gaussians=len(model),
+        depth_l1_m=float(error.mean()),
+        depth_median_m=float(error.median()),
+        within_1cm=float((error < 0.01).sum() / known.sum()),
+        covered=float(both.sum() / known.sum()),
+        psnr_db=-10 * torch.tensor(max(mse, 1e-10)).log10().item(),
+    )
+
+
+def fit_images(
+    frames: Iterable[Frame], counts: Iterable[int] = COUNTS, *, steps: int = STEPS, show_progress: bool = False
+) -> list[FitRow]:
+    """Fit every image with every number of Gaussians and every method."""
+    frames = list(frames)
+    cases = [(f, n, method) for n in counts for method in METHODS for f in frames]
+    with ProgressDisplay("fitting", total=len(cases), unit="image", shown=show_progress) as progress:
+        return [fit_image(f, n, method, steps=steps) for f, n, method in progress.over(cases)]
+
+
+def summary(rows: list[FitRow]) -> dict[str, dict[int, dict[str, float]]]:
+    """Means over the images: method -> number of Gaussians -> name in ``FitRow`` -> mean."""
+    names = [f.name for f in dataclasses.fields(FitRow) if f.type is float]
+    table: dict[str, dict[int, dict[str, float]]] = {method: {} for method in METHODS}
+    for method in METHODS:
+        by_count: dict[int, list[FitRow]] = {}
+        for row in rows:
+            if row.method == method:
+                by_count.setdefault(row.n_gaussians, []).append(row)
+        for count, group in sorted(by_count.items()):
+            table[method][count] = {name: sum(getattr(r, name) for r in group) / len(group) for name in names}
+    return table
+
+
+SHOWN = {
+    "depth_l1_m": ("mean depth error, cm", 100.0),
+    "depth_median_m": ("median depth error, cm", 100.0),
+    "within_1cm": ("pixels within 1 cm, %", 100.0),
+    "psnr_db": ("PSNR, dB", 1.0),
+}
+"""Name in ``FitRow`` -> heading, factor."""
+
+
+def as_markdown(table: dict[str, dict[int, dict[str, float]]]) -> str:
+    """One row per number of Gaussians and method."""
+    lines = ["| Gaussians | | " + " | ".join(title for title, _ in SHOWN.values()) + " |"]
+    lines.append("|---:|---|" + "---:|" * len(SHOWN))
+    for count in sorted({n for rows in table.values() for n in rows}):
+        for method, rows in table.items():
+            if count in rows:
+                cells = [f"{factor * rows[count][name]:.2f}" for name, (_, factor) in SHOWN.items()]
+                lines.append(f"| {count:,} | {METHODS[method]} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def main(data: str, folder: Path, views: int) -> int:
+    """Fit ``views`` images spread over a sequence, print a table, and write it and a picture to ``folder``."""
+    sequence = open_sequence(data, data=dataclasses.replace(rtg_slam("room").data, hold_out_every=0))
+    picks = [round(i * (len(sequence) - 1) / max(views - 1, 1)) for i in range(views)]
+    table = summary(fit_images((sequence[i] for i in picks), show_progress=True))
+    text = as_markdown(table)
+    print(f"{views} images of {sequence.name}, each fitted alone\n\n{text}\n\nFiles in {folder}")
+    (folder / "table.md").write_text(text + "\n", encoding="utf-8")
+    (folder / "table.json").write_text(json.dumps(table, indent=1), encoding="utf-8")
+    draw(table, folder / "depth_error.png")
+    return 0
+
+
+def draw(table: dict[str, dict[int, dict[str, float]]], path: Path) -> None:
+    """The picture of Fig. 7: depth error over the number of Gaussians."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11, 4), layout="constrained")
+    for axes, name in zip(figure.subplots(1, 3), ("depth_l1_m", "depth_median_m", "within_1cm"), strict=True):
+        title, factor = SHOWN[name]
+        for method, rows in table.items():
+            axes.plot(list(rows), [factor * r[name] for r in rows.values()], "o-", label=METHODS[method])
+        axes.set_xscale("log")
+        axes.set_yscale("linear" if name == "within_1cm" else "log")
+        axes.set_xlabel("Gaussians")
+        axes.set_ylabel(title)
+        axes.grid(True, which="both", alpha=0.3)
+    figure.axes[0].legend()
+    figure.savefig(path, dpi=120)

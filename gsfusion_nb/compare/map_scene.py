@@ -1,0 +1,322 @@
+"""Mapping one scene for the lab: the data, the rule and its variants, what is counted, and time."""
+
+import contextlib
+import dataclasses
+import functools
+import gc
+import json
+import sys
+import time
+from collections.abc import Callable, Generator
+from dataclasses import dataclass
+from typing import Any, TypeVar, cast
+
+import numpy as np
+import torch
+
+from ..backends import observing
+from ..config import SystemConfig
+from ..data import OpenedSequence, open_sequence
+from ..data.room import RoomSequence
+from ..geometry import project, se3
+from ..mapping import Mapper, StepReport, make_mapper
+from ..runs import MappingRun
+from ..seeding import MapRule, SeedContext, SeedingRule, get_rule, is_map_rule, rule_files
+from ..seeding.rule_file import rule_of_source
+from ..types import Camera, Seeds
+from ..work import PeakMemory
+from .schedule import dotted, fixed_schedule, flat_settings, with_settings
+from .spec import RunSpec
+
+
+class OutOfView:
+    """An observer (``observing``) of a mapper that counts the seeds of its rule outside of the frame's view."""
+
+    def __init__(self):
+        self._n = 0
+        self._behind, self._outside = torch.zeros(2, dtype=torch.long).unbind()
+
+    def __call__(self, name: str, f: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
+        """Do the call; if a rule is asked, count its seeds."""
+        result = f(*args, **kwargs)
+        if name == "apply_rule" and len(result):
+            _, context, *_ = args
+            frame = context.frame
+            xyz_C = se3.apply(se3.inverse(frame.T_WC), result.xyz_W)
+            behind = xyz_C[:, 2] <= 0
+            self._n += len(result)
+            self._behind = self._behind.to(behind.device) + behind.sum()
+            self._outside = self._outside.to(behind.device) + (behind | ~_in_image(frame.camera, xyz_C)).sum()
+        return result
+
+    def note(self) -> list[str]:
+        """A sentence about them, if there are any."""
+        behind, outside = int(self._behind), int(self._outside)
+        if not outside:
+            return []
+        text = f"{outside:,} of {self._n:,} seeds lay outside the view of the camera"
+        return [f"{text}, {behind:,} of them behind it" if behind else text]
+
+
+def _in_image(camera: Camera, xyz_C: torch.Tensor) -> torch.Tensor:
+    """Whether points project into the image, or up to a pixel beside it."""
+    u, v = project(camera, xyz_C).unbind(-1)
+    return (u >= -1) & (u <= camera.width + 1) & (v >= -1) & (v <= camera.height + 1)
+
+
+def thinned(rule: SeedingRule, share: float) -> SeedingRule:
+    """``rule`` with a random share of its seeds, drawn from ``ctx.generator``; options and name stay the same."""
+    return _variant(rule, lambda ctx, make: _draw(make(ctx), share, ctx.generator))
+
+
+def observed(rule: SeedingRule, used: set[str]) -> SeedingRule:
+    """``rule``, which adds to ``used`` what it reads of the Gaussians of the map; options and name stay the same.
+
+    If that is nothing, and it does not edit the map either, then the optimisation does not change what it seeds.
+    """
+    if is_map_rule(rule) and cast(Any, rule).after_step is not MapRule.after_step:
+        used.add("after_step")
+
+    def seeds(ctx: SeedContext, make: Callable[[SeedContext], Seeds]) -> Seeds:
+        return make(dataclasses.replace(ctx, gaussians=_Observed(ctx.gaussians, used)))
+
+    return _variant(rule, seeds)
+
+
+class _Observed:
+    """Gaussians of a map; the names of what is read go to ``used``."""
+
+    def __init__(self, gaussians: Any, used: set[str]):
+        self._gaussians = gaussians
+        self._used = used
+
+    def __getattr__(self, name: str) -> Any:
+        self._used.add(name)
+        return getattr(self._gaussians, name)
+
+    def __len__(self) -> int:
+        self._used.add("len")
+        return len(self._gaussians)
+
+
+def _variant(rule: SeedingRule, seeds: Callable[[SeedContext, Callable[[SeedContext], Seeds]], Seeds]) -> SeedingRule:
+    """``rule`` with other seeds: ``seeds(ctx, make)``, in which ``make(ctx)`` are those of ``rule``."""
+    if is_map_rule(rule):
+        base: Any = rule
+
+        @dataclass(frozen=True, kw_only=True)
+        class Variant(base):
+            def seeds(self, ctx, memory):
+                make = super().seeds
+                return seeds(ctx, lambda ctx: make(ctx, memory))
+
+        for name in ("__name__", "__qualname__", "__module__", "__doc__"):
+            setattr(Variant, name, getattr(rule, name))
+        return cast(SeedingRule, Variant)
+
+    function: Any = rule
+
+    @functools.wraps(function)
+    def variant(ctx, **options):
+        return seeds(ctx, lambda ctx: function(ctx, **options))
+
+    return variant
+
+
+def _draw(seeds: Seeds, share: float, generator: torch.Generator) -> Seeds:
+    n = round(share * len(seeds))
+    drawn = torch.randperm(len(seeds), generator=generator, device=generator.device)[:n]
+    return seeds[drawn.sort().values.to(seeds.xyz_W.device)]
+
+
+S = TypeVar("S")
+R = TypeVar("R")
+
+RATE_HZ = 30
+"""Frames per second of a depth camera, and of the recordings that the published intervals of rules belong to."""
+_warm: set[str] = set()
+"""Systems and devices that have mapped in this process: nothing is compiled or loaded for them any more."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Entry:
+    """What takes part: a run, and the objects that a spec cannot hold."""
+
+    spec: RunSpec
+    rule: SeedingRule | None = None
+    """The rule, if it was defined in this process and is not registered; by default the one that the spec names."""
+    sequence: OpenedSequence | None = None
+    """The frames, if the caller has opened them."""
+
+    def opened(self) -> OpenedSequence:
+        """The frames.
+
+        Raises:
+            SequenceError: they cannot be read.
+        """
+        if self.sequence is not None:
+            return self.sequence
+        reader = json.dumps(dict(self.spec.reader), sort_keys=True)
+        return _open(self.spec.content, self.spec.data, reader, self.spec.config().data)
+
+    def found_rule(self) -> SeedingRule:
+        """The rule, with all its seeds.
+
+        Raises:
+            KeyError: no such rule. ValueError: the source of the rule cannot be loaded.
+        """
+        if self.rule is None and self.spec.rule_source:
+            file, _, name = self.spec.rule.rpartition(":")
+            return rule_of_source(self.spec.rule_source, name, file)
+        return get_rule(self.rule if self.rule is not None else self.spec.rule)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Mapped:
+    """A mapped scene and what it cost."""
+
+    run: MappingRun
+    n_steps: int
+    """Gradient steps, with those after the scan."""
+    cpu_s: list[float]
+    """CPU time of each frame, over all threads, seconds."""
+    peak_mb: float | None
+    """Growth of memory while mapping, MB; None where the system does not report it."""
+    notes: list[str]
+    """What differs from the other runs of a comparison."""
+
+    @property
+    def seconds(self) -> float:
+        """Wall time of all mapping steps and of the optimisation after the scan."""
+        return sum(s.total_seconds for s in self.run.steps) + self.run.seconds_global
+
+
+def map_scene(
+    entry: Entry, config: SystemConfig, *, with_memory: bool = True
+) -> Generator[StepReport | None, None, Mapped]:
+    """Map the frames of ``entry`` with the settings ``config``; yields the report of each frame, then None after each
+    step of the optimisation after the scan, and returns the map.
+
+    Args:
+        entry: The run.
+        config: Settings.
+        with_memory: Measure the growth of memory.
+
+    Raises:
+        Exception: whatever the rule or the data raises.
+    """
+    sequence = entry.opened()
+    config = _paced(config, sequence)
+    _warm_up(sequence, config, entry.spec.device)
+    memory = PeakMemory("cuda" if entry.spec.device.startswith("cuda") else "cpu")
+    with memory if with_memory else contextlib.nullcontext():
+        mapper, notes = _mapper(entry, config)
+        notes += _asked(mapper, len(sequence.mapping))
+        run, cpu_s, n_steps = MappingRun(sequence, mapper), [], 0
+        frames, unseen = run.online(), OutOfView()
+        while True:
+            began = time.process_time()
+            with observing(unseen):
+                report = next(frames, None)
+            if report is None:
+                break
+            cpu_s.append(time.process_time() - began)
+            n_steps += report.n_steps
+            yield report
+        for _ in run.optimise():
+            n_steps += 1
+            yield None
+    empty = sum(report.n_gaussians == 0 for report in run.steps)
+    if empty:
+        notes.append(f"after {empty} of {len(run.steps)} frames the map was empty, so no gradient steps were taken")
+    notes += unseen.note()
+    return Mapped(run=run, n_steps=n_steps, cpu_s=cpu_s, peak_mb=memory.peak_mb, notes=notes)
+
+
+def finished(steps: Generator[S, None, R], on_step: Callable[[S], object] = lambda step: None) -> R:
+    """What ``steps`` return at their end; ``on_step`` is called with each thing that they yield."""
+    while True:
+        try:
+            on_step(next(steps))
+        except StopIteration as ended:
+            return ended.value
+
+
+def budgeted(spec: RunSpec) -> SystemConfig:
+    """The settings of ``spec``, with the schedule that its budget asks for."""
+    config = spec.config()
+    return fixed_schedule(config) if spec.budget.steps == "equal" else config
+
+
+def _mapper(entry: Entry, config: SystemConfig) -> tuple[Mapper, list[str]]:
+    """A mapper with the rule of ``entry``, and notes on the settings that the rule brings."""
+    spec, notes = entry.spec, []
+    rule = _asked_at_its_pace(entry.found_rule(), spec, config)
+    if spec.keep_share < 1:
+        rule = thinned(rule, spec.keep_share)
+    if spec.rule_files is not None and spec.rule_files != (here := rule_files(rule, spec.options)):
+        changed = ", ".join(name for name in here if here[name] != spec.rule_files.get(name))
+        raise ValueError(
+            f"the files of the options {changed} of the rule {spec.rule_name} are not those with which this comparison "
+            "was started; start it again, and give every worker the same files"
+        )
+    mapper = make_mapper(config, seeding=rule, device=spec.device)
+    mapper.rule_in_use.refuse_other_files()
+    used, given = flat_settings(mapper.config), flat_settings(config)
+    for name, value in getattr(rule, "overrides", {}).items():
+        if dotted(name) not in used:  # keyframe_every in a system that chooses its keyframes by motion
+            continue
+        if used[dotted(name)] != value:
+            notes.append(f"the rule's own {dotted(name)} = {value} is not used, but {used[dotted(name)]}")
+        elif given[dotted(name)] != value:
+            notes.append(f"the rule sets {dotted(name)} = {value}, in place of {given[dotted(name)]}")
+    return mapper, notes
+
+
+def _paced(config: SystemConfig, sequence: OpenedSequence) -> SystemConfig:
+    """``config`` with the spacing of the frames of the built-in room, which is a walk of 49 s with few or many frames:
+    the number of frames that a camera with 30 Hz takes from one to the next. A spacing in the settings stays."""
+    if config.seeding.source_stride or not isinstance(sequence.source, RoomSequence) or len(sequence.source) < 2:
+        return config
+    seconds = float(np.diff(sequence.source.times_s).mean()) * config.data.stride
+    return with_settings(config, {"seeding.source_stride": max(1, round(RATE_HZ * seconds))})
+
+
+def _asked_at_its_pace(rule: SeedingRule, spec: RunSpec, config: SystemConfig) -> SeedingRule:
+    """A rule for keyframes, in the schedule that is the same for all rules, whose keyframes are for the optimisation:
+    it is asked as often as its release makes keyframes (``keyframe_every`` of its settings)."""
+    own = dict(getattr(rule, "overrides", {})).get("keyframe_every", 0)
+    when = cast(Any, rule).when if is_map_rule(rule) else None
+    if spec.budget.steps != "equal" or not (own and when and when.only_keyframes and hasattr(config, "keyframe_every")):
+        return rule
+    variant: Any = _variant(rule, lambda ctx, make: make(ctx))
+    variant.when = dataclasses.replace(when, frames=own, only_keyframes=False)
+    return variant
+
+
+def _asked(mapper: Mapper, n_mapped: int) -> list[str]:
+    """A note on when a rule is asked, if that is not in every frame."""
+    when, stride = mapper.rule_in_use.when, mapper.config.source_stride
+    if when.only_keyframes or when.frames == 1:
+        return []
+    n = sum(when.is_due(i, None, stride=stride) for i in range(n_mapped))
+    return [f"asked every {when.frames} frames of the recording, here in {n} of {n_mapped} mapped frames"]
+
+
+def _warm_up(sequence: OpenedSequence, config: SystemConfig, device: str) -> None:
+    """Map two frames once per process, so that compiling and loading is not timed in the first run."""
+    name = f"{type(config).__name__} {device}"
+    if name not in _warm:
+        _warm.add(name)
+        plain = with_settings(config, {"seeding.rule": "uniform", "seeding.options": {}})
+        for _ in zip(range(2), MappingRun(sequence, make_mapper(plain, device=device)).online()):  # noqa: B905
+            pass
+        if "ipykernel" not in sys.modules:  # a process that does nothing else: its modules are not searched every time
+            gc.collect()
+            gc.freeze()
+
+
+@functools.lru_cache(maxsize=4)
+def _open(content: str, data: str, reader: str, settings) -> OpenedSequence:
+    """The frames; opened again when the ``content`` of the files is another one."""
+    return open_sequence(data, data=settings, **json.loads(reader))

@@ -1,0 +1,321 @@
+"""Exercises and their checkers. A notebook imports ``check``; a chapter's module registers exercises.
+
+In a notebook::
+
+    from gsfusion_nb.course import check
+    check.lift_pixel                 # title, difficulty, minutes, number of hints
+    check.lift_pixel.hint()          # the next hint, on request
+    check.lift_pixel(lift_pixel)     # Verdict: green, or red with the property that failed and the input
+    check.lift_pixel.solution()      # source of a solution, after the first try
+    f = check.lift_pixel.working(f)  # the student's function if it passes, else the reference's; it says whose
+
+In ``teaching/<chapter>.py`` (found automatically, nothing to register elsewhere)::
+
+    def _solution(camera, uv, depth_m): ...
+    def _along_the_ray(camera, uv, depth_m): ...            # a plausible wrong answer
+
+    @exercise(
+        chapter=1, difficulty=2, minutes=10, solution=_solution,
+        hints=("What is z of the point?", "Multiply the ray by the depth."),
+        wrong=(Wrong(_along_the_ray, says="the depth is the point's z"),),
+    )
+    def lift_pixel(attempt: Attempt) -> None:               # the name of the exercise
+        \"\"\"Lift a pixel with its depth to a point.\"\"\"      # its title
+        on = "a corner pixel at 2 m"
+        point = attempt.on(on)(camera, uv, depth_m)          # copies tensors, catches errors and unwritten bodies
+        close(point, expected, "the depth is the point's z", on=on)
+
+The judge returns nothing and raises ``Failed`` (through ``close``, ``holds``, ``unpack``) at the first property that
+does not hold; put the property that explains most mistakes first. Tests run every judge on its solution, which must
+pass, on every wrong answer, which must fail and say ``says``, and on an unwritten body.
+
+A judged function runs in a thread of its own (``guard.py``), for at most ``limit_s``. One that calls the solution, the
+operation that it becomes, or one of ``ready_made`` is refused.
+
+A function that passes is kept (``course.mine``). ``becomes=Becomes("lift", adapter)`` says which operation of the
+library it replaces under the backend ``mine``; ``adapter(yours, *arguments of the operation)`` calls it. An exercise
+without ``becomes`` says in ``stands_alone`` why its function runs nowhere in the library.
+"""
+
+import contextlib
+import functools
+import importlib
+import pkgutil
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+
+from ..backends import plain_function, use_backend
+from .attempt import Attempt as Attempt
+from .attempt import Failed as Failed
+from .attempt import NotWritten, describe
+from .attempt import close as close
+from .attempt import holds as holds
+from .attempt import unpack as unpack
+from .becomes import Becomes as Becomes
+from .becomes import remember
+from .carried import carry
+from .guard import LIBRARY_LIMIT_S as LIBRARY_LIMIT_S
+from .guard import LIMIT_S, Guard
+from .progress import count, forgiving, note, now, read_section
+from .solution import NotYet, Solution, source_of, without_source
+from .verdict import Hint, Verdict
+from .whose import judging, reference_only, tell, whose_code, yours_with_reference
+from .yours import Yours as Yours
+
+DIFFICULTIES = {1: "warm-up", 2: "easy", 3: "medium", 4: "hard", 5: "challenge"}
+
+_MACHINERY = {
+    "attempt",
+    "becomes",
+    "carried",
+    "course",
+    "edition",
+    "exercise",
+    "grading",
+    "guard",
+    "holds",
+    "kit",
+    "mine",
+    "place",
+    "predictions",
+    "progress",
+    "sandbox",
+    "solution",
+    "student",
+    "trace",
+    "verdict",
+    "wall",
+    "whose",
+    "without_solutions",
+    "yours",
+}
+
+_EXERCISES: dict[str, "Exercise"] = {}
+
+AUTOGRAD = (torch.autograd.grad, torch.autograd.backward)
+"""What does an exercise whose gradient is to be written by hand."""
+
+
+@dataclass(frozen=True)
+class Wrong:
+    """A plausible wrong answer, and words that the verdict on it must contain."""
+
+    function: Callable[..., Any]
+    says: str
+
+
+@dataclass(eq=False, kw_only=True)
+class Exercise:
+    """One exercise. Calling it with a function judges that function."""
+
+    name: str
+    title: str
+    chapter: int
+    difficulty: int
+    minutes: int
+    hints: tuple[str, ...]
+    judge: Callable[[Attempt], None]
+    _solution: Callable[..., Any]
+    wrong: tuple[Wrong, ...]
+    becomes: Becomes | None = None
+    stands_alone: str = ""
+    """Why the function becomes nothing in the library; a sentence."""
+    ready_made: tuple[Callable[..., Any], ...] = ()
+    limit_s: float = LIMIT_S
+    hints_given: int = 0
+    tries: int = 0
+    """Functions of this exercise's name that were judged in this process; unwritten ones do not count."""
+
+    def __call__(self, function: Any) -> Verdict:
+        """The verdict on ``function``: passed, failed (which property, on what input), or not written."""
+        verdict = self._judged(function)
+        own = getattr(function, "__name__", "") in (self.name, "<lambda>")
+        if verdict or (verdict.state == "failed" and own):
+            self.tries += 1
+            with forgiving():
+                count("exercises", self.name, "tries")
+                noted = read_section("exercises")[self.name]
+                if verdict and "passed" not in noted:
+                    note("exercises", self.name, passed=now(), passed_at_try=noted["tries"])
+        return verdict
+
+    def _judged(self, function: Any) -> Verdict:
+        verdict = self.verdict(function)
+        if verdict:
+            remember(self.name, self.becomes, function)
+            with forgiving():
+                carry(self.name, function)
+        return verdict
+
+    def verdict(self, function: Any) -> Verdict:
+        """The verdict on ``function``, which is neither counted nor kept."""
+        left = len(self.hints) - self.hints_given
+        if not callable(function):
+            detail = f"got a {type(function).__name__}"
+            return Verdict(exercise=self.name, state="failed", prop="it is a function", detail=detail, hints_left=left)
+
+        with use_backend("reference") if self.becomes else contextlib.nullcontext():
+            return self.verdict_on(Attempt(function, self._guard()), self.judge)
+
+    def verdict_on(self, attempt: Attempt, judge: Callable[[Attempt], None]) -> Verdict:
+        """What ``judge`` says; nothing is kept or noted."""
+        with judging(self.name):
+            return self._said(attempt, judge)
+
+    def _said(self, attempt: Attempt, judge: Callable[[Attempt], None]) -> Verdict:
+        left = len(self.hints) - self.hints_given
+        try:
+            judge(attempt)
+        except NotWritten:
+            detail = "the function returns nothing so far"
+            return Verdict(exercise=self.name, state="not written", detail=detail, hints_left=left)
+        except Failed as e:
+            return Verdict(exercise=self.name, state="failed", prop=e.prop, on=e.on, detail=e.detail, hints_left=left)
+        except Exception as e:  # the judge did something with the result that such a result cannot do
+            prop = "it returns what the function's first line asks for"
+            said = f"{type(e).__name__}: {str(e).splitlines()[0] if str(e) else ''}"
+            detail = f"it returned {describe([attempt.returned])}, with which the checker could not go on ({said})"
+            on = attempt.words
+            return Verdict(exercise=self.name, state="failed", prop=prop, on=on, detail=detail, hints_left=left)
+        return Verdict(exercise=self.name, state="passed")
+
+    @functools.cached_property
+    def _stand_in(self) -> Callable[..., Any]:
+        return without_source(self._solution)
+
+    def _guard(self) -> Guard:
+        """What the function may not call: the course's solution, and what does this exercise already."""
+        guard = Guard(limit_s=self.limit_s)
+        guard.refuse([self._solution, self._stand_in], "which is the course's solution; write your own")
+        own = [plain_function(self.becomes.operation)] if self.becomes else []
+        guard.refuse([*own, *self.ready_made], "which does what this exercise asks for; write it out")
+        return guard
+
+    def hint(self, number: int | None = None) -> Hint:
+        """The next hint, or hint ``number`` (from 1); after the last one, the last one again."""
+        wanted = self.hints_given + 1 if number is None else number
+        wanted = min(max(wanted, 1), len(self.hints))
+        self.hints_given = max(self.hints_given, wanted)
+        with forgiving():
+            note("exercises", self.name, hints=self.hints_given)
+        return Hint(wanted, len(self.hints), self.hints[wanted - 1])
+
+    def solution(self) -> Solution | NotYet:
+        """Source code of a solution; before the first try, a sentence that says what to do."""
+        noted: dict[str, Any] = {}
+        with forgiving():
+            noted = read_section("exercises").get(self.name, {})
+        if not (self.tries or noted.get("tries", 0)):
+            return NotYet(self.name, len(self.hints) - self.hints_given)
+        if "solution_shown" not in noted:  # the first time counts
+            with forgiving():
+                note("exercises", self.name, solution_shown=now())
+        return Solution(self.name, source_of(self.name, self._solution))
+
+    def working(self, function: Any, *, plain: bool = False) -> Callable[..., Any]:
+        """``function`` if it passes, otherwise the reference's, so that the chapter can go on; one sentence says whose.
+
+        If the student's function raises in a later call, the sentence names its line and the reference's goes on.
+
+        Args:
+            function: The student's.
+            plain: Return the function itself, for a compiler such as numba; its errors stop the cell.
+        """
+        verdict = self._judged(function)
+        tell(whose_code(verdict))
+        if plain:
+            return function if verdict else self._stand_in
+        if verdict:
+            return yours_with_reference(self.name, function, self._solution)
+        return reference_only(self.name, self._solution)
+
+    def __repr__(self) -> str:
+        stars = "★" * self.difficulty + "☆" * (5 - self.difficulty)
+        return (
+            f"{self.name}: {self.title} {stars} {DIFFICULTIES[self.difficulty]}, about {self.minutes} minutes, "
+            f"{len(self.hints)} hints"
+        )
+
+
+def exercise(
+    *,
+    chapter: int,
+    difficulty: int,
+    minutes: int,
+    hints: Sequence[str],
+    solution: Callable[..., Any],
+    wrong: Sequence[Wrong],
+    becomes: Becomes | None = None,
+    stands_alone: str = "",
+    ready_made: Sequence[Callable[..., Any]] = (),
+    limit_s: float = LIMIT_S,
+) -> Callable[[Callable[[Attempt], None]], Exercise]:
+    """Register the decorated judge as the exercise of its name; the first line of its docstring is the title.
+
+    Args:
+        chapter: Number of the chapter.
+        difficulty: 1 to 5.
+        minutes: What it takes, as the course estimates it.
+        hints: In the order in which they are given.
+        solution: A right answer, which the judge accepts.
+        wrong: Plausible wrong answers, which the judge refuses.
+        becomes: What the function becomes in the library. A function that calls this operation is refused.
+        ready_made: Other functions that do the exercise; one that calls them is refused.
+        limit_s: How long one call may take.
+
+    Raises:
+        ValueError: unknown difficulty, no hint, no wrong answer, no title, or a name that another module uses.
+    """
+
+    def register(judge: Callable[[Attempt], None]) -> Exercise:
+        name = judge.__name__
+        title = (judge.__doc__ or "").strip().splitlines()[:1]
+        if difficulty not in DIFFICULTIES:
+            raise ValueError(f"exercise {name}: difficulty must be one of {list(DIFFICULTIES)}, got {difficulty}")
+        if not hints or not wrong or not title:
+            raise ValueError(f"exercise {name} needs a docstring, at least one hint and at least one wrong answer")
+        known = _EXERCISES.get(name)
+        if known is not None and known.judge.__module__ != judge.__module__:
+            raise ValueError(f"exercise {name} exists already in {known.judge.__module__}")
+        _EXERCISES[name] = Exercise(
+            name=name, title=title[0], chapter=chapter, difficulty=difficulty, minutes=minutes,
+            hints=tuple(hints), judge=judge, _solution=solution, wrong=tuple(wrong), becomes=becomes,
+            stands_alone=stands_alone,
+            ready_made=tuple(ready_made), limit_s=limit_s,
+        )  # fmt: skip
+        return _EXERCISES[name]
+
+    return register
+
+
+def exercises() -> dict[str, Exercise]:
+    """Every exercise of the course by name; loads the chapters' modules."""
+    package = importlib.import_module(__package__ or "")
+    for module in pkgutil.iter_modules(package.__path__):
+        if module.name not in _MACHINERY:
+            importlib.import_module(f"{package.__name__}.{module.name}")
+    return dict(sorted(_EXERCISES.items(), key=lambda item: (item[1].chapter, item[0])))
+
+
+class Checkers:
+    """``check.<name>`` is the exercise of that name; tab completion lists them."""
+
+    def __getattr__(self, name: str) -> Exercise:
+        if name.startswith("_"):
+            raise AttributeError(name)
+        known = exercises()
+        if name not in known:
+            raise AttributeError(f"no exercise {name!r}; there are: {', '.join(known)}")
+        return known[name]
+
+    def __dir__(self) -> list[str]:
+        return list(exercises())
+
+    def __repr__(self) -> str:
+        return "\n".join(map(repr, exercises().values()))
+
+
+check = Checkers()

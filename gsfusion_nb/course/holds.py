@@ -1,0 +1,209 @@
+"""What a notebook's text says about its own results, and whether it holds for the outputs that are stored with it.
+
+A text cell says what must hold in a comment that readers do not see:
+
+    The passes gain more than a decibel.
+
+    <!-- holds
+    q17: held-out PSNR {before} -> {after} dB
+    after - before > 1
+    -->
+
+A line that begins with the id of a code cell and a colon quotes a piece of what that cell shows. ``{name}`` stands for
+a number there and names it, ``{}`` for a number that is not needed; spaces do not matter. The piece must be there
+exactly once. Every other line is a comparison of such numbers, which must be true. It may use + - * / **, brackets,
+``and``, ``or``, ``not``, ``abs``, ``min`` and ``max``, and nothing else: it is read, not executed.
+
+``python -m gsfusion_nb.course.holds notebooks/*.ipynb`` lists what does not hold.
+"""
+
+import argparse
+import ast
+import logging
+import operator
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..foreign import read_object
+
+log = logging.getLogger(__name__)
+
+_COMMENT = re.compile(r"<!--\s*holds\b(.*?)-->", re.DOTALL)
+_QUOTE = re.compile(r"^([\w-]+):\s*(.+)$")
+_BLANK = re.compile(r"\{(\w*)\}")
+_NUMBER = r"[-+]?(?:\d[\d,]*\.?\d*|\.\d+)(?:e[-+]?\d+)?"
+
+_BINARY: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.Pow: operator.pow,
+}
+_COMPARE: dict[type[ast.cmpop], Callable[[Any, Any], bool]] = {
+    ast.Lt: operator.lt,
+    ast.LtE: operator.le,
+    ast.Gt: operator.gt,
+    ast.GtE: operator.ge,
+    ast.Eq: operator.eq,
+    ast.NotEq: operator.ne,
+}
+_FUNCTIONS: dict[str, Callable[..., Any]] = {"abs": abs, "min": min, "max": max}
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One comment of a text cell: quotations (cell id, text), comparisons."""
+
+    cell: str
+    quotes: list[tuple[str, str]]
+    comparisons: list[str]
+
+
+def claims_of(notebook: dict[str, Any]) -> list[Claim]:
+    """All claims of a notebook, as read from JSON.
+
+    Raises:
+        ValueError: a comment that compares nothing, because it would hold for any result.
+    """
+    found = []
+    for cell in notebook["cells"]:
+        if cell["cell_type"] != "markdown":
+            continue
+        for comment in _COMMENT.findall(_joined(cell["source"])):
+            lines = [line.strip() for line in comment.splitlines() if line.strip()]
+            quotes = [_QUOTE.match(line) for line in lines]
+            compared = [line for line, quote in zip(lines, quotes, strict=True) if quote is None]
+            if not compared:
+                raise ValueError(f"cell {cell['id']} has a comment 'holds' that compares nothing")
+            found.append(Claim(cell["id"], [(q[1], q[2]) for q in quotes if q], compared))
+    return found
+
+
+def failures(notebook: dict[str, Any]) -> list[str]:
+    """A sentence for everything that the text says and the stored outputs do not show; empty if all holds."""
+    shown = shown_by(notebook)
+    wrong = []
+    for claim in claims_of(notebook):
+        try:
+            numbers: dict[str, float] = {}
+            for cell_id, quote in claim.quotes:
+                numbers |= _read(cell_id, quote, shown)
+            wrong += [
+                f"cell {claim.cell} says {text!r}, but {_values(text, numbers)}"
+                for text in claim.comparisons
+                if not evaluate(text, numbers)
+            ]
+        except ValueError as e:
+            wrong.append(f"cell {claim.cell}: {e}")
+    return wrong
+
+
+def evaluate(text: str, numbers: dict[str, float]) -> bool:
+    """Whether a comparison is true.
+
+    Raises:
+        ValueError: it is not a comparison of numbers, or uses a name that no quotation gave.
+    """
+    try:
+        tree = ast.parse(text, mode="eval").body
+    except SyntaxError:
+        raise ValueError(f"{text!r} is not a comparison") from None
+    value = _value(tree, numbers)
+    if not isinstance(value, bool):
+        raise ValueError(f"{text!r} compares nothing")
+    return value
+
+
+def _value(node: ast.expr, numbers: dict[str, float]) -> Any:
+    match node:
+        case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):
+            return value
+        case ast.Name(id=name) if name in numbers:
+            return numbers[name]
+        case ast.Name(id=name):
+            raise ValueError(f"no quotation gives {name!r}")
+        case ast.UnaryOp(op=ast.USub(), operand=operand):
+            return -_value(operand, numbers)
+        case ast.UnaryOp(op=ast.Not(), operand=operand):
+            return not _value(operand, numbers)
+        case ast.BinOp(left=left, op=op, right=right) if type(op) in _BINARY:
+            return _BINARY[type(op)](_value(left, numbers), _value(right, numbers))
+        case ast.BoolOp(op=op, values=values):
+            return (all if isinstance(op, ast.And) else any)(_value(v, numbers) for v in values)
+        case ast.Compare(left=left, ops=ops, comparators=others) if all(type(op) in _COMPARE for op in ops):
+            chain = [_value(v, numbers) for v in (left, *others)]
+            return all(_COMPARE[type(op)](a, b) for op, a, b in zip(ops, chain[:-1], chain[1:], strict=True))
+        case ast.Call(func=ast.Name(id=name), args=args, keywords=[]) if name in _FUNCTIONS:
+            return _FUNCTIONS[name](*(_value(a, numbers) for a in args))
+    raise ValueError(f"{ast.unparse(node)!r} is not allowed in a comparison")
+
+
+def shown_by(notebook: dict[str, Any]) -> dict[str, str]:
+    """The text that each code cell shows, by the cell's id."""
+    return {cell["id"]: _shown(cell) for cell in notebook["cells"] if cell["cell_type"] == "code"}
+
+
+def _read(cell_id: str, quote: str, shown: dict[str, str]) -> dict[str, float]:
+    """The numbers that a quotation names."""
+    return {name: float(text.replace(",", "")) for name, text in quoted(cell_id, quote, shown).items()}
+
+
+def quoted(cell_id: str, quote: str, shown: dict[str, str]) -> dict[str, str]:
+    """The numbers that a quotation names, as they are printed.
+
+    Raises:
+        ValueError: no such cell, or the text is not there exactly once.
+    """
+    if cell_id not in shown:
+        raise ValueError(f"there is no code cell {cell_id!r}")
+    names, pattern = [], ""
+    for i, part in enumerate(_BLANK.split(quote)):
+        if i % 2:
+            names.append(part)
+            pattern += rf"({_NUMBER})"
+        else:
+            pattern += re.sub(r"(?:\\?\s)+", r"\\s*", re.escape(part))
+    matches = list(re.finditer(pattern, shown[cell_id]))
+    if len(matches) != 1:
+        raise ValueError(f"{quote!r} is {len(matches)} times in what cell {cell_id} shows, once was expected")
+    found = zip(names, matches[0].groups(), strict=True)
+    return {name: number for name, number in found if name}
+
+
+def _shown(cell: dict[str, Any]) -> str:
+    """The text that a code cell shows."""
+    texts = []
+    for output in cell.get("outputs", []):
+        texts.append(_joined(output.get("text", "")))
+        texts.append(_joined(output.get("data", {}).get("text/plain", "")))
+    return "\n".join(texts)
+
+
+def _values(text: str, numbers: dict[str, float]) -> str:
+    names = sorted({n.id for n in ast.walk(ast.parse(text, mode="eval")) if isinstance(n, ast.Name)} & set(numbers))
+    return ", ".join(f"{name} is {numbers[name]:g}" for name in names)
+
+
+def _joined(text: str | list[str]) -> str:
+    return text if isinstance(text, str) else "".join(text)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """The command line; 1 if something does not hold."""
+    parser = argparse.ArgumentParser(description="Whether the text of notebooks holds for their stored outputs.")
+    parser.add_argument("notebooks", type=Path, nargs="+")
+    wrong = 0
+    for path in parser.parse_args(arguments).notebooks:
+        for sentence in failures(read_object(path, "a notebook")):
+            log.error("%s: %s", path, sentence)
+            wrong += 1
+    return int(wrong > 0)
+
+
+if __name__ == "__main__":
+    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    raise SystemExit(main())

@@ -1,0 +1,159 @@
+"""The decks of slides: Markdown whose pictures and numbers come from the stored outputs of the notebooks.
+
+``python -m gsfusion_nb.course.kit.slides SLIDES NOTEBOOKS OUT`` writes ``OUT/week_N.html`` with the program Marp,
+which ``npx`` fetches once from the npm registry (``--marp`` names another command). In a deck
+
+- ``![words](cell:02/057b416a)`` is the picture that cell ``057b416a`` of chapter 2 shows (the first one);
+- ``{{02/057b416a: 4 x voxel {a}%}}`` is the number that stands for ``{a}`` in what the cell prints (the notation of
+  ``teaching/holds.py``), and ``{{docs/quality: ... {a} ...}}`` one of the page ``docs/quality.md``.
+
+So a deck shows what the notebooks show, and building it fails if a cell or a number is gone.
+"""
+
+import argparse
+import base64
+import logging
+import re
+import shlex
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+from ...files import atomic_file
+from ...foreign import read_object
+from ..holds import quoted, shown_by
+
+log = logging.getLogger(__name__)
+
+MARP = "npx --yes @marp-team/marp-cli@4"
+_PICTURE = re.compile(r"\(cell:(\d\d)/([\w-]+)\)")
+_NUMBER = re.compile(r"\{\{(\d\d|docs)/([\w-]+): (.+?)\}\}(?!\})")
+_LOADS = re.compile(r"""(?:\bsrc=|<link[^>]+href=|@import\s*|url\()\s*["']?(https?:)?//[^"')\s>]+""", re.IGNORECASE)
+
+
+class Chapters:
+    """The stored outputs of the notebooks, read when a deck asks for them."""
+
+    def __init__(self, folder: Path):
+        self.folder = folder
+        self._read: dict[str, dict[str, Any]] = {}
+
+    def notebook(self, chapter: str) -> dict[str, Any]:
+        """The notebook whose name begins with two digits.
+
+        Raises:
+            ValueError: there is none.
+        """
+        if chapter not in self._read:
+            found = sorted(self.folder.glob(f"{chapter}_*.ipynb"))
+            if not found:
+                raise ValueError(f"there is no chapter {chapter} in {self.folder}")
+            self._read[chapter] = read_object(found[0], "a notebook")
+        return self._read[chapter]
+
+    def picture(self, chapter: str, cell: str) -> tuple[str, bytes]:
+        """Suffix and content of the first picture that a cell shows.
+
+        Raises:
+            ValueError: the cell shows none.
+        """
+        for each in self.notebook(chapter)["cells"]:
+            for output in each.get("outputs", []) if each["id"] == cell else []:
+                for kind, suffix in (("image/jpeg", ".jpg"), ("image/png", ".png")):
+                    if kind in output.get("data", {}):
+                        return suffix, base64.b64decode("".join(output["data"][kind]))
+        raise ValueError(f"cell {cell} of chapter {chapter} shows no picture")
+
+    def number(self, chapter: str, cell: str, quote: str) -> str:
+        """The one number that a quotation names, as the cell of a chapter has it.
+
+        With ``docs`` as chapter: as the page ``cell`` has it, in the first of its sections with the words before the
+        number.
+        """
+        if chapter == "docs":
+            sections = (self.folder.parent / "docs" / f"{cell}.md").read_text(encoding="utf-8").split("\n## ")
+            words = quote.partition("{")[0].strip()
+            shown = {cell: next((section for section in sections if words in section), "")}
+        else:
+            shown = shown_by(self.notebook(chapter))
+        found = quoted(cell, quote, shown)
+        if len(found) != 1:
+            raise ValueError(f"{quote!r} must name one number")
+        return next(iter(found.values()))
+
+
+def prepare(deck: Path, chapters: Chapters, out: Path) -> Path:
+    """Write the deck with its numbers, and its pictures beside it; returns the Markdown file in ``out``.
+
+    Raises:
+        ValueError: a cell, a picture or a number is not there.
+    """
+
+    def picture(match: re.Match[str]) -> str:
+        suffix, content = chapters.picture(match[1], match[2])
+        name = f"figures/{match[1]}_{match[2]}{suffix}"
+        with atomic_file(out / name) as temporary:
+            temporary.write_bytes(content)
+        return f"({name})"
+
+    text = _PICTURE.sub(picture, deck.read_text(encoding="utf-8"))
+    text = _NUMBER.sub(lambda m: chapters.number(m[1], m[2], m[3]), text)
+    for name in re.findall(r"\(\.\./\.\./images/([\w.]+)\)", text):
+        (out / "figures").mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(deck.parent / "../../images" / name, out / "figures" / name)
+    text = text.replace("(../../images/", "(figures/")
+    written = out / deck.name
+    with atomic_file(written) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    return written
+
+
+def loads_from_elsewhere(html: str) -> list[str]:
+    """Addresses on other servers from which a page would load something; links to click do not count."""
+    return [match[0] for match in _LOADS.finditer(html)]
+
+
+def build(source: Path, notebooks: Path, out: Path, marp: str = MARP) -> list[Path]:
+    """Build all decks of a folder as HTML.
+
+    Raises:
+        ValueError: what ``prepare`` raises, or a deck that would load something from another server.
+        RuntimeError: Marp is not there, or fails.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    decks = [prepare(deck, Chapters(notebooks), out) for deck in sorted(source.glob("week_*.md"))]
+    for name in ("theme.css", "marp.config.mjs"):
+        shutil.copyfile(source / name, out / name)
+    call = [*shlex.split(marp), "--config-file", "marp.config.mjs", "--allow-local-files", *(d.name for d in decks)]
+    try:
+        done = subprocess.run(call, cwd=out, capture_output=True, text=True, stdin=subprocess.DEVNULL)
+    except FileNotFoundError:
+        raise RuntimeError(f"{call[0]} was not found: install Node 20 or newer, or name Marp with --marp") from None
+    pages = [deck.with_suffix(".html") for deck in decks]
+    if done.returncode or not all(page.exists() for page in pages):
+        raise RuntimeError(f"Marp failed: {done.stderr.strip()[-400:]}")
+    for page in pages:
+        if found := loads_from_elsewhere(page.read_text(encoding="utf-8")):
+            raise ValueError(f"{page.name} would load {found[0]}")
+    return pages
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(description="Build the slides of the course as HTML.")
+    parser.add_argument("slides", type=Path, help="folder of the decks")
+    parser.add_argument("notebooks", type=Path, help="folder of notebooks with their outputs")
+    parser.add_argument("out", type=Path, help="folder for the HTML files")
+    parser.add_argument("--marp", default=MARP, help="command that runs Marp")
+    options = parser.parse_args(arguments)
+    try:
+        for page in build(options.slides, options.notebooks, options.out, options.marp):
+            log.info("wrote %s", page)
+    except (ValueError, RuntimeError) as e:
+        parser.error(str(e))
+
+
+if __name__ == "__main__":
+    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    main()

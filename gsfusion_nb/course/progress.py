@@ -1,0 +1,189 @@
+"""What a learner has done in the course: one JSON file in the user's folder.
+
+The file holds objects by section and name::
+
+    {"format": 1,
+     "exercises": {"psnr": {"tries": 2, "passed": "2026-11-22T20:15:00", "hints": 1}},
+     "predictions": {"first_seeds": {"question": "...", "answer": 3000, "came": 3812}}}
+
+Sections of other modules are kept as they are. The environment variable ``GSNB_COURSE_FILE`` names another file. A
+notebook that is executed to be stored (``GSNB_VIEW=static``) keeps no file: what it notes ends with the kernel.
+"""
+
+import contextlib
+import copy
+import json
+import os
+import sys
+import time
+from collections.abc import Iterator
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from ..errors import SequenceError
+from ..files import try_lock, write_file
+from ..foreign import read_object
+
+FORMAT = 1
+LOCK_PATIENCE_S = 5.0
+"""How long to wait for another notebook that writes the file."""
+
+Entries = dict[str, dict[str, Any]]
+
+_in_memory: dict[str, Any] = {"format": FORMAT}
+_said: set[str] = set()
+
+
+class CourseFileError(ValueError):
+    """The file cannot be read or written; it was left as it is."""
+
+
+def course_file() -> Path | None:
+    """Where progress is kept; ``None`` in a notebook that is executed to be stored."""
+    if given := os.environ.get("GSNB_COURSE_FILE"):
+        return Path(given).expanduser()
+    if os.environ.get("GSNB_VIEW") == "static":
+        return None
+    if sys.platform == "win32":
+        base = os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local"
+    elif sys.platform == "darwin":
+        base = Path.home() / "Library" / "Application Support"
+    else:
+        base = os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share"
+    return Path(base) / "gsfusion_nb" / "course.json"
+
+
+def read_section(section: str) -> Entries:
+    """The entries of a section by name; empty if nothing was noted yet.
+
+    Raises:
+        CourseFileError: the file is damaged, or a newer version of the program wrote it.
+    """
+    return copy.deepcopy(_read().get(section, {}))
+
+
+def note(section: str, name: str, **values: Any) -> None:
+    """Add ``values`` to the entry ``name`` of a section; they replace earlier values of the same keys.
+
+    Raises:
+        CourseFileError: the file is damaged, newer, locked by another program, or cannot be written. It is unchanged.
+    """
+    with changing(section) as entries:
+        entries.setdefault(name, {}).update(values)
+
+
+def count(section: str, name: str, key: str) -> None:
+    """Add one to the number ``key`` of the entry ``name``. Raises as ``note``."""
+    with changing(section) as entries:
+        entry = entries.setdefault(name, {})
+        entry[key] = int(entry.get(key, 0)) + 1
+
+
+@contextlib.contextmanager
+def changing(section: str) -> Iterator[Entries]:
+    """The entries of a section, to be changed inside the block; no other notebook writes meanwhile. Raises as ``note``.
+
+    After an exception inside the block the file is unchanged.
+    """
+    with _locked():
+        course = _read()
+        yield course.setdefault(section, {})
+        _write(course)
+
+
+def reset() -> Path | None:
+    """Start again: the file is renamed, so that nothing is lost. Returns its new name, or ``None`` without a file."""
+    global _in_memory
+    _in_memory = {"format": FORMAT}
+    path = course_file()
+    if path is None or not path.exists():
+        return None
+    kept = path.with_name(f"{path.stem}-{datetime.now():%Y%m%d-%H%M%S}{path.suffix}")
+    path.rename(kept)
+    return kept
+
+
+def now() -> str:
+    """The local time, as the file stores it."""
+    return datetime.now().isoformat(timespec="seconds")
+
+
+@contextlib.contextmanager
+def forgiving() -> Iterator[None]:
+    """Notes inside the block never stop a notebook: what cannot be kept is said once, in one sentence."""
+    try:
+        yield
+    except CourseFileError as e:
+        if str(e) not in _said:
+            _said.add(str(e))
+            sys.stdout.write(f"Your progress is not kept: {e}\n")
+
+
+def read_file(path: Path) -> dict[str, Any]:
+    """All sections of a course file.
+
+    Raises:
+        CourseFileError: the file is no course file, damaged, or a newer version of the program wrote it.
+    """
+    try:
+        course = read_object(path, "the progress of a learner")
+    except (SequenceError, OSError) as e:
+        raise CourseFileError(f"{path} cannot be read ({e})") from None
+    found = course.get("format")
+    if not isinstance(found, int) or found > FORMAT:
+        raise CourseFileError(
+            f"{path} has format {found!r}, this version reads {FORMAT}: a newer version wrote it, or it is another file"
+        )
+    if not all(_is_section(value) for key, value in course.items() if key != "format"):
+        raise CourseFileError(f"{path} is damaged: a section must hold objects by name")
+    return course
+
+
+def _read() -> dict[str, Any]:
+    path = course_file()
+    if path is None:
+        return _in_memory
+    if not path.exists():
+        return {"format": FORMAT}
+    try:
+        return read_file(path)
+    except CourseFileError as e:
+        raise CourseFileError(f"{e}. It was left as it is. Rename it, or run  gsfusion-nb course --reset") from None
+
+
+def _is_section(value: Any) -> bool:
+    return isinstance(value, dict) and all(isinstance(entry, dict) for entry in value.values())
+
+
+def _write(course: dict[str, Any]) -> None:
+    path = course_file()
+    if path is None:
+        return
+    try:
+        write_file(path, json.dumps(course, indent=1, ensure_ascii=False) + "\n")
+    except OSError as e:
+        raise CourseFileError(f"{path} cannot be written ({e})") from None
+
+
+@contextlib.contextmanager
+def _locked() -> Iterator[None]:
+    """No other notebook of this user changes the file meanwhile."""
+    path = course_file()
+    if path is None:
+        yield
+        return
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle = os.open(path.with_name(f".{path.name}.lock"), os.O_RDWR | os.O_CREAT)
+    except OSError as e:
+        raise CourseFileError(f"{path} cannot be written ({e})") from None
+    try:
+        until = time.monotonic() + LOCK_PATIENCE_S
+        while not try_lock(handle):
+            if time.monotonic() > until:
+                raise CourseFileError(f"{path} is held by another program for more than {LOCK_PATIENCE_S:g} s")
+            time.sleep(0.02)
+        yield
+    finally:
+        os.close(handle)

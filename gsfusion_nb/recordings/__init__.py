@@ -1,0 +1,1 @@
+"""Recordings that others made: their check-up, conversion from other formats, and downloads."""

@@ -1,0 +1,189 @@
+"""Nerfstudio's ``transforms.json``, also as written by instant-ngp, Polycam and similar programs, with
+``depth_file_path``.
+
+Poses are camera-to-world with OpenGL axes (y up, z backward), converted to OpenCV axes by C2W diag(1, -1, -1, 1). Pixel
+centres at 0.5. Intrinsics are global or per frame; k1..k4, p1, p2 are removed. ``applied_transform`` and
+``applied_scale``, which say how the world was moved and scaled, are undone, so that depth and poses have the same unit.
+Depth is in millimetres unless ``depth_scale``, ``integer_depth_scale`` or ``depth_unit_scale_factor`` say otherwise.
+"""
+
+import math
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ....data.lens.camera_model import CameraModel
+from ....data.recorded.camera_json import number, table
+from ....data.recorded.find_files import natural_order
+from ....data.sequence import SequenceError
+from ....errors import shown
+from ....foreign import is_file, read_object
+from ....geometry import se3
+from ..image_files import find_depth, load_pair
+from ..intrinsics import model_of
+from ..options import ConvertOptions
+from ..recording import RecordedFrame, Recording
+
+_GL_TO_CV = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
+_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "OPENCV_FISHEYE")
+
+
+def recognise(path: Path) -> bool:
+    """The file, or a folder that holds it."""
+    return _file(path) is not None
+
+
+def read(path: Path, options: ConvertOptions) -> Recording:
+    """Frames of a transforms.json, in natural order of their names (module docstring)."""
+    file = _file(path)
+    if file is None:
+        raise SequenceError(f"{path} holds no transforms.json; expected that file or its folder")
+    values = read_object(file, "nerfstudio transforms")
+    frames = values.get("frames")
+    if not isinstance(frames, list) or not frames or not all(isinstance(f, dict) for f in frames):
+        raise SequenceError(f"{file} lacks frames; expected a list of objects with file_path and transform_matrix")
+    for i, frame in enumerate(frames):
+        if not isinstance(frame.get("file_path"), str) or "transform_matrix" not in frame:
+            raise SequenceError(f"{file}: frame {i} lacks file_path or transform_matrix")
+    frames = sorted(frames, key=lambda f: natural_order(Path(f["file_path"])))
+    if not options.depth and not any("depth_file_path" in f for f in frames):
+        raise SequenceError(
+            f"{file} has no depth_file_path; RGB-D mapping needs depth: give its folder with --depth, or add the key"
+        )
+    world, notes = _undo(values, file)
+    scale = options.depth_scale or _depth_scale(values, file)
+
+    def recorded_frames() -> Iterator[RecordedFrame]:
+        for frame in frames:
+            colour = _image(file.parent / frame["file_path"])
+            yield RecordedFrame(
+                source=str(colour),
+                time_s=_time(frame),
+                model=None if options.intrinsics else _model(values | frame, file, colour),
+                T_WC=_pose(frame, world, file),
+                load=partial(load_pair, colour, _depth(frame, file, colour, options), scale),
+            )
+
+    return Recording(
+        name=str(file),
+        frames=recorded_frames,
+        n_frames=len(frames),
+        depth_scale=scale,
+        notes=(*notes, f"depth read as {scale:g} per metre"),
+    )
+
+
+def _file(path: Path) -> Path | None:
+    if path.is_file():
+        return path if path.suffix.lower() == ".json" and path.name.startswith("transforms") else None
+    return path / "transforms.json" if (path / "transforms.json").is_file() else None
+
+
+def _undo(values: dict[str, Any], file: Path) -> tuple[Float[Tensor, "4 4"], list[str]]:
+    """Matrix that undoes the motion and scaling of the world: S^-1 then A^-1."""
+    notes = []
+    back = torch.eye(4, dtype=torch.float64)
+    if "applied_transform" in values:
+        A = torch.eye(4, dtype=torch.float64)
+        rows = _matrix(values["applied_transform"], f"{file}: applied_transform")
+        A[: len(rows)] = rows
+        if abs(float(torch.linalg.det(A[:3, :3])) - 1) > 1e-3:
+            raise SequenceError(f"{file}: applied_transform must be a rotation and a translation; it scales or mirrors")
+        back = se3.inverse(A)
+        notes.append("applied_transform was undone")
+    applied = number(values, "applied_scale", 1.0, file)
+    if not 1e-9 < applied < 1e9:
+        raise SequenceError(f"{file}: applied_scale must be a scale above 0, got {applied:g}")
+    if applied != 1.0:
+        back = back @ torch.diag(torch.tensor([1 / applied] * 3 + [1.0], dtype=torch.float64))
+        notes.append(f"applied_scale {applied:g} was undone")
+    return back, notes
+
+
+def _pose(frame: dict[str, Any], world: Float[Tensor, "4 4"], file: Path) -> Float[Tensor, "4 4"]:
+    T = torch.eye(4, dtype=torch.float64)
+    rows = _matrix(frame["transform_matrix"], f"{file}: transform_matrix of {frame['file_path']}")
+    T[: len(rows)] = rows
+    moved = world @ T
+    moved[:3, :3] = world[:3, :3] / torch.linalg.det(world[:3, :3]).abs() ** (1 / 3) @ T[:3, :3]
+    return moved @ _GL_TO_CV
+
+
+def _matrix(rows: Any, source: str) -> Float[Tensor, "R 4"]:
+    matrix = table(rows, source, "4x4 or 3x4 numbers")
+    if matrix.ndim != 2 or tuple(matrix.shape) not in ((4, 4), (3, 4)):
+        raise SequenceError(f"{source} must be 4x4 or 3x4 numbers, got {list(matrix.shape)}")
+    return matrix
+
+
+def _model(values: dict[str, Any], file: Path, colour: Path) -> CameraModel:
+    """Camera of a frame: its own values where it has them, else the global ones."""
+    name = values.get("camera_model", "OPENCV")
+    if name not in _MODELS:
+        raise SequenceError(f"{file}: cannot undistort camera_model {shown(name)}; known: {', '.join(_MODELS)}")
+    source = f"{file}: the camera of {colour.name}"
+    width, height = _size(values, colour, source)
+    try:
+        fx, fy = _focal(values, width, height)
+        cx, cy = (float(values.get(k, half)) for k, half in (("cx", width / 2), ("cy", height / 2)))
+        k = [float(values.get(key, 0.0)) for key in ("k1", "k2", "p1", "p2", "k3", "k4")]
+    except (TypeError, ValueError, KeyError, ZeroDivisionError):
+        raise SequenceError(f"{source} must have fl_x (or camera_angle_x), cx and cy as numbers") from None
+    fisheye = name == "OPENCV_FISHEYE"
+    if not fisheye and k[5]:  # a numerator term in nerfstudio, a denominator term in OpenCV
+        raise SequenceError(
+            f"{source} has k4 = {k[5]:g}, which only a fisheye may have here; undistort the images first"
+        )
+    distortion = (k[0], k[1], k[4], k[5]) if fisheye else tuple(k[:5])
+    return model_of([fx, fy, cx, cy], (width, height), source, centre=0.5, distortion=distortion, fisheye=fisheye)
+
+
+def _size(values: dict[str, Any], colour: Path, source: str) -> tuple[int, int]:
+    if "w" in values and "h" in values:
+        return int(number(values, "w", 0, source)), int(number(values, "h", 0, source))
+    from ....data.recorded.images import read_rgb
+
+    height, width = read_rgb(colour).shape[:2]
+    return width, height
+
+
+def _focal(values: dict[str, Any], width: int, height: int) -> tuple[float, float]:
+    if "fl_x" in values:
+        return float(values["fl_x"]), float(values.get("fl_y", values["fl_x"]))
+    fx = 0.5 * width / math.tan(0.5 * float(values["camera_angle_x"]))
+    if "camera_angle_y" not in values:
+        return fx, fx
+    return fx, 0.5 * height / math.tan(0.5 * float(values["camera_angle_y"]))
+
+
+def _image(path: Path) -> Path:
+    """The image; some programs write its name without the suffix."""
+    found = (Path(f"{path}{s}") for s in ("", ".png", ".jpg", ".jpeg"))
+    return next((p for p in found if is_file(p)), path)
+
+
+def _depth(frame: dict[str, Any], file: Path, colour: Path, options: ConvertOptions) -> Path:
+    if options.depth:
+        return find_depth(Path(options.depth), colour.stem)
+    name = frame.get("depth_file_path", f"depth of {colour.name}, which the file does not name")
+    if not isinstance(name, str):
+        raise SequenceError(f"{file}: depth_file_path of {colour.name} must be the path of a file, got {shown(name)}")
+    return file.parent / name
+
+
+def _depth_scale(values: dict[str, Any], file: Path) -> float:
+    key = next((k for k in ("integer_depth_scale", "depth_unit_scale_factor") if k in values), "depth_scale")
+    unit = number(values, key, 1e-3, file)
+    if not 1e-9 < unit < 1e9:
+        raise SequenceError(f"{file}: {key} must be the metres of one stored unit, such as 0.001, got {unit:g}")
+    return 1.0 / unit
+
+
+def _time(frame: dict[str, Any]) -> float | None:
+    value = frame.get("timestamp", frame.get("time"))
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None

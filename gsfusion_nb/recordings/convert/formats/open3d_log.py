@@ -1,0 +1,164 @@
+"""Open3D's reconstruction system and the Redwood data: color/, depth/, ``trajectory.log``, ``camera_intrinsic.json``.
+
+The log holds camera-to-world matrices in blocks of five lines, the first of which begins with the frame's number; a
+``PinholeCameraTrajectory`` JSON holds column-major world-to-camera ones, with intrinsics. Axes are OpenCV's, pixel
+centres at integers, depth in millimetres.
+"""
+
+import re
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ....data.lens.camera_model import CameraModel
+from ....data.recorded.camera_json import table
+from ....data.recorded.find_files import images_in, natural_order
+from ....data.sequence import SequenceError, SequenceNotFoundError
+from ....foreign import read_bytes, read_object, read_text
+from ....geometry import se3
+from ..image_files import DEPTH_SUFFIXES, load_pair
+from ..intrinsics import intrinsics_of_json, model_of_object
+from ..options import ConvertOptions
+from ..recording import RecordedFrame, Recording
+
+_COLOUR = ("color", "image", "rgb", "images")
+_INTRINSICS = ("camera_intrinsic.json", "intrinsic.json", "intrinsics.json", "camera_intrinsics.json")
+_TRAJECTORIES = ("trajectory.log", "scene/trajectory.log", "scene/integrated.log", "*.log", "trajectory.json")
+
+
+def recognise(path: Path) -> bool:
+    """A folder with a log and depth images."""
+    return path.is_dir() and (path / "depth").is_dir() and _trajectory(path) is not None
+
+
+def read(path: Path, options: ConvertOptions) -> Recording:
+    """Images and the poses of a log (module docstring)."""
+    colour_folder = next((path / n for n in _COLOUR if (path / n).is_dir()), None)
+    if colour_folder is None or not (path / "depth").is_dir():
+        raise SequenceNotFoundError(f"{path} lacks color/ or depth/; expected both beside trajectory.log")
+    colour, depth = images_in(colour_folder), images_in(path / "depth", DEPTH_SUFFIXES)
+    pairs = _pairs(path, colour, depth)
+    file = _trajectory(path)
+    poses, model = ({}, None) if file is None else read_trajectory_file(file)
+    if file is not None:
+        poses = _of_images(file, poses, path, list(pairs))
+    intrinsics = next((path / n for n in _INTRINSICS if (path / n).is_file()), None)
+    notes = []
+    if intrinsics is not None and not options.intrinsics:
+        model, notes = (
+            intrinsics_of_json(intrinsics, None),
+            [f"intrinsics from {intrinsics}, pixel centres at integers"],
+        )
+    scale = options.depth_scale or 1000.0
+
+    def recorded_frames() -> Iterator[RecordedFrame]:
+        for i, (c, d) in pairs.items():
+            yield RecordedFrame(
+                source=str(c), time_s=i / 30, model=model, T_WC=poses.get(i), load=partial(load_pair, c, d, scale)
+            )
+
+    return Recording(
+        name=str(path),
+        frames=recorded_frames,
+        n_frames=len(pairs),
+        depth_scale=scale,
+        has_poses=bool(poses),
+        notes=tuple(notes),
+    )
+
+
+def _pairs(path: Path, colour: list[Path], depth: list[Path]) -> dict[int, tuple[Path, Path]]:
+    """Colour and depth by frame number from 0: the number that their names begin with, less the first; else by order.
+
+    Raises:
+        SequenceError: an image of one kind without one of the other.
+    """
+    if len(colour) != len(depth):
+        raise SequenceError(f"{path} has {len(colour)} colour and {len(depth)} depth images; expected pairs")
+    of_colour, of_depth = (_numbers(files) for files in (colour, depth))
+    if of_colour is None or of_depth is None:
+        return dict(enumerate(zip(colour, depth, strict=True)))
+    alone = sorted(set(of_colour) ^ set(of_depth))
+    if alone:
+        raise SequenceError(f"{path} has only one image of number {alone[0]}; expected colour and depth of each number")
+    return {n - of_colour[0]: pair for n, pair in zip(of_colour, zip(colour, depth, strict=True), strict=True)}
+
+
+def _numbers(files: list[Path]) -> list[int] | None:
+    """The first number in each name, or None if a name has none or two have the same."""
+    # Redwood's names continue with the time: 0000001-000000033369.png
+    found = [int(match[0]) for file in files if (match := re.search(r"\d+", file.stem))]
+    return found if len(set(found)) == len(files) else None
+
+
+def _of_images(file: Path, poses: dict[int, Tensor], path: Path, numbers: list[int]) -> dict[int, Tensor]:
+    """The poses by the images' numbers.
+
+    Raises:
+        SequenceError: a pose of no image, or images are missing and it is not clear whose the poses are.
+    """
+    n, span = len(numbers), 1 + max(numbers)
+    if n == span or max(poses) >= n:  # no image is missing, or the log counts the missing ones
+        beyond = [i for i in poses if i >= span]
+        if beyond:
+            raise SequenceError(f"{file} has a pose of frame {beyond[0]}, but {path} holds {n} images, from 0")
+        return poses
+    if len(poses) != n:
+        gap = next(i for i in range(span) if i not in set(numbers))
+        raise SequenceError(
+            f"{path} lacks the image after number {gap - 1} of the first, and {file} has {len(poses)} poses for {n} "
+            "images: expected one pose per image, or poses up to the last number"
+        )
+    return {number: poses[i] for i, number in enumerate(numbers) if i in poses}
+
+
+def read_trajectory_file(path: Path) -> tuple[dict[int, Float[Tensor, "4 4"]], CameraModel | None]:
+    """Camera-to-world poses by frame number of a .log or PinholeCameraTrajectory .json, and the latter's camera."""
+    if path.suffix.lower() == ".json":
+        return _read_json(path)
+    lines = [line.split() for line in read_text(path, "Open3D's trajectory.log").splitlines() if line.strip()]
+    if not lines or len(lines) % 5:
+        raise SequenceError(
+            f"{path} has {len(lines)} lines; expected blocks of five, 'i i i+1' and four rows of a matrix; is the file"
+            " truncated?"
+        )
+    poses = {}
+    for at in range(0, len(lines), 5):
+        try:
+            frame = int(lines[at][0])
+            T = torch.tensor([[float(w) for w in row] for row in lines[at + 1 : at + 5]], dtype=torch.float64)
+        except (ValueError, IndexError):
+            T, frame = torch.zeros(0, 0), -1
+        if tuple(T.shape) != (4, 4) or frame < 0:
+            raise SequenceError(f"{path}: block {at // 5} must be 'i i i+1' and four rows of four numbers")
+        if frame in poses:
+            raise SequenceError(f"{path} has the pose of frame {frame} twice, again in block {at // 5}")
+        poses[frame] = T
+    return poses, None
+
+
+def _read_json(path: Path) -> tuple[dict[int, Float[Tensor, "4 4"]], CameraModel | None]:
+    entries: Any = read_object(path, "an Open3D PinholeCameraTrajectory").get("parameters")
+    if not isinstance(entries, list) or not entries:
+        raise SequenceError(f"{path} lacks parameters; expected an Open3D PinholeCameraTrajectory")
+    poses = {}
+    for i, entry in enumerate(entries):
+        what = "an object with extrinsic, 16 numbers column by column"
+        values = table(entry.get("extrinsic") if isinstance(entry, dict) else None, f"{path}: parameters {i}", what)
+        if values.numel() != 16:
+            raise SequenceError(f"{path}: parameters {i} must be {what}")
+        poses[i] = se3.inverse(values.reshape(4, 4).T)
+    intrinsic = entries[0].get("intrinsic")
+    if intrinsic is not None and not isinstance(intrinsic, dict):
+        raise SequenceError(f"{path}: intrinsic must be an object with width, height and intrinsic_matrix")
+    return poses, None if intrinsic is None else model_of_object(intrinsic, None, str(path), centre=0.0)
+
+
+def _trajectory(path: Path) -> Path | None:
+    found = (p for pattern in _TRAJECTORIES for p in sorted(path.glob(pattern), key=natural_order) if p.is_file())
+    return next((p for p in found if p.suffix != ".json" or b'"parameters"' in read_bytes(p, "a trajectory")), None)

@@ -1,0 +1,257 @@
+"""Record3D (iPhone, iPad): a .r3d archive, its unpacked folder, or the "EXR + JPG sequence" export.
+
+.r3d is a zip with ``metadata`` (JSON) and rgbd/N.jpg, N.depth, N.conf; depth is float32 metres and confidence uint8,
+both packed with Apple's LZFSE and smaller than colour. Poses ``qx qy qz qw tx ty tz`` are camera-to-world with ARKit's
+axes (OpenGL: y up, z backward). Intrinsics are column-major ``K``, or fx fy cx cy per frame, at the colour's size, from
+the corner of the image.
+"""
+
+import ctypes
+import re
+import struct
+import zipfile
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ....data.lens.camera_model import CameraModel
+from ....data.recorded.camera_json import number, table
+from ....data.recorded.images import MAX_PIXELS, read_image_bytes
+from ....data.recorded.poses import matrices
+from ....data.sequence import BadFrameError, SequenceError, SequenceNotFoundError
+from ....errors import shown
+from ....foreign import IMAGE_BYTES, TEXT_BYTES, open_archive, parse_json, parsing, read_bytes, read_member
+from ..image_files import load_pair, metres, with_colour
+from ..intrinsics import model_of
+from ..options import ConvertOptions
+from ..recording import RecordedFrame, Recording, RgbdImages
+
+_GL_TO_CV = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
+_SIZES = ((192, 256), (256, 192), (640, 480), (480, 640))
+"""Heights and widths of LiDAR and TrueDepth images, for files without this information."""
+
+Fetch = Callable[[str], bytes]
+"""Content of a member of the archive, by name."""
+
+
+def recognise(path: Path) -> bool:
+    """The archive, or a folder with metadata and rgbd/, or the export with EXR."""
+    if path.is_file():
+        return path.suffix.lower() == ".r3d"
+    return _metadata_file(path) is not None and any((path / n).is_dir() for n in ("rgbd", "rgb"))
+
+
+def read(path: Path, options: ConvertOptions) -> Recording:
+    """A capture of Record3D (module docstring)."""
+    if path.is_file():
+        archive = open_archive(path, "an .r3d archive")
+        names, fetch = set(archive.namelist()), partial(_member, archive, path)
+        metadata = _object(fetch("metadata"), f"{path}: metadata")
+    else:
+        file = _metadata_file(path)
+        if file is None:
+            raise SequenceNotFoundError(f"{path} lacks metadata.json; expected an unpacked .r3d or the EXR export")
+        names = {str(p.relative_to(path)) for p in path.glob("rgb*/*")}
+        fetch = partial(_file, path)
+        metadata = _object(read_bytes(file, "Record3D's metadata"), str(file))
+    exported = not any(n.startswith("rgbd/") for n in names)
+    pattern = "rgb/" if exported else "rgbd/"
+    found = (re.fullmatch(pattern + r"(\d{1,9})\.jpg", n) for n in names)
+    numbers = sorted({int(match[1]) for match in found if match})
+    poses = _poses(metadata, 1 + max(numbers, default=-1), path)
+
+    def recorded_frames() -> Iterator[RecordedFrame]:
+        for n in numbers:  # the place in the metadata's lists: a missing image must not shift them
+            name = f"{pattern}{n}"
+            if exported:
+                load = partial(load_pair, path / f"rgb/{n}.jpg", path / f"depth/{n}.exr", 1.0)
+            else:
+                load = partial(_load, fetch, name, metadata, options.confidence, f"{path}: {name}")
+            yield RecordedFrame(
+                source=f"{path}: {name}",
+                time_s=_time(metadata, n, path),
+                model=_model(metadata, n, path),
+                T_WC=None if poses is None else poses[n],
+                load=load,
+            )
+
+    if not numbers:
+        raise SequenceError(f"{path} holds no frames; expected {pattern}0.jpg and so on")
+    note = "confidence is not in this export" if exported else f"depth of confidence {options.confidence} and above"
+    return Recording(
+        name=str(path),
+        frames=recorded_frames,
+        n_frames=len(numbers),
+        depth_scale=1.0,
+        has_poses=poses is not None,
+        notes=(note,),
+    )
+
+
+_LEAST_BLOCK_BYTES = 20_000
+"""Unpacked, of all but the last blocks: Apple's encoder ends one after 10,000 matches or 40,000 literals."""
+
+
+def lzfse_unpacked(data: bytes, source: str, at_most: int = 4 * MAX_PIXELS) -> bytes:
+    """Content of an LZFSE stream of at most ``at_most`` bytes; uncompressed blocks need no library.
+
+    Raises:
+        SequenceError: it is compressed, and the package ``pyliblzfse`` is missing. BadFrameError: it is damaged.
+    """
+    stored, at = [], 0
+    while data[at : at + 4] == b"bvx-" and len(data) >= at + 8:
+        (n,) = struct.unpack_from("<I", data, at + 4)
+        stored.append(data[at + 8 : at + 8 + n])
+        at += 8 + n
+    if stored and data[at : at + 4] == b"bvx$":
+        return b"".join(stored)
+    if data[:3] != b"bvx":
+        raise BadFrameError(f"{source} does not begin like LZFSE data; expected the bytes bvx")
+    try:
+        import liblzfse  # pyright: ignore[reportMissingImports]
+    except ImportError:
+        raise SequenceError(
+            f"{source} is packed with Apple's LZFSE, which needs the package pyliblzfse: pip install pyliblzfse"
+        ) from None
+    size, blocks = _claimed_size(data, source)
+    if size > at_most or blocks > 2 + size // _LEAST_BLOCK_BYTES:
+        raise BadFrameError(f"{source} claims {size} bytes in {blocks} blocks; expected at most {at_most} bytes")
+    with parsing(source, "an LZFSE stream", BadFrameError):
+        content = _unpacked(liblzfse, data, size)
+    if len(content) != size:
+        more = "more than the" if len(content) > size else f"{len(content)} of"
+        raise BadFrameError(f"{source} is damaged: LZFSE unpacks {more} {size} bytes")
+    return content
+
+
+def _unpacked(liblzfse: Any, data: bytes, size: int) -> bytes:
+    """At most ``size`` + 1 bytes of the content, whatever the blocks hold.
+
+    The package's own ``decompress`` has no limit, so the decoder inside it is called. Where it cannot be reached (the
+    library exports no names, as on Windows), ``decompress`` is: blocks that lie may then unpack to 24 MB each.
+    """
+    try:
+        decode = ctypes.CDLL(liblzfse.__file__).lzfse_decode_buffer
+    except (AttributeError, OSError):
+        return liblzfse.decompress(data)
+    decode.restype = ctypes.c_size_t
+    room = ctypes.create_string_buffer(size + 1)
+    n = decode(room, ctypes.c_size_t(size + 1), data, ctypes.c_size_t(len(data)), None)
+    return room.raw[:n]
+
+
+def _claimed_size(data: bytes, source: str) -> tuple[int, int]:
+    """Unpacked bytes and number of blocks, as the blocks' headers say (lzfse_internal.h of Apple's lzfse 1.0)."""
+    at = size = blocks = 0
+    while data[at : at + 4] != b"bvx$":
+        head = data[at : at + 32]
+        kind, blocks = head[:4], blocks + 1
+        if len(head) < 12 or (kind == b"bvx2" and len(head) < 32):
+            raise BadFrameError(f"{source} is truncated: an LZFSE stream ends with the bytes bvx$")
+        n, payload = struct.unpack_from("<II", head, 4)
+        size += n
+        if kind == b"bvx-":
+            at += 8 + n
+        elif kind == b"bvxn":
+            at += 12 + payload
+        elif kind == b"bvx2":
+            literals, matches, states = struct.unpack_from("<QQQ", head, 8)
+            at += max(32, states & 0xFFFFFFFF) + (literals >> 20 & 0xFFFFF) + (matches >> 40 & 0xFFFFF)
+        else:
+            raise BadFrameError(f"{source} holds an unknown LZFSE block {shown(kind)}; expected bvx-, bvxn or bvx2")
+    return size, blocks
+
+
+def _load(fetch: Fetch, name: str, metadata: dict[str, Any], least: int, source: str) -> RgbdImages:
+    packed = lzfse_unpacked(fetch(f"{name}.depth"), f"{source}.depth")
+    if len(packed) % 4:
+        raise BadFrameError(f"{source}.depth unpacks to {len(packed)} bytes; expected float32 numbers")
+    values = np.frombuffer(packed, "<f4")
+    depth_m = metres(values.reshape(_depth_size(metadata, len(values), f"{source}.depth")), 1.0)
+    if least > 0:
+        try:
+            confidence = np.frombuffer(lzfse_unpacked(fetch(f"{name}.conf"), f"{source}.conf"), np.uint8)
+        except BadFrameError:  # TrueDepth captures have none
+            confidence = None
+        if confidence is not None and confidence.size == depth_m.size:
+            depth_m[confidence.reshape(depth_m.shape) < least] = 0.0
+    return with_colour(fetch(f"{name}.jpg"), f"{source}.jpg", depth_m)
+
+
+def _depth_size(metadata: dict[str, Any], n: int, source: str) -> tuple[int, int]:
+    size = (int(number(metadata, "dh", 0, source)), int(number(metadata, "dw", 0, source)))
+    if min(size) > 0 and size[0] * size[1] == n:
+        return size
+    portrait = number(metadata, "h", 1, source) > number(metadata, "w", 0, source)
+    found = next((s for s in _SIZES if s[0] * s[1] == n and (s[0] > s[1]) == portrait), None)
+    if found is None:
+        raise BadFrameError(f"{source} unpacks to {n} numbers; expected dw x dh = {size[1]}x{size[0]} of the metadata")
+    return found
+
+
+def _poses(metadata: dict[str, Any], n: int, path: Path) -> Float[Tensor, "N 4 4"] | None:
+    rows = metadata.get("poses")
+    if not rows:
+        return None
+    poses = table(rows, f"{path}: poses of the metadata", "rows qx qy qz qw tx ty tz")
+    if poses.ndim != 2 or poses.shape[1] != 7 or len(poses) < n:
+        raise SequenceError(
+            f"{path}: poses of the metadata are {list(poses.shape)}; expected {n} rows qx qy qz qw tx ty tz"
+        )
+    return matrices(poses[:, [4, 5, 6, 0, 1, 2, 3]]) @ _GL_TO_CV
+
+
+def _model(metadata: dict[str, Any], i: int, path: Path) -> CameraModel:
+    try:
+        size = (int(metadata["w"]), int(metadata["h"]))
+        frames = metadata.get("perFrameIntrinsicCoeffs") or []
+        K = metadata["K"] if i >= len(frames) else None
+        values = [float(v) for v in (frames[i][:4] if K is None else (K[0], K[4], K[6], K[7]))]
+        fx, fy, cx, cy = values
+    except (KeyError, TypeError, IndexError, ValueError, OverflowError) as e:
+        raise SequenceError(
+            f"{path}: the metadata lack {str(e)[:80]}; expected w, h and K of 9 numbers, column by column"
+        ) from None
+    return model_of([fx, fy, cx, cy], size, f"{path}: the metadata", centre=0.5)
+
+
+def _time(metadata: dict[str, Any], i: int, path: Path) -> float:
+    stamps = metadata.get("frameTimestamps") or []
+    if not isinstance(stamps, list) or not all(type(t) in (int, float) for t in stamps[i : i + 1]):
+        raise SequenceError(f"{path}: frameTimestamps of the metadata must be a list of seconds")
+    fps = number(metadata, "fps", 30, f"{path}: the metadata")
+    if not fps > 0:
+        raise SequenceError(f"{path}: fps of the metadata must be above 0, got {fps:g}")
+    return float(stamps[i]) if i < len(stamps) else i / fps
+
+
+def _metadata_file(path: Path) -> Path | None:
+    return next((p for p in (path / "metadata", path / "metadata.json") if p.is_file()), None)
+
+
+def _object(data: bytes, source: str) -> dict[str, Any]:
+    try:
+        values = parse_json(data.decode("utf-8-sig"), source, "Record3D's metadata")
+    except UnicodeDecodeError:
+        raise SequenceError(f"{source} is not a text file; expected Record3D's metadata as JSON") from None
+    if not isinstance(values, dict):
+        raise SequenceError(f"{source} must hold a JSON object with w, h, K and poses")
+    return values
+
+
+def _member(archive: zipfile.ZipFile, path: Path, name: str) -> bytes:
+    try:
+        return read_member(archive, name, path, at_most=TEXT_BYTES if name == "metadata" else IMAGE_BYTES)
+    except KeyError:
+        error = SequenceError if name == "metadata" else BadFrameError
+        raise error(f"{path} lacks {name}; expected it in a .r3d archive") from None
+
+
+def _file(root: Path, name: str) -> bytes:
+    return read_image_bytes(root / name, "Record3D")

@@ -1,0 +1,172 @@
+"""A separate trajectory file written by a tracking program, interpolated at the times of the frames."""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ...checks import check_pose
+from ...data.recorded.poses import interpolate_rows, matrices
+from ...data.recorded.stamps import PER_SECOND
+from ...data.recorded.stamps import time_unit as find_time_unit
+from ...data.sequence import SequenceError
+from ...errors import shown
+from ...foreign import read_text
+from ...geometry import se3
+
+_TUM = [0, 1, 2, 3, 4, 5, 6, 7]
+_EUROC = [0, 1, 2, 3, 5, 6, 7, 4]
+"""Columns of time, position and quaternion xyzw."""
+_EUROC_COLUMNS = 17
+"""time, position, quaternion, velocity and two biases: an EuRoC ground truth without its header."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Poses of a camera at increasing times, interpolated between them."""
+
+    path: str
+    stamps_s: Float[Tensor, " N"]
+    rows: Float[Tensor, "N 7"]
+    """tx ty tz qx qy qz qw, metres."""
+    T_body_cam: Float[Tensor, "4 4"]
+    """From the camera's frame to that of the body whose poses these are."""
+    max_gap_s: float
+    notes: tuple[str, ...] = ()
+
+    def pose_at(self, time_s: float) -> Float[Tensor, "4 4"] | None:
+        """Camera-to-world pose, or None outside the recorded time and in a gap longer than ``max_gap_s``."""
+        row = interpolate_rows(self.stamps_s, self.rows, time_s, max_gap_s=self.max_gap_s)
+        return None if row is None else matrices(row[None])[0] @ self.T_body_cam
+
+
+def read_trajectory(
+    path: Path, *, time_unit: str = "auto", max_gap_s: float = 0.2, T_body_cam: Float[Tensor, "4 4"] | None = None
+) -> Trajectory:
+    """Read poses ``T_world_body`` with times.
+
+    Known: TUM text and ORB-SLAM3 ("t tx ty tz qx qy qz qw", seconds or nanoseconds), OKVIS2 csv (header, nanoseconds,
+    xyzw) and EuRoC csv (header, nanoseconds, wxyz). A header decides on the order of the columns. Rows with NaN or
+    infinities are left out: tracking was lost.
+
+    Args:
+        path: The file.
+        time_unit: Unit of its times; "auto" takes the unit in which they are dates after 2001, or else the one in which
+            the steps are those of a camera.
+        max_gap_s: Largest gap to interpolate over, seconds.
+        T_body_cam: From the camera's frame to the body's; the identity if the poses are those of the camera.
+
+    Raises:
+        SequenceError: no such file, no rows, a row that is not numeric, times that go back, two different poses at one
+            time, or a quaternion whose length is not 1.
+    """
+    table, notes = _checked(_table(path), path)
+    unit = find_time_unit(table[:, 0].tolist()) if time_unit == "auto" else time_unit
+    notes.append(f"{path}: {len(table)} poses, times read as {unit}")
+    return Trajectory(
+        path=str(path),
+        stamps_s=(table[:, 0] / PER_SECOND[unit]).contiguous(),
+        rows=table[:, 1:],
+        T_body_cam=torch.eye(4, dtype=torch.float64) if T_body_cam is None else T_body_cam,
+        max_gap_s=max_gap_s,
+        notes=tuple(notes),
+    )
+
+
+def _checked(table: Float[Tensor, "N 8"], path: Path) -> tuple[Float[Tensor, "M 8"], list[str]]:
+    """Rows with a pose, each time once [M, 8], and sentences on those that were left out."""
+    finite = torch.isfinite(table).all(dim=1)
+    lost = int((~finite).sum())
+    notes = [f"{path}: {lost} of {len(table)} poses are NaN and count as lost"] if lost else []
+    table = table[finite]
+    if not len(table):
+        raise SequenceError(f"{path} holds no finite pose; expected rows 't tx ty tz qx qy qz qw'")
+    back = (table[1:, 0] < table[:-1, 0]).nonzero()
+    if len(back):
+        i = int(back[0])
+        raise SequenceError(
+            f"{path}: the time {float(table[i + 1, 0]):.9g} comes after {float(table[i, 0]):.9g}; expected increasing "
+            "times: sort the file by its first column, and split it if it holds several trajectories"
+        )
+    again = table[1:, 0] == table[:-1, 0]
+    differs = again & (table[1:] != table[:-1]).any(dim=1)
+    if bool(differs.any()):
+        t = float(table[1:, 0][differs][0])
+        raise SequenceError(f"{path} has two different poses at the time {t:.9g}; expected every time once")
+    if bool(again.any()):
+        t = float(table[1:, 0][again][0])
+        notes.append(f"{path}: {int(again.sum())} rows repeat the one before, the first at the time {t:.9g}")
+    table = table[torch.cat([~again.new_zeros(1), ~again])]
+    length = table[:, 4:].norm(dim=1)
+    if float((length - 1).abs().max()) > 1e-2:
+        i = int((length - 1).abs().argmax())
+        raise SequenceError(
+            f"{path}: the pose at {float(table[i, 0]):.9g} must hold a unit quaternion, got one of length "
+            f"{float(length[i]):.3g}; expected the columns t tx ty tz qx qy qz qw"
+        )
+    return table, notes
+
+
+def _table(path: Path) -> Float[Tensor, "N 8"]:
+    """Rows t tx ty tz qx qy qz qw in the file's unit of time, float64. [N, 8]"""
+    lines = read_text(path, "rows 't tx ty tz qx qy qz qw'").splitlines()
+    columns, rows = None, []
+    for number, line in enumerate(lines, 1):
+        words = [w for w in re.split(r"[,\s]+", line.strip()) if w]
+        if not words or line.lstrip().startswith(("#", "%")) or (not rows and words[0][:1].isalpha()):
+            columns = columns or _columns_of_header(line)
+            continue
+        columns = columns or (_EUROC if len(words) == _EUROC_COLUMNS else _TUM)
+        try:
+            rows.append([float(words[c]) for c in columns])
+        except (ValueError, IndexError):
+            raise SequenceError(
+                f"{path} line {number} must hold a time, a position and a quaternion in at least 8 numbers, got "
+                f"{shown(line.strip())}"
+            ) from None
+    if not rows:
+        raise SequenceError(f"{path} is empty; expected rows 't tx ty tz qx qy qz qw'")
+    return torch.tensor(rows, dtype=torch.float64)
+
+
+def _columns_of_header(line: str) -> list[int] | None:
+    """Columns of time, position and quaternion xyzw that a header names, if it names them all."""
+    text = re.sub(r"\[[^\]]*\]", "", line.strip().lstrip("#%").lower()).replace(".", "_")
+    names = [n.strip() for n in (text.split(",") if "," in text else text.split())]
+    patterns = [*(rf"(t|p|p_.*_|){a}" for a in "xyz"), *(rf"q(_|_.*_|){a}" for a in "xyzw")]
+    found = [next((i for i, n in enumerate(names) if re.fullmatch(p, n)), None) for p in patterns]
+    return None if None in found else [0, *(i for i in found if i is not None)]
+
+
+def camera_in_body(T_cam_body: str, T_body_cam: str) -> Float[Tensor, "4 4"] | None:
+    """From the camera's frame to the body's, from the file that is given; None if there is none."""
+    if not T_cam_body and not T_body_cam:
+        return None
+    path = Path(T_cam_body or T_body_cam)
+    T = read_matrix(path)
+    return se3.inverse(T) if T_cam_body else T
+
+
+def read_matrix(path: Path) -> Float[Tensor, "4 4"]:
+    """A rigid 4x4 matrix of 16 numbers, row-major, whatever the brackets and commas around them. float64."""
+    T = torch.tensor(read_numbers(path, "16 row-major numbers of a rigid transform"), dtype=torch.float64)
+    if T.numel() != 16:
+        raise SequenceError(f"{path} must hold 16 row-major numbers of a rigid transform, got {T.numel()}")
+    try:
+        check_pose("the transform", T.reshape(4, 4))
+    except ValueError as e:
+        raise SequenceError(f"{path} is not a rigid transform: {e}") from None
+    return T.reshape(4, 4)
+
+
+def read_numbers(path: Path, what: str) -> list[float]:
+    """All numbers of a text file; brackets, commas and ``#`` comments are ignored."""
+    lines = [line.split("#")[0] for line in read_text(path, what).splitlines()]
+    words = " ".join(lines).translate(str.maketrans("[](){},;", "        ")).split()
+    try:
+        return [float(w) for w in words]
+    except ValueError as e:
+        raise SequenceError(f"{path} holds text where {what} were expected ({e})") from None

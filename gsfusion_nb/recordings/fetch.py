@@ -1,0 +1,457 @@
+"""Fetching public data sets: describe, ask, download, unpack, convert, read; then the folder gets its name.
+
+The scripts in ``data_scripts/`` list the files of each data set; the code that they share is here. pooch downloads,
+compares digests and tries again; a download that is broken off begins anew.
+"""
+
+import argparse
+import json
+import logging
+import os
+import shlex
+import shutil
+import stat
+import sys
+import tarfile
+import zipfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path, PurePosixPath
+from typing import IO, Any
+
+from ..data.open import open_sequence
+from ..data.sequence import SequenceError
+from ..errors import as_sentence, is_foreseen, shown, unforeseen
+from ..files import atomic_folder, try_lock, write_file
+from ..foreign import open_regular
+from ..work import ProgressDisplay
+
+WORK = ".fetch"
+"""Folder for downloads and unfinished data sets, in the folder of all data sets."""
+SOURCE = "source.json"
+"""In each data set: the files that it was made from, and its licence."""
+MARGIN_BYTES = 200_000_000
+"""Space that must stay free for other users of the disk."""
+LONGEST_HEADER_BYTES = 1 << 20
+"""Limit for a header of a tar archive: tarfile holds it in memory, and a small gzipped file can have gigabytes."""
+_IN_MEMORY = (
+    tarfile.GNUTYPE_LONGNAME, tarfile.GNUTYPE_LONGLINK, tarfile.XHDTYPE, tarfile.XGLTYPE, tarfile.SOLARIS_XHDTYPE
+)  # fmt: skip
+"""Kinds of tar headers with long names and other text."""
+ATTEMPTS = 5
+"""Downloads of a file before one gives up."""
+TIMEOUT_S = 60.0
+"""Longest time without data from the server, seconds."""
+ASSUMED_BYTES_PER_S = 10e6
+"""100 Mbit/s, for the time estimate; university servers are often slower."""
+
+Choose = Callable[[str], str | None]
+"""A member's path in the archive -> its path in the data set's folder, or None to leave it out."""
+
+
+class FetchError(ValueError):
+    """A data set could not be fetched or prepared; the message names the address or file."""
+
+    def __str__(self) -> str:
+        return as_sentence(super().__str__())
+
+
+class ArchiveError(FetchError):
+    """An archive is damaged, or holds something that must not be unpacked."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Item:
+    """One file to download."""
+
+    base: str
+    """Address of the folder on the host; a mirror replaces it."""
+    path: str
+    """Address below ``base``."""
+    stated_bytes: int
+    """Published or estimated size."""
+    checksum: str = ""
+    """Published digest, ``algorithm:hexadecimal``."""
+    choose: Choose = lambda name: name
+    """Which members of the archive are unpacked, and to which paths."""
+    save_as: str = ""
+    """For a file that is not an archive: its path in the data set's folder."""
+
+    def url(self, mirror: str = "") -> str:
+        """Address at the host, or at a mirror with the same paths."""
+        return f"{(mirror or self.base).rstrip('/')}/{self.path}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class SequenceOnDisk:
+    """One sequence of a data set and its options."""
+
+    path: str = "."
+    """Folder inside the data set's folder."""
+    format: str = "auto"
+    preset: str
+    reader: dict[str, Any] = field(default_factory=dict)
+    """Options of the layout's reader."""
+
+    def command(self, folder: Path) -> str:
+        """The command that maps it."""
+        words = ["gsfusion-nb", "map", str(folder / self.path), "--preset", self.preset]
+        if self.format != "auto":
+            words += ["--format", self.format]
+        if self.reader:
+            words += ["--reader", *(f"{name}={str(value).lower()}" for name, value in self.reader.items())]
+        return shlex.join(words)
+
+    def prove(self, folder: Path) -> str:
+        """Open it and decode its first and last frame; returns a line that describes it.
+
+        Raises:
+            FetchError: the reader refuses it.
+        """
+        try:
+            sequence = open_sequence(folder / self.path, format=self.format, **self.reader)
+            first, last = sequence[0], sequence[len(sequence) - 1]
+        except SequenceError as e:
+            raise FetchError(f"what was fetched cannot be read as a sequence: {e}") from None
+        depth_m = first.depth_m[first.depth_m > 0]
+        seen = float((last.depth_m > 0).float().mean())
+        return (
+            f"{sequence.name}: {len(sequence)} frames of {first.camera.width}x{first.camera.height}, depth around "
+            f"{float(depth_m.median()):.2f} m in the first, at {100 * seen:.0f} % of the pixels of the last"
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """A data set: its files, how they are processed, and its licence."""
+
+    folder: str
+    """Folder of the data set, inside the folder of all data sets."""
+    title: str
+    licence: str
+    """The terms in a sentence."""
+    cite: str
+    items: list[Item]
+    unpacked_bytes: int
+    """Approximate size on disk in the end; an archive that unpacks to three times of it is refused."""
+    sequences: Callable[[Path], list[SequenceOnDisk]]
+    """The sequences in the finished folder, and how to map them."""
+    convert: Callable[[Path], None] = lambda folder: None
+    """How the unpacked files are processed."""
+    note: str = ""
+    """A sentence that helps the user to decide."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FetchOptions:
+    """Options that are the same for all data sets."""
+
+    out: Path
+    """Folder of all data sets."""
+    yes: bool = False
+    """The user agrees to download size and licence."""
+    mirror: str = ""
+    """Address of a host with the same paths, instead of the data set's own."""
+    keep_archives: bool = False
+    """Keep the downloaded files in ``.fetch``."""
+    ask: Callable[[str], str] | None = None
+    """Asks the user; None if no user is there."""
+
+
+def fetch_data_set(plan: Plan, options: FetchOptions) -> Path:
+    """Fetch a data set and return its folder.
+
+    An existing data set is only read again. The folder gets its name when it is complete and the reader has opened it.
+
+    Raises:
+        FetchError: or a subclass; the message says what to do.
+    """
+    target = options.out / plan.folder
+    if target.exists():
+        say(f"{target} already exists; nothing is fetched (remove or rename it to fetch it again).")
+        _report(plan, target, target)
+        return target
+    say(_described(plan, options))
+    to_download = sum(item.stated_bytes for item in plan.items)
+    require_space(options.out, to_download + plan.unpacked_bytes, f"{plan.folder}, its archives included,")
+    agree(options)
+    with new_folder(target, options.out) as folder:
+        files = [(item, _download(item, options)) for item in plan.items]
+        try:
+            for item, file in files:
+                if item.save_as:
+                    shutil.copyfile(file, folder / item.save_as)
+                else:
+                    unpack(file, folder, choose=item.choose, max_bytes=3 * plan.unpacked_bytes + 50_000_000)
+            plan.convert(folder)
+        except ArchiveError:  # the same files would fail again
+            for _, file in files:
+                file.unlink(missing_ok=True)
+            raise
+        _write_source(plan, files, options, folder)
+        _report(plan, folder, target)
+    if not options.keep_archives:
+        for _, file in files:
+            file.unlink()
+    return target
+
+
+def _described(plan: Plan, options: FetchOptions) -> str:
+    """Contents, size, licence and time of a plan."""
+    to_download = sum(item.stated_bytes for item in plan.items)
+    lines = [plan.title]
+    for item in plan.items:
+        check = (
+            f"compared with its published {item.checksum.partition(':')[0]}" if item.checksum else "no checksum public"
+        )
+        lines.append(f"  from     {item.url(options.mirror)} (about {size_text(item.stated_bytes)}; {check})")
+    lines += [
+        f"  to       {options.out / plan.folder} (about {size_text(plan.unpacked_bytes)}; {size_text(to_download)} to "
+        "download)",
+        f"  time     about {duration_text(to_download / ASSUMED_BYTES_PER_S)} to download at 100 Mbit/s",
+        f"  licence  {plan.licence}",
+        f"  cite     {plan.cite}",
+    ]
+    return "\n".join([*lines, f"  note     {plan.note}"] if plan.note else lines)
+
+
+def agree(options: FetchOptions) -> None:
+    """Return if the user agreed.
+
+    Raises:
+        FetchError: the answer was no, or there is no user to ask and ``yes`` was not given.
+    """
+    if options.yes:
+        return
+    if options.ask is None:
+        raise FetchError(
+            "cannot ask whether you agree to size and licence, because this is not a terminal; run again with --yes"
+        )
+    try:
+        answer = options.ask("Go on under this licence? [y/N] ")
+    except EOFError:
+        answer = ""
+    if answer.strip().lower() not in ("y", "yes"):
+        raise FetchError("nothing was fetched")
+
+
+def _download(item: Item, options: FetchOptions) -> Path:
+    """The downloaded file of an item; one that is there already, with the published digest if any, is taken."""
+    import pooch
+    from requests.exceptions import RequestException
+
+    url, place = item.url(options.mirror), options.out / WORK / "downloads"
+    pooch.get_logger().setLevel(logging.WARNING)
+    for broken_off in place.rglob("tmp*"):  # of a program that was killed; only one is at work here
+        broken_off.unlink()
+    store = pooch.create(
+        place, base_url="", registry={item.path: item.checksum or None}, urls={item.path: url},
+        retry_if_failed=ATTEMPTS - 1,
+    )  # fmt: skip
+    try:
+        shows = sys.stderr is not None and sys.stderr.isatty()
+        downloader: Any = pooch.HTTPDownloader(timeout=TIMEOUT_S, progressbar=shows)
+        return Path(store.fetch(item.path, downloader=downloader))
+    except (RequestException, ValueError) as e:
+        raise FetchError(
+            f"{url} could not be downloaded: {e}; {ATTEMPTS} attempts were made, run again later"
+        ) from None
+
+
+def unpack(archive: Path, folder: Path, *, choose: Choose = lambda name: name, max_bytes: int) -> int:
+    """Unpack the chosen regular files of a zip, tar or gzipped tar into ``folder``; the number of files written.
+
+    Raises:
+        ArchiveError: not an archive, a damaged one, one with a path outside of the folder, one with none of the chosen
+            files, or more than ``max_bytes``.
+    """
+    count, left = 0, max_bytes
+    try:
+        for name, source in _members(archive):
+            path = choose(name)
+            if path is None:
+                continue
+            if PurePosixPath(path).is_absolute() or ".." in PurePosixPath(path).parts or "\\" in path or ":" in path:
+                raise ArchiveError(f"{archive.name} holds {shown(name)}, which is outside of the target folder")
+            (folder / path).parent.mkdir(parents=True, exist_ok=True)
+            with (folder / path).open("xb") as file:
+                while block := source.read(1 << 20):
+                    left -= len(block)
+                    if left < 0:
+                        raise ArchiveError(
+                            f"{archive.name} unpacks to more than {size_text(max_bytes)} at {shown(name)}, too much "
+                            "for this data set"
+                        )
+                    file.write(block)
+            count += 1
+    except FileExistsError as e:
+        raise ArchiveError(f"{archive.name} holds two files for {shown(e.filename)}") from None
+    except ArchiveError:
+        raise
+    except OSError as e:
+        if e.errno is not None:  # of the disk; a damaged gzip has none
+            raise FetchError(f"{archive.name} could not be unpacked: {e}; free some space and run again") from None
+        raise ArchiveError(f"{archive.name} is damaged ({e}); run again to download it again") from None
+    except Exception as e:  # zipfile, tarfile and zlib raise what follows from the damaged bytes
+        raise ArchiveError(
+            f"{archive.name} is damaged or not an archive ({e}); run again to download it again"
+        ) from None
+    if not count:
+        raise ArchiveError(f"{archive.name} holds none of the expected files")
+    return count
+
+
+class _Member(tarfile.TarInfo):
+    """A header of a tar archive; one that holds a long name, which tarfile reads into memory, is limited."""
+
+    @classmethod
+    def frombuf(cls, buf: bytes | bytearray, encoding: str, errors: str) -> "_Member":
+        found = super().frombuf(buf, encoding, errors)
+        if found.type in _IN_MEMORY and found.size > LONGEST_HEADER_BYTES:
+            raise ArchiveError(f"the archive holds a header of {size_text(found.size)}; it may be a decompression bomb")
+        return found
+
+
+def _members(archive: Path) -> Iterator[tuple[str, IO[bytes]]]:
+    """Path and content of each regular file; links and devices are left out."""
+    with open_regular(archive, "an archive") as opened:
+        if zipfile.is_zipfile(opened):
+            with zipfile.ZipFile(opened) as zipped:
+                for info in zipped.infolist():
+                    if not info.is_dir() and stat.S_IFMT(info.external_attr >> 16) in (0, stat.S_IFREG):
+                        with zipped.open(info) as source:
+                            yield info.filename, source
+            return
+        opened.seek(0)
+        with tarfile.open(fileobj=opened, mode="r|*", tarinfo=_Member) as tar:
+            for member in tar:
+                source = tar.extractfile(member) if member.isreg() else None
+                if source is not None:
+                    yield member.name, source
+
+
+def _write_source(plan: Plan, files: list[tuple[Item, Path]], options: FetchOptions, folder: Path) -> None:
+    """Write the data set's own record: where its files come from, and its licence."""
+    import pooch
+
+    date = datetime.now(UTC).isoformat(timespec="seconds")
+    downloaded = [
+        {"url": item.url(options.mirror), "size": file.stat().st_size, "sha256": pooch.file_hash(str(file)),
+         "date": date, "published": item.checksum}
+        for item, file in files
+    ]  # fmt: skip
+    values = {"title": plan.title, "licence": plan.licence, "cite": plan.cite, "files": downloaded}
+    write_file(folder / SOURCE, json.dumps(values, indent=1) + "\n")
+
+
+def _report(plan: Plan, folder: Path, target: Path) -> None:
+    """Read every sequence in ``folder``, which is or will become ``target``, and print how to map it."""
+    sequences = plan.sequences(folder)
+    if not sequences:
+        raise FetchError(f"{folder} holds no sequence")
+    for sequence in sequences:
+        say(f"{sequence.prove(folder)}\n  {sequence.command(target)}")
+
+
+@contextmanager
+def new_folder(target: Path, out: Path, *, resume: bool = False) -> Iterator[Path]:
+    """A folder to fill, which is renamed to ``target`` when it is complete; used by one program at a time.
+
+    Args:
+        target: The folder to make.
+        out: Folder of all data sets.
+        resume: Continue with what an interrupted call left.
+
+    Raises:
+        FetchError: another program is at work in ``out``. FileExistsError: ``target`` exists.
+    """
+    work = out / WORK
+    work.mkdir(parents=True, exist_ok=True)
+    handle = os.open(work / "lock", os.O_RDWR | os.O_CREAT, 0o644)
+    try:
+        if not try_lock(handle):
+            raise FetchError(f"another program is fetching into {work}; wait for it, or choose another --out")
+        with atomic_folder(target, work / "unfinished" / target.name, resume=resume) as folder:
+            yield folder
+    finally:
+        os.close(handle)
+
+
+def require_space(folder: Path, needed_bytes: int, what: str) -> None:
+    """Raise ``FetchError`` unless the disk of ``folder`` (which need not exist yet) has room for ``what``."""
+    place = folder.absolute()
+    while not place.exists():
+        place = place.parent
+    free = shutil.disk_usage(place).free
+    if free < needed_bytes + MARGIN_BYTES:
+        raise FetchError(
+            f"{place} has {size_text(free)} free; {what} needs {size_text(needed_bytes)}, and "
+            f"{size_text(MARGIN_BYTES)} must stay free: delete something, or choose another disk with --out"
+        )
+
+
+def size_text(n_bytes: int) -> str:
+    """A size as text, with 1 GB = 1,000 MB."""
+    if n_bytes < 1_000_000:
+        return f"{n_bytes / 1e3:.0f} kB" if n_bytes >= 1000 else f"{n_bytes} bytes"
+    return f"{n_bytes / 1e6:.0f} MB" if n_bytes < 1e9 else f"{n_bytes / 1e9:.1f} GB"
+
+
+def duration_text(seconds: float) -> str:
+    """A duration as text."""
+    if seconds < 90:
+        return f"{max(1, round(seconds))} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+
+
+def parser(description: str, *, downloads: bool = True) -> argparse.ArgumentParser:
+    """A parser with the options of all scripts. ``description``: the script's docstring; ``downloads``: whether it uses
+    the network."""
+    made = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    made.add_argument("--out", type=Path, default=Path("data"), help="folder of all data sets (default: data)")
+    made.add_argument("--yes", action="store_true", help="agree to download size and licence without a question")
+    if downloads:
+        made.add_argument("--mirror", default="", metavar="URL", help="address of another host with the same paths")
+        made.add_argument("--keep-archives", action="store_true", help="keep the downloaded archives in OUT/.fetch")
+    return made
+
+
+def fetch_options(options: argparse.Namespace) -> FetchOptions:
+    """The options given on the command line; questions are asked only if standard input is a terminal."""
+    return FetchOptions(
+        out=options.out,
+        yes=options.yes,
+        mirror=getattr(options, "mirror", ""),
+        keep_archives=getattr(options, "keep_archives", False),
+        ask=input if sys.stdin is not None and sys.stdin.isatty() else None,
+    )
+
+
+def say(text: str) -> None:
+    """Print to standard output without buffering."""
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()
+
+
+def run(name: str, script: Callable[[], object]) -> int:
+    """Run the body of a script. Exit status: 0 done, 1 an error (its message is printed), 130 interrupted."""
+    logging.basicConfig(level=logging.WARNING, format="%(message)s")
+    try:
+        script()
+    except Exception as e:
+        text = str(e) if is_foreseen(e) else unforeseen(e, name, sys.argv[1:])
+        sys.stderr.write(f"{name}: {text}\n")
+        return 1
+    except KeyboardInterrupt:
+        sys.stderr.write(f"{name}: interrupted; run the same command again\n")
+        return 130
+    return 0
+
+
+@contextmanager
+def counting(unit: str) -> Iterator[Callable[[int, int], object]]:
+    """Show the progress of a loop that reports how many steps are done and how many there are."""
+    with ProgressDisplay("written", unit=unit) as display:
+        yield lambda done, count: display.show(done, total=count)

@@ -1,0 +1,23 @@
+"""The settings that map the small scene on disk (``scene``) fast."""
+
+import pytest
+
+from gsfusion_nb.compare import RunSpec
+
+SETTINGS = {
+    "data.hold_out_every": 4, "data.hold_out_offset": 2, "tsdf.voxel_size_m": 0.08, "sh_degree": 0,
+    "optim.global_iterations": 1, "optim.keyframe_iterations": 2, "optim.frame_iterations": 1,
+    "optim.random_keyframe_iterations": 1, "seeding.quadtree_contrast": "std", "seeding.quadtree_threshold": 0.05,
+}  # fmt: skip
+
+
+@pytest.fixture
+def spec(scene):
+    """``spec(rule, **changes)``: a run on the small scene; ``settings`` are added to the fast ones."""
+
+    def make(rule="uniform", settings=None, data=None, **changes):
+        return RunSpec(
+            rule=rule, scene="wall", data=data or str(scene), settings=SETTINGS | (settings or {}), **changes
+        )
+
+    return make

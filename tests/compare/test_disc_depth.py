@@ -1,0 +1,37 @@
+"""Fitting single images: what the numbers are, and the finding of Fig. 7."""
+
+import pytest
+
+from gsfusion_nb.compare.disc_depth import METHODS, as_markdown, draw, fit_image, fit_images, summary
+from gsfusion_nb.config import DataConfig
+from gsfusion_nb.data import open_sequence
+
+
+@pytest.fixture(scope="module")
+def frame():
+    return open_sequence("room", data=DataConfig(width=160, height=120, hold_out_every=0))[10]
+
+
+def test_disc_depth_needs_fewer_gaussians_for_the_same_median_depth_error(frame):
+    few = fit_image(frame, 1000, "disc", steps=60)
+    many = fit_image(frame, 2000, "blended", steps=60)
+    assert few.n_gaussians == 1000
+    assert many.n_gaussians == 2000
+    assert few.depth_median_m < many.depth_median_m
+
+
+def test_table_and_picture(frame, tmp_path):
+    rows = fit_images([frame], counts=(60, 120), steps=3)
+    assert len(rows) == 2 * len(METHODS)
+    table = summary(rows)
+    assert set(table["disc"]) == {60, 120}
+    assert table["disc"][60]["depth_l1_m"] == rows[0].depth_l1_m
+    text = as_markdown(table)
+    assert len(text.splitlines()) == 2 + 2 * len(METHODS)
+    draw(table, tmp_path / "picture.png")
+    assert (tmp_path / "picture.png").stat().st_size > 5000
+
+
+def test_unknown_method_is_refused(frame):
+    with pytest.raises(KeyError, match="no method 'flat'; known: blended, disc, round"):
+        fit_image(frame, 10, "flat")

@@ -1,0 +1,182 @@
+"""One run of the lab: equal steps for every rule, budgets that are reached, failures as rows, equal numbers."""
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import pytest
+import torch
+
+from gsfusion_nb.compare import Budget, RunSpec
+from gsfusion_nb.compare.map_scene import Entry, Mapped
+from gsfusion_nb.compare.one_run import run_entry, run_spec
+from gsfusion_nb.compare.result import MEASURED
+from gsfusion_nb.compare.schedule import EQUAL_KEYFRAME_EVERY
+from gsfusion_nb.seeding import MapRule, rule_fingerprint
+
+TWO_RULES = """
+from gsfusion_nb.seeding import seeding_rule
+
+@seeding_rule
+def one(ctx, *, every=7):
+    return ctx.seeds_at(ctx.pixels()[::every], 1.0)
+
+@seeding_rule
+def other(ctx, *, every=7):
+    return ctx.seeds_at(ctx.pixels()[::every], 1.0)
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class brings_settings(MapRule):
+    overrides: ClassVar[Mapping[str, Any]] = {"optim__frame_iterations": 9, "optim__lr_xyz": 5e-4}
+
+    def seeds(self, ctx, memory):
+        return ctx.seeds_at(ctx.pixels()[::9], 1.0)
+
+
+def forgets_the_pose(ctx):
+    seeds = ctx.seeds_at(ctx.pixels()[::9], 1.0)
+    xyz_W = seeds.xyz_W.clone()
+    xyz_W[:, 2] -= 2 * (torch.arange(len(xyz_W)) < 3)  # behind the camera
+    xyz_W[3, 0] += 50.0  # beside it
+    return dataclasses.replace(seeds, xyz_W=xyz_W)
+
+
+def nothing(ctx):
+    return ctx.seeds_at(ctx.pixels()[:0], 1.0)
+
+
+def same_numbers(a, b):
+    numbers = [{k: v for k, v in r.metrics.items() if k not in MEASURED} for r in (a, b)]
+    assert numbers[0] == numbers[1]
+    assert (a.per_view, a.map_hash) == (b.per_view, b.map_hash)
+
+
+def test_every_rule_takes_the_same_steps(spec):
+    frugal, rich = (run_spec(spec("uniform", options={"fraction": f})) for f in (0.01, 0.9))
+    classy = run_entry(Entry(spec=spec("brings_settings", rule_hash="x"), rule=brings_settings))
+    own = [run_spec(spec("uniform", options={"fraction": f}, budget=Budget(steps="own"))) for f in (0.01, 0.9)]
+    assert [r.reason for r in (frugal, rich, classy, *own)] == [""] * 5
+    assert frugal.metrics["n_steps"] == rich.metrics["n_steps"] == classy.metrics["n_steps"]
+    assert frugal.metrics["n_keyframes"] == rich.metrics["n_keyframes"] == -(-5 // EQUAL_KEYFRAME_EVERY)
+    assert classy.notes == [
+        "the rule's own optim.frame_iterations = 9 is not used, but 1",
+        "the rule sets optim.lr_xyz = 0.0005, in place of 0.00016",
+    ]
+    assert own[0].metrics["n_keyframes"] != own[1].metrics["n_keyframes"]
+
+
+def test_a_rule_without_seeds_has_fewer_steps_and_says_so(spec):
+    result = run_entry(Entry(spec=spec("nothing", rule_hash="x"), rule=nothing))
+    assert (result.status, result.metrics["n_steps"], result.metrics["n_gaussians"]) == ("done", 2, 0)
+    assert result.notes == ["after 5 of 5 frames the map was empty, so no gradient steps were taken"]
+
+
+def test_seeds_out_of_view_are_noted(spec):
+    result = run_entry(Entry(spec=spec("forgets_the_pose", rule_hash="x"), rule=forgets_the_pose))
+    assert result.status == "done"
+    assert result.notes == ["20 of 960 seeds lay outside the view of the camera, 15 of them behind it"]
+
+
+def test_what_a_result_holds(spec, tmp_path):
+    result = run_spec(spec("gsfusion"), tmp_path)
+    expected = {
+        "psnr_mapped_db", "psnr_held_out_db", "ssim_mapped", "ssim_held_out", "depth_l1_mapped_m",
+        "depth_l1_held_out_m", "n_gaussians", "n_keyframes", "n_steps", "n_frames", "ms_per_frame",
+        "cpu_ms_per_frame", "seeding_ms", "seconds_total",
+    }  # fmt: skip
+    assert expected <= set(result.metrics)
+    assert [len(result.per_view[f"psnr_{name}_db"]) for name in ("held_out", "mapped")] == [2, 5]
+    assert sum(result.per_view["psnr_held_out_db"]) / 2 == pytest.approx(result.metrics["psnr_held_out_db"])
+    assert set(result.pictures) == {"held_out 2", "truth 2", "held_out 6", "truth 6"}
+    assert all((tmp_path / name).is_file() for name in result.pictures.values())
+    assert "def gsfusion(ctx" in result.rule_source
+    assert "PyTorch" in result.versions
+
+
+def test_it_repeats_bit_for_bit_and_equal_rules_tie(spec):
+    one, other = (spec(f"two.py:{name}", rule_source=TWO_RULES) for name in ("one", "other"))
+    assert one.key != other.key
+    first, second = run_spec(one), run_spec(other)
+    same_numbers(first, run_spec(one))
+    same_numbers(first, second)
+    assert first.rule_source == TWO_RULES
+
+
+@pytest.mark.parametrize(
+    ("rule", "changes", "option"),
+    [
+        ("uniform", {}, "fraction"),
+        ("gsfusion", {}, "seeding.quadtree_threshold"),
+        ("dense", {"size_option": "thin"}, "thin"),
+        ("two.py:one", {"rule_source": TWO_RULES, "size_option": "every"}, "every"),
+    ],
+)
+def test_a_number_of_gaussians_is_reached(spec, rule, changes, option):
+    result = run_spec(spec(rule, budget=Budget(gaussians=150, tolerance=0.05), **changes))
+    assert (result.status, result.reason) == ("done", "")
+    assert result.metrics["n_gaussians"] == pytest.approx(150, rel=0.05)
+    assert result.tuned["option"] == option
+    assert result.tuned["error_percent"] == pytest.approx(100 * abs(result.metrics["n_gaussians"] / 150 - 1))
+    assert result.spec.label == rule.rpartition(":")[2]
+
+
+def test_a_time_is_reached_by_steps_per_frame(spec, monkeypatch):
+    monkeypatch.setattr(Mapped, "seconds", property(lambda self: 0.2 + 0.01 * self.n_steps))
+    result = run_spec(spec("uniform", budget=Budget(seconds=1.0)))
+    assert (result.status, result.reason) == ("done", "")
+    assert 0.2 + 0.01 * result.metrics["n_steps"] == pytest.approx(1, rel=0.05)
+    assert result.tuned["steps_per_frame"] > 2
+    assert result.tuned["seconds_error_percent"] <= 5
+
+
+def faulty(ctx, *, n=3):
+    raise IndexError("7 is out of range")
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"rule": "dense", "budget": Budget(gaussians=100)}, "dense has no size option"),
+        ({"rule": "dense", "size_option": "fraction", "budget": Budget(gaussians=100)}, "no option 'fraction' to tune"),
+        ({"rule": "uniform", "budget": Budget(gaussians=10**6)}, "uniform does not reach 1,000,000 Gaussians"),
+        ({"rule": "uniform", "options": {"fration": 0.1}}, "has no options"),
+        ({"rule": "nonsense"}, "no seeding rule 'nonsense'"),
+        ({"rule": "a.py:b", "rule_source": "x = 1 +"}, "a.py, line 1: SyntaxError"),
+        ({"data": "/nowhere", "data_hash": "x"}, "/nowhere is not a folder"),
+    ],
+)
+def test_a_run_that_fails_is_a_row_with_its_reason(spec, changes, reason):
+    made = spec(changes.pop("rule", "uniform"))
+    result = run_spec(type(made)(**{**vars(made), "label": "", **changes}))
+    assert result.status == "failed"
+    assert reason in result.reason
+    assert not result.metrics
+
+
+def test_a_rule_that_raises_fails_its_run(spec):
+    result = run_entry(Entry(spec=spec("faulty", rule_hash=rule_fingerprint(faulty)), rule=faulty))
+    assert (result.status, result.reason) == ("failed", "IndexError: 7 is out of range")
+
+
+@pytest.mark.parametrize(("n_frames", "asked"), [(40, "5 of 5"), (4000, "1 of 5")])
+def test_intervals_of_rules_are_those_of_a_recording(n_frames, asked):
+    """The room is a walk of 49 s; five of 40 frames are 38 frames of a camera apart, five of 4,000 a third of one."""
+    settings = {"data.width": 32, "data.height": 24, "data.stop": 6, "tsdf.voxel_size_m": 0.1, "sh_degree": 0,
+                "optim.global_iterations": 0}  # fmt: skip
+    run = RunSpec(rule="cg_slam", reader={"n_frames": n_frames, "width": 64, "height": 48}, settings=settings)
+    assert any(f"asked every 30 frames of the recording, here in {asked}" in note for note in run_spec(run).notes)
+
+
+FIVE = "asked every 5 frames of the recording, here in 5 of 5 mapped frames"
+
+
+@pytest.mark.parametrize(("steps", "notes"), [("equal", [FIVE]), ("own", [])])
+def test_in_the_equal_schedule_a_rule_for_keyframes_has_those_of_its_release(spec, steps, notes):
+    run = spec("gs_slam", {"seeding.source_stride": 6}, budget=Budget(steps=steps))
+    result = run_spec(run)
+    assert result.status == "done"
+    assert [n for n in result.notes if n.startswith("asked")] == notes
+    assert result.metrics["n_keyframes"] == (2 if steps == "equal" else 5)

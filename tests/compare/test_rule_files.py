@@ -1,0 +1,136 @@
+"""What a rule reads besides the frame is part of its key: files of its options, helper modules, networks."""
+
+import importlib
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+
+from gsfusion_nb.compare import Entrant
+from gsfusion_nb.compare.one_run import run_entry
+from gsfusion_nb.compare.run_all import run_all
+from gsfusion_nb.compare.store import ResultStore
+from gsfusion_nb.seeding import check_rule, option_values, rule_fingerprint
+from gsfusion_nb.seeding.rule_file import load_rule_file
+
+LEARNED = '''
+import functools
+from pathlib import Path
+
+import torch
+
+from gsfusion_nb.seeding import SeedContext, Seeds
+
+
+@functools.cache
+def network(weights: Path) -> torch.nn.Module:
+    net = torch.nn.Conv2d(3, 1, 1)
+    net.load_state_dict(torch.load(weights, weights_only=True))
+    return net.eval()
+
+
+@torch.no_grad()
+def learned(ctx: SeedContext, *, weights: Path = Path("{place}"), where: str = "anywhere") -> Seeds:
+    """Seeds where a small network says so."""
+    score = network(weights)(ctx.frame.rgb.permute(2, 0, 1)[None])[0, 0]
+    return ctx.seeds_at(ctx.pixels(score > 0), 1.0)
+
+
+def undeclared(ctx: SeedContext) -> Seeds:
+    try:
+        torch.load("{place}", weights_only=True)
+    except ValueError:
+        pass
+    return ctx.seeds_at(ctx.pixels()[::9], 1.0)
+'''
+HELPER = "SCALE = {scale}\n\n\ndef radius():\n    return SCALE\n"
+
+
+def write_weights(path, bias):
+    net = torch.nn.Conv2d(3, 1, 1)
+    net.load_state_dict({"weight": torch.tensor([1.0, -1.0, 0.5]).view(1, 3, 1, 1), "bias": torch.tensor([bias])})
+    torch.save(net.state_dict(), path)
+
+
+@pytest.fixture
+def learned(tmp_path):
+    """File of the rule, and of its weights."""
+    file, weights = tmp_path / "learned_rule.py", tmp_path / "w.pt"
+    write_weights(weights, 0.0)
+    file.write_text(LEARNED.replace("{place}", str(weights)))
+    return file, weights
+
+
+@pytest.fixture
+def entry(spec):
+    """``entry(rule, options)``: a run of a rule on the small scene."""
+    plain = spec()
+    fields = {name: getattr(plain, name) for name in ("scene", "data", "settings")}
+    return lambda rule, options=None: Entrant(rule, options or {}).entry(**fields)
+
+
+def test_retrained_weights_give_another_key_and_another_map(learned, entry, tmp_path):
+    file, weights = learned
+    store, hashes = ResultStore(tmp_path / "out", tmp_path / "cache"), []
+    for bias in (0.0, -0.2):
+        write_weights(weights, bias)
+        ((_, result),) = run_all([entry(f"{file}:learned")], store, pictures=False)
+        assert result.reason == ""
+        hashes.append((result.key, result.map_hash))
+    assert hashes[0][0] != hashes[1][0] == entry(f"{file}:learned").spec.key
+    assert hashes[0][1] != hashes[1][1]
+    other = tmp_path / "other.pt"
+    write_weights(other, 0.1)
+    assert entry(f"{file}:learned", {"weights": other}).spec.key not in {key for key, _ in hashes}
+
+
+def test_weights_that_change_after_the_key_was_made_fail_the_run(learned, entry):
+    file, weights = learned
+    made = entry(f"{file}:learned")
+    write_weights(weights, 1.0)
+    assert "weights" in run_entry(made).reason
+    weights.unlink()
+    with pytest.raises(FileNotFoundError, match=r"weights.*w\.pt"):
+        entry(f"{file}:learned")
+
+
+def test_a_file_that_no_option_names_is_refused_in_the_lab_even_if_the_rule_catches_the_error(learned, entry):
+    file, weights = learned
+    result = run_entry(entry(f"{file}:undeclared"))
+    assert (result.status, str(weights) in result.reason) == ("failed", True)
+    assert result.reason.startswith("UndeclaredFileError")
+
+
+def test_a_network_that_is_loaded_by_a_cached_function_keeps_the_contract(learned):
+    rule = load_rule_file(f"{learned[0]}:learned")
+    before = rule_fingerprint(rule)
+    assert check_rule(rule).seeds["new"] > 0
+    assert rule_fingerprint(rule) == before
+
+
+def test_paths_and_free_texts_are_options(learned):
+    rule = load_rule_file(f"{learned[0]}:learned")
+    assert option_values(rule, {"weights": "a.pt", "where": "x"}) == {"weights": Path("a.pt"), "where": "x"}
+    for wrong in ({"weights": 3}, {"where": 3}):
+        with pytest.raises(TypeError, match=next(iter(wrong))):
+            option_values(rule, wrong)
+
+
+@pytest.mark.parametrize("how", ["import the_helper\n", "from the_helper import radius\n", ""])
+def test_a_helper_module_is_part_of_the_key(how, entry, tmp_path, monkeypatch):
+    call = "radius()" if "from" in how else "the_helper.radius()"
+    inside = "" if how else "    import the_helper\n"
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "the_helper", raising=False)
+    file, helper, keys = tmp_path / "rule.py", tmp_path / "the_helper.py", []
+    file.write_text(
+        f"{how}\n\ndef helped(ctx):\n{inside}    return ctx.seeds_at(ctx.pixels()[::7], {call})  # {how!r}\n"
+    )
+    for scale in (1.5, 22.5):
+        helper.write_text(HELPER.format(scale=scale))
+        importlib.invalidate_caches()
+        for name in [name for name in sys.modules if name == "the_helper" or name.startswith("rule_file_")]:
+            monkeypatch.delitem(sys.modules, name)
+        keys.append(entry(f"{file}:helped").spec.key)
+    assert keys[0] != keys[1]

@@ -1,0 +1,107 @@
+"""Every rule has an option that decides its number of Gaussians, or is known to have none."""
+
+from dataclasses import dataclass
+
+import pytest
+import torch
+
+from gsfusion_nb.compare import Budget, Entrant, RunSpec, tune
+from gsfusion_nb.compare.map_scene import finished, map_scene, thinned
+from gsfusion_nb.compare.tune import SIZE_OPTIONS, size_option, start_value, with_size
+from gsfusion_nb.seeding import MapRule, SeedContext, apply_rule, is_built_in, registered
+from gsfusion_nb.types import Camera, Frame
+
+WITHOUT = {"dense"}
+
+
+def test_every_rule_of_the_package_is_covered():
+    assert {name for name, rule in registered().items() if is_built_in(rule)} == set(SIZE_OPTIONS) | WITHOUT
+
+
+@pytest.mark.parametrize("name", SIZE_OPTIONS)
+def test_the_option_exists_and_its_usual_value_is_in_range(name):
+    spec, rule = RunSpec(rule=name), registered()[name]
+    option = size_option(spec, rule)
+    start = start_value(spec, rule, option)
+    assert option.low <= start <= option.high
+    smaller = with_size(spec, option, start / 2 if isinstance(start, float) else max(start // 2, 1))
+    assert start_value(smaller, rule, option) < start
+    assert smaller.label == spec.label
+    smaller.config()
+
+
+@pytest.mark.parametrize("name", ["edge_discs", "edge_strokes"])
+def test_a_share_of_a_function_and_of_a_class_is_drawn(name):
+    camera = Camera(width=64, height=48, fx=50.0, fy=50.0, cx=32.0, cy=24.0)
+    frame = Frame(
+        index=0, timestamp_s=0.0, rgb=torch.rand(48, 64, 3), depth_m=torch.full((48, 64), 2.0), camera=camera,
+        T_WC=torch.eye(4),
+    )  # fmt: skip
+    some = thinned(registered()[name], 0.25)
+    every, quarter = (len(apply_rule(r, SeedContext(frame), {"coverage": False})) for r in (name, some))
+    assert quarter == round(every / 4) > 10
+
+
+def reads_nothing(ctx, *, spacing_px: int = 8):
+    return ctx.seeds_at(ctx.pixels()[::spacing_px], 2.0)
+
+
+def reads_the_map(ctx, *, spacing_px: int = 8):
+    seeds = ctx.seeds_at(ctx.pixels()[::spacing_px], 2.0)
+    return seeds[~ctx.occupied(seeds.xyz_W, 0.01)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class edits_the_map(MapRule):
+    spacing_px: int = 8
+
+    def seeds(self, ctx, memory):
+        return ctx.seeds_at(ctx.pixels()[:: self.spacing_px], 2.0)
+
+    def after_step(self, ctx, stats, memory):
+        return None
+
+
+@pytest.mark.parametrize(
+    ("rule", "with_steps"), [(reads_nothing, False), (reads_the_map, True), (edits_the_map, True)]
+)  # fmt: skip
+def test_only_rules_that_use_the_map_are_tuned_with_gradient_steps(rule, with_steps, monkeypatch):
+    steps = []
+
+    def recorded(entry, config, **options):
+        steps.append(config.optim.frame_iterations > 0)
+        return map_scene(entry, config, **options)
+
+    monkeypatch.setattr(tune, "map_scene", recorded)
+    run = Entrant(rule, size_option="spacing_px").entry(
+        data="room", reader={"n_frames": 2}, budget=Budget(gaussians=150, tolerance=0.2),
+        settings={"data.width": 48, "data.height": 36, "tsdf.voxel_size_m": 0.05, "optim.global_iterations": 0},
+    )  # fmt: skip
+    found = finished(tune.tune(run))
+    assert not steps[0]
+    assert any(steps) == with_steps
+    assert found["n_runs"] == len(steps)
+    assert found["n_gaussians"] == pytest.approx(150, rel=0.2)
+
+
+def test_a_run_with_far_too_many_gaussians_is_given_up(monkeypatch):
+    n_frames = []
+
+    def recorded(entry, config, **options):
+        n_frames.append(0)
+        for report in map_scene(entry, config, **options):
+            n_frames[-1] += 1
+            yield report
+
+    def ten_at_least(ctx, *, spacing_px: int = 8):
+        return ctx.seeds_at(ctx.pixels()[:: min(spacing_px, 10)], 2.0)
+
+    monkeypatch.setattr(tune, "map_scene", recorded)
+    run = Entrant(ten_at_least, size_option="spacing_px").entry(
+        data="room", reader={"n_frames": 8}, budget=Budget(gaussians=15),
+        settings={"data.width": 48, "data.height": 36, "tsdf.voxel_size_m": 0.05, "optim.global_iterations": 0},
+    )  # fmt: skip
+    with pytest.raises(tune.NotReachedError, match="ten_at_least does not reach 15 Gaussians"):
+        finished(tune.tune(run))
+    assert len(n_frames) < 8
+    assert max(n_frames) == 1  # given up in the first of seven frames

@@ -1,0 +1,140 @@
+"""The file of a comparison: all of it is checked before anything runs, with the line, what was expected, what came."""
+
+import pytest
+
+from gsfusion_nb.compare.command import LabOptions, main
+from gsfusion_nb.compare.table_file import EXAMPLE, TableError, read_table
+
+GOOD = """\
+seeds = [0, 3]
+[settings]
+"data.hold_out_every" = 4
+"data.hold_out_offset" = 2
+tsdf = { voxel-size-m = 0.08 }
+[[rules]]
+rule = "uniform"
+options = { fraction = 0.1 }
+[[rules]]
+rule = "mine.py:some"
+size_option = "step"
+size_range = [1, 90]
+[[scenes]]
+data = "%s"
+label = "a wall"
+[[budgets]]
+gaussians = 150
+[[budgets]]
+steps = "own"
+"""
+RULE = "def some(ctx, *, step=7):\n    return ctx.seeds_at(ctx.pixels()[::step], 1.0)\n"
+
+
+@pytest.fixture
+def table(scene, tmp_path):
+    """``table(old, new)``: the path of a good file with one change."""
+    (tmp_path / "mine.py").write_text(RULE)
+
+    def write(old="", new=""):
+        text = GOOD % scene
+        assert old in text
+        (tmp_path / "t.toml").write_text(text.replace(old, new, 1))
+        return tmp_path / "t.toml"
+
+    return write
+
+
+def test_all_combinations_in_order(table):
+    found = read_table(table())
+    assert str(found) == "8 runs: 2 rules x 1 scene x 2 seeds x 2 budgets"
+    assert [(s.label, s.seed, s.budget.gaussians) for s in found.specs[:3]] == [
+        ("uniform fraction=0.1", 0, 150), ("uniform fraction=0.1", 3, 150), ("some", 0, 150)
+    ]  # fmt: skip
+    some = found.specs[2]
+    assert (some.rule_source, some.size_range, some.scene) == (RULE, (1, 90), "a wall")
+    assert some.config().tsdf.voxel_size_m == 0.08
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("seeds = [0, 3]", "seeds = [0, -3]", "line 1: seeds: expected a number of seeds, or a list"),
+        ("seeds = [0, 3]", 'seeds = "three"', "line 1: seeds: expected a whole number or a list, got 'three'"),
+        ("seeds =", "sedes =", "line 1: sedes: no such key; known: seeds, reference"),
+        ("seeds =", 'system = "slam"\nseeds =', "line 1: system: expected one of gsfusion, rtg_slam, gps_slam, got"),
+        ("hold_out_every", "hold_out_evry", "line 3: settings[0].data.hold_out_evry: data"),
+        ("voxel-size-m = 0.08", "voxel-size-m = 80", "line 5: settings[0].tsdf.voxel_size_m: tsdf.voxel_size_m"),
+        ('rule = "uniform"', 'rule = "unifrom"', "line 7: rules[0].rule: no seeding rule 'unifrom'; known: "),
+        ("fraction = 0.1", "fration = 0.1", "line 8: rules[0].options: seeding rule 'uniform' has no options"),
+        ("fraction = 0.1", 'fraction = "a"', "line 8: rules[0].options: seeding rule 'uniform': option"),
+        ("mine.py:some", "mine.py:other", "line 10: rules[1].rule: mine.py has no seeding rule 'other'; it"),
+        ("mine.py:some", "yours.py:some", "line 10: rules[1].rule: "),
+        ('size_option = "step"', "", "line 9: rules[1].size_option: the rule some has no size option: name the option"),
+        ('"step"', '"stepp"', "line 11: rules[1].size_option: the rule some has no option 'stepp' to tune; known"),
+        ("[1, 90]", "[50, 1]", "line 12: rules[1].size_range: expected [smallest, largest], both above 0, got [50, 1]"),
+        ("/wall", "/well", "line 14: scenes[0].data: "),
+        ("gaussians = 150", "gaussians = 0", "line 17: budgets[0].gaussians: must be between 1"),
+        ("gaussians = 150", "gaussians = 1.5", "line 17: budgets[0].gaussians: expected a whole number, got 1.5"),
+        ('"own"', '"same"', 'line 19: budgets[1].steps: expected "equal" or "own", got \'same\''),
+        ('"data.hold_out_every" = 4', '"data.hold_out_every" = 0', "scenes[0].data: no view is held out"),
+        ("[[scenes]]", "[[scene]]", "scene: no such key"),
+        ('label = "a wall"', 'settings = { sh_degree = 0, sh_degre = 1 }', "line 15: scenes[0].sh_degre: config: "),
+        ('rule = "mine.py:some"', 'label = "x"', "line 9: rules[1]: expected the key rule, got label"),
+        ("seeds = [0, 3]", "seeds = [0, 3", "not a TOML file"),
+    ],
+)  # fmt: skip
+def test_mistakes_are_found_before_anything_runs(table, old, new, message):
+    with pytest.raises(TableError) as error:
+        read_table(table(old, new))
+    assert message in str(error.value)
+
+
+def test_settings_are_checked_together(table):
+    path = table("[[rules]]", '"tsdf.near_m" = 7\n"tsdf.far_m" = 9\n[[rules]]')
+    assert read_table(path).specs[0].config().tsdf.near_m == 7.0
+
+
+def test_equal_names_are_refused(table):
+    with pytest.raises(TableError, match="label: expected names that differ, got 'uniform"):
+        read_table(table("[[scenes]]", '[[rules]]\nrule = "uniform"\noptions = { fraction = 0.1 }\n[[scenes]]'))
+
+
+def test_the_example_is_a_good_file(tmp_path, capsys):
+    path = tmp_path / "new.toml"
+    assert main(LabOptions(new=str(path))) == 0
+    assert path.read_text() == EXAMPLE
+    assert str(read_table(path)) == "16 runs: 4 rules x 2 scenes x 2 seeds x 1 budget"
+    with pytest.raises(FileExistsError, match="exists already"):
+        main(LabOptions(new=str(path)))
+    with pytest.raises(FileNotFoundError, match="--new"):
+        main(LabOptions(table=str(tmp_path / "none.toml")))
+    with pytest.raises(ValueError, match="expected the file"):
+        main(LabOptions())
+
+
+@pytest.mark.ci
+def test_the_command_writes_everything(table, tmp_path, capsys):
+    import csv
+    import json
+
+    out = tmp_path / "out"
+    path = table("seeds = [0, 3]", "seeds = 1")
+    path.write_text(path.read_text().replace('[[budgets]]\nsteps = "own"\n', ""))
+    status = main(LabOptions(table=str(path), out=str(out)))
+    text = capsys.readouterr().out
+    assert (status, text.count("failed:")) == (0, 0), text
+    rows = list(csv.DictReader((out / "runs.csv").read_text().splitlines()))
+    assert [(r["label"], r["budget_gaussians"], r["steps"], r["status"]) for r in rows] == [
+        ("uniform fraction=0.1", "150", "equal", "done"), ("some", "150", "equal", "done"),
+    ]  # fmt: skip
+    assert abs(int(rows[0]["metric.n_gaussians"][:3]) - 150) < 8
+    assert rows[0]["setting.tsdf.voxel_size_m"] == "0.08"
+    origin = json.loads((out / "provenance.json").read_text())
+    assert origin["rules"]["some"]["source"] == RULE
+    assert origin["table"] == path.read_text()
+    written = {p.name for p in out.iterdir()}
+    assert {"table.md", "table.tex"} <= written
+    assert "pareto.pdf" not in written  # at an equal budget it would rank what the tuning left over
+    assert "[  2/2]" in text
+    assert "2 of 2 runs in" in text
+    assert main(LabOptions(table=str(path), out=str(out))) == 0
+    assert "2 of 2 runs in " in capsys.readouterr().out

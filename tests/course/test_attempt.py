@@ -1,0 +1,250 @@
+"""The machinery: what a verdict says, hints on request, and what an attempt notices."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+
+from gsfusion_nb.course import check
+from gsfusion_nb.course.attempt import Attempt, Failed, NotWritten, close, describe, unpack
+from gsfusion_nb.course.exercise import Wrong, exercise, exercises
+from gsfusion_nb.course.progress import read_section
+
+
+def double(x):
+    return 2 * x
+
+
+def doubled(x):
+    return x + x
+
+
+def split(x0, y0, width, height):
+    left, right = (x0, width // 2), (x0 + width // 2, width - width // 2)
+    upper, lower = (y0, height // 2), (y0 + height // 2, height - height // 2)
+    return [(x, y, w, h) for x, w in (left, right) for y, h in (upper, lower)]
+
+
+@pytest.fixture
+def twice(monkeypatch):
+    """An exercise that only this test knows."""
+    from gsfusion_nb.course import exercise as module
+
+    exercises()
+    monkeypatch.setattr(module, "_EXERCISES", dict(module._EXERCISES))
+
+    @exercise(
+        chapter=1, difficulty=2, minutes=3, hints=("first", "second"), solution=double,
+        wrong=(Wrong(abs, says="twice"),),
+    )  # fmt: skip
+    def twice(attempt):
+        """Double a number."""
+        on = "the number 3"
+        close(attempt.on(on)(torch.tensor([3.0])), [6.0], "it is twice as large", on=on, why="Add it to itself")
+
+    return twice
+
+
+def test_a_verdict_is_green_red_or_grey(twice):
+    green = twice(doubled)
+    assert green
+    assert "gsnb-passed" in green._repr_html_()
+    red = twice(abs)
+    assert not red
+    assert (red.state, red.prop, red.on) == ("failed", "it is twice as large", "the number 3")
+    assert repr(red).splitlines() == [
+        "✗ twice: not true yet: “it is twice as large”",
+        "  input: the number 3",
+        "  got 3 at [0], expected 6. Add it to itself",
+        "  2 hints: check.twice.hint()",
+    ]
+    assert "gsnb-failed" in red._repr_html_()
+    assert "gsnb-not-written" in twice(lambda x: None)._repr_html_()
+    assert twice(3).prop == "it is a function"
+
+
+def test_a_message_says_which_value_and_writes_whole_numbers_out():
+    with pytest.raises(Failed, match=r"got 3 for cy, expected 4: half as far$"):
+        close([1.0, 3.0], [1.0, 4.0], "it is", on="1", why="half as far", names=("cx", "cy"))
+    with pytest.raises(Failed, match=r"got 0 at \[0\], expected 21340172$"):
+        close([-0.0], [21340172], "it is", on="1")
+
+
+def test_text_from_a_student_cannot_break_the_page(twice):
+    def crash(x):
+        raise ValueError("<script>")
+
+    assert "<script>" not in twice(crash)._repr_html_()
+
+
+def test_hints_come_one_at_a_time(twice):
+    assert repr(twice.hint()) == "Hint 1 of 2: first"
+    assert twice(abs).hints_left == 1
+    assert [twice.hint().text, twice.hint().text] == ["second", "second"]
+    assert twice.hint(1).text == "first"
+    assert "hint" not in repr(twice(abs))
+
+
+def test_the_chapter_goes_on_and_says_with_whose_code(twice, capsys):
+    def printed():
+        return capsys.readouterr().out
+
+    assert twice.working(abs)(2) == 4
+    assert "twice: the reference's is used: yours fails “it is twice as large” (on the number 3)" in printed()
+    assert twice.working(lambda x: None)(2) == 4
+    assert printed() == "twice: the reference's is used: not yet yours.\n"
+
+    def mine(x):
+        return x + (x if len(str(x)) < 99 else 1 / 0)
+
+    yours = twice.working(mine)
+    assert printed() == "twice: your code is used.\n"
+    assert (yours(2), twice.working(mine, plain=True)) == (4, mine)
+    printed()
+    assert [yours("x" * 99), yours(5)] == ["x" * 198, 10]
+    said = printed()
+    assert said.count("\n") == 1
+    assert "the reference's is used: yours raised ZeroDivisionError in line" in said
+    assert "`return x + (x if len(str(x)) < 99 else 1 / 0)`: division by zero" in said
+
+
+def test_the_references_cannot_be_handed_in(twice):
+    ours = twice.working(abs)
+    assert twice(ours).state == twice(lambda x: ours(x)).state == "failed"
+    assert "write your own" in repr(twice(ours))
+    assert not any(getattr(twice, name, None) is double for name in dir(twice) if not name.startswith("_"))
+
+
+def test_a_crash_names_the_line(twice):
+    def crash(x):
+        y = x
+        return y.nothing
+
+    assert ", `return y.nothing`: 'Tensor' object has no attribute" in twice(crash).detail
+
+
+def test_the_solution_opens_after_a_try(twice, monkeypatch, tmp_path):
+    monkeypatch.setenv("GSNB_COURSE_FILE", str(tmp_path / "course.json"))
+    refused = "The solution of twice opens after your first try: write the function and run check.twice(twice)."
+    assert repr(twice.solution()).startswith(refused)
+    twice(lambda x: None)
+    twice(abs)  # an example of a verdict: its name is not the exercise's
+    assert repr(twice.solution()).startswith(refused)
+    twice(lambda x: x)
+    assert repr(twice.solution()) == "def twice(x):\n    return 2 * x"
+    twice.tries = 0
+    assert "def twice(x)" in twice.solution()._repr_html_()  # a later session
+    twice(doubled)
+    entry = read_section("exercises")["twice"]
+    assert entry["tries"] == 2
+    assert {"passed", "solution_shown"} <= set(entry)
+
+
+def test_check_knows_its_exercises(twice):
+    assert check.twice is twice
+    assert "twice" in dir(check)
+    assert "Double a number. ★★☆☆☆ easy, about 3 minutes, 2 hints" in repr(check)
+    with pytest.raises(AttributeError, match=r"no exercise 'thrice'; there are: .*project_points"):
+        check.thrice  # noqa: B018
+
+
+def test_an_exercise_must_be_complete():
+    with pytest.raises(ValueError, match="needs a docstring"):
+
+        @exercise(chapter=1, difficulty=1, minutes=1, hints=("h",), solution=double, wrong=(Wrong(abs, says="x"),))
+        def untitled(attempt): ...
+
+    with pytest.raises(ValueError, match="difficulty must be one of"):
+
+        @exercise(chapter=1, difficulty=9, minutes=1, hints=("h",), solution=double, wrong=(Wrong(abs, says="x"),))
+        def too_hard(attempt):
+            """Hard."""
+
+    with pytest.raises(ValueError, match=r"exists already in gsfusion_nb\.course\.frames"):
+
+        @exercise(chapter=1, difficulty=1, minutes=1, hints=("h",), solution=double, wrong=(Wrong(abs, says="x"),))
+        def project_points(attempt):
+            """Taken."""
+
+
+def test_an_attempt_notices_what_the_student_does():
+    x = torch.ones(3)
+
+    def spoils(t):
+        t += 1
+        return t
+
+    with pytest.raises(Failed, match="does not change its inputs"):
+        Attempt(spoils)(x)
+    assert (x == 1).all()
+    with pytest.raises(NotWritten):
+        Attempt(lambda t: ...)(x)
+
+    def later(t):
+        raise NotImplementedError
+
+    with pytest.raises(NotWritten):
+        Attempt(later)(x)
+
+
+@pytest.mark.parametrize(
+    ("got", "expected", "says"),
+    [
+        (torch.zeros(2), torch.zeros(3), r"the shape is \[2\], expected \[3\]"),
+        ([1.0, float("nan")], [1.0, 2.0], "NaN or infinite"),
+        ([[1.0, 2.0], [3.0, 9.0]], [[1.0, 2.0], [3.0, 4.0]], r"got 9 at \[1, 1\], expected 4"),
+        ("four", 4.0, "not an array of numbers"),
+        (3.0, 4.0, "got 3, expected 4"),
+    ],
+)
+def test_close_says_what_came(got, expected, says):
+    with pytest.raises(Failed, match=says) as e:
+        close(got, expected, "it is right", on="this")
+    assert (e.value.prop, e.value.on) == ("it is right", "this")
+
+
+def test_close_accepts_what_is_close():
+    close(torch.tensor([1000.001]), [1000.0], "p", on="x")
+    close(True, 1, "p", on="x")
+    close([float("inf")], [float("inf")], "p", on="x")
+    with pytest.raises(Failed):
+        close(1.01, 1.0, "p", on="x")
+
+
+def test_numpy_and_generators_are_accepted(twice):
+    assert twice(lambda x: (2 * x).numpy())
+    assert twice(lambda x: (2 * v for v in x))
+    assert twice(lambda x: [np.float32(2) * float(v) for v in x])
+    assert twice(lambda x: [2 * x[0]])
+    assert check.split_cell(lambda x, y, w, h: np.array(split(x, y, w, h)))
+
+
+def test_what_the_judge_cannot_use_is_told(twice):
+    def awkward(attempt):
+        """Double a number."""
+        attempt.on("the number 3")(3) + 1
+
+    verdict = dataclasses.replace(twice, judge=awkward)(lambda x: {"a": x})
+    assert (verdict.state, verdict.on) == ("failed", "the number 3")
+    assert "it returned a dict, with which the checker could not go on (TypeError: unsupported operand" in repr(verdict)
+
+
+@pytest.mark.parametrize("name", exercises())
+def test_no_answer_makes_a_checker_raise(name):
+    solution = exercises()[name]._solution
+    for spoil in (
+        lambda v: {"a": 1},
+        lambda v: "x",
+        lambda v: [v, "x"],
+        lambda v: object(),
+        lambda v: (w for w in [v]),
+    ):
+        assert exercises()[name](lambda *a, spoil=spoil, **k: spoil(solution(*a, **k))).state == "failed"
+
+
+def test_words():
+    assert describe([torch.zeros(5, 2), 3, [1, 2], None]) == "a tensor [5, 2], 3, a list of 2, a NoneType"
+    assert unpack((1, 2), ("a", "b"), on="x") == (1, 2)
+    with pytest.raises(Failed, match="it returns a, b"):
+        unpack(torch.zeros(2), ("a", "b"), on="x")

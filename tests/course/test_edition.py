@@ -1,0 +1,106 @@
+"""The learner's edition: no solutions, what to expect, and nobody's work is overwritten."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from gsfusion_nb.course.edition import hand_out, learner_copy
+from gsfusion_nb.course.student import main
+
+NOTEBOOKS = Path(__file__).resolve().parents[2] / "notebooks"
+PICTURE = {"output_type": "display_data", "metadata": {}, "data": {"image/png": "abc", "text/plain": "<Image>"}}
+
+
+def shown(text):
+    return {"output_type": "execute_result", "metadata": {}, "execution_count": 2, "data": {"text/plain": [text]}}
+
+
+def code(source, *outputs):
+    return {"cell_type": "code", "metadata": {}, "source": source, "outputs": list(outputs), "execution_count": 2}
+
+
+def notebook(*cells):
+    return {"cells": [{"cell_type": "markdown", "metadata": {}, "source": "# Title"}, *cells], "nbformat": 4}
+
+
+CHAPTER = notebook(
+    code("def f(x):\n    ..."),
+    code("### BEGIN SOLUTION\ndef f(x):\n    return 2 * x\n### END SOLUTION"),
+    code("check.f(f)", shown("✓ f: all <checks> pass")),
+    code("g = check.f.working(f)\ng(3)", shown("f: your code is used."), PICTURE),
+)
+
+
+def test_a_learner_sees_what_to_expect_and_no_answer():
+    learner = learner_copy(CHAPTER)
+    assert "stored" in "".join(learner["cells"][1]["source"])
+    unwritten, checked, used = learner["cells"][2:]
+    assert unwritten["source"] == ["def f(x):\n", "    ..."]
+    data = checked["outputs"][0]["data"]
+    assert data["text/plain"] == ["what you should see: ✓ f: all <checks> pass"]
+    assert "&lt;checks>" in data["text/html"][0]
+    assert used["outputs"] == [PICTURE]
+    assert [cell["execution_count"] for cell in (unwritten, checked, used)] == [None] * 3
+
+
+def test_what_comes_of_a_prediction_is_folded():
+    cells = [code('predict(\n    "x", "?")'), code("2 + 2", shown("4")), code('came("x", 4)', shown("4")), code("1")]
+    folded = [cell["metadata"].get("collapsed") for cell in learner_copy(notebook(*cells))["cells"][2:]]
+    assert folded == [None, True, True, None]
+
+
+@pytest.mark.parametrize("path", sorted(NOTEBOOKS.glob("*.ipynb")), ids=lambda p: p.stem)
+def test_every_chapter_has_its_pictures_and_no_solution(path):
+    stored = json.loads(path.read_text(encoding="utf-8"))
+    learner = json.dumps(learner_copy(stored), ensure_ascii=False)
+    assert "SOLUTION" not in learner
+    assert not re.search(r'["<>]✓ \w+: all checks', learner)
+    assert learner.count('"image/') == json.dumps(stored).count('"image/') >= 3
+
+
+def write(folder, chapter):
+    folder.mkdir(exist_ok=True)
+    (folder / "01_x.ipynb").write_text(json.dumps(chapter))
+
+
+def test_a_changed_notebook_is_never_overwritten(tmp_path, caplog):
+    source, target = tmp_path / "notebooks", tmp_path / "course"
+    newer = notebook(*CHAPTER["cells"][1:], code("1 + 1"))
+    write(source, CHAPTER)
+    mine = target / "01_x.ipynb"
+    assert [str(done) for done in hand_out(source, target)] == [f"{mine}: written"]
+    assert [done.state for done in hand_out(source, target)] == ["unchanged"]
+    write(source, newer)
+    assert [done.state for done in hand_out(source, target)] == ["renewed"]
+    mine.write_text(mine.read_text().replace("...", "return 3"))
+    work = mine.read_bytes()
+    assert [done.state for done in hand_out(source, target)] == ["unchanged"]
+    write(source, CHAPTER)
+    with caplog.at_level("INFO"):
+        main([str(source), str(target), "--learner"])
+    assert "01_x.edition2.ipynb: is a newer edition of a notebook that you have changed; yours was not" in caplog.text
+    write(source, newer)
+    assert [done.path.name for done in hand_out(source, target)] == ["01_x.edition3.ipynb"]
+    assert mine.read_bytes() == work
+    assert len(list(target.glob("*.ipynb"))) == 3
+
+
+def test_without_the_list_of_editions_everything_counts_as_changed(tmp_path):
+    source, target = tmp_path / "notebooks", tmp_path / "course"
+    write(source, CHAPTER)
+    hand_out(source, target)
+    (target / ".handed_out.json").write_text("{")
+    assert [done.state for done in hand_out(source, target)] == ["unchanged"]
+    (target / ".handed_out.json").write_text("{")
+    write(source, notebook())
+    assert [done.state for done in hand_out(source, target)] == ["beside"]
+
+
+def test_refuses_the_notebooks_own_folder(tmp_path):
+    with pytest.raises(ValueError, match="no notebook"):
+        hand_out(tmp_path, tmp_path / "course")
+    write(tmp_path, CHAPTER)
+    with pytest.raises(ValueError, match="would replace"):
+        hand_out(tmp_path, tmp_path)

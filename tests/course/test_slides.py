@@ -1,0 +1,75 @@
+"""The decks take their pictures and numbers from the notebooks, and load nothing from other servers."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from gsfusion_nb.course import exercises
+from gsfusion_nb.course.kit import slides
+
+ROOT = Path(__file__).resolve().parents[2]
+DECKS = sorted((ROOT / "docs/teaching/slides").glob("week_*.md"))
+
+
+@pytest.fixture(scope="module")
+def chapters():
+    return slides.Chapters(ROOT / "notebooks")
+
+
+@pytest.mark.parametrize("deck", DECKS, ids=lambda d: d.stem)
+def test_every_picture_and_number_of_a_deck_is_in_the_notebooks(deck, chapters, tmp_path):
+    text = slides.prepare(deck, chapters, tmp_path).read_text(encoding="utf-8")
+    assert "cell:" not in text
+    assert not re.search(r"\{\{\d\d/", text)
+    for alt, name in re.findall(r"!\[([^\]]*)\]\(([^)]+)\)", text):
+        assert (tmp_path / name).stat().st_size > 500
+        assert len(re.sub(r"^w:\d+ ", "", alt).split()) >= 4, f"{deck.name}: {alt!r} says too little"
+
+
+@pytest.mark.parametrize("deck", DECKS, ids=lambda d: d.stem)
+def test_a_deck_has_predictions_a_demonstration_and_questions(deck):
+    parts = deck.read_text(encoding="utf-8").split("\n---\n")[1:]
+    assert 12 <= len(parts) <= 20
+    assert sum("_class: predict" in part for part in parts) >= 1
+    demo = [part for part in parts if "_class: demo" in part]
+    assert len(demo) == 1
+    named = re.search(r"\*\*Chapter (\d+), cell `([\w-]+)`\*\*", demo[0])
+    assert named
+    chapter, cell = named.groups()
+    assert f"cell:{int(chapter):02}/{cell}" in demo[0]
+    for question in re.findall(r"`(\w+)-(\d+)`", "\n".join(parts)):
+        assert int(question[1]) <= len(exercises()[question[0]].wrong)
+
+
+def test_there_is_a_deck_for_each_week():
+    assert [deck.stem for deck in DECKS] == [f"week_{n}" for n in range(1, 7)]
+
+
+def test_what_is_missing_is_named(chapters, tmp_path):
+    deck = tmp_path / "week_9.md"
+    for text, said in (
+        ("![a](cell:02/nothing)", "cell nothing of chapter 2 shows no picture|cell nothing of chapter 02"),
+        ("![a](cell:77/q01)", "no chapter 77"),
+        ("{{00/q10: frame 1: {} new}}", "must name one number"),
+    ):
+        deck.write_text(text)
+        with pytest.raises(ValueError, match=said):
+            slides.prepare(deck, chapters, tmp_path / "out")
+
+
+def test_what_a_page_would_load_from_elsewhere_is_found():
+    assert slides.loads_from_elsewhere('<script src="https://cdn.example/x.js">')
+    assert slides.loads_from_elsewhere(
+        "<style>@import 'https://fonts.example/a.css'; b {c: url(//d.example/e)}</style>"
+    )
+    assert not slides.loads_from_elsewhere('<a href="https://example.org">x</a><img src="figures/a.png">')
+
+
+def test_a_missing_program_is_a_sentence(tmp_path):
+    source = tmp_path / "slides"
+    source.mkdir()
+    for name in ("theme.css", "marp.config.mjs", "week_1.md"):
+        (source / name).write_text("")
+    with pytest.raises(RuntimeError, match="was not found: install Node"):
+        slides.build(source, ROOT / "notebooks", tmp_path / "out", marp="no-such-program-here")

@@ -1,0 +1,367 @@
+"""A trace of a mapper: its numbers are those of the operations, and the map is that of a mapper without a trace."""
+
+import dataclasses
+import itertools
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import pytest
+import torch
+
+from gsfusion_nb import GSFusion, gsfusion, rtg_slam
+from gsfusion_nb.backends import use_backend
+from gsfusion_nb.course.trace import PixelFused, PixelSeeded, Trace, tracing
+from gsfusion_nb.gaussians import Edit
+from gsfusion_nb.mapping import RTGSLAM
+from gsfusion_nb.optim import adam_update
+from gsfusion_nb.seeding import MapRule
+from gsfusion_nb.types import Camera, Frame
+
+SMALL = {"data__width": 32, "data__height": 24}
+
+
+def settings(**changes):
+    usual = {"tsdf__voxel_size_m": 0.08, "sh_degree": 1, "keyframe_min_seeds": 20, "seeding__quadtree_contrast": "std"}
+    return gsfusion("room", **(SMALL | usual | changes))
+
+
+@pytest.fixture(scope="module")
+def frames():
+    """A camera that slides along a wall with stripes, half of them nearer."""
+    camera = Camera(width=32, height=24, fx=28.0, fy=28.0, cx=16.0, cy=12.0)
+    v, u = torch.meshgrid(torch.arange(24) + 0.5, torch.arange(32) + 0.5, indexing="ij")
+    out = []
+    for i in range(5):
+        x = (u - 16) / 28 * 2 + 0.15 * i
+        stripe = 0.5 + 0.4 * torch.sin(2 * math.pi * x / 0.8)
+        rgb = torch.stack([stripe, 1 - stripe, 0.3 + 0.4 * v / 24], -1)
+        T = torch.eye(4)
+        T[0, 3] = 0.15 * i
+        depth_m = torch.where(stripe > 0.5, 1.9, 2.0)
+        out.append(Frame(index=2 * i, timestamp_s=0.1 * i, rgb=rgb, depth_m=depth_m, camera=camera, T_WC=T))
+    return out
+
+
+@pytest.fixture(scope="module")
+def traced(frames):
+    """(mapper, its trace, an equal mapper without a trace), after four frames and a pass over the keyframes."""
+    mapper, plain = GSFusion(settings()), GSFusion(settings())
+    trace = Trace(mapper)
+    for frame in frames[:4]:
+        mapper.step(frame)
+        plain.step(frame)
+    for m in (mapper, plain):
+        list(m.global_optimise(1))
+    return mapper, trace, plain
+
+
+def assert_same(a, b):
+    for name, tensors in a.maps().items():
+        for column, value in tensors.items():
+            assert torch.equal(value, b.maps()[name][column]), (name, column)
+
+
+def test_no_number_of_the_map_changes(traced):
+    mapper, _, plain = traced
+    assert_same(mapper, plain)
+    saved, other = mapper.gaussians.state_dict()["rows"], plain.gaussians.state_dict()["rows"]
+    assert saved.keys() == other.keys()
+    assert all(torch.equal(saved[name], other[name]) for name in other)
+
+
+def test_the_weights_of_a_pixel_sum_up_to_the_rendered_alpha_and_colour(traced):
+    _, trace, _ = traced
+    n = 0
+    for u, v in ((3, 4), (16, 12), (31, 23)):
+        for step in trace.pixel(u, v).steps:
+            n += len(step.ids)
+            assert float(step.weight.sum()) == pytest.approx(step.rendered_alpha, abs=1e-5)
+            torch.testing.assert_close(step.weight @ step.colour, step.rgb, atol=1e-5, rtol=0)
+            torch.testing.assert_close(step.weight, step.alpha * step.transmittance)
+            assert (step.depth_m.diff() >= 0).all()
+    assert n > 30
+
+
+@pytest.mark.parametrize("backend", ["reference", "torch"])
+def test_other_backends_tell_what_they_blend(frames, backend):
+    mapper = GSFusion(settings())
+    with use_backend(backend), tracing(mapper) as trace:
+        mapper.step(frames[0])
+    steps = trace.pixel(16, 12).steps
+    assert len(steps) == mapper.gaussians.step_count > 0
+    for step in steps:
+        assert float(step.weight.sum()) == pytest.approx(step.rendered_alpha, abs=1e-5)
+
+
+def test_adam_gives_the_next_value(traced):
+    mapper, trace, _ = traced
+    optim = mapper.config.optim
+    steps = trace.gaussian(3).steps
+    assert {step.stage for step in steps} >= {"frame", "passes"}
+    for i, step in enumerate(steps):
+        assert set(step.adam) == {"xyz_W", "log_scale", "quat", "opacity_logit", "sh"}
+        for name, a in step.adam.items():
+            p, m, v = a.before[None].clone(), a.m[0][None].clone(), a.v[0][None].clone()
+            gradient = a.gradient[None]
+            adam_update(p, gradient, m, v, step.t, lr=a.lr, beta1=optim.beta1, beta2=optim.beta2, eps=optim.eps)
+            torch.testing.assert_close(p[0], a.after, atol=1e-7, rtol=1e-6)
+            torch.testing.assert_close(m[0], a.m[1])
+            torch.testing.assert_close(v[0], a.v[1])
+            if i + 1 < len(steps):
+                assert torch.equal(steps[i + 1].adam[name].before, a.after)
+    last = steps[-1].adam
+    assert torch.equal(last["xyz_W"].after, mapper.gaussians.params.xyz_W[3])
+    assert torch.equal(last["sh"].m[1], mapper.gaussians.exp_avg.sh[3])
+
+
+def test_the_gradient_is_that_of_the_mapper(frames):
+    mapper, seen = GSFusion(settings()), []
+    trace = Trace(mapper)
+    from gsfusion_nb.mapping import gsfusion as module
+
+    usual = module.adam_step
+
+    def noted(model, gradients, *rest):
+        seen.append({name: value.clone() for name, value in vars(gradients).items()})
+        usual(model, gradients, *rest)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "adam_step", noted)
+        mapper.step(frames[0])
+    steps = trace.gaussian(5).steps
+    assert len(steps) == len(seen) > 0
+    for step, gradients in zip(steps, seen, strict=True):
+        for name, a in step.adam.items():
+            assert torch.equal(a.gradient, gradients[name][5])
+
+
+def test_the_pixels_of_a_gaussian_are_the_gaussians_of_the_pixels(traced):
+    _, trace, _ = traced
+    step = trace.gaussian(4).steps[0]
+    tile = max(step.tiles, key=lambda t: len(t.weight))
+    for k in range(0, len(tile.weight), 25):
+        u, v = tile.pixels[k].tolist()
+        of_pixel = next(s for s in trace.pixel(u, v).steps if s.serial == step.serial)
+        at = of_pixel.ids.tolist().index(4)
+        for name in ("alpha", "transmittance", "weight"):
+            assert float(getattr(of_pixel, name)[at]) == pytest.approx(float(getattr(tile, name)[k]), rel=1e-6)
+
+
+def test_a_voxel_has_the_values_of_the_volume(frames):
+    mapper = GSFusion(settings())
+    trace = Trace(mapper)
+    for frame in frames[:3]:
+        mapper.step(frame)
+    fused = next(m for m in trace.pixel(16, 12).moments if isinstance(m, PixelFused))
+    assert len(fused.voxels) > 3
+    for voxel in fused.voxels:
+        moments = trace.voxel(*voxel.ijk).moments
+        assert [m.frame_index for m in moments] == [f.index for f in frames[:3]]
+        centre = (torch.tensor([voxel.ijk]) + 0.5) * mapper.config.tsdf.voxel_size_m
+        now = mapper.volume.sample_nearest(centre)
+        assert (moments[-1].D[1], moments[-1].W[1]) == (float(now.D), float(now.W))
+        for before, after in itertools.pairwise(moments):
+            assert (before.D[1], before.W[1]) == (after.D[0], after.W[0])
+        for m in (m for m in moments if m.observed):
+            d = max(-1.0, min(1.0, m.sdf_m / mapper.config.tsdf.truncation_m))
+            assert m.W[1] == m.W[0] + 1
+            assert m.D[1] == pytest.approx((m.D[0] * m.W[0] + d) / m.W[1], abs=1e-4)
+
+
+def test_the_birth_of_a_gaussian_is_its_cell(traced, frames):
+    mapper, trace, _ = traced
+    born = trace.gaussian(0).birth
+    assert (born.cause, born.frame_index, born.rule, born.voxel_W) == ("seed", frames[0].index, "gsfusion", 1.0)
+    x, y, w, h, level = born.cell
+    assert born.uv == pytest.approx((x + w / 2, y + h / 2), abs=1e-3)
+    assert level == born.tag == int(mapper.gaussians.tag[0])
+    u, v = (int(c) for c in born.uv)
+    seeded = next(m for m in trace.pixel(u, v).moments if isinstance(m, PixelSeeded))
+    assert seeded.cell == born.cell
+    assert seeded.seeds == (0,)
+
+
+def test_memory_stays_within_the_limit_and_what_was_picked_stays(frames, traced):
+    whole = traced[1]
+    mapper = GSFusion(settings())
+    trace = Trace(mapper, memory_bytes=100_000)
+    trace.pixel(16, 12)
+    for frame in frames[:4]:
+        mapper.step(frame)
+        newest = max(sum(t.untyped_storage().nbytes() for t in r.tensors()) for r in trace._held)
+        assert trace.memory_bytes <= max(100_000, newest)
+        trace.gaussian(id=2)  # picked after the first frame
+    assert trace.n_dropped > 10
+    kept, all_steps = trace.pixel(16, 12).steps, [s for s in whole.pixel(16, 12).steps if s.stage != "passes"]
+    assert [s.serial for s in kept] == [s.serial for s in all_steps]
+    for a, b in zip(kept, all_steps, strict=True):
+        assert torch.equal(a.ids, b.ids)
+        assert torch.equal(a.weight, b.weight)
+    assert any(m.image is None for m in trace.pixel(16, 12).moments)
+    assert "no longer held" in str(trace.gaussian(id=2))
+    assert trace.gaussian(id=2).birth.cell == whole.gaussian(id=2).birth.cell
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reshaping(MapRule):
+    """Removes, splits, clones and relocates rows, each once."""
+
+    def seeds(self, ctx, memory):
+        return ctx.cells() if ctx.frame_number == 0 else ctx.cells()[:0]
+
+    def after_step(self, ctx, stats, memory):
+        n = len(ctx.gaussians.params)
+        memory["step"] = step = int(memory.get("step", 0)) + 1
+        keep = torch.ones(n, dtype=torch.bool)
+        keep[0] = False
+        edits = {
+            2: Edit(keep=keep),
+            3: Edit(split=torch.tensor([4])),
+            4: Edit(clone=torch.tensor([5])),
+            5: Edit(relocate=(torch.tensor([1]), torch.tensor([7]))),
+        }
+        return edits.get(step)
+
+
+def test_identity_is_followed_through_edits(frames):
+    mapper = GSFusion(settings(), seeding=Reshaping)
+    trace = Trace(mapper)
+    mapper.step(frames[0])
+    mapper.step(frames[1])
+    n = trace.gaussian(id=0).birth
+    assert n.frame_index == frames[0].index
+    first = trace.gaussian(id=0)
+    assert first.row is None
+    assert len(first.steps) == 2
+    assert first.events[-1].what == "removed by the rule"
+    assert first.events[-1].ends
+    halves = [i for i in range(trace.identities.count) if trace.identities.birth(i).cause == "split"]
+    assert [trace.identities.birth(i).parent for i in halves] == [5, 5]  # row 4 after row 0 was removed
+    assert trace.gaussian(id=5).row is None
+    assert trace.gaussian(id=5).events[-1].what == "split in two"
+    copy = next(i for i in range(trace.identities.count) if trace.identities.birth(i).cause == "clone")
+    assert trace.identities.birth(copy).parent is not None
+    moved = next(e for e in trace.identities.events if e.what.startswith("relocated"))
+    here, there = (trace.gaussian(id=i) for i in (moved.ids[0], moved.others[0]))
+    at = here.steps.index(next(s for s in here.steps if s.serial > moved.serial))
+    after, other = here.steps[at], next(s for s in there.steps if s.serial > moved.serial)
+    assert torch.equal(after.adam["xyz_W"].before, other.adam["xyz_W"].before)
+    for row in range(len(mapper.gaussians)):
+        steps = trace.gaussian(row).steps
+        assert torch.equal(steps[-1].adam["xyz_W"].after, mapper.gaussians.params.xyz_W[row])
+        assert "split" in str(trace.gaussian(id=5))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Failing(Reshaping):
+    """Fails in the third step of the second frame, until it is mended."""
+
+    mended: ClassVar[bool] = False
+
+    def after_step(self, ctx, stats, memory):
+        if ctx.frame_number == 1 and stats.step_in_frame == 3 and not Failing.mended:
+            raise RuntimeError("a rule of the user failed")
+        return super().after_step(ctx, stats, memory)
+
+
+def test_a_frame_that_is_undone_is_undone_in_the_trace(frames):
+    mapper = GSFusion(settings(), seeding=Failing)
+    trace = Trace(mapper, memory_bytes=150_000)
+    trace.pixel(16, 12)
+    mapper.step(frames[0])
+    before = [m.serial for m in trace.pixel(16, 12).moments], trace.identities.mark(), trace.identities.now()
+    with pytest.raises(RuntimeError, match="of the user"):
+        mapper.step(frames[1])
+    assert torch.equal(trace.identities.now(), before[2])
+    assert trace.identities.mark() == before[1]
+    assert [m.serial for m in trace.pixel(16, 12).moments] == before[0][: len(trace.pixel(16, 12).moments)]
+    assert {m.frame_index for m in trace.pixel(16, 12).moments} == {frames[0].index}
+    Failing.mended = True
+    mapper.step(frames[1])
+    assert {m.frame_index for m in trace.pixel(16, 12).moments} == {f.index for f in frames[:2]}
+
+
+def test_a_traced_mapper_is_saved_and_resumed_without_its_trace(frames):
+    mapper, plain = GSFusion(settings()), GSFusion(settings())
+    trace = Trace(mapper)
+    for m in (mapper, plain):
+        m.step(frames[0])
+    resumed = GSFusion.from_state_dict(mapper.state_dict())
+    again = Trace(resumed)
+    for m in (mapper, plain, resumed):
+        m.step(frames[1])
+    assert_same(mapper, plain)
+    assert_same(resumed, plain)
+    born = again.gaussian(id=0).birth
+    assert (born.cause, born.frame_index) == ("before the trace", frames[0].index)
+    assert len(trace.gaussian(0).steps) > len(again.gaussian(0).steps) > 0
+
+
+def test_after_closing_nothing_is_recorded(frames):
+    mapper = GSFusion(settings())
+    with tracing(mapper) as trace:
+        mapper.step(frames[0])
+    n = len(trace.gaussian(0).steps)
+    mapper.step(frames[1])
+    assert len(trace.gaussian(0).steps) == n > 0
+    assert not any(name.startswith("trace.") for name in mapper.gaussians.columns)
+    Trace(mapper)
+    with pytest.raises(ValueError, match="traced already"):
+        Trace(mapper)
+
+
+def test_wrong_questions_are_refused(traced):
+    _, trace, _ = traced
+    with pytest.raises(IndexError, match="row must be between"):
+        trace.gaussian(10**6)
+    with pytest.raises(IndexError, match="no Gaussian has the number"):
+        trace.gaussian(id=10**6)
+    with pytest.raises(ValueError, match="either the row"):
+        trace.gaussian()
+
+
+def test_every_moment_has_a_text_and_a_line_of_code(traced):
+    _, trace, _ = traced
+    moments = [*trace.gaussian(3).moments, *trace.pixel(16, 12).moments]
+    voxel = next(m for m in moments if isinstance(m, PixelFused)).voxels[0]
+    for moment in [*moments, *trace.voxel(*voxel.ijk).moments]:
+        place, code = moment.source_line()
+        assert place.startswith("gsfusion_nb/")
+        assert code in str(moment)
+    assert str(trace.gaussian(3)).count("\n") > 10
+    assert "W after" in str(trace.voxel(*voxel.ijk))
+
+
+@pytest.fixture(scope="module")
+def discs(frames):
+    """(mapper, its trace, an equal mapper without a trace) of RTG-SLAM after five frames."""
+    config = rtg_slam("room", **SMALL)
+    config = dataclasses.replace(config, window=dataclasses.replace(config.window, iterations=4, every_frames=2))
+    mapper, plain = RTGSLAM(config), RTGSLAM(config)
+    trace = Trace(mapper)
+    for frame in frames:
+        mapper.step(frame)
+        plain.step(frame)
+    return mapper, trace, plain
+
+
+def test_rtg_slam_is_traced(discs):
+    mapper, trace, plain = discs
+    assert_same(mapper, plain)
+    pixel = trace.pixel(16, 12)
+    assert any(step.hit is not None and step.hit_depth_m > 0 for step in pixel.steps)
+    for step in pixel.steps:
+        assert float(step.weight.sum()) == pytest.approx(step.rendered_alpha, abs=1e-5)
+    kinds = set()
+    for row in range(0, len(mapper.gaussians), 20):
+        of_row = trace.gaussian(row)
+        kinds |= {type(m).__name__ for m in of_row.moments}
+        past = [m for m in of_row.moments if type(m).__name__ == "GaussianPast"]
+        for m in past:
+            last = [s for s in of_row.steps if s.serial < m.serial][-1]
+            assert torch.equal(last.adam["xyz_W"].after, m.optimised["xyz_W"])
+        states = [m for m in of_row.moments if type(m).__name__ == "GaussianStates"]
+        assert states[-1].after["state"] == int(mapper.gaussians.state[row])
+        assert states[-1].after["confidence"] == int(mapper.gaussians.confidence[row])
+    assert kinds == {"GaussianSeeded", "GaussianStep", "GaussianPast", "GaussianStates"}

@@ -1,0 +1,53 @@
+"""Chapter 8's solutions against the library: they are the parts of its ICP."""
+
+import torch
+
+from gsfusion_nb.course import exercises
+from gsfusion_nb.geometry import se3
+from gsfusion_nb.tracking import Tracker, point_to_plane
+
+SOLUTIONS = {name: e._solution for name, e in exercises().items() if e.chapter == 8}
+
+
+def test_chapter_8_has_six():
+    steps = {"point_to_plane", "gauss_newton", "predict", "spread_correction", "relative_error", "graph_step"}
+    assert set(SOLUTIONS) == steps
+
+
+def test_residual_and_jacobian_are_the_librarys(generator):
+    p, q, n = (torch.randn(9, 3, generator=generator) for _ in range(3))
+    for mine, library in zip(SOLUTIONS["point_to_plane"](p, q, n), point_to_plane(p, q, n), strict=True):
+        assert torch.equal(mine, library)
+
+
+def test_prediction_is_the_trackers():
+    from gsfusion_nb.tracking.tracker import _TrackedPose
+
+    before = se3.exp(torch.tensor([0.1, 0.0, 0.2, 0.0, 0.1, 0.0], dtype=torch.float64))
+    last = se3.exp(torch.tensor([0.2, 0.1, 0.2, 0.1, 0.3, 0.0], dtype=torch.float64))
+    tracker = Tracker()
+    tracker._before = _TrackedPose(T_WC=before, timestamp_s=0.0)
+    tracker._last = _TrackedPose(T_WC=last, timestamp_s=0.1)
+    assert torch.allclose(SOLUTIONS["predict"](before, last), tracker.predict(0.2), atol=1e-9)
+
+
+def test_a_few_steps_of_the_students_icp_arrive(generator):
+    """Three planes; steps of the exercises, with true partners, find the pose."""
+    n = torch.eye(3, dtype=torch.float64).repeat_interleave(20, 0)
+    p = torch.rand(60, 3, generator=generator, dtype=torch.float64)
+    true = se3.exp(torch.tensor([0.3, -0.2, 0.1, 0.2, -0.1, 0.3], dtype=torch.float64))
+    q, n_W = se3.apply(true, p), n @ true[:3, :3].T
+    T = se3.exp(torch.tensor([0.05, 0.02, -0.04, 0.1, 0.05, -0.1], dtype=torch.float64)) @ true
+    for _ in range(6):
+        T = SOLUTIONS["gauss_newton"](T, *SOLUTIONS["point_to_plane"](se3.apply(T, p), q, n_W))
+    assert torch.allclose(T, true, atol=1e-6)
+
+
+def test_a_spread_correction_does_not_stretch_the_steps_of_a_straight_path():
+    path = torch.eye(4, dtype=torch.float64).repeat(11, 1, 1)
+    path[:, 0, 3] = torch.linspace(0, 5, 11)
+    end = path[-1].clone()
+    end[2, 3] = 0.5
+    corrected = SOLUTIONS["spread_correction"](path, end)
+    steps = (corrected[1:, :3, 3] - corrected[:-1, :3, 3]).norm(dim=1)
+    assert float(steps.max() - steps.min()) < 1e-6

@@ -1,0 +1,75 @@
+"""What files say before frames are made of them."""
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+import torch
+
+from gsfusion_nb.config import RepairConfig
+from gsfusion_nb.data.readers import folder
+from gsfusion_nb.geometry import se3
+from gsfusion_nb.recordings.checkup.file_checks import pose_matrices, time_stamps
+
+
+@pytest.fixture
+def poses(generator):
+    """Ten rigid transforms."""
+    return se3.exp(torch.randn(10, 6, generator=generator, dtype=torch.float64))
+
+
+def test_rigid_matrices_are_left_alone(poses):
+    repair, finding = pose_matrices(poses)
+    assert repair == RepairConfig()
+    assert finding.verdict == "ok"
+    assert finding.sentence == "100% of 10 poses are rigid."
+
+
+def test_what_makes_matrices_rigid(poses):
+    scaled = poses.clone()
+    scaled[:, :3, :3] *= 0.5
+    rough = poses + 0.01 * torch.eye(4, dtype=torch.float64)[[1, 0, 2, 3]]
+    rough[:, 3] = poses[:, 3]
+    for stored, changes in (
+        (poses.transpose(1, 2), {"matrices": "column_major"}),
+        (scaled, {"nearest_rotation": True}),
+        (rough, {"nearest_rotation": True}),
+        (scaled.transpose(1, 2), {"matrices": "column_major", "nearest_rotation": True}),
+    ):
+        repair, finding = pose_matrices(stored)
+        assert repair.changes == changes
+        assert finding.verdict == "wrong"
+        assert finding.repair == repair.flags
+
+
+def test_what_nothing_makes_rigid(poses):
+    mirrored = poses @ torch.diag(torch.tensor([1.0, 1, -1, 1], dtype=torch.float64))
+    repair, finding = pose_matrices(mirrored)
+    assert repair == RepairConfig()
+    assert finding.verdict == "doubtful"
+    assert finding.numbers["scale"] == pytest.approx(-1)
+    poses[2:4] = torch.nan
+    _, finding = pose_matrices(poses)
+    assert finding.verdict == "doubtful"
+    assert "2 are missing" in finding.sentence
+    assert pose_matrices(torch.full((3, 4, 4), torch.nan))[1].verdict == "wrong"
+
+
+def test_times(tmp_path, broken):
+    recording, _ = broken("small room", "clean")
+    sequence = folder(recording.root)
+    unknown = time_stamps(sequence)[0]
+    assert unknown.verdict == "unknown"
+    assert "There are no times: there is no times.txt" in unknown.sentence
+    sequence = dataclasses.replace(sequence, no_times="")
+    assert time_stamps(sequence)[0].verdict == "ok"
+    times = list(sequence.timestamps_s)
+    gap = dataclasses.replace(sequence, timestamps_s=times[:10] + [t + 1 for t in times[10:]])
+    finding = time_stamps(gap)[0]
+    assert finding.verdict == "doubtful"
+    assert "1 gaps in time, the longest 1.03 s after frame 9" in finding.sentence
+    back = time_stamps(dataclasses.replace(sequence, timestamps_s=[*times[:5], *times[4:-1]]))[0]
+    assert back.verdict == "wrong"
+    assert "after 1 of 30 frames, first 4" in back.sentence
+    names = [Path(f"{i if i < 20 else i + 3:06d}.jpg") for i in range(30)]
+    assert "3 numbers are missing" in time_stamps(dataclasses.replace(sequence, rgb_files=names))[0].sentence

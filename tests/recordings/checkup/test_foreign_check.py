@@ -1,0 +1,39 @@
+"""Recordings that others made: what the check says about them is true."""
+
+import pytest
+
+from gsfusion_nb.config import DataConfig
+from gsfusion_nb.recordings.checkup import check_recording
+from gsfusion_nb.recordings.convert import ConvertOptions, convert
+
+RPY = "rgbd_dataset_freiburg1_rpy_excerpt"
+
+
+@pytest.mark.ci
+def test_fast_rotation_is_no_wrong_calibration(shared_sequence):
+    report = check_recording(shared_sequence(RPY), pictures=False)
+    assert set(report.data.repair.changes) <= {"pose_shift_frames"}
+    assert report["registration"].verdict == "ok"
+    time = report["colour time"]
+    assert time.verdict == "doubtful"
+    assert 0.05 < time.numbers["lag_frames"] < 0.35
+    assert report["principal point"].verdict == "unknown"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("start", "stop"), [(0, 31), (15, 46), (30, 61), (40, 61)])
+def test_no_window_of_it_asks_for_another_camera(shared_sequence, start, stop):
+    report = check_recording(shared_sequence(RPY), data=DataConfig(start=start, stop=stop), pictures=False)
+    assert set(report.data.repair.changes) <= {"pose_shift_frames"}
+    assert all(f.name in ("pose time", "colour time") for f in report.trouble)
+
+
+@pytest.mark.ci
+def test_a_recording_without_poses_and_times(shared_sequence, tmp_path):
+    options = ConvertOptions(poses="none", intrinsics="615 615 320 240")
+    convert(shared_sequence("realsense_desk_excerpt"), tmp_path / "desk", options=options)
+    report = check_recording(tmp_path / "desk", poses=False, pictures=False)
+    assert report.ok
+    assert report["registration"].verdict == "ok"
+    assert {f.name for f in report.unknown} >= {"time stamps", "depth scale", "poses"}
+    assert not report.data.repair.changes

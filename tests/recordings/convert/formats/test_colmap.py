@@ -1,0 +1,251 @@
+"""COLMAP models, text and binary, byte for byte as COLMAP writes them."""
+
+import struct
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from gsfusion_nb.data import SequenceError, SequenceNotFoundError
+from gsfusion_nb.data.lens.camera_model import CameraModel, pixel_map
+from gsfusion_nb.data.readers import folder
+from gsfusion_nb.geometry import backproject, project, quaternion, se3
+from gsfusion_nb.recordings.convert import ConvertOptions, convert, detect_format
+from gsfusion_nb.recordings.convert.formats.colmap_model import read_model
+from gsfusion_nb.types import Camera
+
+UNIT_M = 0.37
+"""Metres per unit of the reconstruction."""
+IDS = {
+    "SIMPLE_PINHOLE": 0,
+    "PINHOLE": 1,
+    "SIMPLE_RADIAL": 2,
+    "OPENCV": 4,
+    "OPENCV_FISHEYE": 5,
+    "FULL_OPENCV": 6,
+    "FOV": 7,
+}
+
+
+def poses(takes):
+    """wxyz and translation of world-to-camera in the reconstruction's unit, out of order as COLMAP's are."""
+    T_CW = se3.inverse(takes.T_WC)
+    rows = torch.cat([quaternion.from_matrix(T_CW[:, :3, :3]), T_CW[:, :3, 3] / UNIT_M], dim=1).tolist()
+    return [(i, rows[i]) for i in (2, 0, 3, 1)]
+
+
+def sparse_points(takes, i):
+    """Pixels of a frame and their points in the reconstruction's unit."""
+    c = takes.camera
+    uv = torch.tensor([[x + 0.5, y + 0.5] for x in range(3, c.width, 9) for y in range(3, c.height, 9)]).double()
+    depth = torch.from_numpy(takes.depth_m[i]).double()[uv[:, 1].long(), uv[:, 0].long()]
+    return uv.tolist(), (se3.apply(takes.T_WC[i], backproject(c, uv, depth)) / UNIT_M).tolist()
+
+
+def write_colmap(root, takes, suffix, *, model="PINHOLE", params=None, points=True):
+    c = takes.camera
+    params = params or [c.fx, c.fy, c.cx, c.cy]
+    sparse = root / "sparse/0"
+    sparse.mkdir(parents=True)
+    seen = {i: sparse_points(takes, i) for i in range(len(takes))}
+    (write_txt if suffix == ".txt" else write_bin)(sparse, takes, (IDS[model], model, params), seen, points)
+    for i in range(len(takes)):
+        takes.write(root / f"images/left/frame{i + 8}.png", takes.png(i))
+        takes.write(root / f"depth/left/frame{i + 8}.png", takes.depth_png(i))
+    return root
+
+
+def write_txt(sparse, takes, camera, seen, points):
+    c = takes.camera
+    text = f"# Camera list\n1 {camera[1]} {c.width} {c.height} {' '.join(map(repr, camera[2]))}\n"
+    (sparse / "cameras.txt").write_text(text)
+    lines, rows, n = ["# Image list with two lines of data per image:"], ["# 3D point list"], 0
+    for i, pose in poses(takes):
+        lines.append(f"{i + 1} {' '.join(map(repr, pose))} 1 left/frame{i + 8}.png")
+        line = ["7.0 7.0 -1"]
+        for k, ((x, y), p) in enumerate(zip(*seen[i], strict=True), 1):
+            line.append(f"{x} {y} {n}")
+            rows.append(f"{n} {p[0]} {p[1]} {p[2]} 10 20 30 0.5 {i + 1} {k}")
+            n += 1
+        lines.append(" ".join(line) if points else "")
+    (sparse / "images.txt").write_text("\n".join([*lines, ""]))
+    if points:
+        (sparse / "points3D.txt").write_text("\n".join([*rows, ""]))
+
+
+def write_bin(sparse, takes, camera, seen, points):
+    c = takes.camera
+    head = struct.pack("<QIiQQ", 1, 1, camera[0], c.width, c.height)
+    (sparse / "cameras.bin").write_bytes(head + struct.pack(f"<{len(camera[2])}d", *camera[2]))
+    images, rows, n = struct.pack("<Q", len(takes)), b"", 0
+    for i, pose in poses(takes):
+        images += struct.pack("<I7dI", i + 1, *pose, 1) + f"left/frame{i + 8}.png".encode() + b"\0"
+        seen_here = list(zip(*seen[i], strict=True)) if points else []
+        images += struct.pack("<Q", len(seen_here) + 1) + struct.pack("<ddQ", 7.0, 7.0, 2**64 - 1)
+        for k, ((x, y), p) in enumerate(seen_here, 1):
+            images += struct.pack("<ddQ", x, y, n)
+            rows += struct.pack("<QdddBBBdQII", n, *p, 10, 20, 30, 0.5, 1, i + 1, k)
+            n += 1
+    (sparse / "images.bin").write_bytes(images)
+    if points:
+        (sparse / "points3D.bin").write_bytes(struct.pack("<Q", n) + rows)
+
+
+@pytest.mark.parametrize("suffix", [".txt", ".bin"])
+def test_reads_what_was_written_and_measures_the_scale(tmp_path, takes, suffix):
+    root = write_colmap(tmp_path / "scan", takes, suffix)
+    assert detect_format(root) == "colmap"
+    report = convert(root, tmp_path / "out")
+    takes.check(tmp_path / "out", pose=2e-4)  # the scale is measured on depth of 1 mm steps
+    note = next(n for n in report.notes if "no unit of length" in n)
+    assert "measured on 140 sparse points" in note
+    assert float(note.split("taken as ")[1].split()[0]) == pytest.approx(UNIT_M, rel=1e-4)
+
+
+@pytest.mark.parametrize("suffix", [".txt", ".bin"])
+def test_scale_can_be_given(tmp_path, takes, suffix):
+    root = write_colmap(tmp_path / "scan", takes, suffix, points=False)
+    report = convert(root, tmp_path / "out", options=ConvertOptions(scale=UNIT_M))
+    takes.check(tmp_path / "out")
+    assert "positions were multiplied by 0.37 (--scale)" in str(report)
+    report = convert(root, tmp_path / "unscaled")
+    assert "one unit is taken as 1 m (only 0 sparse points have depth, too few to measure it; --scale)" in str(report)
+
+
+def test_one_focal_length(tmp_path, takes):
+    c = takes.camera
+    root = write_colmap(tmp_path / "scan", takes, ".bin", model="SIMPLE_PINHOLE", params=[c.fx, c.cx, c.cy])
+    convert(root, tmp_path / "out")
+    takes.check(tmp_path / "out", pose=2e-4)  # the scale is measured on depth of 1 mm steps
+
+
+# parameters after fx fy cx cy, and the same in OpenCV's order
+BENT = {
+    "OPENCV": ([-0.2, 0.05, 0.003, -0.002], (-0.2, 0.05, 0.003, -0.002)),
+    "FULL_OPENCV": (
+        [-0.2, 0.05, 0.003, -0.002, 0.01, 0.02, 0.0, 0.0],
+        (-0.2, 0.05, 0.003, -0.002, 0.01, 0.02, 0.0, 0.0),
+    ),
+    "OPENCV_FISHEYE": ([0.05, -0.01, 0.002, 0.0], (0.05, -0.01, 0.002, 0.0)),
+}
+
+
+@pytest.mark.parametrize("model", list(BENT))
+def test_distortion_is_removed(tmp_path, takes, box, model):
+    """A picture whose colours are a smooth function of the point on the wall, taken through the lens."""
+    c = Camera(width=160, height=120, fx=120.0, fy=118.0, cx=78.0, cy=61.0)
+    params, D = BENT[model]
+    lens = CameraModel(c, D, model == "OPENCV_FISHEYE")
+    wide = Camera(width=640, height=480, fx=200.0, fy=200.0, cx=320.0, cy=240.0)
+    rgb, depth_m = box.render(box.pose_at(0.0), wide)
+    u, v = np.meshgrid(np.arange(c.width) + 0.5, np.arange(c.height) + 0.5)
+    rays = unproject_witness(np.stack([u, v], -1), c, np.array(D), lens.fisheye)
+    at = project(wide, torch.from_numpy(rays)).float().numpy() - 0.5
+    bent_rgb = cv2.remap(rgb, at[..., 0].copy(), at[..., 1].copy(), cv2.INTER_LINEAR)
+    bent_z = cv2.remap(depth_m.astype(np.float32), at[..., 0].copy(), at[..., 1].copy(), cv2.INTER_LINEAR)
+    one = type(takes)(c, [bent_rgb] * 4, [bent_z] * 4, box.pose_at(0.0).expand(4, 4, 4), takes.times_s)
+    root = write_colmap(tmp_path / "scan", one, ".bin", model=model, params=[c.fx, c.fy, c.cx, c.cy, *params])
+    convert(root, tmp_path / "out", options=ConvertOptions(scale=UNIT_M))
+    frame = folder(tmp_path / "out")[0]
+    straight, z = box.render(box.pose_at(0.0), frame.camera)
+    assert np.abs(frame.rgb_u8.numpy().astype(int) - straight).mean() < 1.5  # measured 0.6; 6 and more if bent
+    assert np.median(np.abs(frame.depth_m.numpy() - z)) < 0.006  # nearest pixel of a 1.3 px/degree image
+    assert box.off_wall_m(frame) < 0.006
+
+
+def unproject_witness(uv, c, D, fisheye):
+    """Rays of pixels by fixed-point iteration on the published formulas, without OpenCV."""
+    xd = np.stack([(uv[..., 0] - c.cx) / c.fx, (uv[..., 1] - c.cy) / c.fy], -1)
+    xy = xd.copy()
+    D = np.concatenate([D, np.zeros(8 - len(D))])
+    for _ in range(200):
+        r2 = (xy**2).sum(-1)
+        if fisheye:
+            r = np.sqrt(r2) + 1e-12
+            t = np.arctan(r)
+            factor = t * (1 + D[0] * t**2 + D[1] * t**4 + D[2] * t**6 + D[3] * t**8) / r
+            xy = xd / factor[..., None]
+            continue
+        factor = (1 + D[0] * r2 + D[1] * r2**2 + D[4] * r2**3) / (1 + D[5] * r2 + D[6] * r2**2 + D[7] * r2**3)
+        x, y = xy[..., 0], xy[..., 1]
+        tangential = np.stack(
+            [2 * D[2] * x * y + D[3] * (r2 + 2 * x * x), D[2] * (r2 + 2 * y * y) + 2 * D[3] * x * y], -1
+        )
+        xy = (xd - tangential) / factor[..., None]
+    return np.concatenate([xy, np.ones_like(xy[..., :1])], -1)
+
+
+def test_images_of_half_the_size_scale_the_intrinsics(tmp_path, takes):
+    root = write_colmap(tmp_path / "scan", takes, ".bin")
+    for i in range(4):
+        half = cv2.resize(takes.rgb[i], (30, 22), interpolation=cv2.INTER_AREA)
+        takes.write(root / f"images/left/frame{i + 8}.png", cv2.imencode(".png", half[..., ::-1])[1].tobytes())
+    convert(root, tmp_path / "out")
+    sequence = folder(tmp_path / "out")
+    assert vars(sequence.camera) == pytest.approx(vars(takes.camera.resized(30, 22)))
+    assert np.abs(sequence[0].depth_m.numpy() - takes.depth_m[0][::2, ::2]).max() < 6e-4
+
+
+@pytest.mark.parametrize("name", ["cameras.bin", "images.bin"])
+@pytest.mark.parametrize("keep", [4, 30, 0.97])
+def test_truncated_binaries(tmp_path, takes, name, keep):
+    root = write_colmap(tmp_path / "scan", takes, ".bin")
+    whole = (root / "sparse/0" / name).read_bytes()
+    (root / "sparse/0" / name).write_bytes(whole[: keep if keep > 1 else int(keep * len(whole))])
+    with pytest.raises(SequenceError, match=rf"{name} is truncated: it ends.*copy it again"):
+        convert(root, tmp_path / "out")
+
+
+def test_mistakes_are_answered_with_a_sentence(tmp_path, takes):
+    root = write_colmap(tmp_path / "a", takes, ".bin", model="FOV", params=[50.0, 50.0, 30.0, 22.0, 0.9])
+    with pytest.raises(
+        SequenceError, match=r"camera 1 has the model FOV, .*known: .*run 'colmap image_undistorter' first"
+    ):
+        convert(root, tmp_path / "out")
+    root = write_colmap(tmp_path / "b", takes, ".bin")
+    (root / "sparse/0/cameras.bin").write_bytes(b"\x01" + b"\0" * 7 + b"\xff" * 24)
+    with pytest.raises(SequenceError, match=r"camera -1 has the unknown model -1"):
+        convert(root, tmp_path / "out")
+    root = write_colmap(tmp_path / "c", takes, ".txt")
+    (root / "sparse/0/images.txt").write_text("1 2 3\n\n")
+    with pytest.raises(SequenceError, match=r"images\.txt: expected 'IMAGE_ID QW .* got '1 2 3"):
+        convert(root, tmp_path / "out")
+    root = write_colmap(tmp_path / "d", takes, ".txt")
+    (root / "depth").rename(root / "elsewhere")
+    with pytest.raises(
+        SequenceNotFoundError, match=r"d has no folder depth or .*; expected the depth images \(--depth\)"
+    ):
+        convert(root, tmp_path / "out")
+    convert(root, tmp_path / "out", options=ConvertOptions(depth=str(root / "elsewhere")))
+    takes.check(tmp_path / "out", pose=2e-4)  # the scale is measured on depth of 1 mm steps
+
+
+@pytest.mark.parametrize("suffix", [".txt", ".bin"])
+def test_pycolmap_reads_the_same(tmp_path, takes, suffix):
+    """The authors' library reads our bytes as we do; run where it is installed."""
+    pycolmap = pytest.importorskip("pycolmap")
+    root = write_colmap(tmp_path / "scan", takes, suffix)
+    theirs = pycolmap.Reconstruction(root / "sparse/0")
+    for image in read_model(root / "sparse/0").images:
+        same = next(i for i in theirs.images.values() if i.name == image.name)
+        assert np.allclose(same.cam_from_world().matrix(), image.T_CW[:3].numpy())
+
+
+def test_map_of_a_pinhole_is_the_identity(takes):
+    u, v = pixel_map(CameraModel(takes.camera), takes.camera)
+    assert np.allclose(u, np.arange(60)[None], atol=1e-4)
+    assert np.allclose(v, np.arange(44)[:, None], atol=1e-4)
+
+
+@pytest.mark.parametrize("suffix", ["text", "binary"])
+def test_we_read_what_pycolmap_writes(tmp_path, takes, suffix):
+    """A model that went through the authors' library, in the other of its two forms."""
+    pycolmap = pytest.importorskip("pycolmap")
+    root = write_colmap(tmp_path / "scan", takes, ".bin" if suffix == "text" else ".txt")
+    theirs = pycolmap.Reconstruction(root / "sparse/0")
+    for file in (root / "sparse/0").iterdir():
+        file.unlink()
+    getattr(theirs, f"write_{suffix}")(root / "sparse/0")
+    convert(root, tmp_path / "out")
+    takes.check(tmp_path / "out", pose=2e-4)

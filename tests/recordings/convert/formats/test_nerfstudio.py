@@ -1,0 +1,130 @@
+"""transforms.json of nerfstudio and its relatives."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from gsfusion_nb.data import SequenceError
+from gsfusion_nb.recordings.convert import ConvertOptions, convert, detect_format
+
+GL = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
+
+
+def write_nerfstudio(root, takes, world=None, *, per_frame=False, **changes):
+    c = takes.camera
+    world = torch.eye(4, dtype=torch.float64) if world is None else world
+    own = {"fl_x": c.fx, "fl_y": c.fy, "cx": c.cx, "cy": c.cy, "w": c.width, "h": c.height}
+    frames = []
+    for i in (2, 0, 1, 3):
+        takes.write(root / f"images/frame_{i + 8}.png", takes.png(i))
+        takes.write(root / f"depth/frame_{i + 8}.png", takes.depth_png(i))
+        frames.append(
+            {
+                "file_path": f"images/frame_{i + 8}.png",
+                "depth_file_path": f"depth/frame_{i + 8}.png",
+                "transform_matrix": (world @ takes.T_WC[i] @ GL).tolist(),
+                **(own if per_frame else {}),
+            }
+        )
+    values = {"camera_model": "OPENCV", **({} if per_frame else own), "k1": 0.0, "frames": frames}
+    values = {k: v for k, v in (values | changes).items() if v is not None}
+    (root / "transforms.json").write_text(json.dumps(values))
+    return root
+
+
+@pytest.mark.parametrize("per_frame", [False, True])
+def test_reads_what_was_written(tmp_path, takes, per_frame):
+    root = write_nerfstudio(tmp_path / "scan", takes, per_frame=per_frame)
+    assert detect_format(root) == detect_format(root / "transforms.json") == "nerfstudio"
+    convert(root, tmp_path / "out")
+    takes.check(tmp_path / "out")
+
+
+def test_applied_transform_and_scale_are_undone(tmp_path, takes):
+    A = torch.tensor([[0, 1, 0, 0.3], [1, 0, 0, -0.2], [0, 0, -1, 0.1], [0, 0, 0, 1]], dtype=torch.float64)
+    scale = torch.diag(torch.tensor([2.5, 2.5, 2.5, 1.0], dtype=torch.float64))
+    moved = write_nerfstudio(tmp_path / "a", takes, A, applied_transform=A[:3].tolist())
+    convert(moved, tmp_path / "out")
+    takes.check(tmp_path / "out")
+    root = write_nerfstudio(tmp_path / "b", takes, A, applied_transform=A[:3].tolist(), applied_scale=2.5)
+    values = json.loads((root / "transforms.json").read_text())
+    for frame in values["frames"]:
+        T = torch.tensor(frame["transform_matrix"], dtype=torch.float64)
+        T[:, 3] = (scale @ T)[:, 3]
+        frame["transform_matrix"] = T.tolist()
+    (root / "transforms.json").write_text(json.dumps(values))
+    report = convert(root, tmp_path / "scaled")
+    takes.check(tmp_path / "scaled")
+    assert "applied_scale 2.5 was undone" in report.notes
+
+
+def test_field_of_view_instead_of_focal_length(tmp_path, takes):
+    c = takes.camera
+    angles = {
+        f"camera_angle_{a}": 2 * math.atan(n / 2 / f) for a, n, f in (("x", c.width, c.fx), ("y", c.height, c.fy))
+    }
+    changes: dict = {"fl_x": None, "fl_y": None, "w": None, "h": None, **angles}
+    root = write_nerfstudio(tmp_path / "scan", takes, **changes)
+    convert(root, tmp_path / "out")
+    takes.check(tmp_path / "out")
+
+
+def test_numpy_depth_and_its_unit(tmp_path, takes):
+    root = write_nerfstudio(tmp_path / "scan", takes, depth_unit_scale_factor=1.0)
+    for i in range(4):
+        np.save(root / f"depth/frame_{i + 8}.npy", takes.depth_m[i][..., None])
+    text = (root / "transforms.json").read_text().replace("depth/frame_8.png", "depth/frame_8.npy")
+    for i in range(9, 12):
+        text = text.replace(f"depth/frame_{i}.png", f"depth/frame_{i}.npy")
+    (root / "transforms.json").write_text(text)
+    report = convert(root, tmp_path / "out")
+    assert report.depth_scale == 1000
+    takes.check(tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("changes", "pattern"),
+    [
+        ({"frames": []}, r"lacks frames; expected a list"),
+        ({"frames": [{"file_path": "a.png"}]}, r"frame 0 lacks file_path or transform_matrix"),
+        ({"frames": [{"file_path": "a.png", "transform_matrix": []}]}, r"has no depth_file_path; .*--depth"),
+        ({"camera_model": "EQUIRECTANGULAR"}, r"cannot undistort camera_model 'EQUIRECTANGULAR'; known: OPENCV"),
+        ({"fl_x": None}, r"must have fl_x \(or camera_angle_x\)"),
+        ({"fl_x": -3.0}, r"focal lengths must be > 0"),
+        ({"k4": 0.1}, r"has k4 = 0.1, which only a fisheye may have"),
+        ({"applied_transform": [[2, 0, 0, 0], [0, 2, 0, 0], [0, 0, 2, 0]]}, r"applied_transform must be a rotation"),
+    ],
+)
+def test_bad_files(tmp_path, takes, changes, pattern):
+    root = write_nerfstudio(tmp_path / "scan", takes, **changes)
+    with pytest.raises(SequenceError, match=r"transforms\.json.*" + pattern):
+        convert(root, tmp_path / "out")
+
+
+def test_damaged_json(tmp_path):
+    (tmp_path / "transforms.json").write_text('{"frames": [')
+    with pytest.raises(SequenceError, match=r"transforms\.json is not valid JSON"):
+        convert(tmp_path, tmp_path / "out")
+
+
+def test_depth_elsewhere(tmp_path, takes):
+    root = write_nerfstudio(tmp_path / "scan", takes)
+    (root / "depth").rename(tmp_path / "elsewhere")
+    convert(root, tmp_path / "out", options=ConvertOptions(depth=str(tmp_path / "elsewhere")))
+    takes.check(tmp_path / "out")
+
+
+@pytest.mark.parametrize("key", ["file_path", "depth_file_path", "camera_model"])
+def test_a_name_without_end_does_not_fill_the_message(tmp_path, takes, key):
+    root = write_nerfstudio(tmp_path / "scan", takes)
+    values = json.loads((root / "transforms.json").read_text())
+    for frame in values["frames"]:
+        frame[key] = "a" * 5000
+    (root / "transforms.json").write_text(json.dumps(values))
+    with pytest.raises(SequenceError) as caught:
+        convert(root, tmp_path / "out")
+    assert len(str(caught.value)) <= 1000
+    assert "scan" in str(caught.value)

@@ -1,0 +1,197 @@
+"""Record3D: .r3d archives, unpacked folders, the EXR export, LZFSE."""
+
+import json
+import struct
+import zipfile
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from gsfusion_nb.data import BadFrameError, SequenceError
+from gsfusion_nb.data.readers import folder
+from gsfusion_nb.recordings.convert import ConvertOptions, convert, detect_format
+from gsfusion_nb.recordings.convert.formats.record3d import lzfse_unpacked
+
+GL = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
+
+
+def stored(data: bytes) -> bytes:
+    """An LZFSE stream of one block that is not packed, as Apple's encoder writes what does not shrink."""
+    return b"bvx-" + struct.pack("<I", len(data)) + data + b"bvx$"
+
+
+def members(takes, pack=stored, **changes):
+    c = takes.camera
+    turned = type(takes)(c, takes.rgb, takes.depth_m, takes.T_WC @ GL, takes.times_s)
+    rows = [turned.tum_row(i) for i in range(4)]
+    metadata = {
+        "w": c.width,
+        "h": c.height,
+        "dw": c.width,
+        "dh": c.height,
+        "fps": 10,
+        "K": [c.fx, 0, 0, 0, c.fy, 0, c.cx, c.cy, 1],
+        "poses": [[*row[3:], *row[:3]] for row in rows],
+        "frameTimestamps": [5.0 + 0.1 * i for i in range(4)],
+    }
+    metadata = {k: v for k, v in (metadata | changes).items() if v is not None}
+    files = {"metadata": json.dumps(metadata).encode()}
+    for i in range(4):
+        depth = takes.depth_m[i].astype("<f4").copy()
+        depth[0, 0] = np.nan
+        confidence = np.full(depth.shape, 2, np.uint8)
+        confidence[1, 1], confidence[1, 2] = 0, 1
+        files[f"rgbd/{i}.jpg"] = takes.jpeg(i)
+        files[f"rgbd/{i}.depth"], files[f"rgbd/{i}.conf"] = pack(depth.tobytes()), pack(confidence.tobytes())
+    return files
+
+
+def write_r3d(path, files):
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, data in files.items():
+            archive.writestr(name, data)
+    return path
+
+
+def check(out, takes, holes):
+    wanted = []
+    for depth in takes.depth_m:
+        wanted.append(depth.copy())
+        for hole in holes:
+            wanted[-1][hole] = 0
+    type(takes)(takes.camera, takes.rgb, wanted, takes.T_WC, takes.times_s).check(out, rgb=3)
+
+
+@pytest.mark.parametrize("packed", ["r3d", "folder"])
+def test_reads_what_was_written(tmp_path, takes, packed):
+    source = tmp_path / "scan.r3d"
+    if packed == "r3d":
+        write_r3d(source, members(takes))
+    else:
+        for name, data in members(takes).items():
+            takes.write(source / name, data)
+    assert detect_format(source) == "record3d"
+    convert(source, tmp_path / "out")
+    check(tmp_path / "out", takes, [(0, 0), (1, 1)])
+    assert json.loads((tmp_path / "out/intrinsics.json").read_text())["fps"] == pytest.approx(10)
+
+
+def test_a_missing_image_does_not_shift_poses_and_times(tmp_path, takes):
+    files = members(takes)
+    whole = write_r3d(tmp_path / "whole.r3d", files)
+    rest = write_r3d(tmp_path / "rest.r3d", {name: data for name, data in files.items() if "/1." not in name})
+    convert(whole, tmp_path / "a")
+    convert(rest, tmp_path / "b")
+    a, b = folder(tmp_path / "a"), folder(tmp_path / "b")
+    assert torch.equal(b.poses, a.poses[[0, 2, 3]])
+    assert b.timestamps_s == pytest.approx([5.0, 5.2, 5.3])
+
+
+@pytest.mark.parametrize(("least", "holes"), [(0, []), (2, [(1, 1), (1, 2)])])
+def test_confidence(tmp_path, takes, least, holes):
+    convert(write_r3d(tmp_path / "a.r3d", members(takes)), tmp_path / "out", options=ConvertOptions(confidence=least))
+    check(tmp_path / "out", takes, [(0, 0), *holes])
+
+
+def test_focal_length_of_every_frame(tmp_path, takes):
+    """Frames with a longer focal length are brought to the camera of the first."""
+    c = takes.camera
+    coefficients = [[c.fx * f, c.fy * f, c.cx, c.cy] for f in (1.0, 1.0, 1.5, 1.0)]
+    files = members(takes, K=None, perFrameIntrinsicCoeffs=coefficients)
+    convert(write_r3d(tmp_path / "a.r3d", files), tmp_path / "out")
+    sequence = folder(tmp_path / "out")
+    assert vars(sequence.camera) == pytest.approx(vars(c))
+    shrunk, same = sequence[2].depth_m.numpy(), takes.depth_m[2]
+    for v, u in ((10, 20), (24, 32), (30, 45)):  # pixel centres move towards the principal point by 1.5
+        at = [round((x + 0.5 - p) * 1.5 + p - 0.5 - 1e-3) for x, p in ((v, c.cy), (u, c.cx))]
+        assert shrunk[v, u] == pytest.approx(same[at[0], at[1]], abs=6e-4)
+    assert np.abs(sequence[3].depth_m.numpy() - takes.depth_m[3])[2:].max() < 6e-4
+
+
+def test_smaller_depth(tmp_path, takes):
+    files = members(takes, dw=30, dh=22)
+    for i in range(4):
+        small = np.ascontiguousarray(takes.depth_m[i][::2, ::2].astype("<f4"))
+        files[f"rgbd/{i}.depth"], files[f"rgbd/{i}.conf"] = stored(small.tobytes()), stored(b"\2" * small.size)
+    convert(write_r3d(tmp_path / "a.r3d", files), tmp_path / "out")
+    frame = folder(tmp_path / "out")[1]
+    assert np.abs(frame.depth_m.numpy()[::2, ::2] - takes.depth_m[1][::2, ::2]).max() < 6e-4
+    assert torch.equal(frame.depth_m[::2, ::2], frame.depth_m[1::2, 1::2])
+
+
+def test_lzfse_with_the_library(tmp_path, takes):
+    liblzfse = pytest.importorskip("liblzfse")
+    data = takes.depth_m[0].astype("<f4").tobytes()
+    assert lzfse_unpacked(liblzfse.compress(data), "x") == data
+    convert(write_r3d(tmp_path / "a.r3d", members(takes, liblzfse.compress)), tmp_path / "out")
+    check(tmp_path / "out", takes, [(0, 0), (1, 1)])
+
+
+@pytest.mark.parametrize("claimed", [100, 4_999])
+def test_lzfse_that_holds_more_than_it_claims_is_refused(claimed):
+    liblzfse = pytest.importorskip("liblzfse")
+    packed = bytearray(liblzfse.compress(bytes(5_000)))
+    assert packed[:4] in (b"bvx2", b"bvxn")
+    assert lzfse_unpacked(bytes(packed), "x") == bytes(5_000)
+    packed[4:8] = struct.pack("<I", claimed)
+    with pytest.raises(BadFrameError, match=f"x is damaged: LZFSE unpacks more than the {claimed} bytes"):
+        lzfse_unpacked(bytes(packed), "x")
+
+
+def test_lzfse_without_the_library(tmp_path, takes, monkeypatch):
+    import sys
+
+    monkeypatch.setitem(sys.modules, "liblzfse", None)
+    path = write_r3d(tmp_path / "a.r3d", members(takes, lambda data: b"bvx2" + data))
+    with pytest.raises(SequenceError, match=r"0\.depth is packed with Apple's LZFSE, .*pip install pyliblzfse"):
+        convert(path, tmp_path / "out")
+
+
+def test_exr_export(tmp_path, takes):
+    OpenEXR = pytest.importorskip("OpenEXR")
+    for name, data in members(takes).items():
+        target = "metadata.json" if name == "metadata" else name.replace("rgbd/", "rgb/")
+        if not target.endswith((".depth", ".conf")):
+            takes.write(tmp_path / "scan" / target, data)
+    (tmp_path / "scan/depth").mkdir()
+    for i in range(4):
+        channels = {"R": OpenEXR.Channel(takes.depth_m[i].astype(np.float32))}
+        OpenEXR.File({}, channels).write(str(tmp_path / f"scan/depth/{i}.exr"))
+    assert detect_format(tmp_path / "scan") == "record3d"
+    convert(tmp_path / "scan", tmp_path / "out")
+    check(tmp_path / "out", takes, [])
+
+
+def test_exr_without_the_library(tmp_path, takes, monkeypatch):
+    import sys
+
+    monkeypatch.setitem(sys.modules, "OpenEXR", None)
+    takes.write(tmp_path / "scan/metadata.json", members(takes)["metadata"])
+    for i in range(4):
+        takes.write(tmp_path / f"scan/rgb/{i}.jpg", takes.jpeg(i))
+    with pytest.raises(SequenceError, match=r"0\.exr is an OpenEXR file, .*pip install OpenEXR"):
+        convert(tmp_path / "scan", tmp_path / "out")
+
+
+def test_mistakes_are_answered_with_a_sentence(tmp_path, takes):
+    path = write_r3d(tmp_path / "a.r3d", members(takes))
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(SequenceError, match=r"a\.r3d is not readable as an \.r3d archive .*; it may be truncated"):
+        convert(path, tmp_path / "out")
+    files = members(takes)
+    del files["metadata"]
+    with pytest.raises(SequenceError, match=r"b\.r3d lacks metadata"):
+        convert(write_r3d(tmp_path / "b.r3d", files), tmp_path / "out")
+    with pytest.raises(SequenceError, match=r"metadata lack 'w'"):
+        convert(write_r3d(tmp_path / "c.r3d", members(takes, w=None)), tmp_path / "out")
+    with pytest.raises(SequenceError, match=r"poses of the metadata are \[1, 7\]; expected 4 rows"):
+        convert(write_r3d(tmp_path / "d.r3d", members(takes, poses=[[0, 0, 0, 1, 0, 0, 0]])), tmp_path / "out")
+    files = members(takes)
+    files["rgbd/2.depth"] = b"garbage"
+    report = convert(write_r3d(tmp_path / "e.r3d", files), tmp_path / "out")
+    assert report.dropped == {"image missing or damaged": 1}
+    assert "2.depth does not begin like LZFSE data" in report.examples[0]
+    assert cv2.imread(str(tmp_path / "out/rgb/000000.jpg")) is not None

@@ -1,0 +1,151 @@
+"""Folders in the manner of the TUM benchmark."""
+
+import json
+
+import pytest
+
+from gsfusion_nb.data import SequenceError
+from gsfusion_nb.recordings.convert import ConvertOptions, convert, detect_format
+
+
+def write_tum(root, takes, *, lists=True, truth=True):
+    c = takes.camera
+    for i, t in enumerate(takes.times_s):
+        takes.write(root / f"rgb/{t + 0.005:.6f}.png", takes.png(i))
+        takes.write(root / f"depth/{t:.6f}.png", takes.depth_png(i, 5000))
+    if lists:
+        for name, shift in (("rgb", 0.005), ("depth", 0.0)):
+            lines = [f"{t + shift:.6f} {name}/{t + shift:.6f}.png" for t in takes.times_s]
+            (root / f"{name}.txt").write_text("\n".join(["# timestamp filename", *lines, ""]))
+    if truth:
+        rows = [" ".join(f"{v:.9f}" for v in (t, *takes.tum_row(i))) for i, t in enumerate(takes.times_s)]
+        (root / "groundtruth.txt").write_text("\n".join(["# timestamp tx ty tz qx qy qz qw", *rows, ""]))
+    (root / "calibration.txt").write_text(f"{c.fx} {c.fy} {c.cx - 0.5} {c.cy - 0.5}\n")
+    return root
+
+
+@pytest.mark.parametrize("lists", [True, False])
+def test_reads_what_was_written(tmp_path, takes, lists):
+    root = write_tum(tmp_path / "scan", takes, lists=lists)
+    assert detect_format(root) == "tum"
+    report = convert(root, tmp_path / "out")
+    takes.check(tmp_path / "out", depth_m=1.1e-4)
+    assert (report.frames, report.depth_scale, report.dropped) == (4, 5000, {})
+    assert str(report).splitlines()[-1] == f"Next: gsfusion-nb check {tmp_path / 'out'}"
+    assert (tmp_path / "out/rgb/000000.png").read_bytes() == takes.png(0)
+
+
+def test_associations(tmp_path, takes):
+    root = write_tum(tmp_path / "scan", takes, lists=False)
+    lines = [f"{t:.6f} depth/{t:.6f}.png {t + 0.005:.6f} rgb/{t + 0.005:.6f}.png" for t in takes.times_s]
+    (root / "associations.txt").write_text("\n".join(lines))
+    convert(root, tmp_path / "out")
+    takes.check(tmp_path / "out", depth_m=1.1e-4)
+
+
+def test_without_poses_or_intrinsics_says_what_to_give(tmp_path, takes):
+    root = write_tum(tmp_path / "scan", takes, truth=False)
+    with pytest.raises(SequenceError, match=r"scan holds no poses; give a trajectory with --poses FILE"):
+        convert(root, tmp_path / "out")
+    (root / "calibration.txt").unlink()
+    with pytest.raises(SequenceError, match=r"does not contain the camera's intrinsics; give --intrinsics"):
+        convert(root, tmp_path / "out", options=ConvertOptions(poses="none"))
+    assert not (tmp_path / "out").exists()
+    assert not (tmp_path / "out.partial").exists()
+
+
+def test_calibration_is_not_named_where_the_user_gave_another(tmp_path, takes):
+    root = write_tum(tmp_path / "scan", takes)
+    c = takes.camera
+    own = convert(root, tmp_path / "own")
+    assert any(note.startswith(f"intrinsics from {root / 'calibration.txt'}") for note in own.notes)
+    given = ConvertOptions(intrinsics=f"{c.fx + 7} {c.fy} {c.cx - 0.5} {c.cy - 0.5}")
+    report = convert(root, tmp_path / "given", options=given)
+    assert not any("intrinsics from" in note for note in report.notes)
+
+
+def test_no_poses_on_purpose(tmp_path, takes):
+    from gsfusion_nb.data.readers import folder
+
+    root = write_tum(tmp_path / "scan", takes)
+    report = convert(root, tmp_path / "out", options=ConvertOptions(poses="none"))
+    assert str(report).endswith(f"Next: gsfusion-nb check {tmp_path / 'out'} --reader poses=false")
+    assert not folder(tmp_path / "out", poses=False).has_poses
+
+
+def untimed(root, takes, line, *, names=("rgb{}", "depth{}")):
+    """Images named ``names``, and an association file of ``line(i, colour, depth)`` if there is one."""
+    lines = []
+    for i in range(len(takes)):
+        colour, depth = (
+            f"{kind}/{name.format(f'{i:02d}')}.png" for kind, name in zip(("rgb", "depth"), names, strict=True)
+        )
+        takes.write(root / colour, takes.png(i))
+        takes.write(root / depth, takes.depth_png(i, 5000))
+        lines.append(line(i, colour, depth) if line else "")
+    if line:
+        (root / "associations.txt").write_text("\n".join(lines))
+    c = takes.camera
+    (root / "calibration.txt").write_text(f"{c.fx} {c.fy} {c.cx - 0.5} {c.cy - 0.5}\n")
+    return root
+
+
+def test_durations_neither_sort_the_frames_nor_make_a_frame_rate(tmp_path, takes):
+    seconds = (0.0166, 0.0058, 0.0331, 0.0071)
+    root = untimed(tmp_path / "scan", takes, lambda i, c, d: f"{seconds[i]} {c} {seconds[i]} {d}")
+    report = convert(root, tmp_path / "out", options=ConvertOptions(poses="none"))
+    assert [f.read_bytes() for f in sorted((tmp_path / "out/rgb").iterdir())] == [takes.png(i) for i in range(4)]
+    assert any("are not times: 2 of 4 are smaller than the one before; so frames are in" in n for n in report.notes)
+    assert "fps" not in json.loads((tmp_path / "out/intrinsics.json").read_text())
+    assert "nan" in (tmp_path / "out/times.txt").read_text()
+    assert "are not times" in (tmp_path / "out/conversion.json").read_text()
+    (root / "groundtruth.txt").write_text("0 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n")
+    with pytest.raises(
+        SequenceError, match=r"groundtruth\.txt gives poses by time, but .* are not times.*--poses none"
+    ):
+        convert(root, tmp_path / "again")
+
+
+def test_names_that_are_no_times_pair_the_images(tmp_path, takes):
+    none = ConvertOptions(poses="none")
+    for folder, names in (("a", ("{}", "{}")), ("b", ("rgb{}", "depth{}")), ("c", ("{}-left", "{}-d"))):
+        report = convert(untimed(tmp_path / folder, takes, None, names=names), tmp_path / f"out {folder}", options=none)
+        assert report.frames == 4
+        assert any("no times or frame rate are written" in note for note in report.notes)
+    (tmp_path / "c/depth/00-d.png").unlink()
+    with pytest.raises(SequenceError, match=r"4 colour and 3 depth images without times, and neither names nor"):
+        convert(tmp_path / "c", tmp_path / "again", options=none)
+
+
+def test_lists_in_different_units(tmp_path, takes):
+    root = write_tum(tmp_path / "scan", takes)
+    lines = [f"{t * 1000:.3f} depth/{t:.6f}.png" for t in takes.times_s]
+    (root / "depth.txt").write_text("\n".join(lines))
+    report = convert(root, tmp_path / "out")
+    takes.check(tmp_path / "out", depth_m=1.1e-4)
+    assert any("depth.txt: times were read as ms" in note for note in report.notes)
+
+
+def test_the_unit_of_depth_is_inferred_or_asked_for(tmp_path, takes):
+    report = convert(write_tum(tmp_path / "scan", takes), tmp_path / "out")
+    assert any(n.startswith("depth was taken as 5000 units a metre, because") for n in report.notes)
+    root = write_tum(tmp_path / "millimetres", takes)
+    for i, t in enumerate(takes.times_s):
+        takes.write(root / f"depth/{t:.6f}.png", takes.depth_png(i, 1000))
+    assert convert(root, tmp_path / "mm").depth_scale == 1000
+    takes.check(tmp_path / "mm")
+    given = convert(root, tmp_path / "given", options=ConvertOptions(depth_scale=2000.0))
+    assert given.depth_scale == 2000
+    assert not any("units a metre" in note for note in given.notes)
+    for i, t in enumerate(takes.times_s):
+        takes.write(root / f"depth/{t:.6f}.png", takes.depth_png(i, 20))
+    with pytest.raises(SequenceError, match=r"unit of depth cannot be known from the files.*give --depth-scale"):
+        convert(root, tmp_path / "unknown")
+
+
+@pytest.mark.parametrize("distortion", ["0 0 5 5", "1e30 0 0 0"])
+def test_a_distortion_that_no_pinhole_undoes_is_a_sentence(tmp_path, takes, distortion):
+    root, c = write_tum(tmp_path / "scan", takes), takes.camera
+    (root / "calibration.txt").write_text(f"{c.fx} {c.fy} {c.cx} {c.cy} {distortion}")
+    with pytest.raises(SequenceError, match=r"scan/rgb/.*: the distortion .* cannot be removed by a pinhole camera: "):
+        convert(root, tmp_path / "out")

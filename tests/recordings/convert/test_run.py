@@ -1,0 +1,189 @@
+"""What holds for every format: whole or not there, going on, sizes, bad frames, the command line."""
+
+import json
+
+import numpy as np
+import pytest
+
+from gsfusion_nb.cli import main
+from gsfusion_nb.data import SequenceError, SequenceNotFoundError, detect_layout
+from gsfusion_nb.data.readers import folder
+from gsfusion_nb.recordings.convert import ConvertOptions, convert, detect_format, known_formats
+from gsfusion_nb.recordings.convert.staging import Staging
+
+
+@pytest.fixture
+def scan(tmp_path, takes):
+    """An Open3D recording, the simplest format."""
+    root = tmp_path / "scan"
+    for i in range(4):
+        takes.write(root / f"color/{i}.png", takes.png(i))
+        takes.write(root / f"depth/{i}.png", takes.depth_png(i))
+    blocks = [
+        f"{i} {i} {i + 1}\n" + "\n".join(" ".join(map(repr, r)) for r in takes.T_WC[i].tolist()) for i in range(4)
+    ]
+    (root / "trajectory.log").write_text("\n".join([*blocks, ""]))
+    c = takes.camera
+    K = [c.fx, 0, 0, 0, c.fy, 0, c.cx - 0.5, c.cy - 0.5, 1]
+    (root / "camera_intrinsic.json").write_text(
+        json.dumps({"width": c.width, "height": c.height, "intrinsic_matrix": K})
+    )
+    return root
+
+
+def test_an_interrupted_conversion_goes_on(tmp_path, takes, scan, monkeypatch):
+    written, write = [], Staging.write
+
+    def stop_after_two(self, row, rgb, depth, **options):
+        if len(written) == 2:
+            raise KeyboardInterrupt
+        written.append(row.position)
+        write(self, row, rgb, depth, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Staging, "write", stop_after_two)
+        with pytest.raises(KeyboardInterrupt) as stop:
+            convert(scan, tmp_path / "out")
+    assert "2 frames are in" in stop.value.__notes__[0]
+    assert not (tmp_path / "out").exists()
+    with pytest.raises(SequenceError):
+        detect_layout(tmp_path / "out.partial")
+    with pytest.raises(
+        SequenceError, match=r"out\.partial holds an unfinished conversion of another source or with other"
+    ):
+        convert(scan, tmp_path / "out", options=ConvertOptions(every=2))
+    with (tmp_path / "out.partial/frames.jsonl").open("a") as journal:
+        journal.write('{"position": 2, "dro')  # a line that was cut short
+    before = (tmp_path / "out.partial/sequence/rgb/000001.png").stat().st_mtime_ns
+    convert(scan, tmp_path / "out")
+    takes.check(tmp_path / "out")
+    assert (tmp_path / "out/rgb/000001.png").stat().st_mtime_ns == before
+    assert not (tmp_path / "out.partial").exists()
+    names = {p.name for p in (tmp_path / "out").iterdir()}
+    assert names == {"rgb", "depth", "poses.txt", "intrinsics.json", "times.txt", "conversion.json"}
+
+
+def test_an_existing_folder_is_left_alone(tmp_path, takes, scan):
+    takes.write(tmp_path / "out/mine.txt", b"precious")
+    with pytest.raises(SequenceError, match=r"out already exists; expected the name of a new or empty folder"):
+        convert(scan, tmp_path / "out")
+    assert (tmp_path / "out/mine.txt").read_bytes() == b"precious"
+    (tmp_path / "empty").mkdir()
+    convert(scan, tmp_path / "empty")
+    takes.check(tmp_path / "empty")
+
+
+def test_bad_frames_are_left_out_and_named(tmp_path, takes, scan):
+    whole = (scan / "depth/1.png").read_bytes()
+    (scan / "depth/1.png").write_bytes(whole[: len(whole) // 2])
+    takes.write(scan / "depth/2.png", type(takes)(takes.camera, [], [np.zeros((44, 60))], takes.T_WC, []).depth_png(0))
+    text = (scan / "trajectory.log").read_text().splitlines()
+    text[1] = " ".join(str(2 * float(w)) for w in text[1].split())
+    (scan / "trajectory.log").write_text("\n".join(text))
+    report = convert(scan, tmp_path / "out")
+    takes.check(tmp_path / "out", (3,))
+    assert report.dropped == {"pose is not rigid": 1, "image missing or damaged": 1, "no depth": 1}
+    assert "0.png is not a rigid camera-to-world pose" in report.examples[0]
+    assert "1.png cannot be decoded" in report.examples[1]
+    assert "left out 1: no depth" in str(report)
+
+
+def test_no_usable_frame_is_an_error(tmp_path, scan):
+    for i in range(4):
+        (scan / f"color/{i}.png").write_bytes(b"GIF89a")
+    with pytest.raises(SequenceError, match=r"no frame can be used \(4 left out: image missing or damaged; .*0\.png"):
+        convert(scan, tmp_path / "out")
+    assert not (tmp_path / "out.partial").exists()
+
+
+def test_smaller_images(tmp_path, takes, scan):
+    convert(scan, tmp_path / "out", options=ConvertOptions(width=30))
+    sequence = folder(tmp_path / "out")
+    assert vars(sequence.camera) == pytest.approx(vars(takes.camera.resized(30, 22)))
+    mean = takes.rgb[1].reshape(22, 2, 30, 2, 3).mean((1, 3))
+    assert np.abs(sequence[1].rgb_u8.numpy() - mean).max() <= 1
+    assert np.abs(sequence[1].depth_m.numpy() - takes.depth_m[1][::2, ::2]).max() < 6e-4
+
+
+def test_scale_and_every(tmp_path, takes, scan):
+    report = convert(scan, tmp_path / "out", options=ConvertOptions(scale=2.0, every=2))
+    doubled = takes.T_WC.clone()
+    doubled[:, :3, 3] *= 2
+    type(takes)(takes.camera, takes.rgb, takes.depth_m, doubled, takes.times_s).check(tmp_path / "out", (0, 2))
+    assert (report.frames, report.frames_read) == (2, 2)
+
+
+def test_depth_beyond_16_bits_counts_as_missing(tmp_path, takes, scan):
+    report = convert(scan, tmp_path / "out", options=ConvertOptions(depth_scale=50.0))
+    assert "pixels beyond 65.5 m, the limit of 16-bit depth, were set to missing" in str(report)
+
+
+def test_distance_along_the_ray(tmp_path, takes, scan):
+    c = takes.camera
+    u, v = np.meshgrid(np.arange(c.width) + 0.5, np.arange(c.height) + 0.5)
+    length = np.sqrt(1 + ((u - c.cx) / c.fx) ** 2 + ((v - c.cy) / c.fy) ** 2)
+    along = type(takes)(c, takes.rgb, [d * length for d in takes.depth_m], takes.T_WC, takes.times_s)
+    for i in range(4):
+        takes.write(scan / f"depth/{i}.png", along.depth_png(i))
+    convert(scan, tmp_path / "out", options=ConvertOptions(depth_along="ray"))
+    takes.check(tmp_path / "out", depth_m=1.01e-3)  # rounded to millimetres twice
+
+
+@pytest.mark.parametrize("text", ["{fx} {fy} {cx} {cy}", "{fx},{fy},{cx},{cy} 0 0 0 0", "file", "matrix", "json"])
+def test_intrinsics_of_the_user(tmp_path, takes, scan, text):
+    (scan / "camera_intrinsic.json").unlink()
+    c = takes.camera
+    values = {"fx": c.fx, "fy": c.fy, "cx": c.cx - 0.5, "cy": c.cy - 0.5}
+    file = tmp_path / ("K.json" if text == "json" else "K.txt")
+    if text == "matrix":
+        file.write_text(f"[[{c.fx}, 0, {c.cx - 0.5}],\n [0, {c.fy}, {c.cy - 0.5}],\n [0, 0, 1]]")
+    elif text == "json":
+        file.write_text(json.dumps(values))
+    else:
+        file.write_text("# fx fy cx cy\n{fx} {fy} {cx} {cy}".format(**values))
+    given = text.format(**values) if "{" in text else str(file)
+    convert(scan, tmp_path / "out", options=ConvertOptions(intrinsics=given))
+    takes.check(tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("given", "pattern"), [("1 2 3", r"got 3 numbers"), ("nowhere.txt", r"nowhere\.txt does not exist")]
+)
+def test_bad_intrinsics(tmp_path, scan, given, pattern):
+    with pytest.raises(SequenceError, match=pattern):
+        convert(scan, tmp_path / "out", options=ConvertOptions(intrinsics=given))
+
+
+def test_other_proportions_are_refused(tmp_path, takes, scan):
+    (scan / "camera_intrinsic.json").write_text(
+        '{"width": 640, "height": 360, "intrinsic_matrix": [500, 0, 0, 0, 500, 0, 320, 180, 1]}'
+    )
+    with pytest.raises(SequenceError, match=r"0\.png is 60x44, but its camera is 640x360, of other proportions"):
+        convert(scan, tmp_path / "out")
+
+
+def test_unknown_things(tmp_path, takes, scan):
+    with pytest.raises(SequenceNotFoundError, match=r"nowhere does not exist; expected the file or folder"):
+        convert(tmp_path / "nowhere", tmp_path / "out")
+    (tmp_path / "notes").mkdir()
+    with pytest.raises(SequenceError, match=r"is in no known format; looked for ros: a \.bag"):
+        detect_format(tmp_path / "notes")
+    with pytest.raises(KeyError, match=r"no format 'replica'; known: ros, scannet"):
+        convert(scan, tmp_path / "out", format="replica")
+    with pytest.raises(SequenceError, match="give T_cam_body or its inverse T_body_cam, not both"):
+        ConvertOptions(T_cam_body="a", T_body_cam="b")
+    with pytest.raises(ValueError, match="every must be between 1"):
+        ConvertOptions(every=0)
+    assert next(iter(known_formats())) == "ros"
+
+
+def test_command(tmp_path, takes, scan, capsys):
+    assert main(["convert", "open3d", str(scan), str(tmp_path / "out")]) == 0
+    takes.check(tmp_path / "out")
+    assert capsys.readouterr().out.splitlines()[-1] == f"Next: gsfusion-nb check {tmp_path / 'out'}"
+    assert main(["convert", str(scan), str(tmp_path / "small"), "--width", "30", "--depth-scale", "1000"]) == 0
+    assert folder(tmp_path / "small").camera.width == 30
+    assert main(["convert", str(scan)]) == 1
+    assert "expected [FORMAT] SOURCE OUT; the formats" in capsys.readouterr().err
+    assert main(["convert", str(scan), str(tmp_path / "out")]) == 1
+    assert "already exists" in capsys.readouterr().err

@@ -1,0 +1,165 @@
+"""Separate trajectories: every way of writing them, interpolation, gaps, extrinsics, and what is refused."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+
+from gsfusion_nb.data import SequenceError, SequenceNotFoundError
+from gsfusion_nb.geometry import se3
+from gsfusion_nb.recordings.convert import ConvertOptions, convert, read_trajectory
+
+HALF = math.sqrt(0.5)
+# at 10 s: origin, no rotation; at 11 s: one metre along x, a quarter turn about z
+ROWS = [(10.0, 0, 0, 0, 0, 0, 0, 1), (11.0, 1, 0, 0, 0, 0, HALF, HALF)]
+
+
+def in_ns(order):
+    def lines(rows):
+        return "\n".join(", ".join([str(round(r[0] * 1e9)), *(str(r[1 + k]) for k in order)]) for r in rows)
+
+    return lines
+
+
+XYZW, WXYZ = (0, 1, 2, 3, 4, 5, 6), (0, 1, 2, 6, 3, 4, 5)
+OKVIS = "timestamp, p_WS_W_x, p_WS_W_y, p_WS_W_z, q_WS_x, q_WS_y, q_WS_z, q_WS_w, v_WS_W_x, b_g_x\n"
+EUROC = (
+    "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z [], v_RS_R_x []\n"
+)
+
+
+def okvis(rows):
+    return OKVIS + "\n".join(line + ", 0.1, 0.2" for line in in_ns(XYZW)(rows).splitlines())
+
+
+def euroc(rows):
+    return EUROC + "\n".join(line + ",0.1" for line in in_ns(WXYZ)(rows).splitlines())
+
+
+def euroc_without_header(rows):
+    return "\n".join(line + ",0" * 9 for line in in_ns(WXYZ)(rows).splitlines())
+
+
+def tum(rows):
+    return "# ground truth trajectory\n# timestamp tx ty tz qx qy qz qw\n" + "\n".join(
+        " ".join(map(str, r)) for r in rows
+    )
+
+
+def orb_slam_ns(rows):
+    return "\n".join(" ".join([f"{r[0] * 1e9:.6f}", *(f"{v:.7f}" for v in r[1:])]) for r in rows)
+
+
+@pytest.mark.parametrize("write", [tum, okvis, euroc, euroc_without_header, orb_slam_ns])
+def test_formats_and_interpolation(tmp_path, write):
+    path = tmp_path / "poses.txt"
+    path.write_text(write(ROWS))
+    trajectory = read_trajectory(path, max_gap_s=1.5)
+    assert trajectory.stamps_s.tolist() == [10.0, 11.0]
+    T = trajectory.pose_at(10.5)  # half way: half a metre, an eighth of a turn
+    assert T is not None
+    eighth = torch.tensor([[HALF, -HALF, 0], [HALF, HALF, 0], [0, 0, 1]], dtype=torch.float64)
+    assert torch.allclose(T[:3, :3], eighth, atol=1e-6)
+    assert torch.allclose(T[:3, 3], torch.tensor([0.5, 0, 0], dtype=torch.float64), atol=1e-6)
+    assert trajectory.pose_at(9.99) is None
+    assert trajectory.pose_at(11.01) is None
+
+
+def test_gap(tmp_path):
+    (tmp_path / "p.txt").write_text(tum(ROWS))
+    assert read_trajectory(tmp_path / "p.txt", max_gap_s=0.9).pose_at(10.5) is None
+
+
+def test_unix_times_keep_their_precision(tmp_path):
+    rows = [(1403636579.763555584 + 0.05 * i, 0.05 * i, 0, 0, 0, 0, 0, 1) for i in range(3)]
+    (tmp_path / "p.csv").write_text(okvis(rows))
+    T = read_trajectory(tmp_path / "p.csv").pose_at(rows[1][0] + 0.01)
+    assert T is not None
+    assert float(T[0, 3]) == pytest.approx(0.06, abs=1e-5)
+
+
+def test_lost_poses_are_left_out(tmp_path):
+    (tmp_path / "p.txt").write_text(tum([ROWS[0], (10.5, *[math.nan] * 7), ROWS[1]]))
+    trajectory = read_trajectory(tmp_path / "p.txt")
+    assert len(trajectory.rows) == 2
+    assert "1 of 3 poses are NaN and count as lost" in trajectory.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("text", "pattern"),
+    [
+        ("", r"is empty; expected rows"),
+        (tum(ROWS[::-1]), r"the time 10 comes after 11; expected increasing times: sort the file"),
+        ("1 2 3\n", r"line 1 must hold a time, a position and a quaternion in at least 8 numbers, got '1 2 3'"),
+        ("1 0 0 0 0 0 0 2\n", r"the pose at 1 must hold a unit quaternion, got one of length 2"),
+        (tum([(1.0, *[math.nan] * 7)]), r"holds no finite pose"),
+    ],
+)
+def test_bad_files(tmp_path, text, pattern):
+    (tmp_path / "p.txt").write_text(text)
+    with pytest.raises(SequenceError, match=r"p\.txt.*" + pattern):
+        read_trajectory(tmp_path / "p.txt")
+
+
+def test_missing_and_binary_files(tmp_path):
+    with pytest.raises(SequenceNotFoundError, match=r"nowhere\.txt does not exist"):
+        read_trajectory(tmp_path / "nowhere.txt")
+    (tmp_path / "p.txt").write_bytes(b"\xff\xfe\x80\x81")
+    with pytest.raises(SequenceError, match=r"p\.txt is not a text file"):
+        read_trajectory(tmp_path / "p.txt")
+
+
+def tum_folder(root, takes):
+    for i, t in enumerate(takes.times_s):
+        takes.write(root / f"rgb/{t:.6f}.png", takes.png(i))
+        takes.write(root / f"depth/{t:.6f}.png", takes.depth_png(i, 5000))
+    c = takes.camera
+    return ConvertOptions(intrinsics=f"{c.fx} {c.fy} {c.cx} {c.cy}", pixel_centre=0.5, poses=str(root / "p.txt"))
+
+
+@pytest.mark.parametrize("option", ["T_cam_body", "T_body_cam"])
+def test_extrinsics_take_the_body_to_the_camera(tmp_path, takes, option):
+    """Poses of a body at the frames' times, and between them, where the body's are known exactly."""
+    options = tum_folder(tmp_path, takes)
+    T_CB = se3.exp(torch.tensor([0.1, -0.2, 0.05, 0.3, 1.2, -0.4], dtype=torch.float64))
+    moved = type(takes)(takes.camera, takes.rgb, takes.depth_m, takes.T_WC @ T_CB, takes.times_s)
+    rows = [(t, *moved.tum_row(i)) for i, t in enumerate(takes.times_s)]
+    (tmp_path / "p.txt").write_text("\n".join(" ".join(f"{v:.12f}" for v in r) for r in rows))
+    stored = T_CB if option == "T_cam_body" else se3.inverse(T_CB)
+    (tmp_path / "T.txt").write_text(str(stored.tolist()))
+    convert(tmp_path, tmp_path / "out", options=replace(options, **{option: str(tmp_path / "T.txt")}))
+    takes.check(tmp_path / "out", depth_m=1.1e-4)
+
+
+def test_frames_outside_and_in_gaps_are_dropped_and_counted(tmp_path, takes):
+    options = tum_folder(tmp_path, takes)
+    t = takes.times_s
+    (tmp_path / "p.txt").write_text(tum([(t[0] + s, s, 0, 0, 0, 0, 0, 1) for s in (0.15, 0.25, 0.35, 0.52)]))
+    report = convert(tmp_path, tmp_path / "out", options=options)
+    assert report.frames == 2  # 0.2 and 0.4 s; 0 lies before, 0.6 behind
+    assert report.dropped == {"the trajectory has no pose around its time": 2}
+    report = convert(tmp_path, tmp_path / "b", options=replace(options, max_gap_s=0.15, time_offset_s=0.05))
+    assert report.frames == 1  # 0.05 lies before, 0.25 in a step of 0.1 s, 0.45 in one of 0.17 s, 0.65 behind
+    assert report.dropped == {"the trajectory has no pose around its time": 3}
+
+
+def test_no_overlap_names_both_times(tmp_path, takes):
+    options = tum_folder(tmp_path, takes)
+    (tmp_path / "p.txt").write_text(tum(ROWS))
+    with pytest.raises(
+        SequenceError, match=r"the trajectory spans 10\.000 to 11\.000 s, the first frame is at 17000000"
+    ):
+        convert(tmp_path, tmp_path / "out", options=options)
+
+
+def test_times_that_are_repeated_are_named(tmp_path):
+    path = tmp_path / "t.txt"
+    lines = ["10 0 0 0 0 0 0 1", "11 1 0 0 0 0 0 1", "11 1 0 0 0 0 0 1", "11 1 0 0 0 0 0 1", "12 2 0 0 0 0 0 1"]
+    path.write_text("\n".join(lines))
+    read = read_trajectory(path, max_gap_s=2.0)
+    assert read.stamps_s.tolist() == [10, 11, 12]
+    assert read.notes[0] == f"{path}: 2 rows repeat the one before, the first at the time 11"
+    path.write_text("\n".join([*lines[:2], "11 1.5 0 0 0 0 0 1"]))
+    with pytest.raises(SequenceError, match="has two different poses at the time 11; expected every time once"):
+        read_trajectory(path)
