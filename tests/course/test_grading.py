@@ -240,7 +240,7 @@ def test_the_clean_copy_has_no_solutions_and_no_notebooks(tmp_path, monkeypatch)
     (wheel / "notebooks" / "00_quickstart.ipynb").write_text("{}")
     monkeypatch.setattr(isolated, "_package_folder", lambda: wheel)
     write_clean_copy(tmp_path / "copy")
-    teaching = tmp_path / "copy" / "gsfusion_nb" / "teaching"
+    teaching = tmp_path / "copy" / "gsfusion_nb" / "course"
     assert sorted(p.name for p in teaching.iterdir()) == ["__init__.py", "sandbox", "wall.py"]
     assert not list((tmp_path / "copy").rglob("*.ipynb"))
 
