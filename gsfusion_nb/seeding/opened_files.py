@@ -12,7 +12,9 @@ from ..files import cache_folder
 from .fingerprint import is_installed
 
 _OWN = __name__.partition(".")[0]
-_SYSTEM = tuple(Path(place) for place in ("/dev", "/proc", "/sys", "/etc", "/usr", sys.prefix, sys.base_prefix))
+_SYSTEM = tuple(
+    Path(place).resolve() for place in ("/dev", "/proc", "/sys", "/etc", "/usr", sys.prefix, sys.base_prefix)
+)
 _COMPILED = {".nbi", ".nbc"}
 _PYTHON = {".py", ".pyc"}
 
@@ -41,7 +43,7 @@ class DeclaredFiles:
     def __init__(self, rule: str, paths: Iterable[Path]):
         self._rule = rule
         own: list[Any] = [sys.modules[name] for name in (_OWN, f"{_OWN}.kernels") if name in sys.modules]
-        packages = [Path(place) for package in own for place in package.__path__]
+        packages = [Path(place).resolve() for package in own for place in package.__path__]  # may be links
         self._folders = (*_SYSTEM, *packages, cache_folder(), *(path.expanduser().resolve() for path in paths))
         loaded = [
             getattr(module, name, None) for module in list(sys.modules.values()) for name in ("__file__", "__cached__")

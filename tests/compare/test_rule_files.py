@@ -7,11 +7,13 @@ from pathlib import Path
 import pytest
 import torch
 
+import gsfusion_nb
 from gsfusion_nb.compare import Entrant
 from gsfusion_nb.compare.one_run import run_entry
 from gsfusion_nb.compare.run_all import run_all
 from gsfusion_nb.compare.store import ResultStore
-from gsfusion_nb.seeding import check_rule, option_values, rule_fingerprint
+from gsfusion_nb.seeding import UndeclaredFileError, check_rule, option_values, rule_fingerprint
+from gsfusion_nb.seeding.opened_files import DeclaredFiles
 from gsfusion_nb.seeding.rule_file import load_rule_file
 
 LEARNED = '''
@@ -100,6 +102,19 @@ def test_a_file_that_no_option_names_is_refused_in_the_lab_even_if_the_rule_catc
     result = run_entry(entry(f"{file}:undeclared"))
     assert (result.status, str(weights) in result.reason) == ("failed", True)
     assert result.reason.startswith("UndeclaredFileError")
+
+
+def test_files_of_this_package_may_be_read_where_its_folder_is_a_link(tmp_path, monkeypatch):
+    (tmp_path / "package").mkdir()
+    (tmp_path / "linked").symlink_to(tmp_path / "package")
+    for file in (tmp_path / "package/own.txt", tmp_path / "other.txt"):
+        file.write_text("text")
+    monkeypatch.setattr(gsfusion_nb, "__path__", [str(tmp_path / "linked")])
+    files = DeclaredFiles("a rule", [])
+    with files.only():
+        assert (tmp_path / "linked/own.txt").read_text() == "text"
+    with pytest.raises(UndeclaredFileError, match=r"other\.txt"), files.only():
+        (tmp_path / "other.txt").read_text()
 
 
 def test_a_network_that_is_loaded_by_a_cached_function_keeps_the_contract(learned):
