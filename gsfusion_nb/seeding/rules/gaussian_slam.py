@@ -63,7 +63,8 @@ class gaussian_slam(MapRule):
             first frame is; in one map, which is all there is here, a restart adds Gaussians where there are some.
 
     The release maps every fifth frame on Replica, every frame on TUM, every second one on ScanNet++ (submaps of 100).
-    D^ is the blended depth that is not divided by A; whether Gaussian-SLAM's renderer divides it was not checked.
+    D^ is the blended depth, not divided by A, as in the release: the gradient of the depth in its rasteriser
+    (gaussian_rasterizer, ``backward.cu``) is that of the plain sum over alpha T z.
     Left out because the optimiser does it: fixed colours, pruning at opacity 0.1 or 0.5, the isotropy loss, separate
     optimisation of submaps. Neighbours outside the view count as well when points are rejected.
     Source: Yugay et al. 2023 (Gaussian-SLAM) and its released code, also LoopSplat's.

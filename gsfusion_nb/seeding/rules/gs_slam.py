@@ -22,16 +22,18 @@ class gs_slam(MapRule):
 
     Args:
         first_share: Share of the pixels of the first frame. Publication: half.
-        min_alpha: tau_T: pixels with a smaller accumulated opacity A are seeded. The value is in the supplement only
-            and was not available; 0.5 is chosen here.
-        depth_error: tau_D, metres: larger errors of the blended depth are seeded. Not available; 0.1 is chosen here.
+        min_alpha: tau_T: pixels with a smaller accumulated opacity A are seeded; 0.5 is chosen here.
+        depth_error: tau_D, metres: larger errors of the blended depth are seeded; 0.1 is chosen here.
         share: Share of all these pixels that is drawn at random, 0..1; the sizes follow from the distances.
             Publication: 1.
-        opacity: The publication presets one value, which was not available; 0.5 is chosen here.
+        opacity: The publication presets one value; 0.5 is chosen here.
+
+    The three values chosen here cannot be compared with the authors': the paper leaves its numbers to a supplement, and
+    no code was released.
 
     Left out because the optimiser does it: a Gaussian in front of the measured depth by more than gamma gets eta times
     its opacity; splitting and cloning. Every 5th recorded frame is a keyframe unless the settings say otherwise.
-    Source: Yan et al. 2024 (GS-SLAM); there is no released code.
+    Source: Yan et al. 2024 (GS-SLAM), the paper alone.
     """
 
     first_share: float = 0.5

@@ -44,8 +44,9 @@ def vings(
             there are. False draws them from the chosen pixels.
 
     Left out because the optimiser does it: pruning by size in the image, and training only unstable Gaussians with
-    large errors. VINGS estimates depth; here it is measured. Whether its renderer divides the depth by A was not
-    checked: here it is not divided.
+    large errors. VINGS estimates depth; here it is measured. Its renderer divides the depth by A
+    (``scripts/gaussian/gaussian_base.py``, ``render_raw``); here D^ is not divided, so that the depth test also chooses
+    pixels that the map covers only in part.
     Source: the released code of VINGS-Mono.
     """
     chosen = known = ctx.has_depth()
