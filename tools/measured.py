@@ -29,6 +29,8 @@ ROOT = Path(__file__).resolve().parents[1]
 MEASURED = "docs/measured"
 NEEDED = {"about", "depends", "columns", "rows", "runs"}
 KEYS = NEEDED | {"cells", "texts", "minutes", "quiet"}
+OF_ANOTHER = {"of", "about", "columns", "rows"}
+"""Keys of another table of the numbers of a recipe, perhaps with ``cells`` and ``texts``."""
 MARKER = re.compile(r"(?<!`)<!-- (table|commands|text): ([\w-]+)(?: ([\w-]+))? -->(.*?)<!-- end -->", re.DOTALL)
 NUMBER = re.compile(r"-?\d+(\.\d*)?(e[-+]?\d+)?")
 Record = dict[str, Any]
@@ -47,10 +49,15 @@ def read_recipes(root: Path = ROOT) -> dict[str, dict[str, Any]]:
         raise MeasuredError(f"{path}: not a TOML file: {error}") from None
     groups = recipes.pop("groups", {})
     for name, recipe in recipes.items():
-        if not NEEDED <= set(recipe) <= KEYS:
+        needed, keys = (OF_ANOTHER, OF_ANOTHER | {"cells", "texts"}) if "of" in recipe else (NEEDED, KEYS)
+        if not needed <= set(recipe) <= keys:
             raise MeasuredError(
-                f"{name}: expected {sorted(NEEDED)}, perhaps {sorted(KEYS - NEEDED)}; got {list(recipe)}"
+                f"{name}: expected {sorted(needed)}, perhaps {sorted(keys - needed)}; got {list(recipe)}"
             )
+        if "of" in recipe:
+            if "runs" not in recipes.get(recipe["of"], {}):
+                raise MeasuredError(f"{name}: of = {recipe['of']!r} is no recipe with runs")
+            continue
         recipe["depends"] = sorted({path for item in recipe["depends"] for path in groups.get(item, [item])})
         recipe["runs"] = {run: [lines] if isinstance(lines, str) else lines for run, lines in recipe["runs"].items()}
         recipe["commands"] = list(dict.fromkeys(line for lines in recipe["runs"].values() for line in lines))
@@ -58,7 +65,11 @@ def read_recipes(root: Path = ROOT) -> dict[str, dict[str, Any]]:
 
 
 def read_numbers(name: str, root: Path = ROOT) -> dict[str, Any]:
-    """The file of numbers of a table."""
+    """The numbers of a table: of its file, or made from the values in the file of the recipe that it is ``of``."""
+    recipe = read_recipes(root).get(name, {})
+    if "of" in recipe:
+        numbers = read_numbers(recipe["of"], root)
+        return numbers | made(recipe, numbers["values"])
     path = root / MEASURED / f"{name}.json"
     if not path.is_file():
         raise MeasuredError(f'{path.name} is missing; it is written by  make measured RENEW="{name}"')
@@ -150,7 +161,8 @@ def list_old(recipes: Mapping[str, dict[str, Any]], root: Path = ROOT) -> list[s
     """Print which tables are old, and what renews them; returns their names."""
     files, old = tree("HEAD", root), []
     texts = {str(page.relative_to(root)): page.read_text(encoding="utf-8") for page in pages(root)}
-    for name, recipe in recipes.items():
+    measured = {name: recipe for name, recipe in recipes.items() if "of" not in recipe}
+    for name, recipe in measured.items():
         why = "never measured"
         if (root / MEASURED / f"{name}.json").is_file():
             numbers = read_numbers(name, root)
@@ -163,7 +175,7 @@ def list_old(recipes: Mapping[str, dict[str, Any]], root: Path = ROOT) -> list[s
             quiet = ", without other load" if recipe.get("quiet") else ""
             print(f'  make measured RENEW="{name}"    # about {recipe.get("minutes", "?")} minutes of one core{quiet}')
             print("".join(f"    {line}\n" for line in recipe["commands"]))
-    print(f"{len(old)} of {len(recipes)} tables are older than what they depend on.")
+    print(f"{len(old)} of {len(measured)} tables are older than what they depend on.")
     return old
 
 
@@ -181,7 +193,8 @@ def records_of(command: str, recordings: Path, written: Path | None = None) -> l
     with tempfile.TemporaryDirectory() as folder:
         out, bench = written or Path(folder) / "out", Path(folder) / "bench.json"
         call = [sys.executable, "-m", "gsfusion_nb", what, *rest]
-        call += ["--json", str(bench)] if what == "bench" else ["--out", str(out)]
+        if what != "offset":
+            call += ["--json", str(bench)] if what == "bench" else ["--out", str(out)]
         if program == "python":
             call = [sys.executable, what, *rest]
         if written is None:
@@ -191,6 +204,8 @@ def records_of(command: str, recordings: Path, written: Path | None = None) -> l
                 raise MeasuredError(f"ended with status {done.returncode} in {recordings}: {command}")
             if program == "python":
                 return leaves(json.loads(done.stdout.strip().splitlines()[-1]))
+            if what == "offset":
+                return of_an_offset(done.stdout)
         if what == "sweep":
             rows = csv.DictReader((out / "runs.csv").read_text(encoding="utf-8").splitlines())
             return [
@@ -202,6 +217,14 @@ def records_of(command: str, recordings: Path, written: Path | None = None) -> l
         path = out / ("metrics.json" if what in ("map", "demo") else "table.json")
         found = json.loads(path.read_text(encoding="utf-8"))
         return of_the_lab(found) if what == "lab" else leaves(found.get("metrics", found))
+
+
+def of_an_offset(text: str) -> list[Record]:
+    """The offset that ``gsfusion-nb offset`` prints, and its error; negative if pictures were taken before poses."""
+    found = re.search(r"taken ([\d.]+) ± ([\d.]+) ms (after|before)", text)
+    if found is None:
+        raise MeasuredError(f"expected an offset in milliseconds, got {text.strip()!r}")
+    return [{"offset_ms": float(found[1]) * (1 if found[3] == "after" else -1), "error_ms": float(found[2])}]
 
 
 def leaves(table: Any, label: str = "") -> list[Record]:
@@ -226,7 +249,10 @@ def of_the_lab(table: Mapping[str, Any]) -> list[Record]:
 
 
 def cell(template: str, values: Mapping[str, list[Record]]) -> str:
-    """A cell with its places filled: ``{run; field}`` or ``{run; label; key=value; field*100:.2f}``."""
+    """A cell with its places filled: ``{run; field}`` or ``{run; label; key=value; field*100:.2f}``.
+
+    ``{run; label; less=other; field}`` is the difference to the records of another label, each with that of its scene.
+    """
     return re.sub(r"\{([^{}]+)\}", lambda match: _place(match[1], values), template)
 
 
@@ -239,8 +265,13 @@ def _place(inside: str, values: Mapping[str, list[Record]]) -> str:
     field, _, spec = field.partition(":")
     field, _, scale = field.partition("*")
     field, may_miss = field.removesuffix("?"), field.endswith("?")
-    wanted = [tuple(f.split("=", 1)) if "=" in f else ("label", f) for f in filters]
-    found = [r[field] for r in values[run] if field in r and all(str(r.get(key)) == value for key, value in wanted)]
+    wanted = dict(f.split("=", 1) if "=" in f else ("label", f) for f in filters)
+    other = wanted.pop("less", None)
+    found = by_scene(values[run], wanted, field)
+    if other is not None:
+        less = dict(by_scene(values[run], wanted | {"label": other}, field))
+        found = [(scene, number - less[scene]) for scene, number in found if scene in less]
+    found = [number for _, number in found]
     if may_miss and all(number is None for number in found):
         return ""
     if not found or not all(isinstance(number, int | float) for number in found):
@@ -250,6 +281,12 @@ def _place(inside: str, values: Mapping[str, list[Record]]) -> str:
     spec = spec or (f",.{metric.digits}f" if metric else ".4g")
     spread = f" ± {statistics.stdev(found) * factor:{spec}}" if len(found) > 1 else ""
     return f"{statistics.fmean(found) * factor:{spec}}{spread}"
+
+
+def by_scene(records: list[Record], wanted: Mapping[str, str], field: str) -> list[tuple[Any, Any]]:
+    """Scene, or None, and the field of the records that have all that is wanted."""
+    fitting = (r for r in records if field in r and all(str(r.get(key)) == value for key, value in wanted.items()))
+    return [(r.get("scene"), r[field]) for r in fitting]
 
 
 def made(recipe: Mapping[str, Any], values: Mapping[str, list[Record]]) -> dict[str, Any]:
@@ -307,8 +344,9 @@ def main(arguments: list[str] | None = None) -> int:
     options, failed = parser.parse_args(arguments), 0
     try:
         recipes = read_recipes()
-        if unknown := [name for name in options.renew if name not in recipes]:
-            raise MeasuredError(f"no recipe {', '.join(unknown)}; there are {', '.join(recipes)}")
+        if unknown := [name for name in options.renew if "runs" not in recipes.get(name, {})]:
+            known = ", ".join(name for name, recipe in recipes.items() if "runs" in recipe)
+            raise MeasuredError(f"no recipe with runs: {', '.join(unknown)}; there are {known}")
         if not options.renew and not options.fill:
             list_old(recipes)
             return 0
