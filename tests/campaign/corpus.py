@@ -59,7 +59,8 @@ def make_takes(n: int = 4):
     poses[:, :3, :3] = quaternion.to_matrix(quaternion.from_matrix(poses[:, :3, :3]))
     views = [box.render(T, camera) for T in poses]
     rgb, depth_m = [v[0] for v in views], [v[1].astype(np.float32) for v in views]
-    return of_tests("recordings/convert/conftest.py").Takes(camera, rgb, depth_m, poses, [1.7e9 + 0.2 * i for i in range(n)])
+    times_s = [1.7e9 + 0.2 * i for i in range(n)]
+    return of_tests("recordings/convert/conftest.py").Takes(camera, rgb, depth_m, poses, times_s)
 
 
 def build(root: Path) -> list[Seed]:
@@ -324,7 +325,8 @@ def bombs(root: Path) -> list[Seed]:
     """Small files that ask for more than a gigabyte, and trees of pipes and devices."""
     takes = make_takes()
     zeros = _deflated(BOMB_BYTES)
-    sens = of_tests("recordings/convert/formats/test_scannet.py").write_sens(root / "bomb_sens/a.sens", takes).read_bytes()
+    scannet = of_tests("recordings/convert/formats/test_scannet.py")
+    sens = scannet.write_sens(root / "bomb_sens/a.sens", takes).read_bytes()
     head, colour = sens[: 12 + 8 + 256 + 8 + 28], takes.jpeg(0)
     frame = struct.pack("<16f4Q", *takes.T_WC[0].flatten(), 1, 1, len(colour), len(zeros)) + colour + zeros
     (root / "bomb_sens/a.sens").write_bytes(head + frame)

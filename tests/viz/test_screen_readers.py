@@ -3,8 +3,8 @@
 import ipywidgets as w
 import pytest
 import torch
-from gsfusion_nb.compare.bench.scene import random_scene
 
+from gsfusion_nb.compare.bench.scene import random_scene
 from gsfusion_nb.config import TsdfConfig
 from gsfusion_nb.tsdf import TsdfVolume
 from gsfusion_nb.types import Camera, Frame

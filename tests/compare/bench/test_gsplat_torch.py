@@ -2,10 +2,10 @@
 
 import pytest
 import torch
-from gsfusion_nb.compare.bench.other_programs import why_not
-from gsfusion_nb.compare.bench.raster import by_autograd, compare_to_baseline
 
 from gsfusion_nb.compare.bench import gsplat_torch, random_scene
+from gsfusion_nb.compare.bench.other_programs import why_not
+from gsfusion_nb.compare.bench.raster import by_autograd, compare_to_baseline
 from gsfusion_nb.render import render_forward, render_vjp
 
 

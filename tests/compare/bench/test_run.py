@@ -4,12 +4,12 @@ import json
 import sys
 
 import pytest
+
+from gsfusion_nb.compare.bench import BenchOptions, latency, mapping, panels, raster, run, run_bench, scaling, tsdf
 from gsfusion_nb.compare.bench.frames import stored_frames
 from gsfusion_nb.compare.bench.options import SECTIONS
 from gsfusion_nb.compare.bench.other_programs import OTHER_PROGRAMS, why_not
 from gsfusion_nb.compare.bench.rows import Case, Row
-
-from gsfusion_nb.compare.bench import BenchOptions, latency, mapping, panels, raster, run, run_bench, scaling, tsdf
 
 
 @pytest.fixture

@@ -1,4 +1,5 @@
 import pytest
+
 from gsfusion_nb.compare.bench.scaling import exponent
 
 

@@ -1,10 +1,10 @@
 import json
 
 import pytest
-from gsfusion_nb.compare.bench.rows import with_speed
-from gsfusion_nb.compare.bench.timing import Timing
 
 from gsfusion_nb.compare.bench import Row, table
+from gsfusion_nb.compare.bench.rows import with_speed
+from gsfusion_nb.compare.bench.timing import Timing
 
 
 def row(method, cpu_ms, wall_ms=None, case="20k 640x480 SH3 fwd+bwd", **more):

@@ -4,11 +4,11 @@ import time
 
 import pytest
 import torch
-from gsfusion_nb.compare.bench.rows import Row, with_speed
-from gsfusion_nb.compare.bench.timing import Lap, Timing, lap, measure, summary, threads
 
 from gsfusion_nb import work as memory_module
 from gsfusion_nb.compare.bench import timing
+from gsfusion_nb.compare.bench.rows import Row, with_speed
+from gsfusion_nb.compare.bench.timing import Lap, Timing, lap, measure, summary, threads
 from gsfusion_nb.work import PeakMemory
 
 
