@@ -65,7 +65,7 @@ chapters: dev
 	    --ExecutePreprocessor.store_widget_state=False --ExecutePreprocessor.record_timing=False \
 	    --ExecutePreprocessor.timeout=900 notebooks/$$chapter*.ipynb; \
 	done
-	$(BIN)/python -m gsfusion_nb.course.holds notebooks/*.ipynb
+	$(BIN)/python tools/claims.py notebooks/*.ipynb
 
 lint: dev
 	$(BIN)/ruff format --check .
@@ -91,11 +91,11 @@ teacher: setup
 
 # The bank of questions, for lecturers: docs/teaching/quiz.md.
 quiz: setup
-	$(BIN)/python -m gsfusion_nb.course.kit.quiz_files notebooks docs/teaching/quiz runs/quiz
+	$(BIN)/python tools/quiz_files.py notebooks docs/teaching/quiz runs/quiz
 
 # The decks of slides as HTML, in runs/slides; needs Node: docs/teaching/slides.md.
 slides: setup
-	$(BIN)/python -m gsfusion_nb.course.kit.slides docs/teaching/slides notebooks runs/slides
+	$(BIN)/python tools/slides.py docs/teaching/slides notebooks runs/slides
 
 # The notebooks and the documentation as a web site in runs/book: docs/book.md. Needs the network only when the extra
 # "book" is not installed yet. REPOSITORY=https://github.com/OWNER/NAME adds links to Binder and Colab.

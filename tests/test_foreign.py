@@ -57,8 +57,6 @@ ALLOWED = {
     "recordings/convert/formats/ros_unpacking.py": "everything but the reading of bytes, which it bounds",
     "course/progress.py": "a lock of its own",
     "course/grading/isolated.py": "the sandbox's own words, in a file of limited size",
-    "course/kit/exam.py": "a recording that it wrote, without pickle",
-    "course/kit/slides.py": "decks of this project, and pages that it has just built",
     "course/sandbox/messages.py": "a message of limited size; whatever a forged one raises is caught",
     "course/sandbox/task.py": "/proc/self/statm",
     "viz/steppers/recording.py": "source files of this package",

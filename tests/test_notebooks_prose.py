@@ -6,8 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
-
-from gsfusion_nb.course.holds import claims_of, evaluate, failures, main
+from claims import claims_of, evaluate, failures, main
 
 FOLDER = Path(__file__).resolve().parents[1] / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))

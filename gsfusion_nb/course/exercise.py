@@ -76,8 +76,6 @@ _MACHINERY = {
     "exercise",
     "grading",
     "guard",
-    "holds",
-    "kit",
     "mine",
     "place",
     "predictions",

@@ -4,9 +4,9 @@ import re
 from pathlib import Path
 
 import pytest
+import slides
 
 from gsfusion_nb.course import exercises
-from gsfusion_nb.course.kit import slides
 
 ROOT = Path(__file__).resolve().parents[2]
 DECKS = sorted((ROOT / "docs/teaching/slides").glob("week_*.md"))

@@ -1,25 +1,100 @@
-"""A solution of the first two parts of the examination, with the numbers of ``docs/teaching/exam_solution.md``.
+"""The examination of ``docs/teaching/exam.md``: its recordings, and a solution of the first two parts.
 
-``python -m gsfusion_nb.course.kit.exam_solution`` prints them.
+``python tools/exam.py OUT`` writes the recordings ``a.npz`` to ``e.npz``: one is right, the others have one fault each.
+The letters say nothing about the fault; ``FAULTS`` is for the examiner. ``python tools/exam.py --solution`` prints the
+numbers of ``docs/teaching/exam_solution.md``.
 """
 
+import argparse
 import dataclasses
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from itertools import pairwise
+from pathlib import Path
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from ...config import gsfusion
-from ...evaluation import score_views
-from ...geometry import backproject, pixel_grid, project, rays, se3
-from ...mapping import GSFusion
-from ...types import Frame
-from ..gradient_check import compare_gradients
-from .exam import FAULTS, frames_of
+from gsfusion_nb.config import gsfusion
+from gsfusion_nb.course.gradient_check import compare_gradients
+from gsfusion_nb.data.room import RoomSequence
+from gsfusion_nb.evaluation import score_views
+from gsfusion_nb.files import atomic_file
+from gsfusion_nb.geometry import backproject, pixel_grid, project, rays, se3
+from gsfusion_nb.mapping import GSFusion
+from gsfusion_nb.types import Camera, Frame
 
 log = logging.getLogger(__name__)
+
+FIRST, N_FRAMES = 40, 24
+"""The part of the walk that the examination uses."""
+
+
+def _inverted(frame: Frame, before: Frame) -> Frame:
+    return dataclasses.replace(frame, T_WC=se3.inverse(frame.T_WC))
+
+
+def _range(frame: Frame, before: Frame) -> Frame:
+    length = rays(frame.camera, pixel_grid(frame.camera)).norm(dim=-1)
+    return dataclasses.replace(frame, depth_m=frame.depth_m * length)
+
+
+def _tenth_short(frame: Frame, before: Frame) -> Frame:
+    return dataclasses.replace(frame, depth_m=frame.depth_m * 0.9)
+
+
+def _late_pose(frame: Frame, before: Frame) -> Frame:
+    return dataclasses.replace(frame, T_WC=before.T_WC)
+
+
+def _right(frame: Frame, before: Frame) -> Frame:
+    return frame
+
+
+FAULTS: dict[str, tuple[str, Callable[[Frame, Frame], Frame]]] = {
+    "a": ("depth is the length along the ray, not z", _range),
+    "b": ("each frame has the pose of the frame before it", _late_pose),
+    "c": ("none", _right),
+    "d": ("poses go from the world to the camera", _inverted),
+    "e": ("depth is a tenth too short", _tenth_short),
+}
+
+
+def frames_of(letter: str, *, n_frames: int = N_FRAMES) -> Iterator[Frame]:
+    """The frames of a recording, with its fault; 160 x 120 pixels, poses and depth as a data set would give them."""
+    room = RoomSequence(n_frames=120, width=160, height=120, trajectory="novel", seed=7)
+    change = FAULTS[letter][1]
+    for k in range(FIRST, FIRST + n_frames):
+        yield change(room[k], room[k - 1])
+
+
+def write(letter: str, path: Path) -> None:
+    """Write a recording: ``rgb`` [N, H, W, 3] uint8, ``depth_m`` [N, H, W], ``T_WC`` [N, 4, 4], ``intrinsics`` [4]."""
+    frames = list(frames_of(letter))
+    camera = frames[0].camera
+    with atomic_file(path) as temporary:
+        np.savez_compressed(
+            temporary,
+            rgb=torch.stack([frame.rgb_u8 for frame in frames]).numpy(),
+            depth_m=torch.stack([frame.depth_m for frame in frames]).numpy(),
+            T_WC=torch.stack([frame.T_WC for frame in frames]).numpy(),
+            intrinsics=np.array([camera.fx, camera.fy, camera.cx, camera.cy]),
+        )
+
+
+def read(path: Path) -> list[Frame]:
+    """The frames of a file that ``write`` wrote."""
+    with np.load(path, allow_pickle=False) as arrays:
+        rgb, depth, poses = arrays["rgb"], arrays["depth_m"], arrays["T_WC"]
+        fx, fy, cx, cy = arrays["intrinsics"].tolist()
+    camera = Camera(width=rgb.shape[2], height=rgb.shape[1], fx=fx, fy=fy, cx=cx, cy=cy)
+    return [
+        Frame(index=k, timestamp_s=k / 2, rgb=torch.from_numpy(rgb[k]), depth_m=torch.from_numpy(depth[k]),
+              camera=camera, T_WC=torch.from_numpy(poses[k]))
+        for k in range(len(rgb))
+    ]  # fmt: skip
+
 
 APART = 3
 """The two views that are compared are this many frames apart."""
@@ -98,9 +173,6 @@ def print_faults() -> None:
         frames = list(frames_of(letter))
         scores = {name: disagreement_mm(repair(frames)) for name, repair in REPAIRS.items()}
         log.info("%-9s  %s", letter, "  ".join(f"{score:19.1f} mm" for score in scores.values()))
-    for letter in FAULTS:
-        frames = list(frames_of(letter))
-        scores = {name: disagreement_mm(repair(frames)) for name, repair in REPAIRS.items()}
         best = min(scores, key=lambda name: scores[name])
         before, n_before = held_out_psnr_db(frames)
         after, n_after = held_out_psnr_db(REPAIRS[best](frames))
@@ -120,7 +192,23 @@ def print_gradient() -> None:
     log.info("all at one depth: dL/dalpha is at most %.1g", float(flat.abs().max()))
 
 
+def main(arguments: list[str] | None = None) -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(description="Write the recordings of the examination, or print its solution.")
+    parser.add_argument("out", type=Path, nargs="?", help="folder for the recordings")
+    parser.add_argument("--solution", action="store_true", help="print the numbers of parts A and B")
+    options = parser.parse_args(arguments)
+    if options.out is None and not options.solution:
+        parser.error("name a folder for the recordings, or ask for --solution")
+    if options.out is not None:
+        for letter in FAULTS:
+            write(letter, options.out / f"{letter}.npz")
+            log.info("wrote %s", options.out / f"{letter}.npz")
+    if options.solution:
+        print_gradient()
+        print_faults()
+
+
 if __name__ == "__main__":
     logging.basicConfig(level=logging.INFO, format="%(message)s")
-    print_gradient()
-    print_faults()
+    main()

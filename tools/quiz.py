@@ -2,7 +2,8 @@
 
 Most questions show the function and four statements about it. One of them is not true: the first property that fails.
 The other three are true: the checker has tested them on the same function, and they hold. A property can hold on all
-inputs of the checker and yet not be true of the function; those that a reader found are left out (``quiz_reading``).
+inputs of the checker and yet not be true of the function; those that a reader found are left out
+(``NOT_OFFERED``).
 Where the checker states too little, statements of that reader stand beside, or the question asks which number the
 function returns. Either way there is one right option, and it is what the checker found.
 """
@@ -23,11 +24,11 @@ from typing import Any
 import numpy as np
 import torch
 
-from ...foreign import read_object
-from ...types import Camera
-from ..attempt import Attempt, Failed, NotWritten, plain
-from ..exercise import Exercise, exercises
-from ..whose import judging
+from gsfusion_nb.course.attempt import Attempt, Failed, NotWritten, plain
+from gsfusion_nb.course.exercise import Exercise, exercises
+from gsfusion_nb.course.whose import judging
+from gsfusion_nb.foreign import read_object
+from gsfusion_nb.types import Camera
 
 _PURE = (torch.Tensor, np.ndarray, Camera, int, float, list, dict)
 """Arguments that a second call finds as the first one did."""

@@ -14,7 +14,7 @@ a number there and names it, ``{}`` for a number that is not needed; spaces do n
 exactly once. Every other line is a comparison of such numbers, which must be true. It may use + - * / **, brackets,
 ``and``, ``or``, ``not``, ``abs``, ``min`` and ``max``, and nothing else: it is read, not executed.
 
-``python -m gsfusion_nb.course.holds notebooks/*.ipynb`` lists what does not hold.
+``python tools/claims.py notebooks/*.ipynb`` lists what does not hold.
 """
 
 import argparse
@@ -27,7 +27,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..foreign import read_object
+from gsfusion_nb.foreign import read_object
 
 log = logging.getLogger(__name__)
 

@@ -1,8 +1,8 @@
 """The bank of questions as files: Markdown to read, and what learning platforms import.
 
-``python -m gsfusion_nb.course.kit.quiz_files NOTEBOOKS PAGES IMPORTS`` writes the pages ``chapter_NN.md`` and
-``answers.md`` into the folder PAGES, and for every chapter ``chapter_NN.xml`` (Moodle), ``chapter_NN.gift`` (GIFT) and
-``chapter_NN.text2qti.txt`` (the program text2qti turns it into QTI, which Canvas imports) into the folder IMPORTS.
+``python tools/quiz_files.py NOTEBOOKS PAGES IMPORTS`` writes the pages ``chapter_NN.md`` and
+``answers.md`` into the folder PAGES, and for every chapter ``chapter_NN.xml`` (Moodle) and ``chapter_NN.text2qti.txt``
+(the program text2qti turns it into QTI, which Canvas imports) into the folder IMPORTS.
 """
 
 import argparse
@@ -14,9 +14,10 @@ from html import escape
 from itertools import groupby
 from pathlib import Path
 
-from ...files import atomic_file
-from ..course import TITLES
-from .quiz import Question, bank
+from quiz import Question, bank
+
+from gsfusion_nb.course.course import TITLES
+from gsfusion_nb.files import atomic_file
 
 log = logging.getLogger(__name__)
 
@@ -83,16 +84,6 @@ def moodle_xml(chapter: int, questions: list[Question]) -> str:
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(quiz, encoding="unicode") + "\n"
 
 
-def gift(chapter: int, questions: list[Question]) -> str:
-    """The questions of a chapter in GIFT, Moodle's text format, which other platforms read, too."""
-    parts = [f"$CATEGORY: $course$/gsfusion_nb/chapter {chapter:02}"]
-    for q in questions:
-        options = "\n".join(f"  {'=' if i == q.answer else '~'}{_gift(o)}" for i, o in enumerate(q.options))
-        text = _gift(_html(q).replace("\n", "<br>"))
-        parts.append(f"::{q.name}::[html]{text}{{\n{options}\n  ####{_gift(_feedback(q))}\n}}")
-    return "\n\n".join(parts) + "\n"
-
-
 def text2qti(chapter: int, questions: list[Question]) -> str:
     """The questions of a chapter as the program text2qti reads them."""
     parts = [f"Quiz title: gsfusion_nb, chapter {chapter}: {TITLES.get(chapter, '')}"]
@@ -127,10 +118,6 @@ def _markdown(text: str, *, keep_bold: bool = False) -> str:
     return text if keep_bold else text.replace("*", r"\*")
 
 
-def _gift(text: str) -> str:
-    return re.sub(r"([\\~=#{}:])", r"\\\1", text)
-
-
 def _qti(text: str) -> str:
     return re.sub(r"([\\`*_<$\[\]^~])", r"\\\1", text)
 
@@ -147,7 +134,6 @@ def imports(questions: list[Question]) -> dict[str, str]:
     for n, own in by_chapter(questions).items():
         files |= {
             f"chapter_{n:02}.xml": moodle_xml(n, own),
-            f"chapter_{n:02}.gift": gift(n, own),
             f"chapter_{n:02}.text2qti.txt": text2qti(n, own),
         }
     return files
@@ -158,7 +144,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description="Write the bank of quiz questions.")
     parser.add_argument("notebooks", type=Path, help="folder of notebooks")
     parser.add_argument("pages", type=Path, help="folder for the Markdown pages")
-    parser.add_argument("imports", type=Path, help="folder for Moodle XML, GIFT and text2qti")
+    parser.add_argument("imports", type=Path, help="folder for Moodle XML and text2qti")
     options = parser.parse_args(arguments)
     questions = bank(options.notebooks)
     for folder, files in ((options.pages, pages(questions)), (options.imports, imports(questions))):

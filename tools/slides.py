@@ -1,11 +1,11 @@
 """The decks of slides: Markdown whose pictures and numbers come from the stored outputs of the notebooks.
 
-``python -m gsfusion_nb.course.kit.slides SLIDES NOTEBOOKS OUT`` writes ``OUT/week_N.html`` with the program Marp,
+``python tools/slides.py SLIDES NOTEBOOKS OUT`` writes ``OUT/week_N.html`` with the program Marp,
 which ``npx`` fetches once from the npm registry (``--marp`` names another command). In a deck
 
 - ``![words](cell:02/057b416a)`` is the picture that cell ``057b416a`` of chapter 2 shows (the first one);
 - ``{{02/057b416a: 4 x voxel {a}%}}`` is the number that stands for ``{a}`` in what the cell prints (the notation of
-  ``teaching/holds.py``), and ``{{docs/quality: ... {a} ...}}`` one of the page ``docs/quality.md``.
+  ``tools/claims.py``), and ``{{docs/quality: ... {a} ...}}`` one of the page ``docs/quality.md``.
 
 So a deck shows what the notebooks show, and building it fails if a cell or a number is gone.
 """
@@ -20,9 +20,10 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
-from ...files import atomic_file
-from ...foreign import read_object
-from ..holds import quoted, shown_by
+from claims import quoted, shown_by
+
+from gsfusion_nb.files import atomic_file
+from gsfusion_nb.foreign import read_object
 
 log = logging.getLogger(__name__)
 
