@@ -9,8 +9,8 @@ if TYPE_CHECKING:
     from .leaderboard import compare_rules as compare_rules
     from .live_table import LiveTable as LiveTable
     from .one_run import run_spec as run_spec
-    from .result import RunResult as RunResult
     from .spec import Budget as Budget
+    from .spec import RunResult as RunResult
     from .spec import RunSpec as RunSpec
     from .statistics import compare as compare
 
@@ -18,7 +18,7 @@ _LAZY = {
     "Budget": ".spec",
     "Entrant": ".entries",
     "LiveTable": ".live_table",
-    "RunResult": ".result",
+    "RunResult": ".spec",
     "RunSpec": ".spec",
     "compare": ".statistics",
     "compare_rules": ".leaderboard",

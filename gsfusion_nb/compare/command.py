@@ -14,16 +14,12 @@ import tyro
 from ..backends import from_environment, use_backend
 from ..files import write_file
 from ..runs.run_folder import RunFolder
-from .columns import FIRST_METRIC
 from .executors import RUN_LIMIT_S, NoWorkerError, executor
 from .map_scene import Entry, budgeted, map_scene
-from .outputs import write_outputs
-from .records import write_records
-from .result import RunResult
-from .run_all import run_all
-from .spec import RunSpec, data_seen_once
-from .statistics import group_runs
-from .store import ResultStore
+from .outputs import write_outputs, write_records
+from .run_all import ResultStore, run_all
+from .spec import RunResult, RunSpec, data_seen_once
+from .statistics import FIRST_METRIC, group_runs
 from .table_file import EXAMPLE, Table, read_table
 from .tune import is_tuned
 

@@ -22,8 +22,7 @@ from ..work import ProgressDisplay
 from .entries import Entrant, entries_of
 from .map_scene import Entry
 from .one_run import run_steps
-from .result import RunResult
-from .spec import Budget
+from .spec import Budget, RunResult
 from .statistics import summarise
 
 

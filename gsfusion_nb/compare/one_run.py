@@ -21,9 +21,7 @@ from ..runs.outputs import environment, map_hashes, score_mesh, score_trajectory
 from ..runs.scored_views import ScoredViews, scored_views
 from ..seeding import rule_source
 from .map_scene import Entry, Mapped, finished, map_scene
-from .result import RunResult
-from .run_key import LIBRARIES
-from .spec import Budget, RunSpec
+from .spec import LIBRARIES, Budget, RunResult, RunSpec
 from .tune import reach_budget, tune
 
 MOST_PICTURES = 3

@@ -16,10 +16,19 @@ from ..drawing.curves import figure_svg
 from ..drawing.page import ColourBar, PageGraph, fill
 from ..drawing.pictures import ERROR_COLOURS, ERROR_LIMIT, Picture, data_uri, error_map, fit_width
 from ..evaluation.metrics import format_value
-from .columns import COLUMNS, FIRST_METRIC
 from .pareto import costs_of, pareto_figure, scene_points
-from .result import RunResult
-from .statistics import Group, against_reference, by_budget, compare, corrected, group_runs, p_text
+from .spec import RunResult
+from .statistics import (
+    COLUMNS,
+    FIRST_METRIC,
+    Group,
+    against_reference,
+    by_budget,
+    compare,
+    corrected,
+    group_runs,
+    p_text,
+)
 from .table_file import Table
 from .tables import failures, scene_table, scenes_table
 

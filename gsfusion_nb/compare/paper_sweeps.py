@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ..course.paper_tables import PAPER_TABLES, PaperComparison
-from .result import RunResult
+from .spec import RunResult
 
 Row = Mapping[str, float | int]
 

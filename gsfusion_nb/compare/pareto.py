@@ -16,9 +16,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 from collections.abc import Iterable
 
-from .columns import COLUMNS, FIRST_METRIC
-from .result import RunResult
-from .statistics import Group, group_runs
+from .spec import RunResult
+from .statistics import COLUMNS, FIRST_METRIC, Group, group_runs
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -1,25 +1,81 @@
-"""What one run of the lab is: a rule with options, a scene, a seed, a budget and settings, as plain values."""
+"""What one run is, as plain values: rule, options, scene, seed, budget, settings; its key and its result."""
 
 import contextlib
 import dataclasses
 import functools
+import hashlib
+import importlib.util
 import json
-from collections.abc import Iterator, Mapping
+import math
+from collections.abc import Iterable, Iterator, Mapping
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+import cv2
+import numba
+import numpy as np
+import torch
+
+from .. import __version__
 from ..backends import MINE, BackendUnavailable, chosen
 from ..checks import check_name, check_number, check_positive
 from ..config import to_dict
 from ..config.values import check_kinds
 from ..data import OpenedSequence, open_sequence, sequence_fingerprint
 from ..errors import shown
+from ..files import file_hashes, write_file
+from ..foreign import read_object
 from ..mapping import get_system
 from ..seeding import Option, SeedingRule, is_built_in, registered, rule_files, rule_fingerprint
-from .run_key import run_key
 from .schedule import with_settings
+
+_CODE = {".py", ".cu", ".cuh"}
+LIBRARIES = {"torch": torch.__version__, "numba": numba.__version__, "numpy": np.__version__, "opencv": cv2.__version__}
+"""The libraries that compute the numbers of a run, and their versions."""
+
+
+def run_key(**parts: Any) -> str:
+    """A key of ``parts`` (plain values), of this package's version and source, and of ``LIBRARIES``: 32 hexadecimal
+    digits.
+
+    Two runs with the same key give the same map on one machine. A change in the data, the settings, a rule, an option,
+    the seed, the program or its libraries gives another key.
+    """
+    parts |= {"version": __version__, "package": package_fingerprint(), "libraries": LIBRARIES}
+    text = json.dumps(parts, sort_keys=True, default=str)
+    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
+
+@functools.cache
+def package_fingerprint() -> str:
+    """A hash of the source of this package and its kernels."""
+    digest = hashlib.blake2b(digest_size=16)
+    for root in _source_folders():
+        for file in sorted(p for p in root.rglob("*") if p.suffix in _CODE):
+            digest.update(str(file.relative_to(root)).encode() + b"\0" + file.read_bytes())
+    return digest.hexdigest()
+
+
+def arguments_with_files(arguments: Iterable[str]) -> list[Any]:
+    """Arguments of a command; after each one that names a file, a hash of its content is inserted."""
+    found: list[Any] = []
+    for argument in arguments:
+        found.append(argument)
+        path = Path(argument.partition("=")[2] or argument)
+        if ".py:" in path.name:  # a seeding rule in a file
+            path = path.with_name(path.name.partition(":")[0])
+        if path.is_file():
+            found += file_hashes([path]).values()
+    return found
+
+
+def _source_folders() -> list[Path]:
+    package = (__package__ or "").split(".")[0]
+    kernels = importlib.util.find_spec(f"{package}.kernels")
+    places = kernels.submodule_search_locations if kernels is not None else None
+    return [Path(__file__).resolve().parents[1], *(Path(place) for place in places or ())]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -223,3 +279,90 @@ def data_seen_once() -> Iterator[None]:
         yield
     finally:
         _seen.reset(token)
+
+
+MEASURED = frozenset({
+    "ms_per_frame", "cpu_ms_per_frame", "seeding_ms", "seconds_total", "seconds_global", "peak_memory_mb"
+})  # fmt: skip
+"""Metrics that differ from one run to the next; all others are equal bit for bit for equal keys."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunResult:
+    """What one run gave. A run that failed has a ``reason`` and no metrics."""
+
+    spec: RunSpec
+    """The run."""
+    status: Literal["done", "failed"]
+    reason: str = ""
+    """Why it failed, in a sentence."""
+    metrics: Mapping[str, float] = field(default_factory=dict)
+    """Numbers by their names in metrics.json; a number that could not be computed is absent. psnr_mapped_db,
+    psnr_held_out_db, ssim_mapped, ssim_held_out, lpips_mapped, lpips_held_out, depth_l1_mapped_m, depth_l1_held_out_m,
+    mesh_accuracy_m, mesh_completion_m, disc_accuracy_m, disc_completion_m (and their ratios), mesh_psnr_held_out_db,
+    n_gaussians, n_keyframes, n_steps (gradient steps), n_frames, ms_per_frame and
+    cpu_ms_per_frame (of mapping, mean over all frames but the first), seeding_ms (of that the rule), seconds_total
+    (mapping with all its optimisation, without scoring), seconds_global (of that after the scan), model_size_mb,
+    peak_memory_mb (growth while mapping)."""
+    per_view: Mapping[str, list[float]] = field(default_factory=dict)
+    """Numbers of each view: psnr_held_out_db, psnr_mapped_db, in the order of the views."""
+    tuned: Mapping[str, Any] = field(default_factory=dict)
+    """How the budget was reached: option, value, n_runs (tuning runs), error_percent. Empty without a budget."""
+    notes: list[str] = field(default_factory=list)
+    """What differs from the other runs of a comparison, as sentences."""
+    map_hash: str = ""
+    """SHA-256 of the maps: equal for maps that are equal bit for bit."""
+    data_hash: str = ""
+    """Hash of the frames, poses and camera."""
+    rule_source: str = ""
+    """Source code of the rule."""
+    versions: Mapping[str, str] = field(default_factory=dict)
+    """Versions of the programs, and the machine."""
+    pictures: Mapping[str, str] = field(default_factory=dict)
+    """Name of a picture -> its file, relative to the output folder: "held_out 4" is the render of frame 4, which was
+    held out, "truth 4" its recorded image."""
+
+    copied_from: str = ""
+    """The shared cache that the result was copied from; empty if it was computed for its output folder."""
+
+    @property
+    def key(self) -> str:
+        """Content key of the run."""
+        return self.spec.key
+
+    def to_json(self) -> dict[str, Any]:
+        """The result as plain values; numbers that are not finite are left out."""
+        values = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)} | {"spec": self.spec.to_json()}
+        values["metrics"] = {name: v for name, v in self.metrics.items() if math.isfinite(v)}
+        values["key"] = self.key
+        return values
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> "RunResult":
+        """The result that ``to_json`` gave.
+
+        Raises:
+            ValueError, TypeError, KeyError: ``values`` are not those of a result.
+        """
+        values = {name: value for name, value in values.items() if name != "key"}
+        known = {f.name for f in dataclasses.fields(cls)}
+        for name in values:
+            check_name("field of a result", name, known)
+        return cls(**{**values, "spec": RunSpec.from_json(values["spec"])})
+
+    def save(self, path: Path) -> None:
+        """Write the result to a JSON file, completely or not at all."""
+        write_file(path, json.dumps(self.to_json(), indent=1, allow_nan=False))
+
+    @classmethod
+    def load(cls, path: Path) -> "RunResult":
+        """Read what ``save`` wrote.
+
+        Raises:
+            ValueError: the file is damaged or from another version. FileNotFoundError: no such file.
+        """
+        document = read_object(path, "the result of a run of the lab")
+        try:
+            return cls.from_json(document)
+        except (TypeError, KeyError) as e:
+            raise ValueError(f"{path} is not the result of a run of the lab: {e}") from None

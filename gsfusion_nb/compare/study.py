@@ -20,7 +20,7 @@ from ..runs.run_folder import CHECKPOINTS, METRICS, is_complete
 from . import disc_depth, roofline
 from .grid import parse_axis
 from .rate import draw_rates
-from .run_key import arguments_with_files, run_key
+from .spec import arguments_with_files, run_key
 from .variants import RATE, STUDIES
 
 COLUMNS = {

@@ -13,8 +13,8 @@ from .command import WhereOptions, run_and_write
 from .grid import combinations, parse_axis, with_values
 from .map_scene import Entry
 from .paper_sweeps import PAPER_SWEEPS, beside_paper
+from .run_all import ResultStore
 from .spec import Budget, RunSpec
-from .store import ResultStore
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,12 +9,21 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from .columns import COLUMNS, FIRST_METRIC, Column
-from .statistics import Comparison, Group, against_reference, draws_differ, group_runs, p_text, standings
+from .statistics import (
+    COLUMNS,
+    FIRST_METRIC,
+    Column,
+    Comparison,
+    Group,
+    against_reference,
+    draws_differ,
+    group_runs,
+    p_text,
+    standings,
+)
 
 if TYPE_CHECKING:
-    from .result import RunResult
-    from .spec import Budget
+    from .spec import Budget, RunResult
 
 Place = Literal[0, 1, 2]
 """1: among the best of the column, within noise of each other; 2: among the next; 0: neither."""

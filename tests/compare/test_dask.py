@@ -10,12 +10,10 @@ import time
 
 import pytest
 
-from gsfusion_nb.compare.executors import InProcesses, NoWorkerError, OnDask
+from gsfusion_nb.compare.executors import InProcesses, NoWorkerError, OnDask, do_task
 from gsfusion_nb.compare.map_scene import Entry
-from gsfusion_nb.compare.result import MEASURED
-from gsfusion_nb.compare.run_all import run_all
-from gsfusion_nb.compare.store import ResultStore
-from gsfusion_nb.compare.tasks import do_task
+from gsfusion_nb.compare.run_all import ResultStore, run_all
+from gsfusion_nb.compare.spec import MEASURED
 from gsfusion_nb.work import WorkerPool
 
 pytestmark = pytest.mark.filterwarnings("ignore")  # Dask warns of what it does to its workers

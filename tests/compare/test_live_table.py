@@ -6,10 +6,9 @@ import pytest
 
 from gsfusion_nb.compare import Budget, live_table
 from gsfusion_nb.compare.entries import Entrant, entries_of
-from gsfusion_nb.compare.live_runs import LiveRuns
-from gsfusion_nb.compare.live_table import LiveTable
+from gsfusion_nb.compare.live_table import LiveRuns, LiveTable
 from gsfusion_nb.compare.map_scene import Entry
-from gsfusion_nb.compare.store import ResultStore
+from gsfusion_nb.compare.run_all import ResultStore
 from gsfusion_nb.viz.display import WIDGET_MIME
 
 

@@ -11,8 +11,8 @@ import torch
 from gsfusion_nb.compare import Budget, RunSpec
 from gsfusion_nb.compare.map_scene import Entry, Mapped
 from gsfusion_nb.compare.one_run import run_entry, run_spec
-from gsfusion_nb.compare.result import MEASURED
 from gsfusion_nb.compare.schedule import EQUAL_KEYFRAME_EVERY
+from gsfusion_nb.compare.spec import MEASURED
 from gsfusion_nb.seeding import MapRule, rule_fingerprint
 
 TWO_RULES = """

@@ -10,8 +10,7 @@ import torch
 import gsfusion_nb
 from gsfusion_nb.compare import Entrant
 from gsfusion_nb.compare.one_run import run_entry
-from gsfusion_nb.compare.run_all import run_all
-from gsfusion_nb.compare.store import ResultStore
+from gsfusion_nb.compare.run_all import ResultStore, run_all
 from gsfusion_nb.seeding import UndeclaredFileError, check_rule, option_values, rule_fingerprint
 from gsfusion_nb.seeding.opened_files import DeclaredFiles
 from gsfusion_nb.seeding.rule_file import load_rule_file

@@ -8,15 +8,14 @@ from typing import Any
 import cv2
 import pytest
 
-from gsfusion_nb.compare import Budget, RunResult, executors, run_key
+from gsfusion_nb.compare import Budget, RunResult, executors
+from gsfusion_nb.compare import spec as spec_module
 from gsfusion_nb.compare.command import WhereOptions, run_and_write
-from gsfusion_nb.compare.executors import InProcess, InProcesses, executor, threads_of_each
+from gsfusion_nb.compare.executors import InProcess, InProcesses, Task, do_task, executor, threads_of_each
 from gsfusion_nb.compare.map_scene import Entry
-from gsfusion_nb.compare.records import as_csv
-from gsfusion_nb.compare.result import MEASURED
-from gsfusion_nb.compare.run_all import run_all
-from gsfusion_nb.compare.store import ResultStore
-from gsfusion_nb.compare.tasks import Task, do_task
+from gsfusion_nb.compare.outputs import as_csv
+from gsfusion_nb.compare.run_all import ResultStore, run_all
+from gsfusion_nb.compare.spec import MEASURED
 from gsfusion_nb.runs.run_folder import RunFolder
 from gsfusion_nb.work import WorkerPool
 
@@ -140,11 +139,11 @@ def test_data_or_programs_that_differ_where_a_run_is_done_fail_it(spec, scene, t
 
 
 def test_the_key_has_the_versions_of_the_libraries(monkeypatch):
-    before = run_key.run_key()
+    before = spec_module.run_key()
     for name in ("torch", "numba", "numpy", "opencv"):
         with monkeypatch.context() as patch:
-            patch.setitem(run_key.LIBRARIES, name, "0.1")
-            assert run_key.run_key() != before
+            patch.setitem(spec_module.LIBRARIES, name, "0.1")
+            assert spec_module.run_key() != before
 
 
 def test_two_commands_in_one_folder_and_two_on_one_cache(spec, tmp_path, monkeypatch, capsys):

@@ -10,7 +10,7 @@ import pytest
 from gsfusion_nb.cli.map import MapOptions
 from gsfusion_nb.cli.settings import parse
 from gsfusion_nb.compare import STUDIES, StudyOptions, main
-from gsfusion_nb.compare import run_key as run_key_module
+from gsfusion_nb.compare import spec as run_key_module
 from gsfusion_nb.compare import study as study_run
 from gsfusion_nb.compare.rate import draw_rates
 from gsfusion_nb.compare.study import as_markdown, run_variant

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 import torch
-from gsfusion_nb.kernels.rasterize.cases import break_rows
-from gsfusion_nb.kernels.runtime.cases import make_frame, make_params
 
 from gsfusion_nb.backends import use_backend
 from gsfusion_nb.config import OptimConfig
 from gsfusion_nb.gaussians import GaussianModel
+from gsfusion_nb.kernels.rasterize.cases import break_rows
+from gsfusion_nb.kernels.runtime.cases import make_frame, make_params
 from gsfusion_nb.optim.adam import adam_step
 from gsfusion_nb.render import render_forward, render_vjp
 from gsfusion_nb.types import GaussianParams, Seeds

@@ -2,10 +2,10 @@
 
 import pytest
 import torch
-from gsfusion_nb.kernels.composite import chunks
-from gsfusion_nb.kernels.composite.cases import cases
 
 from gsfusion_nb.backends import use_backend
+from gsfusion_nb.kernels.composite import chunks
+from gsfusion_nb.kernels.composite.cases import cases
 
 
 @pytest.mark.parametrize("size", [(3, 2), (1, 1), (7, 1000)], ids=["many", "one entry each", "all tiles"])

@@ -89,9 +89,10 @@ def test_published_averages(average, max_weight, make_frames):
 @pytest.mark.parametrize("average", ["eq9", "int16"])
 def test_published_averages_of_equal_distances(average):
     """16,000 voxels of every weight, whole-number D of either sign, and distances on and off whole numbers."""
+    from numba import njit
+
     from gsfusion_nb.kernels.integrate.numba import _AVERAGES, _as_published
     from gsfusion_nb.kernels.runtime.numba.simd import load, store
-    from numba import njit
 
     @njit
     def fold(D, d, W, W_k, code, out):

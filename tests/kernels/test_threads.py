@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+
 from gsfusion_nb.kernels.runtime.numba import launch  # pyright: ignore[reportMissingImports]
 
 HAS_TBB = any(d.metadata["Name"] == "tbb" for d in importlib.metadata.distributions())

@@ -2,12 +2,12 @@ import dataclasses
 
 import pytest
 import torch
-from gsfusion_nb.kernels.runtime.cases import make_params
 
 from gsfusion_nb.backends import use_backend
 from gsfusion_nb.config import OptimConfig
 from gsfusion_nb.gaussians import GaussianModel
 from gsfusion_nb.gaussians.model import PARAMETERS
+from gsfusion_nb.kernels.runtime.cases import make_params
 from gsfusion_nb.optim import ColumnRates, adam_step, adam_update, adam_update_map
 from gsfusion_nb.types import GaussianParams, Seeds
 

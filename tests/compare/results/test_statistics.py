@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from gsfusion_nb.compare import Budget
-from gsfusion_nb.compare.columns import COLUMNS
 from gsfusion_nb.compare.statistics import (
+    COLUMNS,
     against_reference,
     compare,
     draws_differ,

@@ -5,8 +5,7 @@ import re
 import pytest
 
 from gsfusion_nb.compare import Budget
-from gsfusion_nb.compare.columns import COLUMNS
-from gsfusion_nb.compare.statistics import group_runs
+from gsfusion_nb.compare.statistics import COLUMNS, group_runs
 from gsfusion_nb.compare.tables import as_latex, as_markdown, failures, latex_file, places, scene_table, scenes_table
 
 PSNR, DEPTH, STEPS = COLUMNS["psnr_held_out_db"], COLUMNS["depth_l1_held_out_m"], COLUMNS["n_steps"]

@@ -22,9 +22,9 @@ sys.path.insert(0, str(Path(__file__).parent))
 def gpu(monkeypatch):
     """Inside the test there is a GPU, "cuda"; the value counts launches and waits."""
     import tensors  # pyright: ignore[reportMissingImports]
-    from gsfusion_nb.kernels.runtime.cuda import driver, launch  # pyright: ignore[reportMissingImports]
 
     from gsfusion_nb import kernels
+    from gsfusion_nb.kernels.runtime.cuda import driver, launch  # pyright: ignore[reportMissingImports]
 
     try:
         tensors.lend_a_guard()
