@@ -308,7 +308,7 @@ def made(recipe: Mapping[str, Any], values: Mapping[str, list[Record]]) -> dict[
 
 def renew(name: str, recipe: Mapping[str, Any], recordings: Path, done: dict[str, list[Record]]) -> None:
     """Run the commands of a table and write its numbers. ``done`` has the records of commands that have run already."""
-    from gsfusion_nb.compare.bench.machine import describe
+    from gsfusion_nb.compare.bench.timing import describe
 
     if changed := git("status", "--porcelain", "--", *recipe["depends"]).strip():
         raise MeasuredError(f"commit first what the numbers depend on:\n{changed}")

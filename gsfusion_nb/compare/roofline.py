@@ -22,10 +22,9 @@ from ..render import render_forward, render_vjp
 from ..tsdf import TsdfVolume, allocate
 from ..tsdf.integrate import fuse_frame_
 from ..types import Frame, GaussianParams
-from .bench import machine
-from .bench.raster import DEVICES
+from .bench.cases import DEVICES
 from .bench.scene import random_scene
-from .bench.timing import lap, threads
+from .bench.timing import describe, header, lap, threads
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -278,7 +277,7 @@ def main(device: str, folder: Path) -> int:
     roofs = measure_roofs(size=8192, megabytes=2000, device=device) if is_gpu else measure_roofs()
     work = functools.partial(mapping_work, **(ON_A_GPU if is_gpu else {}), device=device)
     points = kernel_points(work, repeats=10 if is_gpu else 5, device=device)
-    head = machine.header(machine.describe(1))
+    head = header(describe(1))
     limits = f"measured limits: {roofs.gflops:.0f} Gflop/s (matrix product), {roofs.gb_per_s:.0f} GB/s (b = a + b)"
     text = "\n".join([*head, limits, "", as_table(roofs, points)])
     print(text)

@@ -1,20 +1,27 @@
-"""Timing: wall and CPU time as medians over several runs, and the additional memory."""
+"""Timing: wall and CPU time as medians over several runs, the additional memory, and the machine that was measured."""
 
 import contextlib
+import datetime
+import importlib.metadata
 import os
+import platform
 import statistics
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import torch
 
+from ... import __version__
 from ...work import PeakMemory
 
 LEAST_RUNS = 3
 MOST_RUNS = 30
 LONG_RUN_S = 4.0
 """A run longer than this is timed only once, seconds."""
+PACKAGES = ("torch", "numpy", "numba", "llvmlite", "triton", "gsplat", "opencv-python-headless")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,9 +62,12 @@ def lap(work: Callable[[], object], device: str = "cpu") -> Lap:
     return Lap(wall, cpu, 1e-3 * events[0].elapsed_time(events[1]) if events else None)
 
 
-def measure(
-    work: Callable[[], object], *, budget_s: float = 1.0, least_runs: int = LEAST_RUNS, device: str = "cpu"
-) -> Timing:
+def _wait(device: str) -> None:
+    if device == "cuda":
+        torch.cuda.synchronize()
+
+
+def measure(work: Callable[[], object], *, budget_s: float = 1.0, device: str = "cpu") -> Timing:
     """Repeat ``work`` for about ``budget_s`` and take medians.
 
     An untimed first run compiles and fills caches; the first timed run also measures memory. Work that takes longer
@@ -66,7 +76,6 @@ def measure(
     Args:
         work: Function to time; its result is discarded.
         budget_s: Time after which no further run is started, seconds.
-        least_runs: Minimum number of runs, unless one takes longer than ``LONG_RUN_S``.
         device: "cpu" or "cuda".
     """
     warm = lap(work, device)
@@ -74,7 +83,7 @@ def measure(
     with PeakMemory(device) as memory:
         laps = [lap(work, device)]
     if warm.wall_s < LONG_RUN_S:
-        while len(laps) < least_runs or (time.perf_counter() - start < budget_s and len(laps) < MOST_RUNS):
+        while len(laps) < LEAST_RUNS or (time.perf_counter() - start < budget_s and len(laps) < MOST_RUNS):
             laps.append(lap(work, device))
     return summary(laps, memory.peak_mb)
 
@@ -108,6 +117,46 @@ def threads(count: int) -> Iterator[None]:
             os.environ["OMP_NUM_THREADS"] = environment
 
 
-def _wait(device: str) -> None:
-    if device == "cuda":
-        torch.cuda.synchronize()
+def describe(threads: int) -> dict[str, Any]:
+    """Processor, memory, versions, and the load from other programs."""
+    versions: dict[str, str | None] = {"gsfusion_nb": __version__, "python": platform.python_version()}
+    for name in PACKAGES:
+        try:
+            versions[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            versions[name] = None
+    names = getattr(os, "sysconf_names", {})
+    has_size = "SC_PHYS_PAGES" in names and "SC_PAGE_SIZE" in names
+    return {
+        "processor": _processor(),
+        "cores": os.cpu_count(),
+        "memory_gb": os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e9 if has_size else None,
+        "system": f"{platform.system()} {platform.machine()}",
+        "gpu": torch.cuda.get_device_name(0) if torch.cuda.is_available() else None,
+        "threads": threads,
+        "load_average": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
+        "date": datetime.datetime.now().astimezone().isoformat(timespec="seconds"),
+        "versions": versions,
+    }
+
+
+def header(machine: dict[str, Any]) -> list[str]:
+    """``describe`` in a few lines of text."""
+    memory = f", {machine['memory_gb']:.0f} GB" if machine["memory_gb"] else ""
+    gpu = f", {machine['gpu']}" if machine["gpu"] else ""
+    threads = f"{machine['threads']} thread{'s' if machine['threads'] > 1 else ''} of {machine['cores']} cores"
+    lines = [
+        f"{machine['processor']}{memory}{gpu}; {threads}; {machine['date'][:16].replace('T', ' ')}",
+        ", ".join(f"{name} {v}" for name, v in machine["versions"].items() if v),
+    ]
+    load = machine["load_average"]
+    if load is not None and load > 0.5:
+        lines.append(f"Other programs used {load:.1f} cores just before; this affects wall time more than CPU time.")
+    return lines
+
+
+def _processor() -> str:
+    cpuinfo = Path("/proc/cpuinfo")
+    lines = cpuinfo.read_text().splitlines() if cpuinfo.exists() else []
+    named = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return named[0] if named else platform.processor() or platform.machine()

@@ -1,0 +1,158 @@
+"""What the bench times: its options, the frames, the backends, and cases that give rows of the table."""
+
+import os
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import torch
+import tyro
+
+from ... import backends
+from ...checks import check_name
+from ...config import DataConfig
+from ...data import OpenedSequence, open_sequence
+from .timing import Timing
+
+TIMED_BACKENDS = ("reference", "torch", "numba", "cuda")
+"""Those with a rasteriser and TSDF integration."""
+DEVICES = {"reference": "cpu", "torch": "cpu", "numba": "cpu", "triton": "cuda", "cuda": "cuda"}
+"""Device of each backend."""
+SECTIONS = {
+    "raster": "Gaussian rasteriser; note: PSNR to the picture of torch, smallest cosine of a gradient",
+    "tsdf": "integration with colour (depth: without), truncation 4 voxels; raycasts; note: frames/s",
+    "map": "GSFusion, Replica settings, means over the frames; note: frames/s, number of Gaussians",
+    "checkpoints": "saving a run; note: share of the 30 s between two checkpoints, by CPU time; size",
+}
+_WALK = 200
+"""Frames of the room's walk; more frames are closer together on the same walk."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchOptions:
+    """Measure the speed of the toolkit on this machine, compared with other installed programs, and print a table."""
+
+    what: Annotated[str, tyro.conf.Positional] = "all"
+    """What to time: raster (rasteriser), tsdf (TSDF integration), map (whole mapper), checkpoints (time and size of
+    one, and time from SIGTERM until it is saved) or all."""
+    data: str = "room"
+    """Folder of the sequence used by tsdf, map and checkpoints, or "room" for the built-in scene."""
+    size: tuple[str, ...] = ()
+    """Image sizes of the sequence, for example 320x240 640x480. Default: the size of the recording, 320x240 for the
+    room."""
+    frames: int = 0
+    """Number of frames of the sequence to use. 0: 60, or 8 with --quick."""
+    backend: tuple[str, ...] = ()
+    """Backends of gsfusion-nb to time: reference, torch, numba, cuda. Default: all that run on this machine except
+    reference, which is slow because it is written for reading."""
+    threads: int = 1
+    """Number of threads for every method."""
+    quick: bool = False
+    """Run few and small cases, in one or two minutes, to test that everything works."""
+    json: str = ""
+    """Write all numbers to this file, as JSON."""
+
+    @property
+    def sections(self) -> tuple[str, ...]:
+        """Sections to run, in order."""
+        return tuple(SECTIONS) if self.what == "all" else (self.what,)
+
+    @property
+    def n_frames(self) -> int:
+        """Frames to use."""
+        return self.frames or (8 if self.quick else 60)
+
+    @property
+    def budget_s(self) -> float:
+        """Time for repeating one measurement, seconds."""
+        return 0.3 if self.quick else 1.0
+
+    @property
+    def sizes(self) -> list[tuple[int, int]]:
+        """Image sizes as (width, height); (0, 0) is the recording's own."""
+        if not self.size:
+            return [(320, 240) if self.data == "room" else (0, 0)]
+        return [_parse_size(text) for text in self.size]
+
+    def check(self) -> None:
+        """Check the options before anything is run.
+
+        Raises:
+            KeyError, ValueError, OSError: an invalid option.
+        """
+        check_name("bench", self.what, ("all", *SECTIONS))
+        for backend in self.backend:
+            check_name("backend", backend, TIMED_BACKENDS)
+        cores = os.cpu_count() or 1
+        if not 1 <= self.threads <= cores:
+            raise ValueError(f"--threads must be between 1 and {cores}, the cores of this machine, got {self.threads}")
+        if self.frames < 0 or self.frames == 1:
+            raise ValueError(f"--frames must be at least 2 (or 0 for the default), got {self.frames}")
+        for width, height in self.sizes:
+            if width and min(width, height) < 32:
+                raise ValueError(f"--size must be at least 32x32, got {width}x{height}")
+        file = Path(self.json).expanduser()
+        if self.json and (not file.parent.is_dir() or file.is_dir()):
+            raise ValueError(f"--json: expected a file in a folder that exists, got {self.json}")
+        if self.what != "raster":
+            for size in self.sizes:
+                open_frames(self, size)
+
+
+def _parse_size(text: str) -> tuple[int, int]:
+    width, _, height = text.lower().partition("x")
+    if not (width.isdigit() and height.isdigit()):
+        raise ValueError(f"--size must look like 320x240, got {text!r}")
+    return int(width), int(height)
+
+
+def open_frames(options: BenchOptions, size: tuple[int, int]) -> OpenedSequence:
+    """The sequence that the options ask for, without held-out frames; nothing is read yet."""
+    data = DataConfig(width=size[0], height=size[1], stop=options.n_frames, hold_out_every=0)
+    walk: dict[str, Any] = {"n_frames": max(_WALK, options.n_frames)} if options.data == "room" else {}
+    return open_sequence(options.data, data=data, **walk)
+
+
+def case_name(frames: OpenedSequence) -> str:
+    """Sequence and size, short enough for the table."""
+    name = frames.name if len(frames.name) <= 13 else frames.name[:12] + "~"
+    return f"{name} {frames.camera.width}x{frames.camera.height}"
+
+
+def our_backends(options: BenchOptions, *operations: str) -> list[str]:
+    """The requested backends that can run all of ``operations`` on this machine, slow ones first.
+
+    The reference is written for reading: it is timed only if the options name it.
+    """
+    working = {(name, backend) for name, backend, state in backends.report() if state == "ok"}
+    usable = [b for b in backends.BACKENDS if b == "torch" or all((name, b) in working for name in operations)]
+    asked = [b for b in usable if b in options.backend or (not options.backend and b != "reference")]
+    return [b for b in asked if DEVICES[b] == "cpu" or torch.cuda.is_available()]
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchRow:
+    """One line of the table."""
+
+    section: str
+    """Key of ``SECTIONS``."""
+    case: str
+    """The work. Rows of a section with the same case are compared with each other."""
+    method: str
+    """The program or backend."""
+    timing: Timing
+    speed: float | None = None
+    """How many times faster than the first row of the case."""
+    note: str = ""
+    values: dict[str, Any] = field(default_factory=dict)
+    """Further numbers, for the JSON file."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchCase:
+    """One measurement, not yet made."""
+
+    section: str
+    title: str
+    run: Callable[[], Iterable[BenchRow]]

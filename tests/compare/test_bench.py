@@ -1,0 +1,167 @@
+"""The bench end to end on a handful of values: its scene, its clock, its table, its options."""
+
+import json
+import os
+import sys
+import time
+
+import pytest
+import torch
+
+from gsfusion_nb.compare.bench import BenchOptions, raster, run, tsdf
+from gsfusion_nb.compare.bench.cases import SECTIONS, BenchCase, BenchRow
+from gsfusion_nb.compare.bench.mapping import STAGES
+from gsfusion_nb.compare.bench.scene import random_scene
+from gsfusion_nb.compare.bench.timing import LEAST_RUNS, Lap, Timing, lap, measure, summary, threads
+from gsfusion_nb.constants import ALPHA_MIN
+from gsfusion_nb.geometry import project, se3
+from gsfusion_nb.render import project_gaussians, render
+from gsfusion_nb.work import PeakMemory
+
+
+@pytest.fixture
+def small(monkeypatch):
+    monkeypatch.setattr(raster, "COUNTS", (200, 300))
+    monkeypatch.setattr(raster, "SIZES", ((64, 48),))
+    monkeypatch.setattr(tsdf, "VOXEL_SIZES_M", (0.08, 0.04))
+    monkeypatch.setattr(BenchOptions, "budget_s", 0.0)
+
+
+@pytest.mark.ci
+def test_all_sections(small, tmp_path, capsys):
+    path = tmp_path / "bench.json"
+    options = BenchOptions(quick=True, frames=2, size=("64x48",), json=str(path))
+    assert run.main(options) == 0
+    text = capsys.readouterr().out
+    tables = [line for line in text.splitlines() if line.startswith("|")]
+    assert {line.count("|") for line in tables} == {9}
+    numbers = json.loads(path.read_text())
+    assert (numbers["interrupted"], numbers["machine"]["threads"]) == (False, 1)
+    rows = {name: [row for row in numbers["rows"] if row["section"] == name] for name in SECTIONS}
+    assert all(rows.values())
+    assert {"torch", "numba"} <= {row["method"] for row in rows["raster"]}
+    for row in rows["raster"]:
+        assert row["timing"]["wall_ms"] > 0
+        assert (row["speed"] == 1.0) == (row["method"] == "torch")
+        if row["method"] != "torch":
+            assert row["values"]["psnr_to_torch_db"] > 80
+            assert row["values"].get("least_gradient_cosine", 1.0) > 0.9999
+    fused = [row["values"] for row in rows["tsdf"] if "blocks" in row["values"]]
+    assert all(values["blocks"] == fused[0]["blocks"] > 0 for values in fused)
+    assert any(row["case"].endswith(" / raycast") for row in rows["tsdf"])
+    stages = [row["case"].partition(" / ")[2] for row in rows["map"]]
+    assert stages[: 1 + len(STAGES)] == ["", *STAGES.values()]
+
+
+def test_ctrl_c_keeps_what_was_measured(monkeypatch, tmp_path, capsys):
+    def cases(options):
+        row = BenchRow(section="raster", case="a", method="m", timing=summary([Lap(1.0, 1.0)]))
+        yield BenchCase(section="raster", title="a", run=lambda: [row])
+        yield BenchCase(section="raster", title="b", run=_interrupt)
+
+    def _interrupt():
+        raise KeyboardInterrupt
+
+    monkeypatch.setitem(run.CASES, "raster", cases)
+    path = tmp_path / "b.json"
+    assert run.main(BenchOptions(what="raster", json=str(path))) == 130
+    assert "| a " in capsys.readouterr().out
+    assert json.loads(path.read_text())["interrupted"]
+
+
+def test_speed_is_relative_to_the_first_row_of_the_case():
+    def row(method, cpu_ms, wall_ms, case="a", device_ms=None):
+        timing = Timing(wall_ms=wall_ms, cpu_ms=cpu_ms, runs=3, peak_mb=12.4, device_ms=device_ms)
+        return BenchRow(section="raster", case=case, method=method, timing=timing)
+
+    rows = [row("reference", 1100.0, 1100.0), row("numba", 61.25, 122.5), row("torch", 33.0, 33.0, "b")]
+    rows += [row("cuda", 1.0, 9.0, "b", 3.3)]
+    assert [r.speed for r in run.with_speed(rows, threads=1)] == pytest.approx([1, 1100 / 61.25, 1, 10])
+    assert run.with_speed(rows, threads=2)[1].speed == pytest.approx(1100 / 122.5)
+
+
+def test_medians_by_hand():
+    result = summary([Lap(0.001, 0.010, 0.001), Lap(0.002, 0.030, 0.003), Lap(0.009, 0.020, 0.002)], peak_mb=5.0)
+    assert (result.wall_ms, result.cpu_ms, result.device_ms) == pytest.approx((2, 20, 2))
+    assert (result.runs, result.peak_mb, summary([Lap(0.004, 0.001)]).device_ms) == (3, 5.0, None)
+
+
+def test_the_first_run_is_not_counted_and_sleeping_takes_no_cpu_time():
+    calls = []
+    assert measure(lambda: calls.append(0), budget_s=0.0).runs == LEAST_RUNS == len(calls) - 1
+    took = lap(lambda: time.sleep(0.05))
+    assert took.cpu_s < 0.5 * took.wall_s
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="peak memory is read from /proc")
+def test_memory_of_a_known_size():
+    with PeakMemory() as memory:
+        torch.ones(25_000_000)
+    if memory.peak_mb is None:
+        pytest.skip("this system does not let a process reset its peak")
+    assert 98 < memory.peak_mb < 120
+
+
+def test_threads_are_set_and_put_back(monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    before = torch.get_num_threads()
+    with threads(2):
+        assert (torch.get_num_threads(), os.environ["OMP_NUM_THREADS"]) == (2, "2")
+    assert (torch.get_num_threads(), os.environ["OMP_NUM_THREADS"]) == (before, "7")
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "name"),
+    [
+        ({"what": "rastre"}, KeyError, "rastre"),
+        ({"backend": ("cuda", "numa")}, KeyError, "numa"),
+        ({"threads": 0}, ValueError, "--threads"),
+        ({"frames": 1}, ValueError, "--frames"),
+        ({"size": ("640",)}, ValueError, "640"),
+        ({"size": ("8x8",)}, ValueError, "8x8"),
+        ({"json": "/no/such/place/x.json"}, ValueError, "/no/such/place"),
+        ({"json": "/"}, ValueError, "--json"),
+        ({"data": "nowhere"}, FileNotFoundError, "nowhere"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_before_anything_runs(changes, error, name):
+    with pytest.raises(error, match=name):
+        BenchOptions(**changes).check()
+    assert BenchOptions(size=("64x48", "640X480")).sizes == [(64, 48), (640, 480)]
+
+
+@pytest.mark.skipif(bool(tsdf.why_no_opencv()), reason="OpenCV has no volume before version 5")
+def test_opencv_takes_our_frames():
+    _, frames = tsdf.stored_frames(BenchOptions(frames=2), (64, 48))
+    fuser = tsdf.OpencvHash(0.08, frames[0], threads=1)
+    assert len(tsdf.fuse_all(fuser, frames)) == 2
+    points, _ = fuser.volume.fetchPointsNormals()
+    assert points.size > 0
+
+
+def test_the_scene_is_that_of_its_seed_and_fills_the_frustum_and_a_border():
+    a, b, other = (random_scene(50, 64, 48, sh_degree=1, seed=s) for s in (3, 3, 4))
+    assert all(torch.equal(x, y) for x, y in zip(vars(a.params).values(), vars(b.params).values(), strict=True))
+    assert torch.equal(a.v_rgb, b.v_rgb)
+    assert not torch.equal(a.params.xyz_W, other.params.xyz_W)
+    scene = random_scene(5000, 320, 240)
+    xyz_C = se3.apply(se3.inverse(scene.T_WC), scene.params.xyz_W)
+    z, uv = xyz_C[:, 2], project(scene.camera, xyz_C) / torch.tensor([320.0, 240.0])
+    assert torch.stack(z.aminmax()).tolist() == pytest.approx([2, 6], abs=0.05)
+    assert torch.stack(uv.aminmax()).tolist() == pytest.approx([-0.05, 1.05], abs=0.005)
+    assert scene.params.opacity_logit.sigmoid().aminmax() == pytest.approx((0.1, 0.95), abs=0.01)
+    empty = random_scene(0, 64, 48)
+    assert float(render(empty.params, empty.camera, empty.T_WC).alpha.max()) == 0
+
+
+@pytest.mark.parametrize(("n", "size"), [(1000, (160, 120)), (5000, (160, 120)), (5000, (320, 240))])
+def test_about_thirty_gaussians_are_visible_at_a_pixel(n, size):
+    """Counted by brute force at a few hundred pixels, from the projection alone."""
+    scene = random_scene(n, *size)
+    p = project_gaussians(scene.params, scene.camera, scene.T_WC)
+    g = torch.Generator().manual_seed(1)
+    uv = torch.rand(300, 1, 2, generator=g) * torch.tensor(size, dtype=torch.float32)
+    dx, dy = (uv - p.uv).unbind(-1)
+    A, B, C = p.conic.unbind(-1)
+    alpha = p.opacity * torch.exp(-0.5 * (A * dx**2 + C * dy**2) - B * dx * dy)
+    assert float((alpha >= ALPHA_MIN).sum(1).float().mean()) == pytest.approx(30, rel=0.25)
